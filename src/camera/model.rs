@@ -1,0 +1,301 @@
+//! Brown's distortion with skew, exactly as the source thesis writes it (equations 5 to 10), and its
+//! exact inverse.
+//!
+//! A point in the camera frame is divided by its depth (eq. 5), bent by the radial and tangential
+//! terms (eq. 6, 7), and scaled, sheared and shifted into pixels (eq. 8-10). The radial polynomial
+//! folds back on itself beyond some radius; [`CameraModel`] finds that radius once and refuses to
+//! undistort anything that lies outside of it, instead of returning a ray that does not exist.
+
+use nalgebra::{Matrix2, Matrix3, Vector2};
+use thiserror::Error;
+
+/// A raw pixel position: distorted, pixel centres at integers, origin the centre of the top-left pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pixel(pub Vector2<f64>);
+
+/// An undistorted point on the plane at depth 1: (x / z, y / z) in the camera frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Normalized(pub Vector2<f64>);
+
+/// The numbers of a calibration, as a file holds them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Intrinsics {
+    /// Picture width in pixels.
+    pub width: u32,
+    /// Picture height in pixels.
+    pub height: u32,
+    /// Focal length along x in pixels.
+    pub fx: f64,
+    /// Focal length along y in pixels.
+    pub fy: f64,
+    /// Principal point, x, in pixels.
+    pub cx: f64,
+    /// Principal point, y, in pixels.
+    pub cy: f64,
+    /// alpha_c of equation 8: `x_p = fx (x_d + alpha_c y_d) + cx`.
+    pub skew: f64,
+    /// kc = [k1, k2, p1, p2, k3], Bouguet's and OpenCV's order.
+    pub distortion: [f64; 5],
+}
+
+/// Why a set of intrinsics is no camera.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum CameraError {
+    /// A number is NaN or infinite.
+    #[error("{name} is {value}, not a finite number")]
+    NotFinite {
+        /// Which entry.
+        name: &'static str,
+        /// What it holds.
+        value: f64,
+    },
+    /// A focal length is zero or negative.
+    #[error("{name} is {value}; a focal length must be above 0 pixels")]
+    FocalLength {
+        /// `fx` or `fy`.
+        name: &'static str,
+        /// What it holds.
+        value: f64,
+    },
+    /// The picture has no pixels.
+    #[error("the picture is {width} x {height} pixels; both must be above 0")]
+    Size {
+        /// Width in pixels.
+        width: u32,
+        /// Height in pixels.
+        height: u32,
+    },
+    /// The pictures are of another shape than the calibration's.
+    #[error(
+        "the calibration is for {from_width} x {from_height} pixels, the pictures are {width} x {height}: another aspect ratio; calibrate at this size"
+    )]
+    Aspect {
+        /// Calibrated width.
+        from_width: u32,
+        /// Calibrated height.
+        from_height: u32,
+        /// Wanted width.
+        width: u32,
+        /// Wanted height.
+        height: u32,
+    },
+}
+
+/// A calibrated camera: pinhole with skew and Brown distortion, and the radius up to which it can be inverted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CameraModel {
+    intrinsics: Intrinsics,
+    /// Largest undistorted radius (normalised) at which the radial map still grows.
+    valid_radius: f64,
+}
+
+impl CameraModel {
+    /// Checks the numbers and finds the valid radius.
+    pub fn new(intrinsics: Intrinsics) -> Result<Self, CameraError> {
+        let i = &intrinsics;
+        if i.width == 0 || i.height == 0 {
+            return Err(CameraError::Size { width: i.width, height: i.height });
+        }
+        let [k1, k2, p1, p2, k3] = i.distortion;
+        let named = [
+            ("fx", i.fx),
+            ("fy", i.fy),
+            ("cx", i.cx),
+            ("cy", i.cy),
+            ("skew", i.skew),
+            ("distortion k1", k1),
+            ("distortion k2", k2),
+            ("distortion p1", p1),
+            ("distortion p2", p2),
+            ("distortion k3", k3),
+        ];
+        if let Some(&(name, value)) = named.iter().find(|(_, v)| !v.is_finite()) {
+            return Err(CameraError::NotFinite { name, value });
+        }
+        if let Some(&(name, value)) = named[..2].iter().find(|(_, v)| *v <= 0.0) {
+            return Err(CameraError::FocalLength { name, value });
+        }
+        Ok(Self { intrinsics, valid_radius: radial_limit(i.distortion) })
+    }
+
+    /// A camera without distortion or skew.
+    pub fn pinhole(width: u32, height: u32, fx: f64, fy: f64, cx: f64, cy: f64) -> Result<Self, CameraError> {
+        Self::new(Intrinsics { width, height, fx, fy, cx, cy, skew: 0.0, distortion: [0.0; 5] })
+    }
+
+    /// The numbers behind the model.
+    pub fn intrinsics(&self) -> &Intrinsics {
+        &self.intrinsics
+    }
+
+    /// Picture width in pixels.
+    pub fn width(&self) -> u32 {
+        self.intrinsics.width
+    }
+
+    /// Picture height in pixels.
+    pub fn height(&self) -> u32 {
+        self.intrinsics.height
+    }
+
+    /// Largest normalised radius that the distortion maps one to one (infinite without distortion).
+    pub fn valid_radius(&self) -> f64 {
+        self.valid_radius
+    }
+
+    /// KK of equation 10: undistorted pixels from normalised coordinates.
+    pub fn k_matrix(&self) -> Matrix3<f64> {
+        let i = &self.intrinsics;
+        Matrix3::new(i.fx, i.fx * i.skew, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0)
+    }
+
+    /// Equations 6 and 7: the distorted point and its derivative by the undistorted one.
+    fn distort(&self, n: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
+        let [k1, k2, p1, p2, k3] = self.intrinsics.distortion;
+        let (x, y) = (n.x, n.y);
+        let r2 = x * x + y * y;
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        let slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3); // d radial / d r2
+        let point =
+            Vector2::new(radial * x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), radial * y + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y);
+        let cross = 2.0 * slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y;
+        let jacobian = Matrix2::new(
+            radial + 2.0 * slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
+            cross,
+            cross,
+            radial + 2.0 * slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
+        );
+        (point, jacobian)
+    }
+
+    /// Equations 5 to 10: the raw pixel of a normalised point.
+    pub fn project(&self, n: Normalized) -> Pixel {
+        self.affine(self.distort(n.0).0)
+    }
+
+    /// The raw pixel of a normalised point and the 2x2 derivative of the one by the other.
+    pub fn project_with_jacobian(&self, n: Normalized) -> (Pixel, Matrix2<f64>) {
+        let i = &self.intrinsics;
+        let (d, j) = self.distort(n.0);
+        let affine = Matrix2::new(i.fx, i.fx * i.skew, 0.0, i.fy);
+        (self.affine(d), affine * j)
+    }
+
+    /// The pixel that a camera with the same K and no distortion would see: "undistorted pixels".
+    pub fn undistorted_pixel(&self, n: Normalized) -> Vector2<f64> {
+        self.affine(n.0).0
+    }
+
+    /// The normalised point of an undistorted pixel (K alone).
+    pub fn from_undistorted_pixel(&self, p: Vector2<f64>) -> Normalized {
+        let i = &self.intrinsics;
+        let y = (p.y - i.cy) / i.fy;
+        Normalized(Vector2::new((p.x - i.cx) / i.fx - i.skew * y, y))
+    }
+
+    /// The ray of a raw pixel: the exact inverse of [`project`](Self::project) by Newton's method, or `None` where the
+    /// distortion has no inverse (beyond the valid radius).
+    pub fn unproject(&self, pixel: Pixel) -> Option<Normalized> {
+        let target = self.from_undistorted_pixel(pixel.0).0;
+        if self.intrinsics.distortion == [0.0; 5] {
+            return target.iter().all(|v| v.is_finite()).then_some(Normalized(target));
+        }
+        let mut n = self.radial_start(target)?;
+        for _ in 0..30 {
+            let (d, j) = self.distort(n);
+            let step = j.try_inverse()? * (d - target);
+            n -= step;
+            if !(n.norm() < self.valid_radius * 1.05) {
+                return None;
+            }
+            if step.norm_squared() < 1e-30 {
+                break;
+            }
+        }
+        let (d, j) = self.distort(n);
+        let converged = (d - target).norm() < 1e-10 && j.determinant() > 0.0 && n.norm() <= self.valid_radius;
+        converged.then_some(Normalized(n))
+    }
+
+    /// Solves the radial part alone on the growing branch, by bisection guarded Newton; the tangential part is left to the caller.
+    fn radial_start(&self, target: Vector2<f64>) -> Option<Vector2<f64>> {
+        let [k1, k2, _, _, k3] = self.intrinsics.distortion;
+        let wanted = target.norm();
+        if !wanted.is_finite() {
+            return None;
+        }
+        if wanted == 0.0 {
+            return Some(target);
+        }
+        let grown = |r: f64| r * (1.0 + r * r * (k1 + r * r * (k2 + r * r * k3)));
+        let (mut low, mut high) = (0.0, if self.valid_radius.is_finite() { self.valid_radius } else { 2.0 * wanted.max(1.0) });
+        while self.valid_radius.is_infinite() && grown(high) < wanted {
+            high *= 2.0;
+        }
+        if grown(high) < wanted {
+            // Tangential terms may still bring it inside; start at the rim and let Newton decide.
+            return Some(target * (high / wanted));
+        }
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if grown(middle) < wanted {
+                low = middle
+            } else {
+                high = middle
+            }
+            if high - low < 1e-6 * high {
+                break;
+            }
+        }
+        Some(target * (0.5 * (low + high) / wanted))
+    }
+
+    fn affine(&self, d: Vector2<f64>) -> Pixel {
+        let i = &self.intrinsics;
+        Pixel(Vector2::new(i.fx * (d.x + i.skew * d.y) + i.cx, i.fy * d.y + i.cy))
+    }
+
+    /// The same camera at another picture size of the same aspect ratio (binned or scaled pictures).
+    ///
+    /// A pixel moves to (c + 0.5) s - 0.5. Aspect ratios may differ by half a pixel of rounding.
+    pub fn scaled_to(&self, width: u32, height: u32) -> Result<Self, CameraError> {
+        let i = self.intrinsics;
+        let (sx, sy) = (f64::from(width) / f64::from(i.width), f64::from(height) / f64::from(i.height));
+        let same_shape = (f64::from(i.height) * sx - f64::from(height)).abs() <= 1.0;
+        if width == 0 || height == 0 || !same_shape {
+            return Err(CameraError::Aspect { from_width: i.width, from_height: i.height, width, height });
+        }
+        Self::new(Intrinsics {
+            width,
+            height,
+            fx: i.fx * sx,
+            fy: i.fy * sy,
+            cx: (i.cx + 0.5) * sx - 0.5,
+            cy: (i.cy + 0.5) * sy - 0.5,
+            skew: i.skew,
+            distortion: i.distortion,
+        })
+    }
+}
+
+/// The first radius at which d(r radial(r))/dr = 1 + 3 k1 r² + 5 k2 r⁴ + 7 k3 r⁶ is no longer positive.
+fn radial_limit([k1, k2, _, _, k3]: [f64; 5]) -> f64 {
+    let slope = |s: f64| 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3));
+    // Scan the squared radius: fine enough that a double root between two steps bends the map by a negligible amount.
+    const STEPS: usize = 20_000;
+    const LARGEST_SQUARED: f64 = 100.0;
+    let mut previous = 0.0;
+    for k in 1..=STEPS {
+        let s = LARGEST_SQUARED * (k as f64 / STEPS as f64).powi(2);
+        if slope(s) <= 0.0 {
+            let (mut low, mut high) = (previous, s);
+            for _ in 0..80 {
+                let middle = 0.5 * (low + high);
+                if slope(middle) > 0.0 { low = middle } else { high = middle }
+            }
+            return low.sqrt();
+        }
+        previous = s;
+    }
+    f64::INFINITY
+}

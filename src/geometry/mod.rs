@@ -1,0 +1,11 @@
+//! Pure geometry: rigid transforms between named frames, and the solvers that turn point
+//! correspondences into homographies, essential matrices and poses.
+//!
+//! Nothing here knows threads, files or clocks. Every solver is a function of its arguments; the
+//! random ones take their seed. Frames are types: a [`Pose<Stage, Camera>`](Pose) maps camera
+//! coordinates into stage coordinates and cannot be multiplied with anything that does not start
+//! in the camera.
+
+mod pose;
+
+pub use pose::{Body, Camera, Pose, ReferenceCamera, Stage, SurfaceFrame, skew};

@@ -1,0 +1,152 @@
+//! Rigid transforms SE(3) whose type says from which frame to which frame they lead.
+
+use std::marker::PhantomData;
+use std::ops::Mul;
+
+use nalgebra::{Matrix3, Matrix4, Point3, UnitQuaternion, Vector3};
+
+/// The stage: right-handed, metres, x right as seen from the house, y upstage, z up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {}
+/// The optical camera frame: x right, y down, z forward, origin at the projection centre.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Camera {}
+/// A rigid body made of surfaces; the stage's own body frame is the stage frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Body {}
+/// A flat surface: x right and y up in its picture, z out of its face, origin at its centre.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SurfaceFrame {}
+/// The camera that "took" the reference picture (C3 `essential`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ReferenceCamera {}
+
+/// The rigid transform `T_to_from`: `x_to = R x_from + t`, metres.
+///
+/// The translation is the origin of `From` seen in `To`; for `Pose<Stage, Camera>` it is the camera
+/// centre in the stage.
+#[derive(Debug)]
+pub struct Pose<To, From> {
+    /// Rotation part R.
+    pub rotation: UnitQuaternion<f64>,
+    /// Translation part t in metres, in the axes of `To`.
+    pub translation: Vector3<f64>,
+    frames: PhantomData<fn() -> (To, From)>,
+}
+
+impl<To, From> Clone for Pose<To, From> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+impl<To, From> Copy for Pose<To, From> {}
+impl<To, From> PartialEq for Pose<To, From> {
+    fn eq(&self, other: &Self) -> bool {
+        self.rotation == other.rotation && self.translation == other.translation
+    }
+}
+
+impl<To, From> Pose<To, From> {
+    /// The transform with rotation R and translation t (metres, in `To`).
+    pub fn new(rotation: UnitQuaternion<f64>, translation: Vector3<f64>) -> Self {
+        Self { rotation, translation, frames: PhantomData }
+    }
+
+    /// From a rotation matrix that is orthonormal up to rounding.
+    pub fn from_matrix(rotation: &Matrix3<f64>, translation: Vector3<f64>) -> Self {
+        let rotation = nalgebra::Rotation3::from_matrix_eps(rotation, 1e-12, 20, nalgebra::Rotation3::identity());
+        Self::new(UnitQuaternion::from_rotation_matrix(&rotation), translation)
+    }
+
+    /// No rotation, no translation.
+    pub fn identity() -> Self {
+        Self::new(UnitQuaternion::identity(), Vector3::zeros())
+    }
+
+    /// `T_from_to`.
+    pub fn inverse(&self) -> Pose<From, To> {
+        let rotation = self.rotation.inverse();
+        Pose::new(rotation, -(rotation * self.translation))
+    }
+
+    /// Maps a point from `From` to `To`.
+    pub fn transform(&self, point: &Point3<f64>) -> Point3<f64> {
+        self.rotation * point + self.translation
+    }
+
+    /// R as a matrix.
+    pub fn rotation_matrix(&self) -> Matrix3<f64> {
+        self.rotation.to_rotation_matrix().into_inner()
+    }
+
+    /// The homogeneous 4x4 matrix.
+    pub fn matrix(&self) -> Matrix4<f64> {
+        self.rotation.to_homogeneous().append_translation(&self.translation)
+    }
+
+    /// The same numbers under other frame names. Say at the call why the frames coincide.
+    pub fn renamed<To2, From2>(&self) -> Pose<To2, From2> {
+        Pose::new(self.rotation, self.translation)
+    }
+
+    /// The quaternion x, y, z, w with w >= 0, as the pose record writes it.
+    pub fn orientation_xyzw(&self) -> [f64; 4] {
+        let q = self.rotation.quaternion();
+        let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
+        // `+ 0.0` turns -0 into 0, so that a record never prints "-0.0".
+        [q.i, q.j, q.k, q.w].map(|v| sign * v + 0.0)
+    }
+
+    /// Rotation angle in radians between two poses.
+    pub fn angle_to(&self, other: &Self) -> f64 {
+        self.rotation.angle_to(&other.rotation)
+    }
+
+    /// True when every number is finite.
+    pub fn is_finite(&self) -> bool {
+        self.translation.iter().chain(self.rotation.coords.iter()).all(|v| v.is_finite())
+    }
+}
+
+impl<A, B, C> Mul<Pose<B, C>> for Pose<A, B> {
+    type Output = Pose<A, C>;
+    fn mul(self, right: Pose<B, C>) -> Pose<A, C> {
+        Pose::new(self.rotation * right.rotation, self.rotation * right.translation + self.translation)
+    }
+}
+
+/// The cross-product matrix: `skew(a) b = a x b`.
+pub fn skew(v: &Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn golden_pose_looks_upstage() {
+        // DESIGN section 2: 4 m in front of the origin, level, looking upstage.
+        let s = std::f64::consts::FRAC_1_SQRT_2;
+        let q = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(s, -s, 0.0, 0.0));
+        let pose = Pose::<Stage, Camera>::new(q, Vector3::new(0.0, -4.0, 0.0));
+        let ahead = pose.transform(&Point3::new(0.0, 0.0, 4.0));
+        assert!((ahead - Point3::origin()).norm() < 1e-12);
+        let below = pose.transform(&Point3::new(0.0, 1.0, 4.0));
+        assert!((below - Point3::new(0.0, 0.0, -1.0)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn inverse_and_product_agree_with_matrices() {
+        let a = Pose::<Stage, Camera>::new(UnitQuaternion::from_euler_angles(0.1, -0.4, 2.0), Vector3::new(1.0, 2.0, -3.0));
+        let b = Pose::<Camera, Body>::new(UnitQuaternion::from_euler_angles(-1.1, 0.3, 0.2), Vector3::new(0.1, 0.0, 5.0));
+        assert!(((a * b).matrix() - a.matrix() * b.matrix()).norm() < 1e-12);
+        assert!(((a * a.inverse()).matrix() - Matrix4::identity()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn written_quaternion_has_positive_w() {
+        let q = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(-0.5, 0.5, 0.5, 0.5));
+        assert_eq!(Pose::<Stage, Camera>::new(q, Vector3::zeros()).orientation_xyzw(), [-0.5, -0.5, -0.5, 0.5]);
+    }
+}

@@ -1,0 +1,194 @@
+//! The pose record: what the tracker says of one frame, and the line that it becomes (contract C3).
+
+use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
+use serde::Serialize;
+use serde::ser::{SerializeMap, SerializeSeq, SerializeStruct, Serializer};
+
+use crate::geometry::{Body, Camera, Pose, Stage};
+
+/// What is known of a body in a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default)]
+#[serde(rename_all = "lowercase")]
+pub enum State {
+    /// Never found yet.
+    #[default]
+    Searching,
+    /// Measured in this frame, verified against the picture, and confirmed.
+    Tracking,
+    /// Predicted from earlier frames, for at most `coast_s`.
+    Coasting,
+    /// Was found before, is not now.
+    Lost,
+}
+
+/// Which two-view model explains the frame's correspondences better.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TwoViewModel {
+    /// One plane.
+    Homography,
+    /// A scene with depth.
+    Essential,
+}
+
+/// The essential matrix as motion: `x_frame ∝ R x_ref + t`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EssentialMotion {
+    /// R, from the reference camera's axes to the frame's.
+    pub rotation: UnitQuaternion<f64>,
+    /// t / |t| in the frame's camera axes.
+    pub translation_direction: Vector3<f64>,
+    /// Correspondences that agree with it.
+    pub inliers: usize,
+}
+
+/// What was measured in one frame; only `tracking` has it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measurement {
+    /// `T_stage_camera` before any filter.
+    pub pose: Pose<Stage, Camera>,
+    /// Covariance of [δp, δθ] in stage axes, m and rad: p_true = p + δp, R_true = Exp(δθ) R.
+    pub covariance: Matrix6<f64>,
+    /// Which model explains the correspondences better.
+    pub model: TwoViewModel,
+    /// Reference pixels of the first stage surface to undistorted frame pixels, h33 = 1.
+    pub homography: Option<Matrix3<f64>>,
+    /// Motion from the reference camera.
+    pub essential: Option<EssentialMotion>,
+    /// Correspondences used.
+    pub inliers: usize,
+    /// Their residual in pixels.
+    pub rms_px: f64,
+}
+
+/// A tracked object in one frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ObjectSample {
+    /// Its name in the config.
+    pub name: String,
+    /// What is known of it.
+    pub state: State,
+    /// `T_stage_object`; present while tracking or coasting.
+    pub pose: Option<Pose<Stage, Body>>,
+    /// As the camera's, of the object's pose; present while tracking.
+    pub covariance: Option<Matrix6<f64>>,
+}
+
+/// Compute spent on a frame, milliseconds; never part of the record.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct StageTimes {
+    /// Decoding the picture.
+    pub decode_ms: f64,
+    /// Finding the bodies from scratch.
+    pub acquire_ms: f64,
+    /// Aligning with the reference pictures, verification included.
+    pub align_ms: f64,
+    /// States, prediction, record.
+    pub pose_ms: f64,
+}
+
+/// The tracker's answer for one row of a clip or one frame of a camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseSample {
+    /// Row number from 0.
+    pub sequence: u64,
+    /// Mid-exposure of the middle row, monotonic nanoseconds.
+    pub timestamp_ns: i64,
+    /// What is known of the camera.
+    pub state: State,
+    /// `T_stage_camera` for use: filtered, or predicted while coasting.
+    pub pose: Option<Pose<Stage, Camera>>,
+    /// What this frame measured; present while tracking.
+    pub measurement: Option<Measurement>,
+    /// The tracked objects, in the order of the config.
+    pub objects: Vec<ObjectSample>,
+    /// Compute times; not written.
+    pub times: StageTimes,
+}
+
+struct Numbers<'a>(&'a [f64]);
+
+impl Serialize for Numbers<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut seq = serializer.serialize_seq(Some(self.0.len()))?;
+        for v in self.0 {
+            seq.serialize_element(v)?;
+        }
+        seq.end()
+    }
+}
+
+fn row_major<const R: usize, const C: usize>(m: &nalgebra::SMatrix<f64, R, C>) -> Vec<f64> {
+    m.row_iter().flat_map(|row| row.iter().copied().collect::<Vec<_>>()).collect()
+}
+
+impl<To, From> Serialize for Pose<To, From> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(2))?;
+        map.serialize_entry("position_m", self.translation.as_slice())?;
+        map.serialize_entry("orientation_xyzw", &self.orientation_xyzw())?;
+        map.end()
+    }
+}
+
+impl Serialize for EssentialMotion {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let as_pose = Pose::<Camera, Camera>::new(self.rotation, self.translation_direction);
+        let mut map = serializer.serialize_map(Some(3))?;
+        map.serialize_entry("rotation_xyzw", &as_pose.orientation_xyzw())?;
+        map.serialize_entry("translation_direction", self.translation_direction.as_slice())?;
+        map.serialize_entry("inliers", &self.inliers)?;
+        map.end()
+    }
+}
+
+impl Serialize for ObjectSample {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_struct("ObjectSample", 4)?;
+        map.serialize_field("name", &self.name)?;
+        map.serialize_field("state", &self.state)?;
+        map.serialize_field("pose", &self.pose)?;
+        map.serialize_field("covariance", &self.covariance.as_ref().map(row_major))?;
+        map.end()
+    }
+}
+
+impl Serialize for PoseSample {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let m = self.measurement.as_ref();
+        let homography = m.and_then(|m| m.homography.as_ref()).map(row_major);
+        let covariance = m.map(|m| row_major(&m.covariance));
+        let mut map = serializer.serialize_struct("PoseSample", 12)?;
+        map.serialize_field("sequence", &self.sequence)?;
+        map.serialize_field("timestamp_ns", &self.timestamp_ns)?;
+        map.serialize_field("state", &self.state)?;
+        map.serialize_field("pose", &self.pose)?;
+        map.serialize_field("measured", &m.map(|m| m.pose))?;
+        map.serialize_field("covariance", &covariance.as_deref().map(Numbers))?;
+        map.serialize_field("model", &m.map(|m| m.model))?;
+        map.serialize_field("homography", &homography.as_deref().map(Numbers))?;
+        map.serialize_field("essential", &m.and_then(|m| m.essential))?;
+        map.serialize_field("inliers", &m.map(|m| m.inliers))?;
+        map.serialize_field("rms_px", &m.map(|m| m.rms_px))?;
+        map.serialize_field("objects", &self.objects)?;
+        map.end()
+    }
+}
+
+impl PoseSample {
+    /// The record as one line of JSON, without the line end.
+    pub fn to_json_line(&self) -> String {
+        // Serialising to a string fails only for non-string map keys, of which there are none.
+        serde_json::to_string(self).expect("a pose record has only string keys")
+    }
+
+    /// The line of a TUM trajectory (seconds, position, quaternion), for `tracking` frames only.
+    pub fn to_tum_line(&self) -> Option<String> {
+        let pose = self.pose.filter(|_| self.state == State::Tracking)?;
+        let (p, q) = (pose.translation, pose.orientation_xyzw());
+        // Integer arithmetic, so that a late stamp keeps its nanoseconds.
+        let (sign, ns) = (if self.timestamp_ns < 0 { "-" } else { "" }, self.timestamp_ns.unsigned_abs());
+        let (s, ns) = (ns / 1_000_000_000, ns % 1_000_000_000);
+        Some(format!("{sign}{s}.{ns:09} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}", p.x, p.y, p.z, q[0], q[1], q[2], q[3]))
+    }
+}
