@@ -3,7 +3,9 @@
 
 pub mod camera;
 pub mod capture;
+pub mod features;
 pub mod frame;
 pub mod geometry;
+pub mod matching;
 pub mod record;
 pub mod track;

@@ -6,6 +6,13 @@
 //! coordinates into stage coordinates and cannot be multiplied with anything that does not start
 //! in the camera.
 
+pub mod essential;
+pub mod homography;
+pub mod planar_pose;
 mod pose;
+pub mod resection;
+pub mod robust;
+pub mod triangulation;
 
+pub use homography::{Homography, PointPair};
 pub use pose::{Body, Camera, Pose, ReferenceCamera, Stage, SurfaceFrame, skew};

@@ -1,0 +1,160 @@
+//! From a picture to its features: pyramid, corners, orientation, description, in buffers that stay.
+
+use image::GrayImage;
+use nalgebra::Vector2;
+
+use super::corners::{Corner, CornerBuffers, CornerOptions, detect_corners};
+use super::descriptor::{Descriptor, PATCH_RADIUS, describe, orientation};
+use super::pyramid::{Level, Pyramid};
+use super::workers::Workers;
+
+/// A described corner.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Feature {
+    /// Position in picture pixels.
+    pub position: Vector2<f64>,
+    /// Picture pixels per pixel of the level it was found on.
+    pub scale: f64,
+    /// Direction of the intensity centroid, radians, y down.
+    pub angle: f32,
+    /// What surrounds it.
+    pub descriptor: Descriptor,
+}
+
+/// How to look for features.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExtractorOptions {
+    /// Features wanted at most, over all levels.
+    pub count: usize,
+    /// Ratio of one level to the next, above 1.
+    pub factor: f64,
+    /// Levels at most.
+    pub levels: usize,
+    /// FAST contrast to begin with, grey levels.
+    pub threshold: u8,
+    /// Lowest FAST contrast, for dim pictures.
+    pub least_threshold: u8,
+    /// How the features divide over the levels: 1 in proportion to area, 0 the same number on each.
+    pub area_power: f64,
+}
+
+impl Default for ExtractorOptions {
+    fn default() -> Self {
+        Self { count: 1500, factor: 1.2, levels: 8, threshold: 20, least_threshold: 6, area_power: 0.5 }
+    }
+}
+
+/// Pixels at a level's border that no descriptor can reach beyond.
+const BORDER: u32 = PATCH_RADIUS as u32 + 2;
+
+#[derive(Debug, Default)]
+struct LevelWork {
+    buffers: CornerBuffers,
+    corners: Vec<Corner>,
+    quota: usize,
+    index: usize,
+}
+
+/// Finds and describes features; keeps its buffers.
+#[derive(Debug, Default)]
+pub struct FeatureExtractor {
+    pyramid: Pyramid,
+    work: Vec<LevelWork>,
+    jobs: Vec<(usize, Corner)>,
+}
+
+impl FeatureExtractor {
+    /// Fills `features` with those of a picture; where `mask` (same size) is 0, none is taken.
+    pub fn extract(&mut self, picture: &GrayImage, mask: Option<&GrayImage>, options: &ExtractorOptions, workers: &Workers, features: &mut Vec<Feature>) {
+        let levels = self.pyramid.build(picture, options.factor, options.levels, 2 * BORDER + 8);
+        self.work.resize_with(levels.len(), LevelWork::default);
+        let share = |level: &Level| (level.scale[0] * level.scale[1]).powf(options.area_power);
+        let total: f64 = levels.iter().map(share).sum();
+        for (index, (work, level)) in self.work.iter_mut().zip(levels).enumerate() {
+            work.index = index;
+            work.quota = (options.count as f64 * share(level) / total).round() as usize;
+        }
+        workers.for_each(&mut self.work, |work| {
+            let level = &levels[work.index];
+            let corner_options = CornerOptions {
+                count: work.quota,
+                threshold: options.threshold,
+                least_threshold: options.least_threshold,
+                border: BORDER,
+                cell_px: 40,
+            };
+            let usable = |x: u32, y: u32| is_usable(mask, level, x, y);
+            detect_corners(&level.image, &corner_options, usable, &mut work.buffers, &mut work.corners);
+        });
+        self.jobs.clear();
+        for (k, work) in self.work.iter().enumerate() {
+            self.jobs.extend(work.corners.iter().map(|c| (k, *c)));
+        }
+        workers.map_into(&self.jobs, features, |(k, corner)| described(&levels[*k], corner));
+    }
+
+    /// The pyramid of the last picture.
+    pub fn levels(&self) -> &[Level] {
+        self.pyramid.levels()
+    }
+}
+
+fn is_usable(mask: Option<&GrayImage>, level: &Level, x: u32, y: u32) -> bool {
+    mask.is_none_or(|mask| {
+        let [u, v] = level.to_picture(f64::from(x), f64::from(y));
+        let pixel = mask.get_pixel_checked(u.round().max(0.0) as u32, v.round().max(0.0) as u32);
+        pixel.is_some_and(|p| p[0] > 0)
+    })
+}
+
+fn described(level: &Level, corner: &Corner) -> Feature {
+    let angle = orientation(&level.smooth, corner.x, corner.y);
+    let [x, y] = level.to_picture(f64::from(corner.x), f64::from(corner.y));
+    Feature {
+        position: Vector2::new(x, y),
+        scale: 1.0 / level.scale[0],
+        angle,
+        descriptor: describe(&level.smooth, corner.x, corner.y, angle),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture() -> GrayImage {
+        GrayImage::from_fn(320, 240, |x, y| {
+            let cell = (x / 13).wrapping_mul(2654435761) ^ (y / 11).wrapping_mul(40503).wrapping_mul(2246822519);
+            image::Luma([(cell >> 13) as u8])
+        })
+    }
+
+    #[test]
+    fn workers_do_not_change_the_features() {
+        let options = ExtractorOptions { count: 400, ..Default::default() };
+        let (mut one, mut two) = (Vec::new(), Vec::new());
+        FeatureExtractor::default().extract(&picture(), None, &options, &Workers::new(1), &mut one);
+        FeatureExtractor::default().extract(&picture(), None, &options, &Workers::new(2), &mut two);
+        assert!(one.len() > 200, "{}", one.len());
+        assert_eq!(one, two);
+    }
+
+    #[test]
+    fn buffers_left_from_another_size_do_no_harm() {
+        let options = ExtractorOptions { count: 400, ..Default::default() };
+        let mut extractor = FeatureExtractor::default();
+        let (mut fresh, mut reused) = (Vec::new(), Vec::new());
+        extractor.extract(&GrayImage::new(640, 480), None, &options, &Workers::new(1), &mut reused);
+        extractor.extract(&picture(), None, &options, &Workers::new(1), &mut reused);
+        FeatureExtractor::default().extract(&picture(), None, &options, &Workers::new(1), &mut fresh);
+        assert_eq!(fresh, reused);
+    }
+
+    #[test]
+    fn a_black_mask_leaves_nothing() {
+        let mut features = Vec::new();
+        let mask = GrayImage::new(320, 240);
+        FeatureExtractor::default().extract(&picture(), Some(&mask), &ExtractorOptions::default(), &Workers::new(1), &mut features);
+        assert!(features.is_empty());
+    }
+}

@@ -1,0 +1,19 @@
+//! Local features of a grey picture: a scale pyramid, corners on each level, and a binary description of
+//! what surrounds them, turned with the corner.
+//!
+//! [`FeatureExtractor`] owns the buffers and keeps them from frame to frame. Hot loops live in `kernels`,
+//! each beside a plain twin that the tests hold it to.
+
+mod corners;
+mod descriptor;
+mod extractor;
+mod kernels;
+mod pattern;
+mod pyramid;
+mod workers;
+
+pub use corners::{Corner, CornerOptions, detect_corners};
+pub use descriptor::{DESCRIPTOR_BITS, Descriptor, PATCH_RADIUS, describe, orientation};
+pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
+pub use pyramid::{Level, Pyramid, smooth_into};
+pub use workers::Workers;

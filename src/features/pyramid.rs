@@ -1,0 +1,181 @@
+//! A pyramid of ever smaller copies of a picture.
+//!
+//! A level of scale `s` relates to the picture by `c_level = (c + 0.5) s - 0.5` (DESIGN section 2), with
+//! one exact factor per axis because sizes are whole pixels.
+
+use image::GrayImage;
+
+/// One level: the picture at this size, and its smoothed copy that descriptors read.
+#[derive(Debug, Clone, Default)]
+pub struct Level {
+    /// Grey levels.
+    pub image: GrayImage,
+    /// `image` after a 5x5 binomial filter.
+    pub smooth: GrayImage,
+    /// Level pixels per picture pixel, along x and y.
+    pub scale: [f64; 2],
+}
+
+impl Level {
+    /// A position on this level as a position in the full picture.
+    pub fn to_picture(&self, x: f64, y: f64) -> [f64; 2] {
+        [(x + 0.5) / self.scale[0] - 0.5, (y + 0.5) / self.scale[1] - 0.5]
+    }
+}
+
+/// The levels, largest first; buffers are kept between pictures.
+#[derive(Debug, Clone, Default)]
+pub struct Pyramid {
+    levels: Vec<Level>,
+    row: Vec<u16>,
+    taps: Vec<(u32, u16)>,
+}
+
+impl Pyramid {
+    /// Builds at most `count` levels, each `factor` (> 1) smaller than the one before, none with a side below `least` pixels.
+    pub fn build(&mut self, picture: &GrayImage, factor: f64, count: usize, least: u32) -> &[Level] {
+        let (w, h) = picture.dimensions();
+        let mut made = 0;
+        while made < count {
+            let s = factor.powi(-(made as i32));
+            let size = ((f64::from(w) * s).round() as u32, (f64::from(h) * s).round() as u32);
+            if made > 0 && (size.0 < least || size.1 < least) {
+                break;
+            }
+            if self.levels.len() == made {
+                self.levels.push(Level::default());
+            }
+            let (before, rest) = self.levels.split_at_mut(made);
+            let level = &mut rest[0];
+            resize_buffer(&mut level.image, size.0, size.1);
+            resize_buffer(&mut level.smooth, size.0, size.1);
+            match before.last() {
+                None => level.image.copy_from_slice(picture),
+                Some(previous) => shrink(&previous.image, &mut level.image, &mut self.taps),
+            }
+            smooth_into(&level.image, &mut level.smooth, &mut self.row);
+            level.scale = [f64::from(size.0) / f64::from(w), f64::from(size.1) / f64::from(h)];
+            made += 1;
+        }
+        self.levels.truncate(made);
+        &self.levels
+    }
+
+    /// The levels built last.
+    pub fn levels(&self) -> &[Level] {
+        &self.levels
+    }
+}
+
+/// Gives a buffer another size, keeping its memory where it suffices.
+fn resize_buffer(image: &mut GrayImage, width: u32, height: u32) {
+    if image.dimensions() != (width, height) {
+        let mut raw = std::mem::take(image).into_raw();
+        raw.resize(width as usize * height as usize, 0);
+        // The buffer was just made exactly this long.
+        *image = GrayImage::from_raw(width, height, raw).unwrap_or_default();
+    }
+}
+
+/// Bilinear reduction by a factor between 1 and 2 (both axes), pixel areas aligned.
+fn shrink(from: &GrayImage, to: &mut GrayImage, taps: &mut Vec<(u32, u16)>) {
+    let (fw, fh) = (from.width() as usize, from.height() as usize);
+    let (tw, th) = (to.width() as usize, to.height() as usize);
+    let tap = |k: usize, from: usize, to: usize| {
+        let c = ((k as f64 + 0.5) * from as f64 / to as f64 - 0.5).clamp(0.0, (from - 1) as f64);
+        let i = (c as usize).min(from.saturating_sub(2));
+        (i as u32, ((c - i as f64) * 128.0).round() as u16)
+    };
+    taps.clear();
+    taps.extend((0..tw).map(|x| tap(x, fw, tw)));
+    let source = from.as_raw();
+    let step = usize::from(fw > 1);
+    for (y, row) in to.as_mut().chunks_exact_mut(tw).enumerate() {
+        let (j, b) = tap(y, fh, th);
+        let top = &source[j as usize * fw..][..fw];
+        let bottom = &source[(j as usize + usize::from(fh > 1)) * fw..][..fw];
+        let b = u32::from(b);
+        for (out, &(i, a)) in row.iter_mut().zip(taps.iter()) {
+            let (i, a) = (i as usize, u32::from(a));
+            let upper = u32::from(top[i]) * (128 - a) + u32::from(top[i + step]) * a;
+            let lower = u32::from(bottom[i]) * (128 - a) + u32::from(bottom[i + step]) * a;
+            *out = ((upper * (128 - b) + lower * b + 8192) >> 14) as u8;
+        }
+    }
+}
+
+/// The 5x5 binomial filter (1 4 6 4 1)/16 along both axes; edges repeat the border pixel.
+pub fn smooth_into(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>) {
+    let (w, h) = (from.width() as usize, from.height() as usize);
+    if w == 0 || h == 0 {
+        return;
+    }
+    let source = from.as_raw();
+    row.clear();
+    row.resize(w + 4, 0);
+    for (y, out) in to.as_mut().chunks_exact_mut(w).enumerate() {
+        let line = |d: isize| {
+            let y = (y as isize + d).clamp(0, h as isize - 1) as usize;
+            &source[y * w..][..w]
+        };
+        let (a, b, c, d, e) = (line(-2), line(-1), line(0), line(1), line(2));
+        let middle = &mut row[2..w + 2];
+        for x in 0..w {
+            let wide = |v: u8| u16::from(v);
+            middle[x] = wide(a[x]) + wide(e[x]) + 4 * (wide(b[x]) + wide(d[x])) + 6 * wide(c[x]);
+        }
+        let (first, last) = (row[2], row[w + 1]);
+        (row[0], row[1], row[w + 2], row[w + 3]) = (first, first, last, last);
+        for (x, out) in out.iter_mut().enumerate() {
+            let r = &row[x..x + 5];
+            let wide = |k: usize| u32::from(r[k]);
+            *out = ((wide(0) + wide(4) + 4 * (wide(1) + wide(3)) + 6 * wide(2) + 128) >> 8) as u8;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ramp(w: u32, h: u32) -> GrayImage {
+        GrayImage::from_fn(w, h, |x, y| image::Luma([(0.15 * f64::from(x) + 0.1 * f64::from(y) + 10.0) as u8]))
+    }
+
+    #[test]
+    fn levels_shrink_and_positions_map_back() {
+        let mut pyramid = Pyramid::default();
+        let picture = ramp(640, 360);
+        let levels = pyramid.build(&picture, 1.2, 8, 40);
+        assert_eq!(levels.len(), 8);
+        for level in levels {
+            let [x, y] = level.to_picture(f64::from(level.image.width()) / 2.0 - 0.5, f64::from(level.image.height()) / 2.0 - 0.5);
+            assert!((x - 319.5).abs() < 1e-9 && (y - 179.5).abs() < 1e-9);
+            // A linear ramp stays in place under a correct reduction.
+            let (px, py) = (level.image.width() / 2, level.image.height() / 2);
+            let [u, v] = level.to_picture(f64::from(px), f64::from(py));
+            let expected = 0.15 * u + 0.1 * v + 10.0;
+            assert!((f64::from(level.image.get_pixel(px, py)[0]) - expected).abs() <= 3.0);
+        }
+    }
+
+    #[test]
+    fn smoothing_keeps_flat_and_sums_to_one() {
+        let flat = GrayImage::from_pixel(30, 20, image::Luma([137]));
+        let mut out = GrayImage::new(30, 20);
+        smooth_into(&flat, &mut out, &mut Vec::new());
+        assert!(out.iter().all(|v| *v == 137));
+        let mut point = GrayImage::new(31, 31);
+        point.put_pixel(15, 15, image::Luma([255]));
+        let mut out = GrayImage::new(31, 31);
+        smooth_into(&point, &mut out, &mut Vec::new());
+        let sum: u32 = out.iter().map(|v| u32::from(*v)).sum();
+        assert!((250..=260).contains(&sum), "{sum}");
+    }
+
+    #[test]
+    fn tiny_pictures_make_one_level() {
+        let mut pyramid = Pyramid::default();
+        assert_eq!(pyramid.build(&ramp(1, 1), 1.2, 8, 40).len(), 1);
+    }
+}

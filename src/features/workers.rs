@@ -1,0 +1,98 @@
+//! Worker threads inside one frame: the same pure function over the pieces of a slice.
+//!
+//! Every piece is computed by itself and lands in its own place, so the result does not depend on how many
+//! threads there are. One worker means the calling thread, and no pool at all.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+/// A fixed number of workers.
+#[derive(Debug, Default)]
+pub struct Workers {
+    pool: Option<rayon::ThreadPool>,
+    /// Compute beyond the wall clock of the calling thread, nanoseconds, since the last [`Workers::take_extra_ms`].
+    extra_ns: AtomicU64,
+}
+
+impl Workers {
+    /// `threads` workers (0 counts as 1). Where the system refuses threads, the calling thread does it all.
+    pub fn new(threads: usize) -> Self {
+        let build = |n| rayon::ThreadPoolBuilder::new().num_threads(n).thread_name(|k| format!("worker-{k}")).build().ok();
+        let pool = (threads > 1).then(|| build(threads)).flatten();
+        Self { pool, extra_ns: AtomicU64::new(0) }
+    }
+
+    /// `output[k] = compute(&input[k])` for every k.
+    pub fn map_into<T: Sync, U: Send>(&self, input: &[T], output: &mut Vec<U>, compute: impl Fn(&T) -> U + Sync) {
+        let Some(pool) = &self.pool else {
+            output.clear();
+            output.extend(input.iter().map(compute));
+            return;
+        };
+        let start = Instant::now();
+        let busy = AtomicU64::new(0);
+        let piece = input.len().div_ceil(4 * pool.current_num_threads()).max(1);
+        pool.install(|| {
+            input
+                .par_iter()
+                .with_min_len(piece)
+                .map_init(|| Stopwatch { start: Instant::now(), total: &busy }, |_, x| compute(x))
+                .collect_into_vec(output);
+        });
+        let wall = start.elapsed().as_nanos() as u64;
+        self.extra_ns.fetch_add(busy.load(Ordering::Relaxed).saturating_sub(wall), Ordering::Relaxed);
+    }
+
+    /// Runs `compute` on every element in place.
+    pub fn for_each<T: Send>(&self, items: &mut [T], compute: impl Fn(&mut T) + Sync) {
+        let Some(pool) = &self.pool else {
+            items.iter_mut().for_each(compute);
+            return;
+        };
+        let start = Instant::now();
+        let busy = AtomicU64::new(0);
+        pool.install(|| {
+            items.par_iter_mut().with_max_len(1).for_each(|x| {
+                let _watch = Stopwatch { start: Instant::now(), total: &busy };
+                compute(x);
+            });
+        });
+        let wall = start.elapsed().as_nanos() as u64;
+        self.extra_ns.fetch_add(busy.load(Ordering::Relaxed).saturating_sub(wall), Ordering::Relaxed);
+    }
+
+    /// Compute that other threads did while the caller waited, milliseconds, since the last call.
+    pub fn take_extra_ms(&self) -> f64 {
+        self.extra_ns.swap(0, Ordering::Relaxed) as f64 * 1e-6
+    }
+}
+
+struct Stopwatch<'a> {
+    start: Instant,
+    total: &'a AtomicU64,
+}
+
+impl Drop for Stopwatch<'_> {
+    fn drop(&mut self) {
+        self.total.fetch_add(self.start.elapsed().as_nanos() as u64, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_number_of_workers_gives_the_same() {
+        let input: Vec<u64> = (0..1000).collect();
+        let (mut one, mut three) = (Vec::new(), Vec::new());
+        Workers::new(1).map_into(&input, &mut one, |x| x * x % 977);
+        Workers::new(3).map_into(&input, &mut three, |x| x * x % 977);
+        assert_eq!(one, three);
+        let mut items = input.clone();
+        Workers::new(2).for_each(&mut items, |x| *x = *x * *x % 977);
+        assert_eq!(items, one);
+    }
+}

@@ -1,0 +1,284 @@
+//! Resection: the six degrees of freedom of a body from its points in one picture, distortion included.
+//!
+//! Levenberg-Marquardt on robustly weighted reprojection errors. Each correspondence brings its own
+//! information matrix, so that a point on an edge holds the pose only across that edge.
+
+use nalgebra::{Matrix2, Matrix6, Point3, SMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
+
+use super::pose::{Body, Camera, Pose, skew};
+
+/// How rays become pixels; the camera room implements it.
+pub trait Projection {
+    /// The pixel of the normalised point (x/z, y/z) and its 2x2 derivative.
+    fn pixel_and_jacobian(&self, normalized: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>);
+}
+
+/// A known point of a body and where it was seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// In the body frame, metres.
+    pub point: Point3<f64>,
+    /// Raw pixel.
+    pub pixel: Vector2<f64>,
+    /// Inverse covariance of the pixel, 1/px².
+    pub information: Matrix2<f64>,
+    /// A number that groups correlated observations (a tile of the picture); for the covariance only.
+    pub group: u32,
+}
+
+/// A refined pose, and how sure it is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Resection {
+    /// `T_camera_body`.
+    pub pose: Pose<Camera, Body>,
+    /// Robust cost: sum of ρ over the observations.
+    pub cost: f64,
+    /// Scale of the residuals in sigmas (1 when the information matrices are honest).
+    pub scale: f64,
+    /// J^T W J at the solution, of the left perturbation [δt, δθ] of `T_camera_body` in camera axes.
+    pub normal: Matrix6<f64>,
+}
+
+/// Tukey's biweight limit in sigmas.
+const TUKEY: f64 = 4.685;
+
+/// Squared Mahalanobis residual of one observation; `None` behind the camera.
+pub fn squared_residual<P: Projection>(pose: &Pose<Camera, Body>, camera: &P, o: &Observation) -> Option<f64> {
+    let c = pose.transform(&o.point);
+    if c.z < 1e-6 {
+        return None;
+    }
+    let (pixel, _) = camera.pixel_and_jacobian(Vector2::new(c.x / c.z, c.y / c.z));
+    let r = pixel - o.pixel;
+    Some((r.transpose() * o.information * r).x)
+}
+
+/// The pixel residual and its 2x6 derivative by a left perturbation [δt, δθ]: T <- (Exp δθ, δt) T, in camera axes.
+pub fn residual_and_jacobian<P: Projection>(
+    pose: &Pose<Camera, Body>,
+    camera: &P,
+    o: &Observation,
+) -> Option<(Vector2<f64>, SMatrix<f64, 2, 6>)> {
+    let c = pose.transform(&o.point);
+    if c.z < 1e-6 {
+        return None;
+    }
+    let n = Vector2::new(c.x / c.z, c.y / c.z);
+    let (pixel, distortion) = camera.pixel_and_jacobian(n);
+    let iz = 1.0 / c.z;
+    let by_point = distortion * SMatrix::<f64, 2, 3>::new(iz, 0.0, -n.x * iz, 0.0, iz, -n.y * iz);
+    let mut j = SMatrix::<f64, 2, 6>::zeros();
+    j.fixed_columns_mut::<3>(0).copy_from(&by_point);
+    // d(Exp(δθ) c)/dδθ = -[c]x
+    j.fixed_columns_mut::<3>(3).copy_from(&(-by_point * skew(&c.coords)));
+    Some((pixel - o.pixel, j))
+}
+
+/// Applies a left perturbation [δt, δθ] in camera axes.
+pub fn perturbed(pose: &Pose<Camera, Body>, step: &Vector6<f64>) -> Pose<Camera, Body> {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
+    Pose::new(turn * pose.rotation, turn * pose.translation + Vector3::new(step[0], step[1], step[2]))
+}
+
+/// Refines `start` over all observations; `None` when they do not determine a pose.
+///
+/// The residual scale is re-estimated in every iteration from the median, never below 1 sigma; Tukey's biweight
+/// removes what lies beyond 4.7 of it.
+pub fn resect<P: Projection>(start: &Pose<Camera, Body>, camera: &P, observations: &[Observation], iterations: usize) -> Option<Resection> {
+    if observations.len() < 4 {
+        return None;
+    }
+    let mut squares: Vec<f64> = Vec::with_capacity(observations.len());
+    let mut pose = *start;
+    let mut scale = residual_scale(&pose, camera, observations, &mut squares)?;
+    let mut cost = robust_cost(&pose, camera, observations, scale);
+    let mut damping = 1e-6;
+    for _ in 0..iterations {
+        let (normal, gradient) = normal_equations(&pose, camera, observations, scale);
+        let damped = normal + Matrix6::from_diagonal(&(normal.diagonal() * damping));
+        let step = -damped.cholesky()?.solve(&gradient);
+        let next = perturbed(&pose, &step);
+        let next_cost = robust_cost(&next, camera, observations, scale);
+        if next_cost <= cost {
+            let small = step.fixed_rows::<3>(3).norm() < 1e-9 && step.fixed_rows::<3>(0).norm() < 1e-9 * pose.translation.norm();
+            let gain = cost - next_cost;
+            pose = next;
+            scale = residual_scale(&pose, camera, observations, &mut squares)?;
+            cost = robust_cost(&pose, camera, observations, scale);
+            damping = (damping * 0.1).max(1e-9);
+            if small || gain < 1e-9 * cost {
+                break;
+            }
+        } else {
+            damping *= 10.0;
+            if damping > 1e4 {
+                break;
+            }
+        }
+    }
+    let (normal, _) = normal_equations(&pose, camera, observations, scale);
+    pose.is_finite().then_some(Resection { pose, cost, scale, normal })
+}
+
+/// Tukey's weight of a squared residual (in sigmas of `scale`).
+pub fn tukey_weight(squared: f64, scale: f64) -> f64 {
+    let u = squared / (TUKEY * scale).powi(2);
+    if u < 1.0 { (1.0 - u).powi(2) } else { 0.0 }
+}
+
+fn robust_cost<P: Projection>(pose: &Pose<Camera, Body>, camera: &P, observations: &[Observation], scale: f64) -> f64 {
+    let c2 = (TUKEY * scale).powi(2);
+    observations
+        .iter()
+        .map(|o| match squared_residual(pose, camera, o) {
+            Some(s) if s < c2 => c2 / 6.0 * (1.0 - (1.0 - s / c2).powi(3)),
+            _ => c2 / 6.0,
+        })
+        .sum()
+}
+
+/// Median of |r|, divided by what it is for two-dimensional Gaussian noise (sqrt(2 ln 2)); at least 1.
+fn residual_scale<P: Projection>(pose: &Pose<Camera, Body>, camera: &P, observations: &[Observation], squares: &mut Vec<f64>) -> Option<f64> {
+    squares.clear();
+    squares.extend(observations.iter().filter_map(|o| squared_residual(pose, camera, o)));
+    if squares.len() < 4 {
+        return None;
+    }
+    let middle = squares.len() / 2;
+    let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
+    Some((median.sqrt() / 1.177_410_022_515_474_6).max(1.0))
+}
+
+fn normal_equations<P: Projection>(
+    pose: &Pose<Camera, Body>,
+    camera: &P,
+    observations: &[Observation],
+    scale: f64,
+) -> (Matrix6<f64>, Vector6<f64>) {
+    let mut normal = Matrix6::zeros();
+    let mut gradient = Vector6::zeros();
+    for o in observations {
+        let Some((r, j)) = residual_and_jacobian(pose, camera, o) else { continue };
+        let squared = (r.transpose() * o.information * r).x;
+        let w = tukey_weight(squared, scale);
+        if w > 0.0 {
+            let jw = j.transpose() * o.information * w;
+            normal += jw * j;
+            gradient += jw * r;
+        }
+    }
+    (normal, gradient)
+}
+
+/// Covariance of the left perturbation [δt, δθ] of `T_camera_body`: measurement noise, plus the excess that observations of
+/// one group share (White's sandwich over groups), whichever direction has more of it.
+///
+/// `None` when the observations leave a direction free.
+pub fn sandwich_covariance<P: Projection>(resection: &Resection, camera: &P, observations: &[Observation]) -> Option<Matrix6<f64>> {
+    let bread = resection.normal.cholesky()?.inverse();
+    let mut groups: Vec<(u32, Vector6<f64>)> = Vec::new();
+    for o in observations {
+        let Some((r, j)) = residual_and_jacobian(&resection.pose, camera, o) else { continue };
+        let squared = (r.transpose() * o.information * r).x;
+        let score = j.transpose() * o.information * r * tukey_weight(squared, resection.scale);
+        match groups.iter_mut().find(|(g, _)| *g == o.group) {
+            Some((_, sum)) => *sum += score,
+            None => groups.push((o.group, score)),
+        }
+    }
+    let n = groups.len() as f64;
+    if n < 3.0 {
+        return None;
+    }
+    // Six parameters were fitted to n group scores: the usual small-sample factor.
+    let factor = n / (n - 1.0).max(1.0) * if n > 7.0 { n / (n - 6.0) } else { 7.0 };
+    let meat: Matrix6<f64> = groups.iter().map(|(_, s)| s * s.transpose()).sum::<Matrix6<f64>>() * factor;
+    let noise = bread * resection.scale.powi(2);
+    let sandwich = bread * meat * bread;
+    // Take the larger of the two in every direction that noise whitens.
+    let root = noise.cholesky()?.l();
+    let inverse_root = root.try_inverse()?;
+    let mut eigen = (inverse_root * sandwich * inverse_root.transpose()).symmetric_eigen();
+    eigen.eigenvalues.apply(|v| *v = v.max(1.0));
+    let covariance = root * eigen.recompose() * root.transpose();
+    Some((covariance + covariance.transpose()) * 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    struct Pinhole;
+    impl Projection for Pinhole {
+        fn pixel_and_jacobian(&self, n: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
+            // A mild bend, so that the chain rule is exercised.
+            let r2 = n.norm_squared();
+            let bent = n * (1.0 - 0.1 * r2);
+            let j = Matrix2::identity() * (1.0 - 0.1 * r2) - 0.2 * n * n.transpose();
+            (bent * 900.0 + Vector2::new(640.0, 360.0), j * 900.0)
+        }
+    }
+
+    fn truth() -> Pose<Camera, Body> {
+        Pose::new(UnitQuaternion::from_euler_angles(2.8, 0.2, 0.1), Vector3::new(0.2, -0.1, 4.0))
+    }
+
+    fn scene(noise: f64, outliers: usize, seed: u64) -> Vec<Observation> {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        (0..200)
+            .map(|k| {
+                let point = Point3::new(rng.random_range(-2.0..2.0), rng.random_range(-1.5..1.5), if k % 3 == 0 { 0.5 } else { 0.0 });
+                let c = truth().transform(&point);
+                let (pixel, _) = Pinhole.pixel_and_jacobian(c.coords.xy() / c.z);
+                let mut gauss = || (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>();
+                let mut pixel = pixel + Vector2::new(gauss(), gauss()) * noise;
+                if k < outliers {
+                    pixel += Vector2::new(50.0, 20.0);
+                }
+                let information = Matrix2::identity() / noise.max(0.1).powi(2);
+                Observation { point, pixel, information, group: k as u32 }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn jacobian_agrees_with_differences() {
+        let o = scene(0.3, 0, 1)[7];
+        let (_, j) = residual_and_jacobian(&truth(), &Pinhole, &o).expect("in front");
+        for k in 0..6 {
+            let mut step = Vector6::zeros();
+            step[k] = 1e-6;
+            let (plus, _) = residual_and_jacobian(&perturbed(&truth(), &step), &Pinhole, &o).expect("in front");
+            let (minus, _) = residual_and_jacobian(&perturbed(&truth(), &-step), &Pinhole, &o).expect("in front");
+            let difference = (plus - minus) / 2e-6;
+            assert!((difference - j.column(k)).norm() < 1e-4 * (1.0 + difference.norm()), "column {k}");
+        }
+    }
+
+    #[test]
+    fn exact_data_give_the_exact_pose_despite_outliers() {
+        let start = perturbed(&truth(), &Vector6::new(0.1, -0.1, 0.2, 0.02, 0.03, -0.02));
+        let found = resect(&start, &Pinhole, &scene(0.0, 40, 2), 50).expect("regular");
+        assert!(found.pose.angle_to(&truth()) < 1e-8);
+        assert!((found.pose.translation - truth().translation).norm() < 1e-7);
+    }
+
+    #[test]
+    fn covariance_tells_the_scatter() {
+        let mut nees = 0.0;
+        let runs = 200;
+        for seed in 0..runs {
+            let observations = scene(0.5, 10, 100 + seed);
+            let found = resect(&truth(), &Pinhole, &observations, 30).expect("regular");
+            let covariance = sandwich_covariance(&found, &Pinhole, &observations).expect("full rank");
+            let turn = (found.pose.rotation.inverse() * truth().rotation).scaled_axis();
+            let turn = found.pose.rotation * turn;
+            let shift = truth().translation - UnitQuaternion::from_scaled_axis(turn) * found.pose.translation;
+            let e = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+            nees += (e.transpose() * covariance.try_inverse().expect("positive") * e).x / 6.0 / runs as f64;
+        }
+        assert!((0.6..1.4).contains(&nees), "mean NEES/6 = {nees}");
+    }
+}

@@ -1,0 +1,42 @@
+//! Depths of a point seen by two cameras.
+
+use nalgebra::{Matrix2, Vector2};
+
+use super::essential::{RayPair, TwoViewMotion};
+
+/// Depths along both optical axes, in units of the baseline, by least squares on `d2 x2 = d1 R x1 + t`; `None` for
+/// parallel rays.
+pub fn depths(motion: &TwoViewMotion, pair: &RayPair) -> Option<(f64, f64)> {
+    let a = motion.rotation * pair.first.push(1.0);
+    let b = pair.second.push(1.0);
+    let normal = Matrix2::new(a.dot(&a), -a.dot(&b), -a.dot(&b), b.dot(&b));
+    let right = Vector2::new(-a.dot(&motion.direction), b.dot(&motion.direction));
+    // The determinant is |a|²|b|² sin² of the parallax; below this the depth is noise.
+    if normal.determinant() < 1e-12 * a.norm_squared() * b.norm_squared() {
+        return None;
+    }
+    let d = normal.try_inverse()? * right;
+    Some((d.x, d.y))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    #[test]
+    fn depths_of_a_known_point() {
+        let motion = TwoViewMotion { rotation: UnitQuaternion::from_euler_angles(0.1, 0.2, -0.1), direction: Vector3::new(1.0, 0.0, 0.2).normalize() };
+        let p = Vector3::new(0.4, -0.3, 7.0);
+        let q = motion.rotation * p + motion.direction;
+        let (d1, d2) = depths(&motion, &RayPair { first: p.xy() / p.z, second: q.xy() / q.z }).expect("parallax");
+        assert!((d1 - 7.0).abs() < 1e-9 && (d2 - q.z).abs() < 1e-9);
+    }
+
+    #[test]
+    fn parallel_rays_have_no_depth() {
+        let motion = TwoViewMotion { rotation: UnitQuaternion::identity(), direction: Vector3::x() };
+        let x = nalgebra::Vector2::new(0.1, 0.1);
+        assert!(depths(&motion, &RayPair { first: x, second: x }).is_none());
+    }
+}

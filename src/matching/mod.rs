@@ -1,0 +1,196 @@
+//! Which feature of the frame is which feature of the reference pictures.
+//!
+//! Brute force over binary descriptors: the two nearest by Hamming distance, Lowe's ratio between the
+//! nearest and the nearest that lies elsewhere, and the mutual test. The survivors come best first, which is
+//! the order that PROSAC wants.
+
+mod kernels;
+
+use nalgebra::Vector2;
+
+use crate::features::{Descriptor, Feature, Workers};
+
+/// A described corner of a reference picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReferenceFeature {
+    /// Which surface it lies on.
+    pub surface: u32,
+    /// Artwork pixels of that surface.
+    pub position: Vector2<f64>,
+    /// Artwork pixels per pixel of the level it was found on.
+    pub scale: f64,
+}
+
+/// All reference features, with their descriptors side by side.
+#[derive(Debug, Clone, Default)]
+pub struct ReferenceIndex {
+    features: Vec<ReferenceFeature>,
+    descriptors: Vec<Descriptor>,
+}
+
+/// A pair that passed the ratio and the mutual test.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Match {
+    /// Index into the frame's features.
+    pub frame: u32,
+    /// Index into the reference index.
+    pub reference: u32,
+    /// Hamming distance over second distance; lower is better.
+    pub ratio: f32,
+}
+
+/// Buffers of the matcher.
+#[derive(Debug, Clone, Default)]
+pub struct MatchBuffers {
+    nearest: Vec<Option<(u32, f32)>>,
+    back: Vec<u32>,
+}
+
+/// Hamming distances above this never match (chance pairs lie around 128 +- 8).
+const LARGEST_DISTANCE: u32 = 80;
+
+impl ReferenceIndex {
+    /// Adds the features of a surface; `transform` maps a feature's position into artwork pixels.
+    pub fn add(&mut self, surface: u32, features: &[Feature], transform: impl Fn(Vector2<f64>) -> Vector2<f64>, artwork_scale: f64) {
+        for f in features {
+            self.features.push(ReferenceFeature { surface, position: transform(f.position), scale: f.scale * artwork_scale });
+            self.descriptors.push(f.descriptor);
+        }
+    }
+
+    /// The features, in the order of their indices.
+    pub fn features(&self) -> &[ReferenceFeature] {
+        &self.features
+    }
+
+    /// Whether two entries show the same place, so that the one is no rival of the other.
+    fn same_place(&self, a: usize, b: usize) -> bool {
+        let (a, b) = (&self.features[a], &self.features[b]);
+        let near = 6.0 * a.scale.max(b.scale);
+        a.surface == b.surface && (a.position - b.position).norm_squared() < near * near
+    }
+
+    /// The nearest entry and the ratio of its distance to that of the nearest elsewhere.
+    fn nearest(&self, descriptor: &Descriptor) -> Option<(u32, f32)> {
+        let mut best = (u32::MAX, usize::MAX);
+        let mut second = (u32::MAX, usize::MAX);
+        kernels::scan(descriptor, &self.descriptors, |k, distance, bar: &mut u32| {
+            if distance < best.0 {
+                if best.1 != usize::MAX && !self.same_place(best.1, k) {
+                    second = best;
+                }
+                best = (distance, k);
+                // A second that turned out to lie beside the new best no longer counts as elsewhere.
+                if second.1 != usize::MAX && self.same_place(second.1, k) {
+                    second = (u32::MAX, usize::MAX);
+                }
+            } else if distance < second.0 && !self.same_place(best.1, k) {
+                second = (distance, k);
+            }
+            *bar = second.0;
+        });
+        // One is added to both, so that two exact copies are rivals (0 / 0).
+        let ratio = if second.1 == usize::MAX { 0.5 } else { (best.0 + 1) as f32 / (second.0 + 1) as f32 };
+        (best.0 <= LARGEST_DISTANCE).then_some((best.1 as u32, ratio))
+    }
+
+    /// Matches frame features with the index: best ratio first (ties by frame index).
+    pub fn match_features(&self, frame: &[Feature], ratio: f32, workers: &Workers, buffers: &mut MatchBuffers, matches: &mut Vec<Match>) {
+        matches.clear();
+        if self.descriptors.is_empty() || frame.is_empty() {
+            return;
+        }
+        workers.map_into(frame, &mut buffers.nearest, |f| self.nearest(&f.descriptor));
+        for (k, nearest) in buffers.nearest.iter().enumerate() {
+            if let Some((reference, r)) = nearest.filter(|(_, r)| *r < ratio) {
+                matches.push(Match { frame: k as u32, reference, ratio: r });
+            }
+        }
+        workers.map_into(matches, &mut buffers.back, |m| nearest_frame_feature(&self.descriptors[m.reference as usize], frame));
+        let mut back = buffers.back.iter();
+        // Two frame features of the same place (neighbouring levels) may both claim a reference feature.
+        matches.retain(|m| {
+            back.next().is_some_and(|&b| {
+                let (claimed, nearest) = (&frame[m.frame as usize], &frame[b as usize]);
+                let near = 3.0 * claimed.scale.max(nearest.scale);
+                b == m.frame || (claimed.position - nearest.position).norm_squared() < near * near
+            })
+        });
+        matches.sort_unstable_by(|a, b| a.ratio.total_cmp(&b.ratio).then(a.frame.cmp(&b.frame)));
+    }
+}
+
+fn nearest_frame_feature(descriptor: &Descriptor, frame: &[Feature]) -> u32 {
+    let mut best = (u32::MAX, 0);
+    for (k, f) in frame.iter().enumerate() {
+        let distance = kernels::hamming(descriptor, &f.descriptor);
+        if distance < best.0 {
+            best = (distance, k as u32);
+        }
+    }
+    best.1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    fn features(n: usize, seed: u64) -> Vec<Feature> {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        (0..n)
+            .map(|_| Feature {
+                position: Vector2::new(rng.random_range(0.0..1000.0), rng.random_range(0.0..800.0)),
+                scale: 1.0,
+                angle: 0.0,
+                descriptor: Descriptor(rng.random()),
+            })
+            .collect()
+    }
+
+    #[test]
+    fn noisy_copies_find_their_originals() {
+        let reference = features(500, 1);
+        let mut index = ReferenceIndex::default();
+        index.add(0, &reference, |p| p, 1.0);
+        let mut frame: Vec<Feature> = reference.iter().take(200).copied().collect();
+        let mut rng = Pcg64Mcg::seed_from_u64(2);
+        for f in &mut frame {
+            for _ in 0..25 {
+                f.descriptor.0[rng.random_range(0..4)] ^= 1 << rng.random_range(0..64);
+            }
+        }
+        frame.extend(features(300, 3));
+        let mut matches = Vec::new();
+        index.match_features(&frame, 0.8, &Workers::new(1), &mut MatchBuffers::default(), &mut matches);
+        assert!(matches.len() >= 195, "{}", matches.len());
+        assert!(matches.iter().all(|m| m.frame == m.reference));
+        assert!(matches.windows(2).all(|w| w[0].ratio <= w[1].ratio));
+    }
+
+    #[test]
+    fn a_repeated_motif_is_no_match() {
+        let mut reference = features(50, 4);
+        let mut twin = reference[7];
+        twin.position += Vector2::new(300.0, 0.0);
+        reference.push(twin);
+        let mut index = ReferenceIndex::default();
+        index.add(0, &reference, |p| p, 1.0);
+        let mut matches = Vec::new();
+        let frame = [reference[7], reference[8]];
+        index.match_features(&frame, 0.8, &Workers::new(1), &mut MatchBuffers::default(), &mut matches);
+        assert_eq!(matches.iter().map(|m| m.frame).collect::<Vec<_>>(), [1]);
+    }
+
+    #[test]
+    fn workers_do_not_change_the_matches() {
+        let mut index = ReferenceIndex::default();
+        index.add(0, &features(400, 5), |p| p, 1.0);
+        let frame = [features(200, 5), features(100, 6)].concat();
+        let (mut one, mut two) = (Vec::new(), Vec::new());
+        index.match_features(&frame, 0.9, &Workers::new(1), &mut MatchBuffers::default(), &mut one);
+        index.match_features(&frame, 0.9, &Workers::new(2), &mut MatchBuffers::default(), &mut two);
+        assert_eq!(one, two);
+    }
+}
