@@ -3,9 +3,13 @@
 
 pub mod camera;
 pub mod capture;
+pub mod daemon;
 pub mod features;
 pub mod frame;
 pub mod geometry;
 pub mod matching;
+pub mod pose;
 pub mod record;
 pub mod track;
+
+pub use daemon::{Daemon, Tracker, TrackerSetup};

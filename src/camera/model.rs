@@ -205,7 +205,7 @@ impl CameraModel {
             let (d, j) = self.distort(n);
             let step = j.try_inverse()? * (d - target);
             n -= step;
-            if !(n.norm() < self.valid_radius * 1.05) {
+            if n.norm().partial_cmp(&(self.valid_radius * 1.05)) != Some(std::cmp::Ordering::Less) {
                 return None;
             }
             if step.norm_squared() < 1e-30 {
@@ -298,4 +298,11 @@ fn radial_limit([k1, k2, _, _, k3]: [f64; 5]) -> f64 {
         previous = s;
     }
     f64::INFINITY
+}
+
+impl crate::geometry::resection::Projection for CameraModel {
+    fn pixel_and_jacobian(&self, normalized: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
+        let (pixel, jacobian) = self.project_with_jacobian(Normalized(normalized));
+        (pixel.0, jacobian)
+    }
 }

@@ -177,11 +177,11 @@ mod tests {
     const OPTIONS: CornerOptions = CornerOptions { count: 1000, threshold: 20, least_threshold: 7, border: 8, cell_px: 32 };
 
     #[test]
-    fn corners_of_squares_are_found_where_they_are() {
+    fn corners_of_squares_are_found_near_them() {
         let mut found = Vec::new();
         detect_corners(&squares(), &OPTIONS, |_, _| true, &mut CornerBuffers::default(), &mut found);
         for (x, y) in [(40, 40), (51, 40), (40, 51), (51, 51)] {
-            assert!(found.iter().any(|c| c.x.abs_diff(x) <= 1 && c.y.abs_diff(y) <= 1), "no corner at {x},{y}");
+            assert!(found.iter().any(|c| c.x.abs_diff(x) <= 2 && c.y.abs_diff(y) <= 2), "no corner at {x},{y}");
         }
     }
 

@@ -12,7 +12,7 @@ mod pattern;
 mod pyramid;
 mod workers;
 
-pub use corners::{Corner, CornerOptions, detect_corners};
+pub use corners::{Corner, CornerBuffers, CornerOptions, detect_corners};
 pub use descriptor::{DESCRIPTOR_BITS, Descriptor, PATCH_RADIUS, describe, orientation};
 pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
 pub use pyramid::{Level, Pyramid, smooth_into};

@@ -160,7 +160,7 @@ fn solutions(reduced: &SMatrix<f64, 10, 10>, basis: &[Matrix3<f64>; 4]) -> Vec<M
 fn real_roots(p: &[f64]) -> Vec<f64> {
     let lead = p[10];
     let largest = p.iter().fold(0.0_f64, |m, c| m.max(c.abs()));
-    if !(lead.abs() > 1e-14 * largest) || !largest.is_finite() {
+    if !largest.is_finite() || lead.abs() <= 1e-14 * largest {
         return Vec::new();
     }
     let mut companion = SMatrix::<f64, 10, 10>::zeros();

@@ -54,7 +54,7 @@ fn rotations_at(metric: &Homography, centre: Vector2<f64>) -> Option<[Matrix3<f6
     let aat = a * a.transpose();
     let half_difference = 0.5 * (aat[(0, 0)] - aat[(1, 1)]);
     let gamma2 = 0.5 * (aat[(0, 0)] + aat[(1, 1)]) + half_difference.hypot(aat[(0, 1)]);
-    if !(gamma2 > 0.0) {
+    if gamma2.is_nan() || gamma2 <= 0.0 {
         return None;
     }
     let r22 = a / gamma2.sqrt();

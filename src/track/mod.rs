@@ -1,7 +1,23 @@
 //! Tracking: what bodies are made of, and how a frame becomes a verified pose of each of them.
+//!
+//! `surface` and `reference` prepare the pictures; `acquire` proposes poses from matched features;
+//! `registration` and `verify` refine a proposal against the picture and judge it; `lock` decides what a
+//! verified pose means in time; `two_view` describes the frame by homography and essential matrix;
+//! `matcher` runs them all on a frame.
 
+mod acquire;
+mod lock;
+mod matcher;
+mod reference;
+mod registration;
 mod settings;
 mod surface;
+mod two_view;
+mod verify;
 
+pub use lock::LockState;
+pub use matcher::{BodySighting, Matcher, Sighting};
 pub use settings::TrackerSettings;
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
+pub use two_view::TwoView;
+pub use verify::{FittedAnchor, Verified};

@@ -9,8 +9,10 @@ use image::GrayImage;
 use nalgebra::{Matrix3, Point3, Vector2};
 use thiserror::Error;
 
-use crate::camera::CameraModel;
-use crate::geometry::{Body, Pose, ReferenceCamera, SurfaceFrame};
+use crate::camera::{CameraModel, Normalized, Pixel};
+use crate::features::{CornerBuffers, CornerOptions, detect_corners};
+use crate::geometry::planar_pose::planar_poses;
+use crate::geometry::{Body, Homography, PointPair, Pose, ReferenceCamera, SurfaceFrame};
 
 /// One textured rectangle of a body, ready for tracking.
 #[derive(Debug, Clone)]
@@ -37,7 +39,7 @@ pub enum ReferenceKind {
         /// Maps artwork pixels (of [`SurfaceSpec::artwork`]) to undistorted pixels of the photograph.
         photo_from_artwork: Matrix3<f64>,
         /// The camera that took it.
-        camera: CameraModel,
+        camera: Box<CameraModel>,
         /// `T_reference_surface`: the surface as that camera saw it, from its four corners.
         pose: Pose<ReferenceCamera, SurfaceFrame>,
     },
@@ -93,7 +95,58 @@ pub enum SurfaceError {
     },
 }
 
+/// Least side of a picture, pixels.
+const LEAST_SIDE_PX: u32 = 64;
+/// Fewest corners of a picture that can be found again.
+const LEAST_CORNERS: usize = 40;
+/// Least strength of such a corner (smaller eigenvalue of the structure tensor), (grey/px)².
+const LEAST_STRENGTH: f32 = 12.0;
+/// Longest side that a photograph is laid flat to, pixels.
+const LONGEST_FLAT_SIDE_PX: f64 = 4096.0;
+
 impl SurfaceSpec {
+    /// A surface from its flat artwork.
+    pub fn from_artwork(name: String, picture: GrayImage, size_m: [f64; 2], pose: Pose<Body, SurfaceFrame>) -> Result<Self, SurfaceError> {
+        check_size(size_m)?;
+        check_picture(&picture)?;
+        Ok(Self { name, artwork: picture, size_m, pose, kind: ReferenceKind::Artwork })
+    }
+
+    /// A surface from a photograph of it: `corners` are the raw pixels of its four corners, clockwise from the top left, which
+    /// become +- size / 2.
+    pub fn from_photograph(
+        name: String,
+        photo: &GrayImage,
+        corners: [Pixel; 4],
+        camera: CameraModel,
+        size_m: [f64; 2],
+        pose: Pose<Body, SurfaceFrame>,
+    ) -> Result<Self, SurfaceError> {
+        check_size(size_m)?;
+        let rays = corner_rays(photo, &corners, &camera)?;
+        let seen = rays.map(|n| camera.undistorted_pixel(n));
+        if !is_convex_clockwise(&seen) {
+            return Err(SurfaceError::Corners);
+        }
+        let length = |a: usize, b: usize| (seen[a] - seen[b]).norm();
+        let sides = [length(0, 1).max(length(3, 2)), length(0, 3).max(length(1, 2))];
+        let shrink = (LONGEST_FLAT_SIDE_PX / sides[0].max(sides[1])).min(1.0);
+        let [w, h] = sides.map(|s| ((s * shrink).round() as u32).max(1));
+        let (wf, hf) = (f64::from(w), f64::from(h));
+        let outer = [(-0.5, -0.5), (wf - 0.5, -0.5), (wf - 0.5, hf - 0.5), (-0.5, hf - 0.5)].map(|(x, y)| Vector2::new(x, y));
+        let flat: [PointPair; 4] = std::array::from_fn(|k| PointPair { from: outer[k], to: seen[k] });
+        let photo_from_artwork = Homography::from_four(&flat).ok_or(SurfaceError::Corners)?;
+        let half = Vector2::new(0.5 * size_m[0], 0.5 * size_m[1]);
+        let metres = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)].map(|(x, y)| Vector2::new(x * half.x, y * half.y));
+        let metric: [PointPair; 4] = std::array::from_fn(|k| PointPair { from: metres[k], to: rays[k].0 });
+        let homography = Homography::from_four(&metric).ok_or(SurfaceError::Corners)?;
+        let seen_from = planar_poses(&homography, &metric).into_iter().next().ok_or(SurfaceError::Corners)?;
+        let artwork = laid_flat(photo, &photo_from_artwork, &camera, w, h);
+        check_picture(&artwork)?;
+        let kind = ReferenceKind::Photograph { photo_from_artwork: photo_from_artwork.0, camera: Box::new(camera), pose: seen_from.renamed() };
+        Ok(Self { name, artwork, size_m, pose, kind })
+    }
+
     /// Artwork pixels (centres at integers) to metres on the surface: x right, y up, origin at the centre.
     pub fn metres_from_artwork(&self, p: Vector2<f64>) -> Vector2<f64> {
         let (w, h) = (f64::from(self.artwork.width()), f64::from(self.artwork.height()));
@@ -111,4 +164,77 @@ impl SurfaceSpec {
         let m = self.metres_from_artwork(p);
         self.pose.transform(&Point3::new(m.x, m.y, 0.0))
     }
+}
+
+fn check_size(size_m: [f64; 2]) -> Result<(), SurfaceError> {
+    let positive = size_m.iter().all(|v| v.is_finite() && *v > 0.0);
+    positive.then_some(()).ok_or(SurfaceError::Size(size_m))
+}
+
+/// Refuses pictures that no camera could find again.
+fn check_picture(picture: &GrayImage) -> Result<(), SurfaceError> {
+    let (width, height) = picture.dimensions();
+    if width < LEAST_SIDE_PX || height < LEAST_SIDE_PX {
+        return Err(SurfaceError::TooSmall { width, height, least: LEAST_SIDE_PX });
+    }
+    let options = CornerOptions { count: 4 * LEAST_CORNERS, threshold: 15, least_threshold: 8, border: 5, cell_px: (width.max(height) / 8).max(8) };
+    let mut corners = Vec::new();
+    // Detail may be of any size: look at every octave.
+    let mut found = 0;
+    let mut octave = picture.clone();
+    while octave.width() >= LEAST_SIDE_PX / 2 && octave.height() >= LEAST_SIDE_PX / 2 {
+        detect_corners(&octave, &options, |_, _| true, &mut CornerBuffers::default(), &mut corners);
+        found += corners.iter().filter(|c| c.strength >= LEAST_STRENGTH).count();
+        octave = super::reference::halved(&octave);
+    }
+    if found < LEAST_CORNERS { Err(SurfaceError::Textureless { found, least: LEAST_CORNERS }) } else { Ok(()) }
+}
+
+fn corner_rays(photo: &GrayImage, corners: &[Pixel; 4], camera: &CameraModel) -> Result<[Normalized; 4], SurfaceError> {
+    let (w, h) = (f64::from(photo.width()), f64::from(photo.height()));
+    let mut rays = [Normalized(Vector2::zeros()); 4];
+    for (index, (ray, corner)) in rays.iter_mut().zip(corners).enumerate() {
+        let (u, v) = (corner.0.x, corner.0.y);
+        let inside = (-0.5..=w - 0.5).contains(&u) && (-0.5..=h - 0.5).contains(&v);
+        *ray = camera.unproject(*corner).filter(|_| inside).ok_or(SurfaceError::CornerOutside { index, u, v })?;
+    }
+    Ok(rays)
+}
+
+/// Convex, and clockwise as seen (y down).
+fn is_convex_clockwise(p: &[Vector2<f64>; 4]) -> bool {
+    (0..4).all(|k| (p[(k + 1) % 4] - p[k]).perp(&(p[(k + 2) % 4] - p[(k + 1) % 4])) > 1.0)
+}
+
+/// Resamples the photograph onto the flat rectangle.
+fn laid_flat(photo: &GrayImage, photo_from_artwork: &Homography, camera: &CameraModel, width: u32, height: u32) -> GrayImage {
+    GrayImage::from_fn(width, height, |x, y| {
+        let undistorted = photo_from_artwork.map(Vector2::new(f64::from(x), f64::from(y)));
+        let raw = undistorted.map(|p| camera.project(camera.from_undistorted_pixel(p)).0);
+        image::Luma([raw.map_or(0, |p| cubic(photo, p))])
+    })
+}
+
+/// Catmull-Rom interpolation of a picture, the border repeated.
+fn cubic(picture: &GrayImage, p: Vector2<f64>) -> u8 {
+    let weights = |t: f64| {
+        [
+            ((-0.5 * t + 1.0) * t - 0.5) * t,
+            (1.5 * t - 2.5) * t * t + 1.0,
+            ((-1.5 * t + 2.0) * t + 0.5) * t,
+            (0.5 * t - 0.5) * t * t,
+        ]
+    };
+    let (i, k) = (p.x.floor(), p.y.floor());
+    let (wx, wy) = (weights(p.x - i), weights(p.y - k));
+    let (w, h) = (picture.width() as i64, picture.height() as i64);
+    let mut sum = 0.0;
+    for (dy, wy) in wy.iter().enumerate() {
+        for (dx, wx) in wx.iter().enumerate() {
+            let x = (i as i64 + dx as i64 - 1).clamp(0, w - 1) as u32;
+            let y = (k as i64 + dy as i64 - 1).clamp(0, h - 1) as u32;
+            sum += wx * wy * f64::from(picture.get_pixel(x, y)[0]);
+        }
+    }
+    sum.round().clamp(0.0, 255.0) as u8
 }

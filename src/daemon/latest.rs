@@ -1,0 +1,90 @@
+//! A bounded channel that, when full, drops its oldest entry instead of refusing the newest.
+//!
+//! A live camera does not wait: whoever is late must get the newest frame, and the count of what was dropped.
+//! Bare crossbeam channels block or refuse; the sender here also holds a receiver and makes room with it. The
+//! stream ends for the receiver when the sender is dropped and what is left has been read.
+
+use crossbeam_channel::{Receiver, TrySendError, bounded};
+
+/// The sending end.
+#[derive(Debug)]
+pub struct LatestSender<T> {
+    sender: crossbeam_channel::Sender<T>,
+    /// Used only to take out the oldest.
+    drain: Receiver<T>,
+}
+
+/// A channel that holds at most `capacity` entries (at least 1).
+pub fn latest<T>(capacity: usize) -> (LatestSender<T>, Receiver<T>) {
+    let (sender, receiver) = bounded(capacity.max(1));
+    (LatestSender { sender, drain: receiver.clone() }, receiver)
+}
+
+impl<T> LatestSender<T> {
+    /// Sends without ever waiting; gives the number of oldest entries that were dropped to make room.
+    pub fn send(&self, entry: T) -> usize {
+        let mut entry = entry;
+        let mut dropped = 0;
+        loop {
+            match self.sender.try_send(entry) {
+                Ok(()) => return dropped,
+                // `drain` keeps the channel connected, so this is the only other answer.
+                Err(TrySendError::Full(back) | TrySendError::Disconnected(back)) => entry = back,
+            }
+            if self.drain.try_recv().is_ok() {
+                dropped += 1;
+            }
+        }
+    }
+
+    /// Entries waiting to be read.
+    pub fn waiting(&self) -> usize {
+        self.drain.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_survive_in_order() {
+        let (sender, receiver) = latest(3);
+        let dropped: usize = (0..10).map(|k| sender.send(k)).sum();
+        assert_eq!(dropped, 7);
+        drop(sender);
+        assert_eq!(receiver.iter().collect::<Vec<_>>(), [7, 8, 9]);
+    }
+
+    #[test]
+    fn the_stream_ends_after_the_last_entry() {
+        let (sender, receiver) = latest(2);
+        sender.send('a');
+        drop(sender);
+        assert_eq!(receiver.recv(), Ok('a'));
+        assert!(receiver.recv().is_err());
+    }
+
+    #[test]
+    fn a_vanished_reader_never_blocks_the_sender() {
+        let (sender, receiver) = latest(2);
+        drop(receiver);
+        for k in 0..100 {
+            sender.send(k);
+        }
+        assert_eq!(sender.waiting(), 2);
+    }
+
+    #[test]
+    fn a_racing_reader_sees_rising_numbers_and_the_last() {
+        let (sender, receiver) = latest(4);
+        let reader = std::thread::spawn(move || receiver.iter().collect::<Vec<u32>>());
+        for k in 0..20_000 {
+            sender.send(k);
+        }
+        drop(sender);
+        let seen = reader.join().expect("the reader does not panic");
+        assert!(seen.windows(2).all(|w| w[0] < w[1]));
+        assert_eq!(seen.last(), Some(&19_999));
+    }
+}

@@ -1,0 +1,232 @@
+//! The three stages as threads: capture, matcher, pose.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+
+use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
+use thiserror::Error;
+
+use super::latest::{LatestSender, latest};
+use super::tracker::{PoseRecorder, Tracker, sight};
+use crate::capture::{FrameSource, Row, RowContent};
+use crate::frame::Frame;
+use crate::record::PoseSample;
+use crate::track::{Matcher, Sighting};
+
+/// What happens when a stage is slower than the one before it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Delivery {
+    /// The faster one waits; nothing is lost. For replay.
+    Blocking,
+    /// The oldest unread frame is dropped. For live cameras.
+    DropOldest,
+}
+
+/// Why the daemon could not run to its end.
+#[derive(Debug, Error)]
+pub enum DaemonError {
+    /// The system gave no thread.
+    #[error("cannot start the {stage} thread: {source}; close other programs or raise the limit of processes")]
+    Thread {
+        /// Which stage.
+        stage: &'static str,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A stage ended by a defect of the program.
+    #[error("the {0} stage failed; please report this together with the clip")]
+    Stage(&'static str),
+}
+
+/// What sees every row with its sample, on the pose thread: overlays, recorders.
+type Observer = Box<dyn FnMut(&Row, &PoseSample) + Send>;
+
+/// Rows that may wait between two stages.
+const QUEUE: usize = 4;
+/// Samples that may wait for a live subscriber before the oldest is dropped.
+const SUBSCRIBER_QUEUE: usize = 256;
+
+/// The tracker on threads of its own. Subscribe first, then start.
+pub struct Daemon {
+    source: Box<dyn FrameSource>,
+    tracker: Tracker,
+    delivery: Delivery,
+    subscribers: Vec<Subscriber>,
+    observers: Vec<Observer>,
+    stop: Arc<AtomicBool>,
+    dropped: Arc<AtomicU64>,
+}
+
+enum Subscriber {
+    Blocking(Sender<PoseSample>),
+    Latest(LatestSender<PoseSample>),
+}
+
+/// A running daemon.
+pub struct RunningDaemon {
+    stages: Vec<(&'static str, JoinHandle<()>)>,
+    stop: Arc<AtomicBool>,
+    dropped: Arc<AtomicU64>,
+}
+
+impl Daemon {
+    /// A daemon that reads from `source`.
+    pub fn new(source: Box<dyn FrameSource>, tracker: Tracker, delivery: Delivery) -> Self {
+        let (stop, dropped) = (Arc::default(), Arc::default());
+        Self { source, tracker, delivery, subscribers: Vec::new(), observers: Vec::new(), stop, dropped }
+    }
+
+    /// A new subscriber's own channel. It ends when the daemon does. With [`Delivery::Blocking`] a subscriber that does not
+    /// read holds the daemon up; with [`Delivery::DropOldest`] it loses the oldest samples. Dropping the receiver unsubscribes.
+    pub fn subscribe(&mut self) -> Receiver<PoseSample> {
+        match self.delivery {
+            Delivery::Blocking => {
+                let (sender, receiver) = bounded(QUEUE);
+                self.subscribers.push(Subscriber::Blocking(sender));
+                receiver
+            }
+            Delivery::DropOldest => {
+                let (sender, receiver) = latest(SUBSCRIBER_QUEUE);
+                self.subscribers.push(Subscriber::Latest(sender));
+                receiver
+            }
+        }
+    }
+
+    /// Calls `observer` on the pose thread with every row and its sample, before subscribers get it.
+    pub fn observe(&mut self, observer: impl FnMut(&Row, &PoseSample) + Send + 'static) {
+        self.observers.push(Box::new(observer));
+    }
+
+    /// Starts the three stages.
+    pub fn start(self) -> Result<RunningDaemon, DaemonError> {
+        let Self { source, tracker, delivery, subscribers, observers, stop, dropped } = self;
+        let Tracker { matcher, poses } = tracker;
+        let (to_matcher, rows) = row_channel(delivery);
+        let (to_pose, sightings) = bounded(QUEUE);
+        let (recycled, used) = unbounded();
+        let capture = Capture { source, to_matcher, used, stop: stop.clone(), dropped: dropped.clone() };
+        let mut stages = vec![spawn("capture", move || capture.run())?];
+        stages.push(spawn("matcher", move || match_rows(matcher, &rows, &to_pose))?);
+        stages.push(spawn("pose", move || publish(poses, &sightings, observers, subscribers, &recycled))?);
+        Ok(RunningDaemon { stages, stop, dropped })
+    }
+}
+
+impl RunningDaemon {
+    /// Asks the capture stage to end; the others end after what is under way.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// A switch that does the same from elsewhere (a signal handler's thread).
+    pub fn stop_switch(&self) -> Arc<AtomicBool> {
+        self.stop.clone()
+    }
+
+    /// Frames dropped because the matcher was late.
+    pub fn dropped_frames(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+
+    /// Waits for the end of the stream.
+    pub fn join(self) -> Result<(), DaemonError> {
+        let mut failed = None;
+        for (stage, handle) in self.stages {
+            if handle.join().is_err() {
+                failed.get_or_insert(stage);
+            }
+        }
+        failed.map_or(Ok(()), |stage| Err(DaemonError::Stage(stage)))
+    }
+}
+
+fn spawn(stage: &'static str, run: impl FnOnce() + Send + 'static) -> Result<(&'static str, JoinHandle<()>), DaemonError> {
+    let handle = std::thread::Builder::new().name(stage.to_owned()).spawn(run);
+    handle.map(|h| (stage, h)).map_err(|source| DaemonError::Thread { stage, source })
+}
+
+enum RowSender {
+    Blocking(Sender<Row>),
+    Latest(LatestSender<Row>),
+}
+
+fn row_channel(delivery: Delivery) -> (RowSender, Receiver<Row>) {
+    match delivery {
+        Delivery::Blocking => {
+            let (sender, receiver) = bounded(QUEUE);
+            (RowSender::Blocking(sender), receiver)
+        }
+        // One frame waits, the newest.
+        Delivery::DropOldest => {
+            let (sender, receiver) = latest(1);
+            (RowSender::Latest(sender), receiver)
+        }
+    }
+}
+
+struct Capture {
+    source: Box<dyn FrameSource>,
+    to_matcher: RowSender,
+    /// Pictures that the pose stage is done with.
+    used: Receiver<Frame>,
+    stop: Arc<AtomicBool>,
+    dropped: Arc<AtomicU64>,
+}
+
+impl Capture {
+    fn run(mut self) {
+        while !self.stop.load(Ordering::Relaxed) {
+            for frame in self.used.try_iter() {
+                self.source.recycle(frame.image);
+            }
+            let Some(row) = self.source.next_row() else { return };
+            match &self.to_matcher {
+                RowSender::Blocking(sender) => {
+                    if sender.send(row).is_err() {
+                        return;
+                    }
+                }
+                RowSender::Latest(sender) => {
+                    self.dropped.fetch_add(sender.send(row) as u64, Ordering::Relaxed);
+                }
+            }
+        }
+    }
+}
+
+fn match_rows(mut matcher: Matcher, rows: &Receiver<Row>, to_pose: &Sender<(Row, Sighting)>) {
+    for row in rows {
+        let sighting = sight(&mut matcher, &row);
+        if to_pose.send((row, sighting)).is_err() {
+            return;
+        }
+    }
+}
+
+fn publish(
+    mut poses: PoseRecorder,
+    sightings: &Receiver<(Row, Sighting)>,
+    mut observers: Vec<Observer>,
+    mut subscribers: Vec<Subscriber>,
+    recycled: &Sender<Frame>,
+) {
+    for (row, sighting) in sightings {
+        let sample = poses.sample(&sighting, row.decode.as_secs_f64() * 1e3);
+        for observer in &mut observers {
+            observer(&row, &sample);
+        }
+        subscribers.retain(|s| match s {
+            Subscriber::Blocking(sender) => sender.send(sample.clone()).is_ok(),
+            Subscriber::Latest(sender) => {
+                sender.send(sample.clone());
+                true
+            }
+        });
+        if let RowContent::Frame(frame) = row.content {
+            // Nobody takes it back when the capture stage has ended.
+            let _ = recycled.send(frame);
+        }
+    }
+}

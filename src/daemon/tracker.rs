@@ -1,0 +1,142 @@
+//! The tracker without threads: matcher and pose stage, one call a frame.
+
+use std::time::Instant;
+
+use image::GrayImage;
+
+use crate::camera::CameraModel;
+use crate::capture::{Row, RowContent};
+use crate::frame::Frame;
+use crate::pose::{BodyEstimate, PoseEstimate, PoseStage};
+use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
+use crate::track::{BodySpec, LockState, Matcher, Sighting, TrackerSettings};
+
+/// Everything a tracker is made from.
+#[derive(Debug, Clone)]
+pub struct TrackerSetup {
+    /// The camera, at the size of the frames to come.
+    pub camera: CameraModel,
+    /// Exposure in seconds; 0 = unknown.
+    pub exposure_s: f64,
+    /// First row to last in seconds; 0 = global shutter or unknown.
+    pub readout_s: f64,
+    /// Pixels to leave out (0); the frames' size.
+    pub mask: Option<GrayImage>,
+    /// The stage.
+    pub stage: BodySpec,
+    /// Tracked objects.
+    pub objects: Vec<BodySpec>,
+    /// Tunables.
+    pub settings: TrackerSettings,
+}
+
+/// Tracks frame by frame in the calling thread (plus its workers inside a frame).
+///
+/// ```no_run
+/// # fn example(setup: stagepose::TrackerSetup, frames: Vec<stagepose::frame::Frame>) {
+/// let mut tracker = stagepose::Tracker::new(setup);
+/// for frame in &frames {
+///     let sample = tracker.track(frame);
+///     println!("{}", sample.to_json_line());
+/// }
+/// # }
+/// ```
+pub struct Tracker {
+    pub(super) matcher: Matcher,
+    pub(super) poses: PoseRecorder,
+}
+
+/// The pose stage with the names that records carry.
+pub(super) struct PoseRecorder {
+    stage: PoseStage,
+    names: Vec<String>,
+}
+
+impl Tracker {
+    /// Prepares the reference pictures; takes a fraction of a second per surface.
+    pub fn new(setup: TrackerSetup) -> Self {
+        let names = setup.objects.iter().map(|o| o.name.clone()).collect();
+        let matcher = Matcher::new(setup.camera, setup.mask, &setup.stage, &setup.objects, setup.settings);
+        Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names } }
+    }
+
+    /// Tracks one frame. Frames must come in the order of their stamps.
+    pub fn track(&mut self, frame: &Frame) -> PoseSample {
+        let sighting = self.matcher.look(frame);
+        self.poses.sample(&sighting, 0.0)
+    }
+
+    /// Tracks one row of a clip, whatever it holds: every row gets its sample.
+    pub fn track_row(&mut self, row: &Row) -> PoseSample {
+        let sighting = sight(&mut self.matcher, row);
+        self.poses.sample(&sighting, row.decode.as_secs_f64() * 1e3)
+    }
+}
+
+/// What the matcher makes of a row.
+pub(super) fn sight(matcher: &mut Matcher, row: &Row) -> Sighting {
+    match &row.content {
+        RowContent::Frame(frame) => matcher.look(frame),
+        RowContent::Undecodable(_) => matcher.look_away(row.sequence, row.timestamp_ns),
+        RowContent::Skipped(_) => matcher.look_past(row.sequence, row.timestamp_ns),
+    }
+}
+
+impl PoseRecorder {
+    /// The sample of a sighting.
+    pub(super) fn sample(&mut self, sighting: &Sighting, decode_ms: f64) -> PoseSample {
+        let _span = tracing::debug_span!("pose", sequence = sighting.sequence).entered();
+        let start = Instant::now();
+        let PoseEstimate { camera, objects } = self.stage.estimate(sighting);
+        let measurement = measurement(sighting, &camera);
+        let objects = self.names.iter().zip(objects).map(|(name, o)| object_sample(name, o)).collect();
+        let pose_ms = start.elapsed().as_secs_f64() * 1e3;
+        PoseSample {
+            sequence: sighting.sequence,
+            timestamp_ns: sighting.timestamp_ns,
+            state: published(camera.state),
+            pose: camera.pose,
+            measurement,
+            objects,
+            times: StageTimes { decode_ms, acquire_ms: sighting.acquire_ms, align_ms: sighting.align_ms, pose_ms },
+        }
+    }
+}
+
+fn published(state: LockState) -> State {
+    match state {
+        LockState::Searching => State::Searching,
+        LockState::Tracking => State::Tracking,
+        LockState::Coasting => State::Coasting,
+        LockState::Lost => State::Lost,
+    }
+}
+
+fn measurement(sighting: &Sighting, camera: &BodyEstimate<crate::geometry::Camera>) -> Option<Measurement> {
+    let (pose, covariance) = camera.measured?;
+    let verified = sighting.stage.verified.as_ref()?;
+    let two_view = sighting.two_view.as_ref()?;
+    let essential = two_view.essential.map(|(motion, inliers)| EssentialMotion {
+        rotation: motion.rotation,
+        translation_direction: motion.direction,
+        inliers,
+    });
+    Some(Measurement {
+        pose,
+        covariance,
+        model: if two_view.has_depth { TwoViewModel::Essential } else { TwoViewModel::Homography },
+        homography: two_view.homography,
+        essential,
+        inliers: verified.anchors.len(),
+        rms_px: verified.rms_px,
+    })
+}
+
+fn object_sample(name: &str, estimate: BodyEstimate<crate::geometry::Body>) -> ObjectSample {
+    ObjectSample {
+        name: name.to_owned(),
+        state: published(estimate.state),
+        pose: estimate.pose,
+        covariance: estimate.measured.map(|(_, covariance)| covariance),
+    }
+}

@@ -1,0 +1,101 @@
+//! Covariances carried from the solver's perturbation to the one that the record defines.
+//!
+//! The solver perturbs `T_camera_body` from the left, in camera axes: T <- (Exp φ, τ) T. The record wants, for
+//! a pose (R, p), the covariance of [δp, δθ] with p_true = p + δp and R_true = Exp(δθ) R, both in stage axes.
+
+use nalgebra::{Matrix3, Matrix6};
+
+use crate::geometry::{Body, Camera, Pose, Stage, skew};
+
+/// Covariance of the camera's pose in the stage: [δp, δθ] in stage axes.
+///
+/// With T_stage_camera = T⁻¹: R' = Rᵀ, p = -Rᵀ t. A left perturbation (φ, τ) of T gives R'_true = Rᵀ Exp(-φ) =
+/// Exp(-Rᵀφ) R', and p_true = -Rᵀ Exp(-φ) (Exp(φ) t + τ) = p - Rᵀ τ to first order.
+pub fn covariance_of_camera(t_camera_stage: &Pose<Camera, Stage>, covariance: &Matrix6<f64>) -> Matrix6<f64> {
+    let rt = t_camera_stage.rotation_matrix().transpose();
+    let mut g = Matrix6::zeros();
+    g.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-rt));
+    g.fixed_view_mut::<3, 3>(3, 3).copy_from(&(-rt));
+    symmetric(g * covariance * g.transpose())
+}
+
+/// Covariance of an object's pose in the stage: its own measurement and the camera's, which the same frame measured apart.
+///
+/// T_stage_object = T_stage_camera T_camera_object. With camera perturbation (δp, δθ) in stage axes and the object's (φ, τ) in
+/// camera axes: δθ_o = δθ + R φ; δp_o = δp + δθ x (p_o - p) + R (τ + φ x t).
+pub fn covariance_of_object(
+    t_stage_camera: &Pose<Stage, Camera>,
+    camera_covariance: &Matrix6<f64>,
+    t_camera_object: &Pose<Camera, Body>,
+    object_covariance: &Matrix6<f64>,
+) -> Matrix6<f64> {
+    let r = t_stage_camera.rotation_matrix();
+    let arm = r * t_camera_object.translation;
+    let mut by_camera = Matrix6::identity();
+    by_camera.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-skew(&arm)));
+    let mut by_object: Matrix6<f64> = Matrix6::zeros();
+    let turn: Matrix3<f64> = -r * skew(&t_camera_object.translation);
+    by_object.fixed_view_mut::<3, 3>(0, 0).copy_from(&r);
+    by_object.fixed_view_mut::<3, 3>(0, 3).copy_from(&turn);
+    by_object.fixed_view_mut::<3, 3>(3, 3).copy_from(&r);
+    symmetric(by_camera * camera_covariance * by_camera.transpose() + by_object * object_covariance * by_object.transpose())
+}
+
+/// Rounding must not leave a matrix that is not its own transpose.
+fn symmetric(m: Matrix6<f64>) -> Matrix6<f64> {
+    (m + m.transpose()) * 0.5
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::resection::perturbed;
+    use nalgebra::{UnitQuaternion, Vector3, Vector6};
+
+    fn difference<A, B>(truth: &Pose<A, B>, estimate: &Pose<A, B>) -> Vector6<f64> {
+        let p = truth.translation - estimate.translation;
+        let r = (truth.rotation * estimate.rotation.inverse()).scaled_axis();
+        Vector6::new(p.x, p.y, p.z, r.x, r.y, r.z)
+    }
+
+    fn poses() -> (Pose<Camera, Body>, Pose<Camera, Body>) {
+        let stage = Pose::new(UnitQuaternion::from_euler_angles(1.8, 0.3, -0.2), Vector3::new(0.4, 0.2, 4.0));
+        let object = Pose::new(UnitQuaternion::from_euler_angles(0.3, -0.9, 1.2), Vector3::new(-0.5, 0.3, 2.5));
+        (stage, object)
+    }
+
+    /// Σ step stepᵀ over the six unit steps must come out as the covariance of the identity.
+    #[test]
+    fn camera_covariance_agrees_with_differences() {
+        let (t, _) = poses();
+        let mut sum = Matrix6::zeros();
+        for k in 0..6 {
+            let mut step = Vector6::zeros();
+            step[k] = 1e-6;
+            let moved: Pose<Stage, Camera> = perturbed(&t, &step).inverse().renamed();
+            let d = difference(&moved, &t.inverse().renamed()) / 1e-6;
+            sum += d * d.transpose();
+        }
+        let computed = covariance_of_camera(&t.renamed(), &Matrix6::identity());
+        // The solver's step turns the translation too, so its unit covariance is that of (τ, φ) exactly.
+        assert!((computed - sum).norm() < 1e-4, "{computed} {sum}");
+    }
+
+    #[test]
+    fn object_covariance_agrees_with_differences() {
+        let (stage, object) = poses();
+        let t_stage_camera: Pose<Stage, Camera> = stage.inverse().renamed();
+        let mut sum = Matrix6::zeros();
+        for k in 0..6 {
+            let mut step = Vector6::zeros();
+            step[k] = 1e-6;
+            let by_object = difference(&(t_stage_camera * perturbed(&object, &step)), &(t_stage_camera * object)) / 1e-6;
+            let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
+            let moved = Pose::new(turn * t_stage_camera.rotation, t_stage_camera.translation + Vector3::new(step[0], step[1], step[2]));
+            let by_camera = difference(&(moved * object), &(t_stage_camera * object)) / 1e-6;
+            sum += by_object * by_object.transpose() + by_camera * by_camera.transpose();
+        }
+        let computed = covariance_of_object(&t_stage_camera, &Matrix6::identity(), &object, &Matrix6::identity());
+        assert!((computed - sum).norm() < 1e-3, "{computed} {sum}");
+    }
+}

@@ -1,0 +1,84 @@
+//! Prediction while coasting: the last two measured poses, carried on at constant velocity.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use crate::geometry::Pose;
+
+/// The last measurement and the velocity that led to it.
+#[derive(Debug, Clone)]
+pub struct MotionHistory<To, From> {
+    last: Option<(i64, Pose<To, From>)>,
+    /// Metres per second in `To`.
+    velocity: Vector3<f64>,
+    /// Radians per second in the axes of `To`.
+    turn_rate: Vector3<f64>,
+}
+
+/// Measurements further apart than this say nothing about velocity, seconds.
+const LONGEST_STEP_S: f64 = 0.1;
+/// The velocity fades with this time constant, seconds: a camera that vanished is more likely to stop than to go on.
+const FADE_S: f64 = 0.2;
+
+impl<To, From> Default for MotionHistory<To, From> {
+    fn default() -> Self {
+        Self { last: None, velocity: Vector3::zeros(), turn_rate: Vector3::zeros() }
+    }
+}
+
+impl<To, From> MotionHistory<To, From> {
+    /// Takes a measured pose.
+    pub fn measured(&mut self, timestamp_ns: i64, pose: &Pose<To, From>) {
+        (self.velocity, self.turn_rate) = (Vector3::zeros(), Vector3::zeros());
+        if let Some((before_ns, before)) = &self.last {
+            let dt = timestamp_ns.saturating_sub(*before_ns) as f64 * 1e-9;
+            if dt > 1e-4 && dt <= LONGEST_STEP_S {
+                self.velocity = (pose.translation - before.translation) / dt;
+                self.turn_rate = (pose.rotation * before.rotation.inverse()).scaled_axis() / dt;
+            }
+        }
+        self.last = Some((timestamp_ns, *pose));
+    }
+
+    /// Forgets everything: what comes next is no continuation.
+    pub fn reset(&mut self) {
+        *self = Self::default();
+    }
+
+    /// The pose expected at a stamp.
+    pub fn predicted(&self, timestamp_ns: i64) -> Option<Pose<To, From>> {
+        let (last_ns, last) = self.last.as_ref()?;
+        let dt = timestamp_ns.saturating_sub(*last_ns) as f64 * 1e-9;
+        let path = FADE_S * (1.0 - (-dt / FADE_S).exp());
+        let turn = UnitQuaternion::from_scaled_axis(self.turn_rate * path);
+        let pose = Pose::new(turn * last.rotation, last.translation + self.velocity * path);
+        pose.is_finite().then_some(pose)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Camera, Stage};
+
+    #[test]
+    fn carries_on_at_first_and_comes_to_rest() {
+        let mut history = MotionHistory::<Stage, Camera>::default();
+        assert!(history.predicted(0).is_none());
+        let at = |x: f64| Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.0, x), Vector3::new(x, 0.0, 0.0));
+        history.measured(0, &at(0.0));
+        history.measured(20_000_000, &at(0.02));
+        let soon = history.predicted(30_000_000).expect("a history");
+        assert!((soon.translation.x - 0.03).abs() < 0.001 && (soon.rotation.angle() - 0.03).abs() < 0.001);
+        let late = history.predicted(5_000_000_000).expect("a history");
+        assert!((late.translation.x - 0.22).abs() < 0.01);
+    }
+
+    #[test]
+    fn a_long_gap_gives_no_velocity() {
+        let mut history = MotionHistory::<Stage, Camera>::default();
+        history.measured(0, &Pose::identity());
+        history.measured(1_000_000_000, &Pose::new(UnitQuaternion::identity(), Vector3::x()));
+        let next = history.predicted(1_050_000_000).expect("a history");
+        assert_eq!(next.translation, Vector3::x());
+    }
+}

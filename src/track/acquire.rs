@@ -1,0 +1,154 @@
+//! Acquisition: from descriptor matches of one frame, without any earlier knowledge, to candidate poses of a
+//! body.
+//!
+//! Every surface's matches vote for a homography; each homography allows two planar poses; each of those is
+//! refined over the matches of all surfaces of the body, with distortion. Both survive until the picture
+//! decides.
+
+use nalgebra::{Matrix2, Vector2};
+
+use super::reference::PreparedBody;
+use crate::camera::{CameraModel, Pixel};
+use crate::features::Feature;
+use crate::geometry::planar_pose::planar_poses;
+use crate::geometry::resection::{Observation, resect};
+use crate::geometry::robust::{RobustOptions, robust_homography};
+use crate::geometry::{Body, Camera, Homography, PointPair, Pose};
+use crate::matching::{Match, ReferenceFeature};
+
+/// A feature of the frame that was matched with a place on a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfaceMatch {
+    /// Surface index in its body.
+    pub surface: u32,
+    /// On the artwork, pixels.
+    pub artwork: Vector2<f64>,
+    /// In the frame, raw pixels.
+    pub pixel: Vector2<f64>,
+    /// In the frame, undistorted pixels of the same K.
+    pub undistorted: Vector2<f64>,
+    /// Frame pixels per pixel of the level it was found on.
+    pub scale: f64,
+}
+
+/// A pose that the matches speak for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// `T_camera_body`.
+    pub pose: Pose<Camera, Body>,
+    /// Matches within reach of it.
+    pub inliers: usize,
+    /// Robust cost over all matches; lower is better.
+    pub cost: f64,
+}
+
+/// Fewest inliers of a homography that is worth a look.
+const LEAST_INLIERS: usize = 8;
+/// Noise of a feature's position, pixels of the level it was found on.
+const FEATURE_NOISE_PX: f64 = 1.0;
+/// Samples of the robust homography at most.
+const SAMPLES: usize = 1500;
+
+/// Sorts matches to the surfaces of a body; `surfaces` is the range of index surfaces that the body owns. The order (best
+/// first) stays.
+pub fn surface_matches(
+    matches: &[Match],
+    frame: &[Feature],
+    reference: &[ReferenceFeature],
+    surfaces: std::ops::Range<u32>,
+    camera: &CameraModel,
+) -> Vec<SurfaceMatch> {
+    let of_body = |m: &Match| {
+        let r = &reference[m.reference as usize];
+        if !surfaces.contains(&r.surface) {
+            return None;
+        }
+        let f = &frame[m.frame as usize];
+        let normalized = camera.unproject(Pixel(f.position))?;
+        Some(SurfaceMatch {
+            surface: r.surface - surfaces.start,
+            artwork: r.position,
+            pixel: f.position,
+            undistorted: camera.undistorted_pixel(normalized),
+            scale: f.scale,
+        })
+    };
+    matches.iter().filter_map(of_body).collect()
+}
+
+/// Candidate poses of a body, best first, at most four.
+pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> Vec<Candidate> {
+    let observations: Vec<Observation> = matches.iter().map(|m| observation(body, m)).collect();
+    let mut found: Vec<Candidate> = Vec::new();
+    for surface in 0..body.surfaces.len() as u32 {
+        for start in surface_poses(body, surface, matches, camera, seed) {
+            let Some(refined) = resect(&start, camera, &observations, 15) else { continue };
+            let inliers = observations
+                .iter()
+                .filter(|o| crate::geometry::resection::squared_residual(&refined.pose, camera, o).is_some_and(|s| s < 16.0))
+                .count();
+            if inliers < LEAST_INLIERS {
+                continue;
+            }
+            let candidate = Candidate { pose: refined.pose, inliers, cost: truncated_cost(&refined.pose, camera, &observations) };
+            if !found.iter().any(|c| nearly_same(&c.pose, &candidate.pose)) {
+                found.push(candidate);
+            }
+        }
+    }
+    found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    found.truncate(4);
+    found
+}
+
+fn observation(body: &PreparedBody, m: &SurfaceMatch) -> Observation {
+    let information = Matrix2::identity() / (FEATURE_NOISE_PX * m.scale).powi(2);
+    Observation { point: body.surfaces[m.surface as usize].spec.body_point(m.artwork), pixel: m.pixel, information, group: 0 }
+}
+
+/// Sum of squared residuals in sigmas, each cut at 16.
+fn truncated_cost(pose: &Pose<Camera, Body>, camera: &CameraModel, observations: &[Observation]) -> f64 {
+    let squared = |o: &Observation| crate::geometry::resection::squared_residual(pose, camera, o).unwrap_or(f64::INFINITY);
+    observations.iter().map(|o| squared(o).min(16.0)).sum()
+}
+
+fn nearly_same(a: &Pose<Camera, Body>, b: &Pose<Camera, Body>) -> bool {
+    a.angle_to(b) < 0.01 && (a.translation - b.translation).norm() < 0.01 * a.translation.norm()
+}
+
+/// Both planar poses of the homography that most matches of a surface agree with.
+fn surface_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> Vec<Pose<Camera, Body>> {
+    let own: Vec<&SurfaceMatch> = matches.iter().filter(|m| m.surface == surface).collect();
+    if own.len() < LEAST_INLIERS {
+        return Vec::new();
+    }
+    let pairs: Vec<PointPair> = own.iter().map(|m| PointPair { from: m.artwork, to: m.undistorted }).collect();
+    let threshold = 4.0 * (f64::from(camera.width().max(camera.height())) / 1280.0).max(0.75);
+    let options = RobustOptions { threshold, max_samples: SAMPLES, confidence: 0.9999, seed };
+    let Some(found) = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= LEAST_INLIERS) else {
+        return Vec::new();
+    };
+    let spec = &body.surfaces[surface as usize].spec;
+    let metric: Vec<PointPair> = found
+        .inliers
+        .iter()
+        .map(|&k| PointPair { from: spec.metres_from_artwork(own[k].artwork), to: camera.from_undistorted_pixel(own[k].undistorted).0 })
+        .collect();
+    let Some(homography) = Homography::from_pairs(&metric, None) else { return Vec::new() };
+    planar_poses(&homography, &metric).into_iter().map(|p| p * spec.pose.inverse()).collect()
+}
+
+/// The pose of the same surface tilted the other way about the line of sight: where a wrong twin would lie.
+pub fn flipped(pose: &Pose<Camera, Body>, body: &PreparedBody, surface: u32) -> Pose<Camera, Body> {
+    let spec = &body.surfaces[surface as usize].spec;
+    let t_camera_surface = *pose * spec.pose;
+    let sight = t_camera_surface.translation.normalize();
+    let r = t_camera_surface.rotation_matrix();
+    let normal = r.column(2).into_owned();
+    // Mirror the normal across the line of sight, and turn the surface there by the shortest way.
+    let mirrored = 2.0 * sight.dot(&normal) * sight - normal;
+    let turn = nalgebra::UnitQuaternion::rotation_between(&normal, &mirrored).unwrap_or_else(nalgebra::UnitQuaternion::identity);
+    let flipped = Pose::<Camera, crate::geometry::SurfaceFrame>::new(turn * t_camera_surface.rotation, t_camera_surface.translation);
+    flipped * spec.pose.inverse()
+}
+

@@ -1,0 +1,166 @@
+//! The state of a body from frame to frame: searching, awaiting confirmation, tracking, coasting, lost.
+//!
+//! Decided by frame stamps alone, never by a clock, so that a replay gives what the show gave.
+
+use crate::geometry::{Body, Camera, Pose};
+
+/// What is known of a body after a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LockState {
+    /// Never confirmed yet.
+    #[default]
+    Searching,
+    /// Verified in this frame, and confirmed.
+    Tracking,
+    /// Not seen in this frame, but not long ago.
+    Coasting,
+    /// Was confirmed once, is not now.
+    Lost,
+}
+
+/// A verified pose that waits for others to agree with it.
+#[derive(Debug, Clone, Copy)]
+struct Pending {
+    pose: Pose<Camera, Body>,
+    timestamp_ns: i64,
+    agreeing: u32,
+}
+
+/// The state machine of one body.
+#[derive(Debug, Clone, Default)]
+pub struct Lock {
+    state: LockState,
+    found_before: bool,
+    last_tracked_ns: i64,
+    pending: Option<Pending>,
+}
+
+/// How fast a body may plausibly move between two frames that confirm each other: metres per second relative to its distance, and
+/// radians per second.
+const FASTEST_SHIFT_PER_S: f64 = 3.0;
+const FASTEST_TURN_PER_S: f64 = 12.0;
+/// Slack for measurement noise and jitter of stamps.
+const SLACK_SHIFT: f64 = 0.02;
+const SLACK_TURN: f64 = 0.02;
+/// Frames further apart than this do not confirm each other, seconds.
+const LONGEST_GAP_S: f64 = 0.5;
+
+impl Lock {
+    /// The state after the last frame.
+    pub fn state(&self) -> LockState {
+        self.state
+    }
+
+    /// Whether a pose in the next frame would continue a track.
+    pub fn is_continued(&self) -> bool {
+        matches!(self.state, LockState::Tracking | LockState::Coasting)
+    }
+
+    /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings.
+    pub fn update(&mut self, timestamp_ns: i64, verified: Option<&Pose<Camera, Body>>, coast_s: f64, confirm_frames: u32) -> LockState {
+        let continued = self.is_continued();
+        match verified {
+            Some(pose) => {
+                let agreeing = match &self.pending {
+                    Some(p) if agree(p, pose, timestamp_ns) => p.agreeing + 1,
+                    _ => 1,
+                };
+                self.pending = Some(Pending { pose: *pose, timestamp_ns, agreeing });
+                // While coasting, the last tracked pose is the pending one, so one agreeing frame is enough.
+                if agreeing >= confirm_frames {
+                    self.found_before = true;
+                    self.last_tracked_ns = timestamp_ns;
+                    self.state = LockState::Tracking;
+                    return self.state;
+                }
+            }
+            None => {
+                let stale = |p: &Pending| seconds(p.timestamp_ns, timestamp_ns) > LONGEST_GAP_S;
+                // A single verified frame must be followed by another at once; a track may skip frames while it coasts.
+                if self.pending.as_ref().is_some_and(|p| stale(p) || (!continued && p.agreeing < confirm_frames)) {
+                    self.pending = None;
+                }
+            }
+        }
+        let may_coast = continued && seconds(self.last_tracked_ns, timestamp_ns) <= coast_s;
+        self.state = match (may_coast, self.found_before) {
+            (true, _) => LockState::Coasting,
+            (false, true) => LockState::Lost,
+            (false, false) => LockState::Searching,
+        };
+        if self.state == LockState::Lost && verified.is_none() {
+            self.pending = None;
+        }
+        self.state
+    }
+}
+
+fn seconds(from_ns: i64, to_ns: i64) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 * 1e-9
+}
+
+/// Whether the body could have moved from the pending pose to this one in the time between.
+fn agree(pending: &Pending, pose: &Pose<Camera, Body>, timestamp_ns: i64) -> bool {
+    let dt = seconds(pending.timestamp_ns, timestamp_ns);
+    if !(0.0..=LONGEST_GAP_S).contains(&dt) {
+        return false;
+    }
+    let distance = pose.translation.norm().min(pending.pose.translation.norm());
+    // The centre of the camera, seen from the body: turning the camera on the spot must not count as a shift.
+    let shift = (pose.inverse().translation - pending.pose.inverse().translation).norm();
+    let turn = pose.angle_to(&pending.pose);
+    shift < (SLACK_SHIFT + FASTEST_SHIFT_PER_S * dt) * distance && turn < SLACK_TURN + FASTEST_TURN_PER_S * dt
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    const FRAME_NS: i64 = 33_333_333;
+
+    fn at(x: f64) -> Pose<Camera, Body> {
+        Pose::new(UnitQuaternion::from_euler_angles(3.0, 0.0, 0.0), Vector3::new(x, 0.0, 4.0))
+    }
+
+    fn run(seen: &[Option<f64>]) -> Vec<LockState> {
+        let mut lock = Lock::default();
+        seen.iter().enumerate().map(|(k, x)| lock.update(k as i64 * FRAME_NS, x.map(at).as_ref(), 0.1, 2)).collect()
+    }
+
+    #[test]
+    fn the_second_agreeing_frame_confirms() {
+        use LockState::{Searching, Tracking};
+        assert_eq!(run(&[None, Some(0.0), Some(0.01), Some(0.02)]), [Searching, Searching, Tracking, Tracking]);
+    }
+
+    #[test]
+    fn poses_that_disagree_never_confirm() {
+        assert!(run(&[Some(0.0), Some(2.0), Some(-1.0), Some(1.5)]).iter().all(|s| *s == LockState::Searching));
+    }
+
+    #[test]
+    fn an_isolated_find_is_forgotten() {
+        assert!(run(&[Some(0.0), None, Some(0.0), None]).iter().all(|s| *s == LockState::Searching));
+    }
+
+    #[test]
+    fn a_gap_coasts_then_is_lost_then_needs_confirmation() {
+        use LockState::{Coasting, Lost, Searching, Tracking};
+        let n = None;
+        let s = Some(0.0);
+        assert_eq!(run(&[s, s, n, n, n, n, s, s]), [Searching, Tracking, Coasting, Coasting, Coasting, Lost, Lost, Tracking]);
+    }
+
+    #[test]
+    fn one_frame_resumes_a_coasting_track() {
+        use LockState::{Coasting, Searching, Tracking};
+        assert_eq!(run(&[Some(0.0), Some(0.0), None, Some(0.0)]), [Searching, Tracking, Coasting, Tracking]);
+    }
+
+    #[test]
+    fn a_jump_while_tracking_is_not_given() {
+        use LockState::{Coasting, Searching, Tracking};
+        assert_eq!(run(&[Some(0.0), Some(0.0), Some(3.0), Some(0.0)])[..3], [Searching, Tracking, Coasting]);
+    }
+}

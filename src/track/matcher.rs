@@ -1,0 +1,242 @@
+//! The matcher: a frame in, a sighting of every body out.
+//!
+//! Features are found and matched once for all bodies; each body then has its candidate poses, of which the
+//! first that the picture verifies is taken; its lock decides what that means. The matcher owns all buffers
+//! of the hot path.
+
+use std::time::Instant;
+
+use image::GrayImage;
+use nalgebra::Vector2;
+use tracing::{debug, debug_span};
+
+use super::acquire::{candidates, surface_matches};
+use super::lock::{Lock, LockState};
+use super::reference::{PreparedBody, halve_into};
+use super::registration::SearchPicture;
+use super::settings::TrackerSettings;
+use super::surface::BodySpec;
+use super::two_view::{TwoView, two_view};
+use super::verify::{Pictures, Verified, VerifyBuffers, verify};
+use crate::camera::CameraModel;
+use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
+use crate::frame::Frame;
+use crate::matching::{Match, MatchBuffers, ReferenceIndex};
+
+/// What a frame showed of one body.
+#[derive(Debug, Clone)]
+pub struct BodySighting {
+    /// The lock's verdict.
+    pub state: LockState,
+    /// The verified pose; present while tracking.
+    pub verified: Option<Verified>,
+}
+
+/// What a frame showed.
+#[derive(Debug, Clone)]
+pub struct Sighting {
+    /// Row number.
+    pub sequence: u64,
+    /// Stamp of the frame, nanoseconds.
+    pub timestamp_ns: i64,
+    /// The stage itself.
+    pub stage: BodySighting,
+    /// Homography and essential matrix of the stage; present while tracking.
+    pub two_view: Option<TwoView>,
+    /// The objects, in the order of the config.
+    pub objects: Vec<BodySighting>,
+    /// Compute on finding candidates, milliseconds over all workers.
+    pub acquire_ms: f64,
+    /// Compute on registration and verification, milliseconds over all workers.
+    pub align_ms: f64,
+}
+
+struct TrackedBody {
+    body: PreparedBody,
+    /// Its surfaces' numbers in the reference index.
+    surfaces: std::ops::Range<u32>,
+    lock: Lock,
+}
+
+/// Finds all bodies in every frame, from scratch.
+pub struct Matcher {
+    camera: CameraModel,
+    settings: TrackerSettings,
+    mask: Option<GrayImage>,
+    /// The stage first, then the objects.
+    bodies: Vec<TrackedBody>,
+    index: ReferenceIndex,
+    workers: Workers,
+    extractor: FeatureExtractor,
+    features: Vec<Feature>,
+    matches: Vec<Match>,
+    match_buffers: MatchBuffers,
+    verify_buffers: VerifyBuffers,
+    half: GrayImage,
+}
+
+/// Lowe's ratio.
+const RATIO: f32 = 0.85;
+/// Reference features of all surfaces together, and of one at least.
+const REFERENCE_FEATURES: usize = 4000;
+const LEAST_REFERENCE_FEATURES: usize = 700;
+/// Artwork is looked at for features at no more than this many pixels across: no camera resolves more.
+const LARGEST_REFERENCE_PX: u32 = 2000;
+/// Candidates of a body that are put to the test per frame.
+const TRIED: usize = 3;
+
+impl Matcher {
+    /// Prepares the reference pictures; takes a fraction of a second per surface.
+    pub fn new(camera: CameraModel, mask: Option<GrayImage>, stage: &BodySpec, objects: &[BodySpec], settings: TrackerSettings) -> Self {
+        let workers = Workers::new(settings.threads);
+        let mut bodies = Vec::new();
+        let mut next = 0;
+        for spec in std::iter::once(stage).chain(objects) {
+            let body = PreparedBody::new(spec);
+            let surfaces = next..next + body.surfaces.len() as u32;
+            next = surfaces.end;
+            bodies.push(TrackedBody { body, surfaces, lock: Lock::default() });
+        }
+        let index = reference_index(&bodies, &workers);
+        workers.take_extra_ms();
+        Self {
+            camera,
+            settings,
+            mask,
+            bodies,
+            index,
+            workers,
+            extractor: FeatureExtractor::default(),
+            features: Vec::new(),
+            matches: Vec::new(),
+            match_buffers: MatchBuffers::default(),
+            verify_buffers: VerifyBuffers::default(),
+            half: GrayImage::default(),
+        }
+    }
+
+    /// Looks for every body in a frame. A frame of another size than the camera's shows nothing.
+    pub fn look(&mut self, frame: &Frame) -> Sighting {
+        let _span = debug_span!("match", sequence = frame.sequence).entered();
+        if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
+            return self.look_away(frame.sequence, frame.timestamp_ns);
+        }
+        let start = Instant::now();
+        {
+            let _span = debug_span!("detect").entered();
+            let options = ExtractorOptions { count: self.settings.features, ..Default::default() };
+            self.extractor.extract(&frame.image, self.mask.as_ref(), &options, &self.workers, &mut self.features);
+            self.index.match_features(&self.features, RATIO, &self.workers, &mut self.match_buffers, &mut self.matches);
+        }
+        let mut acquire_ms = start.elapsed().as_secs_f64() * 1e3 + self.workers.take_extra_ms();
+        let start = Instant::now();
+        halve_into(&frame.image, &mut self.half);
+        let mut align_ms = start.elapsed().as_secs_f64() * 1e3;
+        let mut sightings = Vec::with_capacity(self.bodies.len());
+        for k in 0..self.bodies.len() {
+            let verified = self.find(k, frame, &mut acquire_ms, &mut align_ms);
+            let pose = verified.as_ref().map(|v| &v.pose);
+            let state = self.bodies[k].lock.update(frame.timestamp_ns, pose, self.settings.coast_s, self.settings.confirm_frames);
+            let verified = verified.filter(|_| state == LockState::Tracking);
+            sightings.push(BodySighting { state, verified });
+        }
+        let start = Instant::now();
+        let two_view = sightings[0].verified.as_ref().map(|v| {
+            let _span = debug_span!("two_view").entered();
+            two_view(&self.bodies[0].body, v, &self.camera, self.settings.seed)
+        });
+        align_ms += start.elapsed().as_secs_f64() * 1e3;
+        let objects = sightings.split_off(1);
+        let stage = sightings.remove(0);
+        Sighting { sequence: frame.sequence, timestamp_ns: frame.timestamp_ns, stage, two_view, objects, acquire_ms, align_ms }
+    }
+
+    /// Time went on, but there was no picture.
+    pub fn look_away(&mut self, sequence: u64, timestamp_ns: i64) -> Sighting {
+        let (coast_s, confirm) = (self.settings.coast_s, self.settings.confirm_frames);
+        let mut states = self.bodies.iter_mut().map(|b| BodySighting { state: b.lock.update(timestamp_ns, None, coast_s, confirm), verified: None });
+        // There is always a stage.
+        let stage = states.next().unwrap_or(BodySighting { state: LockState::Searching, verified: None });
+        let objects = states.collect();
+        Sighting { sequence, timestamp_ns, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
+    }
+
+    /// A row that tells nothing of its time (a stamp out of order): nothing changes.
+    pub fn look_past(&self, sequence: u64, timestamp_ns: i64) -> Sighting {
+        let idle = |b: &TrackedBody| {
+            let state = if b.lock.state() == LockState::Searching { LockState::Searching } else { LockState::Lost };
+            BodySighting { state, verified: None }
+        };
+        let stage = idle(&self.bodies[0]);
+        let objects = self.bodies[1..].iter().map(idle).collect();
+        Sighting { sequence, timestamp_ns, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
+    }
+
+    /// The best verified pose of a body in this frame.
+    fn find(&mut self, k: usize, frame: &Frame, acquire_ms: &mut f64, align_ms: &mut f64) -> Option<Verified> {
+        let tracked = &self.bodies[k];
+        let start = Instant::now();
+        let found = {
+            let _span = debug_span!("acquire", body = %tracked.body.name).entered();
+            let own = surface_matches(&self.matches, &self.features, self.index.features(), tracked.surfaces.clone(), &self.camera);
+            let found = candidates(&tracked.body, &own, &self.camera, self.settings.seed);
+            debug!(matches = own.len(), candidates = found.len(), inliers = found.first().map_or(0, |c| c.inliers));
+            found
+        };
+        *acquire_ms += start.elapsed().as_secs_f64() * 1e3;
+        let start = Instant::now();
+        let _span = debug_span!("align", body = %tracked.body.name).entered();
+        let pictures = Pictures {
+            full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
+            half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
+        };
+        let continued = tracked.lock.is_continued();
+        let mut best: Option<Verified> = None;
+        for candidate in found.iter().take(TRIED) {
+            let outcome = verify(&tracked.body, &candidate.pose, &self.camera, &pictures, continued, &self.workers, &mut self.verify_buffers);
+            match outcome {
+                Ok(v) => {
+                    let better = best.as_ref().is_none_or(|b| v.anchors.len() > b.anchors.len());
+                    debug!(anchors = v.anchors.len(), share = v.share, rms_px = v.rms_px, "verified");
+                    // A clear success needs no rival.
+                    let clear = v.share > 0.6;
+                    if better {
+                        best = Some(v);
+                    }
+                    if clear {
+                        break;
+                    }
+                }
+                Err(refusal) => debug!(?refusal, "refused"),
+            }
+        }
+        *align_ms += start.elapsed().as_secs_f64() * 1e3 + self.workers.take_extra_ms();
+        best
+    }
+
+    /// The camera that frames are taken with.
+    pub fn camera(&self) -> &CameraModel {
+        &self.camera
+    }
+}
+
+/// Describes all surfaces, larger pictures at no more pixels than a camera resolves.
+fn reference_index(bodies: &[TrackedBody], workers: &Workers) -> ReferenceIndex {
+    let mut index = ReferenceIndex::default();
+    let mut extractor = FeatureExtractor::default();
+    let mut features = Vec::new();
+    let surfaces: usize = bodies.iter().map(|b| b.body.surfaces.len()).sum();
+    let count = (REFERENCE_FEATURES / surfaces.max(1)).max(LEAST_REFERENCE_FEATURES);
+    for tracked in bodies {
+        for (surface, number) in tracked.body.surfaces.iter().zip(tracked.surfaces.clone()) {
+            let fits = |k: &usize| surface.octaves[*k].image.width().max(surface.octaves[*k].image.height()) <= LARGEST_REFERENCE_PX;
+            let octave = (0..surface.octaves.len()).find(fits).unwrap_or(surface.octaves.len() - 1);
+            let options = ExtractorOptions { count, levels: 16, area_power: 0.35, ..Default::default() };
+            extractor.extract(&surface.octaves[octave].image, None, &options, workers, &mut features);
+            let scale = f64::from(1u32 << octave);
+            let half = Vector2::new(0.5, 0.5);
+            index.add(number, &features, |p| (p + half) * scale - half, scale);
+        }
+    }
+    index
+}

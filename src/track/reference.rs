@@ -1,0 +1,120 @@
+//! The reference pictures, prepared once at start: averaged copies of the artwork at every octave, and
+//! anchors on each - places with detail in two directions, spread over the picture - at which frames are
+//! registered to a fraction of a pixel.
+
+use image::GrayImage;
+use nalgebra::Vector2;
+
+use super::surface::{BodySpec, SurfaceSpec};
+use crate::features::{CornerBuffers, CornerOptions, detect_corners};
+
+/// A place on the artwork to register at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Anchor {
+    /// Artwork pixels (of the full picture).
+    pub position: Vector2<f64>,
+}
+
+/// One octave of the artwork.
+#[derive(Debug, Clone)]
+pub struct Octave {
+    /// The picture averaged over 2^k x 2^k pixels.
+    pub image: GrayImage,
+    /// Anchors whose detail is of this octave's size, strongest and best spread first.
+    pub anchors: Vec<Anchor>,
+}
+
+/// A surface with its octaves, full size first.
+#[derive(Debug, Clone)]
+pub struct PreparedSurface {
+    /// What was configured.
+    pub spec: SurfaceSpec,
+    /// Octave k is 2^k times smaller.
+    pub octaves: Vec<Octave>,
+}
+
+/// A body ready for tracking.
+#[derive(Debug, Clone)]
+pub struct PreparedBody {
+    /// Its name.
+    pub name: String,
+    /// Its surfaces.
+    pub surfaces: Vec<PreparedSurface>,
+}
+
+/// Anchors kept per octave.
+const ANCHORS: usize = 500;
+/// Octaves end when a side falls below this many pixels.
+const LEAST_SIDE: u32 = 24;
+
+impl PreparedBody {
+    /// Prepares every surface of a body.
+    pub fn new(spec: &BodySpec) -> Self {
+        let surfaces = spec.surfaces.iter().map(|s| PreparedSurface { spec: s.clone(), octaves: octaves(&s.artwork) }).collect();
+        Self { name: spec.name.clone(), surfaces }
+    }
+}
+
+fn octaves(artwork: &GrayImage) -> Vec<Octave> {
+    let mut all: Vec<Octave> = Vec::new();
+    let mut image = artwork.clone();
+    loop {
+        let scale = f64::from(1u32 << all.len());
+        let anchors = anchors_of(&image, scale);
+        let next = halved(&image);
+        all.push(Octave { image, anchors });
+        if next.width() < LEAST_SIDE || next.height() < LEAST_SIDE || all.len() > 12 {
+            return all;
+        }
+        image = next;
+    }
+}
+
+fn anchors_of(image: &GrayImage, scale: f64) -> Vec<Anchor> {
+    let options = CornerOptions { count: ANCHORS, threshold: 15, least_threshold: 5, border: 5, cell_px: (image.width().max(image.height()) / 16).max(8) };
+    let mut corners = Vec::new();
+    detect_corners(image, &options, |_, _| true, &mut CornerBuffers::default(), &mut corners);
+    let place = |x: u32, y: u32| Vector2::new((f64::from(x) + 0.5) * scale - 0.5, (f64::from(y) + 0.5) * scale - 0.5);
+    corners.iter().map(|c| Anchor { position: place(c.x, c.y) }).collect()
+}
+
+/// Means of 2x2 pixels; an odd last row or column is dropped, so that positions stay exact.
+pub fn halved(image: &GrayImage) -> GrayImage {
+    let mut out = GrayImage::default();
+    halve_into(image, &mut out);
+    out
+}
+
+/// [`halved`] into a buffer that is kept.
+pub fn halve_into(image: &GrayImage, out: &mut GrayImage) {
+    let (w, h) = (image.width() as usize / 2, image.height() as usize / 2);
+    let mut raw = std::mem::take(out).into_raw();
+    raw.resize(w * h, 0);
+    let source = image.as_raw();
+    let stride = image.width() as usize;
+    for y in 0..h {
+        let top = &source[2 * y * stride..][..2 * w];
+        let bottom = &source[(2 * y + 1) * stride..][..2 * w];
+        for ((out, t), b) in raw[y * w..(y + 1) * w].iter_mut().zip(top.chunks_exact(2)).zip(bottom.chunks_exact(2)) {
+            *out = ((u16::from(t[0]) + u16::from(t[1]) + u16::from(b[0]) + u16::from(b[1]) + 2) >> 2) as u8;
+        }
+    }
+    // The buffer was just made exactly this long.
+    *out = GrayImage::from_raw(w as u32, h as u32, raw).unwrap_or_default();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn octaves_keep_places() {
+        let art = GrayImage::from_fn(401, 301, |x, y| image::Luma([if (x / 16 + y / 16) % 2 == 0 { 200 } else { 50 }]));
+        let octaves = octaves(&art);
+        assert_eq!(octaves[1].image.dimensions(), (200, 150));
+        assert!(octaves.len() >= 4);
+        // A checker's crossings are its anchors, on the octave where the detector sees them.
+        let mean: u32 = octaves[1].image.iter().map(|v| u32::from(*v)).sum::<u32>() / 30_000;
+        assert!((115..=135).contains(&mean));
+    }
+}

@@ -1,0 +1,361 @@
+//! Registration: where in the frame, to a fraction of a pixel, each anchor of the reference really is.
+//!
+//! From a pose that is right to a few pixels, a small patch of the artwork around every visible anchor is
+//! drawn as the camera should see it, and slid over the frame until it fits (Lucas-Kanade in Baker & Matthews'
+//! inverse compositional form, with a free gain and bias per patch). Each patch brings its own uncertainty,
+//! from its gradients and from how well it fits. How many fit is what the pose is verified by.
+
+use image::GrayImage;
+use nalgebra::{Matrix2, Matrix4, Point3, Vector2, Vector4};
+
+use super::reference::{Octave, PreparedBody, PreparedSurface};
+use crate::camera::{CameraModel, Normalized, Pixel};
+use crate::features::Workers;
+use crate::geometry::resection::Observation;
+use crate::geometry::{Body, Camera, Pose};
+
+/// Half side of a patch in pixels of the picture searched.
+const HALF: i32 = 6;
+const SIDE: usize = 2 * HALF as usize + 1;
+const AREA: usize = SIDE * SIDE;
+/// Gradient needs one more pixel around.
+const WIDE: usize = SIDE + 2;
+/// Least standard deviation of a drawn patch, grey levels, for it to be asked at all.
+const LEAST_CONTRAST: f32 = 4.0;
+/// Least correlation of a fitting patch.
+const LEAST_CORRELATION: f32 = 0.75;
+/// Error of the model of a patch that more light does not average away, pixels of the picture searched.
+const MODEL_ERROR_PX: f64 = 0.04;
+/// Grey noise never assumed below this.
+const LEAST_NOISE: f32 = 1.5;
+
+/// What became of an anchor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Registered {
+    /// Index of the surface in its body.
+    pub surface: u32,
+    /// Where the anchor is on the artwork, full-size pixels.
+    pub artwork: Vector2<f64>,
+    /// Where the pose put it, raw frame pixels.
+    pub predicted: Vector2<f64>,
+    /// Where it was seen, if the patch fitted.
+    pub observation: Option<Observation>,
+    /// Correlation of the patch at its best place.
+    pub correlation: f32,
+}
+
+/// A picture that patches are searched in: the frame, or its half-size copy.
+#[derive(Debug, Clone, Copy)]
+pub struct SearchPicture<'a> {
+    /// Grey levels.
+    pub image: &'a GrayImage,
+    /// Frame pixels per pixel of it: 1 or 2.
+    pub scale: f64,
+    /// Pixels to leave out (0), in full frame size.
+    pub mask: Option<&'a GrayImage>,
+}
+
+/// A patch to be searched for.
+#[derive(Debug, Clone, Copy)]
+pub struct Target {
+    surface: u32,
+    octave: u32,
+    artwork: Vector2<f64>,
+    point: Point3<f64>,
+    predicted: Vector2<f64>,
+    /// Artwork pixels by frame pixels.
+    artwork_by_frame: Matrix2<f64>,
+}
+
+/// Lists the anchors that the pose puts into the frame, facing the camera and not hidden by another surface of the body:
+/// at most `count`, shared among the surfaces by visible anchors.
+pub fn visible_targets(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel, picture: &SearchPicture, count: usize, targets: &mut Vec<Target>) {
+    targets.clear();
+    let mut starts = Vec::with_capacity(body.surfaces.len() + 1);
+    for (index, surface) in body.surfaces.iter().enumerate() {
+        starts.push(targets.len());
+        let Some(octave) = best_octave(surface, pose, camera, picture.scale) else { continue };
+        for anchor in &surface.octaves[octave].anchors {
+            let Some(mut target) = project_anchor(surface, pose, camera, anchor.position, picture) else { continue };
+            if hidden(body, index, pose, &target.point) {
+                continue;
+            }
+            target.surface = index as u32;
+            target.octave = octave as u32;
+            targets.push(target);
+        }
+    }
+    starts.push(targets.len());
+    thin(targets, &starts, count);
+}
+
+/// Keeps the first anchors of every surface, in proportion to what each shows (they come best spread first).
+fn thin(targets: &mut Vec<Target>, starts: &[usize], count: usize) {
+    let all = targets.len();
+    if all <= count {
+        return;
+    }
+    let keep: Vec<usize> = starts.windows(2).map(|w| ((w[1] - w[0]) * count).div_ceil(all)).collect();
+    let mut index = 0;
+    targets.retain(|t| {
+        let surface = t.surface as usize;
+        let rank = index - starts[surface];
+        index += 1;
+        rank < keep[surface]
+    });
+}
+
+/// The octave one of whose pixels is nearest in size to a pixel of the searched picture, at the part of the surface seen best.
+fn best_octave(surface: &PreparedSurface, pose: &Pose<Camera, Body>, camera: &CameraModel, scale: f64) -> Option<usize> {
+    let art = &surface.spec.artwork;
+    let (w, h) = (f64::from(art.width()), f64::from(art.height()));
+    let mut logs = Vec::with_capacity(25);
+    for i in 0..5 {
+        for k in 0..5 {
+            let p = Vector2::new((f64::from(i) + 0.5) / 5.0 * w, (f64::from(k) + 0.5) / 5.0 * h);
+            if let Some((pixel, j)) = frame_by_artwork(surface, pose, camera, p) {
+                let inside = pixel.x > 0.0 && pixel.y > 0.0 && pixel.x < f64::from(camera.width()) && pixel.y < f64::from(camera.height());
+                let determinant = j.determinant().abs();
+                if inside && determinant > 1e-12 {
+                    logs.push(-0.5 * determinant.log2() + scale.log2());
+                }
+            }
+        }
+    }
+    if logs.is_empty() {
+        return None;
+    }
+    logs.sort_by(f64::total_cmp);
+    let texels_log2 = logs[logs.len() / 2];
+    Some((texels_log2.round().max(0.0) as usize).min(surface.octaves.len() - 1))
+}
+
+/// The raw pixel of an artwork position and the derivative of the one by the other; `None` behind the camera, beyond the
+/// lens model, or seen from the back.
+fn frame_by_artwork(surface: &PreparedSurface, pose: &Pose<Camera, Body>, camera: &CameraModel, artwork: Vector2<f64>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+    let spec = &surface.spec;
+    let metres = spec.metres_from_artwork(artwork);
+    let t = *pose * spec.pose;
+    let r = t.rotation_matrix();
+    let c = r.column(0) * metres.x + r.column(1) * metres.y + t.translation;
+    // The face must look at the camera: its normal points against the ray.
+    if c.z < 1e-3 || r.column(2).dot(&c) >= -0.02 * c.norm() {
+        return None;
+    }
+    let n = Vector2::new(c.x / c.z, c.y / c.z);
+    if n.norm() > camera.valid_radius() {
+        return None;
+    }
+    let (Pixel(pixel), by_ray) = camera.project_with_jacobian(Normalized(n));
+    let (sx, sy) = (spec.size_m[0] / f64::from(spec.artwork.width()), -spec.size_m[1] / f64::from(spec.artwork.height()));
+    let column = |axis: usize, s: f64| {
+        let d = r.column(axis) * s;
+        Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z) / c.z
+    };
+    Some((pixel, by_ray * Matrix2::from_columns(&[column(0, sx), column(1, sy)])))
+}
+
+fn project_anchor(surface: &PreparedSurface, pose: &Pose<Camera, Body>, camera: &CameraModel, artwork: Vector2<f64>, picture: &SearchPicture) -> Option<Target> {
+    let (predicted, j) = frame_by_artwork(surface, pose, camera, artwork)?;
+    let margin = (f64::from(HALF) + 4.0) * picture.scale;
+    let (w, h) = (f64::from(camera.width()), f64::from(camera.height()));
+    if predicted.x < margin || predicted.y < margin || predicted.x > w - 1.0 - margin || predicted.y > h - 1.0 - margin {
+        return None;
+    }
+    let masked = |mask: &GrayImage| mask.get_pixel_checked(predicted.x as u32, predicted.y as u32).is_none_or(|p| p[0] == 0);
+    if picture.mask.is_some_and(masked) {
+        return None;
+    }
+    let artwork_by_frame = j.try_inverse()?;
+    Some(Target { surface: 0, octave: 0, artwork, point: surface.spec.body_point(artwork), predicted, artwork_by_frame })
+}
+
+/// Whether another surface of the body stands between the camera and the point.
+fn hidden(body: &PreparedBody, own: usize, pose: &Pose<Camera, Body>, point: &Point3<f64>) -> bool {
+    let centre = pose.inverse().translation;
+    body.surfaces.iter().enumerate().any(|(index, surface)| {
+        if index == own {
+            return false;
+        }
+        let to_surface = surface.spec.pose.inverse();
+        let from = to_surface.transform(&Point3::from(centre));
+        let to = to_surface.transform(point);
+        // The segment crosses the plane before it reaches the point.
+        let share = from.z / (from.z - to.z);
+        if !(0.0..0.999).contains(&share) {
+            return false;
+        }
+        let hit = from + (to - from) * share;
+        hit.x.abs() < 0.5 * surface.spec.size_m[0] && hit.y.abs() < 0.5 * surface.spec.size_m[1]
+    })
+}
+
+/// Searches every target in the picture.
+pub fn register(body: &PreparedBody, targets: &[Target], picture: &SearchPicture, workers: &Workers, registered: &mut Vec<Option<Registered>>) {
+    workers.map_into(targets, registered, |t| {
+        let octaves = &body.surfaces[t.surface as usize].octaves;
+        search(t, octaves, picture)
+    });
+}
+
+/// The patch as drawn from the artwork, and what its linear fit needs.
+struct Template {
+    value: [f32; AREA],
+    gx: [f32; AREA],
+    gy: [f32; AREA],
+    inverse: Matrix4<f64>,
+    /// Information of the position per unit of grey variance, gain and bias removed.
+    structure: Matrix2<f64>,
+}
+
+fn bilinear(image: &[u8], width: usize, height: usize, x: f32, y: f32) -> f32 {
+    let x = x.clamp(0.0, (width - 1) as f32 - 0.001);
+    let y = y.clamp(0.0, (height - 1) as f32 - 0.001);
+    let (i, j) = (x as usize, y as usize);
+    let (a, b) = (x - i as f32, y - j as f32);
+    let at = j * width + i;
+    let (top, bottom) = (&image[at..at + 2], &image[at + width..at + width + 2]);
+    let upper = f32::from(top[0]) * (1.0 - a) + f32::from(top[1]) * a;
+    let lower = f32::from(bottom[0]) * (1.0 - a) + f32::from(bottom[1]) * a;
+    upper * (1.0 - b) + lower * b
+}
+
+/// Draws the patch as the camera should see it: each pixel the mean of 2x2 looks at the octave whose pixels are half as wide.
+fn draw(target: &Target, octaves: &[Octave], scale: f64) -> Option<[f32; WIDE * WIDE]> {
+    let m = target.artwork_by_frame * scale;
+    let footprint = m.determinant().abs().sqrt();
+    let octave = ((0.5 * footprint).log2().round().max(0.0) as usize).min(octaves.len() - 1);
+    let image = &octaves[octave].image;
+    let (w, h) = (image.width() as usize, image.height() as usize);
+    let s = 1.0 / f64::from(1u32 << octave);
+    let centre = (target.artwork + Vector2::new(0.5, 0.5)) * s - Vector2::new(0.5, 0.5);
+    let m = m * s;
+    let reach = f64::from(HALF) + 1.5;
+    let (rx, ry) = (reach * (m[(0, 0)].abs() + m[(0, 1)].abs()), reach * (m[(1, 0)].abs() + m[(1, 1)].abs()));
+    if centre.x - rx < -0.5 || centre.y - ry < -0.5 || centre.x + rx > w as f64 - 0.5 || centre.y + ry > h as f64 - 0.5 {
+        return None;
+    }
+    let raw = image.as_raw();
+    let (cx, cy) = (centre.x as f32, centre.y as f32);
+    let m = m.cast::<f32>();
+    let mut out = [0.0; WIDE * WIDE];
+    for (v, row) in out.chunks_exact_mut(WIDE).enumerate() {
+        for (u, value) in row.iter_mut().enumerate() {
+            let (dx, dy) = (u as f32 - (HALF + 1) as f32, v as f32 - (HALF + 1) as f32);
+            let mut sum = 0.0;
+            for (ox, oy) in [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)] {
+                let (px, py) = (dx + ox, dy + oy);
+                sum += bilinear(raw, w, h, cx + m[(0, 0)] * px + m[(0, 1)] * py, cy + m[(1, 0)] * px + m[(1, 1)] * py);
+            }
+            *value = 0.25 * sum;
+        }
+    }
+    Some(out)
+}
+
+fn template(wide: &[f32; WIDE * WIDE]) -> Option<Template> {
+    let mut t = Template { value: [0.0; AREA], gx: [0.0; AREA], gy: [0.0; AREA], inverse: Matrix4::zeros(), structure: Matrix2::zeros() };
+    for v in 0..SIDE {
+        for u in 0..SIDE {
+            let at = (v + 1) * WIDE + u + 1;
+            let k = v * SIDE + u;
+            t.value[k] = wide[at];
+            t.gx[k] = 0.5 * (wide[at + 1] - wide[at - 1]);
+            t.gy[k] = 0.5 * (wide[at + WIDE] - wide[at - WIDE]);
+        }
+    }
+    // Around the mean, gain and bias decouple better.
+    let mean = t.value.iter().sum::<f32>() / AREA as f32;
+    t.value.iter_mut().for_each(|v| *v -= mean);
+    let mut normal = [0.0f32; 10];
+    for k in 0..AREA {
+        let row = [t.value[k], t.gx[k], t.gy[k], 1.0];
+        let mut n = 0;
+        for i in 0..4 {
+            for j in i..4 {
+                normal[n] += row[i] * row[j];
+                n += 1;
+            }
+        }
+    }
+    let n = normal.map(f64::from);
+    let full = Matrix4::new(n[0], n[1], n[2], n[3], n[1], n[4], n[5], n[6], n[2], n[5], n[7], n[8], n[3], n[6], n[8], n[9]);
+    if (n[0] / AREA as f64).sqrt() < f64::from(LEAST_CONTRAST) {
+        return None;
+    }
+    t.inverse = full.try_inverse()?;
+    t.structure = t.inverse.fixed_view::<2, 2>(1, 1).try_inverse()?;
+    Some(t)
+}
+
+/// One linear step: [gain, gain ex, gain ey, bias] that best turns the template into the frame at (x, y), the correlation and the
+/// residual variance.
+fn fit(t: &Template, image: &GrayImage, x: f64, y: f64) -> (Vector4<f64>, f32, f32) {
+    let (w, h) = (image.width() as usize, image.height() as usize);
+    let raw = image.as_raw();
+    let (i, j) = (x.floor() as i32 - HALF, y.floor() as i32 - HALF);
+    let (a, b) = ((x - x.floor()) as f32, (y - y.floor()) as f32);
+    let (i, j) = (i.clamp(0, w as i32 - SIDE as i32 - 1) as usize, j.clamp(0, h as i32 - SIDE as i32 - 1) as usize);
+    let (w00, w10, w01, w11) = ((1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b);
+    let (mut s, mut ss, mut st, mut sx, mut sy) = (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
+    for v in 0..SIDE {
+        let top: &[u8; SIDE + 1] = raw[(j + v) * w + i..][..SIDE + 1].try_into().unwrap_or(&[0; SIDE + 1]);
+        let bottom: &[u8; SIDE + 1] = raw[(j + v + 1) * w + i..][..SIDE + 1].try_into().unwrap_or(&[0; SIDE + 1]);
+        for u in 0..SIDE {
+            let f = w00 * f32::from(top[u]) + w10 * f32::from(top[u + 1]) + w01 * f32::from(bottom[u]) + w11 * f32::from(bottom[u + 1]);
+            let k = v * SIDE + u;
+            s += f;
+            ss += f * f;
+            st += f * t.value[k];
+            sx += f * t.gx[k];
+            sy += f * t.gy[k];
+        }
+    }
+    let right = Vector4::new(f64::from(st), f64::from(sx), f64::from(sy), f64::from(s));
+    let solution = t.inverse * right;
+    let n = AREA as f64;
+    let (s, ss) = (f64::from(s), f64::from(ss));
+    let explained = solution.dot(&right);
+    let total = (ss - s * s / n).max(1e-6);
+    let residual = (ss - explained).max(0.0) / (n - 4.0);
+    let correlation = (1.0 - residual * (n - 4.0) / total).max(0.0).sqrt() * solution[0].signum();
+    (solution, correlation as f32, residual as f32)
+}
+
+fn search(target: &Target, octaves: &[Octave], picture: &SearchPicture) -> Option<Registered> {
+    let scale = picture.scale;
+    let t = template(&draw(target, octaves, scale)?)?;
+    let start = (target.predicted + Vector2::new(0.5, 0.5)) / scale - Vector2::new(0.5, 0.5);
+    let (w, h) = (f64::from(picture.image.width()), f64::from(picture.image.height()));
+    let mut at = start;
+    let mut converged = false;
+    let (mut correlation, mut variance, mut gain) = (0.0, 0.0, 0.0);
+    for _ in 0..8 {
+        let (solution, c, v) = fit(&t, picture.image, at.x, at.y);
+        (correlation, variance, gain) = (c, v, solution[0]);
+        if gain.abs() < 1e-3 {
+            break;
+        }
+        // The frame at `at` shows the template's point e: the centre lies at at - e. Long steps are cut, the fit is local.
+        let e = Vector2::new(solution[1], solution[2]) / gain;
+        let e = e * (1.5 / e.norm()).min(1.0);
+        at -= e;
+        let margin = f64::from(HALF) + 1.0;
+        if (at - start).norm() > 5.0 || at.x < margin || at.y < margin || at.x > w - margin - 2.0 || at.y > h - margin - 2.0 {
+            break;
+        }
+        if e.norm() < 0.01 {
+            converged = true;
+            break;
+        }
+    }
+    let fits = converged && correlation > LEAST_CORRELATION && gain > 0.02;
+    let observation = fits.then(|| {
+        let noise = f64::from(variance.max(LEAST_NOISE * LEAST_NOISE));
+        let covariance = t.structure.try_inverse().unwrap_or_default() * (noise / (gain * gain)) + Matrix2::identity() * MODEL_ERROR_PX.powi(2);
+        let information = covariance.try_inverse().unwrap_or_default() / (scale * scale);
+        let pixel = (at + Vector2::new(0.5, 0.5)) * scale - Vector2::new(0.5, 0.5);
+        Observation { point: target.point, pixel, information, group: 0 }
+    });
+    Some(Registered { surface: target.surface, artwork: target.artwork, predicted: target.predicted, observation, correlation })
+}

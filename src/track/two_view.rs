@@ -1,0 +1,153 @@
+//! What the record says of two views: the homography from the reference picture, the motion from the
+//! reference camera, and which of the two models explains the frame better (contract C3).
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use super::reference::PreparedBody;
+use super::surface::ReferenceKind;
+use super::verify::{FittedAnchor, Verified};
+use crate::camera::{CameraModel, Pixel};
+use crate::geometry::essential::{RayPair, TwoViewMotion, motion_by_cheirality, refine_motion, robust_essential, squared_sampson};
+use crate::geometry::triangulation::depths;
+use crate::geometry::{Body, Camera, Homography, PointPair, Pose, ReferenceCamera, SurfaceFrame};
+
+/// The two-view description of a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TwoView {
+    /// Reference pixels of the first surface to undistorted frame pixels, h33 = 1; from at least twelve correspondences.
+    pub homography: Option<Matrix3<f64>>,
+    /// Motion from the reference camera and the correspondences that agree with it.
+    pub essential: Option<(TwoViewMotion, usize)>,
+    /// Whether a scene with depth explains the correspondences better than one plane.
+    pub has_depth: bool,
+}
+
+/// Fewest correspondences of a homography that is written.
+const LEAST_FOR_HOMOGRAPHY: usize = 12;
+/// Baseline below which the essential matrix says nothing, as a share of the distance.
+const LEAST_BASELINE: f64 = 0.01;
+/// Five-point samples, and models kept for refinement.
+const SAMPLES: usize = 12;
+const KEPT: usize = 6;
+
+/// `T_body_reference`: where the reference camera stands (C3: the photograph's own camera, or a virtual pinhole on the first
+/// surface's axis, as far in front of its centre as it is wide).
+pub fn reference_camera(body: &PreparedBody) -> Pose<Body, ReferenceCamera> {
+    let spec = &body.surfaces[0].spec;
+    match &spec.kind {
+        ReferenceKind::Photograph { pose, .. } => spec.pose * pose.inverse(),
+        ReferenceKind::Artwork => {
+            // Looking against the surface's normal: x stays right, y and z turn over.
+            let turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+            spec.pose * Pose::<SurfaceFrame, ReferenceCamera>::new(turn, Vector3::new(0.0, 0.0, spec.size_m[0]))
+        }
+    }
+}
+
+/// Describes a verified frame.
+pub fn two_view(body: &PreparedBody, verified: &Verified, camera: &CameraModel, seed: u64) -> TwoView {
+    let t_body_reference = reference_camera(body);
+    let pairs = ray_pairs(body, &verified.anchors, &t_body_reference, camera);
+    let t_frame_reference = verified.pose * t_body_reference;
+    let distance = (verified.pose * body.surfaces[0].spec.pose).translation.norm();
+    let focal = 0.5 * (camera.intrinsics().fx + camera.intrinsics().fy);
+    let sigma = verified.rms_px.max(0.05) / focal;
+    let has_baseline = t_frame_reference.translation.norm() >= LEAST_BASELINE * distance;
+    let essential = has_baseline.then(|| estimate_motion(&pairs, &t_frame_reference, sigma, seed)).flatten();
+    TwoView {
+        homography: first_surface_homography(body, &verified.anchors, camera),
+        has_depth: essential.as_ref().is_some_and(|(motion, _)| depth_explains_better(&pairs, motion, sigma)),
+        essential,
+    }
+}
+
+fn ray_pairs(body: &PreparedBody, anchors: &[FittedAnchor], t_body_reference: &Pose<Body, ReferenceCamera>, camera: &CameraModel) -> Vec<RayPair> {
+    let to_reference = t_body_reference.inverse();
+    let pair = |a: &FittedAnchor| {
+        let point: Point3<f64> = body.surfaces[a.surface as usize].spec.body_point(a.artwork);
+        let seen = to_reference.transform(&point);
+        let second = camera.unproject(Pixel(a.observation.pixel))?.0;
+        (seen.z > 1e-3 * to_reference.translation.norm()).then(|| RayPair { first: seen.coords.xy() / seen.z, second })
+    };
+    anchors.iter().filter_map(pair).collect()
+}
+
+/// The free 8-parameter fit to the first surface's correspondences.
+fn first_surface_homography(body: &PreparedBody, anchors: &[FittedAnchor], camera: &CameraModel) -> Option<Matrix3<f64>> {
+    let pairs: Vec<PointPair> = anchors
+        .iter()
+        .filter(|a| a.surface == 0)
+        .filter_map(|a| {
+            let to = camera.undistorted_pixel(camera.unproject(Pixel(a.observation.pixel))?);
+            Some(PointPair { from: a.artwork, to })
+        })
+        .collect();
+    if pairs.len() < LEAST_FOR_HOMOGRAPHY {
+        return None;
+    }
+    let fit = Homography::from_pairs(&pairs, None)?.refined(&pairs, 0.2, 15)?;
+    match &body.surfaces[0].spec.kind {
+        ReferenceKind::Artwork => fit.with_unit_h33(),
+        ReferenceKind::Photograph { photo_from_artwork, .. } => Homography(fit.0 * photo_from_artwork.try_inverse()?).with_unit_h33(),
+    }
+}
+
+/// The motion from the correspondences: five-point samples and their refinement. A flat scene allows two motions; where both
+/// explain the pairs alike, the one nearer to the metric pose (whose plane is known) is the true one.
+fn estimate_motion(pairs: &[RayPair], metric: &Pose<Camera, ReferenceCamera>, sigma: f64, seed: u64) -> Option<(TwoViewMotion, usize)> {
+    if pairs.len() < 8 {
+        return None;
+    }
+    let threshold = 4.0 * sigma;
+    let known = TwoViewMotion { rotation: metric.rotation, direction: metric.translation.normalize() };
+    let mut starts: Vec<TwoViewMotion> = robust_essential(pairs, threshold, SAMPLES, KEPT, seed)
+        .iter()
+        .filter_map(|e| motion_by_cheirality(e, pairs))
+        .filter(|(_, in_front)| 2 * in_front > pairs.len())
+        .map(|(motion, _)| motion)
+        .collect();
+    starts.push(known);
+    let cost = |m: &TwoViewMotion| {
+        let e = m.essential();
+        pairs.iter().map(|p| (squared_sampson(&e, p) / (sigma * sigma)).min(16.0)).sum::<f64>()
+    };
+    let refined: Vec<(f64, TwoViewMotion)> = starts
+        .iter()
+        .map(|s| refine_motion(s, pairs, sigma, 12))
+        .map(|m| (cost(&m), m))
+        .collect();
+    let least = refined.iter().map(|(c, _)| *c).fold(f64::INFINITY, f64::min);
+    // Within the scatter of a chi-squared of this many pairs, two motions explain them alike.
+    let alike = least + 3.0 * (2.0 * pairs.len() as f64).sqrt();
+    let (_, best) = refined
+        .into_iter()
+        .filter(|(c, _)| *c <= alike)
+        .min_by(|(_, a), (_, b)| a.rotation.angle_to(&known.rotation).total_cmp(&b.rotation.angle_to(&known.rotation)))?;
+    let e = best.essential();
+    let agrees = |p: &&RayPair| squared_sampson(&e, p) < threshold * threshold && depths(&best, p).is_none_or(|(a, b)| a > 0.0 && b > 0.0);
+    Some((best, pairs.iter().filter(agrees).count()))
+}
+
+/// Torr's GRIC ("Geometric robust information criterion", 1998) of both models over all pairs; true when the essential
+/// matrix has the lower one.
+fn depth_explains_better(pairs: &[RayPair], motion: &TwoViewMotion, sigma: f64) -> bool {
+    let plane_pairs: Vec<PointPair> = pairs.iter().map(|p| PointPair { from: p.first, to: p.second }).collect();
+    let Some(plane) = Homography::from_pairs(&plane_pairs, None).and_then(|h| h.refined(&plane_pairs, sigma, 10)) else {
+        return true;
+    };
+    let e = motion.essential();
+    let plane_errors = plane_pairs.iter().map(|p| plane.squared_error(p));
+    let depth_errors = pairs.iter().map(|p| squared_sampson(&e, p));
+    gric(depth_errors, sigma, 3.0, 5.0) < gric(plane_errors, sigma, 2.0, 8.0)
+}
+
+/// GRIC for data of dimension 4: `d` is the dimension of the model's manifold, `k` its number of parameters.
+fn gric(squared_errors: impl Iterator<Item = f64>, sigma: f64, d: f64, k: f64) -> f64 {
+    let mut n = 0.0;
+    let mut sum = 0.0;
+    for e2 in squared_errors {
+        n += 1.0;
+        sum += (e2 / (sigma * sigma)).min(2.0 * (4.0 - d));
+    }
+    sum + 4.0_f64.ln() * d * n + (4.0_f64 * n).ln() * k
+}

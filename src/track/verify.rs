@@ -1,0 +1,208 @@
+//! Verification: a candidate pose is refined by registration, and then has to prove itself against the
+//! picture before it may be given.
+//!
+//! What it must show: enough anchors that fit, a large enough share of those that should fit, spread over
+//! the frame; a small enough uncertainty; and that the surface tilted the other way explains the same anchors
+//! clearly worse.
+
+use nalgebra::Matrix6;
+
+use super::acquire::flipped;
+use super::reference::PreparedBody;
+use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
+use crate::camera::CameraModel;
+use crate::features::Workers;
+use crate::geometry::resection::{Observation, Resection, resect, sandwich_covariance, squared_residual};
+use crate::geometry::{Body, Camera, Pose};
+
+/// Tiles across and down the frame that anchors are grouped by.
+const TILES: [u32; 2] = [8, 6];
+/// Anchors searched in the half-size and in the full frame.
+const COARSE_ANCHORS: usize = 120;
+const FINE_ANCHORS: usize = 300;
+/// Fewest anchors that must fit.
+const LEAST_FITTING: usize = 16;
+/// Fewest tiles that they must lie in.
+const LEAST_TILES: usize = 4;
+/// Least share of the anchors asked that must fit, for a pose without history, and for one that continues a track.
+const LEAST_SHARE_NEW: f64 = 0.35;
+const LEAST_SHARE_CONTINUED: f64 = 0.2;
+/// Largest residual, in pixels of a 1280-pixel-wide frame, of an anchor that counts as fitting.
+const LARGEST_RESIDUAL_PX: f64 = 1.5;
+/// Largest standard deviation of a pose that is given: of the direction in radians, and of the position as a share of the distance.
+const LARGEST_TURN: f64 = 0.1 * std::f64::consts::PI / 180.0;
+const LARGEST_SHIFT: f64 = 0.0035;
+/// By how much (chi-squared) the tilted twin must be worse.
+const LEAST_FLIP_MARGIN: f64 = 25.0;
+
+/// A pose that passed, with all that it rests on.
+#[derive(Debug, Clone)]
+pub struct Verified {
+    /// `T_camera_body`.
+    pub pose: Pose<Camera, Body>,
+    /// Of the left perturbation [δt, δθ] of `T_camera_body`, camera axes.
+    pub covariance: Matrix6<f64>,
+    /// The anchors that fit: (surface, artwork position, observation).
+    pub anchors: Vec<FittedAnchor>,
+    /// Share of the anchors asked that fit.
+    pub share: f64,
+    /// Root mean square residual of the fitting anchors, pixels.
+    pub rms_px: f64,
+}
+
+/// An anchor that fits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FittedAnchor {
+    /// Surface index in its body.
+    pub surface: u32,
+    /// On the artwork, pixels.
+    pub artwork: nalgebra::Vector2<f64>,
+    /// In the frame.
+    pub observation: Observation,
+}
+
+/// Why a candidate was not given.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Refusal {
+    /// Too few anchors in view or fitting.
+    TooFew(usize),
+    /// They lie in too few tiles.
+    Clustered(usize),
+    /// Too small a share of those asked.
+    Share(f64),
+    /// The pose is too uncertain.
+    Uncertain,
+    /// The tilted twin explains the picture nearly as well; the margin.
+    Ambiguous(f64),
+}
+
+/// The frame at both sizes, as verification needs it.
+#[derive(Debug, Clone, Copy)]
+pub struct Pictures<'a> {
+    /// Full size.
+    pub full: SearchPicture<'a>,
+    /// Half size.
+    pub half: SearchPicture<'a>,
+}
+
+/// Buffers of the verification.
+#[derive(Debug, Default)]
+pub struct VerifyBuffers {
+    targets: Vec<Target>,
+    registered: Vec<Option<Registered>>,
+    observations: Vec<Observation>,
+}
+
+/// Refines a candidate coarse to fine and judges it. `continued`: the pose continues a confirmed track.
+pub fn verify(
+    body: &PreparedBody,
+    start: &Pose<Camera, Body>,
+    camera: &CameraModel,
+    pictures: &Pictures,
+    continued: bool,
+    workers: &Workers,
+    buffers: &mut VerifyBuffers,
+) -> Result<Verified, Refusal> {
+    let coarse = registered_pose(body, start, camera, &pictures.half, COARSE_ANCHORS, workers, buffers)?;
+    let fine = registered_pose(body, &coarse.pose, camera, &pictures.full, FINE_ANCHORS, workers, buffers)?;
+    judge(body, &fine, camera, continued, buffers)
+}
+
+/// One round: predict, search, resect.
+fn registered_pose(
+    body: &PreparedBody,
+    start: &Pose<Camera, Body>,
+    camera: &CameraModel,
+    picture: &SearchPicture,
+    count: usize,
+    workers: &Workers,
+    buffers: &mut VerifyBuffers,
+) -> Result<Resection, Refusal> {
+    visible_targets(body, start, camera, picture, count, &mut buffers.targets);
+    register(body, &buffers.targets, picture, workers, &mut buffers.registered);
+    buffers.observations.clear();
+    for r in buffers.registered.iter().flatten() {
+        if let Some(o) = r.observation {
+            buffers.observations.push(Observation { group: tile(camera, &o), ..o });
+        }
+    }
+    let n = buffers.observations.len();
+    if n < 8 {
+        return Err(Refusal::TooFew(n));
+    }
+    resect(start, camera, &buffers.observations, 15).ok_or(Refusal::Uncertain)
+}
+
+fn tile(camera: &CameraModel, o: &Observation) -> u32 {
+    let index = |v: f64, size: u32, n: u32| ((v / f64::from(size) * f64::from(n)) as u32).min(n - 1);
+    index(o.pixel.y, camera.height(), TILES[1]) * TILES[0] + index(o.pixel.x, camera.width(), TILES[0])
+}
+
+fn judge(body: &PreparedBody, fine: &Resection, camera: &CameraModel, continued: bool, buffers: &VerifyBuffers) -> Result<Verified, Refusal> {
+    let limit = LARGEST_RESIDUAL_PX * (f64::from(camera.width().max(camera.height())) / 1280.0).max(0.5);
+    let mut anchors = Vec::with_capacity(buffers.observations.len());
+    let mut sum = 0.0;
+    let asked = buffers.registered.iter().flatten().count();
+    for r in buffers.registered.iter().flatten() {
+        let Some(o) = r.observation else { continue };
+        let unit = Observation { information: nalgebra::Matrix2::identity(), ..o };
+        let Some(squared_px) = squared_residual(&fine.pose, camera, &unit) else { continue };
+        let within_noise = squared_residual(&fine.pose, camera, &o).is_some_and(|s| s < (4.685 * fine.scale).powi(2));
+        if squared_px < limit * limit && within_noise {
+            sum += squared_px;
+            anchors.push(FittedAnchor { surface: r.surface, artwork: r.artwork, observation: Observation { group: tile(camera, &o), ..o } });
+        }
+    }
+    let share = anchors.len() as f64 / asked.max(1) as f64;
+    if anchors.len() < LEAST_FITTING {
+        return Err(Refusal::TooFew(anchors.len()));
+    }
+    let mut tiles: Vec<u32> = anchors.iter().map(|a| a.observation.group).collect();
+    tiles.sort_unstable();
+    tiles.dedup();
+    if tiles.len() < LEAST_TILES {
+        return Err(Refusal::Clustered(tiles.len()));
+    }
+    if share < if continued { LEAST_SHARE_CONTINUED } else { LEAST_SHARE_NEW } {
+        return Err(Refusal::Share(share));
+    }
+    let covariance = sandwich_covariance(fine, camera, &buffers.observations).ok_or(Refusal::Uncertain)?;
+    let distance = nearest_surface_distance(body, &fine.pose);
+    let shift = covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
+    let turn = covariance.fixed_view::<3, 3>(3, 3).trace().sqrt();
+    if shift > LARGEST_SHIFT * distance || turn > LARGEST_TURN {
+        return Err(Refusal::Uncertain);
+    }
+    let margin = flip_margin(body, fine, camera, &buffers.observations, &anchors);
+    if margin < LEAST_FLIP_MARGIN {
+        return Err(Refusal::Ambiguous(margin));
+    }
+    let rms_px = (sum / anchors.len() as f64).sqrt();
+    Ok(Verified { pose: fine.pose, covariance, anchors, share, rms_px })
+}
+
+/// Distance from the camera to the nearest surface centre, metres.
+fn nearest_surface_distance(body: &PreparedBody, pose: &Pose<Camera, Body>) -> f64 {
+    body.surfaces.iter().map(|s| (*pose * s.spec.pose).translation.norm()).fold(f64::INFINITY, f64::min)
+}
+
+/// How much worse (in robust chi-squared) the best pose near the tilted twin is.
+fn flip_margin(body: &PreparedBody, fine: &Resection, camera: &CameraModel, observations: &[Observation], anchors: &[FittedAnchor]) -> f64 {
+    let surface = most_frequent_surface(anchors, body.surfaces.len());
+    let twin = flipped(&fine.pose, body, surface);
+    let Some(other) = resect(&twin, camera, observations, 15) else { return f64::INFINITY };
+    if other.pose.angle_to(&fine.pose) < 0.5_f64.to_radians() {
+        // It fell back into the same minimum: there is no twin.
+        return f64::INFINITY;
+    }
+    let cost = |pose: &Pose<Camera, Body>| -> f64 {
+        let c2 = 22.0 * fine.scale.powi(2);
+        observations.iter().map(|o| squared_residual(pose, camera, o).unwrap_or(f64::INFINITY).min(c2)).sum::<f64>() / fine.scale.powi(2)
+    };
+    cost(&other.pose) - cost(&fine.pose)
+}
+
+fn most_frequent_surface(anchors: &[FittedAnchor], surfaces: usize) -> u32 {
+    let count = |s: usize| anchors.iter().filter(|a| a.surface as usize == s).count();
+    (0..surfaces).max_by_key(|&s| count(s)).unwrap_or(0) as u32
+}
