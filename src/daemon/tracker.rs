@@ -56,7 +56,7 @@ impl Tracker {
     /// Prepares the reference pictures; takes a fraction of a second per surface.
     pub fn new(setup: TrackerSetup) -> Self {
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
-        let matcher = Matcher::new(setup.camera, setup.mask, &setup.stage, &setup.objects, setup.settings);
+        let matcher = Matcher::new(setup.camera, setup.readout_s, setup.mask, &setup.stage, &setup.objects, setup.settings);
         Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names } }
     }
 

@@ -43,7 +43,13 @@ pub struct CornerBuffers {
 
 /// Finds at most `options.count` corners, strongest first within an even spread; `mask` (if any) tells by level position
 /// whether a pixel may be used.
-pub fn detect_corners(image: &GrayImage, options: &CornerOptions, mask: impl Fn(u32, u32) -> bool, buffers: &mut CornerBuffers, found: &mut Vec<Corner>) {
+pub fn detect_corners(
+    image: &GrayImage,
+    options: &CornerOptions,
+    mask: impl Fn(u32, u32) -> bool,
+    buffers: &mut CornerBuffers,
+    found: &mut Vec<Corner>,
+) {
     found.clear();
     let (w, h) = image.dimensions();
     let border = options.border.max(CIRCLE_RADIUS as u32 + 1);
@@ -171,7 +177,9 @@ mod tests {
     use super::*;
 
     fn squares() -> GrayImage {
-        GrayImage::from_fn(200, 160, |x, y| image::Luma([if (x / 20 + y / 20) % 2 == 0 && (x % 20 < 12) && (y % 20 < 12) { 200 } else { 40 }]))
+        GrayImage::from_fn(200, 160, |x, y| {
+            image::Luma([if (x / 20 + y / 20) % 2 == 0 && (x % 20 < 12) && (y % 20 < 12) { 200 } else { 40 }])
+        })
     }
 
     const OPTIONS: CornerOptions = CornerOptions { count: 1000, threshold: 20, least_threshold: 7, border: 8, cell_px: 32 };
@@ -189,7 +197,13 @@ mod tests {
     fn a_flat_picture_has_none_and_tiny_ones_do_not_panic() {
         let mut found = Vec::new();
         for (w, h) in [(1, 1), (5, 5), (16, 16), (17, 17), (64, 64)] {
-            detect_corners(&GrayImage::from_pixel(w, h, image::Luma([90])), &OPTIONS, |_, _| true, &mut CornerBuffers::default(), &mut found);
+            detect_corners(
+                &GrayImage::from_pixel(w, h, image::Luma([90])),
+                &OPTIONS,
+                |_, _| true,
+                &mut CornerBuffers::default(),
+                &mut found,
+            );
             assert!(found.is_empty());
         }
     }

@@ -65,7 +65,14 @@ pub struct FeatureExtractor {
 
 impl FeatureExtractor {
     /// Fills `features` with those of a picture; where `mask` (same size) is 0, none is taken.
-    pub fn extract(&mut self, picture: &GrayImage, mask: Option<&GrayImage>, options: &ExtractorOptions, workers: &Workers, features: &mut Vec<Feature>) {
+    pub fn extract(
+        &mut self,
+        picture: &GrayImage,
+        mask: Option<&GrayImage>,
+        options: &ExtractorOptions,
+        workers: &Workers,
+        features: &mut Vec<Feature>,
+    ) {
         let levels = self.pyramid.build(picture, options.factor, options.levels, 2 * BORDER + 8);
         self.work.resize_with(levels.len(), LevelWork::default);
         let share = |level: &Level| (level.scale[0] * level.scale[1]).powf(options.area_power);

@@ -6,8 +6,22 @@ pub const CIRCLE_RADIUS: usize = 3;
 
 /// The 16 circle pixels as (dx, dy), clockwise from the top.
 pub const CIRCLE: [(isize, isize); 16] = [
-    (0, -3), (1, -3), (2, -2), (3, -1), (3, 0), (3, 1), (2, 2), (1, 3),
-    (0, 3), (-1, 3), (-2, 2), (-3, 1), (-3, 0), (-3, -1), (-2, -2), (-1, -3),
+    (0, -3),
+    (1, -3),
+    (2, -2),
+    (3, -1),
+    (3, 0),
+    (3, 1),
+    (2, 2),
+    (1, 3),
+    (0, 3),
+    (-1, 3),
+    (-2, 2),
+    (-3, 1),
+    (-3, 0),
+    (-3, -1),
+    (-2, -2),
+    (-1, -3),
 ];
 
 /// Marks the pixels of one row that may be FAST-9 corners: at least two neighbouring compass points of the circle are all

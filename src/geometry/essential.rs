@@ -63,8 +63,26 @@ pub fn five_point(pairs: &[RayPair; 5]) -> Vec<Matrix3<f64>> {
 /// Index of the monomials of degree <= 3 in x, y, z, in the order that Nistér's elimination needs.
 fn monomial_index([x, y, z]: [usize; 3]) -> usize {
     const ORDER: [[usize; 3]; 20] = [
-        [3, 0, 0], [0, 3, 0], [2, 1, 0], [1, 2, 0], [2, 0, 1], [2, 0, 0], [0, 2, 1], [0, 2, 0], [1, 1, 1], [1, 1, 0],
-        [1, 0, 2], [1, 0, 1], [1, 0, 0], [0, 1, 2], [0, 1, 1], [0, 1, 0], [0, 0, 3], [0, 0, 2], [0, 0, 1], [0, 0, 0],
+        [3, 0, 0],
+        [0, 3, 0],
+        [2, 1, 0],
+        [1, 2, 0],
+        [2, 0, 1],
+        [2, 0, 0],
+        [0, 2, 1],
+        [0, 2, 0],
+        [1, 1, 1],
+        [1, 1, 0],
+        [1, 0, 2],
+        [1, 0, 1],
+        [1, 0, 0],
+        [0, 1, 2],
+        [0, 1, 1],
+        [0, 1, 0],
+        [0, 0, 3],
+        [0, 0, 2],
+        [0, 0, 1],
+        [0, 0, 0],
     ];
     // Every product of three linear forms is in the table.
     ORDER.iter().position(|m| *m == [x, y, z]).unwrap_or(19)
@@ -85,9 +103,8 @@ fn reduced_constraints(basis: &[Matrix3<f64>; 4]) -> Option<SMatrix<f64, 10, 10>
                 for r in 0..9 {
                     m[(r, column)] += cubic[(r / 3, r % 3)];
                 }
-                let determinant = Vector3::from(basis[i].row(0).transpose())
-                    .cross(&basis[j].row(1).transpose())
-                    .dot(&basis[k].row(2).transpose());
+                let determinant =
+                    Vector3::from(basis[i].row(0).transpose()).cross(&basis[j].row(1).transpose()).dot(&basis[k].row(2).transpose());
                 m[(9, column)] += determinant;
             }
         }
@@ -333,10 +350,7 @@ mod tests {
     use super::*;
 
     fn truth() -> TwoViewMotion {
-        TwoViewMotion {
-            rotation: UnitQuaternion::from_euler_angles(0.1, -0.3, 0.05),
-            direction: Vector3::new(0.8, 0.1, 0.3).normalize(),
-        }
+        TwoViewMotion { rotation: UnitQuaternion::from_euler_angles(0.1, -0.3, 0.05), direction: Vector3::new(0.8, 0.1, 0.3).normalize() }
     }
 
     fn scene(n: usize, noise: f64, flat: bool, seed: u64) -> Vec<RayPair> {

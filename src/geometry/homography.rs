@@ -202,7 +202,8 @@ mod tests {
         (0..n)
             .map(|_| {
                 let from = Vector2::new(rng.random_range(0.0..800.0), rng.random_range(0.0..600.0));
-                let to = truth().map(from).expect("in front") + noise * Vector2::new(rng.random_range(-1.7..1.7), rng.random_range(-1.7..1.7));
+                let to =
+                    truth().map(from).expect("in front") + noise * Vector2::new(rng.random_range(-1.7..1.7), rng.random_range(-1.7..1.7));
                 PointPair { from, to }
             })
             .collect()

@@ -22,8 +22,53 @@ pub struct Observation {
     pub pixel: Vector2<f64>,
     /// Inverse covariance of the pixel, 1/px².
     pub information: Matrix2<f64>,
+    /// When its row was exposed, seconds after the middle row (negative above it; 0 for a global shutter).
+    pub delay_s: f64,
     /// A number that groups correlated observations (a tile of the picture); for the covariance only.
     pub group: u32,
+}
+
+/// How a body moves in the camera: rate of the left perturbation [δt, δθ] of `T_camera_body`, per second, camera axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Twist(pub Vector6<f64>);
+
+impl Twist {
+    /// No motion.
+    pub fn still() -> Self {
+        Self(Vector6::zeros())
+    }
+
+    /// The motion that leads from one pose to another in `dt_s` seconds.
+    pub fn between(before: &Pose<Camera, Body>, after: &Pose<Camera, Body>, dt_s: f64) -> Self {
+        let turn = after.rotation * before.rotation.inverse();
+        let shift = after.translation - turn * before.translation;
+        let angle = turn.scaled_axis();
+        Self(Vector6::new(shift.x, shift.y, shift.z, angle.x, angle.y, angle.z) / dt_s)
+    }
+
+    /// A point in camera axes, `delay_s` later; to second order in the angle, which a readout keeps small.
+    fn carried(&self, c: Vector3<f64>, delay_s: f64) -> Vector3<f64> {
+        let shift = Vector3::new(self.0[0], self.0[1], self.0[2]) * delay_s;
+        let angle = Vector3::new(self.0[3], self.0[4], self.0[5]) * delay_s;
+        let first = angle.cross(&c);
+        c + shift + first + 0.5 * angle.cross(&first)
+    }
+}
+
+/// A camera in motion: how it projects, and how the body moved while its rows were read.
+#[derive(Debug, Clone, Copy)]
+pub struct MovingCamera<'a, P> {
+    /// The lens.
+    pub lens: &'a P,
+    /// The body's motion.
+    pub twist: Twist,
+}
+
+impl<'a, P> MovingCamera<'a, P> {
+    /// A camera that stands still, or whose rows are exposed all at once.
+    pub fn still(lens: &'a P) -> Self {
+        Self { lens, twist: Twist::still() }
+    }
 }
 
 /// A refined pose, and how sure it is.
@@ -43,12 +88,12 @@ pub struct Resection {
 const TUKEY: f64 = 4.685;
 
 /// Squared Mahalanobis residual of one observation; `None` behind the camera.
-pub fn squared_residual<P: Projection>(pose: &Pose<Camera, Body>, camera: &P, o: &Observation) -> Option<f64> {
-    let c = pose.transform(&o.point);
+pub fn squared_residual<P: Projection>(pose: &Pose<Camera, Body>, camera: &MovingCamera<P>, o: &Observation) -> Option<f64> {
+    let c = camera.twist.carried(pose.transform(&o.point).coords, o.delay_s);
     if c.z < 1e-6 {
         return None;
     }
-    let (pixel, _) = camera.pixel_and_jacobian(Vector2::new(c.x / c.z, c.y / c.z));
+    let (pixel, _) = camera.lens.pixel_and_jacobian(Vector2::new(c.x / c.z, c.y / c.z));
     let r = pixel - o.pixel;
     Some((r.transpose() * o.information * r).x)
 }
@@ -56,21 +101,21 @@ pub fn squared_residual<P: Projection>(pose: &Pose<Camera, Body>, camera: &P, o:
 /// The pixel residual and its 2x6 derivative by a left perturbation [δt, δθ]: T <- (Exp δθ, δt) T, in camera axes.
 pub fn residual_and_jacobian<P: Projection>(
     pose: &Pose<Camera, Body>,
-    camera: &P,
+    camera: &MovingCamera<P>,
     o: &Observation,
 ) -> Option<(Vector2<f64>, SMatrix<f64, 2, 6>)> {
-    let c = pose.transform(&o.point);
+    let c = camera.twist.carried(pose.transform(&o.point).coords, o.delay_s);
     if c.z < 1e-6 {
         return None;
     }
     let n = Vector2::new(c.x / c.z, c.y / c.z);
-    let (pixel, distortion) = camera.pixel_and_jacobian(n);
+    let (pixel, distortion) = camera.lens.pixel_and_jacobian(n);
     let iz = 1.0 / c.z;
     let by_point = distortion * SMatrix::<f64, 2, 3>::new(iz, 0.0, -n.x * iz, 0.0, iz, -n.y * iz);
     let mut j = SMatrix::<f64, 2, 6>::zeros();
     j.fixed_columns_mut::<3>(0).copy_from(&by_point);
     // d(Exp(δθ) c)/dδθ = -[c]x
-    j.fixed_columns_mut::<3>(3).copy_from(&(-by_point * skew(&c.coords)));
+    j.fixed_columns_mut::<3>(3).copy_from(&(-by_point * skew(&c)));
     Some((pixel - o.pixel, j))
 }
 
@@ -84,7 +129,12 @@ pub fn perturbed(pose: &Pose<Camera, Body>, step: &Vector6<f64>) -> Pose<Camera,
 ///
 /// The residual scale is re-estimated in every iteration from the median, never below 1 sigma; Tukey's biweight
 /// removes what lies beyond 4.7 of it.
-pub fn resect<P: Projection>(start: &Pose<Camera, Body>, camera: &P, observations: &[Observation], iterations: usize) -> Option<Resection> {
+pub fn resect<P: Projection>(
+    start: &Pose<Camera, Body>,
+    camera: &MovingCamera<P>,
+    observations: &[Observation],
+    iterations: usize,
+) -> Option<Resection> {
     if observations.len() < 4 {
         return None;
     }
@@ -126,7 +176,7 @@ pub fn tukey_weight(squared: f64, scale: f64) -> f64 {
     if u < 1.0 { (1.0 - u).powi(2) } else { 0.0 }
 }
 
-fn robust_cost<P: Projection>(pose: &Pose<Camera, Body>, camera: &P, observations: &[Observation], scale: f64) -> f64 {
+fn robust_cost<P: Projection>(pose: &Pose<Camera, Body>, camera: &MovingCamera<P>, observations: &[Observation], scale: f64) -> f64 {
     let c2 = (TUKEY * scale).powi(2);
     observations
         .iter()
@@ -138,7 +188,12 @@ fn robust_cost<P: Projection>(pose: &Pose<Camera, Body>, camera: &P, observation
 }
 
 /// Median of |r|, divided by what it is for two-dimensional Gaussian noise (sqrt(2 ln 2)); at least 1.
-fn residual_scale<P: Projection>(pose: &Pose<Camera, Body>, camera: &P, observations: &[Observation], squares: &mut Vec<f64>) -> Option<f64> {
+fn residual_scale<P: Projection>(
+    pose: &Pose<Camera, Body>,
+    camera: &MovingCamera<P>,
+    observations: &[Observation],
+    squares: &mut Vec<f64>,
+) -> Option<f64> {
     squares.clear();
     squares.extend(observations.iter().filter_map(|o| squared_residual(pose, camera, o)));
     if squares.len() < 4 {
@@ -151,7 +206,7 @@ fn residual_scale<P: Projection>(pose: &Pose<Camera, Body>, camera: &P, observat
 
 fn normal_equations<P: Projection>(
     pose: &Pose<Camera, Body>,
-    camera: &P,
+    camera: &MovingCamera<P>,
     observations: &[Observation],
     scale: f64,
 ) -> (Matrix6<f64>, Vector6<f64>) {
@@ -174,7 +229,11 @@ fn normal_equations<P: Projection>(
 /// one group share (White's sandwich over groups), whichever direction has more of it.
 ///
 /// `None` when the observations leave a direction free.
-pub fn sandwich_covariance<P: Projection>(resection: &Resection, camera: &P, observations: &[Observation]) -> Option<Matrix6<f64>> {
+pub fn sandwich_covariance<P: Projection>(
+    resection: &Resection,
+    camera: &MovingCamera<P>,
+    observations: &[Observation],
+) -> Option<Matrix6<f64>> {
     let bread = resection.normal.cholesky()?.inverse();
     let mut groups: Vec<(u32, Vector6<f64>)> = Vec::new();
     for o in observations {
@@ -238,7 +297,7 @@ mod tests {
                     pixel += Vector2::new(50.0, 20.0);
                 }
                 let information = Matrix2::identity() / noise.max(0.1).powi(2);
-                Observation { point, pixel, information, group: k as u32 }
+                Observation { point, pixel, information, delay_s: 0.0, group: k as u32 }
             })
             .collect()
     }
@@ -246,21 +305,53 @@ mod tests {
     #[test]
     fn jacobian_agrees_with_differences() {
         let o = scene(0.3, 0, 1)[7];
-        let (_, j) = residual_and_jacobian(&truth(), &Pinhole, &o).expect("in front");
+        let (_, j) = residual_and_jacobian(&truth(), &MovingCamera::still(&Pinhole), &o).expect("in front");
         for k in 0..6 {
             let mut step = Vector6::zeros();
             step[k] = 1e-6;
-            let (plus, _) = residual_and_jacobian(&perturbed(&truth(), &step), &Pinhole, &o).expect("in front");
-            let (minus, _) = residual_and_jacobian(&perturbed(&truth(), &-step), &Pinhole, &o).expect("in front");
+            let (plus, _) = residual_and_jacobian(&perturbed(&truth(), &step), &MovingCamera::still(&Pinhole), &o).expect("in front");
+            let (minus, _) = residual_and_jacobian(&perturbed(&truth(), &-step), &MovingCamera::still(&Pinhole), &o).expect("in front");
             let difference = (plus - minus) / 2e-6;
             assert!((difference - j.column(k)).norm() < 1e-4 * (1.0 + difference.norm()), "column {k}");
         }
     }
 
     #[test]
+    fn a_known_motion_explains_a_rolling_shutter() {
+        let twist = Twist(Vector6::new(0.3, -0.2, 0.1, 0.2, 0.5, -0.4));
+        let observations: Vec<Observation> = scene(0.0, 0, 3)
+            .into_iter()
+            .map(|o| {
+                // Find the row at which the moving body crosses it.
+                let mut delay_s = 0.0;
+                let mut pixel = o.pixel;
+                for _ in 0..20 {
+                    let moved = perturbed(&truth(), &(twist.0 * delay_s)).transform(&o.point);
+                    pixel = Pinhole.pixel_and_jacobian(moved.coords.xy() / moved.z).0;
+                    delay_s = 0.012 * (pixel.y - 359.5) / 720.0;
+                }
+                Observation { pixel, delay_s, ..o }
+            })
+            .collect();
+        let moving = MovingCamera { lens: &Pinhole, twist };
+        let found = resect(&truth(), &moving, &observations, 30).expect("regular");
+        assert!(found.pose.angle_to(&truth()) < 1e-6, "{}", found.pose.angle_to(&truth()));
+        let blind = resect(&truth(), &MovingCamera::still(&Pinhole), &observations, 30).expect("regular");
+        assert!(blind.pose.angle_to(&truth()) > 1e-4);
+    }
+
+    #[test]
+    fn the_twist_between_two_poses_leads_from_one_to_the_other() {
+        let after = perturbed(&truth(), &Vector6::new(0.02, 0.01, -0.03, 0.01, -0.02, 0.015));
+        let twist = Twist::between(&truth(), &after, 0.02);
+        let there = perturbed(&truth(), &(twist.0 * 0.02));
+        assert!(there.angle_to(&after) < 1e-9 && (there.translation - after.translation).norm() < 1e-9);
+    }
+
+    #[test]
     fn exact_data_give_the_exact_pose_despite_outliers() {
         let start = perturbed(&truth(), &Vector6::new(0.1, -0.1, 0.2, 0.02, 0.03, -0.02));
-        let found = resect(&start, &Pinhole, &scene(0.0, 40, 2), 50).expect("regular");
+        let found = resect(&start, &MovingCamera::still(&Pinhole), &scene(0.0, 40, 2), 50).expect("regular");
         assert!(found.pose.angle_to(&truth()) < 1e-8);
         assert!((found.pose.translation - truth().translation).norm() < 1e-7);
     }
@@ -271,8 +362,8 @@ mod tests {
         let runs = 200;
         for seed in 0..runs {
             let observations = scene(0.5, 10, 100 + seed);
-            let found = resect(&truth(), &Pinhole, &observations, 30).expect("regular");
-            let covariance = sandwich_covariance(&found, &Pinhole, &observations).expect("full rank");
+            let found = resect(&truth(), &MovingCamera::still(&Pinhole), &observations, 30).expect("regular");
+            let covariance = sandwich_covariance(&found, &MovingCamera::still(&Pinhole), &observations).expect("full rank");
             let turn = (found.pose.rotation.inverse() * truth().rotation).scaled_axis();
             let turn = found.pose.rotation * turn;
             let shift = truth().translation - UnitQuaternion::from_scaled_axis(turn) * found.pose.translation;

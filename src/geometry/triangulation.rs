@@ -26,7 +26,10 @@ mod tests {
 
     #[test]
     fn depths_of_a_known_point() {
-        let motion = TwoViewMotion { rotation: UnitQuaternion::from_euler_angles(0.1, 0.2, -0.1), direction: Vector3::new(1.0, 0.0, 0.2).normalize() };
+        let motion = TwoViewMotion {
+            rotation: UnitQuaternion::from_euler_angles(0.1, 0.2, -0.1),
+            direction: Vector3::new(1.0, 0.0, 0.2).normalize(),
+        };
         let p = Vector3::new(0.4, -0.3, 7.0);
         let q = motion.rotation * p + motion.direction;
         let (d1, d2) = depths(&motion, &RayPair { first: p.xy() / p.z, second: q.xy() / q.z }).expect("parallax");

@@ -11,7 +11,7 @@ use super::reference::PreparedBody;
 use crate::camera::{CameraModel, Pixel};
 use crate::features::Feature;
 use crate::geometry::planar_pose::planar_poses;
-use crate::geometry::resection::{Observation, resect};
+use crate::geometry::resection::{MovingCamera, Observation, resect, squared_residual};
 use crate::geometry::robust::{RobustOptions, robust_homography};
 use crate::geometry::{Body, Camera, Homography, PointPair, Pose};
 use crate::matching::{Match, ReferenceFeature};
@@ -79,18 +79,16 @@ pub fn surface_matches(
 /// Candidate poses of a body, best first, at most four.
 pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> Vec<Candidate> {
     let observations: Vec<Observation> = matches.iter().map(|m| observation(body, m)).collect();
+    let still = MovingCamera::still(camera);
     let mut found: Vec<Candidate> = Vec::new();
     for surface in 0..body.surfaces.len() as u32 {
         for start in surface_poses(body, surface, matches, camera, seed) {
-            let Some(refined) = resect(&start, camera, &observations, 15) else { continue };
-            let inliers = observations
-                .iter()
-                .filter(|o| crate::geometry::resection::squared_residual(&refined.pose, camera, o).is_some_and(|s| s < 16.0))
-                .count();
+            let Some(refined) = resect(&start, &still, &observations, 15) else { continue };
+            let inliers = observations.iter().filter(|o| squared_residual(&refined.pose, &still, o).is_some_and(|s| s < 16.0)).count();
             if inliers < LEAST_INLIERS {
                 continue;
             }
-            let candidate = Candidate { pose: refined.pose, inliers, cost: truncated_cost(&refined.pose, camera, &observations) };
+            let candidate = Candidate { pose: refined.pose, inliers, cost: truncated_cost(&refined.pose, &still, &observations) };
             if !found.iter().any(|c| nearly_same(&c.pose, &candidate.pose)) {
                 found.push(candidate);
             }
@@ -103,12 +101,12 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
 
 fn observation(body: &PreparedBody, m: &SurfaceMatch) -> Observation {
     let information = Matrix2::identity() / (FEATURE_NOISE_PX * m.scale).powi(2);
-    Observation { point: body.surfaces[m.surface as usize].spec.body_point(m.artwork), pixel: m.pixel, information, group: 0 }
+    Observation { point: body.surfaces[m.surface as usize].spec.body_point(m.artwork), pixel: m.pixel, information, delay_s: 0.0, group: 0 }
 }
 
 /// Sum of squared residuals in sigmas, each cut at 16.
-fn truncated_cost(pose: &Pose<Camera, Body>, camera: &CameraModel, observations: &[Observation]) -> f64 {
-    let squared = |o: &Observation| crate::geometry::resection::squared_residual(pose, camera, o).unwrap_or(f64::INFINITY);
+fn truncated_cost(pose: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> f64 {
+    let squared = |o: &Observation| squared_residual(pose, camera, o).unwrap_or(f64::INFINITY);
     observations.iter().map(|o| squared(o).min(16.0)).sum()
 }
 
@@ -151,4 +149,3 @@ pub fn flipped(pose: &Pose<Camera, Body>, body: &PreparedBody, surface: u32) -> 
     let flipped = Pose::<Camera, crate::geometry::SurfaceFrame>::new(turn * t_camera_surface.rotation, t_camera_surface.translation);
     flipped * spec.pose.inverse()
 }
-

@@ -17,10 +17,12 @@ use super::registration::SearchPicture;
 use super::settings::TrackerSettings;
 use super::surface::BodySpec;
 use super::two_view::{TwoView, two_view};
-use super::verify::{Pictures, Verified, VerifyBuffers, verify};
+use super::verify::{Pictures, Shutter, Verified, VerifyBuffers, verify};
 use crate::camera::CameraModel;
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::frame::Frame;
+use crate::geometry::resection::Twist;
+use crate::geometry::{Body, Camera, Pose};
 use crate::matching::{Match, MatchBuffers, ReferenceIndex};
 
 /// What a frame showed of one body.
@@ -56,6 +58,23 @@ struct TrackedBody {
     /// Its surfaces' numbers in the reference index.
     surfaces: std::ops::Range<u32>,
     lock: Lock,
+    /// The last verified pose, its stamp, and the motion that led to it.
+    before: Option<(Pose<Camera, Body>, i64, Option<Twist>)>,
+}
+
+impl TrackedBody {
+    /// Remembers a verified pose for the motion of the next frame.
+    fn remember(&mut self, timestamp_ns: i64, pose: &Pose<Camera, Body>) {
+        let twist = self.before_at(timestamp_ns).map(|(before, dt_s, _)| Twist::between(&before, pose, dt_s));
+        self.before = Some((*pose, timestamp_ns, twist));
+    }
+
+    /// The last verified pose as seen from a stamp, if it is recent enough to tell of motion.
+    fn before_at(&self, timestamp_ns: i64) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
+        let (pose, then_ns, twist) = self.before?;
+        let dt_s = timestamp_ns.saturating_sub(then_ns) as f64 * 1e-9;
+        (dt_s > 1e-4 && dt_s <= LONGEST_MOTION_GAP_S).then_some((pose, dt_s, twist))
+    }
 }
 
 /// Finds all bodies in every frame, from scratch.
@@ -63,6 +82,7 @@ pub struct Matcher {
     camera: CameraModel,
     settings: TrackerSettings,
     mask: Option<GrayImage>,
+    readout_s: f64,
     /// The stage first, then the objects.
     bodies: Vec<TrackedBody>,
     index: ReferenceIndex,
@@ -82,12 +102,21 @@ const REFERENCE_FEATURES: usize = 4000;
 const LEAST_REFERENCE_FEATURES: usize = 700;
 /// Artwork is looked at for features at no more than this many pixels across: no camera resolves more.
 const LARGEST_REFERENCE_PX: u32 = 2000;
+/// Verified poses further apart tell nothing of the motion within a frame, seconds.
+const LONGEST_MOTION_GAP_S: f64 = 0.07;
 /// Candidates of a body that are put to the test per frame.
 const TRIED: usize = 3;
 
 impl Matcher {
     /// Prepares the reference pictures; takes a fraction of a second per surface.
-    pub fn new(camera: CameraModel, mask: Option<GrayImage>, stage: &BodySpec, objects: &[BodySpec], settings: TrackerSettings) -> Self {
+    pub fn new(
+        camera: CameraModel,
+        readout_s: f64,
+        mask: Option<GrayImage>,
+        stage: &BodySpec,
+        objects: &[BodySpec],
+        settings: TrackerSettings,
+    ) -> Self {
         let workers = Workers::new(settings.threads);
         let mut bodies = Vec::new();
         let mut next = 0;
@@ -95,7 +124,7 @@ impl Matcher {
             let body = PreparedBody::new(spec);
             let surfaces = next..next + body.surfaces.len() as u32;
             next = surfaces.end;
-            bodies.push(TrackedBody { body, surfaces, lock: Lock::default() });
+            bodies.push(TrackedBody { body, surfaces, lock: Lock::default(), before: None });
         }
         let index = reference_index(&bodies, &workers);
         workers.take_extra_ms();
@@ -103,6 +132,7 @@ impl Matcher {
             camera,
             settings,
             mask,
+            readout_s,
             bodies,
             index,
             workers,
@@ -136,6 +166,9 @@ impl Matcher {
         for k in 0..self.bodies.len() {
             let verified = self.find(k, frame, &mut acquire_ms, &mut align_ms);
             let pose = verified.as_ref().map(|v| &v.pose);
+            if let Some(v) = &verified {
+                self.bodies[k].remember(frame.timestamp_ns, &v.pose);
+            }
             let state = self.bodies[k].lock.update(frame.timestamp_ns, pose, self.settings.coast_s, self.settings.confirm_frames);
             let verified = verified.filter(|_| state == LockState::Tracking);
             sightings.push(BodySighting { state, verified });
@@ -154,7 +187,8 @@ impl Matcher {
     /// Time went on, but there was no picture.
     pub fn look_away(&mut self, sequence: u64, timestamp_ns: i64) -> Sighting {
         let (coast_s, confirm) = (self.settings.coast_s, self.settings.confirm_frames);
-        let mut states = self.bodies.iter_mut().map(|b| BodySighting { state: b.lock.update(timestamp_ns, None, coast_s, confirm), verified: None });
+        let mut states =
+            self.bodies.iter_mut().map(|b| BodySighting { state: b.lock.update(timestamp_ns, None, coast_s, confirm), verified: None });
         // There is always a stage.
         let stage = states.next().unwrap_or(BodySighting { state: LockState::Searching, verified: None });
         let objects = states.collect();
@@ -190,10 +224,20 @@ impl Matcher {
             full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
             half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
         };
+        let shutter = Shutter { readout_s: self.readout_s, before: tracked.before_at(frame.timestamp_ns) };
         let continued = tracked.lock.is_continued();
         let mut best: Option<Verified> = None;
         for candidate in found.iter().take(TRIED) {
-            let outcome = verify(&tracked.body, &candidate.pose, &self.camera, &pictures, continued, &self.workers, &mut self.verify_buffers);
+            let outcome = verify(
+                &tracked.body,
+                &candidate.pose,
+                &self.camera,
+                &pictures,
+                &shutter,
+                continued,
+                &self.workers,
+                &mut self.verify_buffers,
+            );
             match outcome {
                 Ok(v) => {
                     let better = best.as_ref().is_none_or(|b| v.anchors.len() > b.anchors.len());

@@ -71,7 +71,13 @@ fn octaves(artwork: &GrayImage) -> Vec<Octave> {
 }
 
 fn anchors_of(image: &GrayImage, scale: f64) -> Vec<Anchor> {
-    let options = CornerOptions { count: ANCHORS, threshold: 15, least_threshold: 5, border: 5, cell_px: (image.width().max(image.height()) / 16).max(8) };
+    let options = CornerOptions {
+        count: ANCHORS,
+        threshold: 15,
+        least_threshold: 5,
+        border: 5,
+        cell_px: (image.width().max(image.height()) / 16).max(8),
+    };
     let mut corners = Vec::new();
     detect_corners(image, &options, |_, _| true, &mut CornerBuffers::default(), &mut corners);
     let place = |x: u32, y: u32| Vector2::new((f64::from(x) + 0.5) * scale - 0.5, (f64::from(y) + 0.5) * scale - 0.5);

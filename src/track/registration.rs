@@ -69,7 +69,14 @@ pub struct Target {
 
 /// Lists the anchors that the pose puts into the frame, facing the camera and not hidden by another surface of the body:
 /// at most `count`, shared among the surfaces by visible anchors.
-pub fn visible_targets(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel, picture: &SearchPicture, count: usize, targets: &mut Vec<Target>) {
+pub fn visible_targets(
+    body: &PreparedBody,
+    pose: &Pose<Camera, Body>,
+    camera: &CameraModel,
+    picture: &SearchPicture,
+    count: usize,
+    targets: &mut Vec<Target>,
+) {
     targets.clear();
     let mut starts = Vec::with_capacity(body.surfaces.len() + 1);
     for (index, surface) in body.surfaces.iter().enumerate() {
@@ -132,7 +139,12 @@ fn best_octave(surface: &PreparedSurface, pose: &Pose<Camera, Body>, camera: &Ca
 
 /// The raw pixel of an artwork position and the derivative of the one by the other; `None` behind the camera, beyond the
 /// lens model, or seen from the back.
-fn frame_by_artwork(surface: &PreparedSurface, pose: &Pose<Camera, Body>, camera: &CameraModel, artwork: Vector2<f64>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+fn frame_by_artwork(
+    surface: &PreparedSurface,
+    pose: &Pose<Camera, Body>,
+    camera: &CameraModel,
+    artwork: Vector2<f64>,
+) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     let spec = &surface.spec;
     let metres = spec.metres_from_artwork(artwork);
     let t = *pose * spec.pose;
@@ -155,7 +167,13 @@ fn frame_by_artwork(surface: &PreparedSurface, pose: &Pose<Camera, Body>, camera
     Some((pixel, by_ray * Matrix2::from_columns(&[column(0, sx), column(1, sy)])))
 }
 
-fn project_anchor(surface: &PreparedSurface, pose: &Pose<Camera, Body>, camera: &CameraModel, artwork: Vector2<f64>, picture: &SearchPicture) -> Option<Target> {
+fn project_anchor(
+    surface: &PreparedSurface,
+    pose: &Pose<Camera, Body>,
+    camera: &CameraModel,
+    artwork: Vector2<f64>,
+    picture: &SearchPicture,
+) -> Option<Target> {
     let (predicted, j) = frame_by_artwork(surface, pose, camera, artwork)?;
     let margin = (f64::from(HALF) + 4.0) * picture.scale;
     let (w, h) = (f64::from(camera.width()), f64::from(camera.height()));
@@ -191,7 +209,13 @@ fn hidden(body: &PreparedBody, own: usize, pose: &Pose<Camera, Body>, point: &Po
 }
 
 /// Searches every target in the picture.
-pub fn register(body: &PreparedBody, targets: &[Target], picture: &SearchPicture, workers: &Workers, registered: &mut Vec<Option<Registered>>) {
+pub fn register(
+    body: &PreparedBody,
+    targets: &[Target],
+    picture: &SearchPicture,
+    workers: &Workers,
+    registered: &mut Vec<Option<Registered>>,
+) {
     workers.map_into(targets, registered, |t| {
         let octaves = &body.surfaces[t.surface as usize].octaves;
         search(t, octaves, picture)
@@ -352,10 +376,11 @@ fn search(target: &Target, octaves: &[Octave], picture: &SearchPicture) -> Optio
     let fits = converged && correlation > LEAST_CORRELATION && gain > 0.02;
     let observation = fits.then(|| {
         let noise = f64::from(variance.max(LEAST_NOISE * LEAST_NOISE));
-        let covariance = t.structure.try_inverse().unwrap_or_default() * (noise / (gain * gain)) + Matrix2::identity() * MODEL_ERROR_PX.powi(2);
+        let covariance =
+            t.structure.try_inverse().unwrap_or_default() * (noise / (gain * gain)) + Matrix2::identity() * MODEL_ERROR_PX.powi(2);
         let information = covariance.try_inverse().unwrap_or_default() / (scale * scale);
         let pixel = (at + Vector2::new(0.5, 0.5)) * scale - Vector2::new(0.5, 0.5);
-        Observation { point: target.point, pixel, information, group: 0 }
+        Observation { point: target.point, pixel, information, delay_s: 0.0, group: 0 }
     });
     Some(Registered { surface: target.surface, artwork: target.artwork, predicted: target.predicted, observation, correlation })
 }

@@ -143,7 +143,8 @@ impl SurfaceSpec {
         let seen_from = planar_poses(&homography, &metric).into_iter().next().ok_or(SurfaceError::Corners)?;
         let artwork = laid_flat(photo, &photo_from_artwork, &camera, w, h);
         check_picture(&artwork)?;
-        let kind = ReferenceKind::Photograph { photo_from_artwork: photo_from_artwork.0, camera: Box::new(camera), pose: seen_from.renamed() };
+        let kind =
+            ReferenceKind::Photograph { photo_from_artwork: photo_from_artwork.0, camera: Box::new(camera), pose: seen_from.renamed() };
         Ok(Self { name, artwork, size_m, pose, kind })
     }
 
@@ -177,7 +178,8 @@ fn check_picture(picture: &GrayImage) -> Result<(), SurfaceError> {
     if width < LEAST_SIDE_PX || height < LEAST_SIDE_PX {
         return Err(SurfaceError::TooSmall { width, height, least: LEAST_SIDE_PX });
     }
-    let options = CornerOptions { count: 4 * LEAST_CORNERS, threshold: 15, least_threshold: 8, border: 5, cell_px: (width.max(height) / 8).max(8) };
+    let options =
+        CornerOptions { count: 4 * LEAST_CORNERS, threshold: 15, least_threshold: 8, border: 5, cell_px: (width.max(height) / 8).max(8) };
     let mut corners = Vec::new();
     // Detail may be of any size: look at every octave.
     let mut found = 0;
@@ -218,12 +220,7 @@ fn laid_flat(photo: &GrayImage, photo_from_artwork: &Homography, camera: &Camera
 /// Catmull-Rom interpolation of a picture, the border repeated.
 fn cubic(picture: &GrayImage, p: Vector2<f64>) -> u8 {
     let weights = |t: f64| {
-        [
-            ((-0.5 * t + 1.0) * t - 0.5) * t,
-            (1.5 * t - 2.5) * t * t + 1.0,
-            ((-1.5 * t + 2.0) * t + 0.5) * t,
-            (0.5 * t - 0.5) * t * t,
-        ]
+        [((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0, ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t]
     };
     let (i, k) = (p.x.floor(), p.y.floor());
     let (wx, wy) = (weights(p.x - i), weights(p.y - k));

@@ -61,7 +61,12 @@ pub fn two_view(body: &PreparedBody, verified: &Verified, camera: &CameraModel, 
     }
 }
 
-fn ray_pairs(body: &PreparedBody, anchors: &[FittedAnchor], t_body_reference: &Pose<Body, ReferenceCamera>, camera: &CameraModel) -> Vec<RayPair> {
+fn ray_pairs(
+    body: &PreparedBody,
+    anchors: &[FittedAnchor],
+    t_body_reference: &Pose<Body, ReferenceCamera>,
+    camera: &CameraModel,
+) -> Vec<RayPair> {
     let to_reference = t_body_reference.inverse();
     let pair = |a: &FittedAnchor| {
         let point: Point3<f64> = body.surfaces[a.surface as usize].spec.body_point(a.artwork);
@@ -111,11 +116,7 @@ fn estimate_motion(pairs: &[RayPair], metric: &Pose<Camera, ReferenceCamera>, si
         let e = m.essential();
         pairs.iter().map(|p| (squared_sampson(&e, p) / (sigma * sigma)).min(16.0)).sum::<f64>()
     };
-    let refined: Vec<(f64, TwoViewMotion)> = starts
-        .iter()
-        .map(|s| refine_motion(s, pairs, sigma, 12))
-        .map(|m| (cost(&m), m))
-        .collect();
+    let refined: Vec<(f64, TwoViewMotion)> = starts.iter().map(|s| refine_motion(s, pairs, sigma, 12)).map(|m| (cost(&m), m)).collect();
     let least = refined.iter().map(|(c, _)| *c).fold(f64::INFINITY, f64::min);
     // Within the scatter of a chi-squared of this many pairs, two motions explain them alike.
     let alike = least + 3.0 * (2.0 * pairs.len() as f64).sqrt();

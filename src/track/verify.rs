@@ -12,7 +12,7 @@ use super::reference::PreparedBody;
 use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
 use crate::camera::CameraModel;
 use crate::features::Workers;
-use crate::geometry::resection::{Observation, Resection, resect, sandwich_covariance, squared_residual};
+use crate::geometry::resection::{MovingCamera, Observation, Resection, Twist, resect, sandwich_covariance, squared_residual};
 use crate::geometry::{Body, Camera, Pose};
 
 /// Tiles across and down the frame that anchors are grouped by.
@@ -85,6 +85,34 @@ pub struct Pictures<'a> {
     pub half: SearchPicture<'a>,
 }
 
+/// What is known of the motion while the rows of a frame were read.
+#[derive(Debug, Clone, Copy)]
+pub struct Shutter {
+    /// First row to last, seconds; 0 for a global or unknown shutter.
+    pub readout_s: f64,
+    /// The last verified pose, how long ago it was in seconds, and the motion then.
+    pub before: Option<(Pose<Camera, Body>, f64, Option<Twist>)>,
+}
+
+impl Shutter {
+    /// The body's motion at the middle row of this frame, if it is now at `pose`.
+    fn twist(&self, pose: &Pose<Camera, Body>) -> Twist {
+        match &self.before {
+            Some((before, dt_s, then)) if self.readout_s > 0.0 => {
+                // The difference is the motion half a frame ago; half its change leads to now.
+                let between = Twist::between(before, pose, *dt_s);
+                then.map_or(between, |then| Twist(between.0 + (between.0 - then.0) * 0.5))
+            }
+            _ => Twist::still(),
+        }
+    }
+
+    fn delay_s(&self, camera: &CameraModel, row: f64) -> f64 {
+        // The middle row is at (h - 1) / 2; rows start readout / h apart.
+        self.readout_s * (row - 0.5 * (f64::from(camera.height()) - 1.0)) / f64::from(camera.height())
+    }
+}
+
 /// Buffers of the verification.
 #[derive(Debug, Default)]
 pub struct VerifyBuffers {
@@ -99,13 +127,15 @@ pub fn verify(
     start: &Pose<Camera, Body>,
     camera: &CameraModel,
     pictures: &Pictures,
+    shutter: &Shutter,
     continued: bool,
     workers: &Workers,
     buffers: &mut VerifyBuffers,
 ) -> Result<Verified, Refusal> {
-    let coarse = registered_pose(body, start, camera, &pictures.half, COARSE_ANCHORS, workers, buffers)?;
-    let fine = registered_pose(body, &coarse.pose, camera, &pictures.full, FINE_ANCHORS, workers, buffers)?;
-    judge(body, &fine, camera, continued, buffers)
+    let coarse = registered_pose(body, start, camera, &pictures.half, shutter, COARSE_ANCHORS, workers, buffers)?;
+    let fine = registered_pose(body, &coarse.pose, camera, &pictures.full, shutter, FINE_ANCHORS, workers, buffers)?;
+    let moving = MovingCamera { lens: camera, twist: shutter.twist(&fine.pose) };
+    judge(body, &fine, &moving, continued, buffers)
 }
 
 /// One round: predict, search, resect.
@@ -114,6 +144,7 @@ fn registered_pose(
     start: &Pose<Camera, Body>,
     camera: &CameraModel,
     picture: &SearchPicture,
+    shutter: &Shutter,
     count: usize,
     workers: &Workers,
     buffers: &mut VerifyBuffers,
@@ -123,14 +154,22 @@ fn registered_pose(
     buffers.observations.clear();
     for r in buffers.registered.iter().flatten() {
         if let Some(o) = r.observation {
-            buffers.observations.push(Observation { group: tile(camera, &o), ..o });
+            buffers.observations.push(Observation { group: tile(camera, &o), delay_s: shutter.delay_s(camera, o.pixel.y), ..o });
         }
     }
     let n = buffers.observations.len();
     if n < 8 {
         return Err(Refusal::TooFew(n));
     }
-    resect(start, camera, &buffers.observations, 15).ok_or(Refusal::Uncertain)
+    let mut found = resect(start, &MovingCamera { lens: camera, twist: shutter.twist(start) }, &buffers.observations, 15);
+    if shutter.readout_s > 0.0 && shutter.before.is_some() {
+        // The motion follows from the pose, and the pose from the motion.
+        for _ in 0..2 {
+            let Some(pose) = found.map(|f| f.pose) else { break };
+            found = resect(&pose, &MovingCamera { lens: camera, twist: shutter.twist(&pose) }, &buffers.observations, 15);
+        }
+    }
+    found.ok_or(Refusal::Uncertain)
 }
 
 fn tile(camera: &CameraModel, o: &Observation) -> u32 {
@@ -138,19 +177,26 @@ fn tile(camera: &CameraModel, o: &Observation) -> u32 {
     index(o.pixel.y, camera.height(), TILES[1]) * TILES[0] + index(o.pixel.x, camera.width(), TILES[0])
 }
 
-fn judge(body: &PreparedBody, fine: &Resection, camera: &CameraModel, continued: bool, buffers: &VerifyBuffers) -> Result<Verified, Refusal> {
-    let limit = LARGEST_RESIDUAL_PX * (f64::from(camera.width().max(camera.height())) / 1280.0).max(0.5);
+fn judge(
+    body: &PreparedBody,
+    fine: &Resection,
+    camera: &MovingCamera<CameraModel>,
+    continued: bool,
+    buffers: &VerifyBuffers,
+) -> Result<Verified, Refusal> {
+    let limit = LARGEST_RESIDUAL_PX * (f64::from(camera.lens.width().max(camera.lens.height())) / 1280.0).max(0.5);
     let mut anchors = Vec::with_capacity(buffers.observations.len());
     let mut sum = 0.0;
     let asked = buffers.registered.iter().flatten().count();
-    for r in buffers.registered.iter().flatten() {
-        let Some(o) = r.observation else { continue };
+    // The observations were collected from these, in this order.
+    let fitting = buffers.registered.iter().flatten().filter(|r| r.observation.is_some());
+    for (r, &o) in fitting.zip(&buffers.observations) {
         let unit = Observation { information: nalgebra::Matrix2::identity(), ..o };
         let Some(squared_px) = squared_residual(&fine.pose, camera, &unit) else { continue };
         let within_noise = squared_residual(&fine.pose, camera, &o).is_some_and(|s| s < (4.685 * fine.scale).powi(2));
         if squared_px < limit * limit && within_noise {
             sum += squared_px;
-            anchors.push(FittedAnchor { surface: r.surface, artwork: r.artwork, observation: Observation { group: tile(camera, &o), ..o } });
+            anchors.push(FittedAnchor { surface: r.surface, artwork: r.artwork, observation: o });
         }
     }
     let share = anchors.len() as f64 / asked.max(1) as f64;
@@ -187,7 +233,13 @@ fn nearest_surface_distance(body: &PreparedBody, pose: &Pose<Camera, Body>) -> f
 }
 
 /// How much worse (in robust chi-squared) the best pose near the tilted twin is.
-fn flip_margin(body: &PreparedBody, fine: &Resection, camera: &CameraModel, observations: &[Observation], anchors: &[FittedAnchor]) -> f64 {
+fn flip_margin(
+    body: &PreparedBody,
+    fine: &Resection,
+    camera: &MovingCamera<CameraModel>,
+    observations: &[Observation],
+    anchors: &[FittedAnchor],
+) -> f64 {
     let surface = most_frequent_surface(anchors, body.surfaces.len());
     let twin = flipped(&fine.pose, body, surface);
     let Some(other) = resect(&twin, camera, observations, 15) else { return f64::INFINITY };
