@@ -3,7 +3,7 @@
 
 use image::GrayImage;
 
-use super::kernels::{CIRCLE, CIRCLE_RADIUS, compass_row, fast_score};
+use super::kernels::{CIRCLE, CIRCLE_RADIUS, fast_score, segment_row};
 
 /// A corner on a pyramid level.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -12,7 +12,7 @@ pub struct Corner {
     pub x: u32,
     /// Row in level pixels.
     pub y: u32,
-    /// Smaller eigenvalue of the 7x7 structure tensor, (grey/px)² per pixel.
+    /// Smaller eigenvalue of the 7x7 structure tensor, (grey/px)² per pixel (while candidates: FAST's score).
     pub strength: f32,
 }
 
@@ -36,9 +36,12 @@ pub struct CornerOptions {
 pub struct CornerBuffers {
     marks: Vec<u8>,
     scores: Vec<u8>,
-    candidates: Vec<(u32, u32, u8)>,
+    pending: Vec<(usize, u8)>,
+    previous: Vec<(usize, u8)>,
+    candidates: Vec<Corner>,
     corners: Vec<Corner>,
     order: Vec<u32>,
+    filled: Vec<u32>,
 }
 
 /// Finds at most `options.count` corners, strongest first within an even spread; `mask` (if any) tells by level position
@@ -62,52 +65,55 @@ pub fn detect_corners(
             break;
         }
     }
-    buffers.corners.clear();
-    for &(x, y, _) in buffers.candidates.iter().filter(|(x, y, _)| mask(*x, *y)) {
-        buffers.corners.push(Corner { x, y, strength: smaller_eigenvalue(image, x, y) });
+    let CornerBuffers { candidates, corners, order, filled, .. } = buffers;
+    candidates.retain(|c| mask(c.x, c.y));
+    // FAST's score, which costs nothing more, chooses those that are worth an eigenvalue.
+    corners.clear();
+    spread(candidates, order, filled, (w, h), &CornerOptions { count: SHORTLIST * options.count, ..*options }, corners);
+    for corner in corners.iter_mut() {
+        corner.strength = smaller_eigenvalue(image, corner.x, corner.y);
     }
-    spread(&mut buffers.corners, &mut buffers.order, (w, h), options, found);
+    spread(corners, order, filled, (w, h), options, found);
 }
+
+/// Corners ranked by eigenvalue for each one wanted.
+const SHORTLIST: usize = 3;
 
 /// Leaves in `buffers.candidates` the FAST-9 corners that are the largest of their 3x3 neighbourhood.
 fn segment_test(image: &GrayImage, threshold: u8, border: u32, buffers: &mut CornerBuffers) {
     let (w, h) = (image.width() as usize, image.height() as usize);
     let source = image.as_raw();
     let b = border as usize;
-    buffers.marks.resize(w, 0);
+    buffers.marks.resize(w - 2 * b, 0);
     // Scores of three rows roll around; row y is complete when row y + 1 was scored.
     buffers.scores.clear();
     buffers.scores.resize(3 * w, 0);
     buffers.candidates.clear();
     let offsets = CIRCLE.map(|(dx, dy)| dy * w as isize + dx);
-    let mut pending: Vec<(usize, u8)> = Vec::new();
-    let mut previous: Vec<(usize, u8)> = Vec::new();
+    let (mut pending, mut previous) = (std::mem::take(&mut buffers.pending), std::mem::take(&mut buffers.previous));
+    pending.clear();
     for y in b..=h - b {
         let slot = (y % 3) * w;
         buffers.scores[slot..slot + w].fill(0);
         previous.clear();
         std::mem::swap(&mut previous, &mut pending);
         if y < h - b {
-            let row = |y: usize| &source[y * w..(y + 1) * w];
-            compass_row(row(y - 3), row(y), row(y + 3), threshold, &mut buffers.marks);
-            for x in b..w - b {
-                if buffers.marks[x] != 0 {
-                    let at = y * w + x;
-                    let circle = offsets.map(|o| source[at.wrapping_add_signed(o)]);
-                    let score = fast_score(&circle, source[at]);
-                    if score >= threshold {
-                        buffers.scores[slot + x] = score;
-                        pending.push((x, score));
-                    }
-                }
+            segment_row(source, y * w + b, &offsets, threshold, &mut buffers.marks);
+            for (k, _) in buffers.marks.iter().enumerate().filter(|(_, mark)| **mark != 0) {
+                let (x, at) = (b + k, y * w + b + k);
+                let circle = offsets.map(|o| source[at.wrapping_add_signed(o)]);
+                let score = fast_score(&circle, source[at]);
+                buffers.scores[slot + x] = score;
+                pending.push((x, score));
             }
         }
         for &(x, score) in &previous {
             if is_largest(&buffers.scores, w, y - 1, x, score) {
-                buffers.candidates.push((x as u32, (y - 1) as u32, score));
+                buffers.candidates.push(Corner { x: x as u32, y: (y - 1) as u32, strength: f32::from(score) });
             }
         }
     }
+    (buffers.pending, buffers.previous) = (pending, previous);
 }
 
 /// Whether a score at (x, y) beats its eight neighbours; among equals the first in reading order wins.
@@ -140,7 +146,14 @@ pub fn smaller_eigenvalue(image: &GrayImage, x: u32, y: u32) -> f32 {
 }
 
 /// Takes the strongest of each cell, then the second strongest of each, and so on, until enough are taken.
-fn spread(corners: &mut [Corner], order: &mut Vec<u32>, (w, h): (u32, u32), options: &CornerOptions, found: &mut Vec<Corner>) {
+fn spread(
+    corners: &mut [Corner],
+    order: &mut Vec<u32>,
+    filled: &mut Vec<u32>,
+    (w, h): (u32, u32),
+    options: &CornerOptions,
+    found: &mut Vec<Corner>,
+) {
     corners.sort_unstable_by(|a, b| b.strength.total_cmp(&a.strength).then((a.y, a.x).cmp(&(b.y, b.x))));
     if corners.len() <= options.count {
         found.extend_from_slice(corners);
@@ -148,7 +161,8 @@ fn spread(corners: &mut [Corner], order: &mut Vec<u32>, (w, h): (u32, u32), opti
     }
     let across = w.div_ceil(options.cell_px) as usize;
     let cells = across * h.div_ceil(options.cell_px) as usize;
-    let mut filled = vec![0u32; cells];
+    filled.clear();
+    filled.resize(cells, 0);
     // The rank of a corner within its cell decides first, its strength second.
     order.clear();
     order.extend(corners.iter().map(|c| {

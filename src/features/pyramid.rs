@@ -51,7 +51,7 @@ impl Pyramid {
             resize_buffer(&mut level.smooth, size.0, size.1);
             match before.last() {
                 None => level.image.copy_from_slice(picture),
-                Some(previous) => shrink(&previous.image, &mut level.image, &mut self.taps),
+                Some(previous) => shrink(&previous.image, &mut level.image, &mut self.taps, &mut self.row),
             }
             smooth_into(&level.image, &mut level.smooth, &mut self.row);
             level.scale = [f64::from(size.0) / f64::from(w), f64::from(size.1) / f64::from(h)];
@@ -77,8 +77,9 @@ fn resize_buffer(image: &mut GrayImage, width: u32, height: u32) {
     }
 }
 
-/// Bilinear reduction by a factor between 1 and 2 (both axes), pixel areas aligned.
-fn shrink(from: &GrayImage, to: &mut GrayImage, taps: &mut Vec<(u32, u16)>) {
+/// Bilinear reduction by a factor between 1 and 2 (both axes), pixel areas aligned: rows are blended first, side by side, then
+/// columns are picked from the blended row.
+fn shrink(from: &GrayImage, to: &mut GrayImage, taps: &mut Vec<(u32, u16)>, blended: &mut Vec<u16>) {
     let (fw, fh) = (from.width() as usize, from.height() as usize);
     let (tw, th) = (to.width() as usize, to.height() as usize);
     let tap = |k: usize, from: usize, to: usize| {
@@ -88,18 +89,21 @@ fn shrink(from: &GrayImage, to: &mut GrayImage, taps: &mut Vec<(u32, u16)>) {
     };
     taps.clear();
     taps.extend((0..tw).map(|x| tap(x, fw, tw)));
+    blended.clear();
+    // One more than the row, so that the right neighbour of the last pixel exists.
+    blended.resize(fw + 1, 0);
     let source = from.as_raw();
-    let step = usize::from(fw > 1);
     for (y, row) in to.as_mut().chunks_exact_mut(tw).enumerate() {
         let (j, b) = tap(y, fh, th);
         let top = &source[j as usize * fw..][..fw];
         let bottom = &source[(j as usize + usize::from(fh > 1)) * fw..][..fw];
-        let b = u32::from(b);
+        for ((out, t), l) in blended.iter_mut().zip(top).zip(bottom) {
+            *out = u16::from(*t) * (128 - b) + u16::from(*l) * b;
+        }
+        blended[fw] = blended[fw - 1];
         for (out, &(i, a)) in row.iter_mut().zip(taps.iter()) {
-            let (i, a) = (i as usize, u32::from(a));
-            let upper = u32::from(top[i]) * (128 - a) + u32::from(top[i + step]) * a;
-            let lower = u32::from(bottom[i]) * (128 - a) + u32::from(bottom[i + step]) * a;
-            *out = ((upper * (128 - b) + lower * b + 8192) >> 14) as u8;
+            let (left, right) = (u32::from(blended[i as usize]), u32::from(blended[i as usize + 1]));
+            *out = ((left * (128 - u32::from(a)) + right * u32::from(a) + 8192) >> 14) as u8;
         }
     }
 }

@@ -26,6 +26,7 @@ pub struct ReferenceFeature {
 pub struct ReferenceIndex {
     features: Vec<ReferenceFeature>,
     descriptors: Vec<Descriptor>,
+    blocks: Vec<kernels::Block>,
 }
 
 /// A pair that passed the ratio and the mutual test.
@@ -44,6 +45,7 @@ pub struct Match {
 pub struct MatchBuffers {
     nearest: Vec<Option<(u32, f32)>>,
     back: Vec<u32>,
+    frame: Vec<kernels::Block>,
 }
 
 /// Hamming distances above this never match (chance pairs lie around 128 +- 8).
@@ -56,6 +58,7 @@ impl ReferenceIndex {
             self.features.push(ReferenceFeature { surface, position: transform(f.position), scale: f.scale * artwork_scale });
             self.descriptors.push(f.descriptor);
         }
+        kernels::pack_into(self.descriptors.iter().copied(), &mut self.blocks);
     }
 
     /// The features, in the order of their indices.
@@ -74,7 +77,10 @@ impl ReferenceIndex {
     fn nearest(&self, descriptor: &Descriptor) -> Option<(u32, f32)> {
         let mut best = (u32::MAX, usize::MAX);
         let mut second = (u32::MAX, usize::MAX);
-        kernels::scan(descriptor, &self.descriptors, |k, distance, bar: &mut u32| {
+        kernels::scan(descriptor, &self.blocks, |k, distance, bar: &mut u32| {
+            if k >= self.features.len() {
+                return;
+            }
             if distance < best.0 {
                 if best.1 != usize::MAX && !self.same_place(best.1, k) {
                     second = best;
@@ -106,7 +112,10 @@ impl ReferenceIndex {
                 matches.push(Match { frame: k as u32, reference, ratio: r });
             }
         }
-        workers.map_into(matches, &mut buffers.back, |m| nearest_frame_feature(&self.descriptors[m.reference as usize], frame));
+        kernels::pack_into(frame.iter().map(|f| f.descriptor), &mut buffers.frame);
+        workers.map_into(matches, &mut buffers.back, |m| {
+            nearest_frame_feature(&self.descriptors[m.reference as usize], &buffers.frame, frame.len())
+        });
         let mut back = buffers.back.iter();
         // Two frame features of the same place (neighbouring levels) may both claim a reference feature.
         matches.retain(|m| {
@@ -120,15 +129,14 @@ impl ReferenceIndex {
     }
 }
 
-fn nearest_frame_feature(descriptor: &Descriptor, frame: &[Feature]) -> u32 {
-    let mut best = (u32::MAX, 0);
-    for (k, f) in frame.iter().enumerate() {
-        let distance = kernels::hamming(descriptor, &f.descriptor);
-        if distance < best.0 {
-            best = (distance, k as u32);
+fn nearest_frame_feature(descriptor: &Descriptor, frame: &[kernels::Block], count: usize) -> u32 {
+    let mut best = 0;
+    kernels::scan(descriptor, frame, |k, distance, bar: &mut u32| {
+        if k < count {
+            (best, *bar) = (k as u32, distance);
         }
-    }
-    best.1
+    });
+    best
 }
 
 #[cfg(test)]
