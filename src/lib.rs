@@ -3,6 +3,7 @@
 
 pub mod camera;
 pub mod capture;
+pub mod cli;
 pub mod config;
 pub mod frame;
 pub mod geometry;

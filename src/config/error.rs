@@ -75,7 +75,7 @@ pub enum ConfigError {
         /// The key.
         key: String,
         /// What is wrong with it.
-        problem: Problem,
+        problem: Box<Problem>,
     },
     /// The clip's or the device's pictures do not fit the calibration.
     #[error("{}: `calibration` in [camera]: {problem}", file.display())]

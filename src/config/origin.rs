@@ -33,7 +33,13 @@ impl<'a> Origin<'a> {
     }
 
     pub fn value(&self, section: &str, key: &str, span: &Range<usize>, problem: Problem) -> ConfigError {
-        ConfigError::Value { file: self.file.to_owned(), line: self.line(span), section: section.to_owned(), key: key.to_owned(), problem }
+        ConfigError::Value {
+            file: self.file.to_owned(),
+            line: self.line(span),
+            section: section.to_owned(),
+            key: key.to_owned(),
+            problem: Box::new(problem),
+        }
     }
 
     /// `section` may carry its own line ("[[object]], line 7,"), since a missing key has none.
