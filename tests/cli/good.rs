@@ -2,6 +2,10 @@
 
 use std::io::Read;
 use std::process::Stdio;
+use std::time::Duration;
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 
 use super::scene::Scene;
 
@@ -92,4 +96,24 @@ fn check_says_what_it_found() {
     for part in parts {
         assert!(run.stdout.contains(part), "`{part}` is not in: {}", run.stdout);
     }
+}
+
+#[test]
+fn ctrl_c_ends_with_what_is_there() {
+    let scene = Scene::new();
+    // Ten seconds between frames: it is certainly waiting when the signal comes.
+    let stamps: String = (0..6_u64).map(|k| format!("{},{k:06}.png\n", k * 10_000_000_000)).collect();
+    scene.write("clip/timestamps.csv", &format!("#timestamp [ns],filename\n{stamps}"));
+    let arguments = ["replay", "clip", "--config", "stage.toml", "--realtime", "--poses", "poses.jsonl", "--summary", "summary.json"];
+    let child = scene.command(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let first_line = || std::fs::read_to_string(scene.path("poses.jsonl")).is_ok_and(|text| text.ends_with('\n'));
+    while !first_line() {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    kill(Pid::from_raw(child.id() as i32), Signal::SIGINT).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let lines = scene.read("poses.jsonl").lines().count();
+    let summary: serde_json::Value = serde_json::from_str(&scene.read("summary.json")).unwrap();
+    assert!(lines < 6 && summary["frames"] == lines, "{lines}: {summary}");
 }

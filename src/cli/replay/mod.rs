@@ -7,10 +7,10 @@ mod records;
 mod summary;
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::RecvTimeoutError;
+use crossbeam_channel::{Receiver, RecvTimeoutError};
 
 use super::failure::Failure;
 use super::interrupt;
@@ -18,6 +18,7 @@ use super::logging::{self, LogArguments};
 use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip};
 use crate::config::Settings;
 use crate::daemon::{Daemon, Delivery, Tracker, TrackerSetup};
+use crate::record::PoseSample;
 use overlays::Overlays;
 use paced::Paced;
 use progress::Progress;
@@ -92,62 +93,80 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     let setup = tracker_setup(&settings, source.size(), arguments.threads)?;
     let mut records = Records::create(arguments.poses.as_deref(), arguments.tum.as_deref(), arguments.realtime)?;
     let mut summary = arguments.summary.as_deref().map(records::Output::create).transpose()?;
-    let mut overlays = arguments.overlay.as_deref().map(|dir| Overlays::create(dir, &setup)).transpose()?;
+    let overlays = arguments.overlay.as_deref().map(|dir| Overlays::create(dir, &setup)).transpose()?;
 
-    let progress = Progress::start(source.rows());
-    let rows = Arc::new(Mutex::new(RowTally::default()));
     let source: Box<dyn FrameSource> = if arguments.realtime { Box::new(Paced::new(source)) } else { source };
-    let mut daemon = Daemon::new(source, Tracker::new(setup), Delivery::Blocking);
-    let samples = daemon.subscribe();
-    let seen = Arc::clone(&rows);
-    daemon.observe(move |row, sample| {
-        let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
-        seen.count(row);
-        if let (Some(overlays), RowContent::Frame(frame), None) = (&mut overlays, &row.content, &seen.overlay_failure) {
-            seen.overlay_failure = overlays.write(frame, sample).err();
-        }
-    });
-    let running = daemon.start().map_err(|e| Failure::Tracking(e.to_string()))?;
-
     let mut tally = Tally::new(started);
-    let mut written = Ok(());
-    loop {
-        // The time limit lets Ctrl-C through while no frame comes.
-        let sample = match samples.recv_timeout(Duration::from_millis(100)) {
-            Ok(sample) => Some(sample),
-            Err(RecvTimeoutError::Timeout) => None,
-            Err(RecvTimeoutError::Disconnected) => break,
-        };
-        if let Some(sample) = sample {
-            tally.add(&sample);
-            progress.advance();
-            written = records.write(&sample);
-        }
-        let overlay_failed = rows.lock().unwrap_or_else(PoisonError::into_inner).overlay_failure.is_some();
-        if written.is_err() || overlay_failed || interrupt::is_interrupted() {
-            break;
-        }
-    }
-    running.stop();
-    // What is under way comes to its end; its records are written too, unless writing is what failed.
-    for sample in samples {
-        tally.add(&sample);
-        if written.is_ok() {
-            written = records.write(&sample);
-        }
-    }
-    let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
-    progress.finish();
-    let rows = std::mem::take(&mut *rows.lock().unwrap_or_else(PoisonError::into_inner));
-    written?;
-    joined?;
-    records.finish()?;
+    let rows = track(source, setup, overlays, &mut records, &mut tally)?;
     tally.set_rows(rows.undecodable, rows.skipped);
     if let Some(output) = &mut summary {
         output.write_all_and_flush(&tally.summary_json())?;
     }
     rows.failure(arguments, tally.frames())?;
     summary::print_table(&tally, uses_stdout)
+}
+
+/// Runs the daemon over the clip; samples are written as they come.
+fn track(
+    source: Box<dyn FrameSource>,
+    setup: TrackerSetup,
+    mut overlays: Option<Overlays>,
+    records: &mut Records,
+    tally: &mut Tally,
+) -> Result<RowTally, Failure> {
+    let progress = Progress::start(source.rows());
+    let rows = Arc::new(Mutex::new(RowTally::default()));
+    let mut daemon = Daemon::new(source, Tracker::new(setup), Delivery::Blocking);
+    let samples = daemon.subscribe();
+    let seen = Arc::clone(&rows);
+    daemon.observe(move |row, sample| {
+        let mut seen = lock(&seen);
+        seen.count(row);
+        if let (Some(overlays), RowContent::Frame(frame), None) = (&mut overlays, &row.content, &seen.overlay_failure) {
+            seen.overlay_failure = overlays.write(frame, sample).err();
+        }
+    });
+    let running = daemon.start().map_err(|e| Failure::Tracking(e.to_string()))?;
+    let mut written = follow(&samples, &rows, records, tally, &progress);
+    running.stop();
+    // What is under way comes to its end; its records are written too, unless writing is what failed.
+    for sample in samples {
+        tally.add(&sample);
+        written = written.and_then(|()| records.write(&sample));
+    }
+    let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
+    progress.finish();
+    written.and(joined)?;
+    records.finish()?;
+    Ok(std::mem::take(&mut *lock(&rows)))
+}
+
+/// Writes samples until the clip ends, Ctrl-C is pressed, or something cannot be written.
+fn follow(
+    samples: &Receiver<PoseSample>,
+    rows: &Mutex<RowTally>,
+    records: &mut Records,
+    tally: &mut Tally,
+    progress: &Progress,
+) -> Result<(), Failure> {
+    while !interrupt::is_interrupted() && lock(rows).overlay_failure.is_none() {
+        // The time limit lets Ctrl-C through while no frame comes.
+        match samples.recv_timeout(Duration::from_millis(100)) {
+            Ok(sample) => {
+                tally.add(&sample);
+                progress.advance();
+                records.write(&sample)?;
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+    }
+    Ok(())
+}
+
+/// Counts are good even where an observer panicked between two of them.
+fn lock(rows: &Mutex<RowTally>) -> MutexGuard<'_, RowTally> {
+    rows.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A tracker for pictures of a size.
