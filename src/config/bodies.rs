@@ -129,7 +129,7 @@ impl BodyReader<'_> {
         let picture = section.picture("photo", photo)?;
         let camera = self.photo_camera(section, typed, photo.get_ref(), &picture)?;
         let corners = corners.map(|[u, v]| Pixel(Vector2::new(u, v)));
-        SurfaceSpec::from_photograph(file_name(photo.get_ref()), picture, corners, camera, placed.size_m, placed.pose)
+        SurfaceSpec::from_photograph(file_name(photo.get_ref()), &picture, corners, camera, placed.size_m, placed.pose)
             .map_err(|e| self.refused(section, "photo", photo, typed, placed, e))
     }
 

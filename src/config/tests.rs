@@ -263,8 +263,8 @@ fn files_that_are_wrong_inside_name_themselves() {
     std::fs::write(folder.path().join("nan.toml"), CAMERA.replace("fx = 600.0", "fx = nan")).unwrap();
     std::fs::write(folder.path().join("negative.toml"), CAMERA.replace("fx = 600.0", "fx = -600.0")).unwrap();
     let cases: [(String, &[&str]); 6] = [
-        (GOOD.replace("camera.toml", "nan.toml"), &["`calibration` in [camera], line 2:", "nan.toml", "fx is NaN"]),
-        (GOOD.replace("camera.toml", "negative.toml"), &["negative.toml", "fx is -600"]),
+        (GOOD.replace("camera.toml", "nan.toml"), &["`calibration` in [camera], line 2:", "nan.toml", "fx", "NaN"]),
+        (GOOD.replace("camera.toml", "negative.toml"), &["negative.toml", "fx", "-600"]),
         (GOOD.replace("camera.toml", "none.toml"), &["`calibration` in [camera], line 2:", "none.toml"]),
         (GOOD.replace("art.png", "broken.png"), &["`image` in [[stage.surface]], line 4: broken.png: "]),
         (GOOD.replace("art.png", "flat.png"), &["`image` in [[stage.surface]], line 4: flat.png: the picture has too little texture"]),
