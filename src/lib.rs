@@ -3,6 +3,8 @@
 
 pub mod camera;
 pub mod capture;
+pub mod cli;
+pub mod config;
 pub mod daemon;
 pub mod features;
 pub mod frame;

@@ -1,2 +1,8 @@
 //! Arguments to command to exit code, nothing else.
-fn main() {}
+
+use std::process::ExitCode;
+use std::time::Instant;
+
+fn main() -> ExitCode {
+    stagepose::cli::run(Instant::now())
+}

@@ -1,0 +1,166 @@
+//! `check`: reads a config and everything that it names, and says what was found and what will happen.
+
+use std::fmt::Write as _;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use super::failure::Failure;
+use crate::camera::{CameraModel, Normalized, Pixel};
+use crate::capture::{ClipOptions, open_clip};
+use crate::config::Settings;
+use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
+
+/// Check a config and everything that it names.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  stagepose check --config stage.toml --clip clip")]
+pub(super) struct CheckArguments {
+    /// The config of the camera and the stage
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// A clip that it shall fit
+    #[arg(long)]
+    clip: Option<PathBuf>,
+}
+
+pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
+    let settings = Settings::load(&arguments.config)?;
+    let (mut camera, mut notes) = (settings.camera, settings.notes.clone());
+    let mut clip_line = None;
+    if let Some(clip) = &arguments.clip {
+        let source = open_clip(clip, ClipOptions { fps: None })?;
+        let (width, height) = source.size();
+        let (scaled, note) = settings.camera_for(width, height)?;
+        camera = scaled;
+        notes.extend(note);
+        let rows = source.rows().map_or("an unknown number of frames".to_owned(), |rows| format!("{rows} frames"));
+        clip_line = Some(format!("clip        {}: {rows} of {width} x {height} pixels", clip.display()));
+    }
+    let report = report(&settings, &camera, &notes, clip_line);
+    writeln!(io::stdout(), "{report}").map_err(Failure::output(Path::new("stdout")))
+}
+
+/// The whole text.
+fn report(settings: &Settings, camera: &CameraModel, notes: &[String], clip: Option<String>) -> String {
+    let mut text = format!("{}: good\n", settings.file.display());
+    let i = camera.intrinsics();
+    let _ = writeln!(text, "camera      {} ({} x {} pixels)", settings.calibration_file.display(), i.width, i.height);
+    let _ = writeln!(text, "            focal length {:.1} x {:.1} px, principal point {:.1}, {:.1} px", i.fx, i.fy, i.cx, i.cy);
+    let _ = writeln!(text, "            {}", field_of_view(camera));
+    let _ = writeln!(text, "            {}", shutter(settings));
+    if let Some(mask) = &settings.mask {
+        let hidden = mask.as_raw().iter().filter(|&&level| level == 0).count();
+        let _ = writeln!(text, "            the mask hides {:.1} % of the picture", 100.0 * hidden as f64 / mask.as_raw().len() as f64);
+    }
+    if let Some(clip) = clip {
+        let _ = writeln!(text, "{clip}");
+    }
+    body(&mut text, "stage", &settings.stage, camera);
+    for object in &settings.objects {
+        body(&mut text, &format!("object {}", object.name), object, camera);
+    }
+    for note in notes {
+        let _ = writeln!(text, "note        {note}");
+    }
+    let t = &settings.tracker;
+    let _ = write!(
+        text,
+        "It will look for up to {} corners in every frame on {} thread(s), call a pose `tracking` after {} frames that agree, \
+         and predict it for at most {} s when it is lost.",
+        t.features, t.threads, t.confirm_frames, t.coast_s
+    );
+    text
+}
+
+/// Angles across the middle of the picture, through the lens' distortion where it can be inverted.
+fn field_of_view(camera: &CameraModel) -> String {
+    let i = camera.intrinsics();
+    let (right, bottom) = (f64::from(i.width) - 0.5, f64::from(i.height) - 0.5);
+    let angle = |a: [f64; 2], b: [f64; 2]| -> Option<f64> {
+        let ray = |p: [f64; 2]| camera.unproject(Pixel(p.into())).map(|Normalized(n)| n.push(1.0));
+        Some(ray(a)?.angle(&ray(b)?).to_degrees())
+    };
+    match (angle([-0.5, i.cy], [right, i.cy]), angle([i.cx, -0.5], [i.cx, bottom])) {
+        (Some(across), Some(down)) => format!("field of view {across:.1} x {down:.1} degrees"),
+        _ => "the distortion cannot be inverted out to the picture's edges: what is there is not used".to_owned(),
+    }
+}
+
+fn shutter(settings: &Settings) -> String {
+    let in_ms = |s: f64, unknown: &str| if s == 0.0 { unknown.to_owned() } else { format!("{:.1} ms", s * 1e3) };
+    let (exposure, readout) = (in_ms(settings.exposure_s, "unknown"), in_ms(settings.readout_s, "global shutter or unknown"));
+    format!("exposure {exposure}, readout {readout}")
+}
+
+fn body(text: &mut String, title: &str, body: &BodySpec, camera: &CameraModel) {
+    for (index, surface) in body.surfaces.iter().enumerate() {
+        let label = if index == 0 { title } else { "" };
+        let _ = writeln!(text, "{label:<11} {}", surface_line(surface));
+        let _ = writeln!(text, "            {}", distance_line(surface, camera));
+    }
+}
+
+fn surface_line(surface: &SurfaceSpec) -> String {
+    let kind = match surface.kind {
+        ReferenceKind::Artwork => "artwork",
+        ReferenceKind::Photograph { .. } => "laid flat from a photograph,",
+    };
+    let (width, height) = surface.artwork.dimensions();
+    let [width_m, height_m] = surface.size_m;
+    let p = surface.pose.translation;
+    let (name, texels) = (&surface.name, texels_per_metre(surface) / 1e3);
+    format!(
+        "{name}: {kind} {width} x {height} pixels on {width_m} x {height_m} m, {texels:.2} texels a mm, at [{}, {}, {}] m",
+        p.x, p.y, p.z
+    )
+}
+
+fn texels_per_metre(surface: &SurfaceSpec) -> f64 {
+    f64::from(surface.artwork.width()) / surface.size_m[0]
+}
+
+fn distance_line(surface: &SurfaceSpec, camera: &CameraModel) -> String {
+    let (least, most) = distances(surface, camera);
+    format!("best seen head-on from {least:.2} m to {most:.2} m")
+}
+
+/// The advised distances in metres.
+///
+/// Nearest: a tenth of the surface's width fills the picture, or a texel covers two pixels, whichever comes first on the way in.
+/// Farthest: the surface is a tenth of the picture wide.
+fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
+    let i = camera.intrinsics();
+    let (width_m, width_px) = (surface.size_m[0], f64::from(i.width));
+    let tenth_of_surface = 0.1 * width_m * i.fx / width_px;
+    let coarse_texels = i.fx / (2.0 * texels_per_metre(surface));
+    (tenth_of_surface.max(coarse_texels), width_m * i.fx / (0.1 * width_px))
+}
+
+#[cfg(test)]
+mod tests {
+    use image::GrayImage;
+
+    use super::*;
+    use crate::geometry::Pose;
+
+    #[test]
+    fn distances_follow_from_size_and_resolution() {
+        let camera = CameraModel::pinhole(1000, 500, 1000.0, 1000.0, 499.5, 249.5).unwrap();
+        let mut surface = SurfaceSpec {
+            name: "a.png".to_owned(),
+            artwork: GrayImage::new(4000, 2000),
+            size_m: [4.0, 2.0],
+            pose: Pose::identity(),
+            kind: ReferenceKind::Artwork,
+        };
+        // A texel covers two pixels at 0.5 m; a tenth of the surface, 0.4 m, fills the picture at 0.4 m.
+        assert_eq!(distances(&surface, &camera), (0.5, 40.0));
+        surface.artwork = GrayImage::new(8000, 4000);
+        assert_eq!(distances(&surface, &camera), (0.4, 40.0));
+    }
+
+    #[test]
+    fn the_field_of_view_is_that_of_the_outer_edges() {
+        let camera = CameraModel::pinhole(1000, 500, 500.0, 500.0, 499.5, 249.5).unwrap();
+        assert_eq!(field_of_view(&camera), "field of view 90.0 x 53.1 degrees");
+    }
+}

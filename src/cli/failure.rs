@@ -1,0 +1,80 @@
+//! How a command ends when it does not succeed: a sentence and an exit code.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use thiserror::Error;
+
+use crate::capture::CaptureError;
+use crate::config::ConfigError;
+
+/// Exit code of bad usage or config.
+pub(super) const USAGE: u8 = 2;
+
+/// Why a command did not succeed.
+#[derive(Debug, Error)]
+pub enum Failure {
+    /// The arguments do not fit together.
+    #[error("{0}")]
+    Usage(String),
+    /// The config, or something that it names, cannot be used.
+    #[error(transparent)]
+    Config(Box<ConfigError>),
+    /// The clip cannot be read.
+    #[error(transparent)]
+    Capture(Box<CaptureError>),
+    /// Not one frame of the clip could be read.
+    #[error("{}: none of its {rows} frames could be read{}; check the clip", clip.display(), first.as_ref().map_or(String::new(), |r| format!(" (the first: {r})")))]
+    NoFrame {
+        /// The clip.
+        clip: PathBuf,
+        /// Rows in it.
+        rows: u64,
+        /// Why the first one could not.
+        first: Option<String>,
+    },
+    /// An output cannot be created or written.
+    #[error("{}: cannot be written ({source}); give a path with room that may be written", file.display())]
+    Output {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The tracker or one of its threads gave up.
+    #[error("tracking failed: {0}")]
+    Tracking(String),
+}
+
+impl From<ConfigError> for Failure {
+    fn from(error: ConfigError) -> Self {
+        Self::Config(Box::new(error))
+    }
+}
+
+impl From<CaptureError> for Failure {
+    fn from(error: CaptureError) -> Self {
+        Self::Capture(Box::new(error))
+    }
+}
+
+impl Failure {
+    /// An output that cannot be written, for `map_err`.
+    pub fn output(file: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
+        move |source| Self::Output { file: file.to_owned(), source }
+    }
+
+    /// True where somebody stopped reading our output, which is their right.
+    pub fn is_closed_pipe(&self) -> bool {
+        matches!(self, Self::Output { source, .. } if source.kind() == io::ErrorKind::BrokenPipe)
+    }
+
+    /// 1 or 2 (contract C1).
+    pub fn exit_code(&self) -> ExitCode {
+        ExitCode::from(match self {
+            Self::Usage(_) | Self::Config(_) => USAGE,
+            Self::Capture(_) | Self::NoFrame { .. } | Self::Output { .. } | Self::Tracking(_) => 1,
+        })
+    }
+}

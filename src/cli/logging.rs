@@ -1,0 +1,74 @@
+//! Log messages to stderr, around the progress bar.
+
+use std::io;
+use std::sync::OnceLock;
+
+use clap::ValueEnum;
+use clap::builder::PossibleValue;
+use indicatif::ProgressBar;
+use tracing::level_filters::LevelFilter;
+use tracing_subscriber::fmt::format::FmtSpan;
+
+use crate::config::{LogFormat, LogLevel, LogSettings};
+
+static BAR: OnceLock<ProgressBar> = OnceLock::new();
+
+/// `--log`, which overrides `[log] level`.
+#[derive(Debug, clap::Args)]
+pub(super) struct LogArguments {
+    /// What to log to stderr; `debug` has the time of every stage of every frame [default: the config's, else warn]
+    #[arg(long, value_name = "LEVEL")]
+    log: Option<LogLevel>,
+}
+
+impl ValueEnum for LogLevel {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Self::Off, Self::Error, Self::Warn, Self::Info, Self::Debug, Self::Trace]
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Self::WORDS.iter().find(|(_, level)| level == self).map(|(word, _)| PossibleValue::new(*word))
+    }
+}
+
+fn filter(level: LogLevel) -> LevelFilter {
+    match level {
+        LogLevel::Off => LevelFilter::OFF,
+        LogLevel::Error => LevelFilter::ERROR,
+        LogLevel::Warn => LevelFilter::WARN,
+        LogLevel::Info => LevelFilter::INFO,
+        LogLevel::Debug => LevelFilter::DEBUG,
+        LogLevel::Trace => LevelFilter::TRACE,
+    }
+}
+
+/// Starts logging; a second call changes nothing.
+pub(super) fn start(arguments: &LogArguments, settings: LogSettings) {
+    let level = filter(arguments.log.unwrap_or(settings.level));
+    let builder = tracing_subscriber::fmt().with_max_level(level).with_writer(|| BesideBar).with_span_events(FmtSpan::CLOSE);
+    // It fails only where a subscriber is there already, which then does the work.
+    let _ = match settings.format {
+        LogFormat::Text => builder.with_ansi(false).try_init(),
+        LogFormat::Json => builder.json().try_init(),
+    };
+}
+
+/// From now on, messages step aside for this bar.
+pub(super) fn beside(bar: &ProgressBar) {
+    let _ = BAR.set(bar.clone());
+}
+
+struct BesideBar;
+
+impl io::Write for BesideBar {
+    fn write(&mut self, text: &[u8]) -> io::Result<usize> {
+        match BAR.get() {
+            Some(bar) => bar.suspend(|| io::stderr().write(text)),
+            None => io::stderr().write(text),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
+    }
+}

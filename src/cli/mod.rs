@@ -1,0 +1,65 @@
+//! The command line: one file a command, one sentence an error, one number an outcome.
+//!
+//! Exit codes (contract C1): 0 success, 1 failure, 2 bad usage or config. Everything that a command has to
+//! say goes to stdout, everything that is wrong to stderr. A reader that closes the pipe is not an error.
+
+mod check;
+mod demo;
+mod failure;
+mod interrupt;
+mod logging;
+pub mod overlay;
+mod replay;
+mod text;
+
+use std::process::ExitCode;
+use std::time::Instant;
+
+use clap::{Parser, Subcommand};
+
+pub use failure::Failure;
+
+/// Tells where a stage camera is: metric 6-DoF pose from a picture of the stage.
+#[derive(Debug, Parser)]
+#[command(
+    name = "stagepose",
+    version,
+    after_help = "Example:\n  stagepose replay clip --config stage.toml --poses poses.jsonl\n\nEach command has a --help with an example."
+)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Replay(replay::ReplayArguments),
+    Check(check::CheckArguments),
+    Demo(demo::DemoArguments),
+}
+
+/// Runs the command line of this process; `started` is when the process began.
+pub fn run(started: Instant) -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // Help and version go to stdout with 0, bad usage to stderr with 2; a closed pipe changes neither.
+            let _ = error.print();
+            return ExitCode::from(if error.use_stderr() { failure::USAGE } else { 0 });
+        }
+    };
+    let outcome = match arguments.command {
+        Command::Replay(arguments) => replay::run(&arguments, started),
+        Command::Check(arguments) => check::run(&arguments),
+        Command::Demo(arguments) => demo::run(&arguments),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) if failure.is_closed_pipe() => ExitCode::SUCCESS,
+        Err(failure) => {
+            // Written in one piece, and not with eprintln!, which panics where stderr is closed.
+            let _ = std::io::Write::write_all(&mut std::io::stderr(), format!("stagepose: {failure}\n").as_bytes());
+            failure.exit_code()
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! `replay`: a recorded clip in, the camera's pose out.
+
+mod overlays;
+mod paced;
+mod progress;
+mod records;
+mod summary;
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError};
+
+use super::failure::Failure;
+use super::interrupt;
+use super::logging::{self, LogArguments};
+use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip};
+use crate::config::Settings;
+use crate::daemon::{Daemon, Delivery, Tracker, TrackerSetup};
+use crate::record::PoseSample;
+use overlays::Overlays;
+use paced::Paced;
+use progress::Progress;
+use records::{Records, STDOUT};
+use summary::Tally;
+
+/// Track a recorded clip and write the camera's pose of every frame.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  stagepose replay clip --config stage.toml --poses poses.jsonl --summary summary.json\n\n\
+    CLIP is a folder with frames/ and timestamps.csv, a folder of pictures, a .y4m, .avi (MJPEG) or .mjpeg file, or - for y4m on stdin.\n\
+    Without --poses, --tum or --summary only the table is printed. OUT may be - for stdout, once.")]
+pub(super) struct ReplayArguments {
+    /// The clip
+    clip: PathBuf,
+    /// The config of the camera and the stage
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// Write one JSON record a frame
+    #[arg(long, value_name = "OUT.jsonl")]
+    poses: Option<PathBuf>,
+    /// Write the tracked frames as a TUM trajectory
+    #[arg(long, value_name = "OUT.txt")]
+    tum: Option<PathBuf>,
+    /// Write counts and times as JSON
+    #[arg(long, value_name = "OUT.json")]
+    summary: Option<PathBuf>,
+    /// Frames per second of a clip without stamps
+    #[arg(long, value_name = "N", value_parser = frames_per_second)]
+    fps: Option<f64>,
+    /// Tracker workers; the result does not depend on it [default: the config's, else 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=64))]
+    threads: Option<u64>,
+    /// Play at the pace of the stamps instead of as fast as possible
+    #[arg(long)]
+    realtime: bool,
+    /// Send to the outputs of the config too
+    #[arg(long)]
+    outputs: bool,
+    /// Write every frame as a picture with the surfaces, the axes and the state drawn on it
+    #[arg(long, value_name = "DIR")]
+    overlay: Option<PathBuf>,
+    #[command(flatten)]
+    log: LogArguments,
+}
+
+fn frames_per_second(text: &str) -> Result<f64, String> {
+    let fps: f64 = text.parse().map_err(|_| "give a number such as 29.97".to_owned())?;
+    if fps > 0.0 && fps <= 100_000.0 { Ok(fps) } else { Err("give frames per second above 0".to_owned()) }
+}
+
+/// What the pose thread tells the writing thread about the rows themselves.
+#[derive(Default)]
+struct RowTally {
+    readable: u64,
+    undecodable: u64,
+    skipped: u64,
+    first_reason: Option<String>,
+    overlay_failure: Option<Failure>,
+}
+
+pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), Failure> {
+    let uses_stdout = arguments.one_stdout()?;
+    let settings = Settings::load(&arguments.config)?;
+    if arguments.outputs {
+        let file = arguments.config.display();
+        return Err(Failure::Usage(format!("{file}: there is no [[output]] section to send to; leave --outputs away")));
+    }
+    logging::start(&arguments.log, settings.log);
+    settings.notes.iter().for_each(|note| tracing::info!("{note}"));
+    interrupt::watch();
+    let source = open_clip(&arguments.clip, ClipOptions { fps: arguments.fps })?;
+    let setup = tracker_setup(&settings, source.size(), arguments.threads)?;
+    let mut records = Records::create(arguments.poses.as_deref(), arguments.tum.as_deref(), arguments.realtime)?;
+    let mut summary = arguments.summary.as_deref().map(records::Output::create).transpose()?;
+    let overlays = arguments.overlay.as_deref().map(|dir| Overlays::create(dir, &setup)).transpose()?;
+
+    let source: Box<dyn FrameSource> = if arguments.realtime { Box::new(Paced::new(source)) } else { source };
+    let mut tally = Tally::new(started);
+    let rows = track(source, setup, overlays, &mut records, &mut tally)?;
+    tally.set_rows(rows.undecodable, rows.skipped);
+    if let Some(output) = &mut summary {
+        output.write_all_and_flush(&tally.summary_json())?;
+    }
+    rows.failure(arguments, tally.frames())?;
+    summary::print_table(&tally, uses_stdout)
+}
+
+/// Runs the daemon over the clip; samples are written as they come.
+fn track(
+    source: Box<dyn FrameSource>,
+    setup: TrackerSetup,
+    mut overlays: Option<Overlays>,
+    records: &mut Records,
+    tally: &mut Tally,
+) -> Result<RowTally, Failure> {
+    let progress = Progress::start(source.rows());
+    let rows = Arc::new(Mutex::new(RowTally::default()));
+    let mut daemon = Daemon::new(source, Tracker::new(setup), Delivery::Blocking);
+    let samples = daemon.subscribe();
+    let seen = Arc::clone(&rows);
+    daemon.observe(move |row, sample| {
+        let mut seen = lock(&seen);
+        seen.count(row);
+        if let (Some(overlays), RowContent::Frame(frame), None) = (&mut overlays, &row.content, &seen.overlay_failure) {
+            seen.overlay_failure = overlays.write(frame, sample).err();
+        }
+    });
+    let running = daemon.start().map_err(|e| Failure::Tracking(e.to_string()))?;
+    let mut written = follow(&samples, &rows, records, tally, &progress);
+    running.stop();
+    // What is under way comes to its end; its records are written too, unless writing is what failed.
+    for sample in samples {
+        tally.add(&sample);
+        written = written.and_then(|()| records.write(&sample));
+    }
+    let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
+    progress.finish();
+    written.and(joined)?;
+    records.finish()?;
+    Ok(std::mem::take(&mut *lock(&rows)))
+}
+
+/// Writes samples until the clip ends, Ctrl-C is pressed, or something cannot be written.
+fn follow(
+    samples: &Receiver<PoseSample>,
+    rows: &Mutex<RowTally>,
+    records: &mut Records,
+    tally: &mut Tally,
+    progress: &Progress,
+) -> Result<(), Failure> {
+    while !interrupt::is_interrupted() && lock(rows).overlay_failure.is_none() {
+        // The time limit lets Ctrl-C through while no frame comes.
+        match samples.recv_timeout(Duration::from_millis(100)) {
+            Ok(sample) => {
+                tally.add(&sample);
+                progress.advance();
+                records.write(&sample)?;
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+    }
+    Ok(())
+}
+
+/// Counts are good even where an observer panicked between two of them.
+fn lock(rows: &Mutex<RowTally>) -> MutexGuard<'_, RowTally> {
+    rows.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A tracker for pictures of a size.
+fn tracker_setup(settings: &Settings, (width, height): (u32, u32), threads: Option<u64>) -> Result<TrackerSetup, Failure> {
+    let (camera, note) = settings.camera_for(width, height)?;
+    if let Some(note) = note {
+        tracing::warn!("{note}");
+    }
+    let mut tunables = settings.tracker.clone();
+    if let Some(threads) = threads {
+        // At most 64, by the argument's range.
+        tunables.threads = threads as usize;
+    }
+    Ok(TrackerSetup {
+        camera,
+        exposure_s: settings.exposure_s,
+        readout_s: settings.readout_s,
+        mask: settings.mask_for(width, height),
+        stage: settings.stage.clone(),
+        objects: settings.objects.clone(),
+        settings: tunables,
+    })
+}
+
+impl ReplayArguments {
+    /// True where one output goes to stdout; two are refused.
+    fn one_stdout(&self) -> Result<bool, Failure> {
+        let outputs = [&self.poses, &self.tum, &self.summary];
+        match outputs.into_iter().flatten().filter(|file| file.as_path() == Path::new(STDOUT)).count() {
+            0 => Ok(false),
+            1 => Ok(true),
+            _ => Err(Failure::Usage("only one of --poses, --tum and --summary may be `-`; give the others a file".to_owned())),
+        }
+    }
+}
+
+/// Rows without a frame are warned of one by one up to here, then only counted.
+const WARNED_IN_FULL: u64 = 5;
+
+impl RowTally {
+    fn count(&mut self, row: &Row) {
+        let (reason, what) = match &row.content {
+            RowContent::Frame(_) => {
+                self.readable += 1;
+                return;
+            }
+            RowContent::Undecodable(reason) => {
+                self.undecodable += 1;
+                (reason, "cannot be read")
+            }
+            RowContent::Skipped(reason) => {
+                self.skipped += 1;
+                (reason, "is skipped")
+            }
+        };
+        self.first_reason.get_or_insert_with(|| reason.clone());
+        match (self.undecodable + self.skipped).cmp(&(WARNED_IN_FULL + 1)) {
+            std::cmp::Ordering::Less => tracing::warn!("row {} {what}: {reason}", row.sequence),
+            std::cmp::Ordering::Equal => tracing::warn!("row {} {what}: {reason}; more such rows are only counted", row.sequence),
+            std::cmp::Ordering::Greater => tracing::debug!("row {} {what}: {reason}", row.sequence),
+        }
+    }
+
+    /// What went wrong on the pose thread, or with the clip as a whole.
+    fn failure(self, arguments: &ReplayArguments, rows: u64) -> Result<(), Failure> {
+        if let Some(failure) = self.overlay_failure {
+            return Err(failure);
+        }
+        if self.readable == 0 && !interrupt::is_interrupted() {
+            return Err(Failure::NoFrame { clip: arguments.clip.clone(), rows, first: self.first_reason });
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,47 @@
+//! `--overlay DIR`: one JPEG a frame with what the tracker saw drawn on it.
+
+use std::fs::{File, create_dir_all};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use image::RgbImage;
+use image::codecs::jpeg::JpegEncoder;
+
+use crate::camera::CameraModel;
+use crate::cli::failure::Failure;
+use crate::cli::overlay;
+use crate::daemon::TrackerSetup;
+use crate::frame::Frame;
+use crate::record::PoseSample;
+use crate::track::BodySpec;
+
+const QUALITY: u8 = 92;
+
+pub(super) struct Overlays {
+    directory: PathBuf,
+    camera: CameraModel,
+    stage: BodySpec,
+    objects: Vec<BodySpec>,
+}
+
+impl Overlays {
+    /// Makes the folder.
+    pub fn create(directory: &Path, setup: &TrackerSetup) -> Result<Self, Failure> {
+        create_dir_all(directory).map_err(Failure::output(directory))?;
+        let (stage, objects) = (setup.stage.clone(), setup.objects.clone());
+        Ok(Self { directory: directory.to_owned(), camera: setup.camera, stage, objects })
+    }
+
+    /// Draws and writes one frame.
+    pub fn write(&mut self, frame: &Frame, sample: &PoseSample) -> Result<(), Failure> {
+        let picture = overlay::draw(frame, sample, &self.camera, &self.stage, &self.objects);
+        let file = self.directory.join(format!("{:06}.jpg", frame.sequence));
+        write_jpeg(&file, &picture).map_err(Failure::output(&file))
+    }
+}
+
+fn write_jpeg(file: &Path, picture: &RgbImage) -> io::Result<()> {
+    let mut writer = BufWriter::new(File::create(file)?);
+    JpegEncoder::new_with_quality(&mut writer, QUALITY).encode_image(picture).map_err(io::Error::other)?;
+    writer.flush()
+}

@@ -1,0 +1,65 @@
+//! A clip at the pace of its stamps: a row is handed out when it is due.
+
+use std::time::{Duration, Instant};
+
+use image::GrayImage;
+
+use crate::capture::{FrameSource, Row};
+use crate::cli::interrupt;
+
+pub(super) struct Paced {
+    source: Box<dyn FrameSource>,
+    /// When the first row was handed out, and its stamp.
+    start: Option<(Instant, i64)>,
+}
+
+impl Paced {
+    pub fn new(source: Box<dyn FrameSource>) -> Self {
+        Self { source, start: None }
+    }
+}
+
+/// Time from the first stamp to this one; stamps that do not follow wait for nothing.
+fn due_after(first_ns: i64, stamp_ns: i64) -> Duration {
+    Duration::from_nanos(u64::try_from(stamp_ns.saturating_sub(first_ns)).unwrap_or(0))
+}
+
+impl FrameSource for Paced {
+    fn next_row(&mut self) -> Option<Row> {
+        let row = self.source.next_row()?;
+        let (begun, first_ns) = *self.start.get_or_insert_with(|| (Instant::now(), row.timestamp_ns));
+        let due = due_after(first_ns, row.timestamp_ns);
+        loop {
+            let left = due.saturating_sub(begun.elapsed());
+            if left.is_zero() || interrupt::is_interrupted() {
+                return Some(row);
+            }
+            // Short naps, so that Ctrl-C is heard in a pause of the clip.
+            std::thread::sleep(left.min(Duration::from_millis(50)));
+        }
+    }
+
+    fn size(&self) -> (u32, u32) {
+        self.source.size()
+    }
+
+    fn rows(&self) -> Option<u64> {
+        self.source.rows()
+    }
+
+    fn recycle(&mut self, image: GrayImage) {
+        self.source.recycle(image);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::due_after;
+
+    #[test]
+    fn rows_are_due_by_their_stamps_and_never_in_the_past() {
+        assert_eq!(due_after(1_000, 34_000).as_nanos(), 33_000);
+        assert_eq!(due_after(1_000, 500).as_nanos(), 0);
+        assert_eq!(due_after(i64::MIN, i64::MAX).as_nanos(), i64::MAX as u128);
+    }
+}

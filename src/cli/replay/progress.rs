@@ -1,0 +1,33 @@
+//! The progress bar: frames per second and time left on a terminal, nothing otherwise.
+
+use std::io::IsTerminal;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::cli::logging;
+
+pub(super) struct Progress(ProgressBar);
+
+impl Progress {
+    /// Starts a bar for a known number of rows, or a counter.
+    pub fn start(rows: Option<u64>) -> Self {
+        if !std::io::stderr().is_terminal() {
+            return Self(ProgressBar::hidden());
+        }
+        let (bar, template) = match rows {
+            Some(rows) => (ProgressBar::new(rows), "{bar:32} {pos}/{len} frames, {per_sec}, {eta} left"),
+            None => (ProgressBar::new_spinner(), "{spinner} {pos} frames, {per_sec}"),
+        };
+        bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
+        logging::beside(&bar);
+        Self(bar)
+    }
+
+    pub fn advance(&self) {
+        self.0.inc(1);
+    }
+
+    pub fn finish(&self) {
+        self.0.finish_and_clear();
+    }
+}

@@ -1,0 +1,215 @@
+//! Counts and times of a whole replay: the summary of contract C4 and the table at the end.
+
+use std::fmt::Write as _;
+use std::io::{self, Write};
+use std::path::Path;
+use std::time::Instant;
+
+use nix::sys::resource::{UsageWho, getrusage};
+use nix::sys::time::TimeValLike;
+use serde::Serialize;
+
+use crate::cli::failure::Failure;
+use crate::record::{PoseSample, StageTimes, State};
+
+/// What a replay came to, sample by sample.
+pub(super) struct Tally {
+    started: Instant,
+    states: [u64; 4],
+    undecodable: u64,
+    skipped: u64,
+    first_pose_ms: Option<f64>,
+    /// Decode, acquire, align, pose, total of every row, milliseconds.
+    times: [Vec<f64>; 5],
+}
+
+const STAGES: [&str; 5] = ["decode", "acquire", "align", "pose", "total"];
+
+#[derive(Serialize)]
+struct Summary {
+    frames: u64,
+    tracking: u64,
+    searching: u64,
+    coasting: u64,
+    lost: u64,
+    undecodable: u64,
+    skipped: u64,
+    stage_ms: StageTable,
+    cpu_s: f64,
+    first_pose_ms: Option<f64>,
+    peak_rss_mb: f64,
+}
+
+#[derive(Serialize)]
+struct StageTable {
+    decode: Percentiles,
+    acquire: Percentiles,
+    align: Percentiles,
+    pose: Percentiles,
+    total: Percentiles,
+}
+
+/// Nearest-rank percentiles in milliseconds; none of no values.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub(super) struct Percentiles {
+    p50: Option<f64>,
+    p95: Option<f64>,
+    p99: Option<f64>,
+    max: Option<f64>,
+}
+
+impl Percentiles {
+    fn of(values: &[f64]) -> Self {
+        let mut sorted = values.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let rank = |percent: usize| sorted.get((sorted.len() * percent).div_ceil(100).saturating_sub(1)).copied();
+        Self { p50: rank(50), p95: rank(95), p99: rank(99), max: sorted.last().copied() }
+    }
+}
+
+impl Tally {
+    /// `started` is when the process began.
+    pub fn new(started: Instant) -> Self {
+        Self { started, states: [0; 4], undecodable: 0, skipped: 0, first_pose_ms: None, times: Default::default() }
+    }
+
+    /// Counts one sample.
+    pub fn add(&mut self, sample: &PoseSample) {
+        self.states[sample.state as usize] += 1;
+        if sample.state == State::Tracking && self.first_pose_ms.is_none() {
+            self.first_pose_ms = Some(self.started.elapsed().as_secs_f64() * 1e3);
+        }
+        let StageTimes { decode_ms, acquire_ms, align_ms, pose_ms } = sample.times;
+        let row = [decode_ms, acquire_ms, align_ms, pose_ms, acquire_ms + align_ms + pose_ms];
+        self.times.iter_mut().zip(row).for_each(|(times, ms)| times.push(ms));
+    }
+
+    /// Rows that held no frame to track.
+    pub fn set_rows(&mut self, undecodable: u64, skipped: u64) {
+        (self.undecodable, self.skipped) = (undecodable, skipped);
+    }
+
+    /// Rows so far.
+    pub fn frames(&self) -> u64 {
+        self.states.iter().sum()
+    }
+
+    fn state(&self, state: State) -> u64 {
+        self.states[state as usize]
+    }
+
+    fn summary(&self) -> Summary {
+        let (cpu_s, peak_rss_mb) = usage();
+        let [decode, acquire, align, pose, total] = self.times.each_ref().map(|times| Percentiles::of(times));
+        Summary {
+            frames: self.frames(),
+            tracking: self.state(State::Tracking),
+            searching: self.state(State::Searching),
+            coasting: self.state(State::Coasting),
+            lost: self.state(State::Lost),
+            undecodable: self.undecodable,
+            skipped: self.skipped,
+            stage_ms: StageTable { decode, acquire, align, pose, total },
+            cpu_s,
+            first_pose_ms: self.first_pose_ms,
+            peak_rss_mb,
+        }
+    }
+
+    /// Contract C4.
+    pub fn summary_json(&self) -> String {
+        // Serialising to a string fails only for non-string map keys, of which there are none.
+        serde_json::to_string_pretty(&self.summary()).expect("a summary has only string keys")
+    }
+
+    fn table(&self) -> String {
+        let summary = self.summary();
+        let share = |n: u64| 100.0 * n as f64 / summary.frames.max(1) as f64;
+        let mut table = format!("frames    {:>7}", summary.frames);
+        if summary.undecodable + summary.skipped > 0 {
+            let _ = write!(table, "   ({} undecodable, {} skipped)", summary.undecodable, summary.skipped);
+        }
+        let states =
+            [("tracking", summary.tracking), ("coasting", summary.coasting), ("searching", summary.searching), ("lost", summary.lost)];
+        for (name, count) in states {
+            let _ = write!(table, "\n{name:<10}{count:>7} {:>6.1} %", share(count));
+        }
+        let _ = write!(table, "\n\nms a frame    p50      p95      p99      max");
+        for (name, times) in STAGES.iter().zip(&self.times) {
+            let p = Percentiles::of(times);
+            let _ = write!(table, "\n{name:<8}");
+            for value in [p.p50, p.p95, p.p99, p.max] {
+                let _ = write!(table, "{:>9}", value.map_or("-".to_owned(), |ms| format!("{ms:.2}")));
+            }
+        }
+        let first = summary.first_pose_ms.map_or("never".to_owned(), |ms| format!("after {ms:.0} ms"));
+        let _ = write!(table, "\n\nfirst pose {first}, {:.1} s of processor time, {:.0} MB at most", summary.cpu_s, summary.peak_rss_mb);
+        table
+    }
+}
+
+/// Processor seconds and peak memory in megabytes of this process so far.
+fn usage() -> (f64, f64) {
+    let Ok(usage) = getrusage(UsageWho::RUSAGE_SELF) else { return (0.0, 0.0) };
+    let cpu_us = usage.user_time().num_microseconds() + usage.system_time().num_microseconds();
+    // Linux counts the peak in KiB.
+    (cpu_us as f64 / 1e6, usage.max_rss() as f64 * 1024.0 / 1e6)
+}
+
+/// Prints the table: to stdout, or to stderr where stdout holds records.
+pub(super) fn print_table(tally: &Tally, stdout_taken: bool) -> Result<(), Failure> {
+    let table = tally.table();
+    let (written, name) = match stdout_taken {
+        true => (writeln!(io::stderr(), "{table}"), "stderr"),
+        false => (writeln!(io::stdout(), "{table}"), "stdout"),
+    };
+    written.map_err(Failure::output(Path::new(name)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(state: State, ms: f64) -> PoseSample {
+        let times = StageTimes { decode_ms: 1.0, acquire_ms: ms, align_ms: 2.0, pose_ms: 0.5 };
+        PoseSample { sequence: 0, timestamp_ns: 0, state, pose: None, measurement: None, objects: Vec::new(), times }
+    }
+
+    #[test]
+    fn percentiles_are_nearest_rank() {
+        let values: Vec<f64> = (1..=100).rev().map(f64::from).collect();
+        let wanted = Percentiles { p50: Some(50.0), p95: Some(95.0), p99: Some(99.0), max: Some(100.0) };
+        assert_eq!(Percentiles::of(&values), wanted);
+        assert_eq!(Percentiles::of(&[7.0]), Percentiles { p50: Some(7.0), p95: Some(7.0), p99: Some(7.0), max: Some(7.0) });
+        assert_eq!(Percentiles::of(&[]), Percentiles::default());
+    }
+
+    #[test]
+    fn the_summary_has_every_field_of_the_contract() {
+        let mut tally = Tally::new(Instant::now());
+        [State::Searching, State::Searching, State::Tracking, State::Coasting, State::Lost]
+            .iter()
+            .for_each(|s| tally.add(&sample(*s, 10.0)));
+        tally.set_rows(1, 2);
+        let json: serde_json::Value = serde_json::from_str(&tally.summary_json()).unwrap();
+        let counts = [("frames", 5), ("tracking", 1), ("searching", 2), ("coasting", 1), ("lost", 1), ("undecodable", 1), ("skipped", 2)];
+        for (key, count) in counts {
+            assert_eq!(json[key], count, "{key}");
+        }
+        for stage in STAGES {
+            for percentile in ["p50", "p95", "p99", "max"] {
+                assert!(json["stage_ms"][stage][percentile].is_f64(), "{stage} {percentile}");
+            }
+        }
+        assert_eq!(json["stage_ms"]["total"]["max"], 12.5);
+        assert!(json["first_pose_ms"].as_f64().unwrap() > 0.0 && json["peak_rss_mb"].as_f64().unwrap() > 1.0 && json["cpu_s"].is_f64());
+    }
+
+    #[test]
+    fn without_a_pose_the_first_one_is_null() {
+        let tally = Tally::new(Instant::now());
+        let json: serde_json::Value = serde_json::from_str(&tally.summary_json()).unwrap();
+        assert!(json["first_pose_ms"].is_null());
+        assert!(tally.table().contains("first pose never"));
+    }
+}

@@ -1,0 +1,253 @@
+//! The config as it stands in the file: every key of contract C5, every value with its place.
+//!
+//! These types check TOML's own types only. Ranges, files and what belongs together are checked where a
+//! [`Settings`](super::Settings) is made of them. The field names are the only list of known keys there is:
+//! the search for the nearest known name reads them from here.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::marker::PhantomData;
+use std::path::Path;
+
+use serde::Deserialize;
+use serde::de::{self, Visitor};
+use toml::Spanned;
+
+use super::ConfigError;
+use super::known_keys;
+use super::origin::Origin;
+
+/// A whole config file.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// `[camera]`
+    pub camera: Option<Spanned<Camera>>,
+    /// `[stage]`, which only holds `[[stage.surface]]`.
+    pub stage: Option<Spanned<Stage>>,
+    /// `[[object]]`
+    #[serde(default)]
+    pub object: Vec<Spanned<Object>>,
+    /// `[tracker]`
+    pub tracker: Option<Tracker>,
+    /// `[log]`
+    pub log: Option<Log>,
+}
+
+/// `[camera]`: the calibration, the shutter, and how to open the device.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Camera {
+    /// Calibration file.
+    pub calibration: Option<Spanned<String>>,
+    /// Exposure, seconds; 0 = unknown.
+    pub exposure_s: Option<Spanned<Number>>,
+    /// First row to last, seconds; 0 = global or unknown.
+    pub readout_s: Option<Spanned<Number>>,
+    /// Picture that is black where the camera's picture is to be ignored.
+    pub mask: Option<Spanned<String>>,
+    /// Device path or name.
+    pub device: Option<Spanned<String>>,
+    /// Wanted width in pixels.
+    pub width: Option<Spanned<Count>>,
+    /// Wanted height in pixels.
+    pub height: Option<Spanned<Count>>,
+    /// Wanted frames per second.
+    pub fps: Option<Spanned<Number>>,
+    /// Wanted pixel format.
+    pub format: Option<Spanned<String>>,
+    /// Driver controls by name.
+    pub controls: Option<BTreeMap<String, Spanned<ControlValue>>>,
+}
+
+/// `[stage]`
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stage {
+    /// `[[stage.surface]]`
+    #[serde(default)]
+    pub surface: Vec<Spanned<Surface>>,
+}
+
+/// `[[object]]`
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Object {
+    /// Its name in the records.
+    pub name: Option<Spanned<String>>,
+    /// `[[object.surface]]`
+    #[serde(default)]
+    pub surface: Vec<Spanned<Surface>>,
+}
+
+/// `[[stage.surface]]` and `[[object.surface]]`
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Surface {
+    /// Flat artwork.
+    pub image: Option<Spanned<String>>,
+    /// Or a photograph of the surface,
+    pub photo: Option<Spanned<String>>,
+    /// with the raw pixels of its corners, clockwise from the top left,
+    pub corners_px: Option<Spanned<Exactly<Exactly<Number, 2>, 4>>>,
+    /// and the calibration of the camera that took it.
+    pub photo_calibration: Option<Spanned<String>>,
+    /// Width and height, metres.
+    pub size_m: Option<Spanned<Exactly<Number, 2>>>,
+    /// Centre in the body, metres.
+    pub position_m: Option<Spanned<Exactly<Number, 3>>>,
+    /// Unit quaternion.
+    pub orientation_xyzw: Option<Spanned<Exactly<Number, 4>>>,
+}
+
+/// `[tracker]`
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tracker {
+    /// Worker threads.
+    pub threads: Option<Spanned<Count>>,
+    /// Corners looked for in a frame.
+    pub features: Option<Spanned<Count>>,
+    /// Longest prediction, seconds.
+    pub coast_s: Option<Spanned<Number>>,
+    /// Frames that must agree.
+    pub confirm_frames: Option<Spanned<Count>>,
+    /// Seed of the robust estimators.
+    pub seed: Option<Spanned<Count>>,
+}
+
+/// `[log]`
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Log {
+    /// off, error, warn, info, debug, trace.
+    pub level: Option<Spanned<String>>,
+    /// text, json.
+    pub format: Option<Spanned<String>>,
+}
+
+impl Config {
+    /// Reads the text of a config file; `file` is used in messages only.
+    ///
+    /// # Errors
+    /// [`ConfigError::Syntax`], [`ConfigError::Unknown`], [`ConfigError::LaterVersion`], or [`ConfigError::Value`] with a
+    /// [`Problem::Type`](super::Problem::Type).
+    pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
+        let origin = Origin::new(file, text);
+        let table = toml::de::DeTable::parse(text).map_err(|e| origin.syntax(&e))?;
+        known_keys::refuse_unknown(table.get_ref(), &origin)?;
+        toml::from_str(text).map_err(|e| known_keys::place_type_error(table.get_ref(), &origin, &e))
+    }
+}
+
+/// A finite or infinite number, typed with or without a decimal point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Number(pub f64);
+
+/// A whole number of 0 or more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Count(pub u64);
+
+/// A driver control's value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ControlValue {
+    /// A level or a menu entry.
+    Integer(i64),
+    /// A switch.
+    Switch(bool),
+}
+
+/// An array of exactly N entries; none may be left over.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Exactly<T, const N: usize>(pub [T; N]);
+
+impl<const N: usize> Exactly<Number, N> {
+    /// The bare numbers.
+    pub fn values(&self) -> [f64; N] {
+        self.0.map(|Number(v)| v)
+    }
+}
+
+struct NumberVisitor;
+impl Visitor<'_> for NumberVisitor {
+    type Value = Number;
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number")
+    }
+    fn visit_f64<E: de::Error>(self, v: f64) -> Result<Number, E> {
+        Ok(Number(v))
+    }
+    fn visit_i64<E: de::Error>(self, v: i64) -> Result<Number, E> {
+        Ok(Number(v as f64))
+    }
+    fn visit_u64<E: de::Error>(self, v: u64) -> Result<Number, E> {
+        Ok(Number(v as f64))
+    }
+}
+
+struct CountVisitor;
+impl Visitor<'_> for CountVisitor {
+    type Value = Count;
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a whole number of 0 or more")
+    }
+    fn visit_i64<E: de::Error>(self, v: i64) -> Result<Count, E> {
+        u64::try_from(v).map(Count).map_err(|_| E::invalid_value(de::Unexpected::Signed(v), &self))
+    }
+    fn visit_u64<E: de::Error>(self, v: u64) -> Result<Count, E> {
+        Ok(Count(v))
+    }
+}
+
+struct ControlVisitor;
+impl Visitor<'_> for ControlVisitor {
+    type Value = ControlValue;
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a whole number, true or false")
+    }
+    fn visit_i64<E: de::Error>(self, v: i64) -> Result<ControlValue, E> {
+        Ok(ControlValue::Integer(v))
+    }
+    fn visit_bool<E: de::Error>(self, v: bool) -> Result<ControlValue, E> {
+        Ok(ControlValue::Switch(v))
+    }
+}
+
+struct ExactlyVisitor<T, const N: usize>(PhantomData<T>);
+impl<'de, T: Deserialize<'de>, const N: usize> Visitor<'de> for ExactlyVisitor<T, N> {
+    type Value = Exactly<T, N>;
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "an array of {N} entries")
+    }
+    fn visit_seq<A: de::SeqAccess<'de>>(self, mut entries: A) -> Result<Self::Value, A::Error> {
+        let mut read = Vec::with_capacity(N);
+        while let Some(entry) = entries.next_element()? {
+            read.push(entry);
+        }
+        <[T; N]>::try_from(read).map(Exactly).map_err(|read| de::Error::invalid_length(read.len(), &self))
+    }
+}
+
+impl<'de, T: Deserialize<'de>, const N: usize> Deserialize<'de> for Exactly<T, N> {
+    fn deserialize<D: de::Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        d.deserialize_any(ExactlyVisitor(PhantomData))
+    }
+}
+
+impl<'de> Deserialize<'de> for Number {
+    fn deserialize<D: de::Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        d.deserialize_any(NumberVisitor)
+    }
+}
+
+impl<'de> Deserialize<'de> for Count {
+    fn deserialize<D: de::Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        d.deserialize_any(CountVisitor)
+    }
+}
+
+impl<'de> Deserialize<'de> for ControlValue {
+    fn deserialize<D: de::Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        d.deserialize_any(ControlVisitor)
+    }
+}

@@ -1,0 +1,208 @@
+//! The stage and the objects: every surface with its picture read, its size and its place checked.
+
+use std::collections::HashSet;
+use std::path::Path;
+
+use image::GrayImage;
+use nalgebra::Vector2;
+use toml::Spanned;
+
+use super::as_typed;
+use super::origin::Origin;
+use super::values::Section;
+use super::{ConfigError, Problem};
+use crate::camera::{CameraModel, Pixel};
+use crate::geometry::{Body, Pose, SurfaceFrame};
+use crate::track::{BodySpec, SurfaceError, SurfaceSpec};
+
+const STAGE: &str = "stage";
+
+/// Reads surfaces for one config: what they share, and the notes that they leave.
+pub(super) struct BodyReader<'a> {
+    pub origin: &'a Origin<'a>,
+    pub camera: CameraModel,
+    pub notes: &'a mut Vec<String>,
+}
+
+impl BodyReader<'_> {
+    pub fn stage(&mut self, typed: Option<&Spanned<as_typed::Stage>>) -> Result<BodySpec, ConfigError> {
+        let surfaces = typed.map_or(&[][..], |stage| &stage.get_ref().surface);
+        if surfaces.is_empty() {
+            let mend = "a section [[stage.surface]] with an `image` or a `photo` of the stage and its `size_m`";
+            return Err(self.origin.missing("the config".to_owned(), "stage.surface", mend));
+        }
+        Ok(BodySpec { name: STAGE.to_owned(), surfaces: self.surfaces(surfaces, "[[stage.surface]]")? })
+    }
+
+    pub fn objects(&mut self, typed: &[Spanned<as_typed::Object>]) -> Result<Vec<BodySpec>, ConfigError> {
+        let mut names = HashSet::from([STAGE.to_owned()]);
+        typed.iter().map(|object| self.object(object, &mut names)).collect()
+    }
+
+    fn object(&mut self, typed: &Spanned<as_typed::Object>, names: &mut HashSet<String>) -> Result<BodySpec, ConfigError> {
+        let section = Section { origin: self.origin, name: "[[object]]" };
+        let here = || self.origin.section_at("[[object]]", &typed.span());
+        let object = typed.get_ref();
+        let Some(typed_name) = &object.name else {
+            return Err(self.origin.missing(here(), "name", "a name for the records, such as name = \"prop\""));
+        };
+        let name = section.text("name", typed_name, "a name for the records, such as \"prop\"")?;
+        if !names.insert(name.clone()) {
+            return Err(section.refuse("name", &typed_name.span(), Problem::DuplicateName(name)));
+        }
+        if object.surface.is_empty() {
+            return Err(self.origin.missing(here(), "surface", "a section [[object.surface]] below it, with its picture and size"));
+        }
+        Ok(BodySpec { name, surfaces: self.surfaces(&object.surface, "[[object.surface]]")? })
+    }
+
+    fn surfaces(&mut self, typed: &[Spanned<as_typed::Surface>], name: &'static str) -> Result<Vec<SurfaceSpec>, ConfigError> {
+        typed.iter().map(|surface| self.surface(surface, name)).collect()
+    }
+
+    fn surface(&mut self, typed: &Spanned<as_typed::Surface>, name: &'static str) -> Result<SurfaceSpec, ConfigError> {
+        let section = Section { origin: self.origin, name };
+        let here = || self.origin.section_at(name, &typed.span());
+        let surface = typed.get_ref();
+        let Some(typed_size) = &surface.size_m else {
+            let mend = "the width and height between the picture's outer edges in metres, such as size_m = [4.0, 3.0]";
+            return Err(self.origin.missing(here(), "size_m", mend));
+        };
+        let size_m = typed_size.get_ref().values();
+        if !size_m.iter().all(|v| v.is_finite() && *v > 0.0) {
+            let wanted = "a width and a height above 0 metres";
+            return Err(section.refuse("size_m", &typed_size.span(), Problem::Range { value: format!("{size_m:?}"), wanted }));
+        }
+        let rotation = section.orientation("orientation_xyzw", surface.orientation_xyzw.as_ref())?;
+        let pose = Pose::new(rotation, section.position("position_m", surface.position_m.as_ref())?);
+        let placed = Placed { size_m, size_span: typed_size.span(), pose };
+        match (&surface.image, &surface.photo) {
+            (Some(image), None) => self.artwork(&section, surface, image, &placed),
+            (None, Some(photo)) => self.photograph(&section, surface, photo, &placed, here()),
+            (Some(_), Some(photo)) => {
+                let problem = Problem::Combination("a surface has either `image` or `photo`, this one has both; remove one");
+                Err(section.refuse("photo", &photo.span(), problem))
+            }
+            (None, None) => Err(self.origin.missing(here(), "image", "image = \"artwork.png\", or photo = \"photo.jpg\" with corners_px")),
+        }
+    }
+
+    fn artwork(
+        &mut self,
+        section: &Section<'_>,
+        typed: &as_typed::Surface,
+        image: &Spanned<String>,
+        placed: &Placed,
+    ) -> Result<SurfaceSpec, ConfigError> {
+        if let Some(corners) = &typed.corners_px {
+            let problem = Problem::Combination("it belongs to `photo`, but this surface has an `image`; remove it");
+            return Err(section.refuse("corners_px", &corners.span(), problem));
+        }
+        if let Some(calibration) = &typed.photo_calibration {
+            let problem = Problem::Combination("it belongs to `photo`, but this surface has an `image`; remove it");
+            return Err(section.refuse("photo_calibration", &calibration.span(), problem));
+        }
+        let picture = section.picture("image", image)?;
+        self.note_pixel_shape(image.get_ref(), &picture, placed.size_m);
+        SurfaceSpec::from_artwork(file_name(image.get_ref()), picture, placed.size_m, placed.pose)
+            .map_err(|e| self.refused(section, "image", image, typed, placed, e))
+    }
+
+    fn photograph(
+        &mut self,
+        section: &Section<'_>,
+        typed: &as_typed::Surface,
+        photo: &Spanned<String>,
+        placed: &Placed,
+        here: String,
+    ) -> Result<SurfaceSpec, ConfigError> {
+        let Some(typed_corners) = &typed.corners_px else {
+            let mend =
+                "the surface's corners in the photograph, clockwise from the top left: corners_px = [[u, v], [u, v], [u, v], [u, v]]";
+            return Err(self.origin.missing(here, "corners_px", mend));
+        };
+        let corners = typed_corners.get_ref().0.map(|corner| corner.values());
+        if !corners.iter().flatten().all(|v| v.is_finite()) {
+            let wanted = "four corners [u, v] in pixels";
+            return Err(section.refuse("corners_px", &typed_corners.span(), Problem::Range { value: format!("{corners:?}"), wanted }));
+        }
+        let picture = section.picture("photo", photo)?;
+        let camera = self.photo_camera(section, typed, photo.get_ref(), &picture)?;
+        let corners = corners.map(|[u, v]| Pixel(Vector2::new(u, v)));
+        SurfaceSpec::from_photograph(file_name(photo.get_ref()), &picture, corners, camera, placed.size_m, placed.pose)
+            .map_err(|e| self.refused(section, "photo", photo, typed, placed, e))
+    }
+
+    /// The camera that took a photograph: as given, or the stage camera where the size is equal, or a guess.
+    fn photo_camera(
+        &mut self,
+        section: &Section<'_>,
+        typed: &as_typed::Surface,
+        name: &str,
+        photo: &GrayImage,
+    ) -> Result<CameraModel, ConfigError> {
+        let (width, height) = photo.dimensions();
+        if let Some(file) = &typed.photo_calibration {
+            let model = section.calibration("photo_calibration", file)?.model;
+            if (model.width(), model.height()) == (width, height) {
+                return Ok(model);
+            }
+            let refuse = |e| section.refuse("photo_calibration", &file.span(), Problem::Camera(e));
+            let scaled = model.scaled_to(width, height).map_err(refuse)?;
+            let from = format!("{} x {}", model.width(), model.height());
+            self.notes.push(format!("{name}: its calibration for {from} pixels is scaled to the photograph's {width} x {height}"));
+            return Ok(scaled);
+        }
+        if (self.camera.width(), self.camera.height()) == (width, height) {
+            self.notes
+                .push(format!("{name}: no photo_calibration; it has the camera's size, so that the camera's own calibration is used"));
+            return Ok(self.camera);
+        }
+        let focal = f64::from(width.max(height));
+        self.notes.push(format!(
+            "{name}: no photo_calibration, and its size is not the camera's: no distortion and a focal length of {focal} pixels are \
+             assumed; give photo_calibration if the photograph was taken with a wide lens"
+        ));
+        let (cx, cy) = ((f64::from(width) - 1.0) / 2.0, (f64::from(height) - 1.0) / 2.0);
+        let refuse = |e| section.refuse("photo", &(0..0), Problem::Camera(e));
+        CameraModel::pinhole(width, height, focal, focal, cx, cy).map_err(refuse)
+    }
+
+    /// A wrong size is the likeliest mistake of all; pixels that are not square give it away.
+    fn note_pixel_shape(&mut self, name: &str, picture: &GrayImage, [width_m, height_m]: [f64; 2]) {
+        let shape = (width_m / f64::from(picture.width())) / (height_m / f64::from(picture.height()));
+        if !(0.98..=1.02).contains(&shape) {
+            self.notes.push(format!("{name}: at this size_m its pixels are {shape:.3} times as wide as high; check size_m"));
+        }
+    }
+
+    /// Puts a surface's own refusal at the key that it speaks of.
+    fn refused(
+        &self,
+        section: &Section<'_>,
+        picture_key: &str,
+        picture: &Spanned<String>,
+        typed: &as_typed::Surface,
+        placed: &Placed,
+        reason: SurfaceError,
+    ) -> ConfigError {
+        let corners = typed.corners_px.as_ref();
+        let (key, span) = match (&reason, corners) {
+            (SurfaceError::Size(_), _) => ("size_m", placed.size_span.clone()),
+            (SurfaceError::Corners | SurfaceError::CornerOutside { .. }, Some(corners)) => ("corners_px", corners.span()),
+            _ => (picture_key, picture.span()),
+        };
+        section.refuse(key, &span, Problem::Surface { file: self.origin.beside(picture.get_ref()), reason })
+    }
+}
+
+/// Where a surface is and how large.
+struct Placed {
+    size_m: [f64; 2],
+    size_span: std::ops::Range<usize>,
+    pose: Pose<Body, SurfaceFrame>,
+}
+
+fn file_name(name: &str) -> String {
+    Path::new(name).file_name().map_or_else(|| name.to_owned(), |n| n.to_string_lossy().into_owned())
+}

@@ -1,0 +1,163 @@
+//! Why a config is refused: always the file, the line, the key, what is wrong and what to do.
+
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+use crate::camera::{CalibrationFileError, CameraError};
+use crate::capture::DecodeError;
+use crate::track::SurfaceError;
+
+/// Why a config is refused.
+#[derive(Debug, Error)]
+pub enum ConfigError {
+    /// The config file itself cannot be read.
+    #[error("{}: the config cannot be read ({reason}); name a readable TOML file with --config", file.display())]
+    Unreadable {
+        /// The config file.
+        file: PathBuf,
+        /// What the system says.
+        reason: String,
+    },
+    /// The text is not TOML.
+    #[error("{}: line {line} is not TOML: {reason}", file.display())]
+    Syntax {
+        /// The config file.
+        file: PathBuf,
+        /// 1-based.
+        line: usize,
+        /// The parser's words.
+        reason: String,
+    },
+    /// A key or section that nobody reads.
+    #[error("{}: unknown {what}, line {line}; {mend}", file.display())]
+    Unknown {
+        /// The config file.
+        file: PathBuf,
+        /// 1-based.
+        line: usize,
+        /// "key `x` in [y]", or "section [x]".
+        what: String,
+        /// The nearest known name, or all of them.
+        mend: String,
+    },
+    /// A section of a later version.
+    #[error("{}: section [{section}], line {line}, is not available in this version; remove it", file.display())]
+    LaterVersion {
+        /// The config file.
+        file: PathBuf,
+        /// 1-based.
+        line: usize,
+        /// Its name without brackets.
+        section: String,
+    },
+    /// Something that must be there is not.
+    #[error("{}: {section} has no `{key}`; add {mend}", file.display())]
+    Missing {
+        /// The config file.
+        file: PathBuf,
+        /// The section, with its line where it has one.
+        section: String,
+        /// The key.
+        key: &'static str,
+        /// An example of it.
+        mend: &'static str,
+    },
+    /// A value that cannot be used.
+    #[error("{}: `{key}` in {section}, line {line}: {problem}", file.display())]
+    Value {
+        /// The config file.
+        file: PathBuf,
+        /// 1-based.
+        line: usize,
+        /// The section in its brackets.
+        section: String,
+        /// The key.
+        key: String,
+        /// What is wrong with it.
+        problem: Box<Problem>,
+    },
+    /// The clip's or the device's pictures do not fit the calibration.
+    #[error("{}: `calibration` in [camera]: {problem}", file.display())]
+    PictureSize {
+        /// The config file.
+        file: PathBuf,
+        /// Why.
+        problem: CameraError,
+    },
+}
+
+/// What is wrong with a value.
+#[derive(Debug, Error)]
+pub enum Problem {
+    /// Another TOML type, or another number of entries.
+    #[error("{0}")]
+    Type(String),
+    /// Outside of what can be used.
+    #[error("{value} cannot be used; give {wanted}")]
+    Range {
+        /// As typed.
+        value: String,
+        /// What is allowed.
+        wanted: &'static str,
+    },
+    /// A quaternion whose length is not 1.
+    #[error("the length of the quaternion is {0:.4}, not 1; give x, y, z, w of a unit quaternion")]
+    Quaternion(f64),
+    /// Two keys that exclude or demand one another.
+    #[error("{0}")]
+    Combination(&'static str),
+    /// Two bodies of the same name.
+    #[error("the name `{0}` is taken; give each object a name of its own (`stage` is the stage itself)")]
+    DuplicateName(String),
+    /// A picture file that cannot be opened.
+    #[error("{}: {reason}; name a readable PNG, JPEG or PGM picture", file.display())]
+    PictureFile {
+        /// The picture.
+        file: PathBuf,
+        /// What the system says.
+        reason: String,
+    },
+    /// A picture file that is no picture.
+    #[error("{}: {reason}", file.display())]
+    PictureContent {
+        /// The picture.
+        file: PathBuf,
+        /// What the decoder says.
+        reason: DecodeError,
+    },
+    /// A picture that cannot be tracked.
+    #[error("{}: {reason}", file.display())]
+    Surface {
+        /// The picture.
+        file: PathBuf,
+        /// Why.
+        reason: SurfaceError,
+    },
+    /// A calibration file that cannot be used (its message names the file).
+    #[error("{0}")]
+    Calibration(Box<CalibrationFileError>),
+    /// A calibration that does not fit its picture.
+    #[error("{0}")]
+    Camera(CameraError),
+    /// A mask of another shape than the camera's pictures.
+    #[error(
+        "the mask {} is {width} x {height} pixels, the camera {camera_width} x {camera_height}; paint it on a picture of the camera",
+        file.display()
+    )]
+    MaskSize {
+        /// The mask.
+        file: PathBuf,
+        /// Its width in pixels.
+        width: u32,
+        /// Its height in pixels.
+        height: u32,
+        /// The camera's width in pixels.
+        camera_width: u32,
+        /// The camera's height in pixels.
+        camera_height: u32,
+    },
+    /// A mask that leaves nothing to look at.
+    #[error("the mask {} is black everywhere, so that nothing could be tracked; leave white what is to be seen", .0.display())]
+    MaskBlack(PathBuf),
+}

@@ -1,0 +1,148 @@
+//! The known keys of every section, and the refusal of all others with the nearest known name.
+
+use std::ops::Range;
+
+use serde::Deserialize;
+use serde::de::{self, Visitor};
+use serde::forward_to_deserialize_any;
+use toml::de::{DeTable, DeValue};
+
+use super::as_typed;
+use super::origin::{Origin, one_line};
+use super::{ConfigError, Problem};
+
+/// Sections that contract C5 names and later versions bring.
+const LATER_SECTIONS: [&str; 5] = ["filter", "safety", "output", "recorder", "http"];
+
+/// Every section of this version with its keys, as a message writes it: `("[camera]", ["calibration", …])`.
+pub fn known_keys() -> Vec<(&'static str, &'static [&'static str])> {
+    let paths: [&[&str]; 7] = [&["camera"], &["stage"], &["stage", "surface"], &["object"], &["object", "surface"], &["tracker"], &["log"]];
+    paths.iter().filter_map(|path| section(path)).collect()
+}
+
+/// The name and the keys of the section at a path, or `None` where any key goes (driver controls).
+fn section(path: &[&str]) -> Option<(&'static str, &'static [&'static str])> {
+    Some(match path {
+        [] => ("the config", fields::<as_typed::Config>()),
+        ["camera"] => ("[camera]", fields::<as_typed::Camera>()),
+        ["stage"] => ("[stage]", fields::<as_typed::Stage>()),
+        ["stage", "surface"] => ("[[stage.surface]]", fields::<as_typed::Surface>()),
+        ["object"] => ("[[object]]", fields::<as_typed::Object>()),
+        ["object", "surface"] => ("[[object.surface]]", fields::<as_typed::Surface>()),
+        ["tracker"] => ("[tracker]", fields::<as_typed::Tracker>()),
+        ["log"] => ("[log]", fields::<as_typed::Log>()),
+        _ => return None,
+    })
+}
+
+/// Refuses the first key in the file that nobody reads.
+pub(super) fn refuse_unknown(root: &DeTable<'_>, origin: &Origin<'_>) -> Result<(), ConfigError> {
+    let mut found = Vec::new();
+    visit(root, &mut Vec::new(), &mut |path, key, span, value| {
+        if let Some(error) = refusal(path, key, &span, value, origin) {
+            found.push((span.start, error));
+        }
+    });
+    found.into_iter().min_by_key(|(start, _)| *start).map_or(Ok(()), |(_, error)| Err(error))
+}
+
+fn refusal(path: &[&str], key: &str, span: &Range<usize>, value: &DeValue<'_>, origin: &Origin<'_>) -> Option<ConfigError> {
+    let (name, known) = section(path)?;
+    if known.contains(&key) {
+        return None;
+    }
+    let (file, line) = (origin.file.to_owned(), origin.line(span));
+    if path.is_empty() && LATER_SECTIONS.contains(&key) {
+        return Some(ConfigError::LaterVersion { file, line, section: key.to_owned() });
+    }
+    let is_section = path.is_empty() && !is_plain(value);
+    let what = if is_section { format!("section [{key}]") } else { format!("key `{key}` in {name}") };
+    Some(ConfigError::Unknown { file, line, what, mend: suggestion(key, name, known) })
+}
+
+/// True for anything but a table or an array of tables.
+fn is_plain(value: &DeValue<'_>) -> bool {
+    match value {
+        DeValue::Table(_) => false,
+        DeValue::Array(items) => !items.iter().any(|item| item.get_ref().is_table()),
+        _ => true,
+    }
+}
+
+fn suggestion(key: &str, name: &str, known: &[&str]) -> String {
+    let nearest = known.iter().map(|k| (strsim::jaro_winkler(key, k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
+    if let Some((likeness, nearest)) = nearest
+        && likeness > 0.8
+    {
+        return format!("did you mean `{nearest}`?");
+    }
+    let elsewhere = known_keys().into_iter().find(|(_, keys)| keys.contains(&key));
+    match elsewhere {
+        Some((other, _)) => format!("it belongs to {other}"),
+        None => format!("{name} knows {}", known.join(", ")),
+    }
+}
+
+/// Calls `see(path of the section, key, span of the key, value)` for every key in every table.
+fn visit<'t>(table: &'t DeTable<'_>, path: &mut Vec<&'t str>, see: &mut impl FnMut(&[&str], &str, Range<usize>, &DeValue<'_>)) {
+    for (key, value) in table {
+        see(path, key.get_ref(), key.span(), value.get_ref());
+        path.push(key.get_ref());
+        match value.get_ref() {
+            DeValue::Table(inner) => visit(inner, path, see),
+            DeValue::Array(items) => items.iter().filter_map(|i| i.get_ref().as_table()).for_each(|t| visit(t, path, see)),
+            _ => {}
+        }
+        path.pop();
+    }
+}
+
+/// Gives a type error of the reader its key, section and line.
+pub(super) fn place_type_error(root: &DeTable<'_>, origin: &Origin<'_>, error: &toml::de::Error) -> ConfigError {
+    let Some(span) = error.span() else { return origin.syntax(error) };
+    let mut deepest: Option<(usize, String, String)> = None;
+    visit(root, &mut Vec::new(), &mut |path, key, key_span, _| {
+        // The key of a value is the last one that starts before it.
+        if key_span.start <= span.start && deepest.as_ref().is_none_or(|(start, ..)| *start <= key_span.start) {
+            let name = section(path).map_or_else(|| format!("[{}]", path.join(".")), |(name, _)| name.to_owned());
+            deepest = Some((key_span.start, name, key.to_owned()));
+        }
+    });
+    match deepest {
+        Some((_, section, key)) => origin.value(&section, &key, &span, Problem::Type(one_line(error.message()))),
+        None => origin.syntax(error),
+    }
+}
+
+/// The field names of a struct, as its `Deserialize` asks for them.
+fn fields<'de, T: Deserialize<'de>>() -> &'static [&'static str] {
+    let mut names: &'static [&'static str] = &[];
+    // The reader stops with an error as soon as it has heard the names; the error itself says nothing.
+    let _ = T::deserialize(FieldNames(&mut names));
+    names
+}
+
+struct FieldNames<'a>(&'a mut &'static [&'static str]);
+
+impl<'de> de::Deserializer<'de> for FieldNames<'_> {
+    type Error = de::value::Error;
+
+    fn deserialize_any<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Self::Error> {
+        Err(de::Error::custom("only field names are read here"))
+    }
+
+    fn deserialize_struct<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        fields: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Self::Error> {
+        *self.0 = fields;
+        self.deserialize_any(visitor)
+    }
+
+    forward_to_deserialize_any! {
+        bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf option unit unit_struct
+        newtype_struct seq tuple tuple_struct map enum identifier ignored_any
+    }
+}

@@ -1,0 +1,21 @@
+//! The configuration: what the user typed becomes what the program uses, in one direction.
+//!
+//! A config file is TOML (contract C5). [`as_typed`] holds it as it stands in the file, every value with
+//! its place, so that a message can name the line. [`Settings`] is what comes out once every value has
+//! been checked and every file that it names has been read: a camera, pictures, surfaces, tunables.
+//! Nothing is written back. Unknown keys are refused, because a misspelt key that is silently ignored
+//! looks exactly like a tracker that does not work.
+
+pub mod as_typed;
+mod bodies;
+mod error;
+mod known_keys;
+mod origin;
+mod settings;
+#[cfg(test)]
+mod tests;
+mod values;
+
+pub use error::{ConfigError, Problem};
+pub use known_keys::known_keys;
+pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, Settings};

@@ -1,0 +1,59 @@
+//! Where a value stands: turns byte spans of the config's text into lines, and lines into messages.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use super::{ConfigError, Problem};
+
+/// A config's file name and text.
+pub(super) struct Origin<'a> {
+    pub file: &'a Path,
+    text: &'a str,
+}
+
+impl<'a> Origin<'a> {
+    pub fn new(file: &'a Path, text: &'a str) -> Self {
+        Self { file, text }
+    }
+
+    /// The 1-based line of a byte span's start.
+    pub fn line(&self, span: &Range<usize>) -> usize {
+        let before = &self.text.as_bytes()[..span.start.min(self.text.len())];
+        1 + before.iter().filter(|&&b| b == b'\n').count()
+    }
+
+    /// A file name in the config, relative to the config's own folder.
+    pub fn beside(&self, name: &str) -> PathBuf {
+        self.file.parent().unwrap_or(Path::new("")).join(name)
+    }
+
+    pub fn syntax(&self, error: &toml::de::Error) -> ConfigError {
+        let line = self.line(&error.span().unwrap_or(0..0));
+        ConfigError::Syntax { file: self.file.to_owned(), line, reason: one_line(error.message()) }
+    }
+
+    pub fn value(&self, section: &str, key: &str, span: &Range<usize>, problem: Problem) -> ConfigError {
+        ConfigError::Value {
+            file: self.file.to_owned(),
+            line: self.line(span),
+            section: section.to_owned(),
+            key: key.to_owned(),
+            problem: Box::new(problem),
+        }
+    }
+
+    /// `section` may carry its own line ("[[object]], line 7,"), since a missing key has none.
+    pub fn missing(&self, section: String, key: &'static str, mend: &'static str) -> ConfigError {
+        ConfigError::Missing { file: self.file.to_owned(), section, key, mend }
+    }
+
+    /// A section's name followed by the line on which it begins.
+    pub fn section_at(&self, section: &str, span: &Range<usize>) -> String {
+        format!("{section}, line {},", self.line(span))
+    }
+}
+
+/// Parser messages may span lines; ours are one sentence.
+pub(super) fn one_line(message: &str) -> String {
+    message.lines().map(str::trim).filter(|l| !l.is_empty()).collect::<Vec<_>>().join("; ")
+}

@@ -1,0 +1,264 @@
+//! The config once everything in it has been checked and every file that it names has been read.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use image::GrayImage;
+use image::imageops::{FilterType, resize};
+use toml::Spanned;
+
+use super::as_typed::{self, ControlValue};
+use super::bodies::BodyReader;
+use super::origin::Origin;
+use super::values::Section;
+use super::{ConfigError, Problem};
+use crate::camera::CameraModel;
+use crate::track::{BodySpec, TrackerSettings};
+
+/// A checked config.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// The config file.
+    pub file: PathBuf,
+    /// The calibration file, relative names resolved.
+    pub calibration_file: PathBuf,
+    /// The camera at the calibration's own picture size; [`camera_for`](Self::camera_for) fits it to a clip.
+    pub camera: CameraModel,
+    /// Exposure in seconds; 0 = unknown.
+    pub exposure_s: f64,
+    /// First row to last in seconds; 0 = global shutter or unknown.
+    pub readout_s: f64,
+    /// Black where the camera's picture is to be ignored; of the calibration's aspect ratio.
+    pub mask: Option<GrayImage>,
+    /// How to open the camera, for the commands that do.
+    pub device: DeviceSettings,
+    /// The stage.
+    pub stage: BodySpec,
+    /// The tracked objects, in the order of the file.
+    pub objects: Vec<BodySpec>,
+    /// The tracker's tunables.
+    pub tracker: TrackerSettings,
+    /// What is logged, and how.
+    pub log: LogSettings,
+    /// What was assumed or looks odd, one sentence each; `check` prints them.
+    pub notes: Vec<String>,
+}
+
+/// How to open the camera; `None` leaves it to the driver.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct DeviceSettings {
+    /// Path, number or name.
+    pub device: Option<String>,
+    /// Picture width in pixels.
+    pub width: Option<u32>,
+    /// Picture height in pixels.
+    pub height: Option<u32>,
+    /// Frames per second.
+    pub fps: Option<f64>,
+    /// Pixel format.
+    pub format: Option<PixelFormat>,
+    /// Driver controls by name, set once at the start.
+    pub controls: BTreeMap<String, ControlValue>,
+}
+
+/// A pixel format that cameras offer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PixelFormat {
+    /// JPEG pictures.
+    Mjpeg,
+    /// YUV 4:2:2, packed.
+    Yuyv,
+    /// YUV 4:2:0, two planes.
+    Nv12,
+    /// 8-bit grey.
+    Grey,
+}
+
+/// `[log]`
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LogSettings {
+    /// The least grave messages that are written.
+    pub level: LogLevel,
+    /// One line of text or one JSON object a message.
+    pub format: LogFormat,
+}
+
+/// How grave a message must be to be written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LogLevel {
+    /// Nothing.
+    Off,
+    /// What stops the work.
+    Error,
+    /// What goes wrong while the work goes on.
+    Warn,
+    /// What happens once.
+    Info,
+    /// What happens in every frame.
+    Debug,
+    /// Everything.
+    Trace,
+}
+
+impl LogLevel {
+    /// The words for it, in config and on the command line.
+    pub const WORDS: [(&'static str, LogLevel); 6] = [
+        ("off", Self::Off),
+        ("error", Self::Error),
+        ("warn", Self::Warn),
+        ("info", Self::Info),
+        ("debug", Self::Debug),
+        ("trace", Self::Trace),
+    ];
+}
+
+/// The form of a log message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LogFormat {
+    /// A line of text.
+    Text,
+    /// A JSON object.
+    Json,
+}
+
+impl Settings {
+    /// Reads a config file and everything that it names.
+    ///
+    /// # Errors
+    /// The first thing that is wrong, with its place and its mend.
+    pub fn load(file: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(file).map_err(|e| ConfigError::Unreadable { file: file.to_owned(), reason: e.to_string() })?;
+        Self::from_text(&text, file)
+    }
+
+    /// As [`load`](Self::load), with the text at hand; `file` is its name, to which relative paths belong.
+    pub fn from_text(text: &str, file: &Path) -> Result<Self, ConfigError> {
+        let typed = as_typed::Config::parse(text, file)?;
+        let origin = Origin::new(file, text);
+        let mut notes = Vec::new();
+        let section = Section { origin: &origin, name: "[camera]" };
+        let mend = "calibration = \"camera.toml\" (width, height, fx, fy, cx, cy, skew, distortion)";
+        let Some(camera) = &typed.camera else {
+            return Err(origin.missing("the config".to_owned(), "camera.calibration", mend));
+        };
+        let (camera, camera_span) = (camera.get_ref(), camera.span());
+        let Some(calibration) = &camera.calibration else {
+            return Err(origin.missing(origin.section_at("[camera]", &camera_span), "calibration", mend));
+        };
+        let model = section.calibration("calibration", calibration)?.model;
+        let seconds = "seconds from 0 (unknown) to 1";
+        let within = |v: f64| (0.0..=1.0).contains(&v);
+        let exposure_s = section.number("exposure_s", camera.exposure_s.as_ref(), 0.0, within, seconds)?;
+        let readout_s = section.number("readout_s", camera.readout_s.as_ref(), 0.0, within, seconds)?;
+        let mask = camera.mask.as_ref().map(|m| mask(&section, m, &model)).transpose()?;
+        let mut bodies = BodyReader { origin: &origin, camera: model, notes: &mut notes };
+        let (stage, objects) = (bodies.stage(typed.stage.as_ref())?, bodies.objects(&typed.object)?);
+        Ok(Self {
+            file: file.to_owned(),
+            calibration_file: origin.beside(calibration.get_ref()),
+            camera: model,
+            exposure_s,
+            readout_s,
+            mask,
+            device: device(&section, camera)?,
+            stage,
+            objects,
+            tracker: tracker(&origin, typed.tracker.as_ref())?,
+            log: log(&origin, typed.log.as_ref())?,
+            notes,
+        })
+    }
+
+    /// The camera for pictures of a size, and a note where the calibration had to be scaled to it.
+    ///
+    /// # Errors
+    /// [`ConfigError::PictureSize`] where the aspect ratio is another.
+    pub fn camera_for(&self, width: u32, height: u32) -> Result<(CameraModel, Option<String>), ConfigError> {
+        let (from_width, from_height) = (self.camera.width(), self.camera.height());
+        if (from_width, from_height) == (width, height) {
+            return Ok((self.camera, None));
+        }
+        let problem = |problem| ConfigError::PictureSize { file: self.file.clone(), problem };
+        let scaled = self.camera.scaled_to(width, height).map_err(problem)?;
+        let note = format!("the calibration for {from_width} x {from_height} pixels is scaled to the pictures' {width} x {height}");
+        Ok((scaled, Some(note)))
+    }
+
+    /// The mask at the size of the pictures.
+    pub fn mask_for(&self, width: u32, height: u32) -> Option<GrayImage> {
+        self.mask.as_ref().map(|mask| match mask.dimensions() == (width, height) {
+            true => mask.clone(),
+            false => resize(mask, width, height, FilterType::Nearest),
+        })
+    }
+}
+
+fn mask(section: &Section<'_>, typed: &Spanned<String>, camera: &CameraModel) -> Result<GrayImage, ConfigError> {
+    let picture = section.picture("mask", typed)?;
+    let file = section.origin.beside(typed.get_ref());
+    let (width, height) = picture.dimensions();
+    // A mask painted on a scaled picture of the camera is as good.
+    if camera.scaled_to(width, height).is_err() {
+        let (camera_width, camera_height) = (camera.width(), camera.height());
+        let problem = Problem::MaskSize { file, width, height, camera_width, camera_height };
+        return Err(section.refuse("mask", &typed.span(), problem));
+    }
+    if picture.as_raw().iter().all(|&level| level == 0) {
+        return Err(section.refuse("mask", &typed.span(), Problem::MaskBlack(file)));
+    }
+    Ok(picture)
+}
+
+fn device(section: &Section<'_>, typed: &as_typed::Camera) -> Result<DeviceSettings, ConfigError> {
+    let side = |key: &'static str, typed: &Option<Spanned<as_typed::Count>>| -> Result<Option<u32>, ConfigError> {
+        let side = section.count(key, typed.as_ref(), 0, 1..=16384, "a number of pixels from 1 to 16384")?;
+        Ok(typed.as_ref().and(u32::try_from(side).ok()))
+    };
+    let fps = section.number("fps", typed.fps.as_ref(), 0.0, |v| v > 0.0 && v <= 1000.0, "frames per second, above 0, at most 1000")?;
+    let formats = [
+        ("mjpeg", Some(PixelFormat::Mjpeg)),
+        ("yuyv", Some(PixelFormat::Yuyv)),
+        ("nv12", Some(PixelFormat::Nv12)),
+        ("grey", Some(PixelFormat::Grey)),
+    ];
+    let controls = typed.controls.iter().flatten().map(|(name, value)| (name.clone(), *value.get_ref())).collect();
+    let device = typed.device.as_ref().map(|d| section.text("device", d, "a device such as \"/dev/video0\"")).transpose()?;
+    Ok(DeviceSettings {
+        device,
+        width: side("width", &typed.width)?,
+        height: side("height", &typed.height)?,
+        fps: typed.fps.as_ref().map(|_| fps),
+        format: section.word("format", typed.format.as_ref(), None, &formats, "mjpeg, yuyv, nv12 or grey")?,
+        controls,
+    })
+}
+
+fn tracker(origin: &Origin<'_>, typed: Option<&as_typed::Tracker>) -> Result<TrackerSettings, ConfigError> {
+    let default = TrackerSettings::default();
+    let Some(typed) = typed else { return Ok(default) };
+    let section = Section { origin, name: "[tracker]" };
+    let threads = section.count("threads", typed.threads.as_ref(), default.threads as u64, 1..=64, "1 to 64 threads")?;
+    let features = section.count("features", typed.features.as_ref(), default.features as u64, 100..=20_000, "100 to 20000 corners")?;
+    let confirm =
+        section.count("confirm_frames", typed.confirm_frames.as_ref(), default.confirm_frames.into(), 2..=100, "2 to 100 frames")?;
+    let coast = |v: f64| (0.0..=10.0).contains(&v);
+    Ok(TrackerSettings {
+        threads: threads as usize,
+        features: features as usize,
+        coast_s: section.number("coast_s", typed.coast_s.as_ref(), default.coast_s, coast, "seconds from 0 to 10")?,
+        confirm_frames: confirm as u32,
+        seed: section.count("seed", typed.seed.as_ref(), default.seed, 0..=u64::MAX, "a whole number of 0 or more")?,
+    })
+}
+
+fn log(origin: &Origin<'_>, typed: Option<&as_typed::Log>) -> Result<LogSettings, ConfigError> {
+    let default = LogSettings { level: LogLevel::Warn, format: LogFormat::Text };
+    let Some(typed) = typed else { return Ok(default) };
+    let section = Section { origin, name: "[log]" };
+    let formats = [("text", LogFormat::Text), ("json", LogFormat::Json)];
+    let levels = "off, error, warn, info, debug or trace";
+    Ok(LogSettings {
+        level: section.word("level", typed.level.as_ref(), default.level, &LogLevel::WORDS, levels)?,
+        format: section.word("format", typed.format.as_ref(), default.format, &formats, "text or json")?,
+    })
+}

@@ -1,0 +1,119 @@
+//! What a replay and a check give when all is well.
+
+use std::io::Read;
+use std::process::Stdio;
+use std::time::Duration;
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+
+use super::scene::Scene;
+
+#[test]
+fn replay_without_outputs_prints_the_table() {
+    let scene = Scene::new();
+    let run = scene.replay(&[]);
+    run.assert_success();
+    assert!(run.stdout.starts_with("frames          6\ntracking"), "{}", run.stdout);
+    assert!(run.stdout.contains("acquire") && run.stdout.contains("p95"), "{}", run.stdout);
+    assert!(run.stderr.is_empty(), "not quiet: {}", run.stderr);
+}
+
+#[test]
+fn records_go_to_stdout_and_the_table_to_stderr() {
+    let scene = Scene::new();
+    let run = scene.replay(&["--poses", "-"]);
+    run.assert_success();
+    assert_eq!(run.stdout.lines().filter(|line| line.starts_with("{\"sequence\":")).count(), 6, "{}", run.stdout);
+    assert_eq!(run.stdout.lines().count(), 6);
+    assert!(run.stderr.starts_with("frames"), "{}", run.stderr);
+}
+
+#[test]
+fn the_same_bytes_on_one_and_two_threads() {
+    let scene = Scene::new();
+    scene.replay(&["--poses", "1.jsonl", "--tum", "1.txt", "--threads", "1"]).assert_success();
+    scene.replay(&["--poses", "2.jsonl", "--tum", "2.txt", "--threads", "2"]).assert_success();
+    assert_eq!(scene.read("1.jsonl"), scene.read("2.jsonl"));
+    assert_eq!(scene.read("1.txt"), scene.read("2.txt"));
+}
+
+#[test]
+fn the_summary_agrees_with_the_records() {
+    let scene = Scene::new();
+    scene.replay(&["--poses", "poses.jsonl", "--tum", "poses.txt", "--summary", "summary.json"]).assert_success();
+    let summary: serde_json::Value = serde_json::from_str(&scene.read("summary.json")).unwrap();
+    let records = scene.read("poses.jsonl");
+    let count = |state: &str| records.lines().filter(|line| line.contains(&format!("\"state\":\"{state}\",\"pose\""))).count();
+    for state in ["searching", "tracking", "coasting", "lost"] {
+        assert_eq!(summary[state], count(state), "{state}");
+    }
+    assert_eq!(scene.read("poses.txt").lines().count(), count("tracking"));
+    assert_eq!(summary["first_pose_ms"].is_null(), count("tracking") == 0);
+}
+
+#[test]
+fn an_overlay_a_frame() {
+    let scene = Scene::new();
+    scene.replay(&["--overlay", "seen"]).assert_success();
+    for k in 0..6 {
+        let picture = image::open(scene.path(&format!("seen/{k:06}.jpg"))).unwrap();
+        assert_eq!((picture.width(), picture.height()), (320, 240));
+    }
+}
+
+#[test]
+fn a_reader_that_leaves_is_no_error() {
+    let scene = Scene::new();
+    let mut child = scene
+        .command(&["replay", "clip", "--config", "stage.toml", "--poses", "-"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let mut stderr = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut stderr).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(0), "{stderr}");
+    assert!(!stderr.contains("panicked"), "{stderr}");
+}
+
+#[test]
+fn check_says_what_it_found() {
+    let scene = Scene::new();
+    let run = scene.run(&["check", "--config", "stage.toml", "--clip", "clip"]);
+    run.assert_success();
+    let parts = [
+        "stage.toml: good",
+        "camera.toml (320 x 240 pixels)",
+        "focal length 300.0 x 300.0 px, principal point 159.5, 119.5 px",
+        "field of view 56.1 x 43.6 degrees",
+        "art.png: artwork 640 x 480 pixels on 4 x 3 m, 0.16 texels a mm",
+        "best seen head-on from 0.94 m to 37.50 m",
+        "clip: 6 frames of 320 x 240 pixels",
+        "call a pose `tracking` after 2 frames that agree",
+    ];
+    for part in parts {
+        assert!(run.stdout.contains(part), "`{part}` is not in: {}", run.stdout);
+    }
+}
+
+#[test]
+fn ctrl_c_ends_with_what_is_there() {
+    let scene = Scene::new();
+    // Ten seconds between frames: it is certainly waiting when the signal comes.
+    let stamps: String = (0..6_u64).map(|k| format!("{},{k:06}.png\n", k * 10_000_000_000)).collect();
+    scene.write("clip/timestamps.csv", &format!("#timestamp [ns],filename\n{stamps}"));
+    let arguments = ["replay", "clip", "--config", "stage.toml", "--realtime", "--poses", "poses.jsonl", "--summary", "summary.json"];
+    let child = scene.command(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let first_line = || std::fs::read_to_string(scene.path("poses.jsonl")).is_ok_and(|text| text.ends_with('\n'));
+    while !first_line() {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    kill(Pid::from_raw(child.id() as i32), Signal::SIGINT).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let lines = scene.read("poses.jsonl").lines().count();
+    let summary: serde_json::Value = serde_json::from_str(&scene.read("summary.json")).unwrap();
+    assert!(lines < 6 && summary["frames"] == lines, "{lines}: {summary}");
+}

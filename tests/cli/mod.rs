@@ -1,0 +1,7 @@
+//! The built binary on good and bad input: exit code, message, files.
+
+mod bad_clip;
+mod bad_config;
+mod good;
+mod scene;
+mod usage;

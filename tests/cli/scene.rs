@@ -1,0 +1,125 @@
+//! A folder with a small clip, its config and its calibration, and a way to run the program on it.
+
+use std::path::PathBuf;
+use std::process::{Command, Output};
+
+use image::{GrayImage, Luma, imageops};
+
+pub const CAMERA: &str =
+    "width = 320\nheight = 240\nfx = 300.0\nfy = 300.0\ncx = 159.5\ncy = 119.5\nskew = 0.0\ndistortion = [0.0, 0.0, 0.0, 0.0, 0.0]\n";
+pub const CONFIG: &str = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4.0, 3.0]\n";
+
+pub struct Scene {
+    folder: tempfile::TempDir,
+}
+
+/// What a run came to.
+pub struct Run {
+    pub code: i32,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+impl Scene {
+    /// Six frames that show the artwork, from slightly different places, as a folder with `frames/` and `timestamps.csv`.
+    pub fn new() -> Self {
+        let scene = Self { folder: tempfile::tempdir().unwrap() };
+        scene.write("camera.toml", CAMERA);
+        scene.write("stage.toml", CONFIG);
+        let art = texture(640, 480);
+        art.save(scene.path("art.png")).unwrap();
+        GrayImage::from_pixel(640, 480, Luma([120])).save(scene.path("flat.png")).unwrap();
+        std::fs::create_dir_all(scene.path("clip/frames")).unwrap();
+        let mut stamps = "#timestamp [ns],filename\n".to_owned();
+        for k in 0..6_u32 {
+            let view = imageops::resize(&art, 280 + 2 * k, 210 + k, imageops::FilterType::Triangle);
+            let mut frame = GrayImage::from_pixel(320, 240, Luma([40]));
+            imageops::replace(&mut frame, &view, 10 + i64::from(k), 12);
+            frame.save(scene.path(&format!("clip/frames/{k:06}.png"))).unwrap();
+            stamps += &format!("{},{k:06}.png\n", u64::from(k) * 33_333_333);
+        }
+        scene.write("clip/timestamps.csv", &stamps);
+        scene
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    pub fn write(&self, name: &str, text: &str) {
+        std::fs::write(self.path(name), text).unwrap();
+    }
+
+    pub fn read(&self, name: &str) -> String {
+        std::fs::read_to_string(self.path(name)).unwrap()
+    }
+
+    /// The config with one text replaced by another.
+    pub fn config_with(&self, from: &str, to: &str) {
+        assert!(CONFIG.contains(from), "the config has no `{from}`");
+        self.write("stage.toml", &CONFIG.replace(from, to));
+    }
+
+    /// Cuts a file to its first `bytes`.
+    pub fn truncate(&self, name: &str, bytes: usize) {
+        let whole = std::fs::read(self.path(name)).unwrap();
+        assert!(whole.len() > bytes);
+        std::fs::write(self.path(name), &whole[..bytes]).unwrap();
+    }
+
+    /// Runs the program in the scene's folder.
+    pub fn run(&self, arguments: &[&str]) -> Run {
+        Run::from(self.command(arguments).output().unwrap())
+    }
+
+    pub fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_stagepose"));
+        command.args(arguments).current_dir(self.folder.path()).env_remove("RUST_LOG");
+        command
+    }
+
+    /// `replay clip --config stage.toml` and more.
+    pub fn replay(&self, more: &[&str]) -> Run {
+        self.run(&[&["replay", "clip", "--config", "stage.toml"], more].concat())
+    }
+}
+
+impl From<Output> for Run {
+    fn from(output: Output) -> Self {
+        let text = |bytes| String::from_utf8(bytes).unwrap();
+        Self { code: output.status.code().expect("it was not killed"), stdout: text(output.stdout), stderr: text(output.stderr) }
+    }
+}
+
+impl Run {
+    /// The run failed with this code and one sentence that has all of these parts.
+    pub fn assert_refused(&self, code: i32, parts: &[&str]) {
+        assert_eq!(self.code, code, "{}", self.stderr);
+        let sentences: Vec<&str> = self.stderr.lines().filter(|line| line.starts_with("stagepose: ")).collect();
+        assert_eq!(sentences.len(), 1, "{}", self.stderr);
+        for part in parts {
+            assert!(sentences[0].contains(part), "`{part}` is not in: {}", sentences[0]);
+        }
+        assert!(!self.stderr.contains("panicked"), "{}", self.stderr);
+    }
+
+    pub fn assert_success(&self) {
+        assert_eq!(self.code, 0, "{}", self.stderr);
+        assert!(!self.stderr.contains("panicked"), "{}", self.stderr);
+    }
+}
+
+/// Random blocks of two sizes: corners near and far.
+pub fn texture(width: u32, height: u32) -> GrayImage {
+    let mut state = 7_u32;
+    let mut level = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        state >> 24
+    };
+    let coarse: Vec<u32> = (0..1024).map(|_| level()).collect();
+    let fine: Vec<u32> = (0..16384).map(|_| level()).collect();
+    GrayImage::from_fn(width, height, |x, y| {
+        let (c, f) = (coarse[(x / 37 % 32 + y / 31 % 32 * 32) as usize], fine[(x / 9 % 128 + y / 8 % 128 * 128) as usize]);
+        Luma([((2 * c + f) / 3) as u8])
+    })
+}

@@ -1,0 +1,44 @@
+//! Arguments: help with an example, and bad usage with 2.
+
+use super::scene::Scene;
+
+#[test]
+fn every_command_has_help_with_an_example() {
+    let scene = Scene::new();
+    for command in [&["--help"][..], &["replay", "--help"], &["check", "--help"], &["demo", "--help"]] {
+        let run = scene.run(command);
+        run.assert_success();
+        assert!(run.stdout.contains("Example:\n  stagepose "), "{command:?}: {}", run.stdout);
+    }
+}
+
+#[test]
+fn bad_usage_ends_with_2() {
+    let scene = Scene::new();
+    let cases: [&[&str]; 7] = [
+        &[],
+        &["dance"],
+        &["replay"],
+        &["replay", "clip"],
+        &["replay", "clip", "--config", "stage.toml", "--fps", "0"],
+        &["replay", "clip", "--config", "stage.toml", "--threads", "0"],
+        &["replay", "clip", "--config", "stage.toml", "--log", "loud"],
+    ];
+    for arguments in cases {
+        let run = scene.run(arguments);
+        assert_eq!(run.code, 2, "{arguments:?}: {}", run.stderr);
+        assert!(!run.stderr.is_empty() && run.stdout.is_empty(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn outputs_without_an_output_section() {
+    let scene = Scene::new();
+    scene.replay(&["--outputs"]).assert_refused(2, &["stage.toml: there is no [[output]] section to send to; leave --outputs away"]);
+}
+
+#[test]
+fn stdout_is_given_to_one_output_only() {
+    let scene = Scene::new();
+    scene.replay(&["--poses", "-", "--tum", "-"]).assert_refused(2, &["only one of --poses, --tum and --summary may be `-`"]);
+}

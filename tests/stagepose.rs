@@ -1,0 +1,3 @@
+//! The program from outside: its commands, its files, its exit codes.
+
+mod cli;
