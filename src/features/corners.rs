@@ -3,7 +3,7 @@
 
 use image::GrayImage;
 
-use super::kernels::{CIRCLE, CIRCLE_RADIUS, fast_score, segment_row};
+use super::kernels::{CIRCLE, CIRCLE_RADIUS, score_row, segment_row};
 
 /// A corner on a pyramid level.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,7 +21,7 @@ pub struct Corner {
 pub struct CornerOptions {
     /// Corners wanted at most.
     pub count: usize,
-    /// Contrast to start with, grey levels; lowered to `least_threshold` where it finds too few.
+    /// Usual contrast, grey levels; twice as much is tried first, `least_threshold` last.
     pub threshold: u8,
     /// Lowest contrast.
     pub least_threshold: u8,
@@ -59,9 +59,10 @@ pub fn detect_corners(
     if w <= 2 * border || h <= 2 * border {
         return;
     }
-    for threshold in [options.threshold, options.least_threshold] {
+    // High contrast first: a rich picture has enough of it, and each step down costs more than the last.
+    for threshold in [2 * options.threshold, options.threshold, options.least_threshold] {
         segment_test(image, threshold, border, buffers);
-        if buffers.candidates.len() >= 2 * options.count || threshold == options.least_threshold {
+        if 2 * buffers.candidates.len() >= 3 * options.count {
             break;
         }
     }
@@ -99,13 +100,9 @@ fn segment_test(image: &GrayImage, threshold: u8, border: u32, buffers: &mut Cor
         std::mem::swap(&mut previous, &mut pending);
         if y < h - b {
             segment_row(source, y * w + b, &offsets, threshold, &mut buffers.marks);
-            for (k, _) in buffers.marks.iter().enumerate().filter(|(_, mark)| **mark != 0) {
-                let (x, at) = (b + k, y * w + b + k);
-                let circle = offsets.map(|o| source[at.wrapping_add_signed(o)]);
-                let score = fast_score(&circle, source[at]);
-                buffers.scores[slot + x] = score;
-                pending.push((x, score));
-            }
+            let scores = &mut buffers.scores[slot + b..slot + w - b];
+            score_row(source, y * w + b, &offsets, &buffers.marks, scores);
+            pending.extend(scores.iter().enumerate().filter(|(_, s)| **s != 0).map(|(k, s)| (b + k, *s)));
         }
         for &(x, score) in &previous {
             if is_largest(&buffers.scores, w, y - 1, x, score) {

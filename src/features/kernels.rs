@@ -45,12 +45,17 @@ fn segment_row_avx2(source: &[u8], start: usize, offsets: &[isize; 16], threshol
     segment_row_blocked(source, start, offsets, threshold, marks);
 }
 
-/// Blocks of [`LANES`] pixels in registers; the rest of the row pixel by pixel.
+/// Blocks of [`LANES`] pixels in registers; rows shorter than one pixel by pixel.
 #[inline(always)]
 fn segment_row_blocked(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, marks: &mut [u8]) {
-    let mut blocks = marks.chunks_exact_mut(LANES);
-    let mut at = start;
-    for out in &mut blocks {
+    let n = marks.len();
+    if n < LANES {
+        segment_row_plain(source, start, offsets, threshold, marks);
+        return;
+    }
+    // The last block overlaps the one before it, so that no pixel is left over.
+    for first in (0..n - LANES).step_by(LANES).chain([n - LANES]) {
+        let (at, out) = (start + first, &mut marks[first..first + LANES]);
         let lanes = |offset: isize| -> [u8; LANES] {
             // The slice is exactly this long.
             source[at.wrapping_add_signed(offset)..][..LANES].try_into().unwrap_or([0; LANES])
@@ -74,10 +79,7 @@ fn segment_row_blocked(source: &[u8], start: usize, offsets: &[isize; 16], thres
         } else {
             longest_runs(&lanes, offsets, &high, &low, out);
         }
-        at += LANES;
     }
-    let rest = blocks.into_remainder();
-    segment_row_plain(source, at, offsets, threshold, rest);
 }
 
 /// Marks the lanes whose circle has nine neighbours in a row beyond the limits.
@@ -113,20 +115,62 @@ pub fn segment_row_plain(source: &[u8], start: usize, offsets: &[isize; 16], thr
     }
 }
 
+/// Scores the marked pixels of a row (see [`segment_row`]) with [`fast_score`]; the others get 0.
+pub fn score_row(source: &[u8], start: usize, offsets: &[isize; 16], marks: &[u8], scores: &mut [u8]) {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2; the function is safe code compiled for it.
+        unsafe { score_row_avx2(source, start, offsets, marks, scores) };
+        return;
+    }
+    score_row_plain(source, start, offsets, marks, scores);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn score_row_avx2(source: &[u8], start: usize, offsets: &[isize; 16], marks: &[u8], scores: &mut [u8]) {
+    score_row_plain(source, start, offsets, marks, scores);
+}
+
+/// The plain twin of [`score_row`].
+#[inline(always)]
+fn score_row_plain(source: &[u8], start: usize, offsets: &[isize; 16], marks: &[u8], scores: &mut [u8]) {
+    for (k, (mark, score)) in marks.iter().zip(scores).enumerate() {
+        *score = 0;
+        if *mark != 0 {
+            let at = start + k;
+            let mut circle = [0u8; 16];
+            for (value, offset) in circle.iter_mut().zip(offsets) {
+                *value = source[at.wrapping_add_signed(*offset)];
+            }
+            *score = fast_score(&circle, source[at]);
+        }
+    }
+}
+
 /// FAST-9's score: the largest threshold at which nine contiguous circle pixels are all brighter or all darker than the
 /// centre; 0 where there is none.
-#[inline]
-pub fn fast_score(circle: &[u8; 16], centre: u8) -> u8 {
-    let difference: [i16; 16] = std::array::from_fn(|k| i16::from(circle[k]) - i16::from(centre));
+#[inline(always)]
+fn fast_score(circle: &[u8; 16], centre: u8) -> u8 {
+    // The circle twice round, so that runs need no wrapping.
+    let mut least = [0i16; 32];
+    for k in 0..32 {
+        least[k] = i16::from(circle[k % 16]) - i16::from(centre);
+    }
+    let once = least;
+    let mut most = least;
     // The least (most) of nine in a row by doubling: of 2, of 4, of 8, and one more.
-    let pairwise =
-        |d: &[i16; 16], step: usize, pick: fn(i16, i16) -> i16| -> [i16; 16] { std::array::from_fn(|k| pick(d[k], d[(k + step) % 16])) };
-    let nine = |pick: fn(i16, i16) -> i16| -> [i16; 16] {
-        let eight = pairwise(&pairwise(&pairwise(&difference, 1, pick), 2, pick), 4, pick);
-        std::array::from_fn(|k| pick(eight[k], difference[(k + 8) % 16]))
-    };
-    let brightest = nine(i16::min).into_iter().fold(i16::MIN, i16::max);
-    let darkest = nine(i16::max).into_iter().fold(i16::MAX, i16::min);
+    for step in [1, 2, 4] {
+        for k in 0..24 {
+            least[k] = least[k].min(least[k + step]);
+            most[k] = most[k].max(most[k + step]);
+        }
+    }
+    let (mut brightest, mut darkest) = (i16::MIN, i16::MAX);
+    for k in 0..16 {
+        brightest = brightest.max(least[k].min(once[k + 8]));
+        darkest = darkest.min(most[k].max(once[k + 8]));
+    }
     // "Brighter by more than t" holds up to t = best - 1.
     (brightest.max(-darkest) - 1).clamp(0, 255) as u8
 }
