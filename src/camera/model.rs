@@ -231,6 +231,9 @@ impl CameraModel {
         let (mut low, mut high) = (0.0, if self.valid_radius.is_finite() { self.valid_radius } else { 2.0 * wanted.max(1.0) });
         while self.valid_radius.is_infinite() && grown(high) < wanted {
             high *= 2.0;
+            if high > LARGEST_RADIUS {
+                return None;
+            }
         }
         if grown(high) < wanted {
             // Tangential terms may still bring it inside; start at the rim and let Newton decide.
@@ -278,26 +281,37 @@ impl CameraModel {
     }
 }
 
+/// No lens shows rays beyond this normalised radius (89.99994 degrees off the axis).
+const LARGEST_RADIUS: f64 = 1e6;
+
 /// The first radius at which d(r radial(r))/dr = 1 + 3 k1 r² + 5 k2 r⁴ + 7 k3 r⁶ is no longer positive.
+///
+/// Between the turning points of this cubic in r² it runs one way only, so a change of sign cannot hide.
 fn radial_limit([k1, k2, _, _, k3]: [f64; 5]) -> f64 {
     let slope = |s: f64| 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3));
-    // Scan the squared radius: fine enough that a double root between two steps bends the map by a negligible amount.
-    const STEPS: usize = 20_000;
-    const LARGEST_SQUARED: f64 = 100.0;
-    let mut previous = 0.0;
-    for k in 1..=STEPS {
-        let s = LARGEST_SQUARED * (k as f64 / STEPS as f64).powi(2);
-        if slope(s) <= 0.0 {
-            let (mut low, mut high) = (previous, s);
-            for _ in 0..80 {
+    let mut low = 0.0;
+    for high in turning_points(3.0 * k1, 10.0 * k2, 21.0 * k3).into_iter().chain([LARGEST_RADIUS * LARGEST_RADIUS]) {
+        if !(high > low && high <= LARGEST_RADIUS * LARGEST_RADIUS) {
+            continue;
+        }
+        if slope(high) <= 0.0 {
+            let mut high = high;
+            for _ in 0..200 {
                 let middle = 0.5 * (low + high);
                 if slope(middle) > 0.0 { low = middle } else { high = middle }
             }
             return low.sqrt();
         }
-        previous = s;
+        low = high;
     }
     f64::INFINITY
+}
+
+/// The real roots of a + b s + c s², ascending; NaN where there is none.
+fn turning_points(a: f64, b: f64, c: f64) -> [f64; 2] {
+    let q = -0.5 * (b + b.signum() * (b * b - 4.0 * a * c).sqrt());
+    let (one, two) = (q / c, a / q);
+    if one <= two { [one, two] } else { [two, one] }
 }
 
 impl crate::geometry::resection::Projection for CameraModel {
@@ -306,3 +320,7 @@ impl crate::geometry::resection::Projection for CameraModel {
         (pixel.0, jacobian)
     }
 }
+
+#[cfg(test)]
+#[path = "model_tests.rs"]
+mod tests;

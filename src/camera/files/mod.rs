@@ -1,0 +1,160 @@
+//! Calibration files: stagepose's own TOML, OpenCV and ROS YAML, EuRoC sensor YAML and Bouguet's Calib_Results.m.
+//!
+//! Each form has one file here that turns text into a [`Calibration`]; this one decides which form a text is
+//! in and puts the path and the line number in front of whatever is wrong with it.
+
+mod bouguet;
+mod opencv;
+mod problem;
+mod stagepose;
+mod yaml;
+
+use std::path::Path;
+
+use super::model::{CameraModel, Intrinsics};
+pub use problem::{CalibrationFileError, CalibrationProblem};
+use problem::{Fault, fault};
+
+/// What a calibration file holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibration {
+    /// The camera.
+    pub model: CameraModel,
+    /// How well each number is known, where the file says so.
+    pub uncertainty: Option<IntrinsicsUncertainty>,
+    /// Reprojection error per point, sqrt(mean(dx² + dy²)), pixels.
+    pub rms_px: Option<f64>,
+    /// How many pictures the calibration was made from.
+    pub images: Option<u32>,
+    /// When it was made, as the file writes it.
+    pub date: Option<String>,
+    /// The form it was read from.
+    pub form: CalibrationForm,
+}
+
+/// 3 sigma of each intrinsic, in the units of [`Intrinsics`]; 0 for a number that was held fixed.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct IntrinsicsUncertainty {
+    /// 3 sigma of fx, pixels.
+    pub fx: f64,
+    /// 3 sigma of fy, pixels.
+    pub fy: f64,
+    /// 3 sigma of cx, pixels.
+    pub cx: f64,
+    /// 3 sigma of cy, pixels.
+    pub cy: f64,
+    /// 3 sigma of alpha_c.
+    pub skew: f64,
+    /// 3 sigma of [k1, k2, p1, p2, k3].
+    pub distortion: [f64; 5],
+}
+
+/// The forms that are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CalibrationForm {
+    /// stagepose's own TOML.
+    Stagepose,
+    /// OpenCV's FileStorage YAML.
+    OpenCv,
+    /// ROS camera_info YAML.
+    Ros,
+    /// EuRoC / Kalibr sensor YAML.
+    Euroc,
+    /// Calib_Results.m of Bouguet's toolbox.
+    Bouguet,
+}
+
+impl Calibration {
+    /// A calibration of which nothing but the camera is known.
+    pub fn new(model: CameraModel) -> Self {
+        Self { model, uncertainty: None, rms_px: None, images: None, date: None, form: CalibrationForm::Stagepose }
+    }
+
+    /// The file's text in stagepose's own form; reading it again gives the same numbers to the last bit.
+    pub fn to_toml(&self) -> String {
+        stagepose::write(self)
+    }
+}
+
+/// Larger than any calibration file by far, small enough to read in one go.
+const LARGEST_FILE_BYTES: u64 = 4 << 20;
+
+/// Reads a calibration file in any of the forms of [`CalibrationForm`].
+///
+/// # Errors
+/// When the file cannot be read or its text is no calibration; the message names the file, the line and the key.
+pub fn read_calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
+    let unreadable = |source| CalibrationFileError::Unreadable { path: path.to_owned(), source };
+    let file = std::fs::File::open(path).map_err(unreadable)?;
+    let mut bytes = Vec::new();
+    std::io::Read::read_to_end(&mut std::io::Read::take(file, LARGEST_FILE_BYTES + 1), &mut bytes).map_err(unreadable)?;
+    if bytes.len() as u64 > LARGEST_FILE_BYTES {
+        return Err(CalibrationFileError::at(path, fault(CalibrationProblem::UnknownForm)));
+    }
+    parse_calibration(&bytes, path)
+}
+
+/// Reads the bytes of a calibration file; `path` serves for its extension and the messages.
+///
+/// # Errors
+/// As [`read_calibration`], without the reading.
+pub fn parse_calibration(bytes: &[u8], path: &Path) -> Result<Calibration, CalibrationFileError> {
+    let text = String::from_utf8_lossy(bytes);
+    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+    let parsed = match recognise(text, path) {
+        Some(Grammar::Toml) => stagepose::parse(text),
+        Some(Grammar::Yaml) => opencv::parse(text),
+        Some(Grammar::Matlab) => bouguet::parse(text),
+        None => Err(fault(CalibrationProblem::UnknownForm)),
+    };
+    parsed.map_err(|f| CalibrationFileError::at(path, f))
+}
+
+/// How a text is to be taken apart.
+enum Grammar {
+    Toml,
+    Yaml,
+    Matlab,
+}
+
+/// The grammar by the extension, or by what the text looks like.
+fn recognise(text: &str, path: &Path) -> Option<Grammar> {
+    match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
+        Some("toml") => return Some(Grammar::Toml),
+        Some("yaml" | "yml") => return Some(Grammar::Yaml),
+        Some("m") => return Some(Grammar::Matlab),
+        _ => {}
+    }
+    if text.starts_with("%YAML") || text.contains("!!opencv-matrix") {
+        return Some(Grammar::Yaml);
+    }
+    let starts = |key: &str, sign: char| {
+        text.lines().any(|l| l.trim_start().strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with(sign)))
+    };
+    if starts("fc", '=') {
+        Some(Grammar::Matlab)
+    } else if starts("fx", '=') {
+        Some(Grammar::Toml)
+    } else if ["camera_matrix", "K", "intrinsics", "image_width"].iter().any(|key| starts(key, ':')) {
+        Some(Grammar::Yaml)
+    } else {
+        None
+    }
+}
+
+/// The model of `intrinsics`, with the line of the number that is wrong: `line_of(key)` knows where a key stands.
+fn model(intrinsics: Intrinsics, line_of: impl Fn(&str) -> Option<usize>) -> Result<CameraModel, Fault> {
+    use super::model::CameraError::{Aspect, FocalLength, NotFinite, Size};
+    CameraModel::new(intrinsics).map_err(|e| {
+        let key = match e {
+            NotFinite { name, .. } | FocalLength { name, .. } => name,
+            Size { width: 0, .. } => "width",
+            Size { .. } | Aspect { .. } => "height",
+        };
+        let line = line_of(key.split(' ').next().unwrap_or(key));
+        Fault { line, problem: CalibrationProblem::Camera(e) }
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,214 @@
+//! Every calibration form, what is refused and with which words, and arbitrary text.
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn read(name: &str, text: &str) -> Result<Calibration, CalibrationFileError> {
+    parse_calibration(text.as_bytes(), Path::new(name))
+}
+
+fn intrinsics(name: &str, text: &str) -> Intrinsics {
+    *read(name, text).unwrap().model.intrinsics()
+}
+
+/// The message of a refused file; all must be one sentence that names the file.
+#[track_caller]
+fn refusal(name: &str, text: &str) -> String {
+    let message = read(name, text).unwrap_err().to_string();
+    assert!(message.starts_with(name) && !message.contains('\n'), "{message}");
+    message
+}
+
+const STAGEPOSE: &str = "width = 1280\nheight = 720\nfx = 900.5\nfy = 901\ncx = 640.25\ncy = 359.0\nskew = 0.001\n\
+    distortion = [-0.1, 0.05, 0.001, -0.002, 0.0]\nrms_px = 0.2\nimages = 20\ndate = \"2026-01-02\"\n\n\
+    [uncertainty]\nfx = 1.0\nfy = 1.5\ncx = 2.0\ncy = 2.5\nskew = 0.0\ndistortion = [0.01, 0.02, 0.001, 0.001, 0.0]\n";
+
+const OPENCV: &str = "%YAML:1.0\n---\ncalibration_time: \"Mon 1 Jan 2024\"\nnframes: 13\nimage_width: 640\nimage_height: 480\n\
+    camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 5.34e+02, 1.068, 3.42e+02, 0.,\n       5.36e+02, 2.35e+02, 0., 0., 1. ]\n\
+    distortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ -2.6e-01, -3.8e-02,\n       1.7e-03, -2.8e-04, .5 ]\n\
+    avg_reprojection_error: 3.9e-01\n";
+
+const ROS: &str = "image_width: 752\nimage_height: 480\ncamera_name: cam\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [435.2, 0, 367.4, 0, 435.3, 252.2, 0, 0, 1]\n\
+    distortion_model: plumb_bob\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [-0.36, 0.15, 0.001, 0.002, 0]\n\
+    rectification_matrix:\n  rows: 3\n  cols: 3\n  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n";
+
+const BOUGUET: &str = "% Intrinsic and Extrinsic Camera Parameters\n%-- Focal length:\nfc = [ 657.462 ; 657.945 ];\ncc = [ 303.137 ; 242.569 ];\n\
+    alpha_c = 0.0004;\nkc = [ -0.2553 ; 0.1275 ; -0.0002 ; 0.00003 ; 0.000 ]; % distortion\nfc_error = [ 0.317 ; 0.340 ];\n\
+    cc_error = [ 0.645 ; 0.591 ];\nalpha_c_error = 0.0001;\nkc_error = [ 0.0027 ; 0.0107 ; 0.0001 ; 0.0001 ; 0.0 ];\nnx = 640;\nny = 480;\nn_ima = 20;\n\
+    omc_1 = [ 1.654 ; NaN ; -0.669 ];\nTc_1  = [ -1.77 ; -8.3 ; 8.5 ];\n";
+
+#[test]
+fn stagepose_toml_is_read_whole() {
+    let c = read("camera.toml", STAGEPOSE).unwrap();
+    let i = c.model.intrinsics();
+    assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy, i.skew), (1280, 720, 900.5, 901.0, 640.25, 359.0, 0.001));
+    assert_eq!(i.distortion, [-0.1, 0.05, 0.001, -0.002, 0.0]);
+    let u = c.uncertainty.unwrap();
+    assert_eq!((u.fx, u.fy, u.cx, u.cy, u.skew, u.distortion[1]), (1.0, 1.5, 2.0, 2.5, 0.0, 0.02));
+    assert_eq!((c.rms_px, c.images, c.date.as_deref(), c.form), (Some(0.2), Some(20), Some("2026-01-02"), CalibrationForm::Stagepose));
+}
+
+#[test]
+fn opencv_yaml_is_read_with_its_skew() {
+    let c = read("camera.yml", OPENCV).unwrap();
+    let i = c.model.intrinsics();
+    assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy), (640, 480, 534.0, 536.0, 342.0, 235.0));
+    assert_eq!(i.distortion, [-0.26, -0.038, 0.0017, -0.00028, 0.5]);
+    assert!((i.skew - 1.068 / 534.0).abs() < 1e-15);
+    assert!((c.model.k_matrix()[(0, 1)] - 1.068).abs() < 1e-12, "K[0][1] = fx alpha_c");
+    assert_eq!((c.images, c.rms_px, c.form), (Some(13), Some(0.39), CalibrationForm::OpenCv));
+}
+
+#[test]
+fn other_spellings_of_opencv_files_are_read() {
+    for (matrix, distortion) in [("Camera_Matrix", "Distortion_Coefficients"), ("cameraMatrix", "distCoeffs"), ("K", "D")] {
+        let text = OPENCV.replace("camera_matrix", matrix).replace("distortion_coefficients", distortion);
+        assert_eq!(intrinsics("camera.yml", &text), intrinsics("camera.yml", OPENCV), "{matrix} {distortion}");
+    }
+    let sizes = OPENCV.replace("image_width", "image_Width").replace("image_height", "image_Height");
+    assert_eq!(intrinsics("camera.yml", &sizes).height, 480);
+    let nested = "image_width: 64\nimage_height: 48\nK: [[50, 0, 32], [0, 51, 24], [0, 0, 1]]\nD: [0.1, 0.2, 0, 0]\n";
+    assert_eq!(intrinsics("camera", nested).fy, 51.0);
+}
+
+#[test]
+fn coefficients_beyond_the_fifth_must_be_zero() {
+    let with = |data: &str| {
+        let matrix = "image_width: 64\nimage_height: 48\nK: [50, 0, 32, 0, 51, 24, 0, 0, 1]\n";
+        format!("{matrix}D: [{data}]\n")
+    };
+    assert_eq!(intrinsics("c.yml", &with("0.1, 0.2, 0.3, 0.4")).distortion, [0.1, 0.2, 0.3, 0.4, 0.0]);
+    assert_eq!(intrinsics("c.yml", &with("0.1, 0.2, 0.3, 0.4, 0.5, 0, 0, 0")).distortion[4], 0.5);
+    assert_eq!(intrinsics("c.yml", &with("")).distortion, [0.0; 5]);
+    let message = refusal("c.yml", &with("0.1, 0.2, 0.3, 0.4, 0.5, 0.01, 0, 0"));
+    assert!(message.contains("line 4") && message.contains("rational") && message.contains("not supported"), "{message}");
+    assert!(refusal("c.yml", &with("0.1, 0.2")).contains("`D` has 2 numbers"));
+    assert!(refusal("c.yml", &with("0.1, x, 0, 0")).contains("`D` holds a list that is not all numbers"));
+}
+
+#[test]
+fn ros_camera_info_is_read_and_other_lenses_refused() {
+    let c = read("cam.yaml", ROS).unwrap();
+    assert_eq!((c.form, c.model.intrinsics().fx, c.model.intrinsics().skew), (CalibrationForm::Ros, 435.2, 0.0));
+    let sheared = ROS.replace("[435.2, 0, 367.4", "[435.2, 0.8704, 367.4");
+    assert!((intrinsics("cam.yaml", &sheared).skew - 0.002).abs() < 1e-15);
+    let rational = ROS.replace("plumb_bob", "rational_polynomial");
+    assert_eq!(intrinsics("cam.yaml", &rational.replace("0.002, 0]", "0.002, 0, 0, 0, 0]")).distortion[3], 0.002);
+    assert!(refusal("cam.yaml", &rational.replace("0.002, 0]", "0.002, 0, 0.1, 0, 0]")).contains("not supported"));
+    let message = refusal("cam.yaml", &ROS.replace("plumb_bob", "equidistant"));
+    assert!(message.contains("line 8") && message.contains("equidistant"), "{message}");
+    assert!(refusal("cam.yml", &format!("{OPENCV}fisheye_model: 1\n")).contains("fisheye"));
+    assert!(read("cam.yml", &format!("{OPENCV}fisheye_model: 0\n")).is_ok());
+}
+
+#[test]
+fn bouguet_is_read_with_its_errors_and_without_its_boards() {
+    for name in ["Calib_Results.m", "noextension"] {
+        let c = read(name, BOUGUET).unwrap();
+        let i = c.model.intrinsics();
+        assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy, i.skew), (640, 480, 657.462, 657.945, 303.137, 242.569, 0.0004));
+        assert_eq!(i.distortion, [-0.2553, 0.1275, -0.0002, 0.00003, 0.0]);
+        let u = c.uncertainty.unwrap();
+        assert_eq!((u.fx, u.cy, u.skew, u.distortion[0]), (0.317, 0.591, 0.0001, 0.0027));
+        assert_eq!((c.images, c.form), (Some(20), CalibrationForm::Bouguet));
+    }
+    let spread = BOUGUET.replace("[ 657.462 ; 657.945 ]", "[ 657.462\n 657.945 ]");
+    assert_eq!(intrinsics("c.m", &spread).fy, 657.945);
+    assert!(refusal("c.m", &BOUGUET.replace("[ 657.462 ; 657.945 ]", "[ 657.462 ]")).contains("line 3: `fc` has 1 numbers"));
+    assert!(refusal("c.m", &BOUGUET.replace("657.462 ;", "six ;")).contains("`fc` holds \"six\""));
+    assert!(refusal("c.m", &BOUGUET.replace("fc = [ 657.462", "fc = [ -657.462")).contains("line 3: fx is -657.462"));
+    assert!(refusal("c.m", &BOUGUET.replace("nx = 640;", "")).contains("`nx` is missing"));
+}
+
+#[test]
+fn unknown_keys_are_named_with_the_nearest() {
+    let message = refusal("camera.toml", &STAGEPOSE.replace("distortion = [-0.1", "distorsion = [-0.1"));
+    assert!(message.contains("line 8: `distorsion`") && message.contains("`distortion`?"), "{message}");
+    let message = refusal("camera.toml", &format!("{STAGEPOSE}widht = 3\n"));
+    assert!(message.contains("line 20: `uncertainty.widht`"), "{message}");
+}
+
+#[test]
+fn wrong_values_are_named_with_key_and_line() {
+    let changed = |from: &str, to: &str| refusal("camera.toml", &STAGEPOSE.replacen(from, to, 1));
+    assert!(changed("fx = 900.5", "fx = nan").contains("line 3: fx is NaN"));
+    assert!(changed("fx = 900.5", "fx = -3").contains("line 3: fx is -3"));
+    assert!(changed("fx = 900.5", "fx = \"a\"").contains("line 3: `fx` holds a string; write a number"));
+    assert!(changed("width = 1280\n", "").contains("`width` is missing"));
+    assert!(changed("width = 1280", "width = 12.5").contains("line 1: `width` holds a float"));
+    assert!(changed("width = 1280", "width = 0").contains("line 1: the picture is 0 x 720"));
+    assert!(changed("-0.002, 0.0]", "-0.002]").contains("line 8: `distortion` has 4 numbers"));
+    assert!(changed("-0.002, 0.0]", "-0.002, inf]").contains("line 8: distortion k3"));
+    assert!(changed("-0.002, 0.0]", "-0.002, true]").contains("line 8: `distortion` holds a boolean"));
+    assert!(changed("rms_px = 0.2", "rms_px = -1").contains("line 9: `rms_px` is -1"));
+    assert!(changed("cx = 2.0\n", "").contains("`uncertainty.cx` is missing"));
+    assert!(changed("fy = 901", "fy = ").contains("line 4"));
+    assert!(changed("fy = 901\n", "fx = 901\n").contains("line 4"));
+}
+
+#[test]
+fn broken_yaml_and_unknown_forms_say_so() {
+    assert!(refusal("c.yml", "image_width: [1, 2\nfoo: }\n").contains("mend the file's syntax"));
+    assert!(refusal("c.yml", "").contains("is missing"));
+    assert!(refusal("c.yml", &OPENCV.replace("5.34e+02", ".Nan")).contains("line 7: fx is NaN"));
+    assert!(refusal("c.yml", &OPENCV.replace("0., 0., 1. ]", "0., 0., 2. ]")).contains("`camera_matrix` is 2"));
+    assert!(refusal("c.yml", &OPENCV.replace("image_width: 640", "image_width: wide")).contains("line 5: `image_width` holds \"wide\""));
+    assert!(refusal("c.yml", &"- ".repeat(100_000)).contains("nested too deeply"));
+    assert!(refusal("c.yml", "a: &a [1]\nb: *a\n").contains("aliases"));
+    assert!(refusal("picture.png", "\u{1}\u{2}").contains("no calibration file"));
+    let gone = read_calibration(Path::new("does/not/exist.toml")).unwrap_err().to_string();
+    assert!(gone.contains("does/not/exist.toml") && gone.contains("check its path"), "{gone}");
+}
+
+#[test]
+fn real_files_are_read() {
+    let data = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data"));
+    let (opencv, euroc) = (data.join("calib-opencv-leftright/left_intrinsics.yml"), data.join("static-euroc-v101/sensor.yaml"));
+    if !opencv.exists() || !euroc.exists() {
+        eprintln!("skipped: the shared calibration files are not here");
+        return;
+    }
+    let c = read_calibration(&opencv).unwrap();
+    assert_eq!((c.form, c.images, c.model.intrinsics().fx), (CalibrationForm::OpenCv, Some(13), 535.915_733_961_632));
+    let c = read_calibration(&euroc).unwrap();
+    assert_eq!((c.form, c.model.width(), c.model.intrinsics().cy), (CalibrationForm::Euroc, 752, 248.375));
+}
+
+prop_compose! {
+    fn calibrations()(
+        width in 1u32..9000, height in 1u32..9000, f in prop::array::uniform2(1e-3..1e5f64), c in prop::array::uniform2(-1e4..1e4f64),
+        skew in -1.0..1.0f64, distortion in prop::array::uniform5(-3.0..3.0f64), rms_px in prop::option::of(0.0..9.0f64),
+        images in prop::option::of(any::<u32>()), date in prop::option::of(".*"),
+        sigma in prop::option::of(prop::array::uniform10(0.0..1e3f64)),
+    ) -> Calibration {
+        let intrinsics = Intrinsics { width, height, fx: f[0], fy: f[1], cx: c[0], cy: c[1], skew, distortion };
+        let uncertainty = sigma.map(|s| IntrinsicsUncertainty {
+            fx: s[0], fy: s[1], cx: s[2], cy: s[3], skew: s[4], distortion: [s[5], s[6], s[7], s[8], s[9]],
+        });
+        Calibration { uncertainty, rms_px, images, date, ..Calibration::new(CameraModel::new(intrinsics).unwrap()) }
+    }
+}
+
+proptest! {
+    #[test]
+    fn written_toml_reads_back_to_the_bit(calibration in calibrations()) {
+        let text = calibration.to_toml();
+        prop_assert_eq!(read("camera.toml", &text).map_err(|e| TestCaseError::fail(format!("{e}\n{text}")))?, calibration);
+    }
+
+    #[test]
+    fn any_bytes_end_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+        for name in ["c.toml", "c.yml", "c.m", "c"] {
+            let _ = parse_calibration(&bytes, Path::new(name));
+        }
+    }
+
+    #[test]
+    fn damaged_files_end_without_panic(which in 0usize..4, at in any::<prop::sample::Index>(), with in "[\\[\\]{}=:;%.0-9a-z \n-]{0,6}", cut in 0usize..20) {
+        let (name, text) = [("c.toml", STAGEPOSE), ("c.yml", OPENCV), ("c.yaml", ROS), ("c.m", BOUGUET)][which];
+        let at = at.index(text.len());
+        let damaged = format!("{}{with}{}", &text[..at], &text[(at + cut).min(text.len())..]);
+        let _ = read(name, &damaged);
+    }
+}
