@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Matrix5, SMatrix, SVector, UnitQuaternion, Vector2, Vect
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use super::pose::skew;
+use super::pose::{quaternion, skew};
 use super::triangulation::depths;
 
 /// Corresponding normalised points in two views, `x2^T E x1 = 0`.
@@ -219,10 +219,7 @@ pub fn decompose(e: &Matrix3<f64>) -> Option<[TwoViewMotion; 4]> {
     }
     let w = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
     let t: Vector3<f64> = u.column(2).into_owned();
-    let rotation = |m: Matrix3<f64>| {
-        UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_eps(&m, 1e-12, 20, nalgebra::Rotation3::identity()))
-    };
-    let (r1, r2) = (rotation(u * w * vt), rotation(u * w.transpose() * vt));
+    let (r1, r2) = (quaternion(&(u * w * vt)), quaternion(&(u * w.transpose() * vt)));
     Some([(r1, t), (r1, -t), (r2, t), (r2, -t)].map(|(rotation, direction)| TwoViewMotion { rotation, direction }))
 }
 

@@ -3,7 +3,7 @@
 use std::marker::PhantomData;
 use std::ops::Mul;
 
-use nalgebra::{Matrix3, Matrix4, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Matrix4, Point3, Rotation3, UnitQuaternion, Vector3};
 
 /// The stage: right-handed, metres, x right as seen from the house, y upstage, z up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,8 +54,7 @@ impl<To, From> Pose<To, From> {
 
     /// From a rotation matrix that is orthonormal up to rounding.
     pub fn from_matrix(rotation: &Matrix3<f64>, translation: Vector3<f64>) -> Self {
-        let rotation = nalgebra::Rotation3::from_matrix_eps(rotation, 1e-12, 20, nalgebra::Rotation3::identity());
-        Self::new(UnitQuaternion::from_rotation_matrix(&rotation), translation)
+        Self::new(quaternion(rotation), translation)
     }
 
     /// No rotation, no translation.
@@ -115,6 +114,13 @@ impl<A, B, C> Mul<Pose<B, C>> for Pose<A, B> {
     }
 }
 
+/// The unit quaternion of a rotation matrix that is orthonormal up to rounding, by the closed form (iterative ones stall at
+/// half turns).
+pub fn quaternion(rotation: &Matrix3<f64>) -> UnitQuaternion<f64> {
+    let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation));
+    UnitQuaternion::new_normalize(q.into_inner())
+}
+
 /// The cross-product matrix: `skew(a) b = a x b`.
 pub fn skew(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
@@ -142,6 +148,17 @@ mod tests {
         let b = Pose::<Camera, Body>::new(UnitQuaternion::from_euler_angles(-1.1, 0.3, 0.2), Vector3::new(0.1, 0.0, 5.0));
         assert!(((a * b).matrix() - a.matrix() * b.matrix()).norm() < 1e-12);
         assert!(((a * a.inverse()).matrix() - Matrix4::identity()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn matrices_of_half_turns_come_back() {
+        for axis in [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis(), nalgebra::Unit::new_normalize(Vector3::new(1.0, -2.0, 0.5))] {
+            for angle in [0.0, 1e-9, 1.0, std::f64::consts::PI - 1e-9, std::f64::consts::PI] {
+                let m = UnitQuaternion::from_axis_angle(&axis, angle).to_rotation_matrix().into_inner();
+                let back = Pose::<Stage, Camera>::from_matrix(&m, Vector3::zeros()).rotation_matrix();
+                assert!((back - m).norm() < 1e-12, "{axis:?} {angle}: {}", (back - m).norm());
+            }
+        }
     }
 
     #[test]

@@ -20,6 +20,8 @@ const TILES: [u32; 2] = [8, 6];
 /// Anchors searched in the half-size and in the full frame.
 const COARSE_ANCHORS: usize = 120;
 const FINE_ANCHORS: usize = 300;
+/// Fewest anchors that must fit at half size for its pose to be taken over.
+const LEAST_COARSE_FITTING: usize = 24;
 /// Fewest anchors that must fit.
 const LEAST_FITTING: usize = 16;
 /// Fewest tiles that they must lie in.
@@ -30,8 +32,8 @@ const LEAST_SHARE_CONTINUED: f64 = 0.2;
 /// Largest residual, in pixels of a 1280-pixel-wide frame, of an anchor that counts as fitting.
 const LARGEST_RESIDUAL_PX: f64 = 1.5;
 /// Largest standard deviation of a pose that is given: of the direction in radians, and of the position as a share of the distance.
-const LARGEST_TURN: f64 = 0.1 * std::f64::consts::PI / 180.0;
-const LARGEST_SHIFT: f64 = 0.0035;
+const LARGEST_TURN: f64 = 0.5 * std::f64::consts::PI / 180.0;
+const LARGEST_SHIFT: f64 = 0.012;
 /// By how much (chi-squared) the tilted twin must be worse.
 const LEAST_FLIP_MARGIN: f64 = 25.0;
 
@@ -132,8 +134,12 @@ pub fn verify(
     workers: &Workers,
     buffers: &mut VerifyBuffers,
 ) -> Result<Verified, Refusal> {
-    let coarse = registered_pose(body, start, camera, &pictures.half, shutter, COARSE_ANCHORS, workers, buffers)?;
-    let fine = registered_pose(body, &coarse.pose, camera, &pictures.full, shutter, FINE_ANCHORS, workers, buffers)?;
+    // A small stage has too little to hold on to at half size: then the start must do.
+    let coarse = registered_pose(body, start, camera, &pictures.half, shutter, COARSE_ANCHORS, workers, buffers)
+        .ok()
+        .filter(|_| buffers.observations.len() >= LEAST_COARSE_FITTING);
+    let start = coarse.map_or(*start, |c| c.pose);
+    let fine = registered_pose(body, &start, camera, &pictures.full, shutter, FINE_ANCHORS, workers, buffers)?;
     let moving = MovingCamera { lens: camera, twist: shutter.twist(&fine.pose) };
     judge(body, &fine, &moving, continued, buffers)
 }
