@@ -6,4 +6,5 @@ pub mod capture;
 pub mod frame;
 pub mod geometry;
 pub mod record;
+pub mod simulate;
 pub mod track;
