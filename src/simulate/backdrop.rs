@@ -27,7 +27,7 @@ pub fn paint(width: u32, height: u32, seed: u64) -> RgbImage {
     // Cloth is never evenly lit or evenly painted: broad stains and the weave.
     canvas.shade(|x, y| {
         let stain = 0.8 + 0.4 * layered_noise(x / unit * 3.0, y / unit * 3.0, 3, 0.5, noise_seed ^ 0x57a1);
-        stain * (0.95 + 0.1 * lattice(x as i32, y as i32, noise_seed ^ 0xc107))
+        stain * (0.98 + 0.04 * lattice(x as i32, y as i32, noise_seed ^ 0xc107))
     });
     canvas.finish()
 }

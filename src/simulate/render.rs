@@ -29,7 +29,9 @@ struct Ray {
     /// (x / z, y / z) in the camera frame; NaN where the lens has no ray.
     centre: Vector2<f64>,
     /// Derivative of the ray by the pixel position.
-    per_px: Matrix2<f32>,
+    per_px: Matrix2<f64>,
+    /// Area of a pixel on the plane at depth 1.
+    area: f64,
 }
 
 /// One ray's place in its pixel and in the exposure.
@@ -144,7 +146,7 @@ impl Renderer {
 
     /// The grey level that one ray of a pixel brings home.
     fn trace(&self, ray: &Ray, sample: &Sample, views: &[View]) -> f32 {
-        let offset = ray.per_px.cast::<f64>() * sample.offset_px;
+        let offset = ray.per_px * sample.offset_px;
         let direction = Vector3::new(ray.centre.x + offset.x, ray.centre.y + offset.y, 1.0);
         let mut nearest = f64::INFINITY;
         let mut grey = self.stage.background;
@@ -153,22 +155,22 @@ impl Renderer {
             let h = &view.face_from_ray;
             let slope = h[(2, 0)] * direction.x + h[(2, 1)] * direction.y + h[(2, 2)];
             // The ray meets the plane at this depth; NaN (no ray) fails the comparison.
-            let depth = -view.height / slope;
+            let inverse = 1.0 / slope;
+            let depth = -view.height * inverse;
             if !(depth > NEAREST_M && depth < nearest) {
                 continue;
             }
-            let u = (h[(0, 0)] * direction.x + h[(0, 1)] * direction.y + h[(0, 2)]) / slope;
-            let v = (h[(1, 0)] * direction.x + h[(1, 1)] * direction.y + h[(1, 2)]) / slope;
+            let u = (h[(0, 0)] * direction.x + h[(0, 1)] * direction.y + h[(0, 2)]) * inverse;
+            let v = (h[(1, 0)] * direction.x + h[(1, 1)] * direction.y + h[(1, 2)]) * inverse;
             if plane.face.covers(u, v) {
                 nearest = depth;
-                hit = Some((&plane.face, view, slope, u, v));
+                hit = Some((&plane.face, view, inverse, u, v));
             }
         }
-        if let Some((face, view, slope, u, v)) = hit {
+        if let Some((face, view, inverse, u, v)) = hit {
             // Texels under one ray: the area of a pixel on the face, shared by its rays.
-            let area = (view.determinant / (slope * slope * slope)).abs() as f32 * ray.per_px.determinant().abs();
-            let level = 0.5 * (area / self.samples.len() as f32).log2();
-            grey = if view.height > 0.0 { face.grey(u, v, level) } else { BACK_GREY };
+            let texels = (view.determinant * inverse * inverse * inverse).abs() * ray.area / self.samples.len() as f64;
+            grey = if view.height > 0.0 { face.grey(u, v, 0.5 * (texels as f32).log2()) } else { BACK_GREY };
         }
         grey
     }
@@ -244,12 +246,12 @@ fn planes_of(stage: &VirtualStage) -> Vec<Plane> {
 fn ray_table(camera: &CameraModel) -> Vec<Ray> {
     let (width, height) = (camera.width(), camera.height());
     let pixels = (0..height).into_par_iter().flat_map_iter(|y| (0..width).map(move |x| (x, y)));
-    let nowhere = Ray { centre: Vector2::repeat(f64::NAN), per_px: Matrix2::zeros() };
+    let nowhere = Ray { centre: Vector2::repeat(f64::NAN), per_px: Matrix2::zeros(), area: 0.0 };
     pixels
         .map(|(x, y)| {
             let Some(ray) = camera.unproject(Pixel(Vector2::new(f64::from(x), f64::from(y)))) else { return nowhere };
             let per_ray = camera.project_with_jacobian(ray).1;
-            per_ray.try_inverse().map_or(nowhere, |per_px| Ray { centre: ray.0, per_px: per_px.cast() })
+            per_ray.try_inverse().map_or(nowhere, |per_px| Ray { centre: ray.0, per_px, area: per_px.determinant().abs() })
         })
         .collect()
 }

@@ -44,6 +44,7 @@ impl Texture {
         let fine = level as usize;
         let blend = level - fine as f32;
         let sharp = self.levels[fine].bilinear(u, v);
+        // Close up, and at the last level, one size is enough.
         if blend == 0.0 {
             return sharp;
         }
