@@ -12,6 +12,7 @@ pub mod geometry;
 pub mod matching;
 pub mod pose;
 pub mod record;
+pub mod simulate;
 pub mod track;
 
 pub use daemon::{Daemon, Tracker, TrackerSetup};

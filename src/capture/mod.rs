@@ -1,8 +1,12 @@
 //! Where frames come from: recorded clips and the virtual stage, behind one trait.
 
+mod virtual_stage;
+
 use std::time::Duration;
 
 use crate::frame::Frame;
+
+pub use virtual_stage::VirtualCamera;
 
 /// One row of a clip: a frame, or why there is none.
 #[derive(Debug, Clone, PartialEq)]

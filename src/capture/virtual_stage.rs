@@ -1,0 +1,93 @@
+//! The virtual stage as a source of frames: what the demo and the tests track.
+
+use std::time::Duration;
+
+use super::{FrameSource, Row, RowContent};
+use crate::frame::Frame;
+use crate::geometry::{Body, Camera, Pose, Stage};
+use crate::simulate::{Renderer, VirtualStage};
+
+/// A camera in front of a virtual stage: a given number of frames at a steady rate, the first one at time 0.
+#[derive(Debug)]
+pub struct VirtualCamera {
+    renderer: Renderer,
+    fps: f64,
+    frames: u64,
+    next: u64,
+}
+
+impl VirtualCamera {
+    /// Prepares `frames` frames of a stage at `fps` frames a second (above 0).
+    pub fn new(stage: VirtualStage, fps: f64, frames: u64) -> Self {
+        Self { renderer: Renderer::new(stage), fps, frames, next: 0 }
+    }
+
+    /// The stage in front of it.
+    pub fn stage(&self) -> &VirtualStage {
+        self.renderer.stage()
+    }
+
+    /// The stamp of a frame, nanoseconds from the first.
+    pub fn timestamp_ns(&self, sequence: u64) -> i64 {
+        (sequence as f64 * 1e9 / self.fps).round() as i64
+    }
+
+    /// The exact `T_stage_camera` at the stamp of a frame.
+    pub fn truth(&self, sequence: u64) -> Pose<Stage, Camera> {
+        self.stage().truth(self.time_s(sequence))
+    }
+
+    /// The exact `T_stage_object` at the stamp of a frame, or `None` when there is no such object.
+    pub fn object_truth(&self, object: usize, sequence: u64) -> Option<Pose<Stage, Body>> {
+        self.stage().object_truth(object, self.time_s(sequence))
+    }
+
+    /// The stamp in seconds: of the rounded nanoseconds, so that picture, truth and stamp agree exactly.
+    fn time_s(&self, sequence: u64) -> f64 {
+        self.timestamp_ns(sequence) as f64 * 1e-9
+    }
+}
+
+impl FrameSource for VirtualCamera {
+    fn next_row(&mut self) -> Option<Row> {
+        let sequence = self.next;
+        if sequence >= self.frames {
+            return None;
+        }
+        self.next += 1;
+        let timestamp_ns = self.timestamp_ns(sequence);
+        let image = self.renderer.render(self.time_s(sequence), sequence);
+        // Rendering stands for the world, not for decoding: it costs the tracker nothing.
+        let content = RowContent::Frame(Frame { image, timestamp_ns, sequence });
+        Some(Row { sequence, timestamp_ns, content, decode: Duration::ZERO })
+    }
+
+    fn size(&self) -> (u32, u32) {
+        (self.stage().camera.width(), self.stage().camera.height())
+    }
+
+    fn rows(&self) -> Option<u64> {
+        Some(self.frames)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulate::{Dolly, dolly};
+
+    #[test]
+    fn frames_come_in_order_at_the_rate_and_then_end() {
+        let scene = dolly(Dolly { width: 40, height: 30, seed: 1, duration_s: 0.1, artwork_width: 60 }).unwrap();
+        let mut camera = VirtualCamera::new(scene, 30.0, 3);
+        assert_eq!((camera.size(), camera.rows()), ((40, 30), Some(3)));
+        for (sequence, timestamp_ns) in [(0, 0), (1, 33_333_333), (2, 66_666_667)] {
+            let row = camera.next_row().unwrap();
+            assert_eq!((row.sequence, row.timestamp_ns), (sequence, timestamp_ns));
+            let RowContent::Frame(frame) = row.content else { panic!("the virtual stage has a picture for every row") };
+            assert_eq!((frame.sequence, frame.timestamp_ns, frame.image.dimensions()), (sequence, timestamp_ns, (40, 30)));
+            assert_eq!(camera.truth(sequence), camera.stage().truth(timestamp_ns as f64 * 1e-9));
+        }
+        assert_eq!(camera.next_row(), None);
+    }
+}

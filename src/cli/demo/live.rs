@@ -1,0 +1,64 @@
+//! The pose while it is being tracked: one line that is rewritten on a terminal, now and then a line elsewhere.
+
+use std::io::{self, IsTerminal, Stdout, Write};
+
+use crate::geometry::{Camera, Pose, Stage};
+use crate::record::{PoseSample, State};
+
+/// Where nobody watches, one frame of so many makes a line.
+const LINE_EVERY: u64 = 15;
+
+/// Prints poses as they come.
+#[derive(Debug)]
+pub(super) struct LivePrint<W> {
+    out: W,
+    /// Somebody watches: rewrite one line.
+    rewrite: bool,
+}
+
+impl LivePrint<Stdout> {
+    /// To standard output.
+    pub(super) fn stdout() -> Self {
+        let out = io::stdout();
+        Self { rewrite: out.is_terminal(), out }
+    }
+}
+
+impl<W: Write> LivePrint<W> {
+    #[cfg(test)]
+    pub(super) fn to(out: W, rewrite: bool) -> Self {
+        Self { out, rewrite }
+    }
+
+    /// Shows a frame's pose and how far off it is.
+    pub(super) fn show(&mut self, sample: &PoseSample, truth: &Pose<Stage, Camera>) -> io::Result<()> {
+        if self.rewrite {
+            // Back to the line's start, and clear what a longer line left behind.
+            write!(self.out, "\r{}\x1b[K", line(sample, truth))?;
+            return self.out.flush();
+        }
+        if sample.sequence % LINE_EVERY == 0 {
+            writeln!(self.out, "{}", line(sample, truth))?;
+        }
+        Ok(())
+    }
+
+    /// Leaves the rewritten line.
+    pub(super) fn end(&mut self) -> io::Result<()> {
+        if self.rewrite { writeln!(self.out) } else { Ok(()) }
+    }
+}
+
+fn line(sample: &PoseSample, truth: &Pose<Stage, Camera>) -> String {
+    let state = match sample.state {
+        State::Searching => "searching",
+        State::Tracking => "tracking",
+        State::Coasting => "coasting",
+        State::Lost => "lost",
+    };
+    let start = format!("{:>6} {state:<9}", sample.sequence);
+    let Some(pose) = &sample.pose else { return start };
+    let (p, [x, y, z, w]) = (pose.translation, pose.orientation_xyzw());
+    let off_mm = 1e3 * (p - truth.translation).norm();
+    format!("{start} at {:+.4} {:+.4} {:+.4} m  turned {x:+.4} {y:+.4} {z:+.4} {w:+.4}  off {off_mm:.2} mm", p.x, p.y, p.z)
+}

@@ -1,0 +1,158 @@
+//! `stagepose demo`: tracks a virtual stage and says how far off the poses were.
+//!
+//! No camera, no files, no network: the stage is painted and rendered in the process, so the true pose of every
+//! frame is known. `--save` also writes the frames with everything that `stagepose replay` needs.
+
+mod errors;
+mod live;
+mod saved_clip;
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+use clap::Args;
+use thiserror::Error;
+
+use crate::capture::{FrameSource, RowContent, VirtualCamera};
+use crate::daemon::{Tracker, TrackerSetup};
+use crate::frame::Frame;
+use crate::record::PoseSample;
+use crate::simulate::{Dolly, DollyError, VirtualStage, dolly};
+use crate::track::TrackerSettings;
+use errors::PoseErrors;
+use live::LivePrint;
+use saved_clip::SavedClip;
+
+/// Track a virtual stage and print the error against the truth; needs no camera.
+#[derive(Debug, Clone, PartialEq, Args)]
+#[command(
+    after_help = "Examples:\n  stagepose demo\n  stagepose demo --frames 60 --save clip && stagepose replay clip --config clip/stage.toml --poses poses.jsonl"
+)]
+pub struct DemoArguments {
+    /// How many frames to render and track
+    #[arg(long, value_name = "N", default_value_t = 150, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    pub frames: u64,
+    /// Write the clip to this folder: frames, stamps, config, calibration, artwork, true poses
+    #[arg(long, value_name = "CLIP")]
+    pub save: Option<PathBuf>,
+    /// Picture width in pixels
+    #[arg(long, value_name = "PX", default_value_t = 640, value_parser = clap::value_parser!(u32).range(64..=4096))]
+    pub width: u32,
+    /// Picture height in pixels
+    #[arg(long, value_name = "PX", default_value_t = 480, value_parser = clap::value_parser!(u32).range(64..=4096))]
+    pub height: u32,
+    /// Frames a second
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = frame_rate)]
+    pub fps: f64,
+    /// Another number paints another stage and shakes the camera another way
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Save the frames as JPEG of this quality, 1 to 100, instead of PNG
+    #[arg(long, value_name = "QUALITY", requires = "save", value_parser = clap::value_parser!(u8).range(1..=100))]
+    pub jpeg: Option<u8>,
+}
+
+/// Reads `--fps`.
+fn frame_rate(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(fps) if (1.0..=1000.0).contains(&fps) => Ok(fps),
+        _ => Err("give a number from 1 to 1000".to_owned()),
+    }
+}
+
+/// Why a demo ended early.
+#[derive(Debug, Error)]
+pub enum DemoError {
+    /// The scene cannot be made.
+    #[error("the virtual stage cannot be made: {0}")]
+    Scene(#[from] DollyError),
+    /// A file of the saved clip cannot be written.
+    #[error("{}: cannot be written ({source}); give --save a folder with room that may be written", file.display())]
+    Save {
+        /// The file or folder.
+        file: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The folder for the saved clip holds one already.
+    #[error("{}: there is a clip already; give --save another folder", .0.display())]
+    Exists(PathBuf),
+    /// Standard output is closed.
+    #[error("standard output cannot be written ({0})")]
+    Print(#[from] io::Error),
+}
+
+impl DemoError {
+    /// True where somebody stopped reading our output, which is their right.
+    pub fn is_closed_pipe(&self) -> bool {
+        matches!(self, Self::Print(source) if source.kind() == io::ErrorKind::BrokenPipe)
+    }
+}
+
+/// Renders, tracks, and prints the errors.
+///
+/// # Errors
+/// When the saved clip or standard output cannot be written; a stage that is not found is no error.
+pub fn run(arguments: &DemoArguments) -> Result<(), DemoError> {
+    let stage = scene(arguments)?;
+    let mut saved = match &arguments.save {
+        Some(folder) => Some(SavedClip::create(folder, &stage, arguments.jpeg)?),
+        None => None,
+    };
+    let setup = TrackerSetup {
+        camera: stage.camera,
+        exposure_s: stage.exposure_s,
+        readout_s: stage.readout_s,
+        mask: None,
+        stage: stage.stage.clone(),
+        objects: stage.objects.iter().map(|object| object.body.clone()).collect(),
+        settings: TrackerSettings::default(),
+    };
+    let mut tracker = Tracker::new(setup);
+    let mut camera = VirtualCamera::new(stage, arguments.fps, arguments.frames);
+    let mut live = LivePrint::stdout();
+    let errors = session(&mut camera, |frame| tracker.track(frame), saved.as_mut(), &mut live)?;
+    if let Some(saved) = saved {
+        saved.finish()?;
+    }
+    let mut out = io::stdout().lock();
+    write!(out, "{errors}")?;
+    if let Some(folder) = &arguments.save {
+        let folder = folder.display();
+        writeln!(out, "saved; replay with: stagepose replay {folder} --config {folder}/stage.toml")?;
+    }
+    Ok(out.flush()?)
+}
+
+/// The dolly scene that the arguments ask for; its artwork has about two texels a pixel.
+fn scene(arguments: &DemoArguments) -> Result<VirtualStage, DemoError> {
+    let (width, height, seed) = (arguments.width, arguments.height, arguments.seed);
+    let duration_s = arguments.frames as f64 / arguments.fps;
+    Ok(dolly(Dolly { width, height, seed, duration_s, artwork_width: (2 * width).clamp(400, 2400) })?)
+}
+
+/// Tracks every frame, saves it where wanted, prints it, and compares it with the truth.
+fn session<W: Write>(
+    camera: &mut VirtualCamera,
+    mut track: impl FnMut(&Frame) -> PoseSample,
+    mut saved: Option<&mut SavedClip>,
+    live: &mut LivePrint<W>,
+) -> Result<PoseErrors, DemoError> {
+    let mut errors = PoseErrors::default();
+    while let Some(row) = camera.next_row() {
+        // The virtual camera has a picture for every row.
+        let RowContent::Frame(frame) = row.content else { continue };
+        let truth = camera.truth(frame.sequence);
+        if let Some(saved) = saved.as_deref_mut() {
+            saved.add(&frame, &truth)?;
+        }
+        let sample = track(&frame);
+        errors.add(&sample, &truth);
+        live.show(&sample, &truth)?;
+    }
+    live.end()?;
+    Ok(errors)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,120 @@
+//! The saved clip: a folder that `stagepose replay` reads like a recorded one, with the truth beside it.
+//!
+//! `frames/` and `timestamps.csv` are the clip (contract C2), `stage.toml`, `camera.toml` and the artwork what the
+//! tracker is told, and `groundtruth.txt` the exact poses in TUM form, at the same stamps.
+
+use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{GrayImage, ImageError};
+
+use super::DemoError;
+use crate::camera::Intrinsics;
+use crate::frame::Frame;
+use crate::geometry::{Camera, Pose, Stage};
+use crate::simulate::VirtualStage;
+
+/// A clip that is being written.
+#[derive(Debug)]
+pub(super) struct SavedClip {
+    folder: PathBuf,
+    jpeg: Option<u8>,
+    stamps: BufWriter<File>,
+    truth: BufWriter<File>,
+}
+
+impl SavedClip {
+    /// Makes the folder and writes everything but the frames; `jpeg` is a quality from 1 to 100, PNG without.
+    pub(super) fn create(folder: &Path, stage: &VirtualStage, jpeg: Option<u8>) -> Result<Self, DemoError> {
+        let frames = folder.join("frames");
+        // Frames of another clip among these would make a clip of neither.
+        if frames.exists() {
+            return Err(DemoError::Exists(folder.to_owned()));
+        }
+        fs::create_dir_all(&frames).map_err(at(&frames))?;
+        for surface in &stage.stage.surfaces {
+            save_picture(&folder.join(format!("{}.png", surface.name)), &surface.artwork, None)?;
+        }
+        let texts = [("camera.toml", calibration_toml(stage.camera.intrinsics())), ("stage.toml", stage_toml(stage))];
+        for (name, text) in texts {
+            let file = folder.join(name);
+            fs::write(&file, text).map_err(at(&file))?;
+        }
+        let stamps = started(&folder.join(STAMPS), "#timestamp [ns],filename")?;
+        let truth = started(&folder.join(TRUTH), "# timestamp tx ty tz qx qy qz qw (camera in the stage, metres, seconds)")?;
+        Ok(Self { folder: folder.to_owned(), jpeg, stamps, truth })
+    }
+
+    /// Writes one frame, its stamp and its true pose.
+    pub(super) fn add(&mut self, frame: &Frame, truth: &Pose<Stage, Camera>) -> Result<(), DemoError> {
+        let name = format!("{:06}.{}", frame.sequence, if self.jpeg.is_some() { "jpg" } else { "png" });
+        save_picture(&self.folder.join("frames").join(&name), &frame.image, self.jpeg)?;
+        writeln!(self.stamps, "{},{name}", frame.timestamp_ns).map_err(at(&self.folder.join(STAMPS)))?;
+        let (s, ns) = (frame.timestamp_ns / 1_000_000_000, frame.timestamp_ns % 1_000_000_000);
+        let (p, [x, y, z, w]) = (truth.translation, truth.orientation_xyzw());
+        writeln!(self.truth, "{s}.{ns:09} {:.9} {:.9} {:.9} {x:.9} {y:.9} {z:.9} {w:.9}", p.x, p.y, p.z)
+            .map_err(at(&self.folder.join(TRUTH)))
+    }
+
+    /// Writes what is still held back.
+    pub(super) fn finish(mut self) -> Result<(), DemoError> {
+        self.stamps.flush().map_err(at(&self.folder.join(STAMPS)))?;
+        self.truth.flush().map_err(at(&self.folder.join(TRUTH)))
+    }
+}
+
+const STAMPS: &str = "timestamps.csv";
+const TRUTH: &str = "groundtruth.txt";
+
+fn at(file: &Path) -> impl FnOnce(io::Error) -> DemoError + '_ {
+    move |source| DemoError::Save { file: file.to_owned(), source }
+}
+
+fn started(file: &Path, first_line: &str) -> Result<BufWriter<File>, DemoError> {
+    let mut out = BufWriter::new(File::create(file).map_err(at(file))?);
+    writeln!(out, "{first_line}").map_err(at(file))?;
+    Ok(out)
+}
+
+fn save_picture(file: &Path, picture: &GrayImage, jpeg: Option<u8>) -> Result<(), DemoError> {
+    let mut out = BufWriter::new(File::create(file).map_err(at(file))?);
+    let encoded = match jpeg {
+        Some(quality) => picture.write_with_encoder(JpegEncoder::new_with_quality(&mut out, quality)),
+        None => picture.write_with_encoder(PngEncoder::new_with_quality(&mut out, CompressionType::Best, FilterType::Adaptive)),
+    };
+    let written = encoded.map_err(|error| match error {
+        ImageError::IoError(error) => error,
+        other => io::Error::other(other),
+    });
+    written.and_then(|()| out.flush()).map_err(at(file))
+}
+
+/// The calibration file (contract C6); `{:?}` writes a number so that it reads back to the last bit.
+fn calibration_toml(i: &Intrinsics) -> String {
+    format!(
+        "width = {}\nheight = {}\nfx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\nskew = {:?}\ndistortion = {:?}\n",
+        i.width, i.height, i.fx, i.fy, i.cx, i.cy, i.skew, i.distortion
+    )
+}
+
+/// The config (contract C5).
+fn stage_toml(stage: &VirtualStage) -> String {
+    let mut text = format!(
+        "# A virtual stage, written by `stagepose demo --save`; groundtruth.txt has the true poses.\n[camera]\ncalibration = \"camera.toml\"\nexposure_s = {:?}\nreadout_s = {:?}\n",
+        stage.exposure_s, stage.readout_s
+    );
+    for surface in &stage.stage.surfaces {
+        let position: [f64; 3] = surface.pose.translation.into();
+        let (name, size, orientation) = (&surface.name, surface.size_m, surface.pose.orientation_xyzw());
+        // Writing to a string cannot fail.
+        let _ = write!(
+            text,
+            "\n[[stage.surface]]\nimage = \"{name}.png\"\nsize_m = {size:?}\nposition_m = {position:?}\norientation_xyzw = {orientation:?}\n"
+        );
+    }
+    text
+}

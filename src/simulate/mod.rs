@@ -1,0 +1,25 @@
+//! The virtual stage: a painted stage and a camera in front of it, with exact truth.
+//!
+//! The demo, the fixtures and the tests need pictures of a stage whose camera pose is known exactly, which no
+//! real clip has. [`VirtualStage`] describes what there is (surfaces, moving objects, people in the way, light,
+//! the camera and its path), [`Renderer`] takes its picture at any instant as a real camera would: lens
+//! distortion, motion blur, rolling shutter, sensor noise. [`paint`] makes the pictures on the cloth.
+//!
+//! Everything is a pure function of its description, its seed and the time: frames can be rendered in any order
+//! and on any number of threads, and have the same bytes on every run.
+
+mod backdrop;
+mod canvas;
+mod dolly;
+mod path;
+mod render;
+mod sensor;
+mod stage;
+mod texture;
+
+pub use backdrop::{grey, paint, paint_boards};
+pub use dolly::{Dolly, DollyError, dolly};
+pub use path::{CameraPath, ObjectPath, PathError, Shake, Spline, look_at};
+pub use render::Renderer;
+pub use sensor::SensorNoise;
+pub use stage::{LightKey, MovingObject, Occluder, VirtualStage, artwork_surface, upright};

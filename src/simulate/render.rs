@@ -1,0 +1,278 @@
+//! Takes the picture of a [`VirtualStage`].
+//!
+//! Every pixel sends out a few rays, each through another part of the pixel and at another part of the exposure,
+//! and averages what they hit. A row has its own instant (rolling shutter), so the camera's pose is taken anew for
+//! every row and ray. A plane seen by a camera is a homography from rays to artwork pixels: finding the hit costs
+//! one division, and the determinant of its derivative says how many texels a ray stands for.
+
+use image::GrayImage;
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use rayon::prelude::*;
+
+use super::sensor::develop_row;
+use super::stage::VirtualStage;
+use super::texture::Texture;
+use crate::camera::{CameraModel, Pixel};
+use crate::geometry::{Camera, Pose, Stage, SurfaceFrame};
+use crate::track::SurfaceSpec;
+
+/// Nothing nearer than this is seen, metres.
+const NEAREST_M: f64 = 0.02;
+/// Grey level of the unpainted back of a surface.
+const BACK_GREY: f32 = 45.0;
+/// Grey level of the sensor in a blackout.
+const BLACKOUT_GREY: f32 = 4.0;
+
+/// The ray through a pixel's centre and how it turns across the pixel.
+#[derive(Debug, Clone, Copy)]
+struct Ray {
+    /// (x / z, y / z) in the camera frame; NaN where the lens has no ray.
+    centre: Vector2<f64>,
+    /// Derivative of the ray by the pixel position.
+    per_px: Matrix2<f64>,
+    /// Area of a pixel on the plane at depth 1.
+    area: f64,
+}
+
+/// One ray's place in its pixel and in the exposure.
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    /// Pixels from the centre, within ±0.5.
+    offset_px: Vector2<f64>,
+    /// Share of the exposure from its middle, within ±0.5.
+    moment: f64,
+}
+
+/// What a plane shows.
+#[derive(Debug)]
+enum Face {
+    Picture { texture: Texture, size_px: [f64; 2] },
+    Ellipse { grey: f32 },
+}
+
+/// Whose frame a plane stands in.
+#[derive(Debug, Clone, Copy)]
+enum Carrier {
+    Stage,
+    Object(usize),
+    Occluder(usize),
+}
+
+/// A plane that can be hit.
+#[derive(Debug)]
+struct Plane {
+    face: Face,
+    carrier: Carrier,
+    /// `T_carrier_surface`.
+    pose: Pose<Stage, SurfaceFrame>,
+    /// Metres on the surface to face coordinates: artwork pixels, or the unit circle of an ellipse.
+    face_from_metres: Matrix3<f64>,
+}
+
+/// A plane as one ray of one row sees it.
+#[derive(Debug, Clone, Copy)]
+struct View {
+    /// Rays to face coordinates.
+    face_from_ray: Matrix3<f64>,
+    determinant: f64,
+    /// The camera's height above the face, metres; negative behind it.
+    height: f64,
+}
+
+/// A virtual stage made ready: rays inverted, pictures halved.
+#[derive(Debug)]
+pub struct Renderer {
+    stage: VirtualStage,
+    rays: Vec<Ray>,
+    samples: Vec<Sample>,
+    planes: Vec<Plane>,
+}
+
+impl Renderer {
+    /// Inverts the lens for every pixel and prepares every picture; takes about a second for large ones.
+    pub fn new(stage: VirtualStage) -> Self {
+        let rays = ray_table(&stage.camera);
+        let samples = sample_pattern(stage.samples.max(1) as usize);
+        let planes = planes_of(&stage);
+        Self { stage, rays, samples, planes }
+    }
+
+    /// What is rendered.
+    pub fn stage(&self) -> &VirtualStage {
+        &self.stage
+    }
+
+    /// The frame whose middle row is at mid-exposure at `time_s`; `frame` numbers its noise.
+    pub fn render(&self, time_s: f64, frame: u64) -> GrayImage {
+        let (width, height) = (self.stage.camera.width(), self.stage.camera.height());
+        let mut image = GrayImage::new(width, height);
+        image.par_chunks_mut(width as usize).enumerate().for_each(|(y, out)| {
+            let light = self.light_of_row(time_s, y);
+            develop_row(&light, self.stage.noise, self.stage.seed, frame, y as u64, out);
+        });
+        image
+    }
+
+    /// The light on one row before the sensor, grey levels, of the frame stamped `time_s`.
+    fn light_of_row(&self, time_s: f64, row: usize) -> Vec<f32> {
+        let width = self.stage.camera.width() as usize;
+        if self.stage.is_blackout(time_s) {
+            return vec![BLACKOUT_GREY; width];
+        }
+        let row_time_s = time_s + self.row_delay_s(row);
+        let mut light = vec![0.0; width];
+        for sample in &self.samples {
+            let at_s = row_time_s + self.stage.exposure_s * sample.moment;
+            let gain = self.stage.light_gain(at_s) / self.samples.len() as f32;
+            let views = self.views(at_s);
+            for (sum, ray) in light.iter_mut().zip(&self.rays[row * width..]) {
+                *sum += gain * self.trace(ray, sample, &views);
+            }
+        }
+        light
+    }
+
+    /// Seconds by which a row is exposed after the middle row.
+    fn row_delay_s(&self, row: usize) -> f64 {
+        let last = f64::from(self.stage.camera.height().max(2) - 1);
+        self.stage.readout_s * (row as f64 / last - 0.5)
+    }
+
+    /// Every plane as the camera sees it at an instant.
+    fn views(&self, time_s: f64) -> Vec<View> {
+        let camera = self.stage.camera_path.pose(time_s);
+        self.planes.iter().map(|plane| plane.view(&plane.pose_at(&self.stage, time_s), &camera)).collect()
+    }
+
+    /// The grey level that one ray of a pixel brings home.
+    fn trace(&self, ray: &Ray, sample: &Sample, views: &[View]) -> f32 {
+        let offset = ray.per_px * sample.offset_px;
+        let direction = Vector3::new(ray.centre.x + offset.x, ray.centre.y + offset.y, 1.0);
+        let mut nearest = f64::INFINITY;
+        let mut grey = self.stage.background;
+        let mut hit = None;
+        for (plane, view) in self.planes.iter().zip(views) {
+            let h = &view.face_from_ray;
+            let slope = h[(2, 0)] * direction.x + h[(2, 1)] * direction.y + h[(2, 2)];
+            // The ray meets the plane at this depth; NaN (no ray) fails the comparison.
+            let inverse = 1.0 / slope;
+            let depth = -view.height * inverse;
+            if !(depth > NEAREST_M && depth < nearest) {
+                continue;
+            }
+            let u = (h[(0, 0)] * direction.x + h[(0, 1)] * direction.y + h[(0, 2)]) * inverse;
+            let v = (h[(1, 0)] * direction.x + h[(1, 1)] * direction.y + h[(1, 2)]) * inverse;
+            if plane.face.covers(u, v) {
+                nearest = depth;
+                hit = Some((&plane.face, view, inverse, u, v));
+            }
+        }
+        if let Some((face, view, inverse, u, v)) = hit {
+            // Texels under one ray: the area of a pixel on the face, shared by its rays.
+            let texels = (view.determinant * inverse * inverse * inverse).abs() * ray.area / self.samples.len() as f64;
+            grey = if view.height > 0.0 { face.grey(u, v, 0.5 * (texels as f32).log2()) } else { BACK_GREY };
+        }
+        grey
+    }
+}
+
+impl Face {
+    fn covers(&self, u: f64, v: f64) -> bool {
+        match self {
+            // Pixel centres at integers: the picture spans half a pixel beyond the outermost centres.
+            Face::Picture { size_px: [w, h], .. } => u >= -0.5 && v >= -0.5 && u < w - 0.5 && v < h - 0.5,
+            Face::Ellipse { .. } => u * u + v * v < 1.0,
+        }
+    }
+
+    fn grey(&self, u: f64, v: f64, level: f32) -> f32 {
+        match self {
+            Face::Picture { texture, .. } => texture.grey(u, v, level),
+            Face::Ellipse { grey } => *grey,
+        }
+    }
+}
+
+impl Plane {
+    fn of_surface(surface: &SurfaceSpec, carrier: Carrier) -> Self {
+        let size_px = [f64::from(surface.artwork.width()), f64::from(surface.artwork.height())];
+        let [per_x, per_y] = [size_px[0] / surface.size_m[0], size_px[1] / surface.size_m[1]];
+        let middle = surface.artwork_from_metres(Vector2::zeros());
+        Self {
+            face: Face::Picture { texture: Texture::new(&surface.artwork), size_px },
+            carrier,
+            // A surface's pose is in its body; `pose_at` puts the body into the stage.
+            pose: surface.pose.renamed(),
+            face_from_metres: Matrix3::new(per_x, 0.0, middle.x, 0.0, -per_y, middle.y, 0.0, 0.0, 1.0),
+        }
+    }
+
+    fn pose_at(&self, stage: &VirtualStage, time_s: f64) -> Pose<Stage, SurfaceFrame> {
+        match self.carrier {
+            Carrier::Stage => self.pose,
+            Carrier::Object(k) => stage.objects[k].path.pose(time_s) * self.pose.renamed(),
+            Carrier::Occluder(k) => stage.occluders[k].pose(time_s),
+        }
+    }
+
+    fn view(&self, pose: &Pose<Stage, SurfaceFrame>, camera: &Pose<Stage, Camera>) -> View {
+        let surface_from_camera = pose.inverse() * *camera;
+        let (turn, eye) = (surface_from_camera.rotation_matrix(), surface_from_camera.translation);
+        // The ray eye + s turn d meets z = 0 at s = -eye.z / (turn d).z; its x there is (eye.x (turn d).z - eye.z (turn d).x) / (turn d).z.
+        let down = turn.row(2);
+        let metres = Matrix3::from_rows(&[down * eye.x - turn.row(0) * eye.z, down * eye.y - turn.row(1) * eye.z, down.into_owned()]);
+        let face_from_ray = self.face_from_metres * metres;
+        View { face_from_ray, determinant: face_from_ray.determinant(), height: eye.z }
+    }
+}
+
+fn planes_of(stage: &VirtualStage) -> Vec<Plane> {
+    let still = stage.stage.surfaces.iter().chain(&stage.scenery).map(|s| Plane::of_surface(s, Carrier::Stage));
+    let moving = stage.objects.iter().enumerate();
+    let moving = moving.flat_map(|(k, object)| object.body.surfaces.iter().map(move |s| Plane::of_surface(s, Carrier::Object(k))));
+    let people = stage.occluders.iter().enumerate().map(|(k, occluder)| {
+        let [half_width, half_height] = occluder.half_size_m;
+        Plane {
+            face: Face::Ellipse { grey: occluder.grey },
+            carrier: Carrier::Occluder(k),
+            pose: Pose::identity(),
+            face_from_metres: Matrix3::from_diagonal(&Vector3::new(1.0 / half_width, 1.0 / half_height, 1.0)),
+        }
+    });
+    still.chain(moving).chain(people).collect()
+}
+
+/// The exact inverse of the lens at every pixel centre, row-major.
+fn ray_table(camera: &CameraModel) -> Vec<Ray> {
+    let (width, height) = (camera.width(), camera.height());
+    let pixels = (0..height).into_par_iter().flat_map_iter(|y| (0..width).map(move |x| (x, y)));
+    let nowhere = Ray { centre: Vector2::repeat(f64::NAN), per_px: Matrix2::zeros(), area: 0.0 };
+    pixels
+        .map(|(x, y)| {
+            let Some(ray) = camera.unproject(Pixel(Vector2::new(f64::from(x), f64::from(y)))) else { return nowhere };
+            let per_ray = camera.project_with_jacobian(ray).1;
+            per_ray.try_inverse().map_or(nowhere, |per_px| Ray { centre: ray.0, per_px, area: per_px.determinant().abs() })
+        })
+        .collect()
+}
+
+/// Rays that fill the pixel and the exposure evenly: every column, row and time slice of n has one ray (n rooks),
+/// so that the mean offset is exactly zero and nothing is shifted.
+fn sample_pattern(count: usize) -> Vec<Sample> {
+    let slice = |k: usize| (k as f64 + 0.5) / count as f64 - 0.5;
+    // The two irrational steps of the plane's best-spread additive sequence give the order of the slices.
+    let order = |step: f64| {
+        let value = |k: &usize| (*k as f64 * step).fract();
+        let mut by_value: Vec<usize> = (0..count).collect();
+        by_value.sort_by(|a, b| value(a).total_cmp(&value(b)));
+        let mut rank = vec![0; count];
+        by_value.iter().enumerate().for_each(|(r, &k)| rank[k] = r);
+        rank
+    };
+    let (columns, rows) = (order(0.754_877_666_246_692_7), order(0.569_840_290_998_053_2));
+    (0..count).map(|k| Sample { offset_px: Vector2::new(slice(columns[k]), slice(rows[k])), moment: slice(k) }).collect()
+}
+
+#[cfg(test)]
+#[path = "render_tests.rs"]
+mod tests;

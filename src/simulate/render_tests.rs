@@ -1,0 +1,181 @@
+use nalgebra::Point3;
+
+use super::*;
+use crate::camera::{Intrinsics, Normalized};
+use crate::simulate::{CameraPath, MovingObject, ObjectPath, Occluder, SensorNoise, Spline, artwork_surface, look_at, upright};
+use crate::track::BodySpec;
+
+const WIDTH: u32 = 200;
+const HEIGHT: u32 = 150;
+
+fn camera(distortion: [f64; 5]) -> CameraModel {
+    CameraModel::new(Intrinsics { width: WIDTH, height: HEIGHT, fx: 180.0, fy: 182.0, cx: 101.3, cy: 73.8, skew: 0.002, distortion })
+        .unwrap()
+}
+
+/// A dark and light checker for a cloth of 3 x 2 m: 2.5 mm a texel, so that an edge is sharp in the picture.
+fn checker(cell_px: u32) -> GrayImage {
+    GrayImage::from_fn(1200, 800, |x, y| image::Luma([if (x / cell_px + y / cell_px) % 2 == 0 { 30 } else { 220 }]))
+}
+
+fn stage_of(artwork: GrayImage, camera: CameraModel, path: CameraPath) -> VirtualStage {
+    let surface = artwork_surface("cloth", artwork, [3.0, 2.0], upright(Vector3::zeros(), 0.0));
+    VirtualStage::new(camera, path, BodySpec { name: "stage".into(), surfaces: vec![surface] })
+}
+
+fn oblique() -> CameraPath {
+    let mut path = CameraPath::fixed(Point3::new(0.6, -1.7, 0.2), Point3::new(0.1, 0.0, 0.0));
+    path.roll_rad = 0.05;
+    path
+}
+
+/// A checker edge's artwork column as raw pixels along the surface's vertical, from the projection alone.
+fn projected(scene: &VirtualStage, u: f64, v: f64, time_s: f64) -> Vector2<f64> {
+    let point = scene.stage.surfaces[0].body_point(Vector2::new(u, v));
+    let seen = scene.truth(time_s).inverse().transform(&point);
+    scene.camera.project(Normalized(Vector2::new(seen.x / seen.z, seen.y / seen.z))).0
+}
+
+#[test]
+fn edges_are_where_the_projection_puts_them() {
+    // One vertical edge: left of artwork column 700 dark, right of it light.
+    let artwork = GrayImage::from_fn(1200, 800, |x, _| image::Luma([if x < 700 { 30 } else { 220 }]));
+    let mut scene = stage_of(artwork, camera([-0.25, 0.08, 0.002, -0.001, 0.01]), oblique());
+    scene.samples = 16;
+    let renderer = Renderer::new(scene);
+    let mut checked = 0;
+    for row in (10..HEIGHT as usize - 10).step_by(7) {
+        // Where does the edge cross this row? Walk along it in the artwork.
+        let crossing =
+            (0..=8000).map(|v| projected(renderer.stage(), 699.5, f64::from(v) * 0.1, 0.0)).find(|p| (p.y - row as f64).abs() < 0.02);
+        let Some(expected) = crossing else { continue };
+        let light = renderer.light_of_row(0.0, row);
+        let (from, to) = (expected.x as usize - 6, expected.x as usize + 7);
+        // Area under the step gives its place: every pixel covers ±0.5.
+        let dark: f32 = light[from..=to].iter().map(|&g| (220.0 - g) / 190.0).sum();
+        let found = from as f64 - 0.5 + f64::from(dark);
+        assert!((found - expected.x).abs() < 0.05, "row {row}: found {found}, projected {}", expected.x);
+        checked += 1;
+    }
+    assert!(checked > 10);
+}
+
+#[test]
+fn a_far_checker_becomes_its_mean() {
+    let mut scene = stage_of(checker(4), camera([0.0; 5]), CameraPath::fixed(Point3::new(0.0, -12.0, 0.0), Point3::origin()));
+    scene.samples = 8;
+    let renderer = Renderer::new(scene);
+    let row = renderer.light_of_row(0.0, 74);
+    let inside = &row[90..110];
+    let mean = inside.iter().sum::<f32>() / inside.len() as f32;
+    assert!((mean - 125.0).abs() < 2.0, "mean {mean}");
+    assert!(inside.iter().all(|g| (g - 125.0).abs() < 25.0), "glitters: {inside:?}");
+}
+
+#[test]
+fn the_same_frame_has_the_same_bytes_in_any_order() {
+    let mut scene = stage_of(checker(20), camera([-0.1, 0.0, 0.0, 0.0, 0.0]), oblique());
+    scene.noise = SensorNoise::webcam();
+    let renderer = Renderer::new(scene.clone());
+    let first = renderer.render(0.4, 12);
+    let other = renderer.render(0.4, 13);
+    assert_ne!(first, other);
+    let again = Renderer::new(scene);
+    assert_eq!(again.render(0.4, 13), other);
+    assert_eq!(again.render(0.4, 12), first);
+}
+
+#[test]
+fn rolling_shutter_delays_rows_as_stated() {
+    let keys = [(-1.0, Vector3::new(-1.2, -2.0, 0.0)), (1.0, Vector3::new(1.2, -2.0, 0.0))];
+    let mut path = CameraPath::fixed(Point3::origin(), Point3::origin());
+    path.position = Spline::new(&keys).unwrap();
+    path.target = Spline::new(&keys.map(|(t, p)| (t, p + Vector3::y()))).unwrap();
+    let artwork = GrayImage::from_fn(1200, 800, |x, _| image::Luma([if x < 600 { 30 } else { 220 }]));
+    let mut scene = stage_of(artwork, camera([0.0; 5]), path);
+    (scene.readout_s, scene.samples) = (0.04, 16);
+    let renderer = Renderer::new(scene);
+    // At 1.2 m/s and 2 m: the edge runs left by 108 px/s, and a row is late by up to ±20 ms.
+    for (row, late_s) in [(0, -0.02), (149, 0.02), (30, 0.04 * (30.0 / 149.0 - 0.5))] {
+        let light = renderer.light_of_row(0.0, row);
+        let dark: f32 = light[60..140].iter().map(|&g| (220.0 - g) / 190.0).sum();
+        let found = 59.5 + f64::from(dark);
+        // Skew shears the picture: x depends on the row, the same at every instant.
+        let y = (row as f64 - 73.8) / 182.0;
+        let expected = 101.3 + 180.0 * (0.002 * y - 0.6 * late_s);
+        assert!((found - expected).abs() < 0.05, "row {row}: {found}, not {expected}");
+    }
+}
+
+#[test]
+fn the_exposure_spreads_an_edge_over_its_path() {
+    let keys = [(-1.0, Vector3::new(-1.2, -2.0, 0.0)), (1.0, Vector3::new(1.2, -2.0, 0.0))];
+    let mut path = CameraPath::fixed(Point3::origin(), Point3::origin());
+    path.position = Spline::new(&keys).unwrap();
+    path.target = Spline::new(&keys.map(|(t, p)| (t, p + Vector3::y()))).unwrap();
+    let artwork = GrayImage::from_fn(1200, 800, |x, _| image::Luma([if x < 600 { 30 } else { 220 }]));
+    let mut scene = stage_of(artwork, camera([0.0; 5]), path);
+    (scene.exposure_s, scene.samples) = (0.1, 64);
+    let light = Renderer::new(scene).light_of_row(0.0, 74);
+    // 108 px/s for 0.1 s: a ramp 10.8 px wide with its middle at the stamp's edge.
+    let ramp = light.iter().filter(|&&g| (32.0..218.0).contains(&g)).count();
+    assert!((10..=13).contains(&ramp), "{ramp} px");
+    let dark: f32 = light[60..140].iter().map(|&g| (220.0 - g) / 190.0).sum();
+    assert!((59.5 + dark - 101.3).abs() < 0.1);
+}
+
+#[test]
+fn nearer_things_hide_farther_ones() {
+    let white = GrayImage::from_pixel(64, 64, image::Luma([200]));
+    let path = CameraPath::fixed(Point3::new(0.0, -3.0, 0.0), Point3::origin());
+    let mut scene = stage_of(checker(1200), camera([0.0; 5]), path);
+    let prop = artwork_surface("prop", white, [0.4, 0.4], upright(Vector3::zeros(), 0.0));
+    let keys = [(0.0, Vector3::new(-0.5, -1.0, 0.0)), (1.0, Vector3::new(0.5, -1.0, 0.0))];
+    let way = ObjectPath { position: Spline::new(&keys).unwrap(), turn_rad: 0.0, turn_rate_rad_s: 0.0 };
+    scene.objects.push(MovingObject { body: BodySpec { name: "prop".into(), surfaces: vec![prop] }, path: way });
+    let centre = Point3::new(0.0, -2.0, 0.0);
+    scene.occluders.push(Occluder { centre, swing: Vector3::zeros(), period_s: 1.0, half_size_m: [0.05, 0.2], grey: 90.0 });
+    let renderer = Renderer::new(scene);
+    let level = |x: u32, time_s: f64| renderer.render(time_s, 0).get_pixel(x, 74)[0];
+    // The prop at 2 m, x = ±0.5 m, is at 101 ± 45 px; the cloth is dark.
+    assert_eq!([level(56, 0.0), level(146, 0.0)], [200, 30]);
+    assert_eq!([level(56, 1.0), level(146, 1.0)], [30, 200]);
+    // The ellipse is nearer than the prop that passes behind it.
+    assert_eq!([level(101, 0.0), level(101, 0.5), level(118, 0.5)], [90, 90, 200]);
+    assert_eq!(renderer.stage().object_truth(0, 1.0).unwrap().translation, Vector3::new(0.5, -1.0, 0.0));
+}
+
+#[test]
+fn the_back_of_a_surface_is_unpainted() {
+    let mut scene = stage_of(checker(1200), camera([0.0; 5]), CameraPath::fixed(Point3::new(0.0, 3.0, 0.0), Point3::origin()));
+    scene.background = 7.0;
+    let picture = Renderer::new(scene).render(0.0, 0);
+    assert_eq!(picture.get_pixel(101, 74)[0], BACK_GREY as u8);
+    assert_eq!(picture.get_pixel(0, 74)[0], 7);
+}
+
+#[test]
+fn light_and_blackouts_reach_the_picture() {
+    let mut scene = stage_of(checker(1200), camera([0.0; 5]), oblique());
+    scene.light = vec![crate::simulate::LightKey { time_s: 0.0, gain: 2.0 }];
+    scene.blackouts = vec![1.0..2.0];
+    let renderer = Renderer::new(scene);
+    assert_eq!([0.0, 1.0, 2.0].map(|t| renderer.render(t, 0).get_pixel(101, 74)[0]), [60, 4, 60]);
+}
+
+#[test]
+fn truth_is_the_path() {
+    let scene = stage_of(checker(50), camera([0.0; 5]), CameraPath::fixed(Point3::new(0.3, -2.0, 0.1), Point3::origin()));
+    assert_eq!(scene.truth(0.7), look_at(Point3::new(0.3, -2.0, 0.1), Point3::origin(), 0.0));
+}
+
+#[test]
+fn rays_fill_the_pixel_and_the_exposure_evenly() {
+    for count in [1, 4, 9, 16] {
+        let pattern = sample_pattern(count);
+        let mean = pattern.iter().map(|s| s.offset_px).sum::<Vector2<f64>>() / count as f64;
+        assert!(mean.norm() < 1e-12);
+        assert!(pattern.iter().map(|s| s.moment).sum::<f64>().abs() < 1e-12);
+        assert!(pattern.iter().all(|s| s.offset_px.amax() < 0.5 && s.moment.abs() < 0.5));
+    }
+}

@@ -1,0 +1,172 @@
+//! What there is on the virtual stage, as plain data.
+
+use std::ops::Range;
+
+use image::GrayImage;
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+
+use super::path::{CameraPath, ObjectPath};
+use super::sensor::SensorNoise;
+use crate::camera::CameraModel;
+use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
+use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
+
+/// A stage, its camera, and everything that decides what the camera sees.
+#[derive(Debug, Clone)]
+pub struct VirtualStage {
+    /// The camera's optics.
+    pub camera: CameraModel,
+    /// Where the camera is.
+    pub camera_path: CameraPath,
+    /// The surfaces of the stage; its body frame is the stage frame.
+    pub stage: BodySpec,
+    /// Tracked objects.
+    pub objects: Vec<MovingObject>,
+    /// Painted surfaces at rest in the stage frame that no tracker is told of: a floor, a wall.
+    pub scenery: Vec<SurfaceSpec>,
+    /// People and things that pass in front.
+    pub occluders: Vec<Occluder>,
+    /// Brightness over time, in order of time; empty means 1 throughout.
+    pub light: Vec<LightKey>,
+    /// Times in seconds during which there is no light at all.
+    pub blackouts: Vec<Range<f64>>,
+    /// How long the shutter is open, seconds, centred on the stamp; 0 freezes motion.
+    pub exposure_s: f64,
+    /// Rolling shutter: seconds from the first row to the last, the middle row at the stamp; 0 for a global shutter.
+    pub readout_s: f64,
+    /// The sensor's noise.
+    pub noise: SensorNoise,
+    /// Grey level where no surface is.
+    pub background: f32,
+    /// Rays a pixel, spread over its area and over the exposure; 4 suits a steady camera, 16 a fast one.
+    pub samples: u32,
+    /// Seed of the sensor noise.
+    pub seed: u64,
+}
+
+/// A tracked object on its way.
+#[derive(Debug, Clone)]
+pub struct MovingObject {
+    /// Its surfaces, in its own frame.
+    pub body: BodySpec,
+    /// Where it is.
+    pub path: ObjectPath,
+}
+
+/// An upright flat ellipse of one grey that sways in front of the stage, as a person would.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Occluder {
+    /// Its middle at rest, in the stage.
+    pub centre: Point3<f64>,
+    /// How far it sways to either side, metres.
+    pub swing: Vector3<f64>,
+    /// Seconds for one sway there and back.
+    pub period_s: f64,
+    /// Half its width (x) and half its height (z), metres.
+    pub half_size_m: [f64; 2],
+    /// Its grey level in full light.
+    pub grey: f32,
+}
+
+/// The brightness at a time; straight lines lead from key to key.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LightKey {
+    /// Seconds.
+    pub time_s: f64,
+    /// Factor on the artwork's grey levels.
+    pub gain: f32,
+}
+
+impl VirtualStage {
+    /// A still camera in front of a body: global shutter, no blur, no noise, black around it, 4 rays a pixel.
+    pub fn new(camera: CameraModel, camera_path: CameraPath, stage: BodySpec) -> Self {
+        Self {
+            camera,
+            camera_path,
+            stage,
+            objects: Vec::new(),
+            scenery: Vec::new(),
+            occluders: Vec::new(),
+            light: Vec::new(),
+            blackouts: Vec::new(),
+            exposure_s: 0.0,
+            readout_s: 0.0,
+            noise: SensorNoise::none(),
+            background: 0.0,
+            samples: 4,
+            seed: 1,
+        }
+    }
+
+    /// The exact `T_stage_camera` at a time: of the middle row at mid-exposure.
+    pub fn truth(&self, time_s: f64) -> Pose<Stage, Camera> {
+        self.camera_path.pose(time_s)
+    }
+
+    /// The exact `T_stage_object` of an object at a time, or `None` when there is no such object.
+    pub fn object_truth(&self, object: usize, time_s: f64) -> Option<Pose<Stage, Body>> {
+        Some(self.objects.get(object)?.path.pose(time_s))
+    }
+
+    /// The factor on all grey levels at a time.
+    pub fn light_gain(&self, time_s: f64) -> f32 {
+        let next = self.light.partition_point(|key| key.time_s <= time_s);
+        match (next.checked_sub(1).and_then(|i| self.light.get(i)), self.light.get(next)) {
+            (None, None) => 1.0,
+            (Some(key), None) | (None, Some(key)) => key.gain,
+            (Some(a), Some(b)) => a.gain + (b.gain - a.gain) * ((time_s - a.time_s) / (b.time_s - a.time_s)) as f32,
+        }
+    }
+
+    /// True while there is no light at all.
+    pub fn is_blackout(&self, time_s: f64) -> bool {
+        self.blackouts.iter().any(|b| b.contains(&time_s))
+    }
+}
+
+impl Occluder {
+    /// `T_stage_surface` of its plane at a time.
+    pub(super) fn pose(&self, time_s: f64) -> Pose<Stage, SurfaceFrame> {
+        let phase = std::f64::consts::TAU * time_s / self.period_s;
+        let centre = self.centre.coords + self.swing * phase.sin();
+        Pose::new(upright(Vector3::zeros(), 0.0).rotation, centre)
+    }
+}
+
+/// `T_body_surface` of a surface that stands upright with its centre at `position` (metres) and faces the audience,
+/// turned by `turn_rad` about the vertical (positive: the face turns towards stage x).
+pub fn upright(position: Vector3<f64>, turn_rad: f64) -> Pose<Body, SurfaceFrame> {
+    let stand = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
+    Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad) * stand, position)
+}
+
+/// A surface of flat artwork; the virtual stage asks nothing of the picture.
+pub fn artwork_surface(name: &str, artwork: GrayImage, size_m: [f64; 2], pose: Pose<Body, SurfaceFrame>) -> SurfaceSpec {
+    SurfaceSpec { name: name.to_owned(), artwork, size_m, pose, kind: ReferenceKind::Artwork }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraModel;
+
+    #[test]
+    fn light_runs_straight_between_its_keys() {
+        let camera = CameraModel::pinhole(8, 8, 8.0, 8.0, 3.5, 3.5).unwrap();
+        let path = CameraPath::fixed(Point3::new(0.0, -1.0, 0.0), Point3::origin());
+        let mut stage = VirtualStage::new(camera, path, BodySpec { name: "stage".into(), surfaces: vec![] });
+        assert_eq!(stage.light_gain(3.0), 1.0);
+        stage.light = vec![LightKey { time_s: 1.0, gain: 0.5 }, LightKey { time_s: 3.0, gain: 1.0 }];
+        assert_eq!([0.0, 1.0, 2.0, 3.0, 9.0].map(|t| stage.light_gain(t)), [0.5, 0.5, 0.75, 1.0, 1.0]);
+    }
+
+    #[test]
+    fn an_upright_surface_faces_the_audience() {
+        let pose = upright(Vector3::new(0.0, 0.0, 1.0), 0.0);
+        assert!((pose.rotation * Vector3::z() + Vector3::y()).norm() < 1e-12);
+        assert!((pose.transform(&Point3::new(0.0, 2.0, 0.0)) - Point3::new(0.0, 0.0, 3.0)).norm() < 1e-12);
+        let s = std::f64::consts::FRAC_1_SQRT_2;
+        assert!(pose.orientation_xyzw().iter().zip([s, 0.0, 0.0, s]).all(|(a, b)| (a - b).abs() < 1e-12));
+        assert!((upright(Vector3::zeros(), 0.3).rotation * Vector3::z()).x > 0.0);
+    }
+}

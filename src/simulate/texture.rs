@@ -1,0 +1,136 @@
+//! Pictures on surfaces, ready to be looked up at any magnification.
+//!
+//! A far surface shows many picture elements ("texels") in one pixel; taking just one of them would make it
+//! glitter. A [`Texture`] therefore keeps the picture at every halved size and reads between the two sizes that
+//! fit. Every size has the mean grey of the first, and edges stay where they are to a fraction of a texel.
+
+use image::GrayImage;
+
+/// One size of the picture.
+#[derive(Debug, Clone)]
+struct Level {
+    width: usize,
+    height: usize,
+    /// Grey levels, row-major.
+    grey: Vec<f32>,
+    /// Texels of this level per texel of the first, across and down.
+    scale: [f64; 2],
+}
+
+/// A grey picture with its halved copies.
+#[derive(Debug, Clone)]
+pub(super) struct Texture {
+    levels: Vec<Level>,
+}
+
+impl Texture {
+    /// Halves the picture until its smaller side has one texel.
+    pub(super) fn new(picture: &GrayImage) -> Self {
+        let (width, height) = (picture.width() as usize, picture.height() as usize);
+        let grey = picture.as_raw().iter().map(|&g| f32::from(g)).collect();
+        let mut levels = vec![Level { width, height, grey, scale: [1.0; 2] }];
+        while let Some(last) = levels.last().filter(|l| l.width.min(l.height) > 1) {
+            let next = last.halved(width, height);
+            levels.push(next);
+        }
+        Self { levels }
+    }
+
+    /// The grey level at `(u, v)` in pixels of the full picture (centres at integers), averaged over about
+    /// `2^level` of them; outside of the picture its rim goes on.
+    pub(super) fn grey(&self, u: f64, v: f64, level: f32) -> f32 {
+        let top = (self.levels.len() - 1) as f32;
+        let level = level.clamp(0.0, top);
+        let fine = level as usize;
+        let blend = level - fine as f32;
+        let sharp = self.levels[fine].bilinear(u, v);
+        // Close up, and at the last level, one size is enough.
+        if blend == 0.0 {
+            return sharp;
+        }
+        sharp + (self.levels[fine + 1].bilinear(u, v) - sharp) * blend
+    }
+}
+
+impl Level {
+    /// The next smaller picture; every texel of this one enters with the same total weight, so the mean is kept.
+    fn halved(&self, full_width: usize, full_height: usize) -> Self {
+        let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
+        let rows: Vec<f32> = self.grey.chunks_exact(self.width).flat_map(|row| shrink(row, width)).collect();
+        let mut grey = vec![0.0; width * height];
+        for x in 0..width {
+            let column: Vec<f32> = rows.iter().skip(x).step_by(width).copied().collect();
+            for (y, value) in shrink(&column, height).into_iter().enumerate() {
+                grey[y * width + x] = value;
+            }
+        }
+        Self { width, height, grey, scale: [width as f64 / full_width as f64, height as f64 / full_height as f64] }
+    }
+
+    fn bilinear(&self, u: f64, v: f64) -> f32 {
+        // Pixel centres at integers: scaling by s moves a pixel to (c + 0.5) s - 0.5.
+        let x = ((u + 0.5) * self.scale[0] - 0.5).clamp(0.0, (self.width - 1) as f64);
+        let y = ((v + 0.5) * self.scale[1] - 0.5).clamp(0.0, (self.height - 1) as f64);
+        let (i, j) = (x as usize, y as usize);
+        let (a, b) = ((x - i as f64) as f32, (y - j as f64) as f32);
+        let (i2, j2) = ((i + 1).min(self.width - 1), (j + 1).min(self.height - 1));
+        let (above, below) = (&self.grey[j * self.width..][..self.width], &self.grey[j2 * self.width..][..self.width]);
+        let top = above[i] + (above[i2] - above[i]) * a;
+        let bottom = below[i] + (below[i2] - below[i]) * a;
+        top + (bottom - top) * b
+    }
+}
+
+/// Averages a line down to `count` equal windows, with shares of the values that straddle two of them.
+fn shrink(line: &[f32], count: usize) -> Vec<f32> {
+    let window = line.len() as f64 / count as f64;
+    (0..count)
+        .map(|k| {
+            let (from, to) = (k as f64 * window, (k + 1) as f64 * window);
+            let last = (to.ceil() as usize).min(line.len());
+            let share = |i: usize| ((i + 1) as f64).min(to) - (i as f64).max(from);
+            let sum: f64 = (from as usize..last).map(|i| f64::from(line[i]) * share(i)).sum();
+            (sum / window) as f32
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(width: u32, height: u32) -> GrayImage {
+        GrayImage::from_fn(width, height, |x, y| image::Luma([((x * 37 + y * 101 + x * y) % 251) as u8]))
+    }
+
+    #[test]
+    fn every_level_keeps_the_mean_grey() {
+        // Odd sides: windows straddle texels.
+        let texture = Texture::new(&picture(231, 117));
+        let mean = |l: &Level| l.grey.iter().map(|&g| f64::from(g)).sum::<f64>() / l.grey.len() as f64;
+        let first = mean(&texture.levels[0]);
+        assert!(texture.levels.len() >= 7);
+        for level in &texture.levels {
+            assert!((mean(level) - first).abs() < 1e-3, "{} x {}: {} not {first}", level.width, level.height, mean(level));
+        }
+    }
+
+    #[test]
+    fn the_first_level_reads_the_picture_itself() {
+        let picture = picture(20, 10);
+        let texture = Texture::new(&picture);
+        assert_eq!(texture.grey(7.0, 3.0, 0.0), f32::from(picture.get_pixel(7, 3)[0]));
+        let between = 0.5 * (f32::from(picture.get_pixel(7, 3)[0]) + f32::from(picture.get_pixel(8, 3)[0]));
+        assert!((texture.grey(7.5, 3.0, 0.0) - between).abs() < 1e-4);
+        assert_eq!(texture.grey(-5.0, -5.0, 0.0), f32::from(picture.get_pixel(0, 0)[0]));
+    }
+
+    #[test]
+    fn coarse_levels_do_not_shift_a_ramp() {
+        let ramp = GrayImage::from_fn(256, 64, |x, _| image::Luma([x as u8]));
+        let texture = Texture::new(&ramp);
+        for level in [0.0, 0.5, 1.0, 2.3, 3.0] {
+            assert!((texture.grey(100.25, 31.0, level) - 100.25).abs() < 1e-3, "level {level}");
+        }
+    }
+}
