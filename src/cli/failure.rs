@@ -42,6 +42,9 @@ pub enum Failure {
         /// What the system says.
         source: io::Error,
     },
+    /// The demo ended early.
+    #[error(transparent)]
+    Demo(#[from] super::demo::DemoError),
     /// The tracker or one of its threads gave up.
     #[error("tracking failed: {0}")]
     Tracking(String),
@@ -67,14 +70,18 @@ impl Failure {
 
     /// True where somebody stopped reading our output, which is their right.
     pub fn is_closed_pipe(&self) -> bool {
-        matches!(self, Self::Output { source, .. } if source.kind() == io::ErrorKind::BrokenPipe)
+        match self {
+            Self::Output { source, .. } => source.kind() == io::ErrorKind::BrokenPipe,
+            Self::Demo(error) => error.is_closed_pipe(),
+            _ => false,
+        }
     }
 
     /// 1 or 2 (contract C1).
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Usage(_) | Self::Config(_) => USAGE,
-            Self::Capture(_) | Self::NoFrame { .. } | Self::Output { .. } | Self::Tracking(_) => 1,
+            Self::Capture(_) | Self::NoFrame { .. } | Self::Output { .. } | Self::Demo(_) | Self::Tracking(_) => 1,
         })
     }
 }

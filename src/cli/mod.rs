@@ -51,7 +51,7 @@ pub fn run(started: Instant) -> ExitCode {
     let outcome = match arguments.command {
         Command::Replay(arguments) => replay::run(&arguments, started),
         Command::Check(arguments) => check::run(&arguments),
-        Command::Demo(arguments) => demo::run(&arguments),
+        Command::Demo(arguments) => demo::run(&arguments).map_err(Failure::from),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
