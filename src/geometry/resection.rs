@@ -263,6 +263,27 @@ pub fn sandwich_covariance<P: Projection>(
     Some((covariance + covariance.transpose()) * 0.5)
 }
 
+/// Where the observation's point would be seen if its row were exposed with the middle one: the pixel, less what the motion moved
+/// it by.
+pub fn steadied_pixel<P: Projection>(pose: &Pose<Camera, Body>, camera: &MovingCamera<P>, o: &Observation) -> Vector2<f64> {
+    let project = |c: Vector3<f64>| camera.lens.pixel_and_jacobian(Vector2::new(c.x / c.z, c.y / c.z)).0;
+    let middle = pose.transform(&o.point).coords;
+    let then = camera.twist.carried(middle, o.delay_s);
+    if middle.z < 1e-6 || then.z < 1e-6 { o.pixel } else { o.pixel - (project(then) - project(middle)) }
+}
+
+/// How much the pose changes with the motion that was assumed while the rows were read: d[δt, δθ] / d twist at the solution.
+pub fn pose_by_twist<P: Projection>(resection: &Resection, camera: &MovingCamera<P>, observations: &[Observation]) -> Option<Matrix6<f64>> {
+    let mut mixed = Matrix6::zeros();
+    for o in observations {
+        let Some((r, j)) = residual_and_jacobian(&resection.pose, camera, o) else { continue };
+        let weight = tukey_weight((r.transpose() * o.information * r).x, resection.scale);
+        // A later row sees the body moved by twist times delay: to first order the same derivative.
+        mixed += j.transpose() * o.information * j * (weight * o.delay_s);
+    }
+    Some(-resection.normal.cholesky()?.solve(&mixed))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -338,6 +359,15 @@ mod tests {
         assert!(found.pose.angle_to(&truth()) < 1e-6, "{}", found.pose.angle_to(&truth()));
         let blind = resect(&truth(), &MovingCamera::still(&Pinhole), &observations, 30).expect("regular");
         assert!(blind.pose.angle_to(&truth()) > 1e-4);
+
+        for o in &observations {
+            let steady = Observation { pixel: steadied_pixel(&found.pose, &moving, o), delay_s: 0.0, ..*o };
+            assert!(squared_residual(&truth(), &MovingCamera::still(&Pinhole), &steady).expect("in front") < 1e-3);
+        }
+        // The blind pose is off by what the derivative says for the twist that it ignored.
+        let by_twist = pose_by_twist(&found, &moving, &observations).expect("regular");
+        let expected = perturbed(&found.pose, &(by_twist * -twist.0));
+        assert!(expected.angle_to(&blind.pose) < 0.2 * blind.pose.angle_to(&truth()));
     }
 
     #[test]

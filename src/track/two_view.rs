@@ -71,7 +71,7 @@ fn ray_pairs(
     let pair = |a: &FittedAnchor| {
         let point: Point3<f64> = body.surfaces[a.surface as usize].spec.body_point(a.artwork);
         let seen = to_reference.transform(&point);
-        let second = camera.unproject(Pixel(a.observation.pixel))?.0;
+        let second = camera.unproject(Pixel(a.steady_px))?.0;
         (seen.z > 1e-3 * to_reference.translation.norm()).then(|| RayPair { first: seen.coords.xy() / seen.z, second })
     };
     anchors.iter().filter_map(pair).collect()
@@ -83,7 +83,7 @@ fn first_surface_homography(body: &PreparedBody, anchors: &[FittedAnchor], camer
         .iter()
         .filter(|a| a.surface == 0)
         .filter_map(|a| {
-            let to = camera.undistorted_pixel(camera.unproject(Pixel(a.observation.pixel))?);
+            let to = camera.undistorted_pixel(camera.unproject(Pixel(a.steady_px))?);
             Some(PointPair { from: a.artwork, to })
         })
         .collect();

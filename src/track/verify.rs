@@ -5,14 +5,16 @@
 //! the frame; a small enough uncertainty; and that the surface tilted the other way explains the same anchors
 //! clearly worse.
 
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector6};
 
 use super::acquire::flipped;
 use super::reference::PreparedBody;
 use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
 use crate::camera::CameraModel;
 use crate::features::Workers;
-use crate::geometry::resection::{MovingCamera, Observation, Resection, Twist, resect, sandwich_covariance, squared_residual};
+use crate::geometry::resection::{
+    MovingCamera, Observation, Resection, Twist, pose_by_twist, resect, sandwich_covariance, squared_residual, steadied_pixel,
+};
 use crate::geometry::{Body, Camera, Pose};
 
 /// Tiles across and down the frame that anchors are grouped by.
@@ -61,6 +63,8 @@ pub struct FittedAnchor {
     pub artwork: nalgebra::Vector2<f64>,
     /// In the frame.
     pub observation: Observation,
+    /// Its raw pixel if all rows were exposed with the middle one.
+    pub steady_px: nalgebra::Vector2<f64>,
 }
 
 /// Why a candidate was not given.
@@ -109,6 +113,21 @@ impl Shutter {
         }
     }
 
+    /// Standard deviations of [`Shutter::twist`], per second: how much the motion changed since the last frame, or what a hand-held camera does
+    /// where nothing is known.
+    fn twist_deviation(&self, pose: &Pose<Camera, Body>) -> Option<Vector6<f64>> {
+        if self.readout_s <= 0.0 {
+            return None;
+        }
+        let relative = pose.translation.norm();
+        let usual = Vector6::new(relative, relative, relative, 1.0, 1.0, 1.0);
+        Some(match &self.before {
+            Some((before, dt_s, Some(then))) => (Twist::between(before, pose, *dt_s).0 - then.0).abs() + usual * 0.01,
+            Some((before, dt_s, None)) => Twist::between(before, pose, *dt_s).0.abs() * 0.5 + usual * 0.1,
+            None => usual * 0.3,
+        })
+    }
+
     fn delay_s(&self, camera: &CameraModel, row: f64) -> f64 {
         // The middle row is at (h - 1) / 2; rows start readout / h apart.
         self.readout_s * (row - 0.5 * (f64::from(camera.height()) - 1.0)) / f64::from(camera.height())
@@ -141,7 +160,7 @@ pub fn verify(
     let start = coarse.map_or(*start, |c| c.pose);
     let fine = registered_pose(body, &start, camera, &pictures.full, shutter, FINE_ANCHORS, workers, buffers)?;
     let moving = MovingCamera { lens: camera, twist: shutter.twist(&fine.pose) };
-    judge(body, &fine, &moving, continued, buffers)
+    judge(body, &fine, &moving, shutter, continued, buffers)
 }
 
 /// One round: predict, search, resect.
@@ -187,6 +206,7 @@ fn judge(
     body: &PreparedBody,
     fine: &Resection,
     camera: &MovingCamera<CameraModel>,
+    shutter: &Shutter,
     continued: bool,
     buffers: &VerifyBuffers,
 ) -> Result<Verified, Refusal> {
@@ -202,7 +222,12 @@ fn judge(
         let within_noise = squared_residual(&fine.pose, camera, &o).is_some_and(|s| s < (4.685 * fine.scale).powi(2));
         if squared_px < limit * limit && within_noise {
             sum += squared_px;
-            anchors.push(FittedAnchor { surface: r.surface, artwork: r.artwork, observation: o });
+            anchors.push(FittedAnchor {
+                surface: r.surface,
+                artwork: r.artwork,
+                observation: o,
+                steady_px: steadied_pixel(&fine.pose, camera, &o),
+            });
         }
     }
     let share = anchors.len() as f64 / asked.max(1) as f64;
@@ -218,7 +243,12 @@ fn judge(
     if share < if continued { LEAST_SHARE_CONTINUED } else { LEAST_SHARE_NEW } {
         return Err(Refusal::Share(share));
     }
-    let covariance = sandwich_covariance(fine, camera, &buffers.observations).ok_or(Refusal::Uncertain)?;
+    let mut covariance = sandwich_covariance(fine, camera, &buffers.observations).ok_or(Refusal::Uncertain)?;
+    if let Some(deviation) = shutter.twist_deviation(&fine.pose) {
+        let by_twist = pose_by_twist(fine, camera, &buffers.observations).ok_or(Refusal::Uncertain)?;
+        let spread = by_twist * Matrix6::from_diagonal(&deviation);
+        covariance += spread * spread.transpose();
+    }
     let distance = nearest_surface_distance(body, &fine.pose);
     let shift = covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
     let turn = covariance.fixed_view::<3, 3>(3, 3).trace().sqrt();
