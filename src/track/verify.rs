@@ -244,16 +244,16 @@ fn judge(
         return Err(Refusal::Share(share));
     }
     let mut covariance = sandwich_covariance(fine, camera, &buffers.observations).ok_or(Refusal::Uncertain)?;
-    if let Some(deviation) = shutter.twist_deviation(&fine.pose) {
-        let by_twist = pose_by_twist(fine, camera, &buffers.observations).ok_or(Refusal::Uncertain)?;
-        let spread = by_twist * Matrix6::from_diagonal(&deviation);
-        covariance += spread * spread.transpose();
-    }
     let distance = nearest_surface_distance(body, &fine.pose);
     let shift = covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
     let turn = covariance.fixed_view::<3, 3>(3, 3).trace().sqrt();
     if shift > LARGEST_SHIFT * distance || turn > LARGEST_TURN {
         return Err(Refusal::Uncertain);
+    }
+    if let Some(deviation) = shutter.twist_deviation(&fine.pose) {
+        let by_twist = pose_by_twist(fine, camera, &buffers.observations).ok_or(Refusal::Uncertain)?;
+        let spread = by_twist * Matrix6::from_diagonal(&deviation);
+        covariance += spread * spread.transpose();
     }
     let margin = flip_margin(body, fine, camera, &buffers.observations, &anchors);
     if margin < LEAST_FLIP_MARGIN {
