@@ -119,7 +119,7 @@ proptest! {
 
     #[test]
     fn every_ray_inside_comes_back(camera in cameras(), ray in rays()) {
-        prop_assume!(ray.0.norm() < 0.9 * camera.valid_radius());
+        let ray = Normalized(ray.0 * (0.9 * camera.valid_radius() / ray.0.norm()).min(1.0));
         let back = camera.unproject(camera.project(ray));
         prop_assert!(back.is_some_and(|b| (b.0 - ray.0).norm() < 1e-8), "{ray:?} came back as {back:?}");
     }

@@ -1,8 +1,37 @@
 //! Where frames come from: recorded clips and the virtual stage, behind one trait.
+//!
+//! [`open_clip`] takes a clip of any form and gives its rows one by one; nothing is held in memory but the row
+//! at hand. [`decode_grey`] is the one way from a picture's bytes to grey levels. [`ClipWriter`] writes clips.
+//! The readers of single formats are public for those who have bytes instead of files.
+
+mod avi;
+mod clip;
+mod error;
+mod ffmpeg;
+mod folder;
+mod grey;
+mod jpeg_markers;
+mod mjpeg;
+mod open;
+mod rate;
+mod timestamps;
+mod video;
+mod writer;
+mod y4m;
 
 mod virtual_stage;
 
 use std::time::Duration;
+
+pub use avi::{AviError, AviReader};
+pub use error::CaptureError;
+pub use grey::{DecodeError, decode_grey};
+pub use mjpeg::MjpegReader;
+pub use open::{ClipOptions, open_clip};
+pub use rate::FrameRate;
+pub use timestamps::{StampRow, TimestampsError, read_timestamps};
+pub use writer::{ClipWriter, PictureFormat};
+pub use y4m::Y4mReader;
 
 use crate::frame::Frame;
 
@@ -17,7 +46,7 @@ pub struct Row {
     pub timestamp_ns: i64,
     /// What the row holds.
     pub content: RowContent,
-    /// Time spent on decoding it.
+    /// Time spent on turning its bytes into grey levels; reading and waiting excluded, zero for raw pictures.
     pub decode: Duration,
 }
 

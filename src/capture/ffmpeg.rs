@@ -1,0 +1,203 @@
+//! Every other container, through an installed ffmpeg as a child process.
+//!
+//! ffmpeg decodes, keeps the luma plane as it is and writes it to a pipe. Its `showinfo` filter tells the exact
+//! stamp and size of each frame on stderr, where a thread picks them up; so frames of uneven rate keep their times.
+
+use std::collections::VecDeque;
+use std::ffi::{OsStr, OsString};
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::JoinHandle;
+
+use image::GrayImage;
+
+use super::clip::{Picture, PictureData, PictureStream};
+use super::error::CaptureError;
+use super::rate::FrameRate;
+
+/// Frames from a running ffmpeg.
+pub(super) struct Ffmpeg {
+    path: PathBuf,
+    child: Child,
+    frames: ChildStdout,
+    announced: Receiver<Announced>,
+    /// Collects stderr; its result is ffmpeg's last words.
+    listener: Option<JoinHandle<String>>,
+    /// Stands in place of the container's stamps.
+    rate: Option<FrameRate>,
+    next: u64,
+}
+
+/// What showinfo says of one frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Announced {
+    stamp_ns: Option<i64>,
+    width: u32,
+    height: u32,
+}
+
+impl Ffmpeg {
+    /// Starts ffmpeg on a file.
+    pub fn open(path: &Path, rate: Option<FrameRate>) -> Result<Self, CaptureError> {
+        Self::start(OsStr::new("ffmpeg"), path, rate)
+    }
+
+    fn start(program: &OsStr, path: &Path, rate: Option<FrameRate>) -> Result<Self, CaptureError> {
+        let failed = |e: std::io::Error| match e.kind() {
+            std::io::ErrorKind::NotFound => CaptureError::FfmpegMissing { path: path.to_owned() },
+            _ => CaptureError::FfmpegFailed { path: path.to_owned(), reason: e.to_string() },
+        };
+        let passthrough = if knows_fps_mode(program).map_err(failed)? { "-fps_mode" } else { "-vsync" };
+        // The prefix keeps a name with a colon or a leading dash from being read as a protocol or an option.
+        let mut input = OsString::from("file:");
+        input.push(path);
+        let mut child = Command::new(program)
+            .args(["-hide_banner", "-nostdin", "-nostats", "-loglevel", "info", "-i"])
+            .arg(input)
+            .args(["-map", "0:v:0", "-an", "-sn", "-dn", "-vf", "extractplanes=y,format=gray,showinfo"])
+            .args([passthrough, "passthrough", "-f", "rawvideo", "pipe:1"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(failed)?;
+        let (Some(frames), Some(errors)) = (child.stdout.take(), child.stderr.take()) else {
+            return Err(failed(std::io::Error::other("its pipes are gone")));
+        };
+        let (sender, announced) = channel();
+        let listener = std::thread::spawn(move || {
+            let mut log = Log::default();
+            // Read on after the receiver is gone, or ffmpeg would block on a full pipe.
+            for line in BufReader::new(errors).split(b'\n').map_while(Result::ok) {
+                if let Some(frame) = log.note(&String::from_utf8_lossy(&line)) {
+                    let _ = sender.send(frame);
+                }
+            }
+            log.last_words()
+        });
+        Ok(Self { path: path.to_owned(), child, frames, announced, listener: Some(listener), rate, next: 0 })
+    }
+
+    fn read_frame(&mut self, size: &Announced) -> PictureData {
+        let wanted = u64::from(size.width) * u64::from(size.height);
+        let mut grey = Vec::with_capacity(wanted.min(1 << 26) as usize);
+        match (&mut self.frames).take(wanted).read_to_end(&mut grey) {
+            Ok(_) => GrayImage::from_raw(size.width, size.height, grey)
+                .map_or_else(|| PictureData::Missing("ffmpeg ended in the middle of this frame".to_owned()), PictureData::Grey),
+            Err(e) => PictureData::Missing(format!("ffmpeg cannot be read: {e}")),
+        }
+    }
+}
+
+impl PictureStream for Ffmpeg {
+    fn next_picture(&mut self) -> Option<Picture> {
+        let announced = self.announced.recv().ok()?;
+        let data = self.read_frame(&announced);
+        let stamp = match (self.rate, announced.stamp_ns) {
+            (Some(rate), _) => Ok(rate.stamp_ns(self.next)),
+            (None, Some(stamp)) => Ok(stamp),
+            (None, None) => Err("the container has no time stamp for this frame; give --fps".to_owned()),
+        };
+        self.next += 1;
+        Some(Picture { stamp, data })
+    }
+
+    fn failure(&mut self) -> Option<CaptureError> {
+        let reason = self.listener.take()?.join().unwrap_or_default();
+        let clean = self.child.wait().is_ok_and(|status| status.success());
+        (!clean).then(|| CaptureError::FfmpegFailed { path: self.path.clone(), reason })
+    }
+}
+
+impl Drop for Ffmpeg {
+    fn drop(&mut self) {
+        // It may have ended by itself; then there is nothing to kill and nothing lost.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// `-fps_mode` came with 5.1, where `-vsync` began to go. Versions without a number are newer builds.
+fn knows_fps_mode(program: &OsStr) -> std::io::Result<bool> {
+    let output = Command::new(program).arg("-version").stdin(Stdio::null()).output()?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    let version = text.split_whitespace().nth(2).unwrap_or_default();
+    let mut numbers = version.trim_start_matches('n').split(['.', '-']).map_while(|n| n.parse::<u32>().ok());
+    Ok(numbers.next().is_none_or(|major| (major, numbers.next().unwrap_or(0)) >= (5, 1)))
+}
+
+/// ffmpeg's stderr, line by line.
+#[derive(Default)]
+struct Log {
+    /// Seconds a tick, as a ratio.
+    time_base: Option<(i64, i64)>,
+    other_lines: VecDeque<String>,
+}
+
+impl Log {
+    /// Takes a line in; a frame where the line announces one.
+    fn note(&mut self, line: &str) -> Option<Announced> {
+        let Some((_, said)) = line.split_once("showinfo").and_then(|(_, rest)| rest.split_once("] ")) else {
+            if !line.trim().is_empty() {
+                self.other_lines.push_back(line.trim().to_owned());
+            }
+            if self.other_lines.len() > 20 {
+                self.other_lines.pop_front();
+            }
+            return None;
+        };
+        if let Some(base) = word_after(said, "config in time_base:") {
+            let (numerator, denominator) = base.trim_end_matches(',').split_once('/')?;
+            self.time_base = Some((numerator.parse().ok()?, denominator.parse().ok()?));
+            return None;
+        }
+        let (width, height) = word_after(said, " s:")?.split_once('x')?;
+        let ticks = word_after(said, " pts:").and_then(|t| t.parse::<i64>().ok());
+        let stamp_ns = ticks.zip(self.time_base).and_then(|(ticks, base)| nanoseconds(ticks, base));
+        Some(Announced { stamp_ns, width: width.parse().ok()?, height: height.parse().ok()? })
+    }
+
+    /// The line that says most likely what went wrong.
+    fn last_words(self) -> String {
+        let telling = self.other_lines.iter().rev().find(|l| l.starts_with("file:") || l.contains("rror") || l.contains("nvalid"));
+        telling.or(self.other_lines.back()).cloned().unwrap_or_else(|| "it ended without a word".to_owned())
+    }
+}
+
+fn word_after<'a>(line: &'a str, name: &str) -> Option<&'a str> {
+    line.split_once(name)?.1.split_whitespace().next()
+}
+
+/// Ticks of numerator / denominator seconds in nanoseconds, rounded.
+fn nanoseconds(ticks: i64, (numerator, denominator): (i64, i64)) -> Option<i64> {
+    let doubled = (i128::from(ticks) * i128::from(numerator)).checked_mul(2_000_000_000)?;
+    let denominator = i128::from(denominator);
+    (denominator > 0).then(|| (doubled + denominator).div_euclid(2 * denominator)).and_then(|ns| i64::try_from(ns).ok())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn showinfo_lines_become_stamps() {
+        let mut log = Log::default();
+        assert_eq!(log.note("[Parsed_showinfo_2 @ 0x55] config in time_base: 1/12800, frame_rate: 25/1"), None);
+        let line =
+            "[Parsed_showinfo_2 @ 0x55] n:   1 pts:    512 pts_time:0.04    pos:    40462 fmt:gray sar:1/1 s:640x480 i:P iskey:0 type:B ";
+        assert_eq!(log.note(line), Some(Announced { stamp_ns: Some(40_000_000), width: 640, height: 480 }));
+        assert_eq!(log.note("[Parsed_showinfo_2 @ 0x55] color_range:unknown color_space:unknown"), None);
+        assert_eq!(log.note(&line.replace("512", "NOPTS")).unwrap().stamp_ns, None);
+        assert_eq!(nanoseconds(1, (1001, 30_000)), Some(33_366_667));
+        assert_eq!(nanoseconds(-1, (1, 3)), Some(-333_333_333));
+        assert_eq!((nanoseconds(1, (1, 0)), nanoseconds(i64::MAX, (i64::MAX, 1))), (None, None));
+    }
+
+    #[test]
+    fn a_missing_program_is_named_with_the_mend() {
+        let gone = Ffmpeg::start(OsStr::new("no-such-program-as-this"), Path::new("a.mp4"), None).err().map(|e| e.to_string());
+        assert!(gone.is_some_and(|e| e.contains("a.mp4") && e.contains("install it")));
+    }
+}

@@ -1,0 +1,111 @@
+//! Clips that are folders: pictures with a timestamps.csv, or just pictures in the order of their names.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use super::clip::{Picture, PictureData, PictureStream};
+use super::error::CaptureError;
+use super::rate::FrameRate;
+use super::timestamps::{StampRow, TimestampsError, read_timestamps};
+
+/// Names of a stamp file: ours and EuRoC's.
+const STAMP_FILES: [&str; 2] = ["timestamps.csv", "data.csv"];
+/// Where a named picture may lie in the clip's folder.
+const PICTURE_FOLDERS: [&str; 3] = ["frames", "", "data"];
+/// What counts as a picture where no list names them.
+const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
+
+/// Opens a folder as a clip; `rate` is for pictures without stamps.
+pub(super) fn open(folder: &Path, rate: FrameRate) -> Result<Box<dyn PictureStream>, CaptureError> {
+    for name in STAMP_FILES {
+        let csv = folder.join(name);
+        match File::open(&csv) {
+            Ok(file) => return stamped(folder, &csv, file),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => {}
+            Err(e) => return Err(CaptureError::reading(&csv, e)),
+        }
+    }
+    let mut files = pictures_in(folder)?;
+    if files.is_empty() && folder.join("frames").is_dir() {
+        files = pictures_in(&folder.join("frames"))?;
+    }
+    if files.is_empty() {
+        return Err(CaptureError::Empty { path: folder.to_owned() });
+    }
+    Ok(Box::new(NamedPictures { files: files.into_iter(), rate, next: 0 }))
+}
+
+fn stamped(folder: &Path, csv: &Path, file: File) -> Result<Box<dyn PictureStream>, CaptureError> {
+    let path = csv.to_owned();
+    let rows = read_timestamps(file).map_err(|e| match e {
+        TimestampsError::Header(found) => CaptureError::TimestampsHeader { path, found },
+        TimestampsError::Empty => CaptureError::Empty { path },
+        TimestampsError::Read(source) => CaptureError::reading(csv, source),
+    })?;
+    Ok(Box::new(StampedPictures { folder: folder.to_owned(), rows: rows.into_iter() }))
+}
+
+/// The picture files of a folder in the byte order of their names.
+fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
+    let unreadable = |e| CaptureError::reading(folder, e);
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+        let path = entry.map_err(unreadable)?.path();
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+        let hidden = path.file_name().is_some_and(|n| n.as_encoded_bytes().starts_with(b"."));
+        if EXTENSIONS.contains(&extension.as_str()) && !hidden && path.is_file() {
+            files.push(path);
+        }
+    }
+    files.sort_by(|a, b| a.as_os_str().as_encoded_bytes().cmp(b.as_os_str().as_encoded_bytes()));
+    Ok(files)
+}
+
+/// Pictures named by a timestamps.csv.
+struct StampedPictures {
+    folder: PathBuf,
+    rows: std::vec::IntoIter<StampRow>,
+}
+
+impl PictureStream for StampedPictures {
+    fn next_picture(&mut self) -> Option<Picture> {
+        let StampRow { stamp, file } = self.rows.next()?;
+        if file.is_empty() {
+            return Some(Picture { stamp, data: PictureData::Missing("the row names no picture".to_owned()) });
+        }
+        let candidates = PICTURE_FOLDERS.map(|place| self.folder.join(place).join(&file));
+        let path = candidates.iter().find(|p| p.exists()).unwrap_or(&candidates[0]);
+        Some(Picture { stamp, data: read(path) })
+    }
+
+    fn pictures(&self) -> Option<u64> {
+        Some(self.rows.len() as u64)
+    }
+}
+
+/// Pictures in the order of their names at an even rate.
+struct NamedPictures {
+    files: std::vec::IntoIter<PathBuf>,
+    rate: FrameRate,
+    next: u64,
+}
+
+impl PictureStream for NamedPictures {
+    fn next_picture(&mut self) -> Option<Picture> {
+        let path = self.files.next()?;
+        let stamp = Ok(self.rate.stamp_ns(self.next));
+        self.next += 1;
+        Some(Picture { stamp, data: read(&path) })
+    }
+
+    fn pictures(&self) -> Option<u64> {
+        Some(self.files.len() as u64)
+    }
+}
+
+fn read(path: &Path) -> PictureData {
+    match std::fs::read(path) {
+        Ok(bytes) => PictureData::Encoded(bytes),
+        Err(e) => PictureData::Missing(format!("the picture {} cannot be read: {e}", path.display())),
+    }
+}

@@ -1,0 +1,160 @@
+//! The one grey decoder: whatever a picture's bytes are, live, replayed or in the config, they become grey here.
+//!
+//! JPEG gives its luma plane. Grey stays grey, RGB becomes BT.601's Y = 0.299 R + 0.587 G + 0.114 B, 16 bits are
+//! scaled to 8, alpha is ignored. A picture that is cut off is an error, never half a picture.
+
+use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use image::{DynamicImage, GrayImage, ImageFormat, ImageReader};
+use thiserror::Error;
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
+
+use super::jpeg_markers::{JpegWalk, Walked, standard_huffman_tables};
+
+/// Why bytes are no picture.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum DecodeError {
+    /// There are no bytes.
+    #[error("the picture is empty")]
+    Empty,
+    /// Not one of the forms.
+    #[error("the picture is not JPEG, PNG or PGM")]
+    UnknownForm,
+    /// The bytes end before the picture does.
+    #[error("the picture is cut off")]
+    CutOff,
+    /// The bytes break the form's rules.
+    #[error("the picture is damaged: {reason}")]
+    Damaged {
+        /// What the decoder said.
+        reason: String,
+    },
+}
+
+impl DecodeError {
+    fn damaged(reason: impl ToString) -> Self {
+        Self::Damaged { reason: reason.to_string().trim().replace('\n', " ") }
+    }
+}
+
+/// Wider or higher than any camera's picture; keeps a forged header from asking for all memory.
+const LONGEST_SIDE: u32 = 16_384;
+
+/// Decodes JPEG, PNG or PNM bytes to 8-bit grey, row-major.
+///
+/// # Errors
+/// When the bytes are not such a picture, are cut off or damaged. Bytes after a JPEG's end are no fault.
+pub fn decode_grey(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
+    if bytes.is_empty() {
+        return Err(DecodeError::Empty);
+    }
+    // The decoders are other people's code and fed with whatever a cable delivers: a panic in there is a damaged picture.
+    let decoded = catch_unwind(AssertUnwindSafe(|| match bytes {
+        [0xFF, 0xD8, ..] => decode_jpeg(bytes),
+        _ => decode_other(bytes),
+    }));
+    decoded.unwrap_or_else(|_| Err(DecodeError::damaged("the decoder gave up")))
+}
+
+fn decode_jpeg(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
+    let mut walk = JpegWalk::default();
+    let picture = match walk.advance(bytes) {
+        Walked::Whole(end) => &bytes[..end],
+        Walked::Unfinished => return Err(DecodeError::CutOff),
+        Walked::Damaged(at) => return Err(DecodeError::damaged(format!("no JPEG marker can stand at byte {at}"))),
+    };
+    match walk.first_scan {
+        Some(scan) if !walk.has_huffman_tables => {
+            decode_jpeg_with_tables(&[&picture[..scan], &standard_huffman_tables(), &picture[scan..]].concat())
+        }
+        _ => decode_jpeg_with_tables(picture),
+    }
+}
+
+fn decode_jpeg_with_tables(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
+    let side = LONGEST_SIDE as usize;
+    let options = DecoderOptions::default().set_strict_mode(true).set_max_width(side).set_max_height(side);
+    let mut decoder = JpegDecoder::new_with_options(Cursor::new(bytes), options);
+    decoder.decode_headers().map_err(DecodeError::damaged)?;
+    let luma = matches!(decoder.input_colorspace(), Some(ColorSpace::YCbCr | ColorSpace::Luma));
+    let wanted = if luma { ColorSpace::Luma } else { ColorSpace::RGB };
+    decoder.set_options(options.jpeg_set_out_colorspace(wanted));
+    let pixels = decoder.decode().map_err(DecodeError::damaged)?;
+    let info = decoder.info().ok_or(DecodeError::CutOff)?;
+    let grey = if luma { pixels } else { pixels.chunks_exact(3).map(|p| luma_8([p[0], p[1], p[2]])).collect() };
+    let (width, height) = (u32::from(info.width), u32::from(info.height));
+    GrayImage::from_raw(width, height, grey)
+        .filter(|_| width > 0 && height > 0)
+        .ok_or_else(|| DecodeError::damaged("its size is not what it says"))
+}
+
+fn decode_other(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
+    let format = image::guess_format(bytes).map_err(|_| DecodeError::UnknownForm)?;
+    match format {
+        ImageFormat::Png if !png_is_whole(bytes) => return Err(DecodeError::CutOff),
+        ImageFormat::Png | ImageFormat::Pnm => {}
+        _ => return Err(DecodeError::UnknownForm),
+    }
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    let mut limits = image::Limits::default();
+    limits.max_image_width = Some(LONGEST_SIDE);
+    limits.max_image_height = Some(LONGEST_SIDE);
+    reader.limits(limits);
+    let decoded = reader.decode().map_err(|e| match e {
+        image::ImageError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => DecodeError::CutOff,
+        other => DecodeError::damaged(other),
+    })?;
+    if decoded.width() == 0 || decoded.height() == 0 {
+        return Err(DecodeError::Empty);
+    }
+    Ok(grey_of(decoded))
+}
+
+/// Whether the chunks run to IEND: a decoder is content when it has all pixels, or thinks it has.
+fn png_is_whole(bytes: &[u8]) -> bool {
+    let mut at = 8;
+    while let Some(&[a, b, c, d, ref kind @ ..]) = bytes.get(at..at + 8) {
+        at = at.saturating_add(12).saturating_add(u32::from_be_bytes([a, b, c, d]) as usize);
+        if kind == b"IEND" {
+            return at <= bytes.len();
+        }
+    }
+    false
+}
+
+/// Grey levels of a decoded picture (BT.601, 8 bits).
+fn grey_of(picture: DynamicImage) -> GrayImage {
+    let (width, height) = (picture.width(), picture.height());
+    let grey: Vec<u8> = match &picture {
+        DynamicImage::ImageLuma8(p) => p.as_raw().clone(),
+        DynamicImage::ImageLumaA8(p) => p.pixels().map(|p| p.0[0]).collect(),
+        DynamicImage::ImageRgb8(p) => p.pixels().map(|p| luma_8(p.0)).collect(),
+        DynamicImage::ImageRgba8(p) => p.pixels().map(|p| luma_8([p.0[0], p.0[1], p.0[2]])).collect(),
+        DynamicImage::ImageLuma16(p) => p.pixels().map(|p| eight_bits(p.0[0])).collect(),
+        DynamicImage::ImageLumaA16(p) => p.pixels().map(|p| eight_bits(p.0[0])).collect(),
+        other => other.to_rgb16().pixels().map(|p| luma_16(p.0)).collect(),
+    };
+    // The buffer holds one level a pixel by construction; a blank picture would only hide a fault of that.
+    GrayImage::from_raw(width, height, grey).unwrap_or_default()
+}
+
+/// BT.601 luma of 8-bit RGB, rounded.
+fn luma_8([r, g, b]: [u8; 3]) -> u8 {
+    ((299 * u32::from(r) + 587 * u32::from(g) + 114 * u32::from(b) + 500) / 1000) as u8
+}
+
+/// BT.601 luma of 16-bit RGB in 8 bits, rounded once.
+fn luma_16([r, g, b]: [u16; 3]) -> u8 {
+    ((299 * u64::from(r) + 587 * u64::from(g) + 114 * u64::from(b) + 128_500) / 257_000) as u8
+}
+
+fn eight_bits(level: u16) -> u8 {
+    ((u32::from(level) + 128) / 257) as u8
+}
+
+#[cfg(test)]
+#[path = "grey_tests.rs"]
+mod tests;

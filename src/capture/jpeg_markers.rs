@@ -1,0 +1,171 @@
+//! Where a JPEG ends, found by walking its markers.
+//!
+//! A search for the bytes of EOI would stop inside an EXIF thumbnail. The walk skips whole segments instead, and
+//! inside entropy-coded data it knows stuffed bytes and restart markers. It can be resumed as bytes arrive.
+
+const DHT: u8 = 0xC4;
+const SOI: u8 = 0xD8;
+const EOI: u8 = 0xD9;
+const SOS: u8 = 0xDA;
+
+/// A walk over the markers of one JPEG that starts at byte 0.
+#[derive(Debug, Default, Clone)]
+pub(super) struct JpegWalk {
+    position: usize,
+    in_entropy_data: bool,
+    /// Where the first scan's SOS marker stands.
+    pub first_scan: Option<usize>,
+    /// Whether Huffman tables come before the first scan.
+    pub has_huffman_tables: bool,
+}
+
+/// How far a walk has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Walked {
+    /// Up to the end of the bytes; more are needed.
+    Unfinished,
+    /// The picture ends before this byte.
+    Whole(usize),
+    /// At this byte stands something that cannot stand there: the picture is damaged.
+    Damaged(usize),
+}
+
+impl JpegWalk {
+    /// Goes on over `bytes`, which must begin with those of earlier calls.
+    pub fn advance(&mut self, bytes: &[u8]) -> Walked {
+        loop {
+            if self.in_entropy_data {
+                let Some(rest) = bytes.get(self.position..) else { return Walked::Unfinished };
+                let Some(skip) = rest.iter().position(|b| *b == 0xFF) else {
+                    self.position = bytes.len();
+                    return Walked::Unfinished;
+                };
+                self.position += skip;
+            }
+            let (Some(&mark), Some(&code)) = (bytes.get(self.position), bytes.get(self.position + 1)) else {
+                return Walked::Unfinished;
+            };
+            match (mark, code) {
+                (0xFF, 0x00) if self.in_entropy_data => self.position += 2,
+                (0xFF, 0xFF) => self.position += 1,
+                (0xFF, 0x01 | 0xD0..=0xD7) => self.position += 2,
+                (0xFF, SOI) if self.position == 0 => self.position += 2,
+                (0xFF, EOI) if self.position > 0 => return Walked::Whole(self.position + 2),
+                (0xFF, 0x00 | SOI) => return Walked::Damaged(self.position),
+                (0xFF, _) if self.position > 0 => {
+                    let Some(&[high, low]) = bytes.get(self.position + 2..self.position + 4) else { return Walked::Unfinished };
+                    let length = usize::from(u16::from_be_bytes([high, low]));
+                    if length < 2 {
+                        return Walked::Damaged(self.position);
+                    }
+                    self.enter(code, length);
+                }
+                _ => return Walked::Damaged(self.position),
+            }
+        }
+    }
+
+    /// Notes the segment at the position and goes behind it.
+    fn enter(&mut self, code: u8, length: usize) {
+        if code == DHT && self.first_scan.is_none() {
+            self.has_huffman_tables = true;
+        }
+        if code == SOS && self.first_scan.is_none() {
+            self.first_scan = Some(self.position);
+        }
+        self.in_entropy_data = code == SOS;
+        self.position += 2 + length;
+    }
+}
+
+/// The Huffman tables of the JPEG standard (ITU-T T.81, tables K.3 to K.6) as one DHT segment.
+///
+/// Motion JPEG leaves them out, and a decoder has to know them.
+pub(super) fn standard_huffman_tables() -> Vec<u8> {
+    let mut segment = vec![0xFF, DHT, 0x01, 0xA2];
+    let tables: [(u8, &[u8; 16], &[u8]); 4] = [
+        (0x00, &DC_LUMA_COUNTS, &DC_VALUES),
+        (0x10, &AC_LUMA_COUNTS, &AC_LUMA_VALUES),
+        (0x01, &DC_CHROMA_COUNTS, &DC_VALUES),
+        (0x11, &AC_CHROMA_COUNTS, &AC_CHROMA_VALUES),
+    ];
+    for (class_and_place, counts, values) in tables {
+        segment.push(class_and_place);
+        segment.extend_from_slice(counts);
+        segment.extend_from_slice(values);
+    }
+    segment
+}
+
+// Codes of each length 1..=16, then the values in code order.
+const DC_LUMA_COUNTS: [u8; 16] = [0, 1, 5, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0];
+const DC_CHROMA_COUNTS: [u8; 16] = [0, 3, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0];
+const DC_VALUES: [u8; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
+const AC_LUMA_COUNTS: [u8; 16] = [0, 2, 1, 3, 3, 2, 4, 3, 5, 5, 4, 4, 0, 0, 1, 0x7D];
+const AC_CHROMA_COUNTS: [u8; 16] = [0, 2, 1, 2, 4, 4, 3, 4, 7, 5, 4, 4, 0, 1, 2, 0x77];
+#[rustfmt::skip]
+const AC_LUMA_VALUES: [u8; 162] = [
+    0x01, 0x02, 0x03, 0x00, 0x04, 0x11, 0x05, 0x12, 0x21, 0x31, 0x41, 0x06, 0x13, 0x51, 0x61, 0x07, 0x22, 0x71,
+    0x14, 0x32, 0x81, 0x91, 0xA1, 0x08, 0x23, 0x42, 0xB1, 0xC1, 0x15, 0x52, 0xD1, 0xF0, 0x24, 0x33, 0x62, 0x72,
+    0x82, 0x09, 0x0A, 0x16, 0x17, 0x18, 0x19, 0x1A, 0x25, 0x26, 0x27, 0x28, 0x29, 0x2A, 0x34, 0x35, 0x36, 0x37,
+    0x38, 0x39, 0x3A, 0x43, 0x44, 0x45, 0x46, 0x47, 0x48, 0x49, 0x4A, 0x53, 0x54, 0x55, 0x56, 0x57, 0x58, 0x59,
+    0x5A, 0x63, 0x64, 0x65, 0x66, 0x67, 0x68, 0x69, 0x6A, 0x73, 0x74, 0x75, 0x76, 0x77, 0x78, 0x79, 0x7A, 0x83,
+    0x84, 0x85, 0x86, 0x87, 0x88, 0x89, 0x8A, 0x92, 0x93, 0x94, 0x95, 0x96, 0x97, 0x98, 0x99, 0x9A, 0xA2, 0xA3,
+    0xA4, 0xA5, 0xA6, 0xA7, 0xA8, 0xA9, 0xAA, 0xB2, 0xB3, 0xB4, 0xB5, 0xB6, 0xB7, 0xB8, 0xB9, 0xBA, 0xC2, 0xC3,
+    0xC4, 0xC5, 0xC6, 0xC7, 0xC8, 0xC9, 0xCA, 0xD2, 0xD3, 0xD4, 0xD5, 0xD6, 0xD7, 0xD8, 0xD9, 0xDA, 0xE1, 0xE2,
+    0xE3, 0xE4, 0xE5, 0xE6, 0xE7, 0xE8, 0xE9, 0xEA, 0xF1, 0xF2, 0xF3, 0xF4, 0xF5, 0xF6, 0xF7, 0xF8, 0xF9, 0xFA,
+];
+#[rustfmt::skip]
+const AC_CHROMA_VALUES: [u8; 162] = [
+    0x00, 0x01, 0x02, 0x03, 0x11, 0x04, 0x05, 0x21, 0x31, 0x06, 0x12, 0x41, 0x51, 0x07, 0x61, 0x71, 0x13, 0x22,
+    0x32, 0x81, 0x08, 0x14, 0x42, 0x91, 0xA1, 0xB1, 0xC1, 0x09, 0x23, 0x33, 0x52, 0xF0, 0x15, 0x62, 0x72, 0xD1,
+    0x0A, 0x16, 0x24, 0x34, 0xE1, 0x25, 0xF1, 0x17, 0x18, 0x19, 0x1A, 0x26, 0x27, 0x28, 0x29, 0x2A, 0x35, 0x36,
+    0x37, 0x38, 0x39, 0x3A, 0x43, 0x44, 0x45, 0x46, 0x47, 0x48, 0x49, 0x4A, 0x53, 0x54, 0x55, 0x56, 0x57, 0x58,
+    0x59, 0x5A, 0x63, 0x64, 0x65, 0x66, 0x67, 0x68, 0x69, 0x6A, 0x73, 0x74, 0x75, 0x76, 0x77, 0x78, 0x79, 0x7A,
+    0x82, 0x83, 0x84, 0x85, 0x86, 0x87, 0x88, 0x89, 0x8A, 0x92, 0x93, 0x94, 0x95, 0x96, 0x97, 0x98, 0x99, 0x9A,
+    0xA2, 0xA3, 0xA4, 0xA5, 0xA6, 0xA7, 0xA8, 0xA9, 0xAA, 0xB2, 0xB3, 0xB4, 0xB5, 0xB6, 0xB7, 0xB8, 0xB9, 0xBA,
+    0xC2, 0xC3, 0xC4, 0xC5, 0xC6, 0xC7, 0xC8, 0xC9, 0xCA, 0xD2, 0xD3, 0xD4, 0xD5, 0xD6, 0xD7, 0xD8, 0xD9, 0xDA,
+    0xE2, 0xE3, 0xE4, 0xE5, 0xE6, 0xE7, 0xE8, 0xE9, 0xEA, 0xF2, 0xF3, 0xF4, 0xF5, 0xF6, 0xF7, 0xF8, 0xF9, 0xFA,
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WHOLE: [u8; 19] = [
+        0xFF, SOI, 0xFF, 0xE1, 0, 6, 0xFF, SOI, 0xFF, EOI, // a thumbnail in APP1
+        0xFF, SOS, 0, 2, 7, 0xFF, 0, 0xFF, EOI,
+    ];
+
+    #[test]
+    fn an_end_mark_inside_a_thumbnail_does_not_end_the_picture() {
+        let mut walk = JpegWalk::default();
+        assert_eq!(walk.advance(&WHOLE), Walked::Whole(WHOLE.len()));
+        assert_eq!((walk.first_scan, walk.has_huffman_tables), (Some(10), false));
+    }
+
+    #[test]
+    fn a_walk_in_pieces_ends_where_a_walk_at_once_does() {
+        let mut walk = JpegWalk::default();
+        for n in 0..WHOLE.len() {
+            assert_eq!(walk.advance(&WHOLE[..n]), Walked::Unfinished, "{n} bytes");
+        }
+        assert_eq!(walk.advance(&WHOLE), Walked::Whole(WHOLE.len()));
+    }
+
+    #[test]
+    fn a_new_start_inside_of_the_data_is_damage() {
+        let cut = [&WHOLE[..15], &WHOLE[..]].concat();
+        assert_eq!(JpegWalk::default().advance(&cut), Walked::Damaged(15));
+        assert_eq!(JpegWalk::default().advance(b"no"), Walked::Damaged(0));
+    }
+
+    #[test]
+    fn the_standard_tables_fill_their_segment() {
+        let segment = standard_huffman_tables();
+        assert_eq!(segment.len(), 2 + 0x1A2);
+        for (counts, values) in [(&AC_LUMA_COUNTS, &AC_LUMA_VALUES), (&AC_CHROMA_COUNTS, &AC_CHROMA_VALUES)] {
+            assert_eq!(counts.iter().map(|c| usize::from(*c)).sum::<usize>(), values.len());
+        }
+    }
+}

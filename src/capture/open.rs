@@ -1,0 +1,102 @@
+//! Opening a clip of whatever form: by what it is on disk, by its first bytes, and last by its name.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use super::FrameSource;
+use super::avi::{AviError, AviReader};
+use super::clip::{Clip, PictureStream};
+use super::error::CaptureError;
+use super::ffmpeg::Ffmpeg;
+use super::folder;
+use super::mjpeg::MjpegReader;
+use super::rate::FrameRate;
+use super::video::Paced;
+use super::y4m::Y4mReader;
+
+/// What the user may say about a clip.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ClipOptions {
+    /// Frames a second. Stands in place of a video's own rate; for pictures without stamps and .mjpeg, which have
+    /// none, the default is 30. A timestamps.csv keeps its own stamps.
+    pub fps: Option<f64>,
+}
+
+/// The rate of pictures that nobody gave one.
+const DEFAULT_FPS: f64 = 30.0;
+
+/// Opens a clip: a folder with frames/ and timestamps.csv, a folder of pictures, a .y4m, MJPEG .avi or .mjpeg file,
+/// `-` for y4m on stdin, or anything that an installed ffmpeg reads.
+///
+/// Reads ahead to the first frame, which sets the clip's size. Frame n of a clip with a rate is stamped n / rate.
+///
+/// # Errors
+/// When there is no such clip, when it is no clip, and when none of its rows is a frame: see [`CaptureError`].
+pub fn open_clip(clip: impl AsRef<Path>, options: ClipOptions) -> Result<Box<dyn FrameSource>, CaptureError> {
+    let path = clip.as_ref();
+    let given = match options.fps {
+        Some(fps) => Some(FrameRate::new(fps, 1.0).ok_or(CaptureError::Rate { fps })?),
+        None => None,
+    };
+    let default = FrameRate::new(DEFAULT_FPS, 1.0).ok_or(CaptureError::Rate { fps: DEFAULT_FPS })?;
+    let stream = if path.as_os_str() == "-" {
+        y4m(BufReader::new(std::io::stdin()), Path::new("standard input"), given, None)?
+    } else if std::fs::metadata(path).map_err(|e| CaptureError::reading(path, e))?.is_dir() {
+        folder::open(path, given.unwrap_or(default))?
+    } else {
+        open_file(path, given, default)?
+    };
+    Ok(Box::new(Clip::new(stream, path)?))
+}
+
+fn open_file(path: &Path, given: Option<FrameRate>, default: FrameRate) -> Result<Box<dyn PictureStream>, CaptureError> {
+    let unreadable = |e| CaptureError::reading(path, e);
+    let mut file = File::open(path).map_err(unreadable)?;
+    let mut start = Vec::new();
+    (&mut file).take(12).read_to_end(&mut start).map_err(unreadable)?;
+    if start.is_empty() {
+        return Err(CaptureError::Empty { path: path.to_owned() });
+    }
+    if file.seek(SeekFrom::Start(0)).is_err() {
+        file = File::open(path).map_err(unreadable)?; // a named pipe: nothing can be put back, so only y4m would have worked
+    }
+    let bytes = file.metadata().map_err(unreadable)?.len();
+    let input = BufReader::with_capacity(1 << 16, file);
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    match (start.as_slice(), extension.as_str()) {
+        ([b'Y', b'U', b'V', b'4', b'M', ..], _) | (_, "y4m") => y4m(input, path, given, Some(bytes)),
+        ([b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', ..], _) => avi(input, path, given),
+        ([0xFF, 0xD8, 0xFF, ..], _) | (_, "mjpeg" | "mjpg") => {
+            Ok(Box::new(Paced::new(MjpegReader::new(input), given.unwrap_or(default), None)))
+        }
+        _ => Ok(Box::new(Ffmpeg::open(path, given)?)),
+    }
+}
+
+fn y4m<R: std::io::BufRead + Send + 'static>(
+    input: R,
+    path: &Path,
+    given: Option<FrameRate>,
+    bytes: Option<u64>,
+) -> Result<Box<dyn PictureStream>, CaptureError> {
+    let reader = Y4mReader::new(input).map_err(|reason| CaptureError::Stream { path: path.to_owned(), reason })?;
+    let rate = given.or(reader.rate()).ok_or_else(|| CaptureError::RateUnknown { path: path.to_owned() })?;
+    let total = bytes.and_then(|b| reader.frames_in(b));
+    Ok(Box::new(Paced::new(reader, rate, total)))
+}
+
+fn avi(input: BufReader<File>, path: &Path, given: Option<FrameRate>) -> Result<Box<dyn PictureStream>, CaptureError> {
+    match AviReader::new(input) {
+        Ok(reader) => {
+            let rate = given.or(reader.rate()).ok_or_else(|| CaptureError::RateUnknown { path: path.to_owned() })?;
+            Ok(Box::new(Paced::new(reader, rate, None)))
+        }
+        Err(AviError::NotMjpeg(_)) => Ok(Box::new(Ffmpeg::open(path, given)?)),
+        Err(AviError::Malformed(reason)) => Err(CaptureError::Stream { path: path.to_owned(), reason }),
+    }
+}
+
+#[cfg(test)]
+#[path = "open_tests.rs"]
+mod tests;

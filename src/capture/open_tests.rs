@@ -1,0 +1,216 @@
+//! Whole clips on disk, of every form, with their faults.
+
+use std::fs;
+use std::process::Command;
+
+use image::{GrayImage, Luma};
+use tempfile::TempDir;
+
+use super::super::{ClipWriter, PictureFormat, Row, RowContent};
+use super::*;
+use crate::frame::Frame;
+
+fn picture(level: u8) -> GrayImage {
+    GrayImage::from_fn(32, 24, |x, y| Luma([level.wrapping_add((x + y) as u8)]))
+}
+
+fn frame(n: u8) -> Frame {
+    Frame { image: picture(n * 10), timestamp_ns: 1_000 + i64::from(n) * 40_000_000, sequence: u64::from(n) }
+}
+
+fn jpeg(level: u8) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    picture(level).write_with_encoder(image::codecs::jpeg::JpegEncoder::new(&mut bytes)).unwrap();
+    bytes
+}
+
+fn rows(path: impl AsRef<Path>, fps: Option<f64>) -> Vec<Row> {
+    let mut clip = open_clip(path, ClipOptions { fps }).unwrap();
+    assert_eq!(clip.size(), (32, 24));
+    let expected = clip.rows();
+    let rows: Vec<Row> = std::iter::from_fn(|| clip.next_row()).collect();
+    assert!(rows.iter().enumerate().all(|(n, row)| row.sequence == n as u64));
+    assert!(expected.is_none_or(|n| n == rows.len() as u64), "{expected:?} rows were promised, {} came", rows.len());
+    rows
+}
+
+fn refusal(path: impl AsRef<Path>) -> CaptureError {
+    open_clip(path, ClipOptions::default()).err().unwrap()
+}
+
+/// One letter a row: Frame, Undecodable, Skipped.
+fn kinds(rows: &[Row]) -> String {
+    let kind = |r: &Row| match r.content {
+        RowContent::Frame(_) => 'F',
+        RowContent::Undecodable(_) => 'U',
+        RowContent::Skipped(_) => 'S',
+    };
+    rows.iter().map(kind).collect()
+}
+
+fn stamps(rows: &[Row]) -> Vec<i64> {
+    rows.iter().map(|r| r.timestamp_ns).collect()
+}
+
+fn written(format: PictureFormat) -> TempDir {
+    let folder = TempDir::new().unwrap();
+    let mut writer = ClipWriter::create(folder.path(), format).unwrap();
+    (0..4).for_each(|n| writer.push(&frame(n)).unwrap());
+    assert_eq!(writer.finish().unwrap(), 4);
+    folder
+}
+
+#[test]
+fn what_the_writer_wrote_is_read() {
+    for format in [PictureFormat::Png, PictureFormat::Pgm] {
+        let folder = written(format);
+        let wanted: Vec<_> = (0..4).map(|n| RowContent::Frame(frame(n))).collect();
+        assert_eq!(rows(&folder, None).into_iter().map(|r| r.content).collect::<Vec<_>>(), wanted);
+    }
+    assert_eq!(stamps(&rows(written(PictureFormat::Jpeg { quality: 90 }), None)), [1_000, 40_001_000, 80_001_000, 120_001_000]);
+}
+
+#[test]
+fn every_row_of_a_damaged_folder_keeps_its_number() {
+    let folder = written(PictureFormat::Png);
+    let frames = folder.path().join("frames");
+    let whole = fs::read(frames.join("000001.png")).unwrap();
+    fs::write(frames.join("cut.png"), &whole[..whole.len() / 2]).unwrap();
+    GrayImage::new(8, 8).save(frames.join("small.png")).unwrap();
+    fs::create_dir(folder.path().join("data")).unwrap();
+    fs::copy(frames.join("000002.png"), folder.path().join("beside.png")).unwrap();
+    fs::copy(frames.join("000003.png"), folder.path().join("data/euroc.png")).unwrap();
+    let csv = "#timestamp [ns],filename\nx,000000.png\n10,cut.png\n20,000000.png\n20,000001.png\n15,000001.png\n30,small.png\n\
+        40,gone.png\nsoon,000001.png\n50,beside.png\n60,euroc.png\n70\n80,frames/000001.png\n";
+    fs::write(folder.path().join("timestamps.csv"), csv).unwrap();
+    let rows = rows(&folder, None);
+    assert_eq!(kinds(&rows), "SUFSSSUSFFUF");
+    assert_eq!(stamps(&rows), [0, 10, 20, 20, 15, 30, 40, 40, 50, 60, 70, 80]);
+}
+
+#[test]
+fn a_folder_of_pictures_is_read_in_the_order_of_names() {
+    let folder = TempDir::new().unwrap();
+    for (name, level) in [("b.png", 2), ("a10.png", 1), ("a2.PNG", 3)] {
+        picture(level).save_with_format(folder.path().join(name), image::ImageFormat::Png).unwrap();
+    }
+    fs::write(folder.path().join("notes.txt"), "x").unwrap();
+    fs::write(folder.path().join(".hidden.png"), "x").unwrap();
+    let read = rows(&folder, None);
+    let firsts: Vec<u8> = read.iter().map(|r| if let RowContent::Frame(f) = &r.content { f.image.as_raw()[0] } else { 0 }).collect();
+    assert_eq!((firsts, stamps(&read)), (vec![1, 3, 2], vec![0, 33_333_333, 66_666_667]));
+    assert_eq!(stamps(&rows(&folder, Some(50.0))), [0, 20_000_000, 40_000_000]);
+}
+
+#[test]
+fn y4m_is_read_at_its_own_rate_or_the_given_one() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("clip.y4m");
+    let mut bytes = b"YUV4MPEG2 W32 H24 F25:1 Ip C420jpeg\n".to_vec();
+    (0..3).for_each(|n| bytes.extend([&b"FRAME\n"[..], picture(n).as_raw(), &[128; 384]].concat()));
+    fs::write(&path, &bytes).unwrap();
+    let read = rows(&path, None);
+    assert_eq!((kinds(&read).as_str(), stamps(&read)), ("FFF", vec![0, 40_000_000, 80_000_000]));
+    assert_eq!(read[1].content, RowContent::Frame(Frame { image: picture(1), timestamp_ns: 40_000_000, sequence: 1 }));
+    assert_eq!(stamps(&rows(&path, Some(10.0)))[2], 200_000_000);
+    fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
+    assert_eq!(kinds(&rows(&path, None)), "FFU");
+    fs::write(&path, b"YUV4MPEG2 W32 H24\nFRAME\n").unwrap();
+    assert!(matches!(refusal(&path), CaptureError::RateUnknown { .. }));
+    fs::write(&path, b"YUV4MPEG2 W32 H24 F25:1\n").unwrap();
+    assert!(matches!(refusal(&path), CaptureError::Empty { .. }));
+    fs::write(&path, b"not a y4m").unwrap();
+    assert!(matches!(refusal(&path), CaptureError::Stream { .. }));
+}
+
+#[test]
+fn mjpeg_is_split_and_its_damage_is_a_row() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("clip.mjpeg");
+    let cut = &jpeg(3)[..400];
+    fs::write(&path, [cut, &jpeg(1), cut, &jpeg(2)].concat()).unwrap();
+    let read = rows(&path, None);
+    assert_eq!((kinds(&read).as_str(), stamps(&read)[3]), ("UFUF", 100_000_000));
+    fs::write(&path, cut).unwrap();
+    let error = refusal(&path);
+    assert!(matches!(error, CaptureError::NoFrameReadable { rows: 1, .. }), "{error}");
+}
+
+#[test]
+fn what_is_no_clip_says_so() {
+    let folder = TempDir::new().unwrap();
+    assert!(matches!(refusal(folder.path()), CaptureError::Empty { .. }));
+    assert!(matches!(refusal(folder.path().join("gone")), CaptureError::NotFound { .. }));
+    fs::write(folder.path().join("timestamps.csv"), "10,a.png\n").unwrap();
+    let error = refusal(folder.path());
+    assert!(matches!(error, CaptureError::TimestampsHeader { .. }) && error.to_string().contains("timestamps.csv line 1 is \"10,a.png\""));
+    fs::write(folder.path().join("timestamps.csv"), "#timestamp [ns],filename\n").unwrap();
+    assert!(matches!(refusal(folder.path()), CaptureError::Empty { .. }));
+    fs::write(folder.path().join("timestamps.csv"), "#timestamp [ns],filename\n10,a.png\n20,b.png\n").unwrap();
+    assert!(matches!(refusal(folder.path()), CaptureError::NoFrameReadable { rows: 2, .. }));
+    fs::write(folder.path().join("empty.y4m"), "").unwrap();
+    assert!(matches!(refusal(folder.path().join("empty.y4m")), CaptureError::Empty { .. }));
+    fs::write(folder.path().join("broken.avi"), b"RIFF\x04\0\0\0AVI ").unwrap();
+    assert!(matches!(refusal(folder.path().join("broken.avi")), CaptureError::Stream { .. }));
+    let bad_rate = open_clip(folder.path(), ClipOptions { fps: Some(0.0) }).err();
+    assert!(matches!(bad_rate, Some(CaptureError::Rate { .. })));
+}
+
+/// Runs ffmpeg on grey test pictures; false (with a message) where there is none.
+fn ffmpeg(arguments: &[&str], output: &Path) -> bool {
+    let source = ["-v", "error", "-y", "-f", "lavfi", "-i", "testsrc2=s=32x24:r=25:d=0.4"];
+    match Command::new("ffmpeg").args(source).args(arguments).arg(output).status() {
+        Ok(status) => status.success(),
+        Err(_) => {
+            eprintln!("skipped: ffmpeg is not installed");
+            false
+        }
+    }
+}
+
+#[test]
+fn files_made_by_ffmpeg_are_read() {
+    let folder = TempDir::new().unwrap();
+    let cases: [(&str, &[&str], i64); 6] = [
+        ("mjpeg.avi", &["-c:v", "mjpeg"], 40_000_000),
+        ("clip.mjpeg", &["-c:v", "mjpeg", "-f", "mjpeg"], 33_333_333),
+        ("clip.y4m", &["-pix_fmt", "yuv422p"], 40_000_000),
+        ("mono.y4m", &["-pix_fmt", "gray"], 40_000_000),
+        ("other.avi", &["-c:v", "ffv1"], 40_000_000),
+        ("clip.mkv", &["-c:v", "ffv1"], 40_000_000),
+    ];
+    for (name, arguments, second) in cases {
+        let path = folder.path().join(name);
+        if !ffmpeg(arguments, &path) {
+            return;
+        }
+        let read = rows(&path, None);
+        assert_eq!((kinds(&read).as_str(), read[1].timestamp_ns), ("FFFFFFFFFF", second), "{name}");
+        assert_eq!(stamps(&rows(&path, Some(10.0)))[2], 200_000_000, "{name}");
+    }
+}
+
+#[test]
+fn frames_of_uneven_rate_keep_their_stamps_and_their_luma() {
+    let folder = TempDir::new().unwrap();
+    let (uneven, straight) = (folder.path().join("uneven.mkv"), folder.path().join("straight.y4m"));
+    // Frames 0, 1, 4, 5 and 9 of 25 a second.
+    let chosen = ["-vf", "select=eq(n\\,0)+eq(n\\,1)+eq(n\\,4)+eq(n\\,5)+eq(n\\,9)", "-vsync", "passthrough", "-c:v", "ffv1"];
+    if !ffmpeg(&[&chosen[..], &["-pix_fmt", "yuv420p"]].concat(), &uneven) || !ffmpeg(&["-pix_fmt", "yuv420p"], &straight) {
+        return;
+    }
+    let (read, whole) = (rows(&uneven, None), rows(&straight, None));
+    assert_eq!(stamps(&read), [0, 40_000_000, 160_000_000, 200_000_000, 360_000_000]);
+    let image = |row: &Row| if let RowContent::Frame(f) = &row.content { f.image.clone() } else { GrayImage::new(0, 0) };
+    assert_eq!(image(&read[2]), image(&whole[4]), "the luma comes through as it is, limited range and all");
+}
+
+#[test]
+fn what_ffmpeg_cannot_read_says_so() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("noise.mp4");
+    fs::write(&path, [7u8; 1000]).unwrap();
+    let error = refusal(&path);
+    assert!(matches!(error, CaptureError::FfmpegFailed { .. } | CaptureError::FfmpegMissing { .. }), "{error}");
+    assert!(!error.to_string().contains('\n'));
+}

@@ -1,0 +1,45 @@
+//! Frame rates as exact ratios, and the stamps they give.
+
+/// Frames a second, as a ratio.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameRate {
+    frames: f64,
+    seconds: f64,
+}
+
+impl FrameRate {
+    /// `frames` in `seconds`; `None` unless the rate is above 0 and at most a million a second.
+    pub fn new(frames: f64, seconds: f64) -> Option<Self> {
+        let fps = frames / seconds;
+        (frames > 0.0 && seconds > 0.0 && fps > 0.0 && fps <= 1e6).then_some(Self { frames, seconds })
+    }
+
+    /// A ratio as text: "30000:1001".
+    pub fn from_ratio(text: &str) -> Option<Self> {
+        let (frames, seconds) = text.split_once([':', '/'])?;
+        Self::new(f64::from(frames.parse::<u32>().ok()?), f64::from(seconds.parse::<u32>().ok()?))
+    }
+
+    /// When frame `n` was taken, nanoseconds after frame 0, rounded.
+    pub fn stamp_ns(&self, n: u64) -> i64 {
+        (n as f64 * 1e9 * self.seconds / self.frames).round() as i64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stamps_are_rounded_and_do_not_drift() {
+        let ntsc = FrameRate::from_ratio("30000:1001").unwrap();
+        assert_eq!([0, 1, 2, 30_000].map(|n| ntsc.stamp_ns(n)), [0, 33_366_667, 66_733_333, 1_001_000_000_000]);
+        assert_eq!(FrameRate::new(30.0, 1.0).unwrap().stamp_ns(12), 400_000_000);
+    }
+
+    #[test]
+    fn what_is_no_rate_is_none() {
+        assert!(["0:0", "0:1", "30", "a:b", "-1:1"].iter().all(|r| FrameRate::from_ratio(r).is_none()));
+        assert!([f64::NAN, 0.0, -30.0, f64::INFINITY, 2e6].iter().all(|fps| FrameRate::new(*fps, 1.0).is_none()));
+    }
+}

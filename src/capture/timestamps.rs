@@ -1,0 +1,106 @@
+//! timestamps.csv in EuRoC's form: a header, then one line a picture: nanoseconds, file name.
+
+use std::io::Read;
+
+/// One line of the file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StampRow {
+    /// Nanoseconds, or what is wrong with them.
+    pub stamp: Result<i64, String>,
+    /// The picture's file name as written; empty where the line has none.
+    pub file: String,
+}
+
+/// Why a timestamps.csv is not read.
+#[derive(Debug)]
+pub enum TimestampsError {
+    /// The first line is not `#timestamp [ns],filename`; holds what it is, shortened.
+    Header(String),
+    /// There is no line at all.
+    Empty,
+    /// The file cannot be read.
+    Read(std::io::Error),
+}
+
+/// Reads all lines; blank lines and later `#` lines are passed over, a line with a bad stamp is kept.
+///
+/// # Errors
+/// When the header is missing or the input cannot be read.
+pub fn read_timestamps(input: impl Read) -> Result<Vec<StampRow>, TimestampsError> {
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).quoting(false).from_reader(input);
+    let mut rows = Vec::new();
+    let mut header_seen = false;
+    let mut record = csv::ByteRecord::new();
+    while reader.read_byte_record(&mut record).map_err(read_error)? {
+        let field = |n: usize| String::from_utf8_lossy(record.get(n).unwrap_or_default()).trim_start_matches('\u{feff}').to_owned();
+        let (first, second) = (field(0), field(1));
+        if !header_seen {
+            check_header(&first, &second)?;
+            header_seen = true;
+        } else if !first.starts_with('#') && !(first.is_empty() && second.is_empty()) {
+            let stamp = first.parse().map_err(|_| format!("\"{}\" is no time stamp in whole nanoseconds", shortened(&first)));
+            rows.push(StampRow { stamp, file: second });
+        }
+    }
+    if header_seen { Ok(rows) } else { Err(TimestampsError::Empty) }
+}
+
+fn check_header(first: &str, second: &str) -> Result<(), TimestampsError> {
+    let plain = |s: &str| s.chars().filter(|c| !c.is_whitespace()).collect::<String>().to_ascii_lowercase();
+    let good = plain(first) == "#timestamp[ns]" && plain(second) == "filename";
+    if good { Ok(()) } else { Err(TimestampsError::Header(shortened(&format!("{first},{second}")))) }
+}
+
+fn shortened(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control()).take(60).collect()
+}
+
+fn read_error(e: csv::Error) -> TimestampsError {
+    let message = e.to_string();
+    match e.into_kind() {
+        csv::ErrorKind::Io(source) => TimestampsError::Read(source),
+        _ => TimestampsError::Read(std::io::Error::other(message)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn rows_keep_their_order_and_their_faults() {
+        let text = "#timestamp [ns],filename\r\n10,a.png\r\n\r\nx,b.png\n20 , c d.png\n30\n# note\n";
+        let rows = read_timestamps(text.as_bytes()).unwrap();
+        let files: Vec<_> = rows.iter().map(|r| r.file.as_str()).collect();
+        assert_eq!(files, ["a.png", "b.png", "c d.png", ""]);
+        assert_eq!((rows[0].stamp.clone(), rows[2].stamp.clone(), rows[3].stamp.clone()), (Ok(10), Ok(20), Ok(30)));
+        assert!(rows[1].stamp.as_ref().unwrap_err().contains("\"x\""));
+    }
+
+    #[test]
+    fn other_headers_are_refused() {
+        for text in ["10,a.png\n", "#timestamp [s],filename\n1,a\n", "timestamp,filename\n"] {
+            assert!(matches!(read_timestamps(text.as_bytes()), Err(TimestampsError::Header(_))), "{text}");
+        }
+        assert!(matches!(read_timestamps(&b""[..]), Err(TimestampsError::Empty)));
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_end_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+            let _ = read_timestamps(&bytes[..]);
+            let _ = read_timestamps(&[b"#timestamp [ns],filename\n", &bytes[..]].concat()[..]);
+        }
+
+        #[test]
+        fn what_is_written_is_read(stamps in prop::collection::vec((any::<i64>(), "[a-z0-9_./-]{1,20}"), 0..20)) {
+            let mut text = "#timestamp [ns],filename\n".to_owned();
+            stamps.iter().for_each(|(t, f)| text += &format!("{t},{f}\n"));
+            let rows = read_timestamps(text.as_bytes()).unwrap();
+            let back: Vec<_> = rows.into_iter().map(|r| (r.stamp.unwrap(), r.file)).collect();
+            prop_assert_eq!(back, stamps);
+        }
+    }
+}

@@ -1,0 +1,65 @@
+//! Clips that are one file or a pipe: .y4m, MJPEG .avi and .mjpeg as picture streams.
+
+use std::io::{BufRead, Read};
+
+use super::avi::AviReader;
+use super::clip::{Picture, PictureData, PictureStream};
+use super::mjpeg::MjpegReader;
+use super::rate::FrameRate;
+use super::y4m::Y4mReader;
+
+/// Pictures of a reader at an even rate.
+pub(super) struct Paced<R> {
+    reader: R,
+    rate: FrameRate,
+    total: Option<u64>,
+    next: u64,
+}
+
+impl<R> Paced<R> {
+    /// `total` is how many pictures there are in all, where that is known.
+    pub fn new(reader: R, rate: FrameRate, total: Option<u64>) -> Self {
+        Self { reader, rate, total, next: 0 }
+    }
+}
+
+/// A reader of one video format.
+pub(super) trait VideoReader: Send {
+    fn next_data(&mut self) -> Option<PictureData>;
+}
+
+impl<R: VideoReader> PictureStream for Paced<R> {
+    fn next_picture(&mut self) -> Option<Picture> {
+        let data = self.reader.next_data()?;
+        let stamp = Ok(self.rate.stamp_ns(self.next));
+        self.next += 1;
+        Some(Picture { stamp, data })
+    }
+
+    fn pictures(&self) -> Option<u64> {
+        self.total.map(|total| total.saturating_sub(self.next))
+    }
+}
+
+impl<R: BufRead + Send> VideoReader for Y4mReader<R> {
+    fn next_data(&mut self) -> Option<PictureData> {
+        Some(self.next_luma()?.map_or_else(PictureData::Missing, PictureData::Grey))
+    }
+}
+
+impl<R: Read + Send> VideoReader for AviReader<R> {
+    fn next_data(&mut self) -> Option<PictureData> {
+        Some(match self.next_jpeg()? {
+            Ok(bytes) if bytes.is_empty() => PictureData::Missing("the recorder dropped this frame".to_owned()),
+            Ok(bytes) => PictureData::Encoded(bytes),
+            Err(reason) => PictureData::Missing(reason),
+        })
+    }
+}
+
+impl<R: Read + Send> VideoReader for MjpegReader<R> {
+    fn next_data(&mut self) -> Option<PictureData> {
+        let unreadable = |e| PictureData::Missing(format!("the file cannot be read on: {e}"));
+        Some(self.next_jpeg()?.map_or_else(unreadable, PictureData::Encoded))
+    }
+}

@@ -1,0 +1,112 @@
+//! Writing a clip: a folder with frames/ and timestamps.csv, the form that keeps exact stamps.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::codecs::pnm::{PnmEncoder, PnmSubtype, SampleEncoding};
+use image::{ExtendedColorType, GrayImage, ImageEncoder, ImageError};
+
+use super::error::CaptureError;
+use crate::frame::Frame;
+
+/// The form of a clip's pictures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PictureFormat {
+    /// Exact and small, the slowest to write.
+    Png,
+    /// Lossy, quality 1 to 100.
+    Jpeg {
+        /// 1 to 100.
+        quality: u8,
+    },
+    /// Exact and fast, the largest.
+    Pgm,
+}
+
+impl PictureFormat {
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Jpeg { .. } => "jpg",
+            Self::Pgm => "pgm",
+        }
+    }
+
+    fn encode(self, image: &GrayImage, to: impl Write) -> Result<(), ImageError> {
+        let (width, height) = image.dimensions();
+        match self {
+            Self::Png => PngEncoder::new_with_quality(to, CompressionType::Fast, FilterType::Up).write_image(
+                image,
+                width,
+                height,
+                ExtendedColorType::L8,
+            ),
+            Self::Jpeg { quality } => {
+                JpegEncoder::new_with_quality(to, quality.clamp(1, 100)).encode(image, width, height, ExtendedColorType::L8)
+            }
+            Self::Pgm => PnmEncoder::new(to).with_subtype(PnmSubtype::Graymap(SampleEncoding::Binary)).write_image(
+                image,
+                width,
+                height,
+                ExtendedColorType::L8,
+            ),
+        }
+    }
+}
+
+/// A clip that is being written.
+#[derive(Debug)]
+pub struct ClipWriter {
+    folder: PathBuf,
+    format: PictureFormat,
+    stamps: BufWriter<File>,
+    pictures: u64,
+}
+
+impl ClipWriter {
+    /// Makes the folder with its frames/ and an empty timestamps.csv; an earlier clip in it is written over.
+    ///
+    /// # Errors
+    /// When the folder or the file cannot be made.
+    pub fn create(folder: impl AsRef<Path>, format: PictureFormat) -> Result<Self, CaptureError> {
+        let folder = folder.as_ref().to_owned();
+        let frames = folder.join("frames");
+        std::fs::create_dir_all(&frames).map_err(|e| not_writable(&frames, e))?;
+        let csv = folder.join("timestamps.csv");
+        let file = File::create(&csv).map_err(|e| not_writable(&csv, e))?;
+        let mut stamps = BufWriter::new(file);
+        writeln!(stamps, "#timestamp [ns],filename").map_err(|e| not_writable(&csv, e))?;
+        Ok(Self { folder, format, stamps, pictures: 0 })
+    }
+
+    /// Writes a frame's picture and its line.
+    ///
+    /// # Errors
+    /// When one of them cannot be written.
+    pub fn push(&mut self, frame: &Frame) -> Result<(), CaptureError> {
+        let name = format!("{:06}.{}", self.pictures, self.format.extension());
+        let path = self.folder.join("frames").join(&name);
+        let mut file = BufWriter::new(File::create(&path).map_err(|e| not_writable(&path, e))?);
+        self.format.encode(&frame.image, &mut file).map_err(|e| not_writable(&path, e))?;
+        file.flush().map_err(|e| not_writable(&path, e))?;
+        writeln!(self.stamps, "{},{name}", frame.timestamp_ns).map_err(|e| not_writable(&self.folder.join("timestamps.csv"), e))?;
+        self.pictures += 1;
+        Ok(())
+    }
+
+    /// Writes out what is still held back; says how many pictures there are.
+    ///
+    /// # Errors
+    /// When that cannot be written.
+    pub fn finish(mut self) -> Result<u64, CaptureError> {
+        self.stamps.flush().map_err(|e| not_writable(&self.folder.join("timestamps.csv"), e))?;
+        Ok(self.pictures)
+    }
+}
+
+fn not_writable(path: &Path, reason: impl ToString) -> CaptureError {
+    CaptureError::NotWritable { path: path.to_owned(), reason: reason.to_string() }
+}

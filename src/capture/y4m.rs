@@ -1,0 +1,207 @@
+//! YUV4MPEG2 (.y4m): a text header, then frames of raw planes, of which only the luma is kept, as it is.
+
+use std::io::{self, BufRead, Read};
+
+use image::GrayImage;
+
+use super::rate::FrameRate;
+
+/// A .y4m stream.
+#[derive(Debug)]
+pub struct Y4mReader<R> {
+    input: R,
+    width: u32,
+    height: u32,
+    rate: Option<FrameRate>,
+    chroma_bytes: u64,
+    header_bytes: u64,
+    frames_read: u64,
+    ended: bool,
+}
+
+/// Longer than any header line in use.
+const LONGEST_LINE: u64 = 4096;
+/// As large as a picture may be on a side; larger is a damaged header.
+const LONGEST_SIDE: u32 = 16_384;
+
+impl<R: BufRead> Y4mReader<R> {
+    /// Reads the stream's header.
+    ///
+    /// # Errors
+    /// One sentence, when the header is broken or the stream is interlaced or deeper than 8 bits.
+    pub fn new(mut input: R) -> Result<Self, String> {
+        let line = read_line(&mut input).map_err(|e| format!("the y4m header cannot be read ({e}); make the clip again"))?;
+        let line = line.ok_or("the y4m header line has no end; make the clip again")?;
+        let header_bytes = line.len() as u64 + 1;
+        let mut words = line.split(' ');
+        if words.next() != Some("YUV4MPEG2") {
+            return Err("this is no y4m stream: it does not begin with YUV4MPEG2; make the clip again".to_owned());
+        }
+        let (mut width, mut height, mut rate, mut chroma) = (None, None, None, "420");
+        for word in words.filter(|w| !w.is_empty()) {
+            let (tag, value) = word.split_at(word.chars().next().map_or(0, char::len_utf8));
+            match tag {
+                "W" => width = side(value),
+                "H" => height = side(value),
+                "F" => rate = FrameRate::from_ratio(value),
+                "C" => chroma = value,
+                "I" if !matches!(value, "p" | "?" | "") => {
+                    return Err(format!("the y4m stream is interlaced (I{value}); deinterlace the clip"));
+                }
+                _ => {}
+            }
+        }
+        let (Some(width), Some(height)) = (width, height) else {
+            return Err(format!("the y4m header has no picture size of 1 to {LONGEST_SIDE} pixels (W, H); make the clip again"));
+        };
+        let chroma_bytes = chroma_bytes(chroma, width.into(), height.into())?;
+        Ok(Self { input, width, height, rate, chroma_bytes, header_bytes, frames_read: 0, ended: false })
+    }
+
+    /// The frame rate of the header, where it has one.
+    pub fn rate(&self) -> Option<FrameRate> {
+        self.rate
+    }
+
+    /// How many frames a stream of so many bytes has; `None` where it is cut off or its frames carry parameters.
+    pub fn frames_in(&self, stream_bytes: u64) -> Option<u64> {
+        let frame_bytes = 6 + u64::from(self.width) * u64::from(self.height) + self.chroma_bytes;
+        let bytes = stream_bytes.checked_sub(self.header_bytes)?;
+        (bytes % frame_bytes == 0).then_some(bytes / frame_bytes)
+    }
+
+    /// The next frame's luma; an error sentence for a frame that is cut off or damaged, after which the stream ends.
+    pub fn next_luma(&mut self) -> Option<Result<GrayImage, String>> {
+        if self.ended {
+            return None;
+        }
+        let frame = self.read_frame().transpose();
+        self.ended = !matches!(frame, Some(Ok(_)));
+        self.frames_read += 1;
+        frame
+    }
+
+    fn read_frame(&mut self) -> Result<Option<GrayImage>, String> {
+        let number = self.frames_read;
+        let unreadable = |e: io::Error| format!("frame {number} cannot be read: {e}");
+        if self.input.fill_buf().map_err(unreadable)?.is_empty() {
+            return Ok(None);
+        }
+        let line = read_line(&mut self.input).map_err(unreadable)?;
+        if !line.is_some_and(|l| l == "FRAME" || l.starts_with("FRAME ")) {
+            return Err(format!("the stream is damaged: frame {number} does not begin with FRAME"));
+        }
+        let wanted = u64::from(self.width) * u64::from(self.height);
+        let mut luma = Vec::with_capacity(wanted.min(1 << 24) as usize);
+        (&mut self.input).take(wanted).read_to_end(&mut luma).map_err(unreadable)?;
+        let skipped = io::copy(&mut (&mut self.input).take(self.chroma_bytes), &mut io::sink()).map_err(unreadable)?;
+        let whole = skipped == self.chroma_bytes;
+        let image = GrayImage::from_raw(self.width, self.height, luma).filter(|_| whole);
+        image.map(Some).ok_or_else(|| format!("the stream ends in the middle of frame {number}"))
+    }
+}
+
+/// A line without its newline; `None` where no newline comes.
+fn read_line(input: &mut impl BufRead) -> io::Result<Option<String>> {
+    let mut line = Vec::new();
+    input.take(LONGEST_LINE).read_until(b'\n', &mut line)?;
+    Ok((line.pop() == Some(b'\n')).then(|| String::from_utf8_lossy(&line).into_owned()))
+}
+
+fn side(text: &str) -> Option<u32> {
+    text.parse().ok().filter(|n| (1..=LONGEST_SIDE).contains(n))
+}
+
+/// Bytes that follow the luma plane in each frame.
+fn chroma_bytes(form: &str, w: u64, h: u64) -> Result<u64, String> {
+    let half = |n: u64| n.div_ceil(2);
+    match form {
+        "420" | "420jpeg" | "420mpeg2" | "420paldv" => Ok(2 * half(w) * half(h)),
+        "422" => Ok(2 * half(w) * h),
+        "444" => Ok(2 * w * h),
+        "444alpha" => Ok(3 * w * h),
+        "411" => Ok(2 * w.div_ceil(4) * h),
+        "410" => Ok(2 * w.div_ceil(4) * h.div_ceil(4)),
+        "440" => Ok(2 * w * half(h)),
+        "mono" => Ok(0),
+        deep if deep.contains('p') && deep.starts_with('4') || deep.starts_with("mono") => {
+            Err(format!("the y4m stream has more than 8 bits a sample (C{deep}); convert the clip to 8 bits"))
+        }
+        other => Err(format!("the y4m colour form C{other} is not known; convert the clip to C420jpeg")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn read(bytes: &[u8]) -> Vec<Result<GrayImage, String>> {
+        let mut reader = Y4mReader::new(bytes).unwrap();
+        std::iter::from_fn(|| reader.next_luma()).collect()
+    }
+
+    /// A stream of 5 x 3 pixel frames, luma = frame number, chroma = 255.
+    fn stream(form: &str, chroma: usize, frames: u8) -> Vec<u8> {
+        let mut bytes = format!("YUV4MPEG2 W5 H3 F30000:1001 Ip A1:1 {form} XYSCSS=whatever\n").into_bytes();
+        for n in 0..frames {
+            bytes.extend_from_slice(if n == 1 { b"FRAME Xparameter=1\n" } else { b"FRAME\n" });
+            bytes.extend(std::iter::repeat_n(n, 15).chain(std::iter::repeat_n(255, chroma)));
+        }
+        bytes
+    }
+
+    #[test]
+    fn every_chroma_form_gives_its_luma() {
+        let forms = [
+            ("", 12),
+            ("C420", 12),
+            ("C420jpeg", 12),
+            ("C420mpeg2", 12),
+            ("C420paldv", 12),
+            ("C422", 18),
+            ("C444", 30),
+            ("C444alpha", 45),
+            ("C411", 12),
+            ("Cmono", 0),
+        ];
+        for (form, chroma) in forms {
+            let frames = read(&stream(form, chroma, 3));
+            assert_eq!(frames.len(), 3, "{form}");
+            for (n, frame) in frames.into_iter().enumerate() {
+                assert_eq!(frame.unwrap(), GrayImage::from_pixel(5, 3, image::Luma([n as u8])), "{form}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_cut_stream_has_one_undecodable_frame_at_its_end() {
+        let bytes = stream("C420", 12, 3);
+        let frames = read(&bytes[..bytes.len() - 1]);
+        assert_eq!((frames.len(), frames[2].as_ref().unwrap_err().as_str()), (3, "the stream ends in the middle of frame 2"));
+    }
+
+    #[test]
+    fn what_is_not_read_is_refused_with_its_reason() {
+        let refused = |header: &str| Y4mReader::new(header.as_bytes()).unwrap_err();
+        assert!(refused("YUV4MPEG2 W4 H4 It\n").contains("interlaced"));
+        assert!(refused("YUV4MPEG2 W4 H4 C420p10\n").contains("more than 8 bits"));
+        assert!(refused("YUV4MPEG2 W4 H4 Cmono16\n").contains("more than 8 bits"));
+        assert!(refused("YUV4MPEG2 W4 H4 Cxyz\n").contains("not known"));
+        assert!(refused("YUV4MPEG2 W0 H4\n").contains("picture size"));
+        assert!(refused("YUV4MPEG2 W4 H4").contains("no end"));
+        assert!(refused("RIFF\n").contains("YUV4MPEG2"));
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_end_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..300), header in "YUV4MPEG2( [WHFIC][0-9a-z:]{0,6}){0,6}\n") {
+            for bytes in [bytes.clone(), [header.as_bytes(), &bytes].concat()] {
+                if let Ok(mut reader) = Y4mReader::new(&bytes[..]) {
+                    while reader.next_luma().is_some() {}
+                }
+            }
+        }
+    }
+}
