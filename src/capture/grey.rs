@@ -66,12 +66,13 @@ fn decode_jpeg(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
         Walked::Unfinished => return Err(DecodeError::CutOff),
         Walked::Damaged(at) => return Err(DecodeError::damaged(format!("no JPEG marker can stand at byte {at}"))),
     };
-    match walk.first_scan {
-        Some(scan) if !walk.has_huffman_tables => {
-            decode_jpeg_with_tables(&[&picture[..scan], &standard_huffman_tables(), &picture[scan..]].concat())
-        }
-        _ => decode_jpeg_with_tables(picture),
-    }
+    let scan = walk.first_scan.ok_or(DecodeError::CutOff)?;
+    let tables = if walk.has_huffman_tables { Vec::new() } else { standard_huffman_tables() };
+    // At an end mark that comes too early the decoder is content with half a picture; where the bytes run out instead,
+    // it complains. A whole picture never gets beyond these zeros, which its reading ahead needs.
+    let one_scan = walk.is_sequential && walk.scans == 1;
+    let (data, tail) = if one_scan { (&picture[scan..picture.len() - 2], &[0; 16][..]) } else { (&picture[scan..], &[][..]) };
+    decode_jpeg_with_tables(&[&picture[..scan], &tables, data, tail].concat())
 }
 
 fn decode_jpeg_with_tables(bytes: &[u8]) -> Result<GrayImage, DecodeError> {

@@ -3,6 +3,8 @@
 //! A search for the bytes of EOI would stop inside an EXIF thumbnail. The walk skips whole segments instead, and
 //! inside entropy-coded data it knows stuffed bytes and restart markers. It can be resumed as bytes arrive.
 
+const SOF0: u8 = 0xC0;
+const SOF1: u8 = 0xC1;
 const DHT: u8 = 0xC4;
 const SOI: u8 = 0xD8;
 const EOI: u8 = 0xD9;
@@ -15,6 +17,10 @@ pub(super) struct JpegWalk {
     in_entropy_data: bool,
     /// Where the first scan's SOS marker stands.
     pub first_scan: Option<usize>,
+    /// How many scans have begun.
+    pub scans: usize,
+    /// Whether the frame header is that of a sequential JPEG.
+    pub is_sequential: bool,
     /// Whether Huffman tables come before the first scan.
     pub has_huffman_tables: bool,
 }
@@ -73,6 +79,8 @@ impl JpegWalk {
         if code == SOS && self.first_scan.is_none() {
             self.first_scan = Some(self.position);
         }
+        self.scans += usize::from(code == SOS);
+        self.is_sequential |= matches!(code, SOF0 | SOF1);
         self.in_entropy_data = code == SOS;
         self.position += 2 + length;
     }

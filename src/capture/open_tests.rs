@@ -127,7 +127,8 @@ fn y4m_is_read_at_its_own_rate_or_the_given_one() {
 fn mjpeg_is_split_and_its_damage_is_a_row() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("clip.mjpeg");
-    let cut = &jpeg(3)[..400];
+    let whole = jpeg(3);
+    let cut = &whole[..whole.len() - 30];
     fs::write(&path, [cut, &jpeg(1), cut, &jpeg(2)].concat()).unwrap();
     let read = rows(&path, None);
     assert_eq!((kinds(&read).as_str(), stamps(&read)[3]), ("UFUF", 100_000_000));
