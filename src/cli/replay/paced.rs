@@ -2,8 +2,6 @@
 
 use std::time::{Duration, Instant};
 
-use image::GrayImage;
-
 use crate::capture::{FrameSource, Row};
 use crate::cli::interrupt;
 
@@ -45,10 +43,6 @@ impl FrameSource for Paced {
 
     fn rows(&self) -> Option<u64> {
         self.source.rows()
-    }
-
-    fn recycle(&mut self, image: GrayImage) {
-        self.source.recycle(image);
     }
 }
 
