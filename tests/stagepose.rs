@@ -1,3 +1,4 @@
-//! The program from outside: its commands, its files, its exit codes.
+//! The program from outside: its commands, its files, its exit codes, and what it makes of whole clips.
 
 mod cli;
+mod clips;

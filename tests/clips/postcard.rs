@@ -1,0 +1,61 @@
+//! Two videos of a postcard that is moved before a camera: the corners are known to 0.3-0.5 pixels.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use nalgebra::Point2;
+
+use super::replayed::{Record, median, records, replay};
+use super::shared::{PhotographedStage, data_set, extract_first_frame, has_ffmpeg};
+
+/// Share of the frames whose corners must be less than 5 pixels off.
+const LEAST_SHARE_WITHIN_5_PX: f64 = 0.93;
+const LARGEST_MEDIAN_PX: f64 = 0.6;
+
+type Corners = [Point2<f64>; 4];
+
+/// The annotated frames: number, and corners clockwise from the top left.
+fn annotated(file: &Path) -> BTreeMap<usize, Corners> {
+    let text = std::fs::read_to_string(file).unwrap();
+    let row = |line: &str| {
+        let v: Vec<f64> = line.split_whitespace().map(|v| v.parse().unwrap()).collect();
+        (v[0] as usize, std::array::from_fn(|k| Point2::new(v[1 + 2 * k], v[2 + 2 * k])))
+    };
+    text.lines().filter(|line| !line.starts_with('#')).map(row).collect()
+}
+
+/// Root mean square over the four corners in pixels; infinite without a homography.
+fn corner_error_px(record: &Record, reference: &Corners, wanted: &Corners) -> f64 {
+    let squares = reference.iter().zip(wanted).map(|(from, to)| Some((record.place(*from)? - to).norm_squared()));
+    squares.sum::<Option<f64>>().map_or(f64::INFINITY, |sum| (sum / 4.0).sqrt())
+}
+
+/// `size_ratio` (height over width) was fitted to the corners of frame 0 and of one more frame.
+fn assert_tracked(name: &str, video: &str, size_ratio: f64) {
+    let Some(set) = data_set(name).filter(|_| has_ffmpeg()) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let photo = folder.path().join("frame0.png");
+    extract_first_frame(&set.join(video), &photo);
+    let truth = annotated(&set.join("corners_edge.txt"));
+    let reference = truth[&0];
+    let corners_px = reference.map(|corner| [corner.x, corner.y]);
+    let config = PhotographedStage { photo: &photo, corners_px, size_ratio, frame_size: (640, 480), more: "" }.write(folder.path());
+
+    let records = records(&replay(&set.join(video), &config, folder.path(), &[]));
+    let errors_px: Vec<f64> = truth.iter().map(|(row, wanted)| corner_error_px(&records[*row], &reference, wanted)).collect();
+    let within_5_px = errors_px.iter().filter(|e| **e <= 5.0).count() as f64 / errors_px.len() as f64;
+    let median_px = median(errors_px);
+    eprintln!("{name}: {within_5_px:.3} of the frames within 5 px, median corner error {median_px:.3} px");
+    assert!(within_5_px >= LEAST_SHARE_WITHIN_5_PX, "{within_5_px:.3} of the frames within 5 px");
+    assert!(median_px <= LARGEST_MEDIAN_PX, "median corner error {median_px:.3} px");
+}
+
+#[test]
+fn postcard_161() {
+    assert_tracked("video-visp-postcard-161", "postcard-161.mp4", 1.354);
+}
+
+#[test]
+fn postcard_67() {
+    assert_tracked("video-visp-postcard67", "postcard-67.mp4", 1.3185);
+}
