@@ -1,7 +1,7 @@
 //! The matcher: a frame in, a sighting of every body out.
 //!
-//! Features are found and matched once for all bodies; each body then has its candidate poses, of which the
-//! first that the picture verifies is taken; its lock decides what that means. The matcher owns all buffers
+//! Features are found and matched once for all bodies; each body then has its candidate poses (failing those,
+//! where it should be by now), of which the first that the picture clearly verifies is taken; its lock decides what that means. The matcher owns all buffers
 //! of the hot path.
 
 use std::time::Instant;
@@ -22,7 +22,7 @@ use super::verify::{Verified, VerifyBuffers, View, verify};
 use crate::camera::CameraModel;
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::frame::Frame;
-use crate::geometry::resection::Twist;
+use crate::geometry::resection::{Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
 use crate::matching::{Match, MatchBuffers, ReferenceIndex};
 
@@ -70,6 +70,12 @@ impl TrackedBody {
         self.before = Some((*pose, timestamp_ns, twist));
     }
 
+    /// Where the body should be at a stamp, carried on from the last verified poses.
+    fn predicted(&self, timestamp_ns: i64) -> Option<Pose<Camera, Body>> {
+        let (before, dt_s, twist) = self.before_at(timestamp_ns)?;
+        Some(twist.map_or(before, |twist| perturbed(&before, &(twist.0 * dt_s))))
+    }
+
     /// The last verified pose as seen from a stamp, if it is recent enough to tell of motion.
     fn before_at(&self, timestamp_ns: i64) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
         let (pose, then_ns, twist) = self.before?;
@@ -107,6 +113,8 @@ const LARGEST_REFERENCE_PX: u32 = 2000;
 const LONGEST_MOTION_GAP_S: f64 = 0.07;
 /// Candidates of a body that are put to the test per frame.
 const TRIED: usize = 3;
+/// Share of fitting anchors beyond which no rival is asked.
+const CLEAR_SHARE: f64 = 0.6;
 
 impl Matcher {
     /// Prepares the reference pictures; takes a fraction of a second per surface.
@@ -229,24 +237,12 @@ impl Matcher {
             workers: &self.workers,
         };
         let continued = tracked.lock.is_continued();
-        let mut best: Option<Verified> = None;
-        for candidate in found.iter().take(TRIED) {
-            let outcome = verify(&tracked.body, &candidate.pose, &view, continued, &mut self.verify_buffers);
-            match outcome {
-                Ok(v) => {
-                    let better = best.as_ref().is_none_or(|b| v.anchors.len() > b.anchors.len());
-                    debug!(anchors = v.anchors.len(), share = v.share, rms_px = v.rms_px, "verified");
-                    // A clear success needs no rival.
-                    let clear = v.share > 0.6;
-                    if better {
-                        best = Some(v);
-                    }
-                    if clear {
-                        break;
-                    }
-                }
-                Err(refusal) => debug!(?refusal, "refused"),
-            }
+        let starts = found.iter().take(TRIED).map(|c| c.pose);
+        let mut best = best_verified(tracked, starts, &view, continued, &mut self.verify_buffers);
+        if best.is_none() && continued {
+            // Too few features, as under blur or steep tilt: where the body should be by now is a start as good as any.
+            let predicted = tracked.predicted(frame.timestamp_ns);
+            best = best_verified(tracked, predicted.into_iter(), &view, continued, &mut self.verify_buffers);
         }
         *align_ms += start.elapsed().as_secs_f64() * 1e3 + self.workers.take_extra_ms();
         best
@@ -256,6 +252,33 @@ impl Matcher {
     pub fn camera(&self) -> &CameraModel {
         &self.camera
     }
+}
+
+/// Puts starts to the test, and takes the first clear success, or the best of what passes.
+fn best_verified(
+    tracked: &TrackedBody,
+    starts: impl Iterator<Item = Pose<Camera, Body>>,
+    view: &View,
+    continued: bool,
+    buffers: &mut VerifyBuffers,
+) -> Option<Verified> {
+    let mut best: Option<Verified> = None;
+    for start in starts {
+        match verify(&tracked.body, &start, view, continued, buffers) {
+            Ok(v) => {
+                debug!(anchors = v.anchors.len(), share = v.share, rms_px = v.rms_px, "verified");
+                let clear = v.share > CLEAR_SHARE;
+                if best.as_ref().is_none_or(|b| v.anchors.len() > b.anchors.len()) {
+                    best = Some(v);
+                }
+                if clear {
+                    break;
+                }
+            }
+            Err(refusal) => debug!(?refusal, "refused"),
+        }
+    }
+    best
 }
 
 /// Describes all surfaces, larger pictures at no more pixels than a camera resolves.
