@@ -1,4 +1,36 @@
-//! stagepose tells where a stage camera is.
+//! stagepose tells where a stage camera is: it compares every frame with a picture of the stage and
+//! gives the camera's metric 6-DoF pose in the stage frame, with its uncertainty.
+//!
+//! ```text
+//!  clip on disk ┐
+//!  virtual stage┴> capture ──Row──> matcher ──Sighting──> pose ──PoseSample──> crossbeam channels
+//!                  thread           (features, matches,   (stage frame,        (one a subscriber)
+//!                                   candidates, verified) prediction)
+//! ```
+//!
+//! # The map
+//! Data moves one way, and a room uses only rooms above it in this list:
+//!
+//! - [`geometry`]: SE(3), homography, essential matrix, planar pose, resection, robust estimation: pure functions
+//! - [`camera`]: the camera model with distortion and its exact inverse; calibration files
+//! - [`frame`]: a grey picture with its stamp
+//! - [`features`]: pyramid, corners, binary descriptors
+//! - [`matching`]: which feature is which
+//! - [`track`]: surfaces and bodies; acquire, register, verify, lock: a frame becomes a [`track::Sighting`]
+//! - [`pose`]: a sighting becomes poses in the stage frame, with covariance, or a prediction
+//! - [`record`]: [`PoseSample`] and the line it becomes (contract C3)
+//! - [`simulate`]: the virtual stage with exact truth
+//! - [`capture`]: [`capture::FrameSource`]: clips of every form, and the virtual camera
+//! - [`config`]: as typed, then resolved
+//! - [`daemon`]: [`Tracker`] without threads, [`Daemon`] with them
+//! - [`cli`]: one file a command
+//!
+//! # Two ways to use it
+//! [`Tracker::track`] takes a frame and gives a sample, in the calling thread. [`Daemon`] runs capture, matcher and pose on a
+//! thread each, and [`Daemon::subscribe`] gives every subscriber a channel of its own.
+//!
+//! Conventions (metres, radians, pixel centres at integers, `T_to_from`) are said where the types are:
+//! [`geometry::Stage`], [`geometry::Camera`], [`camera::Pixel`].
 #![warn(missing_docs)]
 
 pub mod camera;
@@ -16,3 +48,4 @@ pub mod simulate;
 pub mod track;
 
 pub use daemon::{Daemon, Tracker, TrackerSetup};
+pub use record::PoseSample;

@@ -205,7 +205,8 @@ impl CameraModel {
             let (d, j) = self.distort(n);
             let step = j.try_inverse()? * (d - target);
             n -= step;
-            if n.norm().partial_cmp(&(self.valid_radius * 1.05)) != Some(std::cmp::Ordering::Less) {
+            let radius = n.norm();
+            if radius.is_nan() || radius >= self.valid_radius * 1.05 {
                 return None;
             }
             if step.norm_squared() < 1e-30 {

@@ -66,14 +66,6 @@ pub enum CaptureError {
         /// As given.
         fps: f64,
     },
-    /// Neither a picture folder nor a video that anything here reads.
-    #[error(
-        "{} is no clip that is known here; give a folder with frames/ and timestamps.csv, a folder of pictures, .y4m, MJPEG .avi or .mjpeg", path.display()
-    )]
-    UnknownForm {
-        /// The file.
-        path: PathBuf,
-    },
     /// The file needs ffmpeg, and there is none.
     #[error("reading {} needs the program ffmpeg, which is not installed; install it or convert the clip to .y4m", path.display())]
     FfmpegMissing {

@@ -66,29 +66,40 @@ fn decode_jpeg(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
         Walked::Unfinished => return Err(DecodeError::CutOff),
         Walked::Damaged(at) => return Err(DecodeError::damaged(format!("no JPEG marker can stand at byte {at}"))),
     };
-    match walk.first_scan {
-        Some(scan) if !walk.has_huffman_tables => {
-            decode_jpeg_with_tables(&[&picture[..scan], &standard_huffman_tables(), &picture[scan..]].concat())
-        }
-        _ => decode_jpeg_with_tables(picture),
-    }
+    let scan = walk.first_scan.ok_or(DecodeError::CutOff)?;
+    let tables = if walk.has_huffman_tables { Vec::new() } else { standard_huffman_tables() };
+    // At an end mark that comes too early the decoder is content with half a picture; where the bytes run out instead,
+    // it complains. A whole picture never gets beyond these zeros, which its reading ahead needs. With other forms of
+    // JPEG it counts on the end mark even for whole pictures.
+    let (data, tail) =
+        if walk.is_one_plain_scan() { (&picture[scan..picture.len() - 2], &[0; 16][..]) } else { (&picture[scan..], &[][..]) };
+    let whole = [&picture[..scan], &tables, data, tail].concat();
+    // Asked for luma alone, the decoder counts tall units wrongly and reads past the data.
+    decode_sound_jpeg(&whole, if walk.has_tall_units() { ColorSpace::YCbCr } else { ColorSpace::Luma })
 }
 
-fn decode_jpeg_with_tables(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
+/// Decodes a JPEG that has its tables; `luma_from` is what the decoder is asked for where the picture has a luma plane.
+fn decode_sound_jpeg(bytes: &[u8], luma_from: ColorSpace) -> Result<GrayImage, DecodeError> {
     let side = LONGEST_SIDE as usize;
     let options = DecoderOptions::default().set_strict_mode(true).set_max_width(side).set_max_height(side);
     let mut decoder = JpegDecoder::new_with_options(Cursor::new(bytes), options);
     decoder.decode_headers().map_err(DecodeError::damaged)?;
-    let luma = matches!(decoder.input_colorspace(), Some(ColorSpace::YCbCr | ColorSpace::Luma));
-    let wanted = if luma { ColorSpace::Luma } else { ColorSpace::RGB };
+    let wanted = match decoder.input_colorspace() {
+        Some(ColorSpace::Luma) => ColorSpace::Luma,
+        Some(ColorSpace::YCbCr) => luma_from,
+        _ => ColorSpace::RGB,
+    };
     decoder.set_options(options.jpeg_set_out_colorspace(wanted));
     let pixels = decoder.decode().map_err(DecodeError::damaged)?;
     let info = decoder.info().ok_or(DecodeError::CutOff)?;
-    let grey = if luma { pixels } else { pixels.chunks_exact(3).map(|p| luma_8([p[0], p[1], p[2]])).collect() };
+    let grey = match wanted {
+        ColorSpace::Luma => pixels,
+        ColorSpace::YCbCr => pixels.iter().step_by(3).copied().collect(),
+        _ => pixels.chunks_exact(3).map(|p| luma_8([p[0], p[1], p[2]])).collect(),
+    };
     let (width, height) = (u32::from(info.width), u32::from(info.height));
-    GrayImage::from_raw(width, height, grey)
-        .filter(|_| width > 0 && height > 0)
-        .ok_or_else(|| DecodeError::damaged("its size is not what it says"))
+    let image = GrayImage::from_raw(width, height, grey).filter(|_| width > 0 && height > 0);
+    image.ok_or_else(|| DecodeError::damaged("its size is not what it says"))
 }
 
 fn decode_other(bytes: &[u8]) -> Result<GrayImage, DecodeError> {

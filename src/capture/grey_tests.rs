@@ -152,6 +152,15 @@ proptest! {
     }
 
     #[test]
+    fn every_whole_jpeg_is_decoded(width in 1u32..70, height in 1u32..70, quality in 1u8..=100, level in any::<u8>(), rough in any::<bool>(), colour in any::<bool>()) {
+        let picture = GrayImage::from_fn(width, height, |x, y| Luma([if rough { level ^ (x * x * 31 + y * 77) as u8 } else { level }]));
+        let picture = DynamicImage::from(picture);
+        let bytes = jpeg(&if colour { picture.to_rgb8().into() } else { picture }, quality);
+        let decoded = decode_grey(&bytes);
+        prop_assert_eq!(decoded.map(|d| d.dimensions()), Ok((width, height)));
+    }
+
+    #[test]
     fn damaged_pictures_end_without_panic(form in 0..3, at in any::<prop::sample::Index>(), with in prop::collection::vec(any::<u8>(), 1..4)) {
         let picture = textured(40, 30);
         let mut bytes = match form {

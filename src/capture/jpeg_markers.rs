@@ -3,6 +3,9 @@
 //! A search for the bytes of EOI would stop inside an EXIF thumbnail. The walk skips whole segments instead, and
 //! inside entropy-coded data it knows stuffed bytes and restart markers. It can be resumed as bytes arrive.
 
+const SOF0: u8 = 0xC0;
+const SOF2: u8 = 0xC2;
+const DRI: u8 = 0xDD;
 const DHT: u8 = 0xC4;
 const SOI: u8 = 0xD8;
 const EOI: u8 = 0xD9;
@@ -15,6 +18,11 @@ pub(super) struct JpegWalk {
     in_entropy_data: bool,
     /// Where the first scan's SOS marker stands.
     pub first_scan: Option<usize>,
+    scans: usize,
+    restarts: bool,
+    is_sequential: bool,
+    /// Sampling factors of each component, horizontal and vertical in one byte.
+    sampling: Vec<u8>,
     /// Whether Huffman tables come before the first scan.
     pub has_huffman_tables: bool,
 }
@@ -58,20 +66,44 @@ impl JpegWalk {
                     if length < 2 {
                         return Walked::Damaged(self.position);
                     }
-                    self.enter(code, length);
+                    self.enter(code, length, bytes);
                 }
                 _ => return Walked::Damaged(self.position),
             }
         }
     }
 
+    /// Whether the picture, walked to its end, is one plain run of data: sequential, one scan, no restarts, and
+    /// sampled as cameras and encoders do it (grey, 4:4:4, 4:2:2 or 4:2:0).
+    pub fn is_one_plain_scan(&self) -> bool {
+        let usual = matches!(
+            *self.sampling,
+            [0x11] | [0x11 | 0x21 | 0x22, 0x11, 0x11] | [0x12 | 0x22, 0x12, 0x12] // the last two: ffmpeg's 4:4:4 and 4:2:2
+        );
+        self.scans == 1 && self.is_sequential && usual && !self.restarts
+    }
+
+    /// Whether a unit of the picture is higher than wide.
+    pub fn has_tall_units(&self) -> bool {
+        let largest = |part: fn(u8) -> u8| self.sampling.iter().map(|s| part(*s)).max().unwrap_or(1);
+        largest(|s| s & 15) > largest(|s| s >> 4)
+    }
+
     /// Notes the segment at the position and goes behind it.
-    fn enter(&mut self, code: u8, length: usize) {
+    fn enter(&mut self, code: u8, length: usize, bytes: &[u8]) {
         if code == DHT && self.first_scan.is_none() {
             self.has_huffman_tables = true;
         }
         if code == SOS && self.first_scan.is_none() {
             self.first_scan = Some(self.position);
+        }
+        self.scans += usize::from(code == SOS);
+        self.restarts |= code == DRI;
+        if matches!(code, SOF0..=SOF2) {
+            self.is_sequential = code != SOF2;
+            let components = bytes.get(self.position + 9..).unwrap_or_default();
+            let count = components.first().map_or(0, |n| usize::from(*n));
+            self.sampling = components.iter().skip(2).step_by(3).take(count).copied().collect();
         }
         self.in_entropy_data = code == SOS;
         self.position += 2 + length;

@@ -72,7 +72,4 @@ pub trait FrameSource: Send {
 
     /// How many rows there will be, where that is known.
     fn rows(&self) -> Option<u64>;
-
-    /// Hands a picture buffer back for reuse.
-    fn recycle(&mut self, _image: image::GrayImage) {}
 }

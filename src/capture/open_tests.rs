@@ -1,12 +1,13 @@
 //! Whole clips on disk, of every form, with their faults.
 
+use std::ffi::OsStr;
 use std::fs;
 use std::process::Command;
 
 use image::{GrayImage, Luma};
 use tempfile::TempDir;
 
-use super::super::{ClipWriter, PictureFormat, Row, RowContent};
+use super::super::{ClipWriter, PictureFormat, Row, RowContent, decode_grey};
 use super::*;
 use crate::frame::Frame;
 
@@ -127,7 +128,8 @@ fn y4m_is_read_at_its_own_rate_or_the_given_one() {
 fn mjpeg_is_split_and_its_damage_is_a_row() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("clip.mjpeg");
-    let cut = &jpeg(3)[..400];
+    let whole = jpeg(3);
+    let cut = &whole[..whole.len() - 30];
     fs::write(&path, [cut, &jpeg(1), cut, &jpeg(2)].concat()).unwrap();
     let read = rows(&path, None);
     assert_eq!((kinds(&read).as_str(), stamps(&read)[3]), ("UFUF", 100_000_000));
@@ -190,6 +192,38 @@ fn files_made_by_ffmpeg_are_read() {
     }
 }
 
+/// ffmpeg gives its JPEGs sampling factors that few others use, 1x2 on all components of 4:4:4 among them.
+#[test]
+fn jpegs_of_every_sampling_are_whole_or_refused() {
+    let folder = TempDir::new().unwrap();
+    for form in ["yuvj420p", "yuvj422p", "yuvj444p"] {
+        let (path, raw) = (folder.path().join("sampled.avi"), folder.path().join("raw.y4m"));
+        if !ffmpeg(&["-pix_fmt", form, "-q:v", "2", "-c:v", "mjpeg"], &path) {
+            return;
+        }
+        // The same file decoded by ffmpeg itself.
+        let arguments = ["-v", "error", "-y", "-i"].map(OsStr::new);
+        let planes = ["-vf", "extractplanes=y", "-strict", "-1"].map(OsStr::new);
+        let status = Command::new("ffmpeg").args(arguments).arg(&path).args(planes).arg(&raw).status();
+        assert!(status.unwrap().success());
+        for (ours, theirs) in rows(&path, None).iter().zip(&rows(&raw, None)) {
+            let furthest = image(ours).iter().zip(image(theirs).iter()).map(|(a, b)| a.abs_diff(*b)).max();
+            assert!(furthest.is_some_and(|d| d <= 2), "{form}: {furthest:?} {:?}", ours.content);
+        }
+        let still = folder.path().join("still.jpg");
+        assert!(ffmpeg(&["-pix_fmt", form, "-frames:v", "1"], &still));
+        let bytes = fs::read(&still).unwrap();
+        assert!(decode_grey(&bytes).is_ok());
+        let early_end = [&bytes[..bytes.len() * 3 / 4], &[0xFF, 0xD9]].concat();
+        assert!(decode_grey(&early_end).is_err(), "{form}");
+    }
+}
+
+/// The picture of a row; 1 x 1 pixel where it has none.
+fn image(row: &Row) -> GrayImage {
+    if let RowContent::Frame(f) = &row.content { f.image.clone() } else { GrayImage::new(1, 1) }
+}
+
 #[test]
 fn frames_of_uneven_rate_keep_their_stamps_and_their_luma() {
     let folder = TempDir::new().unwrap();
@@ -201,7 +235,6 @@ fn frames_of_uneven_rate_keep_their_stamps_and_their_luma() {
     }
     let (read, whole) = (rows(&uneven, None), rows(&straight, None));
     assert_eq!(stamps(&read), [0, 40_000_000, 160_000_000, 200_000_000, 360_000_000]);
-    let image = |row: &Row| if let RowContent::Frame(f) = &row.content { f.image.clone() } else { GrayImage::new(0, 0) };
     assert_eq!(image(&read[2]), image(&whole[4]), "the luma comes through as it is, limited range and all");
 }
 

@@ -37,7 +37,7 @@ pub fn read_timestamps(input: impl Read) -> Result<Vec<StampRow>, TimestampsErro
         if !header_seen {
             check_header(&first, &second)?;
             header_seen = true;
-        } else if !first.starts_with('#') && !(first.is_empty() && second.is_empty()) {
+        } else if !first.starts_with('#') && (!first.is_empty() || !second.is_empty()) {
             let stamp = first.parse().map_err(|_| format!("\"{}\" is no time stamp in whole nanoseconds", shortened(&first)));
             rows.push(StampRow { stamp, file: second });
         }

@@ -4,13 +4,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 
-use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
+use crossbeam_channel::{Receiver, Sender, bounded};
 use thiserror::Error;
 
 use super::latest::{LatestSender, latest};
 use super::tracker::{PoseRecorder, Tracker, sight};
-use crate::capture::{FrameSource, Row, RowContent};
-use crate::frame::Frame;
+use crate::capture::{FrameSource, Row};
 use crate::record::PoseSample;
 use crate::track::{Matcher, Sighting};
 
@@ -78,7 +77,7 @@ impl Daemon {
     }
 
     /// A new subscriber's own channel. It ends when the daemon does. With [`Delivery::Blocking`] a subscriber that does not
-    /// read holds the daemon up; with [`Delivery::DropOldest`] it loses the oldest samples. Dropping the receiver unsubscribes.
+    /// read holds the daemon up; with [`Delivery::DropOldest`] it loses the oldest samples. A dropped receiver harms nobody.
     pub fn subscribe(&mut self) -> Receiver<PoseSample> {
         match self.delivery {
             Delivery::Blocking => {
@@ -105,11 +104,10 @@ impl Daemon {
         let Tracker { matcher, poses } = tracker;
         let (to_matcher, rows) = row_channel(delivery);
         let (to_pose, sightings) = bounded(QUEUE);
-        let (recycled, used) = unbounded();
-        let capture = Capture { source, to_matcher, used, stop: stop.clone(), dropped: dropped.clone() };
+        let capture = Capture { source, to_matcher, stop: stop.clone(), dropped: dropped.clone() };
         let mut stages = vec![spawn("capture", move || capture.run())?];
         stages.push(spawn("matcher", move || match_rows(matcher, &rows, &to_pose))?);
-        stages.push(spawn("pose", move || publish(poses, &sightings, observers, subscribers, &recycled))?);
+        stages.push(spawn("pose", move || publish(poses, &sightings, observers, subscribers))?);
         Ok(RunningDaemon { stages, stop, dropped })
     }
 }
@@ -169,8 +167,6 @@ fn row_channel(delivery: Delivery) -> (RowSender, Receiver<Row>) {
 struct Capture {
     source: Box<dyn FrameSource>,
     to_matcher: RowSender,
-    /// Pictures that the pose stage is done with.
-    used: Receiver<Frame>,
     stop: Arc<AtomicBool>,
     dropped: Arc<AtomicU64>,
 }
@@ -178,9 +174,6 @@ struct Capture {
 impl Capture {
     fn run(mut self) {
         while !self.stop.load(Ordering::Relaxed) {
-            for frame in self.used.try_iter() {
-                self.source.recycle(frame.image);
-            }
             let Some(row) = self.source.next_row() else { return };
             match &self.to_matcher {
                 RowSender::Blocking(sender) => {
@@ -205,13 +198,7 @@ fn match_rows(mut matcher: Matcher, rows: &Receiver<Row>, to_pose: &Sender<(Row,
     }
 }
 
-fn publish(
-    mut poses: PoseRecorder,
-    sightings: &Receiver<(Row, Sighting)>,
-    mut observers: Vec<Observer>,
-    mut subscribers: Vec<Subscriber>,
-    recycled: &Sender<Frame>,
-) {
+fn publish(mut poses: PoseRecorder, sightings: &Receiver<(Row, Sighting)>, mut observers: Vec<Observer>, mut subscribers: Vec<Subscriber>) {
     for (row, sighting) in sightings {
         let sample = poses.sample(&sighting, row.decode.as_secs_f64() * 1e3);
         for observer in &mut observers {
@@ -224,9 +211,5 @@ fn publish(
                 true
             }
         });
-        if let RowContent::Frame(frame) = row.content {
-            // Nobody takes it back when the capture stage has ended.
-            let _ = recycled.send(frame);
-        }
     }
 }

@@ -240,8 +240,8 @@ mod tests {
     #[test]
     fn refinement_resists_outliers_and_beats_noise() {
         let mut p = pairs(200, 0.5);
-        for k in 0..30 {
-            p[k].to += Vector2::new(40.0 + k as f64, -35.0);
+        for (k, pair) in p.iter_mut().take(30).enumerate() {
+            pair.to += Vector2::new(40.0 + k as f64, -35.0);
         }
         let start = Homography(truth().0 + Matrix3::new(1e-3, 0.0, 1.0, 0.0, 1e-3, -1.0, 0.0, 0.0, 0.0));
         let h = start.refined(&p, 0.5, 20).expect("regular");

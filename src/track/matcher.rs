@@ -15,9 +15,10 @@ use super::lock::{Lock, LockState};
 use super::reference::{PreparedBody, halve_into};
 use super::registration::SearchPicture;
 use super::settings::TrackerSettings;
+use super::shutter::Shutter;
 use super::surface::BodySpec;
 use super::two_view::{TwoView, two_view};
-use super::verify::{Pictures, Shutter, Verified, VerifyBuffers, verify};
+use super::verify::{Verified, VerifyBuffers, View, verify};
 use crate::camera::CameraModel;
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::frame::Frame;
@@ -220,24 +221,17 @@ impl Matcher {
         *acquire_ms += start.elapsed().as_secs_f64() * 1e3;
         let start = Instant::now();
         let _span = debug_span!("align", body = %tracked.body.name).entered();
-        let pictures = Pictures {
+        let view = View {
+            camera: &self.camera,
             full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
             half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
+            shutter: Shutter { readout_s: self.readout_s, before: tracked.before_at(frame.timestamp_ns) },
+            workers: &self.workers,
         };
-        let shutter = Shutter { readout_s: self.readout_s, before: tracked.before_at(frame.timestamp_ns) };
         let continued = tracked.lock.is_continued();
         let mut best: Option<Verified> = None;
         for candidate in found.iter().take(TRIED) {
-            let outcome = verify(
-                &tracked.body,
-                &candidate.pose,
-                &self.camera,
-                &pictures,
-                &shutter,
-                continued,
-                &self.workers,
-                &mut self.verify_buffers,
-            );
+            let outcome = verify(&tracked.body, &candidate.pose, &view, continued, &mut self.verify_buffers);
             match outcome {
                 Ok(v) => {
                     let better = best.as_ref().is_none_or(|b| v.anchors.len() > b.anchors.len());

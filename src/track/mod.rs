@@ -11,6 +11,7 @@ mod matcher;
 mod reference;
 mod registration;
 mod settings;
+mod shutter;
 mod surface;
 mod two_view;
 mod verify;

@@ -5,15 +5,16 @@
 //! the frame; a small enough uncertainty; and that the surface tilted the other way explains the same anchors
 //! clearly worse.
 
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::Matrix6;
 
 use super::acquire::flipped;
 use super::reference::PreparedBody;
 use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
+use super::shutter::Shutter;
 use crate::camera::CameraModel;
 use crate::features::Workers;
 use crate::geometry::resection::{
-    MovingCamera, Observation, Resection, Twist, pose_by_twist, resect, sandwich_covariance, squared_residual, steadied_pixel,
+    MovingCamera, Observation, Resection, pose_by_twist, resect, sandwich_covariance, squared_residual, steadied_pixel, tukey_weight,
 };
 use crate::geometry::{Body, Camera, Pose};
 
@@ -22,6 +23,8 @@ const TILES: [u32; 2] = [8, 6];
 /// Anchors searched in the half-size and in the full frame.
 const COARSE_ANCHORS: usize = 120;
 const FINE_ANCHORS: usize = 300;
+/// Fewest anchors that a pose is computed from.
+const LEAST_RESECTED: usize = 8;
 /// Fewest anchors that must fit at half size for its pose to be taken over.
 const LEAST_COARSE_FITTING: usize = 24;
 /// Fewest anchors that must fit.
@@ -82,56 +85,19 @@ pub enum Refusal {
     Ambiguous(f64),
 }
 
-/// The frame at both sizes, as verification needs it.
+/// A frame as verification needs it.
 #[derive(Debug, Clone, Copy)]
-pub struct Pictures<'a> {
-    /// Full size.
+pub struct View<'a> {
+    /// The lens.
+    pub camera: &'a CameraModel,
+    /// The frame at full size.
     pub full: SearchPicture<'a>,
-    /// Half size.
+    /// The frame at half size.
     pub half: SearchPicture<'a>,
-}
-
-/// What is known of the motion while the rows of a frame were read.
-#[derive(Debug, Clone, Copy)]
-pub struct Shutter {
-    /// First row to last, seconds; 0 for a global or unknown shutter.
-    pub readout_s: f64,
-    /// The last verified pose, how long ago it was in seconds, and the motion then.
-    pub before: Option<(Pose<Camera, Body>, f64, Option<Twist>)>,
-}
-
-impl Shutter {
-    /// The body's motion at the middle row of this frame, if it is now at `pose`.
-    fn twist(&self, pose: &Pose<Camera, Body>) -> Twist {
-        match &self.before {
-            Some((before, dt_s, then)) if self.readout_s > 0.0 => {
-                // The difference is the motion half a frame ago; half its change leads to now.
-                let between = Twist::between(before, pose, *dt_s);
-                then.map_or(between, |then| Twist(between.0 + (between.0 - then.0) * 0.5))
-            }
-            _ => Twist::still(),
-        }
-    }
-
-    /// Standard deviations of [`Shutter::twist`], per second: how much the motion changed since the last frame, or what a hand-held camera does
-    /// where nothing is known.
-    fn twist_deviation(&self, pose: &Pose<Camera, Body>) -> Option<Vector6<f64>> {
-        if self.readout_s <= 0.0 {
-            return None;
-        }
-        let relative = pose.translation.norm();
-        let usual = Vector6::new(relative, relative, relative, 1.0, 1.0, 1.0);
-        Some(match &self.before {
-            Some((before, dt_s, Some(then))) => (Twist::between(before, pose, *dt_s).0 - then.0).abs() + usual * 0.01,
-            Some((before, dt_s, None)) => Twist::between(before, pose, *dt_s).0.abs() * 0.5 + usual * 0.1,
-            None => usual * 0.3,
-        })
-    }
-
-    fn delay_s(&self, camera: &CameraModel, row: f64) -> f64 {
-        // The middle row is at (h - 1) / 2; rows start readout / h apart.
-        self.readout_s * (row - 0.5 * (f64::from(camera.height()) - 1.0)) / f64::from(camera.height())
-    }
+    /// What is known of the motion while its rows were read.
+    pub shutter: Shutter,
+    /// Who searches the anchors.
+    pub workers: &'a Workers,
 }
 
 /// Buffers of the verification.
@@ -146,44 +112,37 @@ pub struct VerifyBuffers {
 pub fn verify(
     body: &PreparedBody,
     start: &Pose<Camera, Body>,
-    camera: &CameraModel,
-    pictures: &Pictures,
-    shutter: &Shutter,
+    view: &View,
     continued: bool,
-    workers: &Workers,
     buffers: &mut VerifyBuffers,
 ) -> Result<Verified, Refusal> {
     // A small stage has too little to hold on to at half size: then the start must do.
-    let coarse = registered_pose(body, start, camera, &pictures.half, shutter, COARSE_ANCHORS, workers, buffers)
+    let coarse = registered_pose(body, start, view, &view.half, COARSE_ANCHORS, buffers)
         .ok()
         .filter(|_| buffers.observations.len() >= LEAST_COARSE_FITTING);
     let start = coarse.map_or(*start, |c| c.pose);
-    let fine = registered_pose(body, &start, camera, &pictures.full, shutter, FINE_ANCHORS, workers, buffers)?;
-    let moving = MovingCamera { lens: camera, twist: shutter.twist(&fine.pose) };
-    judge(body, &fine, &moving, shutter, continued, buffers)
+    let fine = registered_pose(body, &start, view, &view.full, FINE_ANCHORS, buffers)?;
+    judge(body, &fine, view, continued, buffers)
 }
 
 /// One round: predict, search, resect.
 fn registered_pose(
     body: &PreparedBody,
     start: &Pose<Camera, Body>,
-    camera: &CameraModel,
+    view: &View,
     picture: &SearchPicture,
-    shutter: &Shutter,
     count: usize,
-    workers: &Workers,
     buffers: &mut VerifyBuffers,
 ) -> Result<Resection, Refusal> {
+    let (camera, shutter) = (view.camera, &view.shutter);
     visible_targets(body, start, camera, picture, count, &mut buffers.targets);
-    register(body, &buffers.targets, picture, workers, &mut buffers.registered);
+    register(body, &buffers.targets, picture, view.workers, &mut buffers.registered);
     buffers.observations.clear();
-    for r in buffers.registered.iter().flatten() {
-        if let Some(o) = r.observation {
-            buffers.observations.push(Observation { group: tile(camera, &o), delay_s: shutter.delay_s(camera, o.pixel.y), ..o });
-        }
+    for o in buffers.registered.iter().flatten().filter_map(|r| r.observation) {
+        buffers.observations.push(Observation { group: tile(camera, &o), delay_s: shutter.delay_s(camera, o.pixel.y), ..o });
     }
     let n = buffers.observations.len();
-    if n < 8 {
+    if n < LEAST_RESECTED {
         return Err(Refusal::TooFew(n));
     }
     let mut found = resect(start, &MovingCamera { lens: camera, twist: shutter.twist(start) }, &buffers.observations, 15);
@@ -202,35 +161,10 @@ fn tile(camera: &CameraModel, o: &Observation) -> u32 {
     index(o.pixel.y, camera.height(), TILES[1]) * TILES[0] + index(o.pixel.x, camera.width(), TILES[0])
 }
 
-fn judge(
-    body: &PreparedBody,
-    fine: &Resection,
-    camera: &MovingCamera<CameraModel>,
-    shutter: &Shutter,
-    continued: bool,
-    buffers: &VerifyBuffers,
-) -> Result<Verified, Refusal> {
-    let limit = LARGEST_RESIDUAL_PX * (f64::from(camera.lens.width().max(camera.lens.height())) / 1280.0).max(0.5);
-    let mut anchors = Vec::with_capacity(buffers.observations.len());
-    let mut sum = 0.0;
+fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, buffers: &VerifyBuffers) -> Result<Verified, Refusal> {
+    let moving = MovingCamera { lens: view.camera, twist: view.shutter.twist(&fine.pose) };
     let asked = buffers.registered.iter().flatten().count();
-    // The observations were collected from these, in this order.
-    let fitting = buffers.registered.iter().flatten().filter(|r| r.observation.is_some());
-    for (r, &o) in fitting.zip(&buffers.observations) {
-        let unit = Observation { information: nalgebra::Matrix2::identity(), ..o };
-        let Some(squared_px) = squared_residual(&fine.pose, camera, &unit) else { continue };
-        let within_noise = squared_residual(&fine.pose, camera, &o).is_some_and(|s| s < (4.685 * fine.scale).powi(2));
-        if squared_px < limit * limit && within_noise {
-            sum += squared_px;
-            anchors.push(FittedAnchor {
-                surface: r.surface,
-                artwork: r.artwork,
-                observation: o,
-                steady_px: steadied_pixel(&fine.pose, camera, &o),
-            });
-        }
-    }
-    let share = anchors.len() as f64 / asked.max(1) as f64;
+    let anchors = fitting_anchors(fine, &moving, buffers);
     if anchors.len() < LEAST_FITTING {
         return Err(Refusal::TooFew(anchors.len()));
     }
@@ -240,27 +174,64 @@ fn judge(
     if tiles.len() < LEAST_TILES {
         return Err(Refusal::Clustered(tiles.len()));
     }
+    let share = anchors.len() as f64 / asked.max(1) as f64;
     if share < if continued { LEAST_SHARE_CONTINUED } else { LEAST_SHARE_NEW } {
         return Err(Refusal::Share(share));
     }
-    let mut covariance = sandwich_covariance(fine, camera, &buffers.observations).ok_or(Refusal::Uncertain)?;
+    let covariance = judged_covariance(body, fine, &moving, view, &buffers.observations)?;
+    let margin = flip_margin(body, fine, &moving, &buffers.observations, &anchors);
+    if margin < LEAST_FLIP_MARGIN {
+        return Err(Refusal::Ambiguous(margin));
+    }
+    let squared_px = |a: &FittedAnchor| {
+        let unit = Observation { information: nalgebra::Matrix2::identity(), ..a.observation };
+        squared_residual(&fine.pose, &moving, &unit).unwrap_or(0.0)
+    };
+    let rms_px = (anchors.iter().map(squared_px).sum::<f64>() / anchors.len() as f64).sqrt();
+    Ok(Verified { pose: fine.pose, covariance, anchors, share, rms_px })
+}
+
+/// The anchors that agree with the pose, in pixels and in sigmas.
+fn fitting_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, buffers: &VerifyBuffers) -> Vec<FittedAnchor> {
+    let size = f64::from(moving.lens.width().max(moving.lens.height()));
+    let limit = LARGEST_RESIDUAL_PX * (size / 1280.0).max(0.5);
+    // The observations were collected from these, in this order.
+    let seen = buffers.registered.iter().flatten().filter(|r| r.observation.is_some());
+    let fitted = |(r, &observation): (&Registered, &Observation)| {
+        let unit = Observation { information: nalgebra::Matrix2::identity(), ..observation };
+        let in_pixels = squared_residual(&fine.pose, moving, &unit)?;
+        let in_sigmas = squared_residual(&fine.pose, moving, &observation)?;
+        (in_pixels < limit * limit && tukey_weight(in_sigmas, fine.scale) > 0.0).then(|| FittedAnchor {
+            surface: r.surface,
+            artwork: r.artwork,
+            observation,
+            steady_px: steadied_pixel(&fine.pose, moving, &observation),
+        })
+    };
+    seen.zip(&buffers.observations).filter_map(fitted).collect()
+}
+
+/// The covariance, refused where noise alone leaves too much open; what the motion leaves open is added after.
+fn judged_covariance(
+    body: &PreparedBody,
+    fine: &Resection,
+    moving: &MovingCamera<CameraModel>,
+    view: &View,
+    observations: &[Observation],
+) -> Result<Matrix6<f64>, Refusal> {
+    let mut covariance = sandwich_covariance(fine, moving, observations).ok_or(Refusal::Uncertain)?;
     let distance = nearest_surface_distance(body, &fine.pose);
     let shift = covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
     let turn = covariance.fixed_view::<3, 3>(3, 3).trace().sqrt();
     if shift > LARGEST_SHIFT * distance || turn > LARGEST_TURN {
         return Err(Refusal::Uncertain);
     }
-    if let Some(deviation) = shutter.twist_deviation(&fine.pose) {
-        let by_twist = pose_by_twist(fine, camera, &buffers.observations).ok_or(Refusal::Uncertain)?;
+    if let Some(deviation) = view.shutter.twist_deviation(&fine.pose) {
+        let by_twist = pose_by_twist(fine, moving, observations).ok_or(Refusal::Uncertain)?;
         let spread = by_twist * Matrix6::from_diagonal(&deviation);
         covariance += spread * spread.transpose();
     }
-    let margin = flip_margin(body, fine, camera, &buffers.observations, &anchors);
-    if margin < LEAST_FLIP_MARGIN {
-        return Err(Refusal::Ambiguous(margin));
-    }
-    let rms_px = (sum / anchors.len() as f64).sqrt();
-    Ok(Verified { pose: fine.pose, covariance, anchors, share, rms_px })
+    Ok(covariance)
 }
 
 /// Distance from the camera to the nearest surface centre, metres.

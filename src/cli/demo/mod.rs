@@ -26,7 +26,7 @@ use saved_clip::SavedClip;
 /// Track a virtual stage and print the error against the truth; needs no camera.
 #[derive(Debug, Clone, PartialEq, Args)]
 #[command(
-    after_help = "Examples:\n  stagepose demo\n  stagepose demo --frames 60 --save clip && stagepose replay clip --config clip/stage.toml --poses poses.jsonl"
+    after_help = "Example:\n  stagepose demo\n  stagepose demo --frames 60 --save clip && stagepose replay clip --config clip/stage.toml --poses poses.jsonl"
 )]
 pub struct DemoArguments {
     /// How many frames to render and track

@@ -2,8 +2,6 @@
 
 use std::time::{Duration, Instant};
 
-use image::GrayImage;
-
 use crate::capture::{FrameSource, Row};
 use crate::cli::interrupt;
 
@@ -30,8 +28,11 @@ impl FrameSource for Paced {
         let (begun, first_ns) = *self.start.get_or_insert_with(|| (Instant::now(), row.timestamp_ns));
         let due = due_after(first_ns, row.timestamp_ns);
         loop {
+            if interrupt::is_interrupted() {
+                return None;
+            }
             let left = due.saturating_sub(begun.elapsed());
-            if left.is_zero() || interrupt::is_interrupted() {
+            if left.is_zero() {
                 return Some(row);
             }
             // Short naps, so that Ctrl-C is heard in a pause of the clip.
@@ -45,10 +46,6 @@ impl FrameSource for Paced {
 
     fn rows(&self) -> Option<u64> {
         self.source.rows()
-    }
-
-    fn recycle(&mut self, image: GrayImage) {
-        self.source.recycle(image);
     }
 }
 

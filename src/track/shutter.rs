@@ -1,0 +1,53 @@
+//! The rolling shutter: when each row was exposed, and how the body moved meanwhile.
+//!
+//! The motion comes from the difference to the last verified pose, as a nuisance only: the pose itself is always
+//! measured against the reference picture.
+
+use nalgebra::Vector6;
+
+use crate::camera::CameraModel;
+use crate::geometry::resection::Twist;
+use crate::geometry::{Body, Camera, Pose};
+
+/// What is known of the motion while the rows of a frame were read.
+#[derive(Debug, Clone, Copy)]
+pub struct Shutter {
+    /// First row to last, seconds; 0 for a global or unknown shutter.
+    pub readout_s: f64,
+    /// The last verified pose, how long ago it was in seconds, and the motion then.
+    pub before: Option<(Pose<Camera, Body>, f64, Option<Twist>)>,
+}
+
+impl Shutter {
+    /// The body's motion at the middle row of this frame, if it is now at `pose`.
+    pub(super) fn twist(&self, pose: &Pose<Camera, Body>) -> Twist {
+        match &self.before {
+            Some((before, dt_s, then)) if self.readout_s > 0.0 => {
+                // The difference is the motion half a frame ago; half its change leads to now.
+                let between = Twist::between(before, pose, *dt_s);
+                then.map_or(between, |then| Twist(between.0 + (between.0 - then.0) * 0.5))
+            }
+            _ => Twist::still(),
+        }
+    }
+
+    /// Standard deviations of [`Shutter::twist`], per second: how much the motion changed since the last frame, or what a hand-held camera does
+    /// where nothing is known.
+    pub(super) fn twist_deviation(&self, pose: &Pose<Camera, Body>) -> Option<Vector6<f64>> {
+        if self.readout_s <= 0.0 {
+            return None;
+        }
+        let relative = pose.translation.norm();
+        let usual = Vector6::new(relative, relative, relative, 1.0, 1.0, 1.0);
+        Some(match &self.before {
+            Some((before, dt_s, Some(then))) => (Twist::between(before, pose, *dt_s).0 - then.0).abs() + usual * 0.01,
+            Some((before, dt_s, None)) => Twist::between(before, pose, *dt_s).0.abs() * 0.5 + usual * 0.1,
+            None => usual * 0.3,
+        })
+    }
+
+    pub(super) fn delay_s(&self, camera: &CameraModel, row: f64) -> f64 {
+        // The middle row is at (h - 1) / 2; rows start readout / h apart.
+        self.readout_s * (row - 0.5 * (f64::from(camera.height()) - 1.0)) / f64::from(camera.height())
+    }
+}
