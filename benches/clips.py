@@ -50,9 +50,9 @@ COLUMNS = ["clip", "frames", "tracker", "good %", "wrong %", "plain wrong %", "m
 
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenes", nargs="*", help=f"scene names, or {DECOY} [default: all that have a bar]")
-    parser.add_argument("--frames", type=int, help="only the first N frames of each scene")
-    parser.add_argument("--every", type=int, default=1, help="only every Kth frame")
+    parser.add_argument("scenes", nargs="*", metavar="SCENE[:N[:K]]",
+                        help=f"only its first N frames, of these every Kth; {DECOY} is one too [default: all that have a bar]")  # fmt: skip
+    parser.add_argument("--frames", type=int, help="only the first N frames of scenes that say nothing else")
     parser.add_argument("--peers", default="orb,sift", help="orb, sift, lk with commas between; bars = those that the bars name; or nothing")
     parser.add_argument("--out", type=pathlib.Path, default=PROJECT / "target/clips")
     parser.add_argument("--binary", type=pathlib.Path, default=PROJECT / "target/release/stagepose")
@@ -75,13 +75,19 @@ def arguments():
 class Clip:
     """A rendered scene: the folder that replay reads, and what is known of it."""
 
-    def __init__(self, name, chosen, truth_only=False):
+    def __init__(self, wanted, chosen, truth_only=False):
+        name, *part = wanted.split(":")
         self.name, self.truth_only, self.bench = name, truth_only, chosen.bench
-        self.scene = json.loads((chosen.bench / "scenes" / f"{name}.json").read_text())
-        frames = min(chosen.frames or self.scene["frames"], self.scene["frames"])
-        part = "" if frames == self.scene["frames"] and chosen.every == 1 else f"-{frames}-every-{chosen.every}"
-        self.scene["frames"] = -(-frames // chosen.every)
-        self.scene["fps"] = self.scene.get("fps", 30) / chosen.every
+        file = chosen.bench / "scenes" / f"{name}.json"
+        if not file.exists():
+            sys.exit(f"clips.py: there is no scene {name}: {file} is missing")
+        self.scene = json.loads(file.read_text())
+        whole = self.scene["frames"]
+        frames = min(int(part[0]) if part else chosen.frames or whole, whole)
+        every = int(part[1]) if len(part) > 1 else 1
+        part = "" if (frames, every) == (whole, 1) else f"-{frames}-every-{every}"
+        self.scene["frames"] = -(-frames // every)
+        self.scene["fps"] = self.scene.get("fps", 30) / every
         self.folder = chosen.out / (name + part + ("-truth" if truth_only else ""))
 
     def render(self):
@@ -272,7 +278,9 @@ def missed_times(clip, rows):
 
 
 def cell(value):
-    return "-" if value is None else f"{value:.3g}" if isinstance(value, float) and abs(value) < 10 else f"{value:.1f}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) < 10 else f"{value:.1f}"
+    return "-" if value is None else str(value)
 
 
 def print_row(cells):
