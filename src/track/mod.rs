@@ -12,6 +12,8 @@ mod reference;
 mod registration;
 mod settings;
 mod surface;
+#[cfg(test)]
+mod synthetic;
 mod two_view;
 mod verify;
 
