@@ -1,4 +1,6 @@
-//! The program from outside: its commands, its files, its exit codes, and what it makes of whole clips.
+//! The program from outside - its commands, its files, its exit codes, what it makes of whole clips - and the tracker as a
+//! library, on rendered frames.
 
 mod cli;
 mod clips;
+mod pipeline;

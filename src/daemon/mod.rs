@@ -9,5 +9,5 @@ pub mod latest;
 mod threads;
 mod tracker;
 
-pub use threads::{Daemon, DaemonError, Delivery};
+pub use threads::{Daemon, DaemonError, Delivery, RunningDaemon};
 pub use tracker::{Tracker, TrackerSetup};

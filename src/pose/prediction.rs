@@ -8,6 +8,8 @@ use crate::geometry::Pose;
 #[derive(Debug, Clone)]
 pub struct MotionHistory<To, From> {
     last: Option<(i64, Pose<To, From>)>,
+    /// Whether there ever was a measurement.
+    is_known: bool,
     /// Metres per second in `To`.
     velocity: Vector3<f64>,
     /// Radians per second in the axes of `To`.
@@ -21,7 +23,7 @@ const FADE_S: f64 = 0.2;
 
 impl<To, From> Default for MotionHistory<To, From> {
     fn default() -> Self {
-        Self { last: None, velocity: Vector3::zeros(), turn_rate: Vector3::zeros() }
+        Self { last: None, is_known: false, velocity: Vector3::zeros(), turn_rate: Vector3::zeros() }
     }
 }
 
@@ -37,11 +39,17 @@ impl<To, From> MotionHistory<To, From> {
             }
         }
         self.last = Some((timestamp_ns, *pose));
+        self.is_known = true;
     }
 
-    /// Forgets everything: what comes next is no continuation.
+    /// Forgets the motion: what comes next is no continuation.
     pub fn reset(&mut self) {
-        *self = Self::default();
+        *self = Self { is_known: self.is_known, ..Self::default() };
+    }
+
+    /// Whether anything was ever measured, before a reset or after.
+    pub fn is_known(&self) -> bool {
+        self.is_known
     }
 
     /// The pose expected at a stamp.

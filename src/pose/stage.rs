@@ -38,6 +38,9 @@ impl PoseStage {
     /// Takes the sighting of the next frame.
     pub fn estimate(&mut self, sighting: &Sighting) -> PoseEstimate {
         self.objects.resize_with(sighting.objects.len(), MotionHistory::default);
+        if !sighting.is_timed {
+            return PoseEstimate { camera: unseen(&self.camera), objects: self.objects.iter().map(unseen).collect() };
+        }
         let seen = sighting.stage.verified.as_ref().map(|v| {
             // The stage's body frame is the stage frame.
             let t_camera_stage: Pose<Camera, Stage> = v.pose.renamed();
@@ -83,18 +86,24 @@ fn settle<From>(
     timestamp_ns: i64,
     history: &mut MotionHistory<Stage, From>,
 ) -> BodyEstimate<From> {
-    match (state, measured) {
-        (LockState::Tracking, Some((pose, covariance))) => {
-            history.measured(timestamp_ns, &pose);
-            BodyEstimate { state, pose: Some(pose), measured: Some((pose, covariance)) }
-        }
-        (LockState::Tracking | LockState::Coasting, _) => match history.predicted(timestamp_ns) {
-            Some(pose) => BodyEstimate { state: LockState::Coasting, pose: Some(pose), measured: None },
-            None => BodyEstimate { state: LockState::Searching, pose: None, measured: None },
-        },
-        (state, _) => {
-            history.reset();
-            BodyEstimate { state, pose: None, measured: None }
-        }
+    if let (LockState::Tracking, Some((pose, covariance))) = (state, measured) {
+        history.measured(timestamp_ns, &pose);
+        return BodyEstimate { state, pose: Some(pose), measured: Some((pose, covariance)) };
     }
+    let predicted = history.predicted(timestamp_ns).filter(|_| matches!(state, LockState::Tracking | LockState::Coasting));
+    if let Some(pose) = predicted {
+        return BodyEstimate { state: LockState::Coasting, pose: Some(pose), measured: None };
+    }
+    history.reset();
+    unseen(history)
 }
+
+/// Nothing to say of a body but whether it was ever measured in the stage.
+fn unseen<From>(history: &MotionHistory<Stage, From>) -> BodyEstimate<From> {
+    let state = if history.is_known() { LockState::Lost } else { LockState::Searching };
+    BodyEstimate { state, pose: None, measured: None }
+}
+
+#[cfg(test)]
+#[path = "stage_tests.rs"]
+mod tests;

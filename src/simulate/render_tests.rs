@@ -15,7 +15,7 @@ fn camera(distortion: [f64; 5]) -> CameraModel {
 
 /// A dark and light checker for a cloth of 3 x 2 m: 2.5 mm a texel, so that an edge is sharp in the picture.
 fn checker(cell_px: u32) -> GrayImage {
-    GrayImage::from_fn(1200, 800, |x, y| image::Luma([if (x / cell_px + y / cell_px) % 2 == 0 { 30 } else { 220 }]))
+    GrayImage::from_fn(1200, 800, |x, y| image::Luma([if (x / cell_px + y / cell_px).is_multiple_of(2) { 30 } else { 220 }]))
 }
 
 fn stage_of(artwork: GrayImage, camera: CameraModel, path: CameraPath) -> VirtualStage {

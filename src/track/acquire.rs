@@ -46,6 +46,8 @@ pub struct Candidate {
 const LEAST_INLIERS: usize = 8;
 /// Noise of a feature's position, pixels of the level it was found on.
 const FEATURE_NOISE_PX: f64 = 1.0;
+/// How near a match must be to enter the refinement of a pose, sigmas: first by the start, then by the refined pose.
+const REFINED_WITHIN: [f64; 2] = [20.0, 8.0];
 /// Samples of the robust homography at most.
 const SAMPLES: usize = 1500;
 
@@ -83,12 +85,12 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
     let mut found: Vec<Candidate> = Vec::new();
     for surface in 0..body.surfaces.len() as u32 {
         for start in surface_poses(body, surface, matches, camera, seed) {
-            let Some(refined) = resect(&start, &still, &observations, 15) else { continue };
-            let inliers = observations.iter().filter(|o| squared_residual(&refined.pose, &still, o).is_some_and(|s| s < 16.0)).count();
+            let Some(pose) = refined(&start, &still, &observations) else { continue };
+            let inliers = within_reach(&pose, &still, &observations, 4.0).count();
             if inliers < LEAST_INLIERS {
                 continue;
             }
-            let candidate = Candidate { pose: refined.pose, inliers, cost: truncated_cost(&refined.pose, &still, &observations) };
+            let candidate = Candidate { pose, inliers, cost: truncated_cost(&pose, &still, &observations) };
             if !found.iter().any(|c| nearly_same(&c.pose, &candidate.pose)) {
                 found.push(candidate);
             }
@@ -97,6 +99,27 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
     found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     found.truncate(4);
     found
+}
+
+/// The start refined over the matches near it. Most matches may be wrong, and resection bears only a minority of them.
+fn refined(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> Option<Pose<Camera, Body>> {
+    let mut pose = *start;
+    for sigmas in REFINED_WITHIN {
+        let near: Vec<Observation> = within_reach(&pose, camera, observations, sigmas).copied().collect();
+        pose = resect(&pose, camera, &near, 15)?.pose;
+    }
+    Some(pose)
+}
+
+/// The observations no more than so many sigmas from where the pose puts them.
+fn within_reach<'a>(
+    pose: &Pose<Camera, Body>,
+    camera: &MovingCamera<'a, CameraModel>,
+    observations: &'a [Observation],
+    sigmas: f64,
+) -> impl Iterator<Item = &'a Observation> {
+    let (pose, camera) = (*pose, *camera);
+    observations.iter().filter(move |o| squared_residual(&pose, &camera, o).is_some_and(|s| s < sigmas * sigmas))
 }
 
 fn observation(body: &PreparedBody, m: &SurfaceMatch) -> Observation {
@@ -149,3 +172,7 @@ pub fn flipped(pose: &Pose<Camera, Body>, body: &PreparedBody, surface: u32) -> 
     let flipped = Pose::<Camera, crate::geometry::SurfaceFrame>::new(turn * t_camera_surface.rotation, t_camera_surface.translation);
     flipped * spec.pose.inverse()
 }
+
+#[cfg(test)]
+#[path = "acquire_tests.rs"]
+mod tests;

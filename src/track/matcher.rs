@@ -42,6 +42,8 @@ pub struct Sighting {
     pub sequence: u64,
     /// Stamp of the frame, nanoseconds.
     pub timestamp_ns: i64,
+    /// False for a skipped row: its stamp tells nothing of the time, so it neither continues nor ends a track.
+    pub is_timed: bool,
     /// The stage itself.
     pub stage: BodySighting,
     /// Homography and essential matrix of the stage; present while tracking.
@@ -190,7 +192,16 @@ impl Matcher {
         align_ms += start.elapsed().as_secs_f64() * 1e3;
         let objects = sightings.split_off(1);
         let stage = sightings.remove(0);
-        Sighting { sequence: frame.sequence, timestamp_ns: frame.timestamp_ns, stage, two_view, objects, acquire_ms, align_ms }
+        Sighting {
+            sequence: frame.sequence,
+            timestamp_ns: frame.timestamp_ns,
+            is_timed: true,
+            stage,
+            two_view,
+            objects,
+            acquire_ms,
+            align_ms,
+        }
     }
 
     /// Time went on, but there was no picture.
@@ -201,7 +212,7 @@ impl Matcher {
         // There is always a stage.
         let stage = states.next().unwrap_or(BodySighting { state: LockState::Searching, verified: None });
         let objects = states.collect();
-        Sighting { sequence, timestamp_ns, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
+        Sighting { sequence, timestamp_ns, is_timed: true, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
     }
 
     /// A row that tells nothing of its time (a stamp out of order): nothing changes.
@@ -212,7 +223,7 @@ impl Matcher {
         };
         let stage = idle(&self.bodies[0]);
         let objects = self.bodies[1..].iter().map(idle).collect();
-        Sighting { sequence, timestamp_ns, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
+        Sighting { sequence, timestamp_ns, is_timed: false, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
     }
 
     /// The best verified pose of a body in this frame.

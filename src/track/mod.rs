@@ -13,6 +13,8 @@ mod registration;
 mod settings;
 mod shutter;
 mod surface;
+#[cfg(test)]
+mod synthetic;
 mod two_view;
 mod verify;
 

@@ -384,3 +384,7 @@ fn search(target: &Target, octaves: &[Octave], picture: &SearchPicture) -> Optio
     });
     Some(Registered { surface: target.surface, artwork: target.artwork, predicted: target.predicted, observation, correlation })
 }
+
+#[cfg(test)]
+#[path = "registration_tests.rs"]
+mod tests;

@@ -51,3 +51,33 @@ impl Shutter {
         self.readout_s * (row - 0.5 * (f64::from(camera.height()) - 1.0)) / f64::from(camera.height())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::super::synthetic::{facing, lens};
+    use super::*;
+    use crate::geometry::resection::perturbed;
+
+    #[test]
+    fn the_twist_is_the_motion_since_the_last_pose() {
+        let step = Vector6::new(0.03, 0.0, -0.02, 0.01, 0.0, 0.02);
+        let now = facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4));
+        let before = perturbed(&now, &-step);
+        let still = Shutter { readout_s: 0.0, before: Some((before, 0.05, None)) };
+        assert_eq!(still.twist(&now), Twist::still());
+        assert!(still.twist_deviation(&now).is_none());
+        let rolling = Shutter { readout_s: 0.02, before: Some((before, 0.05, None)) };
+        assert!((rolling.twist(&now).0 - step / 0.05).norm() < 0.02);
+        // Speeding up: half of the change leads from between the frames to now.
+        let then = Twist(step / 0.1);
+        let faster = Shutter { readout_s: 0.02, before: Some((before, 0.05, Some(then))) };
+        assert!((faster.twist(&now).0 - step * 25.0).norm() < 0.03);
+        assert!(rolling.twist_deviation(&now).is_some_and(|d| d.iter().all(|v| *v > 0.0)));
+        // The middle row is not late; the first is half a readout early.
+        let camera = lens(480, 360);
+        assert!(rolling.delay_s(&camera, 179.5).abs() < 1e-12);
+        assert!((rolling.delay_s(&camera, 0.0) + 0.01).abs() < 1e-4);
+    }
+}

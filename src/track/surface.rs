@@ -235,3 +235,7 @@ fn cubic(picture: &GrayImage, p: Vector2<f64>) -> u8 {
     }
     sum.round().clamp(0.0, 255.0) as u8
 }
+
+#[cfg(test)]
+#[path = "surface_tests.rs"]
+mod tests;

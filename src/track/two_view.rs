@@ -152,3 +152,7 @@ fn gric(squared_errors: impl Iterator<Item = f64>, sigma: f64, d: f64, k: f64) -
     }
     sum + 4.0_f64.ln() * d * n + (4.0_f64 * n).ln() * k
 }
+
+#[cfg(test)]
+#[path = "two_view_tests.rs"]
+mod tests;

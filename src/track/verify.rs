@@ -265,3 +265,7 @@ fn most_frequent_surface(anchors: &[FittedAnchor], surfaces: usize) -> u32 {
     let count = |s: usize| anchors.iter().filter(|a| a.surface as usize == s).count();
     (0..surfaces).max_by_key(|&s| count(s)).unwrap_or(0) as u32
 }
+
+#[cfg(test)]
+#[path = "verify_tests.rs"]
+mod tests;

@@ -37,7 +37,7 @@ impl<W: Write> LivePrint<W> {
             write!(self.out, "\r{}\x1b[K", line(sample, truth))?;
             return self.out.flush();
         }
-        if sample.sequence % LINE_EVERY == 0 {
+        if sample.sequence.is_multiple_of(LINE_EVERY) {
             writeln!(self.out, "{}", line(sample, truth))?;
         }
         Ok(())

@@ -1,0 +1,53 @@
+//! Whole frames of the rendered dolly through the tracker, on one thread.
+//!
+//! `cargo bench --bench frame`
+
+use std::time::{Duration, Instant};
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use stagepose::capture::{FrameSource, Row, VirtualCamera};
+use stagepose::record::State;
+use stagepose::simulate::{Dolly, dolly};
+use stagepose::track::TrackerSettings;
+use stagepose::{Tracker, TrackerSetup};
+
+/// Frames of one pass; every pass starts with a new tracker, whose preparation is not counted.
+const FRAMES: u64 = 12;
+
+fn frames(c: &mut Criterion) {
+    for (width, height) in [(640, 480), (1280, 720)] {
+        let choice = Dolly { width, height, seed: 1, duration_s: 1.0, artwork_width: 1600 };
+        let mut camera = VirtualCamera::new(dolly(choice).expect("a scene"), 30.0, FRAMES);
+        let rows: Vec<Row> = std::iter::from_fn(|| camera.next_row()).collect();
+        let scene = camera.stage();
+        let setup = TrackerSetup {
+            camera: scene.camera,
+            exposure_s: scene.exposure_s,
+            readout_s: scene.readout_s,
+            mask: None,
+            stage: scene.stage.clone(),
+            objects: Vec::new(),
+            settings: TrackerSettings::default(),
+        };
+        c.bench_function(&format!("track a frame {width}x{height}"), |b| {
+            b.iter_custom(|iterations| (0..iterations).map(|_| pass(&setup, &rows)).sum::<Duration>() / FRAMES as u32)
+        });
+    }
+}
+
+/// Time to track all rows.
+fn pass(setup: &TrackerSetup, rows: &[Row]) -> Duration {
+    let mut tracker = Tracker::new(setup.clone());
+    let start = Instant::now();
+    let tracked = rows.iter().filter(|row| tracker.track_row(row).state == State::Tracking).count();
+    let spent = start.elapsed();
+    assert_eq!(tracked as u64, FRAMES - 1, "a lost frame costs less than a tracked one");
+    spent
+}
+
+criterion_group! {
+    name = whole_frames;
+    config = Criterion::default().sample_size(10);
+    targets = frames
+}
+criterion_main!(whole_frames);

@@ -1,0 +1,136 @@
+//! The kernels of a frame, one by one: corners, pyramid, description, matching, and the robust solvers.
+//!
+//! `cargo bench --bench kernels`
+
+use std::hint::black_box;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use image::GrayImage;
+use nalgebra::{Matrix2, Point3, UnitQuaternion, Vector2, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use stagepose::camera::{CameraModel, Normalized};
+use stagepose::features::{
+    CornerBuffers, CornerOptions, ExtractorOptions, FeatureExtractor, Pyramid, Workers, describe, detect_corners, orientation, smooth_into,
+};
+use stagepose::geometry::essential::{RayPair, five_point, robust_essential};
+use stagepose::geometry::resection::{MovingCamera, Observation, resect};
+use stagepose::geometry::robust::{RobustOptions, robust_homography};
+use stagepose::geometry::{Body, Camera, PointPair, Pose};
+use stagepose::matching::{MatchBuffers, ReferenceIndex};
+use stagepose::simulate::{grey, paint};
+
+fn picture() -> GrayImage {
+    grey(&paint(1280, 720, 3))
+}
+
+/// The segment test (FAST-9), its scores and the spread of corners over a 1280x720 picture.
+fn corners(c: &mut Criterion) {
+    let picture = picture();
+    let options = CornerOptions { count: 1000, threshold: 20, least_threshold: 6, border: 18, cell_px: 40 };
+    let (mut buffers, mut found) = (CornerBuffers::default(), Vec::new());
+    c.bench_function("segment test and corners 1280x720", |b| {
+        b.iter(|| {
+            detect_corners(black_box(&picture), &options, |_, _| true, &mut buffers, &mut found);
+            found.len()
+        })
+    });
+}
+
+fn pyramid(c: &mut Criterion) {
+    let picture = picture();
+    let mut pyramid = Pyramid::default();
+    c.bench_function("pyramid of 8 levels 1280x720", |b| b.iter(|| pyramid.build(black_box(&picture), 1.2, 8, 48).len()));
+    let (mut smooth, mut row) = (picture.clone(), Vec::new());
+    c.bench_function("smooth 1280x720", |b| b.iter(|| smooth_into(black_box(&picture), &mut smooth, &mut row)));
+}
+
+fn description(c: &mut Criterion) {
+    let picture = picture();
+    c.bench_function("orient and describe one corner", |b| {
+        b.iter(|| {
+            let angle = orientation(&picture, black_box(640), black_box(360));
+            describe(&picture, 640, 360, angle)
+        })
+    });
+}
+
+/// The Hamming scan of 1500 features over 4000, ratio and mutual test included.
+fn hamming(c: &mut Criterion) {
+    let workers = Workers::new(1);
+    let (mut extractor, mut reference, mut frame) = (FeatureExtractor::default(), Vec::new(), Vec::new());
+    let options = |count| ExtractorOptions { count, ..ExtractorOptions::default() };
+    extractor.extract(&grey(&paint(1600, 1200, 3)), None, &options(4000), &workers, &mut reference);
+    extractor.extract(&picture(), None, &options(1500), &workers, &mut frame);
+    let mut index = ReferenceIndex::default();
+    index.add(0, &reference, |p| p, 1.0);
+    let (mut buffers, mut matches) = (MatchBuffers::default(), Vec::new());
+    c.bench_function(&format!("match {} features over {}", frame.len(), reference.len()), |b| {
+        b.iter(|| {
+            index.match_features(black_box(&frame), 0.85, &workers, &mut buffers, &mut matches);
+            matches.len()
+        })
+    });
+}
+
+fn pose() -> Pose<Camera, Body> {
+    Pose::new(UnitQuaternion::from_euler_angles(0.2, -0.3, 0.05), Vector3::new(0.1, -0.2, 4.0))
+}
+
+/// Points of a box of 4 x 3 x `depth` metres around the origin.
+fn points(count: usize, depth: f64, random: &mut Pcg64Mcg) -> Vec<Point3<f64>> {
+    let mut within = |half: f64| random.random_range(-half..=half);
+    (0..count).map(|_| Point3::new(within(2.0), within(1.5), within(0.5 * depth))).collect()
+}
+
+fn ray(pose: &Pose<Camera, Body>, point: &Point3<f64>) -> Vector2<f64> {
+    let c = pose.transform(point);
+    Vector2::new(c.x / c.z, c.y / c.z)
+}
+
+/// A robust homography from 400 pairs, a third of them wrong.
+fn homography(c: &mut Criterion) {
+    let mut random = Pcg64Mcg::seed_from_u64(1);
+    let pairs: Vec<PointPair> = points(400, 0.0, &mut random)
+        .iter()
+        .enumerate()
+        .map(|(k, p)| {
+            let wrong = Vector2::new(random.random_range(-600.0..600.0), random.random_range(-400.0..400.0));
+            let noise = Vector2::new(random.random_range(-0.7..0.7), random.random_range(-0.7..0.7));
+            let to = if k % 3 == 2 { wrong } else { ray(&pose(), p) * 1100.0 + noise };
+            PointPair { from: p.coords.xy() * 300.0, to }
+        })
+        .collect();
+    let options = RobustOptions { threshold: 3.0, max_samples: 1500, confidence: 0.9999, seed: 1 };
+    c.bench_function("robust homography, 400 pairs", |b| b.iter(|| robust_homography(black_box(&pairs), &options)));
+}
+
+fn essential(c: &mut Criterion) {
+    let mut random = Pcg64Mcg::seed_from_u64(2);
+    let first = Pose::<Camera, Body>::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 5.0));
+    let pair = |p: &Point3<f64>| RayPair { first: ray(&first, p), second: ray(&pose(), p) };
+    let pairs: Vec<RayPair> = points(300, 2.0, &mut random).iter().map(pair).collect();
+    let five: [RayPair; 5] = std::array::from_fn(|k| pairs[17 * k]);
+    c.bench_function("five-point", |b| b.iter(|| five_point(black_box(&five))));
+    c.bench_function("robust essential, 12 samples of 300 pairs", |b| b.iter(|| robust_essential(black_box(&pairs), 1e-3, 12, 6, 1)));
+}
+
+fn resection(c: &mut Criterion) {
+    let camera = CameraModel::pinhole(1280, 720, 1100.0, 1100.0, 639.5, 359.5).expect("a camera");
+    let mut random = Pcg64Mcg::seed_from_u64(3);
+    let observations: Vec<Observation> = points(300, 1.0, &mut random)
+        .into_iter()
+        .map(|point| {
+            let noise = Vector2::new(random.random_range(-0.3..0.3), random.random_range(-0.3..0.3));
+            let pixel = camera.project(Normalized(ray(&pose(), &point))).0 + noise;
+            Observation { point, pixel, information: Matrix2::identity() * 25.0, delay_s: 0.0, group: 0 }
+        })
+        .collect();
+    let start = Pose::new(pose().rotation, pose().translation + Vector3::new(0.02, -0.01, 0.05));
+    c.bench_function("resection, 300 points", |b| {
+        b.iter(|| resect(black_box(&start), &MovingCamera::still(&camera), black_box(&observations), 15))
+    });
+}
+
+criterion_group!(kernels, corners, pyramid, description, hamming, homography, essential, resection);
+criterion_main!(kernels);

@@ -1,0 +1,68 @@
+use nalgebra::{Matrix6, UnitQuaternion, Vector3};
+
+use super::*;
+use crate::track::Verified;
+use LockState::{Coasting, Lost, Searching, Tracking};
+
+const FRAME_NS: i64 = 33_333_333;
+
+fn body(state: LockState) -> BodySighting {
+    let pose = Pose::new(UnitQuaternion::from_euler_angles(1.5, 0.1, 0.0), Vector3::new(0.1, 0.2, 3.0));
+    let verified = Verified { pose, covariance: Matrix6::identity() * 1e-6, anchors: Vec::new(), share: 1.0, rms_px: 0.1 };
+    BodySighting { state, verified: (state == Tracking).then_some(verified) }
+}
+
+fn sighting(sequence: u64, stage: LockState, object: LockState) -> Sighting {
+    Sighting {
+        sequence,
+        timestamp_ns: sequence as i64 * FRAME_NS,
+        is_timed: true,
+        stage: body(stage),
+        two_view: None,
+        objects: vec![body(object)],
+        acquire_ms: 0.0,
+        align_ms: 0.0,
+    }
+}
+
+/// The published states of the camera and of the object, one sighting after another.
+fn published(seen: &[(LockState, LockState)]) -> Vec<(LockState, LockState)> {
+    let mut stage = PoseStage::default();
+    let estimates = seen.iter().enumerate().map(|(k, (camera, object))| stage.estimate(&sighting(k as u64, *camera, *object)));
+    estimates.map(|e| (e.camera.state, e.objects[0].state)).collect()
+}
+
+#[test]
+fn an_object_needs_the_stage() {
+    let seen = [(Tracking, Tracking), (Coasting, Tracking), (Lost, Tracking), (Tracking, Tracking)];
+    assert_eq!(published(&seen), [(Tracking, Tracking), (Coasting, Coasting), (Lost, Lost), (Tracking, Tracking)]);
+}
+
+#[test]
+fn an_object_that_never_had_a_stage_is_still_searched() {
+    let seen = [(Searching, Tracking), (Tracking, Searching), (Coasting, Tracking), (Lost, Tracking)];
+    assert_eq!(published(&seen), [(Searching, Searching), (Tracking, Searching), (Coasting, Searching), (Lost, Searching)]);
+}
+
+#[test]
+fn a_skipped_row_leaves_the_motion_as_it_was() {
+    let mut stage = PoseStage::default();
+    stage.estimate(&sighting(0, Tracking, Tracking));
+    let skipped = stage.estimate(&Sighting { is_timed: false, ..sighting(0, Lost, Lost) });
+    assert_eq!((skipped.camera.state, skipped.objects[0].state), (Lost, Lost));
+    assert!(skipped.camera.pose.is_none() && skipped.objects[0].pose.is_none());
+    let after = stage.estimate(&sighting(2, Coasting, Coasting));
+    assert_eq!((after.camera.state, after.objects[0].state), (Coasting, Coasting));
+    assert!(after.camera.pose.is_some() && after.objects[0].pose.is_some());
+}
+
+#[test]
+fn covariance_comes_with_a_measurement_only() {
+    let mut stage = PoseStage::default();
+    let tracked = stage.estimate(&sighting(0, Tracking, Tracking));
+    let (camera, object) = (tracked.camera.measured.expect("measured").1, tracked.objects[0].measured.expect("measured").1);
+    // The object's error adds to the camera's.
+    assert!(camera.trace() > 0.0 && object.trace() > camera.trace());
+    let coasting = stage.estimate(&sighting(1, Coasting, Coasting));
+    assert!(coasting.camera.measured.is_none() && coasting.objects[0].measured.is_none());
+}

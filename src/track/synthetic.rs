@@ -1,0 +1,87 @@
+//! Pictures made by hand for the tests of this room: smooth random texture, and a surface as a camera sees it.
+
+use image::{GrayImage, Luma};
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
+
+use super::reference::PreparedBody;
+use super::surface::{BodySpec, SurfaceSpec};
+use crate::camera::{CameraModel, Intrinsics, Pixel};
+use crate::geometry::{Body, Camera, Pose};
+
+/// Smooth random texture: noise on lattices of three pitches, so that there is detail of every size.
+pub fn texture(width: u32, height: u32, seed: u32) -> GrayImage {
+    let pitches = [(23.0, 110.0), (9.0, 80.0), (5.0, 40.0)];
+    GrayImage::from_fn(width, height, |x, y| {
+        let wave = |(k, (pitch, amplitude)): (usize, &(f64, f64))| {
+            amplitude * (lattice(f64::from(x) / pitch, f64::from(y) / pitch, seed ^ (k as u32) << 8) - 0.5)
+        };
+        Luma([(128.0 + pitches.iter().enumerate().map(wave).sum::<f64>()).clamp(0.0, 255.0) as u8])
+    })
+}
+
+/// Value noise from 0 to 1 with smooth steps between the lattice's points.
+fn lattice(x: f64, y: f64, seed: u32) -> f64 {
+    let (i, j) = (x.floor(), y.floor());
+    let smooth = |t: f64| t * t * (3.0 - 2.0 * t);
+    let (a, b) = (smooth(x - i), smooth(y - j));
+    let corner = |di: u32, dj: u32| f64::from(hash(i as u32 + di, j as u32 + dj, seed)) / f64::from(u32::MAX);
+    let (top, bottom) = (corner(0, 0) * (1.0 - a) + corner(1, 0) * a, corner(0, 1) * (1.0 - a) + corner(1, 1) * a);
+    top * (1.0 - b) + bottom * b
+}
+
+fn hash(x: u32, y: u32, seed: u32) -> u32 {
+    let mut h = x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ seed.wrapping_mul(0xc2b2_ae3d);
+    for _ in 0..2 {
+        h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);
+    }
+    h ^ (h >> 16)
+}
+
+pub fn lens(width: u32, height: u32) -> CameraModel {
+    let (w, h) = (f64::from(width), f64::from(height));
+    let distortion = [-0.1, 0.05, 0.0005, -0.0003, 0.0];
+    CameraModel::new(Intrinsics { width, height, fx: w, fy: 1.01 * w, cx: 0.5 * w, cy: 0.49 * h, skew: 0.0, distortion }).expect("a camera")
+}
+
+/// A surface of 4 x 3 m at the body's origin, x right and y up in the body too.
+pub fn cloth(seed: u32) -> SurfaceSpec {
+    SurfaceSpec::from_artwork("cloth".into(), texture(640, 480, seed), [4.0, 3.0], Pose::identity()).expect("texture enough")
+}
+
+pub fn prepared(surfaces: Vec<SurfaceSpec>) -> PreparedBody {
+    PreparedBody::new(&BodySpec { name: "stage".into(), surfaces })
+}
+
+/// `T_camera_body` of a camera that looks at the face of a [`cloth`], tilted by rotations about its x and y.
+pub fn facing(tilt_x: f64, tilt_y: f64, shift: Vector3<f64>) -> Pose<Camera, Body> {
+    let turn_over = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    Pose::new(UnitQuaternion::from_euler_angles(tilt_x, tilt_y, 0.02) * turn_over, shift)
+}
+
+/// What the camera sees of a surface alone: 3 x 3 looks a pixel, 30 where there is nothing.
+pub fn view(surface: &SurfaceSpec, pose: &Pose<Camera, Body>, camera: &CameraModel) -> GrayImage {
+    let to_surface = (*pose * surface.pose).inverse();
+    let look = |u: f64, v: f64| -> f64 {
+        let Some(ray) = camera.unproject(Pixel(Vector2::new(u, v))) else { return 30.0 };
+        let direction = to_surface.rotation * ray.0.push(1.0);
+        let eye = to_surface.translation;
+        let hit = eye - direction * (eye.z / direction.z);
+        grey_at(&surface.artwork, surface.artwork_from_metres(hit.xy()))
+    };
+    let steps = [-1.0 / 3.0, 0.0, 1.0 / 3.0];
+    GrayImage::from_fn(camera.width(), camera.height(), |x, y| {
+        let all = steps.iter().flat_map(|dy| steps.iter().map(move |dx| (f64::from(x) + dx, f64::from(y) + dy)));
+        Luma([(all.map(|(u, v)| look(u, v)).sum::<f64>() / 9.0).round() as u8])
+    })
+}
+
+/// Bilinear; 30 outside.
+fn grey_at(picture: &GrayImage, p: Vector2<f64>) -> f64 {
+    let (i, j) = (p.x.floor(), p.y.floor());
+    if i < 0.0 || j < 0.0 || i + 1.0 >= f64::from(picture.width()) || j + 1.0 >= f64::from(picture.height()) {
+        return 30.0;
+    }
+    let (a, b) = (p.x - i, p.y - j);
+    let at = |dx: u32, dy: u32| f64::from(picture.get_pixel(i as u32 + dx, j as u32 + dy)[0]);
+    (at(0, 0) * (1.0 - a) + at(1, 0) * a) * (1.0 - b) + (at(0, 1) * (1.0 - a) + at(1, 1) * a) * b
+}

@@ -1,0 +1,12 @@
+//! `Tracker` and `Daemon` on frames of the virtual stage, held to its exact truth.
+
+mod daemon;
+mod objects;
+mod photo;
+mod poses;
+mod record_line;
+mod scene;
+mod shutter;
+mod states;
+mod two_view;
+mod uncertainty;

@@ -1,0 +1,56 @@
+//! A surface that is known from a photograph of it, taken by another camera.
+
+use nalgebra::{Point3, Vector2};
+use stagepose::camera::{CameraModel, Intrinsics, Normalized, Pixel};
+use stagepose::geometry::Homography;
+use stagepose::simulate::{CameraPath, Renderer};
+use stagepose::track::{ReferenceKind, SurfaceSpec};
+
+use super::scene::{assert_tracks_within, backdrop, body, camera, past, quiet, rows, setup, track_rows};
+use super::two_view::{motion_errors, worst_transfer};
+
+fn photographer() -> CameraModel {
+    let distortion = [-0.2, 0.08, 0.001, -0.0005, 0.0];
+    let (width, height) = (960, 720);
+    CameraModel::new(Intrinsics { width, height, fx: 850.0, fy: 853.0, cx: 470.0, cy: 366.0, skew: 0.001, distortion }).unwrap()
+}
+
+#[test]
+fn a_photograph_serves_as_the_stage() {
+    let stage = backdrop();
+    let spec = &stage.surfaces[0];
+    let photo_path = CameraPath::fixed(Point3::new(0.7, -4.6, -0.2), Point3::new(0.05, 0.0, 0.02));
+    let photo_scene = quiet(photographer(), photo_path, stage.clone());
+    let stand = photo_scene.truth(0.0);
+    let (w, h) = (f64::from(spec.artwork.width()), f64::from(spec.artwork.height()));
+    let seen = |artwork: Vector2<f64>| {
+        let c = stand.inverse().transform(&spec.body_point(artwork));
+        Normalized(Vector2::new(c.x / c.z, c.y / c.z))
+    };
+    let outer = [(-0.5, -0.5), (w - 0.5, -0.5), (w - 0.5, h - 0.5), (-0.5, h - 0.5)].map(|(u, v)| Vector2::new(u, v));
+    let corners: [Pixel; 4] = outer.map(|p| photographer().project(seen(p)));
+    let photo = Renderer::new(photo_scene).render(0.0, 0);
+    let surface = SurfaceSpec::from_photograph("photo".into(), &photo, corners, photographer(), spec.size_m, spec.pose).unwrap();
+    let ReferenceKind::Photograph { photo_from_artwork, pose, .. } = &surface.kind else { panic!("a photograph's kind") };
+    // The camera that took it is found from the corners alone.
+    let found = (spec.pose * pose.inverse()).translation;
+    assert!((found - stand.translation).norm() < 1e-6, "{found}");
+    // And the flattened picture's corners are the photograph's.
+    let flat_corner = Homography(*photo_from_artwork).map(Vector2::new(-0.5, -0.5)).unwrap();
+    assert!((flat_corner - photographer().undistorted_pixel(seen(outer[0]))).norm() < 1e-6);
+
+    let scene = quiet(camera(640, 480), past(), stage.clone());
+    let mut told = setup(&scene);
+    told.stage = body(vec![surface]);
+    let samples = track_rows(told, &rows(&scene, 8));
+    assert_tracks_within(&scene, &samples, 0.0015, 0.06);
+    let mut worst = (0.0_f64, 0.0_f64, 0.0_f64);
+    for sample in &samples[1..] {
+        let m = sample.measurement.unwrap();
+        let transfer = worst_transfer(&scene, sample, &m.homography.unwrap(), |p| photographer().undistorted_pixel(seen(p)));
+        let (rotation, direction) = motion_errors(&scene, sample, &stand, &m.essential.unwrap());
+        worst = (worst.0.max(transfer), worst.1.max(rotation), worst.2.max(direction));
+    }
+    println!("worst: homography {:.3} px, essential {:.3} and {:.3} degrees", worst.0, worst.1, worst.2);
+    assert!(worst.0 < 0.5 && worst.1 < 0.5 && worst.2 < 0.5, "{worst:?}");
+}

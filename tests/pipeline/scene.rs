@@ -1,0 +1,131 @@
+//! Small virtual stages, and a way to track what their camera sees.
+
+use std::sync::OnceLock;
+
+use image::GrayImage;
+use nalgebra::{Point3, Vector3};
+use stagepose::camera::{CameraModel, Intrinsics};
+use stagepose::capture::{FrameSource, Row, VirtualCamera};
+use stagepose::geometry::{Camera, Pose, Stage};
+use stagepose::record::{PoseSample, State};
+use stagepose::simulate::{CameraPath, SensorNoise, Spline, VirtualStage, grey, paint, upright};
+use stagepose::track::{BodySpec, SurfaceSpec, TrackerSettings};
+use stagepose::{Tracker, TrackerSetup};
+
+use super::record_line::assert_record_holds;
+
+pub const FPS: f64 = 30.0;
+
+/// A webcam's lens of 58 degrees across.
+pub fn camera(width: u32, height: u32) -> CameraModel {
+    let (w, h) = (f64::from(width), f64::from(height));
+    let (fx, fy) = (0.9 * w, 0.902 * w);
+    let distortion = [-0.11, 0.06, 0.0006, -0.0004, 0.0];
+    CameraModel::new(Intrinsics { width, height, fx, fy, cx: 0.503 * w, cy: 0.494 * h, skew: 0.0, distortion }).unwrap()
+}
+
+/// The painted backdrop that most tests look at, 4 x 3 m.
+pub fn backdrop_art() -> &'static GrayImage {
+    static ART: OnceLock<GrayImage> = OnceLock::new();
+    ART.get_or_init(|| grey(&paint(1000, 750, 11)))
+}
+
+/// The backdrop's picture of another seed.
+pub fn other_art() -> &'static GrayImage {
+    static ART: OnceLock<GrayImage> = OnceLock::new();
+    ART.get_or_init(|| grey(&paint(1000, 750, 12)))
+}
+
+pub fn surface(name: &str, art: &GrayImage, size_m: [f64; 2], position: Vector3<f64>, turn_rad: f64) -> SurfaceSpec {
+    SurfaceSpec::from_artwork(name.to_owned(), art.clone(), size_m, upright(position, turn_rad)).unwrap()
+}
+
+pub fn backdrop() -> BodySpec {
+    body(vec![surface("backdrop", backdrop_art(), [4.0, 3.0], Vector3::zeros(), 0.0)])
+}
+
+pub fn body(surfaces: Vec<SurfaceSpec>) -> BodySpec {
+    BodySpec { name: "stage".into(), surfaces }
+}
+
+/// A path whose camera stands aside and looks at the backdrop.
+pub fn aside() -> CameraPath {
+    let mut path = CameraPath::fixed(Point3::new(-0.9, -3.2, 0.3), Point3::new(-0.1, 0.0, 0.05));
+    path.roll_rad = 0.03;
+    path
+}
+
+/// A path that leads past the backdrop at about 1 m/s.
+pub fn past() -> CameraPath {
+    let keys = [(-0.5, [-0.9, -3.3, 0.2]), (0.5, [0.0, -3.0, 0.35]), (1.5, [0.9, -3.2, 0.1])].map(|(t, p)| (t, Vector3::from(p)));
+    let targets = [(-0.5, Vector3::new(-0.2, 0.0, 0.0)), (1.5, Vector3::new(0.3, 0.0, 0.1))];
+    CameraPath { position: Spline::new(&keys).unwrap(), target: Spline::new(&targets).unwrap(), roll_rad: 0.02, shake: None }
+}
+
+/// A virtual stage with a quiet sensor.
+pub fn quiet(camera: CameraModel, path: CameraPath, stage: BodySpec) -> VirtualStage {
+    let mut scene = VirtualStage::new(camera, path, stage);
+    scene.noise = SensorNoise { read: 0.7, shot: 0.005 };
+    scene.background = 9.0;
+    scene
+}
+
+/// What the tracker is told of a virtual stage: all that is true.
+pub fn setup(scene: &VirtualStage) -> TrackerSetup {
+    TrackerSetup {
+        camera: scene.camera,
+        exposure_s: scene.exposure_s,
+        readout_s: scene.readout_s,
+        mask: None,
+        stage: scene.stage.clone(),
+        objects: scene.objects.iter().map(|o| o.body.clone()).collect(),
+        settings: TrackerSettings::default(),
+    }
+}
+
+pub fn rows(scene: &VirtualStage, frames: u64) -> Vec<Row> {
+    let mut source = VirtualCamera::new(scene.clone(), FPS, frames);
+    std::iter::from_fn(|| source.next_row()).collect()
+}
+
+/// Tracks rows one by one and holds every record to the contract.
+pub fn track_rows(setup: TrackerSetup, rows: &[Row]) -> Vec<PoseSample> {
+    let mut tracker = Tracker::new(setup);
+    let samples: Vec<PoseSample> = rows.iter().map(|row| tracker.track_row(row)).collect();
+    samples.iter().for_each(assert_record_holds);
+    samples
+}
+
+/// Renders and tracks a stage whose truth the tracker knows.
+pub fn track(scene: &VirtualStage, frames: u64) -> Vec<PoseSample> {
+    track_rows(setup(scene), &rows(scene, frames))
+}
+
+pub fn truth_of(scene: &VirtualStage, sample: &PoseSample) -> Pose<Stage, Camera> {
+    scene.truth(sample.timestamp_ns as f64 * 1e-9)
+}
+
+/// Distance error as a share of the camera's distance from the origin, and angle error in degrees.
+pub fn errors(scene: &VirtualStage, sample: &PoseSample) -> (f64, f64) {
+    let truth = truth_of(scene, sample);
+    let measured = sample.measurement.expect("a tracking sample").pose;
+    let shift = (measured.translation - truth.translation).norm() / truth.translation.norm();
+    (shift, measured.angle_to(&truth).to_degrees())
+}
+
+/// Every sample after the first tracks, within a share of the distance and an angle in degrees.
+pub fn assert_tracks_within(scene: &VirtualStage, samples: &[PoseSample], share: f64, degrees: f64) {
+    assert_ne!(samples[0].state, State::Tracking, "one frame does not confirm itself");
+    let mut worst = (0.0_f64, 0.0_f64);
+    for sample in &samples[1..] {
+        assert_eq!(sample.state, State::Tracking, "frame {}", sample.sequence);
+        let (shift, angle) = errors(scene, sample);
+        worst = (worst.0.max(shift), worst.1.max(angle));
+    }
+    println!("worst of {}: {:.5} of the distance, {:.4} degrees", samples.len() - 1, worst.0, worst.1);
+    assert!(worst.0 < share && worst.1 < degrees, "{worst:?}");
+}
+
+pub fn states(samples: &[PoseSample]) -> Vec<State> {
+    samples.iter().map(|s| s.state).collect()
+}

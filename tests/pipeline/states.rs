@@ -1,0 +1,101 @@
+//! What the record says while the stage cannot be seen.
+
+use stagepose::capture::{Row, RowContent};
+use stagepose::record::State::{Coasting, Lost, Searching, Tracking};
+use stagepose::simulate::VirtualStage;
+
+use super::scene::{FPS, aside, backdrop, camera, errors, past, quiet, rows, setup, states, track, track_rows, truth_of};
+
+fn small() -> VirtualStage {
+    quiet(camera(480, 360), past(), backdrop())
+}
+
+#[test]
+fn a_blackout_coasts_is_lost_and_is_found_again() {
+    let mut scene = small();
+    scene.blackouts.push(3.5 / FPS..14.5 / FPS);
+    let samples = track(&scene, 18);
+    // The last tracked frame is 3; 0.2 s later is frame 9.
+    let expected = [vec![Searching], vec![Tracking; 3], vec![Coasting; 6], vec![Lost; 6], vec![Tracking; 2]].concat();
+    assert_eq!(states(&samples), expected);
+    for sample in samples.iter().filter(|s| s.state == Coasting) {
+        let pose = sample.pose.expect("coasting predicts");
+        let off = (pose.translation - truth_of(&scene, sample).translation).norm();
+        assert!(off < 0.15, "frame {} is {off} m off", sample.sequence);
+    }
+    for sample in samples.iter().filter(|s| s.state == Tracking) {
+        let (shift, _) = errors(&scene, sample);
+        assert!(shift < 0.002);
+    }
+}
+
+#[test]
+fn coasting_ends_by_stamps_not_by_frames() {
+    let mut scene = small();
+    scene.blackouts.push(2.5 / FPS..100.0);
+    let mut rows = rows(&scene, 8);
+    // The camera hangs for a second while the stage is dark.
+    for row in &mut rows[4..] {
+        row.timestamp_ns += 1_000_000_000;
+        if let RowContent::Frame(frame) = &mut row.content {
+            frame.timestamp_ns += 1_000_000_000;
+        }
+    }
+    let states = states(&track_rows(setup(&scene), &rows));
+    assert_eq!(states, [Searching, Tracking, Tracking, Coasting, Lost, Lost, Lost, Lost]);
+}
+
+fn undecodable(row: &Row) -> Row {
+    Row { content: RowContent::Undecodable("the file ends too soon".into()), ..row.clone() }
+}
+
+fn skipped(row: &Row, timestamp_ns: i64) -> Row {
+    Row { content: RowContent::Skipped("out of order".into()), timestamp_ns, ..row.clone() }
+}
+
+#[test]
+fn undecodable_and_skipped_rows_make_a_line_and_disturb_nothing() {
+    let scene = small();
+    let whole = rows(&scene, 9);
+    let undisturbed = track_rows(setup(&scene), &whole);
+    let mut rows = whole.clone();
+    rows[4] = undecodable(&whole[4]);
+    rows[6] = skipped(&whole[6], whole[5].timestamp_ns);
+    let samples = track_rows(setup(&scene), &rows);
+    assert_eq!(samples.len(), rows.len());
+    assert_eq!(states(&samples), [Searching, Tracking, Tracking, Tracking, Coasting, Tracking, Lost, Tracking, Tracking]);
+    for (row, (sample, before)) in rows.iter().zip(samples.iter().zip(&undisturbed)) {
+        assert_eq!((sample.sequence, sample.timestamp_ns), (row.sequence, row.timestamp_ns));
+        if matches!(row.content, RowContent::Frame(_)) {
+            assert_eq!(sample.to_json_line(), before.to_json_line());
+        }
+    }
+}
+
+#[test]
+fn a_skipped_row_does_not_end_a_track() {
+    let scene = small();
+    let mut rows = rows(&scene, 8);
+    rows[4] = skipped(&rows[4], rows[3].timestamp_ns);
+    rows[5] = undecodable(&rows[5]);
+    let samples = track_rows(setup(&scene), &rows);
+    assert_eq!(states(&samples), [Searching, Tracking, Tracking, Tracking, Lost, Coasting, Tracking, Tracking]);
+}
+
+#[test]
+fn a_first_row_without_a_picture_is_searching() {
+    let scene = quiet(camera(320, 240), aside(), backdrop());
+    let mut rows = rows(&scene, 4);
+    rows[0] = undecodable(&rows[0]);
+    rows[1] = skipped(&rows[1], 0);
+    assert_eq!(states(&track_rows(setup(&scene), &rows)), [Searching, Searching, Searching, Tracking]);
+}
+
+#[test]
+fn a_frame_of_another_size_shows_nothing() {
+    let scene = small();
+    let mut rows = rows(&scene, 4);
+    let RowContent::Frame(frame) = &mut rows[2].content else { panic!("rendered rows are frames") };
+    frame.image = image::GrayImage::new(100, 80);
+    assert_eq!(states(&track_rows(setup(&scene), &rows)), [Searching, Tracking, Coasting, Tracking]);
+}

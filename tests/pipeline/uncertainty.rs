@@ -1,0 +1,32 @@
+//! The covariance of the record against the errors that it speaks of.
+
+use nalgebra::{Vector3, Vector6};
+use stagepose::record::{PoseSample, State};
+use stagepose::simulate::{CameraPath, SensorNoise, Spline, VirtualStage};
+
+use super::scene::{backdrop, camera, quiet, track, truth_of};
+
+/// Normalised estimation error squared over its six degrees of freedom (C3: p_true = p + δp, R_true = Exp(δθ) R).
+fn nees_per_freedom(scene: &VirtualStage, sample: &PoseSample) -> f64 {
+    let m = sample.measurement.expect("it tracks");
+    let truth = truth_of(scene, sample);
+    let shift = truth.translation - m.pose.translation;
+    let turn = (truth.rotation * m.pose.rotation.inverse()).scaled_axis();
+    let e = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+    e.dot(&(m.covariance.try_inverse().expect("positive definite") * e)) / 6.0
+}
+
+#[test]
+fn errors_are_as_large_as_the_covariance_says() {
+    let keys = [(0.0, Vector3::new(-1.1, -3.4, 0.4)), (1.0, Vector3::new(1.0, -3.0, -0.2))];
+    let targets = [(0.0, Vector3::new(-0.3, 0.0, 0.1)), (1.0, Vector3::new(0.2, 0.0, 0.0))];
+    let path = CameraPath { position: Spline::new(&keys).unwrap(), target: Spline::new(&targets).unwrap(), roll_rad: 0.0, shake: None };
+    let mut scene = quiet(camera(640, 360), path, backdrop());
+    scene.noise = SensorNoise::webcam();
+    let samples = track(&scene, 28);
+    let all: Vec<f64> = samples.iter().filter(|s| s.state == State::Tracking).map(|s| nees_per_freedom(&scene, s)).collect();
+    let mean = all.iter().sum::<f64>() / all.len() as f64;
+    println!("mean NEES / 6 over {} frames: {mean:.2}", all.len());
+    assert_eq!(all.len(), 27);
+    assert!((0.3..3.0).contains(&mean), "{mean}");
+}
