@@ -21,7 +21,7 @@ fn frames(c: &mut Criterion) {
         let rows: Vec<Row> = std::iter::from_fn(|| camera.next_row()).collect();
         let scene = camera.stage();
         let setup = TrackerSetup {
-            camera: scene.camera.clone(),
+            camera: scene.camera,
             exposure_s: scene.exposure_s,
             readout_s: scene.readout_s,
             mask: None,

@@ -73,7 +73,7 @@ pub fn quiet(camera: CameraModel, path: CameraPath, stage: BodySpec) -> VirtualS
 /// What the tracker is told of a virtual stage: all that is true.
 pub fn setup(scene: &VirtualStage) -> TrackerSetup {
     TrackerSetup {
-        camera: scene.camera.clone(),
+        camera: scene.camera,
         exposure_s: scene.exposure_s,
         readout_s: scene.readout_s,
         mask: None,
