@@ -37,7 +37,7 @@ fn surfaces_at_several_depths_make_one_stage() {
 #[test]
 fn an_occluder_over_a_third_of_the_picture_moves_nothing() {
     let mut scene = quiet(camera(640, 360), aside(), backdrop());
-    // 1.2 m from the camera the picture is about 1.3 x 0.75 m: the ellipse covers 0.9 x 0.5 m of it.
+    // 1.3 m from the camera the frame shows 1.4 x 0.8 m: the ellipse covers its full height and half its width.
     let centre = Point3::new(-0.75, -2.0, 0.1);
     let (swing, half_size_m) = (Vector3::new(0.1, 0.0, 0.0), [0.32, 0.4]);
     scene.occluders.push(Occluder { centre, swing, period_s: 1.0, half_size_m, grey: 90.0 });
