@@ -34,6 +34,8 @@ const LEAST_TILES: usize = 4;
 /// Least share of the anchors asked that must fit, for a pose without history, and for one that continues a track.
 const LEAST_SHARE_NEW: f64 = 0.35;
 const LEAST_SHARE_CONTINUED: f64 = 0.2;
+/// Anchors found elsewhere than the pose says, for each that fits. What is hidden is not found at all, so even a few speak against it.
+const LARGEST_CONTRADICTION: f64 = 0.5;
 /// Largest residual, in pixels of a 1280-pixel-wide frame, of an anchor that counts as fitting.
 const LARGEST_RESIDUAL_PX: f64 = 1.5;
 /// Largest standard deviation of a pose that is given: of the direction in radians, and of the position as a share of the distance.
@@ -79,6 +81,8 @@ pub enum Refusal {
     Clustered(usize),
     /// Too small a share of those asked.
     Share(f64),
+    /// Too many anchors were found, but elsewhere than the pose says: a torn frame, or a wrong pose.
+    Contradicted(usize),
     /// The pose is too uncertain.
     Uncertain,
     /// The tilted twin explains the picture nearly as well; the margin.
@@ -178,6 +182,11 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
     if share < if continued { LEAST_SHARE_CONTINUED } else { LEAST_SHARE_NEW } {
         return Err(Refusal::Share(share));
     }
+    let contradicting = contradicting_anchors(fine, &moving, &buffers.observations);
+    tracing::trace!(fitting = anchors.len(), contradicting, asked);
+    if contradicting as f64 > LARGEST_CONTRADICTION * anchors.len() as f64 {
+        return Err(Refusal::Contradicted(contradicting));
+    }
     let covariance = judged_covariance(body, fine, &moving, view, &buffers.observations)?;
     let margin = flip_margin(body, fine, &moving, &buffers.observations, &anchors);
     if margin < LEAST_FLIP_MARGIN {
@@ -193,8 +202,7 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
 
 /// The anchors that agree with the pose, in pixels and in sigmas.
 fn fitting_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, buffers: &VerifyBuffers) -> Vec<FittedAnchor> {
-    let size = f64::from(moving.lens.width().max(moving.lens.height()));
-    let limit = LARGEST_RESIDUAL_PX * (size / 1280.0).max(0.5);
+    let limit = residual_limit_px(moving.lens);
     // The observations were collected from these, in this order.
     let seen = buffers.registered.iter().flatten().filter(|r| r.observation.is_some());
     let fitted = |(r, &observation): (&Registered, &Observation)| {
@@ -209,6 +217,21 @@ fn fitting_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, buffers
         })
     };
     seen.zip(&buffers.observations).filter_map(fitted).collect()
+}
+
+/// Anchors that were found well away from where the pose puts them: more than a lens known only roughly explains.
+fn contradicting_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, observations: &[Observation]) -> usize {
+    let limit = 2.0 * residual_limit_px(moving.lens);
+    let is_far = |o: &&Observation| {
+        let unit = Observation { information: nalgebra::Matrix2::identity(), ..**o };
+        squared_residual(&fine.pose, moving, &unit).is_none_or(|squared| squared > limit * limit)
+    };
+    observations.iter().filter(is_far).count()
+}
+
+/// [`LARGEST_RESIDUAL_PX`] at the size of this camera's frames.
+fn residual_limit_px(lens: &CameraModel) -> f64 {
+    LARGEST_RESIDUAL_PX * (f64::from(lens.width().max(lens.height())) / 1280.0).max(0.5)
 }
 
 /// The covariance, refused where noise alone leaves too much open; what the motion leaves open is added after.
