@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use clap::Args;
 use thiserror::Error;
 
-use crate::capture::{FrameSource, RowContent, VirtualCamera};
+use crate::capture::{CaptureError, FrameSource, RowContent, VirtualCamera};
 use crate::daemon::{Tracker, TrackerSetup};
 use crate::frame::Frame;
 use crate::record::PoseSample;
@@ -74,6 +74,9 @@ pub enum DemoError {
         /// What the system says.
         source: io::Error,
     },
+    /// A frame or a stamp of the saved clip cannot be written.
+    #[error(transparent)]
+    Clip(#[from] CaptureError),
     /// The folder for the saved clip holds one already.
     #[error("{}: there is a clip already; give --save another folder", .0.display())]
     Exists(PathBuf),

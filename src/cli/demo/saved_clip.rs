@@ -8,12 +8,12 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{GrayImage, ImageError};
 
 use super::DemoError;
-use crate::camera::Intrinsics;
+use crate::camera::Calibration;
+use crate::capture::{ClipWriter, PictureFormat};
 use crate::frame::Frame;
 use crate::geometry::{Camera, Pose, Stage};
 use crate::simulate::VirtualStage;
@@ -22,8 +22,7 @@ use crate::simulate::VirtualStage;
 #[derive(Debug)]
 pub(super) struct SavedClip {
     folder: PathBuf,
-    jpeg: Option<u8>,
-    stamps: BufWriter<File>,
+    clip: ClipWriter,
     truth: BufWriter<File>,
 }
 
@@ -37,23 +36,21 @@ impl SavedClip {
         }
         fs::create_dir_all(&frames).map_err(at(&frames))?;
         for surface in &stage.stage.surfaces {
-            save_picture(&folder.join(format!("{}.png", surface.name)), &surface.artwork, None)?;
+            save_picture(&folder.join(format!("{}.png", surface.name)), &surface.artwork)?;
         }
-        let texts = [("camera.toml", calibration_toml(stage.camera.intrinsics())), ("stage.toml", stage_toml(stage))];
+        let texts = [("camera.toml", Calibration::new(stage.camera).to_toml()), ("stage.toml", stage_toml(stage))];
         for (name, text) in texts {
             let file = folder.join(name);
             fs::write(&file, text).map_err(at(&file))?;
         }
-        let stamps = started(&folder.join(STAMPS), "#timestamp [ns],filename")?;
+        let clip = ClipWriter::create(folder, jpeg.map_or(PictureFormat::Png, |quality| PictureFormat::Jpeg { quality }))?;
         let truth = started(&folder.join(TRUTH), "# timestamp tx ty tz qx qy qz qw (camera in the stage, metres, seconds)")?;
-        Ok(Self { folder: folder.to_owned(), jpeg, stamps, truth })
+        Ok(Self { folder: folder.to_owned(), clip, truth })
     }
 
     /// Writes one frame, its stamp and its true pose.
     pub(super) fn add(&mut self, frame: &Frame, truth: &Pose<Stage, Camera>) -> Result<(), DemoError> {
-        let name = format!("{:06}.{}", frame.sequence, if self.jpeg.is_some() { "jpg" } else { "png" });
-        save_picture(&self.folder.join("frames").join(&name), &frame.image, self.jpeg)?;
-        writeln!(self.stamps, "{},{name}", frame.timestamp_ns).map_err(at(&self.folder.join(STAMPS)))?;
+        self.clip.push(frame)?;
         let (s, ns) = (frame.timestamp_ns / 1_000_000_000, frame.timestamp_ns % 1_000_000_000);
         let (p, [x, y, z, w]) = (truth.translation, truth.orientation_xyzw());
         writeln!(self.truth, "{s}.{ns:09} {:.9} {:.9} {:.9} {x:.9} {y:.9} {z:.9} {w:.9}", p.x, p.y, p.z)
@@ -62,12 +59,11 @@ impl SavedClip {
 
     /// Writes what is still held back.
     pub(super) fn finish(mut self) -> Result<(), DemoError> {
-        self.stamps.flush().map_err(at(&self.folder.join(STAMPS)))?;
+        self.clip.finish()?;
         self.truth.flush().map_err(at(&self.folder.join(TRUTH)))
     }
 }
 
-const STAMPS: &str = "timestamps.csv";
 const TRUTH: &str = "groundtruth.txt";
 
 fn at(file: &Path) -> impl FnOnce(io::Error) -> DemoError + '_ {
@@ -80,25 +76,14 @@ fn started(file: &Path, first_line: &str) -> Result<BufWriter<File>, DemoError> 
     Ok(out)
 }
 
-fn save_picture(file: &Path, picture: &GrayImage, jpeg: Option<u8>) -> Result<(), DemoError> {
+fn save_picture(file: &Path, picture: &GrayImage) -> Result<(), DemoError> {
     let mut out = BufWriter::new(File::create(file).map_err(at(file))?);
-    let encoded = match jpeg {
-        Some(quality) => picture.write_with_encoder(JpegEncoder::new_with_quality(&mut out, quality)),
-        None => picture.write_with_encoder(PngEncoder::new_with_quality(&mut out, CompressionType::Best, FilterType::Adaptive)),
-    };
+    let encoded = picture.write_with_encoder(PngEncoder::new_with_quality(&mut out, CompressionType::Best, FilterType::Adaptive));
     let written = encoded.map_err(|error| match error {
         ImageError::IoError(error) => error,
         other => io::Error::other(other),
     });
     written.and_then(|()| out.flush()).map_err(at(file))
-}
-
-/// The calibration file (contract C6); `{:?}` writes a number so that it reads back to the last bit.
-fn calibration_toml(i: &Intrinsics) -> String {
-    format!(
-        "width = {}\nheight = {}\nfx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\nskew = {:?}\ndistortion = {:?}\n",
-        i.width, i.height, i.fx, i.fy, i.cx, i.cy, i.skew, i.distortion
-    )
 }
 
 /// The config (contract C5).
