@@ -14,6 +14,7 @@
 //! - [`geometry`]: SE(3), homography, essential matrix, planar pose, resection, robust estimation: pure functions
 //! - [`camera`]: the camera model with distortion and its exact inverse; calibration files
 //! - [`frame`]: a grey picture with its stamp
+//! - [`compute_clock`]: how long work kept its thread busy
 //! - [`features`]: pyramid, corners, binary descriptors
 //! - [`matching`]: which feature is which
 //! - [`track`]: surfaces and bodies; acquire, register, verify, lock: a frame becomes a [`track::Sighting`]
@@ -36,6 +37,7 @@
 pub mod camera;
 pub mod capture;
 pub mod cli;
+pub mod compute_clock;
 pub mod config;
 pub mod daemon;
 pub mod features;

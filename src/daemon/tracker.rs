@@ -1,10 +1,9 @@
 //! The tracker without threads: matcher and pose stage, one call a frame.
 
-use std::time::Instant;
-
 use image::GrayImage;
 
 use crate::camera::CameraModel;
+use crate::compute_clock::ComputeClock;
 use crate::capture::{Row, RowContent};
 use crate::frame::Frame;
 use crate::pose::{BodyEstimate, PoseEstimate, PoseStage};
@@ -56,7 +55,7 @@ impl Tracker {
     /// Prepares the reference pictures; takes a fraction of a second per surface.
     pub fn new(setup: TrackerSetup) -> Self {
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
-        let matcher = Matcher::new(setup.camera, setup.readout_s, setup.mask, &setup.stage, &setup.objects, setup.settings);
+        let matcher = Matcher::new(setup.camera, setup.readout_s, setup.exposure_s, setup.mask, &setup.stage, &setup.objects, setup.settings);
         Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names } }
     }
 
@@ -86,11 +85,11 @@ impl PoseRecorder {
     /// The sample of a sighting.
     pub(super) fn sample(&mut self, sighting: &Sighting, decode_ms: f64) -> PoseSample {
         let _span = tracing::debug_span!("pose", sequence = sighting.sequence).entered();
-        let start = Instant::now();
+        let start = ComputeClock::start();
         let PoseEstimate { camera, objects } = self.stage.estimate(sighting);
         let measurement = measurement(sighting, &camera);
         let objects = self.names.iter().zip(objects).map(|(name, o)| object_sample(name, o)).collect();
-        let pose_ms = start.elapsed().as_secs_f64() * 1e3;
+        let pose_ms = start.elapsed_ms();
         PoseSample {
             sequence: sighting.sequence,
             timestamp_ns: sighting.timestamp_ns,
@@ -127,7 +126,7 @@ fn measurement(sighting: &Sighting, camera: &BodyEstimate<crate::geometry::Camer
         model: if two_view.has_depth { TwoViewModel::Essential } else { TwoViewModel::Homography },
         homography: two_view.homography,
         essential,
-        inliers: verified.anchors.len(),
+        inliers: verified.inliers,
         rms_px: verified.rms_px,
     })
 }

@@ -4,15 +4,16 @@
 //! threads there are. One worker means the calling thread, and no pool at all.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
 
 use rayon::prelude::*;
+
+use crate::compute_clock::ComputeClock;
 
 /// A fixed number of workers.
 #[derive(Debug, Default)]
 pub struct Workers {
     pool: Option<rayon::ThreadPool>,
-    /// Compute beyond the wall clock of the calling thread, nanoseconds, since the last [`Workers::take_extra_ms`].
+    /// Processor time of the pool's threads, nanoseconds, since the last [`Workers::take_extra_ms`].
     extra_ns: AtomicU64,
 }
 
@@ -31,18 +32,17 @@ impl Workers {
             output.extend(input.iter().map(compute));
             return;
         };
-        let start = Instant::now();
         let busy = AtomicU64::new(0);
         let piece = input.len().div_ceil(4 * pool.current_num_threads()).max(1);
         pool.install(|| {
             input
                 .par_iter()
                 .with_min_len(piece)
-                .map_init(|| Stopwatch { start: Instant::now(), total: &busy }, |_, x| compute(x))
+                .map_init(|| Stopwatch { clock: ComputeClock::start(), total: &busy }, |_, x| compute(x))
                 .collect_into_vec(output);
         });
-        let wall = start.elapsed().as_nanos() as u64;
-        self.extra_ns.fetch_add(busy.load(Ordering::Relaxed).saturating_sub(wall), Ordering::Relaxed);
+        // The calling thread waited meanwhile.
+        self.extra_ns.fetch_add(busy.load(Ordering::Relaxed), Ordering::Relaxed);
     }
 
     /// Runs `compute` on every element in place.
@@ -51,32 +51,31 @@ impl Workers {
             items.iter_mut().for_each(compute);
             return;
         };
-        let start = Instant::now();
         let busy = AtomicU64::new(0);
         pool.install(|| {
             items.par_iter_mut().with_max_len(1).for_each(|x| {
-                let _watch = Stopwatch { start: Instant::now(), total: &busy };
+                let _watch = Stopwatch { clock: ComputeClock::start(), total: &busy };
                 compute(x);
             });
         });
-        let wall = start.elapsed().as_nanos() as u64;
-        self.extra_ns.fetch_add(busy.load(Ordering::Relaxed).saturating_sub(wall), Ordering::Relaxed);
+        // The calling thread waited meanwhile.
+        self.extra_ns.fetch_add(busy.load(Ordering::Relaxed), Ordering::Relaxed);
     }
 
-    /// Compute that other threads did while the caller waited, milliseconds, since the last call.
+    /// Processor time that the pool's threads spent while the caller waited, milliseconds, since the last call.
     pub fn take_extra_ms(&self) -> f64 {
         self.extra_ns.swap(0, Ordering::Relaxed) as f64 * 1e-6
     }
 }
 
 struct Stopwatch<'a> {
-    start: Instant,
+    clock: ComputeClock,
     total: &'a AtomicU64,
 }
 
 impl Drop for Stopwatch<'_> {
     fn drop(&mut self) {
-        self.total.fetch_add(self.start.elapsed().as_nanos() as u64, Ordering::Relaxed);
+        self.total.fetch_add(self.clock.elapsed().as_nanos() as u64, Ordering::Relaxed);
     }
 }
 

@@ -4,13 +4,12 @@
 //! where it should be by now), of which the first that the picture clearly verifies is taken; its lock decides what that means. The matcher owns all buffers
 //! of the hot path.
 
-use std::time::Instant;
-
 use image::GrayImage;
-use nalgebra::Vector2;
+use nalgebra::{Matrix3, Matrix6, Vector2};
 use tracing::{debug, debug_span};
 
 use super::acquire::{candidates, surface_matches};
+use super::align::{Aligner, Alignment, Eye, FrameLevels, MotionEstimate, Patch, Sensor};
 use super::lock::{Lock, LockState};
 use super::reference::{PreparedBody, halve_into};
 use super::registration::SearchPicture;
@@ -18,11 +17,12 @@ use super::settings::TrackerSettings;
 use super::shutter::Shutter;
 use super::surface::BodySpec;
 use super::two_view::{TwoView, two_view};
-use super::verify::{Verified, VerifyBuffers, View, verify};
-use crate::camera::CameraModel;
+use super::verify::{FittedAnchor, Verified, VerifyBuffers, View, verify};
+use crate::camera::{CameraModel, Normalized};
+use crate::compute_clock::ComputeClock;
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::frame::Frame;
-use crate::geometry::resection::{Twist, perturbed};
+use crate::geometry::resection::{Observation, Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
 use crate::matching::{Match, MatchBuffers, ReferenceIndex};
 
@@ -61,11 +61,34 @@ struct TrackedBody {
     /// Its surfaces' numbers in the reference index.
     surfaces: std::ops::Range<u32>,
     lock: Lock,
+    aligner: Aligner,
+    patches: Vec<Patch>,
+    /// The motion at the last aligned frame, and its stamp.
+    motion: Option<(MotionEstimate, i64)>,
     /// The last verified pose, its stamp, and the motion that led to it.
     before: Option<(Pose<Camera, Body>, i64, Option<Twist>)>,
 }
 
 impl TrackedBody {
+    /// Aligns the body and judges the result. `is_expected`: the start comes from the motion of an aligned body.
+    fn align(&mut self, frame: &Frame, levels: &FrameLevels, eye: &Eye, expected: &MotionEstimate, is_expected: bool) -> Option<Verified> {
+        let found = self.aligner.align(levels, eye, expected)?;
+        debug!(
+            share = found.share(),
+            tiles = found.tiles,
+            scale = found.scale,
+            inliers = found.inliers,
+            surprise = found.surprise,
+            "aligned"
+        );
+        if !found.is_credible(is_expected) {
+            return None;
+        }
+        self.motion = Some((found.estimate, frame.timestamp_ns));
+        self.aligner.patches(&found.estimate.motion, &mut self.patches);
+        Some(aligned(&self.body, &found, &self.patches, eye.camera()))
+    }
+
     /// Remembers a verified pose for the motion of the next frame.
     fn remember(&mut self, timestamp_ns: i64, pose: &Pose<Camera, Body>) {
         let twist = self.before_at(timestamp_ns).map(|(before, dt_s, _)| Twist::between(&before, pose, dt_s));
@@ -102,6 +125,8 @@ pub struct Matcher {
     match_buffers: MatchBuffers,
     verify_buffers: VerifyBuffers,
     half: GrayImage,
+    eye: Eye,
+    levels: FrameLevels,
 }
 
 /// Lowe's ratio.
@@ -113,6 +138,11 @@ const LEAST_REFERENCE_FEATURES: usize = 700;
 const LARGEST_REFERENCE_PX: u32 = 2000;
 /// Verified poses further apart tell nothing of the motion within a frame, seconds.
 const LONGEST_MOTION_GAP_S: f64 = 0.07;
+/// An aligned body is followed over gaps up to this, seconds.
+const LONGEST_FOLLOWED_GAP_S: f64 = 0.1;
+/// How far off a pose that features found may be, one sigma: of the distance, and radians.
+const FIRST_SHIFT: f64 = 0.003;
+const FIRST_TURN: f64 = 0.003;
 /// Candidates of a body that are put to the test per frame.
 const TRIED: usize = 3;
 /// Share of fitting anchors beyond which no rival is asked.
@@ -123,6 +153,7 @@ impl Matcher {
     pub fn new(
         camera: CameraModel,
         readout_s: f64,
+        exposure_s: f64,
         mask: Option<GrayImage>,
         stage: &BodySpec,
         objects: &[BodySpec],
@@ -135,11 +166,14 @@ impl Matcher {
             let body = PreparedBody::new(spec);
             let surfaces = next..next + body.surfaces.len() as u32;
             next = surfaces.end;
-            bodies.push(TrackedBody { body, surfaces, lock: Lock::default(), before: None });
+            let aligner = Aligner::new(&body, Sensor { readout_s, exposure_s });
+            bodies.push(TrackedBody { body, surfaces, lock: Lock::default(), aligner, patches: Vec::new(), motion: None, before: None });
         }
         let index = reference_index(&bodies, &workers);
         workers.take_extra_ms();
         Self {
+            eye: Eye::new(camera, mask.clone()),
+            levels: FrameLevels::default(),
             camera,
             settings,
             mask,
@@ -162,34 +196,36 @@ impl Matcher {
         if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
             return self.look_away(frame.sequence, frame.timestamp_ns);
         }
-        let start = Instant::now();
-        {
-            let _span = debug_span!("detect").entered();
-            let options = ExtractorOptions { count: self.settings.features, ..Default::default() };
-            self.extractor.extract(&frame.image, self.mask.as_ref(), &options, &self.workers, &mut self.features);
-            self.index.match_features(&self.features, RATIO, &self.workers, &mut self.match_buffers, &mut self.matches);
-        }
-        let mut acquire_ms = start.elapsed().as_secs_f64() * 1e3 + self.workers.take_extra_ms();
-        let start = Instant::now();
-        halve_into(&frame.image, &mut self.half);
-        let mut align_ms = start.elapsed().as_secs_f64() * 1e3;
-        let mut sightings = Vec::with_capacity(self.bodies.len());
-        for k in 0..self.bodies.len() {
-            let verified = self.find(k, frame, &mut acquire_ms, &mut align_ms);
-            let pose = verified.as_ref().map(|v| &v.pose);
-            if let Some(v) = &verified {
-                self.bodies[k].remember(frame.timestamp_ns, &v.pose);
+        let start = ComputeClock::start();
+        self.levels.update(&frame.image, false);
+        let mut verified: Vec<Option<Verified>> = (0..self.bodies.len()).map(|k| self.follow(k, frame)).collect();
+        let mut align_ms = start.elapsed_ms();
+        let mut acquire_ms = 0.0;
+        if verified.iter().any(Option::is_none) {
+            self.extract(frame, &mut acquire_ms);
+            for (k, verified) in verified.iter_mut().enumerate().filter(|(_, v)| v.is_none()) {
+                *verified = self.find(k, frame, &mut acquire_ms, &mut align_ms);
             }
-            let state = self.bodies[k].lock.update(frame.timestamp_ns, pose, self.settings.coast_s, self.settings.confirm_frames);
+        }
+        let mut sightings = Vec::with_capacity(self.bodies.len());
+        for (tracked, verified) in self.bodies.iter_mut().zip(verified) {
+            if let Some(v) = &verified {
+                tracked.remember(frame.timestamp_ns, &v.pose);
+            }
+            // A frame that leaves no doubt confirms itself, unless the motion during its readout is still unknown.
+            let conclusive = verified.as_ref().is_some_and(|v| v.is_conclusive) && self.readout_s == 0.0;
+            let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
+            let pose = verified.as_ref().map(|v| &v.pose);
+            let state = tracked.lock.update(frame.timestamp_ns, pose, self.settings.coast_s, confirm_frames);
             let verified = verified.filter(|_| state == LockState::Tracking);
             sightings.push(BodySighting { state, verified });
         }
-        let start = Instant::now();
+        let start = ComputeClock::start();
         let two_view = sightings[0].verified.as_ref().map(|v| {
             let _span = debug_span!("two_view").entered();
             two_view(&self.bodies[0].body, v, &self.camera, self.settings.seed)
         });
-        align_ms += start.elapsed().as_secs_f64() * 1e3;
+        align_ms += start.elapsed_ms();
         let objects = sightings.split_off(1);
         let stage = sightings.remove(0);
         Sighting {
@@ -226,10 +262,47 @@ impl Matcher {
         Sighting { sequence, timestamp_ns, is_timed: false, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
     }
 
-    /// The best verified pose of a body in this frame.
+    /// Features of the frame and their matches, for bodies that were lost.
+    fn extract(&mut self, frame: &Frame, acquire_ms: &mut f64) {
+        let _span = debug_span!("detect").entered();
+        let start = ComputeClock::start();
+        let options = ExtractorOptions { count: self.settings.features, ..Default::default() };
+        self.extractor.extract(&frame.image, self.mask.as_ref(), &options, &self.workers, &mut self.features);
+        self.index.match_features(&self.features, RATIO, &self.workers, &mut self.match_buffers, &mut self.matches);
+        halve_into(&frame.image, &mut self.half);
+        *acquire_ms += start.elapsed_ms() + self.workers.take_extra_ms();
+    }
+
+    /// Aligns a body from where it should be; `None` where it was not aligned lately, or the picture does not bear it out.
+    fn follow(&mut self, k: usize, frame: &Frame) -> Option<Verified> {
+        let tracked = &mut self.bodies[k];
+        let (estimate, then_ns) = tracked.motion.take()?;
+        let dt_s = frame.timestamp_ns.saturating_sub(then_ns) as f64 * 1e-9;
+        if dt_s <= 0.0 || dt_s > LONGEST_FOLLOWED_GAP_S {
+            return None;
+        }
+        let _span = debug_span!("follow", body = %tracked.body.name).entered();
+        let expected = estimate.after(dt_s, tracked.aligner.distance(&estimate.motion.pose));
+        tracked.align(frame, &self.levels, &self.eye, &expected, true)
+    }
+
+    /// The best verified pose of a body in this frame, aligned where that succeeds.
     fn find(&mut self, k: usize, frame: &Frame, acquire_ms: &mut f64, align_ms: &mut f64) -> Option<Verified> {
+        let verified = self.find_by_features(k, frame, acquire_ms, align_ms)?;
+        let start = ComputeClock::start();
+        let tracked = &mut self.bodies[k];
+        let back = verified.pose.inverse();
+        let distance = tracked.aligner.distance(&back);
+        let first = MotionEstimate::unseen(back, distance, FIRST_SHIFT * distance, FIRST_TURN);
+        let aligned = tracked.align(frame, &self.levels, &self.eye, &first, false);
+        *align_ms += start.elapsed_ms();
+        aligned.or(Some(verified))
+    }
+
+    /// The best pose that patches at matched features verify.
+    fn find_by_features(&mut self, k: usize, frame: &Frame, acquire_ms: &mut f64, align_ms: &mut f64) -> Option<Verified> {
         let tracked = &self.bodies[k];
-        let start = Instant::now();
+        let start = ComputeClock::start();
         let found = {
             let _span = debug_span!("acquire", body = %tracked.body.name).entered();
             let own = surface_matches(&self.matches, &self.features, self.index.features(), tracked.surfaces.clone(), &self.camera);
@@ -237,8 +310,8 @@ impl Matcher {
             debug!(matches = own.len(), candidates = found.len(), inliers = found.first().map_or(0, |c| c.inliers));
             found
         };
-        *acquire_ms += start.elapsed().as_secs_f64() * 1e3;
-        let start = Instant::now();
+        *acquire_ms += start.elapsed_ms();
+        let start = ComputeClock::start();
         let _span = debug_span!("align", body = %tracked.body.name).entered();
         let view = View {
             camera: &self.camera,
@@ -255,13 +328,41 @@ impl Matcher {
             let predicted = tracked.predicted(frame.timestamp_ns);
             best = best_verified(tracked, predicted.into_iter(), &view, continued, &mut self.verify_buffers);
         }
-        *align_ms += start.elapsed().as_secs_f64() * 1e3 + self.workers.take_extra_ms();
+        *align_ms += start.elapsed_ms() + self.workers.take_extra_ms();
         best
     }
 
     /// The camera that frames are taken with.
     pub fn camera(&self) -> &CameraModel {
         &self.camera
+    }
+}
+
+/// An alignment in the terms of the record: pose and covariance of `T_camera_body`, and correspondences.
+fn aligned(body: &PreparedBody, found: &Alignment, patches: &[Patch], camera: &CameraModel) -> Verified {
+    let pose = found.estimate.motion.pose.inverse();
+    // R <- R Exp(δθ), p <- p + δp of the inverse, as a left perturbation of the pose: φ = -δθ, τ = -Rᵀ δp.
+    let mut by_error = Matrix6::zeros();
+    by_error.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-pose.rotation_matrix()));
+    by_error.fixed_view_mut::<3, 3>(3, 3).copy_from(&(-Matrix3::identity()));
+    let covariance = by_error * found.covariance * by_error.transpose();
+    let anchor = |p: &Patch| {
+        let spec = &body.surfaces[p.surface as usize].spec;
+        let artwork = spec.artwork_from_metres(p.on_surface_m);
+        let point = spec.body_point(artwork);
+        let seen = pose.transform(&point);
+        let steady_px = camera.project(Normalized(seen.coords.xy() / seen.z)).0 + p.shift_px;
+        let observation = Observation { point, pixel: steady_px, information: p.information, delay_s: 0.0, group: p.tile };
+        FittedAnchor { surface: p.surface, artwork, observation, steady_px }
+    };
+    Verified {
+        pose,
+        covariance: (covariance + covariance.transpose()) * 0.5,
+        anchors: patches.iter().map(anchor).collect(),
+        share: found.share(),
+        inliers: found.inliers as usize,
+        rms_px: found.rms_px,
+        is_conclusive: found.is_conclusive(),
     }
 }
 

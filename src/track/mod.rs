@@ -6,6 +6,7 @@
 //! `matcher` runs them all on a frame.
 
 mod acquire;
+mod align;
 mod lock;
 mod matcher;
 mod reference;

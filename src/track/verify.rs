@@ -55,8 +55,12 @@ pub struct Verified {
     pub anchors: Vec<FittedAnchor>,
     /// Share of the anchors asked that fit.
     pub share: f64,
-    /// Root mean square residual of the fitting anchors, pixels.
+    /// Pixels or anchors that it rests on.
+    pub inliers: usize,
+    /// Their root mean square residual, pixels.
     pub rms_px: f64,
+    /// Whether this frame alone leaves no doubt.
+    pub is_conclusive: bool,
 }
 
 /// An anchor that fits.
@@ -197,7 +201,7 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
         squared_residual(&fine.pose, &moving, &unit).unwrap_or(0.0)
     };
     let rms_px = (anchors.iter().map(squared_px).sum::<f64>() / anchors.len() as f64).sqrt();
-    Ok(Verified { pose: fine.pose, covariance, anchors, share, rms_px })
+    Ok(Verified { pose: fine.pose, covariance, share, inliers: anchors.len(), rms_px, anchors, is_conclusive: false })
 }
 
 /// The anchors that agree with the pose, in pixels and in sigmas.

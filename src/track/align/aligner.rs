@@ -1,0 +1,367 @@
+//! Coarse to fine: from where a body is expected to where the frame shows it.
+
+use nalgebra::{Matrix2, Matrix6, Vector2};
+
+use super::frame_levels::{FrameLevels, LEVELS};
+use super::light::Light;
+use super::motion::{Motion, MotionEstimate};
+use super::normal::RunEvidence;
+use super::selection::{Chosen, Selector};
+use super::system::System;
+use super::work::{Corrected, Expected, Task, Work};
+use super::{AlignSurface, Eye, Sensor};
+use crate::geometry::{Body, Camera, Pose};
+use crate::track::reference::PreparedBody;
+
+/// What an alignment came to.
+#[derive(Debug, Clone, Copy)]
+pub struct Alignment {
+    /// Pose and motion at the frame's stamp, and what the picture and the prior leave open of them.
+    pub estimate: MotionEstimate,
+    /// Covariance of [δp, δθ] of the pose (axes as in the motion's error): noise and model error.
+    pub covariance: Matrix6<f64>,
+    /// Robust standard deviation of the residuals, in sigmas of the expected noise.
+    pub scale: f64,
+    /// Pixels that tell something, and those that fit.
+    pub asked: f64,
+    /// See `asked`.
+    pub inliers: f64,
+    /// Root mean square of residual over gradient, pixels of the frame.
+    pub rms_px: f64,
+    /// Tiles with detail, and those that agree.
+    pub tiles: usize,
+    /// See `tiles`.
+    pub agreeing: usize,
+    /// Squared distance between the expected and the found pose, in sigmas of what was expected; about 6 where nothing surprises.
+    pub surprise: f64,
+}
+
+impl Alignment {
+    /// Share of the tiles with detail that agree.
+    pub fn share(&self) -> f64 {
+        self.agreeing as f64 / self.tiles.max(1) as f64
+    }
+
+    /// Whether the picture alone leaves no doubt.
+    pub fn is_conclusive(&self) -> bool {
+        self.tiles >= CONCLUSIVE_TILES && self.share() >= CONCLUSIVE_SHARE
+    }
+
+    /// Whether the pose may be given: clearly right, or less clearly where it was expected.
+    pub fn is_credible(&self, is_expected: bool) -> bool {
+        let continues = is_expected && self.share() >= CONTINUED_SHARE && self.surprise < LARGEST_SURPRISE;
+        self.agreeing >= LEAST_TILES && (self.share() >= NEW_SHARE || continues)
+    }
+}
+
+/// Fewest agreeing tiles of a pose that is given; their least share of those with detail: of any pose, and of one that is where the
+/// motion filter expected it (by less than this surprise). Right and wrong poses over many starts: docs/alignment.md.
+const LEAST_TILES: usize = 8;
+const NEW_SHARE: f64 = 0.5;
+const CONTINUED_SHARE: f64 = 0.2;
+const LARGEST_SURPRISE: f64 = 100.0;
+/// Tiles and their agreeing share that leave no doubt.
+const CONCLUSIVE_TILES: usize = 40;
+const CONCLUSIVE_SHARE: f64 = 0.7;
+
+/// A patch of the reference and where the frame shows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Patch {
+    /// Surface index in the body.
+    pub surface: u32,
+    /// Its middle on the surface, metres from the centre (x right, y up).
+    pub on_surface_m: Vector2<f64>,
+    /// How far from where the pose puts it the frame shows it, pixels of the frame.
+    pub shift_px: Vector2<f64>,
+    /// Information of the shift, pixels^-2.
+    pub information: Matrix2<f64>,
+    /// Tile, for grouping.
+    pub tile: u32,
+}
+
+/// Pixels asked at each level, from full size down; at the finest one under motion blur, whose prediction costs more.
+const PIXELS: [usize; LEVELS] = [30_000, 30_000, 4000, 1500];
+const BLURRED_PIXELS: usize = 15_000;
+/// Pixels asked while nothing moves: their prediction is kept from frame to frame.
+const STILL_PIXELS: usize = 100_000;
+/// Exposure that an unknown camera is begun with, seconds.
+const USUAL_EXPOSURE_S: f64 = 0.004;
+/// Shortest exposure that is told from none.
+const SHORTEST_EXPOSURE_S: f64 = 5e-4;
+/// Longest exposure of a camera at 25 frames a second, seconds.
+const LONGEST_EXPOSURE_S: f64 = 0.04;
+/// The point spread is one slow state, learnt from frames with less motion blur than this (pixels of the frame), by this share of
+/// what each says; one sigma about it in such frames, and in others, where it must not pass for motion. In the kernel's unit.
+const SHARP_FRAME_PX: f64 = 1.0;
+const SPREAD_SHARE: f64 = 0.2;
+const SPREAD_SIGMA: f64 = 0.5;
+const BLURRED_SPREAD_SIGMA: f64 = 0.05;
+/// An unknown exposure is learnt from frames with at least so much blur, pixels of the frame, by this share of what each says.
+const TELLING_BLUR_PX: f64 = 1.5;
+const LEARNT_SHARE: f64 = 0.2;
+/// Linearisations of a level at most.
+const ROUNDS: usize = 3;
+/// A level is left when a step moved no tile by more, pixels of the level.
+const COARSE_STEP_PX: f64 = 0.1;
+const FINE_STEP_PX: f64 = 0.03;
+/// Fewest fitting pixels of a patch.
+const LEAST_PATCH_PIXELS: f64 = 12.0;
+/// The level that alignment ends at.
+const FINEST: usize = 1;
+/// A level converges from this many of its pixels off.
+const BASIN_PX: f64 = 2.5;
+/// Blur of less than this is none, pixels of the level.
+const SHARP_PX: f64 = 0.4;
+/// A prediction is kept for the next frame while nothing moved by more, pixels of the level.
+const KEPT_PX: f64 = 0.05;
+
+/// Aligns one body; owns all buffers of its hot path and the slow states (light, point spread).
+#[derive(Debug)]
+pub struct Aligner {
+    surfaces: Vec<AlignSurface>,
+    /// With the exposure as known or learnt.
+    sensor: Sensor,
+    /// Longest exposure that an unknown one may be found to be, seconds; `None` where the exposure is known.
+    longest_exposure_s: Option<f64>,
+    light: Light,
+    /// Slow average of the point spread.
+    spread: f64,
+    selector: Selector,
+    chosen: Vec<Chosen>,
+    coarse: Work,
+    fine: Work,
+    system: System,
+    /// Whether the finest level holds the pixels of a still camera.
+    has_kept: bool,
+}
+
+impl Aligner {
+    /// Prepares a body's pictures.
+    pub fn new(body: &PreparedBody, sensor: Sensor) -> Self {
+        let is_known = sensor.exposure_s > 0.0;
+        let sensor = Sensor { exposure_s: if is_known { sensor.exposure_s } else { USUAL_EXPOSURE_S }, ..sensor };
+        Self {
+            longest_exposure_s: (!is_known).then_some(LONGEST_EXPOSURE_S),
+            surfaces: body.surfaces.iter().map(|s| AlignSurface::new(&s.spec)).collect(),
+            sensor,
+            light: Light::default(),
+            spread: 0.0,
+            selector: Selector::default(),
+            chosen: Vec::new(),
+            coarse: Work::default(),
+            fine: Work::default(),
+            system: System::default(),
+            has_kept: false,
+        }
+    }
+
+    /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges.
+    pub fn align(&mut self, frame: &FrameLevels, eye: &Eye, expected: &MotionEstimate) -> Option<Alignment> {
+        let information = expected.covariance.cholesky()?.inverse();
+        let blur_px = 2.0 * task(&self.surfaces, &self.sensor, eye, 1, 1, &expected.motion).blur_px;
+        let spread_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_SPREAD_SIGMA } else { SPREAD_SIGMA };
+        let known = Expected { motion: &expected.motion, information: &information, spread: self.spread, spread_sigma };
+        let finest = FINEST;
+        let solved = match self.same_again(frame, eye, finest, &known) {
+            Some(solved) => solved,
+            None => {
+                let coarse = self.coarse_motion(frame, eye, finest, &known, expected)?;
+                self.fine_motion(frame, eye, finest, &known, coarse)?
+            }
+        };
+        self.conclude(eye, finest, &solved, expected)
+    }
+
+    /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels.
+    fn same_again(&mut self, frame: &FrameLevels, eye: &Eye, finest: usize, known: &Expected) -> Option<Corrected> {
+        let task = Task { count: STILL_PIXELS, ..task(&self.surfaces, &self.sensor, eye, finest, finest, known.motion) };
+        if self.fine.moved_since(&task, known.motion) > KEPT_PX {
+            self.has_kept = false;
+            return None;
+        }
+        if self.has_kept {
+            self.fine.renew(&task, frame);
+        } else {
+            let is_laid_out = self.fine.lay_out(&task, frame, known.motion, &mut self.selector, &mut self.chosen);
+            self.fine.predict(&task, known.motion);
+            self.has_kept = is_laid_out;
+        }
+        let solved = self.fine.solve(&task, known, &mut self.light, &mut self.system, false, 2)?;
+        (self.fine.moved_px(&task, known.motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
+    }
+
+    /// What the residuals of a blurred frame say of the exposure, beside the point spread.
+    fn learn_exposure(&mut self, blur_px: f64) {
+        let Some(longest) = self.longest_exposure_s.filter(|_| blur_px > TELLING_BLUR_PX) else { return };
+        let mut s = [0.0; 5];
+        for e in &self.fine.evidence {
+            for (s, v) in s.iter_mut().zip(e.blur) {
+                *s += v;
+            }
+        }
+        // What is known of the point spread keeps it from passing for motion.
+        s[0] += BLURRED_SPREAD_SIGMA.powi(-2);
+        s[3] += (self.spread - self.light.spread) * BLURRED_SPREAD_SIGMA.powi(-2);
+        let determinant = s[0] * s[2] - s[1] * s[1];
+        if determinant <= 1e-3 * s[0] * s[2] {
+            return;
+        }
+        // Grey changes by -2 / exposure of "sharper" per second of exposure: blur grows with its square.
+        let sharper = (s[0] * s[4] - s[1] * s[3]) / determinant;
+        let change = (-0.5 * sharper).clamp(-0.3, 0.3);
+        self.sensor.exposure_s = (self.sensor.exposure_s * (1.0 + LEARNT_SHARE * change)).clamp(SHORTEST_EXPOSURE_S, longest);
+    }
+
+    /// The patches of the last frame that fit, one a tile: where each is on its surface, and how far off the frame shows it.
+    pub fn patches(&self, motion: &Motion, patches: &mut Vec<Patch>) {
+        patches.clear();
+        for (run, e) in self.fine.pixels.runs.iter().zip(&self.fine.evidence) {
+            let [aa, ab, bb, ra, rb] = e.shift;
+            // A wider view than one edge, and mostly fitting.
+            if e.inliers < LEAST_PATCH_PIXELS || 2.0 * e.inliers < e.count || aa * bb - ab * ab < 0.02 * (aa + bb).powi(2) {
+                continue;
+            }
+            let structure = Matrix2::new(aa, ab, ab, bb);
+            let Some(inverse) = structure.try_inverse() else { continue };
+            let scale = f64::from(1u32 << FINEST);
+            // Predicted grey at u shows what the frame has at u + shift: the residual is -gradient times shift.
+            let shift_px = -(inverse * Vector2::new(ra, rb)) * scale;
+            let surface = &self.surfaces[run.surface as usize];
+            let Some(on_surface_m) = self.fine.middle_on_surface(run, e, surface, motion) else { continue };
+            patches.push(Patch { surface: run.surface, on_surface_m, shift_px, information: structure / (scale * scale), tile: run.tile });
+        }
+    }
+
+    /// The exposure as known or learnt, seconds.
+    pub fn exposure_s(&self) -> f64 {
+        self.sensor.exposure_s
+    }
+
+    fn coarse_motion(
+        &mut self,
+        frame: &FrameLevels,
+        eye: &Eye,
+        finest: usize,
+        known: &Expected,
+        expected: &MotionEstimate,
+    ) -> Option<Motion> {
+        let mut motion = expected.motion;
+        let mut is_first = true;
+        for l in (finest + 1..=self.start_level(eye, expected)).rev() {
+            let task = task(&self.surfaces, &self.sensor, eye, l, finest, &motion);
+            if !self.coarse.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
+                continue;
+            }
+            for _ in 0..ROUNDS {
+                self.coarse.predict(&task, &motion);
+                if is_first {
+                    self.coarse.guess_light(&task, &mut self.light, self.spread);
+                }
+                let passes = if is_first { 3 } else { 2 };
+                let solved = self.coarse.solve(&task, known, &mut self.light, &mut self.system, is_first, passes)?;
+                is_first = false;
+                let moved = self.coarse.moved_px(&task, &motion, &solved.motion);
+                tracing::trace!(level = l, moved, pixels = self.coarse.pixels.len());
+                motion = solved.motion;
+                if moved < COARSE_STEP_PX {
+                    break;
+                }
+            }
+        }
+        Some(motion)
+    }
+
+    fn fine_motion(&mut self, frame: &FrameLevels, eye: &Eye, finest: usize, known: &Expected, mut motion: Motion) -> Option<Corrected> {
+        self.has_kept = false;
+        let task = task(&self.surfaces, &self.sensor, eye, finest, finest, &motion);
+        if !self.fine.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
+            return None;
+        }
+        let mut last = None;
+        for _ in 0..ROUNDS {
+            self.fine.predict(&task, &motion);
+            let solved = self.fine.solve(&task, known, &mut self.light, &mut self.system, false, 2)?;
+            let moved = self.fine.moved_px(&task, &motion, &solved.motion);
+            tracing::trace!(level = finest, moved, pixels = self.fine.pixels.len());
+            motion = solved.motion;
+            last = Some(solved);
+            if moved < FINE_STEP_PX {
+                break;
+            }
+        }
+        last
+    }
+
+    /// The level whose basin holds what is uncertain about the start.
+    fn start_level(&self, eye: &Eye, expected: &MotionEstimate) -> usize {
+        let focal = eye.camera.intrinsics().fx;
+        let distance = self.distance(&expected.motion.pose);
+        let c = &expected.covariance;
+        let sigma = |k: usize| (c[(k, k)] + c[(k + 1, k + 1)] + c[(k + 2, k + 2)]).max(0.0).sqrt();
+        let off_px = 2.0 * focal * (sigma(3).min(1.0) + sigma(0) / distance);
+        (1..LEVELS).find(|l| BASIN_PX * f64::from(1u32 << l) > off_px).unwrap_or(LEVELS - 1).max(2)
+    }
+
+    /// Distance to the nearest surface's centre, metres.
+    pub fn distance(&self, pose: &Pose<Body, Camera>) -> f64 {
+        self.surfaces.iter().map(|s| (s.centre - pose.translation).norm()).fold(f64::INFINITY, f64::min).max(1e-3)
+    }
+
+    /// Covariance and evidence at the solution.
+    fn conclude(&mut self, eye: &Eye, finest: usize, solved: &Corrected, expected: &MotionEstimate) -> Option<Alignment> {
+        let task = task(&self.surfaces, &self.sensor, eye, finest, finest, &solved.motion);
+        let blur_px = task.blur_px * f64::from(1u32 << finest);
+        let (estimate, covariance) = self.fine.conclude(&task, solved, &mut self.system)?;
+        if blur_px < SHARP_FRAME_PX {
+            self.spread += SPREAD_SHARE * (self.light.spread - self.spread);
+        }
+        self.learn_exposure(blur_px);
+        let sum = |f: fn(&RunEvidence) -> f64| self.fine.evidence.iter().map(f).sum::<f64>();
+        let inliers = sum(|e| e.inliers);
+        let verdicts = self.fine.evidence.iter().filter_map(agreement);
+        Some(Alignment {
+            estimate,
+            covariance,
+            scale: solved.scale,
+            asked: sum(|e| e.count),
+            inliers,
+            rms_px: (sum(|e| e.squared_px) / inliers.max(1.0)).sqrt() * f64::from(1u32 << finest),
+            tiles: verdicts.clone().count(),
+            agreeing: verdicts.filter(|v| *v).count(),
+            surprise: surprise(expected, &solved.motion),
+        })
+    }
+}
+
+/// See [`Alignment::surprise`].
+fn surprise(expected: &MotionEstimate, found: &Motion) -> f64 {
+    let error = expected.motion.error_to(found).fixed_rows::<6>(0).into_owned();
+    let covariance: Matrix6<f64> = expected.covariance.fixed_view::<6, 6>(0, 0).into_owned();
+    covariance.cholesky().map_or(f64::INFINITY, |c| error.dot(&c.solve(&error)))
+}
+
+/// What a level has to do at a motion.
+fn task<'a>(surfaces: &'a [AlignSurface], sensor: &'a Sensor, eye: &'a Eye, level: usize, finest: usize, motion: &Motion) -> Task<'a> {
+    let mut task = Task { surfaces, eye, sensor, level, is_finest: level == finest, count: PIXELS[level], blur_px: 0.0 };
+    let half = 0.5 * sensor.exposure_s;
+    task.blur_px = task.moved_px(&motion.after(-half), &motion.after(half));
+    if level == finest && task.blur_px > SHARP_PX {
+        task.count = BLURRED_PIXELS;
+    }
+    task
+}
+
+/// Whether a tile agrees with the prediction; `None` where it has too little detail to tell.
+fn agreement(e: &RunEvidence) -> Option<bool> {
+    if e.count < 12.0 {
+        return None;
+    }
+    let n = e.count;
+    let [s, p, ss, pp, sp] = e.moments.map(|m| m / n);
+    let (seen, predicted, both) = (ss - s * s, pp - p * p, sp - s * p);
+    let noise = e.noise / n;
+    if predicted < 4.0 * noise {
+        return None;
+    }
+    Some(both > 0.0 && both * both > 0.81 * seen * predicted)
+}

@@ -1,0 +1,372 @@
+//! What the camera should see at each chosen pixel, and how that changes with its pose: the one kernel in which
+//! alignment spends its time.
+//!
+//! A pixel's ray meets its surface at a texel; the pixel's own square covers a small quadrilateral of texels there.
+//! Nine looks, a third of a pixel apart, at the copy of the picture whose texels are a seventh of a pixel wide give
+//! the mean grey over that square, its gradient, and - as outer looks less the middle one - how it would change with
+//! a wider point spread. (Fewer looks, or larger texels, leave errors of a grey level and more, which pull the pose of
+//! a still camera aside by more than its noise; measured in docs/alignment.md.) While the shutter is open the texel
+//! moves along a short curve; under motion blur the looks are shared out along it.
+
+use super::lanes::{LANES, Lanes, Plain, has_avx2};
+use super::motion::Motion;
+use super::pixels::Pixels;
+use super::{AlignSurface, Sensor};
+
+/// Looks at a sharp pixel are so far apart, pixels.
+const LOOK: f32 = 1.0 / 3.0;
+/// Under blur, the outer two of three looks at each place are so far from the middle across and down: their variance is
+/// that of the pixel's square.
+const BLURRED_LOOK: f32 = 0.35;
+/// log2 of the size of a texel that suits a look, in pixels; under blur coarser ones do.
+const TEXEL_LOG2: f32 = -2.8;
+const BLURRED_TEXEL_LOG2: f32 = -1.9;
+
+/// The prediction at each pixel, in the order of [`Pixels`].
+#[derive(Debug, Default)]
+pub struct Appearance {
+    /// Grey of the reference.
+    pub grey: Vec<f32>,
+    /// Change of grey with a wider point spread.
+    pub spread: Vec<f32>,
+    /// Grey without motion blur less grey with it.
+    pub sharper: Vec<f32>,
+    /// Derivative of grey by the camera's position (3, the body's axes, per metre) and rotation (3, the camera's axes, per
+    /// radian).
+    pub by_pose: [Vec<f32>; 6],
+    /// Derivative of grey by pixels of the level, across and down.
+    pub across: Vec<f32>,
+    /// See `across`.
+    pub down: Vec<f32>,
+}
+
+impl Appearance {
+    /// Makes room for `n` pixels; a whole number of lanes.
+    pub fn resize(&mut self, n: usize) {
+        let by_pose = self.by_pose.iter_mut();
+        for v in by_pose.chain([&mut self.grey, &mut self.spread, &mut self.sharper, &mut self.across, &mut self.down]) {
+            v.resize(n, 0.0);
+        }
+    }
+}
+
+/// A surface as one frame sees it, in the numbers of the kernel.
+struct View {
+    /// Ray to surface axes, row by row, as polynomials in time: [entry][power].
+    rotation: [[f32; 3]; 9],
+    /// Camera centre in the surface's frame, metres.
+    centre: [[f32; 3]; 3],
+    /// Surface axes to body axes.
+    to_body: [f32; 9],
+    texels_per_m: [f32; 2],
+    middle_texel: [f32; 2],
+    last_level: f32,
+    /// Level of the texture that suits a footprint of one picture pixel.
+    level_offset: f32,
+    /// Half of the exposure, seconds.
+    half_exposure_s: f32,
+}
+
+impl View {
+    fn new(surface: &AlignSurface, motion: &Motion, exposure_s: f64) -> Self {
+        let rt = surface.rotation.transpose();
+        let turn = motion.rotation_polynomial().map(|r| rt * r);
+        let [p0, p1, p2] = motion.centre_polynomial();
+        let centre = [rt * (p0 - surface.centre), rt * p1, rt * p2];
+        let (w, h) = (f64::from(surface.width_px), f64::from(surface.height_px));
+        Self {
+            rotation: std::array::from_fn(|k| std::array::from_fn(|power| turn[power][(k / 3, k % 3)] as f32)),
+            centre: std::array::from_fn(|k| std::array::from_fn(|power| centre[power][k] as f32)),
+            to_body: std::array::from_fn(|k| surface.rotation[(k / 3, k % 3)] as f32),
+            texels_per_m: [(w / surface.size_m[0]) as f32, (h / surface.size_m[1]) as f32],
+            middle_texel: [(0.5 * w - 0.5) as f32, (0.5 * h - 0.5) as f32],
+            last_level: surface.texture.levels as f32 - 0.999,
+            level_offset: surface.texture.own_level() as f32 + if exposure_s > 0.0 { BLURRED_TEXEL_LOG2 } else { TEXEL_LOG2 },
+            half_exposure_s: (0.5 * exposure_s) as f32,
+        }
+    }
+}
+
+/// Predicts the pixels of one surface, `range` of `pixels` (whole lanes). `places`: how many places along the blur are looked at;
+/// 1 for none, else odd.
+pub fn predict(
+    surface: &AlignSurface,
+    motion: &Motion,
+    sensor: &Sensor,
+    places: usize,
+    pixels: &Pixels,
+    range: std::ops::Range<usize>,
+    out: &mut Appearance,
+) {
+    let view = View::new(surface, motion, if places > 1 { sensor.exposure_s } else { 0.0 });
+    #[cfg(target_arch = "x86_64")]
+    if has_avx2() {
+        // SAFETY: the processor has AVX2 and FMA.
+        unsafe { predict_avx2(surface, &view, places, pixels, range, out) };
+        return;
+    }
+    predict_lanes::<Plain>(surface, &view, places, pixels, range, out);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn predict_avx2(
+    surface: &AlignSurface,
+    view: &View,
+    places: usize,
+    pixels: &Pixels,
+    range: std::ops::Range<usize>,
+    out: &mut Appearance,
+) {
+    predict_lanes::<super::lanes::Avx2>(surface, view, places, pixels, range, out);
+}
+
+/// Where a ray meets the surface, and how that point moves with the ray.
+#[derive(Clone, Copy)]
+struct Hit<L> {
+    texel: [L; 2],
+    /// Ray in surface axes over its depth component.
+    slope: [L; 2],
+    depth: L,
+}
+
+#[inline(always)]
+fn polynomial<L: Lanes>(c: &[f32; 3], t: L) -> L {
+    L::splat(c[2]).mul_add(t, L::splat(c[1])).mul_add(t, L::splat(c[0]))
+}
+
+/// The rotation from rays to surface axes at time `t`.
+#[inline(always)]
+fn rotation_at<L: Lanes>(view: &View, t: L) -> [L; 9] {
+    let mut a = [t; 9];
+    for n in 0..9 {
+        a[n] = polynomial(&view.rotation[n], t);
+    }
+    a
+}
+
+#[inline(always)]
+fn hit<L: Lanes>(view: &View, a: &[L; 9], x: L, y: L, t: L) -> Hit<L> {
+    let mut direction = [x; 3];
+    for r in 0..3 {
+        direction[r] = a[3 * r].mul_add(x, a[3 * r + 1].mul_add(y, a[3 * r + 2]));
+    }
+    let inverse = L::splat(1.0).div(direction[2]);
+    let depth = L::splat(0.0).sub(polynomial(&view.centre[2], t)).mul(inverse);
+    let px = depth.mul_add(direction[0], polynomial(&view.centre[0], t));
+    let py = depth.mul_add(direction[1], polynomial(&view.centre[1], t));
+    Hit {
+        texel: [
+            px.mul_add(L::splat(view.texels_per_m[0]), L::splat(view.middle_texel[0])),
+            py.mul_add(L::splat(-view.texels_per_m[1]), L::splat(view.middle_texel[1])),
+        ],
+        slope: [direction[0].mul(inverse), direction[1].mul(inverse)],
+        depth,
+    }
+}
+
+/// A level of the texture, for each lane its own.
+struct LevelLanes<L: Lanes> {
+    scale: L,
+    last_column: L,
+    last_row: L,
+    stride: L::Index,
+    base: L::Index,
+}
+
+/// The copy whose texels are nearest in size to what suits a look.
+#[inline(always)]
+fn level_for<L: Lanes>(surface: &AlignSurface, view: &View, by_pixel: &[L; 4]) -> LevelLanes<L> {
+    let area = by_pixel[0].mul(by_pixel[3]).sub(by_pixel[1].mul(by_pixel[2]));
+    let area = area.max(L::splat(0.0).sub(area)).max(L::splat(1e-9));
+    // One half more, so that rounding down is rounding.
+    let level = area.rough_log2().mul_add(L::splat(0.5), L::splat(view.level_offset + 0.5));
+    let l = level.max(L::splat(0.0)).min(L::splat(view.last_level)).to_index();
+    let t = &surface.texture;
+    LevelLanes {
+        scale: L::lookup(&t.scale, l),
+        last_column: L::lookup(&t.last_column, l),
+        last_row: L::lookup(&t.last_row, l),
+        stride: L::lookup_index(&t.stride, l),
+        base: L::lookup_index(&t.base, l),
+    }
+}
+
+/// Adds a look at picture pixel (u, v): grey and its gradient by texels of the level.
+#[inline(always)]
+fn add_look<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, u: L, v: L, sums: &mut [L; 3]) {
+    let (half, zero) = (L::splat(0.5), L::splat(0.0));
+    let u = u.add(half).mul_add(level.scale, L::splat(-0.5)).max(zero).min(level.last_column);
+    let v = v.add(half).mul_add(level.scale, L::splat(-0.5)).max(zero).min(level.last_row);
+    let (i, j) = (u.floor(), v.floor());
+    let (a, b) = (u.sub(i), v.sub(j));
+    let address = L::address(j.to_index(), level.stride, i.to_index(), level.base);
+    let [q00, q10, q01, q11] = L::gather_corners(texels, address, level.stride);
+    let (top, bottom) = (q10.sub(q00), q11.sub(q01));
+    let upper = top.mul_add(a, q00);
+    let down = bottom.mul_add(a, q01).sub(upper);
+    sums[0] = sums[0].add(down.mul_add(b, upper));
+    sums[1] = sums[1].add(bottom.sub(top).mul_add(b, top));
+    sums[2] = sums[2].add(down);
+}
+
+#[inline(always)]
+fn at<L: Lanes>(values: &[f32], k: usize) -> L {
+    // Ranges are whole lanes, so a chunk of that length always fits.
+    let mut chunk = [0.0; LANES];
+    chunk.copy_from_slice(&values[k..k + LANES]);
+    L::load(&chunk)
+}
+
+#[inline(always)]
+fn put<L: Lanes>(values: &mut [f32], k: usize, v: L) {
+    let mut chunk = [0.0; LANES];
+    v.store(&mut chunk);
+    values[k..k + LANES].copy_from_slice(&chunk);
+}
+
+/// Texels by pixels of the level: [uu, uv, vu, vv].
+#[inline(always)]
+fn footprint<L: Lanes>(view: &View, a: &[L; 9], middle: &Hit<L>, pixels: &Pixels, k: usize) -> [L; 4] {
+    let across = L::splat(view.texels_per_m[0]).mul(middle.depth);
+    let down = L::splat(-view.texels_per_m[1]).mul(middle.depth);
+    let ux = a[0].sub(a[6].mul(middle.slope[0])).mul(across);
+    let uy = a[1].sub(a[7].mul(middle.slope[0])).mul(across);
+    let vx = a[3].sub(a[6].mul(middle.slope[1])).mul(down);
+    let vy = a[4].sub(a[7].mul(middle.slope[1])).mul(down);
+    let (xu, xv) = (at::<L>(&pixels.x_across, k), at::<L>(&pixels.x_down, k));
+    let (yu, yv) = (at::<L>(&pixels.y_across, k), at::<L>(&pixels.y_down, k));
+    [ux.mul_add(xu, uy.mul(yu)), ux.mul_add(xv, uy.mul(yv)), vx.mul_add(xu, vy.mul(yu)), vx.mul_add(xv, vy.mul(yv))]
+}
+
+/// Nine looks at a sharp pixel: the sums, and the middle look's grey.
+#[inline(always)]
+fn sharp_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4]) -> ([L; 3], L) {
+    let mut sums = [L::splat(0.0); 3];
+    add_look(texels, level, middle[0], middle[1], &mut sums);
+    let grey = sums[0];
+    let step = L::splat(LOOK);
+    let (au, av) = (by_pixel[0].mul(step), by_pixel[2].mul(step));
+    let (du, dv) = (by_pixel[1].mul(step), by_pixel[3].mul(step));
+    let ways = [[au, av], [du, dv], [au.add(du), av.add(dv)], [au.sub(du), av.sub(dv)]];
+    for n in 0..4 {
+        let [u, v] = ways[n];
+        add_look(texels, level, middle[0].add(u), middle[1].add(v), &mut sums);
+        add_look(texels, level, middle[0].sub(u), middle[1].sub(v), &mut sums);
+    }
+    (sums, grey)
+}
+
+/// Three looks at each of `places` along the blur, on alternating diagonals: the sums, the greys of the middle looks, and the grey at
+/// the middle place.
+#[inline(always)]
+fn blurred_looks<L: Lanes>(
+    texels: &[u8],
+    level: &LevelLanes<L>,
+    path: [[L; 2]; 3],
+    by_pixel: &[L; 4],
+    places: usize,
+) -> ([L; 3], L, L) {
+    let [first, middle, last] = path;
+    let half = L::splat(0.5);
+    let slope = [last[0].sub(first[0]).mul(half), last[1].sub(first[1]).mul(half)];
+    let bend = [first[0].add(last[0]).mul(half).sub(middle[0]), first[1].add(last[1]).mul(half).sub(middle[1])];
+    let step = L::splat(BLURRED_LOOK);
+    let diagonals = [
+        [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)],
+        [by_pixel[0].sub(by_pixel[1]).mul(step), by_pixel[2].sub(by_pixel[3]).mul(step)],
+    ];
+    let mut sums = [L::splat(0.0); 3];
+    let (mut middles, mut unblurred) = (sums[0], sums[0]);
+    for n in 0..places {
+        let e = L::splat((2.0 * n as f32 + 1.0) / places as f32 - 1.0);
+        let u = bend[0].mul_add(e, slope[0]).mul_add(e, middle[0]);
+        let v = bend[1].mul_add(e, slope[1]).mul_add(e, middle[1]);
+        let [du, dv] = diagonals[n % 2];
+        let before = sums[0];
+        add_look(texels, level, u, v, &mut sums);
+        let centre = sums[0].sub(before);
+        middles = middles.add(centre);
+        add_look(texels, level, u.add(du), v.add(dv), &mut sums);
+        add_look(texels, level, u.sub(du), v.sub(dv), &mut sums);
+        if 2 * n + 1 == places {
+            unblurred = centre;
+        }
+    }
+    (sums, middles, unblurred)
+}
+
+#[inline(always)]
+fn predict_lanes<L: Lanes>(
+    surface: &AlignSurface,
+    view: &View,
+    places: usize,
+    pixels: &Pixels,
+    range: std::ops::Range<usize>,
+    out: &mut Appearance,
+) {
+    let texels = &surface.texture.texels[..];
+    let mut k = range.start;
+    while k < range.end {
+        let (x, y, t) = (at::<L>(&pixels.x, k), at::<L>(&pixels.y, k), at::<L>(&pixels.delay_s, k));
+        let a = rotation_at(view, t);
+        let middle = hit(view, &a, x, y, t);
+        let by_pixel = footprint(view, &a, &middle, pixels, k);
+        let level = level_for(surface, view, &by_pixel);
+        let (grey, spread, sharper, sums, weight);
+        if places <= 1 {
+            let (all, centre) = sharp_looks(texels, &level, middle.texel, &by_pixel);
+            (sums, weight) = (all, L::splat(1.0 / 9.0));
+            grey = sums[0].mul(weight);
+            // Mean of the outer eight less the middle one.
+            spread = grey.sub(centre).mul(L::splat(9.0 / 8.0));
+            sharper = L::splat(0.0);
+        } else {
+            let half = L::splat(view.half_exposure_s);
+            let (before, after) = (t.sub(half), t.add(half));
+            let first = hit(view, &rotation_at(view, before), x, y, before).texel;
+            let last = hit(view, &rotation_at(view, after), x, y, after).texel;
+            let (all, middles, unblurred) = blurred_looks(texels, &level, [first, middle.texel, last], &by_pixel, places);
+            (sums, weight) = (all, L::splat(1.0 / (3.0 * places as f32)));
+            grey = sums[0].mul(weight);
+            let middles = middles.mul(L::splat(1.0 / places as f32));
+            spread = grey.sub(middles).mul(L::splat(1.5));
+            // Between middle looks alone: the outer ones lie on other diagonals from place to place.
+            sharper = unblurred.sub(middles);
+        }
+        // By pixels of the picture.
+        let (gu, gv) = (sums[1].mul(weight).mul(level.scale), sums[2].mul(weight).mul(level.scale));
+        let [uu, uv, vu, vv] = by_pixel;
+        put(&mut out.grey, k, grey);
+        put(&mut out.spread, k, spread);
+        put(&mut out.sharper, k, sharper);
+        put(&mut out.across, k, gu.mul_add(uu, gv.mul(vu)));
+        put(&mut out.down, k, gu.mul_add(uv, gv.mul(vv)));
+        let by_pose = by_pose(view, &a, &middle, [x, y], [gu, gv]);
+        for n in 0..6 {
+            put(&mut out.by_pose[n], k, by_pose[n]);
+        }
+        k += LANES;
+    }
+}
+
+/// dP/dp = R_s q and dP/dθ = depth (ray x Aᵀ q), with q the gradient that moving the camera in the surface's frame shows.
+#[inline(always)]
+fn by_pose<L: Lanes>(view: &View, a: &[L; 9], hit: &Hit<L>, ray: [L; 2], gradient: [L; 2]) -> [L; 6] {
+    let gx = gradient[0].mul(L::splat(view.texels_per_m[0]));
+    let gy = gradient[1].mul(L::splat(-view.texels_per_m[1]));
+    let gz = L::splat(0.0).sub(gx.mul_add(hit.slope[0], gy.mul(hit.slope[1])));
+    let mut out = [gx; 6];
+    for r in 0..3 {
+        let m = [L::splat(view.to_body[3 * r]), L::splat(view.to_body[3 * r + 1]), L::splat(view.to_body[3 * r + 2])];
+        out[r] = gx.mul_add(m[0], gy.mul_add(m[1], gz.mul(m[2])));
+    }
+    let mut b = [gx; 3];
+    for c in 0..3 {
+        b[c] = a[c].mul_add(gx, a[3 + c].mul_add(gy, a[6 + c].mul(gz)));
+    }
+    out[3] = ray[1].mul(b[2]).sub(b[1]).mul(hit.depth);
+    out[4] = b[0].sub(ray[0].mul(b[2])).mul(hit.depth);
+    out[5] = ray[0].mul(b[1]).sub(ray[1].mul(b[0])).mul(hit.depth);
+    out
+}

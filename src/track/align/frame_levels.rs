@@ -1,0 +1,114 @@
+//! A frame at half, quarter and eighth size, as exact sums of its grey levels: rounding would add a noise of
+//! its own to what averaging gains.
+
+use image::GrayImage;
+
+/// Sizes kept: level 0 is the frame itself.
+pub const LEVELS: usize = 4;
+
+/// The frame at all levels.
+#[derive(Debug, Default)]
+pub struct FrameLevels {
+    levels: [Level; LEVELS],
+}
+
+/// Sums of 2^l x 2^l grey levels; pixel (u, v) covers the frame's pixels 2^l u … 2^l u + 2^l - 1.
+#[derive(Debug, Default)]
+pub struct Level {
+    width: usize,
+    height: usize,
+    sums: Vec<u16>,
+}
+
+impl Level {
+    /// Pixels across.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Pixels down.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The sums, row by row.
+    pub fn sums(&self) -> &[u16] {
+        &self.sums
+    }
+}
+
+impl FrameLevels {
+    /// Takes a new frame; buffers are kept. `with_full_size`: level 0 is wanted too.
+    pub fn update(&mut self, image: &GrayImage, with_full_size: bool) {
+        let (w, h) = (image.width() as usize, image.height() as usize);
+        let [full, half, ..] = &mut self.levels;
+        full.sums.clear();
+        (full.width, full.height) = (w, h);
+        if with_full_size {
+            full.sums.extend(image.as_raw().iter().map(|v| u16::from(*v)));
+        }
+        resize(half, w / 2, h / 2);
+        halve_bytes(image.as_raw(), w, half);
+        for l in 2..LEVELS {
+            let (before, after) = self.levels.split_at_mut(l);
+            let (fine, coarse) = (&before[l - 1], &mut after[0]);
+            resize(coarse, fine.width / 2, fine.height / 2);
+            halve_sums(fine, coarse);
+        }
+    }
+
+    /// One level.
+    pub fn level(&self, l: usize) -> &Level {
+        &self.levels[l]
+    }
+}
+
+fn resize(level: &mut Level, width: usize, height: usize) {
+    (level.width, level.height) = (width, height);
+    level.sums.resize(width * height, 0);
+}
+
+fn halve_bytes(raw: &[u8], stride: usize, out: &mut Level) {
+    let w = out.width;
+    for (v, row) in out.sums.chunks_exact_mut(w.max(1)).enumerate() {
+        let top = &raw[2 * v * stride..][..2 * w];
+        let bottom = &raw[(2 * v + 1) * stride..][..2 * w];
+        for ((o, t), b) in row.iter_mut().zip(top.chunks_exact(2)).zip(bottom.chunks_exact(2)) {
+            *o = u16::from(t[0]) + u16::from(t[1]) + u16::from(b[0]) + u16::from(b[1]);
+        }
+    }
+}
+
+fn halve_sums(fine: &Level, out: &mut Level) {
+    let w = out.width;
+    for (v, row) in out.sums.chunks_exact_mut(w.max(1)).enumerate() {
+        let top = &fine.sums[2 * v * fine.width..][..2 * w];
+        let bottom = &fine.sums[(2 * v + 1) * fine.width..][..2 * w];
+        for ((o, t), b) in row.iter_mut().zip(top.chunks_exact(2)).zip(bottom.chunks_exact(2)) {
+            *o = t[0] + t[1] + b[0] + b[1];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_are_exact_sums() {
+        let image = GrayImage::from_fn(37, 21, |x, y| image::Luma([(x * 7 + y * 13) as u8]));
+        let mut levels = FrameLevels::default();
+        levels.update(&image, true);
+        for l in 0..LEVELS {
+            let level = levels.level(l);
+            let n = 1u32 << l;
+            assert_eq!((level.width(), level.height()), (37 >> l, 21 >> l));
+            for v in 0..level.height() as u32 {
+                for u in 0..level.width() as u32 {
+                    let sum: u32 = (0..n * n).map(|k| u32::from(image.get_pixel(u * n + k % n, v * n + k / n)[0])).sum();
+                    assert_eq!(u32::from(level.sums()[v as usize * level.width() + u as usize]), sum);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! Alignment: the pose that makes the reference, as the camera should see it, agree with the frame pixel by pixel.
+//!
+//! From where the motion filter expects the camera, pixels are chosen where the reference is steep (`selection`), their
+//! grey is predicted with its derivatives (`appearance`), and pose, motion, light and point spread are solved for
+//! together (`normal`, `system`), from small copies of the frame to its half size. Every frame is compared with the
+//! reference; earlier frames only give the start and the motion.
+//!
+//! Source: direct alignment in the manner of Lucas and Kanade (1981) and Baker and Matthews (2004), iteratively
+//! reweighted; the joint state follows the continuous-time rolling-shutter literature (Hedborg et al. 2012).
+
+mod aligner;
+mod appearance;
+mod frame_levels;
+mod lanes;
+mod light;
+mod motion;
+mod normal;
+mod pixels;
+mod rays;
+mod selection;
+mod system;
+mod texture;
+mod work;
+
+use image::GrayImage;
+use nalgebra::{Matrix3, Vector3};
+
+pub use aligner::{Aligner, Alignment, Patch};
+pub use frame_levels::{FrameLevels, LEVELS};
+pub use motion::{Motion, MotionEstimate};
+use rays::RayTable;
+use texture::Texture;
+
+use super::surface::SurfaceSpec;
+use crate::camera::CameraModel;
+
+/// When the rows of a frame are exposed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sensor {
+    /// First row to last, seconds; 0 for a global or unknown shutter.
+    pub readout_s: f64,
+    /// How long each row is exposed, seconds; 0 where it is known to be short, or not known yet.
+    pub exposure_s: f64,
+}
+
+impl Sensor {
+    /// Seconds from the frame's stamp to the middle of the exposure of row `v` of a level; `height` is the frame's.
+    pub fn delay_s(&self, level: usize, v: f64, height: u32) -> f64 {
+        let n = f64::from(1u32 << level);
+        self.readout_s * ((n * v + 0.5 * n) / f64::from(height) - 0.5)
+    }
+}
+
+/// A surface as alignment needs it.
+#[derive(Debug, Clone)]
+pub struct AlignSurface {
+    texture: Texture,
+    /// `T_body_surface`.
+    rotation: Matrix3<f64>,
+    centre: Vector3<f64>,
+    size_m: [f64; 2],
+    width_px: u32,
+    height_px: u32,
+}
+
+impl AlignSurface {
+    /// Prepares a surface.
+    pub fn new(spec: &SurfaceSpec) -> Self {
+        Self {
+            texture: Texture::new(&spec.artwork),
+            rotation: spec.pose.rotation_matrix(),
+            centre: spec.pose.translation,
+            size_m: spec.size_m,
+            width_px: spec.artwork.width(),
+            height_px: spec.artwork.height(),
+        }
+    }
+}
+
+/// The camera's part of alignment, shared by all bodies.
+#[derive(Debug)]
+pub struct Eye {
+    camera: CameraModel,
+    /// Rays of levels 1 and up; of level 0 once a body needs it.
+    tables: [Option<RayTable>; LEVELS],
+    mask: Option<GrayImage>,
+}
+
+impl Eye {
+    /// Finds the rays of a camera's pixels. `mask`: pixels to leave out (0), of the frame's size.
+    pub fn new(camera: CameraModel, mask: Option<GrayImage>) -> Self {
+        let tables = std::array::from_fn(|l| (l > 0).then(|| RayTable::new(&camera, l)));
+        Self { camera, tables, mask }
+    }
+
+    /// The lens.
+    pub fn camera(&self) -> &CameraModel {
+        &self.camera
+    }
+}
+

@@ -1,0 +1,449 @@
+//! The linear system of one alignment step, tile by tile: how the residuals of a tile's pixels change with the
+//! pose at the tile's rows, with the light of the tile's corners, the bias and the point spread.
+
+use super::appearance::Appearance;
+use super::lanes::{LANES, Lanes, Plain, has_avx2};
+use super::light::Light;
+use super::pixels::{Pixels, Run};
+
+/// Columns of a tile: pose (6), point spread, bias, gain at the four corners of its cell.
+pub const COLUMNS: usize = 12;
+/// Where the columns other than the pose start.
+pub const SPREAD: usize = 6;
+/// See [`SPREAD`].
+pub const BIAS: usize = 7;
+/// See [`SPREAD`].
+pub const GAINS: usize = 8;
+const ALL: usize = COLUMNS + 1;
+/// Entries of the upper triangle of the columns and the residual.
+const ENTRIES: usize = ALL * (ALL + 1) / 2;
+
+/// Weighted sums over one run of pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct TileSums {
+    sums: [f32; ENTRIES],
+}
+
+impl TileSums {
+    /// Sum of w a_i a_j for columns i <= j; column [`COLUMNS`] is the residual.
+    pub fn product(&self, i: usize, j: usize) -> f64 {
+        let (i, j) = if i <= j { (i, j) } else { (j, i) };
+        f64::from(self.sums[i * ALL - i * (i + 1) / 2 + j])
+    }
+}
+
+/// Tukey's biweight: residuals beyond this many robust sigmas count nothing.
+const TUKEY: f32 = 4.7;
+/// Geman and McClure's weight for a first look falls to one half at this many sigmas.
+const FIRST_LOOK: f32 = 2.7;
+
+/// How residuals are weighed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Weighing {
+    /// Robust standard deviation of the whitened residuals.
+    pub scale: f64,
+    /// Weights that never vanish instead of Tukey's: for a start that may be far off.
+    pub is_first_look: bool,
+}
+
+/// Per-pixel numbers that the step owns.
+#[derive(Debug, Default)]
+pub struct Residuals {
+    /// Seen less predicted grey, at the state of the linearisation.
+    pub grey: Vec<f32>,
+    /// Inverse of the variance that noise and model explain; 0 where a pixel tells nothing.
+    pub information: Vec<f32>,
+}
+
+impl Residuals {
+    /// Makes room for `n` pixels, none of which tells anything yet.
+    pub fn resize(&mut self, n: usize) {
+        for list in [&mut self.grey, &mut self.information] {
+            list.clear();
+            list.resize(n, 0.0);
+        }
+    }
+}
+
+/// The light at a tile and the small changes that a solution brings to its pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct TileLight {
+    gains: [f32; 4],
+    spread: f32,
+    bias: f32,
+}
+
+impl TileLight {
+    /// The light of a tile from its nodes.
+    pub fn new(light: &Light, nodes: [usize; 4]) -> Self {
+        Self { gains: nodes.map(|n| light.gains[n] as f32), spread: light.spread as f32, bias: light.bias as f32 }
+    }
+}
+
+/// What the noise of a pixel is made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Noise {
+    /// Variance at black, and its growth per grey level, of one pixel of the level.
+    pub dark: f32,
+    /// See `dark`.
+    pub per_grey: f32,
+    /// Error of the model in pixels of the level: it keeps strong edges from ruling.
+    pub model_px: f32,
+}
+
+macro_rules! dispatch {
+    ($name:ident, $avx2:ident, $lanes:ident, ($($arg:ident : $ty:ty),*) $(-> $ret:ty)?) => {
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx2,fma")]
+        fn $avx2($($arg: $ty),*) $(-> $ret)? {
+            $lanes::<super::lanes::Avx2>($($arg),*)
+        }
+
+        fn $name($($arg: $ty),*) $(-> $ret)? {
+            #[cfg(target_arch = "x86_64")]
+            if has_avx2() {
+                // SAFETY: the processor has AVX2 and FMA.
+                return unsafe { $avx2($($arg),*) };
+            }
+            $lanes::<Plain>($($arg),*)
+        }
+    };
+}
+
+/// Residuals of a run at the linearisation, and their informations.
+pub fn residuals(pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals) {
+    residuals_any(pixels, run, appearance, light, noise, out);
+}
+
+dispatch!(residuals_any, residuals_avx2, residuals_lanes,
+    (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals));
+
+/// Sums of a run at the linearisation; weights are those of the residuals as `step` (the tile's columns) leaves them.
+pub fn tile_sums(
+    pixels: &Pixels,
+    run: &Run,
+    appearance: &Appearance,
+    light: &TileLight,
+    residuals: &Residuals,
+    step: &[f32; COLUMNS],
+    weighing: &Weighing,
+) -> TileSums {
+    tile_sums_any(pixels, run, appearance, light, residuals, step, weighing)
+}
+
+dispatch!(tile_sums_any, tile_sums_avx2, tile_sums_lanes,
+    (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, residuals: &Residuals, step: &[f32; COLUMNS],
+     weighing: &Weighing) -> TileSums);
+
+/// Loads up to [`LANES`] values; beyond the run, zeros.
+#[inline(always)]
+fn part<L: Lanes>(values: &[f32], k: usize, n: usize) -> L {
+    let mut chunk = [0.0; LANES];
+    if n >= LANES {
+        chunk.copy_from_slice(&values[k..k + LANES]);
+    } else {
+        chunk[..n].copy_from_slice(&values[k..k + n]);
+    }
+    L::load(&chunk)
+}
+
+/// Gain at each pixel of a run.
+#[inline(always)]
+fn corner_weights<L: Lanes>(pixels: &Pixels, k: usize, n: usize) -> [L; 4] {
+    let (a, b) = (part::<L>(&pixels.cell[0], k, n), part::<L>(&pixels.cell[1], k, n));
+    let one = L::splat(1.0);
+    let (na, nb) = (one.sub(a), one.sub(b));
+    [na.mul(nb), a.mul(nb), na.mul(b), a.mul(b)]
+}
+
+#[inline(always)]
+fn gain<L: Lanes>(light: &TileLight, corners: &[L; 4]) -> L {
+    let g = light.gains;
+    corners[0].mul(L::splat(g[0])).add(corners[1].mul(L::splat(g[1]))).add(corners[2].mul(L::splat(g[2]))).add(corners[3].mul(L::splat(g[3])))
+}
+
+#[inline(always)]
+fn residuals_lanes<L: Lanes>(
+    pixels: &Pixels,
+    run: &Run,
+    appearance: &Appearance,
+    light: &TileLight,
+    noise: &Noise,
+    out: &mut Residuals,
+) {
+    let (start, end) = (run.start as usize, run.end as usize);
+    let one = L::splat(1.0);
+    for k in (start..end).step_by(LANES) {
+        let n = (end - k).min(LANES);
+        let corners = corner_weights::<L>(pixels, k, n);
+        let g = gain(light, &corners);
+        let grey = part::<L>(&appearance.spread, k, n).mul_add(L::splat(light.spread), part(&appearance.grey, k, n));
+        let seen = part::<L>(&pixels.seen, k, n);
+        let residual = seen.sub(g.mul_add(grey, L::splat(light.bias)));
+        let (across, down) = (part::<L>(&appearance.across, k, n), part::<L>(&appearance.down, k, n));
+        let steep = across.mul(across).add(down.mul(down)).mul(g).mul(g);
+        let expected = g.mul_add(grey, L::splat(light.bias)).max(L::splat(0.0));
+        let variance = steep.mul_add(L::splat(noise.model_px * noise.model_px), expected.mul_add(L::splat(noise.per_grey), L::splat(noise.dark)));
+        let information = part::<L>(&pixels.counts, k, n).mul(one.div(variance));
+        let mut chunk = [0.0; LANES];
+        residual.store(&mut chunk);
+        out.grey[k..k + n].copy_from_slice(&chunk[..n]);
+        information.store(&mut chunk);
+        out.information[k..k + n].copy_from_slice(&chunk[..n]);
+    }
+}
+
+#[inline(always)]
+fn tile_sums_lanes<L: Lanes>(
+    pixels: &Pixels,
+    run: &Run,
+    appearance: &Appearance,
+    light: &TileLight,
+    residuals: &Residuals,
+    step: &[f32; COLUMNS],
+    weighing: &Weighing,
+) -> TileSums {
+    let (start, end) = (run.start as usize, run.end as usize);
+    let mut sums = [L::splat(0.0); ENTRIES];
+    for k in (start..end).step_by(LANES) {
+        let n = (end - k).min(LANES);
+        let columns = columns::<L>(pixels, appearance, light, k, n);
+        let r = part::<L>(&residuals.grey, k, n);
+        let after = less_step(r, &columns, step);
+        let information = part::<L>(&residuals.information, k, n);
+        let w = weight(after.mul(after).mul(information), weighing).mul(information);
+        let mut at = 0;
+        for i in 0..COLUMNS {
+            let weighted = columns[i].mul(w);
+            for j in i..COLUMNS {
+                sums[at] = weighted.mul_add(columns[j], sums[at]);
+                at += 1;
+            }
+            sums[at] = weighted.mul_add(r, sums[at]);
+            at += 1;
+        }
+        sums[at] = r.mul(w).mul_add(r, sums[at]);
+    }
+    let mut totals = [0.0; ENTRIES];
+    for n in 0..ENTRIES {
+        totals[n] = total(sums[n]);
+    }
+    TileSums { sums: totals }
+}
+
+/// The columns of [`LANES`] pixels: how the predicted grey changes.
+#[inline(always)]
+fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight, k: usize, n: usize) -> [L; COLUMNS] {
+    let corners = corner_weights::<L>(pixels, k, n);
+    let g = gain(light, &corners);
+    let spread = part::<L>(&appearance.spread, k, n);
+    let grey = spread.mul_add(L::splat(light.spread), part(&appearance.grey, k, n));
+    let mut columns = [g; COLUMNS];
+    for c in 0..SPREAD {
+        columns[c] = part::<L>(&appearance.by_pose[c], k, n).mul(g);
+    }
+    columns[SPREAD] = spread.mul(g);
+    columns[BIAS] = L::splat(1.0);
+    for c in 0..4 {
+        columns[GAINS + c] = corners[c].mul(grey);
+    }
+    columns
+}
+
+/// The residual that a step leaves.
+#[inline(always)]
+fn less_step<L: Lanes>(mut r: L, columns: &[L; COLUMNS], step: &[f32; COLUMNS]) -> L {
+    for c in 0..COLUMNS {
+        r = r.sub(columns[c].mul(L::splat(step[c])));
+    }
+    r
+}
+
+/// The robust weight of a squared whitened residual.
+#[inline(always)]
+fn weight<L: Lanes>(squared: L, weighing: &Weighing) -> L {
+    let (zero, one) = (L::splat(0.0), L::splat(1.0));
+    let scale2 = (weighing.scale * weighing.scale) as f32;
+    if weighing.is_first_look {
+        let u = squared.mul(L::splat(1.0 / (scale2 * FIRST_LOOK * FIRST_LOOK)));
+        return one.div(one.add(u));
+    }
+    let u = one.sub(squared.mul(L::splat(1.0 / (scale2 * TUKEY * TUKEY)))).max(zero);
+    u.mul(u)
+}
+
+#[inline(always)]
+fn total<L: Lanes>(v: L) -> f32 {
+    let mut lanes = [0.0; LANES];
+    v.store(&mut lanes);
+    ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7]))
+}
+
+/// Sums over the pixels of a run that tell something: their number, predicted, seen, predicted², seen², predicted seen.
+pub fn moments(pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6] {
+    moments_any(pixels, run, appearance)
+}
+
+dispatch!(moments_any, moments_avx2, moments_lanes, (pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6]);
+
+#[inline(always)]
+fn moments_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6] {
+    let (start, end) = (run.start as usize, run.end as usize);
+    let mut sums = [L::splat(0.0); 6];
+    for k in (start..end).step_by(LANES) {
+        let n = (end - k).min(LANES);
+        let c = part::<L>(&pixels.counts, k, n);
+        let (p, s) = (part::<L>(&appearance.grey, k, n).mul(c), part::<L>(&pixels.seen, k, n).mul(c));
+        let terms = [c, p, s, p.mul(p), s.mul(s), p.mul(s)];
+        for n in 0..6 {
+            sums[n] = sums[n].add(terms[n]);
+        }
+    }
+    let mut totals = [0.0; 6];
+    for n in 0..6 {
+        totals[n] = f64::from(total(sums[n]));
+    }
+    totals
+}
+
+/// What a run shows at the solution, for the judgement and for correspondences.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct RunEvidence {
+    /// Pixels that tell something.
+    pub count: f64,
+    /// Of these, with a robust weight above one half.
+    pub inliers: f64,
+    /// Sum of squared residuals, and of squared residuals over squared gradient (pixels²), of the inliers.
+    pub squared_px: f64,
+    /// Sums of seen, predicted, their squares and their product.
+    pub moments: [f64; 5],
+    /// Sum of the noise variance.
+    pub noise: f64,
+    /// Weighted sums of across², across down, down², across r, down r (gradients of the predicted frame).
+    pub shift: [f64; 5],
+    /// Weighted sums of the pixel's place: weight, column, row.
+    pub place: [f64; 3],
+    /// Weighted sums of spread², spread sharper, sharper², spread r, sharper r.
+    pub blur: [f64; 5],
+}
+
+/// A whitened residual squared, as `step` leaves it.
+pub fn squared_after(
+    pixels: &Pixels,
+    k: usize,
+    appearance: &Appearance,
+    light: &TileLight,
+    residuals: &Residuals,
+    step: &[f32; COLUMNS],
+) -> f32 {
+    let (a, b) = (pixels.cell[0][k], pixels.cell[1][k]);
+    let corners = [(1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b];
+    let g: f32 = corners.iter().zip(&light.gains).map(|(c, g)| c * g).sum();
+    let grey = appearance.grey[k] + appearance.spread[k] * light.spread;
+    let pose: f32 = appearance.by_pose.iter().zip(step).map(|(c, s)| c[k] * s).sum();
+    let light_step: f32 = corners.iter().zip(&step[GAINS..]).map(|(c, s)| c * s).sum();
+    let r = residuals.grey[k] - g * (pose + appearance.spread[k] * step[SPREAD]) - step[BIAS] - light_step * grey;
+    r * r * residuals.information[k]
+}
+
+/// Looks at a run again after `step`.
+#[allow(clippy::too_many_arguments)]
+pub fn evidence(
+    pixels: &Pixels,
+    run: &Run,
+    appearance: &Appearance,
+    light: &TileLight,
+    residuals: &Residuals,
+    step: &[f32; COLUMNS],
+    weighing: &Weighing,
+    width: usize,
+) -> RunEvidence {
+    evidence_any(pixels, run, appearance, light, residuals, step, weighing, width)
+}
+
+dispatch!(evidence_any, evidence_avx2, evidence_lanes,
+    (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, residuals: &Residuals, step: &[f32; COLUMNS],
+     weighing: &Weighing, width: usize) -> RunEvidence);
+
+#[inline(always)]
+#[allow(clippy::too_many_arguments)]
+fn evidence_lanes<L: Lanes>(
+    pixels: &Pixels,
+    run: &Run,
+    appearance: &Appearance,
+    light: &TileLight,
+    residuals: &Residuals,
+    step: &[f32; COLUMNS],
+    weighing: &Weighing,
+    width: usize,
+) -> RunEvidence {
+    let (start, end) = (run.start as usize, run.end as usize);
+    let zero = L::splat(0.0);
+    let mut sums = [zero; 22];
+    for k in (start..end).step_by(LANES) {
+        let n = (end - k).min(LANES);
+        let columns = columns::<L>(pixels, appearance, light, k, n);
+        let g = gain(light, &corner_weights::<L>(pixels, k, n));
+        let r = less_step(part::<L>(&residuals.grey, k, n), &columns, step);
+        let counts = part::<L>(&pixels.counts, k, n);
+        let seen = part::<L>(&pixels.seen, k, n).mul(counts);
+        let predicted = seen.sub(r.mul(counts));
+        let information = part::<L>(&residuals.information, k, n);
+        let robust = weight(r.mul(r).mul(information), weighing).mul(counts);
+        let w = robust.mul(information);
+        let inlier = robust.sub(L::splat(0.5)).mul(L::splat(1e9)).max(zero).min(L::splat(1.0));
+        let (across, down) = (part::<L>(&appearance.across, k, n).mul(g), part::<L>(&appearance.down, k, n).mul(g));
+        let steep = across.mul(across).add(down.mul(down)).max(L::splat(1.0));
+        let (spread, sharper) = (columns[SPREAD], part::<L>(&appearance.sharper, k, n).mul(g));
+        let variance = counts.div(information.max(L::splat(1e-9)));
+        let mut columns_at = [0.0; LANES];
+        let mut rows_at = [0.0; LANES];
+        for lane in 0..n {
+            let index = pixels.index[k + lane] as usize;
+            (columns_at[lane], rows_at[lane]) = ((index % width) as f32, (index / width) as f32);
+        }
+        let (u, v) = (L::load(&columns_at), L::load(&rows_at));
+        let (wa, wd, ws, wx) = (w.mul(across), w.mul(down), w.mul(spread), w.mul(sharper));
+        let terms = [
+            counts,
+            inlier,
+            r.mul(r).mul(inlier).div(steep),
+            seen,
+            predicted,
+            seen.mul(seen),
+            predicted.mul(predicted),
+            seen.mul(predicted),
+            variance,
+            wa.mul(across),
+            wa.mul(down),
+            wd.mul(down),
+            wa.mul(r),
+            wd.mul(r),
+            w.mul(steep),
+            w.mul(steep).mul(u),
+            w.mul(steep).mul(v),
+            ws.mul(spread),
+            ws.mul(sharper),
+            wx.mul(sharper),
+            ws.mul(r),
+            wx.mul(r),
+        ];
+        for n in 0..22 {
+            sums[n] = sums[n].add(terms[n]);
+        }
+    }
+    let mut s = [0.0; 22];
+    for n in 0..22 {
+        s[n] = f64::from(total(sums[n]));
+    }
+    RunEvidence {
+        count: s[0],
+        inliers: s[1],
+        squared_px: s[2],
+        moments: [s[3], s[4], s[5], s[6], s[7]],
+        noise: s[8],
+        shift: [s[9], s[10], s[11], s[12], s[13]],
+        place: [s[14], s[15], s[16]],
+        blur: [s[17], s[18], s[19], s[20], s[21]],
+    }
+}

@@ -1,0 +1,307 @@
+//! Which pixels of a level are asked: those where the reference, seen from the predicted pose, is steepest.
+//!
+//! Candidates were ranked block by block when the picture was loaded. A block that comes into view gives its best
+//! ones, so that they are spread over the frame as the stage is; each is put at its nearest pixel. The choice never
+//! looks at the camera's picture: what stands in front of the stage must not choose.
+
+use image::GrayImage;
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+
+use super::motion::Motion;
+use super::rays::RayTable;
+use super::texture::BLOCK;
+use super::{AlignSurface, Sensor};
+use crate::camera::{CameraModel, Normalized};
+use crate::geometry::{Body, Camera, Pose};
+
+/// Pixels of a level that lie nearer than this to a border of their surface are left out: what lies beyond is unknown.
+const BORDER_PX: f64 = 3.0;
+/// Surfaces are not read where they are seen flatter than this (cosine of the tilt).
+const LEAST_COSINE: f64 = 0.06;
+
+/// A pixel that was chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Chosen {
+    /// Surface index in the body.
+    pub surface: u32,
+    /// Row times width plus column, at the level.
+    pub index: u32,
+}
+
+/// Chooses pixels; keeps its buffers.
+#[derive(Debug, Default)]
+pub struct Selector {
+    blocks: Vec<VisibleBlock>,
+    /// When each pixel of each level was last taken.
+    taken: [Vec<u32>; super::frame_levels::LEVELS],
+    turn: u32,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct VisibleBlock {
+    surface: u32,
+    texture_level: u32,
+    column: u32,
+    row: u32,
+    /// Pixel of the block's first texel, and pixels per texel.
+    origin: [f32; 2],
+    by_column: [f32; 2],
+    by_row: [f32; 2],
+    /// Offsets that stay clear of the surface's border.
+    columns: [u8; 2],
+    rows: [u8; 2],
+}
+
+/// What a choice is made for.
+pub struct Choice<'a> {
+    /// The lens.
+    pub camera: &'a CameraModel,
+    /// Rays of the level; pixels without one are left out.
+    pub table: &'a RayTable,
+    /// The level.
+    pub level: usize,
+    /// Shutter of the camera.
+    pub sensor: Sensor,
+    /// Length of the motion blur, pixels of the level.
+    pub blur_px: f64,
+    /// Pixels to leave out (0), in full frame size.
+    pub mask: Option<&'a GrayImage>,
+    /// Pixels wanted.
+    pub count: usize,
+}
+
+impl Selector {
+    /// Fills `chosen` with at most about `count` different pixels.
+    pub fn choose(&mut self, surfaces: &[AlignSurface], motion: &Motion, choice: &Choice, chosen: &mut Vec<Chosen>) {
+        chosen.clear();
+        self.blocks.clear();
+        for (index, surface) in surfaces.iter().enumerate() {
+            list_blocks(surfaces, index, surface, motion, choice, &mut self.blocks);
+        }
+        if self.blocks.is_empty() {
+            return;
+        }
+        self.turn = self.turn.wrapping_add(1);
+        let taken = &mut self.taken[choice.level];
+        let area = choice.table.width * choice.table.height;
+        if taken.len() != area || self.turn == 0 {
+            taken.clear();
+            taken.resize(area, 0);
+            self.turn = self.turn.max(1);
+        }
+        let mut first = 0;
+        let mut share = choice.count / self.blocks.len() + 1;
+        // What blocks with little detail leave is taken up by the others.
+        for _ in 0..3 {
+            for block in &self.blocks {
+                take(block, surfaces, first..first + share, choice, taken, self.turn, chosen);
+            }
+            first += share;
+            let missing = choice.count.saturating_sub(chosen.len());
+            if missing < choice.count / 8 {
+                break;
+            }
+            share = missing / self.blocks.len() + 1;
+        }
+    }
+}
+
+fn take(
+    block: &VisibleBlock,
+    surfaces: &[AlignSurface],
+    range: std::ops::Range<usize>,
+    choice: &Choice,
+    taken: &mut [u32],
+    turn: u32,
+    chosen: &mut Vec<Chosen>,
+) {
+    let texture = &surfaces[block.surface as usize].texture;
+    let offsets = texture.candidates[block.texture_level as usize].of_block(block.column as usize, block.row as usize);
+    let (w, h) = (choice.table.width, choice.table.height);
+    let (right, bottom) = (w as f32 - 2.0, h as f32 - 2.0);
+    for &[dx, dy] in &offsets[range.start.min(offsets.len())..range.end.min(offsets.len())] {
+        if dx < block.columns[0] || dx > block.columns[1] || dy < block.rows[0] || dy > block.rows[1] {
+            continue;
+        }
+        let (fx, fy) = (f32::from(dx), f32::from(dy));
+        let u = block.origin[0] + block.by_column[0] * fx + block.by_row[0] * fy + 0.5;
+        let v = block.origin[1] + block.by_column[1] * fx + block.by_row[1] * fy + 0.5;
+        if !(u >= 2.0 && v >= 2.0 && u < right && v < bottom) {
+            continue;
+        }
+        let (u, v) = (u as usize, v as usize);
+        let index = v * w + u;
+        if taken[index] == turn {
+            continue;
+        }
+        taken[index] = turn;
+        if choice.mask.is_some_and(|mask| is_masked(mask, choice.level, u, v)) {
+            continue;
+        }
+        // Derivatives of the ray are taken from the neighbours.
+        let has_ray = |k: usize| choice.table.rays[k][0].is_finite();
+        if has_ray(index - 1) && has_ray(index + 1) && has_ray(index - w) && has_ray(index + w) {
+            chosen.push(Chosen { surface: block.surface, index: index as u32 });
+        }
+    }
+}
+
+/// Whether any frame pixel that the level's pixel and its neighbours cover is masked.
+fn is_masked(mask: &GrayImage, level: usize, u: usize, v: usize) -> bool {
+    let n = 1u32 << level;
+    let (x, y) = ((u as u32) << level, (v as u32) << level);
+    let left_out = |x: u32, y: u32| mask.get_pixel_checked(x, y).is_none_or(|p| p[0] == 0);
+    left_out(x, y) || left_out(x + n - 1, y) || left_out(x, y + n - 1) || left_out(x + n - 1, y + n - 1)
+}
+
+/// A point of a surface as the frame shows it.
+struct Seen {
+    pixel: Vector2<f64>,
+    /// Pixels of the level by metres on the surface.
+    by_metres: Matrix2<f64>,
+    /// Camera centre in the surface's frame, at the row's time.
+    centre: Vector3<f64>,
+}
+
+fn list_blocks(
+    surfaces: &[AlignSurface],
+    index: usize,
+    surface: &AlignSurface,
+    motion: &Motion,
+    choice: &Choice,
+    blocks: &mut Vec<VisibleBlock>,
+) {
+    let Some(level) = texture_level(surface, motion, choice) else { return };
+    let texture = &surface.texture;
+    let scale = 1.0 / f64::from(surface.texture.scale[level]);
+    let (tw, th) = (f64::from(surface.width_px) / surface.size_m[0], f64::from(surface.height_px) / surface.size_m[1]);
+    let candidates = &texture.candidates[level];
+    let half = [0.5 * surface.size_m[0], 0.5 * surface.size_m[1]];
+    for row in 0..candidates.rows {
+        for column in 0..candidates.columns {
+            let middle = |k: usize| ((k as f64 + 0.5) * BLOCK as f64) * scale;
+            let (x, y) = (middle(column) / tw - half[0], half[1] - middle(row) / th);
+            let Some(seen) = see(surface, motion, choice, x, y) else { continue };
+            let (by_x, by_y) = (seen.by_metres.column(0) * (scale / tw), seen.by_metres.column(1) * (-scale / th));
+            let centre = 0.5 * (BLOCK as f64 - 1.0);
+            let origin = seen.pixel - by_x * centre - by_y * centre;
+            let reach = BLOCK as f64 * (by_x.abs() + by_y.abs());
+            let outside = seen.pixel.x + reach.x < 0.0
+                || seen.pixel.y + reach.y < 0.0
+                || seen.pixel.x - reach.x > choice.table.width as f64
+                || seen.pixel.y - reach.y > choice.table.height as f64;
+            if outside {
+                continue;
+            }
+            // Metres that one pixel covers at most, along each axis of the surface.
+            let Some(inverse) = seen.by_metres.try_inverse() else { continue };
+            let margin = [0, 1].map(|k| (BORDER_PX + 0.5 * choice.blur_px) * (inverse[(k, 0)].abs() + inverse[(k, 1)].abs()));
+            let reach_m = [0.5 * BLOCK as f64 * scale / tw, 0.5 * BLOCK as f64 * scale / th];
+            if hidden(surfaces, index, &seen.centre, [x, y], [reach_m[0] + margin[0], reach_m[1] + margin[1]]) {
+                continue;
+            }
+            let Some(columns) = clear_offsets(x, half[0] - margin[0], scale / tw) else { continue };
+            let Some(rows) = clear_offsets(-y, half[1] - margin[1], scale / th) else { continue };
+            blocks.push(VisibleBlock {
+                surface: index as u32,
+                texture_level: level as u32,
+                column: column as u32,
+                row: row as u32,
+                origin: [origin.x as f32, origin.y as f32],
+                by_column: [by_x.x as f32, by_x.y as f32],
+                by_row: [by_y.x as f32, by_y.y as f32],
+                columns,
+                rows,
+            });
+        }
+    }
+}
+
+/// The first and last offset in a block centred at `middle` whose texels (of size `step`) stay within +- `limit`.
+fn clear_offsets(middle: f64, limit: f64, step: f64) -> Option<[u8; 2]> {
+    let centre = 0.5 * (BLOCK as f64 - 1.0);
+    let first = (((-limit - middle) / step + centre).ceil()).max(0.0);
+    let last = (((limit - middle) / step + centre).floor()).min(BLOCK as f64 - 1.0);
+    (first <= last).then_some([first as u8, last as u8])
+}
+
+/// The texture level one of whose texels is nearest in size to a pixel of the level, in the middle of what is seen.
+fn texture_level(surface: &AlignSurface, motion: &Motion, choice: &Choice) -> Option<usize> {
+    let mut logs = [0.0; 25];
+    let mut n = 0;
+    for i in 0..5 {
+        for k in 0..5 {
+            let x = ((f64::from(i) + 0.5) / 5.0 - 0.5) * surface.size_m[0];
+            let y = ((f64::from(k) + 0.5) / 5.0 - 0.5) * surface.size_m[1];
+            let Some(seen) = see(surface, motion, choice, x, y) else { continue };
+            let (w, h) = (choice.table.width as f64, choice.table.height as f64);
+            let inside = seen.pixel.x > 0.0 && seen.pixel.y > 0.0 && seen.pixel.x < w && seen.pixel.y < h;
+            if inside {
+                let texels = f64::from(surface.width_px) * f64::from(surface.height_px) / (surface.size_m[0] * surface.size_m[1]);
+                logs[n] = 0.5 * (texels / seen.by_metres.determinant().abs().max(1e-12)).log2();
+                n += 1;
+            }
+        }
+    }
+    if n == 0 {
+        // Seen in part at most: any block that shows will do at a level of its own size.
+        return see(surface, motion, choice, 0.0, 0.0).map(|_| surface.texture.own_level());
+    }
+    logs[..n].sort_by(f64::total_cmp);
+    Some((logs[n / 2].round().max(0.0) as usize + surface.texture.own_level()).min(surface.texture.candidates.len() - 1))
+}
+
+/// Where a point of a surface is seen, its row's time included.
+fn see(surface: &AlignSurface, motion: &Motion, choice: &Choice, x: f64, y: f64) -> Option<Seen> {
+    let at_rest = see_at(surface, &motion.pose, choice, x, y)?;
+    let tau = choice.sensor.delay_s(choice.level, at_rest.pixel.y, choice.camera.height());
+    if tau == 0.0 {
+        return Some(at_rest);
+    }
+    see_at(surface, &motion.after(tau).pose, choice, x, y)
+}
+
+fn see_at(surface: &AlignSurface, pose: &Pose<Body, Camera>, choice: &Choice, x: f64, y: f64) -> Option<Seen> {
+    let camera_from_body: Matrix3<f64> = pose.rotation_matrix().transpose();
+    let r = camera_from_body * surface.rotation;
+    let c = r.column(0) * x + r.column(1) * y + camera_from_body * (surface.centre - pose.translation);
+    if c.z < 1e-3 || -r.column(2).dot(&c) < LEAST_COSINE * c.norm() {
+        return None;
+    }
+    let n = Vector2::new(c.x / c.z, c.y / c.z);
+    if n.norm() > choice.camera.valid_radius() {
+        return None;
+    }
+    let (pixel, by_ray) = choice.camera.project_with_jacobian(Normalized(n));
+    let by_metre = |axis: usize| {
+        let d = r.column(axis);
+        Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z) / c.z
+    };
+    let scale = f64::from(1u32 << choice.level);
+    let half = Vector2::new(0.5, 0.5);
+    Some(Seen {
+        pixel: (pixel.0 + half) / scale - half,
+        by_metres: by_ray * Matrix2::from_columns(&[by_metre(0), by_metre(1)]) / scale,
+        centre: surface.rotation.transpose() * (pose.translation - surface.centre),
+    })
+}
+
+/// Whether another surface of the body stands between the camera and any corner of a patch of +- `reach` around a point.
+fn hidden(surfaces: &[AlignSurface], own: usize, centre: &Vector3<f64>, middle: [f64; 2], reach: [f64; 2]) -> bool {
+    if surfaces.len() == 1 {
+        return false;
+    }
+    let me = &surfaces[own];
+    let body_point = |p: Vector3<f64>| me.rotation * p + me.centre;
+    let eye = body_point(*centre);
+    surfaces.iter().enumerate().any(|(k, other)| {
+        k != own
+            && [(0.0, 0.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].iter().any(|(sx, sy)| {
+                let point = body_point(Vector3::new(middle[0] + sx * reach[0], middle[1] + sy * reach[1], 0.0));
+                let (from, to) = (other.rotation.transpose() * (eye - other.centre), other.rotation.transpose() * (point - other.centre));
+                let share = from.z / (from.z - to.z);
+                let hit = from + (to - from) * share;
+                (0.0..0.999).contains(&share) && hit.x.abs() < 0.5 * other.size_m[0] && hit.y.abs() < 0.5 * other.size_m[1]
+            })
+    })
+}

@@ -1,0 +1,289 @@
+//! The linear system of one step over all tiles: light first, motion last, factored once and used for the step,
+//! for the covariance and for the scatter of the tiles' votes.
+//!
+//! A light node meets only its neighbours and the dense end (point spread, bias, motion), so that elimination in
+//! this order keeps the factor banded: a fraction of the cost of a dense one.
+
+use nalgebra::{Matrix6, SVector};
+
+use super::light::Light;
+use super::motion::{MotionError, MotionMatrix};
+use super::normal::{BIAS, COLUMNS, GAINS, SPREAD, TileSums};
+use super::pixels::TileGrid;
+
+/// Degrees of freedom of a motion.
+pub const MOTION: usize = 18;
+/// Unknowns behind the light nodes: point spread, bias, motion.
+const DENSE: usize = 2 + MOTION;
+
+/// Relative difference of gain that is usual between neighbouring nodes.
+const ROUGHNESS: f64 = 0.15;
+/// One sigma of the bias, grey levels.
+const BIAS_SIGMA: f64 = 60.0;
+
+/// Times of a tile: what a change of motion means for its pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TileTime {
+    /// Seconds from the stamp.
+    pub delay_s: f64,
+    /// Mean square of the times at which the tile's pixels were open, s².
+    pub mean_square_s2: f64,
+}
+
+/// What is known beforehand.
+pub struct Prior<'a> {
+    /// Information of the motion.
+    pub information: &'a MotionMatrix,
+    /// From the linearisation to where the prior has the motion.
+    pub error: MotionError,
+    /// The slow average of the point spread, and one sigma about it.
+    pub spread: f64,
+    /// See `spread`.
+    pub spread_sigma: f64,
+}
+
+/// The system and its factor; keeps its buffers.
+#[derive(Debug, Default)]
+pub struct System {
+    nodes: usize,
+    /// Nodes per column of the light grid, for the band.
+    rows: usize,
+    size: usize,
+    /// Lower triangle, row by row (a full square is kept).
+    matrix: Vec<f64>,
+    right: Vec<f64>,
+    solution: Vec<f64>,
+    /// Columns of the inverse that belong to the pose.
+    pose_columns: [Vec<f64>; 6],
+    score: Vec<f64>,
+}
+
+/// A correction of everything.
+#[derive(Debug, Clone, Copy)]
+pub struct Step<'a> {
+    /// Gains of the nodes, then point spread, bias, motion.
+    all: &'a [f64],
+    nodes: usize,
+}
+
+impl Step<'_> {
+    /// Gains of the light nodes.
+    pub fn gains(&self) -> &[f64] {
+        &self.all[..self.nodes]
+    }
+
+    /// Point spread.
+    pub fn spread(&self) -> f64 {
+        self.all[self.nodes]
+    }
+
+    /// Bias.
+    pub fn bias(&self) -> f64 {
+        self.all[self.nodes + 1]
+    }
+
+    /// Motion.
+    pub fn motion(&self) -> MotionError {
+        MotionError::from_column_slice(&self.all[self.nodes + 2..])
+    }
+
+    /// The part that a tile's columns see.
+    pub fn of_tile(&self, nodes: [usize; 4], time: &TileTime) -> [f32; COLUMNS] {
+        let motion = &self.all[self.nodes + 2..];
+        std::array::from_fn(|c| {
+            let value = match c {
+                0..SPREAD => motion[c] + time.delay_s * motion[6 + c] + 0.5 * time.mean_square_s2 * motion[12 + c],
+                SPREAD => self.spread(),
+                BIAS => self.bias(),
+                _ => self.all[nodes[c - GAINS]],
+            };
+            value as f32
+        })
+    }
+}
+
+impl System {
+    /// Starts a system with what is known beforehand. `light`: at the linearisation.
+    pub fn begin(&mut self, grid: &TileGrid, light: &Light, prior: &Prior) {
+        let [columns, rows] = grid.nodes();
+        (self.nodes, self.rows) = (columns * rows, rows);
+        self.size = self.nodes + DENSE;
+        let n = self.size;
+        for (list, length) in [(&mut self.matrix, n * n), (&mut self.right, n), (&mut self.solution, n), (&mut self.score, n)] {
+            list.clear();
+            list.resize(length, 0.0);
+        }
+        self.smooth(columns, light);
+        let (spread, bias, motion) = (self.nodes, self.nodes + 1, self.nodes + 2);
+        self.matrix[spread * n + spread] = prior.spread_sigma.powi(-2);
+        self.right[spread] = (prior.spread - light.spread) * prior.spread_sigma.powi(-2);
+        self.matrix[bias * n + bias] = BIAS_SIGMA.powi(-2);
+        self.right[bias] = -light.bias * BIAS_SIGMA.powi(-2);
+        let right = prior.information * prior.error;
+        for i in 0..MOTION {
+            self.right[motion + i] = right[i];
+            for j in 0..=i {
+                self.matrix[(motion + i) * n + motion + j] = prior.information[(i, j)];
+            }
+        }
+    }
+
+    /// Neighbouring nodes have similar gains.
+    fn smooth(&mut self, columns: usize, light: &Light) {
+        let n = self.size;
+        let information = (ROUGHNESS * light.mean_gain().abs().max(0.02)).powi(-2);
+        for c in 0..columns {
+            for r in 0..self.rows {
+                let a = c * self.rows + r;
+                let neighbours = [(c + 1 < columns).then_some(a + self.rows), (r + 1 < self.rows).then_some(a + 1)];
+                for b in neighbours.into_iter().flatten() {
+                    let difference = light.gains[b] - light.gains[a];
+                    self.matrix[a * n + a] += information;
+                    self.matrix[b * n + b] += information;
+                    self.matrix[b * n + a] -= information;
+                    self.right[a] += information * difference;
+                    self.right[b] -= information * difference;
+                }
+            }
+        }
+    }
+
+    /// Where the tile's columns go: for each, up to three unknowns and their factors.
+    fn places(&self, nodes: [usize; 4], time: &TileTime) -> [([usize; 3], [f64; 3]); COLUMNS] {
+        let motion = self.nodes + 2;
+        std::array::from_fn(|c| match c {
+            0..SPREAD => ([motion + c, motion + 6 + c, motion + 12 + c], [1.0, time.delay_s, 0.5 * time.mean_square_s2]),
+            SPREAD => ([self.nodes; 3], [1.0, 0.0, 0.0]),
+            BIAS => ([self.nodes + 1; 3], [1.0, 0.0, 0.0]),
+            _ => ([nodes[c - GAINS]; 3], [1.0, 0.0, 0.0]),
+        })
+    }
+
+    /// Adds a tile. `weight`: inverse of the residuals' variance beyond what their whitener says.
+    pub fn add(&mut self, sums: &TileSums, nodes: [usize; 4], time: &TileTime, weight: f64) {
+        let n = self.size;
+        let places = self.places(nodes, time);
+        let is_still = time.mean_square_s2 == 0.0;
+        let powers = |c: usize| if c < SPREAD && !is_still { 3 } else { 1 };
+        for i in 0..COLUMNS {
+            for a in 0..powers(i) {
+                let (row, row_factor) = (places[i].0[a], places[i].1[a] * weight);
+                self.right[row] += row_factor * sums.product(i, COLUMNS);
+                for j in 0..COLUMNS {
+                    for b in 0..powers(j) {
+                        let column = places[j].0[b];
+                        if column <= row {
+                            self.matrix[row * n + column] += row_factor * places[j].1[b] * sums.product(i, j);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// First column of the factor's row that may differ from zero.
+    fn first(&self, row: usize) -> usize {
+        if row < self.nodes { row.saturating_sub(self.rows + 1) } else { 0 }
+    }
+
+    /// Factors the system in place (Cholesky) and solves it; `None` where it leaves a direction free.
+    pub fn solve(&mut self) -> Option<Step<'_>> {
+        let n = self.size;
+        for i in 0..n {
+            let first_i = self.first(i);
+            for j in first_i..=i {
+                let first = first_i.max(self.first(j));
+                let (before, rest) = self.matrix.split_at_mut(i * n);
+                let row_i = &rest[first..j];
+                let sum: f64 = if i == j {
+                    row_i.iter().map(|v| v * v).sum()
+                } else {
+                    row_i.iter().zip(&before[j * n + first..j * n + j]).map(|(a, b)| a * b).sum()
+                };
+                if i == j {
+                    let pivot = rest[i] - sum;
+                    if !(pivot > 0.0 && pivot.is_finite()) {
+                        return None;
+                    }
+                    rest[i] = pivot.sqrt();
+                } else {
+                    rest[j] = (rest[j] - sum) / before[j * n + j];
+                }
+            }
+        }
+        let mut x = std::mem::take(&mut self.solution);
+        x.copy_from_slice(&self.right);
+        self.back_substitute(&mut x);
+        self.solution = x;
+        Some(Step { all: &self.solution, nodes: self.nodes })
+    }
+
+    /// The last solution.
+    pub fn step(&self) -> Step<'_> {
+        Step { all: &self.solution, nodes: self.nodes }
+    }
+
+    /// Solves with the factor, in place.
+    fn back_substitute(&self, x: &mut [f64]) {
+        let n = self.size;
+        for i in 0..n {
+            let first = self.first(i);
+            let sum: f64 = self.matrix[i * n + first..i * n + i].iter().zip(&x[first..i]).map(|(a, b)| a * b).sum();
+            x[i] = (x[i] - sum) / self.matrix[i * n + i];
+        }
+        for i in (0..n).rev() {
+            x[i] /= self.matrix[i * n + i];
+            let value = x[i];
+            let first = self.first(i);
+            for (x, l) in x[first..i].iter_mut().zip(&self.matrix[i * n + first..i * n + i]) {
+                *x -= l * value;
+            }
+        }
+    }
+
+    /// Covariance of the motion: the last block of the inverse, times nothing (weights were inverse variances).
+    pub fn motion_covariance(&mut self) -> MotionMatrix {
+        let mut covariance = MotionMatrix::zeros();
+        let mut column = std::mem::take(&mut self.score);
+        for k in 0..MOTION {
+            column.fill(0.0);
+            column[self.nodes + 2 + k] = 1.0;
+            self.back_substitute(&mut column);
+            for i in 0..MOTION {
+                covariance[(i, k)] = column[self.nodes + 2 + i];
+            }
+            if let Some(kept) = self.pose_columns.get_mut(k) {
+                kept.clear();
+                kept.extend_from_slice(&column);
+            }
+        }
+        self.score = column;
+        (covariance + covariance.transpose()) * 0.5
+    }
+
+    /// A tile's vote on the pose: the step that its remaining residuals alone would add. `step`: the tile's part of the solution.
+    /// After [`motion_covariance`](Self::motion_covariance).
+    pub fn vote(&self, sums: &TileSums, step: &[f32; COLUMNS], nodes: [usize; 4], time: &TileTime, weight: f64) -> SVector<f64, 6> {
+        let mut vote = SVector::<f64, 6>::zeros();
+        for (c, (rows, factors)) in self.places(nodes, time).iter().enumerate() {
+            let explained: f64 = step.iter().enumerate().map(|(k, s)| sums.product(c, k) * f64::from(*s)).sum();
+            let score = (sums.product(c, COLUMNS) - explained) * weight;
+            for (row, factor) in rows.iter().zip(factors) {
+                for (v, column) in vote.iter_mut().zip(&self.pose_columns) {
+                    *v += column[*row] * factor * score;
+                }
+            }
+        }
+        vote
+    }
+}
+
+/// The larger of noise and scatter of the votes in every direction (White's sandwich over tiles, whitened by the noise).
+pub fn honest_covariance(noise: &Matrix6<f64>, votes: &Matrix6<f64>) -> Option<Matrix6<f64>> {
+    let root = noise.cholesky()?.l();
+    let inverse_root = root.try_inverse()?;
+    let mut eigen = (inverse_root * votes * inverse_root.transpose()).symmetric_eigen();
+    eigen.eigenvalues.apply(|v| *v = v.max(1.0));
+    let covariance = root * eigen.recompose() * root.transpose();
+    Some((covariance + covariance.transpose()) * 0.5)
+}

@@ -1,0 +1,408 @@
+//! One level at work: its pixels, what they should look like, what they say, and the system that they make.
+
+use nalgebra::{Matrix6, Vector2, Vector3};
+
+use super::appearance::{Appearance, predict};
+use super::frame_levels::FrameLevels;
+use super::light::Light;
+use super::motion::{Motion, MotionEstimate, MotionMatrix};
+use super::normal::{COLUMNS, Noise, Residuals, RunEvidence, TileLight, Weighing, evidence, moments, residuals, squared_after, tile_sums};
+use super::pixels::{Pixels, Run};
+use super::selection::{Choice, Chosen, Selector};
+use super::system::{Prior, System, TileTime, honest_covariance};
+use super::{AlignSurface, Eye, Sensor};
+use crate::geometry::{Body, Camera, Pose};
+
+/// Fewest pixels that a level is solved with.
+const LEAST_PIXELS: usize = 60;
+/// Read noise and shot noise of a usual camera: variance at black, and per grey level.
+const READ_VARIANCE: f32 = 2.25;
+const SHOT_VARIANCE: f32 = 0.03;
+/// Error of the appearance model, pixels of the level; twice that above the finest level.
+const MODEL_PX: f32 = 0.01;
+/// Places along a blur of less than so many pixels; [`MOST_PLACES`] for longer ones.
+const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
+const MOST_PLACES: usize = 15;
+/// Runs that correlate less with their prediction show something else.
+const LEAST_CORRELATION: f32 = 0.9;
+/// Runs that correlate better tell of the bias, which is never larger than this, grey levels.
+const TELLING_CORRELATION: f32 = 0.8;
+const LARGEST_BIAS: f64 = 60.0;
+/// Weight of the usual gain at a node, beside the tiles that touch it.
+const USUAL_SHARE: f64 = 0.2;
+/// One residual in so many is looked at for their spread.
+const SCALE_STRIDE: usize = 4;
+
+/// What a level works for.
+#[derive(Clone, Copy)]
+pub struct Task<'a> {
+    /// The body's surfaces.
+    pub surfaces: &'a [AlignSurface],
+    /// The camera.
+    pub eye: &'a Eye,
+    /// Its shutter.
+    pub sensor: &'a Sensor,
+    /// The level.
+    pub level: usize,
+    /// Whether it is the last one.
+    pub is_finest: bool,
+    /// Pixels wanted.
+    pub count: usize,
+    /// Length of the motion blur, pixels of the level.
+    pub blur_px: f64,
+}
+
+impl Task<'_> {
+    /// Noise of a pixel of the level.
+    fn noise(&self) -> Noise {
+        let n = f32::from(1u16 << (2 * self.level));
+        Noise {
+            dark: (READ_VARIANCE + 1.0 / 12.0) / n,
+            per_grey: SHOT_VARIANCE / n,
+            model_px: if self.is_finest { MODEL_PX } else { 2.0 * MODEL_PX },
+        }
+    }
+
+    /// Places along the blur that are looked at.
+    fn places(&self) -> usize {
+        PLACES.iter().find(|(longest_px, _)| self.blur_px < *longest_px).map_or(MOST_PLACES, |(_, places)| *places)
+    }
+
+    /// How far the picture moves between two motions, in the middle and towards the corners of the frame: the most, in pixels of the
+    /// level.
+    pub fn moved_px(&self, before: &Motion, after: &Motion) -> f64 {
+        let Some(table) = &self.eye.tables[self.level] else { return 0.0 };
+        let focal = self.eye.camera.intrinsics().fx / f64::from(1u32 << self.level);
+        let mut most = 0.0f64;
+        for (a, b) in [(2, 2), (1, 1), (3, 1), (1, 3), (3, 3)] {
+            let [x, y] = table.rays[table.height * b / 4 * table.width + table.width * a / 4];
+            let ray = Vector3::new(f64::from(x), f64::from(y), 1.0);
+            let moved = self.surfaces.iter().filter_map(|s| moved(s, &ray, &before.pose, &after.pose));
+            most = moved.fold(most, |most, m| most.max(m * focal));
+        }
+        most
+    }
+}
+
+/// How far, at depth 1, the point of a surface that a ray meets moves when the camera does; `None` where it is not in front.
+fn moved(surface: &AlignSurface, ray: &Vector3<f64>, before: &Pose<Body, Camera>, after: &Pose<Body, Camera>) -> Option<f64> {
+    let normal = surface.rotation.column(2);
+    let direction = before.rotation * ray;
+    let depth = normal.dot(&(surface.centre - before.translation)) / normal.dot(&direction);
+    let seen = after.rotation.inverse() * (direction * depth + before.translation - after.translation);
+    let shift = (Vector2::new(seen.x, seen.y) / seen.z - ray.xy()).norm();
+    (depth > 0.0 && seen.z > 0.0 && shift.is_finite()).then_some(shift)
+}
+
+/// What is expected of the motion.
+#[derive(Clone, Copy)]
+pub struct Expected<'a> {
+    /// Best guess.
+    pub motion: &'a Motion,
+    /// Its information.
+    pub information: &'a MotionMatrix,
+    /// The slow average of the point spread, and one sigma about it.
+    pub spread: f64,
+    /// See `spread`.
+    pub spread_sigma: f64,
+}
+
+/// The buffers of a level, and where they are linearised.
+#[derive(Debug, Default)]
+pub struct Work {
+    /// The pixels.
+    pub pixels: Pixels,
+    appearance: Appearance,
+    residuals: Residuals,
+    /// Width of the level.
+    width: usize,
+    /// Where the pixels were predicted.
+    at: Option<Motion>,
+    /// The light before the last step.
+    light: Light,
+    /// The step of each run's columns.
+    steps: Vec<[f32; COLUMNS]>,
+    /// How each run compares with its prediction.
+    gauges: Vec<Gauge>,
+    node_weights: Vec<f64>,
+    sorted: Vec<f32>,
+    /// What each run showed at the solution.
+    pub evidence: Vec<RunEvidence>,
+}
+
+/// A run compared with its prediction, gain and bias free.
+#[derive(Debug, Clone, Copy)]
+struct Gauge {
+    /// Correlation, corrected for what noise takes of it.
+    correlation: f32,
+    /// Mean grey predicted and seen, and the bias of the line between them.
+    predicted: f32,
+    seen: f32,
+    bias: f32,
+    /// Whether the run takes part.
+    is_open: bool,
+}
+
+impl Gauge {
+    fn new(moments: &[f64; 6], noise: &Noise) -> Self {
+        let n = moments[0].max(1.0);
+        let [_, p, s, pp, ss, ps] = moments.map(|m| m / n);
+        let (predicted, seen, both) = ((pp - p * p).max(1e-3), (ss - s * s).max(1e-3), ps - p * s);
+        let expected = f64::from(noise.dark + noise.per_grey * s as f32);
+        let clean = (seen - expected).max(0.25 * seen);
+        let correlation = if moments[0] >= 8.0 { (both / (predicted * clean).sqrt()).clamp(-1.0, 1.0) } else { 0.0 };
+        let bias = s - both / predicted * p;
+        Self { correlation: correlation as f32, predicted: p as f32, seen: s as f32, bias: bias as f32, is_open: true }
+    }
+}
+
+/// Where the linearisation led.
+#[derive(Debug, Clone, Copy)]
+pub struct Corrected {
+    /// The motion.
+    pub motion: Motion,
+    /// Robust standard deviation of the residuals, in sigmas.
+    pub scale: f64,
+}
+
+impl Work {
+    /// Chooses and lays out the pixels of the level; false where there are too few.
+    pub fn lay_out(&mut self, task: &Task, frame: &FrameLevels, motion: &Motion, selector: &mut Selector, chosen: &mut Vec<Chosen>) -> bool {
+        self.at = None;
+        let Some(table) = &task.eye.tables[task.level] else { return false };
+        let choice = Choice {
+            camera: &task.eye.camera,
+            table,
+            level: task.level,
+            sensor: *task.sensor,
+            blur_px: task.blur_px,
+            mask: task.eye.mask.as_ref(),
+            count: task.count,
+        };
+        selector.choose(task.surfaces, motion, &choice, chosen);
+        if chosen.len() < LEAST_PIXELS {
+            return false;
+        }
+        self.width = table.width;
+        let height = task.eye.camera.height();
+        self.pixels.arrange(chosen, task.surfaces.len(), task.level, frame.level(task.level), table, task.sensor, height);
+        let n = self.pixels.len();
+        self.appearance.resize(n);
+        self.residuals.resize(n);
+        true
+    }
+
+    /// Predicts all pixels.
+    pub fn predict(&mut self, task: &Task, motion: &Motion) {
+        for &(surface, start, end) in &self.pixels.groups {
+            let range = start as usize..end as usize;
+            predict(&task.surfaces[surface as usize], motion, task.sensor, task.places(), &self.pixels, range, &mut self.appearance);
+        }
+        self.at = Some(*motion);
+    }
+
+    /// How far the picture moved since the prediction, pixels of the level; infinite where there is none.
+    pub fn moved_since(&self, task: &Task, motion: &Motion) -> f64 {
+        self.at.map_or(f64::INFINITY, |at| self.moved_px(task, &at, motion))
+    }
+
+    /// Keeps the pixels and their prediction for a new frame.
+    pub fn renew(&mut self, task: &Task, frame: &FrameLevels) {
+        self.pixels.renew(task.level, frame.level(task.level));
+    }
+
+    /// Solves the linearised problem, iteratively reweighted, and corrects the light. `looks`: reweightings; the first with weights
+    /// that never vanish if `is_first`.
+    pub fn solve(
+        &mut self,
+        task: &Task,
+        expected: &Expected,
+        light: &mut Light,
+        system: &mut System,
+        is_first: bool,
+        passes: usize,
+    ) -> Option<Corrected> {
+        let at = self.at?;
+        let noise = task.noise();
+        self.gauge(&noise);
+        light.regrid(&self.pixels.grid);
+        self.light.clone_from(light);
+        for run in &self.pixels.runs {
+            let light = TileLight::new(light, self.pixels.grid.nodes_of(run.tile as usize));
+            residuals(&self.pixels, run, &self.appearance, &light, &noise, &mut self.residuals);
+        }
+        self.steps.clear();
+        self.steps.resize(self.pixels.runs.len(), [0.0; COLUMNS]);
+        let mut scale = self.scale();
+        for pass in 0..passes {
+            let weighing = Weighing { scale, is_first_look: is_first && pass == 0 };
+            let prior = Prior { information: expected.information, error: at.error_to(expected.motion), spread: expected.spread, spread_sigma: expected.spread_sigma };
+            system.begin(&self.pixels.grid, light, &prior);
+            let weight = scale.powi(-2);
+            for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
+                let nodes = self.pixels.grid.nodes_of(run.tile as usize);
+                let light = TileLight::new(light, nodes);
+                let sums = tile_sums(&self.pixels, run, &self.appearance, &light, &self.residuals, step, &weighing);
+                system.add(&sums, nodes, &self.time(task, run), weight);
+            }
+            let step = system.solve()?;
+            for k in 0..self.pixels.runs.len() {
+                let run = self.pixels.runs[k];
+                self.steps[k] = step.of_tile(self.pixels.grid.nodes_of(run.tile as usize), &self.time(task, &run));
+            }
+            scale = self.scale();
+        }
+        let step = system.step();
+        light.spread += step.spread();
+        light.bias += step.bias();
+        for (gain, change) in light.gains.iter_mut().zip(step.gains()) {
+            *gain += change;
+        }
+        let motion = at.corrected(&step.motion());
+        motion.is_finite().then_some(Corrected { motion, scale })
+    }
+
+    fn time(&self, task: &Task, run: &Run) -> TileTime {
+        let middle = (run.start + run.end) / 2;
+        let delay_s = f64::from(self.pixels.delay_s[middle as usize]);
+        TileTime { delay_s, mean_square_s2: delay_s * delay_s + task.sensor.exposure_s.powi(2) / 12.0 }
+    }
+
+    /// Robust standard deviation of the residuals that the last step left, in sigmas.
+    fn scale(&mut self) -> f64 {
+        self.sorted.clear();
+        for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
+            let light = TileLight::new(&self.light, self.pixels.grid.nodes_of(run.tile as usize));
+            for k in (run.start as usize..run.end as usize).step_by(SCALE_STRIDE) {
+                if self.residuals.information[k] > 0.0 {
+                    self.sorted.push(squared_after(&self.pixels, k, &self.appearance, &light, &self.residuals, step));
+                }
+            }
+        }
+        if self.sorted.is_empty() {
+            return 1.0;
+        }
+        let middle = self.sorted.len() / 2;
+        let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f32::total_cmp);
+        (f64::from(*median).sqrt() * 1.4826).max(0.7)
+    }
+
+    /// Compares every run with its prediction, whatever its gain and bias: closes those that show something else.
+    fn gauge(&mut self, noise: &Noise) {
+        self.gauges.clear();
+        self.sorted.clear();
+        for run in &self.pixels.runs {
+            let gauge = Gauge::new(&moments(&self.pixels, run, &self.appearance), noise);
+            self.sorted.push(gauge.correlation);
+            self.gauges.push(gauge);
+        }
+        let middle = self.sorted.len() / 2;
+        // The better half at least: from a start that is off, nothing correlates well yet.
+        let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f32::total_cmp);
+        let least = LEAST_CORRELATION.min(*median);
+        for gauge in &mut self.gauges {
+            gauge.is_open = gauge.correlation >= least;
+        }
+    }
+
+    /// The light from the open runs: the median of their biases, then each tile's mean grey. Means do not mind a start that is off.
+    pub fn guess_light(&mut self, task: &Task, light: &mut Light, spread: f64) {
+        self.gauge(&task.noise());
+        self.sorted.clear();
+        self.sorted.extend(self.gauges.iter().filter(|g| g.is_open && g.correlation > TELLING_CORRELATION).map(|g| g.bias));
+        if self.sorted.len() >= 6 {
+            let middle = self.sorted.len() / 2;
+            let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f32::total_cmp);
+            light.bias = f64::from(*median).clamp(-LARGEST_BIAS, LARGEST_BIAS);
+        }
+        light.spread = spread;
+        let bias = light.bias;
+        let gain = |g: &Gauge| ((f64::from(g.seen) - bias) / f64::from(g.predicted.max(1.0))).clamp(0.02, 20.0);
+        self.sorted.clear();
+        self.sorted.extend(self.gauges.iter().filter(|g| g.is_open).map(|g| gain(g) as f32));
+        if self.sorted.is_empty() {
+            return;
+        }
+        let middle = self.sorted.len() / 2;
+        let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f32::total_cmp);
+        let usual = f64::from(*median);
+        light.regrid(&self.pixels.grid);
+        // Each node from the open tiles that touch it, and a little of what is usual.
+        self.node_weights.clear();
+        self.node_weights.resize(light.gains.len(), USUAL_SHARE);
+        light.set_gain(usual * USUAL_SHARE);
+        for (run, gauge) in self.pixels.runs.iter().zip(&self.gauges).filter(|(_, g)| g.is_open) {
+            let g = gain(gauge).clamp(0.25 * usual, 4.0 * usual);
+            for node in self.pixels.grid.nodes_of(run.tile as usize) {
+                light.gains[node] += g;
+                self.node_weights[node] += 1.0;
+            }
+        }
+        for (gain, weight) in light.gains.iter_mut().zip(&self.node_weights) {
+            *gain /= weight;
+        }
+    }
+
+    /// Largest movement of a tile's middle between two motions, pixels of the level.
+    pub fn moved_px(&self, task: &Task, before: &Motion, after: &Motion) -> f64 {
+        let focal = task.eye.camera.intrinsics().fx / f64::from(1u32 << task.level);
+        let mut most = 0.0f64;
+        for run in &self.pixels.runs {
+            let k = ((run.start + run.end) / 2) as usize;
+            let ray = Vector3::new(f64::from(self.pixels.x[k]), f64::from(self.pixels.y[k]), 1.0);
+            let tau = f64::from(self.pixels.delay_s[k]);
+            let surface = &task.surfaces[run.surface as usize];
+            let moved = moved(surface, &ray, &before.after(tau).pose, &after.after(tau).pose);
+            most = most.max(moved.unwrap_or(f64::INFINITY) * focal);
+        }
+        most
+    }
+
+    /// Where the middle of a run's detail lies on its surface, metres from the centre.
+    pub fn middle_on_surface(&self, run: &Run, e: &RunEvidence, surface: &AlignSurface, motion: &Motion) -> Option<Vector2<f64>> {
+        // Rays vary linearly over a tile to a hundredth of a pixel: the mean of the pixels' rays would do; the one nearest is exact.
+        let [weight, u, v] = e.place;
+        let (u, v) = (u / weight, v / weight);
+        let range = run.start as usize..run.end as usize;
+        let width = self.width as f64;
+        let off = |k: &usize| {
+            let index = f64::from(self.pixels.index[*k]);
+            let (pu, pv) = (index % width, (index / width).floor());
+            (pu - u).powi(2) + (pv - v).powi(2)
+        };
+        let k = range.min_by(|a, b| off(a).total_cmp(&off(b)))?;
+        let ray = Vector3::new(f64::from(self.pixels.x[k]), f64::from(self.pixels.y[k]), 1.0);
+        let pose = motion.after(f64::from(self.pixels.delay_s[k])).pose;
+        let direction = surface.rotation.transpose() * (pose.rotation * ray);
+        let from = surface.rotation.transpose() * (pose.translation - surface.centre);
+        let point = from - direction * (from.z / direction.z);
+        Some(point.xy())
+    }
+
+    /// Covariance at the solution: of the whole motion (noise), and of the pose (noise, or the scatter of the tiles' votes where it
+    /// is larger). Fills [`Work::evidence`].
+    pub fn conclude(&mut self, task: &Task, solved: &Corrected, system: &mut System) -> Option<(MotionEstimate, Matrix6<f64>)> {
+        let weighing = Weighing { scale: solved.scale, is_first_look: false };
+        let covariance = system.motion_covariance();
+        let noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
+        let weight = solved.scale.powi(-2);
+        let mut votes = Matrix6::zeros();
+        let width = task.eye.tables[task.level].as_ref()?.width;
+        self.evidence.clear();
+        let mut n = 0.0;
+        for ((run, step), gauge) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges) {
+            let nodes = self.pixels.grid.nodes_of(run.tile as usize);
+            let light = TileLight::new(&self.light, nodes);
+            if gauge.is_open {
+                let sums = tile_sums(&self.pixels, run, &self.appearance, &light, &self.residuals, step, &weighing);
+                let vote = system.vote(&sums, step, nodes, &self.time(task, run), weight);
+                votes += vote * vote.transpose();
+                n += 1.0;
+            }
+            self.evidence.push(evidence(&self.pixels, run, &self.appearance, &light, &self.residuals, step, &weighing, width));
+        }
+        let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
+        let honest = honest_covariance(&noise, &(votes * factor))?;
+        Some((MotionEstimate { motion: solved.motion, covariance }, honest))
+    }
+}
