@@ -1,0 +1,68 @@
+//! Which corner of a lattice is the board's origin.
+//!
+//! A lattice may be turned by quarter turns until its numbers of corners are the board's. Of the turns that fit, those
+//! with a dark square at the origin (on both of its sides that face outwards and inwards) are taken if there are any; that
+//! leaves one where the pattern is not symmetric. Otherwise the x axis that points most to the right in the picture wins.
+
+use nalgebra::Vector2;
+
+use super::FoundBoard;
+use super::lattice::{Lattice, median};
+use crate::calibrate::board::Board;
+
+/// Whether the lattice spans exactly the board, one way or the other.
+pub(super) fn fits(lattice: &Lattice, board: &Board) -> bool {
+    let wanted = (board.columns().max(board.rows()), board.columns().min(board.rows()));
+    lattice.extent().is_some_and(|extent| extent.sorted_size() == wanted)
+}
+
+/// The corners in the board's order; `None` where the lattice does not span the board.
+pub(super) fn placed(lattice: &Lattice, board: &Board) -> Option<FoundBoard> {
+    let turns: Vec<Turn> = (0..4).filter_map(|quarter| Turn::new(lattice, board, quarter)).collect();
+    let dark = turns.iter().any(|turn| turn.dark_origin);
+    let chosen = turns.into_iter().filter(|turn| turn.dark_origin == dark).max_by(|a, b| a.rightward.total_cmp(&b.rightward))?;
+    let mut contrasts: Vec<f64> = lattice.cells().map(|(_, cell)| cell.contrast).collect();
+    Some(FoundBoard { corners: chosen.corners, blur_px: lattice.blur, contrast: median(&mut contrasts)? })
+}
+
+/// A lattice turned by quarters until it may be the board.
+struct Turn {
+    corners: Vec<Option<Vector2<f64>>>,
+    /// Whether the square beyond the origin is dark.
+    dark_origin: bool,
+    /// Cosine between the board's x axis and the picture's.
+    rightward: f64,
+}
+
+impl Turn {
+    fn new(lattice: &Lattice, board: &Board, quarter: usize) -> Option<Self> {
+        let extent = lattice.extent()?;
+        let (w, h) = extent.size();
+        let (low, high) = (extent.low, extent.high);
+        // Origin and the lattice directions of x and y; y follows x clockwise, as j follows i.
+        let (origin, x, y) = match quarter {
+            0 => ((low.0, low.1), (1, 0), (0, 1)),
+            1 => ((high.0, low.1), (0, 1), (-1, 0)),
+            2 => ((high.0, high.1), (-1, 0), (0, -1)),
+            _ => ((low.0, high.1), (0, -1), (1, 0)),
+        };
+        let size = if quarter % 2 == 0 { (w, h) } else { (h, w) };
+        if size != (board.columns(), board.rows()) {
+            return None;
+        }
+        let at = |c: i32, r: i32| (origin.0 + c * x.0 + r * y.0, origin.1 + c * x.1 + r * y.1);
+        let (columns, rows) = (board.columns() as i32, board.rows() as i32);
+        let all = (0..rows).flat_map(|r| (0..columns).map(move |c| (c, r)));
+        let corners: Vec<_> = all.map(|(c, r)| lattice.get(at(c, r)).map(|cell| cell.position)).collect();
+        // The quadrant between x and y has the colour of (i, j)'s own where the turn is by a half, the other one else.
+        let dark_origin = ((origin.0 + origin.1).rem_euclid(2) == 0) == (quarter % 2 == 0);
+        Some(Self { dark_origin, rightward: rightward(&corners, board.columns() as usize), corners })
+    }
+}
+
+/// How far the rows of corners run to the right: the mean step along x, as a cosine.
+fn rightward(corners: &[Option<Vector2<f64>>], columns: usize) -> f64 {
+    let rows = corners.chunks(columns).flat_map(|row| row.windows(2));
+    let sum: Vector2<f64> = rows.filter_map(|pair| Some(pair[1]? - pair[0]?)).sum();
+    sum.x / sum.norm().max(1e-9)
+}

@@ -1,0 +1,3 @@
+//! Calibration.
+pub mod board;
+pub mod finder;
