@@ -1,3 +1,4 @@
 //! Calibration.
 pub mod board;
 pub mod finder;
+pub mod solve;
