@@ -111,7 +111,8 @@ impl<'a> BoardView<'a> {
         let mut samples: Vec<Sample> = Vec::with_capacity(512);
         let rows = (middle.y - reach).ceil().max(0.0) as usize..((middle.y + reach).floor() + 1.0).clamp(0.0, level.height as f64) as usize;
         for y in rows {
-            let columns = (middle.x - reach).ceil().max(0.0) as usize..((middle.x + reach).floor() + 1.0).clamp(0.0, level.width as f64) as usize;
+            let columns =
+                (middle.x - reach).ceil().max(0.0) as usize..((middle.x + reach).floor() + 1.0).clamp(0.0, level.width as f64) as usize;
             for x in columns {
                 let offset = flat.at(Vector2::new(x as f64, y as f64) - middle);
                 let (s, t) = (offset.perp(&v) / area, u.perp(&offset) / area);

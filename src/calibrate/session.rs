@@ -203,24 +203,35 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
 }
 
 /// Estimates, measures the corners again with the result, and so on until nothing moves.
-fn settle(working: &mut [Working], board: &Board, size: (u32, u32), options: &CalibrationOptions) -> Result<(Estimate, (usize, f64)), CalibrationError> {
+fn settle(
+    working: &mut [Working],
+    board: &Board,
+    size: (u32, u32),
+    options: &CalibrationOptions,
+) -> Result<(Estimate, (usize, f64)), CalibrationError> {
     let undetermined = |_: SolveError| CalibrationError::OneDirection(judge::one_direction());
     let observations = |working: &[Working]| working.iter().map(|w| w.observations(board)).collect::<Vec<_>>();
     let mut estimate = solve::estimate(&observations(working), size, &options.solve).map_err(undetermined)?;
     let mut moved = 0.0;
     for round in 1..=MOST_ROUNDS {
         let Some(model) = model_of(&estimate.bundle.lens, size) else { return Ok((estimate, (round - 1, moved))) };
-        moved = working.par_iter_mut().zip(&estimate.bundle.poses).map(|(view, pose)| {
-            let (Some(patch), Some(geometry)) = (&view.inspected.patch, BoardView::new(&model, pose, board.square_m())) else { return 0.0 };
-            let mut farthest: f64 = 0.0;
-            for corner in view.corners.iter_mut().flatten() {
-                if let Some(now) = geometry.corner(patch, *corner, view.blur_px) {
-                    farthest = farthest.max((now - *corner).norm());
-                    *corner = now;
+        moved = working
+            .par_iter_mut()
+            .zip(&estimate.bundle.poses)
+            .map(|(view, pose)| {
+                let (Some(patch), Some(geometry)) = (&view.inspected.patch, BoardView::new(&model, pose, board.square_m())) else {
+                    return 0.0;
+                };
+                let mut farthest: f64 = 0.0;
+                for corner in view.corners.iter_mut().flatten() {
+                    if let Some(now) = geometry.corner(patch, *corner, view.blur_px) {
+                        farthest = farthest.max((now - *corner).norm());
+                        *corner = now;
+                    }
                 }
-            }
-            farthest
-        }).reduce(|| 0.0, f64::max);
+                farthest
+            })
+            .reduce(|| 0.0, f64::max);
         estimate = solve::refine(estimate.bundle, &observations(working), &options.solve).map_err(undetermined)?;
         if moved < STILL_PX {
             return Ok((estimate, (round, moved)));
@@ -270,36 +281,58 @@ fn worst_view(working: &[Working], board: &Board, estimate: &Estimate) -> Option
     let half_lost = (0..working.len()).find(|&v| 2 * lost(v) > estimate.used[v].len());
     if let Some(v) = half_lost {
         let (lost, all) = (lost(v), estimate.used[v].len());
-        return Some((v, format!("{lost} of its {all} corners do not fit the camera of the other pictures; was the board bent, or the zoom or focus changed?")));
+        return Some((
+            v,
+            format!(
+                "{lost} of its {all} corners do not fit the camera of the other pictures; was the board bent, or the zoom or focus changed?"
+            ),
+        ));
     }
     let worst = (0..rms.len()).max_by(|&a, &b| rms[a].total_cmp(&rms[b]))?;
     let median = super::finder::lattice::median(&mut rms.clone())?;
     (rms[worst] > WORSE * median && rms[worst] > 0.1).then(|| {
         let times = rms[worst] / median;
-        (worst, format!("its corners fit {times:.1} times worse than the median picture's ({:.2} px); was it moving, or the board bent?", rms[worst]))
+        (
+            worst,
+            format!(
+                "its corners fit {times:.1} times worse than the median picture's ({:.2} px); was it moving, or the board bent?",
+                rms[worst]
+            ),
+        )
     })
 }
 
 /// Everything that is to be said of each picture.
-fn views_of(pictures: &[Inspected], working: &[Working], reasons: Vec<Option<String>>, board: &Board, estimate: &Estimate) -> Vec<CalibrationView> {
-    pictures.iter().zip(reasons).enumerate().map(|(picture, (inspected, reason))| {
-        let index = working.iter().position(|w| w.picture == picture);
-        let corners = index.map(|v| working[v].corners.clone()).or_else(|| inspected.board.as_ref().ok().map(|b| b.corners.clone()));
-        let mut outliers = Vec::new();
-        if let Some(v) = index {
-            let seen = working[v].corners.iter().enumerate().filter(|(_, c)| c.is_some()).map(|(k, _)| k);
-            outliers.extend(seen.zip(&estimate.used[v]).filter(|(_, used)| !**used).map(|(k, _)| k));
-        }
-        CalibrationView {
-            file: inspected.file.clone(),
-            corners,
-            used: index.is_some(),
-            reason,
-            index,
-            rms_px: index.map(|v| estimate.view_rms_px(v, &working[v].observations(board))),
-            outliers,
-            extrinsics: index.map(|v| estimate.extrinsics(v)),
-            thumbnail: inspected.thumbnail.clone(),
-        }
-    }).collect()
+fn views_of(
+    pictures: &[Inspected],
+    working: &[Working],
+    reasons: Vec<Option<String>>,
+    board: &Board,
+    estimate: &Estimate,
+) -> Vec<CalibrationView> {
+    pictures
+        .iter()
+        .zip(reasons)
+        .enumerate()
+        .map(|(picture, (inspected, reason))| {
+            let index = working.iter().position(|w| w.picture == picture);
+            let corners = index.map(|v| working[v].corners.clone()).or_else(|| inspected.board.as_ref().ok().map(|b| b.corners.clone()));
+            let mut outliers = Vec::new();
+            if let Some(v) = index {
+                let seen = working[v].corners.iter().enumerate().filter(|(_, c)| c.is_some()).map(|(k, _)| k);
+                outliers.extend(seen.zip(&estimate.used[v]).filter(|(_, used)| !**used).map(|(k, _)| k));
+            }
+            CalibrationView {
+                file: inspected.file.clone(),
+                corners,
+                used: index.is_some(),
+                reason,
+                index,
+                rms_px: index.map(|v| estimate.view_rms_px(v, &working[v].observations(board))),
+                outliers,
+                extrinsics: index.map(|v| estimate.extrinsics(v)),
+                thumbnail: inspected.thumbnail.clone(),
+            }
+        })
+        .collect()
 }

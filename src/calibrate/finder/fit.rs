@@ -5,7 +5,7 @@
 //! fitted together (Levenberg-Marquardt, all analytic). The model and the window are both symmetric about the corner,
 //! so that what the model does not know - gamma, sharpening, saturation, motion blur - moves the corner nowhere.
 
-use std::f64::consts::{FRAC_2_SQRT_PI, FRAC_1_SQRT_2};
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
 
 use nalgebra::{SMatrix, SVector, Vector2};
 
@@ -109,7 +109,8 @@ fn gather(level: &Level, centre: Vector2<f64>, [u, v]: [Vector2<f64>; 2], reach:
     samples.clear();
     let area = u.perp(&v);
     let half = Vector2::new(u.x.abs() + v.x.abs(), u.y.abs() + v.y.abs()).map(|c| (WINDOW * c).min(reach));
-    let range = |c: f64, half: f64, size: usize| (c - half).ceil().max(0.0) as usize..((c + half).floor() + 1.0).clamp(0.0, size as f64) as usize;
+    let range =
+        |c: f64, half: f64, size: usize| (c - half).ceil().max(0.0) as usize..((c + half).floor() + 1.0).clamp(0.0, size as f64) as usize;
     for y in range(centre.y, half.y, level.height) {
         for x in range(centre.x, half.x, level.width) {
             let offset = Vector2::new(x as f64, y as f64) - centre;

@@ -160,7 +160,14 @@ fn brightness(picture: &GrayImage) -> String {
     let total = picture.as_raw().len().max(1);
     let level_at = |share: f64| {
         let mut left = (share * total as f64) as usize;
-        counts.iter().position(|&n| { let here = left < n; left = left.saturating_sub(n); here }).unwrap_or(255)
+        counts
+            .iter()
+            .position(|&n| {
+                let here = left < n;
+                left = left.saturating_sub(n);
+                here
+            })
+            .unwrap_or(255)
     };
     let (dark, light) = (level_at(0.02), level_at(0.98));
     match (dark, light) {

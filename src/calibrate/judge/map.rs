@@ -81,8 +81,7 @@ pub fn uncertainty(model: &CameraModel, lens: &Lens, covariance: &LensMatrix) ->
 pub fn difference(first: &CameraModel, second: &CameraModel) -> Vec<Option<Vector2<f64>>> {
     let size = (first.width(), first.height());
     let lens = Lens::of_model(second);
-    let rays: Vec<Option<(Vector2<f64>, Vector3<f64>)>> =
-        places(size).map(|p| Some((p, first.unproject(Pixel(p))?.0.push(1.0)))).collect();
+    let rays: Vec<Option<(Vector2<f64>, Vector3<f64>)>> = places(size).map(|p| Some((p, first.unproject(Pixel(p))?.0.push(1.0)))).collect();
     let mut turn = UnitQuaternion::identity();
     for _ in 0..8 {
         let count = rays.iter().flatten().count();

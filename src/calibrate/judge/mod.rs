@@ -11,9 +11,9 @@ mod words;
 use super::board::{Board, Symmetry};
 use super::guide::{PART_COLUMNS, PART_ROWS, TILTED_DEG, ViewSet, ViewShape};
 use super::session::{CalibrationOptions, CalibrationView};
+use super::solve::Estimate;
 use super::solve::adjust::Observation;
 use super::solve::lens::{LENS_NAMES, LENS_NUMBERS};
-use super::solve::Estimate;
 use halves::Halves;
 use map::PixelMap;
 pub(crate) use words::{mend_for_few, nothing_found, one_direction};
@@ -160,13 +160,17 @@ impl Judgement {
     fn weigh_geometry(&mut self, estimate: &Estimate, set: &ViewSet) {
         let (views, angle) = (set.len(), self.widest_angle_deg);
         if angle < LEAST_ANGLE_DEG {
-            let text = format!("all {views} views show the board from one direction (within {angle:.1} degrees): focal length and distance cannot be told apart");
+            let text = format!(
+                "all {views} views show the board from one direction (within {angle:.1} degrees): focal length and distance cannot be told apart"
+            );
             self.find(Verdict::DoNotUse, text);
         }
         let share = focal_share(estimate);
         let tilted = self.tilted_views;
         let blame = if 2 * tilted < views {
-            format!(", for only {tilted} of {views} views are tilted by {TILTED_DEG:.0} degrees or more: nearly front-on views cannot tell focal length from distance")
+            format!(
+                ", for only {tilted} of {views} views are tilted by {TILTED_DEG:.0} degrees or more: nearly front-on views cannot tell focal length from distance"
+            )
         } else {
             ", for the views are too few or too much alike".to_owned()
         };
@@ -194,12 +198,21 @@ impl Judgement {
         let aside = [(n[2] + 0.5) / f64::from(width) - 0.5, (n[3] + 0.5) / f64::from(height) - 0.5];
         let aside = aside[0].hypot(aside[1]);
         if aside > 0.2 {
-            self.find(Verdict::Usable, format!("the principal point lies {:.0} % of the picture away from its middle (fine for a cropped picture only)", 100.0 * aside));
+            self.find(
+                Verdict::Usable,
+                format!(
+                    "the principal point lies {:.0} % of the picture away from its middle (fine for a cropped picture only)",
+                    100.0 * aside
+                ),
+            );
         }
         let folded = self.uncertainty.values_px.iter().filter(|v| v.is_none()).count();
         if folded > 0 {
             let percent = 100.0 * folded as f64 / self.uncertainty.values_px.len() as f64;
-            self.find(Verdict::Usable, format!("the distortion folds over in {percent:.0} % of the picture, towards its rim; show the board there"));
+            self.find(
+                Verdict::Usable,
+                format!("the distortion folds over in {percent:.0} % of the picture, towards its rim; show the board there"),
+            );
         }
         if !self.insignificant.is_empty() {
             let names = self.insignificant.join(", ");
@@ -214,7 +227,10 @@ impl Judgement {
         let (most, worst) = (self.uncertainty.quantile(map::MOST), self.uncertainty.worst());
         self.graded(most / pixel, MOST_PX, || format!("a distant point may appear {most:.1} px off over most of the picture (3 sigma)"));
         if worst / pixel > WORST_PX {
-            self.find(Verdict::Usable, format!("a distant point may appear {worst:.1} px off near the picture's rim (3 sigma), where no corners are"));
+            self.find(
+                Verdict::Usable,
+                format!("a distant point may appear {worst:.1} px off near the picture's rim (3 sigma), where no corners are"),
+            );
         }
         match self.halves.clone() {
             Some(halves) => {
@@ -254,7 +270,9 @@ impl Judgement {
         self.next_picture = match (set.next_picture(), self.verdict) {
             (Some(next), _) => next,
             (None, Verdict::Good) => "nothing more is needed".to_owned(),
-            (None, _) => "more views of the same variety: the board large in the picture, each side in turn 30 to 45 degrees away".to_owned(),
+            (None, _) => {
+                "more views of the same variety: the board large in the picture, each side in turn 30 to 45 degrees away".to_owned()
+            }
         };
     }
 }

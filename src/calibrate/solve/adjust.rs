@@ -138,7 +138,8 @@ impl Bundle {
     }
 
     fn normal(&self, views: &[Vec<Observation>], free: &FreeNumbers, loss: Loss) -> Normal {
-        let mut normal = Normal { cost: 0.0, lens: LensMatrix::zeros(), gradient: LensVector::zeros(), views: Vec::with_capacity(views.len()) };
+        let mut normal =
+            Normal { cost: 0.0, lens: LensMatrix::zeros(), gradient: LensVector::zeros(), views: Vec::with_capacity(views.len()) };
         for (pose, observations) in self.poses.iter().zip(views) {
             normal.add_view(&self.lens, pose, observations, free, loss);
         }

@@ -95,7 +95,8 @@ impl Lens {
         let r2 = x * x + y * y;
         let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
         let slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
-        let d = Vector2::new(radial * x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), radial * y + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y);
+        let d =
+            Vector2::new(radial * x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), radial * y + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y);
         let cross = 2.0 * slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y;
         let by_x = Vector2::new(radial + 2.0 * slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x, cross);
         let by_y = Vector2::new(cross, radial + 2.0 * slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x);

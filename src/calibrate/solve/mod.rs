@@ -22,8 +22,8 @@ pub struct SolveOptions {
     pub free: FreeNumbers,
     /// Values for the others.
     pub held: Held,
-    /// Every corner counts in full, as in Bouguet's toolbox: none is left out.
-    pub keep_all_corners: bool,
+    /// As Bouguet's toolbox: every corner counts in full, none is left out, and sigma counts no degrees of freedom.
+    pub bouguet: bool,
 }
 
 /// An estimate of everything.
@@ -85,9 +85,9 @@ pub fn estimate(views: &[Vec<Observation>], size: (u32, u32), options: &SolveOpt
 pub fn refine(mut bundle: Bundle, views: &[Vec<Observation>], options: &SolveOptions) -> Result<Estimate, SolveError> {
     let free = &options.free;
     let all: Vec<Vec<bool>> = views.iter().map(|view| vec![true; view.len()]).collect();
-    if options.keep_all_corners {
+    if options.bouguet {
         bundle.adjust(views, free, Loss::Squares, 100);
-        return summed_up(bundle, views, all, free);
+        return summed_up(bundle, views, all, options);
     }
     for _ in 0..4 {
         let sigma = robust_sigma(&bundle, views);
@@ -105,7 +105,7 @@ pub fn refine(mut bundle: Bundle, views: &[Vec<Observation>], options: &SolveOpt
             break;
         }
     }
-    summed_up(bundle, views, used, free)
+    summed_up(bundle, views, used, options)
 }
 
 /// Sigma of one coordinate from the median residual: half of the corners may be wild.
@@ -128,7 +128,8 @@ fn selected(views: &[Vec<Observation>], used: &[Vec<bool>]) -> Vec<Vec<Observati
 }
 
 /// Errors and covariances of an adjusted bundle.
-fn summed_up(bundle: Bundle, views: &[Vec<Observation>], used: Vec<Vec<bool>>, free: &FreeNumbers) -> Result<Estimate, SolveError> {
+fn summed_up(bundle: Bundle, views: &[Vec<Observation>], used: Vec<Vec<bool>>, options: &SolveOptions) -> Result<Estimate, SolveError> {
+    let free = &options.free;
     let kept = selected(views, &used);
     let mut residuals: Vec<Vector2<f64>> = Vec::new();
     for (v, view) in kept.iter().enumerate() {
@@ -145,7 +146,7 @@ fn summed_up(bundle: Bundle, views: &[Vec<Observation>], used: Vec<Vec<bool>>, f
         return Err(SolveError::Undetermined);
     }
     let covariance = bundle.covariance(&kept, free).ok_or(SolveError::Undetermined)?;
-    let variance = squares / freedom;
+    let variance = squares / if options.bouguet { 2.0 * count - 1.0 } else { freedom };
     let mean: Vector2<f64> = residuals.iter().sum::<Vector2<f64>>() / count;
     let spread = |k: usize| (residuals.iter().map(|r| (r[k] - mean[k]).powi(2)).sum::<f64>() / (count - 1.0)).sqrt();
     Ok(Estimate {
@@ -211,11 +212,7 @@ pub struct Extrinsics {
 fn inverse_left_jacobian(omega: &Vector3<f64>) -> Matrix3<f64> {
     let angle = omega.norm();
     let cross = omega.cross_matrix();
-    let second = if angle < 1e-4 {
-        1.0 / 12.0
-    } else {
-        (1.0 - 0.5 * angle * (0.5 * angle).cos() / (0.5 * angle).sin()) / (angle * angle)
-    };
+    let second = if angle < 1e-4 { 1.0 / 12.0 } else { (1.0 - 0.5 * angle * (0.5 * angle).cos() / (0.5 * angle).sin()) / (angle * angle) };
     Matrix3::identity() - cross * 0.5 + cross * cross * second
 }
 

@@ -6,7 +6,7 @@
 
 use nalgebra::{Matrix2, Matrix3, Vector2};
 
-use super::adjust::{Bundle, BoardFrame, Loss, Observation};
+use super::adjust::{BoardFrame, Bundle, Loss, Observation};
 use super::lens::{FreeNumbers, Held, LENS_NUMBERS, Lens};
 use crate::geometry::homography::{Homography, PointPair};
 use crate::geometry::planar_pose::planar_poses;
