@@ -10,6 +10,7 @@ pub mod guide;
 pub mod judge;
 pub mod pick;
 mod recompute;
+pub mod rendered;
 pub mod report;
 pub mod session;
 pub mod sheet;

@@ -20,8 +20,6 @@ pub(crate) struct CornerFit {
     pub blur: f64,
     /// Signed: grey levels from the middle to the squares in the first quadrant, which is negative where they are dark.
     pub contrast: f64,
-    /// What the model leaves unexplained, as a share of the contrast.
-    pub residual: f64,
 }
 
 /// One pixel near a corner: where it lies from the window's centre, its grey level and weight.
@@ -39,7 +37,10 @@ pub(crate) struct SampleFit {
     pub offset: Vector2<f64>,
     pub blur: f64,
     pub contrast: f64,
+    /// What the model leaves unexplained, as a share of the contrast.
     pub residual: f64,
+    /// The edges as long as the steps given: along u and along v.
+    pub directions: [Vector2<f64>; 2],
 }
 
 const N: usize = 9;
@@ -50,6 +51,8 @@ type Vector = SVector<f64, N>;
 pub(crate) const WINDOW: f64 = 0.46;
 /// Blur below this cannot be told from none: a pixel's own width is 0.29.
 const LEAST_BLUR: f64 = 0.25;
+/// Cosine of the largest turn of an edge from the board's direction.
+const ALONG: f64 = 0.9;
 /// Residuals above this share of the contrast are no chessboard corner.
 pub(crate) const LARGEST_RESIDUAL: f64 = 0.35;
 
@@ -73,20 +76,23 @@ pub(crate) fn fit_corner(level: &Level, start: Vector2<f64>, u: Vector2<f64>, v:
         return None;
     }
     let farthest = 0.4 * area / u.norm().max(v.norm());
-    let (mut centre, mut blur) = (start, blur);
+    let (mut centre, mut blur, mut directions) = (start, blur, [u, v]);
     let mut samples = Vec::with_capacity(512);
     for round in 0..4 {
         gather(level, centre, [u, v], reach(blur), &mut samples);
-        let fit = fit_samples(&samples, [u, v], blur, farthest)?;
+        let fit = fit_samples(&samples, directions, blur, farthest)?;
         centre += fit.offset;
-        blur = fit.blur;
+        (blur, directions) = (fit.blur, fit.directions);
+        if directions[0].dot(&u) < ALONG * u.norm_squared() || directions[1].dot(&v) < ALONG * v.norm_squared() {
+            return None;
+        }
         if (centre - start).norm() > farthest || !level.has(centre, 2.0) {
             return None;
         }
         // The window must lie around the corner for its symmetry to help.
         if fit.offset.norm() < 0.1 || round == 3 {
             let good = fit.residual < LARGEST_RESIDUAL;
-            return good.then_some(CornerFit { position: centre, blur, contrast: fit.contrast, residual: fit.residual });
+            return good.then_some(CornerFit { position: centre, blur, contrast: fit.contrast });
         }
     }
     None
@@ -135,7 +141,7 @@ pub(crate) fn fit_samples(samples: &[Sample], [u, v]: [Vector2<f64>; 2], blur: f
     let widest = 0.5 * u.perp(&v) / u.norm().max(v.norm());
     let mut model = Model::start(samples, [u, v], blur.min(widest))?;
     let (mut cost, mut normal, mut gradient) = model.linearised(samples);
-    let mut damping = 1e-3;
+    let mut damping = 1e-4;
     for _ in 0..25 {
         let mut damped = normal;
         for k in 0..N {
@@ -150,7 +156,7 @@ pub(crate) fn fit_samples(samples: &[Sample], [u, v]: [Vector2<f64>; 2], blur: f
             let moved = step.fixed_rows::<2>(0).norm();
             (model, cost, normal, gradient) = (next, next_cost, next_normal, next_gradient);
             damping = (0.1 * damping).max(1e-9);
-            if moved < 1e-4 && gain < 1e-4 * cost {
+            if moved < 2e-3 && gain < 1e-3 * cost {
                 break;
             }
         } else {
@@ -242,13 +248,14 @@ impl Model {
 
     /// The result, where the edges stayed near the board's directions.
     fn judged(&self, samples: &[Sample], [u, v]: [Vector2<f64>; 2], cost: f64) -> Option<SampleFit> {
-        let direction = |angle: f64| Vector2::new(angle.cos(), angle.sin());
-        let straight = direction(self.0[2]).dot(&u.normalize()) > 0.9 && direction(self.0[3]).dot(&v.normalize()) > 0.9;
+        let direction = |angle: f64, step: Vector2<f64>| Vector2::new(angle.cos(), angle.sin()) * step.norm();
+        let directions = [direction(self.0[2], u), direction(self.0[3], v)];
+        let straight = directions[0].dot(&u) > ALONG * u.norm_squared() && directions[1].dot(&v) > ALONG * v.norm_squared();
         let weight: f64 = samples.iter().map(|s| s.weight).sum();
         let contrast = self.0[6];
         let residual = (cost / weight).sqrt() / contrast.abs();
         let good = straight && contrast.abs() > 1.0 && residual.is_finite();
-        good.then_some(SampleFit { offset: self.offset(), blur: self.0[4].exp(), contrast, residual })
+        good.then_some(SampleFit { offset: self.offset(), blur: self.0[4].exp(), contrast, residual, directions })
     }
 }
 

@@ -47,6 +47,8 @@ impl Extent {
     }
 }
 
+/// A corner this share of a square away from where its neighbours foretell it is none.
+const STRAY: f64 = 0.25;
 /// Larger boards are not looked for.
 const MOST_CORNERS: usize = 10_000;
 
@@ -174,6 +176,21 @@ impl Lattice {
         }
     }
 
+    /// Drops corners that lie where their neighbours do not foretell them, the worst first.
+    pub fn drop_strays(&mut self) {
+        loop {
+            let share = |(i, j): (i32, i32), cell: &Cell| {
+                let [u, v] = self.steps(i, j)?;
+                Some((cell.position - self.foretold(i, j)?).norm() / u.norm().min(v.norm()))
+            };
+            // A corner without neighbours that foretell it is one that nothing speaks for.
+            let off = self.cells.iter().map(|(&at, cell)| (share(at, cell).unwrap_or(f64::INFINITY), at));
+            let off = off.filter(|(share, _)| *share > STRAY);
+            let Some((_, worst)) = off.max_by(|a, b| a.0.total_cmp(&b.0)) else { return };
+            self.cells.remove(&worst);
+        }
+    }
+
     /// A corner fit with the steps and colours of this lattice.
     fn fit_at(&self, level: &Level, i: i32, j: i32, start: Vector2<f64>) -> Option<CornerFit> {
         let [u, v] = self.steps(i, j)?;
@@ -185,7 +202,10 @@ impl Lattice {
     /// The same corners on a level `steps` levels coarser (negative: finer).
     pub fn rescaled(&self, steps: i32) -> Self {
         let cells = self.cells.iter().map(|(&at, cell)| (at, Cell { position: super::level::rescaled(cell.position, steps), ..*cell }));
-        Self { cells: cells.collect(), blur: self.blur * 0.5_f64.powi(steps) }
+        // A pixel's own width is part of the blur, and it is another pixel there.
+        let own = 1.0 / 12.0;
+        let lens = (self.blur * self.blur - own).max(0.01) * 0.25_f64.powi(steps);
+        Self { cells: cells.collect(), blur: (lens + own).sqrt() }
     }
 
     /// Drops outermost rows and columns that are mostly empty: single corners out there are chance.

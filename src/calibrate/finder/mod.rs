@@ -100,7 +100,8 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
         }
     }
     let Some((index, lattice)) = best else { return Err(seen_instead(picture, board, partial, &levels)) };
-    let lattice = sharpened(lattice, index, &levels);
+    let mut lattice = sharpened(lattice, index, &levels);
+    lattice.drop_strays();
     let found = placement::placed(&lattice, board);
     match found {
         Some(found) if found.seen() as f64 >= LEAST_SEEN * board.corner_count() as f64 => Ok(found),
@@ -116,6 +117,7 @@ fn lattices_of(level: &Level) -> Vec<Lattice> {
     lattices.truncate(LATTICES);
     for lattice in &mut lattices {
         lattice.complete(level);
+        lattice.drop_strays();
         lattice.trim();
     }
     lattices
@@ -177,3 +179,6 @@ fn brightness(picture: &GrayImage) -> String {
         _ => "no corners that hang together as one".to_owned(),
     }
 }
+
+#[cfg(test)]
+mod tests;

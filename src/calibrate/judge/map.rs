@@ -3,7 +3,7 @@
 //! A principal point that is off by a few pixels is mostly made up for by a small turn of the camera, which a tracker
 //! finds by itself. So the turn that fits best is taken out before the pixels are counted.
 
-use nalgebra::{DMatrix, Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3};
 
 use super::super::solve::lens::{LENS_NUMBERS, Lens, LensMatrix};
 use crate::camera::{CameraModel, Normalized, Pixel};
@@ -82,30 +82,42 @@ pub fn difference(first: &CameraModel, second: &CameraModel) -> Vec<Option<Vecto
     let size = (first.width(), first.height());
     let lens = Lens::of_model(second);
     let rays: Vec<Option<(Vector2<f64>, Vector3<f64>)>> = places(size).map(|p| Some((p, first.unproject(Pixel(p))?.0.push(1.0)))).collect();
-    let mut turn = UnitQuaternion::identity();
-    for _ in 0..8 {
-        let count = rays.iter().flatten().count();
-        let (mut a, mut b) = (DMatrix::zeros(2 * count, 3), nalgebra::DVector::zeros(2 * count));
-        for (k, (place, ray)) in rays.iter().flatten().enumerate() {
-            let turned = turn * ray;
-            let n = turned.xy() / turned.z;
-            let (pixel, by_point, _) = lens.project_with_derivatives(n);
-            a.view_mut((2 * k, 0), (2, 3)).copy_from(&by_turn(by_point, n));
-            b.rows_mut(2 * k, 2).copy_from(&(place - pixel));
-        }
-        let Some(step) = (a.transpose() * &a).try_inverse().map(|inverse| inverse * (a.transpose() * b)) else { break };
-        let step = Vector3::new(step[0], step[1], step[2]);
-        turn = UnitQuaternion::from_scaled_axis(step) * turn;
-        if step.norm() < 1e-12 {
-            break;
-        }
-    }
+    let turn = best_turn(&lens, &rays);
     let apart = |(place, ray): (Vector2<f64>, Vector3<f64>)| {
         let turned = turn * ray;
         let n = turned.xy() / turned.z;
         (turned.z > 0.0 && n.norm() <= second.valid_radius()).then(|| lens.project(n) - place)
     };
     rays.into_iter().map(|ray| ray.and_then(apart)).collect()
+}
+
+/// The turn of the camera after which a lens sees the rays nearest to their places. Places where it is far off - a lens that
+/// was never shown its rim - have little say.
+fn best_turn(lens: &Lens, rays: &[Option<(Vector2<f64>, Vector3<f64>)>]) -> UnitQuaternion<f64> {
+    let mut turn = UnitQuaternion::identity();
+    for _ in 0..15 {
+        let seen = rays.iter().flatten().map(|(place, ray)| {
+            let turned = turn * ray;
+            let n = turned.xy() / turned.z;
+            let (pixel, by_point, _) = lens.project_with_derivatives(n);
+            (place - pixel, by_turn(by_point, n))
+        });
+        let rows: Vec<(Vector2<f64>, SMatrix<f64, 2, 3>)> = seen.collect();
+        let mut lengths: Vec<f64> = rows.iter().map(|(r, _)| r.norm_squared()).collect();
+        let Some(middle) = super::super::finder::lattice::median(&mut lengths) else { break };
+        let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
+        for (residual, by_turn) in &rows {
+            let weight = 1.0 / (1.0 + residual.norm_squared() / (middle + 1e-12));
+            a += by_turn.transpose() * by_turn * weight;
+            b += by_turn.transpose() * residual * weight;
+        }
+        let Some(step) = a.try_inverse().map(|inverse| inverse * b) else { break };
+        turn = UnitQuaternion::from_scaled_axis(step) * turn;
+        if step.norm() < 1e-12 {
+            break;
+        }
+    }
+    turn
 }
 
 /// The lengths of a field of differences.

@@ -74,7 +74,10 @@ pub struct Judgement {
 impl Judgement {
     /// The verdict in one sentence.
     pub fn sentence(&self) -> String {
-        let because: Vec<&str> = self.findings.iter().filter(|f| f.weight == self.verdict).map(|f| f.text.as_str()).collect();
+        // What speaks for a good one is said in two clauses; what speaks against the others, in full.
+        let most = if self.verdict == Verdict::Good { 2 } else { usize::MAX };
+        let because = self.findings.iter().filter(|f| f.weight == self.verdict).take(most);
+        let because: Vec<&str> = because.map(|f| f.text.as_str()).collect();
         format!("{}, because {}", self.verdict, because.join("; "))
     }
 
@@ -128,8 +131,8 @@ pub(crate) fn judge(
     };
     let pixel = f64::from(size.0.max(size.1)) / 640.0;
     judgement.weigh_geometry(estimate, &set);
-    judgement.weigh_lens(estimate, size, options);
     judgement.weigh_errors(estimate, pixel);
+    judgement.weigh_lens(estimate, size, options);
     judgement.weigh_views(views, board);
     judgement.conclude(&set);
     judgement
@@ -232,6 +235,8 @@ impl Judgement {
                 format!("a distant point may appear {worst:.1} px off near the picture's rim (3 sigma), where no corners are"),
             );
         }
+        let share = 100.0 * focal_share(estimate);
+        self.find(Verdict::Good, format!("corners fit to {rms:.3} px, the focal length is known to {share:.2} %, a distant point to {most:.2} px over most of the picture (3 sigma)"));
         match self.halves.clone() {
             Some(halves) => {
                 let ((name, sigmas), px) = (halves.worst_number(), halves.most_px);
@@ -247,8 +252,6 @@ impl Judgement {
             }
             None => self.find(Verdict::Usable, "there are too few views to hold one half against the other".to_owned()),
         }
-        let share = 100.0 * focal_share(estimate);
-        self.find(Verdict::Good, format!("corners fit to {rms:.3} px, the focal length is known to {share:.2} %, a distant point to {most:.2} px over most of the picture (3 sigma)"));
     }
 
     fn weigh_views(&mut self, views: &[CalibrationView], board: &Board) {

@@ -184,17 +184,18 @@ pub(super) fn map(map: &PixelMap, size: (u32, u32), title: &str) -> String {
     drawing.finish(title)
 }
 
-/// Differences as arrows, enlarged so that the longest is as long as a tile.
+/// Differences as arrows, enlarged so that a long one is as long as a tile.
 pub(super) fn arrows(field: &[Option<nalgebra::Vector2<f64>>], size: (u32, u32)) -> String {
     let scale = 480.0 / f64::from(size.0);
     let mut drawing = Drawing::new(480.0, f64::from(size.1) * scale);
     drawing.rect([0.0, 0.0], [480.0, f64::from(size.1) * scale], PALE, "none");
-    let longest = field.iter().flatten().map(|v| v.norm()).fold(1e-9, f64::max);
+    // A wild rim would make all other arrows vanish.
+    let long = crate::calibrate::judge::map::lengths(field).quantile(0.9).max(1e-9);
     for (place, difference) in places(size).zip(field) {
         let from = [(place.x + 0.5) * scale, (place.y + 0.5) * scale];
         drawing.circle(from, 1.2, "none", INK, 0.0);
         if let Some(d) = difference {
-            let enlarged = d * (480.0 / MAP_COLUMNS as f64 / longest);
+            let enlarged = d * (480.0 / MAP_COLUMNS as f64 / long.max(d.norm() / 3.0));
             drawing.line(from, [from[0] + enlarged.x, from[1] + enlarged.y], "#c03030", 1.3);
         }
     }
