@@ -43,7 +43,7 @@ pub enum BoardError {
 pub enum Symmetry {
     /// One number of corners is odd and one even: the pattern has one origin only.
     None,
-    /// Turned by 180 degrees it looks the same: the origin is taken at the picture's left.
+    /// Turned by 180 degrees it looks the same: the origin is taken where the x axis points right or down.
     Half,
     /// It looks the same every 90 degrees (even x even, both equal).
     Quarter,

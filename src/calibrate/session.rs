@@ -336,3 +336,7 @@ fn views_of(
         })
         .collect()
 }
+
+#[cfg(test)]
+#[path = "session_tests.rs"]
+mod tests;

@@ -1,14 +1,15 @@
 //! Which corner of a lattice is the board's origin.
 //!
 //! A lattice may be turned by quarter turns until its numbers of corners are the board's. Of the turns that fit, those
-//! with a dark square at the origin (on both of its sides that face outwards and inwards) are taken if there are any; that
-//! leaves one where the pattern is not symmetric. Otherwise the x axis that points most to the right in the picture wins.
+//! with a dark square beyond the origin are taken if there are any; that leaves one where the pattern is not symmetric.
+//! Where two are left, half a turn apart, the x axis that points right and down wins: boards are held upright or sideways,
+//! seldom at 45 degrees, which is where this choice changes over. Where four are left, the x axis that points right wins.
 
 use nalgebra::Vector2;
 
 use super::FoundBoard;
 use super::lattice::{Lattice, median};
-use crate::calibrate::board::Board;
+use crate::calibrate::board::{Board, Symmetry};
 
 /// Whether the lattice spans exactly the board, one way or the other.
 pub(super) fn fits(lattice: &Lattice, board: &Board) -> bool {
@@ -20,7 +21,9 @@ pub(super) fn fits(lattice: &Lattice, board: &Board) -> bool {
 pub(super) fn placed(lattice: &Lattice, board: &Board) -> Option<FoundBoard> {
     let turns: Vec<Turn> = (0..4).filter_map(|quarter| Turn::new(lattice, board, quarter)).collect();
     let dark = turns.iter().any(|turn| turn.dark_origin);
-    let chosen = turns.into_iter().filter(|turn| turn.dark_origin == dark).max_by(|a, b| a.rightward.total_cmp(&b.rightward))?;
+    let preferred = if board.symmetry() == Symmetry::Quarter { Vector2::x() } else { Vector2::new(1.0, 1.0) };
+    let left = turns.into_iter().filter(|turn| turn.dark_origin == dark);
+    let chosen = left.max_by(|a, b| a.x_axis.dot(&preferred).total_cmp(&b.x_axis.dot(&preferred)))?;
     let mut contrasts: Vec<f64> = lattice.cells().map(|(_, cell)| cell.contrast).collect();
     Some(FoundBoard { corners: chosen.corners, blur_px: lattice.blur, contrast: median(&mut contrasts)? })
 }
@@ -30,8 +33,8 @@ struct Turn {
     corners: Vec<Option<Vector2<f64>>>,
     /// Whether the square beyond the origin is dark.
     dark_origin: bool,
-    /// Cosine between the board's x axis and the picture's.
-    rightward: f64,
+    /// Direction of the board's x axis in the picture, a unit vector.
+    x_axis: Vector2<f64>,
 }
 
 impl Turn {
@@ -56,13 +59,13 @@ impl Turn {
         let corners: Vec<_> = all.map(|(c, r)| lattice.get(at(c, r)).map(|cell| cell.position)).collect();
         // The quadrant between x and y has the colour of (i, j)'s own where the turn is by a half, the other one else.
         let dark_origin = ((origin.0 + origin.1).rem_euclid(2) == 0) == (quarter % 2 == 0);
-        Some(Self { dark_origin, rightward: rightward(&corners, board.columns() as usize), corners })
+        Some(Self { dark_origin, x_axis: x_axis(&corners, board.columns() as usize), corners })
     }
 }
 
-/// How far the rows of corners run to the right: the mean step along x, as a cosine.
-fn rightward(corners: &[Option<Vector2<f64>>], columns: usize) -> f64 {
+/// Where the rows of corners run to: the mean step along x.
+fn x_axis(corners: &[Option<Vector2<f64>>], columns: usize) -> Vector2<f64> {
     let rows = corners.chunks(columns).flat_map(|row| row.windows(2));
     let sum: Vector2<f64> = rows.filter_map(|pair| Some(pair[1]? - pair[0]?)).sum();
-    sum.x / sum.norm().max(1e-9)
+    sum / sum.norm().max(1e-9)
 }

@@ -262,7 +262,7 @@ impl Judgement {
         }
         match board.symmetry() {
             Symmetry::None => {}
-            Symmetry::Half => self.find(Verdict::Good, format!("a board of {board} looks the same turned by 180 degrees: its origin is the corner whose x axis points right in the picture, which may be the other end of the board from one picture to the next")),
+            Symmetry::Half => self.find(Verdict::Good, format!("a board of {board} looks the same turned by 180 degrees: its origin is the corner whose x axis points right and down in the picture, which may be the other end of the board from one picture to the next")),
             Symmetry::Quarter => self.find(Verdict::Good, format!("a board of {board} looks the same every 90 degrees: its origin is the corner whose x axis points right in the picture, which need not be the same one in every picture")),
         }
     }
