@@ -14,6 +14,10 @@ use super::session::{Inspected, inspect};
 const MOST_VIEWS: usize = 40;
 /// The board is held still when its corners moved less than this since the frame before, as a share of the picture's width.
 const STILL_SHARE: f64 = 0.006;
+/// A view must be this unlike all before it (see [`ViewShape::distance`]) to be taken …
+const NOVELTY: f64 = 0.2;
+/// … and so much more for every view that there is already.
+const NOVELTY_PER_VIEW: f64 = 0.01;
 /// A view this much more blurred than the sharpest so far is passed over.
 const BLURRED: f64 = 1.6;
 
@@ -51,7 +55,10 @@ impl ViewPicker {
         let sharp = found.blur_px < BLURRED * self.sharpest_px.max(0.5);
         let observations = observations_of(&found.corners, &self.board);
         let Some(shape) = ViewShape::new(&observations, picture.dimensions(), None).filter(|_| still && sharp) else { return false };
-        if self.taken.len() >= MOST_VIEWS || !self.taken.worth(&shape).is_worth_it() {
+        // The first views may be rather alike; the more there are, the more a new one must bring.
+        let wanted = NOVELTY + NOVELTY_PER_VIEW * self.taken.len() as f64;
+        let worth = self.taken.worth(&shape);
+        if self.taken.len() >= MOST_VIEWS || !(worth.is_worth_it() || worth.novelty > wanted) {
             return false;
         }
         self.taken.add(shape);

@@ -212,16 +212,16 @@ impl Lattice {
     pub fn trim(&mut self) {
         while let Some(extent) = self.extent() {
             let (w, h) = extent.size();
-            let count = |keep: &dyn Fn(i32, i32) -> bool| self.cells.keys().filter(|&&(i, j)| keep(i, j)).count();
-            let sides: [(usize, u32, Box<dyn Fn(i32, i32) -> bool>); 4] = [
-                (0, h, Box::new(move |i, _| i == extent.low.0)),
-                (1, h, Box::new(move |i, _| i == extent.high.0)),
-                (2, w, Box::new(move |_, j| j == extent.low.1)),
-                (3, w, Box::new(move |_, j| j == extent.high.1)),
-            ];
-            let sparse = sides.iter().find(|(_, length, on)| 2 * count(on) < *length as usize);
-            let Some((_, _, on)) = sparse else { return };
-            self.cells.retain(|&(i, j), _| !on(i, j));
+            let on = |side: usize, &(i, j): &(i32, i32)| match side {
+                0 => i == extent.low.0,
+                1 => i == extent.high.0,
+                2 => j == extent.low.1,
+                _ => j == extent.high.1,
+            };
+            let length = |side: usize| if side < 2 { h as usize } else { w as usize };
+            let sparse = (0..4).find(|&side| 2 * self.cells.keys().filter(|at| on(side, at)).count() < length(side));
+            let Some(side) = sparse else { return };
+            self.cells.retain(|at, _| !on(side, at));
         }
     }
 }

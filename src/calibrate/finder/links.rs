@@ -26,7 +26,7 @@ type Neighbours = [Option<usize>; 4];
 
 fn outward(saddle: &Saddle, way: usize) -> Vector2<f64> {
     let direction = saddle.direction(way / 2);
-    if way % 2 == 0 { direction } else { -direction }
+    if way.is_multiple_of(2) { direction } else { -direction }
 }
 
 /// The way out of `saddle` along `edge` that points towards `d`.

@@ -49,7 +49,7 @@ impl Turn {
             2 => ((high.0, high.1), (-1, 0), (0, -1)),
             _ => ((low.0, high.1), (0, -1), (1, 0)),
         };
-        let size = if quarter % 2 == 0 { (w, h) } else { (h, w) };
+        let size = if quarter.is_multiple_of(2) { (w, h) } else { (h, w) };
         if size != (board.columns(), board.rows()) {
             return None;
         }
@@ -58,7 +58,7 @@ impl Turn {
         let all = (0..rows).flat_map(|r| (0..columns).map(move |c| (c, r)));
         let corners: Vec<_> = all.map(|(c, r)| lattice.get(at(c, r)).map(|cell| cell.position)).collect();
         // The quadrant between x and y has the colour of (i, j)'s own where the turn is by a half, the other one else.
-        let dark_origin = ((origin.0 + origin.1).rem_euclid(2) == 0) == (quarter % 2 == 0);
+        let dark_origin = ((origin.0 + origin.1).rem_euclid(2) == 0) == quarter.is_multiple_of(2);
         Some(Self { dark_origin, x_axis: x_axis(&corners, board.columns() as usize), corners })
     }
 }

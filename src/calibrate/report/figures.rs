@@ -176,7 +176,7 @@ pub(super) fn map(map: &PixelMap, size: (u32, u32), title: &str) -> String {
         let (c, r) = ((k % MAP_COLUMNS) as f64, (k / MAP_COLUMNS) as f64);
         let colour = value.map_or("#eee".to_owned(), |v| heat(v / top));
         drawing.rect([c * tile_w, r * tile_h], [tile_w + 0.3, tile_h + 0.3], "none", &colour);
-        if k % MAP_COLUMNS % 2 == 0 && k / MAP_COLUMNS % 2 == 0 {
+        if (k % MAP_COLUMNS).is_multiple_of(2) && (k / MAP_COLUMNS).is_multiple_of(2) {
             let label = value.map_or("-".to_owned(), |v| if v < 10.0 { format!("{v:.2}") } else { format!("{v:.0}") });
             drawing.text([(c + 0.5) * tile_w, (r + 0.65) * tile_h], 9.5, "middle", "#111", &label);
         }

@@ -141,10 +141,10 @@ mod tests {
             moved[k] += h;
             assert!(((lens.project(moved) - pixel) / h - column).norm() < 1e-2);
         }
-        for k in 0..LENS_NUMBERS {
+        for (k, name) in LENS_NAMES.iter().enumerate() {
             let mut moved = lens;
             moved.0[k] += h;
-            assert!(((moved.project(point) - pixel) / h - by_lens.column(k)).norm() < 1e-3, "{}", LENS_NAMES[k]);
+            assert!(((moved.project(point) - pixel) / h - by_lens.column(k)).norm() < 1e-3, "{name}");
         }
     }
 }
