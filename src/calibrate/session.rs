@@ -302,6 +302,18 @@ fn worst_view(working: &[Working], board: &Board, estimate: &Estimate) -> Option
     })
 }
 
+/// A pose that is known worse than this adds nothing: 3 sigma of its rotation, rad, and of its place, as a share of the distance.
+const ILL_CONDITIONED: [f64; 2] = [0.05, 0.05];
+
+/// What is to be said of a view whose own pose is hardly determined; it is used all the same, for it does no harm.
+fn ill_conditioned(pose: &Extrinsics) -> Option<String> {
+    let (turn, place) = (pose.rotation_uncertainty.amax(), pose.translation_uncertainty_m.norm() / pose.translation_m.norm());
+    (turn > ILL_CONDITIONED[0] || place > ILL_CONDITIONED[1]).then(|| {
+        let (degrees, percent) = (turn.to_degrees(), 100.0 * place);
+        format!("ill-conditioned: its own pose is known to {degrees:.1} degrees and {percent:.0} % only; bring the board nearer, or tilt it less far")
+    })
+}
+
 /// Everything that is to be said of each picture.
 fn views_of(
     pictures: &[Inspected],
@@ -322,15 +334,16 @@ fn views_of(
                 let seen = working[v].corners.iter().enumerate().filter(|(_, c)| c.is_some()).map(|(k, _)| k);
                 outliers.extend(seen.zip(&estimate.used[v]).filter(|(_, used)| !**used).map(|(k, _)| k));
             }
+            let extrinsics = index.map(|v| estimate.extrinsics(v));
             CalibrationView {
                 file: inspected.file.clone(),
                 corners,
                 used: index.is_some(),
-                reason,
+                reason: reason.or_else(|| extrinsics.as_ref().and_then(ill_conditioned)),
                 index,
                 rms_px: index.map(|v| estimate.view_rms_px(v, &working[v].observations(board))),
                 outliers,
-                extrinsics: index.map(|v| estimate.extrinsics(v)),
+                extrinsics,
                 thumbnail: inspected.thumbnail.clone(),
             }
         })

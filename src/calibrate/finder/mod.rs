@@ -49,7 +49,7 @@ pub enum NoBoard {
         brightness: String,
     },
     /// A board, or part of one, with other numbers of corners.
-    #[error("a chessboard of {columns}x{rows} inner corners, not the {wanted} that was asked for")]
+    #[error("a chessboard of {columns}x{rows} inner corners{}, not the {wanted} that was asked for", if *cut { " at the picture's rim" } else { "" })]
     OtherSize {
         /// Inner corners along the longer side.
         columns: u32,

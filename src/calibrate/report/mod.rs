@@ -128,7 +128,10 @@ fn picture(view: &CalibrationView, made: &CameraCalibration) -> String {
     let state = match (&view.reason, view.used) {
         (Some(reason), false) => format!("rejected: {}", escaped(reason)),
         (_, false) => "rejected".to_owned(),
-        (_, true) => format!("used, {:.3} px{}", view.rms_px.unwrap_or(0.0), left_out(view)),
+        (reason, true) => {
+            let remark = reason.as_ref().map_or(String::new(), |r| format!("; {}", escaped(r)));
+            format!("used, {:.3} px{}{remark}", view.rms_px.unwrap_or(0.0), left_out(view))
+        }
     };
     let class = if view.used { "" } else { " class=\"off\"" };
     format!("<figure{class}>{drawn}<figcaption>{number}{name}<br>{state}</figcaption></figure>\n")

@@ -18,6 +18,11 @@ pub(super) fn table(made: &CameraCalibration) -> String {
     for view in made.views.iter().filter(|view| !view.outliers.is_empty()) {
         let _ = writeln!(text, "  {}: {} of its corners do not fit and are left out", view.file.display(), view.outliers.len());
     }
+    for view in made.views.iter().filter(|view| view.used) {
+        if let Some(reason) = &view.reason {
+            let _ = writeln!(text, "  {}: {reason}", view.file.display());
+        }
+    }
     let _ = writeln!(text, "\nCalibration results (with uncertainties):\n");
     text += &bouguet(made);
     let _ = writeln!(text, "\nThe numbers after +/- are 3 sigma. Reprojection error per point: {:.4} px.", made.estimate.rms_px);
