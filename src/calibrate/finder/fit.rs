@@ -81,6 +81,7 @@ pub(crate) fn fit_corner(level: &Level, start: Vector2<f64>, u: Vector2<f64>, v:
     for round in 0..4 {
         gather(level, centre, [u, v], reach(blur), &mut samples);
         let fit = fit_samples(&samples, directions, blur, farthest)?;
+        let wide_enough = reach(fit.blur) < reach(blur) + 0.8;
         centre += fit.offset;
         (blur, directions) = (fit.blur, fit.directions);
         if directions[0].dot(&u) < ALONG * u.norm_squared() || directions[1].dot(&v) < ALONG * v.norm_squared() {
@@ -90,7 +91,7 @@ pub(crate) fn fit_corner(level: &Level, start: Vector2<f64>, u: Vector2<f64>, v:
             return None;
         }
         // The window must lie around the corner for its symmetry to help.
-        if fit.offset.norm() < 0.1 || round == 3 {
+        if (fit.offset.norm() < 0.1 && wide_enough) || round == 3 {
             let good = fit.residual < LARGEST_RESIDUAL;
             return good.then_some(CornerFit { position: centre, blur, contrast: fit.contrast });
         }
@@ -141,15 +142,24 @@ pub(crate) fn fit_samples(samples: &[Sample], [u, v]: [Vector2<f64>; 2], blur: f
     let widest = 0.5 * u.perp(&v) / u.norm().max(v.norm());
     let mut model = Model::start(samples, [u, v], blur.min(widest))?;
     let (mut cost, mut normal, mut gradient) = model.linearised(samples);
+    let bounds = [LEAST_BLUR.ln(), widest.max(2.0 * LEAST_BLUR).ln()];
     let mut damping = 1e-4;
-    for _ in 0..25 {
+    for _ in 0..20 {
         let mut damped = normal;
+        let mut downhill = gradient;
         for k in 0..N {
             damped[(k, k)] += damping * normal[(k, k)] + 1e-9;
         }
-        let step = damped.cholesky()?.solve(&gradient);
+        // A blur that lies at its bound and wants beyond stays there, or it would spoil the other numbers' step.
+        let beyond = (model.0[4] <= bounds[0] && downhill[4] > 0.0) || (model.0[4] >= bounds[1] && downhill[4] < 0.0);
+        if beyond {
+            damped.row_mut(4).fill(0.0);
+            damped.column_mut(4).fill(0.0);
+            (damped[(4, 4)], downhill[4]) = (1.0, 0.0);
+        }
+        let step = damped.cholesky()?.solve(&downhill);
         let mut next = Model(model.0 - step);
-        next.0[4] = next.0[4].clamp(LEAST_BLUR.ln(), widest.max(2.0 * LEAST_BLUR).ln());
+        next.0[4] = next.0[4].clamp(bounds[0], bounds[1]);
         let (next_cost, next_normal, next_gradient) = next.linearised(samples);
         if next_cost < cost {
             let gain = cost - next_cost;

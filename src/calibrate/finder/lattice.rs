@@ -49,6 +49,8 @@ impl Extent {
 
 /// A corner this share of a square away from where its neighbours foretell it is none.
 const STRAY: f64 = 0.25;
+/// Blur that a fit starts from at most, level pixels.
+const WIDEST_START: f64 = 2.0;
 /// Larger boards are not looked for.
 const MOST_CORNERS: usize = 10_000;
 
@@ -194,7 +196,8 @@ impl Lattice {
     /// A corner fit with the steps and colours of this lattice.
     fn fit_at(&self, level: &Level, i: i32, j: i32, start: Vector2<f64>) -> Option<CornerFit> {
         let [u, v] = self.steps(i, j)?;
-        let fit = fit_corner(level, start, u, v, self.blur)?;
+        // A narrow start keeps the window small; it widens where the fit asks for it.
+        let fit = fit_corner(level, start, u, v, self.blur.min(WIDEST_START))?;
         let dark_first = (i + j).rem_euclid(2) == 0;
         ((fit.contrast < 0.0) == dark_first).then_some(fit)
     }

@@ -126,17 +126,23 @@ fn lattices_of(level: &Level) -> Vec<Lattice> {
 /// The lattice with its corners fitted on the finest level that is not more blurred than [`WIDEST_BLUR`], in picture pixels.
 fn sharpened(lattice: Lattice, found_on: usize, levels: &[Level]) -> Lattice {
     let (mut lattice, mut at) = (lattice, found_on);
-    while at > 0 && lattice.blur * 2.0 <= WIDEST_BLUR.max(lattice.blur) {
-        // Two levels at once: the fit's start is then half a pixel off at most.
-        let to = at.saturating_sub(if 4.0 * lattice.blur <= WIDEST_BLUR { 2 } else { 1 });
+    // Two levels at once where that goes well: the fit's start is then half a pixel off at most.
+    let mut stride = 2;
+    while at > 0 {
+        let to = at.saturating_sub(stride);
         let mut finer = lattice.rescaled(to as i32 - at as i32);
         let before = finer.len();
+        // Small squares tell little of the blur, so it is asked of the finer level itself.
         finer.refit(&levels[to]);
         // Where noise or a screen's own pixels hide the corners from the finer level, the coarser one has the word.
-        if finer.len() * 20 < before * 19 {
+        let lost = finer.len() * 20 < before * 19;
+        if !lost && finer.blur <= WIDEST_BLUR {
+            (lattice, at) = (finer, to);
+        } else if stride > 1 && at > 1 {
+            stride = 1;
+        } else {
             break;
         }
-        (lattice, at) = (finer, to);
     }
     lattice.rescaled(-(at as i32))
 }
