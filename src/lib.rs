@@ -22,6 +22,7 @@
 //! - [`record`]: [`PoseSample`] and the line it becomes (contract C3)
 //! - [`simulate`]: the virtual stage with exact truth
 //! - [`capture`]: [`capture::FrameSource`]: clips of every form, and the virtual camera
+//! - [`calibrate`]: a chessboard's corners, Zhang's method, bundle adjustment, judgement and report
 //! - [`config`]: as typed, then resolved
 //! - [`daemon`]: [`Tracker`] without threads, [`Daemon`] with them
 //! - [`cli`]: one file a command
@@ -34,6 +35,7 @@
 //! [`geometry::Stage`], [`geometry::Camera`], [`camera::Pixel`].
 #![warn(missing_docs)]
 
+pub mod calibrate;
 pub mod camera;
 pub mod capture;
 pub mod cli;

@@ -1,6 +1,7 @@
 //! The program from outside - its commands, its files, its exit codes, what it makes of whole clips - and the tracker as a
 //! library, on rendered frames.
 
+mod calibrate;
 mod cli;
 mod clips;
 mod pipeline;

@@ -45,6 +45,9 @@ pub enum Failure {
     /// The demo ended early.
     #[error(transparent)]
     Demo(#[from] super::demo::DemoError),
+    /// The pictures make no calibration, or none that should be used.
+    #[error("{0}")]
+    Calibration(String),
     /// The tracker or one of its threads gave up.
     #[error("tracking failed: {0}")]
     Tracking(String),
@@ -81,7 +84,7 @@ impl Failure {
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Usage(_) | Self::Config(_) => USAGE,
-            Self::Capture(_) | Self::NoFrame { .. } | Self::Output { .. } | Self::Demo(_) | Self::Tracking(_) => 1,
+            Self::Capture(_) | Self::NoFrame { .. } | Self::Output { .. } | Self::Demo(_) | Self::Calibration(_) | Self::Tracking(_) => 1,
         })
     }
 }

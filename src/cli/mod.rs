@@ -3,6 +3,8 @@
 //! Exit codes (contract C1): 0 success, 1 failure, 2 bad usage or config. Everything that a command has to
 //! say goes to stdout, everything that is wrong to stderr. A reader that closes the pipe is not an error.
 
+mod board;
+mod calibrate;
 mod check;
 mod demo;
 mod failure;
@@ -36,6 +38,8 @@ enum Command {
     Replay(replay::ReplayArguments),
     Check(check::CheckArguments),
     Demo(demo::DemoArguments),
+    Calibrate(calibrate::CalibrateArguments),
+    Board(board::BoardArguments),
 }
 
 /// Runs the command line of this process; `started` is when the process began.
@@ -51,6 +55,8 @@ pub fn run(started: Instant) -> ExitCode {
     let outcome = match arguments.command {
         Command::Replay(arguments) => replay::run(&arguments, started),
         Command::Check(arguments) => check::run(&arguments),
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Board(arguments) => board::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments).map_err(Failure::from),
     };
     match outcome {

@@ -3,5 +3,5 @@
 mod bad_clip;
 mod bad_config;
 mod good;
-mod scene;
+pub mod scene;
 mod usage;

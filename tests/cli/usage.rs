@@ -5,7 +5,9 @@ use super::scene::Scene;
 #[test]
 fn every_command_has_help_with_an_example() {
     let scene = Scene::new();
-    for command in [&["--help"][..], &["replay", "--help"], &["check", "--help"], &["demo", "--help"]] {
+    let commands =
+        [&["--help"][..], &["replay", "--help"], &["check", "--help"], &["demo", "--help"], &["calibrate", "--help"], &["board", "--help"]];
+    for command in commands {
         let run = scene.run(command);
         run.assert_success();
         assert!(run.stdout.contains("Example:\n  stagepose "), "{command:?}: {}", run.stdout);

@@ -7,6 +7,7 @@ mod bouguet;
 mod opencv;
 mod problem;
 mod stagepose;
+mod write_yaml;
 mod yaml;
 
 use std::path::Path;
@@ -73,6 +74,16 @@ impl Calibration {
     /// The file's text in stagepose's own form; reading it again gives the same numbers to the last bit.
     pub fn to_toml(&self) -> String {
         stagepose::write(self)
+    }
+
+    /// OpenCV's FileStorage YAML (uncertainties have no place in it).
+    pub fn to_opencv_yaml(&self) -> String {
+        write_yaml::opencv(self)
+    }
+
+    /// ROS's camera_info YAML for a camera of this name (uncertainties have no place in it).
+    pub fn to_ros_yaml(&self, camera_name: &str) -> String {
+        write_yaml::ros(self, camera_name)
     }
 }
 

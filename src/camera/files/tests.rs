@@ -212,3 +212,30 @@ proptest! {
         let _ = read(name, &damaged);
     }
 }
+
+#[test]
+fn what_is_written_as_yaml_reads_back() {
+    let intrinsics = Intrinsics {
+        width: 640,
+        height: 480,
+        fx: 533.421,
+        fy: 534.5,
+        cx: 342.1,
+        cy: 234.0,
+        skew: 0.002,
+        distortion: [-0.29, 0.1, 0.001, -0.0002, 0.03],
+    };
+    let mut written = Calibration::new(CameraModel::new(intrinsics).unwrap());
+    written.date = Some("2026-11-21 \"noon\"".to_owned());
+    written.images = Some(13);
+    written.rms_px = Some(0.1635);
+    for (text, form) in [(written.to_opencv_yaml(), CalibrationForm::OpenCv), (written.to_ros_yaml("stage left"), CalibrationForm::Ros)] {
+        let read = parse_calibration(text.as_bytes(), Path::new("camera.yaml")).unwrap();
+        assert_eq!(read.form, form);
+        let i = read.model.intrinsics();
+        assert!((i.skew - 0.002).abs() < 1e-15);
+        assert_eq!(Intrinsics { skew: 0.002, ..*i }, intrinsics);
+    }
+    let read = parse_calibration(written.to_opencv_yaml().as_bytes(), Path::new("camera.yml")).unwrap();
+    assert_eq!((read.rms_px, read.images), (Some(0.1635), Some(13)));
+}

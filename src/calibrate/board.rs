@@ -1,0 +1,156 @@
+//! The chessboard: how many inner corners it has, how large its squares are, and where its corners lie.
+//!
+//! A board's frame lies in its face: the origin is an inner corner, x runs along the columns, y along the rows, and z
+//! goes INTO the board, so that a board that faces the camera upright has its x to the right and its y down in the
+//! picture, as the camera itself. This is the frame of Bouguet's `omc`, `Tc` turned so that it can be told from the
+//! pattern alone; see [`Symmetry`].
+
+use nalgebra::Vector2;
+use thiserror::Error;
+
+/// A chessboard, described by its INNER corners: a board of 10 x 7 squares has 9 x 6.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Board {
+    columns: u32,
+    rows: u32,
+    square_m: f64,
+}
+
+/// Why numbers are no board.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum BoardError {
+    /// The text is not two numbers with an x between them.
+    #[error("--board is \"{0}\"; give the number of INNER corners along both sides, such as 9x6")]
+    Form(String),
+    /// Too few or too many corners.
+    #[error("--board is {columns}x{rows}; both numbers count inner corners and must be from 3 to 100")]
+    Size {
+        /// Along x.
+        columns: u32,
+        /// Along y.
+        rows: u32,
+    },
+    /// The squares have no size.
+    #[error("--square-mm is {mm}; give the side of one square in millimetres, above 0 and below 10000")]
+    Square {
+        /// As given.
+        mm: f64,
+    },
+}
+
+/// What can be told of a board's pose from its pattern.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Symmetry {
+    /// One number of corners is odd and one even: the pattern has one origin only.
+    None,
+    /// Turned by 180 degrees it looks the same: the origin is taken where the x axis points right or down.
+    Half,
+    /// It looks the same every 90 degrees (even x even, both equal).
+    Quarter,
+}
+
+impl Board {
+    /// A board of `columns` x `rows` inner corners with squares of `square_m` metres.
+    ///
+    /// # Errors
+    /// When a number is out of range.
+    pub fn new(columns: u32, rows: u32, square_m: f64) -> Result<Self, BoardError> {
+        let in_range = |n: u32| (3..=100).contains(&n);
+        if !in_range(columns) || !in_range(rows) {
+            return Err(BoardError::Size { columns, rows });
+        }
+        if !(square_m > 0.0 && square_m < 10.0) {
+            return Err(BoardError::Square { mm: square_m * 1e3 });
+        }
+        Ok(Self { columns, rows, square_m })
+    }
+
+    /// Reads "9x6" with squares of `square_mm` millimetres.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new), and where the text has another form.
+    pub fn parse(text: &str, square_mm: f64) -> Result<Self, BoardError> {
+        let numbers = text.trim().split_once(['x', 'X', '*', ',']);
+        let parsed = numbers.and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+        let (columns, rows) = parsed.ok_or_else(|| BoardError::Form(text.to_owned()))?;
+        if !(square_mm > 0.0 && square_mm < 1e4) {
+            return Err(BoardError::Square { mm: square_mm });
+        }
+        Self::new(columns, rows, square_mm * 1e-3)
+    }
+
+    /// Inner corners along x.
+    pub fn columns(&self) -> u32 {
+        self.columns
+    }
+
+    /// Inner corners along y.
+    pub fn rows(&self) -> u32 {
+        self.rows
+    }
+
+    /// Side of a square in metres.
+    pub fn square_m(&self) -> f64 {
+        self.square_m
+    }
+
+    /// Number of inner corners.
+    pub fn corner_count(&self) -> usize {
+        self.columns as usize * self.rows as usize
+    }
+
+    /// Where corner `index` (row by row) lies on the board, metres.
+    pub fn corner(&self, index: usize) -> Vector2<f64> {
+        let columns = self.columns as usize;
+        Vector2::new((index % columns) as f64, (index / columns) as f64) * self.square_m
+    }
+
+    /// How far the pattern fixes its own origin.
+    pub fn symmetry(&self) -> Symmetry {
+        if (self.columns + self.rows) % 2 == 1 {
+            Symmetry::None
+        } else if self.columns == self.rows && self.columns.is_multiple_of(2) {
+            Symmetry::Quarter
+        } else {
+            Symmetry::Half
+        }
+    }
+}
+
+impl std::fmt::Display for Board {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.columns, self.rows)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boards_are_read_and_refused() {
+        let board = Board::parse("9x6", 25.0).unwrap();
+        assert_eq!((board.columns(), board.rows(), board.square_m()), (9, 6, 0.025));
+        assert_eq!(board.corner(10), Vector2::new(0.025, 0.025));
+        assert_eq!(board.to_string(), "9x6");
+        for text in ["", "9", "9x", "ax6", "-3x6"] {
+            assert!(matches!(Board::parse(text, 25.0), Err(BoardError::Form(_))), "{text}");
+        }
+        for text in ["2x6", "9x0", "9x101"] {
+            assert!(matches!(Board::parse(text, 25.0), Err(BoardError::Size { .. })), "{text}");
+        }
+        for mm in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(matches!(Board::parse("9x6", mm), Err(BoardError::Square { .. })), "{mm}");
+        }
+    }
+
+    #[test]
+    fn symmetry_is_what_the_colours_leave_open() {
+        let of = |c, r| Board::new(c, r, 0.02).unwrap().symmetry();
+        assert_eq!(of(9, 6), Symmetry::None);
+        assert_eq!(of(24, 17), Symmetry::None);
+        assert_eq!(of(6, 4), Symmetry::Half);
+        assert_eq!(of(7, 7), Symmetry::Half);
+        assert_eq!(of(10, 10), Symmetry::Quarter);
+    }
+}

@@ -1,0 +1,185 @@
+//! Which candidate is whose neighbour on the board, and the lattices that this makes.
+//!
+//! Two candidates are neighbours if an edge of both runs along the line between them, if the colours are swapped from
+//! one to the other, and if the picture is dark on one side and light on the other all along that line. A link must be
+//! seen from both ends. What hangs together by links is a lattice: each member gets whole-number coordinates.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use nalgebra::Vector2;
+
+use super::lattice::{Cell, Lattice};
+use super::level::Level;
+use super::saddle::Saddle;
+
+/// Neighbours are sought among this many nearest candidates.
+const NEAREST: usize = 40;
+/// Cosine of the largest angle between an edge and the line to the neighbour.
+const ALONG: f64 = 0.94;
+/// Cosine of the largest turn of the crossing edge from one neighbour to the next.
+const CROSSING: f64 = 0.8;
+/// No lattice below this is worth a look.
+const LEAST_LATTICE: usize = 6;
+
+/// The four ways out of a corner: along edge 0, against it, along edge 1, against it.
+type Neighbours = [Option<usize>; 4];
+
+fn outward(saddle: &Saddle, way: usize) -> Vector2<f64> {
+    let direction = saddle.direction(way / 2);
+    if way.is_multiple_of(2) { direction } else { -direction }
+}
+
+/// The way out of `saddle` along `edge` that points towards `d`.
+fn way_towards(saddle: &Saddle, edge: usize, d: Vector2<f64>) -> usize {
+    2 * edge + usize::from(saddle.direction(edge).dot(&d) < 0.0)
+}
+
+/// All lattices among the candidates, largest first.
+pub(super) fn lattices(smooth: &Level, saddles: &[Saddle]) -> Vec<Lattice> {
+    let buckets = Buckets::new(smooth, saddles);
+    let mut near = Vec::new();
+    let seen: Vec<Neighbours> = (0..saddles.len())
+        .map(|index| {
+            buckets.nearest(saddles, index, &mut near);
+            neighbours(smooth, saddles, index, &near)
+        })
+        .collect();
+    let mutual = |from: usize, way: usize| {
+        let to = seen[from][way]?;
+        let back = way_towards(&saddles[to], 1 - way / 2, saddles[from].position - saddles[to].position);
+        (seen[to][back] == Some(from)).then_some(to)
+    };
+    let mut taken = vec![false; saddles.len()];
+    let mut found: Vec<Lattice> = Vec::new();
+    for root in 0..saddles.len() {
+        if !taken[root] && (0..4).any(|way| mutual(root, way).is_some()) {
+            let lattice = spread(saddles, root, &mut taken, mutual);
+            if lattice.len() >= LEAST_LATTICE {
+                found.push(lattice);
+            }
+        }
+    }
+    found.sort_by_key(|lattice| std::cmp::Reverse(lattice.len()));
+    found
+}
+
+/// The nearest fitting candidate in each of the four ways.
+fn neighbours(smooth: &Level, saddles: &[Saddle], index: usize, near: &[(f64, usize)]) -> Neighbours {
+    let mut found = [None; 4];
+    let from = &saddles[index];
+    for &(_, other) in near {
+        let to = &saddles[other];
+        let line = to.position - from.position;
+        let along = line.normalize();
+        for (way, slot) in found.iter_mut().enumerate() {
+            let edge = way / 2;
+            if slot.is_some() || along.dot(&outward(from, way)) < ALONG {
+                continue;
+            }
+            // Colours are swapped at the neighbour: what opens a dark square here closes one there.
+            let parallel = along.dot(&to.direction(1 - edge)).abs() > ALONG;
+            let crossing = from.direction(1 - edge).dot(&to.direction(edge)).abs() > CROSSING;
+            let alike = to.contrast < 4.0 * from.contrast && from.contrast < 4.0 * to.contrast;
+            if parallel && crossing && alike && edge_between(smooth, from, to, edge) {
+                *slot = Some(other);
+            }
+        }
+    }
+    found
+}
+
+/// Whether dark and light lie on the right sides at three places of the line between two candidates.
+fn edge_between(smooth: &Level, from: &Saddle, to: &Saddle, edge: usize) -> bool {
+    let line = to.position - from.position;
+    let mut aside = Vector2::new(-line.y, line.x);
+    let length = aside.norm();
+    aside *= (0.15 * length).clamp(0.8, 4.0) / length;
+    // At growing angle from edge 0 it is dark, from edge 1 it is light; backwards along the edge the sides change twice.
+    let sign = if edge == 0 { -1.0 } else { 1.0 };
+    let margin = 0.2 * from.contrast.min(to.contrast);
+    [0.3, 0.5, 0.7].iter().all(|&t| {
+        let middle = from.position + line * t;
+        sign * f64::from(smooth.sample(middle + aside) - smooth.sample(middle - aside)) > margin
+    })
+}
+
+/// Gives coordinates to everything that hangs on `root`.
+fn spread(saddles: &[Saddle], root: usize, taken: &mut [bool], mutual: impl Fn(usize, usize) -> Option<usize>) -> Lattice {
+    let mut cells: BTreeMap<(i32, i32), Cell> = BTreeMap::new();
+    // Each entry: candidate, its coordinates, and the two ways that lead along +i and +j.
+    let mut queue = VecDeque::from([(root, (0, 0), [0, way_at_growing_angle(&saddles[root], 0)])]);
+    taken[root] = true;
+    while let Some((index, (i, j), [along_i, along_j])) = queue.pop_front() {
+        cells.entry((i, j)).or_insert(Cell { position: saddles[index].position, contrast: saddles[index].contrast });
+        let steps = [(along_i, (1, 0)), (along_i ^ 1, (-1, 0)), (along_j, (0, 1)), (along_j ^ 1, (0, -1))];
+        for (way, (di, dj)) in steps {
+            let Some(to) = mutual(index, way).filter(|&to| !taken[to]) else { continue };
+            if cells.contains_key(&(i + di, j + dj)) {
+                continue;
+            }
+            taken[to] = true;
+            let next = &saddles[to];
+            // The edges swap their names; the axes go on in the same directions.
+            let along_i = way_towards(next, 1 - along_i / 2, outward(&saddles[index], along_i));
+            let along_j = way_towards(next, 1 - along_j / 2, outward(&saddles[index], along_j));
+            queue.push_back((to, (i + di, j + dj), [along_i, along_j]));
+        }
+    }
+    Lattice::new(cells)
+}
+
+/// The way along the other edge that lies clockwise (growing angle, y down) of `way`.
+fn way_at_growing_angle(saddle: &Saddle, way: usize) -> usize {
+    let (here, other) = (outward(saddle, way), saddle.direction(1 - way / 2));
+    2 * (1 - way / 2) + usize::from(here.perp(&other) < 0.0)
+}
+
+/// Candidates sorted into square buckets, for finding the nearest.
+struct Buckets {
+    side: f64,
+    columns: usize,
+    rows: usize,
+    members: Vec<Vec<usize>>,
+}
+
+impl Buckets {
+    fn new(level: &Level, saddles: &[Saddle]) -> Self {
+        let area = (level.width * level.height) as f64;
+        let side = (area * 8.0 / saddles.len().max(1) as f64).sqrt().max(8.0);
+        let count = |size: usize| (size as f64 / side) as usize + 1;
+        let (columns, rows) = (count(level.width), count(level.height));
+        let mut members = vec![Vec::new(); columns * rows];
+        for (index, saddle) in saddles.iter().enumerate() {
+            let (c, r) = ((saddle.position.x / side) as usize, (saddle.position.y / side) as usize);
+            members[r.min(rows - 1) * columns + c.min(columns - 1)].push(index);
+        }
+        Self { side, columns, rows, members }
+    }
+
+    /// The [`NEAREST`] other candidates by distance; looks ring by ring, so that crowded places stay cheap.
+    fn nearest(&self, saddles: &[Saddle], index: usize, near: &mut Vec<(f64, usize)>) {
+        near.clear();
+        let from = saddles[index].position;
+        let (c, r) = ((from.x / self.side) as isize, (from.y / self.side) as isize);
+        let mut enough_at = None;
+        for ring in 0..=self.columns.max(self.rows) as isize {
+            if enough_at.is_some_and(|at| ring > at) {
+                break;
+            }
+            for row in (r - ring).max(0)..=(r + ring).min(self.rows as isize - 1) {
+                let whole = (row - r).abs() == ring;
+                let step = if whole { 1 } else { (2 * ring).max(1) as usize };
+                for column in (c - ring..=c + ring).step_by(step).filter(|&k| k >= 0 && k < self.columns as isize) {
+                    let members = &self.members[row as usize * self.columns + column as usize];
+                    near.extend(members.iter().filter(|&&m| m != index).map(|&m| ((saddles[m].position - from).norm_squared(), m)));
+                }
+            }
+            // One more ring: the nearest of it may be nearer than the farthest of this one.
+            if enough_at.is_none() && near.len() >= NEAREST {
+                enough_at = Some(ring + 1);
+            }
+        }
+        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        near.truncate(NEAREST);
+    }
+}

@@ -1,0 +1,190 @@
+//! The board finder: a grey picture in, the board's inner corners out, each to a few hundredths of a pixel.
+//!
+//! From the coarsest level of a pyramid to the finest: candidates ([`saddle`]), what hangs together as a lattice
+//! ([`links`]), missing corners fitted where their neighbours foretell them ([`lattice`]). The first level that shows the
+//! whole board ends the search - coarse levels are cheap and do not see a screen's pixels, paper's grain or noise. Then
+//! every corner is fitted on the finest level that is sharper than the blur ([`fit`]), and the lattice is turned so that
+//! the origin is the same corner in every picture ([`placement`]).
+
+pub(crate) mod fit;
+pub(crate) mod lattice;
+pub(crate) mod level;
+mod links;
+mod placement;
+mod saddle;
+
+use image::GrayImage;
+use nalgebra::Vector2;
+use thiserror::Error;
+
+use super::board::Board;
+use lattice::Lattice;
+use level::Level;
+
+/// A board in a picture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FoundBoard {
+    /// Raw pixels of the inner corners, row by row as [`Board::corner`] counts them; `None` where one is hidden.
+    pub corners: Vec<Option<Vector2<f64>>>,
+    /// Standard deviation of the blur across the corners' edges, pixels (a sharp picture's own pixel width, 0.3, included).
+    pub blur_px: f64,
+    /// Half the difference between light and dark squares, grey levels (the median).
+    pub contrast: f64,
+}
+
+impl FoundBoard {
+    /// How many corners are seen.
+    pub fn seen(&self) -> usize {
+        self.corners.iter().flatten().count()
+    }
+}
+
+/// Why there is no board, and what was seen instead.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum NoBoard {
+    /// Nothing hangs together.
+    #[error("no chessboard: {brightness}")]
+    Nothing {
+        /// What the picture is like.
+        brightness: String,
+    },
+    /// A board, or part of one, with other numbers of corners.
+    #[error("a chessboard of {columns}x{rows} inner corners{}, not the {wanted} that was asked for", if *cut { " at the picture's rim" } else { "" })]
+    OtherSize {
+        /// Inner corners along the longer side.
+        columns: u32,
+        /// Inner corners along the shorter side.
+        rows: u32,
+        /// As asked for.
+        wanted: String,
+        /// Whether it ends at the picture's rim, so that more of it may lie outside.
+        cut: bool,
+    },
+    /// The right size, with too many corners hidden.
+    #[error("only {seen} of the board's {all} corners can be seen")]
+    Hidden {
+        /// Corners seen.
+        seen: usize,
+        /// Corners of the board.
+        all: usize,
+    },
+}
+
+/// Levels are made down to this shorter side.
+const LEAST_SIDE: usize = 60;
+/// Lattices looked at on each level.
+const LATTICES: usize = 3;
+/// A board counts as seen when this share of its corners is.
+const LEAST_SEEN: f64 = 0.7;
+/// Corners are fitted on a level where the blur is at most this, pixels.
+const WIDEST_BLUR: f64 = 2.5;
+
+/// Finds the board's corners in a picture.
+///
+/// # Errors
+/// What was seen instead of the whole board.
+pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBoard> {
+    let levels = level::pyramid(picture, LEAST_SIDE);
+    let mut best: Option<(usize, Lattice)> = None;
+    let mut partial: Option<(usize, Lattice)> = None;
+    for (index, level) in levels.iter().enumerate().rev() {
+        for lattice in lattices_of(level) {
+            let seen = lattice.len();
+            let slot = if placement::fits(&lattice, board) { &mut best } else { &mut partial };
+            if slot.as_ref().is_none_or(|(_, kept)| kept.len() < seen) {
+                *slot = Some((index, lattice));
+            }
+        }
+        if best.as_ref().is_some_and(|(_, lattice)| lattice.len() == board.corner_count()) {
+            break;
+        }
+    }
+    let Some((index, lattice)) = best else { return Err(seen_instead(picture, board, partial, &levels)) };
+    let mut lattice = sharpened(lattice, index, &levels);
+    lattice.drop_strays();
+    let found = placement::placed(&lattice, board);
+    match found {
+        Some(found) if found.seen() as f64 >= LEAST_SEEN * board.corner_count() as f64 => Ok(found),
+        found => Err(NoBoard::Hidden { seen: found.map_or(0, |f| f.seen()), all: board.corner_count() }),
+    }
+}
+
+/// The completed lattices of one level.
+fn lattices_of(level: &Level) -> Vec<Lattice> {
+    let smooth = level.smoothed();
+    let saddles = saddle::find_saddles(&smooth);
+    let mut lattices = links::lattices(&smooth, &saddles);
+    lattices.truncate(LATTICES);
+    for lattice in &mut lattices {
+        lattice.complete(level);
+        lattice.drop_strays();
+        lattice.trim();
+    }
+    lattices
+}
+
+/// The lattice with its corners fitted on the finest level that is not more blurred than [`WIDEST_BLUR`], in picture pixels.
+fn sharpened(lattice: Lattice, found_on: usize, levels: &[Level]) -> Lattice {
+    let (mut lattice, mut at) = (lattice, found_on);
+    // Two levels at once where that goes well: the fit's start is then half a pixel off at most.
+    let mut stride = 2;
+    while at > 0 {
+        let to = at.saturating_sub(stride);
+        let mut finer = lattice.rescaled(to as i32 - at as i32);
+        let before = finer.len();
+        // Small squares tell little of the blur, so it is asked of the finer level itself.
+        finer.refit(&levels[to]);
+        // Where noise or a screen's own pixels hide the corners from the finer level, the coarser one has the word.
+        let lost = finer.len() * 20 < before * 19;
+        if !lost && finer.blur <= WIDEST_BLUR {
+            (lattice, at) = (finer, to);
+        } else if stride > 1 && at > 1 {
+            stride = 1;
+        } else {
+            break;
+        }
+    }
+    lattice.rescaled(-(at as i32))
+}
+
+/// The sentence for a picture without the board.
+fn seen_instead(picture: &GrayImage, board: &Board, partial: Option<(usize, Lattice)>, levels: &[Level]) -> NoBoard {
+    let found = partial.and_then(|(index, lattice)| Some((lattice.extent()?, lattice, &levels[index])));
+    let Some((extent, lattice, level)) = found.filter(|(e, l, _)| e.sorted_size().1 >= 3 && l.len() >= 9) else {
+        return NoBoard::Nothing { brightness: brightness(picture) };
+    };
+    let (columns, rows) = extent.sorted_size();
+    let cut = lattice.cells().any(|(&(i, j), cell)| {
+        let step = lattice.steps(i, j).map_or(0.0, |[u, v]| u.norm().max(v.norm()));
+        !level.has(cell.position, 1.2 * step)
+    });
+    NoBoard::OtherSize { columns, rows, wanted: board.to_string(), cut }
+}
+
+/// What a picture without a board looks like, for the user.
+fn brightness(picture: &GrayImage) -> String {
+    let mut counts = [0_usize; 256];
+    picture.as_raw().iter().for_each(|&v| counts[usize::from(v)] += 1);
+    let total = picture.as_raw().len().max(1);
+    let level_at = |share: f64| {
+        let mut left = (share * total as f64) as usize;
+        counts
+            .iter()
+            .position(|&n| {
+                let here = left < n;
+                left = left.saturating_sub(n);
+                here
+            })
+            .unwrap_or(255)
+    };
+    let (dark, light) = (level_at(0.02), level_at(0.98));
+    match (dark, light) {
+        (_, 0..40) => format!("the picture is dark (98 % of it below grey level {})", light + 1),
+        (200.., _) => format!("the picture is overexposed (98 % of it above grey level {dark})"),
+        _ if light - dark < 12 => format!("the picture is flat (grey levels {dark} to {light})"),
+        _ => "no corners that hang together as one".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,71 @@
+//! Which corner of a lattice is the board's origin.
+//!
+//! A lattice may be turned by quarter turns until its numbers of corners are the board's. Of the turns that fit, those
+//! with a dark square beyond the origin are taken if there are any; that leaves one where the pattern is not symmetric.
+//! Where two are left, half a turn apart, the x axis that points right and down wins: boards are held upright or sideways,
+//! seldom at 45 degrees, which is where this choice changes over. Where four are left, the x axis that points right wins.
+
+use nalgebra::Vector2;
+
+use super::FoundBoard;
+use super::lattice::{Lattice, median};
+use crate::calibrate::board::{Board, Symmetry};
+
+/// Whether the lattice spans exactly the board, one way or the other.
+pub(super) fn fits(lattice: &Lattice, board: &Board) -> bool {
+    let wanted = (board.columns().max(board.rows()), board.columns().min(board.rows()));
+    lattice.extent().is_some_and(|extent| extent.sorted_size() == wanted)
+}
+
+/// The corners in the board's order; `None` where the lattice does not span the board.
+pub(super) fn placed(lattice: &Lattice, board: &Board) -> Option<FoundBoard> {
+    let turns: Vec<Turn> = (0..4).filter_map(|quarter| Turn::new(lattice, board, quarter)).collect();
+    let dark = turns.iter().any(|turn| turn.dark_origin);
+    let preferred = if board.symmetry() == Symmetry::Quarter { Vector2::x() } else { Vector2::new(1.0, 1.0) };
+    let left = turns.into_iter().filter(|turn| turn.dark_origin == dark);
+    let chosen = left.max_by(|a, b| a.x_axis.dot(&preferred).total_cmp(&b.x_axis.dot(&preferred)))?;
+    let mut contrasts: Vec<f64> = lattice.cells().map(|(_, cell)| cell.contrast).collect();
+    Some(FoundBoard { corners: chosen.corners, blur_px: lattice.blur, contrast: median(&mut contrasts)? })
+}
+
+/// A lattice turned by quarters until it may be the board.
+struct Turn {
+    corners: Vec<Option<Vector2<f64>>>,
+    /// Whether the square beyond the origin is dark.
+    dark_origin: bool,
+    /// Direction of the board's x axis in the picture, a unit vector.
+    x_axis: Vector2<f64>,
+}
+
+impl Turn {
+    fn new(lattice: &Lattice, board: &Board, quarter: usize) -> Option<Self> {
+        let extent = lattice.extent()?;
+        let (w, h) = extent.size();
+        let (low, high) = (extent.low, extent.high);
+        // Origin and the lattice directions of x and y; y follows x clockwise, as j follows i.
+        let (origin, x, y) = match quarter {
+            0 => ((low.0, low.1), (1, 0), (0, 1)),
+            1 => ((high.0, low.1), (0, 1), (-1, 0)),
+            2 => ((high.0, high.1), (-1, 0), (0, -1)),
+            _ => ((low.0, high.1), (0, -1), (1, 0)),
+        };
+        let size = if quarter.is_multiple_of(2) { (w, h) } else { (h, w) };
+        if size != (board.columns(), board.rows()) {
+            return None;
+        }
+        let at = |c: i32, r: i32| (origin.0 + c * x.0 + r * y.0, origin.1 + c * x.1 + r * y.1);
+        let (columns, rows) = (board.columns() as i32, board.rows() as i32);
+        let all = (0..rows).flat_map(|r| (0..columns).map(move |c| (c, r)));
+        let corners: Vec<_> = all.map(|(c, r)| lattice.get(at(c, r)).map(|cell| cell.position)).collect();
+        // The quadrant between x and y has the colour of (i, j)'s own where the turn is by a half, the other one else.
+        let dark_origin = ((origin.0 + origin.1).rem_euclid(2) == 0) == quarter.is_multiple_of(2);
+        Some(Self { dark_origin, x_axis: x_axis(&corners, board.columns() as usize), corners })
+    }
+}
+
+/// Where the rows of corners run to: the mean step along x.
+fn x_axis(corners: &[Option<Vector2<f64>>], columns: usize) -> Vector2<f64> {
+    let rows = corners.chunks(columns).flat_map(|row| row.windows(2));
+    let sum: Vector2<f64> = rows.filter_map(|pair| Some(pair[1]? - pair[0]?)).sum();
+    sum / sum.norm().max(1e-9)
+}

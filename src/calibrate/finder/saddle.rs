@@ -1,0 +1,147 @@
+//! Candidates: points where the picture looks like the meeting of four squares.
+//!
+//! Where two dark and two light squares meet, the smoothed picture is a saddle: the determinant of its second
+//! derivatives is negative there, whatever the tilt. Each saddle is then looked at on a small ring: opposite points of
+//! the ring must be alike, and going around it must cross the saddle's own level exactly four times. The crossings are
+//! the directions of the two edges.
+
+use std::f64::consts::PI;
+
+use nalgebra::Vector2;
+
+use super::level::Level;
+
+/// A candidate corner on one level.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Saddle {
+    /// Level pixels.
+    pub position: Vector2<f64>,
+    /// Angles, modulo pi, of the two edges: going from the first to the second at growing angle crosses a dark square.
+    pub edges: [f64; 2],
+    /// Half the difference between light and dark, grey levels.
+    pub contrast: f64,
+}
+
+impl Saddle {
+    /// Unit vector along edge 0 or 1.
+    pub fn direction(&self, edge: usize) -> Vector2<f64> {
+        let (sin, cos) = self.edges[edge].sin_cos();
+        Vector2::new(cos, sin)
+    }
+}
+
+/// Determinants below this are noise: a board of about 2.5 grey levels of contrast on a quiet sensor.
+const LEAST_DETERMINANT: f32 = 2.5;
+/// More candidates than the largest board has by far; the strongest are kept.
+const MOST_CANDIDATES: usize = 12_000;
+/// Radius of the ring, level pixels.
+const RING_RADIUS: f64 = 3.0;
+/// Points on half the ring.
+const HALF_RING: usize = 16;
+
+/// All candidates of a level; `smooth` is the level after [`Level::smoothed`].
+pub(super) fn find_saddles(smooth: &Level) -> Vec<Saddle> {
+    let ring: Vec<Vector2<f64>> = (0..2 * HALF_RING)
+        .map(|k| (k as f64 * PI / HALF_RING as f64).sin_cos())
+        .map(|(sin, cos)| Vector2::new(cos, sin) * RING_RADIUS)
+        .collect();
+    let mut peaks = determinant_peaks(smooth);
+    if peaks.len() > MOST_CANDIDATES {
+        peaks.select_nth_unstable_by(MOST_CANDIDATES, |a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        peaks.truncate(MOST_CANDIDATES);
+        peaks.sort_unstable_by_key(|p| p.1);
+    }
+    peaks.into_iter().filter_map(|(_, index)| look_at(smooth, index, &ring)).collect()
+}
+
+/// Local maxima of Ixy² - Ixx Iyy with their pixel index.
+fn determinant_peaks(smooth: &Level) -> Vec<(f32, usize)> {
+    let (w, h) = (smooth.width, smooth.height);
+    let margin = RING_RADIUS as usize + 2;
+    if w < 2 * margin + 3 || h < 2 * margin + 3 {
+        return Vec::new();
+    }
+    let mut determinant = vec![0.0_f32; w * h];
+    for y in 1..h - 1 {
+        let (a, b, c) = (&smooth.grey[(y - 1) * w..][..w], &smooth.grey[y * w..][..w], &smooth.grey[(y + 1) * w..][..w]);
+        let out = &mut determinant[y * w + 1..][..w - 2];
+        let rows = out.iter_mut().zip(a.windows(3)).zip(b.windows(3)).zip(c.windows(3));
+        for (((out, a), b), c) in rows {
+            let xx = b[0] - 2.0 * b[1] + b[2];
+            let yy = a[1] - 2.0 * b[1] + c[1];
+            let xy = 0.25 * (a[0] + c[2] - a[2] - c[0]);
+            *out = xy * xy - xx * yy;
+        }
+    }
+    let mut peaks = Vec::new();
+    for y in margin..h - margin {
+        for x in margin..w - margin {
+            let index = y * w + x;
+            let value = determinant[index];
+            if value < LEAST_DETERMINANT || value <= determinant[index - 1] || value < determinant[index + 1] {
+                continue;
+            }
+            let above = determinant[index - w - 1..=index - w + 1].iter().all(|&v| value > v);
+            let below = determinant[index + w - 1..=index + w + 1].iter().all(|&v| value >= v);
+            if above && below {
+                peaks.push((value, index));
+            }
+        }
+    }
+    peaks
+}
+
+/// The saddle point near a pixel, if its ring is a chessboard corner's.
+fn look_at(smooth: &Level, index: usize, ring: &[Vector2<f64>]) -> Option<Saddle> {
+    let position = saddle_point(smooth, index)?;
+    let middle = f64::from(smooth.sample(position));
+    let mut folded = [0.0_f64; HALF_RING];
+    let mut asymmetry = 0.0;
+    for (k, folded) in folded.iter_mut().enumerate() {
+        let one = f64::from(smooth.sample(position + ring[k])) - middle;
+        let two = f64::from(smooth.sample(position + ring[k + HALF_RING])) - middle;
+        *folded = 0.5 * (one + two);
+        asymmetry += (0.5 * (one - two)).powi(2);
+    }
+    let light = folded.iter().fold(0.0, |a: f64, &b| a.max(b));
+    let dark = -folded.iter().fold(0.0, |a: f64, &b| a.min(b));
+    let contrast = 0.5 * (light + dark);
+    let uneven = (asymmetry / HALF_RING as f64).sqrt() > 0.45 * contrast;
+    if uneven || light.min(dark) < 0.25 * contrast || contrast < 1.0 {
+        return None;
+    }
+    Some(Saddle { position, edges: crossings(&folded)?, contrast })
+}
+
+/// Newton's step to the point where the gradient vanishes, at most 1.5 pixels away.
+fn saddle_point(smooth: &Level, index: usize) -> Option<Vector2<f64>> {
+    let w = smooth.width;
+    let at = |dx: isize, dy: isize| f64::from(smooth.grey[(index as isize + dy * w as isize + dx) as usize]);
+    let (gx, gy) = (0.5 * (at(1, 0) - at(-1, 0)), 0.5 * (at(0, 1) - at(0, -1)));
+    let xx = at(-1, 0) - 2.0 * at(0, 0) + at(1, 0);
+    let yy = at(0, -1) - 2.0 * at(0, 0) + at(0, 1);
+    let xy = 0.25 * (at(-1, -1) + at(1, 1) - at(-1, 1) - at(1, -1));
+    let determinant = xx * yy - xy * xy;
+    if determinant >= 0.0 {
+        return None;
+    }
+    let step = Vector2::new(-(yy * gx - xy * gy), -(xx * gy - xy * gx)) / determinant;
+    (step.amax() <= 1.5).then(|| Vector2::new((index % w) as f64, (index / w) as f64) + step)
+}
+
+/// The two edges from the half ring's signs: exactly one change to dark and one to light.
+fn crossings(folded: &[f64; HALF_RING]) -> Option<[f64; 2]> {
+    let (mut to_dark, mut to_light) = (None, None);
+    for k in 0..HALF_RING {
+        let (a, b) = (folded[k], folded[(k + 1) % HALF_RING]);
+        if (a < 0.0) == (b < 0.0) {
+            continue;
+        }
+        let angle = (k as f64 + a / (a - b)) * PI / HALF_RING as f64;
+        let slot = if b < 0.0 { &mut to_dark } else { &mut to_light };
+        if slot.replace(angle).is_some() {
+            return None;
+        }
+    }
+    Some([to_dark?, to_light?])
+}

@@ -1,0 +1,288 @@
+//! How far to trust a calibration: what residuals alone do not say.
+//!
+//! A set of pictures that are all alike gives small residuals and a wrong lens. So the uncertainty is carried to the
+//! picture's pixels, the halves of the set are held against each other, and the views are asked what they could have
+//! shown. Every finding has a weight; the heaviest makes the verdict.
+
+pub mod halves;
+pub mod map;
+mod words;
+
+use super::board::{Board, Symmetry};
+use super::guide::{PART_COLUMNS, PART_ROWS, TILTED_DEG, ViewSet, ViewShape};
+use super::session::{CalibrationOptions, CalibrationView};
+use super::solve::Estimate;
+use super::solve::adjust::Observation;
+use super::solve::lens::{LENS_NAMES, LENS_NUMBERS};
+use halves::Halves;
+use map::PixelMap;
+pub(crate) use words::{mend_for_few, nothing_found, one_direction};
+
+/// The verdict, best first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Verdict {
+    /// Fit for the stage.
+    Good,
+    /// Works, with more error than needed.
+    Usable,
+    /// Wrong, or not known well enough.
+    DoNotUse,
+}
+
+impl std::fmt::Display for Verdict {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Good => "good",
+            Self::Usable => "usable",
+            Self::DoNotUse => "do not use",
+        })
+    }
+}
+
+/// One thing that speaks for or against.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Finding {
+    /// What it allows at best.
+    pub weight: Verdict,
+    /// A clause without a full stop.
+    pub text: String,
+}
+
+/// All that is known about a calibration's worth.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Judgement {
+    /// The verdict.
+    pub verdict: Verdict,
+    /// Everything found, heaviest first.
+    pub findings: Vec<Finding>,
+    /// What picture to take next.
+    pub next_picture: String,
+    /// Numbers of which 3 sigma is not below their value: they may as well be 0.
+    pub insignificant: Vec<&'static str>,
+    /// 3 sigma of where a distant point appears.
+    pub uncertainty: PixelMap,
+    /// The two halves of the views, where there are enough.
+    pub halves: Option<Halves>,
+    /// Share of the picture's parts that corners have reached.
+    pub coverage: f64,
+    /// How many views are tilted.
+    pub tilted_views: usize,
+    /// The largest angle between two boards, degrees.
+    pub widest_angle_deg: f64,
+}
+
+impl Judgement {
+    /// The verdict in one sentence.
+    pub fn sentence(&self) -> String {
+        // What speaks for a good one is said in two clauses; what speaks against the others, in full.
+        let most = if self.verdict == Verdict::Good { 2 } else { usize::MAX };
+        let because = self.findings.iter().filter(|f| f.weight == self.verdict).take(most);
+        let because: Vec<&str> = because.map(|f| f.text.as_str()).collect();
+        format!("{}, because {}", self.verdict, because.join("; "))
+    }
+
+    /// The findings as plain clauses, heaviest first.
+    pub fn reasons(&self) -> Vec<String> {
+        self.findings.iter().map(|f| f.text.clone()).collect()
+    }
+}
+
+/// 3 sigma of the focal length, as a share, up to which it is good and usable.
+const FOCAL_SHARE: [f64; 2] = [0.006, 0.015];
+/// 3 sigma over most of the picture, in 640ths of the picture's width, up to which it is good and usable.
+const MOST_PX: [f64; 2] = [1.5, 5.0];
+/// 3 sigma at the worst place, in 640ths of the picture's width, up to which it is good.
+const WORST_PX: f64 = 10.0;
+/// Halves that differ by more than this many joint sigma are no chance even where the corners' errors are not independent.
+const CONTRADICTION_SIGMAS: f64 = 6.0;
+/// Reprojection error, in 640ths of the picture's width, up to which it is good and usable.
+const RMS_PX: [f64; 2] = [0.6, 1.5];
+/// Coverage below which a set is only usable, and not to be used.
+const COVERAGE: [f64; 2] = [0.6, 0.25];
+/// A plane must be seen from directions this far apart, degrees.
+const LEAST_ANGLE_DEG: f64 = 8.0;
+
+/// Judges an estimate; `observations` are those of the used views, in the estimate's order.
+pub(crate) fn judge(
+    views: &[CalibrationView],
+    observations: &[Vec<Observation>],
+    estimate: &Estimate,
+    size: (u32, u32),
+    board: &Board,
+    options: &CalibrationOptions,
+) -> Judgement {
+    let lens = &estimate.bundle.lens;
+    let mut set = ViewSet::default();
+    observations.iter().filter_map(|o| ViewShape::new(o, size, Some(lens))).for_each(|shape| set.add(shape));
+    let missing = set.missing();
+    let all_parts = (PART_COLUMNS * PART_ROWS) as f64;
+    let values = PixelMap { values_px: vec![None; map::MAP_COLUMNS * map::MAP_ROWS] };
+    let uncertainty = lens.model(size.0, size.1).map_or(values, |model| map::uncertainty(&model, lens, &estimate.lens_covariance));
+    let mut judgement = Judgement {
+        verdict: Verdict::Good,
+        findings: Vec::new(),
+        next_picture: String::new(),
+        insignificant: insignificant(estimate),
+        uncertainty,
+        halves: halves::compare(observations, estimate, size, &options.solve),
+        coverage: 1.0 - missing.parts.len() as f64 / all_parts,
+        tilted_views: set.shapes().iter().filter(|s| s.tilt_deg() >= TILTED_DEG).count(),
+        widest_angle_deg: set.widest_angle_deg(),
+    };
+    let pixel = f64::from(size.0.max(size.1)) / 640.0;
+    judgement.weigh_geometry(estimate, &set);
+    judgement.weigh_errors(estimate, pixel);
+    judgement.weigh_lens(estimate, size, options);
+    judgement.weigh_views(views, board);
+    judgement.conclude(&set);
+    judgement
+}
+
+/// Free numbers whose 3 sigma is not below their value.
+fn insignificant(estimate: &Estimate) -> Vec<&'static str> {
+    let three_sigma = estimate.lens_uncertainty();
+    let weak = |k: &usize| three_sigma[*k] > 0.0 && three_sigma[*k] >= estimate.bundle.lens.0[*k].abs();
+    (4..LENS_NUMBERS).filter(weak).map(|k| LENS_NAMES[k]).collect()
+}
+
+impl Judgement {
+    fn find(&mut self, weight: Verdict, text: String) {
+        self.findings.push(Finding { weight, text });
+    }
+
+    /// A finding where a value lies beyond what is good; `text` says it.
+    fn graded(&mut self, value: f64, [good, usable]: [f64; 2], text: impl Fn() -> String) {
+        if value.is_nan() || value > usable {
+            self.find(Verdict::DoNotUse, text());
+        } else if value > good {
+            self.find(Verdict::Usable, text());
+        }
+    }
+
+    /// What the views could have shown at all.
+    fn weigh_geometry(&mut self, estimate: &Estimate, set: &ViewSet) {
+        let (views, angle) = (set.len(), self.widest_angle_deg);
+        if angle < LEAST_ANGLE_DEG {
+            let text = format!(
+                "all {views} views show the board from one direction (within {angle:.1} degrees): focal length and distance cannot be told apart"
+            );
+            self.find(Verdict::DoNotUse, text);
+        }
+        let share = focal_share(estimate);
+        let tilted = self.tilted_views;
+        let blame = if 2 * tilted < views {
+            format!(
+                ", for only {tilted} of {views} views are tilted by {TILTED_DEG:.0} degrees or more: nearly front-on views cannot tell focal length from distance"
+            )
+        } else {
+            ", for the views are too few or too much alike".to_owned()
+        };
+        self.graded(share, FOCAL_SHARE, || format!("the focal length is known to {:.2} % only{blame}", 100.0 * share));
+        if views < 6 {
+            self.find(Verdict::Usable, format!("there are only {views} views"));
+        }
+        let (coverage, percent) = (self.coverage, 100.0 * self.coverage);
+        self.graded(1.0 - coverage, COVERAGE.map(|c| 1.0 - c), || format!("corners reach only {percent:.0} % of the picture"));
+    }
+
+    /// What a real lens cannot be.
+    fn weigh_lens(&mut self, estimate: &Estimate, (width, height): (u32, u32), options: &CalibrationOptions) {
+        let n = &estimate.bundle.lens.0;
+        let covariance = &estimate.lens_covariance;
+        let off = (n[0] - n[1]).abs();
+        let joint = 3.0 * (covariance[(0, 0)] + covariance[(1, 1)] - 2.0 * covariance[(0, 1)]).max(0.0).sqrt();
+        let both_free = options.solve.free.is_estimated(0) && options.solve.free.is_estimated(1);
+        if both_free && off > 0.01 * n[0] && off > joint {
+            let weight = if off > 0.02 * n[0] { Verdict::DoNotUse } else { Verdict::Usable };
+            let percent = 100.0 * off / n[0];
+            let why = if 2 * self.tilted_views < estimate.bundle.poses.len() { ": a sign of views that are too much front-on" } else { "" };
+            self.find(weight, format!("fx and fy differ by {percent:.1} %, yet a sensor's pixels are square{why} (if the board was printed out of shape, measure it)"));
+        }
+        let aside = [(n[2] + 0.5) / f64::from(width) - 0.5, (n[3] + 0.5) / f64::from(height) - 0.5];
+        let aside = aside[0].hypot(aside[1]);
+        if aside > 0.2 {
+            self.find(
+                Verdict::Usable,
+                format!(
+                    "the principal point lies {:.0} % of the picture away from its middle (fine for a cropped picture only)",
+                    100.0 * aside
+                ),
+            );
+        }
+        let folded = self.uncertainty.values_px.iter().filter(|v| v.is_none()).count();
+        if folded > 0 {
+            let percent = 100.0 * folded as f64 / self.uncertainty.values_px.len() as f64;
+            self.find(
+                Verdict::Usable,
+                format!("the distortion folds over in {percent:.0} % of the picture, towards its rim; show the board there"),
+            );
+        }
+        if !self.insignificant.is_empty() {
+            let names = self.insignificant.join(", ");
+            self.find(Verdict::Good, format!("{names} cannot be told from 0 (3 sigma >= value); --fix may hold them there"));
+        }
+    }
+
+    /// What the errors come to.
+    fn weigh_errors(&mut self, estimate: &Estimate, pixel: f64) {
+        let rms = estimate.rms_px;
+        self.graded(rms / pixel, RMS_PX, || format!("the corners fit to {rms:.2} px only"));
+        let (most, worst) = (self.uncertainty.quantile(map::MOST), self.uncertainty.worst());
+        self.graded(most / pixel, MOST_PX, || format!("a distant point may appear {most:.1} px off over most of the picture (3 sigma)"));
+        if worst / pixel > WORST_PX {
+            self.find(
+                Verdict::Usable,
+                format!("a distant point may appear {worst:.1} px off near the picture's rim (3 sigma), where no corners are"),
+            );
+        }
+        let share = 100.0 * focal_share(estimate);
+        self.find(Verdict::Good, format!("corners fit to {rms:.3} px, the focal length is known to {share:.2} %, a distant point to {most:.2} px over most of the picture (3 sigma)"));
+        match self.halves.clone() {
+            Some(halves) => {
+                let ((name, sigmas), px) = (halves.worst_number(), halves.most_px);
+                let times = sigmas / 3.0;
+                if halves.agree() || px / pixel < 0.5 {
+                    let how = if halves.agree() { "agree within their joint 3 sigma" } else { "agree nearly" };
+                    self.find(Verdict::Good, format!("the two halves of the views {how} ({px:.2} px apart over most of the picture)"));
+                } else {
+                    let severe = sigmas > CONTRADICTION_SIGMAS && px / pixel > MOST_PX[1];
+                    let weight = if severe { Verdict::DoNotUse } else { Verdict::Usable };
+                    self.find(weight, format!("the two halves of the views differ ({name} by {times:.1} times the joint 3 sigma, {px:.1} px apart over most of the picture)"));
+                }
+            }
+            None => self.find(Verdict::Usable, "there are too few views to hold one half against the other".to_owned()),
+        }
+    }
+
+    fn weigh_views(&mut self, views: &[CalibrationView], board: &Board) {
+        let duplicates = views.iter().filter(|v| v.reason.as_deref().is_some_and(|r| r.starts_with("the same view"))).count();
+        if duplicates > 0 {
+            let text = format!("{duplicates} of {} pictures repeat another one's view and add nothing", views.len());
+            self.find(if 2 * duplicates >= views.len() { Verdict::Usable } else { Verdict::Good }, text);
+        }
+        match board.symmetry() {
+            Symmetry::None => {}
+            Symmetry::Half => self.find(Verdict::Good, format!("a board of {board} looks the same turned by 180 degrees: its origin is the corner whose x axis points right and down in the picture, which may be the other end of the board from one picture to the next")),
+            Symmetry::Quarter => self.find(Verdict::Good, format!("a board of {board} looks the same every 90 degrees: its origin is the corner whose x axis points right in the picture, which need not be the same one in every picture")),
+        }
+    }
+
+    fn conclude(&mut self, set: &ViewSet) {
+        self.findings.sort_by_key(|f| std::cmp::Reverse(f.weight));
+        self.verdict = self.findings.first().map_or(Verdict::Good, |f| f.weight);
+        self.next_picture = match (set.next_picture(), self.verdict) {
+            (Some(next), _) => next,
+            (None, Verdict::Good) => "nothing more is needed".to_owned(),
+            (None, _) => {
+                "more views of the same variety: the board large in the picture, each side in turn 30 to 45 degrees away".to_owned()
+            }
+        };
+    }
+}
+
+/// 3 sigma of the focal length as a share of it, the worse axis; 0 where it is held.
+fn focal_share(estimate: &Estimate) -> f64 {
+    let three_sigma = estimate.lens_uncertainty();
+    let n = &estimate.bundle.lens.0;
+    (three_sigma[0] / n[0]).max(three_sigma[1] / n[1])
+}

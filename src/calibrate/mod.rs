@@ -1,0 +1,18 @@
+//! Calibration: pictures of a chessboard in, a camera model with its uncertainty out, and how far to trust it.
+//!
+//! [`finder`] finds the [`board`]'s corners in each picture, [`solve`] estimates the lens and every board's pose,
+//! [`session`] puts both together until nothing moves, [`judge`] says what the result is worth, [`guide`] which views are
+//! missing, [`pick`] takes views from a clip, [`report`] and [`table`] show it all.
+
+pub mod board;
+pub mod finder;
+pub mod guide;
+pub mod judge;
+pub mod pick;
+mod recompute;
+pub mod rendered;
+pub mod report;
+pub mod session;
+pub mod sheet;
+pub mod solve;
+pub mod table;

@@ -1,0 +1,84 @@
+//! Picks from a clip the views that are worth having: sharp, held still, and unlike those taken before.
+
+use std::path::PathBuf;
+
+use image::GrayImage;
+use nalgebra::Vector2;
+
+use super::board::Board;
+use super::finder::find_board;
+use super::guide::{ViewSet, ViewShape, observations_of};
+use super::session::{Inspected, inspect};
+
+/// More views than this add little and cost time.
+const MOST_VIEWS: usize = 40;
+/// The board is held still when its corners moved less than this since the frame before, as a share of the picture's width.
+const STILL_SHARE: f64 = 0.006;
+/// A view must be this unlike all before it (see [`ViewShape::distance`]) to be taken …
+const NOVELTY: f64 = 0.2;
+/// … and so much more for every view that there is already.
+const NOVELTY_PER_VIEW: f64 = 0.01;
+/// A view this much more blurred than the sharpest so far is passed over.
+const BLURRED: f64 = 1.6;
+
+/// Looks at the frames of a clip one after the other.
+#[derive(Debug)]
+pub struct ViewPicker {
+    board: Board,
+    taken: ViewSet,
+    pictures: Vec<Inspected>,
+    before: Option<Vec<Option<Vector2<f64>>>>,
+    sharpest_px: f64,
+    /// The last frame without the board, for the case that none has it.
+    without: Option<Inspected>,
+}
+
+impl ViewPicker {
+    /// Picks views of this board.
+    pub fn new(board: Board) -> Self {
+        Self { board, taken: ViewSet::default(), pictures: Vec::new(), before: None, sharpest_px: f64::INFINITY, without: None }
+    }
+
+    /// Looks at the next frame; true where it was taken.
+    pub fn look_at(&mut self, name: PathBuf, picture: &GrayImage) -> bool {
+        let Ok(found) = find_board(picture, &self.board) else {
+            self.before = None;
+            if self.pictures.is_empty() {
+                self.without = Some(inspect(name, picture, &self.board));
+            }
+            return false;
+        };
+        let width = f64::from(picture.width().max(picture.height()));
+        let before = self.before.replace(found.corners.clone());
+        let still = before.is_some_and(|before| moved(&before, &found.corners) < STILL_SHARE * width);
+        self.sharpest_px = self.sharpest_px.min(found.blur_px);
+        let sharp = found.blur_px < BLURRED * self.sharpest_px.max(0.5);
+        let observations = observations_of(&found.corners, &self.board);
+        let Some(shape) = ViewShape::new(&observations, picture.dimensions(), None).filter(|_| still && sharp) else { return false };
+        // The first views may be rather alike; the more there are, the more a new one must bring.
+        let wanted = NOVELTY + NOVELTY_PER_VIEW * self.taken.len() as f64;
+        let worth = self.taken.worth(&shape);
+        if self.taken.len() >= MOST_VIEWS || !(worth.is_worth_it() || worth.novelty > wanted) {
+            return false;
+        }
+        self.taken.add(shape);
+        self.pictures.push(inspect(name, picture, &self.board));
+        true
+    }
+
+    /// The views taken so far.
+    pub fn taken(&self) -> &ViewSet {
+        &self.taken
+    }
+
+    /// The pictures taken; where there is none, one that says why.
+    pub fn finish(self) -> Vec<Inspected> {
+        if self.pictures.is_empty() { self.without.into_iter().collect() } else { self.pictures }
+    }
+}
+
+/// How far the corners moved between two frames on average, pixels.
+fn moved(before: &[Option<Vector2<f64>>], after: &[Option<Vector2<f64>>]) -> f64 {
+    let both: Vec<f64> = before.iter().zip(after).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
+    if both.is_empty() { f64::INFINITY } else { both.iter().sum::<f64>() / both.len() as f64 }
+}

@@ -1,0 +1,161 @@
+//! Corners measured again with the camera that they gave.
+//!
+//! The finder takes edges for straight. Under a lens they are not, and perspective makes one side of a corner larger than
+//! the other. Once the lens and the board's pose are known, every pixel around a corner is taken back to the board's plane,
+//! where edges are straight, and the fit is done there. Lens and corners are then repeated until nothing moves.
+
+use image::GrayImage;
+use nalgebra::{Matrix2, Matrix3, Vector2};
+
+use super::finder::fit::{self, Sample};
+use super::finder::level::{Level, rescaled};
+use super::solve::adjust::BoardFrame;
+use super::solve::lens::Lens;
+use crate::camera::{CameraModel, Normalized, Pixel};
+use crate::geometry::{Camera, Pose};
+
+/// The part of a picture that shows the board, kept for measuring again.
+#[derive(Debug, Clone)]
+pub(crate) struct BoardPatch {
+    levels: Vec<Level>,
+    /// Picture pixels of the patch's top-left pixel.
+    corner: Vector2<f64>,
+}
+
+/// Blur that a corner is still fitted at, level pixels.
+const WIDEST_BLUR: f64 = 2.5;
+
+impl BoardPatch {
+    /// Cuts out the box around some pixels with a margin, so that a set of large pictures need not be held.
+    pub fn cut(picture: &GrayImage, corners: &[Vector2<f64>], margin_px: f64, blur_px: f64) -> Self {
+        let fold = |f: fn(f64, f64) -> f64, start: f64, k: usize| corners.iter().fold(start, |a, c| f(a, c[k]));
+        let low = |k: usize| (fold(f64::min, f64::INFINITY, k) - margin_px).max(0.0) as u32;
+        let high = |k: usize, size: u32| ((fold(f64::max, 0.0, k) + margin_px) as u32 + 2).min(size);
+        // Cut at multiples of 8, so that the halves fall on the same pixels whatever is cut.
+        let (x, y) = (low(0) / 8 * 8, low(1) / 8 * 8);
+        let (w, h) = (high(0, picture.width()).saturating_sub(x).max(1), high(1, picture.height()).saturating_sub(y).max(1));
+        let mut levels = vec![Level::of_picture(&image::imageops::crop_imm(picture, x, y, w, h).to_image())];
+        while blur_px * 0.5_f64.powi(levels.len() as i32 - 1) > WIDEST_BLUR && levels.len() < 5 {
+            levels.push(levels[levels.len() - 1].halved());
+        }
+        Self { levels, corner: Vector2::new(f64::from(x), f64::from(y)) }
+    }
+}
+
+/// One view's geometry, ready to take pixels to the board and back.
+pub(crate) struct BoardView<'a> {
+    model: &'a CameraModel,
+    pose: &'a Pose<Camera, BoardFrame>,
+    to_board: Matrix3<f64>,
+    square_m: f64,
+}
+
+impl<'a> BoardView<'a> {
+    /// `None` where the board is seen edge-on.
+    pub fn new(model: &'a CameraModel, pose: &'a Pose<Camera, BoardFrame>, square_m: f64) -> Option<Self> {
+        let r = pose.rotation_matrix();
+        let from_board = Matrix3::from_columns(&[r.column(0).into_owned(), r.column(1).into_owned(), pose.translation]);
+        Some(Self { model, pose, to_board: from_board.try_inverse()?, square_m })
+    }
+
+    /// The place on the board, metres, that a raw pixel shows.
+    fn on_board(&self, pixel: Vector2<f64>) -> Option<Vector2<f64>> {
+        let Normalized(n) = self.model.unproject(Pixel(pixel))?;
+        let p = self.to_board * n.push(1.0);
+        (p.z > 0.0).then(|| p.xy() / p.z)
+    }
+
+    /// The raw pixel of a place on the board, and its derivative by that place.
+    fn in_picture(&self, place: Vector2<f64>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+        let r = self.pose.rotation_matrix();
+        let p = r * place.push(0.0) + self.pose.translation;
+        if p.z <= 1e-9 {
+            return None;
+        }
+        let n = p.xy() / p.z;
+        let (pixel, by_n) = self.model.project_with_jacobian(Normalized(n));
+        let column = |k: usize| (r.column(k).xy() - n * r[(2, k)]) / p.z;
+        Some((pixel.0, by_n * Matrix2::from_columns(&[column(0), column(1)])))
+    }
+
+    /// The corner near `start` (raw pixel), fitted on the board's plane; `None` where the fit finds none.
+    pub fn corner(&self, patch: &BoardPatch, start: Vector2<f64>, blur_px: f64) -> Option<Vector2<f64>> {
+        let mut centre = start;
+        for _ in 0..3 {
+            let moved = self.corner_once(patch, centre, blur_px)?;
+            let step = (moved - centre).norm();
+            centre = moved;
+            if step < 0.05 {
+                return Some(centre);
+            }
+        }
+        // A fit that wanders off is no measurement.
+        ((centre - start).norm() < 1.5).then_some(centre)
+    }
+
+    fn corner_once(&self, patch: &BoardPatch, centre: Vector2<f64>, blur_px: f64) -> Option<Vector2<f64>> {
+        let steps = patch.levels.len() as i32 - 1;
+        let level = &patch.levels[steps as usize];
+        let scale = 0.5_f64.powi(steps);
+        let place = self.on_board(centre)?;
+        let (_, per_metre) = self.in_picture(place)?;
+        let per_metre = per_metre * scale;
+        let [u, v] = [0, 1].map(|k| per_metre.column(k) * self.square_m);
+        let area = u.perp(&v);
+        let reach = fit::reach(blur_px * scale);
+        let middle = rescaled(centre - patch.corner, steps);
+        let flat = Unbent::new(middle, reach, |p| {
+            let pixel = rescaled(p, -steps) + patch.corner;
+            Some(per_metre * (self.on_board(pixel)? - place))
+        })?;
+        let mut samples: Vec<Sample> = Vec::with_capacity(512);
+        let rows = (middle.y - reach).ceil().max(0.0) as usize..((middle.y + reach).floor() + 1.0).clamp(0.0, level.height as f64) as usize;
+        for y in rows {
+            let columns =
+                (middle.x - reach).ceil().max(0.0) as usize..((middle.x + reach).floor() + 1.0).clamp(0.0, level.width as f64) as usize;
+            for x in columns {
+                let offset = flat.at(Vector2::new(x as f64, y as f64) - middle);
+                let (s, t) = (offset.perp(&v) / area, u.perp(&offset) / area);
+                if s.abs() < fit::WINDOW && t.abs() < fit::WINDOW && offset.norm() < reach {
+                    let weight = fit::window_weight(s, t, offset.norm(), reach);
+                    samples.push(Sample { offset, grey: f64::from(level.grey[y * level.width + x]), weight });
+                }
+            }
+        }
+        let farthest = 0.3 * area / u.norm().max(v.norm());
+        let found = fit::fit_samples(&samples, [u, v], blur_px * scale, farthest)?;
+        let metres = per_metre.try_inverse()? * found.offset;
+        (found.residual < fit::LARGEST_RESIDUAL).then_some(())?;
+        Some(self.in_picture(place + metres)?.0)
+    }
+}
+
+/// The map from pixels around a corner to the unbent plane, as a parabola in x and y through nine exact points.
+struct Unbent {
+    nodes: [[Vector2<f64>; 3]; 3],
+    reach: f64,
+}
+
+impl Unbent {
+    fn new(middle: Vector2<f64>, reach: f64, exact: impl Fn(Vector2<f64>) -> Option<Vector2<f64>>) -> Option<Self> {
+        let mut nodes = [[Vector2::zeros(); 3]; 3];
+        for (row, dy) in nodes.iter_mut().zip([-reach, 0.0, reach]) {
+            for (node, dx) in row.iter_mut().zip([-reach, 0.0, reach]) {
+                *node = exact(middle + Vector2::new(dx, dy))?;
+            }
+        }
+        Some(Self { nodes, reach })
+    }
+
+    fn at(&self, offset: Vector2<f64>) -> Vector2<f64> {
+        let weights = |t: f64| [0.5 * t * (t - 1.0), 1.0 - t * t, 0.5 * t * (t + 1.0)];
+        let (wx, wy) = (weights(offset.x / self.reach), weights(offset.y / self.reach));
+        let row = |nodes: &[Vector2<f64>; 3]| nodes[0] * wx[0] + nodes[1] * wx[1] + nodes[2] * wx[2];
+        row(&self.nodes[0]) * wy[0] + row(&self.nodes[1]) * wy[1] + row(&self.nodes[2]) * wy[2]
+    }
+}
+
+/// A camera model for measuring with; `None` where the lens' numbers are none.
+pub(crate) fn model_of(lens: &Lens, size: (u32, u32)) -> Option<CameraModel> {
+    lens.model(size.0, size.1).ok()
+}

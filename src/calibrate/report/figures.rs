@@ -1,0 +1,203 @@
+//! The figures of a report, numbered as in the source thesis: 15 distortion, 16 the pictures, 17-19 corners and origin,
+//! 20 reprojection errors, 21 boards in space; and the map of uncertainty.
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, GrayImage};
+use nalgebra::Vector3;
+
+use super::svg::{Drawing, base64, heat, hue};
+use crate::calibrate::board::Board;
+use crate::calibrate::judge::map::{MAP_COLUMNS, MAP_ROWS, PixelMap, places};
+use crate::calibrate::session::{CalibrationView, CameraCalibration};
+use crate::camera::CameraModel;
+
+const INK: &str = "#333";
+const PALE: &str = "#bbb";
+
+/// A small picture as a data URI; empty where it cannot be encoded.
+fn data_uri(picture: &GrayImage) -> String {
+    let mut bytes = Vec::new();
+    let (width, height) = picture.dimensions();
+    let encoded = JpegEncoder::new_with_quality(&mut bytes, 80).encode(picture, width, height, ExtendedColorType::L8);
+    if encoded.is_err() {
+        return String::new();
+    }
+    format!("data:image/jpeg;base64,{}", base64(&bytes))
+}
+
+/// Figures 16 to 19: a picture with the corners found, the board's outline, its origin and axes.
+pub(super) fn picture(view: &CalibrationView, size: (u32, u32), board: &Board) -> Option<String> {
+    let small = view.thumbnail.as_ref()?;
+    let (w, h) = (f64::from(small.width()), f64::from(small.height()));
+    let mut drawing = Drawing::new(w, h);
+    drawing.picture(&data_uri(small));
+    let scale = |p: &nalgebra::Vector2<f64>| [(p.x + 0.5) * w / f64::from(size.0), (p.y + 0.5) * h / f64::from(size.1)];
+    if let Some(corners) = &view.corners {
+        let columns = board.columns() as usize;
+        let at = |k: usize| corners.get(k).and_then(|c| c.as_ref()).map(scale);
+        let rim = [0, columns - 1, corners.len() - 1, corners.len() - columns];
+        let outline: Vec<[f64; 2]> = rim.into_iter().filter_map(at).collect();
+        drawing.path(&outline, true, "#2b8cff", "none", 1.2);
+        for (k, corner) in corners.iter().enumerate() {
+            if let Some(corner) = corner {
+                let wild = view.outliers.contains(&k);
+                drawing.cross(scale(corner), if wild { 4.0 } else { 2.2 }, if wild { "#ff2020" } else { "#18c018" }, 0.9);
+            }
+        }
+        if let (Some(origin), Some(x), Some(y)) = (at(0), at(2), at(2 * columns)) {
+            drawing.line(origin, x, "#ff3030", 1.8);
+            drawing.line(origin, y, "#ffb000", 1.8);
+            drawing.circle(origin, 3.2, "#ff3030", "white", 1.4);
+        }
+    }
+    Some(drawing.finish(&format!("Corners found in {}", view.file.display())))
+}
+
+/// Figure 20: where corners were seen, seen from where they were predicted, all pictures in one, a colour each.
+pub(super) fn errors(made: &CameraCalibration) -> String {
+    let side = 360.0;
+    let reach = (4.0 * made.estimate.sigma_px).max(1e-3);
+    let mut drawing = Drawing::new(side, side);
+    let to = |v: f64| side * (0.5 + 0.46 * (v / reach).clamp(-1.05, 1.05));
+    drawing.line([0.0, to(0.0)], [side, to(0.0)], PALE, 0.8);
+    drawing.line([to(0.0), 0.0], [to(0.0), side], PALE, 0.8);
+    for (k, radius) in [1.0, 2.0, 3.0].iter().enumerate() {
+        drawing.circle([to(0.0), to(0.0)], to(radius * made.estimate.sigma_px) - to(0.0), PALE, "none", 0.8);
+        let label = format!("{} sigma", k + 1);
+        drawing.text(
+            [to(radius * made.estimate.sigma_px * 0.72), to(-radius * made.estimate.sigma_px * 0.72)],
+            9.0,
+            "start",
+            "#888",
+            &label,
+        );
+    }
+    for view in &made.views {
+        let (Some(index), Some(corners)) = (view.index, &view.corners) else { continue };
+        for (k, corner) in corners.iter().enumerate().filter(|(k, _)| !view.outliers.contains(k)) {
+            let Some(pixel) = corner else { continue };
+            let seen = crate::calibrate::solve::adjust::Observation { board_m: made.board.corner(k), pixel: *pixel };
+            if let Some(r) = made.estimate.bundle.residual(index, &seen) {
+                drawing.cross([to(r.x), to(r.y)], 2.4, &hue(index), 0.9);
+            }
+        }
+    }
+    drawing.text([side - 4.0, to(0.0) - 4.0], 10.0, "end", INK, &format!("{reach:.2} px"));
+    drawing.finish("Reprojection errors")
+}
+
+/// Looks at the boards and the camera from the side and above.
+struct Oblique {
+    scale: f64,
+    middle: Vector3<f64>,
+}
+
+impl Oblique {
+    fn at(&self, p: Vector3<f64>) -> [f64; 2] {
+        let d = (p - self.middle) * self.scale;
+        // Turned about the vertical by 55 degrees, looked down on by 25.
+        let (s, c) = 55.0_f64.to_radians().sin_cos();
+        let (right, depth) = (c * d.x + s * d.z, -s * d.x + c * d.z);
+        let (s, c) = 25.0_f64.to_radians().sin_cos();
+        [240.0 + right, 180.0 + c * d.y - s * depth]
+    }
+}
+
+/// Figure 21: the camera and every board in space.
+pub(super) fn space(made: &CameraCalibration) -> String {
+    let rim = |view: &CalibrationView| {
+        let pose = made.estimate.pose(view.index?);
+        let (w, h) = (f64::from(made.board.columns() - 1), f64::from(made.board.rows() - 1));
+        let corners = [(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)];
+        let place = |(x, y): (f64, f64)| pose.rotation * Vector3::new(x, y, 0.0) * made.board.square_m() + pose.translation;
+        Some((view.index?, corners.map(place)))
+    };
+    let boards: Vec<(usize, [Vector3<f64>; 4])> = made.views.iter().filter_map(rim).collect();
+    let all: Vec<Vector3<f64>> = boards.iter().flat_map(|(_, b)| *b).chain([Vector3::zeros()]).collect();
+    let low = all.iter().fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
+    let high = all.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
+    let view = Oblique { scale: 360.0 / (high - low).norm().max(1e-9), middle: (low + high) * 0.5 };
+    let mut drawing = Drawing::new(480.0, 360.0);
+    let n = &made.estimate.bundle.lens.0;
+    let depth = 0.16 * (high - low).norm();
+    let (w, h) = (depth * f64::from(made.size.0) / n[0] * 0.5, depth * f64::from(made.size.1) / n[1] * 0.5);
+    let frustum = [(-w, -h), (w, -h), (w, h), (-w, h)].map(|(x, y)| view.at(Vector3::new(x, y, depth)));
+    for corner in frustum {
+        drawing.line(view.at(Vector3::zeros()), corner, "#2a7d2a", 1.2);
+    }
+    drawing.path(&frustum, true, "#2a7d2a", "#2a7d2a22", 1.2);
+    for (index, board) in &boards {
+        drawing.path(&board.map(|p| view.at(p)), true, &hue(*index), "#ffffff66", 1.2);
+        drawing.circle(view.at(board[0]), 2.2, &hue(*index), &hue(*index), 0.0);
+        let [x, y] = view.at(board[0]);
+        drawing.text([x + 4.0, y - 3.0], 10.0, "start", &hue(*index), &format!("{}", index + 1));
+    }
+    let [x, y] = view.at(Vector3::zeros());
+    drawing.text([x, y + 14.0], 11.0, "middle", "#2a7d2a", "camera");
+    drawing.finish("The camera and the boards in space")
+}
+
+/// Figure 15: how far the lens moves the points of a grid.
+pub(super) fn distortion(model: &CameraModel) -> String {
+    let (w, h) = (f64::from(model.width()), f64::from(model.height()));
+    let scale = 480.0 / w;
+    let mut drawing = Drawing::new(480.0, h * scale);
+    drawing.rect([0.0, 0.0], [480.0, h * scale], PALE, "none");
+    let shift = |p: nalgebra::Vector2<f64>| {
+        let n = model.from_undistorted_pixel(p);
+        (n.0.norm() <= model.valid_radius()).then(|| model.project(n).0 - p)
+    };
+    let mut worst: f64 = 0.0;
+    let (columns, rows) = (16, 12);
+    for r in 0..=rows {
+        for c in 0..=columns {
+            let p = nalgebra::Vector2::new(w * f64::from(c) / f64::from(columns) - 0.5, h * f64::from(r) / f64::from(rows) - 0.5);
+            let Some(d) = shift(p) else { continue };
+            worst = worst.max(d.norm());
+            let from = [(p.x + 0.5) * scale, (p.y + 0.5) * scale];
+            drawing.line(from, [from[0] + d.x * scale, from[1] + d.y * scale], "#2b6cff", 1.3);
+            drawing.circle(from, 1.2, "none", INK, 0.0);
+        }
+    }
+    let i = model.intrinsics();
+    drawing.cross([(i.cx + 0.5) * scale, (i.cy + 0.5) * scale], 7.0, "#d02020", 1.6);
+    drawing.text([474.0, h * scale - 6.0], 12.0, "end", INK, &format!("longest arrow {worst:.1} px"));
+    drawing.finish("Where the lens moves points to")
+}
+
+/// A map of pixels over the picture as coloured tiles with numbers.
+pub(super) fn map(map: &PixelMap, size: (u32, u32), title: &str) -> String {
+    let (w, h) = (f64::from(size.0), f64::from(size.1));
+    let scale = 480.0 / w;
+    let mut drawing = Drawing::new(480.0, h * scale);
+    let (tile_w, tile_h) = (480.0 / MAP_COLUMNS as f64, h * scale / MAP_ROWS as f64);
+    let top = map.quantile(0.95).max(1e-9);
+    for (k, value) in map.values_px.iter().enumerate() {
+        let (c, r) = ((k % MAP_COLUMNS) as f64, (k / MAP_COLUMNS) as f64);
+        let colour = value.map_or("#eee".to_owned(), |v| heat(v / top));
+        drawing.rect([c * tile_w, r * tile_h], [tile_w + 0.3, tile_h + 0.3], "none", &colour);
+        if (k % MAP_COLUMNS).is_multiple_of(2) && (k / MAP_COLUMNS).is_multiple_of(2) {
+            let label = value.map_or("-".to_owned(), |v| if v < 10.0 { format!("{v:.2}") } else { format!("{v:.0}") });
+            drawing.text([(c + 0.5) * tile_w, (r + 0.65) * tile_h], 9.5, "middle", "#111", &label);
+        }
+    }
+    drawing.finish(title)
+}
+
+/// Differences as arrows, enlarged so that a long one is as long as a tile.
+pub(super) fn arrows(field: &[Option<nalgebra::Vector2<f64>>], size: (u32, u32)) -> String {
+    let scale = 480.0 / f64::from(size.0);
+    let mut drawing = Drawing::new(480.0, f64::from(size.1) * scale);
+    drawing.rect([0.0, 0.0], [480.0, f64::from(size.1) * scale], PALE, "none");
+    // A wild rim would make all other arrows vanish.
+    let long = crate::calibrate::judge::map::lengths(field).quantile(0.9).max(1e-9);
+    for (place, difference) in places(size).zip(field) {
+        let from = [(place.x + 0.5) * scale, (place.y + 0.5) * scale];
+        drawing.circle(from, 1.2, "none", INK, 0.0);
+        if let Some(d) = difference {
+            let enlarged = d * (480.0 / MAP_COLUMNS as f64 / long.max(d.norm() / 3.0));
+            drawing.line(from, [from[0] + enlarged.x, from[1] + enlarged.y], "#c03030", 1.3);
+        }
+    }
+    drawing.finish("Differences as arrows")
+}

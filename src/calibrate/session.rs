@@ -1,0 +1,355 @@
+//! A calibration from beginning to end: boards found, lens estimated, corners measured again, views weeded, all judged.
+
+use std::path::PathBuf;
+
+use image::GrayImage;
+use nalgebra::Vector2;
+use rayon::prelude::*;
+use thiserror::Error;
+
+use super::board::Board;
+use super::finder::{FoundBoard, NoBoard, find_board};
+use super::judge::{self, Judgement};
+use super::recompute::{BoardPatch, BoardView, model_of};
+use super::solve::adjust::Observation;
+use super::solve::{self, Estimate, Extrinsics, LEAST_VIEWS, SolveError, SolveOptions};
+
+/// How a calibration is made.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct CalibrationOptions {
+    /// What is estimated.
+    pub solve: SolveOptions,
+    /// Every view that shows the board is used, as in Bouguet's toolbox: none is weeded out.
+    pub keep_all_views: bool,
+}
+
+/// What one picture gave before anything was estimated.
+#[derive(Debug, Clone)]
+pub struct Inspected {
+    /// Name of the picture, for messages.
+    pub file: PathBuf,
+    /// Width and height, pixels; `None` where it cannot be read.
+    pub size: Option<(u32, u32)>,
+    /// The board, or why there is none.
+    pub board: Result<FoundBoard, String>,
+    /// What was seen instead, where that is another board.
+    pub other_size: Option<(u32, u32)>,
+    pub(crate) patch: Option<BoardPatch>,
+    /// A small copy for the report.
+    pub thumbnail: Option<GrayImage>,
+}
+
+/// Longer side of the report's small pictures, pixels.
+const THUMBNAIL_PX: u32 = 360;
+
+/// Looks for the board in one picture.
+pub fn inspect(file: PathBuf, picture: &GrayImage, board: &Board) -> Inspected {
+    let size = picture.dimensions();
+    let found = find_board(picture, board);
+    let other_size = match &found {
+        Err(NoBoard::OtherSize { columns, rows, cut: false, .. }) => Some((*columns, *rows)),
+        _ => None,
+    };
+    let patch = found.as_ref().ok().map(|found| {
+        let corners: Vec<Vector2<f64>> = found.corners.iter().flatten().copied().collect();
+        BoardPatch::cut(picture, &corners, 40.0 + 8.0 * found.blur_px, found.blur_px)
+    });
+    let scale = (f64::from(THUMBNAIL_PX) / f64::from(size.0.max(size.1))).min(1.0);
+    let side = |s: u32| ((f64::from(s) * scale).round() as u32).max(1);
+    let thumbnail = Some(image::imageops::thumbnail(picture, side(size.0), side(size.1)));
+    Inspected { file, size: Some(size), board: found.map_err(|e| e.to_string()), other_size, patch, thumbnail }
+}
+
+impl Inspected {
+    /// A picture that cannot be read, and why.
+    pub fn unreadable(file: PathBuf, reason: String) -> Self {
+        Self { file, size: None, board: Err(reason), other_size: None, patch: None, thumbnail: None }
+    }
+}
+
+/// One picture's part in the calibration.
+#[derive(Debug, Clone)]
+pub struct CalibrationView {
+    /// Name of the picture.
+    pub file: PathBuf,
+    /// The board's corners as measured last, in the board's order; `None` where the board was not found.
+    pub corners: Option<Vec<Option<Vector2<f64>>>>,
+    /// Whether the estimate rests on this view.
+    pub used: bool,
+    /// Why it is not used, or what is to be said of it all the same.
+    pub reason: Option<String>,
+    /// Which entry of the estimate's poses it is.
+    pub index: Option<usize>,
+    /// Its own reprojection error over the corners used, per point, pixels.
+    pub rms_px: Option<f64>,
+    /// Corners of it that were left out as wild (indices into the board's order).
+    pub outliers: Vec<usize>,
+    /// Bouguet's omc and Tc with 3 sigma.
+    pub extrinsics: Option<Extrinsics>,
+    /// A small copy of the picture.
+    pub thumbnail: Option<GrayImage>,
+}
+
+/// A finished calibration.
+#[derive(Debug, Clone)]
+pub struct CameraCalibration {
+    /// The board.
+    pub board: Board,
+    /// Width and height of the pictures, pixels.
+    pub size: (u32, u32),
+    /// What was estimated.
+    pub options: CalibrationOptions,
+    /// Every picture, in the order given.
+    pub views: Vec<CalibrationView>,
+    /// Lens, poses and uncertainties.
+    pub estimate: Estimate,
+    /// How far to trust it.
+    pub judgement: Judgement,
+    /// How often the corners were measured again with the model, and by how much the last round moved one at most, pixels.
+    pub rounds: (usize, f64),
+}
+
+/// Why there is no calibration at all.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum CalibrationError {
+    /// No picture shows the board.
+    #[error("{0}")]
+    NoBoard(String),
+    /// Pictures of several sizes show the board.
+    #[error("{first} is {} x {} pixels and {other} is {} x {}; all pictures must come from one camera at one size", .sizes[0].0, .sizes[0].1, .sizes[1].0, .sizes[1].1)]
+    Sizes {
+        /// A picture.
+        first: String,
+        /// Another one.
+        other: String,
+        /// Their sizes.
+        sizes: [(u32, u32); 2],
+    },
+    /// Too few of them do.
+    #[error("only {usable} of {pictures} pictures can be used and {LEAST_VIEWS} are the least; {mend}")]
+    TooFew {
+        /// Views that could be used.
+        usable: usize,
+        /// Pictures given.
+        pictures: usize,
+        /// What to do.
+        mend: String,
+    },
+    /// The views leave the lens open.
+    #[error("{0}")]
+    OneDirection(String),
+}
+
+/// A view on its way through the estimation.
+struct Working<'a> {
+    picture: usize,
+    inspected: &'a Inspected,
+    blur_px: f64,
+    corners: Vec<Option<Vector2<f64>>>,
+}
+
+impl Working<'_> {
+    fn observations(&self, board: &Board) -> Vec<Observation> {
+        let seen = self.corners.iter().enumerate().filter_map(|(k, c)| Some((k, (*c)?)));
+        seen.map(|(k, pixel)| Observation { board_m: board.corner(k), pixel }).collect()
+    }
+}
+
+/// Corners are measured again at most this often.
+const MOST_ROUNDS: usize = 6;
+/// Nothing moves any more when no corner moves farther than this, pixels.
+const STILL_PX: f64 = 0.003;
+/// A view is weeded out when its corners fit this many times worse than the median view's.
+const WORSE: f64 = 3.0;
+
+/// Makes a calibration from inspected pictures.
+///
+/// # Errors
+/// Where the pictures do not make one; the sentence says what to do.
+pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOptions) -> Result<CameraCalibration, CalibrationError> {
+    let size = common_size(pictures)?;
+    let mut reasons: Vec<Option<String>> = pictures.iter().map(|p| p.board.as_ref().err().cloned()).collect();
+    let mut working: Vec<Working> = Vec::new();
+    for (picture, inspected) in pictures.iter().enumerate() {
+        if let Ok(found) = &inspected.board {
+            working.push(Working { picture, inspected, blur_px: found.blur_px, corners: found.corners.clone() });
+        }
+    }
+    if working.is_empty() {
+        return Err(CalibrationError::NoBoard(judge::nothing_found(pictures, board)));
+    }
+    if !options.keep_all_views {
+        drop_duplicates(&mut working, &mut reasons, size);
+    }
+    let too_few = |usable: usize| CalibrationError::TooFew { usable, pictures: pictures.len(), mend: judge::mend_for_few(pictures, board) };
+    if working.len() < LEAST_VIEWS {
+        return Err(too_few(working.len()));
+    }
+    let (mut estimate, mut rounds);
+    loop {
+        (estimate, rounds) = settle(&mut working, board, size, options)?;
+        let worse = if options.keep_all_views { None } else { worst_view(&working, board, &estimate) };
+        let Some((index, reason)) = worse else { break };
+        reasons[working[index].picture] = Some(reason);
+        working.remove(index);
+        if working.len() < LEAST_VIEWS {
+            return Err(too_few(working.len()));
+        }
+    }
+    let observations: Vec<Vec<Observation>> = working.iter().map(|w| w.observations(board)).collect();
+    let views = views_of(pictures, &working, reasons, board, &estimate);
+    let judgement = judge::judge(&views, &observations, &estimate, size, board, options);
+    Ok(CameraCalibration { board: *board, size, options: *options, views, estimate, judgement, rounds })
+}
+
+/// Estimates, measures the corners again with the result, and so on until nothing moves.
+fn settle(
+    working: &mut [Working],
+    board: &Board,
+    size: (u32, u32),
+    options: &CalibrationOptions,
+) -> Result<(Estimate, (usize, f64)), CalibrationError> {
+    let undetermined = |_: SolveError| CalibrationError::OneDirection(judge::one_direction());
+    let observations = |working: &[Working]| working.iter().map(|w| w.observations(board)).collect::<Vec<_>>();
+    let mut estimate = solve::estimate(&observations(working), size, &options.solve).map_err(undetermined)?;
+    let mut moved = 0.0;
+    for round in 1..=MOST_ROUNDS {
+        let Some(model) = model_of(&estimate.bundle.lens, size) else { return Ok((estimate, (round - 1, moved))) };
+        moved = working
+            .par_iter_mut()
+            .zip(&estimate.bundle.poses)
+            .map(|(view, pose)| {
+                let (Some(patch), Some(geometry)) = (&view.inspected.patch, BoardView::new(&model, pose, board.square_m())) else {
+                    return 0.0;
+                };
+                let mut farthest: f64 = 0.0;
+                for corner in view.corners.iter_mut().flatten() {
+                    if let Some(now) = geometry.corner(patch, *corner, view.blur_px) {
+                        farthest = farthest.max((now - *corner).norm());
+                        *corner = now;
+                    }
+                }
+                farthest
+            })
+            .reduce(|| 0.0, f64::max);
+        estimate = solve::refine(estimate.bundle, &observations(working), &options.solve).map_err(undetermined)?;
+        if moved < STILL_PX {
+            return Ok((estimate, (round, moved)));
+        }
+    }
+    Ok((estimate, (MOST_ROUNDS, moved)))
+}
+
+/// The size of all pictures that show the board.
+fn common_size(pictures: &[Inspected]) -> Result<(u32, u32), CalibrationError> {
+    let mut sized = pictures.iter().filter(|p| p.board.is_ok()).filter_map(|p| Some((p, p.size?)));
+    let Some((first, size)) = sized.next() else { return Ok((1, 1)) };
+    match sized.find(|(_, other)| *other != size) {
+        None => Ok(size),
+        Some((other, other_size)) => Err(CalibrationError::Sizes {
+            first: first.file.display().to_string(),
+            other: other.file.display().to_string(),
+            sizes: [size, other_size],
+        }),
+    }
+}
+
+/// Two views whose corners lie this near to each other on average, as a share of the picture's diagonal, are one.
+const SAME_VIEW: f64 = 0.004;
+
+fn drop_duplicates(working: &mut Vec<Working>, reasons: &mut [Option<String>], size: (u32, u32)) {
+    let limit = SAME_VIEW * f64::from(size.0).hypot(f64::from(size.1));
+    let mut kept: Vec<Working> = Vec::new();
+    for view in working.drain(..) {
+        match kept.iter().find(|before| mean_distance(&before.corners, &view.corners) < limit) {
+            Some(before) => reasons[view.picture] = Some(format!("the same view as {}", before.inspected.file.display())),
+            None => kept.push(view),
+        }
+    }
+    *working = kept;
+}
+
+fn mean_distance(a: &[Option<Vector2<f64>>], b: &[Option<Vector2<f64>>]) -> f64 {
+    let distances: Vec<f64> = a.iter().zip(b).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
+    if distances.is_empty() { f64::INFINITY } else { distances.iter().sum::<f64>() / distances.len() as f64 }
+}
+
+/// The view that fits worst, if it fits so much worse than the others that something is wrong with it.
+fn worst_view(working: &[Working], board: &Board, estimate: &Estimate) -> Option<(usize, String)> {
+    let rms: Vec<f64> = working.iter().enumerate().map(|(v, w)| estimate.view_rms_px(v, &w.observations(board))).collect();
+    let lost = |v: usize| estimate.used[v].iter().filter(|used| !**used).count();
+    let half_lost = (0..working.len()).find(|&v| 2 * lost(v) > estimate.used[v].len());
+    if let Some(v) = half_lost {
+        let (lost, all) = (lost(v), estimate.used[v].len());
+        return Some((
+            v,
+            format!(
+                "{lost} of its {all} corners do not fit the camera of the other pictures; was the board bent, or the zoom or focus changed?"
+            ),
+        ));
+    }
+    let worst = (0..rms.len()).max_by(|&a, &b| rms[a].total_cmp(&rms[b]))?;
+    let median = super::finder::lattice::median(&mut rms.clone())?;
+    (rms[worst] > WORSE * median && rms[worst] > 0.1).then(|| {
+        let times = rms[worst] / median;
+        (
+            worst,
+            format!(
+                "its corners fit {times:.1} times worse than the median picture's ({:.2} px); was it moving, or the board bent?",
+                rms[worst]
+            ),
+        )
+    })
+}
+
+/// A pose that is known worse than this adds nothing: 3 sigma of its rotation, rad, and of its place, as a share of the distance.
+const ILL_CONDITIONED: [f64; 2] = [0.05, 0.05];
+
+/// What is to be said of a view whose own pose is hardly determined; it is used all the same, for it does no harm.
+fn ill_conditioned(pose: &Extrinsics) -> Option<String> {
+    let (turn, place) = (pose.rotation_uncertainty.amax(), pose.translation_uncertainty_m.norm() / pose.translation_m.norm());
+    (turn > ILL_CONDITIONED[0] || place > ILL_CONDITIONED[1]).then(|| {
+        let (degrees, percent) = (turn.to_degrees(), 100.0 * place);
+        format!("ill-conditioned: its own pose is known to {degrees:.1} degrees and {percent:.0} % only; bring the board nearer, or tilt it less far")
+    })
+}
+
+/// Everything that is to be said of each picture.
+fn views_of(
+    pictures: &[Inspected],
+    working: &[Working],
+    reasons: Vec<Option<String>>,
+    board: &Board,
+    estimate: &Estimate,
+) -> Vec<CalibrationView> {
+    pictures
+        .iter()
+        .zip(reasons)
+        .enumerate()
+        .map(|(picture, (inspected, reason))| {
+            let index = working.iter().position(|w| w.picture == picture);
+            let corners = index.map(|v| working[v].corners.clone()).or_else(|| inspected.board.as_ref().ok().map(|b| b.corners.clone()));
+            let mut outliers = Vec::new();
+            if let Some(v) = index {
+                let seen = working[v].corners.iter().enumerate().filter(|(_, c)| c.is_some()).map(|(k, _)| k);
+                outliers.extend(seen.zip(&estimate.used[v]).filter(|(_, used)| !**used).map(|(k, _)| k));
+            }
+            let extrinsics = index.map(|v| estimate.extrinsics(v));
+            CalibrationView {
+                file: inspected.file.clone(),
+                corners,
+                used: index.is_some(),
+                reason: reason.or_else(|| extrinsics.as_ref().and_then(ill_conditioned)),
+                index,
+                rms_px: index.map(|v| estimate.view_rms_px(v, &working[v].observations(board))),
+                outliers,
+                extrinsics,
+                thumbnail: inspected.thumbnail.clone(),
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+#[path = "session_tests.rs"]
+mod tests;

@@ -1,0 +1,257 @@
+//! Bundle adjustment: the lens and every board's pose together, by Levenberg and Marquardt's method.
+//!
+//! The normal equations have the shape of an arrow: the views meet only in the lens. So each view's six unknowns are
+//! eliminated (Schur's complement), what is left has at most ten unknowns, and the covariance of everything follows from
+//! the same pieces.
+
+use nalgebra::{Matrix6, SMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
+
+use super::lens::{FreeNumbers, LENS_NUMBERS, Lens, LensMatrix, LensVector};
+use crate::geometry::{Camera, Pose};
+
+/// The board's frame; see [`crate::calibrate::board`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BoardFrame {}
+
+/// One corner as one picture shows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// On the board, metres.
+    pub board_m: Vector2<f64>,
+    /// Raw pixel.
+    pub pixel: Vector2<f64>,
+}
+
+/// A lens and one pose `T_camera_board` a view.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Bundle {
+    /// The lens.
+    pub lens: Lens,
+    /// `T_camera_board`, metres, one a view.
+    pub poses: Vec<Pose<Camera, BoardFrame>>,
+}
+
+/// How residuals count.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Loss {
+    /// Their squares.
+    Squares,
+    /// Cauchy's: a residual of this many pixels has half the weight.
+    Cauchy(f64),
+}
+
+impl Loss {
+    fn cost_and_weight(self, squared: f64) -> (f64, f64) {
+        match self {
+            Self::Squares => (squared, 1.0),
+            Self::Cauchy(scale) => {
+                let c2 = scale * scale;
+                (c2 * (squared / c2).ln_1p(), 1.0 / (1.0 + squared / c2))
+            }
+        }
+    }
+}
+
+type Coupling = SMatrix<f64, LENS_NUMBERS, 6>;
+
+/// One view's share of the normal equations.
+struct ViewBlock {
+    own: Matrix6<f64>,
+    coupling: Coupling,
+    gradient: Vector6<f64>,
+}
+
+/// The normal equations at one place.
+struct Normal {
+    cost: f64,
+    lens: LensMatrix,
+    gradient: LensVector,
+    views: Vec<ViewBlock>,
+}
+
+/// Covariances for residuals of one pixel; see [`Bundle::covariance`].
+#[derive(Debug, Clone)]
+pub struct BundleCovariance {
+    /// Of the ten numbers; rows of numbers that are not estimated are zero.
+    pub lens: LensMatrix,
+    /// Of each view's [δθ, δt]: `R_true = Exp(δθ) R`, `t_true = t + δt`, camera axes, rad and m.
+    pub views: Vec<Matrix6<f64>>,
+}
+
+/// What the place behind the camera costs: pixels squared, larger than any picture.
+const BEHIND: f64 = 1e9;
+
+impl Bundle {
+    /// The residual, seen minus predicted, pixels; `None` where the corner would lie behind the camera.
+    pub fn residual(&self, view: usize, o: &Observation) -> Option<Vector2<f64>> {
+        let p = self.poses[view].rotation * o.board_m.push(0.0) + self.poses[view].translation;
+        (p.z > 1e-9).then(|| o.pixel - self.lens.project(p.xy() / p.z))
+    }
+
+    fn cost(&self, views: &[Vec<Observation>], loss: Loss) -> f64 {
+        let each = views.iter().enumerate().flat_map(|(v, all)| all.iter().map(move |o| (v, o)));
+        each.map(|(v, o)| loss.cost_and_weight(self.residual(v, o).map_or(BEHIND, |r| r.norm_squared())).0).sum()
+    }
+
+    /// Minimises the loss over everything that is free, from here, in at most `iterations` steps; gives the cost reached.
+    pub fn adjust(&mut self, views: &[Vec<Observation>], free: &FreeNumbers, loss: Loss, iterations: usize) -> f64 {
+        let mut normal = self.normal(views, free, loss);
+        let mut damping = 1e-4;
+        for _ in 0..iterations {
+            let Some((lens_step, view_steps)) = normal.step(damping) else {
+                damping *= 10.0;
+                if damping > 1e8 {
+                    break;
+                }
+                continue;
+            };
+            let next = self.moved(&lens_step, &view_steps, free);
+            let cost = next.cost(views, loss);
+            if cost <= normal.cost {
+                let gain = normal.cost - cost;
+                *self = next;
+                if gain <= 1e-12 * cost {
+                    return cost;
+                }
+                damping = (damping * 0.1).max(1e-12);
+                normal = self.normal(views, free, loss);
+            } else {
+                damping *= 10.0;
+                if damping > 1e8 {
+                    break;
+                }
+            }
+        }
+        normal.cost
+    }
+
+    fn moved(&self, lens_step: &LensVector, view_steps: &[Vector6<f64>], free: &FreeNumbers) -> Self {
+        let mut lens = Lens(self.lens.0 + lens_step);
+        if free.square_pixels && free.free[0] {
+            lens.0[1] = lens.0[0];
+        }
+        let poses = self.poses.iter().zip(view_steps).map(|(pose, step)| {
+            let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
+            Pose::new(turn * pose.rotation, pose.translation + step.fixed_rows::<3>(3))
+        });
+        Self { lens, poses: poses.collect() }
+    }
+
+    fn normal(&self, views: &[Vec<Observation>], free: &FreeNumbers, loss: Loss) -> Normal {
+        let mut normal =
+            Normal { cost: 0.0, lens: LensMatrix::zeros(), gradient: LensVector::zeros(), views: Vec::with_capacity(views.len()) };
+        for (pose, observations) in self.poses.iter().zip(views) {
+            normal.add_view(&self.lens, pose, observations, free, loss);
+        }
+        for k in (0..LENS_NUMBERS).filter(|&k| !free.is_estimated(k)) {
+            normal.lens[(k, k)] = 1.0;
+        }
+        normal
+    }
+
+    /// Covariances of everything for independent residuals of one pixel along each axis; times sigma squared they are the
+    /// estimate's. `None` where the views do not determine the unknowns.
+    pub fn covariance(&self, views: &[Vec<Observation>], free: &FreeNumbers) -> Option<BundleCovariance> {
+        let normal = self.normal(views, free, Loss::Squares);
+        let reduced = normal.reduced(0.0)?;
+        // Scaled to a unit diagonal, the smallest eigenvalue says how far the unknowns can be told apart.
+        let scale = LensVector::from_fn(|k, _| 1.0 / reduced.matrix[(k, k)].max(f64::MIN_POSITIVE).sqrt());
+        let scaled = LensMatrix::from_fn(|r, c| reduced.matrix[(r, c)] * scale[r] * scale[c]);
+        let least = scaled.symmetric_eigenvalues().min();
+        if least.is_nan() || least < 1e-12 {
+            return None;
+        }
+        let inverse = scaled.try_inverse()?;
+        let mut lens = LensMatrix::from_fn(|r, c| inverse[(r, c)] * scale[r] * scale[c]);
+        for k in (0..LENS_NUMBERS).filter(|&k| !free.is_estimated(k)) {
+            lens.row_mut(k).fill(0.0);
+            lens.column_mut(k).fill(0.0);
+        }
+        if free.square_pixels && free.free[0] {
+            let row = lens.row(0).into_owned();
+            lens.set_row(1, &row);
+            let column = lens.column(0).into_owned();
+            lens.set_column(1, &column);
+        }
+        let views = normal.views.iter().zip(&reduced.inverses).map(|(view, inverse)| {
+            let gain = inverse * view.coupling.transpose();
+            inverse + gain * lens * gain.transpose()
+        });
+        Some(BundleCovariance { lens, views: views.collect() })
+    }
+}
+
+/// The lens' own equations after the views' unknowns are eliminated.
+struct Reduced {
+    matrix: LensMatrix,
+    gradient: LensVector,
+    inverses: Vec<Matrix6<f64>>,
+}
+
+impl Normal {
+    fn add_view(&mut self, lens: &Lens, pose: &Pose<Camera, BoardFrame>, observations: &[Observation], free: &FreeNumbers, loss: Loss) {
+        let mut block = ViewBlock { own: Matrix6::zeros(), coupling: Coupling::zeros(), gradient: Vector6::zeros() };
+        for o in observations {
+            let turned: Vector3<f64> = pose.rotation * o.board_m.push(0.0);
+            let p = turned + pose.translation;
+            if p.z <= 1e-9 {
+                self.cost += loss.cost_and_weight(BEHIND).0;
+                continue;
+            }
+            let point = p.xy() / p.z;
+            let (pixel, [by_x, by_y], mut by_lens) = lens.project_with_derivatives(point);
+            let residual = o.pixel - pixel;
+            let (cost, weight) = loss.cost_and_weight(residual.norm_squared());
+            self.cost += cost;
+            let mut by_point = SMatrix::<f64, 2, 3>::zeros();
+            by_point.set_column(0, &(by_x / p.z));
+            by_point.set_column(1, &(by_y / p.z));
+            by_point.set_column(2, &(-(by_x * point.x + by_y * point.y) / p.z));
+            let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
+            by_pose.fixed_columns_mut::<3>(0).copy_from(&(-by_point * turned.cross_matrix()));
+            by_pose.fixed_columns_mut::<3>(3).copy_from(&by_point);
+            if free.square_pixels && free.free[0] {
+                let both = by_lens.column(0) + by_lens.column(1);
+                by_lens.set_column(0, &both);
+            }
+            for k in (0..LENS_NUMBERS).filter(|&k| !free.is_estimated(k)) {
+                by_lens.column_mut(k).fill(0.0);
+            }
+            self.lens += by_lens.transpose() * by_lens * weight;
+            self.gradient += by_lens.transpose() * residual * weight;
+            block.own += by_pose.transpose() * by_pose * weight;
+            block.coupling += by_lens.transpose() * by_pose * weight;
+            block.gradient += by_pose.transpose() * residual * weight;
+        }
+        self.views.push(block);
+    }
+
+    fn reduced(&self, damping: f64) -> Option<Reduced> {
+        let mut matrix = self.lens;
+        for k in 0..LENS_NUMBERS {
+            matrix[(k, k)] *= 1.0 + damping;
+        }
+        let mut gradient = self.gradient;
+        let mut inverses = Vec::with_capacity(self.views.len());
+        for view in &self.views {
+            let mut own = view.own;
+            for k in 0..6 {
+                own[(k, k)] *= 1.0 + damping;
+            }
+            let inverse = own.cholesky()?.inverse();
+            let gain = view.coupling * inverse;
+            matrix -= gain * view.coupling.transpose();
+            gradient -= gain * view.gradient;
+            inverses.push(inverse);
+        }
+        Some(Reduced { matrix, gradient, inverses })
+    }
+
+    fn step(&self, damping: f64) -> Option<(LensVector, Vec<Vector6<f64>>)> {
+        let reduced = self.reduced(damping)?;
+        let lens = reduced.matrix.cholesky()?.solve(&reduced.gradient);
+        let views = self.views.iter().zip(&reduced.inverses);
+        let steps = views.map(|(view, inverse)| inverse * (view.gradient - view.coupling.transpose() * lens));
+        Some((lens, steps.collect()))
+    }
+}

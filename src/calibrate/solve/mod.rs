@@ -1,0 +1,220 @@
+//! The estimation: corners of many views in, lens and poses with their uncertainty out.
+//!
+//! A start in closed form ([`start`]), a robust adjustment that lets wild corners have little say, then the corners that
+//! do not belong are left out and the rest is adjusted by plain least squares ([`adjust`]), so that the covariance is the
+//! textbook's. Uncertainties are 3 sigma, as in Bouguet's toolbox: `3 sqrt(diag((JᵀJ)⁻¹)) sigma`.
+
+pub mod adjust;
+pub mod lens;
+pub mod start;
+
+use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
+use thiserror::Error;
+
+use crate::geometry::{Camera, Pose};
+use adjust::{BoardFrame, Bundle, Loss, Observation};
+use lens::{FreeNumbers, Held, LensMatrix, LensVector};
+
+/// What is estimated, and how.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SolveOptions {
+    /// Which numbers are free.
+    pub free: FreeNumbers,
+    /// Values for the others.
+    pub held: Held,
+    /// As Bouguet's toolbox: every corner counts in full, none is left out, and sigma counts no degrees of freedom.
+    pub bouguet: bool,
+}
+
+/// An estimate of everything.
+#[derive(Debug, Clone)]
+pub struct Estimate {
+    /// The lens and the poses.
+    pub bundle: Bundle,
+    /// For each view, which of its corners are used.
+    pub used: Vec<Vec<bool>>,
+    /// Reprojection error per point over the used corners, sqrt(mean(dx² + dy²)), pixels.
+    pub rms_px: f64,
+    /// Bouguet's err: standard deviation along x and along y, pixels.
+    pub axis_error_px: [f64; 2],
+    /// The noise of one coordinate, degrees of freedom counted, pixels.
+    pub sigma_px: f64,
+    /// Covariance of the ten numbers; zero for those that were held.
+    pub lens_covariance: LensMatrix,
+    /// Covariance of each view's [δθ, δt], camera axes, rad and m: `R_true = Exp(δθ) R`.
+    pub pose_covariances: Vec<Matrix6<f64>>,
+}
+
+/// Why there is no estimate.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum SolveError {
+    /// Not enough views for the unknowns.
+    #[error("only {views} usable view(s)")]
+    TooFew {
+        /// How many there are.
+        views: usize,
+    },
+    /// The views leave the lens open.
+    #[error("the views do not determine the lens")]
+    Undetermined,
+}
+
+/// Fewer views than this are not tried.
+pub const LEAST_VIEWS: usize = 3;
+/// Corners farther off than this many sigma are left out: of good ones, one in 30 000 is.
+const OUTLIER_SIGMAS: f64 = 4.6;
+/// The median length of a 2-vector of unit noise.
+const MEDIAN_LENGTH: f64 = 1.1774;
+
+/// Estimates the lens and a pose for every view.
+///
+/// # Errors
+/// With fewer than [`LEAST_VIEWS`] views, or where they do not determine the unknowns.
+pub fn estimate(views: &[Vec<Observation>], size: (u32, u32), options: &SolveOptions) -> Result<Estimate, SolveError> {
+    if views.len() < LEAST_VIEWS {
+        return Err(SolveError::TooFew { views: views.len() });
+    }
+    let bundle = start::start(views, size, &options.free, &options.held).ok_or(SolveError::Undetermined)?;
+    refine(bundle, views, options)
+}
+
+/// As [`estimate`], from a start that is near already.
+///
+/// # Errors
+/// As [`estimate`].
+pub fn refine(mut bundle: Bundle, views: &[Vec<Observation>], options: &SolveOptions) -> Result<Estimate, SolveError> {
+    let free = &options.free;
+    let all: Vec<Vec<bool>> = views.iter().map(|view| vec![true; view.len()]).collect();
+    if options.bouguet {
+        bundle.adjust(views, free, Loss::Squares, 100);
+        return summed_up(bundle, views, all, options);
+    }
+    for _ in 0..4 {
+        let sigma = robust_sigma(&bundle, views);
+        bundle.adjust(views, free, Loss::Cauchy(3.0 * sigma), 30);
+    }
+    let mut used = all;
+    for _ in 0..8 {
+        let sigma = robust_sigma(&bundle, views);
+        let now = belonging(&bundle, views, OUTLIER_SIGMAS * sigma);
+        let kept = selected(views, &now);
+        bundle.adjust(&kept, free, Loss::Squares, 50);
+        let settled = now == used;
+        used = now;
+        if settled {
+            break;
+        }
+    }
+    summed_up(bundle, views, used, options)
+}
+
+/// Sigma of one coordinate from the median residual: half of the corners may be wild.
+fn robust_sigma(bundle: &Bundle, views: &[Vec<Observation>]) -> f64 {
+    let each = views.iter().enumerate().flat_map(|(v, all)| all.iter().map(move |o| (v, o)));
+    let mut lengths: Vec<f64> = each.map(|(v, o)| bundle.residual(v, o).map_or(f64::INFINITY, |r| r.norm())).collect();
+    lengths.sort_unstable_by(f64::total_cmp);
+    // A floor keeps exact input from throwing out rounding errors.
+    lengths.get(lengths.len() / 2).map_or(1.0, |median| (median / MEDIAN_LENGTH).clamp(1e-6, 1e3))
+}
+
+fn belonging(bundle: &Bundle, views: &[Vec<Observation>], limit: f64) -> Vec<Vec<bool>> {
+    let good = |v: usize, o: &Observation| bundle.residual(v, o).is_some_and(|r| r.norm() <= limit);
+    views.iter().enumerate().map(|(v, all)| all.iter().map(|o| good(v, o)).collect()).collect()
+}
+
+fn selected(views: &[Vec<Observation>], used: &[Vec<bool>]) -> Vec<Vec<Observation>> {
+    let pick = |(view, used): (&Vec<Observation>, &Vec<bool>)| view.iter().zip(used).filter(|(_, u)| **u).map(|(o, _)| *o).collect();
+    views.iter().zip(used).map(pick).collect()
+}
+
+/// Errors and covariances of an adjusted bundle.
+fn summed_up(bundle: Bundle, views: &[Vec<Observation>], used: Vec<Vec<bool>>, options: &SolveOptions) -> Result<Estimate, SolveError> {
+    let free = &options.free;
+    let kept = selected(views, &used);
+    let mut residuals: Vec<Vector2<f64>> = Vec::new();
+    for (v, view) in kept.iter().enumerate() {
+        for o in view {
+            residuals.push(bundle.residual(v, o).ok_or(SolveError::Undetermined)?);
+        }
+    }
+    let count = residuals.len() as f64;
+    let squares: f64 = residuals.iter().map(|r| r.norm_squared()).sum();
+    let unknowns = free.count() + 6 * views.len();
+    let freedom = 2.0 * count - unknowns as f64;
+    let lens_is_sound = bundle.lens.model(1, 1).is_ok();
+    if freedom <= 0.0 || !squares.is_finite() || !lens_is_sound {
+        return Err(SolveError::Undetermined);
+    }
+    let covariance = bundle.covariance(&kept, free).ok_or(SolveError::Undetermined)?;
+    let variance = squares / if options.bouguet { 2.0 * count - 1.0 } else { freedom };
+    let mean: Vector2<f64> = residuals.iter().sum::<Vector2<f64>>() / count;
+    let spread = |k: usize| (residuals.iter().map(|r| (r[k] - mean[k]).powi(2)).sum::<f64>() / (count - 1.0)).sqrt();
+    Ok(Estimate {
+        rms_px: (squares / count).sqrt(),
+        axis_error_px: [spread(0), spread(1)],
+        sigma_px: variance.sqrt(),
+        lens_covariance: covariance.lens * variance,
+        pose_covariances: covariance.views.iter().map(|c| c * variance).collect(),
+        bundle,
+        used,
+    })
+}
+
+impl Estimate {
+    /// 3 sigma of each of the ten numbers; 0 for those that were held.
+    pub fn lens_uncertainty(&self) -> LensVector {
+        self.lens_covariance.diagonal().map(|v| 3.0 * v.max(0.0).sqrt())
+    }
+
+    /// Bouguet's extrinsics of a view: the rotation vector `omc` (rad) and `Tc` (m) of `T_camera_board`, and 3 sigma of both.
+    pub fn extrinsics(&self, view: usize) -> Extrinsics {
+        let pose = &self.bundle.poses[view];
+        let omc = pose.rotation.scaled_axis();
+        let covariance = &self.pose_covariances[view];
+        let turn = inverse_left_jacobian(&omc);
+        let rotation = turn * covariance.fixed_view::<3, 3>(0, 0) * turn.transpose();
+        let three_sigma = |m: Matrix3<f64>| m.diagonal().map(|v| 3.0 * v.max(0.0).sqrt());
+        Extrinsics {
+            rotation_vector: omc,
+            translation_m: pose.translation,
+            rotation_uncertainty: three_sigma(rotation),
+            translation_uncertainty_m: three_sigma(covariance.fixed_view::<3, 3>(3, 3).into_owned()),
+        }
+    }
+
+    /// Per-point rms of one view's used corners, pixels.
+    pub fn view_rms_px(&self, view: usize, observations: &[Observation]) -> f64 {
+        let kept = observations.iter().zip(&self.used[view]).filter(|(_, used)| **used);
+        let squares: Vec<f64> = kept.filter_map(|(o, _)| Some(self.bundle.residual(view, o)?.norm_squared())).collect();
+        (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+    }
+
+    /// The pose `T_camera_board` of a view.
+    pub fn pose(&self, view: usize) -> &Pose<Camera, BoardFrame> {
+        &self.bundle.poses[view]
+    }
+}
+
+/// One view's pose as Bouguet's toolbox writes it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Extrinsics {
+    /// omc: axis times angle, rad, of `T_camera_board`.
+    pub rotation_vector: Vector3<f64>,
+    /// Tc: the board's origin in the camera frame, metres.
+    pub translation_m: Vector3<f64>,
+    /// 3 sigma of omc, rad.
+    pub rotation_uncertainty: Vector3<f64>,
+    /// 3 sigma of Tc, metres.
+    pub translation_uncertainty_m: Vector3<f64>,
+}
+
+/// How a rotation vector changes when its rotation is turned a little from the left.
+fn inverse_left_jacobian(omega: &Vector3<f64>) -> Matrix3<f64> {
+    let angle = omega.norm();
+    let cross = omega.cross_matrix();
+    let second = if angle < 1e-4 { 1.0 / 12.0 } else { (1.0 - 0.5 * angle * (0.5 * angle).cos() / (0.5 * angle).sin()) / (angle * angle) };
+    Matrix3::identity() - cross * 0.5 + cross * cross * second
+}
+
+#[cfg(test)]
+mod tests;

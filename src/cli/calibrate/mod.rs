@@ -1,0 +1,196 @@
+//! `stagepose calibrate`: pictures of a chessboard in, a camera calibration out, and how far to trust it.
+
+mod compare;
+mod json;
+mod numbers;
+mod output;
+mod pictures;
+mod table;
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+
+use super::failure::Failure;
+use crate::calibrate::board::Board;
+use crate::calibrate::judge::Verdict;
+use crate::calibrate::report::{self, Comparison};
+use crate::calibrate::session::{CameraCalibration, calibrate};
+use crate::camera::{Calibration, CalibrationForm, IntrinsicsUncertainty};
+pub(super) use output::write as write_whole;
+
+/// Calibrate a camera from pictures of a chessboard.
+#[derive(Debug, Clone, Args)]
+#[command(
+    after_help = "Examples:\n  stagepose calibrate pictures/*.jpg --board 9x6 --square-mm 25 --output camera.toml --report report.html\n  \
+    stagepose calibrate --clip clip.mp4 --board 9x6 --square-mm 25 --output camera.toml\n  \
+    stagepose calibrate camera.toml --compare other.yaml\n\n\
+    Example:\n  stagepose calibrate pictures --board 9x6 --square-mm 25\n\n\
+    Take 10 to 25 pictures: the board in every part of the picture, each of its sides in turn 20 to 45 degrees away from the camera. Lock zoom \
+    and focus first. Where the verdict is \"do not use\", --output is not written and the exit code is 1."
+)]
+pub(super) struct CalibrateArguments {
+    /// Pictures, or folders of pictures (with --compare also: one calibration file)
+    images: Vec<PathBuf>,
+    /// A clip to pick the views from
+    #[arg(long)]
+    clip: Option<PathBuf>,
+    /// INNER corners of the board along its sides, such as 9x6
+    #[arg(long, value_name = "NxM")]
+    board: Option<String>,
+    /// Side of a square in millimetres
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    square_mm: Option<f64>,
+    /// Write the calibration to this file
+    #[arg(long, short, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Form of --output [default: by its name, .toml is stagepose's, .yaml and .yml are OpenCV's]
+    #[arg(long, value_name = "FORM")]
+    format: Option<OutputForm>,
+    /// Write a report with figures, one HTML file
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+    /// Write everything as JSON
+    #[arg(long, value_name = "OUT.json")]
+    json: Option<PathBuf>,
+    /// `bouguet`: every corner and picture counts, uncertainties as his toolbox has them
+    #[arg(long, value_name = "NAME")]
+    profile: Option<Profile>,
+    /// Hold numbers fixed: fx, fy, cx, cy, k1, k2, p1, p2, with =VALUE for another value than the default; `aspect` for fx = fy
+    #[arg(long, value_name = "NAME[=VALUE]", value_delimiter = ',', allow_hyphen_values = true)]
+    fix: Vec<String>,
+    /// Estimate the skew too
+    #[arg(long)]
+    skew: bool,
+    /// Estimate k3 too (lenses wider than about 90 degrees)
+    #[arg(long)]
+    k3: bool,
+    /// Show the difference to another calibration, pixels over the picture
+    #[arg(long, value_name = "FILE")]
+    compare: Option<PathBuf>,
+    /// Write --output even where the verdict is "do not use"
+    #[arg(long)]
+    write_anyway: bool,
+}
+
+/// Forms of a calibration file that are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum OutputForm {
+    /// stagepose's own TOML
+    Stagepose,
+    /// OpenCV's YAML
+    Opencv,
+    /// ROS's camera_info YAML
+    Ros,
+}
+
+/// Whose defaults.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Profile {
+    /// Bouguet's toolbox
+    Bouguet,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad usage, pictures that make no calibration, an output that cannot be written, the verdict "do not use".
+pub(super) fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
+    if let Some(own) = compare::two_files(arguments) {
+        return compare::run(own, arguments);
+    }
+    let board = board_of(arguments)?;
+    let options = numbers::options(arguments)?;
+    let other = arguments.compare.as_deref().map(compare::read).transpose()?;
+    output::refuse_unwritable(arguments)?;
+    let pictures = pictures::inspected(arguments, &board)?;
+    let made = calibrate(&pictures, &board, &options).map_err(|e| Failure::Calibration(e.to_string()))?;
+    let Some(calibration) = calibration_of(&made) else {
+        return Err(Failure::Calibration("the pictures give no possible camera; take sharper ones with more tilt".to_owned()));
+    };
+    let comparison = other.map(|other| compare::between(&calibration.model, &other)).transpose()?;
+    let accepted = made.judgement.verdict != Verdict::DoNotUse || arguments.write_anyway;
+    let mut text = table::table(&made);
+    if let Some(comparison) = &comparison {
+        text += &compare::table(comparison);
+    }
+    print(&text)?;
+    write_results(arguments, &made, &calibration, comparison.as_ref(), accepted)?;
+    if accepted {
+        return Ok(());
+    }
+    let kept =
+        arguments.output.as_ref().map_or(String::new(), |file| format!("; {} is not written (--write-anyway writes it)", file.display()));
+    let next = &made.judgement.next_picture;
+    Err(Failure::Calibration(format!("{}{kept}; take next: {next}", made.judgement.sentence())))
+}
+
+fn write_results(
+    arguments: &CalibrateArguments,
+    made: &CameraCalibration,
+    calibration: &Calibration,
+    comparison: Option<&Comparison>,
+    accepted: bool,
+) -> Result<(), Failure> {
+    if let Some(file) = &arguments.json {
+        output::write(file, &json::text(made, calibration, comparison))?;
+    }
+    if let Some(file) = &arguments.report {
+        output::write(file, &report::html(made, comparison))?;
+    }
+    if let Some(file) = arguments.output.as_ref().filter(|_| accepted) {
+        let text = match form_of(file, arguments.format) {
+            OutputForm::Stagepose => calibration.to_toml(),
+            OutputForm::Opencv => calibration.to_opencv_yaml(),
+            OutputForm::Ros => calibration.to_ros_yaml("camera"),
+        };
+        output::write(file, &text)?;
+    }
+    Ok(())
+}
+
+fn form_of(file: &Path, asked: Option<OutputForm>) -> OutputForm {
+    let extension = file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let by_name = if matches!(extension.as_str(), "yaml" | "yml") { OutputForm::Opencv } else { OutputForm::Stagepose };
+    asked.unwrap_or(by_name)
+}
+
+fn board_of(arguments: &CalibrateArguments) -> Result<Board, Failure> {
+    let Some(text) = &arguments.board else {
+        return Err(Failure::Usage(
+            "--board is missing; give the number of INNER corners along both sides, such as --board 9x6".to_owned(),
+        ));
+    };
+    let Some(square_mm) = arguments.square_mm else {
+        return Err(Failure::Usage(
+            "--square-mm is missing; measure a square of the board and give its side, such as --square-mm 25".to_owned(),
+        ));
+    };
+    Board::parse(text, square_mm).map_err(|e| Failure::Usage(e.to_string()))
+}
+
+/// The file's content; `None` where the numbers are no camera.
+fn calibration_of(made: &CameraCalibration) -> Option<Calibration> {
+    let model = made.estimate.bundle.lens.model(made.size.0, made.size.1).ok()?;
+    let u = made.estimate.lens_uncertainty();
+    Some(Calibration {
+        model,
+        uncertainty: Some(IntrinsicsUncertainty {
+            fx: u[0],
+            fy: u[1],
+            cx: u[2],
+            cy: u[3],
+            skew: u[4],
+            distortion: std::array::from_fn(|k| u[5 + k]),
+        }),
+        rms_px: Some(made.estimate.rms_px),
+        images: Some(made.views.iter().filter(|v| v.used).count() as u32),
+        date: Some(output::today()),
+        form: CalibrationForm::Stagepose,
+    })
+}
+
+fn print(text: &str) -> Result<(), Failure> {
+    io::stdout().write_all(text.as_bytes()).map_err(Failure::output(Path::new("stdout")))
+}

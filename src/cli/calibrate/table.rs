@@ -1,0 +1,36 @@
+//! What the command prints: the pictures that were not used, Bouguet's table, the verdict.
+
+use std::fmt::Write;
+
+use crate::calibrate::session::CameraCalibration;
+use crate::calibrate::table::bouguet;
+
+/// The whole text.
+pub(super) fn table(made: &CameraCalibration) -> String {
+    let used = made.views.iter().filter(|v| v.used).count();
+    let corners: usize = made.estimate.used.iter().flatten().filter(|used| **used).count();
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = writeln!(text, "{used} of {} pictures used, {corners} corners; board {}", made.views.len(), made.board);
+    for view in made.views.iter().filter(|view| !view.used) {
+        let _ = writeln!(text, "  not used: {}: {}", view.file.display(), view.reason.as_deref().unwrap_or("no board"));
+    }
+    for view in made.views.iter().filter(|view| !view.outliers.is_empty()) {
+        let _ = writeln!(text, "  {}: {} of its corners do not fit and are left out", view.file.display(), view.outliers.len());
+    }
+    for view in made.views.iter().filter(|view| view.used) {
+        if let Some(reason) = &view.reason {
+            let _ = writeln!(text, "  {}: {reason}", view.file.display());
+        }
+    }
+    let _ = writeln!(text, "\nCalibration results (with uncertainties):\n");
+    text += &bouguet(made);
+    let _ = writeln!(text, "\nThe numbers after +/- are 3 sigma. Reprojection error per point: {:.4} px.", made.estimate.rms_px);
+    let judgement = &made.judgement;
+    let _ = writeln!(text, "\nVerdict: {}.", judgement.sentence());
+    for finding in judgement.findings.iter().filter(|f| f.weight != judgement.verdict) {
+        let _ = writeln!(text, "  {}", finding.text);
+    }
+    let _ = writeln!(text, "Take next: {}.", judgement.next_picture);
+    text
+}

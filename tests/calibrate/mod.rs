@@ -1,0 +1,5 @@
+//! `stagepose calibrate` and `stagepose board` as a user runs them.
+
+mod bad;
+mod good;
+mod scene;
