@@ -20,7 +20,8 @@
 //! - [`pose`]: a sighting becomes poses in the stage frame, with covariance, or a prediction
 //! - [`record`]: [`PoseSample`] and the line it becomes (contract C3)
 //! - [`simulate`]: the virtual stage with exact truth
-//! - [`capture`]: [`capture::FrameSource`]: clips of every form, and the virtual camera
+//! - [`capture`]: [`capture::FrameSource`]: clips of every form, the virtual camera, V4L2 cameras
+//! - [`web`]: what a running daemon counts, its health and its metrics
 //! - [`config`]: as typed, then resolved
 //! - [`daemon`]: [`Tracker`] without threads, [`Daemon`] with them
 //! - [`cli`]: one file a command
@@ -46,6 +47,7 @@ pub mod pose;
 pub mod record;
 pub mod simulate;
 pub mod track;
+pub mod web;
 
 pub use daemon::{Daemon, Tracker, TrackerSetup};
 pub use record::PoseSample;

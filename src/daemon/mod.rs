@@ -3,9 +3,11 @@
 //!
 //! [`Tracker`] is the library's plain form: a frame in, a pose sample out. [`Daemon`] runs capture, matcher
 //! and pose on a thread each; data moves one way, and a stage ends when its input ends. `latest` owns
-//! drop-oldest.
+//! drop-oldest, [`live`] a camera that may fail.
 
 pub mod latest;
+pub mod live;
+mod stale;
 mod threads;
 mod tracker;
 

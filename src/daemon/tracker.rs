@@ -98,7 +98,7 @@ impl PoseRecorder {
             pose: camera.pose,
             measurement,
             objects,
-            times: StageTimes { decode_ms, acquire_ms: sighting.acquire_ms, align_ms: sighting.align_ms, pose_ms },
+            times: StageTimes { decode_ms, acquire_ms: sighting.acquire_ms, align_ms: sighting.align_ms, pose_ms, age_ms: None },
         }
     }
 }
