@@ -82,7 +82,9 @@ fn reason(best: &Offer, offers: &[Offer], wanted: &Wanted) -> String {
     let slower = slower.max_by_key(|o| o.fps).filter(|_| wanted.layout.is_none());
     let layout = match slower {
         Some(other) if other.fps < best.fps => format!("{} reaches only {}/s there", other.layout.fourcc(), other.fps),
-        Some(other) if best.layout != PixelLayout::Mjpeg => format!("exact grey levels without a decoder, unlike {}", other.layout.fourcc()),
+        Some(other) if best.layout != PixelLayout::Mjpeg => {
+            format!("exact grey levels without a decoder, unlike {}", other.layout.fourcc())
+        }
         Some(other) => format!("{} would come at {}/s too, with more bytes", other.layout.fourcc(), other.fps),
         None if wanted.layout.is_some() => "the config's format".to_owned(),
         None => "the only format there".to_owned(),
@@ -145,7 +147,10 @@ mod tests {
         let wanted = Wanted { width: Some(1280), layout: Some(PixelLayout::Yuyv), ..Wanted::default() };
         assert_eq!(choose(&WEBCAM, &wanted).unwrap(), (WEBCAM[2], "the config's size; the config's format".to_owned()));
         let refusal = choose(&WEBCAM, &Wanted { fps: Some(60.0), ..wanted }).unwrap_err();
-        assert!(refusal.contains("does not offer 1280 x any pixels, YUYV, 60 pictures a second; it offers MJPG 1280x720 30/s"), "{refusal}");
+        assert!(
+            refusal.contains("does not offer 1280 x any pixels, YUYV, 60 pictures a second; it offers MJPG 1280x720 30/s"),
+            "{refusal}"
+        );
         let refusal = choose(&[], &Wanted { calibrated: Some((4, 3)), ..Wanted::default() }).unwrap_err();
         assert!(refusal.contains("no mode that can be read"), "{refusal}");
     }

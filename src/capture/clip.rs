@@ -94,7 +94,13 @@ impl Clip {
     fn read_row(&mut self) -> Option<Row> {
         let picture = self.stream.next_picture()?;
         let sequence = self.order.number();
-        let skipped = |timestamp_ns, reason| Row { sequence, timestamp_ns, content: RowContent::Skipped(reason), decode: Duration::ZERO, received: None };
+        let skipped = |timestamp_ns, reason| Row {
+            sequence,
+            timestamp_ns,
+            content: RowContent::Skipped(reason),
+            decode: Duration::ZERO,
+            received: None,
+        };
         let timestamp_ns = match picture.stamp {
             Err(reason) => return Some(skipped(self.order.last_stamp_ns().unwrap_or(0), reason)),
             Ok(stamp) => stamp,

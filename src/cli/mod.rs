@@ -5,11 +5,14 @@
 
 mod check;
 mod demo;
+mod devices;
 mod failure;
 mod interrupt;
 mod logging;
 pub mod overlay;
+mod record;
 mod replay;
+mod run;
 mod text;
 
 use std::process::ExitCode;
@@ -36,6 +39,9 @@ enum Command {
     Replay(replay::ReplayArguments),
     Check(check::CheckArguments),
     Demo(demo::DemoArguments),
+    Devices(devices::DevicesArguments),
+    Run(run::RunArguments),
+    Record(record::RecordArguments),
 }
 
 /// Runs the command line of this process; `started` is when the process began.
@@ -51,6 +57,9 @@ pub fn run(started: Instant) -> ExitCode {
     let outcome = match arguments.command {
         Command::Replay(arguments) => replay::run(&arguments, started),
         Command::Check(arguments) => check::run(&arguments),
+        Command::Devices(arguments) => devices::run(&arguments),
+        Command::Run(arguments) => run::run(&arguments),
+        Command::Record(arguments) => record::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments).map_err(Failure::from),
     };
     match outcome {

@@ -30,6 +30,8 @@ pub struct Config {
     pub object: Vec<Spanned<Object>>,
     /// `[tracker]`
     pub tracker: Option<Tracker>,
+    /// `[recorder]`
+    pub recorder: Option<Recorder>,
     /// `[log]`
     pub log: Option<Log>,
 }
@@ -114,6 +116,18 @@ pub struct Tracker {
     pub confirm_frames: Option<Spanned<Count>>,
     /// Seed of the robust estimators.
     pub seed: Option<Spanned<Count>>,
+}
+
+/// `[recorder]`
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recorder {
+    /// Where clips go.
+    pub folder: Option<Spanned<String>>,
+    /// Everything, from the start on.
+    pub continuous: Option<bool>,
+    /// Seconds kept for saving later; 0 = none.
+    pub ring_s: Option<Spanned<Number>>,
 }
 
 /// `[log]`

@@ -12,11 +12,12 @@ use super::origin::{Origin, one_line};
 use super::{ConfigError, Problem};
 
 /// Sections that contract C5 names and later versions bring.
-const LATER_SECTIONS: [&str; 5] = ["filter", "safety", "output", "recorder", "http"];
+const LATER_SECTIONS: [&str; 4] = ["filter", "safety", "output", "http"];
 
 /// Every section of this version with its keys, as a message writes it: `("[camera]", ["calibration", …])`.
 pub fn known_keys() -> Vec<(&'static str, &'static [&'static str])> {
-    let paths: [&[&str]; 7] = [&["camera"], &["stage"], &["stage", "surface"], &["object"], &["object", "surface"], &["tracker"], &["log"]];
+    let paths: [&[&str]; 8] =
+        [&["camera"], &["stage"], &["stage", "surface"], &["object"], &["object", "surface"], &["tracker"], &["recorder"], &["log"]];
     paths.iter().filter_map(|path| section(path)).collect()
 }
 
@@ -30,6 +31,7 @@ fn section(path: &[&str]) -> Option<(&'static str, &'static [&'static str])> {
         ["object"] => ("[[object]]", fields::<as_typed::Object>()),
         ["object", "surface"] => ("[[object.surface]]", fields::<as_typed::Surface>()),
         ["tracker"] => ("[tracker]", fields::<as_typed::Tracker>()),
+        ["recorder"] => ("[recorder]", fields::<as_typed::Recorder>()),
         ["log"] => ("[log]", fields::<as_typed::Log>()),
         _ => return None,
     })

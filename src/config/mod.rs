@@ -8,6 +8,7 @@
 
 pub mod as_typed;
 mod bodies;
+mod copy;
 mod error;
 mod known_keys;
 mod origin;
@@ -16,6 +17,7 @@ mod settings;
 mod tests;
 mod values;
 
+pub use copy::copy_config;
 pub use error::{ConfigError, Problem};
 pub use known_keys::known_keys;
-pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, Settings};
+pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, RecorderSettings, Settings};

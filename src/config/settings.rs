@@ -38,6 +38,8 @@ pub struct Settings {
     pub objects: Vec<BodySpec>,
     /// The tracker's tunables.
     pub tracker: TrackerSettings,
+    /// What is recorded beside the tracking.
+    pub recorder: RecorderSettings,
     /// What is logged, and how.
     pub log: LogSettings,
     /// What was assumed or looks odd, one sentence each; `check` prints them.
@@ -72,6 +74,19 @@ pub enum PixelFormat {
     Nv12,
     /// 8-bit grey.
     Grey,
+    /// Three bytes a pixel.
+    Rgb,
+}
+
+/// `[recorder]`
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecorderSettings {
+    /// Where clips go, relative names resolved.
+    pub folder: PathBuf,
+    /// Everything is recorded, from the start on.
+    pub continuous: bool,
+    /// Seconds kept on disk for saving later; 0 = none.
+    pub ring_s: f64,
 }
 
 /// `[log]`
@@ -164,6 +179,7 @@ impl Settings {
             stage,
             objects,
             tracker: tracker(&origin, typed.tracker.as_ref())?,
+            recorder: recorder(&origin, typed.recorder.as_ref())?,
             log: log(&origin, typed.log.as_ref())?,
             notes,
         })
@@ -220,6 +236,7 @@ fn device(section: &Section<'_>, typed: &as_typed::Camera) -> Result<DeviceSetti
         ("yuyv", Some(PixelFormat::Yuyv)),
         ("nv12", Some(PixelFormat::Nv12)),
         ("grey", Some(PixelFormat::Grey)),
+        ("rgb", Some(PixelFormat::Rgb)),
     ];
     let controls = typed.controls.iter().flatten().map(|(name, value)| (name.clone(), *value.get_ref())).collect();
     let device = typed.device.as_ref().map(|d| section.text("device", d, "a device such as \"/dev/video0\"")).transpose()?;
@@ -228,7 +245,7 @@ fn device(section: &Section<'_>, typed: &as_typed::Camera) -> Result<DeviceSetti
         width: side("width", &typed.width)?,
         height: side("height", &typed.height)?,
         fps: typed.fps.as_ref().map(|_| fps),
-        format: section.word("format", typed.format.as_ref(), None, &formats, "mjpeg, yuyv, nv12 or grey")?,
+        format: section.word("format", typed.format.as_ref(), None, &formats, "mjpeg, yuyv, nv12, grey or rgb")?,
         controls,
     })
 }
@@ -249,6 +266,16 @@ fn tracker(origin: &Origin<'_>, typed: Option<&as_typed::Tracker>) -> Result<Tra
         confirm_frames: confirm as u32,
         seed: section.count("seed", typed.seed.as_ref(), default.seed, 0..=u64::MAX, "a whole number of 0 or more")?,
     })
+}
+
+fn recorder(origin: &Origin<'_>, typed: Option<&as_typed::Recorder>) -> Result<RecorderSettings, ConfigError> {
+    let section = Section { origin, name: "[recorder]" };
+    let folder = typed.and_then(|t| t.folder.as_ref());
+    let folder = folder.map(|f| section.text("folder", f, "a folder such as \"recordings\"")).transpose()?;
+    let within = |v: f64| (0.0..=3600.0).contains(&v);
+    let ring_s = section.number("ring_s", typed.and_then(|t| t.ring_s.as_ref()), 0.0, within, "seconds from 0 (no ring) to 3600")?;
+    let continuous = typed.and_then(|t| t.continuous).unwrap_or(false);
+    Ok(RecorderSettings { folder: origin.beside(folder.as_deref().unwrap_or("recordings")), continuous, ring_s })
 }
 
 fn log(origin: &Origin<'_>, typed: Option<&as_typed::Log>) -> Result<LogSettings, ConfigError> {

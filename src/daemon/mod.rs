@@ -7,6 +7,7 @@
 
 pub mod latest;
 pub mod live;
+pub mod recorder;
 mod stale;
 mod threads;
 mod tracker;

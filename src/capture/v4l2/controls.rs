@@ -100,7 +100,10 @@ fn automatic(there: &[ControlDescription], exposure: Option<i64>, focus: Option<
         None => {}
     }
     if focus == Some(1) {
-        warnings.push("the focus is automatic: it changes the calibration while it moves; set focus_automatic_continuous = false in `controls`".to_owned());
+        warnings.push(
+            "the focus is automatic: it changes the calibration while it moves; set focus_automatic_continuous = false in `controls`"
+                .to_owned(),
+        );
     }
     warnings
 }

@@ -100,7 +100,16 @@ pub(super) fn controls(fd: RawFd) -> Vec<ControlDescription> {
         let bytes = query.name.map(|c| c as u8);
         let name = CStr::from_bytes_until_nul(&bytes).map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let (minimum, maximum, step) = (query.minimum, query.maximum, query.step);
-        found.push(ControlDescription { id, kind: query.type_, name, minimum, maximum, step, default: query.default_value, flags: query.flags });
+        found.push(ControlDescription {
+            id,
+            kind: query.type_,
+            name,
+            minimum,
+            maximum,
+            step,
+            default: query.default_value,
+            flags: query.flags,
+        });
     }
     found
 }

@@ -116,7 +116,8 @@ pub fn find_node(name: &str, known: Option<&str>) -> Result<Node, OpenFault> {
         nodes.iter().find(|n| Some(n.number) == number)
     } else {
         let part = name.to_lowercase();
-        let names = |n: &&Node| n.by_id.iter().any(|p| p.to_string_lossy().to_lowercase().contains(&part)) || n.card.to_lowercase().contains(&part);
+        let names =
+            |n: &&Node| n.by_id.iter().any(|p| p.to_string_lossy().to_lowercase().contains(&part)) || n.card.to_lowercase().contains(&part);
         nodes.iter().find(names)
     };
     found.cloned().ok_or_else(|| not_there(name, &nodes))
@@ -126,7 +127,9 @@ fn not_there(name: &str, nodes: &[Node]) -> OpenFault {
     if nodes.is_empty() {
         let locked: Vec<String> = (0..64).map(|n| format!("/dev/video{n}")).filter(|p| is_forbidden(Path::new(p))).collect();
         return OpenFault(match locked.first() {
-            Some(path) => format!("{path} may not be opened by this user; add the user to the group video: sudo usermod -aG video $USER, then log in again"),
+            Some(path) => format!(
+                "{path} may not be opened by this user; add the user to the group video: sudo usermod -aG video $USER, then log in again"
+            ),
             None => format!("no camera is plugged in (looked for {name}); plug one in, and see what there is with: stagepose devices"),
         });
     }
@@ -144,7 +147,8 @@ pub fn programs_that_hold(node: &Path) -> Vec<String> {
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten().map(|e| e.path());
     let holds = |process: &PathBuf| {
         let files = fs::read_dir(process.join("fd")).into_iter().flatten().flatten();
-        process.file_name().is_some_and(|n| n != own.as_str()) && files.into_iter().any(|f| fs::read_link(f.path()).is_ok_and(|l| l == node))
+        process.file_name().is_some_and(|n| n != own.as_str())
+            && files.into_iter().any(|f| fs::read_link(f.path()).is_ok_and(|l| l == node))
     };
     let title = |process: PathBuf| {
         let id = process.file_name()?.to_str()?.to_owned();

@@ -80,7 +80,10 @@ impl V4l2Opener {
             device.set_params(&Parameters::with_fps(offer.fps)).map(|_| ())
         });
         set.unwrap_or_else(|| Err(io::Error::other("the V4L library gave up"))).map_err(fault)?;
-        self.say_once(format!("{}: taking {} {}x{} at {}/s: {why}", node.title(), offer.layout.fourcc(), offer.width, offer.height, offer.fps), false);
+        self.say_once(
+            format!("{}: taking {} {}x{} at {}/s: {why}", node.title(), offer.layout.fourcc(), offer.width, offer.height, offer.fps),
+            false,
+        );
         let held = controls::hold(device.handle().fd(), &self.controls);
         for warning in &held.warnings {
             self.say_once(format!("{}: {warning}", node.title()), true);
@@ -108,8 +111,15 @@ impl CameraOpener for V4l2Opener {
         let camera = match opened {
             Some(Ok(camera)) => camera,
             Some(Err(reason)) if reason.contains("busy") || reason.contains("os error 16") => return Err(OpenFault(busy(&node))),
-            Some(Err(reason)) => return Err(OpenFault(format!("{} cannot be opened: {reason}; unplug it and plug it in again", node.title()))),
-            None => return Err(OpenFault(format!("{} cannot be opened: the V4L library gave up; unplug it and plug it in again", node.title()))),
+            Some(Err(reason)) => {
+                return Err(OpenFault(format!("{} cannot be opened: {reason}; unplug it and plug it in again", node.title())));
+            }
+            None => {
+                return Err(OpenFault(format!(
+                    "{} cannot be opened: the V4L library gave up; unplug it and plug it in again",
+                    node.title()
+                )));
+            }
         };
         self.remember(&node);
         Ok(Box::new(camera))
@@ -124,7 +134,10 @@ fn opening_fault(node: &Node, error: &io::Error) -> String {
     match error.raw_os_error() {
         Some(nix::libc::EBUSY) => busy(node),
         Some(nix::libc::EACCES) => {
-            format!("{} may not be opened by this user; add the user to the group video: sudo usermod -aG video $USER, then log in again", node.title())
+            format!(
+                "{} may not be opened by this user; add the user to the group video: sudo usermod -aG video $USER, then log in again",
+                node.title()
+            )
         }
         _ => format!("{} cannot be opened: {error}; unplug it and plug it in again", node.title()),
     }

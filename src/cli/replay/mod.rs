@@ -3,7 +3,7 @@
 mod overlays;
 mod paced;
 mod progress;
-mod records;
+pub(in crate::cli) mod records;
 mod summary;
 
 use std::path::{Path, PathBuf};
@@ -170,7 +170,11 @@ fn lock(rows: &Mutex<RowTally>) -> MutexGuard<'_, RowTally> {
 }
 
 /// A tracker for pictures of a size.
-fn tracker_setup(settings: &Settings, (width, height): (u32, u32), threads: Option<u64>) -> Result<TrackerSetup, Failure> {
+pub(in crate::cli) fn tracker_setup(
+    settings: &Settings,
+    (width, height): (u32, u32),
+    threads: Option<u64>,
+) -> Result<TrackerSetup, Failure> {
     let (camera, note) = settings.camera_for(width, height)?;
     if let Some(note) = note {
         tracing::warn!("{note}");

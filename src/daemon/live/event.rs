@@ -151,11 +151,15 @@ fn note(event: &Event) {
         Event::CameraWaiting { reason } => tracing::warn!("waiting for the camera: {reason}"),
         Event::CameraLost { reason } => tracing::warn!("the camera is lost: {reason}"),
         Event::NoDriverStamp { name } => {
-            tracing::warn!("{name}: its driver gives no time stamps; frames are stamped when they arrive, which is later than they were taken");
+            tracing::warn!(
+                "{name}: its driver gives no time stamps; frames are stamped when they arrive, which is later than they were taken"
+            );
         }
         Event::Stale { age_ms, .. } => tracing::warn!("no picture for {age_ms:.0} ms"),
         Event::Resumed { after_ms } => tracing::info!("pictures come again after {after_ms:.0} ms"),
-        Event::FrameDropped { frame_timestamp_ns } => tracing::debug!("the frame of {frame_timestamp_ns} was dropped: the tracker was late"),
+        Event::FrameDropped { frame_timestamp_ns } => {
+            tracing::debug!("the frame of {frame_timestamp_ns} was dropped: the tracker was late")
+        }
         Event::RecorderStarted { clip } => tracing::info!("recording to {clip}"),
         Event::RecorderStopped { reason } => tracing::error!("recording stopped: {reason}"),
         Event::RingSaved { clip } => tracing::info!("the last seconds are saved in {clip}"),

@@ -161,7 +161,10 @@ fn open(shared: &Shared) -> Result<Box<dyn Camera>, String> {
     drop(first);
     if mode.size != size {
         let (w, h) = mode.size;
-        return Err(format!("{} now gives {w} x {h} pixels instead of {} x {}; set width and height in [camera]", mode.name, size.0, size.1));
+        return Err(format!(
+            "{} now gives {w} x {h} pixels instead of {} x {}; set width and height in [camera]",
+            mode.name, size.0, size.1
+        ));
     }
     shared.link.pulse.set_rate(mode.fps);
     shared.link.statistics.camera_opened(&mode.name, again);
