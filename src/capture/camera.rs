@@ -55,6 +55,8 @@ pub struct CameraMode {
     pub exposure_s: Option<f64>,
     /// Driver controls as read back after they were set, by name.
     pub controls: Vec<(String, i64)>,
+    /// What a newcomer should know, one sentence each: why this mode, what was refused, what is still automatic.
+    pub notes: Vec<String>,
 }
 
 /// A picture as the driver gave it.

@@ -34,8 +34,15 @@ impl PlayedClip {
         };
         let fps = fps.unwrap_or(30.0);
         let layout = if matches!(pictures, Pictures::Rows(_)) { PixelLayout::Grey } else { PixelLayout::Mjpeg };
-        let mode =
-            CameraMode { name: clip.display().to_string(), size: pictures.size(), layout, fps, exposure_s: None, controls: Vec::new() };
+        let mode = CameraMode {
+            name: clip.display().to_string(),
+            size: pictures.size(),
+            layout,
+            fps,
+            exposure_s: None,
+            controls: Vec::new(),
+            notes: Vec::new(),
+        };
         let playing = PlayingClip { pictures, mode, begun: None, ahead: None };
         Ok(Self { clip: clip.to_owned(), unopened: Mutex::new(Some(playing)) })
     }

@@ -1,4 +1,4 @@
-//! `check`: reads a config and everything that it names, and says what was found and what will happen.
+//! `check`: reads a config and everything that it names, tries its camera, and says what was found and what will happen.
 
 use std::fmt::Write as _;
 use std::io::{self, Write};
@@ -12,7 +12,9 @@ use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
 
 /// Check a config and everything that it names.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  stagepose check --config stage.toml --clip clip")]
+#[command(
+    after_help = "Example:\n  stagepose check --config stage.toml --clip clip\n\nThe camera is tried where the config names one with `device` and --clip is absent."
+)]
 pub(super) struct CheckArguments {
     /// The config of the camera and the stage
     #[arg(long, value_name = "FILE")]
@@ -20,6 +22,9 @@ pub(super) struct CheckArguments {
     /// A clip that it shall fit
     #[arg(long)]
     clip: Option<PathBuf>,
+    /// Leave the camera alone
+    #[arg(long)]
+    no_device: bool,
 }
 
 pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
@@ -35,8 +40,12 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
         let rows = source.rows().map_or("an unknown number of frames".to_owned(), |rows| format!("{rows} frames"));
         clip_line = Some(format!("clip        {}: {rows} of {width} x {height} pixels", clip.display()));
     }
-    let report = report(&settings, &camera, &notes, clip_line);
-    writeln!(io::stdout(), "{report}").map_err(Failure::output(Path::new("stdout")))
+    let tries = settings.device.device.is_some() && arguments.clip.is_none() && !arguments.no_device;
+    let device = tries.then(|| device::try_camera(&settings));
+    let device_text = device.as_ref().map(|found| found.as_ref().map_or_else(|problem| problem.clone(), Clone::clone));
+    let report = report(&settings, &camera, &notes, clip_line.or(device_text.map(|text| format!("device      {text}"))));
+    writeln!(io::stdout(), "{report}").map_err(Failure::output(Path::new("stdout")))?;
+    device.transpose().map(|_| ()).map_err(Failure::Device)
 }
 
 /// The whole text.
@@ -134,6 +143,8 @@ fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
     let coarse_texels = i.fx / (2.0 * texels_per_metre(surface));
     (tenth_of_surface.max(coarse_texels), width_m * i.fx / (0.1 * width_px))
 }
+
+mod device;
 
 #[cfg(test)]
 mod tests {

@@ -42,6 +42,9 @@ pub enum Failure {
         /// What the system says.
         source: io::Error,
     },
+    /// The camera cannot be used.
+    #[error("the camera: {0}")]
+    Device(String),
     /// The demo ended early.
     #[error(transparent)]
     Demo(#[from] super::demo::DemoError),
@@ -81,7 +84,7 @@ impl Failure {
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Usage(_) | Self::Config(_) => USAGE,
-            Self::Capture(_) | Self::NoFrame { .. } | Self::Output { .. } | Self::Demo(_) | Self::Tracking(_) => 1,
+            Self::Capture(_) | Self::NoFrame { .. } | Self::Output { .. } | Self::Device(_) | Self::Demo(_) | Self::Tracking(_) => 1,
         })
     }
 }

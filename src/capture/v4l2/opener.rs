@@ -68,7 +68,7 @@ impl V4l2Opener {
     }
 
     /// Sets mode and controls by a handle of its own, which is closed again.
-    fn prepare(&self, node: &Node) -> Result<(Offer, Held), OpenFault> {
+    fn prepare(&self, node: &Node) -> Result<(Offer, Held, Vec<String>), OpenFault> {
         let fault = |e: io::Error| OpenFault(opening_fault(node, &e));
         let device = Device::with_path(node.path()).map_err(fault)?;
         let offers = listing::offers(&device);
@@ -80,10 +80,9 @@ impl V4l2Opener {
             device.set_params(&Parameters::with_fps(offer.fps)).map(|_| ())
         });
         set.unwrap_or_else(|| Err(io::Error::other("the V4L library gave up"))).map_err(fault)?;
-        self.say_once(
-            format!("{}: taking {} {}x{} at {}/s: {why}", node.title(), offer.layout.fourcc(), offer.width, offer.height, offer.fps),
-            false,
-        );
+        let mode = format!("{} {}x{} at {}/s", offer.layout.fourcc(), offer.width, offer.height, offer.fps);
+        let mut notes = vec![format!("taking {mode}: {why}")];
+        self.say_once(format!("{}: {}", node.title(), notes[0]), false);
         let held = controls::hold(device.handle().fd(), &self.controls);
         for warning in &held.warnings {
             self.say_once(format!("{}: {warning}", node.title()), true);
@@ -91,14 +90,15 @@ impl V4l2Opener {
         for (name, value) in &held.values {
             tracing::info!("{}: control {name} reads back {value}", node.title());
         }
-        Ok((offer, held))
+        notes.extend(held.warnings.iter().cloned());
+        Ok((offer, held, notes))
     }
 }
 
 impl CameraOpener for V4l2Opener {
     fn open(&self) -> Result<Box<dyn Camera>, OpenFault> {
         let node = self.find()?;
-        let (offer, held) = self.prepare(&node)?;
+        let (offer, held, notes) = self.prepare(&node)?;
         let mode = CameraMode {
             name: node.title(),
             size: (offer.width, offer.height),
@@ -106,6 +106,7 @@ impl CameraOpener for V4l2Opener {
             fps: offer.fps.into(),
             exposure_s: held.exposure_s,
             controls: held.values,
+            notes,
         };
         let opened = contained(|| camera::open(node.number, &offer, mode));
         let camera = match opened {

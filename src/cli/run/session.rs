@@ -169,7 +169,9 @@ impl Sinks {
     /// Writes what has happened since the last time.
     pub fn write_events(&mut self) {
         for event in self.happening.try_iter() {
-            let Some(events) = &mut self.events else { continue };
+            // A dropped frame is counted; a recording has a list of them.
+            let dropped = matches!(event.event, Event::FrameDropped { .. });
+            let Some(events) = self.events.as_mut().filter(|_| !dropped) else { continue };
             if let Err(failure) = events.write_all_and_flush(&event.to_json_line()) {
                 tracing::error!("{failure}; no more events are written");
                 self.events = None;

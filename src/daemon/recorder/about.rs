@@ -55,7 +55,7 @@ impl AboutClip {
     pub fn write(&self, clip: &Path, disk: &mut dyn Disk) -> io::Result<()> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let clock = Clock { monotonic_ns: monotonic_ns(), utc_ns: i64::try_from(now.as_nanos()).unwrap_or(i64::MAX) };
-        let CameraMode { name, size: (width, height), layout, fps, exposure_s, controls } = &self.camera;
+        let CameraMode { name, size: (width, height), layout, fps, exposure_s, controls, notes: _ } = &self.camera;
         let controls = controls.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         let camera = Camera { name, width: *width, height: *height, format: layout.fourcc(), fps: *fps, exposure_s: *exposure_s, controls };
         let about = ClipToml {

@@ -43,7 +43,8 @@ impl Disk for SmallDisk {
 fn about() -> AboutClip {
     let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly/stage.toml");
     let controls = vec![("gain".to_owned(), 3)];
-    let camera = CameraMode { name: "Cam".into(), size: (20, 10), layout: PixelLayout::Yuyv, fps: 30.0, exposure_s: None, controls };
+    let camera =
+        CameraMode { name: "Cam".into(), size: (20, 10), layout: PixelLayout::Yuyv, fps: 30.0, exposure_s: None, controls, notes: vec![] };
     AboutClip { camera, config }
 }
 
