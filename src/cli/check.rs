@@ -144,7 +144,15 @@ fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
     (tenth_of_surface.max(coarse_texels), width_m * i.fx / (0.1 * width_px))
 }
 
+#[cfg(feature = "live")]
 mod device;
+#[cfg(not(feature = "live"))]
+mod device {
+    /// A build without cameras tries none, and says so.
+    pub(super) fn try_camera(_: &crate::config::Settings) -> Result<String, String> {
+        Err(crate::cli::run::no_live_feature().to_string())
+    }
+}
 
 #[cfg(test)]
 mod tests {

@@ -138,6 +138,8 @@ pub struct Faulty {
 
 impl Faulty {
     pub fn new(plan: Plan, most_pictures: u64) -> Arc<Self> {
+        // Rendering takes its time, which is not to be taken for a driver that blocks.
+        let _ = (take(), other_stage());
         Arc::new(Self {
             plan: Mutex::new(plan),
             openings: AtomicU64::new(0),
@@ -246,7 +248,7 @@ impl Camera for FaultyCamera {
             }
             Some(Fault::Blocks) => {
                 // As a driver that hangs: it does not look at the time limit.
-                while self.faulty.blocking.load(Ordering::Relaxed) && monotonic_ns() - begun < 700_000_000 {
+                while self.faulty.blocking.load(Ordering::Relaxed) && monotonic_ns() - begun < 1_500_000_000 {
                     std::thread::sleep(Duration::from_millis(5));
                 }
                 return Err(CameraFault::Silent);
@@ -323,7 +325,7 @@ fn other_stage() -> &'static Vec<u8> {
 /// Limits that let a test end soon.
 pub fn patience() -> Patience {
     let ms = Duration::from_millis;
-    Patience { read: ms(20), silence: ms(60), blocked: ms(150), between_openings: ms(5) }
+    Patience { read: ms(20), silence: ms(60), blocked: ms(500), between_openings: ms(5) }
 }
 
 /// A source that reads the camera, open.

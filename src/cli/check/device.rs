@@ -13,13 +13,7 @@ const SPAN: Duration = Duration::from_millis(1500);
 /// How long the first one may take.
 const FIRST: Duration = Duration::from_secs(5);
 
-#[cfg(not(feature = "live"))]
-pub(super) fn try_camera(_: &Settings) -> Result<String, String> {
-    Err(crate::cli::run::no_live_feature().to_string())
-}
-
 /// What the camera is and does, or what to do about it. A camera that blocks does not block the check.
-#[cfg(feature = "live")]
 pub(super) fn try_camera(settings: &Settings) -> Result<String, String> {
     let opener = crate::cli::run::opener(settings);
     let (calibration, size) = (settings.exposure_s, (settings.camera.width(), settings.camera.height()));
