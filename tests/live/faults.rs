@@ -29,9 +29,10 @@ fn join(running: RunningDaemon) {
 }
 
 fn daemon(faulty: &Arc<Faulty>) -> (Daemon, LiveLink, LiveStop) {
+    let tracker = Tracker::new(tracker_setup());
     let source = source(faulty);
     let (link, stop) = (source.link(), source.stopper());
-    let mut daemon = Daemon::live(source, Tracker::new(tracker_setup()));
+    let mut daemon = Daemon::live(source, tracker);
     let count = faulty.clone();
     daemon.observe(move |_, _| {
         count.tracked.fetch_add(1, Ordering::Release);
@@ -83,13 +84,13 @@ fn a_camera_that_goes_and_returns_is_tracked_again() {
 
 #[test]
 fn silence_gives_stale_messages_and_never_a_record() {
-    let pauses: Vec<(u64, Fault)> = vec![(5, Fault::Blocks)];
-    let played = play(&Faulty::told(&[], &pauses, 10));
+    let played = play(&Faulty::told(&[], &[(5, Fault::Stalls)], 10));
     let stale: Vec<&PoseSample> = played.samples.iter().filter(|s| s.state == State::Stale).collect();
     assert!(!stale.is_empty() && stale.iter().all(|s| s.pose.is_none() && s.times.age_ms.is_some()));
     let line = stale[0].to_json_line();
     assert!(line.starts_with(r#"{"state":"stale","pose":null,"age_ms":"#), "{line}");
     assert!(played.has(|e| matches!(e, Event::Stale { .. })) && played.has(|e| matches!(e, Event::Resumed { .. })));
+    assert!(played.has(|e| matches!(e, Event::CameraLost { reason } if reason.contains("no picture for"))));
     assert_eq!(played.rows().len(), 10);
 }
 
@@ -153,13 +154,14 @@ fn a_recording_full_of_faults_replays_byte_for_byte() {
     let folder = tempfile::tempdir().unwrap();
     let clip = folder.path().join("take");
     let faulty = Faulty::random(5, 6, 60);
+    let tracker = Tracker::new(tracker_setup());
     let mut source = source(&faulty);
     let link = source.link();
     let mode = source.wait_for_camera(|| false).expect("the camera opens");
     let config = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly/stage.toml");
     let plan = RecorderPlan { clip: Some(clip.clone()), ring: None, about: AboutClip { camera: mode, config } };
     let recorder = Recorder::start(plan, &link, Box::<RealDisk>::default()).unwrap();
-    let mut daemon = Daemon::live(source, Tracker::new(tracker_setup()));
+    let mut daemon = Daemon::live(source, tracker);
     daemon.observe(recorder.observer());
     let count = faulty.clone();
     daemon.observe(move |_, _| {

@@ -34,7 +34,7 @@ pub fn scene() -> VirtualStage {
 
 /// What the tracker is told of it; fewer corners than usual, for the sake of time.
 pub fn tracker_setup() -> TrackerSetup {
-    TrackerSetup { settings: TrackerSettings { features: 500, ..TrackerSettings::default() }, ..setup(&scene()) }
+    TrackerSetup { settings: TrackerSettings { features: 300, ..TrackerSettings::default() }, ..setup(&scene()) }
 }
 
 pub fn take() -> &'static Take {
@@ -68,6 +68,7 @@ pub fn ride(n: u64) -> usize {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
     Silent,
+    Stalls,
     Gone,
     ReadPanics,
     DropPanics,
@@ -90,8 +91,9 @@ pub enum Fault {
 }
 
 impl Fault {
-    const OF_PICTURES: [Fault; 17] = [
+    const OF_PICTURES: [Fault; 18] = [
         Self::Silent,
+        Self::Stalls,
         Self::Gone,
         Self::ReadPanics,
         Self::DropPanics,
@@ -170,8 +172,8 @@ impl Faulty {
             }
             (Plan::Random { rng, one_in }, None) => (rng.random_range(0..*one_in) == 0).then(|| {
                 let fault = Fault::OF_PICTURES[rng.random_range(0..Fault::OF_PICTURES.len())];
-                // A block costs real time: nine in ten are let off.
-                if fault == Fault::Blocks && rng.random_range(0..10) > 0 { Fault::Silent } else { fault }
+                // A block and a stall cost real time: nine in ten are let off.
+                if matches!(fault, Fault::Blocks | Fault::Stalls) && rng.random_range(0..10) > 0 { Fault::Silent } else { fault }
             }),
         };
         if let Some(fault) = fault {
@@ -198,12 +200,12 @@ impl CameraOpener for Opener {
             name: "faulty".into(),
             size,
             layout: PixelLayout::Mjpeg,
-            fps: FPS,
+            fps: 10.0,
             exposure_s: None,
             controls: vec![],
             notes: vec![],
         };
-        Ok(Box::new(FaultyCamera { faulty: self.0.clone(), mode, panics_in_drop: false }))
+        Ok(Box::new(FaultyCamera { faulty: self.0.clone(), mode, panics_in_drop: false, stalls: false }))
     }
 
     fn wanted(&self) -> String {
@@ -215,6 +217,7 @@ struct FaultyCamera {
     faulty: Arc<Faulty>,
     mode: CameraMode,
     panics_in_drop: bool,
+    stalls: bool,
 }
 
 impl Camera for FaultyCamera {
@@ -224,6 +227,10 @@ impl Camera for FaultyCamera {
 
     fn next_picture(&mut self, patience: Duration) -> Result<CapturedPicture, CameraFault> {
         let begun = monotonic_ns();
+        if self.stalls {
+            std::thread::sleep(patience);
+            return Err(CameraFault::Silent);
+        }
         let n = self.faulty.pictures.load(Ordering::Acquire);
         while self.faulty.tracked.load(Ordering::Acquire) < n {
             if monotonic_ns() - begun > patience.as_nanos() as i64 {
@@ -238,6 +245,10 @@ impl Camera for FaultyCamera {
         match fault {
             Some(Fault::Silent) => {
                 std::thread::sleep(patience);
+                return Err(CameraFault::Silent);
+            }
+            Some(Fault::Stalls) => {
+                self.stalls = true;
                 return Err(CameraFault::Silent);
             }
             Some(Fault::Gone) => return Err(CameraFault::Gone("No such device (os error 19)".into())),
@@ -325,7 +336,7 @@ fn other_stage() -> &'static Vec<u8> {
 /// Limits that let a test end soon.
 pub fn patience() -> Patience {
     let ms = Duration::from_millis;
-    Patience { read: ms(20), silence: ms(60), blocked: ms(500), between_openings: ms(5) }
+    Patience { read: ms(20), silence: ms(1500), blocked: ms(500), between_openings: ms(5) }
 }
 
 /// A source that reads the camera, open.

@@ -111,7 +111,7 @@ fn it_is_a_good_service() {
     std::fs::write(&config, text).unwrap();
     signal(&child, Signal::SIGHUP);
     wait_for(&mut log, "was read again");
-    wait_for(&mut log, "is open again");
+    wait_for(&mut log, " is open: ");
     signal(&child, Signal::SIGTERM);
     let mut rest = String::new();
     log.read_to_string(&mut rest).unwrap();

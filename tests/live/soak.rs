@@ -23,9 +23,10 @@ fn resident_mb() -> f64 {
 fn soak() {
     let frames: u64 = std::env::var("STAGEPOSE_SOAK_FRAMES").ok().and_then(|n| n.parse().ok()).unwrap_or(400);
     let faulty = Faulty::random(2026, 40, frames);
+    let tracker = Tracker::new(tracker_setup());
     let source = source(&faulty);
     let link = source.link();
-    let mut daemon = Daemon::live(source, Tracker::new(tracker_setup()));
+    let mut daemon = Daemon::live(source, tracker);
     // Never read: it must cost its queue and no more.
     let stalled = daemon.subscribe();
     let samples = daemon.subscribe();

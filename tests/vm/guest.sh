@@ -20,7 +20,7 @@ plug() { uvcam 320x180 5 MJPG="$MEDIA/still.mjpeg" YUYV="$MEDIA/still.yuyv" "$@"
 # until_line FILE PATTERN [COUNT]: waits for so many lines (1); the scenario ends where they do not come.
 until_line() {
     local n=0
-    until [ "$(grep -cE "$2" "$1" 2>/dev/null)" -ge "${3:-1}" ]; do
+    until [ "$(cat "$1" 2>/dev/null | grep -cE "$2")" -ge "${3:-1}" ]; do
         n=$((n + 1))
         [ $n -lt 450 ] || { echo "NEVER CAME: $2 in $1"; tail -n 20 "$1" log; exit 9; }
         sleep .2
