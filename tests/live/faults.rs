@@ -28,22 +28,24 @@ fn join(running: RunningDaemon) {
     joined.recv_timeout(Duration::from_secs(60)).expect("the daemon hangs").expect("no stage panicked");
 }
 
-fn daemon(faulty: &Arc<Faulty>) -> (Daemon, LiveLink, LiveStop) {
+fn daemon(faulty: &Arc<Faulty>, link: &LiveLink) -> (Daemon, LiveStop) {
     let tracker = Tracker::new(tracker_setup());
-    let source = source(faulty);
-    let (link, stop) = (source.link(), source.stopper());
+    let source = source(faulty, link);
+    let stop = source.stopper();
     let mut daemon = Daemon::live(source, tracker);
     let count = faulty.clone();
     daemon.observe(move |_, _| {
         count.tracked.fetch_add(1, Ordering::Release);
     });
-    (daemon, link, stop)
+    (daemon, stop)
 }
 
 /// Plays a camera to its end.
 fn play(faulty: &Arc<Faulty>) -> Played {
-    let (mut daemon, link, _) = daemon(faulty);
-    let (samples, events) = (daemon.subscribe(), link.events.listen());
+    let link = LiveLink::default();
+    let events = link.events.listen();
+    let (mut daemon, _) = daemon(faulty, &link);
+    let samples = daemon.subscribe();
     let running = daemon.start().unwrap();
     let samples = samples.iter().collect();
     join(running);
@@ -101,7 +103,7 @@ fn a_read_that_never_returns_hangs_nobody() {
     assert_eq!(played.rows().len(), 8);
     // And with a reader that is blocked, the daemon ends all the same.
     let faulty = Faulty::told(&[], &[(2, Fault::Blocks)], u64::MAX);
-    let (mut daemon, _, stop) = daemon(&faulty);
+    let (mut daemon, stop) = daemon(&faulty, &LiveLink::default());
     let samples = daemon.subscribe();
     let running = daemon.start().unwrap();
     samples.iter().find(|s| s.state == State::Stale).expect("a stale message");
@@ -139,7 +141,7 @@ fn a_driver_without_stamps_is_said_once() {
 #[test]
 fn a_stalled_subscriber_loses_the_oldest_and_blocks_nothing() {
     let faulty = Faulty::told(&[], &[], 300);
-    let (mut daemon, _, _) = daemon(&faulty);
+    let (mut daemon, _) = daemon(&faulty, &LiveLink::default());
     let (stalled, read) = (daemon.subscribe(), daemon.subscribe());
     let running = daemon.start().unwrap();
     let all: Vec<u64> = read.iter().map(|s| s.sequence).collect();
@@ -155,8 +157,8 @@ fn a_recording_full_of_faults_replays_byte_for_byte() {
     let clip = folder.path().join("take");
     let faulty = Faulty::random(5, 6, 60);
     let tracker = Tracker::new(tracker_setup());
-    let mut source = source(&faulty);
-    let link = source.link();
+    let link = LiveLink::default();
+    let mut source = source(&faulty, &link);
     let mode = source.wait_for_camera(|| false).expect("the camera opens");
     let config = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly/stage.toml");
     let plan = RecorderPlan { clip: Some(clip.clone()), ring: None, about: AboutClip { camera: mode, config } };

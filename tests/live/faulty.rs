@@ -339,13 +339,13 @@ pub fn patience() -> Patience {
     Patience { read: ms(20), silence: ms(1500), blocked: ms(500), between_openings: ms(5) }
 }
 
-/// A source that reads the camera, open.
-pub fn source(faulty: &Arc<Faulty>) -> LiveSource {
+/// A source that reads the camera.
+pub fn source(faulty: &Arc<Faulty>, link: &LiveLink) -> LiveSource {
     // The panics are part of the play.
     std::panic::set_hook(Box::new(|info| {
         if !info.to_string().contains("told to panic") {
             eprintln!("{info}");
         }
     }));
-    LiveSource::start(Arc::new(Opener(faulty.clone())), Shutter::default(), patience(), LiveLink::default())
+    LiveSource::start(Arc::new(Opener(faulty.clone())), Shutter::default(), patience(), link.clone())
 }

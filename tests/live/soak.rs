@@ -4,6 +4,7 @@
 
 use std::sync::atomic::Ordering;
 
+use stagepose::daemon::live::LiveLink;
 use stagepose::record::State;
 use stagepose::{Daemon, Tracker};
 
@@ -24,9 +25,8 @@ fn soak() {
     let frames: u64 = std::env::var("STAGEPOSE_SOAK_FRAMES").ok().and_then(|n| n.parse().ok()).unwrap_or(400);
     let faulty = Faulty::random(2026, 40, frames);
     let tracker = Tracker::new(tracker_setup());
-    let source = source(&faulty);
-    let link = source.link();
-    let mut daemon = Daemon::live(source, tracker);
+    let link = LiveLink::default();
+    let mut daemon = Daemon::live(source(&faulty, &link), tracker);
     // Never read: it must cost its queue and no more.
     let stalled = daemon.subscribe();
     let samples = daemon.subscribe();
