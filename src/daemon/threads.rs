@@ -7,9 +7,9 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use thiserror::Error;
 
-use super::latest::{LatestSender, latest};
 use super::tracker::{PoseRecorder, Tracker, sight};
 use crate::capture::{FrameSource, Row};
+use crate::latest::{LatestSender, latest};
 use crate::record::PoseSample;
 use crate::track::{Matcher, Sighting};
 
