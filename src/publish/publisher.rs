@@ -11,6 +11,9 @@ use super::channel::BodyChannel;
 use super::encoder::Encoder;
 use super::freed::FreedEncoder;
 use super::json::{CAMERA, JsonEncoder};
+use super::opentrackio::OpenTrackIoEncoder;
+use super::osc::OscEncoder;
+use super::psn::PsnEncoder;
 use super::settings::{BodyChoice, OutputSettings, Protocol, SafetySettings, StreamSettings};
 use super::stamps::{self, StampClock, Stamps};
 use super::transport::{Transport, TransportError};
@@ -218,11 +221,15 @@ fn stream_of(protocol: &Protocol) -> Option<&StreamSettings> {
     }
 }
 
-fn channel(choice: BodyChoice, settings: &OutputSettings, context: &Context) -> BodyChannel {
-    let name = match choice {
+fn body_name(choice: BodyChoice, context: &Context) -> &str {
+    match choice {
         BodyChoice::Camera => CAMERA,
         BodyChoice::Object(index) => context.objects.get(index).map_or("object", String::as_str),
-    };
+    }
+}
+
+fn channel(choice: BodyChoice, settings: &OutputSettings, context: &Context) -> BodyChannel {
+    let name = body_name(choice, context);
     let limits = if settings.is_guarded { context.safety } else { SafetySettings::default() };
     BodyChannel::new(name.into(), choice, limits, settings.placement, settings.on_loss, &settings.name)
 }
@@ -230,6 +237,12 @@ fn channel(choice: BodyChoice, settings: &OutputSettings, context: &Context) -> 
 fn encoder(settings: &OutputSettings, context: &Context) -> Box<dyn Encoder> {
     match &settings.protocol {
         Protocol::Freed(freed) => Box::new(FreedEncoder::new(freed.clone(), &context.camera, &settings.name)),
+        Protocol::OpenTrackIo(otrk) => Box::new(OpenTrackIoEncoder::new(otrk, &context.camera, &settings.name)),
+        Protocol::Psn(psn) => {
+            let names: Vec<Arc<str>> = settings.bodies.iter().map(|body| body_name(*body, context).into()).collect();
+            Box::new(PsnEncoder::new(psn, &names))
+        }
+        Protocol::Osc(osc) => Box::new(OscEncoder::new(osc, &settings.name)),
         Protocol::Json(_) => Box::new(JsonEncoder),
     }
 }

@@ -6,7 +6,10 @@ use std::time::Duration;
 
 use super::freed::FreedSettings;
 use super::json::JsonSettings;
+use super::opentrackio::OpenTrackIoSettings;
+use super::osc::OscSettings;
 use super::placement::Placement;
+use super::psn::PsnSettings;
 
 /// One `[[output]]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,6 +39,12 @@ pub struct OutputSettings {
 pub enum Protocol {
     /// FreeD D1.
     Freed(FreedSettings),
+    /// OpenTrackIO 1.0.1.
+    OpenTrackIo(OpenTrackIoSettings),
+    /// PosiStageNet 2.03.
+    Psn(PsnSettings),
+    /// Open Sound Control 1.0.
+    Osc(OscSettings),
     /// Lines of JSON.
     Json(JsonSettings),
 }
@@ -45,6 +54,9 @@ impl Protocol {
     pub fn word(&self) -> &'static str {
         match self {
             Self::Freed(_) => "freed",
+            Self::OpenTrackIo(_) => "opentrackio",
+            Self::Psn(_) => "psn",
+            Self::Osc(_) => "osc",
             Self::Json(_) => "json",
         }
     }
