@@ -51,6 +51,7 @@ pub mod publish;
 pub mod record;
 pub mod simulate;
 pub mod track;
+pub mod web;
 
 pub use daemon::{Daemon, Tracker, TrackerSetup};
 pub use record::PoseSample;

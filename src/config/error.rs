@@ -110,6 +110,20 @@ pub enum Problem {
     /// Two bodies of the same name.
     #[error("the name `{0}` is taken; give each object a name of its own (`stage` is the stage itself)")]
     DuplicateName(String),
+    /// An address template with a fault.
+    #[error("{0}")]
+    Template(crate::publish::osc::TemplateError),
+    /// An output's address, port or interface that this machine does not give.
+    #[error("{0}")]
+    Transport(crate::publish::TransportError),
+    /// The HTTP server's address is taken or not this machine's.
+    #[error("cannot listen on {address} ({reason}); give a free port on an address of this machine")]
+    Listen {
+        /// Where.
+        address: std::net::SocketAddr,
+        /// What the system says.
+        reason: String,
+    },
     /// A picture file that cannot be opened.
     #[error("{}: {reason}; name a readable PNG, JPEG or PGM picture", file.display())]
     PictureFile {

@@ -12,11 +12,24 @@ use super::origin::{Origin, one_line};
 use super::{ConfigError, Problem};
 
 /// Sections that contract C5 names and later versions bring.
-const LATER_SECTIONS: [&str; 5] = ["filter", "safety", "output", "recorder", "http"];
+const LATER_SECTIONS: [&str; 1] = ["recorder"];
 
 /// Every section of this version with its keys, as a message writes it: `("[camera]", ["calibration", …])`.
 pub fn known_keys() -> Vec<(&'static str, &'static [&'static str])> {
-    let paths: [&[&str]; 7] = [&["camera"], &["stage"], &["stage", "surface"], &["object"], &["object", "surface"], &["tracker"], &["log"]];
+    let paths: [&[&str]; 12] = [
+        &["camera"],
+        &["stage"],
+        &["stage", "surface"],
+        &["object"],
+        &["object", "surface"],
+        &["tracker"],
+        &["filter"],
+        &["safety"],
+        &["output"],
+        &["output", "value"],
+        &["http"],
+        &["log"],
+    ];
     paths.iter().filter_map(|path| section(path)).collect()
 }
 
@@ -30,6 +43,11 @@ fn section(path: &[&str]) -> Option<(&'static str, &'static [&'static str])> {
         ["object"] => ("[[object]]", fields::<as_typed::Object>()),
         ["object", "surface"] => ("[[object.surface]]", fields::<as_typed::Surface>()),
         ["tracker"] => ("[tracker]", fields::<as_typed::Tracker>()),
+        ["filter"] => ("[filter]", fields::<as_typed::Filter>()),
+        ["safety"] => ("[safety]", fields::<as_typed::Safety>()),
+        ["output"] => ("[[output]]", fields::<as_typed::Output>()),
+        ["output", "value"] => ("[[output.value]]", fields::<as_typed::OutputValue>()),
+        ["http"] => ("[http]", fields::<as_typed::Http>()),
         ["log"] => ("[log]", fields::<as_typed::Log>()),
         _ => return None,
     })

@@ -9,11 +9,15 @@
 pub mod as_typed;
 mod bodies;
 mod error;
+mod filter;
 mod known_keys;
 mod origin;
+mod outputs;
+mod protocols;
 mod settings;
 #[cfg(test)]
 mod tests;
+mod typed_outputs;
 mod values;
 
 pub use error::{ConfigError, Problem};
