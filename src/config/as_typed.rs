@@ -16,6 +16,7 @@ use toml::Spanned;
 use super::ConfigError;
 use super::known_keys;
 use super::origin::Origin;
+pub use super::typed_outputs::{Filter, Http, Output, OutputValue, Safety};
 
 /// A whole config file.
 #[derive(Debug, Deserialize)]
@@ -32,6 +33,15 @@ pub struct Config {
     pub tracker: Option<Tracker>,
     /// `[recorder]`
     pub recorder: Option<Recorder>,
+    /// `[filter]`
+    pub filter: Option<Filter>,
+    /// `[safety]`
+    pub safety: Option<Safety>,
+    /// `[[output]]`
+    #[serde(default)]
+    pub output: Vec<Spanned<Output>>,
+    /// `[http]`
+    pub http: Option<Http>,
     /// `[log]`
     pub log: Option<Log>,
 }

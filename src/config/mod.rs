@@ -10,11 +10,15 @@ pub mod as_typed;
 mod bodies;
 mod copy;
 mod error;
+mod filter;
 mod known_keys;
 mod origin;
+mod outputs;
+mod protocols;
 mod settings;
 #[cfg(test)]
 mod tests;
+mod typed_outputs;
 mod values;
 
 pub use copy::copy_config;

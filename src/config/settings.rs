@@ -1,6 +1,7 @@
 //! The config once everything in it has been checked and every file that it names has been read.
 
 use std::collections::BTreeMap;
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 
 use image::GrayImage;
@@ -9,11 +10,17 @@ use toml::Spanned;
 
 use super::as_typed::{self, ControlValue};
 use super::bodies::BodyReader;
+use super::filter::filter;
 use super::origin::Origin;
+use super::outputs::{OUTPUT, OutputReader, safety};
+use super::protocols::address;
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::CameraModel;
+use crate::pose::FilterSettings;
+use crate::publish::{OutputSettings, Publisher, SafetySettings};
 use crate::track::{BodySpec, TrackerSettings};
+use crate::web::HttpSettings;
 
 /// A checked config.
 #[derive(Debug, Clone)]
@@ -40,6 +47,14 @@ pub struct Settings {
     pub tracker: TrackerSettings,
     /// What is recorded beside the tracking.
     pub recorder: RecorderSettings,
+    /// What happens to the measured pose before it is given.
+    pub filter: FilterSettings,
+    /// Limits that every output keeps.
+    pub safety: SafetySettings,
+    /// Where poses go, in the order of the file.
+    pub outputs: Vec<OutputSettings>,
+    /// The HTTP server; none without `[http]`.
+    pub http: Option<HttpSettings>,
     /// What is logged, and how.
     pub log: LogSettings,
     /// What was assumed or looks odd, one sentence each; `check` prints them.
@@ -168,6 +183,7 @@ impl Settings {
         let mask = camera.mask.as_ref().map(|m| mask(&section, m, &model)).transpose()?;
         let mut bodies = BodyReader { origin: &origin, camera: model, notes: &mut notes };
         let (stage, objects) = (bodies.stage(typed.stage.as_ref())?, bodies.objects(&typed.object)?);
+        let outputs = OutputReader { origin: &origin, objects: objects.iter().map(|o| o.name.clone()).collect() };
         Ok(Self {
             file: file.to_owned(),
             calibration_file: origin.beside(calibration.get_ref()),
@@ -180,6 +196,10 @@ impl Settings {
             objects,
             tracker: tracker(&origin, typed.tracker.as_ref())?,
             recorder: recorder(&origin, typed.recorder.as_ref())?,
+            filter: filter(&origin, typed.filter.as_ref())?,
+            safety: safety(&origin, typed.safety.as_ref())?,
+            outputs: outputs.outputs(&typed.output)?,
+            http: http(&origin, typed.http.as_ref())?,
             log: log(&origin, typed.log.as_ref())?,
             notes,
         })
@@ -198,6 +218,27 @@ impl Settings {
         let scaled = self.camera.scaled_to(width, height).map_err(problem)?;
         let note = format!("the calibration for {from_width} x {from_height} pixels is scaled to the pictures' {width} x {height}");
         Ok((scaled, Some(note)))
+    }
+
+    /// Tries every address, port and interface of `[[output]]` and `[http]` on this machine, and lets go of them again.
+    ///
+    /// # Errors
+    /// The first that cannot be had, with its line; the text of the file must be the one that was read.
+    pub fn rehearse_outputs(&self) -> Result<(), ConfigError> {
+        let text = std::fs::read_to_string(&self.file).map_err(|e| ConfigError::Unreadable { file: self.file.clone(), reason: e.to_string() })?;
+        let (typed, origin) = (as_typed::Config::parse(&text, &self.file)?, Origin::new(&self.file, &text));
+        if let Err((index, reason)) = Publisher::rehearse(&self.outputs) {
+            let output = typed.output.get(index).map(|o| (o.get_ref(), o.span()));
+            let (key, span) = output.map_or(("to", 0..0), |(o, span)| o.place_of(&reason, span));
+            return Err(origin.value(OUTPUT, key, &span, Problem::Transport(reason)));
+        }
+        let Some(http) = &self.http else { return Ok(()) };
+        let reason = match TcpListener::bind(http.listen) {
+            Ok(_) => return Ok(()),
+            Err(error) => error.to_string(),
+        };
+        let span = typed.http.and_then(|h| h.listen).map_or(0..0, |l| l.span());
+        Err(origin.value("[http]", "listen", &span, Problem::Listen { address: http.listen, reason }))
     }
 
     /// The mask at the size of the pictures.
@@ -276,6 +317,13 @@ fn recorder(origin: &Origin<'_>, typed: Option<&as_typed::Recorder>) -> Result<R
     let ring_s = section.number("ring_s", typed.and_then(|t| t.ring_s.as_ref()), 0.0, within, "seconds from 0 (no ring) to 3600")?;
     let continuous = typed.and_then(|t| t.continuous).unwrap_or(false);
     Ok(RecorderSettings { folder: origin.beside(folder.as_deref().unwrap_or("recordings")), continuous, ring_s })
+}
+
+fn http(origin: &Origin<'_>, typed: Option<&as_typed::Http>) -> Result<Option<HttpSettings>, ConfigError> {
+    let Some(typed) = typed.filter(|http| http.enabled.as_ref().is_none_or(|e| *e.get_ref())) else { return Ok(None) };
+    let section = Section { origin, name: "[http]" };
+    let listen = typed.listen.as_ref().map(|listen| address(&section, "listen", listen)).transpose()?;
+    Ok(Some(listen.map_or_else(HttpSettings::default, |listen| HttpSettings { listen })))
 }
 
 fn log(origin: &Origin<'_>, typed: Option<&as_typed::Log>) -> Result<LogSettings, ConfigError> {

@@ -7,12 +7,12 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use thiserror::Error;
 
-use super::latest::{LatestSender, latest};
 use super::live::{LiveLink, LiveSource, dropped};
 use super::stale::StaleWatch;
 use super::tracker::{PoseRecorder, Tracker, sight};
 use crate::capture::moment::monotonic_ns;
 use crate::capture::{FrameSource, Row, RowContent, RowOrder};
+use crate::latest::{LatestSender, latest};
 use crate::record::PoseSample;
 use crate::track::{Matcher, Sighting};
 

@@ -7,7 +7,7 @@ use image::GrayImage;
 use crate::camera::CameraModel;
 use crate::capture::{Row, RowContent};
 use crate::frame::Frame;
-use crate::pose::{BodyEstimate, PoseEstimate, PoseStage};
+use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
 use crate::track::{BodySpec, LockState, Matcher, Sighting, TrackerSettings};
 
@@ -58,6 +58,12 @@ impl Tracker {
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
         let matcher = Matcher::new(setup.camera, setup.readout_s, setup.mask, &setup.stage, &setup.objects, setup.settings);
         Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names } }
+    }
+
+    /// With a filter between the measured pose and the one for use; from the next frame on.
+    pub fn with_filter(mut self, filter: FilterSettings) -> Self {
+        self.poses.stage = PoseStage::with_filter(filter);
+        self
     }
 
     /// Tracks one frame. Frames must come in the order of their stamps.

@@ -27,8 +27,8 @@ fn unknown_key() {
 #[test]
 fn section_of_a_later_version() {
     let scene = Scene::new();
-    scene.write("stage.toml", &format!("{CONFIG}[filter]\n"));
-    assert_refused(&scene, &["section [filter], line 6, is not available in this version; remove it"]);
+    scene.write("stage.toml", &format!("{CONFIG}[recorder]\n"));
+    assert_refused(&scene, &["section [recorder], line 6, is not available in this version; remove it"]);
 }
 
 #[test]
