@@ -7,9 +7,12 @@ mod check;
 mod demo;
 mod failure;
 mod interrupt;
+mod listen;
 mod logging;
 pub mod overlay;
+mod receivers;
 mod replay;
+mod send_test;
 mod text;
 
 use std::process::ExitCode;
@@ -36,6 +39,8 @@ enum Command {
     Replay(replay::ReplayArguments),
     Check(check::CheckArguments),
     Demo(demo::DemoArguments),
+    SendTest(send_test::SendTestArguments),
+    Listen(listen::ListenArguments),
 }
 
 /// Runs the command line of this process; `started` is when the process began.
@@ -51,6 +56,8 @@ pub fn run(started: Instant) -> ExitCode {
     let outcome = match arguments.command {
         Command::Replay(arguments) => replay::run(&arguments, started),
         Command::Check(arguments) => check::run(&arguments),
+        Command::SendTest(arguments) => send_test::run(&arguments),
+        Command::Listen(arguments) => listen::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments).map_err(Failure::from),
     };
     match outcome {

@@ -22,4 +22,4 @@ mod values;
 
 pub use error::{ConfigError, Problem};
 pub use known_keys::known_keys;
-pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, Settings};
+pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, SendingSettings, Settings};
