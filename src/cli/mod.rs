@@ -8,11 +8,14 @@ mod demo;
 mod devices;
 mod failure;
 mod interrupt;
+mod listen;
 mod logging;
 pub mod overlay;
+mod receivers;
 mod record;
 mod replay;
 mod run;
+mod send_test;
 mod text;
 
 use std::process::ExitCode;
@@ -42,6 +45,8 @@ enum Command {
     Devices(devices::DevicesArguments),
     Run(run::RunArguments),
     Record(record::RecordArguments),
+    SendTest(send_test::SendTestArguments),
+    Listen(listen::ListenArguments),
 }
 
 /// Runs the command line of this process; `started` is when the process began.
@@ -60,6 +65,8 @@ pub fn run(started: Instant) -> ExitCode {
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
+        Command::SendTest(arguments) => send_test::run(&arguments),
+        Command::Listen(arguments) => listen::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments).map_err(Failure::from),
     };
     match outcome {

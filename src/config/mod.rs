@@ -24,4 +24,4 @@ mod values;
 pub use copy::copy_config;
 pub use error::{ConfigError, Problem};
 pub use known_keys::known_keys;
-pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, RecorderSettings, Settings};
+pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, RecorderSettings, SendingSettings, Settings};

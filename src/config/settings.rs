@@ -61,6 +61,23 @@ pub struct Settings {
     pub notes: Vec<String>,
 }
 
+/// What belongs to sending alone.
+#[derive(Debug, Clone)]
+pub struct SendingSettings {
+    /// The calibrated camera, where one is named.
+    pub camera: Option<CameraModel>,
+    /// `[[output]]`
+    pub outputs: Vec<OutputSettings>,
+    /// The objects' names.
+    pub objects: Vec<String>,
+    /// `[safety]`
+    pub safety: SafetySettings,
+    /// `[http]`
+    pub http: Option<HttpSettings>,
+    /// `[log]`
+    pub log: LogSettings,
+}
+
 /// How to open the camera; `None` leaves it to the driver.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct DeviceSettings {
@@ -205,6 +222,28 @@ impl Settings {
         })
     }
 
+    /// Reads what belongs to sending alone: a config that has no stage or camera yet will do.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load), of `[[output]]`, `[safety]`, `[http]`, `[log]` and the objects' names; of the calibration where it is named.
+    pub fn load_outputs(file: &Path) -> Result<SendingSettings, ConfigError> {
+        let text = std::fs::read_to_string(file).map_err(|e| ConfigError::Unreadable { file: file.to_owned(), reason: e.to_string() })?;
+        let (typed, origin) = (as_typed::Config::parse(&text, file)?, Origin::new(file, &text));
+        let section = Section { origin: &origin, name: "[camera]" };
+        let calibration = typed.camera.as_ref().and_then(|camera| camera.get_ref().calibration.as_ref());
+        let names = typed.object.iter().filter_map(|object| object.get_ref().name.as_ref());
+        let objects: Vec<String> = names.map(|name| name.get_ref().clone()).collect();
+        let outputs = OutputReader { origin: &origin, objects: objects.clone() };
+        Ok(SendingSettings {
+            camera: calibration.map(|c| section.calibration("calibration", c)).transpose()?.map(|c| c.model),
+            outputs: outputs.outputs(&typed.output)?,
+            objects,
+            safety: safety(&origin, typed.safety.as_ref())?,
+            http: http(&origin, typed.http.as_ref())?,
+            log: log(&origin, typed.log.as_ref())?,
+        })
+    }
+
     /// The camera for pictures of a size, and a note where the calibration had to be scaled to it.
     ///
     /// # Errors
@@ -225,7 +264,8 @@ impl Settings {
     /// # Errors
     /// The first that cannot be had, with its line; the text of the file must be the one that was read.
     pub fn rehearse_outputs(&self) -> Result<(), ConfigError> {
-        let text = std::fs::read_to_string(&self.file).map_err(|e| ConfigError::Unreadable { file: self.file.clone(), reason: e.to_string() })?;
+        let text =
+            std::fs::read_to_string(&self.file).map_err(|e| ConfigError::Unreadable { file: self.file.clone(), reason: e.to_string() })?;
         let (typed, origin) = (as_typed::Config::parse(&text, &self.file)?, Origin::new(&self.file, &text));
         if let Err((index, reason)) = Publisher::rehearse(&self.outputs) {
             let output = typed.output.get(index).map(|o| (o.get_ref(), o.span()));

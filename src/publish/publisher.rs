@@ -15,9 +15,9 @@ use super::opentrackio::OpenTrackIoEncoder;
 use super::osc::OscEncoder;
 use super::psn::PsnEncoder;
 use super::settings::{BodyChoice, OutputSettings, Protocol, SafetySettings, StreamSettings};
-use super::stamps::{self, StampClock, Stamps};
+use super::stamps::{self, Pace, StampClock, Stamps};
 use super::transport::{Transport, TransportError};
-use super::worker::{Arrival, Clock, Counters, Worker};
+use super::worker::{Arrival, Clock, Counters, USUAL_RATE_HZ, Worker};
 use crate::camera::CameraModel;
 use crate::latest::{LatestSender, latest};
 use crate::record::PoseSample;
@@ -33,8 +33,8 @@ pub struct Context {
     pub safety: SafetySettings,
     /// Where the samples' stamps come from.
     pub stamps: Stamps,
-    /// Frames per second, as far as known.
-    pub frame_rate: f64,
+    /// Frames per second where they are known; else they are taken from the stamps.
+    pub frame_rate: Option<f64>,
     /// The poses are invented, and marked as such where the format can.
     pub is_test: bool,
 }
@@ -90,7 +90,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub struct Publisher {
     outputs: Vec<RunningOutput>,
-    clock: Mutex<StampClock>,
+    frame_rate: Option<f64>,
+    clock: Mutex<(StampClock, Pace)>,
 }
 
 #[derive(Debug)]
@@ -109,7 +110,8 @@ impl Publisher {
     /// The first output that cannot be opened.
     pub fn start(outputs: &[OutputSettings], context: &Context) -> Result<Self, PublishError> {
         let outputs = outputs.iter().filter(|o| o.enabled).map(|o| RunningOutput::start(o, context)).collect::<Result<_, _>>()?;
-        Ok(Self { outputs, clock: Mutex::new(StampClock::new(context.stamps)) })
+        let clock = Mutex::new((StampClock::new(context.stamps), Pace::default()));
+        Ok(Self { outputs, frame_rate: context.frame_rate, clock })
     }
 
     /// Opens every enabled output and closes it again: whether the addresses, ports and files can be used. Gives the number of the
@@ -130,10 +132,12 @@ impl Publisher {
         let t = &sample.times;
         let work_ns = ((t.decode_ms + t.acquire_ms + t.align_ms + t.pose_ms) * 1e6) as i64;
         let mut clock = self.clock.lock().unwrap_or_else(PoisonError::into_inner);
-        let at = clock.instants(sample.timestamp_ns, work_ns, stamps::now());
-        let recorded_ns = clock.recorded(sample.timestamp_ns);
+        let (stamps, pace) = &mut *clock;
+        let at = stamps.instants(sample.timestamp_ns, work_ns, stamps::now());
+        let recorded_ns = stamps.recorded(sample.timestamp_ns);
+        let rate_hz = self.frame_rate.or(pace.rate_hz(sample.timestamp_ns)).unwrap_or(USUAL_RATE_HZ);
         drop(clock);
-        let arrival = Arc::new(Arrival { sample: Arc::new(sample.clone()), at, recorded_ns, arrived });
+        let arrival = Arc::new(Arrival { sample: Arc::new(sample.clone()), at, recorded_ns, rate_hz, arrived });
         for output in &self.outputs {
             let dropped = output.queue.send(arrival.clone());
             output.counters.dropped.fetch_add(dropped as u64, Ordering::Relaxed);
@@ -180,7 +184,6 @@ impl RunningOutput {
             rate: settings.rate,
             on_loss: settings.on_loss,
             stale_after: context.safety.stale_after,
-            rate_hz: settings.rate.hz(context.frame_rate),
             is_test: context.is_test,
             counters: counters.clone(),
             clock: Clock::start(),

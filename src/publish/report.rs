@@ -77,6 +77,7 @@ impl From<State> for Standing {
             State::Tracking => Self::Tracking,
             State::Coasting => Self::Coasting,
             State::Lost => Self::Lost,
+            State::Stale => Self::Stale,
         }
     }
 }

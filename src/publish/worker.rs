@@ -20,6 +20,8 @@ pub(super) struct Arrival {
     pub sample: Arc<PoseSample>,
     pub at: Instants,
     pub recorded_ns: Option<i64>,
+    /// Frames per second of the source.
+    pub rate_hz: f64,
     /// When it was handed to the publisher.
     pub arrived: Instant,
 }
@@ -40,6 +42,9 @@ const REPEAT: Duration = Duration::from_secs(1);
 /// How often new clients are let in and repetitions looked after.
 const ROUND: Duration = Duration::from_millis(100);
 
+/// Taken for the source's rate before the second frame.
+pub(super) const USUAL_RATE_HZ: f64 = 30.0;
+
 /// Everything that one output's thread owns.
 pub(super) struct Worker {
     pub inbox: Receiver<Arc<Arrival>>,
@@ -49,7 +54,6 @@ pub(super) struct Worker {
     pub rate: Rate,
     pub on_loss: OnLoss,
     pub stale_after: Duration,
-    pub rate_hz: f64,
     pub is_test: bool,
     pub counters: Arc<Counters>,
     pub clock: Clock,
@@ -184,7 +188,7 @@ impl Worker {
             unix_ns: at.unix_ns,
             monotonic_ns: at.monotonic_ns,
             recorded_ns: arrival.and_then(|a| a.recorded_ns),
-            rate_hz: self.rate_hz,
+            rate_hz: self.rate.hz(arrival.or(self.clock.last.as_ref()).map_or(USUAL_RATE_HZ, |a| a.rate_hz)),
             bodies,
             sample: arrival.map(|a| a.sample.clone()),
             age_ms: (stamps::now().monotonic_ns - at.monotonic_ns) as f64 * 1e-6,
@@ -202,7 +206,8 @@ impl Worker {
 
     /// Whether a report without any pose is to be sent now.
     fn is_loss_due(&self) -> bool {
-        let is_announced = self.encoder.announces_loss() && (self.clock.had_pose || self.clock.last_sent.is_none_or(|t| t.elapsed() >= REPEAT));
+        let is_announced =
+            self.encoder.announces_loss() && (self.clock.had_pose || self.clock.last_sent.is_none_or(|t| t.elapsed() >= REPEAT));
         match self.on_loss {
             OnLoss::Flag => self.encoder.marks_loss(),
             OnLoss::Stop | OnLoss::Hold => is_announced,

@@ -17,7 +17,7 @@ use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use thiserror::Error;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::time::timeout;
 
 use super::HttpSettings;
@@ -117,18 +117,9 @@ async fn serve(listener: TcpListener, router: Router, mut stopped: watch::Receiv
     };
     let slots = Arc::new(Semaphore::new(MOST_CONNECTIONS));
     loop {
-        // The semaphore is never closed.
-        let Ok(slot) = slots.clone().acquire_owned().await else { return };
-        let stream = tokio::select! {
-            accepted = listener.accept() => match accepted {
-                Ok((stream, _)) => stream,
-                Err(_) => {
-                    // Out of files: others will be closed.
-                    tokio::time::sleep(Duration::from_millis(50)).await;
-                    continue;
-                }
-            },
-            _ = stopped.wait_for(|stop| *stop) => return,
+        let (slot, stream) = tokio::select! {
+            accepted = accept(&listener, &slots) => accepted,
+            () = ended(&mut stopped) => break,
         };
         let _ = stream.set_nodelay(true);
         let service = TowerToHyperService::new(router.clone());
@@ -145,6 +136,28 @@ async fn serve(listener: TcpListener, router: Router, mut stopped: watch::Receiv
             drop(slot);
         });
     }
+    // Clients are told the end; whoever does not listen is cut off.
+    let all = u32::try_from(MOST_CONNECTIONS).unwrap_or(u32::MAX);
+    let _ = timeout(Duration::from_millis(300), slots.acquire_many(all)).await;
+}
+
+/// The next connection, once there is room for one more.
+async fn accept(listener: &tokio::net::TcpListener, slots: &Arc<Semaphore>) -> (Option<OwnedSemaphorePermit>, tokio::net::TcpStream) {
+    // The semaphore is never closed.
+    let slot = slots.clone().acquire_owned().await.ok();
+    loop {
+        match listener.accept().await {
+            Ok((stream, _)) => return (slot, stream),
+            // Out of files: others will be closed.
+            Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
+        }
+    }
+}
+
+/// Waits for the end of the server.
+async fn ended(stopped: &mut watch::Receiver<bool>) {
+    // An error says that the server is gone, which is the end too.
+    drop(stopped.wait_for(|stop| *stop).await);
 }
 
 fn router(feed: Arc<Feed>, routes: Vec<Route>, stopped: watch::Receiver<bool>) -> Router {
@@ -220,7 +233,7 @@ async fn stream(mut socket: WebSocket, feed: Arc<Feed>, mut stopped: watch::Rece
                 Some(Ok(Message::Close(_))) | Some(Err(_)) | None => return,
                 Some(Ok(_)) => {}
             },
-            _ = stopped.wait_for(|stop| *stop) => break,
+            () = ended(&mut stopped) => break,
         }
     }
     let _ = timeout(Duration::from_millis(100), socket.send(Message::Close(None))).await;

@@ -1,6 +1,7 @@
 //! The live commands from outside, with a clip that plays as the camera.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::os::unix::net::UnixDatagram;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -47,6 +48,14 @@ fn signal(child: &Child, signal: Signal) {
     kill(Pid::from_raw(child.id() as i32), signal).unwrap();
 }
 
+fn get(port: u16, path: &str) -> String {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
+    let mut reply = String::new();
+    stream.read_to_string(&mut reply).unwrap();
+    reply
+}
+
 /// Waits for a line of the log that has a text.
 fn wait_for(log: &mut impl BufRead, text: &str) {
     let mut line = String::new();
@@ -81,7 +90,8 @@ fn it_is_a_good_service() {
     let folder = tempfile::tempdir().unwrap();
     let (config, clip) = (config(folder.path()), long_clip(folder.path(), 40));
     let text = std::fs::read_to_string(&config).unwrap();
-    std::fs::write(&config, format!("{text}\n[recorder]\nring_s = 2\n")).unwrap();
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    std::fs::write(&config, format!("{text}\n[recorder]\nring_s = 2\n[http]\nlisten = \"127.0.0.1:{port}\"\n")).unwrap();
     let manager = UnixDatagram::bind(folder.path().join("notify")).unwrap();
     manager.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
     let mut command = stagepose(folder.path());
@@ -100,6 +110,14 @@ fn it_is_a_good_service() {
             let n = manager.recv(&mut buffer).unwrap_or_else(|e| panic!("{wanted} did not come: {e}"));
             heard += &format!("{}\n", String::from_utf8_lossy(&buffer[..n]));
         }
+    }
+    if cfg!(feature = "http") {
+        let health = get(port, "/healthz");
+        assert!(health.starts_with("HTTP/1.1 200") && health.contains("\"camera\":\"streaming\""), "{health}");
+        let metrics = get(port, "/metrics");
+        assert!(metrics.contains("stagepose_frame_age_seconds_bucket") && metrics.contains("stagepose_camera_up 1"), "{metrics}");
+        assert!(get(port, "/api/v1/ring/save").starts_with("HTTP/1.1 202"));
+        wait_for(&mut log, "the last seconds are saved");
     }
     // What happened just now.
     signal(&child, Signal::SIGUSR1);

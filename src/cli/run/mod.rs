@@ -5,6 +5,7 @@
 
 mod camera;
 mod notify;
+mod pages;
 mod service;
 mod session;
 
@@ -86,8 +87,8 @@ pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(
             Ok(End::Stopped) => break Ok(()),
             Ok(End::Reload(new)) => previous = Some(std::mem::replace(&mut settings, *new)),
             Err(failure) => match previous.take() {
-                // A new config whose camera does not fit it: back to the one that worked.
-                Some(old) if matches!(failure, Failure::Config(_)) => {
+                // A new config that cannot be run (its camera does not fit, its port is taken): back to the one that worked.
+                Some(old) if !matches!(failure, Failure::Tracking(_)) => {
                     link.events.publish(Event::ConfigRefused { reason: failure.to_string() });
                     settings = old;
                 }

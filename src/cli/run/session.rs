@@ -1,15 +1,19 @@
 //! One session: a camera, a tracker and what listens, under one config.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 
+use super::pages::Pages;
 use super::service::Service;
 use super::{LiveArguments, camera};
 use crate::capture::camera::CameraMode;
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
+use crate::cli::receivers::Receivers;
 use crate::cli::replay::records::{Output, Records};
 use crate::cli::replay::tracker_setup;
 use crate::config::{RecorderSettings, Settings};
@@ -39,14 +43,29 @@ struct Listening<'a> {
     samples: &'a Receiver<PoseSample>,
     running: &'a RunningDaemon,
     size: (u32, u32),
-    /// Saves the recorder's ring.
-    save: Option<&'a dyn Fn()>,
+    /// Switched on by whoever wants the ring saved,
+    save: &'a AtomicBool,
+    /// which this does.
+    saver: Option<&'a dyn Fn()>,
+    pages: &'a Pages,
+    receivers: &'a Receivers,
+}
+
+/// Gives a sample to everybody. The outputs have a watchdog of their own for stale poses.
+fn tell(sample: &PoseSample, pages: &Pages, receivers: &Receivers, sinks: &mut Sinks) {
+    if sample.state != State::Stale {
+        receivers.send(sample);
+    }
+    pages.publish(sample);
+    sinks.write(sample);
 }
 
 impl Session<'_> {
     /// Runs until something ends it.
     pub fn run(&self, service: &mut Service, sinks: &mut Sinks, clips: &mut Clips) -> Result<End, Failure> {
         let shutter = Shutter { exposure_s: self.settings.exposure_s, readout_s: self.settings.readout_s };
+        let save = Arc::new(AtomicBool::new(false));
+        let pages = Pages::start(self.settings, self.link, &save)?;
         let opener = camera::camera(self.settings, self.arguments.play.as_deref())?;
         let mut source = LiveSource::start(opener, shutter, Patience::default(), self.link.clone());
         let mut reload = None;
@@ -60,21 +79,31 @@ impl Session<'_> {
         let Some(mode) = mode else { return Ok(reload.map_or(End::Stopped, End::Reload)) };
         let setup = tracker_setup(self.settings, mode.size, self.arguments.threads)?;
         let stopper = source.stopper();
-        let mut daemon = Daemon::live(source, Tracker::new(setup));
+        let receivers = Receivers::live(self.settings, setup.camera, mode.fps)?;
+        let mut daemon = Daemon::live(source, Tracker::new(setup).with_filter(self.settings.filter));
         let samples = daemon.subscribe();
         let recorder = clips.recorder(self, mode.clone())?;
         if let Some(recorder) = &recorder {
             daemon.observe(recorder.observer());
         }
         let running = daemon.start().map_err(|e| Failure::Tracking(e.to_string()))?;
-        let save = recorder.as_ref().map(Recorder::saver);
-        let listening = Listening { samples: &samples, running: &running, size: mode.size, save: save.as_ref().map(|s| s as &dyn Fn()) };
+        let saver = recorder.as_ref().map(Recorder::saver);
+        let listening = Listening {
+            samples: &samples,
+            running: &running,
+            size: mode.size,
+            save: &save,
+            saver: saver.as_ref().map(|s| s as &dyn Fn()),
+            pages: &pages,
+            receivers: &receivers,
+        };
         let end = self.follow(&listening, service, sinks);
-        drop(save);
+        drop(saver);
         stopper.stop();
         running.stop();
         // What is under way comes to its end, and out.
-        samples.iter().for_each(|sample| sinks.write(&sample));
+        samples.iter().for_each(|sample| tell(&sample, &pages, &receivers, sinks));
+        receivers.close();
         let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
         if let Some(recorder) = recorder {
             recorder.finish();
@@ -85,13 +114,13 @@ impl Session<'_> {
     }
 
     fn follow(&self, listening: &Listening<'_>, service: &mut Service, sinks: &mut Sinks) -> End {
-        let Listening { samples, running, size, save } = *listening;
+        let Listening { samples, running, size, save, saver, pages, receivers } = *listening;
         service.alive();
         loop {
             match samples.recv_timeout(Duration::from_millis(50)) {
                 Ok(sample) => {
                     service.alive();
-                    sinks.write(&sample);
+                    tell(&sample, pages, receivers, sinks);
                 }
                 Err(RecvTimeoutError::Timeout) if running.has_ended() => return End::Stopped,
                 Err(RecvTimeoutError::Timeout) => {}
@@ -99,8 +128,8 @@ impl Session<'_> {
             }
             service.tick(self.link);
             sinks.write_events();
-            if interrupt::take_save() {
-                match save {
+            if interrupt::take_save() | save.swap(false, Ordering::Relaxed) {
+                match saver {
                     Some(save) => save(),
                     None => tracing::warn!("there is no ring to save; set ring_s in [recorder]"),
                 }

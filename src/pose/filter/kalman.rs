@@ -1,10 +1,9 @@
 //! A Kalman filter with constant velocity on SE(3), weighted by each measurement's own covariance.
 //!
 //! State: pose and velocities; errors [δp, δθ, δv, δω] in stage axes, with the record's perturbation R_true = Exp(δθ) R. Between frames the
-//! velocities hold up to random accelerations (Bar-Shalom's discrete white noise acceleration). How large these are is adapted: the
-//! normalised innovation squared says whether the motion surprises the filter. A still camera brings the noise down and the pose to
-//! rest; one surprise brings it up at once. Motion at constant velocity has no delay; at rest it takes about a fifth of a second to notice
-//! a motion as slow as the measurement's own noise.
+//! velocities hold up to random accelerations (Bar-Shalom's discrete white noise acceleration). How large these are is adapted: a still
+//! camera brings them down and the pose to rest; innovations that repeat their sign (Mehra 1970) bring them up, one great surprise at
+//! once. Motion at constant velocity has no delay; a motion as slow as the measurement's own noise is noticed after about 0.2 s.
 
 use nalgebra::{Matrix6, SMatrix, SVector, UnitQuaternion, Vector6};
 
@@ -30,13 +29,15 @@ type Matrix12 = SMatrix<f64, 12, 12>;
 type Vector12 = SVector<f64, 12>;
 
 /// A still camera's accelerations, as a share of a moving one's.
-const STILL: f64 = 0.003;
-/// An innovation so far beyond what was expected is a motion that begins: its mean is 1, and 4 comes by chance once in two thousand.
+const STILL: f64 = 0.0003;
+/// A normalised innovation so far beyond its mean of 1 is a motion that begins; by chance it comes once in two thousand frames.
 const SURPRISE: f64 = 4.0;
-/// The adapted noise keeps the mean innovation here: below 1, so that it follows rather too quickly than too slowly.
-const WANTED: f64 = 0.4;
-/// Time constant of the adaptation, seconds.
-const ADAPTS_IN_S: f64 = 0.3;
+/// Correlation of one innovation with the next at which nothing is changed: with 0, noise alone would keep the filter lively.
+const WANTED: f64 = 0.05;
+/// How quickly the correlation moves the liveliness.
+const EAGERNESS: f64 = 5.0;
+/// Time constant of the correlation's average, seconds.
+const ADAPTS_IN_S: f64 = 0.2;
 /// What a velocity may be when nothing is known of it, one sigma, m/s and rad/s.
 const FIRST_VELOCITY: f64 = 0.5;
 
@@ -47,15 +48,17 @@ pub(super) struct Kalman<From> {
     covariance: Matrix12,
     /// Accelerations now, as a share of a moving camera's.
     liveliness: f64,
-    /// Mean of the normalised innovation squared per degree of freedom.
-    surprise: f64,
+    /// The last innovation, in units of what was expected of it.
+    last: Vector6<f64>,
+    /// Means of its product with the one before, and of its square.
+    products: [f64; 2],
 }
 
 impl<From> Kalman<From> {
     pub fn start(settings: KalmanSettings, pose: &Pose<Stage, From>, covariance: &Matrix6<f64>) -> Self {
         let mut first = Matrix12::identity() * FIRST_VELOCITY.powi(2);
         first.fixed_view_mut::<6, 6>(0, 0).copy_from(covariance);
-        Self { settings, motion: Motion::at_rest(*pose), covariance: first, liveliness: STILL, surprise: WANTED }
+        Self { settings, motion: Motion::at_rest(*pose), covariance: first, liveliness: STILL, last: Vector6::zeros(), products: [0.0; 2] }
     }
 
     pub fn update(&mut self, step_s: f64, measured: &Pose<Stage, From>, noise: &Matrix6<f64>) {
@@ -90,19 +93,25 @@ impl<From> Kalman<From> {
         self.motion.turn_rate += part(9);
     }
 
-    /// Sets the liveliness by how well the innovation was foreseen; `foreseen` lacks the accelerations.
+    /// Sets the liveliness by how the innovations follow one another; `foreseen` lacks the accelerations.
+    ///
+    /// Mehra's test: innovations of a filter that follows well are uncorrelated, of one that lags they have the same sign again and
+    /// again. That holds whatever the scale of the measurement's covariance, which may well be too cautious.
     fn adapt(&mut self, step_s: f64, innovation: &Vector6<f64>, foreseen: &Matrix6<f64>) {
         let spread = foreseen + upper(&self.accelerations(step_s));
-        let Some(spread) = spread.cholesky() else { return };
-        let found = innovation.dot(&spread.solve(innovation)) / 6.0;
-        if found > SURPRISE {
-            (self.liveliness, self.surprise) = (1.0, 1.0);
+        let Some(in_sigmas) = spread.cholesky().and_then(|c| c.l().solve_lower_triangular(innovation)) else { return };
+        let last = std::mem::replace(&mut self.last, in_sigmas);
+        if in_sigmas.norm_squared() / 6.0 > SURPRISE {
+            (self.liveliness, self.products) = (1.0, [0.0; 2]);
             return;
         }
         let share = 1.0 - (-step_s / ADAPTS_IN_S).exp();
-        self.surprise += share * (found - self.surprise);
-        let by = (self.surprise.max(1e-3) / WANTED).ln().clamp(-1.0, 1.0);
-        self.liveliness = (self.liveliness * (share * by).exp()).clamp(STILL, 1.0);
+        let [product, square] = &mut self.products;
+        *product += share * (in_sigmas.dot(&last) - *product);
+        *square += share * (in_sigmas.norm_squared() - *square);
+        let correlation = *product / square.max(1e-12);
+        let by = EAGERNESS * share * (correlation - WANTED).clamp(-1.0, 1.0);
+        self.liveliness = (self.liveliness * by.exp()).clamp(STILL, 1.0);
     }
 
     /// What random accelerations add within a step.
