@@ -123,6 +123,12 @@ fn it_is_a_good_service() {
         assert!(get(port, "/api/v1/ring/save").starts_with("HTTP/1.1 202"));
         wait_for(&mut log, "the last seconds are saved");
     }
+    let lines = || std::fs::read_to_string(folder.path().join("live.jsonl")).map_or(0, |text| text.lines().count());
+    let (before, begun) = (lines(), Instant::now());
+    while lines() < before + 3 {
+        assert!(begun.elapsed() < Duration::from_secs(60), "no frame is tracked");
+        std::thread::sleep(Duration::from_millis(20));
+    }
     // What happened just now.
     signal(&child, Signal::SIGUSR1);
     wait_for(&mut log, "the last seconds are saved");

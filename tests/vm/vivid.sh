@@ -4,10 +4,10 @@ sed -i 's/^width = .*/width = 640/; s/^height = .*/height = 360/' camera.toml
 config 'device = "0"'
 start run
 until_line events '"event":"camera_opened"'
-until_line poses '"state":"searching"' 2
+until_line poses '"sequence"' 2
 camprobe raw-set 0 f0f046 1               # fatal error
 until_line events '"again":true'
-until_line poses '"state":"searching"' 4
+until_line poses '"sequence"' 4
 cd /sys/bus/platform/drivers/vivid; echo vivid.0 >unbind; cd /run
 until_line events '"event":"camera_waiting"'
 echo vivid.0 >/sys/bus/platform/drivers/vivid/bind

@@ -17,7 +17,7 @@ use crate::cli::receivers::Receivers;
 use crate::cli::replay::records::{Output, Records};
 use crate::cli::replay::tracker_setup;
 use crate::config::{RecorderSettings, Settings};
-use crate::daemon::live::{Event, LiveLink, LiveSource, Patience, Shutter, StampedEvent};
+use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, Shutter};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
 use crate::daemon::{Daemon, RunningDaemon, Tracker};
 use crate::record::{PoseSample, State};
@@ -172,7 +172,7 @@ impl Session<'_> {
 pub(super) struct Sinks {
     poses: Option<Records>,
     events: Option<Output>,
-    happening: Receiver<StampedEvent>,
+    happening: EventListener,
 }
 
 impl Sinks {

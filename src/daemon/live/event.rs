@@ -1,6 +1,6 @@
 //! What happens to a live daemon beside its poses: one line each in events.jsonl and in the log.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use crossbeam_channel::Receiver;
 use serde::Serialize;
@@ -112,7 +112,22 @@ impl StampedEvent {
 /// Gives every event to the log and to whoever listens.
 #[derive(Debug, Default)]
 pub struct EventLog {
-    listeners: Mutex<Vec<LatestSender<StampedEvent>>>,
+    listeners: Mutex<Vec<(LatestSender<StampedEvent>, Weak<()>)>>,
+}
+
+/// A listener's own channel of events; the log forgets it when it is dropped.
+#[derive(Debug)]
+pub struct EventListener {
+    events: Receiver<StampedEvent>,
+    _alive: Arc<()>,
+}
+
+impl std::ops::Deref for EventListener {
+    type Target = Receiver<StampedEvent>;
+
+    fn deref(&self) -> &Receiver<StampedEvent> {
+        &self.events
+    }
 }
 
 /// Events that may wait for a listener before the oldest is dropped.
@@ -120,19 +135,20 @@ const QUEUE: usize = 4096;
 
 impl EventLog {
     /// A channel with every event from now on; a listener that is late loses the oldest.
-    pub fn listen(&self) -> Receiver<StampedEvent> {
-        let (sender, receiver) = latest(QUEUE);
-        self.listeners.lock().unwrap_or_else(PoisonError::into_inner).push(sender);
-        receiver
+    pub fn listen(&self) -> EventListener {
+        let (sender, events) = latest(QUEUE);
+        let alive = Arc::new(());
+        self.listeners.lock().unwrap_or_else(PoisonError::into_inner).push((sender, Arc::downgrade(&alive)));
+        EventListener { events, _alive: alive }
     }
 
     /// Something happened now.
     pub fn publish(&self, event: Event) {
         note(&event);
         let stamped = StampedEvent { timestamp_ns: monotonic_ns(), event };
-        let listeners = self.listeners.lock().unwrap_or_else(PoisonError::into_inner);
-        listeners.iter().for_each(|listener| {
+        self.listeners.lock().unwrap_or_else(PoisonError::into_inner).retain(|(listener, alive)| {
             listener.send(stamped.clone());
+            alive.strong_count() > 0
         });
     }
 
@@ -178,6 +194,7 @@ mod tests {
         let (kept, gone) = (log.listen(), log.listen());
         drop(gone);
         log.publish(Event::Stale { state: State::Stale, pose: None, age_ms: 101.5 });
+        assert_eq!(log.listeners.lock().unwrap().len(), 1);
         log.close();
         let lines: Vec<String> = kept.iter().map(|e| e.to_json_line()).collect();
         assert_eq!(lines.len(), 1);

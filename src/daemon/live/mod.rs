@@ -12,7 +12,7 @@ mod pulse;
 mod reader;
 mod source;
 
-pub use event::{Event, EventLog, StampedEvent};
+pub use event::{Event, EventListener, EventLog, StampedEvent};
 pub use pulse::Pulse;
 pub(super) use reader::dropped;
 pub use source::{LiveSource, LiveStop, Patience, Shutter};

@@ -212,6 +212,10 @@ impl Work {
 
     fn save(&mut self) {
         let (Some(ring), Some((folder, _))) = (&mut self.ring, &self.plan.ring) else { return };
+        if ring.is_empty() {
+            tracing::warn!("the ring has nothing to save yet");
+            return;
+        }
         let clip = utc::new_clip_name(folder);
         let saved = ring.save(&clip, &mut *self.disk).and_then(|first_ns| {
             self.plan.about.write(&clip, &mut *self.disk)?;

@@ -56,6 +56,11 @@ impl Ring {
         self.segments.back_mut().map_or(Ok(()), |newest| newest.clip.push(row, disk))
     }
 
+    /// Whether there is nothing to save.
+    pub fn is_empty(&self) -> bool {
+        self.segments.is_empty()
+    }
+
     /// Moves what is there into a clip of its own and begins anew; gives the first row's stamp.
     pub fn save(&mut self, clip: &Path, disk: &mut dyn Disk) -> io::Result<i64> {
         disk.make_folder(&clip.join("frames"))?;
