@@ -124,7 +124,7 @@ fn wrong_keys_get_their_place_and_the_nearest_name() {
         (format!("{GOOD}[trackr]"), "stage.toml: unknown section [trackr], line 6; did you mean `tracker`?"),
         (
             format!("a = 1\n{GOOD}"),
-            "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, tracker, filter, safety, output, http, recorder, log",
+            "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, tracker, recorder, filter, safety, output, http, log",
         ),
         (format!("{GOOD}[recorder]\nring = 1"), "stage.toml: unknown key `ring` in [recorder], line 7; did you mean `ring_s`?"),
         (GOOD.replace("\"camera.toml\"", "\"camera.toml"), "stage.toml: line 2 is not TOML: invalid basic string, expected `\"`"),

@@ -32,7 +32,7 @@ impl Histogram {
 
     /// Sum of all times, seconds.
     pub fn sum_s(&self) -> f64 {
-        self.sum_us.load(Ordering::Relaxed) as f64 * 1e-6
+        self.sum_us.load(Ordering::Relaxed) as f64 / 1e6
     }
 
     /// How many times were counted.

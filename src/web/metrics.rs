@@ -59,7 +59,7 @@ fn counters(text: &mut String, s: &Statistics) {
 fn gauges(text: &mut String, s: &Statistics, now_ns: i64) {
     one(text, "stagepose_frame_rate", "gauge", "Frames tracked a second.", s.rate());
     let last = s.last_frame_ns();
-    let age_s = if last == 0 { f64::NAN } else { now_ns.saturating_sub(last) as f64 * 1e-9 };
+    let age_s = if last == 0 { f64::NAN } else { now_ns.saturating_sub(last) as f64 / 1e9 };
     let age = if age_s.is_nan() { "NaN".to_owned() } else { age_s.to_string() };
     one(text, "stagepose_last_frame_age_seconds", "gauge", "Age of the last tracked frame.", age);
     one(text, "stagepose_inliers", "gauge", "Inliers of the last frame.", s.inliers());
