@@ -111,6 +111,16 @@ fn it_is_a_good_service() {
             heard += &format!("{}\n", String::from_utf8_lossy(&buffer[..n]));
         }
     }
+    let lines = || std::fs::read_to_string(folder.path().join("live.jsonl")).map_or(0, |text| text.lines().count());
+    let wait_for_frames = |more: usize| {
+        let (before, begun) = (lines(), Instant::now());
+        while lines() < before + more {
+            assert!(begun.elapsed() < Duration::from_secs(60), "no frame is tracked");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    // The ring has something to save.
+    wait_for_frames(3);
     if cfg!(feature = "http") {
         let begun = Instant::now();
         let mut health = String::new();
@@ -123,12 +133,7 @@ fn it_is_a_good_service() {
         assert!(get(port, "/api/v1/ring/save").starts_with("HTTP/1.1 202"));
         wait_for(&mut log, "the last seconds are saved");
     }
-    let lines = || std::fs::read_to_string(folder.path().join("live.jsonl")).map_or(0, |text| text.lines().count());
-    let (before, begun) = (lines(), Instant::now());
-    while lines() < before + 3 {
-        assert!(begun.elapsed() < Duration::from_secs(60), "no frame is tracked");
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    wait_for_frames(3);
     // What happened just now.
     signal(&child, Signal::SIGUSR1);
     wait_for(&mut log, "the last seconds are saved");

@@ -38,7 +38,7 @@ pub(super) fn hold(fd: RawFd, wanted: &BTreeMap<String, i64>) -> Held {
     let there = ioctl::controls(fd);
     let mut held = Held::default();
     let mut wanted: Vec<(&String, i64)> = wanted.iter().map(|(name, value)| (name, *value)).collect();
-    wanted.sort_by_key(|(name, _)| !(name.contains("auto") && !name.contains("absolute")));
+    wanted.sort_by_key(|(name, _)| !name.contains("auto") || name.contains("absolute"));
     for (name, value) in wanted {
         let Some(control) = there.iter().find(|c| plain_name(&c.name) == *name) else {
             held.warnings.push(unknown(name, &there));

@@ -63,7 +63,7 @@ pub(super) fn last_dequeued(fd: RawFd, buffers: u32) -> Option<Dequeued> {
 pub(super) fn wait_readable(fd: RawFd, patience: Duration) -> io::Result<bool> {
     // SAFETY: the camera that owns the file descriptor outlives this call.
     let borrowed = unsafe { BorrowedFd::borrow_raw(fd) };
-    let limit = PollTimeout::try_from(patience.as_millis().min(60_000) as u16).unwrap_or(PollTimeout::MAX);
+    let limit = PollTimeout::from(patience.as_millis().min(60_000) as u16);
     match poll(&mut [PollFd::new(borrowed, PollFlags::POLLIN)], limit) {
         Ok(ready) => Ok(ready > 0),
         Err(nix::errno::Errno::EINTR) => Ok(false),

@@ -186,8 +186,9 @@ fn controls(fd: RawFd) -> Vec<ControlListing> {
             8 => "bitmask",
             _ => "other",
         };
-        let entries = if kind == "menu" { c.minimum..=c.maximum.min(c.minimum.saturating_add(64)) } else { 1..=0 };
-        let menu = entries.filter_map(|i| u32::try_from(i).ok()).filter_map(|i| Some((i, ioctl::menu_entry(fd, c.id, i)?))).collect();
+        let last = c.maximum.min(c.minimum.saturating_add(64));
+        let entries = (c.minimum..=last).filter(|_| kind == "menu").filter_map(|i| u32::try_from(i).ok());
+        let menu = entries.filter_map(|i| Some((i, ioctl::menu_entry(fd, c.id, i)?))).collect();
         let readable = c.kind != 4 && c.flags & WRITE_ONLY == 0;
         ControlListing {
             name: plain_name(&c.name),
