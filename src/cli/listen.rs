@@ -16,7 +16,9 @@ use crate::publish::psn::{PsnPacket, PsnTracker};
 
 /// Print what arrives on a UDP port, decoded.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  stagepose listen freed 40000\n  stagepose listen psn 56565 --group 236.10.10.10 --interface 192.168.1.10")]
+#[command(
+    after_help = "Example:\n  stagepose listen freed 40000\n  stagepose listen psn 56565 --group 236.10.10.10 --interface 192.168.1.10"
+)]
 pub(super) struct ListenArguments {
     /// What is spoken
     protocol: Spoken,
@@ -86,7 +88,9 @@ fn line(protocol: Spoken, bytes: &[u8]) -> String {
         Spoken::OpenTrackIo => {
             opentrackio::decode(bytes).map(|(sequence, sample)| format!("#{sequence} {sample}")).map_err(|e| e.to_string())
         }
-        Spoken::Osc => decoder::decode_udp(bytes).map(|(_, p)| osc(&p)).map_err(|_| "it is no OSC packet; check the sender's port".to_owned()),
+        Spoken::Osc => {
+            decoder::decode_udp(bytes).map(|(_, p)| osc(&p)).map_err(|_| "it is no OSC packet; check the sender's port".to_owned())
+        }
     };
     decoded.unwrap_or_else(|reason| format!("{} bytes: {reason}", bytes.len()))
 }

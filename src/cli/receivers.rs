@@ -63,7 +63,9 @@ impl Receivers {
         for output in self.publisher.close() {
             let (name, sent, failed) = (&output.name, output.sent, output.failed);
             let (dropped, withheld, late) = (output.dropped, output.withheld, output.greatest_latency_us);
-            tracing::info!("output {name}: {sent} packets sent, {failed} failed, {dropped} samples dropped, {withheld} poses withheld, at most {late} µs late");
+            tracing::info!(
+                "output {name}: {sent} packets sent, {failed} failed, {dropped} samples dropped, {withheld} poses withheld, at most {late} µs late"
+            );
         }
     }
 }

@@ -21,7 +21,9 @@ use crate::record::{ObjectSample, PoseSample, StageTimes, State};
 
 /// Send a moving test pose to the outputs of a config; needs no camera and no stage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  stagepose send-test --config stage.toml\n  stagepose listen freed 40000        # on the receiving machine")]
+#[command(
+    after_help = "Example:\n  stagepose send-test --config stage.toml\n  stagepose listen freed 40000        # on the receiving machine"
+)]
 pub(super) struct SendTestArguments {
     /// The config with the [[output]] sections
     #[arg(long, value_name = "FILE")]

@@ -23,7 +23,13 @@ pub(super) fn filter(origin: &Origin<'_>, typed: Option<&as_typed::Filter>) -> R
     let one_euro = OneEuroSettings::default();
     let hertz = "a frequency above 0, at most 1000";
     let one_euro = OneEuroSettings {
-        min_cutoff_hz: section.number("min_cutoff_hz", typed.min_cutoff_hz.as_ref(), one_euro.min_cutoff_hz, |v| v > 0.0 && v <= 1e3, hertz)?,
+        min_cutoff_hz: section.number(
+            "min_cutoff_hz",
+            typed.min_cutoff_hz.as_ref(),
+            one_euro.min_cutoff_hz,
+            |v| v > 0.0 && v <= 1e3,
+            hertz,
+        )?,
         beta: section.number("beta", typed.beta.as_ref(), one_euro.beta, |v| (0.0..=1e4).contains(&v), "a number from 0 to 10000")?,
     };
     let kalman = KalmanSettings::default();

@@ -9,9 +9,7 @@ use super::as_typed::{self, Number};
 use super::origin::Origin;
 use super::values::Section;
 use super::{ConfigError, Problem};
-use crate::publish::{
-    BlendRates, BodyChoice, FixedRate, OnLoss, OutputSettings, Placement, Protocol, Rate, SafetySettings, UdpSettings,
-};
+use crate::publish::{BlendRates, BodyChoice, FixedRate, OnLoss, OutputSettings, Placement, Protocol, Rate, SafetySettings, UdpSettings};
 
 pub(super) const OUTPUT: &str = "[[output]]";
 
@@ -28,10 +26,14 @@ impl OutputReader<'_> {
         for typed in typed {
             let output = self.output(typed)?;
             if let Some(name) = typed.get_ref().name.as_ref().filter(|_| outputs.iter().any(|o| o.name == output.name)) {
-                return Err(self.section().refuse("name", &name.span(), Problem::Range {
-                    value: format!("`{}`, which another output has,", output.name),
-                    wanted: "each output a name of its own",
-                }));
+                return Err(self.section().refuse(
+                    "name",
+                    &name.span(),
+                    Problem::Range {
+                        value: format!("`{}`, which another output has,", output.name),
+                        wanted: "each output a name of its own",
+                    },
+                ));
             }
             outputs.push(output);
         }
@@ -112,7 +114,9 @@ impl OutputReader<'_> {
         };
         let bodies = typed.get_ref();
         if bodies.is_empty() || takes_one && bodies.len() > 1 {
-            let problem = Problem::Combination("give one body to freed and opentrackio, one or more to the others; make another [[output]] for the next");
+            let problem = Problem::Combination(
+                "give one body to freed and opentrackio, one or more to the others; make another [[output]] for the next",
+            );
             return Err(section.refuse("bodies", &typed.span(), problem));
         }
         bodies.iter().map(|body| self.body(section, body)).collect()
@@ -138,7 +142,9 @@ fn on_loss(section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol
     };
     match &output.on_loss {
         Some(typed) if chosen == OnLoss::Flag && has_no_flag => {
-            let problem = Problem::Combination("there is nothing to flag a loss with; add spare = \"quality\" (freed) or the message \"status\" (osc)");
+            let problem = Problem::Combination(
+                "there is nothing to flag a loss with; add spare = \"quality\" (freed) or the message \"status\" (osc)",
+            );
             Err(section.refuse("on_loss", &typed.span(), problem))
         }
         _ => Ok(chosen),
@@ -210,7 +216,8 @@ pub(super) fn safety(origin: &Origin<'_>, typed: Option<&as_typed::Safety>) -> R
             return Err(section.refuse(if blend_speed.is_some() { "blend_speed_m_s" } else { "blend_turn_deg_s" }, &alone, problem));
         }
     };
-    let stale = section.number("stale_after_s", typed.stale_after_s.as_ref(), 0.5, |v| (0.02..=60.0).contains(&v), "seconds from 0.02 to 60")?;
+    let stale =
+        section.number("stale_after_s", typed.stale_after_s.as_ref(), 0.5, |v| (0.02..=60.0).contains(&v), "seconds from 0.02 to 60")?;
     Ok(SafetySettings {
         max_speed_m_s: limit("max_speed_m_s", &typed.max_speed_m_s, 100.0, speed)?,
         max_turn_rad_s: limit("max_turn_deg_s", &typed.max_turn_deg_s, 10_000.0, turn)?.map(f64::to_radians),

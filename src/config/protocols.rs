@@ -28,8 +28,7 @@ enum Kind {
 
 /// The protocol of an output whose section begins at `span`.
 pub(super) fn protocol(section: &Section<'_>, output: &as_typed::Output, span: &Range<usize>) -> Result<Protocol, ConfigError> {
-    let kinds =
-        [("freed", Kind::Freed), ("opentrackio", Kind::OpenTrackIo), ("psn", Kind::Psn), ("osc", Kind::Osc), ("json", Kind::Json)];
+    let kinds = [("freed", Kind::Freed), ("opentrackio", Kind::OpenTrackIo), ("psn", Kind::Psn), ("osc", Kind::Osc), ("json", Kind::Json)];
     let Some(typed) = &output.kind else {
         let mend = "kind = \"freed\", \"opentrackio\", \"psn\", \"osc\" or \"json\"";
         return Err(section.origin.missing(section.origin.section_at(section.name, span), "kind", mend));
@@ -126,7 +125,10 @@ fn osc(section: &Section<'_>, o: &as_typed::Output) -> Result<OscSettings, Confi
         Some(typed) => match AddressTemplate::parse(typed.get_ref()) {
             Ok(_) if !typed.get_ref().contains('{') && !typed.get_ref().ends_with('/') => typed.get_ref().clone(),
             _ => {
-                let problem = Problem::Range { value: format!("`{}`", typed.get_ref()), wanted: "the first part of an OSC address, such as \"/stagepose\"" };
+                let problem = Problem::Range {
+                    value: format!("`{}`", typed.get_ref()),
+                    wanted: "the first part of an OSC address, such as \"/stagepose\"",
+                };
                 return Err(section.refuse("prefix", &typed.span(), problem));
             }
         },

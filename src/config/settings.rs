@@ -248,7 +248,8 @@ impl Settings {
     /// # Errors
     /// The first that cannot be had, with its line; the text of the file must be the one that was read.
     pub fn rehearse_outputs(&self) -> Result<(), ConfigError> {
-        let text = std::fs::read_to_string(&self.file).map_err(|e| ConfigError::Unreadable { file: self.file.clone(), reason: e.to_string() })?;
+        let text =
+            std::fs::read_to_string(&self.file).map_err(|e| ConfigError::Unreadable { file: self.file.clone(), reason: e.to_string() })?;
         let (typed, origin) = (as_typed::Config::parse(&text, &self.file)?, Origin::new(&self.file, &text));
         if let Err((index, reason)) = Publisher::rehearse(&self.outputs) {
             let output = typed.output.get(index).map(|o| (o.get_ref(), o.span()));

@@ -67,7 +67,10 @@ impl PoseStage {
         let filter = self.filter;
         self.objects.resize_with(sighting.objects.len(), || BodyMotion::new(filter));
         if !sighting.is_timed {
-            return PoseEstimate { camera: unseen(&self.camera.history), objects: self.objects.iter().map(|o| unseen(&o.history)).collect() };
+            return PoseEstimate {
+                camera: unseen(&self.camera.history),
+                objects: self.objects.iter().map(|o| unseen(&o.history)).collect(),
+            };
         }
         let seen = sighting.stage.verified.as_ref().map(|v| {
             // The stage's body frame is the stage frame.

@@ -105,13 +105,16 @@ impl BodyChannel {
             }
             Some(Verdict::Withhold(reason)) => {
                 (report.standing, report.is_untouched) = (Standing::Withheld(reason), false);
-                self.events.say(|| format!("event: the pose of {} is withheld, {}; check [safety] and the tracking", self.name, reason.words()));
+                self.events
+                    .say(|| format!("event: the pose of {} is withheld, {}; check [safety] and the tracking", self.name, reason.words()));
             }
             None => self.limiter.gap(),
         }
         match report.pose {
             Some(pose) => self.sent = Some(pose),
-            None if self.on_loss == OnLoss::Hold => (report.pose, report.is_held, report.is_untouched) = (self.sent, self.sent.is_some(), false),
+            None if self.on_loss == OnLoss::Hold => {
+                (report.pose, report.is_held, report.is_untouched) = (self.sent, self.sent.is_some(), false)
+            }
             None => {}
         }
         report

@@ -232,7 +232,8 @@ impl Encoder for OpenTrackIoEncoder {
             Encoding::Cbor => ciborium::into_writer(&sample, &mut payload).is_ok(),
         };
         let Some(bytes) = datagram(self.encoding, self.sequence, &payload).filter(|_| is_written) else {
-            self.too_long.say(|| format!("a sample of {} bytes does not fit into a datagram; give the object a shorter name", payload.len()));
+            self.too_long
+                .say(|| format!("a sample of {} bytes does not fit into a datagram; give the object a shorter name", payload.len()));
             return;
         };
         self.sequence = self.sequence.wrapping_add(1);

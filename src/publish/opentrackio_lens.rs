@@ -82,10 +82,7 @@ mod tests {
             (mm + number(offset)) * number(px) / number(mm_wide) + number(px) / 2.0 - 0.5
         };
         let offset = &lens["projectionOffset"];
-        [
-            pixel(xd, &offset["x"], &size["width"], &resolution["width"]),
-            pixel(yd, &offset["y"], &size["height"], &resolution["height"]),
-        ]
+        [pixel(xd, &offset["x"], &size["width"], &resolution["width"]), pixel(yd, &offset["y"], &size["height"], &resolution["height"])]
     }
 
     #[test]

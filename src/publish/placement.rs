@@ -48,8 +48,7 @@ impl Placement {
         }
         let angles = PanTiltRoll::of_rotation(&turned, 0.0);
         let [pan, tilt, roll] = self.angle_signs;
-        let inverted =
-            PanTiltRoll { pan_deg: pan * angles.pan_deg, tilt_deg: tilt * angles.tilt_deg, roll_deg: roll * angles.roll_deg };
+        let inverted = PanTiltRoll { pan_deg: pan * angles.pan_deg, tilt_deg: tilt * angles.tilt_deg, roll_deg: roll * angles.roll_deg };
         Pose::new(inverted.rotation(), position)
     }
 }

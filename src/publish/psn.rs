@@ -187,7 +187,8 @@ fn decode_header(content: &[u8]) -> Result<PsnHeader, PsnError> {
 }
 
 fn decode_name((id, content): (u16, &[u8])) -> Result<(u16, String), PsnError> {
-    let name = chunks(content)?.into_iter().find(|(id, _)| *id == 0).map_or(String::new(), |(_, n)| String::from_utf8_lossy(n).into_owned());
+    let name =
+        chunks(content)?.into_iter().find(|(id, _)| *id == 0).map_or(String::new(), |(_, n)| String::from_utf8_lossy(n).into_owned());
     Ok((id, name))
 }
 

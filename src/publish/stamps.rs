@@ -47,7 +47,9 @@ impl StampClock {
     /// The instant of a stamp; `work_ns` is how long this first sample has been worked on.
     pub fn instants(&mut self, stamp_ns: i64, work_ns: i64, now: Instants) -> Instants {
         if self.stamps == Stamps::Live && (now.monotonic_ns.saturating_sub(stamp_ns)).abs() > PLAUSIBLE_NS && self.offset_ns == Some(0) {
-            tracing::warn!("the camera's stamps are not of the monotonic clock; ages and times of day count from the first frame's arrival");
+            tracing::warn!(
+                "the camera's stamps are not of the monotonic clock; ages and times of day count from the first frame's arrival"
+            );
             self.offset_ns = None;
         }
         let offset = *self.offset_ns.get_or_insert(now.monotonic_ns.saturating_sub(work_ns).saturating_sub(stamp_ns));

@@ -206,7 +206,8 @@ impl Worker {
 
     /// Whether a report without any pose is to be sent now.
     fn is_loss_due(&self) -> bool {
-        let is_announced = self.encoder.announces_loss() && (self.clock.had_pose || self.clock.last_sent.is_none_or(|t| t.elapsed() >= REPEAT));
+        let is_announced =
+            self.encoder.announces_loss() && (self.clock.had_pose || self.clock.last_sent.is_none_or(|t| t.elapsed() >= REPEAT));
         match self.on_loss {
             OnLoss::Flag => self.encoder.marks_loss(),
             OnLoss::Stop | OnLoss::Hold => is_announced,

@@ -82,7 +82,11 @@ fn malformed_and_oversized_requests_are_refused() {
         let mut start = [0; 12];
         let read = stream.read_exact(&mut start);
         let found = String::from_utf8_lossy(&start).into_owned();
-        assert!(read.is_ok() && found.starts_with(wanted), "{found:?} {wanted}: {}", String::from_utf8_lossy(&request[..20.min(request.len())]));
+        assert!(
+            read.is_ok() && found.starts_with(wanted),
+            "{found:?} {wanted}: {}",
+            String::from_utf8_lossy(&request[..20.min(request.len())])
+        );
     }
     assert!(get(&server, "/api/v1/state").starts_with("HTTP/1.1 200"), "it still serves");
 }

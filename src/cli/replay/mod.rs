@@ -134,7 +134,12 @@ impl Writing<'_> {
 }
 
 /// Runs the daemon over the clip; samples are written as they come.
-fn track(source: Box<dyn FrameSource>, tracker: Tracker, mut overlays: Option<Overlays>, writing: &mut Writing<'_>) -> Result<RowTally, Failure> {
+fn track(
+    source: Box<dyn FrameSource>,
+    tracker: Tracker,
+    mut overlays: Option<Overlays>,
+    writing: &mut Writing<'_>,
+) -> Result<RowTally, Failure> {
     let progress = Progress::start(source.rows());
     let rows = Arc::new(Mutex::new(RowTally::default()));
     let mut daemon = Daemon::new(source, tracker, Delivery::Blocking);
