@@ -12,6 +12,8 @@ mod error;
 mod filter;
 mod known_keys;
 mod origin;
+#[cfg(test)]
+mod output_tests;
 mod outputs;
 mod protocols;
 mod settings;

@@ -249,3 +249,7 @@ fn encoder(settings: &OutputSettings, context: &Context) -> Box<dyn Encoder> {
         Protocol::Json(_) => Box::new(JsonEncoder),
     }
 }
+
+#[cfg(test)]
+#[path = "publisher_tests.rs"]
+mod tests;
