@@ -68,7 +68,8 @@ proptest! {
     #[test]
     fn nothing_ever_jumps(steps in steps()) {
         let mut limiter = Limiter::new(with_blend());
-        let (mut now, mut last): (i64, Option<(i64, Pose<Stage, Body>)>) = (0, None);
+        let mut now = 0;
+        let mut last: Option<(i64, Pose<Stage, Body>)> = None;
         for (is_known, x, turn, frames) in steps {
             now += FRAME_NS * i64::from(frames);
             if !is_known {
