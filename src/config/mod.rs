@@ -13,6 +13,8 @@ mod error;
 mod filter;
 mod known_keys;
 mod origin;
+#[cfg(test)]
+mod output_tests;
 mod outputs;
 mod protocols;
 mod settings;

@@ -44,13 +44,16 @@ pub(super) fn protocol(section: &Section<'_>, output: &as_typed::Output, span: &
     })
 }
 
+/// A key, where it stands if it does, the kinds that read it, and what to do elsewhere.
+type Owned = (&'static str, Option<Range<usize>>, &'static [Kind], &'static str);
+
 /// A key that this kind does not read would be without effect, which nobody wants.
 fn refuse_others_keys(section: &Section<'_>, o: &as_typed::Output, kind: Kind) -> Result<(), ConfigError> {
     fn at<T>(typed: &Option<Spanned<T>>) -> Option<Range<usize>> {
         typed.as_ref().map(Spanned::span)
     }
     use Kind::{Freed, Json, OpenTrackIo, Osc, Psn};
-    let keys: [(&str, Option<Range<usize>>, &[Kind], &'static str); 14] = [
+    let keys: [Owned; 14] = [
         ("sensor_width_mm", at(&o.sensor_width_mm), &[Freed, OpenTrackIo], "it belongs to freed and opentrackio; remove it"),
         ("camera_id", at(&o.camera_id), &[Freed], "it belongs to freed; remove it"),
         ("spare", at(&o.spare), &[Freed], "it belongs to freed; remove it"),

@@ -14,7 +14,13 @@ const CAMERA: &str =
 /// A folder with a calibration, a good picture, a photograph-sized one, a flat one and two masks.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let at = |name: &str| folder.path().join(name);
+    fill(folder.path());
+    folder
+}
+
+/// Writes them into a folder.
+pub(super) fn fill(folder: &Path) {
+    let at = |name: &str| folder.join(name);
     std::fs::write(at("camera.toml"), CAMERA).unwrap();
     // A coarse random checker: plenty of corners at every scale.
     let textured = |w, h| {
@@ -33,7 +39,6 @@ fn folder() -> tempfile::TempDir {
     GrayImage::from_pixel(640, 480, image::Luma([255])).save(at("mask.png")).unwrap();
     GrayImage::new(640, 480).save(at("black.png")).unwrap();
     std::fs::write(at("broken.png"), b"\x89PNG\r\n\x1a\nno").unwrap();
-    folder
 }
 
 const GOOD: &str = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4, 3]\n";

@@ -70,7 +70,7 @@ fn record(report: &Report) -> PoseSample {
 /// Puts a body's pose, as the output sends it, where the record has that body.
 fn set_pose(record: &mut PoseSample, body: &BodyReport, is_resampled: bool) {
     if &*body.name == CAMERA {
-        if !body.is_untouched {
+        if is_resampled || !body.is_untouched {
             record.pose = body.pose.as_ref().map(camera_of_body);
         }
         if is_resampled {
@@ -183,7 +183,6 @@ mod tests {
     #[test]
     fn on_a_fixed_rate_there_are_states_and_poses() {
         let mut report = golden_report(Standing::Coasting);
-        report.bodies[0].is_untouched = false;
         report.bodies.push(BodyReport { name: Arc::from("cart"), standing: Standing::Tracking, ..report.bodies[0].clone() });
         let value = parsed(&report);
         assert_eq!((&value["state"], &value["measured"]), (&json!("coasting"), &Value::Null));

@@ -58,12 +58,18 @@ fn after_a_gap_it_starts_where_it_stood_and_arrives() {
     assert!((59..=61).contains(&arrived), "{arrived}");
 }
 
+/// Frames: is the pose known, where is it, how is it turned, how many frames later?
+fn steps() -> impl Strategy<Value = Vec<(bool, f64, f64, u32)>> {
+    prop::collection::vec((any::<bool>(), -3.0..3.0, -3.0..3.0, 1_u32..8), 1..80)
+}
+
 proptest! {
     /// Whatever comes, with blending no step that is sent is faster than the greater of limit and blend rate.
     #[test]
-    fn nothing_ever_jumps(steps in prop::collection::vec((any::<bool>(), -3.0..3.0, -3.0..3.0, 1_u32..8), 1..80)) {
+    fn nothing_ever_jumps(steps in steps()) {
         let mut limiter = Limiter::new(with_blend());
-        let (mut now, mut last): (i64, Option<(i64, Pose<Stage, Body>)>) = (0, None);
+        let mut now = 0;
+        let mut last: Option<(i64, Pose<Stage, Body>)> = None;
         for (is_known, x, turn, frames) in steps {
             now += FRAME_NS * i64::from(frames);
             if !is_known {

@@ -122,8 +122,8 @@ impl Publisher {
             let stream = StreamSettings { file: None, ..stream_of(&output.protocol).cloned().unwrap_or_default() };
             Transport::open(&output.name, &output.udp, Some(&stream)).map(drop)
         };
-        let enabled = outputs.iter().enumerate().filter(|(_, o)| o.enabled);
-        enabled.map(|(index, output)| rehearse(output).map_err(|e| (index, e))).collect()
+        let mut enabled = outputs.iter().enumerate().filter(|(_, o)| o.enabled);
+        enabled.try_for_each(|(index, output)| rehearse(output).map_err(|e| (index, e)))
     }
 
     /// Hands a sample to every output; never waits. Samples come in the order of their stamps.
@@ -249,3 +249,7 @@ fn encoder(settings: &OutputSettings, context: &Context) -> Box<dyn Encoder> {
         Protocol::Json(_) => Box::new(JsonEncoder),
     }
 }
+
+#[cfg(test)]
+#[path = "publisher_tests.rs"]
+mod tests;

@@ -75,9 +75,10 @@ impl Server {
         let address = listener.local_addr().map_err(listen)?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(WebError::Start)?;
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
-        let router = router(feed.clone(), routes, stopped.clone());
+        let slots = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+        let router = router(feed.clone(), routes, &Shared { stopped: stopped.clone(), slots: slots.clone() });
         let run = move || {
-            runtime.block_on(serve(listener, router, stopped));
+            runtime.block_on(serve(listener, router, slots, stopped));
             runtime.shutdown_timeout(Duration::from_millis(200));
         };
         let thread = std::thread::Builder::new().name("http".to_owned()).spawn(run).map_err(WebError::Start)?;
@@ -110,12 +111,11 @@ impl Drop for Server {
 }
 
 /// Accepts connections until it is stopped.
-async fn serve(listener: TcpListener, router: Router, mut stopped: watch::Receiver<bool>) {
+async fn serve(listener: TcpListener, router: Router, slots: Arc<Semaphore>, mut stopped: watch::Receiver<bool>) {
     let listener = match tokio::net::TcpListener::from_std(listener) {
         Ok(listener) => listener,
         Err(error) => return tracing::error!("[http]: the server cannot run ({error}); restart the program"),
     };
-    let slots = Arc::new(Semaphore::new(MOST_CONNECTIONS));
     loop {
         let (slot, stream) = tokio::select! {
             accepted = accept(&listener, &slots) => accepted,
@@ -160,10 +160,18 @@ async fn ended(stopped: &mut watch::Receiver<bool>) {
     drop(stopped.wait_for(|stop| *stop).await);
 }
 
-fn router(feed: Arc<Feed>, routes: Vec<Route>, stopped: watch::Receiver<bool>) -> Router {
+/// What every WebSocket has from the server.
+#[derive(Clone)]
+struct Shared {
+    stopped: watch::Receiver<bool>,
+    slots: Arc<Semaphore>,
+}
+
+fn router(feed: Arc<Feed>, routes: Vec<Route>, shared: &Shared) -> Router {
+    let shared = shared.clone();
     let (pose, state) = (feed.clone(), feed.clone());
     let own = [Route::new("/api/v1/pose", move |_| pose.pose()), Route::new("/api/v1/state", move |_| state.state())];
-    let mut router = Router::new().route("/ws", any(move |request| web_socket(request, feed.clone(), stopped.clone())));
+    let mut router = Router::new().route("/ws", any(move |request| web_socket(request, feed.clone(), shared.clone())));
     for Route { path, handler } in own.into_iter().chain(routes) {
         router = router.route(path, any(move |request| answer(request, handler.clone())));
     }
@@ -201,17 +209,21 @@ fn response(reply: Reply) -> Response<Body> {
 }
 
 /// `/ws`: every record from now on.
-async fn web_socket(request: HttpRequest<Body>, feed: Arc<Feed>, stopped: watch::Receiver<bool>) -> Response<Body> {
+async fn web_socket(request: HttpRequest<Body>, feed: Arc<Feed>, shared: Shared) -> Response<Body> {
     use axum::extract::FromRequestParts;
     if let Some(refused) = refusal(&request) {
         return response(refused);
     }
+    // An upgraded connection leaves its slot; it takes one of its own.
+    let Ok(slot) = shared.slots.try_acquire_owned() else {
+        return response(Reply::text(503, "too many clients are connected\n"));
+    };
     let (mut parts, _) = request.into_parts();
     match WebSocketUpgrade::from_request_parts(&mut parts, &()).await {
-        Ok(upgrade) => upgrade
-            .max_message_size(LONGEST_MESSAGE)
-            .max_frame_size(LONGEST_MESSAGE)
-            .on_upgrade(move |socket| stream(socket, feed, stopped)),
+        Ok(upgrade) => upgrade.max_message_size(LONGEST_MESSAGE).max_frame_size(LONGEST_MESSAGE).on_upgrade(move |socket| async move {
+            stream(socket, feed, shared.stopped).await;
+            drop(slot);
+        }),
         Err(rejection) => rejection.into_response(),
     }
 }
