@@ -20,9 +20,12 @@
 //! - [`track`]: surfaces and bodies; acquire, register, verify, lock: a frame becomes a [`track::Sighting`]
 //! - [`pose`]: a sighting becomes poses in the stage frame, with covariance, or a prediction
 //! - [`record`]: [`PoseSample`] and the line it becomes (contract C3)
+//! - [`latest`]: the bounded channel that drops its oldest entry
 //! - [`simulate`]: the virtual stage with exact truth
-//! - [`capture`]: [`capture::FrameSource`]: clips of every form, and the virtual camera
+//! - [`capture`]: [`capture::FrameSource`]: clips of every form, the virtual camera, V4L2 cameras
 //! - [`calibrate`]: a chessboard's corners, Zhang's method, bundle adjustment, judgement and report
+//! - [`publish`]: one file a protocol, one thread an output: FreeD, OpenTrackIO, PosiStageNet, OSC, JSON
+//! - [`web`]: what a running daemon counts, its health and metrics; with feature `http` a server: WebSocket, pose and state
 //! - [`config`]: as typed, then resolved
 //! - [`daemon`]: [`Tracker`] without threads, [`Daemon`] with them
 //! - [`cli`]: one file a command
@@ -45,11 +48,14 @@ pub mod daemon;
 pub mod features;
 pub mod frame;
 pub mod geometry;
+pub mod latest;
 pub mod matching;
 pub mod pose;
+pub mod publish;
 pub mod record;
 pub mod simulate;
 pub mod track;
+pub mod web;
 
 pub use daemon::{Daemon, Tracker, TrackerSetup};
 pub use record::PoseSample;

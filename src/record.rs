@@ -19,6 +19,24 @@ pub enum State {
     Coasting,
     /// Was found before, is not now.
     Lost,
+    /// Live only: the camera gives no pictures. Such a sample is a message to subscribers, never a line of contract C3.
+    Stale,
+}
+
+impl State {
+    /// All states, in the order of their numbers.
+    pub const ALL: [State; 5] = [Self::Searching, Self::Tracking, Self::Coasting, Self::Lost, Self::Stale];
+
+    /// The word for it in the records.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Searching => "searching",
+            Self::Tracking => "tracking",
+            Self::Coasting => "coasting",
+            Self::Lost => "lost",
+            Self::Stale => "stale",
+        }
+    }
 }
 
 /// Which two-view model explains the frame's correspondences better.
@@ -85,6 +103,8 @@ pub struct StageTimes {
     pub align_ms: f64,
     /// States, prediction, record.
     pub pose_ms: f64,
+    /// Live only: how old the frame was when tracking it began; of a stale sample, the age of the last frame there was.
+    pub age_ms: Option<f64>,
 }
 
 /// The tracker's answer for one row of a clip or one frame of a camera.
@@ -155,6 +175,13 @@ impl Serialize for ObjectSample {
 
 impl Serialize for PoseSample {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        if self.state == State::Stale {
+            let mut map = serializer.serialize_struct("Stale", 3)?;
+            map.serialize_field("state", &self.state)?;
+            map.serialize_field("pose", &self.pose)?;
+            map.serialize_field("age_ms", &self.times.age_ms)?;
+            return map.end();
+        }
         let m = self.measurement.as_ref();
         let homography = m.and_then(|m| m.homography.as_ref()).map(row_major);
         let covariance = m.map(|m| row_major(&m.covariance));
@@ -176,6 +203,12 @@ impl Serialize for PoseSample {
 }
 
 impl PoseSample {
+    /// The message that the camera has given no picture for `age_ms` since its last one, which had this number and stamp.
+    pub fn stale(sequence: u64, timestamp_ns: i64, age_ms: f64) -> Self {
+        let times = StageTimes { age_ms: Some(age_ms), ..StageTimes::default() };
+        Self { sequence, timestamp_ns, state: State::Stale, pose: None, measurement: None, objects: Vec::new(), times }
+    }
+
     /// The record as one line of JSON, without the line end.
     pub fn to_json_line(&self) -> String {
         // Serialising to a string fails only for non-string map keys, of which there are none.

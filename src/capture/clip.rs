@@ -12,6 +12,7 @@ use image::GrayImage;
 
 use super::error::CaptureError;
 use super::grey::decode_grey;
+use super::order::RowOrder;
 use super::{FrameSource, Row, RowContent};
 use crate::frame::Frame;
 
@@ -56,8 +57,7 @@ pub(super) struct Clip {
     /// Rows that were read to find the size.
     ahead: VecDeque<Row>,
     size: Option<(u32, u32)>,
-    next_sequence: u64,
-    last_stamp_ns: Option<i64>,
+    order: RowOrder,
 }
 
 impl Clip {
@@ -66,7 +66,7 @@ impl Clip {
     /// # Errors
     /// When the stream has no rows, or no frame among them; `path` is for the message.
     pub fn new(stream: Box<dyn PictureStream>, path: &Path) -> Result<Self, CaptureError> {
-        let mut clip = Self { rows: stream.pictures(), stream, ahead: VecDeque::new(), size: None, next_sequence: 0, last_stamp_ns: None };
+        let mut clip = Self { rows: stream.pictures(), stream, ahead: VecDeque::new(), size: None, order: RowOrder::default() };
         while clip.size.is_none() {
             match clip.read_row() {
                 Some(row) => clip.ahead.push_back(row),
@@ -86,24 +86,28 @@ impl Clip {
                     RowContent::Undecodable(reason) | RowContent::Skipped(reason) => reason.clone(),
                     RowContent::Frame(_) => String::new(),
                 };
-                CaptureError::NoFrameReadable { path, rows: self.next_sequence, reason }
+                CaptureError::NoFrameReadable { path, rows: self.order.rows(), reason }
             }
         }
     }
 
     fn read_row(&mut self) -> Option<Row> {
         let picture = self.stream.next_picture()?;
-        let sequence = self.next_sequence;
-        self.next_sequence += 1;
-        let skipped = |timestamp_ns, reason| Row { sequence, timestamp_ns, content: RowContent::Skipped(reason), decode: Duration::ZERO };
-        let timestamp_ns = match (picture.stamp, self.last_stamp_ns) {
-            (Err(reason), last) => return Some(skipped(last.unwrap_or(0), reason)),
-            (Ok(stamp), Some(last)) if stamp <= last => {
-                return Some(skipped(stamp, format!("the time stamp {stamp} does not follow {last}")));
-            }
-            (Ok(stamp), _) => stamp,
+        let sequence = self.order.number();
+        let skipped = |timestamp_ns, reason| Row {
+            sequence,
+            timestamp_ns,
+            content: RowContent::Skipped(reason),
+            decode: Duration::ZERO,
+            received: None,
         };
-        self.last_stamp_ns = Some(timestamp_ns);
+        let timestamp_ns = match picture.stamp {
+            Err(reason) => return Some(skipped(self.order.last_stamp_ns().unwrap_or(0), reason)),
+            Ok(stamp) => stamp,
+        };
+        if let Err(reason) = self.order.follow(timestamp_ns) {
+            return Some(skipped(timestamp_ns, reason));
+        }
         let start = Instant::now();
         let image = match picture.data {
             PictureData::Encoded(bytes) => decode_grey(&bytes).map_err(|e| e.to_string()),
@@ -115,7 +119,7 @@ impl Clip {
             Ok(image) => self.frame_or_skip(image, timestamp_ns, sequence),
             Err(reason) => RowContent::Undecodable(reason),
         };
-        Some(Row { sequence, timestamp_ns, content, decode })
+        Some(Row { sequence, timestamp_ns, content, decode, received: None })
     }
 
     /// The first frame sets the clip's size, the others must have it.

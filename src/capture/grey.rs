@@ -153,7 +153,7 @@ fn grey_of(picture: DynamicImage) -> GrayImage {
 }
 
 /// BT.601 luma of 8-bit RGB, rounded.
-fn luma_8([r, g, b]: [u8; 3]) -> u8 {
+pub(super) fn luma_8([r, g, b]: [u8; 3]) -> u8 {
     ((299 * u32::from(r) + 587 * u32::from(g) + 114 * u32::from(b) + 500) / 1000) as u8
 }
 

@@ -5,29 +5,41 @@
 //! The readers of single formats are public for those who have bytes instead of files.
 
 mod avi;
+pub mod camera;
+pub mod choice;
 mod clip;
 mod error;
 mod ffmpeg;
 mod folder;
 mod grey;
 mod jpeg_markers;
+mod luma;
 mod mjpeg;
+pub mod moment;
 mod open;
+mod order;
+mod played;
 mod rate;
 mod timestamps;
 mod video;
 mod writer;
 mod y4m;
 
+#[cfg(feature = "live")]
+pub mod v4l2;
 mod virtual_stage;
 
+use std::sync::Arc;
 use std::time::Duration;
 
 pub use avi::{AviError, AviReader};
 pub use error::CaptureError;
 pub use grey::{DecodeError, decode_grey};
+pub use luma::{Decoded, decode_picture};
 pub use mjpeg::MjpegReader;
 pub use open::{ClipOptions, open_clip};
+pub use order::RowOrder;
+pub use played::PlayedClip;
 pub use rate::FrameRate;
 pub use timestamps::{StampRow, TimestampsError, read_timestamps};
 pub use writer::{ClipWriter, PictureFormat};
@@ -48,6 +60,19 @@ pub struct Row {
     pub content: RowContent,
     /// Time spent on turning its bytes into grey levels; reading and waiting excluded, zero for raw pictures.
     pub decode: Duration,
+    /// Live only: what the camera sent, for the recorder.
+    pub received: Option<Received>,
+}
+
+/// What a camera sent for a row, as it is to be recorded.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Received {
+    /// A JPEG, cut at its end mark.
+    Jpeg(Arc<[u8]>),
+    /// Raw pixels; the row's grey picture is all that is kept of them.
+    Raw,
+    /// Nothing that could be a picture.
+    Damaged,
 }
 
 /// What a row holds.

@@ -59,7 +59,7 @@ impl FrameSource for VirtualCamera {
         let image = self.renderer.render(self.time_s(sequence), sequence);
         // Rendering stands for the world, not for decoding: it costs the tracker nothing.
         let content = RowContent::Frame(Frame { image, timestamp_ns, sequence });
-        Some(Row { sequence, timestamp_ns, content, decode: Duration::ZERO })
+        Some(Row { sequence, timestamp_ns, content, decode: Duration::ZERO, received: None })
     }
 
     fn size(&self) -> (u32, u32) {

@@ -1,4 +1,4 @@
-//! `check`: reads a config and everything that it names, and says what was found and what will happen.
+//! `check`: reads a config and everything that it names, tries its camera, and says what was found and what will happen.
 
 use std::fmt::Write as _;
 use std::io::{self, Write};
@@ -8,11 +8,14 @@ use super::failure::Failure;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::capture::{ClipOptions, open_clip};
 use crate::config::Settings;
+use crate::publish::{OnLoss, OutputSettings, Protocol, Rate};
 use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
 
 /// Check a config and everything that it names.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  stagepose check --config stage.toml --clip clip")]
+#[command(
+    after_help = "Example:\n  stagepose check --config stage.toml --clip clip\n\nThe camera is tried where the config names one with `device` and --clip is absent."
+)]
 pub(super) struct CheckArguments {
     /// The config of the camera and the stage
     #[arg(long, value_name = "FILE")]
@@ -20,6 +23,9 @@ pub(super) struct CheckArguments {
     /// A clip that it shall fit
     #[arg(long)]
     clip: Option<PathBuf>,
+    /// Leave the camera alone
+    #[arg(long)]
+    no_device: bool,
 }
 
 pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
@@ -35,8 +41,13 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
         let rows = source.rows().map_or("an unknown number of frames".to_owned(), |rows| format!("{rows} frames"));
         clip_line = Some(format!("clip        {}: {rows} of {width} x {height} pixels", clip.display()));
     }
-    let report = report(&settings, &camera, &notes, clip_line);
-    writeln!(io::stdout(), "{report}").map_err(Failure::output(Path::new("stdout")))
+    settings.rehearse_outputs()?;
+    let tries = settings.device.device.is_some() && arguments.clip.is_none() && !arguments.no_device;
+    let device = tries.then(|| device::try_camera(&settings));
+    let device_text = device.as_ref().map(|found| found.as_ref().map_or_else(|problem| problem.clone(), Clone::clone));
+    let report = report(&settings, &camera, &notes, clip_line.or(device_text.map(|text| format!("device      {text}"))));
+    writeln!(io::stdout(), "{report}").map_err(Failure::output(Path::new("stdout")))?;
+    device.transpose().map(|_| ()).map_err(Failure::Device)
 }
 
 /// The whole text.
@@ -58,6 +69,12 @@ fn report(settings: &Settings, camera: &CameraModel, notes: &[String], clip: Opt
     for object in &settings.objects {
         body(&mut text, &format!("object {}", object.name), object, camera);
     }
+    for output in &settings.outputs {
+        let _ = writeln!(text, "output      {}", output_line(output));
+    }
+    if let Some(http) = &settings.http {
+        let _ = writeln!(text, "http        http://{0}/api/v1/pose, http://{0}/api/v1/state, ws://{0}/ws", http.listen);
+    }
     for note in notes {
         let _ = writeln!(text, "note        {note}");
     }
@@ -69,6 +86,26 @@ fn report(settings: &Settings, camera: &CameraModel, notes: &[String], clip: Opt
         t.features, t.threads, t.confirm_frames, t.coast_s
     );
     text
+}
+
+fn output_line(output: &OutputSettings) -> String {
+    let mut to: Vec<String> = output.udp.to.iter().map(ToString::to_string).collect();
+    if let Protocol::Json(json) = &output.protocol {
+        to.extend(json.stream.tcp_listen.map(|address| format!("clients on {address}")));
+        to.extend(json.stream.file.as_ref().map(|file| file.display().to_string()));
+    }
+    let rate = match output.rate {
+        Rate::Every(1) => "every frame".to_owned(),
+        Rate::Every(n) => format!("one frame in {n}"),
+        Rate::Fixed { rate, delay } => format!("{:.2} times a second, {} ms late", rate.hz(), delay.as_millis()),
+    };
+    let on_loss = match output.on_loss {
+        OnLoss::Stop => "stops on loss",
+        OnLoss::Hold => "holds the last pose on loss",
+        OnLoss::Flag => "flags a loss",
+    };
+    let off = if output.enabled { "" } else { " (not enabled)" };
+    format!("{}: {} to {}, {rate}, {on_loss}{off}", output.name, output.protocol.word(), to.join(", "))
 }
 
 /// Angles across the middle of the picture, through the lens' distortion where it can be inverted.
@@ -133,6 +170,16 @@ fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
     let tenth_of_surface = 0.1 * width_m * i.fx / width_px;
     let coarse_texels = i.fx / (2.0 * texels_per_metre(surface));
     (tenth_of_surface.max(coarse_texels), width_m * i.fx / (0.1 * width_px))
+}
+
+#[cfg(feature = "live")]
+mod device;
+#[cfg(not(feature = "live"))]
+mod device {
+    /// A build without cameras tries none, and says so.
+    pub(super) fn try_camera(_: &crate::config::Settings) -> Result<String, String> {
+        Err(crate::cli::run::no_live_feature().to_string())
+    }
 }
 
 #[cfg(test)]

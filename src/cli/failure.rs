@@ -8,6 +8,7 @@ use thiserror::Error;
 
 use crate::capture::CaptureError;
 use crate::config::ConfigError;
+use crate::publish::PublishError;
 
 /// Exit code of bad usage or config.
 pub(super) const USAGE: u8 = 2;
@@ -42,6 +43,12 @@ pub enum Failure {
         /// What the system says.
         source: io::Error,
     },
+    /// The camera cannot be used.
+    #[error("the camera: {0}")]
+    Device(String),
+    /// An output or the HTTP server cannot be started (the message names it).
+    #[error("{0}")]
+    Publishing(String),
     /// The demo ended early.
     #[error(transparent)]
     Demo(#[from] super::demo::DemoError),
@@ -56,6 +63,12 @@ pub enum Failure {
 impl From<ConfigError> for Failure {
     fn from(error: ConfigError) -> Self {
         Self::Config(Box::new(error))
+    }
+}
+
+impl From<PublishError> for Failure {
+    fn from(error: PublishError) -> Self {
+        Self::Publishing(error.to_string())
     }
 }
 
@@ -84,7 +97,14 @@ impl Failure {
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Usage(_) | Self::Config(_) => USAGE,
-            Self::Capture(_) | Self::NoFrame { .. } | Self::Output { .. } | Self::Demo(_) | Self::Calibration(_) | Self::Tracking(_) => 1,
+            Self::Capture(_)
+            | Self::NoFrame { .. }
+            | Self::Output { .. }
+            | Self::Device(_)
+            | Self::Publishing(_)
+            | Self::Demo(_)
+            | Self::Calibration(_)
+            | Self::Tracking(_) => 1,
         })
     }
 }

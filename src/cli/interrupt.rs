@@ -25,3 +25,31 @@ pub(super) fn watch() {
 pub(super) fn is_interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
+
+static RELOAD: AtomicBool = AtomicBool::new(false);
+static SAVE: AtomicBool = AtomicBool::new(false);
+
+extern "C" fn on_service_signal(number: nix::libc::c_int) {
+    match number {
+        nix::libc::SIGHUP => RELOAD.store(true, Ordering::Relaxed),
+        _ => SAVE.store(true, Ordering::Relaxed),
+    }
+}
+
+/// Takes SIGHUP and SIGUSR1 over, for a service.
+pub(super) fn watch_service() {
+    for number in [Signal::SIGHUP, Signal::SIGUSR1] {
+        // SAFETY: the handler stores an atomic, which is async-signal-safe.
+        let _ = unsafe { signal(number, SigHandler::Handler(on_service_signal)) };
+    }
+}
+
+/// True once for every SIGHUP.
+pub(super) fn take_reload() -> bool {
+    RELOAD.swap(false, Ordering::Relaxed)
+}
+
+/// True once for every SIGUSR1.
+pub(super) fn take_save() -> bool {
+    SAVE.swap(false, Ordering::Relaxed)
+}

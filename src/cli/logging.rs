@@ -1,12 +1,14 @@
 //! Log messages to stderr, around the progress bar.
 
-use std::io;
+use std::io::{self, IsTerminal};
 use std::sync::OnceLock;
 
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 use indicatif::ProgressBar;
 use tracing::level_filters::LevelFilter;
+use tracing::{Level, Metadata};
+use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::fmt::format::FmtSpan;
 
 use crate::config::{LogFormat, LogLevel, LogSettings};
@@ -45,9 +47,13 @@ fn filter(level: LogLevel) -> LevelFilter {
 /// Starts logging; a second call changes nothing.
 pub(super) fn start(arguments: &LogArguments, settings: LogSettings) {
     let level = filter(arguments.log.unwrap_or(settings.level));
-    let builder = tracing_subscriber::fmt().with_max_level(level).with_writer(|| BesideBar).with_span_events(FmtSpan::CLOSE);
+    // systemd says so where stderr goes to its journal, which has its own clock and reads "<4>" as a priority.
+    let to_journal = std::env::var_os("JOURNAL_STREAM").is_some() && !io::stderr().is_terminal();
+    let lines = Lines { with_priority: to_journal && settings.format == LogFormat::Text };
+    let builder = tracing_subscriber::fmt().with_max_level(level).with_writer(lines).with_span_events(FmtSpan::CLOSE);
     // It fails only where a subscriber is there already, which then does the work.
     let _ = match settings.format {
+        LogFormat::Text if to_journal => builder.with_ansi(false).without_time().try_init(),
         LogFormat::Text => builder.with_ansi(false).try_init(),
         LogFormat::Json => builder.json().try_init(),
     };
@@ -58,14 +64,45 @@ pub(super) fn beside(bar: &ProgressBar) {
     let _ = BAR.set(bar.clone());
 }
 
-struct BesideBar;
+/// Makes a writer for each message.
+struct Lines {
+    with_priority: bool,
+}
+
+impl<'a> MakeWriter<'a> for Lines {
+    type Writer = BesideBar;
+
+    fn make_writer(&'a self) -> BesideBar {
+        BesideBar { priority: "" }
+    }
+
+    fn make_writer_for(&'a self, meta: &Metadata<'_>) -> BesideBar {
+        BesideBar { priority: if self.with_priority { priority(*meta.level()) } else { "" } }
+    }
+}
+
+/// What the journal reads as the priority of a line (sd-daemon(3)).
+fn priority(level: Level) -> &'static str {
+    match level {
+        Level::ERROR => "<3>",
+        Level::WARN => "<4>",
+        Level::INFO => "<6>",
+        _ => "<7>",
+    }
+}
+
+struct BesideBar {
+    priority: &'static str,
+}
 
 impl io::Write for BesideBar {
     fn write(&mut self, text: &[u8]) -> io::Result<usize> {
+        let line = [self.priority.as_bytes(), text].concat();
         match BAR.get() {
-            Some(bar) => bar.suspend(|| io::stderr().write(text)),
-            None => io::stderr().write(text),
+            Some(bar) => bar.suspend(|| io::stderr().write_all(&line))?,
+            None => io::stderr().write_all(&line)?,
         }
+        Ok(text.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {

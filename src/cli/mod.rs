@@ -7,11 +7,17 @@ mod board;
 mod calibrate;
 mod check;
 mod demo;
+mod devices;
 mod failure;
 mod interrupt;
+mod listen;
 mod logging;
 pub mod overlay;
+mod receivers;
+mod record;
 mod replay;
+mod run;
+mod send_test;
 mod text;
 
 use std::process::ExitCode;
@@ -40,6 +46,11 @@ enum Command {
     Demo(demo::DemoArguments),
     Calibrate(calibrate::CalibrateArguments),
     Board(board::BoardArguments),
+    Devices(devices::DevicesArguments),
+    Run(run::RunArguments),
+    Record(record::RecordArguments),
+    SendTest(send_test::SendTestArguments),
+    Listen(listen::ListenArguments),
 }
 
 /// Runs the command line of this process; `started` is when the process began.
@@ -57,6 +68,11 @@ pub fn run(started: Instant) -> ExitCode {
         Command::Check(arguments) => check::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Board(arguments) => board::run(&arguments),
+        Command::Devices(arguments) => devices::run(&arguments),
+        Command::Run(arguments) => run::run(&arguments),
+        Command::Record(arguments) => record::run(&arguments),
+        Command::SendTest(arguments) => send_test::run(&arguments),
+        Command::Listen(arguments) => listen::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments).map_err(Failure::from),
     };
     match outcome {

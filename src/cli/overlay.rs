@@ -58,7 +58,7 @@ fn state_colour(state: State) -> Rgb<u8> {
         State::Tracking => GREEN,
         State::Coasting => YELLOW,
         State::Lost => RED,
-        State::Searching => GREY,
+        State::Searching | State::Stale => GREY,
     }
 }
 
@@ -155,12 +155,7 @@ fn border(picture: &mut RgbImage, colour: Rgb<u8>) {
 }
 
 fn caption(picture: &mut RgbImage, sample: &PoseSample, colour: Rgb<u8>) {
-    let state = match sample.state {
-        State::Searching => "searching",
-        State::Tracking => "tracking",
-        State::Coasting => "coasting",
-        State::Lost => "lost",
-    };
+    let state = sample.state.word();
     let mut line = format!("{state} #{}", sample.sequence);
     if let Some(pose) = sample.pose {
         let p = pose.translation;

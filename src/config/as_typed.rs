@@ -16,6 +16,7 @@ use toml::Spanned;
 use super::ConfigError;
 use super::known_keys;
 use super::origin::Origin;
+pub use super::typed_outputs::{Filter, Http, Output, OutputValue, Safety};
 
 /// A whole config file.
 #[derive(Debug, Deserialize)]
@@ -30,6 +31,17 @@ pub struct Config {
     pub object: Vec<Spanned<Object>>,
     /// `[tracker]`
     pub tracker: Option<Tracker>,
+    /// `[recorder]`
+    pub recorder: Option<Recorder>,
+    /// `[filter]`
+    pub filter: Option<Filter>,
+    /// `[safety]`
+    pub safety: Option<Safety>,
+    /// `[[output]]`
+    #[serde(default)]
+    pub output: Vec<Spanned<Output>>,
+    /// `[http]`
+    pub http: Option<Http>,
     /// `[log]`
     pub log: Option<Log>,
 }
@@ -114,6 +126,18 @@ pub struct Tracker {
     pub confirm_frames: Option<Spanned<Count>>,
     /// Seed of the robust estimators.
     pub seed: Option<Spanned<Count>>,
+}
+
+/// `[recorder]`
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recorder {
+    /// Where clips go.
+    pub folder: Option<Spanned<String>>,
+    /// Everything, from the start on.
+    pub continuous: Option<bool>,
+    /// Seconds kept for saving later; 0 = none.
+    pub ring_s: Option<Spanned<Number>>,
 }
 
 /// `[log]`

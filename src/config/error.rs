@@ -41,16 +41,6 @@ pub enum ConfigError {
         /// The nearest known name, or all of them.
         mend: String,
     },
-    /// A section of a later version.
-    #[error("{}: section [{section}], line {line}, is not available in this version; remove it", file.display())]
-    LaterVersion {
-        /// The config file.
-        file: PathBuf,
-        /// 1-based.
-        line: usize,
-        /// Its name without brackets.
-        section: String,
-    },
     /// Something that must be there is not.
     #[error("{}: {section} has no `{key}`; add {mend}", file.display())]
     Missing {
@@ -110,6 +100,20 @@ pub enum Problem {
     /// Two bodies of the same name.
     #[error("the name `{0}` is taken; give each object a name of its own (`stage` is the stage itself)")]
     DuplicateName(String),
+    /// An address template with a fault.
+    #[error("{0}")]
+    Template(crate::publish::osc::TemplateError),
+    /// An output's address, port or interface that this machine does not give.
+    #[error("{0}")]
+    Transport(crate::publish::TransportError),
+    /// The HTTP server's address is taken or not this machine's.
+    #[error("cannot listen on {address} ({reason}); give a free port on an address of this machine")]
+    Listen {
+        /// Where.
+        address: std::net::SocketAddr,
+        /// What the system says.
+        reason: String,
+    },
     /// A picture file that cannot be opened.
     #[error("{}: {reason}; name a readable PNG, JPEG or PGM picture", file.display())]
     PictureFile {

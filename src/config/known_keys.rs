@@ -11,12 +11,23 @@ use super::as_typed;
 use super::origin::{Origin, one_line};
 use super::{ConfigError, Problem};
 
-/// Sections that contract C5 names and later versions bring.
-const LATER_SECTIONS: [&str; 5] = ["filter", "safety", "output", "recorder", "http"];
-
 /// Every section of this version with its keys, as a message writes it: `("[camera]", ["calibration", …])`.
 pub fn known_keys() -> Vec<(&'static str, &'static [&'static str])> {
-    let paths: [&[&str]; 7] = [&["camera"], &["stage"], &["stage", "surface"], &["object"], &["object", "surface"], &["tracker"], &["log"]];
+    let paths: [&[&str]; 13] = [
+        &["camera"],
+        &["stage"],
+        &["stage", "surface"],
+        &["object"],
+        &["object", "surface"],
+        &["tracker"],
+        &["filter"],
+        &["safety"],
+        &["output"],
+        &["output", "value"],
+        &["http"],
+        &["recorder"],
+        &["log"],
+    ];
     paths.iter().filter_map(|path| section(path)).collect()
 }
 
@@ -30,6 +41,12 @@ fn section(path: &[&str]) -> Option<(&'static str, &'static [&'static str])> {
         ["object"] => ("[[object]]", fields::<as_typed::Object>()),
         ["object", "surface"] => ("[[object.surface]]", fields::<as_typed::Surface>()),
         ["tracker"] => ("[tracker]", fields::<as_typed::Tracker>()),
+        ["recorder"] => ("[recorder]", fields::<as_typed::Recorder>()),
+        ["filter"] => ("[filter]", fields::<as_typed::Filter>()),
+        ["safety"] => ("[safety]", fields::<as_typed::Safety>()),
+        ["output"] => ("[[output]]", fields::<as_typed::Output>()),
+        ["output", "value"] => ("[[output.value]]", fields::<as_typed::OutputValue>()),
+        ["http"] => ("[http]", fields::<as_typed::Http>()),
         ["log"] => ("[log]", fields::<as_typed::Log>()),
         _ => return None,
     })
@@ -52,9 +69,6 @@ fn refusal(path: &[&str], key: &str, span: &Range<usize>, value: &DeValue<'_>, o
         return None;
     }
     let (file, line) = (origin.file.to_owned(), origin.line(span));
-    if path.is_empty() && LATER_SECTIONS.contains(&key) {
-        return Some(ConfigError::LaterVersion { file, line, section: key.to_owned() });
-    }
     let is_section = path.is_empty() && !is_plain(value);
     let what = if is_section { format!("section [{key}]") } else { format!("key `{key}` in {name}") };
     Some(ConfigError::Unknown { file, line, what, mend: suggestion(key, name, known) })

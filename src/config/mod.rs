@@ -8,14 +8,22 @@
 
 pub mod as_typed;
 mod bodies;
+mod copy;
 mod error;
+mod filter;
 mod known_keys;
 mod origin;
+#[cfg(test)]
+mod output_tests;
+mod outputs;
+mod protocols;
 mod settings;
 #[cfg(test)]
 mod tests;
+mod typed_outputs;
 mod values;
 
+pub use copy::copy_config;
 pub use error::{ConfigError, Problem};
 pub use known_keys::known_keys;
-pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, Settings};
+pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, RecorderSettings, SendingSettings, Settings};

@@ -1,6 +1,7 @@
 //! The config once everything in it has been checked and every file that it names has been read.
 
 use std::collections::BTreeMap;
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 
 use image::GrayImage;
@@ -9,11 +10,17 @@ use toml::Spanned;
 
 use super::as_typed::{self, ControlValue};
 use super::bodies::BodyReader;
+use super::filter::filter;
 use super::origin::Origin;
+use super::outputs::{OUTPUT, OutputReader, safety};
+use super::protocols::address;
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::CameraModel;
+use crate::pose::FilterSettings;
+use crate::publish::{OutputSettings, Publisher, SafetySettings};
 use crate::track::{BodySpec, TrackerSettings};
+use crate::web::HttpSettings;
 
 /// A checked config.
 #[derive(Debug, Clone)]
@@ -38,10 +45,37 @@ pub struct Settings {
     pub objects: Vec<BodySpec>,
     /// The tracker's tunables.
     pub tracker: TrackerSettings,
+    /// What is recorded beside the tracking.
+    pub recorder: RecorderSettings,
+    /// What happens to the measured pose before it is given.
+    pub filter: FilterSettings,
+    /// Limits that every output keeps.
+    pub safety: SafetySettings,
+    /// Where poses go, in the order of the file.
+    pub outputs: Vec<OutputSettings>,
+    /// The HTTP server; none without `[http]`.
+    pub http: Option<HttpSettings>,
     /// What is logged, and how.
     pub log: LogSettings,
     /// What was assumed or looks odd, one sentence each; `check` prints them.
     pub notes: Vec<String>,
+}
+
+/// What belongs to sending alone.
+#[derive(Debug, Clone)]
+pub struct SendingSettings {
+    /// The calibrated camera, where one is named.
+    pub camera: Option<CameraModel>,
+    /// `[[output]]`
+    pub outputs: Vec<OutputSettings>,
+    /// The objects' names.
+    pub objects: Vec<String>,
+    /// `[safety]`
+    pub safety: SafetySettings,
+    /// `[http]`
+    pub http: Option<HttpSettings>,
+    /// `[log]`
+    pub log: LogSettings,
 }
 
 /// How to open the camera; `None` leaves it to the driver.
@@ -72,6 +106,19 @@ pub enum PixelFormat {
     Nv12,
     /// 8-bit grey.
     Grey,
+    /// Three bytes a pixel.
+    Rgb,
+}
+
+/// `[recorder]`
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecorderSettings {
+    /// Where clips go, relative names resolved.
+    pub folder: PathBuf,
+    /// Everything is recorded, from the start on.
+    pub continuous: bool,
+    /// Seconds kept on disk for saving later; 0 = none.
+    pub ring_s: f64,
 }
 
 /// `[log]`
@@ -153,6 +200,7 @@ impl Settings {
         let mask = camera.mask.as_ref().map(|m| mask(&section, m, &model)).transpose()?;
         let mut bodies = BodyReader { origin: &origin, camera: model, notes: &mut notes };
         let (stage, objects) = (bodies.stage(typed.stage.as_ref())?, bodies.objects(&typed.object)?);
+        let outputs = OutputReader { origin: &origin, objects: objects.iter().map(|o| o.name.clone()).collect() };
         Ok(Self {
             file: file.to_owned(),
             calibration_file: origin.beside(calibration.get_ref()),
@@ -164,8 +212,35 @@ impl Settings {
             stage,
             objects,
             tracker: tracker(&origin, typed.tracker.as_ref())?,
+            recorder: recorder(&origin, typed.recorder.as_ref())?,
+            filter: filter(&origin, typed.filter.as_ref())?,
+            safety: safety(&origin, typed.safety.as_ref())?,
+            outputs: outputs.outputs(&typed.output)?,
+            http: http(&origin, typed.http.as_ref())?,
             log: log(&origin, typed.log.as_ref())?,
             notes,
+        })
+    }
+
+    /// Reads what belongs to sending alone: a config that has no stage or camera yet will do.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load), of `[[output]]`, `[safety]`, `[http]`, `[log]` and the objects' names; of the calibration where it is named.
+    pub fn load_outputs(file: &Path) -> Result<SendingSettings, ConfigError> {
+        let text = std::fs::read_to_string(file).map_err(|e| ConfigError::Unreadable { file: file.to_owned(), reason: e.to_string() })?;
+        let (typed, origin) = (as_typed::Config::parse(&text, file)?, Origin::new(file, &text));
+        let section = Section { origin: &origin, name: "[camera]" };
+        let calibration = typed.camera.as_ref().and_then(|camera| camera.get_ref().calibration.as_ref());
+        let names = typed.object.iter().filter_map(|object| object.get_ref().name.as_ref());
+        let objects: Vec<String> = names.map(|name| name.get_ref().clone()).collect();
+        let outputs = OutputReader { origin: &origin, objects: objects.clone() };
+        Ok(SendingSettings {
+            camera: calibration.map(|c| section.calibration("calibration", c)).transpose()?.map(|c| c.model),
+            outputs: outputs.outputs(&typed.output)?,
+            objects,
+            safety: safety(&origin, typed.safety.as_ref())?,
+            http: http(&origin, typed.http.as_ref())?,
+            log: log(&origin, typed.log.as_ref())?,
         })
     }
 
@@ -182,6 +257,28 @@ impl Settings {
         let scaled = self.camera.scaled_to(width, height).map_err(problem)?;
         let note = format!("the calibration for {from_width} x {from_height} pixels is scaled to the pictures' {width} x {height}");
         Ok((scaled, Some(note)))
+    }
+
+    /// Tries every address, port and interface of `[[output]]` and `[http]` on this machine, and lets go of them again.
+    ///
+    /// # Errors
+    /// The first that cannot be had, with its line; the text of the file must be the one that was read.
+    pub fn rehearse_outputs(&self) -> Result<(), ConfigError> {
+        let text =
+            std::fs::read_to_string(&self.file).map_err(|e| ConfigError::Unreadable { file: self.file.clone(), reason: e.to_string() })?;
+        let (typed, origin) = (as_typed::Config::parse(&text, &self.file)?, Origin::new(&self.file, &text));
+        if let Err((index, reason)) = Publisher::rehearse(&self.outputs) {
+            let output = typed.output.get(index).map(|o| (o.get_ref(), o.span()));
+            let (key, span) = output.map_or(("to", 0..0), |(o, span)| o.place_of(&reason, span));
+            return Err(origin.value(OUTPUT, key, &span, Problem::Transport(reason)));
+        }
+        let Some(http) = &self.http else { return Ok(()) };
+        let reason = match TcpListener::bind(http.listen) {
+            Ok(_) => return Ok(()),
+            Err(error) => error.to_string(),
+        };
+        let span = typed.http.and_then(|h| h.listen).map_or(0..0, |l| l.span());
+        Err(origin.value("[http]", "listen", &span, Problem::Listen { address: http.listen, reason }))
     }
 
     /// The mask at the size of the pictures.
@@ -220,6 +317,7 @@ fn device(section: &Section<'_>, typed: &as_typed::Camera) -> Result<DeviceSetti
         ("yuyv", Some(PixelFormat::Yuyv)),
         ("nv12", Some(PixelFormat::Nv12)),
         ("grey", Some(PixelFormat::Grey)),
+        ("rgb", Some(PixelFormat::Rgb)),
     ];
     let controls = typed.controls.iter().flatten().map(|(name, value)| (name.clone(), *value.get_ref())).collect();
     let device = typed.device.as_ref().map(|d| section.text("device", d, "a device such as \"/dev/video0\"")).transpose()?;
@@ -228,7 +326,7 @@ fn device(section: &Section<'_>, typed: &as_typed::Camera) -> Result<DeviceSetti
         width: side("width", &typed.width)?,
         height: side("height", &typed.height)?,
         fps: typed.fps.as_ref().map(|_| fps),
-        format: section.word("format", typed.format.as_ref(), None, &formats, "mjpeg, yuyv, nv12 or grey")?,
+        format: section.word("format", typed.format.as_ref(), None, &formats, "mjpeg, yuyv, nv12, grey or rgb")?,
         controls,
     })
 }
@@ -249,6 +347,23 @@ fn tracker(origin: &Origin<'_>, typed: Option<&as_typed::Tracker>) -> Result<Tra
         confirm_frames: confirm as u32,
         seed: section.count("seed", typed.seed.as_ref(), default.seed, 0..=u64::MAX, "a whole number of 0 or more")?,
     })
+}
+
+fn recorder(origin: &Origin<'_>, typed: Option<&as_typed::Recorder>) -> Result<RecorderSettings, ConfigError> {
+    let section = Section { origin, name: "[recorder]" };
+    let folder = typed.and_then(|t| t.folder.as_ref());
+    let folder = folder.map(|f| section.text("folder", f, "a folder such as \"recordings\"")).transpose()?;
+    let within = |v: f64| (0.0..=3600.0).contains(&v);
+    let ring_s = section.number("ring_s", typed.and_then(|t| t.ring_s.as_ref()), 0.0, within, "seconds from 0 (no ring) to 3600")?;
+    let continuous = typed.and_then(|t| t.continuous).unwrap_or(false);
+    Ok(RecorderSettings { folder: origin.beside(folder.as_deref().unwrap_or("recordings")), continuous, ring_s })
+}
+
+fn http(origin: &Origin<'_>, typed: Option<&as_typed::Http>) -> Result<Option<HttpSettings>, ConfigError> {
+    let Some(typed) = typed.filter(|http| http.enabled.as_ref().is_none_or(|e| *e.get_ref())) else { return Ok(None) };
+    let section = Section { origin, name: "[http]" };
+    let listen = typed.listen.as_ref().map(|listen| address(&section, "listen", listen)).transpose()?;
+    Ok(Some(listen.map_or_else(HttpSettings::default, |listen| HttpSettings { listen })))
 }
 
 fn log(origin: &Origin<'_>, typed: Option<&as_typed::Log>) -> Result<LogSettings, ConfigError> {

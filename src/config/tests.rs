@@ -14,7 +14,13 @@ const CAMERA: &str =
 /// A folder with a calibration, a good picture, a photograph-sized one, a flat one and two masks.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let at = |name: &str| folder.path().join(name);
+    fill(folder.path());
+    folder
+}
+
+/// Writes them into a folder.
+pub(super) fn fill(folder: &Path) {
+    let at = |name: &str| folder.join(name);
     std::fs::write(at("camera.toml"), CAMERA).unwrap();
     // A coarse random checker: plenty of corners at every scale.
     let textured = |w, h| {
@@ -33,7 +39,6 @@ fn folder() -> tempfile::TempDir {
     GrayImage::from_pixel(640, 480, image::Luma([255])).save(at("mask.png")).unwrap();
     GrayImage::new(640, 480).save(at("black.png")).unwrap();
     std::fs::write(at("broken.png"), b"\x89PNG\r\n\x1a\nno").unwrap();
-    folder
 }
 
 const GOOD: &str = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4, 3]\n";
@@ -74,7 +79,8 @@ fn every_key_reaches_the_settings() {
         [[stage.surface]]\nphoto = \"photo.png\"\ncorners_px = [[10, 10], [600, 12.5], [590, 440], [20, 450]]\nsize_m = [4, 3]\n\
         position_m = [1, 2, 3]\norientation_xyzw = [0, 0, 0, 1.0005]\n\
         [[object]]\nname = \"cart\"\n[[object.surface]]\nimage = \"art.png\"\nsize_m = [0.8, 0.6]\n\
-        [tracker]\nthreads = 2\nfeatures = 800\ncoast_s = 0\nconfirm_frames = 3\nseed = 9\n[log]\nlevel = \"debug\"\nformat = \"json\"\n";
+        [tracker]\nthreads = 2\nfeatures = 800\ncoast_s = 0\nconfirm_frames = 3\nseed = 9\n\
+        [recorder]\nfolder = \"takes\"\ncontinuous = true\nring_s = 20\n[log]\nlevel = \"debug\"\nformat = \"json\"\n";
     let s = load(&folder, text).unwrap();
     assert_eq!((s.exposure_s, s.readout_s), (0.01, 0.02));
     assert_eq!(s.mask_for(320, 240).unwrap().dimensions(), (320, 240));
@@ -84,6 +90,7 @@ fn every_key_reaches_the_settings() {
     );
     assert_eq!(s.device.controls["gain"], as_typed::ControlValue::Integer(3));
     assert_eq!((s.tracker.threads, s.tracker.features, s.tracker.coast_s, s.tracker.confirm_frames, s.tracker.seed), (2, 800, 0.0, 3, 9));
+    assert_eq!(s.recorder, RecorderSettings { folder: folder.path().join("takes"), continuous: true, ring_s: 20.0 });
     assert_eq!(s.log, LogSettings { level: LogLevel::Debug, format: LogFormat::Json });
     assert_eq!(s.stage.surfaces[0].pose.translation.as_slice(), [1.0, 2.0, 3.0]);
     assert!((s.stage.surfaces[0].pose.rotation.coords.norm() - 1.0).abs() < 1e-12);
@@ -122,10 +129,9 @@ fn wrong_keys_get_their_place_and_the_nearest_name() {
         (format!("{GOOD}[trackr]"), "stage.toml: unknown section [trackr], line 6; did you mean `tracker`?"),
         (
             format!("a = 1\n{GOOD}"),
-            "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, tracker, log",
+            "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, tracker, recorder, filter, safety, output, http, log",
         ),
-        (format!("{GOOD}[filter]\nx = 1"), "stage.toml: section [filter], line 6, is not available in this version; remove it"),
-        (format!("{GOOD}[[output]]"), "stage.toml: section [output], line 6, is not available in this version; remove it"),
+        (format!("{GOOD}[recorder]\nring = 1"), "stage.toml: unknown key `ring` in [recorder], line 7; did you mean `ring_s`?"),
         (GOOD.replace("\"camera.toml\"", "\"camera.toml"), "stage.toml: line 2 is not TOML: invalid basic string, expected `\"`"),
         (
             GOOD.replace("\"camera.toml\"", "7"),
@@ -188,7 +194,7 @@ fn wrong_values_are_refused() {
         (camera_plus("exposure_s = -0.1"), "`exposure_s` in [camera], line 3: -0.1 cannot be used; give seconds from 0 (unknown) to 1"),
         (camera_plus("readout_s = nan"), "`readout_s` in [camera], line 3: NaN cannot be used; give seconds from 0 (unknown) to 1"),
         (camera_plus("fps = 0"), "`fps` in [camera], line 3: 0 cannot be used; give frames per second, above 0, at most 1000"),
-        (camera_plus("format = \"h264\""), "`format` in [camera], line 3: `h264` cannot be used; give mjpeg, yuyv, nv12 or grey"),
+        (camera_plus("format = \"h264\""), "`format` in [camera], line 3: `h264` cannot be used; give mjpeg, yuyv, nv12, grey or rgb"),
         (
             camera_plus("mask = \"art.png\"").replace("[4, 3]", "[4, 0.0]"),
             "`size_m` in [[stage.surface]], line 6: [4.0, 0.0] cannot be used; give a width and a height above 0 metres",
@@ -308,7 +314,7 @@ fn the_example_has_every_key_and_nothing_else() {
     for (section, keys) in known_keys() {
         let bare = section.trim_matches(['[', ']']);
         assert!(EXAMPLE.contains(section) || keys.contains(&"surface"), "{section} is not in the example");
-        for key in keys.iter().filter(|key| **key != "surface") {
+        for key in keys.iter().filter(|key| !["surface", "value"].contains(*key)) {
             let there = EXAMPLE.lines().any(|line| line.trim_start_matches(['#', ' ']).starts_with(&format!("{key} = ")));
             assert!(there, "{bare}.{key} is not in the example");
         }
@@ -317,7 +323,7 @@ fn the_example_has_every_key_and_nothing_else() {
 
 #[test]
 fn the_example_still_parses_with_every_comment_mark_removed_from_a_key() {
-    let sections = ["[[object]]", "[[object.surface]]", "[[stage.surface]]"];
+    let sections = ["[[object]]", "[[object.surface]]", "[[stage.surface]]", "[[output]]", "[[output.value]]"];
     let keys: Vec<&str> = known_keys().into_iter().flat_map(|(_, keys)| keys.iter().copied()).collect();
     let opened = |line: &str| {
         let bare = line.trim_start_matches(['#', ' ']);

@@ -4,12 +4,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use thiserror::Error;
 
-use super::latest::{LatestSender, latest};
+use super::live::{LiveLink, LiveSource, dropped};
+use super::stale::StaleWatch;
 use super::tracker::{PoseRecorder, Tracker, sight};
-use crate::capture::{FrameSource, Row};
+use crate::capture::moment::monotonic_ns;
+use crate::capture::{FrameSource, Row, RowContent, RowOrder};
+use crate::latest::{LatestSender, latest};
 use crate::record::PoseSample;
 use crate::track::{Matcher, Sighting};
 
@@ -55,6 +58,7 @@ pub struct Daemon {
     observers: Vec<Observer>,
     stop: Arc<AtomicBool>,
     dropped: Arc<AtomicU64>,
+    live: Option<LiveLink>,
 }
 
 enum Subscriber {
@@ -73,7 +77,14 @@ impl Daemon {
     /// A daemon that reads from `source`.
     pub fn new(source: Box<dyn FrameSource>, tracker: Tracker, delivery: Delivery) -> Self {
         let (stop, dropped) = (Arc::default(), Arc::default());
-        Self { source, tracker, delivery, subscribers: Vec::new(), observers: Vec::new(), stop, dropped }
+        Self { source, tracker, delivery, subscribers: Vec::new(), observers: Vec::new(), stop, dropped, live: None }
+    }
+
+    /// A daemon for a camera: drops the oldest, numbers the rows that are tracked, counts what happens, and gives
+    /// subscribers a stale message ([`State::Stale`](crate::record::State::Stale)) when no picture has come for three frame times.
+    pub fn live(source: LiveSource, tracker: Tracker) -> Self {
+        let live = Some(source.link());
+        Self { live, ..Self::new(Box::new(source), tracker, Delivery::DropOldest) }
     }
 
     /// A new subscriber's own channel. It ends when the daemon does. With [`Delivery::Blocking`] a subscriber that does not
@@ -100,14 +111,15 @@ impl Daemon {
 
     /// Starts the three stages.
     pub fn start(self) -> Result<RunningDaemon, DaemonError> {
-        let Self { source, tracker, delivery, subscribers, observers, stop, dropped } = self;
+        let Self { source, tracker, delivery, subscribers, observers, stop, dropped, live } = self;
         let Tracker { matcher, poses } = tracker;
         let (to_matcher, rows) = row_channel(delivery);
         let (to_pose, sightings) = bounded(QUEUE);
-        let capture = Capture { source, to_matcher, stop: stop.clone(), dropped: dropped.clone() };
+        let capture = Capture { source, to_matcher, stop: stop.clone(), dropped: dropped.clone(), live: live.clone() };
+        let (order, watch) = (live.as_ref().map(|_| RowOrder::default()), live.map(StaleWatch::new));
         let mut stages = vec![spawn("capture", move || capture.run())?];
-        stages.push(spawn("matcher", move || match_rows(matcher, &rows, &to_pose))?);
-        stages.push(spawn("pose", move || publish(poses, &sightings, observers, subscribers))?);
+        stages.push(spawn("matcher", move || match_rows(matcher, order, &rows, &to_pose))?);
+        stages.push(spawn("pose", move || publish(poses, &sightings, observers, subscribers, watch))?);
         Ok(RunningDaemon { stages, stop, dropped })
     }
 }
@@ -126,6 +138,11 @@ impl RunningDaemon {
     /// Frames dropped because the matcher was late.
     pub fn dropped_frames(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
+    }
+
+    /// True once a stage has ended: the stream is over, or one of them failed; [`join`](Self::join) tells.
+    pub fn has_ended(&self) -> bool {
+        self.stages.iter().any(|(_, handle)| handle.is_finished())
     }
 
     /// Waits for the end of the stream.
@@ -169,6 +186,7 @@ struct Capture {
     to_matcher: RowSender,
     stop: Arc<AtomicBool>,
     dropped: Arc<AtomicU64>,
+    live: Option<LiveLink>,
 }
 
 impl Capture {
@@ -182,34 +200,84 @@ impl Capture {
                     }
                 }
                 RowSender::Latest(sender) => {
-                    self.dropped.fetch_add(sender.send(row) as u64, Ordering::Relaxed);
+                    let late = |row: Row| self.live.iter().for_each(|live| dropped(live, row.timestamp_ns));
+                    self.dropped.fetch_add(sender.send_dropping(row, late) as u64, Ordering::Relaxed);
                 }
             }
         }
     }
 }
 
-fn match_rows(mut matcher: Matcher, rows: &Receiver<Row>, to_pose: &Sender<(Row, Sighting)>) {
+/// A row, what the matcher makes of it, and how old it was when that began.
+struct Seen {
+    row: Row,
+    sighting: Sighting,
+    age_ms: Option<f64>,
+}
+
+/// `order` numbers the rows of a camera as they are tracked, after some were dropped.
+fn match_rows(mut matcher: Matcher, mut order: Option<RowOrder>, rows: &Receiver<Row>, to_pose: &Sender<Seen>) {
     for row in rows {
+        let age_ms = order.as_ref().map(|_| monotonic_ns().saturating_sub(row.timestamp_ns) as f64 * 1e-6);
+        let row = match &mut order {
+            Some(order) => order.admit(row),
+            None => row,
+        };
         let sighting = sight(&mut matcher, &row);
-        if to_pose.send((row, sighting)).is_err() {
+        if to_pose.send(Seen { row, sighting, age_ms }).is_err() {
             return;
         }
     }
 }
 
-fn publish(mut poses: PoseRecorder, sightings: &Receiver<(Row, Sighting)>, mut observers: Vec<Observer>, mut subscribers: Vec<Subscriber>) {
-    for (row, sighting) in sightings {
-        let sample = poses.sample(&sighting, row.decode.as_secs_f64() * 1e3);
-        for observer in &mut observers {
-            observer(&row, &sample);
-        }
-        subscribers.retain(|s| match s {
-            Subscriber::Blocking(sender) => sender.send(sample.clone()).is_ok(),
-            Subscriber::Latest(sender) => {
-                sender.send(sample.clone());
-                true
+fn publish(
+    mut poses: PoseRecorder,
+    sightings: &Receiver<Seen>,
+    mut observers: Vec<Observer>,
+    mut subscribers: Vec<Subscriber>,
+    mut watch: Option<StaleWatch>,
+) {
+    loop {
+        let next = match &watch {
+            Some(watch) => sightings.recv_timeout(watch.wait()),
+            None => sightings.recv().map_err(RecvTimeoutError::from),
+        };
+        match next {
+            Ok(Seen { row, sighting, age_ms }) => {
+                let mut sample = poses.sample(&sighting, row.decode.as_secs_f64() * 1e3);
+                sample.times.age_ms = age_ms;
+                if let Some(watch) = &mut watch {
+                    watch.seen(&sample);
+                    count(watch.link(), &row, &sample);
+                }
+                observers.iter_mut().for_each(|observer| observer(&row, &sample));
+                deliver(&mut subscribers, &sample);
             }
-        });
+            Err(RecvTimeoutError::Timeout) => {
+                if let Some(stale) = watch.as_mut().and_then(StaleWatch::check) {
+                    deliver(&mut subscribers, &stale);
+                }
+            }
+            Err(RecvTimeoutError::Disconnected) => return,
+        }
     }
+}
+
+fn count(live: &LiveLink, row: &Row, sample: &PoseSample) {
+    match row.content {
+        RowContent::Frame(_) => {}
+        RowContent::Undecodable(_) => live.statistics.undecodable_row(),
+        RowContent::Skipped(_) => live.statistics.skipped_row(),
+    }
+    live.statistics.sample(sample);
+}
+
+fn deliver(subscribers: &mut Vec<Subscriber>, sample: &PoseSample) {
+    subscribers.retain(|s| match s {
+        Subscriber::Blocking(sender) => sender.send(sample.clone()).is_ok(),
+        Subscriber::Latest(sender) => {
+            sender.send(sample.clone());
+            true
+        }
+    });
 }

@@ -6,7 +6,7 @@ use crate::camera::CameraModel;
 use crate::compute_clock::ComputeClock;
 use crate::capture::{Row, RowContent};
 use crate::frame::Frame;
-use crate::pose::{BodyEstimate, PoseEstimate, PoseStage};
+use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
 use crate::track::{BodySpec, LockState, Matcher, Sighting, TrackerSettings};
 
@@ -59,6 +59,12 @@ impl Tracker {
         Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names } }
     }
 
+    /// With a filter between the measured pose and the one for use; from the next frame on.
+    pub fn with_filter(mut self, filter: FilterSettings) -> Self {
+        self.poses.stage = PoseStage::with_filter(filter);
+        self
+    }
+
     /// Tracks one frame. Frames must come in the order of their stamps.
     pub fn track(&mut self, frame: &Frame) -> PoseSample {
         let sighting = self.matcher.look(frame);
@@ -97,7 +103,7 @@ impl PoseRecorder {
             pose: camera.pose,
             measurement,
             objects,
-            times: StageTimes { decode_ms, acquire_ms: sighting.acquire_ms, align_ms: sighting.align_ms, pose_ms },
+            times: StageTimes { decode_ms, acquire_ms: sighting.acquire_ms, align_ms: sighting.align_ms, pose_ms, age_ms: None },
         }
     }
 }

@@ -1,10 +1,12 @@
 //! The pose stage: from what a frame showed to what is said of the camera - poses turned into the stage
-//! frame with their covariance, and the prediction while coasting.
+//! frame with their covariance, the filter where one is wanted, and the prediction while coasting.
 
 mod covariance;
+mod filter;
 mod prediction;
 mod stage;
 
 pub use covariance::{covariance_of_camera, covariance_of_object};
+pub use filter::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
 pub use prediction::MotionHistory;
 pub use stage::{BodyEstimate, PoseEstimate, PoseStage};

@@ -3,6 +3,7 @@
 use nalgebra::Matrix6;
 
 use super::covariance::{covariance_of_camera, covariance_of_object};
+use super::filter::{FilterSettings, PoseFilter};
 use super::prediction::MotionHistory;
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::track::{BodySighting, LockState, Sighting};
@@ -12,7 +13,7 @@ use crate::track::{BodySighting, LockState, Sighting};
 pub struct BodyEstimate<From> {
     /// The state to publish.
     pub state: LockState,
-    /// For use: measured, or predicted while coasting.
+    /// For use: measured (filtered where a filter is set), or predicted while coasting.
     pub pose: Option<Pose<Stage, From>>,
     /// Measured in this frame, with the covariance of [δp, δθ] in stage axes.
     pub measured: Option<(Pose<Stage, From>, Matrix6<f64>)>,
@@ -28,18 +29,48 @@ pub struct PoseEstimate {
 }
 
 /// Turns sightings into estimates; remembers motion for the prediction.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct PoseStage {
-    camera: MotionHistory<Stage, Camera>,
-    objects: Vec<MotionHistory<Stage, Body>>,
+    filter: FilterSettings,
+    camera: BodyMotion<Camera>,
+    objects: Vec<BodyMotion<Body>>,
+}
+
+/// What is remembered of one body's motion.
+#[derive(Debug)]
+struct BodyMotion<From> {
+    history: MotionHistory<Stage, From>,
+    filter: PoseFilter<From>,
+}
+
+impl<From> BodyMotion<From> {
+    fn new(filter: FilterSettings) -> Self {
+        Self { history: MotionHistory::default(), filter: PoseFilter::new(filter) }
+    }
+}
+
+impl Default for PoseStage {
+    /// Without a filter.
+    fn default() -> Self {
+        Self::with_filter(FilterSettings::default())
+    }
 }
 
 impl PoseStage {
+    /// With the filter that `[filter]` asks for, one for every body.
+    pub fn with_filter(filter: FilterSettings) -> Self {
+        Self { filter, camera: BodyMotion::new(filter), objects: Vec::new() }
+    }
+
     /// Takes the sighting of the next frame.
     pub fn estimate(&mut self, sighting: &Sighting) -> PoseEstimate {
-        self.objects.resize_with(sighting.objects.len(), MotionHistory::default);
+        let filter = self.filter;
+        self.objects.resize_with(sighting.objects.len(), || BodyMotion::new(filter));
         if !sighting.is_timed {
-            return PoseEstimate { camera: unseen(&self.camera), objects: self.objects.iter().map(unseen).collect() };
+            return PoseEstimate {
+                camera: unseen(&self.camera.history),
+                objects: self.objects.iter().map(|o| unseen(&o.history)).collect(),
+            };
         }
         let seen = sighting.stage.verified.as_ref().map(|v| {
             // The stage's body frame is the stage frame.
@@ -51,7 +82,7 @@ impl PoseStage {
             .objects
             .iter()
             .zip(&mut self.objects)
-            .map(|(object, history)| object_estimate(object, &camera, sighting.timestamp_ns, history))
+            .map(|(object, motion)| object_estimate(object, &camera, sighting.timestamp_ns, motion))
             .collect();
         PoseEstimate { camera, objects }
     }
@@ -62,7 +93,7 @@ fn object_estimate(
     object: &BodySighting,
     camera: &BodyEstimate<Camera>,
     timestamp_ns: i64,
-    history: &mut MotionHistory<Stage, Body>,
+    motion: &mut BodyMotion<Body>,
 ) -> BodyEstimate<Body> {
     let state = match (object.state, camera.state) {
         (LockState::Tracking, LockState::Tracking) => LockState::Tracking,
@@ -76,7 +107,7 @@ fn object_estimate(
         }
         _ => None,
     };
-    settle(state, measured, timestamp_ns, history)
+    settle(state, measured, timestamp_ns, motion)
 }
 
 /// Fits pose and state together: measured while tracking, predicted while coasting, nothing else.
@@ -84,17 +115,21 @@ fn settle<From>(
     state: LockState,
     measured: Option<(Pose<Stage, From>, Matrix6<f64>)>,
     timestamp_ns: i64,
-    history: &mut MotionHistory<Stage, From>,
+    motion: &mut BodyMotion<From>,
 ) -> BodyEstimate<From> {
+    let BodyMotion { history, filter } = motion;
     if let (LockState::Tracking, Some((pose, covariance))) = (state, measured) {
         history.measured(timestamp_ns, &pose);
-        return BodyEstimate { state, pose: Some(pose), measured: Some((pose, covariance)) };
+        let told = filter.measured(timestamp_ns, &pose, &covariance);
+        return BodyEstimate { state, pose: Some(told), measured: Some((pose, covariance)) };
     }
     let predicted = history.predicted(timestamp_ns).filter(|_| matches!(state, LockState::Tracking | LockState::Coasting));
     if let Some(pose) = predicted {
+        let pose = filter.predicted(timestamp_ns).unwrap_or(pose);
         return BodyEstimate { state: LockState::Coasting, pose: Some(pose), measured: None };
     }
     history.reset();
+    filter.reset();
     unseen(history)
 }
 

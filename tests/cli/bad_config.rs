@@ -25,10 +25,10 @@ fn unknown_key() {
 }
 
 #[test]
-fn section_of_a_later_version() {
+fn unknown_section() {
     let scene = Scene::new();
-    scene.write("stage.toml", &format!("{CONFIG}[filter]\n"));
-    assert_refused(&scene, &["section [filter], line 6, is not available in this version; remove it"]);
+    scene.write("stage.toml", &format!("{CONFIG}[recoder]\n"));
+    assert_refused(&scene, &["unknown section [recoder], line 6; did you mean `recorder`?"]);
 }
 
 #[test]

@@ -3,5 +3,6 @@
 mod bad_clip;
 mod bad_config;
 mod good;
+mod outputs;
 pub mod scene;
 mod usage;

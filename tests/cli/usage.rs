@@ -5,10 +5,10 @@ use super::scene::Scene;
 #[test]
 fn every_command_has_help_with_an_example() {
     let scene = Scene::new();
-    let commands =
-        [&["--help"][..], &["replay", "--help"], &["check", "--help"], &["demo", "--help"], &["calibrate", "--help"], &["board", "--help"]];
+    let names = ["replay", "check", "demo", "calibrate", "board", "devices", "run", "record", "send-test", "listen"];
+    let commands = names.map(|name| vec![name, "--help"]).into_iter().chain([vec!["--help"]]);
     for command in commands {
-        let run = scene.run(command);
+        let run = scene.run(&command);
         run.assert_success();
         assert!(run.stdout.contains("Example:\n  stagepose "), "{command:?}: {}", run.stdout);
     }
@@ -17,7 +17,7 @@ fn every_command_has_help_with_an_example() {
 #[test]
 fn bad_usage_ends_with_2() {
     let scene = Scene::new();
-    let cases: [&[&str]; 7] = [
+    let cases: [&[&str]; 10] = [
         &[],
         &["dance"],
         &["replay"],
@@ -25,6 +25,9 @@ fn bad_usage_ends_with_2() {
         &["replay", "clip", "--config", "stage.toml", "--fps", "0"],
         &["replay", "clip", "--config", "stage.toml", "--threads", "0"],
         &["replay", "clip", "--config", "stage.toml", "--log", "loud"],
+        &["listen", "freed", "0"],
+        &["listen", "vrpn", "4000"],
+        &["send-test", "--config", "stage.toml", "--fps", "0"],
     ];
     for arguments in cases {
         let run = scene.run(arguments);

@@ -74,7 +74,7 @@ impl FrameSource for Beats {
         let sequence = self.next;
         self.next += 1;
         let content = RowContent::Undecodable("nothing to see".into());
-        Some(Row { sequence, timestamp_ns: sequence as i64 * 33_333_333, content, decode: Duration::ZERO })
+        Some(Row { sequence, timestamp_ns: sequence as i64 * 33_333_333, content, decode: Duration::ZERO, received: None })
     }
 
     fn size(&self) -> (u32, u32) {

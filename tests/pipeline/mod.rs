@@ -5,7 +5,7 @@ mod objects;
 mod photo;
 mod poses;
 mod record_line;
-mod scene;
+pub mod scene;
 mod shutter;
 mod states;
 mod two_view;

@@ -3,7 +3,7 @@
 use std::io::{self, IsTerminal, Stdout, Write};
 
 use crate::geometry::{Camera, Pose, Stage};
-use crate::record::{PoseSample, State};
+use crate::record::PoseSample;
 
 /// Where nobody watches, one frame of so many makes a line.
 const LINE_EVERY: u64 = 15;
@@ -50,12 +50,7 @@ impl<W: Write> LivePrint<W> {
 }
 
 fn line(sample: &PoseSample, truth: &Pose<Stage, Camera>) -> String {
-    let state = match sample.state {
-        State::Searching => "searching",
-        State::Tracking => "tracking",
-        State::Coasting => "coasting",
-        State::Lost => "lost",
-    };
+    let state = sample.state.word();
     let start = format!("{:>6} {state:<9}", sample.sequence);
     let Some(pose) = &sample.pose else { return start };
     let (p, [x, y, z, w]) = (pose.translation, pose.orientation_xyzw());

@@ -3,7 +3,7 @@
 mod overlays;
 mod paced;
 mod progress;
-mod records;
+pub(in crate::cli) mod records;
 mod summary;
 
 use std::path::{Path, PathBuf};
@@ -15,9 +15,11 @@ use crossbeam_channel::{Receiver, RecvTimeoutError};
 use super::failure::Failure;
 use super::interrupt;
 use super::logging::{self, LogArguments};
+use super::receivers::Receivers;
 use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip};
 use crate::config::Settings;
 use crate::daemon::{Daemon, Delivery, Tracker, TrackerSetup};
+use crate::publish::Stamps;
 use crate::record::PoseSample;
 use overlays::Overlays;
 use paced::Paced;
@@ -54,7 +56,7 @@ pub(super) struct ReplayArguments {
     /// Play at the pace of the stamps instead of as fast as possible
     #[arg(long)]
     realtime: bool,
-    /// Send to the outputs of the config too
+    /// Send to the outputs of the config too, and serve [http], at the pace of the stamps
     #[arg(long)]
     outputs: bool,
     /// Write every frame as a picture with the surfaces, the axes and the state drawn on it
@@ -82,7 +84,7 @@ struct RowTally {
 pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), Failure> {
     let uses_stdout = arguments.one_stdout()?;
     let settings = Settings::load(&arguments.config)?;
-    if arguments.outputs {
+    if arguments.outputs && settings.http.is_none() && !settings.outputs.iter().any(|output| output.enabled) {
         let file = arguments.config.display();
         return Err(Failure::Usage(format!("{file}: there is no [[output]] section to send to; leave --outputs away")));
     }
@@ -91,13 +93,20 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     interrupt::watch();
     let source = open_clip(&arguments.clip, ClipOptions { fps: arguments.fps })?;
     let setup = tracker_setup(&settings, source.size(), arguments.threads)?;
+    let receivers = arguments.outputs.then(|| Receivers::start(&settings, setup.camera, Stamps::Recorded, arguments.fps)).transpose()?;
     let mut records = Records::create(arguments.poses.as_deref(), arguments.tum.as_deref(), arguments.realtime)?;
     let mut summary = arguments.summary.as_deref().map(records::Output::create).transpose()?;
     let overlays = arguments.overlay.as_deref().map(|dir| Overlays::create(dir, &setup)).transpose()?;
 
-    let source: Box<dyn FrameSource> = if arguments.realtime { Box::new(Paced::new(source)) } else { source };
+    // What is sent is sent at the pace at which it was recorded.
+    let source: Box<dyn FrameSource> = if arguments.realtime || arguments.outputs { Box::new(Paced::new(source)) } else { source };
     let mut tally = Tally::new(started);
-    let rows = track(source, setup, overlays, &mut records, &mut tally)?;
+    let tracker = Tracker::new(setup).with_filter(settings.filter);
+    let mut writing = Writing { records: &mut records, tally: &mut tally, receivers: receivers.as_ref() };
+    let rows = track(source, tracker, overlays, &mut writing)?;
+    if let Some(receivers) = receivers {
+        receivers.close();
+    }
     tally.set_rows(rows.undecodable, rows.skipped);
     if let Some(output) = &mut summary {
         output.write_all_and_flush(&tally.summary_json())?;
@@ -106,17 +115,34 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     summary::print_table(&tally, uses_stdout)
 }
 
+/// Where every sample goes as it comes.
+struct Writing<'a> {
+    records: &'a mut Records,
+    tally: &'a mut Tally,
+    receivers: Option<&'a Receivers>,
+}
+
+impl Writing<'_> {
+    fn take(&mut self, sample: &PoseSample) -> Result<(), Failure> {
+        // Receivers first: they wait for it.
+        if let Some(receivers) = self.receivers {
+            receivers.send(sample);
+        }
+        self.tally.add(sample);
+        self.records.write(sample)
+    }
+}
+
 /// Runs the daemon over the clip; samples are written as they come.
 fn track(
     source: Box<dyn FrameSource>,
-    setup: TrackerSetup,
+    tracker: Tracker,
     mut overlays: Option<Overlays>,
-    records: &mut Records,
-    tally: &mut Tally,
+    writing: &mut Writing<'_>,
 ) -> Result<RowTally, Failure> {
     let progress = Progress::start(source.rows());
     let rows = Arc::new(Mutex::new(RowTally::default()));
-    let mut daemon = Daemon::new(source, Tracker::new(setup), Delivery::Blocking);
+    let mut daemon = Daemon::new(source, tracker, Delivery::Blocking);
     let samples = daemon.subscribe();
     let seen = Arc::clone(&rows);
     daemon.observe(move |row, sample| {
@@ -127,35 +153,27 @@ fn track(
         }
     });
     let running = daemon.start().map_err(|e| Failure::Tracking(e.to_string()))?;
-    let mut written = follow(&samples, &rows, records, tally, &progress);
+    let mut written = follow(&samples, &rows, writing, &progress);
     running.stop();
     // What is under way comes to its end; its records are written too, unless writing is what failed.
     for sample in samples {
-        tally.add(&sample);
-        written = written.and_then(|()| records.write(&sample));
+        written = written.and_then(|()| writing.take(&sample));
     }
     let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
     progress.finish();
     written.and(joined)?;
-    records.finish()?;
+    writing.records.finish()?;
     Ok(std::mem::take(&mut *lock(&rows)))
 }
 
 /// Writes samples until the clip ends, Ctrl-C is pressed, or something cannot be written.
-fn follow(
-    samples: &Receiver<PoseSample>,
-    rows: &Mutex<RowTally>,
-    records: &mut Records,
-    tally: &mut Tally,
-    progress: &Progress,
-) -> Result<(), Failure> {
+fn follow(samples: &Receiver<PoseSample>, rows: &Mutex<RowTally>, writing: &mut Writing<'_>, progress: &Progress) -> Result<(), Failure> {
     while !interrupt::is_interrupted() && lock(rows).overlay_failure.is_none() {
         // The time limit lets Ctrl-C through while no frame comes.
         match samples.recv_timeout(Duration::from_millis(100)) {
             Ok(sample) => {
-                tally.add(&sample);
                 progress.advance();
-                records.write(&sample)?;
+                writing.take(&sample)?;
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => break,
@@ -170,7 +188,11 @@ fn lock(rows: &Mutex<RowTally>) -> MutexGuard<'_, RowTally> {
 }
 
 /// A tracker for pictures of a size.
-fn tracker_setup(settings: &Settings, (width, height): (u32, u32), threads: Option<u64>) -> Result<TrackerSetup, Failure> {
+pub(in crate::cli) fn tracker_setup(
+    settings: &Settings,
+    (width, height): (u32, u32),
+    threads: Option<u64>,
+) -> Result<TrackerSetup, Failure> {
     let (camera, note) = settings.camera_for(width, height)?;
     if let Some(note) = note {
         tracing::warn!("{note}");

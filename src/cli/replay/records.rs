@@ -11,7 +11,7 @@ use crate::record::PoseSample;
 pub(super) const STDOUT: &str = "-";
 
 /// A file or stdout, with its name for messages.
-pub(super) struct Output {
+pub(in crate::cli) struct Output {
     file: PathBuf,
     writer: BufWriter<Box<dyn Write>>,
 }
@@ -43,7 +43,7 @@ impl Output {
 }
 
 /// `--poses` and `--tum`.
-pub(super) struct Records {
+pub(in crate::cli) struct Records {
     poses: Option<Output>,
     tum: Option<Output>,
     /// A reader that follows the clip in real time wants every line when it is due.

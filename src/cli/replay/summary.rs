@@ -15,7 +15,7 @@ use crate::record::{PoseSample, StageTimes, State};
 /// What a replay came to, sample by sample.
 pub(super) struct Tally {
     started: Instant,
-    states: [u64; 4],
+    states: [u64; 5],
     undecodable: u64,
     skipped: u64,
     first_pose_ms: Option<f64>,
@@ -70,7 +70,7 @@ impl Percentiles {
 impl Tally {
     /// `started` is when the process began.
     pub fn new(started: Instant) -> Self {
-        Self { started, states: [0; 4], undecodable: 0, skipped: 0, first_pose_ms: None, times: Default::default() }
+        Self { started, states: [0; 5], undecodable: 0, skipped: 0, first_pose_ms: None, times: Default::default() }
     }
 
     /// Counts one sample.
@@ -79,7 +79,7 @@ impl Tally {
         if sample.state == State::Tracking && self.first_pose_ms.is_none() {
             self.first_pose_ms = Some(self.started.elapsed().as_secs_f64() * 1e3);
         }
-        let StageTimes { decode_ms, acquire_ms, align_ms, pose_ms } = sample.times;
+        let StageTimes { decode_ms, acquire_ms, align_ms, pose_ms, .. } = sample.times;
         let row = [decode_ms, acquire_ms, align_ms, pose_ms, acquire_ms + align_ms + pose_ms];
         self.times.iter_mut().zip(row).for_each(|(times, ms)| times.push(ms));
     }
@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     fn sample(state: State, ms: f64) -> PoseSample {
-        let times = StageTimes { decode_ms: 1.0, acquire_ms: ms, align_ms: 2.0, pose_ms: 0.5 };
+        let times = StageTimes { decode_ms: 1.0, acquire_ms: ms, align_ms: 2.0, pose_ms: 0.5, age_ms: None };
         PoseSample { sequence: 0, timestamp_ns: 0, state, pose: None, measurement: None, objects: Vec::new(), times }
     }
 

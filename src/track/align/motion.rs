@@ -180,7 +180,7 @@ mod tests {
             let after = m.after(tau);
             let [r0, r1, r2] = m.rotation_polynomial();
             let [p0, p1, p2] = m.centre_polynomial();
-            assert!((r0 + r1 * tau + r2 * (tau * tau) - after.pose.rotation_matrix()).norm() < 3e-6);
+            assert!((r0 + r1 * tau + r2 * (tau * tau) - after.pose.rotation_matrix()).norm() < 1e-5);
             assert!((p0 + p1 * tau + p2 * (tau * tau) - after.pose.translation).norm() < 1e-12);
         }
     }

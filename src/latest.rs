@@ -23,6 +23,11 @@ pub fn latest<T>(capacity: usize) -> (LatestSender<T>, Receiver<T>) {
 impl<T> LatestSender<T> {
     /// Sends without ever waiting; gives the number of oldest entries that were dropped to make room.
     pub fn send(&self, entry: T) -> usize {
+        self.send_dropping(entry, |_| {})
+    }
+
+    /// As [`send`](Self::send); `on_drop` gets what is dropped.
+    pub fn send_dropping(&self, entry: T, mut on_drop: impl FnMut(T)) -> usize {
         let mut entry = entry;
         let mut dropped = 0;
         loop {
@@ -31,8 +36,9 @@ impl<T> LatestSender<T> {
                 // `drain` keeps the channel connected, so this is the only other answer.
                 Err(TrySendError::Full(back) | TrySendError::Disconnected(back)) => entry = back,
             }
-            if self.drain.try_recv().is_ok() {
+            if let Ok(oldest) = self.drain.try_recv() {
                 dropped += 1;
+                on_drop(oldest);
             }
         }
     }

@@ -1,0 +1,99 @@
+"""What a prediction is worth: rendered clips are tracked with [filter] kinds and the given poses are held against the exact truth.
+
+    python benches/prediction.py FOLDER [CLIP ...] [--ahead 0.033] [--check]
+
+FOLDER has clips as benches/clips.py leaves them (frames, stage.toml, groundtruth.txt). Printed for each clip and filter: the error of
+the position told for `ahead` seconds after the frame, as a share of the error of sending the measured pose (root mean square and
+median), and for a still clip the scatter of the predicted positions as a share of the measured ones'. --check fails beyond the bars.
+"""
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+# Greatest share of the error of the measured pose that a prediction may have; greatest growth of the scatter at rest.
+ERROR_BARS = {"d-dolly": 0.05, "d-handheld": 0.4}
+SCATTER_BAR = 1.5
+SETTLED = 10  # poses: a third of a second until the velocity is known
+
+
+def truth_at(folder):
+    rows = np.loadtxt(folder / "groundtruth.txt")
+    t, p = rows[:, 0], rows[:, 1:4]
+
+    def at(when):
+        """Through the four truths around (Catmull-Rom): at 30 frames a second good to microns."""
+        k = int(np.clip(np.searchsorted(t, when) - 1, 1, len(t) - 3))
+        s = (when - t[k]) / (t[k + 1] - t[k])
+        a, b, c, d = p[k - 1 : k + 3]
+        return b + 0.5 * s * (c - a + s * (2 * a - 5 * b + 4 * c - d + s * (3 * (b - c) + d - a)))
+
+    return at, t[1], t[-2]
+
+
+def track(binary, folder, kind, ahead):
+    stage = re.sub(r'(calibration|image|photo|mask) = "', rf'\1 = "{folder.resolve()}/', (folder / "stage.toml").read_text())
+    with tempfile.TemporaryDirectory() as temporary:
+        config, poses = Path(temporary) / "stage.toml", Path(temporary) / "poses.jsonl"
+        config.write_text(f'{stage}\n[filter]\nkind = "{kind}"\npredict_s = {ahead}\n')
+        command = [binary, "replay", folder, "--config", config, "--poses", poses]
+        subprocess.run([str(c) for c in command], check=True, capture_output=True)
+        return [json.loads(line) for line in poses.read_text().splitlines()]
+
+
+def score(records, folder, ahead):
+    at, first, last = truth_at(folder)
+    told, held, predicted, measured, run = [], [], [], [], 0
+    for record in records:
+        run = run + 1 if record["state"] == "tracking" else 0
+        when = record["timestamp_ns"] * 1e-9 + ahead
+        if run <= SETTLED or not first <= when <= last:
+            continue
+        predicted.append(record["pose"]["position_m"])
+        measured.append(record["measured"]["position_m"])
+        told.append(np.linalg.norm(predicted[-1] - at(when)))
+        held.append(np.linalg.norm(measured[-1] - at(when)))
+    told, held = np.array(told), np.array(held)
+    scatter = np.sqrt(np.var(predicted, axis=0).sum() / np.var(measured, axis=0).sum())
+    moved = np.ptp(np.array([at(w) for w in np.linspace(first, last, 50)]), axis=0).max()
+    return {
+        "poses": len(told), "held_mm": 1e3 * np.sqrt(np.mean(held**2)), "rms": np.sqrt(np.mean(told**2) / np.mean(held**2)),
+        "median": np.median(told) / np.median(held), "scatter": scatter, "is_still": moved < 1e-6,
+    }
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("clips", nargs="*", default=["d-dolly", "d-handheld", "d-still"])
+    parser.add_argument("--binary", type=Path, default=ROOT / "target/release/stagepose")
+    parser.add_argument("--ahead", type=float, default=0.033)
+    parser.add_argument("--kinds", nargs="+", default=["kalman"])
+    parser.add_argument("--check", action="store_true")
+    a = parser.parse_args()
+    failed = False
+    for clip in a.clips:
+        for kind in a.kinds:
+            s = score(track(a.binary, a.folder / clip, kind, a.ahead), a.folder / clip, a.ahead)
+            if s["is_still"]:
+                verdict, text = s["scatter"] <= SCATTER_BAR, f"scatter x {s['scatter']:.2f} (bar {SCATTER_BAR})"
+            else:
+                bar = ERROR_BARS.get(clip, float("inf"))
+                verdict = s["rms"] <= bar
+                text = f"error x {s['rms']:.3f} rms, x {s['median']:.3f} median of {s['held_mm']:.1f} mm (bar {bar})"
+            # The bars are for the filter that is made for it.
+            verdict |= kind != "kalman"
+            failed |= not verdict
+            print(f"{clip:12} {kind:9} +{1e3 * a.ahead:.0f} ms, {s['poses']} poses: {text}{'' if verdict else '  <-- beyond the bar'}", flush=True)
+    sys.exit(1 if a.check and failed else 0)
+
+
+if __name__ == "__main__":
+    main()

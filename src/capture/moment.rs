@@ -1,0 +1,71 @@
+//! When a picture was taken: from the driver's stamp to the middle of the exposure of the middle row.
+//!
+//! Drivers stamp the start of the exposure or the end of the frame; the pipeline speaks of the middle row at
+//! mid-exposure (rows are read out from top to bottom over `readout_s`). The time of reading is hundreds of
+//! milliseconds late at worst, and taken only where a driver gives nothing else.
+
+use nix::time::{ClockId, clock_gettime};
+
+/// A driver's stamp, monotonic nanoseconds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DriverStamp {
+    /// When the exposure of the first row began.
+    StartOfExposure(i64),
+    /// When the last row had been received.
+    EndOfFrame(i64),
+    /// When the middle row was at mid-exposure: a recorded stamp.
+    MidExposure(i64),
+    /// The driver gave none.
+    None,
+}
+
+/// Monotonic nanoseconds now, on the clock that drivers stamp with.
+pub fn monotonic_ns() -> i64 {
+    // CLOCK_MONOTONIC cannot fail on Linux; 0 would make every stamp implausible, which is said.
+    clock_gettime(ClockId::CLOCK_MONOTONIC).map_or(0, |t| t.tv_sec() * 1_000_000_000 + t.tv_nsec())
+}
+
+/// Oldest picture that a driver may hand out, nanoseconds; a stamp beyond it is on another clock.
+const OLDEST_NS: i64 = 5_000_000_000;
+
+/// When the middle row was at mid-exposure, and whether the driver's stamp says it (else it is reckoned from the arrival).
+///
+/// `exposure_s` and `readout_s` are 0 where unknown.
+pub fn mid_exposure_ns(stamp: DriverStamp, arrival_ns: i64, exposure_s: f64, readout_s: f64) -> (i64, bool) {
+    let half_ns = ((exposure_s + readout_s) * 0.5e9).round() as i64;
+    let plausible = |at: i64| at <= arrival_ns && arrival_ns - at < OLDEST_NS && at > 0;
+    match stamp {
+        DriverStamp::StartOfExposure(at) if plausible(at) => (at + half_ns, true),
+        DriverStamp::EndOfFrame(at) if plausible(at) => (at - half_ns, true),
+        DriverStamp::MidExposure(at) => (at, true),
+        _ => (arrival_ns - half_ns, false),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_kinds_of_stamp_lead_to_the_same_moment() {
+        // Exposure 10 ms, readout 20 ms: the first row begins at 0, the last one ends at 30 ms, the middle of both is at 15 ms.
+        let (now, exposure_s, readout_s) = (2_000_000_000, 0.01, 0.02);
+        let start = mid_exposure_ns(DriverStamp::StartOfExposure(1_000_000_000), now, exposure_s, readout_s);
+        let end = mid_exposure_ns(DriverStamp::EndOfFrame(1_030_000_000), now, exposure_s, readout_s);
+        assert_eq!((start, end), ((1_015_000_000, true), (1_015_000_000, true)));
+    }
+
+    #[test]
+    fn a_stamp_of_another_clock_is_no_stamp() {
+        for stamp in [0, -5, 9_000_000_000, 20_000_000_000] {
+            assert_eq!(mid_exposure_ns(DriverStamp::StartOfExposure(stamp), 15_000_000_000, 0.0, 0.0), (15_000_000_000, false), "{stamp}");
+        }
+        assert_eq!(mid_exposure_ns(DriverStamp::None, 15_000_000_000, 0.01, 0.03), (14_980_000_000, false));
+    }
+
+    #[test]
+    fn the_clock_runs() {
+        let first = monotonic_ns();
+        assert!(first > 0 && monotonic_ns() >= first);
+    }
+}

@@ -1,0 +1,78 @@
+//! The order of rows: every row gets the next number, and a stamp that does not follow the last one is refused.
+//!
+//! Clips and the live pipeline share this rule, so that a recording replays as it was tracked.
+
+use super::{Row, RowContent};
+
+/// Numbers rows and watches their stamps.
+#[derive(Debug, Clone, Default)]
+pub struct RowOrder {
+    next_sequence: u64,
+    last_stamp_ns: Option<i64>,
+}
+
+impl RowOrder {
+    /// The number of the next row.
+    pub fn number(&mut self) -> u64 {
+        self.next_sequence += 1;
+        self.next_sequence - 1
+    }
+
+    /// Rows numbered so far.
+    pub fn rows(&self) -> u64 {
+        self.next_sequence
+    }
+
+    /// The last stamp that followed.
+    pub fn last_stamp_ns(&self) -> Option<i64> {
+        self.last_stamp_ns
+    }
+
+    /// Takes note of a row's stamp.
+    ///
+    /// # Errors
+    /// The reason as a sentence, where it does not follow the last one.
+    pub fn follow(&mut self, stamp_ns: i64) -> Result<(), String> {
+        if let Some(last) = self.last_stamp_ns
+            && stamp_ns <= last
+        {
+            return Err(format!("the time stamp {stamp_ns} does not follow {last}"));
+        }
+        self.last_stamp_ns = Some(stamp_ns);
+        Ok(())
+    }
+
+    /// A live row as a replay of the same rows would give it.
+    pub fn admit(&mut self, mut row: Row) -> Row {
+        row.sequence = self.number();
+        match (self.follow(row.timestamp_ns), &mut row.content) {
+            (Err(reason), content) => *content = RowContent::Skipped(reason),
+            (Ok(()), RowContent::Frame(frame)) => frame.sequence = row.sequence,
+            (Ok(()), _) => {}
+        }
+        row
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn a_stamp_that_stands_still_or_goes_back_is_skipped_and_costs_only_itself() {
+        let row = |timestamp_ns| Row {
+            sequence: 77,
+            timestamp_ns,
+            content: RowContent::Undecodable("dark".into()),
+            decode: Duration::ZERO,
+            received: None,
+        };
+        let mut order = RowOrder::default();
+        let rows: Vec<Row> = [10, 10, 5, 11].map(|t| order.admit(row(t))).into();
+        assert_eq!(rows.iter().map(|r| r.sequence).collect::<Vec<_>>(), [0, 1, 2, 3]);
+        let skipped: Vec<bool> = rows.iter().map(|r| matches!(r.content, RowContent::Skipped(_))).collect();
+        assert_eq!(skipped, [false, true, true, false]);
+    }
+}

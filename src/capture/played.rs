@@ -1,0 +1,120 @@
+//! A clip that plays as if it were a camera: live rules, live pace, no hardware. For rehearsals and tests.
+//!
+//! Pictures come when they are due, whoever is late loses them, and the stamps are those of the clip moved to now.
+
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::time::Duration;
+
+use super::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
+use super::moment::{DriverStamp, monotonic_ns};
+use super::{CaptureError, ClipOptions, FrameSource, MjpegReader, Row, RowContent, open_clip};
+
+/// Plays a clip once.
+pub struct PlayedClip {
+    clip: PathBuf,
+    /// Taken by the first opening: a clip is played once.
+    unopened: Mutex<Option<PlayingClip>>,
+}
+
+impl PlayedClip {
+    /// Opens the clip; `fps` is for clips without stamps (30 where absent).
+    ///
+    /// # Errors
+    /// As [`open_clip`].
+    pub fn open(clip: &Path, fps: Option<f64>) -> Result<Self, CaptureError> {
+        let first = open_clip(clip, ClipOptions { fps })?;
+        let pictures = match clip.extension().and_then(|e| e.to_str()) {
+            Some("mjpeg" | "mjpg") => {
+                let file = std::fs::File::open(clip).map_err(|e| CaptureError::reading(clip, e))?;
+                let size = first.size();
+                Pictures::Jpegs { reader: MjpegReader::new(Box::new(std::io::BufReader::new(file))), size, next: 0 }
+            }
+            _ => Pictures::Rows(first),
+        };
+        let fps = fps.unwrap_or(30.0);
+        let layout = if matches!(pictures, Pictures::Rows(_)) { PixelLayout::Grey } else { PixelLayout::Mjpeg };
+        let mode = CameraMode {
+            name: clip.display().to_string(),
+            size: pictures.size(),
+            layout,
+            fps,
+            exposure_s: None,
+            controls: Vec::new(),
+            notes: Vec::new(),
+        };
+        let playing = PlayingClip { pictures, mode, begun: None, ahead: None };
+        Ok(Self { clip: clip.to_owned(), unopened: Mutex::new(Some(playing)) })
+    }
+}
+
+impl CameraOpener for PlayedClip {
+    fn open(&self) -> Result<Box<dyn Camera>, OpenFault> {
+        let playing = self.unopened.lock().ok().and_then(|mut unopened| unopened.take());
+        let played = || OpenFault(format!("the clip {} has been played; give it again", self.clip.display()));
+        playing.map(|p| Box::new(p) as Box<dyn Camera>).ok_or_else(played)
+    }
+
+    fn wanted(&self) -> String {
+        self.clip.display().to_string()
+    }
+}
+
+enum Pictures {
+    /// Encoded pictures at an even rate.
+    Jpegs { reader: MjpegReader<Box<dyn std::io::Read + Send>>, size: (u32, u32), next: u64 },
+    /// Decoded pictures with stamps.
+    Rows(Box<dyn FrameSource>),
+}
+
+impl Pictures {
+    fn size(&self) -> (u32, u32) {
+        match self {
+            Self::Jpegs { size, .. } => *size,
+            Self::Rows(rows) => rows.size(),
+        }
+    }
+
+    /// The next picture's stamp in the clip and its bytes (empty where it cannot be read).
+    fn next(&mut self, fps: f64) -> Option<(i64, Vec<u8>)> {
+        match self {
+            Self::Jpegs { reader, next, .. } => {
+                let bytes = reader.next_jpeg()?.unwrap_or_default();
+                *next += 1;
+                Some((((*next - 1) as f64 * 1e9 / fps).round() as i64, bytes))
+            }
+            Self::Rows(rows) => rows.next_row().map(|Row { timestamp_ns, content, .. }| match content {
+                RowContent::Frame(frame) => (timestamp_ns, frame.image.into_raw()),
+                RowContent::Undecodable(_) | RowContent::Skipped(_) => (timestamp_ns, Vec::new()),
+            }),
+        }
+    }
+}
+
+struct PlayingClip {
+    pictures: Pictures,
+    mode: CameraMode,
+    /// When the first picture was given, and its stamp in the clip; monotonic nanoseconds.
+    begun: Option<(i64, i64)>,
+    ahead: Option<(i64, Vec<u8>)>,
+}
+
+impl Camera for PlayingClip {
+    fn mode(&self) -> &CameraMode {
+        &self.mode
+    }
+
+    fn next_picture(&mut self, patience: Duration) -> Result<CapturedPicture, CameraFault> {
+        let (stamp, bytes) = self.ahead.take().or_else(|| self.pictures.next(self.mode.fps)).ok_or(CameraFault::End)?;
+        let (begun, first) = *self.begun.get_or_insert((monotonic_ns(), stamp));
+        let due = begun.saturating_add(stamp.saturating_sub(first));
+        let left = Duration::from_nanos(u64::try_from(due - monotonic_ns()).unwrap_or(0));
+        std::thread::sleep(left.min(patience));
+        if left > patience {
+            self.ahead = Some((stamp, bytes));
+            return Err(CameraFault::Silent);
+        }
+        let arrival_ns = monotonic_ns();
+        Ok(CapturedPicture { is_damaged: bytes.is_empty(), bytes, stamp: DriverStamp::MidExposure(due), arrival_ns, device_sequence: None })
+    }
+}

@@ -1,0 +1,116 @@
+//! An open V4L2 camera behind nokhwa, with a time limit for reading and a drop that cannot panic out.
+
+use std::collections::HashSet;
+use std::mem::ManuallyDrop;
+use std::os::fd::RawFd;
+use std::time::Duration;
+
+use nokhwa::Camera as Nokhwa;
+use nokhwa::utils::{ApiBackend, CameraFormat, CameraIndex, FrameFormat, RequestedFormat, RequestedFormatType, Resolution};
+
+use super::ioctl::{self, contained};
+use crate::capture::camera::{Camera, CameraFault, CameraMode, CapturedPicture, PixelLayout};
+use crate::capture::choice::Offer;
+use crate::capture::moment::{DriverStamp, monotonic_ns};
+
+/// Buffers that nokhwa asks the driver for.
+const BUFFERS: u32 = 4;
+
+/// A streaming camera.
+pub(super) struct V4l2Camera {
+    nokhwa: ManuallyDrop<Nokhwa>,
+    fd: RawFd,
+    mode: CameraMode,
+    /// STREAMON happens inside of the first read, so that nothing can be waited for before it.
+    streaming: bool,
+}
+
+/// Opens node `number` in the offered mode, which the device has been set to already.
+pub(super) fn open(number: u32, offer: &Offer, mode: CameraMode) -> Result<V4l2Camera, String> {
+    let format = match offer.layout {
+        PixelLayout::Mjpeg => FrameFormat::MJPEG,
+        PixelLayout::Yuyv => FrameFormat::YUYV,
+        PixelLayout::Nv12 => FrameFormat::NV12,
+        PixelLayout::Grey => FrameFormat::GRAY,
+        PixelLayout::Rgb => FrameFormat::RAWRGB,
+        PixelLayout::Bgr => FrameFormat::RAWBGR,
+    };
+    let exact = CameraFormat::new(Resolution::new(offer.width, offer.height), format, offer.fps);
+    let formats = [format];
+    let request = RequestedFormat::with_formats(RequestedFormatType::Exact(exact), &formats);
+    let before = descriptors(number);
+    let nokhwa = Nokhwa::with_backend(CameraIndex::Index(number), request, ApiBackend::Video4Linux).map_err(|e| e.to_string())?;
+    let mut camera = V4l2Camera { nokhwa: ManuallyDrop::new(nokhwa), fd: -1, mode, streaming: false };
+    camera.nokhwa.open_stream().map_err(|e| e.to_string())?;
+    let fd = descriptors(number).difference(&before).next().copied();
+    camera.fd = fd.ok_or_else(|| "its file descriptor cannot be found below /proc/self/fd".to_owned())?;
+    Ok(camera)
+}
+
+/// This process' file descriptors of a node: nokhwa keeps its own to itself.
+fn descriptors(number: u32) -> HashSet<RawFd> {
+    let node = format!("/dev/video{number}");
+    let entries = std::fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
+    let of_node = entries.filter(|e| std::fs::read_link(e.path()).is_ok_and(|link| link.as_os_str() == node.as_str()));
+    of_node.filter_map(|e| e.file_name().to_str()?.parse().ok()).collect()
+}
+
+impl V4l2Camera {
+    fn read(&mut self) -> Result<CapturedPicture, CameraFault> {
+        let buffer = self.nokhwa.frame().map_err(|e| CameraFault::Gone(format!("the camera's driver says: {e}")))?;
+        let arrival_ns = monotonic_ns();
+        self.streaming = true;
+        let told = ioctl::last_dequeued(self.fd, BUFFERS);
+        let whole = buffer.buffer();
+        let (stamp, device_sequence, used, is_damaged) = match told {
+            Some(d) => (d.stamp, Some(d.sequence), d.bytes_used, d.is_damaged),
+            None => (wall_clock_stamp(buffer.capture_timestamp(), arrival_ns), None, whole.len(), false),
+        };
+        // Some drivers leave bytesused at 0 for whole buffers.
+        let used = if used == 0 && !is_damaged { whole.len() } else { used.min(whole.len()) };
+        Ok(CapturedPicture { bytes: whole[..used].to_vec(), stamp, arrival_ns, device_sequence, is_damaged })
+    }
+}
+
+/// nokhwa tells a driver's monotonic stamp as wall-clock time; the way back goes over the age.
+fn wall_clock_stamp(stamp: Option<Duration>, arrival_ns: i64) -> DriverStamp {
+    let wall = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+    match stamp.and_then(|stamp| wall.checked_sub(stamp)) {
+        Some(age) if age < Duration::from_secs(5) => DriverStamp::EndOfFrame(arrival_ns - age.as_nanos() as i64),
+        _ => DriverStamp::None,
+    }
+}
+
+impl Camera for V4l2Camera {
+    fn mode(&self) -> &CameraMode {
+        &self.mode
+    }
+
+    fn next_picture(&mut self, patience: Duration) -> Result<CapturedPicture, CameraFault> {
+        let waited = |e: std::io::Error| CameraFault::Gone(format!("the camera cannot be waited for: {e}"));
+        if self.streaming && !ioctl::wait_readable(self.fd, patience).map_err(waited)? {
+            return Err(CameraFault::Silent);
+        }
+        let mut newest = self.read()?;
+        // The driver hands out the oldest of its buffers: drain to the newest.
+        for _ in 0..BUFFERS {
+            if !ioctl::wait_readable(self.fd, Duration::ZERO).map_err(waited)? {
+                break;
+            }
+            newest = self.read()?;
+        }
+        Ok(newest)
+    }
+}
+
+impl Drop for V4l2Camera {
+    fn drop(&mut self) {
+        let nokhwa = &mut self.nokhwa;
+        // SAFETY: it is dropped here and nowhere else, and not used after.
+        // The V4L crate panics in its drop where the driver refuses to stop the stream.
+        let dropped = contained(|| unsafe { ManuallyDrop::drop(nokhwa) });
+        if dropped.is_none() {
+            tracing::warn!("the camera's driver did not stop its stream; the device is given up as it is");
+        }
+    }
+}

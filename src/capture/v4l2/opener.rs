@@ -1,0 +1,151 @@
+//! Opening a V4L2 camera as the config wants it: found by its lasting name, set to the best mode, its controls held.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::sync::Mutex;
+
+use v4l::video::Capture;
+use v4l::video::capture::Parameters;
+use v4l::{Device, Format, FourCC};
+
+use super::controls::{self, Held};
+use super::ioctl::contained;
+use super::nodes::{Node, find_node, programs_that_hold};
+use super::{camera, listing};
+use crate::capture::camera::{Camera, CameraMode, CameraOpener, OpenFault};
+use crate::capture::choice::{Offer, Wanted, choose};
+
+/// Opens one camera, again and again.
+pub struct V4l2Opener {
+    device: String,
+    wanted: Wanted,
+    controls: BTreeMap<String, i64>,
+    /// What the name meant when it was first opened, and what has been said already.
+    memory: Mutex<Memory>,
+}
+
+#[derive(Default)]
+struct Memory {
+    identity: Option<String>,
+    bus: Option<String>,
+    said: Vec<String>,
+}
+
+impl V4l2Opener {
+    /// `device` is a by-id or by-path link, a node, a number, a part of the camera's name, or `first`.
+    pub fn new(device: String, wanted: Wanted, controls: BTreeMap<String, i64>) -> Self {
+        Self { device, wanted, controls, memory: Mutex::default() }
+    }
+
+    /// Says a sentence once, not at every reopening.
+    fn say_once(&self, sentence: String, warn: bool) {
+        let mut memory = self.memory.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if memory.said.contains(&sentence) {
+            return;
+        }
+        if warn {
+            tracing::warn!("{sentence}");
+        } else {
+            tracing::info!("{sentence}");
+        }
+        memory.said.push(sentence);
+    }
+
+    fn find(&self) -> Result<Node, OpenFault> {
+        let known = self.memory.lock().unwrap_or_else(std::sync::PoisonError::into_inner).identity.clone();
+        find_node(&self.device, known.as_deref())
+    }
+
+    /// Notes which camera it is, and warns where it is another one or on another port than before.
+    fn remember(&self, node: &Node) {
+        let mut memory = self.memory.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if memory.identity.as_ref().is_some_and(|known| *known != node.identity) {
+            tracing::warn!("{} is now another camera than before: {}; check that it is the calibrated one", self.device, node.title());
+        } else if memory.bus.as_ref().is_some_and(|bus| *bus != node.bus) {
+            tracing::warn!("the camera {} is now on another port: {}", node.title(), node.bus);
+        }
+        (memory.identity, memory.bus) = (Some(node.identity.clone()), Some(node.bus.clone()));
+    }
+
+    /// Sets mode and controls by a handle of its own, which is closed again.
+    fn prepare(&self, node: &Node) -> Result<(Offer, Held, Vec<String>), OpenFault> {
+        let fault = |e: io::Error| OpenFault(opening_fault(node, &e));
+        let device = Device::with_path(node.path()).map_err(fault)?;
+        let offers = listing::offers(&device);
+        let (offer, why) = choose(&offers, &self.wanted).map_err(|reason| OpenFault(format!("{}: {reason}", node.title())))?;
+        let fourcc = offer.layout.fourcc().as_bytes();
+        let fourcc = FourCC::new(&[fourcc[0], fourcc[1], fourcc[2], fourcc[3]]);
+        let set = contained(|| {
+            device.set_format(&Format::new(offer.width, offer.height, fourcc))?;
+            device.set_params(&Parameters::with_fps(offer.fps)).map(|_| ())
+        });
+        set.unwrap_or_else(|| Err(io::Error::other("the V4L library gave up"))).map_err(fault)?;
+        let mode = format!("{} {}x{} at {}/s", offer.layout.fourcc(), offer.width, offer.height, offer.fps);
+        let mut notes = vec![format!("taking {mode}: {why}")];
+        self.say_once(format!("{}: {}", node.title(), notes[0]), false);
+        let held = controls::hold(device.handle().fd(), &self.controls);
+        for warning in &held.warnings {
+            self.say_once(format!("{}: {warning}", node.title()), true);
+        }
+        for (name, value) in &held.values {
+            tracing::info!("{}: control {name} reads back {value}", node.title());
+        }
+        notes.extend(held.warnings.iter().cloned());
+        Ok((offer, held, notes))
+    }
+}
+
+impl CameraOpener for V4l2Opener {
+    fn open(&self) -> Result<Box<dyn Camera>, OpenFault> {
+        let node = self.find()?;
+        let (offer, held, notes) = self.prepare(&node)?;
+        let mode = CameraMode {
+            name: node.title(),
+            size: (offer.width, offer.height),
+            layout: offer.layout,
+            fps: offer.fps.into(),
+            exposure_s: held.exposure_s,
+            controls: held.values,
+            notes,
+        };
+        let opened = contained(|| camera::open(node.number, &offer, mode));
+        let camera = match opened {
+            Some(Ok(camera)) => camera,
+            Some(Err(reason)) if reason.contains("busy") || reason.contains("os error 16") => return Err(OpenFault(busy(&node))),
+            Some(Err(reason)) => {
+                return Err(OpenFault(format!("{} cannot be opened: {reason}; unplug it and plug it in again", node.title())));
+            }
+            None => {
+                return Err(OpenFault(format!(
+                    "{} cannot be opened: the V4L library gave up; unplug it and plug it in again",
+                    node.title()
+                )));
+            }
+        };
+        self.remember(&node);
+        Ok(Box::new(camera))
+    }
+
+    fn wanted(&self) -> String {
+        self.device.clone()
+    }
+}
+
+fn opening_fault(node: &Node, error: &io::Error) -> String {
+    match error.raw_os_error() {
+        Some(nix::libc::EBUSY) => busy(node),
+        Some(nix::libc::EACCES) => {
+            format!(
+                "{} may not be opened by this user; add the user to the group video: sudo usermod -aG video $USER, then log in again",
+                node.title()
+            )
+        }
+        _ => format!("{} cannot be opened: {error}; unplug it and plug it in again", node.title()),
+    }
+}
+
+fn busy(node: &Node) -> String {
+    let holders = programs_that_hold(&node.path());
+    let by = if holders.is_empty() { "another program".to_owned() } else { holders.join(", ") };
+    format!("{} is in use by {by}; end that program", node.title())
+}

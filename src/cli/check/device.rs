@@ -1,0 +1,121 @@
+//! The camera that a config names, tried: opened, its controls set, a few pictures read.
+
+use std::fmt::Write as _;
+use std::time::{Duration, Instant};
+
+use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener};
+use crate::capture::decode_picture;
+use crate::capture::moment::{DriverStamp, mid_exposure_ns};
+use crate::config::Settings;
+
+/// How long pictures are read.
+const SPAN: Duration = Duration::from_millis(1500);
+/// How long the first one may take.
+const FIRST: Duration = Duration::from_secs(5);
+
+/// What the camera is and does, or what to do about it. A camera that blocks does not block the check.
+pub(super) fn try_camera(settings: &Settings) -> Result<String, String> {
+    let opener = crate::cli::run::opener(settings);
+    let (calibration, size) = (settings.exposure_s, (settings.camera.width(), settings.camera.height()));
+    let (done, result) = crossbeam_channel::bounded(1);
+    let tried = std::thread::Builder::new().name("camera".to_owned()).spawn(move || done.send(look(&opener, calibration, size)));
+    tried.map_err(|e| format!("cannot start a thread: {e}"))?;
+    let blocked = || "it was opened and gives no picture; unplug it and plug it in again".to_owned();
+    result.recv_timeout(FIRST + 2 * SPAN).unwrap_or_else(|_| Err(blocked()))
+}
+
+/// What was seen of a camera.
+#[derive(Debug, Default)]
+struct Seen {
+    pictures: u32,
+    unreadable: u32,
+    unstamped: u32,
+    age_ms: f64,
+    span_s: f64,
+}
+
+fn look(opener: &dyn CameraOpener, exposure_s: f64, calibrated: (u32, u32)) -> Result<String, String> {
+    let mut camera = opener.open().map_err(|fault| fault.to_string())?;
+    let seen = watch(&mut *camera)?;
+    Ok(text(camera.mode(), &seen, exposure_s, calibrated))
+}
+
+fn watch(camera: &mut dyn Camera) -> Result<Seen, String> {
+    let (mode, mut seen) = (camera.mode().clone(), Seen::default());
+    let (begun, mut first) = (Instant::now(), None);
+    while first.map_or(begun.elapsed() < FIRST, |first: Instant| first.elapsed() < SPAN) {
+        match camera.next_picture(Duration::from_millis(200)) {
+            Ok(picture) => {
+                first.get_or_insert_with(Instant::now);
+                seen.pictures += 1;
+                seen.unreadable += u32::from(decode_picture(&picture, mode.layout, mode.size).image.is_err());
+                let (at, stamped) = mid_exposure_ns(picture.stamp, picture.arrival_ns, 0.0, 0.0);
+                seen.unstamped += u32::from(!stamped || picture.stamp == DriverStamp::None);
+                seen.age_ms += (picture.arrival_ns - at) as f64 * 1e-6;
+            }
+            Err(CameraFault::Silent) => {}
+            Err(fault) => return Err(fault.to_string()),
+        }
+    }
+    seen.span_s = first.map_or(0.0, |first| first.elapsed().as_secs_f64());
+    if seen.pictures == 0 { Err("it was opened and gives no picture; unplug it and plug it in again".to_owned()) } else { Ok(seen) }
+}
+
+fn text(mode: &CameraMode, seen: &Seen, exposure_s: f64, calibrated: (u32, u32)) -> String {
+    let (n, (w, h)) = (f64::from(seen.pictures), mode.size);
+    let rate = if seen.span_s > 0.0 { (n - 1.0) / seen.span_s } else { 0.0 };
+    let mut text = format!("{}: {} {w}x{h}, {rate:.1} pictures a second of {}", mode.name, mode.layout.fourcc(), mode.fps);
+    let mut line = |sentence: String| {
+        let _ = write!(text, "\n            {sentence}");
+    };
+    mode.notes.iter().for_each(|note| line(note.clone()));
+    if seen.unreadable > 0 {
+        line(format!("{} of {} pictures cannot be read; try another cable or port", seen.unreadable, seen.pictures));
+    }
+    match seen.unstamped {
+        0 => line(format!("the driver stamps its pictures; they arrive {:.0} ms after that", seen.age_ms / n)),
+        _ => line("the driver gives no time stamps: poses are late by an unknown time".to_owned()),
+    }
+    if rate < 0.8 * mode.fps {
+        line("it is slower than agreed: lock the exposure, give it more light, or another USB port".to_owned());
+    }
+    if let Some(real_s) = mode.exposure_s.filter(|real_s| exposure_s > 0.0 && (real_s - exposure_s).abs() > 0.2 * exposure_s) {
+        line(format!("its exposure is {:.1} ms, exposure_s in [camera] says {:.1} ms; make them equal", real_s * 1e3, exposure_s * 1e3));
+    }
+    if mode.size != calibrated {
+        line(format!("the calibration is for {} x {} pixels and is scaled", calibrated.0, calibrated.1));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::camera::PixelLayout;
+
+    #[test]
+    fn a_newcomer_is_told_what_to_do() {
+        let mode = CameraMode {
+            name: "Cam (/dev/video0)".into(),
+            size: (640, 480),
+            layout: PixelLayout::Mjpeg,
+            fps: 30.0,
+            exposure_s: Some(0.02),
+            controls: vec![],
+            notes: vec!["the focus is automatic".into()],
+        };
+        let seen = Seen { pictures: 16, unreadable: 2, unstamped: 0, age_ms: 160.0, span_s: 1.5 };
+        let text = text(&mode, &seen, 0.01, (1280, 960));
+        for part in [
+            "10.0 pictures a second of 30",
+            "focus is automatic",
+            "2 of 16",
+            "arrive 10 ms",
+            "slower than agreed",
+            "20.0 ms, exposure_s in [camera] says 10.0 ms",
+            "1280 x 960",
+        ] {
+            assert!(text.contains(part), "`{part}` is not in\n{text}");
+        }
+    }
+}

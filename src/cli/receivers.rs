@@ -1,0 +1,77 @@
+//! Everybody who is told the pose while a command runs: the outputs, and the clients of the HTTP server.
+
+use super::failure::Failure;
+use crate::camera::CameraModel;
+use crate::config::{SendingSettings, Settings};
+use crate::publish::{Context, Publisher, Stamps};
+use crate::record::PoseSample;
+#[cfg(feature = "http")]
+use crate::web::Server;
+
+/// The running outputs and the HTTP server.
+pub(super) struct Receivers {
+    publisher: Publisher,
+    #[cfg(feature = "http")]
+    server: Option<Server>,
+}
+
+impl Receivers {
+    /// Starts what the config has, for samples of this camera.
+    pub fn start(settings: &Settings, camera: CameraModel, stamps: Stamps, frame_rate: Option<f64>) -> Result<Self, Failure> {
+        let sending = SendingSettings {
+            camera: Some(camera),
+            outputs: settings.outputs.clone(),
+            objects: settings.objects.iter().map(|object| object.name.clone()).collect(),
+            safety: settings.safety,
+            http: settings.http,
+            log: settings.log,
+        };
+        let context = Context { camera, objects: sending.objects.clone(), safety: sending.safety, stamps, frame_rate, is_test: false };
+        Self::open(&sending, &context)
+    }
+
+    /// The outputs alone, for a live camera: its server is started before it is found.
+    pub fn live(settings: &Settings, camera: CameraModel, frame_rate: f64) -> Result<Self, Failure> {
+        let outputs_only = Settings { http: None, ..settings.clone() };
+        Self::start(&outputs_only, camera, Stamps::Live, Some(frame_rate))
+    }
+
+    /// The same, from what belongs to sending alone.
+    pub fn open(settings: &SendingSettings, context: &Context) -> Result<Self, Failure> {
+        let publisher = Publisher::start(&settings.outputs, context)?;
+        #[cfg(feature = "http")]
+        let server = {
+            let started = settings.http.map(|http| Server::start(&http, Vec::new())).transpose();
+            started.map_err(|e| Failure::Publishing(e.to_string()))?
+        };
+        #[cfg(not(feature = "http"))]
+        if settings.http.is_some() {
+            tracing::warn!("[http]: this build has no HTTP server; build it with the feature `http`");
+        }
+        Ok(Self {
+            publisher,
+            #[cfg(feature = "http")]
+            server,
+        })
+    }
+
+    /// Tells everybody; never waits.
+    pub fn send(&self, sample: &PoseSample) {
+        self.publisher.send(sample);
+        #[cfg(feature = "http")]
+        if let Some(server) = &self.server {
+            server.publish(sample);
+        }
+    }
+
+    /// Sends what is left and says how it went.
+    pub fn close(self) {
+        for output in self.publisher.close() {
+            let (name, sent, failed) = (&output.name, output.sent, output.failed);
+            let (dropped, withheld, late) = (output.dropped, output.withheld, output.greatest_latency_us);
+            tracing::info!(
+                "output {name}: {sent} packets sent, {failed} failed, {dropped} samples dropped, {withheld} poses withheld, at most {late} µs late"
+            );
+        }
+    }
+}

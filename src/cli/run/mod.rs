@@ -1,0 +1,120 @@
+//! `run`: a camera in, its pose out, for a whole show.
+//!
+//! A session is a camera, a tracker and what listens to it, under one config. It ends on a signal, with a played clip,
+//! on a new config, or when a stage fails; the daemon then starts the next one.
+
+mod camera;
+mod notify;
+mod pages;
+mod service;
+mod session;
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use super::failure::Failure;
+use super::interrupt;
+use super::logging::{self, LogArguments};
+use crate::config::Settings;
+use crate::daemon::live::{Event, LiveLink};
+use service::Service;
+use session::{End, Session, Sinks};
+
+#[cfg(feature = "live")]
+pub(super) use camera::opener;
+
+/// Track with a camera until a signal ends it.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  stagepose run --config config/stage.toml\n\n\
+    The camera may be missing, go and come back: tracking resumes by itself. SIGINT and SIGTERM end it, SIGHUP reads the config again,\n\
+    SIGUSR1 saves the recorder's ring. Names of cameras: stagepose devices")]
+pub(super) struct RunArguments {
+    #[command(flatten)]
+    live: LiveArguments,
+}
+
+/// What `run` and `record` have in common.
+#[derive(Debug, clap::Args)]
+pub(super) struct LiveArguments {
+    /// The config of the camera and the stage
+    #[arg(long, value_name = "FILE")]
+    pub config: PathBuf,
+    /// Write one JSON record a tracked frame; - for stdout
+    #[arg(long, value_name = "OUT.jsonl")]
+    poses: Option<PathBuf>,
+    /// Write what happens (camera lost, stale, …) as JSON lines
+    #[arg(long, value_name = "OUT.jsonl")]
+    events: Option<PathBuf>,
+    /// Tracker workers; the result does not depend on it [default: the config's, else 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=64))]
+    threads: Option<u64>,
+    /// Play a clip as if it were the camera: its pace, late frames dropped
+    #[arg(long, value_name = "CLIP")]
+    play: Option<PathBuf>,
+    /// End after this many seconds
+    #[arg(long, value_name = "S")]
+    seconds: Option<f64>,
+    #[command(flatten)]
+    log: LogArguments,
+}
+
+pub(super) fn run(arguments: &RunArguments) -> Result<(), Failure> {
+    live(&arguments.live, None)
+}
+
+/// A stage may fail this often within [`RESTART_SPAN`] before the daemon gives up.
+const MOST_RESTARTS: usize = 5;
+const RESTART_SPAN: Duration = Duration::from_secs(60);
+
+/// Sessions one after another; `clip` is what `record` records to.
+pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(), Failure> {
+    let mut settings = Settings::load(&arguments.config)?;
+    logging::start(&arguments.log, settings.log);
+    settings.notes.iter().for_each(|note| tracing::info!("{note}"));
+    interrupt::watch();
+    interrupt::watch_service();
+    // What the threads contain shall be in the log, not between its lines.
+    std::panic::set_hook(Box::new(|panic| tracing::error!("a part of the program failed: {panic}")));
+    let link = LiveLink::default();
+    let mut sinks = Sinks::create(arguments.poses.as_deref(), arguments.events.as_deref(), &link)?;
+    let mut service = Service::start(arguments.seconds);
+    let mut previous: Option<Settings> = None;
+    let mut failures: Vec<Instant> = Vec::new();
+    let mut clips = session::Clips::new(clip);
+    let outcome = loop {
+        let session = Session { settings: &settings, arguments, link: &link };
+        match session.run(&mut service, &mut sinks, &mut clips) {
+            Ok(End::Stopped) => break Ok(()),
+            Ok(End::Reload(new)) => previous = Some(std::mem::replace(&mut settings, *new)),
+            Err(failure) => match previous.take() {
+                // A new config that cannot be run (its camera does not fit, its port is taken): back to the one that worked.
+                Some(old) if !matches!(failure, Failure::Tracking(_)) => {
+                    link.events.publish(Event::ConfigRefused { reason: failure.to_string() });
+                    settings = old;
+                }
+                _ if !matches!(failure, Failure::Tracking(_)) => break Err(failure),
+                _ => {
+                    link.statistics.panic_contained();
+                    failures.retain(|at| at.elapsed() < RESTART_SPAN);
+                    failures.push(Instant::now());
+                    if failures.len() > MOST_RESTARTS {
+                        break Err(failure);
+                    }
+                    tracing::error!("{failure}; starting again");
+                }
+            },
+        }
+    };
+    service.end();
+    sinks.finish();
+    outcome
+}
+
+/// Why this build cannot open a camera.
+#[cfg(not(feature = "live"))]
+pub(super) fn no_live_feature() -> Failure {
+    Failure::Usage(
+        "this build has no cameras: it was made without the feature `live`; build it with: .ci/setup && cargo build --release (it needs libclang)"
+            .to_owned(),
+    )
+}

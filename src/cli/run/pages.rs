@@ -1,0 +1,60 @@
+//! The HTTP side of `run`: pose and state as the server gives them, health, metrics, and the call that saves the ring.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use crate::cli::failure::Failure;
+use crate::config::Settings;
+use crate::daemon::live::LiveLink;
+use crate::record::PoseSample;
+
+/// The running server, where the config has one.
+pub(super) struct Pages {
+    #[cfg(feature = "http")]
+    server: Option<crate::web::Server>,
+}
+
+impl Pages {
+    /// Starts the server; `save` is switched on by the call that asks for the ring.
+    #[cfg(feature = "http")]
+    pub fn start(settings: &Settings, link: &LiveLink, save: &Arc<AtomicBool>) -> Result<Self, Failure> {
+        use std::sync::atomic::Ordering;
+
+        use crate::capture::moment::monotonic_ns;
+        use crate::web::{Page, Reply, Route, Server, health, metrics};
+
+        let reply = |page: Page| Reply { status: page.status, content_type: page.content_type, body: page.body.into_bytes() };
+        let (for_health, for_metrics, save) = (link.statistics.clone(), link.statistics.clone(), save.clone());
+        let routes = || {
+            vec![
+                Route::new("/healthz", move |_| reply(health(&for_health, monotonic_ns()))),
+                Route::new("/metrics", move |_| reply(metrics(&for_metrics, monotonic_ns()))),
+                Route::new("/api/v1/ring/save", move |_| {
+                    save.store(true, Ordering::Relaxed);
+                    Reply::text(202, "the last seconds will be saved\n")
+                }),
+            ]
+        };
+        let server = settings.http.map(|http| Server::start(&http, routes())).transpose();
+        Ok(Self { server: server.map_err(|e| Failure::Publishing(e.to_string()))? })
+    }
+
+    /// Says that there is no server in this build.
+    #[cfg(not(feature = "http"))]
+    pub fn start(settings: &Settings, _: &LiveLink, _: &Arc<AtomicBool>) -> Result<Self, Failure> {
+        if settings.http.is_some() {
+            tracing::warn!("[http]: this build has no HTTP server; build it with the feature `http`");
+        }
+        Ok(Self {})
+    }
+
+    /// Gives a sample, or a stale message, to the server's clients.
+    pub fn publish(&self, sample: &PoseSample) {
+        #[cfg(feature = "http")]
+        if let Some(server) = &self.server {
+            server.publish(sample);
+        }
+        #[cfg(not(feature = "http"))]
+        let _ = sample;
+    }
+}

@@ -1,0 +1,130 @@
+//! What makes `run` a good service: it tells the service manager and the terminal how it is, once a second.
+
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::notify::Notifier;
+use crate::cli::{interrupt, logging};
+use crate::daemon::live::LiveLink;
+use crate::record::State;
+use crate::web::{CameraState, RecorderState, Statistics};
+
+/// The service side of the daemon.
+pub(super) struct Service {
+    notifier: Notifier,
+    line: ProgressBar,
+    begun: Instant,
+    until: Option<Duration>,
+    told: Instant,
+    pinged: Instant,
+    frames_before: u64,
+    /// When the pipeline last gave a sign of life.
+    alive: Instant,
+}
+
+impl Service {
+    /// Says READY; `seconds` is after what time it is to end.
+    pub fn start(seconds: Option<f64>) -> Self {
+        let notifier = Notifier::from_environment();
+        notifier.send("READY=1\nSTATUS=waiting for the camera");
+        let line = if std::io::stderr().is_terminal() { ProgressBar::new_spinner() } else { ProgressBar::hidden() };
+        line.set_style(ProgressStyle::with_template("{msg}").unwrap_or_else(|_| ProgressStyle::default_spinner()));
+        logging::beside(&line);
+        let now = Instant::now();
+        let until = seconds.map(|s| Duration::try_from_secs_f64(s.max(0.0)).unwrap_or(Duration::MAX));
+        Self { notifier, line, begun: now, until, told: now, pinged: now, frames_before: 0, alive: now }
+    }
+
+    /// The pipeline gave a sign of life: a sample, a stale message, or it is still waiting for a camera.
+    pub fn alive(&mut self) {
+        self.alive = Instant::now();
+    }
+
+    /// True when it is time to end.
+    pub fn is_over(&self) -> bool {
+        interrupt::is_interrupted() || self.until.is_some_and(|until| self.begun.elapsed() >= until)
+    }
+
+    /// To be called often: does what is due.
+    pub fn tick(&mut self, link: &LiveLink) {
+        if let Some(every) = self.notifier.watchdog
+            && self.pinged.elapsed() >= every.min(Duration::from_secs(1))
+            && self.alive.elapsed() < every.max(Duration::from_secs(2))
+        {
+            self.pinged = Instant::now();
+            self.notifier.send("WATCHDOG=1");
+        }
+        let since = self.told.elapsed();
+        if since < Duration::from_secs(1) {
+            return;
+        }
+        let frames = link.statistics.frames();
+        link.statistics.set_rate((frames - self.frames_before.min(frames)) as f64 / since.as_secs_f64());
+        (self.frames_before, self.told) = (frames, Instant::now());
+        let status = status(&link.statistics);
+        self.notifier.send(&format!("STATUS={status}"));
+        self.line.set_message(status);
+        self.line.tick();
+    }
+
+    /// Says that a new config is taken over.
+    pub fn reloading(&self) {
+        self.notifier.send("STATUS=taking a new config over");
+    }
+
+    /// Says that it ends.
+    pub fn end(&self) {
+        self.notifier.send("STOPPING=1\nSTATUS=ending");
+        self.line.finish_and_clear();
+    }
+}
+
+/// One line: state, rate, age, quality, losses.
+fn status(s: &Statistics) -> String {
+    let mut text = match s.camera() {
+        CameraState::Waiting => "waiting for the camera".to_owned(),
+        CameraState::Silent => "the camera gives no pictures".to_owned(),
+        CameraState::Streaming => s.last_state().word().to_owned(),
+    };
+    text += &format!(", {:.1} frames/s", s.rate());
+    let (count, sum_s) = (s.age().count(), s.age().sum_s());
+    if count > 0 {
+        text += &format!(", age {:.0} ms", 1e3 * sum_s / count as f64);
+    }
+    if s.last_state() == State::Tracking {
+        text += &format!(", {} inliers, rms {:.2} px", s.inliers(), s.rms_px());
+    }
+    for (count, what) in [(s.dropped(), "dropped"), (s.undecodable(), "unreadable"), (s.reconnects(), "reconnects")] {
+        if count > 0 {
+            text += &format!(", {count} {what}");
+        }
+    }
+    match s.recorder() {
+        RecorderState::Off => {}
+        RecorderState::Recording => text += ", recording",
+        RecorderState::Stopped => text += ", RECORDING STOPPED",
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::PoseSample;
+
+    #[test]
+    fn the_line_says_what_matters() {
+        let s = Statistics::default();
+        assert_eq!(status(&s), "waiting for the camera, 0.0 frames/s");
+        s.camera_opened("Cam", false);
+        let mut sample = PoseSample::stale(0, 5, 12.0);
+        sample.state = State::Tracking;
+        s.sample(&sample);
+        s.frames_dropped(2);
+        s.set_rate(29.97);
+        s.set_recorder(RecorderState::Stopped);
+        assert_eq!(status(&s), "tracking, 30.0 frames/s, age 12 ms, 0 inliers, rms 0.00 px, 2 dropped, RECORDING STOPPED");
+    }
+}

@@ -1,0 +1,263 @@
+//! One session: a camera, a tracker and what listens, under one config.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, RecvTimeoutError};
+
+use super::pages::Pages;
+use super::service::Service;
+use super::{LiveArguments, camera};
+use crate::capture::camera::CameraMode;
+use crate::cli::failure::Failure;
+use crate::cli::interrupt;
+use crate::cli::receivers::Receivers;
+use crate::cli::replay::records::{Output, Records};
+use crate::cli::replay::tracker_setup;
+use crate::config::{RecorderSettings, Settings};
+use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, Shutter};
+use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
+use crate::daemon::{Daemon, RunningDaemon, Tracker};
+use crate::record::{PoseSample, State};
+use crate::web::RecorderState;
+
+/// Why a session ended.
+pub(super) enum End {
+    /// On a signal, on time, or with a played clip.
+    Stopped,
+    /// A new config is there.
+    Reload(Box<Settings>),
+}
+
+/// What a session is made from.
+pub(super) struct Session<'a> {
+    pub settings: &'a Settings,
+    pub arguments: &'a LiveArguments,
+    pub link: &'a LiveLink,
+}
+
+/// What a running session is followed by.
+struct Listening<'a> {
+    samples: &'a Receiver<PoseSample>,
+    running: &'a RunningDaemon,
+    size: (u32, u32),
+    /// Switched on by whoever wants the ring saved,
+    save: &'a AtomicBool,
+    /// which this does.
+    saver: Option<&'a dyn Fn()>,
+    pages: &'a Pages,
+    receivers: &'a Receivers,
+}
+
+/// Gives a sample to everybody. The outputs have a watchdog of their own for stale poses.
+fn tell(sample: &PoseSample, pages: &Pages, receivers: &Receivers, sinks: &mut Sinks) {
+    if sample.state != State::Stale {
+        receivers.send(sample);
+    }
+    pages.publish(sample);
+    sinks.write(sample);
+}
+
+impl Session<'_> {
+    /// Runs until something ends it.
+    pub fn run(&self, service: &mut Service, sinks: &mut Sinks, clips: &mut Clips) -> Result<End, Failure> {
+        let shutter = Shutter { exposure_s: self.settings.exposure_s, readout_s: self.settings.readout_s };
+        let save = Arc::new(AtomicBool::new(false));
+        let pages = Pages::start(self.settings, self.link, &save)?;
+        let opener = camera::camera(self.settings, self.arguments.play.as_deref())?;
+        let mut source = LiveSource::start(opener, shutter, Patience::default(), self.link.clone());
+        let mut reload = None;
+        let mode = source.wait_for_camera(|| {
+            service.alive();
+            service.tick(self.link);
+            sinks.write_events();
+            reload = self.reload(None);
+            service.is_over() || reload.is_some()
+        });
+        let Some(mode) = mode else { return Ok(reload.map_or(End::Stopped, End::Reload)) };
+        let setup = tracker_setup(self.settings, mode.size, self.arguments.threads)?;
+        let stopper = source.stopper();
+        let receivers = Receivers::live(self.settings, setup.camera, mode.fps)?;
+        let mut daemon = Daemon::live(source, Tracker::new(setup).with_filter(self.settings.filter));
+        let samples = daemon.subscribe();
+        let recorder = clips.recorder(self, mode.clone())?;
+        if let Some(recorder) = &recorder {
+            daemon.observe(recorder.observer());
+        }
+        let running = daemon.start().map_err(|e| Failure::Tracking(e.to_string()))?;
+        let saver = recorder.as_ref().map(Recorder::saver);
+        let listening = Listening {
+            samples: &samples,
+            running: &running,
+            size: mode.size,
+            save: &save,
+            saver: saver.as_ref().map(|s| s as &dyn Fn()),
+            pages: &pages,
+            receivers: &receivers,
+        };
+        let end = self.follow(&listening, service, sinks);
+        drop(saver);
+        stopper.stop();
+        running.stop();
+        // What is under way comes to its end, and out.
+        samples.iter().for_each(|sample| tell(&sample, &pages, &receivers, sinks));
+        receivers.close();
+        let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
+        if let Some(recorder) = recorder {
+            recorder.finish();
+        }
+        joined?;
+        sinks.write_events();
+        Ok(end)
+    }
+
+    fn follow(&self, listening: &Listening<'_>, service: &mut Service, sinks: &mut Sinks) -> End {
+        let Listening { samples, running, size, save, saver, pages, receivers } = *listening;
+        service.alive();
+        loop {
+            match samples.recv_timeout(Duration::from_millis(50)) {
+                Ok(sample) => {
+                    service.alive();
+                    tell(&sample, pages, receivers, sinks);
+                }
+                Err(RecvTimeoutError::Timeout) if running.has_ended() => return End::Stopped,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return End::Stopped,
+            }
+            service.tick(self.link);
+            sinks.write_events();
+            if interrupt::take_save() | save.swap(false, Ordering::Relaxed) {
+                match saver {
+                    Some(save) => save(),
+                    None => tracing::warn!("there is no ring to save; set ring_s in [recorder]"),
+                }
+            }
+            if let Some(new) = self.reload(Some(size)) {
+                service.reloading();
+                return End::Reload(new);
+            }
+            if service.is_over() {
+                return End::Stopped;
+            }
+        }
+    }
+
+    /// The new config, where SIGHUP asked for it and it is good.
+    fn reload(&self, size: Option<(u32, u32)>) -> Option<Box<Settings>> {
+        if !interrupt::take_reload() {
+            return None;
+        }
+        let file = &self.settings.file;
+        let fits = |settings: Settings| match size {
+            // Where the camera stays what it is, the calibration must fit it.
+            Some((w, h)) if settings.device == self.settings.device => settings.camera_for(w, h).map(|_| settings),
+            _ => Ok(settings),
+        };
+        match Settings::load(file).and_then(fits) {
+            Ok(settings) => {
+                self.link.events.publish(Event::ConfigReloaded { file: file.display().to_string() });
+                Some(Box::new(settings))
+            }
+            Err(error) => {
+                self.link.events.publish(Event::ConfigRefused { reason: error.to_string() });
+                None
+            }
+        }
+    }
+}
+
+/// The files that `run` writes lines to. One that cannot be written any more is given up; tracking goes on.
+pub(super) struct Sinks {
+    poses: Option<Records>,
+    events: Option<Output>,
+    happening: EventListener,
+}
+
+impl Sinks {
+    /// Creates the files.
+    pub fn create(poses: Option<&Path>, events: Option<&Path>, link: &LiveLink) -> Result<Self, Failure> {
+        let poses = poses.map(|file| Records::create(Some(file), None, true)).transpose()?;
+        let events = events.map(Output::create).transpose()?;
+        Ok(Self { poses, events, happening: link.events.listen() })
+    }
+
+    /// Writes a sample's record; a stale message is none.
+    pub fn write(&mut self, sample: &PoseSample) {
+        if sample.state == State::Stale {
+            return;
+        }
+        let written = self.poses.as_mut().map_or(Ok(()), |poses| poses.write(sample));
+        if let Err(failure) = written {
+            tracing::error!("{failure}; no more records are written");
+            self.poses = None;
+        }
+    }
+
+    /// Writes what has happened since the last time.
+    pub fn write_events(&mut self) {
+        for event in self.happening.try_iter() {
+            // A dropped frame is counted; a recording has a list of them.
+            let dropped = matches!(event.event, Event::FrameDropped { .. });
+            let Some(events) = self.events.as_mut().filter(|_| !dropped) else { continue };
+            if let Err(failure) = events.write_all_and_flush(&event.to_json_line()) {
+                tracing::error!("{failure}; no more events are written");
+                self.events = None;
+            }
+        }
+    }
+
+    /// Writes what is left.
+    pub fn finish(&mut self) {
+        self.write_events();
+    }
+}
+
+/// The clips that sessions record to, one each.
+pub(super) struct Clips {
+    asked: Option<PathBuf>,
+    begun: u32,
+}
+
+impl Clips {
+    /// `asked` is what the first session records to; later ones get a number behind it.
+    pub fn new(asked: Option<PathBuf>) -> Self {
+        Self { asked, begun: 0 }
+    }
+
+    fn next(&mut self, settings: &RecorderSettings) -> Option<PathBuf> {
+        self.begun += 1;
+        match (&self.asked, self.begun) {
+            (Some(asked), 1) => Some(asked.clone()),
+            (Some(asked), n) => {
+                let mut name = asked.as_os_str().to_owned();
+                name.push(format!("-{n}"));
+                Some(PathBuf::from(name))
+            }
+            (None, _) => settings.continuous.then(|| recorder::new_clip_name(&settings.folder)),
+        }
+    }
+
+    /// The session's recorder, where anything is to be recorded. One that was asked for by name must work; another one is done without.
+    fn recorder(&mut self, session: &Session<'_>, camera: CameraMode) -> Result<Option<Recorder>, Failure> {
+        let settings = &session.settings.recorder;
+        let clip = self.next(settings);
+        let ring = (settings.ring_s > 0.0).then(|| (settings.folder.clone(), settings.ring_s));
+        if clip.is_none() && ring.is_none() {
+            return Ok(None);
+        }
+        let named = clip.clone().filter(|_| self.asked.is_some() && self.begun == 1);
+        let about = AboutClip { camera, config: session.settings.file.clone() };
+        let recorder = Recorder::start(RecorderPlan { clip, ring, about }, session.link, Box::<RealDisk>::default());
+        match (recorder, named) {
+            (Ok(recorder), _) => Ok(Some(recorder)),
+            (Err(e), Some(clip)) => Err(Failure::output(&clip)(e)),
+            (Err(e), None) => {
+                session.link.statistics.set_recorder(RecorderState::Stopped);
+                session.link.events.publish(Event::RecorderStopped { reason: e.to_string() });
+                Ok(None)
+            }
+        }
+    }
+}

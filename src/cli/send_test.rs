@@ -1,0 +1,133 @@
+//! `send-test`: a moving test pose to the configured outputs, so that the receiving side can be set up before there is a camera.
+//!
+//! The pose goes round an ellipse half a metre wide and pans, tilts and rolls slowly by different amounts, so that exchanged or inverted
+//! axes are seen at once. Outputs that can say so mark it as a test.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::failure::Failure;
+use super::interrupt;
+use super::logging::{self, LogArguments};
+use super::receivers::Receivers;
+use crate::camera::CameraModel;
+use crate::config::Settings;
+use crate::geometry::{Body, Pose, Stage};
+use crate::publish::{Context, PanTiltRoll, Stamps, camera_of_body};
+use crate::record::{ObjectSample, PoseSample, StageTimes, State};
+
+/// Send a moving test pose to the outputs of a config; needs no camera and no stage.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example:\n  stagepose send-test --config stage.toml\n  stagepose listen freed 40000        # on the receiving machine"
+)]
+pub(super) struct SendTestArguments {
+    /// The config with the [[output]] sections
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// Stop after this long [default: at Ctrl-C]
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    seconds: Option<f64>,
+    /// Frames per second
+    #[arg(long, value_name = "HZ", default_value = "30", value_parser = rate)]
+    fps: f64,
+    #[command(flatten)]
+    log: LogArguments,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|s| *s > 0.0 && *s <= 1e6).ok_or_else(|| "give seconds above 0".to_owned())
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|hz| (1.0..=1000.0).contains(hz)).ok_or_else(|| "give a number from 1 to 1000".to_owned())
+}
+
+pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
+    let settings = Settings::load_outputs(&arguments.config)?;
+    if settings.http.is_none() && !settings.outputs.iter().any(|output| output.enabled) {
+        return Err(Failure::Usage(format!("{}: there is no [[output]] section to send to; add one", arguments.config.display())));
+    }
+    logging::start(&arguments.log, settings.log);
+    interrupt::watch();
+    let context = Context {
+        camera: settings.camera.unwrap_or_else(any_camera),
+        objects: settings.objects.clone(),
+        safety: settings.safety,
+        stamps: Stamps::Recorded,
+        frame_rate: Some(arguments.fps),
+        is_test: true,
+    };
+    let receivers = Receivers::open(&settings, &context)?;
+    let names: Vec<&str> = settings.outputs.iter().filter(|o| o.enabled).map(|o| o.name.as_str()).collect();
+    writeln!(io::stderr(), "sending a test pose to {}; Ctrl-C ends it", names.join(", ")).map_err(Failure::output(Path::new("stderr")))?;
+    let begun = Instant::now();
+    for sequence in 0.. {
+        let due = sequence as f64 / arguments.fps;
+        if arguments.seconds.is_some_and(|end| due >= end) || !wait_until(begun, due) {
+            break;
+        }
+        receivers.send(&test_sample(sequence, due, &settings.objects));
+    }
+    receivers.close();
+    Ok(())
+}
+
+/// False at Ctrl-C.
+fn wait_until(begun: Instant, due_s: f64) -> bool {
+    let due = Duration::from_secs_f64(due_s);
+    loop {
+        let left = due.saturating_sub(begun.elapsed());
+        if interrupt::is_interrupted() || left.is_zero() {
+            return !interrupt::is_interrupted();
+        }
+        std::thread::sleep(left.min(Duration::from_millis(50)));
+    }
+}
+
+/// A common webcam, where the config names no calibration.
+fn any_camera() -> CameraModel {
+    CameraModel::pinhole(1280, 720, 1000.0, 1000.0, 639.5, 359.5).expect("these are good intrinsics")
+}
+
+/// The test pose after a time: twenty seconds a round.
+fn test_pose(seconds: f64) -> Pose<Stage, Body> {
+    let (sin, cos) = (std::f64::consts::TAU * seconds / 20.0).sin_cos();
+    let angles = PanTiltRoll { pan_deg: 20.0 * sin, tilt_deg: 10.0 * cos, roll_deg: 5.0 * sin };
+    Pose::new(angles.rotation(), Vector3::new(0.5 * sin, -4.0 + 0.2 * cos, 1.6 + 0.1 * sin))
+}
+
+fn test_sample(sequence: u64, seconds: f64, objects: &[String]) -> PoseSample {
+    let object = |(index, name): (usize, &String)| ObjectSample {
+        name: name.clone(),
+        state: State::Tracking,
+        pose: Some(Pose::new(UnitQuaternion::identity(), Vector3::new(index as f64, 0.5 * (seconds / 3.0).sin(), 0.5))),
+        covariance: None,
+    };
+    PoseSample {
+        sequence,
+        timestamp_ns: (seconds * 1e9).round() as i64,
+        state: State::Tracking,
+        pose: Some(camera_of_body(&test_pose(seconds))),
+        measurement: None,
+        objects: objects.iter().enumerate().map(object).collect(),
+        times: StageTimes::default(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_test_pose_goes_round() {
+        assert!((test_pose(0.0).translation - test_pose(20.0).translation).norm() < 1e-9);
+        let sample = test_sample(3, 5.0, &["cart".to_owned()]);
+        let angles = PanTiltRoll::of_rotation(&test_pose(5.0).rotation, 0.0);
+        assert!((angles.pan_deg - 20.0).abs() < 1e-9 && angles.tilt_deg.abs() < 1e-9);
+        assert_eq!((sample.timestamp_ns, sample.objects[0].name.as_str()), (5_000_000_000, "cart"));
+    }
+}

@@ -1,0 +1,171 @@
+//! Outputs, safety, filter and HTTP: what is read, and what every wrong value is told.
+
+use std::net::{TcpListener, UdpSocket};
+use std::path::Path;
+
+use super::*;
+use crate::pose::{FilterKind, FilterSettings};
+use crate::publish::{BodyChoice, OnLoss, Protocol, Rate, SafetySettings};
+
+fn load(text: &str) -> Result<SendingSettings, ConfigError> {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("stage.toml");
+    std::fs::write(&file, text).unwrap();
+    Settings::load_outputs(&file)
+}
+
+fn message(text: &str) -> String {
+    let said = load(text).map(|_| ()).expect_err(text).to_string();
+    said.split_once("stage.toml: ").unwrap().1.to_owned()
+}
+
+const FREED: &str = "[[output]]\nkind = \"freed\"\nto = [\"127.0.0.1:40000\"]\n";
+const OSC: &str = "[[output]]\nkind = \"osc\"\nto = [\"127.0.0.1:53000\"]\n";
+const JSON: &str = "[[output]]\nkind = \"json\"\nfile = \"-\"\n";
+
+#[test]
+fn defaults_are_those_of_the_documentation() {
+    let settings = load(&format!("{FREED}{OSC}{JSON}[[object]]\nname = \"cart\"")).unwrap();
+    let [freed, osc, json] = &settings.outputs[..] else { panic!("three outputs") };
+    assert_eq!((freed.name.as_str(), osc.name.as_str(), json.name.as_str()), ("freed-1", "osc-4", "json-7"));
+    assert!(freed.enabled && freed.is_guarded && freed.placement.is_identity());
+    assert_eq!((freed.on_loss, freed.rate, freed.udp.ttl), (OnLoss::Stop, Rate::Every(1), 1));
+    assert_eq!(freed.bodies, [BodyChoice::Camera]);
+    assert_eq!(osc.bodies, [BodyChoice::Camera, BodyChoice::Object(0)]);
+    assert_eq!((settings.safety, settings.http), (SafetySettings::default(), None));
+    assert_eq!(load("[http]\n").unwrap().http, Some(crate::web::HttpSettings::default()));
+    assert_eq!(load("[http]\nenabled = false").unwrap().http, None);
+}
+
+#[test]
+fn every_key_reaches_the_settings() {
+    let text = "[[object]]\nname = \"cart\"\n[[output]]\nkind = \"psn\"\nname = \"desk\"\nenabled = false\nto = [\"236.10.10.10:56565\"]\n\
+        interface = \"127.0.0.1\"\nttl = 4\nbodies = [\"cart\", \"camera\"]\nrate_hz = 59.94\ndelay_s = 0.1\non_loss = \"flag\"\n\
+        offset_m = [1, 2, 3]\nrotation_xyzw = [0, 0, 1, 0]\ninvert = [\"x\", \"tilt\"]\nscale = 100\nsafety = false\nfirst_tracker = 12\nsystem = \"s\"\n\
+        [safety]\nmax_speed_m_s = 3\nmax_turn_deg_s = 180\npermitted_box_m = [[-1, -2, -3], [1, 2, 3]]\nblend_speed_m_s = 0.5\n\
+        blend_turn_deg_s = 90\nstale_after_s = 0.2\n[http]\nlisten = \"0.0.0.0:80\"\n";
+    let settings = load(text).unwrap();
+    let output = &settings.outputs[0];
+    assert_eq!((output.name.as_str(), output.enabled, output.is_guarded, output.on_loss), ("desk", false, false, OnLoss::Flag));
+    assert_eq!(output.bodies, [BodyChoice::Object(0), BodyChoice::Camera]);
+    assert_eq!((output.udp.ttl, output.udp.interface), (4, Some(std::net::Ipv4Addr::LOCALHOST)));
+    assert!(matches!(output.rate, Rate::Fixed { rate, delay } if rate.ticks == 60_000 && delay.as_millis() == 100));
+    let placement = output.placement;
+    assert_eq!((placement.scale, placement.position_signs, placement.angle_signs), (100.0, [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0]));
+    assert!(matches!(&output.protocol, Protocol::Psn(psn) if psn.first_tracker == 12 && psn.system == "s"));
+    assert_eq!(settings.safety.permitted_box_m, Some([[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]));
+    assert!((settings.safety.blend.unwrap().turn_rad_s - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    assert_eq!(settings.http.unwrap().listen.to_string(), "0.0.0.0:80");
+}
+
+#[test]
+fn every_wrong_value_is_told_with_its_line() {
+    let value = |more: &str| format!("{OSC}[[output.value]]\naddress = \"/a\"\nquantity = \"x\"\n{more}");
+    let cases = [
+        ("[[output]]\nto = [\"127.0.0.1:1\"]".to_owned(), "[[output]], line 1, has no `kind`; add kind = \"freed\""),
+        (FREED.replace("freed", "vrpn"), "`kind` in [[output]], line 2: `vrpn` cannot be used; give freed, opentrackio, psn, osc or json"),
+        (FREED.replace("to = [\"127.0.0.1:40000\"]", ""), "[[output]], line 1, has no `to`; add the receiver's address and port"),
+        (FREED.replace("127.0.0.1", "desk.local"), "`to` in [[output]], line 3: `desk.local:40000` cannot be used; give an IPv4 address"),
+        (FREED.replace("127.0.0.1", "192.168.1.300"), "`to` in [[output]], line 3: `192.168.1.300:40000` cannot be used"),
+        (FREED.replace(":40000", ""), "`to` in [[output]], line 3: `127.0.0.1` cannot be used; give an IPv4 address and a port"),
+        (FREED.replace("127.0.0.1", "239.1.2.3"), "`to` in [[output]], line 3: a multicast address needs `interface`"),
+        (format!("{FREED}interface = \"eth0\""), "`interface` in [[output]], line 4: `eth0` cannot be used; give this machine's IPv4"),
+        (format!("{FREED}ttl = 0"), "`ttl` in [[output]], line 4: 0 cannot be used"),
+        (format!("{FREED}rate_divider = 0"), "`rate_divider` in [[output]], line 4: 0 cannot be used; give a whole number from 1"),
+        (format!("{FREED}rate_hz = 0"), "`rate_hz` in [[output]], line 4: 0 cannot be used; give 25, 29.97, 30, 50, 59.94 or 60"),
+        (format!("{FREED}rate_hz = 25\nrate_divider = 2"), "`rate_divider` in [[output]], line 5: an output has either"),
+        (format!("{FREED}delay_s = 0.1"), "`delay_s` in [[output]], line 4: it belongs to `rate_hz`"),
+        (format!("{FREED}bodies = [\"cart\"]"), "`bodies` in [[output]], line 4: `cart` cannot be used; give \"camera\" or the `name`"),
+        (format!("{FREED}bodies = []"), "`bodies` in [[output]], line 4: give one body to freed"),
+        (format!("{FREED}on_loss = \"guess\""), "`on_loss` in [[output]], line 4: `guess` cannot be used; give stop, hold or flag"),
+        (format!("{FREED}spare = \"frame\"\non_loss = \"flag\""), "`on_loss` in [[output]], line 5: there is nothing to flag a loss with"),
+        (format!("{FREED}camera_id = 256"), "`camera_id` in [[output]], line 4: 256 cannot be used"),
+        (format!("{FREED}invert = [\"w\"]"), "`invert` in [[output]], line 4: `w` cannot be used; give x, y, z, pan, tilt or roll"),
+        (format!("{FREED}scale = 0"), "`scale` in [[output]], line 4: 0 cannot be used"),
+        (format!("{FREED}prefix = \"/a\""), "`prefix` in [[output]], line 4: it belongs to osc; remove it"),
+        (format!("{FREED}encoder = 1"), "unknown key `encoder` in [[output]], line 4; did you mean `encoding`?"),
+        (format!("{FREED}name = \"a\"\n{OSC}name = \"a\""), "`name` in [[output]], line 8: `a`, which another output has,"),
+        (format!("{OSC}prefix = \"a b\""), "`prefix` in [[output]], line 4: `a b` cannot be used; give the first part of an OSC address"),
+        (format!("{OSC}messages = [\"euler\"]"), "`messages` in [[output]], line 4: `euler` cannot be used; give pose, quat or status"),
+        (format!("{OSC}[[output.value]]\nquantity = \"x\""), "[[output.value]], line 4, has no `address`"),
+        (value("clamp = [1, 0]"), "`clamp` in [[output.value]], line 7: [1.0, 0.0] cannot be used"),
+        (value("every = 0"), "`every` in [[output.value]], line 7: 0 cannot be used"),
+        (value("").replace("\"x\"", "\"yaw\""), "`quantity` in [[output.value]], line 6: `yaw` cannot be used"),
+        (value("").replace("/a", "/a/{axis}"), "`address` in [[output.value]], line 5: the template's field {axis} is unknown; use {body}"),
+        (format!("{JSON}tcp_listen = \"localhost:9\""), "`tcp_listen` in [[output]], line 4: `localhost:9` cannot be used; give an IP"),
+        ("[safety]\nmax_speed_m_s = 0".to_owned(), "`max_speed_m_s` in [safety], line 2: 0 cannot be used"),
+        ("[safety]\nblend_speed_m_s = 1".to_owned(), "`blend_speed_m_s` in [safety], line 2: a return after a loss needs both"),
+        ("[safety]\npermitted_box_m = [[0, 0, 0], [1, 1, 0]]".to_owned(), "`permitted_box_m` in [safety], line 2: [0.0, 0.0, 0.0]"),
+        ("[safety]\nstale_after_s = nan".to_owned(), "`stale_after_s` in [safety], line 2: NaN cannot be used"),
+        ("[http]\nlisten = \"8090\"".to_owned(), "`listen` in [http], line 2: `8090` cannot be used; give an IP address and a port"),
+    ];
+    for (text, wanted) in cases {
+        let said = message(&text);
+        assert!(said.starts_with(wanted), "{text}\n{said}");
+    }
+}
+
+#[test]
+fn what_the_machine_does_not_give_is_told_with_its_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4, 3]\n";
+    super::tests::fill(folder.path());
+    let rehearse = |more: &str| {
+        let file = folder.path().join("stage.toml");
+        std::fs::write(&file, format!("{stage}{more}")).unwrap();
+        Settings::load(&file).unwrap().rehearse_outputs().map_err(|e| e.to_string())
+    };
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let at = taken.local_addr().unwrap();
+    let said = rehearse(&format!("[[output]]\nkind = \"json\"\ntcp_listen = \"{at}\"")).unwrap_err();
+    assert!(said.contains(&format!("`tcp_listen` in [[output]], line 8: cannot wait for clients on {at}")), "{said}");
+    let said = rehearse(&format!("[http]\nlisten = \"{at}\"")).unwrap_err();
+    assert!(said.contains(&format!("`listen` in [http], line 7: cannot listen on {at}")), "{said}");
+    let foreign = "[[output]]\nkind = \"freed\"\nto = [\"239.1.2.3:4000\"]\ninterface = \"203.0.113.7\"";
+    let said = rehearse(foreign).unwrap_err();
+    assert!(said.contains("`interface` in [[output]], line 9: cannot send by UDP"), "{said}");
+    // An output that is not enabled needs nothing.
+    assert_eq!(rehearse(&format!("{foreign}\nenabled = false")), Ok(()));
+    // A port to send to may be anybody's.
+    let receiver = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    assert_eq!(rehearse(&format!("[[output]]\nkind = \"freed\"\nto = [\"{receiver}\"]")), Ok(()));
+}
+
+#[test]
+fn the_filter_is_read_and_a_prediction_needs_one() {
+    let folder = tempfile::tempdir().unwrap();
+    super::tests::fill(folder.path());
+    let stage = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4, 3]\n";
+    let filter = |more: &str| Settings::from_text(&format!("{stage}[filter]\n{more}"), &folder.path().join("stage.toml"));
+    assert_eq!(filter("").unwrap().filter, FilterSettings::default());
+    let read = filter("kind = \"kalman\"\npredict_s = 0.033\nacceleration_m_s2 = 5\nturn_acceleration_deg_s2 = 180").unwrap().filter;
+    let FilterKind::Kalman(kalman) = read.kind else { panic!("{read:?}") };
+    assert_eq!((read.predict_s, kalman.acceleration_m_s2), (0.033, 5.0));
+    assert!((kalman.turn_acceleration_rad_s2 - std::f64::consts::PI).abs() < 1e-12);
+    assert!(
+        matches!(filter("kind = \"one-euro\"\nbeta = 1\nmin_cutoff_hz = 2").unwrap().filter.kind, FilterKind::OneEuro(e) if e.beta == 1.0)
+    );
+    let said = filter("predict_s = 0.03").unwrap_err().to_string();
+    assert!(said.contains("`predict_s` in [filter], line 7: a prediction needs the velocity"), "{said}");
+    let said = filter("kind = \"median\"").unwrap_err().to_string();
+    assert!(said.contains("`kind` in [filter], line 7: `median` cannot be used; give off, one-euro or kalman"), "{said}");
+}
+
+#[test]
+fn the_examples_for_receivers_are_good() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
+    let mut read = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let file = entry.unwrap().path();
+        if file.extension().is_none_or(|e| e != "toml") || file.ends_with("stage.toml") {
+            continue;
+        }
+        let text = std::fs::read_to_string(&file).unwrap();
+        // The calibration is the user's own.
+        let text: String = text.lines().filter(|l| !l.starts_with("calibration")).map(|l| format!("{l}\n")).collect();
+        let settings = load(&text).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+        assert!(!settings.outputs.is_empty() && text.contains("from vendor documents, not run"), "{}", file.display());
+        read += 1;
+    }
+    assert_eq!(read, 6);
+}

@@ -1,0 +1,239 @@
+//! The outputs: every `[[output]]` with its addresses, bodies and rates checked, and `[safety]`.
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::time::Duration;
+
+use toml::Spanned;
+
+use super::as_typed::{self, Number};
+use super::origin::Origin;
+use super::values::Section;
+use super::{ConfigError, Problem};
+use crate::publish::{BlendRates, BodyChoice, FixedRate, OnLoss, OutputSettings, Placement, Protocol, Rate, SafetySettings, UdpSettings};
+
+pub(super) const OUTPUT: &str = "[[output]]";
+
+/// Reads outputs for one config.
+pub(super) struct OutputReader<'a> {
+    pub origin: &'a Origin<'a>,
+    /// The objects' names, in their order.
+    pub objects: Vec<String>,
+}
+
+impl OutputReader<'_> {
+    pub fn outputs(&self, typed: &[Spanned<as_typed::Output>]) -> Result<Vec<OutputSettings>, ConfigError> {
+        let mut outputs: Vec<OutputSettings> = Vec::new();
+        for typed in typed {
+            let output = self.output(typed)?;
+            if let Some(name) = typed.get_ref().name.as_ref().filter(|_| outputs.iter().any(|o| o.name == output.name)) {
+                return Err(self.section().refuse(
+                    "name",
+                    &name.span(),
+                    Problem::Range {
+                        value: format!("`{}`, which another output has,", output.name),
+                        wanted: "each output a name of its own",
+                    },
+                ));
+            }
+            outputs.push(output);
+        }
+        Ok(outputs)
+    }
+
+    fn section(&self) -> Section<'_> {
+        Section { origin: self.origin, name: OUTPUT }
+    }
+
+    fn output(&self, typed: &Spanned<as_typed::Output>) -> Result<OutputSettings, ConfigError> {
+        let (section, span, output) = (self.section(), typed.span(), typed.get_ref());
+        let protocol = super::protocols::protocol(&section, output, &span)?;
+        let line = self.origin.line(&span);
+        let name = match &output.name {
+            Some(name) => section.text("name", name, "a name for messages, such as \"studio\"")?,
+            None => format!("{}-{line}", protocol.word()),
+        };
+        let udp = self.udp(&section, output)?;
+        self.has_somewhere_to_go(&protocol, &udp, &span)?;
+        let on_loss = on_loss(&section, output, &protocol)?;
+        Ok(OutputSettings {
+            name,
+            enabled: output.enabled.as_ref().is_none_or(|e| *e.get_ref()),
+            bodies: self.bodies(&section, output, &protocol)?,
+            protocol,
+            udp,
+            rate: rate(&section, output)?,
+            on_loss,
+            placement: placement(&section, output)?,
+            is_guarded: output.safety.as_ref().is_none_or(|e| *e.get_ref()),
+        })
+    }
+
+    fn has_somewhere_to_go(&self, protocol: &Protocol, udp: &UdpSettings, span: &std::ops::Range<usize>) -> Result<(), ConfigError> {
+        let has_stream = match protocol {
+            Protocol::Json(json) => json.stream.tcp_listen.is_some() || json.stream.file.is_some(),
+            _ => false,
+        };
+        if has_stream || !udp.to.is_empty() {
+            return Ok(());
+        }
+        let mend = "the receiver's address and port, such as to = [\"192.168.1.20:40000\"] (json: or `tcp_listen`, or `file`)";
+        Err(self.origin.missing(self.origin.section_at(OUTPUT, span), "to", mend))
+    }
+
+    fn udp(&self, section: &Section<'_>, output: &as_typed::Output) -> Result<UdpSettings, ConfigError> {
+        let mut to = Vec::new();
+        for typed in output.to.iter().flat_map(|to| to.get_ref()) {
+            let wanted = "an IPv4 address and a port from 1 to 65535, such as \"192.168.1.20:40000\"";
+            let address = typed.get_ref().parse::<SocketAddrV4>().ok().filter(|a| a.port() != 0 && !a.ip().is_unspecified());
+            let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
+            to.push(address.ok_or_else(|| section.refuse("to", &typed.span(), problem()))?);
+        }
+        let interface = output.interface.as_ref().map(|typed| {
+            let wanted = "this machine's IPv4 address on that network, such as \"192.168.1.10\"";
+            let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
+            typed.get_ref().parse::<Ipv4Addr>().map_err(|_| section.refuse("interface", &typed.span(), problem()))
+        });
+        let interface = interface.transpose()?;
+        if let (Some(typed), None) = (&output.to, interface)
+            && to.iter().any(|a| a.ip().is_multicast())
+        {
+            let problem = Problem::Combination(
+                "a multicast address needs `interface`, this machine's IPv4 address on that network, such as interface = \"192.168.1.10\"",
+            );
+            return Err(section.refuse("to", &typed.span(), problem));
+        }
+        let ttl = section.count("ttl", output.ttl.as_ref(), 1, 1..=255, "a number of routers from 1 (this network only) to 255")?;
+        Ok(UdpSettings { to, interface, ttl: u8::try_from(ttl).unwrap_or(u8::MAX) })
+    }
+
+    fn bodies(&self, section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol) -> Result<Vec<BodyChoice>, ConfigError> {
+        let takes_one = matches!(protocol, Protocol::Freed(_) | Protocol::OpenTrackIo(_));
+        let Some(typed) = &output.bodies else {
+            let objects = (0..self.objects.len()).filter(|_| !takes_one).map(BodyChoice::Object);
+            return Ok(std::iter::once(BodyChoice::Camera).chain(objects).collect());
+        };
+        let bodies = typed.get_ref();
+        if bodies.is_empty() || takes_one && bodies.len() > 1 {
+            let problem = Problem::Combination(
+                "give one body to freed and opentrackio, one or more to the others; make another [[output]] for the next",
+            );
+            return Err(section.refuse("bodies", &typed.span(), problem));
+        }
+        bodies.iter().map(|body| self.body(section, body)).collect()
+    }
+
+    fn body(&self, section: &Section<'_>, typed: &Spanned<String>) -> Result<BodyChoice, ConfigError> {
+        if typed.get_ref() == "camera" {
+            return Ok(BodyChoice::Camera);
+        }
+        let found = self.objects.iter().position(|name| name == typed.get_ref());
+        let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted: "\"camera\" or the `name` of an [[object]]" };
+        found.map(BodyChoice::Object).ok_or_else(|| section.refuse("bodies", &typed.span(), problem()))
+    }
+}
+
+fn on_loss(section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol) -> Result<OnLoss, ConfigError> {
+    let words = [("stop", OnLoss::Stop), ("hold", OnLoss::Hold), ("flag", OnLoss::Flag)];
+    let chosen = section.word("on_loss", output.on_loss.as_ref(), OnLoss::Stop, &words, "stop, hold or flag")?;
+    let has_no_flag = match protocol {
+        Protocol::Freed(freed) => freed.spare != crate::publish::freed::Spare::Quality,
+        Protocol::Osc(osc) => !osc.messages.contains(&crate::publish::osc::OscMessageKind::Status),
+        _ => false,
+    };
+    match &output.on_loss {
+        Some(typed) if chosen == OnLoss::Flag && has_no_flag => {
+            let problem = Problem::Combination(
+                "there is nothing to flag a loss with; add spare = \"quality\" (freed) or the message \"status\" (osc)",
+            );
+            Err(section.refuse("on_loss", &typed.span(), problem))
+        }
+        _ => Ok(chosen),
+    }
+}
+
+fn rate(section: &Section<'_>, output: &as_typed::Output) -> Result<Rate, ConfigError> {
+    let every = section.count("rate_divider", output.rate_divider.as_ref(), 1, 1..=1000, "a whole number from 1 to 1000")?;
+    let Some(typed) = &output.rate_hz else {
+        if let Some(delay) = &output.delay_s {
+            let problem = Problem::Combination("it belongs to `rate_hz`, which is not there; add one or remove it");
+            return Err(section.refuse("delay_s", &delay.span(), problem));
+        }
+        return Ok(Rate::Every(u32::try_from(every).unwrap_or(1)));
+    };
+    if let Some(divider) = &output.rate_divider {
+        let problem = Problem::Combination("an output has either `rate_divider` or `rate_hz`, this one has both; remove one");
+        return Err(section.refuse("rate_divider", &divider.span(), problem));
+    }
+    let found = FixedRate::KNOWN.into_iter().find(|(hz, _)| *hz == typed.get_ref().0);
+    let problem = || Problem::Range { value: typed.get_ref().0.to_string(), wanted: "25, 29.97, 30, 50, 59.94 or 60" };
+    let (_, rate) = found.ok_or_else(|| section.refuse("rate_hz", &typed.span(), problem()))?;
+    let delay = section.number("delay_s", output.delay_s.as_ref(), 0.08, |v| (0.0..=0.5).contains(&v), "seconds from 0 to 0.5")?;
+    Ok(Rate::Fixed { rate, delay: Duration::from_secs_f64(delay) })
+}
+
+fn placement(section: &Section<'_>, output: &as_typed::Output) -> Result<Placement, ConfigError> {
+    let mut placement = Placement { offset_m: section.position("offset_m", output.offset_m.as_ref())?, ..Placement::default() };
+    if output.rotation_xyzw.is_some() {
+        placement.rotation = section.orientation("rotation_xyzw", output.rotation_xyzw.as_ref())?;
+    }
+    placement.scale = section.number("scale", output.scale.as_ref(), 1.0, |v| v > 0.0 && v <= 1e6, "a factor above 0, at most 1000000")?;
+    for typed in output.invert.iter().flat_map(|list| list.get_ref()) {
+        let sign = match typed.get_ref().as_str() {
+            "x" => &mut placement.position_signs[0],
+            "y" => &mut placement.position_signs[1],
+            "z" => &mut placement.position_signs[2],
+            "pan" => &mut placement.angle_signs[0],
+            "tilt" => &mut placement.angle_signs[1],
+            "roll" => &mut placement.angle_signs[2],
+            other => {
+                let problem = Problem::Range { value: format!("`{other}`"), wanted: "x, y, z, pan, tilt or roll" };
+                return Err(section.refuse("invert", &typed.span(), problem));
+            }
+        };
+        *sign = -1.0;
+    }
+    Ok(placement)
+}
+
+/// `[safety]`
+pub(super) fn safety(origin: &Origin<'_>, typed: Option<&as_typed::Safety>) -> Result<SafetySettings, ConfigError> {
+    let default = SafetySettings::default();
+    let Some(typed) = typed else { return Ok(default) };
+    let section = Section { origin, name: "[safety]" };
+    let limit = |key: &'static str, typed: &Option<Spanned<Number>>, most: f64, wanted: &'static str| {
+        let value = section.number(key, typed.as_ref(), 0.0, |v| v > 0.0 && v <= most, wanted)?;
+        Ok::<_, ConfigError>(typed.as_ref().map(|_| value))
+    };
+    let (speed, turn) = ("metres per second, above 0, at most 100", "degrees per second, above 0, at most 10000");
+    let blend_speed = limit("blend_speed_m_s", &typed.blend_speed_m_s, 100.0, speed)?;
+    let blend_turn = limit("blend_turn_deg_s", &typed.blend_turn_deg_s, 10_000.0, turn)?;
+    let blend = match (blend_speed, blend_turn) {
+        (Some(speed_m_s), Some(turn)) => Some(BlendRates { speed_m_s, turn_rad_s: turn.to_radians() }),
+        (None, None) => None,
+        _ => {
+            let alone = typed.blend_speed_m_s.as_ref().or(typed.blend_turn_deg_s.as_ref()).map_or(0..0, Spanned::span);
+            let problem = Problem::Combination("a return after a loss needs both `blend_speed_m_s` and `blend_turn_deg_s`; add the other");
+            return Err(section.refuse(if blend_speed.is_some() { "blend_speed_m_s" } else { "blend_turn_deg_s" }, &alone, problem));
+        }
+    };
+    let stale =
+        section.number("stale_after_s", typed.stale_after_s.as_ref(), 0.5, |v| (0.02..=60.0).contains(&v), "seconds from 0.02 to 60")?;
+    Ok(SafetySettings {
+        max_speed_m_s: limit("max_speed_m_s", &typed.max_speed_m_s, 100.0, speed)?,
+        max_turn_rad_s: limit("max_turn_deg_s", &typed.max_turn_deg_s, 10_000.0, turn)?.map(f64::to_radians),
+        permitted_box_m: permitted_box(&section, typed)?,
+        blend,
+        stale_after: Duration::from_secs_f64(stale),
+    })
+}
+
+fn permitted_box(section: &Section<'_>, typed: &as_typed::Safety) -> Result<Option<[[f64; 3]; 2]>, ConfigError> {
+    let Some(typed) = &typed.permitted_box_m else { return Ok(None) };
+    let [least, greatest] = typed.get_ref().0.map(|corner| corner.values());
+    // A NaN fails the comparison too.
+    if least.iter().zip(&greatest).all(|(l, g)| l < g) {
+        return Ok(Some([least, greatest]));
+    }
+    let wanted = "two corners [[x, y, z], [x, y, z]] in metres, the first less than the second in all three";
+    Err(section.refuse("permitted_box_m", &typed.span(), Problem::Range { value: format!("{least:?}, {greatest:?}"), wanted }))
+}

@@ -1,0 +1,197 @@
+//! What each `kind` of `[[output]]` reads besides the keys that all have; a key of another kind is refused.
+
+use std::net::SocketAddr;
+use std::ops::Range;
+
+use toml::Spanned;
+
+use super::as_typed;
+use super::values::Section;
+use super::{ConfigError, Problem};
+use crate::publish::freed::{FreedSettings, Spare};
+use crate::publish::opentrackio::{Encoding, OpenTrackIoSettings};
+use crate::publish::osc::{AddressTemplate, OscMessageKind, OscSettings, OscValue, Quantity};
+use crate::publish::psn::PsnSettings;
+use crate::publish::{JsonSettings, PrincipalPoint, Protocol, StreamSettings};
+
+/// The sensor's width that lengths are told for where none is given: a common webcam's, millimetres.
+const SENSOR_WIDTH_MM: f64 = 4.8;
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Freed,
+    OpenTrackIo,
+    Psn,
+    Osc,
+    Json,
+}
+
+/// The protocol of an output whose section begins at `span`.
+pub(super) fn protocol(section: &Section<'_>, output: &as_typed::Output, span: &Range<usize>) -> Result<Protocol, ConfigError> {
+    let kinds = [("freed", Kind::Freed), ("opentrackio", Kind::OpenTrackIo), ("psn", Kind::Psn), ("osc", Kind::Osc), ("json", Kind::Json)];
+    let Some(typed) = &output.kind else {
+        let mend = "kind = \"freed\", \"opentrackio\", \"psn\", \"osc\" or \"json\"";
+        return Err(section.origin.missing(section.origin.section_at(section.name, span), "kind", mend));
+    };
+    let kind = section.word("kind", Some(typed), Kind::Json, &kinds, "freed, opentrackio, psn, osc or json")?;
+    refuse_others_keys(section, output, kind)?;
+    Ok(match kind {
+        Kind::Freed => Protocol::Freed(freed(section, output)?),
+        Kind::OpenTrackIo => Protocol::OpenTrackIo(opentrackio(section, output)?),
+        Kind::Psn => Protocol::Psn(psn(section, output)?),
+        Kind::Osc => Protocol::Osc(osc(section, output)?),
+        Kind::Json => Protocol::Json(json(section, output)?),
+    })
+}
+
+/// A key, where it stands if it does, the kinds that read it, and what to do elsewhere.
+type Owned = (&'static str, Option<Range<usize>>, &'static [Kind], &'static str);
+
+/// A key that this kind does not read would be without effect, which nobody wants.
+fn refuse_others_keys(section: &Section<'_>, o: &as_typed::Output, kind: Kind) -> Result<(), ConfigError> {
+    fn at<T>(typed: &Option<Spanned<T>>) -> Option<Range<usize>> {
+        typed.as_ref().map(Spanned::span)
+    }
+    use Kind::{Freed, Json, OpenTrackIo, Osc, Psn};
+    let keys: [Owned; 14] = [
+        ("sensor_width_mm", at(&o.sensor_width_mm), &[Freed, OpenTrackIo], "it belongs to freed and opentrackio; remove it"),
+        ("camera_id", at(&o.camera_id), &[Freed], "it belongs to freed; remove it"),
+        ("spare", at(&o.spare), &[Freed], "it belongs to freed; remove it"),
+        ("zoom", at(&o.zoom), &[Freed], "it belongs to freed; remove it"),
+        ("focus", at(&o.focus), &[Freed], "it belongs to freed; remove it"),
+        ("encoding", at(&o.encoding), &[OpenTrackIo], "it belongs to opentrackio; remove it"),
+        ("source_number", at(&o.source_number), &[OpenTrackIo], "it belongs to opentrackio; remove it"),
+        ("principal_point", at(&o.principal_point), &[OpenTrackIo], "it belongs to opentrackio; remove it"),
+        ("system", at(&o.system), &[Psn], "it belongs to psn; remove it"),
+        ("first_tracker", at(&o.first_tracker), &[Psn], "it belongs to psn; remove it"),
+        ("prefix", at(&o.prefix), &[Osc], "it belongs to osc; remove it"),
+        ("messages", at(&o.messages), &[Osc], "it belongs to osc; remove it"),
+        ("tcp_listen", at(&o.tcp_listen), &[Json], "it belongs to json; remove it"),
+        ("file", at(&o.file), &[Json], "it belongs to json; remove it"),
+    ];
+    let value = o.value.first().map(|v| ("value", v.span(), "it belongs to osc; remove it"));
+    let foreign = keys.into_iter().filter(|(.., kinds, _)| !kinds.contains(&kind)).find_map(|(key, at, _, mend)| Some((key, at?, mend)));
+    match foreign.or(value.filter(|_| kind != Osc)) {
+        Some((key, span, mend)) => Err(section.refuse(key, &span, Problem::Combination(mend))),
+        None => Ok(()),
+    }
+}
+
+fn sensor_width(section: &Section<'_>, o: &as_typed::Output) -> Result<f64, ConfigError> {
+    let wanted = "millimetres from 0.1 to 100";
+    section.number("sensor_width_mm", o.sensor_width_mm.as_ref(), SENSOR_WIDTH_MM, |v| (0.1..=100.0).contains(&v), wanted)
+}
+
+fn freed(section: &Section<'_>, o: &as_typed::Output) -> Result<FreedSettings, ConfigError> {
+    let spares = [("quality", Spare::Quality), ("frame", Spare::Frame), ("sony", Spare::Sony), ("zero", Spare::Zero)];
+    let raw = "a whole number from 0 to 16777215 (24 bits)";
+    let camera_id = section.count("camera_id", o.camera_id.as_ref(), 1, 0..=255, "a whole number from 0 to 255")?;
+    let zoom = section.count("zoom", o.zoom.as_ref(), 0, 0..=0xFF_FFFF, raw)?;
+    let focus = section.count("focus", o.focus.as_ref(), 0, 0..=0xFF_FFFF, raw)?;
+    Ok(FreedSettings {
+        // The ranges above fit.
+        camera_id: camera_id as u8,
+        spare: section.word("spare", o.spare.as_ref(), Spare::Quality, &spares, "quality, frame, sony or zero")?,
+        zoom: o.zoom.as_ref().map(|_| zoom as u32),
+        focus: focus as u32,
+        sensor_width_mm: sensor_width(section, o)?,
+    })
+}
+
+fn opentrackio(section: &Section<'_>, o: &as_typed::Output) -> Result<OpenTrackIoSettings, ConfigError> {
+    let encodings = [("json", Encoding::Json), ("cbor", Encoding::Cbor)];
+    let points = [("projection", PrincipalPoint::Projection), ("both", PrincipalPoint::Both)];
+    let source = section.count("source_number", o.source_number.as_ref(), 1, 1..=200, "a whole number from 1 to 200")?;
+    Ok(OpenTrackIoSettings {
+        encoding: section.word("encoding", o.encoding.as_ref(), Encoding::Json, &encodings, "json or cbor")?,
+        source_number: source as u8,
+        sensor_width_mm: sensor_width(section, o)?,
+        principal_point: section.word(
+            "principal_point",
+            o.principal_point.as_ref(),
+            PrincipalPoint::Projection,
+            &points,
+            "projection (as the standard has it) or both (for Unreal)",
+        )?,
+    })
+}
+
+fn psn(section: &Section<'_>, o: &as_typed::Output) -> Result<PsnSettings, ConfigError> {
+    let first = section.count("first_tracker", o.first_tracker.as_ref(), 1, 0..=65_000, "a whole number from 0 to 65000")?;
+    let system = o.system.as_ref().map(|s| section.text("system", s, "a name of the system, such as \"stagepose\"")).transpose()?;
+    Ok(PsnSettings { system: system.unwrap_or_else(|| "stagepose".to_owned()), first_tracker: first as u16 })
+}
+
+fn osc(section: &Section<'_>, o: &as_typed::Output) -> Result<OscSettings, ConfigError> {
+    let prefix = match &o.prefix {
+        None => "/stagepose".to_owned(),
+        Some(typed) => match AddressTemplate::parse(typed.get_ref()) {
+            Ok(_) if !typed.get_ref().contains('{') && !typed.get_ref().ends_with('/') => typed.get_ref().clone(),
+            _ => {
+                let problem = Problem::Range {
+                    value: format!("`{}`", typed.get_ref()),
+                    wanted: "the first part of an OSC address, such as \"/stagepose\"",
+                };
+                return Err(section.refuse("prefix", &typed.span(), problem));
+            }
+        },
+    };
+    let kinds = [("pose", OscMessageKind::Pose), ("quat", OscMessageKind::Quaternion), ("status", OscMessageKind::Status)];
+    let messages = match &o.messages {
+        None => kinds.iter().map(|(_, kind)| *kind).collect(),
+        Some(list) => {
+            let word = |typed| section.word("messages", Some(typed), OscMessageKind::Pose, &kinds, "pose, quat or status");
+            list.get_ref().iter().map(word).collect::<Result<_, _>>()?
+        }
+    };
+    let values = o.value.iter().map(|value| osc_value(section, value)).collect::<Result<_, _>>()?;
+    Ok(OscSettings { prefix, messages, values })
+}
+
+fn osc_value(section: &Section<'_>, typed: &Spanned<as_typed::OutputValue>) -> Result<OscValue, ConfigError> {
+    let section = Section { origin: section.origin, name: "[[output.value]]" };
+    let (here, value) = (|| section.origin.section_at(section.name, &typed.span()), typed.get_ref());
+    let Some(address) = &value.address else {
+        return Err(section.origin.missing(here(), "address", "the receiver's OSC address, such as address = \"/cue/2/translationX\""));
+    };
+    if value.quantity.is_none() {
+        return Err(section.origin.missing(here(), "quantity", "quantity = \"x\", \"y\", \"z\", \"pan\", \"tilt\" or \"roll\""));
+    }
+    let any = |_: f64| true;
+    let clamp = match &value.clamp {
+        None => None,
+        Some(typed) => match typed.get_ref().values() {
+            [least, greatest] if least < greatest => Some([least, greatest]),
+            other => {
+                let wanted = "a least and a greatest number, such as [0.0, 1.0]";
+                return Err(section.refuse("clamp", &typed.span(), Problem::Range { value: format!("{other:?}"), wanted }));
+            }
+        },
+    };
+    let template = AddressTemplate::parse(address.get_ref());
+    Ok(OscValue {
+        address: template.map_err(|e| section.refuse("address", &address.span(), Problem::Template(e)))?,
+        quantity: section.word("quantity", value.quantity.as_ref(), Quantity::X, &Quantity::WORDS, "x, y, z, pan, tilt or roll")?,
+        scale: section.number("factor", value.factor.as_ref(), 1.0, any, "a finite number")?,
+        offset: section.number("plus", value.plus.as_ref(), 0.0, any, "a finite number")?,
+        clamp,
+        every: section.count("every", value.every.as_ref(), 1, 1..=1000, "a whole number from 1 to 1000")? as u32,
+    })
+}
+
+fn json(section: &Section<'_>, o: &as_typed::Output) -> Result<JsonSettings, ConfigError> {
+    let tcp_listen = o.tcp_listen.as_ref().map(|typed| address(section, "tcp_listen", typed)).transpose()?;
+    let file = o.file.as_ref().map(|typed| {
+        let name = section.text("file", typed, "a file name, or \"-\" for standard output")?;
+        Ok::<_, ConfigError>(if name == "-" { name.into() } else { section.origin.beside(&name) })
+    });
+    Ok(JsonSettings { stream: StreamSettings { tcp_listen, file: file.transpose()? } })
+}
+
+/// An address of this machine to wait on.
+pub(super) fn address(section: &Section<'_>, key: &str, typed: &Spanned<String>) -> Result<SocketAddr, ConfigError> {
+    let wanted = "an IP address and a port from 1 to 65535, such as \"127.0.0.1:9000\"";
+    let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
+    let address = typed.get_ref().parse::<SocketAddr>().ok().filter(|a| a.port() != 0);
+    address.ok_or_else(|| section.refuse(key, &typed.span(), problem()))
+}

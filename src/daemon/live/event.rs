@@ -1,0 +1,203 @@
+//! What happens to a live daemon beside its poses: one line each in events.jsonl and in the log.
+
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+use crossbeam_channel::Receiver;
+use serde::Serialize;
+
+use crate::capture::moment::monotonic_ns;
+use crate::daemon::latest::{LatestSender, latest};
+use crate::record::State;
+
+/// Something that happened.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Event {
+    /// The camera streams.
+    CameraOpened {
+        /// Its name and place.
+        name: String,
+        /// Pixels.
+        width: u32,
+        /// Pixels.
+        height: u32,
+        /// V4L2's four letters.
+        format: &'static str,
+        /// Pictures a second.
+        fps: f64,
+        /// Controls as read back.
+        controls: Vec<(String, i64)>,
+        /// True where it was open before.
+        again: bool,
+    },
+    /// The camera cannot be opened; it is tried again and again.
+    CameraWaiting {
+        /// Why, with the mend.
+        reason: String,
+    },
+    /// The camera is gone, or was given up.
+    CameraLost {
+        /// Why.
+        reason: String,
+    },
+    /// The driver gives no stamps: times are those of reading, less exactly.
+    NoDriverStamp {
+        /// The camera.
+        name: String,
+    },
+    /// No picture has come for three frame times.
+    Stale {
+        /// Always `stale`.
+        state: State,
+        /// Always null.
+        pose: Option<()>,
+        /// Age of the last picture, milliseconds.
+        age_ms: f64,
+    },
+    /// Pictures come again.
+    Resumed {
+        /// How long none came, milliseconds.
+        after_ms: f64,
+    },
+    /// A frame was dropped, since the tracker was late.
+    FrameDropped {
+        /// Its stamp.
+        frame_timestamp_ns: i64,
+    },
+    /// Recording began.
+    RecorderStarted {
+        /// The clip.
+        clip: String,
+    },
+    /// Recording gave up; tracking goes on.
+    RecorderStopped {
+        /// Why.
+        reason: String,
+    },
+    /// The last seconds were saved.
+    RingSaved {
+        /// The clip.
+        clip: String,
+    },
+    /// The config was read again.
+    ConfigReloaded {
+        /// The file.
+        file: String,
+    },
+    /// The config was read again and refused; the old one stays.
+    ConfigRefused {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// An event with its time.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StampedEvent {
+    /// Monotonic nanoseconds, the clock of the frames.
+    pub timestamp_ns: i64,
+    /// What happened.
+    #[serde(flatten)]
+    pub event: Event,
+}
+
+impl StampedEvent {
+    /// One line of JSON, without the line end.
+    pub fn to_json_line(&self) -> String {
+        // Serialising to a string fails only for non-string map keys, of which there are none.
+        serde_json::to_string(self).expect("an event has only string keys")
+    }
+}
+
+/// Gives every event to the log and to whoever listens.
+#[derive(Debug, Default)]
+pub struct EventLog {
+    listeners: Mutex<Vec<(LatestSender<StampedEvent>, Weak<()>)>>,
+}
+
+/// A listener's own channel of events; the log forgets it when it is dropped.
+#[derive(Debug)]
+pub struct EventListener {
+    events: Receiver<StampedEvent>,
+    _alive: Arc<()>,
+}
+
+impl std::ops::Deref for EventListener {
+    type Target = Receiver<StampedEvent>;
+
+    fn deref(&self) -> &Receiver<StampedEvent> {
+        &self.events
+    }
+}
+
+/// Events that may wait for a listener before the oldest is dropped.
+const QUEUE: usize = 4096;
+
+impl EventLog {
+    /// A channel with every event from now on; a listener that is late loses the oldest.
+    pub fn listen(&self) -> EventListener {
+        let (sender, events) = latest(QUEUE);
+        let alive = Arc::new(());
+        self.listeners.lock().unwrap_or_else(PoisonError::into_inner).push((sender, Arc::downgrade(&alive)));
+        EventListener { events, _alive: alive }
+    }
+
+    /// Something happened now.
+    pub fn publish(&self, event: Event) {
+        note(&event);
+        let stamped = StampedEvent { timestamp_ns: monotonic_ns(), event };
+        self.listeners.lock().unwrap_or_else(PoisonError::into_inner).retain(|(listener, alive)| {
+            listener.send(stamped.clone());
+            alive.strong_count() > 0
+        });
+    }
+
+    /// Ends all listeners' channels.
+    pub fn close(&self) {
+        self.listeners.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+}
+
+fn note(event: &Event) {
+    match event {
+        Event::CameraOpened { name, width, height, format, fps, again, .. } => {
+            let again = if *again { "open again" } else { "open" };
+            tracing::info!("{name} is {again}: {format} {width}x{height}, {fps}/s");
+        }
+        Event::CameraWaiting { reason } => tracing::warn!("waiting for the camera: {reason}"),
+        Event::CameraLost { reason } => tracing::warn!("the camera is lost: {reason}"),
+        Event::NoDriverStamp { name } => {
+            tracing::warn!(
+                "{name}: its driver gives no time stamps; frames are stamped when they arrive, which is later than they were taken"
+            );
+        }
+        Event::Stale { age_ms, .. } => tracing::warn!("no picture for {age_ms:.0} ms"),
+        Event::Resumed { after_ms } => tracing::info!("pictures come again after {after_ms:.0} ms"),
+        Event::FrameDropped { frame_timestamp_ns } => {
+            tracing::debug!("the frame of {frame_timestamp_ns} was dropped: the tracker was late")
+        }
+        Event::RecorderStarted { clip } => tracing::info!("recording to {clip}"),
+        Event::RecorderStopped { reason } => tracing::error!("recording stopped: {reason}"),
+        Event::RingSaved { clip } => tracing::info!("the last seconds are saved in {clip}"),
+        Event::ConfigReloaded { file } => tracing::info!("{file} was read again"),
+        Event::ConfigRefused { reason } => tracing::error!("the old config stays: {reason}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn listeners_get_lines_and_may_be_gone() {
+        let log = EventLog::default();
+        let (kept, gone) = (log.listen(), log.listen());
+        drop(gone);
+        log.publish(Event::Stale { state: State::Stale, pose: None, age_ms: 101.5 });
+        assert_eq!(log.listeners.lock().unwrap().len(), 1);
+        log.close();
+        let lines: Vec<String> = kept.iter().map(|e| e.to_json_line()).collect();
+        assert_eq!(lines.len(), 1);
+        assert!(lines[0].ends_with(r#""event":"stale","state":"stale","pose":null,"age_ms":101.5}"#), "{}", lines[0]);
+    }
+}

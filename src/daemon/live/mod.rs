@@ -1,0 +1,33 @@
+//! A live camera as a source of rows, whatever it does: it may be missing, go, come back, stall, block or panic.
+//!
+//! ```text
+//!  reader thread (opens, reads, reopens)  --newest picture-->  capture stage (decodes)  --newest row-->  matcher
+//!       ^ nudged, then abandoned where a driver blocks it
+//! ```
+//! Pictures and rows that nobody came for are dropped, the oldest first. [`Pulse`] tells how long the last picture
+//! is ago, from which the pose stage makes stale messages.
+
+mod event;
+mod pulse;
+mod reader;
+mod source;
+
+pub use event::{Event, EventListener, EventLog, StampedEvent};
+pub use pulse::Pulse;
+pub(super) use reader::dropped;
+pub use source::{LiveSource, LiveStop, Patience, Shutter};
+
+use std::sync::Arc;
+
+use crate::web::Statistics;
+
+/// What the stages of a live daemon share.
+#[derive(Debug, Clone, Default)]
+pub struct LiveLink {
+    /// What is counted.
+    pub statistics: Arc<Statistics>,
+    /// What happens.
+    pub events: Arc<EventLog>,
+    /// When the last picture came.
+    pub pulse: Arc<Pulse>,
+}

@@ -1,0 +1,67 @@
+//! How long ago the last picture came, and when that is too long.
+
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::Duration;
+
+use crate::capture::moment::monotonic_ns;
+
+/// Shared by the thread that reads pictures and the one that says that none come.
+#[derive(Debug)]
+pub struct Pulse {
+    arrival_ns: AtomicI64,
+    stamp_ns: AtomicI64,
+    frame_time_ns: AtomicI64,
+}
+
+impl Default for Pulse {
+    fn default() -> Self {
+        let now = monotonic_ns();
+        Self { arrival_ns: AtomicI64::new(now), stamp_ns: AtomicI64::new(now), frame_time_ns: AtomicI64::new(33_333_333) }
+    }
+}
+
+/// A stale message is due before the third frame time is over; this much of it is left for its way.
+const STALE_FRAME_TIMES: f64 = 2.6;
+
+impl Pulse {
+    /// A picture came.
+    pub fn beat(&self, arrival_ns: i64, stamp_ns: i64) {
+        self.arrival_ns.store(arrival_ns, Ordering::Relaxed);
+        self.stamp_ns.store(stamp_ns, Ordering::Relaxed);
+    }
+
+    /// Pictures come at this rate, a second.
+    pub fn set_rate(&self, fps: f64) {
+        if fps > 0.0 {
+            self.frame_time_ns.store((1e9 / fps) as i64, Ordering::Relaxed);
+        }
+    }
+
+    /// Time until the silence is too long; none where it is already.
+    pub fn time_left(&self, now_ns: i64) -> Option<Duration> {
+        let allowed = (self.frame_time_ns.load(Ordering::Relaxed) as f64 * STALE_FRAME_TIMES) as i64;
+        let left = self.arrival_ns.load(Ordering::Relaxed).saturating_add(allowed).saturating_sub(now_ns);
+        u64::try_from(left).ok().filter(|left| *left > 0).map(Duration::from_nanos)
+    }
+
+    /// How old the last picture is, milliseconds, from its exposure on.
+    pub fn age_ms(&self, now_ns: i64) -> f64 {
+        now_ns.saturating_sub(self.stamp_ns.load(Ordering::Relaxed)) as f64 * 1e-6
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn silence_is_too_long_before_the_third_frame_time_is_over() {
+        let pulse = Pulse::default();
+        pulse.set_rate(50.0);
+        pulse.beat(1_000_000_000, 990_000_000);
+        assert_eq!(pulse.time_left(1_000_000_000), Some(Duration::from_millis(52)));
+        assert_eq!(pulse.time_left(1_051_999_999), Some(Duration::from_nanos(1)));
+        assert_eq!(pulse.time_left(1_052_000_000), None);
+        assert_eq!(pulse.age_ms(1_050_000_000), 60.0);
+    }
+}

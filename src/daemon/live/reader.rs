@@ -1,0 +1,216 @@
+//! The thread that owns the camera: opens it, reads it, gives it up, opens it again.
+//!
+//! It is the only one that a driver can block. Its beats tell the capture stage that it is not; a signal wakes it
+//! from most blocks (reads return "interrupted"), and what does not wake is left behind.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
+use std::sync::{Arc, Mutex, Once, PoisonError};
+use std::time::{Duration, Instant};
+
+use nix::libc;
+use nix::sys::signal::{SaFlags, SigAction, SigHandler, SigSet, Signal, sigaction};
+
+use super::source::{Patience, Shutter};
+use super::{Event, LiveLink};
+use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture};
+use crate::capture::moment::{mid_exposure_ns, monotonic_ns};
+use crate::daemon::latest::LatestSender;
+
+/// A picture on its way to the capture stage.
+pub(super) struct Arrived {
+    pub picture: CapturedPicture,
+    pub mode: Arc<CameraMode>,
+    pub timestamp_ns: i64,
+}
+
+/// What readers and their source share; it outlives a reader that was left behind.
+pub(super) struct Shared {
+    pub opener: Arc<dyn CameraOpener>,
+    pub shutter: Shutter,
+    pub patience: Patience,
+    pub link: LiveLink,
+    pub stop: AtomicBool,
+    /// The mode of the first opening: later ones must have its size.
+    pub first_mode: Mutex<Option<CameraMode>>,
+}
+
+/// One reader's own state.
+pub(super) struct Ticket {
+    /// False from when it is no longer wanted.
+    pub wanted: AtomicBool,
+    /// When it last was not blocked, monotonic nanoseconds.
+    beat_ns: AtomicI64,
+    /// True where its camera will give no more pictures (a played clip).
+    pub ended: AtomicBool,
+    /// Its thread, while it runs.
+    thread: Mutex<Option<libc::pthread_t>>,
+}
+
+impl Ticket {
+    pub fn new() -> Self {
+        let beat_ns = AtomicI64::new(monotonic_ns());
+        Self { wanted: AtomicBool::new(true), beat_ns, ended: AtomicBool::new(false), thread: Mutex::new(None) }
+    }
+
+    fn beat(&self) {
+        self.beat_ns.store(monotonic_ns(), Ordering::Relaxed);
+    }
+
+    /// How long it has been blocked.
+    pub fn blocked_for(&self) -> Duration {
+        Duration::from_nanos(u64::try_from(monotonic_ns() - self.beat_ns.load(Ordering::Relaxed)).unwrap_or(0))
+    }
+
+    /// Interrupts what it is blocked in.
+    pub fn nudge(&self) {
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(thread) = *thread {
+            // SAFETY: the thread clears its entry under this lock before it ends, so it is alive.
+            unsafe { libc::pthread_kill(thread, libc::SIGURG) };
+        }
+    }
+
+    pub fn is_running(&self) -> bool {
+        self.thread.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+
+    fn set_thread(&self, thread: Option<libc::pthread_t>) {
+        *self.thread.lock().unwrap_or_else(PoisonError::into_inner) = thread;
+    }
+}
+
+/// Makes the nudging signal do nothing but interrupt.
+fn take_signal() {
+    extern "C" fn nothing(_: libc::c_int) {}
+    static TAKEN: Once = Once::new();
+    TAKEN.call_once(|| {
+        // No SA_RESTART: a blocked call shall come back.
+        let action = SigAction::new(SigHandler::Handler(nothing), SaFlags::empty(), SigSet::empty());
+        // SAFETY: the handler does nothing.
+        let _ = unsafe { sigaction(Signal::SIGURG, &action) };
+    });
+}
+
+/// Why a camera was given up.
+enum Loss {
+    Unwanted,
+    Ended,
+    Gone(String),
+}
+
+/// The thread's whole life.
+pub(super) fn read(shared: &Shared, ticket: &Ticket, to: &LatestSender<Arrived>) {
+    take_signal();
+    // SAFETY: it only asks who we are.
+    ticket.set_thread(Some(unsafe { libc::pthread_self() }));
+    let mut said = None;
+    while wanted(shared, ticket) {
+        ticket.beat();
+        match open(shared) {
+            Ok(mut camera) => {
+                said = None;
+                let loss = stream(shared, ticket, &mut *camera, to);
+                ticket.beat();
+                // A driver's library may panic while it closes.
+                let _ = catch_unwind(AssertUnwindSafe(|| drop(camera))).map_err(|_| shared.link.statistics.panic_contained());
+                shared.link.statistics.camera_lost();
+                match loss {
+                    Loss::Unwanted => break,
+                    Loss::Ended => {
+                        ticket.ended.store(true, Ordering::Relaxed);
+                        break;
+                    }
+                    Loss::Gone(reason) => shared.link.events.publish(Event::CameraLost { reason }),
+                }
+            }
+            Err(reason) if said.as_ref() != Some(&reason) => {
+                shared.link.events.publish(Event::CameraWaiting { reason: reason.clone() });
+                said = Some(reason);
+            }
+            Err(_) => {}
+        }
+        nap(shared, ticket, shared.patience.between_openings);
+    }
+    ticket.set_thread(None);
+}
+
+fn wanted(shared: &Shared, ticket: &Ticket) -> bool {
+    ticket.wanted.load(Ordering::Relaxed) && !shared.stop.load(Ordering::Relaxed)
+}
+
+fn nap(shared: &Shared, ticket: &Ticket, whole: Duration) {
+    let begun = Instant::now();
+    while begun.elapsed() < whole && wanted(shared, ticket) {
+        ticket.beat();
+        std::thread::sleep(Duration::from_millis(10).min(whole));
+    }
+}
+
+fn open(shared: &Shared) -> Result<Box<dyn Camera>, String> {
+    let opened = catch_unwind(AssertUnwindSafe(|| shared.opener.open()));
+    let camera = opened.map_err(|_| {
+        shared.link.statistics.panic_contained();
+        "the camera's driver gave up while it was opened; unplug the camera and plug it in again".to_owned()
+    })?;
+    let camera = camera.map_err(|fault| fault.to_string())?;
+    let mode = camera.mode().clone();
+    let mut first = shared.first_mode.lock().unwrap_or_else(PoisonError::into_inner);
+    let again = first.is_some();
+    let size = first.get_or_insert_with(|| mode.clone()).size;
+    drop(first);
+    if mode.size != size {
+        let (w, h) = mode.size;
+        return Err(format!(
+            "{} now gives {w} x {h} pixels instead of {} x {}; set width and height in [camera]",
+            mode.name, size.0, size.1
+        ));
+    }
+    shared.link.pulse.set_rate(mode.fps);
+    shared.link.statistics.camera_opened(&mode.name, again);
+    let CameraMode { name, size: (width, height), layout, fps, controls, .. } = mode;
+    shared.link.events.publish(Event::CameraOpened { name, width, height, format: layout.fourcc(), fps, controls, again });
+    Ok(camera)
+}
+
+fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, to: &LatestSender<Arrived>) -> Loss {
+    let mode = Arc::new(camera.mode().clone());
+    let exposure_s = if shared.shutter.exposure_s > 0.0 { shared.shutter.exposure_s } else { mode.exposure_s.unwrap_or(0.0) };
+    let silence = shared.patience.silence.max(Duration::from_secs_f64(15.0 / mode.fps.max(0.1)));
+    let (mut last, mut last_sequence, mut stamped_before) = (Instant::now(), None, true);
+    while wanted(shared, ticket) {
+        ticket.beat();
+        let picture = match catch_unwind(AssertUnwindSafe(|| camera.next_picture(shared.patience.read))) {
+            Ok(Ok(picture)) => picture,
+            Ok(Err(CameraFault::Silent)) if last.elapsed() < silence => continue,
+            Ok(Err(CameraFault::Silent)) => return Loss::Gone(format!("it gave no picture for {:.1} s", last.elapsed().as_secs_f64())),
+            Ok(Err(CameraFault::Gone(reason))) => return Loss::Gone(reason),
+            Ok(Err(CameraFault::End)) => return Loss::Ended,
+            Err(_) => {
+                shared.link.statistics.panic_contained();
+                return Loss::Gone("the camera's driver gave up while it was read".to_owned());
+            }
+        };
+        last = Instant::now();
+        let (timestamp_ns, stamped) = mid_exposure_ns(picture.stamp, picture.arrival_ns, exposure_s, shared.shutter.readout_s);
+        if stamped_before && !stamped {
+            stamped_before = false;
+            shared.link.events.publish(Event::NoDriverStamp { name: mode.name.clone() });
+        }
+        if let (Some(before), Some(now)) = (last_sequence, picture.device_sequence) {
+            let lost: u32 = u32::wrapping_sub(now, before).wrapping_sub(1);
+            // A count that goes back begins anew; it does not mean four thousand million frames.
+            shared.link.statistics.device_frames_dropped(if lost < 10_000 { lost.into() } else { 0 });
+        }
+        last_sequence = picture.device_sequence.or(last_sequence);
+        shared.link.pulse.beat(picture.arrival_ns, timestamp_ns);
+        to.send_dropping(Arrived { picture, mode: mode.clone(), timestamp_ns }, |late| dropped(&shared.link, late.timestamp_ns));
+    }
+    Loss::Unwanted
+}
+
+/// A frame nobody came for.
+pub(in crate::daemon) fn dropped(link: &LiveLink, frame_timestamp_ns: i64) {
+    link.statistics.frames_dropped(1);
+    link.events.publish(Event::FrameDropped { frame_timestamp_ns });
+}

@@ -1,0 +1,192 @@
+//! The capture stage of a live daemon: takes the newest picture, decodes it, and looks after the reader.
+
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError};
+
+use super::reader::{Arrived, Shared, Ticket, read};
+use super::{Event, LiveLink};
+use crate::capture::camera::{CameraMode, CameraOpener};
+use crate::capture::{FrameSource, Row, decode_picture};
+use crate::daemon::latest::latest;
+
+/// The camera's shutter, seconds; 0 where unknown.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Shutter {
+    /// Exposure of a row; 0: as the camera says it, where it does.
+    pub exposure_s: f64,
+    /// First row to last.
+    pub readout_s: f64,
+}
+
+/// How long the pipeline bears what.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Patience {
+    /// One wait for a picture.
+    pub read: Duration,
+    /// No picture at all, before the camera is opened again (and 15 frame times at least).
+    pub silence: Duration,
+    /// A call that does not come back, before it is interrupted; twice this, before it is left behind.
+    pub blocked: Duration,
+    /// Between two tries to open.
+    pub between_openings: Duration,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        let ms = Duration::from_millis;
+        Self { read: ms(100), silence: ms(1500), blocked: ms(3000), between_openings: ms(300) }
+    }
+}
+
+/// Readers that may be left behind before the daemon only waits for one of them.
+const MOST_READERS: usize = 8;
+/// How often the reader is looked after.
+const TICK: Duration = Duration::from_millis(20);
+
+/// A live camera as a source of rows. It ends when it is stopped, or when a played clip does.
+pub struct LiveSource {
+    shared: Arc<Shared>,
+    pictures: Receiver<Arrived>,
+    reader: Arc<Ticket>,
+    left_behind: Vec<Arc<Ticket>>,
+    nudged: bool,
+    next_sequence: u64,
+}
+
+/// Stops a [`LiveSource`] from elsewhere.
+#[derive(Clone)]
+pub struct LiveStop(Arc<Shared>);
+
+impl LiveStop {
+    /// The source ends at its next look.
+    pub fn stop(&self) {
+        self.0.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+impl LiveSource {
+    /// Starts to open the camera and to read it.
+    pub fn start(opener: Arc<dyn CameraOpener>, shutter: Shutter, patience: Patience, link: LiveLink) -> Self {
+        let shared = Shared { opener, shutter, patience, link, stop: false.into(), first_mode: Mutex::new(None) };
+        let shared = Arc::new(shared);
+        let (pictures, reader) = spawn(&shared);
+        Self { shared, pictures, reader, left_behind: Vec::new(), nudged: false, next_sequence: 0 }
+    }
+
+    /// What the camera delivers, once it has been opened for the first time; looks after the reader meanwhile.
+    /// `None` when `give_up` says so.
+    pub fn wait_for_camera(&mut self, mut give_up: impl FnMut() -> bool) -> Option<CameraMode> {
+        loop {
+            if let Some(mode) = self.shared.first_mode.lock().unwrap_or_else(PoisonError::into_inner).clone() {
+                return Some(mode);
+            }
+            if give_up() || self.shared.stop.load(Ordering::Relaxed) {
+                return None;
+            }
+            std::thread::sleep(TICK);
+            self.look_after_reader();
+        }
+    }
+
+    /// A switch that ends it.
+    pub fn stopper(&self) -> LiveStop {
+        LiveStop(self.shared.clone())
+    }
+
+    /// What it shares with the other stages.
+    pub fn link(&self) -> LiveLink {
+        self.shared.link.clone()
+    }
+
+    fn row(&mut self, arrived: Arrived) -> Row {
+        let Arrived { picture, mode, timestamp_ns } = arrived;
+        let begun = Instant::now();
+        let decoded = decode_picture(&picture, mode.layout, mode.size);
+        let decode = begun.elapsed();
+        let sequence = self.next_sequence;
+        self.next_sequence += 1;
+        let (content, received) = decoded.content(mode.size, timestamp_ns, sequence);
+        Row { sequence, timestamp_ns, content, decode, received: Some(received) }
+    }
+
+    /// Interrupts a reader that is blocked, and puts another in its place where that does not help.
+    fn look_after_reader(&mut self) {
+        let (blocked, limit) = (self.reader.blocked_for(), self.shared.patience.blocked);
+        if blocked < limit {
+            self.nudged = false;
+        } else if blocked >= 2 * limit {
+            self.left_behind.retain(|r| r.is_running());
+            if self.left_behind.len() >= MOST_READERS {
+                return;
+            }
+            let reason = format!("its driver has not answered for {:.1} s; another try is made beside it", blocked.as_secs_f64());
+            self.shared.link.statistics.camera_lost();
+            self.shared.link.events.publish(Event::CameraLost { reason });
+            self.replace_reader();
+        } else if !self.nudged {
+            self.nudged = true;
+            self.reader.nudge();
+        }
+    }
+
+    fn replace_reader(&mut self) {
+        self.reader.wanted.store(false, Ordering::Relaxed);
+        let (pictures, reader) = spawn(&self.shared);
+        self.pictures = pictures;
+        self.left_behind.push(std::mem::replace(&mut self.reader, reader));
+    }
+}
+
+/// A reader and its channel. Where the system gives no thread, the channel is closed and the next look tries again.
+fn spawn(shared: &Arc<Shared>) -> (Receiver<Arrived>, Arc<Ticket>) {
+    let (to, pictures) = latest(1);
+    let ticket = Arc::new(Ticket::new());
+    let (shared, own) = (shared.clone(), ticket.clone());
+    let started = std::thread::Builder::new().name("camera".to_owned()).spawn(move || read(&shared, &own, &to));
+    if let Err(e) = started {
+        tracing::error!("cannot start the camera thread: {e}; close other programs or raise the limit of processes");
+    }
+    (pictures, ticket)
+}
+
+impl FrameSource for LiveSource {
+    fn next_row(&mut self) -> Option<Row> {
+        while !self.shared.stop.load(Ordering::Relaxed) {
+            match self.pictures.recv_timeout(TICK) {
+                Ok(arrived) => return Some(self.row(arrived)),
+                Err(RecvTimeoutError::Timeout) => self.look_after_reader(),
+                Err(RecvTimeoutError::Disconnected) if self.reader.ended.load(Ordering::Relaxed) => return None,
+                Err(RecvTimeoutError::Disconnected) => {
+                    std::thread::sleep(self.shared.patience.between_openings);
+                    self.replace_reader();
+                }
+            }
+        }
+        None
+    }
+
+    fn size(&self) -> (u32, u32) {
+        self.shared.first_mode.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map_or((0, 0), |mode| mode.size)
+    }
+
+    fn rows(&self) -> Option<u64> {
+        None
+    }
+}
+
+impl Drop for LiveSource {
+    /// Lets the reader close its camera, for a second at most.
+    fn drop(&mut self) {
+        self.shared.stop.store(true, Ordering::Relaxed);
+        let begun = Instant::now();
+        while self.reader.is_running() && begun.elapsed() < Duration::from_secs(1) {
+            std::thread::sleep(Duration::from_millis(2));
+            if begun.elapsed() > Duration::from_millis(300) {
+                self.reader.nudge();
+            }
+        }
+    }
+}

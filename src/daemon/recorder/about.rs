@@ -1,0 +1,72 @@
+//! clip.toml: the camera, its controls, and how the clip's clock relates to the world's; and the config beside it.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde::Serialize;
+
+use super::disk::Disk;
+use super::utc;
+use crate::capture::camera::CameraMode;
+use crate::capture::moment::monotonic_ns;
+use crate::config::copy_config;
+
+/// What a clip is told of itself.
+#[derive(Debug, Clone)]
+pub struct AboutClip {
+    /// The camera as it was opened.
+    pub camera: CameraMode,
+    /// The config file, which is copied with all that it names.
+    pub config: PathBuf,
+}
+
+#[derive(Serialize)]
+struct ClipToml<'a> {
+    program: String,
+    begun_utc: String,
+    /// Replay with this config.
+    config: &'a str,
+    clock: Clock,
+    camera: Camera<'a>,
+}
+
+/// The clip's stamps are monotonic; both clocks were read at the same moment.
+#[derive(Serialize)]
+struct Clock {
+    monotonic_ns: i64,
+    utc_ns: i64,
+}
+
+#[derive(Serialize)]
+struct Camera<'a> {
+    name: &'a str,
+    width: u32,
+    height: u32,
+    format: &'a str,
+    fps: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    exposure_s: Option<f64>,
+    controls: std::collections::BTreeMap<&'a str, i64>,
+}
+
+impl AboutClip {
+    /// Writes clip.toml and config/ into a clip.
+    pub fn write(&self, clip: &Path, disk: &mut dyn Disk) -> io::Result<()> {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let clock = Clock { monotonic_ns: monotonic_ns(), utc_ns: i64::try_from(now.as_nanos()).unwrap_or(i64::MAX) };
+        let CameraMode { name, size: (width, height), layout, fps, exposure_s, controls, notes: _ } = &self.camera;
+        let controls = controls.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        let camera = Camera { name, width: *width, height: *height, format: layout.fourcc(), fps: *fps, exposure_s: *exposure_s, controls };
+        let about = ClipToml {
+            program: format!("stagepose {}", env!("CARGO_PKG_VERSION")),
+            begun_utc: utc::text(now.as_secs()),
+            config: "config/stage.toml",
+            clock,
+            camera,
+        };
+        let text = toml::to_string(&about).map_err(io::Error::other)?;
+        disk.write_file(&clip.join("clip.toml"), text.as_bytes())?;
+        copy_config(&self.config, &clip.join("config")).map(|_| ())
+    }
+}

@@ -1,0 +1,110 @@
+//! A clip that is being recorded: `frames/` in folders of 10,000, `timestamps.csv`, `poses.jsonl`, `events.jsonl`, `dropped.csv`.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use image::codecs::pnm::{PnmEncoder, PnmSubtype, SampleEncoding};
+use image::{ExtendedColorType, GrayImage, ImageEncoder};
+
+use super::disk::Disk;
+use crate::daemon::live::{Event, StampedEvent};
+
+/// A row as it is kept.
+#[derive(Debug, Clone)]
+pub(super) struct Recorded {
+    pub timestamp_ns: i64,
+    pub picture: Picture,
+    /// The C3 record, without the line end.
+    pub line: String,
+}
+
+/// What is kept of a picture.
+#[derive(Debug, Clone)]
+pub(super) enum Picture {
+    /// As received.
+    Jpeg(Arc<[u8]>),
+    /// Luma.
+    Grey(GrayImage),
+    /// It was none; an empty file replays to the same.
+    Nothing,
+}
+
+impl Recorded {
+    /// Bytes on their way to the disk.
+    pub fn bytes(&self) -> usize {
+        let picture = match &self.picture {
+            Picture::Jpeg(bytes) => bytes.len(),
+            Picture::Grey(image) => image.as_raw().len(),
+            Picture::Nothing => 0,
+        };
+        picture + self.line.len()
+    }
+}
+
+/// Pictures in one folder.
+const PER_FOLDER: u64 = 10_000;
+/// The first line of an index.
+pub(super) const INDEX_HEAD: &[u8] = b"#timestamp [ns],filename\n";
+
+/// A clip's folder.
+#[derive(Debug)]
+pub(super) struct ClipFolder {
+    pub folder: PathBuf,
+    pictures: u64,
+    dropped_begun: bool,
+}
+
+impl ClipFolder {
+    /// Makes the folder, which must not hold a clip yet.
+    pub fn create(folder: &Path, disk: &mut dyn Disk) -> io::Result<Self> {
+        let index = folder.join("timestamps.csv");
+        if index.exists() {
+            let reason = format!("{} holds a clip already; give a new folder", folder.display());
+            return Err(io::Error::new(io::ErrorKind::AlreadyExists, reason));
+        }
+        disk.make_folder(&folder.join("frames"))?;
+        disk.append(&index, INDEX_HEAD)?;
+        Ok(Self::of(folder))
+    }
+
+    /// A folder that is there.
+    pub fn of(folder: &Path) -> Self {
+        Self { folder: folder.to_owned(), pictures: 0, dropped_begun: false }
+    }
+
+    /// Writes a row: the picture, then its line in the index, then its record.
+    pub fn push(&mut self, row: &Recorded, disk: &mut dyn Disk) -> io::Result<()> {
+        let (n, subfolder) = (self.pictures, format!("{:04}", self.pictures / PER_FOLDER));
+        if n.is_multiple_of(PER_FOLDER) {
+            disk.make_folder(&self.folder.join("frames").join(&subfolder))?;
+        }
+        let (extension, bytes) = match &row.picture {
+            Picture::Jpeg(bytes) => ("jpg", bytes.to_vec()),
+            Picture::Grey(image) => ("pgm", pgm(image)?),
+            Picture::Nothing => ("pgm", Vec::new()),
+        };
+        let name = format!("{subfolder}/{n:08}.{extension}");
+        disk.write_file(&self.folder.join("frames").join(&name), &bytes)?;
+        disk.append(&self.folder.join("timestamps.csv"), format!("{},{name}\n", row.timestamp_ns).as_bytes())?;
+        self.pictures += 1;
+        disk.append(&self.folder.join("poses.jsonl"), format!("{}\n", row.line).as_bytes())
+    }
+
+    /// Writes an event; a dropped frame goes to an index of its own.
+    pub fn event(&mut self, event: &StampedEvent, disk: &mut dyn Disk) -> io::Result<()> {
+        if let Event::FrameDropped { frame_timestamp_ns } = event.event {
+            let head = if self.dropped_begun { "" } else { "#timestamp [ns] of frames that were not tracked\n" };
+            self.dropped_begun = true;
+            return disk.append(&self.folder.join("dropped.csv"), format!("{head}{frame_timestamp_ns}\n").as_bytes());
+        }
+        disk.append(&self.folder.join("events.jsonl"), format!("{}\n", event.to_json_line()).as_bytes())
+    }
+}
+
+fn pgm(image: &GrayImage) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(image.as_raw().len() + 32);
+    let encoder = PnmEncoder::new(&mut bytes).with_subtype(PnmSubtype::Graymap(SampleEncoding::Binary));
+    encoder.write_image(image, image.width(), image.height(), ExtendedColorType::L8).map_err(io::Error::other)?;
+    Ok(bytes)
+}

@@ -1,0 +1,71 @@
+//! Writing in a way that a full disk or a killed process leaves behind only whole files and whole lines.
+
+use std::collections::HashMap;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+/// What the recorder asks of a disk; tests put one in its place that fills up.
+pub trait Disk: Send {
+    /// Makes a folder with those above it.
+    fn make_folder(&mut self, folder: &Path) -> io::Result<()>;
+    /// Writes a new file, whole or not at all.
+    fn write_file(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Appends to a file, whole or not at all.
+    fn append(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Brings appended lines to the medium.
+    fn sync(&mut self);
+    /// Forgets files below a folder that is about to be moved or removed.
+    fn let_go(&mut self, folder: &Path);
+}
+
+/// The machine's disk.
+#[derive(Debug, Default)]
+pub struct RealDisk {
+    /// Files that are appended to, with their length.
+    open: HashMap<PathBuf, (File, u64)>,
+}
+
+/// An error with the file that it is about.
+fn at(file: &Path) -> impl Fn(io::Error) -> io::Error + '_ {
+    move |e| io::Error::new(e.kind(), format!("{}: {e}", file.display()))
+}
+
+impl Disk for RealDisk {
+    fn make_folder(&mut self, folder: &Path) -> io::Result<()> {
+        fs::create_dir_all(folder).map_err(at(folder))
+    }
+
+    fn write_file(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()> {
+        fs::write(file, bytes).map_err(|e| {
+            let _ = fs::remove_file(file);
+            at(file)(e)
+        })
+    }
+
+    fn append(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()> {
+        if !self.open.contains_key(file) {
+            let opened = OpenOptions::new().create(true).append(true).open(file).map_err(at(file))?;
+            let length = opened.metadata().map_err(at(file))?.len();
+            self.open.insert(file.to_owned(), (opened, length));
+        }
+        let Some((opened, length)) = self.open.get_mut(file) else { return Ok(()) };
+        if let Err(e) = opened.write_all(bytes) {
+            let _ = opened.set_len(*length);
+            return Err(at(file)(e));
+        }
+        *length += bytes.len() as u64;
+        Ok(())
+    }
+
+    fn sync(&mut self) {
+        self.open.values().for_each(|(file, _)| {
+            // What cannot be synced will fail to be written next.
+            let _ = file.sync_data();
+        });
+    }
+
+    fn let_go(&mut self, folder: &Path) {
+        self.open.retain(|file, _| !file.starts_with(folder));
+    }
+}

@@ -1,0 +1,234 @@
+//! Records what is tracked, on a thread of its own: the pictures as they came, their stamps, the records, the events.
+//!
+//! A recording is a clip that replays to the same records byte for byte. It is written so that it is a good clip at every
+//! moment: a picture first, then its line. A disk that is full or too slow ends the recording and nothing else.
+//! The ring keeps the last seconds in the same form, until somebody wants to know what happened just now.
+
+mod about;
+mod clip_folder;
+mod disk;
+mod ring;
+mod utc;
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded, select};
+
+pub use about::AboutClip;
+pub use disk::{Disk, RealDisk};
+pub use utc::new_clip_name;
+
+use super::live::{Event, LiveLink, StampedEvent};
+use crate::capture::{Received, Row, RowContent};
+use crate::record::PoseSample;
+use crate::web::RecorderState;
+use clip_folder::{ClipFolder, Picture, Recorded};
+use ring::Ring;
+
+/// What is to be recorded.
+#[derive(Debug, Clone)]
+pub struct RecorderPlan {
+    /// Everything, to this new folder.
+    pub clip: Option<PathBuf>,
+    /// The last seconds, below this folder, where saved rings go too.
+    pub ring: Option<(PathBuf, f64)>,
+    /// What clip.toml says.
+    pub about: AboutClip,
+}
+
+/// Rows that may wait for the disk, and their bytes: beyond them the disk is too slow.
+const MOST_WAITING: usize = 512;
+const MOST_WAITING_BYTES: usize = 256 << 20;
+/// Events that a saved ring tells of.
+const RECENT_EVENTS: usize = 4096;
+
+enum Job {
+    Row(Recorded),
+    Save,
+}
+
+/// A running recorder.
+pub struct Recorder {
+    jobs: Sender<Job>,
+    queue: Arc<Queue>,
+    thread: JoinHandle<()>,
+}
+
+/// What waits for the disk.
+#[derive(Default)]
+struct Queue {
+    bytes: AtomicUsize,
+    overflown: AtomicBool,
+}
+
+impl Recorder {
+    /// Makes the clip and begins; the disk is a parameter so that a full one can be tested.
+    ///
+    /// # Errors
+    /// When the clip or the ring cannot be made, or the system gives no thread.
+    pub fn start(plan: RecorderPlan, link: &LiveLink, mut disk: Box<dyn Disk>) -> std::io::Result<Self> {
+        let clip = plan.clip.as_deref().map(|folder| begin_clip(folder, &plan.about, &mut *disk)).transpose()?;
+        let ring = plan.ring.as_ref().map(|(folder, seconds)| Ring::create(folder, *seconds, &mut *disk)).transpose()?;
+        link.statistics.set_recorder(if clip.is_some() || ring.is_some() { RecorderState::Recording } else { RecorderState::Off });
+        let events = link.events.listen();
+        if let Some(folder) = &plan.clip {
+            link.events.publish(Event::RecorderStarted { clip: folder.display().to_string() });
+        }
+        let (jobs, to_do) = bounded(MOST_WAITING);
+        let queue = Arc::new(Queue::default());
+        let work =
+            Work { plan, clip, ring, disk, link: link.clone(), queue: queue.clone(), recent: VecDeque::new(), synced: Instant::now() };
+        let thread = std::thread::Builder::new().name("recorder".to_owned()).spawn(move || work.run(&to_do, &events))?;
+        Ok(Self { jobs, queue, thread })
+    }
+
+    /// What the daemon's pose stage calls with every row; waits for nothing.
+    pub fn observer(&self) -> impl FnMut(&Row, &PoseSample) + Send + 'static {
+        let (jobs, queue) = (self.jobs.clone(), self.queue.clone());
+        move |row, sample| {
+            if queue.overflown.load(Ordering::Relaxed) {
+                return;
+            }
+            let recorded = recorded(row, sample);
+            let bytes = queue.bytes.fetch_add(recorded.bytes(), Ordering::Relaxed);
+            if bytes > MOST_WAITING_BYTES || matches!(jobs.try_send(Job::Row(recorded)), Err(TrySendError::Full(_))) {
+                queue.overflown.store(true, Ordering::Relaxed);
+            }
+        }
+    }
+
+    /// A switch that saves the ring, for other threads (an HTTP call).
+    pub fn saver(&self) -> impl Fn() + Send + Sync + 'static {
+        let jobs = self.jobs.clone();
+        move || {
+            let _ = jobs.try_send(Job::Save);
+        }
+    }
+
+    /// Writes what waits, and ends. The daemon with its observer must have ended before.
+    pub fn finish(self) {
+        let Self { jobs, queue: _, thread } = self;
+        drop(jobs);
+        // A recorder that failed has said so.
+        let _ = thread.join();
+    }
+}
+
+fn begin_clip(folder: &Path, about: &AboutClip, disk: &mut dyn Disk) -> std::io::Result<ClipFolder> {
+    let clip = ClipFolder::create(folder, disk)?;
+    about.write(folder, disk)?;
+    Ok(clip)
+}
+
+/// What is kept of a row.
+fn recorded(row: &Row, sample: &PoseSample) -> Recorded {
+    let picture = match (&row.received, &row.content) {
+        (Some(Received::Jpeg(bytes)), _) => Picture::Jpeg(bytes.clone()),
+        (Some(Received::Damaged), _) => Picture::Nothing,
+        (_, RowContent::Frame(frame)) => Picture::Grey(frame.image.clone()),
+        (_, RowContent::Undecodable(_) | RowContent::Skipped(_)) => Picture::Nothing,
+    };
+    Recorded { timestamp_ns: row.timestamp_ns, picture, line: sample.to_json_line() }
+}
+
+/// The recorder's thread.
+struct Work {
+    plan: RecorderPlan,
+    clip: Option<ClipFolder>,
+    ring: Option<Ring>,
+    disk: Box<dyn Disk>,
+    link: LiveLink,
+    queue: Arc<Queue>,
+    recent: VecDeque<StampedEvent>,
+    synced: Instant,
+}
+
+impl Work {
+    fn run(mut self, jobs: &Receiver<Job>, events: &Receiver<StampedEvent>) {
+        loop {
+            select! {
+                recv(jobs) -> job => match job {
+                    Ok(Job::Row(row)) => self.row(&row),
+                    Ok(Job::Save) => self.save(),
+                    Err(_) => break,
+                },
+                recv(events) -> event => match event {
+                    Ok(event) => self.event(event),
+                    // The daemon's log is closed before the recorder ends: rows may still come.
+                    Err(_) => std::thread::sleep(Duration::from_millis(1)),
+                },
+            }
+            if self.synced.elapsed() > Duration::from_secs(1) {
+                self.synced = Instant::now();
+                self.disk.sync();
+            }
+            if self.queue.overflown.load(Ordering::Relaxed) {
+                self.stop("the disk cannot keep up; record to a faster one, or at a lower rate");
+            }
+        }
+        events.try_iter().for_each(|event| self.event(event));
+        self.disk.sync();
+        if self.link.statistics.recorder() == RecorderState::Recording {
+            self.link.statistics.set_recorder(RecorderState::Off);
+        }
+    }
+
+    fn row(&mut self, row: &Recorded) {
+        self.queue.bytes.fetch_sub(row.bytes(), Ordering::Relaxed);
+        let to_clip = self.clip.as_mut().map_or(Ok(()), |clip| clip.push(row, &mut *self.disk));
+        let to_ring = self.ring.as_mut().map_or(Ok(()), |ring| ring.push(row, &mut *self.disk));
+        match to_clip.and(to_ring) {
+            Ok(()) if self.clip.is_some() || self.ring.is_some() => self.link.statistics.frame_recorded(),
+            Ok(()) => {}
+            Err(e) => self.stop(&format!("{e}; make room on the disk, then start again or send SIGHUP")),
+        }
+    }
+
+    fn event(&mut self, event: StampedEvent) {
+        if let Some(clip) = &mut self.clip
+            && let Err(e) = clip.event(&event, &mut *self.disk)
+        {
+            self.stop(&format!("{e}; make room on the disk, then start again or send SIGHUP"));
+        }
+        if self.ring.is_some() {
+            self.recent.truncate(RECENT_EVENTS);
+            self.recent.push_front(event);
+        }
+    }
+
+    /// Gives up; what is written stays a good clip.
+    fn stop(&mut self, reason: &str) {
+        if self.clip.take().is_none() & self.ring.take().is_none() {
+            return;
+        }
+        self.link.statistics.set_recorder(RecorderState::Stopped);
+        self.link.events.publish(Event::RecorderStopped { reason: reason.to_owned() });
+    }
+
+    fn save(&mut self) {
+        let (Some(ring), Some((folder, _))) = (&mut self.ring, &self.plan.ring) else { return };
+        if ring.is_empty() {
+            tracing::warn!("the ring has nothing to save yet");
+            return;
+        }
+        let clip = utc::new_clip_name(folder);
+        let saved = ring.save(&clip, &mut *self.disk).and_then(|first_ns| {
+            self.plan.about.write(&clip, &mut *self.disk)?;
+            let mut saved = ClipFolder::of(&clip);
+            let since = self.recent.iter().rev().filter(|e| e.timestamp_ns >= first_ns);
+            since.into_iter().try_for_each(|event| saved.event(event, &mut *self.disk))
+        });
+        match saved {
+            Ok(()) => self.link.events.publish(Event::RingSaved { clip: clip.display().to_string() }),
+            Err(e) => self.stop(&format!("the ring cannot be saved: {e}; make room on the disk")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

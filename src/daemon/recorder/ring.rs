@@ -1,0 +1,85 @@
+//! The last seconds on disk, as short clips in a row of which the oldest is removed.
+//!
+//! Each is a good clip by itself, so that a killed daemon leaves them readable; saving puts them together in one.
+
+use std::collections::VecDeque;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::clip_folder::{ClipFolder, INDEX_HEAD, Recorded};
+use super::disk::Disk;
+
+struct Segment {
+    clip: ClipFolder,
+    first_ns: i64,
+}
+
+/// A ring of short clips.
+pub(super) struct Ring {
+    folder: PathBuf,
+    length_ns: i64,
+    segments: VecDeque<Segment>,
+    made: u64,
+}
+
+/// Segments that make up the wanted time.
+const SEGMENTS: i64 = 8;
+
+impl Ring {
+    /// Begins in `folder`/ring; what a killed daemon left there is kept as `folder`/ring-before, once.
+    pub fn create(folder: &Path, seconds: f64, disk: &mut dyn Disk) -> io::Result<Self> {
+        let ring = folder.join("ring");
+        if ring.exists() {
+            let before = folder.join("ring-before");
+            let _ = std::fs::remove_dir_all(&before);
+            std::fs::rename(&ring, &before)?;
+        }
+        disk.make_folder(&ring)?;
+        Ok(Self { folder: ring, length_ns: (seconds * 1e9) as i64, segments: VecDeque::new(), made: 0 })
+    }
+
+    /// Writes a row to the newest segment and removes what is too old.
+    pub fn push(&mut self, row: &Recorded, disk: &mut dyn Disk) -> io::Result<()> {
+        let age = |segment: &Segment| row.timestamp_ns.saturating_sub(segment.first_ns);
+        if self.segments.back().is_none_or(|s| age(s) >= self.length_ns / SEGMENTS) {
+            let clip = ClipFolder::create(&self.folder.join(format!("{:08}", self.made)), disk)?;
+            self.made += 1;
+            self.segments.push_back(Segment { clip, first_ns: row.timestamp_ns });
+        }
+        // The oldest may go when those behind it reach back far enough.
+        while self.segments.get(1).is_some_and(|second| age(second) >= self.length_ns) {
+            if let Some(oldest) = self.segments.pop_front() {
+                disk.let_go(&oldest.clip.folder);
+                std::fs::remove_dir_all(&oldest.clip.folder)?;
+            }
+        }
+        self.segments.back_mut().map_or(Ok(()), |newest| newest.clip.push(row, disk))
+    }
+
+    /// Whether there is nothing to save.
+    pub fn is_empty(&self) -> bool {
+        self.segments.is_empty()
+    }
+
+    /// Moves what is there into a clip of its own and begins anew; gives the first row's stamp.
+    pub fn save(&mut self, clip: &Path, disk: &mut dyn Disk) -> io::Result<i64> {
+        disk.make_folder(&clip.join("frames"))?;
+        let first_ns = self.segments.front().map_or(i64::MAX, |s| s.first_ns);
+        let (mut index, mut poses) = (INDEX_HEAD.to_vec(), Vec::new());
+        for segment in std::mem::take(&mut self.segments) {
+            let from = &segment.clip.folder;
+            disk.let_go(from);
+            let name = from.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+            std::fs::rename(from.join("frames"), clip.join("frames").join(&name))?;
+            let lines = std::fs::read_to_string(from.join("timestamps.csv"))?;
+            for (stamp, file) in lines.lines().skip(1).filter_map(|line| line.split_once(',')) {
+                index.extend_from_slice(format!("{stamp},{name}/{file}\n").as_bytes());
+            }
+            poses.extend(std::fs::read(from.join("poses.jsonl"))?);
+            std::fs::remove_dir_all(from)?;
+        }
+        disk.write_file(&clip.join("timestamps.csv"), &index)?;
+        disk.write_file(&clip.join("poses.jsonl"), &poses)?;
+        Ok(first_ns)
+    }
+}

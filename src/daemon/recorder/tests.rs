@@ -1,0 +1,167 @@
+//! Recordings that replay, on disks that fill up, by processes that are killed, of rings that go round.
+
+use std::io;
+
+use image::GrayImage;
+
+use super::*;
+use crate::capture::camera::{CameraMode, PixelLayout};
+use crate::capture::{ClipOptions, open_clip};
+use crate::frame::Frame;
+
+/// A disk with room for so many bytes.
+struct SmallDisk {
+    disk: RealDisk,
+    left: usize,
+}
+
+impl SmallDisk {
+    fn take(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.left = self.left.checked_sub(bytes.len()).ok_or(io::Error::from(io::ErrorKind::StorageFull))?;
+        Ok(())
+    }
+}
+
+impl Disk for SmallDisk {
+    fn make_folder(&mut self, folder: &Path) -> io::Result<()> {
+        self.disk.make_folder(folder)
+    }
+    fn write_file(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.take(bytes)?;
+        self.disk.write_file(file, bytes)
+    }
+    fn append(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.take(bytes)?;
+        self.disk.append(file, bytes)
+    }
+    fn sync(&mut self) {}
+    fn let_go(&mut self, folder: &Path) {
+        self.disk.let_go(folder);
+    }
+}
+
+fn about() -> AboutClip {
+    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly/stage.toml");
+    let controls = vec![("gain".to_owned(), 3)];
+    let camera =
+        CameraMode { name: "Cam".into(), size: (20, 10), layout: PixelLayout::Yuyv, fps: 30.0, exposure_s: None, controls, notes: vec![] };
+    AboutClip { camera, config }
+}
+
+fn row(sequence: u64) -> (Row, PoseSample) {
+    let timestamp_ns = sequence as i64 * 100_000_000;
+    let image = GrayImage::from_pixel(20, 10, image::Luma([sequence as u8]));
+    let content = match sequence % 7 {
+        3 => RowContent::Undecodable("short".into()),
+        _ => RowContent::Frame(Frame { image, timestamp_ns, sequence }),
+    };
+    let mut sample = PoseSample::stale(sequence, timestamp_ns, 0.0);
+    sample.state = crate::record::State::Searching;
+    (Row { sequence, timestamp_ns, content, decode: Duration::ZERO, received: Some(Received::Raw) }, sample)
+}
+
+/// Records rows and ends, or leaves the recorder as a killed process would.
+fn record(plan: RecorderPlan, disk: Box<dyn Disk>, rows: std::ops::Range<u64>) -> LiveLink {
+    let link = LiveLink::default();
+    let recorder = Recorder::start(plan, &link, disk).unwrap();
+    let mut observe = recorder.observer();
+    for n in rows {
+        let (row, sample) = row(n);
+        observe(&row, &sample);
+    }
+    drop(observe);
+    recorder.finish();
+    link
+}
+
+fn stamps_of(clip: &Path) -> Vec<i64> {
+    let mut source = open_clip(clip, ClipOptions::default()).unwrap();
+    std::iter::from_fn(|| source.next_row()).map(|row| row.timestamp_ns).collect()
+}
+
+#[test]
+fn a_recording_replays_row_by_row() {
+    let folder = tempfile::tempdir().unwrap();
+    let clip = folder.path().join("take");
+    let link = record(RecorderPlan { clip: Some(clip.clone()), ring: None, about: about() }, Box::<RealDisk>::default(), 0..20);
+    assert_eq!((link.statistics.recorded(), link.statistics.recorder()), (20, RecorderState::Off));
+    let mut source = open_clip(&clip, ClipOptions::default()).unwrap();
+    for n in 0..20 {
+        let (was, is) = (row(n).0, source.next_row().unwrap());
+        assert_eq!((was.sequence, was.timestamp_ns), (is.sequence, is.timestamp_ns));
+        match (was.content, is.content) {
+            (RowContent::Frame(was), RowContent::Frame(is)) => assert_eq!(was, is),
+            (RowContent::Undecodable(_), RowContent::Undecodable(_)) => {}
+            other => panic!("{other:?}"),
+        }
+    }
+    assert!(source.next_row().is_none());
+    let text = |name: &str| std::fs::read_to_string(clip.join(name)).unwrap();
+    assert_eq!(text("poses.jsonl").lines().count(), 20);
+    assert!(text("clip.toml").contains("gain = 3") && text("clip.toml").contains("utc_ns"), "{}", text("clip.toml"));
+    assert!(text("events.jsonl").contains("recorder_started"));
+    assert!(crate::config::Settings::load(&clip.join("config/stage.toml")).is_ok());
+    // A clip is not written over.
+    let again = RecorderPlan { clip: Some(clip), ring: None, about: about() };
+    assert!(Recorder::start(again, &LiveLink::default(), Box::<RealDisk>::default()).is_err());
+}
+
+#[test]
+fn a_full_disk_ends_the_recording_with_a_good_clip() {
+    let folder = tempfile::tempdir().unwrap();
+    for left in [900, 1500, 1777, 2001, 3000] {
+        let clip = folder.path().join(left.to_string());
+        let plan = RecorderPlan { clip: Some(clip.clone()), ring: None, about: about() };
+        let link = record(plan, Box::new(SmallDisk { disk: RealDisk::default(), left }), 0..100);
+        assert_eq!(link.statistics.recorder(), RecorderState::Stopped);
+        let recorded = link.statistics.recorded();
+        let stamps = stamps_of(&clip);
+        assert!(recorded < 100 && stamps.len() as u64 >= recorded && stamps.len() as u64 <= recorded + 1, "{left}: {recorded} {stamps:?}");
+    }
+}
+
+#[test]
+fn a_recorder_that_is_killed_leaves_a_clip_that_replays() {
+    let folder = tempfile::tempdir().unwrap();
+    let clip = folder.path().join("take");
+    let (link, mut disk) = (LiveLink::default(), RealDisk::default());
+    let mut folder = begin_clip(&clip, &about(), &mut disk).unwrap();
+    for n in 0..5 {
+        let (row, sample) = row(n);
+        folder.push(&recorded(&row, &sample), &mut disk).unwrap();
+    }
+    // Killed between a picture and its line, and in the middle of a line.
+    std::fs::write(clip.join("frames/0000/00000005.pgm"), b"P5 20").unwrap();
+    disk.append(&clip.join("timestamps.csv"), b"500000000,0000/000").unwrap();
+    std::mem::forget((link, disk));
+    assert_eq!(stamps_of(&clip), [0, 100_000_000, 200_000_000, 300_000_000, 400_000_000, 500_000_000]);
+}
+
+#[test]
+fn the_ring_keeps_the_last_seconds_and_saves_them_as_a_clip() {
+    let folder = tempfile::tempdir().unwrap();
+    let link = LiveLink::default();
+    let plan = RecorderPlan { clip: None, ring: Some((folder.path().to_owned(), 2.0)), about: about() };
+    let recorder = Recorder::start(plan.clone(), &link, Box::<RealDisk>::default()).unwrap();
+    let events = link.events.listen();
+    let mut observe = recorder.observer();
+    for n in 0..100 {
+        let (row, sample) = row(n);
+        observe(&row, &sample);
+    }
+    recorder.saver()();
+    let saved = events.iter().find_map(|e| if let Event::RingSaved { clip } = e.event { Some(clip) } else { None }).unwrap();
+    let stamps = stamps_of(Path::new(&saved));
+    assert_eq!(stamps.last(), Some(&9_900_000_000));
+    let span = stamps.last().unwrap() - stamps[0];
+    assert!((2_000_000_000..=2_400_000_000).contains(&span), "{span}");
+    assert!(stamps.windows(2).all(|w| w[1] == w[0] + 100_000_000));
+    assert_eq!(std::fs::read_to_string(Path::new(&saved).join("poses.jsonl")).unwrap().lines().count(), stamps.len());
+    // What a killed daemon left of the next round is still there after the next start.
+    let (row, sample) = row(100);
+    observe(&row, &sample);
+    drop(observe);
+    recorder.finish();
+    Recorder::start(plan, &LiveLink::default(), Box::<RealDisk>::default()).unwrap().finish();
+    assert!(folder.path().join("ring-before/00000009/timestamps.csv").exists() || folder.path().join("ring-before").exists());
+}

@@ -1,0 +1,75 @@
+//! Says that a camera gives no pictures: soon, and again while it does not.
+
+use std::time::{Duration, Instant};
+
+use super::live::{Event, LiveLink};
+use crate::capture::moment::monotonic_ns;
+use crate::record::{PoseSample, State};
+
+/// Between two messages of one silence.
+const REPEAT: Duration = Duration::from_millis(100);
+
+/// Watches the pulse for the pose stage.
+pub(super) struct StaleWatch {
+    link: LiveLink,
+    /// The last frame's number and stamp.
+    last: (u64, i64),
+    /// Since when it is silent, and when that was last said.
+    silent: Option<(Instant, Instant)>,
+}
+
+impl StaleWatch {
+    pub fn new(link: LiveLink) -> Self {
+        Self { link, last: (0, 0), silent: None }
+    }
+
+    pub fn link(&self) -> &LiveLink {
+        &self.link
+    }
+
+    /// How long to wait for a frame before the next [`check`](Self::check).
+    pub fn wait(&self) -> Duration {
+        match (self.silent, self.link.pulse.time_left(monotonic_ns())) {
+            (_, Some(left)) => left,
+            (Some((_, said)), None) => REPEAT.saturating_sub(said.elapsed()).max(Duration::from_millis(1)),
+            (None, None) => Duration::ZERO,
+        }
+    }
+
+    /// A frame was tracked.
+    pub fn seen(&mut self, sample: &PoseSample) {
+        self.last = (sample.sequence, sample.timestamp_ns);
+        // A frame that was under way when the silence began does not end it.
+        if self.link.pulse.time_left(monotonic_ns()).is_some() {
+            self.end_silence();
+        }
+    }
+
+    /// The message for subscribers, where it is due.
+    pub fn check(&mut self) -> Option<PoseSample> {
+        let now_ns = monotonic_ns();
+        if self.link.pulse.time_left(now_ns).is_some() {
+            return None;
+        }
+        let age_ms = self.link.pulse.age_ms(now_ns);
+        match &mut self.silent {
+            Some((_, said)) if said.elapsed() < REPEAT => return None,
+            Some((_, said)) => *said = Instant::now(),
+            None => {
+                self.silent = Some((Instant::now(), Instant::now()));
+                self.link.statistics.set_silent(true);
+                self.link.events.publish(Event::Stale { state: State::Stale, pose: None, age_ms });
+            }
+        }
+        let sample = PoseSample::stale(self.last.0, self.last.1, age_ms);
+        self.link.statistics.sample(&sample);
+        Some(sample)
+    }
+
+    fn end_silence(&mut self) {
+        if let Some((since, _)) = self.silent.take() {
+            self.link.statistics.set_silent(false);
+            self.link.events.publish(Event::Resumed { after_ms: since.elapsed().as_secs_f64() * 1e3 });
+        }
+    }
+}

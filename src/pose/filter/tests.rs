@@ -1,0 +1,125 @@
+use nalgebra::{Matrix6, UnitQuaternion, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::*;
+use crate::geometry::Camera;
+
+const FRAME_NS: i64 = 33_333_333;
+const SIGMA: f64 = 1e-4;
+
+type Track = Vec<(Pose<Stage, Camera>, Pose<Stage, Camera>)>;
+
+fn kalman(predict_s: f64) -> FilterSettings {
+    FilterSettings { kind: FilterKind::Kalman(KalmanSettings::default()), predict_s }
+}
+
+fn one_euro() -> FilterSettings {
+    FilterSettings { kind: FilterKind::OneEuro(OneEuroSettings::default()), predict_s: 0.0 }
+}
+
+fn pose(position: Vector3<f64>, turn: Vector3<f64>) -> Pose<Stage, Camera> {
+    Pose::new(UnitQuaternion::from_scaled_axis(turn), position)
+}
+
+/// Filters `frames` noisy measurements of a path over time; gives (told, measured) of each frame.
+fn filtered(settings: FilterSettings, frames: i64, path: impl Fn(f64) -> Pose<Stage, Camera>) -> Track {
+    let mut filter = PoseFilter::new(settings);
+    let mut random = Pcg64::seed_from_u64(1);
+    let mut normal = move || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
+    let noise = Matrix6::identity() * SIGMA * SIGMA;
+    let mut step = |k: i64| {
+        let truth = path(k as f64 * FRAME_NS as f64 * 1e-9);
+        let mut vector = || Vector3::new(normal(), normal(), normal()) * SIGMA;
+        let measured = Pose::new(UnitQuaternion::from_scaled_axis(vector()) * truth.rotation, truth.translation + vector());
+        (filter.measured(k * FRAME_NS, &measured, &noise), measured)
+    };
+    (0..frames).map(&mut step).collect()
+}
+
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let squares: Vec<f64> = values.map(|v| v * v).collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+}
+
+#[test]
+fn off_gives_what_was_measured_to_the_bit() {
+    for (told, measured) in filtered(FilterSettings::default(), 10, |t| pose(Vector3::x() * t, Vector3::z() * t)) {
+        assert_eq!(told, measured);
+    }
+}
+
+#[test]
+fn at_rest_the_scatter_shrinks_and_a_prediction_does_not_blow_it_up() {
+    let still = |_| pose(Vector3::new(1.0, -4.0, 1.6), Vector3::new(-1.5, 0.1, 0.0));
+    for (settings, most) in [(kalman(0.0), 0.8), (one_euro(), 0.5), (kalman(0.033), 1.0)] {
+        let track = filtered(settings, 300, still);
+        let off = |p: &Pose<Stage, Camera>| (p.translation - still(0.0).translation).norm();
+        let ratio = rms(track[60..].iter().map(|(t, _)| off(t))) / rms(track[60..].iter().map(|(_, m)| off(m)));
+        assert!(ratio < most, "{settings:?}: {ratio}");
+        let turned = |p: &Pose<Stage, Camera>| p.angle_to(&still(0.0));
+        let ratio = rms(track[60..].iter().map(|(t, _)| turned(t))) / rms(track[60..].iter().map(|(_, m)| turned(m)));
+        assert!(ratio < most, "{settings:?}: {ratio}");
+    }
+}
+
+#[test]
+fn a_prediction_meets_uniform_motion() {
+    let path = |t: f64| pose(Vector3::new(0.8 * t, 0.3 * t, 0.0), Vector3::new(0.0, 0.0, 0.7 * t));
+    let ahead = 0.05;
+    let track = filtered(kalman(ahead), 120, path);
+    for (k, (told, measured)) in track.iter().enumerate().skip(30) {
+        let truth = path(k as f64 * FRAME_NS as f64 * 1e-9 + ahead);
+        let (error, held) = ((told.translation - truth.translation).norm(), (measured.translation - truth.translation).norm());
+        assert!(error < 0.05 * held, "{k}: {error} {held}");
+        assert!(told.angle_to(&truth) < 0.05 * measured.angle_to(&truth), "{k}");
+    }
+}
+
+#[test]
+fn a_motion_that_begins_is_noticed_at_once() {
+    let path = |t: f64| pose(Vector3::x() * (t - 2.0).max(0.0), Vector3::zeros());
+    let track = filtered(kalman(0.0), 90, path);
+    // 60 frames of rest, then 1 m/s: a lag of 33 mm a frame if it were not noticed.
+    for (told, measured) in &track[62..] {
+        assert!((told.translation - measured.translation).norm() < 0.004, "{}", told.translation - measured.translation);
+    }
+}
+
+#[test]
+fn nothing_is_carried_across_a_loss_or_a_long_gap() {
+    let noise = Matrix6::identity() * SIGMA * SIGMA;
+    for settings in [kalman(0.03), one_euro()] {
+        let mut filter = PoseFilter::new(settings);
+        for k in 0..30 {
+            filter.measured(k * FRAME_NS, &pose(Vector3::x() * k as f64, Vector3::zeros()), &noise);
+        }
+        let elsewhere = pose(Vector3::new(-7.0, 1.0, 0.0), Vector3::zeros());
+        assert_eq!(filter.clone().measured(60 * FRAME_NS, &elsewhere, &noise).translation, elsewhere.translation);
+        filter.reset();
+        assert!(filter.predicted(31 * FRAME_NS).is_none());
+        assert_eq!(filter.measured(31 * FRAME_NS, &elsewhere, &noise).translation, elsewhere.translation);
+    }
+}
+
+#[test]
+fn without_measurements_it_goes_on_and_comes_to_rest() {
+    let noise = Matrix6::identity() * SIGMA * SIGMA;
+    let mut filter = PoseFilter::new(kalman(0.0));
+    for k in 0..60 {
+        filter.measured(k * FRAME_NS, &pose(Vector3::x() * (k as f64 / 30.0), Vector3::zeros()), &noise);
+    }
+    let x = |ns: i64| filter.predicted(59 * FRAME_NS + ns).expect("it is running").translation.x;
+    assert!((x(10_000_000) - x(0) - 0.01).abs() < 0.001);
+    assert!((x(5_000_000_000) - x(0) - 0.2).abs() < 0.01);
+}
+
+#[test]
+fn numbers_that_are_no_covariance_do_no_harm() {
+    let mut filter = PoseFilter::new(kalman(0.02));
+    for (k, scale) in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e300, 1e-300].into_iter().cycle().take(40).enumerate() {
+        let given = pose(Vector3::x() * 0.01 * k as f64, Vector3::zeros());
+        let told = filter.measured(k as i64 * FRAME_NS, &given, &(Matrix6::identity() * scale));
+        assert!(told.is_finite(), "{k} {scale}: {told:?}");
+    }
+}

@@ -1,0 +1,48 @@
+//! Warnings that would come with every packet, said once a minute instead.
+
+use std::time::{Duration, Instant};
+
+const PAUSE: Duration = Duration::from_secs(60);
+
+/// One kind of trouble of one output.
+#[derive(Debug)]
+pub(super) struct Complaints {
+    output: String,
+    last: Option<Instant>,
+    unsaid: u64,
+}
+
+impl Complaints {
+    pub fn new(output: &str) -> Self {
+        Self { output: output.to_owned(), last: None, unsaid: 0 }
+    }
+
+    /// Logs the sentence, unless one was logged within the last minute; says how many were not. True where it was logged.
+    pub fn say(&mut self, sentence: impl FnOnce() -> String) -> bool {
+        if self.last.is_some_and(|last| last.elapsed() < PAUSE) {
+            self.unsaid += 1;
+            return false;
+        }
+        let before = match std::mem::take(&mut self.unsaid) {
+            0 => String::new(),
+            n => format!(" ({n} more in the last minute)"),
+        };
+        tracing::warn!("output {}: {}{before}", self.output, sentence());
+        self.last = Some(Instant::now());
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn once_a_minute() {
+        let mut complaints = Complaints::new("desk");
+        let said = (0..1000).filter(|_| complaints.say(|| "unreachable".to_owned())).count();
+        assert_eq!((said, complaints.unsaid), (1, 999));
+        complaints.last = Instant::now().checked_sub(PAUSE);
+        assert!(complaints.say(|| "unreachable".to_owned()) && complaints.unsaid == 0);
+    }
+}

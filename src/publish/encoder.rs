@@ -1,0 +1,27 @@
+//! What every protocol has in common: a report goes in, datagrams or lines come out.
+
+use super::report::Report;
+
+/// Turns reports into packets of one protocol; keeps what the protocol numbers and counts.
+pub(super) trait Encoder: Send {
+    /// Makes the packets of a report and hands them to `send` one by one.
+    fn encode(&mut self, report: &Report, send: &mut dyn FnMut(&[u8]));
+
+    /// The format can say of a pose that it is only predicted.
+    fn marks_coasting(&self) -> bool {
+        true
+    }
+
+    /// The format can say that no pose is known (`on_loss = "flag"`).
+    fn marks_loss(&self) -> bool {
+        true
+    }
+
+    /// The format can say so without a pose, so that a receiver is told even where `on_loss` is "stop".
+    fn announces_loss(&self) -> bool {
+        true
+    }
+
+    /// Sends what the protocol repeats once a second whatever happens; called about ten times a second. `unix_ns` is now.
+    fn repeat(&mut self, _monotonic_ns: i64, _send: &mut dyn FnMut(&[u8])) {}
+}

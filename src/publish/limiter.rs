@@ -1,0 +1,118 @@
+//! The safety limits of one body on one output: what may be sent, and how it returns after a gap.
+//!
+//! A pose outside the permitted box is withheld. A pose that could be reached from the last one sent only faster than permitted is
+//! withheld too: the limit counts from the last pose SENT, so that after a gap the permitted way grows with the time that passed.
+//! With blending, an output that returns after a gap starts from the last pose it sent and moves to the tracker's at no more than the
+//! blend rates.
+
+use std::time::Duration;
+
+use nalgebra::UnitQuaternion;
+
+use super::report::Withheld;
+use super::settings::{BlendRates, SafetySettings};
+use crate::geometry::{Body, Pose, Stage};
+
+/// What became of a pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Verdict {
+    /// Send this pose, which is the one given.
+    Pass(Pose<Stage, Body>),
+    /// Send this pose, which is on its way to the one given.
+    Blend(Pose<Stage, Body>),
+    /// Send nothing.
+    Withhold(Withheld),
+}
+
+/// A frame later than this is a gap, even where nobody said so.
+const LONGEST_STEP: Duration = Duration::from_millis(500);
+
+/// The limits of one body.
+#[derive(Debug, Clone)]
+pub(super) struct Limiter {
+    limits: SafetySettings,
+    sent: Option<(i64, Pose<Stage, Body>)>,
+    has_gap: bool,
+    blend_since_ns: Option<i64>,
+}
+
+impl Limiter {
+    pub fn new(limits: SafetySettings) -> Self {
+        Self { limits, sent: None, has_gap: false, blend_since_ns: None }
+    }
+
+    /// No pose was known: what comes next comes after a gap.
+    pub fn gap(&mut self) {
+        self.has_gap = true;
+        self.blend_since_ns = None;
+    }
+
+    /// Judges the pose of an instant (nanoseconds, rising).
+    pub fn judge(&mut self, at_ns: i64, pose: &Pose<Stage, Body>) -> Verdict {
+        let verdict = self.verdict(at_ns, pose);
+        match verdict {
+            Verdict::Pass(pose) | Verdict::Blend(pose) => {
+                self.sent = Some((at_ns, pose));
+                self.has_gap = false;
+            }
+            Verdict::Withhold(_) => self.gap(),
+        }
+        verdict
+    }
+
+    fn verdict(&mut self, at_ns: i64, pose: &Pose<Stage, Body>) -> Verdict {
+        if !pose.is_finite() {
+            return Verdict::Withhold(Withheld::NotFinite);
+        }
+        if !self.is_inside(pose) {
+            return Verdict::Withhold(Withheld::OutsideBox);
+        }
+        let Some((sent_ns, sent)) = self.sent else { return Verdict::Pass(*pose) };
+        let elapsed_s = at_ns.saturating_sub(sent_ns).max(0) as f64 * 1e-9;
+        if let Some(rates) = self.limits.blend {
+            if (self.has_gap || elapsed_s > LONGEST_STEP.as_secs_f64()) && self.blend_since_ns.is_none() {
+                // The first pose after a gap is where the output stood.
+                self.blend_since_ns = Some(at_ns);
+                return self.blended(&sent, pose, 0.0, rates);
+            }
+            if self.blend_since_ns.is_some() {
+                return self.blended(&sent, pose, elapsed_s, rates);
+            }
+        }
+        match self.excess(&sent, pose, elapsed_s) {
+            Some(reason) => Verdict::Withhold(reason),
+            None => Verdict::Pass(*pose),
+        }
+    }
+
+    fn is_inside(&self, pose: &Pose<Stage, Body>) -> bool {
+        let Some([least, greatest]) = self.limits.permitted_box_m else { return true };
+        pose.translation.iter().zip(least.iter().zip(greatest)).all(|(v, (least, greatest))| (*least..=greatest).contains(v))
+    }
+
+    fn excess(&self, from: &Pose<Stage, Body>, to: &Pose<Stage, Body>, elapsed_s: f64) -> Option<Withheld> {
+        let (way, turn) = ((to.translation - from.translation).norm(), from.angle_to(to));
+        if self.limits.max_speed_m_s.is_some_and(|limit| way > limit * elapsed_s + 1e-9) {
+            return Some(Withheld::TooFast);
+        }
+        self.limits.max_turn_rad_s.is_some_and(|limit| turn > limit * elapsed_s + 1e-9).then_some(Withheld::TurnsTooFast)
+    }
+
+    /// From `from` towards `to` for `elapsed_s` at the blend rates; arrives where both fit.
+    fn blended(&mut self, from: &Pose<Stage, Body>, to: &Pose<Stage, Body>, elapsed_s: f64, rates: BlendRates) -> Verdict {
+        let (way, turn) = (to.translation - from.translation, to.rotation * from.rotation.inverse());
+        let (distance, angle) = (way.norm(), turn.angle());
+        let (reach, sweep) = (rates.speed_m_s * elapsed_s, rates.turn_rad_s * elapsed_s);
+        if distance <= reach && angle <= sweep {
+            self.blend_since_ns = None;
+            return Verdict::Pass(*to);
+        }
+        let share = |limit: f64, whole: f64| if whole > limit { limit / whole } else { 1.0 };
+        let rotation = UnitQuaternion::from_scaled_axis(turn.scaled_axis() * share(sweep, angle)) * from.rotation;
+        Verdict::Blend(Pose::new(rotation, from.translation + way * share(reach, distance)))
+    }
+}
+
+#[cfg(test)]
+#[path = "limiter_tests.rs"]
+mod tests;

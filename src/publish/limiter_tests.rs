@@ -1,0 +1,90 @@
+use nalgebra::Vector3;
+use proptest::prelude::*;
+
+use super::*;
+
+const FRAME_NS: i64 = 33_333_333;
+
+fn at(x: f64, turn: f64) -> Pose<Stage, Body> {
+    Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn), Vector3::new(x, 0.0, 0.0))
+}
+
+fn limits() -> SafetySettings {
+    SafetySettings {
+        max_speed_m_s: Some(3.0),
+        max_turn_rad_s: Some(2.0),
+        permitted_box_m: Some([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]]),
+        ..SafetySettings::default()
+    }
+}
+
+fn with_blend() -> SafetySettings {
+    SafetySettings { blend: Some(BlendRates { speed_m_s: 0.5, turn_rad_s: 0.4 }), ..limits() }
+}
+
+#[test]
+fn without_limits_every_finite_pose_passes_as_it_is() {
+    let mut limiter = Limiter::new(SafetySettings::default());
+    for (k, x) in [0.0, 50.0, -1e6].into_iter().enumerate() {
+        assert_eq!(limiter.judge(k as i64, &at(x, x)), Verdict::Pass(at(x, x)));
+    }
+    let bad = Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, f64::NAN, 0.0));
+    assert_eq!(limiter.judge(9, &bad), Verdict::Withhold(Withheld::NotFinite));
+}
+
+#[test]
+fn the_box_and_the_speeds_withhold() {
+    let mut limiter = Limiter::new(limits());
+    assert!(matches!(limiter.judge(0, &at(1.9, 0.0)), Verdict::Pass(_)));
+    assert_eq!(limiter.judge(FRAME_NS, &at(2.01, 0.0)), Verdict::Withhold(Withheld::OutsideBox));
+    assert!(matches!(limiter.judge(2 * FRAME_NS, &at(1.99, 0.0)), Verdict::Pass(_)));
+    assert_eq!(limiter.judge(3 * FRAME_NS, &at(1.0, 0.0)), Verdict::Withhold(Withheld::TooFast));
+    assert_eq!(limiter.judge(4 * FRAME_NS, &at(1.95, 0.5)), Verdict::Withhold(Withheld::TurnsTooFast));
+    // 0.99 m from the last one sent takes 0.33 s at 3 m/s.
+    assert_eq!(limiter.judge(11 * FRAME_NS, &at(1.0, 0.0)), Verdict::Withhold(Withheld::TooFast));
+    assert!(matches!(limiter.judge(12 * FRAME_NS, &at(1.0, 0.0)), Verdict::Pass(_)));
+}
+
+#[test]
+fn after_a_gap_it_starts_where_it_stood_and_arrives() {
+    let mut limiter = Limiter::new(with_blend());
+    limiter.judge(0, &at(0.0, 0.0));
+    limiter.gap();
+    assert_eq!(limiter.judge(30 * FRAME_NS, &at(1.0, 0.2)), Verdict::Blend(at(0.0, 0.0)));
+    let verdicts: Vec<_> = (31..100).map(|k| limiter.judge(k * FRAME_NS, &at(1.0, 0.2))).collect();
+    assert!(matches!(verdicts[0], Verdict::Blend(p) if (p.translation.x - 0.5 * 0.033_333_333).abs() < 1e-9));
+    let arrived = verdicts.iter().position(|v| *v == Verdict::Pass(at(1.0, 0.2))).unwrap();
+    // 1 m at 0.5 m/s.
+    assert!((59..=61).contains(&arrived), "{arrived}");
+}
+
+/// Frames: is the pose known, where is it, how is it turned, how many frames later?
+fn steps() -> impl Strategy<Value = Vec<(bool, f64, f64, u32)>> {
+    prop::collection::vec((any::<bool>(), -3.0..3.0, -3.0..3.0, 1_u32..8), 1..80)
+}
+
+proptest! {
+    /// Whatever comes, with blending no step that is sent is faster than the greater of limit and blend rate.
+    #[test]
+    fn nothing_ever_jumps(steps in steps()) {
+        let mut limiter = Limiter::new(with_blend());
+        let mut now = 0;
+        let mut last: Option<(i64, Pose<Stage, Body>)> = None;
+        for (is_known, x, turn, frames) in steps {
+            now += FRAME_NS * i64::from(frames);
+            if !is_known {
+                limiter.gap();
+                continue;
+            }
+            if let Verdict::Pass(p) | Verdict::Blend(p) = limiter.judge(now, &at(x, turn)) {
+                if let Some((then, before)) = last {
+                    let dt = (now - then) as f64 * 1e-9;
+                    prop_assert!((p.translation - before.translation).norm() <= 3.0 * dt + 1e-6);
+                    prop_assert!(p.angle_to(&before) <= 2.0 * dt + 1e-6);
+                }
+                prop_assert!(p.translation.x.abs() <= 2.0);
+                last = Some((now, p));
+            }
+        }
+    }
+}

@@ -1,0 +1,40 @@
+//! Publishing: the pose goes out to whoever moves, draws or lights by it.
+//!
+//! A [`Publisher`] runs one thread an output. Each has a bounded queue that drops its oldest sample when the output is late, so that
+//! no receiver can slow the tracker down. On the way to its protocol a pose passes the output's rate (every n-th sample, or ticks of
+//! its own), the safety limits, and the receiver's own origin, axes and units; then an encoder (one file a protocol) makes packets of
+//! it. What happens where no pose is known is the output's `on_loss`. docs/protocols.md has every field.
+
+mod body_pose;
+mod channel;
+mod complaints;
+mod encoder;
+pub mod freed;
+#[cfg(test)]
+pub(crate) mod golden;
+mod json;
+mod limiter;
+pub mod opentrackio;
+mod opentrackio_lens;
+pub mod osc;
+mod placement;
+pub mod psn;
+mod publisher;
+mod report;
+mod resample;
+mod settings;
+mod stamps;
+mod transport;
+mod worker;
+
+pub use body_pose::{PanTiltRoll, body_of_camera, camera_of_body};
+pub use json::JsonSettings;
+pub use opentrackio_lens::PrincipalPoint;
+pub use placement::Placement;
+pub use publisher::{Context, OutputStatistics, PublishError, Publisher};
+pub use report::{Standing, Withheld};
+pub use settings::{
+    BlendRates, BodyChoice, FixedRate, OnLoss, OutputSettings, Protocol, Rate, SafetySettings, StreamSettings, UdpSettings,
+};
+pub use stamps::Stamps;
+pub use transport::TransportError;

@@ -1,0 +1,220 @@
+//! OSC: one bundle a frame with the capture instant as its time tag, for scenery controllers, show control and media servers.
+//!
+//! There is no standard address for a pose. Below `/<prefix>/<body>` this sends `/pose ,ffffff` (x y z in metres, pan tilt roll in
+//! degrees, signs as OpenTrackIO), `/quat ,ffff` (x y z w of the body) and `/status ,sfi` (state, confidence, frame number). Single values
+//! can be sent to addresses of the receiver's own, scaled and clamped. Only the types i, f and s are used: some receivers know no others.
+
+use rosc::{OscBundle, OscMessage, OscPacket, OscTime, OscType, encoder};
+
+use super::body_pose::PanTiltRoll;
+use super::complaints::Complaints;
+use super::encoder::Encoder;
+use super::report::{BodyReport, Report};
+
+/// How an output speaks OSC.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OscSettings {
+    /// First part of the addresses, such as "/stagepose".
+    pub prefix: String,
+    /// Which of the messages of its own are sent.
+    pub messages: Vec<OscMessageKind>,
+    /// Single values to addresses of the receiver's.
+    pub values: Vec<OscValue>,
+}
+
+/// A message with an address of this program's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum OscMessageKind {
+    /// x y z pan tilt roll.
+    Pose,
+    /// x y z w.
+    Quaternion,
+    /// State, confidence, frame.
+    Status,
+}
+
+/// A single value for an address of the receiver's.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OscValue {
+    /// With `{body}` and `{output}` filled in.
+    pub address: AddressTemplate,
+    /// Which number.
+    pub quantity: Quantity,
+    /// Sent is scale * value + offset,
+    pub scale: f64,
+    /// in the receiver's own unit,
+    pub offset: f64,
+    /// kept between these,
+    pub clamp: Option<[f64; 2]>,
+    /// with every n-th report.
+    pub every: u32,
+}
+
+/// A number of a pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quantity {
+    /// Metres to the right.
+    X,
+    /// Metres upstage.
+    Y,
+    /// Metres up.
+    Z,
+    /// Degrees, + left.
+    Pan,
+    /// Degrees, + up.
+    Tilt,
+    /// Degrees, + clockwise from behind.
+    Roll,
+}
+
+impl Quantity {
+    /// The words for them in the config.
+    pub const WORDS: [(&'static str, Quantity); 6] =
+        [("x", Self::X), ("y", Self::Y), ("z", Self::Z), ("pan", Self::Pan), ("tilt", Self::Tilt), ("roll", Self::Roll)];
+}
+
+/// An OSC address with places to fill in.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AddressTemplate(String);
+
+/// Why a text is no address template.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum TemplateError {
+    /// Not an address.
+    #[error("`{0}` is no OSC address; begin it with / and use neither spaces nor # * , ? [ ]")]
+    Address(String),
+    /// A field that nobody fills in.
+    #[error("the template's field {{{0}}} is unknown; use {{body}} or {{output}}")]
+    Field(String),
+}
+
+impl AddressTemplate {
+    /// Checks a template.
+    ///
+    /// # Errors
+    /// What is no OSC address once its fields are filled in, and fields that are not known.
+    pub fn parse(text: &str) -> Result<Self, TemplateError> {
+        let address = || TemplateError::Address(text.to_owned());
+        let mut rest = text;
+        while let Some((_, after)) = rest.split_once('{') {
+            let (field, after) = after.split_once('}').ok_or_else(address)?;
+            if !["body", "output"].contains(&field) {
+                return Err(TemplateError::Field(field.to_owned()));
+            }
+            rest = after;
+        }
+        let filled = Self(text.to_owned()).fill("b", "o");
+        let is_address = filled.starts_with('/') && filled.len() > 1 && is_plain(&filled);
+        if is_address { Ok(Self(text.to_owned())) } else { Err(address()) }
+    }
+
+    /// The address for a body on an output; their names are made fit for an address.
+    pub fn fill(&self, body: &str, output: &str) -> String {
+        self.0.replace("{body}", &fit(body)).replace("{output}", &fit(output))
+    }
+}
+
+/// Characters that an OSC address may have outside of patterns.
+fn is_plain(text: &str) -> bool {
+    text.chars().all(|c| c.is_ascii_graphic() && !"#*,?[]{}".contains(c))
+}
+
+/// A name as a part of an address.
+fn fit(name: &str) -> String {
+    name.chars().map(|c| if is_plain(c.encode_utf8(&mut [0; 4])) && c != '/' { c } else { '_' }).collect()
+}
+
+/// Turns reports into bundles.
+pub(super) struct OscEncoder {
+    settings: OscSettings,
+    output: String,
+    reports: u64,
+    last_roll_deg: f64,
+    trouble: Complaints,
+}
+
+impl OscEncoder {
+    pub fn new(settings: &OscSettings, output: &str) -> Self {
+        Self { settings: settings.clone(), output: output.to_owned(), reports: 0, last_roll_deg: 0.0, trouble: Complaints::new(output) }
+    }
+
+    fn messages(&mut self, report: &Report, body: &BodyReport, content: &mut Vec<OscPacket>) {
+        let mut put = |addr: String, args: Vec<OscType>| content.push(OscPacket::Message(OscMessage { addr, args }));
+        let at = |kind: &str| format!("{}/{}/{kind}", self.settings.prefix, fit(&body.name));
+        if self.settings.messages.contains(&OscMessageKind::Status) {
+            // The frame number wraps where i32 ends.
+            let frame = (report.sequence & 0x7FFF_FFFF) as i32;
+            let state = body.standing.word().to_owned();
+            put(at("status"), vec![OscType::String(state), OscType::Float(body.standing.confidence()), OscType::Int(frame)]);
+        }
+        let Some(pose) = &body.pose else { return };
+        let angles = PanTiltRoll::of_rotation(&pose.rotation, self.last_roll_deg);
+        self.last_roll_deg = angles.roll_deg;
+        let p = pose.translation;
+        let numbers = [p.x, p.y, p.z, angles.pan_deg, angles.tilt_deg, angles.roll_deg];
+        if self.settings.messages.contains(&OscMessageKind::Pose) {
+            put(at("pose"), floats(&numbers));
+        }
+        if self.settings.messages.contains(&OscMessageKind::Quaternion) {
+            put(at("quat"), floats(&pose.orientation_xyzw()));
+        }
+        for value in self.settings.values.iter().filter(|v| self.reports.is_multiple_of(u64::from(v.every.max(1)))) {
+            put(value.address.fill(&body.name, &self.output), floats(&[value.of(&numbers)]));
+        }
+    }
+}
+
+fn floats(numbers: &[f64]) -> Vec<OscType> {
+    numbers.iter().map(|v| OscType::Float(*v as f32)).collect()
+}
+
+impl OscValue {
+    /// The number as the receiver wants it.
+    fn of(&self, numbers: &[f64; 6]) -> f64 {
+        let value = self.scale * numbers[self.quantity as usize] + self.offset;
+        self.clamp.map_or(value, |[least, greatest]| value.clamp(least, greatest))
+    }
+}
+
+/// Unix time as OSC has it: seconds since 1900, and a binary fraction.
+fn time_tag(unix_ns: i64) -> OscTime {
+    const FROM_1900_TO_1970_S: i64 = 2_208_988_800;
+    let (seconds, ns) = (unix_ns.div_euclid(1_000_000_000), unix_ns.rem_euclid(1_000_000_000));
+    // The era ends in 2036 and begins again at 0, as NTP has it.
+    let seconds = (seconds + FROM_1900_TO_1970_S) as u32;
+    OscTime { seconds, fractional: (((ns as u64) << 32) / 1_000_000_000) as u32 }
+}
+
+impl Encoder for OscEncoder {
+    fn encode(&mut self, report: &Report, send: &mut dyn FnMut(&[u8])) {
+        let mut content = Vec::new();
+        for body in &report.bodies {
+            self.messages(report, body, &mut content);
+        }
+        self.reports += 1;
+        if content.is_empty() {
+            return;
+        }
+        let bundle = OscPacket::Bundle(OscBundle { timetag: time_tag(report.unix_ns), content });
+        match encoder::encode(&bundle) {
+            Ok(bytes) => send(&bytes),
+            Err(error) => drop(self.trouble.say(|| format!("a bundle cannot be encoded ({error:?}); please report this"))),
+        }
+    }
+
+    fn marks_coasting(&self) -> bool {
+        self.settings.messages.contains(&OscMessageKind::Status)
+    }
+
+    fn marks_loss(&self) -> bool {
+        self.marks_coasting()
+    }
+
+    fn announces_loss(&self) -> bool {
+        self.marks_coasting()
+    }
+}
+
+#[cfg(test)]
+#[path = "osc_tests.rs"]
+mod tests;

@@ -1,0 +1,255 @@
+//! All outputs together: a sample goes in once and is handed to every output's thread without waiting.
+
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use thiserror::Error;
+
+use super::channel::BodyChannel;
+use super::encoder::Encoder;
+use super::freed::FreedEncoder;
+use super::json::{CAMERA, JsonEncoder};
+use super::opentrackio::OpenTrackIoEncoder;
+use super::osc::OscEncoder;
+use super::psn::PsnEncoder;
+use super::settings::{BodyChoice, OutputSettings, Protocol, SafetySettings, StreamSettings};
+use super::stamps::{self, Pace, StampClock, Stamps};
+use super::transport::{Transport, TransportError};
+use super::worker::{Arrival, Clock, Counters, USUAL_RATE_HZ, Worker};
+use crate::camera::CameraModel;
+use crate::latest::{LatestSender, latest};
+use crate::record::PoseSample;
+
+/// What all outputs share.
+#[derive(Debug, Clone)]
+pub struct Context {
+    /// The camera at the size of its pictures: its lens goes into the packets.
+    pub camera: CameraModel,
+    /// The objects' names, in the order of the samples.
+    pub objects: Vec<String>,
+    /// `[safety]`
+    pub safety: SafetySettings,
+    /// Where the samples' stamps come from.
+    pub stamps: Stamps,
+    /// Frames per second where they are known; else they are taken from the stamps.
+    pub frame_rate: Option<f64>,
+    /// The poses are invented, and marked as such where the format can.
+    pub is_test: bool,
+}
+
+/// Why outputs cannot be started.
+#[derive(Debug, Error)]
+pub enum PublishError {
+    /// One cannot be opened.
+    #[error("output {output}: {source}")]
+    Open {
+        /// Its name.
+        output: String,
+        /// Why.
+        source: TransportError,
+    },
+    /// The system gave no thread.
+    #[error("output {output}: cannot start its thread ({source}); close other programs or raise the limit of processes")]
+    Thread {
+        /// Its name.
+        output: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+/// What an output has done so far.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OutputStatistics {
+    /// Its name.
+    pub name: String,
+    /// The protocol's word in the config.
+    pub protocol: &'static str,
+    /// Packets that a place took.
+    pub sent: u64,
+    /// Packets that a place did not take.
+    pub failed: u64,
+    /// Poses that the safety limits held back.
+    pub withheld: u64,
+    /// Samples dropped because the output was late.
+    pub dropped: u64,
+    /// From the sample's arrival to its last packet, microseconds: the last one,
+    pub latency_us: u64,
+    /// and the longest.
+    pub greatest_latency_us: u64,
+}
+
+/// Samples that may wait for one output.
+const QUEUE: usize = 32;
+/// Outputs that do not end within this time are left behind.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// The running outputs.
+#[derive(Debug)]
+pub struct Publisher {
+    outputs: Vec<RunningOutput>,
+    frame_rate: Option<f64>,
+    clock: Mutex<(StampClock, Pace)>,
+}
+
+#[derive(Debug)]
+struct RunningOutput {
+    name: String,
+    protocol: &'static str,
+    queue: LatestSender<Arc<Arrival>>,
+    counters: Arc<Counters>,
+    thread: JoinHandle<()>,
+}
+
+impl Publisher {
+    /// Opens every enabled output and starts its thread.
+    ///
+    /// # Errors
+    /// The first output that cannot be opened.
+    pub fn start(outputs: &[OutputSettings], context: &Context) -> Result<Self, PublishError> {
+        let outputs = outputs.iter().filter(|o| o.enabled).map(|o| RunningOutput::start(o, context)).collect::<Result<_, _>>()?;
+        let clock = Mutex::new((StampClock::new(context.stamps), Pace::default()));
+        Ok(Self { outputs, frame_rate: context.frame_rate, clock })
+    }
+
+    /// Opens every enabled output and closes it again: whether the addresses, ports and files can be used. Gives the number of the
+    /// output that cannot, with the reason.
+    pub fn rehearse(outputs: &[OutputSettings]) -> Result<(), (usize, TransportError)> {
+        let rehearse = |output: &OutputSettings| {
+            // A file is not created by a rehearsal.
+            let stream = StreamSettings { file: None, ..stream_of(&output.protocol).cloned().unwrap_or_default() };
+            Transport::open(&output.name, &output.udp, Some(&stream)).map(drop)
+        };
+        let mut enabled = outputs.iter().enumerate().filter(|(_, o)| o.enabled);
+        enabled.try_for_each(|(index, output)| rehearse(output).map_err(|e| (index, e)))
+    }
+
+    /// Hands a sample to every output; never waits. Samples come in the order of their stamps.
+    pub fn send(&self, sample: &PoseSample) {
+        let arrived = Instant::now();
+        let t = &sample.times;
+        let work_ns = ((t.decode_ms + t.acquire_ms + t.align_ms + t.pose_ms) * 1e6) as i64;
+        let mut clock = self.clock.lock().unwrap_or_else(PoisonError::into_inner);
+        let (stamps, pace) = &mut *clock;
+        let at = stamps.instants(sample.timestamp_ns, work_ns, stamps::now());
+        let recorded_ns = stamps.recorded(sample.timestamp_ns);
+        let rate_hz = self.frame_rate.or(pace.rate_hz(sample.timestamp_ns)).unwrap_or(USUAL_RATE_HZ);
+        drop(clock);
+        let arrival = Arc::new(Arrival { sample: Arc::new(sample.clone()), at, recorded_ns, rate_hz, arrived });
+        for output in &self.outputs {
+            let dropped = output.queue.send(arrival.clone());
+            output.counters.dropped.fetch_add(dropped as u64, Ordering::Relaxed);
+        }
+    }
+
+    /// What every output has done so far, in the order of the config.
+    pub fn statistics(&self) -> Vec<OutputStatistics> {
+        self.outputs.iter().map(RunningOutput::statistics).collect()
+    }
+
+    /// Sends what is queued and ends the threads; one that hangs (a pipe that nobody reads) is left behind after two seconds.
+    pub fn close(self) -> Vec<OutputStatistics> {
+        let begun = Instant::now();
+        let mut statistics = Vec::new();
+        let threads: Vec<_> = self.outputs.into_iter().map(|o| (o.name.clone(), o.protocol, o.counters.clone(), o.into_thread())).collect();
+        for (name, protocol, counters, thread) in threads {
+            while !thread.is_finished() && begun.elapsed() < PATIENCE {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            match thread.is_finished().then(|| thread.join()) {
+                None => tracing::warn!("output {name}: it does not take what is left, which is dropped"),
+                Some(Err(_)) => tracing::error!("output {name}: it failed; please report this"),
+                Some(Ok(())) => {}
+            }
+            statistics.push(statistics_of(name, protocol, &counters));
+        }
+        statistics
+    }
+}
+
+impl RunningOutput {
+    fn start(settings: &OutputSettings, context: &Context) -> Result<Self, PublishError> {
+        let (name, protocol) = (settings.name.clone(), settings.protocol.word());
+        let transport = Transport::open(&name, &settings.udp, stream_of(&settings.protocol))
+            .map_err(|source| PublishError::Open { output: name.clone(), source })?;
+        let (queue, inbox) = latest(QUEUE);
+        let counters = Arc::new(Counters::default());
+        let worker = Worker {
+            inbox,
+            encoder: encoder(settings, context),
+            transport,
+            bodies: settings.bodies.iter().map(|body| channel(*body, settings, context)).collect(),
+            rate: settings.rate,
+            on_loss: settings.on_loss,
+            stale_after: context.safety.stale_after,
+            is_test: context.is_test,
+            counters: counters.clone(),
+            clock: Clock::start(),
+        };
+        let thread = std::thread::Builder::new().name(format!("out-{name}")).spawn(move || worker.run());
+        let thread = thread.map_err(|source| PublishError::Thread { output: name.clone(), source })?;
+        Ok(Self { name, protocol, queue, counters, thread })
+    }
+
+    /// Closes the queue; the thread ends when it is empty.
+    fn into_thread(self) -> JoinHandle<()> {
+        self.thread
+    }
+
+    fn statistics(&self) -> OutputStatistics {
+        statistics_of(self.name.clone(), self.protocol, &self.counters)
+    }
+}
+
+fn statistics_of(name: String, protocol: &'static str, counters: &Counters) -> OutputStatistics {
+    let read = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed);
+    OutputStatistics {
+        name,
+        protocol,
+        sent: read(&counters.sent),
+        failed: read(&counters.failed),
+        withheld: read(&counters.withheld),
+        dropped: read(&counters.dropped),
+        latency_us: read(&counters.latency_us),
+        greatest_latency_us: read(&counters.greatest_latency_us),
+    }
+}
+
+fn stream_of(protocol: &Protocol) -> Option<&StreamSettings> {
+    match protocol {
+        Protocol::Json(json) => Some(&json.stream),
+        _ => None,
+    }
+}
+
+fn body_name(choice: BodyChoice, context: &Context) -> &str {
+    match choice {
+        BodyChoice::Camera => CAMERA,
+        BodyChoice::Object(index) => context.objects.get(index).map_or("object", String::as_str),
+    }
+}
+
+fn channel(choice: BodyChoice, settings: &OutputSettings, context: &Context) -> BodyChannel {
+    let name = body_name(choice, context);
+    let limits = if settings.is_guarded { context.safety } else { SafetySettings::default() };
+    BodyChannel::new(name.into(), choice, limits, settings.placement, settings.on_loss, &settings.name)
+}
+
+fn encoder(settings: &OutputSettings, context: &Context) -> Box<dyn Encoder> {
+    match &settings.protocol {
+        Protocol::Freed(freed) => Box::new(FreedEncoder::new(freed.clone(), &context.camera, &settings.name)),
+        Protocol::OpenTrackIo(otrk) => Box::new(OpenTrackIoEncoder::new(otrk, &context.camera, &settings.name)),
+        Protocol::Psn(psn) => {
+            let names: Vec<Arc<str>> = settings.bodies.iter().map(|body| body_name(*body, context).into()).collect();
+            Box::new(PsnEncoder::new(psn, &names))
+        }
+        Protocol::Osc(osc) => Box::new(OscEncoder::new(osc, &settings.name)),
+        Protocol::Json(_) => Box::new(JsonEncoder),
+    }
+}
+
+#[cfg(test)]
+#[path = "publisher_tests.rs"]
+mod tests;

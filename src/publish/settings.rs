@@ -1,0 +1,208 @@
+//! How an output is set up, once the config has been checked.
+
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+use std::path::PathBuf;
+use std::time::Duration;
+
+use super::freed::FreedSettings;
+use super::json::JsonSettings;
+use super::opentrackio::OpenTrackIoSettings;
+use super::osc::OscSettings;
+use super::placement::Placement;
+use super::psn::PsnSettings;
+
+/// One `[[output]]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OutputSettings {
+    /// Its name in messages and metrics.
+    pub name: String,
+    /// Whether it sends at all.
+    pub enabled: bool,
+    /// What it speaks.
+    pub protocol: Protocol,
+    /// Where it sends by UDP.
+    pub udp: UdpSettings,
+    /// Which bodies it speaks of, the main one first.
+    pub bodies: Vec<BodyChoice>,
+    /// When it sends.
+    pub rate: Rate,
+    /// What it does when no pose is known.
+    pub on_loss: OnLoss,
+    /// The receiver's origin, axes and units.
+    pub placement: Placement,
+    /// Whether `[safety]` holds for it.
+    pub is_guarded: bool,
+}
+
+/// What an output speaks.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Protocol {
+    /// FreeD D1.
+    Freed(FreedSettings),
+    /// OpenTrackIO 1.0.1.
+    OpenTrackIo(OpenTrackIoSettings),
+    /// PosiStageNet 2.03.
+    Psn(PsnSettings),
+    /// Open Sound Control 1.0.
+    Osc(OscSettings),
+    /// Lines of JSON.
+    Json(JsonSettings),
+}
+
+impl Protocol {
+    /// The word for it in the config.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::Freed(_) => "freed",
+            Self::OpenTrackIo(_) => "opentrackio",
+            Self::Psn(_) => "psn",
+            Self::Osc(_) => "osc",
+            Self::Json(_) => "json",
+        }
+    }
+}
+
+/// A body that an output speaks of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BodyChoice {
+    /// The camera.
+    Camera,
+    /// The object of this number in the config, from 0.
+    Object(usize),
+}
+
+/// Where datagrams go.
+#[derive(Debug, Clone, PartialEq)]
+pub struct UdpSettings {
+    /// Unicast, broadcast and multicast addresses; empty where nothing goes by UDP.
+    pub to: Vec<SocketAddrV4>,
+    /// This machine's address on the network that multicasts go to.
+    pub interface: Option<Ipv4Addr>,
+    /// Routers that a datagram may cross; 1 = stays on the local network.
+    pub ttl: u8,
+}
+
+impl Default for UdpSettings {
+    fn default() -> Self {
+        Self { to: Vec::new(), interface: None, ttl: 1 }
+    }
+}
+
+/// When an output sends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Rate {
+    /// With every n-th sample of the tracker.
+    Every(u32),
+    /// On ticks of its own, with poses interpolated or carried on to the tick.
+    Fixed {
+        /// Ticks per second.
+        rate: FixedRate,
+        /// The pose sent is the one of this long ago.
+        delay: Duration,
+    },
+}
+
+impl Rate {
+    /// Reports per second, from a tracker of `frame_rate` frames per second.
+    pub fn hz(self, frame_rate: f64) -> f64 {
+        match self {
+            Self::Every(n) => frame_rate / f64::from(n.max(1)),
+            Self::Fixed { rate, .. } => rate.hz(),
+        }
+    }
+}
+
+/// Ticks per second as a fraction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FixedRate {
+    /// Ticks in `per_s` seconds.
+    pub ticks: u32,
+    /// Seconds.
+    pub per_s: u32,
+}
+
+impl FixedRate {
+    /// The rates that there are, by their names in the config.
+    pub const KNOWN: [(f64, FixedRate); 6] = [
+        (25.0, FixedRate { ticks: 25, per_s: 1 }),
+        (29.97, FixedRate { ticks: 30_000, per_s: 1001 }),
+        (30.0, FixedRate { ticks: 30, per_s: 1 }),
+        (50.0, FixedRate { ticks: 50, per_s: 1 }),
+        (59.94, FixedRate { ticks: 60_000, per_s: 1001 }),
+        (60.0, FixedRate { ticks: 60, per_s: 1 }),
+    ];
+
+    /// Nanoseconds from tick 0 to tick `k`, without accumulating rounding.
+    pub fn tick_ns(self, k: u64) -> i64 {
+        let ns = u128::from(k) * u128::from(self.per_s) * 1_000_000_000 / u128::from(self.ticks);
+        i64::try_from(ns).unwrap_or(i64::MAX)
+    }
+
+    /// Ticks per second.
+    pub fn hz(self) -> f64 {
+        f64::from(self.ticks) / f64::from(self.per_s)
+    }
+}
+
+/// What an output does when no pose is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum OnLoss {
+    /// Sends no pose; a format that can say so says it once a second.
+    Stop,
+    /// Sends the last pose again and again.
+    Hold,
+    /// Says in every packet that no pose is known.
+    Flag,
+}
+
+/// Limits that keep machinery from being moved by a bad pose; each output keeps them by itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SafetySettings {
+    /// A pose that would have to be reached faster is withheld, metres per second.
+    pub max_speed_m_s: Option<f64>,
+    /// The same for turning, radians per second.
+    pub max_turn_rad_s: Option<f64>,
+    /// Least and greatest corner of the box, stage frame, outside of which a pose is withheld.
+    pub permitted_box_m: Option<[[f64; 3]; 2]>,
+    /// After a loss the output returns to the pose at these rates instead of jumping.
+    pub blend: Option<BlendRates>,
+    /// No frame for this long is a failure that the receiver is told of.
+    pub stale_after: Duration,
+}
+
+/// How fast an output may return after a loss.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BlendRates {
+    /// Metres per second.
+    pub speed_m_s: f64,
+    /// Radians per second.
+    pub turn_rad_s: f64,
+}
+
+impl Default for SafetySettings {
+    fn default() -> Self {
+        Self { max_speed_m_s: None, max_turn_rad_s: None, permitted_box_m: None, blend: None, stale_after: Duration::from_millis(500) }
+    }
+}
+
+/// Where lines of JSON go besides UDP.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct StreamSettings {
+    /// Address on which clients are waited for.
+    pub tcp_listen: Option<SocketAddr>,
+    /// File that is written, replacing what is there; `-` is standard output.
+    pub file: Option<PathBuf>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_do_not_drift() {
+        let rate = FixedRate::KNOWN[1].1;
+        assert_eq!(rate.tick_ns(30_000), 1_001_000_000_000);
+        assert_eq!(rate.tick_ns(30_000 * 1_000_000), 1_001_000_000_000_000_000);
+        assert!((rate.hz() - 29.97).abs() < 1e-4);
+    }
+}

@@ -1,0 +1,220 @@
+//! Where packets go: UDP to any number of addresses, lines to TCP clients, a file or standard output.
+//!
+//! Nothing here waits for a receiver: a datagram that the system does not take at once is dropped and counted, a TCP client that does
+//! not read is disconnected. Trouble is logged once a minute.
+
+use std::fs::File;
+use std::io::{self, BufWriter, ErrorKind, Write};
+use std::net::{SocketAddr, SocketAddrV4, TcpListener, TcpStream, UdpSocket};
+use std::path::Path;
+
+use socket2::{Domain, Protocol, Socket, Type};
+
+use super::complaints::Complaints;
+use super::settings::{StreamSettings, UdpSettings};
+
+/// All the places of one output.
+pub(super) struct Transport {
+    udp: Option<UdpSender>,
+    clients: Option<TcpClients>,
+    file: Option<LineFile>,
+}
+
+/// Why an output's places cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum TransportError {
+    /// No socket, or one that cannot be set up.
+    #[error("cannot send by UDP ({0}); give an address of this machine as `interface`, or leave it out")]
+    Udp(io::Error),
+    /// The port is taken, or the address is not this machine's.
+    #[error("cannot wait for clients on {address} ({source}); give a free port on an address of this machine")]
+    Listen {
+        /// Where.
+        address: SocketAddr,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file cannot be created.
+    #[error("{file}: cannot be written ({source}); give a path with room that may be written")]
+    File {
+        /// Which.
+        file: String,
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+impl Transport {
+    /// Opens everything.
+    pub fn open(name: &str, udp: &UdpSettings, stream: Option<&StreamSettings>) -> Result<Self, TransportError> {
+        let listen = stream.and_then(|s| s.tcp_listen);
+        let file = stream.and_then(|s| s.file.as_deref());
+        Ok(Self {
+            udp: if udp.to.is_empty() { None } else { Some(UdpSender::open(name, udp).map_err(TransportError::Udp)?) },
+            clients: listen.map(|address| TcpClients::listen(name, address)).transpose()?,
+            file: file.map(|file| LineFile::create(name, file)).transpose()?,
+        })
+    }
+
+    /// Sends one packet everywhere; gives how many places took it and how many did not.
+    pub fn send(&mut self, packet: &[u8]) -> (u64, u64) {
+        let mut tally = self.udp.as_mut().map_or((0, 0), |udp| udp.send(packet));
+        for took in [self.clients.as_mut().and_then(|c| c.send(packet)), self.file.as_mut().and_then(|f| f.write(packet))] {
+            match took {
+                Some(true) => tally.0 += 1,
+                Some(false) => tally.1 += 1,
+                None => {}
+            }
+        }
+        tally
+    }
+
+    /// Lets new TCP clients in, also while there is nothing to send.
+    pub fn attend(&mut self) {
+        if let Some(clients) = &mut self.clients {
+            clients.accept();
+        }
+    }
+}
+
+/// One socket, so that the source port is the same for every packet.
+struct UdpSender {
+    socket: UdpSocket,
+    targets: Vec<(SocketAddrV4, Complaints)>,
+}
+
+impl UdpSender {
+    fn open(name: &str, settings: &UdpSettings) -> io::Result<Self> {
+        let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
+        socket.set_nonblocking(true)?;
+        socket.set_broadcast(true)?;
+        socket.set_ttl_v4(u32::from(settings.ttl))?;
+        socket.set_multicast_ttl_v4(u32::from(settings.ttl))?;
+        if let Some(interface) = &settings.interface {
+            socket.set_multicast_if_v4(interface)?;
+        }
+        let targets = settings.to.iter().map(|to| (*to, Complaints::new(name))).collect();
+        Ok(Self { socket: socket.into(), targets })
+    }
+
+    fn send(&mut self, packet: &[u8]) -> (u64, u64) {
+        let mut tally = (0, 0);
+        for (to, complaints) in &mut self.targets {
+            match self.socket.send_to(packet, *to) {
+                Ok(_) => tally.0 += 1,
+                Err(error) => {
+                    tally.1 += 1;
+                    complaints.say(|| format!("{to} cannot be reached ({error}); check the cable, the address and the firewall"));
+                }
+            }
+        }
+        tally
+    }
+}
+
+/// Everybody who is connected and reads.
+struct TcpClients {
+    listener: TcpListener,
+    clients: Vec<Client>,
+    complaints: Complaints,
+}
+
+struct Client {
+    stream: TcpStream,
+    peer: SocketAddr,
+    /// What the system has not taken yet.
+    waiting: Vec<u8>,
+}
+
+/// A client that is further behind is disconnected, bytes.
+const MOST_WAITING: usize = 256 * 1024;
+/// Further clients are turned away.
+const MOST_CLIENTS: usize = 64;
+
+impl TcpClients {
+    fn listen(name: &str, address: SocketAddr) -> Result<Self, TransportError> {
+        let open = || -> io::Result<TcpListener> {
+            let listener = TcpListener::bind(address)?;
+            listener.set_nonblocking(true)?;
+            Ok(listener)
+        };
+        let listener = open().map_err(|source| TransportError::Listen { address, source })?;
+        Ok(Self { listener, clients: Vec::new(), complaints: Complaints::new(name) })
+    }
+
+    fn accept(&mut self) {
+        while let Ok((stream, peer)) = self.listener.accept() {
+            let is_set = stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok();
+            if is_set && self.clients.len() < MOST_CLIENTS {
+                self.clients.push(Client { stream, peer, waiting: Vec::new() });
+            } else {
+                self.complaints.say(|| format!("{peer} is turned away; {MOST_CLIENTS} clients are connected"));
+            }
+        }
+    }
+
+    fn send(&mut self, packet: &[u8]) -> Option<bool> {
+        self.accept();
+        let before = self.clients.len();
+        let complaints = &mut self.complaints;
+        self.clients.retain_mut(|client| {
+            let outcome = client.send(packet);
+            if let Err(reason) = &outcome {
+                complaints.say(|| format!("client {} is disconnected: {reason}", client.peer));
+            }
+            outcome.is_ok()
+        });
+        (before > 0).then_some(self.clients.len() == before)
+    }
+}
+
+impl Client {
+    fn send(&mut self, packet: &[u8]) -> Result<(), String> {
+        if self.waiting.len() + packet.len() > MOST_WAITING {
+            return Err(format!("it is {} kB behind; it must read faster", self.waiting.len() / 1024));
+        }
+        self.waiting.extend_from_slice(packet);
+        while !self.waiting.is_empty() {
+            match self.stream.write(&self.waiting) {
+                Ok(0) => return Err("it closed the connection".to_owned()),
+                Ok(taken) => drop(self.waiting.drain(..taken)),
+                Err(e) if e.kind() == ErrorKind::WouldBlock => break,
+                Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                Err(e) => return Err(e.to_string()),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A file or standard output.
+struct LineFile {
+    writer: BufWriter<Box<dyn Write + Send>>,
+    name: String,
+    complaints: Complaints,
+}
+
+impl LineFile {
+    fn create(output: &str, file: &Path) -> Result<Self, TransportError> {
+        let name = file.display().to_string();
+        let sink: Box<dyn Write + Send> = if file == Path::new("-") {
+            Box::new(io::stdout())
+        } else {
+            Box::new(File::create(file).map_err(|source| TransportError::File { file: name.clone(), source })?)
+        };
+        Ok(Self { writer: BufWriter::new(sink), name, complaints: Complaints::new(output) })
+    }
+
+    fn write(&mut self, packet: &[u8]) -> Option<bool> {
+        let outcome = self.writer.write_all(packet).and_then(|()| self.writer.flush());
+        if let Err(error) = &outcome {
+            let name = &self.name;
+            self.complaints.say(|| format!("{name} cannot be written ({error}); make room"));
+        }
+        Some(outcome.is_ok())
+    }
+}
+
+#[cfg(test)]
+#[path = "transport_tests.rs"]
+mod tests;

@@ -1,0 +1,124 @@
+//! `/metrics`: the daemon's numbers in Prometheus' text format (0.0.4).
+
+use std::fmt::Write as _;
+
+use super::histogram::{EDGES_S, Histogram};
+use super::{CameraState, Page, RecorderState, Statistics};
+use crate::record::State;
+
+/// The page. `now_ns` is monotonic.
+pub fn metrics(statistics: &Statistics, now_ns: i64) -> Page {
+    let mut text = String::with_capacity(8 << 10);
+    states(&mut text, statistics);
+    counters(&mut text, statistics);
+    gauges(&mut text, statistics, now_ns);
+    head(&mut text, "stagepose_stage_seconds", "histogram", "Compute time of a frame by stage.");
+    for (stage, histogram) in statistics.stages() {
+        buckets(&mut text, "stagepose_stage_seconds", &format!("stage=\"{stage}\""), histogram);
+    }
+    head(&mut text, "stagepose_frame_age_seconds", "histogram", "Age of a frame when tracking it began.");
+    buckets(&mut text, "stagepose_frame_age_seconds", "", statistics.age());
+    Page { status: 200, content_type: "text/plain; version=0.0.4; charset=utf-8", body: text }
+}
+
+fn head(text: &mut String, name: &str, kind: &str, help: &str) {
+    let _ = writeln!(text, "# HELP {name} {help}\n# TYPE {name} {kind}");
+}
+
+fn one(text: &mut String, name: &str, kind: &str, help: &str, value: impl std::fmt::Display) {
+    head(text, name, kind, help);
+    let _ = writeln!(text, "{name} {value}");
+}
+
+fn states(text: &mut String, statistics: &Statistics) {
+    head(text, "stagepose_samples_total", "counter", "Samples given out, by state.");
+    for state in State::ALL {
+        let _ = writeln!(text, "stagepose_samples_total{{state=\"{}\"}} {}", state.word(), statistics.in_state(state));
+    }
+    head(text, "stagepose_state", "gauge", "1 for the state of the last sample.");
+    let last = statistics.last_state();
+    for state in State::ALL {
+        let _ = writeln!(text, "stagepose_state{{state=\"{}\"}} {}", state.word(), u8::from(state == last));
+    }
+}
+
+fn counters(text: &mut String, s: &Statistics) {
+    let counters = [
+        ("stagepose_frames_total", "Frames tracked, whatever became of them.", s.frames()),
+        ("stagepose_frames_undecodable_total", "Frames whose picture could not be read.", s.undecodable()),
+        ("stagepose_frames_skipped_total", "Frames not tracked for their stamp or size.", s.skipped()),
+        ("stagepose_frames_dropped_total", "Frames dropped because the tracker was late.", s.dropped()),
+        ("stagepose_frames_lost_in_device_total", "Frames lost before they came, by the driver's numbers.", s.device_dropped()),
+        ("stagepose_camera_reconnects_total", "How often the camera was opened again.", s.reconnects()),
+        ("stagepose_panics_contained_total", "Panics that were contained.", s.contained_panics()),
+        ("stagepose_frames_recorded_total", "Frames recorded.", s.recorded()),
+    ];
+    counters.iter().for_each(|(name, help, value)| one(text, name, "counter", help, value));
+}
+
+fn gauges(text: &mut String, s: &Statistics, now_ns: i64) {
+    one(text, "stagepose_frame_rate", "gauge", "Frames tracked a second.", s.rate());
+    let last = s.last_frame_ns();
+    let age_s = if last == 0 { f64::NAN } else { now_ns.saturating_sub(last) as f64 / 1e9 };
+    let age = if age_s.is_nan() { "NaN".to_owned() } else { age_s.to_string() };
+    one(text, "stagepose_last_frame_age_seconds", "gauge", "Age of the last tracked frame.", age);
+    one(text, "stagepose_inliers", "gauge", "Inliers of the last frame.", s.inliers());
+    one(text, "stagepose_rms_pixels", "gauge", "Residual of the last frame.", s.rms_px());
+    one(text, "stagepose_camera_up", "gauge", "1 while the camera gives pictures.", u8::from(s.camera() == CameraState::Streaming));
+    one(text, "stagepose_recording", "gauge", "1 while frames are recorded.", u8::from(s.recorder() == RecorderState::Recording));
+    one(text, "stagepose_recorder_stopped", "gauge", "1 where recording gave up.", u8::from(s.recorder() == RecorderState::Stopped));
+}
+
+fn buckets(text: &mut String, name: &str, labels: &str, histogram: &Histogram) {
+    let comma = if labels.is_empty() { "" } else { "," };
+    let counts = histogram.cumulative();
+    for (edge, count) in EDGES_S.iter().zip(counts) {
+        let _ = writeln!(text, "{name}_bucket{{{labels}{comma}le=\"{edge}\"}} {count}");
+    }
+    let total = counts[EDGES_S.len()];
+    let _ = writeln!(text, "{name}_bucket{{{labels}{comma}le=\"+Inf\"}} {total}");
+    let braces = if labels.is_empty() { String::new() } else { format!("{{{labels}}}") };
+    let _ = writeln!(text, "{name}_sum{braces} {}\n{name}_count{braces} {total}", histogram.sum_s());
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use super::*;
+    use crate::record::{PoseSample, StageTimes};
+
+    #[test]
+    fn every_line_is_of_the_text_format_and_every_name_has_its_type() {
+        let statistics = Statistics::default();
+        let mut sample = PoseSample::stale(0, 1_000_000, 0.0);
+        sample.state = State::Searching;
+        sample.times = StageTimes { decode_ms: 2.0, acquire_ms: 20.0, align_ms: 5.0, pose_ms: 0.1, age_ms: Some(7.0) };
+        statistics.sample(&sample);
+        statistics.frames_dropped(3);
+        let page = metrics(&statistics, 3_000_000);
+        let mut typed = HashSet::new();
+        for line in page.body.lines() {
+            if let Some(rest) = line.strip_prefix("# TYPE ") {
+                assert!(typed.insert(rest.split(' ').next().unwrap().to_owned()), "twice: {rest}");
+            } else if !line.starts_with("# HELP ") {
+                let (name, value) = line.rsplit_once(' ').unwrap();
+                assert!(value.parse::<f64>().is_ok(), "{line}");
+                let family = name.split('{').next().unwrap();
+                let family = ["_bucket", "_sum", "_count"].iter().find_map(|s| family.strip_suffix(s)).unwrap_or(family);
+                assert!(typed.contains(family), "{line}");
+            }
+        }
+        for wanted in [
+            "stagepose_samples_total{state=\"searching\"} 1",
+            "stagepose_frames_dropped_total 3",
+            "stagepose_stage_seconds_bucket{stage=\"acquire\",le=\"0.02\"} 1",
+            "stagepose_stage_seconds_bucket{stage=\"acquire\",le=\"0.015\"} 0",
+            "stagepose_stage_seconds_count{stage=\"total\"} 1",
+            "stagepose_frame_age_seconds_sum 0.007",
+            "stagepose_last_frame_age_seconds 0.002",
+        ] {
+            assert!(page.body.lines().any(|l| l == wanted), "{wanted} is not in\n{}", page.body);
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! Outputs from outside: a replay and a test pose are sent, `check` tries what the machine gives, `listen` prints what comes.
+
+use std::io::{BufRead, BufReader};
+use std::net::{TcpListener, UdpSocket};
+use std::process::Stdio;
+use std::time::Duration;
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+
+use super::scene::{CONFIG, Scene};
+
+fn receiver() -> (UdpSocket, u16) {
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+    let port = socket.local_addr().unwrap().port();
+    (socket, port)
+}
+
+#[test]
+fn a_replay_sends_its_records() {
+    let scene = Scene::new();
+    let (socket, port) = receiver();
+    let output = format!(
+        "[[output]]\nkind = \"json\"\non_loss = \"flag\"\nto = [\"127.0.0.1:{port}\"]\nfile = \"sent.jsonl\"\n[safety]\nstale_after_s = 60\n"
+    );
+    scene.write("stage.toml", &format!("{CONFIG}{output}"));
+    scene.replay(&["--outputs", "--poses", "poses.jsonl"]).assert_success();
+    let (sent, poses) = (scene.read("sent.jsonl"), scene.read("poses.jsonl"));
+    assert_eq!((sent.lines().count(), poses.lines().count()), (6, 6));
+    for (sent, record) in sent.lines().zip(poses.lines()) {
+        assert!(sent.starts_with(record.trim_end_matches('}')) && sent.contains("\"age_ms\":"), "{sent}\n{record}");
+        let mut buffer = vec![0; 65_536];
+        let length = socket.recv(&mut buffer).unwrap();
+        assert_eq!(std::str::from_utf8(&buffer[..length]).unwrap().trim_end(), sent);
+    }
+}
+
+#[test]
+fn check_names_the_outputs_and_refuses_a_port_in_use() {
+    let scene = Scene::new();
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let at = taken.local_addr().unwrap();
+    let freed = "[[output]]\nkind = \"freed\"\nname = \"studio\"\nto = [\"127.0.0.1:40000\"]\nrate_hz = 50\n";
+    scene.write("stage.toml", &format!("{CONFIG}{freed}"));
+    let run = scene.run(&["check", "--config", "stage.toml"]);
+    run.assert_success();
+    let wanted = "output      studio: freed to 127.0.0.1:40000, 50.00 times a second, 80 ms late, stops on loss";
+    assert!(run.stdout.contains(wanted), "{}", run.stdout);
+    scene.write("stage.toml", &format!("{CONFIG}{freed}[[output]]\nkind = \"json\"\ntcp_listen = \"{at}\"\n"));
+    let parts = ["`tcp_listen` in [[output]], line 13: cannot wait for clients on", &at.to_string(), "give a free port"];
+    scene.run(&["check", "--config", "stage.toml"]).assert_refused(2, &parts);
+    scene.replay(&["--outputs"]).assert_refused(1, &["output json-11: cannot wait for clients on"]);
+    scene.write("stage.toml", &format!("{CONFIG}[http]\nlisten = \"{at}\"\n"));
+    scene.run(&["check", "--config", "stage.toml"]).assert_refused(2, &["`listen` in [http], line 7: cannot listen on"]);
+}
+
+#[test]
+fn a_test_pose_is_sent_and_listened_to() {
+    let scene = Scene::new();
+    let port = {
+        let (_socket, port) = receiver();
+        port
+    };
+    // Outputs alone will do: there is no stage yet.
+    scene.write("outputs.toml", &format!("[[output]]\nkind = \"freed\"\nto = [\"127.0.0.1:{port}\"]\n"));
+    let mut sender = scene.command(&["send-test", "--config", "outputs.toml"]).stderr(Stdio::piped()).spawn().unwrap();
+    let heard = scene.run(&["listen", "freed", &port.to_string(), "--count", "3"]);
+    kill(Pid::from_raw(sender.id() as i32), Signal::SIGINT).unwrap();
+    let mut said = String::new();
+    BufReader::new(sender.stderr.take().unwrap()).read_line(&mut said).unwrap();
+    assert_eq!(sender.wait().unwrap().code(), Some(0));
+    assert!(said.starts_with("sending a test pose to freed-1"), "{said}");
+    heard.assert_success();
+    assert_eq!(heard.stdout.lines().filter(|line| line.contains(" camera 1 pan ")).count(), 3, "{}", heard.stdout);
+}
+
+#[test]
+fn nothing_to_send_to_is_said() {
+    let scene = Scene::new();
+    scene.run(&["send-test", "--config", "stage.toml"]).assert_refused(2, &["stage.toml: there is no [[output]] section to send to"]);
+}

@@ -1,0 +1,181 @@
+//! One fault after another: what subscribers get, what is said, that nothing hangs and nothing panics out.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use crossbeam_channel::bounded;
+use stagepose::capture::{ClipOptions, open_clip};
+use stagepose::daemon::RunningDaemon;
+use stagepose::daemon::live::{Event, LiveLink, LiveStop, StampedEvent};
+use stagepose::daemon::recorder::{AboutClip, RealDisk, Recorder, RecorderPlan};
+use stagepose::record::{PoseSample, State};
+use stagepose::{Daemon, Tracker};
+
+use super::faulty::{Fault, Faulty, source, tracker_setup};
+
+/// What a run came to.
+struct Played {
+    samples: Vec<PoseSample>,
+    events: Vec<StampedEvent>,
+    link: LiveLink,
+}
+
+/// Joins, or fails the test instead of hanging it.
+fn join(running: RunningDaemon) {
+    let (done, joined) = bounded(1);
+    std::thread::spawn(move || done.send(running.join()));
+    joined.recv_timeout(Duration::from_secs(60)).expect("the daemon hangs").expect("no stage panicked");
+}
+
+fn daemon(faulty: &Arc<Faulty>, link: &LiveLink) -> (Daemon, LiveStop) {
+    let tracker = Tracker::new(tracker_setup());
+    let source = source(faulty, link);
+    let stop = source.stopper();
+    let mut daemon = Daemon::live(source, tracker);
+    let count = faulty.clone();
+    daemon.observe(move |_, _| {
+        count.tracked.fetch_add(1, Ordering::Release);
+    });
+    (daemon, stop)
+}
+
+/// Plays a camera to its end.
+fn play(faulty: &Arc<Faulty>) -> Played {
+    let link = LiveLink::default();
+    let events = link.events.listen();
+    let (mut daemon, _) = daemon(faulty, &link);
+    let samples = daemon.subscribe();
+    let running = daemon.start().unwrap();
+    let samples = samples.iter().collect();
+    join(running);
+    link.events.close();
+    Played { samples, events: events.iter().collect(), link }
+}
+
+impl Played {
+    fn rows(&self) -> Vec<&PoseSample> {
+        self.samples.iter().filter(|s| s.state != State::Stale).collect()
+    }
+
+    fn states_from(&self, first: usize) -> Vec<State> {
+        self.rows()[first..].iter().map(|s| s.state).collect()
+    }
+
+    fn has(&self, wanted: impl Fn(&Event) -> bool) -> bool {
+        self.events.iter().any(|e| wanted(&e.event))
+    }
+}
+
+#[test]
+fn a_camera_that_goes_and_returns_is_tracked_again() {
+    let openings = [None, Some(Fault::OpenFails), Some(Fault::OpenPanics), Some(Fault::OtherSize)];
+    for fault in [Fault::Gone, Fault::ReadPanics, Fault::DropPanics] {
+        let played = play(&Faulty::told(&openings, &[(6, fault)], 12));
+        let rows = played.rows();
+        assert_eq!(rows.iter().map(|s| s.sequence).collect::<Vec<_>>(), (0..12).collect::<Vec<_>>(), "{fault:?}");
+        assert!(played.states_from(1).iter().filter(|s| **s == State::Tracking).count() >= 9, "{fault:?} {:?}", played.states_from(0));
+        assert!(
+            played.has(|e| matches!(e, Event::CameraLost { .. })) && played.has(|e| matches!(e, Event::CameraOpened { again: true, .. }))
+        );
+        assert!(played.has(|e| matches!(e, Event::CameraWaiting { reason } if reason.contains("cheese"))));
+        assert!(played.has(|e| matches!(e, Event::CameraWaiting { reason } if reason.contains("640 x 480"))));
+        assert_eq!(played.link.statistics.reconnects(), 1);
+    }
+}
+
+#[test]
+fn silence_gives_stale_messages_and_never_a_record() {
+    let played = play(&Faulty::told(&[], &[(5, Fault::Stalls)], 10));
+    let stale: Vec<&PoseSample> = played.samples.iter().filter(|s| s.state == State::Stale).collect();
+    assert!(!stale.is_empty() && stale.iter().all(|s| s.pose.is_none() && s.times.age_ms.is_some()));
+    let line = stale[0].to_json_line();
+    assert!(line.starts_with(r#"{"state":"stale","pose":null,"age_ms":"#), "{line}");
+    assert!(played.has(|e| matches!(e, Event::Stale { .. })) && played.has(|e| matches!(e, Event::Resumed { .. })));
+    assert!(played.has(|e| matches!(e, Event::CameraLost { reason } if reason.contains("no picture for"))));
+    assert_eq!(played.rows().len(), 10);
+}
+
+#[test]
+fn a_read_that_never_returns_hangs_nobody() {
+    let faulty = Faulty::told(&[], &[(3, Fault::Blocks), (4, Fault::Blocks), (5, Fault::Blocks)], 8);
+    let played = play(&faulty);
+    assert_eq!(played.rows().len(), 8);
+    // And with a reader that is blocked, the daemon ends all the same.
+    let faulty = Faulty::told(&[], &[(2, Fault::Blocks)], u64::MAX);
+    let (mut daemon, stop) = daemon(&faulty, &LiveLink::default());
+    let samples = daemon.subscribe();
+    let running = daemon.start().unwrap();
+    samples.iter().find(|s| s.state == State::Stale).expect("a stale message");
+    stop.stop();
+    join(running);
+}
+
+#[test]
+fn bad_pictures_and_bad_stamps_cost_themselves_only() {
+    let faults = [
+        (4, Fault::Truncated),
+        (6, Fault::Garbage),
+        (8, Fault::Empty),
+        (10, Fault::DriverSaysDamaged),
+        (12, Fault::StaleBytesBehind),
+        (14, Fault::SmallPicture),
+        (16, Fault::StampRepeats),
+        (18, Fault::StampGoesBack),
+        (20, Fault::FramesLostInDevice),
+    ];
+    let played = play(&Faulty::told(&[], &faults, 24));
+    let (rows, s) = (played.rows(), &played.link.statistics);
+    assert_eq!((rows.len(), s.undecodable(), s.skipped(), s.device_dropped()), (24, 4, 3, 3));
+    for n in [5, 7, 9, 11, 12, 13, 15, 17, 19, 20, 21, 23] {
+        assert_eq!(rows[n].state, State::Tracking, "row {n}: {:?}", played.states_from(0));
+    }
+}
+
+#[test]
+fn a_driver_without_stamps_is_said_once() {
+    let played = play(&Faulty::told(&[], &[(0, Fault::NoStamp), (1, Fault::NoStamp)], 3));
+    assert_eq!(played.events.iter().filter(|e| matches!(e.event, Event::NoDriverStamp { .. })).count(), 1);
+}
+
+#[test]
+fn a_stalled_subscriber_loses_the_oldest_and_blocks_nothing() {
+    let faulty = Faulty::told(&[], &[], 300);
+    let (mut daemon, _) = daemon(&faulty, &LiveLink::default());
+    let (stalled, read) = (daemon.subscribe(), daemon.subscribe());
+    let running = daemon.start().unwrap();
+    let all: Vec<u64> = read.iter().map(|s| s.sequence).collect();
+    join(running);
+    assert!(all.len() >= 300);
+    let late: Vec<u64> = stalled.iter().map(|s| s.sequence).collect();
+    assert!(late.len() < 300 && late.last() == Some(&299), "{} samples", late.len());
+}
+
+#[test]
+fn a_recording_full_of_faults_replays_byte_for_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let clip = folder.path().join("take");
+    let faulty = Faulty::random(5, 6, 60);
+    let tracker = Tracker::new(tracker_setup());
+    let link = LiveLink::default();
+    let mut source = source(&faulty, &link);
+    let mode = source.wait_for_camera(|| false).expect("the camera opens");
+    let config = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly/stage.toml");
+    let plan = RecorderPlan { clip: Some(clip.clone()), ring: None, about: AboutClip { camera: mode, config } };
+    let recorder = Recorder::start(plan, &link, Box::<RealDisk>::default()).unwrap();
+    let mut daemon = Daemon::live(source, tracker);
+    daemon.observe(recorder.observer());
+    let count = faulty.clone();
+    daemon.observe(move |_, _| {
+        count.tracked.fetch_add(1, Ordering::Release);
+    });
+    join(daemon.start().unwrap());
+    recorder.finish();
+    let mut tracker = Tracker::new(tracker_setup());
+    let mut replay = open_clip(&clip, ClipOptions::default()).unwrap();
+    let again: String = std::iter::from_fn(|| replay.next_row()).map(|row| tracker.track_row(&row).to_json_line() + "\n").collect();
+    let recorded = std::fs::read_to_string(clip.join("poses.jsonl")).unwrap();
+    assert_eq!(recorded.lines().count(), 60);
+    assert!(recorded.contains("\"tracking\"") && recorded.contains("\"pose\":null"));
+    assert!(again == recorded, "{:?}", again.lines().zip(recorded.lines()).find(|(a, b)| a != b));
+}

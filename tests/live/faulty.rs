@@ -1,0 +1,352 @@
+//! A camera in front of a virtual stage that fails as it is told, or at random from a seed.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::time::Duration;
+
+use image::GrayImage;
+use image::codecs::jpeg::JpegEncoder;
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use stagepose::TrackerSetup;
+use stagepose::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
+use stagepose::capture::moment::{DriverStamp, mid_exposure_ns, monotonic_ns};
+use stagepose::capture::{FrameSource, RowContent, VirtualCamera};
+use stagepose::daemon::live::{LiveLink, LiveSource, Patience, Shutter};
+use stagepose::geometry::{self, Pose, Stage};
+use stagepose::simulate::VirtualStage;
+use stagepose::track::TrackerSettings;
+
+use crate::pipeline::scene::{FPS, backdrop, camera, past, quiet, setup};
+
+pub const SIZE: (u32, u32) = (320, 240);
+
+/// Rendered frames of one pass along the path, as JPEGs, with their true poses.
+pub struct Take {
+    pub jpegs: Vec<Vec<u8>>,
+    pub truths: Vec<Pose<Stage, geometry::Camera>>,
+}
+
+pub fn scene() -> VirtualStage {
+    quiet(camera(SIZE.0, SIZE.1), past(), backdrop())
+}
+
+/// What the tracker is told of it; fewer corners than usual, for the sake of time.
+pub fn tracker_setup() -> TrackerSetup {
+    TrackerSetup { settings: TrackerSettings { features: 150, threads: 2, ..TrackerSettings::default() }, ..setup(&scene()) }
+}
+
+pub fn take() -> &'static Take {
+    static TAKE: OnceLock<Take> = OnceLock::new();
+    TAKE.get_or_init(|| {
+        let mut camera = VirtualCamera::new(scene(), FPS, 30);
+        let (mut jpegs, mut truths) = (Vec::new(), Vec::new());
+        while let Some(row) = camera.next_row() {
+            let RowContent::Frame(frame) = row.content else { continue };
+            jpegs.push(jpeg(&frame.image));
+            truths.push(camera.truth(row.sequence));
+        }
+        Take { jpegs, truths }
+    })
+}
+
+pub fn jpeg(image: &GrayImage) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, 90).encode_image(image).unwrap();
+    bytes
+}
+
+/// Frame `n` of an endless ride to and fro.
+pub fn ride(n: u64) -> usize {
+    let last = take().jpegs.len() as u64 - 1;
+    let at = n % (2 * last);
+    at.min(2 * last - at) as usize
+}
+
+/// What a fault does, in one opening or one picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fault {
+    Silent,
+    Stalls,
+    Gone,
+    ReadPanics,
+    DropPanics,
+    OpenFails,
+    OpenPanics,
+    OtherSize,
+    Blocks,
+    Truncated,
+    Garbage,
+    Empty,
+    DriverSaysDamaged,
+    StaleBytesBehind,
+    SmallPicture,
+    StampRepeats,
+    StampGoesBack,
+    NoStamp,
+    StampOfAnotherClock,
+    OtherStage,
+    FramesLostInDevice,
+}
+
+impl Fault {
+    const OF_PICTURES: [Fault; 18] = [
+        Self::Silent,
+        Self::Stalls,
+        Self::Gone,
+        Self::ReadPanics,
+        Self::DropPanics,
+        Self::Blocks,
+        Self::Truncated,
+        Self::Garbage,
+        Self::Empty,
+        Self::DriverSaysDamaged,
+        Self::StaleBytesBehind,
+        Self::SmallPicture,
+        Self::StampRepeats,
+        Self::StampGoesBack,
+        Self::NoStamp,
+        Self::StampOfAnotherClock,
+        Self::OtherStage,
+        Self::FramesLostInDevice,
+    ];
+    const OF_OPENINGS: [Fault; 3] = [Self::OpenFails, Self::OpenPanics, Self::OtherSize];
+}
+
+/// What decides on the next fault.
+pub enum Plan {
+    /// Faults of openings, and of pictures by their number.
+    Told { openings: Vec<Option<Fault>>, pictures: HashMap<u64, Fault> },
+    /// From a seed; one picture in so many fails.
+    Random { rng: Pcg64Mcg, one_in: u32 },
+}
+
+/// The opener, and what the camera and the test both know.
+pub struct Faulty {
+    plan: Mutex<Plan>,
+    openings: AtomicU64,
+    pictures: AtomicU64,
+    most_pictures: u64,
+    /// Rows that came out of the pipeline: the next picture waits for them, so that none is dropped on the way.
+    pub tracked: AtomicU64,
+    /// Which frame of the ride a stamp belongs to; the other stage's are not in here.
+    pub shown: Mutex<HashMap<i64, usize>>,
+    pub faults: Mutex<HashMap<String, u64>>,
+    last_stamp_ns: Mutex<i64>,
+    /// While true, blocked reads do not come back.
+    pub blocking: AtomicBool,
+}
+
+impl Faulty {
+    pub fn new(plan: Plan, most_pictures: u64) -> Arc<Self> {
+        // Rendering takes its time, which is not to be taken for a driver that blocks.
+        let _ = (take(), other_stage());
+        Arc::new(Self {
+            plan: Mutex::new(plan),
+            openings: AtomicU64::new(0),
+            pictures: AtomicU64::new(0),
+            most_pictures,
+            tracked: AtomicU64::new(0),
+            shown: Mutex::default(),
+            faults: Mutex::default(),
+            // Far ahead, so that a slow machine does not pull the frames apart in time.
+            last_stamp_ns: Mutex::new(monotonic_ns() + 3_600_000_000_000),
+            blocking: AtomicBool::new(true),
+        })
+    }
+
+    pub fn told(openings: &[Option<Fault>], pictures: &[(u64, Fault)], most_pictures: u64) -> Arc<Self> {
+        Self::new(Plan::Told { openings: openings.to_vec(), pictures: pictures.iter().copied().collect() }, most_pictures)
+    }
+
+    pub fn random(seed: u64, one_in: u32, most_pictures: u64) -> Arc<Self> {
+        Self::new(Plan::Random { rng: Pcg64Mcg::seed_from_u64(seed), one_in }, most_pictures)
+    }
+
+    fn next_fault(&self, opening: Option<u64>, picture: u64) -> Option<Fault> {
+        let fault = match (&mut *self.plan.lock().unwrap(), opening) {
+            (Plan::Told { openings, .. }, Some(n)) => openings.get(n as usize).copied().flatten(),
+            (Plan::Told { pictures, .. }, None) => pictures.remove(&picture),
+            (Plan::Random { rng, .. }, Some(n)) => {
+                (n > 0 && rng.random_range(0..4) == 0).then(|| Fault::OF_OPENINGS[rng.random_range(0..Fault::OF_OPENINGS.len())])
+            }
+            (Plan::Random { rng, one_in }, None) => (rng.random_range(0..*one_in) == 0).then(|| {
+                let fault = Fault::OF_PICTURES[rng.random_range(0..Fault::OF_PICTURES.len())];
+                // A block and a stall cost real time: nine in ten are let off.
+                if matches!(fault, Fault::Blocks | Fault::Stalls) && rng.random_range(0..10) > 0 { Fault::Silent } else { fault }
+            }),
+        };
+        if let Some(fault) = fault {
+            *self.faults.lock().unwrap().entry(format!("{fault:?}")).or_default() += 1;
+        }
+        fault
+    }
+}
+
+/// Gives the opener to the pipeline.
+pub struct Opener(pub Arc<Faulty>);
+
+impl CameraOpener for Opener {
+    fn open(&self) -> Result<Box<dyn Camera>, OpenFault> {
+        let n = self.0.openings.fetch_add(1, Ordering::Relaxed);
+        let mut size = SIZE;
+        match self.0.next_fault(Some(n), 0) {
+            Some(Fault::OpenFails) => return Err(OpenFault("the camera is in use by cheese (process 7); end that program".into())),
+            Some(Fault::OpenPanics) => panic!("told to panic while opening"),
+            Some(Fault::OtherSize) => size = (640, 480),
+            _ => {}
+        }
+        let mode = CameraMode {
+            name: "faulty".into(),
+            size,
+            layout: PixelLayout::Mjpeg,
+            fps: 10.0,
+            exposure_s: None,
+            controls: vec![],
+            notes: vec![],
+        };
+        Ok(Box::new(FaultyCamera { faulty: self.0.clone(), mode, panics_in_drop: false, stalls: false }))
+    }
+
+    fn wanted(&self) -> String {
+        "faulty".into()
+    }
+}
+
+struct FaultyCamera {
+    faulty: Arc<Faulty>,
+    mode: CameraMode,
+    panics_in_drop: bool,
+    stalls: bool,
+}
+
+impl Camera for FaultyCamera {
+    fn mode(&self) -> &CameraMode {
+        &self.mode
+    }
+
+    fn next_picture(&mut self, patience: Duration) -> Result<CapturedPicture, CameraFault> {
+        let begun = monotonic_ns();
+        if self.stalls {
+            std::thread::sleep(patience);
+            return Err(CameraFault::Silent);
+        }
+        let n = self.faulty.pictures.load(Ordering::Acquire);
+        while self.faulty.tracked.load(Ordering::Acquire) < n {
+            if monotonic_ns() - begun > patience.as_nanos() as i64 {
+                return Err(CameraFault::Silent);
+            }
+            std::thread::sleep(Duration::from_micros(50));
+        }
+        if n >= self.faulty.most_pictures {
+            return Err(CameraFault::End);
+        }
+        let fault = self.faulty.next_fault(None, n);
+        match fault {
+            Some(Fault::Silent) => {
+                std::thread::sleep(patience);
+                return Err(CameraFault::Silent);
+            }
+            Some(Fault::Stalls) => {
+                self.stalls = true;
+                return Err(CameraFault::Silent);
+            }
+            Some(Fault::Gone) => return Err(CameraFault::Gone("No such device (os error 19)".into())),
+            Some(Fault::ReadPanics) => panic!("told to panic while reading"),
+            Some(Fault::DropPanics) => {
+                self.panics_in_drop = true;
+                return Err(CameraFault::Gone("STREAMOFF fails".into()));
+            }
+            Some(Fault::Blocks) => {
+                // As a driver that hangs: it does not look at the time limit.
+                while self.faulty.blocking.load(Ordering::Relaxed) && monotonic_ns() - begun < 1_500_000_000 {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                return Err(CameraFault::Silent);
+            }
+            _ => {}
+        }
+        self.faulty.pictures.fetch_add(1, Ordering::AcqRel);
+        Ok(self.picture(n, fault))
+    }
+}
+
+impl FaultyCamera {
+    fn picture(&self, n: u64, fault: Option<Fault>) -> CapturedPicture {
+        let which = ride(n);
+        let mut bytes = take().jpegs[which].clone();
+        let mut shows_stage = true;
+        match fault {
+            Some(Fault::Truncated) => bytes.truncate(bytes.len() / 2),
+            Some(Fault::Garbage) => bytes.iter_mut().enumerate().skip(2).for_each(|(i, b)| *b = (i * 31 + n as usize) as u8),
+            Some(Fault::Empty) => bytes.clear(),
+            Some(Fault::StaleBytesBehind) => bytes.extend_from_slice(&take().jpegs[0][300..]),
+            Some(Fault::SmallPicture) => bytes = jpeg(&GrayImage::new(160, 120)),
+            Some(Fault::OtherStage) => (bytes, shows_stage) = (other_stage().clone(), false),
+            _ => {}
+        }
+        // One after another in time, whatever the pipeline's pace.
+        let arrival_ns = monotonic_ns();
+        let mut last = self.faulty.last_stamp_ns.lock().unwrap();
+        let at = *last + 33_333_333;
+        let stamp = match fault {
+            Some(Fault::StampRepeats) => DriverStamp::MidExposure(*last),
+            Some(Fault::StampGoesBack) => DriverStamp::MidExposure(*last - 500_000_000),
+            Some(Fault::NoStamp) => DriverStamp::None,
+            Some(Fault::StampOfAnotherClock) => DriverStamp::StartOfExposure(1_795_000_000_000_000_000),
+            _ => DriverStamp::MidExposure(at),
+        };
+        *last = at;
+        let (stamp_ns, _) = mid_exposure_ns(stamp, arrival_ns, 0.0, 0.0);
+        if shows_stage && fault != Some(Fault::StampRepeats) {
+            self.faulty.shown.lock().unwrap().insert(stamp_ns, which);
+        }
+        let lost = if fault == Some(Fault::FramesLostInDevice) { 3 } else { 0 };
+        CapturedPicture {
+            bytes,
+            stamp,
+            arrival_ns,
+            device_sequence: Some(n as u32 + lost),
+            is_damaged: fault == Some(Fault::DriverSaysDamaged),
+        }
+    }
+}
+
+impl Drop for FaultyCamera {
+    fn drop(&mut self) {
+        if self.panics_in_drop && !std::thread::panicking() {
+            panic!("told to panic while closing");
+        }
+    }
+}
+
+/// A frame of a stage that nobody told the tracker of.
+fn other_stage() -> &'static Vec<u8> {
+    static OTHER: OnceLock<Vec<u8>> = OnceLock::new();
+    OTHER.get_or_init(|| {
+        let art = crate::pipeline::scene::other_art();
+        let surface = crate::pipeline::scene::surface("other", art, [4.0, 3.0], nalgebra::Vector3::zeros(), 0.0);
+        let stage = quiet(camera(SIZE.0, SIZE.1), past(), crate::pipeline::scene::body(vec![surface]));
+        let row = VirtualCamera::new(stage, FPS, 1).next_row().unwrap();
+        let RowContent::Frame(frame) = row.content else { panic!("the virtual stage has a picture for every row") };
+        jpeg(&frame.image)
+    })
+}
+
+/// Limits that let a test end soon.
+pub fn patience() -> Patience {
+    let ms = Duration::from_millis;
+    Patience { read: ms(20), silence: ms(1500), blocked: ms(500), between_openings: ms(5) }
+}
+
+/// A source that reads the camera.
+pub fn source(faulty: &Arc<Faulty>, link: &LiveLink) -> LiveSource {
+    // The panics are part of the play.
+    std::panic::set_hook(Box::new(|info| {
+        if !info.to_string().contains("told to panic") {
+            eprintln!("{info}");
+        }
+    }));
+    LiveSource::start(Arc::new(Opener(faulty.clone())), Shutter::default(), patience(), link.clone())
+}

@@ -1,0 +1,6 @@
+//! A live camera that does everything wrong, and the daemon that has to bear it; no hardware.
+
+mod faults;
+mod faulty;
+mod program;
+mod soak;

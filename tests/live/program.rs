@@ -1,0 +1,195 @@
+//! The live commands from outside, with a clip that plays as the camera.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::os::unix::net::UnixDatagram;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+
+const FIXTURE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly");
+
+fn stagepose(folder: &std::path::Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_stagepose"));
+    command.current_dir(folder).env_remove("NOTIFY_SOCKET").env_remove("RUST_LOG").stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+/// The fixture's config, to be changed by a test, beside a copy of what it names.
+fn config(folder: &std::path::Path) -> std::path::PathBuf {
+    for name in ["backdrop.png", "flat.png", "camera.toml", "stage.toml"] {
+        std::fs::copy(format!("{FIXTURE}/{name}"), folder.join(name)).unwrap();
+    }
+    folder.join("stage.toml")
+}
+
+/// A long clip: the fixture's pictures again and again.
+fn long_clip(folder: &std::path::Path, times: usize) -> std::path::PathBuf {
+    let one: Vec<u8> = (0..40).chain((1..39).rev()).flat_map(|n| std::fs::read(format!("{FIXTURE}/frames/{n:06}.jpg")).unwrap()).collect();
+    let clip = folder.join("long.mjpeg");
+    std::fs::write(&clip, one.repeat(times)).unwrap();
+    clip
+}
+
+fn ends(child: &mut Child) -> i32 {
+    let begun = Instant::now();
+    loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            return status.code().unwrap_or(-1);
+        }
+        assert!(begun.elapsed() < Duration::from_secs(60), "it does not end");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn signal(child: &Child, signal: Signal) {
+    kill(Pid::from_raw(child.id() as i32), signal).unwrap();
+}
+
+fn get(port: u16, path: &str) -> String {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
+    let mut reply = String::new();
+    stream.read_to_string(&mut reply).unwrap();
+    reply
+}
+
+/// Waits for a line of the log that has a text.
+fn wait_for(log: &mut impl BufRead, text: &str) {
+    let mut line = String::new();
+    while !line.contains(text) {
+        line.clear();
+        assert!(log.read_line(&mut line).unwrap() > 0, "the log ended before `{text}`");
+    }
+}
+
+#[test]
+fn a_played_clip_is_recorded_and_replays_byte_for_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path());
+    let record = ["record", "take", "--config", config.to_str().unwrap(), "--play", FIXTURE, "--poses", "live.jsonl", "--log", "info"];
+    let recorded = stagepose(folder.path()).args(record).output().unwrap();
+    assert_eq!(recorded.status.code(), Some(0), "{}", String::from_utf8_lossy(&recorded.stderr));
+    let replayed =
+        stagepose(folder.path()).args(["replay", "take", "--config", "take/config/stage.toml", "--poses", "again.jsonl"]).output().unwrap();
+    assert_eq!(replayed.status.code(), Some(0), "{}", String::from_utf8_lossy(&replayed.stderr));
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    assert!(!read("live.jsonl").is_empty());
+    assert_eq!(read("live.jsonl"), read("take/poses.jsonl"));
+    assert_eq!(read("again.jsonl"), read("take/poses.jsonl"));
+    // A take is not recorded over.
+    let again = stagepose(folder.path()).args(record).output().unwrap();
+    let said = String::from_utf8_lossy(&again.stderr).into_owned();
+    assert!(again.status.code() == Some(1) && said.contains("holds a clip already"), "{said}");
+}
+
+#[test]
+fn it_is_a_good_service() {
+    let folder = tempfile::tempdir().unwrap();
+    let (config, clip) = (config(folder.path()), long_clip(folder.path(), 40));
+    let text = std::fs::read_to_string(&config).unwrap();
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    std::fs::write(&config, format!("{text}\n[recorder]\nring_s = 2\n[http]\nlisten = \"127.0.0.1:{port}\"\n")).unwrap();
+    let manager = UnixDatagram::bind(folder.path().join("notify")).unwrap();
+    manager.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+    let mut command = stagepose(folder.path());
+    command.env("NOTIFY_SOCKET", folder.path().join("notify")).env("WATCHDOG_USEC", "400000");
+    let mut child = command
+        .args(["run", "--config", "stage.toml", "--play"])
+        .arg(&clip)
+        .args(["--poses", "live.jsonl", "--log", "info"])
+        .spawn()
+        .unwrap();
+    let mut log = BufReader::new(child.stderr.take().unwrap());
+    let mut heard = String::new();
+    let mut buffer = [0; 512];
+    for wanted in ["READY=1", "WATCHDOG=1", "frames/s"] {
+        while !heard.contains(wanted) {
+            let n = manager.recv(&mut buffer).unwrap_or_else(|e| panic!("{wanted} did not come: {e}"));
+            heard += &format!("{}\n", String::from_utf8_lossy(&buffer[..n]));
+        }
+    }
+    let lines = || std::fs::read_to_string(folder.path().join("live.jsonl")).map_or(0, |text| text.lines().count());
+    let wait_for_frames = |more: usize| {
+        let (before, begun) = (lines(), Instant::now());
+        while lines() < before + more {
+            assert!(begun.elapsed() < Duration::from_secs(60), "no frame is tracked");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    // The ring has something to save.
+    wait_for_frames(3);
+    if cfg!(feature = "http") {
+        let begun = Instant::now();
+        let mut health = String::new();
+        while !(health.starts_with("HTTP/1.1 200") && health.contains("\"camera\":\"streaming\"")) {
+            assert!(begun.elapsed() < Duration::from_secs(30), "{health}");
+            health = get(port, "/healthz");
+        }
+        let metrics = get(port, "/metrics");
+        assert!(metrics.contains("stagepose_frame_age_seconds_bucket") && metrics.contains("stagepose_camera_up "), "{metrics}");
+        assert!(get(port, "/api/v1/ring/save").starts_with("HTTP/1.1 202"));
+        wait_for(&mut log, "the last seconds are saved");
+    }
+    wait_for_frames(3);
+    // What happened just now.
+    signal(&child, Signal::SIGUSR1);
+    wait_for(&mut log, "the last seconds are saved");
+    // A bad config is refused and the old one stays; a good one is taken over.
+    std::fs::write(&config, "[camera]\nx = 1\n").unwrap();
+    signal(&child, Signal::SIGHUP);
+    wait_for(&mut log, "the old config stays");
+    std::fs::write(&config, text).unwrap();
+    signal(&child, Signal::SIGHUP);
+    wait_for(&mut log, "was read again");
+    wait_for(&mut log, " is open: ");
+    signal(&child, Signal::SIGTERM);
+    let mut rest = String::new();
+    log.read_to_string(&mut rest).unwrap();
+    assert_eq!(ends(&mut child), 0, "{rest}");
+    let saved = std::fs::read_dir(folder.path().join("recordings")).unwrap().flatten().map(|e| e.path());
+    let saved = saved.into_iter().find(|p| p.join("timestamps.csv").exists()).expect("a saved ring");
+    let replayed =
+        stagepose(folder.path()).arg("replay").arg(&saved).arg("--config").arg(saved.join("config/stage.toml")).output().unwrap();
+    assert_eq!(replayed.status.code(), Some(0), "{}", String::from_utf8_lossy(&replayed.stderr));
+    let poses = std::fs::read_to_string(folder.path().join("live.jsonl")).unwrap();
+    assert!(poses.ends_with("}\n") && poses.lines().all(|l| serde_json::from_str::<serde_json::Value>(l).is_ok()));
+}
+
+#[test]
+fn a_killed_recorder_leaves_a_clip_that_replays() {
+    let folder = tempfile::tempdir().unwrap();
+    let (config, clip) = (config(folder.path()), long_clip(folder.path(), 40));
+    let mut child = stagepose(folder.path()).args(["record", "take", "--config"]).arg(config).arg("--play").arg(clip).spawn().unwrap();
+    let poses = folder.path().join("take/poses.jsonl");
+    let begun = Instant::now();
+    while std::fs::read_to_string(&poses).map_or(0, |text| text.lines().count()) < 3 {
+        assert!(begun.elapsed() < Duration::from_secs(60), "nothing is recorded");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let replayed =
+        stagepose(folder.path()).args(["replay", "take", "--config", "take/config/stage.toml", "--poses", "again.jsonl"]).output().unwrap();
+    assert_eq!(replayed.status.code(), Some(0), "{}", String::from_utf8_lossy(&replayed.stderr));
+    let (recorded, again) = (std::fs::read_to_string(poses).unwrap(), std::fs::read_to_string(folder.path().join("again.jsonl")).unwrap());
+    let whole = &recorded[..=recorded.rfind('\n').unwrap()];
+    assert!(again.starts_with(whole), "{} lines recorded, {} replayed", whole.lines().count(), again.lines().count());
+}
+
+#[test]
+fn a_camera_that_is_not_there_is_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path());
+    let text = std::fs::read_to_string(&config).unwrap().replace("[camera]", "[camera]\ndevice = \"/dev/v4l/by-id/no-such-camera\"");
+    std::fs::write(&config, text).unwrap();
+    let run = stagepose(folder.path()).args(["run", "--config", "stage.toml", "--seconds", "1"]).output().unwrap();
+    let said = String::from_utf8_lossy(&run.stderr).into_owned();
+    if cfg!(feature = "live") {
+        assert!(run.status.code() == Some(0) && said.contains("waiting for the camera"), "{said}");
+    } else {
+        assert!(run.status.code() == Some(2) && said.contains("without the feature `live`"), "{said}");
+    }
+}

@@ -1,0 +1,84 @@
+//! Thousands of frames with faults at random from a seed: no panic out, no wrong pose, no growing memory.
+//!
+//! `STAGEPOSE_SOAK_FRAMES=10000 cargo test --test stagepose soak -- --nocapture` makes it long and says what it found.
+
+use std::sync::atomic::Ordering;
+
+use stagepose::daemon::live::LiveLink;
+use stagepose::record::State;
+use stagepose::{Daemon, Tracker};
+
+use super::faulty::{Faulty, source, take, tracker_setup};
+
+/// A pose is wrong beyond these.
+const MOST_M: f64 = 0.1;
+const MOST_DEG: f64 = 2.0;
+
+/// Memory of this process in use, megabytes.
+fn resident_mb() -> f64 {
+    let statm = std::fs::read_to_string("/proc/self/statm").unwrap();
+    statm.split(' ').nth(1).unwrap().parse::<f64>().unwrap() * 4096.0 / 1e6
+}
+
+#[test]
+fn soak() {
+    let frames: u64 = std::env::var("STAGEPOSE_SOAK_FRAMES").ok().and_then(|n| n.parse().ok()).unwrap_or(400);
+    let faulty = Faulty::random(2026, 40, frames);
+    let tracker = Tracker::new(tracker_setup());
+    let link = LiveLink::default();
+    let mut daemon = Daemon::live(source(&faulty, &link), tracker);
+    // Never read: it must cost its queue and no more.
+    let stalled = daemon.subscribe();
+    let samples = daemon.subscribe();
+    let count = faulty.clone();
+    daemon.observe(move |_, _| {
+        count.tracked.fetch_add(1, Ordering::Release);
+    });
+    let running = daemon.start().unwrap();
+    let (mut tracking, mut stale, mut wrong, mut early_mb) = (0_u64, 0_u64, Vec::new(), 0.0);
+    for sample in samples {
+        match sample.state {
+            State::Stale => stale += 1,
+            State::Tracking => {
+                tracking += 1;
+                // A stage that the tracker was not told of has no truth: any pose there is wrong.
+                let frame = faulty.shown.lock().unwrap().remove(&sample.timestamp_ns);
+                let measured = sample.measurement.expect("a tracking sample").pose;
+                let errors = frame.map(|frame| {
+                    let truth = take().truths[frame];
+                    ((measured.translation - truth.translation).norm(), measured.angle_to(&truth).to_degrees())
+                });
+                if errors.is_none_or(|(m, deg)| m > MOST_M || deg > MOST_DEG) {
+                    wrong.push((sample.sequence, errors));
+                }
+            }
+            _ => {
+                faulty.shown.lock().unwrap().remove(&sample.timestamp_ns);
+            }
+        }
+        if early_mb == 0.0 && sample.sequence >= frames / 10 {
+            early_mb = resident_mb();
+        }
+    }
+    running.join().expect("no stage panicked");
+    let (s, late_mb) = (&link.statistics, resident_mb());
+    let mut faults: Vec<_> = faulty.faults.lock().unwrap().clone().into_iter().collect();
+    faults.sort();
+    println!("soak: {frames} frames, {tracking} tracking, {stale} stale messages, {} wrong poses", wrong.len());
+    println!(
+        "soak: {} reconnects, {} panics contained, {} undecodable, {} skipped",
+        s.reconnects(),
+        s.contained_panics(),
+        s.undecodable(),
+        s.skipped()
+    );
+    println!("soak: memory {early_mb:.1} MB after a tenth, {late_mb:.1} MB at the end; faults {faults:?}");
+    assert_eq!(s.frames(), frames);
+    assert!(wrong.is_empty(), "{wrong:?}");
+    assert!(tracking * 10 > frames * 8, "{tracking} of {frames} tracked");
+    assert_eq!(stalled.len(), 256);
+    // Other tests share the process in a short run.
+    if frames >= 10_000 {
+        assert!(late_mb - early_mb < 8.0, "memory grew from {early_mb:.1} to {late_mb:.1} MB");
+    }
+}

@@ -1,0 +1,378 @@
+"""Replays a clip with every output on and decodes what arrives with libraries that others wrote.
+
+Each decoded pose must equal the JSON pose of the same frame within the protocol's quantisation. Traffic goes to 127.0.0.1 only.
+
+    python receive.py STAGEPOSE FIXTURE OUT [--schema schema.json] [--node NODE_MODULES_PARENT]
+"""
+
+import argparse
+import asyncio
+import json
+import math
+import re
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import cbor2
+import jsonschema
+import pypsn
+import websockets
+from pythonosc.osc_bundle import OscBundle
+
+HALF_DEGREE_UNIT, HALF_MM_UNIT = 1 / 65536 + 1e-9, 1 / 128 + 1e-9
+
+
+def free_port(kind=socket.SOCK_DGRAM):
+    with socket.socket(socket.AF_INET, kind) as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+class Udp:
+    """A port with everything that arrives on it."""
+
+    def __init__(self):
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.settimeout(0.2)
+        self.port, self.packets, self.running = self.socket.getsockname()[1], [], True
+        self.thread = threading.Thread(target=self.run, daemon=True)
+        self.thread.start()
+
+    def run(self):
+        while self.running:
+            try:
+                self.packets.append(self.socket.recv(65536))
+            except TimeoutError:
+                pass
+
+    def close(self):
+        time.sleep(0.3)
+        self.running = False
+        self.thread.join()
+        return self.packets
+
+
+def matrix(q):
+    x, y, z, w = q
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+
+
+def times(a, b):
+    return [[sum(a[i][k] * b[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
+
+
+def body(pose):
+    """The camera body's rotation matrix (x right, y forward, z up) of a record's optical pose."""
+    return times(matrix(pose["orientation_xyzw"]), [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+def angles(pose):
+    """Pan (+ left), tilt, roll in degrees."""
+    r = body(pose)
+    return [math.degrees(v) for v in (math.atan2(-r[0][1], r[1][1]), math.asin(r[2][1]), math.atan2(-r[2][0], r[2][2]))]
+
+
+def rotation_vector(r):
+    angle = math.acos(max(-1, min(1, (r[0][0] + r[1][1] + r[2][2] - 1) / 2)))
+    axis = [r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]]
+    scale = angle / (2 * math.sin(angle)) if angle > 1e-9 else 0.5
+    return [scale * v for v in axis]
+
+
+def near(found, wanted, within, what):
+    worst = max(abs(f - w) for f, w in zip(found, wanted, strict=True))
+    assert worst <= within, f"{what}: {found} is not {wanted} (off by {worst}, at most {within})"
+    return worst
+
+
+def single(values):
+    """How far a number may move when it becomes a 32-bit float."""
+    return max(abs(v) for v in values) * 2**-23 + 1e-7
+
+
+class Report:
+    def __init__(self):
+        self.failed = False
+
+    def check(self, name, run):
+        try:
+            print(f"{name:34} {run()}", flush=True)
+        except Exception as error:  # noqa: BLE001 - every decoder has its own
+            self.failed = True
+            print(f"{name:34} FAILED: {type(error).__name__}: {error}", flush=True)
+
+
+def freed(packets, rows):
+    worst = [0.0, 0.0]
+    assert len(packets) == len(rows), f"{len(packets)} packets for {len(rows)} poses"
+    for packet in packets:
+        assert len(packet) == 29 and packet[0] == 0xD1 and (0x40 - sum(packet[:28])) % 256 == packet[28]
+        i24 = [int.from_bytes(packet[i : i + 3], "big", signed=True) for i in range(2, 20, 3)]
+        row = rows[struct.unpack(">H", packet[26:28])[0]]
+        pan, tilt, roll = angles(row["pose"])
+        worst[0] = max(worst[0], near([v / 32768 for v in i24[:3]], [-pan, tilt, roll], HALF_DEGREE_UNIT, "angles"))
+        position = [1000 * v for v in row["pose"]["position_m"]]
+        worst[1] = max(worst[1], near([v / 64 for v in i24[3:]], position, HALF_MM_UNIT, "position"))
+    return f"{len(packets)} packets, worst {worst[0]:.2e} deg, {worst[1]:.2e} mm"
+
+
+def opentrackio(packets, rows, schema):
+    poses, fixed, size = 0, 0, 0
+    for number, packet in enumerate(packets):
+        assert packet[:4] == b"OTrk" and int.from_bytes(packet[6:8], "big") == number
+        encoding, length = packet[5], int.from_bytes(packet[12:14], "big")
+        assert length & 0x8000 and length & 0x7FFF == len(packet) - 16
+        one = two = 0
+        for b in packet[:14] + packet[16:]:
+            one = (one + b) % 256
+            two = (two + one) % 256
+        assert bytes([two, one]) == packet[14:16], "checksum"
+        sample = json.loads(packet[16:]) if encoding == 1 else cbor2.loads(packet[16:])
+        if schema:
+            jsonschema.validate(sample, schema)
+        size, fixed = max(size, len(packet)), fixed + ("static" in sample)
+        if "transforms" not in sample:
+            continue
+        poses += 1
+        row, transform = rows[sample["timing"]["sequenceNumber"]], sample["transforms"][-1]
+        near([transform["translation"][k] for k in "xyz"], row["pose"]["position_m"], 1e-12, "translation")
+        near([transform["rotation"][k] for k in ("pan", "tilt", "roll")], angles(row["pose"]), 1e-9, "rotation")
+        assert sample["tracker"]["status"] in ("Optical Good", "Optical Unreliable") and "Camera" in transform["id"]
+        recorded = sample["timing"]["recordedTimestamp"]
+        assert recorded["seconds"] * 10**9 + recorded["nanoseconds"] == row["timestamp_ns"]
+    assert poses == len(rows) and fixed >= 1, f"{poses} poses for {len(rows)}, {fixed} static"
+    return f"{poses} poses, {len(packets) - poses} without, at most {size} bytes, {'schema holds' if schema else 'no schema'}"
+
+
+def psn_pose(pose):
+    (x, y, z), (a, b, c) = pose["position_m"], rotation_vector(body(pose))
+    return [x, z, y], [-a, -c, -b]
+
+
+def psn(packets, rows):
+    rows, found, names = list(rows.values()), 0, set()
+    for packet in packets:
+        parsed = pypsn.parse_psn_packet(packet)
+        if isinstance(parsed, pypsn.psn_info_packet):
+            name = parsed.name.decode() if isinstance(parsed.name, bytes) else parsed.name
+            names |= {(name, t.tracker_id) for t in parsed.trackers}
+            continue
+        for tracker in parsed.trackers:
+            if tracker.status == 0:
+                continue
+            position, turn = psn_pose(rows[found]["pose"])
+            near([tracker.pos.x, tracker.pos.y, tracker.pos.z], position, single(position), "position")
+            near([tracker.ori.x, tracker.ori.y, tracker.ori.z], turn, 1e-6, "orientation")
+            found += 1
+    assert found == len(rows), f"{found} poses for {len(rows)}"
+    assert names == {("stagepose", 1)}, names
+    return f"{found} poses, names {sorted(names)}"
+
+
+def osc_messages(frame_of, messages, rows):
+    """Checks one bundle as (address, arguments) pairs; gives 1 where it had a pose."""
+    by_address = dict(messages)
+    state, confidence, frame = by_address["/stagepose/camera/status"]
+    if "/stagepose/camera/pose" not in by_address:
+        assert confidence == 0, (state, confidence)
+        return 0
+    row = rows[frame]
+    wanted = [*row["pose"]["position_m"], *angles(row["pose"])]
+    near(by_address["/stagepose/camera/pose"], wanted, single(wanted), "pose")
+    near(by_address["/axis/camera/x"], [1000 * wanted[0]], single([1000 * wanted[0]]), "value")
+    return 1
+
+
+def osc(packets, rows):
+    poses = 0
+    for packet in packets:
+        bundle = OscBundle(packet)
+        assert bundle.timestamp > 1.6e9, "time tag"
+        poses += osc_messages(None, [(m.address, list(m.params)) for m in bundle], rows)
+    assert poses == len(rows), f"{poses} poses for {len(rows)}"
+    return f"{poses} poses in {len(packets)} bundles"
+
+
+def node(lines, rows):
+    errors = [line["error"] for line in lines if "error" in line]
+    assert not errors, errors[0]
+    bundles = [line["osc"] for line in lines if "osc" in line]
+    poses = sum(osc_messages(None, [(e[0], e[1:]) for e in bundle], rows) for bundle in bundles)
+    assert poses == len(rows), f"OSC: {poses} poses for {len(rows)}"
+    ordered, found = list(rows.values()), 0
+    for line in lines:
+        for tracker in line.get("psn", []):
+            if tracker.get("pos") is None:
+                continue
+            position, turn = psn_pose(ordered[found]["pose"])
+            vector = lambda v: [v["x"], v["y"], v["z"]] if isinstance(v, dict) else list(v)
+            near(vector(tracker["pos"]), position, single(position), "PSN position")
+            near(vector(tracker["ori"]), turn, 1e-6, "PSN orientation")
+            found += 1
+    assert found == len(rows), f"PSN: {found} poses for {len(rows)}"
+    return f"{poses} OSC poses, {found} PSN poses"
+
+
+def json_lines(lines, rows, every_row):
+    records = [r for r in map(json.loads, lines) if "event" not in r]
+    poses = [r for r in records if r["pose"]]
+    for record in poses:
+        row = rows[record["sequence"]]
+        assert all(record[key] == row[key] for key in row), f"frame {record['sequence']} is another record"
+        assert record["age_ms"] >= 0 and record["unix_ns"] > 1.6e18
+    assert len(poses) == len(rows), f"{len(poses)} poses for {len(rows)}"
+    assert every_row is None or len(records) == every_row, f"{len(records)} lines for {every_row} frames"
+    return f"{len(poses)} poses, {len(records) - len(poses)} without"
+
+
+def web_socket(lines, all_rows):
+    wanted = {json.loads(line)["sequence"]: line for line in all_rows}
+    assert lines and all(wanted[json.loads(line)["sequence"]] == line for line in lines)
+    return f"{len(lines)} records, byte for byte"
+
+
+def tcp_client(port, lines, stop):
+    """Reads lines as soon as the port is open."""
+    while not stop.is_set():
+        try:
+            with socket.create_connection(("127.0.0.1", port), timeout=0.2) as s, s.makefile() as f:
+                s.settimeout(20)
+                lines.extend(f)
+                return
+        except OSError:
+            time.sleep(0.01)
+
+
+def ws_client(port, lines, stop):
+    async def read():
+        while not stop.is_set():
+            try:
+                async with websockets.connect(f"ws://127.0.0.1:{port}/ws") as ws:
+                    async for line in ws:
+                        lines.append(line)
+                    return
+            except websockets.ConnectionClosed:
+                return
+            except OSError:
+                await asyncio.sleep(0.01)
+
+    asyncio.run(read())
+
+
+CONFIG = """
+[[output]]
+kind = "freed"
+spare = "frame"
+to = ["127.0.0.1:{freed}"]
+[[output]]
+kind = "opentrackio"
+to = ["127.0.0.1:{otrk_json}"]
+[[output]]
+kind = "opentrackio"
+encoding = "cbor"
+principal_point = "both"
+to = ["127.0.0.1:{otrk_cbor}"]
+[[output]]
+kind = "psn"
+to = ["127.0.0.1:{psn}", "127.0.0.1:{node_psn}"]
+[[output]]
+kind = "osc"
+to = ["127.0.0.1:{osc}", "127.0.0.1:{node_osc}"]
+[[output.value]]
+address = "/axis/{{body}}/x"
+quantity = "x"
+factor = 1000
+[[output]]
+kind = "json"
+on_loss = "flag"
+to = ["127.0.0.1:{json}"]
+tcp_listen = "127.0.0.1:{tcp}"
+file = "sent.jsonl"
+[http]
+listen = "127.0.0.1:{http}"
+"""
+
+
+def start_node(home, out, ports):
+    script = Path(__file__).with_name("receive.mjs")
+    process = subprocess.Popen(
+        ["node", str(script), str(ports["node_osc"]), str(ports["node_psn"])],
+        env={"PATH": __import__("os").environ["PATH"], "RECEIVERS_HOME": str(home)}, stdout=subprocess.PIPE, text=True,
+    )
+    first = json.loads(process.stdout.readline())
+    assert first == {"ready": True}, first
+    lines = []
+    thread = threading.Thread(target=lambda: lines.extend(map(json.loads, process.stdout)), daemon=True)
+    thread.start()
+    return process, thread, lines
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    for name in ("stagepose", "fixture", "out"):
+        parser.add_argument(name, type=Path)
+    parser.add_argument("--schema", type=Path)
+    parser.add_argument("--node", type=Path, help="folder that holds package.json and node_modules")
+    a = parser.parse_args()
+    a.out.mkdir(parents=True, exist_ok=True)
+    udp = {name: Udp() for name in ("freed", "otrk_json", "otrk_cbor", "psn", "osc", "json")}
+    ports = {name: u.port for name, u in udp.items()}
+    ports |= {name: free_port() for name in ("node_osc", "node_psn")} | {name: free_port(socket.SOCK_STREAM) for name in ("tcp", "http")}
+    stage = (a.fixture / "stage.toml").read_text()
+    stage = re.sub(r'(calibration|image) = "', rf'\1 = "{a.fixture.resolve()}/', stage)
+    (a.out / "stage.toml").write_text(stage + CONFIG.format(**ports))
+
+    stop, tcp_lines, ws_lines = threading.Event(), [], []
+    clients = [
+        threading.Thread(target=tcp_client, args=(ports["tcp"], tcp_lines, stop), daemon=True),
+        threading.Thread(target=ws_client, args=(ports["http"], ws_lines, stop), daemon=True),
+    ]
+    nodes = start_node(a.node, a.out, ports) if a.node else None
+    for client in clients:
+        client.start()
+    command = [a.stagepose, "replay", a.fixture, "--config", a.out / "stage.toml", "--outputs", "--poses", a.out / "poses.jsonl", "--log", "info"]
+    subprocess.run([str(c) for c in command], check=True, stdout=subprocess.DEVNULL)
+    packets = {name: u.close() for name, u in udp.items()}
+    stop.set()
+    for client in clients:
+        client.join(timeout=5)
+
+    all_rows = (a.out / "poses.jsonl").read_text().splitlines()
+    records = [json.loads(line) for line in all_rows]
+    rows = {r["sequence"]: r for r in records if r["pose"]}
+    assert rows, "nothing was tracked"
+    schema = json.loads(a.schema.read_text()) if a.schema else None
+    report = Report()
+    # FreeD with a frame counter cannot mark a prediction and does not send it.
+    report.check("FreeD (own decoder)", lambda: freed(packets["freed"], {n: r for n, r in rows.items() if r["state"] == "tracking"}))
+    report.check("OpenTrackIO JSON (jsonschema)", lambda: opentrackio(packets["otrk_json"], rows, schema))
+    report.check("OpenTrackIO CBOR (cbor2, jsonschema)", lambda: opentrackio(packets["otrk_cbor"], rows, schema))
+    report.check("PosiStageNet (pypsn)", lambda: psn(packets["psn"], rows))
+    report.check("OSC (python-osc)", lambda: osc(packets["osc"], rows))
+    report.check("JSON by UDP", lambda: json_lines(packets["json"], rows, len(records)))
+    report.check("JSON in a file", lambda: json_lines((a.out / "sent.jsonl").read_text().splitlines(), rows, len(records)))
+    # Clients that connect to a running program miss what was before.
+    late = {n: r for n, r in rows.items() if tcp_lines and n >= json.loads(tcp_lines[0])["sequence"]}
+    report.check("JSON by TCP", lambda: json_lines(tcp_lines, late, None))
+    report.check("WebSocket (websockets)", lambda: web_socket(ws_lines, all_rows))
+    if nodes:
+        process, thread, lines = nodes
+        process.terminate()
+        thread.join(timeout=5)
+        report.check("node-osc, @jwetzell/posistagenet", lambda: node(lines, rows))
+    sys.exit(1 if report.failed else 0)
+
+
+if __name__ == "__main__":
+    main()
