@@ -22,6 +22,6 @@ pub(super) trait Encoder: Send {
         true
     }
 
-    /// Sends what the protocol repeats once a second whatever happens; called about ten times a second. `unix_ns` is now.
+    /// Sends what the protocol repeats once a second whatever happens; called about ten times a second. The stamp is now.
     fn repeat(&mut self, _monotonic_ns: i64, _send: &mut dyn FnMut(&[u8])) {}
 }
