@@ -3,8 +3,8 @@
 use image::GrayImage;
 
 use crate::camera::CameraModel;
-use crate::compute_clock::ComputeClock;
 use crate::capture::{Row, RowContent};
+use crate::compute_clock::ComputeClock;
 use crate::frame::Frame;
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
@@ -55,7 +55,8 @@ impl Tracker {
     /// Prepares the reference pictures; takes a fraction of a second per surface.
     pub fn new(setup: TrackerSetup) -> Self {
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
-        let matcher = Matcher::new(setup.camera, setup.readout_s, setup.exposure_s, setup.mask, &setup.stage, &setup.objects, setup.settings);
+        let matcher =
+            Matcher::new(setup.camera, setup.readout_s, setup.exposure_s, setup.mask, &setup.stage, &setup.objects, setup.settings);
         Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names } }
     }
 

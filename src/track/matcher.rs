@@ -85,7 +85,7 @@ impl TrackedBody {
             return None;
         }
         self.motion = Some((found.estimate, frame.timestamp_ns));
-        self.aligner.patches(&found.estimate.motion, &mut self.patches);
+        self.aligner.patches(eye, &found.estimate.motion, &mut self.patches);
         Some(aligned(&self.body, &found, &self.patches, eye.camera()))
     }
 

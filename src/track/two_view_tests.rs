@@ -20,7 +20,15 @@ fn seen(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel, ac
             anchors.push(FittedAnchor { surface: surface as u32, artwork, observation, steady_px: pixel });
         }
     }
-    Verified { pose: *pose, covariance: Matrix6::identity(), inliers: anchors.len(), anchors, share: 1.0, rms_px: noise_px.max(0.05), is_conclusive: false }
+    Verified {
+        pose: *pose,
+        covariance: Matrix6::identity(),
+        inliers: anchors.len(),
+        anchors,
+        share: 1.0,
+        rms_px: noise_px.max(0.05),
+        is_conclusive: false,
+    }
 }
 
 fn with_depth() -> PreparedBody {

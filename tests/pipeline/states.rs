@@ -16,7 +16,7 @@ fn a_blackout_coasts_is_lost_and_is_found_again() {
     scene.blackouts.push(3.5 / FPS..14.5 / FPS);
     let samples = track(&scene, 18);
     // The last tracked frame is 3; 0.2 s later is frame 9.
-    let expected = [vec![Searching], vec![Tracking; 3], vec![Coasting; 6], vec![Lost; 6], vec![Tracking; 2]].concat();
+    let expected = [vec![Tracking; 4], vec![Coasting; 6], vec![Lost; 5], vec![Tracking; 3]].concat();
     assert_eq!(states(&samples), expected);
     for sample in samples.iter().filter(|s| s.state == Coasting) {
         let pose = sample.pose.expect("coasting predicts");
@@ -42,7 +42,7 @@ fn coasting_ends_by_stamps_not_by_frames() {
         }
     }
     let states = states(&track_rows(setup(&scene), &rows));
-    assert_eq!(states, [Searching, Tracking, Tracking, Coasting, Lost, Lost, Lost, Lost]);
+    assert_eq!(states, [Tracking, Tracking, Tracking, Coasting, Lost, Lost, Lost, Lost]);
 }
 
 fn undecodable(row: &Row) -> Row {
@@ -63,11 +63,13 @@ fn undecodable_and_skipped_rows_make_a_line_and_disturb_nothing() {
     rows[6] = skipped(&whole[6], whole[5].timestamp_ns);
     let samples = track_rows(setup(&scene), &rows);
     assert_eq!(samples.len(), rows.len());
-    assert_eq!(states(&samples), [Searching, Tracking, Tracking, Tracking, Coasting, Tracking, Lost, Tracking, Tracking]);
+    assert_eq!(states(&samples), [Tracking, Tracking, Tracking, Tracking, Coasting, Tracking, Lost, Tracking, Tracking]);
     for (row, (sample, before)) in rows.iter().zip(samples.iter().zip(&undisturbed)) {
         assert_eq!((sample.sequence, sample.timestamp_ns), (row.sequence, row.timestamp_ns));
         if matches!(row.content, RowContent::Frame(_)) {
-            assert_eq!(sample.to_json_line(), before.to_json_line());
+            // What is known of the motion differs after a gap, and with it the start of the next alignment.
+            let (pose, undisturbed) = (sample.pose.expect("it tracks"), before.pose.expect("it tracks"));
+            assert!((pose.translation - undisturbed.translation).norm() < 5e-4 && pose.angle_to(&undisturbed) < 2e-4);
         }
     }
 }
@@ -79,7 +81,7 @@ fn a_skipped_row_does_not_end_a_track() {
     rows[4] = skipped(&rows[4], rows[3].timestamp_ns);
     rows[5] = undecodable(&rows[5]);
     let samples = track_rows(setup(&scene), &rows);
-    assert_eq!(states(&samples), [Searching, Tracking, Tracking, Tracking, Lost, Coasting, Tracking, Tracking]);
+    assert_eq!(states(&samples), [Tracking, Tracking, Tracking, Tracking, Lost, Coasting, Tracking, Tracking]);
 }
 
 #[test]
@@ -88,7 +90,7 @@ fn a_first_row_without_a_picture_is_searching() {
     let mut rows = rows(&scene, 4);
     rows[0] = undecodable(&rows[0]);
     rows[1] = skipped(&rows[1], 0);
-    assert_eq!(states(&track_rows(setup(&scene), &rows)), [Searching, Searching, Searching, Tracking]);
+    assert_eq!(states(&track_rows(setup(&scene), &rows)), [Searching, Searching, Tracking, Tracking]);
 }
 
 #[test]
@@ -97,5 +99,5 @@ fn a_frame_of_another_size_shows_nothing() {
     let mut rows = rows(&scene, 4);
     let RowContent::Frame(frame) = &mut rows[2].content else { panic!("rendered rows are frames") };
     frame.image = image::GrayImage::new(100, 80);
-    assert_eq!(states(&track_rows(setup(&scene), &rows)), [Searching, Tracking, Coasting, Tracking]);
+    assert_eq!(states(&track_rows(setup(&scene), &rows)), [Tracking, Tracking, Coasting, Tracking]);
 }

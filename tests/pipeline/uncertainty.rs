@@ -27,6 +27,6 @@ fn errors_are_as_large_as_the_covariance_says() {
     let all: Vec<f64> = samples.iter().filter(|s| s.state == State::Tracking).map(|s| nees_per_freedom(&scene, s)).collect();
     let mean = all.iter().sum::<f64>() / all.len() as f64;
     println!("mean NEES / 6 over {} frames: {mean:.2}", all.len());
-    assert_eq!(all.len(), 27);
+    assert_eq!(all.len(), 28);
     assert!((0.3..3.0).contains(&mean), "{mean}");
 }

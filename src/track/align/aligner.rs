@@ -22,9 +22,7 @@ pub struct Alignment {
     pub covariance: Matrix6<f64>,
     /// Robust standard deviation of the residuals, in sigmas of the expected noise.
     pub scale: f64,
-    /// Pixels that tell something, and those that fit.
-    pub asked: f64,
-    /// See `asked`.
+    /// Pixels that fit.
     pub inliers: f64,
     /// Root mean square of residual over gradient, pixels of the frame.
     pub rms_px: f64,
@@ -58,7 +56,7 @@ impl Alignment {
 /// motion filter expected it (by less than this surprise). Right and wrong poses over many starts: docs/alignment.md.
 const LEAST_TILES: usize = 8;
 const NEW_SHARE: f64 = 0.5;
-const CONTINUED_SHARE: f64 = 0.2;
+const CONTINUED_SHARE: f64 = 0.12;
 const LARGEST_SURPRISE: f64 = 100.0;
 /// Tiles and their agreeing share that leave no doubt.
 const CONCLUSIVE_TILES: usize = 40;
@@ -100,10 +98,13 @@ const BLURRED_SPREAD_SIGMA: f64 = 0.05;
 const TELLING_BLUR_PX: f64 = 1.5;
 const LEARNT_SHARE: f64 = 0.2;
 /// Linearisations of a level at most.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 8;
 /// A level is left when a step moved no tile by more, pixels of the level.
 const COARSE_STEP_PX: f64 = 0.1;
 const FINE_STEP_PX: f64 = 0.03;
+/// Patches are followed while they are further off than this on average, pixels of the level, so many times at most.
+const SMALL_SHIFT_PX: f64 = 0.05;
+const PATCH_ROUNDS: usize = 3;
 /// Fewest fitting pixels of a patch.
 const LEAST_PATCH_PIXELS: f64 = 12.0;
 /// The level that alignment ends at.
@@ -133,6 +134,8 @@ pub struct Aligner {
     system: System,
     /// Whether the finest level holds the pixels of a still camera.
     has_kept: bool,
+    /// How far off each run of the finest level is shown, pixels of the level.
+    shifts: Vec<Vector2<f64>>,
 }
 
 impl Aligner {
@@ -152,6 +155,7 @@ impl Aligner {
             fine: Work::default(),
             system: System::default(),
             has_kept: false,
+            shifts: Vec::new(),
         }
     }
 
@@ -213,28 +217,37 @@ impl Aligner {
     }
 
     /// The patches of the last frame that fit, one a tile: where each is on its surface, and how far off the frame shows it.
-    pub fn patches(&self, motion: &Motion, patches: &mut Vec<Patch>) {
-        patches.clear();
-        for (run, e) in self.fine.pixels.runs.iter().zip(&self.fine.evidence) {
-            let [aa, ab, bb, ra, rb] = e.shift;
-            // A wider view than one edge, and mostly fitting.
-            if e.inliers < LEAST_PATCH_PIXELS || 2.0 * e.inliers < e.count || aa * bb - ab * ab < 0.02 * (aa + bb).powi(2) {
-                continue;
+    pub fn patches(&mut self, eye: &Eye, motion: &Motion, patches: &mut Vec<Patch>) {
+        let task = task(&self.surfaces, &self.sensor, eye, FINEST, FINEST, motion);
+        self.shifts.clear();
+        self.shifts.extend(self.fine.evidence.iter().map(|e| patch_shift(e).map_or(Vector2::zeros(), |(shift, _)| shift)));
+        // One linear step is right for small shifts. Where the calibration or the survey is off, patches must be followed.
+        for _ in 0..PATCH_ROUNDS {
+            let mean = self.shifts.iter().map(|s| s.norm()).sum::<f64>() / self.shifts.len().max(1) as f64;
+            if mean < SMALL_SHIFT_PX {
+                break;
             }
-            let structure = Matrix2::new(aa, ab, ab, bb);
-            let Some(inverse) = structure.try_inverse() else { continue };
-            let scale = f64::from(1u32 << FINEST);
-            // Predicted grey at u shows what the frame has at u + shift: the residual is -gradient times shift.
-            let shift_px = -(inverse * Vector2::new(ra, rb)) * scale;
+            self.has_kept = false;
+            self.fine.look_shifted(&task, motion, &self.light, &self.shifts);
+            for (shift, e) in self.shifts.iter_mut().zip(&self.fine.evidence) {
+                let more = patch_shift(e).map_or(Vector2::zeros(), |(more, _)| more);
+                *shift += more * (1.0 / more.norm().max(1.0));
+            }
+        }
+        patches.clear();
+        let scale = f64::from(1u32 << FINEST);
+        for ((run, e), shift) in self.fine.pixels.runs.iter().zip(&self.fine.evidence).zip(&self.shifts) {
+            let Some((_, structure)) = patch_shift(e) else { continue };
             let surface = &self.surfaces[run.surface as usize];
             let Some(on_surface_m) = self.fine.middle_on_surface(run, e, surface, motion) else { continue };
-            patches.push(Patch { surface: run.surface, on_surface_m, shift_px, information: structure / (scale * scale), tile: run.tile });
+            patches.push(Patch {
+                surface: run.surface,
+                on_surface_m,
+                shift_px: shift * scale,
+                information: structure / (scale * scale),
+                tile: run.tile,
+            });
         }
-    }
-
-    /// The exposure as known or learnt, seconds.
-    pub fn exposure_s(&self) -> f64 {
-        self.sensor.exposure_s
     }
 
     fn coarse_motion(
@@ -323,7 +336,6 @@ impl Aligner {
             estimate,
             covariance,
             scale: solved.scale,
-            asked: sum(|e| e.count),
             inliers,
             rms_px: (sum(|e| e.squared_px) / inliers.max(1.0)).sqrt() * f64::from(1u32 << finest),
             tiles: verdicts.clone().count(),
@@ -351,6 +363,18 @@ fn task<'a>(surfaces: &'a [AlignSurface], sensor: &'a Sensor, eye: &'a Eye, leve
     task
 }
 
+/// How far off the frame shows a tile (pixels of the level), and the information of that; `None` where too little of it fits or its
+/// detail runs one way only.
+fn patch_shift(e: &RunEvidence) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+    let [aa, ab, bb, ra, rb] = e.shift;
+    if e.inliers < LEAST_PATCH_PIXELS || 2.0 * e.inliers < e.count || aa * bb - ab * ab < 0.02 * (aa + bb).powi(2) {
+        return None;
+    }
+    let structure = Matrix2::new(aa, ab, ab, bb);
+    // Predicted grey at u shows what the frame has at u + shift: the residual is -gradient times shift.
+    Some((-(structure.try_inverse()? * Vector2::new(ra, rb)), structure))
+}
+
 /// Whether a tile agrees with the prediction; `None` where it has too little detail to tell.
 fn agreement(e: &RunEvidence) -> Option<bool> {
     if e.count < 12.0 {
@@ -365,3 +389,7 @@ fn agreement(e: &RunEvidence) -> Option<bool> {
     }
     Some(both > 0.0 && both * both > 0.81 * seen * predicted)
 }
+
+#[cfg(test)]
+#[path = "aligner_tests.rs"]
+mod tests;

@@ -2,7 +2,7 @@
 //! alignment spends its time.
 //!
 //! A pixel's ray meets its surface at a texel; the pixel's own square covers a small quadrilateral of texels there.
-//! Nine looks, a third of a pixel apart, at the copy of the picture whose texels are a seventh of a pixel wide give
+//! Nine looks (more where the surface is tilted), a third of a pixel apart, at the copy of the picture whose texels are a seventh of a pixel wide give
 //! the mean grey over that square, its gradient, and - as outer looks less the middle one - how it would change with
 //! a wider point spread. (Fewer looks, or larger texels, leave errors of a grey level and more, which pull the pose of
 //! a still camera aside by more than its noise; measured in docs/alignment.md.) While the shutter is open the texel
@@ -13,13 +13,17 @@ use super::motion::Motion;
 use super::pixels::Pixels;
 use super::{AlignSurface, Sensor};
 
-/// Looks at a sharp pixel are so far apart, pixels.
-const LOOK: f32 = 1.0 / 3.0;
+/// Looks across a sharp pixel: of a surface seen from in front, and of one tilted beyond this cosine, whose texels lie closer along
+/// one direction.
+const SIDE: usize = 3;
+const TILTED_SIDE: usize = 5;
+const TILTED_COSINE: f64 = 0.6;
 /// Under blur, the outer two of three looks at each place are so far from the middle across and down: their variance is
 /// that of the pixel's square.
 const BLURRED_LOOK: f32 = 0.35;
 /// log2 of the size of a texel that suits a look, in pixels; under blur coarser ones do.
 const TEXEL_LOG2: f32 = -2.8;
+const TILTED_TEXEL_LOG2: f32 = -3.5;
 const BLURRED_TEXEL_LOG2: f32 = -1.9;
 
 /// The prediction at each pixel, in the order of [`Pixels`].
@@ -65,6 +69,8 @@ struct View {
     level_offset: f32,
     /// Half of the exposure, seconds.
     half_exposure_s: f32,
+    /// Looks across a sharp pixel.
+    side: usize,
 }
 
 impl View {
@@ -74,14 +80,21 @@ impl View {
         let [p0, p1, p2] = motion.centre_polynomial();
         let centre = [rt * (p0 - surface.centre), rt * p1, rt * p2];
         let (w, h) = (f64::from(surface.width_px), f64::from(surface.height_px));
+        let is_tilted = turn[0][(2, 2)].abs() < TILTED_COSINE;
+        let texel_log2 = match (exposure_s > 0.0, is_tilted) {
+            (true, _) => BLURRED_TEXEL_LOG2,
+            (false, false) => TEXEL_LOG2,
+            (false, true) => TILTED_TEXEL_LOG2,
+        };
         Self {
+            side: if is_tilted { TILTED_SIDE } else { SIDE },
             rotation: std::array::from_fn(|k| std::array::from_fn(|power| turn[power][(k / 3, k % 3)] as f32)),
             centre: std::array::from_fn(|k| std::array::from_fn(|power| centre[power][k] as f32)),
             to_body: std::array::from_fn(|k| surface.rotation[(k / 3, k % 3)] as f32),
             texels_per_m: [(w / surface.size_m[0]) as f32, (h / surface.size_m[1]) as f32],
             middle_texel: [(0.5 * w - 0.5) as f32, (0.5 * h - 0.5) as f32],
             last_level: surface.texture.levels as f32 - 0.999,
-            level_offset: surface.texture.own_level() as f32 + if exposure_s > 0.0 { BLURRED_TEXEL_LOG2 } else { TEXEL_LOG2 },
+            level_offset: surface.texture.own_level() as f32 + texel_log2,
             half_exposure_s: (0.5 * exposure_s) as f32,
         }
     }
@@ -108,16 +121,24 @@ pub fn predict(
     predict_lanes::<Plain>(surface, &view, places, pixels, range, out);
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn predict_avx2(
+/// [`predict`] by the plain twin, for its test.
+#[cfg(test)]
+pub fn predict_lanes_plain(
     surface: &AlignSurface,
-    view: &View,
+    motion: &Motion,
+    sensor: &Sensor,
     places: usize,
     pixels: &Pixels,
     range: std::ops::Range<usize>,
     out: &mut Appearance,
 ) {
+    let view = View::new(surface, motion, if places > 1 { sensor.exposure_s } else { 0.0 });
+    predict_lanes::<Plain>(surface, &view, places, pixels, range, out);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn predict_avx2(surface: &AlignSurface, view: &View, places: usize, pixels: &Pixels, range: std::ops::Range<usize>, out: &mut Appearance) {
     predict_lanes::<super::lanes::Avx2>(surface, view, places, pixels, range, out);
 }
 
@@ -239,34 +260,30 @@ fn footprint<L: Lanes>(view: &View, a: &[L; 9], middle: &Hit<L>, pixels: &Pixels
     [ux.mul_add(xu, uy.mul(yu)), ux.mul_add(xv, uy.mul(yv)), vx.mul_add(xu, vy.mul(yu)), vx.mul_add(xv, vy.mul(yv))]
 }
 
-/// Nine looks at a sharp pixel: the sums, and the middle look's grey.
+/// `side` x `side` looks at a sharp pixel: the sums, and the middle look's grey.
 #[inline(always)]
-fn sharp_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4]) -> ([L; 3], L) {
+fn sharp_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4], side: usize) -> ([L; 3], L) {
     let mut sums = [L::splat(0.0); 3];
-    add_look(texels, level, middle[0], middle[1], &mut sums);
-    let grey = sums[0];
-    let step = L::splat(LOOK);
-    let (au, av) = (by_pixel[0].mul(step), by_pixel[2].mul(step));
-    let (du, dv) = (by_pixel[1].mul(step), by_pixel[3].mul(step));
-    let ways = [[au, av], [du, dv], [au.add(du), av.add(dv)], [au.sub(du), av.sub(dv)]];
-    for n in 0..4 {
-        let [u, v] = ways[n];
-        add_look(texels, level, middle[0].add(u), middle[1].add(v), &mut sums);
-        add_look(texels, level, middle[0].sub(u), middle[1].sub(v), &mut sums);
+    let mut centre = sums[0];
+    for j in 0..side {
+        let y = L::splat((j as f32 + 0.5) / side as f32 - 0.5);
+        let (u, v) = (by_pixel[1].mul_add(y, middle[0]), by_pixel[3].mul_add(y, middle[1]));
+        for i in 0..side {
+            let x = L::splat((i as f32 + 0.5) / side as f32 - 0.5);
+            let before = sums[0];
+            add_look(texels, level, by_pixel[0].mul_add(x, u), by_pixel[2].mul_add(x, v), &mut sums);
+            if 2 * i + 1 == side && 2 * j + 1 == side {
+                centre = sums[0].sub(before);
+            }
+        }
     }
-    (sums, grey)
+    (sums, centre)
 }
 
 /// Three looks at each of `places` along the blur, on alternating diagonals: the sums, the greys of the middle looks, and the grey at
 /// the middle place.
 #[inline(always)]
-fn blurred_looks<L: Lanes>(
-    texels: &[u8],
-    level: &LevelLanes<L>,
-    path: [[L; 2]; 3],
-    by_pixel: &[L; 4],
-    places: usize,
-) -> ([L; 3], L, L) {
+fn blurred_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, path: [[L; 2]; 3], by_pixel: &[L; 4], places: usize) -> ([L; 3], L, L) {
     let [first, middle, last] = path;
     let half = L::splat(0.5);
     let slope = [last[0].sub(first[0]).mul(half), last[1].sub(first[1]).mul(half)];
@@ -315,11 +332,12 @@ fn predict_lanes<L: Lanes>(
         let level = level_for(surface, view, &by_pixel);
         let (grey, spread, sharper, sums, weight);
         if places <= 1 {
-            let (all, centre) = sharp_looks(texels, &level, middle.texel, &by_pixel);
-            (sums, weight) = (all, L::splat(1.0 / 9.0));
+            let looks = (view.side * view.side) as f32;
+            let (all, centre) = sharp_looks(texels, &level, middle.texel, &by_pixel, view.side);
+            (sums, weight) = (all, L::splat(1.0 / looks));
             grey = sums[0].mul(weight);
-            // Mean of the outer eight less the middle one.
-            spread = grey.sub(centre).mul(L::splat(9.0 / 8.0));
+            // Mean of the outer looks less the middle one.
+            spread = grey.sub(centre).mul(L::splat(looks / (looks - 1.0)));
             sharper = L::splat(0.0);
         } else {
             let half = L::splat(view.half_exposure_s);

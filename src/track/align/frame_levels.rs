@@ -21,16 +21,6 @@ pub struct Level {
 }
 
 impl Level {
-    /// Pixels across.
-    pub fn width(&self) -> usize {
-        self.width
-    }
-
-    /// Pixels down.
-    pub fn height(&self) -> usize {
-        self.height
-    }
-
     /// The sums, row by row.
     pub fn sums(&self) -> &[u16] {
         &self.sums
@@ -102,11 +92,11 @@ mod tests {
         for l in 0..LEVELS {
             let level = levels.level(l);
             let n = 1u32 << l;
-            assert_eq!((level.width(), level.height()), (37 >> l, 21 >> l));
-            for v in 0..level.height() as u32 {
-                for u in 0..level.width() as u32 {
+            assert_eq!((level.width, level.height), (37 >> l, 21 >> l));
+            for v in 0..level.height as u32 {
+                for u in 0..level.width as u32 {
                     let sum: u32 = (0..n * n).map(|k| u32::from(image.get_pixel(u * n + k % n, v * n + k / n)[0])).sum();
-                    assert_eq!(u32::from(level.sums()[v as usize * level.width() + u as usize]), sum);
+                    assert_eq!(u32::from(level.sums()[v as usize * level.width + u as usize]), sum);
                 }
             }
         }

@@ -26,8 +26,9 @@ use image::GrayImage;
 use nalgebra::{Matrix3, Vector3};
 
 pub use aligner::{Aligner, Alignment, Patch};
-pub use frame_levels::{FrameLevels, LEVELS};
-pub use motion::{Motion, MotionEstimate};
+pub use frame_levels::FrameLevels;
+use frame_levels::LEVELS;
+pub use motion::MotionEstimate;
 use rays::RayTable;
 use texture::Texture;
 
@@ -99,3 +100,5 @@ impl Eye {
     }
 }
 
+#[cfg(test)]
+mod kernel_tests;

@@ -135,6 +135,20 @@ dispatch!(tile_sums_any, tile_sums_avx2, tile_sums_lanes,
     (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, residuals: &Residuals, step: &[f32; COLUMNS],
      weighing: &Weighing) -> TileSums);
 
+/// [`tile_sums`] by the plain twin, for its test.
+#[cfg(test)]
+pub fn tile_sums_plain(
+    pixels: &Pixels,
+    run: &Run,
+    appearance: &Appearance,
+    light: &TileLight,
+    residuals: &Residuals,
+    step: &[f32; COLUMNS],
+    weighing: &Weighing,
+) -> TileSums {
+    tile_sums_lanes::<Plain>(pixels, run, appearance, light, residuals, step, weighing)
+}
+
 /// Loads up to [`LANES`] values; beyond the run, zeros.
 #[inline(always)]
 fn part<L: Lanes>(values: &[f32], k: usize, n: usize) -> L {
@@ -159,18 +173,15 @@ fn corner_weights<L: Lanes>(pixels: &Pixels, k: usize, n: usize) -> [L; 4] {
 #[inline(always)]
 fn gain<L: Lanes>(light: &TileLight, corners: &[L; 4]) -> L {
     let g = light.gains;
-    corners[0].mul(L::splat(g[0])).add(corners[1].mul(L::splat(g[1]))).add(corners[2].mul(L::splat(g[2]))).add(corners[3].mul(L::splat(g[3])))
+    corners[0]
+        .mul(L::splat(g[0]))
+        .add(corners[1].mul(L::splat(g[1])))
+        .add(corners[2].mul(L::splat(g[2])))
+        .add(corners[3].mul(L::splat(g[3])))
 }
 
 #[inline(always)]
-fn residuals_lanes<L: Lanes>(
-    pixels: &Pixels,
-    run: &Run,
-    appearance: &Appearance,
-    light: &TileLight,
-    noise: &Noise,
-    out: &mut Residuals,
-) {
+fn residuals_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals) {
     let (start, end) = (run.start as usize, run.end as usize);
     let one = L::splat(1.0);
     for k in (start..end).step_by(LANES) {
@@ -183,7 +194,8 @@ fn residuals_lanes<L: Lanes>(
         let (across, down) = (part::<L>(&appearance.across, k, n), part::<L>(&appearance.down, k, n));
         let steep = across.mul(across).add(down.mul(down)).mul(g).mul(g);
         let expected = g.mul_add(grey, L::splat(light.bias)).max(L::splat(0.0));
-        let variance = steep.mul_add(L::splat(noise.model_px * noise.model_px), expected.mul_add(L::splat(noise.per_grey), L::splat(noise.dark)));
+        let variance =
+            steep.mul_add(L::splat(noise.model_px * noise.model_px), expected.mul_add(L::splat(noise.per_grey), L::splat(noise.dark)));
         let information = part::<L>(&pixels.counts, k, n).mul(one.div(variance));
         let mut chunk = [0.0; LANES];
         residual.store(&mut chunk);

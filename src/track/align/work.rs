@@ -19,7 +19,7 @@ const LEAST_PIXELS: usize = 60;
 const READ_VARIANCE: f32 = 2.25;
 const SHOT_VARIANCE: f32 = 0.03;
 /// Error of the appearance model, pixels of the level; twice that above the finest level.
-const MODEL_PX: f32 = 0.01;
+const MODEL_PX: f32 = 0.03;
 /// Places along a blur of less than so many pixels; [`MOST_PLACES`] for longer ones.
 const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
 const MOST_PLACES: usize = 15;
@@ -167,7 +167,14 @@ pub struct Corrected {
 
 impl Work {
     /// Chooses and lays out the pixels of the level; false where there are too few.
-    pub fn lay_out(&mut self, task: &Task, frame: &FrameLevels, motion: &Motion, selector: &mut Selector, chosen: &mut Vec<Chosen>) -> bool {
+    pub fn lay_out(
+        &mut self,
+        task: &Task,
+        frame: &FrameLevels,
+        motion: &Motion,
+        selector: &mut Selector,
+        chosen: &mut Vec<Chosen>,
+    ) -> bool {
         self.at = None;
         let Some(table) = &task.eye.tables[task.level] else { return false };
         let choice = Choice {
@@ -236,7 +243,12 @@ impl Work {
         let mut scale = self.scale();
         for pass in 0..passes {
             let weighing = Weighing { scale, is_first_look: is_first && pass == 0 };
-            let prior = Prior { information: expected.information, error: at.error_to(expected.motion), spread: expected.spread, spread_sigma: expected.spread_sigma };
+            let prior = Prior {
+                information: expected.information,
+                error: at.error_to(expected.motion),
+                spread: expected.spread,
+                spread_sigma: expected.spread_sigma,
+            };
             system.begin(&self.pixels.grid, light, &prior);
             let weight = scale.powi(-2);
             for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
@@ -358,6 +370,38 @@ impl Work {
         most
     }
 
+    /// Predicts every run as if the frame showed it shifted (pixels of the level), and looks at it again. The pixels' rays are changed:
+    /// nothing may be solved from them after.
+    pub fn look_shifted(&mut self, task: &Task, motion: &Motion, light: &Light, shifts: &[Vector2<f64>]) {
+        self.at = None;
+        for (run, shift) in self.pixels.runs.iter().zip(shifts) {
+            let table = task.eye.tables[task.level].as_ref();
+            let (su, sv) = (shift.x as f32, shift.y as f32);
+            for k in run.start as usize..run.end as usize {
+                let Some([x, y]) = table.map(|t| t.rays[self.pixels.index[k] as usize]) else { continue };
+                self.pixels.x[k] = x - self.pixels.x_across[k] * su - self.pixels.x_down[k] * sv;
+                self.pixels.y[k] = y - self.pixels.y_across[k] * su - self.pixels.y_down[k] * sv;
+            }
+        }
+        for &(surface, start, end) in &self.pixels.groups {
+            let range = start as usize..end as usize;
+            predict(&task.surfaces[surface as usize], motion, task.sensor, task.places(), &self.pixels, range, &mut self.appearance);
+        }
+        let noise = task.noise();
+        self.light.clone_from(light);
+        self.steps.fill([0.0; COLUMNS]);
+        for run in &self.pixels.runs {
+            let light = TileLight::new(light, self.pixels.grid.nodes_of(run.tile as usize));
+            residuals(&self.pixels, run, &self.appearance, &light, &noise, &mut self.residuals);
+        }
+        let weighing = Weighing { scale: self.scale(), is_first_look: false };
+        for (e, run) in self.evidence.iter_mut().zip(&self.pixels.runs) {
+            let light = TileLight::new(light, self.pixels.grid.nodes_of(run.tile as usize));
+            let still = [0.0; COLUMNS];
+            *e = evidence(&self.pixels, run, &self.appearance, &light, &self.residuals, &still, &weighing, self.width);
+        }
+    }
+
     /// Where the middle of a run's detail lies on its surface, metres from the centre.
     pub fn middle_on_surface(&self, run: &Run, e: &RunEvidence, surface: &AlignSurface, motion: &Motion) -> Option<Vector2<f64>> {
         // Rays vary linearly over a tile to a hundredth of a pixel: the mean of the pixels' rays would do; the one nearest is exact.
@@ -403,6 +447,8 @@ impl Work {
         }
         let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
         let honest = honest_covariance(&noise, &(votes * factor))?;
-        Some((MotionEstimate { motion: solved.motion, covariance }, honest))
+        // A camera that starts or stops in the middle of the exposure is seen an eighth of it from where its stamp says, per unit of speed.
+        let started = covariance.fixed_view::<6, 6>(6, 6) * (task.sensor.exposure_s / 8.0).powi(2);
+        Some((MotionEstimate { motion: solved.motion, covariance }, honest + started))
     }
 }

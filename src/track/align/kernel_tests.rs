@@ -1,0 +1,173 @@
+//! The kernels against differences and against their plain twins.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::appearance::{Appearance, predict, predict_lanes_plain};
+use super::frame_levels::FrameLevels;
+use super::light::Light;
+use super::motion::{Motion, MotionError};
+use super::normal::{COLUMNS, Noise, Residuals, TileLight, Weighing, moments, residuals, tile_sums, tile_sums_plain};
+use super::pixels::Pixels;
+use super::selection::{Choice, Selector};
+use super::{AlignSurface, Eye, Sensor};
+use crate::track::synthetic::{cloth, facing, lens, view};
+
+struct Scene {
+    surface: AlignSurface,
+    motion: Motion,
+    sensor: Sensor,
+    pixels: Pixels,
+}
+
+/// A moving camera with a rolling shutter, and the pixels that it would ask at half size.
+fn scene() -> Scene {
+    let pose = facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4));
+    let motion = Motion {
+        velocity: Vector3::new(0.3, -0.2, 0.1),
+        turn_rate: Vector3::new(0.2, -0.4, 0.3),
+        acceleration: Vector3::new(1.0, 0.5, -0.5),
+        turn_acceleration: Vector3::new(2.0, 1.0, -3.0),
+        ..Motion::still(pose.inverse())
+    };
+    let camera = lens(480, 360);
+    let frame = view(&cloth(1), &pose, &camera);
+    let mut levels = FrameLevels::default();
+    levels.update(&frame, true);
+    let eye = Eye::new(camera, None);
+    let surface = AlignSurface::new(&cloth(1));
+    let sensor = Sensor { readout_s: 0.012, exposure_s: 0.01 };
+    let table = eye.tables[1].as_ref().expect("levels above 0 have tables");
+    let choice = Choice { camera: &eye.camera, table, level: 1, sensor, blur_px: 0.0, mask: None, count: 3000 };
+    let mut chosen = Vec::new();
+    Selector::default().choose(std::slice::from_ref(&surface), &motion, &choice, &mut chosen);
+    assert!((2000..6000).contains(&chosen.len()), "{}", chosen.len());
+    let mut pixels = Pixels::default();
+    pixels.arrange(&chosen, 1, 1, levels.level(1), table, &sensor, 360);
+    Scene { surface, motion, sensor, pixels }
+}
+
+fn appearance(scene: &Scene, motion: &Motion, places: usize) -> Appearance {
+    let mut out = Appearance::default();
+    out.resize(scene.pixels.len());
+    predict(&scene.surface, motion, &scene.sensor, places, &scene.pixels, 0..scene.pixels.len(), &mut out);
+    out
+}
+
+/// Slope and correlation of `y` over `x`.
+fn line(x: &[f64], y: &[f64]) -> (f64, f64) {
+    let sum = |f: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(a, b)| f(*a, *b)).sum::<f64>();
+    let (xx, yy, xy) = (sum(&|a, _| a * a), sum(&|_, b| b * b), sum(&|a, b| a * b));
+    (xy / xx, xy / (xx * yy).sqrt())
+}
+
+#[test]
+fn derivatives_by_the_pose_agree_with_differences() {
+    let scene = scene();
+    for places in [1, 5] {
+        let at = appearance(&scene, &scene.motion, places);
+        for k in 0..6 {
+            let mut step = MotionError::zeros();
+            step[k] = if k < 3 { 4e-4 } else { 1e-4 };
+            let plus = appearance(&scene, &scene.motion.corrected(&step), places);
+            let minus = appearance(&scene, &scene.motion.corrected(&-step), places);
+            let differences: Vec<f64> = plus.grey.iter().zip(&minus.grey).map(|(p, m)| f64::from(p - m) / (2.0 * step[k])).collect();
+            let derivatives: Vec<f64> = at.by_pose[k].iter().map(|v| f64::from(*v)).collect();
+            let (slope, correlation) = line(&derivatives, &differences);
+            // Linear interpolation has kinks, so single pixels differ.
+            assert!((slope - 1.0).abs() < 0.01 && correlation > 0.99, "places {places}, {k}: {slope} {correlation}");
+        }
+    }
+}
+
+#[test]
+fn velocity_acts_through_the_time_of_the_row() {
+    let scene = scene();
+    let at = appearance(&scene, &scene.motion, 1);
+    for k in 0..6 {
+        let mut step = MotionError::zeros();
+        step[6 + k] = if k < 3 { 0.1 } else { 0.03 };
+        let plus = appearance(&scene, &scene.motion.corrected(&step), 1);
+        let minus = appearance(&scene, &scene.motion.corrected(&-step), 1);
+        let differences: Vec<f64> = plus.grey.iter().zip(&minus.grey).map(|(p, m)| f64::from(p - m) / (2.0 * step[6 + k])).collect();
+        let derivatives: Vec<f64> = at.by_pose[k].iter().zip(&scene.pixels.delay_s).map(|(v, t)| f64::from(v * t)).collect();
+        let (slope, correlation) = line(&derivatives, &differences);
+        assert!((slope - 1.0).abs() < 0.02 && correlation > 0.99, "{k}: {slope} {correlation}");
+    }
+}
+
+#[test]
+fn gradients_by_pixels_agree_with_the_predicted_picture() {
+    let scene = scene();
+    let at = appearance(&scene, &scene.motion, 1);
+    let place: std::collections::HashMap<u32, usize> = scene.pixels.index.iter().enumerate().map(|(k, i)| (*i, k)).collect();
+    let (mut gradients, mut differences) = (Vec::new(), Vec::new());
+    for (k, index) in scene.pixels.index.iter().enumerate() {
+        if let (Some(left), Some(right)) = (place.get(&(index - 1)), place.get(&(index + 1))) {
+            gradients.push(f64::from(at.across[k]));
+            differences.push(f64::from(at.grey[*right] - at.grey[*left]) / 2.0);
+        }
+    }
+    let (slope, correlation) = line(&gradients, &differences);
+    assert!(gradients.len() > 300 && (slope - 1.0).abs() < 0.1 && correlation > 0.95, "{} {slope} {correlation}", gradients.len());
+}
+
+#[test]
+fn the_plain_twin_predicts_the_same() {
+    let scene = scene();
+    for places in [1, 3, 9] {
+        let fast = appearance(&scene, &scene.motion, places);
+        let mut plain = Appearance::default();
+        plain.resize(scene.pixels.len());
+        predict_lanes_plain(&scene.surface, &scene.motion, &scene.sensor, places, &scene.pixels, 0..scene.pixels.len(), &mut plain);
+        let largest = fast.grey.iter().zip(&plain.grey).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(largest < 0.1, "{largest}");
+        let mean = fast.by_pose[3].iter().zip(&plain.by_pose[3]).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
+        assert!(mean < 1e-3 * plain.by_pose[3].iter().map(|v| f64::from(v.abs())).sum::<f64>());
+    }
+}
+
+#[test]
+fn the_plain_twin_sums_the_same_and_sums_are_products_of_the_columns() {
+    let scene = scene();
+    let at = appearance(&scene, &scene.motion, 1);
+    let mut light = Light::default();
+    light.regrid(&scene.pixels.grid);
+    let noise = Noise { dark: 0.6, per_grey: 0.01, model_px: 0.01 };
+    let mut found = Residuals::default();
+    found.resize(scene.pixels.len());
+    let weighing = Weighing { scale: 3.0, is_first_look: false };
+    let mut step = [0.0; COLUMNS];
+    step[7] = 0.5;
+    for run in &scene.pixels.runs {
+        let tile = TileLight::new(&light, scene.pixels.grid.nodes_of(run.tile as usize));
+        residuals(&scene.pixels, run, &at, &tile, &noise, &mut found);
+        let fast = tile_sums(&scene.pixels, run, &at, &tile, &found, &step, &weighing);
+        let plain = tile_sums_plain(&scene.pixels, run, &at, &tile, &found, &step, &weighing);
+        for i in 0..=COLUMNS {
+            for j in i..=COLUMNS {
+                let size = (plain.product(i, i) * plain.product(j, j)).sqrt();
+                assert!((fast.product(i, j) - plain.product(i, j)).abs() < 1e-3 * size + 1e-3, "{i} {j}");
+            }
+        }
+        let n = moments(&scene.pixels, run, &at)[0];
+        assert!(n <= f64::from(run.end - run.start) && n > 0.0);
+    }
+}
+
+#[test]
+fn every_run_is_whole_and_no_pixel_comes_twice() {
+    let scene = scene();
+    let mut seen = std::collections::HashSet::new();
+    for run in &scene.pixels.runs {
+        assert!((run.tile as usize) < scene.pixels.grid.len() && run.start < run.end);
+        assert!((run.start..run.end).all(|k| seen.insert(scene.pixels.index[k as usize])));
+    }
+    // A camera that turned away sees none of the surface.
+    let away = Motion::still(crate::geometry::Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 3.0)));
+    let eye = Eye::new(lens(480, 360), None);
+    let table = eye.tables[1].as_ref().expect("levels above 0 have tables");
+    let choice = Choice { camera: &eye.camera, table, level: 1, sensor: scene.sensor, blur_px: 0.0, mask: None, count: 3000 };
+    let mut chosen = Vec::new();
+    Selector::default().choose(std::slice::from_ref(&scene.surface), &away, &choice, &mut chosen);
+    assert!(chosen.is_empty());
+}
