@@ -17,7 +17,7 @@
 //! - [`compute_clock`]: how long work kept its thread busy
 //! - [`features`]: pyramid, corners, binary descriptors
 //! - [`matching`]: which feature is which
-//! - [`track`]: surfaces and bodies; acquire, register, verify, lock: a frame becomes a [`track::Sighting`]
+//! - [`track`]: surfaces and bodies; acquire, register, verify, align, lock: a frame becomes a [`track::Sighting`]
 //! - [`pose`]: a sighting becomes poses in the stage frame, with covariance, or a prediction
 //! - [`record`]: [`PoseSample`] and the line it becomes (contract C3)
 //! - [`latest`]: the bounded channel that drops its oldest entry

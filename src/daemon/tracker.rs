@@ -15,7 +15,7 @@ use crate::track::{BodySpec, LockState, Matcher, Sighting, TrackerSettings};
 pub struct TrackerSetup {
     /// The camera, at the size of the frames to come.
     pub camera: CameraModel,
-    /// Exposure in seconds; 0 = unknown. Noted for the blur model of alignment; acquisition does without.
+    /// Exposure in seconds; 0 = unknown: learnt while the camera moves.
     pub exposure_s: f64,
     /// First row to last in seconds; 0 = global shutter or unknown.
     pub readout_s: f64,

@@ -1,8 +1,9 @@
 //! The matcher: a frame in, a sighting of every body out.
 //!
-//! Features are found and matched once for all bodies; each body then has its candidate poses (failing those,
-//! where it should be by now), of which the first that the picture clearly verifies is taken; its lock decides what that means. The matcher owns all buffers
-//! of the hot path.
+//! A body that was aligned lately is followed: aligned from where it should be by now. For the others features are
+//! found and matched once; each has its candidate poses (failing those, where it should be), of which the first that the
+//! picture clearly verifies is aligned in turn. Its lock decides what that means. The matcher owns all buffers of the hot
+//! path.
 
 use image::GrayImage;
 use nalgebra::{Matrix3, Matrix6, Vector2};

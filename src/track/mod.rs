@@ -1,9 +1,9 @@
 //! Tracking: what bodies are made of, and how a frame becomes a verified pose of each of them.
 //!
 //! `surface` and `reference` prepare the pictures; `acquire` proposes poses from matched features;
-//! `registration` and `verify` refine a proposal against the picture and judge it; `lock` decides what a
-//! verified pose means in time; `two_view` describes the frame by homography and essential matrix;
-//! `matcher` runs them all on a frame.
+//! `registration` and `verify` refine a proposal against the picture and judge it; `align` follows a body from frame
+//! to frame, pixel by pixel; `lock` decides what a verified pose means in time; `two_view` describes the frame by
+//! homography and essential matrix; `matcher` runs them all on a frame.
 
 mod acquire;
 mod align;
