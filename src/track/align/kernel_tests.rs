@@ -7,7 +7,7 @@ use super::frame_levels::FrameLevels;
 use super::light::Light;
 use super::motion::{Motion, MotionError};
 use super::normal::{COLUMNS, Noise, Residuals, TileLight, Weighing, moments, residuals, tile_sums, tile_sums_plain};
-use super::pixels::Pixels;
+use super::pixels::{Pixels, Source};
 use super::selection::{Choice, Selector};
 use super::{AlignSurface, Eye, Sensor};
 use crate::track::synthetic::{cloth, facing, lens, view};
@@ -42,7 +42,7 @@ fn scene() -> Scene {
     Selector::default().choose(std::slice::from_ref(&surface), &motion, &choice, &mut chosen);
     assert!((2000..6000).contains(&chosen.len()), "{}", chosen.len());
     let mut pixels = Pixels::default();
-    pixels.arrange(&chosen, 1, 1, levels.level(1), table, &sensor, 360);
+    pixels.arrange(&chosen, 1, &Source { l: 1, level: levels.level(1), table, sensor: &sensor, height: 360 });
     Scene { surface, motion, sensor, pixels }
 }
 

@@ -9,15 +9,19 @@
 //! reweighted; the joint state follows the continuous-time rolling-shutter literature (Hedborg et al. 2012).
 
 mod aligner;
+// Index loops: what closures do would not be compiled for the wider registers of the function around them.
+#[allow(clippy::needless_range_loop)]
 mod appearance;
 mod frame_levels;
 mod lanes;
 mod light;
 mod motion;
+#[allow(clippy::needless_range_loop)]
 mod normal;
 mod pixels;
 mod rays;
 mod selection;
+#[allow(clippy::needless_range_loop)]
 mod system;
 mod texture;
 mod work;

@@ -359,7 +359,6 @@ pub fn squared_after(
 }
 
 /// Looks at a run again after `step`.
-#[allow(clippy::too_many_arguments)]
 pub fn evidence(
     pixels: &Pixels,
     run: &Run,
@@ -368,17 +367,15 @@ pub fn evidence(
     residuals: &Residuals,
     step: &[f32; COLUMNS],
     weighing: &Weighing,
-    width: usize,
 ) -> RunEvidence {
-    evidence_any(pixels, run, appearance, light, residuals, step, weighing, width)
+    evidence_any(pixels, run, appearance, light, residuals, step, weighing)
 }
 
 dispatch!(evidence_any, evidence_avx2, evidence_lanes,
     (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, residuals: &Residuals, step: &[f32; COLUMNS],
-     weighing: &Weighing, width: usize) -> RunEvidence);
+     weighing: &Weighing) -> RunEvidence);
 
 #[inline(always)]
-#[allow(clippy::too_many_arguments)]
 fn evidence_lanes<L: Lanes>(
     pixels: &Pixels,
     run: &Run,
@@ -387,7 +384,6 @@ fn evidence_lanes<L: Lanes>(
     residuals: &Residuals,
     step: &[f32; COLUMNS],
     weighing: &Weighing,
-    width: usize,
 ) -> RunEvidence {
     let (start, end) = (run.start as usize, run.end as usize);
     let zero = L::splat(0.0);
@@ -412,7 +408,7 @@ fn evidence_lanes<L: Lanes>(
         let mut rows_at = [0.0; LANES];
         for lane in 0..n {
             let index = pixels.index[k + lane] as usize;
-            (columns_at[lane], rows_at[lane]) = ((index % width) as f32, (index / width) as f32);
+            (columns_at[lane], rows_at[lane]) = ((index % pixels.width) as f32, (index / pixels.width) as f32);
         }
         let (u, v) = (L::load(&columns_at), L::load(&rows_at));
         let (wa, wd, ws, wx) = (w.mul(across), w.mul(down), w.mul(spread), w.mul(sharper));

@@ -87,6 +87,21 @@ pub struct Run {
     pub end: u32,
 }
 
+/// Where pixels are taken from.
+#[derive(Clone, Copy)]
+pub struct Source<'a> {
+    /// The level's number.
+    pub l: usize,
+    /// What the camera saw there.
+    pub level: &'a Level,
+    /// Its rays.
+    pub table: &'a RayTable,
+    /// The shutter.
+    pub sensor: &'a Sensor,
+    /// Height of the frame at full size, pixels.
+    pub height: u32,
+}
+
 /// Chosen pixels, each a place in all of the lists.
 #[derive(Debug, Default)]
 pub struct Pixels {
@@ -118,14 +133,18 @@ pub struct Pixels {
     pub groups: Vec<(u32, u32, u32)>,
     /// The tiles.
     pub grid: TileGrid,
+    /// Width of the level.
+    pub width: usize,
     places: Vec<u32>,
     order: Vec<u32>,
 }
 
 impl Pixels {
     /// Lays out a choice.
-    pub fn arrange(&mut self, chosen: &[Chosen], surfaces: usize, l: usize, level: &Level, table: &RayTable, sensor: &Sensor, height: u32) {
+    pub fn arrange(&mut self, chosen: &[Chosen], surfaces: usize, source: &Source) {
+        let Source { l, level, table, sensor, height } = *source;
         let width = table.width;
+        self.width = width;
         self.grid = TileGrid::covering(chosen, width);
         self.sort(chosen, surfaces, width);
         self.clear();
@@ -228,7 +247,7 @@ impl Pixels {
     /// Repeats the last pixel, unseen, up to whole lanes.
     fn pad(&mut self) {
         let Some(last) = self.x.len().checked_sub(1) else { return };
-        while self.x.len() % LANES != 0 {
+        while !self.x.len().is_multiple_of(LANES) {
             let [a, b] = &mut self.cell;
             let lists = [&mut self.x, &mut self.y, &mut self.x_across, &mut self.x_down, &mut self.y_across, &mut self.y_down];
             for list in lists.into_iter().chain([&mut self.delay_s, &mut self.seen, a, b]) {

@@ -7,7 +7,7 @@ use super::frame_levels::FrameLevels;
 use super::light::Light;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::normal::{COLUMNS, Noise, Residuals, RunEvidence, TileLight, Weighing, evidence, moments, residuals, squared_after, tile_sums};
-use super::pixels::{Pixels, Run};
+use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
 use super::system::{Prior, System, TileTime, honest_covariance};
 use super::{AlignSurface, Eye, Sensor};
@@ -114,8 +114,6 @@ pub struct Work {
     pub pixels: Pixels,
     appearance: Appearance,
     residuals: Residuals,
-    /// Width of the level.
-    width: usize,
     /// Where the pixels were predicted.
     at: Option<Motion>,
     /// The light before the last step.
@@ -190,9 +188,8 @@ impl Work {
         if chosen.len() < LEAST_PIXELS {
             return false;
         }
-        self.width = table.width;
-        let height = task.eye.camera.height();
-        self.pixels.arrange(chosen, task.surfaces.len(), task.level, frame.level(task.level), table, task.sensor, height);
+        let source = Source { l: task.level, level: frame.level(task.level), table, sensor: task.sensor, height: task.eye.camera.height() };
+        self.pixels.arrange(chosen, task.surfaces.len(), &source);
         let n = self.pixels.len();
         self.appearance.resize(n);
         self.residuals.resize(n);
@@ -398,7 +395,7 @@ impl Work {
         for (e, run) in self.evidence.iter_mut().zip(&self.pixels.runs) {
             let light = TileLight::new(light, self.pixels.grid.nodes_of(run.tile as usize));
             let still = [0.0; COLUMNS];
-            *e = evidence(&self.pixels, run, &self.appearance, &light, &self.residuals, &still, &weighing, self.width);
+            *e = evidence(&self.pixels, run, &self.appearance, &light, &self.residuals, &still, &weighing);
         }
     }
 
@@ -408,7 +405,7 @@ impl Work {
         let [weight, u, v] = e.place;
         let (u, v) = (u / weight, v / weight);
         let range = run.start as usize..run.end as usize;
-        let width = self.width as f64;
+        let width = self.pixels.width as f64;
         let off = |k: &usize| {
             let index = f64::from(self.pixels.index[*k]);
             let (pu, pv) = (index % width, (index / width).floor());
@@ -431,7 +428,6 @@ impl Work {
         let noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
         let weight = solved.scale.powi(-2);
         let mut votes = Matrix6::zeros();
-        let width = task.eye.tables[task.level].as_ref()?.width;
         self.evidence.clear();
         let mut n = 0.0;
         for ((run, step), gauge) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges) {
@@ -443,7 +439,7 @@ impl Work {
                 votes += vote * vote.transpose();
                 n += 1.0;
             }
-            self.evidence.push(evidence(&self.pixels, run, &self.appearance, &light, &self.residuals, step, &weighing, width));
+            self.evidence.push(evidence(&self.pixels, run, &self.appearance, &light, &self.residuals, step, &weighing));
         }
         let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
         let honest = honest_covariance(&noise, &(votes * factor))?;
