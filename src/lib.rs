@@ -15,6 +15,7 @@
 //! - [`camera`]: the camera model with distortion and its exact inverse; calibration files
 //! - [`frame`]: a grey picture with its stamp
 //! - [`compute_clock`]: how long work kept its thread busy
+//! - [`utc`]: dates and times of day
 //! - [`features`]: pyramid, corners, binary descriptors
 //! - [`matching`]: which feature is which
 //! - [`track`]: surfaces and bodies; acquire, register, verify, align, lock: a frame becomes a [`track::Sighting`]
@@ -55,6 +56,7 @@ pub mod publish;
 pub mod record;
 pub mod simulate;
 pub mod track;
+pub mod utc;
 pub mod web;
 
 pub use daemon::{Daemon, Tracker, TrackerSetup};

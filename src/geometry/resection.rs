@@ -253,11 +253,14 @@ pub fn sandwich_covariance<P: Projection>(
     let factor = n / (n - 1.0).max(1.0) * if n > 7.0 { n / (n - 6.0) } else { 7.0 };
     let meat: Matrix6<f64> = groups.iter().map(|(_, s)| s * s.transpose()).sum::<Matrix6<f64>>() * factor;
     let noise = bread * resection.scale.powi(2);
-    let sandwich = bread * meat * bread;
-    // Take the larger of the two in every direction that noise whitens.
+    larger_covariance(&noise, &(bread * meat * bread))
+}
+
+/// The larger of noise and scatter in every direction that noise whitens; `None` where noise is not positive definite.
+pub fn larger_covariance(noise: &Matrix6<f64>, scatter: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     let root = noise.cholesky()?.l();
     let inverse_root = root.try_inverse()?;
-    let mut eigen = (inverse_root * sandwich * inverse_root.transpose()).symmetric_eigen();
+    let mut eigen = (inverse_root * scatter * inverse_root.transpose()).symmetric_eigen();
     eigen.eigenvalues.apply(|v| *v = v.max(1.0));
     let covariance = root * eigen.recompose() * root.transpose();
     Some((covariance + covariance.transpose()) * 0.5)

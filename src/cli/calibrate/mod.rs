@@ -18,6 +18,7 @@ use crate::calibrate::judge::Verdict;
 use crate::calibrate::report::{self, Comparison};
 use crate::calibrate::session::{CameraCalibration, calibrate};
 use crate::camera::{Calibration, CalibrationForm, IntrinsicsUncertainty};
+use crate::utc;
 pub(super) use output::write as write_whole;
 
 /// Calibrate a camera from pictures of a chessboard.
@@ -186,7 +187,7 @@ fn calibration_of(made: &CameraCalibration) -> Option<Calibration> {
         }),
         rms_px: Some(made.estimate.rms_px),
         images: Some(made.views.iter().filter(|v| v.used).count() as u32),
-        date: Some(output::today()),
+        date: Some(utc::date(utc::now_s())),
         form: CalibrationForm::Stagepose,
     })
 }

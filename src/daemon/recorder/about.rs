@@ -7,10 +7,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde::Serialize;
 
 use super::disk::Disk;
-use super::utc;
 use crate::capture::camera::CameraMode;
 use crate::capture::moment::monotonic_ns;
 use crate::config::copy_config;
+use crate::utc;
 
 /// What a clip is told of itself.
 #[derive(Debug, Clone)]
@@ -60,7 +60,7 @@ impl AboutClip {
         let camera = Camera { name, width: *width, height: *height, format: layout.fourcc(), fps: *fps, exposure_s: *exposure_s, controls };
         let about = ClipToml {
             program: format!("stagepose {}", env!("CARGO_PKG_VERSION")),
-            begun_utc: utc::text(now.as_secs()),
+            begun_utc: utc::date_and_time(now.as_secs()),
             config: "config/stage.toml",
             clock,
             camera,

@@ -6,9 +6,9 @@
 
 mod about;
 mod clip_folder;
+mod clip_name;
 mod disk;
 mod ring;
-mod utc;
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -20,8 +20,8 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded, select};
 
 pub use about::AboutClip;
+pub use clip_name::new_clip_name;
 pub use disk::{Disk, RealDisk};
-pub use utc::new_clip_name;
 
 use super::live::{Event, LiveLink, StampedEvent};
 use crate::capture::{Received, Row, RowContent};
@@ -216,7 +216,7 @@ impl Work {
             tracing::warn!("the ring has nothing to save yet");
             return;
         }
-        let clip = utc::new_clip_name(folder);
+        let clip = new_clip_name(folder);
         let saved = ring.save(&clip, &mut *self.disk).and_then(|first_ns| {
             self.plan.about.write(&clip, &mut *self.disk)?;
             let mut saved = ClipFolder::of(&clip);

@@ -162,33 +162,33 @@ impl Aligner {
     /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges.
     pub fn align(&mut self, frame: &FrameLevels, eye: &Eye, expected: &MotionEstimate) -> Option<Alignment> {
         let information = expected.covariance.cholesky()?.inverse();
-        let blur_px = 2.0 * task(&self.surfaces, &self.sensor, eye, 1, 1, &expected.motion).blur_px;
+        let blur_px = f64::from(1u32 << FINEST) * task(&self.surfaces, &self.sensor, eye, FINEST, &expected.motion).blur_px;
         let spread_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_SPREAD_SIGMA } else { SPREAD_SIGMA };
         let known = Expected { motion: &expected.motion, information: &information, spread: self.spread, spread_sigma };
-        let finest = FINEST;
-        let solved = match self.same_again(frame, eye, finest, &known) {
+        let solved = match self.same_again(frame, eye, &known) {
             Some(solved) => solved,
             None => {
-                let coarse = self.coarse_motion(frame, eye, finest, &known, expected)?;
-                self.fine_motion(frame, eye, finest, &known, coarse)?
+                let coarse = self.coarse_motion(frame, eye, &known, expected)?;
+                self.fine_motion(frame, eye, &known, coarse)?
             }
         };
-        self.conclude(eye, finest, &solved, expected)
+        self.conclude(eye, &solved, expected)
     }
 
     /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels.
-    fn same_again(&mut self, frame: &FrameLevels, eye: &Eye, finest: usize, known: &Expected) -> Option<Corrected> {
-        let task = Task { count: STILL_PIXELS, ..task(&self.surfaces, &self.sensor, eye, finest, finest, known.motion) };
+    fn same_again(&mut self, frame: &FrameLevels, eye: &Eye, known: &Expected) -> Option<Corrected> {
+        let task = Task { count: STILL_PIXELS, ..task(&self.surfaces, &self.sensor, eye, FINEST, known.motion) };
         if self.fine.moved_since(&task, known.motion) > KEPT_PX {
             self.has_kept = false;
             return None;
         }
         if self.has_kept {
             self.fine.renew(&task, frame);
-        } else {
-            let is_laid_out = self.fine.lay_out(&task, frame, known.motion, &mut self.selector, &mut self.chosen);
+        } else if self.fine.lay_out(&task, frame, known.motion, &mut self.selector, &mut self.chosen) {
             self.fine.predict(&task, known.motion);
-            self.has_kept = is_laid_out;
+            self.has_kept = true;
+        } else {
+            return None;
         }
         let solved = self.fine.solve(&task, known, &mut self.light, &mut self.system, false, 2)?;
         (self.fine.moved_px(&task, known.motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
@@ -218,7 +218,7 @@ impl Aligner {
 
     /// The patches of the last frame that fit, one a tile: where each is on its surface, and how far off the frame shows it.
     pub fn patches(&mut self, eye: &Eye, motion: &Motion, patches: &mut Vec<Patch>) {
-        let task = task(&self.surfaces, &self.sensor, eye, FINEST, FINEST, motion);
+        let task = task(&self.surfaces, &self.sensor, eye, FINEST, motion);
         self.shifts.clear();
         self.shifts.extend(self.fine.evidence.iter().map(|e| patch_shift(e).map_or(Vector2::zeros(), |(shift, _)| shift)));
         // One linear step is right for small shifts. Where the calibration or the survey is off, patches must be followed.
@@ -250,18 +250,11 @@ impl Aligner {
         }
     }
 
-    fn coarse_motion(
-        &mut self,
-        frame: &FrameLevels,
-        eye: &Eye,
-        finest: usize,
-        known: &Expected,
-        expected: &MotionEstimate,
-    ) -> Option<Motion> {
+    fn coarse_motion(&mut self, frame: &FrameLevels, eye: &Eye, known: &Expected, expected: &MotionEstimate) -> Option<Motion> {
         let mut motion = expected.motion;
         let mut is_first = true;
-        for l in (finest + 1..=self.start_level(eye, expected)).rev() {
-            let task = task(&self.surfaces, &self.sensor, eye, l, finest, &motion);
+        for l in (FINEST + 1..=self.start_level(eye, expected)).rev() {
+            let task = task(&self.surfaces, &self.sensor, eye, l, &motion);
             if !self.coarse.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
                 continue;
             }
@@ -284,9 +277,9 @@ impl Aligner {
         Some(motion)
     }
 
-    fn fine_motion(&mut self, frame: &FrameLevels, eye: &Eye, finest: usize, known: &Expected, mut motion: Motion) -> Option<Corrected> {
+    fn fine_motion(&mut self, frame: &FrameLevels, eye: &Eye, known: &Expected, mut motion: Motion) -> Option<Corrected> {
         self.has_kept = false;
-        let task = task(&self.surfaces, &self.sensor, eye, finest, finest, &motion);
+        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &motion);
         if !self.fine.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
             return None;
         }
@@ -295,7 +288,7 @@ impl Aligner {
             self.fine.predict(&task, &motion);
             let solved = self.fine.solve(&task, known, &mut self.light, &mut self.system, false, 2)?;
             let moved = self.fine.moved_px(&task, &motion, &solved.motion);
-            tracing::trace!(level = finest, moved, pixels = self.fine.pixels.len());
+            tracing::trace!(level = FINEST, moved, pixels = self.fine.pixels.len());
             motion = solved.motion;
             last = Some(solved);
             if moved < FINE_STEP_PX {
@@ -321,9 +314,9 @@ impl Aligner {
     }
 
     /// Covariance and evidence at the solution.
-    fn conclude(&mut self, eye: &Eye, finest: usize, solved: &Corrected, expected: &MotionEstimate) -> Option<Alignment> {
-        let task = task(&self.surfaces, &self.sensor, eye, finest, finest, &solved.motion);
-        let blur_px = task.blur_px * f64::from(1u32 << finest);
+    fn conclude(&mut self, eye: &Eye, solved: &Corrected, expected: &MotionEstimate) -> Option<Alignment> {
+        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &solved.motion);
+        let blur_px = task.blur_px * f64::from(1u32 << FINEST);
         let (estimate, covariance) = self.fine.conclude(&task, solved, &mut self.system)?;
         if blur_px < SHARP_FRAME_PX {
             self.spread += SPREAD_SHARE * (self.light.spread - self.spread);
@@ -337,7 +330,7 @@ impl Aligner {
             covariance,
             scale: solved.scale,
             inliers,
-            rms_px: (sum(|e| e.squared_px) / inliers.max(1.0)).sqrt() * f64::from(1u32 << finest),
+            rms_px: (sum(|e| e.squared_px) / inliers.max(1.0)).sqrt() * f64::from(1u32 << FINEST),
             tiles: verdicts.clone().count(),
             agreeing: verdicts.filter(|v| *v).count(),
             surprise: surprise(expected, &solved.motion),
@@ -353,11 +346,11 @@ fn surprise(expected: &MotionEstimate, found: &Motion) -> f64 {
 }
 
 /// What a level has to do at a motion.
-fn task<'a>(surfaces: &'a [AlignSurface], sensor: &'a Sensor, eye: &'a Eye, level: usize, finest: usize, motion: &Motion) -> Task<'a> {
-    let mut task = Task { surfaces, eye, sensor, level, is_finest: level == finest, count: PIXELS[level], blur_px: 0.0 };
+fn task<'a>(surfaces: &'a [AlignSurface], sensor: &'a Sensor, eye: &'a Eye, level: usize, motion: &Motion) -> Task<'a> {
+    let mut task = Task { surfaces, eye, sensor, level, is_finest: level == FINEST, count: PIXELS[level], blur_px: 0.0 };
     let half = 0.5 * sensor.exposure_s;
     task.blur_px = task.moved_px(&motion.after(-half), &motion.after(half));
-    if level == finest && task.blur_px > SHARP_PX {
+    if level == FINEST && task.blur_px > SHARP_PX {
         task.count = BLURRED_PIXELS;
     }
     task

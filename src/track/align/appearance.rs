@@ -8,7 +8,7 @@
 //! a still camera aside by more than its noise; measured in docs/alignment.md.) While the shutter is open the texel
 //! moves along a short curve; under motion blur the looks are shared out along it.
 
-use super::lanes::{LANES, Lanes, Plain, has_avx2};
+use super::lanes::{LANES, Lanes, dispatch};
 use super::motion::Motion;
 use super::pixels::Pixels;
 use super::{AlignSurface, Sensor};
@@ -100,46 +100,26 @@ impl View {
     }
 }
 
-/// Predicts the pixels of one surface, `range` of `pixels` (whole lanes). `places`: how many places along the blur are looked at;
-/// 1 for none, else odd.
-pub fn predict(
-    surface: &AlignSurface,
-    motion: &Motion,
-    sensor: &Sensor,
-    places: usize,
-    pixels: &Pixels,
-    range: std::ops::Range<usize>,
-    out: &mut Appearance,
-) {
-    let view = View::new(surface, motion, if places > 1 { sensor.exposure_s } else { 0.0 });
-    #[cfg(target_arch = "x86_64")]
-    if has_avx2() {
-        // SAFETY: the processor has AVX2 and FMA.
-        unsafe { predict_avx2(surface, &view, places, pixels, range, out) };
-        return;
-    }
-    predict_lanes::<Plain>(surface, &view, places, pixels, range, out);
+/// Which pixels to predict, and how.
+#[derive(Clone, Copy)]
+pub struct Predicted<'a> {
+    /// The surface that they lie on.
+    pub surface: &'a AlignSurface,
+    /// How the camera moves.
+    pub motion: &'a Motion,
+    /// Its shutter.
+    pub sensor: &'a Sensor,
+    /// Places along the blur that are looked at; 1 for none, else odd.
+    pub places: usize,
+    /// The pixels of the level.
+    pub pixels: &'a Pixels,
+    /// First of these, and one beyond the last: whole lanes.
+    pub range: [usize; 2],
 }
 
-/// [`predict`] by the plain twin, for its test.
-#[cfg(test)]
-pub fn predict_lanes_plain(
-    surface: &AlignSurface,
-    motion: &Motion,
-    sensor: &Sensor,
-    places: usize,
-    pixels: &Pixels,
-    range: std::ops::Range<usize>,
-    out: &mut Appearance,
-) {
-    let view = View::new(surface, motion, if places > 1 { sensor.exposure_s } else { 0.0 });
-    predict_lanes::<Plain>(surface, &view, places, pixels, range, out);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn predict_avx2(surface: &AlignSurface, view: &View, places: usize, pixels: &Pixels, range: std::ops::Range<usize>, out: &mut Appearance) {
-    predict_lanes::<super::lanes::Avx2>(surface, view, places, pixels, range, out);
+dispatch! {
+    /// Predicts the pixels of one surface.
+    predict, predict_avx2, predict_lanes, (what: &Predicted, out: &mut Appearance)
 }
 
 /// Where a ray meets the surface, and how that point moves with the ray.
@@ -314,17 +294,12 @@ fn blurred_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, path: [[L; 2]; 
 }
 
 #[inline(always)]
-fn predict_lanes<L: Lanes>(
-    surface: &AlignSurface,
-    view: &View,
-    places: usize,
-    pixels: &Pixels,
-    range: std::ops::Range<usize>,
-    out: &mut Appearance,
-) {
+pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
+    let Predicted { surface, motion, sensor, places, pixels, range } = *what;
+    let view = &View::new(surface, motion, if places > 1 { sensor.exposure_s } else { 0.0 });
     let texels = &surface.texture.texels[..];
-    let mut k = range.start;
-    while k < range.end {
+    let mut k = range[0];
+    while k < range[1] {
         let (x, y, t) = (at::<L>(&pixels.x, k), at::<L>(&pixels.y, k), at::<L>(&pixels.delay_s, k));
         let a = rotation_at(view, t);
         let middle = hit(view, &a, x, y, t);

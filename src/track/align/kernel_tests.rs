@@ -2,11 +2,12 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::appearance::{Appearance, predict, predict_lanes_plain};
+use super::appearance::{Appearance, Predicted, predict, predict_lanes};
 use super::frame_levels::FrameLevels;
+use super::lanes::Plain;
 use super::light::Light;
 use super::motion::{Motion, MotionError};
-use super::normal::{COLUMNS, Noise, Residuals, TileLight, Weighing, moments, residuals, tile_sums, tile_sums_plain};
+use super::normal::{COLUMNS, Noise, Residuals, RunView, TileLight, Weighing, moments, residuals, tile_sums, tile_sums_lanes};
 use super::pixels::{Pixels, Source};
 use super::selection::{Choice, Selector};
 use super::{AlignSurface, Eye, Sensor};
@@ -49,8 +50,13 @@ fn scene() -> Scene {
 fn appearance(scene: &Scene, motion: &Motion, places: usize) -> Appearance {
     let mut out = Appearance::default();
     out.resize(scene.pixels.len());
-    predict(&scene.surface, motion, &scene.sensor, places, &scene.pixels, 0..scene.pixels.len(), &mut out);
+    predict(&predicted(scene, motion, places), &mut out);
     out
+}
+
+fn predicted<'a>(scene: &'a Scene, motion: &'a Motion, places: usize) -> Predicted<'a> {
+    let Scene { surface, sensor, pixels, .. } = scene;
+    Predicted { surface, motion, sensor, places, pixels, range: [0, pixels.len()] }
 }
 
 /// Slope and correlation of `y` over `x`.
@@ -123,7 +129,7 @@ fn the_plain_twin_predicts_the_same() {
         let fast = appearance(&scene, &scene.motion, places);
         let mut plain = Appearance::default();
         plain.resize(scene.pixels.len());
-        predict_lanes_plain(&scene.surface, &scene.motion, &scene.sensor, places, &scene.pixels, 0..scene.pixels.len(), &mut plain);
+        predict_lanes::<Plain>(&predicted(&scene, &scene.motion, places), &mut plain);
         let largest = fast.grey.iter().zip(&plain.grey).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(largest < 0.1, "{largest}");
         let mean = fast.by_pose[3].iter().zip(&plain.by_pose[3]).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
@@ -146,8 +152,9 @@ fn the_plain_twin_sums_the_same_and_sums_are_products_of_the_columns() {
     for run in &scene.pixels.runs {
         let tile = TileLight::new(&light, scene.pixels.grid.nodes_of(run.tile as usize));
         residuals(&scene.pixels, run, &at, &tile, &noise, &mut found);
-        let fast = tile_sums(&scene.pixels, run, &at, &tile, &found, &step, &weighing);
-        let plain = tile_sums_plain(&scene.pixels, run, &at, &tile, &found, &step, &weighing);
+        let view = RunView { pixels: &scene.pixels, run, appearance: &at, light: &tile, residuals: &found };
+        let fast = tile_sums(&view, &step, &weighing);
+        let plain = tile_sums_lanes::<Plain>(&view, &step, &weighing);
         for i in 0..=COLUMNS {
             for j in i..=COLUMNS {
                 let size = (plain.product(i, i) * plain.product(j, j)).sqrt();

@@ -257,3 +257,25 @@ pub fn has_avx2() -> bool {
     #[cfg(not(target_arch = "x86_64"))]
     false
 }
+
+/// Makes a kernel's public function: `$lanes`, generic over [`Lanes`], with AVX2 where the processor has it, else in plain Rust.
+macro_rules! dispatch {
+    ($(#[$doc:meta])* $name:ident, $avx2:ident, $lanes:ident, ($($arg:ident : $ty:ty),*) $(-> $ret:ty)?) => {
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx2,fma")]
+        fn $avx2($($arg: $ty),*) $(-> $ret)? {
+            $lanes::<$crate::track::align::lanes::Avx2>($($arg),*)
+        }
+
+        $(#[$doc])*
+        pub fn $name($($arg: $ty),*) $(-> $ret)? {
+            #[cfg(target_arch = "x86_64")]
+            if $crate::track::align::lanes::has_avx2() {
+                // SAFETY: the processor has AVX2 and FMA.
+                return unsafe { $avx2($($arg),*) };
+            }
+            $lanes::<$crate::track::align::lanes::Plain>($($arg),*)
+        }
+    };
+}
+pub(super) use dispatch;

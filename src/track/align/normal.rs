@@ -2,7 +2,7 @@
 //! pose at the tile's rows, with the light of the tile's corners, the bias and the point spread.
 
 use super::appearance::Appearance;
-use super::lanes::{LANES, Lanes, Plain, has_avx2};
+use super::lanes::{LANES, Lanes, dispatch};
 use super::light::Light;
 use super::pixels::{Pixels, Run};
 
@@ -91,62 +91,31 @@ pub struct Noise {
     pub model_px: f32,
 }
 
-macro_rules! dispatch {
-    ($name:ident, $avx2:ident, $lanes:ident, ($($arg:ident : $ty:ty),*) $(-> $ret:ty)?) => {
-        #[cfg(target_arch = "x86_64")]
-        #[target_feature(enable = "avx2,fma")]
-        fn $avx2($($arg: $ty),*) $(-> $ret)? {
-            $lanes::<super::lanes::Avx2>($($arg),*)
-        }
-
-        fn $name($($arg: $ty),*) $(-> $ret)? {
-            #[cfg(target_arch = "x86_64")]
-            if has_avx2() {
-                // SAFETY: the processor has AVX2 and FMA.
-                return unsafe { $avx2($($arg),*) };
-            }
-            $lanes::<Plain>($($arg),*)
-        }
-    };
+dispatch! {
+    /// Residuals of a run at the linearisation, and their informations.
+    residuals, residuals_avx2, residuals_lanes,
+    (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals)
 }
 
-/// Residuals of a run at the linearisation, and their informations.
-pub fn residuals(pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals) {
-    residuals_any(pixels, run, appearance, light, noise, out);
+dispatch! {
+    /// Sums of a run at the linearisation; weights are those of the residuals as `step` (the tile's columns) leaves them.
+    tile_sums, tile_sums_avx2, tile_sums_lanes,
+    (view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> TileSums
 }
 
-dispatch!(residuals_any, residuals_avx2, residuals_lanes,
-    (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals));
-
-/// Sums of a run at the linearisation; weights are those of the residuals as `step` (the tile's columns) leaves them.
-pub fn tile_sums(
-    pixels: &Pixels,
-    run: &Run,
-    appearance: &Appearance,
-    light: &TileLight,
-    residuals: &Residuals,
-    step: &[f32; COLUMNS],
-    weighing: &Weighing,
-) -> TileSums {
-    tile_sums_any(pixels, run, appearance, light, residuals, step, weighing)
-}
-
-dispatch!(tile_sums_any, tile_sums_avx2, tile_sums_lanes,
-    (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, residuals: &Residuals, step: &[f32; COLUMNS],
-     weighing: &Weighing) -> TileSums);
-
-/// [`tile_sums`] by the plain twin, for its test.
-#[cfg(test)]
-pub fn tile_sums_plain(
-    pixels: &Pixels,
-    run: &Run,
-    appearance: &Appearance,
-    light: &TileLight,
-    residuals: &Residuals,
-    step: &[f32; COLUMNS],
-    weighing: &Weighing,
-) -> TileSums {
-    tile_sums_lanes::<Plain>(pixels, run, appearance, light, residuals, step, weighing)
+/// A run with all that is known of its pixels at the linearisation.
+#[derive(Clone, Copy)]
+pub struct RunView<'a> {
+    /// The pixels.
+    pub pixels: &'a Pixels,
+    /// Which of them.
+    pub run: &'a Run,
+    /// What they should look like.
+    pub appearance: &'a Appearance,
+    /// In this light.
+    pub light: &'a TileLight,
+    /// What they say.
+    pub residuals: &'a Residuals,
 }
 
 /// Loads up to [`LANES`] values; beyond the run, zeros.
@@ -206,20 +175,13 @@ fn residuals_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance
 }
 
 #[inline(always)]
-fn tile_sums_lanes<L: Lanes>(
-    pixels: &Pixels,
-    run: &Run,
-    appearance: &Appearance,
-    light: &TileLight,
-    residuals: &Residuals,
-    step: &[f32; COLUMNS],
-    weighing: &Weighing,
-) -> TileSums {
+pub fn tile_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> TileSums {
+    let RunView { pixels, run, appearance, light, residuals } = *view;
     let (start, end) = (run.start as usize, run.end as usize);
     let mut sums = [L::splat(0.0); ENTRIES];
     for k in (start..end).step_by(LANES) {
         let n = (end - k).min(LANES);
-        let columns = columns::<L>(pixels, appearance, light, k, n);
+        let (columns, _) = columns::<L>(pixels, appearance, light, k, n);
         let r = part::<L>(&residuals.grey, k, n);
         let after = less_step(r, &columns, step);
         let information = part::<L>(&residuals.information, k, n);
@@ -243,9 +205,9 @@ fn tile_sums_lanes<L: Lanes>(
     TileSums { sums: totals }
 }
 
-/// The columns of [`LANES`] pixels: how the predicted grey changes.
+/// The columns of [`LANES`] pixels: how the predicted grey changes; and the gain there.
 #[inline(always)]
-fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight, k: usize, n: usize) -> [L; COLUMNS] {
+fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight, k: usize, n: usize) -> ([L; COLUMNS], L) {
     let corners = corner_weights::<L>(pixels, k, n);
     let g = gain(light, &corners);
     let spread = part::<L>(&appearance.spread, k, n);
@@ -259,7 +221,7 @@ fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight
     for c in 0..4 {
         columns[GAINS + c] = corners[c].mul(grey);
     }
-    columns
+    (columns, g)
 }
 
 /// The residual that a step leaves.
@@ -291,12 +253,10 @@ fn total<L: Lanes>(v: L) -> f32 {
     ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7]))
 }
 
-/// Sums over the pixels of a run that tell something: their number, predicted, seen, predicted², seen², predicted seen.
-pub fn moments(pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6] {
-    moments_any(pixels, run, appearance)
+dispatch! {
+    /// Sums over the pixels of a run that tell something: their number, predicted, seen, predicted², seen², predicted seen.
+    moments, moments_avx2, moments_lanes, (pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6]
 }
-
-dispatch!(moments_any, moments_avx2, moments_lanes, (pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6]);
 
 #[inline(always)]
 fn moments_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6] {
@@ -339,15 +299,9 @@ pub struct RunEvidence {
     pub blur: [f64; 5],
 }
 
-/// A whitened residual squared, as `step` leaves it.
-pub fn squared_after(
-    pixels: &Pixels,
-    k: usize,
-    appearance: &Appearance,
-    light: &TileLight,
-    residuals: &Residuals,
-    step: &[f32; COLUMNS],
-) -> f32 {
+/// The squared whitened residual of pixel `k` of a run, as `step` leaves it.
+pub fn squared_after(view: &RunView, k: usize, step: &[f32; COLUMNS]) -> f32 {
+    let RunView { pixels, appearance, light, residuals, .. } = *view;
     let (a, b) = (pixels.cell[0][k], pixels.cell[1][k]);
     let corners = [(1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b];
     let g: f32 = corners.iter().zip(&light.gains).map(|(c, g)| c * g).sum();
@@ -358,40 +312,21 @@ pub fn squared_after(
     r * r * residuals.information[k]
 }
 
-/// Looks at a run again after `step`.
-pub fn evidence(
-    pixels: &Pixels,
-    run: &Run,
-    appearance: &Appearance,
-    light: &TileLight,
-    residuals: &Residuals,
-    step: &[f32; COLUMNS],
-    weighing: &Weighing,
-) -> RunEvidence {
-    evidence_any(pixels, run, appearance, light, residuals, step, weighing)
+dispatch! {
+    /// Looks at a run again after `step`.
+    evidence, evidence_avx2, evidence_lanes,
+    (view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> RunEvidence
 }
 
-dispatch!(evidence_any, evidence_avx2, evidence_lanes,
-    (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, residuals: &Residuals, step: &[f32; COLUMNS],
-     weighing: &Weighing) -> RunEvidence);
-
 #[inline(always)]
-fn evidence_lanes<L: Lanes>(
-    pixels: &Pixels,
-    run: &Run,
-    appearance: &Appearance,
-    light: &TileLight,
-    residuals: &Residuals,
-    step: &[f32; COLUMNS],
-    weighing: &Weighing,
-) -> RunEvidence {
+fn evidence_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> RunEvidence {
+    let RunView { pixels, run, appearance, light, residuals } = *view;
     let (start, end) = (run.start as usize, run.end as usize);
     let zero = L::splat(0.0);
     let mut sums = [zero; 22];
     for k in (start..end).step_by(LANES) {
         let n = (end - k).min(LANES);
-        let columns = columns::<L>(pixels, appearance, light, k, n);
-        let g = gain(light, &corner_weights::<L>(pixels, k, n));
+        let (columns, g) = columns::<L>(pixels, appearance, light, k, n);
         let r = less_step(part::<L>(&residuals.grey, k, n), &columns, step);
         let counts = part::<L>(&pixels.counts, k, n);
         let seen = part::<L>(&pixels.seen, k, n).mul(counts);
@@ -407,8 +342,7 @@ fn evidence_lanes<L: Lanes>(
         let mut columns_at = [0.0; LANES];
         let mut rows_at = [0.0; LANES];
         for lane in 0..n {
-            let index = pixels.index[k + lane] as usize;
-            (columns_at[lane], rows_at[lane]) = ((index % pixels.width) as f32, (index / pixels.width) as f32);
+            [columns_at[lane], rows_at[lane]] = pixels.place(k + lane).map(|v| v as f32);
         }
         let (u, v) = (L::load(&columns_at), L::load(&rows_at));
         let (wa, wd, ws, wx) = (w.mul(across), w.mul(down), w.mul(spread), w.mul(sharper));

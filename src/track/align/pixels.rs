@@ -189,6 +189,12 @@ impl Pixels {
         }
     }
 
+    /// Column and row of pixel `k`.
+    pub fn place(&self, k: usize) -> [usize; 2] {
+        let index = self.index[k] as usize;
+        [index % self.width, index / self.width]
+    }
+
     /// Pixels, padding included.
     pub fn len(&self) -> usize {
         self.x.len()

@@ -4,7 +4,7 @@
 //! A light node meets only its neighbours and the dense end (point spread, bias, motion), so that elimination in
 //! this order keeps the factor banded: a fraction of the cost of a dense one.
 
-use nalgebra::{Matrix6, SVector};
+use nalgebra::SVector;
 
 use super::light::Light;
 use super::motion::{MotionError, MotionMatrix};
@@ -276,14 +276,4 @@ impl System {
         }
         vote
     }
-}
-
-/// The larger of noise and scatter of the votes in every direction (White's sandwich over tiles, whitened by the noise).
-pub fn honest_covariance(noise: &Matrix6<f64>, votes: &Matrix6<f64>) -> Option<Matrix6<f64>> {
-    let root = noise.cholesky()?.l();
-    let inverse_root = root.try_inverse()?;
-    let mut eigen = (inverse_root * votes * inverse_root.transpose()).symmetric_eigen();
-    eigen.eigenvalues.apply(|v| *v = v.max(1.0));
-    let covariance = root * eigen.recompose() * root.transpose();
-    Some((covariance + covariance.transpose()) * 0.5)
 }

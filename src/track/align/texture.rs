@@ -56,6 +56,10 @@ pub struct Candidates {
 }
 
 impl Candidates {
+    fn none() -> Self {
+        Self { columns: 0, rows: 0, starts: vec![0], offsets: Vec::new() }
+    }
+
     /// The offsets of block (column, row) inside it, steepest first.
     pub fn of_block(&self, column: usize, row: usize) -> &[[u8; 2]] {
         let k = row * self.columns + column;
@@ -116,7 +120,8 @@ impl Texture {
         (self.last_column[l], self.last_row[l]) = (w as f32 - 1.001, h as f32 - 1.001);
         self.texels.extend_from_slice(level.as_raw());
         let raw = level.as_raw();
-        self.candidates.push(candidates(raw, w, h));
+        // Pixels are never chosen by texels that the picture does not have.
+        self.candidates.push(if scale > 1.0 { Candidates::none() } else { candidates(raw, w, h) });
         self.levels += 1;
     }
 }

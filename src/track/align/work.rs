@@ -2,15 +2,18 @@
 
 use nalgebra::{Matrix6, Vector2, Vector3};
 
-use super::appearance::{Appearance, predict};
+use super::appearance::{Appearance, Predicted, predict};
 use super::frame_levels::FrameLevels;
 use super::light::Light;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
-use super::normal::{COLUMNS, Noise, Residuals, RunEvidence, TileLight, Weighing, evidence, moments, residuals, squared_after, tile_sums};
+use super::normal::{
+    COLUMNS, Noise, Residuals, RunEvidence, RunView, TileLight, Weighing, evidence, moments, residuals, squared_after, tile_sums,
+};
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
-use super::system::{Prior, System, TileTime, honest_covariance};
+use super::system::{Prior, System, TileTime};
 use super::{AlignSurface, Eye, Sensor};
+use crate::geometry::resection::larger_covariance;
 use crate::geometry::{Body, Camera, Pose};
 
 /// Fewest pixels that a level is solved with.
@@ -154,6 +157,12 @@ impl Gauge {
     }
 }
 
+/// The upper median; `None` of nothing. The values are left in another order.
+fn median(values: &mut [f32]) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1))
+}
+
 /// Where the linearisation led.
 #[derive(Debug, Clone, Copy)]
 pub struct Corrected {
@@ -198,11 +207,35 @@ impl Work {
 
     /// Predicts all pixels.
     pub fn predict(&mut self, task: &Task, motion: &Motion) {
-        for &(surface, start, end) in &self.pixels.groups {
-            let range = start as usize..end as usize;
-            predict(&task.surfaces[surface as usize], motion, task.sensor, task.places(), &self.pixels, range, &mut self.appearance);
-        }
+        self.predict_all(task, motion);
         self.at = Some(*motion);
+    }
+
+    fn predict_all(&mut self, task: &Task, motion: &Motion) {
+        for &(surface, start, end) in &self.pixels.groups {
+            let surface = &task.surfaces[surface as usize];
+            let range = [start as usize, end as usize];
+            let what = Predicted { surface, motion, sensor: task.sensor, places: task.places(), pixels: &self.pixels, range };
+            predict(&what, &mut self.appearance);
+        }
+    }
+
+    /// Residuals of all runs in a light.
+    fn residuals_all(&mut self, noise: &Noise, light: &Light) {
+        self.light.clone_from(light);
+        for run in &self.pixels.runs {
+            let light = TileLight::new(light, self.pixels.grid.nodes_of(run.tile as usize));
+            residuals(&self.pixels, run, &self.appearance, &light, noise, &mut self.residuals);
+        }
+    }
+
+    /// The light that a run's residuals were taken in.
+    fn light_of(&self, run: &Run) -> TileLight {
+        TileLight::new(&self.light, self.pixels.grid.nodes_of(run.tile as usize))
+    }
+
+    fn view<'a>(&'a self, run: &'a Run, light: &'a TileLight) -> RunView<'a> {
+        RunView { pixels: &self.pixels, run, appearance: &self.appearance, light, residuals: &self.residuals }
     }
 
     /// How far the picture moved since the prediction, pixels of the level; infinite where there is none.
@@ -215,7 +248,7 @@ impl Work {
         self.pixels.renew(task.level, frame.level(task.level));
     }
 
-    /// Solves the linearised problem, iteratively reweighted, and corrects the light. `looks`: reweightings; the first with weights
+    /// Solves the linearised problem, iteratively reweighted, and corrects the light. `passes`: reweightings; the first with weights
     /// that never vanish if `is_first`.
     pub fn solve(
         &mut self,
@@ -230,11 +263,7 @@ impl Work {
         let noise = task.noise();
         self.gauge(&noise);
         light.regrid(&self.pixels.grid);
-        self.light.clone_from(light);
-        for run in &self.pixels.runs {
-            let light = TileLight::new(light, self.pixels.grid.nodes_of(run.tile as usize));
-            residuals(&self.pixels, run, &self.appearance, &light, &noise, &mut self.residuals);
-        }
+        self.residuals_all(&noise, light);
         self.steps.clear();
         self.steps.resize(self.pixels.runs.len(), [0.0; COLUMNS]);
         let mut scale = self.scale();
@@ -250,8 +279,7 @@ impl Work {
             let weight = scale.powi(-2);
             for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
                 let nodes = self.pixels.grid.nodes_of(run.tile as usize);
-                let light = TileLight::new(light, nodes);
-                let sums = tile_sums(&self.pixels, run, &self.appearance, &light, &self.residuals, step, &weighing);
+                let sums = tile_sums(&self.view(run, &self.light_of(run)), step, &weighing);
                 system.add(&sums, nodes, &self.time(task, run), weight);
             }
             let step = system.solve()?;
@@ -279,21 +307,17 @@ impl Work {
 
     /// Robust standard deviation of the residuals that the last step left, in sigmas.
     fn scale(&mut self) -> f64 {
-        self.sorted.clear();
+        let mut squares = std::mem::take(&mut self.sorted);
+        squares.clear();
         for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
-            let light = TileLight::new(&self.light, self.pixels.grid.nodes_of(run.tile as usize));
-            for k in (run.start as usize..run.end as usize).step_by(SCALE_STRIDE) {
-                if self.residuals.information[k] > 0.0 {
-                    self.sorted.push(squared_after(&self.pixels, k, &self.appearance, &light, &self.residuals, step));
-                }
-            }
+            let light = self.light_of(run);
+            let view = self.view(run, &light);
+            let told = (run.start as usize..run.end as usize).step_by(SCALE_STRIDE).filter(|k| self.residuals.information[*k] > 0.0);
+            squares.extend(told.map(|k| squared_after(&view, k, step)));
         }
-        if self.sorted.is_empty() {
-            return 1.0;
-        }
-        let middle = self.sorted.len() / 2;
-        let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f32::total_cmp);
-        (f64::from(*median).sqrt() * 1.4826).max(0.7)
+        let scale = median(&mut squares).map_or(1.0, |middle| (middle.sqrt() * 1.4826).max(0.7));
+        self.sorted = squares;
+        scale
     }
 
     /// Compares every run with its prediction, whatever its gain and bias: closes those that show something else.
@@ -305,10 +329,8 @@ impl Work {
             self.sorted.push(gauge.correlation);
             self.gauges.push(gauge);
         }
-        let middle = self.sorted.len() / 2;
         // The better half at least: from a start that is off, nothing correlates well yet.
-        let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f32::total_cmp);
-        let least = LEAST_CORRELATION.min(*median);
+        let least = median(&mut self.sorted).map_or(LEAST_CORRELATION, |middle| LEAST_CORRELATION.min(middle as f32));
         for gauge in &mut self.gauges {
             gauge.is_open = gauge.correlation >= least;
         }
@@ -319,22 +341,15 @@ impl Work {
         self.gauge(&task.noise());
         self.sorted.clear();
         self.sorted.extend(self.gauges.iter().filter(|g| g.is_open && g.correlation > TELLING_CORRELATION).map(|g| g.bias));
-        if self.sorted.len() >= 6 {
-            let middle = self.sorted.len() / 2;
-            let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f32::total_cmp);
-            light.bias = f64::from(*median).clamp(-LARGEST_BIAS, LARGEST_BIAS);
+        if let Some(bias) = median(&mut self.sorted).filter(|_| self.sorted.len() >= 6) {
+            light.bias = bias.clamp(-LARGEST_BIAS, LARGEST_BIAS);
         }
         light.spread = spread;
         let bias = light.bias;
         let gain = |g: &Gauge| ((f64::from(g.seen) - bias) / f64::from(g.predicted.max(1.0))).clamp(0.02, 20.0);
         self.sorted.clear();
         self.sorted.extend(self.gauges.iter().filter(|g| g.is_open).map(|g| gain(g) as f32));
-        if self.sorted.is_empty() {
-            return;
-        }
-        let middle = self.sorted.len() / 2;
-        let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f32::total_cmp);
-        let usual = f64::from(*median);
+        let Some(usual) = median(&mut self.sorted) else { return };
         light.regrid(&self.pixels.grid);
         // Each node from the open tiles that touch it, and a little of what is usual.
         self.node_weights.clear();
@@ -380,36 +395,26 @@ impl Work {
                 self.pixels.y[k] = y - self.pixels.y_across[k] * su - self.pixels.y_down[k] * sv;
             }
         }
-        for &(surface, start, end) in &self.pixels.groups {
-            let range = start as usize..end as usize;
-            predict(&task.surfaces[surface as usize], motion, task.sensor, task.places(), &self.pixels, range, &mut self.appearance);
-        }
-        let noise = task.noise();
-        self.light.clone_from(light);
+        self.predict_all(task, motion);
+        self.residuals_all(&task.noise(), light);
         self.steps.fill([0.0; COLUMNS]);
-        for run in &self.pixels.runs {
-            let light = TileLight::new(light, self.pixels.grid.nodes_of(run.tile as usize));
-            residuals(&self.pixels, run, &self.appearance, &light, &noise, &mut self.residuals);
-        }
         let weighing = Weighing { scale: self.scale(), is_first_look: false };
-        for (e, run) in self.evidence.iter_mut().zip(&self.pixels.runs) {
-            let light = TileLight::new(light, self.pixels.grid.nodes_of(run.tile as usize));
-            let still = [0.0; COLUMNS];
-            *e = evidence(&self.pixels, run, &self.appearance, &light, &self.residuals, &still, &weighing);
+        let mut seen = std::mem::take(&mut self.evidence);
+        for (e, run) in seen.iter_mut().zip(&self.pixels.runs) {
+            *e = evidence(&self.view(run, &self.light_of(run)), &[0.0; COLUMNS], &weighing);
         }
+        self.evidence = seen;
     }
 
     /// Where the middle of a run's detail lies on its surface, metres from the centre.
     pub fn middle_on_surface(&self, run: &Run, e: &RunEvidence, surface: &AlignSurface, motion: &Motion) -> Option<Vector2<f64>> {
-        // Rays vary linearly over a tile to a hundredth of a pixel: the mean of the pixels' rays would do; the one nearest is exact.
+        // The pixel nearest to the middle stands for it: its ray is known exactly.
         let [weight, u, v] = e.place;
         let (u, v) = (u / weight, v / weight);
         let range = run.start as usize..run.end as usize;
-        let width = self.pixels.width as f64;
         let off = |k: &usize| {
-            let index = f64::from(self.pixels.index[*k]);
-            let (pu, pv) = (index % width, (index / width).floor());
-            (pu - u).powi(2) + (pv - v).powi(2)
+            let [column, row] = self.pixels.place(*k);
+            (column as f64 - u).powi(2) + (row as f64 - v).powi(2)
         };
         let k = range.min_by(|a, b| off(a).total_cmp(&off(b)))?;
         let ray = Vector3::new(f64::from(self.pixels.x[k]), f64::from(self.pixels.y[k]), 1.0);
@@ -428,21 +433,24 @@ impl Work {
         let noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
         let weight = solved.scale.powi(-2);
         let mut votes = Matrix6::zeros();
-        self.evidence.clear();
+        let mut seen = std::mem::take(&mut self.evidence);
+        seen.clear();
         let mut n = 0.0;
         for ((run, step), gauge) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges) {
-            let nodes = self.pixels.grid.nodes_of(run.tile as usize);
-            let light = TileLight::new(&self.light, nodes);
+            let light = self.light_of(run);
+            let view = self.view(run, &light);
             if gauge.is_open {
-                let sums = tile_sums(&self.pixels, run, &self.appearance, &light, &self.residuals, step, &weighing);
+                let sums = tile_sums(&view, step, &weighing);
+                let nodes = self.pixels.grid.nodes_of(run.tile as usize);
                 let vote = system.vote(&sums, step, nodes, &self.time(task, run), weight);
                 votes += vote * vote.transpose();
                 n += 1.0;
             }
-            self.evidence.push(evidence(&self.pixels, run, &self.appearance, &light, &self.residuals, step, &weighing));
+            seen.push(evidence(&view, step, &weighing));
         }
+        self.evidence = seen;
         let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
-        let honest = honest_covariance(&noise, &(votes * factor))?;
+        let honest = larger_covariance(&noise, &(votes * factor))?;
         // A camera that starts or stops in the middle of the exposure is seen an eighth of it from where its stamp says, per unit of speed.
         let started = covariance.fixed_view::<6, 6>(6, 6) * (task.sensor.exposure_s / 8.0).powi(2);
         Some((MotionEstimate { motion: solved.motion, covariance }, honest + started))
