@@ -26,6 +26,8 @@ pub struct TwoView {
 const LEAST_FOR_HOMOGRAPHY: usize = 12;
 /// Baseline below which the essential matrix says nothing, as a share of the distance.
 const LEAST_BASELINE: f64 = 0.01;
+/// Share of the correspondences that a motion near the metric pose must explain to be taken.
+const CLEAR_SHARE: f64 = 0.8;
 /// Five-point samples, and models kept for refinement.
 const SAMPLES: usize = 12;
 const KEPT: usize = 6;
@@ -97,14 +99,25 @@ fn first_surface_homography(body: &PreparedBody, anchors: &[FittedAnchor], camer
     }
 }
 
-/// The motion from the correspondences: five-point samples and their refinement. A flat scene allows two motions; where both
-/// explain the pairs alike, the one nearer to the metric pose (whose plane is known) is the true one.
+/// The motion from the correspondences: refined from the metric pose; where that does not explain most of them, five-point samples and
+/// their refinement. A flat scene allows two motions; where both explain the pairs alike, the one nearer to the metric pose (whose plane
+/// is known) is the true one.
 fn estimate_motion(pairs: &[RayPair], metric: &Pose<Camera, ReferenceCamera>, sigma: f64, seed: u64) -> Option<(TwoViewMotion, usize)> {
     if pairs.len() < 8 {
         return None;
     }
     let threshold = 4.0 * sigma;
     let known = TwoViewMotion { rotation: metric.rotation, direction: metric.translation.normalize() };
+    let agreeing = |m: &TwoViewMotion| {
+        let e = m.essential();
+        let agrees = |p: &&RayPair| squared_sampson(&e, p) < threshold * threshold && depths(m, p).is_none_or(|(a, b)| a > 0.0 && b > 0.0);
+        pairs.iter().filter(agrees).count()
+    };
+    let near = refine_motion(&known, pairs, sigma, 12);
+    let agreeing_near = agreeing(&near);
+    if agreeing_near as f64 >= CLEAR_SHARE * pairs.len() as f64 {
+        return Some((near, agreeing_near));
+    }
     let mut starts: Vec<TwoViewMotion> = robust_essential(pairs, threshold, SAMPLES, KEPT, seed)
         .iter()
         .filter_map(|e| motion_by_cheirality(e, pairs))
@@ -124,9 +137,7 @@ fn estimate_motion(pairs: &[RayPair], metric: &Pose<Camera, ReferenceCamera>, si
         .into_iter()
         .filter(|(c, _)| *c <= alike)
         .min_by(|(_, a), (_, b)| a.rotation.angle_to(&known.rotation).total_cmp(&b.rotation.angle_to(&known.rotation)))?;
-    let e = best.essential();
-    let agrees = |p: &&RayPair| squared_sampson(&e, p) < threshold * threshold && depths(&best, p).is_none_or(|(a, b)| a > 0.0 && b > 0.0);
-    Some((best, pairs.iter().filter(agrees).count()))
+    Some((best, agreeing(&best)))
 }
 
 /// Torr's GRIC ("Geometric robust information criterion", 1998) of both models over all pairs; true when the essential

@@ -47,17 +47,18 @@ impl Alignment {
 
     /// Whether the pose may be given: clearly right, or less clearly where it was expected.
     pub fn is_credible(&self, is_expected: bool) -> bool {
-        let continues = is_expected && self.share() >= CONTINUED_SHARE && self.surprise < LARGEST_SURPRISE;
+        let continues = is_expected && self.share() >= CONTINUED_SHARE && self.surprise < LARGEST_SURPRISE && self.scale < CONTINUED_SCALE;
         self.agreeing >= LEAST_TILES && (self.share() >= NEW_SHARE || continues)
     }
 }
 
 /// Fewest agreeing tiles of a pose that is given; their least share of those with detail: of any pose, and of one that is where the
-/// motion filter expected it (by less than this surprise). Right and wrong poses over many starts: docs/alignment.md.
+/// motion filter expected it (by less than this surprise, with residuals of what takes part no larger than these sigmas). Right and wrong poses over many starts: docs/alignment.md.
 const LEAST_TILES: usize = 8;
 const NEW_SHARE: f64 = 0.5;
 const CONTINUED_SHARE: f64 = 0.12;
 const LARGEST_SURPRISE: f64 = 100.0;
+const CONTINUED_SCALE: f64 = 2.5;
 /// Tiles and their agreeing share that leave no doubt.
 const CONCLUSIVE_TILES: usize = 40;
 const CONCLUSIVE_SHARE: f64 = 0.7;
@@ -77,9 +78,12 @@ pub struct Patch {
     pub tile: u32,
 }
 
-/// Pixels asked at each level, from full size down; at the finest one under motion blur, whose prediction costs more.
-const PIXELS: [usize; LEVELS] = [30_000, 30_000, 4000, 1500];
-const BLURRED_PIXELS: usize = 15_000;
+/// Pixels asked at each level, from full size down, of a frame 1280 pixels wide; wider ones are asked more.
+const PIXELS: [usize; LEVELS] = [10_000, 10_000, 4000, 1500, 500];
+const USUAL_WIDTH_PX: f64 = 1280.0;
+/// Looks across a pixel, and across one whose prediction is kept.
+const SIDE: usize = 3;
+const KEPT_SIDE: usize = 5;
 /// Pixels asked while nothing moves: their prediction is kept from frame to frame.
 const STILL_PIXELS: usize = 100_000;
 /// Exposure that an unknown camera is begun with, seconds.
@@ -97,11 +101,14 @@ const BLURRED_SPREAD_SIGMA: f64 = 0.05;
 /// An unknown exposure is learnt from frames with at least so much blur, pixels of the frame, by this share of what each says.
 const TELLING_BLUR_PX: f64 = 1.5;
 const LEARNT_SHARE: f64 = 0.2;
-/// Linearisations of a level at most.
-const ROUNDS: usize = 8;
+/// Linearisations of a level at most: of the levels above the finest, and of that.
+const COARSE_ROUNDS: usize = 8;
+const FINE_ROUNDS: usize = 16;
 /// A level is left when a step moved no tile by more, pixels of the level.
 const COARSE_STEP_PX: f64 = 0.1;
 const FINE_STEP_PX: f64 = 0.03;
+/// A pose that still moves by more than this at the end is none, pixels of the level.
+const LARGEST_LAST_STEP_PX: f64 = 0.15;
 /// Patches are followed while they are further off than this on average, pixels of the level, so many times at most.
 const SMALL_SHIFT_PX: f64 = 0.05;
 const PATCH_ROUNDS: usize = 3;
@@ -111,8 +118,18 @@ const LEAST_PATCH_PIXELS: f64 = 12.0;
 const FINEST: usize = 1;
 /// A level converges from this many of its pixels off.
 const BASIN_PX: f64 = 2.5;
-/// Blur of less than this is none, pixels of the level.
-const SHARP_PX: f64 = 0.4;
+/// The finest level's pixels are chosen with the pose known to this, pixels of the level: seen from a pose that is off they lie beside
+/// their edges, all on one side, where every error of the point spread pulls the same way.
+const CHOSEN_PX: f64 = 0.25;
+/// Starts were lately off by at most so many times what is remembered of them; that fades by this share a frame.
+const LATELY_OFF: f64 = 2.0;
+const OFF_FADES: f64 = 0.8;
+/// What is remembered at first, pixels of the frame.
+const FIRST_OFF_PX: f64 = 40.0;
+/// A body that was aligned from nearby is looked for from further off where its residuals are larger than this, sigmas, or fewer of its
+/// tiles take part than this share of what did in the last frame.
+const CLOSE_SCALE: f64 = 2.0;
+const CLOSE_SHARE: f64 = 0.8;
 /// A prediction is kept for the next frame while nothing moved by more, pixels of the level.
 const KEPT_PX: f64 = 0.05;
 
@@ -134,6 +151,10 @@ pub struct Aligner {
     system: System,
     /// Whether the finest level holds the pixels of a still camera.
     has_kept: bool,
+    /// How far starts were off lately, pixels of the frame.
+    off_px: f64,
+    /// Share of the tiles that took part in the last frame.
+    open_share: f64,
     /// How far off each run of the finest level is shown, pixels of the level.
     shifts: Vec<Vector2<f64>>,
 }
@@ -155,6 +176,8 @@ impl Aligner {
             fine: Work::default(),
             system: System::default(),
             has_kept: false,
+            off_px: FIRST_OFF_PX,
+            open_share: 0.0,
             shifts: Vec::new(),
         }
     }
@@ -167,17 +190,14 @@ impl Aligner {
         let known = Expected { motion: &expected.motion, information: &information, spread: self.spread, spread_sigma };
         let solved = match self.same_again(frame, eye, &known) {
             Some(solved) => solved,
-            None => {
-                let coarse = self.coarse_motion(frame, eye, &known, expected)?;
-                self.fine_motion(frame, eye, &known, coarse)?
-            }
+            None => self.settle(frame, eye, &known, expected)?,
         };
         self.conclude(eye, &solved, expected)
     }
 
     /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels.
     fn same_again(&mut self, frame: &FrameLevels, eye: &Eye, known: &Expected) -> Option<Corrected> {
-        let task = Task { count: STILL_PIXELS, ..task(&self.surfaces, &self.sensor, eye, FINEST, known.motion) };
+        let task = Task { count: STILL_PIXELS, side: KEPT_SIDE, ..task(&self.surfaces, &self.sensor, eye, FINEST, known.motion) };
         if self.fine.moved_since(&task, known.motion) > KEPT_PX {
             self.has_kept = false;
             return None;
@@ -250,62 +270,78 @@ impl Aligner {
         }
     }
 
-    fn coarse_motion(&mut self, frame: &FrameLevels, eye: &Eye, known: &Expected, expected: &MotionEstimate) -> Option<Motion> {
-        let mut motion = expected.motion;
+    /// Aligns from the level whose basin holds what starts were off by lately; where that is not clearly right, from the one that holds
+    /// all that is uncertain.
+    fn settle(&mut self, frame: &FrameLevels, eye: &Eye, known: &Expected, expected: &MotionEstimate) -> Option<Corrected> {
+        let far = level_for(self.uncertain_px(eye, expected)).max(FINEST + 1);
+        let near = level_for(LATELY_OFF * self.off_px).min(far);
+        let light = self.light.clone();
+        let found = self.descend(frame, eye, known, near);
+        let is_close = found.is_some_and(|f| f.scale < CLOSE_SCALE) && self.fine.open_share() > CLOSE_SHARE * self.open_share;
+        let found = if is_close || near == far {
+            found
+        } else {
+            self.light = light;
+            self.descend(frame, eye, known, far)
+        }?;
+        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &found.motion);
+        let off_px = task.moved_px(known.motion, &found.motion) * f64::from(1u32 << FINEST);
+        self.off_px = off_px.max(OFF_FADES * self.off_px);
+        self.open_share = self.fine.open_share();
+        Some(found)
+    }
+
+    /// From coarse to fine.
+    fn descend(&mut self, frame: &FrameLevels, eye: &Eye, known: &Expected, from: usize) -> Option<Corrected> {
+        self.has_kept = false;
+        let mut motion = *known.motion;
         let mut is_first = true;
-        for l in (FINEST + 1..=self.start_level(eye, expected)).rev() {
+        for l in (FINEST..=from).rev() {
+            let is_finest = l == FINEST;
             let task = task(&self.surfaces, &self.sensor, eye, l, &motion);
-            if !self.coarse.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
+            let work = if is_finest { &mut self.fine } else { &mut self.coarse };
+            if !work.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
                 continue;
             }
-            for _ in 0..ROUNDS {
-                self.coarse.predict(&task, &motion);
+            let (rounds, small_px) = if is_finest { (FINE_ROUNDS, FINE_STEP_PX) } else { (COARSE_ROUNDS, COARSE_STEP_PX) };
+            let mut last = None;
+            let mut chosen_at = motion;
+            for _ in 0..rounds {
+                work.predict(&task, &motion);
                 if is_first {
-                    self.coarse.guess_light(&task, &mut self.light, self.spread);
+                    work.guess_light(&task, &mut self.light, self.spread);
                 }
                 let passes = if is_first { 3 } else { 2 };
-                let solved = self.coarse.solve(&task, known, &mut self.light, &mut self.system, is_first, passes)?;
+                let solved = work.solve(&task, known, &mut self.light, &mut self.system, is_first, passes)?;
                 is_first = false;
-                let moved = self.coarse.moved_px(&task, &motion, &solved.motion);
-                tracing::trace!(level = l, moved, pixels = self.coarse.pixels.len());
+                let moved = work.moved_px(&task, &motion, &solved.motion);
+                tracing::trace!(level = l, moved, pixels = work.pixels.len(), scale = solved.scale, open = work.open_share());
                 motion = solved.motion;
-                if moved < COARSE_STEP_PX {
+                last = Some(solved).filter(|_| moved < LARGEST_LAST_STEP_PX);
+                if moved < small_px {
                     break;
                 }
+                if is_finest && work.moved_px(&task, &chosen_at, &motion) > CHOSEN_PX {
+                    chosen_at = motion;
+                    if !work.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
+                        return None;
+                    }
+                }
+            }
+            if is_finest {
+                return last;
             }
         }
-        Some(motion)
+        None
     }
 
-    fn fine_motion(&mut self, frame: &FrameLevels, eye: &Eye, known: &Expected, mut motion: Motion) -> Option<Corrected> {
-        self.has_kept = false;
-        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &motion);
-        if !self.fine.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
-            return None;
-        }
-        let mut last = None;
-        for _ in 0..ROUNDS {
-            self.fine.predict(&task, &motion);
-            let solved = self.fine.solve(&task, known, &mut self.light, &mut self.system, false, 2)?;
-            let moved = self.fine.moved_px(&task, &motion, &solved.motion);
-            tracing::trace!(level = FINEST, moved, pixels = self.fine.pixels.len());
-            motion = solved.motion;
-            last = Some(solved);
-            if moved < FINE_STEP_PX {
-                break;
-            }
-        }
-        last
-    }
-
-    /// The level whose basin holds what is uncertain about the start.
-    fn start_level(&self, eye: &Eye, expected: &MotionEstimate) -> usize {
+    /// How far off the start may be in the frame, two sigmas, pixels.
+    fn uncertain_px(&self, eye: &Eye, expected: &MotionEstimate) -> f64 {
         let focal = eye.camera.intrinsics().fx;
         let distance = self.distance(&expected.motion.pose);
         let c = &expected.covariance;
         let sigma = |k: usize| (c[(k, k)] + c[(k + 1, k + 1)] + c[(k + 2, k + 2)]).max(0.0).sqrt();
-        let off_px = 2.0 * focal * (sigma(3).min(1.0) + sigma(0) / distance);
-        (1..LEVELS).find(|l| BASIN_PX * f64::from(1u32 << l) > off_px).unwrap_or(LEVELS - 1).max(2)
+        2.0 * focal * (sigma(3).min(1.0) + sigma(0) / distance)
     }
 
     /// Distance to the nearest surface's centre, metres.
@@ -338,6 +374,14 @@ impl Aligner {
     }
 }
 
+/// The finest level whose basin holds a start this many pixels of the frame off; the coarsest if none does.
+fn level_for(off_px: f64) -> usize {
+    if off_px < CHOSEN_PX * f64::from(1u32 << FINEST) {
+        return FINEST;
+    }
+    (FINEST + 1..LEVELS).find(|l| BASIN_PX * f64::from(1u32 << l) > off_px).unwrap_or(LEVELS - 1)
+}
+
 /// See [`Alignment::surprise`].
 fn surprise(expected: &MotionEstimate, found: &Motion) -> f64 {
     let error = expected.motion.error_to(found).fixed_rows::<6>(0).into_owned();
@@ -347,12 +391,11 @@ fn surprise(expected: &MotionEstimate, found: &Motion) -> f64 {
 
 /// What a level has to do at a motion.
 fn task<'a>(surfaces: &'a [AlignSurface], sensor: &'a Sensor, eye: &'a Eye, level: usize, motion: &Motion) -> Task<'a> {
-    let mut task = Task { surfaces, eye, sensor, level, is_finest: level == FINEST, count: PIXELS[level], blur_px: 0.0 };
+    let wider = (f64::from(eye.camera.width()) / USUAL_WIDTH_PX).max(1.0);
+    let count = (PIXELS[level] as f64 * wider) as usize;
+    let mut task = Task { surfaces, eye, sensor, level, is_finest: level == FINEST, count, blur_px: 0.0, side: SIDE };
     let half = 0.5 * sensor.exposure_s;
     task.blur_px = task.moved_px(&motion.after(-half), &motion.after(half));
-    if level == FINEST && task.blur_px > SHARP_PX {
-        task.count = BLURRED_PIXELS;
-    }
     task
 }
 

@@ -13,9 +13,7 @@ use super::motion::Motion;
 use super::pixels::Pixels;
 use super::{AlignSurface, Sensor};
 
-/// Looks across a sharp pixel: of a surface seen from in front, and of one tilted beyond this cosine, whose texels lie closer along
-/// one direction.
-const SIDE: usize = 3;
+/// Fewest looks across a sharp pixel of a surface tilted beyond this cosine, whose texels lie closer along one direction.
 const TILTED_SIDE: usize = 5;
 const TILTED_COSINE: f64 = 0.6;
 /// Under blur, the outer two of three looks at each place are so far from the middle across and down: their variance is
@@ -74,7 +72,7 @@ struct View {
 }
 
 impl View {
-    fn new(surface: &AlignSurface, motion: &Motion, exposure_s: f64) -> Self {
+    fn new(surface: &AlignSurface, motion: &Motion, exposure_s: f64, side: usize) -> Self {
         let rt = surface.rotation.transpose();
         let turn = motion.rotation_polynomial().map(|r| rt * r);
         let [p0, p1, p2] = motion.centre_polynomial();
@@ -87,7 +85,7 @@ impl View {
             (false, true) => TILTED_TEXEL_LOG2,
         };
         Self {
-            side: if is_tilted { TILTED_SIDE } else { SIDE },
+            side: if is_tilted { TILTED_SIDE.max(side) } else { side },
             rotation: std::array::from_fn(|k| std::array::from_fn(|power| turn[power][(k / 3, k % 3)] as f32)),
             centre: std::array::from_fn(|k| std::array::from_fn(|power| centre[power][k] as f32)),
             to_body: std::array::from_fn(|k| surface.rotation[(k / 3, k % 3)] as f32),
@@ -111,6 +109,8 @@ pub struct Predicted<'a> {
     pub sensor: &'a Sensor,
     /// Places along the blur that are looked at; 1 for none, else odd.
     pub places: usize,
+    /// Looks across a sharp pixel, odd; surfaces that are tilted get [`TILTED_SIDE`] at least.
+    pub side: usize,
     /// The pixels of the level.
     pub pixels: &'a Pixels,
     /// First of these, and one beyond the last: whole lanes.
@@ -193,9 +193,9 @@ fn level_for<L: Lanes>(surface: &AlignSurface, view: &View, by_pixel: &[L; 4]) -
     }
 }
 
-/// Adds a look at picture pixel (u, v): grey and its gradient by texels of the level.
+/// The grey at picture pixel (u, v).
 #[inline(always)]
-fn add_look<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, u: L, v: L, sums: &mut [L; 3]) {
+fn look<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, u: L, v: L) -> L {
     let (half, zero) = (L::splat(0.5), L::splat(0.0));
     let u = u.add(half).mul_add(level.scale, L::splat(-0.5)).max(zero).min(level.last_column);
     let v = v.add(half).mul_add(level.scale, L::splat(-0.5)).max(zero).min(level.last_row);
@@ -203,12 +203,9 @@ fn add_look<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, u: L, v: L, sums: &m
     let (a, b) = (u.sub(i), v.sub(j));
     let address = L::address(j.to_index(), level.stride, i.to_index(), level.base);
     let [q00, q10, q01, q11] = L::gather_corners(texels, address, level.stride);
-    let (top, bottom) = (q10.sub(q00), q11.sub(q01));
-    let upper = top.mul_add(a, q00);
-    let down = bottom.mul_add(a, q01).sub(upper);
-    sums[0] = sums[0].add(down.mul_add(b, upper));
-    sums[1] = sums[1].add(bottom.sub(top).mul_add(b, top));
-    sums[2] = sums[2].add(down);
+    let upper = q10.sub(q00).mul_add(a, q00);
+    let lower = q11.sub(q01).mul_add(a, q01);
+    lower.sub(upper).mul_add(b, upper)
 }
 
 #[inline(always)]
@@ -240,30 +237,55 @@ fn footprint<L: Lanes>(view: &View, a: &[L; 9], middle: &Hit<L>, pixels: &Pixels
     [ux.mul_add(xu, uy.mul(yu)), ux.mul_add(xv, uy.mul(yv)), vx.mul_add(xu, vy.mul(yu)), vx.mul_add(xv, vy.mul(yv))]
 }
 
-/// `side` x `side` looks at a sharp pixel: the sums, and the middle look's grey.
-#[inline(always)]
-fn sharp_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4], side: usize) -> ([L; 3], L) {
-    let mut sums = [L::splat(0.0); 3];
-    let mut centre = sums[0];
-    for j in 0..side {
-        let y = L::splat((j as f32 + 0.5) / side as f32 - 0.5);
-        let (u, v) = (by_pixel[1].mul_add(y, middle[0]), by_pixel[3].mul_add(y, middle[1]));
-        for i in 0..side {
-            let x = L::splat((i as f32 + 0.5) / side as f32 - 0.5);
-            let before = sums[0];
-            add_look(texels, level, by_pixel[0].mul_add(x, u), by_pixel[2].mul_add(x, v), &mut sums);
-            if 2 * i + 1 == side && 2 * j + 1 == side {
-                centre = sums[0].sub(before);
-            }
-        }
-    }
-    (sums, centre)
+/// What a pixel's looks come to. Gradients are slopes over the looks: slopes inside single texels change from texel to texel, and their
+/// scatter would pass for information.
+struct Looked<L> {
+    grey: L,
+    spread: L,
+    sharper: L,
+    /// By pixels of the level.
+    across: L,
+    down: L,
 }
 
-/// Three looks at each of `places` along the blur, on alternating diagonals: the sums, the greys of the middle looks, and the grey at
-/// the middle place.
+/// `side` x `side` looks at a sharp pixel.
 #[inline(always)]
-fn blurred_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, path: [[L; 2]; 3], by_pixel: &[L; 4], places: usize) -> ([L; 3], L, L) {
+fn sharp_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4], side: usize) -> Looked<L> {
+    let zero = L::splat(0.0);
+    let (mut sum, mut centre, mut across, mut down) = (zero, zero, zero, zero);
+    let mut squares = 0.0;
+    for j in 0..side {
+        let y = (j as f32 + 0.5) / side as f32 - 0.5;
+        let (u, v) = (by_pixel[1].mul_add(L::splat(y), middle[0]), by_pixel[3].mul_add(L::splat(y), middle[1]));
+        let mut row = zero;
+        for i in 0..side {
+            let x = (i as f32 + 0.5) / side as f32 - 0.5;
+            let grey = look(texels, level, by_pixel[0].mul_add(L::splat(x), u), by_pixel[2].mul_add(L::splat(x), v));
+            row = row.add(grey);
+            across = grey.mul_add(L::splat(x), across);
+            if 2 * i + 1 == side && 2 * j + 1 == side {
+                centre = grey;
+            }
+        }
+        sum = sum.add(row);
+        down = row.mul_add(L::splat(y), down);
+        squares += side as f32 * y * y;
+    }
+    let looks = (side * side) as f32;
+    let grey = sum.mul(L::splat(1.0 / looks));
+    Looked {
+        grey,
+        // Mean of the outer looks less the middle one.
+        spread: grey.sub(centre).mul(L::splat(looks / (looks - 1.0))),
+        sharper: zero,
+        across: across.mul(L::splat(1.0 / squares)),
+        down: down.mul(L::splat(1.0 / squares)),
+    }
+}
+
+/// Three looks at each of `places` (odd, 3 at least) along the blur, on alternating diagonals.
+#[inline(always)]
+fn blurred_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, path: [[L; 2]; 3], by_pixel: &[L; 4], places: usize) -> Looked<L> {
     let [first, middle, last] = path;
     let half = L::splat(0.5);
     let slope = [last[0].sub(first[0]).mul(half), last[1].sub(first[1]).mul(half)];
@@ -273,30 +295,43 @@ fn blurred_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, path: [[L; 2]; 
         [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)],
         [by_pixel[0].sub(by_pixel[1]).mul(step), by_pixel[2].sub(by_pixel[3]).mul(step)],
     ];
-    let mut sums = [L::splat(0.0); 3];
-    let (mut middles, mut unblurred) = (sums[0], sums[0]);
+    let zero = L::splat(0.0);
+    let (mut outer, mut middles, mut unblurred) = (zero, zero, zero);
+    let mut differences = [zero; 2];
     for n in 0..places {
         let e = L::splat((2.0 * n as f32 + 1.0) / places as f32 - 1.0);
         let u = bend[0].mul_add(e, slope[0]).mul_add(e, middle[0]);
         let v = bend[1].mul_add(e, slope[1]).mul_add(e, middle[1]);
         let [du, dv] = diagonals[n % 2];
-        let before = sums[0];
-        add_look(texels, level, u, v, &mut sums);
-        let centre = sums[0].sub(before);
+        let centre = look(texels, level, u, v);
+        let (ahead, behind) = (look(texels, level, u.add(du), v.add(dv)), look(texels, level, u.sub(du), v.sub(dv)));
         middles = middles.add(centre);
-        add_look(texels, level, u.add(du), v.add(dv), &mut sums);
-        add_look(texels, level, u.sub(du), v.sub(dv), &mut sums);
+        outer = outer.add(ahead.add(behind));
+        differences[n % 2] = differences[n % 2].add(ahead.sub(behind));
         if 2 * n + 1 == places {
             unblurred = centre;
         }
     }
-    (sums, middles, unblurred)
+    let grey = outer.add(middles).mul(L::splat(1.0 / (3.0 * places as f32)));
+    let middles = middles.mul(L::splat(1.0 / places as f32));
+    // Slopes along both diagonals: their half sum and half difference are those across and down.
+    let [falling, rising] = [differences[0], differences[1]];
+    let falling = falling.mul(L::splat(0.25 / (BLURRED_LOOK * places.div_ceil(2) as f32)));
+    let rising = rising.mul(L::splat(0.25 / (BLURRED_LOOK * (places / 2) as f32)));
+    Looked {
+        grey,
+        spread: grey.sub(middles).mul(L::splat(1.5)),
+        // Between middle looks alone: the outer ones lie on other diagonals from place to place.
+        sharper: unblurred.sub(middles),
+        across: falling.add(rising),
+        down: falling.sub(rising),
+    }
 }
 
 #[inline(always)]
 pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
-    let Predicted { surface, motion, sensor, places, pixels, range } = *what;
-    let view = &View::new(surface, motion, if places > 1 { sensor.exposure_s } else { 0.0 });
+    let Predicted { surface, motion, sensor, places, side, pixels, range } = *what;
+    let view = &View::new(surface, motion, if places > 1 { sensor.exposure_s } else { 0.0 }, side);
     let texels = &surface.texture.texels[..];
     let mut k = range[0];
     while k < range[1] {
@@ -305,42 +340,34 @@ pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
         let middle = hit(view, &a, x, y, t);
         let by_pixel = footprint(view, &a, &middle, pixels, k);
         let level = level_for(surface, view, &by_pixel);
-        let (grey, spread, sharper, sums, weight);
-        if places <= 1 {
-            let looks = (view.side * view.side) as f32;
-            let (all, centre) = sharp_looks(texels, &level, middle.texel, &by_pixel, view.side);
-            (sums, weight) = (all, L::splat(1.0 / looks));
-            grey = sums[0].mul(weight);
-            // Mean of the outer looks less the middle one.
-            spread = grey.sub(centre).mul(L::splat(looks / (looks - 1.0)));
-            sharper = L::splat(0.0);
+        let looked = if places <= 1 {
+            sharp_looks(texels, &level, middle.texel, &by_pixel, view.side)
         } else {
             let half = L::splat(view.half_exposure_s);
             let (before, after) = (t.sub(half), t.add(half));
             let first = hit(view, &rotation_at(view, before), x, y, before).texel;
             let last = hit(view, &rotation_at(view, after), x, y, after).texel;
-            let (all, middles, unblurred) = blurred_looks(texels, &level, [first, middle.texel, last], &by_pixel, places);
-            (sums, weight) = (all, L::splat(1.0 / (3.0 * places as f32)));
-            grey = sums[0].mul(weight);
-            let middles = middles.mul(L::splat(1.0 / places as f32));
-            spread = grey.sub(middles).mul(L::splat(1.5));
-            // Between middle looks alone: the outer ones lie on other diagonals from place to place.
-            sharper = unblurred.sub(middles);
-        }
-        // By pixels of the picture.
-        let (gu, gv) = (sums[1].mul(weight).mul(level.scale), sums[2].mul(weight).mul(level.scale));
-        let [uu, uv, vu, vv] = by_pixel;
-        put(&mut out.grey, k, grey);
-        put(&mut out.spread, k, spread);
-        put(&mut out.sharper, k, sharper);
-        put(&mut out.across, k, gu.mul_add(uu, gv.mul(vu)));
-        put(&mut out.down, k, gu.mul_add(uv, gv.mul(vv)));
-        let by_pose = by_pose(view, &a, &middle, [x, y], [gu, gv]);
+            blurred_looks(texels, &level, [first, middle.texel, last], &by_pixel, places)
+        };
+        put(&mut out.grey, k, looked.grey);
+        put(&mut out.spread, k, looked.spread);
+        put(&mut out.sharper, k, looked.sharper);
+        put(&mut out.across, k, looked.across);
+        put(&mut out.down, k, looked.down);
+        let by_pose = by_pose(view, &a, &middle, [x, y], by_texel(&by_pixel, looked.across, looked.down));
         for n in 0..6 {
             put(&mut out.by_pose[n], k, by_pose[n]);
         }
         k += LANES;
     }
+}
+
+/// The gradient by picture pixels from that by pixels of the level.
+#[inline(always)]
+fn by_texel<L: Lanes>(by_pixel: &[L; 4], across: L, down: L) -> [L; 2] {
+    let [uu, uv, vu, vv] = *by_pixel;
+    let inverse = L::splat(1.0).div(uu.mul(vv).sub(uv.mul(vu)));
+    [across.mul(vv).sub(down.mul(vu)).mul(inverse), down.mul(uu).sub(across.mul(uv)).mul(inverse)]
 }
 
 /// dP/dp = R_s q and dP/dθ = depth (ray x Aᵀ q), with q the gradient that moving the camera in the surface's frame shows.

@@ -38,7 +38,7 @@ fn scene() -> Scene {
     let surface = AlignSurface::new(&cloth(1));
     let sensor = Sensor { readout_s: 0.012, exposure_s: 0.01 };
     let table = eye.tables[1].as_ref().expect("levels above 0 have tables");
-    let choice = Choice { camera: &eye.camera, table, level: 1, sensor, blur_px: 0.0, mask: None, count: 3000 };
+    let choice = Choice { camera: &eye.camera, table, level: 1, sensor, blur_px: 0.0, count: 3000 };
     let mut chosen = Vec::new();
     Selector::default().choose(std::slice::from_ref(&surface), &motion, &choice, &mut chosen);
     assert!((2000..6000).contains(&chosen.len()), "{}", chosen.len());
@@ -56,8 +56,11 @@ fn appearance(scene: &Scene, motion: &Motion, places: usize) -> Appearance {
 
 fn predicted<'a>(scene: &'a Scene, motion: &'a Motion, places: usize) -> Predicted<'a> {
     let Scene { surface, sensor, pixels, .. } = scene;
-    Predicted { surface, motion, sensor, places, pixels, range: [0, pixels.len()] }
+    Predicted { surface, motion, sensor, places, side: 3, pixels, range: [0, pixels.len()] }
 }
+
+/// How far slopes over looks may be from the derivative.
+const SLOPE_ERROR: f64 = 0.04;
 
 /// Slope and correlation of `y` over `x`.
 fn line(x: &[f64], y: &[f64]) -> (f64, f64) {
@@ -79,8 +82,8 @@ fn derivatives_by_the_pose_agree_with_differences() {
             let differences: Vec<f64> = plus.grey.iter().zip(&minus.grey).map(|(p, m)| f64::from(p - m) / (2.0 * step[k])).collect();
             let derivatives: Vec<f64> = at.by_pose[k].iter().map(|v| f64::from(*v)).collect();
             let (slope, correlation) = line(&derivatives, &differences);
-            // Linear interpolation has kinks, so single pixels differ.
-            assert!((slope - 1.0).abs() < 0.01 && correlation > 0.99, "places {places}, {k}: {slope} {correlation}");
+            // Derivatives are slopes over a pixel's looks: of the finest detail they are some percent too steep.
+            assert!((slope - 1.0).abs() < SLOPE_ERROR && correlation > 0.99, "places {places}, {k}: {slope} {correlation}");
         }
     }
 }
@@ -97,7 +100,7 @@ fn velocity_acts_through_the_time_of_the_row() {
         let differences: Vec<f64> = plus.grey.iter().zip(&minus.grey).map(|(p, m)| f64::from(p - m) / (2.0 * step[6 + k])).collect();
         let derivatives: Vec<f64> = at.by_pose[k].iter().zip(&scene.pixels.delay_s).map(|(v, t)| f64::from(v * t)).collect();
         let (slope, correlation) = line(&derivatives, &differences);
-        assert!((slope - 1.0).abs() < 0.02 && correlation > 0.99, "{k}: {slope} {correlation}");
+        assert!((slope - 1.0).abs() < SLOPE_ERROR && correlation > 0.99, "{k}: {slope} {correlation}");
     }
 }
 
@@ -118,7 +121,7 @@ fn gradients_by_pixels_agree_with_differences() {
         let differences: Vec<f64> = plus.iter().zip(&minus).map(|(p, m)| f64::from(p - m) / 0.2).collect();
         let gradients: Vec<f64> = gradient.iter().map(|v| f64::from(*v)).collect();
         let (slope, correlation) = line(&gradients, &differences);
-        assert!((slope - 1.0).abs() < 0.01 && correlation > 0.99, "{slope} {correlation}");
+        assert!((slope - 1.0).abs() < SLOPE_ERROR && correlation > 0.99, "{slope} {correlation}");
     }
 }
 
@@ -146,7 +149,7 @@ fn the_plain_twin_sums_the_same_and_sums_are_products_of_the_columns() {
     let noise = Noise { dark: 0.6, per_grey: 0.01, model_px: 0.01 };
     let mut found = Residuals::default();
     found.resize(scene.pixels.len());
-    let weighing = Weighing { scale: 3.0, is_first_look: false };
+    let weighing = Weighing { scale: 3.0, is_first_look: false, stride: 1 };
     let mut step = [0.0; COLUMNS];
     step[7] = 0.5;
     for run in &scene.pixels.runs {
@@ -178,7 +181,7 @@ fn every_run_is_whole_and_no_pixel_comes_twice() {
     let away = Motion::still(crate::geometry::Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 3.0)));
     let eye = Eye::new(lens(480, 360), None);
     let table = eye.tables[1].as_ref().expect("levels above 0 have tables");
-    let choice = Choice { camera: &eye.camera, table, level: 1, sensor: scene.sensor, blur_px: 0.0, mask: None, count: 3000 };
+    let choice = Choice { camera: &eye.camera, table, level: 1, sensor: scene.sensor, blur_px: 0.0, count: 3000 };
     let mut chosen = Vec::new();
     Selector::default().choose(std::slice::from_ref(&scene.surface), &away, &choice, &mut chosen);
     assert!(chosen.is_empty());

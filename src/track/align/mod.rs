@@ -88,14 +88,13 @@ pub struct Eye {
     camera: CameraModel,
     /// Rays of levels 1 and up; of level 0 once a body needs it.
     tables: [Option<RayTable>; LEVELS],
-    mask: Option<GrayImage>,
 }
 
 impl Eye {
     /// Finds the rays of a camera's pixels. `mask`: pixels to leave out (0), of the frame's size.
     pub fn new(camera: CameraModel, mask: Option<GrayImage>) -> Self {
-        let tables = std::array::from_fn(|l| (l > 0).then(|| RayTable::new(&camera, l)));
-        Self { camera, tables, mask }
+        let tables = std::array::from_fn(|l| (l > 0).then(|| RayTable::new(&camera, l, mask.as_ref())));
+        Self { camera, tables }
     }
 
     /// The lens.

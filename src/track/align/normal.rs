@@ -44,6 +44,8 @@ pub struct Weighing {
     pub scale: f64,
     /// Weights that never vanish instead of Tukey's: for a start that may be far off.
     pub is_first_look: bool,
+    /// Of so many groups of [`LANES`] pixels one is summed: a rough step to take weights from needs no more.
+    pub stride: usize,
 }
 
 /// Per-pixel numbers that the step owns.
@@ -179,7 +181,7 @@ pub fn tile_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing
     let RunView { pixels, run, appearance, light, residuals } = *view;
     let (start, end) = (run.start as usize, run.end as usize);
     let mut sums = [L::splat(0.0); ENTRIES];
-    for k in (start..end).step_by(LANES) {
+    for k in (start..end).step_by(LANES * weighing.stride) {
         let n = (end - k).min(LANES);
         let (columns, _) = columns::<L>(pixels, appearance, light, k, n);
         let r = part::<L>(&residuals.grey, k, n);

@@ -29,29 +29,29 @@ pub struct TileGrid {
 }
 
 impl TileGrid {
-    fn covering(chosen: &[Chosen], width: usize) -> Self {
-        let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
+    fn covering(chosen: &[Chosen]) -> Self {
+        let (mut low, mut high) = ([u16::MAX; 2], [0; 2]);
         for c in chosen {
-            let p = [c.index as usize % width, c.index as usize / width];
             for k in 0..2 {
-                low[k] = low[k].min(p[k]);
-                high[k] = high[k].max(p[k]);
+                low[k] = low[k].min(c.place[k]);
+                high[k] = high[k].max(c.place[k]);
             }
         }
-        let size = [0, 1].map(|k| (high[k] + 1).saturating_sub(low[k]).max(1));
+        let size = [0, 1].map(|k| (usize::from(high[k]) + 1).saturating_sub(usize::from(low[k])).max(1));
         let count = [0, 1].map(|k| (size[k] / LEAST_TILE_PX / 2 * 2).clamp(2, MOST_TILES[k]));
-        Self { count, origin: low.map(|v| if v == usize::MAX { 0 } else { v }), size }
+        Self { count, origin: low.map(|v| if v == u16::MAX { 0 } else { usize::from(v) }), size }
     }
 
-    /// The tile of a pixel, and where it is in the cell of two by two tiles (0 to 1 across and down).
-    fn place(&self, u: usize, v: usize) -> (usize, [f32; 2]) {
-        let tile = [(u - self.origin[0]) * self.count[0] / self.size[0], (v - self.origin[1]) * self.count[1] / self.size[1]];
-        let part = |p: usize, k: usize| {
-            let cells = self.count[k] as f32 / 2.0;
-            ((p - self.origin[k]) as f32 + 0.5) / self.size[k] as f32 * cells
-        };
-        let (a, b) = (part(u, 0) - (tile[0] / 2) as f32, part(v, 1) - (tile[1] / 2) as f32);
-        (tile[1] * self.count[0] + tile[0], [a, b])
+    /// For each column (`axis` 0) or row (1) covered, from the first: its tile column or row, and where it is in the cell of two by two
+    /// tiles, 0 to 1.
+    fn places(&self, axis: usize, places: &mut Vec<(u16, f32)>) {
+        let (count, size) = (self.count[axis], self.size[axis]);
+        let cells = count as f32 / 2.0;
+        places.clear();
+        places.extend((0..size).map(|p| {
+            let tile = p * count / size;
+            (tile as u16, (p as f32 + 0.5) / size as f32 * cells - (tile / 2) as f32)
+        }));
     }
 
     /// Tiles in all.
@@ -135,46 +135,43 @@ pub struct Pixels {
     pub grid: TileGrid,
     /// Width of the level.
     pub width: usize,
-    places: Vec<u32>,
-    order: Vec<u32>,
+    /// See [`TileGrid::places`]; where the next pixel of each surface's tile goes.
+    columns: Vec<(u16, f32)>,
+    rows: Vec<(u16, f32)>,
+    next: Vec<u32>,
 }
 
 impl Pixels {
     /// Lays out a choice.
     pub fn arrange(&mut self, chosen: &[Chosen], surfaces: usize, source: &Source) {
         let Source { l, level, table, sensor, height } = *source;
-        let width = table.width;
-        self.width = width;
-        self.grid = TileGrid::covering(chosen, width);
-        self.sort(chosen, surfaces, width);
-        self.clear();
-        let order = std::mem::take(&mut self.order);
-        let tiles = self.grid.len();
+        self.width = table.width;
+        self.grid = TileGrid::covering(chosen);
+        self.grid.places(0, &mut self.columns);
+        self.grid.places(1, &mut self.rows);
+        self.make_room(chosen, surfaces);
         let to_grey = 1.0 / f32::from(1u16 << (2 * l));
-        let mut at = 0;
-        for surface in 0..surfaces {
-            let group_start = self.x.len();
-            for tile in 0..tiles {
-                let end = self.places[surface * tiles + tile] as usize;
-                let start = self.x.len() as u32;
-                for &k in &order[at..end] {
-                    let index = chosen[k as usize].index as usize;
-                    let (_, cell) = self.grid.place(index % width, index / width);
-                    let grey = f32::from(level.sums()[index]) * to_grey;
-                    let delay = sensor.delay_s(l, (index / width) as f64, height) as f32;
-                    self.push(index, table, delay, grey, cell);
-                }
-                at = end;
-                if self.x.len() as u32 > start {
-                    self.runs.push(Run { surface: surface as u32, tile: tile as u32, start, end: self.x.len() as u32 });
-                }
-            }
-            if self.x.len() > group_start {
-                self.pad();
-                self.groups.push((surface as u32, group_start as u32, self.x.len() as u32));
-            }
+        let [left, top] = self.grid.origin;
+        for c in chosen {
+            let [u, v] = c.place.map(usize::from);
+            let ((column, a), (row, b)) = (self.columns[u - left], self.rows[v - top]);
+            let next =
+                &mut self.next[usize::from(c.surface) * self.grid.len() + usize::from(row) * self.grid.count[0] + usize::from(column)];
+            let k = *next as usize;
+            *next += 1;
+            let index = v * table.width + u;
+            let ([x, y], slope) = (table.rays[index], table.slope(u, v));
+            let grey = f32::from(level.sums()[index]) * to_grey;
+            (self.x[k], self.y[k]) = (x, y);
+            (self.x_across[k], self.x_down[k]) = (slope.x_across, slope.x_down);
+            (self.y_across[k], self.y_down[k]) = (slope.y_across, slope.y_down);
+            self.delay_s[k] = sensor.delay_s(l, v as f64, height) as f32;
+            self.seen[k] = grey;
+            self.counts[k] = tells_something(grey);
+            (self.cell[0][k], self.cell[1][k]) = (a, b);
+            self.index[k] = index as u32;
         }
-        self.order = order;
+        self.pad();
     }
 
     /// Takes what another frame shows at the same pixels.
@@ -200,67 +197,59 @@ impl Pixels {
         self.x.len()
     }
 
-    fn sort(&mut self, chosen: &[Chosen], surfaces: usize, width: usize) {
+    /// Finds the runs and groups of a choice, and sizes the lists for them.
+    fn make_room(&mut self, chosen: &[Chosen], surfaces: usize) {
         let tiles = self.grid.len();
-        self.places.clear();
-        self.places.resize(surfaces * tiles, 0);
-        let key = |c: &Chosen| c.surface as usize * tiles + self.grid.place(c.index as usize % width, c.index as usize / width).0;
+        let [left, top] = self.grid.origin;
+        self.next.clear();
+        self.next.resize(surfaces * tiles, 0);
         for c in chosen {
-            self.places[key(c)] += 1;
+            let [u, v] = c.place.map(usize::from);
+            let tile = usize::from(self.rows[v - top].0) * self.grid.count[0] + usize::from(self.columns[u - left].0);
+            self.next[usize::from(c.surface) * tiles + tile] += 1;
         }
-        let mut sum = 0;
-        for count in &mut self.places {
-            sum += std::mem::replace(count, sum);
-        }
-        self.order.clear();
-        self.order.resize(chosen.len(), 0);
-        for (k, c) in chosen.iter().enumerate() {
-            let place = &mut self.places[key(c)];
-            self.order[*place as usize] = k as u32;
-            *place += 1;
-        }
-    }
-
-    fn clear(&mut self) {
-        let [a, b] = &mut self.cell;
-        let lists = [&mut self.x, &mut self.y, &mut self.x_across, &mut self.x_down, &mut self.y_across, &mut self.y_down];
-        for list in lists.into_iter().chain([&mut self.delay_s, &mut self.seen, &mut self.counts, a, b]) {
-            list.clear();
-        }
-        self.index.clear();
         self.runs.clear();
         self.groups.clear();
-    }
-
-    fn push(&mut self, index: usize, table: &RayTable, delay_s: f32, grey: f32, cell: [f32; 2]) {
-        let rays = &table.rays;
-        let [x, y] = rays[index];
-        let (left, right, above, below) = (rays[index - 1], rays[index + 1], rays[index - table.width], rays[index + table.width]);
-        self.x.push(x);
-        self.y.push(y);
-        self.x_across.push(0.5 * (right[0] - left[0]));
-        self.y_across.push(0.5 * (right[1] - left[1]));
-        self.x_down.push(0.5 * (below[0] - above[0]));
-        self.y_down.push(0.5 * (below[1] - above[1]));
-        self.delay_s.push(delay_s);
-        self.seen.push(grey);
-        self.counts.push(tells_something(grey));
-        self.cell[0].push(cell[0]);
-        self.cell[1].push(cell[1]);
-        self.index.push(index as u32);
-    }
-
-    /// Repeats the last pixel, unseen, up to whole lanes.
-    fn pad(&mut self) {
-        let Some(last) = self.x.len().checked_sub(1) else { return };
-        while !self.x.len().is_multiple_of(LANES) {
-            let [a, b] = &mut self.cell;
-            let lists = [&mut self.x, &mut self.y, &mut self.x_across, &mut self.x_down, &mut self.y_across, &mut self.y_down];
-            for list in lists.into_iter().chain([&mut self.delay_s, &mut self.seen, a, b]) {
-                list.push(list[last]);
+        let mut end = 0u32;
+        for surface in 0..surfaces {
+            let group_start = end;
+            for tile in 0..tiles {
+                let start = end;
+                end += std::mem::replace(&mut self.next[surface * tiles + tile], start);
+                if end > start {
+                    self.runs.push(Run { surface: surface as u32, tile: tile as u32, start, end });
+                }
             }
-            self.counts.push(0.0);
-            self.index.push(self.index[last]);
+            end = end.next_multiple_of(LANES as u32);
+            if end > group_start {
+                self.groups.push((surface as u32, group_start, end));
+            }
+        }
+        for list in self.lists() {
+            list.resize(end as usize, 0.0);
+        }
+        self.index.resize(end as usize, 0);
+    }
+
+    fn lists(&mut self) -> [&mut Vec<f32>; 11] {
+        let [a, b] = &mut self.cell;
+        let Self { x, y, x_across, x_down, y_across, y_down, delay_s, seen, counts, .. } = self;
+        [x, y, x_across, x_down, y_across, y_down, delay_s, seen, counts, a, b]
+    }
+
+    /// Repeats the last pixel of each surface, unseen, up to whole lanes.
+    fn pad(&mut self) {
+        for g in 0..self.groups.len() {
+            let (surface, _, end) = self.groups[g];
+            let last_run = self.runs.iter().rev().find(|r| r.surface == surface);
+            let Some(filled) = last_run.map(|r| r.end as usize) else { continue };
+            for list in self.lists() {
+                let value = list[filled - 1];
+                list[filled..end as usize].fill(value);
+            }
+            self.counts[filled..end as usize].fill(0.0);
+            let index = self.index[filled - 1];
+            self.index[filled..end as usize].fill(index);
         }
     }
 }

@@ -1,9 +1,26 @@
 //! The ray of every pixel, computed once per level of the frame: the exact inverse of the lens, so that no picture
 //! is ever undistorted.
 
+use image::GrayImage;
 use nalgebra::Vector2;
 
 use crate::camera::{CameraModel, Pixel};
+
+/// Side of the squares of pixels that share the derivatives of their rays: these shape a pixel's footprint, and change slowly.
+const SQUARE: usize = 8;
+
+/// Derivatives of a ray by pixels of the level.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RaySlope {
+    /// Of x, across.
+    pub x_across: f32,
+    /// Of x, down.
+    pub x_down: f32,
+    /// Of y, across.
+    pub y_across: f32,
+    /// Of y, down.
+    pub y_down: f32,
+}
 
 /// Rays through the pixel centres of one level.
 #[derive(Debug, Clone)]
@@ -14,18 +31,55 @@ pub struct RayTable {
     pub height: usize,
     /// (x, y) at depth 1, row by row; not a number where the lens has no ray.
     pub rays: Vec<[f32; 2]>,
+    slopes: Vec<RaySlope>,
+    squares_across: usize,
+    /// One bit a pixel: set where it may not be asked.
+    pub closed: Vec<u64>,
 }
 
 impl RayTable {
-    /// The rays of level `l` of a camera's frames (see [`frame_pixel`]).
-    pub fn new(camera: &CameraModel, l: usize) -> Self {
+    /// The rays of level `l` of a camera's frames (see [`frame_pixel`]). `mask`: pixels of the frame to leave out (0).
+    pub fn new(camera: &CameraModel, l: usize, mask: Option<&GrayImage>) -> Self {
         let (width, height) = (camera.width() as usize >> l, camera.height() as usize >> l);
-        let ray = |k: usize| {
-            let p = frame_pixel(l, (k % width) as f64, (k / width) as f64);
-            camera.unproject(Pixel(p)).map_or([f32::NAN; 2], |n| [n.0.x as f32, n.0.y as f32])
+        let ray = |u: f64, v: f64| camera.unproject(Pixel(frame_pixel(l, u, v))).map_or([f32::NAN; 2], |n| [n.0.x as f32, n.0.y as f32]);
+        let rays: Vec<[f32; 2]> = (0..width * height).map(|k| ray((k % width) as f64, (k / width) as f64)).collect();
+        let squares_across = width.div_ceil(SQUARE);
+        let slope = |k: usize| {
+            let middle = |n: usize, size: usize| ((n * SQUARE + SQUARE / 2).min(size.saturating_sub(2)).max(1)) as f64;
+            let (u, v) = (middle(k % squares_across, width), middle(k / squares_across, height));
+            let [left, right, above, below] = [ray(u - 1.0, v), ray(u + 1.0, v), ray(u, v - 1.0), ray(u, v + 1.0)];
+            RaySlope {
+                x_across: 0.5 * (right[0] - left[0]),
+                x_down: 0.5 * (below[0] - above[0]),
+                y_across: 0.5 * (right[1] - left[1]),
+                y_down: 0.5 * (below[1] - above[1]),
+            }
         };
-        Self { width, height, rays: (0..width * height).map(ray).collect() }
+        let slopes = (0..squares_across * height.div_ceil(SQUARE)).map(slope).collect();
+        let mut table = Self { width, height, rays, slopes, squares_across, closed: vec![0; (width * height).div_ceil(64)] };
+        for k in 0..width * height {
+            let (u, v) = (k % width, k / width);
+            let inside = u > 1 && v > 1 && u + 2 < width && v + 2 < height;
+            let slope = table.slope(u, v);
+            let is_known = (table.rays[k][0] + slope.x_across + slope.x_down).is_finite();
+            if !inside || !is_known || mask.is_some_and(|mask| is_masked(mask, l, u, v)) {
+                table.closed[k / 64] |= 1 << (k % 64);
+            }
+        }
+        table
     }
+
+    /// The derivatives at a pixel.
+    pub fn slope(&self, u: usize, v: usize) -> RaySlope {
+        self.slopes[v / SQUARE * self.squares_across + u / SQUARE]
+    }
+}
+
+/// Whether any frame pixel that the level's pixel covers is masked.
+fn is_masked(mask: &GrayImage, level: usize, u: usize, v: usize) -> bool {
+    let n = 1u32 << level;
+    let (x, y) = ((u as u32) << level, (v as u32) << level);
+    (0..n * n).any(|k| mask.get_pixel_checked(x + k % n, y + k / n).is_none_or(|p| p[0] == 0))
 }
 
 /// A level's pixel centre in pixels of the frame.

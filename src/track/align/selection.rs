@@ -4,7 +4,6 @@
 //! ones, so that they are spread over the frame as the stage is; each is put at its nearest pixel. The choice never
 //! looks at the camera's picture: what stands in front of the stage must not choose.
 
-use image::GrayImage;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use super::motion::Motion;
@@ -23,18 +22,17 @@ const LEAST_COSINE: f64 = 0.06;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Chosen {
     /// Surface index in the body.
-    pub surface: u32,
-    /// Row times width plus column, at the level.
-    pub index: u32,
+    pub surface: u16,
+    /// Column and row of the level.
+    pub place: [u16; 2],
 }
 
 /// Chooses pixels; keeps its buffers.
 #[derive(Debug, Default)]
 pub struct Selector {
     blocks: Vec<VisibleBlock>,
-    /// When each pixel of each level was last taken.
-    taken: [Vec<u32>; super::frame_levels::LEVELS],
-    turn: u32,
+    /// One bit a pixel of the level: set where it may not be asked, or is taken.
+    taken: Vec<u64>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -56,7 +54,7 @@ struct VisibleBlock {
 pub struct Choice<'a> {
     /// The lens.
     pub camera: &'a CameraModel,
-    /// Rays of the level; pixels without one are left out.
+    /// Rays of the level; pixels closed there are left out.
     pub table: &'a RayTable,
     /// The level.
     pub level: usize,
@@ -64,8 +62,6 @@ pub struct Choice<'a> {
     pub sensor: Sensor,
     /// Length of the motion blur, pixels of the level.
     pub blur_px: f64,
-    /// Pixels to leave out (0), in full frame size.
-    pub mask: Option<&'a GrayImage>,
     /// Pixels wanted.
     pub count: usize,
 }
@@ -81,20 +77,13 @@ impl Selector {
         if self.blocks.is_empty() {
             return;
         }
-        self.turn = self.turn.wrapping_add(1);
-        let taken = &mut self.taken[choice.level];
-        let area = choice.table.width * choice.table.height;
-        if taken.len() != area || self.turn == 0 {
-            taken.clear();
-            taken.resize(area, 0);
-            self.turn = self.turn.max(1);
-        }
+        self.taken.clone_from(&choice.table.closed);
         let mut first = 0;
         let mut share = choice.count / self.blocks.len() + 1;
         // What blocks with little detail leave is taken up by the others.
         for _ in 0..3 {
             for block in &self.blocks {
-                take(block, surfaces, first..first + share, choice, taken, self.turn, chosen);
+                take(block, surfaces, first..first + share, choice.table, &mut self.taken, chosen);
             }
             first += share;
             let missing = choice.count.saturating_sub(chosen.len());
@@ -110,15 +99,13 @@ fn take(
     block: &VisibleBlock,
     surfaces: &[AlignSurface],
     range: std::ops::Range<usize>,
-    choice: &Choice,
-    taken: &mut [u32],
-    turn: u32,
+    table: &RayTable,
+    taken: &mut [u64],
     chosen: &mut Vec<Chosen>,
 ) {
     let texture = &surfaces[block.surface as usize].texture;
     let offsets = texture.candidates[block.texture_level as usize].of_block(block.column as usize, block.row as usize);
-    let (w, h) = (choice.table.width, choice.table.height);
-    let (right, bottom) = (w as f32 - 2.0, h as f32 - 2.0);
+    let (right, bottom) = (table.width as f32, table.height as f32);
     for &[dx, dy] in &offsets[range.start.min(offsets.len())..range.end.min(offsets.len())] {
         if dx < block.columns[0] || dx > block.columns[1] || dy < block.rows[0] || dy > block.rows[1] {
             continue;
@@ -126,32 +113,17 @@ fn take(
         let (fx, fy) = (f32::from(dx), f32::from(dy));
         let u = block.origin[0] + block.by_column[0] * fx + block.by_row[0] * fy + 0.5;
         let v = block.origin[1] + block.by_column[1] * fx + block.by_row[1] * fy + 0.5;
-        if !(u >= 2.0 && v >= 2.0 && u < right && v < bottom) {
+        if !(u >= 0.0 && v >= 0.0 && u < right && v < bottom) {
             continue;
         }
         let (u, v) = (u as usize, v as usize);
-        let index = v * w + u;
-        if taken[index] == turn {
-            continue;
-        }
-        taken[index] = turn;
-        if choice.mask.is_some_and(|mask| is_masked(mask, choice.level, u, v)) {
-            continue;
-        }
-        // Derivatives of the ray are taken from the neighbours.
-        let has_ray = |k: usize| choice.table.rays[k][0].is_finite();
-        if has_ray(index - 1) && has_ray(index + 1) && has_ray(index - w) && has_ray(index + w) {
-            chosen.push(Chosen { surface: block.surface, index: index as u32 });
+        let index = v * table.width + u;
+        let (word, bit) = (&mut taken[index / 64], 1 << (index % 64));
+        if *word & bit == 0 {
+            *word |= bit;
+            chosen.push(Chosen { surface: block.surface as u16, place: [u as u16, v as u16] });
         }
     }
-}
-
-/// Whether any frame pixel that the level's pixel and its neighbours cover is masked.
-fn is_masked(mask: &GrayImage, level: usize, u: usize, v: usize) -> bool {
-    let n = 1u32 << level;
-    let (x, y) = ((u as u32) << level, (v as u32) << level);
-    let left_out = |x: u32, y: u32| mask.get_pixel_checked(x, y).is_none_or(|p| p[0] == 0);
-    left_out(x, y) || left_out(x + n - 1, y) || left_out(x, y + n - 1) || left_out(x + n - 1, y + n - 1)
 }
 
 /// A point of a surface as the frame shows it.

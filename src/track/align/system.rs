@@ -42,9 +42,36 @@ pub struct Prior<'a> {
     pub spread_sigma: f64,
 }
 
+/// Powers of time that a motion acts by: position, velocity, acceleration.
+const POWERS: usize = 3;
+
+/// What the tiles say of the pose at their own time, by powers of time.
+#[derive(Debug)]
+struct PoseSums {
+    /// Pose by pose, for each pair of powers a >= b (a, b: 00, 10, 11, 20, 21, 22), row by row.
+    by_pose: [[f64; 36]; 6],
+    /// Pose by all other unknowns, six to each, for each power.
+    by_others: [Vec<f64>; POWERS],
+    right: [[f64; 6]; POWERS],
+}
+
+impl Default for PoseSums {
+    fn default() -> Self {
+        Self { by_pose: [[0.0; 36]; 6], by_others: Default::default(), right: Default::default() }
+    }
+}
+
+/// The place of a pair of powers a >= b in [`PoseSums::by_pose`].
+fn pair(a: usize, b: usize) -> usize {
+    a * (a + 1) / 2 + b
+}
+
 /// The system and its factor; keeps its buffers.
 #[derive(Debug, Default)]
 pub struct System {
+    pose: PoseSums,
+    /// The time of all tiles, where it is the same for all: then pose sums are kept for power 0 alone.
+    same_time: Option<TileTime>,
     nodes: usize,
     /// Nodes per column of the light grid, for the band.
     rows: usize,
@@ -103,8 +130,9 @@ impl Step<'_> {
 }
 
 impl System {
-    /// Starts a system with what is known beforehand. `light`: at the linearisation.
-    pub fn begin(&mut self, grid: &TileGrid, light: &Light, prior: &Prior) {
+    /// Starts a system with what is known beforehand. `light`: at the linearisation; `same_time`: of all tiles, where it is.
+    pub fn begin(&mut self, grid: &TileGrid, light: &Light, prior: &Prior, same_time: Option<TileTime>) {
+        self.same_time = same_time;
         let [columns, rows] = grid.nodes();
         (self.nodes, self.rows) = (columns * rows, rows);
         self.size = self.nodes + DENSE;
@@ -112,6 +140,12 @@ impl System {
         for (list, length) in [(&mut self.matrix, n * n), (&mut self.right, n), (&mut self.solution, n), (&mut self.score, n)] {
             list.clear();
             list.resize(length, 0.0);
+        }
+        self.pose.by_pose = [[0.0; 36]; 6];
+        self.pose.right = [[0.0; 6]; POWERS];
+        for list in &mut self.pose.by_others {
+            list.clear();
+            list.resize(6 * (self.nodes + 2), 0.0);
         }
         self.smooth(columns, light);
         let (spread, bias, motion) = (self.nodes, self.nodes + 1, self.nodes + 2);
@@ -162,19 +196,63 @@ impl System {
     /// Adds a tile. `weight`: inverse of the residuals' variance beyond what their whitener says.
     pub fn add(&mut self, sums: &TileSums, nodes: [usize; 4], time: &TileTime, weight: f64) {
         let n = self.size;
-        let places = self.places(nodes, time);
-        let is_still = time.mean_square_s2 == 0.0;
-        let powers = |c: usize| if c < SPREAD && !is_still { 3 } else { 1 };
-        for i in 0..COLUMNS {
-            for a in 0..powers(i) {
-                let (row, row_factor) = (places[i].0[a], places[i].1[a] * weight);
-                self.right[row] += row_factor * sums.product(i, COLUMNS);
-                for j in 0..COLUMNS {
-                    for b in 0..powers(j) {
-                        let column = places[j].0[b];
-                        if column <= row {
-                            self.matrix[row * n + column] += row_factor * places[j].1[b] * sums.product(i, j);
-                        }
+        let others = [self.nodes, self.nodes + 1, nodes[0], nodes[1], nodes[2], nodes[3]];
+        for (i, row) in others.iter().enumerate() {
+            self.right[*row] += weight * sums.product(SPREAD + i, COLUMNS);
+            for (j, column) in others.iter().enumerate().filter(|(_, column)| *column <= row) {
+                self.matrix[row * n + column] += weight * sums.product(SPREAD + i, SPREAD + j);
+            }
+        }
+        let mut tile = [0.0; 36];
+        for i in 0..6 {
+            for j in i..6 {
+                tile[6 * i + j] = weight * sums.product(i, j);
+                tile[6 * j + i] = tile[6 * i + j];
+            }
+        }
+        let factors = [1.0, time.delay_s, 0.5 * time.mean_square_s2];
+        let powers = if self.same_time.is_some() { 1 } else { POWERS };
+        for a in 0..powers {
+            for b in 0..=a {
+                let factor = factors[a] * factors[b];
+                self.pose.by_pose[pair(a, b)].iter_mut().zip(&tile).for_each(|(sum, v)| *sum += factor * v);
+            }
+        }
+        let mut right = [0.0; 6];
+        let mut columns = [[0.0; 6]; 6];
+        for i in 0..6 {
+            right[i] = weight * sums.product(i, COLUMNS);
+            for (j, column) in columns.iter_mut().enumerate() {
+                column[i] = weight * sums.product(i, SPREAD + j);
+            }
+        }
+        for a in 0..powers {
+            let factor = factors[a];
+            self.pose.right[a].iter_mut().zip(&right).for_each(|(sum, v)| *sum += factor * v);
+            for (other, column) in others.iter().zip(&columns) {
+                let at = &mut self.pose.by_others[a][6 * other..6 * other + 6];
+                at.iter_mut().zip(column).for_each(|(sum, v)| *sum += factor * v);
+            }
+        }
+    }
+
+    /// Puts the pose sums in their places.
+    fn place_pose_sums(&mut self) {
+        let (n, motion) = (self.size, self.nodes + 2);
+        // With one time for all, every power is that of the first, times its factor.
+        let factors = self.same_time.map_or([1.0; POWERS], |t| [1.0, t.delay_s, 0.5 * t.mean_square_s2]);
+        let kept = |a: usize| if self.same_time.is_some() { 0 } else { a };
+        for a in 0..POWERS {
+            for i in 0..6 {
+                let row = motion + 6 * a + i;
+                self.right[row] += factors[a] * self.pose.right[kept(a)][i];
+                for (other, column) in self.pose.by_others[kept(a)].chunks_exact(6).enumerate() {
+                    self.matrix[row * n + other] += factors[a] * column[i];
+                }
+                for b in 0..=a {
+                    let sums = &self.pose.by_pose[pair(kept(a), kept(b))];
+                    for j in 0..6 {
+                        self.matrix[row * n + motion + 6 * b + j] += factors[a] * factors[b] * sums[6 * i + j];
                     }
                 }
             }
@@ -188,6 +266,7 @@ impl System {
 
     /// Factors the system in place (Cholesky) and solves it; `None` where it leaves a direction free.
     pub fn solve(&mut self) -> Option<Step<'_>> {
+        self.place_pose_sums();
         let n = self.size;
         for i in 0..n {
             let first_i = self.first(i);

@@ -7,7 +7,7 @@ use super::frame_levels::FrameLevels;
 use super::light::Light;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::normal::{
-    COLUMNS, Noise, Residuals, RunEvidence, RunView, TileLight, Weighing, evidence, moments, residuals, squared_after, tile_sums,
+    COLUMNS, Noise, Residuals, RunEvidence, RunView, TileLight, TileSums, Weighing, evidence, moments, residuals, squared_after, tile_sums,
 };
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
@@ -22,7 +22,7 @@ const LEAST_PIXELS: usize = 60;
 const READ_VARIANCE: f32 = 2.25;
 const SHOT_VARIANCE: f32 = 0.03;
 /// Error of the appearance model, pixels of the level; twice that above the finest level.
-const MODEL_PX: f32 = 0.03;
+const MODEL_PX: f32 = 0.02;
 /// Places along a blur of less than so many pixels; [`MOST_PLACES`] for longer ones.
 const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
 const MOST_PLACES: usize = 15;
@@ -33,8 +33,10 @@ const TELLING_CORRELATION: f32 = 0.8;
 const LARGEST_BIAS: f64 = 60.0;
 /// Weight of the usual gain at a node, beside the tiles that touch it.
 const USUAL_SHARE: f64 = 0.2;
-/// One residual in so many is looked at for their spread.
-const SCALE_STRIDE: usize = 4;
+/// Residuals that are looked at for their spread.
+const SCALE_SAMPLES: usize = 1500;
+/// Pixels that a step rests on which only the next one's weights are taken from.
+const ROUGH_PIXELS: usize = 2500;
 
 /// What a level works for.
 #[derive(Clone, Copy)]
@@ -53,6 +55,8 @@ pub struct Task<'a> {
     pub count: usize,
     /// Length of the motion blur, pixels of the level.
     pub blur_px: f64,
+    /// Looks across a sharp pixel.
+    pub side: usize,
 }
 
 impl Task<'_> {
@@ -64,6 +68,11 @@ impl Task<'_> {
             per_grey: SHOT_VARIANCE / n,
             model_px: if self.is_finest { MODEL_PX } else { 2.0 * MODEL_PX },
         }
+    }
+
+    /// The time of every tile, where all rows are exposed together.
+    fn same_time(&self) -> Option<TileTime> {
+        (self.sensor.readout_s == 0.0).then(|| TileTime { delay_s: 0.0, mean_square_s2: self.sensor.exposure_s.powi(2) / 12.0 })
     }
 
     /// Places along the blur that are looked at.
@@ -127,6 +136,8 @@ pub struct Work {
     gauges: Vec<Gauge>,
     node_weights: Vec<f64>,
     sorted: Vec<f32>,
+    /// What the open runs said in the last pass, in order.
+    sums: Vec<TileSums>,
     /// What each run showed at the solution.
     pub evidence: Vec<RunEvidence>,
 }
@@ -184,15 +195,8 @@ impl Work {
     ) -> bool {
         self.at = None;
         let Some(table) = &task.eye.tables[task.level] else { return false };
-        let choice = Choice {
-            camera: &task.eye.camera,
-            table,
-            level: task.level,
-            sensor: *task.sensor,
-            blur_px: task.blur_px,
-            mask: task.eye.mask.as_ref(),
-            count: task.count,
-        };
+        let choice =
+            Choice { camera: &task.eye.camera, table, level: task.level, sensor: *task.sensor, blur_px: task.blur_px, count: task.count };
         selector.choose(task.surfaces, motion, &choice, chosen);
         if chosen.len() < LEAST_PIXELS {
             return false;
@@ -215,7 +219,8 @@ impl Work {
         for &(surface, start, end) in &self.pixels.groups {
             let surface = &task.surfaces[surface as usize];
             let range = [start as usize, end as usize];
-            let what = Predicted { surface, motion, sensor: task.sensor, places: task.places(), pixels: &self.pixels, range };
+            let what =
+                Predicted { surface, motion, sensor: task.sensor, places: task.places(), side: task.side, pixels: &self.pixels, range };
             predict(&what, &mut self.appearance);
         }
     }
@@ -267,27 +272,39 @@ impl Work {
         self.steps.clear();
         self.steps.resize(self.pixels.runs.len(), [0.0; COLUMNS]);
         let mut scale = self.scale();
+        let mut all_sums = std::mem::take(&mut self.sums);
+        let mut is_solved = true;
         for pass in 0..passes {
-            let weighing = Weighing { scale, is_first_look: is_first && pass == 0 };
+            let stride = if pass + 1 < passes { (self.pixels.len() / ROUGH_PIXELS).clamp(1, 8) } else { 1 };
+            let weighing = Weighing { scale, is_first_look: is_first && pass == 0, stride };
             let prior = Prior {
                 information: expected.information,
                 error: at.error_to(expected.motion),
                 spread: expected.spread,
                 spread_sigma: expected.spread_sigma,
             };
-            system.begin(&self.pixels.grid, light, &prior);
-            let weight = scale.powi(-2);
+            system.begin(&self.pixels.grid, light, &prior, task.same_time());
+            let weight = scale.powi(-2) * stride as f64;
+            all_sums.clear();
             for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
                 let nodes = self.pixels.grid.nodes_of(run.tile as usize);
                 let sums = tile_sums(&self.view(run, &self.light_of(run)), step, &weighing);
                 system.add(&sums, nodes, &self.time(task, run), weight);
+                all_sums.push(sums);
             }
-            let step = system.solve()?;
+            let Some(step) = system.solve() else {
+                is_solved = false;
+                break;
+            };
             for k in 0..self.pixels.runs.len() {
                 let run = self.pixels.runs[k];
                 self.steps[k] = step.of_tile(self.pixels.grid.nodes_of(run.tile as usize), &self.time(task, &run));
             }
             scale = self.scale();
+        }
+        self.sums = all_sums;
+        if !is_solved {
+            return None;
         }
         let step = system.step();
         light.spread += step.spread();
@@ -297,6 +314,11 @@ impl Work {
         }
         let motion = at.corrected(&step.motion());
         motion.is_finite().then_some(Corrected { motion, scale })
+    }
+
+    /// Share of the runs that take part.
+    pub fn open_share(&self) -> f64 {
+        self.gauges.iter().filter(|g| g.is_open).count() as f64 / self.gauges.len().max(1) as f64
     }
 
     fn time(&self, task: &Task, run: &Run) -> TileTime {
@@ -309,10 +331,11 @@ impl Work {
     fn scale(&mut self) -> f64 {
         let mut squares = std::mem::take(&mut self.sorted);
         squares.clear();
+        let stride = (self.pixels.len() / SCALE_SAMPLES).max(1);
         for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
             let light = self.light_of(run);
             let view = self.view(run, &light);
-            let told = (run.start as usize..run.end as usize).step_by(SCALE_STRIDE).filter(|k| self.residuals.information[*k] > 0.0);
+            let told = (run.start as usize..run.end as usize).step_by(stride).filter(|k| self.residuals.information[*k] > 0.0);
             squares.extend(told.map(|k| squared_after(&view, k, step)));
         }
         let scale = median(&mut squares).map_or(1.0, |middle| (middle.sqrt() * 1.4826).max(0.7));
@@ -398,7 +421,7 @@ impl Work {
         self.predict_all(task, motion);
         self.residuals_all(&task.noise(), light);
         self.steps.fill([0.0; COLUMNS]);
-        let weighing = Weighing { scale: self.scale(), is_first_look: false };
+        let weighing = Weighing { scale: self.scale(), is_first_look: false, stride: 1 };
         let mut seen = std::mem::take(&mut self.evidence);
         for (e, run) in seen.iter_mut().zip(&self.pixels.runs) {
             *e = evidence(&self.view(run, &self.light_of(run)), &[0.0; COLUMNS], &weighing);
@@ -428,21 +451,21 @@ impl Work {
     /// Covariance at the solution: of the whole motion (noise), and of the pose (noise, or the scatter of the tiles' votes where it
     /// is larger). Fills [`Work::evidence`].
     pub fn conclude(&mut self, task: &Task, solved: &Corrected, system: &mut System) -> Option<(MotionEstimate, Matrix6<f64>)> {
-        let weighing = Weighing { scale: solved.scale, is_first_look: false };
+        let weighing = Weighing { scale: solved.scale, is_first_look: false, stride: 1 };
         let covariance = system.motion_covariance();
         let noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
         let weight = solved.scale.powi(-2);
         let mut votes = Matrix6::zeros();
         let mut seen = std::mem::take(&mut self.evidence);
         seen.clear();
+        let mut sums = self.sums.iter();
         let mut n = 0.0;
         for ((run, step), gauge) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges) {
             let light = self.light_of(run);
             let view = self.view(run, &light);
-            if gauge.is_open {
-                let sums = tile_sums(&view, step, &weighing);
+            if let Some(sums) = gauge.is_open.then(|| sums.next()).flatten() {
                 let nodes = self.pixels.grid.nodes_of(run.tile as usize);
-                let vote = system.vote(&sums, step, nodes, &self.time(task, run), weight);
+                let vote = system.vote(sums, step, nodes, &self.time(task, run), weight);
                 votes += vote * vote.transpose();
                 n += 1.0;
             }
