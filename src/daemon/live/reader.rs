@@ -33,6 +33,8 @@ pub(super) struct Shared {
     pub stop: AtomicBool,
     /// The mode of the first opening: later ones must have its size.
     pub first_mode: Mutex<Option<CameraMode>>,
+    /// True once somebody reads; what was there before is not late.
+    pub is_read: AtomicBool,
     /// True once it was said that the driver gives no stamps.
     pub unstamped_said: AtomicBool,
 }
@@ -205,7 +207,12 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, to: &Latest
         }
         last_sequence = picture.device_sequence.or(last_sequence);
         shared.link.pulse.beat(picture.arrival_ns, timestamp_ns);
-        to.send_dropping(Arrived { picture, mode: mode.clone(), timestamp_ns }, |late| dropped(&shared.link, late.timestamp_ns));
+        let late = |late: Arrived| {
+            if shared.is_read.load(Ordering::Relaxed) {
+                dropped(&shared.link, late.timestamp_ns);
+            }
+        };
+        to.send_dropping(Arrived { picture, mode: mode.clone(), timestamp_ns }, late);
     }
     Loss::Unwanted
 }
