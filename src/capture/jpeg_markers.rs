@@ -44,7 +44,7 @@ impl JpegWalk {
         loop {
             if self.in_entropy_data {
                 let Some(rest) = bytes.get(self.position..) else { return Walked::Unfinished };
-                let Some(skip) = rest.iter().position(|b| *b == 0xFF) else {
+                let Some(skip) = memchr::memchr(0xFF, rest) else {
                     self.position = bytes.len();
                     return Walked::Unfinished;
                 };

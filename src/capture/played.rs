@@ -2,6 +2,7 @@
 //!
 //! Pictures come when they are due, whoever is late loses them, and the stamps are those of the clip moved to now.
 
+use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Duration;
@@ -18,13 +19,13 @@ pub struct PlayedClip {
 }
 
 impl PlayedClip {
-    /// Opens the clip; `fps` is for clips without stamps (30 where absent).
+    /// Opens the clip; `fps` is for clips without stamps (30 where absent); those with stamps have the rate of their first two.
     ///
     /// # Errors
     /// As [`open_clip`].
     pub fn open(clip: &Path, fps: Option<f64>) -> Result<Self, CaptureError> {
         let first = open_clip(clip, ClipOptions { fps })?;
-        let pictures = match clip.extension().and_then(|e| e.to_str()) {
+        let mut pictures = match clip.extension().and_then(|e| e.to_str()) {
             Some("mjpeg" | "mjpg") => {
                 let file = std::fs::File::open(clip).map_err(|e| CaptureError::reading(clip, e))?;
                 let size = first.size();
@@ -32,7 +33,8 @@ impl PlayedClip {
             }
             _ => Pictures::Rows(first),
         };
-        let fps = fps.unwrap_or(30.0);
+        let mut ahead = VecDeque::new();
+        let fps = fps.or_else(|| stamped_rate(&mut pictures, &mut ahead)).unwrap_or(30.0);
         let layout = if matches!(pictures, Pictures::Rows(_)) { PixelLayout::Grey } else { PixelLayout::Mjpeg };
         let mode = CameraMode {
             name: clip.display().to_string(),
@@ -43,7 +45,7 @@ impl PlayedClip {
             controls: Vec::new(),
             notes: Vec::new(),
         };
-        let playing = PlayingClip { pictures, mode, begun: None, ahead: None };
+        let playing = PlayingClip { pictures, mode, begun: None, ahead };
         Ok(Self { clip: clip.to_owned(), unopened: Mutex::new(Some(playing)) })
     }
 }
@@ -96,7 +98,18 @@ struct PlayingClip {
     mode: CameraMode,
     /// When the first picture was given, and its stamp in the clip; monotonic nanoseconds.
     begun: Option<(i64, i64)>,
-    ahead: Option<(i64, Vec<u8>)>,
+    /// Pictures that were read before they were due, with their stamps in the clip.
+    ahead: VecDeque<(i64, Vec<u8>)>,
+}
+
+/// Pictures a second as the first two stamps tell, where the clip has stamps; the two wait in `ahead`.
+fn stamped_rate(pictures: &mut Pictures, ahead: &mut VecDeque<(i64, Vec<u8>)>) -> Option<f64> {
+    let Pictures::Rows(_) = pictures else { return None };
+    ahead.extend(pictures.next(0.0));
+    ahead.extend(pictures.next(0.0));
+    let (first, second) = (ahead.front()?.0, ahead.back()?.0);
+    let frame_s = second.checked_sub(first)? as f64 * 1e-9;
+    (0.001..=10.0).contains(&frame_s).then_some(1.0 / frame_s)
 }
 
 impl Camera for PlayingClip {
@@ -105,16 +118,44 @@ impl Camera for PlayingClip {
     }
 
     fn next_picture(&mut self, patience: Duration) -> Result<CapturedPicture, CameraFault> {
-        let (stamp, bytes) = self.ahead.take().or_else(|| self.pictures.next(self.mode.fps)).ok_or(CameraFault::End)?;
+        let (stamp, bytes) = self.ahead.pop_front().or_else(|| self.pictures.next(self.mode.fps)).ok_or(CameraFault::End)?;
         let (begun, first) = *self.begun.get_or_insert((monotonic_ns(), stamp));
         let due = begun.saturating_add(stamp.saturating_sub(first));
         let left = Duration::from_nanos(u64::try_from(due - monotonic_ns()).unwrap_or(0));
         std::thread::sleep(left.min(patience));
         if left > patience {
-            self.ahead = Some((stamp, bytes));
+            self.ahead.push_front((stamp, bytes));
             return Err(CameraFault::Silent);
         }
         let arrival_ns = monotonic_ns();
         Ok(CapturedPicture { is_damaged: bytes.is_empty(), bytes, stamp: DriverStamp::MidExposure(due), arrival_ns, device_sequence: None })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clip_with_stamps_plays_at_its_own_rate() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut index = "#timestamp [ns],filename\n".to_owned();
+        std::fs::create_dir(folder.path().join("frames")).unwrap();
+        for n in 0..3_i64 {
+            image::GrayImage::new(8, 6).save(folder.path().join(format!("frames/{n}.png"))).unwrap();
+            index += &format!("{},{n}.png\n", n * 40_000_000);
+        }
+        std::fs::write(folder.path().join("timestamps.csv"), index).unwrap();
+        let mut camera = PlayedClip::open(folder.path(), None).unwrap().open().unwrap();
+        assert_eq!((camera.mode().fps, camera.mode().size), (25.0, (8, 6)));
+        let mut stamps = Vec::new();
+        loop {
+            match camera.next_picture(Duration::from_millis(10)) {
+                Ok(CapturedPicture { stamp: DriverStamp::MidExposure(at), .. }) => stamps.push(at),
+                Err(CameraFault::Silent) => {}
+                other => break assert!(matches!(other, Err(CameraFault::End)), "{other:?}"),
+            }
+        }
+        assert_eq!(stamps.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>(), [40_000_000; 2]);
     }
 }

@@ -43,6 +43,9 @@ pub enum Failure {
         /// What the system says.
         source: io::Error,
     },
+    /// A recording would be mixed with another one.
+    #[error("{}: holds a clip already; give a new folder", .0.display())]
+    ClipIsThere(PathBuf),
     /// The camera cannot be used.
     #[error("the camera: {0}")]
     Device(String),
@@ -100,6 +103,7 @@ impl Failure {
             Self::Capture(_)
             | Self::NoFrame { .. }
             | Self::Output { .. }
+            | Self::ClipIsThere(_)
             | Self::Device(_)
             | Self::Publishing(_)
             | Self::Demo(_)

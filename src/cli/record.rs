@@ -19,5 +19,9 @@ pub(super) struct RecordArguments {
 }
 
 pub(super) fn run(arguments: &RecordArguments) -> Result<(), Failure> {
+    // Said at once, not when a camera has come.
+    if arguments.clip.join("timestamps.csv").exists() {
+        return Err(Failure::ClipIsThere(arguments.clip.clone()));
+    }
     live(&arguments.live, Some(arguments.clip.clone()))
 }

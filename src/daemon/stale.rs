@@ -1,5 +1,7 @@
 //! Says that a camera gives no pictures: soon, and again while it does not.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::live::{Event, LiveLink};
@@ -16,11 +18,13 @@ pub(super) struct StaleWatch {
     last: (u64, i64),
     /// Since when it is silent, and when that was last said.
     silent: Option<(Instant, Instant)>,
+    /// True from when the daemon is to end: then silence is no fault.
+    ending: Arc<AtomicBool>,
 }
 
 impl StaleWatch {
-    pub fn new(link: LiveLink) -> Self {
-        Self { link, last: (0, 0), silent: None }
+    pub fn new(link: LiveLink, ending: Arc<AtomicBool>) -> Self {
+        Self { link, last: (0, 0), silent: None, ending }
     }
 
     pub fn link(&self) -> &LiveLink {
@@ -29,6 +33,9 @@ impl StaleWatch {
 
     /// How long to wait for a frame before the next [`check`](Self::check).
     pub fn wait(&self) -> Duration {
+        if self.ending.load(Ordering::Relaxed) {
+            return REPEAT;
+        }
         match (self.silent, self.link.pulse.time_left(monotonic_ns())) {
             (_, Some(left)) => left,
             (Some((_, said)), None) => REPEAT.saturating_sub(said.elapsed()).max(Duration::from_millis(1)),
@@ -48,7 +55,7 @@ impl StaleWatch {
     /// The message for subscribers, where it is due.
     pub fn check(&mut self) -> Option<PoseSample> {
         let now_ns = monotonic_ns();
-        if self.link.pulse.time_left(now_ns).is_some() {
+        if self.ending.load(Ordering::Relaxed) || self.link.pulse.time_left(now_ns).is_some() {
             return None;
         }
         let age_ms = self.link.pulse.age_ms(now_ns);

@@ -116,7 +116,7 @@ impl Daemon {
         let (to_matcher, rows) = row_channel(delivery);
         let (to_pose, sightings) = bounded(QUEUE);
         let capture = Capture { source, to_matcher, stop: stop.clone(), dropped: dropped.clone(), live: live.clone() };
-        let (order, watch) = (live.as_ref().map(|_| RowOrder::default()), live.map(StaleWatch::new));
+        let (order, watch) = (live.as_ref().map(|_| RowOrder::default()), live.map(|link| StaleWatch::new(link, stop.clone())));
         let mut stages = vec![spawn("capture", move || capture.run())?];
         stages.push(spawn("matcher", move || match_rows(matcher, order, &rows, &to_pose))?);
         stages.push(spawn("pose", move || publish(poses, &sightings, observers, subscribers, watch))?);

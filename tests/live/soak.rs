@@ -59,6 +59,9 @@ fn soak() {
         if early_mb == 0.0 && sample.sequence >= frames / 10 {
             early_mb = resident_mb();
         }
+        if sample.state != State::Stale && (sample.sequence + 1).is_multiple_of(10_000) {
+            println!("soak: {} frames so far, {} wrong poses, {:.1} MB", sample.sequence + 1, wrong.len(), resident_mb());
+        }
     }
     running.join().expect("no stage panicked");
     let (s, late_mb) = (&link.statistics, resident_mb());

@@ -57,7 +57,7 @@ fn descriptors(number: u32) -> HashSet<RawFd> {
 
 impl V4l2Camera {
     fn read(&mut self) -> Result<CapturedPicture, CameraFault> {
-        let buffer = self.nokhwa.frame().map_err(|e| CameraFault::Gone(format!("the camera's driver says: {e}")))?;
+        let buffer = self.nokhwa.frame().map_err(|e| CameraFault::Gone(reading_fault(&e.to_string())))?;
         let arrival_ns = monotonic_ns();
         self.streaming = true;
         let told = ioctl::last_dequeued(self.fd, BUFFERS);
@@ -69,6 +69,18 @@ impl V4l2Camera {
         // Some drivers leave bytesused at 0 for whole buffers.
         let used = if used == 0 && !is_damaged { whole.len() } else { used.min(whole.len()) };
         Ok(CapturedPicture { bytes: whole[..used].to_vec(), stamp, arrival_ns, device_sequence, is_damaged })
+    }
+}
+
+/// Why a picture could not be read; nokhwa gives the system's error as text.
+fn reading_fault(said: &str) -> String {
+    if said.contains("os error 19") {
+        "it was unplugged".to_owned()
+    } else if said.contains("os error 4)") {
+        // The daemon interrupts reads that block; before the stream runs, nothing else can limit them.
+        "it was opened and gave no picture".to_owned()
+    } else {
+        format!("its driver says: {said}")
     }
 }
 
@@ -112,5 +124,18 @@ impl Drop for V4l2Camera {
         if dropped.is_none() {
             tracing::warn!("the camera's driver did not stop its stream; the device is given up as it is");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_are_told_in_plain_words() {
+        let said = |system: &str| reading_fault(&format!("Could not capture frame: {system}"));
+        assert_eq!(said("No such device (os error 19)"), "it was unplugged");
+        assert_eq!(said("Interrupted system call (os error 4)"), "it was opened and gave no picture");
+        assert!(said("Input/output error (os error 5)").ends_with("Input/output error (os error 5)"));
     }
 }

@@ -20,6 +20,8 @@ pub(super) struct Service {
     told: Instant,
     pinged: Instant,
     frames_before: u64,
+    /// Count and sum of the ages that were told of already.
+    ages_before: (u64, f64),
     /// When the pipeline last gave a sign of life.
     alive: Instant,
 }
@@ -34,7 +36,7 @@ impl Service {
         logging::beside(&line);
         let now = Instant::now();
         let until = seconds.map(|s| Duration::try_from_secs_f64(s.max(0.0)).unwrap_or(Duration::MAX));
-        Self { notifier, line, begun: now, until, told: now, pinged: now, frames_before: 0, alive: now }
+        Self { notifier, line, begun: now, until, told: now, pinged: now, frames_before: 0, ages_before: (0, 0.0), alive: now }
     }
 
     /// The pipeline gave a sign of life: a sample, a stale message, or it is still waiting for a camera.
@@ -63,7 +65,8 @@ impl Service {
         let frames = link.statistics.frames();
         link.statistics.set_rate((frames - self.frames_before.min(frames)) as f64 / since.as_secs_f64());
         (self.frames_before, self.told) = (frames, Instant::now());
-        let status = status(&link.statistics);
+        let status = status(&link.statistics, self.ages_before);
+        self.ages_before = (link.statistics.age().count(), link.statistics.age().sum_s());
         self.notifier.send(&format!("STATUS={status}"));
         self.line.set_message(status);
         self.line.tick();
@@ -81,15 +84,15 @@ impl Service {
     }
 }
 
-/// One line: state, rate, age, quality, losses.
-fn status(s: &Statistics) -> String {
+/// One line: state, rate, mean age since the last one, quality, losses.
+fn status(s: &Statistics, ages_before: (u64, f64)) -> String {
     let mut text = match s.camera() {
         CameraState::Waiting => "waiting for the camera".to_owned(),
         CameraState::Silent => "the camera gives no pictures".to_owned(),
         CameraState::Streaming => s.last_state().word().to_owned(),
     };
     text += &format!(", {:.1} frames/s", s.rate());
-    let (count, sum_s) = (s.age().count(), s.age().sum_s());
+    let (count, sum_s) = (s.age().count().saturating_sub(ages_before.0), s.age().sum_s() - ages_before.1);
     if count > 0 {
         text += &format!(", age {:.0} ms", 1e3 * sum_s / count as f64);
     }
@@ -117,7 +120,7 @@ mod tests {
     #[test]
     fn the_line_says_what_matters() {
         let s = Statistics::default();
-        assert_eq!(status(&s), "waiting for the camera, 0.0 frames/s");
+        assert_eq!(status(&s, (0, 0.0)), "waiting for the camera, 0.0 frames/s");
         s.camera_opened("Cam", false);
         let mut sample = PoseSample::stale(0, 5, 12.0);
         sample.state = State::Tracking;
@@ -125,6 +128,7 @@ mod tests {
         s.frames_dropped(2);
         s.set_rate(29.97);
         s.set_recorder(RecorderState::Stopped);
-        assert_eq!(status(&s), "tracking, 30.0 frames/s, age 12 ms, 0 inliers, rms 0.00 px, 2 dropped, RECORDING STOPPED");
+        assert_eq!(status(&s, (0, 0.0)), "tracking, 30.0 frames/s, age 12 ms, 0 inliers, rms 0.00 px, 2 dropped, RECORDING STOPPED");
+        assert!(status(&s, (1, 0.012)).starts_with("tracking, 30.0 frames/s, 0 inliers"));
     }
 }

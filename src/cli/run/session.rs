@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 
@@ -11,6 +11,7 @@ use super::pages::Pages;
 use super::service::Service;
 use super::{LiveArguments, camera};
 use crate::capture::camera::CameraMode;
+use crate::capture::moment::monotonic_ns;
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::receivers::Receivers;
@@ -22,6 +23,9 @@ use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan}
 use crate::daemon::{Daemon, RunningDaemon, Tracker};
 use crate::record::{PoseSample, State};
 use crate::web::RecorderState;
+
+/// Between two stale messages while a camera is waited for.
+const STALE_REPEAT: Duration = Duration::from_millis(100);
 
 /// Why a session ended.
 pub(super) enum End {
@@ -68,15 +72,10 @@ impl Session<'_> {
         let pages = Pages::start(self.settings, self.link, &save)?;
         let opener = camera::camera(self.settings, self.arguments.play.as_deref())?;
         let mut source = LiveSource::start(opener, shutter, Patience::default(), self.link.clone());
-        let mut reload = None;
-        let mode = source.wait_for_camera(|| {
-            service.alive();
-            service.tick(self.link);
-            sinks.write_events();
-            reload = self.reload(None);
-            service.is_over() || reload.is_some()
-        });
-        let Some(mode) = mode else { return Ok(reload.map_or(End::Stopped, End::Reload)) };
+        let mode = match self.wait(&mut source, &pages, service, sinks) {
+            Ok(mode) => mode,
+            Err(end) => return Ok(end),
+        };
         let setup = tracker_setup(self.settings, mode.size, self.arguments.threads)?;
         let stopper = source.stopper();
         let receivers = Receivers::live(self.settings, setup.camera, mode.fps)?;
@@ -111,6 +110,25 @@ impl Session<'_> {
         joined?;
         sinks.write_events();
         Ok(end)
+    }
+
+    /// What the camera delivers, once it is there, or why the session ended before.
+    fn wait(&self, source: &mut LiveSource, pages: &Pages, service: &mut Service, sinks: &mut Sinks) -> Result<CameraMode, End> {
+        let (mut reload, mut stale_said) = (None, Instant::now());
+        let mode = source.wait_for_camera(|| {
+            service.alive();
+            // Before there is a pipeline, too, clients hear that there is no pose.
+            let now_ns = monotonic_ns();
+            if stale_said.elapsed() >= STALE_REPEAT && self.link.pulse.time_left(now_ns).is_none() {
+                stale_said = Instant::now();
+                pages.publish(&PoseSample::stale(0, 0, self.link.pulse.age_ms(now_ns)));
+            }
+            service.tick(self.link);
+            sinks.write_events();
+            reload = self.reload(None);
+            service.is_over() || reload.is_some()
+        });
+        mode.ok_or_else(|| reload.map_or(End::Stopped, End::Reload))
     }
 
     fn follow(&self, listening: &Listening<'_>, service: &mut Service, sinks: &mut Sinks) -> End {

@@ -168,7 +168,7 @@ fn note(event: &Event) {
         Event::CameraLost { reason } => tracing::warn!("the camera is lost: {reason}"),
         Event::NoDriverStamp { name } => {
             tracing::warn!(
-                "{name}: its driver gives no time stamps; frames are stamped when they arrive, which is later than they were taken"
+                "{name}: its driver gives no time stamps that can be true; frames are stamped when they arrive, which is later than they were taken"
             );
         }
         Event::Stale { age_ms, .. } => tracing::warn!("no picture for {age_ms:.0} ms"),

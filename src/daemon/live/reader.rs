@@ -33,6 +33,10 @@ pub(super) struct Shared {
     pub stop: AtomicBool,
     /// The mode of the first opening: later ones must have its size.
     pub first_mode: Mutex<Option<CameraMode>>,
+    /// True once somebody reads; what was there before is not late.
+    pub is_read: AtomicBool,
+    /// True once it was said that the driver gives no stamps.
+    pub unstamped_said: AtomicBool,
 }
 
 /// One reader's own state.
@@ -177,7 +181,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, to: &Latest
     let mode = Arc::new(camera.mode().clone());
     let exposure_s = if shared.shutter.exposure_s > 0.0 { shared.shutter.exposure_s } else { mode.exposure_s.unwrap_or(0.0) };
     let silence = shared.patience.silence.max(Duration::from_secs_f64(15.0 / mode.fps.max(0.1)));
-    let (mut last, mut last_sequence, mut stamped_before) = (Instant::now(), None, true);
+    let (mut last, mut last_sequence) = (Instant::now(), None);
     while wanted(shared, ticket) {
         ticket.beat();
         let picture = match catch_unwind(AssertUnwindSafe(|| camera.next_picture(shared.patience.read))) {
@@ -193,8 +197,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, to: &Latest
         };
         last = Instant::now();
         let (timestamp_ns, stamped) = mid_exposure_ns(picture.stamp, picture.arrival_ns, exposure_s, shared.shutter.readout_s);
-        if stamped_before && !stamped {
-            stamped_before = false;
+        if !stamped && !shared.unstamped_said.swap(true, Ordering::Relaxed) {
             shared.link.events.publish(Event::NoDriverStamp { name: mode.name.clone() });
         }
         if let (Some(before), Some(now)) = (last_sequence, picture.device_sequence) {
@@ -204,7 +207,12 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, to: &Latest
         }
         last_sequence = picture.device_sequence.or(last_sequence);
         shared.link.pulse.beat(picture.arrival_ns, timestamp_ns);
-        to.send_dropping(Arrived { picture, mode: mode.clone(), timestamp_ns }, |late| dropped(&shared.link, late.timestamp_ns));
+        let late = |late: Arrived| {
+            if shared.is_read.load(Ordering::Relaxed) {
+                dropped(&shared.link, late.timestamp_ns);
+            }
+        };
+        to.send_dropping(Arrived { picture, mode: mode.clone(), timestamp_ns }, late);
     }
     Loss::Unwanted
 }

@@ -70,7 +70,8 @@ impl LiveStop {
 impl LiveSource {
     /// Starts to open the camera and to read it.
     pub fn start(opener: Arc<dyn CameraOpener>, shutter: Shutter, patience: Patience, link: LiveLink) -> Self {
-        let shared = Shared { opener, shutter, patience, link, stop: false.into(), first_mode: Mutex::new(None) };
+        let (stop, is_read, unstamped_said) = (false.into(), false.into(), false.into());
+        let shared = Shared { opener, shutter, patience, link, stop, first_mode: Mutex::new(None), is_read, unstamped_said };
         let shared = Arc::new(shared);
         let (pictures, reader) = spawn(&shared);
         Self { shared, pictures, reader, left_behind: Vec::new(), nudged: false, next_sequence: 0 }
@@ -154,6 +155,7 @@ fn spawn(shared: &Arc<Shared>) -> (Receiver<Arrived>, Arc<Ticket>) {
 
 impl FrameSource for LiveSource {
     fn next_row(&mut self) -> Option<Row> {
+        self.shared.is_read.store(true, Ordering::Relaxed);
         while !self.shared.stop.load(Ordering::Relaxed) {
             match self.pictures.recv_timeout(TICK) {
                 Ok(arrived) => return Some(self.row(arrived)),
