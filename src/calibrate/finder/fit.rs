@@ -23,6 +23,8 @@ pub(crate) struct CornerFit {
     pub middle: f64,
     /// Signed: grey levels from the middle to the squares in the first quadrant, which is negative where they are dark.
     pub contrast: f64,
+    /// What the model leaves unexplained, grey levels (rms).
+    pub residual: f64,
 }
 
 /// What a fit over a window gives.
@@ -75,8 +77,9 @@ const WIDE_WINDOW: f64 = 0.7;
 pub(crate) const BLUR_REACHES: f64 = 0.13;
 /// Blur above this share of a square leaves no corner to be seen.
 const WIDEST_BLUR: f64 = 0.6;
-/// Blur below this cannot be told from none: a pixel's own width is 0.29.
-const LEAST_BLUR: f64 = 0.25;
+/// Blur below this is not fitted: a pixel's own width is 0.29, and sharpened or thinned-out pictures that seem to have less have
+/// jagged edges, between whose steps a narrower model would hop about.
+const LEAST_BLUR: f64 = 0.45;
 /// Cosine of the largest turn of an edge from the board's direction.
 const ALONG: f64 = 0.9;
 /// Residuals above this share of the contrast are no chessboard corner.
@@ -167,7 +170,8 @@ pub(crate) fn fit_corner(
         // The window must lie around the corner for its symmetry to help.
         if (fit.offset.norm() < 0.1 && wide_enough && same_blur) || round == 3 {
             let good = fit.residual < LARGEST_RESIDUAL;
-            return good.then_some(CornerFit { position: centre, blur, middle: fit.middle, contrast: fit.contrast });
+            let residual = fit.residual * fit.contrast.abs();
+            return good.then_some(CornerFit { position: centre, blur, middle: fit.middle, contrast: fit.contrast, residual });
         }
     }
     None

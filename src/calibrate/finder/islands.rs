@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     fn lattice(corners: impl Iterator<Item = (Place, Vector2<f64>)>) -> Lattice {
-        let cell = |position| Cell { position, middle: 100.0, contrast: 50.0 };
+        let cell = |position| Cell { position, middle: 100.0, contrast: 50.0, residual: 0.0 };
         Lattice::new(corners.map(|(at, position)| (at, cell(position))).collect())
     }
 

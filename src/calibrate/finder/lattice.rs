@@ -21,11 +21,13 @@ pub(crate) struct Cell {
     pub middle: f64,
     /// Half the difference between light and dark, grey levels.
     pub contrast: f64,
+    /// What the fit left unexplained, grey levels; 0 before there was one.
+    pub residual: f64,
 }
 
 impl From<CornerFit> for Cell {
     fn from(fit: CornerFit) -> Self {
-        Self { position: fit.position, middle: fit.middle, contrast: fit.contrast.abs() }
+        Self { position: fit.position, middle: fit.middle, contrast: fit.contrast.abs(), residual: fit.residual }
     }
 }
 
@@ -38,7 +40,7 @@ pub(crate) struct Lattice {
 }
 
 /// Lowest and highest coordinates.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Extent {
     pub low: (i32, i32),
     pub high: (i32, i32),
@@ -59,6 +61,9 @@ impl Extent {
 
 /// A corner this share of a square away from where its neighbours foretell it is none.
 const STRAY: f64 = 0.25;
+/// More than this times the noise and this share of the contrast left unexplained is no clean corner.
+const DISTURBED_NOISE: f64 = 2.0;
+const DISTURBED_SHARE: f64 = 0.08;
 /// Blur that a fit starts from at most, level pixels.
 const WIDEST_START: f64 = 2.0;
 /// Larger boards are not looked for.
@@ -193,6 +198,14 @@ impl Lattice {
         if let Some(blur) = median(&mut blurs) {
             self.blur = blur;
         }
+    }
+
+    /// Drops corners that do not look like one where it counts: a shadow's edge or a reflection runs through them. The picture's
+    /// own noise is what the better half leaves unexplained.
+    pub fn drop_disturbed(&mut self) {
+        let mut residuals: Vec<f64> = self.cells.values().map(|cell| cell.residual).collect();
+        let Some(noise) = median(&mut residuals) else { return };
+        self.cells.retain(|_, cell| cell.residual < (DISTURBED_NOISE * noise).hypot(DISTURBED_SHARE * cell.contrast));
     }
 
     /// Drops corners that lie where their neighbours do not foretell them, the worst first.

@@ -114,6 +114,7 @@ fn spread(saddles: &[Saddle], root: usize, taken: &mut [bool], mutual: impl Fn(u
             position: saddles[index].position,
             middle: saddles[index].middle,
             contrast: saddles[index].contrast,
+            residual: 0.0,
         });
         let steps = [(along_i, (1, 0)), (along_i ^ 1, (-1, 0)), (along_j, (0, 1)), (along_j ^ 1, (0, -1))];
         for (way, (di, dj)) in steps {

@@ -108,7 +108,8 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
     let mut best: Option<(usize, Lattice)> = None;
     let mut partial: Option<(usize, Lattice)> = None;
     for (index, level) in levels.iter().enumerate().rev() {
-        for lattice in lattices_of(level) {
+        for mut lattice in lattices_of(level) {
+            lattice.drop_false_ends(level, placement::sorted_size(board));
             let seen = lattice.len();
             let fits = placement::fits(&lattice, board) && lattice.is_whole_board(level);
             let slot = if fits { &mut best } else { &mut partial };
@@ -121,19 +122,22 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
         }
     }
     let Some((index, lattice)) = best else { return Err(seen_instead(picture, board, partial, &levels)) };
+    // Corners that are dropped from here on are hidden ones: the board stays as large as it is.
+    let extent = lattice.extent().unwrap_or_default();
     let (mut lattice, index) = sharpened(lattice, index, &levels);
     lattice.drop_strays();
     // Once more, with all that the neighbours tell of each corner.
-    let margin = Margin::around(&lattice, &levels[index]);
+    let margin = Margin::around(&lattice, extent, &levels[index]);
     lattice.refit(&levels[index], Some(&margin));
     if lattice.blur > BLUR_REACHES * lattice.square() {
-        let margin = Margin::around(&lattice, &levels[index]);
+        let margin = Margin::around(&lattice, extent, &levels[index]);
         lattice.refit(&levels[index], Some(&margin));
     }
+    lattice.drop_disturbed();
     lattice.drop_strays();
     lattice.drop_islands();
     let lattice = lattice.rescaled(-(index as i32));
-    let found = placement::placed(&lattice, board, margin.lightness);
+    let found = placement::placed(&lattice, extent, board, margin.lightness);
     match found {
         Some(found) if found.seen() as f64 >= LEAST_SEEN * board.corner_count() as f64 => Ok(found),
         found => Err(NoBoard::Hidden { seen: found.map_or(0, |f| f.seen()), all: board.corner_count() }),

@@ -8,18 +8,22 @@
 use nalgebra::Vector2;
 
 use super::FoundBoard;
-use super::lattice::{Lattice, median};
+use super::lattice::{Extent, Lattice, median};
 use crate::calibrate::board::{Board, Symmetry};
 
 /// Whether the lattice spans exactly the board, one way or the other.
 pub(super) fn fits(lattice: &Lattice, board: &Board) -> bool {
-    let wanted = (board.columns().max(board.rows()), board.columns().min(board.rows()));
-    lattice.extent().is_some_and(|extent| extent.sorted_size() == wanted)
+    lattice.extent().is_some_and(|extent| extent.sorted_size() == sorted_size(board))
 }
 
-/// The corners in the board's order; `None` where the lattice does not span the board.
-pub(super) fn placed(lattice: &Lattice, board: &Board, margin: f64) -> Option<FoundBoard> {
-    let turns: Vec<Turn> = (0..4).filter_map(|quarter| Turn::new(lattice, board, quarter)).collect();
+/// The board's corners along its sides, the larger number first.
+pub(super) fn sorted_size(board: &Board) -> (u32, u32) {
+    (board.columns().max(board.rows()), board.columns().min(board.rows()))
+}
+
+/// The corners in the board's order, of a lattice that spans `extent`, hidden corners included; `None` where that is not the board.
+pub(super) fn placed(lattice: &Lattice, extent: Extent, board: &Board, margin: f64) -> Option<FoundBoard> {
+    let turns: Vec<Turn> = (0..4).filter_map(|quarter| Turn::new(lattice, extent, board, quarter)).collect();
     let dark = turns.iter().any(|turn| turn.dark_origin);
     let preferred = if board.symmetry() == Symmetry::Quarter { Vector2::x() } else { Vector2::new(1.0, 1.0) };
     let left = turns.into_iter().filter(|turn| turn.dark_origin == dark);
@@ -51,8 +55,7 @@ struct Turn {
 }
 
 impl Turn {
-    fn new(lattice: &Lattice, board: &Board, quarter: usize) -> Option<Self> {
-        let extent = lattice.extent()?;
+    fn new(lattice: &Lattice, extent: Extent, board: &Board, quarter: usize) -> Option<Self> {
         let (w, h) = extent.size();
         let (low, high) = (extent.low, extent.high);
         // Origin and the lattice directions of x and y; y follows x clockwise, as j follows i.

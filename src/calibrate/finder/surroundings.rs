@@ -22,9 +22,8 @@ pub(crate) struct Margin {
 const OUTSIDE: f64 = 1.5;
 
 impl Margin {
-    /// Of a lattice that is the whole board.
-    pub fn around(lattice: &Lattice, level: &Level) -> Self {
-        let extent = lattice.extent().unwrap_or(Extent { low: (0, 0), high: (0, 0) });
+    /// Of a lattice that is the whole board, which spans `extent`, hidden corners included.
+    pub fn around(lattice: &Lattice, extent: Extent, level: &Level) -> Self {
         let mut seen = [Vec::new(), Vec::new()];
         for (&(i, j), cell) in lattice.cells() {
             let Some([u, v]) = lattice.steps(i, j) else { continue };
@@ -56,14 +55,46 @@ impl Lattice {
     /// Whether the board ends where the lattice does: one more row of squares beyond its outermost corners, and then no more.
     /// Sides that the picture cuts off tell nothing.
     pub(super) fn is_whole_board(&self, level: &Level) -> bool {
-        let Some(extent) = self.extent() else { return false };
         (0..4).all(|side| {
-            let inside = self.alternation(level, extent, side, -0.5).filter(|a| *a > 0.0);
-            let share = |out: f64| Some(self.alternation(level, extent, side, out)? / inside?);
-            // Going out by one square swaps the colours. What is around the board may be anything, but no whole squares.
-            share(0.25).is_none_or(|first| -first > ALTERNATES)
-                && [1.25, 1.5, 1.75].into_iter().any(|out| share(out).is_none_or(|second| second < ALTERNATES))
+            // What is around the board may be anything, but no whole squares.
+            let goes_on = self.goes_on(level, side) == Some(true);
+            // Squares may be cut so narrow that they are hardly there; then the other side must not go on either.
+            let begins = self.has_squares(level, side) != Some(false) || self.goes_on(level, side ^ 1).is_some();
+            !goes_on && begins
         })
+    }
+
+    /// Drops outermost corners with no squares beyond them, while the lattice is larger than `size` (the larger number first).
+    pub(super) fn drop_false_ends(&mut self, level: &Level, size: (u32, u32)) {
+        for side in 0..4 {
+            let Some(extent) = self.extent() else { return };
+            let (long, short) = extent.sorted_size();
+            let larger = long > size.0 || short > size.1;
+            if larger && self.has_squares(level, side) == Some(false) {
+                let (low, high) = (extent.low, extent.high);
+                self.retain(|at| [at.0 != low.0, at.0 != high.0, at.1 != low.1, at.1 != high.1][side]);
+            }
+        }
+    }
+
+    /// Whether there are squares beyond the outermost corners of a side; `None` where the picture cuts them off.
+    fn has_squares(&self, level: &Level, side: usize) -> Option<bool> {
+        // Going out by one square swaps the colours.
+        Some(-self.share_of_inside(level, side, 0.25)? > ALTERNATES)
+    }
+
+    /// Whether there is a second row of squares beyond them, and so another row of corners.
+    fn goes_on(&self, level: &Level, side: usize) -> Option<bool> {
+        let shares = [1.25, 1.5, 1.75].map(|out| self.share_of_inside(level, side, out));
+        let all: Option<Vec<f64>> = shares.into_iter().collect();
+        all.map(|all| all.iter().all(|&share| share > ALTERNATES))
+    }
+
+    /// How much the squares outside alternate, as a share of those inside.
+    fn share_of_inside(&self, level: &Level, side: usize, out: f64) -> Option<f64> {
+        let extent = self.extent()?;
+        let inside = self.alternation(level, extent, side, -0.5).filter(|a| *a > 0.0)?;
+        Some(self.alternation(level, extent, side, out)? / inside)
     }
 
     /// How much the squares beside one side alternate, `out` squares outside the outermost corners: 1 is fully, the sign says
