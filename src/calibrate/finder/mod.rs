@@ -133,9 +133,10 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
         let margin = Margin::around(&lattice, extent, &levels[index]);
         lattice.refit(&levels[index], Some(&margin));
     }
-    lattice.drop_disturbed();
     lattice.drop_strays();
     lattice.drop_islands();
+    // Last, for they may part the board into pieces.
+    lattice.drop_disturbed();
     let lattice = lattice.rescaled(-(index as i32));
     let found = placement::placed(&lattice, extent, board, margin.lightness);
     match found {
