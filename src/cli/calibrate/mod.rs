@@ -47,7 +47,7 @@ pub(super) struct CalibrateArguments {
     #[arg(long, value_name = "CLIP", conflicts_with_all = ["images", "clip"])]
     play: Option<PathBuf>,
     /// With --device: size of the pictures, the one that tracking will use [default: the camera's best]
-    #[arg(long, value_name = "WxH", requires = "device")]
+    #[arg(long, value_name = "WxH")]
     size: Option<String>,
     /// With --device or --play: end after this many pictures, if the set is not good before
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u64).range(3..=40))]
@@ -118,6 +118,9 @@ enum Profile {
 pub(super) fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     if let Some(own) = compare::two_files(arguments) {
         return compare::run(own, arguments);
+    }
+    if arguments.device.is_none() && arguments.play.is_none() && (arguments.save.is_some() || arguments.size.is_some()) {
+        return Err(Failure::Usage("--save and --size are for pictures from a camera; give --device too".to_owned()));
     }
     let board = board_of(arguments)?;
     let options = numbers::options(arguments)?;

@@ -27,9 +27,10 @@ impl Panel {
             return;
         }
         let text = lines(taken, look, most);
-        // Up to the first line and all below it away; a terminal that is gone is no reason to stop.
+        // Up to the first line and all below it away; long lines are cut, not folded, or the next way up would be longer.
         let up = if self.drawn_lines > 0 { format!("\x1b[{}A\x1b[J", self.drawn_lines) } else { String::new() };
-        let _ = write!(io::stderr(), "{up}{text}");
+        // A terminal that is gone is no reason to stop.
+        let _ = write!(io::stderr(), "\x1b[?7l{up}{text}\x1b[?7h");
         self.drawn_lines = text.lines().count();
     }
 }
@@ -58,7 +59,11 @@ fn lines(taken: &ViewSet, look: &Look, most: usize) -> String {
         let _ = writeln!(text, "{}   {beside}", parts.collect::<String>());
     }
     let next = taken.next_picture().unwrap_or_else(|| "more views unlike those before".to_owned());
-    let _ = writeln!(text, "{}   next: {next}", "  ".repeat(PART_COLUMNS));
+    // Where to hold it, and below how: both fit a narrow terminal.
+    let (place, tilt) = next.split_once(", with ").unwrap_or((&next, ""));
+    let margin = "  ".repeat(PART_COLUMNS);
+    let _ = writeln!(text, "{margin}   next: {place}");
+    let _ = writeln!(text, "{margin}         {}{tilt}", if tilt.is_empty() { "" } else { "with " });
     text
 }
 
@@ -91,11 +96,12 @@ mod tests {
         taken.add(ViewShape { corners: vec![Vector2::new(0.1, 0.1), Vector2::new(0.9, 0.4)], normal });
         let text = lines(&taken, &Look::Moving, 25);
         let rows: Vec<&str> = text.lines().collect();
-        assert_eq!(rows.len(), 4);
+        assert_eq!(rows.len(), 5);
         assert!(rows[0].starts_with(" # . . .   1 pictures taken; 12 at least, 25 at most"), "{text}");
         assert!(rows[1].starts_with(" . . . #   tilted away: left yes, right not yet"), "{text}");
         assert!(rows[2].starts_with(" . . . .   now: hold the board still"), "{text}");
-        assert!(rows[3].contains("next: hold the board in the "), "{text}");
+        assert!(rows[3].contains("next: hold the board in the ") && rows[4].contains("with its right side about 35 degrees"), "{text}");
+        assert!(rows.iter().all(|row| row.len() < 80), "{text}");
         assert!(
             line(&taken).starts_with("picture 1: 10 parts of the picture and these tilts are missing: right, upper, lower; hold"),
             "{}",
