@@ -14,6 +14,8 @@ use super::lattice::{Lattice, median};
 const UNLIKE: f64 = 0.4;
 /// A piece is kept when its corners lie this near, in squares, to where the board foretells them.
 const NEAR: f64 = 0.35;
+/// So many of its corners, those nearest to the board, are asked.
+const TOLD: usize = 6;
 /// How many of the board's corners foretell one beyond it.
 const FORETELLERS: usize = 16;
 
@@ -25,9 +27,16 @@ impl Lattice {
         let mut pieces = self.pieces();
         pieces.sort_by_key(|piece| std::cmp::Reverse(piece.len()));
         let Some((board, others)) = pieces.split_first() else { return };
-        let strays: BTreeSet<Place> =
-            others.iter().filter(|piece| !piece.iter().all(|&at| self.is_foretold(at, board))).flatten().copied().collect();
+        let strays: BTreeSet<Place> = others.iter().filter(|piece| !self.belongs(piece, board)).flatten().copied().collect();
         self.retain(|at| !strays.contains(&at));
+    }
+
+    /// Whether the corners of a piece that are nearest to the board lie where it foretells them; farther ones it cannot tell.
+    fn belongs(&self, piece: &BTreeSet<Place>, board: &BTreeSet<Place>) -> bool {
+        let off = |a: &Place, b: &Place| (a.0 - b.0).pow(2) + (a.1 - b.1).pow(2);
+        let mut nearest: Vec<(i32, Place)> = piece.iter().filter_map(|at| Some((board.iter().map(|b| off(at, b)).min()?, *at))).collect();
+        nearest.sort_unstable();
+        nearest.iter().take(TOLD).all(|&(_, at)| self.is_foretold(at, board))
     }
 
     /// What hangs together by steps that are like those around them.

@@ -91,7 +91,7 @@ fn a_shadow_across_the_board_hides_corners_on_its_edge_only() {
 fn a_board_partly_outside_is_none() {
     let board = Board::new(9, 6, 0.03).unwrap();
     let camera = photographer();
-    for aside in [0.14, 0.2, 0.3] {
+    for aside in [0.18, 0.24, 0.3] {
         let mut there = pose(&board, 20.0, 1.0, 0.1, 0.5);
         there.translation.x += aside;
         let error = find_board(&camera.photograph(&board, &there, &Photograph::default()), &board).unwrap_err();
