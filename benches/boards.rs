@@ -2,6 +2,8 @@
 //!
 //! `cargo bench --bench boards` prints two tables. A corner counts as wrong from one pixel on.
 
+use std::f64::consts::TAU;
+
 use image::GrayImage;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use rand::{Rng, SeedableRng};
@@ -102,7 +104,7 @@ fn hard(kind: &str, board: &Board, camera: &BoardPhotographer, number: u64, rand
     let tilt = if kind.contains("62") { between(50.0, 62.0) } else { between(0.0, 45.0) };
     let room = if kind.contains("outside") { 0.35 } else { 0.3 * (1.0 - fill) };
     let aside = Vector2::new(between(-room, room), between(-room, room));
-    let turn = [tilt, between(0.0, 6.28), between(-0.6, 0.6)];
+    let turn = [tilt, between(0.0, TAU), between(-0.6, 0.6)];
     let pose = pose(board, camera.model().intrinsics().fx, fill, turn, aside);
     let blur_px = between(0.4, 1.5);
     let falloff = between(0.0, 0.4) as f32;
