@@ -15,6 +15,10 @@ use super::solve::start::{centre, pose_of};
 pub const PART_COLUMNS: usize = 4;
 /// Rows of parts.
 pub const PART_ROWS: usize = 3;
+/// So many views make a good set …
+pub const GOOD_VIEWS: usize = 12;
+/// … if not more parts of the picture than this are left out.
+const PARTS_TO_SPARE: usize = 1;
 /// A board counts as tilted from here on, degrees.
 pub const TILTED_DEG: f64 = 18.0;
 
@@ -187,6 +191,12 @@ impl ViewSet {
     pub fn widest_angle_deg(&self) -> f64 {
         let pairs = self.shapes.iter().enumerate().flat_map(|(k, a)| self.shapes[k + 1..].iter().map(move |b| (a, b)));
         pairs.map(|(a, b)| a.normal.angle(&b.normal).to_degrees()).fold(0.0, f64::max)
+    }
+
+    /// Whether the views make a good set: enough of them, tilted to every side, in nearly every part of the picture.
+    pub fn is_good(&self) -> bool {
+        let missing = self.missing();
+        self.len() >= GOOD_VIEWS && missing.sides.is_empty() && missing.parts.len() <= PARTS_TO_SPARE
     }
 
     /// The picture to take next, in words; `None` where nothing is missing.

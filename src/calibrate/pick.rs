@@ -1,4 +1,4 @@
-//! Picks from a clip the views that are worth having: sharp, held still, and unlike those taken before.
+//! Picks from a clip, or from a live camera, the views that are worth having: sharp, held still, and unlike those taken before.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use image::GrayImage;
 use nalgebra::Vector2;
 
 use super::board::Board;
-use super::finder::find_board;
+use super::finder::{NoBoard, find_board};
 use super::guide::{ViewSet, ViewShape, observations_of};
 use super::session::{Inspected, inspect};
 
@@ -20,6 +20,21 @@ const NOVELTY: f64 = 0.2;
 const NOVELTY_PER_VIEW: f64 = 0.01;
 /// A view this much more blurred than the sharpest so far is passed over.
 const BLURRED: f64 = 1.6;
+
+/// What a frame showed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Look {
+    /// No board.
+    NoBoard(NoBoard),
+    /// A board in motion.
+    Moving,
+    /// A board, more blurred than those before.
+    Blurred,
+    /// A view like one that there is already.
+    Known,
+    /// A view worth having; it was taken.
+    Taken,
+}
 
 /// Looks at the frames of a clip one after the other.
 #[derive(Debug)]
@@ -39,31 +54,39 @@ impl ViewPicker {
         Self { board, taken: ViewSet::default(), pictures: Vec::new(), before: None, sharpest_px: f64::INFINITY, without: None }
     }
 
-    /// Looks at the next frame; true where it was taken.
-    pub fn look_at(&mut self, name: PathBuf, picture: &GrayImage) -> bool {
-        let Ok(found) = find_board(picture, &self.board) else {
-            self.before = None;
-            if self.pictures.is_empty() {
-                self.without = Some(inspect(name, picture, &self.board));
+    /// Looks at the next frame, and takes it where it is worth having.
+    pub fn look_at(&mut self, name: PathBuf, picture: &GrayImage) -> Look {
+        let found = match find_board(picture, &self.board) {
+            Ok(found) => found,
+            Err(reason) => {
+                self.before = None;
+                if self.pictures.is_empty() {
+                    self.without = Some(inspect(name, picture, &self.board));
+                }
+                return Look::NoBoard(reason);
             }
-            return false;
         };
         let width = f64::from(picture.width().max(picture.height()));
         let before = self.before.replace(found.corners.clone());
         let still = before.is_some_and(|before| moved(&before, &found.corners) < STILL_SHARE * width);
         self.sharpest_px = self.sharpest_px.min(found.blur_px);
-        let sharp = found.blur_px < BLURRED * self.sharpest_px.max(0.5);
+        if !still {
+            return Look::Moving;
+        }
+        if found.blur_px >= BLURRED * self.sharpest_px.max(0.5) {
+            return Look::Blurred;
+        }
         let observations = observations_of(&found.corners, &self.board);
-        let Some(shape) = ViewShape::new(&observations, picture.dimensions(), None).filter(|_| still && sharp) else { return false };
+        let Some(shape) = ViewShape::new(&observations, picture.dimensions(), None) else { return Look::Known };
         // The first views may be rather alike; the more there are, the more a new one must bring.
         let wanted = NOVELTY + NOVELTY_PER_VIEW * self.taken.len() as f64;
         let worth = self.taken.worth(&shape);
         if self.taken.len() >= MOST_VIEWS || !(worth.is_worth_it() || worth.novelty > wanted) {
-            return false;
+            return Look::Known;
         }
         self.taken.add(shape);
         self.pictures.push(inspect(name, picture, &self.board));
-        true
+        Look::Taken
     }
 
     /// The views taken so far.

@@ -7,8 +7,11 @@
 use image::GrayImage;
 use nalgebra::{Matrix2, Matrix3, Vector2};
 
-use super::finder::fit::{self, Sample};
+use super::board::Board;
+use super::finder::fit::{self, NextEdge, NextEdges, Surroundings};
 use super::finder::level::{Level, rescaled};
+use super::finder::window::Window;
+use super::finder::{FoundBoard, SMALL_SQUARE, WIDEST_BLUR};
 use super::solve::adjust::BoardFrame;
 use super::solve::lens::Lens;
 use crate::camera::{CameraModel, Normalized, Pixel};
@@ -22,20 +25,19 @@ pub(crate) struct BoardPatch {
     corner: Vector2<f64>,
 }
 
-/// Blur that a corner is still fitted at, level pixels.
-const WIDEST_BLUR: f64 = 2.5;
-
 impl BoardPatch {
-    /// Cuts out the box around some pixels with a margin, so that a set of large pictures need not be held.
-    pub fn cut(picture: &GrayImage, corners: &[Vector2<f64>], margin_px: f64, blur_px: f64) -> Self {
-        let fold = |f: fn(f64, f64) -> f64, start: f64, k: usize| corners.iter().fold(start, |a, c| f(a, c[k]));
+    /// Cuts out the box around the board with a margin, so that a set of large pictures need not be held.
+    pub fn cut(picture: &GrayImage, found: &FoundBoard) -> Self {
+        let margin_px = 40.0 + 8.0 * found.blur_px;
+        let fold = |f: fn(f64, f64) -> f64, start: f64, k: usize| found.corners.iter().flatten().fold(start, |a, c| f(a, c[k]));
         let low = |k: usize| (fold(f64::min, f64::INFINITY, k) - margin_px).max(0.0) as u32;
         let high = |k: usize, size: u32| ((fold(f64::max, 0.0, k) + margin_px) as u32 + 2).min(size);
         // Cut at multiples of 8, so that the halves fall on the same pixels whatever is cut.
         let (x, y) = (low(0) / 8 * 8, low(1) / 8 * 8);
         let (w, h) = (high(0, picture.width()).saturating_sub(x).max(1), high(1, picture.height()).saturating_sub(y).max(1));
         let mut levels = vec![Level::of_picture(&image::imageops::crop_imm(picture, x, y, w, h).to_image())];
-        while blur_px * 0.5_f64.powi(levels.len() as i32 - 1) > WIDEST_BLUR && levels.len() < 5 {
+        let here = |px: f64, levels: &[Level]| px * 0.5_f64.powi(levels.len() as i32 - 1);
+        while here(found.blur_px, &levels) > WIDEST_BLUR && here(found.square_px, &levels) >= SMALL_SQUARE && levels.len() < 5 {
             levels.push(levels[levels.len() - 1].halved());
         }
         Self { levels, corner: Vector2::new(f64::from(x), f64::from(y)) }
@@ -47,15 +49,16 @@ pub(crate) struct BoardView<'a> {
     model: &'a CameraModel,
     pose: &'a Pose<Camera, BoardFrame>,
     to_board: Matrix3<f64>,
-    square_m: f64,
+    board: &'a Board,
+    found: &'a FoundBoard,
 }
 
 impl<'a> BoardView<'a> {
     /// `None` where the board is seen edge-on.
-    pub fn new(model: &'a CameraModel, pose: &'a Pose<Camera, BoardFrame>, square_m: f64) -> Option<Self> {
+    pub fn new(model: &'a CameraModel, pose: &'a Pose<Camera, BoardFrame>, board: &'a Board, found: &'a FoundBoard) -> Option<Self> {
         let r = pose.rotation_matrix();
         let from_board = Matrix3::from_columns(&[r.column(0).into_owned(), r.column(1).into_owned(), pose.translation]);
-        Some(Self { model, pose, to_board: from_board.try_inverse()?, square_m })
+        Some(Self { model, pose, to_board: from_board.try_inverse()?, board, found })
     }
 
     /// The place on the board, metres, that a raw pixel shows.
@@ -78,11 +81,11 @@ impl<'a> BoardView<'a> {
         Some((pixel.0, by_n * Matrix2::from_columns(&[column(0), column(1)])))
     }
 
-    /// The corner near `start` (raw pixel), fitted on the board's plane; `None` where the fit finds none.
-    pub fn corner(&self, patch: &BoardPatch, start: Vector2<f64>, blur_px: f64) -> Option<Vector2<f64>> {
+    /// Corner `index` near `start` (raw pixel), fitted on the board's plane; `None` where the fit finds none.
+    pub fn corner(&self, patch: &BoardPatch, index: usize, start: Vector2<f64>, window: &mut Window) -> Option<Vector2<f64>> {
         let mut centre = start;
         for _ in 0..3 {
-            let moved = self.corner_once(patch, centre, blur_px)?;
+            let moved = self.corner_once(patch, index, centre, window)?;
             let step = (moved - centre).norm();
             centre = moved;
             if step < 0.05 {
@@ -93,40 +96,69 @@ impl<'a> BoardView<'a> {
         ((centre - start).norm() < 1.5).then_some(centre)
     }
 
-    fn corner_once(&self, patch: &BoardPatch, centre: Vector2<f64>, blur_px: f64) -> Option<Vector2<f64>> {
+    fn corner_once(&self, patch: &BoardPatch, index: usize, centre: Vector2<f64>, window: &mut Window) -> Option<Vector2<f64>> {
         let steps = patch.levels.len() as i32 - 1;
         let level = &patch.levels[steps as usize];
         let scale = 0.5_f64.powi(steps);
         let place = self.on_board(centre)?;
         let (_, per_metre) = self.in_picture(place)?;
         let per_metre = per_metre * scale;
-        let [u, v] = [0, 1].map(|k| per_metre.column(k) * self.square_m);
+        let [u, v] = [0, 1].map(|k| per_metre.column(k) * self.board.square_m());
         let area = u.perp(&v);
-        let reach = fit::reach(blur_px * scale);
+        let blur = self.found.blur_px * scale;
+        let reach = fit::reach(blur);
+        let around = self.surroundings(index, place, [u, v], scale);
         let middle = rescaled(centre - patch.corner, steps);
         let flat = Unbent::new(middle, reach, |p| {
             let pixel = rescaled(p, -steps) + patch.corner;
             Some(per_metre * (self.on_board(pixel)? - place))
         })?;
-        let mut samples: Vec<Sample> = Vec::with_capacity(512);
+        window.clear();
         let rows = (middle.y - reach).ceil().max(0.0) as usize..((middle.y + reach).floor() + 1.0).clamp(0.0, level.height as f64) as usize;
         for y in rows {
             let columns =
                 (middle.x - reach).ceil().max(0.0) as usize..((middle.x + reach).floor() + 1.0).clamp(0.0, level.width as f64) as usize;
             for x in columns {
                 let offset = flat.at(Vector2::new(x as f64, y as f64) - middle);
-                let (s, t) = (offset.perp(&v) / area, u.perp(&offset) / area);
-                if s.abs() < fit::WINDOW && t.abs() < fit::WINDOW && offset.norm() < reach {
-                    let weight = fit::window_weight(s, t, offset.norm(), reach);
-                    samples.push(Sample { offset, grey: f64::from(level.grey[y * level.width + x]), weight });
+                let squares = [offset.perp(&v) / area, u.perp(&offset) / area];
+                let grey = f64::from(level.grey[y * level.width + x]);
+                if let Some(sample) = around.sample(offset, offset, squares, (reach, blur), grey) {
+                    window.push(&sample);
                 }
             }
         }
         let farthest = 0.3 * area / u.norm().max(v.norm());
-        let found = fit::fit_samples(&samples, [u, v], blur_px * scale, farthest)?;
+        let found = fit::fit_window(window, [u, v], blur, farthest)?;
         let metres = per_metre.try_inverse()? * found.offset;
         (found.residual < fit::LARGEST_RESIDUAL).then_some(())?;
         Some(self.in_picture(place + metres)?.0)
+    }
+}
+
+impl BoardView<'_> {
+    /// What surrounds corner `index` on the unbent plane around `place` (board, metres), where a square's steps are u and v.
+    fn surroundings(&self, index: usize, place: Vector2<f64>, [u, v]: [Vector2<f64>; 2], scale: f64) -> Surroundings {
+        let light = self.found.light.get(index).copied().unwrap_or_default() / scale;
+        let nearest = u.perp(&v) / u.norm().max(v.norm());
+        if self.found.blur_px * scale < fit::BLUR_REACHES * nearest {
+            return Surroundings { light, edges: None };
+        }
+        let columns = self.board.columns() as usize;
+        let (column, row) = (index % columns, index / columns);
+        // How far the place is from where the corner should be, squares: the next edges stay where they belong.
+        let off = (place - self.board.corner(index)) / self.board.square_m();
+        let edge = |across: Vector2<f64>, step: Vector2<f64>, squares: f64, ends: bool| {
+            let normal = across / across.norm();
+            NextEdge { normal, place: normal.dot(&step) * squares, ends }
+        };
+        let (across_u, across_v) = (Vector2::new(v.y, -v.x), Vector2::new(-u.y, u.x));
+        let (last_column, last_row) = (columns - 1, self.board.rows() as usize - 1);
+        let along = [
+            [edge(across_v, v, -1.0 - off.y, row == 0), edge(across_v, v, 1.0 - off.y, row == last_row)],
+            [edge(across_u, u, -1.0 - off.x, column == 0), edge(across_u, u, 1.0 - off.x, column == last_column)],
+        ];
+        let beyond = if self.found.is_dark_beyond(index, columns) { -self.found.margin } else { self.found.margin };
+        Surroundings { light, edges: Some(NextEdges { along, beyond }) }
     }
 }
 

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use super::board::Board;
+use super::finder::window::Window;
 use super::finder::{FoundBoard, NoBoard, find_board};
 use super::judge::{self, Judgement};
 use super::recompute::{BoardPatch, BoardView, model_of};
@@ -50,10 +51,7 @@ pub fn inspect(file: PathBuf, picture: &GrayImage, board: &Board) -> Inspected {
         Err(NoBoard::OtherSize { columns, rows, cut: false, .. }) => Some((*columns, *rows)),
         _ => None,
     };
-    let patch = found.as_ref().ok().map(|found| {
-        let corners: Vec<Vector2<f64>> = found.corners.iter().flatten().copied().collect();
-        BoardPatch::cut(picture, &corners, 40.0 + 8.0 * found.blur_px, found.blur_px)
-    });
+    let patch = found.as_ref().ok().map(|found| BoardPatch::cut(picture, found));
     let scale = (f64::from(THUMBNAIL_PX) / f64::from(size.0.max(size.1))).min(1.0);
     let side = |s: u32| ((f64::from(s) * scale).round() as u32).max(1);
     let thumbnail = Some(image::imageops::thumbnail(picture, side(size.0), side(size.1)));
@@ -144,7 +142,7 @@ pub enum CalibrationError {
 struct Working<'a> {
     picture: usize,
     inspected: &'a Inspected,
-    blur_px: f64,
+    found: &'a FoundBoard,
     corners: Vec<Option<Vector2<f64>>>,
 }
 
@@ -172,7 +170,7 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
     let mut working: Vec<Working> = Vec::new();
     for (picture, inspected) in pictures.iter().enumerate() {
         if let Ok(found) = &inspected.board {
-            working.push(Working { picture, inspected, blur_px: found.blur_px, corners: found.corners.clone() });
+            working.push(Working { picture, inspected, found, corners: found.corners.clone() });
         }
     }
     if working.is_empty() {
@@ -219,12 +217,14 @@ fn settle(
             .par_iter_mut()
             .zip(&estimate.bundle.poses)
             .map(|(view, pose)| {
-                let (Some(patch), Some(geometry)) = (&view.inspected.patch, BoardView::new(&model, pose, board.square_m())) else {
+                let geometry = BoardView::new(&model, pose, board, view.found);
+                let (Some(patch), Some(geometry)) = (&view.inspected.patch, geometry) else {
                     return 0.0;
                 };
-                let mut farthest: f64 = 0.0;
-                for corner in view.corners.iter_mut().flatten() {
-                    if let Some(now) = geometry.corner(patch, *corner, view.blur_px) {
+                let (mut farthest, mut window) = (0.0_f64, Window::default());
+                for (k, corner) in view.corners.iter_mut().enumerate() {
+                    let Some(corner) = corner else { continue };
+                    if let Some(now) = geometry.corner(patch, k, *corner, &mut window) {
                         farthest = farthest.max((now - *corner).norm());
                         *corner = now;
                     }

@@ -60,10 +60,11 @@ fn corners_measured_with_the_lens_are_nearer_to_the_truth() {
     let picture = camera.photograph(&board, &pose, &Photograph { blur_px: 2.0, noise: 0.5, falloff: 0.0, ..Photograph::default() });
     let seen = inspect("wide.png".into(), &picture, &board);
     let (found, truth) = (seen.board.unwrap(), camera.corners(&board, &pose));
-    let geometry = BoardView::new(camera.model(), &pose, board.square_m()).unwrap();
+    let geometry = BoardView::new(camera.model(), &pose, &board, &found).unwrap();
     let (mut before, mut after) = (0.0, 0.0);
-    for (corner, truth) in found.corners.iter().flatten().zip(&truth) {
-        let again = geometry.corner(seen.patch.as_ref().unwrap(), *corner, found.blur_px).unwrap();
+    let mut window = Window::default();
+    for (k, (corner, truth)) in found.corners.iter().flatten().zip(&truth).enumerate() {
+        let again = geometry.corner(seen.patch.as_ref().unwrap(), k, *corner, &mut window).unwrap();
         before += (corner - truth).norm_squared();
         after += (again - truth).norm_squared();
     }

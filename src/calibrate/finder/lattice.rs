@@ -7,16 +7,28 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector2;
 
-use super::fit::{CornerFit, fit_corner};
+use super::fit::{CornerFit, Surroundings, fit_corner};
 use super::level::Level;
+use super::surroundings::Margin;
+use super::window::Window;
 
 /// One corner of a lattice.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cell {
     /// Level pixels.
     pub position: Vector2<f64>,
+    /// The level half way between dark and light.
+    pub middle: f64,
     /// Half the difference between light and dark, grey levels.
     pub contrast: f64,
+    /// What the fit left unexplained, grey levels; 0 before there was one.
+    pub residual: f64,
+}
+
+impl From<CornerFit> for Cell {
+    fn from(fit: CornerFit) -> Self {
+        Self { position: fit.position, middle: fit.middle, contrast: fit.contrast.abs(), residual: fit.residual }
+    }
 }
 
 /// Corners by their coordinates.
@@ -28,7 +40,7 @@ pub(crate) struct Lattice {
 }
 
 /// Lowest and highest coordinates.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Extent {
     pub low: (i32, i32),
     pub high: (i32, i32),
@@ -49,6 +61,9 @@ impl Extent {
 
 /// A corner this share of a square away from where its neighbours foretell it is none.
 const STRAY: f64 = 0.25;
+/// More than this times the noise and this share of the contrast left unexplained is no clean corner.
+const DISTURBED_NOISE: f64 = 2.0;
+const DISTURBED_SHARE: f64 = 0.08;
 /// Blur that a fit starts from at most, level pixels.
 const WIDEST_START: f64 = 2.0;
 /// Larger boards are not looked for.
@@ -80,7 +95,7 @@ impl Lattice {
         }))
     }
 
-    fn at(&self, i: i32, j: i32) -> Option<Vector2<f64>> {
+    pub fn at(&self, i: i32, j: i32) -> Option<Vector2<f64>> {
         self.cells.get(&(i, j)).map(|cell| cell.position)
     }
 
@@ -101,7 +116,7 @@ impl Lattice {
     }
 
     /// Where a corner should be, judging by those around it.
-    fn foretold(&self, i: i32, j: i32) -> Option<Vector2<f64>> {
+    pub fn foretold(&self, i: i32, j: i32) -> Option<Vector2<f64>> {
         let (mut sum, mut weight) = (Vector2::zeros(), 0.0);
         let mut say = |p: Vector2<f64>, w: f64| {
             sum += p * w;
@@ -131,7 +146,8 @@ impl Lattice {
     /// Fits every corner on `level`, drops those that are none, and looks for the missing ones: inside, and outwards while
     /// corners appear.
     pub fn complete(&mut self, level: &Level) {
-        self.refit(level);
+        self.refit(level, None);
+        let mut window = Window::default();
         let mut tried: BTreeMap<(i32, i32), usize> = BTreeMap::new();
         loop {
             let around = self.cells.keys().flat_map(|&(i, j)| [(i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)]);
@@ -145,9 +161,12 @@ impl Lattice {
                 if tried.insert((i, j), neighbours).is_some_and(|before| before >= neighbours) {
                     continue;
                 }
-                let found = self.foretold(i, j).and_then(|start| self.fit_at(level, i, j, start));
+                let found = self.foretold(i, j).and_then(|start| {
+                    let around = self.surroundings((i, j), start, None);
+                    self.fit_at(level, i, j, start, &around, &mut window)
+                });
                 if let Some(fit) = found {
-                    self.cells.insert((i, j), Cell { position: fit.position, contrast: fit.contrast.abs() });
+                    self.cells.insert((i, j), fit.into());
                     added = true;
                 }
             }
@@ -162,20 +181,31 @@ impl Lattice {
         around.filter(|&(a, b)| self.cells.contains_key(&(i + a, j + b))).count()
     }
 
-    /// Fits every corner on `level` where its position is known to about a pixel, and drops those that are none.
-    pub fn refit(&mut self, level: &Level) {
+    /// Fits every corner on `level` where its position is known to about a pixel, and drops those that are none. With `margin`
+    /// the lattice is the whole board, and what lies around it is known.
+    pub fn refit(&mut self, level: &Level, margin: Option<&Margin>) {
         let mut fits = BTreeMap::new();
+        let mut window = Window::default();
         let mut blurs = Vec::with_capacity(self.cells.len());
         for (&(i, j), cell) in &self.cells {
-            if let Some(fit) = self.fit_at(level, i, j, cell.position) {
+            let around = self.surroundings((i, j), cell.position, margin);
+            if let Some(fit) = self.fit_at(level, i, j, cell.position, &around, &mut window) {
                 blurs.push(fit.blur);
-                fits.insert((i, j), Cell { position: fit.position, contrast: fit.contrast.abs() });
+                fits.insert((i, j), fit.into());
             }
         }
         self.cells = fits;
         if let Some(blur) = median(&mut blurs) {
             self.blur = blur;
         }
+    }
+
+    /// Drops corners that do not look like one where it counts: a shadow's edge or a reflection runs through them. The picture's
+    /// own noise is what the better half leaves unexplained.
+    pub fn drop_disturbed(&mut self) {
+        let mut residuals: Vec<f64> = self.cells.values().map(|cell| cell.residual).collect();
+        let Some(noise) = median(&mut residuals) else { return };
+        self.cells.retain(|_, cell| cell.residual < (DISTURBED_NOISE * noise).hypot(DISTURBED_SHARE * cell.contrast));
     }
 
     /// Drops corners that lie where their neighbours do not foretell them, the worst first.
@@ -193,11 +223,16 @@ impl Lattice {
         }
     }
 
+    /// Keeps the corners of which this is true.
+    pub fn retain(&mut self, mut keep: impl FnMut((i32, i32)) -> bool) {
+        self.cells.retain(|&at, _| keep(at));
+    }
+
     /// A corner fit with the steps and colours of this lattice.
-    fn fit_at(&self, level: &Level, i: i32, j: i32, start: Vector2<f64>) -> Option<CornerFit> {
-        let [u, v] = self.steps(i, j)?;
+    fn fit_at(&self, level: &Level, i: i32, j: i32, start: Vector2<f64>, around: &Surroundings, window: &mut Window) -> Option<CornerFit> {
+        let steps = self.steps(i, j)?;
         // A narrow start keeps the window small; it widens where the fit asks for it.
-        let fit = fit_corner(level, start, u, v, self.blur.min(WIDEST_START))?;
+        let fit = fit_corner(level, start, steps, self.blur.min(WIDEST_START), around, window)?;
         let dark_first = (i + j).rem_euclid(2) == 0;
         ((fit.contrast < 0.0) == dark_first).then_some(fit)
     }

@@ -110,7 +110,12 @@ fn spread(saddles: &[Saddle], root: usize, taken: &mut [bool], mutual: impl Fn(u
     let mut queue = VecDeque::from([(root, (0, 0), [0, way_at_growing_angle(&saddles[root], 0)])]);
     taken[root] = true;
     while let Some((index, (i, j), [along_i, along_j])) = queue.pop_front() {
-        cells.entry((i, j)).or_insert(Cell { position: saddles[index].position, contrast: saddles[index].contrast });
+        cells.entry((i, j)).or_insert(Cell {
+            position: saddles[index].position,
+            middle: saddles[index].middle,
+            contrast: saddles[index].contrast,
+            residual: 0.0,
+        });
         let steps = [(along_i, (1, 0)), (along_i ^ 1, (-1, 0)), (along_j, (0, 1)), (along_j ^ 1, (0, -1))];
         for (way, (di, dj)) in steps {
             let Some(to) = mutual(index, way).filter(|&to| !taken[to]) else { continue };

@@ -7,19 +7,24 @@
 //! the origin is the same corner in every picture ([`placement`]).
 
 pub(crate) mod fit;
+mod islands;
 pub(crate) mod lattice;
 pub(crate) mod level;
 mod links;
 mod placement;
 mod saddle;
+mod surroundings;
+pub(crate) mod window;
 
 use image::GrayImage;
 use nalgebra::Vector2;
 use thiserror::Error;
 
 use super::board::Board;
+use fit::BLUR_REACHES;
 use lattice::Lattice;
 use level::Level;
+use surroundings::Margin;
 
 /// A board in a picture.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,9 +35,22 @@ pub struct FoundBoard {
     pub blur_px: f64,
     /// Half the difference between light and dark squares, grey levels (the median).
     pub contrast: f64,
+    /// Relative change of the light per pixel at each corner, along x and y.
+    pub light: Vec<Vector2<f64>>,
+    /// Level of what lies around the board, on the scale on which dark squares are -1 and light ones 1.
+    pub margin: f64,
+    /// Whether the square between the origin's x and y is dark.
+    pub dark_origin: bool,
+    /// Shorter side of the median square, pixels.
+    pub square_px: f64,
 }
 
 impl FoundBoard {
+    /// Whether the square between x and y of corner `index` of a board with `columns` is dark.
+    pub(crate) fn is_dark_beyond(&self, index: usize, columns: usize) -> bool {
+        (index % columns + index / columns).is_multiple_of(2) == self.dark_origin
+    }
+
     /// How many corners are seen.
     pub fn seen(&self) -> usize {
         self.corners.iter().flatten().count()
@@ -77,7 +95,9 @@ const LATTICES: usize = 3;
 /// A board counts as seen when this share of its corners is.
 const LEAST_SEEN: f64 = 0.7;
 /// Corners are fitted on a level where the blur is at most this, pixels.
-const WIDEST_BLUR: f64 = 2.5;
+pub(crate) const WIDEST_BLUR: f64 = 2.5;
+/// … or where squares are smaller than this: they have no pixels to spare.
+pub(crate) const SMALL_SQUARE: f64 = 20.0;
 
 /// Finds the board's corners in a picture.
 ///
@@ -88,9 +108,11 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
     let mut best: Option<(usize, Lattice)> = None;
     let mut partial: Option<(usize, Lattice)> = None;
     for (index, level) in levels.iter().enumerate().rev() {
-        for lattice in lattices_of(level) {
+        for mut lattice in lattices_of(level) {
+            lattice.drop_false_ends(level, placement::sorted_size(board));
             let seen = lattice.len();
-            let slot = if placement::fits(&lattice, board) { &mut best } else { &mut partial };
+            let fits = placement::fits(&lattice, board) && lattice.is_whole_board(level);
+            let slot = if fits { &mut best } else { &mut partial };
             if slot.as_ref().is_none_or(|(_, kept)| kept.len() < seen) {
                 *slot = Some((index, lattice));
             }
@@ -100,9 +122,23 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
         }
     }
     let Some((index, lattice)) = best else { return Err(seen_instead(picture, board, partial, &levels)) };
-    let mut lattice = sharpened(lattice, index, &levels);
+    // Corners that are dropped from here on are hidden ones: the board stays as large as it is.
+    let extent = lattice.extent().unwrap_or_default();
+    let (mut lattice, index) = sharpened(lattice, index, &levels);
     lattice.drop_strays();
-    let found = placement::placed(&lattice, board);
+    // Once more, with all that the neighbours tell of each corner.
+    let margin = Margin::around(&lattice, extent, &levels[index]);
+    lattice.refit(&levels[index], Some(&margin));
+    if lattice.blur > BLUR_REACHES * lattice.square() {
+        let margin = Margin::around(&lattice, extent, &levels[index]);
+        lattice.refit(&levels[index], Some(&margin));
+    }
+    lattice.drop_strays();
+    lattice.drop_islands();
+    // Last, for they may part the board into pieces.
+    lattice.drop_disturbed();
+    let lattice = lattice.rescaled(-(index as i32));
+    let found = placement::placed(&lattice, extent, board, margin.lightness);
     match found {
         Some(found) if found.seen() as f64 >= LEAST_SEEN * board.corner_count() as f64 => Ok(found),
         found => Err(NoBoard::Hidden { seen: found.map_or(0, |f| f.seen()), all: board.corner_count() }),
@@ -118,13 +154,15 @@ fn lattices_of(level: &Level) -> Vec<Lattice> {
     for lattice in &mut lattices {
         lattice.complete(level);
         lattice.drop_strays();
+        lattice.drop_islands();
         lattice.trim();
     }
     lattices
 }
 
-/// The lattice with its corners fitted on the finest level that is not more blurred than [`WIDEST_BLUR`], in picture pixels.
-fn sharpened(lattice: Lattice, found_on: usize, levels: &[Level]) -> Lattice {
+/// The lattice with its corners fitted on the finest level that is not more blurred than [`WIDEST_BLUR`], or that small squares
+/// need, and which level that is.
+fn sharpened(lattice: Lattice, found_on: usize, levels: &[Level]) -> (Lattice, usize) {
     let (mut lattice, mut at) = (lattice, found_on);
     // Two levels at once where that goes well: the fit's start is then half a pixel off at most.
     let mut stride = 2;
@@ -133,10 +171,10 @@ fn sharpened(lattice: Lattice, found_on: usize, levels: &[Level]) -> Lattice {
         let mut finer = lattice.rescaled(to as i32 - at as i32);
         let before = finer.len();
         // Small squares tell little of the blur, so it is asked of the finer level itself.
-        finer.refit(&levels[to]);
+        finer.refit(&levels[to], None);
         // Where noise or a screen's own pixels hide the corners from the finer level, the coarser one has the word.
         let lost = finer.len() * 20 < before * 19;
-        if !lost && finer.blur <= WIDEST_BLUR {
+        if !lost && (finer.blur <= WIDEST_BLUR || finer.square() < SMALL_SQUARE) {
             (lattice, at) = (finer, to);
         } else if stride > 1 && at > 1 {
             stride = 1;
@@ -144,7 +182,7 @@ fn sharpened(lattice: Lattice, found_on: usize, levels: &[Level]) -> Lattice {
             break;
         }
     }
-    lattice.rescaled(-(at as i32))
+    (lattice, at)
 }
 
 /// The sentence for a picture without the board.

@@ -8,29 +8,46 @@
 use nalgebra::Vector2;
 
 use super::FoundBoard;
-use super::lattice::{Lattice, median};
+use super::lattice::{Extent, Lattice, median};
 use crate::calibrate::board::{Board, Symmetry};
 
 /// Whether the lattice spans exactly the board, one way or the other.
 pub(super) fn fits(lattice: &Lattice, board: &Board) -> bool {
-    let wanted = (board.columns().max(board.rows()), board.columns().min(board.rows()));
-    lattice.extent().is_some_and(|extent| extent.sorted_size() == wanted)
+    lattice.extent().is_some_and(|extent| extent.sorted_size() == sorted_size(board))
 }
 
-/// The corners in the board's order; `None` where the lattice does not span the board.
-pub(super) fn placed(lattice: &Lattice, board: &Board) -> Option<FoundBoard> {
-    let turns: Vec<Turn> = (0..4).filter_map(|quarter| Turn::new(lattice, board, quarter)).collect();
+/// The board's corners along its sides, the larger number first.
+pub(super) fn sorted_size(board: &Board) -> (u32, u32) {
+    (board.columns().max(board.rows()), board.columns().min(board.rows()))
+}
+
+/// The corners in the board's order, of a lattice that spans `extent`, hidden corners included; `None` where that is not the board.
+pub(super) fn placed(lattice: &Lattice, extent: Extent, board: &Board, margin: f64) -> Option<FoundBoard> {
+    let turns: Vec<Turn> = (0..4).filter_map(|quarter| Turn::new(lattice, extent, board, quarter)).collect();
     let dark = turns.iter().any(|turn| turn.dark_origin);
     let preferred = if board.symmetry() == Symmetry::Quarter { Vector2::x() } else { Vector2::new(1.0, 1.0) };
     let left = turns.into_iter().filter(|turn| turn.dark_origin == dark);
     let chosen = left.max_by(|a, b| a.x_axis.dot(&preferred).total_cmp(&b.x_axis.dot(&preferred)))?;
     let mut contrasts: Vec<f64> = lattice.cells().map(|(_, cell)| cell.contrast).collect();
-    Some(FoundBoard { corners: chosen.corners, blur_px: lattice.blur, contrast: median(&mut contrasts)? })
+    let contrast = median(&mut contrasts)?;
+    let light =
+        chosen.places.iter().map(|&at| lattice.get(at).and_then(|cell| lattice.light(at, cell.position)).unwrap_or_default()).collect();
+    Some(FoundBoard {
+        corners: chosen.corners,
+        blur_px: lattice.blur,
+        contrast,
+        light,
+        margin,
+        dark_origin: chosen.dark_origin,
+        square_px: lattice.square(),
+    })
 }
 
 /// A lattice turned by quarters until it may be the board.
 struct Turn {
     corners: Vec<Option<Vector2<f64>>>,
+    /// Their coordinates in the lattice.
+    places: Vec<(i32, i32)>,
     /// Whether the square beyond the origin is dark.
     dark_origin: bool,
     /// Direction of the board's x axis in the picture, a unit vector.
@@ -38,8 +55,7 @@ struct Turn {
 }
 
 impl Turn {
-    fn new(lattice: &Lattice, board: &Board, quarter: usize) -> Option<Self> {
-        let extent = lattice.extent()?;
+    fn new(lattice: &Lattice, extent: Extent, board: &Board, quarter: usize) -> Option<Self> {
         let (w, h) = extent.size();
         let (low, high) = (extent.low, extent.high);
         // Origin and the lattice directions of x and y; y follows x clockwise, as j follows i.
@@ -56,10 +72,11 @@ impl Turn {
         let at = |c: i32, r: i32| (origin.0 + c * x.0 + r * y.0, origin.1 + c * x.1 + r * y.1);
         let (columns, rows) = (board.columns() as i32, board.rows() as i32);
         let all = (0..rows).flat_map(|r| (0..columns).map(move |c| (c, r)));
-        let corners: Vec<_> = all.map(|(c, r)| lattice.get(at(c, r)).map(|cell| cell.position)).collect();
+        let places: Vec<_> = all.map(|(c, r)| at(c, r)).collect();
+        let corners: Vec<_> = places.iter().map(|&at| lattice.get(at).map(|cell| cell.position)).collect();
         // The quadrant between x and y has the colour of (i, j)'s own where the turn is by a half, the other one else.
         let dark_origin = ((origin.0 + origin.1).rem_euclid(2) == 0) == quarter.is_multiple_of(2);
-        Some(Self { dark_origin, x_axis: x_axis(&corners, board.columns() as usize), corners })
+        Some(Self { dark_origin, x_axis: x_axis(&corners, board.columns() as usize), corners, places })
     }
 }
 

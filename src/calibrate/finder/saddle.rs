@@ -18,6 +18,8 @@ pub(super) struct Saddle {
     pub position: Vector2<f64>,
     /// Angles, modulo pi, of the two edges: going from the first to the second at growing angle crosses a dark square.
     pub edges: [f64; 2],
+    /// Its own grey level.
+    pub middle: f64,
     /// Half the difference between light and dark, grey levels.
     pub contrast: f64,
 }
@@ -110,7 +112,7 @@ fn look_at(smooth: &Level, index: usize, ring: &[Vector2<f64>]) -> Option<Saddle
     if uneven || light.min(dark) < 0.25 * contrast || contrast < 1.0 {
         return None;
     }
-    Some(Saddle { position, edges: crossings(&folded)?, contrast })
+    Some(Saddle { position, edges: crossings(&folded)?, middle, contrast })
 }
 
 /// Newton's step to the point where the gradient vanishes, at most 1.5 pixels away.

@@ -59,6 +59,47 @@ fn boards_of_any_size_are_found() {
 }
 
 #[test]
+fn blur_over_small_squares_moves_no_corner() {
+    for (columns, rows, square_m) in [(13, 12, 0.018), (10, 10, 0.022), (24, 17, 0.012)] {
+        let board = Board::new(columns, rows, square_m).unwrap();
+        for (blur_px, limit) in [(1.5, 0.04), (3.0, 0.06)] {
+            let error = error_px(&board, &Photograph { blur_px, ..Photograph::default() }, &[0.0, 30.0], 0.5);
+            assert!(error <= limit, "{board}, blur {blur_px}: {error:.4} px");
+        }
+    }
+}
+
+#[test]
+fn a_shadow_across_the_board_hides_corners_on_its_edge_only() {
+    let board = Board::new(9, 6, 0.03).unwrap();
+    let camera = photographer();
+    let pose = pose(&board, 20.0, 1.0, 0.1, 0.5);
+    let mut picture = camera.photograph(&board, &pose, &Photograph::default());
+    let truth = camera.corners(&board, &pose);
+    for (x, y, level) in picture.enumerate_pixels_mut() {
+        let past = f64::from(x) - 330.0 + 0.4 * f64::from(y);
+        level.0[0] = (f64::from(level.0[0]) * (0.15 + 0.85 / (1.0 + (past / 6.0).exp()))) as u8;
+    }
+    let found = find_board(&picture, &board).unwrap();
+    assert!(found.seen() > 40, "{}", found.seen());
+    for (corner, truth) in found.corners.iter().zip(&truth) {
+        assert!(corner.is_none_or(|c| (c - truth).norm() < 0.9), "{corner:?} is not {truth}");
+    }
+}
+
+#[test]
+fn a_board_partly_outside_is_none() {
+    let board = Board::new(9, 6, 0.03).unwrap();
+    let camera = photographer();
+    for aside in [0.18, 0.24, 0.3] {
+        let mut there = pose(&board, 20.0, 1.0, 0.1, 0.5);
+        there.translation.x += aside;
+        let error = find_board(&camera.photograph(&board, &there, &Photograph::default()), &board).unwrap_err();
+        assert!(matches!(error, NoBoard::OtherSize { cut: true, .. }), "{aside}: {error}");
+    }
+}
+
+#[test]
 fn darkness_noise_and_falling_light_are_borne() {
     let board = Board::new(10, 10, 0.022).unwrap();
     let dark = Photograph { dark: 4.0, light: 26.0, background: 2.0, margin: 0.3, blur_px: 1.0, noise: 1.5, falloff: 0.5, seed: 3 };

@@ -88,11 +88,11 @@ impl Judgement {
 }
 
 /// 3 sigma of the focal length, as a share, up to which it is good and usable.
-const FOCAL_SHARE: [f64; 2] = [0.006, 0.015];
+const FOCAL_SHARE: [f64; 2] = [0.008, 0.02];
 /// 3 sigma over most of the picture, in 640ths of the picture's width, up to which it is good and usable.
-const MOST_PX: [f64; 2] = [1.5, 5.0];
+const MOST_PX: [f64; 2] = [2.0, 6.0];
 /// 3 sigma at the worst place, in 640ths of the picture's width, up to which it is good.
-const WORST_PX: f64 = 10.0;
+const WORST_PX: f64 = 15.0;
 /// Halves that differ by more than this many joint sigma are no chance even where the corners' errors are not independent.
 const CONTRADICTION_SIGMAS: f64 = 6.0;
 /// Reprojection error, in 640ths of the picture's width, up to which it is good and usable.

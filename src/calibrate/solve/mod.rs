@@ -2,7 +2,7 @@
 //!
 //! A start in closed form ([`start`]), a robust adjustment that lets wild corners have little say, then the corners that
 //! do not belong are left out and the rest is adjusted by plain least squares ([`adjust`]), so that the covariance is the
-//! textbook's. Uncertainties are 3 sigma, as in Bouguet's toolbox: `3 sqrt(diag((JᵀJ)⁻¹)) sigma`.
+//! textbook's; what neighbouring corners' errors have in common is counted in. Uncertainties are 3 sigma, as in Bouguet's toolbox: `3 sqrt(diag((JᵀJ)⁻¹)) sigma`.
 
 pub mod adjust;
 pub mod lens;
@@ -37,7 +37,7 @@ pub struct Estimate {
     pub rms_px: f64,
     /// Bouguet's err: standard deviation along x and along y, pixels.
     pub axis_error_px: [f64; 2],
-    /// The noise of one coordinate, degrees of freedom counted, pixels.
+    /// The noise of one coordinate, degrees of freedom counted, and errors that neighbouring corners share; pixels.
     pub sigma_px: f64,
     /// Covariance of the ten numbers; zero for those that were held.
     pub lens_covariance: LensMatrix,
@@ -146,7 +146,7 @@ fn summed_up(bundle: Bundle, views: &[Vec<Observation>], used: Vec<Vec<bool>>, o
         return Err(SolveError::Undetermined);
     }
     let covariance = bundle.covariance(&kept, free).ok_or(SolveError::Undetermined)?;
-    let variance = squares / if options.bouguet { 2.0 * count - 1.0 } else { freedom };
+    let variance = if options.bouguet { squares / (2.0 * count - 1.0) } else { squares / freedom * shared_error(&bundle, &kept) };
     let mean: Vector2<f64> = residuals.iter().sum::<Vector2<f64>>() / count;
     let spread = |k: usize| (residuals.iter().map(|r| (r[k] - mean[k]).powi(2)).sum::<f64>() / (count - 1.0)).sqrt();
     Ok(Estimate {
@@ -158,6 +158,24 @@ fn summed_up(bundle: Bundle, views: &[Vec<Observation>], used: Vec<Vec<bool>>, o
         bundle,
         used,
     })
+}
+
+/// By how much more the unknowns vary than independent errors would make them. A board that is not flat, or a lens that the model
+/// does not reach, moves neighbouring corners alike: with four neighbours of correlation rho each, a sum's variance is 1 + 4 rho
+/// times as large. 1 for independent errors.
+fn shared_error(bundle: &Bundle, views: &[Vec<Observation>]) -> f64 {
+    let (mut alike, mut power) = (0.0, 0.0);
+    for (v, view) in views.iter().enumerate() {
+        let step = |pair: &[Observation]| (pair[1].board_m - pair[0].board_m).norm();
+        let square = view.windows(2).map(step).fold(f64::INFINITY, f64::min);
+        for pair in view.windows(2).filter(|pair| step(pair) < 1.01 * square) {
+            if let (Some(a), Some(b)) = (bundle.residual(v, &pair[0]), bundle.residual(v, &pair[1])) {
+                alike += a.dot(&b);
+                power += 0.5 * (a.norm_squared() + b.norm_squared());
+            }
+        }
+    }
+    1.0 + 4.0 * if power > 0.0 { (alike / power).max(0.0) } else { 0.0 }
 }
 
 impl Estimate {

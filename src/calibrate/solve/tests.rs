@@ -112,10 +112,16 @@ fn uncertainties_are_right() {
     }
     for k in (0..9).filter(|&k| k != 4) {
         let rms = (squares[k] / f64::from(runs)).sqrt();
+        println!(
+            "{}: rms of the normalised error {rms:.3}, inside 3 sigma {:.1} %",
+            LENS_NAMES[k],
+            100.0 * inside[k] as f64 / f64::from(runs)
+        );
         assert!((0.8..1.25).contains(&rms), "{}: normalised error {rms:.3}", LENS_NAMES[k]);
         assert!(inside[k] * 100 >= 97 * runs as usize, "{}: {} of {runs} inside", LENS_NAMES[k], inside[k]);
     }
     let rms = (pose_squares / f64::from(6 * runs)).sqrt();
+    println!("a view's pose: {rms:.3}, {:.1} %", 100.0 * pose_inside as f64 / f64::from(6 * runs));
     assert!((0.8..1.25).contains(&rms), "poses: normalised error {rms:.3}");
     assert!(pose_inside * 100 >= 97 * 6 * runs as usize, "poses: {pose_inside} of {} inside", 6 * runs);
 }

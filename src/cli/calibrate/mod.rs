@@ -2,8 +2,10 @@
 
 mod compare;
 mod json;
+mod live;
 mod numbers;
 mod output;
+mod panel;
 mod pictures;
 mod table;
 
@@ -26,6 +28,7 @@ pub(super) use output::write as write_whole;
 #[command(
     after_help = "Examples:\n  stagepose calibrate pictures/*.jpg --board 9x6 --square-mm 25 --output camera.toml --report report.html\n  \
     stagepose calibrate --clip clip.mp4 --board 9x6 --square-mm 25 --output camera.toml\n  \
+    stagepose calibrate --device first --save pictures --board 9x6 --square-mm 25 --output camera.toml\n  \
     stagepose calibrate camera.toml --compare other.yaml\n\n\
     Example:\n  stagepose calibrate pictures --board 9x6 --square-mm 25\n\n\
     Take 10 to 25 pictures: the board in every part of the picture, each of its sides in turn 20 to 45 degrees away from the camera. Lock zoom \
@@ -37,6 +40,21 @@ pub(super) struct CalibrateArguments {
     /// A clip to pick the views from
     #[arg(long)]
     clip: Option<PathBuf>,
+    /// A camera that takes the pictures by itself, while you move the board as it says: a name of `stagepose devices`, a number, or first
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["images", "clip", "play"])]
+    device: Option<String>,
+    /// Play a clip as if it were the camera
+    #[arg(long, value_name = "CLIP", conflicts_with_all = ["images", "clip"])]
+    play: Option<PathBuf>,
+    /// With --device: size of the pictures, the one that tracking will use [default: the camera's best]
+    #[arg(long, value_name = "WxH")]
+    size: Option<String>,
+    /// With --device or --play: end after this many pictures, if the set is not good before
+    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u64).range(3..=40))]
+    pictures: u64,
+    /// With --device or --play: keep the pictures taken in this folder
+    #[arg(long, value_name = "FOLDER")]
+    save: Option<PathBuf>,
     /// INNER corners of the board along its sides, such as 9x6
     #[arg(long, value_name = "NxM")]
     board: Option<String>,
@@ -100,6 +118,9 @@ enum Profile {
 pub(super) fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     if let Some(own) = compare::two_files(arguments) {
         return compare::run(own, arguments);
+    }
+    if arguments.device.is_none() && arguments.play.is_none() && (arguments.save.is_some() || arguments.size.is_some()) {
+        return Err(Failure::Usage("--save and --size are for pictures from a camera; give --device too".to_owned()));
     }
     let board = board_of(arguments)?;
     let options = numbers::options(arguments)?;

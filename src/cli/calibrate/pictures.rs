@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 
-use super::CalibrateArguments;
+use super::{CalibrateArguments, live};
 use crate::calibrate::board::Board;
 use crate::calibrate::pick::ViewPicker;
 use crate::calibrate::session::{Inspected, inspect};
@@ -19,9 +19,12 @@ const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"]
 
 /// Every picture that the arguments name, looked through for the board.
 pub(super) fn inspected(arguments: &CalibrateArguments, board: &Board) -> Result<Vec<Inspected>, Failure> {
+    if arguments.device.is_some() || arguments.play.is_some() {
+        return live::taken(arguments, board);
+    }
     let files = files_of(&arguments.images)?;
     if files.is_empty() && arguments.clip.is_none() {
-        return Err(Failure::Usage("there are no pictures; give picture files, folders of pictures, or --clip".to_owned()));
+        return Err(Failure::Usage("there are no pictures; give picture files, folders of pictures, --clip or --device".to_owned()));
     }
     interrupt::watch();
     let bar = bar(Some(files.len() as u64));

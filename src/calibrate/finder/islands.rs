@@ -1,0 +1,133 @@
+//! Corners that only seem to belong to the lattice: pieces that hang together in themselves, and not with the rest.
+//!
+//! A piece that was linked in at the wrong place foretells its own corners well, so looking at each corner's neighbours does
+//! not show it. But the steps that lead to it are not like those around them. The largest piece is the board; another one is
+//! kept, beyond a reflection or a finger, if it lies where the board foretells it.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
+
+use super::lattice::{Lattice, median};
+
+/// A step unlike those around it by more than this share of them leads nowhere.
+const UNLIKE: f64 = 0.4;
+/// A piece is kept when its corners lie this near, in squares, to where the board foretells them.
+const NEAR: f64 = 0.35;
+/// So many of its corners, those nearest to the board, are asked.
+const TOLD: usize = 6;
+/// How many of the board's corners foretell one beyond it.
+const FORETELLERS: usize = 16;
+
+type Place = (i32, i32);
+
+impl Lattice {
+    /// Drops what is not in one piece with the rest.
+    pub(super) fn drop_islands(&mut self) {
+        let mut pieces = self.pieces();
+        pieces.sort_by_key(|piece| std::cmp::Reverse(piece.len()));
+        let Some((board, others)) = pieces.split_first() else { return };
+        let strays: BTreeSet<Place> = others.iter().filter(|piece| !self.belongs(piece, board)).flatten().copied().collect();
+        self.retain(|at| !strays.contains(&at));
+    }
+
+    /// Whether the corners of a piece that are nearest to the board lie where it foretells them; farther ones it cannot tell.
+    fn belongs(&self, piece: &BTreeSet<Place>, board: &BTreeSet<Place>) -> bool {
+        let off = |a: &Place, b: &Place| (a.0 - b.0).pow(2) + (a.1 - b.1).pow(2);
+        let mut nearest: Vec<(i32, Place)> = piece.iter().filter_map(|at| Some((board.iter().map(|b| off(at, b)).min()?, *at))).collect();
+        nearest.sort_unstable();
+        nearest.iter().take(TOLD).all(|&(_, at)| self.is_foretold(at, board))
+    }
+
+    /// What hangs together by steps that are like those around them.
+    fn pieces(&self) -> Vec<BTreeSet<Place>> {
+        let typical = [(1, 0), (0, 1)].map(|along| self.typical_steps(along));
+        let linked = |from: Place, to: Place| {
+            let (low, axis) = (from.min(to), usize::from(from.0 == to.0));
+            let step = self.at(from.0.max(to.0), from.1.max(to.1)).zip(self.at(low.0, low.1)).map(|(b, a)| b - a);
+            step.zip(typical[axis].get(&low)).is_some_and(|(step, typical)| (step - typical).norm() < UNLIKE * typical.norm())
+        };
+        let mut left: BTreeSet<Place> = self.cells().map(|(&at, _)| at).collect();
+        let mut pieces = Vec::new();
+        while let Some(first) = left.pop_first() {
+            let (mut piece, mut open) = (BTreeSet::from([first]), vec![first]);
+            while let Some(at) = open.pop() {
+                for next in [(at.0 + 1, at.1), (at.0 - 1, at.1), (at.0, at.1 + 1), (at.0, at.1 - 1)] {
+                    if left.contains(&next) && linked(at, next) {
+                        left.remove(&next);
+                        piece.insert(next);
+                        open.push(next);
+                    }
+                }
+            }
+            pieces.push(piece);
+        }
+        pieces
+    }
+
+    /// For each step along one axis, by its first corner, the median of those around.
+    fn typical_steps(&self, along: Place) -> BTreeMap<Place, Vector2<f64>> {
+        let step = |at: Place| Some(self.at(at.0 + along.0, at.1 + along.1)? - self.at(at.0, at.1)?);
+        let steps: BTreeMap<Place, Vector2<f64>> = self.cells().filter_map(|(&at, _)| Some((at, step(at)?))).collect();
+        let typical = |&(i, j): &Place| {
+            let around = (-2..=2).flat_map(|a| (-2..=2).map(move |b| (i + a, j + b)));
+            let (mut xs, mut ys): (Vec<f64>, Vec<f64>) = around.filter_map(|at| steps.get(&at)).map(|s| (s.x, s.y)).unzip();
+            Some(((i, j), Vector2::new(median(&mut xs)?, median(&mut ys)?)))
+        };
+        steps.keys().filter_map(typical).collect()
+    }
+
+    /// Whether a corner lies where the nearest ones of the board foretell it, as on a plane seen from afar.
+    fn is_foretold(&self, at: Place, board: &BTreeSet<Place>) -> bool {
+        let mut nearest: Vec<(i32, Place)> = board.iter().map(|b| ((b.0 - at.0).pow(2) + (b.1 - at.1).pow(2), *b)).collect();
+        nearest.sort_unstable();
+        let (mut normal, mut right) = (Matrix3::zeros(), Matrix3x2::zeros());
+        for (_, b) in nearest.iter().take(FORETELLERS) {
+            let Some(position) = self.at(b.0, b.1) else { continue };
+            let row = Vector3::new(f64::from(b.0 - at.0), f64::from(b.1 - at.1), 1.0);
+            normal += row * row.transpose();
+            right += row * position.transpose();
+        }
+        let Some(plane) = normal.try_inverse().map(|inverse| inverse * right) else { return false };
+        let (u, v, here) = (plane.row(0), plane.row(1), plane.row(2).transpose());
+        self.at(at.0, at.1).is_some_and(|seen| (seen - here).norm() < NEAR * u.norm().min(v.norm()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::lattice::Cell;
+    use super::*;
+
+    fn lattice(corners: impl Iterator<Item = (Place, Vector2<f64>)>) -> Lattice {
+        let cell = |position| Cell { position, middle: 100.0, contrast: 50.0, residual: 0.0 };
+        Lattice::new(corners.map(|(at, position)| (at, cell(position))).collect())
+    }
+
+    fn place((i, j): Place) -> Vector2<f64> {
+        let (x, y) = (f64::from(i), f64::from(j));
+        Vector2::new(100.0 + 12.0 * x + 2.0 * y, 50.0 - x + 10.0 * y) / (1.0 + 0.01 * x)
+    }
+
+    fn all() -> impl Iterator<Item = Place> {
+        (0..12).flat_map(|i| (0..9).map(move |j| (i, j)))
+    }
+
+    #[test]
+    fn a_piece_at_the_wrong_place_goes() {
+        let astray = |at: Place| (5..8).contains(&at.0) && (4..6).contains(&at.1);
+        let shifted = |at: Place| place(if astray(at) { (at.0 + 2, at.1 - 3) } else { at });
+        let mut folded = lattice(all().map(|at| (at, shifted(at))));
+        folded.drop_islands();
+        assert!(folded.cells().all(|(&at, _)| !astray(at)));
+        assert_eq!(folded.len(), 12 * 9 - 6);
+    }
+
+    #[test]
+    fn a_piece_beyond_a_reflection_stays() {
+        let mut split = lattice(all().filter(|at| !(6..8).contains(&at.0)).map(|at| (at, place(at))));
+        let before = split.len();
+        split.drop_islands();
+        assert_eq!(split.len(), before);
+    }
+}

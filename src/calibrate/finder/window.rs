@@ -1,0 +1,272 @@
+//! The pixels around a corner, and the kernel of the corner fit: the normal equations of the drawn corner over them.
+//!
+//! Eight pixels are handled side by side, in single precision: the sums are good to a millionth, a corner to a ten
+//! thousandth of a pixel. There is one body; it is compiled twice, once for processors with AVX2, and both do the same
+//! steps in the same order, so that a corner is the same to the last bit on every machine.
+
+use std::f32::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI, LN_2, LOG2_E};
+
+use nalgebra::{SMatrix, SVector, Vector2};
+
+/// Pixels handled side by side.
+const LANES: usize = 8;
+/// Numbers of the model: position (2), the two edges' angles, ln blur, middle level, contrast.
+pub(crate) const N: usize = 7;
+
+type Eight = [f32; LANES];
+
+/// One pixel near a corner.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Sample {
+    /// Where it lies from the window's centre, pixels.
+    pub offset: Vector2<f64>,
+    /// Its grey level.
+    pub grey: f64,
+    /// How much it counts.
+    pub weight: f64,
+    /// What the next edges add to the blurred step across u and to the one across v.
+    pub beside: [f64; 2],
+    /// What lies beyond the board's end adds to the pattern.
+    pub beyond: f64,
+}
+
+/// Eight pixels.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(32))]
+struct Chunk {
+    x: Eight,
+    y: Eight,
+    grey: Eight,
+    root_weight: Eight,
+    beside: [Eight; 2],
+    beyond: Eight,
+}
+
+const EMPTY: Chunk = Chunk {
+    x: [0.0; LANES],
+    y: [0.0; LANES],
+    grey: [0.0; LANES],
+    root_weight: [0.0; LANES],
+    beside: [[0.0; LANES]; 2],
+    beyond: [0.0; LANES],
+};
+
+/// Eight pixels' derivatives by the seven numbers, and their residuals, all times the root of the weight.
+type Rows = [Eight; N + 1];
+
+/// The pixels around a corner, and room for the kernel to work in.
+#[derive(Debug, Default)]
+pub(crate) struct Window {
+    chunks: Vec<Chunk>,
+    rows: Vec<Rows>,
+    count: usize,
+    /// Sum of the weights.
+    pub weight: f64,
+}
+
+/// The drawn corner: position from the window's centre, angles of the edges along u and v, ln blur, middle level, contrast.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Model(pub SVector<f64, N>);
+
+/// Weighted cost, normal matrix and gradient.
+pub(crate) type Linearised = (f64, SMatrix<f64, N, N>, SVector<f64, N>);
+
+impl Window {
+    /// No pixels, the room kept.
+    pub fn clear(&mut self) {
+        self.chunks.clear();
+        (self.count, self.weight) = (0, 0.0);
+    }
+
+    /// Takes a pixel in.
+    pub fn push(&mut self, sample: &Sample) {
+        let lane = self.count % LANES;
+        if lane == 0 {
+            self.chunks.push(EMPTY);
+        }
+        if let Some(chunk) = self.chunks.last_mut() {
+            (chunk.x[lane], chunk.y[lane]) = (sample.offset.x as f32, sample.offset.y as f32);
+            (chunk.grey[lane], chunk.root_weight[lane]) = (sample.grey as f32, sample.weight.sqrt() as f32);
+            (chunk.beside[0][lane], chunk.beside[1][lane]) = (sample.beside[0] as f32, sample.beside[1] as f32);
+            chunk.beyond[lane] = sample.beyond as f32;
+        }
+        self.count += 1;
+        self.weight += sample.weight;
+    }
+
+    /// How many pixels there are.
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    /// Weighted cost, normal matrix and gradient of the model.
+    pub fn linearised(&mut self, model: &Model) -> Linearised {
+        self.rows.resize(self.chunks.len(), [[0.0; LANES]; N + 1]);
+        let gram = products(&self.chunks, &mut self.rows, &model.0.map(|v| v as f32));
+        let at = |r: usize, c: usize| f64::from(gram[r.min(c)][r.max(c)]);
+        (at(N, N), SMatrix::from_fn(at), SVector::from_fn(|k, _| at(k, N)))
+    }
+
+    /// The two levels that fit best: for a model with middle 0 and contrast 1, the weighted least squares' two numbers.
+    pub fn levels(&mut self, shape: &Model) -> Option<[f64; 2]> {
+        // With middle 0 and contrast 1 the residual is the pattern less the grey level, so the step to the least cost is exact.
+        let (_, normal, gradient) = self.linearised(shape);
+        let pair = normal.fixed_view::<2, 2>(5, 5).try_inverse()? * gradient.fixed_rows::<2>(5);
+        let levels = [shape.0[5] - pair[0], shape.0[6] - pair[1]];
+        levels.iter().all(|v| v.is_finite()).then_some(levels)
+    }
+}
+
+/// The sums of all products of two of the rows' eight columns; the upper triangle.
+fn products(chunks: &[Chunk], rows: &mut [Rows], model: &SVector<f32, N>) -> [[f32; N + 1]; N + 1] {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2.
+        return unsafe { products_avx2(chunks, rows, model) };
+    }
+    products_lanes(chunks, rows, model)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn products_avx2(chunks: &[Chunk], rows: &mut [Rows], model: &SVector<f32, N>) -> [[f32; N + 1]; N + 1] {
+    products_lanes(chunks, rows, model)
+}
+
+#[inline(always)]
+fn products_lanes(chunks: &[Chunk], rows: &mut [Rows], model: &SVector<f32, N>) -> [[f32; N + 1]; N + 1] {
+    let p = model;
+    let scale = FRAC_1_SQRT_2 / p[4].exp();
+    let ((sin1, cos1), (sin2, cos2)) = (p[2].sin_cos(), p[3].sin_cos());
+    // Blur carries light across both edges at once where they are not square to each other: Mehler's series in the cosine
+    // between their normals.
+    let (slant, slant_by_turn) = (-(p[2] - p[3]).cos(), (p[2] - p[3]).sin());
+    for (chunk, row) in chunks.iter().zip(rows.iter_mut()) {
+        // By index, over all columns of a row at once: so it is compiled to the wide registers.
+        #[expect(clippy::needless_range_loop)]
+        for k in 0..LANES {
+            let (x, y) = (chunk.x[k] - p[0], chunk.y[k] - p[1]);
+            // Distances to the edge along u (positive towards v) and to the edge along v (positive towards u).
+            let (z1, z2) = (scale * (cos1 * y - sin1 * x), scale * (sin2 * x - cos2 * y));
+            let ((e1, g1), (e2, g2)) = (erf_and_slope(z1), erf_and_slope(z2));
+            let (f1, f2) = (e1 + chunk.beside[0][k], e2 + chunk.beside[1][k]);
+            let (product, h1, h2) = (z1 * z2, 2.0 * z1 * z1 - 1.0, 2.0 * z2 * z2 - 1.0);
+            let peak = 0.5 * g1 * g2;
+            let series = slant * (1.0 + slant * (product + slant * h1 * h2 * (1.0 / 6.0)));
+            let pattern = f1 * f2 + peak * series + chunk.beyond[k];
+            let root = chunk.root_weight[k];
+            let amplitude = p[6] * root;
+            let by_series1 = slant * slant * (z2 + slant * z1 * h2 * (2.0 / 3.0)) - 2.0 * z1 * series;
+            let by_series2 = slant * slant * (z1 + slant * z2 * h1 * (2.0 / 3.0)) - 2.0 * z2 * series;
+            let (by1, by2) = (amplitude * (f2 * g1 + peak * by_series1), amplitude * (f1 * g2 + peak * by_series2));
+            let by_slant = amplitude * peak * (1.0 + slant * (2.0 * product + 0.5 * slant * h1 * h2)) * slant_by_turn;
+            row[0][k] = scale * (by1 * sin1 - by2 * sin2);
+            row[1][k] = scale * (by2 * cos2 - by1 * cos1);
+            row[2][k] = by_slant - by1 * scale * (sin1 * y + cos1 * x);
+            row[3][k] = by2 * scale * (cos2 * x + sin2 * y) - by_slant;
+            row[4][k] = -(by1 * z1 + by2 * z2);
+            row[5][k] = root;
+            row[6][k] = pattern * root;
+            row[7][k] = (p[5] + p[6] * pattern - chunk.grey[k]) * root;
+        }
+    }
+    [line::<0>(rows), line::<1>(rows), line::<2>(rows), line::<3>(rows), line::<4>(rows), line::<5>(rows), line::<6>(rows), line::<7>(rows)]
+}
+
+/// The products of column K with itself and those behind it.
+#[inline(always)]
+fn line<const K: usize>(rows: &[Rows]) -> [f32; N + 1] {
+    let mut sums = [[0.0_f32; LANES]; N + 1];
+    for row in rows {
+        for l in K..=N {
+            for k in 0..LANES {
+                sums[l][k] += row[K][k] * row[l][k];
+            }
+        }
+    }
+    // Pairs first: a sum of eight whose rounding does not depend on how it is compiled.
+    sums.map(|s| ((s[0] + s[4]) + (s[1] + s[5])) + ((s[2] + s[6]) + (s[3] + s[7])))
+}
+
+/// The error function (Abramowitz & Stegun 7.1.26, 1.5e-7) and its derivative: they share the exponential.
+#[inline(always)]
+pub(crate) fn erf_and_slope(z: f32) -> (f32, f32) {
+    let bell = exp_of_negative(-z * z);
+    let t = 1.0 / (1.0 + 0.327_591_1 * z.abs());
+    let tail = t * (0.254_829_6 + t * (-0.284_496_72 + t * (1.421_413_8 + t * (-1.453_152_1 + t * 1.061_405_4))));
+    ((1.0 - tail * bell).copysign(z), FRAC_2_SQRT_PI * bell)
+}
+
+/// e to the power of a number at or below 0, to 2e-7 of its value or 1e-12: two to a whole power, times a polynomial for the rest.
+#[inline(always)]
+fn exp_of_negative(x: f32) -> f32 {
+    // Adding and taking away 1.5 * 2^23 rounds to a whole number, which then stands in the lowest bits.
+    const ROUND: f32 = 12_582_912.0;
+    // Products of several of these must stay normal numbers: others take a hundred times as long.
+    const LEAST_POWER: f32 = -40.0;
+    let power = (x * LOG2_E).max(LEAST_POWER);
+    let rounded = power + ROUND;
+    let rest = power - (rounded - ROUND);
+    let whole = f32::from_bits(rounded.to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127) << 23);
+    // The series of 2^rest for rest within half of 0.
+    let series = 1.0
+        + rest
+            * (LN_2
+                + rest
+                    * (0.240_226_5 + rest * (0.055_504_11 + rest * (0.009_618_129 + rest * (0.001_333_355_8 + rest * 0.000_154_035_3)))));
+    whole * series
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_error_function_is_as_good_as_its_source_says() {
+        // erf(0.5), erf(1), erf(2), erf(3) from tables.
+        for (z, erf) in [(0.5, 0.520_499_9), (1.0, 0.842_700_8), (2.0, 0.995_322_3), (3.0, 0.999_977_9), (0.0, 0.0)] {
+            for sign in [1.0, -1.0] {
+                let (e, slope) = erf_and_slope(sign * z);
+                assert!((e - sign * erf).abs() < 4e-7, "erf({z}) is not {e}");
+                assert!((slope - FRAC_2_SQRT_PI * (-z * z).exp()).abs() < 4e-7, "slope at {z}");
+            }
+        }
+        assert_eq!(erf_and_slope(50.0).0, 1.0);
+    }
+
+    fn drawn() -> (Window, Model) {
+        let model = Model(SVector::from([0.3, -0.2, 0.15, 1.75, 0.1, 110.0, -70.0]));
+        let mut window = Window::default();
+        for k in 0..93 {
+            let offset = Vector2::new(f64::from(k % 10) - 4.5, f64::from(k / 10) - 4.6);
+            let grey = 110.0 + 60.0 * (offset.x * offset.y).signum() + f64::from(k % 7);
+            let beside = [-0.01 * f64::from(k % 3), 0.02 * f64::from(k % 5)];
+            window.push(&Sample { offset, grey, weight: 1.0 / (1.0 + 0.1 * f64::from(k)), beside, beyond: 0.005 * f64::from(k % 4) });
+        }
+        (window, model)
+    }
+
+    #[test]
+    fn both_kernels_give_the_same_bits() {
+        let (mut window, model) = drawn();
+        window.rows.resize(window.chunks.len(), [[0.0; LANES]; N + 1]);
+        let numbers = model.0.map(|v| v as f32);
+        let plain = products_lanes(&window.chunks, &mut window.rows, &numbers);
+        assert_eq!(products(&window.chunks, &mut window.rows, &numbers).map(|r| r.map(f32::to_bits)), plain.map(|r| r.map(f32::to_bits)));
+    }
+
+    #[test]
+    fn the_gradient_is_the_costs_slope() {
+        let (mut window, model) = drawn();
+        let (_, _, gradient) = window.linearised(&model);
+        for k in 0..N {
+            let h = if k < 5 { 4e-3 } else { 0.1 };
+            let mut moved = [model, model];
+            (moved[0].0[k], moved[1].0[k]) = (model.0[k] - h, model.0[k] + h);
+            let [low, high] = moved.map(|m| window.linearised(&m).0);
+            // The cost is the sum of squares: half its slope is the gradient.
+            let slope = (high - low) / (4.0 * h);
+            assert!((slope - gradient[k]).abs() < 2e-3 * gradient[k].abs() + 2.0, "number {k}: {slope} is not {}", gradient[k]);
+        }
+    }
+}
