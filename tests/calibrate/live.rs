@@ -51,5 +51,5 @@ fn what_cannot_be_is_refused_in_a_sentence() {
     refused(&["--play", "gone"], 1, "gone");
     refused(&["pictures", "--save", "taken"], 2, "give --device too");
     refused(&["--play", "pictures", "--save", "pictures"], 2, "pictures: the folder is not empty");
-    refused(&["--play", "pictures", "--save", "taken"], 1, "only ");
+    refused(&["--play", "pictures", "--save", "taken"], 1, "gave no picture");
 }

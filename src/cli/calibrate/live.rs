@@ -35,7 +35,10 @@ pub(super) fn taken(arguments: &CalibrateArguments, board: &Board) -> Result<Vec
         pictures
     })?;
     if pictures.is_empty() {
-        return Err(Failure::Calibration("the camera gave no picture; see stagepose check --config FILE".to_owned()));
+        return Err(Failure::Calibration(
+            "the camera gave no picture with the board held still; hold it still until it is taken, or see what the camera shows"
+                .to_owned(),
+        ));
     }
     Ok(pictures)
 }
