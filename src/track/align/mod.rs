@@ -13,6 +13,7 @@ mod aligner;
 #[allow(clippy::needless_range_loop)]
 mod appearance;
 mod frame_levels;
+mod gauge;
 mod lanes;
 mod light;
 mod motion;
@@ -23,18 +24,21 @@ mod rays;
 mod selection;
 #[allow(clippy::needless_range_loop)]
 mod system;
+mod task;
 mod texture;
+mod verdict;
 mod work;
 
 use image::GrayImage;
 use nalgebra::{Matrix3, Vector3};
 
-pub use aligner::{Aligner, Alignment, Patch};
+pub use aligner::{Aligner, Patch};
 pub use frame_levels::FrameLevels;
 use frame_levels::LEVELS;
 pub use motion::MotionEstimate;
 use rays::RayTable;
 use texture::Texture;
+pub use verdict::Alignment;
 
 use super::surface::SurfaceSpec;
 use crate::camera::CameraModel;

@@ -2,8 +2,10 @@
 
 use nalgebra::{Matrix6, Vector2, Vector3};
 
+use super::AlignSurface;
 use super::appearance::{Appearance, Predicted, predict};
 use super::frame_levels::FrameLevels;
+use super::gauge::{Gauge, median};
 use super::light::Light;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::normal::{
@@ -12,20 +14,11 @@ use super::normal::{
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
 use super::system::{Prior, System, TileTime};
-use super::{AlignSurface, Eye, Sensor};
+use super::task::{Task, moved};
 use crate::geometry::resection::larger_covariance;
-use crate::geometry::{Body, Camera, Pose};
 
 /// Fewest pixels that a level is solved with.
 const LEAST_PIXELS: usize = 60;
-/// Read noise and shot noise of a usual camera: variance at black, and per grey level.
-const READ_VARIANCE: f32 = 2.25;
-const SHOT_VARIANCE: f32 = 0.03;
-/// Error of the appearance model, pixels of the level; twice that above the finest level.
-const MODEL_PX: f32 = 0.02;
-/// Places along a blur of less than so many pixels; [`MOST_PLACES`] for longer ones.
-const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
-const MOST_PLACES: usize = 15;
 /// Runs that correlate less with their prediction show something else.
 const LEAST_CORRELATION: f32 = 0.9;
 /// Runs that correlate better tell of the bias, which is never larger than this, grey levels.
@@ -37,74 +30,6 @@ const USUAL_SHARE: f64 = 0.2;
 const SCALE_SAMPLES: usize = 1500;
 /// Pixels that a step rests on which only the next one's weights are taken from.
 const ROUGH_PIXELS: usize = 2500;
-
-/// What a level works for.
-#[derive(Clone, Copy)]
-pub struct Task<'a> {
-    /// The body's surfaces.
-    pub surfaces: &'a [AlignSurface],
-    /// The camera.
-    pub eye: &'a Eye,
-    /// Its shutter.
-    pub sensor: &'a Sensor,
-    /// The level.
-    pub level: usize,
-    /// Whether it is the last one.
-    pub is_finest: bool,
-    /// Pixels wanted.
-    pub count: usize,
-    /// Length of the motion blur, pixels of the level.
-    pub blur_px: f64,
-    /// Looks across a sharp pixel.
-    pub side: usize,
-}
-
-impl Task<'_> {
-    /// Noise of a pixel of the level.
-    fn noise(&self) -> Noise {
-        let n = f32::from(1u16 << (2 * self.level));
-        Noise {
-            dark: (READ_VARIANCE + 1.0 / 12.0) / n,
-            per_grey: SHOT_VARIANCE / n,
-            model_px: if self.is_finest { MODEL_PX } else { 2.0 * MODEL_PX },
-        }
-    }
-
-    /// The time of every tile, where all rows are exposed together.
-    fn same_time(&self) -> Option<TileTime> {
-        (self.sensor.readout_s == 0.0).then(|| TileTime { delay_s: 0.0, mean_square_s2: self.sensor.exposure_s.powi(2) / 12.0 })
-    }
-
-    /// Places along the blur that are looked at.
-    fn places(&self) -> usize {
-        PLACES.iter().find(|(longest_px, _)| self.blur_px < *longest_px).map_or(MOST_PLACES, |(_, places)| *places)
-    }
-
-    /// How far the picture moves between two motions, in the middle and towards the corners of the frame: the most, in pixels of the
-    /// level.
-    pub fn moved_px(&self, before: &Motion, after: &Motion) -> f64 {
-        let Some(table) = &self.eye.tables[self.level] else { return 0.0 };
-        let focal = self.eye.camera.intrinsics().fx / f64::from(1u32 << self.level);
-        let mut most = 0.0f64;
-        for (a, b) in [(2, 2), (1, 1), (3, 1), (1, 3), (3, 3)] {
-            let [x, y] = table.rays[table.height * b / 4 * table.width + table.width * a / 4];
-            let ray = Vector3::new(f64::from(x), f64::from(y), 1.0);
-            let moved = self.surfaces.iter().filter_map(|s| moved(s, &ray, &before.pose, &after.pose));
-            most = moved.fold(most, |most, m| most.max(m * focal));
-        }
-        most
-    }
-}
-
-/// How far, at depth 1, the point of a surface that a ray meets moves when the camera does; `None` where it is not in front.
-fn moved(surface: &AlignSurface, ray: &Vector3<f64>, before: &Pose<Body, Camera>, after: &Pose<Body, Camera>) -> Option<f64> {
-    let normal = surface.rotation.column(2);
-    let direction = before.rotation * ray;
-    let depth = normal.dot(&(surface.centre - before.translation)) / normal.dot(&direction);
-    let seen = after.rotation.inverse() * (direction * depth + before.translation - after.translation);
-    let shift = (Vector2::new(seen.x, seen.y) / seen.z - ray.xy()).norm();
-    (depth > 0.0 && seen.z > 0.0 && shift.is_finite()).then_some(shift)
-}
 
 /// What is expected of the motion.
 #[derive(Clone, Copy)]
@@ -140,38 +65,6 @@ pub struct Work {
     sums: Vec<TileSums>,
     /// What each run showed at the solution.
     pub evidence: Vec<RunEvidence>,
-}
-
-/// A run compared with its prediction, gain and bias free.
-#[derive(Debug, Clone, Copy)]
-struct Gauge {
-    /// Correlation, corrected for what noise takes of it.
-    correlation: f32,
-    /// Mean grey predicted and seen, and the bias of the line between them.
-    predicted: f32,
-    seen: f32,
-    bias: f32,
-    /// Whether the run takes part.
-    is_open: bool,
-}
-
-impl Gauge {
-    fn new(moments: &[f64; 6], noise: &Noise) -> Self {
-        let n = moments[0].max(1.0);
-        let [_, p, s, pp, ss, ps] = moments.map(|m| m / n);
-        let (predicted, seen, both) = ((pp - p * p).max(1e-3), (ss - s * s).max(1e-3), ps - p * s);
-        let expected = f64::from(noise.dark + noise.per_grey * s as f32);
-        let clean = (seen - expected).max(0.25 * seen);
-        let correlation = if moments[0] >= 8.0 { (both / (predicted * clean).sqrt()).clamp(-1.0, 1.0) } else { 0.0 };
-        let bias = s - both / predicted * p;
-        Self { correlation: correlation as f32, predicted: p as f32, seen: s as f32, bias: bias as f32, is_open: true }
-    }
-}
-
-/// The upper median; `None` of nothing. The values are left in another order.
-fn median(values: &mut [f32]) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1))
 }
 
 /// Where the linearisation led.

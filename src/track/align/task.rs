@@ -1,0 +1,86 @@
+//! What a level has to do: with which pixels, against how much noise and blur.
+
+use nalgebra::{Vector2, Vector3};
+
+use super::motion::Motion;
+use super::normal::Noise;
+use super::system::TileTime;
+use super::{AlignSurface, Eye, Sensor};
+use crate::geometry::{Body, Camera, Pose};
+
+/// Read noise and shot noise of a usual camera: variance at black, and per grey level.
+const READ_VARIANCE: f32 = 2.25;
+const SHOT_VARIANCE: f32 = 0.03;
+/// Error of the appearance model, pixels of the level; twice that above the finest level.
+const MODEL_PX: f32 = 0.02;
+/// Places along a blur of less than so many pixels; [`MOST_PLACES`] for longer ones.
+const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
+const MOST_PLACES: usize = 15;
+
+/// What a level works for.
+#[derive(Clone, Copy)]
+pub struct Task<'a> {
+    /// The body's surfaces.
+    pub surfaces: &'a [AlignSurface],
+    /// The camera.
+    pub eye: &'a Eye,
+    /// Its shutter.
+    pub sensor: &'a Sensor,
+    /// The level.
+    pub level: usize,
+    /// Whether it is the last one.
+    pub is_finest: bool,
+    /// Pixels wanted.
+    pub count: usize,
+    /// Length of the motion blur, pixels of the level.
+    pub blur_px: f64,
+    /// Looks across a sharp pixel.
+    pub side: usize,
+}
+
+impl Task<'_> {
+    /// Noise of a pixel of the level.
+    pub fn noise(&self) -> Noise {
+        let n = f32::from(1u16 << (2 * self.level));
+        Noise {
+            dark: (READ_VARIANCE + 1.0 / 12.0) / n,
+            per_grey: SHOT_VARIANCE / n,
+            model_px: if self.is_finest { MODEL_PX } else { 2.0 * MODEL_PX },
+        }
+    }
+
+    /// The time of every tile, where all rows are exposed together.
+    pub fn same_time(&self) -> Option<TileTime> {
+        (self.sensor.readout_s == 0.0).then(|| TileTime { delay_s: 0.0, mean_square_s2: self.sensor.exposure_s.powi(2) / 12.0 })
+    }
+
+    /// Places along the blur that are looked at.
+    pub fn places(&self) -> usize {
+        PLACES.iter().find(|(longest_px, _)| self.blur_px < *longest_px).map_or(MOST_PLACES, |(_, places)| *places)
+    }
+
+    /// How far the picture moves between two motions, in the middle and towards the corners of the frame: the most, in pixels of the
+    /// level.
+    pub fn moved_px(&self, before: &Motion, after: &Motion) -> f64 {
+        let Some(table) = &self.eye.tables[self.level] else { return 0.0 };
+        let focal = self.eye.camera.intrinsics().fx / f64::from(1u32 << self.level);
+        let mut most = 0.0f64;
+        for (a, b) in [(2, 2), (1, 1), (3, 1), (1, 3), (3, 3)] {
+            let [x, y] = table.rays[table.height * b / 4 * table.width + table.width * a / 4];
+            let ray = Vector3::new(f64::from(x), f64::from(y), 1.0);
+            let moved = self.surfaces.iter().filter_map(|s| moved(s, &ray, &before.pose, &after.pose));
+            most = moved.fold(most, |most, m| most.max(m * focal));
+        }
+        most
+    }
+}
+
+/// How far, at depth 1, the point of a surface that a ray meets moves when the camera does; `None` where it is not in front.
+pub fn moved(surface: &AlignSurface, ray: &Vector3<f64>, before: &Pose<Body, Camera>, after: &Pose<Body, Camera>) -> Option<f64> {
+    let normal = surface.rotation.column(2);
+    let direction = before.rotation * ray;
+    let depth = normal.dot(&(surface.centre - before.translation)) / normal.dot(&direction);
+    let seen = after.rotation.inverse() * (direction * depth + before.translation - after.translation);
+    let shift = (Vector2::new(seen.x, seen.y) / seen.z - ray.xy()).norm();
+    (depth > 0.0 && seen.z > 0.0 && shift.is_finite()).then_some(shift)
+}

@@ -1,0 +1,78 @@
+//! Whether an alignment may be believed: tiles that agree, residuals of the noise's size, and a pose that is where it was expected.
+
+use nalgebra::Matrix6;
+
+use super::motion::{Motion, MotionEstimate};
+use super::normal::RunEvidence;
+
+/// What an alignment came to.
+#[derive(Debug, Clone, Copy)]
+pub struct Alignment {
+    /// Pose and motion at the frame's stamp, and what the picture and the prior leave open of them.
+    pub estimate: MotionEstimate,
+    /// Covariance of [δp, δθ] of the pose (axes as in the motion's error): noise and model error.
+    pub covariance: Matrix6<f64>,
+    /// Robust standard deviation of the residuals, in sigmas of the expected noise.
+    pub scale: f64,
+    /// Pixels that fit.
+    pub inliers: f64,
+    /// Root mean square of residual over gradient, pixels of the frame.
+    pub rms_px: f64,
+    /// Tiles with detail, and those that agree.
+    pub tiles: usize,
+    /// See `tiles`.
+    pub agreeing: usize,
+    /// Squared distance between the expected and the found pose, in sigmas of what was expected; about 6 where nothing surprises.
+    pub surprise: f64,
+}
+
+impl Alignment {
+    /// Share of the tiles with detail that agree.
+    pub fn share(&self) -> f64 {
+        self.agreeing as f64 / self.tiles.max(1) as f64
+    }
+
+    /// Whether the picture alone leaves no doubt.
+    pub fn is_conclusive(&self) -> bool {
+        self.tiles >= CONCLUSIVE_TILES && self.share() >= CONCLUSIVE_SHARE
+    }
+
+    /// Whether the pose may be given: clearly right, or less clearly where it was expected.
+    pub fn is_credible(&self, is_expected: bool) -> bool {
+        let continues = is_expected && self.share() >= CONTINUED_SHARE && self.surprise < LARGEST_SURPRISE && self.scale < CONTINUED_SCALE;
+        self.agreeing >= LEAST_TILES && (self.share() >= NEW_SHARE || continues)
+    }
+}
+
+/// Fewest agreeing tiles of a pose that is given; their least share of those with detail: of any pose, and of one that is where the
+/// motion filter expected it (by less than this surprise, with residuals of what takes part no larger than these sigmas). Right and wrong poses over many starts: docs/alignment.md.
+const LEAST_TILES: usize = 8;
+const NEW_SHARE: f64 = 0.5;
+const CONTINUED_SHARE: f64 = 0.12;
+const LARGEST_SURPRISE: f64 = 100.0;
+const CONTINUED_SCALE: f64 = 2.5;
+/// Tiles and their agreeing share that leave no doubt.
+const CONCLUSIVE_TILES: usize = 40;
+const CONCLUSIVE_SHARE: f64 = 0.7;
+
+/// See [`Alignment::surprise`].
+pub fn surprise(expected: &MotionEstimate, found: &Motion) -> f64 {
+    let error = expected.motion.error_to(found).fixed_rows::<6>(0).into_owned();
+    let covariance: Matrix6<f64> = expected.covariance.fixed_view::<6, 6>(0, 0).into_owned();
+    covariance.cholesky().map_or(f64::INFINITY, |c| error.dot(&c.solve(&error)))
+}
+
+/// Whether a tile agrees with the prediction; `None` where it has too little detail to tell.
+pub fn agreement(e: &RunEvidence) -> Option<bool> {
+    if e.count < 12.0 {
+        return None;
+    }
+    let n = e.count;
+    let [s, p, ss, pp, sp] = e.moments.map(|m| m / n);
+    let (seen, predicted, both) = (ss - s * s, pp - p * p, sp - s * p);
+    let noise = e.noise / n;
+    if predicted < 4.0 * noise {
+        return None;
+    }
+    Some(both > 0.0 && both * both > 0.81 * seen * predicted)
+}
