@@ -3,6 +3,8 @@
 use super::failure::Failure;
 use crate::camera::CameraModel;
 use crate::config::{SendingSettings, Settings};
+#[cfg(feature = "live")]
+use crate::publish::PoseWithheld;
 use crate::publish::{Context, Publisher, Stamps};
 use crate::record::PoseSample;
 #[cfg(feature = "http")]
@@ -62,6 +64,12 @@ impl Receivers {
         if let Some(server) = &self.server {
             server.publish(sample);
         }
+    }
+
+    /// Poses that the safety limits began to hold back since the last call.
+    #[cfg(feature = "live")]
+    pub fn withheld(&self) -> impl Iterator<Item = PoseWithheld> + '_ {
+        self.publisher.events().try_iter()
     }
 
     /// Sends what is left and says how it went.

@@ -2,13 +2,15 @@
 
 use std::sync::Arc;
 
+use crossbeam_channel::Sender;
+
 use super::body_pose::body_of_camera;
 use super::complaints::Complaints;
 use super::limiter::{Limiter, Verdict};
 use super::placement::Placement;
-use super::report::{BodyReport, Standing};
+use super::report::{BodyReport, Standing, Withheld};
 use super::resample::Resampler;
-use super::settings::{BodyChoice, OnLoss, SafetySettings};
+use super::settings::{BodyChoice, OnLoss, OutputSettings, SafetySettings};
 use crate::geometry::{Body, Pose, Stage};
 use crate::record::PoseSample;
 
@@ -17,6 +19,17 @@ use crate::record::PoseSample;
 pub(super) struct Known {
     pub standing: Standing,
     pub pose: Option<Pose<Stage, Body>>,
+}
+
+/// The safety limits began to hold a body's pose back.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseWithheld {
+    /// The output.
+    pub output: String,
+    /// The body.
+    pub body: String,
+    /// Why.
+    pub reason: Withheld,
 }
 
 /// What belongs to one body between samples.
@@ -30,11 +43,15 @@ pub(super) struct BodyChannel {
     sent: Option<Pose<Stage, Body>>,
     placement: Placement,
     on_loss: OnLoss,
-    events: Complaints,
+    complaints: Complaints,
+    output: String,
+    events: Sender<PoseWithheld>,
+    is_withheld: bool,
 }
 
 impl BodyChannel {
-    pub fn new(name: Arc<str>, choice: BodyChoice, limits: SafetySettings, placement: Placement, on_loss: OnLoss, output: &str) -> Self {
+    /// A body of an output; it tells `events` when its limits begin to hold the pose back.
+    pub fn new(name: Arc<str>, choice: BodyChoice, limits: SafetySettings, output: &OutputSettings, events: Sender<PoseWithheld>) -> Self {
         Self {
             name,
             choice,
@@ -42,9 +59,12 @@ impl BodyChannel {
             resampler: Resampler::default(),
             standing: Standing::Searching,
             sent: None,
-            placement,
-            on_loss,
-            events: Complaints::new(output),
+            placement: output.placement,
+            on_loss: output.on_loss,
+            complaints: Complaints::new(&output.name),
+            output: output.name.clone(),
+            events,
+            is_withheld: false,
         }
     }
 
@@ -105,11 +125,16 @@ impl BodyChannel {
             }
             Some(Verdict::Withhold(reason)) => {
                 (report.standing, report.is_untouched) = (Standing::Withheld(reason), false);
-                self.events
+                self.complaints
                     .say(|| format!("event: the pose of {} is withheld, {}; check [safety] and the tracking", self.name, reason.words()));
+                if !self.is_withheld {
+                    // Nobody may be listening, or too late: the log has it too.
+                    let _ = self.events.try_send(PoseWithheld { output: self.output.clone(), body: self.name.to_string(), reason });
+                }
             }
             None => self.limiter.gap(),
         }
+        self.is_withheld = matches!(report.standing, Standing::Withheld(_));
         match report.pose {
             Some(pose) => self.sent = Some(pose),
             None if self.on_loss == OnLoss::Hold => {

@@ -28,6 +28,7 @@ mod transport;
 mod worker;
 
 pub use body_pose::{PanTiltRoll, body_of_camera, camera_of_body};
+pub use channel::PoseWithheld;
 pub use json::JsonSettings;
 pub use opentrackio_lens::PrincipalPoint;
 pub use placement::Placement;

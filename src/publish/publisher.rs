@@ -5,9 +5,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crossbeam_channel::{Receiver, Sender, bounded};
 use thiserror::Error;
 
-use super::channel::BodyChannel;
+use super::channel::{BodyChannel, PoseWithheld};
 use super::encoder::Encoder;
 use super::freed::FreedEncoder;
 use super::json::{CAMERA, JsonEncoder};
@@ -83,6 +84,8 @@ pub struct OutputStatistics {
 
 /// Samples that may wait for one output.
 const QUEUE: usize = 32;
+/// Safety events that may wait to be asked for.
+const EVENTS: usize = 64;
 /// Outputs that do not end within this time are left behind.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -92,6 +95,7 @@ pub struct Publisher {
     outputs: Vec<RunningOutput>,
     frame_rate: Option<f64>,
     clock: Mutex<(StampClock, Pace)>,
+    events: Receiver<PoseWithheld>,
 }
 
 #[derive(Debug)]
@@ -109,9 +113,10 @@ impl Publisher {
     /// # Errors
     /// The first output that cannot be opened.
     pub fn start(outputs: &[OutputSettings], context: &Context) -> Result<Self, PublishError> {
-        let outputs = outputs.iter().filter(|o| o.enabled).map(|o| RunningOutput::start(o, context)).collect::<Result<_, _>>()?;
+        let (raise, events) = bounded(EVENTS);
+        let outputs = outputs.iter().filter(|o| o.enabled).map(|o| RunningOutput::start(o, context, &raise)).collect::<Result<_, _>>()?;
         let clock = Mutex::new((StampClock::new(context.stamps), Pace::default()));
-        Ok(Self { outputs, frame_rate: context.frame_rate, clock })
+        Ok(Self { outputs, frame_rate: context.frame_rate, clock, events })
     }
 
     /// Opens every enabled output and closes it again: whether the addresses, ports and files can be used. Gives the number of the
@@ -144,6 +149,11 @@ impl Publisher {
         }
     }
 
+    /// Where the outputs tell that their safety limits began to hold a pose back; the latest are lost where nobody asks.
+    pub fn events(&self) -> &Receiver<PoseWithheld> {
+        &self.events
+    }
+
     /// What every output has done so far, in the order of the config.
     pub fn statistics(&self) -> Vec<OutputStatistics> {
         self.outputs.iter().map(RunningOutput::statistics).collect()
@@ -170,7 +180,7 @@ impl Publisher {
 }
 
 impl RunningOutput {
-    fn start(settings: &OutputSettings, context: &Context) -> Result<Self, PublishError> {
+    fn start(settings: &OutputSettings, context: &Context, events: &Sender<PoseWithheld>) -> Result<Self, PublishError> {
         let (name, protocol) = (settings.name.clone(), settings.protocol.word());
         let transport = Transport::open(&name, &settings.udp, stream_of(&settings.protocol))
             .map_err(|source| PublishError::Open { output: name.clone(), source })?;
@@ -180,7 +190,7 @@ impl RunningOutput {
             inbox,
             encoder: encoder(settings, context),
             transport,
-            bodies: settings.bodies.iter().map(|body| channel(*body, settings, context)).collect(),
+            bodies: settings.bodies.iter().map(|body| channel(*body, settings, context, events)).collect(),
             rate: settings.rate,
             on_loss: settings.on_loss,
             stale_after: context.safety.stale_after,
@@ -231,10 +241,10 @@ fn body_name(choice: BodyChoice, context: &Context) -> &str {
     }
 }
 
-fn channel(choice: BodyChoice, settings: &OutputSettings, context: &Context) -> BodyChannel {
+fn channel(choice: BodyChoice, settings: &OutputSettings, context: &Context, events: &Sender<PoseWithheld>) -> BodyChannel {
     let name = body_name(choice, context);
     let limits = if settings.is_guarded { context.safety } else { SafetySettings::default() };
-    BodyChannel::new(name.into(), choice, limits, settings.placement, settings.on_loss, &settings.name)
+    BodyChannel::new(name.into(), choice, limits, settings, events.clone())
 }
 
 fn encoder(settings: &OutputSettings, context: &Context) -> Box<dyn Encoder> {

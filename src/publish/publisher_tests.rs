@@ -220,8 +220,13 @@ fn limits_hold_for_guarded_outputs_only() {
     let publisher = Publisher::start(&outputs, &context(safety)).unwrap();
     publisher.send(&sample(0, State::Tracking, 0.5));
     publisher.send(&sample(1, State::Tracking, 1.5));
+    publisher.send(&sample(2, State::Tracking, 1.6));
+    let events = publisher.events().clone();
     let statistics = publisher.close();
-    assert_eq!((statistics[0].withheld, statistics[1].withheld), (1, 0));
+    assert_eq!((statistics[0].withheld, statistics[1].withheld), (2, 0));
+    // Raised once, when it begins.
+    let told: Vec<_> = events.try_iter().map(|e| (e.output, e.body, e.reason.words())).collect();
+    assert_eq!(told, [(outputs[0].name.clone(), "camera".to_owned(), "outside the permitted box")]);
     assert_eq!(guarded.json()["pose"]["position_m"][0], 0.5);
     let withheld = guarded.json();
     assert_eq!((&withheld["pose"], &withheld["withheld"]), (&serde_json::Value::Null, &"outside the permitted box".into()));

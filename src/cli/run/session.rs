@@ -21,6 +21,7 @@ use crate::config::{RecorderSettings, Settings};
 use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, Shutter};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
 use crate::daemon::{Daemon, RunningDaemon, Tracker};
+use crate::publish::PoseWithheld;
 use crate::record::{PoseSample, State};
 use crate::web::RecorderState;
 
@@ -145,6 +146,9 @@ impl Session<'_> {
                 Err(RecvTimeoutError::Disconnected) => return End::Stopped,
             }
             service.tick(self.link);
+            for PoseWithheld { output, body, reason } in receivers.withheld() {
+                self.link.events.publish(Event::PoseWithheld { output, body, reason: reason.words() });
+            }
             sinks.write_events();
             if interrupt::take_save() | save.swap(false, Ordering::Relaxed) {
                 match saver {

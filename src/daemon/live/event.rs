@@ -79,6 +79,15 @@ pub enum Event {
         /// The clip.
         clip: String,
     },
+    /// The safety limits began to hold a pose back.
+    PoseWithheld {
+        /// From this output,
+        output: String,
+        /// of this body,
+        body: String,
+        /// for this reason.
+        reason: &'static str,
+    },
     /// The config was read again.
     ConfigReloaded {
         /// The file.
@@ -179,6 +188,8 @@ fn note(event: &Event) {
         Event::RecorderStarted { clip } => tracing::info!("recording to {clip}"),
         Event::RecorderStopped { reason } => tracing::error!("recording stopped: {reason}"),
         Event::RingSaved { clip } => tracing::info!("the last seconds are saved in {clip}"),
+        // The output's own warning has said it, at most once a minute.
+        Event::PoseWithheld { output, body, reason } => tracing::debug!("output {output}: the pose of {body} is withheld, {reason}"),
         Event::ConfigReloaded { file } => tracing::info!("{file} was read again"),
         Event::ConfigRefused { reason } => tracing::error!("the old config stays: {reason}"),
     }
