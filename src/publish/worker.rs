@@ -191,7 +191,8 @@ impl Worker {
             rate_hz: self.rate.hz(arrival.or(self.clock.last.as_ref()).map_or(USUAL_RATE_HZ, |a| a.rate_hz)),
             bodies,
             sample: arrival.map(|a| a.sample.clone()),
-            age_ms: (stamps::now().monotonic_ns - at.monotonic_ns) as f64 * 1e-6,
+            // A clip's first frame, from which its clock counts, may have come late: those after it are not from the future.
+            age_ms: (stamps::now().monotonic_ns - at.monotonic_ns).max(0) as f64 * 1e-6,
             is_test: self.is_test,
         };
         let (transport, counters) = (&mut self.transport, &self.counters);
