@@ -3,9 +3,7 @@
 use super::failure::Failure;
 use crate::camera::CameraModel;
 use crate::config::{SendingSettings, Settings};
-#[cfg(feature = "live")]
-use crate::publish::PoseWithheld;
-use crate::publish::{Context, Publisher, Stamps};
+use crate::publish::{Context, PoseWithheld, Publisher, Stamps};
 use crate::record::PoseSample;
 #[cfg(feature = "http")]
 use crate::web::Server;
@@ -67,7 +65,6 @@ impl Receivers {
     }
 
     /// Poses that the safety limits began to hold back since the last call.
-    #[cfg(feature = "live")]
     pub fn withheld(&self) -> impl Iterator<Item = PoseWithheld> + '_ {
         self.publisher.events().try_iter()
     }
