@@ -39,7 +39,9 @@ def truth_at(folder):
 
 
 def track(binary, folder, kind, ahead):
-    stage = re.sub(r'(calibration|image|photo|mask) = "', rf'\1 = "{folder.resolve()}/', (folder / "stage.toml").read_text())
+    # benches/clips.py keeps the config in a folder of its own.
+    config = next(c for c in (folder / "stage.toml", folder / "stagepose/stage.toml") if c.exists())
+    stage = re.sub(r'(calibration|image|photo|mask) = "', rf'\1 = "{config.parent.resolve()}/', config.read_text())
     with tempfile.TemporaryDirectory() as temporary:
         config, poses = Path(temporary) / "stage.toml", Path(temporary) / "poses.jsonl"
         config.write_text(f'{stage}\n[filter]\nkind = "{kind}"\npredict_s = {ahead}\n')
@@ -85,7 +87,7 @@ def main():
             if s["is_still"]:
                 verdict, text = s["scatter"] <= SCATTER_BAR, f"scatter x {s['scatter']:.2f} (bar {SCATTER_BAR})"
             else:
-                bar = ERROR_BARS.get(clip, float("inf"))
+                bar = next((bar for name, bar in ERROR_BARS.items() if clip.startswith(name)), float("inf"))
                 verdict = s["rms"] <= bar
                 text = f"error x {s['rms']:.3f} rms, x {s['median']:.3f} median of {s['held_mm']:.1f} mm (bar {bar})"
             # The bars are for the filter that is made for it.
