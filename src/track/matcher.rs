@@ -72,7 +72,14 @@ struct TrackedBody {
 
 impl TrackedBody {
     /// Aligns the body and judges the result. `is_expected`: the start comes from the motion of an aligned body.
-    fn align(&mut self, frame: &Frame, levels: &FrameLevels, eye: &Eye, expected: &MotionEstimate, is_expected: bool) -> Option<Verified> {
+    fn align(
+        &mut self,
+        frame: &Frame,
+        levels: &mut FrameLevels,
+        eye: &Eye,
+        expected: &MotionEstimate,
+        is_expected: bool,
+    ) -> Option<Verified> {
         let found = self.aligner.align(levels, eye, expected)?;
         debug!(
             share = found.share(),
@@ -198,7 +205,7 @@ impl Matcher {
             return self.look_away(frame.sequence, frame.timestamp_ns);
         }
         let start = ComputeClock::start();
-        self.levels.update(&frame.image, false);
+        self.levels.update(&frame.image);
         let mut verified: Vec<Option<Verified>> = (0..self.bodies.len()).map(|k| self.follow(k, frame)).collect();
         let mut align_ms = start.elapsed_ms();
         let mut acquire_ms = 0.0;
@@ -284,7 +291,7 @@ impl Matcher {
         }
         let _span = debug_span!("follow", body = %tracked.body.name).entered();
         let expected = estimate.after(dt_s, tracked.aligner.distance(&estimate.motion.pose));
-        tracked.align(frame, &self.levels, &self.eye, &expected, true)
+        tracked.align(frame, &mut self.levels, &self.eye, &expected, true)
     }
 
     /// The best verified pose of a body in this frame, aligned where that succeeds.
@@ -295,7 +302,7 @@ impl Matcher {
         let back = verified.pose.inverse();
         let distance = tracked.aligner.distance(&back);
         let first = MotionEstimate::unseen(back, distance, FIRST_SHIFT * distance, FIRST_TURN);
-        let aligned = tracked.align(frame, &self.levels, &self.eye, &first, false);
+        let aligned = tracked.align(frame, &mut self.levels, &self.eye, &first, false);
         *align_ms += start.elapsed_ms();
         aligned.or(Some(verified))
     }

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use super::reference::PreparedBody;
 use super::surface::ReferenceKind;
 use super::verify::{FittedAnchor, Verified};
-use crate::camera::{CameraModel, Pixel};
+use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::geometry::essential::{RayPair, TwoViewMotion, motion_by_cheirality, refine_motion, robust_essential, squared_sampson};
 use crate::geometry::triangulation::depths;
 use crate::geometry::{Body, Camera, Homography, PointPair, Pose, ReferenceCamera, SurfaceFrame};
@@ -49,7 +49,8 @@ pub fn reference_camera(body: &PreparedBody) -> Pose<Body, ReferenceCamera> {
 /// Describes a verified frame.
 pub fn two_view(body: &PreparedBody, verified: &Verified, camera: &CameraModel, seed: u64) -> TwoView {
     let t_body_reference = reference_camera(body);
-    let pairs = ray_pairs(body, &verified.anchors, &t_body_reference, camera);
+    let rays: Vec<Option<Normalized>> = verified.anchors.iter().map(|a| camera.unproject(Pixel(a.steady_px))).collect();
+    let pairs = ray_pairs(body, &verified.anchors, &rays, &t_body_reference);
     let t_frame_reference = verified.pose * t_body_reference;
     let distance = (verified.pose * body.surfaces[0].spec.pose).translation.norm();
     let focal = 0.5 * (camera.intrinsics().fx + camera.intrinsics().fy);
@@ -57,7 +58,7 @@ pub fn two_view(body: &PreparedBody, verified: &Verified, camera: &CameraModel, 
     let has_baseline = t_frame_reference.translation.norm() >= LEAST_BASELINE * distance;
     let essential = has_baseline.then(|| estimate_motion(&pairs, &t_frame_reference, sigma, seed)).flatten();
     TwoView {
-        homography: first_surface_homography(body, &verified.anchors, camera),
+        homography: first_surface_homography(body, &verified.anchors, &rays, camera),
         has_depth: essential.as_ref().is_some_and(|(motion, _)| depth_explains_better(&pairs, motion, sigma)),
         essential,
     }
@@ -66,28 +67,31 @@ pub fn two_view(body: &PreparedBody, verified: &Verified, camera: &CameraModel, 
 fn ray_pairs(
     body: &PreparedBody,
     anchors: &[FittedAnchor],
+    rays: &[Option<Normalized>],
     t_body_reference: &Pose<Body, ReferenceCamera>,
-    camera: &CameraModel,
 ) -> Vec<RayPair> {
     let to_reference = t_body_reference.inverse();
-    let pair = |a: &FittedAnchor| {
+    let pair = |(a, ray): (&FittedAnchor, &Option<Normalized>)| {
         let point: Point3<f64> = body.surfaces[a.surface as usize].spec.body_point(a.artwork);
         let seen = to_reference.transform(&point);
-        let second = camera.unproject(Pixel(a.steady_px))?.0;
+        let second = ray.as_ref()?.0;
         (seen.z > 1e-3 * to_reference.translation.norm()).then(|| RayPair { first: seen.coords.xy() / seen.z, second })
     };
-    anchors.iter().filter_map(pair).collect()
+    anchors.iter().zip(rays).filter_map(pair).collect()
 }
 
 /// The free 8-parameter fit to the first surface's correspondences.
-fn first_surface_homography(body: &PreparedBody, anchors: &[FittedAnchor], camera: &CameraModel) -> Option<Matrix3<f64>> {
+fn first_surface_homography(
+    body: &PreparedBody,
+    anchors: &[FittedAnchor],
+    rays: &[Option<Normalized>],
+    camera: &CameraModel,
+) -> Option<Matrix3<f64>> {
     let pairs: Vec<PointPair> = anchors
         .iter()
-        .filter(|a| a.surface == 0)
-        .filter_map(|a| {
-            let to = camera.undistorted_pixel(camera.unproject(Pixel(a.steady_px))?);
-            Some(PointPair { from: a.artwork, to })
-        })
+        .zip(rays)
+        .filter(|(a, _)| a.surface == 0)
+        .filter_map(|(a, ray)| Some(PointPair { from: a.artwork, to: camera.undistorted_pixel((*ray)?) }))
         .collect();
     if pairs.len() < LEAST_FOR_HOMOGRAPHY {
         return None;

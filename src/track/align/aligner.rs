@@ -33,9 +33,9 @@ pub struct Patch {
 /// Pixels asked at each level, from full size down, of a frame 1280 pixels wide; wider ones are asked more.
 const PIXELS: [usize; LEVELS] = [10_000, 10_000, 4000, 1500, 500];
 const USUAL_WIDTH_PX: f64 = 1280.0;
-/// Looks across a pixel, and across one whose prediction is kept.
-const SIDE: usize = 3;
-const KEPT_SIDE: usize = 5;
+/// Looks across a pixel of the levels above the finest, and of that.
+const COARSE_SIDE: usize = 3;
+const SIDE: usize = 5;
 /// Pixels asked while nothing moves: their prediction is kept from frame to frame.
 const STILL_PIXELS: usize = 100_000;
 /// Exposure that an unknown camera is begun with, seconds.
@@ -135,7 +135,7 @@ impl Aligner {
     }
 
     /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges.
-    pub fn align(&mut self, frame: &FrameLevels, eye: &Eye, expected: &MotionEstimate) -> Option<Alignment> {
+    pub fn align(&mut self, frame: &mut FrameLevels, eye: &Eye, expected: &MotionEstimate) -> Option<Alignment> {
         let information = expected.covariance.cholesky()?.inverse();
         let blur_px = f64::from(1u32 << FINEST) * task(&self.surfaces, &self.sensor, eye, FINEST, &expected.motion).blur_px;
         let spread_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_SPREAD_SIGMA } else { SPREAD_SIGMA };
@@ -148,8 +148,8 @@ impl Aligner {
     }
 
     /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels.
-    fn same_again(&mut self, frame: &FrameLevels, eye: &Eye, known: &Expected) -> Option<Corrected> {
-        let task = Task { count: STILL_PIXELS, side: KEPT_SIDE, ..task(&self.surfaces, &self.sensor, eye, FINEST, known.motion) };
+    fn same_again(&mut self, frame: &mut FrameLevels, eye: &Eye, known: &Expected) -> Option<Corrected> {
+        let task = Task { count: STILL_PIXELS, ..task(&self.surfaces, &self.sensor, eye, FINEST, known.motion) };
         if self.fine.moved_since(&task, known.motion) > KEPT_PX {
             self.has_kept = false;
             return None;
@@ -224,7 +224,7 @@ impl Aligner {
 
     /// Aligns from the level whose basin holds what starts were off by lately; where that is not clearly right, from the one that holds
     /// all that is uncertain.
-    fn settle(&mut self, frame: &FrameLevels, eye: &Eye, known: &Expected, expected: &MotionEstimate) -> Option<Corrected> {
+    fn settle(&mut self, frame: &mut FrameLevels, eye: &Eye, known: &Expected, expected: &MotionEstimate) -> Option<Corrected> {
         let far = level_for(self.uncertain_px(eye, expected)).max(FINEST + 1);
         let near = level_for(LATELY_OFF * self.off_px).min(far);
         let light = self.light.clone();
@@ -244,7 +244,7 @@ impl Aligner {
     }
 
     /// From coarse to fine.
-    fn descend(&mut self, frame: &FrameLevels, eye: &Eye, known: &Expected, from: usize) -> Option<Corrected> {
+    fn descend(&mut self, frame: &mut FrameLevels, eye: &Eye, known: &Expected, from: usize) -> Option<Corrected> {
         self.has_kept = false;
         let mut motion = *known.motion;
         let mut is_first = true;
@@ -338,7 +338,9 @@ fn level_for(off_px: f64) -> usize {
 fn task<'a>(surfaces: &'a [AlignSurface], sensor: &'a Sensor, eye: &'a Eye, level: usize, motion: &Motion) -> Task<'a> {
     let wider = (f64::from(eye.camera.width()) / USUAL_WIDTH_PX).max(1.0);
     let count = (PIXELS[level] as f64 * wider) as usize;
-    let mut task = Task { surfaces, eye, sensor, level, is_finest: level == FINEST, count, blur_px: 0.0, side: SIDE };
+    let is_finest = level == FINEST;
+    let side = if is_finest { SIDE } else { COARSE_SIDE };
+    let mut task = Task { surfaces, eye, sensor, level, is_finest, count, blur_px: 0.0, side };
     let half = 0.5 * sensor.exposure_s;
     task.blur_px = task.moved_px(&motion.after(-half), &motion.after(half));
     task

@@ -13,11 +13,11 @@ fn truth() -> Pose<Camera, Body> {
 
 fn levels(seed: u32) -> FrameLevels {
     let mut levels = FrameLevels::default();
-    levels.update(&view(&cloth(seed), &truth(), &lens(480, 360)), true);
+    levels.update(&view(&cloth(seed), &truth(), &lens(480, 360)));
     levels
 }
 
-fn aligned(frame: &FrameLevels, start: &Pose<Camera, Body>) -> Option<Alignment> {
+fn aligned(frame: &mut FrameLevels, start: &Pose<Camera, Body>) -> Option<Alignment> {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
     aligner.align(frame, &Eye::new(lens(480, 360), None), &expected)
@@ -26,7 +26,7 @@ fn aligned(frame: &FrameLevels, start: &Pose<Camera, Body>) -> Option<Alignment>
 #[test]
 fn a_start_nearby_becomes_right_to_a_hundredth_of_a_pixel() {
     let start = perturbed(&truth(), &Vector6::new(0.02, -0.015, 0.03, 0.006, -0.005, 0.003));
-    let found = aligned(&levels(1), &start).expect("the picture agrees");
+    let found = aligned(&mut levels(1), &start).expect("the picture agrees");
     let pose = found.estimate.motion.pose.inverse();
     let (shift, turn) = ((pose.translation - truth().translation).norm(), pose.angle_to(&truth()));
     println!("{shift:.6} m, {turn:.7} rad, share {:.2} of {} tiles, scale {:.2}", found.share(), found.tiles, found.scale);
@@ -37,12 +37,12 @@ fn a_start_nearby_becomes_right_to_a_hundredth_of_a_pixel() {
 
 #[test]
 fn what_is_not_the_stage_is_not_credible() {
-    for frame in [levels(2), {
+    for mut frame in [levels(2), {
         let mut dark = FrameLevels::default();
-        dark.update(&image::GrayImage::from_pixel(480, 360, image::Luma([6])), true);
+        dark.update(&image::GrayImage::from_pixel(480, 360, image::Luma([6])));
         dark
     }] {
-        let found = aligned(&frame, &truth());
+        let found = aligned(&mut frame, &truth());
         assert!(found.is_none_or(|f| !f.is_credible(true) && !f.is_conclusive()));
     }
 }
@@ -50,7 +50,7 @@ fn what_is_not_the_stage_is_not_credible() {
 #[test]
 fn a_start_far_off_is_not_credible() {
     for step in [Vector6::new(0.5, 0.0, 0.0, 0.0, 0.0, 0.0), Vector6::new(0.0, 0.0, 0.0, 0.15, 0.1, 0.0)] {
-        let found = aligned(&levels(1), &perturbed(&truth(), &step));
+        let found = aligned(&mut levels(1), &perturbed(&truth(), &step));
         let is_right = |f: &Alignment| (f.estimate.motion.pose.inverse().translation - truth().translation).norm() < 0.005;
         assert!(found.is_none_or(|f| is_right(&f) || !f.is_credible(false)), "{step}");
     }
@@ -61,7 +61,7 @@ fn patches_lie_where_the_pose_puts_them() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
     let eye = Eye::new(lens(480, 360), None);
-    let found = aligner.align(&levels(1), &eye, &expected).expect("the picture agrees");
+    let found = aligner.align(&mut levels(1), &eye, &expected).expect("the picture agrees");
     let mut patches = Vec::new();
     aligner.patches(&eye, &found.estimate.motion, &mut patches);
     assert!(patches.len() > 40, "{}", patches.len());
@@ -74,11 +74,11 @@ fn patches_lie_where_the_pose_puts_them() {
 fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
     let eye = Eye::new(lens(480, 360), None);
-    let frame = levels(1);
+    let mut frame = levels(1);
     let mut estimate = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
     let mut poses = Vec::new();
     for _ in 0..6 {
-        let found = aligner.align(&frame, &eye, &estimate).expect("the picture agrees");
+        let found = aligner.align(&mut frame, &eye, &estimate).expect("the picture agrees");
         poses.push(found.estimate.motion.pose);
         estimate = found.estimate.after(1.0 / 30.0, 3.4);
     }

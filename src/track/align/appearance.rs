@@ -2,15 +2,16 @@
 //! alignment spends its time.
 //!
 //! A pixel's ray meets its surface at a texel; the pixel's own square covers a small quadrilateral of texels there.
-//! Nine looks (more where the surface is tilted), a third of a pixel apart, at the copy of the picture whose texels are a seventh of a pixel wide give
-//! the mean grey over that square, its gradient, and - as outer looks less the middle one - how it would change with
-//! a wider point spread. (Fewer looks, or larger texels, leave errors of a grey level and more, which pull the pose of
+//! Five by five looks (three by three above the finest level), at the copy of the picture whose texels are a seventh of a
+//! pixel wide, give the mean grey over that square, its gradient, and - as outer looks less the middle one - how it would
+//! change with a wider point spread. (Fewer looks, or larger texels, leave errors of a grey level and more, which pull the pose of
 //! a still camera aside by more than its noise; measured in docs/alignment.md.) While the shutter is open the texel
 //! moves along a short curve; under motion blur the looks are shared out along it.
 
-use super::lanes::{LANES, Lanes, dispatch};
+use super::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, load_at, store_at};
 use super::motion::Motion;
 use super::pixels::Pixels;
+use super::texture::TILE_STEP;
 use super::{AlignSurface, Sensor};
 
 /// Fewest looks across a sharp pixel of a surface tilted beyond this cosine, whose texels lie closer along one direction.
@@ -19,6 +20,10 @@ const TILTED_COSINE: f64 = 0.6;
 /// Under blur, the outer two of three looks at each place are so far from the middle across and down: their variance is
 /// that of the pixel's square.
 const BLURRED_LOOK: f32 = 0.35;
+/// Texels are asked for so many groups of pixels ahead, as far from a pixel's middle as outer looks go: where they lie follows no order
+/// that the processor could guess.
+const AHEAD: usize = 2;
+const OUTER_LOOK: f32 = 0.4;
 /// log2 of the size of a texel that suits a look, in pixels; under blur coarser ones do.
 const TEXEL_LOG2: f32 = -2.8;
 const TILTED_TEXEL_LOG2: f32 = -3.5;
@@ -193,34 +198,40 @@ fn level_for<L: Lanes>(surface: &AlignSurface, view: &View, by_pixel: &[L; 4]) -
     }
 }
 
-/// The grey at picture pixel (u, v).
+/// Where in the tiles the texel above and left of picture pixel (u, v) is, and how far from it that lies.
 #[inline(always)]
-fn look<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, u: L, v: L) -> L {
+fn address<L: Lanes>(level: &LevelLanes<L>, u: L, v: L) -> (L::Index, [L; 2]) {
     let (half, zero) = (L::splat(0.5), L::splat(0.0));
     let u = u.add(half).mul_add(level.scale, L::splat(-0.5)).max(zero).min(level.last_column);
     let v = v.add(half).mul_add(level.scale, L::splat(-0.5)).max(zero).min(level.last_row);
     let (i, j) = (u.floor(), v.floor());
-    let (a, b) = (u.sub(i), v.sub(j));
-    let address = L::address(j.to_index(), level.stride, i.to_index(), level.base);
-    let [q00, q10, q01, q11] = L::gather_corners(texels, address, level.stride);
+    let step = TILE_STEP.map(|step| 1.0 / step as f32);
+    // Half a texel keeps whole numbers clear of the rounding of the division.
+    let column = i.mul_add(L::splat(step[0]), L::splat(0.5 * step[0])).floor();
+    let row = j.mul_add(L::splat(step[1]), L::splat(0.5 * step[1])).floor();
+    let in_row = column.mul_add(L::splat((size_of::<Tile>() - TILE_STEP[0]) as f32), j.mul_add(L::splat(TILE_COLUMNS as f32), i));
+    (L::address(row.to_index(), level.stride, in_row.to_index(), level.base), [u.sub(i), v.sub(j)])
+}
+
+/// The grey at picture pixel (u, v).
+#[inline(always)]
+fn look<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, u: L, v: L) -> L {
+    let (address, [a, b]) = address(level, u, v);
+    let [q00, q10, q01, q11] = L::gather_quads(tiles, address);
     let upper = q10.sub(q00).mul_add(a, q00);
     let lower = q11.sub(q01).mul_add(a, q01);
     lower.sub(upper).mul_add(b, upper)
 }
 
+/// Asks for the tiles that the looks at later pixels will need: the middles and corners of squares like `by_pixel`.
 #[inline(always)]
-fn at<L: Lanes>(values: &[f32], k: usize) -> L {
-    // Ranges are whole lanes, so a chunk of that length always fits.
-    let mut chunk = [0.0; LANES];
-    chunk.copy_from_slice(&values[k..k + LANES]);
-    L::load(&chunk)
-}
-
-#[inline(always)]
-fn put<L: Lanes>(values: &mut [f32], k: usize, v: L) {
-    let mut chunk = [0.0; LANES];
-    v.store(&mut chunk);
-    values[k..k + LANES].copy_from_slice(&chunk);
+fn prefetch<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4]) {
+    for [x, y] in [[0.0, 0.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]] {
+        let [x, y] = [L::splat(OUTER_LOOK * x), L::splat(OUTER_LOOK * y)];
+        let u = by_pixel[0].mul_add(x, by_pixel[1].mul_add(y, middle[0]));
+        let v = by_pixel[2].mul_add(x, by_pixel[3].mul_add(y, middle[1]));
+        L::prefetch_quads(tiles, address(level, u, v).0);
+    }
 }
 
 /// Texels by pixels of the level: [uu, uv, vu, vv].
@@ -232,8 +243,8 @@ fn footprint<L: Lanes>(view: &View, a: &[L; 9], middle: &Hit<L>, pixels: &Pixels
     let uy = a[1].sub(a[7].mul(middle.slope[0])).mul(across);
     let vx = a[3].sub(a[6].mul(middle.slope[1])).mul(down);
     let vy = a[4].sub(a[7].mul(middle.slope[1])).mul(down);
-    let (xu, xv) = (at::<L>(&pixels.x_across, k), at::<L>(&pixels.x_down, k));
-    let (yu, yv) = (at::<L>(&pixels.y_across, k), at::<L>(&pixels.y_down, k));
+    let (xu, xv) = (load_at::<L>(&pixels.x_across, k), load_at::<L>(&pixels.x_down, k));
+    let (yu, yv) = (load_at::<L>(&pixels.y_across, k), load_at::<L>(&pixels.y_down, k));
     [ux.mul_add(xu, uy.mul(yu)), ux.mul_add(xv, uy.mul(yv)), vx.mul_add(xu, vy.mul(yu)), vx.mul_add(xv, vy.mul(yv))]
 }
 
@@ -250,7 +261,7 @@ struct Looked<L> {
 
 /// `side` x `side` looks at a sharp pixel.
 #[inline(always)]
-fn sharp_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4], side: usize) -> Looked<L> {
+fn sharp_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4], side: usize) -> Looked<L> {
     let zero = L::splat(0.0);
     let (mut sum, mut centre, mut across, mut down) = (zero, zero, zero, zero);
     let mut squares = 0.0;
@@ -260,7 +271,7 @@ fn sharp_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, middle: [L; 2], b
         let mut row = zero;
         for i in 0..side {
             let x = (i as f32 + 0.5) / side as f32 - 0.5;
-            let grey = look(texels, level, by_pixel[0].mul_add(L::splat(x), u), by_pixel[2].mul_add(L::splat(x), v));
+            let grey = look(tiles, level, by_pixel[0].mul_add(L::splat(x), u), by_pixel[2].mul_add(L::splat(x), v));
             row = row.add(grey);
             across = grey.mul_add(L::splat(x), across);
             if 2 * i + 1 == side && 2 * j + 1 == side {
@@ -285,7 +296,7 @@ fn sharp_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, middle: [L; 2], b
 
 /// Three looks at each of `places` (odd, 3 at least) along the blur, on alternating diagonals.
 #[inline(always)]
-fn blurred_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, path: [[L; 2]; 3], by_pixel: &[L; 4], places: usize) -> Looked<L> {
+fn blurred_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, path: [[L; 2]; 3], by_pixel: &[L; 4], places: usize) -> Looked<L> {
     let [first, middle, last] = path;
     let half = L::splat(0.5);
     let slope = [last[0].sub(first[0]).mul(half), last[1].sub(first[1]).mul(half)];
@@ -303,8 +314,8 @@ fn blurred_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, path: [[L; 2]; 
         let u = bend[0].mul_add(e, slope[0]).mul_add(e, middle[0]);
         let v = bend[1].mul_add(e, slope[1]).mul_add(e, middle[1]);
         let [du, dv] = diagonals[n % 2];
-        let centre = look(texels, level, u, v);
-        let (ahead, behind) = (look(texels, level, u.add(du), v.add(dv)), look(texels, level, u.sub(du), v.sub(dv)));
+        let centre = look(tiles, level, u, v);
+        let (ahead, behind) = (look(tiles, level, u.add(du), v.add(dv)), look(tiles, level, u.sub(du), v.sub(dv)));
         middles = middles.add(centre);
         outer = outer.add(ahead.add(behind));
         differences[n % 2] = differences[n % 2].add(ahead.sub(behind));
@@ -332,31 +343,37 @@ fn blurred_looks<L: Lanes>(texels: &[u8], level: &LevelLanes<L>, path: [[L; 2]; 
 pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
     let Predicted { surface, motion, sensor, places, side, pixels, range } = *what;
     let view = &View::new(surface, motion, if places > 1 { sensor.exposure_s } else { 0.0 }, side);
-    let texels = &surface.texture.texels[..];
+    let tiles = &surface.texture.tiles[..];
     let mut k = range[0];
     while k < range[1] {
-        let (x, y, t) = (at::<L>(&pixels.x, k), at::<L>(&pixels.y, k), at::<L>(&pixels.delay_s, k));
+        let (x, y, t) = (load_at::<L>(&pixels.x, k), load_at::<L>(&pixels.y, k), load_at::<L>(&pixels.delay_s, k));
         let a = rotation_at(view, t);
         let middle = hit(view, &a, x, y, t);
         let by_pixel = footprint(view, &a, &middle, pixels, k);
         let level = level_for(surface, view, &by_pixel);
+        let ahead = k + AHEAD * LANES;
+        if ahead < range[1] {
+            let t = load_at::<L>(&pixels.delay_s, ahead);
+            let later = hit(view, &rotation_at(view, t), load_at::<L>(&pixels.x, ahead), load_at::<L>(&pixels.y, ahead), t);
+            prefetch(tiles, &level, later.texel, &by_pixel);
+        }
         let looked = if places <= 1 {
-            sharp_looks(texels, &level, middle.texel, &by_pixel, view.side)
+            sharp_looks(tiles, &level, middle.texel, &by_pixel, view.side)
         } else {
             let half = L::splat(view.half_exposure_s);
             let (before, after) = (t.sub(half), t.add(half));
             let first = hit(view, &rotation_at(view, before), x, y, before).texel;
             let last = hit(view, &rotation_at(view, after), x, y, after).texel;
-            blurred_looks(texels, &level, [first, middle.texel, last], &by_pixel, places)
+            blurred_looks(tiles, &level, [first, middle.texel, last], &by_pixel, places)
         };
-        put(&mut out.grey, k, looked.grey);
-        put(&mut out.spread, k, looked.spread);
-        put(&mut out.sharper, k, looked.sharper);
-        put(&mut out.across, k, looked.across);
-        put(&mut out.down, k, looked.down);
+        store_at(&mut out.grey, k, looked.grey);
+        store_at(&mut out.spread, k, looked.spread);
+        store_at(&mut out.sharper, k, looked.sharper);
+        store_at(&mut out.across, k, looked.across);
+        store_at(&mut out.down, k, looked.down);
         let by_pose = by_pose(view, &a, &middle, [x, y], by_texel(&by_pixel, looked.across, looked.down));
         for n in 0..6 {
-            put(&mut out.by_pose[n], k, by_pose[n]);
+            store_at(&mut out.by_pose[n], k, by_pose[n]);
         }
         k += LANES;
     }

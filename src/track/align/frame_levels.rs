@@ -3,13 +3,18 @@
 
 use image::GrayImage;
 
-/// Sizes kept: level 0 is the frame itself.
+#[cfg(target_arch = "x86_64")]
+use super::lanes::has_avx2;
+
+/// Sizes: level 0 is the frame itself, which is not kept.
 pub const LEVELS: usize = 5;
 
-/// The frame at all levels.
+/// The frame at levels 1 and up.
 #[derive(Debug, Default)]
 pub struct FrameLevels {
-    levels: [Level; LEVELS],
+    levels: [Level; LEVELS - 1],
+    /// How many of them are filled so far: coarse ones only when they are asked for.
+    filled: usize,
 }
 
 /// Sums of 2^l x 2^l grey levels; pixel (u, v) covers the frame's pixels 2^l u … 2^l u + 2^l - 1.
@@ -28,28 +33,25 @@ impl Level {
 }
 
 impl FrameLevels {
-    /// Takes a new frame; buffers are kept. `with_full_size`: level 0 is wanted too.
-    pub fn update(&mut self, image: &GrayImage, with_full_size: bool) {
+    /// Takes a new frame; buffers are kept.
+    pub fn update(&mut self, image: &GrayImage) {
         let (w, h) = (image.width() as usize, image.height() as usize);
-        let [full, half, ..] = &mut self.levels;
-        full.sums.clear();
-        (full.width, full.height) = (w, h);
-        if with_full_size {
-            full.sums.extend(image.as_raw().iter().map(|v| u16::from(*v)));
-        }
+        let half = &mut self.levels[0];
         resize(half, w / 2, h / 2);
         halve_bytes(image.as_raw(), w, half);
-        for l in 2..LEVELS {
-            let (before, after) = self.levels.split_at_mut(l);
-            let (fine, coarse) = (&before[l - 1], &mut after[0]);
-            resize(coarse, fine.width / 2, fine.height / 2);
-            halve_sums(fine, coarse);
-        }
+        self.filled = 1;
     }
 
-    /// One level.
-    pub fn level(&self, l: usize) -> &Level {
-        &self.levels[l]
+    /// Level `l`, from 1.
+    pub fn level(&mut self, l: usize) -> &Level {
+        while self.filled < l {
+            let (before, after) = self.levels.split_at_mut(self.filled);
+            let (fine, coarse) = (&before[self.filled - 1], &mut after[0]);
+            resize(coarse, fine.width / 2, fine.height / 2);
+            halve_sums(fine, coarse);
+            self.filled += 1;
+        }
+        &self.levels[l - 1]
     }
 }
 
@@ -58,16 +60,34 @@ fn resize(level: &mut Level, width: usize, height: usize) {
     level.sums.resize(width * height, 0);
 }
 
+/// Sums of two by two bytes. `stride`: bytes per row.
 fn halve_bytes(raw: &[u8], stride: usize, out: &mut Level) {
     let w = out.width;
     for (v, row) in out.sums.chunks_exact_mut(w.max(1)).enumerate() {
-        let top = &raw[2 * v * stride..][..2 * w];
-        let bottom = &raw[(2 * v + 1) * stride..][..2 * w];
-        for ((o, t), b) in row.iter_mut().zip(top.chunks_exact(2)).zip(bottom.chunks_exact(2)) {
-            // Two bytes as one number: that is what the compiler makes wide steps of.
-            let (t, b) = (u16::from_le_bytes([t[0], t[1]]), u16::from_le_bytes([b[0], b[1]]));
-            *o = (t & 255) + (t >> 8) + (b & 255) + (b >> 8);
+        let (top, bottom) = (&raw[2 * v * stride..][..2 * w], &raw[(2 * v + 1) * stride..][..2 * w]);
+        #[cfg(target_arch = "x86_64")]
+        if has_avx2() {
+            // SAFETY: the processor has AVX2.
+            unsafe { halve_rows_avx2(top, bottom, row) };
+            continue;
         }
+        halve_rows(top, bottom, row);
+    }
+}
+
+/// [`halve_rows`], compiled for wider registers.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn halve_rows_avx2(top: &[u8], bottom: &[u8], out: &mut [u16]) {
+    halve_rows(top, bottom, out);
+}
+
+#[inline(always)]
+fn halve_rows(top: &[u8], bottom: &[u8], out: &mut [u16]) {
+    for ((o, t), b) in out.iter_mut().zip(top.chunks_exact(2)).zip(bottom.chunks_exact(2)) {
+        // Two bytes as one number: that is what the compiler makes wide steps of.
+        let (t, b) = (u16::from_le_bytes([t[0], t[1]]), u16::from_le_bytes([b[0], b[1]]));
+        *o = (t & 255) + (t >> 8) + (b & 255) + (b >> 8);
     }
 }
 
@@ -91,8 +111,8 @@ mod tests {
     fn levels_are_exact_sums() {
         let image = GrayImage::from_fn(37, 21, |x, y| image::Luma([(x * 7 + y * 13) as u8]));
         let mut levels = FrameLevels::default();
-        levels.update(&image, true);
-        for l in 0..LEVELS {
+        levels.update(&image);
+        for l in 1..LEVELS {
             let level = levels.level(l);
             let n = 1u32 << l;
             assert_eq!((level.width, level.height), (37 >> l, 21 >> l));

@@ -4,7 +4,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::appearance::{Appearance, Predicted, predict, predict_lanes};
 use super::frame_levels::FrameLevels;
-use super::lanes::Plain;
+use super::lanes::{LANES, Plain};
 use super::light::Light;
 use super::motion::{Motion, MotionError};
 use super::normal::{COLUMNS, Noise, Residuals, RunView, TileLight, Weighing, moments, residuals, tile_sums, tile_sums_lanes};
@@ -33,7 +33,7 @@ fn scene() -> Scene {
     let camera = lens(480, 360);
     let frame = view(&cloth(1), &pose, &camera);
     let mut levels = FrameLevels::default();
-    levels.update(&frame, true);
+    levels.update(&frame);
     let eye = Eye::new(camera, None);
     let surface = AlignSurface::new(&cloth(1));
     let sensor = Sensor { readout_s: 0.012, exposure_s: 0.01 };
@@ -175,7 +175,12 @@ fn every_run_is_whole_and_no_pixel_comes_twice() {
     let mut seen = std::collections::HashSet::new();
     for run in &scene.pixels.runs {
         assert!((run.tile as usize) < scene.pixels.grid.len() && run.start < run.end);
-        assert!((run.start..run.end).all(|k| seen.insert(scene.pixels.index[k as usize])));
+        assert!(run.range().len().is_multiple_of(LANES) && run.start.is_multiple_of(LANES as u32));
+        for k in run.start..run.end {
+            let is_repeat = scene.pixels.is_repeat(k);
+            assert!(seen.insert(scene.pixels.index[k as usize]) != is_repeat);
+            assert!(!is_repeat || scene.pixels.counts[k as usize] == 0.0);
+        }
     }
     // A camera that turned away sees none of the surface.
     let away = Motion::still(crate::geometry::Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 3.0)));

@@ -7,6 +7,19 @@
 /// Numbers handled side by side.
 pub const LANES: usize = 8;
 
+/// Columns and rows of texels in a tile. Neighbouring tiles share a column or a row, so that a texel and its neighbours lie in one.
+pub const TILE_COLUMNS: usize = 4;
+/// See [`TILE_COLUMNS`].
+pub const TILE_ROWS: usize = 16;
+
+/// Texels that lie close together in a picture, row by row: a cache line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(C, align(64))]
+pub struct Tile(pub [u8; TILE_COLUMNS * TILE_ROWS]);
+
+/// Bytes that the look at a quad reads.
+const QUAD_BYTES: usize = 8;
+
 /// Eight `f32` values with lane-wise arithmetic.
 pub trait Lanes: Copy {
     /// Eight `i32` values.
@@ -43,8 +56,11 @@ pub trait Lanes: Copy {
     fn lookup_index(table: &[i32; LANES], index: Self::Index) -> Self::Index;
     /// `row * stride + column + base`.
     fn address(row: Self::Index, stride: Self::Index, column: Self::Index, base: Self::Index) -> Self::Index;
-    /// The bytes at each index, behind it, and both one stride further on; zeros where a read of four bytes would leave `bytes`.
-    fn gather_corners(bytes: &[u8], index: Self::Index, stride: Self::Index) -> [Self; 4];
+    /// The bytes at each address, behind it, and both [`TILE_COLUMNS`] further on: a texel and its neighbours right, below, and both.
+    /// Addresses beyond the tiles are those of their first or last bytes.
+    fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4];
+    /// Asks for what [`gather_quads`](Self::gather_quads) will read soon.
+    fn prefetch_quads(tiles: &[Tile], address: Self::Index);
 }
 
 /// Plain Rust.
@@ -126,15 +142,32 @@ impl Lanes for Plain {
         std::array::from_fn(|k| row[k].wrapping_mul(stride[k]).wrapping_add(column[k]).wrapping_add(base[k]))
     }
     #[inline(always)]
-    fn gather_corners(bytes: &[u8], index: Self::Index, stride: Self::Index) -> [Self; 4] {
-        let pair = |k: i32| {
-            let at = usize::try_from(k).ok().filter(|k| k + 4 <= bytes.len());
-            at.map_or([0.0; 2], |k| [f32::from(bytes[k]), f32::from(bytes[k + 1])])
+    fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4] {
+        let last = size_of_val(tiles).saturating_sub(QUAD_BYTES);
+        let byte = |at: i32, offset: usize| {
+            let at = usize::try_from(at).unwrap_or(0).min(last) + offset;
+            tiles.get(at / size_of::<Tile>()).map_or(0.0, |tile| f32::from(tile.0[at % size_of::<Tile>()]))
         };
-        let upper = index.map(pair);
-        let lower: [[f32; 2]; LANES] = std::array::from_fn(|k| pair(index[k].wrapping_add(stride[k])));
-        [upper.map(|p| p[0]), upper.map(|p| p[1]), lower.map(|p| p[0]), lower.map(|p| p[1])].map(Self)
+        [0, 1, TILE_COLUMNS, TILE_COLUMNS + 1].map(|offset| Self(address.map(|at| byte(at, offset))))
     }
+    #[inline(always)]
+    fn prefetch_quads(_: &[Tile], _: Self::Index) {}
+}
+
+/// [`LANES`] values from the `k`th.
+#[inline(always)]
+pub fn load_at<L: Lanes>(values: &[f32], k: usize) -> L {
+    let mut chunk = [0.0; LANES];
+    chunk.copy_from_slice(&values[k..k + LANES]);
+    L::load(&chunk)
+}
+
+/// `v` to the `k`th value and those behind it.
+#[inline(always)]
+pub fn store_at<L: Lanes>(values: &mut [f32], k: usize, v: L) {
+    let mut chunk = [0.0; LANES];
+    v.store(&mut chunk);
+    values[k..k + LANES].copy_from_slice(&chunk);
 }
 
 /// One step of an `f32` mantissa.
@@ -147,7 +180,7 @@ pub use avx2::Avx2;
 mod avx2 {
     use std::arch::x86_64::*;
 
-    use super::{LANES, Lanes, MANTISSA_STEP};
+    use super::{LANES, Lanes, MANTISSA_STEP, QUAD_BYTES, Tile};
 
     /// AVX2 with FMA. Only to be named inside functions compiled for both, called where the processor has them.
     #[derive(Clone, Copy)]
@@ -225,27 +258,52 @@ mod avx2 {
             unsafe { _mm256_add_epi32(_mm256_add_epi32(_mm256_mullo_epi32(row, stride), column), base) }
         }
         #[inline(always)]
-        fn gather_corners(bytes: &[u8], index: Self::Index, stride: Self::Index) -> [Self; 4] {
-            let [a, b] = pair(bytes, index);
-            let [c, d] = pair(bytes, unsafe { _mm256_add_epi32(index, stride) });
-            [a, b, c, d]
+        fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4] {
+            if tiles.is_empty() {
+                return [Self::splat(0.0); 4];
+            }
+            let last = i32::try_from(size_of_val(tiles) - QUAD_BYTES).unwrap_or(i32::MAX);
+            let first = tiles.as_ptr().cast::<u8>();
+            // Loads one by one: the gather instruction takes several times as long.
+            unsafe {
+                let address = _mm256_min_epi32(_mm256_max_epi32(address, _mm256_setzero_si256()), _mm256_set1_epi32(last));
+                let (low, high) = (_mm256_castsi256_si128(address), _mm256_extracti128_si256::<1>(address));
+                let pair = |addresses: i64| {
+                    // Not negative and at most `last`, each half.
+                    let at = |k: i64| first.add(k as u32 as usize);
+                    let one = _mm_load_sd(at(addresses).cast());
+                    _mm_castpd_si128(_mm_loadh_pd(one, at(addresses >> 32).cast()))
+                };
+                let quads = [
+                    pair(_mm_cvtsi128_si64(low)),
+                    pair(_mm_extract_epi64::<1>(low)),
+                    pair(_mm_cvtsi128_si64(high)),
+                    pair(_mm_extract_epi64::<1>(high)),
+                ];
+                // Lanes 0, 1, 4, 5 and 2, 3, 6, 7: in this order their halves fall into place.
+                let a = _mm256_castsi256_ps(_mm256_inserti128_si256::<1>(_mm256_castsi128_si256(quads[0]), quads[2]));
+                let b = _mm256_castsi256_ps(_mm256_inserti128_si256::<1>(_mm256_castsi128_si256(quads[1]), quads[3]));
+                let upper = _mm256_castps_si256(_mm256_shuffle_ps::<0x88>(a, b));
+                let lower = _mm256_castps_si256(_mm256_shuffle_ps::<0xdd>(a, b));
+                let low = _mm256_set1_epi32(0xff);
+                let left = |v| Self(_mm256_cvtepi32_ps(_mm256_and_si256(v, low)));
+                let right = |v| Self(_mm256_cvtepi32_ps(_mm256_and_si256(_mm256_srli_epi32::<8>(v), low)));
+                [left(upper), right(upper), left(lower), right(lower)]
+            }
         }
-    }
-
-    /// The bytes at and behind each index.
-    #[inline(always)]
-    fn pair(bytes: &[u8], index: __m256i) -> [Avx2; 2] {
-        unsafe {
-            // Lanes whose four bytes do not lie inside are masked off and read nothing.
-            let last = _mm256_set1_epi32(i32::try_from(bytes.len()).unwrap_or(i32::MAX) - 4);
-            let outside = _mm256_or_si256(_mm256_cmpgt_epi32(_mm256_setzero_si256(), index), _mm256_cmpgt_epi32(index, last));
-            let inside = _mm256_xor_si256(outside, _mm256_set1_epi32(-1));
-            let found = _mm256_mask_i32gather_epi32::<1>(_mm256_setzero_si256(), bytes.as_ptr().cast(), index, inside);
-            let low = _mm256_set1_epi32(0xff);
-            [
-                Avx2(_mm256_cvtepi32_ps(_mm256_and_si256(found, low))),
-                Avx2(_mm256_cvtepi32_ps(_mm256_and_si256(_mm256_srli_epi32::<8>(found), low))),
-            ]
+        #[inline(always)]
+        fn prefetch_quads(tiles: &[Tile], address: Self::Index) {
+            let first = tiles.as_ptr().cast::<i8>();
+            // Nothing is read: addresses may be anything.
+            unsafe {
+                let (low, high) = (_mm256_castsi256_si128(address), _mm256_extracti128_si256::<1>(address));
+                let pairs = [_mm_cvtsi128_si64(low), _mm_extract_epi64::<1>(low), _mm_cvtsi128_si64(high), _mm_extract_epi64::<1>(high)];
+                for pair in pairs {
+                    for address in [pair, pair >> 32] {
+                        _mm_prefetch::<_MM_HINT_T0>(first.wrapping_add(address as u32 as usize));
+                    }
+                }
+            }
         }
     }
 }

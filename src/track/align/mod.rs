@@ -12,6 +12,7 @@ mod aligner;
 // Index loops: what closures do would not be compiled for the wider registers of the function around them.
 #[allow(clippy::needless_range_loop)]
 mod appearance;
+mod enlarge;
 mod frame_levels;
 mod gauge;
 mod lanes;

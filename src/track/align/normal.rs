@@ -2,7 +2,7 @@
 //! pose at the tile's rows, with the light of the tile's corners, the bias and the point spread.
 
 use super::appearance::Appearance;
-use super::lanes::{LANES, Lanes, dispatch};
+use super::lanes::{LANES, Lanes, dispatch, load_at, store_at};
 use super::light::Light;
 use super::pixels::{Pixels, Run};
 
@@ -120,22 +120,10 @@ pub struct RunView<'a> {
     pub residuals: &'a Residuals,
 }
 
-/// Loads up to [`LANES`] values; beyond the run, zeros.
-#[inline(always)]
-fn part<L: Lanes>(values: &[f32], k: usize, n: usize) -> L {
-    let mut chunk = [0.0; LANES];
-    if n >= LANES {
-        chunk.copy_from_slice(&values[k..k + LANES]);
-    } else {
-        chunk[..n].copy_from_slice(&values[k..k + n]);
-    }
-    L::load(&chunk)
-}
-
 /// Gain at each pixel of a run.
 #[inline(always)]
-fn corner_weights<L: Lanes>(pixels: &Pixels, k: usize, n: usize) -> [L; 4] {
-    let (a, b) = (part::<L>(&pixels.cell[0], k, n), part::<L>(&pixels.cell[1], k, n));
+fn corner_weights<L: Lanes>(pixels: &Pixels, k: usize) -> [L; 4] {
+    let (a, b) = (load_at::<L>(&pixels.cell[0], k), load_at::<L>(&pixels.cell[1], k));
     let one = L::splat(1.0);
     let (na, nb) = (one.sub(a), one.sub(b));
     [na.mul(nb), a.mul(nb), na.mul(b), a.mul(b)]
@@ -153,40 +141,33 @@ fn gain<L: Lanes>(light: &TileLight, corners: &[L; 4]) -> L {
 
 #[inline(always)]
 fn residuals_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals) {
-    let (start, end) = (run.start as usize, run.end as usize);
     let one = L::splat(1.0);
-    for k in (start..end).step_by(LANES) {
-        let n = (end - k).min(LANES);
-        let corners = corner_weights::<L>(pixels, k, n);
+    for k in run.range().step_by(LANES) {
+        let corners = corner_weights::<L>(pixels, k);
         let g = gain(light, &corners);
-        let grey = part::<L>(&appearance.spread, k, n).mul_add(L::splat(light.spread), part(&appearance.grey, k, n));
-        let seen = part::<L>(&pixels.seen, k, n);
+        let grey = load_at::<L>(&appearance.spread, k).mul_add(L::splat(light.spread), load_at(&appearance.grey, k));
+        let seen = load_at::<L>(&pixels.seen, k);
         let residual = seen.sub(g.mul_add(grey, L::splat(light.bias)));
-        let (across, down) = (part::<L>(&appearance.across, k, n), part::<L>(&appearance.down, k, n));
+        let (across, down) = (load_at::<L>(&appearance.across, k), load_at::<L>(&appearance.down, k));
         let steep = across.mul(across).add(down.mul(down)).mul(g).mul(g);
         let expected = g.mul_add(grey, L::splat(light.bias)).max(L::splat(0.0));
         let variance =
             steep.mul_add(L::splat(noise.model_px * noise.model_px), expected.mul_add(L::splat(noise.per_grey), L::splat(noise.dark)));
-        let information = part::<L>(&pixels.counts, k, n).mul(one.div(variance));
-        let mut chunk = [0.0; LANES];
-        residual.store(&mut chunk);
-        out.grey[k..k + n].copy_from_slice(&chunk[..n]);
-        information.store(&mut chunk);
-        out.information[k..k + n].copy_from_slice(&chunk[..n]);
+        let information = load_at::<L>(&pixels.counts, k).mul(one.div(variance));
+        store_at(&mut out.grey, k, residual);
+        store_at(&mut out.information, k, information);
     }
 }
 
 #[inline(always)]
 pub fn tile_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> TileSums {
     let RunView { pixels, run, appearance, light, residuals } = *view;
-    let (start, end) = (run.start as usize, run.end as usize);
     let mut sums = [L::splat(0.0); ENTRIES];
-    for k in (start..end).step_by(LANES * weighing.stride) {
-        let n = (end - k).min(LANES);
-        let (columns, _) = columns::<L>(pixels, appearance, light, k, n);
-        let r = part::<L>(&residuals.grey, k, n);
+    for k in run.range().step_by(LANES * weighing.stride) {
+        let (columns, _) = columns::<L>(pixels, appearance, light, k);
+        let r = load_at::<L>(&residuals.grey, k);
         let after = less_step(r, &columns, step);
-        let information = part::<L>(&residuals.information, k, n);
+        let information = load_at::<L>(&residuals.information, k);
         let w = weight(after.mul(after).mul(information), weighing).mul(information);
         let mut at = 0;
         for i in 0..COLUMNS {
@@ -209,14 +190,14 @@ pub fn tile_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing
 
 /// The columns of [`LANES`] pixels: how the predicted grey changes; and the gain there.
 #[inline(always)]
-fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight, k: usize, n: usize) -> ([L; COLUMNS], L) {
-    let corners = corner_weights::<L>(pixels, k, n);
+fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight, k: usize) -> ([L; COLUMNS], L) {
+    let corners = corner_weights::<L>(pixels, k);
     let g = gain(light, &corners);
-    let spread = part::<L>(&appearance.spread, k, n);
-    let grey = spread.mul_add(L::splat(light.spread), part(&appearance.grey, k, n));
+    let spread = load_at::<L>(&appearance.spread, k);
+    let grey = spread.mul_add(L::splat(light.spread), load_at(&appearance.grey, k));
     let mut columns = [g; COLUMNS];
     for c in 0..SPREAD {
-        columns[c] = part::<L>(&appearance.by_pose[c], k, n).mul(g);
+        columns[c] = load_at::<L>(&appearance.by_pose[c], k).mul(g);
     }
     columns[SPREAD] = spread.mul(g);
     columns[BIAS] = L::splat(1.0);
@@ -262,12 +243,10 @@ dispatch! {
 
 #[inline(always)]
 fn moments_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6] {
-    let (start, end) = (run.start as usize, run.end as usize);
     let mut sums = [L::splat(0.0); 6];
-    for k in (start..end).step_by(LANES) {
-        let n = (end - k).min(LANES);
-        let c = part::<L>(&pixels.counts, k, n);
-        let (p, s) = (part::<L>(&appearance.grey, k, n).mul(c), part::<L>(&pixels.seen, k, n).mul(c));
+    for k in run.range().step_by(LANES) {
+        let c = load_at::<L>(&pixels.counts, k);
+        let (p, s) = (load_at::<L>(&appearance.grey, k).mul(c), load_at::<L>(&pixels.seen, k).mul(c));
         let terms = [c, p, s, p.mul(p), s.mul(s), p.mul(s)];
         for n in 0..6 {
             sums[n] = sums[n].add(terms[n]);
@@ -301,17 +280,26 @@ pub struct RunEvidence {
     pub blur: [f64; 5],
 }
 
-/// The squared whitened residual of pixel `k` of a run, as `step` leaves it.
-pub fn squared_after(view: &RunView, k: usize, step: &[f32; COLUMNS]) -> f32 {
-    let RunView { pixels, appearance, light, residuals, .. } = *view;
-    let (a, b) = (pixels.cell[0][k], pixels.cell[1][k]);
-    let corners = [(1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b];
-    let g: f32 = corners.iter().zip(&light.gains).map(|(c, g)| c * g).sum();
-    let grey = appearance.grey[k] + appearance.spread[k] * light.spread;
-    let pose: f32 = appearance.by_pose.iter().zip(step).map(|(c, s)| c[k] * s).sum();
-    let light_step: f32 = corners.iter().zip(&step[GAINS..]).map(|(c, s)| c * s).sum();
-    let r = residuals.grey[k] - g * (pose + appearance.spread[k] * step[SPREAD]) - step[BIAS] - light_step * grey;
-    r * r * residuals.information[k]
+dispatch! {
+    /// Adds the squared whitened residuals that `step` leaves, of one group of [`LANES`] pixels in `stride`, to `squares`.
+    squares_after, squares_after_avx2, squares_after_lanes,
+    (view: &RunView, step: &[f32; COLUMNS], stride: usize, squares: &mut Vec<f32>)
+}
+
+#[inline(always)]
+fn squares_after_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], stride: usize, squares: &mut Vec<f32>) {
+    let RunView { pixels, run, appearance, light, residuals } = *view;
+    for k in run.range().step_by(LANES * stride) {
+        let (columns, _) = columns::<L>(pixels, appearance, light, k);
+        let r = less_step(load_at(&residuals.grey, k), &columns, step);
+        let mut after = [0.0; LANES];
+        r.mul(r).mul(load_at(&residuals.information, k)).store(&mut after);
+        for n in 0..LANES {
+            if residuals.information[k + n] > 0.0 {
+                squares.push(after[n]);
+            }
+        }
+    }
 }
 
 dispatch! {
@@ -323,27 +311,25 @@ dispatch! {
 #[inline(always)]
 fn evidence_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> RunEvidence {
     let RunView { pixels, run, appearance, light, residuals } = *view;
-    let (start, end) = (run.start as usize, run.end as usize);
     let zero = L::splat(0.0);
     let mut sums = [zero; 22];
-    for k in (start..end).step_by(LANES) {
-        let n = (end - k).min(LANES);
-        let (columns, g) = columns::<L>(pixels, appearance, light, k, n);
-        let r = less_step(part::<L>(&residuals.grey, k, n), &columns, step);
-        let counts = part::<L>(&pixels.counts, k, n);
-        let seen = part::<L>(&pixels.seen, k, n).mul(counts);
+    for k in run.range().step_by(LANES) {
+        let (columns, g) = columns::<L>(pixels, appearance, light, k);
+        let r = less_step(load_at::<L>(&residuals.grey, k), &columns, step);
+        let counts = load_at::<L>(&pixels.counts, k);
+        let seen = load_at::<L>(&pixels.seen, k).mul(counts);
         let predicted = seen.sub(r.mul(counts));
-        let information = part::<L>(&residuals.information, k, n);
+        let information = load_at::<L>(&residuals.information, k);
         let robust = weight(r.mul(r).mul(information), weighing).mul(counts);
         let w = robust.mul(information);
         let inlier = robust.sub(L::splat(0.5)).mul(L::splat(1e9)).max(zero).min(L::splat(1.0));
-        let (across, down) = (part::<L>(&appearance.across, k, n).mul(g), part::<L>(&appearance.down, k, n).mul(g));
+        let (across, down) = (load_at::<L>(&appearance.across, k).mul(g), load_at::<L>(&appearance.down, k).mul(g));
         let steep = across.mul(across).add(down.mul(down)).max(L::splat(1.0));
-        let (spread, sharper) = (columns[SPREAD], part::<L>(&appearance.sharper, k, n).mul(g));
+        let (spread, sharper) = (columns[SPREAD], load_at::<L>(&appearance.sharper, k).mul(g));
         let variance = counts.div(information.max(L::splat(1e-9)));
         let mut columns_at = [0.0; LANES];
         let mut rows_at = [0.0; LANES];
-        for lane in 0..n {
+        for lane in 0..LANES {
             [columns_at[lane], rows_at[lane]] = pixels.place(k + lane).map(|v| v as f32);
         }
         let (u, v) = (L::load(&columns_at), L::load(&rows_at));

@@ -1,5 +1,5 @@
 //! The chosen pixels of a level, laid out for the kernels: surface by surface and tile by tile, whole lanes to a
-//! surface, with their rays and what the camera saw there.
+//! run, with their rays and what the camera saw there.
 
 use super::Sensor;
 use super::frame_levels::Level;
@@ -74,7 +74,7 @@ impl TileGrid {
     }
 }
 
-/// A run of pixels of one surface in one tile.
+/// A run of pixels of one surface in one tile: whole lanes, the last of which may repeat a pixel that then counts nothing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Run {
     /// Surface index in the body.
@@ -83,8 +83,15 @@ pub struct Run {
     pub tile: u32,
     /// First pixel.
     pub start: u32,
-    /// One beyond the last.
+    /// One beyond the last, repeated ones included.
     pub end: u32,
+}
+
+impl Run {
+    /// The places of its pixels.
+    pub fn range(&self) -> std::ops::Range<usize> {
+        self.start as usize..self.end as usize
+    }
 }
 
 /// Where pixels are taken from.
@@ -139,6 +146,9 @@ pub struct Pixels {
     columns: Vec<(u16, f32)>,
     rows: Vec<(u16, f32)>,
     next: Vec<u32>,
+    /// Which of the chosen pixels goes to each place, and which places repeat one.
+    order: Vec<u32>,
+    repeats: Vec<u32>,
 }
 
 impl Pixels {
@@ -149,41 +159,48 @@ impl Pixels {
         self.grid = TileGrid::covering(chosen);
         self.grid.places(0, &mut self.columns);
         self.grid.places(1, &mut self.rows);
-        self.make_room(chosen, surfaces);
-        let to_grey = 1.0 / f32::from(1u16 << (2 * l));
-        let [left, top] = self.grid.origin;
-        for c in chosen {
-            let [u, v] = c.place.map(usize::from);
-            let ((column, a), (row, b)) = (self.columns[u - left], self.rows[v - top]);
-            let next =
-                &mut self.next[usize::from(c.surface) * self.grid.len() + usize::from(row) * self.grid.count[0] + usize::from(column)];
-            let k = *next as usize;
-            *next += 1;
-            let index = v * table.width + u;
-            let ([x, y], slope) = (table.rays[index], table.slope(u, v));
-            let grey = f32::from(level.sums()[index]) * to_grey;
-            (self.x[k], self.y[k]) = (x, y);
-            (self.x_across[k], self.x_down[k]) = (slope.x_across, slope.x_down);
-            (self.y_across[k], self.y_down[k]) = (slope.y_across, slope.y_down);
-            self.delay_s[k] = sensor.delay_s(l, v as f64, height) as f32;
-            self.seen[k] = grey;
-            self.counts[k] = tells_something(grey);
-            (self.cell[0][k], self.cell[1][k]) = (a, b);
-            self.index[k] = index as u32;
+        self.sort(chosen, surfaces);
+        let n = self.order.len();
+        for list in self.lists() {
+            list.resize(n, 0.0);
         }
-        self.pad();
+        self.index.resize(n, 0);
+        let [left, top] = self.grid.origin;
+        // List by list, in the order of their places: short loops wait for many of a table's entries at a time.
+        for (index, k) in self.index.iter_mut().zip(&self.order) {
+            let [u, v] = chosen[*k as usize].place.map(usize::from);
+            *index = (v * table.width + u) as u32;
+        }
+        for ((x, y), index) in self.x.iter_mut().zip(&mut self.y).zip(&self.index) {
+            [*x, *y] = table.rays[*index as usize];
+        }
+        self.see(l, level);
+        for (n, k) in self.order.iter().enumerate() {
+            let [u, v] = chosen[*k as usize].place.map(usize::from);
+            let slope = table.slope(u, v);
+            (self.x_across[n], self.x_down[n]) = (slope.x_across, slope.x_down);
+            (self.y_across[n], self.y_down[n]) = (slope.y_across, slope.y_down);
+            self.delay_s[n] = sensor.delay_s(l, v as f64, height) as f32;
+            (self.cell[0][n], self.cell[1][n]) = (self.columns[u - left].1, self.rows[v - top].1);
+        }
     }
 
-    /// Takes what another frame shows at the same pixels.
-    pub fn renew(&mut self, l: usize, level: &Level) {
+    /// Takes what a frame shows at the pixels.
+    pub fn see(&mut self, l: usize, level: &Level) {
         let to_grey = 1.0 / f32::from(1u16 << (2 * l));
-        for run in &self.runs {
-            for k in run.start as usize..run.end as usize {
-                let grey = f32::from(level.sums()[self.index[k] as usize]) * to_grey;
-                self.seen[k] = grey;
-                self.counts[k] = tells_something(grey);
-            }
+        for ((seen, counts), index) in self.seen.iter_mut().zip(&mut self.counts).zip(&self.index) {
+            *seen = f32::from(level.sums()[*index as usize]) * to_grey;
+            *counts = tells_something(*seen);
         }
+        for k in &self.repeats {
+            self.counts[*k as usize] = 0.0;
+        }
+    }
+
+    /// Whether place `k` repeats another's pixel.
+    #[cfg(test)]
+    pub fn is_repeat(&self, k: u32) -> bool {
+        self.repeats.binary_search(&k).is_ok()
     }
 
     /// Column and row of pixel `k`.
@@ -197,60 +214,54 @@ impl Pixels {
         self.x.len()
     }
 
-    /// Finds the runs and groups of a choice, and sizes the lists for them.
-    fn make_room(&mut self, chosen: &[Chosen], surfaces: usize) {
+    /// Finds the runs and groups of a choice, and which of it goes where.
+    fn sort(&mut self, chosen: &[Chosen], surfaces: usize) {
         let tiles = self.grid.len();
         let [left, top] = self.grid.origin;
+        let (columns, rows, across) = (&self.columns, &self.rows, self.grid.count[0]);
+        let slot = |c: &Chosen| {
+            let [u, v] = c.place.map(usize::from);
+            usize::from(c.surface) * tiles + usize::from(rows[v - top].0) * across + usize::from(columns[u - left].0)
+        };
         self.next.clear();
         self.next.resize(surfaces * tiles, 0);
-        for c in chosen {
-            let [u, v] = c.place.map(usize::from);
-            let tile = usize::from(self.rows[v - top].0) * self.grid.count[0] + usize::from(self.columns[u - left].0);
-            self.next[usize::from(c.surface) * tiles + tile] += 1;
-        }
+        chosen.iter().for_each(|c| self.next[slot(c)] += 1);
         self.runs.clear();
         self.groups.clear();
+        self.repeats.clear();
         let mut end = 0u32;
-        for surface in 0..surfaces {
+        for surface in 0..surfaces as u32 {
             let group_start = end;
-            for tile in 0..tiles {
-                let start = end;
-                end += std::mem::replace(&mut self.next[surface * tiles + tile], start);
+            for tile in 0..tiles as u32 {
+                let next = &mut self.next[surface as usize * tiles + tile as usize];
+                let (start, filled) = (end, end + *next);
+                end = filled.next_multiple_of(LANES as u32);
+                *next = start;
                 if end > start {
-                    self.runs.push(Run { surface: surface as u32, tile: tile as u32, start, end });
+                    self.runs.push(Run { surface, tile, start, end });
+                    self.repeats.extend(filled..end);
                 }
             }
-            end = end.next_multiple_of(LANES as u32);
             if end > group_start {
-                self.groups.push((surface as u32, group_start, end));
+                self.groups.push((surface, group_start, end));
             }
         }
-        for list in self.lists() {
-            list.resize(end as usize, 0.0);
+        self.order.resize(end as usize, 0);
+        for (k, c) in chosen.iter().enumerate() {
+            let next = &mut self.next[slot(c)];
+            self.order[*next as usize] = k as u32;
+            *next += 1;
         }
-        self.index.resize(end as usize, 0);
+        // Runs are never empty: there is a pixel before each of these.
+        for &k in &self.repeats {
+            self.order[k as usize] = self.order[k as usize - 1];
+        }
     }
 
     fn lists(&mut self) -> [&mut Vec<f32>; 11] {
         let [a, b] = &mut self.cell;
         let Self { x, y, x_across, x_down, y_across, y_down, delay_s, seen, counts, .. } = self;
         [x, y, x_across, x_down, y_across, y_down, delay_s, seen, counts, a, b]
-    }
-
-    /// Repeats the last pixel of each surface, unseen, up to whole lanes.
-    fn pad(&mut self) {
-        for g in 0..self.groups.len() {
-            let (surface, _, end) = self.groups[g];
-            let last_run = self.runs.iter().rev().find(|r| r.surface == surface);
-            let Some(filled) = last_run.map(|r| r.end as usize) else { continue };
-            for list in self.lists() {
-                let value = list[filled - 1];
-                list[filled..end as usize].fill(value);
-            }
-            self.counts[filled..end as usize].fill(0.0);
-            let index = self.index[filled - 1];
-            self.index[filled..end as usize].fill(index);
-        }
     }
 }
 

@@ -5,11 +5,13 @@
 //! detail that the camera sees, and those losses, other at every place, pull at the pose.
 
 use image::GrayImage;
-use image::imageops::{self, FilterType};
 
-use super::lanes::LANES;
+use super::enlarge::enlarged_twice;
+use super::lanes::{LANES, TILE_COLUMNS, TILE_ROWS, Tile};
 use crate::track::reference::halved;
 
+/// Columns and rows from tile to tile.
+pub const TILE_STEP: [usize; 2] = [TILE_COLUMNS - 1, TILE_ROWS - 1];
 /// Side of a block of texels that candidates are chosen from.
 pub const BLOCK: usize = 16;
 /// Candidates kept per block.
@@ -24,11 +26,11 @@ const LEAST_SIDE: u32 = 8;
 /// All levels of a picture.
 #[derive(Debug, Clone)]
 pub struct Texture {
-    /// Grey of all levels, row by row.
-    pub texels: Vec<u8>,
-    /// Where each level starts in `texels`; unused entries repeat the last.
+    /// Grey of all levels, tile by tile and row of tiles by row of tiles. A tile starts [`TILE_STEP`] texels behind its neighbour.
+    pub tiles: Vec<Tile>,
+    /// Address in bytes of each level's first texel; unused entries repeat the last.
     pub base: [i32; LANES],
-    /// Texels per row of each level.
+    /// Bytes per row of tiles of each level, less those that the rows of a tile take.
     pub stride: [i32; LANES],
     /// Texels of each level by pixels of the picture.
     pub scale: [f32; LANES],
@@ -71,7 +73,7 @@ impl Texture {
     /// Prepares a picture of at least 16 x 16 pixels.
     pub fn new(picture: &GrayImage) -> Self {
         let mut texture = Self {
-            texels: Vec::new(),
+            tiles: Vec::new(),
             base: [0; LANES],
             stride: [0; LANES],
             scale: [0.0; LANES],
@@ -81,8 +83,7 @@ impl Texture {
             candidates: Vec::new(),
         };
         if picture.width() * picture.height() <= LARGEST_ENLARGED {
-            let enlarged = imageops::resize(picture, 2 * picture.width(), 2 * picture.height(), FilterType::Lanczos3);
-            texture.push(&enlarged, 2.0);
+            texture.push(&enlarged_twice(picture), 2.0);
         }
         let mut level = picture.clone();
         let mut scale = 1.0;
@@ -101,8 +102,6 @@ impl Texture {
             texture.last_column[l] = texture.last_column[l - 1];
             texture.last_row[l] = texture.last_row[l - 1];
         }
-        // Interpolation reads four bytes at a time.
-        texture.texels.extend([0; 4]);
         texture
     }
 
@@ -114,16 +113,34 @@ impl Texture {
     fn push(&mut self, level: &GrayImage, scale: f32) {
         let (w, h) = (level.width() as usize, level.height() as usize);
         let l = self.levels;
-        self.base[l] = self.texels.len() as i32;
-        self.stride[l] = w as i32;
+        self.base[l] = size_of_val(&self.tiles[..]) as i32;
+        self.stride[l] = push_tiles(level, &mut self.tiles);
         self.scale[l] = scale;
         (self.last_column[l], self.last_row[l]) = (w as f32 - 1.001, h as f32 - 1.001);
-        self.texels.extend_from_slice(level.as_raw());
         let raw = level.as_raw();
         // Pixels are never chosen by texels that the picture does not have.
         self.candidates.push(if scale > 1.0 { Candidates::none() } else { candidates(raw, w, h) });
         self.levels += 1;
     }
+}
+
+/// Cuts a picture into tiles; the bytes per row of them, less those that the rows of a tile take.
+fn push_tiles(picture: &GrayImage, tiles: &mut Vec<Tile>) -> i32 {
+    let (w, h) = (picture.width() as usize, picture.height() as usize);
+    let raw = picture.as_raw();
+    let [across, down] = [(w - 1).div_ceil(TILE_STEP[0]), (h - 1).div_ceil(TILE_STEP[1])];
+    for row in 0..down {
+        for column in 0..across {
+            let mut tile = Tile([0; TILE_COLUMNS * TILE_ROWS]);
+            let (i, j) = (column * TILE_STEP[0], row * TILE_STEP[1]);
+            let n = TILE_COLUMNS.min(w - i);
+            for (k, texels) in tile.0.chunks_exact_mut(TILE_COLUMNS).enumerate().take(h - j) {
+                texels[..n].copy_from_slice(&raw[(j + k) * w + i..][..n]);
+            }
+            tiles.push(tile);
+        }
+    }
+    (across * size_of::<Tile>()) as i32 - (TILE_STEP[1] * TILE_COLUMNS) as i32
 }
 
 fn candidates(raw: &[u8], w: usize, h: usize) -> Candidates {
@@ -164,11 +181,24 @@ mod tests {
     fn blocks_hold_their_steepest_texels() {
         let picture = GrayImage::from_fn(50, 40, |x, y| image::Luma([if x < 21 { 10 } else { 200 } + (y % 2) as u8]));
         let t = Texture::new(&picture);
-        assert_eq!((t.scale[0], t.scale[1], t.scale[2], t.stride[0], t.stride[1]), (2.0, 1.0, 0.5, 100, 50));
-        assert_eq!(t.texels[t.base[1] as usize + 7 * 50 + 20], 11);
+        assert_eq!((t.scale[0], t.scale[1], t.scale[2]), (2.0, 1.0, 0.5));
         // The edge between columns 20 and 21 lies in the second column of blocks.
         let steepest = t.candidates[1].of_block(1, 1);
         assert!(steepest[..8].iter().all(|o| o[0] == 4 || o[0] == 5), "{steepest:?}");
         assert!(t.candidates[1].of_block(0, 1).is_empty());
+    }
+
+    #[test]
+    fn a_texel_and_its_neighbours_lie_at_its_address() {
+        let picture = GrayImage::from_fn(50, 40, |x, y| image::Luma([(x * 5 + y * 3 + x * y % 7) as u8]));
+        let t = Texture::new(&picture);
+        let bytes: Vec<u8> = t.tiles.iter().flat_map(|tile| tile.0).collect();
+        for (i, j) in (0..49).flat_map(|i| (0..39).map(move |j| (i, j))) {
+            let (column, row) = (i / TILE_STEP[0], j / TILE_STEP[1]);
+            let in_row = column * (size_of::<Tile>() - TILE_STEP[0]) + TILE_COLUMNS * j + i;
+            let at = t.base[1] as usize + row * t.stride[1] as usize + in_row;
+            let expected = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(a, b)| picture.get_pixel(i as u32 + a, j as u32 + b)[0]);
+            assert_eq!([bytes[at], bytes[at + 1], bytes[at + TILE_COLUMNS], bytes[at + TILE_COLUMNS + 1]], expected, "{i} {j}");
+        }
     }
 }

@@ -9,7 +9,7 @@ use super::gauge::{Gauge, median};
 use super::light::Light;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::normal::{
-    COLUMNS, Noise, Residuals, RunEvidence, RunView, TileLight, TileSums, Weighing, evidence, moments, residuals, squared_after, tile_sums,
+    COLUMNS, Noise, Residuals, RunEvidence, RunView, TileLight, TileSums, Weighing, evidence, moments, residuals, squares_after, tile_sums,
 };
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
@@ -81,7 +81,7 @@ impl Work {
     pub fn lay_out(
         &mut self,
         task: &Task,
-        frame: &FrameLevels,
+        frame: &mut FrameLevels,
         motion: &Motion,
         selector: &mut Selector,
         chosen: &mut Vec<Chosen>,
@@ -142,8 +142,8 @@ impl Work {
     }
 
     /// Keeps the pixels and their prediction for a new frame.
-    pub fn renew(&mut self, task: &Task, frame: &FrameLevels) {
-        self.pixels.renew(task.level, frame.level(task.level));
+    pub fn renew(&mut self, task: &Task, frame: &mut FrameLevels) {
+        self.pixels.see(task.level, frame.level(task.level));
     }
 
     /// Solves the linearised problem, iteratively reweighted, and corrects the light. `passes`: reweightings; the first with weights
@@ -228,8 +228,7 @@ impl Work {
         for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
             let light = self.light_of(run);
             let view = self.view(run, &light);
-            let told = (run.start as usize..run.end as usize).step_by(stride).filter(|k| self.residuals.information[*k] > 0.0);
-            squares.extend(told.map(|k| squared_after(&view, k, step)));
+            squares_after(&view, step, stride, &mut squares);
         }
         let scale = median(&mut squares).map_or(1.0, |middle| (middle.sqrt() * 1.4826).max(0.7));
         self.sorted = squares;
@@ -305,7 +304,7 @@ impl Work {
         for (run, shift) in self.pixels.runs.iter().zip(shifts) {
             let table = task.eye.tables[task.level].as_ref();
             let (su, sv) = (shift.x as f32, shift.y as f32);
-            for k in run.start as usize..run.end as usize {
+            for k in run.range() {
                 let Some([x, y]) = table.map(|t| t.rays[self.pixels.index[k] as usize]) else { continue };
                 self.pixels.x[k] = x - self.pixels.x_across[k] * su - self.pixels.x_down[k] * sv;
                 self.pixels.y[k] = y - self.pixels.y_across[k] * su - self.pixels.y_down[k] * sv;
@@ -327,7 +326,7 @@ impl Work {
         // The pixel nearest to the middle stands for it: its ray is known exactly.
         let [weight, u, v] = e.place;
         let (u, v) = (u / weight, v / weight);
-        let range = run.start as usize..run.end as usize;
+        let range = run.range();
         let off = |k: &usize| {
             let [column, row] = self.pixels.place(*k);
             (column as f64 - u).powi(2) + (row as f64 - v).powi(2)
