@@ -24,19 +24,21 @@ PROJECT = pathlib.Path(__file__).resolve().parent.parent
 class Bar:
     """What a clip must reach. Errors are medians over the frames with a right pose."""
 
-    def __init__(self, good, wrong="tight", good_of="all", permille=None, peer=None, times_peer=1.0, essential_deg=None):
+    def __init__(self, good, wrong="tight", good_of="all", permille=None, peer=None, times_peer=1.0, essential_deg=None,
+                 nees=None):  # fmt: skip
         self.good = good  # least share of frames with a right pose
         self.wrong = wrong  # which rule says that a pose is wrong; none may be
         self.good_of = good_of  # of all frames, or of those that show the stage
         self.permille = permille  # largest position error, thousandths of the distance
         self.peer, self.times_peer = peer, times_peer  # the position error in mm is at most so many times this peer's
         self.essential_deg = essential_deg  # largest error of the essential matrix' rotation and translation direction
+        self.nees = nees  # least and largest mean squared error in units of the covariance, over 6: 1 where that is honest
 
 
 BARS = {
     "d-dolly":    Bar(good=0.98, permille=0.8, peer="orb", essential_deg=2.0),
-    "d-1080p":    Bar(good=0.98, permille=0.8, peer="orb"),
-    "d-relief":   Bar(good=0.98, permille=0.8, peer="orb"),
+    "d-1080p":    Bar(good=0.98, permille=0.8, peer="orb", nees=(0.5, 2.0)),
+    "d-relief":   Bar(good=0.98, permille=0.8, peer="orb", nees=(0.5, 2.0)),
     "d-blackout": Bar(good=0.91, good_of="visible", peer="orb"),  # 70 % of a clip that shows the stage in 77 % of its frames
     "d-handheld": Bar(good=0.95, wrong="plain", peer="sift", times_peer=1.3),
     "d-steep":    Bar(good=0.40),
@@ -260,6 +262,8 @@ def missed(clip, rows):
     theirs = next((row["median mm"] for row in rows if row["tracker"] == f"OpenCV {bar.peer}"), None)
     if theirs is not None and ours["median mm"] > bar.times_peer * theirs:
         yield f"position is {ours['median mm']:.2f} mm off, at most {bar.times_peer} x {bar.peer}'s {theirs:.2f} mm are wanted"
+    if bar.nees is not None and not bar.nees[0] <= ours["NEES/6"] <= bar.nees[1]:
+        yield f"NEES/6 is {ours['NEES/6']:.2f}, {bar.nees[0]} to {bar.nees[1]} are wanted"
     for column in ["E rotation deg", "E direction deg"] if bar.essential_deg is not None else []:
         if ours[column] is None or ours[column] > bar.essential_deg:
             yield f"{column} is {ours[column]}, at most {bar.essential_deg} is wanted"
