@@ -43,12 +43,17 @@ fn soak() {
                 tracking += 1;
                 // A stage that the tracker was not told of has no truth: any pose there is wrong.
                 let frame = faulty.shown.lock().unwrap().remove(&sample.timestamp_ns);
-                let measured = sample.measurement.expect("a tracking sample").pose;
+                let measurement = sample.measurement.expect("a tracking sample");
+                let (measured, measured_by) = (measurement.pose, (measurement.inliers, measurement.rms_px));
                 let errors = frame.map(|frame| {
                     let truth = take().truths[frame];
                     ((measured.translation - truth.translation).norm(), measured.angle_to(&truth).to_degrees())
                 });
                 if errors.is_none_or(|(m, deg)| m > MOST_M || deg > MOST_DEG) {
+                    println!(
+                        "soak: WRONG POSE in frame {}: {errors:?} m and degrees off, inliers {}, rms {:.2} px",
+                        sample.sequence, measured_by.0, measured_by.1
+                    );
                     wrong.push((sample.sequence, errors));
                 }
             }
