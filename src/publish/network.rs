@@ -1,7 +1,10 @@
 //! The network of this machine that multicasts leave by: an address of it for IPv4, its name for IPv6.
 
+use std::ffi::CString;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr};
+
+use nix::libc;
 
 /// A network of this machine, as a config or an argument names it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -31,9 +34,12 @@ impl Interface {
     /// Where there is no network of this name.
     pub fn index(&self) -> io::Result<u32> {
         let Self::Name(name) = self else { return Ok(0) };
+        let index = CString::new(name.as_str()).map_or(0, |name| {
+            // SAFETY: it reads a string that ends in a zero byte and lives on.
+            unsafe { libc::if_nametoindex(name.as_ptr()) }
+        });
         let missing = || io::Error::new(io::ErrorKind::NotFound, format!("this machine has no network {name}"));
-        let text = std::fs::read_to_string(format!("/sys/class/net/{name}/ifindex")).map_err(|_| missing())?;
-        text.trim().parse().map_err(|_| missing())
+        (index != 0).then_some(index).ok_or_else(missing)
     }
 }
 

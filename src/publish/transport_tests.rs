@@ -44,7 +44,6 @@ fn a_multicast_reaches_a_member_on_the_interface() {
 fn both_families_are_reached_and_a_missing_network_is_told() {
     // Where this machine has no IPv6, there is nothing to reach.
     let Ok(v6) = UdpSocket::bind("[::1]:0") else { return };
-    let group: std::net::Ipv6Addr = "ff11::77".parse().unwrap();
     let v4 = receiver();
     v6.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
     let to = vec![v4.local_addr().unwrap(), v6.local_addr().unwrap()];
@@ -53,16 +52,7 @@ fn both_families_are_reached_and_a_missing_network_is_told() {
     let mut buffer = [0; 64];
     assert_eq!((v4.recv(&mut buffer).unwrap(), v6.recv(&mut buffer).unwrap()), (5, 5));
 
-    let member = UdpSocket::bind("[::]:0").unwrap();
-    let lo = Interface::Name("lo".to_owned());
-    let index = lo.index().unwrap();
-    member.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
-    member.join_multicast_v6(&group, index).unwrap();
-    let to = vec![SocketAddr::from((group, member.local_addr().unwrap().port()))];
-    let mut transport = Transport::open("desk", &UdpSettings { to: to.clone(), interface: Some(lo), ttl: 1 }, None).unwrap();
-    assert_eq!(transport.send(b"hello"), (1, 0));
-    assert_eq!(member.recv(&mut buffer).unwrap(), 5);
-
+    let to = vec!["[ff12::77]:40000".parse().unwrap()];
     let missing = UdpSettings { to, interface: Some(Interface::Name("nonet7".to_owned())), ttl: 1 };
     let said = Transport::open("desk", &missing, None).map(drop).unwrap_err().to_string();
     assert!(said.contains("this machine has no network nonet7"), "{said}");

@@ -81,7 +81,12 @@ fn soak() {
         s.skipped()
     );
     println!("soak: memory {early_mb:.1} MB after a tenth, {late_mb:.1} MB at the end; faults {faults:?}");
-    assert_eq!(s.frames(), frames);
+    let lost = faulty.lost.load(Ordering::Acquire);
+    assert!(
+        (frames - lost..=frames).contains(&s.frames()),
+        "{} of {frames} frames came out, {lost} were lost with their readers",
+        s.frames()
+    );
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(tracking * 10 > frames * 8, "{tracking} of {frames} tracked");
     assert_eq!(stalled.len(), 256);
