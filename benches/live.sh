@@ -1,16 +1,19 @@
 #!/usr/bin/env bash
 # What `run` costs: an MJPG clip of 1280 x 720 at 30 frames a second, paced through the live pipeline while it tracks.
-#   benches/live.sh [SECONDS]      prints the share of one core, the frames tracked and dropped, and their age
+#   benches/live.sh [SECONDS] [JPEG QUALITY]
+# Prints the share of one core, of the whole and of each thread, the frames tracked and dropped, and their age. On a machine that is busy with
+# other programs frames are dropped, and the milliseconds a frame say more than the share.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 seconds=${1:-20}
-out=target/live-bench
-program=target/release/stagepose
-[ -d "$out/take" ] || "$program" demo --frames 150 --width 1280 --height 720 --jpeg 85 --save "$out/take" >/dev/null
+quality=${2:-85}
+out=target/live-bench/$quality
+program=${STAGEPOSE:-target/release/stagepose}
+[ -d "$out/take" ] || "$program" demo --frames 60 --width 1280 --height 720 --jpeg "$quality" --save "$out/take" >/dev/null
+files=("$out"/take/frames/*.jpg)
 if [ ! -e "$out/clip.mjpeg" ]; then
     # To and fro, so that it has no cut.
-    files=("$out"/take/frames/*.jpg)
-    for round in {1..8}; do
+    for ((left = (seconds + 30) * 30; left > 0; left -= 2 * ${#files[@]} - 2)); do
         cat "${files[@]}"
         for ((k = ${#files[@]} - 2; k > 0; k--)); do cat "${files[k]}"; done
     done >"$out/clip.mjpeg"
@@ -19,11 +22,15 @@ port=18090
 sed "\$a [http]\nlisten = \"127.0.0.1:$port\"" "$out/take/stage.toml" >"$out/take/live.toml"
 "$program" run --config "$out/take/live.toml" --play "$out/clip.mjpeg" --poses "$out/poses.jsonl" &
 pid=$!
-sleep 4 # the reference pictures are prepared once
-ticks() {
-    local stat
-    read -ra stat <"/proc/$pid/stat"
-    echo $((stat[13] + stat[14]))
+# The reference pictures are prepared once.
+until [ "$(wc -l <"$out/poses.jsonl" 2>/dev/null || echo 0)" -gt 30 ]; do sleep 0.2; done
+ticks() { # of each thread: its name and its processor time
+    local thread stat
+    for thread in /proc/$pid/task/*; do
+        stat=$(<"$thread/stat")
+        read -ra stat <<<"${stat##*) }"
+        echo "$(<"$thread/comm") $((stat[11] + stat[12]))"
+    done
 }
 before=$(ticks) begun=$(date +%s.%N) lines=$(wc -l <"$out/poses.jsonl")
 sleep "$seconds"
@@ -31,13 +38,18 @@ after=$(ticks) ended=$(date +%s.%N) now=$(wc -l <"$out/poses.jsonl")
 metrics=$(curl -s "http://127.0.0.1:$port/metrics")
 kill -TERM $pid
 wait $pid
-python3 - "$before" "$after" "$begun" "$ended" "$(getconf CLK_TCK)" "$lines" "$now" "$out/poses.jsonl" <<'PY'
+bytes=$(cat "${files[@]}" | wc -c)
+python3 - "$before" "$after" "$begun" "$ended" "$(getconf CLK_TCK)" "$lines" "$now" "$out/poses.jsonl" "$((bytes / ${#files[@]}))" <<'PY'
 import json, sys
-before, after, begun, ended, tick = map(float, sys.argv[1:6])
-first, last = int(sys.argv[6]), int(sys.argv[7])
+span, tick, first, last = float(sys.argv[4]) - float(sys.argv[3]), float(sys.argv[5]), int(sys.argv[6]), int(sys.argv[7])
 states = [json.loads(line)["state"] for line in open(sys.argv[8])][first:last]
-span = ended - begun
-print(f"{100 * (after - before) / tick / span:.1f} % of one core, {len(states) / span:.1f} frames/s, "
-      f"{100 * states.count('tracking') / max(len(states), 1):.1f} % tracking, over {span:.1f} s")
+used = {}
+for text, sign in (sys.argv[1], -1), (sys.argv[2], 1):
+    for name, ticks in (line.rsplit(" ", 1) for line in text.splitlines()):
+        used[name] = used.get(name, 0) + sign * int(ticks) / tick
+whole = sum(used.values())
+print(f"{100 * whole / span:.1f} % of one core, {1e3 * whole / max(len(states), 1):.1f} ms a frame of {int(sys.argv[9]) / 1e3:.0f} kB, "
+      f"{len(states) / span:.1f} frames/s, {100 * states.count('tracking') / max(len(states), 1):.1f} % tracking, over {span:.1f} s")
+print("by thread: " + ", ".join(f"{name} {100 * s / span:.1f} %" for name, s in sorted(used.items(), key=lambda u: -u[1]) if s > 0))
 PY
 grep -E '^stagepose_(frames_dropped_total|frame_age_seconds_(sum|count)|stage_seconds_(sum|count))' <<<"$metrics"

@@ -3,7 +3,7 @@
 //! `cargo bench --bench outputs` prints, over all samples, the time from `Publisher::send` to the arrival of the sample's last datagram at
 //! a socket of this machine, and how long `send` itself holds the caller up. `cargo bench --bench outputs -- --seconds 20` runs longer.
 
-use std::net::{SocketAddr, SocketAddrV4, TcpListener, TcpStream, UdpSocket};
+use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
@@ -27,7 +27,7 @@ fn main() {
     let seconds = std::env::args().skip_while(|a| a != "--seconds").nth(1).and_then(|s| s.parse().ok()).unwrap_or(5.0);
     let frames = (seconds * HZ) as u64;
     let receivers: Vec<UdpSocket> = (0..8).map(|_| receiver()).collect();
-    let ports: Vec<SocketAddrV4> = receivers.iter().map(address).collect();
+    let ports: Vec<SocketAddr> = receivers.iter().map(address).collect();
     for burdened in [false, true] {
         let (outputs, _trouble) = outputs(&ports, burdened);
         let (sender, arrivals) = mpsc::channel();
@@ -62,11 +62,8 @@ fn receiver() -> UdpSocket {
     socket.into()
 }
 
-fn address(socket: &UdpSocket) -> SocketAddrV4 {
-    match socket.local_addr() {
-        Ok(SocketAddr::V4(address)) => address,
-        other => panic!("not an IPv4 address: {other:?}"),
-    }
+fn address(socket: &UdpSocket) -> SocketAddr {
+    socket.local_addr().expect("a bound socket has an address")
 }
 
 /// Notes when each datagram came; they come in order, one a sample.
@@ -136,7 +133,7 @@ fn sample(k: u64) -> PoseSample {
 /// Whatever must stay open while the outputs run.
 type Trouble = Option<UdpSocket>;
 
-fn outputs(ports: &[SocketAddrV4], burdened: bool) -> (Vec<OutputSettings>, Trouble) {
+fn outputs(ports: &[SocketAddr], burdened: bool) -> (Vec<OutputSettings>, Trouble) {
     let (freed, otrk) =
         (Protocol::Freed(FreedSettings { camera_id: 1, spare: Spare::Quality, zoom: None, sensor_width_mm: 4.8, focus: 0 }), |encoding| {
             Protocol::OpenTrackIo(OpenTrackIoSettings {
@@ -182,7 +179,7 @@ fn outputs(ports: &[SocketAddrV4], burdened: bool) -> (Vec<OutputSettings>, Trou
     (outputs, Some(full))
 }
 
-fn output(k: usize, protocol: Protocol, to: Vec<SocketAddrV4>) -> OutputSettings {
+fn output(k: usize, protocol: Protocol, to: Vec<SocketAddr>) -> OutputSettings {
     OutputSettings {
         name: format!("{}-{k}", protocol.word()),
         enabled: true,

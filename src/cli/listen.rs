@@ -1,7 +1,7 @@
 //! `listen`: prints the packets of a protocol that arrive on a port, decoded.
 
 use std::io::{self, Write};
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::path::Path;
 use std::time::Duration;
 
@@ -10,6 +10,7 @@ use socket2::{Domain, Protocol, Socket, Type};
 
 use super::failure::Failure;
 use super::interrupt;
+use crate::publish::Interface;
 use crate::publish::freed::FreedPacket;
 use crate::publish::opentrackio;
 use crate::publish::psn::{PsnPacket, PsnTracker};
@@ -27,10 +28,10 @@ pub(super) struct ListenArguments {
     port: u16,
     /// Multicast group to join
     #[arg(long, value_name = "ADDRESS")]
-    group: Option<Ipv4Addr>,
-    /// This machine's address on the network of the group
-    #[arg(long, value_name = "ADDRESS", requires = "group")]
-    interface: Option<Ipv4Addr>,
+    group: Option<IpAddr>,
+    /// The network of the group: this machine's address on it, or for an IPv6 group its name, such as eth0
+    #[arg(long, value_name = "NETWORK", requires = "group", value_parser = network)]
+    interface: Option<Interface>,
     /// End after this many packets [default: at Ctrl-C]
     #[arg(long, value_name = "N")]
     count: Option<u64>,
@@ -64,20 +65,50 @@ pub(super) fn run(arguments: &ListenArguments) -> Result<(), Failure> {
 
 fn print(from: SocketAddr, line: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    writeln!(out, "{from} {line}")?;
+    // An IPv4 sender is shown as such, also where IPv6 listens for both.
+    writeln!(out, "{} {line}", SocketAddr::new(from.ip().to_canonical(), from.port()))?;
     out.flush()
 }
 
+/// A socket for IPv6 and IPv4, or for IPv4 alone where the group is of it or this machine has no IPv6.
 fn open(arguments: &ListenArguments) -> io::Result<UdpSocket> {
-    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
-    // Others may listen to the same multicast.
-    socket.set_reuse_address(arguments.group.is_some())?;
-    socket.bind(&SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, arguments.port).into())?;
-    if let Some(group) = &arguments.group {
-        socket.join_multicast_v4(group, &arguments.interface.unwrap_or(Ipv4Addr::UNSPECIFIED))?;
-    }
+    let v6 = || bound(arguments, Domain::IPV6, Ipv6Addr::UNSPECIFIED.into());
+    let v4 = || bound(arguments, Domain::IPV4, Ipv4Addr::UNSPECIFIED.into());
+    let socket = match arguments.group {
+        Some(IpAddr::V4(group)) => {
+            let socket = v4()?;
+            let address = match &arguments.interface {
+                None => Ipv4Addr::UNSPECIFIED,
+                Some(Interface::Address(address)) => *address,
+                Some(Interface::Name(_)) => return Err(io::Error::other("an IPv4 group needs this machine's address as --interface")),
+            };
+            socket.join_multicast_v4(&group, &address)?;
+            socket
+        }
+        Some(IpAddr::V6(group)) => {
+            let socket = v6()?;
+            socket.join_multicast_v6(&group, arguments.interface.as_ref().map_or(Ok(0), Interface::index)?)?;
+            socket
+        }
+        None => v6().or_else(|e| if e.kind() == io::ErrorKind::AddrInUse { Err(e) } else { v4() })?,
+    };
     socket.set_read_timeout(Some(Duration::from_millis(200)))?;
     Ok(socket.into())
+}
+
+fn bound(arguments: &ListenArguments, domain: Domain, address: IpAddr) -> io::Result<Socket> {
+    let socket = Socket::new(domain, Type::DGRAM, Some(Protocol::UDP))?;
+    // Others may listen to the same multicast.
+    socket.set_reuse_address(arguments.group.is_some())?;
+    if domain == Domain::IPV6 {
+        socket.set_only_v6(false)?;
+    }
+    socket.bind(&SocketAddr::from((address, arguments.port)).into())?;
+    Ok(socket)
+}
+
+fn network(text: &str) -> Result<Interface, String> {
+    Interface::parse(text).ok_or_else(|| "give this machine's IPv4 address on that network, or the network's name, such as eth0".to_owned())
 }
 
 /// One packet as a line.

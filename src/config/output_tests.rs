@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::*;
 use crate::pose::{FilterKind, FilterSettings};
-use crate::publish::{BodyChoice, OnLoss, Protocol, Rate, SafetySettings};
+use crate::publish::{BodyChoice, Interface, OnLoss, Protocol, Rate, SafetySettings};
 
 fn load(text: &str) -> Result<SendingSettings, ConfigError> {
     let folder = tempfile::tempdir().unwrap();
@@ -48,7 +48,7 @@ fn every_key_reaches_the_settings() {
     let output = &settings.outputs[0];
     assert_eq!((output.name.as_str(), output.enabled, output.is_guarded, output.on_loss), ("desk", false, false, OnLoss::Flag));
     assert_eq!(output.bodies, [BodyChoice::Object(0), BodyChoice::Camera]);
-    assert_eq!((output.udp.ttl, output.udp.interface), (4, Some(std::net::Ipv4Addr::LOCALHOST)));
+    assert_eq!((output.udp.ttl, output.udp.interface.clone()), (4, Some(Interface::Address(std::net::Ipv4Addr::LOCALHOST))));
     assert!(matches!(output.rate, Rate::Fixed { rate, delay } if rate.ticks == 60_000 && delay.as_millis() == 100));
     let placement = output.placement;
     assert_eq!((placement.scale, placement.position_signs, placement.angle_signs), (100.0, [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0]));
@@ -70,6 +70,11 @@ fn every_wrong_value_is_told_with_its_line() {
         (FREED.replace(":40000", ""), "`to` in [[output]], line 3: `127.0.0.1` cannot be used; give an IPv4 address and a port"),
         (FREED.replace("127.0.0.1", "239.1.2.3"), "`to` in [[output]], line 3: a multicast address needs `interface`"),
         (format!("{FREED}interface = \"eth0\""), "`interface` in [[output]], line 4: `eth0` cannot be used; give this machine's IPv4"),
+        (FREED.replace("127.0.0.1", "[ff15::7]"), "`to` in [[output]], line 3: a multicast or link-local IPv6 address needs `interface`"),
+        (
+            FREED.replace("127.0.0.1", "fd00::7"),
+            "`to` in [[output]], line 3: `fd00::7:40000` cannot be used; give an IPv4 address and a port",
+        ),
         (format!("{FREED}ttl = 0"), "`ttl` in [[output]], line 4: 0 cannot be used"),
         (format!("{FREED}rate_divider = 0"), "`rate_divider` in [[output]], line 4: 0 cannot be used; give a whole number from 1"),
         (format!("{FREED}rate_hz = 0"), "`rate_hz` in [[output]], line 4: 0 cannot be used; give 25, 29.97, 30, 50, 59.94 or 60"),

@@ -1,6 +1,6 @@
 //! The outputs: every `[[output]]` with its addresses, bodies and rates checked, and `[safety]`.
 
-use std::net::{Ipv4Addr, SocketAddrV4};
+use std::net::SocketAddr;
 use std::time::Duration;
 
 use toml::Spanned;
@@ -9,7 +9,10 @@ use super::as_typed::{self, Number};
 use super::origin::Origin;
 use super::values::Section;
 use super::{ConfigError, Problem};
-use crate::publish::{BlendRates, BodyChoice, FixedRate, OnLoss, OutputSettings, Placement, Protocol, Rate, SafetySettings, UdpSettings};
+use crate::publish::{
+    BlendRates, BodyChoice, FixedRate, Interface, OnLoss, OutputSettings, Placement, Protocol, Rate, SafetySettings, UdpSettings,
+    needs_interface,
+};
 
 pub(super) const OUTPUT: &str = "[[output]]";
 
@@ -83,27 +86,42 @@ impl OutputReader<'_> {
     fn udp(&self, section: &Section<'_>, output: &as_typed::Output) -> Result<UdpSettings, ConfigError> {
         let mut to = Vec::new();
         for typed in output.to.iter().flat_map(|to| to.get_ref()) {
-            let wanted = "an IPv4 address and a port from 1 to 65535, such as \"192.168.1.20:40000\"";
-            let address = typed.get_ref().parse::<SocketAddrV4>().ok().filter(|a| a.port() != 0 && !a.ip().is_unspecified());
+            let wanted =
+                "an IPv4 address and a port from 1 to 65535, such as \"192.168.1.20:40000\", or an IPv6 one, such as \"[fd00::20]:40000\"";
+            let address = typed.get_ref().parse::<SocketAddr>().ok().filter(|a| a.port() != 0 && !a.ip().is_unspecified());
             let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
             to.push(address.ok_or_else(|| section.refuse("to", &typed.span(), problem()))?);
         }
-        let interface = output.interface.as_ref().map(|typed| {
-            let wanted = "this machine's IPv4 address on that network, such as \"192.168.1.10\"";
-            let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
-            typed.get_ref().parse::<Ipv4Addr>().map_err(|_| section.refuse("interface", &typed.span(), problem()))
-        });
-        let interface = interface.transpose()?;
-        if let (Some(typed), None) = (&output.to, interface)
-            && to.iter().any(|a| a.ip().is_multicast())
-        {
-            let problem = Problem::Combination(
-                "a multicast address needs `interface`, this machine's IPv4 address on that network, such as interface = \"192.168.1.10\"",
-            );
-            return Err(section.refuse("to", &typed.span(), problem));
+        let interface = self.interface(section, output, &to)?;
+        let needs = |v6: bool| to.iter().any(|a| a.is_ipv6() == v6 && needs_interface(a));
+        let problem = match &interface {
+            None | Some(Interface::Name(_)) if needs(false) => {
+                "a multicast address needs `interface`, this machine's IPv4 address on that network, such as interface = \"192.168.1.10\""
+            }
+            None | Some(Interface::Address(_)) if needs(true) => {
+                "a multicast or link-local IPv6 address needs `interface`, this machine's name for that network, such as interface = \"eth0\""
+            }
+            _ => "",
+        };
+        if let (Some(typed), false) = (&output.to, problem.is_empty()) {
+            return Err(section.refuse("to", &typed.span(), Problem::Combination(problem)));
         }
         let ttl = section.count("ttl", output.ttl.as_ref(), 1, 1..=255, "a number of routers from 1 (this network only) to 255")?;
         Ok(UdpSettings { to, interface, ttl: u8::try_from(ttl).unwrap_or(u8::MAX) })
+    }
+
+    fn interface(&self, section: &Section<'_>, output: &as_typed::Output, to: &[SocketAddr]) -> Result<Option<Interface>, ConfigError> {
+        let Some(typed) = &output.interface else { return Ok(None) };
+        // A network's name says something to IPv6 alone; elsewhere it is an address with a slip.
+        let has_v6 = to.iter().any(SocketAddr::is_ipv6);
+        let interface = Interface::parse(typed.get_ref()).filter(|i| has_v6 || matches!(i, Interface::Address(_)));
+        let wanted = if has_v6 {
+            "this machine's name for that network, such as \"eth0\" (IPv4: its address there)"
+        } else {
+            "this machine's IPv4 address on that network, such as \"192.168.1.10\""
+        };
+        let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
+        interface.map(Some).ok_or_else(|| section.refuse("interface", &typed.span(), problem()))
     }
 
     fn bodies(&self, section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol) -> Result<Vec<BodyChoice>, ConfigError> {

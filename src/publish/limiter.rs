@@ -27,6 +27,9 @@ pub(super) enum Verdict {
 /// A frame later than this is a gap, even where nobody said so.
 const LONGEST_STEP: Duration = Duration::from_millis(500);
 
+/// What is farther away is no place, and may not fit into a receiver's 32-bit floats.
+const FARTHEST_M: f64 = 1e9;
+
 /// The limits of one body.
 #[derive(Debug, Clone)]
 pub(super) struct Limiter {
@@ -37,7 +40,12 @@ pub(super) struct Limiter {
 }
 
 impl Limiter {
-    pub fn new(limits: SafetySettings) -> Self {
+    pub fn new(mut limits: SafetySettings) -> Self {
+        // A return is no faster than any other motion.
+        if let Some(rates) = &mut limits.blend {
+            rates.speed_m_s = limits.max_speed_m_s.map_or(rates.speed_m_s, |most| rates.speed_m_s.min(most));
+            rates.turn_rad_s = limits.max_turn_rad_s.map_or(rates.turn_rad_s, |most| rates.turn_rad_s.min(most));
+        }
         Self { limits, sent: None, has_gap: false, blend_since_ns: None }
     }
 
@@ -61,7 +69,7 @@ impl Limiter {
     }
 
     fn verdict(&mut self, at_ns: i64, pose: &Pose<Stage, Body>) -> Verdict {
-        if !pose.is_finite() {
+        if !pose.is_finite() || pose.translation.amax() > FARTHEST_M {
             return Verdict::Withhold(Withheld::NotFinite);
         }
         if !self.is_inside(pose) {

@@ -129,16 +129,23 @@ pub(super) struct OscEncoder {
     settings: OscSettings,
     output: String,
     reports: u64,
-    last_roll_deg: f64,
+    /// Of each body, in the order of the reports.
+    last_rolls_deg: Vec<f64>,
     trouble: Complaints,
 }
 
 impl OscEncoder {
     pub fn new(settings: &OscSettings, output: &str) -> Self {
-        Self { settings: settings.clone(), output: output.to_owned(), reports: 0, last_roll_deg: 0.0, trouble: Complaints::new(output) }
+        Self {
+            settings: settings.clone(),
+            output: output.to_owned(),
+            reports: 0,
+            last_rolls_deg: Vec::new(),
+            trouble: Complaints::new(output),
+        }
     }
 
-    fn messages(&mut self, report: &Report, body: &BodyReport, content: &mut Vec<OscPacket>) {
+    fn messages(&mut self, report: &Report, index: usize, body: &BodyReport, content: &mut Vec<OscPacket>) {
         let mut put = |addr: String, args: Vec<OscType>| content.push(OscPacket::Message(OscMessage { addr, args }));
         let at = |kind: &str| format!("{}/{}/{kind}", self.settings.prefix, fit(&body.name));
         if self.settings.messages.contains(&OscMessageKind::Status) {
@@ -148,8 +155,8 @@ impl OscEncoder {
             put(at("status"), vec![OscType::String(state), OscType::Float(body.standing.confidence()), OscType::Int(frame)]);
         }
         let Some(pose) = &body.pose else { return };
-        let angles = PanTiltRoll::of_rotation(&pose.rotation, self.last_roll_deg);
-        self.last_roll_deg = angles.roll_deg;
+        let angles = PanTiltRoll::of_rotation(&pose.rotation, self.last_rolls_deg[index]);
+        self.last_rolls_deg[index] = angles.roll_deg;
         let p = pose.translation;
         let numbers = [p.x, p.y, p.z, angles.pan_deg, angles.tilt_deg, angles.roll_deg];
         if self.settings.messages.contains(&OscMessageKind::Pose) {
@@ -165,7 +172,9 @@ impl OscEncoder {
 }
 
 fn floats(numbers: &[f64]) -> Vec<OscType> {
-    numbers.iter().map(|v| OscType::Float(*v as f32)).collect()
+    // What 32 bits cannot hold becomes their greatest, never infinite.
+    let (least, greatest) = (f64::from(f32::MIN), f64::from(f32::MAX));
+    numbers.iter().map(|v| OscType::Float(v.clamp(least, greatest) as f32)).collect()
 }
 
 impl OscValue {
@@ -188,8 +197,9 @@ fn time_tag(unix_ns: i64) -> OscTime {
 impl Encoder for OscEncoder {
     fn encode(&mut self, report: &Report, send: &mut dyn FnMut(&[u8])) {
         let mut content = Vec::new();
-        for body in &report.bodies {
-            self.messages(report, body, &mut content);
+        self.last_rolls_deg.resize(report.bodies.len(), 0.0);
+        for (index, body) in report.bodies.iter().enumerate() {
+            self.messages(report, index, body, &mut content);
         }
         self.reports += 1;
         if content.is_empty() {

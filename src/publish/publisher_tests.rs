@@ -1,5 +1,5 @@
 use std::io::{BufRead, BufReader};
-use std::net::{SocketAddr, SocketAddrV4, TcpListener, TcpStream, UdpSocket};
+use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -24,11 +24,8 @@ impl Ear {
         Self(socket)
     }
 
-    fn address(&self) -> SocketAddrV4 {
-        match self.0.local_addr().unwrap() {
-            SocketAddr::V4(address) => address,
-            SocketAddr::V6(_) => unreachable!("it was bound to an IPv4 address"),
-        }
+    fn address(&self) -> SocketAddr {
+        self.0.local_addr().unwrap()
     }
 
     fn next(&self) -> Vec<u8> {
@@ -166,6 +163,17 @@ fn one_frame_in_n_and_the_chosen_body_are_sent() {
 }
 
 #[test]
+fn a_loss_does_not_wait_for_its_turn() {
+    let ear = Ear::new();
+    let publisher = start(&[OutputSettings { rate: Rate::Every(10), ..output(json(), &ear) }]);
+    (0..3).for_each(|k| publisher.send(&sample(k, State::Tracking, 0.0)));
+    (3..9).for_each(|k| publisher.send(&sample(k, State::Lost, 0.0)));
+    assert_eq!(publisher.close()[0].sent, 2);
+    let lines = [ear.json(), ear.json()];
+    assert_eq!(lines.each_ref().map(|l| (l["sequence"].clone(), l["pose"].is_null())), [(0.into(), false), (3.into(), true)]);
+}
+
+#[test]
 fn no_frame_for_too_long_is_told() {
     let (line, status, held) = (Ear::new(), Ear::new(), Ear::new());
     let osc = Protocol::Osc(OscSettings { prefix: "/s".to_owned(), messages: vec![OscMessageKind::Status], values: Vec::new() });
@@ -203,6 +211,11 @@ fn a_fixed_rate_has_its_own_numbers_and_interpolates() {
         std::iter::from_fn(|| (ear.0.set_nonblocking(true).is_ok() && ear.0.peek(&mut [0; 1]).is_ok()).then(|| ear.json())).collect();
     let poses: Vec<_> = lines.iter().filter(|l| l["state"] == "tracking").collect();
     assert!(poses.len() > 20, "{} of {} lines have a pose", poses.len(), lines.len());
+    for line in &poses {
+        // The stamp is the tick's on the clip's clock, where x is the time in seconds.
+        let at_s = line["timestamp_ns"].as_f64().unwrap() * 1e-9;
+        assert!((line["pose"]["position_m"][0].as_f64().unwrap() - at_s).abs() < 1e-6, "{line}");
+    }
     for pair in poses.windows(2) {
         let number = |l: &serde_json::Value| l["sequence"].as_f64().unwrap();
         let x = |l: &serde_json::Value| l["pose"]["position_m"][0].as_f64().unwrap();

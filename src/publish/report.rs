@@ -108,7 +108,7 @@ pub struct Report {
     pub unix_ns: i64,
     /// The same instant on the monotonic clock, nanoseconds.
     pub monotonic_ns: i64,
-    /// The stamp as the clip has it, where a clip is replayed.
+    /// The same instant as the clip has it, where a clip is replayed.
     pub recorded_ns: Option<i64>,
     /// Samples per second, as far as known.
     pub rate_hz: f64,

@@ -1,11 +1,12 @@
 //! How an output is set up, once the config has been checked.
 
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use super::freed::FreedSettings;
 use super::json::JsonSettings;
+use super::network::Interface;
 use super::opentrackio::OpenTrackIoSettings;
 use super::osc::OscSettings;
 use super::placement::Placement;
@@ -75,9 +76,9 @@ pub enum BodyChoice {
 #[derive(Debug, Clone, PartialEq)]
 pub struct UdpSettings {
     /// Unicast, broadcast and multicast addresses; empty where nothing goes by UDP.
-    pub to: Vec<SocketAddrV4>,
-    /// This machine's address on the network that multicasts go to.
-    pub interface: Option<Ipv4Addr>,
+    pub to: Vec<SocketAddr>,
+    /// The network that multicasts, and IPv6 addresses of one network only, go to.
+    pub interface: Option<Interface>,
     /// Routers that a datagram may cross; 1 = stays on the local network.
     pub ttl: u8,
 }

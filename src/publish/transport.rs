@@ -5,12 +5,13 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, ErrorKind, Write};
-use std::net::{SocketAddr, SocketAddrV4, TcpListener, TcpStream, UdpSocket};
+use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::path::Path;
 
 use socket2::{Domain, Protocol, Socket, Type};
 
 use super::complaints::Complaints;
+use super::network::{Interface, needs_interface};
 use super::settings::{StreamSettings, UdpSettings};
 
 /// All the places of one output.
@@ -24,7 +25,7 @@ pub(super) struct Transport {
 #[derive(Debug, thiserror::Error)]
 pub enum TransportError {
     /// No socket, or one that cannot be set up.
-    #[error("cannot send by UDP ({0}); give an address of this machine as `interface`, or leave it out")]
+    #[error("cannot send by UDP ({0}); give a network of this machine as `interface`, or leave it out")]
     Udp(io::Error),
     /// The port is taken, or the address is not this machine's.
     #[error("cannot wait for clients on {address} ({source}); give a free port on an address of this machine")]
@@ -77,30 +78,58 @@ impl Transport {
     }
 }
 
-/// One socket, so that the source port is the same for every packet.
+/// One socket for IPv4 and one for IPv6, where they are needed, so that the source port is the same for every packet.
 struct UdpSender {
-    socket: UdpSocket,
-    targets: Vec<(SocketAddrV4, Complaints)>,
+    v4: Option<UdpSocket>,
+    v6: Option<UdpSocket>,
+    targets: Vec<(SocketAddr, Complaints)>,
+}
+
+/// A socket for IPv4 that multicasts by `interface`.
+fn socket_v4(settings: &UdpSettings) -> io::Result<UdpSocket> {
+    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
+    socket.set_nonblocking(true)?;
+    socket.set_broadcast(true)?;
+    socket.set_ttl_v4(u32::from(settings.ttl))?;
+    socket.set_multicast_ttl_v4(u32::from(settings.ttl))?;
+    if let Some(Interface::Address(address)) = &settings.interface {
+        socket.set_multicast_if_v4(address)?;
+    }
+    Ok(socket.into())
+}
+
+/// The same for IPv6; `index` is the network's number, 0 leaves it to the kernel.
+fn socket_v6(settings: &UdpSettings, index: u32) -> io::Result<UdpSocket> {
+    let socket = Socket::new(Domain::IPV6, Type::DGRAM, Some(Protocol::UDP))?;
+    socket.set_nonblocking(true)?;
+    socket.set_unicast_hops_v6(u32::from(settings.ttl))?;
+    socket.set_multicast_hops_v6(u32::from(settings.ttl))?;
+    socket.set_multicast_if_v6(index)?;
+    Ok(socket.into())
 }
 
 impl UdpSender {
     fn open(name: &str, settings: &UdpSettings) -> io::Result<Self> {
-        let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
-        socket.set_nonblocking(true)?;
-        socket.set_broadcast(true)?;
-        socket.set_ttl_v4(u32::from(settings.ttl))?;
-        socket.set_multicast_ttl_v4(u32::from(settings.ttl))?;
-        if let Some(interface) = &settings.interface {
-            socket.set_multicast_if_v4(interface)?;
-        }
-        let targets = settings.to.iter().map(|to| (*to, Complaints::new(name))).collect();
-        Ok(Self { socket: socket.into(), targets })
+        let index = settings.interface.as_ref().map_or(Ok(0), Interface::index)?;
+        let v4 = settings.to.iter().any(SocketAddr::is_ipv4).then(|| socket_v4(settings)).transpose()?;
+        let v6 = settings.to.iter().any(SocketAddr::is_ipv6).then(|| socket_v6(settings, index)).transpose()?;
+        let scoped = |mut to: SocketAddr| {
+            if let (true, SocketAddr::V6(v6)) = (needs_interface(&to), &mut to) {
+                v6.set_scope_id(index);
+            }
+            to
+        };
+        let targets = settings.to.iter().map(|to| (scoped(*to), Complaints::new(name))).collect();
+        Ok(Self { v4, v6, targets })
     }
 
     fn send(&mut self, packet: &[u8]) -> (u64, u64) {
         let mut tally = (0, 0);
         for (to, complaints) in &mut self.targets {
-            match self.socket.send_to(packet, *to) {
+            let socket = if to.is_ipv4() { &self.v4 } else { &self.v6 };
+            // Each target's kind has its socket.
+            let Some(socket) = socket else { continue };
+            match socket.send_to(packet, *to) {
                 Ok(_) => tally.0 += 1,
                 Err(error) => {
                     tally.1 += 1;

@@ -4,15 +4,8 @@ use std::time::{Duration, Instant};
 
 use super::*;
 
-fn udp_to(to: Vec<SocketAddrV4>) -> UdpSettings {
+fn udp_to(to: Vec<SocketAddr>) -> UdpSettings {
     UdpSettings { to, ..UdpSettings::default() }
-}
-
-fn v4(socket: &UdpSocket) -> SocketAddrV4 {
-    match socket.local_addr().unwrap() {
-        SocketAddr::V4(address) => address,
-        SocketAddr::V6(_) => unreachable!("it was bound to an IPv4 address"),
-    }
 }
 
 fn receiver() -> UdpSocket {
@@ -23,8 +16,8 @@ fn receiver() -> UdpSocket {
 
 #[test]
 fn a_closed_port_changes_nothing_for_the_others() {
-    let (open, closed) = (receiver(), v4(&receiver()));
-    let mut transport = Transport::open("desk", &udp_to(vec![closed, v4(&open)]), None).unwrap();
+    let (open, closed) = (receiver(), receiver().local_addr().unwrap());
+    let mut transport = Transport::open("desk", &udp_to(vec![closed, open.local_addr().unwrap()]), None).unwrap();
     let mut buffer = [0; 64];
     for k in 0..20_u8 {
         transport.send(&[k; 5]);
@@ -39,12 +32,30 @@ fn a_multicast_reaches_a_member_on_the_interface() {
     let member = UdpSocket::bind("0.0.0.0:0").unwrap();
     member.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
     member.join_multicast_v4(&group, &Ipv4Addr::LOCALHOST).unwrap();
-    let to = SocketAddrV4::new(group, v4(&member).port());
-    let udp = UdpSettings { to: vec![to], interface: Some(Ipv4Addr::LOCALHOST), ttl: 1 };
+    let to = SocketAddr::from((group, member.local_addr().unwrap().port()));
+    let udp = UdpSettings { to: vec![to], interface: Some(Interface::Address(Ipv4Addr::LOCALHOST)), ttl: 1 };
     let mut transport = Transport::open("desk", &udp, None).unwrap();
     assert_eq!(transport.send(b"hello"), (1, 0));
     let mut buffer = [0; 64];
     assert_eq!(member.recv(&mut buffer).unwrap(), 5);
+}
+
+#[test]
+fn both_families_are_reached_and_a_missing_network_is_told() {
+    // Where this machine has no IPv6, there is nothing to reach.
+    let Ok(v6) = UdpSocket::bind("[::1]:0") else { return };
+    let v4 = receiver();
+    v6.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+    let to = vec![v4.local_addr().unwrap(), v6.local_addr().unwrap()];
+    let mut transport = Transport::open("desk", &udp_to(to), None).unwrap();
+    assert_eq!(transport.send(b"hello"), (2, 0));
+    let mut buffer = [0; 64];
+    assert_eq!((v4.recv(&mut buffer).unwrap(), v6.recv(&mut buffer).unwrap()), (5, 5));
+
+    let to = vec!["[ff12::77]:40000".parse().unwrap()];
+    let missing = UdpSettings { to, interface: Some(Interface::Name("nonet7".to_owned())), ttl: 1 };
+    let said = Transport::open("desk", &missing, None).map(drop).unwrap_err().to_string();
+    assert!(said.contains("this machine has no network nonet7"), "{said}");
 }
 
 fn lines_on(address: &str) -> StreamSettings {

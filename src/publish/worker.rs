@@ -69,6 +69,8 @@ pub(super) struct Clock {
     next_round: Instant,
     next_tick: u64,
     taken: u64,
+    /// How many bodies the last sample had a pose of.
+    known_bodies: usize,
     had_pose: bool,
 }
 
@@ -84,6 +86,7 @@ impl Clock {
             next_round: now,
             next_tick: 0,
             taken: 0,
+            known_bodies: 0,
             had_pose: false,
         }
     }
@@ -121,7 +124,10 @@ impl Worker {
             Rate::Every(n) => {
                 let is_due = self.clock.taken.is_multiple_of(u64::from(n.max(1)));
                 self.clock.taken += 1;
-                if is_due {
+                // A loss does not wait for its turn.
+                let known_bodies = known.iter().filter(|known| known.pose.is_some()).count();
+                let is_loss = known_bodies < std::mem::replace(&mut self.clock.known_bodies, known_bodies);
+                if is_due || is_loss {
                     self.say(arrival.sample.sequence, arrival.at, &known, Some(&arrival));
                 }
             }
@@ -161,7 +167,8 @@ impl Worker {
         if Instant::now() < self.clock.next_round {
             return;
         }
-        self.clock.next_round = Instant::now() + ROUND.min(self.stale_after);
+        let until_stale = self.stale_after.saturating_sub(self.clock.last_arrival.elapsed());
+        self.clock.next_round = Instant::now() + if until_stale.is_zero() { ROUND.min(self.stale_after) } else { ROUND.min(until_stale) };
         self.transport.attend();
         let (transport, counters) = (&mut self.transport, &self.counters);
         self.encoder.repeat(stamps::now().monotonic_ns, &mut |packet| count(counters, transport.send(packet)));
@@ -183,12 +190,14 @@ impl Worker {
             return;
         }
         self.clock.had_pose = has_pose;
+        let latest = arrival.or(self.clock.last.as_ref());
         let report = Report {
             sequence,
             unix_ns: at.unix_ns,
             monotonic_ns: at.monotonic_ns,
-            recorded_ns: arrival.and_then(|a| a.recorded_ns),
-            rate_hz: self.rate.hz(arrival.or(self.clock.last.as_ref()).map_or(USUAL_RATE_HZ, |a| a.rate_hz)),
+            // A tick has no stamp of its own: it lies as far from the last sample on the clip's clock as on this machine's.
+            recorded_ns: latest.and_then(|a| Some(a.recorded_ns?.saturating_add(at.monotonic_ns - a.at.monotonic_ns))),
+            rate_hz: self.rate.hz(latest.map_or(USUAL_RATE_HZ, |a| a.rate_hz)),
             bodies,
             sample: arrival.map(|a| a.sample.clone()),
             // A clip's first frame, from which its clock counts, may have come late: those after it are not from the future.

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use image::GrayImage;
 use image::codecs::jpeg::JpegEncoder;
@@ -21,6 +21,9 @@ use stagepose::track::TrackerSettings;
 use crate::pipeline::scene::{FPS, backdrop, camera, past, quiet, setup};
 
 pub const SIZE: (u32, u32) = (320, 240);
+
+/// A picture that has not come out after this long will not, on the slowest machine.
+const LOST_AFTER: Duration = Duration::from_secs(20);
 
 /// Rendered frames of one pass along the path, as JPEGs, with their true poses.
 pub struct Take {
@@ -130,6 +133,10 @@ pub struct Faulty {
     most_pictures: u64,
     /// Rows that came out of the pipeline: the next picture waits for them, so that none is dropped on the way.
     pub tracked: AtomicU64,
+    /// Pictures that never came out: they were in the hands of a reader that was left behind.
+    pub lost: AtomicU64,
+    /// The last picture that was waited for, and since when.
+    waited: Mutex<(u64, Instant)>,
     /// Which frame of the ride a stamp belongs to; the other stage's are not in here.
     pub shown: Mutex<HashMap<i64, usize>>,
     pub faults: Mutex<HashMap<String, u64>>,
@@ -148,6 +155,8 @@ impl Faulty {
             pictures: AtomicU64::new(0),
             most_pictures,
             tracked: AtomicU64::new(0),
+            lost: AtomicU64::new(0),
+            waited: Mutex::new((0, Instant::now())),
             shown: Mutex::default(),
             faults: Mutex::default(),
             // Far ahead, so that a slow machine does not pull the frames apart in time.
@@ -162,6 +171,15 @@ impl Faulty {
 
     pub fn random(seed: u64, one_in: u32, most_pictures: u64) -> Arc<Self> {
         Self::new(Plan::Random { rng: Pcg64Mcg::seed_from_u64(seed), one_in }, most_pictures)
+    }
+
+    /// Whether picture `n` is under way no more: a reader that was left behind took it along.
+    fn is_lost(&self, n: u64) -> bool {
+        let mut waited = self.waited.lock().unwrap();
+        if waited.0 != n {
+            *waited = (n, Instant::now());
+        }
+        waited.1.elapsed() > LOST_AFTER
     }
 
     fn next_fault(&self, opening: Option<u64>, picture: u64) -> Option<Fault> {
@@ -234,6 +252,10 @@ impl Camera for FaultyCamera {
         }
         let n = self.faulty.pictures.load(Ordering::Acquire);
         while self.faulty.tracked.load(Ordering::Acquire) < n {
+            if self.faulty.is_lost(n) {
+                self.faulty.lost.fetch_add(1, Ordering::AcqRel);
+                self.faulty.tracked.fetch_add(1, Ordering::AcqRel);
+            }
             if monotonic_ns() - begun > patience.as_nanos() as i64 {
                 return Err(CameraFault::Silent);
             }

@@ -43,12 +43,17 @@ fn soak() {
                 tracking += 1;
                 // A stage that the tracker was not told of has no truth: any pose there is wrong.
                 let frame = faulty.shown.lock().unwrap().remove(&sample.timestamp_ns);
-                let measured = sample.measurement.expect("a tracking sample").pose;
+                let measurement = sample.measurement.expect("a tracking sample");
+                let (measured, measured_by) = (measurement.pose, (measurement.inliers, measurement.rms_px));
                 let errors = frame.map(|frame| {
                     let truth = take().truths[frame];
                     ((measured.translation - truth.translation).norm(), measured.angle_to(&truth).to_degrees())
                 });
                 if errors.is_none_or(|(m, deg)| m > MOST_M || deg > MOST_DEG) {
+                    println!(
+                        "soak: WRONG POSE in frame {}: {errors:?} m and degrees off, inliers {}, rms {:.2} px",
+                        sample.sequence, measured_by.0, measured_by.1
+                    );
                     wrong.push((sample.sequence, errors));
                 }
             }
@@ -76,7 +81,12 @@ fn soak() {
         s.skipped()
     );
     println!("soak: memory {early_mb:.1} MB after a tenth, {late_mb:.1} MB at the end; faults {faults:?}");
-    assert_eq!(s.frames(), frames);
+    let lost = faulty.lost.load(Ordering::Acquire);
+    assert!(
+        (frames - lost..=frames).contains(&s.frames()),
+        "{} of {frames} frames came out, {lost} were lost with their readers",
+        s.frames()
+    );
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(tracking * 10 > frames * 8, "{tracking} of {frames} tracked");
     assert_eq!(stalled.len(), 256);

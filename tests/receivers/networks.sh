@@ -35,6 +35,9 @@ ip link set lo up
 ip -n stage addr add 10.77.0.2/24 broadcast 10.77.0.255 dev stage0
 ip -n stage link set stage0 up
 ip -n stage link set lo up
+# IPv6 addresses are usable at once where nobody looks for another owner first.
+ip addr add fd77::1/64 dev studio0 nodad
+ip -n stage addr add fd77::2/64 dev stage0 nodad
 for _ in $(seq 50); do
     ping -c 1 -W 1 10.77.0.2 >/dev/null 2>&1 && break
     sleep 0.1
@@ -58,6 +61,11 @@ to = ["10.77.0.99:55555", "192.0.2.1:55555"]
 kind = "osc"
 name = "unicast"
 to = ["10.77.0.2:53000"]
+[[output]]
+kind = "freed"
+name = "IPv6"
+to = ["[fd77::2]:40006", "[ff12::77]:40007"]
+interface = "studio0"
 EOF
 
 declare -A heard
@@ -71,6 +79,8 @@ listen directed freed 40001
 listen limited freed 40002
 listen multicast psn 56565 --group 236.10.10.10 --interface 10.77.0.2
 listen unicast osc 53000
+listen unicast6 freed 40006
+listen multicast6 freed 40007 --group ff12::77 --interface stage0
 sleep 0.5
 
 # The all-ones broadcast needs a route here; a real machine has a default one.
@@ -78,7 +88,7 @@ ip route add 255.255.255.255 dev studio0 2>/dev/null || true
 timeout 60 "$stagepose" send-test --config "$out/networks.toml" --seconds 4 --fps 30 --log info 2>"$out/sender.log"
 
 failed=
-for name in directed limited multicast unicast; do
+for name in directed limited multicast unicast unicast6 multicast6; do
     if wait "${heard[$name]}" && [ "$(wc -l <"$out/$name.txt")" -eq 60 ] && ! grep -q ' bytes: ' "$out/$name.txt"; then
         echo "$name: 60 packets arrived: $(head -n 1 "$out/$name.txt" | cut -c 1-100)"
     else

@@ -10,21 +10,49 @@ cp "$MEDIA"/{stage.toml,camera.toml,backdrop.png,flat.png} .
 # The guest is slow, and frames more than half a second apart do not confirm each other.
 printf '\n[tracker]\nfeatures = 150\n' >>stage.toml
 
-# As udev would: keeps the by-id link on the camera, under whatever number it has.
+# As udev would: keeps the by-id link, and that of the port, on the camera, under whatever number it has.
 links() {
-    local class index
-    mkdir -p /dev/v4l/by-id
+    local class index node link path
+    mkdir -p /dev/v4l/by-{id,path}
     while true; do
         nap .1
         for class in /sys/class/video4linux/video*; do
-            { read -r index <"$class/index"; } 2>/dev/null && [ "$index" = 0 ] && [ -c "/dev/${class##*/}" ] || continue
-            [ "$by_id" -ef "/dev/${class##*/}" ] || ln -sfn "../../${class##*/}" "$by_id"
+            node=/dev/${class##*/}
+            { read -r index <"$class/index"; } 2>/dev/null && [ "$index" = 0 ] && [ -c "$node" ] || continue
+            cd -P "$class/device" 2>/dev/null || continue
+            path=$by_path${PWD##*-}-video-index0
+            for link in /dev/v4l/by-path/*; do
+                [ "$link" = "$path" ] || [ ! "$link" -ef "$node" ] || rm "$link"
+            done
+            for link in "$by_id" "$path"; do
+                [ "$link" -ef "$node" ] || ln -sfn "../../${node##*/}" "$link"
+            done
         done
     done
 }
 by_id=/dev/v4l/by-id/usb-Replay_camera-video-index0
+by_path=/dev/v4l/by-path/platform-vhci_hcd.0-usb-0:
 
-plug() { uvcam 320x180 5 MJPG="$MEDIA/slow.mjpeg" YUYV="$MEDIA/slow.yuyv" "$@" 2>>rig.log & rig=$!; }
+# ports FREE…: only these ports (from 0) take a camera from now on.
+ports() {
+    local kind number state rest
+    umount "$ports" 2>/dev/null
+    while read -r kind number state rest; do
+        [[ $kind != hs || " $* " == *" $((10#$number)) "* ]] || state=006
+        echo "$kind $number $state $rest"
+    done <"$ports" >ports
+    mount --bind ports "$ports"
+}
+ports=/sys/devices/platform/vhci_hcd.0/status
+
+plug() { uvcam 192x108 5 MJPG="$MEDIA/slow.mjpeg" YUYV="$MEDIA/slow.yuyv" "$@" 2>>rig.log & rig=$!; }
+
+# As udev does, before another camera can have the number.
+unplug() {
+    kill $rig
+    while [ -e "$by_id" ]; do nap .1; done
+    rm -f /dev/v4l/by-{id,path}/*
+}
 
 count() { # count FILE PATTERN: its lines with this pattern (an extended regular expression)
     local line

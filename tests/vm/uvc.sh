@@ -1,4 +1,5 @@
-# A webcam: listed, checked, recorded with its controls held, unplugged and back under a new number, stalling, replaced, replayed.
+# A webcam: listed, checked, recorded with its controls held, unplugged and back under a new number, stalling, back on another port;
+# then by the name of a port, after a reload; replayed. At last it takes the pictures for a calibration by itself.
 . "$SCENARIOS/guest.sh"
 links &
 plug
@@ -12,7 +13,7 @@ start record take
 more poses '"sequence"' 3
 
 exec 9</dev/video0 # a dead number that stays taken
-kill $rig
+unplug
 until_line events '"event":"stale"'
 until_line events '"event":"camera_waiting"'
 plug stall=15
@@ -21,14 +22,50 @@ more poses '"sequence"' 2
 
 until_line events 'gave no picture'
 until_line events '"again":true' 2 # it opens again, and gives nothing
-kill $rig
+unplug
+ports 3
 plug
 until_line events '"event":"resumed"' 2
+until_line log 'is now on another port'
 more poses '"sequence"' 2
+
+# Frames in a row come too far apart in here to confirm each other; pairs of them do, with time for each pair.
+for pair in {1..7}; do
+    kill -STOP $rig
+    nap 1.8
+    kill -CONT $rig
+    nap .4
+done
+
+# By the name of the port: a camera on another one is not it. A config that is not good changes nothing.
+sed -i 's/^device/devise/' stage.toml
+kill -HUP $pid
+until_line events '"event":"config_refused"'
+sed -i "s#^devise = .*#device = \"${by_path}4:1.0-video-index0\"#" stage.toml
+kill -HUP $pid
+until_line events '"event":"config_reloaded"'
+until_line events '"event":"recorder_started"' 2
+more poses '"sequence"' 1
+unplug
+ports 5
+plug
+until_line log 'there is no camera /dev/v4l/by-path'
+unplug
+ports 3
+plug
+until_line events '"event":"camera_opened".*"again":true' 4
+more poses '"sequence"' 1
 finish
 cat log events
 count poses '"state":"tracking"'; echo "tracked $lines"
 [ "$(tail -c 2 poses)" = '}' ] && echo "flushed"
-cmp poses take/poses.jsonl && echo "recorded what was given out"
+cat take/poses.jsonl take-2/poses.jsonl >recorded
+cmp poses recorded && echo "recorded what was given out"
 "$STAGEPOSE" replay take --config take/config/stage.toml --poses again >replayed && cmp again take/poses.jsonl && echo "replay is the same"
 count rig.log 'control 2/4 = 70$'; echo "gain was set $lines times"
+
+unplug
+uvcam 320x240 5 MJPG="$MEDIA/boards.mjpeg" 2>>rig.log & rig=$!
+until [ -e "$by_id" ]; do nap .1; done
+"$STAGEPOSE" calibrate --device "$by_id" --size 320x240 --board 9x6 --square-mm 25 --pictures 3 --save shots --output camera.toml; echo "calibrate $?"
+set -- shots/*; echo "took $# pictures"

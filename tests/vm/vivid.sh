@@ -22,9 +22,9 @@ finish
 cat log events
 rm poses events log
 
-loopfeed /dev/video9 320x180 YUYV 5 100000 "$MEDIA/slow.yuyv" 2>>rig.log &
+loopfeed /dev/video9 192x108 YUYV 5 100000 "$MEDIA/slow.yuyv" 2>>rig.log &
 nap 1
-sed -i 's/^device = .*/device = "9"/' stage.toml
+sed -i 's/^device = .*/device = "9"/; /^width/d; /^height/d' stage.toml
 start record looped
 more poses '"sequence"' 3
 finish

@@ -12,5 +12,5 @@ mod nodes;
 mod opener;
 
 pub use listing::{ControlListing, DeviceListing, FormatListing, SizeListing, devices};
-pub use nodes::{Node, camera_nodes, find_node, programs_that_hold};
+pub use nodes::{Known, Node, camera_nodes, find_node, programs_that_hold};
 pub use opener::V4l2Opener;

@@ -91,21 +91,29 @@ fn identity(number: u32) -> Option<String> {
     })
 }
 
+/// The camera that a name of the config meant before.
+#[derive(Debug, Clone, Copy)]
+pub struct Known<'a> {
+    /// [`Node::identity`]
+    pub identity: &'a str,
+    /// [`Node::bus`]
+    pub bus: &'a str,
+}
+
 /// The camera that a name of the config means now.
 ///
-/// `known` is the identity of the camera that the name meant before: a number or `first` then follows that camera to its new number.
+/// `known` is the camera that the name meant before: a number or `first` then follows that camera to its new number. Of twins without
+/// serial numbers it is the one in the same place, where there is one.
 ///
 /// # Errors
 /// A sentence that says what there is instead.
-pub fn find_node(name: &str, known: Option<&str>) -> Result<Node, OpenFault> {
+pub fn find_node(name: &str, known: Option<Known<'_>>) -> Result<Node, OpenFault> {
     let nodes = camera_nodes();
     // by-id means this very camera by itself, by-path whatever is on the port: neither follows an identity.
     let lasting = name.starts_with("/dev/v4l/");
     if let (Some(known), false) = (known, lasting) {
-        return match nodes.iter().find(|n| n.identity == known) {
-            Some(node) => Ok(node.clone()),
-            None => Err(OpenFault(format!("the camera {name} ({known}) is not plugged in; plug it in again"))),
-        };
+        let missing = || OpenFault(format!("the camera {name} ({}) is not plugged in; plug it in again", known.identity));
+        return same_camera(&nodes, known).cloned().ok_or_else(missing);
     }
     let found = if name == "first" {
         nodes.first()
@@ -121,6 +129,11 @@ pub fn find_node(name: &str, known: Option<&str>) -> Result<Node, OpenFault> {
         nodes.iter().find(names)
     };
     found.cloned().ok_or_else(|| not_there(name, &nodes))
+}
+
+fn same_camera<'a>(nodes: &'a [Node], known: Known<'_>) -> Option<&'a Node> {
+    let twins = || nodes.iter().filter(|n| n.identity == known.identity);
+    twins().find(|n| n.bus == known.bus).or_else(|| twins().next())
 }
 
 fn not_there(name: &str, nodes: &[Node]) -> OpenFault {
@@ -168,18 +181,23 @@ mod tests {
         assert_eq!(numbers, [Some(12), None, None, None, None]);
     }
 
+    fn camera(number: u32, bus: &str) -> Node {
+        let (card, driver, bus, identity) = ("Cam".into(), "uvcvideo".into(), bus.into(), "usb 1:2".into());
+        Node { number, card, driver, bus, by_id: vec![], by_path: vec![], identity }
+    }
+
+    #[test]
+    fn of_twins_the_one_in_the_same_place_is_meant() {
+        let twins = [camera(0, "usb-1"), camera(2, "usb-2")];
+        let found = |identity, bus| same_camera(&twins, Known { identity, bus }).map(|n| n.number);
+        assert_eq!(found("usb 1:2", "usb-2"), Some(2));
+        assert_eq!(found("usb 1:2", "usb-3"), Some(0), "it moved to another port");
+        assert_eq!(found("usb 9:9", "usb-1"), None);
+    }
+
     #[test]
     fn a_missing_camera_is_said_with_what_there_is() {
-        let node = Node {
-            number: 3,
-            card: "Cam".into(),
-            driver: "uvcvideo".into(),
-            bus: "usb-1".into(),
-            by_id: vec![],
-            by_path: vec![],
-            identity: "usb 1:2".into(),
-        };
-        assert!(not_there("front", &[node]).to_string().contains("there is no camera front; there is Cam (/dev/video3);"));
+        assert!(not_there("front", &[camera(3, "usb-1")]).to_string().contains("there is no camera front; there is Cam (/dev/video3);"));
         assert!(find_node("/dev/v4l/by-id/no-such-camera", None).is_err());
     }
 

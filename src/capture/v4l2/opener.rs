@@ -10,7 +10,7 @@ use v4l::{Device, Format, FourCC};
 
 use super::controls::{self, Held};
 use super::ioctl::contained;
-use super::nodes::{Node, find_node, programs_that_hold};
+use super::nodes::{Known, Node, find_node, programs_that_hold};
 use super::{camera, listing};
 use crate::capture::camera::{Camera, CameraMode, CameraOpener, OpenFault};
 use crate::capture::choice::{Offer, Wanted, choose};
@@ -26,9 +26,16 @@ pub struct V4l2Opener {
 
 #[derive(Default)]
 struct Memory {
-    identity: Option<String>,
-    bus: Option<String>,
+    node: Option<Node>,
     said: Vec<String>,
+}
+
+/// What is to be said of the node that `device` means now, where another was meant before.
+fn change(device: &str, before: &Node, now: &Node) -> Option<String> {
+    if before.identity != now.identity {
+        return Some(format!("{device} is now another camera than before: {}; check that it is the calibrated one", now.title()));
+    }
+    (before.bus != now.bus).then(|| format!("the camera {} is now on another port: {}", now.title(), now.bus))
 }
 
 impl V4l2Opener {
@@ -52,19 +59,17 @@ impl V4l2Opener {
     }
 
     fn find(&self) -> Result<Node, OpenFault> {
-        let known = self.memory.lock().unwrap_or_else(std::sync::PoisonError::into_inner).identity.clone();
-        find_node(&self.device, known.as_deref())
+        let known = self.memory.lock().unwrap_or_else(std::sync::PoisonError::into_inner).node.clone();
+        find_node(&self.device, known.as_ref().map(|node| Known { identity: &node.identity, bus: &node.bus }))
     }
 
     /// Notes which camera it is, and warns where it is another one or on another port than before.
     fn remember(&self, node: &Node) {
         let mut memory = self.memory.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        if memory.identity.as_ref().is_some_and(|known| *known != node.identity) {
-            tracing::warn!("{} is now another camera than before: {}; check that it is the calibrated one", self.device, node.title());
-        } else if memory.bus.as_ref().is_some_and(|bus| *bus != node.bus) {
-            tracing::warn!("the camera {} is now on another port: {}", node.title(), node.bus);
+        if let Some(change) = memory.node.as_ref().and_then(|before| change(&self.device, before, node)) {
+            tracing::warn!("{change}");
         }
-        (memory.identity, memory.bus) = (Some(node.identity.clone()), Some(node.bus.clone()));
+        memory.node = Some(node.clone());
     }
 
     /// Sets mode and controls by a handle of its own, which is closed again.
@@ -148,4 +153,26 @@ fn busy(node: &Node) -> String {
     let holders = programs_that_hold(&node.path());
     let by = if holders.is_empty() { "another program".to_owned() } else { holders.join(", ") };
     format!("{} is in use by {by}; end that program", node.title())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_camera_and_another_port_are_said() {
+        let camera = |identity: &str, bus: &str| Node {
+            number: 4,
+            card: "Cam".into(),
+            driver: "uvcvideo".into(),
+            bus: bus.into(),
+            by_id: vec![],
+            by_path: vec![],
+            identity: identity.into(),
+        };
+        let said = |now: Node| change("/dev/v4l/by-path/p", &camera("a", "usb-1"), &now);
+        assert_eq!(said(camera("a", "usb-1")), None);
+        assert!(said(camera("a", "usb-2")).unwrap().ends_with("Cam (/dev/video4) is now on another port: usb-2"));
+        assert!(said(camera("b", "usb-1")).unwrap().starts_with("/dev/v4l/by-path/p is now another camera than before: Cam (/dev/video4)"));
+    }
 }
