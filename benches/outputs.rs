@@ -16,8 +16,8 @@ use stagepose::publish::opentrackio::{Encoding, OpenTrackIoSettings};
 use stagepose::publish::osc::{OscMessageKind, OscSettings};
 use stagepose::publish::psn::PsnSettings;
 use stagepose::publish::{
-    BodyChoice, Context, JsonSettings, OnLoss, OutputSettings, Placement, PrincipalPoint, Protocol, Publisher, Rate, SafetySettings,
-    Stamps, StreamSettings, UdpSettings, camera_of_body,
+    BodyChoice, ClipStart, Context, JsonSettings, OnLoss, OutputSettings, Placement, PrincipalPoint, Protocol, Publisher, Rate,
+    SafetySettings, Stamps, StreamSettings, UdpSettings, camera_of_body,
 };
 use stagepose::record::{StageTimes, State};
 
@@ -91,7 +91,7 @@ fn send(outputs: &[OutputSettings], frames: u64) -> (Vec<Instant>, Vec<Duration>
         camera: CameraModel::pinhole(1280, 720, 900.0, 900.0, 639.5, 359.5).expect("good intrinsics"),
         objects: Vec::new(),
         safety: SafetySettings::default(),
-        stamps: Stamps::Recorded,
+        stamps: Stamps::Recorded(ClipStart::default()),
         frame_rate: Some(HZ),
         is_test: false,
     };

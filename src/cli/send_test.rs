@@ -16,7 +16,7 @@ use super::receivers::Receivers;
 use crate::camera::CameraModel;
 use crate::config::Settings;
 use crate::geometry::{Body, Pose, Stage};
-use crate::publish::{Context, PanTiltRoll, Stamps, camera_of_body};
+use crate::publish::{ClipStart, Context, PanTiltRoll, Stamps, camera_of_body};
 use crate::record::{ObjectSample, PoseSample, StageTimes, State};
 
 /// Send a moving test pose to the outputs of a config; needs no camera and no stage.
@@ -57,7 +57,7 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
         camera: settings.camera.unwrap_or_else(any_camera),
         objects: settings.objects.clone(),
         safety: settings.safety,
-        stamps: Stamps::Recorded,
+        stamps: Stamps::Recorded(ClipStart::default()),
         frame_rate: Some(arguments.fps),
         is_test: true,
     };

@@ -39,5 +39,5 @@ pub use report::{Standing, Withheld};
 pub use settings::{
     BlendRates, BodyChoice, FixedRate, OnLoss, OutputSettings, Protocol, Rate, SafetySettings, StreamSettings, UdpSettings,
 };
-pub use stamps::Stamps;
+pub use stamps::{ClipStart, Stamps};
 pub use transport::TransportError;

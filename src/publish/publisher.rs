@@ -115,7 +115,7 @@ impl Publisher {
     pub fn start(outputs: &[OutputSettings], context: &Context) -> Result<Self, PublishError> {
         let (raise, events) = bounded(EVENTS);
         let outputs = outputs.iter().filter(|o| o.enabled).map(|o| RunningOutput::start(o, context, &raise)).collect::<Result<_, _>>()?;
-        let clock = Mutex::new((StampClock::new(context.stamps), Pace::default()));
+        let clock = Mutex::new((StampClock::new(context.stamps.clone()), Pace::default()));
         Ok(Self { outputs, frame_rate: context.frame_rate, clock, events })
     }
 

@@ -8,6 +8,7 @@ use super::super::golden::golden_camera;
 use super::super::json::JsonSettings;
 use super::super::osc::{OscMessageKind, OscSettings};
 use super::super::settings::{BlendRates, FixedRate, OnLoss, Rate, UdpSettings};
+use super::super::stamps::ClipStart;
 use super::super::{Placement, opentrackio::*};
 use super::*;
 use crate::geometry::Pose;
@@ -75,7 +76,14 @@ fn output(protocol: Protocol, ear: &Ear) -> OutputSettings {
 /// Nothing becomes stale within a test that does not ask for it.
 fn context(safety: SafetySettings) -> Context {
     let camera = CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap();
-    Context { camera, objects: vec!["cart".to_owned()], safety, stamps: Stamps::Recorded, frame_rate: Some(30.0), is_test: false }
+    Context {
+        camera,
+        objects: vec!["cart".to_owned()],
+        safety,
+        stamps: Stamps::Recorded(ClipStart::default()),
+        frame_rate: Some(30.0),
+        is_test: false,
+    }
 }
 
 fn patient() -> SafetySettings {

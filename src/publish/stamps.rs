@@ -1,14 +1,30 @@
 //! Which instants stamps are: on this machine's monotonic clock, and in Unix time.
 
+use std::sync::{Arc, OnceLock};
+
 use nix::time::{ClockId, clock_gettime};
 
 /// Where a source's stamps come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub enum Stamps {
     /// A camera on this machine: nanoseconds of CLOCK_MONOTONIC.
     Live,
-    /// A clip: nanoseconds since anything. The clip is sent as if its first frame had been taken when its work began.
-    Recorded,
+    /// A clip: nanoseconds since anything. The clip is sent as if its first frame had been taken when the clip began.
+    Recorded(ClipStart),
+}
+
+/// When a clip began to be played. Whoever plays it says so; failing that it is when the work on its first frame began.
+#[derive(Debug, Clone, Default)]
+pub struct ClipStart {
+    /// Monotonic clock minus stamp, nanoseconds.
+    offset_ns: Arc<OnceLock<i64>>,
+}
+
+impl ClipStart {
+    /// The frame of this stamp is handed out now. Only the first call counts.
+    pub fn begin(&self, stamp_ns: i64) {
+        self.offset_ns.get_or_init(|| now().monotonic_ns.saturating_sub(stamp_ns));
+    }
 }
 
 /// An instant on both clocks, nanoseconds.
@@ -29,7 +45,7 @@ fn read(clock: ClockId) -> i64 {
 }
 
 /// Turns stamps into instants.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct StampClock {
     stamps: Stamps,
     /// Monotonic clock minus stamp; of a clip known from the first stamp on.
@@ -41,18 +57,25 @@ const PLAUSIBLE_NS: i64 = 10_000_000_000;
 
 impl StampClock {
     pub fn new(stamps: Stamps) -> Self {
-        Self { stamps, offset_ns: (stamps == Stamps::Live).then_some(0) }
+        let offset_ns = matches!(stamps, Stamps::Live).then_some(0);
+        Self { stamps, offset_ns }
     }
 
     /// The instant of a stamp; `work_ns` is how long this first sample has been worked on.
     pub fn instants(&mut self, stamp_ns: i64, work_ns: i64, now: Instants) -> Instants {
-        if self.stamps == Stamps::Live && (now.monotonic_ns.saturating_sub(stamp_ns)).abs() > PLAUSIBLE_NS && self.offset_ns == Some(0) {
+        let is_live = matches!(self.stamps, Stamps::Live);
+        if is_live && (now.monotonic_ns.saturating_sub(stamp_ns)).abs() > PLAUSIBLE_NS && self.offset_ns == Some(0) {
             tracing::warn!(
                 "the camera's stamps are not of the monotonic clock; ages and times of day count from the first frame's arrival"
             );
             self.offset_ns = None;
         }
-        let offset = *self.offset_ns.get_or_insert(now.monotonic_ns.saturating_sub(work_ns).saturating_sub(stamp_ns));
+        let begun = match &self.stamps {
+            Stamps::Recorded(start) => start.offset_ns.get().copied(),
+            Stamps::Live => None,
+        };
+        let at_first = now.monotonic_ns.saturating_sub(work_ns).saturating_sub(stamp_ns);
+        let offset = *self.offset_ns.get_or_insert(begun.unwrap_or(at_first));
         let monotonic_ns = stamp_ns.saturating_add(offset);
         let age = now.monotonic_ns.saturating_sub(monotonic_ns);
         Instants { monotonic_ns, unix_ns: now.unix_ns.saturating_sub(age) }
@@ -60,7 +83,7 @@ impl StampClock {
 
     /// The stamp as a clip has it, for formats that want both.
     pub fn recorded(&self, stamp_ns: i64) -> Option<i64> {
-        (self.stamps == Stamps::Recorded).then_some(stamp_ns)
+        matches!(self.stamps, Stamps::Recorded(_)).then_some(stamp_ns)
     }
 }
 
@@ -102,10 +125,23 @@ mod tests {
         assert_eq!(at, Instants { monotonic_ns: 49_960_000_000, unix_ns: 1_699_999_999_960_000_000 });
         assert_eq!(live.recorded(5), None);
 
-        let mut clip = StampClock::new(Stamps::Recorded);
+        let mut clip = StampClock::new(Stamps::Recorded(ClipStart::default()));
         assert_eq!(clip.instants(7_000, 1_000, now).monotonic_ns, 49_999_999_000);
         assert_eq!(clip.instants(8_000, 9_000, now).monotonic_ns, 50_000_000_000);
         assert_eq!(clip.recorded(8_000), Some(8_000));
+    }
+
+    #[test]
+    fn a_played_clip_counts_from_when_its_first_frame_was_handed_out() {
+        let start = ClipStart::default();
+        let begun = now().monotonic_ns;
+        start.begin(7_000);
+        start.begin(1_000_000_000);
+        let mut clip = StampClock::new(Stamps::Recorded(start));
+        // The first sample comes two seconds later: it is that old.
+        let late = Instants { monotonic_ns: begun + 2_000_000_000, unix_ns: 0 };
+        let age = late.monotonic_ns - clip.instants(7_000, 0, late).monotonic_ns;
+        assert!((1_900_000_000..=2_000_000_000).contains(&age), "{age}");
     }
 
     #[test]

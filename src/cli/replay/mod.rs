@@ -19,7 +19,7 @@ use super::receivers::Receivers;
 use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip};
 use crate::config::Settings;
 use crate::daemon::{Daemon, Delivery, Tracker, TrackerSetup};
-use crate::publish::Stamps;
+use crate::publish::{ClipStart, Stamps};
 use crate::record::PoseSample;
 use overlays::Overlays;
 use paced::Paced;
@@ -93,13 +93,15 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     interrupt::watch();
     let source = open_clip(&arguments.clip, ClipOptions { fps: arguments.fps })?;
     let setup = tracker_setup(&settings, source.size(), arguments.threads)?;
-    let receivers = arguments.outputs.then(|| Receivers::start(&settings, setup.camera, Stamps::Recorded, arguments.fps)).transpose()?;
+    let begun = ClipStart::default();
+    let stamps = || Stamps::Recorded(begun.clone());
+    let receivers = arguments.outputs.then(|| Receivers::start(&settings, setup.camera, stamps(), arguments.fps)).transpose()?;
     let mut records = Records::create(arguments.poses.as_deref(), arguments.tum.as_deref(), arguments.realtime)?;
     let mut summary = arguments.summary.as_deref().map(records::Output::create).transpose()?;
     let overlays = arguments.overlay.as_deref().map(|dir| Overlays::create(dir, &setup)).transpose()?;
 
     // What is sent is sent at the pace at which it was recorded.
-    let source: Box<dyn FrameSource> = if arguments.realtime || arguments.outputs { Box::new(Paced::new(source)) } else { source };
+    let source: Box<dyn FrameSource> = if arguments.realtime || arguments.outputs { Box::new(Paced::new(source, begun)) } else { source };
     let mut tally = Tally::new(started);
     let tracker = Tracker::new(setup).with_filter(settings.filter);
     let mut writing = Writing { records: &mut records, tally: &mut tally, receivers: receivers.as_ref() };

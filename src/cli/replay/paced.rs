@@ -4,16 +4,19 @@ use std::time::{Duration, Instant};
 
 use crate::capture::{FrameSource, Row};
 use crate::cli::interrupt;
+use crate::publish::ClipStart;
 
 pub(super) struct Paced {
     source: Box<dyn FrameSource>,
     /// When the first row was handed out, and its stamp.
     start: Option<(Instant, i64)>,
+    /// Who sends what comes of it wants to know too.
+    begun: ClipStart,
 }
 
 impl Paced {
-    pub fn new(source: Box<dyn FrameSource>) -> Self {
-        Self { source, start: None }
+    pub fn new(source: Box<dyn FrameSource>, begun: ClipStart) -> Self {
+        Self { source, start: None, begun }
     }
 }
 
@@ -26,6 +29,7 @@ impl FrameSource for Paced {
     fn next_row(&mut self) -> Option<Row> {
         let row = self.source.next_row()?;
         let (begun, first_ns) = *self.start.get_or_insert_with(|| (Instant::now(), row.timestamp_ns));
+        self.begun.begin(first_ns);
         let due = due_after(first_ns, row.timestamp_ns);
         loop {
             if interrupt::is_interrupted() {
