@@ -25,7 +25,7 @@ impl Margin {
     /// Of a lattice that is the whole board, which spans `extent`, hidden corners included.
     pub fn around(lattice: &Lattice, extent: Extent, level: &Level) -> Self {
         let mut seen = [Vec::new(), Vec::new()];
-        for (&(i, j), cell) in lattice.cells() {
+        for ((i, j), cell) in lattice.cells() {
             let Some([u, v]) = lattice.steps(i, j) else { continue };
             let sides = [(i == extent.low.0, -u), (i == extent.high.0, u), (j == extent.low.1, -v), (j == extent.high.1, v)];
             for (_, out) in sides.iter().filter(|(at_end, _)| *at_end) {
@@ -160,10 +160,7 @@ impl Lattice {
         let edge = |di: i32, dj: i32, normal: Vector2<f64>| {
             let next = self.at(i + di, j + dj).or_else(|| self.foretold(i + di, j + dj));
             let place = next.unwrap_or(here + u * f64::from(di) + v * f64::from(dj));
-            let ends = margin.is_some_and(|m| {
-                let (low, high) = (m.extent.low, m.extent.high);
-                !(low.0..=high.0).contains(&(i + di)) || !(low.1..=high.1).contains(&(j + dj))
-            });
+            let ends = margin.is_some_and(|m| !m.extent.contains((i + di, j + dj)));
             // An edge turns a little from one corner to the next.
             let turned = self.steps(i + di, j + dj).map(|[u, v]| if di == 0 { Vector2::new(-u.y, u.x) } else { Vector2::new(v.y, -v.x) });
             let normal = turned.filter(|_| !ends).map_or(normal, |n| n.normalize());
@@ -178,7 +175,7 @@ impl Lattice {
     /// The shorter side of the median square, level pixels.
     pub(super) fn square(&self) -> f64 {
         let across = |[u, v]: [Vector2<f64>; 2]| u.perp(&v) / u.norm().max(v.norm());
-        let mut all: Vec<f64> = self.cells().filter_map(|(&(i, j), _)| self.steps(i, j)).map(across).collect();
+        let mut all: Vec<f64> = self.cells().filter_map(|((i, j), _)| self.steps(i, j)).map(across).collect();
         median(&mut all).unwrap_or(0.0)
     }
 }

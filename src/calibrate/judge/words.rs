@@ -2,13 +2,25 @@
 
 use super::super::board::Board;
 use super::super::session::Inspected;
+use super::super::solve::LEAST_VIEWS;
 
-/// The size of board that most pictures show instead, and in how many.
+/// The size of board that most pictures show instead, and in how many. A board at the picture's rim may be larger than it
+/// seems, so it only counts where others show that size in full.
 fn usual_other_size(pictures: &[Inspected]) -> Option<((u32, u32), usize)> {
-    let sizes: Vec<(u32, u32)> = pictures.iter().filter_map(|p| p.other_size).collect();
-    let count = |size: &(u32, u32)| sizes.iter().filter(|s| *s == size).count();
-    let most = sizes.iter().max_by_key(|size| (count(size), **size))?;
-    Some((*most, count(most)))
+    let whole = pictures.iter().filter_map(|p| p.other_size.filter(|(_, cut)| !cut)).map(|(size, _)| size);
+    let count = |size: (u32, u32)| pictures.iter().filter(|p| p.other_size.is_some_and(|(other, _)| other == size)).count();
+    whole.map(|size| (size, count(size))).max_by_key(|(size, count)| (*count, *size))
+}
+
+/// Where more pictures show another board than the one that was asked for, which will be something in the background.
+pub(crate) fn another_board(pictures: &[Inspected], board: &Board) -> Option<String> {
+    let found = pictures.iter().filter(|p| p.board.is_ok()).count();
+    let ((columns, rows), count) = usual_other_size(pictures).filter(|(_, count)| *count > found)?;
+    let all = pictures.len();
+    Some(format!(
+        "{found} of {all} pictures show a board of {board} inner corners, but {count} one of {columns}x{rows}; give --board {columns}x{rows}, or \
+         leave out the pictures of the other board"
+    ))
 }
 
 /// No picture shows the board.
@@ -21,7 +33,8 @@ pub(crate) fn nothing_found(pictures: &[Inspected], board: &Board) -> String {
     let first = pictures.iter().find_map(|p| Some((p, p.board.as_ref().err()?)));
     let seen = first.map_or(String::new(), |(p, why)| format!(" (the first, {}: {why})", p.file.display()));
     if unreadable == pictures.len() {
-        return format!("none of the {} pictures can be read{seen}; give PNG, JPEG or PGM pictures", pictures.len());
+        let all = if unreadable == 1 { "the only picture cannot".to_owned() } else { format!("none of the {unreadable} pictures can") };
+        return format!("{all} be read{seen}; give PNG, JPEG or PGM pictures");
     }
     format!("{head}{seen}; --board counts the corners where four squares meet, and all of them must be in the picture")
 }
@@ -35,6 +48,7 @@ pub(crate) fn mend_for_few(pictures: &[Inspected], board: &Board) -> String {
     let first = pictures.iter().find_map(|p| Some((p, p.board.as_ref().err()?)));
     match first {
         Some((picture, why)) => format!("{}: {why}; {same}", picture.file.display()),
+        None if pictures.len() < LEAST_VIEWS => same.to_owned(),
         None => format!("the others show the same view again; {same}"),
     }
 }
