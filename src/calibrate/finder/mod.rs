@@ -79,6 +79,14 @@ pub enum NoBoard {
         /// Whether it ends at the picture's rim, so that more of it may lie outside.
         cut: bool,
     },
+    /// The right size, but with no clear end.
+    #[error(
+        "{size} corners of a chessboard whose outermost squares cannot be told from what is around them; light the board evenly, and show its rim"
+    )]
+    Endless {
+        /// Inner corners seen, which are as many as were asked for.
+        size: String,
+    },
     /// The right size, with too many corners hidden.
     #[error("only {seen} of the board's {all} corners can be seen")]
     Hidden {
@@ -224,6 +232,9 @@ fn seen_instead(picture: &GrayImage, board: &Board, partial: Option<(usize, Latt
     let Some((extent, lattice, level)) = found.filter(|(e, l, _)| e.sorted_size().1 >= 3 && l.len() >= 9) else {
         return NoBoard::Nothing { brightness: brightness(picture) };
     };
+    if placement::fits(&lattice, board) {
+        return NoBoard::Endless { size: board.to_string() };
+    }
     let (columns, rows) = extent.sorted_size();
     let cut = lattice.cells().any(|((i, j), cell)| {
         let step = lattice.steps(i, j).map_or(0.0, |[u, v]| u.norm().max(v.norm()));

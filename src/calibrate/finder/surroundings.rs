@@ -45,6 +45,9 @@ impl Margin {
     }
 }
 
+/// The light is asked of corners up to so many squares away where the blur makes each one's own level unsure; one, elsewhere.
+const REACH_BLURRED: i32 = 3;
+
 /// The outermost squares, which may be cut, alternate at least this much a quarter of a square out, and what is around the board at
 /// most this much, as a share of the squares inside.
 const ALTERNATES: f64 = 0.45;
@@ -130,10 +133,13 @@ impl Lattice {
         Surroundings { light: self.light(at, here).unwrap_or_default(), edges: self.next_edges(at, here, margin) }
     }
 
-    /// Relative change of the light per pixel: the plane through the levels half way between dark and light of the nine
-    /// corners around.
+    /// Relative change of the light per pixel: the plane through the levels half way between dark and light of the corners
+    /// around.
     pub(super) fn light(&self, (i, j): (i32, i32), here: Vector2<f64>) -> Option<Vector2<f64>> {
-        let around = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (i + a, j + b)));
+        let [u, v] = self.steps(i, j)?;
+        let blurred = self.blur > BLUR_REACHES * u.perp(&v) / u.norm().max(v.norm());
+        let reach = if blurred { REACH_BLURRED } else { 1 };
+        let around = (-reach..=reach).flat_map(|a| (-reach..=reach).map(move |b| (i + a, j + b)));
         let (mut normal, mut levels) = (Matrix3::zeros(), Vector3::zeros());
         for cell in around.filter_map(|at| self.get(at)) {
             let row = (cell.position - here).push(1.0);
@@ -142,7 +148,6 @@ impl Lattice {
         }
         let plane = normal.try_inverse()? * levels;
         let slope = plane.xy() / plane.z.max(1.0);
-        let [u, v] = self.steps(i, j)?;
         // Light that changes by half from one corner to the next is no slope any more.
         (slope.dot(&u).abs() < 0.5 && slope.dot(&v).abs() < 0.5).then_some(slope)
     }
