@@ -130,7 +130,10 @@ impl NextEdges {
         let scale = std::f64::consts::FRAC_1_SQRT_2 / blur;
         let mut on_board = 1.0;
         let beside = self.along.map(|[before, after]| {
-            let step = |edge: &NextEdge| f64::from(erf_and_slope((scale * (edge.normal.dot(&place) - edge.place)) as f32).0);
+            let step = |edge: &NextEdge| {
+                let z = scale * (edge.normal.dot(&place) - edge.place);
+                if z.abs() > 4.0 { z.signum() } else { f64::from(erf_and_slope(z as f32).0) }
+            };
             // How much of what is seen here lies beyond either edge.
             let (past_before, past_after) = (0.5 * (1.0 - step(&before)), 0.5 * (1.0 + step(&after)));
             // The next square has the other colour, which is a step of two; at the board's end only the colour goes.

@@ -45,7 +45,9 @@ impl Margin {
     }
 }
 
-/// The light is asked of corners up to so many squares away where the blur makes each one's own level unsure; one, elsewhere.
+/// Blur above this share of a square makes the level of a single corner unsure …
+const MUCH_BLUR: f64 = 0.18;
+/// … so that the light is asked of corners up to so many squares away. Elsewhere one square, for a reflection is narrow.
 const REACH_BLURRED: i32 = 3;
 
 /// The outermost squares, which may be cut, alternate at least this much a quarter of a square out, and what is around the board at
@@ -137,7 +139,7 @@ impl Lattice {
     /// around.
     pub(super) fn light(&self, (i, j): (i32, i32), here: Vector2<f64>) -> Option<Vector2<f64>> {
         let [u, v] = self.steps(i, j)?;
-        let blurred = self.blur > BLUR_REACHES * u.perp(&v) / u.norm().max(v.norm());
+        let blurred = self.blur > MUCH_BLUR * u.perp(&v) / u.norm().max(v.norm());
         let reach = if blurred { REACH_BLURRED } else { 1 };
         let around = (-reach..=reach).flat_map(|a| (-reach..=reach).map(move |b| (i + a, j + b)));
         let (mut normal, mut levels) = (Matrix3::zeros(), Vector3::zeros());
