@@ -59,3 +59,40 @@ pub(crate) fn one_direction() -> String {
      degrees away from the camera"
         .to_owned()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::finder::FoundBoard;
+
+    fn picture(board: Result<FoundBoard, String>, other_size: Option<((u32, u32), bool)>) -> Inspected {
+        Inspected { file: "a.png".into(), size: Some((640, 480)), board, other_size, patch: None, thumbnail: None }
+    }
+
+    fn another(size: (u32, u32), cut: bool) -> Inspected {
+        picture(Err("another board".to_owned()), Some((size, cut)))
+    }
+
+    fn found() -> Inspected {
+        let (corners, light) = (Vec::new(), Vec::new());
+        picture(Ok(FoundBoard { corners, blur_px: 0.5, contrast: 80.0, light, margin: 1.0, dark_origin: true, square_px: 30.0 }), None)
+    }
+
+    #[test]
+    fn a_board_in_the_background_is_told_from_the_one_asked_for() {
+        let board = Board::new(8, 6, 0.025).unwrap();
+        let pictures = [found(), another((9, 6), false), another((9, 6), true), another((7, 5), true)];
+        let sentence = another_board(&pictures, &board).unwrap();
+        assert!(sentence.contains("1 of 4 pictures") && sentence.contains("2 one of 9x6; give --board 9x6"), "{sentence}");
+        // As many of each may be two boards, and boards at the rim alone tell no size.
+        assert_eq!(another_board(&[found(), another((9, 6), false)], &board), None);
+        assert_eq!(another_board(&[found(), another((9, 6), true), another((9, 6), true)], &board), None);
+    }
+
+    #[test]
+    fn pictures_that_are_too_few_repeat_nothing() {
+        let board = Board::new(8, 6, 0.025).unwrap();
+        assert!(!mend_for_few(&[found(), found()], &board).contains("the same view"));
+        assert!(mend_for_few(&[found(), found(), found()], &board).contains("the same view again"));
+    }
+}
