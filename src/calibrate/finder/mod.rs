@@ -141,8 +141,9 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
     }
     lattice.drop_strays();
     lattice.drop_islands();
-    // Last, for they may part the board into pieces.
+    // After the islands, for they may part the board into pieces; those that only disturbed ones spoke for go too.
     lattice.drop_disturbed();
+    lattice.drop_strays();
     let lattice = lattice.rescaled(-(sharp as i32));
     let found = placement::placed(&lattice, extent, board, margin.lightness);
     match found {
