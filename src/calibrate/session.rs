@@ -33,8 +33,8 @@ pub struct Inspected {
     pub size: Option<(u32, u32)>,
     /// The board, or why there is none.
     pub board: Result<FoundBoard, String>,
-    /// What was seen instead, where that is another board.
-    pub other_size: Option<(u32, u32)>,
+    /// Inner corners of what was seen instead, where that is another board, and whether more of it may lie outside the picture.
+    pub other_size: Option<((u32, u32), bool)>,
     pub(crate) patch: Option<BoardPatch>,
     /// A small copy for the report.
     pub thumbnail: Option<GrayImage>,
@@ -48,7 +48,7 @@ pub fn inspect(file: PathBuf, picture: &GrayImage, board: &Board) -> Inspected {
     let size = picture.dimensions();
     let found = find_board(picture, board);
     let other_size = match &found {
-        Err(NoBoard::OtherSize { columns, rows, cut: false, .. }) => Some((*columns, *rows)),
+        Err(NoBoard::OtherSize { columns, rows, cut, .. }) => Some(((*columns, *rows), *cut)),
         _ => None,
     };
     let patch = found.as_ref().ok().map(|found| BoardPatch::cut(picture, found));
@@ -175,6 +175,9 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
     }
     if working.is_empty() {
         return Err(CalibrationError::NoBoard(judge::nothing_found(pictures, board)));
+    }
+    if let Some(sentence) = judge::another_board(pictures, board) {
+        return Err(CalibrationError::NoBoard(sentence));
     }
     if !options.keep_all_views {
         drop_duplicates(&mut working, &mut reasons, size);

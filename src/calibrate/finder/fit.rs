@@ -10,7 +10,7 @@
 use nalgebra::Vector2;
 
 use super::level::Level;
-use super::window::{Model, N, Sample, Window, erf_and_slope};
+use super::window::{Linearised, Model, N, Sample, Window, erf_and_slope};
 
 /// A corner as the fit sees it.
 #[derive(Debug, Clone, Copy)]
@@ -82,6 +82,9 @@ const WIDEST_BLUR: f64 = 0.6;
 const LEAST_BLUR: f64 = 0.45;
 /// Cosine of the largest turn of an edge from the board's direction.
 const ALONG: f64 = 0.9;
+/// The fit ends with a step of the corner below this, pixels, that gains less than this share of what is left unexplained.
+const LAST_STEP: f64 = 4e-3;
+const LAST_GAIN: f64 = 3e-3;
 /// Residuals above this share of the contrast are no chessboard corner.
 pub(crate) const LARGEST_RESIDUAL: f64 = 0.35;
 
@@ -99,6 +102,7 @@ impl Surroundings {
     /// The pixel at `place` (level pixels, or whatever the edges are in), `offset` from the window's centre and (s, t) squares
     /// along the two axes; `None` outside the window. Its weight falls to nothing at the rim, so that a pixel more or less
     /// changes nothing.
+    #[inline]
     pub fn sample(
         &self,
         place: Vector2<f64>,
@@ -111,8 +115,9 @@ impl Surroundings {
         if s.abs() >= window || t.abs() >= window || offset.norm_squared() >= reach * reach {
             return None;
         }
-        let fall = |x: f64| 1.0 - x * x;
-        let weight = fall(s / window) * fall(t / window) * (1.0 - offset.norm_squared() / (reach * reach));
+        let per_window = 1.0 / (window * window);
+        let fall = |square: f64, per: f64| 1.0 - square * per;
+        let weight = fall(s * s, per_window) * fall(t * t, per_window) * fall(offset.norm_squared(), 1.0 / (reach * reach));
         let grey = grey / (1.0 + self.light.dot(&offset)).max(0.1);
         let (beside, beyond) = self.edges.map_or(([0.0; 2], 0.0), |edges| edges.at(place, blur));
         Some(Sample { offset, grey, weight, beside, beyond })
@@ -125,7 +130,10 @@ impl NextEdges {
         let scale = std::f64::consts::FRAC_1_SQRT_2 / blur;
         let mut on_board = 1.0;
         let beside = self.along.map(|[before, after]| {
-            let step = |edge: &NextEdge| f64::from(erf_and_slope((scale * (edge.normal.dot(&place) - edge.place)) as f32).0);
+            let step = |edge: &NextEdge| {
+                let z = scale * (edge.normal.dot(&place) - edge.place);
+                if z.abs() > 4.0 { z.signum() } else { f64::from(erf_and_slope(z as f32).0) }
+            };
             // How much of what is seen here lies beyond either edge.
             let (past_before, past_after) = (0.5 * (1.0 - step(&before)), 0.5 * (1.0 + step(&after)));
             // The next square has the other colour, which is a step of two; at the board's end only the colour goes.
@@ -216,8 +224,7 @@ pub(crate) fn fit_window(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f
         return None;
     }
     let widest = WIDEST_BLUR * u.perp(&v) / u.norm().max(v.norm());
-    let mut model = start(window, [u, v], blur.min(widest))?;
-    let (mut cost, mut normal, mut gradient) = window.linearised(&model);
+    let (mut model, (mut cost, mut normal, mut gradient)) = start(window, [u, v], blur.min(widest))?;
     let bounds = [LEAST_BLUR.ln(), widest.max(2.0 * LEAST_BLUR).ln()];
     let mut damping = 1e-4;
     for _ in 0..20 {
@@ -237,14 +244,15 @@ pub(crate) fn fit_window(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f
         let mut next = Model(model.0 - step);
         next.0[4] = next.0[4].clamp(bounds[0], bounds[1]);
         let moved = step.fixed_rows::<2>(0).norm();
+        // A step this small is as good as the linear model says.
+        if moved < LAST_STEP && step.dot(&gradient) < LAST_GAIN * cost {
+            model = next;
+            break;
+        }
         let (next_cost, next_normal, next_gradient) = window.linearised(&next);
         if next_cost < cost {
-            let gain = cost - next_cost;
             (model, cost, normal, gradient) = (next, next_cost, next_normal, next_gradient);
             damping = (0.1 * damping).max(1e-9);
-            if moved < 2e-3 && gain < 1e-3 * cost {
-                break;
-            }
         } else {
             damping *= 10.0;
             if damping > 1e4 || moved < 5e-5 {
@@ -259,11 +267,9 @@ pub(crate) fn fit_window(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f
 }
 
 /// Edges along the board, and the levels that fit best.
-fn start(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64) -> Option<Model> {
+fn start(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64) -> Option<(Model, Linearised)> {
     let angle = |d: Vector2<f64>| d.y.atan2(d.x);
-    let mut model = Model([0.0, 0.0, angle(u), angle(v), blur.max(LEAST_BLUR).ln(), 0.0, 1.0].into());
-    [model.0[5], model.0[6]] = window.levels(&model)?;
-    Some(model)
+    window.with_levels(&Model([0.0, 0.0, angle(u), angle(v), blur.max(LEAST_BLUR).ln(), 0.0, 1.0].into()))
 }
 
 /// The result, where the edges stayed near the board's directions.

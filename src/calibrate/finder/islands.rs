@@ -4,14 +4,15 @@
 //! not show it. But the steps that lead to it are not like those around them. The largest piece is the board; another one is
 //! kept, beyond a reflection or a finger, if it lies where the board foretells it.
 
-use std::collections::{BTreeMap, BTreeSet};
-
 use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
 
+use super::grid::{Grid, Place};
 use super::lattice::{Lattice, median};
 
 /// A step unlike those around it by more than this share of them leads nowhere.
 const UNLIKE: f64 = 0.4;
+/// Steps that differ by less than this share of one of them are alike.
+const ALIKE: f64 = 0.2;
 /// A piece is kept when its corners lie this near, in squares, to where the board foretells them.
 const NEAR: f64 = 0.35;
 /// So many of its corners, those nearest to the board, are asked.
@@ -19,20 +20,19 @@ const TOLD: usize = 6;
 /// How many of the board's corners foretell one beyond it.
 const FORETELLERS: usize = 16;
 
-type Place = (i32, i32);
-
 impl Lattice {
     /// Drops what is not in one piece with the rest.
     pub(super) fn drop_islands(&mut self) {
         let mut pieces = self.pieces();
         pieces.sort_by_key(|piece| std::cmp::Reverse(piece.len()));
         let Some((board, others)) = pieces.split_first() else { return };
-        let strays: BTreeSet<Place> = others.iter().filter(|piece| !self.belongs(piece, board)).flatten().copied().collect();
-        self.retain(|at| !strays.contains(&at));
+        let strays = others.iter().filter(|piece| !self.belongs(piece, board)).flatten();
+        let strays: Grid<()> = strays.map(|at| (*at, ())).collect();
+        self.retain(|at| !strays.contains(at));
     }
 
     /// Whether the corners of a piece that are nearest to the board lie where it foretells them; farther ones it cannot tell.
-    fn belongs(&self, piece: &BTreeSet<Place>, board: &BTreeSet<Place>) -> bool {
+    fn belongs(&self, piece: &[Place], board: &[Place]) -> bool {
         let off = |a: &Place, b: &Place| (a.0 - b.0).pow(2) + (a.1 - b.1).pow(2);
         let mut nearest: Vec<(i32, Place)> = piece.iter().filter_map(|at| Some((board.iter().map(|b| off(at, b)).min()?, *at))).collect();
         nearest.sort_unstable();
@@ -40,23 +40,26 @@ impl Lattice {
     }
 
     /// What hangs together by steps that are like those around them.
-    fn pieces(&self) -> Vec<BTreeSet<Place>> {
+    fn pieces(&self) -> Vec<Vec<Place>> {
         let typical = [(1, 0), (0, 1)].map(|along| self.typical_steps(along));
         let linked = |from: Place, to: Place| {
             let (low, axis) = (from.min(to), usize::from(from.0 == to.0));
             let step = self.at(from.0.max(to.0), from.1.max(to.1)).zip(self.at(low.0, low.1)).map(|(b, a)| b - a);
-            step.zip(typical[axis].get(&low)).is_some_and(|(step, typical)| (step - typical).norm() < UNLIKE * typical.norm())
+            step.zip(typical[axis].get(low)).is_some_and(|(step, typical)| (step - typical).norm() < UNLIKE * typical.norm())
         };
-        let mut left: BTreeSet<Place> = self.cells().map(|(&at, _)| at).collect();
+        let mut left: Grid<()> = self.cells().map(|(at, _)| (at, ())).collect();
         let mut pieces = Vec::new();
-        while let Some(first) = left.pop_first() {
-            let (mut piece, mut open) = (BTreeSet::from([first]), vec![first]);
-            while let Some(at) = open.pop() {
+        for (first, _) in self.cells() {
+            if left.remove(first).is_none() {
+                continue;
+            }
+            let (mut piece, mut done) = (vec![first], 0);
+            while let Some(&at) = piece.get(done) {
+                done += 1;
                 for next in [(at.0 + 1, at.1), (at.0 - 1, at.1), (at.0, at.1 + 1), (at.0, at.1 - 1)] {
-                    if left.contains(&next) && linked(at, next) {
-                        left.remove(&next);
-                        piece.insert(next);
-                        open.push(next);
+                    if left.contains(next) && linked(at, next) {
+                        left.remove(next);
+                        piece.push(next);
                     }
                 }
             }
@@ -66,19 +69,31 @@ impl Lattice {
     }
 
     /// For each step along one axis, by its first corner, the median of those around.
-    fn typical_steps(&self, along: Place) -> BTreeMap<Place, Vector2<f64>> {
+    fn typical_steps(&self, along: Place) -> Grid<Vector2<f64>> {
         let step = |at: Place| Some(self.at(at.0 + along.0, at.1 + along.1)? - self.at(at.0, at.1)?);
-        let steps: BTreeMap<Place, Vector2<f64>> = self.cells().filter_map(|(&at, _)| Some((at, step(at)?))).collect();
-        let typical = |&(i, j): &Place| {
-            let around = (-2..=2).flat_map(|a| (-2..=2).map(move |b| (i + a, j + b)));
-            let (mut xs, mut ys): (Vec<f64>, Vec<f64>) = around.filter_map(|at| steps.get(&at)).map(|s| (s.x, s.y)).unzip();
+        let steps: Grid<Vector2<f64>> = self.cells().filter_map(|(at, _)| Some((at, step(at)?))).collect();
+        let (mut xs, mut ys) = (Vec::with_capacity(25), Vec::with_capacity(25));
+        let typical = |(i, j): Place| {
+            xs.clear();
+            ys.clear();
+            let here = *steps.get((i, j))?;
+            let mut farthest = 0.0_f64;
+            for step in (-2..=2).flat_map(|a| (-2..=2).map(move |b| (i + a, j + b))).filter_map(|at| steps.get(at)) {
+                xs.push(step.x);
+                ys.push(step.y);
+                farthest = farthest.max((step - here).amax());
+            }
+            // Where all are alike, the median is no farther off than they are.
+            if farthest < ALIKE * here.norm() {
+                return Some(((i, j), here));
+            }
             Some(((i, j), Vector2::new(median(&mut xs)?, median(&mut ys)?)))
         };
-        steps.keys().filter_map(typical).collect()
+        steps.iter().map(|(at, _)| at).filter_map(typical).collect()
     }
 
     /// Whether a corner lies where the nearest ones of the board foretell it, as on a plane seen from afar.
-    fn is_foretold(&self, at: Place, board: &BTreeSet<Place>) -> bool {
+    fn is_foretold(&self, at: Place, board: &[Place]) -> bool {
         let mut nearest: Vec<(i32, Place)> = board.iter().map(|b| ((b.0 - at.0).pow(2) + (b.1 - at.1).pow(2), *b)).collect();
         nearest.sort_unstable();
         let (mut normal, mut right) = (Matrix3::zeros(), Matrix3x2::zeros());
@@ -119,7 +134,7 @@ mod tests {
         let shifted = |at: Place| place(if astray(at) { (at.0 + 2, at.1 - 3) } else { at });
         let mut folded = lattice(all().map(|at| (at, shifted(at))));
         folded.drop_islands();
-        assert!(folded.cells().all(|(&at, _)| !astray(at)));
+        assert!(folded.cells().all(|(at, _)| !astray(at)));
         assert_eq!(folded.len(), 12 * 9 - 6);
     }
 

@@ -3,11 +3,10 @@
 //! Coordinates (i, j) turn clockwise in the picture from +i to +j, and the square between +i and +j of corner (0, 0)
 //! is dark, so the one of (i, j) is dark where i + j is even.
 
-use std::collections::BTreeMap;
-
 use nalgebra::Vector2;
 
 use super::fit::{CornerFit, Surroundings, fit_corner};
+use super::grid::{Grid, Place};
 use super::level::Level;
 use super::surroundings::Margin;
 use super::window::Window;
@@ -34,7 +33,7 @@ impl From<CornerFit> for Cell {
 /// Corners by their coordinates.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Lattice {
-    cells: BTreeMap<(i32, i32), Cell>,
+    cells: Grid<Cell>,
     /// Standard deviation of the blur, level pixels: the median of the fits.
     pub blur: f64,
 }
@@ -52,6 +51,10 @@ impl Extent {
         ((self.high.0 - self.low.0 + 1) as u32, (self.high.1 - self.low.1 + 1) as u32)
     }
 
+    pub fn contains(&self, (i, j): Place) -> bool {
+        (self.low.0..=self.high.0).contains(&i) && (self.low.1..=self.high.1).contains(&j)
+    }
+
     /// The larger number first.
     pub fn sorted_size(&self) -> (u32, u32) {
         let (a, b) = self.size();
@@ -61,6 +64,8 @@ impl Extent {
 
 /// A corner this share of a square away from where its neighbours foretell it is none.
 const STRAY: f64 = 0.25;
+/// Corners up to so many squares away foretell one.
+const FORETELLS: i32 = 3;
 /// More than this times the noise and this share of the contrast left unexplained is no clean corner.
 const DISTURBED_NOISE: f64 = 2.0;
 const DISTURBED_SHARE: f64 = 0.08;
@@ -70,7 +75,7 @@ const WIDEST_START: f64 = 2.0;
 const MOST_CORNERS: usize = 10_000;
 
 impl Lattice {
-    pub fn new(cells: BTreeMap<(i32, i32), Cell>) -> Self {
+    pub fn new(cells: Grid<Cell>) -> Self {
         Self { cells, blur: 0.7 }
     }
 
@@ -78,25 +83,25 @@ impl Lattice {
         self.cells.len()
     }
 
-    pub fn get(&self, at: (i32, i32)) -> Option<&Cell> {
-        self.cells.get(&at)
+    pub fn get(&self, at: Place) -> Option<&Cell> {
+        self.cells.get(at)
     }
 
-    pub fn cells(&self) -> impl Iterator<Item = (&(i32, i32), &Cell)> {
+    pub fn cells(&self) -> impl Iterator<Item = (Place, &Cell)> {
         self.cells.iter()
     }
 
     /// `None` where there is not one corner.
     pub fn extent(&self) -> Option<Extent> {
-        let (&first, _) = self.cells.iter().next()?;
-        Some(self.cells.keys().fold(Extent { low: first, high: first }, |e, &(i, j)| Extent {
+        let (first, _) = self.cells.iter().next()?;
+        Some(self.cells.iter().fold(Extent { low: first, high: first }, |e, ((i, j), _)| Extent {
             low: (e.low.0.min(i), e.low.1.min(j)),
             high: (e.high.0.max(i), e.high.1.max(j)),
         }))
     }
 
     pub fn at(&self, i: i32, j: i32) -> Option<Vector2<f64>> {
-        self.cells.get(&(i, j)).map(|cell| cell.position)
+        self.cells.get((i, j)).map(|cell| cell.position)
     }
 
     /// One square's step along +i and +j at a corner, from its neighbours or theirs.
@@ -147,14 +152,20 @@ impl Lattice {
     /// corners appear.
     pub fn complete(&mut self, level: &Level) {
         self.refit(level, None);
+        self.grow(level, None);
+    }
+
+    /// Looks for the corners that are missing beside those there are, while some appear; all of them `within` an extent, if
+    /// there is one.
+    pub fn grow(&mut self, level: &Level, within: Option<Extent>) {
         let mut window = Window::default();
-        let mut tried: BTreeMap<(i32, i32), usize> = BTreeMap::new();
+        let mut tried: Grid<usize> = Grid::default();
         loop {
-            let around = self.cells.keys().flat_map(|&(i, j)| [(i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)]);
-            let mut missing: Vec<(i32, i32)> = around.filter(|at| !self.cells.contains_key(at)).collect();
+            let around = self.cells.iter().flat_map(|((i, j), _)| [(i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)]);
+            let mut missing: Vec<Place> = around.filter(|at| !self.cells.contains(*at) && within.is_none_or(|w| w.contains(*at))).collect();
             missing.sort_unstable();
             missing.dedup();
-            let mut added = false;
+            let before = self.cells.len();
             for (i, j) in missing {
                 // A place is tried again only when it has more neighbours than the last time.
                 let neighbours = self.neighbours(i, j);
@@ -167,10 +178,9 @@ impl Lattice {
                 });
                 if let Some(fit) = found {
                     self.cells.insert((i, j), fit.into());
-                    added = true;
                 }
             }
-            if !added || self.cells.len() > MOST_CORNERS {
+            if self.cells.len() == before || self.cells.len() > MOST_CORNERS {
                 return;
             }
         }
@@ -178,16 +188,16 @@ impl Lattice {
 
     fn neighbours(&self, i: i32, j: i32) -> usize {
         let around = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (a, b)));
-        around.filter(|&(a, b)| self.cells.contains_key(&(i + a, j + b))).count()
+        around.filter(|&(a, b)| self.cells.contains((i + a, j + b))).count()
     }
 
     /// Fits every corner on `level` where its position is known to about a pixel, and drops those that are none. With `margin`
     /// the lattice is the whole board, and what lies around it is known.
     pub fn refit(&mut self, level: &Level, margin: Option<&Margin>) {
-        let mut fits = BTreeMap::new();
+        let mut fits = Grid::default();
         let mut window = Window::default();
         let mut blurs = Vec::with_capacity(self.cells.len());
-        for (&(i, j), cell) in &self.cells {
+        for ((i, j), cell) in self.cells.iter() {
             let around = self.surroundings((i, j), cell.position, margin);
             if let Some(fit) = self.fit_at(level, i, j, cell.position, &around, &mut window) {
                 blurs.push(fit.blur);
@@ -203,29 +213,37 @@ impl Lattice {
     /// Drops corners that do not look like one where it counts: a shadow's edge or a reflection runs through them. The picture's
     /// own noise is what the better half leaves unexplained.
     pub fn drop_disturbed(&mut self) {
-        let mut residuals: Vec<f64> = self.cells.values().map(|cell| cell.residual).collect();
+        let mut residuals: Vec<f64> = self.cells.iter().map(|(_, cell)| cell.residual).collect();
         let Some(noise) = median(&mut residuals) else { return };
         self.cells.retain(|_, cell| cell.residual < (DISTURBED_NOISE * noise).hypot(DISTURBED_SHARE * cell.contrast));
     }
 
     /// Drops corners that lie where their neighbours do not foretell them, the worst first.
     pub fn drop_strays(&mut self) {
+        let mut off: Grid<f64> = self.cells.iter().map(|(at, cell)| (at, self.share_off(at, cell))).collect();
         loop {
-            let share = |(i, j): (i32, i32), cell: &Cell| {
-                let [u, v] = self.steps(i, j)?;
-                Some((cell.position - self.foretold(i, j)?).norm() / u.norm().min(v.norm()))
-            };
-            // A corner without neighbours that foretell it is one that nothing speaks for.
-            let off = self.cells.iter().map(|(&at, cell)| (share(at, cell).unwrap_or(f64::INFINITY), at));
-            let off = off.filter(|(share, _)| *share > STRAY);
-            let Some((_, worst)) = off.max_by(|a, b| a.0.total_cmp(&b.0)) else { return };
-            self.cells.remove(&worst);
+            let strays = off.iter().filter(|(_, share)| **share > STRAY);
+            let Some((worst, _)) = strays.max_by(|a, b| a.1.total_cmp(b.1)) else { return };
+            self.cells.remove(worst);
+            off.remove(worst);
+            // Only those around it were foretold by it.
+            for at in (-FORETELLS..=FORETELLS).flat_map(|a| (-FORETELLS..=FORETELLS).map(move |b| (worst.0 + a, worst.1 + b))) {
+                if let Some(cell) = self.cells.get(at) {
+                    off.insert(at, self.share_off(at, cell));
+                }
+            }
         }
     }
 
+    /// How far a corner lies from where its neighbours foretell it, squares; infinite where nothing speaks for it.
+    fn share_off(&self, (i, j): Place, cell: &Cell) -> f64 {
+        let share = |[u, v]: [Vector2<f64>; 2]| Some((cell.position - self.foretold(i, j)?).norm() / u.norm().min(v.norm()));
+        self.steps(i, j).and_then(share).unwrap_or(f64::INFINITY)
+    }
+
     /// Keeps the corners of which this is true.
-    pub fn retain(&mut self, mut keep: impl FnMut((i32, i32)) -> bool) {
-        self.cells.retain(|&at, _| keep(at));
+    pub fn retain(&mut self, mut keep: impl FnMut(Place) -> bool) {
+        self.cells.retain(|at, _| keep(at));
     }
 
     /// A corner fit with the steps and colours of this lattice.
@@ -239,7 +257,7 @@ impl Lattice {
 
     /// The same corners on a level `steps` levels coarser (negative: finer).
     pub fn rescaled(&self, steps: i32) -> Self {
-        let cells = self.cells.iter().map(|(&at, cell)| (at, Cell { position: super::level::rescaled(cell.position, steps), ..*cell }));
+        let cells = self.cells.iter().map(|(at, cell)| (at, Cell { position: super::level::rescaled(cell.position, steps), ..*cell }));
         // A pixel's own width is part of the blur, and it is another pixel there.
         let own = 1.0 / 12.0;
         let lens = (self.blur * self.blur - own).max(0.01) * 0.25_f64.powi(steps);
@@ -250,25 +268,25 @@ impl Lattice {
     pub fn trim(&mut self) {
         while let Some(extent) = self.extent() {
             let (w, h) = extent.size();
-            let on = |side: usize, &(i, j): &(i32, i32)| match side {
+            let on = |side: usize, (i, j): Place| match side {
                 0 => i == extent.low.0,
                 1 => i == extent.high.0,
                 2 => j == extent.low.1,
                 _ => j == extent.high.1,
             };
             let length = |side: usize| if side < 2 { h as usize } else { w as usize };
-            let sparse = (0..4).find(|&side| 2 * self.cells.keys().filter(|at| on(side, at)).count() < length(side));
+            let sparse = (0..4).find(|&side| 2 * self.cells.iter().filter(|(at, _)| on(side, *at)).count() < length(side));
             let Some(side) = sparse else { return };
             self.cells.retain(|at, _| !on(side, at));
         }
     }
 }
 
-/// The median, or `None` of nothing; sorts in place.
+/// The median, or `None` of nothing; reorders in place.
 pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
     if values.is_empty() {
         return None;
     }
-    values.sort_unstable_by(f64::total_cmp);
-    Some(values[values.len() / 2])
+    let (_, median, _) = values.select_nth_unstable_by(values.len() / 2, f64::total_cmp);
+    Some(*median)
 }

@@ -4,16 +4,19 @@
 //! one to the other, and if the picture is dark on one side and light on the other all along that line. A link must be
 //! seen from both ends. What hangs together by links is a lattice: each member gets whole-number coordinates.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 use nalgebra::Vector2;
 
+use super::grid::Grid;
 use super::lattice::{Cell, Lattice};
 use super::level::Level;
 use super::saddle::Saddle;
 
 /// Neighbours are sought among this many nearest candidates.
 const NEAREST: usize = 40;
+/// … of which these are looked at first.
+const FIRST: usize = 12;
 /// Cosine of the largest angle between an edge and the line to the neighbour.
 const ALONG: f64 = 0.94;
 /// Cosine of the largest turn of the crossing edge from one neighbour to the next.
@@ -40,8 +43,8 @@ pub(super) fn lattices(smooth: &Level, saddles: &[Saddle]) -> Vec<Lattice> {
     let mut near = Vec::new();
     let seen: Vec<Neighbours> = (0..saddles.len())
         .map(|index| {
-            buckets.nearest(saddles, index, &mut near);
-            neighbours(smooth, saddles, index, &near)
+            buckets.around(saddles, index, &mut near);
+            neighbours(smooth, saddles, index, &mut near)
         })
         .collect();
     let mutual = |from: usize, way: usize| {
@@ -63,27 +66,41 @@ pub(super) fn lattices(smooth: &Level, saddles: &[Saddle]) -> Vec<Lattice> {
     found
 }
 
-/// The nearest fitting candidate in each of the four ways.
-fn neighbours(smooth: &Level, saddles: &[Saddle], index: usize, near: &[(f64, usize)]) -> Neighbours {
+/// The nearest fitting candidate in each of the four ways, of those `near` with their squared distances.
+fn neighbours(smooth: &Level, saddles: &[Saddle], index: usize, near: &mut [(f64, usize)]) -> Neighbours {
     let mut found = [None; 4];
     let from = &saddles[index];
-    for &(_, other) in near {
-        let to = &saddles[other];
-        let line = to.position - from.position;
-        let along = line.normalize();
-        for (way, slot) in found.iter_mut().enumerate() {
-            let edge = way / 2;
-            if slot.is_some() || along.dot(&outward(from, way)) < ALONG {
-                continue;
-            }
-            // Colours are swapped at the neighbour: what opens a dark square here closes one there.
-            let parallel = along.dot(&to.direction(1 - edge)).abs() > ALONG;
-            let crossing = from.direction(1 - edge).dot(&to.direction(edge)).abs() > CROSSING;
-            let alike = to.contrast < 4.0 * from.contrast && from.contrast < 4.0 * to.contrast;
-            if parallel && crossing && alike && edge_between(smooth, from, to, edge) {
-                *slot = Some(other);
+    let outward = [0, 1, 2, 3].map(|way| outward(from, way));
+    let by_distance = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+    let (mut sorted, mut first) = (0, FIRST);
+    while sorted < near.len().min(NEAREST) && found.contains(&None) {
+        // Most find their neighbours among the nearest few; the others need not be sorted then.
+        let left = &mut near[sorted..];
+        let count = first.min(left.len());
+        if count < left.len() {
+            left.select_nth_unstable_by(count, by_distance);
+        }
+        left[..count].sort_unstable_by(by_distance);
+        for &(_, other) in &left[..count] {
+            let to = &saddles[other];
+            let line = to.position - from.position;
+            let along = line.normalize();
+            for (way, slot) in found.iter_mut().enumerate() {
+                let edge = way / 2;
+                if slot.is_some() || along.dot(&outward[way]) < ALONG {
+                    continue;
+                }
+                // Colours are swapped at the neighbour: what opens a dark square here closes one there.
+                let parallel = along.dot(&to.direction(1 - edge)).abs() > ALONG;
+                let crossing = from.direction(1 - edge).dot(&to.direction(edge)).abs() > CROSSING;
+                let alike = to.contrast < 4.0 * from.contrast && from.contrast < 4.0 * to.contrast;
+                if parallel && crossing && alike && edge_between(smooth, from, to, edge) {
+                    *slot = Some(other);
+                }
             }
         }
+        sorted += count;
+        first = NEAREST - FIRST;
     }
     found
 }
@@ -105,21 +122,19 @@ fn edge_between(smooth: &Level, from: &Saddle, to: &Saddle, edge: usize) -> bool
 
 /// Gives coordinates to everything that hangs on `root`.
 fn spread(saddles: &[Saddle], root: usize, taken: &mut [bool], mutual: impl Fn(usize, usize) -> Option<usize>) -> Lattice {
-    let mut cells: BTreeMap<(i32, i32), Cell> = BTreeMap::new();
+    let mut cells: Grid<Cell> = Grid::default();
     // Each entry: candidate, its coordinates, and the two ways that lead along +i and +j.
     let mut queue = VecDeque::from([(root, (0, 0), [0, way_at_growing_angle(&saddles[root], 0)])]);
     taken[root] = true;
     while let Some((index, (i, j), [along_i, along_j])) = queue.pop_front() {
-        cells.entry((i, j)).or_insert(Cell {
-            position: saddles[index].position,
-            middle: saddles[index].middle,
-            contrast: saddles[index].contrast,
-            residual: 0.0,
-        });
+        if !cells.contains((i, j)) {
+            let Saddle { position, middle, contrast, .. } = saddles[index];
+            cells.insert((i, j), Cell { position, middle, contrast, residual: 0.0 });
+        }
         let steps = [(along_i, (1, 0)), (along_i ^ 1, (-1, 0)), (along_j, (0, 1)), (along_j ^ 1, (0, -1))];
         for (way, (di, dj)) in steps {
             let Some(to) = mutual(index, way).filter(|&to| !taken[to]) else { continue };
-            if cells.contains_key(&(i + di, j + dj)) {
+            if cells.contains((i + di, j + dj)) {
                 continue;
             }
             taken[to] = true;
@@ -161,8 +176,9 @@ impl Buckets {
         Self { side, columns, rows, members }
     }
 
-    /// The [`NEAREST`] other candidates by distance; looks ring by ring, so that crowded places stay cheap.
-    fn nearest(&self, saddles: &[Saddle], index: usize, near: &mut Vec<(f64, usize)>) {
+    /// At least the [`NEAREST`] other candidates with their squared distances, in no order; looks ring by ring, so that
+    /// crowded places stay cheap.
+    fn around(&self, saddles: &[Saddle], index: usize, near: &mut Vec<(f64, usize)>) {
         near.clear();
         let from = saddles[index].position;
         let (c, r) = ((from.x / self.side) as isize, (from.y / self.side) as isize);
@@ -184,7 +200,5 @@ impl Buckets {
                 enough_at = Some(ring + 1);
             }
         }
-        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        near.truncate(NEAREST);
     }
 }

@@ -1,12 +1,13 @@
 //! The board finder: a grey picture in, the board's inner corners out, each to a few hundredths of a pixel.
 //!
 //! From the coarsest level of a pyramid to the finest: candidates ([`saddle`]), what hangs together as a lattice
-//! ([`links`]), missing corners fitted where their neighbours foretell them ([`lattice`]). The first level that shows the
-//! whole board ends the search - coarse levels are cheap and do not see a screen's pixels, paper's grain or noise. Then
-//! every corner is fitted on the finest level that is sharper than the blur ([`fit`]), and the lattice is turned so that
-//! the origin is the same corner in every picture ([`placement`]).
+//! ([`links`]), missing corners fitted where their neighbours foretell them ([`lattice`], kept in a [`grid`]). The first
+//! level that shows the board nearly whole ends the search - coarse levels are cheap and do not see a screen's pixels,
+//! paper's grain or noise. Then every corner, the missing ones too, is fitted on the finest level that is sharper than the
+//! blur ([`fit`]), and the lattice is turned so that the origin is the same corner in every picture ([`placement`]).
 
 pub(crate) mod fit;
+mod grid;
 mod islands;
 pub(crate) mod lattice;
 pub(crate) mod level;
@@ -78,6 +79,14 @@ pub enum NoBoard {
         /// Whether it ends at the picture's rim, so that more of it may lie outside.
         cut: bool,
     },
+    /// The right size, but with no clear end.
+    #[error(
+        "{size} corners of a chessboard whose outermost squares cannot be told from what is around them; light the board evenly, and show its rim"
+    )]
+    Endless {
+        /// Inner corners seen, which are as many as were asked for.
+        size: String,
+    },
     /// The right size, with too many corners hidden.
     #[error("only {seen} of the board's {all} corners can be seen")]
     Hidden {
@@ -92,12 +101,18 @@ pub enum NoBoard {
 const LEAST_SIDE: usize = 60;
 /// Lattices looked at on each level.
 const LATTICES: usize = 3;
+/// A coarse level on which less than this share of the board hangs together is too coarse for it.
+const WORTH_COMPLETING: f64 = 0.5;
+/// The search ends with this share of the board's corners: the few others are looked for again on the sharpest level.
+const NEARLY_WHOLE: f64 = 0.9;
 /// A board counts as seen when this share of its corners is.
 const LEAST_SEEN: f64 = 0.7;
 /// Corners are fitted on a level where the blur is at most this, pixels.
 pub(crate) const WIDEST_BLUR: f64 = 2.5;
 /// … or where squares are smaller than this: they have no pixels to spare.
-pub(crate) const SMALL_SQUARE: f64 = 20.0;
+pub(crate) const SMALL_SQUARE: f64 = 8.0;
+/// A level on which more blur than this is expected is not even tried, pixels.
+const EXPECTED_BLUR: f64 = 2.8;
 
 /// Finds the board's corners in a picture.
 ///
@@ -105,39 +120,31 @@ pub(crate) const SMALL_SQUARE: f64 = 20.0;
 /// What was seen instead of the whole board.
 pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBoard> {
     let levels = level::pyramid(picture, LEAST_SIDE);
-    let mut best: Option<(usize, Lattice)> = None;
-    let mut partial: Option<(usize, Lattice)> = None;
-    for (index, level) in levels.iter().enumerate().rev() {
-        for mut lattice in lattices_of(level) {
-            lattice.drop_false_ends(level, placement::sorted_size(board));
-            let seen = lattice.len();
-            let fits = placement::fits(&lattice, board) && lattice.is_whole_board(level);
-            let slot = if fits { &mut best } else { &mut partial };
-            if slot.as_ref().is_none_or(|(_, kept)| kept.len() < seen) {
-                *slot = Some((index, lattice));
-            }
-        }
-        if best.as_ref().is_some_and(|(_, lattice)| lattice.len() == board.corner_count()) {
-            break;
-        }
-    }
-    let Some((index, lattice)) = best else { return Err(seen_instead(picture, board, partial, &levels)) };
+    let (index, lattice) = search(&levels, board).map_err(|partial| seen_instead(picture, board, partial, &levels))?;
     // Corners that are dropped from here on are hidden ones: the board stays as large as it is.
     let extent = lattice.extent().unwrap_or_default();
-    let (mut lattice, index) = sharpened(lattice, index, &levels);
+    let (mut lattice, sharp) = sharpened(lattice, index, &levels);
+    let level = &levels[sharp];
     lattice.drop_strays();
-    // Once more, with all that the neighbours tell of each corner.
-    let margin = Margin::around(&lattice, extent, &levels[index]);
-    lattice.refit(&levels[index], Some(&margin));
-    if lattice.blur > BLUR_REACHES * lattice.square() {
-        let margin = Margin::around(&lattice, extent, &levels[index]);
-        lattice.refit(&levels[index], Some(&margin));
+    if lattice.len() < board.corner_count() {
+        lattice.grow(level, Some(extent));
+    }
+    let mut margin = Margin::around(&lattice, extent, level);
+    let blur_reaches = |lattice: &Lattice| lattice.blur > BLUR_REACHES * lattice.square();
+    // Once more with all that the neighbours tell of each corner, where it was not all known the last time.
+    if sharp == index || blur_reaches(&lattice) {
+        lattice.refit(level, Some(&margin));
+        if blur_reaches(&lattice) {
+            margin = Margin::around(&lattice, extent, level);
+            lattice.refit(level, Some(&margin));
+        }
     }
     lattice.drop_strays();
     lattice.drop_islands();
-    // Last, for they may part the board into pieces.
+    // After the islands, for they may part the board into pieces; those that only disturbed ones spoke for go too.
     lattice.drop_disturbed();
-    let lattice = lattice.rescaled(-(index as i32));
+    lattice.drop_strays();
+    let lattice = lattice.rescaled(-(sharp as i32));
     let found = placement::placed(&lattice, extent, board, margin.lightness);
     match found {
         Some(found) if found.seen() as f64 >= LEAST_SEEN * board.corner_count() as f64 => Ok(found),
@@ -145,18 +152,49 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
     }
 }
 
-/// The completed lattices of one level.
-fn lattices_of(level: &Level) -> Vec<Lattice> {
-    let smooth = level.smoothed();
-    let saddles = saddle::find_saddles(&smooth);
-    let mut lattices = links::lattices(&smooth, &saddles);
-    lattices.truncate(LATTICES);
-    for lattice in &mut lattices {
+/// A lattice and the level it was found on.
+type OnLevel = (usize, Lattice);
+
+/// The lattice that is the board, or the largest of those that are not.
+fn search(levels: &[Level], board: &Board) -> Result<OnLevel, Option<OnLevel>> {
+    let (mut best, mut partial, mut skipped) = (None, None, Vec::new());
+    let mut keep = |index: usize, mut lattice: Lattice, best: &mut Option<OnLevel>| {
+        let level = &levels[index];
         lattice.complete(level);
         lattice.drop_strays();
         lattice.drop_islands();
         lattice.trim();
+        lattice.drop_false_ends(level, placement::sorted_size(board));
+        let fits = placement::fits(&lattice, board) && lattice.is_whole_board(level);
+        let slot = if fits { best } else { &mut partial };
+        if slot.as_ref().is_none_or(|(_, kept)| kept.len() < lattice.len()) {
+            *slot = Some((index, lattice));
+        }
+    };
+    for (index, level) in levels.iter().enumerate().rev() {
+        for lattice in lattices_of(level) {
+            if index > 0 && (lattice.len() as f64) < WORTH_COMPLETING * board.corner_count() as f64 {
+                skipped.push((index, lattice));
+            } else {
+                keep(index, lattice, &mut best);
+            }
+        }
+        let enough = NEARLY_WHOLE * board.corner_count() as f64;
+        if best.as_ref().is_some_and(|(_, lattice)| lattice.len() as f64 >= enough) {
+            break;
+        }
     }
+    if best.is_none() {
+        skipped.into_iter().for_each(|(index, lattice)| keep(index, lattice, &mut best));
+    }
+    best.ok_or(partial)
+}
+
+/// The largest lattices of one level, as far as candidates hang together.
+fn lattices_of(level: &Level) -> Vec<Lattice> {
+    let smooth = level.smoothed();
+    let mut lattices = links::lattices(&smooth, &saddle::find_saddles(&smooth));
+    lattices.truncate(LATTICES);
     lattices
 }
 
@@ -164,17 +202,21 @@ fn lattices_of(level: &Level) -> Vec<Lattice> {
 /// need, and which level that is.
 fn sharpened(lattice: Lattice, found_on: usize, levels: &[Level]) -> (Lattice, usize) {
     let (mut lattice, mut at) = (lattice, found_on);
+    let is_sharp = |lattice: &Lattice, most: f64| lattice.blur <= most || lattice.square() < SMALL_SQUARE;
     // Two levels at once where that goes well: the fit's start is then half a pixel off at most.
     let mut stride = 2;
     while at > 0 {
         let to = at.saturating_sub(stride);
         let mut finer = lattice.rescaled(to as i32 - at as i32);
         let before = finer.len();
-        // Small squares tell little of the blur, so it is asked of the finer level itself.
-        finer.refit(&levels[to], None);
+        let expected_sharp = is_sharp(&finer, EXPECTED_BLUR);
+        if expected_sharp {
+            // Small squares tell little of the blur, so it is asked of the finer level itself.
+            finer.refit(&levels[to], None);
+        }
         // Where noise or a screen's own pixels hide the corners from the finer level, the coarser one has the word.
         let lost = finer.len() * 20 < before * 19;
-        if !lost && (finer.blur <= WIDEST_BLUR || finer.square() < SMALL_SQUARE) {
+        if expected_sharp && !lost && is_sharp(&finer, WIDEST_BLUR) {
             (lattice, at) = (finer, to);
         } else if stride > 1 && at > 1 {
             stride = 1;
@@ -191,8 +233,11 @@ fn seen_instead(picture: &GrayImage, board: &Board, partial: Option<(usize, Latt
     let Some((extent, lattice, level)) = found.filter(|(e, l, _)| e.sorted_size().1 >= 3 && l.len() >= 9) else {
         return NoBoard::Nothing { brightness: brightness(picture) };
     };
+    if placement::fits(&lattice, board) {
+        return NoBoard::Endless { size: board.to_string() };
+    }
     let (columns, rows) = extent.sorted_size();
-    let cut = lattice.cells().any(|(&(i, j), cell)| {
+    let cut = lattice.cells().any(|((i, j), cell)| {
         let step = lattice.steps(i, j).map_or(0.0, |[u, v]| u.norm().max(v.norm()));
         !level.has(cell.position, 1.2 * step)
     });

@@ -25,7 +25,7 @@ impl Margin {
     /// Of a lattice that is the whole board, which spans `extent`, hidden corners included.
     pub fn around(lattice: &Lattice, extent: Extent, level: &Level) -> Self {
         let mut seen = [Vec::new(), Vec::new()];
-        for (&(i, j), cell) in lattice.cells() {
+        for ((i, j), cell) in lattice.cells() {
             let Some([u, v]) = lattice.steps(i, j) else { continue };
             let sides = [(i == extent.low.0, -u), (i == extent.high.0, u), (j == extent.low.1, -v), (j == extent.high.1, v)];
             for (_, out) in sides.iter().filter(|(at_end, _)| *at_end) {
@@ -44,6 +44,11 @@ impl Margin {
         Self { extent, lightness: lightness.clamp(-2.0, 2.0) }
     }
 }
+
+/// Blur above this share of a square makes the level of a single corner unsure …
+const MUCH_BLUR: f64 = 0.18;
+/// … so that the light is asked of corners up to so many squares away. Elsewhere one square, for a reflection is narrow.
+const REACH_BLURRED: i32 = 3;
 
 /// The outermost squares, which may be cut, alternate at least this much a quarter of a square out, and what is around the board at
 /// most this much, as a share of the squares inside.
@@ -130,10 +135,13 @@ impl Lattice {
         Surroundings { light: self.light(at, here).unwrap_or_default(), edges: self.next_edges(at, here, margin) }
     }
 
-    /// Relative change of the light per pixel: the plane through the levels half way between dark and light of the nine
-    /// corners around.
+    /// Relative change of the light per pixel: the plane through the levels half way between dark and light of the corners
+    /// around.
     pub(super) fn light(&self, (i, j): (i32, i32), here: Vector2<f64>) -> Option<Vector2<f64>> {
-        let around = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (i + a, j + b)));
+        let [u, v] = self.steps(i, j)?;
+        let blurred = self.blur > MUCH_BLUR * u.perp(&v) / u.norm().max(v.norm());
+        let reach = if blurred { REACH_BLURRED } else { 1 };
+        let around = (-reach..=reach).flat_map(|a| (-reach..=reach).map(move |b| (i + a, j + b)));
         let (mut normal, mut levels) = (Matrix3::zeros(), Vector3::zeros());
         for cell in around.filter_map(|at| self.get(at)) {
             let row = (cell.position - here).push(1.0);
@@ -142,7 +150,6 @@ impl Lattice {
         }
         let plane = normal.try_inverse()? * levels;
         let slope = plane.xy() / plane.z.max(1.0);
-        let [u, v] = self.steps(i, j)?;
         // Light that changes by half from one corner to the next is no slope any more.
         (slope.dot(&u).abs() < 0.5 && slope.dot(&v).abs() < 0.5).then_some(slope)
     }
@@ -160,10 +167,7 @@ impl Lattice {
         let edge = |di: i32, dj: i32, normal: Vector2<f64>| {
             let next = self.at(i + di, j + dj).or_else(|| self.foretold(i + di, j + dj));
             let place = next.unwrap_or(here + u * f64::from(di) + v * f64::from(dj));
-            let ends = margin.is_some_and(|m| {
-                let (low, high) = (m.extent.low, m.extent.high);
-                !(low.0..=high.0).contains(&(i + di)) || !(low.1..=high.1).contains(&(j + dj))
-            });
+            let ends = margin.is_some_and(|m| !m.extent.contains((i + di, j + dj)));
             // An edge turns a little from one corner to the next.
             let turned = self.steps(i + di, j + dj).map(|[u, v]| if di == 0 { Vector2::new(-u.y, u.x) } else { Vector2::new(v.y, -v.x) });
             let normal = turned.filter(|_| !ends).map_or(normal, |n| n.normalize());
@@ -178,7 +182,7 @@ impl Lattice {
     /// The shorter side of the median square, level pixels.
     pub(super) fn square(&self) -> f64 {
         let across = |[u, v]: [Vector2<f64>; 2]| u.perp(&v) / u.norm().max(v.norm());
-        let mut all: Vec<f64> = self.cells().filter_map(|(&(i, j), _)| self.steps(i, j)).map(across).collect();
+        let mut all: Vec<f64> = self.cells().filter_map(|((i, j), _)| self.steps(i, j)).map(across).collect();
         median(&mut all).unwrap_or(0.0)
     }
 }

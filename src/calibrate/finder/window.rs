@@ -68,6 +68,9 @@ pub(crate) struct Window {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Model(pub SVector<f64, N>);
 
+/// All products of the derivatives and the residual.
+type Gram = SMatrix<f64, { N + 1 }, { N + 1 }>;
+
 /// Weighted cost, normal matrix and gradient.
 pub(crate) type Linearised = (f64, SMatrix<f64, N, N>, SVector<f64, N>);
 
@@ -101,20 +104,36 @@ impl Window {
 
     /// Weighted cost, normal matrix and gradient of the model.
     pub fn linearised(&mut self, model: &Model) -> Linearised {
-        self.rows.resize(self.chunks.len(), [[0.0; LANES]; N + 1]);
-        let gram = products(&self.chunks, &mut self.rows, &model.0.map(|v| v as f32));
-        let at = |r: usize, c: usize| f64::from(gram[r.min(c)][r.max(c)]);
-        (at(N, N), SMatrix::from_fn(at), SVector::from_fn(|k, _| at(k, N)))
+        parts(&self.gram(model))
     }
 
-    /// The two levels that fit best: for a model with middle 0 and contrast 1, the weighted least squares' two numbers.
-    pub fn levels(&mut self, shape: &Model) -> Option<[f64; 2]> {
-        // With middle 0 and contrast 1 the residual is the pattern less the grey level, so the step to the least cost is exact.
-        let (_, normal, gradient) = self.linearised(shape);
-        let pair = normal.fixed_view::<2, 2>(5, 5).try_inverse()? * gradient.fixed_rows::<2>(5);
-        let levels = [shape.0[5] - pair[0], shape.0[6] - pair[1]];
-        levels.iter().all(|v| v.is_finite()).then_some(levels)
+    /// The sums of all products of two of: the derivatives by the seven numbers, the residual.
+    fn gram(&mut self, model: &Model) -> Gram {
+        self.rows.resize(self.chunks.len(), [[0.0; LANES]; N + 1]);
+        let sums = products(&self.chunks, &mut self.rows, &model.0.map(|v| v as f32));
+        SMatrix::from_fn(|r, c| f64::from(sums[r.min(c)][r.max(c)]))
     }
+
+    /// The model with the two levels that fit `shape` best, and what [`linearised`](Self::linearised) gives for it; `shape` has
+    /// middle 0 and contrast 1.
+    pub fn with_levels(&mut self, shape: &Model) -> Option<(Model, Linearised)> {
+        let gram = self.gram(shape);
+        // The residual is the pattern less the grey level here, so the step to the least cost is exact.
+        let pair = gram.fixed_view::<2, 2>(5, 5).try_inverse()? * gram.fixed_view::<2, 1>(5, N);
+        let mut model = *shape;
+        (model.0[5], model.0[6]) = (-pair[0], 1.0 - pair[1]);
+        // The residual and the derivatives at those levels are linear in the ones here.
+        let mut change = Gram::identity();
+        (0..5).for_each(|k| change[(k, k)] = model.0[6]);
+        (change[(5, N)], change[(6, N)]) = (model.0[5], model.0[6] - 1.0);
+        let gram = change.transpose() * gram * change;
+        gram.iter().all(|v| v.is_finite()).then(|| (model, parts(&gram)))
+    }
+}
+
+/// Cost, normal matrix and gradient.
+fn parts(gram: &Gram) -> Linearised {
+    (gram[(N, N)].max(0.0), gram.fixed_view::<N, N>(0, 0).into_owned(), gram.fixed_view::<N, 1>(0, N).into_owned())
 }
 
 /// The sums of all products of two of the rows' eight columns; the upper triangle.
@@ -253,6 +272,18 @@ mod tests {
         let numbers = model.0.map(|v| v as f32);
         let plain = products_lanes(&window.chunks, &mut window.rows, &numbers);
         assert_eq!(products(&window.chunks, &mut window.rows, &numbers).map(|r| r.map(f32::to_bits)), plain.map(|r| r.map(f32::to_bits)));
+    }
+
+    #[test]
+    fn levels_of_the_shape_are_as_if_drawn_with_them() {
+        let (mut window, mut shape) = drawn();
+        (shape.0[5], shape.0[6]) = (0.0, 1.0);
+        let (model, (cost, normal, gradient)) = window.with_levels(&shape).unwrap();
+        let (drawn_cost, drawn_normal, drawn_gradient) = window.linearised(&model);
+        assert!((cost - drawn_cost).abs() < 1e-4 * drawn_cost, "{cost} is not {drawn_cost}");
+        assert!((normal - drawn_normal).amax() < 1e-4 * drawn_normal.amax());
+        assert!((gradient - drawn_gradient).amax() < 1e-4 * drawn_gradient.amax());
+        assert!(gradient.fixed_rows::<2>(5).amax() < 1e-4 * drawn_cost, "the levels are the best ones: {gradient}");
     }
 
     #[test]

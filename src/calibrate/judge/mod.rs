@@ -16,7 +16,7 @@ use super::solve::adjust::Observation;
 use super::solve::lens::{LENS_NAMES, LENS_NUMBERS};
 use halves::Halves;
 use map::PixelMap;
-pub(crate) use words::{mend_for_few, nothing_found, one_direction};
+pub(crate) use words::{another_board, mend_for_few, nothing_found, one_direction};
 
 /// The verdict, best first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

@@ -86,20 +86,37 @@ pub(super) fn errors(made: &CameraCalibration) -> String {
     drawing.finish("Reprojection errors")
 }
 
-/// Looks at the boards and the camera from the side and above.
+/// Width and height of the figure of the boards in space.
+const SPACE: [f64; 2] = [480.0, 360.0];
+
+/// Looks at the boards and the camera from the side and above, from so far away that parallels stay parallel.
 struct Oblique {
     scale: f64,
-    middle: Vector3<f64>,
+    middle: [f64; 2],
 }
 
 impl Oblique {
-    fn at(&self, p: Vector3<f64>) -> [f64; 2] {
-        let d = (p - self.middle) * self.scale;
-        // Turned about the vertical by 55 degrees, looked down on by 25.
+    /// All points within the figure, with room for what is written beside them.
+    fn of(points: &[Vector3<f64>]) -> Self {
+        let seen: Vec<[f64; 2]> = points.iter().map(|p| Self::turned(*p)).collect();
+        let end = |k: usize, f: fn(f64, f64) -> f64, start: f64| seen.iter().fold(start, |a, p| f(a, p[k]));
+        let low = [0, 1].map(|k| end(k, f64::min, f64::INFINITY));
+        let high = [0, 1].map(|k| end(k, f64::max, f64::NEG_INFINITY));
+        let fits = |k: usize| 0.86 * SPACE[k] / (high[k] - low[k]).max(1e-9);
+        Self { scale: fits(0).min(fits(1)), middle: [0, 1].map(|k| 0.5 * (low[k] + high[k])) }
+    }
+
+    /// Turned about the vertical by 55 degrees, looked down on by 25.
+    fn turned(p: Vector3<f64>) -> [f64; 2] {
         let (s, c) = 55.0_f64.to_radians().sin_cos();
-        let (right, depth) = (c * d.x + s * d.z, -s * d.x + c * d.z);
+        let (right, depth) = (c * p.x + s * p.z, -s * p.x + c * p.z);
         let (s, c) = 25.0_f64.to_radians().sin_cos();
-        [240.0 + right, 180.0 + c * d.y - s * depth]
+        [right, c * p.y - s * depth]
+    }
+
+    fn at(&self, p: Vector3<f64>) -> [f64; 2] {
+        let seen = Self::turned(p);
+        [0, 1].map(|k| 0.5 * SPACE[k] + self.scale * (seen[k] - self.middle[k]))
     }
 }
 
@@ -116,12 +133,13 @@ pub(super) fn space(made: &CameraCalibration) -> String {
     let all: Vec<Vector3<f64>> = boards.iter().flat_map(|(_, b)| *b).chain([Vector3::zeros()]).collect();
     let low = all.iter().fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
     let high = all.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
-    let view = Oblique { scale: 360.0 / (high - low).norm().max(1e-9), middle: (low + high) * 0.5 };
-    let mut drawing = Drawing::new(480.0, 360.0);
     let n = &made.estimate.bundle.lens.0;
     let depth = 0.16 * (high - low).norm();
     let (w, h) = (depth * f64::from(made.size.0) / n[0] * 0.5, depth * f64::from(made.size.1) / n[1] * 0.5);
-    let frustum = [(-w, -h), (w, -h), (w, h), (-w, h)].map(|(x, y)| view.at(Vector3::new(x, y, depth)));
+    let frustum = [(-w, -h), (w, -h), (w, h), (-w, h)].map(|(x, y)| Vector3::new(x, y, depth));
+    let view = Oblique::of(&[all.as_slice(), &frustum].concat());
+    let frustum = frustum.map(|corner| view.at(corner));
+    let mut drawing = Drawing::new(SPACE[0], SPACE[1]);
     for corner in frustum {
         drawing.line(view.at(Vector3::zeros()), corner, "#2a7d2a", 1.2);
     }

@@ -31,7 +31,7 @@ impl Comparison {
 }
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;color:#222;max-width:1080px;margin:1.5em auto;padding:0 1em}\
-h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em;border-bottom:1px solid #ddd}pre{background:#f5f5f3;padding:.8em;overflow-x:auto}\
+h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em;border-bottom:1px solid #ddd}pre{background:#f5f5f3;padding:.8em;overflow-x:auto;font-size:.84em}\
 .verdict{padding:.7em 1em;border-left:6px solid;background:#f7f7f5}.good{border-color:#2a9d3a}.usable{border-color:#d99a00}.bad{border-color:#cc2b2b}\
 .grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(235px,1fr));gap:12px}.two{display:grid;grid-template-columns:1fr 1fr;gap:18px}\
 figure{margin:0}figcaption{font-size:.82em;color:#555;overflow-wrap:anywhere}svg{width:100%;height:auto;display:block}.off{opacity:.6}\
@@ -123,7 +123,7 @@ fn comparison_part(comparison: &Comparison) -> String {
 
 fn picture(view: &CalibrationView, made: &CameraCalibration) -> String {
     let drawn = figures::picture(view, made.size, &made.board).unwrap_or_default();
-    let name = escaped(&view.file.display().to_string());
+    let name = short_name(view);
     let number = view.index.map_or(String::new(), |k| format!("{}: ", k + 1));
     let state = match (&view.reason, view.used) {
         (Some(reason), false) => format!("rejected: {}", escaped(reason)),
@@ -135,6 +135,12 @@ fn picture(view: &CalibrationView, made: &CameraCalibration) -> String {
     };
     let class = if view.used { "" } else { " class=\"off\"" };
     format!("<figure{class}>{drawn}<figcaption>{number}{name}<br>{state}</figcaption></figure>\n")
+}
+
+/// The picture's file name, its whole path where the pointer rests on it.
+fn short_name(view: &CalibrationView) -> String {
+    let name = view.file.file_name().map_or(view.file.as_os_str(), |name| name).to_string_lossy();
+    format!("<span title=\"{}\">{}</span>", escaped(&view.file.display().to_string()), escaped(&name))
 }
 
 fn left_out(view: &CalibrationView) -> String {
@@ -150,7 +156,7 @@ fn poses(made: &CameraCalibration) -> String {
         rows += &format!(
             "<tr><td>{}: {}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>\n",
             index + 1,
-            escaped(&view.file.display().to_string()),
+            short_name(view),
             three(&pose.rotation_vector, 1.0),
             three(&pose.rotation_uncertainty, 1.0),
             three(&pose.translation_m, 1e3),

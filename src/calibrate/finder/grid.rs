@@ -1,0 +1,151 @@
+//! Values at whole-number places of the plane, in one block of memory: a lattice asks for its neighbours' neighbours all the
+//! time, and a search tree would take longer over that than the corners' fits do.
+
+/// Coordinates along i and j.
+pub(crate) type Place = (i32, i32);
+
+/// Places lie within this of (0, 0): twice the largest board, for the root may be any of its corners.
+const REACH: i32 = 200;
+/// Room left beyond a new place when the block grows.
+const ROOM: i32 = 3;
+
+/// Values by their places; iterates along j first.
+#[derive(Debug, Clone)]
+pub(crate) struct Grid<T> {
+    low: Place,
+    /// Places along i and along j.
+    size: (i32, i32),
+    slots: Vec<Option<T>>,
+    count: usize,
+}
+
+impl<T> Default for Grid<T> {
+    fn default() -> Self {
+        Self { low: (0, 0), size: (0, 0), slots: Vec::new(), count: 0 }
+    }
+}
+
+impl<T: Copy> Grid<T> {
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    fn slot(&self, (i, j): Place) -> Option<usize> {
+        let (a, b) = (i - self.low.0, j - self.low.1);
+        ((0..self.size.0).contains(&a) && (0..self.size.1).contains(&b)).then(|| (a * self.size.1 + b) as usize)
+    }
+
+    pub fn get(&self, at: Place) -> Option<&T> {
+        self.slots.get(self.slot(at)?)?.as_ref()
+    }
+
+    pub fn contains(&self, at: Place) -> bool {
+        self.get(at).is_some()
+    }
+
+    /// Puts a value at a place and gives what was there; places too far away for any board are passed over.
+    pub fn insert(&mut self, at: Place, value: T) -> Option<T> {
+        if at.0.abs() > REACH || at.1.abs() > REACH {
+            return None;
+        }
+        if self.slot(at).is_none() {
+            self.grow(at);
+        }
+        let slot = self.slot(at)?;
+        let before = self.slots[slot].replace(value);
+        self.count += usize::from(before.is_none());
+        before
+    }
+
+    pub fn remove(&mut self, at: Place) -> Option<T> {
+        let removed = self.slot(at).and_then(|slot| self.slots[slot].take());
+        self.count -= usize::from(removed.is_some());
+        removed
+    }
+
+    /// Makes the block reach `at`.
+    fn grow(&mut self, at: Place) {
+        let (mut low, mut high) = (at, at);
+        if !self.slots.is_empty() {
+            let last = (self.low.0 + self.size.0 - 1, self.low.1 + self.size.1 - 1);
+            low = (low.0.min(self.low.0), low.1.min(self.low.1));
+            high = (high.0.max(last.0), high.1.max(last.1));
+        }
+        (low, high) = ((low.0 - ROOM, low.1 - ROOM), (high.0 + ROOM, high.1 + ROOM));
+        let size = (high.0 - low.0 + 1, high.1 - low.1 + 1);
+        let mut grown = Self { low, size, slots: vec![None; (size.0 * size.1) as usize], count: self.count };
+        for (place, value) in self.iter() {
+            if let Some(slot) = grown.slot(place) {
+                grown.slots[slot] = Some(*value);
+            }
+        }
+        *self = grown;
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = (Place, &T)> {
+        let (low, columns) = (self.low, self.size.1.max(1) as usize);
+        self.slots.chunks_exact(columns).zip(low.0..).flat_map(move |(line, i)| {
+            let places = line.iter().zip(low.1..).map(move |(value, j)| ((i, j), value));
+            places.filter_map(|(place, value)| Some((place, value.as_ref()?)))
+        })
+    }
+
+    /// Keeps the values of which this is true.
+    pub fn retain(&mut self, mut keep: impl FnMut(Place, &T) -> bool) {
+        let columns = self.size.1.max(1);
+        for (slot, value) in self.slots.iter_mut().enumerate() {
+            let place = (self.low.0 + slot as i32 / columns, self.low.1 + slot as i32 % columns);
+            if value.as_ref().is_some_and(|value| !keep(place, value)) {
+                *value = None;
+                self.count -= 1;
+            }
+        }
+    }
+}
+
+impl<T: Copy> FromIterator<(Place, T)> for Grid<T> {
+    fn from_iter<I: IntoIterator<Item = (Place, T)>>(values: I) -> Self {
+        let mut grid = Self::default();
+        for (at, value) in values {
+            grid.insert(at, value);
+        }
+        grid
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn it_is_as_a_search_tree(steps in proptest::collection::vec(((-12..12_i32, -12..12_i32), any::<u8>(), any::<bool>()), 0..80)) {
+            let (mut grid, mut tree) = (Grid::default(), BTreeMap::new());
+            for (at, value, insert) in steps {
+                if insert {
+                    prop_assert_eq!(grid.insert(at, value), tree.insert(at, value));
+                } else {
+                    prop_assert_eq!(grid.remove(at), tree.remove(&at));
+                }
+                prop_assert_eq!(grid.len(), tree.len());
+                prop_assert_eq!(grid.get(at), tree.get(&at));
+            }
+            grid.retain(|at, value| (at.0 + i32::from(*value)) % 3 != 0);
+            tree.retain(|at, value| (at.0 + i32::from(*value)) % 3 != 0);
+            prop_assert_eq!(grid.iter().collect::<Vec<_>>(), tree.iter().map(|(at, value)| (*at, value)).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn places_beyond_any_board_are_passed_over() {
+        let mut grid = Grid::default();
+        assert_eq!(grid.insert((REACH + 1, 0), 1), None);
+        assert_eq!(grid.len(), 0);
+        grid.insert((-REACH, REACH), 2);
+        assert_eq!(grid.get((-REACH, REACH)), Some(&2));
+    }
+}
