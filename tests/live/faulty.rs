@@ -321,8 +321,9 @@ impl FaultyCamera {
         };
         *last = at;
         let (stamp_ns, _) = mid_exposure_ns(stamp, arrival_ns, 0.0, 0.0);
-        if shows_stage && fault != Some(Fault::StampRepeats) {
-            self.faulty.shown.lock().unwrap().insert(stamp_ns, which);
+        if shows_stage {
+            // A repeated stamp is this picture's own where the one before came without it.
+            self.faulty.shown.lock().unwrap().entry(stamp_ns).or_insert(which);
         }
         let lost = if fault == Some(Fault::FramesLostInDevice) { 3 } else { 0 };
         CapturedPicture {
