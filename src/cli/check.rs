@@ -20,7 +20,7 @@ pub(super) struct CheckArguments {
     /// The config of the camera and the stage
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// A clip that it shall fit
+    /// A clip that it shall fit; shaken by hand, it tells readout_s and exposure_s
     #[arg(long)]
     clip: Option<PathBuf>,
     /// Leave the camera alone
@@ -31,7 +31,7 @@ pub(super) struct CheckArguments {
 pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     let settings = Settings::load(&arguments.config)?;
     let (mut camera, mut notes) = (settings.camera, settings.notes.clone());
-    let mut clip_line = None;
+    let (mut clip_line, mut shutter_lines) = (None, Vec::new());
     if let Some(clip) = &arguments.clip {
         let source = open_clip(clip, ClipOptions { fps: None })?;
         let (width, height) = source.size();
@@ -39,13 +39,17 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
         camera = scaled;
         notes.extend(note);
         let rows = source.rows().map_or("an unknown number of frames".to_owned(), |rows| format!("{rows} frames"));
+        shutter_lines = shutter::lines(&settings, clip)?;
         clip_line = Some(format!("clip        {}: {rows} of {width} x {height} pixels", clip.display()));
     }
     settings.rehearse_outputs()?;
     let tries = settings.device.device.is_some() && arguments.clip.is_none() && !arguments.no_device;
     let device = tries.then(|| device::try_camera(&settings));
     let device_text = device.as_ref().map(|found| found.as_ref().map_or_else(|problem| problem.clone(), Clone::clone));
-    let report = report(&settings, &camera, &notes, clip_line.or(device_text.map(|text| format!("device      {text}"))));
+    let mut report = report(&settings, &camera, &notes, clip_line.or(device_text.map(|text| format!("device      {text}"))));
+    for (k, line) in shutter_lines.iter().enumerate() {
+        let _ = write!(report, "\n{:<11} {line}", if k == 0 { "shutter" } else { "" });
+    }
     writeln!(io::stdout(), "{report}").map_err(Failure::output(Path::new("stdout")))?;
     device.transpose().map(|_| ()).map_err(Failure::Device)
 }
@@ -171,6 +175,8 @@ fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
     let coarse_texels = i.fx / (2.0 * texels_per_metre(surface));
     (tenth_of_surface.max(coarse_texels), width_m * i.fx / (0.1 * width_px))
 }
+
+mod shutter;
 
 #[cfg(feature = "live")]
 mod device;

@@ -12,7 +12,7 @@ use crate::camera::{CameraModel, Normalized};
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
 use crate::record::{PoseSample, State};
-use crate::track::{BodySpec, SurfaceSpec};
+use crate::track::{BodySpec, SurfaceSpec, UsedPixel};
 
 const RED: Rgb<u8> = Rgb([235, 60, 50]);
 const GREEN: Rgb<u8> = Rgb([60, 210, 80]);
@@ -21,20 +21,34 @@ const YELLOW: Rgb<u8> = Rgb([245, 205, 50]);
 const GREY: Rgb<u8> = Rgb([150, 150, 150]);
 const CYAN: Rgb<u8> = Rgb([70, 220, 230]);
 
+/// Residuals beyond this many sigmas count nothing.
+const COUNTS_NOTHING: f32 = 4.7;
 /// Nearer than this in metres a point is taken as behind the camera.
 const NEAR_M: f64 = 1e-3;
 /// Pieces that a straight edge is cut into, so that distortion shows.
 const PIECES: u32 = 48;
 
-/// Draws the state, the surfaces and the stage's axes on a frame.
-///
-/// `camera` is the camera at the frame's size. Surfaces are drawn where the sample has a pose of their body.
-pub fn draw(frame: &Frame, sample: &PoseSample, camera: &CameraModel, stage: &BodySpec, objects: &[BodySpec]) -> RgbImage {
+/// What a picture is drawn from.
+pub struct Scene<'a> {
+    /// At the frame's size.
+    pub camera: &'a CameraModel,
+    /// Its surfaces are drawn where the sample has a pose of it.
+    pub stage: &'a BodySpec,
+    /// Likewise.
+    pub objects: &'a [BodySpec],
+    /// The pixels that the frame's poses rest on.
+    pub pixels: &'a [UsedPixel],
+}
+
+/// Draws the state, the used pixels, the surfaces and the stage's axes on a frame.
+pub fn draw(frame: &Frame, sample: &PoseSample, scene: &Scene) -> RgbImage {
+    let Scene { camera, stage, objects, pixels } = *scene;
     let mut picture = RgbImage::from_fn(frame.image.width(), frame.image.height(), |x, y| {
         let [level] = frame.image.get_pixel(x, y).0;
         Rgb([level; 3])
     });
     let colour = state_colour(sample.state);
+    used(&mut picture, pixels);
     if let Some(stage_from_camera) = sample.pose {
         let camera_from_stage = stage_from_camera.inverse();
         for (body, object) in objects.iter().zip(&sample.objects) {
@@ -51,6 +65,28 @@ pub fn draw(frame: &Frame, sample: &PoseSample, camera: &CameraModel, stage: &Bo
     border(&mut picture, colour);
     caption(&mut picture, sample, colour);
     picture
+}
+
+/// Each pixel that alignment asked, from green (fits) over yellow to red (counts nothing); grey where its tile shows something else.
+fn used(picture: &mut RgbImage, pixels: &[UsedPixel]) {
+    let thin = pixels.len() > (picture.width() * picture.height() / 40) as usize;
+    for pixel in pixels {
+        let share = (pixel.sigmas / COUNTS_NOTHING).clamp(0.0, 1.0);
+        let level = |from: f32, to: f32| (from + (to - from) * (2.0 * share).min(1.0)) as u8;
+        let colour = match (pixel.takes_part, share < 0.5) {
+            (false, _) => GREY,
+            (true, true) => Rgb([level(40.0, 245.0), 205, 50]),
+            (true, false) => Rgb([245, (205.0 * 2.0 * (1.0 - share)) as u8, 50]),
+        };
+        let [x, y] = pixel.centre_px.map(f32::floor);
+        let ends = if thin { 1 } else { 2 };
+        for (dx, dy) in (0..ends * ends).map(|k| (k % ends, k / ends)) {
+            let (x, y) = (x as u32 + dx, y as u32 + dy);
+            if x < picture.width() && y < picture.height() {
+                picture.put_pixel(x, y, colour);
+            }
+        }
+    }
 }
 
 fn state_colour(state: State) -> Rgb<u8> {
@@ -212,7 +248,20 @@ mod tests {
 
     fn drawn(sample: &PoseSample, k1: f64, objects: &[BodySpec]) -> RgbImage {
         let frame = Frame { image: GrayImage::from_pixel(640, 480, image::Luma([100])), timestamp_ns: 0, sequence: 7 };
-        draw(&frame, sample, &camera(k1), &body("stage", [3.0, 2.0]), objects)
+        draw(&frame, sample, &Scene { camera: &camera(k1), stage: &body("stage", [3.0, 2.0]), objects, pixels: &[] })
+    }
+
+    #[test]
+    fn used_pixels_are_coloured_by_their_residual() {
+        let mut picture = RgbImage::new(640, 480);
+        let at = |x: f32, sigmas, takes_part| UsedPixel { centre_px: [x, 100.5], sigmas, takes_part };
+        used(&mut picture, &[at(10.5, 0.0, true), at(20.5, 9.0, true), at(30.5, 0.0, false), at(639.5, 0.0, true)]);
+        for (x, y) in [(10, 100), (11, 101)] {
+            assert_eq!(*picture.get_pixel(x, y), Rgb([40, 205, 50]));
+        }
+        assert_eq!(*picture.get_pixel(20, 100), Rgb([245, 0, 50]));
+        assert_eq!(*picture.get_pixel(30, 100), GREY);
+        assert_eq!(*picture.get_pixel(12, 100), Rgb([0; 3]));
     }
 
     #[test]

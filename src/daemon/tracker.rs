@@ -1,5 +1,6 @@
 //! The tracker without threads: matcher and pose stage, one call a frame.
 
+use crossbeam_channel::Receiver;
 use image::GrayImage;
 
 use crate::camera::CameraModel;
@@ -8,7 +9,7 @@ use crate::compute_clock::ComputeClock;
 use crate::frame::Frame;
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-use crate::track::{BodySpec, LockState, Matcher, Sighting, TrackerSettings};
+use crate::track::{BodySpec, LockState, Matcher, Sighting, TrackerSettings, UsedPixels};
 
 /// Everything a tracker is made from.
 #[derive(Debug, Clone)]
@@ -64,6 +65,11 @@ impl Tracker {
     pub fn with_filter(mut self, filter: FilterSettings) -> Self {
         self.poses.stage = PoseStage::with_filter(filter);
         self
+    }
+
+    /// The pixels that poses rest on, frame by frame from now on; each frame's are there before its sample.
+    pub fn watch_pixels(&mut self) -> Receiver<UsedPixels> {
+        self.matcher.watch_pixels()
     }
 
     /// Tracks one frame. Frames must come in the order of their stamps.

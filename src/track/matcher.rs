@@ -5,12 +5,13 @@
 //! picture clearly verifies is aligned in turn. Its lock decides what that means. The matcher owns all buffers of the hot
 //! path.
 
+use crossbeam_channel::{Receiver, Sender};
 use image::GrayImage;
 use nalgebra::{Matrix3, Matrix6, Vector2};
 use tracing::{debug, debug_span};
 
 use super::acquire::{candidates, surface_matches};
-use super::align::{Aligner, Alignment, Eye, FrameLevels, MotionEstimate, Patch, Sensor};
+use super::align::{Aligner, Alignment, Eye, FrameLevels, MotionEstimate, Patch, Sensor, ShutterClue, UsedPixel};
 use super::lock::{Lock, LockState};
 use super::reference::{PreparedBody, halve_into};
 use super::registration::SearchPicture;
@@ -57,6 +58,15 @@ pub struct Sighting {
     pub align_ms: f64,
 }
 
+/// The pixels that the poses of a frame rest on.
+#[derive(Debug, Clone)]
+pub struct UsedPixels {
+    /// Row number of the frame.
+    pub sequence: u64,
+    /// Of all bodies that were aligned.
+    pub pixels: Vec<UsedPixel>,
+}
+
 struct TrackedBody {
     body: PreparedBody,
     /// Its surfaces' numbers in the reference index.
@@ -68,6 +78,10 @@ struct TrackedBody {
     motion: Option<(MotionEstimate, i64)>,
     /// The last verified pose, its stamp, and the motion that led to it.
     before: Option<(Pose<Camera, Body>, i64, Option<Twist>)>,
+    /// What the last frame said of the shutter, where that is asked and the body was aligned.
+    clue: Option<ShutterClue>,
+    /// The pixels that the last pose rests on, where somebody watches them.
+    used: Option<Vec<UsedPixel>>,
 }
 
 impl TrackedBody {
@@ -93,6 +107,10 @@ impl TrackedBody {
             return None;
         }
         self.motion = Some((found.estimate, frame.timestamp_ns));
+        self.clue = self.aligner.shutter_clue();
+        if let Some(used) = &mut self.used {
+            self.aligner.used_pixels(eye, used);
+        }
         self.aligner.patches(eye, &found.estimate.motion, &mut self.patches);
         Some(aligned(&self.body, &found, &self.patches, eye.camera()))
     }
@@ -135,6 +153,7 @@ pub struct Matcher {
     half: GrayImage,
     eye: Eye,
     levels: FrameLevels,
+    watcher: Option<Sender<UsedPixels>>,
 }
 
 /// Lowe's ratio.
@@ -175,13 +194,24 @@ impl Matcher {
             let surfaces = next..next + body.surfaces.len() as u32;
             next = surfaces.end;
             let aligner = Aligner::new(&body, Sensor { readout_s, exposure_s });
-            bodies.push(TrackedBody { body, surfaces, lock: Lock::default(), aligner, patches: Vec::new(), motion: None, before: None });
+            bodies.push(TrackedBody {
+                body,
+                surfaces,
+                lock: Lock::default(),
+                aligner,
+                patches: Vec::new(),
+                motion: None,
+                before: None,
+                clue: None,
+                used: None,
+            });
         }
         let index = reference_index(&bodies, &workers);
         workers.take_extra_ms();
         Self {
             eye: Eye::new(camera, mask.clone()),
             levels: FrameLevels::default(),
+            watcher: None,
             camera,
             settings,
             mask,
@@ -204,6 +234,9 @@ impl Matcher {
         if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
             return self.look_away(frame.sequence, frame.timestamp_ns);
         }
+        for tracked in &mut self.bodies {
+            tracked.clue = None;
+        }
         let start = ComputeClock::start();
         self.levels.update(&frame.image);
         let mut verified: Vec<Option<Verified>> = (0..self.bodies.len()).map(|k| self.follow(k, frame)).collect();
@@ -215,6 +248,7 @@ impl Matcher {
                 *verified = self.find(k, frame, &mut acquire_ms, &mut align_ms);
             }
         }
+        self.show_pixels(frame.sequence);
         let mut sightings = Vec::with_capacity(self.bodies.len());
         for (tracked, verified) in self.bodies.iter_mut().zip(verified) {
             if let Some(v) = &verified {
@@ -268,6 +302,32 @@ impl Matcher {
         let stage = idle(&self.bodies[0]);
         let objects = self.bodies[1..].iter().map(idle).collect();
         Sighting { sequence, timestamp_ns, is_timed: false, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
+    }
+
+    /// From now on the pixels that poses rest on are sent here, frame by frame, before the frame's sighting is given.
+    pub fn watch_pixels(&mut self) -> Receiver<UsedPixels> {
+        let (sender, receiver) = crossbeam_channel::unbounded();
+        self.watcher = Some(sender);
+        self.bodies.iter_mut().for_each(|b| b.used = Some(Vec::new()));
+        receiver
+    }
+
+    fn show_pixels(&mut self, sequence: u64) {
+        let Some(watcher) = &self.watcher else { return };
+        let pixels = self.bodies.iter_mut().filter_map(|b| b.used.as_mut()).flat_map(|used| used.drain(..)).collect();
+        // Nobody may be watching any more.
+        let _ = watcher.send(UsedPixels { sequence, pixels });
+    }
+
+    /// From now on the shutter is taken as given, and every frame is asked what it says of it.
+    pub fn ask_shutter(&mut self, sensor: Sensor) {
+        self.readout_s = sensor.readout_s;
+        self.bodies.iter_mut().for_each(|b| b.aligner.ask_shutter(sensor));
+    }
+
+    /// What the last frame said of the shutter through the stage; `None` where it is not asked, or the stage was not aligned.
+    pub fn shutter_clue(&self) -> Option<ShutterClue> {
+        self.bodies.first()?.clue
     }
 
     /// Features of the frame and their matches, for bodies that were lost.

@@ -19,8 +19,9 @@ mod synthetic;
 mod two_view;
 mod verify;
 
+pub use align::{Clue, Sensor, ShutterClue, UsedPixel};
 pub use lock::LockState;
-pub use matcher::{BodySighting, Matcher, Sighting};
+pub use matcher::{BodySighting, Matcher, Sighting, UsedPixels};
 pub use settings::TrackerSettings;
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use two_view::TwoView;

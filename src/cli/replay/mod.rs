@@ -59,7 +59,7 @@ pub(super) struct ReplayArguments {
     /// Send to the outputs of the config too, and serve [http], at the pace of the stamps
     #[arg(long)]
     outputs: bool,
-    /// Write every frame as a picture with the surfaces, the axes and the state drawn on it
+    /// Write every frame as a picture with the surfaces, the axes, the pixels used (green to red by residual) and the state
     #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
     #[command(flatten)]
@@ -98,12 +98,13 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     let receivers = arguments.outputs.then(|| Receivers::start(&settings, setup.camera, stamps(), arguments.fps)).transpose()?;
     let mut records = Records::create(arguments.poses.as_deref(), arguments.tum.as_deref(), arguments.realtime)?;
     let mut summary = arguments.summary.as_deref().map(records::Output::create).transpose()?;
-    let overlays = arguments.overlay.as_deref().map(|dir| Overlays::create(dir, &setup)).transpose()?;
+    let overlay = arguments.overlay.as_deref().map(|dir| (dir, setup.clone()));
 
     // What is sent is sent at the pace at which it was recorded.
     let source: Box<dyn FrameSource> = if arguments.realtime || arguments.outputs { Box::new(Paced::new(source, begun)) } else { source };
     let mut tally = Tally::new(started);
-    let tracker = Tracker::new(setup).with_filter(settings.filter);
+    let mut tracker = Tracker::new(setup).with_filter(settings.filter);
+    let overlays = overlay.map(|(dir, setup)| Overlays::create(dir, &setup, tracker.watch_pixels())).transpose()?;
     let mut writing = Writing { records: &mut records, tally: &mut tally, receivers: receivers.as_ref() };
     let rows = track(source, tracker, overlays, &mut writing)?;
     if let Some(receivers) = receivers {

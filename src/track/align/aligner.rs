@@ -7,9 +7,12 @@ use super::light::Light;
 use super::motion::{Motion, MotionEstimate};
 use super::normal::RunEvidence;
 use super::selection::{Chosen, Selector};
+use super::shutter_clue::{ClueKeeper, ShutterClue};
 use super::system::System;
+use super::system::side_column::Clue;
 use super::task::Task;
 use super::verdict::{Alignment, agreement, surprise};
+use super::work::used_pixels::UsedPixel;
 use super::work::{Corrected, Expected, Work};
 use super::{AlignSurface, Eye, Sensor};
 use crate::geometry::{Body, Camera, Pose};
@@ -109,6 +112,10 @@ pub struct Aligner {
     open_share: f64,
     /// How far off each run of the finest level is shown, pixels of the level.
     shifts: Vec<Vector2<f64>>,
+    /// Where the shutter is asked about.
+    clues: Option<ClueKeeper>,
+    /// What the last frame came to at the finest level.
+    last: Option<Corrected>,
 }
 
 impl Aligner {
@@ -131,11 +138,36 @@ impl Aligner {
             off_px: FIRST_OFF_PX,
             open_share: 0.0,
             shifts: Vec::new(),
+            clues: None,
+            last: None,
         }
+    }
+
+    /// From now on every frame is asked what it says of the shutter, which is taken as given here.
+    pub fn ask_shutter(&mut self, sensor: Sensor) {
+        self.longest_exposure_s = None;
+        self.sensor = sensor;
+        self.clues = Some(ClueKeeper::default());
+    }
+
+    /// What the last frame said of the shutter; `None` where it is not asked, or was not aligned.
+    pub fn shutter_clue(&self) -> Option<ShutterClue> {
+        self.clues.as_ref()?.clue
+    }
+
+    /// Adds the pixels that the last frame's pose rests on. Before [`Aligner::patches`], which looks elsewhere.
+    pub fn used_pixels(&self, eye: &Eye, out: &mut Vec<UsedPixel>) {
+        let Some(solved) = &self.last else { return };
+        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &solved.motion);
+        self.fine.used_pixels(&task, solved, out);
     }
 
     /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges.
     pub fn align(&mut self, frame: &mut FrameLevels, eye: &Eye, expected: &MotionEstimate) -> Option<Alignment> {
+        self.last = None;
+        if let Some(clues) = &mut self.clues {
+            clues.clue = None;
+        }
         let information = expected.covariance.cholesky()?.inverse();
         let blur_px = f64::from(1u32 << FINEST) * task(&self.surfaces, &self.sensor, eye, FINEST, &expected.motion).blur_px;
         let spread_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_SPREAD_SIGMA } else { SPREAD_SIGMA };
@@ -166,9 +198,18 @@ impl Aligner {
         (self.fine.moved_px(&task, known.motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
     }
 
-    /// What the residuals of a blurred frame say of the exposure, beside the point spread.
-    fn learn_exposure(&mut self, blur_px: f64) {
-        let Some(longest) = self.longest_exposure_s.filter(|_| blur_px > TELLING_BLUR_PX) else { return };
+    /// An unknown exposure follows slowly what blurred frames say of it.
+    fn learn_exposure(&mut self, clue: Option<Clue>) {
+        let (Some(longest), Some(clue)) = (self.longest_exposure_s, clue) else { return };
+        let change = (clue.pull / clue.information).clamp(-0.3, 0.3);
+        self.sensor.exposure_s = (self.sensor.exposure_s * (1.0 + LEARNT_SHARE * change)).clamp(SHORTEST_EXPOSURE_S, longest);
+    }
+
+    /// What the residuals of a blurred frame say of the exposure, beside the point spread, as a share of it.
+    fn exposure_clue(&self, blur_px: f64) -> Option<Clue> {
+        if blur_px <= TELLING_BLUR_PX {
+            return None;
+        }
         let mut s = [0.0; 5];
         for e in &self.fine.evidence {
             for (s, v) in s.iter_mut().zip(e.blur) {
@@ -180,12 +221,10 @@ impl Aligner {
         s[3] += (self.spread - self.light.spread) * BLURRED_SPREAD_SIGMA.powi(-2);
         let determinant = s[0] * s[2] - s[1] * s[1];
         if determinant <= 1e-3 * s[0] * s[2] {
-            return;
+            return None;
         }
         // Grey changes by -2 / exposure of "sharper" per second of exposure: blur grows with its square.
-        let sharper = (s[0] * s[4] - s[1] * s[3]) / determinant;
-        let change = (-0.5 * sharper).clamp(-0.3, 0.3);
-        self.sensor.exposure_s = (self.sensor.exposure_s * (1.0 + LEARNT_SHARE * change)).clamp(SHORTEST_EXPOSURE_S, longest);
+        Some(Clue { pull: -2.0 * (s[0] * s[4] - s[1] * s[3]) / s[0], information: 4.0 * determinant / s[0] })
     }
 
     /// The patches of the last frame that fit, one a tile: where each is on its surface, and how far off the frame shows it.
@@ -309,7 +348,13 @@ impl Aligner {
         if blur_px < SHARP_FRAME_PX {
             self.spread += SPREAD_SHARE * (self.light.spread - self.spread);
         }
-        self.learn_exposure(blur_px);
+        let exposure = self.exposure_clue(blur_px);
+        if let Some(clues) = &mut self.clues {
+            let readout = self.fine.readout_clue(&task, solved, &self.system, &mut clues.column);
+            clues.clue = Some(ShutterClue { readout, exposure });
+        }
+        self.learn_exposure(exposure);
+        self.last = Some(*solved);
         let sum = |f: fn(&RunEvidence) -> f64| self.fine.evidence.iter().map(f).sum::<f64>();
         let inliers = sum(|e| e.inliers);
         let verdicts = self.fine.evidence.iter().filter_map(agreement);

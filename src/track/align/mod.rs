@@ -23,6 +23,7 @@ mod normal;
 mod pixels;
 mod rays;
 mod selection;
+mod shutter_clue;
 #[allow(clippy::needless_range_loop)]
 mod system;
 mod task;
@@ -38,8 +39,11 @@ pub use frame_levels::FrameLevels;
 use frame_levels::LEVELS;
 pub use motion::MotionEstimate;
 use rays::RayTable;
+pub use shutter_clue::ShutterClue;
+pub use system::side_column::Clue;
 use texture::Texture;
 pub use verdict::Alignment;
+pub use work::used_pixels::UsedPixel;
 
 use super::surface::SurfaceSpec;
 use crate::camera::CameraModel;

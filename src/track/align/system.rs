@@ -11,6 +11,8 @@ use super::motion::{MotionError, MotionMatrix};
 use super::normal::{BIAS, COLUMNS, GAINS, SPREAD, TileSums};
 use super::pixels::TileGrid;
 
+pub mod side_column;
+
 /// Degrees of freedom of a motion.
 pub const MOTION: usize = 18;
 /// Unknowns behind the light nodes: point spread, bias, motion.

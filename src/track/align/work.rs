@@ -2,6 +2,9 @@
 
 use nalgebra::{Matrix6, Vector2, Vector3};
 
+mod readout;
+pub mod used_pixels;
+
 use super::AlignSurface;
 use super::appearance::{Appearance, Predicted, predict};
 use super::frame_levels::FrameLevels;

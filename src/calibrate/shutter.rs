@@ -1,0 +1,283 @@
+//! The shutter from a shaken clip: how long the sensor's rows take to be read, and how long each is exposed.
+//!
+//! The clip is tracked several times. Each time the shutter is taken as given, and every aligned frame is asked by how
+//! much the readout would have to change for its rows to fit better, all else being free, and the exposure for its blur
+//! to fit better. The frames' answers are averaged robustly, the shutter is changed, until nothing moves. What frames
+//! of a clip disagree about says how sure the result is.
+
+use nalgebra::Vector2;
+
+use crate::capture::{FrameSource, RowContent};
+use crate::track::{Clue, Matcher, Sensor};
+
+/// Rows looked at, from the clip's first.
+pub const MOST_ROWS: u64 = 240;
+/// Passes over the clip at most.
+const MOST_PASSES: usize = 12;
+/// Start: a sensor that reads all rows at once, and a usual exposure, seconds.
+const FIRST: Sensor = Sensor { readout_s: 0.0, exposure_s: 0.004 };
+/// Shortest exposure that is told from none, seconds.
+const SHORTEST_EXPOSURE_S: f64 = 3e-4;
+/// Largest change in one pass: of the readout as a share of the time between frames, of the exposure as a share of itself.
+const LARGEST_READOUT_STEP: f64 = 0.2;
+const LARGEST_EXPOSURE_STEP: f64 = 0.4;
+/// Done when a pass changes less: seconds of readout, share of the exposure.
+const SMALL_READOUT_STEP_S: f64 = 2e-5;
+const SMALL_EXPOSURE_STEP: f64 = 0.01;
+/// A velocity learnt from frames that were read otherwise hides a part of what is missing: of a change by one second, at least this
+/// share shows.
+const LEAST_SLOPE: f64 = 0.25;
+/// Frames whose own answer is no better than this tell nothing, one sigma: seconds of readout, share of the exposure.
+const VAGUE_READOUT_S: f64 = 0.01;
+const VAGUE_EXPOSURE: f64 = 1.0;
+/// Fewest frames that tell of something.
+const LEAST_FRAMES: usize = 12;
+/// Neighbouring frames share their errors: they are counted in blocks of this many.
+const BLOCK: usize = 6;
+
+/// A time and how sure it is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShutterTime {
+    /// Seconds. A readout is negative where the rows are read from the bottom up.
+    pub seconds: f64,
+    /// One standard deviation, seconds.
+    pub sigma_s: f64,
+    /// Frames that told of it.
+    pub frames: usize,
+}
+
+/// What a clip tells of the shutter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShutterEstimate {
+    /// First row to last; `None` where too few frames move, or where it would last longer than a frame.
+    pub readout: Option<ShutterTime>,
+    /// `None` where too few frames are blurred.
+    pub exposure: Option<ShutterTime>,
+    /// Rows looked at.
+    pub rows: u64,
+    /// Frames in which the stage was aligned, in the last pass.
+    pub aligned: usize,
+    /// Whether the last pass changed next to nothing.
+    pub has_settled: bool,
+}
+
+/// What the frames of a pass say, in order.
+#[derive(Default)]
+struct Pass {
+    readout: Vec<Clue>,
+    exposure: Vec<Clue>,
+    rows: u64,
+    aligned: usize,
+    first_ns: Option<i64>,
+    last_ns: i64,
+}
+
+impl Pass {
+    /// Tracks the clip's first rows with a shutter that is taken as given.
+    fn over(clip: &mut dyn FrameSource, matcher: &mut Matcher, sensor: Sensor) -> Self {
+        matcher.ask_shutter(sensor);
+        let mut pass = Self::default();
+        while let Some(row) = clip.next_row().filter(|_| pass.rows < MOST_ROWS) {
+            pass.rows += 1;
+            let RowContent::Frame(frame) = &row.content else { continue };
+            pass.first_ns.get_or_insert(frame.timestamp_ns);
+            pass.last_ns = frame.timestamp_ns;
+            matcher.look(frame);
+            let Some(clue) = matcher.shutter_clue() else { continue };
+            pass.aligned += 1;
+            pass.readout.push(clue.readout);
+            pass.exposure.extend(clue.exposure);
+        }
+        pass
+    }
+
+    /// Mean time between rows, seconds.
+    fn interval_s(&self) -> f64 {
+        let whole = self.first_ns.map_or(0, |first| self.last_ns.saturating_sub(first));
+        whole as f64 * 1e-9 / self.rows.saturating_sub(1).max(1) as f64
+    }
+}
+
+/// Estimates readout and exposure. `open` gives the clip from its start, as often as it is asked; `matcher` is used up: it is left with
+/// a shutter of its own.
+///
+/// # Errors
+/// What `open` gives.
+pub fn estimate_shutter<E>(mut open: impl FnMut() -> Result<Box<dyn FrameSource>, E>, matcher: &mut Matcher) -> Result<ShutterEstimate, E> {
+    let mut sensor = FIRST;
+    let mut before: Option<(f64, f64)> = None;
+    let mut slope = 1.0;
+    let mut estimate = ShutterEstimate { readout: None, exposure: None, rows: 0, aligned: 0, has_settled: false };
+    for pass in 0..MOST_PASSES {
+        let found = Pass::over(&mut *open()?, matcher, sensor);
+        let interval_s = found.interval_s();
+        let readout = agreement(&found.readout, VAGUE_READOUT_S);
+        let exposure = agreement(&found.exposure, VAGUE_EXPOSURE);
+        // How much of a change shows: from the answers at two shutters.
+        if let (Some(r), Some((then_s, asked))) = (readout, before.filter(|(then_s, _)| (sensor.readout_s - then_s).abs() > 2e-4)) {
+            slope = ((asked - r.change) / (sensor.readout_s - then_s)).clamp(LEAST_SLOPE, 1.5);
+        }
+        before = readout.map(|r| (sensor.readout_s, r.change));
+        let most = LARGEST_READOUT_STEP * interval_s;
+        let step_s = readout.map_or(0.0, |r| (r.change / slope).clamp(-most, most));
+        let step = exposure.map_or(0.0, |e| e.change.clamp(-LARGEST_EXPOSURE_STEP, LARGEST_EXPOSURE_STEP));
+        tracing::debug!(pass, sensor.readout_s, sensor.exposure_s, ?readout, ?exposure, slope, aligned = found.aligned);
+        sensor.readout_s = (sensor.readout_s + step_s).clamp(-interval_s, interval_s);
+        sensor.exposure_s = (sensor.exposure_s * (1.0 + step)).clamp(SHORTEST_EXPOSURE_S, interval_s.max(SHORTEST_EXPOSURE_S));
+        estimate = ShutterEstimate {
+            // At its bound it fits nothing: what the rows disagree about is not the shutter (a poor calibration, a picture that bends).
+            readout: readout.filter(|_| sensor.readout_s.abs() < interval_s).map(|r| ShutterTime {
+                seconds: sensor.readout_s,
+                sigma_s: r.sigma / slope,
+                frames: r.frames,
+            }),
+            exposure: exposure.map(|e| ShutterTime { seconds: sensor.exposure_s, sigma_s: e.sigma * sensor.exposure_s, frames: e.frames }),
+            rows: found.rows,
+            aligned: found.aligned,
+            has_settled: step_s.abs() < SMALL_READOUT_STEP_S.max(0.1 * readout.map_or(0.0, |r| r.sigma))
+                && step.abs() < SMALL_EXPOSURE_STEP,
+        };
+        if estimate.has_settled && pass > 0 {
+            break;
+        }
+    }
+    Ok(estimate)
+}
+
+/// What many frames agree on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Agreement {
+    change: f64,
+    /// One standard deviation, from the frames' disagreement.
+    sigma: f64,
+    frames: usize,
+}
+
+/// The robust mean of the changes that frames ask for; `None` where fewer than [`LEAST_FRAMES`] know it to `vague` (one sigma).
+fn agreement(clues: &[Clue], vague: f64) -> Option<Agreement> {
+    let telling: Vec<Vector2<f64>> = clues
+        .iter()
+        .filter(|c| c.information > vague.powi(-2) && c.pull.is_finite())
+        .map(|c| Vector2::new(c.pull / c.information, 1.0 / c.information))
+        .collect();
+    if telling.len() < LEAST_FRAMES {
+        return None;
+    }
+    let mut change = weighted_median(telling.iter().map(|t| (t.x, t.y.recip().sqrt())));
+    let mut weights = vec![0.0; telling.len()];
+    for _ in 0..6 {
+        // Beyond the noise of its pixels, each frame errs by what its motion differs from the model.
+        let common = (1.4826 * weighted_median(telling.iter().map(|t| ((t.x - change).abs(), t.y.recip().sqrt())))).powi(2);
+        for (w, t) in weights.iter_mut().zip(&telling) {
+            let variance = t.y + common.max(1e-18);
+            let huber = (1.5 * variance.sqrt() / (t.x - change).abs().max(1e-18)).min(1.0);
+            *w = huber / variance;
+        }
+        change = telling.iter().zip(&weights).map(|(t, w)| t.x * w).sum::<f64>() / weights.iter().sum::<f64>();
+    }
+    let errors: Vec<f64> = telling.iter().zip(&weights).map(|(t, w)| w * (t.x - change)).collect();
+    let squares: f64 = errors.chunks(BLOCK).map(|block| block.iter().sum::<f64>().powi(2)).sum();
+    Some(Agreement { change, sigma: squares.sqrt() / weights.iter().sum::<f64>(), frames: telling.len() })
+}
+
+/// The value below which half of the weight lies; 0 of nothing.
+fn weighted_median(values: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let mut sorted: Vec<(f64, f64)> = values.collect();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * sorted.iter().map(|(_, w)| w).sum::<f64>();
+    let mut sum = 0.0;
+    sorted
+        .iter()
+        .find(|(_, w)| {
+            sum += w;
+            sum >= half
+        })
+        .map_or(0.0, |(value, _)| *value)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::capture::{Row, VirtualCamera};
+    use crate::simulate::{Dolly, Shake, Spline, VirtualStage, dolly};
+    use crate::track::TrackerSettings;
+
+    struct Rows(std::vec::IntoIter<Row>, (u32, u32));
+
+    impl FrameSource for Rows {
+        fn next_row(&mut self) -> Option<Row> {
+            self.0.next()
+        }
+
+        fn size(&self) -> (u32, u32) {
+            self.1
+        }
+
+        fn rows(&self) -> Option<u64> {
+            Some(self.0.len() as u64)
+        }
+    }
+
+    /// The estimate from two seconds of a rendered scene.
+    fn estimate_of(scene: &VirtualStage) -> ShutterEstimate {
+        let mut camera = VirtualCamera::new(scene.clone(), 30.0, 60);
+        let rows: Vec<Row> = std::iter::from_fn(|| camera.next_row()).collect();
+        let mut matcher = Matcher::new(scene.camera, 0.0, 0.0, None, &scene.stage, &[], TrackerSettings::default());
+        let open = || Ok::<Box<dyn FrameSource>, String>(Box::new(Rows(rows.clone().into_iter(), camera.size())));
+        estimate_shutter(open, &mut matcher).unwrap()
+    }
+
+    fn scene(shake: Option<Shake>, exposure_s: f64) -> VirtualStage {
+        let mut scene = dolly(Dolly { width: 480, height: 360, seed: 3, duration_s: 2.5, artwork_width: 1200 }).unwrap();
+        scene.camera_path.shake = shake;
+        (scene.readout_s, scene.exposure_s) = (0.012, exposure_s);
+        scene
+    }
+
+    #[test]
+    fn a_shaken_clip_tells_the_readout() {
+        let found = estimate_of(&scene(Some(Shake::new(0.02, 0.02, 6.0, 3)), 0.008));
+        let readout = found.readout.unwrap();
+        assert!((readout.seconds - 0.012).abs() < 4e-4, "{found:?}");
+        assert!(readout.frames > 30 && readout.sigma_s < 2e-4, "{found:?}");
+    }
+
+    #[test]
+    fn a_still_clip_tells_neither() {
+        let mut still = scene(None, 0.008);
+        still.camera_path.position = Spline::fixed(Vector3::new(0.3, -3.5, 0.1));
+        still.camera_path.target = Spline::fixed(Vector3::zeros());
+        let found = estimate_of(&still);
+        assert!(found.aligned > 50 && found.readout.is_none() && found.exposure.is_none(), "{found:?}");
+    }
+
+    fn clue(change: f64, sigma: f64) -> Clue {
+        Clue { pull: change / (sigma * sigma), information: sigma.powi(-2) }
+    }
+
+    #[test]
+    fn frames_that_know_rule_and_strays_do_not() {
+        let mut clues: Vec<Clue> = (0..40).map(|k| clue(0.003 + 1e-4 * f64::from(k % 5 - 2), 2e-4)).collect();
+        clues.extend((0..10).map(|_| clue(0.03, 2e-4)));
+        clues.extend((0..100).map(|_| clue(-0.2, 0.05)));
+        let found = agreement(&clues, VAGUE_READOUT_S).unwrap();
+        assert!((found.change - 0.003).abs() < 2e-4, "{found:?}");
+        assert!(found.sigma < 3e-4, "{found:?}");
+        assert_eq!(found.frames, 50);
+    }
+
+    #[test]
+    fn few_frames_that_know_are_not_enough() {
+        let mut clues = vec![clue(0.003, 1e-4); LEAST_FRAMES - 1];
+        clues.extend(vec![clue(0.003, 0.1); 100]);
+        assert_eq!(agreement(&clues, VAGUE_READOUT_S), None);
+    }
+
+    #[test]
+    fn the_weighted_median_is_where_half_of_the_weight_lies() {
+        assert_eq!(weighted_median([(3.0, 1.0), (1.0, 1.0), (2.0, 5.0)].into_iter()), 2.0);
+        assert_eq!(weighted_median(std::iter::empty()), 0.0);
+    }
+}

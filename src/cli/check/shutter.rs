@@ -1,0 +1,105 @@
+//! What a clip tells of the camera's shutter, in sentences, with the lines for the config.
+
+use std::path::Path;
+
+use crate::calibrate::shutter::{MOST_ROWS, ShutterEstimate, ShutterTime, estimate_shutter};
+use crate::capture::{ClipOptions, open_clip};
+use crate::cli::failure::Failure;
+use crate::cli::replay::tracker_setup;
+use crate::config::Settings;
+use crate::track::Matcher;
+
+/// A time that is known worse than this is not told: seconds, and as a share of itself.
+const LARGEST_SIGMA_S: f64 = 0.001;
+const LARGEST_SHARE: f64 = 0.15;
+
+/// The lines of the report, the first with its label.
+pub(super) fn lines(settings: &Settings, clip: &Path) -> Result<Vec<String>, Failure> {
+    if clip == Path::new("-") {
+        return Ok(vec!["not estimated: a clip from standard input cannot be read twice; save it to a file".to_owned()]);
+    }
+    let open = || open_clip(clip, ClipOptions { fps: None }).map_err(Failure::from);
+    let setup = tracker_setup(settings, open()?.size(), None)?;
+    let mut matcher = Matcher::new(setup.camera, 0.0, 0.0, setup.mask, &setup.stage, &[], setup.settings);
+    let estimate = estimate_shutter(open, &mut matcher)?;
+    Ok(told(&estimate, settings))
+}
+
+fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<String> {
+    let ShutterEstimate { rows, aligned, .. } = estimate;
+    let mut lines = vec![format!("from the clip's first {rows} frames (of {MOST_ROWS} at most), the stage was followed in {aligned}")];
+    if !estimate.has_settled && [estimate.readout, estimate.exposure].iter().flatten().any(is_known) {
+        lines.push("the estimate did not settle: take the times below for a hint".to_owned());
+    }
+    lines.push(readout(estimate.readout, settings.readout_s));
+    lines.push(exposure(estimate.exposure, settings.exposure_s));
+    lines
+}
+
+/// Whether a time is known well enough to be written into a config.
+fn is_known(time: &ShutterTime) -> bool {
+    time.sigma_s < LARGEST_SIGMA_S.max(LARGEST_SHARE * time.seconds.abs())
+}
+
+fn readout(found: Option<ShutterTime>, configured_s: f64) -> String {
+    let Some(time) = found.filter(is_known) else {
+        return "readout: the clip does not tell; shake the camera by hand for five seconds, a few times a second, and calibrate it well"
+            .to_owned();
+    };
+    let ShutterTime { seconds, sigma_s, frames } = time;
+    let measured = format!("readout: {:.2} ms +- {:.2} (3 sigma of the scatter of {frames} frames)", seconds * 1e3, 3e3 * sigma_s);
+    if seconds < -3.0 * sigma_s {
+        return format!("{measured}: rows are read from the bottom up; turn the camera's picture upright in its driver, not after");
+    }
+    if seconds < 3.0 * sigma_s {
+        return format!("{measured}, as of a global shutter: readout_s = 0.0{}", kept(configured_s, 0.0, sigma_s));
+    }
+    format!("{measured}: readout_s = {seconds:.5}{}", kept(configured_s, seconds, sigma_s))
+}
+
+fn exposure(found: Option<ShutterTime>, configured_s: f64) -> String {
+    let Some(time) = found.filter(is_known) else {
+        return "exposure: the clip's frames are not blurred enough to tell; leave exposure_s = 0, or shake the camera harder".to_owned();
+    };
+    let ShutterTime { seconds, sigma_s, frames } = time;
+    let measured = format!("exposure: {:.2} ms +- {:.2} (3 sigma of the scatter of {frames} frames)", seconds * 1e3, 3e3 * sigma_s);
+    format!("{measured}: exposure_s = {seconds:.5}{}", kept(configured_s, seconds, sigma_s))
+}
+
+/// How that compares with the config.
+fn kept(configured_s: f64, found_s: f64, sigma_s: f64) -> &'static str {
+    if (configured_s - found_s).abs() <= (3.0 * sigma_s).max(0.05 * found_s) {
+        ", as the config has it"
+    } else {
+        " belongs below [camera] in the config"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn time(seconds: f64, sigma_s: f64) -> Option<ShutterTime> {
+        Some(ShutterTime { seconds, sigma_s, frames: 50 })
+    }
+
+    #[test]
+    fn a_clear_readout_gives_the_line_for_the_config() {
+        let line = readout(time(0.01523, 1e-4), 0.0);
+        assert!(line.contains("15.23 ms +- 0.30") && line.contains("readout_s = 0.01523 belongs"), "{line}");
+        assert!(readout(time(0.01523, 1e-4), 0.0152).ends_with("as the config has it"));
+    }
+
+    #[test]
+    fn a_global_shutter_is_called_so() {
+        assert!(readout(time(1e-4, 1e-4), 0.0).contains("readout_s = 0.0, as the config has it"));
+    }
+
+    #[test]
+    fn what_cannot_be_told_is_said_with_the_mend() {
+        assert!(readout(None, 0.0).contains("shake the camera"));
+        assert!(readout(time(0.004, 0.003), 0.0).contains("shake the camera"));
+        assert!(exposure(None, 0.0).contains("leave exposure_s = 0"));
+        assert!(readout(time(-0.01, 1e-4), 0.0).contains("bottom up"));
+    }
+}

@@ -1,0 +1,21 @@
+//! What aligned frames say of the shutter: clues that are gathered over many frames, never used within one.
+
+use super::system::side_column::{Clue, SideColumn};
+
+/// What a frame says of the shutter it was taken with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShutterClue {
+    /// On the readout, seconds.
+    pub readout: Clue,
+    /// On the exposure, as a share of itself; `None` where the frame is too sharp to tell.
+    pub exposure: Option<Clue>,
+}
+
+/// Gathers the clues of a frame where they are asked for.
+#[derive(Debug, Default)]
+pub struct ClueKeeper {
+    /// Buffers.
+    pub column: SideColumn,
+    /// Of the last frame.
+    pub clue: Option<ShutterClue>,
+}
