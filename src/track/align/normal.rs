@@ -280,19 +280,6 @@ pub struct RunEvidence {
     pub blur: [f64; 5],
 }
 
-/// The squared whitened residual of pixel `k` of a run, as `step` leaves it.
-pub fn squared_after(view: &RunView, k: usize, step: &[f32; COLUMNS]) -> f32 {
-    let RunView { pixels, appearance, light, residuals, .. } = *view;
-    let (a, b) = (pixels.cell[0][k], pixels.cell[1][k]);
-    let corners = [(1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b];
-    let g: f32 = corners.iter().zip(&light.gains).map(|(c, g)| c * g).sum();
-    let grey = appearance.grey[k] + appearance.spread[k] * light.spread;
-    let pose: f32 = appearance.by_pose.iter().zip(step).map(|(c, s)| c[k] * s).sum();
-    let light_step: f32 = corners.iter().zip(&step[GAINS..]).map(|(c, s)| c * s).sum();
-    let r = residuals.grey[k] - g * (pose + appearance.spread[k] * step[SPREAD]) - step[BIAS] - light_step * grey;
-    r * r * residuals.information[k]
-}
-
 dispatch! {
     /// Adds the squared whitened residuals that `step` leaves, of one group of [`LANES`] pixels in `stride`, to `squares`.
     squares_after, squares_after_avx2, squares_after_lanes,

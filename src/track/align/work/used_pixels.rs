@@ -1,6 +1,6 @@
 //! The pixels that a pose rests on, for pictures that show what the tracker saw.
 
-use super::super::normal::squared_after;
+use super::super::normal::squares_after;
 use super::{Corrected, Task, Work};
 
 /// A pixel that alignment asked, as the solution left it.
@@ -18,13 +18,16 @@ impl Work {
     /// Adds the pixels of the level that tell something. After [`Work::solve`].
     pub fn used_pixels(&self, task: &Task, solved: &Corrected, out: &mut Vec<UsedPixel>) {
         let n = (1u32 << task.level) as f32;
+        let mut squares = Vec::new();
         for ((run, step), gauge) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges) {
             let light = self.light_of(run);
-            let view = self.view(run, &light);
+            squares.clear();
+            squares_after(&self.view(run, &light), step, 1, &mut squares);
+            // Those that tell something, as the squares are.
             let told = run.range().filter(|k| self.residuals.information[*k] > 0.0);
-            out.extend(told.map(|k| UsedPixel {
+            out.extend(told.zip(&squares).map(|(k, square)| UsedPixel {
                 centre_px: self.pixels.place(k).map(|v| n * v as f32 + 0.5 * (n - 1.0)),
-                sigmas: squared_after(&view, k, step).sqrt() / solved.scale as f32,
+                sigmas: square.sqrt() / solved.scale as f32,
                 takes_part: gauge.is_open,
             }));
         }
