@@ -200,18 +200,19 @@ fn looks_like_a_corner(level: &Level, p: Vector2<f64>, u: Vector2<f64>, v: Vecto
 /// The pixels of the window.
 fn gather(level: &Level, centre: Vector2<f64>, [u, v]: [Vector2<f64>; 2], blur: f64, around: &Surroundings, window: &mut Window) {
     window.clear();
-    let area = u.perp(&v);
+    let per_area = 1.0 / u.perp(&v);
     let reach = reach(blur);
     let half = Vector2::new(u.x.abs() + v.x.abs(), u.y.abs() + v.y.abs()).map(|c| (around.window() * c).min(reach));
     let range =
         |c: f64, half: f64, size: usize| (c - half).ceil().max(0.0) as usize..((c + half).floor() + 1.0).clamp(0.0, size as f64) as usize;
+    let columns = range(centre.x, half.x, level.width);
     for y in range(centre.y, half.y, level.height) {
-        for x in range(centre.x, half.x, level.width) {
+        let row = &level.grey[y * level.width..][columns.clone()];
+        for (x, &grey) in columns.clone().zip(row) {
             let place = Vector2::new(x as f64, y as f64);
             let offset = place - centre;
-            let squares = [offset.perp(&v) / area, u.perp(&offset) / area];
-            let grey = f64::from(level.grey[y * level.width + x]);
-            if let Some(sample) = around.sample(place, offset, squares, (reach, blur), grey) {
+            let squares = [offset.perp(&v) * per_area, u.perp(&offset) * per_area];
+            if let Some(sample) = around.sample(place, offset, squares, (reach, blur), f64::from(grey)) {
                 window.push(&sample);
             }
         }

@@ -17,6 +17,8 @@ use super::saddle::Saddle;
 const NEAREST: usize = 40;
 /// … of which these are looked at first.
 const FIRST: usize = 12;
+/// Candidates a bucket holds on average: few, so that little more than the nearest are looked at.
+const CROWD: f64 = 2.0;
 /// Cosine of the largest angle between an edge and the line to the neighbour.
 const ALONG: f64 = 0.94;
 /// Cosine of the largest turn of the crossing edge from one neighbour to the next.
@@ -165,7 +167,7 @@ struct Buckets {
 impl Buckets {
     fn new(level: &Level, saddles: &[Saddle]) -> Self {
         let area = (level.width * level.height) as f64;
-        let side = (area * 8.0 / saddles.len().max(1) as f64).sqrt().max(8.0);
+        let side = (area * CROWD / saddles.len().max(1) as f64).sqrt().max(4.0);
         let count = |size: usize| (size as f64 / side) as usize + 1;
         let (columns, rows) = (count(level.width), count(level.height));
         let mut members = vec![Vec::new(); columns * rows];

@@ -89,7 +89,7 @@ impl Window {
         }
         if let Some(chunk) = self.chunks.last_mut() {
             (chunk.x[lane], chunk.y[lane]) = (sample.offset.x as f32, sample.offset.y as f32);
-            (chunk.grey[lane], chunk.root_weight[lane]) = (sample.grey as f32, sample.weight.sqrt() as f32);
+            (chunk.grey[lane], chunk.root_weight[lane]) = (sample.grey as f32, (sample.weight as f32).sqrt());
             (chunk.beside[0][lane], chunk.beside[1][lane]) = (sample.beside[0] as f32, sample.beside[1] as f32);
             chunk.beyond[lane] = sample.beyond as f32;
         }
@@ -122,11 +122,15 @@ impl Window {
         let pair = gram.fixed_view::<2, 2>(5, 5).try_inverse()? * gram.fixed_view::<2, 1>(5, N);
         let mut model = *shape;
         (model.0[5], model.0[6]) = (-pair[0], 1.0 - pair[1]);
-        // The residual and the derivatives at those levels are linear in the ones here.
-        let mut change = Gram::identity();
-        (0..5).for_each(|k| change[(k, k)] = model.0[6]);
-        (change[(5, N)], change[(6, N)]) = (model.0[5], model.0[6] - 1.0);
-        let gram = change.transpose() * gram * change;
+        // The residual and the derivatives at those levels are linear in the ones here: column by column, then row by row.
+        let mut gram = gram;
+        let (middle, contrast) = (model.0[5], model.0[6]);
+        for _ in 0..2 {
+            let residual = gram.column(N) + gram.column(5) * middle + gram.column(6) * (contrast - 1.0);
+            gram.set_column(N, &residual);
+            gram.fixed_columns_mut::<5>(0).scale_mut(contrast);
+            gram.transpose_mut();
+        }
         gram.iter().all(|v| v.is_finite()).then(|| (model, parts(&gram)))
     }
 }
