@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Matrix6, Vector2};
 use tracing::{debug, debug_span};
 
 use super::acquire::{candidates, surface_matches};
-use super::align::{Aligner, Alignment, Eye, FrameLevels, MotionEstimate, Patch, Sensor, ShutterClue, UsedPixel};
+use super::align::{Aligner, Alignment, Eye, FrameLevels, Jerk, MotionEstimate, Patch, Sensor, ShutterClue, UsedPixel};
 use super::lock::{Lock, LockState};
 use super::reference::{PreparedBody, halve_into};
 use super::registration::SearchPicture;
@@ -76,6 +76,8 @@ struct TrackedBody {
     patches: Vec<Patch>,
     /// The motion at the last aligned frame, and its stamp.
     motion: Option<(MotionEstimate, i64)>,
+    /// How jerky that is.
+    jerk: Jerk,
     /// The last verified pose, its stamp, and the motion that led to it.
     before: Option<(Pose<Camera, Body>, i64, Option<Twist>)>,
     /// What the last frame said of the shutter, where that is asked and the body was aligned.
@@ -106,8 +108,14 @@ impl TrackedBody {
         if !found.is_credible(is_expected) {
             return None;
         }
-        self.motion = Some((found.estimate, frame.timestamp_ns));
         self.clue = self.aligner.shutter_clue();
+        if !is_expected {
+            self.jerk = Jerk::default();
+        } else if self.clue.is_none() {
+            // Where the shutter is in question, jerk must not explain what a wrong one does.
+            self.jerk.learn(expected, &found.estimate.motion);
+        }
+        self.motion = Some((found.estimate, frame.timestamp_ns));
         if let Some(used) = &mut self.used {
             self.aligner.used_pixels(eye, used);
         }
@@ -201,6 +209,7 @@ impl Matcher {
                 aligner,
                 patches: Vec::new(),
                 motion: None,
+                jerk: Jerk::default(),
                 before: None,
                 clue: None,
                 used: None,
@@ -350,7 +359,7 @@ impl Matcher {
             return None;
         }
         let _span = debug_span!("follow", body = %tracked.body.name).entered();
-        let expected = estimate.after(dt_s, tracked.aligner.distance(&estimate.motion.pose));
+        let expected = estimate.after(dt_s, tracked.aligner.distance(&estimate.motion.pose), &tracked.jerk);
         tracked.align(frame, &mut self.levels, &self.eye, &expected, true)
     }
 

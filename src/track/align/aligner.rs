@@ -55,13 +55,16 @@ const SPREAD_SIGMA: f64 = 0.5;
 const BLURRED_SPREAD_SIGMA: f64 = 0.05;
 /// An unknown exposure is learnt from frames with at least so much blur, pixels of the frame, by this share of what each says.
 const TELLING_BLUR_PX: f64 = 1.5;
+/// The first of them say the more, and the exposure's square falls and rises by these shares a frame at most.
 const LEARNT_SHARE: f64 = 0.2;
+const LARGEST_FALL: f64 = 0.5;
+const LARGEST_RISE: f64 = 1.0;
 /// Linearisations of a level at most: of the levels above the finest, and of that.
 const COARSE_ROUNDS: usize = 8;
 const FINE_ROUNDS: usize = 16;
 /// A level is left when a step moved no tile by more, pixels of the level.
 const COARSE_STEP_PX: f64 = 0.1;
-const FINE_STEP_PX: f64 = 0.03;
+const FINE_STEP_PX: f64 = 0.045;
 /// A pose that still moves by more than this at the end is none, pixels of the level.
 const LARGEST_LAST_STEP_PX: f64 = 0.15;
 /// Patches are followed while they are further off than this on average, pixels of the level, so many times at most.
@@ -96,6 +99,8 @@ pub struct Aligner {
     sensor: Sensor,
     /// Longest exposure that an unknown one may be found to be, seconds; `None` where the exposure is known.
     longest_exposure_s: Option<f64>,
+    /// Frames that told of it.
+    told_exposure: u32,
     light: Light,
     /// Slow average of the point spread.
     spread: f64,
@@ -126,6 +131,7 @@ impl Aligner {
         Self {
             longest_exposure_s: (!is_known).then_some(LONGEST_EXPOSURE_S),
             surfaces: body.surfaces.iter().map(|s| AlignSurface::new(&s.spec)).collect(),
+            told_exposure: 0,
             sensor,
             light: Light::default(),
             spread: 0.0,
@@ -201,8 +207,11 @@ impl Aligner {
     /// An unknown exposure follows slowly what blurred frames say of it.
     fn learn_exposure(&mut self, clue: Option<Clue>) {
         let (Some(longest), Some(clue)) = (self.longest_exposure_s, clue) else { return };
-        let change = (clue.pull / clue.information).clamp(-0.3, 0.3);
-        self.sensor.exposure_s = (self.sensor.exposure_s * (1.0 + LEARNT_SHARE * change)).clamp(SHORTEST_EXPOSURE_S, longest);
+        self.told_exposure = self.told_exposure.saturating_add(1);
+        let share = LEARNT_SHARE.max(2.0 / f64::from(self.told_exposure.saturating_add(1)));
+        // Blur is linear in the square of the exposure.
+        let change = (2.0 * share * clue.pull / clue.information).clamp(-LARGEST_FALL, LARGEST_RISE);
+        self.sensor.exposure_s = (self.sensor.exposure_s * (1.0 + change).sqrt()).clamp(SHORTEST_EXPOSURE_S, longest);
     }
 
     /// What the residuals of a blurred frame say of the exposure, beside the point spread, as a share of it.

@@ -2,6 +2,7 @@ use nalgebra::{Vector3, Vector6};
 
 use super::super::Eye;
 use super::super::frame_levels::FrameLevels;
+use super::super::jerk::Jerk;
 use super::super::motion::MotionEstimate;
 use super::*;
 use crate::geometry::resection::perturbed;
@@ -80,7 +81,7 @@ fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
     for _ in 0..6 {
         let found = aligner.align(&mut frame, &eye, &estimate).expect("the picture agrees");
         poses.push(found.estimate.motion.pose);
-        estimate = found.estimate.after(1.0 / 30.0, 3.4);
+        estimate = found.estimate.after(1.0 / 30.0, 3.4, &Jerk::default());
     }
     assert!(aligner.has_kept);
     let drift = (poses[5].translation - poses[3].translation).norm();

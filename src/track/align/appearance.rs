@@ -17,9 +17,15 @@ use super::{AlignSurface, Sensor};
 /// Fewest looks across a sharp pixel of a surface tilted beyond this cosine, whose texels lie closer along one direction.
 const TILTED_SIDE: usize = 5;
 const TILTED_COSINE: f64 = 0.6;
-/// Under blur, the outer two of three looks at each place are so far from the middle across and down: their variance is
-/// that of the pixel's square.
-const BLURRED_LOOK: f32 = 0.35;
+/// Under blur, up to so many places along it are looked at nine times each, and up to so many five times; more of them three times.
+const NINE_LOOKS: usize = 3;
+const FIVE_LOOKS: usize = 5;
+/// Four of five looks, and the outer two of three, are so far from the middle across and down: the variance of all is that of the
+/// pixel's square.
+const CORNER_LOOK: f32 = 0.3227;
+const DIAGONAL_LOOK: f32 = 0.3536;
+/// The point spread's unit: variance that it adds across and down, pixels².
+const SPREAD_VARIANCE: f32 = 1.0 / 12.0;
 /// Texels are asked for so many groups of pixels ahead, as far from a pixel's middle as outer looks go: where they lie follows no order
 /// that the processor could guess.
 const AHEAD: usize = 2;
@@ -263,45 +269,124 @@ struct Looked<L> {
 #[inline(always)]
 fn sharp_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4], side: usize) -> Looked<L> {
     let zero = L::splat(0.0);
-    let (mut sum, mut centre, mut across, mut down) = (zero, zero, zero, zero);
-    let mut squares = 0.0;
+    let (mut sum, mut across, mut down, mut squared) = (zero, zero, zero, zero);
+    let n = side as f32;
+    // Mean and variance of the squared offsets.
+    let (mut mean, mut variance) = (0.0, 0.0);
     for j in 0..side {
-        let y = (j as f32 + 0.5) / side as f32 - 0.5;
+        let y = (j as f32 + 0.5) / n - 0.5;
         let (u, v) = (by_pixel[1].mul_add(L::splat(y), middle[0]), by_pixel[3].mul_add(L::splat(y), middle[1]));
         let mut row = zero;
         for i in 0..side {
-            let x = (i as f32 + 0.5) / side as f32 - 0.5;
+            let x = (i as f32 + 0.5) / n - 0.5;
             let grey = look(tiles, level, by_pixel[0].mul_add(L::splat(x), u), by_pixel[2].mul_add(L::splat(x), v));
             row = row.add(grey);
             across = grey.mul_add(L::splat(x), across);
-            if 2 * i + 1 == side && 2 * j + 1 == side {
-                centre = grey;
-            }
+            squared = grey.mul_add(L::splat(x * x), squared);
         }
         sum = sum.add(row);
         down = row.mul_add(L::splat(y), down);
-        squares += side as f32 * y * y;
+        squared = row.mul_add(L::splat(y * y), squared);
+        mean += y * y / n;
+        variance += y.powi(4) / n;
     }
-    let looks = (side * side) as f32;
+    variance -= mean * mean;
+    let looks = n * n;
     let grey = sum.mul(L::splat(1.0 / looks));
+    let slope = L::splat(1.0 / (looks * mean));
+    // The curvature of the parabola that fits best: what a wider spread of a given variance adds is half of it per variance.
+    let curved = squared.sub(sum.mul(L::splat(2.0 * mean)));
     Looked {
         grey,
-        // Mean of the outer looks less the middle one.
-        spread: grey.sub(centre).mul(L::splat(looks / (looks - 1.0))),
+        spread: curved.mul(L::splat(SPREAD_VARIANCE / (looks * variance))),
         sharper: zero,
-        across: across.mul(L::splat(1.0 / squares)),
-        down: down.mul(L::splat(1.0 / squares)),
+        across: across.mul(slope),
+        down: down.mul(slope),
     }
 }
 
-/// Three looks at each of `places` (odd, 3 at least) along the blur, on alternating diagonals.
+/// The way of a pixel's middle over the picture while the shutter is open.
+#[derive(Clone, Copy)]
+struct Way<L> {
+    middle: [L; 2],
+    slope: [L; 2],
+    bend: [L; 2],
+}
+
+impl<L: Lanes> Way<L> {
+    #[inline(always)]
+    fn through(first: [L; 2], middle: [L; 2], last: [L; 2]) -> Self {
+        let half = L::splat(0.5);
+        Self {
+            middle,
+            slope: [last[0].sub(first[0]).mul(half), last[1].sub(first[1]).mul(half)],
+            bend: [first[0].add(last[0]).mul(half).sub(middle[0]), first[1].add(last[1]).mul(half).sub(middle[1])],
+        }
+    }
+
+    /// The n-th of several places, which are as far apart as gives them the variance of the whole way.
+    #[inline(always)]
+    fn place(&self, n: usize, places: usize) -> [L; 2] {
+        let e = L::splat((2.0 * n as f32 + 1.0 - places as f32) / ((places * places - 1) as f32).sqrt());
+        [
+            self.bend[0].mul_add(e, self.slope[0]).mul_add(e, self.middle[0]),
+            self.bend[1].mul_add(e, self.slope[1]).mul_add(e, self.middle[1]),
+        ]
+    }
+}
+
+/// Looks at `places` (odd, 3 at least) along the blur: nine or five at each where these are few, else three.
 #[inline(always)]
-fn blurred_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, path: [[L; 2]; 3], by_pixel: &[L; 4], places: usize) -> Looked<L> {
-    let [first, middle, last] = path;
-    let half = L::splat(0.5);
-    let slope = [last[0].sub(first[0]).mul(half), last[1].sub(first[1]).mul(half)];
-    let bend = [first[0].add(last[0]).mul(half).sub(middle[0]), first[1].add(last[1]).mul(half).sub(middle[1])];
-    let step = L::splat(BLURRED_LOOK);
+fn blurred_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &Way<L>, by_pixel: &[L; 4], places: usize) -> Looked<L> {
+    if places > FIVE_LOOKS {
+        return diagonal_looks(tiles, level, way, by_pixel, places);
+    }
+    let zero = L::splat(0.0);
+    let (mut mean, mut unblurred) = (Looked { grey: zero, spread: zero, sharper: zero, across: zero, down: zero }, zero);
+    let share = L::splat(1.0 / places as f32);
+    for n in 0..places {
+        let at = way.place(n, places);
+        let looked = if places > NINE_LOOKS { five_looks(tiles, level, at, by_pixel) } else { sharp_looks(tiles, level, at, by_pixel, 3) };
+        mean.grey = looked.grey.mul_add(share, mean.grey);
+        mean.spread = looked.spread.mul_add(share, mean.spread);
+        mean.across = looked.across.mul_add(share, mean.across);
+        mean.down = looked.down.mul_add(share, mean.down);
+        if 2 * n + 1 == places {
+            unblurred = looked.grey;
+        }
+    }
+    mean.sharper = unblurred.sub(mean.grey);
+    mean
+}
+
+/// A look at the middle of a pixel and four towards its corners.
+#[inline(always)]
+fn five_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, [u, v]: [L; 2], by_pixel: &[L; 4]) -> Looked<L> {
+    let step = L::splat(CORNER_LOOK);
+    let falling = [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)];
+    let rising = [by_pixel[0].sub(by_pixel[1]).mul(step), by_pixel[2].sub(by_pixel[3]).mul(step)];
+    let centre = look(tiles, level, u, v);
+    let right_below = look(tiles, level, u.add(falling[0]), v.add(falling[1]));
+    let left_above = look(tiles, level, u.sub(falling[0]), v.sub(falling[1]));
+    let right_above = look(tiles, level, u.add(rising[0]), v.add(rising[1]));
+    let left_below = look(tiles, level, u.sub(rising[0]), v.sub(rising[1]));
+    let corners = right_below.add(left_above).add(right_above.add(left_below));
+    let grey = corners.add(centre).mul(L::splat(0.2));
+    let (along_falling, along_rising) = (right_below.sub(left_above), right_above.sub(left_below));
+    let slope = L::splat(0.25 / CORNER_LOOK);
+    Looked {
+        grey,
+        spread: corners.mul(L::splat(0.25)).sub(centre).mul(L::splat(SPREAD_VARIANCE / (CORNER_LOOK * CORNER_LOOK))),
+        sharper: L::splat(0.0),
+        across: along_falling.add(along_rising).mul(slope),
+        down: along_falling.sub(along_rising).mul(slope),
+    }
+}
+
+/// Three looks at each of `places`, on alternating diagonals.
+#[inline(always)]
+fn diagonal_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &Way<L>, by_pixel: &[L; 4], places: usize) -> Looked<L> {
+    let step = L::splat(DIAGONAL_LOOK);
     let diagonals = [
         [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)],
         [by_pixel[0].sub(by_pixel[1]).mul(step), by_pixel[2].sub(by_pixel[3]).mul(step)],
@@ -310,9 +395,7 @@ fn blurred_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, path: [[L; 2];
     let (mut outer, mut middles, mut unblurred) = (zero, zero, zero);
     let mut differences = [zero; 2];
     for n in 0..places {
-        let e = L::splat((2.0 * n as f32 + 1.0) / places as f32 - 1.0);
-        let u = bend[0].mul_add(e, slope[0]).mul_add(e, middle[0]);
-        let v = bend[1].mul_add(e, slope[1]).mul_add(e, middle[1]);
+        let [u, v] = way.place(n, places);
         let [du, dv] = diagonals[n % 2];
         let centre = look(tiles, level, u, v);
         let (ahead, behind) = (look(tiles, level, u.add(du), v.add(dv)), look(tiles, level, u.sub(du), v.sub(dv)));
@@ -327,11 +410,11 @@ fn blurred_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, path: [[L; 2];
     let middles = middles.mul(L::splat(1.0 / places as f32));
     // Slopes along both diagonals: their half sum and half difference are those across and down.
     let [falling, rising] = [differences[0], differences[1]];
-    let falling = falling.mul(L::splat(0.25 / (BLURRED_LOOK * places.div_ceil(2) as f32)));
-    let rising = rising.mul(L::splat(0.25 / (BLURRED_LOOK * (places / 2) as f32)));
+    let falling = falling.mul(L::splat(0.25 / (DIAGONAL_LOOK * places.div_ceil(2) as f32)));
+    let rising = rising.mul(L::splat(0.25 / (DIAGONAL_LOOK * (places / 2) as f32)));
     Looked {
         grey,
-        spread: grey.sub(middles).mul(L::splat(1.5)),
+        spread: grey.sub(middles).mul(L::splat(1.5 * SPREAD_VARIANCE / (DIAGONAL_LOOK * DIAGONAL_LOOK))),
         // Between middle looks alone: the outer ones lie on other diagonals from place to place.
         sharper: unblurred.sub(middles),
         across: falling.add(rising),
@@ -364,7 +447,7 @@ pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
             let (before, after) = (t.sub(half), t.add(half));
             let first = hit(view, &rotation_at(view, before), x, y, before).texel;
             let last = hit(view, &rotation_at(view, after), x, y, after).texel;
-            blurred_looks(tiles, &level, [first, middle.texel, last], &by_pixel, places)
+            blurred_looks(tiles, &level, &Way::through(first, middle.texel, last), &by_pixel, places)
         };
         store_at(&mut out.grey, k, looked.grey);
         store_at(&mut out.spread, k, looked.spread);

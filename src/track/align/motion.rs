@@ -7,6 +7,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 
+use super::jerk::Jerk;
 use crate::geometry::{Body, Camera, Pose, skew};
 
 /// Error of the state: [δp, δθ, δv, δω, δa, δα]; position, velocity and acceleration in the body's axes, metres and
@@ -15,12 +16,9 @@ pub type MotionError = SVector<f64, 18>;
 /// Second moments of [`MotionError`].
 pub type MotionMatrix = SMatrix<f64, 18, 18>;
 
-/// White jerk: spectral density of the camera's, m²/s⁵ at 4 m distance (growing with its square), and rad²/s⁵.
-const JERK_SHIFT: f64 = 100.0;
-const JERK_TURN: f64 = 3000.0;
-const JERK_DISTANCE_M: f64 = 4.0;
 /// What may be expected of a motion not seen yet, one sigma: m/s at 4 m, rad/s, m/s² at 4 m, rad/s².
 const UNSEEN: [f64; 4] = [0.5, 0.6, 4.0, 15.0];
+const UNSEEN_DISTANCE_M: f64 = 4.0;
 
 /// Where the camera is as seen from the body, and how it moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -113,7 +111,7 @@ pub struct MotionEstimate {
 impl MotionEstimate {
     /// A pose whose motion nobody saw yet. `shift` and `turn`: one sigma of the pose, metres and radians.
     pub fn unseen(pose: Pose<Body, Camera>, distance_m: f64, shift: f64, turn: f64) -> Self {
-        let d = distance_m / JERK_DISTANCE_M;
+        let d = distance_m / UNSEEN_DISTANCE_M;
         let mut covariance = MotionMatrix::zeros();
         for (block, sigma) in [shift, turn, UNSEEN[0] * d, UNSEEN[1], UNSEEN[2] * d, UNSEEN[3]].into_iter().enumerate() {
             for k in 0..3 {
@@ -123,8 +121,8 @@ impl MotionEstimate {
         Self { motion: Motion::still(pose), covariance }
     }
 
-    /// What is expected `dt_s` later.
-    pub fn after(&self, dt_s: f64, distance_m: f64) -> Self {
+    /// What is expected `dt_s` later, at a distance from the stage.
+    pub fn after(&self, dt_s: f64, distance_m: f64, jerk: &Jerk) -> Self {
         let motion = self.motion.after(dt_s);
         // The rotation error is told in the camera's axes, which turned meanwhile.
         let turned = (motion.pose.rotation.inverse() * self.motion.pose.rotation).to_rotation_matrix().into_inner();
@@ -136,9 +134,8 @@ impl MotionEstimate {
         }
         step.fixed_view_mut::<3, 3>(3, 3).copy_from(&turned);
         let mut covariance = step * self.covariance * step.transpose();
-        let scale = distance_m / JERK_DISTANCE_M;
-        add_jerk(&mut covariance, 0, JERK_SHIFT * scale * scale, dt_s);
-        add_jerk(&mut covariance, 3, JERK_TURN, dt_s);
+        add_jerk(&mut covariance, 0, jerk.of_shift(distance_m), dt_s);
+        add_jerk(&mut covariance, 3, jerk.of_turn(), dt_s);
         Self { motion, covariance: (covariance + covariance.transpose()) * 0.5 }
     }
 }
@@ -202,9 +199,9 @@ mod tests {
             error[k] = 1e-5;
             let alone = MotionEstimate { covariance: error * error.transpose(), ..estimate };
             let carried = estimate.motion.after(dt).error_to(&estimate.motion.corrected(&error).after(dt));
-            let grown = alone.after(dt, 0.0);
+            let grown = alone.after(dt, 0.0, &Jerk::default());
             let mut jerk = MotionMatrix::zeros();
-            add_jerk(&mut jerk, 3, JERK_TURN, dt);
+            add_jerk(&mut jerk, 3, Jerk::default().of_turn(), dt);
             let expected = carried * carried.transpose();
             assert!((grown.covariance - jerk - expected).norm() < 0.02 * expected.norm(), "{k}");
         }

@@ -1,0 +1,118 @@
+//! How jerky a motion is: the white jerk that carries a motion estimate from frame to frame, learnt from the frames.
+//!
+//! A dolly, a hand and a whip pan differ by factors of hundreds. Too little jerk ties velocity and acceleration to what they were,
+//! and through the shutter that pulls the pose; too much lets them take up what is the pose's own. So its density
+//! follows how far poses were found from where they were expected, in sigmas of what was expected (Mehra 1970:
+//! innovations tell of the process noise), within some ten frames.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::motion::{Motion, MotionEstimate};
+
+/// Spectral density of a motion not seen yet: m²/s⁵ at 4 m distance (growing with its square), and rad²/s⁵.
+const USUAL_SHIFT: f64 = 100.0;
+const USUAL_TURN: f64 = 3000.0;
+const DISTANCE_M: f64 = 4.0;
+/// The densities stay within these factors of the usual ones. At the lower end a step from frame to frame is still many times as
+/// uncertain as what a frame tells of it: earlier frames do not smooth the pose.
+const LEAST: f64 = 0.05;
+const MOST: f64 = 1000.0;
+/// The logarithm of a density follows one frame by this share of how far its squared innovation (in sigmas, a degree of freedom)
+/// is from one. More than so much is told by a picture that misleads as well as by jerk, and counts no more.
+const SHARE: f64 = 0.2;
+const SURPRISING: f64 = 4.0;
+/// Frames after the first that surprise because nobody knew yet how the camera moves.
+const UNTOLD_FRAMES: u32 = 3;
+
+/// White jerk as learnt so far, in shares of the usual.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Jerk {
+    shift: f64,
+    turn: f64,
+    /// Frames that it has seen.
+    frames: u32,
+}
+
+impl Default for Jerk {
+    fn default() -> Self {
+        Self { shift: 1.0, turn: 1.0, frames: 0 }
+    }
+}
+
+impl Jerk {
+    /// Spectral density of the shift's jerk at a distance from the stage, m²/s⁵.
+    pub fn of_shift(&self, distance_m: f64) -> f64 {
+        self.shift * USUAL_SHIFT * (distance_m / DISTANCE_M).powi(2)
+    }
+
+    /// Spectral density of the turn's jerk, rad²/s⁵.
+    pub fn of_turn(&self) -> f64 {
+        self.turn * USUAL_TURN
+    }
+
+    /// Learns from where a pose was found, and where it was expected.
+    pub fn learn(&mut self, expected: &MotionEstimate, found: &Motion) {
+        self.frames = self.frames.saturating_add(1);
+        if self.frames <= UNTOLD_FRAMES {
+            return;
+        }
+        let error = expected.motion.error_to(found);
+        for (first, share) in [(0, &mut self.shift), (3, &mut self.turn)] {
+            let part: Vector3<f64> = error.fixed_rows::<3>(first).into_owned();
+            let covariance: Matrix3<f64> = expected.covariance.fixed_view::<3, 3>(first, first).into_owned();
+            let Some(factor) = covariance.cholesky() else { continue };
+            let squared = part.dot(&factor.solve(&part)) / 3.0;
+            let change = SHARE * (squared.min(SURPRISING) - 1.0);
+            *share = (*share * change.exp()).clamp(LEAST, MOST);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+    use crate::geometry::Pose;
+    use crate::track::align::motion::MotionMatrix;
+
+    const STEPS: usize = 30;
+
+    /// What is learnt of a motion that white jerk carries from frame to frame, by what it is: logarithms, on average over the later frames.
+    fn learnt(shift: f64, turn: f64) -> [f64; 2] {
+        let mut random = Pcg64Mcg::seed_from_u64(5);
+        let mut normal = || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
+        let (dt, distance) = (1.0 / 30.0, 4.0);
+        // All of the motion is known, as no shutter shows it: what is not expected is jerk alone.
+        let rest = Motion::still(Pose::new(UnitQuaternion::identity(), Vector3::zeros()));
+        let known = MotionEstimate { motion: rest, covariance: MotionMatrix::identity() * 1e-14 };
+        let mut jerk = Jerk::default();
+        let (mut sums, mut n) = ([0.0; 2], 0.0);
+        for frame in 0..600 {
+            // Small steps: jerk changes acceleration, the rest follows.
+            let mut truth = rest;
+            for _ in 0..STEPS {
+                truth = truth.after(dt / STEPS as f64);
+                let mut step = |q: f64| Vector3::from_fn(|_, _| normal() * (q * dt / STEPS as f64).sqrt());
+                truth.acceleration += step(shift);
+                truth.turn_acceleration += step(turn);
+            }
+            jerk.learn(&known.after(dt, distance, &jerk), &truth);
+            if frame >= 100 {
+                sums = [sums[0] + (jerk.of_shift(distance) / shift).ln(), sums[1] + (jerk.of_turn() / turn).ln()];
+                n += 1.0;
+            }
+        }
+        sums.map(|s| s / n)
+    }
+
+    #[test]
+    fn jerk_is_learnt_from_innovations() {
+        for (shift, turn) in [(20.0, 600.0), (100.0, 3000.0), (5000.0, 90_000.0)] {
+            let off = learnt(shift, turn);
+            assert!(off.iter().all(|ln| ln.abs() < 0.4), "{shift}, {turn}: {off:?}");
+        }
+    }
+}
