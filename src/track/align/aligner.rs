@@ -88,6 +88,10 @@ const FIRST_OFF_PX: f64 = 40.0;
 /// tiles take part than this share of what did in the last frame.
 const CLOSE_SCALE: f64 = 2.0;
 const CLOSE_SHARE: f64 = 0.8;
+/// Which copy of the picture is nearer to the print is asked again after so many frames, at first after fewer; a change must leave less misfit by this share.
+const TRIAL_FRAMES: u32 = 32;
+const FIRST_TRIAL: u32 = 3;
+const BETTER: f64 = 0.995;
 /// A prediction is kept for the next frame while nothing moved by more, pixels of the level.
 const KEPT_PX: f64 = 0.05;
 
@@ -115,6 +119,9 @@ pub struct Aligner {
     off_px: f64,
     /// Share of the tiles that took part in the last frame.
     open_share: f64,
+    /// Whether the enlarged copies of the pictures are looked at, and how many frames ago that was tried.
+    is_enlarged: bool,
+    untried: u32,
     /// How far off each run of the finest level is shown, pixels of the level.
     shifts: Vec<Vector2<f64>>,
     /// Where the shutter is asked about.
@@ -143,6 +150,8 @@ impl Aligner {
             has_kept: false,
             off_px: FIRST_OFF_PX,
             open_share: 0.0,
+            is_enlarged: true,
+            untried: TRIAL_FRAMES - FIRST_TRIAL,
             shifts: Vec::new(),
             clues: None,
             last: None,
@@ -164,7 +173,7 @@ impl Aligner {
     /// Adds the pixels that the last frame's pose rests on. Before [`Aligner::patches`], which looks elsewhere.
     pub fn used_pixels(&self, eye: &Eye, out: &mut Vec<UsedPixel>) {
         let Some(solved) = &self.last else { return };
-        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &solved.motion);
+        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &solved.motion, self.is_enlarged);
         self.fine.used_pixels(&task, solved, out);
     }
 
@@ -175,7 +184,8 @@ impl Aligner {
             clues.clue = None;
         }
         let information = expected.covariance.cholesky()?.inverse();
-        let blur_px = f64::from(1u32 << FINEST) * task(&self.surfaces, &self.sensor, eye, FINEST, &expected.motion).blur_px;
+        let blur_px =
+            f64::from(1u32 << FINEST) * task(&self.surfaces, &self.sensor, eye, FINEST, &expected.motion, self.is_enlarged).blur_px;
         let spread_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_SPREAD_SIGMA } else { SPREAD_SIGMA };
         let known = Expected { motion: &expected.motion, information: &information, spread: self.spread, spread_sigma };
         let solved = match self.same_again(frame, eye, &known) {
@@ -187,7 +197,7 @@ impl Aligner {
 
     /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels.
     fn same_again(&mut self, frame: &mut FrameLevels, eye: &Eye, known: &Expected) -> Option<Corrected> {
-        let task = Task { count: STILL_PIXELS, ..task(&self.surfaces, &self.sensor, eye, FINEST, known.motion) };
+        let task = Task { count: STILL_PIXELS, ..task(&self.surfaces, &self.sensor, eye, FINEST, known.motion, self.is_enlarged) };
         if self.fine.moved_since(&task, known.motion) > KEPT_PX {
             self.has_kept = false;
             return None;
@@ -238,7 +248,7 @@ impl Aligner {
 
     /// The patches of the last frame that fit, one a tile: where each is on its surface, and how far off the frame shows it.
     pub fn patches(&mut self, eye: &Eye, motion: &Motion, patches: &mut Vec<Patch>) {
-        let task = task(&self.surfaces, &self.sensor, eye, FINEST, motion);
+        let task = task(&self.surfaces, &self.sensor, eye, FINEST, motion, self.is_enlarged);
         self.shifts.clear();
         self.shifts.extend(self.fine.evidence.iter().map(|e| patch_shift(e).map_or(Vector2::zeros(), |(shift, _)| shift)));
         // One linear step is right for small shifts. Where the calibration or the survey is off, patches must be followed.
@@ -284,11 +294,35 @@ impl Aligner {
             self.light = light;
             self.descend(frame, eye, known, far)
         }?;
-        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &found.motion);
+        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &found.motion, self.is_enlarged);
         let off_px = task.moved_px(known.motion, &found.motion) * f64::from(1u32 << FINEST);
         self.off_px = off_px.max(OFF_FADES * self.off_px);
         self.open_share = self.fine.open_share();
-        Some(found)
+        self.tried(eye, known, found)
+    }
+
+    /// Between its pixels the picture may be as smooth as their enlargement has it, or as a straight line (a projector or a wall of LEDs
+    /// that scales it, a print of just these pixels): the frame tells. From time to time the finest level is solved with the other.
+    fn tried(&mut self, eye: &Eye, known: &Expected, found: Corrected) -> Option<Corrected> {
+        self.untried += 1;
+        if self.untried < TRIAL_FRAMES {
+            return Some(found);
+        }
+        self.untried = 0;
+        let light = self.light.clone();
+        let misfit = self.fine.misfit();
+        for attempt in 0..2 {
+            self.is_enlarged = !self.is_enlarged;
+            let task = task(&self.surfaces, &self.sensor, eye, FINEST, &found.motion, self.is_enlarged);
+            self.fine.predict(&task, &found.motion);
+            let solved = self.fine.solve(&task, known, &mut self.light, &mut self.system, false, 2);
+            // The first as it was, again, if that is no better.
+            if attempt == 1 || solved.is_some() && self.fine.misfit() < BETTER * misfit {
+                return solved;
+            }
+            self.light.clone_from(&light);
+        }
+        None
     }
 
     /// From coarse to fine.
@@ -298,7 +332,7 @@ impl Aligner {
         let mut is_first = true;
         for l in (FINEST..=from).rev() {
             let is_finest = l == FINEST;
-            let task = task(&self.surfaces, &self.sensor, eye, l, &motion);
+            let task = task(&self.surfaces, &self.sensor, eye, l, &motion, self.is_enlarged);
             let work = if is_finest { &mut self.fine } else { &mut self.coarse };
             if !work.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
                 continue;
@@ -351,7 +385,7 @@ impl Aligner {
 
     /// Covariance and evidence at the solution.
     fn conclude(&mut self, eye: &Eye, solved: &Corrected, expected: &MotionEstimate) -> Option<Alignment> {
-        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &solved.motion);
+        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &solved.motion, self.is_enlarged);
         let blur_px = task.blur_px * f64::from(1u32 << FINEST);
         let (estimate, covariance) = self.fine.conclude(&task, solved, &mut self.system)?;
         if blur_px < SHARP_FRAME_PX {
@@ -389,12 +423,12 @@ fn level_for(off_px: f64) -> usize {
 }
 
 /// What a level has to do at a motion.
-fn task<'a>(surfaces: &'a [AlignSurface], sensor: &'a Sensor, eye: &'a Eye, level: usize, motion: &Motion) -> Task<'a> {
+fn task<'a>(surfaces: &'a [AlignSurface], sensor: &'a Sensor, eye: &'a Eye, level: usize, motion: &Motion, is_enlarged: bool) -> Task<'a> {
     let wider = (f64::from(eye.camera.width()) / USUAL_WIDTH_PX).max(1.0);
     let count = (PIXELS[level] as f64 * wider) as usize;
     let is_finest = level == FINEST;
     let side = if is_finest { SIDE } else { COARSE_SIDE };
-    let mut task = Task { surfaces, eye, sensor, level, is_finest, count, blur_px: 0.0, side };
+    let mut task = Task { surfaces, eye, sensor, level, is_finest, count, blur_px: 0.0, side, is_enlarged };
     let half = 0.5 * sensor.exposure_s;
     task.blur_px = task.moved_px(&motion.after(-half), &motion.after(half));
     task

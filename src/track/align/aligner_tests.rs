@@ -1,3 +1,4 @@
+use image::GrayImage;
 use nalgebra::{Vector3, Vector6};
 
 use super::super::Eye;
@@ -6,7 +7,8 @@ use super::super::jerk::Jerk;
 use super::super::motion::MotionEstimate;
 use super::*;
 use crate::geometry::resection::perturbed;
-use crate::track::synthetic::{cloth, facing, lens, prepared, view};
+use crate::track::surface::SurfaceSpec;
+use crate::track::synthetic::{cloth, facing, lens, prepared, texture, view};
 
 fn truth() -> Pose<Camera, Body> {
     facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4))
@@ -86,4 +88,29 @@ fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
     assert!(aligner.has_kept);
     let drift = (poses[5].translation - poses[3].translation).norm();
     assert!(drift < 2e-5, "{drift}");
+}
+
+/// Follows a camera that glides past a display of `picture`, knowing only the coarse picture that it was made from.
+fn followed(coarse: &SurfaceSpec, picture: GrayImage) -> Aligner {
+    let display = SurfaceSpec::from_artwork("display".into(), picture, [4.0, 3.0], Pose::identity()).expect("texture enough");
+    let mut aligner = Aligner::new(&prepared(vec![coarse.clone()]), Sensor { readout_s: 0.0, exposure_s: 1e-6 });
+    let eye = Eye::new(lens(480, 360), None);
+    let pose = |k: u32| perturbed(&truth(), &Vector6::new(0.03 * f64::from(k), 0.0, 0.0, 0.0, 0.0, 0.0));
+    let mut estimate = MotionEstimate::unseen(pose(0).inverse(), 3.4, 0.01, 0.003);
+    for k in 0..FIRST_TRIAL + 1 {
+        let mut frame = FrameLevels::default();
+        frame.update(&view(&display, &pose(k), &lens(480, 360)));
+        let found = aligner.align(&mut frame, &eye, &estimate).expect("the picture agrees");
+        estimate = found.estimate.after(1.0 / 30.0, 3.4, &Jerk::default());
+    }
+    aligner
+}
+
+#[test]
+fn the_frame_tells_how_the_picture_was_enlarged() {
+    let coarse = SurfaceSpec::from_artwork("coarse".into(), texture(160, 120, 4), [4.0, 3.0], Pose::identity()).expect("texture enough");
+    // Linear between its pixels, as `view` looks at it; and smooth.
+    assert!(!followed(&coarse, coarse.artwork.clone()).is_enlarged);
+    let smooth = image::imageops::resize(&coarse.artwork, 1280, 960, image::imageops::FilterType::Lanczos3);
+    assert!(followed(&coarse, smooth).is_enlarged);
 }

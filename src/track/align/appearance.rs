@@ -73,6 +73,7 @@ struct View {
     to_body: [f32; 9],
     texels_per_m: [f32; 2],
     middle_texel: [f32; 2],
+    first_level: f32,
     last_level: f32,
     /// Level of the texture that suits a footprint of one picture pixel.
     level_offset: f32,
@@ -83,7 +84,7 @@ struct View {
 }
 
 impl View {
-    fn new(surface: &AlignSurface, motion: &Motion, exposure_s: f64, side: usize) -> Self {
+    fn new(surface: &AlignSurface, motion: &Motion, exposure_s: f64, side: usize, is_enlarged: bool) -> Self {
         let rt = surface.rotation.transpose();
         let turn = motion.rotation_polynomial().map(|r| rt * r);
         let [p0, p1, p2] = motion.centre_polynomial();
@@ -102,6 +103,7 @@ impl View {
             to_body: std::array::from_fn(|k| surface.rotation[(k / 3, k % 3)] as f32),
             texels_per_m: [(w / surface.size_m[0]) as f32, (h / surface.size_m[1]) as f32],
             middle_texel: [(0.5 * w - 0.5) as f32, (0.5 * h - 0.5) as f32],
+            first_level: if is_enlarged { 0.0 } else { surface.texture.own_level() as f32 },
             last_level: surface.texture.levels as f32 - 0.999,
             level_offset: surface.texture.own_level() as f32 + texel_log2,
             half_exposure_s: (0.5 * exposure_s) as f32,
@@ -122,6 +124,8 @@ pub struct Predicted<'a> {
     pub places: usize,
     /// Looks across a sharp pixel, odd; surfaces that are tilted get [`TILTED_SIDE`] at least.
     pub side: usize,
+    /// Whether the enlarged copy of the picture may be looked at.
+    pub is_enlarged: bool,
     /// The pixels of the level.
     pub pixels: &'a Pixels,
     /// First of these, and one beyond the last: whole lanes.
@@ -193,7 +197,7 @@ fn level_for<L: Lanes>(surface: &AlignSurface, view: &View, by_pixel: &[L; 4]) -
     let area = area.max(L::splat(0.0).sub(area)).max(L::splat(1e-9));
     // One half more, so that rounding down is rounding.
     let level = area.rough_log2().mul_add(L::splat(0.5), L::splat(view.level_offset + 0.5));
-    let l = level.max(L::splat(0.0)).min(L::splat(view.last_level)).to_index();
+    let l = level.max(L::splat(view.first_level)).min(L::splat(view.last_level)).to_index();
     let t = &surface.texture;
     LevelLanes {
         scale: L::lookup(&t.scale, l),
@@ -424,8 +428,8 @@ fn diagonal_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &Way<L>,
 
 #[inline(always)]
 pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
-    let Predicted { surface, motion, sensor, places, side, pixels, range } = *what;
-    let view = &View::new(surface, motion, if places > 1 { sensor.exposure_s } else { 0.0 }, side);
+    let Predicted { surface, motion, sensor, places, side, is_enlarged, pixels, range } = *what;
+    let view = &View::new(surface, motion, if places > 1 { sensor.exposure_s } else { 0.0 }, side, is_enlarged);
     let tiles = &surface.texture.tiles[..];
     let mut k = range[0];
     while k < range[1] {

@@ -56,7 +56,7 @@ fn appearance(scene: &Scene, motion: &Motion, places: usize) -> Appearance {
 
 fn predicted<'a>(scene: &'a Scene, motion: &'a Motion, places: usize) -> Predicted<'a> {
     let Scene { surface, sensor, pixels, .. } = scene;
-    Predicted { surface, motion, sensor, places, side: 3, pixels, range: [0, pixels.len()] }
+    Predicted { surface, motion, sensor, places, side: 3, is_enlarged: true, pixels, range: [0, pixels.len()] }
 }
 
 /// How far slopes over looks may be from the derivative.

@@ -36,6 +36,8 @@ pub struct Task<'a> {
     pub blur_px: f64,
     /// Looks across a sharp pixel.
     pub side: usize,
+    /// Whether the enlarged copies of the pictures may be looked at.
+    pub is_enlarged: bool,
 }
 
 impl Task<'_> {

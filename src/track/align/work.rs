@@ -31,6 +31,8 @@ const LARGEST_BIAS: f64 = 60.0;
 const USUAL_SHARE: f64 = 0.2;
 /// Residuals that are looked at for their spread.
 const SCALE_SAMPLES: usize = 1500;
+/// A residual beyond three sigmas says no more of how well a prediction fits.
+const LARGEST_MISFIT: f32 = 9.0;
 /// Pixels that a step rests on which only the next one's weights are taken from.
 const ROUGH_PIXELS: usize = 2500;
 
@@ -115,8 +117,8 @@ impl Work {
         for &(surface, start, end) in &self.pixels.groups {
             let surface = &task.surfaces[surface as usize];
             let range = [start as usize, end as usize];
-            let what =
-                Predicted { surface, motion, sensor: task.sensor, places: task.places(), side: task.side, pixels: &self.pixels, range };
+            let Task { sensor, side, is_enlarged, .. } = *task;
+            let what = Predicted { surface, motion, sensor, places: task.places(), side, is_enlarged, pixels: &self.pixels, range };
             predict(&what, &mut self.appearance);
         }
     }
@@ -236,6 +238,18 @@ impl Work {
         let scale = median(&mut squares).map_or(1.0, |middle| (middle.sqrt() * 1.4826).max(0.7));
         self.sorted = squares;
         scale
+    }
+
+    /// Mean squared residual that the last step left, sigmas squared; each counts as [`LARGEST_MISFIT`] at most.
+    pub fn misfit(&mut self) -> f64 {
+        self.sorted.clear();
+        let mut squares = std::mem::take(&mut self.sorted);
+        for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
+            squares_after(&self.view(run, &self.light_of(run)), step, 1, &mut squares);
+        }
+        let sum: f64 = squares.iter().map(|s| f64::from(s.min(LARGEST_MISFIT))).sum();
+        self.sorted = squares;
+        sum / self.sorted.len().max(1) as f64
     }
 
     /// Compares every run with its prediction, whatever its gain and bias: closes those that show something else.
