@@ -53,7 +53,9 @@ const SHARP_FRAME_PX: f64 = 1.0;
 const SPREAD_SHARE: f64 = 0.2;
 const SPREAD_SIGMA: f64 = 0.5;
 const BLURRED_SPREAD_SIGMA: f64 = 0.05;
-/// An unknown exposure is learnt from frames with at least so much blur, pixels of the frame, by this share of what each says.
+/// An unknown exposure is learnt from frames with at least so much blur, pixels of the frame, by this share of what each says; of those
+/// with less than the second by less, as their information falls with its fourth power.
+const LEAST_BLUR_PX: f64 = 0.8;
 const TELLING_BLUR_PX: f64 = 1.5;
 /// The first of them say the more, and the exposure's square falls and rises by these shares a frame at most.
 const LEARNT_SHARE: f64 = 0.2;
@@ -103,8 +105,8 @@ pub struct Aligner {
     sensor: Sensor,
     /// Longest exposure that an unknown one may be found to be, seconds; `None` where the exposure is known.
     longest_exposure_s: Option<f64>,
-    /// Frames that told of it.
-    told_exposure: u32,
+    /// Frames that told of it, by how much they did.
+    told_exposure: f64,
     light: Light,
     /// Slow average of the point spread.
     spread: f64,
@@ -138,7 +140,7 @@ impl Aligner {
         Self {
             longest_exposure_s: (!is_known).then_some(LONGEST_EXPOSURE_S),
             surfaces: body.surfaces.iter().map(|s| AlignSurface::new(&s.spec)).collect(),
-            told_exposure: 0,
+            told_exposure: 0.0,
             sensor,
             light: Light::default(),
             spread: 0.0,
@@ -215,10 +217,11 @@ impl Aligner {
     }
 
     /// An unknown exposure follows slowly what blurred frames say of it.
-    fn learn_exposure(&mut self, clue: Option<Clue>) {
+    fn learn_exposure(&mut self, clue: Option<Clue>, blur_px: f64) {
         let (Some(longest), Some(clue)) = (self.longest_exposure_s, clue) else { return };
-        self.told_exposure = self.told_exposure.saturating_add(1);
-        let share = LEARNT_SHARE.max(2.0 / f64::from(self.told_exposure.saturating_add(1)));
+        let weight = (blur_px / TELLING_BLUR_PX).min(1.0).powi(4);
+        self.told_exposure += weight;
+        let share = weight * LEARNT_SHARE.max(2.0 / (self.told_exposure + 1.0)).min(1.0);
         // Blur is linear in the square of the exposure.
         let change = (2.0 * share * clue.pull / clue.information).clamp(-LARGEST_FALL, LARGEST_RISE);
         self.sensor.exposure_s = (self.sensor.exposure_s * (1.0 + change).sqrt()).clamp(SHORTEST_EXPOSURE_S, longest);
@@ -226,7 +229,7 @@ impl Aligner {
 
     /// What the residuals of a blurred frame say of the exposure, beside the point spread, as a share of it.
     fn exposure_clue(&self, blur_px: f64) -> Option<Clue> {
-        if blur_px <= TELLING_BLUR_PX {
+        if blur_px <= LEAST_BLUR_PX {
             return None;
         }
         let mut s = [0.0; 5];
@@ -396,7 +399,7 @@ impl Aligner {
             let readout = self.fine.readout_clue(&task, solved, &self.system, &mut clues.column);
             clues.clue = Some(ShutterClue { readout, exposure });
         }
-        self.learn_exposure(exposure);
+        self.learn_exposure(exposure, blur_px);
         self.last = Some(*solved);
         let sum = |f: fn(&RunEvidence) -> f64| self.fine.evidence.iter().map(f).sum::<f64>();
         let inliers = sum(|e| e.inliers);
