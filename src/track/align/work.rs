@@ -383,8 +383,9 @@ impl Work {
         self.evidence = seen;
         let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
         let honest = larger_covariance(&noise, &(votes * factor))?;
-        // A camera that starts or stops in the middle of the exposure is seen an eighth of it from where its stamp says, per unit of speed.
-        let started = covariance.fixed_view::<6, 6>(6, 6) * (task.sensor.exposure_s / 8.0).powi(2);
+        // A camera that starts or stops at a share s of the exposure is seen s (1 - s) / 2 of it from where its stamp says, per unit of
+        // speed: a mean square of 1 / 120 over all s.
+        let started = covariance.fixed_view::<6, 6>(6, 6) * (task.sensor.exposure_s.powi(2) / 120.0);
         Some((MotionEstimate { motion: solved.motion, covariance }, honest + started))
     }
 }
