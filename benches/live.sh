@@ -1,29 +1,28 @@
 #!/usr/bin/env bash
 # What `run` costs: an MJPG clip of 1280 x 720 at 30 frames a second, paced through the live pipeline while it tracks.
 #   benches/live.sh [SECONDS] [JPEG QUALITY]
-# Prints the share of one core, of the whole and of each thread, the frames tracked and dropped, and their age. On a machine that is busy with
+# The take is rendered first, a third of a second a frame. Prints the share of one core, of the whole and of each thread, the frames tracked and dropped, and their age. On a machine that is busy with
 # other programs frames are dropped, and the milliseconds a frame say more than the share.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 seconds=${1:-20}
 quality=${2:-85}
 out=target/live-bench/$quality
+mkdir -p "$out"
+rm -f "$out/poses.jsonl"
 program=${STAGEPOSE:-target/release/stagepose}
-[ -d "$out/take" ] || "$program" demo --frames 60 --width 1280 --height 720 --jpeg "$quality" --save "$out/take" >/dev/null
+# One take from beginning to end: played to and fro, its shutter would run backwards half the time. The spare seconds are for the start.
+frames=$(((seconds + 8) * 30))
+rm -rf "$out/take"
+"$program" demo --frames $frames --width 1280 --height 720 --jpeg "$quality" --save "$out/take" >/dev/null
 files=("$out"/take/frames/*.jpg)
-if [ ! -e "$out/clip.mjpeg" ]; then
-    # To and fro, so that it has no cut.
-    for ((left = (seconds + 30) * 30; left > 0; left -= 2 * ${#files[@]} - 2)); do
-        cat "${files[@]}"
-        for ((k = ${#files[@]} - 2; k > 0; k--)); do cat "${files[k]}"; done
-    done >"$out/clip.mjpeg"
-fi
+cat "${files[@]}" >"$out/clip.mjpeg"
 port=18090
 sed "\$a [http]\nlisten = \"127.0.0.1:$port\"" "$out/take/stage.toml" >"$out/take/live.toml"
 "$program" run --config "$out/take/live.toml" --play "$out/clip.mjpeg" --poses "$out/poses.jsonl" &
 pid=$!
 # The reference pictures are prepared once.
-until [ "$(wc -l <"$out/poses.jsonl" 2>/dev/null || echo 0)" -gt 30 ]; do sleep 0.2; done
+until [ "$(cat "$out/poses.jsonl" 2>/dev/null | wc -l)" -gt 30 ]; do sleep 0.2; done
 ticks() { # of each thread: its name and its processor time
     local thread stat
     for thread in /proc/$pid/task/*; do

@@ -225,31 +225,27 @@ impl Work {
         TileTime { delay_s, mean_square_s2: delay_s * delay_s + task.sensor.exposure_s.powi(2) / 12.0 }
     }
 
-    /// Robust standard deviation of the residuals that the last step left, in sigmas.
-    fn scale(&mut self) -> f64 {
+    /// Squared whitened residuals that the last step left in the open runs, of one group of pixels in `stride`.
+    fn squares(&mut self, stride: usize) -> &mut Vec<f32> {
         let mut squares = std::mem::take(&mut self.sorted);
         squares.clear();
-        let stride = (self.pixels.len() / SCALE_SAMPLES).max(1);
         for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
-            let light = self.light_of(run);
-            let view = self.view(run, &light);
-            squares_after(&view, step, stride, &mut squares);
+            squares_after(&self.view(run, &self.light_of(run)), step, stride, &mut squares);
         }
-        let scale = median(&mut squares).map_or(1.0, |middle| (middle.sqrt() * 1.4826).max(0.7));
         self.sorted = squares;
-        scale
+        &mut self.sorted
+    }
+
+    /// Robust standard deviation of the residuals that the last step left, in sigmas.
+    fn scale(&mut self) -> f64 {
+        let stride = (self.pixels.len() / SCALE_SAMPLES).max(1);
+        median(self.squares(stride)).map_or(1.0, |middle| (middle.sqrt() * 1.4826).max(0.7))
     }
 
     /// Mean squared residual that the last step left, sigmas squared; each counts as [`LARGEST_MISFIT`] at most.
     pub fn misfit(&mut self) -> f64 {
-        self.sorted.clear();
-        let mut squares = std::mem::take(&mut self.sorted);
-        for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
-            squares_after(&self.view(run, &self.light_of(run)), step, 1, &mut squares);
-        }
-        let sum: f64 = squares.iter().map(|s| f64::from(s.min(LARGEST_MISFIT))).sum();
-        self.sorted = squares;
-        sum / self.sorted.len().max(1) as f64
+        let squares = self.squares(1);
+        squares.iter().map(|s| f64::from(s.min(LARGEST_MISFIT))).sum::<f64>() / squares.len().max(1) as f64
     }
 
     /// Compares every run with its prediction, whatever its gain and bias: closes those that show something else.
