@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # What `run` costs: an MJPG clip of 1280 x 720 at 30 frames a second, paced through the live pipeline while it tracks.
 #   benches/live.sh [SECONDS] [JPEG QUALITY]
-# The take is rendered first, a third of a second a frame. Prints the share of one core, of the whole and of each thread, the frames tracked and dropped, and their age. On a machine that is busy with
-# other programs frames are dropped, and the milliseconds a frame say more than the share.
+# The take is rendered first, a third of a second a frame. Prints the share of one core, of the whole and of each thread, the frames tracked and
+# dropped, and their age. On a machine that is busy with other programs frames are dropped, and the milliseconds a frame say more than the share.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 seconds=${1:-20}

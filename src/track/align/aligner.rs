@@ -90,14 +90,15 @@ const FIRST_OFF_PX: f64 = 40.0;
 /// tiles take part than this share of what did in the last frame.
 const CLOSE_SCALE: f64 = 2.0;
 const CLOSE_SHARE: f64 = 0.8;
-/// Which copy of the picture is nearer to the print is asked again after so many frames, at first after fewer; a change must leave less misfit by this share.
+/// How the picture was enlarged is asked again after so many frames, at first after fewer; a change must leave no more than this
+/// share of the misfit.
 const TRIAL_FRAMES: u32 = 32;
 const FIRST_TRIAL: u32 = 3;
 const BETTER: f64 = 0.995;
 /// A prediction is kept for the next frame while nothing moved by more, pixels of the level.
 const KEPT_PX: f64 = 0.05;
 
-/// Aligns one body; owns all buffers of its hot path and the slow states (light, point spread).
+/// Aligns one body; owns all buffers of its hot path and the slow states (light, point spread, exposure, how the pictures were enlarged).
 #[derive(Debug)]
 pub struct Aligner {
     surfaces: Vec<AlignSurface>,

@@ -3,8 +3,8 @@
 //!
 //! A pixel's ray meets its surface at a texel; the pixel's own square covers a small quadrilateral of texels there.
 //! Five by five looks (three by three above the finest level), at the copy of the picture whose texels are a seventh of a
-//! pixel wide, give the mean grey over that square, its gradient, and - as outer looks less the middle one - how it would
-//! change with a wider point spread. (Fewer looks, or larger texels, leave errors of a grey level and more, which pull the pose of
+//! pixel wide, give the mean grey over that square, its gradient, and - by the curvature of the parabola that fits them
+//! best - how it would change with a wider point spread. (Fewer looks, or larger texels, leave errors of a grey level and more, which pull the pose of
 //! a still camera aside by more than its noise; measured in docs/alignment.md.) While the shutter is open the texel
 //! moves along a short curve; under motion blur the looks are shared out along it.
 

@@ -226,7 +226,7 @@ impl Work {
     }
 
     /// Squared whitened residuals that the last step left in the open runs, of one group of pixels in `stride`.
-    fn squares(&mut self, stride: usize) -> &mut Vec<f32> {
+    fn squares(&mut self, stride: usize) -> &mut [f32] {
         let mut squares = std::mem::take(&mut self.sorted);
         squares.clear();
         for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
