@@ -1,4 +1,5 @@
-//! The kernels of a frame, one by one: corners, pyramid, description, matching, and the robust solvers.
+//! The kernels of a frame, one by one: those of alignment on ten thousand pixels, corners, pyramid, description, matching, and the
+//! robust solvers.
 //!
 //! `cargo bench --bench kernels`
 
@@ -10,6 +11,7 @@ use nalgebra::{Matrix2, Point3, UnitQuaternion, Vector2, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use stagepose::camera::{CameraModel, Normalized};
+use stagepose::capture::{FrameSource, RowContent, VirtualCamera};
 use stagepose::features::{
     CornerBuffers, CornerOptions, ExtractorOptions, FeatureExtractor, Pyramid, Workers, describe, detect_corners, orientation, smooth_into,
 };
@@ -18,7 +20,8 @@ use stagepose::geometry::resection::{MovingCamera, Observation, resect};
 use stagepose::geometry::robust::{RobustOptions, robust_homography};
 use stagepose::geometry::{Body, Camera, PointPair, Pose};
 use stagepose::matching::{MatchBuffers, ReferenceIndex};
-use stagepose::simulate::{grey, paint};
+use stagepose::simulate::{Dolly, dolly, grey, paint};
+use stagepose::track::AlignKernels;
 
 fn picture() -> GrayImage {
     grey(&paint(1280, 720, 3))
@@ -132,5 +135,30 @@ fn resection(c: &mut Criterion) {
     });
 }
 
-criterion_group!(kernels, corners, pyramid, description, hamming, homography, essential, resection);
+/// What a followed frame is made of: ten thousand pixels at half size of 1280x720.
+fn alignment(c: &mut Criterion) {
+    let mut camera = VirtualCamera::new(
+        dolly(Dolly { width: 1280, height: 720, seed: 1, duration_s: 1.0, artwork_width: 1600 }).expect("a scene"),
+        30.0,
+        1,
+    );
+    let (scene, row) = (camera.stage().clone(), camera.next_row());
+    let Some(RowContent::Frame(frame)) = row.map(|r| r.content) else { panic!("a virtual camera loses no frame") };
+    let seen: Pose<Camera, Body> = scene.truth(0.0).inverse().renamed();
+    let mut kernels = AlignKernels::new(frame.image, scene.camera, &scene.stage.surfaces[0], &seen);
+    c.bench_function("halve 1280x720", |b| b.iter(|| kernels.halve()));
+    c.bench_function("choose 10,000 pixels", |b| b.iter(|| kernels.choose(black_box(10_000))));
+    c.bench_function("lay them out", |b| b.iter(|| kernels.lay_out()));
+    for (side, places) in [(3, 1), (5, 1), (5, 3), (5, 5), (5, 9)] {
+        let what = if places == 1 { format!("sharp, {side}x{side} looks") } else { format!("{places} places of a blur") };
+        c.bench_function(&format!("predict them, {what}"), |b| b.iter(|| kernels.predict(side, black_box(places))));
+    }
+    kernels.predict(5, 1);
+    c.bench_function("residuals", |b| b.iter(|| kernels.residuals()));
+    c.bench_function("normal equations of all tiles", |b| b.iter(|| kernels.tile_sums()));
+    c.bench_function("evidence of all tiles", |b| b.iter(|| kernels.evidence()));
+    c.bench_function("noise of all tiles", |b| b.iter(|| kernels.noise_sums()));
+}
+
+criterion_group!(kernels, alignment, corners, pyramid, description, hamming, homography, essential, resection);
 criterion_main!(kernels);

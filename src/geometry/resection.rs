@@ -135,12 +135,22 @@ pub fn resect<P: Projection>(
     observations: &[Observation],
     iterations: usize,
 ) -> Option<Resection> {
+    resect_within(start, camera, observations, iterations, &mut Vec::new())
+}
+
+/// [`resect`] with a buffer of the caller's.
+pub fn resect_within<P: Projection>(
+    start: &Pose<Camera, Body>,
+    camera: &MovingCamera<P>,
+    observations: &[Observation],
+    iterations: usize,
+    squares: &mut Vec<f64>,
+) -> Option<Resection> {
     if observations.len() < 4 {
         return None;
     }
-    let mut squares: Vec<f64> = Vec::with_capacity(observations.len());
     let mut pose = *start;
-    let mut scale = residual_scale(&pose, camera, observations, &mut squares)?;
+    let mut scale = residual_scale(&pose, camera, observations, squares)?;
     let mut cost = robust_cost(&pose, camera, observations, scale);
     let mut damping = 1e-6;
     for _ in 0..iterations {
@@ -153,7 +163,7 @@ pub fn resect<P: Projection>(
             let small = step.fixed_rows::<3>(3).norm() < 1e-9 && step.fixed_rows::<3>(0).norm() < 1e-9 * pose.translation.norm();
             let gain = cost - next_cost;
             pose = next;
-            scale = residual_scale(&pose, camera, observations, &mut squares)?;
+            scale = residual_scale(&pose, camera, observations, squares)?;
             cost = robust_cost(&pose, camera, observations, scale);
             damping = (damping * 0.1).max(1e-9);
             if small || gain < 1e-9 * cost {
@@ -187,8 +197,9 @@ fn robust_cost<P: Projection>(pose: &Pose<Camera, Body>, camera: &MovingCamera<P
         .sum()
 }
 
-/// Median of |r|, divided by what it is for two-dimensional Gaussian noise (sqrt(2 ln 2)); at least 1.
-fn residual_scale<P: Projection>(
+/// Median of |r|, divided by what it is for two-dimensional Gaussian noise (sqrt(2 ln 2)); at least 1. `None` of fewer than four
+/// observations; `squares`: a buffer.
+pub fn residual_scale<P: Projection>(
     pose: &Pose<Camera, Body>,
     camera: &MovingCamera<P>,
     observations: &[Observation],

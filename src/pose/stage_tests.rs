@@ -8,15 +8,7 @@ const FRAME_NS: i64 = 33_333_333;
 
 fn body(state: LockState) -> BodySighting {
     let pose = Pose::new(UnitQuaternion::from_euler_angles(1.5, 0.1, 0.0), Vector3::new(0.1, 0.2, 3.0));
-    let verified = Verified {
-        pose,
-        covariance: Matrix6::identity() * 1e-6,
-        anchors: Vec::new(),
-        share: 1.0,
-        inliers: 0,
-        rms_px: 0.1,
-        is_conclusive: false,
-    };
+    let verified = Verified { pose, covariance: Matrix6::identity() * 1e-6, share: 1.0, inliers: 0, rms_px: 0.1, is_conclusive: false };
     BodySighting { state, verified: (state == Tracking).then_some(verified) }
 }
 

@@ -159,20 +159,6 @@ fn surface_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], ca
     planar_poses(&homography, &metric).into_iter().map(|p| p * spec.pose.inverse()).collect()
 }
 
-/// The pose of the same surface tilted the other way about the line of sight: where a wrong twin would lie.
-pub fn flipped(pose: &Pose<Camera, Body>, body: &PreparedBody, surface: u32) -> Pose<Camera, Body> {
-    let spec = &body.surfaces[surface as usize].spec;
-    let t_camera_surface = *pose * spec.pose;
-    let sight = t_camera_surface.translation.normalize();
-    let r = t_camera_surface.rotation_matrix();
-    let normal = r.column(2).into_owned();
-    // Mirror the normal across the line of sight, and turn the surface there by the shortest way.
-    let mirrored = 2.0 * sight.dot(&normal) * sight - normal;
-    let turn = nalgebra::UnitQuaternion::rotation_between(&normal, &mirrored).unwrap_or_else(nalgebra::UnitQuaternion::identity);
-    let flipped = Pose::<Camera, crate::geometry::SurfaceFrame>::new(turn * t_camera_surface.rotation, t_camera_surface.translation);
-    flipped * spec.pose.inverse()
-}
-
 #[cfg(test)]
 #[path = "acquire_tests.rs"]
 mod tests;

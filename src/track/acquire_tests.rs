@@ -75,16 +75,3 @@ fn matches_go_to_the_body_that_owns_their_surface() {
     let own = surface_matches(&all, &features, &references, 2..4, &camera);
     assert_eq!(own.iter().map(|m| (m.surface, m.pixel.x, m.scale)).collect::<Vec<_>>(), [(0, 60.0, 1.2), (1, 70.0, 1.2)]);
 }
-
-#[test]
-fn the_twin_keeps_the_place_and_mirrors_the_normal() {
-    let body = prepared(vec![cloth(1)]);
-    let twin = flipped(&truth(), &body, 0);
-    assert_eq!(twin.translation, truth().translation);
-    let sight = truth().translation.normalize();
-    let normal = |p: &Pose<Camera, Body>| p.rotation * Vector3::z();
-    let across = |n: Vector3<f64>| n - sight * n.dot(&sight);
-    assert!((normal(&twin).dot(&sight) - normal(&truth()).dot(&sight)).abs() < 1e-12);
-    assert!((across(normal(&twin)) + across(normal(&truth()))).norm() < 1e-12);
-    assert!(flipped(&twin, &body, 0).angle_to(&truth()) < 1e-9);
-}

@@ -7,24 +7,24 @@
 
 use crossbeam_channel::{Receiver, Sender};
 use image::GrayImage;
-use nalgebra::{Matrix3, Matrix6, Vector2};
+use nalgebra::Vector2;
 use tracing::{debug, debug_span};
 
 use super::acquire::{candidates, surface_matches};
-use super::align::{Aligner, Alignment, Eye, FrameLevels, Jerk, MotionEstimate, Patch, Sensor, ShutterClue, UsedPixel};
-use super::lock::{Lock, LockState};
-use super::reference::{PreparedBody, halve_into};
+use super::align::{Eye, FrameLevels, MotionEstimate, Sensor, ShutterClue, UsedPixel};
+use super::lock::LockState;
+use super::reference::halve_into;
 use super::registration::SearchPicture;
 use super::settings::TrackerSettings;
 use super::shutter::Shutter;
 use super::surface::BodySpec;
-use super::two_view::{TwoView, two_view};
-use super::verify::{FittedAnchor, Verified, VerifyBuffers, View, verify};
-use crate::camera::{CameraModel, Normalized};
+use super::tracked_body::TrackedBody;
+use super::two_view::{TwoView, TwoViewBuffers, two_view};
+use super::verify::{Verified, VerifyBuffers, View};
+use crate::camera::CameraModel;
 use crate::compute_clock::ComputeClock;
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::frame::Frame;
-use crate::geometry::resection::{Observation, Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
 use crate::matching::{Match, MatchBuffers, ReferenceIndex};
 
@@ -58,6 +58,23 @@ pub struct Sighting {
     pub align_ms: f64,
 }
 
+/// What an alignment of the stage from a given start came to: for studies of how right poses differ from wrong ones.
+#[derive(Debug, Clone, Copy)]
+pub struct Trial {
+    /// `T_camera_body`.
+    pub pose: Pose<Camera, Body>,
+    /// Tiles with detail, and the share of them that agrees with the prediction.
+    pub tiles: usize,
+    /// See `tiles`.
+    pub share: f64,
+    /// Robust standard deviation of the residuals, sigmas of the camera's noise.
+    pub scale: f64,
+    /// Whether such a pose would be given where it is new, and where it continues a track.
+    pub is_credible_new: bool,
+    /// See `is_credible_new`.
+    pub is_credible_continued: bool,
+}
+
 /// The pixels that the poses of a frame rest on.
 #[derive(Debug, Clone)]
 pub struct UsedPixels {
@@ -65,82 +82,6 @@ pub struct UsedPixels {
     pub sequence: u64,
     /// Of all bodies that were aligned.
     pub pixels: Vec<UsedPixel>,
-}
-
-struct TrackedBody {
-    body: PreparedBody,
-    /// Its surfaces' numbers in the reference index.
-    surfaces: std::ops::Range<u32>,
-    lock: Lock,
-    aligner: Aligner,
-    patches: Vec<Patch>,
-    /// The motion at the last aligned frame, and its stamp.
-    motion: Option<(MotionEstimate, i64)>,
-    /// How jerky that is.
-    jerk: Jerk,
-    /// The last verified pose, its stamp, and the motion that led to it.
-    before: Option<(Pose<Camera, Body>, i64, Option<Twist>)>,
-    /// What the last frame said of the shutter, where that is asked and the body was aligned.
-    clue: Option<ShutterClue>,
-    /// The pixels that the last pose rests on, where somebody watches them.
-    used: Option<Vec<UsedPixel>>,
-}
-
-impl TrackedBody {
-    /// Aligns the body and judges the result. `is_expected`: the start comes from the motion of an aligned body.
-    fn align(
-        &mut self,
-        frame: &Frame,
-        levels: &mut FrameLevels,
-        eye: &Eye,
-        expected: &MotionEstimate,
-        is_expected: bool,
-    ) -> Option<Verified> {
-        let found = self.aligner.align(levels, eye, expected)?;
-        debug!(
-            share = found.share(),
-            tiles = found.tiles,
-            scale = found.scale,
-            inliers = found.inliers,
-            surprise = found.surprise,
-            "aligned"
-        );
-        if !found.is_credible(is_expected) {
-            return None;
-        }
-        self.clue = self.aligner.shutter_clue();
-        if !is_expected {
-            self.jerk = Jerk::default();
-        } else if self.clue.is_none() {
-            // Where the shutter is in question, jerk must not explain what a wrong one does.
-            self.jerk.learn(expected, &found.estimate.motion);
-        }
-        self.motion = Some((found.estimate, frame.timestamp_ns));
-        if let Some(used) = &mut self.used {
-            self.aligner.used_pixels(eye, used);
-        }
-        self.aligner.patches(eye, &found.estimate.motion, &mut self.patches);
-        Some(aligned(&self.body, &found, &self.patches, eye.camera()))
-    }
-
-    /// Remembers a verified pose for the motion of the next frame.
-    fn remember(&mut self, timestamp_ns: i64, pose: &Pose<Camera, Body>) {
-        let twist = self.before_at(timestamp_ns).map(|(before, dt_s, _)| Twist::between(&before, pose, dt_s));
-        self.before = Some((*pose, timestamp_ns, twist));
-    }
-
-    /// Where the body should be at a stamp, carried on from the last verified poses.
-    fn predicted(&self, timestamp_ns: i64) -> Option<Pose<Camera, Body>> {
-        let (before, dt_s, twist) = self.before_at(timestamp_ns)?;
-        Some(twist.map_or(before, |twist| perturbed(&before, &(twist.0 * dt_s))))
-    }
-
-    /// The last verified pose as seen from a stamp, if it is recent enough to tell of motion.
-    fn before_at(&self, timestamp_ns: i64) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
-        let (pose, then_ns, twist) = self.before?;
-        let dt_s = timestamp_ns.saturating_sub(then_ns) as f64 * 1e-9;
-        (dt_s > 1e-4 && dt_s <= LONGEST_MOTION_GAP_S).then_some((pose, dt_s, twist))
-    }
 }
 
 /// Finds all bodies in every frame, from scratch.
@@ -158,6 +99,9 @@ pub struct Matcher {
     matches: Vec<Match>,
     match_buffers: MatchBuffers,
     verify_buffers: VerifyBuffers,
+    two_view_buffers: TwoViewBuffers,
+    /// What the frame showed of each body.
+    verified: Vec<Option<Verified>>,
     half: GrayImage,
     eye: Eye,
     levels: FrameLevels,
@@ -171,17 +115,11 @@ const REFERENCE_FEATURES: usize = 4000;
 const LEAST_REFERENCE_FEATURES: usize = 700;
 /// Artwork is looked at for features at no more than this many pixels across: no camera resolves more.
 const LARGEST_REFERENCE_PX: u32 = 2000;
-/// Verified poses further apart tell nothing of the motion within a frame, seconds.
-const LONGEST_MOTION_GAP_S: f64 = 0.07;
-/// An aligned body is followed over gaps up to this, seconds.
-const LONGEST_FOLLOWED_GAP_S: f64 = 0.1;
 /// How far off a pose that features found may be, one sigma: of the distance, and radians.
 const FIRST_SHIFT: f64 = 0.003;
 const FIRST_TURN: f64 = 0.003;
 /// Candidates of a body that are put to the test per frame.
 const TRIED: usize = 3;
-/// Share of fitting anchors beyond which no rival is asked.
-const CLEAR_SHARE: f64 = 0.6;
 
 impl Matcher {
     /// Prepares the reference pictures; takes a fraction of a second per surface.
@@ -195,25 +133,10 @@ impl Matcher {
         settings: TrackerSettings,
     ) -> Self {
         let workers = Workers::new(settings.threads);
-        let mut bodies = Vec::new();
-        let mut next = 0;
+        let mut bodies: Vec<TrackedBody> = Vec::new();
         for spec in std::iter::once(stage).chain(objects) {
-            let body = PreparedBody::new(spec);
-            let surfaces = next..next + body.surfaces.len() as u32;
-            next = surfaces.end;
-            let aligner = Aligner::new(&body, Sensor { readout_s, exposure_s });
-            bodies.push(TrackedBody {
-                body,
-                surfaces,
-                lock: Lock::default(),
-                aligner,
-                patches: Vec::new(),
-                motion: None,
-                jerk: Jerk::default(),
-                before: None,
-                clue: None,
-                used: None,
-            });
+            let first = bodies.last().map_or(0, |b| b.surfaces.end);
+            bodies.push(TrackedBody::new(spec, first, Sensor { readout_s, exposure_s }));
         }
         let index = reference_index(&bodies, &workers);
         workers.take_extra_ms();
@@ -233,6 +156,8 @@ impl Matcher {
             matches: Vec::new(),
             match_buffers: MatchBuffers::default(),
             verify_buffers: VerifyBuffers::default(),
+            two_view_buffers: TwoViewBuffers::default(),
+            verified: Vec::new(),
             half: GrayImage::default(),
         }
     }
@@ -248,37 +173,31 @@ impl Matcher {
         }
         let start = ComputeClock::start();
         self.levels.update(&frame.image);
-        let mut verified: Vec<Option<Verified>> = (0..self.bodies.len()).map(|k| self.follow(k, frame)).collect();
+        self.verified.clear();
+        for tracked in &mut self.bodies {
+            let _span = debug_span!("follow", body = %tracked.body.name).entered();
+            self.verified.push(tracked.follow(frame, &mut self.levels, &self.eye));
+        }
         let mut align_ms = start.elapsed_ms();
         let mut acquire_ms = 0.0;
-        if verified.iter().any(Option::is_none) {
+        if self.verified.iter().any(Option::is_none) {
             self.extract(frame, &mut acquire_ms);
-            for (k, verified) in verified.iter_mut().enumerate().filter(|(_, v)| v.is_none()) {
-                *verified = self.find(k, frame, &mut acquire_ms, &mut align_ms);
+            for k in 0..self.bodies.len() {
+                if self.verified[k].is_none() {
+                    self.verified[k] = self.find(k, frame, &mut acquire_ms, &mut align_ms);
+                }
             }
         }
         self.show_pixels(frame.sequence);
-        let mut sightings = Vec::with_capacity(self.bodies.len());
-        for (tracked, verified) in self.bodies.iter_mut().zip(verified) {
-            if let Some(v) = &verified {
-                tracked.remember(frame.timestamp_ns, &v.pose);
-            }
-            // A frame that leaves no doubt confirms itself, unless the motion during its readout is still unknown.
-            let conclusive = verified.as_ref().is_some_and(|v| v.is_conclusive) && self.readout_s == 0.0;
-            let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
-            let pose = verified.as_ref().map(|v| &v.pose);
-            let state = tracked.lock.update(frame.timestamp_ns, pose, self.settings.coast_s, confirm_frames);
-            let verified = verified.filter(|_| state == LockState::Tracking);
-            sightings.push(BodySighting { state, verified });
-        }
+        let stage = self.sighting_of(0, frame.timestamp_ns);
+        let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp_ns)).collect();
         let start = ComputeClock::start();
-        let two_view = sightings[0].verified.as_ref().map(|v| {
+        let two_view = stage.verified.as_ref().map(|v| {
             let _span = debug_span!("two_view").entered();
-            two_view(&self.bodies[0].body, v, &self.camera, self.settings.seed)
+            let TrackedBody { body, anchors, .. } = &self.bodies[0];
+            two_view(body, v, anchors, &self.camera, self.settings.seed, &mut self.two_view_buffers)
         });
         align_ms += start.elapsed_ms();
-        let objects = sightings.split_off(1);
-        let stage = sightings.remove(0);
         Sighting {
             sequence: frame.sequence,
             timestamp_ns: frame.timestamp_ns,
@@ -289,6 +208,20 @@ impl Matcher {
             acquire_ms,
             align_ms,
         }
+    }
+
+    /// What the lock makes of the frame's pose of body `k`.
+    fn sighting_of(&mut self, k: usize, timestamp_ns: i64) -> BodySighting {
+        let (tracked, verified) = (&mut self.bodies[k], self.verified[k]);
+        if let Some(v) = &verified {
+            tracked.remember(timestamp_ns, &v.pose);
+        }
+        // A frame that leaves no doubt confirms itself, unless the motion during its readout is still unknown.
+        let conclusive = verified.is_some_and(|v| v.is_conclusive) && self.readout_s == 0.0;
+        let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
+        let pose = verified.as_ref().map(|v| &v.pose);
+        let state = tracked.lock.update(timestamp_ns, pose, self.settings.coast_s, confirm_frames);
+        BodySighting { state, verified: verified.filter(|_| state == LockState::Tracking) }
     }
 
     /// Time went on, but there was no picture.
@@ -339,6 +272,27 @@ impl Matcher {
         self.bodies.first()?.clue
     }
 
+    /// Aligns the stage from a start that is known to so much (one sigma, metres and radians), and tells what came of it. `None` where
+    /// nothing converges. Neither the lock nor the motion take notice.
+    pub fn try_start(&mut self, frame: &Frame, start: &Pose<Camera, Body>, shift_m: f64, turn_rad: f64) -> Option<Trial> {
+        if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
+            return None;
+        }
+        self.levels.update(&frame.image);
+        let stage = self.bodies.first_mut()?;
+        let back = start.inverse();
+        let expected = MotionEstimate::unseen(back, stage.aligner.distance(&back), shift_m, turn_rad);
+        let found = stage.aligner.align(&mut self.levels, &self.eye, &expected)?;
+        Some(Trial {
+            pose: found.estimate.motion.pose.inverse(),
+            tiles: found.tiles,
+            share: found.share(),
+            scale: found.scale,
+            is_credible_new: found.is_credible(false),
+            is_credible_continued: found.is_credible(true),
+        })
+    }
+
     /// Features of the frame and their matches, for bodies that were lost.
     fn extract(&mut self, frame: &Frame, acquire_ms: &mut f64) {
         let _span = debug_span!("detect").entered();
@@ -348,19 +302,6 @@ impl Matcher {
         self.index.match_features(&self.features, RATIO, &self.workers, &mut self.match_buffers, &mut self.matches);
         halve_into(&frame.image, &mut self.half);
         *acquire_ms += start.elapsed_ms() + self.workers.take_extra_ms();
-    }
-
-    /// Aligns a body from where it should be; `None` where it was not aligned lately, or the picture does not bear it out.
-    fn follow(&mut self, k: usize, frame: &Frame) -> Option<Verified> {
-        let tracked = &mut self.bodies[k];
-        let (estimate, then_ns) = tracked.motion.take()?;
-        let dt_s = frame.timestamp_ns.saturating_sub(then_ns) as f64 * 1e-9;
-        if dt_s <= 0.0 || dt_s > LONGEST_FOLLOWED_GAP_S {
-            return None;
-        }
-        let _span = debug_span!("follow", body = %tracked.body.name).entered();
-        let expected = estimate.after(dt_s, tracked.aligner.distance(&estimate.motion.pose), &tracked.jerk);
-        tracked.align(frame, &mut self.levels, &self.eye, &expected, true)
     }
 
     /// The best verified pose of a body in this frame, aligned where that succeeds.
@@ -378,7 +319,7 @@ impl Matcher {
 
     /// The best pose that patches at matched features verify.
     fn find_by_features(&mut self, k: usize, frame: &Frame, acquire_ms: &mut f64, align_ms: &mut f64) -> Option<Verified> {
-        let tracked = &self.bodies[k];
+        let tracked = &mut self.bodies[k];
         let start = ComputeClock::start();
         let found = {
             let _span = debug_span!("acquire", body = %tracked.body.name).entered();
@@ -397,13 +338,12 @@ impl Matcher {
             shutter: Shutter { readout_s: self.readout_s, before: tracked.before_at(frame.timestamp_ns) },
             workers: &self.workers,
         };
-        let continued = tracked.lock.is_continued();
         let starts = found.iter().take(TRIED).map(|c| c.pose);
-        let mut best = best_verified(tracked, starts, &view, continued, &mut self.verify_buffers);
-        if best.is_none() && continued {
+        let mut best = tracked.best_verified(starts, &view, &mut self.verify_buffers);
+        if best.is_none() && tracked.lock.is_continued() {
             // Too few features, as under blur or steep tilt: where the body should be by now is a start as good as any.
             let predicted = tracked.predicted(frame.timestamp_ns);
-            best = best_verified(tracked, predicted.into_iter(), &view, continued, &mut self.verify_buffers);
+            best = tracked.best_verified(predicted.into_iter(), &view, &mut self.verify_buffers);
         }
         *align_ms += start.elapsed_ms() + self.workers.take_extra_ms();
         best
@@ -413,61 +353,6 @@ impl Matcher {
     pub fn camera(&self) -> &CameraModel {
         &self.camera
     }
-}
-
-/// An alignment in the terms of the record: pose and covariance of `T_camera_body`, and correspondences.
-fn aligned(body: &PreparedBody, found: &Alignment, patches: &[Patch], camera: &CameraModel) -> Verified {
-    let pose = found.estimate.motion.pose.inverse();
-    // R <- R Exp(δθ), p <- p + δp of the inverse, as a left perturbation of the pose: φ = -δθ, τ = -Rᵀ δp.
-    let mut by_error = Matrix6::zeros();
-    by_error.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-pose.rotation_matrix()));
-    by_error.fixed_view_mut::<3, 3>(3, 3).copy_from(&(-Matrix3::identity()));
-    let covariance = by_error * found.covariance * by_error.transpose();
-    let anchor = |p: &Patch| {
-        let spec = &body.surfaces[p.surface as usize].spec;
-        let artwork = spec.artwork_from_metres(p.on_surface_m);
-        let point = spec.body_point(artwork);
-        let seen = pose.transform(&point);
-        let steady_px = camera.project(Normalized(seen.coords.xy() / seen.z)).0 + p.shift_px;
-        let observation = Observation { point, pixel: steady_px, information: p.information, delay_s: 0.0, group: p.tile };
-        FittedAnchor { surface: p.surface, artwork, observation, steady_px }
-    };
-    Verified {
-        pose,
-        covariance: (covariance + covariance.transpose()) * 0.5,
-        anchors: patches.iter().map(anchor).collect(),
-        share: found.share(),
-        inliers: found.inliers as usize,
-        rms_px: found.rms_px,
-        is_conclusive: found.is_conclusive(),
-    }
-}
-
-/// Puts starts to the test, and takes the first clear success, or the best of what passes.
-fn best_verified(
-    tracked: &TrackedBody,
-    starts: impl Iterator<Item = Pose<Camera, Body>>,
-    view: &View,
-    continued: bool,
-    buffers: &mut VerifyBuffers,
-) -> Option<Verified> {
-    let mut best: Option<Verified> = None;
-    for start in starts {
-        match verify(&tracked.body, &start, view, continued, buffers) {
-            Ok(v) => {
-                debug!(anchors = v.anchors.len(), share = v.share, rms_px = v.rms_px, "verified");
-                let clear = v.share > CLEAR_SHARE;
-                if best.as_ref().is_none_or(|b| v.anchors.len() > b.anchors.len()) {
-                    best = Some(v);
-                }
-                if clear {
-                    break;
-                }
-            }
-            Err(refusal) => debug!(?refusal, "refused"),
-        }
-    }
-    best
 }
 
 /// Describes all surfaces, larger pictures at no more pixels than a camera resolves.

@@ -3,7 +3,8 @@
 //! `surface` and `reference` prepare the pictures; `acquire` proposes poses from matched features;
 //! `registration` and `verify` refine a proposal against the picture and judge it; `align` follows a body from frame
 //! to frame, pixel by pixel; `lock` decides what a verified pose means in time; `two_view` describes the frame by
-//! homography and essential matrix; `matcher` runs them all on a frame.
+//! homography and essential matrix; `twin` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
+//! body; `matcher` runs them all on a frame.
 
 mod acquire;
 mod align;
@@ -16,12 +17,14 @@ mod shutter;
 mod surface;
 #[cfg(test)]
 mod synthetic;
+mod tracked_body;
+mod twin;
 mod two_view;
 mod verify;
 
-pub use align::{Clue, Sensor, ShutterClue, UsedPixel};
+pub use align::{AlignKernels, Clue, Sensor, ShutterClue, UsedPixel};
 pub use lock::LockState;
-pub use matcher::{BodySighting, Matcher, Sighting, UsedPixels};
+pub use matcher::{BodySighting, Matcher, Sighting, Trial, UsedPixels};
 pub use settings::TrackerSettings;
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use two_view::TwoView;

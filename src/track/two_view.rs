@@ -46,30 +46,48 @@ pub fn reference_camera(body: &PreparedBody) -> Pose<Body, ReferenceCamera> {
     }
 }
 
-/// Describes a verified frame.
-pub fn two_view(body: &PreparedBody, verified: &Verified, camera: &CameraModel, seed: u64) -> TwoView {
+/// Buffers of the description.
+#[derive(Debug, Default)]
+pub struct TwoViewBuffers {
+    rays: Vec<Option<Normalized>>,
+    pairs: Vec<RayPair>,
+    points: Vec<PointPair>,
+}
+
+/// Describes a verified frame by the anchors that fit.
+pub fn two_view(
+    body: &PreparedBody,
+    verified: &Verified,
+    anchors: &[FittedAnchor],
+    camera: &CameraModel,
+    seed: u64,
+    buffers: &mut TwoViewBuffers,
+) -> TwoView {
+    let TwoViewBuffers { rays, pairs, points } = buffers;
     let t_body_reference = reference_camera(body);
-    let rays: Vec<Option<Normalized>> = verified.anchors.iter().map(|a| camera.unproject(Pixel(a.steady_px))).collect();
-    let pairs = ray_pairs(body, &verified.anchors, &rays, &t_body_reference);
+    rays.clear();
+    rays.extend(anchors.iter().map(|a| camera.unproject(Pixel(a.steady_px))));
+    pair_rays(body, anchors, rays, &t_body_reference, pairs);
     let t_frame_reference = verified.pose * t_body_reference;
     let distance = (verified.pose * body.surfaces[0].spec.pose).translation.norm();
     let focal = 0.5 * (camera.intrinsics().fx + camera.intrinsics().fy);
     let sigma = verified.rms_px.max(0.05) / focal;
     let has_baseline = t_frame_reference.translation.norm() >= LEAST_BASELINE * distance;
-    let essential = has_baseline.then(|| estimate_motion(&pairs, &t_frame_reference, sigma, seed)).flatten();
+    let essential = has_baseline.then(|| estimate_motion(pairs, &t_frame_reference, sigma, seed)).flatten();
     TwoView {
-        homography: first_surface_homography(body, &verified.anchors, &rays, camera),
-        has_depth: essential.as_ref().is_some_and(|(motion, _)| depth_explains_better(&pairs, motion, sigma)),
+        homography: first_surface_homography(body, anchors, rays, camera, points),
+        has_depth: essential.as_ref().is_some_and(|(motion, _)| depth_explains_better(pairs, motion, sigma, points)),
         essential,
     }
 }
 
-fn ray_pairs(
+fn pair_rays(
     body: &PreparedBody,
     anchors: &[FittedAnchor],
     rays: &[Option<Normalized>],
     t_body_reference: &Pose<Body, ReferenceCamera>,
-) -> Vec<RayPair> {
+    pairs: &mut Vec<RayPair>,
+) {
     let to_reference = t_body_reference.inverse();
     let pair = |(a, ray): (&FittedAnchor, &Option<Normalized>)| {
         let point: Point3<f64> = body.surfaces[a.surface as usize].spec.body_point(a.artwork);
@@ -77,7 +95,8 @@ fn ray_pairs(
         let second = ray.as_ref()?.0;
         (seen.z > 1e-3 * to_reference.translation.norm()).then(|| RayPair { first: seen.coords.xy() / seen.z, second })
     };
-    anchors.iter().zip(rays).filter_map(pair).collect()
+    pairs.clear();
+    pairs.extend(anchors.iter().zip(rays).filter_map(pair));
 }
 
 /// The free 8-parameter fit to the first surface's correspondences.
@@ -86,17 +105,15 @@ fn first_surface_homography(
     anchors: &[FittedAnchor],
     rays: &[Option<Normalized>],
     camera: &CameraModel,
+    pairs: &mut Vec<PointPair>,
 ) -> Option<Matrix3<f64>> {
-    let pairs: Vec<PointPair> = anchors
-        .iter()
-        .zip(rays)
-        .filter(|(a, _)| a.surface == 0)
-        .filter_map(|(a, ray)| Some(PointPair { from: a.artwork, to: camera.undistorted_pixel((*ray)?) }))
-        .collect();
+    let of_first = anchors.iter().zip(rays).filter(|(a, _)| a.surface == 0);
+    pairs.clear();
+    pairs.extend(of_first.filter_map(|(a, ray)| Some(PointPair { from: a.artwork, to: camera.undistorted_pixel((*ray)?) })));
     if pairs.len() < LEAST_FOR_HOMOGRAPHY {
         return None;
     }
-    let fit = Homography::from_pairs(&pairs, None)?.refined(&pairs, 0.2, 15)?;
+    let fit = Homography::from_pairs(pairs, None)?.refined(pairs, 0.2, 15)?;
     match &body.surfaces[0].spec.kind {
         ReferenceKind::Artwork => fit.with_unit_h33(),
         ReferenceKind::Photograph { photo_from_artwork, .. } => Homography(fit.0 * photo_from_artwork.try_inverse()?).with_unit_h33(),
@@ -146,13 +163,14 @@ fn estimate_motion(pairs: &[RayPair], metric: &Pose<Camera, ReferenceCamera>, si
 
 /// Torr's GRIC ("Geometric robust information criterion", 1998) of both models over all pairs; true when the essential
 /// matrix has the lower one.
-fn depth_explains_better(pairs: &[RayPair], motion: &TwoViewMotion, sigma: f64) -> bool {
-    let plane_pairs: Vec<PointPair> = pairs.iter().map(|p| PointPair { from: p.first, to: p.second }).collect();
-    let Some(plane) = Homography::from_pairs(&plane_pairs, None).and_then(|h| h.refined(&plane_pairs, sigma, 10)) else {
+fn depth_explains_better(pairs: &[RayPair], motion: &TwoViewMotion, sigma: f64, points: &mut Vec<PointPair>) -> bool {
+    points.clear();
+    points.extend(pairs.iter().map(|p| PointPair { from: p.first, to: p.second }));
+    let Some(plane) = Homography::from_pairs(points, None).and_then(|h| h.refined(points, sigma, 10)) else {
         return true;
     };
     let e = motion.essential();
-    let plane_errors = plane_pairs.iter().map(|p| plane.squared_error(p));
+    let plane_errors = points.iter().map(|p| plane.squared_error(p));
     let depth_errors = pairs.iter().map(|p| squared_sampson(&e, p));
     gric(depth_errors, sigma, 3.0, 5.0) < gric(plane_errors, sigma, 2.0, 8.0)
 }

@@ -6,7 +6,7 @@ use crate::camera::Normalized;
 use crate::geometry::resection::Observation;
 
 /// Exact anchors on a grid over every surface, moved by up to `noise_px` by a fixed pattern.
-fn seen(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel, across: u32, noise_px: f64) -> Verified {
+fn seen(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel, across: u32, noise_px: f64) -> (Verified, Vec<FittedAnchor>) {
     let mut anchors = Vec::new();
     for (surface, prepared) in body.surfaces.iter().enumerate() {
         for k in 0..across * across {
@@ -20,15 +20,12 @@ fn seen(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel, ac
             anchors.push(FittedAnchor { surface: surface as u32, artwork, observation, steady_px: pixel });
         }
     }
-    Verified {
-        pose: *pose,
-        covariance: Matrix6::identity(),
-        inliers: anchors.len(),
-        anchors,
-        share: 1.0,
-        rms_px: noise_px.max(0.05),
-        is_conclusive: false,
-    }
+    let (covariance, inliers, rms_px) = (Matrix6::identity(), anchors.len(), noise_px.max(0.05));
+    (Verified { pose: *pose, covariance, inliers, share: 1.0, rms_px, is_conclusive: false }, anchors)
+}
+
+fn described(body: &PreparedBody, (verified, anchors): &(Verified, Vec<FittedAnchor>), camera: &CameraModel) -> TwoView {
+    two_view(body, verified, anchors, camera, 1, &mut TwoViewBuffers::default())
 }
 
 fn with_depth() -> PreparedBody {
@@ -40,7 +37,7 @@ fn with_depth() -> PreparedBody {
 
 fn assert_described(body: &PreparedBody, has_depth: bool) {
     let (camera, pose) = (lens(640, 480), facing(0.1, -0.3, Vector3::new(0.4, 0.05, 5.0)));
-    let found = two_view(body, &seen(body, &pose, &camera, 10, 0.15), &camera, 1);
+    let found = described(body, &seen(body, &pose, &camera, 10, 0.15), &camera);
     assert_eq!(found.has_depth, has_depth);
     let truth = pose * reference_camera(body);
     let (motion, inliers) = found.essential.expect("a baseline");
@@ -86,12 +83,12 @@ fn without_a_baseline_or_correspondences_there_is_no_answer() {
     for (x, is_some) in [(0.03, false), (0.05, true)] {
         let pose: Pose<Camera, Body> = reference_camera(&body).inverse().renamed();
         let beside: Pose<Camera, Body> = Pose::new(pose.rotation, pose.translation + Vector3::new(x, 0.0, 0.0));
-        let found = two_view(&body, &seen(&body, &beside, &camera, 8, 0.0), &camera, 1);
+        let found = described(&body, &seen(&body, &beside, &camera, 8, 0.0), &camera);
         assert_eq!(found.essential.is_some(), is_some, "{x} m");
         assert!(found.homography.is_some());
     }
     let pose = facing(0.1, -0.3, Vector3::new(0.4, 0.05, 5.0));
     let mut few = seen(&body, &pose, &camera, 4, 0.0);
-    few.anchors.truncate(11);
-    assert!(two_view(&body, &few, &camera, 1).homography.is_none());
+    few.1.truncate(11);
+    assert!(described(&body, &few, &camera).homography.is_none());
 }

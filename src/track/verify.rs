@@ -7,10 +7,10 @@
 
 use nalgebra::Matrix6;
 
-use super::acquire::flipped;
 use super::reference::PreparedBody;
 use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
 use super::shutter::Shutter;
+use super::twin::{LEAST_MARGIN, most_frequent_surface, twin_margin};
 use crate::camera::CameraModel;
 use crate::features::Workers;
 use crate::geometry::resection::{
@@ -41,18 +41,14 @@ const LARGEST_RESIDUAL_PX: f64 = 1.5;
 /// Largest standard deviation of a pose that is given: of the direction in radians, and of the position as a share of the distance.
 const LARGEST_TURN: f64 = 0.5 * std::f64::consts::PI / 180.0;
 const LARGEST_SHIFT: f64 = 0.012;
-/// By how much (chi-squared) the tilted twin must be worse.
-const LEAST_FLIP_MARGIN: f64 = 25.0;
 
-/// A pose that passed, with all that it rests on.
-#[derive(Debug, Clone)]
+/// A pose that passed.
+#[derive(Debug, Clone, Copy)]
 pub struct Verified {
     /// `T_camera_body`.
     pub pose: Pose<Camera, Body>,
     /// Of the left perturbation [δt, δθ] of `T_camera_body`, camera axes.
     pub covariance: Matrix6<f64>,
-    /// The anchors that fit: (surface, artwork position, observation).
-    pub anchors: Vec<FittedAnchor>,
     /// Share of the anchors asked that fit.
     pub share: f64,
     /// Pixels or anchors that it rests on.
@@ -114,6 +110,9 @@ pub struct VerifyBuffers {
     targets: Vec<Target>,
     registered: Vec<Option<Registered>>,
     observations: Vec<Observation>,
+    squares: Vec<f64>,
+    /// The anchors that fit the last pose that passed.
+    pub anchors: Vec<FittedAnchor>,
 }
 
 /// Refines a candidate coarse to fine and judges it. `continued`: the pose continues a confirmed track.
@@ -169,10 +168,11 @@ fn tile(camera: &CameraModel, o: &Observation) -> u32 {
     index(o.pixel.y, camera.height(), TILES[1]) * TILES[0] + index(o.pixel.x, camera.width(), TILES[0])
 }
 
-fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, buffers: &VerifyBuffers) -> Result<Verified, Refusal> {
+fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, buffers: &mut VerifyBuffers) -> Result<Verified, Refusal> {
     let moving = MovingCamera { lens: view.camera, twist: view.shutter.twist(&fine.pose) };
     let asked = buffers.registered.iter().flatten().count();
-    let anchors = fitting_anchors(fine, &moving, buffers);
+    buffers.anchors = fitting_anchors(fine, &moving, buffers);
+    let anchors = &buffers.anchors;
     if anchors.len() < LEAST_FITTING {
         return Err(Refusal::TooFew(anchors.len()));
     }
@@ -192,8 +192,9 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
         return Err(Refusal::Contradicted(contradicting));
     }
     let covariance = judged_covariance(body, fine, &moving, view, &buffers.observations)?;
-    let margin = flip_margin(body, fine, &moving, &buffers.observations, &anchors);
-    if margin < LEAST_FLIP_MARGIN {
+    let surface = most_frequent_surface(anchors, body.surfaces.len());
+    let margin = twin_margin(body, surface, &fine.pose, &moving, &buffers.observations, &mut buffers.squares);
+    if margin < LEAST_MARGIN {
         return Err(Refusal::Ambiguous(margin));
     }
     let squared_px = |a: &FittedAnchor| {
@@ -201,7 +202,7 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
         squared_residual(&fine.pose, &moving, &unit).unwrap_or(0.0)
     };
     let rms_px = (anchors.iter().map(squared_px).sum::<f64>() / anchors.len() as f64).sqrt();
-    Ok(Verified { pose: fine.pose, covariance, share, inliers: anchors.len(), rms_px, anchors, is_conclusive: false })
+    Ok(Verified { pose: fine.pose, covariance, share, inliers: anchors.len(), rms_px, is_conclusive: false })
 }
 
 /// The anchors that agree with the pose, in pixels and in sigmas.
@@ -264,33 +265,6 @@ fn judged_covariance(
 /// Distance from the camera to the nearest surface centre, metres.
 fn nearest_surface_distance(body: &PreparedBody, pose: &Pose<Camera, Body>) -> f64 {
     body.surfaces.iter().map(|s| (*pose * s.spec.pose).translation.norm()).fold(f64::INFINITY, f64::min)
-}
-
-/// How much worse (in robust chi-squared) the best pose near the tilted twin is.
-fn flip_margin(
-    body: &PreparedBody,
-    fine: &Resection,
-    camera: &MovingCamera<CameraModel>,
-    observations: &[Observation],
-    anchors: &[FittedAnchor],
-) -> f64 {
-    let surface = most_frequent_surface(anchors, body.surfaces.len());
-    let twin = flipped(&fine.pose, body, surface);
-    let Some(other) = resect(&twin, camera, observations, 15) else { return f64::INFINITY };
-    if other.pose.angle_to(&fine.pose) < 0.5_f64.to_radians() {
-        // It fell back into the same minimum: there is no twin.
-        return f64::INFINITY;
-    }
-    let cost = |pose: &Pose<Camera, Body>| -> f64 {
-        let c2 = 22.0 * fine.scale.powi(2);
-        observations.iter().map(|o| squared_residual(pose, camera, o).unwrap_or(f64::INFINITY).min(c2)).sum::<f64>() / fine.scale.powi(2)
-    };
-    cost(&other.pose) - cost(&fine.pose)
-}
-
-fn most_frequent_surface(anchors: &[FittedAnchor], surfaces: usize) -> u32 {
-    let count = |s: usize| anchors.iter().filter(|a| a.surface as usize == s).count();
-    (0..surfaces).max_by_key(|&s| count(s)).unwrap_or(0) as u32
 }
 
 #[cfg(test)]

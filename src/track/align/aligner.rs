@@ -2,15 +2,18 @@
 
 use nalgebra::{Matrix2, Vector2};
 
+use super::evidence::RunEvidence;
+use super::exposure::{KnownSpread, USUAL_EXPOSURE_S, UnknownExposure, exposure_clue};
 use super::frame_levels::{FrameLevels, LEVELS};
 use super::light::Light;
 use super::motion::{Motion, MotionEstimate};
-use super::normal::RunEvidence;
+use super::noise::CameraNoise;
+use super::pixels::MOST_TILES;
 use super::selection::{Chosen, Selector};
 use super::shutter_clue::{ClueKeeper, ShutterClue};
+use super::slopes::{ChangeSums, SlopeShare};
 use super::system::System;
-use super::system::side_column::Clue;
-use super::task::Task;
+use super::task::{SlowStates, Task};
 use super::verdict::{Alignment, agreement, surprise};
 use super::work::used_pixels::UsedPixel;
 use super::work::{Corrected, Expected, Work};
@@ -39,28 +42,14 @@ const USUAL_WIDTH_PX: f64 = 1280.0;
 /// Looks across a pixel of the levels above the finest, and of that.
 const COARSE_SIDE: usize = 3;
 const SIDE: usize = 5;
-/// Pixels asked while nothing moves: their prediction is kept from frame to frame.
-const STILL_PIXELS: usize = 100_000;
-/// Exposure that an unknown camera is begun with, seconds.
-const USUAL_EXPOSURE_S: f64 = 0.004;
-/// Shortest exposure that is told from none.
-const SHORTEST_EXPOSURE_S: f64 = 5e-4;
-/// Longest exposure of a camera at 25 frames a second, seconds.
-const LONGEST_EXPOSURE_S: f64 = 0.04;
+/// Pixels asked while nothing moves, of all that are steep enough: their prediction is kept from frame to frame.
+const STILL_PIXELS: usize = 240_000;
 /// The point spread is one slow state, learnt from frames with less motion blur than this (pixels of the frame), by this share of
 /// what each says; one sigma about it in such frames, and in others, where it must not pass for motion. In the kernel's unit.
 const SHARP_FRAME_PX: f64 = 1.0;
 const SPREAD_SHARE: f64 = 0.2;
 const SPREAD_SIGMA: f64 = 0.5;
 const BLURRED_SPREAD_SIGMA: f64 = 0.05;
-/// An unknown exposure is learnt from frames with at least so much blur, pixels of the frame, by this share of what each says; of those
-/// with less than the second by less, as their information falls with its fourth power.
-const LEAST_BLUR_PX: f64 = 0.8;
-const TELLING_BLUR_PX: f64 = 1.5;
-/// The first of them say the more, and the exposure's square falls and rises by these shares a frame at most.
-const LEARNT_SHARE: f64 = 0.2;
-const LARGEST_FALL: f64 = 0.5;
-const LARGEST_RISE: f64 = 1.0;
 /// Linearisations of a level at most: of the levels above the finest, and of that.
 const COARSE_ROUNDS: usize = 8;
 const FINE_ROUNDS: usize = 16;
@@ -94,7 +83,7 @@ const CLOSE_SHARE: f64 = 0.8;
 /// share of the misfit.
 const TRIAL_FRAMES: u32 = 32;
 const FIRST_TRIAL: u32 = 3;
-const BETTER: f64 = 0.995;
+const BETTER: f64 = 0.97;
 /// A prediction is kept for the next frame while nothing moved by more, pixels of the level.
 const KEPT_PX: f64 = 0.05;
 
@@ -102,13 +91,12 @@ const KEPT_PX: f64 = 0.05;
 #[derive(Debug)]
 pub struct Aligner {
     surfaces: Vec<AlignSurface>,
-    /// With the exposure as known or learnt.
-    sensor: Sensor,
-    /// Longest exposure that an unknown one may be found to be, seconds; `None` where the exposure is known.
-    longest_exposure_s: Option<f64>,
-    /// Frames that told of it, by how much they did.
-    told_exposure: f64,
+    slow: SlowStates,
+    /// Follows an unknown exposure; `None` where it is known.
+    exposure: Option<UnknownExposure>,
     light: Light,
+    /// What it was before an attempt that may be given up.
+    light_before: Light,
     /// Slow average of the point spread.
     spread: f64,
     selector: Selector,
@@ -122,8 +110,7 @@ pub struct Aligner {
     off_px: f64,
     /// Share of the tiles that took part in the last frame.
     open_share: f64,
-    /// Whether the enlarged copies of the pictures are looked at, and how many frames ago that was tried.
-    is_enlarged: bool,
+    /// How many frames ago it was tried whether the enlarged copies of the pictures are what the frame shows.
     untried: u32,
     /// How far off each run of the finest level is shown, pixels of the level.
     shifts: Vec<Vector2<f64>>,
@@ -138,14 +125,15 @@ impl Aligner {
     pub fn new(body: &PreparedBody, sensor: Sensor) -> Self {
         let is_known = sensor.exposure_s > 0.0;
         let sensor = Sensor { exposure_s: if is_known { sensor.exposure_s } else { USUAL_EXPOSURE_S }, ..sensor };
+        let surfaces: Vec<AlignSurface> = body.surfaces.iter().map(|s| AlignSurface::new(&s.spec)).collect();
         Self {
-            longest_exposure_s: (!is_known).then_some(LONGEST_EXPOSURE_S),
-            surfaces: body.surfaces.iter().map(|s| AlignSurface::new(&s.spec)).collect(),
-            told_exposure: 0.0,
-            sensor,
+            exposure: (!is_known).then(UnknownExposure::default),
+            selector: Selector::with_room_for(&surfaces),
+            surfaces,
+            slow: SlowStates { sensor, noise: CameraNoise::usual(FINEST), is_enlarged: true, slopes: SlopeShare::default() },
             light: Light::default(),
+            light_before: Light::default(),
             spread: 0.0,
-            selector: Selector::default(),
             chosen: Vec::new(),
             coarse: Work::default(),
             fine: Work::default(),
@@ -153,7 +141,6 @@ impl Aligner {
             has_kept: false,
             off_px: FIRST_OFF_PX,
             open_share: 0.0,
-            is_enlarged: true,
             untried: TRIAL_FRAMES - FIRST_TRIAL,
             shifts: Vec::new(),
             clues: None,
@@ -161,10 +148,15 @@ impl Aligner {
         }
     }
 
+    /// Most patches that a frame can show: one a tile of each surface.
+    pub fn most_patches(&self) -> usize {
+        self.surfaces.len() * MOST_TILES[0] * MOST_TILES[1]
+    }
+
     /// From now on every frame is asked what it says of the shutter, which is taken as given here.
     pub fn ask_shutter(&mut self, sensor: Sensor) {
-        self.longest_exposure_s = None;
-        self.sensor = sensor;
+        self.exposure = None;
+        self.slow.sensor = sensor;
         self.clues = Some(ClueKeeper::default());
     }
 
@@ -176,7 +168,7 @@ impl Aligner {
     /// Adds the pixels that the last frame's pose rests on. Before [`Aligner::patches`], which looks elsewhere.
     pub fn used_pixels(&self, eye: &Eye, out: &mut Vec<UsedPixel>) {
         let Some(solved) = &self.last else { return };
-        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &solved.motion, self.is_enlarged);
+        let task = task(&self.surfaces, &self.slow, eye, FINEST, &solved.motion);
         self.fine.used_pixels(&task, solved, out);
     }
 
@@ -187,8 +179,7 @@ impl Aligner {
             clues.clue = None;
         }
         let information = expected.covariance.cholesky()?.inverse();
-        let blur_px =
-            f64::from(1u32 << FINEST) * task(&self.surfaces, &self.sensor, eye, FINEST, &expected.motion, self.is_enlarged).blur_px;
+        let blur_px = f64::from(1u32 << FINEST) * task(&self.surfaces, &self.slow, eye, FINEST, &expected.motion).blur_px;
         let spread_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_SPREAD_SIGMA } else { SPREAD_SIGMA };
         let known = Expected { motion: &expected.motion, information: &information, spread: self.spread, spread_sigma };
         let solved = match self.same_again(frame, eye, &known) {
@@ -200,7 +191,8 @@ impl Aligner {
 
     /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels.
     fn same_again(&mut self, frame: &mut FrameLevels, eye: &Eye, known: &Expected) -> Option<Corrected> {
-        let task = Task { count: STILL_PIXELS, ..task(&self.surfaces, &self.sensor, eye, FINEST, known.motion, self.is_enlarged) };
+        let noise = self.slow.noise.of_still();
+        let task = Task { count: STILL_PIXELS, is_dense: true, noise, ..task(&self.surfaces, &self.slow, eye, FINEST, known.motion) };
         if self.fine.moved_since(&task, known.motion) > KEPT_PX {
             self.has_kept = false;
             return None;
@@ -217,42 +209,9 @@ impl Aligner {
         (self.fine.moved_px(&task, known.motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
     }
 
-    /// An unknown exposure follows slowly what blurred frames say of it.
-    fn learn_exposure(&mut self, clue: Option<Clue>, blur_px: f64) {
-        let (Some(longest), Some(clue)) = (self.longest_exposure_s, clue) else { return };
-        let weight = (blur_px / TELLING_BLUR_PX).min(1.0).powi(4);
-        self.told_exposure += weight;
-        let share = weight * LEARNT_SHARE.max(2.0 / (self.told_exposure + 1.0)).min(1.0);
-        // Blur is linear in the square of the exposure.
-        let change = (2.0 * share * clue.pull / clue.information).clamp(-LARGEST_FALL, LARGEST_RISE);
-        self.sensor.exposure_s = (self.sensor.exposure_s * (1.0 + change).sqrt()).clamp(SHORTEST_EXPOSURE_S, longest);
-    }
-
-    /// What the residuals of a blurred frame say of the exposure, beside the point spread, as a share of it.
-    fn exposure_clue(&self, blur_px: f64) -> Option<Clue> {
-        if blur_px <= LEAST_BLUR_PX {
-            return None;
-        }
-        let mut s = [0.0; 5];
-        for e in &self.fine.evidence {
-            for (s, v) in s.iter_mut().zip(e.blur) {
-                *s += v;
-            }
-        }
-        // What is known of the point spread keeps it from passing for motion.
-        s[0] += BLURRED_SPREAD_SIGMA.powi(-2);
-        s[3] += (self.spread - self.light.spread) * BLURRED_SPREAD_SIGMA.powi(-2);
-        let determinant = s[0] * s[2] - s[1] * s[1];
-        if determinant <= 1e-3 * s[0] * s[2] {
-            return None;
-        }
-        // Grey changes by -2 / exposure of "sharper" per second of exposure: blur grows with its square.
-        Some(Clue { pull: -2.0 * (s[0] * s[4] - s[1] * s[3]) / s[0], information: 4.0 * determinant / s[0] })
-    }
-
     /// The patches of the last frame that fit, one a tile: where each is on its surface, and how far off the frame shows it.
     pub fn patches(&mut self, eye: &Eye, motion: &Motion, patches: &mut Vec<Patch>) {
-        let task = task(&self.surfaces, &self.sensor, eye, FINEST, motion, self.is_enlarged);
+        let task = task(&self.surfaces, &self.slow, eye, FINEST, motion);
         self.shifts.clear();
         self.shifts.extend(self.fine.evidence.iter().map(|e| patch_shift(e).map_or(Vector2::zeros(), |(shift, _)| shift)));
         // One linear step is right for small shifts. Where the calibration or the survey is off, patches must be followed.
@@ -289,16 +248,16 @@ impl Aligner {
     fn settle(&mut self, frame: &mut FrameLevels, eye: &Eye, known: &Expected, expected: &MotionEstimate) -> Option<Corrected> {
         let far = level_for(self.uncertain_px(eye, expected)).max(FINEST + 1);
         let near = level_for(LATELY_OFF * self.off_px).min(far);
-        let light = self.light.clone();
+        self.light_before.clone_from(&self.light);
         let found = self.descend(frame, eye, known, near);
         let is_close = found.is_some_and(|f| f.scale < CLOSE_SCALE) && self.fine.open_share() > CLOSE_SHARE * self.open_share;
         let found = if is_close || near == far {
             found
         } else {
-            self.light = light;
+            self.light.clone_from(&self.light_before);
             self.descend(frame, eye, known, far)
         }?;
-        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &found.motion, self.is_enlarged);
+        let task = task(&self.surfaces, &self.slow, eye, FINEST, &found.motion);
         let off_px = task.moved_px(known.motion, &found.motion) * f64::from(1u32 << FINEST);
         self.off_px = off_px.max(OFF_FADES * self.off_px);
         self.open_share = self.fine.open_share();
@@ -308,25 +267,31 @@ impl Aligner {
     /// Between its pixels the picture may be as smooth as their enlargement has it, or as a straight line (a projector or a wall of LEDs
     /// that scales it, a print of just these pixels): the frame tells. From time to time the finest level is solved with the other.
     fn tried(&mut self, eye: &Eye, known: &Expected, found: Corrected) -> Option<Corrected> {
+        let has_copies = self.surfaces.iter().any(|s| s.texture.own_level() > 0);
         self.untried += 1;
-        if self.untried < TRIAL_FRAMES {
+        if self.untried < TRIAL_FRAMES || !has_copies {
             return Some(found);
         }
         self.untried = 0;
-        let light = self.light.clone();
-        let misfit = self.fine.misfit();
-        for attempt in 0..2 {
-            self.is_enlarged = !self.is_enlarged;
-            let task = task(&self.surfaces, &self.sensor, eye, FINEST, &found.motion, self.is_enlarged);
-            self.fine.predict(&task, &found.motion);
-            let solved = self.fine.solve(&task, known, &mut self.light, &mut self.system, false, 2);
-            // The first as it was, again, if that is no better.
-            if attempt == 1 || solved.is_some() && self.fine.misfit() < BETTER * misfit {
-                return solved;
-            }
-            self.light.clone_from(&light);
+        self.light_before.clone_from(&self.light);
+        let was = self.slow.is_enlarged;
+        let other = self.solved_enlarged(!was, eye, known, &found).map_or(f64::INFINITY, |(_, misfit)| misfit);
+        let (solved, misfit) = self.solved_enlarged(was, eye, known, &found)?;
+        tracing::debug!(was, misfit, other, "enlargement");
+        if other < BETTER * misfit {
+            return self.solved_enlarged(!was, eye, known, &found).map(|(solved, _)| solved);
         }
-        None
+        Some(solved)
+    }
+
+    /// The finest level solved once more with the enlarged copies or without, and the misfit that is left.
+    fn solved_enlarged(&mut self, is_enlarged: bool, eye: &Eye, known: &Expected, found: &Corrected) -> Option<(Corrected, f64)> {
+        self.slow.is_enlarged = is_enlarged;
+        self.light.clone_from(&self.light_before);
+        let task = task(&self.surfaces, &self.slow, eye, FINEST, &found.motion);
+        self.fine.predict(&task, &found.motion);
+        let solved = self.fine.solve(&task, known, &mut self.light, &mut self.system, false, 2)?;
+        Some((solved, self.fine.misfit()))
     }
 
     /// From coarse to fine.
@@ -336,7 +301,7 @@ impl Aligner {
         let mut is_first = true;
         for l in (FINEST..=from).rev() {
             let is_finest = l == FINEST;
-            let task = task(&self.surfaces, &self.sensor, eye, l, &motion, self.is_enlarged);
+            let task = task(&self.surfaces, &self.slow, eye, l, &motion);
             let work = if is_finest { &mut self.fine } else { &mut self.coarse };
             if !work.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
                 continue;
@@ -344,8 +309,15 @@ impl Aligner {
             let (rounds, small_px) = if is_finest { (FINE_ROUNDS, FINE_STEP_PX) } else { (COARSE_ROUNDS, COARSE_STEP_PX) };
             let mut last = None;
             let mut chosen_at = motion;
+            let mut is_same = false;
+            let mut shown = ChangeSums::default();
             for _ in 0..rounds {
-                work.predict(&task, &motion);
+                if is_same && is_finest {
+                    shown.add(&work.predict_again(&task, &motion));
+                } else {
+                    work.predict(&task, &motion);
+                }
+                is_same = true;
                 if is_first {
                     work.guess_light(&task, &mut self.light, self.spread);
                 }
@@ -361,12 +333,14 @@ impl Aligner {
                 }
                 if is_finest && work.moved_px(&task, &chosen_at, &motion) > CHOSEN_PX {
                     chosen_at = motion;
+                    is_same = false;
                     if !work.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
                         return None;
                     }
                 }
             }
             if is_finest {
+                self.slow.slopes.learn(&shown);
                 return last;
             }
         }
@@ -389,18 +363,24 @@ impl Aligner {
 
     /// Covariance and evidence at the solution.
     fn conclude(&mut self, eye: &Eye, solved: &Corrected, expected: &MotionEstimate) -> Option<Alignment> {
-        let task = task(&self.surfaces, &self.sensor, eye, FINEST, &solved.motion, self.is_enlarged);
+        let task = task(&self.surfaces, &self.slow, eye, FINEST, &solved.motion);
         let blur_px = task.blur_px * f64::from(1u32 << FINEST);
         let (estimate, covariance) = self.fine.conclude(&task, solved, &mut self.system)?;
         if blur_px < SHARP_FRAME_PX {
             self.spread += SPREAD_SHARE * (self.light.spread - self.spread);
         }
-        let exposure = self.exposure_clue(blur_px);
+        let spread = KnownSpread { error: self.spread - self.light.spread, sigma: BLURRED_SPREAD_SIGMA };
+        let exposure = exposure_clue(&self.fine.evidence, spread, blur_px);
         if let Some(clues) = &mut self.clues {
             let readout = self.fine.readout_clue(&task, solved, &self.system, &mut clues.column);
             clues.clue = Some(ShutterClue { readout, exposure });
         }
-        self.learn_exposure(exposure, blur_px);
+        if blur_px < SHARP_FRAME_PX {
+            self.slow.noise.learn(&self.fine.noise_sums(solved.scale));
+        }
+        if let (Some(unknown), Some(clue)) = (&mut self.exposure, exposure) {
+            unknown.learn(&mut self.slow.sensor, clue, blur_px);
+        }
         self.last = Some(*solved);
         let sum = |f: fn(&RunEvidence) -> f64| self.fine.evidence.iter().map(f).sum::<f64>();
         let inliers = sum(|e| e.inliers);
@@ -427,12 +407,15 @@ fn level_for(off_px: f64) -> usize {
 }
 
 /// What a level has to do at a motion.
-fn task<'a>(surfaces: &'a [AlignSurface], sensor: &'a Sensor, eye: &'a Eye, level: usize, motion: &Motion, is_enlarged: bool) -> Task<'a> {
+fn task<'a>(surfaces: &'a [AlignSurface], slow: &'a SlowStates, eye: &'a Eye, level: usize, motion: &Motion) -> Task<'a> {
+    let SlowStates { sensor, noise, is_enlarged, slopes } = slow;
     let wider = (f64::from(eye.camera.width()) / USUAL_WIDTH_PX).max(1.0);
     let count = (PIXELS[level] as f64 * wider) as usize;
-    let is_finest = level == FINEST;
-    let side = if is_finest { SIDE } else { COARSE_SIDE };
-    let mut task = Task { surfaces, eye, sensor, level, is_finest, count, blur_px: 0.0, side, is_enlarged };
+    let side = if level == FINEST { SIDE } else { COARSE_SIDE };
+    let noise = noise.at(level);
+    let slope_share = slopes.get() as f32;
+    let mut task =
+        Task { surfaces, eye, sensor, level, noise, count, is_dense: false, blur_px: 0.0, side, is_enlarged: *is_enlarged, slope_share };
     let half = 0.5 * sensor.exposure_s;
     task.blur_px = task.moved_px(&motion.after(-half), &motion.after(half));
     task

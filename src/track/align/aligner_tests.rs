@@ -110,7 +110,7 @@ fn followed(coarse: &SurfaceSpec, picture: GrayImage) -> Aligner {
 fn the_frame_tells_how_the_picture_was_enlarged() {
     let coarse = SurfaceSpec::from_artwork("coarse".into(), texture(160, 120, 4), [4.0, 3.0], Pose::identity()).expect("texture enough");
     // Linear between its pixels, as `view` looks at it; and smooth.
-    assert!(!followed(&coarse, coarse.artwork.clone()).is_enlarged);
+    assert!(!followed(&coarse, coarse.artwork.clone()).slow.is_enlarged);
     let smooth = image::imageops::resize(&coarse.artwork, 1280, 960, image::imageops::FilterType::Lanczos3);
-    assert!(followed(&coarse, smooth).is_enlarged);
+    assert!(followed(&coarse, smooth).slow.is_enlarged);
 }

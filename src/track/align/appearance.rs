@@ -81,10 +81,14 @@ struct View {
     half_exposure_s: f32,
     /// Looks across a sharp pixel.
     side: usize,
+    /// See [`Predicted::slope_share`].
+    slope_share: f32,
 }
 
 impl View {
-    fn new(surface: &AlignSurface, motion: &Motion, exposure_s: f64, side: usize, is_enlarged: bool) -> Self {
+    fn new(what: &Predicted) -> Self {
+        let Predicted { surface, motion, side, is_enlarged, .. } = *what;
+        let exposure_s = if what.places > 1 { what.sensor.exposure_s } else { 0.0 };
         let rt = surface.rotation.transpose();
         let turn = motion.rotation_polynomial().map(|r| rt * r);
         let [p0, p1, p2] = motion.centre_polynomial();
@@ -107,6 +111,7 @@ impl View {
             last_level: surface.texture.levels as f32 - 0.999,
             level_offset: surface.texture.own_level() as f32 + texel_log2,
             half_exposure_s: (0.5 * exposure_s) as f32,
+            slope_share: what.slope_share,
         }
     }
 }
@@ -126,6 +131,8 @@ pub struct Predicted<'a> {
     pub side: usize,
     /// Whether the enlarged copy of the picture may be looked at.
     pub is_enlarged: bool,
+    /// What slopes over looks are multiplied with: see [`slopes`](super::slopes).
+    pub slope_share: f32,
     /// The pixels of the level.
     pub pixels: &'a Pixels,
     /// First of these, and one beyond the last: whole lanes.
@@ -428,8 +435,8 @@ fn diagonal_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &Way<L>,
 
 #[inline(always)]
 pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
-    let Predicted { surface, motion, sensor, places, side, is_enlarged, pixels, range } = *what;
-    let view = &View::new(surface, motion, if places > 1 { sensor.exposure_s } else { 0.0 }, side, is_enlarged);
+    let Predicted { surface, places, pixels, range, .. } = *what;
+    let view = &View::new(what);
     let tiles = &surface.texture.tiles[..];
     let mut k = range[0];
     while k < range[1] {
@@ -456,9 +463,11 @@ pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
         store_at(&mut out.grey, k, looked.grey);
         store_at(&mut out.spread, k, looked.spread);
         store_at(&mut out.sharper, k, looked.sharper);
-        store_at(&mut out.across, k, looked.across);
-        store_at(&mut out.down, k, looked.down);
-        let by_pose = by_pose(view, &a, &middle, [x, y], by_texel(&by_pixel, looked.across, looked.down));
+        let slope_share = L::splat(view.slope_share);
+        let (across, down) = (looked.across.mul(slope_share), looked.down.mul(slope_share));
+        store_at(&mut out.across, k, across);
+        store_at(&mut out.down, k, down);
+        let by_pose = by_pose(view, &a, &middle, [x, y], by_texel(&by_pixel, across, down));
         for n in 0..6 {
             store_at(&mut out.by_pose[n], k, by_pose[n]);
         }

@@ -1,7 +1,7 @@
 //! How a tile compares with its prediction when its gain and bias are left open: what tells tiles that show the stage from those that
 //! show something else, before anything is solved.
 
-use super::normal::Noise;
+use super::noise::Noise;
 
 /// A run compared with its prediction, gain and bias free.
 #[derive(Debug, Clone, Copy)]

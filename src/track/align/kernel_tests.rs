@@ -3,11 +3,15 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::appearance::{Appearance, Predicted, predict, predict_lanes};
+use super::evidence::{RunEvidence, evidence, evidence_lanes};
 use super::frame_levels::FrameLevels;
-use super::lanes::{LANES, Plain};
+use super::lanes::{LANES, Lanes, Plain, load_at};
 use super::light::Light;
 use super::motion::{Motion, MotionError};
-use super::normal::{COLUMNS, Noise, Residuals, RunView, TileLight, Weighing, moments, residuals, tile_sums, tile_sums_lanes};
+use super::noise::{Noise, noise_sums, noise_sums_lanes};
+use super::normal::{
+    COLUMNS, Residuals, RunView, TileLight, TileSums, Weighing, columns, less_step, moments, residuals, tile_sums, tile_sums_lanes, weight,
+};
 use super::pixels::{Pixels, Source};
 use super::selection::{Choice, Selector};
 use super::{AlignSurface, Eye, Sensor};
@@ -38,7 +42,7 @@ fn scene() -> Scene {
     let surface = AlignSurface::new(&cloth(1));
     let sensor = Sensor { readout_s: 0.012, exposure_s: 0.01 };
     let table = eye.tables[1].as_ref().expect("levels above 0 have tables");
-    let choice = Choice { camera: &eye.camera, table, level: 1, sensor, blur_px: 0.0, count: 3000 };
+    let choice = Choice { camera: &eye.camera, table, level: 1, sensor, blur_px: 0.0, count: 3000, is_dense: false };
     let mut chosen = Vec::new();
     Selector::default().choose(std::slice::from_ref(&surface), &motion, &choice, &mut chosen);
     assert!((2000..6000).contains(&chosen.len()), "{}", chosen.len());
@@ -56,7 +60,7 @@ fn appearance(scene: &Scene, motion: &Motion, places: usize) -> Appearance {
 
 fn predicted<'a>(scene: &'a Scene, motion: &'a Motion, places: usize) -> Predicted<'a> {
     let Scene { surface, sensor, pixels, .. } = scene;
-    Predicted { surface, motion, sensor, places, side: 3, is_enlarged: true, pixels, range: [0, pixels.len()] }
+    Predicted { surface, motion, sensor, places, side: 3, is_enlarged: true, slope_share: 1.0, pixels, range: [0, pixels.len()] }
 }
 
 /// How far slopes over looks may be from the derivative.
@@ -141,7 +145,7 @@ fn the_plain_twin_predicts_the_same() {
 }
 
 #[test]
-fn the_plain_twin_sums_the_same_and_sums_are_products_of_the_columns() {
+fn plain_twins_sum_the_same_and_sums_are_products_of_the_columns() {
     let scene = scene();
     let at = appearance(&scene, &scene.motion, 1);
     let mut light = Light::default();
@@ -164,9 +168,54 @@ fn the_plain_twin_sums_the_same_and_sums_are_products_of_the_columns() {
                 assert!((fast.product(i, j) - plain.product(i, j)).abs() < 1e-3 * size + 1e-3, "{i} {j}");
             }
         }
+        assert_products(&view, &step, &weighing, &plain);
+        let (fast, plain) = (evidence(&view, &step, &weighing), evidence_lanes::<Plain>(&view, &step, &weighing));
+        let all = |e: &RunEvidence| [&[e.count, e.inliers, e.squared_px][..], &e.moments, &e.shift, &e.place, &e.blur].concat();
+        assert_near(&all(&fast), &all(&plain));
+        let (fast, plain) = (noise_sums(&view, &step, &weighing), noise_sums_lanes::<Plain>(&view, &step, &weighing));
+        assert_near(&fast.map(f64::from), &plain.map(f64::from));
         let n = moments(&scene.pixels, run, &at)[0];
         assert!(n <= f64::from(run.end - run.start) && n > 0.0);
     }
+}
+
+fn assert_near(fast: &[f64], plain: &[f64]) {
+    let size = plain.iter().fold(1.0_f64, |most, v| most.max(v.abs()));
+    for (n, (f, p)) in fast.iter().zip(plain).enumerate() {
+        assert!((f - p).abs() < 2e-3 * p.abs() + 1e-5 * size, "{n}: {f} {p}");
+    }
+}
+
+/// The sums as they are defined: pixel by pixel.
+fn assert_products(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing, found: &TileSums) {
+    let mut sums = [[0.0; COLUMNS + 1]; COLUMNS + 1];
+    for k in view.run.range().step_by(LANES) {
+        let (columns, _) = columns::<Plain>(view.pixels, view.appearance, view.light, k);
+        let r = load_at::<Plain>(&view.residuals.grey, k);
+        let information = load_at::<Plain>(&view.residuals.information, k);
+        let after = less_step(r, &columns, step);
+        let w = lanes(weight(after.mul(after).mul(information), weighing).mul(information));
+        let all: Vec<[f32; LANES]> = columns.into_iter().chain([r]).map(lanes).collect();
+        for (lane, w) in w.iter().enumerate() {
+            for (i, a) in all.iter().enumerate() {
+                for (j, b) in all.iter().enumerate() {
+                    sums[i][j] += f64::from(*w) * f64::from(a[lane]) * f64::from(b[lane]);
+                }
+            }
+        }
+    }
+    for i in 0..=COLUMNS {
+        for j in 0..=COLUMNS {
+            let size = (sums[i][i] * sums[j][j]).sqrt();
+            assert!((found.product(i, j) - sums[i][j]).abs() < 1e-4 * size + 1e-4, "{i} {j}");
+        }
+    }
+}
+
+fn lanes(v: Plain) -> [f32; LANES] {
+    let mut out = [0.0; LANES];
+    v.store(&mut out);
+    out
 }
 
 #[test]
@@ -186,7 +235,7 @@ fn every_run_is_whole_and_no_pixel_comes_twice() {
     let away = Motion::still(crate::geometry::Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 3.0)));
     let eye = Eye::new(lens(480, 360), None);
     let table = eye.tables[1].as_ref().expect("levels above 0 have tables");
-    let choice = Choice { camera: &eye.camera, table, level: 1, sensor: scene.sensor, blur_px: 0.0, count: 3000 };
+    let choice = Choice { camera: &eye.camera, table, level: 1, sensor: scene.sensor, blur_px: 0.0, count: 3000, is_dense: false };
     let mut chosen = Vec::new();
     Selector::default().choose(std::slice::from_ref(&scene.surface), &away, &choice, &mut chosen);
     assert!(chosen.is_empty());

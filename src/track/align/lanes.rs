@@ -170,6 +170,14 @@ pub fn store_at<L: Lanes>(values: &mut [f32], k: usize, v: L) {
     values[k..k + LANES].copy_from_slice(&chunk);
 }
 
+/// The sum of all lanes.
+#[inline(always)]
+pub fn total<L: Lanes>(v: L) -> f32 {
+    let mut lanes = [0.0; LANES];
+    v.store(&mut lanes);
+    ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7]))
+}
+
 /// One step of an `f32` mantissa.
 const MANTISSA_STEP: f32 = 1.0 / 8_388_608.0;
 

@@ -4,7 +4,7 @@
 use super::pixels::TileGrid;
 
 /// seen = gain(x) (grey + spread * d grey / d spread) + bias.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub struct Light {
     /// Gain at the nodes of the light grid, numbered column by column.
     pub gains: Vec<f64>,
@@ -19,6 +19,18 @@ pub struct Light {
 impl Default for Light {
     fn default() -> Self {
         Self { gains: vec![1.0; 4], nodes: [2, 2], bias: 0.0, spread: 0.0 }
+    }
+}
+
+impl Clone for Light {
+    fn clone(&self) -> Self {
+        Self { gains: self.gains.clone(), ..*self }
+    }
+
+    /// Keeps the list of gains: nothing is allocated where the grid has no more nodes than before.
+    fn clone_from(&mut self, other: &Self) {
+        self.gains.clone_from(&other.gains);
+        (self.nodes, self.bias, self.spread) = (other.nodes, other.bias, other.spread);
     }
 }
 

@@ -13,18 +13,26 @@ mod aligner;
 #[allow(clippy::needless_range_loop)]
 mod appearance;
 mod enlarge;
+#[allow(clippy::needless_range_loop)]
+mod evidence;
+mod exposure;
 mod frame_levels;
 mod gauge;
 mod jerk;
+mod kernels;
 mod lanes;
 mod light;
 mod motion;
+#[allow(clippy::needless_range_loop)]
+mod noise;
 #[allow(clippy::needless_range_loop)]
 mod normal;
 mod pixels;
 mod rays;
 mod selection;
 mod shutter_clue;
+#[allow(clippy::needless_range_loop)]
+mod slopes;
 #[allow(clippy::needless_range_loop)]
 mod system;
 mod task;
@@ -39,6 +47,7 @@ pub use aligner::{Aligner, Patch};
 pub use frame_levels::FrameLevels;
 use frame_levels::LEVELS;
 pub use jerk::Jerk;
+pub use kernels::AlignKernels;
 pub use motion::MotionEstimate;
 use rays::RayTable;
 pub use shutter_clue::ShutterClue;

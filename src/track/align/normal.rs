@@ -2,8 +2,9 @@
 //! pose at the tile's rows, with the light of the tile's corners, the bias and the point spread.
 
 use super::appearance::Appearance;
-use super::lanes::{LANES, Lanes, dispatch, load_at, store_at};
+use super::lanes::{LANES, Lanes, dispatch, load_at, store_at, total};
 use super::light::Light;
+use super::noise::Noise;
 use super::pixels::{Pixels, Run};
 
 /// Columns of a tile: pose (6), point spread, bias, gain at the four corners of its cell.
@@ -82,17 +83,6 @@ impl TileLight {
     }
 }
 
-/// What the noise of a pixel is made of.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Noise {
-    /// Variance at black, and its growth per grey level, of one pixel of the level.
-    pub dark: f32,
-    /// See `dark`.
-    pub per_grey: f32,
-    /// Error of the model in pixels of the level: it keeps strong edges from ruling.
-    pub model_px: f32,
-}
-
 dispatch! {
     /// Residuals of a run at the linearisation, and their informations.
     residuals, residuals_avx2, residuals_lanes,
@@ -159,38 +149,90 @@ fn residuals_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance
     }
 }
 
+/// Groups of [`LANES`] pixels whose columns are laid out before their products are summed.
+const CHUNK: usize = 8;
+
+/// Columns and residual of a chunk, group by group.
+type Chunk<L> = [[L; CHUNK]; ALL];
+
 #[inline(always)]
 pub fn tile_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> TileSums {
     let RunView { pixels, run, appearance, light, residuals } = *view;
-    let mut sums = [L::splat(0.0); ENTRIES];
+    let zero = L::splat(0.0);
+    let mut sums = [[zero; ALL]; ALL];
+    let mut plain: Chunk<L> = [[zero; CHUNK]; ALL];
+    let mut weighted = plain;
+    let mut n = 0;
     for k in run.range().step_by(LANES * weighing.stride) {
         let (columns, _) = columns::<L>(pixels, appearance, light, k);
         let r = load_at::<L>(&residuals.grey, k);
         let after = less_step(r, &columns, step);
         let information = load_at::<L>(&residuals.information, k);
         let w = weight(after.mul(after).mul(information), weighing).mul(information);
-        let mut at = 0;
-        for i in 0..COLUMNS {
-            let weighted = columns[i].mul(w);
-            for j in i..COLUMNS {
-                sums[at] = weighted.mul_add(columns[j], sums[at]);
-                at += 1;
-            }
-            sums[at] = weighted.mul_add(r, sums[at]);
+        for c in 0..COLUMNS {
+            plain[c][n] = columns[c];
+            weighted[c][n] = columns[c].mul(w);
+        }
+        plain[COLUMNS][n] = r;
+        weighted[COLUMNS][n] = r.mul(w);
+        n += 1;
+        if n == CHUNK {
+            add_products(&weighted, &plain, CHUNK, &mut sums);
+            n = 0;
+        }
+    }
+    add_products(&weighted, &plain, n, &mut sums);
+    let mut totals = [0.0; ENTRIES];
+    let mut at = 0;
+    for i in 0..ALL {
+        for j in i..ALL {
+            totals[at] = total(sums[i][j]);
             at += 1;
         }
-        sums[at] = r.mul(w).mul_add(r, sums[at]);
-    }
-    let mut totals = [0.0; ENTRIES];
-    for n in 0..ENTRIES {
-        totals[n] = total(sums[n]);
     }
     TileSums { sums: totals }
 }
 
+/// Adds the products of the first `n` groups of a chunk: at least all with i <= j.
+#[inline(always)]
+fn add_products<L: Lanes>(weighted: &Chunk<L>, plain: &Chunk<L>, n: usize, sums: &mut [[L; ALL]; ALL]) {
+    // Blocks of three rows by four columns: their sums stay in registers while a chunk is walked through.
+    for [i, j] in [[0, 0], [0, 4], [0, 8], [3, 3], [3, 7], [6, 6], [9, 9]] {
+        add_block::<L, 3, 4>(weighted, plain, n, i, j, sums);
+    }
+    for [i, j] in [[0, 12], [3, 11], [3, 12], [6, 10], [6, 11], [6, 12]] {
+        add_block::<L, 3, 1>(weighted, plain, n, i, j, sums);
+    }
+    add_block::<L, 1, 1>(weighted, plain, n, COLUMNS, COLUMNS, sums);
+}
+
+#[inline(always)]
+fn add_block<L: Lanes, const R: usize, const C: usize>(
+    weighted: &Chunk<L>,
+    plain: &Chunk<L>,
+    n: usize,
+    i: usize,
+    j: usize,
+    sums: &mut [[L; ALL]; ALL],
+) {
+    let mut block = [[L::splat(0.0); C]; R];
+    for p in 0..n {
+        for a in 0..R {
+            for b in 0..C {
+                block[a][b] = weighted[i + a][p].mul_add(plain[j + b][p], block[a][b]);
+            }
+        }
+    }
+    for a in 0..R {
+        for b in 0..C {
+            sums[i + a][j + b] = sums[i + a][j + b].add(block[a][b]);
+        }
+    }
+}
+
 /// The columns of [`LANES`] pixels: how the predicted grey changes; and the gain there.
 #[inline(always)]
-fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight, k: usize) -> ([L; COLUMNS], L) {
+pub fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight, k: usize) -> ([L; COLUMNS], L) {
     let corners = corner_weights::<L>(pixels, k);
     let g = gain(light, &corners);
     let spread = load_at::<L>(&appearance.spread, k);
@@ -209,7 +251,7 @@ fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight
 
 /// The residual that a step leaves.
 #[inline(always)]
-fn less_step<L: Lanes>(mut r: L, columns: &[L; COLUMNS], step: &[f32; COLUMNS]) -> L {
+pub fn less_step<L: Lanes>(mut r: L, columns: &[L; COLUMNS], step: &[f32; COLUMNS]) -> L {
     for c in 0..COLUMNS {
         r = r.sub(columns[c].mul(L::splat(step[c])));
     }
@@ -218,7 +260,7 @@ fn less_step<L: Lanes>(mut r: L, columns: &[L; COLUMNS], step: &[f32; COLUMNS]) 
 
 /// The robust weight of a squared whitened residual.
 #[inline(always)]
-fn weight<L: Lanes>(squared: L, weighing: &Weighing) -> L {
+pub fn weight<L: Lanes>(squared: L, weighing: &Weighing) -> L {
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
     let scale2 = (weighing.scale * weighing.scale) as f32;
     if weighing.is_first_look {
@@ -227,13 +269,6 @@ fn weight<L: Lanes>(squared: L, weighing: &Weighing) -> L {
     }
     let u = one.sub(squared.mul(L::splat(1.0 / (scale2 * TUKEY * TUKEY)))).max(zero);
     u.mul(u)
-}
-
-#[inline(always)]
-fn total<L: Lanes>(v: L) -> f32 {
-    let mut lanes = [0.0; LANES];
-    v.store(&mut lanes);
-    ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7]))
 }
 
 dispatch! {
@@ -259,27 +294,6 @@ fn moments_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance) 
     totals
 }
 
-/// What a run shows at the solution, for the judgement and for correspondences.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct RunEvidence {
-    /// Pixels that tell something.
-    pub count: f64,
-    /// Of these, with a robust weight above one half.
-    pub inliers: f64,
-    /// Sum of squared residuals, and of squared residuals over squared gradient (pixels²), of the inliers.
-    pub squared_px: f64,
-    /// Sums of seen, predicted, their squares and their product.
-    pub moments: [f64; 5],
-    /// Sum of the noise variance.
-    pub noise: f64,
-    /// Weighted sums of across², across down, down², across r, down r (gradients of the predicted frame).
-    pub shift: [f64; 5],
-    /// Weighted sums of the pixel's place: weight, column, row.
-    pub place: [f64; 3],
-    /// Weighted sums of spread², spread sharper, sharper², spread r, sharper r.
-    pub blur: [f64; 5],
-}
-
 dispatch! {
     /// Adds the squared whitened residuals that `step` leaves, of one group of [`LANES`] pixels in `stride`, to `squares`.
     squares_after, squares_after_avx2, squares_after_lanes,
@@ -299,81 +313,5 @@ fn squares_after_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], stride: 
                 squares.push(after[n]);
             }
         }
-    }
-}
-
-dispatch! {
-    /// Looks at a run again after `step`.
-    evidence, evidence_avx2, evidence_lanes,
-    (view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> RunEvidence
-}
-
-#[inline(always)]
-fn evidence_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> RunEvidence {
-    let RunView { pixels, run, appearance, light, residuals } = *view;
-    let zero = L::splat(0.0);
-    let mut sums = [zero; 22];
-    for k in run.range().step_by(LANES) {
-        let (columns, g) = columns::<L>(pixels, appearance, light, k);
-        let r = less_step(load_at::<L>(&residuals.grey, k), &columns, step);
-        let counts = load_at::<L>(&pixels.counts, k);
-        let seen = load_at::<L>(&pixels.seen, k).mul(counts);
-        let predicted = seen.sub(r.mul(counts));
-        let information = load_at::<L>(&residuals.information, k);
-        let robust = weight(r.mul(r).mul(information), weighing).mul(counts);
-        let w = robust.mul(information);
-        let inlier = robust.sub(L::splat(0.5)).mul(L::splat(1e9)).max(zero).min(L::splat(1.0));
-        let (across, down) = (load_at::<L>(&appearance.across, k).mul(g), load_at::<L>(&appearance.down, k).mul(g));
-        let steep = across.mul(across).add(down.mul(down)).max(L::splat(1.0));
-        let (spread, sharper) = (columns[SPREAD], load_at::<L>(&appearance.sharper, k).mul(g));
-        let variance = counts.div(information.max(L::splat(1e-9)));
-        let mut columns_at = [0.0; LANES];
-        let mut rows_at = [0.0; LANES];
-        for lane in 0..LANES {
-            [columns_at[lane], rows_at[lane]] = pixels.place(k + lane).map(|v| v as f32);
-        }
-        let (u, v) = (L::load(&columns_at), L::load(&rows_at));
-        let (wa, wd, ws, wx) = (w.mul(across), w.mul(down), w.mul(spread), w.mul(sharper));
-        let terms = [
-            counts,
-            inlier,
-            r.mul(r).mul(inlier).div(steep),
-            seen,
-            predicted,
-            seen.mul(seen),
-            predicted.mul(predicted),
-            seen.mul(predicted),
-            variance,
-            wa.mul(across),
-            wa.mul(down),
-            wd.mul(down),
-            wa.mul(r),
-            wd.mul(r),
-            w.mul(steep),
-            w.mul(steep).mul(u),
-            w.mul(steep).mul(v),
-            ws.mul(spread),
-            ws.mul(sharper),
-            wx.mul(sharper),
-            ws.mul(r),
-            wx.mul(r),
-        ];
-        for n in 0..22 {
-            sums[n] = sums[n].add(terms[n]);
-        }
-    }
-    let mut s = [0.0; 22];
-    for n in 0..22 {
-        s[n] = f64::from(total(sums[n]));
-    }
-    RunEvidence {
-        count: s[0],
-        inliers: s[1],
-        squared_px: s[2],
-        moments: [s[3], s[4], s[5], s[6], s[7]],
-        noise: s[8],
-        shift: [s[9], s[10], s[11], s[12], s[13]],
-        place: [s[14], s[15], s[16]],
-        blur: [s[17], s[18], s[19], s[20], s[21]],
     }
 }

@@ -132,6 +132,8 @@ pub struct Pixels {
     pub counts: Vec<f32>,
     /// Place in the cell of the light grid, 0 to 1.
     pub cell: [Vec<f32>; 2],
+    /// Column and row of the level.
+    pub place: [Vec<f32>; 2],
     /// Row times width plus column.
     pub index: Vec<u32>,
     /// Runs in order.
@@ -140,8 +142,6 @@ pub struct Pixels {
     pub groups: Vec<(u32, u32, u32)>,
     /// The tiles.
     pub grid: TileGrid,
-    /// Width of the level.
-    pub width: usize,
     /// See [`TileGrid::places`]; where the next pixel of each surface's tile goes.
     columns: Vec<(u16, f32)>,
     rows: Vec<(u16, f32)>,
@@ -155,7 +155,6 @@ impl Pixels {
     /// Lays out a choice.
     pub fn arrange(&mut self, chosen: &[Chosen], surfaces: usize, source: &Source) {
         let Source { l, level, table, sensor, height } = *source;
-        self.width = table.width;
         self.grid = TileGrid::covering(chosen);
         self.grid.places(0, &mut self.columns);
         self.grid.places(1, &mut self.rows);
@@ -180,6 +179,7 @@ impl Pixels {
             let slope = table.slope(u, v);
             (self.x_across[n], self.x_down[n]) = (slope.x_across, slope.x_down);
             (self.y_across[n], self.y_down[n]) = (slope.y_across, slope.y_down);
+            (self.place[0][n], self.place[1][n]) = (u as f32, v as f32);
             self.delay_s[n] = sensor.delay_s(l, v as f64, height) as f32;
             (self.cell[0][n], self.cell[1][n]) = (self.columns[u - left].1, self.rows[v - top].1);
         }
@@ -201,12 +201,6 @@ impl Pixels {
     #[cfg(test)]
     pub fn is_repeat(&self, k: u32) -> bool {
         self.repeats.binary_search(&k).is_ok()
-    }
-
-    /// Column and row of pixel `k`.
-    pub fn place(&self, k: usize) -> [usize; 2] {
-        let index = self.index[k] as usize;
-        [index % self.width, index / self.width]
     }
 
     /// Pixels, padding included.
@@ -258,10 +252,10 @@ impl Pixels {
         }
     }
 
-    fn lists(&mut self) -> [&mut Vec<f32>; 11] {
-        let [a, b] = &mut self.cell;
+    fn lists(&mut self) -> [&mut Vec<f32>; 13] {
+        let ([a, b], [u, v]) = (&mut self.cell, &mut self.place);
         let Self { x, y, x_across, x_down, y_across, y_down, delay_s, seen, counts, .. } = self;
-        [x, y, x_across, x_down, y_across, y_down, delay_s, seen, counts, a, b]
+        [x, y, x_across, x_down, y_across, y_down, delay_s, seen, counts, a, b, u, v]
     }
 }
 

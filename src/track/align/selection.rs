@@ -64,9 +64,17 @@ pub struct Choice<'a> {
     pub blur_px: f64,
     /// Pixels wanted.
     pub count: usize,
+    /// Whether they are chosen by texels of half the size, among which no steep pixel is passed over.
+    pub is_dense: bool,
 }
 
 impl Selector {
+    /// With room for all blocks of the surfaces that may come into view at once.
+    pub fn with_room_for(surfaces: &[AlignSurface]) -> Self {
+        let most = |s: &AlignSurface| s.texture.candidates.iter().map(|c| c.columns * c.rows).max().unwrap_or(0);
+        Self { blocks: Vec::with_capacity(surfaces.iter().map(most).sum()), taken: Vec::new() }
+    }
+
     /// Fills `chosen` with at most about `count` different pixels.
     pub fn choose(&mut self, surfaces: &[AlignSurface], motion: &Motion, choice: &Choice, chosen: &mut Vec<Chosen>) {
         chosen.clear();
@@ -144,6 +152,7 @@ fn list_blocks(
     blocks: &mut Vec<VisibleBlock>,
 ) {
     let Some(level) = texture_level(surface, motion, choice) else { return };
+    let level = if choice.is_dense { level.max(surface.texture.own_level() + 1) - 1 } else { level };
     let texture = &surface.texture;
     let scale = 1.0 / f64::from(surface.texture.scale[level]);
     let (tw, th) = (f64::from(surface.width_px) / surface.size_m[0], f64::from(surface.height_px) / surface.size_m[1]);

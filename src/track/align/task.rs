@@ -3,19 +3,28 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::motion::Motion;
-use super::normal::Noise;
+use super::noise::{CameraNoise, Noise};
+use super::slopes::SlopeShare;
 use super::system::TileTime;
 use super::{AlignSurface, Eye, Sensor};
 use crate::geometry::{Body, Camera, Pose};
 
-/// Read noise and shot noise of a usual camera: variance at black, and per grey level.
-const READ_VARIANCE: f32 = 2.25;
-const SHOT_VARIANCE: f32 = 0.03;
-/// Error of the appearance model, pixels of the level; twice that above the finest level.
-const MODEL_PX: f32 = 0.02;
 /// Places along a blur of less than so many pixels; [`MOST_PLACES`] for longer ones.
 const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
 const MOST_PLACES: usize = 15;
+
+/// What is learnt slowly of a camera and of how the pictures are shown, and holds for every pixel.
+#[derive(Debug)]
+pub struct SlowStates {
+    /// The shutter, with the exposure as known or learnt.
+    pub sensor: Sensor,
+    /// The noise.
+    pub noise: CameraNoise,
+    /// Whether the enlarged copies of the pictures are looked at.
+    pub is_enlarged: bool,
+    /// How much of the slopes over looks is real.
+    pub slopes: SlopeShare,
+}
 
 /// What a level works for.
 #[derive(Clone, Copy)]
@@ -28,29 +37,23 @@ pub struct Task<'a> {
     pub sensor: &'a Sensor,
     /// The level.
     pub level: usize,
-    /// Whether it is the last one.
-    pub is_finest: bool,
+    /// Noise of its pixels.
+    pub noise: Noise,
     /// Pixels wanted.
     pub count: usize,
+    /// Whether that is all that are steep enough.
+    pub is_dense: bool,
     /// Length of the motion blur, pixels of the level.
     pub blur_px: f64,
     /// Looks across a sharp pixel.
     pub side: usize,
     /// Whether the enlarged copies of the pictures may be looked at.
     pub is_enlarged: bool,
+    /// What slopes over looks are multiplied with.
+    pub slope_share: f32,
 }
 
 impl Task<'_> {
-    /// Noise of a pixel of the level.
-    pub fn noise(&self) -> Noise {
-        let n = f32::from(1u16 << (2 * self.level));
-        Noise {
-            dark: (READ_VARIANCE + 1.0 / 12.0) / n,
-            per_grey: SHOT_VARIANCE / n,
-            model_px: if self.is_finest { MODEL_PX } else { 2.0 * MODEL_PX },
-        }
-    }
-
     /// The time of every tile, where all rows are exposed together.
     pub fn same_time(&self) -> Option<TileTime> {
         (self.sensor.readout_s == 0.0).then(|| TileTime { delay_s: 0.0, mean_square_s2: self.sensor.exposure_s.powi(2) / 12.0 })

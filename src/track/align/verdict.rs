@@ -2,8 +2,8 @@
 
 use nalgebra::Matrix6;
 
+use super::evidence::RunEvidence;
 use super::motion::{Motion, MotionEstimate};
-use super::normal::RunEvidence;
 
 /// What an alignment came to.
 #[derive(Debug, Clone, Copy)]

@@ -7,15 +7,16 @@ pub mod used_pixels;
 
 use super::AlignSurface;
 use super::appearance::{Appearance, Predicted, predict};
+use super::evidence::{RunEvidence, evidence};
 use super::frame_levels::FrameLevels;
 use super::gauge::{Gauge, median};
 use super::light::Light;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
-use super::normal::{
-    COLUMNS, Noise, Residuals, RunEvidence, RunView, TileLight, TileSums, Weighing, evidence, moments, residuals, squares_after, tile_sums,
-};
+use super::noise::{Noise, NoiseSums};
+use super::normal::{COLUMNS, Residuals, RunView, TileLight, TileSums, Weighing, moments, residuals, squares_after, tile_sums};
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
+use super::slopes::{ChangeSums, Foretold};
 use super::system::{Prior, System, TileTime};
 use super::task::{Task, moved};
 use crate::geometry::resection::larger_covariance;
@@ -33,8 +34,10 @@ const USUAL_SHARE: f64 = 0.2;
 const SCALE_SAMPLES: usize = 1500;
 /// A residual beyond three sigmas says no more of how well a prediction fits.
 const LARGEST_MISFIT: f32 = 9.0;
-/// Pixels that a step rests on which only the next one's weights are taken from.
+/// Pixels that a step rests on which only the next one's weights are taken from, and that tell of the noise; runs are so long that this
+/// many groups of theirs may be stepped over.
 const ROUGH_PIXELS: usize = 2500;
+const LARGEST_STRIDE: usize = 16;
 
 /// What is expected of the motion.
 #[derive(Clone, Copy)]
@@ -65,6 +68,7 @@ pub struct Work {
     /// How each run compares with its prediction.
     gauges: Vec<Gauge>,
     node_weights: Vec<f64>,
+    foretold: Foretold,
     sorted: Vec<f32>,
     /// What the open runs said in the last pass, in order.
     sums: Vec<TileSums>,
@@ -93,8 +97,8 @@ impl Work {
     ) -> bool {
         self.at = None;
         let Some(table) = &task.eye.tables[task.level] else { return false };
-        let choice =
-            Choice { camera: &task.eye.camera, table, level: task.level, sensor: *task.sensor, blur_px: task.blur_px, count: task.count };
+        let Task { level, sensor, blur_px, count, is_dense, .. } = *task;
+        let choice = Choice { camera: &task.eye.camera, table, level, sensor: *sensor, blur_px, count, is_dense };
         selector.choose(task.surfaces, motion, &choice, chosen);
         if chosen.len() < LEAST_PIXELS {
             return false;
@@ -117,10 +121,22 @@ impl Work {
         for &(surface, start, end) in &self.pixels.groups {
             let surface = &task.surfaces[surface as usize];
             let range = [start as usize, end as usize];
-            let Task { sensor, side, is_enlarged, .. } = *task;
-            let what = Predicted { surface, motion, sensor, places: task.places(), side, is_enlarged, pixels: &self.pixels, range };
+            let Task { sensor, side, is_enlarged, slope_share, .. } = *task;
+            let (places, pixels) = (task.places(), &self.pixels);
+            let what = Predicted { surface, motion, sensor, places, side, is_enlarged, slope_share, pixels, range };
             predict(&what, &mut self.appearance);
         }
+    }
+
+    /// Predicts the same pixels once more after a step, and says what that changed beside what the slopes foretold.
+    pub fn predict_again(&mut self, task: &Task, motion: &Motion) -> ChangeSums {
+        self.foretold.resize(self.pixels.len());
+        for (run, step) in self.pixels.runs.iter().zip(&self.steps) {
+            let step = std::array::from_fn(|c| step[c]);
+            self.foretold.foretell(&self.appearance.grey, &self.appearance.by_pose, &step, run.range());
+        }
+        self.predict(task, motion);
+        self.foretold.compare(&self.appearance.grey, &self.pixels.counts)
     }
 
     /// Residuals of all runs in a light.
@@ -163,17 +179,16 @@ impl Work {
         passes: usize,
     ) -> Option<Corrected> {
         let at = self.at?;
-        let noise = task.noise();
-        self.gauge(&noise);
+        self.gauge(&task.noise);
         light.regrid(&self.pixels.grid);
-        self.residuals_all(&noise, light);
+        self.residuals_all(&task.noise, light);
         self.steps.clear();
         self.steps.resize(self.pixels.runs.len(), [0.0; COLUMNS]);
         let mut scale = self.scale();
         let mut all_sums = std::mem::take(&mut self.sums);
         let mut is_solved = true;
         for pass in 0..passes {
-            let stride = if pass + 1 < passes { (self.pixels.len() / ROUGH_PIXELS).clamp(1, 8) } else { 1 };
+            let stride = if pass + 1 < passes { self.rough_stride() } else { 1 };
             let weighing = Weighing { scale, is_first_look: is_first && pass == 0, stride };
             let prior = Prior {
                 information: expected.information,
@@ -217,6 +232,11 @@ impl Work {
     /// Share of the runs that take part.
     pub fn open_share(&self) -> f64 {
         self.gauges.iter().filter(|g| g.is_open).count() as f64 / self.gauges.len().max(1) as f64
+    }
+
+    /// Of so many groups of pixels one is enough for weights and for the noise.
+    fn rough_stride(&self) -> usize {
+        (self.pixels.len() / ROUGH_PIXELS).clamp(1, LARGEST_STRIDE)
     }
 
     fn time(&self, task: &Task, run: &Run) -> TileTime {
@@ -266,7 +286,7 @@ impl Work {
 
     /// The light from the open runs: the median of their biases, then each tile's mean grey. Means do not mind a start that is off.
     pub fn guess_light(&mut self, task: &Task, light: &mut Light, spread: f64) {
-        self.gauge(&task.noise());
+        self.gauge(&task.noise);
         self.sorted.clear();
         self.sorted.extend(self.gauges.iter().filter(|g| g.is_open && g.correlation > TELLING_CORRELATION).map(|g| g.bias));
         if let Some(bias) = median(&mut self.sorted).filter(|_| self.sorted.len() >= 6) {
@@ -324,7 +344,7 @@ impl Work {
             }
         }
         self.predict_all(task, motion);
-        self.residuals_all(&task.noise(), light);
+        self.residuals_all(&task.noise, light);
         self.steps.fill([0.0; COLUMNS]);
         let weighing = Weighing { scale: self.scale(), is_first_look: false, stride: 1 };
         let mut seen = std::mem::take(&mut self.evidence);
@@ -338,19 +358,26 @@ impl Work {
     pub fn middle_on_surface(&self, run: &Run, e: &RunEvidence, surface: &AlignSurface, motion: &Motion) -> Option<Vector2<f64>> {
         // The pixel nearest to the middle stands for it: its ray is known exactly.
         let [weight, u, v] = e.place;
-        let (u, v) = (u / weight, v / weight);
-        let range = run.range();
-        let off = |k: &usize| {
-            let [column, row] = self.pixels.place(*k);
-            (column as f64 - u).powi(2) + (row as f64 - v).powi(2)
-        };
-        let k = range.min_by(|a, b| off(a).total_cmp(&off(b)))?;
+        let (u, v) = ((u / weight) as f32, (v / weight) as f32);
+        let [columns, rows] = &self.pixels.place;
+        let off = |k: &usize| (columns[*k] - u).powi(2) + (rows[*k] - v).powi(2);
+        let k = run.range().min_by(|a, b| off(a).total_cmp(&off(b)))?;
         let ray = Vector3::new(f64::from(self.pixels.x[k]), f64::from(self.pixels.y[k]), 1.0);
         let pose = motion.after(f64::from(self.pixels.delay_s[k])).pose;
         let direction = surface.rotation.transpose() * (pose.rotation * ray);
         let from = surface.rotation.transpose() * (pose.translation - surface.centre);
         let point = from - direction * (from.z / direction.z);
         Some(point.xy())
+    }
+
+    /// What the open runs say of the noise, as the last step leaves them.
+    pub fn noise_sums(&self, scale: f64) -> NoiseSums {
+        let weighing = Weighing { scale, is_first_look: false, stride: self.rough_stride() };
+        let mut sums = NoiseSums::default();
+        for ((run, step), _) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open) {
+            sums.add(&self.view(run, &self.light_of(run)), step, &weighing);
+        }
+        sums
     }
 
     /// Covariance at the solution: of the whole motion (noise), and of the pose (noise, or the scatter of the tiles' votes where it

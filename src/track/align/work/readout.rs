@@ -15,7 +15,7 @@ impl Work {
         let open = self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges).filter(|(_, g)| g.is_open);
         for (((run, step), _), sums) in open.zip(&self.sums) {
             let time = self.time(task, run);
-            let row = self.pixels.place(((run.start + run.end) / 2) as usize)[1];
+            let row = self.pixels.place[1][((run.start + run.end) / 2) as usize];
             let share = slow.delay_s(task.level, row as f64, task.eye.camera.height());
             let shift = (motion.velocity + motion.acceleration * time.delay_s) * share;
             let turn = (motion.turn_rate + motion.turn_acceleration * time.delay_s) * share;

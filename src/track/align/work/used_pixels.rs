@@ -26,7 +26,7 @@ impl Work {
             // Those that tell something, as the squares are.
             let told = run.range().filter(|k| self.residuals.information[*k] > 0.0);
             out.extend(told.zip(&squares).map(|(k, square)| UsedPixel {
-                centre_px: self.pixels.place(k).map(|v| n * v as f32 + 0.5 * (n - 1.0)),
+                centre_px: [0, 1].map(|axis| n * self.pixels.place[axis][k] + 0.5 * (n - 1.0)),
                 sigmas: square.sqrt() / solved.scale as f32,
                 takes_part: gauge.is_open,
             }));

@@ -1,0 +1,134 @@
+//! How right poses differ from wrong ones: the stage is aligned from many starts, near and far, on frames that show it and on frames
+//! that show another, with people in front, in dim light; then the share of tiles that agree and the size of the residuals are
+//! counted apart for poses that are right and poses that are not. The thresholds of the verdict lie where these counts leave room.
+//!
+//! `cargo bench --bench trust`; `-- 10` takes ten stages instead of forty.
+
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use stagepose::camera::{CameraModel, Intrinsics};
+use stagepose::frame::Frame;
+use stagepose::geometry::{Body, Camera, Pose};
+use stagepose::simulate::{CameraPath, LightKey, Occluder, Renderer, SensorNoise, VirtualStage, artwork_surface, grey, paint, upright};
+use stagepose::track::{BodySpec, Matcher, TrackerSettings, Trial};
+
+const STAGES: u64 = 40;
+/// Starts of each stage at each distance.
+const STARTS: usize = 8;
+/// How far off starts are: of the distance, and radians.
+const FAR: [f64; 6] = [0.001, 0.005, 0.02, 0.05, 0.1, 0.2];
+/// A pose is wrong that is further off than this: of the distance, and radians (contract C5's tight bounds).
+const WRONG_SHIFT: f64 = 0.01;
+const WRONG_TURN: f64 = 0.3 * std::f64::consts::PI / 180.0;
+/// Tens of percent of the tiles agree.
+const BINS: usize = 10;
+
+/// Poses of one kind.
+#[derive(Default)]
+struct Counts {
+    by_share: [usize; BINS + 1],
+    scales: Vec<f64>,
+    new: usize,
+    continued: usize,
+    nothing: usize,
+}
+
+impl Counts {
+    fn add(&mut self, trial: &Trial) {
+        self.by_share[(trial.share * BINS as f64) as usize] += 1;
+        self.scales.push(trial.scale);
+        self.new += usize::from(trial.is_credible_new);
+        self.continued += usize::from(trial.is_credible_continued);
+    }
+
+    fn print(&mut self, name: &str) {
+        let n = self.scales.len();
+        self.scales.sort_by(f64::total_cmp);
+        let scale = |share: f64| self.scales.get(((n as f64 - 1.0) * share) as usize).copied().unwrap_or(f64::NAN);
+        println!("\n{name}: {n} poses; from {} more starts nothing converged", self.nothing);
+        println!("  given where new: {}, where a track would continue: {}", self.new, self.continued);
+        println!("  residuals, sigmas: 5 % below {:.2}, half below {:.2}, 95 % below {:.2}", scale(0.05), scale(0.5), scale(0.95));
+        for (k, count) in self.by_share.iter().enumerate().filter(|(_, count)| **count > 0) {
+            println!("  {:>3} % of the tiles agree: {count}", 100 / BINS * k);
+        }
+    }
+}
+
+fn main() {
+    let stages = std::env::args().filter_map(|a| a.parse().ok()).next().unwrap_or(STAGES);
+    let [mut right, mut wrong, mut other] = [Counts::default(), Counts::default(), Counts::default()];
+    for seed in 0..stages {
+        let mut random = Pcg64Mcg::seed_from_u64(seed);
+        let scene = scene(seed, &mut random);
+        let truth: Pose<Camera, Body> = scene.truth(0.0).inverse().renamed();
+        let (camera, stage) = (scene.camera, scene.stage.clone());
+        let frame = Frame { image: Renderer::new(scene).render(0.0, 0), timestamp_ns: 0, sequence: 0 };
+        let other_stage = BodySpec { surfaces: vec![surface(seed + 1000, stage.surfaces[0].size_m)], ..stage.clone() };
+        for (is_shown, stage) in [(true, &stage), (false, &other_stage)] {
+            let mut matcher = Matcher::new(camera, 0.0, 0.0, None, stage, &[], TrackerSettings::default());
+            for (start, off) in FAR.iter().flat_map(|off| (0..STARTS).map(move |_| *off)).map(|off| (moved(&truth, off, &mut random), off))
+            {
+                let found = matcher.try_start(&frame, &start, off * truth.translation.norm(), off);
+                let is_right = found.is_some_and(|f| is_right(&f.pose, &truth));
+                let counts = match (is_shown, is_right) {
+                    (false, _) => &mut other,
+                    (true, true) => &mut right,
+                    (true, false) => &mut wrong,
+                };
+                match &found {
+                    Some(found) => counts.add(found),
+                    None => counts.nothing += 1,
+                }
+            }
+        }
+    }
+    right.print("right poses");
+    wrong.print("wrong poses of the stage that is shown");
+    other.print("poses of a stage that is not shown");
+}
+
+fn surface(seed: u64, size_m: [f64; 2]) -> stagepose::track::SurfaceSpec {
+    let picture = grey(&paint(1200, (1200.0 * size_m[1] / size_m[0]) as u32, seed));
+    artwork_surface("backdrop", picture, size_m, upright(Vector3::zeros(), 0.0))
+}
+
+/// A backdrop seen from anywhere in front of it; half of the stages have people before them, and a third are dim.
+fn scene(seed: u64, random: &mut Pcg64Mcg) -> VirtualStage {
+    let size_m = [random.random_range(1.5..6.0), random.random_range(1.2..4.0)];
+    let focal = random.random_range(500.0..1100.0);
+    let distortion = [random.random_range(-0.15..0.02), 0.03, 0.0005, -0.0004, 0.0];
+    let intrinsics = Intrinsics { width: 960, height: 540, fx: focal, fy: focal, cx: 481.0, cy: 268.0, skew: 0.0, distortion };
+    let camera = CameraModel::new(intrinsics).expect("a camera");
+    let (tilt, around) = (random.random_range(0.0..1.1_f64), random.random_range(0.0..std::f64::consts::TAU));
+    let distance = size_m[0] * focal / 960.0 / random.random_range(0.3..1.5);
+    let towards = Vector3::new(tilt.sin() * around.cos(), -tilt.cos(), 0.8 * tilt.sin() * around.sin());
+    let path = CameraPath::fixed(Point3::from(towards.normalize() * distance), Point3::origin());
+    let stage = BodySpec { name: "stage".to_owned(), surfaces: vec![surface(seed, size_m)] };
+    let mut scene = VirtualStage::new(camera, path, stage);
+    scene.noise = SensorNoise::webcam();
+    scene.samples = 8;
+    scene.seed = seed;
+    scene.background = random.random_range(5.0..120.0);
+    let gain = if seed.is_multiple_of(3) { random.random_range(0.15..0.4) } else { 1.0 };
+    scene.light = vec![LightKey { time_s: 0.0, gain }];
+    for _ in 0..if seed.is_multiple_of(2) { random.random_range(1..6) } else { 0 } {
+        let beside = Vector3::new(random.random_range(-0.5..0.5) * size_m[0], -0.3 * distance, random.random_range(-0.4..0.4) * size_m[1]);
+        let half_size_m = [random.random_range(0.05..0.2) * size_m[0], random.random_range(0.1..0.4) * size_m[1]];
+        let grey = random.random_range(20.0..160.0);
+        scene.occluders.push(Occluder { centre: Point3::from(beside), swing: Vector3::zeros(), period_s: 1.0, half_size_m, grey });
+    }
+    scene
+}
+
+/// The pose after a random step of this size, in sight and in space.
+fn moved(truth: &Pose<Camera, Body>, off: f64, random: &mut Pcg64Mcg) -> Pose<Camera, Body> {
+    let mut step = |size: f64| Vector3::from_fn(|_, _| random.random_range(-size..=size));
+    let (shift, turn) = (step(off * truth.translation.norm()), UnitQuaternion::from_scaled_axis(step(off)));
+    Pose::new(turn * truth.rotation, truth.translation + shift)
+}
+
+fn is_right(pose: &Pose<Camera, Body>, truth: &Pose<Camera, Body>) -> bool {
+    let centre = |p: &Pose<Camera, Body>| p.inverse().translation;
+    (centre(pose) - centre(truth)).norm() < WRONG_SHIFT * truth.translation.norm() && pose.angle_to(truth) < WRONG_TURN
+}

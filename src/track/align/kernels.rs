@@ -1,0 +1,129 @@
+//! The kernels of alignment one by one, on one frame of one surface: for benches, which cannot reach them otherwise.
+
+use image::GrayImage;
+
+use super::appearance::{Appearance, Predicted, predict};
+use super::evidence::evidence;
+use super::frame_levels::FrameLevels;
+use super::light::Light;
+use super::motion::Motion;
+use super::noise::{CameraNoise, noise_sums};
+use super::normal::{COLUMNS, Residuals, RunView, TileLight, Weighing, residuals, tile_sums};
+use super::pixels::{Pixels, Run, Source};
+use super::selection::{Choice, Chosen, Selector};
+use super::{AlignSurface, Eye, Sensor};
+use crate::camera::CameraModel;
+use crate::geometry::{Body, Camera, Pose};
+use crate::track::surface::SurfaceSpec;
+
+/// The level that frames are aligned at in the end.
+const LEVEL: usize = 1;
+/// Exposure of a frame with blur, seconds.
+const EXPOSURE_S: f64 = 0.01;
+
+/// A frame, a surface and all that alignment makes of them, step by step.
+#[derive(Debug)]
+pub struct AlignKernels {
+    frame: GrayImage,
+    surfaces: [AlignSurface; 1],
+    eye: Eye,
+    motion: Motion,
+    sensor: Sensor,
+    levels: FrameLevels,
+    selector: Selector,
+    chosen: Vec<Chosen>,
+    pixels: Pixels,
+    appearance: Appearance,
+    residuals: Residuals,
+    light: Light,
+}
+
+impl AlignKernels {
+    /// A frame that shows the surface from a pose. Nothing is chosen or predicted yet.
+    pub fn new(frame: GrayImage, camera: CameraModel, surface: &SurfaceSpec, t_camera_body: &Pose<Camera, Body>) -> Self {
+        let mut levels = FrameLevels::default();
+        levels.update(&frame);
+        Self {
+            frame,
+            surfaces: [AlignSurface::new(surface)],
+            eye: Eye::new(camera, None),
+            motion: Motion::still(t_camera_body.inverse()),
+            sensor: Sensor { readout_s: 0.01, exposure_s: EXPOSURE_S },
+            levels,
+            selector: Selector::default(),
+            chosen: Vec::new(),
+            pixels: Pixels::default(),
+            appearance: Appearance::default(),
+            residuals: Residuals::default(),
+            light: Light::default(),
+        }
+    }
+
+    /// Halves the frame.
+    pub fn halve(&mut self) {
+        self.levels.update(&self.frame);
+    }
+
+    /// Chooses about so many pixels; how many it became.
+    pub fn choose(&mut self, count: usize) -> usize {
+        let Some(table) = &self.eye.tables[LEVEL] else { return 0 };
+        let choice = Choice { camera: &self.eye.camera, table, level: LEVEL, sensor: self.sensor, blur_px: 0.0, count, is_dense: false };
+        self.selector.choose(&self.surfaces, &self.motion, &choice, &mut self.chosen);
+        self.chosen.len()
+    }
+
+    /// Lays the chosen pixels out in runs; the number of runs.
+    pub fn lay_out(&mut self) -> usize {
+        let Some(table) = &self.eye.tables[LEVEL] else { return 0 };
+        let height = self.eye.camera.height();
+        let source = Source { l: LEVEL, level: self.levels.level(LEVEL), table, sensor: &self.sensor, height };
+        self.pixels.arrange(&self.chosen, 1, &source);
+        self.appearance.resize(self.pixels.len());
+        self.residuals.resize(self.pixels.len());
+        self.light.regrid(&self.pixels.grid);
+        self.pixels.runs.len()
+    }
+
+    /// Predicts all pixels, with so many looks across a sharp one, or at so many places along a blur (more than one).
+    pub fn predict(&mut self, side: usize, places: usize) {
+        let Self { sensor, motion, pixels, .. } = self;
+        let range = [0, pixels.len()];
+        let what =
+            Predicted { surface: &self.surfaces[0], motion, sensor, places, side, is_enlarged: true, slope_share: 1.0, pixels, range };
+        predict(&what, &mut self.appearance);
+    }
+
+    /// Residuals of all runs.
+    pub fn residuals(&mut self) {
+        let noise = CameraNoise::usual(LEVEL).at(LEVEL);
+        for run in &self.pixels.runs {
+            let light = TileLight::new(&self.light, self.pixels.grid.nodes_of(run.tile as usize));
+            residuals(&self.pixels, run, &self.appearance, &light, &noise, &mut self.residuals);
+        }
+    }
+
+    /// The normal equations of all runs; the sum of their weighted squared residuals.
+    pub fn tile_sums(&self) -> f64 {
+        self.each(|view, weighing| tile_sums(view, &[0.0; COLUMNS], weighing).product(COLUMNS, COLUMNS))
+    }
+
+    /// What all runs show; the number of pixels that fit.
+    pub fn evidence(&self) -> f64 {
+        self.each(|view, weighing| evidence(view, &[0.0; COLUMNS], weighing).inliers)
+    }
+
+    /// What all runs say of the noise; the sum of the first of them.
+    pub fn noise_sums(&self) -> f64 {
+        self.each(|view, weighing| f64::from(noise_sums(view, &[0.0; COLUMNS], weighing)[0]))
+    }
+
+    fn each(&self, kernel: impl Fn(&RunView, &Weighing) -> f64) -> f64 {
+        let Self { pixels, appearance, residuals, .. } = self;
+        let weighing = Weighing { scale: 1.0, is_first_look: false, stride: 1 };
+        let of_run = |run: &Run| {
+            let light = TileLight::new(&self.light, pixels.grid.nodes_of(run.tile as usize));
+            kernel(&RunView { pixels, run, appearance, light: &light, residuals }, &weighing)
+        };
+        pixels.runs.iter().map(of_run).sum()
+    }
+}

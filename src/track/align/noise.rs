@@ -1,0 +1,253 @@
+//! How noisy a camera is, learnt from what its frames leave unexplained.
+//!
+//! The variance of a pixel is a part that is always there (reading, rounding, compression), a part that grows with the light (shot
+//! noise), and the error of the prediction, which grows with how steep the picture is there. The squared residuals of the finest level
+//! tell all three apart: they are fitted by a straight line in grey and squared slope, frame after frame (weighted least squares,
+//! as for the photon transfer curve: Janesick 2007).
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::lanes::{LANES, Lanes, dispatch, load_at, total};
+use super::normal::{COLUMNS, RunView, Weighing, columns, less_step};
+
+/// Variance of a usual camera's pixel at black, and its growth per grey level, grey levels²; error of the prediction, pixels of the
+/// level. That is what is taken until frames tell more.
+const USUAL_DARK: f64 = 2.25 + 1.0 / 12.0;
+const USUAL_SHOT: f64 = 0.03;
+const USUAL_MODEL_PX: f64 = 0.02;
+/// Least of each: rounding to whole grey levels; and what no prediction is better than.
+const LEAST_DARK: f64 = 1.0 / 12.0;
+const LEAST_MODEL_PX: f64 = 0.003;
+/// What prediction gets wrong at an edge it gets wrong all along it, and again in the next frames: that counts for more than its share
+/// of the variance, so that no better prediction than this is taken, pixels of the level; and above the finest level.
+const MOVING_MODEL_PX: f64 = 0.02;
+const COARSE_MODEL_PX: f64 = 0.04;
+/// Of what is remembered this share fades with every frame.
+const FADES: f64 = 0.005;
+/// What is usual counts as so many pixels, so that what a frame cannot tell apart stays near it.
+const USUAL_PIXELS: f64 = 200.0;
+/// Squared residuals beyond so many squared scales are something else; what a normal distribution loses of its variance there.
+const LARGEST_SQUARED: f32 = 9.0;
+const KEPT_VARIANCE: f64 = 0.9733;
+
+/// What the noise of a pixel is made of, at one level of the frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Noise {
+    /// Variance at black, and its growth per grey level, of one pixel of the level.
+    pub dark: f32,
+    /// See `dark`.
+    pub per_grey: f32,
+    /// Error of the prediction, pixels of the level.
+    pub model_px: f32,
+}
+
+/// Sums over pixels for the fit: of what the variance may be made of (1, grey, squared slope) by each other, and by the squared residual.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NoiseSums {
+    by_each_other: Matrix3<f64>,
+    by_squared: Vector3<f64>,
+}
+
+impl Default for NoiseSums {
+    fn default() -> Self {
+        Self { by_each_other: Matrix3::zeros(), by_squared: Vector3::zeros() }
+    }
+}
+
+impl NoiseSums {
+    /// Adds a run as `step` leaves it.
+    pub fn add(&mut self, view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) {
+        let [aa, ag, as_, gg, gs, ss, ra, rg, rs] = noise_sums(view, step, weighing).map(f64::from);
+        self.by_each_other += Matrix3::new(aa, ag, as_, ag, gg, gs, as_, gs, ss);
+        self.by_squared += Vector3::new(ra, rg, rs) / KEPT_VARIANCE;
+    }
+}
+
+/// The noise of one camera as learnt so far, as variances of a pixel at the finest level.
+#[derive(Debug, Clone)]
+pub struct CameraNoise {
+    /// The finest level.
+    level: usize,
+    sums: NoiseSums,
+    /// At black, per grey level, per squared slope.
+    variance: Vector3<f64>,
+}
+
+impl CameraNoise {
+    /// A usual camera's, with what frames tell at a level.
+    pub fn usual(level: usize) -> Self {
+        let n = f64::from(1u32 << (2 * level));
+        Self { level, sums: NoiseSums::default(), variance: Vector3::new(USUAL_DARK / n, USUAL_SHOT / n, USUAL_MODEL_PX.powi(2)) }
+    }
+
+    /// The noise of a pixel of a level.
+    pub fn at(&self, level: usize) -> Noise {
+        let smaller = 0.25_f64.powi(level as i32 - self.level as i32);
+        let least_px = if level == self.level { MOVING_MODEL_PX } else { COARSE_MODEL_PX };
+        Noise {
+            dark: (self.variance.x * smaller) as f32,
+            per_grey: (self.variance.y * smaller) as f32,
+            model_px: least_px.max(self.variance.z.sqrt()) as f32,
+        }
+    }
+
+    /// The noise of a pixel of the finest level while nothing moves: the prediction's error stays as it is, and scatters nothing.
+    pub fn of_still(&self) -> Noise {
+        Noise { model_px: self.variance.z.sqrt() as f32, ..self.at(self.level) }
+    }
+
+    /// Learns from a frame that was aligned.
+    pub fn learn(&mut self, frame: &NoiseSums) {
+        self.sums.by_each_other = self.sums.by_each_other * (1.0 - FADES) + frame.by_each_other;
+        self.sums.by_squared = self.sums.by_squared * (1.0 - FADES) + frame.by_squared;
+        let usual = Self::usual(self.level).variance;
+        let [least_dark, least_model] = [LEAST_DARK / f64::from(1u32 << (2 * self.level)), LEAST_MODEL_PX.powi(2)];
+        // As much as so many pixels of the usual grey and slope would tell of each part alone.
+        let weight = USUAL_PIXELS * Vector3::from(usual.map(|v| (v * v).recip())).component_mul(&self.share_of(&usual));
+        let mut a = self.sums.by_each_other;
+        let mut b = self.sums.by_squared;
+        for k in 0..3 {
+            a[(k, k)] += weight[k];
+            b[k] += weight[k] * usual[k];
+        }
+        if let Some(variance) = at_least(&a, &b, &Vector3::new(least_dark, 0.0, least_model)) {
+            self.variance = variance;
+            tracing::trace!(dark = variance.x, per_grey = variance.y, model_px = variance.z.sqrt(), "noise");
+        }
+    }
+
+    /// How large each part of the usual variance is beside all of it, squared, at grey 100 and a slope of 30 grey levels a pixel.
+    fn share_of(&self, usual: &Vector3<f64>) -> Vector3<f64> {
+        let parts = usual.component_mul(&Vector3::new(1.0, 100.0, 900.0));
+        (parts / parts.sum()).map(|share| share * share)
+    }
+}
+
+/// The least-squares solution with no entry below its least: an entry that would be is held there, and the others are solved again.
+fn at_least(a: &Matrix3<f64>, b: &Vector3<f64>, least: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let mut held = [false; 3];
+    for _ in 0..4 {
+        let (mut m, mut r) = (*a, *b);
+        for k in (0..3).filter(|k| held[*k]) {
+            r -= a.column(k) * least[k];
+            m.row_mut(k).fill(0.0);
+            m.column_mut(k).fill(0.0);
+            m[(k, k)] = 1.0;
+        }
+        for k in (0..3).filter(|k| held[*k]) {
+            r[k] = least[k];
+        }
+        let x = m.cholesky()?.solve(&r);
+        let Some(lowest) =
+            (0..3).filter(|k| !held[*k] && x[*k] < least[*k]).max_by(|i, k| (least[*i] - x[*i]).total_cmp(&(least[*k] - x[*k])))
+        else {
+            return x.iter().all(|v| v.is_finite()).then_some(x);
+        };
+        held[lowest] = true;
+    }
+    None
+}
+
+dispatch! {
+    /// Sums over a run as `step` leaves it, weighted by the inverse square of the variance: 1, grey, slope² by each other (six), and by
+    /// the squared residual (three).
+    noise_sums, noise_sums_avx2, noise_sums_lanes,
+    (view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> [f32; 9]
+}
+
+#[inline(always)]
+pub fn noise_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> [f32; 9] {
+    let RunView { pixels, run, appearance, light, residuals } = *view;
+    let (zero, one) = (L::splat(0.0), L::splat(1.0));
+    let largest = L::splat(LARGEST_SQUARED * (weighing.scale * weighing.scale) as f32);
+    let mut sums = [zero; 9];
+    for k in run.range().step_by(LANES * weighing.stride) {
+        let (columns, g) = columns::<L>(pixels, appearance, light, k);
+        let r = less_step(load_at::<L>(&residuals.grey, k), &columns, step);
+        let information = load_at::<L>(&residuals.information, k);
+        let squared = r.mul(r);
+        // One where the residual is small enough to be noise, and the pixel tells anything.
+        let is_noise = largest.sub(squared.mul(information)).mul(L::splat(1e9)).max(zero).min(one).mul(load_at(&pixels.counts, k));
+        let w = information.mul(information).mul(is_noise);
+        let grey = load_at::<L>(&pixels.seen, k).sub(r).max(zero);
+        let (across, down) = (load_at::<L>(&appearance.across, k).mul(g), load_at::<L>(&appearance.down, k).mul(g));
+        let steep = across.mul(across).add(down.mul(down));
+        let (wg, ws) = (w.mul(grey), w.mul(steep));
+        let terms = [w, wg, ws, wg.mul(grey), wg.mul(steep), ws.mul(steep), w.mul(squared), wg.mul(squared), ws.mul(squared)];
+        for n in 0..9 {
+            sums[n] = sums[n].add(terms[n]);
+        }
+    }
+    let mut totals = [0.0; 9];
+    for n in 0..9 {
+        totals[n] = total(sums[n]);
+    }
+    totals
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    /// Sums over pixels of random grey and slope whose variance is known.
+    fn sums(truth: &Vector3<f64>, weights: &CameraNoise, random: &mut Pcg64Mcg) -> NoiseSums {
+        let mut sums = NoiseSums::default();
+        for _ in 0..3000 {
+            let regressors = Vector3::new(1.0, random.random_range(5.0..240.0), random.random_range(0.0..60.0_f64).powi(2));
+            let normal = (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
+            let squared = truth.dot(&regressors) * normal * normal;
+            let expected = weights.variance.dot(&regressors);
+            let scale2 = truth.dot(&regressors) / expected;
+            if squared < f64::from(LARGEST_SQUARED) * scale2 * expected {
+                let w = expected.powi(-2);
+                sums.by_each_other += regressors * regressors.transpose() * w;
+                sums.by_squared += regressors * (w * squared / KEPT_VARIANCE);
+            }
+        }
+        sums
+    }
+
+    #[test]
+    fn the_noise_of_a_camera_is_learnt() {
+        let mut random = Pcg64Mcg::seed_from_u64(7);
+        for truth in [[0.3, 0.004, 1e-5], [2.0, 0.02, 2e-4], [0.6, 0.0, 5e-4], [5.0, 0.05, 1e-5]] {
+            let truth = Vector3::from(truth);
+            let mut learnt = CameraNoise::usual(1);
+            for _ in 0..40 {
+                learnt.learn(&sums(&truth, &learnt, &mut random));
+            }
+            // The whole variance of dark and bright, flat and steep pixels.
+            for regressors in [[1.0, 20.0, 0.0], [1.0, 200.0, 0.0], [1.0, 100.0, 900.0], [1.0, 50.0, 3000.0]] {
+                let regressors = Vector3::from(regressors);
+                let ratio = learnt.variance.dot(&regressors) / truth.dot(&regressors);
+                assert!((0.85..1.2).contains(&ratio), "{truth:?}, {regressors:?}: {ratio}, {:?}", learnt.variance);
+            }
+        }
+    }
+
+    #[test]
+    fn what_frames_cannot_tell_stays_usual() {
+        let usual = CameraNoise::usual(1);
+        let mut learnt = usual.clone();
+        learnt.learn(&NoiseSums::default());
+        assert!((learnt.variance - usual.variance).norm() < 1e-9);
+        // Pixels of one grey and slope: their variance is met, and nothing vanishes.
+        let regressors = Vector3::new(1.0, 128.0, 400.0);
+        let w = usual.variance.dot(&regressors).powi(-2) * 3000.0;
+        for _ in 0..20 {
+            learnt.learn(&NoiseSums { by_each_other: regressors * regressors.transpose() * w, by_squared: regressors * (w * 5.0) });
+        }
+        assert!((learnt.variance.dot(&regressors) - 5.0).abs() < 0.3);
+        assert!(learnt.variance.iter().all(|v| *v > 0.0));
+    }
+
+    #[test]
+    fn coarser_levels_are_less_noisy() {
+        let noise = CameraNoise::usual(1);
+        assert!((noise.at(1).dark - 4.0 * noise.at(2).dark).abs() < 1e-6);
+        assert!(noise.at(2).model_px >= noise.at(1).model_px);
+    }
+}

@@ -1,0 +1,218 @@
+//! What is known of one body: its pictures, its lock, its motion, and the last verified pose with the anchors that it rests on.
+
+use nalgebra::{Matrix3, Matrix6};
+use tracing::debug;
+
+use super::align::{Aligner, Alignment, Eye, FrameLevels, Jerk, MotionEstimate, Patch, Sensor, ShutterClue, UsedPixel};
+use super::lock::Lock;
+use super::reference::PreparedBody;
+use super::surface::BodySpec;
+use super::twin::{LEAST_MARGIN, most_frequent_surface, twin_margin};
+use super::verify::{FittedAnchor, Verified, VerifyBuffers, View, verify};
+use crate::camera::{CameraModel, Normalized};
+use crate::frame::Frame;
+use crate::geometry::resection::{MovingCamera, Observation, Twist, perturbed};
+use crate::geometry::{Body, Camera, Pose};
+
+/// Verified poses further apart tell nothing of the motion within a frame, seconds.
+const LONGEST_MOTION_GAP_S: f64 = 0.07;
+/// An aligned body is followed over gaps up to this, seconds.
+const LONGEST_FOLLOWED_GAP_S: f64 = 0.1;
+/// Share of fitting anchors beyond which no rival is asked.
+const CLEAR_SHARE: f64 = 0.6;
+/// A followed pose is held against its tilted twin after so many frames.
+const AUDIT_FRAMES: u32 = 16;
+
+/// A body and what its frames said so far; keeps its buffers.
+pub struct TrackedBody {
+    /// Its pictures.
+    pub body: PreparedBody,
+    /// Its surfaces' numbers in the reference index.
+    pub surfaces: std::ops::Range<u32>,
+    /// What verified poses mean in time.
+    pub lock: Lock,
+    /// Follows it.
+    pub aligner: Aligner,
+    /// The anchors that fit the last verified pose.
+    pub anchors: Vec<FittedAnchor>,
+    /// What the last frame said of the shutter, where that is asked and the body was aligned.
+    pub clue: Option<ShutterClue>,
+    /// The pixels that the last pose rests on, where somebody watches them.
+    pub used: Option<Vec<UsedPixel>>,
+    patches: Vec<Patch>,
+    /// The motion at the last aligned frame, and its stamp.
+    motion: Option<(MotionEstimate, i64)>,
+    /// How jerky that is.
+    jerk: Jerk,
+    /// The last verified pose, its stamp, and the motion that led to it.
+    before: Option<(Pose<Camera, Body>, i64, Option<Twist>)>,
+    /// Followed frames since the last audit.
+    unaudited: u32,
+    observations: Vec<Observation>,
+    squares: Vec<f64>,
+}
+
+impl TrackedBody {
+    /// Prepares a body. `first`: the number of its first surface in the reference index.
+    pub fn new(spec: &BodySpec, first: u32, sensor: Sensor) -> Self {
+        let body = PreparedBody::new(spec);
+        let aligner = Aligner::new(&body, sensor);
+        let most = aligner.most_patches();
+        Self {
+            surfaces: first..first + body.surfaces.len() as u32,
+            lock: Lock::default(),
+            aligner,
+            anchors: Vec::with_capacity(most),
+            clue: None,
+            used: None,
+            patches: Vec::with_capacity(most),
+            motion: None,
+            jerk: Jerk::default(),
+            before: None,
+            unaudited: 0,
+            observations: Vec::with_capacity(most),
+            squares: Vec::with_capacity(most),
+            body,
+        }
+    }
+
+    /// Aligns the body from where it should be; `None` where it was not aligned lately, or the picture does not bear it out.
+    pub fn follow(&mut self, frame: &Frame, levels: &mut FrameLevels, eye: &Eye) -> Option<Verified> {
+        let (estimate, then_ns) = self.motion.take()?;
+        let dt_s = frame.timestamp_ns.saturating_sub(then_ns) as f64 * 1e-9;
+        if dt_s <= 0.0 || dt_s > LONGEST_FOLLOWED_GAP_S {
+            return None;
+        }
+        let expected = estimate.after(dt_s, self.aligner.distance(&estimate.motion.pose), &self.jerk);
+        let verified = self.align(frame, levels, eye, &expected, true)?;
+        self.unaudited += 1;
+        if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose, eye.camera()) {
+            self.motion = None;
+            return None;
+        }
+        Some(verified)
+    }
+
+    /// Whether what the frame shows is not clearly better explained by the surface tilted the other way.
+    fn is_audited(&mut self, pose: &Pose<Camera, Body>, camera: &CameraModel) -> bool {
+        self.unaudited = 0;
+        self.observations.clear();
+        self.observations.extend(self.anchors.iter().map(|a| a.observation));
+        let surface = most_frequent_surface(&self.anchors, self.body.surfaces.len());
+        let margin = twin_margin(&self.body, surface, pose, &MovingCamera::still(camera), &self.observations, &mut self.squares);
+        debug!(margin, "twin");
+        margin > -LEAST_MARGIN
+    }
+
+    /// Aligns the body from a start and judges the result. `is_expected`: the start comes from the motion of an aligned body.
+    pub fn align(
+        &mut self,
+        frame: &Frame,
+        levels: &mut FrameLevels,
+        eye: &Eye,
+        expected: &MotionEstimate,
+        is_expected: bool,
+    ) -> Option<Verified> {
+        let found = self.aligner.align(levels, eye, expected)?;
+        debug!(
+            share = found.share(),
+            tiles = found.tiles,
+            scale = found.scale,
+            inliers = found.inliers,
+            surprise = found.surprise,
+            "aligned"
+        );
+        if !found.is_credible(is_expected) {
+            return None;
+        }
+        self.clue = self.aligner.shutter_clue();
+        if !is_expected {
+            self.jerk = Jerk::default();
+        } else if self.clue.is_none() {
+            // Where the shutter is in question, jerk must not explain what a wrong one does.
+            self.jerk.learn(expected, &found.estimate.motion);
+        }
+        self.motion = Some((found.estimate, frame.timestamp_ns));
+        if let Some(used) = &mut self.used {
+            self.aligner.used_pixels(eye, used);
+        }
+        self.aligner.patches(eye, &found.estimate.motion, &mut self.patches);
+        Some(self.aligned(&found, eye.camera()))
+    }
+
+    /// An alignment in the terms of the record: pose and covariance of `T_camera_body`, and correspondences.
+    fn aligned(&mut self, found: &Alignment, camera: &CameraModel) -> Verified {
+        let pose = found.estimate.motion.pose.inverse();
+        // R <- R Exp(δθ), p <- p + δp of the inverse, as a left perturbation of the pose: φ = -δθ, τ = -Rᵀ δp.
+        let mut by_error = Matrix6::zeros();
+        by_error.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-pose.rotation_matrix()));
+        by_error.fixed_view_mut::<3, 3>(3, 3).copy_from(&(-Matrix3::identity()));
+        let covariance = by_error * found.covariance * by_error.transpose();
+        let Self { body, patches, anchors, .. } = self;
+        let anchor = |p: &Patch| {
+            let spec = &body.surfaces[p.surface as usize].spec;
+            let artwork = spec.artwork_from_metres(p.on_surface_m);
+            let point = spec.body_point(artwork);
+            let seen = pose.transform(&point);
+            let steady_px = camera.project(Normalized(seen.coords.xy() / seen.z)).0 + p.shift_px;
+            let observation = Observation { point, pixel: steady_px, information: p.information, delay_s: 0.0, group: p.tile };
+            FittedAnchor { surface: p.surface, artwork, observation, steady_px }
+        };
+        anchors.clear();
+        anchors.extend(patches.iter().map(anchor));
+        Verified {
+            pose,
+            covariance: (covariance + covariance.transpose()) * 0.5,
+            share: found.share(),
+            inliers: found.inliers as usize,
+            rms_px: found.rms_px,
+            is_conclusive: found.is_conclusive(),
+        }
+    }
+
+    /// Puts starts to the test, and takes the first clear success, or the best of what passes.
+    pub fn best_verified(
+        &mut self,
+        starts: impl Iterator<Item = Pose<Camera, Body>>,
+        view: &View,
+        buffers: &mut VerifyBuffers,
+    ) -> Option<Verified> {
+        let continued = self.lock.is_continued();
+        let mut best: Option<Verified> = None;
+        for start in starts {
+            match verify(&self.body, &start, view, continued, buffers) {
+                Ok(v) => {
+                    debug!(anchors = v.inliers, share = v.share, rms_px = v.rms_px, "verified");
+                    if best.is_none_or(|b| v.inliers > b.inliers) {
+                        best = Some(v);
+                        self.anchors.clone_from(&buffers.anchors);
+                    }
+                    if v.share > CLEAR_SHARE {
+                        break;
+                    }
+                }
+                Err(refusal) => debug!(?refusal, "refused"),
+            }
+        }
+        best
+    }
+
+    /// Remembers a verified pose for the motion of the next frame.
+    pub fn remember(&mut self, timestamp_ns: i64, pose: &Pose<Camera, Body>) {
+        let twist = self.before_at(timestamp_ns).map(|(before, dt_s, _)| Twist::between(&before, pose, dt_s));
+        self.before = Some((*pose, timestamp_ns, twist));
+    }
+
+    /// Where the body should be at a stamp, carried on from the last verified poses.
+    pub fn predicted(&self, timestamp_ns: i64) -> Option<Pose<Camera, Body>> {
+        let (before, dt_s, twist) = self.before_at(timestamp_ns)?;
+        Some(twist.map_or(before, |twist| perturbed(&before, &(twist.0 * dt_s))))
+    }
+
+    /// The last verified pose as seen from a stamp, if it is recent enough to tell of motion.
+    pub fn before_at(&self, timestamp_ns: i64) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
+        let (pose, then_ns, twist) = self.before?;
+        let dt_s = timestamp_ns.saturating_sub(then_ns) as f64 * 1e-9;
+        (dt_s > 1e-4 && dt_s <= LONGEST_MOTION_GAP_S).then_some((pose, dt_s, twist))
+    }
+}

@@ -1,0 +1,70 @@
+//! A followed frame takes nothing from the heap: all buffers are kept. (Rooms of a daemon that runs for weeks must not fragment
+//! memory, and an allocation may wait for another thread's lock.)
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use stagepose::capture::{FrameSource, RowContent, VirtualCamera};
+use stagepose::record::State;
+use stagepose::simulate::{Dolly, dolly};
+use stagepose::track::TrackerSettings;
+use stagepose::{Tracker, TrackerSetup};
+
+/// The system's allocator, which counts what each thread asks of it.
+struct Counting;
+
+thread_local! {
+    static ASKED: Cell<u64> = const { Cell::new(0) };
+}
+
+// SAFETY: all is passed on to the system's allocator as it came; counting touches nothing but a number of the thread's own.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        // A thread that ends has no counter any more.
+        let _ = ASKED.try_with(|asked| asked.set(asked.get() + 1));
+        // SAFETY: the caller's promises are the system's.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as above.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Frames until every list has grown to what this clip needs of it.
+const WARM_UP: usize = 50;
+/// More than a period of everything that is done only now and then (the twin's audit, the trial of the enlargement).
+const COUNTED: usize = 40;
+
+#[test]
+fn a_followed_frame_allocates_nothing() {
+    let choice = Dolly { width: 640, height: 480, seed: 4, duration_s: 3.0, artwork_width: 1000 };
+    let mut camera = VirtualCamera::new(dolly(choice).expect("a scene"), 30.0, (WARM_UP + COUNTED) as u64);
+    let rows: Vec<_> = std::iter::from_fn(|| camera.next_row()).collect();
+    let scene = camera.stage();
+    let mut tracker = Tracker::new(TrackerSetup {
+        camera: scene.camera,
+        exposure_s: scene.exposure_s,
+        readout_s: scene.readout_s,
+        mask: None,
+        stage: scene.stage.clone(),
+        objects: Vec::new(),
+        settings: TrackerSettings::default(),
+    });
+    let mut counts = Vec::with_capacity(rows.len());
+    for row in &rows {
+        let RowContent::Frame(frame) = &row.content else { panic!("a virtual camera loses no frame") };
+        let before = ASKED.get();
+        let sample = tracker.track(frame);
+        counts.push((ASKED.get() - before, sample.state));
+    }
+    println!("allocations, frame by frame: {:?}", counts.iter().map(|(n, _)| *n).collect::<Vec<_>>());
+    // The counter works: features and first lists are made in the first frame.
+    assert!(counts[0].0 > 10);
+    assert_eq!(counts.len(), WARM_UP + COUNTED);
+    assert!(counts[WARM_UP..].iter().all(|(n, state)| *n == 0 && *state == State::Tracking));
+}
