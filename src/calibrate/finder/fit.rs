@@ -7,9 +7,11 @@
 //! the corner nowhere. Two things are not symmetric, and come from the corner's neighbours ([`Surroundings`]): the slope of
 //! the light, which over a blurred corner looks just like a displaced one, and the next edges, where the blur reaches them.
 
-use nalgebra::Vector2;
+use nalgebra::{SVector, Vector2};
 
+use super::gather::gather;
 use super::level::Level;
+use super::step;
 use super::window::{Linearised, Model, N, Sample, Window, erf_and_slope};
 
 /// A corner as the fit sees it.
@@ -197,62 +199,32 @@ fn looks_like_a_corner(level: &Level, p: Vector2<f64>, u: Vector2<f64>, v: Vecto
     step > 1.5
 }
 
-/// The pixels of the window.
-fn gather(level: &Level, centre: Vector2<f64>, [u, v]: [Vector2<f64>; 2], blur: f64, around: &Surroundings, window: &mut Window) {
-    window.clear();
-    let per_area = 1.0 / u.perp(&v);
-    let reach = reach(blur);
-    let half = Vector2::new(u.x.abs() + v.x.abs(), u.y.abs() + v.y.abs()).map(|c| (around.window() * c).min(reach));
-    let range =
-        |c: f64, half: f64, size: usize| (c - half).ceil().max(0.0) as usize..((c + half).floor() + 1.0).clamp(0.0, size as f64) as usize;
-    let columns = range(centre.x, half.x, level.width);
-    for y in range(centre.y, half.y, level.height) {
-        let row = &level.grey[y * level.width..][columns.clone()];
-        for (x, &grey) in columns.clone().zip(row) {
-            let place = Vector2::new(x as f64, y as f64);
-            let offset = place - centre;
-            let squares = [offset.perp(&v) * per_area, u.perp(&offset) * per_area];
-            if let Some(sample) = around.sample(place, offset, squares, (reach, blur), f64::from(grey)) {
-                window.push(&sample);
-            }
-        }
-    }
-}
-
 /// Least squares of the corner model over a window; `farthest` bounds the corner's offset, pixels.
 pub(crate) fn fit_window(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest: f64) -> Option<WindowFit> {
     if window.len() < 2 * N {
         return None;
     }
     let widest = WIDEST_BLUR * u.perp(&v) / u.norm().max(v.norm());
-    let (mut model, (mut cost, mut normal, mut gradient)) = start(window, [u, v], blur.min(widest))?;
+    let (mut model, mut here) = start(window, [u, v], blur.min(widest))?;
     let bounds = [LEAST_BLUR.ln(), widest.max(2.0 * LEAST_BLUR).ln()];
     let mut damping = 1e-4;
     for _ in 0..20 {
-        let mut damped = normal;
-        let mut downhill = gradient;
-        for k in 0..N {
-            damped[(k, k)] += damping * normal[(k, k)] + 1e-9;
-        }
         // A blur that lies at its bound and wants beyond stays there, or it would spoil the other numbers' step.
-        let beyond = (model.0[4] <= bounds[0] && downhill[4] > 0.0) || (model.0[4] >= bounds[1] && downhill[4] < 0.0);
-        if beyond {
-            damped.row_mut(4).fill(0.0);
-            damped.column_mut(4).fill(0.0);
-            (damped[(4, 4)], downhill[4]) = (1.0, 0.0);
-        }
-        let step = damped.cholesky()?.solve(&downhill);
-        let mut next = Model(model.0 - step);
+        let downhill = here.gradient[4];
+        let beyond = (model.0[4] <= bounds[0] && downhill > 0.0) || (model.0[4] >= bounds[1] && downhill < 0.0);
+        let step = step::damped(&here, damping, beyond.then_some(4))?;
+        let mut next = Model(model.0 - SVector::from(step));
         next.0[4] = next.0[4].clamp(bounds[0], bounds[1]);
-        let moved = step.fixed_rows::<2>(0).norm();
+        let moved = step[0].hypot(step[1]);
+        let gain: f64 = step.iter().zip(&here.gradient).map(|(s, g)| s * g).sum();
         // A step this small is as good as the linear model says.
-        if moved < LAST_STEP && step.dot(&gradient) < LAST_GAIN * cost {
+        if moved < LAST_STEP && gain < LAST_GAIN * here.cost {
             model = next;
             break;
         }
-        let (next_cost, next_normal, next_gradient) = window.linearised(&next);
-        if next_cost < cost {
-            (model, cost, normal, gradient) = (next, next_cost, next_normal, next_gradient);
+        let there = window.linearised(&next);
+        if there.cost < here.cost {
+            (model, here) = (next, there);
             damping = (0.1 * damping).max(1e-9);
         } else {
             damping *= 10.0;
@@ -260,11 +232,11 @@ pub(crate) fn fit_window(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f
                 break;
             }
         }
-        if model.0.fixed_rows::<2>(0).norm() > farthest {
+        if model.0[0].hypot(model.0[1]) > farthest {
             return None;
         }
     }
-    judged(&model, window, [u, v], cost)
+    judged(&model, &here, [u, v])
 }
 
 /// Edges along the board, and the levels that fit best.
@@ -274,12 +246,12 @@ fn start(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64) -> Option<(M
 }
 
 /// The result, where the edges stayed near the board's directions.
-fn judged(model: &Model, window: &Window, [u, v]: [Vector2<f64>; 2], cost: f64) -> Option<WindowFit> {
+fn judged(model: &Model, seen: &Linearised, [u, v]: [Vector2<f64>; 2]) -> Option<WindowFit> {
     let direction = |angle: f64, step: Vector2<f64>| Vector2::new(angle.cos(), angle.sin()) * step.norm();
     let directions = [direction(model.0[2], u), direction(model.0[3], v)];
     let straight = directions[0].dot(&u) > ALONG * u.norm_squared() && directions[1].dot(&v) > ALONG * v.norm_squared();
     let (middle, contrast) = (model.0[5], model.0[6]);
-    let residual = (cost / window.weight).sqrt() / contrast.abs();
+    let residual = (seen.cost / seen.weight).sqrt() / contrast.abs();
     let good = straight && contrast.abs() > 1.0 && residual.is_finite();
     let offset = model.0.fixed_rows::<2>(0).into_owned();
     good.then_some(WindowFit { offset, blur: model.0[4].exp(), middle, contrast, residual, directions })

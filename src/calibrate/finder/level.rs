@@ -57,6 +57,17 @@ impl Level {
         inside(p.x, self.width) && inside(p.y, self.height)
     }
 
+    /// Eight grey levels from the `index`th; 0 beyond the last.
+    #[inline(always)]
+    pub fn eight_from(&self, index: usize) -> [f32; 8] {
+        let mut eight = [0.0; 8];
+        match self.grey.get(index..index + 8) {
+            Some(grey) => eight.copy_from_slice(grey),
+            None => eight.iter_mut().zip(self.grey.iter().skip(index)).for_each(|(to, grey)| *to = *grey),
+        }
+        eight
+    }
+
     /// Bilinear grey level; positions outside are moved to the rim.
     pub fn sample(&self, p: Vector2<f64>) -> f32 {
         let x = p.x.clamp(0.0, self.width as f64 - 1.001) as f32;

@@ -7,6 +7,7 @@
 //! blur ([`fit`]), and the lattice is turned so that the origin is the same corner in every picture ([`placement`]).
 
 pub(crate) mod fit;
+mod gather;
 mod grid;
 mod islands;
 pub(crate) mod lattice;
@@ -14,6 +15,7 @@ pub(crate) mod level;
 mod links;
 mod placement;
 mod saddle;
+mod step;
 mod surroundings;
 pub(crate) mod window;
 
