@@ -16,20 +16,12 @@ use super::level::Level;
 pub(super) struct Saddle {
     /// Level pixels.
     pub position: Vector2<f64>,
-    /// Angles, modulo pi, of the two edges: going from the first to the second at growing angle crosses a dark square.
-    pub edges: [f64; 2],
+    /// Unit vectors along the two edges: going from the first to the second at growing angle crosses a dark square.
+    pub edges: [Vector2<f64>; 2],
     /// Its own grey level.
     pub middle: f64,
     /// Half the difference between light and dark, grey levels.
     pub contrast: f64,
-}
-
-impl Saddle {
-    /// Unit vector along edge 0 or 1.
-    pub fn direction(&self, edge: usize) -> Vector2<f64> {
-        let (sin, cos) = self.edges[edge].sin_cos();
-        Vector2::new(cos, sin)
-    }
 }
 
 /// Determinants below this are noise: a board of about 2.5 grey levels of contrast on a quiet sensor.
@@ -77,20 +69,28 @@ fn determinant_peaks(smooth: &Level) -> Vec<(f32, usize)> {
     }
     let mut peaks = Vec::new();
     for y in margin..h - margin {
-        for x in margin..w - margin {
-            let index = y * w + x;
-            let value = determinant[index];
-            if value < LEAST_DETERMINANT || value <= determinant[index - 1] || value < determinant[index + 1] {
+        let row = &determinant[y * w..][..w];
+        for start in (margin..w - margin).step_by(8) {
+            // Most are flat: a look at eight pixels at once.
+            let end = (start + 8).min(w - margin);
+            if row[start..end].iter().fold(true, |flat, &v| flat & (v < LEAST_DETERMINANT)) {
                 continue;
             }
-            let above = determinant[index - w - 1..=index - w + 1].iter().all(|&v| value > v);
-            let below = determinant[index + w - 1..=index + w + 1].iter().all(|&v| value >= v);
-            if above && below {
-                peaks.push((value, index));
-            }
+            peaks.extend((start..end).map(|x| y * w + x).filter(|&at| is_peak(&determinant, w, at)).map(|at| (determinant[at], at)));
         }
     }
     peaks
+}
+
+/// Whether no pixel around is larger; of equal ones the last in the row, and the first of rows, is a peak.
+fn is_peak(determinant: &[f32], w: usize, index: usize) -> bool {
+    let value = determinant[index];
+    if value < LEAST_DETERMINANT || value <= determinant[index - 1] || value < determinant[index + 1] {
+        return false;
+    }
+    let above = determinant[index - w - 1..=index - w + 1].iter().all(|&v| value > v);
+    let below = determinant[index + w - 1..=index + w + 1].iter().all(|&v| value >= v);
+    above && below
 }
 
 /// The saddle point near a pixel, if its ring is a chessboard corner's.
@@ -112,7 +112,7 @@ fn look_at(smooth: &Level, index: usize, ring: &[Vector2<f64>]) -> Option<Saddle
     if uneven || light.min(dark) < 0.25 * contrast || contrast < 1.0 {
         return None;
     }
-    Some(Saddle { position, edges: crossings(&folded)?, middle, contrast })
+    Some(Saddle { position, edges: crossings(&folded)?.map(|angle| Vector2::new(angle.cos(), angle.sin())), middle, contrast })
 }
 
 /// Newton's step to the point where the gradient vanishes, at most 1.5 pixels away.
@@ -131,7 +131,7 @@ fn saddle_point(smooth: &Level, index: usize) -> Option<Vector2<f64>> {
     (step.amax() <= 1.5).then(|| Vector2::new((index % w) as f64, (index / w) as f64) + step)
 }
 
-/// The two edges from the half ring's signs: exactly one change to dark and one to light.
+/// The two edges' angles from the half ring's signs: exactly one change to dark and one to light.
 fn crossings(folded: &[f64; HALF_RING]) -> Option<[f64; 2]> {
     let (mut to_dark, mut to_light) = (None, None);
     for k in 0..HALF_RING {
