@@ -87,6 +87,10 @@ const ALONG: f64 = 0.9;
 /// The fit ends with a step of the corner below this, pixels, that gains less than this share of what is left unexplained.
 const LAST_STEP: f64 = 4e-3;
 const LAST_GAIN: f64 = 3e-3;
+/// Windows drawn for one corner at most …
+const ROUNDS: usize = 4;
+/// … after so many that are good for one step only, where that shows that they do not lie around the corner.
+const HASTY_ROUNDS: usize = 2;
 /// Residuals above this share of the contrast are no chessboard corner.
 pub(crate) const LARGEST_RESIDUAL: f64 = 0.35;
 
@@ -148,12 +152,12 @@ impl NextEdges {
 }
 
 /// Fits a corner near `start`, where one square's step along the board's axes is `u` and `v` (their cross product positive).
-/// `None` where there is no such corner.
+/// The window is made for `blur`, and the fit starts from the `guess` of it. `None` where there is no such corner.
 pub(crate) fn fit_corner(
     level: &Level,
     start: Vector2<f64>,
     [u, v]: [Vector2<f64>; 2],
-    blur: f64,
+    [blur, guess]: [f64; 2],
     around: &Surroundings,
     window: &mut Window,
 ) -> Option<CornerFit> {
@@ -162,29 +166,50 @@ pub(crate) fn fit_corner(
         return None;
     }
     let farthest = 0.4 * area / u.norm().max(v.norm());
-    let (mut centre, mut blur, mut directions) = (start, blur, [u, v]);
-    for round in 0..4 {
-        gather(level, centre, [u, v], blur, around, window);
-        let fit = fit_window(window, directions, blur, farthest)?;
-        let wide_enough = reach(fit.blur) < reach(blur) + 0.8;
-        // The next edges' share was drawn with the blur as it was before.
-        let same_blur = around.edges.is_none() || (fit.blur / blur - 1.0).abs() < 0.03;
+    let (mut centre, mut made_for, mut blur, mut directions) = (start, blur, guess, [u, v]);
+    for round in 0..HASTY_ROUNDS + ROUNDS {
+        gather(level, centre, [u, v], made_for, around, window);
+        let drawn = Drawn { blur: made_for, has_edges: around.edges.is_some() };
+        let fit = fit_drawn(window, directions, blur, farthest, (round < HASTY_ROUNDS).then_some(drawn))?;
         centre += fit.offset;
-        (blur, directions) = (fit.blur, fit.directions);
+        (blur, made_for, directions) = (fit.blur, fit.blur, fit.directions);
         if directions[0].dot(&u) < ALONG * u.norm_squared() || directions[1].dot(&v) < ALONG * v.norm_squared() {
             return None;
         }
         if (centre - start).norm() > farthest || !level.has(centre, 2.0) {
             return None;
         }
-        // The window must lie around the corner for its symmetry to help.
-        if (fit.offset.norm() < 0.1 && wide_enough && same_blur) || round == 3 {
+        if drawn.holds_for(fit.offset, fit.blur) || round == HASTY_ROUNDS + ROUNDS - 1 {
             let good = fit.residual < LARGEST_RESIDUAL;
             let residual = fit.residual * fit.contrast.abs();
             return good.then_some(CornerFit { position: centre, blur, middle: fit.middle, contrast: fit.contrast, residual });
         }
     }
     None
+}
+
+/// How a window was drawn.
+#[derive(Debug, Clone, Copy)]
+struct Drawn {
+    blur: f64,
+    has_edges: bool,
+}
+
+impl Drawn {
+    /// Whether it need not be drawn again for a corner with this offset and blur.
+    fn holds_for(&self, offset: Vector2<f64>, blur: f64) -> bool {
+        let wide_enough = reach(blur) < reach(self.blur) + 0.8;
+        // The next edges' share was drawn with the blur as it was before.
+        let same_blur = !self.has_edges || (blur / self.blur - 1.0).abs() < 0.03;
+        // The window must lie around the corner for its symmetry to help.
+        offset.norm() < 0.1 && wide_enough && same_blur
+    }
+
+    /// Whether a first step to this model is to be believed, and so much of one that the window must be drawn again anyway.
+    fn is_outdated_by(&self, model: &Model, step: &[f64; N]) -> bool {
+        let is_sound = step[0].hypot(step[1]) < 0.5 && step[2..5].iter().all(|s| s.abs() < 0.2) && model.0[6].abs() > 1.0;
+        is_sound && !self.holds_for(Vector2::new(model.0[0], model.0[1]), model.0[4].exp())
+    }
 }
 
 /// Whether opposite quadrants are alike and neighbouring ones are not: a cheap look before the fit.
@@ -200,7 +225,12 @@ fn looks_like_a_corner(level: &Level, p: Vector2<f64>, u: Vector2<f64>, v: Vecto
 }
 
 /// Least squares of the corner model over a window; `farthest` bounds the corner's offset, pixels.
-pub(crate) fn fit_window(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest: f64) -> Option<WindowFit> {
+pub(crate) fn fit_window(window: &mut Window, directions: [Vector2<f64>; 2], blur: f64, farthest: f64) -> Option<WindowFit> {
+    fit_drawn(window, directions, blur, farthest, None)
+}
+
+/// The same; where `drawn` is given and the first step shows that the window must be drawn again, that step is all.
+fn fit_drawn(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest: f64, drawn: Option<Drawn>) -> Option<WindowFit> {
     if window.len() < 2 * N {
         return None;
     }
@@ -208,7 +238,7 @@ pub(crate) fn fit_window(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f
     let (mut model, mut here) = start(window, [u, v], blur.min(widest))?;
     let bounds = [LEAST_BLUR.ln(), widest.max(2.0 * LEAST_BLUR).ln()];
     let mut damping = 1e-4;
-    for _ in 0..20 {
+    for iteration in 0..20 {
         // A blur that lies at its bound and wants beyond stays there, or it would spoil the other numbers' step.
         let downhill = here.gradient[4];
         let beyond = (model.0[4] <= bounds[0] && downhill > 0.0) || (model.0[4] >= bounds[1] && downhill < 0.0);
@@ -217,8 +247,9 @@ pub(crate) fn fit_window(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f
         next.0[4] = next.0[4].clamp(bounds[0], bounds[1]);
         let moved = step[0].hypot(step[1]);
         let gain: f64 = step.iter().zip(&here.gradient).map(|(s, g)| s * g).sum();
+        let is_outdated = iteration == 0 && drawn.is_some_and(|drawn| drawn.is_outdated_by(&next, &step));
         // A step this small is as good as the linear model says.
-        if moved < LAST_STEP && gain < LAST_GAIN * here.cost {
+        if is_outdated || (moved < LAST_STEP && gain < LAST_GAIN * here.cost) {
             model = next;
             break;
         }
