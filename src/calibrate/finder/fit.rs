@@ -2,7 +2,7 @@
 //!
 //! The picture of four squares that meet, blurred by a Gaussian, is `a + b erf(d1 / √2σ) erf(d2 / √2σ)` with the
 //! distances d1, d2 to the two edges, and a little more where the edges are not square to each other. Position, both directions, blur and the two levels are fitted together
-//! (Levenberg-Marquardt, all analytic; the kernel is in [`window`](super::window)). The model and the window are both
+//! (Levenberg-Marquardt, all analytic; the kernel is in [`window`](super::window), and [`gather`](super::gather) takes the pixels). The model and the window are both
 //! symmetric about the corner, so that what the model does not know - gamma, sharpening, saturation, motion blur - moves
 //! the corner nowhere. Two things are not symmetric, and come from the corner's neighbours ([`Surroundings`]): the slope of
 //! the light, which over a blurred corner looks just like a displaced one, and the next edges, where the blur reaches them.

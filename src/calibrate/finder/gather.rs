@@ -15,6 +15,9 @@ use super::window::{Eight, LANES, Window, erf_and_slope};
 /// From the first of eight pixels to each.
 const STEPS: Eight = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 
+/// Single precision has no number between 1 and the error function of more than this.
+const NOTHING: f32 = -4.0;
+
 /// `x * dx + y * dy + rest` of a pixel's offset from the centre.
 #[derive(Debug, Clone, Copy, Default)]
 struct Line {
@@ -192,20 +195,29 @@ fn take_edges(edges: &Edges, [dx, dy]: [f64; 2], at: usize, window: &mut Window)
     for axis in 0..2 {
         let [[z, by_z], [w, by_w]] = [edges.along[axis][0].along_row(dx, dy), edges.along[axis][1].along_row(dx, dy)];
         let ([size_before, size_after], [end_before, end_after]) = (edges.sizes[axis], edges.ends[axis]);
-        let mut beside = [0.0_f32; LANES];
+        let ([before, after], mut beside) = ([past([-z, -by_z]), past([w, by_w])], [0.0_f32; LANES]);
         for k in 0..LANES {
-            // How much of what is seen here lies beyond either edge.
-            let before = 0.5 * (1.0 - erf_and_slope(z + by_z * STEPS[k]).0);
-            let after = 0.5 * (1.0 + erf_and_slope(w + by_w * STEPS[k]).0);
-            beside[k] = size_before * before - size_after * after;
-            on_board[k] *= 1.0 - end_before * before - end_after * after;
+            beside[k] = size_before * before[k] - size_after * after[k];
+            on_board[k] *= 1.0 - end_before * before[k] - end_after * after[k];
         }
         window.pixels.beside[axis][at..at + LANES].copy_from_slice(&beside);
     }
-    for k in 0..LANES {
-        on_board[k] = edges.beyond * (1.0 - on_board[k]);
+    for (beyond, on_board) in window.pixels.beyond[at..at + LANES].iter_mut().zip(on_board) {
+        *beyond = edges.beyond * (1.0 - on_board);
     }
-    window.pixels.beyond[at..at + LANES].copy_from_slice(&on_board);
+}
+
+/// How much of what is seen at eight pixels lies beyond an edge, `z` past it at the first of them and `by_z` more at each.
+#[inline(always)]
+fn past([z, by_z]: [f32; 2]) -> Eight {
+    let mut past = [0.0_f32; LANES];
+    // Most pixels are so far inside that nothing of it is seen, and the error function is 1.
+    if z > NOTHING || z + by_z * STEPS[LANES - 1] > NOTHING {
+        for k in 0..LANES {
+            past[k] = 0.5 * (1.0 + erf_and_slope(z + by_z * STEPS[k]).0);
+        }
+    }
+    past
 }
 
 /// The larger of both, by one instruction.

@@ -3,8 +3,9 @@
 //! From the coarsest level of a pyramid to the finest: candidates ([`saddle`]), what hangs together as a lattice
 //! ([`links`]), missing corners fitted where their neighbours foretell them ([`lattice`], kept in a [`grid`]). The first
 //! level that shows the board nearly whole ends the search - coarse levels are cheap and do not see a screen's pixels,
-//! paper's grain or noise. Then every corner, the missing ones too, is fitted on the finest level that is sharper than the
-//! blur ([`fit`]), and the lattice is turned so that the origin is the same corner in every picture ([`placement`]).
+//! paper's grain or noise; one on which the lattice is torn waits until the finer ones have been seen. Then every corner, the
+//! missing ones too, is fitted on the finest level that is sharper than the blur ([`fit`]), and the lattice is turned so that
+//! the origin is the same corner in every picture ([`placement`]).
 
 pub(crate) mod fit;
 mod gather;
@@ -105,7 +106,7 @@ const LEAST_SIDE: usize = 60;
 const LATTICES: usize = 3;
 /// A coarse level on which less than this share of the board hangs together is too coarse for it.
 const WORTH_COMPLETING: f64 = 0.5;
-/// One of whose corners a smaller share hangs together evenly mostly stays so when it is completed: the finer levels come first.
+/// A coarse lattice with a smaller share of its corners in one piece is torn, and mostly stays so when it is completed.
 const IN_ONE_PIECE: f64 = 0.7;
 /// The search ends with this share of the board's corners: the few others are looked for again on the sharpest level.
 const NEARLY_WHOLE: f64 = 0.9;

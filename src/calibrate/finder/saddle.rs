@@ -33,12 +33,15 @@ const RING_RADIUS: f64 = 3.0;
 /// Points on half the ring.
 const HALF_RING: usize = 16;
 
+/// The ring's points from its centre, x and y.
+type Ring = [[f32; 2]; 2 * HALF_RING];
+
 /// All candidates of a level; `smooth` is the level after [`Level::smoothed`].
 pub(super) fn find_saddles(smooth: &Level) -> Vec<Saddle> {
-    let ring: Vec<Vector2<f64>> = (0..2 * HALF_RING)
-        .map(|k| (k as f64 * PI / HALF_RING as f64).sin_cos())
-        .map(|(sin, cos)| Vector2::new(cos, sin) * RING_RADIUS)
-        .collect();
+    let ring: Ring = std::array::from_fn(|k| {
+        let (sin, cos) = (k as f64 * PI / HALF_RING as f64).sin_cos();
+        [cos * RING_RADIUS, sin * RING_RADIUS].map(|c| c as f32)
+    });
     let mut peaks = determinant_peaks(smooth);
     if peaks.len() > MOST_CANDIDATES {
         peaks.select_nth_unstable_by(MOST_CANDIDATES, |a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -93,15 +96,30 @@ fn is_peak(determinant: &[f32], w: usize, index: usize) -> bool {
     above && below
 }
 
+/// Grey levels on the ring around a position, all of which lies inside the picture: so nothing is asked of each place.
+fn on_ring(smooth: &Level, position: Vector2<f64>, ring: &Ring) -> [f32; 2 * HALF_RING] {
+    let (middle_x, middle_y, w) = (position.x as f32, position.y as f32, smooth.width);
+    let mut around = [0.0; 2 * HALF_RING];
+    for (grey, [x, y]) in around.iter_mut().zip(ring) {
+        let (x, y) = (middle_x + x, middle_y + y);
+        let (i, j) = (x as i32, y as i32);
+        let (a, b) = (x - i as f32, y - j as f32);
+        let first = j as usize * w + i as usize;
+        let (top, bottom) = (&smooth.grey[first..][..2], &smooth.grey[first + w..][..2]);
+        *grey = (top[0] * (1.0 - a) + top[1] * a) * (1.0 - b) + (bottom[0] * (1.0 - a) + bottom[1] * a) * b;
+    }
+    around
+}
+
 /// The saddle point near a pixel, if its ring is a chessboard corner's.
-fn look_at(smooth: &Level, index: usize, ring: &[Vector2<f64>]) -> Option<Saddle> {
+fn look_at(smooth: &Level, index: usize, ring: &Ring) -> Option<Saddle> {
     let position = saddle_point(smooth, index)?;
     let middle = f64::from(smooth.sample(position));
+    let around = on_ring(smooth, position, ring);
     let mut folded = [0.0_f64; HALF_RING];
     let mut asymmetry = 0.0;
     for (k, folded) in folded.iter_mut().enumerate() {
-        let one = f64::from(smooth.sample(position + ring[k])) - middle;
-        let two = f64::from(smooth.sample(position + ring[k + HALF_RING])) - middle;
+        let (one, two) = (f64::from(around[k]) - middle, f64::from(around[k + HALF_RING]) - middle);
         *folded = 0.5 * (one + two);
         asymmetry += (0.5 * (one - two)).powi(2);
     }

@@ -51,8 +51,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn it_solves_the_damped_equations(rows in proptest::collection::vec(-1.0..1.0_f64, 9 * N), right in proptest::collection::vec(-1.0..1.0_f64, N),
-            damping in 1e-4..1.0_f64, held in proptest::option::of(0..N)) {
+        fn it_solves_the_damped_equations(
+            rows in proptest::collection::vec(-1.0..1.0_f64, 9 * N),
+            right in proptest::collection::vec(-1.0..1.0_f64, N),
+            damping in 1e-4..1.0_f64,
+            held in proptest::option::of(0..N),
+        ) {
             let rows = SMatrix::<f64, 9, N>::from_iterator(rows);
             let (normal, gradient) = (rows.transpose() * rows, SVector::<f64, N>::from_iterator(right));
             let step = damped(&Linearised { cost: 1.0, normal: normal.data.0, gradient: gradient.into(), weight: 1.0 }, damping, held);

@@ -180,7 +180,6 @@ fn products_lanes(pixels: &Pixels, rows: &mut [Rows], model: &SVector<f32, N>) -
         let (px, py, grey, roots) = (eight(&pixels.x, at), eight(&pixels.y, at), eight(&pixels.grey, at), eight(&pixels.root_weight, at));
         let (beside1, beside2, beyond) = (eight(&pixels.beside[0], at), eight(&pixels.beside[1], at), eight(&pixels.beyond, at));
         // By index, over all columns of a row at once: so it is compiled to the wide registers.
-        #[expect(clippy::needless_range_loop)]
         for k in 0..LANES {
             let (x, y) = (px[k] - p[0], py[k] - p[1]);
             // Distances to the edge along u (positive towards v) and to the edge along v (positive towards u).
@@ -320,7 +319,7 @@ mod tests {
     #[test]
     fn the_gradient_is_the_costs_slope() {
         let (mut window, model) = drawn();
-        let gradient = window.linearised(&model).gradient;
+        let gradient = SVector::<f64, N>::from(window.linearised(&model).gradient);
         for k in 0..N {
             let h = if k < 5 { 4e-3 } else { 0.1 };
             let mut moved = [model, model];
