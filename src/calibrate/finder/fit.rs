@@ -2,14 +2,16 @@
 //!
 //! The picture of four squares that meet, blurred by a Gaussian, is `a + b erf(d1 / √2σ) erf(d2 / √2σ)` with the
 //! distances d1, d2 to the two edges, and a little more where the edges are not square to each other. Position, both directions, blur and the two levels are fitted together
-//! (Levenberg-Marquardt, all analytic; the kernel is in [`window`](super::window)). The model and the window are both
+//! (Levenberg-Marquardt, all analytic; the kernel is in [`window`](super::window), and [`gather`](super::gather) takes the pixels). The model and the window are both
 //! symmetric about the corner, so that what the model does not know - gamma, sharpening, saturation, motion blur - moves
 //! the corner nowhere. Two things are not symmetric, and come from the corner's neighbours ([`Surroundings`]): the slope of
 //! the light, which over a blurred corner looks just like a displaced one, and the next edges, where the blur reaches them.
 
-use nalgebra::Vector2;
+use nalgebra::{SVector, Vector2};
 
+use super::gather::gather;
 use super::level::Level;
+use super::step;
 use super::window::{Linearised, Model, N, Sample, Window, erf_and_slope};
 
 /// A corner as the fit sees it.
@@ -85,6 +87,10 @@ const ALONG: f64 = 0.9;
 /// The fit ends with a step of the corner below this, pixels, that gains less than this share of what is left unexplained.
 const LAST_STEP: f64 = 4e-3;
 const LAST_GAIN: f64 = 3e-3;
+/// Windows drawn for one corner at most …
+const ROUNDS: usize = 4;
+/// … after so many that are good for one step only, where that shows that they do not lie around the corner.
+const HASTY_ROUNDS: usize = 2;
 /// Residuals above this share of the contrast are no chessboard corner.
 pub(crate) const LARGEST_RESIDUAL: f64 = 0.35;
 
@@ -146,12 +152,12 @@ impl NextEdges {
 }
 
 /// Fits a corner near `start`, where one square's step along the board's axes is `u` and `v` (their cross product positive).
-/// `None` where there is no such corner.
+/// The window is made for `blur`, and the fit starts from the `guess` of it. `None` where there is no such corner.
 pub(crate) fn fit_corner(
     level: &Level,
     start: Vector2<f64>,
     [u, v]: [Vector2<f64>; 2],
-    blur: f64,
+    [blur, guess]: [f64; 2],
     around: &Surroundings,
     window: &mut Window,
 ) -> Option<CornerFit> {
@@ -160,29 +166,50 @@ pub(crate) fn fit_corner(
         return None;
     }
     let farthest = 0.4 * area / u.norm().max(v.norm());
-    let (mut centre, mut blur, mut directions) = (start, blur, [u, v]);
-    for round in 0..4 {
-        gather(level, centre, [u, v], blur, around, window);
-        let fit = fit_window(window, directions, blur, farthest)?;
-        let wide_enough = reach(fit.blur) < reach(blur) + 0.8;
-        // The next edges' share was drawn with the blur as it was before.
-        let same_blur = around.edges.is_none() || (fit.blur / blur - 1.0).abs() < 0.03;
+    let (mut centre, mut made_for, mut blur, mut directions) = (start, blur, guess, [u, v]);
+    for round in 0..HASTY_ROUNDS + ROUNDS {
+        gather(level, centre, [u, v], made_for, around, window);
+        let drawn = Drawn { blur: made_for, has_edges: around.edges.is_some() };
+        let fit = fit_drawn(window, directions, blur, farthest, (round < HASTY_ROUNDS).then_some(drawn))?;
         centre += fit.offset;
-        (blur, directions) = (fit.blur, fit.directions);
+        (blur, made_for, directions) = (fit.blur, fit.blur, fit.directions);
         if directions[0].dot(&u) < ALONG * u.norm_squared() || directions[1].dot(&v) < ALONG * v.norm_squared() {
             return None;
         }
         if (centre - start).norm() > farthest || !level.has(centre, 2.0) {
             return None;
         }
-        // The window must lie around the corner for its symmetry to help.
-        if (fit.offset.norm() < 0.1 && wide_enough && same_blur) || round == 3 {
+        if drawn.holds_for(fit.offset, fit.blur) || round == HASTY_ROUNDS + ROUNDS - 1 {
             let good = fit.residual < LARGEST_RESIDUAL;
             let residual = fit.residual * fit.contrast.abs();
             return good.then_some(CornerFit { position: centre, blur, middle: fit.middle, contrast: fit.contrast, residual });
         }
     }
     None
+}
+
+/// How a window was drawn.
+#[derive(Debug, Clone, Copy)]
+struct Drawn {
+    blur: f64,
+    has_edges: bool,
+}
+
+impl Drawn {
+    /// Whether it need not be drawn again for a corner with this offset and blur.
+    fn holds_for(&self, offset: Vector2<f64>, blur: f64) -> bool {
+        let wide_enough = reach(blur) < reach(self.blur) + 0.8;
+        // The next edges' share was drawn with the blur as it was before.
+        let same_blur = !self.has_edges || (blur / self.blur - 1.0).abs() < 0.03;
+        // The window must lie around the corner for its symmetry to help.
+        offset.norm() < 0.1 && wide_enough && same_blur
+    }
+
+    /// Whether a first step to this model is to be believed, and so much of one that the window must be drawn again anyway.
+    fn is_outdated_by(&self, model: &Model, step: &[f64; N]) -> bool {
+        let is_sound = step[0].hypot(step[1]) < 0.5 && step[2..5].iter().all(|s| s.abs() < 0.2) && model.0[6].abs() > 1.0;
+        is_sound && !self.holds_for(Vector2::new(model.0[0], model.0[1]), model.0[4].exp())
+    }
 }
 
 /// Whether opposite quadrants are alike and neighbouring ones are not: a cheap look before the fit.
@@ -197,62 +224,38 @@ fn looks_like_a_corner(level: &Level, p: Vector2<f64>, u: Vector2<f64>, v: Vecto
     step > 1.5
 }
 
-/// The pixels of the window.
-fn gather(level: &Level, centre: Vector2<f64>, [u, v]: [Vector2<f64>; 2], blur: f64, around: &Surroundings, window: &mut Window) {
-    window.clear();
-    let per_area = 1.0 / u.perp(&v);
-    let reach = reach(blur);
-    let half = Vector2::new(u.x.abs() + v.x.abs(), u.y.abs() + v.y.abs()).map(|c| (around.window() * c).min(reach));
-    let range =
-        |c: f64, half: f64, size: usize| (c - half).ceil().max(0.0) as usize..((c + half).floor() + 1.0).clamp(0.0, size as f64) as usize;
-    let columns = range(centre.x, half.x, level.width);
-    for y in range(centre.y, half.y, level.height) {
-        let row = &level.grey[y * level.width..][columns.clone()];
-        for (x, &grey) in columns.clone().zip(row) {
-            let place = Vector2::new(x as f64, y as f64);
-            let offset = place - centre;
-            let squares = [offset.perp(&v) * per_area, u.perp(&offset) * per_area];
-            if let Some(sample) = around.sample(place, offset, squares, (reach, blur), f64::from(grey)) {
-                window.push(&sample);
-            }
-        }
-    }
+/// Least squares of the corner model over a window; `farthest` bounds the corner's offset, pixels.
+pub(crate) fn fit_window(window: &mut Window, directions: [Vector2<f64>; 2], blur: f64, farthest: f64) -> Option<WindowFit> {
+    fit_drawn(window, directions, blur, farthest, None)
 }
 
-/// Least squares of the corner model over a window; `farthest` bounds the corner's offset, pixels.
-pub(crate) fn fit_window(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest: f64) -> Option<WindowFit> {
+/// The same; where `drawn` is given and the first step shows that the window must be drawn again, that step is all.
+fn fit_drawn(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest: f64, drawn: Option<Drawn>) -> Option<WindowFit> {
     if window.len() < 2 * N {
         return None;
     }
     let widest = WIDEST_BLUR * u.perp(&v) / u.norm().max(v.norm());
-    let (mut model, (mut cost, mut normal, mut gradient)) = start(window, [u, v], blur.min(widest))?;
+    let (mut model, mut here) = start(window, [u, v], blur.min(widest))?;
     let bounds = [LEAST_BLUR.ln(), widest.max(2.0 * LEAST_BLUR).ln()];
     let mut damping = 1e-4;
-    for _ in 0..20 {
-        let mut damped = normal;
-        let mut downhill = gradient;
-        for k in 0..N {
-            damped[(k, k)] += damping * normal[(k, k)] + 1e-9;
-        }
+    for iteration in 0..20 {
         // A blur that lies at its bound and wants beyond stays there, or it would spoil the other numbers' step.
-        let beyond = (model.0[4] <= bounds[0] && downhill[4] > 0.0) || (model.0[4] >= bounds[1] && downhill[4] < 0.0);
-        if beyond {
-            damped.row_mut(4).fill(0.0);
-            damped.column_mut(4).fill(0.0);
-            (damped[(4, 4)], downhill[4]) = (1.0, 0.0);
-        }
-        let step = damped.cholesky()?.solve(&downhill);
-        let mut next = Model(model.0 - step);
+        let downhill = here.gradient[4];
+        let beyond = (model.0[4] <= bounds[0] && downhill > 0.0) || (model.0[4] >= bounds[1] && downhill < 0.0);
+        let step = step::damped(&here, damping, beyond.then_some(4))?;
+        let mut next = Model(model.0 - SVector::from(step));
         next.0[4] = next.0[4].clamp(bounds[0], bounds[1]);
-        let moved = step.fixed_rows::<2>(0).norm();
+        let moved = step[0].hypot(step[1]);
+        let gain: f64 = step.iter().zip(&here.gradient).map(|(s, g)| s * g).sum();
+        let is_outdated = iteration == 0 && drawn.is_some_and(|drawn| drawn.is_outdated_by(&next, &step));
         // A step this small is as good as the linear model says.
-        if moved < LAST_STEP && step.dot(&gradient) < LAST_GAIN * cost {
+        if is_outdated || (moved < LAST_STEP && gain < LAST_GAIN * here.cost) {
             model = next;
             break;
         }
-        let (next_cost, next_normal, next_gradient) = window.linearised(&next);
-        if next_cost < cost {
-            (model, cost, normal, gradient) = (next, next_cost, next_normal, next_gradient);
+        let there = window.linearised(&next);
+        if there.cost < here.cost {
+            (model, here) = (next, there);
             damping = (0.1 * damping).max(1e-9);
         } else {
             damping *= 10.0;
@@ -260,11 +263,11 @@ pub(crate) fn fit_window(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f
                 break;
             }
         }
-        if model.0.fixed_rows::<2>(0).norm() > farthest {
+        if model.0[0].hypot(model.0[1]) > farthest {
             return None;
         }
     }
-    judged(&model, window, [u, v], cost)
+    judged(&model, &here, [u, v])
 }
 
 /// Edges along the board, and the levels that fit best.
@@ -274,12 +277,12 @@ fn start(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64) -> Option<(M
 }
 
 /// The result, where the edges stayed near the board's directions.
-fn judged(model: &Model, window: &Window, [u, v]: [Vector2<f64>; 2], cost: f64) -> Option<WindowFit> {
+fn judged(model: &Model, seen: &Linearised, [u, v]: [Vector2<f64>; 2]) -> Option<WindowFit> {
     let direction = |angle: f64, step: Vector2<f64>| Vector2::new(angle.cos(), angle.sin()) * step.norm();
     let directions = [direction(model.0[2], u), direction(model.0[3], v)];
     let straight = directions[0].dot(&u) > ALONG * u.norm_squared() && directions[1].dot(&v) > ALONG * v.norm_squared();
     let (middle, contrast) = (model.0[5], model.0[6]);
-    let residual = (cost / window.weight).sqrt() / contrast.abs();
+    let residual = (seen.cost / seen.weight).sqrt() / contrast.abs();
     let good = straight && contrast.abs() > 1.0 && residual.is_finite();
     let offset = model.0.fixed_rows::<2>(0).into_owned();
     good.then_some(WindowFit { offset, blur: model.0[4].exp(), middle, contrast, residual, directions })

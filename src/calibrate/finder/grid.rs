@@ -90,6 +90,27 @@ impl<T: Copy> Grid<T> {
         })
     }
 
+    /// The values at most `reach` places away along either axis.
+    pub fn around(&self, (i, j): Place, reach: i32) -> impl Iterator<Item = &T> {
+        let rows = (i - reach - self.low.0).max(0)..(i + reach + 1 - self.low.0).min(self.size.0);
+        let [first, last] = [j - reach, j + reach + 1].map(|end| (end - self.low.1).clamp(0, self.size.1) as usize);
+        rows.flat_map(move |row| self.slots[(row * self.size.1) as usize..][first..last].iter().flatten())
+    }
+
+    /// Other values at the same places, or none.
+    pub fn filter_map<U: Copy>(&self, mut to: impl FnMut(Place, &T) -> Option<U>) -> Grid<U> {
+        let mut mapped = Grid { low: self.low, size: self.size, slots: vec![None; self.slots.len()], count: 0 };
+        let columns = self.size.1.max(1) as usize;
+        let lines = self.slots.chunks_exact(columns).zip(mapped.slots.chunks_exact_mut(columns));
+        for (i, (line, to_line)) in (self.low.0..).zip(lines) {
+            for (j, (value, slot)) in (self.low.1..).zip(line.iter().zip(to_line)) {
+                *slot = value.as_ref().and_then(|value| to((i, j), value));
+                mapped.count += usize::from(slot.is_some());
+            }
+        }
+        mapped
+    }
+
     /// Keeps the values of which this is true.
     pub fn retain(&mut self, mut keep: impl FnMut(Place, &T) -> bool) {
         let columns = self.size.1.max(1);
@@ -134,6 +155,11 @@ mod tests {
                 prop_assert_eq!(grid.len(), tree.len());
                 prop_assert_eq!(grid.get(at), tree.get(&at));
             }
+            let near: Vec<_> = (-1..=3).flat_map(|i| (-4..=0).map(move |j| (i, j))).filter_map(|at| tree.get(&at)).collect();
+            prop_assert_eq!(grid.around((1, -2), 2).collect::<Vec<_>>(), near);
+            let mapped = grid.filter_map(|at, value| (value % 2 == 0).then_some((at, *value)));
+            prop_assert_eq!(mapped.len(), tree.values().filter(|value| *value % 2 == 0).count());
+            prop_assert!(mapped.iter().all(|(at, (from, value))| at == *from && tree.get(&at) == Some(value)));
             grid.retain(|at, value| (at.0 + i32::from(*value)) % 3 != 0);
             tree.retain(|at, value| (at.0 + i32::from(*value)) % 3 != 0);
             prop_assert_eq!(grid.iter().collect::<Vec<_>>(), tree.iter().map(|(at, value)| (*at, value)).collect::<Vec<_>>());

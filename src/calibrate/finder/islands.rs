@@ -39,6 +39,11 @@ impl Lattice {
         nearest.iter().take(TOLD).all(|&(_, at)| self.is_foretold(at, board))
     }
 
+    /// How many corners are in the largest piece.
+    pub(super) fn largest_piece(&self) -> usize {
+        self.pieces().iter().map(Vec::len).max().unwrap_or(0)
+    }
+
     /// What hangs together by steps that are like those around them.
     fn pieces(&self) -> Vec<Vec<Place>> {
         let typical = [(1, 0), (0, 1)].map(|along| self.typical_steps(along));
@@ -70,26 +75,24 @@ impl Lattice {
 
     /// For each step along one axis, by its first corner, the median of those around.
     fn typical_steps(&self, along: Place) -> Grid<Vector2<f64>> {
-        let step = |at: Place| Some(self.at(at.0 + along.0, at.1 + along.1)? - self.at(at.0, at.1)?);
-        let steps: Grid<Vector2<f64>> = self.cells().filter_map(|(at, _)| Some((at, step(at)?))).collect();
-        let (mut xs, mut ys) = (Vec::with_capacity(25), Vec::with_capacity(25));
-        let typical = |(i, j): Place| {
-            xs.clear();
-            ys.clear();
-            let here = *steps.get((i, j))?;
+        let steps = self.differences(along);
+        let (mut xs, mut ys) = (Vec::new(), Vec::new());
+        steps.filter_map(|at, here| {
             let mut farthest = 0.0_f64;
-            for step in (-2..=2).flat_map(|a| (-2..=2).map(move |b| (i + a, j + b))).filter_map(|at| steps.get(at)) {
-                xs.push(step.x);
-                ys.push(step.y);
-                farthest = farthest.max((step - here).amax());
-            }
+            steps.around(at, 2).for_each(|step| {
+                let off = (step - here).abs();
+                let larger = if off.x > off.y { off.x } else { off.y };
+                farthest = if larger > farthest { larger } else { farthest };
+            });
             // Where all are alike, the median is no farther off than they are.
             if farthest < ALIKE * here.norm() {
-                return Some(((i, j), here));
+                return Some(*here);
             }
-            Some(((i, j), Vector2::new(median(&mut xs)?, median(&mut ys)?)))
-        };
-        steps.iter().map(|(at, _)| at).filter_map(typical).collect()
+            xs.clear();
+            ys.clear();
+            steps.around(at, 2).for_each(|step| (xs.push(step.x), ys.push(step.y)).1);
+            Some(Vector2::new(median(&mut xs)?, median(&mut ys)?))
+        })
     }
 
     /// Whether a corner lies where the nearest ones of the board foretell it, as on a plane seen from afar.

@@ -87,6 +87,11 @@ impl Lattice {
         self.cells.get(at)
     }
 
+    /// The corners at most `reach` places away.
+    pub fn around(&self, at: Place, reach: i32) -> impl Iterator<Item = &Cell> {
+        self.cells.around(at, reach)
+    }
+
     pub fn cells(&self) -> impl Iterator<Item = (Place, &Cell)> {
         self.cells.iter()
     }
@@ -102,6 +107,11 @@ impl Lattice {
 
     pub fn at(&self, i: i32, j: i32) -> Option<Vector2<f64>> {
         self.cells.get((i, j)).map(|cell| cell.position)
+    }
+
+    /// The steps from each corner to the next along one axis.
+    pub fn differences(&self, along: Place) -> Grid<Vector2<f64>> {
+        self.cells.filter_map(|(i, j), cell| Some(self.at(i + along.0, j + along.1)? - cell.position))
     }
 
     /// One square's step along +i and +j at a corner, from its neighbours or theirs.
@@ -158,7 +168,7 @@ impl Lattice {
     /// Looks for the corners that are missing beside those there are, while some appear; all of them `within` an extent, if
     /// there is one.
     pub fn grow(&mut self, level: &Level, within: Option<Extent>) {
-        let mut window = Window::default();
+        let (mut window, mut guess) = (Window::default(), self.blur);
         let mut tried: Grid<usize> = Grid::default();
         loop {
             let around = self.cells.iter().flat_map(|((i, j), _)| [(i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)]);
@@ -174,9 +184,10 @@ impl Lattice {
                 }
                 let found = self.foretold(i, j).and_then(|start| {
                     let around = self.surroundings((i, j), start, None);
-                    self.fit_at(level, i, j, start, &around, &mut window)
+                    self.fit_at(level, (i, j), start, guess, &around, &mut window)
                 });
                 if let Some(fit) = found {
+                    guess = fit.blur;
                     self.cells.insert((i, j), fit.into());
                 }
             }
@@ -187,23 +198,22 @@ impl Lattice {
     }
 
     fn neighbours(&self, i: i32, j: i32) -> usize {
-        let around = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (a, b)));
-        around.filter(|&(a, b)| self.cells.contains((i + a, j + b))).count()
+        self.cells.around((i, j), 1).count()
     }
 
     /// Fits every corner on `level` where its position is known to about a pixel, and drops those that are none. With `margin`
     /// the lattice is the whole board, and what lies around it is known.
     pub fn refit(&mut self, level: &Level, margin: Option<&Margin>) {
-        let mut fits = Grid::default();
-        let mut window = Window::default();
+        let (mut window, mut guess) = (Window::default(), self.blur);
         let mut blurs = Vec::with_capacity(self.cells.len());
-        for ((i, j), cell) in self.cells.iter() {
+        let fits = self.cells.filter_map(|(i, j), cell| {
             let around = self.surroundings((i, j), cell.position, margin);
-            if let Some(fit) = self.fit_at(level, i, j, cell.position, &around, &mut window) {
-                blurs.push(fit.blur);
-                fits.insert((i, j), fit.into());
-            }
-        }
+            let fit = self.fit_at(level, (i, j), cell.position, guess, &around, &mut window)?;
+            // The next one is most likely as blurred as this one.
+            guess = fit.blur;
+            blurs.push(fit.blur);
+            Some(fit.into())
+        });
         self.cells = fits;
         if let Some(blur) = median(&mut blurs) {
             self.blur = blur;
@@ -220,7 +230,7 @@ impl Lattice {
 
     /// Drops corners that lie where their neighbours do not foretell them, the worst first.
     pub fn drop_strays(&mut self) {
-        let mut off: Grid<f64> = self.cells.iter().map(|(at, cell)| (at, self.share_off(at, cell))).collect();
+        let mut off: Grid<f64> = self.cells.filter_map(|at, cell| Some(self.share_off(at, cell)));
         loop {
             let strays = off.iter().filter(|(_, share)| **share > STRAY);
             let Some((worst, _)) = strays.max_by(|a, b| a.1.total_cmp(b.1)) else { return };
@@ -246,22 +256,30 @@ impl Lattice {
         self.cells.retain(|at, _| keep(at));
     }
 
-    /// A corner fit with the steps and colours of this lattice.
-    fn fit_at(&self, level: &Level, i: i32, j: i32, start: Vector2<f64>, around: &Surroundings, window: &mut Window) -> Option<CornerFit> {
+    /// A corner fit with the steps and colours of this lattice, from a `guess` of the blur.
+    fn fit_at(
+        &self,
+        level: &Level,
+        (i, j): Place,
+        start: Vector2<f64>,
+        guess: f64,
+        around: &Surroundings,
+        window: &mut Window,
+    ) -> Option<CornerFit> {
         let steps = self.steps(i, j)?;
         // A narrow start keeps the window small; it widens where the fit asks for it.
-        let fit = fit_corner(level, start, steps, self.blur.min(WIDEST_START), around, window)?;
+        let fit = fit_corner(level, start, steps, [self.blur, guess].map(|blur| blur.min(WIDEST_START)), around, window)?;
         let dark_first = (i + j).rem_euclid(2) == 0;
         ((fit.contrast < 0.0) == dark_first).then_some(fit)
     }
 
     /// The same corners on a level `steps` levels coarser (negative: finer).
     pub fn rescaled(&self, steps: i32) -> Self {
-        let cells = self.cells.iter().map(|(at, cell)| (at, Cell { position: super::level::rescaled(cell.position, steps), ..*cell }));
+        let cells = self.cells.filter_map(|_, cell| Some(Cell { position: super::level::rescaled(cell.position, steps), ..*cell }));
         // A pixel's own width is part of the blur, and it is another pixel there.
         let own = 1.0 / 12.0;
         let lens = (self.blur * self.blur - own).max(0.01) * 0.25_f64.powi(steps);
-        Self { cells: cells.collect(), blur: (lens + own).sqrt() }
+        Self { cells, blur: (lens + own).sqrt() }
     }
 
     /// Drops outermost rows and columns that are mostly empty: single corners out there are chance.

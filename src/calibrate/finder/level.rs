@@ -57,14 +57,29 @@ impl Level {
         inside(p.x, self.width) && inside(p.y, self.height)
     }
 
+    /// Eight grey levels from the `index`th; 0 beyond the last.
+    #[inline(always)]
+    pub fn eight_from(&self, index: usize) -> [f32; 8] {
+        let mut eight = [0.0; 8];
+        match self.grey.get(index..index + 8) {
+            Some(grey) => eight.copy_from_slice(grey),
+            None => eight.iter_mut().zip(self.grey.iter().skip(index)).for_each(|(to, grey)| *to = *grey),
+        }
+        eight
+    }
+
     /// Bilinear grey level; positions outside are moved to the rim.
     pub fn sample(&self, p: Vector2<f64>) -> f32 {
-        let x = p.x.clamp(0.0, self.width as f64 - 1.001) as f32;
-        let y = p.y.clamp(0.0, self.height as f64 - 1.001) as f32;
-        let (i, j) = (x as usize, y as usize);
+        let inside = |c: f64, size: usize| {
+            let last = f64::from(size as u32) - 1.001;
+            (if c > last { last } else { c }).max(0.0) as f32
+        };
+        let (x, y) = (inside(p.x, self.width), inside(p.y, self.height));
+        // By way of 32 bits: the processor has no other conversion.
+        let (i, j) = (x as i32, y as i32);
         let (a, b) = (x - i as f32, y - j as f32);
-        let top = &self.grey[j * self.width + i..][..2];
-        let bottom = &self.grey[(j + 1) * self.width + i..][..2];
+        let first = j as usize * self.width + i as usize;
+        let (top, bottom) = (&self.grey[first..][..2], &self.grey[first + self.width..][..2]);
         (top[0] * (1.0 - a) + top[1] * a) * (1.0 - b) + (bottom[0] * (1.0 - a) + bottom[1] * a) * b
     }
 }

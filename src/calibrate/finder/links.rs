@@ -30,25 +30,20 @@ const LEAST_LATTICE: usize = 6;
 type Neighbours = [Option<usize>; 4];
 
 fn outward(saddle: &Saddle, way: usize) -> Vector2<f64> {
-    let direction = saddle.direction(way / 2);
+    let direction = saddle.edges[way / 2];
     if way.is_multiple_of(2) { direction } else { -direction }
 }
 
 /// The way out of `saddle` along `edge` that points towards `d`.
 fn way_towards(saddle: &Saddle, edge: usize, d: Vector2<f64>) -> usize {
-    2 * edge + usize::from(saddle.direction(edge).dot(&d) < 0.0)
+    2 * edge + usize::from(saddle.edges[edge].dot(&d) < 0.0)
 }
 
 /// All lattices among the candidates, largest first.
 pub(super) fn lattices(smooth: &Level, saddles: &[Saddle]) -> Vec<Lattice> {
     let buckets = Buckets::new(smooth, saddles);
     let mut near = Vec::new();
-    let seen: Vec<Neighbours> = (0..saddles.len())
-        .map(|index| {
-            buckets.around(saddles, index, &mut near);
-            neighbours(smooth, saddles, index, &mut near)
-        })
-        .collect();
+    let seen: Vec<Neighbours> = (0..saddles.len()).map(|index| neighbours(smooth, saddles, &buckets, index, &mut near)).collect();
     let mutual = |from: usize, way: usize| {
         let to = seen[from][way]?;
         let back = way_towards(&saddles[to], 1 - way / 2, saddles[from].position - saddles[to].position);
@@ -68,46 +63,47 @@ pub(super) fn lattices(smooth: &Level, saddles: &[Saddle]) -> Vec<Lattice> {
     found
 }
 
-/// The nearest fitting candidate in each of the four ways, of those `near` with their squared distances.
-fn neighbours(smooth: &Level, saddles: &[Saddle], index: usize, near: &mut [(f64, usize)]) -> Neighbours {
+/// The nearest fitting candidate in each of the four ways; `near` is room to work in.
+fn neighbours(smooth: &Level, saddles: &[Saddle], buckets: &Buckets, index: usize, near: &mut Vec<u64>) -> Neighbours {
     let mut found = [None; 4];
     let from = &saddles[index];
-    let outward = [0, 1, 2, 3].map(|way| outward(from, way));
-    let by_distance = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
-    let (mut sorted, mut first) = (0, FIRST);
-    while sorted < near.len().min(NEAREST) && found.contains(&None) {
-        // Most find their neighbours among the nearest few; the others need not be sorted then.
-        let left = &mut near[sorted..];
-        let count = first.min(left.len());
-        if count < left.len() {
-            left.select_nth_unstable_by(count, by_distance);
+    // Most find their neighbours among the nearest few.
+    for most in [FIRST, NEAREST] {
+        buckets.around(saddles, index, most, near);
+        let count = most.min(near.len());
+        if count < near.len() {
+            near.select_nth_unstable(count);
         }
-        left[..count].sort_unstable_by(by_distance);
-        for &(_, other) in &left[..count] {
+        near[..count].sort_unstable();
+        for key in &near[..count] {
+            let other = *key as u32 as usize;
             let to = &saddles[other];
-            let line = to.position - from.position;
-            let along = line.normalize();
-            for (way, slot) in found.iter_mut().enumerate() {
-                let edge = way / 2;
-                if slot.is_some() || along.dot(&outward[way]) < ALONG {
+            let along = (to.position - from.position).normalize();
+            for edge in 0..2 {
+                let forwards = along.dot(&from.edges[edge]);
+                let slot = &mut found[2 * edge + usize::from(forwards < 0.0)];
+                if forwards.abs() < ALONG || slot.is_some() {
                     continue;
                 }
                 // Colours are swapped at the neighbour: what opens a dark square here closes one there.
-                let parallel = along.dot(&to.direction(1 - edge)).abs() > ALONG;
-                let crossing = from.direction(1 - edge).dot(&to.direction(edge)).abs() > CROSSING;
+                let parallel = along.dot(&to.edges[1 - edge]).abs() > ALONG;
+                let crossing = from.edges[1 - edge].dot(&to.edges[edge]).abs() > CROSSING;
                 let alike = to.contrast < 4.0 * from.contrast && from.contrast < 4.0 * to.contrast;
                 if parallel && crossing && alike && edge_between(smooth, from, to, edge) {
                     *slot = Some(other);
                 }
             }
         }
-        sorted += count;
-        first = NEAREST - FIRST;
+        if !found.contains(&None) {
+            break;
+        }
     }
     found
 }
 
 /// Whether dark and light lie on the right sides at three places of the line between two candidates.
+// By itself, or the compiler moves its work in front of the cheap tests that most candidates fail.
+#[inline(never)]
 fn edge_between(smooth: &Level, from: &Saddle, to: &Saddle, edge: usize) -> bool {
     let line = to.position - from.position;
     let mut aside = Vector2::new(-line.y, line.x);
@@ -152,7 +148,7 @@ fn spread(saddles: &[Saddle], root: usize, taken: &mut [bool], mutual: impl Fn(u
 
 /// The way along the other edge that lies clockwise (growing angle, y down) of `way`.
 fn way_at_growing_angle(saddle: &Saddle, way: usize) -> usize {
-    let (here, other) = (outward(saddle, way), saddle.direction(1 - way / 2));
+    let (here, other) = (outward(saddle, way), saddle.edges[1 - way / 2]);
     2 * (1 - way / 2) + usize::from(here.perp(&other) < 0.0)
 }
 
@@ -178,9 +174,9 @@ impl Buckets {
         Self { side, columns, rows, members }
     }
 
-    /// At least the [`NEAREST`] other candidates with their squared distances, in no order; looks ring by ring, so that
-    /// crowded places stay cheap.
-    fn around(&self, saddles: &[Saddle], index: usize, near: &mut Vec<(f64, usize)>) {
+    /// At least the `most` nearest other candidates, in no order, each as a number that sorts by distance and ends in its index;
+    /// looks ring by ring, so that crowded places stay cheap.
+    fn around(&self, saddles: &[Saddle], index: usize, most: usize, near: &mut Vec<u64>) {
         near.clear();
         let from = saddles[index].position;
         let (c, r) = ((from.x / self.side) as isize, (from.y / self.side) as isize);
@@ -194,11 +190,13 @@ impl Buckets {
                 let step = if whole { 1 } else { (2 * ring).max(1) as usize };
                 for column in (c - ring..=c + ring).step_by(step).filter(|&k| k >= 0 && k < self.columns as isize) {
                     let members = &self.members[row as usize * self.columns + column as usize];
-                    near.extend(members.iter().filter(|&&m| m != index).map(|&m| ((saddles[m].position - from).norm_squared(), m)));
+                    // A positive number's bits sort as it does.
+                    let key = |m: usize| u64::from(((saddles[m].position - from).norm_squared() as f32).to_bits()) << 32 | m as u64;
+                    near.extend(members.iter().filter(|&&m| m != index).map(|&m| key(m)));
                 }
             }
             // One more ring: the nearest of it may be nearer than the farthest of this one.
-            if enough_at.is_none() && near.len() >= NEAREST {
+            if enough_at.is_none() && near.len() >= most {
                 enough_at = Some(ring + 1);
             }
         }

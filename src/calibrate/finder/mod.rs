@@ -3,10 +3,12 @@
 //! From the coarsest level of a pyramid to the finest: candidates ([`saddle`]), what hangs together as a lattice
 //! ([`links`]), missing corners fitted where their neighbours foretell them ([`lattice`], kept in a [`grid`]). The first
 //! level that shows the board nearly whole ends the search - coarse levels are cheap and do not see a screen's pixels,
-//! paper's grain or noise. Then every corner, the missing ones too, is fitted on the finest level that is sharper than the
-//! blur ([`fit`]), and the lattice is turned so that the origin is the same corner in every picture ([`placement`]).
+//! paper's grain or noise; one on which the lattice is torn waits until the finer ones have been seen. Then every corner, the
+//! missing ones too, is fitted on the finest level that is sharper than the blur ([`fit`]), and the lattice is turned so that
+//! the origin is the same corner in every picture ([`placement`]).
 
 pub(crate) mod fit;
+mod gather;
 mod grid;
 mod islands;
 pub(crate) mod lattice;
@@ -14,6 +16,7 @@ pub(crate) mod level;
 mod links;
 mod placement;
 mod saddle;
+mod step;
 mod surroundings;
 pub(crate) mod window;
 
@@ -103,6 +106,8 @@ const LEAST_SIDE: usize = 60;
 const LATTICES: usize = 3;
 /// A coarse level on which less than this share of the board hangs together is too coarse for it.
 const WORTH_COMPLETING: f64 = 0.5;
+/// A coarse lattice with a smaller share of its corners in one piece is torn, and mostly stays so when it is completed.
+const IN_ONE_PIECE: f64 = 0.7;
 /// The search ends with this share of the board's corners: the few others are looked for again on the sharpest level.
 const NEARLY_WHOLE: f64 = 0.9;
 /// A board counts as seen when this share of its corners is.
@@ -157,7 +162,7 @@ type OnLevel = (usize, Lattice);
 
 /// The lattice that is the board, or the largest of those that are not.
 fn search(levels: &[Level], board: &Board) -> Result<OnLevel, Option<OnLevel>> {
-    let (mut best, mut partial, mut skipped) = (None, None, Vec::new());
+    let (mut best, mut partial, mut torn, mut small) = (None, None, Vec::new(), Vec::new());
     let mut keep = |index: usize, mut lattice: Lattice, best: &mut Option<OnLevel>| {
         let level = &levels[index];
         lattice.complete(level);
@@ -171,21 +176,28 @@ fn search(levels: &[Level], board: &Board) -> Result<OnLevel, Option<OnLevel>> {
             *slot = Some((index, lattice));
         }
     };
+    let corners = board.corner_count() as f64;
+    let is_nearly_whole = |best: &Option<OnLevel>| best.as_ref().is_some_and(|(_, lattice)| lattice.len() as f64 >= NEARLY_WHOLE * corners);
     for (index, level) in levels.iter().enumerate().rev() {
         for lattice in lattices_of(level) {
-            if index > 0 && (lattice.len() as f64) < WORTH_COMPLETING * board.corner_count() as f64 {
-                skipped.push((index, lattice));
+            let size = lattice.len() as f64;
+            if index > 0 && size < WORTH_COMPLETING * corners {
+                small.push((index, lattice));
+            } else if index > 0 && (lattice.largest_piece() as f64) < IN_ONE_PIECE * size {
+                torn.push((index, lattice));
             } else {
                 keep(index, lattice, &mut best);
             }
         }
-        let enough = NEARLY_WHOLE * board.corner_count() as f64;
-        if best.as_ref().is_some_and(|(_, lattice)| lattice.len() as f64 >= enough) {
+        if is_nearly_whole(&best) {
             break;
         }
     }
+    if !is_nearly_whole(&best) {
+        torn.into_iter().for_each(|(index, lattice)| keep(index, lattice, &mut best));
+    }
     if best.is_none() {
-        skipped.into_iter().for_each(|(index, lattice)| keep(index, lattice, &mut best));
+        small.into_iter().for_each(|(index, lattice)| keep(index, lattice, &mut best));
     }
     best.ok_or(partial)
 }

@@ -16,20 +16,12 @@ use super::level::Level;
 pub(super) struct Saddle {
     /// Level pixels.
     pub position: Vector2<f64>,
-    /// Angles, modulo pi, of the two edges: going from the first to the second at growing angle crosses a dark square.
-    pub edges: [f64; 2],
+    /// Unit vectors along the two edges: going from the first to the second at growing angle crosses a dark square.
+    pub edges: [Vector2<f64>; 2],
     /// Its own grey level.
     pub middle: f64,
     /// Half the difference between light and dark, grey levels.
     pub contrast: f64,
-}
-
-impl Saddle {
-    /// Unit vector along edge 0 or 1.
-    pub fn direction(&self, edge: usize) -> Vector2<f64> {
-        let (sin, cos) = self.edges[edge].sin_cos();
-        Vector2::new(cos, sin)
-    }
 }
 
 /// Determinants below this are noise: a board of about 2.5 grey levels of contrast on a quiet sensor.
@@ -41,12 +33,15 @@ const RING_RADIUS: f64 = 3.0;
 /// Points on half the ring.
 const HALF_RING: usize = 16;
 
+/// The ring's points from its centre, x and y.
+type Ring = [[f32; 2]; 2 * HALF_RING];
+
 /// All candidates of a level; `smooth` is the level after [`Level::smoothed`].
 pub(super) fn find_saddles(smooth: &Level) -> Vec<Saddle> {
-    let ring: Vec<Vector2<f64>> = (0..2 * HALF_RING)
-        .map(|k| (k as f64 * PI / HALF_RING as f64).sin_cos())
-        .map(|(sin, cos)| Vector2::new(cos, sin) * RING_RADIUS)
-        .collect();
+    let ring: Ring = std::array::from_fn(|k| {
+        let (sin, cos) = (k as f64 * PI / HALF_RING as f64).sin_cos();
+        [cos * RING_RADIUS, sin * RING_RADIUS].map(|c| c as f32)
+    });
     let mut peaks = determinant_peaks(smooth);
     if peaks.len() > MOST_CANDIDATES {
         peaks.select_nth_unstable_by(MOST_CANDIDATES, |a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -77,31 +72,54 @@ fn determinant_peaks(smooth: &Level) -> Vec<(f32, usize)> {
     }
     let mut peaks = Vec::new();
     for y in margin..h - margin {
-        for x in margin..w - margin {
-            let index = y * w + x;
-            let value = determinant[index];
-            if value < LEAST_DETERMINANT || value <= determinant[index - 1] || value < determinant[index + 1] {
+        let row = &determinant[y * w..][..w];
+        for start in (margin..w - margin).step_by(8) {
+            // Most are flat: a look at eight pixels at once.
+            let end = (start + 8).min(w - margin);
+            if row[start..end].iter().fold(true, |flat, &v| flat & (v < LEAST_DETERMINANT)) {
                 continue;
             }
-            let above = determinant[index - w - 1..=index - w + 1].iter().all(|&v| value > v);
-            let below = determinant[index + w - 1..=index + w + 1].iter().all(|&v| value >= v);
-            if above && below {
-                peaks.push((value, index));
-            }
+            peaks.extend((start..end).map(|x| y * w + x).filter(|&at| is_peak(&determinant, w, at)).map(|at| (determinant[at], at)));
         }
     }
     peaks
 }
 
+/// Whether no pixel around is larger; of equal ones the last in the row, and the first of rows, is a peak.
+fn is_peak(determinant: &[f32], w: usize, index: usize) -> bool {
+    let value = determinant[index];
+    if value < LEAST_DETERMINANT || value <= determinant[index - 1] || value < determinant[index + 1] {
+        return false;
+    }
+    let above = determinant[index - w - 1..=index - w + 1].iter().all(|&v| value > v);
+    let below = determinant[index + w - 1..=index + w + 1].iter().all(|&v| value >= v);
+    above && below
+}
+
+/// Grey levels on the ring around a position, all of which lies inside the picture: so nothing is asked of each place.
+fn on_ring(smooth: &Level, position: Vector2<f64>, ring: &Ring) -> [f32; 2 * HALF_RING] {
+    let (middle_x, middle_y, w) = (position.x as f32, position.y as f32, smooth.width);
+    let mut around = [0.0; 2 * HALF_RING];
+    for (grey, [x, y]) in around.iter_mut().zip(ring) {
+        let (x, y) = (middle_x + x, middle_y + y);
+        let (i, j) = (x as i32, y as i32);
+        let (a, b) = (x - i as f32, y - j as f32);
+        let first = j as usize * w + i as usize;
+        let (top, bottom) = (&smooth.grey[first..][..2], &smooth.grey[first + w..][..2]);
+        *grey = (top[0] * (1.0 - a) + top[1] * a) * (1.0 - b) + (bottom[0] * (1.0 - a) + bottom[1] * a) * b;
+    }
+    around
+}
+
 /// The saddle point near a pixel, if its ring is a chessboard corner's.
-fn look_at(smooth: &Level, index: usize, ring: &[Vector2<f64>]) -> Option<Saddle> {
+fn look_at(smooth: &Level, index: usize, ring: &Ring) -> Option<Saddle> {
     let position = saddle_point(smooth, index)?;
     let middle = f64::from(smooth.sample(position));
+    let around = on_ring(smooth, position, ring);
     let mut folded = [0.0_f64; HALF_RING];
     let mut asymmetry = 0.0;
     for (k, folded) in folded.iter_mut().enumerate() {
-        let one = f64::from(smooth.sample(position + ring[k])) - middle;
-        let two = f64::from(smooth.sample(position + ring[k + HALF_RING])) - middle;
+        let (one, two) = (f64::from(around[k]) - middle, f64::from(around[k + HALF_RING]) - middle);
         *folded = 0.5 * (one + two);
         asymmetry += (0.5 * (one - two)).powi(2);
     }
@@ -112,7 +130,7 @@ fn look_at(smooth: &Level, index: usize, ring: &[Vector2<f64>]) -> Option<Saddle
     if uneven || light.min(dark) < 0.25 * contrast || contrast < 1.0 {
         return None;
     }
-    Some(Saddle { position, edges: crossings(&folded)?, middle, contrast })
+    Some(Saddle { position, edges: crossings(&folded)?.map(|angle| Vector2::new(angle.cos(), angle.sin())), middle, contrast })
 }
 
 /// Newton's step to the point where the gradient vanishes, at most 1.5 pixels away.
@@ -131,7 +149,7 @@ fn saddle_point(smooth: &Level, index: usize) -> Option<Vector2<f64>> {
     (step.amax() <= 1.5).then(|| Vector2::new((index % w) as f64, (index / w) as f64) + step)
 }
 
-/// The two edges from the half ring's signs: exactly one change to dark and one to light.
+/// The two edges' angles from the half ring's signs: exactly one change to dark and one to light.
 fn crossings(folded: &[f64; HALF_RING]) -> Option<[f64; 2]> {
     let (mut to_dark, mut to_light) = (None, None);
     for k in 0..HALF_RING {

@@ -141,13 +141,12 @@ impl Lattice {
         let [u, v] = self.steps(i, j)?;
         let blurred = self.blur > MUCH_BLUR * u.perp(&v) / u.norm().max(v.norm());
         let reach = if blurred { REACH_BLURRED } else { 1 };
-        let around = (-reach..=reach).flat_map(|a| (-reach..=reach).map(move |b| (i + a, j + b)));
         let (mut normal, mut levels) = (Matrix3::zeros(), Vector3::zeros());
-        for cell in around.filter_map(|at| self.get(at)) {
+        self.around((i, j), reach).for_each(|cell| {
             let row = (cell.position - here).push(1.0);
             normal += row * row.transpose();
             levels += row * cell.middle;
-        }
+        });
         let plane = normal.try_inverse()? * levels;
         let slope = plane.xy() / plane.z.max(1.0);
         // Light that changes by half from one corner to the next is no slope any more.

@@ -6,14 +6,14 @@
 
 use std::f32::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI, LN_2, LOG2_E};
 
-use nalgebra::{SMatrix, SVector, Vector2};
+use nalgebra::{SVector, Vector2};
 
 /// Pixels handled side by side.
-const LANES: usize = 8;
+pub(super) const LANES: usize = 8;
 /// Numbers of the model: position (2), the two edges' angles, ln blur, middle level, contrast.
 pub(crate) const N: usize = 7;
 
-type Eight = [f32; LANES];
+pub(super) type Eight = [f32; LANES];
 
 /// One pixel near a corner.
 #[derive(Debug, Clone, Copy, Default)]
@@ -30,26 +30,28 @@ pub(crate) struct Sample {
     pub beyond: f64,
 }
 
-/// Eight pixels.
-#[derive(Debug, Clone, Copy)]
-#[repr(C, align(32))]
-struct Chunk {
-    x: Eight,
-    y: Eight,
-    grey: Eight,
-    root_weight: Eight,
-    beside: [Eight; 2],
-    beyond: Eight,
+/// The pixels' numbers, each in its own row of memory; the rows are as long as the largest window asked for.
+#[derive(Debug, Default)]
+pub(super) struct Pixels {
+    pub x: Vec<f32>,
+    pub y: Vec<f32>,
+    pub grey: Vec<f32>,
+    pub root_weight: Vec<f32>,
+    pub beside: [Vec<f32>; 2],
+    pub beyond: Vec<f32>,
 }
 
-const EMPTY: Chunk = Chunk {
-    x: [0.0; LANES],
-    y: [0.0; LANES],
-    grey: [0.0; LANES],
-    root_weight: [0.0; LANES],
-    beside: [[0.0; LANES]; 2],
-    beyond: [0.0; LANES],
-};
+impl Pixels {
+    /// Makes room for `count` pixels.
+    pub fn reserve(&mut self, count: usize) {
+        if self.x.len() < count {
+            let Self { x, y, grey, root_weight, beside: [across_u, across_v], beyond } = self;
+            for row in [x, y, grey, root_weight, across_u, across_v, beyond] {
+                row.resize(count, 0.0);
+            }
+        }
+    }
+}
 
 /// Eight pixels' derivatives by the seven numbers, and their residuals, all times the root of the weight.
 type Rows = [Eight; N + 1];
@@ -57,44 +59,47 @@ type Rows = [Eight; N + 1];
 /// The pixels around a corner, and room for the kernel to work in.
 #[derive(Debug, Default)]
 pub(crate) struct Window {
-    chunks: Vec<Chunk>,
+    pub(super) pixels: Pixels,
+    pub(super) count: usize,
     rows: Vec<Rows>,
-    count: usize,
-    /// Sum of the weights.
-    pub weight: f64,
 }
 
 /// The drawn corner: position from the window's centre, angles of the edges along u and v, ln blur, middle level, contrast.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Model(pub SVector<f64, N>);
 
-/// All products of the derivatives and the residual.
-type Gram = SMatrix<f64, { N + 1 }, { N + 1 }>;
+/// All products of two of: the derivatives by the seven numbers, the residual; the upper triangle.
+type Gram = [[f32; N + 1]; N + 1];
 
 /// Weighted cost, normal matrix and gradient.
-pub(crate) type Linearised = (f64, SMatrix<f64, N, N>, SVector<f64, N>);
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Linearised {
+    pub cost: f64,
+    pub normal: [[f64; N]; N],
+    pub gradient: [f64; N],
+    /// Sum of the weights.
+    pub weight: f64,
+}
 
 impl Window {
     /// No pixels, the room kept.
     pub fn clear(&mut self) {
-        self.chunks.clear();
-        (self.count, self.weight) = (0, 0.0);
+        self.count = 0;
     }
 
     /// Takes a pixel in.
     pub fn push(&mut self, sample: &Sample) {
-        let lane = self.count % LANES;
-        if lane == 0 {
-            self.chunks.push(EMPTY);
+        let at = self.count;
+        if at.is_multiple_of(LANES) {
+            self.pixels.reserve(at + LANES);
+            self.pixels.root_weight[at..at + LANES].fill(0.0);
         }
-        if let Some(chunk) = self.chunks.last_mut() {
-            (chunk.x[lane], chunk.y[lane]) = (sample.offset.x as f32, sample.offset.y as f32);
-            (chunk.grey[lane], chunk.root_weight[lane]) = (sample.grey as f32, (sample.weight as f32).sqrt());
-            (chunk.beside[0][lane], chunk.beside[1][lane]) = (sample.beside[0] as f32, sample.beside[1] as f32);
-            chunk.beyond[lane] = sample.beyond as f32;
-        }
+        let to = &mut self.pixels;
+        (to.x[at], to.y[at]) = (sample.offset.x as f32, sample.offset.y as f32);
+        (to.grey[at], to.root_weight[at]) = (sample.grey as f32, (sample.weight as f32).sqrt());
+        (to.beside[0][at], to.beside[1][at]) = (sample.beside[0] as f32, sample.beside[1] as f32);
+        to.beyond[at] = sample.beyond as f32;
         self.count += 1;
-        self.weight += sample.weight;
     }
 
     /// How many pixels there are.
@@ -104,14 +109,12 @@ impl Window {
 
     /// Weighted cost, normal matrix and gradient of the model.
     pub fn linearised(&mut self, model: &Model) -> Linearised {
-        parts(&self.gram(model))
+        linear(&self.gram(model), [0.0, 1.0])
     }
 
-    /// The sums of all products of two of: the derivatives by the seven numbers, the residual.
     fn gram(&mut self, model: &Model) -> Gram {
-        self.rows.resize(self.chunks.len(), [[0.0; LANES]; N + 1]);
-        let sums = products(&self.chunks, &mut self.rows, &model.0.map(|v| v as f32));
-        SMatrix::from_fn(|r, c| f64::from(sums[r.min(c)][r.max(c)]))
+        self.rows.resize(self.count.div_ceil(LANES), [[0.0; LANES]; N + 1]);
+        products(&self.pixels, &mut self.rows, &model.0.map(|v| v as f32))
     }
 
     /// The model with the two levels that fit `shape` best, and what [`linearised`](Self::linearised) gives for it; `shape` has
@@ -119,65 +122,75 @@ impl Window {
     pub fn with_levels(&mut self, shape: &Model) -> Option<(Model, Linearised)> {
         let gram = self.gram(shape);
         // The residual is the pattern less the grey level here, so the step to the least cost is exact.
-        let pair = gram.fixed_view::<2, 2>(5, 5).try_inverse()? * gram.fixed_view::<2, 1>(5, N);
+        let at = |r: usize, c: usize| f64::from(gram[r][c]);
+        let determinant = at(5, 5) * at(6, 6) - at(5, 6) * at(5, 6);
+        let middle = -(at(6, 6) * at(5, N) - at(5, 6) * at(6, N)) / determinant;
+        let contrast = 1.0 - (at(5, 5) * at(6, N) - at(5, 6) * at(5, N)) / determinant;
         let mut model = *shape;
-        (model.0[5], model.0[6]) = (-pair[0], 1.0 - pair[1]);
-        // The residual and the derivatives at those levels are linear in the ones here: column by column, then row by row.
-        let mut gram = gram;
-        let (middle, contrast) = (model.0[5], model.0[6]);
-        for _ in 0..2 {
-            let residual = gram.column(N) + gram.column(5) * middle + gram.column(6) * (contrast - 1.0);
-            gram.set_column(N, &residual);
-            gram.fixed_columns_mut::<5>(0).scale_mut(contrast);
-            gram.transpose_mut();
-        }
-        gram.iter().all(|v| v.is_finite()).then(|| (model, parts(&gram)))
+        (model.0[5], model.0[6]) = (middle, contrast);
+        let linearised = linear(&gram, [middle, contrast]);
+        (middle.is_finite() && contrast.is_finite() && linearised.cost.is_finite()).then_some((model, linearised))
     }
 }
 
-/// Cost, normal matrix and gradient.
-fn parts(gram: &Gram) -> Linearised {
-    (gram[(N, N)].max(0.0), gram.fixed_view::<N, N>(0, 0).into_owned(), gram.fixed_view::<N, 1>(0, N).into_owned())
+/// What a model with other levels gives, by the products for middle 0 and contrast 1: its residual and its derivatives are
+/// linear in those. Levels of 0 and 1 change nothing.
+fn linear(gram: &Gram, [middle, contrast]: [f64; 2]) -> Linearised {
+    let at = |r: usize, c: usize| f64::from(gram[r.min(c)][r.max(c)]);
+    let with_residual = |k: usize| at(k, N) + middle * at(k, 5) + (contrast - 1.0) * at(k, 6);
+    let cost = with_residual(N) + middle * with_residual(5) + (contrast - 1.0) * with_residual(6);
+    let (mut normal, mut gradient) = ([[0.0; N]; N], [0.0; N]);
+    let scale = [contrast, contrast, contrast, contrast, contrast, 1.0, 1.0];
+    for r in 0..N {
+        gradient[r] = scale[r] * with_residual(r);
+        for c in r..N {
+            normal[r][c] = scale[r] * scale[c] * f64::from(gram[r][c]);
+            normal[c][r] = normal[r][c];
+        }
+    }
+    Linearised { cost: cost.max(0.0), normal, gradient, weight: at(5, 5) }
 }
 
 /// The sums of all products of two of the rows' eight columns; the upper triangle.
-fn products(chunks: &[Chunk], rows: &mut [Rows], model: &SVector<f32, N>) -> [[f32; N + 1]; N + 1] {
+fn products(pixels: &Pixels, rows: &mut [Rows], model: &SVector<f32, N>) -> Gram {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
         // SAFETY: the processor has AVX2.
-        return unsafe { products_avx2(chunks, rows, model) };
+        return unsafe { products_avx2(pixels, rows, model) };
     }
-    products_lanes(chunks, rows, model)
+    products_lanes(pixels, rows, model)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn products_avx2(chunks: &[Chunk], rows: &mut [Rows], model: &SVector<f32, N>) -> [[f32; N + 1]; N + 1] {
-    products_lanes(chunks, rows, model)
+fn products_avx2(pixels: &Pixels, rows: &mut [Rows], model: &SVector<f32, N>) -> Gram {
+    products_lanes(pixels, rows, model)
 }
 
 #[inline(always)]
-fn products_lanes(chunks: &[Chunk], rows: &mut [Rows], model: &SVector<f32, N>) -> [[f32; N + 1]; N + 1] {
+fn products_lanes(pixels: &Pixels, rows: &mut [Rows], model: &SVector<f32, N>) -> Gram {
     let p = model;
     let scale = FRAC_1_SQRT_2 / p[4].exp();
     let ((sin1, cos1), (sin2, cos2)) = (p[2].sin_cos(), p[3].sin_cos());
     // Blur carries light across both edges at once where they are not square to each other: Mehler's series in the cosine
     // between their normals.
     let (slant, slant_by_turn) = (-(p[2] - p[3]).cos(), (p[2] - p[3]).sin());
-    for (chunk, row) in chunks.iter().zip(rows.iter_mut()) {
+    for (chunk, row) in rows.iter_mut().enumerate() {
+        let at = LANES * chunk;
+        let (px, py, grey, roots) = (eight(&pixels.x, at), eight(&pixels.y, at), eight(&pixels.grey, at), eight(&pixels.root_weight, at));
+        let (beside1, beside2, beyond) = (eight(&pixels.beside[0], at), eight(&pixels.beside[1], at), eight(&pixels.beyond, at));
         // By index, over all columns of a row at once: so it is compiled to the wide registers.
-        #[expect(clippy::needless_range_loop)]
         for k in 0..LANES {
-            let (x, y) = (chunk.x[k] - p[0], chunk.y[k] - p[1]);
+            let (x, y) = (px[k] - p[0], py[k] - p[1]);
             // Distances to the edge along u (positive towards v) and to the edge along v (positive towards u).
             let (z1, z2) = (scale * (cos1 * y - sin1 * x), scale * (sin2 * x - cos2 * y));
             let ((e1, g1), (e2, g2)) = (erf_and_slope(z1), erf_and_slope(z2));
-            let (f1, f2) = (e1 + chunk.beside[0][k], e2 + chunk.beside[1][k]);
+            let (f1, f2) = (e1 + beside1[k], e2 + beside2[k]);
             let (product, h1, h2) = (z1 * z2, 2.0 * z1 * z1 - 1.0, 2.0 * z2 * z2 - 1.0);
             let peak = 0.5 * g1 * g2;
             let series = slant * (1.0 + slant * (product + slant * h1 * h2 * (1.0 / 6.0)));
-            let pattern = f1 * f2 + peak * series + chunk.beyond[k];
-            let root = chunk.root_weight[k];
+            let pattern = f1 * f2 + peak * series + beyond[k];
+            let root = roots[k];
             let amplitude = p[6] * root;
             let by_series1 = slant * slant * (z2 + slant * z1 * h2 * (2.0 / 3.0)) - 2.0 * z1 * series;
             let by_series2 = slant * slant * (z1 + slant * z2 * h1 * (2.0 / 3.0)) - 2.0 * z2 * series;
@@ -190,10 +203,18 @@ fn products_lanes(chunks: &[Chunk], rows: &mut [Rows], model: &SVector<f32, N>) 
             row[4][k] = -(by1 * z1 + by2 * z2);
             row[5][k] = root;
             row[6][k] = pattern * root;
-            row[7][k] = (p[5] + p[6] * pattern - chunk.grey[k]) * root;
+            row[7][k] = (p[5] + p[6] * pattern - grey[k]) * root;
         }
     }
     [line::<0>(rows), line::<1>(rows), line::<2>(rows), line::<3>(rows), line::<4>(rows), line::<5>(rows), line::<6>(rows), line::<7>(rows)]
+}
+
+/// Eight numbers from the `at`th.
+#[inline(always)]
+pub(super) fn eight(of: &[f32], at: usize) -> Eight {
+    let mut eight = [0.0; LANES];
+    eight.copy_from_slice(&of[at..at + LANES]);
+    eight
 }
 
 /// The products of column K with itself and those behind it.
@@ -242,6 +263,8 @@ fn exp_of_negative(x: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::SMatrix;
+
     use super::*;
 
     #[test]
@@ -272,33 +295,36 @@ mod tests {
     #[test]
     fn both_kernels_give_the_same_bits() {
         let (mut window, model) = drawn();
-        window.rows.resize(window.chunks.len(), [[0.0; LANES]; N + 1]);
+        window.rows.resize(window.count.div_ceil(LANES), [[0.0; LANES]; N + 1]);
         let numbers = model.0.map(|v| v as f32);
-        let plain = products_lanes(&window.chunks, &mut window.rows, &numbers);
-        assert_eq!(products(&window.chunks, &mut window.rows, &numbers).map(|r| r.map(f32::to_bits)), plain.map(|r| r.map(f32::to_bits)));
+        let plain = products_lanes(&window.pixels, &mut window.rows, &numbers);
+        assert_eq!(products(&window.pixels, &mut window.rows, &numbers).map(|r| r.map(f32::to_bits)), plain.map(|r| r.map(f32::to_bits)));
     }
 
     #[test]
     fn levels_of_the_shape_are_as_if_drawn_with_them() {
         let (mut window, mut shape) = drawn();
         (shape.0[5], shape.0[6]) = (0.0, 1.0);
-        let (model, (cost, normal, gradient)) = window.with_levels(&shape).unwrap();
-        let (drawn_cost, drawn_normal, drawn_gradient) = window.linearised(&model);
-        assert!((cost - drawn_cost).abs() < 1e-4 * drawn_cost, "{cost} is not {drawn_cost}");
+        let (model, found) = window.with_levels(&shape).unwrap();
+        let drawn = window.linearised(&model);
+        assert!((found.cost - drawn.cost).abs() < 1e-4 * drawn.cost, "{} is not {}", found.cost, drawn.cost);
+        let [normal, drawn_normal] = [found, drawn].map(|l| SMatrix::<f64, N, N>::from(l.normal));
         assert!((normal - drawn_normal).amax() < 1e-4 * drawn_normal.amax());
+        let [gradient, drawn_gradient] = [found, drawn].map(|l| SVector::<f64, N>::from(l.gradient));
         assert!((gradient - drawn_gradient).amax() < 1e-4 * drawn_gradient.amax());
-        assert!(gradient.fixed_rows::<2>(5).amax() < 1e-4 * drawn_cost, "the levels are the best ones: {gradient}");
+        assert!(gradient.fixed_rows::<2>(5).amax() < 1e-4 * drawn.cost, "the levels are the best ones: {gradient}");
+        assert!((found.weight - (0..93).map(|k| 1.0 / (1.0 + 0.1 * f64::from(k))).sum::<f64>()).abs() < 1e-4);
     }
 
     #[test]
     fn the_gradient_is_the_costs_slope() {
         let (mut window, model) = drawn();
-        let (_, _, gradient) = window.linearised(&model);
+        let gradient = SVector::<f64, N>::from(window.linearised(&model).gradient);
         for k in 0..N {
             let h = if k < 5 { 4e-3 } else { 0.1 };
             let mut moved = [model, model];
             (moved[0].0[k], moved[1].0[k]) = (model.0[k] - h, model.0[k] + h);
-            let [low, high] = moved.map(|m| window.linearised(&m).0);
+            let [low, high] = moved.map(|m| window.linearised(&m).cost);
             // The cost is the sum of squares: half its slope is the gradient.
             let slope = (high - low) / (4.0 * h);
             assert!((slope - gradient[k]).abs() < 2e-3 * gradient[k].abs() + 2.0, "number {k}: {slope} is not {}", gradient[k]);
