@@ -42,8 +42,8 @@ const USUAL_WIDTH_PX: f64 = 1280.0;
 /// Looks across a pixel of the levels above the finest, and of that.
 const COARSE_SIDE: usize = 3;
 const SIDE: usize = 5;
-/// Pixels asked while nothing moves, of all that are steep enough: their prediction is kept from frame to frame.
-const STILL_PIXELS: usize = 240_000;
+/// Pixels asked while nothing moves: their prediction is kept from frame to frame.
+const STILL_PIXELS: usize = 130_000;
 /// The point spread is one slow state, learnt from frames with less motion blur than this (pixels of the frame), by this share of
 /// what each says; one sigma about it in such frames, and in others, where it must not pass for motion. In the kernel's unit.
 const SHARP_FRAME_PX: f64 = 1.0;

@@ -41,7 +41,7 @@ pub struct Task<'a> {
     pub noise: Noise,
     /// Pixels wanted.
     pub count: usize,
-    /// Whether that is all that are steep enough.
+    /// Whether so many that none that is steep may be passed over.
     pub is_dense: bool,
     /// Length of the motion blur, pixels of the level.
     pub blur_px: f64,
