@@ -18,7 +18,7 @@ use super::registration::SearchPicture;
 use super::settings::TrackerSettings;
 use super::shutter::Shutter;
 use super::surface::BodySpec;
-use super::tracked_body::TrackedBody;
+use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody};
 use super::two_view::{TwoView, TwoViewBuffers, two_view};
 use super::verify::{Verified, VerifyBuffers, View};
 use crate::camera::CameraModel;
@@ -115,9 +115,6 @@ const REFERENCE_FEATURES: usize = 4000;
 const LEAST_REFERENCE_FEATURES: usize = 700;
 /// Artwork is looked at for features at no more than this many pixels across: no camera resolves more.
 const LARGEST_REFERENCE_PX: u32 = 2000;
-/// How far off a pose that features found may be, one sigma: of the distance, and radians.
-const FIRST_SHIFT: f64 = 0.003;
-const FIRST_TURN: f64 = 0.003;
 /// Candidates of a body that are put to the test per frame.
 const TRIED: usize = 3;
 

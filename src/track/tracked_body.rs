@@ -18,6 +18,9 @@ use crate::geometry::{Body, Camera, Pose};
 const LONGEST_MOTION_GAP_S: f64 = 0.07;
 /// An aligned body is followed over gaps up to this, seconds.
 const LONGEST_FOLLOWED_GAP_S: f64 = 0.1;
+/// How far off a pose that features found may be, one sigma: of the distance, and radians.
+pub const FIRST_SHIFT: f64 = 0.003;
+pub const FIRST_TURN: f64 = 0.003;
 /// Share of fitting anchors beyond which no rival is asked.
 const CLEAR_SHARE: f64 = 0.6;
 /// A followed pose is held against its tilted twin after so many frames.
@@ -113,7 +116,14 @@ impl TrackedBody {
         expected: &MotionEstimate,
         is_expected: bool,
     ) -> Option<Verified> {
-        let found = self.aligner.align(levels, eye, expected)?;
+        let mut found = self.aligner.align(levels, eye, expected)?;
+        let is_pushed = is_expected && found.is_pulled();
+        if is_pushed {
+            // Something pushed the camera: velocity and acceleration are unknown again.
+            let (pose, distance) = (expected.motion.pose, self.aligner.distance(&expected.motion.pose));
+            found = self.aligner.align(levels, eye, &MotionEstimate::unseen(pose, distance, FIRST_SHIFT * distance, FIRST_TURN))?;
+        }
+        let is_expected = is_expected && !is_pushed;
         debug!(
             share = found.share(),
             tiles = found.tiles,

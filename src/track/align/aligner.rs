@@ -375,9 +375,6 @@ impl Aligner {
             let readout = self.fine.readout_clue(&task, solved, &self.system, &mut clues.column);
             clues.clue = Some(ShutterClue { readout, exposure });
         }
-        if blur_px < SHARP_FRAME_PX {
-            self.slow.noise.learn(&self.fine.noise_sums(solved.scale));
-        }
         if let (Some(unknown), Some(clue)) = (&mut self.exposure, exposure) {
             unknown.learn(&mut self.slow.sensor, clue, blur_px);
         }
@@ -385,7 +382,7 @@ impl Aligner {
         let sum = |f: fn(&RunEvidence) -> f64| self.fine.evidence.iter().map(f).sum::<f64>();
         let inliers = sum(|e| e.inliers);
         let verdicts = self.fine.evidence.iter().filter_map(agreement);
-        Some(Alignment {
+        let found = Alignment {
             estimate,
             covariance,
             scale: solved.scale,
@@ -394,7 +391,12 @@ impl Aligner {
             tiles: verdicts.clone().count(),
             agreeing: verdicts.filter(|v| *v).count(),
             surprise: surprise(expected, &solved.motion),
-        })
+        };
+        // A frame that shows something else says nothing of the camera.
+        if blur_px < SHARP_FRAME_PX && found.is_conclusive() {
+            self.slow.noise.learn(&self.fine.noise_sums(found.scale));
+        }
+        Some(found)
     }
 }
 

@@ -37,6 +37,12 @@ impl Alignment {
         self.tiles >= CONCLUSIVE_TILES && self.share() >= CONCLUSIVE_SHARE
     }
 
+    /// Whether what was expected may have pulled the pose aside, through the shutter: it was found far from there, and the picture does not
+    /// clearly bear it out.
+    pub fn is_pulled(&self) -> bool {
+        self.surprise > LARGEST_SURPRISE && !self.is_conclusive()
+    }
+
     /// Whether the pose may be given: clearly right, or less clearly where it was expected.
     pub fn is_credible(&self, is_expected: bool) -> bool {
         let continues = is_expected && self.share() >= CONTINUED_SHARE && self.surprise < LARGEST_SURPRISE && self.scale < CONTINUED_SCALE;
