@@ -8,7 +8,6 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use stagepose::capture::{FrameSource, Row, VirtualCamera};
 use stagepose::record::State;
 use stagepose::simulate::{Dolly, dolly};
-use stagepose::track::TrackerSettings;
 use stagepose::{Tracker, TrackerSetup};
 
 /// Frames of one pass; every pass starts with a new tracker, whose preparation is not counted.
@@ -19,16 +18,7 @@ fn frames(c: &mut Criterion) {
         let choice = Dolly { width, height, seed: 1, duration_s: 1.0, artwork_width: 1600 };
         let mut camera = VirtualCamera::new(dolly(choice).expect("a scene"), 30.0, FRAMES);
         let rows: Vec<Row> = std::iter::from_fn(|| camera.next_row()).collect();
-        let scene = camera.stage();
-        let setup = TrackerSetup {
-            camera: scene.camera,
-            exposure_s: scene.exposure_s,
-            readout_s: scene.readout_s,
-            mask: None,
-            stage: scene.stage.clone(),
-            objects: Vec::new(),
-            settings: TrackerSettings::default(),
-        };
+        let setup = TrackerSetup::from(camera.stage());
         c.bench_function(&format!("track a frame {width}x{height}"), |b| {
             b.iter_custom(|iterations| (0..iterations).map(|_| pass(&setup, &rows)).sum::<Duration>() / FRAMES as u32)
         });

@@ -7,7 +7,6 @@ use std::cell::Cell;
 use stagepose::capture::{FrameSource, RowContent, VirtualCamera};
 use stagepose::record::State;
 use stagepose::simulate::{Dolly, dolly};
-use stagepose::track::TrackerSettings;
 use stagepose::{Tracker, TrackerSetup};
 
 /// The system's allocator, which counts what each thread asks of it.
@@ -45,16 +44,7 @@ fn a_followed_frame_allocates_nothing() {
     let choice = Dolly { width: 640, height: 480, seed: 4, duration_s: 3.0, artwork_width: 1000 };
     let mut camera = VirtualCamera::new(dolly(choice).expect("a scene"), 30.0, (WARM_UP + COUNTED) as u64);
     let rows: Vec<_> = std::iter::from_fn(|| camera.next_row()).collect();
-    let scene = camera.stage();
-    let mut tracker = Tracker::new(TrackerSetup {
-        camera: scene.camera,
-        exposure_s: scene.exposure_s,
-        readout_s: scene.readout_s,
-        mask: None,
-        stage: scene.stage.clone(),
-        objects: Vec::new(),
-        settings: TrackerSettings::default(),
-    });
+    let mut tracker = Tracker::new(TrackerSetup::from(camera.stage()));
     let mut counts = Vec::with_capacity(rows.len());
     for row in &rows {
         let RowContent::Frame(frame) = &row.content else { panic!("a virtual camera loses no frame") };

@@ -9,6 +9,7 @@ use crate::compute_clock::ComputeClock;
 use crate::frame::Frame;
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
+use crate::simulate::VirtualStage;
 use crate::track::{BodySpec, LockState, Matcher, Sighting, TrackerSettings, UsedPixels};
 
 /// Everything a tracker is made from.
@@ -28,6 +29,21 @@ pub struct TrackerSetup {
     pub objects: Vec<BodySpec>,
     /// Tunables.
     pub settings: TrackerSettings,
+}
+
+impl From<&VirtualStage> for TrackerSetup {
+    /// What is true of a virtual stage; scenery stays untold.
+    fn from(scene: &VirtualStage) -> Self {
+        Self {
+            camera: scene.camera,
+            exposure_s: scene.exposure_s,
+            readout_s: scene.readout_s,
+            mask: None,
+            stage: scene.stage.clone(),
+            objects: scene.objects.iter().map(|object| object.body.clone()).collect(),
+            settings: TrackerSettings::default(),
+        }
+    }
 }
 
 /// Tracks frame by frame in the calling thread (plus its workers inside a frame).

@@ -9,7 +9,7 @@ use stagepose::capture::{FrameSource, Row, VirtualCamera};
 use stagepose::geometry::{Camera, Pose, Stage};
 use stagepose::record::{PoseSample, State};
 use stagepose::simulate::{CameraPath, SensorNoise, Spline, VirtualStage, grey, paint, upright};
-use stagepose::track::{BodySpec, SurfaceSpec, TrackerSettings};
+use stagepose::track::{BodySpec, SurfaceSpec};
 use stagepose::{Tracker, TrackerSetup};
 
 use super::record_line::assert_record_holds;
@@ -72,15 +72,7 @@ pub fn quiet(camera: CameraModel, path: CameraPath, stage: BodySpec) -> VirtualS
 
 /// What the tracker is told of a virtual stage: all that is true.
 pub fn setup(scene: &VirtualStage) -> TrackerSetup {
-    TrackerSetup {
-        camera: scene.camera,
-        exposure_s: scene.exposure_s,
-        readout_s: scene.readout_s,
-        mask: None,
-        stage: scene.stage.clone(),
-        objects: scene.objects.iter().map(|o| o.body.clone()).collect(),
-        settings: TrackerSettings::default(),
-    }
+    TrackerSetup::from(scene)
 }
 
 pub fn rows(scene: &VirtualStage, frames: u64) -> Vec<Row> {

@@ -18,7 +18,6 @@ use crate::daemon::{Tracker, TrackerSetup};
 use crate::frame::Frame;
 use crate::record::PoseSample;
 use crate::simulate::{Dolly, DollyError, VirtualStage, dolly};
-use crate::track::TrackerSettings;
 use errors::PoseErrors;
 use live::LivePrint;
 use saved_clip::SavedClip;
@@ -102,16 +101,7 @@ pub fn run(arguments: &DemoArguments) -> Result<(), DemoError> {
         Some(folder) => Some(SavedClip::create(folder, &stage, arguments.jpeg)?),
         None => None,
     };
-    let setup = TrackerSetup {
-        camera: stage.camera,
-        exposure_s: stage.exposure_s,
-        readout_s: stage.readout_s,
-        mask: None,
-        stage: stage.stage.clone(),
-        objects: stage.objects.iter().map(|object| object.body.clone()).collect(),
-        settings: TrackerSettings::default(),
-    };
-    let mut tracker = Tracker::new(setup);
+    let mut tracker = Tracker::new(TrackerSetup::from(&stage));
     let mut camera = VirtualCamera::new(stage, arguments.fps, arguments.frames);
     let mut live = LivePrint::stdout();
     let errors = session(&mut camera, |frame| tracker.track(frame), saved.as_mut(), &mut live)?;

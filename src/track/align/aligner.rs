@@ -87,7 +87,7 @@ const BETTER: f64 = 0.97;
 /// A prediction is kept for the next frame while nothing moved by more, pixels of the level.
 const KEPT_PX: f64 = 0.05;
 
-/// Aligns one body; owns all buffers of its hot path and the slow states (light, point spread, exposure, how the pictures were enlarged).
+/// Aligns one body; owns all buffers of its hot path and the slow states (light, point spread, and those of [`SlowStates`]).
 #[derive(Debug)]
 pub struct Aligner {
     surfaces: Vec<AlignSurface>,
