@@ -82,9 +82,11 @@ impl Daemon {
 
     /// A daemon for a camera: drops the oldest, numbers the rows that are tracked, counts what happens, and gives
     /// subscribers a stale message ([`State::Stale`](crate::record::State::Stale)) when no picture has come for three frame times.
+    /// Give the tracker the exposure that [`Shutter::exposure_of`](super::live::Shutter::exposure_of) the camera's mode says.
     pub fn live(source: LiveSource, tracker: Tracker) -> Self {
-        let live = Some(source.link());
-        Self { live, ..Self::new(Box::new(source), tracker, Delivery::DropOldest) }
+        // One switch for both: a source that waits for a picture would not look at the daemon's.
+        let (live, stop) = (Some(source.link()), source.stop_switch());
+        Self { live, stop, ..Self::new(Box::new(source), tracker, Delivery::DropOldest) }
     }
 
     /// A new subscriber's own channel. It ends when the daemon does. With [`Delivery::Blocking`] a subscriber that does not
@@ -109,18 +111,43 @@ impl Daemon {
         self.observers.push(Box::new(observer));
     }
 
-    /// Starts the three stages.
+    /// Starts the three stages, or none of them.
+    ///
+    /// # Errors
+    /// When the system gives no thread; what was started has ended by then, and the source is closed.
     pub fn start(self) -> Result<RunningDaemon, DaemonError> {
+        self.start_with(|stage, run| std::thread::Builder::new().name(stage.to_owned()).spawn(run))
+    }
+
+    /// The threads come from a parameter, so that a system that gives none can be tested.
+    fn start_with(self, mut spawn: impl FnMut(&'static str, Run) -> std::io::Result<JoinHandle<()>>) -> Result<RunningDaemon, DaemonError> {
         let Self { source, tracker, delivery, subscribers, observers, stop, dropped, live } = self;
         let Tracker { matcher, poses } = tracker;
         let (to_matcher, rows) = row_channel(delivery);
         let (to_pose, sightings) = bounded(QUEUE);
         let capture = Capture { source, to_matcher, stop: stop.clone(), dropped: dropped.clone(), live: live.clone() };
         let (order, watch) = (live.as_ref().map(|_| RowOrder::default()), live.map(|link| StaleWatch::new(link, stop.clone())));
-        let mut stages = vec![spawn("capture", move || capture.run())?];
-        stages.push(spawn("matcher", move || match_rows(matcher, order, &rows, &to_pose))?);
-        stages.push(spawn("pose", move || publish(poses, &sightings, observers, subscribers, watch))?);
-        Ok(RunningDaemon { stages, stop, dropped })
+        // The last one first: a stage whose input never begins ends by itself, while a source that is being read may not.
+        let stages: [(&'static str, Run); 3] = [
+            ("pose", Box::new(move || publish(poses, &sightings, observers, subscribers, watch))),
+            ("matcher", Box::new(move || match_rows(matcher, order, &rows, &to_pose))),
+            ("capture", Box::new(move || capture.run())),
+        ];
+        let mut running = RunningDaemon { stages: Vec::new(), stop, dropped };
+        let mut waiting = stages.into_iter();
+        while let Some((stage, run)) = waiting.next() {
+            match spawn(stage, run) {
+                Ok(handle) => running.stages.insert(0, (stage, handle)),
+                Err(source) => {
+                    // With the stages that wait, their channels' ends go too.
+                    drop(waiting);
+                    running.stop();
+                    let _ = running.join();
+                    return Err(DaemonError::Thread { stage, source });
+                }
+            }
+        }
+        Ok(running)
     }
 }
 
@@ -157,10 +184,8 @@ impl RunningDaemon {
     }
 }
 
-fn spawn(stage: &'static str, run: impl FnOnce() + Send + 'static) -> Result<(&'static str, JoinHandle<()>), DaemonError> {
-    let handle = std::thread::Builder::new().name(stage.to_owned()).spawn(run);
-    handle.map(|h| (stage, h)).map_err(|source| DaemonError::Thread { stage, source })
-}
+/// A stage's whole life.
+type Run = Box<dyn FnOnce() + Send>;
 
 enum RowSender {
     Blocking(Sender<Row>),
@@ -280,4 +305,69 @@ fn deliver(subscribers: &mut Vec<Subscriber>, sample: &PoseSample) {
             true
         }
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use image::GrayImage;
+
+    use super::*;
+    use crate::camera::CameraModel;
+    use crate::daemon::TrackerSetup;
+    use crate::geometry::Pose;
+    use crate::track::{BodySpec, ReferenceKind, SurfaceSpec, TrackerSettings};
+
+    /// A source that never ends by itself.
+    struct Endless(#[expect(dead_code, reason = "it is counted while the source lives")] Arc<()>);
+
+    impl FrameSource for Endless {
+        fn next_row(&mut self) -> Option<Row> {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+            let content = RowContent::Undecodable("as told".to_owned());
+            Some(Row { sequence: 0, timestamp_ns: 0, content, decode: std::time::Duration::ZERO, received: None })
+        }
+
+        fn size(&self) -> (u32, u32) {
+            (64, 48)
+        }
+
+        fn rows(&self) -> Option<u64> {
+            None
+        }
+    }
+
+    fn tracker() -> Tracker {
+        let artwork = GrayImage::from_fn(64, 48, |x, y| image::Luma([if (x / 8 + y / 8) % 2 == 0 { 20 } else { 220 }]));
+        let name = "plain".to_owned();
+        let surface = SurfaceSpec { name: name.clone(), artwork, size_m: [4.0, 3.0], pose: Pose::identity(), kind: ReferenceKind::Artwork };
+        Tracker::new(TrackerSetup {
+            camera: CameraModel::pinhole(64, 48, 60.0, 60.0, 31.5, 23.5).unwrap(),
+            exposure_s: 0.0,
+            readout_s: 0.0,
+            mask: None,
+            stage: BodySpec { name, surfaces: vec![surface] },
+            objects: Vec::new(),
+            settings: TrackerSettings::default(),
+        })
+    }
+
+    #[test]
+    fn a_system_that_gives_no_thread_leaves_none_running() {
+        for (refused, delivery) in
+            [(0, Delivery::DropOldest), (1, Delivery::DropOldest), (2, Delivery::DropOldest), (1, Delivery::Blocking)]
+        {
+            let probe = Arc::new(());
+            let mut daemon = Daemon::new(Box::new(Endless(probe.clone())), tracker(), delivery);
+            let samples = daemon.subscribe();
+            let mut asked = 0;
+            let started = daemon.start_with(|_, run| {
+                asked += 1;
+                if asked > refused { Err(std::io::ErrorKind::WouldBlock.into()) } else { std::thread::Builder::new().spawn(run) }
+            });
+            let error = started.err().expect("one stage has no thread");
+            assert!(error.to_string().contains("raise the limit of processes"), "{error}");
+            assert_eq!(Arc::strong_count(&probe), 1, "the source is still read after {refused} threads");
+            assert!(samples.iter().next().is_none());
+        }
+    }
 }

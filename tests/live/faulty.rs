@@ -77,7 +77,9 @@ pub enum Fault {
     DropPanics,
     OpenFails,
     OpenPanics,
+    ModePanics,
     OtherSize,
+    OtherSizeAndDropPanics,
     Blocks,
     Truncated,
     Garbage,
@@ -114,7 +116,7 @@ impl Fault {
         Self::OtherStage,
         Self::FramesLostInDevice,
     ];
-    const OF_OPENINGS: [Fault; 3] = [Self::OpenFails, Self::OpenPanics, Self::OtherSize];
+    const OF_OPENINGS: [Fault; 5] = [Self::OpenFails, Self::OpenPanics, Self::ModePanics, Self::OtherSize, Self::OtherSizeAndDropPanics];
 }
 
 /// What decides on the next fault.
@@ -208,11 +210,13 @@ pub struct Opener(pub Arc<Faulty>);
 impl CameraOpener for Opener {
     fn open(&self) -> Result<Box<dyn Camera>, OpenFault> {
         let n = self.0.openings.fetch_add(1, Ordering::Relaxed);
-        let mut size = SIZE;
+        let (mut size, mut mode_panics, mut panics_in_drop) = (SIZE, false, false);
         match self.0.next_fault(Some(n), 0) {
             Some(Fault::OpenFails) => return Err(OpenFault("the camera is in use by cheese (process 7); end that program".into())),
             Some(Fault::OpenPanics) => panic!("told to panic while opening"),
+            Some(Fault::ModePanics) => mode_panics = true,
             Some(Fault::OtherSize) => size = (640, 480),
+            Some(Fault::OtherSizeAndDropPanics) => (size, panics_in_drop) = ((640, 480), true),
             _ => {}
         }
         let mode = CameraMode {
@@ -224,7 +228,7 @@ impl CameraOpener for Opener {
             controls: vec![],
             notes: vec![],
         };
-        Ok(Box::new(FaultyCamera { faulty: self.0.clone(), mode, panics_in_drop: false, stalls: false }))
+        Ok(Box::new(FaultyCamera { faulty: self.0.clone(), mode, mode_panics, panics_in_drop, stalls: false }))
     }
 
     fn wanted(&self) -> String {
@@ -235,12 +239,14 @@ impl CameraOpener for Opener {
 struct FaultyCamera {
     faulty: Arc<Faulty>,
     mode: CameraMode,
+    mode_panics: bool,
     panics_in_drop: bool,
     stalls: bool,
 }
 
 impl Camera for FaultyCamera {
     fn mode(&self) -> &CameraMode {
+        assert!(!self.mode_panics, "told to panic when asked for the mode");
         &self.mode
     }
 

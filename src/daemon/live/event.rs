@@ -25,6 +25,8 @@ pub enum Event {
         format: &'static str,
         /// Pictures a second.
         fps: f64,
+        /// Its exposure in seconds, where it is locked and known; else null.
+        exposure_s: Option<f64>,
         /// Controls as read back.
         controls: Vec<(String, i64)>,
         /// True where it was open before.
@@ -44,6 +46,11 @@ pub enum Event {
     NoDriverStamp {
         /// The camera.
         name: String,
+    },
+    /// The exposure that poses rest on is not the one that the camera has.
+    ExposureDiffers {
+        /// Both, with the mend.
+        reason: String,
     },
     /// No picture has come for three frame times.
     Stale {
@@ -68,6 +75,13 @@ pub enum Event {
     RecorderStarted {
         /// The clip.
         clip: String,
+    },
+    /// The recording is whole and closed; the last line of its own events.
+    RecorderFinished {
+        /// The clip.
+        clip: String,
+        /// Its rows.
+        frames: u64,
     },
     /// Recording gave up; tracking goes on.
     RecorderStopped {
@@ -95,6 +109,11 @@ pub enum Event {
     },
     /// The config was read again and refused; the old one stays.
     ConfigRefused {
+        /// Why.
+        reason: String,
+    },
+    /// The daemon ended in good order; always the last line.
+    Ended {
         /// Why.
         reason: String,
     },
@@ -180,18 +199,21 @@ fn note(event: &Event) {
                 "{name}: its driver gives no time stamps that can be true; frames are stamped when they arrive, which is later than they were taken"
             );
         }
+        Event::ExposureDiffers { reason } => tracing::warn!("{reason}"),
         Event::Stale { age_ms, .. } => tracing::warn!("no picture for {age_ms:.0} ms"),
         Event::Resumed { after_ms } => tracing::info!("pictures come again after {after_ms:.0} ms"),
         Event::FrameDropped { frame_timestamp_ns } => {
             tracing::debug!("the frame of {frame_timestamp_ns} was dropped: the tracker was late")
         }
         Event::RecorderStarted { clip } => tracing::info!("recording to {clip}"),
+        Event::RecorderFinished { clip, frames } => tracing::info!("{clip} is recorded: {frames} frames"),
         Event::RecorderStopped { reason } => tracing::error!("recording stopped: {reason}"),
         Event::RingSaved { clip } => tracing::info!("the last seconds are saved in {clip}"),
         // The output's own warning has said it, at most once a minute.
         Event::PoseWithheld { output, body, reason } => tracing::debug!("output {output}: the pose of {body} is withheld, {reason}"),
         Event::ConfigReloaded { file } => tracing::info!("{file} was read again"),
         Event::ConfigRefused { reason } => tracing::error!("the old config stays: {reason}"),
+        Event::Ended { reason } => tracing::info!("ended: {reason}"),
     }
 }
 

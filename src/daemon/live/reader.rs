@@ -30,7 +30,7 @@ pub(super) struct Shared {
     pub shutter: Shutter,
     pub patience: Patience,
     pub link: LiveLink,
-    pub stop: AtomicBool,
+    pub stop: Arc<AtomicBool>,
     /// The mode of the first opening: later ones must have its size.
     pub first_mode: Mutex<Option<CameraMode>>,
     /// True once somebody reads; what was there before is not late.
@@ -70,7 +70,7 @@ impl Ticket {
     pub fn nudge(&self) {
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(thread) = *thread {
-            // SAFETY: the thread clears its entry under this lock before it ends, so it is alive.
+            // SAFETY: the thread clears its entry under this lock before it ends ([`OnThread`]), so it is alive.
             unsafe { libc::pthread_kill(thread, libc::SIGURG) };
         }
     }
@@ -81,6 +81,24 @@ impl Ticket {
 
     fn set_thread(&self, thread: Option<libc::pthread_t>) {
         *self.thread.lock().unwrap_or_else(PoisonError::into_inner) = thread;
+    }
+}
+
+/// Keeps the calling thread's id in a ticket for as long as it lives, however the thread ends: an id that outlived its
+/// thread would be signalled, and may be another thread's by then.
+struct OnThread<'a>(&'a Ticket);
+
+impl<'a> OnThread<'a> {
+    fn enter(ticket: &'a Ticket) -> Self {
+        // SAFETY: it only asks who we are.
+        ticket.set_thread(Some(unsafe { libc::pthread_self() }));
+        Self(ticket)
+    }
+}
+
+impl Drop for OnThread<'_> {
+    fn drop(&mut self) {
+        self.0.set_thread(None);
     }
 }
 
@@ -106,18 +124,26 @@ enum Loss {
 /// The thread's whole life.
 pub(super) fn read(shared: &Shared, ticket: &Ticket, to: &LatestSender<Arrived>) {
     take_signal();
-    // SAFETY: it only asks who we are.
-    ticket.set_thread(Some(unsafe { libc::pthread_self() }));
+    let _here = OnThread::enter(ticket);
+    // What drivers do is contained where they are called; this is for all the rest. The source starts another reader.
+    if catch_unwind(AssertUnwindSafe(|| open_and_stream(shared, ticket, to))).is_err() {
+        shared.link.statistics.panic_contained();
+        shared.link.statistics.camera_lost();
+        let reason = "the thread that reads it failed; it is started again".to_owned();
+        shared.link.events.publish(Event::CameraLost { reason });
+    }
+}
+
+fn open_and_stream(shared: &Shared, ticket: &Ticket, to: &LatestSender<Arrived>) {
     let mut said = None;
     while wanted(shared, ticket) {
         ticket.beat();
         match open(shared) {
-            Ok(mut camera) => {
+            Ok((mut camera, mode)) => {
                 said = None;
-                let loss = stream(shared, ticket, &mut *camera, to);
+                let loss = stream(shared, ticket, &mut *camera, mode, to);
                 ticket.beat();
-                // A driver's library may panic while it closes.
-                let _ = catch_unwind(AssertUnwindSafe(|| drop(camera))).map_err(|_| shared.link.statistics.panic_contained());
+                close(shared, camera);
                 shared.link.statistics.camera_lost();
                 match loss {
                     Loss::Unwanted => break,
@@ -136,7 +162,6 @@ pub(super) fn read(shared: &Shared, ticket: &Ticket, to: &LatestSender<Arrived>)
         }
         nap(shared, ticket, shared.patience.between_openings);
     }
-    ticket.set_thread(None);
 }
 
 fn wanted(shared: &Shared, ticket: &Ticket) -> bool {
@@ -151,35 +176,45 @@ fn nap(shared: &Shared, ticket: &Ticket, whole: Duration) {
     }
 }
 
-fn open(shared: &Shared) -> Result<Box<dyn Camera>, String> {
-    let opened = catch_unwind(AssertUnwindSafe(|| shared.opener.open()));
-    let camera = opened.map_err(|_| {
+/// A driver's library may panic while it closes.
+fn close(shared: &Shared, camera: Box<dyn Camera>) {
+    if catch_unwind(AssertUnwindSafe(|| drop(camera))).is_err() {
+        shared.link.statistics.panic_contained();
+    }
+}
+
+fn open(shared: &Shared) -> Result<(Box<dyn Camera>, CameraMode), String> {
+    let opened = catch_unwind(AssertUnwindSafe(|| shared.opener.open().map(|camera| (camera.mode().clone(), camera))));
+    let opened = opened.map_err(|_| {
         shared.link.statistics.panic_contained();
         "the camera's driver gave up while it was opened; unplug the camera and plug it in again".to_owned()
     })?;
-    let camera = camera.map_err(|fault| fault.to_string())?;
-    let mode = camera.mode().clone();
+    let (mode, camera) = opened.map_err(|fault| fault.to_string())?;
     let mut first = shared.first_mode.lock().unwrap_or_else(PoisonError::into_inner);
     let again = first.is_some();
-    let size = first.get_or_insert_with(|| mode.clone()).size;
+    let before = first.get_or_insert_with(|| mode.clone()).clone();
     drop(first);
-    if mode.size != size {
-        let (w, h) = mode.size;
+    if mode.size != before.size {
+        close(shared, camera);
+        let ((w, h), (before_w, before_h)) = (mode.size, before.size);
         return Err(format!(
-            "{} now gives {w} x {h} pixels instead of {} x {}; set width and height in [camera]",
-            mode.name, size.0, size.1
+            "{} now gives {w} x {h} pixels instead of {before_w} x {before_h}; set width and height in [camera]",
+            mode.name
         ));
     }
     shared.link.pulse.set_rate(mode.fps);
     shared.link.statistics.camera_opened(&mode.name, again);
-    let CameraMode { name, size: (width, height), layout, fps, controls, .. } = mode;
-    shared.link.events.publish(Event::CameraOpened { name, width, height, format: layout.fourcc(), fps, controls, again });
-    Ok(camera)
+    let CameraMode { name, size: (width, height), layout, fps, exposure_s, controls, .. } = mode.clone();
+    shared.link.events.publish(Event::CameraOpened { name, width, height, format: layout.fourcc(), fps, exposure_s, controls, again });
+    if let Some(reason) = shared.shutter.contradiction(&before, &mode) {
+        shared.link.events.publish(Event::ExposureDiffers { reason: format!("{}: {reason}", mode.name) });
+    }
+    Ok((camera, mode))
 }
 
-fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, to: &LatestSender<Arrived>) -> Loss {
-    let mode = Arc::new(camera.mode().clone());
-    let exposure_s = if shared.shutter.exposure_s > 0.0 { shared.shutter.exposure_s } else { mode.exposure_s.unwrap_or(0.0) };
+fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: CameraMode, to: &LatestSender<Arrived>) -> Loss {
+    let mode = Arc::new(mode);
+    let exposure_s = shared.shutter.exposure_of(&mode);
     let silence = shared.patience.silence.max(Duration::from_secs_f64(15.0 / mode.fps.max(0.1)));
     let (mut last, mut last_sequence) = (Instant::now(), None);
     while wanted(shared, ticket) {
@@ -221,4 +256,30 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, to: &Latest
 pub(in crate::daemon) fn dropped(link: &LiveLink, frame_timestamp_ns: i64) {
     link.statistics.frames_dropped(1);
     link.events.publish(Event::FrameDropped { frame_timestamp_ns });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_that_panics_leaves_no_id_behind() {
+        let ticket = Arc::new(Ticket::new());
+        let own = ticket.clone();
+        let (inside, entered) = crossbeam_channel::bounded::<()>(0);
+        let reader = std::thread::spawn(move || {
+            let _here = OnThread::enter(&own);
+            let _ = entered.recv();
+            // Quietly: a resumed panic runs no hook.
+            std::panic::resume_unwind(Box::new("told to"));
+        });
+        while !ticket.is_running() {
+            std::thread::yield_now();
+        }
+        drop(inside);
+        assert!(reader.join().is_err());
+        assert!(!ticket.is_running());
+        // There is nobody to signal.
+        ticket.nudge();
+    }
 }

@@ -1,6 +1,6 @@
 //! The capture stage of a live daemon: takes the newest picture, decodes it, and looks after the reader.
 
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,6 +19,46 @@ pub struct Shutter {
     pub exposure_s: f64,
     /// First row to last.
     pub readout_s: f64,
+}
+
+/// Longest exposure that is believed, seconds: the range of `exposure_s` in a config.
+const LONGEST_EXPOSURE_S: f64 = 1.0;
+/// Two exposures are equal within this much, seconds (drivers count in units of 0.1 ms), and within this share of the longer.
+const SAME_EXPOSURE_S: f64 = 1.5e-4;
+const SAME_EXPOSURE_SHARE: f64 = 0.02;
+
+impl Shutter {
+    /// The exposure to stamp and to track with: as set here, else as the camera has it locked; 0 where neither is known.
+    pub fn exposure_of(&self, mode: &CameraMode) -> f64 {
+        if self.exposure_s > 0.0 { self.exposure_s } else { locked(mode).unwrap_or(0.0) }
+    }
+
+    /// What is to be said where the exposure that poses rest on is not the one that the camera has locked now; `first` is
+    /// the mode that the tracker was made for.
+    pub fn contradiction(&self, first: &CameraMode, now: &CameraMode) -> Option<String> {
+        let (used, real) = (self.exposure_of(first), locked(now).unwrap_or(0.0));
+        let (used_ms, real_ms) = (used * 1e3, real * 1e3);
+        if (used - real).abs() <= SAME_EXPOSURE_S.max(SAME_EXPOSURE_SHARE * used.max(real)) {
+            None
+        } else if self.exposure_s == 0.0 && used == 0.0 {
+            Some(format!("its exposure is now locked at {real_ms:.1} ms, which the tracker was not told; send SIGHUP or start again"))
+        } else if self.exposure_s == 0.0 && real == 0.0 {
+            Some(format!("its exposure is not locked any more, the tracker was told {used_ms:.1} ms; lock it in `controls`"))
+        } else if self.exposure_s == 0.0 {
+            Some(format!("its exposure is now {real_ms:.1} ms, the tracker was told {used_ms:.1} ms; send SIGHUP or start again"))
+        } else if real > 0.0 {
+            Some(format!(
+                "its exposure is {real_ms:.1} ms, exposure_s in [camera] says {used_ms:.1} ms, which is used; make them equal or remove exposure_s"
+            ))
+        } else {
+            None
+        }
+    }
+}
+
+/// The exposure that a camera has locked, where it can be true.
+fn locked(mode: &CameraMode) -> Option<f64> {
+    mode.exposure_s.filter(|s| *s > 0.0 && *s <= LONGEST_EXPOSURE_S)
 }
 
 /// How long the pipeline bears what.
@@ -70,7 +110,7 @@ impl LiveStop {
 impl LiveSource {
     /// Starts to open the camera and to read it.
     pub fn start(opener: Arc<dyn CameraOpener>, shutter: Shutter, patience: Patience, link: LiveLink) -> Self {
-        let (stop, is_read, unstamped_said) = (false.into(), false.into(), false.into());
+        let (stop, is_read, unstamped_said) = (Arc::default(), false.into(), false.into());
         let shared = Shared { opener, shutter, patience, link, stop, first_mode: Mutex::new(None), is_read, unstamped_said };
         let shared = Arc::new(shared);
         let (pictures, reader) = spawn(&shared);
@@ -97,6 +137,11 @@ impl LiveSource {
         LiveStop(self.shared.clone())
     }
 
+    /// The switch behind [`stopper`](Self::stopper), which the daemon makes its own: what stops one stops the other.
+    pub(in crate::daemon) fn stop_switch(&self) -> Arc<AtomicBool> {
+        self.shared.stop.clone()
+    }
+
     /// What it shares with the other stages.
     pub fn link(&self) -> LiveLink {
         self.shared.link.clone()
@@ -113,8 +158,16 @@ impl LiveSource {
         Row { sequence, timestamp_ns, content, decode, received: Some(received) }
     }
 
-    /// Interrupts a reader that is blocked, and puts another in its place where that does not help.
+    /// Puts another reader in the place of one that is gone or stays blocked; interrupts one that is blocked before that.
     fn look_after_reader(&mut self) {
+        // The thread holds the other handle: without it, it has ended, or the system gave none.
+        if Arc::strong_count(&self.reader) == 1 {
+            if !self.reader.ended.load(Ordering::Relaxed) {
+                std::thread::sleep(self.shared.patience.between_openings);
+                self.replace_reader();
+            }
+            return;
+        }
         let (blocked, limit) = (self.reader.blocked_for(), self.shared.patience.blocked);
         if blocked < limit {
             self.nudged = false;
@@ -137,7 +190,11 @@ impl LiveSource {
         self.reader.wanted.store(false, Ordering::Relaxed);
         let (pictures, reader) = spawn(&self.shared);
         self.pictures = pictures;
-        self.left_behind.push(std::mem::replace(&mut self.reader, reader));
+        let before = std::mem::replace(&mut self.reader, reader);
+        self.left_behind.retain(|r| r.is_running());
+        if before.is_running() {
+            self.left_behind.push(before);
+        }
     }
 }
 
@@ -162,8 +219,9 @@ impl FrameSource for LiveSource {
                 Err(RecvTimeoutError::Timeout) => self.look_after_reader(),
                 Err(RecvTimeoutError::Disconnected) if self.reader.ended.load(Ordering::Relaxed) => return None,
                 Err(RecvTimeoutError::Disconnected) => {
-                    std::thread::sleep(self.shared.patience.between_openings);
-                    self.replace_reader();
+                    // It is about to end.
+                    std::thread::sleep(Duration::from_millis(1));
+                    self.look_after_reader();
                 }
             }
         }
@@ -190,5 +248,40 @@ impl Drop for LiveSource {
                 self.reader.nudge();
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::camera::PixelLayout;
+
+    fn mode(exposure_s: Option<f64>) -> CameraMode {
+        let (name, notes, controls) = ("Cam".to_owned(), vec![], vec![]);
+        CameraMode { name, size: (8, 6), layout: PixelLayout::Grey, fps: 30.0, exposure_s, controls, notes }
+    }
+
+    #[test]
+    fn the_cameras_locked_exposure_counts_where_none_is_set() {
+        let (set, unset) = (Shutter { exposure_s: 0.01, readout_s: 0.0 }, Shutter::default());
+        assert_eq!(unset.exposure_of(&mode(Some(0.0083))), 0.0083);
+        assert_eq!(set.exposure_of(&mode(Some(0.0083))), 0.01);
+        for impossible in [None, Some(0.0), Some(-1.0), Some(f64::NAN), Some(204.7)] {
+            assert_eq!(unset.exposure_of(&mode(impossible)), 0.0, "{impossible:?}");
+        }
+    }
+
+    #[test]
+    fn exposures_that_contradict_each_other_are_said() {
+        let (set, unset) = (Shutter { exposure_s: 0.01, readout_s: 0.0 }, Shutter::default());
+        let said = |shutter: Shutter, first: Option<f64>, now: Option<f64>| shutter.contradiction(&mode(first), &mode(now));
+        assert_eq!(said(unset, Some(0.01), Some(0.01)), None);
+        assert_eq!(said(unset, None, None), None);
+        assert_eq!(said(set, None, None), None, "an automatic exposure is warned of elsewhere");
+        assert_eq!(said(set, Some(0.0101), Some(0.0101)), None, "within the driver's unit");
+        assert!(said(set, Some(0.02), Some(0.02)).unwrap().starts_with("its exposure is 20.0 ms, exposure_s in [camera] says 10.0 ms"));
+        assert!(said(unset, Some(0.01), Some(0.02)).unwrap().contains("now 20.0 ms, the tracker was told 10.0 ms"));
+        assert!(said(unset, Some(0.01), None).unwrap().contains("not locked any more"));
+        assert!(said(unset, None, Some(0.01)).unwrap().contains("now locked at 10.0 ms"));
     }
 }
