@@ -4,6 +4,7 @@ mod files;
 mod model;
 
 pub use files::{
-    Calibration, CalibrationFileError, CalibrationForm, CalibrationProblem, IntrinsicsUncertainty, parse_calibration, read_calibration,
+    Calibration, CalibrationFileError, CalibrationForm, CalibrationProblem, IntrinsicsUncertainty, calibration_bytes, parse_calibration,
+    read_calibration,
 };
 pub use model::{CameraError, CameraModel, Intrinsics, Normalized, Pixel};

@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Duration;
 
+use serde::Deserialize;
+
 use super::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
 use super::moment::{DriverStamp, monotonic_ns};
 use super::{CaptureError, ClipOptions, FrameSource, MjpegReader, Row, RowContent, open_clip};
@@ -41,13 +43,35 @@ impl PlayedClip {
             size: pictures.size(),
             layout,
             fps,
-            exposure_s: None,
+            exposure_s: recorded_exposure(clip),
             controls: Vec::new(),
             notes: Vec::new(),
         };
         let playing = PlayingClip { pictures, mode, begun: None, ahead };
         Ok(Self { clip: clip.to_owned(), unopened: Mutex::new(Some(playing)) })
     }
+}
+
+/// A recording's own account of its camera, as far as it is of use here.
+#[derive(Deserialize)]
+struct Recording {
+    camera: RecordedCamera,
+}
+
+#[derive(Deserialize)]
+struct RecordedCamera {
+    exposure_s: Option<f64>,
+}
+
+/// Larger than any clip.toml by far.
+const LARGEST_ACCOUNT_BYTES: u64 = 1 << 20;
+
+/// The exposure that the camera of a recording had locked, seconds; none where the clip is no recording.
+fn recorded_exposure(clip: &Path) -> Option<f64> {
+    let account = clip.join("clip.toml");
+    std::fs::metadata(&account).ok().filter(|m| m.is_file() && m.len() <= LARGEST_ACCOUNT_BYTES)?;
+    let recording: Recording = toml::from_str(&std::fs::read_to_string(account).ok()?).ok()?;
+    recording.camera.exposure_s
 }
 
 impl CameraOpener for PlayedClip {

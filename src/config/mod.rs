@@ -18,12 +18,14 @@ mod output_tests;
 mod outputs;
 mod protocols;
 mod settings;
+mod source;
 #[cfg(test)]
 mod tests;
 mod typed_outputs;
 mod values;
 
-pub use copy::copy_config;
+pub use copy::CopiedFile;
 pub use error::{ConfigError, Problem};
 pub use known_keys::known_keys;
 pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, RecorderSettings, SendingSettings, Settings};
+pub use source::ConfigSource;

@@ -3,17 +3,19 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use super::source::FilesRead;
 use super::{ConfigError, Problem};
 
-/// A config's file name and text.
+/// A config's file name and text, and what was read of the files that it names.
 pub(super) struct Origin<'a> {
     pub file: &'a Path,
     text: &'a str,
+    pub files: FilesRead,
 }
 
 impl<'a> Origin<'a> {
     pub fn new(file: &'a Path, text: &'a str) -> Self {
-        Self { file, text }
+        Self { file, text, files: FilesRead::default() }
     }
 
     /// The 1-based line of a byte span's start.

@@ -14,6 +14,7 @@ use super::filter::filter;
 use super::origin::Origin;
 use super::outputs::{OUTPUT, OutputReader, safety};
 use super::protocols::address;
+use super::source::{ConfigSource, read_text};
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::CameraModel;
@@ -27,6 +28,8 @@ use crate::web::HttpSettings;
 pub struct Settings {
     /// The config file.
     pub file: PathBuf,
+    /// It and all that it names, as they were read.
+    pub source: ConfigSource,
     /// The calibration file, relative names resolved.
     pub calibration_file: PathBuf,
     /// The camera at the calibration's own picture size; [`camera_for`](Self::camera_for) fits it to a clip.
@@ -174,8 +177,7 @@ impl Settings {
     /// # Errors
     /// The first thing that is wrong, with its place and its mend.
     pub fn load(file: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(file).map_err(|e| ConfigError::Unreadable { file: file.to_owned(), reason: e.to_string() })?;
-        Self::from_text(&text, file)
+        Self::from_text(&read_text(file)?, file)
     }
 
     /// As [`load`](Self::load), with the text at hand; `file` is its name, to which relative paths belong.
@@ -203,6 +205,7 @@ impl Settings {
         let outputs = OutputReader { origin: &origin, objects: objects.iter().map(|o| o.name.clone()).collect() };
         Ok(Self {
             file: file.to_owned(),
+            source: origin.files.with_config(file, text),
             calibration_file: origin.beside(calibration.get_ref()),
             camera: model,
             exposure_s,
@@ -227,7 +230,7 @@ impl Settings {
     /// # Errors
     /// As [`load`](Self::load), of `[[output]]`, `[safety]`, `[http]`, `[log]` and the objects' names; of the calibration where it is named.
     pub fn load_outputs(file: &Path) -> Result<SendingSettings, ConfigError> {
-        let text = std::fs::read_to_string(file).map_err(|e| ConfigError::Unreadable { file: file.to_owned(), reason: e.to_string() })?;
+        let text = read_text(file)?;
         let (typed, origin) = (as_typed::Config::parse(&text, file)?, Origin::new(file, &text));
         let section = Section { origin: &origin, name: "[camera]" };
         let calibration = typed.camera.as_ref().and_then(|camera| camera.get_ref().calibration.as_ref());
@@ -262,11 +265,10 @@ impl Settings {
     /// Tries every address, port and interface of `[[output]]` and `[http]` on this machine, and lets go of them again.
     ///
     /// # Errors
-    /// The first that cannot be had, with its line; the text of the file must be the one that was read.
+    /// The first that cannot be had, with its line.
     pub fn rehearse_outputs(&self) -> Result<(), ConfigError> {
-        let text =
-            std::fs::read_to_string(&self.file).map_err(|e| ConfigError::Unreadable { file: self.file.clone(), reason: e.to_string() })?;
-        let (typed, origin) = (as_typed::Config::parse(&text, &self.file)?, Origin::new(&self.file, &text));
+        let text = &self.source.text;
+        let (typed, origin) = (as_typed::Config::parse(text, &self.file)?, Origin::new(&self.file, text));
         if let Err((index, reason)) = Publisher::rehearse(&self.outputs) {
             let output = typed.output.get(index).map(|o| (o.get_ref(), o.span()));
             let (key, span) = output.map_or(("to", 0..0), |(o, span)| o.place_of(&reason, span));

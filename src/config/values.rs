@@ -9,7 +9,7 @@ use toml::Spanned;
 use super::as_typed::{Count, Exactly, Number};
 use super::origin::Origin;
 use super::{ConfigError, Problem};
-use crate::camera::Calibration;
+use crate::camera::{Calibration, calibration_bytes, parse_calibration};
 
 /// The section at hand, for messages.
 pub(super) struct Section<'a> {
@@ -111,13 +111,16 @@ impl Section<'_> {
     pub fn picture(&self, key: &str, typed: &Spanned<String>) -> Result<GrayImage, ConfigError> {
         let file = self.origin.beside(typed.get_ref());
         let refuse = |problem| self.refuse(key, &typed.span(), problem);
-        let bytes = std::fs::read(&file).map_err(|e| refuse(Problem::PictureFile { file: file.clone(), reason: e.to_string() }))?;
+        let bytes = self.origin.files.get(&file, |file| std::fs::read(file));
+        let bytes = bytes.map_err(|e| refuse(Problem::PictureFile { file: file.clone(), reason: e.to_string() }))?;
         crate::capture::decode_grey(&bytes).map_err(|reason| refuse(Problem::PictureContent { file, reason }))
     }
 
     /// A calibration file; its name is relative to the config's folder.
     pub fn calibration(&self, key: &str, typed: &Spanned<String>) -> Result<Calibration, ConfigError> {
         let file = self.origin.beside(typed.get_ref());
-        crate::camera::read_calibration(&file).map_err(|e| self.refuse(key, &typed.span(), Problem::Calibration(Box::new(e))))
+        let bytes = self.origin.files.get(&file, calibration_bytes);
+        let calibration = bytes.and_then(|bytes| parse_calibration(&bytes, &file));
+        calibration.map_err(|e| self.refuse(key, &typed.span(), Problem::Calibration(Box::new(e))))
     }
 }

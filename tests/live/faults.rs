@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use crossbeam_channel::bounded;
 use stagepose::capture::{ClipOptions, open_clip};
+use stagepose::config::Settings;
 use stagepose::daemon::RunningDaemon;
 use stagepose::daemon::live::{Event, LiveLink, LiveStop, StampedEvent};
 use stagepose::daemon::recorder::{AboutClip, RealDisk, Recorder, RecorderPlan};
@@ -69,7 +70,7 @@ impl Played {
 
 #[test]
 fn a_camera_that_goes_and_returns_is_tracked_again() {
-    let openings = [None, Some(Fault::OpenFails), Some(Fault::OpenPanics), Some(Fault::OtherSize)];
+    let openings = [None, Some(Fault::OpenFails), Some(Fault::OpenPanics), Some(Fault::ModePanics), Some(Fault::OtherSizeAndDropPanics)];
     for fault in [Fault::Gone, Fault::ReadPanics, Fault::DropPanics] {
         let played = play(&Faulty::told(&openings, &[(6, fault)], 12));
         let rows = played.rows();
@@ -161,7 +162,8 @@ fn a_recording_full_of_faults_replays_byte_for_byte() {
     let mut source = source(&faulty, &link);
     let mode = source.wait_for_camera(|| false).expect("the camera opens");
     let config = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly/stage.toml");
-    let plan = RecorderPlan { clip: Some(clip.clone()), ring: None, about: AboutClip { camera: mode, config } };
+    let config = Settings::load(&config).unwrap().source;
+    let plan = RecorderPlan { clip: Some(clip.clone()), ring: None, about: AboutClip { camera: mode, config, exposure_s: 0.0 } };
     let recorder = Recorder::start(plan, &link, Box::<RealDisk>::default()).unwrap();
     let mut daemon = Daemon::live(source, tracker);
     daemon.observe(recorder.observer());

@@ -99,7 +99,7 @@ fn it_is_a_good_service() {
     let mut child = command
         .args(["run", "--config", "stage.toml", "--play"])
         .arg(&clip)
-        .args(["--poses", "live.jsonl", "--log", "info"])
+        .args(["--poses", "live.jsonl", "--events", "events.jsonl", "--log", "info"])
         .spawn()
         .unwrap();
     let mut log = BufReader::new(child.stderr.take().unwrap());
@@ -142,6 +142,8 @@ fn it_is_a_good_service() {
     signal(&child, Signal::SIGHUP);
     wait_for(&mut log, "the old config stays");
     std::fs::write(&config, text).unwrap();
+    // As a log rotation does.
+    std::fs::rename(folder.path().join("events.jsonl"), folder.path().join("events.old")).unwrap();
     signal(&child, Signal::SIGHUP);
     wait_for(&mut log, "was read again");
     wait_for(&mut log, " is open: ");
@@ -154,7 +156,12 @@ fn it_is_a_good_service() {
     let replayed =
         stagepose(folder.path()).arg("replay").arg(&saved).arg("--config").arg(saved.join("config/stage.toml")).output().unwrap();
     assert_eq!(replayed.status.code(), Some(0), "{}", String::from_utf8_lossy(&replayed.stderr));
-    let poses = std::fs::read_to_string(folder.path().join("live.jsonl")).unwrap();
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    let (old, new) = (read("events.old"), read("events.jsonl"));
+    assert!(old.contains("config_refused") && old.lines().last().unwrap().contains("\"event\":\"config_reloaded\""), "{old}");
+    assert!(new.contains("camera_opened") && new.lines().last().unwrap().contains("\"event\":\"ended\""), "{new}");
+    assert!(new.ends_with("a signal asked for it\"}\n"), "{new}");
+    let poses = read("live.jsonl");
     assert!(poses.ends_with("}\n") && poses.lines().all(|l| serde_json::from_str::<serde_json::Value>(l).is_ok()));
 }
 

@@ -95,6 +95,14 @@ const LARGEST_FILE_BYTES: u64 = 4 << 20;
 /// # Errors
 /// When the file cannot be read or its text is no calibration; the message names the file, the line and the key.
 pub fn read_calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
+    parse_calibration(&calibration_bytes(path)?, path)
+}
+
+/// The bytes of a calibration file, for [`parse_calibration`].
+///
+/// # Errors
+/// When the file cannot be read, or is far too large.
+pub fn calibration_bytes(path: &Path) -> Result<Vec<u8>, CalibrationFileError> {
     let unreadable = |source| CalibrationFileError::Unreadable { path: path.to_owned(), source };
     let file = std::fs::File::open(path).map_err(unreadable)?;
     let mut bytes = Vec::new();
@@ -102,7 +110,7 @@ pub fn read_calibration(path: &Path) -> Result<Calibration, CalibrationFileError
     if bytes.len() as u64 > LARGEST_FILE_BYTES {
         return Err(CalibrationFileError::at(path, fault(CalibrationProblem::UnknownForm)));
     }
-    parse_calibration(&bytes, path)
+    Ok(bytes)
 }
 
 /// Reads the bytes of a calibration file; `path` serves for its extension and the messages.

@@ -7,6 +7,7 @@ use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener};
 use crate::capture::decode_picture;
 use crate::capture::moment::{DriverStamp, mid_exposure_ns};
 use crate::config::Settings;
+use crate::daemon::live::Shutter;
 
 /// How long pictures are read.
 const SPAN: Duration = Duration::from_millis(1500);
@@ -79,8 +80,13 @@ fn text(mode: &CameraMode, seen: &Seen, exposure_s: f64, calibrated: (u32, u32))
     if rate < 0.8 * mode.fps {
         line("it is slower than agreed: lock the exposure, give it more light, or another USB port".to_owned());
     }
-    if let Some(real_s) = mode.exposure_s.filter(|real_s| exposure_s > 0.0 && (real_s - exposure_s).abs() > 0.2 * exposure_s) {
-        line(format!("its exposure is {:.1} ms, exposure_s in [camera] says {:.1} ms; make them equal", real_s * 1e3, exposure_s * 1e3));
+    let shutter = Shutter { exposure_s, readout_s: 0.0 };
+    match shutter.contradiction(mode, mode) {
+        Some(contradiction) => line(contradiction),
+        None if exposure_s == 0.0 && shutter.exposure_of(mode) > 0.0 => {
+            line(format!("its exposure is locked at {:.1} ms, which the tracker will be given", shutter.exposure_of(mode) * 1e3));
+        }
+        None => {}
     }
     if mode.size != calibrated {
         line(format!("the calibration is for {} x {} pixels and is scaled", calibrated.0, calibrated.1));
@@ -117,5 +123,7 @@ mod tests {
         ] {
             assert!(text.contains(part), "`{part}` is not in\n{text}");
         }
+        let unset = super::text(&mode, &seen, 0.0, (1280, 960));
+        assert!(unset.contains("locked at 20.0 ms, which the tracker will be given"), "{unset}");
     }
 }

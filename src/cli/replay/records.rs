@@ -1,7 +1,8 @@
 //! The record files, written line by line as the samples come.
 
-use std::fs::File;
+use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, BufWriter, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use crate::cli::failure::Failure;
@@ -14,16 +15,39 @@ pub(super) const STDOUT: &str = "-";
 pub(in crate::cli) struct Output {
     file: PathBuf,
     writer: BufWriter<Box<dyn Write>>,
+    /// Device and number of a plain file; none of pipes, devices and stdout.
+    identity: Option<(u64, u64)>,
+}
+
+/// What tells a plain file from all others, whatever its name.
+fn identity(metadata: &Metadata) -> Option<(u64, u64)> {
+    metadata.is_file().then(|| (metadata.dev(), metadata.ino()))
 }
 
 impl Output {
     /// Creates the file, replacing what is there.
     pub fn create(file: &Path) -> Result<Self, Failure> {
-        let sink: Box<dyn Write> = match file == Path::new(STDOUT) {
-            true => Box::new(io::stdout()),
-            false => Box::new(File::create(file).map_err(Failure::output(file))?),
-        };
-        Ok(Self { file: file.to_owned(), writer: BufWriter::new(sink) })
+        if file == Path::new(STDOUT) {
+            return Ok(Self { file: file.to_owned(), writer: BufWriter::new(Box::new(io::stdout())), identity: None });
+        }
+        Self::of(file, File::create(file).map_err(Failure::output(file))?)
+    }
+
+    fn of(file: &Path, opened: File) -> Result<Self, Failure> {
+        let identity = identity(&opened.metadata().map_err(Failure::output(file))?);
+        Ok(Self { file: file.to_owned(), writer: BufWriter::new(Box::new(opened)), identity })
+    }
+
+    /// Begins a new file where the one that was written to has been moved away or removed (a log rotation).
+    pub fn reopen(&mut self) -> Result<(), Failure> {
+        self.flush()?;
+        let there = fs::metadata(&self.file).ok().and_then(|metadata| identity(&metadata));
+        if self.identity.is_none() || there == self.identity {
+            return Ok(());
+        }
+        let opened = OpenOptions::new().create(true).append(true).open(&self.file).map_err(Failure::output(&self.file))?;
+        *self = Self::of(&self.file, opened)?;
+        Ok(())
     }
 
     fn write_line(&mut self, line: &str) -> Result<(), Failure> {
@@ -72,6 +96,11 @@ impl Records {
             self.finish()?;
         }
         Ok(())
+    }
+
+    /// As [`Output::reopen`].
+    pub fn reopen(&mut self) -> Result<(), Failure> {
+        self.poses.iter_mut().chain(&mut self.tum).try_for_each(Output::reopen)
     }
 
     /// Brings everything to the files.

@@ -85,7 +85,10 @@ pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(
         let session = Session { settings: &settings, arguments, link: &link };
         match session.run(&mut service, &mut sinks, &mut clips) {
             Ok(End::Stopped) => break Ok(()),
-            Ok(End::Reload(new)) => previous = Some(std::mem::replace(&mut settings, *new)),
+            Ok(End::Reload(new)) => {
+                sinks.reopen();
+                previous = Some(std::mem::replace(&mut settings, *new));
+            }
             Err(failure) => match previous.take() {
                 // A new config that cannot be run (its camera does not fit, its port is taken): back to the one that worked.
                 Some(old) if !matches!(failure, Failure::Tracking(_)) => {
@@ -105,8 +108,16 @@ pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(
             },
         }
     };
+    let reason = match &outcome {
+        Err(failure) => failure.to_string(),
+        Ok(()) if interrupt::is_interrupted() => "a signal asked for it".to_owned(),
+        Ok(()) if service.is_over() => "the time of --seconds is over".to_owned(),
+        Ok(()) => "the camera's pictures are at their end".to_owned(),
+    };
+    link.events.publish(Event::Ended { reason });
     service.end();
     sinks.finish();
+    link.events.close();
     outcome
 }
 

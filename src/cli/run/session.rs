@@ -77,16 +77,28 @@ impl Session<'_> {
             Ok(mode) => mode,
             Err(end) => return Ok(end),
         };
-        let setup = tracker_setup(self.settings, mode.size, self.arguments.threads)?;
+        let mut setup = tracker_setup(self.settings, mode.size, self.arguments.threads)?;
+        // What the camera has locked is known to stamps and tracker alike, and to the recording's config.
+        setup.exposure_s = shutter.exposure_of(&mode);
+        let exposure_s = setup.exposure_s;
         let stopper = source.stopper();
         let receivers = Receivers::live(self.settings, setup.camera, mode.fps)?;
         let mut daemon = Daemon::live(source, Tracker::new(setup).with_filter(self.settings.filter));
         let samples = daemon.subscribe();
-        let recorder = clips.recorder(self, mode.clone())?;
+        let recorder = clips.recorder(self, mode.clone(), exposure_s)?;
         if let Some(recorder) = &recorder {
             daemon.observe(recorder.observer());
         }
-        let running = daemon.start().map_err(|e| Failure::Tracking(e.to_string()))?;
+        let running = match daemon.start() {
+            Ok(running) => running,
+            Err(e) => {
+                receivers.close();
+                if let Some(recorder) = recorder {
+                    recorder.finish();
+                }
+                return Err(Failure::Tracking(e.to_string()));
+            }
+        };
         let saver = recorder.as_ref().map(Recorder::saver);
         let listening = Listening {
             samples: &samples,
@@ -108,9 +120,8 @@ impl Session<'_> {
         if let Some(recorder) = recorder {
             recorder.finish();
         }
-        joined?;
         sinks.write_events();
-        Ok(end)
+        joined.map(|()| end)
     }
 
     /// What the camera delivers, once it is there, or why the session ended before.
@@ -230,8 +241,21 @@ impl Sinks {
         }
     }
 
-    /// Writes what is left.
-    pub fn finish(&mut self) {
+    /// After a SIGHUP: what has happened is in the files, and files that were moved away meanwhile (by a log rotation) are begun anew.
+    pub fn reopen(&mut self) {
+        self.write_events();
+        if let Some(Err(failure)) = self.poses.as_mut().map(Records::reopen) {
+            tracing::error!("{failure}; no more records are written");
+            self.poses = None;
+        }
+        if let Some(Err(failure)) = self.events.as_mut().map(Output::reopen) {
+            tracing::error!("{failure}; no more events are written");
+            self.events = None;
+        }
+    }
+
+    /// Writes what is left and closes the files.
+    pub fn finish(mut self) {
         self.write_events();
     }
 }
@@ -262,7 +286,7 @@ impl Clips {
     }
 
     /// The session's recorder, where anything is to be recorded. One that was asked for by name must work; another one is done without.
-    fn recorder(&mut self, session: &Session<'_>, camera: CameraMode) -> Result<Option<Recorder>, Failure> {
+    fn recorder(&mut self, session: &Session<'_>, camera: CameraMode, exposure_s: f64) -> Result<Option<Recorder>, Failure> {
         let settings = &session.settings.recorder;
         let clip = self.next(settings);
         let ring = (settings.ring_s > 0.0).then(|| (settings.folder.clone(), settings.ring_s));
@@ -270,7 +294,7 @@ impl Clips {
             return Ok(None);
         }
         let named = clip.clone().filter(|_| self.asked.is_some() && self.begun == 1);
-        let about = AboutClip { camera, config: session.settings.file.clone() };
+        let about = AboutClip { camera, config: session.settings.source.clone(), exposure_s };
         let recorder = Recorder::start(RecorderPlan { clip, ring, about }, session.link, Box::<RealDisk>::default());
         match (recorder, named) {
             (Ok(recorder), _) => Ok(Some(recorder)),

@@ -1,7 +1,7 @@
 //! clip.toml: the camera, its controls, and how the clip's clock relates to the world's; and the config beside it.
 
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::disk::Disk;
 use crate::capture::camera::CameraMode;
 use crate::capture::moment::monotonic_ns;
-use crate::config::copy_config;
+use crate::config::ConfigSource;
 use crate::utc;
 
 /// What a clip is told of itself.
@@ -17,8 +17,10 @@ use crate::utc;
 pub struct AboutClip {
     /// The camera as it was opened.
     pub camera: CameraMode,
-    /// The config file, which is copied with all that it names.
-    pub config: PathBuf,
+    /// The config as it was read, with all that it names.
+    pub config: ConfigSource,
+    /// The exposure that the tracker was given, seconds; 0 = none. The copy of the config names it where the config does not.
+    pub exposure_s: f64,
 }
 
 #[derive(Serialize)]
@@ -67,6 +69,9 @@ impl AboutClip {
         };
         let text = toml::to_string(&about).map_err(io::Error::other)?;
         disk.write_file(&clip.join("clip.toml"), text.as_bytes())?;
-        copy_config(&self.config, &clip.join("config")).map(|_| ())
+        let config = clip.join("config");
+        disk.make_folder(&config)?;
+        let files = self.config.copy((self.exposure_s > 0.0).then_some(self.exposure_s))?;
+        files.iter().try_for_each(|(name, bytes)| disk.write_file(&config.join(name), bytes))
     }
 }

@@ -73,6 +73,11 @@ impl ClipFolder {
         Self { folder: folder.to_owned(), pictures: 0, dropped_begun: false }
     }
 
+    /// Rows that were written.
+    pub fn rows(&self) -> u64 {
+        self.pictures
+    }
+
     /// Writes a row: the picture, then its line in the index, then its record.
     pub fn push(&mut self, row: &Recorded, disk: &mut dyn Disk) -> io::Result<()> {
         let (n, subfolder) = (self.pictures, format!("{:04}", self.pictures / PER_FOLDER));

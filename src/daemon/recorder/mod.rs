@@ -24,6 +24,7 @@ pub use clip_name::new_clip_name;
 pub use disk::{Disk, RealDisk};
 
 use super::live::{Event, LiveLink, StampedEvent};
+use crate::capture::moment::monotonic_ns;
 use crate::capture::{Received, Row, RowContent};
 use crate::record::PoseSample;
 use crate::web::RecorderState;
@@ -172,6 +173,7 @@ impl Work {
             }
         }
         events.try_iter().for_each(|event| self.event(event));
+        self.finish_clip();
         self.disk.sync();
         if self.link.statistics.recorder() == RecorderState::Recording {
             self.link.statistics.set_recorder(RecorderState::Off);
@@ -199,6 +201,14 @@ impl Work {
             self.recent.truncate(RECENT_EVENTS);
             self.recent.push_front(event);
         }
+    }
+
+    /// Writes a recording's last line: who reads it later knows that nothing is missing.
+    fn finish_clip(&mut self) {
+        let Some(clip) = &self.clip else { return };
+        let event = Event::RecorderFinished { clip: clip.folder.display().to_string(), frames: clip.rows() };
+        self.link.events.publish(event.clone());
+        self.event(StampedEvent { timestamp_ns: monotonic_ns(), event });
     }
 
     /// Gives up; what is written stays a good clip.

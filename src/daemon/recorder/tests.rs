@@ -41,11 +41,12 @@ impl Disk for SmallDisk {
 }
 
 fn about() -> AboutClip {
-    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly/stage.toml");
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly/stage.toml");
+    let config = crate::config::Settings::load(&file).unwrap().source;
     let controls = vec![("gain".to_owned(), 3)];
     let camera =
         CameraMode { name: "Cam".into(), size: (20, 10), layout: PixelLayout::Yuyv, fps: 30.0, exposure_s: None, controls, notes: vec![] };
-    AboutClip { camera, config }
+    AboutClip { camera, config, exposure_s: 0.0 }
 }
 
 fn row(sequence: u64) -> (Row, PoseSample) {
@@ -99,7 +100,9 @@ fn a_recording_replays_row_by_row() {
     let text = |name: &str| std::fs::read_to_string(clip.join(name)).unwrap();
     assert_eq!(text("poses.jsonl").lines().count(), 20);
     assert!(text("clip.toml").contains("gain = 3") && text("clip.toml").contains("utc_ns"), "{}", text("clip.toml"));
-    assert!(text("events.jsonl").contains("recorder_started"));
+    let events = text("events.jsonl");
+    assert!(events.contains("recorder_started"), "{events}");
+    assert!(events.lines().last().unwrap().contains("\"event\":\"recorder_finished\"") && events.ends_with("\"frames\":20}\n"), "{events}");
     assert!(crate::config::Settings::load(&clip.join("config/stage.toml")).is_ok());
     // A clip is not written over.
     let again = RecorderPlan { clip: Some(clip), ring: None, about: about() };
@@ -109,7 +112,8 @@ fn a_recording_replays_row_by_row() {
 #[test]
 fn a_full_disk_ends_the_recording_with_a_good_clip() {
     let folder = tempfile::tempdir().unwrap();
-    for left in [900, 1500, 1777, 2001, 3000] {
+    let config: usize = about().config.copy(None).unwrap().iter().map(|(_, bytes)| bytes.len()).sum();
+    for left in [900, 1500, 1777, 2001, 3000].map(|left| config + left) {
         let clip = folder.path().join(left.to_string());
         let plan = RecorderPlan { clip: Some(clip.clone()), ring: None, about: about() };
         let link = record(plan, Box::new(SmallDisk { disk: RealDisk::default(), left }), 0..100);
@@ -164,4 +168,36 @@ fn the_ring_keeps_the_last_seconds_and_saves_them_as_a_clip() {
     recorder.finish();
     Recorder::start(plan, &LiveLink::default(), Box::<RealDisk>::default()).unwrap().finish();
     assert!(folder.path().join("ring-before/00000009/timestamps.csv").exists() || folder.path().join("ring-before").exists());
+}
+
+#[test]
+fn a_saved_ring_has_the_config_that_ran_whatever_became_of_the_file() {
+    let (home, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly");
+    for name in ["backdrop.png", "flat.png", "camera.toml", "stage.toml"] {
+        std::fs::copy(fixture.join(name), home.path().join(name)).unwrap();
+    }
+    let file = home.path().join("stage.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    std::fs::write(&file, text.lines().filter(|l| !l.starts_with("exposure_s")).collect::<Vec<_>>().join("\n")).unwrap();
+    let was = crate::config::Settings::load(&file).unwrap();
+    let about = AboutClip { config: was.source.clone(), exposure_s: 0.0083, ..about() };
+    let plan = RecorderPlan { clip: None, ring: Some((folder.path().to_owned(), 2.0)), about };
+    let link = LiveLink::default();
+    let recorder = Recorder::start(plan, &link, Box::<RealDisk>::default()).unwrap();
+    let events = link.events.listen();
+    let mut observe = recorder.observer();
+    for n in 0..10 {
+        let (row, sample) = row(n);
+        observe(&row, &sample);
+    }
+    std::fs::write(&file, "[camera]\ncalibration = \"other.toml\"\n").unwrap();
+    std::fs::write(home.path().join("backdrop.png"), b"painted over").unwrap();
+    recorder.saver()();
+    let saved = events.iter().find_map(|e| if let Event::RingSaved { clip } = e.event { Some(clip) } else { None }).unwrap();
+    drop(observe);
+    recorder.finish();
+    let is = crate::config::Settings::load(&Path::new(&saved).join("config/stage.toml")).unwrap();
+    assert_eq!((is.camera, is.exposure_s), (was.camera, 0.0083));
+    assert_eq!(is.stage.surfaces[0].artwork, was.stage.surfaces[0].artwork);
 }

@@ -1,0 +1,56 @@
+//! A config as it was read: its text and the bytes of every file that it names.
+//!
+//! A session may outlive what it was started from: the config is edited, a picture painted anew, a calibration replaced,
+//! long before the next SIGHUP. What is saved of the session must be what it ran with, so nothing is read twice.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::ConfigError;
+
+/// A config's text, and what it names, as they were when it was read.
+#[derive(Debug, Clone)]
+pub struct ConfigSource {
+    pub(super) file: PathBuf,
+    pub(super) text: Arc<str>,
+    /// By the name under which they were opened.
+    pub(super) files: Arc<BTreeMap<PathBuf, Arc<[u8]>>>,
+}
+
+/// The text of a config file.
+pub(super) fn read_text(file: &Path) -> Result<String, ConfigError> {
+    std::fs::read_to_string(file).map_err(|e| ConfigError::Unreadable { file: file.to_owned(), reason: e.to_string() })
+}
+
+/// Reads each file once and keeps its bytes.
+#[derive(Debug, Default)]
+pub(super) struct FilesRead(RefCell<BTreeMap<PathBuf, Arc<[u8]>>>);
+
+impl FilesRead {
+    /// The bytes of a file, by `read` where they are not there yet.
+    pub fn get<E>(&self, file: &Path, read: impl FnOnce(&Path) -> Result<Vec<u8>, E>) -> Result<Arc<[u8]>, E> {
+        if let Some(bytes) = self.0.borrow().get(file) {
+            return Ok(bytes.clone());
+        }
+        let bytes: Arc<[u8]> = read(file)?.into();
+        self.0.borrow_mut().insert(file.to_owned(), bytes.clone());
+        Ok(bytes)
+    }
+
+    /// Everything that was read, with the config that named it.
+    pub fn with_config(&self, file: &Path, text: &str) -> ConfigSource {
+        ConfigSource { file: file.to_owned(), text: text.into(), files: Arc::new(self.0.borrow().clone()) }
+    }
+}
+
+impl ConfigSource {
+    /// The bytes that a name in the config stood for.
+    pub(super) fn bytes(&self, name: &str) -> io::Result<&[u8]> {
+        let file = self.file.parent().unwrap_or(Path::new("")).join(name);
+        let missing = || io::Error::other(format!("{} was not read with its config", file.display()));
+        self.files.get(&file).map(|bytes| &**bytes).ok_or_else(missing)
+    }
+}
