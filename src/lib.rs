@@ -16,6 +16,7 @@
 //! - [`frame`]: a grey picture with its stamp
 //! - [`compute_clock`]: how long work kept its thread busy
 //! - [`utc`]: dates and times of day
+//! - [`printable`]: text from outside, as a terminal may show it
 //! - [`features`]: pyramid, corners, binary descriptors
 //! - [`matching`]: which feature is which
 //! - [`track`]: surfaces and bodies; acquire, register, verify, align, lock: a frame becomes a [`track::Sighting`]
@@ -52,6 +53,7 @@ pub mod geometry;
 pub mod latest;
 pub mod matching;
 pub mod pose;
+pub mod printable;
 pub mod publish;
 pub mod record;
 pub mod simulate;

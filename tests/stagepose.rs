@@ -5,4 +5,5 @@ mod calibrate;
 mod cli;
 mod clips;
 mod live;
+mod network;
 mod pipeline;

@@ -8,8 +8,10 @@ use super::failure::Failure;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::capture::{ClipOptions, open_clip};
 use crate::config::Settings;
+use crate::printable::printable_lines;
 use crate::publish::{OnLoss, OutputSettings, Protocol, Rate};
 use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
+use crate::web::AllowedHosts;
 
 /// Check a config and everything that it names.
 #[derive(Debug, clap::Args)]
@@ -50,7 +52,7 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     for (k, line) in shutter_lines.iter().enumerate() {
         let _ = write!(report, "\n{:<11} {line}", if k == 0 { "shutter" } else { "" });
     }
-    writeln!(io::stdout(), "{report}").map_err(Failure::output(Path::new("stdout")))?;
+    writeln!(io::stdout(), "{}", printable_lines(&report)).map_err(Failure::output(Path::new("stdout")))?;
     device.transpose().map(|_| ()).map_err(Failure::Device)
 }
 
@@ -78,6 +80,7 @@ fn report(settings: &Settings, camera: &CameraModel, notes: &[String], clip: Opt
     }
     if let Some(http) = &settings.http {
         let _ = writeln!(text, "http        http://{0}/api/v1/pose, http://{0}/api/v1/state, ws://{0}/ws", http.listen);
+        let _ = writeln!(text, "            answers for the hosts {}", AllowedHosts::new(&http.hosts).listing());
     }
     for note in notes {
         let _ = writeln!(text, "note        {note}");

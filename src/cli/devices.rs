@@ -29,6 +29,8 @@ pub(super) fn run(arguments: &DevicesArguments) -> Result<(), Failure> {
         false if devices.is_empty() => "no camera is plugged in, or none may be opened by this user (group video)".to_owned(),
         false => devices.iter().map(text::of_device).collect::<Vec<_>>().join("\n"),
     };
+    // Cameras name themselves.
+    let text = crate::printable::printable_lines(&text);
     writeln!(std::io::stdout(), "{text}").map_err(Failure::output(std::path::Path::new("stdout")))
 }
 

@@ -1,19 +1,18 @@
 //! `listen`: prints the packets of a protocol that arrive on a port, decoded.
 
+mod packets;
+
 use std::io::{self, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::path::Path;
 use std::time::Duration;
 
-use rosc::{OscPacket, OscType, decoder};
 use socket2::{Domain, Protocol, Socket, Type};
 
 use super::failure::Failure;
 use super::interrupt;
+use crate::printable::printable;
 use crate::publish::Interface;
-use crate::publish::freed::FreedPacket;
-use crate::publish::opentrackio;
-use crate::publish::psn::{PsnPacket, PsnTracker};
 
 /// Print what arrives on a UDP port, decoded.
 #[derive(Debug, clap::Args)]
@@ -57,16 +56,16 @@ pub(super) fn run(arguments: &ListenArguments) -> Result<(), Failure> {
         // The time limit lets Ctrl-C through; other errors of one packet do not end the listening.
         let Ok((length, from)) = socket.recv_from(&mut buffer) else { continue };
         heard += 1;
-        let line = line(arguments.protocol, &buffer[..length]);
-        print(from, &line).map_err(Failure::output(Path::new("stdout")))?;
+        print(from, &packets::line(arguments.protocol, &buffer[..length])).map_err(Failure::output(Path::new("stdout")))?;
     }
     Ok(())
 }
 
+/// A line of its own for every packet, whatever characters are in it.
 fn print(from: SocketAddr, line: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
     // An IPv4 sender is shown as such, also where IPv6 listens for both.
-    writeln!(out, "{} {line}", SocketAddr::new(from.ip().to_canonical(), from.port()))?;
+    writeln!(out, "{} {}", SocketAddr::new(from.ip().to_canonical(), from.port()), printable(line))?;
     out.flush()
 }
 
@@ -109,97 +108,4 @@ fn bound(arguments: &ListenArguments, domain: Domain, address: IpAddr) -> io::Re
 
 fn network(text: &str) -> Result<Interface, String> {
     Interface::parse(text).ok_or_else(|| "give this machine's IPv4 address on that network, or the network's name, such as eth0".to_owned())
-}
-
-/// One packet as a line.
-fn line(protocol: Spoken, bytes: &[u8]) -> String {
-    let decoded = match protocol {
-        Spoken::Freed => FreedPacket::decode(bytes).map(|p| freed(&p)).map_err(|e| e.to_string()),
-        Spoken::Psn => PsnPacket::decode(bytes).map(|p| psn(&p)).map_err(|e| e.to_string()),
-        Spoken::OpenTrackIo => {
-            opentrackio::decode(bytes).map(|(sequence, sample)| format!("#{sequence} {sample}")).map_err(|e| e.to_string())
-        }
-        Spoken::Osc => {
-            decoder::decode_udp(bytes).map(|(_, p)| osc(&p)).map_err(|_| "it is no OSC packet; check the sender's port".to_owned())
-        }
-    };
-    decoded.unwrap_or_else(|reason| format!("{} bytes: {reason}", bytes.len()))
-}
-
-fn freed(p: &FreedPacket) -> String {
-    let [x, y, z] = p.position_mm;
-    format!(
-        "camera {} pan {:.4} tilt {:.4} roll {:.4} deg, x {x:.2} y {y:.2} z {z:.2} mm, zoom {} focus {} spare {:#06x}",
-        p.camera_id, p.pan_deg, p.tilt_deg, p.roll_deg, p.zoom, p.focus, p.spare
-    )
-}
-
-fn psn(packet: &PsnPacket) -> String {
-    match packet {
-        PsnPacket::Info(header, system, names) => {
-            let names: Vec<String> = names.iter().map(|(id, name)| format!("{id} {name}")).collect();
-            format!("info frame {}: {system}: {}", header.frame_id, names.join(", "))
-        }
-        PsnPacket::Data(header, trackers) => {
-            let trackers: Vec<String> = trackers.iter().map(psn_tracker).collect();
-            format!("data frame {}: {}", header.frame_id, trackers.join("; "))
-        }
-    }
-}
-
-fn psn_tracker(tracker: &PsnTracker) -> String {
-    let mut text = format!("tracker {}", tracker.id);
-    for (what, vector, unit) in [("position", tracker.position_m, "m"), ("orientation", tracker.orientation_rad, "rad")] {
-        if let Some([a, b, c]) = vector {
-            text += &format!(" {what} {a:.4} {b:.4} {c:.4} {unit}");
-        }
-    }
-    text + &tracker.validity.map_or(String::new(), |v| format!(" validity {v}"))
-}
-
-fn osc(packet: &OscPacket) -> String {
-    match packet {
-        OscPacket::Message(message) => {
-            let arguments: Vec<String> = message.args.iter().map(osc_argument).collect();
-            format!("{} {}", message.addr, arguments.join(" "))
-        }
-        OscPacket::Bundle(bundle) => bundle.content.iter().map(osc).collect::<Vec<_>>().join(" | "),
-    }
-}
-
-fn osc_argument(argument: &OscType) -> String {
-    match argument {
-        OscType::Int(v) => v.to_string(),
-        OscType::Float(v) => format!("{v:.4}"),
-        OscType::String(v) => v.clone(),
-        other => other.to_string(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::publish::psn::PsnHeader;
-
-    #[test]
-    fn packets_become_lines() {
-        let packet = FreedPacket {
-            camera_id: 7,
-            pan_deg: -12.5,
-            tilt_deg: 3.25,
-            roll_deg: 0.0,
-            position_mm: [1.0, -2.5, 1600.0],
-            zoom: 4800,
-            focus: 0,
-            spare: 1,
-        };
-        let wanted = "camera 7 pan -12.5000 tilt 3.2500 roll 0.0000 deg, x 1.00 y -2.50 z 1600.00 mm, zoom 4800 focus 0 spare 0x0001";
-        assert_eq!(line(Spoken::Freed, &packet.encode().0), wanted);
-        let info = PsnPacket::Info(PsnHeader::default(), "s".to_owned(), vec![(1, "camera".to_owned())]);
-        assert_eq!(line(Spoken::Psn, &info.encode()), "info frame 0: s: 1 camera");
-        let sample = opentrackio::datagram(opentrackio::Encoding::Json, 4, br#"{"a":1}"#).unwrap();
-        assert_eq!(line(Spoken::OpenTrackIo, &sample), r##"#4 {"a":1}"##);
-        assert!(line(Spoken::Freed, b"hello").starts_with("5 bytes: 5 bytes are no FreeD"));
-        assert!(line(Spoken::Osc, b"hello").contains("no OSC packet"));
-    }
 }

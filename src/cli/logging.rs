@@ -12,6 +12,7 @@ use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::fmt::format::FmtSpan;
 
 use crate::config::{LogFormat, LogLevel, LogSettings};
+use crate::printable::printable;
 
 static BAR: OnceLock<ProgressBar> = OnceLock::new();
 
@@ -97,7 +98,11 @@ struct BesideBar {
 
 impl io::Write for BesideBar {
     fn write(&mut self, text: &[u8]) -> io::Result<usize> {
-        let line = [self.priority.as_bytes(), text].concat();
+        // A message comes in one piece, with one line end of its own. What else would move a terminal, or begin a line that
+        // nobody logged, came with a name from outside. Escaped as JSON escapes it, a line of JSON stays one.
+        let whole = String::from_utf8_lossy(text);
+        let (message, end) = whole.strip_suffix('\n').map_or((&*whole, ""), |message| (message, "\n"));
+        let line = [self.priority, &*printable(message), end].concat().into_bytes();
         match BAR.get() {
             Some(bar) => bar.suspend(|| io::stderr().write_all(&line))?,
             None => io::stderr().write_all(&line)?,

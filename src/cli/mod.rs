@@ -20,12 +20,15 @@ mod run;
 mod send_test;
 mod text;
 
+use std::io::{self, Write as _};
 use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::{Parser, Subcommand};
 
 pub use failure::Failure;
+
+use crate::printable::{printable, printable_lines, stands_for_itself};
 
 /// Tells where a stage camera is: metric 6-DoF pose from a picture of the stage.
 #[derive(Debug, Parser)]
@@ -59,7 +62,7 @@ pub fn run(started: Instant) -> ExitCode {
         Ok(arguments) => arguments,
         Err(error) => {
             // Help and version go to stdout with 0, bad usage to stderr with 2; a closed pipe changes neither.
-            let _ = error.print();
+            let _ = print_usage(&error);
             return ExitCode::from(if error.use_stderr() { failure::USAGE } else { 0 });
         }
     };
@@ -80,8 +83,20 @@ pub fn run(started: Instant) -> ExitCode {
         Err(failure) if failure.is_closed_pipe() => ExitCode::SUCCESS,
         Err(failure) => {
             // Written in one piece, and not with eprintln!, which panics where stderr is closed.
-            let _ = std::io::Write::write_all(&mut std::io::stderr(), format!("stagepose: {failure}\n").as_bytes());
+            let sentence = format!("stagepose: {}\n", printable(&failure.to_string()));
+            let _ = io::stderr().write_all(sentence.as_bytes());
             failure.exit_code()
         }
     }
+}
+
+/// Help, the version, or what is wrong with the arguments; plain instead of in colours where an argument, which may be repeated
+/// there, has something that a terminal would obey.
+fn print_usage(error: &clap::Error) -> io::Result<()> {
+    if std::env::args_os().all(|argument| argument.to_string_lossy().chars().all(stands_for_itself)) {
+        return error.print();
+    }
+    let text = error.render().to_string();
+    let text = printable_lines(&text);
+    if error.use_stderr() { io::stderr().write_all(text.as_bytes()) } else { io::stdout().write_all(text.as_bytes()) }
 }

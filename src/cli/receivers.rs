@@ -23,7 +23,7 @@ impl Receivers {
             outputs: settings.outputs.clone(),
             objects: settings.objects.iter().map(|object| object.name.clone()).collect(),
             safety: settings.safety,
-            http: settings.http,
+            http: settings.http.clone(),
             log: settings.log,
         };
         let context = Context { camera, objects: sending.objects.clone(), safety: sending.safety, stamps, frame_rate, is_test: false };
@@ -41,7 +41,7 @@ impl Receivers {
         let publisher = Publisher::start(&settings.outputs, context)?;
         #[cfg(feature = "http")]
         let server = {
-            let started = settings.http.map(|http| Server::start(&http, Vec::new())).transpose();
+            let started = settings.http.as_ref().map(|http| Server::start(http, Vec::new())).transpose();
             started.map_err(|e| Failure::Publishing(e.to_string()))?
         };
         #[cfg(not(feature = "http"))]

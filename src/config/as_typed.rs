@@ -14,9 +14,9 @@ use serde::de::{self, Visitor};
 use toml::Spanned;
 
 use super::ConfigError;
-use super::known_keys;
 use super::origin::Origin;
 pub use super::typed_outputs::{Filter, Http, Output, OutputValue, Safety};
+use super::{characters, known_keys};
 
 /// A whole config file.
 #[derive(Debug, Deserialize)]
@@ -159,6 +159,7 @@ impl Config {
     pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
         let origin = Origin::new(file, text);
         let table = toml::de::DeTable::parse(text).map_err(|e| origin.syntax(&e))?;
+        characters::refuse_control_characters(table.get_ref(), &origin)?;
         known_keys::refuse_unknown(table.get_ref(), &origin)?;
         toml::from_str(text).map_err(|e| known_keys::place_type_error(table.get_ref(), &origin, &e))
     }

@@ -83,6 +83,9 @@ pub enum Problem {
     /// Another TOML type, or another number of entries.
     #[error("{0}")]
     Type(String),
+    /// A text with characters that do not stand for themselves; escaped here.
+    #[error("\"{0}\" has control or invisible characters; write it without them")]
+    Characters(String),
     /// Outside of what can be used.
     #[error("{value} cannot be used; give {wanted}")]
     Range {

@@ -52,6 +52,11 @@ fn section(path: &[&str]) -> Option<(&'static str, &'static [&'static str])> {
     })
 }
 
+/// The section at a path as a message writes it.
+pub(super) fn section_name(path: &[&str]) -> String {
+    section(path).map_or_else(|| format!("[{}]", path.join(".")), |(name, _)| name.to_owned())
+}
+
 /// Refuses the first key in the file that nobody reads.
 pub(super) fn refuse_unknown(root: &DeTable<'_>, origin: &Origin<'_>) -> Result<(), ConfigError> {
     let mut found = Vec::new();
@@ -98,7 +103,7 @@ fn suggestion(key: &str, name: &str, known: &[&str]) -> String {
 }
 
 /// Calls `see(path of the section, key, span of the key, value)` for every key in every table.
-fn visit<'t>(table: &'t DeTable<'_>, path: &mut Vec<&'t str>, see: &mut impl FnMut(&[&str], &str, Range<usize>, &DeValue<'_>)) {
+pub(super) fn visit<'t>(table: &'t DeTable<'_>, path: &mut Vec<&'t str>, see: &mut impl FnMut(&[&str], &str, Range<usize>, &DeValue<'_>)) {
     for (key, value) in table {
         see(path, key.get_ref(), key.span(), value.get_ref());
         path.push(key.get_ref());
@@ -118,8 +123,7 @@ pub(super) fn place_type_error(root: &DeTable<'_>, origin: &Origin<'_>, error: &
     visit(root, &mut Vec::new(), &mut |path, key, key_span, _| {
         // The key of a value is the last one that starts before it.
         if key_span.start <= span.start && deepest.as_ref().is_none_or(|(start, ..)| *start <= key_span.start) {
-            let name = section(path).map_or_else(|| format!("[{}]", path.join(".")), |(name, _)| name.to_owned());
-            deepest = Some((key_span.start, name, key.to_owned()));
+            deepest = Some((key_span.start, section_name(path), key.to_owned()));
         }
     });
     match deepest {

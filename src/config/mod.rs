@@ -8,6 +8,7 @@
 
 pub mod as_typed;
 mod bodies;
+mod characters;
 mod copy;
 mod error;
 mod filter;

@@ -43,7 +43,8 @@ fn every_key_reaches_the_settings() {
         interface = \"127.0.0.1\"\nttl = 4\nbodies = [\"cart\", \"camera\"]\nrate_hz = 59.94\ndelay_s = 0.1\non_loss = \"flag\"\n\
         offset_m = [1, 2, 3]\nrotation_xyzw = [0, 0, 1, 0]\ninvert = [\"x\", \"tilt\"]\nscale = 100\nsafety = false\nfirst_tracker = 12\nsystem = \"s\"\n\
         [safety]\nmax_speed_m_s = 3\nmax_turn_deg_s = 180\npermitted_box_m = [[-1, -2, -3], [1, 2, 3]]\nblend_speed_m_s = 0.5\n\
-        blend_turn_deg_s = 90\nstale_after_s = 0.2\n[http]\nlisten = \"0.0.0.0:80\"\n";
+        blend_turn_deg_s = 90\nstale_after_s = 0.2\n[http]\nlisten = \"0.0.0.0:80\"\n\
+        hosts = [\"Stage.example.org\", \"192.0.2.7\", \"[fd00::7]\"]\n";
     let settings = load(text).unwrap();
     let output = &settings.outputs[0];
     assert_eq!((output.name.as_str(), output.enabled, output.is_guarded, output.on_loss), ("desk", false, false, OnLoss::Flag));
@@ -55,7 +56,9 @@ fn every_key_reaches_the_settings() {
     assert!(matches!(&output.protocol, Protocol::Psn(psn) if psn.first_tracker == 12 && psn.system == "s"));
     assert_eq!(settings.safety.permitted_box_m, Some([[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]));
     assert!((settings.safety.blend.unwrap().turn_rad_s - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
-    assert_eq!(settings.http.unwrap().listen.to_string(), "0.0.0.0:80");
+    let http = settings.http.unwrap();
+    assert_eq!(http.listen.to_string(), "0.0.0.0:80");
+    assert_eq!(http.hosts.iter().map(ToString::to_string).collect::<Vec<_>>(), ["stage.example.org", "192.0.2.7", "fd00::7"]);
 }
 
 #[test]
@@ -102,6 +105,11 @@ fn every_wrong_value_is_told_with_its_line() {
         ("[safety]\nblend_speed_m_s = 1".to_owned(), "`blend_speed_m_s` in [safety], line 2: a return after a loss needs both"),
         ("[safety]\npermitted_box_m = [[0, 0, 0], [1, 1, 0]]".to_owned(), "`permitted_box_m` in [safety], line 2: [0.0, 0.0, 0.0]"),
         ("[safety]\nstale_after_s = nan".to_owned(), "`stale_after_s` in [safety], line 2: NaN cannot be used"),
+        (
+            "[http]\nhosts = [\"a\",\n\"b:80\"]".to_owned(),
+            "`hosts` in [http], line 3: `b:80` cannot be used; give a host name or an IP address",
+        ),
+        ("[http]\nhosts = [\"*\"]".to_owned(), "`hosts` in [http], line 2: `*` cannot be used; give a host name"),
         ("[http]\nlisten = \"8090\"".to_owned(), "`listen` in [http], line 2: `8090` cannot be used; give an IP address and a port"),
     ];
     for (text, wanted) in cases {

@@ -21,7 +21,7 @@ use crate::camera::CameraModel;
 use crate::pose::FilterSettings;
 use crate::publish::{OutputSettings, Publisher, SafetySettings};
 use crate::track::{BodySpec, TrackerSettings};
-use crate::web::HttpSettings;
+use crate::web::{HostName, HttpSettings};
 
 /// A checked config.
 #[derive(Debug, Clone)]
@@ -365,7 +365,13 @@ fn http(origin: &Origin<'_>, typed: Option<&as_typed::Http>) -> Result<Option<Ht
     let Some(typed) = typed.filter(|http| http.enabled.as_ref().is_none_or(|e| *e.get_ref())) else { return Ok(None) };
     let section = Section { origin, name: "[http]" };
     let listen = typed.listen.as_ref().map(|listen| address(&section, "listen", listen)).transpose()?;
-    Ok(Some(listen.map_or_else(HttpSettings::default, |listen| HttpSettings { listen })))
+    let wanted = "a host name or an IP address without port, such as \"stage.example.org\" (letters beyond ASCII as xn--…)";
+    let host = |typed: &Spanned<String>| {
+        let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
+        HostName::parse(typed.get_ref()).ok_or_else(|| section.refuse("hosts", &typed.span(), problem()))
+    };
+    let hosts = typed.hosts.iter().flatten().map(host).collect::<Result<_, _>>()?;
+    Ok(Some(HttpSettings { listen: listen.unwrap_or(HttpSettings::default().listen), hosts }))
 }
 
 fn log(origin: &Origin<'_>, typed: Option<&as_typed::Log>) -> Result<LogSettings, ConfigError> {

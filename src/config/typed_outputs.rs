@@ -52,6 +52,8 @@ pub struct Http {
     pub enabled: Option<Spanned<bool>>,
     /// IP address and port.
     pub listen: Option<Spanned<String>>,
+    /// Hosts that are answered for beside this machine's own.
+    pub hosts: Option<Vec<Spanned<String>>>,
 }
 
 /// `[[output]]`: what all protocols share, then each one's own.

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::{CameraState, Page, RecorderState, Statistics};
+use crate::printable::printable;
 
 #[derive(Serialize)]
 struct Health<'a> {
@@ -47,6 +48,8 @@ pub fn health(statistics: &Statistics, now_ns: i64) -> Page {
     };
     // Serialising to a string fails only for non-string map keys, of which there are none.
     let body = serde_json::to_string(&health).expect("the health has only string keys");
+    // A camera names itself, and the page may be read on a terminal.
+    let body = printable(&body).into_owned();
     Page { status: if good { 200 } else { 503 }, content_type: "application/json", body }
 }
 
@@ -66,6 +69,12 @@ mod tests {
         let page = health(&statistics, 5_000_000);
         let json: serde_json::Value = serde_json::from_str(&page.body).unwrap();
         assert_eq!((page.status, json["status"].as_str(), json["camera_name"].as_str()), (200, Some("ok"), Some("Cam \"3\"")));
+
+        statistics.camera_opened("Cam\u{9b}2J\x1b\u{202e}", true);
+        let page = health(&statistics, 5_000_000);
+        let json: serde_json::Value = serde_json::from_str(&page.body).unwrap();
+        assert!(page.body.chars().all(crate::printable::stands_for_itself), "{:?}", page.body);
+        assert_eq!(json["camera_name"].as_str(), Some("Cam\u{9b}2J\x1b\u{202e}"));
 
         statistics.set_silent(true);
         statistics.sample(&PoseSample::stale(3, 4, 120.0));

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-/// What a route hears of a request; its method is GET.
+use super::pace::Pace;
+
+/// What a route hears of a request.
 #[derive(Debug, Clone, Copy)]
 pub struct Request<'a> {
     /// Path, such as "/healthz".
@@ -42,16 +44,31 @@ impl Reply {
 /// What answers a path.
 pub(super) type Handler = Arc<dyn Fn(&Request<'_>) -> Reply + Send + Sync>;
 
+/// What a request for a path does.
+#[derive(Clone)]
+pub(super) enum Effect {
+    /// It changes nothing: GET and HEAD.
+    Reads,
+    /// It changes something: POST, and not too often.
+    Changes(Arc<Pace>),
+}
+
 /// A path with what answers it. It is called on the server's thread: it must be quick and wait for nothing.
 #[derive(Clone)]
 pub struct Route {
     pub(super) path: &'static str,
+    pub(super) effect: Effect,
     pub(super) handler: Handler,
 }
 
 impl Route {
-    /// A route for one path, which begins with `/` and has no fields.
-    pub fn new(path: &'static str, handler: impl Fn(&Request<'_>) -> Reply + Send + Sync + 'static) -> Self {
-        Self { path, handler: Arc::new(handler) }
+    /// A route that changes nothing, for one path, which begins with `/` and has no fields.
+    pub fn get(path: &'static str, handler: impl Fn(&Request<'_>) -> Reply + Send + Sync + 'static) -> Self {
+        Self { path, effect: Effect::Reads, handler: Arc::new(handler) }
+    }
+
+    /// A route that changes something; it is called a few times at once and then every few seconds at most.
+    pub fn post(path: &'static str, handler: impl Fn(&Request<'_>) -> Reply + Send + Sync + 'static) -> Self {
+        Self { path, effect: Effect::Changes(Arc::default()), handler: Arc::new(handler) }
     }
 }

@@ -1,42 +1,53 @@
-//! The server's thread: connections, limits, and WebSocket clients.
+//! The server's thread: connections and their limits.
 
 use std::convert::Infallible;
 use std::io;
-use std::net::{SocketAddr, TcpListener};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
+use std::pin::pin;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use axum::Router;
-use axum::body::{Body, HttpBody};
-use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
-use axum::http::{Method, Request as HttpRequest, Response, StatusCode, header};
-use axum::response::IntoResponse;
-use axum::routing::any;
+use axum::body::Body;
+use axum::http::{Request as HttpRequest, Response};
+use hyper::body::Incoming;
 use hyper::server::conn::http1;
+use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use thiserror::Error;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
-use tokio::time::timeout;
+use tokio::net::TcpStream;
+use tokio::sync::watch;
+use tokio::task::yield_now;
+use tokio::time::{sleep, timeout};
+use tokio_io_timeout::TimeoutStream;
 
 use super::HttpSettings;
+use super::answers::{Caller, response, router};
 use super::feed::Feed;
-use super::routes::{Handler, Reply, Request, Route};
+use super::guard::Guard;
+use super::hosts::AllowedHosts;
+use super::places::{BriefOnes, Place, Places};
+use super::routes::Route;
 use crate::record::PoseSample;
 
-/// Connections at a time; more wait to be accepted.
-const MOST_CONNECTIONS: usize = 64;
-/// A request's head must come within this time,
+/// A request's head must come within this time, also where a connection waits for its next one,
 const HEAD_WITHIN: Duration = Duration::from_secs(5);
 /// in this many bytes,
 const LONGEST_HEAD: usize = 16 * 1024;
 /// with this many header lines.
 const MOST_HEADERS: usize = 64;
-/// A client has nothing to say on the WebSocket, so that its messages may be short.
-const LONGEST_MESSAGE: usize = 4 * 1024;
 /// A client that takes nothing for this long is let go.
-const TAKES_WITHIN: Duration = Duration::from_secs(2);
+pub(super) const TAKES_WITHIN: Duration = Duration::from_secs(2);
+/// A connection that is no WebSocket ends after this time and is made anew: who takes one byte a second shall not keep it.
+const LASTS: Duration = Duration::from_secs(60);
+/// Connections accepted in a row; far fewer than may be answered in brief.
+const AT_ONCE: u32 = 16;
+/// A connection without a place of its own ends after this time, answered or not.
+const BRIEFLY: Duration = Duration::from_secs(2);
+/// What a connection may take to end in form.
+const ENDS_WITHIN: Duration = Duration::from_millis(250);
 
 /// Why the server cannot run.
 #[derive(Debug, Error)]
@@ -75,10 +86,10 @@ impl Server {
         let address = listener.local_addr().map_err(listen)?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(WebError::Start)?;
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
-        let slots = Arc::new(Semaphore::new(MOST_CONNECTIONS));
-        let router = router(feed.clone(), routes, &Shared { stopped: stopped.clone(), slots: slots.clone() });
+        let router = router(feed.clone(), routes, &stopped);
+        let site = Arc::new(Site { router, guard: Guard::new(AllowedHosts::new(&settings.hosts)) });
         let run = move || {
-            runtime.block_on(serve(listener, router, slots, stopped));
+            runtime.block_on(serve(listener, site, stopped));
             runtime.shutdown_timeout(Duration::from_millis(200));
         };
         let thread = std::thread::Builder::new().name("http".to_owned()).spawn(run).map_err(WebError::Start)?;
@@ -110,145 +121,102 @@ impl Drop for Server {
     }
 }
 
+/// What every connection is answered from.
+struct Site {
+    router: Router,
+    guard: Guard,
+}
+
 /// Accepts connections until it is stopped.
-async fn serve(listener: TcpListener, router: Router, slots: Arc<Semaphore>, mut stopped: watch::Receiver<bool>) {
+async fn serve(listener: TcpListener, site: Arc<Site>, mut stopped: watch::Receiver<bool>) {
     let listener = match tokio::net::TcpListener::from_std(listener) {
         Ok(listener) => listener,
         Err(error) => return tracing::error!("[http]: the server cannot run ({error}); restart the program"),
     };
+    let (places, mut brief, mut since_a_look) = (Places::new(), BriefOnes::default(), 0);
     loop {
-        let (slot, stream) = tokio::select! {
-            accepted = accept(&listener, &slots) => accepted,
+        let (stream, peer) = tokio::select! {
+            accepted = accept(&listener) => accepted,
             () = ended(&mut stopped) => break,
         };
         let _ = stream.set_nodelay(true);
-        let service = TowerToHyperService::new(router.clone());
-        let connection = http1::Builder::new()
-            .timer(TokioTimer::new())
-            .header_read_timeout(HEAD_WITHIN)
-            .max_buf_size(LONGEST_HEAD)
-            .max_headers(MOST_HEADERS)
-            .serve_connection(TokioIo::new(stream), service)
-            .with_upgrades();
-        tokio::spawn(async move {
-            // A client that breaks off or talks nonsense is its own trouble.
-            let _ = connection.await;
-            drop(slot);
-        });
-    }
-    // Clients are told the end; whoever does not listen is cut off.
-    let all = u32::try_from(MOST_CONNECTIONS).unwrap_or(u32::MAX);
-    let _ = timeout(Duration::from_millis(300), slots.acquire_many(all)).await;
-}
-
-/// The next connection, once there is room for one more.
-async fn accept(listener: &tokio::net::TcpListener, slots: &Arc<Semaphore>) -> (Option<OwnedSemaphorePermit>, tokio::net::TcpStream) {
-    // The semaphore is never closed.
-    let slot = slots.clone().acquire_owned().await.ok();
-    loop {
-        match listener.accept().await {
-            Ok((stream, _)) => return (slot, stream),
-            // Out of files: others will be closed.
-            Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
+        let place = places.take(peer.ip()).map(Arc::new);
+        let is_brief = place.is_none();
+        let task = tokio::spawn(converse(stream, place, site.clone(), stopped.clone()));
+        if is_brief {
+            brief.admit(peer.ip(), task.abort_handle());
+        }
+        // Those who are in are looked at before more come, or the newest would push them out unheard.
+        since_a_look += 1;
+        if since_a_look == AT_ONCE {
+            since_a_look = 0;
+            yield_now().await;
         }
     }
+    // Clients are told the end; whoever does not listen is cut off.
+    let _ = timeout(ENDS_WITHIN + Duration::from_millis(50), places.empty()).await;
+}
+
+/// The next connection.
+async fn accept(listener: &tokio::net::TcpListener) -> (TcpStream, SocketAddr) {
+    loop {
+        match listener.accept().await {
+            Ok(accepted) => return accepted,
+            // Out of files: others will be closed.
+            Err(_) => sleep(Duration::from_millis(50)).await,
+        }
+    }
+}
+
+/// Answers one connection until it ends, or has lasted long enough. A WebSocket goes its own way, with the place.
+async fn converse(stream: TcpStream, place: Option<Arc<Place>>, site: Arc<Site>, mut stopped: watch::Receiver<bool>) {
+    let reached = stream.local_addr().map_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED), |address| address.ip());
+    let mut stream = TimeoutStream::new(stream);
+    stream.set_write_timeout(Some(TAKES_WITHIN));
+    let (is_brief, caller) = (place.is_none(), Caller { place });
+    let routes = TowerToHyperService::new(site.router.clone());
+    let service = service_fn(|mut request: HttpRequest<Incoming>| {
+        let judged = match site.guard.refusal(&request, reached) {
+            Some(refused) => Err(refused),
+            None => {
+                request.extensions_mut().insert(caller.clone());
+                Ok(routes.call(request))
+            }
+        };
+        async move {
+            // One request a turn: whoever sends hundreds in one piece waits for the others between them.
+            yield_now().await;
+            match judged {
+                Ok(answer) => answer.await,
+                Err(refused) => Ok::<Response<Body>, Infallible>(response(refused)),
+            }
+        }
+    });
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(if is_brief { BRIEFLY } else { HEAD_WITHIN })
+        .keep_alive(!is_brief)
+        // Who has asked may close its side and wait for the answer.
+        .half_close(true)
+        .max_buf_size(LONGEST_HEAD)
+        .max_headers(MOST_HEADERS)
+        .serve_connection(TokioIo::new(Box::pin(stream)), service)
+        .with_upgrades();
+    let mut connection = pin!(connection);
+    tokio::select! {
+        // A client that breaks off or talks nonsense is its own trouble.
+        _ = connection.as_mut() => return,
+        () = sleep(if is_brief { BRIEFLY } else { LASTS }) => {}
+        () = ended(&mut stopped) => {}
+    }
+    connection.as_mut().graceful_shutdown();
+    let _ = timeout(ENDS_WITHIN, connection).await;
 }
 
 /// Waits for the end of the server.
-async fn ended(stopped: &mut watch::Receiver<bool>) {
+pub(super) async fn ended(stopped: &mut watch::Receiver<bool>) {
     // An error says that the server is gone, which is the end too.
     drop(stopped.wait_for(|stop| *stop).await);
-}
-
-/// What every WebSocket has from the server.
-#[derive(Clone)]
-struct Shared {
-    stopped: watch::Receiver<bool>,
-    slots: Arc<Semaphore>,
-}
-
-fn router(feed: Arc<Feed>, routes: Vec<Route>, shared: &Shared) -> Router {
-    let shared = shared.clone();
-    let (pose, state) = (feed.clone(), feed.clone());
-    let own = [Route::new("/api/v1/pose", move |_| pose.pose()), Route::new("/api/v1/state", move |_| state.state())];
-    let mut router = Router::new().route("/ws", any(move |request| web_socket(request, feed.clone(), shared.clone())));
-    for Route { path, handler } in own.into_iter().chain(routes) {
-        router = router.route(path, any(move |request| answer(request, handler.clone())));
-    }
-    router.fallback(|| async { response(Reply::text(404, "there is nothing here; see /api/v1/pose, /api/v1/state and /ws\n")) })
-}
-
-/// Refuses what is no plain GET.
-fn refusal(request: &HttpRequest<Body>) -> Option<Reply> {
-    if !matches!(*request.method(), Method::GET | Method::HEAD) {
-        return Some(Reply::text(405, "only GET is answered here\n"));
-    }
-    (!request.body().is_end_stream()).then(|| Reply::text(413, "a request has no content here\n"))
-}
-
-async fn answer(request: HttpRequest<Body>, handler: Handler) -> Result<Response<Body>, Infallible> {
-    let reply = refusal(&request).unwrap_or_else(|| {
-        let uri = request.uri();
-        handler(&Request { path: uri.path(), query: uri.query() })
-    });
-    Ok(response(reply))
-}
-
-fn response(reply: Reply) -> Response<Body> {
-    let is_refused = matches!(reply.status, 405 | 413);
-    let mut response = Response::new(Body::from(reply.body));
-    *response.status_mut() = StatusCode::from_u16(reply.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
-    let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, header::HeaderValue::from_static(reply.content_type));
-    headers.insert(header::CACHE_CONTROL, header::HeaderValue::from_static("no-store"));
-    headers.insert(header::X_CONTENT_TYPE_OPTIONS, header::HeaderValue::from_static("nosniff"));
-    if is_refused {
-        headers.insert(header::CONNECTION, header::HeaderValue::from_static("close"));
-    }
-    response
-}
-
-/// `/ws`: every record from now on.
-async fn web_socket(request: HttpRequest<Body>, feed: Arc<Feed>, shared: Shared) -> Response<Body> {
-    use axum::extract::FromRequestParts;
-    if let Some(refused) = refusal(&request) {
-        return response(refused);
-    }
-    // An upgraded connection leaves its slot; it takes one of its own.
-    let Ok(slot) = shared.slots.try_acquire_owned() else {
-        return response(Reply::text(503, "too many clients are connected\n"));
-    };
-    let (mut parts, _) = request.into_parts();
-    match WebSocketUpgrade::from_request_parts(&mut parts, &()).await {
-        Ok(upgrade) => upgrade.max_message_size(LONGEST_MESSAGE).max_frame_size(LONGEST_MESSAGE).on_upgrade(move |socket| async move {
-            stream(socket, feed, shared.stopped).await;
-            drop(slot);
-        }),
-        Err(rejection) => rejection.into_response(),
-    }
-}
-
-async fn stream(mut socket: WebSocket, feed: Arc<Feed>, mut stopped: watch::Receiver<bool>) {
-    let mut lines = feed.lines();
-    loop {
-        tokio::select! {
-            line = lines.recv() => {
-                // Behind by more than the queue holds, or the end: either way it is over.
-                let Ok(line) = line else { break };
-                match timeout(TAKES_WITHIN, socket.send(Message::Text(line))).await {
-                    Ok(Ok(())) => {}
-                    _ => return,
-                }
-            }
-            message = socket.recv() => match message {
-                // Pings are answered by the library; what a client says is not needed.
-                Some(Ok(Message::Close(_))) | Some(Err(_)) | None => return,
-                Some(Ok(_)) => {}
-            },
-            () = ended(&mut stopped) => break,
-        }
-    }
-    let _ = timeout(Duration::from_millis(100), socket.send(Message::Close(None))).await;
 }
 
 #[cfg(test)]

@@ -4,10 +4,12 @@ use std::time::Instant;
 
 use super::*;
 use crate::record::State;
+use crate::web::Reply;
 
 fn server() -> Server {
-    let settings = HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into() };
-    Server::start(&settings, vec![Route::new("/healthz", |r| Reply::text(503, format!("{} {:?}", r.path, r.query)))]).unwrap()
+    let settings = HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
+    let health = Route::get("/healthz", |r| Reply::text(503, format!("{} {:?}", r.path, r.query)));
+    Server::start(&settings, vec![health, Route::post("/save", |_| Reply::text(202, "saved\n"))]).unwrap()
 }
 
 fn sample(sequence: u64) -> PoseSample {
@@ -40,7 +42,7 @@ fn exchange(server: &Server, request: &[u8]) -> String {
 }
 
 fn get(server: &Server, path: &str) -> String {
-    exchange(server, format!("GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").as_bytes())
+    exchange(server, format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").as_bytes())
 }
 
 #[test]
@@ -62,11 +64,11 @@ fn pose_state_and_added_routes_are_answered() {
 #[test]
 fn malformed_and_oversized_requests_are_refused() {
     let server = server();
-    let long = format!("GET /{} HTTP/1.1\r\nHost: x\r\n\r\n", "a".repeat(64 * 1024));
+    let long = format!("GET /{} HTTP/1.1\r\nHost: localhost\r\n\r\n", "a".repeat(64 * 1024));
     let many = format!("GET / HTTP/1.1\r\n{}\r\n", "X: y\r\n".repeat(200));
-    let posted = "POST /api/v1/pose HTTP/1.1\r\nHost: x\r\nConnection: close\r\nContent-Length: 3\r\n\r\nabc";
-    let with_body = "GET /api/v1/pose HTTP/1.1\r\nHost: x\r\nConnection: close\r\nContent-Length: 3\r\n\r\nabc";
-    let no_key = "GET /ws HTTP/1.1\r\nHost: x\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\r\n";
+    let posted = "POST /api/v1/pose HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 3\r\n\r\nabc";
+    let with_body = "GET /api/v1/pose HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 3\r\n\r\nabc";
+    let no_key = "GET /ws HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\r\n";
     let cases: [(&[u8], &str); 7] = [
         (b"\x16\x03\x01\x02\x00\x01\x00", "HTTP/1.1 400"),
         (b"GET / HTTP/9.9\r\n\r\n", "HTTP/1.1 400"),
@@ -91,7 +93,97 @@ fn malformed_and_oversized_requests_are_refused() {
     assert!(get(&server, "/api/v1/state").starts_with("HTTP/1.1 200"), "it still serves");
 }
 
-const UPGRADE: &str = "GET /ws HTTP/1.1\r\nHost: x\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
+/// The status of a request with these header lines.
+fn status(server: &Server, line: &str, headers: &str) -> u16 {
+    let answer = exchange(server, format!("{line}\r\n{headers}Connection: close\r\n\r\n").as_bytes());
+    answer.split(' ').nth(1).and_then(|status| status.parse().ok()).unwrap_or(0)
+}
+
+#[test]
+fn every_path_is_guarded_and_the_web_socket_too() {
+    let server = server();
+    for path in ["/ws", "/healthz", "/save", "/api/v1/pose", "/api/v1/state", "/nothing"] {
+        for method in ["GET", "POST", "OPTIONS", "PUT"] {
+            let asked = |headers: &str| status(&server, &format!("{method} {path} HTTP/1.1"), headers);
+            assert_eq!(asked("Host: evil.example\r\n"), 421, "{method} {path}");
+            assert_eq!(asked("Host: localhost\r\nOrigin: http://evil.example\r\n"), 403, "{method} {path}");
+            assert_eq!(asked("Host: localhost\r\nOrigin: null\r\n"), 403, "{method} {path}");
+            assert_eq!(asked("Host: localhost\r\nHost: localhost\r\n"), 400, "{method} {path}");
+        }
+    }
+    let upgrade = |origin: &str| exchange(&server, UPGRADE.replace("Host: localhost", origin).as_bytes());
+    assert!(upgrade("Host: localhost:1\r\nOrigin: http://evil.example").starts_with("HTTP/1.1 403"));
+    assert!(upgrade("Host: evil.example:1\r\nOrigin: http://evil.example:1").starts_with("HTTP/1.1 421"));
+    // Its own page may; the exchange ends with the server.
+    let mut stream = connect(&server);
+    stream.write_all(UPGRADE.replace("Host: localhost", "Host: localhost:1\r\nOrigin: http://localhost:1").as_bytes()).unwrap();
+    let mut start = [0; 12];
+    stream.read_exact(&mut start).unwrap();
+    assert_eq!(&start, b"HTTP/1.1 101");
+}
+
+#[test]
+fn who_has_asked_may_close_its_side() {
+    let server = server();
+    for version in ["1.0", "1.1"] {
+        let mut stream = connect(&server);
+        write!(stream, "GET /healthz HTTP/{version}\r\nHost: localhost\r\n\r\n").unwrap();
+        stream.shutdown(std::net::Shutdown::Write).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        assert!(answer.contains(" 503 ") && answer.ends_with("/healthz None"), "{answer}");
+    }
+}
+
+#[test]
+fn a_change_is_posted_and_not_too_often() {
+    let server = server();
+    let get = get(&server, "/save");
+    assert!(get.starts_with("HTTP/1.1 405") && get.to_lowercase().contains("\r\nallow: post\r\n"), "{get}");
+    let post = || exchange(&server, b"POST /save HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
+    let answers: Vec<String> = (0..20).map(|_| post()).collect();
+    let done = answers.iter().filter(|answer| answer.starts_with("HTTP/1.1 202")).count();
+    let refused: Vec<&String> = answers.iter().filter(|answer| answer.starts_with("HTTP/1.1 429")).collect();
+    assert!((1..20).contains(&done) && done + refused.len() == 20, "{answers:?}");
+    assert!(refused.iter().all(|answer| answer.to_lowercase().contains("\r\nretry-after: ")), "{refused:?}");
+    // A stranger's attempts do not count.
+    assert_eq!(status(&server, "POST /save HTTP/1.1", "Host: localhost\r\nOrigin: http://evil.example\r\n"), 403);
+}
+
+#[test]
+fn who_pipelines_and_never_reads_is_let_go() {
+    let server = server();
+    let mut stuck = connect(&server);
+    let request = b"GET /api/v1/state HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(2000);
+    // Until nothing more is taken, and then until the server has had enough of it.
+    stuck.set_write_timeout(Some(Duration::from_millis(500))).unwrap();
+    let begun = Instant::now();
+    while !matches!(stuck.write(&request), Err(e) if e.kind() != std::io::ErrorKind::WouldBlock) {
+        assert!(begun.elapsed() < Duration::from_secs(40), "it is never let go");
+    }
+}
+
+#[test]
+fn with_all_places_taken_a_request_is_answered_and_a_web_socket_refused() {
+    let server = server();
+    // Silent ones, from one peer, which has half of the places; they go after some seconds, which is not waited for.
+    let silent: Vec<TcpStream> = (0..200).map(|_| connect(&server)).collect();
+    assert!(get(&server, "/healthz").starts_with("HTTP/1.1 503 "));
+    let refused = exchange(&server, UPGRADE.as_bytes());
+    assert!(refused.starts_with("HTTP/1.1 503") && refused.contains("too many clients"), "{refused}");
+    drop(silent);
+    wait_until(|| exchange_start(&server, UPGRADE.as_bytes()).starts_with("HTTP/1.1 101"));
+}
+
+/// The first bytes of the answer.
+fn exchange_start(server: &Server, request: &[u8]) -> String {
+    let mut stream = connect(server);
+    let mut start = [0; 12];
+    let _ = stream.write_all(request).and_then(|()| stream.read_exact(&mut start));
+    String::from_utf8_lossy(&start).into_owned()
+}
+
+const UPGRADE: &str = "GET /ws HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
     Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n";
 
 /// A WebSocket that the server has subscribed to the feed.
@@ -182,6 +274,7 @@ fn a_slow_reader_is_dropped_and_holds_nobody_up() {
 #[test]
 fn a_port_in_use_is_refused() {
     let first = server();
-    let refusal = Server::start(&HttpSettings { listen: first.address() }, Vec::new()).err().unwrap().to_string();
+    let settings = HttpSettings { listen: first.address(), hosts: Vec::new() };
+    let refusal = Server::start(&settings, Vec::new()).err().unwrap().to_string();
     assert!(refusal.contains(&first.address().to_string()) && refusal.contains("free port"), "{refusal}");
 }

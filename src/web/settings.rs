@@ -1,17 +1,21 @@
-//! Where the server listens.
+//! Where the server listens, and for which hosts it answers.
 
 use std::net::{Ipv4Addr, SocketAddr};
 
+use super::HostName;
+
 /// `[http]`
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HttpSettings {
     /// IP address and port; port 0 takes any free one.
     pub listen: SocketAddr,
+    /// Hosts that are answered for beside this machine's own.
+    pub hosts: Vec<HostName>,
 }
 
 impl Default for HttpSettings {
     /// Loopback: only this machine.
     fn default() -> Self {
-        Self { listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8090)) }
+        Self { listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8090)), hosts: Vec::new() }
     }
 }

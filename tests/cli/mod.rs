@@ -5,4 +5,5 @@ mod bad_config;
 mod good;
 mod outputs;
 pub mod scene;
+mod terminal;
 mod usage;

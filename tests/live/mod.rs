@@ -2,5 +2,5 @@
 
 mod faults;
 mod faulty;
-mod program;
+pub mod program;
 mod soak;

@@ -11,14 +11,14 @@ use nix::unistd::Pid;
 
 const FIXTURE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly");
 
-fn stagepose(folder: &std::path::Path) -> Command {
+pub fn stagepose(folder: &std::path::Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_stagepose"));
     command.current_dir(folder).env_remove("NOTIFY_SOCKET").env_remove("RUST_LOG").stdout(Stdio::piped()).stderr(Stdio::piped());
     command
 }
 
 /// The fixture's config, to be changed by a test, beside a copy of what it names.
-fn config(folder: &std::path::Path) -> std::path::PathBuf {
+pub fn config(folder: &std::path::Path) -> std::path::PathBuf {
     for name in ["backdrop.png", "flat.png", "camera.toml", "stage.toml"] {
         std::fs::copy(format!("{FIXTURE}/{name}"), folder.join(name)).unwrap();
     }
@@ -49,8 +49,12 @@ fn signal(child: &Child, signal: Signal) {
 }
 
 fn get(port: u16, path: &str) -> String {
+    ask(port, "GET", path)
+}
+
+fn ask(port: u16, method: &str, path: &str) -> String {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
-    write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
+    write!(stream, "{method} {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
     let mut reply = String::new();
     stream.read_to_string(&mut reply).unwrap();
     reply
@@ -130,7 +134,8 @@ fn it_is_a_good_service() {
         }
         let metrics = get(port, "/metrics");
         assert!(metrics.contains("stagepose_frame_age_seconds_bucket") && metrics.contains("stagepose_camera_up "), "{metrics}");
-        assert!(get(port, "/api/v1/ring/save").starts_with("HTTP/1.1 202"));
+        assert!(get(port, "/api/v1/ring/save").starts_with("HTTP/1.1 405"));
+        assert!(ask(port, "POST", "/api/v1/ring/save").starts_with("HTTP/1.1 202"));
         wait_for(&mut log, "the last seconds are saved");
     }
     wait_for_frames(3);

@@ -1,5 +1,6 @@
 //! `--device`: a live camera takes the pictures by itself, one whenever a view is worth it, and says which are missing.
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,6 +18,7 @@ use crate::capture::{FrameSource, PlayedClip, RowContent};
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::daemon::live::{LiveLink, LiveSource, LiveStop, Patience, Shutter};
+use crate::printable::printable;
 
 /// Pictures from the camera until the set is good, there are enough, or Ctrl-C ends it.
 pub(super) fn taken(arguments: &CalibrateArguments, board: &Board) -> Result<Vec<Inspected>, Failure> {
@@ -101,8 +103,11 @@ fn opener(arguments: &CalibrateArguments) -> Result<Arc<dyn CameraOpener>, Failu
             let opener = device(name.as_deref().unwrap_or("first"), size_of(arguments)?)?;
             let camera = opener.open().map_err(|fault| Failure::Device(fault.0))?;
             let mode = camera.mode();
-            eprintln!("{}, {} x {}", mode.name, mode.size.0, mode.size.1);
-            mode.notes.iter().for_each(|note| eprintln!("{note}"));
+            let first = format!("{}, {} x {}", mode.name, mode.size.0, mode.size.1);
+            for line in std::iter::once(&first).chain(&mode.notes) {
+                // A terminal that is gone is no reason to stop.
+                let _ = writeln!(std::io::stderr(), "{}", printable(line));
+            }
             drop(camera);
             Ok(opener)
         }

@@ -20,6 +20,7 @@ use crate::calibrate::judge::Verdict;
 use crate::calibrate::report::{self, Comparison};
 use crate::calibrate::session::{CameraCalibration, calibrate};
 use crate::camera::{Calibration, CalibrationForm, IntrinsicsUncertainty};
+use crate::printable::printable_lines;
 use crate::utc;
 pub(super) use output::write as write_whole;
 
@@ -214,5 +215,6 @@ fn calibration_of(made: &CameraCalibration) -> Option<Calibration> {
 }
 
 fn print(text: &str) -> Result<(), Failure> {
-    io::stdout().write_all(text.as_bytes()).map_err(Failure::output(Path::new("stdout")))
+    // The pictures' names stand in it.
+    io::stdout().write_all(printable_lines(text).as_bytes()).map_err(Failure::output(Path::new("stdout")))
 }

@@ -22,7 +22,8 @@ impl Panel {
     pub fn show(&mut self, taken: &ViewSet, look: &Look, most: usize) {
         if !self.is_terminal {
             if *look == Look::Taken {
-                eprintln!("{}", line(taken));
+                // A terminal that is gone is no reason to stop.
+                let _ = writeln!(io::stderr(), "{}", line(taken));
             }
             return;
         }

@@ -1,9 +1,11 @@
 //! What the command prints: the pictures that were not used, Bouguet's table, the verdict.
 
 use std::fmt::Write;
+use std::path::Path;
 
 use crate::calibrate::session::CameraCalibration;
 use crate::calibrate::table::bouguet;
+use crate::printable::printable;
 
 /// The whole text.
 pub(super) fn table(made: &CameraCalibration) -> String {
@@ -13,14 +15,14 @@ pub(super) fn table(made: &CameraCalibration) -> String {
     // Writing to a String cannot fail.
     let _ = writeln!(text, "{used} of {} pictures used, {corners} corners; board {}", made.views.len(), made.board);
     for view in made.views.iter().filter(|view| !view.used) {
-        let _ = writeln!(text, "  not used: {}: {}", view.file.display(), view.reason.as_deref().unwrap_or("no board"));
+        let _ = writeln!(text, "  not used: {}: {}", name(&view.file), view.reason.as_deref().unwrap_or("no board"));
     }
     for view in made.views.iter().filter(|view| !view.outliers.is_empty()) {
-        let _ = writeln!(text, "  {}: {} of its corners do not fit and are left out", view.file.display(), view.outliers.len());
+        let _ = writeln!(text, "  {}: {} of its corners do not fit and are left out", name(&view.file), view.outliers.len());
     }
     for view in made.views.iter().filter(|view| view.used) {
         if let Some(reason) = &view.reason {
-            let _ = writeln!(text, "  {}: {reason}", view.file.display());
+            let _ = writeln!(text, "  {}: {reason}", name(&view.file));
         }
     }
     let _ = writeln!(text, "\nCalibration results (with uncertainties):\n");
@@ -33,4 +35,9 @@ pub(super) fn table(made: &CameraCalibration) -> String {
     }
     let _ = writeln!(text, "Take next: {}.", judgement.next_picture);
     text
+}
+
+/// A picture's name on its line, whatever characters are in it.
+fn name(file: &Path) -> String {
+    printable(&file.display().to_string()).into_owned()
 }

@@ -27,15 +27,15 @@ impl Pages {
         let (for_health, for_metrics, save) = (link.statistics.clone(), link.statistics.clone(), save.clone());
         let routes = || {
             vec![
-                Route::new("/healthz", move |_| reply(health(&for_health, monotonic_ns()))),
-                Route::new("/metrics", move |_| reply(metrics(&for_metrics, monotonic_ns()))),
-                Route::new("/api/v1/ring/save", move |_| {
+                Route::get("/healthz", move |_| reply(health(&for_health, monotonic_ns()))),
+                Route::get("/metrics", move |_| reply(metrics(&for_metrics, monotonic_ns()))),
+                Route::post("/api/v1/ring/save", move |_| {
                     save.store(true, Ordering::Relaxed);
                     Reply::text(202, "the last seconds will be saved\n")
                 }),
             ]
         };
-        let server = settings.http.map(|http| Server::start(&http, routes())).transpose();
+        let server = settings.http.as_ref().map(|http| Server::start(http, routes())).transpose();
         Ok(Self { server: server.map_err(|e| Failure::Publishing(e.to_string()))? })
     }
 

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::capture::moment::monotonic_ns;
 use crate::daemon::latest::{LatestSender, latest};
+use crate::printable::printable;
 use crate::record::State;
 
 /// Something that happened.
@@ -130,10 +131,11 @@ pub struct StampedEvent {
 }
 
 impl StampedEvent {
-    /// One line of JSON, without the line end.
+    /// One line of JSON, without the line end. Cameras and files name themselves: what a terminal would obey is escaped.
     pub fn to_json_line(&self) -> String {
         // Serialising to a string fails only for non-string map keys, of which there are none.
-        serde_json::to_string(self).expect("an event has only string keys")
+        let line = serde_json::to_string(self).expect("an event has only string keys");
+        printable(&line).into_owned()
     }
 }
 
@@ -220,6 +222,15 @@ fn note(event: &Event) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_name_that_a_terminal_would_obey_is_escaped() {
+        let name = "Cam\u{9b}2J\x1b]0;x\x07\u{202e}".to_owned();
+        let line = StampedEvent { timestamp_ns: 1, event: Event::NoDriverStamp { name: name.clone() } }.to_json_line();
+        assert!(line.chars().all(crate::printable::stands_for_itself), "{line:?}");
+        let read: serde_json::Value = serde_json::from_str(&line).unwrap();
+        assert_eq!(read["name"], name);
+    }
 
     #[test]
     fn listeners_get_lines_and_may_be_gone() {

@@ -1,0 +1,156 @@
+//! One packet of each protocol as a line of text.
+
+use rosc::{OscPacket, OscTime, OscType, decoder};
+
+use super::Spoken;
+use crate::publish::freed::FreedPacket;
+use crate::publish::opentrackio;
+use crate::publish::psn::{PsnPacket, PsnTracker};
+use crate::utc;
+
+/// Bytes of a blob that are shown; the rest is counted.
+const SHOWN_OF_A_BLOB: usize = 32;
+/// Levels that OSC's bundles and arrays may nest. Decoding, printing and forgetting them takes a piece of the stack for each level,
+/// and a datagram has room for 30,000.
+const MOST_LEVELS: usize = 16;
+
+/// One packet as a line; names in it are as they came.
+pub(super) fn line(protocol: Spoken, bytes: &[u8]) -> String {
+    let decoded = match protocol {
+        Spoken::Freed => FreedPacket::decode(bytes).map(|p| freed(&p)).map_err(|e| e.to_string()),
+        Spoken::Psn => PsnPacket::decode(bytes).map(|p| psn(&p)).map_err(|e| e.to_string()),
+        Spoken::OpenTrackIo => {
+            opentrackio::decode(bytes).map(|(sequence, sample)| format!("#{sequence} {sample}")).map_err(|e| e.to_string())
+        }
+        Spoken::Osc if nests_too_deep(bytes) => Err(format!("its bundles or arrays nest more than {MOST_LEVELS} deep; check the sender")),
+        Spoken::Osc => {
+            decoder::decode_udp(bytes).map(|(_, p)| osc(&p)).map_err(|_| "it is no OSC packet; check the sender's port".to_owned())
+        }
+    };
+    decoded.unwrap_or_else(|reason| format!("{} bytes: {reason}", bytes.len()))
+}
+
+fn freed(p: &FreedPacket) -> String {
+    let [x, y, z] = p.position_mm;
+    format!(
+        "camera {} pan {:.4} tilt {:.4} roll {:.4} deg, x {x:.2} y {y:.2} z {z:.2} mm, zoom {} focus {} spare {:#06x}",
+        p.camera_id, p.pan_deg, p.tilt_deg, p.roll_deg, p.zoom, p.focus, p.spare
+    )
+}
+
+fn psn(packet: &PsnPacket) -> String {
+    match packet {
+        PsnPacket::Info(header, system, names) => {
+            let names: Vec<String> = names.iter().map(|(id, name)| format!("{id} {name}")).collect();
+            format!("info frame {}: {system}: {}", header.frame_id, names.join(", "))
+        }
+        PsnPacket::Data(header, trackers) => {
+            let trackers: Vec<String> = trackers.iter().map(psn_tracker).collect();
+            format!("data frame {}: {}", header.frame_id, trackers.join("; "))
+        }
+    }
+}
+
+fn psn_tracker(tracker: &PsnTracker) -> String {
+    let mut text = format!("tracker {}", tracker.id);
+    for (what, vector, unit) in [("position", tracker.position_m, "m"), ("orientation", tracker.orientation_rad, "rad")] {
+        if let Some([a, b, c]) = vector {
+            text += &format!(" {what} {a:.4} {b:.4} {c:.4} {unit}");
+        }
+    }
+    text + &tracker.validity.map_or(String::new(), |v| format!(" validity {v}"))
+}
+
+fn osc(packet: &OscPacket) -> String {
+    match packet {
+        OscPacket::Message(message) => format!("{} {}", message.addr, osc_arguments(&message.args)),
+        OscPacket::Bundle(bundle) => bundle.content.iter().map(osc).collect::<Vec<_>>().join(" | "),
+    }
+}
+
+fn osc_arguments(arguments: &[OscType]) -> String {
+    arguments.iter().map(osc_argument).collect::<Vec<_>>().join(" ")
+}
+
+fn osc_argument(argument: &OscType) -> String {
+    match argument {
+        OscType::Int(v) => v.to_string(),
+        OscType::Float(v) => format!("{v:.4}"),
+        OscType::String(v) => v.clone(),
+        OscType::Array(array) => format!("[{}]", osc_arguments(&array.content)),
+        OscType::Blob(bytes) => blob(bytes),
+        // The library's own words for a time panic before 1970, and "immediately" is such a time.
+        OscType::Time(tag) => format!("(t) {}", time(*tag)),
+        other => other.to_string(),
+    }
+}
+
+fn blob(bytes: &[u8]) -> String {
+    let shown: String = bytes.iter().take(SHOWN_OF_A_BLOB).map(|b| format!("{b:02X}")).collect();
+    match bytes.len() {
+        0 => "(b)".to_owned(),
+        1..=SHOWN_OF_A_BLOB => format!("(b) 0x{shown}"),
+        all => format!("(b) 0x{shown}… of {all} bytes"),
+    }
+}
+
+/// A time tag in UTC. The seconds count from 1900 and begin again in 2036; what would lie before 1970 is after that.
+fn time(tag: OscTime) -> String {
+    const FROM_1900_TO_1970_S: u64 = 2_208_988_800;
+    if (tag.seconds, tag.fractional) == (0, 1) {
+        return "immediately".to_owned();
+    }
+    let seconds = u64::from(tag.seconds);
+    let era = if seconds < FROM_1900_TO_1970_S { 1_u64 << 32 } else { 0 };
+    let us = (u64::from(tag.fractional) * 1_000_000) >> 32;
+    let to_the_second = utc::date_and_time(seconds + era - FROM_1900_TO_1970_S);
+    format!("{}.{us:06}Z", to_the_second.trim_end_matches('Z'))
+}
+
+/// Whether bundles or arrays nest deeper than [`MOST_LEVELS`], seen without recursion. What is damaged is left to the decoder.
+fn nests_too_deep(datagram: &[u8]) -> bool {
+    let mut open = vec![(0, datagram.len(), 1)];
+    while let Some((begin, end, level)) = open.pop() {
+        let packet = &datagram[..end];
+        if level > MOST_LEVELS {
+            return true;
+        }
+        let Some((address, mut at)) = osc_string(packet, begin) else { continue };
+        if address == b"#bundle" {
+            // Behind the time tag: a length and that many bytes, again and again.
+            at += 8;
+            while let Some(length) = packet.get(at..).and_then(|rest| rest.first_chunk::<4>()) {
+                let element = at + 4;
+                at = element.saturating_add(u32::from_be_bytes(*length) as usize);
+                if at > end {
+                    break;
+                }
+                open.push((element, at, level + 1));
+            }
+        } else if let Some((types, _)) = osc_string(packet, at) {
+            let mut depth = 0_usize;
+            for tag in types {
+                match tag {
+                    b'[' => depth += 1,
+                    b']' => depth = depth.saturating_sub(1),
+                    _ => {}
+                }
+                if depth > MOST_LEVELS {
+                    return true;
+                }
+            }
+        }
+    }
+    false
+}
+
+/// The bytes up to the next zero byte, and where what follows begins: OSC fills up to a multiple of four.
+fn osc_string(packet: &[u8], at: usize) -> Option<(&[u8], usize)> {
+    let rest = packet.get(at..)?;
+    let length = memchr::memchr(0, rest)?;
+    Some((&rest[..length], (at + length + 1).next_multiple_of(4)))
+}
+
+#[cfg(test)]
+#[path = "packets_tests.rs"]
+mod tests;

@@ -1,0 +1,62 @@
+//! The refusal of texts that hold control characters or others that do not stand for themselves.
+//!
+//! Names and files of a config go out in records, packets, lines and logs. What a terminal would obey, or what makes one name look
+//! like another, has no business in them; here it is refused once, with its line.
+
+use std::ops::Range;
+
+use toml::de::{DeTable, DeValue};
+
+use super::known_keys::{section_name, visit};
+use super::origin::Origin;
+use super::{ConfigError, Problem};
+use crate::printable::{printable, stands_for_itself};
+
+/// Refuses the first key or text in the file that has such a character.
+pub(super) fn refuse_control_characters(root: &DeTable<'_>, origin: &Origin<'_>) -> Result<(), ConfigError> {
+    let mut found: Option<(usize, ConfigError)> = None;
+    visit(root, &mut Vec::new(), &mut |path, key, key_span, value| {
+        let in_key = (!is_plain(key)).then(|| (key_span.clone(), key.to_owned()));
+        let Some((span, text)) = in_key.or_else(|| text_with_one(value, key_span)) else { return };
+        if found.as_ref().is_none_or(|(start, _)| span.start < *start) {
+            let problem = Problem::Characters(printable(&text).into_owned());
+            found = Some((span.start, origin.value(&section_name(path), &printable(key), &span, problem)));
+        }
+    });
+    found.map_or(Ok(()), |(_, error)| Err(error))
+}
+
+fn is_plain(text: &str) -> bool {
+    text.chars().all(stands_for_itself)
+}
+
+/// The text in a value, also in its arrays, that has such a character. Tables are visited by themselves.
+fn text_with_one(value: &DeValue<'_>, span: Range<usize>) -> Option<(Range<usize>, String)> {
+    match value {
+        DeValue::String(text) if !is_plain(text) => Some((span, text.clone().into_owned())),
+        DeValue::Array(items) => items.iter().find_map(|item| text_with_one(item.get_ref(), item.span())),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use crate::config::as_typed::Config;
+
+    #[test]
+    fn what_a_terminal_would_obey_is_refused_with_its_line() {
+        for (text, parts) in [
+            ("[camera]\ncalibration = \"a\\u001b[2J.toml\"\n", ["line 2", "`calibration` in [camera]", "\"a\\u001b[2J.toml\""]),
+            ("[log]\n[[object]]\nname = \"p\\u202Eq\"\n", ["line 3", "`name` in [[object]]", "\"p\\u202eq\""]),
+            ("[[output]]\nbodies = [\"a\", \"\\u009b\"]\n", ["line 2", "`bodies` in [[output]]", "\"\\u009b\""]),
+            ("[camera]\ncontrols = { \"a\\nb\" = 1 }\n", ["line 2", "`a\\nb` in [camera.controls]", "\"a\\nb\""]),
+            ("[stage]\n[[stage.surface]]\nimage = \"\"\"a\nb\"\"\"\n", ["line 3", "`image` in [[stage.surface]]", "\"a\\nb\""]),
+        ] {
+            let refusal = Config::parse(text, Path::new("stage.toml")).unwrap_err().to_string();
+            parts.iter().for_each(|part| assert!(refusal.contains(part), "`{part}` is not in {refusal}"));
+        }
+        assert!(Config::parse("[camera]\ncalibration = \"Bühne/舞台.toml\"\n", Path::new("stage.toml")).is_ok());
+    }
+}

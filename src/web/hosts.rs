@@ -1,0 +1,212 @@
+//! The names that the server answers to.
+//!
+//! A page on the web can let its own name point to this machine (DNS rebinding); its scripts would then read and command the server as
+//! if it were theirs. Their requests still carry that name as `Host`. So only names are answered that belong here: loopback's, the
+//! machine's own addresses and host name, and what the config adds.
+
+use std::fmt;
+use std::net::{IpAddr, Ipv6Addr};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// The system's names for loopback, as /etc/hosts has them.
+const LOOPBACK_NAMES: [&str; 3] = ["localhost", "ip6-localhost", "ip6-loopback"];
+/// The machine's addresses are asked for again after this time: a network may come while the server runs. Asking takes the system
+/// some 0.1 ms, which a flood of requests shall not make it do each time.
+const ADDRESSES_LAST: Duration = Duration::from_secs(5);
+/// Longest name that DNS knows.
+const LONGEST_NAME: usize = 253;
+
+/// A host without its port.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum HostName {
+    /// An IP address; IPv4 in IPv6 is IPv4.
+    Address(IpAddr),
+    /// A name in small letters, without the dot at its end.
+    Name(String),
+}
+
+impl HostName {
+    /// An IP address (IPv6 with or without brackets) or a name; `None` for anything else, also where a port follows.
+    pub fn parse(text: &str) -> Option<Self> {
+        let bare = text.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).filter(|inner| inner.parse::<Ipv6Addr>().is_ok());
+        if let Ok(address) = bare.unwrap_or(text).parse::<IpAddr>() {
+            return Some(Self::Address(address.to_canonical()));
+        }
+        let name = text.strip_suffix('.').unwrap_or(text);
+        let is_label = |label: &str| !label.is_empty() && label.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
+        let is_name = name.len() <= LONGEST_NAME && name.split('.').all(is_label);
+        is_name.then(|| Self::Name(name.to_ascii_lowercase()))
+    }
+}
+
+impl fmt::Display for HostName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Address(address) => write!(f, "{address}"),
+            Self::Name(name) => f.write_str(name),
+        }
+    }
+}
+
+/// A host and the port behind it, as `Host` and `Origin` write them.
+#[cfg(feature = "http")]
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct HostAndPort {
+    pub host: HostName,
+    /// As it stands there.
+    pub port: Option<u16>,
+}
+
+#[cfg(feature = "http")]
+impl HostAndPort {
+    pub fn parse(text: &str) -> Option<Self> {
+        // An IPv6 address has its own colons, and stands in brackets.
+        let end = if text.starts_with('[') { text.find(']')? + 1 } else { text.find(':').unwrap_or(text.len()) };
+        let (host, port) = text.split_at(end);
+        let port = match port.strip_prefix(':') {
+            None if port.is_empty() => None,
+            Some("") => None,
+            Some(digits) if digits.bytes().all(|b| b.is_ascii_digit()) => Some(digits.parse().ok()?),
+            _ => return None,
+        };
+        Some(Self { host: HostName::parse(host)?, port })
+    }
+
+    /// The same place, where a missing port is the scheme's own.
+    pub fn is_at(&self, other: &Self, default_port: u16) -> bool {
+        self.host == other.host && self.port.unwrap_or(default_port) == other.port.unwrap_or(default_port)
+    }
+}
+
+/// Which hosts the server answers for.
+#[derive(Debug)]
+pub struct AllowedHosts {
+    /// Loopback's and the machine's own names.
+    names: Vec<String>,
+    /// From the config.
+    added: Vec<HostName>,
+    /// The machine's addresses, and when they were asked for.
+    own: Mutex<Option<(Instant, Vec<IpAddr>)>>,
+}
+
+impl AllowedHosts {
+    /// The machine's, and these.
+    pub fn new(added: &[HostName]) -> Self {
+        let mut names: Vec<String> = LOOPBACK_NAMES.map(str::to_owned).into();
+        if let Some(HostName::Name(own)) = nix::unistd::gethostname().ok().and_then(|name| HostName::parse(name.to_str()?)) {
+            // The whole name, its first part, and that part as multicast DNS announces it.
+            let first = own.split('.').next().unwrap_or(&own).to_owned();
+            names.extend([format!("{first}.local"), first, own]);
+        }
+        names.dedup();
+        Self { names, added: added.to_vec(), own: Mutex::new(None) }
+    }
+
+    /// Whether a request for this host, which came in at the address `reached`, is answered.
+    #[cfg(feature = "http")]
+    pub(super) fn allows(&self, host: &HostName, reached: IpAddr) -> bool {
+        self.added.contains(host)
+            || match host {
+                HostName::Name(name) => self.names.contains(name),
+                HostName::Address(address) => {
+                    address.is_loopback() || *address == reached.to_canonical() || self.own_addresses().contains(address)
+                }
+            }
+    }
+
+    /// The machine's addresses, as of a few seconds ago at most.
+    fn own_addresses(&self) -> Vec<IpAddr> {
+        let mut own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*own {
+            Some((asked, addresses)) if asked.elapsed() < ADDRESSES_LAST => addresses.clone(),
+            _ => {
+                let addresses = addresses_of_this_machine();
+                *own = Some((Instant::now(), addresses.clone()));
+                addresses
+            }
+        }
+    }
+
+    /// All of them, for people.
+    pub fn listing(&self) -> String {
+        let addresses = self.own_addresses().into_iter().filter(|address| !address.is_loopback()).map(|address| address.to_string());
+        let loopback = ["127.0.0.1", "::1"].map(str::to_owned).into_iter();
+        let all = self.names.iter().cloned().chain(loopback).chain(addresses).chain(self.added.iter().map(HostName::to_string));
+        all.collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// What the system says; nothing where it does not answer.
+fn addresses_of_this_machine() -> Vec<IpAddr> {
+    let Ok(interfaces) = nix::ifaddrs::getifaddrs() else { return Vec::new() };
+    let address = |interface: nix::ifaddrs::InterfaceAddress| {
+        let address = interface.address?;
+        let v4 = address.as_sockaddr_in().map(|a| IpAddr::V4(a.ip()));
+        v4.or_else(|| address.as_sockaddr_in6().map(|a| IpAddr::V6(a.ip())))
+    };
+    interfaces.filter_map(address).collect()
+}
+
+#[cfg(all(test, feature = "http"))]
+mod tests {
+    use std::net::Ipv4Addr;
+
+    use super::*;
+
+    #[test]
+    fn hosts_are_read_as_they_are_written() {
+        let read = |text: &str| HostAndPort::parse(text).map(|h| (h.host.to_string(), h.port));
+        for (text, host, port) in [
+            ("localhost", "localhost", None),
+            ("LocalHost.:8090", "localhost", Some(8090)),
+            ("[::1]:80", "::1", Some(80)),
+            ("[::ffff:10.0.0.7]", "10.0.0.7", None),
+            ("10.0.0.7:", "10.0.0.7", None),
+            ("stage_pi-2.example.org:1", "stage_pi-2.example.org", Some(1)),
+        ] {
+            assert_eq!(read(text), Some((host.to_owned(), port)), "{text}");
+        }
+        let long = "a".repeat(254);
+        let odd = [
+            "",
+            ":80",
+            "::1",
+            "[::1",
+            "[::1]x",
+            "[localhost]",
+            "[10.0.0.7]",
+            "a:b",
+            "a:+1",
+            "a:65536",
+            "a..b",
+            "a b",
+            "a/b",
+            "u@a",
+            "a%2e",
+            "ä",
+        ];
+        for text in odd.into_iter().chain([long.as_str()]) {
+            assert_eq!(read(text), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn the_machine_and_what_is_added_is_allowed_and_nothing_else() {
+        let hosts = AllowedHosts::new(&["stage.example.org", "192.0.2.7"].map(|h| HostName::parse(h).unwrap()));
+        let reached = IpAddr::from([192, 0, 2, 200]);
+        let allowed = |text: &str| hosts.allows(&HostName::parse(text).unwrap(), reached);
+        let machine = nix::unistd::gethostname().unwrap().into_string().unwrap();
+        let first = format!("{}.local", machine.split('.').next().unwrap());
+        for host in ["localhost", "127.0.0.1", "127.8.9.1", "[::1]", "192.0.2.7", "192.0.2.200", "STAGE.example.org.", &machine, &first] {
+            assert!(allowed(host), "{host}");
+        }
+        for host in ["evil.example", "localhost.evil.example", "127.1", "0.0.0.0", "192.0.2.8", "example.org", "2130706433"] {
+            assert!(!allowed(host), "{host}");
+        }
+        for address in addresses_of_this_machine() {
+            assert!(hosts.allows(&HostName::Address(address.to_canonical()), Ipv4Addr::LOCALHOST.into()), "{address}");
+        }
+        assert!(hosts.listing().starts_with("localhost, ") && hosts.listing().ends_with("stage.example.org, 192.0.2.7"));
+    }
+}

@@ -1,0 +1,143 @@
+//! How many may be connected, and who makes room.
+//!
+//! There are places for connections that last, and no peer may have more than its share of them. Whoever finds none left is still
+//! answered, in brief: one request within a moment, then it ends. Of these a newer one pushes out the oldest of the peer that has the
+//! most. So a health check is answered however many others are connected, whoever they are and whatever they do.
+
+use std::collections::{HashMap, VecDeque};
+use std::net::{IpAddr, Ipv6Addr};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::task::AbortHandle;
+
+/// Connections that last, at a time. Each holds a file and some 50 kB.
+pub(super) const MOST_CONNECTIONS: usize = 64;
+/// Of these, what one peer may have: half, so that another is let in.
+const MOST_OF_A_PEER: usize = MOST_CONNECTIONS / 2;
+/// Connections beyond those, at a time. One is pushed out before its request arrives only by so many newer ones within that time;
+/// more hold more files.
+const MOST_BRIEF: usize = 64;
+
+/// The places for connections that last.
+#[derive(Debug)]
+pub(super) struct Places {
+    free: Arc<Semaphore>,
+    taken: Arc<Mutex<HashMap<IpAddr, usize>>>,
+}
+
+/// A place that is taken, until it is dropped.
+#[derive(Debug)]
+pub(super) struct Place {
+    peer: IpAddr,
+    taken: Arc<Mutex<HashMap<IpAddr, usize>>>,
+    _permit: OwnedSemaphorePermit,
+}
+
+impl Places {
+    pub fn new() -> Self {
+        Self { free: Arc::new(Semaphore::new(MOST_CONNECTIONS)), taken: Arc::default() }
+    }
+
+    /// A place for this peer, where there is one.
+    pub fn take(&self, peer: IpAddr) -> Option<Place> {
+        let peer = network_of(peer);
+        let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
+        if taken.get(&peer).is_some_and(|count| *count >= MOST_OF_A_PEER) {
+            return None;
+        }
+        let permit = self.free.clone().try_acquire_owned().ok()?;
+        *taken.entry(peer).or_default() += 1;
+        Some(Place { peer, taken: self.taken.clone(), _permit: permit })
+    }
+
+    /// Waits until all have left.
+    pub async fn empty(&self) {
+        // The semaphore is never closed, and 64 fit into any integer.
+        let _ = self.free.acquire_many(MOST_CONNECTIONS as u32).await;
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(count) = taken.get_mut(&self.peer) {
+            *count -= 1;
+            if *count == 0 {
+                taken.remove(&self.peer);
+            }
+        }
+    }
+}
+
+/// What counts as one peer: an IPv4 address, or the 64 bits of an IPv6 network, of which a host may have any address.
+fn network_of(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(v6) => IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() >> 64 << 64)),
+        v4 => v4,
+    }
+}
+
+/// The connections that found no place, oldest first.
+#[derive(Debug, Default)]
+pub(super) struct BriefOnes {
+    running: VecDeque<(IpAddr, AbortHandle)>,
+}
+
+impl BriefOnes {
+    /// Adds one, and where they become too many ends the oldest of the peer that has the most.
+    pub fn admit(&mut self, peer: IpAddr, newest: AbortHandle) {
+        self.running.retain(|(_, task)| !task.is_finished());
+        self.running.push_back((network_of(peer), newest));
+        if self.running.len() <= MOST_BRIEF {
+            return;
+        }
+        let count = |of: IpAddr| self.running.iter().filter(|(peer, _)| *peer == of).count();
+        let oldest = (0..self.running.len()).rev().max_by_key(|k| count(self.running[*k].0));
+        if let Some((_, task)) = oldest.and_then(|k| self.running.remove(k)) {
+            task.abort();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_peer_has_its_share_and_no_more() {
+        let places = Places::new();
+        let (one, other): (IpAddr, IpAddr) = ("fe80::1:2".parse().unwrap(), "10.0.0.7".parse().unwrap());
+        let neighbour = "fe80::7".parse().unwrap();
+        let mut held: Vec<Place> = (0..MOST_OF_A_PEER).filter_map(|_| places.take(one)).collect();
+        assert_eq!(held.len(), MOST_OF_A_PEER);
+        assert!(places.take(one).is_none() && places.take(neighbour).is_none());
+        held.extend((0..MOST_OF_A_PEER).filter_map(|_| places.take(other)));
+        assert_eq!(held.len(), MOST_CONNECTIONS);
+        assert!(places.take("10.0.0.8".parse().unwrap()).is_none());
+        held.truncate(1);
+        assert!(places.take("::ffff:10.0.0.7".parse().unwrap()).is_some());
+        drop(held);
+        assert!(places.taken.lock().unwrap().is_empty());
+    }
+
+    #[test]
+    fn the_newest_brief_one_pushes_out_the_oldest_of_who_has_most() {
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        runtime.block_on(async {
+            let mut brief = BriefOnes::default();
+            let mut admit = |peer: &str| {
+                let task = tokio::spawn(std::future::pending::<()>());
+                brief.admit(peer.parse().unwrap(), task.abort_handle());
+                task
+            };
+            let first = admit("10.0.0.1");
+            let mut many: Vec<_> = (0..MOST_BRIEF + 1).map(|_| admit("10.0.0.2")).collect();
+            let later = many.split_off(2);
+            for task in many {
+                assert!(task.await.unwrap_err().is_cancelled());
+            }
+            assert!(!first.is_finished() && later.iter().all(|task| !task.is_finished()));
+        });
+    }
+}

@@ -1,0 +1,101 @@
+//! Good packets of every protocol that `listen` knows, and the checksums that let damaged ones get past the first look.
+
+use rosc::{OscArray, OscBundle, OscColor, OscMessage, OscMidiMessage, OscPacket, OscTime, OscType, encoder};
+use stagepose::publish::freed::FreedPacket;
+use stagepose::publish::opentrackio::{Encoding, HEADER, datagram};
+use stagepose::publish::psn::{PsnHeader, PsnPacket, PsnTracker};
+
+/// The words for them on the command line.
+pub const PROTOCOLS: [&str; 4] = ["freed", "psn", "opentrackio", "osc"];
+
+pub fn good(protocol: &str) -> Vec<Vec<u8>> {
+    match protocol {
+        "freed" => freed(),
+        "psn" => psn(),
+        "opentrackio" => opentrackio(),
+        _ => osc(),
+    }
+}
+
+/// Makes the checksum right again, where the protocol has one.
+pub fn mended(protocol: &str, bytes: Vec<u8>) -> Vec<u8> {
+    match protocol {
+        "freed" if bytes.len() == 29 => {
+            let sum = bytes[..28].iter().fold(0x40_u8, |sum, b| sum.wrapping_sub(*b));
+            [&bytes[..28], &[sum]].concat()
+        }
+        "opentrackio" if bytes.len() > HEADER => {
+            let encoding = if bytes[5] == 1 { Encoding::Json } else { Encoding::Cbor };
+            let sequence = u16::from_be_bytes([bytes[6], bytes[7]]);
+            datagram(encoding, sequence, &bytes[HEADER..]).unwrap_or(bytes)
+        }
+        _ => bytes,
+    }
+}
+
+fn freed() -> Vec<Vec<u8>> {
+    let packet = FreedPacket {
+        camera_id: 1,
+        pan_deg: -170.5,
+        tilt_deg: 12.25,
+        roll_deg: 0.5,
+        position_mm: [1200.0, -3400.5, 1600.25],
+        zoom: 4800,
+        focus: 70,
+        spare: 1,
+    };
+    vec![packet.encode().0.to_vec()]
+}
+
+fn psn() -> Vec<Vec<u8>> {
+    let header = PsnHeader { timestamp_us: 1_000_000, frame_id: 3, packets: 1 };
+    let tracker = |id| PsnTracker {
+        id,
+        position_m: Some([1.0, 2.0, 3.0]),
+        speed_m_s: Some([0.1; 3]),
+        orientation_rad: Some([0.2; 3]),
+        validity: Some(1.0),
+        acceleration_m_s2: Some([0.3; 3]),
+        target_m: Some([4.0; 3]),
+        timestamp_us: Some(77),
+    };
+    let names = vec![(1, "camera".to_owned()), (2, "Bühne".to_owned())];
+    vec![PsnPacket::Data(header, (1..4).map(tracker).collect()).encode(), PsnPacket::Info(header, "stage".to_owned(), names).encode()]
+}
+
+fn opentrackio() -> Vec<Vec<u8>> {
+    let sample = serde_json::json!({
+        "protocol": {"name": "OpenTrackIO", "version": [1, 0, 1]}, "sampleId": "urn:uuid:1", "tracker": {"status": "Optical Good"},
+        "transforms": [{"id": "Camera", "translation": {"x": 1.5, "y": -2.5, "z": 1e-9}}], "lens": [null, true, 18446744073709551615_u64],
+    });
+    let mut cbor = Vec::new();
+    ciborium::into_writer(&sample, &mut cbor).unwrap();
+    let json = serde_json::to_vec(&sample).unwrap();
+    [(Encoding::Json, json), (Encoding::Cbor, cbor)].map(|(encoding, payload)| datagram(encoding, 7, &payload).unwrap()).into()
+}
+
+fn osc() -> Vec<Vec<u8>> {
+    let time = |seconds, fractional| OscTime { seconds, fractional };
+    let args = vec![
+        OscType::Int(-1),
+        OscType::Float(1.5),
+        OscType::String("tracking".to_owned()),
+        OscType::Blob(vec![1, 2, 3, 4, 5]),
+        OscType::Time(time(0, 1)),
+        OscType::Time(time(2_208_988_799, u32::MAX)),
+        OscType::Long(i64::MIN),
+        OscType::Double(1e300),
+        OscType::Char('\u{1b}'),
+        OscType::Color(OscColor { red: 1, green: 2, blue: 3, alpha: 4 }),
+        OscType::Midi(OscMidiMessage { port: 1, status: 2, data1: 3, data2: 4 }),
+        OscType::Bool(true),
+        OscType::Array(OscArray { content: vec![OscType::Int(5), OscType::Array(OscArray { content: vec![OscType::Time(time(5, 5))] })] }),
+        OscType::Nil,
+        OscType::Inf,
+    ];
+    let all = OscPacket::Message(OscMessage { addr: "/stagepose/camera/all".to_owned(), args });
+    let plain = OscPacket::Message(OscMessage { addr: "/a".to_owned(), args: vec![] });
+    let bundle = |content| OscPacket::Bundle(OscBundle { timetag: time(0, 1), content });
+    let nested = bundle(vec![plain.clone(), bundle(vec![all.clone(), bundle(vec![plain.clone()])])]);
+    [all, plain, nested].iter().map(|packet| encoder::encode(packet).unwrap()).collect()
+}
