@@ -16,6 +16,7 @@ use hyper::server::conn::http1;
 use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use socket2::{Domain, Protocol, Socket, Type};
 use thiserror::Error;
 use tokio::net::TcpStream;
 use tokio::sync::watch;
@@ -42,6 +43,9 @@ const MOST_HEADERS: usize = 64;
 pub(super) const TAKES_WITHIN: Duration = Duration::from_secs(2);
 /// A connection that is no WebSocket ends after this time and is made anew: who takes one byte a second shall not keep it.
 const LASTS: Duration = Duration::from_secs(60);
+/// Connections that may wait to be accepted. Where there is no room, the system passes the next one over, and it tries again only
+/// after a second.
+const MOST_WAITING: i32 = 1024;
 /// Connections accepted in a row; far fewer than may be answered in brief.
 const AT_ONCE: u32 = 16;
 /// A connection without a place of its own ends after this time, answered or not.
@@ -81,8 +85,7 @@ impl Server {
     /// Where the address cannot be had or the thread cannot be started.
     pub fn start(settings: &HttpSettings, routes: Vec<Route>) -> Result<Self, WebError> {
         let listen = |source| WebError::Listen { address: settings.listen, source };
-        let listener = TcpListener::bind(settings.listen).map_err(listen)?;
-        listener.set_nonblocking(true).map_err(listen)?;
+        let listener = bound(settings.listen).map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(WebError::Start)?;
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
@@ -119,6 +122,16 @@ impl Drop for Server {
             tracing::error!("[http]: the server failed; please report this");
         }
     }
+}
+
+/// As the standard library binds, with room for more that wait.
+fn bound(address: SocketAddr) -> io::Result<TcpListener> {
+    let socket = Socket::new(Domain::for_address(address), Type::STREAM, Some(Protocol::TCP))?;
+    socket.set_reuse_address(true)?;
+    socket.set_nonblocking(true)?;
+    socket.bind(&address.into())?;
+    socket.listen(MOST_WAITING)?;
+    Ok(socket.into())
 }
 
 /// What every connection is answered from.

@@ -56,6 +56,19 @@ fn check_names_the_outputs_and_refuses_a_port_in_use() {
 }
 
 #[test]
+fn check_lists_the_hosts_that_are_answered_for() {
+    let scene = Scene::new();
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    scene.write("stage.toml", &format!("{CONFIG}[http]\nlisten = \"127.0.0.1:{port}\"\nhosts = [\"Stage.example.org\"]\n"));
+    let run = scene.run(&["check", "--config", "stage.toml"]);
+    run.assert_success();
+    let line = run.stdout.lines().find(|line| line.contains("answers for the hosts localhost, ")).expect("a line for the hosts");
+    assert!(line.contains(", 127.0.0.1, ::1, ") && line.ends_with(", stage.example.org"), "{line}");
+    scene.write("stage.toml", &format!("{CONFIG}[http]\nhosts = [\"http://stage\"]\n"));
+    scene.run(&["check", "--config", "stage.toml"]).assert_refused(2, &["`hosts` in [http], line 7: `http://stage` cannot be used"]);
+}
+
+#[test]
 fn a_test_pose_is_sent_and_listened_to() {
     let scene = Scene::new();
     let port = {
