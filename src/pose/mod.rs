@@ -4,6 +4,8 @@
 mod covariance;
 mod filter;
 mod prediction;
+mod reach;
+mod recent;
 mod stage;
 
 pub use covariance::{covariance_of_camera, covariance_of_object};

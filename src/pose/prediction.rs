@@ -1,7 +1,8 @@
-//! Prediction while coasting: the last two measured poses, carried on at constant velocity.
+//! Prediction while coasting: the last two measured poses, carried on at constant velocity, by no more than was moved lately.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::reach::{Reach, at_most};
 use crate::geometry::Pose;
 
 /// The last measurement and the velocity that led to it.
@@ -14,6 +15,7 @@ pub struct MotionHistory<To, From> {
     velocity: Vector3<f64>,
     /// Radians per second in the axes of `To`.
     turn_rate: Vector3<f64>,
+    reach: Reach<To, From>,
 }
 
 /// Measurements further apart than this say nothing about velocity, seconds.
@@ -23,7 +25,7 @@ const FADE_S: f64 = 0.2;
 
 impl<To, From> Default for MotionHistory<To, From> {
     fn default() -> Self {
-        Self { last: None, is_known: false, velocity: Vector3::zeros(), turn_rate: Vector3::zeros() }
+        Self { last: None, is_known: false, velocity: Vector3::zeros(), turn_rate: Vector3::zeros(), reach: Reach::default() }
     }
 }
 
@@ -38,13 +40,16 @@ impl<To, From> MotionHistory<To, From> {
                 self.turn_rate = (pose.rotation * before.rotation.inverse()).scaled_axis() / dt;
             }
         }
+        self.reach.push(timestamp_ns, pose);
         self.last = Some((timestamp_ns, *pose));
         self.is_known = true;
     }
 
     /// Forgets the motion: what comes next is no continuation.
     pub fn reset(&mut self) {
-        *self = Self { is_known: self.is_known, ..Self::default() };
+        self.last = None;
+        (self.velocity, self.turn_rate) = (Vector3::zeros(), Vector3::zeros());
+        self.reach.clear();
     }
 
     /// Whether anything was ever measured, before a reset or after.
@@ -52,13 +57,15 @@ impl<To, From> MotionHistory<To, From> {
         self.is_known
     }
 
-    /// The pose expected at a stamp.
+    /// The pose expected at a stamp. Two poses alone would make of a kick, or of noise at a high rate, a long way: what is added is no
+    /// more than the body moved within the last `FADE_S`.
     pub fn predicted(&self, timestamp_ns: i64) -> Option<Pose<To, From>> {
         let (last_ns, last) = self.last.as_ref()?;
         let dt = timestamp_ns.saturating_sub(*last_ns) as f64 * 1e-9;
-        let path = FADE_S * (1.0 - (-dt / FADE_S).exp());
-        let turn = UnitQuaternion::from_scaled_axis(self.turn_rate * path);
-        let pose = Pose::new(turn * last.rotation, last.translation + self.velocity * path);
+        let share = 1.0 - (-dt / FADE_S).exp();
+        let [moved, turned] = self.reach.moved(FADE_S);
+        let turn = UnitQuaternion::from_scaled_axis(at_most(self.turn_rate * FADE_S, turned) * share);
+        let pose = Pose::new(turn * last.rotation, last.translation + at_most(self.velocity * FADE_S, moved) * share);
         pose.is_finite().then_some(pose)
     }
 }
@@ -73,12 +80,26 @@ mod tests {
         let mut history = MotionHistory::<Stage, Camera>::default();
         assert!(history.predicted(0).is_none());
         let at = |x: f64| Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.0, x), Vector3::new(x, 0.0, 0.0));
-        history.measured(0, &at(0.0));
-        history.measured(20_000_000, &at(0.02));
-        let soon = history.predicted(30_000_000).expect("a history");
-        assert!((soon.translation.x - 0.03).abs() < 0.001 && (soon.rotation.angle() - 0.03).abs() < 0.001);
+        for k in 0..11 {
+            history.measured(k * 20_000_000, &at(0.02 * k as f64));
+        }
+        let soon = history.predicted(210_000_000).expect("a history");
+        assert!((soon.translation.x - 0.21).abs() < 0.001 && (soon.rotation.angle() - 0.21).abs() < 0.001);
         let late = history.predicted(5_000_000_000).expect("a history");
-        assert!((late.translation.x - 0.22).abs() < 0.01);
+        assert!((late.translation.x - 0.4).abs() < 0.01);
+    }
+
+    #[test]
+    fn a_kick_just_before_the_light_fails_does_not_run_away() {
+        for interval_ns in [200_000_000, 33_333_333, 4_166_667] {
+            let mut history = MotionHistory::<Stage, Camera>::default();
+            let at = |x: f64| Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.0, x), Vector3::new(x, 0.0, 0.0));
+            for k in 0..100 {
+                history.measured(k * interval_ns, &at(0.005 * f64::from(k == 99)));
+            }
+            let late = history.predicted(99 * interval_ns + 5_000_000_000).expect("a history");
+            assert!(late.translation.x <= 0.01 + 1e-9 && late.rotation.angle() <= 0.01 + 1e-9, "{late:?}");
+        }
     }
 
     #[test]

@@ -1,16 +1,26 @@
 //! Filters: what happens between the measured pose and the one that is given for use.
 //!
 //! Off by default: then `pose` equals `measured`. A filter calms a pose down, at the price of a delay, and estimates the velocity that a
-//! prediction needs. Nothing is carried across a loss. The covariance in the record stays that of the measurement.
+//! prediction needs. Whatever the filter says, a prediction reaches no further than recent measurements support: at most `PREDICTED_WAYS`
+//! times as far as the body moved within the time it reaches ahead. So a jump is never blown up by more than that, and a body
+//! that stands has no prediction as soon as it has stood for that time. Nothing is carried across a loss. The covariance in the
+//! record stays that of the measurement.
 
+mod evenness;
+mod fading;
+mod follower;
 mod kalman;
+mod memories;
 mod one_euro;
+mod place;
 
-use nalgebra::{Matrix6, UnitQuaternion, Vector3};
+use nalgebra::{Matrix6, Vector3};
 
+use super::reach::{Reach, at_most};
 use crate::geometry::{Pose, Stage};
 use kalman::Kalman;
 use one_euro::OneEuro;
+use place::Place;
 
 pub use kalman::KalmanSettings;
 pub use one_euro::OneEuroSettings;
@@ -32,11 +42,11 @@ pub enum FilterKind {
     Off,
     /// A low-pass whose cutoff rises with speed.
     OneEuro(OneEuroSettings),
-    /// Constant velocity on SE(3), weighted by the measurement's covariance.
+    /// Constant acceleration with a fading memory, weighted by the measurement's covariance.
     Kalman(KalmanSettings),
 }
 
-/// A pose with its velocities, in stage axes.
+/// A pose and how it moves, in stage axes.
 #[derive(Debug, Clone, Copy)]
 struct Motion<From> {
     pose: Pose<Stage, From>,
@@ -44,22 +54,28 @@ struct Motion<From> {
     velocity: Vector3<f64>,
     /// Radians per second.
     turn_rate: Vector3<f64>,
+    /// Metres per second squared, as far as it counts for a prediction.
+    acceleration: Vector3<f64>,
+    /// Radians per second squared, in the same way.
+    turn_acceleration: Vector3<f64>,
 }
 
 impl<From> Motion<From> {
     fn at_rest(pose: Pose<Stage, From>) -> Self {
-        Self { pose, velocity: Vector3::zeros(), turn_rate: Vector3::zeros() }
-    }
-
-    /// The pose after moving on for `seconds`.
-    fn after(&self, seconds: f64) -> Pose<Stage, From> {
-        let turn = UnitQuaternion::from_scaled_axis(self.turn_rate * seconds);
-        Pose::new(turn * self.pose.rotation, self.pose.translation + self.velocity * seconds)
+        let zeros = Vector3::zeros();
+        Self { pose, velocity: zeros, turn_rate: zeros, acceleration: zeros, turn_acceleration: zeros }
     }
 }
 
-/// Stamps further apart than this are no continuation, seconds.
+/// A prediction reaches at most so many times as far as the body moved within the time it reaches ahead. 1 would cut predictions
+/// short wherever a body speeds up; more lets a jump that is taken for a motion swing out by more.
+const PREDICTED_WAYS: f64 = 2.0;
+/// Stamps further apart than this are no continuation, seconds, unless the frame intervals themselves are that long.
 const LONGEST_STEP_S: f64 = 0.25;
+/// So many frame intervals are a continuation always: one dropped frame, and some unevenness.
+const LONGEST_STEP_FRAMES: f64 = 2.5;
+/// No continuation, however long the frame intervals are, seconds.
+const NO_CONTINUATION_S: f64 = 1.0;
 /// Without measurements the velocity fades with this time constant, seconds, as it does without a filter.
 const FADE_S: f64 = 0.2;
 
@@ -67,34 +83,55 @@ const FADE_S: f64 = 0.2;
 #[derive(Debug, Clone)]
 pub(super) struct PoseFilter<From> {
     settings: FilterSettings,
-    state: Option<(i64, State<From>)>,
+    running: Option<Running<From>>,
+    /// What bounds predictions.
+    reach: Reach<Stage, From>,
+}
+
+/// A filter between two measurements.
+#[derive(Debug, Clone)]
+struct Running<From> {
+    last_ns: i64,
+    /// The last two frame intervals, seconds, as far as they are known.
+    intervals_s: [Option<f64>; 2],
+    state: State<From>,
 }
 
 #[derive(Debug, Clone)]
 enum State<From> {
     OneEuro(OneEuro<From>),
-    Kalman(Box<Kalman<From>>),
+    Kalman(Box<Kalman>),
 }
 
 impl<From> PoseFilter<From> {
     pub fn new(settings: FilterSettings) -> Self {
-        Self { settings, state: None }
+        Self { settings, running: None, reach: Reach::default() }
     }
 
     /// Takes the measurement of a stamp and gives the pose for use.
     pub fn measured(&mut self, timestamp_ns: i64, pose: &Pose<Stage, From>, covariance: &Matrix6<f64>) -> Pose<Stage, From> {
-        let step_s = self.state.as_ref().map(|(last_ns, _)| timestamp_ns.saturating_sub(*last_ns) as f64 * 1e-9);
-        let state = match (self.state.take(), self.settings.kind) {
-            (_, FilterKind::Off) => return *pose,
-            (Some((_, mut state)), _) if step_s.is_some_and(|dt| dt > 0.0 && dt <= LONGEST_STEP_S) => {
-                state.update(step_s.unwrap_or(0.0), pose, covariance);
-                state
+        if self.settings.kind == FilterKind::Off {
+            return *pose;
+        }
+        let (mut intervals_s, mut continued) = ([None; 2], None);
+        if let Some(mut running) = self.running.take() {
+            let step_s = timestamp_ns.saturating_sub(running.last_ns) as f64 * 1e-9;
+            if step_s > 0.0 {
+                intervals_s = [Some(step_s), running.intervals_s[0]];
+                if step_s <= running.longest_step_s() {
+                    running.state.update(timestamp_ns, step_s, pose, covariance);
+                    continued = Some(running.state);
+                }
             }
-            (_, FilterKind::OneEuro(settings)) => State::OneEuro(OneEuro::start(settings, pose)),
-            (_, FilterKind::Kalman(settings)) => State::Kalman(Box::new(Kalman::start(settings, pose, covariance))),
-        };
-        let told = state.motion().after(self.settings.predict_s);
-        self.state = Some((timestamp_ns, state));
+        }
+        let state = continued.unwrap_or_else(|| {
+            self.reach.clear();
+            State::start(&self.settings, pose, covariance)
+        });
+        self.reach.push(timestamp_ns, pose);
+        let running = Running { last_ns: timestamp_ns, intervals_s, state };
+        let told = self.after(&running, 0.0);
+        self.running = Some(running);
         // A measurement that overflows the filter's numbers ends the filter, not the tracking.
         if told.is_finite() {
             return told;
@@ -105,34 +142,68 @@ impl<From> PoseFilter<From> {
 
     /// The pose of a stamp without a measurement.
     pub fn predicted(&self, timestamp_ns: i64) -> Option<Pose<Stage, From>> {
-        let (last_ns, state) = self.state.as_ref()?;
-        let gap_s = timestamp_ns.saturating_sub(*last_ns) as f64 * 1e-9;
-        let fade = (-gap_s / FADE_S).exp();
-        let pose = state.motion().after(FADE_S * (1.0 - fade) + self.settings.predict_s * fade);
-        pose.is_finite().then_some(pose)
+        let running = self.running.as_ref()?;
+        let gap_s = timestamp_ns.saturating_sub(running.last_ns) as f64 * 1e-9;
+        Some(self.after(running, gap_s)).filter(Pose::is_finite)
     }
 
     /// A loss: what comes next is no continuation.
     pub fn reset(&mut self) {
-        self.state = None;
+        self.running = None;
+        self.reach.clear();
+    }
+
+    /// The pose for use so long after the last measurement. The prediction fades, and so does the velocity that carries the pose on: it
+    /// goes on by at most as much as the body moved within the last `FADE_S`.
+    fn after(&self, running: &Running<From>, gap_s: f64) -> Pose<Stage, From> {
+        let motion = running.state.motion();
+        let predict_s = self.settings.predict_s;
+        let fade = (-gap_s.max(0.0) / FADE_S).exp();
+        let (lately, long) = (self.reach.moved(predict_s), self.reach.moved(FADE_S));
+        let way = |part: usize, velocity: Vector3<f64>, acceleration: Vector3<f64>| {
+            let ahead = velocity * predict_s + acceleration * (predict_s * predict_s / 2.0);
+            at_most(ahead, PREDICTED_WAYS * lately[part]) * fade + at_most(velocity * FADE_S, long[part]) * (1.0 - fade)
+        };
+        let position = way(0, motion.velocity, motion.acceleration);
+        let turn = way(1, motion.turn_rate, motion.turn_acceleration);
+        Pose::new(motion.pose.rotation.moved(turn), motion.pose.translation.moved(position))
+    }
+}
+
+impl<From> Running<From> {
+    /// Stamps further apart are no continuation.
+    fn longest_step_s(&self) -> f64 {
+        let interval_s = self.intervals_s.iter().flatten().copied().fold(f64::INFINITY, f64::min);
+        if interval_s.is_finite() { (LONGEST_STEP_FRAMES * interval_s).clamp(LONGEST_STEP_S, NO_CONTINUATION_S) } else { LONGEST_STEP_S }
     }
 }
 
 impl<From> State<From> {
-    fn update(&mut self, step_s: f64, pose: &Pose<Stage, From>, covariance: &Matrix6<f64>) {
-        match self {
-            Self::OneEuro(filter) => filter.update(step_s, pose),
-            Self::Kalman(filter) => filter.update(step_s, pose, covariance),
+    fn start(settings: &FilterSettings, pose: &Pose<Stage, From>, covariance: &Matrix6<f64>) -> Self {
+        match settings.kind {
+            FilterKind::Kalman(kalman) => Self::Kalman(Box::new(Kalman::start(kalman, settings.predict_s, pose, covariance))),
+            FilterKind::OneEuro(one_euro) => Self::OneEuro(OneEuro::start(one_euro, pose)),
+            // Never asked for.
+            FilterKind::Off => Self::OneEuro(OneEuro::start(OneEuroSettings::default(), pose)),
         }
     }
 
-    fn motion(&self) -> &Motion<From> {
+    fn update(&mut self, timestamp_ns: i64, step_s: f64, pose: &Pose<Stage, From>, covariance: &Matrix6<f64>) {
         match self {
-            Self::OneEuro(filter) => &filter.motion,
-            Self::Kalman(filter) => &filter.motion,
+            Self::OneEuro(filter) => filter.update(step_s, pose),
+            Self::Kalman(filter) => filter.update(timestamp_ns, step_s, pose, covariance),
+        }
+    }
+
+    fn motion(&self) -> Motion<From> {
+        match self {
+            Self::OneEuro(filter) => Motion { ..filter.motion },
+            Self::Kalman(filter) => filter.motion(),
         }
     }
 }
 
+#[cfg(test)]
+mod scenario_tests;
 #[cfg(test)]
 mod tests;

@@ -38,7 +38,7 @@ impl<From> OneEuro<From> {
     }
 
     pub fn update(&mut self, step_s: f64, pose: &Pose<Stage, From>) {
-        let Motion { pose: last, velocity, turn_rate } = &mut self.motion;
+        let Motion { pose: last, velocity, turn_rate, .. } = &mut self.motion;
         let (way, turn) = (pose.translation - last.translation, (pose.rotation * last.rotation.inverse()).scaled_axis());
         let share = share_of(VELOCITY_CUTOFF_HZ, step_s);
         *velocity += share * (way / step_s - *velocity);

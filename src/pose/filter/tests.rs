@@ -10,15 +10,15 @@ const SIGMA: f64 = 1e-4;
 
 type Track = Vec<(Pose<Stage, Camera>, Pose<Stage, Camera>)>;
 
-fn kalman(predict_s: f64) -> FilterSettings {
+pub(super) fn kalman(predict_s: f64) -> FilterSettings {
     FilterSettings { kind: FilterKind::Kalman(KalmanSettings::default()), predict_s }
 }
 
-fn one_euro() -> FilterSettings {
+pub(super) fn one_euro() -> FilterSettings {
     FilterSettings { kind: FilterKind::OneEuro(OneEuroSettings::default()), predict_s: 0.0 }
 }
 
-fn pose(position: Vector3<f64>, turn: Vector3<f64>) -> Pose<Stage, Camera> {
+pub(super) fn pose(position: Vector3<f64>, turn: Vector3<f64>) -> Pose<Stage, Camera> {
     Pose::new(UnitQuaternion::from_scaled_axis(turn), position)
 }
 
