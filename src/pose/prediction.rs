@@ -2,7 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::reach::{Reach, at_most};
+use super::reach::Reach;
 use crate::geometry::Pose;
 
 /// The last measurement and the velocity that led to it.
@@ -63,9 +63,9 @@ impl<To, From> MotionHistory<To, From> {
         let (last_ns, last) = self.last.as_ref()?;
         let dt = timestamp_ns.saturating_sub(*last_ns) as f64 * 1e-9;
         let share = 1.0 - (-dt / FADE_S).exp();
-        let [moved, turned] = self.reach.moved(FADE_S);
-        let turn = UnitQuaternion::from_scaled_axis(at_most(self.turn_rate * FADE_S, turned) * share);
-        let pose = Pose::new(turn * last.rotation, last.translation + at_most(self.velocity * FADE_S, moved) * share);
+        let [way, turn] = self.reach.supports([self.velocity * FADE_S, self.turn_rate * FADE_S], 1.0, FADE_S);
+        let turn = UnitQuaternion::from_scaled_axis(turn * share);
+        let pose = Pose::new(turn * last.rotation, last.translation + way * share);
         pose.is_finite().then_some(pose)
     }
 }

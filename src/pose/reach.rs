@@ -1,4 +1,5 @@
 //! How far a body moved lately, and no prediction beyond it: a velocity is estimated, what was moved is measured.
+//! A way in a direction that the body has not come in is not supported at all.
 
 use nalgebra::Vector3;
 
@@ -26,16 +27,19 @@ impl<To, From> Reach<To, From> {
         self.measured.clear();
     }
 
-    /// How far the newest pose is from where the body was within the `seconds` before it, at most: metres and radians.
-    pub fn moved(&self, seconds: f64) -> [f64; 2] {
+    /// Shortens ways ahead, metres and radians, to `times` as far as the body moved in their direction within the last `seconds`.
+    pub fn supports(&self, ways: [Vector3<f64>; 2], times: f64, seconds: f64) -> [Vector3<f64>; 2] {
+        let lengths = ways.map(|way| way.norm());
+        let mut moved = [0.0f64; 2];
         let mut recent = self.measured.within_last(seconds);
-        let Some((_, now)) = recent.next() else { return [0.0; 2] };
-        recent.fold([0.0; 2], |[way, turn], (_, then)| [way.max((now.translation - then.translation).norm()), turn.max(now.angle_to(then))])
+        if let Some((_, now)) = recent.next() {
+            for (_, then) in recent {
+                let since = [now.translation - then.translation, (now.rotation * then.rotation.inverse()).scaled_axis()];
+                for part in 0..2 {
+                    moved[part] = moved[part].max(since[part].dot(&ways[part]) / lengths[part]);
+                }
+            }
+        }
+        [0, 1].map(|part| if lengths[part] > times * moved[part] { ways[part] * (times * moved[part] / lengths[part]) } else { ways[part] })
     }
-}
-
-/// A vector, shortened to a length where it is longer.
-pub(super) fn at_most(vector: Vector3<f64>, length: f64) -> Vector3<f64> {
-    let norm = vector.norm();
-    if norm > length { vector * (length / norm) } else { vector }
 }

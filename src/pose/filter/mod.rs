@@ -2,7 +2,7 @@
 //!
 //! Off by default: then `pose` equals `measured`. A filter calms a pose down, at the price of a delay, and estimates the velocity that a
 //! prediction needs. Whatever the filter says, a prediction reaches no further than recent measurements support: at most `PREDICTED_WAYS`
-//! times as far as the body moved within the time it reaches ahead. So a jump is never blown up by more than that, and a body
+//! times as far as the body moved, in its direction, within the time it reaches ahead. So a jump is never blown up by more than that, and a body
 //! that stands has no prediction as soon as it has stood for that time. Nothing is carried across a loss. The covariance in the
 //! record stays that of the measurement.
 
@@ -16,7 +16,7 @@ mod place;
 
 use nalgebra::{Matrix6, Vector3};
 
-use super::reach::{Reach, at_most};
+use super::reach::Reach;
 use crate::geometry::{Pose, Stage};
 use kalman::Kalman;
 use one_euro::OneEuro;
@@ -159,14 +159,13 @@ impl<From> PoseFilter<From> {
         let motion = running.state.motion();
         let predict_s = self.settings.predict_s;
         let fade = (-gap_s.max(0.0) / FADE_S).exp();
-        let (lately, long) = (self.reach.moved(predict_s), self.reach.moved(FADE_S));
-        let way = |part: usize, velocity: Vector3<f64>, acceleration: Vector3<f64>| {
-            let ahead = velocity * predict_s + acceleration * (predict_s * predict_s / 2.0);
-            at_most(ahead, PREDICTED_WAYS * lately[part]) * fade + at_most(velocity * FADE_S, long[part]) * (1.0 - fade)
-        };
-        let position = way(0, motion.velocity, motion.acceleration);
-        let turn = way(1, motion.turn_rate, motion.turn_acceleration);
-        Pose::new(motion.pose.rotation.moved(turn), motion.pose.translation.moved(position))
+        let ahead =
+            |velocity: Vector3<f64>, acceleration: Vector3<f64>| velocity * predict_s + acceleration * (predict_s * predict_s / 2.0);
+        let ahead = [ahead(motion.velocity, motion.acceleration), ahead(motion.turn_rate, motion.turn_acceleration)];
+        let ahead = self.reach.supports(ahead, PREDICTED_WAYS, predict_s);
+        let on = self.reach.supports([motion.velocity * FADE_S, motion.turn_rate * FADE_S], 1.0, FADE_S);
+        let [way, turn] = [0, 1].map(|part| ahead[part] * fade + on[part] * (1.0 - fade));
+        Pose::new(motion.pose.rotation.moved(turn), motion.pose.translation.moved(way))
     }
 }
 
