@@ -4,7 +4,8 @@
 
 FOLDER has clips as benches/clips.py leaves them (frames, stage.toml, groundtruth.txt). Printed for each clip and filter: the error of
 the position told for `ahead` seconds after the frame, as a share of the error of sending the measured pose (root mean square and
-median), and for a still clip the scatter of the predicted positions as a share of the measured ones'. --check fails beyond the bars.
+median), and for a still clip the scatter of the predicted positions as a share of the measured ones'; the rotation's error in the same
+way. --check fails beyond the bars, which are the positions'.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 ROOT = Path(__file__).resolve().parent.parent
 # Greatest share of the error of the measured pose that a prediction may have; greatest growth of the scatter at rest.
@@ -35,7 +37,7 @@ def truth_at(folder):
         a, b, c, d = p[k - 1 : k + 3]
         return b + 0.5 * s * (c - a + s * (2 * a - 5 * b + 4 * c - d + s * (3 * (b - c) + d - a)))
 
-    return at, t[1], t[-2]
+    return at, Slerp(t, Rotation.from_quat(rows[:, 4:8])), t[1], t[-2]
 
 
 def track(binary, folder, kind, ahead):
@@ -51,8 +53,8 @@ def track(binary, folder, kind, ahead):
 
 
 def score(records, folder, ahead):
-    at, first, last = truth_at(folder)
-    told, held, predicted, measured, run = [], [], [], [], 0
+    at, turned_at, first, last = truth_at(folder)
+    told, held, predicted, measured, turns, run = [], [], [], [], [], 0
     for record in records:
         run = run + 1 if record["state"] == "tracking" else 0
         when = record["timestamp_ns"] * 1e-9 + ahead
@@ -62,12 +64,15 @@ def score(records, folder, ahead):
         measured.append(record["measured"]["position_m"])
         told.append(np.linalg.norm(predicted[-1] - at(when)))
         held.append(np.linalg.norm(measured[-1] - at(when)))
+        both = Rotation.from_quat([record[key]["orientation_xyzw"] for key in ("pose", "measured")])
+        turns.append((both * turned_at(when).inv()).magnitude())
     told, held = np.array(told), np.array(held)
+    turned = np.sqrt(np.mean(np.square(turns), axis=0))
     scatter = np.sqrt(np.var(predicted, axis=0).sum() / np.var(measured, axis=0).sum())
     moved = np.ptp(np.array([at(w) for w in np.linspace(first, last, 50)]), axis=0).max()
     return {
         "poses": len(told), "held_mm": 1e3 * np.sqrt(np.mean(held**2)), "rms": np.sqrt(np.mean(told**2) / np.mean(held**2)),
-        "median": np.median(told) / np.median(held), "scatter": scatter, "is_still": moved < 1e-6,
+        "median": np.median(told) / np.median(held), "scatter": scatter, "turn": turned[0] / turned[1], "is_still": moved < 1e-6,
     }
 
 
@@ -90,6 +95,7 @@ def main():
                 bar = next((bar for name, bar in ERROR_BARS.items() if clip.startswith(name)), float("inf"))
                 verdict = s["rms"] <= bar
                 text = f"error x {s['rms']:.3f} rms, x {s['median']:.3f} median of {s['held_mm']:.1f} mm (bar {bar})"
+            text += f", rotation x {s['turn']:.3f}"
             # The bars are for the filter that is made for it.
             verdict |= kind != "kalman"
             failed |= not verdict
