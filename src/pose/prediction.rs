@@ -63,7 +63,7 @@ impl<To, From> MotionHistory<To, From> {
         let (last_ns, last) = self.last.as_ref()?;
         let dt = timestamp_ns.saturating_sub(*last_ns) as f64 * 1e-9;
         let share = 1.0 - (-dt / FADE_S).exp();
-        let [way, turn] = self.reach.supports([self.velocity * FADE_S, self.turn_rate * FADE_S], 1.0, FADE_S);
+        let [way, turn] = self.reach.carries([self.velocity, self.turn_rate], FADE_S);
         let turn = UnitQuaternion::from_scaled_axis(turn * share);
         let pose = Pose::new(turn * last.rotation, last.translation + way * share);
         pose.is_finite().then_some(pose)

@@ -27,6 +27,15 @@ impl<To, From> Reach<To, From> {
         self.measured.clear();
     }
 
+    /// Shortens the ways that velocities, m/s and rad/s, lead within some seconds to what the body moved in their direction in as long
+    /// before. Where it was not seen for so long yet, it is taken to have gone on before as it does since.
+    pub fn carries(&self, velocities: [Vector3<f64>; 2], seconds: f64) -> [Vector3<f64>; 2] {
+        let mut stamps = self.measured.within_last(seconds).map(|(at_ns, _)| *at_ns);
+        let (newest, oldest) = (stamps.next().unwrap_or(0), stamps.last());
+        let seen_s = oldest.map_or(seconds, |oldest| newest.saturating_sub(oldest) as f64 * 1e-9).clamp(1e-3, seconds);
+        self.supports(velocities.map(|velocity| velocity * seconds), seconds / seen_s, seconds)
+    }
+
     /// Shortens ways ahead, metres and radians, to `times` as far as the body moved in their direction within the last `seconds`.
     pub fn supports(&self, ways: [Vector3<f64>; 2], times: f64, seconds: f64) -> [Vector3<f64>; 2] {
         let lengths = ways.map(|way| way.norm());

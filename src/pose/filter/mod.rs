@@ -163,7 +163,7 @@ impl<From> PoseFilter<From> {
             |velocity: Vector3<f64>, acceleration: Vector3<f64>| velocity * predict_s + acceleration * (predict_s * predict_s / 2.0);
         let ahead = [ahead(motion.velocity, motion.acceleration), ahead(motion.turn_rate, motion.turn_acceleration)];
         let ahead = self.reach.supports(ahead, PREDICTED_WAYS, predict_s);
-        let on = self.reach.supports([motion.velocity * FADE_S, motion.turn_rate * FADE_S], 1.0, FADE_S);
+        let on = self.reach.carries([motion.velocity, motion.turn_rate], FADE_S);
         let [way, turn] = [0, 1].map(|part| ahead[part] * fade + on[part] * (1.0 - fade));
         Pose::new(motion.pose.rotation.moved(turn), motion.pose.translation.moved(way))
     }

@@ -216,7 +216,8 @@ fn coasting_goes_on_no_further_than_the_last_way() {
             let since = past.iter().rposition(|(then, _)| *then <= t - FADE_S - 1e-6).unwrap_or(0);
             let moved = past[since..].iter().map(|(_, p)| (p - x).abs()).fold(0.0, f64::max);
             let at = |gap_s: f64| filter.predicted(((t + gap_s) * 1e9) as i64).expect("running").translation.x;
-            assert!((at(5.0) - at(0.0)).abs() <= moved + 1e-9, "{rate} Hz {k}");
+            // Seen for less than that, it is taken to have gone on before.
+            assert!(t < FADE_S || (at(5.0) - at(0.0)).abs() <= moved + 1e-9, "{rate} Hz {k}");
         }
     }
 }
