@@ -9,6 +9,8 @@
 use nalgebra::{Matrix2, Matrix3, Vector2};
 use thiserror::Error;
 
+use super::doubt::LensDoubt;
+
 /// A raw pixel position: distorted, pixel centres at integers, origin the centre of the top-left pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pixel(pub Vector2<f64>);
@@ -87,6 +89,8 @@ pub struct CameraModel {
     intrinsics: Intrinsics,
     /// Largest undistorted radius (normalised) at which the radial map still grows.
     valid_radius: f64,
+    /// How far the numbers may be off, where that is known.
+    doubt: Option<LensDoubt>,
 }
 
 impl CameraModel {
@@ -115,7 +119,7 @@ impl CameraModel {
         if let Some(&(name, value)) = named[..2].iter().find(|(_, v)| *v <= 0.0) {
             return Err(CameraError::FocalLength { name, value });
         }
-        Ok(Self { intrinsics, valid_radius: radial_limit(i.distortion) })
+        Ok(Self { intrinsics, valid_radius: radial_limit(i.distortion), doubt: None })
     }
 
     /// A camera without distortion or skew.
@@ -126,6 +130,16 @@ impl CameraModel {
     /// The numbers behind the model.
     pub fn intrinsics(&self) -> &Intrinsics {
         &self.intrinsics
+    }
+
+    /// The same camera, with how far its numbers may be off: poses tell it in their covariance.
+    pub fn with_doubt(self, doubt: Option<LensDoubt>) -> Self {
+        Self { doubt, ..self }
+    }
+
+    /// How far the numbers may be off, where that is known.
+    pub fn doubt(&self) -> Option<LensDoubt> {
+        self.doubt
     }
 
     /// Picture width in pixels.
@@ -166,6 +180,11 @@ impl CameraModel {
             radial + 2.0 * slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
         );
         (point, jacobian)
+    }
+
+    /// Equations 6 and 7 alone.
+    pub(super) fn distorted(&self, n: Vector2<f64>) -> Vector2<f64> {
+        self.distort(n).0
     }
 
     /// Equations 5 to 10: the raw pixel of a normalised point.
@@ -269,7 +288,7 @@ impl CameraModel {
         if width == 0 || height == 0 || !same_shape {
             return Err(CameraError::Aspect { from_width: i.width, from_height: i.height, width, height });
         }
-        Self::new(Intrinsics {
+        let scaled = Self::new(Intrinsics {
             width,
             height,
             fx: i.fx * sx,
@@ -278,7 +297,8 @@ impl CameraModel {
             cy: (i.cy + 0.5) * sy - 0.5,
             skew: i.skew,
             distortion: i.distortion,
-        })
+        })?;
+        Ok(scaled.with_doubt(self.doubt.map(|doubt| doubt.scaled(sx, sy))))
     }
 }
 

@@ -141,7 +141,7 @@ fn published(state: LockState) -> State {
 }
 
 fn measurement(sighting: &Sighting, camera: &BodyEstimate<crate::geometry::Camera>) -> Option<Measurement> {
-    let (pose, covariance) = camera.measured?;
+    let (pose, covariance) = camera.measured.map(|m| (m.pose, m.covariance()))?;
     let verified = sighting.stage.verified.as_ref()?;
     let two_view = sighting.two_view.as_ref()?;
     let essential = two_view.essential.map(|(motion, inliers)| EssentialMotion {
@@ -165,6 +165,6 @@ fn object_sample(name: &str, estimate: BodyEstimate<crate::geometry::Body>) -> O
         name: name.to_owned(),
         state: published(estimate.state),
         pose: estimate.pose,
-        covariance: estimate.measured.map(|(_, covariance)| covariance),
+        covariance: estimate.measured.map(|m| m.covariance()),
     }
 }

@@ -11,4 +11,4 @@ mod stage;
 pub use covariance::{covariance_of_camera, covariance_of_object};
 pub use filter::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
 pub use prediction::MotionHistory;
-pub use stage::{BodyEstimate, PoseEstimate, PoseStage};
+pub use stage::{BodyEstimate, Measured, PoseEstimate, PoseStage};

@@ -15,8 +15,26 @@ pub struct BodyEstimate<From> {
     pub state: LockState,
     /// For use: measured (filtered where a filter is set), or predicted while coasting.
     pub pose: Option<Pose<Stage, From>>,
-    /// Measured in this frame, with the covariance of [δp, δθ] in stage axes.
-    pub measured: Option<(Pose<Stage, From>, Matrix6<f64>)>,
+    /// Measured in this frame.
+    pub measured: Option<Measured<From>>,
+}
+
+/// A measured pose.
+#[derive(Debug, Clone, Copy)]
+pub struct Measured<From> {
+    /// The pose.
+    pub pose: Pose<Stage, From>,
+    /// Covariance of [δp, δθ] in stage axes by the frame's noise: what a filter weighs.
+    pub noise: Matrix6<f64>,
+    /// The same by the doubt about the lens, which lasts.
+    pub by_lens: Option<Matrix6<f64>>,
+}
+
+impl<From> Measured<From> {
+    /// All that is left open.
+    pub fn covariance(&self) -> Matrix6<f64> {
+        self.by_lens.map_or(self.noise, |by_lens| self.noise + by_lens)
+    }
 }
 
 /// What is said of the camera and the objects after a frame.
@@ -75,7 +93,8 @@ impl PoseStage {
         let seen = sighting.stage.verified.as_ref().map(|v| {
             // The stage's body frame is the stage frame.
             let t_camera_stage: Pose<Camera, Stage> = v.pose.renamed();
-            (t_camera_stage.inverse(), covariance_of_camera(&t_camera_stage, &v.covariance))
+            let by_lens = v.by_lens.map(|by_lens| covariance_of_camera(&t_camera_stage, &by_lens));
+            Measured { pose: t_camera_stage.inverse(), noise: covariance_of_camera(&t_camera_stage, &v.covariance), by_lens }
         });
         let camera = settle(sighting.stage.state, seen, sighting.timestamp_ns, &mut self.camera);
         let objects = sighting
@@ -102,8 +121,15 @@ fn object_estimate(
         (state, _) => state,
     };
     let measured = match (&object.verified, &camera.measured) {
-        (Some(v), Some((t_stage_camera, covariance))) => {
-            Some((*t_stage_camera * v.pose, covariance_of_object(t_stage_camera, covariance, &v.pose, &v.covariance)))
+        (Some(v), Some(camera)) => {
+            let together = |camera_part, own_part| covariance_of_object(&camera.pose, camera_part, &v.pose, own_part);
+            let none = Matrix6::zeros();
+            // One lens puts both off, mostly the same way, so that counting them apart rather tells too much.
+            let by_lens = camera
+                .by_lens
+                .or(v.by_lens)
+                .map(|_| together(camera.by_lens.as_ref().unwrap_or(&none), v.by_lens.as_ref().unwrap_or(&none)));
+            Some(Measured { pose: camera.pose * v.pose, noise: together(&camera.noise, &v.covariance), by_lens })
         }
         _ => None,
     };
@@ -113,15 +139,15 @@ fn object_estimate(
 /// Fits pose and state together: measured while tracking, predicted while coasting, nothing else.
 fn settle<From>(
     state: LockState,
-    measured: Option<(Pose<Stage, From>, Matrix6<f64>)>,
+    measured: Option<Measured<From>>,
     timestamp_ns: i64,
     motion: &mut BodyMotion<From>,
 ) -> BodyEstimate<From> {
     let BodyMotion { history, filter } = motion;
-    if let (LockState::Tracking, Some((pose, covariance))) = (state, measured) {
-        history.measured(timestamp_ns, &pose);
-        let told = filter.measured(timestamp_ns, &pose, &covariance);
-        return BodyEstimate { state, pose: Some(told), measured: Some((pose, covariance)) };
+    if let (LockState::Tracking, Some(measured)) = (state, measured) {
+        history.measured(timestamp_ns, &measured.pose);
+        let told = filter.measured(timestamp_ns, &measured.pose, &measured.noise);
+        return BodyEstimate { state, pose: Some(told), measured: Some(measured) };
     }
     let predicted = history.predicted(timestamp_ns).filter(|_| matches!(state, LockState::Tracking | LockState::Coasting));
     if let Some(pose) = predicted {

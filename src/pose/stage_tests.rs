@@ -8,7 +8,8 @@ const FRAME_NS: i64 = 33_333_333;
 
 fn body(state: LockState) -> BodySighting {
     let pose = Pose::new(UnitQuaternion::from_euler_angles(1.5, 0.1, 0.0), Vector3::new(0.1, 0.2, 3.0));
-    let verified = Verified { pose, covariance: Matrix6::identity() * 1e-6, share: 1.0, inliers: 0, rms_px: 0.1, is_conclusive: false };
+    let verified =
+        Verified { pose, covariance: Matrix6::identity() * 1e-6, by_lens: None, share: 1.0, inliers: 0, rms_px: 0.1, is_conclusive: false };
     BodySighting { state, verified: (state == Tracking).then_some(verified) }
 }
 
@@ -60,9 +61,30 @@ fn a_skipped_row_leaves_the_motion_as_it_was() {
 fn covariance_comes_with_a_measurement_only() {
     let mut stage = PoseStage::default();
     let tracked = stage.estimate(&sighting(0, Tracking, Tracking));
-    let (camera, object) = (tracked.camera.measured.expect("measured").1, tracked.objects[0].measured.expect("measured").1);
+    let (camera, object) = (tracked.camera.measured.expect("measured"), tracked.objects[0].measured.expect("measured"));
+    let (camera, object) = (camera.covariance(), object.covariance());
     // The object's error adds to the camera's.
     assert!(camera.trace() > 0.0 && object.trace() > camera.trace());
     let coasting = stage.estimate(&sighting(1, Coasting, Coasting));
     assert!(coasting.camera.measured.is_none() && coasting.objects[0].measured.is_none());
+}
+
+#[test]
+fn what_the_lens_leaves_open_is_told_and_not_filtered() {
+    let doubtful = |mut seen: BodySighting| {
+        seen.verified.iter_mut().for_each(|v| v.by_lens = Some(Matrix6::identity() * 1e-2));
+        seen
+    };
+    let kalman = FilterSettings { kind: crate::pose::FilterKind::Kalman(crate::pose::KalmanSettings::default()), predict_s: 0.0 };
+    let (mut sure, mut doubting) = (PoseStage::with_filter(kalman), PoseStage::with_filter(kalman));
+    for k in 0..5 {
+        let known = sighting(k, Tracking, Tracking);
+        let open = Sighting { stage: doubtful(known.stage.clone()), objects: vec![doubtful(known.objects[0].clone())], ..known.clone() };
+        let (known, open) = (sure.estimate(&known), doubting.estimate(&open));
+        assert_eq!(known.camera.pose.map(|p| p.translation), open.camera.pose.map(|p| p.translation));
+        let trace = |estimate: &PoseEstimate| estimate.camera.measured.unwrap().covariance().trace();
+        assert!(trace(&open) > trace(&known) + 0.05);
+        let trace = |estimate: &PoseEstimate| estimate.objects[0].measured.unwrap().covariance().trace();
+        assert!(trace(&open) > trace(&known) + 0.1);
+    }
 }

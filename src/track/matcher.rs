@@ -12,6 +12,7 @@ use tracing::{debug, debug_span};
 
 use super::acquire::{candidates, surface_matches};
 use super::align::{Eye, FrameLevels, MotionEstimate, Sensor, ShutterClue, UsedPixel};
+use super::lens_doubt::covariance_by_lens;
 use super::lock::LockState;
 use super::reference::halve_into;
 use super::registration::SearchPicture;
@@ -218,7 +219,11 @@ impl Matcher {
         let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
         let pose = verified.as_ref().map(|v| &v.pose);
         let state = tracked.lock.update(timestamp_ns, pose, self.settings.coast_s, confirm_frames);
-        BodySighting { state, verified: verified.filter(|_| state == LockState::Tracking) }
+        let mut verified = verified.filter(|_| state == LockState::Tracking);
+        if let Some(v) = &mut verified {
+            v.by_lens = covariance_by_lens(&v.pose, &self.camera, tracked.anchors.iter().map(|anchor| &anchor.observation));
+        }
+        BodySighting { state, verified }
     }
 
     /// Time went on, but there was no picture.

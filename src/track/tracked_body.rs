@@ -173,6 +173,7 @@ impl TrackedBody {
         Verified {
             pose,
             covariance: (covariance + covariance.transpose()) * 0.5,
+            by_lens: None,
             share: found.share(),
             inliers: found.inliers as usize,
             rms_px: found.rms_px,

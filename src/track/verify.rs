@@ -47,8 +47,11 @@ const LARGEST_SHIFT: f64 = 0.012;
 pub struct Verified {
     /// `T_camera_body`.
     pub pose: Pose<Camera, Body>,
-    /// Of the left perturbation [δt, δθ] of `T_camera_body`, camera axes.
+    /// Of the left perturbation [δt, δθ] of `T_camera_body`, camera axes; what this frame's noise leaves open.
     pub covariance: Matrix6<f64>,
+    /// The same of what the doubt about the lens leaves open: it stays the same from frame to frame, so that no filter can
+    /// average it away. None where the lens is not in doubt.
+    pub by_lens: Option<Matrix6<f64>>,
     /// Share of the anchors asked that fit.
     pub share: f64,
     /// Pixels or anchors that it rests on.
@@ -202,7 +205,7 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
         squared_residual(&fine.pose, &moving, &unit).unwrap_or(0.0)
     };
     let rms_px = (anchors.iter().map(squared_px).sum::<f64>() / anchors.len() as f64).sqrt();
-    Ok(Verified { pose: fine.pose, covariance, share, inliers: anchors.len(), rms_px, is_conclusive: false })
+    Ok(Verified { pose: fine.pose, covariance, by_lens: None, share, inliers: anchors.len(), rms_px, is_conclusive: false })
 }
 
 /// The anchors that agree with the pose, in pixels and in sigmas.

@@ -1,10 +1,12 @@
 //! The covariance of the record against the errors that it speaks of.
 
 use nalgebra::{Vector3, Vector6};
+use stagepose::TrackerSetup;
+use stagepose::camera::{CameraModel, LensGuess};
 use stagepose::record::{PoseSample, State};
 use stagepose::simulate::{CameraPath, SensorNoise, Spline, VirtualStage};
 
-use super::scene::{backdrop, camera, quiet, track, truth_of};
+use super::scene::{aside, backdrop, camera, quiet, rows, setup, track, track_rows, truth_of};
 
 /// Normalised estimation error squared over its six degrees of freedom (C3: p_true = p + δp, R_true = Exp(δθ) R).
 fn nees_per_freedom(scene: &VirtualStage, sample: &PoseSample) -> f64 {
@@ -29,4 +31,26 @@ fn errors_are_as_large_as_the_covariance_says() {
     println!("mean NEES / 6 over {} frames: {mean:.2}", all.len());
     assert_eq!(all.len(), 28);
     assert!((0.3..3.0).contains(&mean), "{mean}");
+}
+
+#[test]
+fn a_guessed_lens_is_doubted_as_much_as_it_deserves() {
+    for (off, k1) in [(0.97, 0.0), (1.0, 0.03), (1.03, -0.03)] {
+        let mut real = *camera(640, 360).intrinsics();
+        real.distortion = [k1, 0.0, 0.0, 0.0, 0.0];
+        let scene = quiet(CameraModel::new(real).unwrap(), aside(), backdrop());
+        let across = 2.0 * (320.0 / (real.fx * off)).atan().to_degrees();
+        let guess = LensGuess::FieldOfView(across).camera(640, 360).unwrap();
+        let samples = track_rows(TrackerSetup { camera: guess, ..setup(&scene) }, &rows(&scene, 8));
+        let tracked: Vec<&PoseSample> = samples.iter().filter(|s| s.state == State::Tracking).collect();
+        assert!(tracked.len() >= 6, "{off} {k1}: {} frames of 8", tracked.len());
+        for sample in tracked {
+            let told = sample.measurement.unwrap().covariance;
+            let distance = truth_of(&scene, sample).translation.norm();
+            let sigma = (told[(0, 0)] + told[(1, 1)] + told[(2, 2)]).sqrt() / distance;
+            let nees = nees_per_freedom(&scene, sample);
+            println!("focal length {off}, k1 {k1}: told {:.2} % of the distance, NEES / 6 {nees:.3}", 100.0 * sigma);
+            assert!((0.025..0.08).contains(&sigma) && nees < 3.0, "{off} {k1}: {sigma} {nees}");
+        }
+    }
 }

@@ -12,6 +12,7 @@ mod yaml;
 
 use std::path::Path;
 
+use super::doubt::IntrinsicsUncertainty;
 use super::model::{CameraModel, Intrinsics};
 pub use problem::{CalibrationFileError, CalibrationProblem};
 use problem::{Fault, fault};
@@ -31,23 +32,6 @@ pub struct Calibration {
     pub date: Option<String>,
     /// The form it was read from.
     pub form: CalibrationForm,
-}
-
-/// 3 sigma of each intrinsic, in the units of [`Intrinsics`]; 0 for a number that was held fixed.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct IntrinsicsUncertainty {
-    /// 3 sigma of fx, pixels.
-    pub fx: f64,
-    /// 3 sigma of fy, pixels.
-    pub fy: f64,
-    /// 3 sigma of cx, pixels.
-    pub cx: f64,
-    /// 3 sigma of cy, pixels.
-    pub cy: f64,
-    /// 3 sigma of alpha_c.
-    pub skew: f64,
-    /// 3 sigma of [k1, k2, p1, p2, k3].
-    pub distortion: [f64; 5],
 }
 
 /// The forms that are read.

@@ -1,0 +1,92 @@
+//! What the doubt about the lens leaves open of a pose.
+//!
+//! The pose is where its pixels are explained best by the lens as it was told. Had the lens been told one sigma
+//! otherwise, the same pixels would have led to another pose: to first order the least-squares answer to the
+//! pixels' shifts. Each way in which the lens may be off gives one such shift of the pose, and they add up.
+
+use nalgebra::{Matrix6, SMatrix, Vector2};
+
+use crate::camera::{CameraModel, LENS_WAYS, Normalized};
+use crate::geometry::resection::{MovingCamera, Observation, residual_and_jacobian};
+use crate::geometry::{Body, Camera, Pose};
+
+/// Covariance of the left perturbation [δt, δθ] of `T_camera_body` by the lens alone; none where the lens is not in doubt.
+pub(super) fn covariance_by_lens<'a>(
+    pose: &Pose<Camera, Body>,
+    camera: &CameraModel,
+    observations: impl Iterator<Item = &'a Observation>,
+) -> Option<Matrix6<f64>> {
+    camera.doubt()?;
+    let still = MovingCamera::still(camera);
+    let mut normal = Matrix6::zeros();
+    let mut right = SMatrix::<f64, 6, LENS_WAYS>::zeros();
+    for o in observations {
+        let seen = pose.transform(&o.point).coords;
+        let normalized = Normalized(Vector2::new(seen.x / seen.z, seen.y / seen.z));
+        let (Some((_, j)), Some(shifts)) = (residual_and_jacobian(pose, &still, o), camera.pixel_doubt(normalized)) else { continue };
+        let weighted = j.transpose() * o.information;
+        normal += weighted * j;
+        right += weighted * shifts;
+    }
+    let by_way = normal.cholesky()?.solve(&right);
+    let covariance = by_way * by_way.transpose();
+    covariance.iter().all(|v| v.is_finite()).then(|| (covariance + covariance.transpose()) * 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix2, Point3, Vector3};
+
+    use super::*;
+    use crate::camera::{Intrinsics, LensGuess};
+    use crate::geometry::resection::resect;
+
+    /// Points of a backdrop of 4 x 3 m with a flat half a metre in front of it, 4 m away.
+    fn seen_by(camera: &CameraModel, pose: &Pose<Camera, Body>) -> Vec<Observation> {
+        let points = (0..9).flat_map(|i| (0..7).map(move |k| (i, k)));
+        let observation = |(i, k): (i32, i32)| {
+            let (x, y) = (f64::from(i - 4) * 0.35, f64::from(k - 3) * 0.3);
+            let point = Point3::new(x, y, if i > 5 { -0.5 } else { 0.0 });
+            let c = pose.transform(&point).coords;
+            let pixel = camera.project(Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0;
+            Observation { point, pixel, information: Matrix2::identity() * 100.0, delay_s: 0.0, group: 0 }
+        };
+        points.map(observation).collect()
+    }
+
+    #[test]
+    fn it_is_how_far_poses_go_astray_with_a_lens_that_is_off() {
+        let told = LensGuess::FieldOfView(60.0).camera(1280, 720).unwrap();
+        let turn = nalgebra::UnitQuaternion::from_euler_angles(0.1, -0.25, 0.05);
+        let pose = Pose::new(turn, Vector3::new(0.2, -0.1, 4.0));
+        let observations = seen_by(&told, &pose);
+        let covariance = covariance_by_lens(&pose, &told, observations.iter()).unwrap();
+        // Scale is what a wrong focal length takes: 3 % of 4 m.
+        assert!((0.09..=0.16).contains(&covariance[(2, 2)].sqrt()), "{}", covariance[(2, 2)].sqrt());
+        let u = told.doubt().unwrap().uncertainty;
+        let i = *told.intrinsics();
+        let tenth: [Intrinsics; 4] = [
+            Intrinsics { fx: i.fx + u.fx / 30.0, fy: i.fy + u.fy / 30.0, ..i },
+            Intrinsics { cx: i.cx + u.cx / 30.0, ..i },
+            Intrinsics { cy: i.cy + u.cy / 30.0, ..i },
+            Intrinsics { distortion: [u.distortion[0] / 30.0, 0.0, 0.0, 0.0, 0.0], ..i },
+        ];
+        // The pose that the told lens finds in pictures of each other lens, a tenth of a sigma away.
+        let mut scatter = Matrix6::zeros();
+        for real in tenth {
+            let found = resect(&pose, &MovingCamera::still(&told), &seen_by(&CameraModel::new(real).unwrap(), &pose), 20).unwrap().pose;
+            let turned = (found.rotation * pose.rotation.inverse()).scaled_axis();
+            let moved = found.translation - found.rotation * pose.rotation.inverse() * pose.translation;
+            let step = nalgebra::Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z) * 10.0;
+            scatter += step * step.transpose();
+        }
+        assert!((scatter - covariance).norm() < 0.05 * covariance.norm(), "{scatter}\n{covariance}");
+    }
+
+    #[test]
+    fn a_lens_beyond_doubt_adds_nothing() {
+        let camera = CameraModel::pinhole(1280, 720, 1000.0, 1000.0, 639.5, 359.5).unwrap();
+        let pose = Pose::new(nalgebra::UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 4.0));
+        assert_eq!(covariance_by_lens(&pose, &camera, seen_by(&camera, &pose).iter()), None);
+    }
+}
