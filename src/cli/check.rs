@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use super::angles::surface_angles;
 use super::failure::Failure;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::capture::{ClipOptions, open_clip};
@@ -60,8 +61,11 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
 fn report(settings: &Settings, camera: &CameraModel, notes: &[String], clip: Option<String>) -> String {
     let mut text = format!("{}: good\n", settings.file.display());
     let i = camera.intrinsics();
-    let _ = writeln!(text, "camera      {} ({} x {} pixels)", settings.calibration_file.display(), i.width, i.height);
+    let _ = writeln!(text, "camera      {} ({} x {} pixels)", lens::source(&settings.lens), i.width, i.height);
     let _ = writeln!(text, "            focal length {:.1} x {:.1} px, principal point {:.1}, {:.1} px", i.fx, i.fy, i.cx, i.cy);
+    for line in lens::doubt(&settings.lens, camera) {
+        let _ = writeln!(text, "            {line}");
+    }
     let _ = writeln!(text, "            {}", field_of_view(camera));
     let _ = writeln!(text, "            {}", shutter(settings));
     if let Some(mask) = &settings.mask {
@@ -152,8 +156,12 @@ fn surface_line(surface: &SurfaceSpec) -> String {
     let [width_m, height_m] = surface.size_m;
     let p = surface.pose.translation;
     let (name, texels) = (&surface.name, texels_per_metre(surface) / 1e3);
+    let turned = match surface_angles(&surface.pose) {
+        [0.0, 0.0, 0.0] => String::new(),
+        [turn, tilt, roll] => format!(", turned {turn}, tilted {tilt}, rolled {roll} degrees"),
+    };
     format!(
-        "{name}: {kind} {width} x {height} pixels on {width_m} x {height_m} m, {texels:.2} texels a mm, at [{}, {}, {}] m",
+        "{name}: {kind} {width} x {height} pixels on {width_m} x {height_m} m, {texels:.2} texels a mm, at [{}, {}, {}] m{turned}",
         p.x, p.y, p.z
     )
 }
@@ -179,6 +187,7 @@ fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
     (tenth_of_surface.max(coarse_texels), width_m * i.fx / (0.1 * width_px))
 }
 
+mod lens;
 mod shutter;
 
 #[cfg(feature = "live")]

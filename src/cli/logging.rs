@@ -20,7 +20,7 @@ static BAR: OnceLock<ProgressBar> = OnceLock::new();
 #[derive(Debug, clap::Args)]
 pub(super) struct LogArguments {
     /// What to log to stderr; `debug` has the time of every stage of every frame [default: the config's, else warn]
-    #[arg(long, value_name = "LEVEL")]
+    #[arg(long, value_name = "LEVEL", ignore_case = true)]
     log: Option<LogLevel>,
 }
 

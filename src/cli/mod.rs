@@ -3,6 +3,7 @@
 //! Exit codes (contract C1): 0 success, 1 failure, 2 bad usage or config. Everything that a command has to
 //! say goes to stdout, everything that is wrong to stderr. A reader that closes the pipe is not an error.
 
+mod angles;
 mod board;
 mod calibrate;
 mod check;

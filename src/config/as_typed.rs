@@ -47,11 +47,15 @@ pub struct Config {
 }
 
 /// `[camera]`: the calibration, the shutter, and how to open the device.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
     /// Calibration file.
     pub calibration: Option<Spanned<String>>,
+    /// Or a guess: degrees across the picture's width,
+    pub fov_deg: Option<Spanned<Number>>,
+    /// or the focal length as of 35 mm film, millimetres.
+    pub focal_35mm_mm: Option<Spanned<Number>>,
     /// Exposure, seconds; 0 = unknown.
     pub exposure_s: Option<Spanned<Number>>,
     /// First row to last, seconds; 0 = global or unknown.
@@ -108,8 +112,10 @@ pub struct Surface {
     pub size_m: Option<Spanned<Exactly<Number, 2>>>,
     /// Centre in the body, metres.
     pub position_m: Option<Spanned<Exactly<Number, 3>>>,
-    /// Unit quaternion.
+    /// Unit quaternion,
     pub orientation_xyzw: Option<Spanned<Exactly<Number, 4>>>,
+    /// or turn, tilt and roll, degrees.
+    pub rotation_deg: Option<Spanned<Exactly<Number, 3>>>,
 }
 
 /// `[tracker]`
@@ -186,6 +192,25 @@ pub enum ControlValue {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exactly<T, const N: usize>(pub [T; N]);
 
+/// One text, or several in an array.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Texts {
+    /// Without brackets.
+    One(String),
+    /// In brackets.
+    Several(Vec<Spanned<String>>),
+}
+
+impl Texts {
+    /// All of them, each with its place.
+    pub fn all(typed: &Spanned<Self>) -> Vec<Spanned<String>> {
+        match typed.get_ref() {
+            Self::One(text) => vec![Spanned::new(typed.span(), text.clone())],
+            Self::Several(texts) => texts.clone(),
+        }
+    }
+}
+
 impl<const N: usize> Exactly<Number, N> {
     /// The bare numbers.
     pub fn values(&self) -> [f64; N] {
@@ -238,6 +263,24 @@ impl Visitor<'_> for ControlVisitor {
     }
 }
 
+struct TextsVisitor;
+impl<'de> Visitor<'de> for TextsVisitor {
+    type Value = Texts;
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a text in quotes, or several in an array")
+    }
+    fn visit_str<E: de::Error>(self, text: &str) -> Result<Texts, E> {
+        Ok(Texts::One(text.to_owned()))
+    }
+    fn visit_seq<A: de::SeqAccess<'de>>(self, mut entries: A) -> Result<Texts, A::Error> {
+        let mut read = Vec::new();
+        while let Some(entry) = entries.next_element()? {
+            read.push(entry);
+        }
+        Ok(Texts::Several(read))
+    }
+}
+
 struct ExactlyVisitor<T, const N: usize>(PhantomData<T>);
 impl<'de, T: Deserialize<'de>, const N: usize> Visitor<'de> for ExactlyVisitor<T, N> {
     type Value = Exactly<T, N>;
@@ -262,6 +305,12 @@ impl<'de, T: Deserialize<'de>, const N: usize> Deserialize<'de> for Exactly<T, N
 impl<'de> Deserialize<'de> for Number {
     fn deserialize<D: de::Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
         d.deserialize_any(NumberVisitor)
+    }
+}
+
+impl<'de> Deserialize<'de> for Texts {
+    fn deserialize<D: de::Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        d.deserialize_any(TextsVisitor)
     }
 }
 

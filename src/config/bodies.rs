@@ -8,7 +8,9 @@ use nalgebra::Vector2;
 use toml::Spanned;
 
 use super::as_typed;
+use super::lens::LensSource;
 use super::origin::Origin;
+use super::rotation::{Turned, TypedRotation};
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::{CameraModel, Pixel};
@@ -21,6 +23,7 @@ const STAGE: &str = "stage";
 pub(super) struct BodyReader<'a> {
     pub origin: &'a Origin<'a>,
     pub camera: CameraModel,
+    pub lens: &'a LensSource,
     pub notes: &'a mut Vec<String>,
 }
 
@@ -73,7 +76,13 @@ impl BodyReader<'_> {
             let wanted = "a width and a height above 0 metres";
             return Err(section.refuse("size_m", &typed_size.span(), Problem::Range { value: format!("{size_m:?}"), wanted }));
         }
-        let rotation = section.orientation("orientation_xyzw", surface.orientation_xyzw.as_ref())?;
+        let rotation = TypedRotation {
+            what: Turned::Surface,
+            quaternion_key: "orientation_xyzw",
+            quaternion: surface.orientation_xyzw.as_ref(),
+            angles: surface.rotation_deg.as_ref(),
+        };
+        let rotation = rotation.resolved(&section)?;
         let pose = Pose::new(rotation, section.position("position_m", surface.position_m.as_ref())?);
         let placed = Placed { size_m, size_span: typed_size.span(), pose };
         match (&surface.image, &surface.photo) {
@@ -152,6 +161,12 @@ impl BodyReader<'_> {
             let from = format!("{} x {}", model.width(), model.height());
             self.notes.push(format!("{name}: its calibration for {from} pixels is scaled to the photograph's {width} x {height}"));
             return Ok(scaled);
+        }
+        if let LensSource::Guess(guess, size) = self.lens
+            && size.is_none_or(|size| size == (width, height))
+        {
+            self.notes.push(format!("{name}: no photo_calibration; the guess of the camera's own lens is used"));
+            return guess.camera(width, height).map_err(|e| section.refuse("photo", &(0..0), Problem::Camera(e)));
         }
         if (self.camera.width(), self.camera.height()) == (width, height) {
             self.notes

@@ -94,6 +94,16 @@ pub enum Problem {
         /// What is allowed.
         wanted: &'static str,
     },
+    /// A word that is none of the known ones.
+    #[error("`{value}` cannot be used; give {wanted}{}", nearest.as_ref().map_or(String::new(), |word| format!("; did you mean `{word}`?")))]
+    Word {
+        /// As typed.
+        value: String,
+        /// The known ones.
+        wanted: &'static str,
+        /// The one that was meant, probably.
+        nearest: Option<String>,
+    },
     /// A quaternion whose length is not 1.
     #[error("the length of the quaternion is {0:.4}, not 1; give x, y, z, w of a unit quaternion")]
     Quaternion(f64),

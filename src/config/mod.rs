@@ -13,13 +13,17 @@ mod copy;
 mod error;
 mod filter;
 mod known_keys;
+mod lens;
 mod origin;
 #[cfg(test)]
 mod output_tests;
 mod outputs;
 mod protocols;
+mod rotation;
 mod settings;
 mod source;
+#[cfg(test)]
+mod stage_words_tests;
 #[cfg(test)]
 mod tests;
 mod typed_outputs;
@@ -28,5 +32,6 @@ mod values;
 pub use copy::CopiedFile;
 pub use error::{ConfigError, Problem};
 pub use known_keys::known_keys;
+pub use lens::LensSource;
 pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, RecorderSettings, SendingSettings, Settings};
 pub use source::ConfigSource;

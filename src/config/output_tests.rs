@@ -62,6 +62,24 @@ fn every_key_reaches_the_settings() {
 }
 
 #[test]
+fn one_text_needs_no_brackets_and_words_any_case() {
+    let text = "[[output]]\nkind = \"OSC\"\nto = \"127.0.0.1:53000\"\non_loss = \"Flag\"\nbodies = \"Camera\"\ninvert = \"Tilt\"\nmessages = \"STATUS\"\n\
+        rotation_deg = [180, 0, 0]\n[[output]]\nkind = \"FreeD\"\nto = [\"127.0.0.1:40000\", \"127.0.0.1:40001\"]\nspare = \"Sony\"\n\
+        [[output]]\nkind = \"OpenTrackIO\"\nencoding = \"CBOR\"\nto = \"127.0.0.1:55555\"\n";
+    let settings = load(text).unwrap();
+    let [osc, freed, open] = &settings.outputs[..] else { panic!("three outputs") };
+    assert_eq!((osc.udp.to.len(), osc.on_loss, osc.placement.angle_signs), (1, OnLoss::Flag, [1.0, -1.0, 1.0]));
+    assert_eq!(osc.bodies, [BodyChoice::Camera]);
+    let turned = osc.placement.rotation * nalgebra::Vector3::x();
+    assert!((turned + nalgebra::Vector3::x()).norm() < 1e-12);
+    assert!(matches!(&osc.protocol, Protocol::Osc(osc) if osc.messages.len() == 1));
+    assert_eq!((freed.udp.to.len(), freed.protocol.word(), open.protocol.word()), (2, "freed", "opentrackio"));
+    // An object that is called so is meant before the camera.
+    let named = load("[[object]]\nname = \"Camera\"\n[[output]]\nkind = \"psn\"\nto = \"127.0.0.1:1\"\nbodies = \"Camera\"\n").unwrap();
+    assert_eq!(named.outputs[0].bodies, [BodyChoice::Object(0)]);
+}
+
+#[test]
 fn every_wrong_value_is_told_with_its_line() {
     let value = |more: &str| format!("{OSC}[[output.value]]\naddress = \"/a\"\nquantity = \"x\"\n{more}");
     let cases = [
@@ -86,6 +104,31 @@ fn every_wrong_value_is_told_with_its_line() {
         (format!("{FREED}bodies = [\"cart\"]"), "`bodies` in [[output]], line 4: `cart` cannot be used; give \"camera\" or the `name`"),
         (format!("{FREED}bodies = []"), "`bodies` in [[output]], line 4: give one body to freed"),
         (format!("{FREED}on_loss = \"guess\""), "`on_loss` in [[output]], line 4: `guess` cannot be used; give stop, hold or flag"),
+        (
+            format!("{FREED}on_loss = \"holt\""),
+            "`on_loss` in [[output]], line 4: `holt` cannot be used; give stop, hold or flag; did you mean `hold`?",
+        ),
+        (
+            FREED.replace("\"freed\"", "\"fred\""),
+            "`kind` in [[output]], line 2: `fred` cannot be used; give freed, opentrackio, psn, osc or json; did you mean `freed`?",
+        ),
+        (
+            FREED.replace("[\"127.0.0.1:40000\"]", "\"127.0.0.1\""),
+            "`to` in [[output]], line 3: `127.0.0.1` cannot be used; give an IPv4 address and a port",
+        ),
+        (
+            FREED.replace("[\"127.0.0.1:40000\"]", "40000"),
+            "`to` in [[output]], line 3: invalid type: integer `40000`, expected a text in quotes, or several in an array",
+        ),
+        (FREED.replace("[\"127.0.0.1:40000\"]", "[40000]"), "`to` in [[output]], line 3: invalid type: integer `40000`, expected a string"),
+        (
+            format!("{FREED}rotation_deg = [0, 0, 0]\nrotation_xyzw = [0, 0, 0, 1]"),
+            "`rotation_deg` in [[output]], line 4: an output has either `rotation_xyzw` or `rotation_deg`, this one has both; remove one",
+        ),
+        (
+            format!("{FREED}rotation_deg = [0, 0, 400]"),
+            "`rotation_deg` in [[output]], line 4: [0.0, 0.0, 400.0] cannot be used; give [turn, tilt, roll]",
+        ),
         (format!("{FREED}spare = \"frame\"\non_loss = \"flag\""), "`on_loss` in [[output]], line 5: there is nothing to flag a loss with"),
         (format!("{FREED}camera_id = 256"), "`camera_id` in [[output]], line 4: 256 cannot be used"),
         (format!("{FREED}invert = [\"w\"]"), "`invert` in [[output]], line 4: `w` cannot be used; give x, y, z, pan, tilt or roll"),

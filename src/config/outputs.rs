@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use toml::Spanned;
 
-use super::as_typed::{self, Number};
+use super::as_typed::{self, Number, Texts};
 use super::origin::Origin;
+use super::rotation::{Turned, TypedRotation};
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::publish::{
@@ -85,7 +86,7 @@ impl OutputReader<'_> {
 
     fn udp(&self, section: &Section<'_>, output: &as_typed::Output) -> Result<UdpSettings, ConfigError> {
         let mut to = Vec::new();
-        for typed in output.to.iter().flat_map(|to| to.get_ref()) {
+        for typed in output.to.iter().flat_map(Texts::all) {
             let wanted =
                 "an IPv4 address and a port from 1 to 65535, such as \"192.168.1.20:40000\", or an IPv6 one, such as \"[fd00::20]:40000\"";
             let address = typed.get_ref().parse::<SocketAddr>().ok().filter(|a| a.port() != 0 && !a.ip().is_unspecified());
@@ -130,7 +131,7 @@ impl OutputReader<'_> {
             let objects = (0..self.objects.len()).filter(|_| !takes_one).map(BodyChoice::Object);
             return Ok(std::iter::once(BodyChoice::Camera).chain(objects).collect());
         };
-        let bodies = typed.get_ref();
+        let bodies = Texts::all(typed);
         if bodies.is_empty() || takes_one && bodies.len() > 1 {
             let problem = Problem::Combination(
                 "give one body to freed and opentrackio, one or more to the others; make another [[output]] for the next",
@@ -141,10 +142,10 @@ impl OutputReader<'_> {
     }
 
     fn body(&self, section: &Section<'_>, typed: &Spanned<String>) -> Result<BodyChoice, ConfigError> {
-        if typed.get_ref() == "camera" {
+        let found = self.objects.iter().position(|name| name == typed.get_ref());
+        if found.is_none() && typed.get_ref().eq_ignore_ascii_case("camera") {
             return Ok(BodyChoice::Camera);
         }
-        let found = self.objects.iter().position(|name| name == typed.get_ref());
         let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted: "\"camera\" or the `name` of an [[object]]" };
         found.map(BodyChoice::Object).ok_or_else(|| section.refuse("bodies", &typed.span(), problem()))
     }
@@ -191,24 +192,20 @@ fn rate(section: &Section<'_>, output: &as_typed::Output) -> Result<Rate, Config
 
 fn placement(section: &Section<'_>, output: &as_typed::Output) -> Result<Placement, ConfigError> {
     let mut placement = Placement { offset_m: section.position("offset_m", output.offset_m.as_ref())?, ..Placement::default() };
-    if output.rotation_xyzw.is_some() {
-        placement.rotation = section.orientation("rotation_xyzw", output.rotation_xyzw.as_ref())?;
-    }
+    let rotation = TypedRotation {
+        what: Turned::Frame,
+        quaternion_key: "rotation_xyzw",
+        quaternion: output.rotation_xyzw.as_ref(),
+        angles: output.rotation_deg.as_ref(),
+    };
+    placement.rotation = rotation.resolved(section)?;
     placement.scale = section.number("scale", output.scale.as_ref(), 1.0, |v| v > 0.0 && v <= 1e6, "a factor above 0, at most 1000000")?;
-    for typed in output.invert.iter().flat_map(|list| list.get_ref()) {
-        let sign = match typed.get_ref().as_str() {
-            "x" => &mut placement.position_signs[0],
-            "y" => &mut placement.position_signs[1],
-            "z" => &mut placement.position_signs[2],
-            "pan" => &mut placement.angle_signs[0],
-            "tilt" => &mut placement.angle_signs[1],
-            "roll" => &mut placement.angle_signs[2],
-            other => {
-                let problem = Problem::Range { value: format!("`{other}`"), wanted: "x, y, z, pan, tilt or roll" };
-                return Err(section.refuse("invert", &typed.span(), problem));
-            }
-        };
-        *sign = -1.0;
+    let axes = [("x", 0), ("y", 1), ("z", 2), ("pan", 3), ("tilt", 4), ("roll", 5)];
+    for typed in output.invert.iter().flat_map(Texts::all) {
+        match section.word("invert", Some(&typed), 0, &axes, "x, y, z, pan, tilt or roll")? {
+            axis @ 0..3 => placement.position_signs[axis] = -1.0,
+            axis => placement.angle_signs[axis - 3] = -1.0,
+        }
     }
     Ok(placement)
 }

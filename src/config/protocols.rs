@@ -140,8 +140,9 @@ fn osc(section: &Section<'_>, o: &as_typed::Output) -> Result<OscSettings, Confi
     let messages = match &o.messages {
         None => kinds.iter().map(|(_, kind)| *kind).collect(),
         Some(list) => {
-            let word = |typed| section.word("messages", Some(typed), OscMessageKind::Pose, &kinds, "pose, quat or status");
-            list.get_ref().iter().map(word).collect::<Result<_, _>>()?
+            let word =
+                |typed: &Spanned<String>| section.word("messages", Some(typed), OscMessageKind::Pose, &kinds, "pose, quat or status");
+            as_typed::Texts::all(list).iter().map(word).collect::<Result<_, _>>()?
         }
     };
     let values = o.value.iter().map(|value| osc_value(section, value)).collect::<Result<_, _>>()?;

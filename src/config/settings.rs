@@ -11,6 +11,7 @@ use toml::Spanned;
 use super::as_typed::{self, ControlValue};
 use super::bodies::BodyReader;
 use super::filter::filter;
+use super::lens::{self, LensSource, lens};
 use super::origin::Origin;
 use super::outputs::{OUTPUT, OutputReader, safety};
 use super::protocols::address;
@@ -30,9 +31,9 @@ pub struct Settings {
     pub file: PathBuf,
     /// It and all that it names, as they were read.
     pub source: ConfigSource,
-    /// The calibration file, relative names resolved.
-    pub calibration_file: PathBuf,
-    /// The camera at the calibration's own picture size; [`camera_for`](Self::camera_for) fits it to a clip.
+    /// Where the camera's numbers come from.
+    pub lens: LensSource,
+    /// The camera at the calibration's own picture size (a guess: at any); [`camera_for`](Self::camera_for) fits it to a clip.
     pub camera: CameraModel,
     /// Exposure in seconds; 0 = unknown.
     pub exposure_s: f64,
@@ -186,27 +187,21 @@ impl Settings {
         let origin = Origin::new(file, text);
         let mut notes = Vec::new();
         let section = Section { origin: &origin, name: "[camera]" };
-        let mend = "calibration = \"camera.toml\" (width, height, fx, fy, cx, cy, skew, distortion)";
-        let Some(camera) = &typed.camera else {
-            return Err(origin.missing("the config".to_owned(), "camera.calibration", mend));
-        };
-        let (camera, camera_span) = (camera.get_ref(), camera.span());
-        let Some(calibration) = &camera.calibration else {
-            return Err(origin.missing(origin.section_at("[camera]", &camera_span), "calibration", mend));
-        };
-        let model = section.calibration("calibration", calibration)?.model;
+        let (lens, model) = lens(&section, typed.camera.as_ref())?;
+        let none = as_typed::Camera::default();
+        let camera = typed.camera.as_ref().map_or(&none, Spanned::get_ref);
         let seconds = "seconds from 0 (unknown) to 1";
         let within = |v: f64| (0.0..=1.0).contains(&v);
         let exposure_s = section.number("exposure_s", camera.exposure_s.as_ref(), 0.0, within, seconds)?;
         let readout_s = section.number("readout_s", camera.readout_s.as_ref(), 0.0, within, seconds)?;
-        let mask = camera.mask.as_ref().map(|m| mask(&section, m, &model)).transpose()?;
-        let mut bodies = BodyReader { origin: &origin, camera: model, notes: &mut notes };
+        let mask = camera.mask.as_ref().map(|m| mask(&section, m, lens.size(&model).map(|_| &model))).transpose()?;
+        let mut bodies = BodyReader { origin: &origin, camera: model, lens: &lens, notes: &mut notes };
         let (stage, objects) = (bodies.stage(typed.stage.as_ref())?, bodies.objects(&typed.object)?);
         let outputs = OutputReader { origin: &origin, objects: objects.iter().map(|o| o.name.clone()).collect() };
         Ok(Self {
             file: file.to_owned(),
             source: origin.files.with_config(file, text),
-            calibration_file: origin.beside(calibration.get_ref()),
+            lens,
             camera: model,
             exposure_s,
             readout_s,
@@ -233,12 +228,12 @@ impl Settings {
         let text = read_text(file)?;
         let (typed, origin) = (as_typed::Config::parse(&text, file)?, Origin::new(file, &text));
         let section = Section { origin: &origin, name: "[camera]" };
-        let calibration = typed.camera.as_ref().and_then(|camera| camera.get_ref().calibration.as_ref());
+        let found = typed.camera.as_ref().map(|camera| lens::found(&section, camera.get_ref())).transpose()?.flatten();
         let names = typed.object.iter().filter_map(|object| object.get_ref().name.as_ref());
         let objects: Vec<String> = names.map(|name| name.get_ref().clone()).collect();
         let outputs = OutputReader { origin: &origin, objects: objects.clone() };
         Ok(SendingSettings {
-            camera: calibration.map(|c| section.calibration("calibration", c)).transpose()?.map(|c| c.model),
+            camera: found.map(|(_, camera)| camera),
             outputs: outputs.outputs(&typed.output)?,
             objects,
             safety: safety(&origin, typed.safety.as_ref())?,
@@ -253,10 +248,15 @@ impl Settings {
     /// [`ConfigError::PictureSize`] where the aspect ratio is another.
     pub fn camera_for(&self, width: u32, height: u32) -> Result<(CameraModel, Option<String>), ConfigError> {
         let (from_width, from_height) = (self.camera.width(), self.camera.height());
+        let problem = |problem| ConfigError::PictureSize { file: self.file.clone(), problem };
+        if let LensSource::Guess(guess, None) = self.lens {
+            let camera = guess.camera(width, height).map_err(problem)?;
+            self.mask_fits(&camera)?;
+            return Ok((camera, None));
+        }
         if (from_width, from_height) == (width, height) {
             return Ok((self.camera, None));
         }
-        let problem = |problem| ConfigError::PictureSize { file: self.file.clone(), problem };
         let scaled = self.camera.scaled_to(width, height).map_err(problem)?;
         let note = format!("the calibration for {from_width} x {from_height} pixels is scaled to the pictures' {width} x {height}");
         Ok((scaled, Some(note)))
@@ -283,6 +283,18 @@ impl Settings {
         Err(origin.value("[http]", "listen", &span, Problem::Listen { address: http.listen, reason }))
     }
 
+    /// A mask whose camera was not known when the config was read.
+    fn mask_fits(&self, camera: &CameraModel) -> Result<(), ConfigError> {
+        let Some(mask_size) = self.mask.as_ref().map(GrayImage::dimensions).filter(|(w, h)| camera.scaled_to(*w, *h).is_err()) else {
+            return Ok(());
+        };
+        let text = &self.source.text;
+        let (typed, origin) = (as_typed::Config::parse(text, &self.file)?, Origin::new(&self.file, text));
+        let typed = typed.camera.and_then(|camera| camera.into_inner().mask);
+        let (name, span) = typed.map_or((String::new(), 0..0), |mask| (mask.get_ref().clone(), mask.span()));
+        Err(origin.value("[camera]", "mask", &span, mask_size_problem(origin.beside(&name), mask_size, camera)))
+    }
+
     /// The mask at the size of the pictures.
     pub fn mask_for(&self, width: u32, height: u32) -> Option<GrayImage> {
         self.mask.as_ref().map(|mask| match mask.dimensions() == (width, height) {
@@ -292,15 +304,18 @@ impl Settings {
     }
 }
 
-fn mask(section: &Section<'_>, typed: &Spanned<String>, camera: &CameraModel) -> Result<GrayImage, ConfigError> {
+fn mask_size_problem(file: PathBuf, (width, height): (u32, u32), camera: &CameraModel) -> Problem {
+    let (camera_width, camera_height) = (camera.width(), camera.height());
+    Problem::MaskSize { file, width, height, camera_width, camera_height }
+}
+
+fn mask(section: &Section<'_>, typed: &Spanned<String>, camera: Option<&CameraModel>) -> Result<GrayImage, ConfigError> {
     let picture = section.picture("mask", typed)?;
     let file = section.origin.beside(typed.get_ref());
     let (width, height) = picture.dimensions();
     // A mask painted on a scaled picture of the camera is as good.
-    if camera.scaled_to(width, height).is_err() {
-        let (camera_width, camera_height) = (camera.width(), camera.height());
-        let problem = Problem::MaskSize { file, width, height, camera_width, camera_height };
-        return Err(section.refuse("mask", &typed.span(), problem));
+    if let Some(camera) = camera.filter(|camera| camera.scaled_to(width, height).is_err()) {
+        return Err(section.refuse("mask", &typed.span(), mask_size_problem(file, (width, height), camera)));
     }
     if picture.as_raw().iter().all(|&level| level == 0) {
         return Err(section.refuse("mask", &typed.span(), Problem::MaskBlack(file)));
@@ -309,10 +324,6 @@ fn mask(section: &Section<'_>, typed: &Spanned<String>, camera: &CameraModel) ->
 }
 
 fn device(section: &Section<'_>, typed: &as_typed::Camera) -> Result<DeviceSettings, ConfigError> {
-    let side = |key: &'static str, typed: &Option<Spanned<as_typed::Count>>| -> Result<Option<u32>, ConfigError> {
-        let side = section.count(key, typed.as_ref(), 0, 1..=16384, "a number of pixels from 1 to 16384")?;
-        Ok(typed.as_ref().and(u32::try_from(side).ok()))
-    };
     let fps = section.number("fps", typed.fps.as_ref(), 0.0, |v| v > 0.0 && v <= 1000.0, "frames per second, above 0, at most 1000")?;
     let formats = [
         ("mjpeg", Some(PixelFormat::Mjpeg)),
@@ -325,8 +336,8 @@ fn device(section: &Section<'_>, typed: &as_typed::Camera) -> Result<DeviceSetti
     let device = typed.device.as_ref().map(|d| section.text("device", d, "a device such as \"/dev/video0\"")).transpose()?;
     Ok(DeviceSettings {
         device,
-        width: side("width", &typed.width)?,
-        height: side("height", &typed.height)?,
+        width: section.side("width", typed.width.as_ref())?,
+        height: section.side("height", typed.height.as_ref())?,
         fps: typed.fps.as_ref().map(|_| fps),
         format: section.word("format", typed.format.as_ref(), None, &formats, "mjpeg, yuyv, nv12, grey or rgb")?,
         controls,

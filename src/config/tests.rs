@@ -8,11 +8,11 @@ use proptest::prelude::*;
 use super::as_typed::Config;
 use super::*;
 
-const CAMERA: &str =
+pub(super) const CAMERA: &str =
     "width = 640\nheight = 480\nfx = 600.0\nfy = 600.0\ncx = 319.5\ncy = 239.5\nskew = 0.0\ndistortion = [0, 0, 0, 0, 0]\n";
 
 /// A folder with a calibration, a good picture, a photograph-sized one, a flat one and two masks.
-fn folder() -> tempfile::TempDir {
+pub(super) fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     fill(folder.path());
     folder
@@ -41,9 +41,9 @@ pub(super) fn fill(folder: &Path) {
     std::fs::write(at("broken.png"), b"\x89PNG\r\n\x1a\nno").unwrap();
 }
 
-const GOOD: &str = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4, 3]\n";
+pub(super) const GOOD: &str = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4, 3]\n";
 
-fn load(folder: &tempfile::TempDir, text: &str) -> Result<Settings, ConfigError> {
+pub(super) fn load(folder: &tempfile::TempDir, text: &str) -> Result<Settings, ConfigError> {
     Settings::from_text(text, &folder.path().join("stage.toml"))
 }
 
@@ -111,7 +111,7 @@ fn a_scaled_clip_is_noted_and_another_shape_refused() {
 }
 
 /// GOOD with lines after its [camera] section, its surface, or its end.
-fn camera_plus(line: &str) -> String {
+pub(super) fn camera_plus(line: &str) -> String {
     GOOD.replace("[[stage", &format!("{line}\n[[stage"))
 }
 
@@ -154,7 +154,7 @@ fn wrong_keys_get_their_place_and_the_nearest_name() {
 #[test]
 fn missing_keys_are_named_with_an_example() {
     let folder = folder();
-    let calibration = "add calibration = \"camera.toml\" (width, height, fx, fy, cx, cy, skew, distortion)";
+    let calibration = "add calibration = \"camera.toml\" (width, height, fx, fy, cx, cy, skew, distortion), or for a first look fov_deg = 60 (degrees across the picture)";
     let cases = [
         (String::new(), format!("stage.toml: the config has no `camera.calibration`; {calibration}")),
         (GOOD.replace("calibration = \"camera.toml\"", ""), format!("stage.toml: [camera], line 1, has no `calibration`; {calibration}")),
@@ -222,6 +222,35 @@ fn wrong_values_are_refused() {
         (
             format!("{GOOD}orientation_xyzw = [0, 0, nan, 1]"),
             "`orientation_xyzw` in [[stage.surface]], line 6: the length of the quaternion is NaN, not 1; give x, y, z, w of a unit quaternion",
+        ),
+        (
+            format!("{GOOD}rotation_deg = [0, 0, 0]\norientation_xyzw = [0, 0, 0, 1]"),
+            "`rotation_deg` in [[stage.surface]], line 6: a surface has either `orientation_xyzw` or `rotation_deg`, this one has both; remove one",
+        ),
+        (
+            format!("{GOOD}rotation_deg = [0, 361, 0]"),
+            "`rotation_deg` in [[stage.surface]], line 6: [0.0, 361.0, 0.0] cannot be used; give [turn, tilt, roll], three angles in degrees between -360 and 360",
+        ),
+        (
+            format!("{GOOD}rotation_deg = [nan, 0, 0]"),
+            "`rotation_deg` in [[stage.surface]], line 6: [NaN, 0.0, 0.0] cannot be used; give [turn, tilt, roll], three angles in degrees between -360 and 360",
+        ),
+        (camera_plus("fov_deg = 60"), "`fov_deg` in [camera], line 3: [camera] has a `calibration` too, which is better; remove this one"),
+        (
+            GOOD.replace("calibration = \"camera.toml\"", "fov_deg = 180"),
+            "`fov_deg` in [camera], line 2: 180 cannot be used; give the degrees across the picture's width, from 1 to 170",
+        ),
+        (
+            GOOD.replace("calibration = \"camera.toml\"", "fov_deg = 60\nfocal_35mm_mm = 26"),
+            "`focal_35mm_mm` in [camera], line 3: [camera] has `fov_deg` too; remove one of them",
+        ),
+        (
+            GOOD.replace("calibration = \"camera.toml\"", "fov_deg = 60\nwidth = 640\nheight = 360\nmask = \"mask.png\""),
+            "`mask` in [camera], line 5: the mask mask.png is 640 x 480 pixels, the camera 640 x 360; paint it on a picture of the camera",
+        ),
+        (
+            camera_plus("format = \"mpeg\""),
+            "`format` in [camera], line 3: `mpeg` cannot be used; give mjpeg, yuyv, nv12, grey or rgb; did you mean `mjpeg`?",
         ),
         (
             format!("{GOOD}photo = \"photo.png\""),

@@ -5,7 +5,7 @@ use std::ops::Range;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::as_typed::{Count, Exactly, Number};
+use super::as_typed::{Count, Exactly, Number, Texts};
 use crate::publish::TransportError;
 
 /// `[filter]`
@@ -66,14 +66,14 @@ pub struct Output {
     pub name: Option<Spanned<String>>,
     /// Whether it sends.
     pub enabled: Option<Spanned<bool>>,
-    /// UDP addresses.
-    pub to: Option<Spanned<Vec<Spanned<String>>>>,
+    /// One UDP address or several.
+    pub to: Option<Spanned<Texts>>,
     /// This machine's address on the multicast network.
     pub interface: Option<Spanned<String>>,
     /// Routers a datagram may cross.
     pub ttl: Option<Spanned<Count>>,
     /// Camera and objects by name.
-    pub bodies: Option<Spanned<Vec<Spanned<String>>>>,
+    pub bodies: Option<Spanned<Texts>>,
     /// Every n-th sample.
     pub rate_divider: Option<Spanned<Count>>,
     /// Ticks of its own per second.
@@ -86,8 +86,10 @@ pub struct Output {
     pub offset_m: Option<Spanned<Exactly<Number, 3>>>,
     /// The stage's axes in the receiver's world.
     pub rotation_xyzw: Option<Spanned<Exactly<Number, 4>>>,
+    /// The same as turn, tilt and roll, degrees.
+    pub rotation_deg: Option<Spanned<Exactly<Number, 3>>>,
     /// x, y, z, pan, tilt, roll.
-    pub invert: Option<Spanned<Vec<Spanned<String>>>>,
+    pub invert: Option<Spanned<Texts>>,
     /// Receiver's units per metre.
     pub scale: Option<Spanned<Number>>,
     /// Whether `[safety]` holds.
@@ -115,7 +117,7 @@ pub struct Output {
     /// osc: first part of the addresses.
     pub prefix: Option<Spanned<String>>,
     /// osc: pose, quat, status.
-    pub messages: Option<Spanned<Vec<Spanned<String>>>>,
+    pub messages: Option<Spanned<Texts>>,
     /// osc: `[[output.value]]`.
     #[serde(default)]
     pub value: Vec<Spanned<OutputValue>>,

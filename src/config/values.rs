@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use image::GrayImage;
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use toml::Spanned;
 
 use super::as_typed::{Count, Exactly, Number};
@@ -57,7 +57,13 @@ impl Section<'_> {
         Err(self.refuse(key, &typed.span(), Problem::Range { value: value.to_string(), wanted }))
     }
 
-    /// One of a few words, or the default where the key is absent.
+    /// A picture's side in pixels.
+    pub fn side(&self, key: &str, typed: Option<&Spanned<Count>>) -> Result<Option<u32>, ConfigError> {
+        let side = self.count(key, typed, 0, 1..=16384, "a number of pixels from 1 to 16384")?;
+        Ok(typed.and(u32::try_from(side).ok()))
+    }
+
+    /// One of a few words, in any case, or the default where the key is absent.
     pub fn word<T: Copy>(
         &self,
         key: &str,
@@ -67,9 +73,13 @@ impl Section<'_> {
         wanted: &'static str,
     ) -> Result<T, ConfigError> {
         let Some(typed) = typed else { return Ok(default) };
-        let found = words.iter().find(|(word, _)| word == typed.get_ref());
-        let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
-        found.map(|(_, value)| *value).ok_or_else(|| self.refuse(key, &typed.span(), problem()))
+        let said = plain(typed.get_ref());
+        if let Some((_, value)) = words.iter().find(|(word, _)| plain(word) == said) {
+            return Ok(*value);
+        }
+        let nearest = words.iter().map(|(word, _)| (strsim::jaro_winkler(&said, word), *word)).max_by(|a, b| a.0.total_cmp(&b.0));
+        let nearest = nearest.filter(|(likeness, _)| *likeness > 0.8).map(|(_, word)| word.to_owned());
+        Err(self.refuse(key, &typed.span(), Problem::Word { value: typed.get_ref().clone(), wanted, nearest }))
     }
 
     /// A text that is not empty.
@@ -91,22 +101,6 @@ impl Section<'_> {
         Err(self.refuse(key, &typed.span(), Problem::Range { value: format!("{position:?}"), wanted }))
     }
 
-    /// A rotation; upright and facing the audience (DESIGN section 2) where the key is absent.
-    pub fn orientation(&self, key: &str, typed: Option<&Spanned<Exactly<Number, 4>>>) -> Result<UnitQuaternion<f64>, ConfigError> {
-        let half = std::f64::consts::FRAC_1_SQRT_2;
-        let Some(typed) = typed else {
-            return Ok(UnitQuaternion::from_quaternion(Quaternion::new(half, half, 0.0, 0.0)));
-        };
-        let [x, y, z, w] = typed.get_ref().values();
-        let quaternion = Quaternion::new(w, x, y, z);
-        let length = quaternion.norm();
-        // A NaN length fails the comparison too.
-        if (length - 1.0).abs() <= 1e-3 {
-            return Ok(UnitQuaternion::from_quaternion(quaternion));
-        }
-        Err(self.refuse(key, &typed.span(), Problem::Quaternion(length)))
-    }
-
     /// A picture as grey levels; its name is relative to the config's folder.
     pub fn picture(&self, key: &str, typed: &Spanned<String>) -> Result<GrayImage, ConfigError> {
         let file = self.origin.beside(typed.get_ref());
@@ -123,4 +117,9 @@ impl Section<'_> {
         let calibration = bytes.and_then(|bytes| parse_calibration(&bytes, &file));
         calibration.map_err(|e| self.refuse(key, &typed.span(), Problem::Calibration(Box::new(e))))
     }
+}
+
+/// A word without what people write in different ways: "One_Euro" and "one-euro" mean the same.
+fn plain(word: &str) -> String {
+    word.trim().to_ascii_lowercase().replace(['_', ' '], "-")
 }

@@ -17,9 +17,9 @@ const FIRST: Duration = Duration::from_secs(5);
 /// What the camera is and does, or what to do about it. A camera that blocks does not block the check.
 pub(super) fn try_camera(settings: &Settings) -> Result<String, String> {
     let opener = crate::cli::run::opener(settings);
-    let (calibration, size) = (settings.exposure_s, (settings.camera.width(), settings.camera.height()));
+    let (exposure_s, size) = (settings.exposure_s, settings.lens.size(&settings.camera));
     let (done, result) = crossbeam_channel::bounded(1);
-    let tried = std::thread::Builder::new().name("camera".to_owned()).spawn(move || done.send(look(&opener, calibration, size)));
+    let tried = std::thread::Builder::new().name("camera".to_owned()).spawn(move || done.send(look(&opener, exposure_s, size)));
     tried.map_err(|e| format!("cannot start a thread: {e}"))?;
     let blocked = || "it was opened and gives no picture; unplug it and plug it in again".to_owned();
     result.recv_timeout(FIRST + 2 * SPAN).unwrap_or_else(|_| Err(blocked()))
@@ -35,7 +35,7 @@ struct Seen {
     span_s: f64,
 }
 
-fn look(opener: &dyn CameraOpener, exposure_s: f64, calibrated: (u32, u32)) -> Result<String, String> {
+fn look(opener: &dyn CameraOpener, exposure_s: f64, calibrated: Option<(u32, u32)>) -> Result<String, String> {
     let mut camera = opener.open().map_err(|fault| fault.to_string())?;
     let seen = watch(&mut *camera)?;
     Ok(text(camera.mode(), &seen, exposure_s, calibrated))
@@ -62,7 +62,7 @@ fn watch(camera: &mut dyn Camera) -> Result<Seen, String> {
     if seen.pictures == 0 { Err("it was opened and gives no picture; unplug it and plug it in again".to_owned()) } else { Ok(seen) }
 }
 
-fn text(mode: &CameraMode, seen: &Seen, exposure_s: f64, calibrated: (u32, u32)) -> String {
+fn text(mode: &CameraMode, seen: &Seen, exposure_s: f64, calibrated: Option<(u32, u32)>) -> String {
     let (n, (w, h)) = (f64::from(seen.pictures), mode.size);
     let rate = if seen.span_s > 0.0 { (n - 1.0) / seen.span_s } else { 0.0 };
     let mut text = format!("{}: {} {w}x{h}, {rate:.1} pictures a second of {}", mode.name, mode.layout.fourcc(), mode.fps);
@@ -88,8 +88,8 @@ fn text(mode: &CameraMode, seen: &Seen, exposure_s: f64, calibrated: (u32, u32))
         }
         None => {}
     }
-    if mode.size != calibrated {
-        line(format!("the calibration is for {} x {} pixels and is scaled", calibrated.0, calibrated.1));
+    if let Some((w, h)) = calibrated.filter(|calibrated| *calibrated != mode.size) {
+        line(format!("the calibration is for {w} x {h} pixels and is scaled"));
     }
     text
 }
@@ -111,7 +111,7 @@ mod tests {
             notes: vec!["the focus is automatic".into()],
         };
         let seen = Seen { pictures: 16, unreadable: 2, unstamped: 0, age_ms: 160.0, span_s: 1.5 };
-        let text = text(&mode, &seen, 0.01, (1280, 960));
+        let text = text(&mode, &seen, 0.01, Some((1280, 960)));
         for part in [
             "10.0 pictures a second of 30",
             "focus is automatic",
@@ -123,7 +123,7 @@ mod tests {
         ] {
             assert!(text.contains(part), "`{part}` is not in\n{text}");
         }
-        let unset = super::text(&mode, &seen, 0.0, (1280, 960));
+        let unset = super::text(&mode, &seen, 0.0, None);
         assert!(unset.contains("locked at 20.0 ms, which the tracker will be given"), "{unset}");
     }
 }

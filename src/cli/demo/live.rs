@@ -2,6 +2,7 @@
 
 use std::io::{self, IsTerminal, Stdout, Write};
 
+use crate::cli::angles::camera_words;
 use crate::geometry::{Camera, Pose, Stage};
 use crate::record::PoseSample;
 
@@ -34,11 +35,11 @@ impl<W: Write> LivePrint<W> {
     pub(super) fn show(&mut self, sample: &PoseSample, truth: &Pose<Stage, Camera>) -> io::Result<()> {
         if self.rewrite {
             // Back to the line's start, and clear what a longer line left behind.
-            write!(self.out, "\r{}\x1b[K", line(sample, truth))?;
+            write!(self.out, "\r{}\x1b[K", line(sample, truth, false))?;
             return self.out.flush();
         }
         if sample.sequence.is_multiple_of(LINE_EVERY) {
-            writeln!(self.out, "{}", line(sample, truth))?;
+            writeln!(self.out, "{}", line(sample, truth, true))?;
         }
         Ok(())
     }
@@ -49,11 +50,13 @@ impl<W: Write> LivePrint<W> {
     }
 }
 
-fn line(sample: &PoseSample, truth: &Pose<Stage, Camera>) -> String {
+/// On a terminal a line must not be longer than it is wide: there the quaternion is left out.
+fn line(sample: &PoseSample, truth: &Pose<Stage, Camera>, with_quaternion: bool) -> String {
     let state = sample.state.word();
     let start = format!("{:>6} {state:<9}", sample.sequence);
     let Some(pose) = &sample.pose else { return start };
-    let (p, [x, y, z, w]) = (pose.translation, pose.orientation_xyzw());
-    let off_mm = 1e3 * (p - truth.translation).norm();
-    format!("{start} at {:+.4} {:+.4} {:+.4} m  turned {x:+.4} {y:+.4} {z:+.4} {w:+.4}  off {off_mm:.2} mm", p.x, p.y, p.z)
+    let [x, y, z, w] = pose.orientation_xyzw();
+    let off_mm = 1e3 * (pose.translation - truth.translation).norm();
+    let quaternion = if with_quaternion { format!("  turned {x:+.4} {y:+.4} {z:+.4} {w:+.4}") } else { String::new() };
+    format!("{start} {}{quaternion}  off {off_mm:.2} mm", camera_words(pose))
 }

@@ -9,7 +9,9 @@ use nix::sys::resource::{UsageWho, getrusage};
 use nix::sys::time::TimeValLike;
 use serde::Serialize;
 
+use crate::cli::angles::camera_words;
 use crate::cli::failure::Failure;
+use crate::geometry::{Camera, Pose, Stage};
 use crate::record::{PoseSample, StageTimes, State};
 
 /// What a replay came to, sample by sample.
@@ -19,6 +21,8 @@ pub(super) struct Tally {
     undecodable: u64,
     skipped: u64,
     first_pose_ms: Option<f64>,
+    /// The last measured pose and its row.
+    last: Option<(u64, Pose<Stage, Camera>)>,
     /// Decode, acquire, align, pose, total of every row, milliseconds.
     times: [Vec<f64>; 5],
 }
@@ -70,7 +74,7 @@ impl Percentiles {
 impl Tally {
     /// `started` is when the process began.
     pub fn new(started: Instant) -> Self {
-        Self { started, states: [0; 5], undecodable: 0, skipped: 0, first_pose_ms: None, times: Default::default() }
+        Self { started, states: [0; 5], undecodable: 0, skipped: 0, first_pose_ms: None, last: None, times: Default::default() }
     }
 
     /// Counts one sample.
@@ -78,6 +82,9 @@ impl Tally {
         self.states[sample.state as usize] += 1;
         if sample.state == State::Tracking && self.first_pose_ms.is_none() {
             self.first_pose_ms = Some(self.started.elapsed().as_secs_f64() * 1e3);
+        }
+        if let (State::Tracking, Some(pose)) = (sample.state, sample.pose) {
+            self.last = Some((sample.sequence, pose));
         }
         let StageTimes { decode_ms, acquire_ms, align_ms, pose_ms, .. } = sample.times;
         let row = [decode_ms, acquire_ms, align_ms, pose_ms, acquire_ms + align_ms + pose_ms];
@@ -144,6 +151,10 @@ impl Tally {
         }
         let first = summary.first_pose_ms.map_or("never".to_owned(), |ms| format!("after {ms:.0} ms"));
         let _ = write!(table, "\n\nfirst pose {first}, {:.1} s of processor time, {:.0} MB at most", summary.cpu_s, summary.peak_rss_mb);
+        if let Some((sequence, pose)) = &self.last {
+            let [x, y, z, w] = pose.orientation_xyzw();
+            let _ = write!(table, "\nlast pose {} (frame {sequence}; quaternion {x:.4} {y:.4} {z:.4} {w:.4})", camera_words(pose));
+        }
         table
     }
 }
@@ -210,6 +221,17 @@ mod tests {
         let tally = Tally::new(Instant::now());
         let json: serde_json::Value = serde_json::from_str(&tally.summary_json()).unwrap();
         assert!(json["first_pose_ms"].is_null());
-        assert!(tally.table().contains("first pose never"));
+        assert!(tally.table().contains("first pose never") && !tally.table().contains("last pose"));
+    }
+
+    #[test]
+    fn the_last_pose_is_told_in_degrees_beside_the_quaternion() {
+        let mut tally = Tally::new(Instant::now());
+        let mut tracked = sample(State::Tracking, 1.0);
+        let turn = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
+        tracked.pose = Some(Pose::new(turn, nalgebra::Vector3::new(0.5, -4.0, 1.6)));
+        tally.add(&tracked);
+        let wanted = "last pose at +0.5000 -4.0000 +1.6000 m, pan +0.00 tilt +0.00 roll +0.00 degrees (frame 0; quaternion -0.7071 0.0000 0.0000 0.7071)";
+        assert!(tally.table().contains(wanted), "{}", tally.table());
     }
 }

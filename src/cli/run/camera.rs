@@ -42,7 +42,7 @@ pub(in crate::cli) fn opener(settings: &Settings) -> crate::capture::v4l2::V4l2O
         PixelFormat::Grey => PixelLayout::Grey,
         PixelFormat::Rgb => PixelLayout::Rgb,
     });
-    let calibrated = Some((settings.camera.width(), settings.camera.height()));
+    let calibrated = settings.lens.size(&settings.camera);
     let wanted = Wanted { width: device.width, height: device.height, fps: device.fps, layout, calibrated };
     let value = |v: &ControlValue| match v {
         ControlValue::Integer(n) => *n,

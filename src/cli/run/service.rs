@@ -6,9 +6,11 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::notify::Notifier;
+use crate::cli::angles::angle_words;
 use crate::cli::{interrupt, logging};
 use crate::daemon::live::LiveLink;
-use crate::record::State;
+use crate::geometry::{Camera, Pose, Stage};
+use crate::record::{PoseSample, State};
 use crate::web::{CameraState, RecorderState, Statistics};
 
 /// The service side of the daemon.
@@ -24,6 +26,8 @@ pub(super) struct Service {
     ages_before: (u64, f64),
     /// When the pipeline last gave a sign of life.
     alive: Instant,
+    /// The last sample's pose.
+    pose: Option<Pose<Stage, Camera>>,
 }
 
 impl Service {
@@ -36,12 +40,18 @@ impl Service {
         logging::beside(&line);
         let now = Instant::now();
         let until = seconds.map(|s| Duration::try_from_secs_f64(s.max(0.0)).unwrap_or(Duration::MAX));
-        Self { notifier, line, begun: now, until, told: now, pinged: now, frames_before: 0, ages_before: (0, 0.0), alive: now }
+        Self { notifier, line, begun: now, until, told: now, pinged: now, frames_before: 0, ages_before: (0, 0.0), alive: now, pose: None }
     }
 
     /// The pipeline gave a sign of life: a sample, a stale message, or it is still waiting for a camera.
     pub fn alive(&mut self) {
         self.alive = Instant::now();
+    }
+
+    /// A sample came.
+    pub fn seen(&mut self, sample: &PoseSample) {
+        self.alive();
+        self.pose = sample.pose;
     }
 
     /// True when it is time to end.
@@ -65,7 +75,7 @@ impl Service {
         let frames = link.statistics.frames();
         link.statistics.set_rate((frames - self.frames_before.min(frames)) as f64 / since.as_secs_f64());
         (self.frames_before, self.told) = (frames, Instant::now());
-        let status = status(&link.statistics, self.ages_before);
+        let status = status(&link.statistics, self.ages_before, self.pose.as_ref());
         self.ages_before = (link.statistics.age().count(), link.statistics.age().sum_s());
         self.notifier.send(&format!("STATUS={status}"));
         self.line.set_message(status);
@@ -84,13 +94,17 @@ impl Service {
     }
 }
 
-/// One line: state, rate, mean age since the last one, quality, losses.
-fn status(s: &Statistics, ages_before: (u64, f64)) -> String {
+/// One line: state, pose, rate, mean age since the last one, quality, losses.
+fn status(s: &Statistics, ages_before: (u64, f64), pose: Option<&Pose<Stage, Camera>>) -> String {
     let mut text = match s.camera() {
         CameraState::Waiting => "waiting for the camera".to_owned(),
         CameraState::Silent => "the camera gives no pictures".to_owned(),
         CameraState::Streaming => s.last_state().word().to_owned(),
     };
+    if let Some(pose) = pose.filter(|_| matches!(s.last_state(), State::Tracking | State::Coasting)) {
+        let p = pose.translation;
+        text += &format!(" at {:+.3} {:+.3} {:+.3} m, {}", p.x, p.y, p.z, angle_words(pose));
+    }
     text += &format!(", {:.1} frames/s", s.rate());
     let (count, sum_s) = (s.age().count().saturating_sub(ages_before.0), s.age().sum_s() - ages_before.1);
     if count > 0 {
@@ -115,12 +129,11 @@ fn status(s: &Statistics, ages_before: (u64, f64)) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::PoseSample;
 
     #[test]
     fn the_line_says_what_matters() {
         let s = Statistics::default();
-        assert_eq!(status(&s, (0, 0.0)), "waiting for the camera, 0.0 frames/s");
+        assert_eq!(status(&s, (0, 0.0), None), "waiting for the camera, 0.0 frames/s");
         s.camera_opened("Cam", false);
         let mut sample = PoseSample::stale(0, 5, 12.0);
         sample.state = State::Tracking;
@@ -128,7 +141,11 @@ mod tests {
         s.frames_dropped(2);
         s.set_rate(29.97);
         s.set_recorder(RecorderState::Stopped);
-        assert_eq!(status(&s, (0, 0.0)), "tracking, 30.0 frames/s, age 12 ms, 0 inliers, rms 0.00 px, 2 dropped, RECORDING STOPPED");
-        assert!(status(&s, (1, 0.012)).starts_with("tracking, 30.0 frames/s, 0 inliers"));
+        assert_eq!(status(&s, (0, 0.0), None), "tracking, 30.0 frames/s, age 12 ms, 0 inliers, rms 0.00 px, 2 dropped, RECORDING STOPPED");
+        assert!(status(&s, (1, 0.012), None).starts_with("tracking, 30.0 frames/s, 0 inliers"));
+        let turn = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
+        let pose = Pose::new(turn, nalgebra::Vector3::new(0.5, -4.0, 1.6));
+        let wanted = "tracking at +0.500 -4.000 +1.600 m, pan +0.00 tilt +0.00 roll +0.00 degrees, 30.0 frames/s";
+        assert!(status(&s, (0, 0.0), Some(&pose)).starts_with(wanted));
     }
 }

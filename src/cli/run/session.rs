@@ -149,7 +149,7 @@ impl Session<'_> {
         loop {
             match samples.recv_timeout(Duration::from_millis(50)) {
                 Ok(sample) => {
-                    service.alive();
+                    service.seen(&sample);
                     tell(&sample, pages, receivers, sinks);
                 }
                 Err(RecvTimeoutError::Timeout) if running.has_ended() => return End::Stopped,

@@ -1,0 +1,56 @@
+//! Poses and rotations in words that people on a stage use: metres and degrees.
+
+use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
+use crate::publish::{PanTiltRoll, body_of_camera};
+
+/// "at +0.0000 -4.0000 +1.6000 m, pan +0.00 tilt +0.00 roll +0.00 degrees": of the camera's body, level and looking upstage.
+pub(super) fn camera_words(t_stage_camera: &Pose<Stage, Camera>) -> String {
+    let p = t_stage_camera.translation;
+    format!("at {:+.4} {:+.4} {:+.4} m, {}", p.x, p.y, p.z, angle_words(t_stage_camera))
+}
+
+/// The angles alone.
+pub(super) fn angle_words(t_stage_camera: &Pose<Stage, Camera>) -> String {
+    let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(&body_of_camera(t_stage_camera).rotation, 0.0);
+    // `+ 0.0` keeps a rounded zero from being printed as -0.00.
+    let [pan, tilt, roll] = [pan_deg, tilt_deg, roll_deg].map(|degrees| (degrees * 100.0).round() / 100.0 + 0.0);
+    format!("pan {pan:+.2} tilt {tilt:+.2} roll {roll:+.2} degrees")
+}
+
+/// The `rotation_deg` of a surface: turn, tilt and roll.
+pub(super) fn surface_angles(t_body_surface: &Pose<Body, SurfaceFrame>) -> [f64; 3] {
+    // An upright surface that faces the audience is turned by nothing; its normal is a frame's y, the other way round.
+    let upright = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
+    let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(&(t_body_surface.rotation * upright.inverse()), 0.0);
+    [pan_deg, tilt_deg, -roll_deg].map(|degrees| (degrees * 100.0).round() / 100.0 + 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+    use super::*;
+    use crate::config::Settings;
+
+    #[test]
+    fn the_golden_pose_is_level() {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let rotation = UnitQuaternion::from_quaternion(Quaternion::new(half, -half, 0.0, 0.0));
+        let golden = Pose::new(rotation, Vector3::new(0.0, -4.0, 0.0));
+        assert_eq!(camera_words(&golden), "at +0.0000 -4.0000 +0.0000 m, pan +0.00 tilt +0.00 roll +0.00 degrees");
+    }
+
+    #[test]
+    fn a_surface_has_the_angles_that_its_config_gives() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly/stage.toml");
+        for angles in [[0.0, 0.0, 0.0], [20.0, 0.0, 0.0], [0.0, -90.0, 0.0], [-35.5, 12.25, 60.0], [150.0, 80.0, -170.0]] {
+            let text = format!(
+                "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"flat.png\"\nsize_m = [1.1, 1.7]\nrotation_deg = {angles:?}\n"
+            );
+            let settings = Settings::from_text(&text, &file).unwrap();
+            assert_eq!(surface_angles(&settings.stage.surfaces[0].pose), angles);
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! Rotations as configs give them: a quaternion, or three angles in stage words.
+//!
+//! `[turn, tilt, roll]` in degrees, one after the other, each about an axis of what has been turned so far, right-handed:
+//! turn about the vertical (positive: anticlockwise seen from above), tilt about its own x (to its right; positive: a
+//! surface looks down, a receiver's or a body's front goes up), roll about the line that a surface faces along (its
+//! normal; positive: anticlockwise for who looks at its face), for a frame about its own y. [0, 0, 0] is where a surface
+//! stands by default, upright with its face to the audience; of a frame it is no rotation at all.
+
+use std::f64::consts::FRAC_1_SQRT_2;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use toml::Spanned;
+
+use super::as_typed::{Exactly, Number};
+use super::values::Section;
+use super::{ConfigError, Problem};
+
+/// What is turned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Turned {
+    /// A surface: its frame has x right and y up in its picture, z out of its face.
+    Surface,
+    /// A frame with x right, y forward, z up.
+    Frame,
+}
+
+impl Turned {
+    /// The rotation where nothing is given.
+    fn default(self) -> UnitQuaternion<f64> {
+        match self {
+            Self::Surface => UnitQuaternion::from_quaternion(Quaternion::new(FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0, 0.0)),
+            Self::Frame => UnitQuaternion::identity(),
+        }
+    }
+
+    /// The rotation of three angles in degrees.
+    pub fn by_angles(self, [turn, tilt, roll]: [f64; 3]) -> UnitQuaternion<f64> {
+        let about = |axis, degrees: f64| UnitQuaternion::from_axis_angle(&axis, degrees.to_radians());
+        let (turn, tilt) = (about(Vector3::z_axis(), turn), about(Vector3::x_axis(), tilt));
+        match self {
+            Self::Surface => turn * self.default() * tilt * about(Vector3::z_axis(), roll),
+            Self::Frame => turn * tilt * about(Vector3::y_axis(), roll),
+        }
+    }
+}
+
+/// The two ways to give a rotation, of which at most one may be there.
+pub(super) struct TypedRotation<'a> {
+    pub what: Turned,
+    /// `orientation_xyzw` or `rotation_xyzw`.
+    pub quaternion_key: &'static str,
+    pub quaternion: Option<&'a Spanned<Exactly<Number, 4>>>,
+    /// `rotation_deg`.
+    pub angles: Option<&'a Spanned<Exactly<Number, 3>>>,
+}
+
+/// Angles that are given, one full turn at most.
+const LARGEST_DEG: f64 = 360.0;
+
+impl TypedRotation<'_> {
+    pub fn resolved(&self, section: &Section<'_>) -> Result<UnitQuaternion<f64>, ConfigError> {
+        match (self.quaternion, self.angles) {
+            (None, None) => Ok(self.what.default()),
+            (Some(typed), None) => unit_quaternion(section, self.quaternion_key, typed),
+            (None, Some(typed)) => {
+                let angles = typed.get_ref().values();
+                if angles.iter().all(|angle| angle.abs() <= LARGEST_DEG) {
+                    return Ok(self.what.by_angles(angles));
+                }
+                let wanted = "[turn, tilt, roll], three angles in degrees between -360 and 360";
+                Err(section.refuse("rotation_deg", &typed.span(), Problem::Range { value: format!("{angles:?}"), wanted }))
+            }
+            (Some(_), Some(typed)) => {
+                let problem = match self.what {
+                    Turned::Surface => "a surface has either `orientation_xyzw` or `rotation_deg`, this one has both; remove one",
+                    Turned::Frame => "an output has either `rotation_xyzw` or `rotation_deg`, this one has both; remove one",
+                };
+                Err(section.refuse("rotation_deg", &typed.span(), Problem::Combination(problem)))
+            }
+        }
+    }
+}
+
+fn unit_quaternion(section: &Section<'_>, key: &str, typed: &Spanned<Exactly<Number, 4>>) -> Result<UnitQuaternion<f64>, ConfigError> {
+    let [x, y, z, w] = typed.get_ref().values();
+    let quaternion = Quaternion::new(w, x, y, z);
+    let length = quaternion.norm();
+    // A NaN length fails the comparison too.
+    if (length - 1.0).abs() <= 1e-3 {
+        return Ok(UnitQuaternion::from_quaternion(quaternion));
+    }
+    Err(section.refuse(key, &typed.span(), Problem::Quaternion(length)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Where a surface's right, its picture's up and its face point in the stage.
+    fn axes(angles: [f64; 3]) -> [[f64; 3]; 3] {
+        let rotation = Turned::Surface.by_angles(angles);
+        let rounded = |axis: Vector3<f64>| (rotation * axis).map(|v| (v * 1e4).round() / 1e4 + 0.0).into();
+        [rounded(Vector3::x()), rounded(Vector3::y()), rounded(Vector3::z())]
+    }
+
+    #[test]
+    fn the_examples_stand_where_the_documentation_says() {
+        let (right, upstage, up) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
+        let back = |[x, y, z]: [f64; 3]| [0.0 - x, 0.0 - y, 0.0 - z];
+        assert_eq!(axes([0.0, 0.0, 0.0]), [right, up, back(upstage)], "upright, its face to the audience");
+        let (sin, cos) = (0.342, 0.9397);
+        assert_eq!(axes([20.0, 0.0, 0.0]), [[cos, sin, 0.0], up, [sin, -cos, 0.0]], "a flat turned 20 degrees looks to the house's right");
+        assert_eq!(axes([0.0, -90.0, 0.0]), [right, upstage, up], "a floor cloth or a table: looks up, its picture's top is upstage");
+        assert_eq!(axes([180.0, -90.0, 0.0]), [back(right), back(upstage), up], "a floor cloth to be read from upstage");
+        assert_eq!(axes([90.0, 0.0, 0.0]), [upstage, up, right], "a wing on the left, facing across the stage");
+        assert_eq!(axes([0.0, 10.0, 0.0])[2], [0.0, -0.9848, -0.1736], "a ceiling piece that tips forward looks down");
+        assert_eq!(axes([0.0, 0.0, 90.0])[..2], [up, back(right)], "a picture on its side: its right edge is on top");
+    }
+
+    #[test]
+    fn a_frames_angles_are_pan_tilt_and_roll() {
+        let angles = [30.0, -20.0, 10.0];
+        let as_receivers_mean = crate::publish::PanTiltRoll { pan_deg: 30.0, tilt_deg: -20.0, roll_deg: 10.0 };
+        assert!(Turned::Frame.by_angles(angles).angle_to(&as_receivers_mean.rotation()) < 1e-12);
+        assert_eq!(Turned::Frame.by_angles([0.0; 3]), UnitQuaternion::identity());
+    }
+}
