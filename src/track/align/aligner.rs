@@ -5,15 +5,14 @@ use nalgebra::{Matrix2, Vector2};
 use super::evidence::RunEvidence;
 use super::exposure::{KnownSpread, USUAL_EXPOSURE_S, UnknownExposure, exposure_clue};
 use super::frame_levels::{FrameLevels, LEVELS};
-use super::light::Light;
+use super::light::RememberedLight;
 use super::motion::{Motion, MotionEstimate};
 use super::noise::CameraNoise;
-use super::pixels::MOST_TILES;
 use super::selection::{Chosen, Selector};
 use super::shutter_clue::{ClueKeeper, ShutterClue};
 use super::slopes::{ChangeSums, SlopeShare};
-use super::system::System;
 use super::task::{SlowStates, Task};
+use super::tile_grid::MOST_TILES;
 use super::verdict::{Alignment, agreement, surprise};
 use super::work::used_pixels::UsedPixel;
 use super::work::{Corrected, Expected, Work};
@@ -94,16 +93,15 @@ pub struct Aligner {
     slow: SlowStates,
     /// Follows an unknown exposure; `None` where it is known.
     exposure: Option<UnknownExposure>,
-    light: Light,
+    light: RememberedLight,
     /// What it was before an attempt that may be given up.
-    light_before: Light,
+    light_before: RememberedLight,
     /// Slow average of the point spread.
     spread: f64,
     selector: Selector,
     chosen: Vec<Chosen>,
     coarse: Work,
     fine: Work,
-    system: System,
     /// Whether the finest level holds the pixels of a still camera.
     has_kept: bool,
     /// How far starts were off lately, pixels of the frame.
@@ -116,8 +114,6 @@ pub struct Aligner {
     shifts: Vec<Vector2<f64>>,
     /// Where the shutter is asked about.
     clues: Option<ClueKeeper>,
-    /// What the last frame came to at the finest level.
-    last: Option<Corrected>,
 }
 
 impl Aligner {
@@ -131,20 +127,18 @@ impl Aligner {
             selector: Selector::with_room_for(&surfaces),
             surfaces,
             slow: SlowStates { sensor, noise: CameraNoise::usual(FINEST), is_enlarged: true, slopes: SlopeShare::default() },
-            light: Light::default(),
-            light_before: Light::default(),
+            light: RememberedLight::default(),
+            light_before: RememberedLight::default(),
             spread: 0.0,
             chosen: Vec::new(),
             coarse: Work::default(),
             fine: Work::default(),
-            system: System::default(),
             has_kept: false,
             off_px: FIRST_OFF_PX,
             open_share: 0.0,
             untried: TRIAL_FRAMES - FIRST_TRIAL,
             shifts: Vec::new(),
             clues: None,
-            last: None,
         }
     }
 
@@ -167,14 +161,13 @@ impl Aligner {
 
     /// Adds the pixels that the last frame's pose rests on. Before [`Aligner::patches`], which looks elsewhere.
     pub fn used_pixels(&self, eye: &Eye, out: &mut Vec<UsedPixel>) {
-        let Some(solved) = &self.last else { return };
+        let Some(solved) = self.fine.solved() else { return };
         let task = task(&self.surfaces, &self.slow, eye, FINEST, &solved.motion);
-        self.fine.used_pixels(&task, solved, out);
+        self.fine.used_pixels(&task, out);
     }
 
     /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges.
     pub fn align(&mut self, frame: &mut FrameLevels, eye: &Eye, expected: &MotionEstimate) -> Option<Alignment> {
-        self.last = None;
         if let Some(clues) = &mut self.clues {
             clues.clue = None;
         }
@@ -182,11 +175,10 @@ impl Aligner {
         let blur_px = f64::from(1u32 << FINEST) * task(&self.surfaces, &self.slow, eye, FINEST, &expected.motion).blur_px;
         let spread_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_SPREAD_SIGMA } else { SPREAD_SIGMA };
         let known = Expected { motion: &expected.motion, information: &information, spread: self.spread, spread_sigma };
-        let solved = match self.same_again(frame, eye, &known) {
-            Some(solved) => solved,
-            None => self.settle(frame, eye, &known, expected)?,
-        };
-        self.conclude(eye, &solved, expected)
+        if self.same_again(frame, eye, &known).is_none() {
+            self.settle(frame, eye, &known, expected)?;
+        }
+        self.conclude(eye, expected)
     }
 
     /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels.
@@ -199,13 +191,13 @@ impl Aligner {
         }
         if self.has_kept {
             self.fine.renew(&task, frame);
-        } else if self.fine.lay_out(&task, frame, known.motion, &mut self.selector, &mut self.chosen) {
+        } else if self.fine.lay_out(&task, frame, known.motion, &mut self.selector, &mut self.chosen, &self.light) {
             self.fine.predict(&task, known.motion);
             self.has_kept = true;
         } else {
             return None;
         }
-        let solved = self.fine.solve(&task, known, &mut self.light, &mut self.system, false, 2)?;
+        let solved = self.fine.solve(&task, known, &mut self.light, false, 2)?;
         (self.fine.moved_px(&task, known.motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
     }
 
@@ -213,7 +205,7 @@ impl Aligner {
     pub fn patches(&mut self, eye: &Eye, motion: &Motion, patches: &mut Vec<Patch>) {
         let task = task(&self.surfaces, &self.slow, eye, FINEST, motion);
         self.shifts.clear();
-        self.shifts.extend(self.fine.evidence.iter().map(|e| patch_shift(e).map_or(Vector2::zeros(), |(shift, _)| shift)));
+        self.shifts.extend(self.fine.runs().iter().map(|r| patch_shift(&r.evidence).map_or(Vector2::zeros(), |(shift, _)| shift)));
         // One linear step is right for small shifts. Where the calibration or the survey is off, patches must be followed.
         for _ in 0..PATCH_ROUNDS {
             let mean = self.shifts.iter().map(|s| s.norm()).sum::<f64>() / self.shifts.len().max(1) as f64;
@@ -221,24 +213,24 @@ impl Aligner {
                 break;
             }
             self.has_kept = false;
-            self.fine.look_shifted(&task, motion, &self.light, &self.shifts);
-            for (shift, e) in self.shifts.iter_mut().zip(&self.fine.evidence) {
-                let more = patch_shift(e).map_or(Vector2::zeros(), |(more, _)| more);
+            self.fine.look_shifted(&task, motion, &self.shifts);
+            for (shift, r) in self.shifts.iter_mut().zip(self.fine.runs()) {
+                let more = patch_shift(&r.evidence).map_or(Vector2::zeros(), |(more, _)| more);
                 *shift += more * (1.0 / more.norm().max(1.0));
             }
         }
         patches.clear();
         let scale = f64::from(1u32 << FINEST);
-        for ((run, e), shift) in self.fine.pixels.runs.iter().zip(&self.fine.evidence).zip(&self.shifts) {
-            let Some((_, structure)) = patch_shift(e) else { continue };
-            let surface = &self.surfaces[run.surface as usize];
-            let Some(on_surface_m) = self.fine.middle_on_surface(run, e, surface, motion) else { continue };
+        for (r, shift) in self.fine.runs().iter().zip(&self.shifts) {
+            let Some((_, structure)) = patch_shift(&r.evidence) else { continue };
+            let surface = &self.surfaces[r.run.surface as usize];
+            let Some(on_surface_m) = self.fine.middle_on_surface(r, surface, motion) else { continue };
             patches.push(Patch {
-                surface: run.surface,
+                surface: r.run.surface,
                 on_surface_m,
                 shift_px: shift * scale,
                 information: structure / (scale * scale),
-                tile: run.tile,
+                tile: r.run.tile,
             });
         }
     }
@@ -287,10 +279,10 @@ impl Aligner {
     /// The finest level solved once more with the enlarged copies or without, and the misfit that is left.
     fn solved_enlarged(&mut self, is_enlarged: bool, eye: &Eye, known: &Expected, found: &Corrected) -> Option<(Corrected, f64)> {
         self.slow.is_enlarged = is_enlarged;
-        self.light.clone_from(&self.light_before);
+        self.fine.recall_light(&self.light_before);
         let task = task(&self.surfaces, &self.slow, eye, FINEST, &found.motion);
         self.fine.predict(&task, &found.motion);
-        let solved = self.fine.solve(&task, known, &mut self.light, &mut self.system, false, 2)?;
+        let solved = self.fine.solve(&task, known, &mut self.light, false, 2)?;
         Some((solved, self.fine.misfit()))
     }
 
@@ -303,7 +295,7 @@ impl Aligner {
             let is_finest = l == FINEST;
             let task = task(&self.surfaces, &self.slow, eye, l, &motion);
             let work = if is_finest { &mut self.fine } else { &mut self.coarse };
-            if !work.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
+            if !work.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen, &self.light) {
                 continue;
             }
             let (rounds, small_px) = if is_finest { (FINE_ROUNDS, FINE_STEP_PX) } else { (COARSE_ROUNDS, COARSE_STEP_PX) };
@@ -312,6 +304,13 @@ impl Aligner {
             let mut is_same = false;
             let mut shown = ChangeSums::default();
             for _ in 0..rounds {
+                if is_finest && work.moved_px(&task, &chosen_at, &motion) > CHOSEN_PX {
+                    chosen_at = motion;
+                    is_same = false;
+                    if !work.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen, &self.light) {
+                        return None;
+                    }
+                }
                 if is_same && is_finest {
                     shown.add(&work.predict_again(&task, &motion));
                 } else {
@@ -319,24 +318,17 @@ impl Aligner {
                 }
                 is_same = true;
                 if is_first {
-                    work.guess_light(&task, &mut self.light, self.spread);
+                    work.guess_light(&task, self.spread);
                 }
                 let passes = if is_first { 3 } else { 2 };
-                let solved = work.solve(&task, known, &mut self.light, &mut self.system, is_first, passes)?;
+                let solved = work.solve(&task, known, &mut self.light, is_first, passes)?;
                 is_first = false;
                 let moved = work.moved_px(&task, &motion, &solved.motion);
-                tracing::trace!(level = l, moved, pixels = work.pixels.len(), scale = solved.scale, open = work.open_share());
+                tracing::trace!(level = l, moved, pixels = work.pixels().len(), scale = solved.scale, open = work.open_share());
                 motion = solved.motion;
                 last = Some(solved).filter(|_| moved < LARGEST_LAST_STEP_PX);
                 if moved < small_px {
                     break;
-                }
-                if is_finest && work.moved_px(&task, &chosen_at, &motion) > CHOSEN_PX {
-                    chosen_at = motion;
-                    is_same = false;
-                    if !work.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen) {
-                        return None;
-                    }
                 }
             }
             if is_finest {
@@ -362,26 +354,26 @@ impl Aligner {
     }
 
     /// Covariance and evidence at the solution.
-    fn conclude(&mut self, eye: &Eye, solved: &Corrected, expected: &MotionEstimate) -> Option<Alignment> {
+    fn conclude(&mut self, eye: &Eye, expected: &MotionEstimate) -> Option<Alignment> {
+        let solved = self.fine.solved()?;
         let task = task(&self.surfaces, &self.slow, eye, FINEST, &solved.motion);
         let blur_px = task.blur_px * f64::from(1u32 << FINEST);
-        let (estimate, covariance) = self.fine.conclude(&task, solved, &mut self.system)?;
+        let (estimate, covariance) = self.fine.conclude(&task)?;
         if blur_px < SHARP_FRAME_PX {
-            self.spread += SPREAD_SHARE * (self.light.spread - self.spread);
+            self.spread += SPREAD_SHARE * (self.light.spread() - self.spread);
         }
-        let spread = KnownSpread { error: self.spread - self.light.spread, sigma: BLURRED_SPREAD_SIGMA };
-        let exposure = exposure_clue(&self.fine.evidence, spread, blur_px);
+        let spread = KnownSpread { error: self.spread - self.light.spread(), sigma: BLURRED_SPREAD_SIGMA };
+        let exposure = exposure_clue(self.fine.runs().iter().map(|r| &r.evidence), spread, blur_px);
         if let Some(clues) = &mut self.clues {
-            let readout = self.fine.readout_clue(&task, solved, &self.system, &mut clues.column);
-            clues.clue = Some(ShutterClue { readout, exposure });
+            let readout = self.fine.readout_clue(&task, &mut clues.column);
+            clues.clue = readout.map(|readout| ShutterClue { readout, exposure });
         }
         if let (Some(unknown), Some(clue)) = (&mut self.exposure, exposure) {
             unknown.learn(&mut self.slow.sensor, clue, blur_px);
         }
-        self.last = Some(*solved);
-        let sum = |f: fn(&RunEvidence) -> f64| self.fine.evidence.iter().map(f).sum::<f64>();
+        let sum = |f: fn(&RunEvidence) -> f64| self.fine.runs().iter().map(|r| f(&r.evidence)).sum::<f64>();
         let inliers = sum(|e| e.inliers);
-        let verdicts = self.fine.evidence.iter().filter_map(agreement);
+        let verdicts = self.fine.runs().iter().filter_map(|r| agreement(&r.evidence));
         let found = Alignment {
             estimate,
             covariance,

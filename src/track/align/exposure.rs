@@ -49,7 +49,7 @@ impl UnknownExposure {
 
 /// What the residuals of a frame with so much blur say of the exposure, beside the point spread, as a share of it; `None` where the frame
 /// is too sharp to tell.
-pub fn exposure_clue(evidence: &[RunEvidence], spread: KnownSpread, blur_px: f64) -> Option<Clue> {
+pub fn exposure_clue<'a>(evidence: impl Iterator<Item = &'a RunEvidence>, spread: KnownSpread, blur_px: f64) -> Option<Clue> {
     if blur_px <= LEAST_BLUR_PX {
         return None;
     }

@@ -4,7 +4,7 @@
 use super::noise::Noise;
 
 /// A run compared with its prediction, gain and bias free.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct Gauge {
     /// Correlation, corrected for what noise takes of it.
     pub correlation: f32,

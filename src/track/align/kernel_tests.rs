@@ -6,11 +6,11 @@ use super::appearance::{Appearance, Predicted, predict, predict_lanes};
 use super::evidence::{RunEvidence, evidence, evidence_lanes};
 use super::frame_levels::FrameLevels;
 use super::lanes::{LANES, Lanes, Plain, load_at};
-use super::light::Light;
+use super::light::RememberedLight;
 use super::motion::{Motion, MotionError};
 use super::noise::{Noise, noise_sums, noise_sums_lanes};
 use super::normal::{
-    COLUMNS, Residuals, RunView, TileLight, TileSums, Weighing, columns, less_step, moments, residuals, tile_sums, tile_sums_lanes, weight,
+    COLUMNS, Residuals, RunView, TileSums, Weighing, columns, less_step, moments, residuals, tile_sums, tile_sums_lanes, weight,
 };
 use super::pixels::{Pixels, Source};
 use super::selection::{Choice, Selector};
@@ -47,7 +47,7 @@ fn scene() -> Scene {
     Selector::default().choose(std::slice::from_ref(&surface), &motion, &choice, &mut chosen);
     assert!((2000..6000).contains(&chosen.len()), "{}", chosen.len());
     let mut pixels = Pixels::default();
-    pixels.arrange(&chosen, 1, &Source { l: 1, level: levels.level(1), table, sensor: &sensor, height: 360 });
+    pixels.arrange(&chosen, 1, &Source { l: 1, level: levels.level(1), table, sensor: &sensor, height: 360 }, &RememberedLight::default());
     Scene { surface, motion, sensor, pixels }
 }
 
@@ -148,16 +148,14 @@ fn the_plain_twin_predicts_the_same() {
 fn plain_twins_sum_the_same_and_sums_are_products_of_the_columns() {
     let scene = scene();
     let at = appearance(&scene, &scene.motion, 1);
-    let mut light = Light::default();
-    light.regrid(&scene.pixels.grid);
     let noise = Noise { dark: 0.6, per_grey: 0.01, model_px: 0.01 };
     let mut found = Residuals::default();
     found.resize(scene.pixels.len());
     let weighing = Weighing { scale: 3.0, is_first_look: false, stride: 1 };
     let mut step = [0.0; COLUMNS];
     step[7] = 0.5;
-    for run in &scene.pixels.runs {
-        let tile = TileLight::new(&light, scene.pixels.grid.nodes_of(run.tile as usize));
+    for run in scene.pixels.runs() {
+        let tile = scene.pixels.light_of(run);
         residuals(&scene.pixels, run, &at, &tile, &noise, &mut found);
         let view = RunView { pixels: &scene.pixels, run, appearance: &at, light: &tile, residuals: &found };
         let fast = tile_sums(&view, &step, &weighing);
@@ -222,8 +220,8 @@ fn lanes(v: Plain) -> [f32; LANES] {
 fn every_run_is_whole_and_no_pixel_comes_twice() {
     let scene = scene();
     let mut seen = std::collections::HashSet::new();
-    for run in &scene.pixels.runs {
-        assert!((run.tile as usize) < scene.pixels.grid.len() && run.start < run.end);
+    for run in scene.pixels.runs() {
+        assert!((run.tile as usize) < scene.pixels.light().grid().len() && run.start < run.end);
         assert!(run.range().len().is_multiple_of(LANES) && run.start.is_multiple_of(LANES as u32));
         for k in run.start..run.end {
             let is_repeat = scene.pixels.is_repeat(k);

@@ -5,10 +5,10 @@ use image::GrayImage;
 use super::appearance::{Appearance, Predicted, predict};
 use super::evidence::evidence;
 use super::frame_levels::FrameLevels;
-use super::light::Light;
+use super::light::RememberedLight;
 use super::motion::Motion;
 use super::noise::{CameraNoise, noise_sums};
-use super::normal::{COLUMNS, Residuals, RunView, TileLight, Weighing, residuals, tile_sums};
+use super::normal::{COLUMNS, Residuals, RunView, Weighing, residuals, tile_sums};
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
 use super::{AlignSurface, Eye, Sensor};
@@ -35,7 +35,6 @@ pub struct AlignKernels {
     pixels: Pixels,
     appearance: Appearance,
     residuals: Residuals,
-    light: Light,
 }
 
 impl AlignKernels {
@@ -55,7 +54,6 @@ impl AlignKernels {
             pixels: Pixels::default(),
             appearance: Appearance::default(),
             residuals: Residuals::default(),
-            light: Light::default(),
         }
     }
 
@@ -77,11 +75,10 @@ impl AlignKernels {
         let Some(table) = &self.eye.tables[LEVEL] else { return 0 };
         let height = self.eye.camera.height();
         let source = Source { l: LEVEL, level: self.levels.level(LEVEL), table, sensor: &self.sensor, height };
-        self.pixels.arrange(&self.chosen, 1, &source);
+        self.pixels.arrange(&self.chosen, 1, &source, &RememberedLight::default());
         self.appearance.resize(self.pixels.len());
         self.residuals.resize(self.pixels.len());
-        self.light.regrid(&self.pixels.grid);
-        self.pixels.runs.len()
+        self.pixels.runs().len()
     }
 
     /// Predicts all pixels, with so many looks across a sharp one, or at so many places along a blur (more than one).
@@ -96,8 +93,8 @@ impl AlignKernels {
     /// Residuals of all runs.
     pub fn residuals(&mut self) {
         let noise = CameraNoise::usual(LEVEL).at(LEVEL);
-        for run in &self.pixels.runs {
-            let light = TileLight::new(&self.light, self.pixels.grid.nodes_of(run.tile as usize));
+        for run in self.pixels.runs() {
+            let light = self.pixels.light_of(run);
             residuals(&self.pixels, run, &self.appearance, &light, &noise, &mut self.residuals);
         }
     }
@@ -121,9 +118,9 @@ impl AlignKernels {
         let Self { pixels, appearance, residuals, .. } = self;
         let weighing = Weighing { scale: 1.0, is_first_look: false, stride: 1 };
         let of_run = |run: &Run| {
-            let light = TileLight::new(&self.light, pixels.grid.nodes_of(run.tile as usize));
+            let light = pixels.light_of(run);
             kernel(&RunView { pixels, run, appearance, light: &light, residuals }, &weighing)
         };
-        pixels.runs.iter().map(of_run).sum()
+        pixels.runs().iter().map(of_run).sum()
     }
 }

@@ -1,60 +1,151 @@
 //! How the stage's light and the camera turn the reference's grey into the frame's: a gain that varies smoothly
 //! over the frame, a bias, and a point spread wider or narrower than the reference's.
+//!
+//! A [`Light`] and the grid that its gains are for are one value and change together: every tile of the grid has its
+//! four nodes. What outlives a grid is a [`RememberedLight`], which no tile can ask.
 
-use super::pixels::TileGrid;
+use super::normal::TileLight;
+use super::system::Step;
+use super::tile_grid::TileGrid;
+
+/// Weight of the usual gain at a node, beside the tiles that touch it.
+const USUAL_SHARE: f64 = 0.2;
 
 /// seen = gain(x) (grey + spread * d grey / d spread) + bias.
-#[derive(Debug, PartialEq)]
+#[derive(Debug, Default)]
 pub struct Light {
-    /// Gain at the nodes of the light grid, numbered column by column.
-    pub gains: Vec<f64>,
-    /// Nodes across and down.
-    pub nodes: [usize; 2],
+    grid: TileGrid,
+    /// Gain at the nodes of the grid, numbered column by column.
+    gains: Vec<f64>,
     /// Grey levels.
-    pub bias: f64,
+    bias: f64,
     /// In the kernel's own unit.
-    pub spread: f64,
+    spread: f64,
+    /// How much is known of each node while a light is guessed.
+    weights: Vec<f64>,
 }
 
-impl Default for Light {
+impl Light {
+    /// The grid.
+    pub fn grid(&self) -> &TileGrid {
+        &self.grid
+    }
+
+    /// Gain at the nodes of the grid.
+    pub fn gains(&self) -> &[f64] {
+        &self.gains
+    }
+
+    /// Grey levels.
+    pub fn bias(&self) -> f64 {
+        self.bias
+    }
+
+    /// In the kernel's own unit.
+    pub fn spread(&self) -> f64 {
+        self.spread
+    }
+
+    /// Mean of the nodes.
+    pub fn mean_gain(&self) -> f64 {
+        mean(&self.gains)
+    }
+
+    /// The nodes of a tile of the grid.
+    pub fn nodes_of(&self, tile: u32) -> [usize; 4] {
+        self.grid.nodes_of(tile as usize)
+    }
+
+    /// The light of a tile of the grid.
+    pub fn of_tile(&self, tile: u32) -> TileLight {
+        let gains = self.nodes_of(tile).map(|n| self.gains[n] as f32);
+        TileLight { gains, spread: self.spread as f32, bias: self.bias as f32 }
+    }
+
+    /// A light that is remembered, on another grid, which may cover another part of the frame: nodes keep their relative places.
+    pub fn spread_over(&mut self, grid: TileGrid, light: &RememberedLight) {
+        self.grid = grid;
+        let nodes = grid.nodes();
+        self.gains.clear();
+        if nodes == light.nodes {
+            self.gains.extend_from_slice(&light.gains);
+        } else {
+            // Starts from its mean: the grid changes when the view does, and the solve is linear in the gains.
+            self.gains.resize(nodes[0] * nodes[1], mean(&light.gains));
+        }
+        (self.bias, self.spread) = (light.bias, light.spread);
+    }
+
+    /// Corrects everything by the step of a system that was begun with this light.
+    pub fn correct(&mut self, step: &Step) {
+        self.spread += step.spread();
+        self.bias += step.bias();
+        for (gain, change) in self.gains.iter_mut().zip(step.gains()) {
+            *gain += change;
+        }
+    }
+
+    /// Takes a light from guesses: each node's gain is the mean of the tiles that touch it, and a little of what is usual.
+    pub fn guess(&mut self, bias: f64, spread: f64, usual: f64, tiles: impl Iterator<Item = (u32, f64)>) {
+        (self.bias, self.spread) = (bias, spread);
+        self.weights.clear();
+        self.weights.resize(self.gains.len(), USUAL_SHARE);
+        self.gains.fill(usual * USUAL_SHARE);
+        for (tile, gain) in tiles {
+            for node in self.nodes_of(tile) {
+                self.gains[node] += gain;
+                self.weights[node] += 1.0;
+            }
+        }
+        for (gain, weight) in self.gains.iter_mut().zip(&self.weights) {
+            *gain /= weight;
+        }
+    }
+}
+
+/// What is remembered of a light from level to level and from frame to frame.
+#[derive(Debug, PartialEq)]
+pub struct RememberedLight {
+    /// Gain at the nodes, numbered column by column.
+    gains: Vec<f64>,
+    /// Nodes across and down.
+    nodes: [usize; 2],
+    bias: f64,
+    spread: f64,
+}
+
+impl Default for RememberedLight {
     fn default() -> Self {
         Self { gains: vec![1.0; 4], nodes: [2, 2], bias: 0.0, spread: 0.0 }
     }
 }
 
-impl Clone for Light {
+impl Clone for RememberedLight {
     fn clone(&self) -> Self {
         Self { gains: self.gains.clone(), ..*self }
     }
 
-    /// Keeps the list of gains: nothing is allocated where the grid has no more nodes than before.
+    /// Keeps the list of gains: nothing is allocated where there are no more nodes than before.
     fn clone_from(&mut self, other: &Self) {
         self.gains.clone_from(&other.gains);
         (self.nodes, self.bias, self.spread) = (other.nodes, other.bias, other.spread);
     }
 }
 
-impl Light {
-    /// The same light on another grid, which may cover another part of the frame: nodes keep their relative places.
-    pub fn regrid(&mut self, grid: &TileGrid) {
-        let nodes = grid.nodes();
-        if nodes == self.nodes {
-            return;
-        }
-        // Starts from its mean: the grid changes when the view does, and the solve is linear in the gains.
-        let mean = self.mean_gain();
+impl RememberedLight {
+    /// Takes what a light is now.
+    pub fn take(&mut self, light: &Light) {
         self.gains.clear();
-        self.gains.resize(nodes[0] * nodes[1], mean);
-        self.nodes = nodes;
+        self.gains.extend_from_slice(&light.gains);
+        (self.nodes, self.bias, self.spread) = (light.grid.nodes(), light.bias, light.spread);
     }
 
-    /// Mean of the nodes.
-    pub fn mean_gain(&self) -> f64 {
-        self.gains.iter().sum::<f64>() / self.gains.len().max(1) as f64
+    /// In the kernel's own unit.
+    pub fn spread(&self) -> f64 {
+        self.spread
     }
+}
 
-    /// One gain everywhere.
-    pub fn set_gain(&mut self, gain: f64) {
-        self.gains.iter_mut().for_each(|g| *g = gain);
-    }
+fn mean(gains: &[f64]) -> f64 {
+    gains.iter().sum::<f64>() / gains.len().max(1) as f64
 }

@@ -37,6 +37,7 @@ mod slopes;
 mod system;
 mod task;
 mod texture;
+mod tile_grid;
 mod verdict;
 mod work;
 

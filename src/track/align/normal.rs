@@ -3,7 +3,6 @@
 
 use super::appearance::Appearance;
 use super::lanes::{LANES, Lanes, dispatch, load_at, store_at, total};
-use super::light::Light;
 use super::noise::Noise;
 use super::pixels::{Pixels, Run};
 
@@ -23,6 +22,12 @@ const ENTRIES: usize = ALL * (ALL + 1) / 2;
 #[derive(Debug, Clone, Copy)]
 pub struct TileSums {
     sums: [f32; ENTRIES],
+}
+
+impl Default for TileSums {
+    fn default() -> Self {
+        Self { sums: [0.0; ENTRIES] }
+    }
 }
 
 impl TileSums {
@@ -69,18 +74,14 @@ impl Residuals {
 }
 
 /// The light at a tile and the small changes that a solution brings to its pixels.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct TileLight {
-    gains: [f32; 4],
-    spread: f32,
-    bias: f32,
-}
-
-impl TileLight {
-    /// The light of a tile from its nodes.
-    pub fn new(light: &Light, nodes: [usize; 4]) -> Self {
-        Self { gains: nodes.map(|n| light.gains[n] as f32), spread: light.spread as f32, bias: light.bias as f32 }
-    }
+    /// Gain at the corners of its cell.
+    pub gains: [f32; 4],
+    /// Point spread.
+    pub spread: f32,
+    /// Grey levels.
+    pub bias: f32,
 }
 
 dispatch! {

@@ -1,81 +1,25 @@
 //! The chosen pixels of a level, laid out for the kernels: surface by surface and tile by tile, whole lanes to a
-//! run, with their rays and what the camera saw there.
+//! run, with their rays, what the camera saw there, and the light that it saw them in.
+//!
+//! Runs, tiles and light belong together, and are made anew together, by [`Pixels::arrange`] alone: there is no run
+//! without its four nodes of the light.
 
 use super::Sensor;
 use super::frame_levels::Level;
 use super::lanes::LANES;
+use super::light::{Light, RememberedLight};
+use super::normal::TileLight;
 use super::rays::RayTable;
 use super::selection::Chosen;
-
-/// Most tiles across and down the part of the frame that the body covers; both even, because two by two tiles share a
-/// cell of the light grid.
-pub const MOST_TILES: [usize; 2] = [16, 10];
-/// Least side of a tile, pixels of the level.
-const LEAST_TILE_PX: usize = 8;
+use super::system::Step;
+use super::tile_grid::TileGrid;
 
 /// A level's grey that counts as burnt out or drowned.
 const BRIGHTEST: f32 = 252.0;
 const DARKEST: f32 = 0.5;
 
-/// The tiles that a body's pixels are grouped by: a grid over the part of the frame that they cover.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct TileGrid {
-    /// Tiles across and down, even.
-    pub count: [usize; 2],
-    /// First pixel column and row of the level.
-    origin: [usize; 2],
-    /// Pixels of the level covered.
-    size: [usize; 2],
-}
-
-impl TileGrid {
-    fn covering(chosen: &[Chosen]) -> Self {
-        let (mut low, mut high) = ([u16::MAX; 2], [0; 2]);
-        for c in chosen {
-            for k in 0..2 {
-                low[k] = low[k].min(c.place[k]);
-                high[k] = high[k].max(c.place[k]);
-            }
-        }
-        let size = [0, 1].map(|k| (usize::from(high[k]) + 1).saturating_sub(usize::from(low[k])).max(1));
-        let count = [0, 1].map(|k| (size[k] / LEAST_TILE_PX / 2 * 2).clamp(2, MOST_TILES[k]));
-        Self { count, origin: low.map(|v| if v == u16::MAX { 0 } else { usize::from(v) }), size }
-    }
-
-    /// For each column (`axis` 0) or row (1) covered, from the first: its tile column or row, and where it is in the cell of two by two
-    /// tiles, 0 to 1.
-    fn places(&self, axis: usize, places: &mut Vec<(u16, f32)>) {
-        let (count, size) = (self.count[axis], self.size[axis]);
-        let cells = count as f32 / 2.0;
-        places.clear();
-        places.extend((0..size).map(|p| {
-            let tile = p * count / size;
-            (tile as u16, (p as f32 + 0.5) / size as f32 * cells - (tile / 2) as f32)
-        }));
-    }
-
-    /// Tiles in all.
-    pub fn len(&self) -> usize {
-        self.count[0] * self.count[1]
-    }
-
-    /// Nodes of the light grid across and down: the corners of the cells.
-    pub fn nodes(&self) -> [usize; 2] {
-        self.count.map(|c| c / 2 + 1)
-    }
-
-    /// The light nodes at the corners of a tile's cell: top left, top right, bottom left, bottom right. Nodes are numbered
-    /// column by column.
-    pub fn nodes_of(&self, tile: usize) -> [usize; 4] {
-        let rows = self.nodes()[1];
-        let (column, row) = (tile % self.count[0] / 2, tile / self.count[0] / 2);
-        let at = |c: usize, r: usize| c * rows + r;
-        [at(column, row), at(column + 1, row), at(column, row + 1), at(column + 1, row + 1)]
-    }
-}
-
 /// A run of pixels of one surface in one tile: whole lanes, the last of which may repeat a pixel that then counts nothing.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Run {
     /// Surface index in the body.
     pub surface: u32,
@@ -137,11 +81,11 @@ pub struct Pixels {
     /// Row times width plus column.
     pub index: Vec<u32>,
     /// Runs in order.
-    pub runs: Vec<Run>,
+    runs: Vec<Run>,
     /// Ranges of the surfaces, whole lanes: (surface, start, end).
     pub groups: Vec<(u32, u32, u32)>,
-    /// The tiles.
-    pub grid: TileGrid,
+    /// On the grid whose tiles the runs are of.
+    light: Light,
     /// See [`TileGrid::places`]; where the next pixel of each surface's tile goes.
     columns: Vec<(u16, f32)>,
     rows: Vec<(u16, f32)>,
@@ -152,19 +96,20 @@ pub struct Pixels {
 }
 
 impl Pixels {
-    /// Lays out a choice.
-    pub fn arrange(&mut self, chosen: &[Chosen], surfaces: usize, source: &Source) {
+    /// Lays out a choice, in the light that is remembered.
+    pub fn arrange(&mut self, chosen: &[Chosen], surfaces: usize, source: &Source, light: &RememberedLight) {
         let Source { l, level, table, sensor, height } = *source;
-        self.grid = TileGrid::covering(chosen);
-        self.grid.places(0, &mut self.columns);
-        self.grid.places(1, &mut self.rows);
-        self.sort(chosen, surfaces);
+        let grid = TileGrid::covering(chosen);
+        grid.places(0, &mut self.columns);
+        grid.places(1, &mut self.rows);
+        self.sort(chosen, surfaces, &grid);
+        self.light.spread_over(grid, light);
         let n = self.order.len();
         for list in self.lists() {
             list.resize(n, 0.0);
         }
         self.index.resize(n, 0);
-        let [left, top] = self.grid.origin;
+        let [left, top] = grid.origin();
         // List by list, in the order of their places: short loops wait for many of a table's entries at a time.
         for (index, k) in self.index.iter_mut().zip(&self.order) {
             let [u, v] = chosen[*k as usize].place.map(usize::from);
@@ -208,14 +153,44 @@ impl Pixels {
         self.x.len()
     }
 
+    /// The runs in order.
+    pub fn runs(&self) -> &[Run] {
+        &self.runs
+    }
+
+    /// The light on the grid of the runs.
+    pub fn light(&self) -> &Light {
+        &self.light
+    }
+
+    /// The light of one of the runs.
+    pub fn light_of(&self, run: &Run) -> TileLight {
+        self.light.of_tile(run.tile)
+    }
+
+    /// Goes back to a light that is remembered.
+    pub fn recall_light(&mut self, light: &RememberedLight) {
+        self.light.spread_over(*self.light.grid(), light);
+    }
+
+    /// Corrects the light by the step of a system that was begun with it.
+    pub fn correct_light(&mut self, step: &Step) {
+        self.light.correct(step);
+    }
+
+    /// Takes a light from guesses: `gains` of tiles, near the usual one.
+    pub fn guess_light(&mut self, bias: f64, spread: f64, usual: f64, gains: impl Iterator<Item = (u32, f64)>) {
+        self.light.guess(bias, spread, usual, gains);
+    }
+
     /// Finds the runs and groups of a choice, and which of it goes where.
-    fn sort(&mut self, chosen: &[Chosen], surfaces: usize) {
-        let tiles = self.grid.len();
-        let [left, top] = self.grid.origin;
-        let (columns, rows, across) = (&self.columns, &self.rows, self.grid.count[0]);
+    fn sort(&mut self, chosen: &[Chosen], surfaces: usize, grid: &TileGrid) {
+        let tiles = grid.len();
+        let [left, top] = grid.origin();
+        let (columns, rows) = (&self.columns, &self.rows);
         let slot = |c: &Chosen| {
             let [u, v] = c.place.map(usize::from);
-            usize::from(c.surface) * tiles + usize::from(rows[v - top].0) * across + usize::from(columns[u - left].0)
+            usize::from(c.surface) * tiles + grid.tile(columns[u - left].0, rows[v - top].0)
         };
         self.next.clear();
         self.next.resize(surfaces * tiles, 0);

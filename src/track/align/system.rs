@@ -9,7 +9,6 @@ use nalgebra::SVector;
 use super::light::Light;
 use super::motion::{MotionError, MotionMatrix};
 use super::normal::{BIAS, COLUMNS, GAINS, SPREAD, TileSums};
-use super::pixels::TileGrid;
 
 pub mod side_column;
 
@@ -133,9 +132,9 @@ impl Step<'_> {
 
 impl System {
     /// Starts a system with what is known beforehand. `light`: at the linearisation; `same_time`: of all tiles, where it is.
-    pub fn begin(&mut self, grid: &TileGrid, light: &Light, prior: &Prior, same_time: Option<TileTime>) {
+    pub fn begin(&mut self, light: &Light, prior: &Prior, same_time: Option<TileTime>) {
         self.same_time = same_time;
-        let [columns, rows] = grid.nodes();
+        let [columns, rows] = light.grid().nodes();
         (self.nodes, self.rows) = (columns * rows, rows);
         self.size = self.nodes + DENSE;
         let n = self.size;
@@ -152,9 +151,9 @@ impl System {
         self.smooth(columns, light);
         let (spread, bias, motion) = (self.nodes, self.nodes + 1, self.nodes + 2);
         self.matrix[spread * n + spread] = prior.spread_sigma.powi(-2);
-        self.right[spread] = (prior.spread - light.spread) * prior.spread_sigma.powi(-2);
+        self.right[spread] = (prior.spread - light.spread()) * prior.spread_sigma.powi(-2);
         self.matrix[bias * n + bias] = BIAS_SIGMA.powi(-2);
-        self.right[bias] = -light.bias * BIAS_SIGMA.powi(-2);
+        self.right[bias] = -light.bias() * BIAS_SIGMA.powi(-2);
         let right = prior.information * prior.error;
         for i in 0..MOTION {
             self.right[motion + i] = right[i];
@@ -173,7 +172,7 @@ impl System {
                 let a = c * self.rows + r;
                 let neighbours = [(c + 1 < columns).then_some(a + self.rows), (r + 1 < self.rows).then_some(a + 1)];
                 for b in neighbours.into_iter().flatten() {
-                    let difference = light.gains[b] - light.gains[a];
+                    let difference = light.gains()[b] - light.gains()[a];
                     self.matrix[a * n + a] += information;
                     self.matrix[b * n + b] += information;
                     self.matrix[b * n + a] -= information;

@@ -1,7 +1,7 @@
 //! The pixels that a pose rests on, for pictures that show what the tracker saw.
 
 use super::super::normal::squares_after;
-use super::{Corrected, Task, Work};
+use super::{Task, Work};
 
 /// A pixel that alignment asked, as the solution left it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,20 +15,20 @@ pub struct UsedPixel {
 }
 
 impl Work {
-    /// Adds the pixels of the level that tell something. After [`Work::solve`].
-    pub fn used_pixels(&self, task: &Task, solved: &Corrected, out: &mut Vec<UsedPixel>) {
+    /// Adds the pixels of the level that tell something; none where nothing was solved.
+    pub fn used_pixels(&self, task: &Task, out: &mut Vec<UsedPixel>) {
+        let Some(solved) = self.solved else { return };
         let n = (1u32 << task.level) as f32;
         let mut squares = Vec::new();
-        for ((run, step), gauge) in self.pixels.runs.iter().zip(&self.steps).zip(&self.gauges) {
-            let light = self.light_of(run);
+        for r in &self.runs {
             squares.clear();
-            squares_after(&self.view(run, &light), step, 1, &mut squares);
+            squares_after(&self.picture.view(r), &r.step, 1, &mut squares);
             // Those that tell something, as the squares are.
-            let told = run.range().filter(|k| self.residuals.information[*k] > 0.0);
+            let told = r.run.range().filter(|k| self.picture.residuals.information[*k] > 0.0);
             out.extend(told.zip(&squares).map(|(k, square)| UsedPixel {
-                centre_px: [0, 1].map(|axis| n * self.pixels.place[axis][k] + 0.5 * (n - 1.0)),
+                centre_px: [0, 1].map(|axis| n * self.pixels().place[axis][k] + 0.5 * (n - 1.0)),
                 sigmas: square.sqrt() / solved.scale as f32,
-                takes_part: gauge.is_open,
+                takes_part: r.gauge.is_open,
             }));
         }
     }

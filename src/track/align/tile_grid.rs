@@ -1,0 +1,77 @@
+//! The tiles that a level's pixels are grouped by, and the nodes of the light between them.
+
+use super::selection::Chosen;
+
+/// Most tiles across and down the part of the frame that the body covers; both even, because two by two tiles share a
+/// cell of the light grid.
+pub const MOST_TILES: [usize; 2] = [16, 10];
+/// Least side of a tile, pixels of the level.
+const LEAST_TILE_PX: usize = 8;
+
+/// The tiles that a body's pixels are grouped by: a grid over the part of the frame that they cover.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct TileGrid {
+    /// Tiles across and down, even.
+    count: [usize; 2],
+    /// First pixel column and row of the level.
+    origin: [usize; 2],
+    /// Pixels of the level covered.
+    size: [usize; 2],
+}
+
+impl TileGrid {
+    /// Over all that was chosen.
+    pub fn covering(chosen: &[Chosen]) -> Self {
+        let (mut low, mut high) = ([u16::MAX; 2], [0; 2]);
+        for c in chosen {
+            for k in 0..2 {
+                low[k] = low[k].min(c.place[k]);
+                high[k] = high[k].max(c.place[k]);
+            }
+        }
+        let size = [0, 1].map(|k| (usize::from(high[k]) + 1).saturating_sub(usize::from(low[k])).max(1));
+        let count = [0, 1].map(|k| (size[k] / LEAST_TILE_PX / 2 * 2).clamp(2, MOST_TILES[k]));
+        Self { count, origin: low.map(|v| if v == u16::MAX { 0 } else { usize::from(v) }), size }
+    }
+
+    /// For each column (`axis` 0) or row (1) covered, from the first: its tile column or row, and where it is in the cell of two by two
+    /// tiles, 0 to 1.
+    pub fn places(&self, axis: usize, places: &mut Vec<(u16, f32)>) {
+        let (count, size) = (self.count[axis], self.size[axis]);
+        let cells = count as f32 / 2.0;
+        places.clear();
+        places.extend((0..size).map(|p| {
+            let tile = p * count / size;
+            (tile as u16, (p as f32 + 0.5) / size as f32 * cells - (tile / 2) as f32)
+        }));
+    }
+
+    /// The tile in a column and a row of tiles.
+    pub fn tile(&self, column: u16, row: u16) -> usize {
+        usize::from(row) * self.count[0] + usize::from(column)
+    }
+
+    /// First pixel column and row of the level.
+    pub fn origin(&self) -> [usize; 2] {
+        self.origin
+    }
+
+    /// Tiles in all.
+    pub fn len(&self) -> usize {
+        self.count[0] * self.count[1]
+    }
+
+    /// Nodes of the light grid across and down: the corners of the cells.
+    pub fn nodes(&self) -> [usize; 2] {
+        self.count.map(|c| c / 2 + 1)
+    }
+
+    /// The light nodes at the corners of a tile's cell: top left, top right, bottom left, bottom right. Nodes are numbered
+    /// column by column.
+    pub fn nodes_of(&self, tile: usize) -> [usize; 4] {
+        let rows = self.nodes()[1];
+        let (column, row) = (tile % self.count[0] / 2, tile / self.count[0] / 2);
+        let at = |c: usize, r: usize| c * rows + r;
+        [at(column, row), at(column + 1, row), at(column, row + 1), at(column + 1, row + 1)]
+    }
+}
