@@ -124,6 +124,6 @@ impl PictureStream for NamedPictures {
 fn read(path: &Path) -> PictureData {
     match safe_file::read(path, LARGEST_PICTURE_FILE) {
         Ok(bytes) => PictureData::Encoded(bytes),
-        Err(e) => PictureData::Missing(format!("the picture {} cannot be read: {e}", path.display().to_string().escape_debug())),
+        Err(e) => PictureData::Missing(format!("the picture {} cannot be read: {e}", path.display())),
     }
 }
