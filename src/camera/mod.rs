@@ -4,7 +4,6 @@ mod doubt;
 mod files;
 mod guess;
 mod model;
-pub mod plausible;
 
 pub use doubt::{IntrinsicsUncertainty, LENS_WAYS, LensDoubt};
 pub use files::{

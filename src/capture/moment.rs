@@ -30,10 +30,41 @@ const OLDEST_NS: i64 = 5_000_000_000;
 
 /// When the middle row was at mid-exposure, and whether the driver's stamp says it (else it is reckoned from the arrival).
 ///
-/// `exposure_s` and `readout_s` are 0 where unknown.
+/// `exposure_s` and `readout_s` are 0 where unknown. A driver that was never heard before is judged by this one stamp; see
+/// [`StampTrust`] for one that was.
 pub fn mid_exposure_ns(stamp: DriverStamp, arrival_ns: i64, exposure_s: f64, readout_s: f64) -> (i64, bool) {
+    reckoned(stamp, arrival_ns, exposure_s, readout_s, OLDEST_NS)
+}
+
+/// What is known of a driver's stamps. A program that was stopped gets pictures that are as old as its stop was long: a driver whose stamps
+/// were of the monotonic clock is believed that, and its picture does not count as taken when it was read.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct StampTrust {
+    is_monotonic: bool,
+    /// Pictures in a row that were older than a driver may hand out.
+    old: u32,
+}
+
+/// A driver's queue is a few pictures long; more that are too old in a row are of another clock after all.
+const MOST_OLD: u32 = 64;
+
+impl StampTrust {
+    /// As [`mid_exposure_ns`], by what earlier stamps have shown.
+    pub fn mid_exposure_ns(&mut self, stamp: DriverStamp, arrival_ns: i64, exposure_s: f64, readout_s: f64) -> (i64, bool) {
+        let (DriverStamp::StartOfExposure(at) | DriverStamp::EndOfFrame(at)) = stamp else {
+            return mid_exposure_ns(stamp, arrival_ns, exposure_s, readout_s);
+        };
+        let is_young = at > 0 && at <= arrival_ns && arrival_ns - at < OLDEST_NS;
+        self.is_monotonic = is_young || self.is_monotonic && self.old < MOST_OLD;
+        self.old = if is_young { 0 } else { self.old.saturating_add(1) };
+        let oldest_ns = if self.is_monotonic { i64::MAX } else { OLDEST_NS };
+        reckoned(stamp, arrival_ns, exposure_s, readout_s, oldest_ns)
+    }
+}
+
+fn reckoned(stamp: DriverStamp, arrival_ns: i64, exposure_s: f64, readout_s: f64, oldest_ns: i64) -> (i64, bool) {
     let half_ns = ((exposure_s + readout_s) * 0.5e9).round() as i64;
-    let plausible = |at: i64| at <= arrival_ns && arrival_ns - at < OLDEST_NS && at > 0;
+    let plausible = |at: i64| at <= arrival_ns && arrival_ns - at < oldest_ns && at > 0;
     match stamp {
         DriverStamp::StartOfExposure(at) if plausible(at) => (at + half_ns, true),
         DriverStamp::EndOfFrame(at) if plausible(at) => (at - half_ns, true),
@@ -61,6 +92,22 @@ mod tests {
             assert_eq!(mid_exposure_ns(DriverStamp::StartOfExposure(stamp), 15_000_000_000, 0.0, 0.0), (15_000_000_000, false), "{stamp}");
         }
         assert_eq!(mid_exposure_ns(DriverStamp::None, 15_000_000_000, 0.01, 0.03), (14_980_000_000, false));
+    }
+
+    #[test]
+    fn a_trusted_driver_may_hand_out_what_was_taken_before_a_long_stop() {
+        let mut trust = StampTrust::default();
+        let mut at = |stamp, now| trust.mid_exposure_ns(DriverStamp::StartOfExposure(stamp), now, 0.0, 0.0);
+        assert_eq!(at(99_000_000_000, 99_030_000_000), (99_000_000_000, true));
+        // Stopped for a minute; the queue holds what was taken when it began.
+        assert_eq!(at(99_033_000_000, 159_000_000_000), (99_033_000_000, true));
+        assert_eq!(at(159_010_000_000, 159_040_000_000), (159_010_000_000, true));
+        // A clock that is another one from now on is not believed for ever.
+        let believed = (0..200).filter(|k| at(5_000_000_000 + k, 200_000_000_000).1).count();
+        assert!((1..=64).contains(&believed), "{believed}");
+        assert_eq!(at(5_000_000_500, 200_000_000_000), (200_000_000_000, false));
+        // A stamp of the future never is.
+        assert_eq!(StampTrust::default().mid_exposure_ns(DriverStamp::EndOfFrame(9), 5, 0.0, 0.0), (5, false));
     }
 
     #[test]

@@ -3,6 +3,8 @@
 use super::failure::Failure;
 use crate::camera::CameraModel;
 use crate::config::{SendingSettings, Settings};
+#[cfg(feature = "http")]
+use crate::publish::FrameClock;
 use crate::publish::{Context, PoseWithheld, Publisher, Stamps};
 use crate::record::PoseSample;
 #[cfg(feature = "http")]
@@ -42,7 +44,11 @@ impl Receivers {
         #[cfg(feature = "http")]
         let server = {
             let started = settings.http.as_ref().map(|http| Server::start(http, Vec::new())).transpose();
-            started.map_err(|e| Failure::Publishing(e.to_string()))?
+            let server = started.map_err(|e| Failure::Publishing(e.to_string()))?;
+            if let Some(server) = &server {
+                server.judge_ages(FrameClock::new(context.stamps.clone()), context.safety.stale_after);
+            }
+            server
         };
         #[cfg(not(feature = "http"))]
         if settings.http.is_some() {

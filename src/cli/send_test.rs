@@ -65,12 +65,15 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
     let names: Vec<&str> = settings.outputs.iter().filter(|o| o.enabled).map(|o| o.name.as_str()).collect();
     writeln!(io::stderr(), "sending a test pose to {}; Ctrl-C ends it", names.join(", ")).map_err(Failure::output(Path::new("stderr")))?;
     let begun = Instant::now();
-    for sequence in 0.. {
+    let mut sequence = 0_u64;
+    loop {
         let due = sequence as f64 / arguments.fps;
         if arguments.seconds.is_some_and(|end| due >= end) || !wait_until(begun, due) {
             break;
         }
         receivers.send(&test_sample(sequence, due, &settings.objects));
+        // After a stop it goes on from now: frames are never sent late in a burst.
+        sequence = (sequence + 1).max((begun.elapsed().as_secs_f64() * arguments.fps) as u64);
     }
     receivers.close();
     Ok(())

@@ -10,7 +10,7 @@ use super::limiter::{Limiter, Verdict};
 use super::placement::Placement;
 use super::report::{BodyReport, Standing, Withheld};
 use super::resample::Resampler;
-use super::settings::{BodyChoice, OnLoss, OutputSettings, SafetySettings};
+use super::settings::{BodyChoice, OnLoss, OutputSettings, Rate, SafetySettings};
 use crate::geometry::{Body, Pose, Stage};
 use crate::record::PoseSample;
 
@@ -19,6 +19,15 @@ use crate::record::PoseSample;
 pub(super) struct Known {
     pub standing: Standing,
     pub pose: Option<Pose<Stage, Body>>,
+    /// Carried on from the newest frame.
+    pub is_predicted: bool,
+}
+
+impl Known {
+    /// No pose, for this reason.
+    pub fn nothing(standing: Standing) -> Self {
+        Self { standing, pose: None, is_predicted: false }
+    }
 }
 
 /// The safety limits began to hold a body's pose back.
@@ -38,9 +47,8 @@ pub(super) struct BodyChannel {
     choice: BodyChoice,
     limiter: Limiter,
     resampler: Resampler,
-    /// As the last sample said.
-    standing: Standing,
-    sent: Option<Pose<Stage, Body>>,
+    /// The last pose sent, and when it was so.
+    sent: Option<(i64, Pose<Stage, Body>)>,
     placement: Placement,
     on_loss: OnLoss,
     complaints: Complaints,
@@ -52,12 +60,15 @@ pub(super) struct BodyChannel {
 impl BodyChannel {
     /// A body of an output; it tells `events` when its limits begin to hold the pose back.
     pub fn new(name: Arc<str>, choice: BodyChoice, limits: SafetySettings, output: &OutputSettings, events: Sender<PoseWithheld>) -> Self {
+        let delay_ns = match output.rate {
+            Rate::Fixed { delay, .. } => i64::try_from(delay.as_nanos()).unwrap_or(i64::MAX),
+            Rate::Every(_) => 0,
+        };
         Self {
             name,
             choice,
             limiter: Limiter::new(limits),
-            resampler: Resampler::default(),
-            standing: Standing::Searching,
+            resampler: Resampler::new(delay_ns),
             sent: None,
             placement: output.placement,
             on_loss: output.on_loss,
@@ -68,80 +79,75 @@ impl BodyChannel {
         }
     }
 
-    /// What a sample says of this body; a mere prediction counts as nothing where the format cannot mark it.
-    pub fn known(&self, sample: &PoseSample, marks_coasting: bool) -> Known {
+    /// What a sample says of this body.
+    pub fn known(&self, sample: &PoseSample) -> Known {
         let (state, pose) = match self.choice {
             BodyChoice::Camera => (sample.state, sample.pose.as_ref().map(body_of_camera)),
             BodyChoice::Object(index) => match sample.objects.get(index) {
                 Some(object) => (object.state, object.pose),
-                None => return Known { standing: Standing::Searching, pose: None },
+                None => return Known::nothing(Standing::Searching),
             },
         };
-        let standing = Standing::from(state);
-        let is_usable = marks_coasting || standing != Standing::Coasting;
-        Known { standing, pose: pose.filter(|_| is_usable) }
+        Known { standing: Standing::from(state), pose, is_predicted: false }
     }
 
-    /// Keeps a sample for the ticks to come.
+    /// Keeps what a sample said for the ticks to come.
     pub fn keep(&mut self, at_ns: i64, known: Known) {
-        self.standing = known.standing;
-        match known.pose {
-            Some(pose) => self.resampler.push(at_ns, pose),
-            None => self.resampler.reset(),
-        }
+        self.resampler.push(at_ns, known);
     }
 
-    /// What is known at a tick.
-    pub fn at(&self, at_ns: i64) -> Known {
-        let pose = self.resampler.at(at_ns);
-        let standing = match self.standing {
-            Standing::Tracking | Standing::Coasting if pose.is_none() => Standing::Lost,
-            standing => standing,
-        };
-        Known { standing, pose }
+    /// What is known at a tick, where frames are `interval_ns` apart.
+    pub fn at(&self, at_ns: i64, interval_ns: i64) -> Known {
+        self.resampler.at(at_ns, interval_ns)
     }
 
-    /// No frame came for too long: the samples before are no longer a motion.
-    pub fn stale(&mut self) -> Known {
-        self.resampler.reset();
-        Known { standing: Standing::Stale, pose: None }
-    }
-
-    /// What is sent of it.
-    pub fn report(&mut self, at_ns: i64, known: Known) -> BodyReport {
+    /// What is sent of it. `holds` says whether the protocol has room for a pose.
+    pub fn report(&mut self, at_ns: i64, known: Known, holds: &dyn Fn(&Pose<Stage, Body>) -> bool) -> BodyReport {
         let mut report = BodyReport {
             name: self.name.clone(),
+            choice: self.choice,
             standing: known.standing,
             pose: None,
-            is_held: false,
+            held_ns: None,
             is_blended: false,
-            is_untouched: known.pose.is_some() && self.placement.is_identity(),
+            is_predicted: known.is_predicted,
+            is_passed: false,
         };
-        match known.pose.map(|pose| self.limiter.judge(at_ns, &pose)) {
-            Some(Verdict::Pass(pose)) => report.pose = Some(self.placement.apply(&pose)),
+        match known.pose.map(|pose| self.judged(at_ns, &pose, holds)) {
+            Some(Verdict::Pass(pose)) => (report.pose, report.is_passed) = (Some(self.placement.apply(&pose)), true),
             Some(Verdict::Blend(pose)) => {
                 report.pose = Some(self.placement.apply(&pose));
-                (report.standing, report.is_blended, report.is_untouched) = (Standing::Coasting, true, false);
+                (report.standing, report.is_blended, report.is_predicted) = (Standing::Coasting, true, false);
             }
-            Some(Verdict::Withhold(reason)) => {
-                (report.standing, report.is_untouched) = (Standing::Withheld(reason), false);
-                self.complaints
-                    .say(|| format!("event: the pose of {} is withheld, {}; check [safety] and the tracking", self.name, reason.words()));
-                if !self.is_withheld {
-                    // Nobody may be listening, or too late: the log has it too.
-                    let _ = self.events.try_send(PoseWithheld { output: self.output.clone(), body: self.name.to_string(), reason });
-                }
-            }
+            Some(Verdict::Withhold(reason)) => self.withhold(reason, &mut report),
             None => self.limiter.gap(),
         }
         self.is_withheld = matches!(report.standing, Standing::Withheld(_));
-        match report.pose {
-            Some(pose) => self.sent = Some(pose),
-            None if self.on_loss == OnLoss::Hold => {
-                (report.pose, report.is_held, report.is_untouched) = (self.sent, self.sent.is_some(), false)
+        match (report.pose, self.sent) {
+            (Some(pose), _) => self.sent = Some((at_ns, pose)),
+            (None, Some((sent_ns, pose))) if self.on_loss == OnLoss::Hold => {
+                (report.pose, report.held_ns, report.is_predicted) = (Some(pose), Some(at_ns.saturating_sub(sent_ns).max(0)), false);
             }
-            None => {}
+            (None, _) => report.is_predicted = false,
         }
         report
+    }
+
+    fn judged(&mut self, at_ns: i64, pose: &Pose<Stage, Body>, holds: &dyn Fn(&Pose<Stage, Body>) -> bool) -> Verdict {
+        if pose.is_finite() && !holds(&self.placement.apply(pose)) {
+            self.limiter.gap();
+            return Verdict::Withhold(Withheld::OutOfRange);
+        }
+        self.limiter.judge(at_ns, pose)
+    }
+
+    fn withhold(&mut self, reason: Withheld, report: &mut BodyReport) {
+        report.standing = Standing::Withheld(reason);
+        self.complaints
+            .say(|| format!("event: the pose of {} is withheld, {}; check [safety] and the tracking", self.name, reason.words()));
+        if !self.is_withheld {
+            // Nobody may be listening, or too late: the log has it too.
+            let _ = self.events.try_send(PoseWithheld { output: self.output.clone(), body: self.name.to_string(), reason });
+        }
     }
 }

@@ -1,11 +1,17 @@
 //! What every protocol has in common: a report goes in, datagrams or lines come out.
 
 use super::report::Report;
+use crate::geometry::{Body, Pose, Stage};
 
 /// Turns reports into packets of one protocol; keeps what the protocol numbers and counts.
 pub(super) trait Encoder: Send {
     /// Makes the packets of a report and hands them to `send` one by one.
     fn encode(&mut self, report: &Report, send: &mut dyn FnMut(&[u8]));
+
+    /// The format's numbers reach as far as this pose; one that does not fit is never cut, but withheld.
+    fn holds(&self, _pose: &Pose<Stage, Body>) -> bool {
+        true
+    }
 
     /// The format can say of a pose that it is only predicted.
     fn marks_coasting(&self) -> bool {

@@ -7,9 +7,8 @@
 use thiserror::Error;
 
 use super::body_pose::PanTiltRoll;
-use super::complaints::Complaints;
 use super::encoder::Encoder;
-use super::report::{BodyReport, Report, Standing};
+use super::report::{BodyReport, Report};
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Pose, Stage};
 
@@ -157,15 +156,14 @@ pub(super) struct FreedEncoder {
     settings: FreedSettings,
     zoom: u32,
     last: Option<FreedPacket>,
-    cut: Complaints,
 }
 
 impl FreedEncoder {
-    pub fn new(settings: FreedSettings, camera: &CameraModel, output: &str) -> Self {
+    pub fn new(settings: FreedSettings, camera: &CameraModel) -> Self {
         let focal_mm = camera.intrinsics().fx * settings.sensor_width_mm / f64::from(camera.width());
         // A float beyond the range saturates in the cast.
         let zoom = settings.zoom.unwrap_or((focal_mm * 1e3).round() as u32);
-        Self { settings, zoom, last: None, cut: Complaints::new(output) }
+        Self { settings, zoom, last: None }
     }
 
     fn packet(&self, body: &BodyReport) -> Option<FreedPacket> {
@@ -177,10 +175,10 @@ impl FreedEncoder {
 
     fn spare(&self, report: &Report, body: &BodyReport) -> u16 {
         match self.settings.spare {
-            Spare::Quality => match body.standing {
-                Standing::Tracking => 1,
-                Standing::Coasting => 2,
-                Standing::Searching | Standing::Lost | Standing::Withheld(_) | Standing::Stale => 3,
+            Spare::Quality => match body.confidence() {
+                c if c >= 1.0 => 1,
+                c if c > 0.0 => 2,
+                _ => 3,
             },
             // The counters wrap.
             Spare::Frame => report.sequence as u16,
@@ -196,12 +194,14 @@ impl Encoder for FreedEncoder {
         let Some(mut packet) = self.packet(body) else { return };
         (packet.zoom, packet.focus) = (self.zoom, self.settings.focus);
         packet.spare = self.spare(report, body);
-        let (bytes, is_cut) = packet.encode();
-        if is_cut {
-            self.cut.say(|| "the position is beyond the 131 m that FreeD holds and is cut; use a smaller scale or another protocol".into());
-        }
+        // A pose that does not fit never comes here.
+        let (bytes, _) = packet.encode();
         self.last = Some(packet);
         send(&bytes);
+    }
+
+    fn holds(&self, pose: &Pose<Stage, Body>) -> bool {
+        !FreedPacket::of_pose(0, pose, 0.0).encode().1
     }
 
     fn marks_coasting(&self) -> bool {

@@ -6,6 +6,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::body_pose::body_of_camera;
 use super::report::{BodyReport, Report, Standing};
+use super::settings::BodyChoice;
 use crate::geometry::{Camera, Pose, Stage};
 
 /// DESIGN section 2: level, 4 m in front of the origin, looking upstage; all zeros but for the distance.
@@ -14,16 +15,30 @@ pub(crate) fn golden_camera() -> Pose<Stage, Camera> {
     Pose::new(UnitQuaternion::from_quaternion(Quaternion::new(s, -s, 0.0, 0.0)), Vector3::new(0.0, -4.0, 0.0))
 }
 
+/// The camera at the golden pose.
+pub(crate) fn golden_body(standing: Standing) -> BodyReport {
+    BodyReport {
+        name: Arc::from("camera"),
+        choice: BodyChoice::Camera,
+        standing,
+        pose: Some(body_of_camera(&golden_camera())),
+        held_ns: None,
+        is_blended: false,
+        is_predicted: false,
+        is_passed: true,
+    }
+}
+
 /// A report of the golden pose.
 pub(crate) fn golden_report(standing: Standing) -> Report {
-    let pose = Some(body_of_camera(&golden_camera()));
     Report {
         sequence: 17,
         unix_ns: 1_700_000_000_040_000_000,
         monotonic_ns: 5_040_000_000,
+        sent_monotonic_ns: 5_052_500_000,
         recorded_ns: None,
         rate_hz: 30.0,
-        bodies: vec![BodyReport { name: Arc::from("camera"), standing, pose, is_held: false, is_blended: false, is_untouched: true }],
+        bodies: vec![golden_body(standing)],
         sample: None,
         age_ms: 12.5,
         is_test: false,

@@ -1,16 +1,22 @@
 //! Lines of JSON: the pose record (contract C3) with ages and times, for scripts and bridges.
 //!
-//! A line has the record's fields, with `pose` as this output sends it, and after them: `age_ms` (from mid-exposure to the moment of
-//! sending), `unix_ns` (mid-exposure in Unix time), `times_ms`, and where they apply `held`, `blended`, `withheld`. A message that is no
-//! record begins with `"event"`: `{"event":"stale",…}` where no frame came for too long.
+//! A line has the record's fields and no bodies but those that the output speaks of; a camera that it does not speak of is null. `pose`
+//! is what this output sends: placed, limited, held. `state` speaks of that pose, and what was measured stands beside it only where it
+//! is the tracker's own of this frame, placed in the same way. After the record's fields come `age_ms` (from mid-exposure to the moment
+//! of sending), `unix_ns` (mid-exposure in Unix time), `times_ms`, and the marks that apply: of the camera in the line, of an object in
+//! its entry. A message that is no record begins with `"event"`: `{"event":"stale",…}` where no frame came for too long.
 
+use nalgebra::{Matrix3, Matrix6};
+use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::body_pose::camera_of_body;
+use super::body_pose::{body_of_camera, camera_of_body};
 use super::encoder::Encoder;
+use super::placement::Placement;
 use super::report::{BodyReport, Report, Standing};
-use super::settings::StreamSettings;
-use crate::record::{ObjectSample, PoseSample, StageTimes, State};
+use super::settings::{BodyChoice, StreamSettings};
+use crate::geometry::{Body, Pose, Stage};
+use crate::record::{Measurement, PoseSample, StageTimes, State};
 
 /// How an output writes JSON.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -20,107 +26,189 @@ pub struct JsonSettings {
 }
 
 /// Turns reports into lines.
-pub(super) struct JsonEncoder;
+pub(super) struct JsonEncoder {
+    placement: Placement,
+}
+
+impl JsonEncoder {
+    /// `placement` is what has been done to the poses: what is measured is placed in the same way.
+    pub fn new(placement: Placement) -> Self {
+        Self { placement }
+    }
+
+    /// One line, without its end.
+    fn line(&self, report: &Report) -> String {
+        let camera = report.bodies.iter().find(|body| body.choice == BodyChoice::Camera);
+        let objects: Vec<ObjectLine> =
+            report.bodies.iter().filter(|body| body.choice != BodyChoice::Camera).map(|body| self.object(report, body)).collect();
+        // Objects serialise to maps with string keys, which cannot fail.
+        let objects = serde_json::to_string(&objects).unwrap_or_default();
+        let marks = camera.map(marks).unwrap_or_default();
+        // All bodies are stale together: no frame came.
+        if report.bodies.first().is_some_and(|body| body.standing == Standing::Stale) {
+            let pose = camera.and_then(|body| body.pose.as_ref()).map(camera_of_body);
+            let event = json!({
+                "event": "stale", "state": "stale", "sequence": report.sequence, "age_ms": rounded(report.age_ms), "unix_ns": report.unix_ns,
+                "pose": pose,
+            });
+            return format!(r#"{},"objects":{objects}{marks}{}}}"#, opened(event.to_string()), test_mark(report));
+        }
+        let times = report.sample.as_ref().map(|sample| sample.times);
+        format!("{}{objects}{}{marks}{}}}", self.record(report, camera), ages(report, times), test_mark(report))
+    }
+
+    /// The record's fields up to the objects.
+    fn record(&self, report: &Report, camera: Option<&BodyReport>) -> String {
+        let (sequence, tick_ns) = (report.sequence, report.recorded_ns.unwrap_or(report.monotonic_ns));
+        let timestamp_ns = report.sample.as_ref().map_or(tick_ns, |sample| sample.timestamp_ns);
+        let Some(camera) = camera else {
+            let nulls = ["state", "pose", "measured", "covariance", "model", "homography", "essential", "inliers", "rms_px"];
+            let nulls: String = nulls.map(|key| format!(r#""{key}":null,"#)).concat();
+            return format!(r#"{{"sequence":{sequence},"timestamp_ns":{timestamp_ns},{nulls}"objects":"#);
+        };
+        let own = report.sample.as_ref().filter(|_| camera.is_passed);
+        let placed = || camera.pose.as_ref().map(camera_of_body);
+        // An untouched pose keeps its last digit.
+        let pose = own.filter(|_| self.placement.is_identity()).map_or_else(placed, |sample| sample.pose);
+        let measurement = own.and_then(|sample| sample.measurement).and_then(|m| self.placed(m));
+        let (state, times) = (state(camera.standing), StageTimes::default());
+        let record = PoseSample { sequence, timestamp_ns, state, pose, measurement, objects: Vec::new(), times };
+        // Its last field is the list of objects, which is empty.
+        let text = record.to_json_line();
+        text.strip_suffix("[]}").map_or(text.clone(), str::to_owned)
+    }
+
+    /// What was measured, as the pose is placed. Angles that are turned round leave no covariance to tell.
+    fn placed(&self, measurement: Measurement) -> Option<Measurement> {
+        if self.placement.is_identity() {
+            return Some(measurement);
+        }
+        let pose = camera_of_body(&self.placement.apply(&body_of_camera(&measurement.pose)));
+        Some(Measurement { pose, covariance: self.placed_covariance(&measurement.covariance)?, ..measurement })
+    }
+
+    fn placed_covariance(&self, covariance: &Matrix6<f64>) -> Option<Matrix6<f64>> {
+        if self.placement.is_identity() {
+            return Some(*covariance);
+        }
+        if self.placement.angle_signs != [1.0; 3] {
+            return None;
+        }
+        let turn: Matrix3<f64> = self.placement.rotation.to_rotation_matrix().into_inner();
+        let signs = Matrix3::from_diagonal(&self.placement.position_signs.into());
+        let mut by = Matrix6::zeros();
+        by.fixed_view_mut::<3, 3>(0, 0).copy_from(&(signs * turn * self.placement.scale));
+        by.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+        Some(by * covariance * by.transpose())
+    }
+
+    fn object(&self, report: &Report, body: &BodyReport) -> ObjectLine {
+        let BodyChoice::Object(index) = body.choice else { return ObjectLine::of(body, None) };
+        let own = report.sample.as_ref().filter(|_| body.is_passed).and_then(|sample| sample.objects.get(index));
+        let covariance = own.and_then(|object| object.covariance.as_ref()).and_then(|c| self.placed_covariance(c));
+        ObjectLine::of(body, covariance)
+    }
+}
 
 impl Encoder for JsonEncoder {
     fn encode(&mut self, report: &Report, send: &mut dyn FnMut(&[u8])) {
-        let mut line = line(report);
+        let mut line = self.line(report);
         line.push('\n');
         send(line.as_bytes());
     }
 }
 
-/// One line, without its end.
-fn line(report: &Report) -> String {
-    let main = report.bodies.first();
-    if main.is_some_and(|body| body.standing == Standing::Stale) {
-        return json!({
-            "event": "stale", "sequence": report.sequence, "age_ms": rounded(report.age_ms), "unix_ns": report.unix_ns,
-            "pose": main.and_then(|body| body.pose), "held": main.is_some_and(|body| body.is_held),
-        })
-        .to_string();
-    }
-    let mut record = record(report);
-    for body in &report.bodies {
-        set_pose(&mut record, body, report.sample.is_none());
-    }
-    let mut text = record.to_json_line();
-    // The record is an object: what follows goes inside its closing brace.
-    text.pop();
-    text.push_str(&additions(report, main, record.times));
-    text
+/// An object in a line: as in the record, and its marks.
+#[derive(Serialize)]
+struct ObjectLine {
+    name: String,
+    state: State,
+    pose: Option<Pose<Stage, Body>>,
+    covariance: Option<Vec<f64>>,
+    #[serde(flatten)]
+    marks: Marks,
 }
 
-/// The tracker's record, or on a fixed rate one that has nothing but states and poses.
-fn record(report: &Report) -> PoseSample {
-    if let Some(sample) = &report.sample {
-        return PoseSample::clone(sample);
-    }
-    PoseSample {
-        sequence: report.sequence,
-        timestamp_ns: report.recorded_ns.unwrap_or(report.monotonic_ns),
-        state: State::Searching,
-        pose: None,
-        measurement: None,
-        objects: Vec::new(),
-        times: StageTimes::default(),
+impl ObjectLine {
+    fn of(body: &BodyReport, covariance: Option<Matrix6<f64>>) -> Self {
+        let covariance = covariance.map(|c| c.transpose().as_slice().to_vec());
+        Self { name: body.name.to_string(), state: state(body.standing), pose: body.pose, covariance, marks: Marks::of(body) }
     }
 }
 
-/// Puts a body's pose, as the output sends it, where the record has that body.
-fn set_pose(record: &mut PoseSample, body: &BodyReport, is_resampled: bool) {
-    if &*body.name == CAMERA {
-        if is_resampled || !body.is_untouched {
-            record.pose = body.pose.as_ref().map(camera_of_body);
+/// What is to be known of a pose besides its state.
+#[derive(Serialize)]
+struct Marks {
+    /// Carried on from the newest frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    predicted: Option<bool>,
+    /// The last pose again,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    held: Option<bool>,
+    /// which was true so long before.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    held_ms: Option<Value>,
+    /// On its way back.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    blended: Option<bool>,
+    /// Why it is withheld.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    withheld: Option<&'static str>,
+}
+
+impl Marks {
+    fn of(body: &BodyReport) -> Self {
+        let withheld = match body.standing {
+            Standing::Withheld(reason) => Some(reason.words()),
+            _ => None,
+        };
+        Self {
+            predicted: body.is_predicted.then_some(true),
+            held: body.is_held().then_some(true),
+            held_ms: body.held_ns.map(|ns| rounded(ns as f64 * 1e-6)),
+            blended: body.is_blended.then_some(true),
+            withheld,
         }
-        if is_resampled {
-            record.state = state(body.standing);
-        }
-        return;
-    }
-    if let Some(object) = record.objects.iter_mut().find(|object| *object.name == *body.name) {
-        if !body.is_untouched {
-            object.pose = body.pose;
-        }
-    } else if is_resampled {
-        let (name, state) = (body.name.to_string(), state(body.standing));
-        record.objects.push(ObjectSample { name, state, pose: body.pose, covariance: None });
     }
 }
 
-/// The camera's name among the bodies.
-pub(super) const CAMERA: &str = "camera";
+/// The camera's marks, from the comma on.
+fn marks(body: &BodyReport) -> String {
+    // A map with string keys cannot fail.
+    let text = serde_json::to_string(&Marks::of(body)).unwrap_or_default();
+    match text.trim_start_matches('{').trim_end_matches('}') {
+        "" => String::new(),
+        marks => format!(",{marks}"),
+    }
+}
 
+fn test_mark(report: &Report) -> &'static str {
+    if report.is_test { r#","test":true"# } else { "" }
+}
+
+/// An object without its closing brace.
+fn opened(mut object: String) -> String {
+    object.pop();
+    object
+}
+
+/// The word of a record for what is sent: a pose that is withheld is none.
 fn state(standing: Standing) -> State {
     match standing {
         Standing::Tracking => State::Tracking,
         Standing::Coasting => State::Coasting,
         Standing::Searching => State::Searching,
-        Standing::Lost | Standing::Stale | Standing::Withheld(_) => State::Lost,
+        Standing::Lost | Standing::Withheld(_) => State::Lost,
+        Standing::Stale => State::Stale,
     }
 }
 
-/// What a line has besides the record, from the comma to the closing brace.
-fn additions(report: &Report, main: Option<&BodyReport>, times: StageTimes) -> String {
-    let mut more = format!(r#","age_ms":{},"unix_ns":{}"#, rounded(report.age_ms), report.unix_ns);
-    if report.sample.is_some() {
-        let [decode, acquire, align, pose] = [times.decode_ms, times.acquire_ms, times.align_ms, times.pose_ms].map(rounded);
-        more += &format!(r#","times_ms":{{"decode":{decode},"acquire":{acquire},"align":{align},"pose":{pose}}}"#);
-    }
-    let Some(body) = main else { return more + "}" };
-    if body.is_held {
-        more += r#","held":true"#;
-    }
-    if body.is_blended {
-        more += r#","blended":true"#;
-    }
-    if let Standing::Withheld(reason) = body.standing {
-        more += &format!(r#","withheld":"{}""#, reason.words());
-    }
-    if report.is_test {
-        more += r#","test":true"#;
-    }
-    more + "}"
+/// Ages and times, from the comma on.
+fn ages(report: &Report, times: Option<StageTimes>) -> String {
+    let more = format!(r#","age_ms":{},"unix_ns":{}"#, rounded(report.age_ms), report.unix_ns);
+    let Some(times) = times else { return more };
+    let [decode, acquire, align, pose] = [times.decode_ms, times.acquire_ms, times.align_ms, times.pose_ms].map(rounded);
+    more + &format!(r#","times_ms":{{"decode":{decode},"acquire":{acquire},"align":{align},"pose":{pose}}}"#)
 }
 
 /// To a microsecond.
@@ -129,64 +217,5 @@ fn rounded(ms: f64) -> Value {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::publish::golden::{golden_camera, golden_report};
-    use crate::publish::report::Withheld;
-    use std::sync::Arc;
-
-    fn sample() -> PoseSample {
-        PoseSample {
-            sequence: 17,
-            timestamp_ns: 5,
-            state: State::Tracking,
-            pose: Some(golden_camera()),
-            measurement: None,
-            objects: Vec::new(),
-            times: StageTimes { decode_ms: 1.5, ..StageTimes::default() },
-        }
-    }
-
-    fn parsed(report: &Report) -> Value {
-        let mut lines = Vec::new();
-        JsonEncoder.encode(report, &mut |line| lines.push(String::from_utf8(line.to_vec()).unwrap()));
-        assert_eq!((lines.len(), lines[0].matches('\n').count(), lines[0].ends_with('\n')), (1, 1, true));
-        serde_json::from_str(&lines[0]).unwrap()
-    }
-
-    #[test]
-    fn a_line_is_the_record_and_more() {
-        let report = Report { sample: Some(Arc::new(sample())), ..golden_report(Standing::Tracking) };
-        assert!(line(&report).starts_with(sample().to_json_line().trim_end_matches('}')));
-        let value = parsed(&report);
-        assert_eq!((&value["age_ms"], &value["times_ms"]["decode"]), (&json!(12.5), &json!(1.5)));
-        assert_eq!(value["unix_ns"], json!(1_700_000_000_040_000_000_i64));
-        assert_eq!(value["pose"]["position_m"], json!([0.0, -4.0, 0.0]));
-    }
-
-    #[test]
-    fn a_withheld_pose_is_not_in_the_line() {
-        let mut report = Report { sample: Some(Arc::new(sample())), ..golden_report(Standing::Withheld(Withheld::OutsideBox)) };
-        (report.bodies[0].pose, report.bodies[0].is_untouched) = (None, false);
-        let value = parsed(&report);
-        assert_eq!((&value["pose"], &value["withheld"]), (&Value::Null, &json!("outside the permitted box")));
-    }
-
-    #[test]
-    fn a_stale_marker_is_an_event() {
-        let mut report = golden_report(Standing::Stale);
-        report.bodies[0].pose = None;
-        let value = parsed(&report);
-        assert_eq!((&value["event"], &value["pose"], &value["age_ms"]), (&json!("stale"), &Value::Null, &json!(12.5)));
-    }
-
-    #[test]
-    fn on_a_fixed_rate_there_are_states_and_poses() {
-        let mut report = golden_report(Standing::Coasting);
-        report.bodies.push(BodyReport { name: Arc::from("cart"), standing: Standing::Tracking, ..report.bodies[0].clone() });
-        let value = parsed(&report);
-        assert_eq!((&value["state"], &value["measured"]), (&json!("coasting"), &Value::Null));
-        assert_eq!(value["pose"]["position_m"], json!([0.0, -4.0, 0.0]));
-        assert_eq!((&value["objects"][0]["name"], &value["objects"][0]["state"]), (&json!("cart"), &json!("tracking")));
-    }
-}
+#[path = "json_tests.rs"]
+mod tests;

@@ -36,7 +36,8 @@ pub(super) struct Limiter {
     limits: SafetySettings,
     sent: Option<(i64, Pose<Stage, Body>)>,
     has_gap: bool,
-    blend_since_ns: Option<i64>,
+    /// On its way back to the tracker's pose.
+    is_blending: bool,
 }
 
 impl Limiter {
@@ -46,13 +47,12 @@ impl Limiter {
             rates.speed_m_s = limits.max_speed_m_s.map_or(rates.speed_m_s, |most| rates.speed_m_s.min(most));
             rates.turn_rad_s = limits.max_turn_rad_s.map_or(rates.turn_rad_s, |most| rates.turn_rad_s.min(most));
         }
-        Self { limits, sent: None, has_gap: false, blend_since_ns: None }
+        Self { limits, sent: None, has_gap: false, is_blending: false }
     }
 
     /// No pose was known: what comes next comes after a gap.
     pub fn gap(&mut self) {
         self.has_gap = true;
-        self.blend_since_ns = None;
     }
 
     /// Judges the pose of an instant (nanoseconds, rising).
@@ -78,12 +78,14 @@ impl Limiter {
         let Some((sent_ns, sent)) = self.sent else { return Verdict::Pass(*pose) };
         let elapsed_s = at_ns.saturating_sub(sent_ns).max(0) as f64 * 1e-9;
         if let Some(rates) = self.limits.blend {
-            if (self.has_gap || elapsed_s > LONGEST_STEP.as_secs_f64()) && self.blend_since_ns.is_none() {
-                // The first pose after a gap is where the output stood.
-                self.blend_since_ns = Some(at_ns);
+            let is_long = elapsed_s > LONGEST_STEP.as_secs_f64();
+            // The first pose after a gap is where the output stood. A short gap on the way back does not begin anew: with a pose in
+            // every other frame the output would never move.
+            if is_long || self.has_gap && !self.is_blending {
+                self.is_blending = true;
                 return self.blended(&sent, pose, 0.0, rates);
             }
-            if self.blend_since_ns.is_some() {
+            if self.is_blending {
                 return self.blended(&sent, pose, elapsed_s, rates);
             }
         }
@@ -112,7 +114,7 @@ impl Limiter {
         let (distance, angle) = (way.norm(), turn.angle());
         let (reach, sweep) = (rates.speed_m_s * elapsed_s, rates.turn_rad_s * elapsed_s);
         if distance <= reach && angle <= sweep {
-            self.blend_since_ns = None;
+            self.is_blending = false;
             return Verdict::Pass(*to);
         }
         let share = |limit: f64, whole: f64| if whole > limit { limit / whole } else { 1.0 };

@@ -58,6 +58,19 @@ fn after_a_gap_it_starts_where_it_stood_and_arrives() {
     assert!((59..=61).contains(&arrived), "{arrived}");
 }
 
+#[test]
+fn a_pose_in_every_other_frame_brings_the_output_back_all_the_same() {
+    let mut limiter = Limiter::new(with_blend());
+    limiter.judge(0, &at(0.0, 0.0));
+    limiter.gap();
+    let arrived = (1..100).find(|k| {
+        limiter.gap();
+        limiter.judge(2 * k * FRAME_NS, &at(0.5, 0.1)) == Verdict::Pass(at(0.5, 0.1))
+    });
+    // Half a metre at 0.5 m/s takes 15 times two frames, after the first that stands still.
+    assert!(arrived.is_some_and(|k| (15..=17).contains(&k)), "{arrived:?}");
+}
+
 /// Frames: is the pose known, where is it, how is it turned, how many frames later?
 fn steps() -> impl Strategy<Value = Vec<(bool, f64, f64, u32)>> {
     // Now and then a number that is none.

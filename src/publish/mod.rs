@@ -7,6 +7,7 @@
 
 mod body_pose;
 mod channel;
+mod clocks;
 mod complaints;
 mod encoder;
 pub mod freed;
@@ -30,6 +31,7 @@ mod worker;
 
 pub use body_pose::{PanTiltRoll, body_of_camera, camera_of_body};
 pub use channel::PoseWithheld;
+pub use clocks::{Clocks, FrameClock, Reading, SystemClocks};
 pub use json::JsonSettings;
 pub use network::{Interface, needs_interface};
 pub use opentrackio_lens::PrincipalPoint;

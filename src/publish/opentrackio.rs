@@ -13,11 +13,12 @@ use thiserror::Error;
 use uuid::Builder;
 
 use super::body_pose::PanTiltRoll;
+use super::clocks::{Clocks, SystemClocks};
 use super::complaints::Complaints;
 use super::encoder::Encoder;
-use super::json::CAMERA;
 use super::opentrackio_lens::{PrincipalPoint, lens, sensor};
 use super::report::{BodyReport, Report, Standing};
+use super::settings::BodyChoice;
 use crate::camera::CameraModel;
 
 /// Bytes before the payload.
@@ -165,7 +166,7 @@ impl OpenTrackIoEncoder {
         // The same machine and output have the same source id from start to start; sample ids never repeat.
         let machine = std::fs::read_to_string("/etc/machine-id").unwrap_or_default();
         let source = fnv_1a(machine.trim().bytes().chain(output.bytes()).chain([settings.source_number]));
-        let started = super::stamps::now().unix_ns as u64;
+        let started = SystemClocks.read().unix_ns as u64;
         Self {
             encoding: settings.encoding,
             source_number: settings.source_number,
@@ -173,7 +174,8 @@ impl OpenTrackIoEncoder {
             lens: lens(camera, settings.sensor_width_mm, settings.principal_point),
             sensor: sensor(camera, settings.sensor_width_mm),
             ids: Pcg64::seed_from_u64(source ^ started ^ u64::from(std::process::id()) << 32),
-            sequence: 0,
+            // Not 0: the reference receiver takes that for a repetition of what it had before the first one.
+            sequence: 1,
             static_sent: None,
             last_roll_deg: 0.0,
             too_long: Complaints::new(output),
@@ -188,14 +190,14 @@ impl OpenTrackIoEncoder {
         put("sampleId", json!(uuid_urn(&mut self.ids)));
         put("sourceId", json!(self.source_id));
         put("sourceNumber", json!(self.source_number));
-        put("tracker", json!({"recording": false, "status": status(report, body)}));
+        put("tracker", tracker(report, body));
         put("timing", timing(report));
         put("lens", self.lens.clone());
         if let Some(pose) = &body.pose {
             let angles = PanTiltRoll::of_rotation(&pose.rotation, self.last_roll_deg);
             self.last_roll_deg = angles.roll_deg;
             let p = pose.translation;
-            let id = if &*body.name == CAMERA { "Camera" } else { &*body.name };
+            let id = if body.choice == BodyChoice::Camera { "Camera" } else { &*body.name };
             put(
                 "transforms",
                 json!([{
@@ -216,7 +218,7 @@ impl OpenTrackIoEncoder {
         let mut camera = self.sensor.clone();
         camera["captureFrameRate"] = fraction(report.rate_hz);
         camera["make"] = json!("stagepose");
-        camera["model"] = json!(report.bodies.first().map_or(CAMERA, |body| &body.name));
+        camera["model"] = json!(report.bodies.first().map_or("camera", |body| &body.name));
         let tracker = json!({"make": "stagepose", "model": "stagepose", "firmwareVersion": env!("CARGO_PKG_VERSION")});
         json!({"camera": camera, "tracker": tracker})
     }
@@ -239,6 +241,26 @@ impl Encoder for OpenTrackIoEncoder {
         self.sequence = self.sequence.wrapping_add(1);
         send(&bytes);
     }
+}
+
+/// The status that renderers know, and what it is by this program's own words.
+fn tracker(report: &Report, body: &BodyReport) -> Value {
+    let mut tracker = json!({"recording": false, "status": status(report, body)});
+    let mut notes: Vec<&str> = Vec::new();
+    match body.standing {
+        Standing::Tracking if body.is_predicted => notes.push("predicted"),
+        Standing::Tracking => {}
+        Standing::Coasting if body.is_blended => notes.push("blended"),
+        Standing::Withheld(reason) => notes.extend(["withheld", reason.words()]),
+        standing => notes.push(standing.word()),
+    }
+    if body.is_held() {
+        notes.push("held");
+    }
+    if !notes.is_empty() {
+        tracker["notes"] = json!(notes.join(", "));
+    }
+    tracker
 }
 
 /// Mo-Sys' words, which renderers know.

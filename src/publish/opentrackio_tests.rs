@@ -61,7 +61,7 @@ fn the_golden_pose_has_no_angles_in_either_encoding() {
 fn numbers_rise_ids_differ_and_the_static_part_comes_once() {
     let mut encoder = encoder(Encoding::Json);
     let samples: Vec<_> = (0..3).map(|_| decode(&datagrams(&mut encoder, &golden_report(Standing::Tracking))[0]).unwrap()).collect();
-    assert_eq!(samples.iter().map(|(n, _)| *n).collect::<Vec<_>>(), [0, 1, 2]);
+    assert_eq!(samples.iter().map(|(n, _)| *n).collect::<Vec<_>>(), [1, 2, 3]);
     assert_ne!(samples[0].1["sampleId"], samples[1].1["sampleId"]);
     assert_eq!(samples[0].1["sourceId"], samples[1].1["sourceId"]);
     assert!(samples[0].1["static"].is_object() && samples[1].1["static"].is_null());

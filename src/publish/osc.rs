@@ -151,8 +151,8 @@ impl OscEncoder {
         if self.settings.messages.contains(&OscMessageKind::Status) {
             // The frame number wraps where i32 ends.
             let frame = (report.sequence & 0x7FFF_FFFF) as i32;
-            let state = body.standing.word().to_owned();
-            put(at("status"), vec![OscType::String(state), OscType::Float(body.standing.confidence()), OscType::Int(frame)]);
+            let state = body.word().to_owned();
+            put(at("status"), vec![OscType::String(state), OscType::Float(body.confidence()), OscType::Int(frame)]);
         }
         let Some(pose) = &body.pose else { return };
         let angles = PanTiltRoll::of_rotation(&pose.rotation, self.last_rolls_deg[index]);

@@ -15,8 +15,12 @@ use crate::geometry::{Body, Pose, Stage};
 
 const DATA: u16 = 0x6755;
 const INFO: u16 = 0x6756;
-/// Bytes of trackers in one packet, so that the whole stays below an Ethernet frame.
+/// Bytes of one packet, so that it crosses an Ethernet in one piece; the standard's own limit is 1500.
+const LONGEST_PACKET: usize = 1472;
+/// Bytes of trackers in one data packet.
 const MOST_TRACKERS: usize = 1400;
+/// Longer names are cut: a desk shows fewer letters, and a packet must have room for one.
+const LONGEST_NAME: usize = 255;
 const INFO_EVERY_NS: i64 = 1_000_000_000;
 
 /// How an output speaks PSN.
@@ -214,6 +218,28 @@ fn decode_tracker((id, content): (u16, &[u8])) -> Result<PsnTracker, PsnError> {
     Ok(tracker)
 }
 
+/// A name as long as it may be, of whole letters.
+fn cut(name: &str) -> &str {
+    let end = (0..=LONGEST_NAME.min(name.len())).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
+    &name[..end]
+}
+
+/// Names in their order, as many at a time as fit into so many bytes; at least one group, which may be empty.
+fn groups(names: &[(u16, String)], most: usize) -> Vec<&[(u16, String)]> {
+    let (mut groups, mut begun, mut filled) = (Vec::new(), 0, 0);
+    for (index, (_, name)) in names.iter().enumerate() {
+        // The tracker's chunk and its name's.
+        let length = 4 + 4 + name.len();
+        if filled + length > most && index > begun {
+            groups.push(&names[begun..index]);
+            (begun, filled) = (index, 0);
+        }
+        filled += length;
+    }
+    groups.push(&names[begun..]);
+    groups
+}
+
 /// Turns reports into packets.
 pub(super) struct PsnEncoder {
     settings: PsnSettings,
@@ -224,10 +250,11 @@ pub(super) struct PsnEncoder {
 }
 
 impl PsnEncoder {
-    pub fn new(settings: &PsnSettings, names: &[Arc<str>]) -> Self {
-        let begun_ns = super::stamps::now().monotonic_ns;
-        let names = names.iter().zip(settings.first_tracker..).map(|(name, id)| (id, name.to_string())).collect();
-        Self { settings: settings.clone(), names, begun_ns, frame_id: 0, info_due_ns: i64::MIN }
+    /// `begun_ns` is now, on the monotonic clock: times in packets count from there.
+    pub fn new(settings: &PsnSettings, names: &[Arc<str>], begun_ns: i64) -> Self {
+        let names = names.iter().zip(settings.first_tracker..).map(|(name, id)| (id, cut(name).to_owned())).collect();
+        let settings = PsnSettings { system: cut(&settings.system).to_owned(), ..settings.clone() };
+        Self { settings, names, begun_ns, frame_id: 0, info_due_ns: i64::MIN }
     }
 
     fn since_start_us(&self, monotonic_ns: i64) -> u64 {
@@ -240,8 +267,9 @@ impl PsnEncoder {
             id,
             position_m: pose.map(|(p, _)| p),
             orientation_rad: pose.map(|(_, w)| w),
-            validity: Some(body.standing.confidence()),
-            timestamp_us: Some(self.since_start_us(report.monotonic_ns)),
+            validity: Some(body.confidence()),
+            // When the body was there: a pose that is held keeps its time.
+            timestamp_us: Some(self.since_start_us(report.monotonic_ns.saturating_sub(body.held_ns.unwrap_or(0)))),
             ..PsnTracker::default()
         }
     }
@@ -254,7 +282,7 @@ impl Encoder for PsnEncoder {
             report.bodies.iter().zip(self.settings.first_tracker..).map(|(body, id)| self.tracker(report, body, id)).collect();
         // 4 bytes of chunk header, and 48 or fewer of fields.
         let groups: Vec<&[PsnTracker]> = trackers.chunks(MOST_TRACKERS / 60).collect();
-        let timestamp_us = self.since_start_us(super::stamps::now().monotonic_ns);
+        let timestamp_us = self.since_start_us(report.sent_monotonic_ns);
         // A frame is at most a handful of packets: a config names few objects.
         let header = PsnHeader { timestamp_us, frame_id: self.frame_id, packets: groups.len().min(255) as u8 };
         self.frame_id = self.frame_id.wrapping_add(1);
@@ -268,8 +296,13 @@ impl Encoder for PsnEncoder {
             return;
         }
         self.info_due_ns = monotonic_ns.saturating_add(INFO_EVERY_NS);
-        let header = PsnHeader { timestamp_us: self.since_start_us(monotonic_ns), frame_id: self.frame_id, packets: 1 };
-        send(&PsnPacket::Info(header, self.settings.system.clone(), self.names.clone()).encode());
+        // 4 bytes each: the packet's, the header's, the system's and the list's chunk; the header has 12 more.
+        let groups = groups(&self.names, LONGEST_PACKET - 4 - 4 - 12 - 4 - self.settings.system.len() - 4);
+        let packets = groups.len().min(255) as u8;
+        let header = PsnHeader { timestamp_us: self.since_start_us(monotonic_ns), frame_id: self.frame_id, packets };
+        for group in groups {
+            send(&PsnPacket::Info(header, self.settings.system.clone(), group.to_vec()).encode());
+        }
     }
 }
 

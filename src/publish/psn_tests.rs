@@ -39,7 +39,7 @@ fn packets(encoder: &mut PsnEncoder, report: &Report) -> Vec<Vec<u8>> {
 
 fn encoder(names: &[&str]) -> PsnEncoder {
     let names: Vec<Arc<str>> = names.iter().map(|n| Arc::from(*n)).collect();
-    PsnEncoder::new(&PsnSettings { system: "stagepose".to_owned(), first_tracker: 7 }, &names)
+    PsnEncoder::new(&PsnSettings { system: "stagepose".to_owned(), first_tracker: 7 }, &names, 0)
 }
 
 #[test]
@@ -85,6 +85,36 @@ fn names_come_once_a_second() {
     assert_eq!(sent.len(), 3);
     let PsnPacket::Info(_, system, names) = PsnPacket::decode(&sent[0]).unwrap() else { panic!("no info packet") };
     assert_eq!((system.as_str(), names), ("stagepose", vec![(7, "camera".to_owned()), (8, "cart".to_owned())]));
+}
+
+#[test]
+fn many_and_long_names_are_split_over_packets_of_one_frame() {
+    // Two bytes a letter: a name may only be cut between letters.
+    let names: Vec<String> = (0..40).map(|k| format!("{k} {}", "ä".repeat(10 * k))).collect();
+    let names: Vec<Arc<str>> = names.iter().map(|n| Arc::from(n.as_str())).collect();
+    let settings = PsnSettings { system: "s".repeat(3000), first_tracker: 7 };
+    let mut encoder = PsnEncoder::new(&settings, &names, 0);
+    let mut sent = Vec::new();
+    encoder.repeat(0, &mut |packet| sent.push(packet.to_vec()));
+    let mut told = Vec::new();
+    for packet in &sent {
+        assert!(packet.len() <= 1472, "{} bytes", packet.len());
+        let PsnPacket::Info(header, system, names) = PsnPacket::decode(packet).unwrap() else { panic!("no info packet") };
+        assert_eq!((header.frame_id, usize::from(header.packets), system.len()), (0, sent.len(), 255));
+        told.extend(names);
+    }
+    assert!(sent.len() > 1);
+    assert_eq!(told.iter().map(|(id, _)| *id).collect::<Vec<_>>(), (7..47).collect::<Vec<u16>>());
+    assert!(told.iter().zip(&names).all(|((_, told), name)| name.starts_with(told.as_str()) && told.len() >= name.len().min(254)));
+}
+
+#[test]
+fn a_held_pose_keeps_its_time() {
+    let mut report = golden_report(Standing::Lost);
+    report.bodies[0].held_ns = Some(40_000_000);
+    let sent = packets(&mut encoder(&["camera"]), &report);
+    let PsnPacket::Data(header, trackers) = PsnPacket::decode(&sent[0]).unwrap() else { panic!("no data packet") };
+    assert_eq!((header.timestamp_us, trackers[0].timestamp_us, trackers[0].validity), (5_052_500, Some(5_000_000), Some(0.0)));
 }
 
 #[test]

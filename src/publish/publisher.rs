@@ -9,19 +9,21 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use thiserror::Error;
 
 use super::channel::{BodyChannel, PoseWithheld};
+use super::clocks::{Clocks, FrameClock, SystemClocks};
+use super::complaints::Complaints;
 use super::encoder::Encoder;
 use super::freed::FreedEncoder;
-use super::json::{CAMERA, JsonEncoder};
+use super::json::JsonEncoder;
 use super::opentrackio::OpenTrackIoEncoder;
 use super::osc::OscEncoder;
 use super::psn::PsnEncoder;
 use super::settings::{BodyChoice, OutputSettings, Protocol, SafetySettings, StreamSettings};
-use super::stamps::{self, Pace, StampClock, Stamps};
+use super::stamps::{Pace, Stamps};
 use super::transport::{Transport, TransportError};
-use super::worker::{Arrival, Clock, Counters, USUAL_RATE_HZ, Worker};
+use super::worker::{Arrival, Counters, Memory, USUAL_RATE_HZ, Worker};
 use crate::camera::CameraModel;
 use crate::latest::{LatestSender, latest};
-use crate::record::PoseSample;
+use crate::record::{PoseSample, State};
 
 /// What all outputs share.
 #[derive(Debug, Clone)]
@@ -94,8 +96,17 @@ const PATIENCE: Duration = Duration::from_secs(2);
 pub struct Publisher {
     outputs: Vec<RunningOutput>,
     frame_rate: Option<f64>,
-    clock: Mutex<(StampClock, Pace)>,
+    clock: Arc<FrameClock>,
+    order: Mutex<Order>,
     events: Receiver<PoseWithheld>,
+}
+
+/// The samples in their order.
+#[derive(Debug)]
+struct Order {
+    pace: Pace,
+    last_ns: Option<i64>,
+    foreign: Complaints,
 }
 
 #[derive(Debug)]
@@ -113,10 +124,20 @@ impl Publisher {
     /// # Errors
     /// The first output that cannot be opened.
     pub fn start(outputs: &[OutputSettings], context: &Context) -> Result<Self, PublishError> {
+        Self::start_with_clocks(outputs, context, Arc::new(SystemClocks))
+    }
+
+    /// The same by other clocks than this machine's.
+    ///
+    /// # Errors
+    /// The first output that cannot be opened.
+    pub fn start_with_clocks(outputs: &[OutputSettings], context: &Context, clocks: Arc<dyn Clocks>) -> Result<Self, PublishError> {
         let (raise, events) = bounded(EVENTS);
-        let outputs = outputs.iter().filter(|o| o.enabled).map(|o| RunningOutput::start(o, context, &raise)).collect::<Result<_, _>>()?;
-        let clock = Mutex::new((StampClock::new(context.stamps.clone()), Pace::default()));
-        Ok(Self { outputs, frame_rate: context.frame_rate, clock, events })
+        let clock = Arc::new(FrameClock::with(clocks, context.stamps.clone()));
+        let start = |output| RunningOutput::start(output, context, &clock, &raise);
+        let outputs = outputs.iter().filter(|o| o.enabled).map(start).collect::<Result<_, _>>()?;
+        let order = Mutex::new(Order { pace: Pace::default(), last_ns: None, foreign: Complaints::new("all") });
+        Ok(Self { outputs, frame_rate: context.frame_rate, clock, order, events })
     }
 
     /// Opens every enabled output and closes it again: whether the addresses, ports and files can be used. Gives the number of the
@@ -131,18 +152,30 @@ impl Publisher {
         enabled.try_for_each(|(index, output)| rehearse(output).map_err(|e| (index, e)))
     }
 
-    /// Hands a sample to every output; never waits. Samples come in the order of their stamps.
+    /// Hands a sample to every output; never waits. A sample whose stamp does not follow the last one (a row that was skipped) says
+    /// nothing of the bodies and is not sent; neither is a message that is no frame's.
     pub fn send(&self, sample: &PoseSample) {
         let arrived = Instant::now();
         let t = &sample.times;
         let work_ns = ((t.decode_ms + t.acquire_ms + t.align_ms + t.pose_ms) * 1e6) as i64;
-        let mut clock = self.clock.lock().unwrap_or_else(PoisonError::into_inner);
-        let (stamps, pace) = &mut *clock;
-        let at = stamps.instants(sample.timestamp_ns, work_ns, stamps::now());
-        let recorded_ns = stamps.recorded(sample.timestamp_ns);
-        let rate_hz = self.frame_rate.or(pace.rate_hz(sample.timestamp_ns)).unwrap_or(USUAL_RATE_HZ);
-        drop(clock);
-        let arrival = Arc::new(Arrival { sample: Arc::new(sample.clone()), at, recorded_ns, rate_hz, arrived });
+        let stamp_ns = sample.timestamp_ns;
+        let mut order = self.order.lock().unwrap_or_else(PoisonError::into_inner);
+        if sample.state == State::Stale || order.last_ns.is_some_and(|last_ns| stamp_ns <= last_ns) {
+            return;
+        }
+        let Some(at_ns) = self.clock.taken_ns(stamp_ns, work_ns) else {
+            let sentence =
+                "the camera's stamps are not of the monotonic clock, so that nobody knows how old its frames are; they are not sent";
+            order.foreign.say(|| sentence.to_owned());
+            return;
+        };
+        order.last_ns = Some(stamp_ns);
+        order.pace.follow(stamp_ns);
+        let rate_hz = self.frame_rate.or(order.pace.rate_hz()).unwrap_or(USUAL_RATE_HZ);
+        let interval_ns = order.pace.interval_ns().unwrap_or((1e9 / rate_hz) as i64);
+        drop(order);
+        let recorded_ns = self.clock.recorded_ns(stamp_ns);
+        let arrival = Arc::new(Arrival { sample: Arc::new(sample.clone()), at_ns, recorded_ns, rate_hz, interval_ns, arrived });
         for output in &self.outputs {
             let dropped = output.queue.send(arrival.clone());
             output.counters.dropped.fetch_add(dropped as u64, Ordering::Relaxed);
@@ -180,7 +213,12 @@ impl Publisher {
 }
 
 impl RunningOutput {
-    fn start(settings: &OutputSettings, context: &Context, events: &Sender<PoseWithheld>) -> Result<Self, PublishError> {
+    fn start(
+        settings: &OutputSettings,
+        context: &Context,
+        clock: &Arc<FrameClock>,
+        events: &Sender<PoseWithheld>,
+    ) -> Result<Self, PublishError> {
         let (name, protocol) = (settings.name.clone(), settings.protocol.word());
         let transport = Transport::open(&name, &settings.udp, stream_of(&settings.protocol))
             .map_err(|source| PublishError::Open { output: name.clone(), source })?;
@@ -188,7 +226,7 @@ impl RunningOutput {
         let counters = Arc::new(Counters::default());
         let worker = Worker {
             inbox,
-            encoder: encoder(settings, context),
+            encoder: encoder(settings, context, clock),
             transport,
             bodies: settings.bodies.iter().map(|body| channel(*body, settings, context, events)).collect(),
             rate: settings.rate,
@@ -196,7 +234,8 @@ impl RunningOutput {
             stale_after: context.safety.stale_after,
             is_test: context.is_test,
             counters: counters.clone(),
-            clock: Clock::start(),
+            memory: Memory::start(clock.now()),
+            clock: clock.clone(),
         };
         let thread = std::thread::Builder::new().name(format!("out-{name}")).spawn(move || worker.run());
         let thread = thread.map_err(|source| PublishError::Thread { output: name.clone(), source })?;
@@ -236,7 +275,7 @@ fn stream_of(protocol: &Protocol) -> Option<&StreamSettings> {
 
 fn body_name(choice: BodyChoice, context: &Context) -> &str {
     match choice {
-        BodyChoice::Camera => CAMERA,
+        BodyChoice::Camera => "camera",
         BodyChoice::Object(index) => context.objects.get(index).map_or("object", String::as_str),
     }
 }
@@ -247,16 +286,16 @@ fn channel(choice: BodyChoice, settings: &OutputSettings, context: &Context, eve
     BodyChannel::new(name.into(), choice, limits, settings, events.clone())
 }
 
-fn encoder(settings: &OutputSettings, context: &Context) -> Box<dyn Encoder> {
+fn encoder(settings: &OutputSettings, context: &Context, clock: &FrameClock) -> Box<dyn Encoder> {
     match &settings.protocol {
-        Protocol::Freed(freed) => Box::new(FreedEncoder::new(freed.clone(), &context.camera, &settings.name)),
+        Protocol::Freed(freed) => Box::new(FreedEncoder::new(freed.clone(), &context.camera)),
         Protocol::OpenTrackIo(otrk) => Box::new(OpenTrackIoEncoder::new(otrk, &context.camera, &settings.name)),
         Protocol::Psn(psn) => {
             let names: Vec<Arc<str>> = settings.bodies.iter().map(|body| body_name(*body, context).into()).collect();
-            Box::new(PsnEncoder::new(psn, &names))
+            Box::new(PsnEncoder::new(psn, &names, clock.now().monotonic_ns))
         }
         Protocol::Osc(osc) => Box::new(OscEncoder::new(osc, &settings.name)),
-        Protocol::Json(_) => Box::new(JsonEncoder),
+        Protocol::Json(_) => Box::new(JsonEncoder::new(settings.placement)),
     }
 }
 

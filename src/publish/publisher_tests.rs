@@ -3,12 +3,13 @@ use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::super::ClipStart;
+use super::super::clocks::stepped::SteppedClocks;
 use super::super::freed::{FreedPacket, FreedSettings, Spare};
 use super::super::golden::golden_camera;
 use super::super::json::JsonSettings;
 use super::super::osc::{OscMessageKind, OscSettings};
 use super::super::settings::{BlendRates, FixedRate, OnLoss, Rate, UdpSettings};
-use super::super::stamps::ClipStart;
 use super::super::{Placement, opentrackio::*};
 use super::*;
 use crate::geometry::Pose;
@@ -181,27 +182,201 @@ fn a_loss_does_not_wait_for_its_turn() {
     assert_eq!(lines.each_ref().map(|l| (l["sequence"].clone(), l["pose"].is_null())), [(0.into(), false), (3.into(), true)]);
 }
 
+/// A live camera by clocks that a test steps, with what its outputs say.
+struct Stepped {
+    clocks: SteppedClocks,
+    publisher: Publisher,
+    sequence: u64,
+}
+
+impl Stepped {
+    fn start(outputs: &[OutputSettings], safety: SafetySettings) -> Self {
+        let clocks = SteppedClocks::new();
+        let context = Context { stamps: Stamps::Live, ..context(safety) };
+        let publisher = Publisher::start_with_clocks(outputs, &context, Arc::new(clocks.clone())).unwrap();
+        Self { clocks, publisher, sequence: 0 }
+    }
+
+    /// A frame of so many milliseconds ago is handed over.
+    fn frame(&mut self, age_ms: i64, state: State, x: f64) {
+        let timestamp_ns = self.clocks.read().monotonic_ns - age_ms * 1_000_000;
+        self.publisher.send(&PoseSample { timestamp_ns, ..sample(self.sequence, state, x) });
+        self.sequence += 1;
+    }
+}
+
+fn stale_after(ms: u64) -> SafetySettings {
+    SafetySettings { stale_after: Duration::from_millis(ms), ..SafetySettings::default() }
+}
+
+fn status() -> Protocol {
+    Protocol::Osc(OscSettings { prefix: "/s".to_owned(), messages: vec![OscMessageKind::Status], values: Vec::new() })
+}
+
+fn until(say: &dyn Fn() -> bool) -> bool {
+    (0..100).any(|_| say())
+}
+
 #[test]
 fn no_frame_for_too_long_is_told() {
-    let (line, status, held) = (Ear::new(), Ear::new(), Ear::new());
-    let osc = Protocol::Osc(OscSettings { prefix: "/s".to_owned(), messages: vec![OscMessageKind::Status], values: Vec::new() });
+    let (line, word, held) = (Ear::new(), Ear::new(), Ear::new());
     let outputs = [
         output(json(), &line),
-        OutputSettings { name: "osc".to_owned(), ..output(osc, &status) },
+        OutputSettings { name: "osc".to_owned(), ..output(status(), &word) },
         OutputSettings { name: "freed".to_owned(), on_loss: OnLoss::Flag, ..output(freed(Spare::Quality), &held) },
     ];
-    let safety = SafetySettings { stale_after: Duration::from_millis(100), ..SafetySettings::default() };
-    let publisher = Publisher::start(&outputs, &context(safety)).unwrap();
-    publisher.send(&sample(0, State::Tracking, 0.5));
-    let until = |say: &dyn Fn() -> bool| (0..100).any(|_| say());
-    assert!(until(&|| line.json()["event"] == "stale"));
-    assert!(until(&|| status.next().windows(5).any(|w| w == b"stale")));
-    assert!(until(&|| held.freed().spare == 3));
+    let mut camera = Stepped::start(&outputs, stale_after(100));
+    camera.frame(20, State::Tracking, 0.5);
+    assert_eq!((line.json()["state"].as_str(), held.freed().spare), (Some("tracking"), 1));
+    camera.clocks.advance_ms(2500);
+    let stale = line.json();
+    assert_eq!((&stale["event"], &stale["age_ms"]), (&"stale".into(), &2520.0.into()));
+    assert!(until(&|| word.next().windows(5).any(|w| w == b"stale")));
+    assert_eq!(held.freed().spare, 3);
     // It comes back when frames do.
-    publisher.send(&sample(1, State::Tracking, 0.5));
+    camera.frame(20, State::Tracking, 0.5);
     assert!(until(&|| line.json()["state"] == "tracking"));
     assert!(until(&|| held.freed().spare == 1));
-    publisher.close();
+    camera.publisher.close();
+}
+
+/// Everything that arrives at an ear until the outputs are closed, as (x in millimetres, spare).
+fn all_freed(ear: &Ear) -> Vec<(f64, u16)> {
+    ear.0.set_nonblocking(true).unwrap();
+    let mut buffer = [0; 64];
+    let packets = std::iter::from_fn(|| ear.0.recv(&mut buffer).ok().map(|n| FreedPacket::decode(&buffer[..n]).unwrap()));
+    packets.map(|p| (p.position_mm[0], p.spare)).collect()
+}
+
+#[test]
+fn an_old_frame_is_never_sent_as_good() {
+    let fixed = Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::ZERO };
+    for rate in [Rate::Every(1), fixed] {
+        for suspends in [false, true] {
+            let ear = Ear::new();
+            let mut camera = Stepped::start(&[OutputSettings { rate, ..output(freed(Spare::Quality), &ear) }], stale_after(500));
+            camera.frame(20, State::Tracking, 0.001);
+            assert_eq!(ear.freed().spare, 1);
+            // The program is stopped, or the machine asleep, with a frame under way: what was taken before comes out after.
+            let taken_ns = camera.clocks.read().monotonic_ns;
+            if suspends {
+                camera.clocks.suspend_ms(2500)
+            } else {
+                camera.clocks.advance_ms(2500)
+            }
+            camera.publisher.send(&PoseSample { timestamp_ns: taken_ns, ..sample(7, State::Tracking, 0.002) });
+            // Time enough for both kinds of output to have looked at it.
+            std::thread::sleep(Duration::from_millis(150));
+            let mut told = all_freed(&ear);
+            assert!(told.iter().all(|(_, spare)| *spare != 1), "{rate:?} {suspends}: {told:?}");
+            // Frames that are in time are good again.
+            for _ in 0..100 {
+                camera.clocks.advance_ms(20);
+                camera.frame(10, State::Tracking, 0.003);
+                std::thread::sleep(Duration::from_millis(20));
+                told.extend(all_freed(&ear));
+                if told.iter().any(|(_, spare)| *spare == 1) {
+                    break;
+                }
+            }
+            camera.publisher.close();
+            told.extend(all_freed(&ear));
+            let good: Vec<_> = told.iter().filter(|(_, spare)| *spare == 1).collect();
+            assert!(!good.is_empty() && good.iter().all(|(x, _)| (x - 3.0).abs() < 0.01), "{rate:?} {suspends}: {told:?}");
+        }
+    }
+}
+
+#[test]
+fn one_very_old_frame_and_a_stepped_wall_clock_shift_no_later_stamp() {
+    let ear = Ear::new();
+    let mut camera = Stepped::start(&[output(json(), &ear)], patient());
+    camera.clocks.advance_ms(60_000);
+    camera.frame(11_000, State::Tracking, 0.0);
+    let at = |line: &serde_json::Value| (line["age_ms"].as_f64().unwrap(), line["unix_ns"].as_i64().unwrap());
+    let now_ns = camera.clocks.read().unix_ns;
+    assert_eq!(at(&ear.json()), (11_000.0, now_ns - 11_000_000_000));
+    camera.frame(30, State::Tracking, 0.0);
+    assert_eq!(at(&ear.json()), (30.0, now_ns - 30_000_000));
+    for step_ms in [-3_600_000, 7_200_000] {
+        camera.clocks.step_wall_ms(step_ms);
+        camera.clocks.advance_ms(33);
+        camera.frame(30, State::Tracking, 0.0);
+        assert_eq!(at(&ear.json()), (30.0, camera.clocks.read().unix_ns - 30_000_000));
+    }
+    camera.publisher.close();
+}
+
+#[test]
+fn a_stamp_that_repeats_or_is_of_another_clock_says_nothing() {
+    let ear = Ear::new();
+    let mut camera = Stepped::start(&[OutputSettings { on_loss: OnLoss::Flag, ..output(json(), &ear) }], patient());
+    camera.frame(20, State::Tracking, 0.1);
+    // The record of a skipped row is `lost`: it says nothing of the camera.
+    camera.frame(20, State::Lost, 0.0);
+    camera.frame(30, State::Lost, 0.0);
+    camera.frame(-5_000, State::Tracking, 9.0);
+    camera.frame(10, State::Tracking, 0.2);
+    let sent = camera.publisher.close()[0].sent;
+    let told: Vec<_> = (0..sent).map(|_| ear.json()).map(|l| (l["state"].clone(), l["pose"]["position_m"][0].clone())).collect();
+    assert_eq!(told, [("tracking".into(), 0.1.into()), ("tracking".into(), 0.2.into())]);
+}
+
+#[test]
+fn ticks_beyond_a_frame_interval_are_coasting_and_are_not_sent_where_that_cannot_be_marked() {
+    let rate = Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::ZERO };
+    let (marked, unmarked) = (Ear::new(), Ear::new());
+    let outputs = [
+        OutputSettings { rate, ..output(freed(Spare::Quality), &marked) },
+        OutputSettings { name: "unmarked".to_owned(), rate, ..output(freed(Spare::Zero), &unmarked) },
+    ];
+    let mut camera = Stepped::start(&outputs, patient());
+    camera.frame(0, State::Tracking, 0.0);
+    camera.clocks.advance_ms(20);
+    assert_eq!(marked.freed().spare, 1);
+    unmarked.freed();
+    // 40 ms after the frame of a camera of 30 a second.
+    camera.clocks.advance_ms(20);
+    assert_eq!(marked.freed().spare, 2);
+    camera.clocks.advance_ms(200);
+    std::thread::sleep(Duration::from_millis(250));
+    camera.publisher.close();
+    assert_eq!((all_freed(&marked).len(), unmarked.rest()), (0, 0));
+}
+
+#[test]
+fn a_limit_shorter_than_the_frame_interval_does_not_freeze_a_blend() {
+    let ear = Ear::new();
+    let safety = SafetySettings { blend: Some(BlendRates { speed_m_s: 1.0, turn_rad_s: 1.0 }), ..stale_after(100) };
+    let mut camera = Stepped::start(&[output(freed(Spare::Quality), &ear)], safety);
+    let mut told = Vec::new();
+    // Five frames a second, each stale before the next one comes.
+    for k in 0..6 {
+        camera.frame(20, State::Tracking, if k == 0 { 0.0 } else { 0.3 });
+        told.push(ear.freed());
+        camera.clocks.advance_ms(200);
+        std::thread::sleep(Duration::from_millis(120));
+    }
+    camera.publisher.close();
+    let told: Vec<_> = told.iter().map(|p| (p.position_mm[0].round(), p.spare)).collect();
+    assert_eq!(told[..4], [(0.0, 1), (0.0, 2), (200.0, 2), (300.0, 1)]);
+}
+
+#[test]
+fn what_freed_cannot_hold_is_withheld_and_not_cut() {
+    let (flagged, stopped) = (Ear::new(), Ear::new());
+    let outputs = [
+        OutputSettings { on_loss: OnLoss::Flag, ..output(freed(Spare::Quality), &flagged) },
+        OutputSettings { name: "frames".to_owned(), ..output(freed(Spare::Zero), &stopped) },
+    ];
+    let publisher = start(&outputs);
+    [1.0, 131.08, 400.0, 2.0].into_iter().zip(0..).for_each(|(x, k)| publisher.send(&sample(k, State::Tracking, x)));
+    let events = publisher.events().clone();
+    let statistics = publisher.close();
+    assert_eq!((statistics[0].withheld, statistics[1].withheld), (2, 2));
+    assert_eq!(all_freed(&flagged), [(1000.0, 1), (1000.0, 3), (1000.0, 3), (2000.0, 1)]);
+    assert_eq!(all_freed(&stopped), [(1000.0, 0), (2000.0, 0)]);
+    assert!(events.try_iter().all(|e| e.reason.words() == "farther than the protocol's numbers reach"));
 }
 
 #[test]

@@ -2,15 +2,16 @@
 
 use std::sync::Arc;
 
+use super::settings::BodyChoice;
 use crate::geometry::{Body, Pose, Stage};
 use crate::record::{PoseSample, State};
 
 /// How far a pose can be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Standing {
-    /// Measured and verified.
+    /// Measured and verified, or carried on from there by at most one frame interval.
     Tracking,
-    /// Predicted over a short gap, or on its way back after a loss.
+    /// Predicted over a gap, or on its way back after a loss.
     Coasting,
     /// Never found yet.
     Searching,
@@ -18,7 +19,7 @@ pub enum Standing {
     Lost,
     /// Known, but withheld by the safety limits.
     Withheld(Withheld),
-    /// No frame came for too long.
+    /// No frame came for too long, or what came is too old.
     Stale,
 }
 
@@ -33,6 +34,8 @@ pub enum Withheld {
     TooFast,
     /// Turning faster than permitted.
     TurnsTooFast,
+    /// The protocol's numbers do not reach so far.
+    OutOfRange,
 }
 
 impl Withheld {
@@ -43,6 +46,7 @@ impl Withheld {
             Self::OutsideBox => "outside the permitted box",
             Self::TooFast => "faster than permitted",
             Self::TurnsTooFast => "turning faster than permitted",
+            Self::OutOfRange => "farther than the protocol's numbers reach",
         }
     }
 }
@@ -57,15 +61,6 @@ impl Standing {
             Self::Lost => "lost",
             Self::Withheld(_) => "withheld",
             Self::Stale => "stale",
-        }
-    }
-
-    /// 1 measured, 0.5 predicted, 0 nothing to rely on.
-    pub fn confidence(self) -> f32 {
-        match self {
-            Self::Tracking => 1.0,
-            Self::Coasting => 0.5,
-            Self::Searching | Self::Lost | Self::Withheld(_) | Self::Stale => 0.0,
         }
     }
 }
@@ -87,16 +82,46 @@ impl From<State> for Standing {
 pub struct BodyReport {
     /// "camera", or the object's name.
     pub name: Arc<str>,
+    /// Which body that is.
+    pub choice: BodyChoice,
     /// How far the pose can be trusted; says why there is none.
     pub standing: Standing,
     /// `T_stage_body` after safety and the output's own offset, inversion and scale.
     pub pose: Option<Pose<Stage, Body>>,
-    /// The pose is the last one again, because nothing newer is known.
-    pub is_held: bool,
+    /// The pose is the last one sent again, because nothing newer is known: so long before the report's instant it was true.
+    pub held_ns: Option<i64>,
     /// The pose is on its way back to the tracker's after a gap.
     pub is_blended: bool,
-    /// Nothing was done to the tracker's pose.
-    pub is_untouched: bool,
+    /// The pose is carried on from the newest frame.
+    pub is_predicted: bool,
+    /// The pose is the tracker's own of this instant, but for the output's origin, axes and units.
+    pub is_passed: bool,
+}
+
+impl BodyReport {
+    /// The pose is the last one again.
+    pub fn is_held(&self) -> bool {
+        self.held_ns.is_some()
+    }
+
+    /// 1 measured, 0.5 predicted or on its way back, 0 nothing to rely on, also where an old pose is repeated.
+    pub fn confidence(&self) -> f32 {
+        match self.standing {
+            _ if self.is_held() => 0.0,
+            Standing::Tracking => 1.0,
+            Standing::Coasting => 0.5,
+            Standing::Searching | Standing::Lost | Standing::Withheld(_) | Standing::Stale => 0.0,
+        }
+    }
+
+    /// The mark as one word, for formats that carry one: what is to be known first.
+    pub fn word(&self) -> &'static str {
+        match self.standing {
+            Standing::Coasting if self.is_blended => "blended",
+            Standing::Searching | Standing::Lost if self.is_held() => "held",
+            standing => standing.word(),
+        }
+    }
 }
 
 /// Everything that one output says at one instant.
@@ -108,6 +133,8 @@ pub struct Report {
     pub unix_ns: i64,
     /// The same instant on the monotonic clock, nanoseconds.
     pub monotonic_ns: i64,
+    /// When it is sent, on the monotonic clock, nanoseconds.
+    pub sent_monotonic_ns: i64,
     /// The same instant as the clip has it, where a clip is replayed.
     pub recorded_ns: Option<i64>,
     /// Samples per second, as far as known.
@@ -116,7 +143,7 @@ pub struct Report {
     pub bodies: Vec<BodyReport>,
     /// The tracker's sample; none on a fixed rate and in a stale marker.
     pub sample: Option<Arc<PoseSample>>,
-    /// Milliseconds from the instant to now.
+    /// Milliseconds from the instant to the moment of sending.
     pub age_ms: f64,
     /// The poses are invented, to set up the receiver.
     pub is_test: bool,

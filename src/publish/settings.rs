@@ -139,6 +139,14 @@ impl FixedRate {
         i64::try_from(ns).unwrap_or(i64::MAX)
     }
 
+    /// The last tick that is not later than so many nanoseconds after tick 0.
+    pub fn tick_at(self, ns: i64) -> u64 {
+        let per_s = u128::from(self.per_s) * 1_000_000_000;
+        // A tick's time is rounded down: the one before may be the last that has begun.
+        let next = u64::try_from(u128::from(ns.max(0).unsigned_abs()) * u128::from(self.ticks) / per_s).unwrap_or(u64::MAX - 1) + 1;
+        if self.tick_ns(next) <= ns { next } else { next - 1 }
+    }
+
     /// Ticks per second.
     pub fn hz(self) -> f64 {
         f64::from(self.ticks) / f64::from(self.per_s)
@@ -205,5 +213,16 @@ mod tests {
         assert_eq!(rate.tick_ns(30_000), 1_001_000_000_000);
         assert_eq!(rate.tick_ns(30_000 * 1_000_000), 1_001_000_000_000_000_000);
         assert!((rate.hz() - 29.97).abs() < 1e-4);
+    }
+
+    #[test]
+    fn the_tick_of_an_instant_is_the_last_one_begun() {
+        for (_, rate) in FixedRate::KNOWN {
+            for k in [0, 1, 7, 59, 1_000_003] {
+                let at = rate.tick_ns(k);
+                assert_eq!([rate.tick_at(at), rate.tick_at(at + 1), rate.tick_at(rate.tick_ns(k + 1) - 1)], [k; 3]);
+            }
+            assert_eq!(rate.tick_at(-5), 0);
+        }
     }
 }

@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 
 use super::channel::{BodyChannel, Known};
+use super::clocks::{FrameClock, Reading};
 use super::encoder::Encoder;
 use super::report::{Report, Standing};
 use super::settings::{OnLoss, Rate};
-use super::stamps::{self, Instants};
 use super::transport::Transport;
 use crate::record::PoseSample;
 
@@ -18,10 +18,13 @@ use crate::record::PoseSample;
 #[derive(Debug)]
 pub(super) struct Arrival {
     pub sample: Arc<PoseSample>,
-    pub at: Instants,
+    /// When the frame was taken, on the boot clock.
+    pub at_ns: i64,
     pub recorded_ns: Option<i64>,
     /// Frames per second of the source.
     pub rate_hz: f64,
+    /// How far its frames are apart, as they come.
+    pub interval_ns: i64,
     /// When it was handed to the publisher.
     pub arrived: Instant,
 }
@@ -37,12 +40,12 @@ pub(super) struct Counters {
     pub greatest_latency_us: AtomicU64,
 }
 
-/// How often a loss is said again, and how often a protocol's own repetitions are due at least.
-const REPEAT: Duration = Duration::from_secs(1);
-/// How often new clients are let in and repetitions looked after.
-const ROUND: Duration = Duration::from_millis(100);
+/// How often a loss is said again, and how often a protocol's own repetitions are due at least, nanoseconds.
+const REPEAT_NS: i64 = 1_000_000_000;
+/// How often new clients are let in and repetitions looked after, nanoseconds.
+const ROUND_NS: i64 = 100_000_000;
 
-/// Taken for the source's rate before the second frame.
+/// Taken for the source's rate before a few frames have come.
 pub(super) const USUAL_RATE_HZ: f64 = 30.0;
 
 /// Everything that one output's thread owns.
@@ -56,17 +59,18 @@ pub(super) struct Worker {
     pub stale_after: Duration,
     pub is_test: bool,
     pub counters: Arc<Counters>,
-    pub clock: Clock,
+    pub clock: Arc<FrameClock>,
+    pub memory: Memory,
 }
 
-/// What the worker remembers of time.
-pub(super) struct Clock {
-    begun: Instant,
+/// What the worker remembers; instants are on the boot clock, nanoseconds.
+pub(super) struct Memory {
     begun_ns: i64,
-    last_arrival: Instant,
+    /// When the newest frame was taken; before the first one, when the output began.
+    newest_ns: i64,
     last: Option<Arc<Arrival>>,
-    last_sent: Option<Instant>,
-    next_round: Instant,
+    last_sent_ns: Option<i64>,
+    next_round_ns: i64,
     next_tick: u64,
     taken: u64,
     /// How many bodies the last sample had a pose of.
@@ -74,16 +78,14 @@ pub(super) struct Clock {
     had_pose: bool,
 }
 
-impl Clock {
-    pub fn start() -> Self {
-        let now = Instant::now();
+impl Memory {
+    pub fn start(now: Reading) -> Self {
         Self {
-            begun: now,
-            begun_ns: stamps::now().monotonic_ns,
-            last_arrival: now,
+            begun_ns: now.boot_ns,
+            newest_ns: now.boot_ns,
             last: None,
-            last_sent: None,
-            next_round: now,
+            last_sent_ns: None,
+            next_round_ns: now.boot_ns,
             next_tick: 0,
             taken: 0,
             known_bodies: 0,
@@ -96,7 +98,7 @@ impl Worker {
     /// Runs until the publisher is closed and the queue is empty.
     pub fn run(mut self) {
         loop {
-            match self.inbox.recv_deadline(self.next_wake()) {
+            match self.inbox.recv_timeout(self.wait()) {
                 Ok(arrival) => self.take(arrival),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return,
@@ -106,107 +108,124 @@ impl Worker {
         }
     }
 
-    fn next_wake(&self) -> Instant {
-        match self.rate {
-            Rate::Fixed { rate, .. } => self.clock.next_round.min(self.clock.begun + since_start(rate.tick_ns(self.clock.next_tick))),
-            Rate::Every(_) => self.clock.next_round,
-        }
+    /// How long until something is due, but never longer than a round: the clock may have jumped by then.
+    fn wait(&self) -> Duration {
+        let due_ns = match self.rate {
+            Rate::Fixed { rate, .. } => {
+                self.memory.next_round_ns.min(self.memory.begun_ns.saturating_add(rate.tick_ns(self.memory.next_tick)))
+            }
+            Rate::Every(_) => self.memory.next_round_ns,
+        };
+        Duration::from_nanos(due_ns.saturating_sub(self.clock.now().boot_ns).clamp(0, ROUND_NS).unsigned_abs())
     }
 
     fn take(&mut self, arrival: Arc<Arrival>) {
-        self.clock.last_arrival = Instant::now();
-        let marks_coasting = self.encoder.marks_coasting();
-        let known: Vec<Known> = self.bodies.iter().map(|body| body.known(&arrival.sample, marks_coasting)).collect();
+        let now = self.clock.now();
+        self.memory.newest_ns = arrival.at_ns;
+        // The frame's age decides, and now, however long it has waited in a queue.
+        let is_late = self.is_stale(now);
+        let known = |body: &BodyChannel| if is_late { Known::nothing(Standing::Stale) } else { body.known(&arrival.sample) };
+        let known: Vec<Known> = self.bodies.iter().map(known).collect();
         match self.rate {
-            Rate::Fixed { .. } => {
-                self.bodies.iter_mut().zip(known).for_each(|(body, known)| body.keep(arrival.at.monotonic_ns, known));
-            }
+            Rate::Fixed { .. } => self.bodies.iter_mut().zip(known).for_each(|(body, known)| body.keep(arrival.at_ns, known)),
             Rate::Every(n) => {
-                let is_due = self.clock.taken.is_multiple_of(u64::from(n.max(1)));
-                self.clock.taken += 1;
+                let is_due = self.memory.taken.is_multiple_of(u64::from(n.max(1)));
+                self.memory.taken += 1;
                 // A loss does not wait for its turn.
-                let known_bodies = known.iter().filter(|known| known.pose.is_some()).count();
-                let is_loss = known_bodies < std::mem::replace(&mut self.clock.known_bodies, known_bodies);
+                let known_bodies = known.iter().filter(|known| self.sendable(**known).pose.is_some()).count();
+                let is_loss = known_bodies < std::mem::replace(&mut self.memory.known_bodies, known_bodies);
                 if is_due || is_loss {
-                    self.say(arrival.sample.sequence, arrival.at, &known, Some(&arrival));
+                    self.say(arrival.sample.sequence, arrival.at_ns, known, Some(&arrival));
                 }
             }
         }
-        self.clock.last = Some(arrival);
+        self.memory.last = Some(arrival);
     }
 
     /// Sends what is due on a fixed rate.
     fn tick(&mut self) {
         let Rate::Fixed { rate, delay } = self.rate else { return };
-        let elapsed_ns = nanoseconds(self.clock.begun.elapsed());
-        if elapsed_ns < rate.tick_ns(self.clock.next_tick) {
+        let now = self.clock.now();
+        let elapsed_ns = now.boot_ns.saturating_sub(self.memory.begun_ns);
+        if elapsed_ns < rate.tick_ns(self.memory.next_tick) {
             return;
         }
         // Whoever is late skips ticks instead of sending a burst.
-        while rate.tick_ns(self.clock.next_tick + 1) <= elapsed_ns {
-            self.clock.next_tick += 1;
-        }
-        let tick = self.clock.next_tick;
-        self.clock.next_tick += 1;
-        let monotonic_ns = self.clock.begun_ns + rate.tick_ns(tick) - nanoseconds(delay);
-        let now = stamps::now();
-        let at = Instants { monotonic_ns, unix_ns: now.unix_ns - (now.monotonic_ns - monotonic_ns) };
-        let known: Vec<Known> = match self.is_stale() {
-            true => self.bodies.iter_mut().map(BodyChannel::stale).collect(),
-            false => self.bodies.iter().map(|body| body.at(monotonic_ns)).collect(),
-        };
-        self.say(tick, at, &known, None);
+        let tick = rate.tick_at(elapsed_ns).max(self.memory.next_tick);
+        self.memory.next_tick = tick + 1;
+        let at_ns = self.memory.begun_ns.saturating_add(rate.tick_ns(tick)).saturating_sub(nanoseconds(delay));
+        let interval_ns = self.memory.last.as_ref().map_or((1e9 / USUAL_RATE_HZ) as i64, |last| last.interval_ns);
+        let is_stale = self.is_stale(now);
+        let known = |body: &BodyChannel| if is_stale { Known::nothing(Standing::Stale) } else { body.at(at_ns, interval_ns) };
+        let known = self.bodies.iter().map(known).collect();
+        self.say(tick, at_ns, known, None);
     }
 
-    fn is_stale(&self) -> bool {
-        self.clock.last_arrival.elapsed() >= self.stale_after
+    /// The newest frame is too old.
+    fn is_stale(&self, now: Reading) -> bool {
+        now.boot_ns.saturating_sub(self.memory.newest_ns) >= nanoseconds(self.stale_after)
     }
 
     /// What is done ten times a second.
     fn round(&mut self) {
-        if Instant::now() < self.clock.next_round {
+        let now = self.clock.now();
+        if now.boot_ns < self.memory.next_round_ns {
             return;
         }
-        let until_stale = self.stale_after.saturating_sub(self.clock.last_arrival.elapsed());
-        self.clock.next_round = Instant::now() + if until_stale.is_zero() { ROUND.min(self.stale_after) } else { ROUND.min(until_stale) };
+        let stale_after_ns = nanoseconds(self.stale_after);
+        let until_stale_ns = stale_after_ns.saturating_sub(now.boot_ns.saturating_sub(self.memory.newest_ns));
+        let pause_ns = if until_stale_ns <= 0 { stale_after_ns } else { until_stale_ns };
+        self.memory.next_round_ns = now.boot_ns.saturating_add(ROUND_NS.min(pause_ns));
         self.transport.attend();
         let (transport, counters) = (&mut self.transport, &self.counters);
-        self.encoder.repeat(stamps::now().monotonic_ns, &mut |packet| count(counters, transport.send(packet)));
-        if matches!(self.rate, Rate::Every(_)) && self.is_stale() {
-            let at = self.clock.last.as_ref().map_or_else(stamps::now, |last| last.at);
-            let known: Vec<Known> = self.bodies.iter_mut().map(BodyChannel::stale).collect();
-            self.say(self.clock.last.as_ref().map_or(0, |last| last.sample.sequence), at, &known, None);
+        self.encoder.repeat(now.monotonic_ns, &mut |packet| count(counters, transport.send(packet)));
+        if matches!(self.rate, Rate::Every(_)) && self.is_stale(now) {
+            let known = vec![Known::nothing(Standing::Stale); self.bodies.len()];
+            let sequence = self.memory.last.as_ref().map_or(0, |last| last.sample.sequence);
+            self.say(sequence, self.memory.newest_ns, known, None);
         }
     }
 
-    /// Sends one report, unless there is nothing to say.
-    fn say(&mut self, sequence: u64, at: Instants, known: &[Known], arrival: Option<&Arc<Arrival>>) {
-        let bodies: Vec<_> = self.bodies.iter_mut().zip(known).map(|(body, known)| body.report(at.monotonic_ns, *known)).collect();
+    /// A mere prediction counts as nothing where the format cannot mark it.
+    fn sendable(&self, known: Known) -> Known {
+        let is_usable = known.standing != Standing::Coasting || self.encoder.marks_coasting();
+        Known { pose: known.pose.filter(|_| is_usable), ..known }
+    }
+
+    /// Sends a report of the bodies at an instant, if one is due.
+    fn say(&mut self, sequence: u64, at_ns: i64, known: Vec<Known>, arrival: Option<&Arc<Arrival>>) {
+        let known: Vec<Known> = known.into_iter().map(|known| self.sendable(known)).collect();
+        let encoder = &self.encoder;
+        let report = |(body, known): (&mut BodyChannel, Known)| body.report(at_ns, known, &|pose| encoder.holds(pose));
+        let bodies: Vec<_> = self.bodies.iter_mut().zip(known).map(report).collect();
         let withheld = bodies.iter().filter(|body| matches!(body.standing, Standing::Withheld(_))).count();
         self.counters.withheld.fetch_add(withheld as u64, Ordering::Relaxed);
+        let now = self.clock.now();
         let has_pose = bodies.iter().any(|body| body.pose.is_some());
-        if !has_pose && !self.is_loss_due() {
-            self.clock.had_pose = false;
+        if !has_pose && !self.is_loss_due(now) {
+            self.memory.had_pose = false;
             return;
         }
-        self.clock.had_pose = has_pose;
-        let latest = arrival.or(self.clock.last.as_ref());
+        self.memory.had_pose = has_pose;
+        let latest = arrival.or(self.memory.last.as_ref());
+        let age_ns = now.boot_ns.saturating_sub(at_ns);
         let report = Report {
             sequence,
-            unix_ns: at.unix_ns,
-            monotonic_ns: at.monotonic_ns,
+            unix_ns: now.unix_ns.saturating_sub(age_ns),
+            monotonic_ns: now.monotonic_ns.saturating_sub(age_ns),
+            sent_monotonic_ns: now.monotonic_ns,
             // A tick has no stamp of its own: it lies as far from the last sample on the clip's clock as on this machine's.
-            recorded_ns: latest.and_then(|a| Some(a.recorded_ns?.saturating_add(at.monotonic_ns - a.at.monotonic_ns))),
+            recorded_ns: latest.and_then(|a| Some(a.recorded_ns?.saturating_add(at_ns.saturating_sub(a.at_ns)))),
             rate_hz: self.rate.hz(latest.map_or(USUAL_RATE_HZ, |a| a.rate_hz)),
             bodies,
             sample: arrival.map(|a| a.sample.clone()),
             // A clip's first frame, from which its clock counts, may have come late: those after it are not from the future.
-            age_ms: (stamps::now().monotonic_ns - at.monotonic_ns).max(0) as f64 * 1e-6,
+            age_ms: age_ns.max(0) as f64 * 1e-6,
             is_test: self.is_test,
         };
         let (transport, counters) = (&mut self.transport, &self.counters);
         self.encoder.encode(&report, &mut |packet| count(counters, transport.send(packet)));
-        self.clock.last_sent = Some(Instant::now());
+        self.memory.last_sent_ns = Some(now.boot_ns);
         if let Some(arrival) = arrival {
             let us = u64::try_from(arrival.arrived.elapsed().as_micros()).unwrap_or(u64::MAX);
             self.counters.latency_us.store(us, Ordering::Relaxed);
@@ -215,12 +234,11 @@ impl Worker {
     }
 
     /// Whether a report without any pose is to be sent now.
-    fn is_loss_due(&self) -> bool {
-        let is_announced =
-            self.encoder.announces_loss() && (self.clock.had_pose || self.clock.last_sent.is_none_or(|t| t.elapsed() >= REPEAT));
+    fn is_loss_due(&self, now: Reading) -> bool {
+        let is_repeated = self.memory.last_sent_ns.is_none_or(|sent_ns| now.boot_ns.saturating_sub(sent_ns) >= REPEAT_NS);
         match self.on_loss {
             OnLoss::Flag => self.encoder.marks_loss(),
-            OnLoss::Stop | OnLoss::Hold => is_announced,
+            OnLoss::Stop | OnLoss::Hold => self.encoder.announces_loss() && (self.memory.had_pose || is_repeated),
         }
     }
 }
@@ -232,8 +250,4 @@ fn count(counters: &Counters, (taken, failed): (u64, u64)) {
 
 fn nanoseconds(duration: Duration) -> i64 {
     i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
-}
-
-fn since_start(ns: i64) -> Duration {
-    Duration::from_nanos(u64::try_from(ns).unwrap_or(0))
 }

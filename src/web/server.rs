@@ -31,6 +31,7 @@ use super::guard::Guard;
 use super::hosts::AllowedHosts;
 use super::places::{BriefOnes, Place, Places};
 use super::routes::Route;
+use crate::publish::FrameClock;
 use crate::record::PoseSample;
 
 /// A request's head must come within this time, also where a connection waits for its next one,
@@ -52,6 +53,9 @@ const AT_ONCE: u32 = 16;
 const BRIEFLY: Duration = Duration::from_secs(2);
 /// What a connection may take to end in form.
 const ENDS_WITHIN: Duration = Duration::from_millis(250);
+
+/// How often clients are told where the newest frame has become too old.
+const WATCH_EVERY: Duration = Duration::from_millis(100);
 
 /// Why the server cannot run.
 #[derive(Debug, Error)]
@@ -91,6 +95,13 @@ impl Server {
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
         let router = router(feed.clone(), routes, &stopped);
         let site = Arc::new(Site { router, guard: Guard::new(AllowedHosts::new(&settings.hosts)) });
+        let watched = feed.clone();
+        runtime.spawn(async move {
+            loop {
+                sleep(WATCH_EVERY).await;
+                watched.watch();
+            }
+        });
         let run = move || {
             runtime.block_on(serve(listener, site, stopped));
             runtime.shutdown_timeout(Duration::from_millis(200));
@@ -102,6 +113,11 @@ impl Server {
     /// Where it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// From now on a frame older than `most` is told as stale, by this clock. Without it every record is given as it came.
+    pub fn judge_ages(&self, clock: FrameClock, most: Duration) {
+        self.feed.judge_ages(clock, most);
     }
 
     /// Gives a sample to everybody who listens; never waits.

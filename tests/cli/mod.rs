@@ -2,7 +2,6 @@
 
 mod bad_clip;
 mod bad_config;
-mod files;
 mod good;
 mod outputs;
 pub mod scene;

@@ -130,7 +130,8 @@ def freed(packets, rows):
 def opentrackio(packets, rows, schema):
     poses, fixed, size = 0, 0, 0
     for number, packet in enumerate(packets):
-        assert packet[:4] == b"OTrk" and int.from_bytes(packet[6:8], "big") == number
+        # Not from 0, which the reference receiver drops.
+        assert packet[:4] == b"OTrk" and int.from_bytes(packet[6:8], "big") == number + 1
         encoding, length = packet[5], int.from_bytes(packet[12:14], "big")
         assert length & 0x8000 and length & 0x7FFF == len(packet) - 16
         one = two = 0

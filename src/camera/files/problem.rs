@@ -118,7 +118,7 @@ pub(super) fn fault(problem: CalibrationProblem) -> Fault {
     Fault { line: None, problem }
 }
 
-/// A key that is not there. Its line is the first: there it may be added in every form.
+/// A key that is not there.
 pub(super) fn missing(key: &str, hint: &'static str) -> Fault {
-    Fault { line: Some(1), problem: CalibrationProblem::MissingKey { key: key.to_owned(), hint } }
+    fault(CalibrationProblem::MissingKey { key: key.to_owned(), hint })
 }

@@ -21,6 +21,7 @@ impl Pages {
         use std::sync::atomic::Ordering;
 
         use crate::capture::moment::monotonic_ns;
+        use crate::publish::{FrameClock, Stamps};
         use crate::web::{Page, Reply, Route, Server, health, metrics};
 
         let reply = |page: Page| Reply { status: page.status, content_type: page.content_type, body: page.body.into_bytes() };
@@ -36,7 +37,11 @@ impl Pages {
             ]
         };
         let server = settings.http.as_ref().map(|http| Server::start(http, routes())).transpose();
-        Ok(Self { server: server.map_err(|e| Failure::Publishing(e.to_string()))? })
+        let server = server.map_err(|e| Failure::Publishing(e.to_string()))?;
+        if let Some(server) = &server {
+            server.judge_ages(FrameClock::new(Stamps::Live), settings.safety.stale_after);
+        }
+        Ok(Self { server })
     }
 
     /// Says that there is no server in this build.

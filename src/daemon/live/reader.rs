@@ -14,7 +14,7 @@ use nix::sys::signal::{SaFlags, SigAction, SigHandler, SigSet, Signal, sigaction
 use super::source::{Patience, Shutter};
 use super::{Event, LiveLink};
 use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture};
-use crate::capture::moment::{mid_exposure_ns, monotonic_ns};
+use crate::capture::moment::{StampTrust, monotonic_ns};
 use crate::daemon::latest::LatestSender;
 
 /// A picture on its way to the capture stage.
@@ -216,7 +216,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
     let mode = Arc::new(mode);
     let exposure_s = shared.shutter.exposure_of(&mode);
     let silence = shared.patience.silence.max(Duration::from_secs_f64(15.0 / mode.fps.max(0.1)));
-    let (mut last, mut last_sequence) = (Instant::now(), None);
+    let (mut last, mut last_sequence, mut trust) = (Instant::now(), None, StampTrust::default());
     while wanted(shared, ticket) {
         ticket.beat();
         let picture = match catch_unwind(AssertUnwindSafe(|| camera.next_picture(shared.patience.read))) {
@@ -231,7 +231,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
             }
         };
         last = Instant::now();
-        let (timestamp_ns, stamped) = mid_exposure_ns(picture.stamp, picture.arrival_ns, exposure_s, shared.shutter.readout_s);
+        let (timestamp_ns, stamped) = trust.mid_exposure_ns(picture.stamp, picture.arrival_ns, exposure_s, shared.shutter.readout_s);
         if !stamped && !shared.unstamped_said.swap(true, Ordering::Relaxed) {
             shared.link.events.publish(Event::NoDriverStamp { name: mode.name.clone() });
         }

@@ -57,7 +57,7 @@ enum Job {
 pub struct Recorder {
     jobs: Sender<Job>,
     queue: Arc<Queue>,
-    thread: JoinHandle<Option<String>>,
+    thread: JoinHandle<()>,
 }
 
 /// What waits for the disk.
@@ -82,17 +82,8 @@ impl Recorder {
         }
         let (jobs, to_do) = bounded(MOST_WAITING);
         let queue = Arc::new(Queue::default());
-        let work = Work {
-            plan,
-            clip,
-            ring,
-            disk,
-            link: link.clone(),
-            queue: queue.clone(),
-            recent: VecDeque::new(),
-            synced: Instant::now(),
-            stopped: None,
-        };
+        let work =
+            Work { plan, clip, ring, disk, link: link.clone(), queue: queue.clone(), recent: VecDeque::new(), synced: Instant::now() };
         let thread = std::thread::Builder::new().name("recorder".to_owned()).spawn(move || work.run(&to_do, &events))?;
         Ok(Self { jobs, queue, thread })
     }
@@ -120,12 +111,12 @@ impl Recorder {
         }
     }
 
-    /// Writes what waits, and ends; tells why the recording ended before its time, where it did. The daemon with its
-    /// observer must have ended before.
-    pub fn finish(self) -> Option<String> {
+    /// Writes what waits, and ends. The daemon with its observer must have ended before.
+    pub fn finish(self) {
         let Self { jobs, queue: _, thread } = self;
         drop(jobs);
-        thread.join().unwrap_or_else(|_| Some("the recorder failed; please report it".to_owned()))
+        // A recorder that failed has said so.
+        let _ = thread.join();
     }
 }
 
@@ -156,13 +147,10 @@ struct Work {
     queue: Arc<Queue>,
     recent: VecDeque<StampedEvent>,
     synced: Instant,
-    /// Why it gave up.
-    stopped: Option<String>,
 }
 
 impl Work {
-    /// Why it gave up, where it did.
-    fn run(mut self, jobs: &Receiver<Job>, events: &Receiver<StampedEvent>) -> Option<String> {
+    fn run(mut self, jobs: &Receiver<Job>, events: &Receiver<StampedEvent>) {
         loop {
             select! {
                 recv(jobs) -> job => match job {
@@ -190,7 +178,6 @@ impl Work {
         if self.link.statistics.recorder() == RecorderState::Recording {
             self.link.statistics.set_recorder(RecorderState::Off);
         }
-        self.stopped
     }
 
     fn row(&mut self, row: &Recorded) {
@@ -229,7 +216,6 @@ impl Work {
         if self.clip.take().is_none() & self.ring.take().is_none() {
             return;
         }
-        self.stopped = Some(reason.to_owned());
         self.link.statistics.set_recorder(RecorderState::Stopped);
         self.link.events.publish(Event::RecorderStopped { reason: reason.to_owned() });
     }

@@ -1,0 +1,156 @@
+use std::sync::Arc;
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::*;
+use crate::publish::golden::{golden_body, golden_camera, golden_report};
+use crate::publish::report::Withheld;
+use crate::record::{ObjectSample, TwoViewModel};
+
+fn covariance() -> Matrix6<f64> {
+    Matrix6::from_fn(|r, c| if r == c { 1.0 + r as f64 } else { 0.01 * (r + c) as f64 })
+}
+
+fn sample() -> PoseSample {
+    let measurement = Measurement {
+        pose: golden_camera(),
+        covariance: covariance(),
+        model: TwoViewModel::Homography,
+        homography: None,
+        essential: None,
+        inliers: 7,
+        rms_px: 0.25,
+    };
+    let cart = |name: &str, x| ObjectSample {
+        name: name.to_owned(),
+        state: State::Tracking,
+        pose: Some(Pose::new(UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0))),
+        covariance: Some(covariance()),
+    };
+    PoseSample {
+        sequence: 17,
+        timestamp_ns: 5,
+        state: State::Tracking,
+        pose: Some(golden_camera()),
+        measurement: Some(measurement),
+        objects: vec![cart("cart", 9.0), cart("lamp", 3.0)],
+        times: StageTimes { decode_ms: 1.5, ..StageTimes::default() },
+    }
+}
+
+/// The camera at this standing, and the two objects of the sample, tracked.
+fn report(standing: Standing) -> Report {
+    let mut report = Report { sample: Some(Arc::new(sample())), ..golden_report(standing) };
+    for (index, object) in sample().objects.into_iter().enumerate() {
+        let (name, choice) = (object.name.into(), BodyChoice::Object(index));
+        report.bodies.push(BodyReport { name, choice, pose: object.pose, ..golden_body(Standing::Tracking) });
+    }
+    report
+}
+
+fn line(placement: Placement, report: &Report) -> String {
+    let mut lines = Vec::new();
+    JsonEncoder::new(placement).encode(report, &mut |line| lines.push(String::from_utf8(line.to_vec()).unwrap()));
+    assert_eq!((lines.len(), lines[0].matches('\n').count(), lines[0].ends_with('\n')), (1, 1, true));
+    lines.remove(0)
+}
+
+fn parsed(report: &Report) -> Value {
+    serde_json::from_str(&line(Placement::default(), report)).unwrap()
+}
+
+#[test]
+fn a_line_is_the_record_and_more() {
+    let line = line(Placement::default(), &report(Standing::Tracking));
+    assert!(line.starts_with(sample().to_json_line().trim_end_matches('}')), "{line}");
+    let value: Value = serde_json::from_str(&line).unwrap();
+    assert_eq!((&value["age_ms"], &value["times_ms"]["decode"]), (&json!(12.5), &json!(1.5)));
+    assert_eq!(value["unix_ns"], json!(1_700_000_000_040_000_000_i64));
+}
+
+#[test]
+fn a_line_has_the_chosen_bodies_alone() {
+    let mut chosen = report(Standing::Tracking);
+    // The lamp, which is the second object.
+    chosen.bodies = vec![chosen.bodies[2].clone()];
+    let value = parsed(&chosen);
+    assert_eq!(value["objects"].as_array().unwrap().len(), 1);
+    assert_eq!((&value["objects"][0]["name"], &value["objects"][0]["covariance"][1]), (&json!("lamp"), &json!(0.01)));
+    for key in ["state", "pose", "measured", "covariance", "model", "homography", "essential", "inliers", "rms_px"] {
+        assert_eq!(value.get(key), Some(&Value::Null), "{key}");
+    }
+    chosen.bodies = vec![golden_body(Standing::Tracking)];
+    assert_eq!(parsed(&chosen)["objects"], json!([]));
+}
+
+#[test]
+fn what_is_withheld_is_nowhere_in_the_line() {
+    let mut report = report(Standing::Withheld(Withheld::OutsideBox));
+    (report.bodies[0].pose, report.bodies[0].is_passed) = (None, false);
+    (report.bodies[1].standing, report.bodies[1].pose, report.bodies[1].is_passed) = (Standing::Withheld(Withheld::TooFast), None, false);
+    let value = parsed(&report);
+    assert_eq!((&value["state"], &value["pose"], &value["measured"]), (&json!("lost"), &Value::Null, &Value::Null));
+    assert_eq!((&value["covariance"], &value["withheld"]), (&Value::Null, &json!("outside the permitted box")));
+    let cart = json!({"name": "cart", "state": "lost", "pose": null, "covariance": null, "withheld": "faster than permitted"});
+    assert_eq!(value["objects"][0], cart);
+    assert_eq!(value["objects"][1].get("withheld"), None);
+}
+
+#[test]
+fn what_is_held_or_blended_is_not_tracking() {
+    let mut report = report(Standing::Coasting);
+    (report.bodies[0].is_blended, report.bodies[0].is_passed) = (true, false);
+    (report.bodies[1].standing, report.bodies[1].held_ns, report.bodies[1].is_passed) = (Standing::Lost, Some(2_500_000), false);
+    let value = parsed(&report);
+    assert_eq!((&value["state"], &value["blended"], &value["measured"]), (&json!("coasting"), &json!(true), &Value::Null));
+    assert_eq!(value["pose"]["position_m"], json!([0.0, -4.0, 0.0]));
+    let cart = &value["objects"][0];
+    assert_eq!((&cart["state"], &cart["held"], &cart["held_ms"]), (&json!("lost"), &json!(true), &json!(2.5)));
+    assert_eq!(cart["covariance"], Value::Null);
+}
+
+#[test]
+fn what_is_measured_is_placed_like_the_pose() {
+    let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+    let placement = Placement { rotation: quarter, scale: 10.0, position_signs: [-1.0, 1.0, 1.0], ..Placement::default() };
+    let mut report = report(Standing::Tracking);
+    report.bodies.iter_mut().for_each(|body| body.pose = body.pose.map(|pose| placement.apply(&pose)));
+    let value: Value = serde_json::from_str(&line(placement, &report)).unwrap();
+    // 4 m in front becomes 4 m to the right, 40 units, with the other sign.
+    let x = value["measured"]["position_m"][0].as_f64().unwrap();
+    assert!((x + 40.0).abs() < 1e-9 && value["pose"] == value["measured"], "{value}");
+    // The variances of x and y change places, in units squared; those of turning without a unit.
+    let variance = |k: usize| value["covariance"][7 * k].as_f64().unwrap();
+    let wanted = [200.0, 100.0, 300.0, 5.0, 4.0, 6.0];
+    assert!((0..6).all(|k| (variance(k) - wanted[k]).abs() < 1e-9), "{value}");
+    let inverted = Placement { angle_signs: [-1.0, 1.0, 1.0], ..placement };
+    let value: Value = serde_json::from_str(&line(inverted, &report)).unwrap();
+    assert_eq!((&value["measured"], &value["objects"][0]["covariance"]), (&Value::Null, &Value::Null));
+}
+
+#[test]
+fn a_stale_marker_is_an_event_with_optical_axes() {
+    let mut stale = golden_report(Standing::Stale);
+    stale.bodies[0].pose = None;
+    let value = parsed(&stale);
+    assert_eq!((&value["event"], &value["state"], &value["pose"]), (&json!("stale"), &json!("stale"), &Value::Null));
+    assert_eq!((&value["age_ms"], value.get("held")), (&json!(12.5), None));
+    let mut held = report(Standing::Stale);
+    held.bodies.iter_mut().for_each(|body| (body.standing, body.held_ns, body.is_passed) = (Standing::Stale, Some(3_000_000), false));
+    let value = parsed(&held);
+    let turn = value["pose"]["orientation_xyzw"].as_array().unwrap();
+    assert!(turn.iter().zip(golden_camera().orientation_xyzw()).all(|(told, wanted)| (told.as_f64().unwrap() - wanted).abs() < 1e-12));
+    assert_eq!((&value["held"], &value["objects"][1]["held_ms"]), (&json!(true), &json!(3.0)));
+}
+
+#[test]
+fn on_a_fixed_rate_there_are_states_and_poses() {
+    let mut report = golden_report(Standing::Tracking);
+    report.bodies[0].is_predicted = true;
+    let (name, choice) = (Arc::from("cart"), BodyChoice::Object(0));
+    report.bodies.push(BodyReport { name, choice, ..golden_body(Standing::Coasting) });
+    let value = parsed(&report);
+    assert_eq!((&value["state"], &value["predicted"], &value["measured"]), (&json!("tracking"), &json!(true), &Value::Null));
+    assert_eq!(value["pose"]["position_m"], json!([0.0, -4.0, 0.0]));
+    assert_eq!((&value["objects"][0]["name"], &value["objects"][0]["state"]), (&json!("cart"), &json!("coasting")));
+}
