@@ -17,6 +17,7 @@
 //! - [`compute_clock`]: how long work kept its thread busy
 //! - [`utc`]: dates and times of day
 //! - [`printable`]: text from outside, as a terminal may show it
+//! - [`safe_file`], [`contain`]: reading files and running decoders that strangers have a hand in
 //! - [`features`]: pyramid, corners, binary descriptors
 //! - [`matching`]: which feature is which
 //! - [`track`]: surfaces and bodies; acquire, register, verify, align, lock: a frame becomes a [`track::Sighting`]
@@ -46,6 +47,7 @@ pub mod capture;
 pub mod cli;
 pub mod compute_clock;
 pub mod config;
+pub mod contain;
 pub mod daemon;
 pub mod features;
 pub mod frame;
@@ -56,6 +58,7 @@ pub mod pose;
 pub mod printable;
 pub mod publish;
 pub mod record;
+pub mod safe_file;
 pub mod simulate;
 pub mod track;
 pub mod utc;

@@ -4,6 +4,7 @@ mod doubt;
 mod files;
 mod guess;
 mod model;
+pub mod plausible;
 
 pub use doubt::{IntrinsicsUncertainty, LENS_WAYS, LensDoubt};
 pub use files::{

@@ -67,6 +67,24 @@ pub enum CameraError {
         /// Height in pixels.
         height: u32,
     },
+    /// A number that no camera has.
+    #[error("{name} is {}, which no camera has: it can be {possible}", Plain(*value))]
+    Implausible {
+        /// Which entry.
+        name: &'static str,
+        /// What it holds.
+        value: f64,
+        /// What it could hold.
+        possible: String,
+    },
+    /// Distortion that folds the picture, or bends it as no lens does.
+    #[error("distortion is {distortion:?}, which has no inverse, or bends the picture beyond any lens, over {percent:.0} % of the picture")]
+    NotInvertible {
+        /// k1, k2, p1, p2, k3.
+        distortion: [f64; 5],
+        /// How much of the picture is lost.
+        percent: f64,
+    },
     /// The pictures are of another shape than the calibration's.
     #[error(
         "the calibration is for {from_width} x {from_height} pixels, the pictures are {width} x {height}: another aspect ratio; calibrate at this size"
@@ -81,6 +99,15 @@ pub enum CameraError {
         /// Wanted height.
         height: u32,
     },
+}
+
+/// A number as a person would write it.
+struct Plain(f64);
+
+impl std::fmt::Display for Plain {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        if (1e-4..1e9).contains(&self.0.abs()) || self.0 == 0.0 { write!(f, "{}", self.0) } else { write!(f, "{:e}", self.0) }
+    }
 }
 
 /// A calibrated camera: pinhole with skew and Brown distortion, and the radius up to which it can be inverted.

@@ -2,16 +2,17 @@
 //!
 //! Each form of clip is a [`PictureStream`] that gives pictures with their stamps as they lie in the file. A
 //! [`Clip`] turns them into rows: it decodes, refuses stamps that do not increase and pictures of another size
-//! than the first, and numbers every row whatever became of it.
+//! than the clip's, and numbers every row whatever became of it.
 
 use std::collections::VecDeque;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use image::GrayImage;
+use image::metadata::Orientation;
 
 use super::error::CaptureError;
-use super::grey::decode_grey;
+use super::grey::{decode_oriented, orientation_words};
 use super::order::RowOrder;
 use super::{FrameSource, Row, RowContent};
 use crate::frame::Frame;
@@ -44,6 +45,11 @@ pub(super) trait PictureStream: Send {
         None
     }
 
+    /// Whether all pictures are of one size, by the clip's form.
+    fn is_of_one_size(&self) -> bool {
+        false
+    }
+
     /// Why the stream ended before its first picture, where that is a failure of its own.
     fn failure(&mut self) -> Option<CaptureError> {
         None
@@ -56,22 +62,44 @@ pub(super) struct Clip {
     rows: Option<u64>,
     /// Rows that were read to find the size.
     ahead: VecDeque<Row>,
+    /// Width and height of the clip's pictures, once that is decided.
     size: Option<(u32, u32)>,
     order: RowOrder,
+    /// Set by the first picture that its file says to show turned.
+    turned: Option<String>,
 }
 
+/// Pictures that are looked at to find the clip's size: a stray first one must not make all others strays.
+const LOOKED_AT: usize = 8;
+/// Bytes of pictures that wait meanwhile.
+const MOST_AHEAD_BYTES: u64 = 256 << 20;
+
 impl Clip {
-    /// Reads up to the first frame, without losing a row.
+    /// Reads up to the first frames, without losing a row. Of pictures of several sizes, those of the calibration's size are
+    /// the clip's, else those of its shape, else the most.
     ///
     /// # Errors
     /// When the stream has no rows, or no frame among them; `path` is for the message.
-    pub fn new(stream: Box<dyn PictureStream>, path: &Path) -> Result<Self, CaptureError> {
-        let mut clip = Self { rows: stream.pictures(), stream, ahead: VecDeque::new(), size: None, order: RowOrder::default() };
-        while clip.size.is_none() {
-            match clip.read_row() {
-                Some(row) => clip.ahead.push_back(row),
-                None => return Err(clip.no_frame(path)),
+    pub fn new(stream: Box<dyn PictureStream>, path: &Path, calibrated: Option<(u32, u32)>) -> Result<Self, CaptureError> {
+        let (rows, order) = (stream.pictures(), RowOrder::default());
+        let mut clip = Self { rows, stream, ahead: VecDeque::new(), size: None, order, turned: None };
+        let mut sizes: Vec<(u32, u32)> = Vec::new();
+        let is_enough = |sizes: &[(u32, u32)], one: bool| {
+            let bytes: u64 = sizes.iter().map(|(w, h)| u64::from(*w) * u64::from(*h)).sum();
+            let known = sizes.last().is_some_and(|last| one || Some(*last) == calibrated);
+            known || sizes.len() >= LOOKED_AT || bytes > MOST_AHEAD_BYTES
+        };
+        while !is_enough(&sizes, clip.stream.is_of_one_size()) {
+            let Some(row) = clip.read_row() else { break };
+            if let RowContent::Frame(frame) = &row.content {
+                sizes.push(frame.image.dimensions());
             }
+            clip.ahead.push_back(row);
+        }
+        let Some(size) = chosen(&sizes, calibrated) else { return Err(clip.no_frame(path)) };
+        clip.size = Some(size);
+        for row in &mut clip.ahead {
+            skip_other_sizes(&mut row.content, size);
         }
         Ok(clip)
     }
@@ -110,25 +138,56 @@ impl Clip {
         }
         let start = Instant::now();
         let image = match picture.data {
-            PictureData::Encoded(bytes) => decode_grey(&bytes).map_err(|e| e.to_string()),
+            PictureData::Encoded(bytes) => decode_oriented(&bytes).map_err(|e| e.to_string()).map(|(image, orientation)| {
+                self.note_turned(orientation, sequence);
+                image
+            }),
             PictureData::Grey(image) => Ok(image),
             PictureData::Missing(reason) => Err(reason),
         };
         let decode = start.elapsed();
-        let content = match image {
-            Ok(image) => self.frame_or_skip(image, timestamp_ns, sequence),
+        let mut content = match image {
+            Ok(image) => RowContent::Frame(Frame { image, timestamp_ns, sequence }),
             Err(reason) => RowContent::Undecodable(reason),
         };
+        if let Some(size) = self.size {
+            skip_other_sizes(&mut content, size);
+        }
         Some(Row { sequence, timestamp_ns, content, decode, received: None })
     }
 
-    /// The first frame sets the clip's size, the others must have it.
-    fn frame_or_skip(&mut self, image: GrayImage, timestamp_ns: i64, sequence: u64) -> RowContent {
-        let (width, height) = *self.size.get_or_insert(image.dimensions());
-        if image.dimensions() == (width, height) {
-            return RowContent::Frame(Frame { image, timestamp_ns, sequence });
+    fn note_turned(&mut self, orientation: Orientation, sequence: u64) {
+        let Some(words) = orientation_words(orientation).filter(|_| self.turned.is_none()) else { return };
+        let note = format!(
+            "row {sequence}: the file says to show its picture {words} (EXIF); clips are tracked as the pixels lie in the file, which is how \
+             the camera is calibrated"
+        );
+        // Rows of the opening have their note read there.
+        if self.size.is_some() {
+            tracing::warn!("{note}");
         }
-        RowContent::Skipped(format!("the picture is {} x {} pixels, the clip's are {width} x {height}", image.width(), image.height()))
+        self.turned = Some(note);
+    }
+}
+
+/// The size of a clip's pictures, out of those of its first ones.
+fn chosen(sizes: &[(u32, u32)], calibrated: Option<(u32, u32)>) -> Option<(u32, u32)> {
+    let shape = |(w, h): (u32, u32)| f64::from(w) / f64::from(h);
+    let rank = |size: &(u32, u32)| {
+        let has_shape = calibrated.is_some_and(|c| (shape(c) / shape(*size) - 1.0).abs() < 0.01);
+        (Some(*size) == calibrated, has_shape, sizes.iter().filter(|s| *s == size).count())
+    };
+    // The last of equals is taken, so that the earliest wins.
+    sizes.iter().rev().max_by_key(|size| rank(size)).copied()
+}
+
+/// A picture of another size than the clip's is not tracked.
+fn skip_other_sizes(content: &mut RowContent, (width, height): (u32, u32)) {
+    if let RowContent::Frame(Frame { image, .. }) = content
+        && image.dimensions() != (width, height)
+    {
+        let (w, h) = image.dimensions();
+        *content = RowContent::Skipped(format!("the picture is {w} x {h} pixels, the clip's are {width} x {height}"));
     }
 }
 
@@ -143,5 +202,9 @@ impl FrameSource for Clip {
 
     fn rows(&self) -> Option<u64> {
         self.rows
+    }
+
+    fn notes(&self) -> Vec<String> {
+        self.turned.iter().cloned().collect()
     }
 }

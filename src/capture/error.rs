@@ -15,7 +15,7 @@ pub enum CaptureError {
         path: PathBuf,
     },
     /// The file or folder cannot be read.
-    #[error("cannot read {}: {source}; check its permissions", path.display())]
+    #[error("cannot read {}: {source}; {}", path.display(), if source.kind() == io::ErrorKind::Other { "give a clip in plain files, or - for y4m on standard input" } else { "check its permissions" })]
     NotReadable {
         /// The file or folder.
         path: PathBuf,
@@ -45,6 +45,16 @@ pub enum CaptureError {
         path: PathBuf,
         /// What the line says, shortened.
         found: String,
+    },
+    /// A line of timestamps.csv names a file that is none of the clip's.
+    #[error("{} line {line} names \"{name}\", which lies outside of the clip; name pictures in its folder frames", path.display())]
+    OutsideClip {
+        /// The csv file.
+        path: PathBuf,
+        /// From 1.
+        line: usize,
+        /// The name, shortened.
+        name: String,
     },
     /// The stream's header is broken, or speaks of pictures that are not read here.
     #[error("{}: {reason}", path.display())]

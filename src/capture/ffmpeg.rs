@@ -15,6 +15,7 @@ use image::GrayImage;
 
 use super::clip::{Picture, PictureData, PictureStream};
 use super::error::CaptureError;
+use super::grey::check_size;
 use super::rate::FrameRate;
 
 /// Frames from a running ffmpeg.
@@ -82,6 +83,10 @@ impl Ffmpeg {
 
     fn read_frame(&mut self, size: &Announced) -> PictureData {
         let wanted = u64::from(size.width) * u64::from(size.height);
+        if let Err(e) = check_size(size.width, size.height) {
+            let passed = std::io::copy(&mut (&mut self.frames).take(wanted), &mut std::io::sink());
+            return PictureData::Missing(passed.map_or_else(|e| format!("ffmpeg cannot be read: {e}"), |_| e.to_string()));
+        }
         let mut grey = Vec::with_capacity(wanted.min(1 << 26) as usize);
         match (&mut self.frames).take(wanted).read_to_end(&mut grey) {
             Ok(_) => GrayImage::from_raw(size.width, size.height, grey)

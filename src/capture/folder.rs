@@ -1,12 +1,13 @@
 //! Clips that are folders: pictures with a timestamps.csv, or just pictures in the order of their names.
 
-use std::fs::File;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use super::clip::{Picture, PictureData, PictureStream};
 use super::error::CaptureError;
+use super::grey::LARGEST_PICTURE_FILE;
 use super::rate::FrameRate;
-use super::timestamps::{StampRow, TimestampsError, read_timestamps};
+use super::timestamps::{StampRow, TimestampsError, read_timestamps, shortened};
+use crate::safe_file;
 
 /// Names of a stamp file: ours and EuRoC's.
 const STAMP_FILES: [&str; 2] = ["timestamps.csv", "data.csv"];
@@ -15,12 +16,15 @@ const PICTURE_FOLDERS: [&str; 3] = ["frames", "", "data"];
 /// What counts as a picture where no list names them.
 const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
 
+/// Bytes of a stamp file, about five million rows: a whole day at 60 a second. All rows are held in memory.
+const LARGEST_STAMP_FILE: u64 = 256 << 20;
+
 /// Opens a folder as a clip; `rate` is for pictures without stamps.
 pub(super) fn open(folder: &Path, rate: FrameRate) -> Result<Box<dyn PictureStream>, CaptureError> {
     for name in STAMP_FILES {
         let csv = folder.join(name);
-        match File::open(&csv) {
-            Ok(file) => return stamped(folder, &csv, file),
+        match safe_file::read(&csv, LARGEST_STAMP_FILE) {
+            Ok(bytes) => return stamped(folder, &csv, &bytes),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => {}
             Err(e) => return Err(CaptureError::reading(&csv, e)),
         }
@@ -35,14 +39,28 @@ pub(super) fn open(folder: &Path, rate: FrameRate) -> Result<Box<dyn PictureStre
     Ok(Box::new(NamedPictures { files: files.into_iter(), rate, next: 0 }))
 }
 
-fn stamped(folder: &Path, csv: &Path, file: File) -> Result<Box<dyn PictureStream>, CaptureError> {
+fn stamped(folder: &Path, csv: &Path, bytes: &[u8]) -> Result<Box<dyn PictureStream>, CaptureError> {
     let path = csv.to_owned();
-    let rows = read_timestamps(file).map_err(|e| match e {
+    let rows = read_timestamps(bytes).map_err(|e| match e {
         TimestampsError::Header(found) => CaptureError::TimestampsHeader { path, found },
         TimestampsError::Empty => CaptureError::Empty { path },
         TimestampsError::Read(source) => CaptureError::reading(csv, source),
     })?;
+    if let Some(row) = rows.iter().find(|row| leads_outside(&row.file)) {
+        return Err(CaptureError::OutsideClip { path: csv.to_owned(), line: line_with(bytes, &row.file), name: shortened(&row.file) });
+    }
     Ok(Box::new(StampedPictures { folder: folder.to_owned(), rows: rows.into_iter() }))
+}
+
+/// The first line, from 1, that has a text: the reader of rows passes blank lines over and does not count them.
+fn line_with(bytes: &[u8], text: &str) -> usize {
+    let has = |line: &[u8]| String::from_utf8_lossy(line).contains(text);
+    bytes.split(|byte| *byte == b'\n').position(has).map_or(1, |before| before + 1)
+}
+
+/// Whether a name leads out of the folder in which it is looked for.
+fn leads_outside(name: &str) -> bool {
+    Path::new(name).components().any(|part| !matches!(part, Component::Normal(_) | Component::CurDir))
 }
 
 /// The picture files of a folder in the byte order of their names.
@@ -104,7 +122,7 @@ impl PictureStream for NamedPictures {
 }
 
 fn read(path: &Path) -> PictureData {
-    match std::fs::read(path) {
+    match safe_file::read(path, LARGEST_PICTURE_FILE) {
         Ok(bytes) => PictureData::Encoded(bytes),
         Err(e) => PictureData::Missing(format!("the picture {} cannot be read: {e}", path.display())),
     }

@@ -2,17 +2,22 @@
 //!
 //! JPEG gives its luma plane. Grey stays grey, RGB becomes BT.601's Y = 0.299 R + 0.587 G + 0.114 B, 16 bits are
 //! scaled to 8, alpha is ignored. A picture that is cut off is an error, never half a picture.
+//!
+//! A file may say that it is to be shown turned (EXIF). Cameras write that by how they are held; the pixels stay where
+//! they are on the sensor, and so does the calibration. [`decode_grey`] gives the pixels as they lie in the file,
+//! [`decode_oriented`] tells besides how they are to be shown.
 
 use std::io::Cursor;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use image::{DynamicImage, GrayImage, ImageFormat, ImageReader};
+use image::metadata::Orientation;
+use image::{DynamicImage, GrayImage, ImageDecoder, ImageFormat, ImageReader};
 use thiserror::Error;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::jpeg_markers::{JpegWalk, Walked, standard_huffman_tables};
+use crate::contain::contained;
 
 /// Why bytes are no picture.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -26,6 +31,14 @@ pub enum DecodeError {
     /// The bytes end before the picture does.
     #[error("the picture is cut off")]
     CutOff,
+    /// More pixels than are read.
+    #[error("the picture is {width} x {height} pixels, and {} million are read at most; scale it down", MOST_PIXELS / 1_000_000)]
+    TooLarge {
+        /// Pixels across.
+        width: u32,
+        /// Pixels down.
+        height: u32,
+    },
     /// The bytes break the form's rules.
     #[error("the picture is damaged: {reason}")]
     Damaged {
@@ -40,26 +53,61 @@ impl DecodeError {
     }
 }
 
-/// Wider or higher than any camera's picture; keeps a forged header from asking for all memory.
-const LONGEST_SIDE: u32 = 16_384;
+/// Pixels of a picture; keeps a forged header from asking for all memory. With all that is made of a picture, a surface
+/// or a calibration's view of that many takes about a gigabyte; cameras of stages have 2 to 8 million.
+pub(super) const MOST_PIXELS: u64 = 67_000_000;
+
+/// Bytes of a picture file: no picture of [`MOST_PIXELS`] needs more.
+pub const LARGEST_PICTURE_FILE: u64 = 512 << 20;
 
 /// Decodes JPEG, PNG or PNM bytes to 8-bit grey, row-major.
 ///
 /// # Errors
 /// When the bytes are not such a picture, are cut off or damaged. Bytes after a JPEG's end are no fault.
 pub fn decode_grey(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
+    decode_oriented(bytes).map(|(picture, _)| picture)
+}
+
+/// As [`decode_grey`], and how the file says that its picture is to be shown.
+///
+/// # Errors
+/// As [`decode_grey`].
+pub fn decode_oriented(bytes: &[u8]) -> Result<(GrayImage, Orientation), DecodeError> {
     if bytes.is_empty() {
         return Err(DecodeError::Empty);
     }
     // The decoders are other people's code and fed with whatever a cable delivers: a panic in there is a damaged picture.
-    let decoded = catch_unwind(AssertUnwindSafe(|| match bytes {
+    let decoded = contained(|| match bytes {
         [0xFF, 0xD8, ..] => decode_jpeg(bytes),
         _ => decode_other(bytes),
-    }));
+    });
     decoded.unwrap_or_else(|_| Err(DecodeError::damaged("the decoder gave up")))
 }
 
-fn decode_jpeg(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
+/// Width and height as the file's header has them; `None` where it has none.
+pub fn picture_size(bytes: &[u8]) -> Option<(u32, u32)> {
+    let size = || ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok()?.into_dimensions().ok();
+    contained(size).ok().flatten()
+}
+
+/// What an orientation says, in words; `None` where the picture is to be shown as it lies.
+pub fn orientation_words(orientation: Orientation) -> Option<&'static str> {
+    match orientation {
+        Orientation::NoTransforms => None,
+        Orientation::Rotate90 => Some("turned by 90 degrees"),
+        Orientation::Rotate180 => Some("turned by 180 degrees"),
+        Orientation::Rotate270 => Some("turned by 270 degrees"),
+        Orientation::FlipHorizontal | Orientation::FlipVertical => Some("mirrored"),
+        Orientation::Rotate90FlipH | Orientation::Rotate270FlipH => Some("turned and mirrored"),
+    }
+}
+
+/// Refuses more than [`MOST_PIXELS`], before memory is taken for them.
+pub(super) fn check_size(width: u32, height: u32) -> Result<(), DecodeError> {
+    if u64::from(width) * u64::from(height) > MOST_PIXELS { Err(DecodeError::TooLarge { width, height }) } else { Ok(()) }
+}
+
+fn decode_jpeg(bytes: &[u8]) -> Result<(GrayImage, Orientation), DecodeError> {
     let mut walk = JpegWalk::default();
     let picture = match walk.advance(bytes) {
         Walked::Whole(end) => &bytes[..end],
@@ -79,11 +127,15 @@ fn decode_jpeg(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
 }
 
 /// Decodes a JPEG that has its tables; `luma_from` is what the decoder is asked for where the picture has a luma plane.
-fn decode_sound_jpeg(bytes: &[u8], luma_from: ColorSpace) -> Result<GrayImage, DecodeError> {
-    let side = LONGEST_SIDE as usize;
+fn decode_sound_jpeg(bytes: &[u8], luma_from: ColorSpace) -> Result<(GrayImage, Orientation), DecodeError> {
+    // The decoder's own bound would say less of what is wrong.
+    let side = usize::from(u16::MAX);
     let options = DecoderOptions::default().set_strict_mode(true).set_max_width(side).set_max_height(side);
     let mut decoder = JpegDecoder::new_with_options(Cursor::new(bytes), options);
     decoder.decode_headers().map_err(DecodeError::damaged)?;
+    let (width, height) = decoder.info().map(|info| (u32::from(info.width), u32::from(info.height))).ok_or(DecodeError::CutOff)?;
+    check_size(width, height)?;
+    let orientation = decoder.exif().and_then(|exif| Orientation::from_exif_chunk(exif)).unwrap_or(Orientation::NoTransforms);
     let wanted = match decoder.input_colorspace() {
         Some(ColorSpace::Luma) => ColorSpace::Luma,
         Some(ColorSpace::YCbCr) => luma_from,
@@ -91,37 +143,38 @@ fn decode_sound_jpeg(bytes: &[u8], luma_from: ColorSpace) -> Result<GrayImage, D
     };
     decoder.set_options(options.jpeg_set_out_colorspace(wanted));
     let pixels = decoder.decode().map_err(DecodeError::damaged)?;
-    let info = decoder.info().ok_or(DecodeError::CutOff)?;
     let grey = match wanted {
         ColorSpace::Luma => pixels,
         ColorSpace::YCbCr => pixels.iter().step_by(3).copied().collect(),
         _ => pixels.chunks_exact(3).map(|p| luma_8([p[0], p[1], p[2]])).collect(),
     };
-    let (width, height) = (u32::from(info.width), u32::from(info.height));
     let image = GrayImage::from_raw(width, height, grey).filter(|_| width > 0 && height > 0);
-    image.ok_or_else(|| DecodeError::damaged("its size is not what it says"))
+    image.map(|image| (image, orientation)).ok_or_else(|| DecodeError::damaged("its size is not what it says"))
 }
 
-fn decode_other(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
+fn decode_other(bytes: &[u8]) -> Result<(GrayImage, Orientation), DecodeError> {
     let format = image::guess_format(bytes).map_err(|_| DecodeError::UnknownForm)?;
     match format {
         ImageFormat::Png if !png_is_whole(bytes) => return Err(DecodeError::CutOff),
         ImageFormat::Png | ImageFormat::Pnm => {}
         _ => return Err(DecodeError::UnknownForm),
     }
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
-    let mut limits = image::Limits::default();
-    limits.max_image_width = Some(LONGEST_SIDE);
-    limits.max_image_height = Some(LONGEST_SIDE);
-    reader.limits(limits);
-    let decoded = reader.decode().map_err(|e| match e {
-        image::ImageError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => DecodeError::CutOff,
-        other => DecodeError::damaged(other),
-    })?;
+    let mut decoder = ImageReader::with_format(Cursor::new(bytes), format).into_decoder().map_err(not_decoded)?;
+    let (width, height) = decoder.dimensions();
+    check_size(width, height)?;
+    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    let decoded = DynamicImage::from_decoder(decoder).map_err(not_decoded)?;
     if decoded.width() == 0 || decoded.height() == 0 {
         return Err(DecodeError::Empty);
     }
-    Ok(grey_of(decoded))
+    Ok((grey_of(decoded), orientation))
+}
+
+fn not_decoded(error: image::ImageError) -> DecodeError {
+    match error {
+        image::ImageError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => DecodeError::CutOff,
+        other => DecodeError::damaged(other),
+    }
 }
 
 /// Whether the chunks run to IEND: a decoder is content when it has all pixels, or thinks it has.
@@ -168,4 +221,4 @@ fn eight_bits(level: u16) -> u8 {
 
 #[cfg(test)]
 #[path = "grey_tests.rs"]
-mod tests;
+pub(super) mod tests;

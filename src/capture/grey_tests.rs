@@ -27,6 +27,60 @@ fn jpeg(picture: &DynamicImage, quality: u8) -> Vec<u8> {
     bytes
 }
 
+/// The EXIF of a camera that was held so (1 to 8).
+pub(crate) fn exif(orientation: u8) -> Vec<u8> {
+    let mut block = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
+    block.extend_from_slice(&[orientation, 0, 0, 0, 0, 0, 0, 0]);
+    block
+}
+
+#[test]
+fn an_orientation_is_told_and_changes_no_pixel() {
+    let picture = textured(40, 24);
+    for form in [ImageFormat::Png, ImageFormat::Jpeg] {
+        for (number, words) in [(1, None), (3, Some("turned by 180 degrees")), (6, Some("turned by 90 degrees")), (2, Some("mirrored"))] {
+            let mut bytes = Vec::new();
+            match form {
+                ImageFormat::Png => {
+                    let mut encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+                    image::ImageEncoder::set_exif_metadata(&mut encoder, exif(number)).unwrap();
+                    picture.write_with_encoder(encoder).unwrap();
+                }
+                _ => {
+                    let mut encoder = JpegEncoder::new_with_quality(&mut bytes, 95);
+                    image::ImageEncoder::set_exif_metadata(&mut encoder, exif(number)).unwrap();
+                    picture.write_with_encoder(encoder).unwrap();
+                }
+            }
+            let (decoded, orientation) = decode_oriented(&bytes).unwrap();
+            assert_eq!((decoded.dimensions(), orientation_words(orientation)), ((40, 24), words), "{form:?} {number}");
+            assert_eq!(picture_size(&bytes), Some((40, 24)));
+        }
+    }
+}
+
+#[test]
+fn a_picture_of_too_many_pixels_is_said_to_be_so_before_memory_is_taken() {
+    let too_large = |bytes: &[u8]| {
+        let message = decode_grey(bytes).unwrap_err().to_string();
+        assert_eq!(message, "the picture is 16384 x 16384 pixels, and 67 million are read at most; scale it down");
+    };
+    too_large(b"P5 16384 16384 255\n");
+    let mut header = b"\0\0\x40\0\0\0\x40\0\x08\0\0\0\0".to_vec();
+    let mut whole = png(textured(60, 50));
+    let crc = [&b"IHDR"[..], &header]
+        .concat()
+        .iter()
+        .fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), |c, _| if c & 1 == 1 { c >> 1 ^ 0xEDB8_8320 } else { c >> 1 }));
+    header.extend((!crc).to_be_bytes());
+    whole[16..33].copy_from_slice(&header);
+    too_large(&whole);
+    let mut whole = jpeg(&textured(60, 50).into(), 90);
+    let size = whole.windows(2).position(|w| w == [0xFF, 0xC0]).unwrap() + 5;
+    whole[size..size + 4].copy_from_slice(&[0x40, 0, 0x40, 0]);
+    too_large(&whole);
+}
+
 #[test]
 fn colours_become_bt_601_luma() {
     let colours = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255], [10, 200, 30], [0, 0, 0]];

@@ -3,7 +3,6 @@
 //! JPEG goes through [`decode_grey`], cut at its end mark first: drivers hand out whole buffers with stale bytes
 //! behind the picture. YUYV and NV12 give their luma as it is, RGB becomes BT.601's.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use image::GrayImage;
@@ -34,8 +33,7 @@ pub fn decode_picture(picture: &CapturedPicture, layout: PixelLayout, size: (u32
         let image = decode_grey(jpeg).map_err(|e| e.to_string());
         return Decoded { image, received: if jpeg.is_empty() { Received::Damaged } else { Received::Jpeg(Arc::from(jpeg)) } };
     }
-    let read = catch_unwind(AssertUnwindSafe(|| raw(&picture.bytes, layout, size)));
-    match read.unwrap_or(None) {
+    match raw(&picture.bytes, layout, size) {
         Some(image) => Decoded { image: Ok(image), received: Received::Raw },
         None => {
             let (width, height) = size;
@@ -71,8 +69,8 @@ fn cut_at_end(bytes: &[u8]) -> &[u8] {
 }
 
 fn raw(bytes: &[u8], layout: PixelLayout, (width, height): (u32, u32)) -> Option<GrayImage> {
-    let pixels = width as usize * height as usize;
-    let take = |each: usize| bytes.get(..pixels * each);
+    let pixels = (width as usize).checked_mul(height as usize)?;
+    let take = |each: usize| bytes.get(..pixels.checked_mul(each)?);
     let grey: Vec<u8> = match layout {
         PixelLayout::Mjpeg => return None,
         PixelLayout::Yuyv => take(2)?.iter().step_by(2).copied().collect(),

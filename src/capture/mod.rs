@@ -22,6 +22,7 @@ mod played;
 mod rate;
 mod timestamps;
 mod video;
+mod waiting;
 mod writer;
 mod y4m;
 
@@ -34,7 +35,7 @@ use std::time::Duration;
 
 pub use avi::{AviError, AviReader};
 pub use error::CaptureError;
-pub use grey::{DecodeError, decode_grey};
+pub use grey::{DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_oriented, orientation_words, picture_size};
 pub use luma::{Decoded, decode_picture};
 pub use mjpeg::MjpegReader;
 pub use open::{ClipOptions, open_clip};
@@ -97,4 +98,9 @@ pub trait FrameSource: Send {
 
     /// How many rows there will be, where that is known.
     fn rows(&self) -> Option<u64>;
+
+    /// What is to be said of the pictures seen so far, a sentence each.
+    fn notes(&self) -> Vec<String> {
+        Vec::new()
+    }
 }

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 
 use super::FrameSource;
@@ -13,14 +14,20 @@ use super::folder;
 use super::mjpeg::MjpegReader;
 use super::rate::FrameRate;
 use super::video::Paced;
+use super::waiting::Waiting;
 use super::y4m::Y4mReader;
+use crate::safe_file;
 
-/// What the user may say about a clip.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+/// What may be said about a clip.
+#[derive(Debug, Clone, Copy, Default)]
 pub struct ClipOptions {
     /// Frames a second. Stands in place of a video's own rate; for pictures without stamps and .mjpeg, which have
     /// none, the default is 30. A timestamps.csv keeps its own stamps.
     pub fps: Option<f64>,
+    /// Width and height of the camera's calibration: decides which pictures are the clip's where they are of several sizes.
+    pub calibrated: Option<(u32, u32)>,
+    /// Asked while a pipe is waited for; where it says true, the clip is at its end.
+    pub is_stopped: Option<fn() -> bool>,
 }
 
 /// The rate of pictures that nobody gave one.
@@ -40,27 +47,34 @@ pub fn open_clip(clip: impl AsRef<Path>, options: ClipOptions) -> Result<Box<dyn
         None => None,
     };
     let default = FrameRate::new(DEFAULT_FPS, 1.0).ok_or(CaptureError::Rate { fps: DEFAULT_FPS })?;
+    let (unreadable, is_stopped) = (|e| CaptureError::reading(path, e), options.is_stopped.unwrap_or(|| false));
     let stream = if path.as_os_str() == "-" {
-        y4m(BufReader::new(std::io::stdin()), Path::new("standard input"), given, None)?
-    } else if std::fs::metadata(path).map_err(|e| CaptureError::reading(path, e))?.is_dir() {
-        folder::open(path, given.unwrap_or(default))?
+        let stdin = Path::new("standard input");
+        let input = Waiting::stdin(is_stopped).map_err(|e| CaptureError::reading(stdin, e))?;
+        y4m(BufReader::new(input), stdin, given, None)?
     } else {
-        open_file(path, given, default)?
+        let kind = std::fs::metadata(path).map_err(unreadable)?.file_type();
+        if kind.is_dir() {
+            folder::open(path, given.unwrap_or(default))?
+        } else if kind.is_fifo() {
+            // Nothing can be put back into a pipe, so only y4m, which needs no look ahead, can come from one.
+            y4m(BufReader::new(Waiting::named_pipe(path, is_stopped).map_err(unreadable)?), path, given, None)?
+        } else {
+            open_file(path, given, default)?
+        }
     };
-    Ok(Box::new(Clip::new(stream, path)?))
+    Ok(Box::new(Clip::new(stream, path, options.calibrated)?))
 }
 
 fn open_file(path: &Path, given: Option<FrameRate>, default: FrameRate) -> Result<Box<dyn PictureStream>, CaptureError> {
     let unreadable = |e| CaptureError::reading(path, e);
-    let mut file = File::open(path).map_err(unreadable)?;
+    let mut file = safe_file::open(path).map_err(unreadable)?;
     let mut start = Vec::new();
     (&mut file).take(12).read_to_end(&mut start).map_err(unreadable)?;
     if start.is_empty() {
         return Err(CaptureError::Empty { path: path.to_owned() });
     }
-    if file.seek(SeekFrom::Start(0)).is_err() {
-        file = File::open(path).map_err(unreadable)?; // a named pipe: nothing can be put back, so only y4m would have worked
-    }
+    file.seek(SeekFrom::Start(0)).map_err(unreadable)?;
     let bytes = file.metadata().map_err(unreadable)?.len();
     let input = BufReader::with_capacity(1 << 16, file);
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();

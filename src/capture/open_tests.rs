@@ -26,7 +26,7 @@ fn jpeg(level: u8) -> Vec<u8> {
 }
 
 fn rows(path: impl AsRef<Path>, fps: Option<f64>) -> Vec<Row> {
-    let mut clip = open_clip(path, ClipOptions { fps }).unwrap();
+    let mut clip = open_clip(path, ClipOptions { fps, ..ClipOptions::default() }).unwrap();
     assert_eq!(clip.size(), (32, 24));
     let expected = clip.rows();
     let rows: Vec<Row> = std::iter::from_fn(|| clip.next_row()).collect();
@@ -87,6 +87,65 @@ fn every_row_of_a_damaged_folder_keeps_its_number() {
     let rows = rows(&folder, None);
     assert_eq!(kinds(&rows), "SUFSSSUSFFUF");
     assert_eq!(stamps(&rows), [0, 10, 20, 20, 15, 30, 40, 40, 50, 60, 70, 80]);
+}
+
+#[test]
+fn names_that_lead_outside_of_the_clip_are_refused_with_their_line() {
+    let folder = written(PictureFormat::Png);
+    let outside = TempDir::new().unwrap();
+    fs::copy(folder.path().join("frames/000000.png"), outside.path().join("a.png")).unwrap();
+    let absolute = outside.path().join("a.png").display().to_string();
+    for name in ["../a.png", "frames/../../a.png", &absolute, ".."] {
+        fs::write(folder.path().join("timestamps.csv"), format!("#timestamp [ns],filename\n10,000000.png\n\n20,{name}\n")).unwrap();
+        let message = refusal(&folder).to_string();
+        assert!(message.contains("timestamps.csv line 4 names \"") && message.contains("outside of the clip; name pictures"), "{message}");
+    }
+    fs::write(folder.path().join("timestamps.csv"), "#timestamp [ns],filename\n10,./000000.png\n20,..png\n").unwrap();
+    assert_eq!(kinds(&rows(&folder, None)), "FU");
+}
+
+#[test]
+fn a_frame_that_is_no_plain_file_is_a_row_without_a_picture() {
+    let folder = written(PictureFormat::Png);
+    let frames = folder.path().join("frames");
+    nix::unistd::mkfifo(&frames.join("pipe.png"), nix::sys::stat::Mode::S_IRWXU).unwrap();
+    std::os::unix::fs::symlink("/dev/zero", frames.join("zero.png")).unwrap();
+    let csv = "#timestamp [ns],filename\n10,pipe.png\n20,000000.png\n30,zero.png\n40,.\n";
+    fs::write(folder.path().join("timestamps.csv"), csv).unwrap();
+    let rows = rows(&folder, None);
+    assert_eq!(kinds(&rows), "UFUU");
+    let RowContent::Undecodable(reason) = &rows[0].content else { panic!("{:?}", rows[0].content) };
+    assert!(reason.ends_with("pipe.png cannot be read: it is a named pipe, not a plain file"), "{reason}");
+    fs::remove_file(folder.path().join("timestamps.csv")).unwrap();
+    nix::unistd::mkfifo(&folder.path().join("timestamps.csv"), nix::sys::stat::Mode::S_IRWXU).unwrap();
+    assert!(refusal(&folder).to_string().contains("it is a named pipe, not a plain file; give a clip in plain files"));
+}
+
+#[test]
+fn a_stray_first_picture_does_not_make_all_others_strays() {
+    let folder = written(PictureFormat::Png);
+    GrayImage::new(64, 24).save(folder.path().join("frames/000000.png")).unwrap();
+    assert_eq!(kinds(&rows(&folder, None)), "SFFF");
+    let of = |calibrated| {
+        let mut clip = open_clip(&folder, ClipOptions { calibrated, ..ClipOptions::default() }).unwrap();
+        (clip.size(), kinds(&std::iter::from_fn(|| clip.next_row()).collect::<Vec<_>>()))
+    };
+    assert_eq!(of(Some((64, 24))), ((64, 24), "FSSS".to_owned()), "the calibration's size");
+    assert_eq!(of(Some((640, 240))), ((64, 24), "FSSS".to_owned()), "its shape");
+    assert_eq!(of(Some((640, 480))), ((32, 24), "SFFF".to_owned()));
+}
+
+#[test]
+fn a_picture_that_is_to_be_shown_turned_is_tracked_as_it_lies_and_said() {
+    let folder = TempDir::new().unwrap();
+    let mut bytes = Vec::new();
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new(&mut bytes);
+    image::ImageEncoder::set_exif_metadata(&mut encoder, crate::capture::grey::tests::exif(6)).unwrap();
+    picture(3).write_with_encoder(encoder).unwrap();
+    fs::write(folder.path().join("a.jpg"), bytes).unwrap();
+    assert_eq!(kinds(&rows(&folder, None)), "F");
+    let notes = open_clip(&folder, ClipOptions::default()).unwrap().notes();
+    assert!(notes[0].starts_with("row 0: the file says to show its picture turned by 90 degrees (EXIF)"), "{notes:?}");
 }
 
 #[test]
@@ -154,7 +213,7 @@ fn what_is_no_clip_says_so() {
     assert!(matches!(refusal(folder.path().join("empty.y4m")), CaptureError::Empty { .. }));
     fs::write(folder.path().join("broken.avi"), b"RIFF\x04\0\0\0AVI ").unwrap();
     assert!(matches!(refusal(folder.path().join("broken.avi")), CaptureError::Stream { .. }));
-    let bad_rate = open_clip(folder.path(), ClipOptions { fps: Some(0.0) }).err();
+    let bad_rate = open_clip(folder.path(), ClipOptions { fps: Some(0.0), ..ClipOptions::default() }).err();
     assert!(matches!(bad_rate, Some(CaptureError::Rate { .. })));
 }
 

@@ -26,10 +26,10 @@ impl PlayedClip {
     /// # Errors
     /// As [`open_clip`].
     pub fn open(clip: &Path, fps: Option<f64>) -> Result<Self, CaptureError> {
-        let first = open_clip(clip, ClipOptions { fps })?;
+        let first = open_clip(clip, ClipOptions { fps, ..ClipOptions::default() })?;
         let mut pictures = match clip.extension().and_then(|e| e.to_str()) {
             Some("mjpeg" | "mjpg") => {
-                let file = std::fs::File::open(clip).map_err(|e| CaptureError::reading(clip, e))?;
+                let file = crate::safe_file::open(clip).map_err(|e| CaptureError::reading(clip, e))?;
                 let size = first.size();
                 Pictures::Jpegs { reader: MjpegReader::new(Box::new(std::io::BufReader::new(file))), size, next: 0 }
             }
@@ -70,7 +70,7 @@ const LARGEST_ACCOUNT_BYTES: u64 = 1 << 20;
 fn recorded_exposure(clip: &Path) -> Option<f64> {
     let account = clip.join("clip.toml");
     std::fs::metadata(&account).ok().filter(|m| m.is_file() && m.len() <= LARGEST_ACCOUNT_BYTES)?;
-    let recording: Recording = toml::from_str(&std::fs::read_to_string(account).ok()?).ok()?;
+    let recording: Recording = toml::from_str(&String::from_utf8(crate::safe_file::read(&account, 1 << 20).ok()?).ok()?).ok()?;
     recording.camera.exposure_s
 }
 

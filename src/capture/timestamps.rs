@@ -51,7 +51,7 @@ fn check_header(first: &str, second: &str) -> Result<(), TimestampsError> {
     if good { Ok(()) } else { Err(TimestampsError::Header(shortened(&format!("{first},{second}")))) }
 }
 
-fn shortened(text: &str) -> String {
+pub(super) fn shortened(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(60).collect()
 }
 

@@ -26,6 +26,11 @@ impl<R> Paced<R> {
 /// A reader of one video format.
 pub(super) trait VideoReader: Send {
     fn next_data(&mut self) -> Option<PictureData>;
+
+    /// Whether all its pictures are of one size, by the form.
+    fn is_of_one_size(&self) -> bool {
+        false
+    }
 }
 
 impl<R: VideoReader> PictureStream for Paced<R> {
@@ -36,6 +41,10 @@ impl<R: VideoReader> PictureStream for Paced<R> {
         Some(Picture { stamp, data })
     }
 
+    fn is_of_one_size(&self) -> bool {
+        self.reader.is_of_one_size()
+    }
+
     fn pictures(&self) -> Option<u64> {
         self.total.map(|total| total.saturating_sub(self.next))
     }
@@ -44,6 +53,10 @@ impl<R: VideoReader> PictureStream for Paced<R> {
 impl<R: BufRead + Send> VideoReader for Y4mReader<R> {
     fn next_data(&mut self) -> Option<PictureData> {
         Some(self.next_luma()?.map_or_else(PictureData::Missing, PictureData::Grey))
+    }
+
+    fn is_of_one_size(&self) -> bool {
+        true
     }
 }
 

@@ -4,6 +4,7 @@ use std::io::{self, BufRead, Read};
 
 use image::GrayImage;
 
+use super::grey::check_size;
 use super::rate::FrameRate;
 
 /// A .y4m stream.
@@ -22,7 +23,7 @@ pub struct Y4mReader<R> {
 /// Longer than any header line in use.
 const LONGEST_LINE: u64 = 4096;
 /// As large as a picture may be on a side; larger is a damaged header.
-const LONGEST_SIDE: u32 = 16_384;
+const LONGEST_SIDE: u32 = 65_535;
 
 impl<R: BufRead> Y4mReader<R> {
     /// Reads the stream's header.
@@ -54,6 +55,7 @@ impl<R: BufRead> Y4mReader<R> {
         let (Some(width), Some(height)) = (width, height) else {
             return Err(format!("the y4m header has no picture size of 1 to {LONGEST_SIDE} pixels (W, H); make the clip again"));
         };
+        check_size(width, height).map_err(|e| e.to_string())?;
         let chroma_bytes = chroma_bytes(chroma, width.into(), height.into())?;
         Ok(Self { input, width, height, rate, chroma_bytes, header_bytes, frames_read: 0, ended: false })
     }

@@ -36,7 +36,9 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     let (mut camera, mut notes) = (settings.camera, settings.notes.clone());
     let (mut clip_line, mut shutter_lines) = (None, Vec::new());
     if let Some(clip) = &arguments.clip {
-        let source = open_clip(clip, ClipOptions { fps: None })?;
+        let calibrated = settings.lens.size(&settings.camera);
+        let source = open_clip(clip, ClipOptions { calibrated, ..ClipOptions::default() })?;
+        notes.extend(source.notes());
         let (width, height) = source.size();
         let (scaled, note) = settings.camera_for(width, height)?;
         camera = scaled;

@@ -52,6 +52,12 @@ pub enum Failure {
     /// An output or the HTTP server cannot be started (the message names it).
     #[error("{0}")]
     Publishing(String),
+    /// A signal came before there was anything to show.
+    #[error("interrupted before the first frame of the clip came; nothing was tracked")]
+    Interrupted,
+    /// A recording ended before its time.
+    #[error("the recording ended early: {0}")]
+    Recording(String),
     /// The demo ended early.
     #[error(transparent)]
     Demo(#[from] super::demo::DemoError),
@@ -106,6 +112,8 @@ impl Failure {
             | Self::ClipIsThere(_)
             | Self::Device(_)
             | Self::Publishing(_)
+            | Self::Interrupted
+            | Self::Recording(_)
             | Self::Demo(_)
             | Self::Calibration(_)
             | Self::Tracking(_) => 1,

@@ -1,4 +1,7 @@
 //! Ctrl-C: the first one asks the work to end with what is there, the second one ends it at once.
+//!
+//! What cannot be asked - a driver that does not come back, a disk that is gone - does not keep the process: where the
+//! first signal has not ended it within [`GRACE_S`], a timer does.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -6,11 +9,33 @@ use nix::sys::signal::{SigHandler, Signal, signal};
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
+/// How long an ordered end may take, seconds: a recorder brings what waits to the disk.
+const GRACE_S: u32 = 10;
+
 extern "C" fn on_signal(number: nix::libc::c_int) {
-    if INTERRUPTED.swap(true, Ordering::Relaxed) {
-        // SAFETY: `_exit` is async-signal-safe and takes nothing but a number.
-        unsafe { nix::libc::_exit(128 + number) }
+    let first = !INTERRUPTED.swap(true, Ordering::Relaxed);
+    // SAFETY: `_exit` and `alarm` are async-signal-safe and take nothing but a number.
+    unsafe {
+        if !first {
+            nix::libc::_exit(128 + number);
+        }
+        nix::libc::alarm(GRACE_S);
     }
+}
+
+extern "C" fn on_alarm(_: nix::libc::c_int) {
+    const LAST_WORDS: &[u8] = b"stagepose: interrupted, but something did not end in time; ended without it\n";
+    // SAFETY: `write` and `_exit` are async-signal-safe; the bytes live as long as the program.
+    unsafe {
+        nix::libc::write(2, LAST_WORDS.as_ptr().cast(), LAST_WORDS.len());
+        nix::libc::_exit(1);
+    }
+}
+
+/// A file that reaches the size that is allowed is an error like a full disk, not the end of the process.
+pub(super) fn outlive_file_limits() {
+    // SAFETY: ignoring a signal runs no code.
+    let _ = unsafe { signal(Signal::SIGXFSZ, SigHandler::SigIgn) };
 }
 
 /// Takes SIGINT and SIGTERM over. Where the system refuses, they end the process as ever.
@@ -19,6 +44,8 @@ pub(super) fn watch() {
         // SAFETY: the handler stores an atomic or calls `_exit`; both are async-signal-safe.
         let _ = unsafe { signal(number, SigHandler::Handler(on_signal)) };
     }
+    // SAFETY: the handler calls nothing but `write` and `_exit`, which are async-signal-safe.
+    let _ = unsafe { signal(Signal::SIGALRM, SigHandler::Handler(on_alarm)) };
 }
 
 /// True from the first Ctrl-C on.

@@ -13,12 +13,14 @@ mod failure;
 mod interrupt;
 mod listen;
 mod logging;
+mod output_file;
 pub mod overlay;
 mod receivers;
 mod record;
 mod replay;
 mod run;
 mod send_test;
+mod spared;
 mod text;
 
 use std::io::{self, Write as _};
@@ -67,6 +69,7 @@ pub fn run(started: Instant) -> ExitCode {
             return ExitCode::from(if error.use_stderr() { failure::USAGE } else { 0 });
         }
     };
+    interrupt::outlive_file_limits();
     let outcome = match arguments.command {
         Command::Replay(arguments) => replay::run(&arguments, started),
         Command::Check(arguments) => check::run(&arguments),

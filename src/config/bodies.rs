@@ -3,7 +3,8 @@
 use std::collections::HashSet;
 use std::path::Path;
 
-use image::GrayImage;
+use image::metadata::Orientation;
+use image::{DynamicImage, GrayImage};
 use nalgebra::Vector2;
 use toml::Spanned;
 
@@ -13,11 +14,14 @@ use super::origin::Origin;
 use super::rotation::{Turned, TypedRotation};
 use super::values::Section;
 use super::{ConfigError, Problem};
-use crate::camera::{CameraModel, Pixel};
+use crate::camera::{CameraModel, Pixel, plausible};
+use crate::capture::orientation_words;
 use crate::geometry::{Body, Pose, SurfaceFrame};
 use crate::track::{BodySpec, SurfaceError, SurfaceSpec};
 
 const STAGE: &str = "stage";
+/// Sides of a surface, metres: from a stamp to a stadium. What is beyond is a slip of the unit or of the point.
+const SURFACE_SIDE_M: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 
 /// Reads surfaces for one config: what they share, and the notes that they leave.
 pub(super) struct BodyReader<'a> {
@@ -35,6 +39,13 @@ impl BodyReader<'_> {
             return Err(self.origin.missing("the config".to_owned(), "stage.surface", mend));
         }
         Ok(BodySpec { name: STAGE.to_owned(), surfaces: self.surfaces(surfaces, "[[stage.surface]]")? })
+    }
+
+    /// What is rare in a camera is said.
+    pub fn note_camera(&mut self, name: &str, model: &CameraModel) {
+        // What is impossible was refused when its file was read.
+        let odd = plausible::judge(model).unwrap_or_default();
+        self.notes.extend(odd.into_iter().map(|sentence| format!("{name}: {sentence}")));
     }
 
     pub fn objects(&mut self, typed: &[Spanned<as_typed::Object>]) -> Result<Vec<BodySpec>, ConfigError> {
@@ -72,8 +83,12 @@ impl BodyReader<'_> {
             return Err(self.origin.missing(here(), "size_m", mend));
         };
         let size_m = typed_size.get_ref().values();
-        if !size_m.iter().all(|v| v.is_finite() && *v > 0.0) {
+        if !size_m.iter().all(|v| *v > 0.0) {
             let wanted = "a width and a height above 0 metres";
+            return Err(section.refuse("size_m", &typed_size.span(), Problem::Range { value: format!("{size_m:?}"), wanted }));
+        }
+        if !size_m.iter().all(|v| SURFACE_SIDE_M.contains(v)) {
+            let wanted = "a width and a height from 0.001 to 1000 metres";
             return Err(section.refuse("size_m", &typed_size.span(), Problem::Range { value: format!("{size_m:?}"), wanted }));
         }
         let rotation = TypedRotation {
@@ -111,7 +126,8 @@ impl BodyReader<'_> {
             let problem = Problem::Combination("it belongs to `photo`, but this surface has an `image`; remove it");
             return Err(section.refuse("photo_calibration", &calibration.span(), problem));
         }
-        let picture = section.picture("image", image)?;
+        let (picture, orientation) = section.picture("image", image)?;
+        let picture = self.upright(image.get_ref(), picture, orientation);
         self.note_pixel_shape(image.get_ref(), &picture, placed.size_m);
         SurfaceSpec::from_artwork(file_name(image.get_ref()), picture, placed.size_m, placed.pose)
             .map_err(|e| self.refused(section, "image", image, typed, placed, e))
@@ -135,7 +151,7 @@ impl BodyReader<'_> {
             let wanted = "four corners [u, v] in pixels";
             return Err(section.refuse("corners_px", &typed_corners.span(), Problem::Range { value: format!("{corners:?}"), wanted }));
         }
-        let picture = section.picture("photo", photo)?;
+        let picture = section.raw_picture("photo", photo, "corners_px and its calibration count")?;
         let camera = self.photo_camera(section, typed, photo.get_ref(), &picture)?;
         let corners = corners.map(|[u, v]| Pixel(Vector2::new(u, v)));
         SurfaceSpec::from_photograph(file_name(photo.get_ref()), &picture, corners, camera, placed.size_m, placed.pose)
@@ -153,6 +169,7 @@ impl BodyReader<'_> {
         let (width, height) = photo.dimensions();
         if let Some(file) = &typed.photo_calibration {
             let model = section.calibration("photo_calibration", file)?.model;
+            self.note_camera(file.get_ref(), &model);
             if (model.width(), model.height()) == (width, height) {
                 return Ok(model);
             }
@@ -181,6 +198,15 @@ impl BodyReader<'_> {
         let (cx, cy) = ((f64::from(width) - 1.0) / 2.0, (f64::from(height) - 1.0) / 2.0);
         let refuse = |e| section.refuse("photo", &(0..0), Problem::Camera(e));
         CameraModel::pinhole(width, height, focal, focal, cx, cy).map_err(refuse)
+    }
+
+    /// Artwork as it is shown: nobody has measured pixels in it.
+    fn upright(&mut self, name: &str, picture: GrayImage, orientation: Orientation) -> GrayImage {
+        let Some(words) = orientation_words(orientation) else { return picture };
+        self.notes.push(format!("{name}: it is {words} before use, as its file says (EXIF)"));
+        let mut shown = DynamicImage::ImageLuma8(picture);
+        shown.apply_orientation(orientation);
+        shown.into_luma8()
     }
 
     /// A wrong size is the likeliest mistake of all; pixels that are not square give it away.

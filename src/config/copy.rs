@@ -61,7 +61,7 @@ impl ConfigSource {
 }
 
 /// Every file that a config names, with the place of its name in the text.
-fn named_files(typed: &Config) -> Vec<(String, Range<usize>)> {
+pub(super) fn named_files(typed: &Config) -> Vec<(String, Range<usize>)> {
     let mut named: Vec<Option<&Spanned<String>>> = Vec::new();
     if let Some(camera) = &typed.camera {
         named.extend([camera.get_ref().calibration.as_ref(), camera.get_ref().mask.as_ref()]);

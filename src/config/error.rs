@@ -68,10 +68,12 @@ pub enum ConfigError {
         problem: Box<Problem>,
     },
     /// The clip's or the device's pictures do not fit the calibration.
-    #[error("{}: `calibration` in [camera]: {problem}", file.display())]
+    #[error("{}: `calibration` in [camera], line {line}: {problem}", file.display())]
     PictureSize {
         /// The config file.
         file: PathBuf,
+        /// 1-based.
+        line: usize,
         /// Why.
         problem: CameraError,
     },
@@ -142,6 +144,30 @@ pub enum Problem {
         file: PathBuf,
         /// What the decoder says.
         reason: DecodeError,
+    },
+    /// A picture of which raw pixels are wanted is to be shown turned.
+    #[error(
+        "{}: the file says to show it {words} (EXIF), but {pixels} the pixels as they lie in the file; remove that mark (exiftool -Orientation= FILE) and take them from the picture as it then shows",
+        file.display()
+    )]
+    PictureTurned {
+        /// The picture.
+        file: PathBuf,
+        /// How it is to be shown.
+        words: &'static str,
+        /// What goes by raw pixels.
+        pixels: &'static str,
+    },
+    /// A file that is written is one that is read.
+    #[error("{}: the config reads this file, which would be written over; give another name", .0.display())]
+    OutputIsInput(PathBuf),
+    /// A file that cannot be written.
+    #[error("{}: {reason}; give the name of a file in a folder that may be written", file.display())]
+    OutputFile {
+        /// The file.
+        file: PathBuf,
+        /// Why not.
+        reason: String,
     },
     /// A picture that cannot be tracked.
     #[error("{}: {reason}", file.display())]

@@ -158,7 +158,7 @@ fn osc_value(section: &Section<'_>, typed: &Spanned<as_typed::OutputValue>) -> R
     if value.quantity.is_none() {
         return Err(section.origin.missing(here(), "quantity", "quantity = \"x\", \"y\", \"z\", \"pan\", \"tilt\" or \"roll\""));
     }
-    let any = |_: f64| true;
+    let any = |v: f64| v.abs() <= 1e9;
     let clamp = match &value.clamp {
         None => None,
         Some(typed) => match typed.get_ref().values() {
@@ -173,8 +173,8 @@ fn osc_value(section: &Section<'_>, typed: &Spanned<as_typed::OutputValue>) -> R
     Ok(OscValue {
         address: template.map_err(|e| section.refuse("address", &address.span(), Problem::Template(e)))?,
         quantity: section.word("quantity", value.quantity.as_ref(), Quantity::X, &Quantity::WORDS, "x, y, z, pan, tilt or roll")?,
-        scale: section.number("factor", value.factor.as_ref(), 1.0, any, "a finite number")?,
-        offset: section.number("plus", value.plus.as_ref(), 0.0, any, "a finite number")?,
+        scale: section.number("factor", value.factor.as_ref(), 1.0, any, "a number from -1e9 to 1e9")?,
+        offset: section.number("plus", value.plus.as_ref(), 0.0, any, "a number from -1e9 to 1e9")?,
         clamp,
         every: section.count("every", value.every.as_ref(), 1, 1..=1000, "a whole number from 1 to 1000")? as u32,
     })

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::net::TcpListener;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use image::GrayImage;
@@ -10,6 +11,7 @@ use toml::Spanned;
 
 use super::as_typed::{self, ControlValue};
 use super::bodies::BodyReader;
+use super::copy::named_files;
 use super::filter::filter;
 use super::lens::{self, LensSource, lens};
 use super::origin::Origin;
@@ -31,6 +33,8 @@ pub struct Settings {
     pub file: PathBuf,
     /// It and all that it names, as they were read.
     pub source: ConfigSource,
+    /// Where the config names the calibration, 1-based; where it names none, its section.
+    pub calibration_line: usize,
     /// Where the camera's numbers come from.
     pub lens: LensSource,
     /// The camera at the calibration's own picture size (a guess: at any); [`camera_for`](Self::camera_for) fits it to a clip.
@@ -61,6 +65,8 @@ pub struct Settings {
     pub http: Option<HttpSettings>,
     /// What is logged, and how.
     pub log: LogSettings,
+    /// Every file that was read: the config and what it names.
+    pub files: Vec<PathBuf>,
     /// What was assumed or looks odd, one sentence each; `check` prints them.
     pub notes: Vec<String>,
 }
@@ -190,18 +196,26 @@ impl Settings {
         let (lens, model) = lens(&section, typed.camera.as_ref())?;
         let none = as_typed::Camera::default();
         let camera = typed.camera.as_ref().map_or(&none, Spanned::get_ref);
+        let calibration_line = camera.calibration.as_ref().map(Spanned::span).or(typed.camera.as_ref().map(Spanned::span));
+        let calibration_line = calibration_line.map_or(1, |span| origin.line(&span));
         let seconds = "seconds from 0 (unknown) to 1";
         let within = |v: f64| (0.0..=1.0).contains(&v);
         let exposure_s = section.number("exposure_s", camera.exposure_s.as_ref(), 0.0, within, seconds)?;
         let readout_s = section.number("readout_s", camera.readout_s.as_ref(), 0.0, within, seconds)?;
         let mask = camera.mask.as_ref().map(|m| mask(&section, m, lens.size(&model).map(|_| &model))).transpose()?;
         let mut bodies = BodyReader { origin: &origin, camera: model, lens: &lens, notes: &mut notes };
+        if let Some(calibration) = &camera.calibration {
+            bodies.note_camera(calibration.get_ref(), &model);
+        }
         let (stage, objects) = (bodies.stage(typed.stage.as_ref())?, bodies.objects(&typed.object)?);
         let outputs = OutputReader { origin: &origin, objects: objects.iter().map(|o| o.name.clone()).collect() };
+        let files = files_of(&typed, &origin);
+        refuse_overwriting(&typed, &origin, &files)?;
         Ok(Self {
             file: file.to_owned(),
             source: origin.files.with_config(file, text),
             lens,
+            calibration_line,
             camera: model,
             exposure_s,
             readout_s,
@@ -216,6 +230,7 @@ impl Settings {
             outputs: outputs.outputs(&typed.output)?,
             http: http(&origin, typed.http.as_ref())?,
             log: log(&origin, typed.log.as_ref())?,
+            files,
             notes,
         })
     }
@@ -234,7 +249,7 @@ impl Settings {
         let outputs = OutputReader { origin: &origin, objects: objects.clone() };
         Ok(SendingSettings {
             camera: found.map(|(_, camera)| camera),
-            outputs: outputs.outputs(&typed.output)?,
+            outputs: refuse_overwriting(&typed, &origin, &files_of(&typed, &origin)).and_then(|()| outputs.outputs(&typed.output))?,
             objects,
             safety: safety(&origin, typed.safety.as_ref())?,
             http: http(&origin, typed.http.as_ref())?,
@@ -248,7 +263,7 @@ impl Settings {
     /// [`ConfigError::PictureSize`] where the aspect ratio is another.
     pub fn camera_for(&self, width: u32, height: u32) -> Result<(CameraModel, Option<String>), ConfigError> {
         let (from_width, from_height) = (self.camera.width(), self.camera.height());
-        let problem = |problem| ConfigError::PictureSize { file: self.file.clone(), problem };
+        let problem = |problem| ConfigError::PictureSize { file: self.file.clone(), line: self.calibration_line, problem };
         if let LensSource::Guess(guess, None) = self.lens {
             let camera = guess.camera(width, height).map_err(problem)?;
             self.mask_fits(&camera)?;
@@ -309,8 +324,32 @@ fn mask_size_problem(file: PathBuf, (width, height): (u32, u32), camera: &Camera
     Problem::MaskSize { file, width, height, camera_width, camera_height }
 }
 
+/// Refuses an output's file that cannot be one: a folder, or a file that the config reads, by whatever name.
+fn refuse_overwriting(typed: &as_typed::Config, origin: &Origin<'_>, files: &[PathBuf]) -> Result<(), ConfigError> {
+    let identity = |file: &Path| std::fs::metadata(file).ok().map(|about| (about.dev(), about.ino()));
+    for file in typed.output.iter().filter_map(|output| output.get_ref().file.as_ref()).filter(|file| file.get_ref() != "-") {
+        let path = origin.beside(file.get_ref());
+        let Some(own) = identity(&path) else { continue };
+        let problem = if path.is_dir() {
+            Problem::OutputFile { file: path, reason: "it is a folder".to_owned() }
+        } else if files.iter().any(|read| identity(read) == Some(own)) {
+            Problem::OutputIsInput(path)
+        } else {
+            continue;
+        };
+        return Err(origin.value(OUTPUT, "file", &file.span(), problem));
+    }
+    Ok(())
+}
+
+/// Every file that a config names, and itself.
+fn files_of(typed: &as_typed::Config, origin: &Origin<'_>) -> Vec<PathBuf> {
+    let named = named_files(typed).into_iter().map(|(name, _)| origin.beside(&name));
+    std::iter::once(origin.file.to_owned()).chain(named).collect()
+}
+
 fn mask(section: &Section<'_>, typed: &Spanned<String>, camera: Option<&CameraModel>) -> Result<GrayImage, ConfigError> {
-    let picture = section.picture("mask", typed)?;
+    let picture = section.raw_picture("mask", typed, "a mask covers")?;
     let file = section.origin.beside(typed.get_ref());
     let (width, height) = picture.dimensions();
     // A mask painted on a scaled picture of the camera is as good.

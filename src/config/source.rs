@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::ConfigError;
+use crate::safe_file;
 
 /// A config's text, and what it names, as they were when it was read.
 #[derive(Debug, Clone)]
@@ -20,9 +21,17 @@ pub struct ConfigSource {
     pub(super) files: Arc<BTreeMap<PathBuf, Arc<[u8]>>>,
 }
 
+/// Longer than any config; an endless one is refused.
+const LARGEST_CONFIG_BYTES: u64 = 4 << 20;
+
 /// The text of a config file.
 pub(super) fn read_text(file: &Path) -> Result<String, ConfigError> {
-    std::fs::read_to_string(file).map_err(|e| ConfigError::Unreadable { file: file.to_owned(), reason: e.to_string() })
+    let unreadable = |e: std::io::Error| ConfigError::Unreadable { file: file.to_owned(), reason: e.to_string() };
+    let bytes = safe_file::read(file, LARGEST_CONFIG_BYTES).map_err(unreadable)?;
+    String::from_utf8(bytes).map_err(|e| {
+        let line = 1 + e.as_bytes()[..e.utf8_error().valid_up_to()].iter().filter(|b| **b == b'\n').count();
+        ConfigError::Syntax { file: file.to_owned(), line, reason: "a character is not UTF-8; save the file as UTF-8".to_owned() }
+    })
 }
 
 /// Reads each file once and keeps its bytes.

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use image::GrayImage;
+use image::metadata::Orientation;
 use nalgebra::Vector3;
 use toml::Spanned;
 
@@ -10,6 +11,8 @@ use super::as_typed::{Count, Exactly, Number};
 use super::origin::Origin;
 use super::{ConfigError, Problem};
 use crate::camera::{Calibration, calibration_bytes, parse_calibration};
+use crate::capture::{LARGEST_PICTURE_FILE, decode_oriented, orientation_words};
+use crate::safe_file;
 
 /// The section at hand, for messages.
 pub(super) struct Section<'a> {
@@ -101,13 +104,25 @@ impl Section<'_> {
         Err(self.refuse(key, &typed.span(), Problem::Range { value: format!("{position:?}"), wanted }))
     }
 
-    /// A picture as grey levels; its name is relative to the config's folder.
-    pub fn picture(&self, key: &str, typed: &Spanned<String>) -> Result<GrayImage, ConfigError> {
+    /// A picture as grey levels, and how its file says that it is to be shown; its name is relative to the config's folder.
+    pub fn picture(&self, key: &str, typed: &Spanned<String>) -> Result<(GrayImage, Orientation), ConfigError> {
         let file = self.origin.beside(typed.get_ref());
         let refuse = |problem| self.refuse(key, &typed.span(), problem);
-        let bytes = self.origin.files.get(&file, |file| std::fs::read(file));
+        let bytes = self.origin.files.get(&file, |file| safe_file::read(file, LARGEST_PICTURE_FILE));
         let bytes = bytes.map_err(|e| refuse(Problem::PictureFile { file: file.clone(), reason: e.to_string() }))?;
-        crate::capture::decode_grey(&bytes).map_err(|reason| refuse(Problem::PictureContent { file, reason }))
+        decode_oriented(&bytes).map_err(|reason| refuse(Problem::PictureContent { file, reason }))
+    }
+
+    /// A picture whose raw pixels mean something: one that is to be shown turned is refused, for whoever measured in it saw
+    /// other pixels than are read.
+    pub fn raw_picture(&self, key: &str, typed: &Spanned<String>, pixels: &'static str) -> Result<GrayImage, ConfigError> {
+        let (picture, orientation) = self.picture(key, typed)?;
+        match orientation_words(orientation) {
+            None => Ok(picture),
+            Some(words) => {
+                Err(self.refuse(key, &typed.span(), Problem::PictureTurned { file: self.origin.beside(typed.get_ref()), words, pixels }))
+            }
+        }
     }
 
     /// A calibration file; its name is relative to the config's folder.

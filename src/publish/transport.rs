@@ -3,7 +3,6 @@
 //! Nothing here waits for a receiver: a datagram that the system does not take at once is dropped and counted, a TCP client that does
 //! not read is disconnected. Trouble is logged once a minute.
 
-use std::fs::File;
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::path::Path;
@@ -13,6 +12,7 @@ use socket2::{Domain, Protocol, Socket, Type};
 use super::complaints::Complaints;
 use super::network::{Interface, needs_interface};
 use super::settings::{StreamSettings, UdpSettings};
+use crate::safe_file;
 
 /// All the places of one output.
 pub(super) struct Transport {
@@ -229,7 +229,10 @@ impl LineFile {
         let sink: Box<dyn Write + Send> = if file == Path::new("-") {
             Box::new(io::stdout())
         } else {
-            Box::new(File::create(file).map_err(|source| TransportError::File { file: name.clone(), source })?)
+            // A named pipe without a reader is refused instead of waited for; one that is full loses the newest lines.
+            let begun =
+                safe_file::open_output(file).and_then(|to| if to.metadata()?.is_file() { to.set_len(0).map(|()| to) } else { Ok(to) });
+            Box::new(begun.map_err(|source| TransportError::File { file: name.clone(), source })?)
         };
         Ok(Self { writer: BufWriter::new(sink), name, complaints: Complaints::new(output) })
     }

@@ -70,6 +70,48 @@ fn wait_for(log: &mut impl BufRead, text: &str) {
 }
 
 #[test]
+fn a_recording_that_the_disk_ends_is_no_success_and_tracking_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path());
+    // Smaller pictures than the fixture's, so that the copy of the config has room where a frame of 230 kB has none.
+    for name in ["backdrop.png", "flat.png"] {
+        let picture = image::open(folder.path().join(name)).unwrap().to_luma8();
+        let small = image::imageops::thumbnail(&picture, picture.width() / 3, picture.height() / 3);
+        small.save(folder.path().join(name)).unwrap();
+        assert!(std::fs::metadata(folder.path().join(name)).unwrap().len() < MOST);
+    }
+    const MOST: u64 = 200_000;
+    let mut command = stagepose(folder.path());
+    command.args(["record", "take", "--config", config.to_str().unwrap(), "--play", FIXTURE, "--poses", "live.jsonl"]);
+    // SAFETY: setrlimit is async-signal-safe, and nothing is allocated on the way to it.
+    unsafe {
+        use std::os::unix::process::CommandExt;
+        let limit = || nix::sys::resource::setrlimit(nix::sys::resource::Resource::RLIMIT_FSIZE, MOST, MOST);
+        command.pre_exec(move || limit().map_err(std::io::Error::from));
+    }
+    let recorded = command.output().unwrap();
+    let told = String::from_utf8_lossy(&recorded.stderr).into_owned();
+    assert_eq!(recorded.status.code(), Some(1), "{told}");
+    assert!(told.contains("stagepose: the recording ended early: take/frames/") && told.contains("make room on the disk"), "{told}");
+    let lines = std::fs::read_to_string(folder.path().join("live.jsonl")).unwrap().lines().count();
+    assert!(lines > 10, "{lines} records after the disk was full");
+}
+
+#[test]
+fn an_output_that_cannot_be_written_any_more_is_no_success() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path());
+    let run = ["run", "--config", config.to_str().unwrap(), "--play", FIXTURE, "--poses", "/dev/full"];
+    let ran = stagepose(folder.path()).args(run).output().unwrap();
+    let told = String::from_utf8_lossy(&ran.stderr).into_owned();
+    assert_eq!(ran.status.code(), Some(1), "{told}");
+    assert!(told.contains("stagepose: /dev/full: cannot be written"), "{told}");
+    let over = ["run", "--config", config.to_str().unwrap(), "--play", FIXTURE, "--events", "camera.toml"];
+    let ran = stagepose(folder.path()).args(over).output().unwrap();
+    assert_eq!(ran.status.code(), Some(2), "{}", String::from_utf8_lossy(&ran.stderr));
+}
+
+#[test]
 fn a_played_clip_is_recorded_and_replays_byte_for_byte() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());

@@ -6,7 +6,7 @@
 use std::collections::HashMap;
 
 use super::problem::{CalibrationProblem, Fault, missing};
-use super::{Calibration, CalibrationForm, IntrinsicsUncertainty, model};
+use super::{Calibration, CalibrationForm, IntrinsicsUncertainty, POSSIBLE_ERRORS, model};
 use crate::camera::Intrinsics;
 
 /// Every assignment that is read, and how many numbers it must have.
@@ -68,8 +68,8 @@ pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
 fn uncertainty(assigned: &Assigned) -> Result<Option<IntrinsicsUncertainty>, Fault> {
     for key in ["fc_error", "cc_error", "alpha_c_error", "kc_error"] {
         let Some((values, line)) = assigned.get(key) else { continue };
-        if let Some(&value) = values.iter().find(|v| !(v.is_finite() && **v >= 0.0)) {
-            let problem = CalibrationProblem::OutOfRange { key: key.to_owned(), value, expected: "finite numbers, 0 or above" };
+        if let Some(&value) = values.iter().find(|v| !POSSIBLE_ERRORS.contains(v)) {
+            let problem = CalibrationProblem::OutOfRange { key: key.to_owned(), value, expected: "numbers from 0 to 100000" };
             return Err(Fault { line: Some(*line), problem });
         }
     }

@@ -14,8 +14,11 @@ use std::path::Path;
 
 use super::doubt::IntrinsicsUncertainty;
 use super::model::{CameraModel, Intrinsics};
+use super::plausible;
 pub use problem::{CalibrationFileError, CalibrationProblem};
 use problem::{Fault, fault};
+
+use crate::safe_file;
 
 /// What a calibration file holds.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,6 +74,9 @@ impl Calibration {
     }
 }
 
+/// Errors and uncertainties that a file may tell of, in the units of their numbers: beyond them covariances run over.
+const POSSIBLE_ERRORS: std::ops::RangeInclusive<f64> = 0.0..=1e5;
+
 /// Larger than any calibration file by far, small enough to read in one go.
 const LARGEST_FILE_BYTES: u64 = 4 << 20;
 
@@ -88,13 +94,7 @@ pub fn read_calibration(path: &Path) -> Result<Calibration, CalibrationFileError
 /// When the file cannot be read, or is far too large.
 pub fn calibration_bytes(path: &Path) -> Result<Vec<u8>, CalibrationFileError> {
     let unreadable = |source| CalibrationFileError::Unreadable { path: path.to_owned(), source };
-    let file = std::fs::File::open(path).map_err(unreadable)?;
-    let mut bytes = Vec::new();
-    std::io::Read::read_to_end(&mut std::io::Read::take(file, LARGEST_FILE_BYTES + 1), &mut bytes).map_err(unreadable)?;
-    if bytes.len() as u64 > LARGEST_FILE_BYTES {
-        return Err(CalibrationFileError::at(path, fault(CalibrationProblem::UnknownForm)));
-    }
-    Ok(bytes)
+    safe_file::read(path, LARGEST_FILE_BYTES).map_err(unreadable)
 }
 
 /// Reads the bytes of a calibration file; `path` serves for its extension and the messages.
@@ -102,6 +102,15 @@ pub fn calibration_bytes(path: &Path) -> Result<Vec<u8>, CalibrationFileError> {
 /// # Errors
 /// As [`read_calibration`], without the reading.
 pub fn parse_calibration(bytes: &[u8], path: &Path) -> Result<Calibration, CalibrationFileError> {
+    // Comments in other encodings are common in files of other programs; ours are UTF-8.
+    let is_ours = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
+    if let Err(e) = std::str::from_utf8(bytes).map_err(|e| e.valid_up_to()) {
+        let line = 1 + bytes[..e].iter().filter(|b| **b == b'\n').count();
+        let problem = CalibrationProblem::Syntax { reason: "there is a character that is not UTF-8".to_owned() };
+        if is_ours {
+            return Err(CalibrationFileError::at(path, Fault { line: Some(line), problem }));
+        }
+    }
     let text = String::from_utf8_lossy(bytes);
     let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
     let parsed = match recognise(text, path) {
@@ -147,10 +156,12 @@ fn recognise(text: &str, path: &Path) -> Option<Grammar> {
 
 /// The model of `intrinsics`, with the line of the number that is wrong: `line_of(key)` knows where a key stands.
 fn model(intrinsics: Intrinsics, line_of: impl Fn(&str) -> Option<usize>) -> Result<CameraModel, Fault> {
-    use super::model::CameraError::{Aspect, FocalLength, NotFinite, Size};
-    CameraModel::new(intrinsics).map_err(|e| {
+    use super::model::CameraError::{Aspect, FocalLength, Implausible, NotFinite, NotInvertible, Size};
+    let possible = CameraModel::new(intrinsics).and_then(|model| plausible::judge(&model).map(|_| model));
+    possible.map_err(|e| {
         let key = match e {
-            NotFinite { name, .. } | FocalLength { name, .. } => name,
+            NotFinite { name, .. } | FocalLength { name, .. } | Implausible { name, .. } => name,
+            NotInvertible { .. } => "distortion",
             Size { width: 0, .. } => "width",
             Size { .. } | Aspect { .. } => "height",
         };

@@ -118,7 +118,7 @@ pub(super) fn fault(problem: CalibrationProblem) -> Fault {
     Fault { line: None, problem }
 }
 
-/// A key that is not there.
+/// A key that is not there. Its line is the first: there it may be added in every form.
 pub(super) fn missing(key: &str, hint: &'static str) -> Fault {
-    fault(CalibrationProblem::MissingKey { key: key.to_owned(), hint })
+    Fault { line: Some(1), problem: CalibrationProblem::MissingKey { key: key.to_owned(), hint } }
 }

@@ -7,7 +7,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::problem::{CalibrationProblem, Fault, missing};
-use super::{Calibration, CalibrationForm, IntrinsicsUncertainty, model};
+use super::{Calibration, CalibrationForm, IntrinsicsUncertainty, POSSIBLE_ERRORS, model};
 use crate::camera::Intrinsics;
 
 const KEYS: [&str; 12] = ["width", "height", "fx", "fy", "cx", "cy", "skew", "distortion", "rms_px", "images", "date", "uncertainty"];
@@ -51,10 +51,10 @@ fn uncertainty(root: &Section) -> Result<Option<IntrinsicsUncertainty>, Fault> {
     section.refuse_unknown(&UNCERTAINTY_KEYS)?;
     let sigma = |key: &str| {
         let value = section.at_least_zero(key)?;
-        value.ok_or_else(|| missing(&section.full(key), "its 3 sigma"))
+        value.ok_or_else(|| Fault { line: root.line("uncertainty"), ..missing(&section.full(key), "its 3 sigma") })
     };
     let distortion = section.distortion()?.unwrap_or_default();
-    if let Some(&value) = distortion.iter().find(|v| !(v.is_finite() && **v >= 0.0)) {
+    if let Some(&value) = distortion.iter().find(|v| !POSSIBLE_ERRORS.contains(v)) {
         return Err(section.out_of_range("distortion", value));
     }
     let skew = section.at_least_zero("skew")?.unwrap_or(0.0);
@@ -98,7 +98,7 @@ impl<'a> Section<'a> {
     }
 
     fn out_of_range(&self, key: &str, value: f64) -> Fault {
-        let problem = CalibrationProblem::OutOfRange { key: self.full(key), value, expected: "a finite number, 0 or above" };
+        let problem = CalibrationProblem::OutOfRange { key: self.full(key), value, expected: "a number from 0 to 100000" };
         Fault { line: self.line(key), problem }
     }
 
@@ -113,7 +113,7 @@ impl<'a> Section<'a> {
 
     fn at_least_zero(&self, key: &str) -> Result<Option<f64>, Fault> {
         match self.optional_number(key)? {
-            Some(value) if !(value.is_finite() && value >= 0.0) => Err(self.out_of_range(key, value)),
+            Some(value) if !POSSIBLE_ERRORS.contains(&value) => Err(self.out_of_range(key, value)),
             value => Ok(value),
         }
     }

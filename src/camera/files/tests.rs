@@ -148,6 +148,47 @@ fn wrong_values_are_named_with_key_and_line() {
 }
 
 #[test]
+fn a_key_that_stands_twice_is_refused_in_every_grammar_that_does_not_let_the_last_win() {
+    let message = refusal("c.yml", &format!("{OPENCV}image_width: 320\n"));
+    assert!(message.contains("line 20: `image_width` stands here again, after `image_width` in line 5; remove one"), "{message}");
+    let message = refusal("c.yaml", &format!("{ROS}Image_Height: 320\n"));
+    assert!(message.contains("`Image_Height` stands here again, after `image_height` in line 2"), "{message}");
+    assert!(refusal("c.yml", &OPENCV.replacen("rows: 3", "rows: 3\n   rows: 3", 1)).contains("line 9: `rows` stands here again"));
+}
+
+#[test]
+fn numbers_of_no_camera_are_refused_in_every_form() {
+    for (name, text, from, to, wanted) in [
+        ("c.toml", STAGEPOSE, "fx = 900.5", "fx = 1e300", "c.toml line 3: fx is 1e300, which no camera has"),
+        ("c.toml", STAGEPOSE, "cx = 640.25", "cx = 5000", "c.toml line 5: cx is 5000"),
+        ("c.toml", STAGEPOSE, "[-0.1,", "[1e6,", "c.toml line 8: distortion is [1000000.0"),
+        ("c.toml", STAGEPOSE, "width = 1280", "width = 4000000000", "c.toml line 1: width is 4e9"),
+        ("c.toml", STAGEPOSE, "fx = 1.0", "fx = 1e300", "`uncertainty.fx` is 1000"),
+        ("c.yml", OPENCV, "3.42e+02", "3.42e+08", "c.yml line 7: cx is 342000000"),
+        ("c.yaml", ROS, "-0.36,", "-36,", "c.yaml line 9: distortion is [-36.0"),
+        ("c.m", BOUGUET, "657.462 ;", "6.57462 ;", "c.m line 3: fx is 6.57462"),
+        ("c.m", BOUGUET, "-0.2553 ;", "2553e6 ;", "c.m line 6: distortion is [2553000000.0"),
+        ("c.m", BOUGUET, "0.317 ;", "1e300 ;", "c.m line 7: `fc_error` is 1000"),
+    ] {
+        let message = refusal(name, &text.replacen(from, to, 1));
+        assert!(message.contains(wanted), "{message}");
+    }
+}
+
+#[test]
+fn what_is_missing_and_what_is_no_text_has_a_line_too() {
+    for key in ["width", "fx", "cy", "distortion"] {
+        let text: String = STAGEPOSE.lines().filter(|line| !line.starts_with(key)).map(|line| format!("{line}\n")).collect();
+        assert!(refusal("c.toml", &text).contains(&format!("c.toml line 1: `{key}` is missing; add it")), "{key}");
+    }
+    let bytes = [&STAGEPOSE.as_bytes()[..20], b"\xe9", &STAGEPOSE.as_bytes()[20..]].concat();
+    let message = parse_calibration(&bytes, Path::new("c.toml")).unwrap_err().to_string();
+    assert_eq!(message, "c.toml line 2: there is a character that is not UTF-8; mend the file's syntax");
+    let latin = [b"% Kalibrierung f\xfcr B\xfchne\n", BOUGUET.as_bytes()].concat();
+    assert!(parse_calibration(&latin, Path::new("c.m")).is_ok(), "comments of other programs' files");
+}
+
+#[test]
 fn broken_yaml_and_unknown_forms_say_so() {
     assert!(refusal("c.yml", "image_width: [1, 2\nfoo: }\n").contains("mend the file's syntax"));
     assert!(refusal("c.yml", "").contains("is missing"));
@@ -177,12 +218,14 @@ fn real_files_are_read() {
 
 prop_compose! {
     fn calibrations()(
-        width in 1u32..9000, height in 1u32..9000, f in prop::array::uniform2(1e-3..1e5f64), c in prop::array::uniform2(-1e4..1e4f64),
-        skew in -1.0..1.0f64, distortion in prop::array::uniform5(-3.0..3.0f64), rms_px in prop::option::of(0.0..9.0f64),
+        width in 1u32..9000, height in 1u32..9000, f in 0.8..20.0f64, pixel in 0.5..2.0f64, c in prop::array::uniform2(0.0..1.0f64),
+        skew in -1.0..1.0f64, distortion in prop::array::uniform5(-0.01..0.01f64), rms_px in prop::option::of(0.0..9.0f64),
         images in prop::option::of(any::<u32>()), date in prop::option::of(".*"),
         sigma in prop::option::of(prop::array::uniform10(0.0..1e3f64)),
     ) -> Calibration {
-        let intrinsics = Intrinsics { width, height, fx: f[0], fy: f[1], cx: c[0], cy: c[1], skew, distortion };
+        let (w, h) = (f64::from(width), f64::from(height));
+        let fx = f * w.max(h);
+        let intrinsics = Intrinsics { width, height, fx, fy: pixel * fx, cx: c[0] * w, cy: c[1] * h, skew, distortion };
         let uncertainty = sigma.map(|s| IntrinsicsUncertainty {
             fx: s[0], fy: s[1], cx: s[2], cy: s[3], skew: s[4], distortion: [s[5], s[6], s[7], s[8], s[9]],
         });

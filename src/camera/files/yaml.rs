@@ -77,7 +77,15 @@ impl Open {
         match &mut self.node.content {
             Content::List(items) => items.push(child),
             Content::Map(entries) => match (self.key.take(), child.content) {
-                (Some((key, line)), content) => entries.push((key, Node { line, content })),
+                (Some((key, line)), content) => {
+                    if let Some((typed, before)) = entries.iter().find(|(known, _)| plain(known) == plain(&key)) {
+                        return Err(syntax(
+                            line,
+                            format!("`{key}` stands here again, after `{typed}` in line {}; remove one", before.line),
+                        ));
+                    }
+                    entries.push((key, Node { line, content }));
+                }
                 (None, Content::Scalar(key)) => self.key = Some((key, child.line)),
                 (None, _) => return Err(syntax(child.line, "a key must be a plain word")),
             },
@@ -87,11 +95,15 @@ impl Open {
     }
 }
 
+/// A key as it is looked up: files spell the same key in several ways.
+fn plain(name: &str) -> String {
+    name.replace('_', "").to_ascii_lowercase()
+}
+
 impl Node {
     /// The value of the first of `names` that the map has, whatever its case and underscores, with the name as typed.
     pub fn find(&self, names: &[&str]) -> Option<(&str, &Node)> {
         let Content::Map(entries) = &self.content else { return None };
-        let plain = |name: &str| name.replace('_', "").to_ascii_lowercase();
         let one = |name: &&str| entries.iter().find(|(k, _)| plain(k) == plain(name)).map(|(k, v)| (k.as_str(), v));
         names.iter().find_map(one)
     }

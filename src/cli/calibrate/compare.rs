@@ -37,6 +37,7 @@ pub(super) fn run(own: &Path, arguments: &CalibrateArguments) -> Result<(), Fail
         let why = "--output and --json need pictures to calibrate from; with two calibration files give --report only";
         return Err(Failure::Usage(why.to_owned()));
     }
+    output::refuse_unwritable(arguments)?;
     let comparison = between(&read(own)?.calibration.model, &read(other)?)?;
     print(&table(&comparison))?;
     match &arguments.report {

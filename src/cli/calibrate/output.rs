@@ -1,9 +1,12 @@
 //! Writing results: whole files or none.
 
-use std::path::{Path, PathBuf};
+use std::io::Write;
+use std::path::Path;
 
 use super::CalibrateArguments;
 use crate::cli::failure::Failure;
+use crate::cli::output_file::OutputFile;
+use crate::cli::spared::Spared;
 
 /// Writes a file beside its place and moves it there, so that what was there is replaced by a whole file or not at all.
 pub(in crate::cli) fn write(file: &Path, text: &str) -> Result<(), Failure> {
@@ -11,7 +14,7 @@ pub(in crate::cli) fn write(file: &Path, text: &str) -> Result<(), Failure> {
     let beside = file.with_file_name(format!(".{name}.{}", std::process::id()));
     // What is no plain file - a pipe, /dev/stdout - cannot be replaced, only written to.
     if std::fs::metadata(file).is_ok_and(|m| !m.is_file()) {
-        return std::fs::write(file, text).map_err(Failure::output(file));
+        return OutputFile::open(file)?.write_all(text.as_bytes()).map_err(Failure::output(file));
     }
     let written = std::fs::write(&beside, text).and_then(|()| std::fs::rename(&beside, file));
     if written.is_err() {
@@ -20,10 +23,15 @@ pub(in crate::cli) fn write(file: &Path, text: &str) -> Result<(), Failure> {
     written.map_err(Failure::output(file))
 }
 
-/// Finds an output's missing folder before the work is done, not after.
+/// Finds an output's missing folder, or that it would be written over what is read, before the work is done, not after.
 pub(super) fn refuse_unwritable(arguments: &CalibrateArguments) -> Result<(), Failure> {
-    let files: Vec<&PathBuf> = [&arguments.output, &arguments.report, &arguments.json].into_iter().flatten().collect();
-    for file in files {
+    let spared =
+        Spared::default().with_files(&arguments.images, "one of the pictures").with_files(&arguments.compare, "the other calibration");
+    let folders = arguments.images.iter().filter(|path| path.is_dir()).chain(&arguments.clip).chain(&arguments.play);
+    let mut spared = folders.fold(spared, |spared, folder| spared.with_clip(folder));
+    let named = [("--output", &arguments.output), ("--report", &arguments.report), ("--json", &arguments.json)];
+    for (flag, file) in named.iter().filter_map(|(flag, file)| Some((flag, file.as_ref()?))) {
+        spared.claim(flag, file)?;
         let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         if !folder.is_dir() || file.is_dir() {
             let source = std::io::Error::from(if file.is_dir() { std::io::ErrorKind::IsADirectory } else { std::io::ErrorKind::NotFound });

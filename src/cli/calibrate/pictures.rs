@@ -1,7 +1,9 @@
 //! The pictures: named ones, whole folders, or those of a clip that are worth having.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
@@ -10,9 +12,12 @@ use super::{CalibrateArguments, live};
 use crate::calibrate::board::Board;
 use crate::calibrate::pick::ViewPicker;
 use crate::calibrate::session::{Inspected, inspect};
-use crate::capture::{CaptureError, ClipOptions, RowContent, decode_grey, open_clip};
+use crate::capture::{
+    CaptureError, ClipOptions, LARGEST_PICTURE_FILE, RowContent, decode_oriented, open_clip, orientation_words, picture_size,
+};
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
+use crate::safe_file;
 
 /// What counts as a picture in a folder.
 const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
@@ -28,16 +33,18 @@ pub(super) fn inspected(arguments: &CalibrateArguments, board: &Board) -> Result
     }
     interrupt::watch();
     let bar = bar(Some(files.len() as u64));
+    let looking = Looking::default();
     let mut pictures: Vec<Inspected> = files
         .into_par_iter()
         .filter(|_| !interrupt::is_interrupted())
         .map(|file| {
-            let seen = look_at(file, board);
+            let seen = looking.look_at(file, board);
             bar.inc(1);
             seen
         })
         .collect();
     bar.finish_and_clear();
+    looking.say_turned();
     if let Some(clip) = &arguments.clip {
         pictures.extend(picked(clip, board)?);
     }
@@ -47,12 +54,51 @@ pub(super) fn inspected(arguments: &CalibrateArguments, board: &Board) -> Result
     Ok(pictures)
 }
 
-fn look_at(file: PathBuf, board: &Board) -> Inspected {
-    let decoded = std::fs::read(&file).map_err(|e| format!("cannot be read: {e}"));
-    match decoded.and_then(|bytes| decode_grey(&bytes).map_err(|e| e.to_string())) {
-        Ok(picture) => inspect(file, &picture, board),
-        Err(reason) => Inspected::unreadable(file, reason),
+/// Pixels of a picture beyond which it is looked at alone: all that is made of it takes about 14 bytes a pixel, and every
+/// processor looking at such a one would be more memory than small machines have.
+const LARGE_PIXELS: u64 = 16_000_000;
+
+/// What is shared by those that look at pictures side by side.
+#[derive(Default)]
+struct Looking {
+    /// Held while a large picture is looked at.
+    large: Mutex<()>,
+    /// Pictures that their files say to show turned.
+    turned: AtomicU64,
+}
+
+impl Looking {
+    fn look_at(&self, file: PathBuf, board: &Board) -> Inspected {
+        let bytes = match safe_file::read(&file, LARGEST_PICTURE_FILE) {
+            Ok(bytes) => bytes,
+            Err(e) => return Inspected::unreadable(file, format!("cannot be read: {e}")),
+        };
+        let is_large = picture_size(&bytes).is_some_and(|(w, h)| u64::from(w) * u64::from(h) > LARGE_PIXELS);
+        let _alone = is_large.then(|| self.large.lock().unwrap_or_else(PoisonError::into_inner));
+        match decode_oriented(&bytes) {
+            Ok((picture, orientation)) => {
+                self.turned.fetch_add(u64::from(orientation_words(orientation).is_some()), Ordering::Relaxed);
+                inspect(file, &picture, board)
+            }
+            Err(reason) => Inspected::unreadable(file, reason.to_string()),
+        }
     }
+
+    /// Says what is done with pictures that are to be shown turned.
+    fn say_turned(&self) {
+        let turned = self.turned.load(Ordering::Relaxed);
+        if turned > 0 {
+            note(&format!(
+                "{turned} of the pictures are to be shown turned (EXIF); they are used as their pixels lie in the file, which is how frames of \
+                 the camera are tracked"
+            ));
+        }
+    }
+}
+
+/// A sentence beside the results; a terminal that is gone is no reason to stop.
+fn note(sentence: &str) {
+    let _ = std::io::stderr().write_all(format!("stagepose: note: {sentence}\n").as_bytes());
 }
 
 /// The files themselves, and the pictures of the folders in the order of their names.
@@ -83,7 +129,7 @@ fn files_of(images: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
 
 /// The frames of a clip that are worth having.
 fn picked(clip: &Path, board: &Board) -> Result<Vec<Inspected>, Failure> {
-    let mut source = open_clip(clip, ClipOptions { fps: None })?;
+    let mut source = open_clip(clip, ClipOptions { is_stopped: Some(interrupt::is_interrupted), ..ClipOptions::default() })?;
     let bar = bar(source.rows());
     let mut picker = ViewPicker::new(*board);
     let (mut rows, mut readable, mut first_reason) = (0, 0, None);
@@ -101,6 +147,7 @@ fn picked(clip: &Path, board: &Board) -> Result<Vec<Inspected>, Failure> {
         }
     }
     bar.finish_and_clear();
+    source.notes().iter().for_each(|sentence| note(sentence));
     if readable == 0 && !interrupt::is_interrupted() {
         return Err(Failure::NoFrame { clip: clip.to_owned(), rows, first: first_reason });
     }

@@ -18,7 +18,8 @@ pub(super) fn lines(settings: &Settings, clip: &Path) -> Result<Vec<String>, Fai
     if clip == Path::new("-") {
         return Ok(vec!["not estimated: a clip from standard input cannot be read twice; save it to a file".to_owned()]);
     }
-    let open = || open_clip(clip, ClipOptions { fps: None }).map_err(Failure::from);
+    let calibrated = settings.lens.size(&settings.camera);
+    let open = || open_clip(clip, ClipOptions { calibrated, ..ClipOptions::default() }).map_err(Failure::from);
     let setup = tracker_setup(settings, open()?.size(), None)?;
     let mut matcher = Matcher::new(setup.camera, 0.0, 0.0, setup.mask, &setup.stage, &[], setup.settings);
     let estimate = estimate_shutter(open, &mut matcher)?;

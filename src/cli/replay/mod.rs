@@ -15,7 +15,9 @@ use crossbeam_channel::{Receiver, RecvTimeoutError};
 use super::failure::Failure;
 use super::interrupt;
 use super::logging::{self, LogArguments};
+use super::output_file::STDOUT;
 use super::receivers::Receivers;
+use super::spared::Spared;
 use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip};
 use crate::config::Settings;
 use crate::daemon::{Daemon, Delivery, Tracker, TrackerSetup};
@@ -24,7 +26,7 @@ use crate::record::PoseSample;
 use overlays::Overlays;
 use paced::Paced;
 use progress::Progress;
-use records::{Records, STDOUT};
+use records::Records;
 use summary::Tally;
 
 /// Track a recorded clip and write the camera's pose of every frame.
@@ -91,13 +93,24 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     logging::start(&arguments.log, settings.log);
     settings.notes.iter().for_each(|note| tracing::info!("{note}"));
     interrupt::watch();
-    let source = open_clip(&arguments.clip, ClipOptions { fps: arguments.fps })?;
+    let calibrated = settings.lens.size(&settings.camera);
+    let options = ClipOptions { fps: arguments.fps, calibrated, is_stopped: Some(interrupt::is_interrupted) };
+    let source = match open_clip(&arguments.clip, options) {
+        Err(_) if interrupt::is_interrupted() => return Err(Failure::Interrupted),
+        opened => opened?,
+    };
+    source.notes().iter().for_each(|note| tracing::warn!("{note}"));
     let setup = tracker_setup(&settings, source.size(), arguments.threads)?;
     let begun = ClipStart::default();
     let stamps = || Stamps::Recorded(begun.clone());
+    // All are opened before the first is emptied: a wrong name costs nothing that was there.
+    let mut spared = arguments.spared(&settings);
+    let (poses, tum) = (spared.open("--poses", arguments.poses.as_deref())?, spared.open("--tum", arguments.tum.as_deref())?);
+    let summary = spared.open("--summary", arguments.summary.as_deref())?;
+    arguments.claim_others(&settings, &mut spared)?;
     let receivers = arguments.outputs.then(|| Receivers::start(&settings, setup.camera, stamps(), arguments.fps)).transpose()?;
-    let mut records = Records::create(arguments.poses.as_deref(), arguments.tum.as_deref(), arguments.realtime)?;
-    let mut summary = arguments.summary.as_deref().map(records::Output::create).transpose()?;
+    let mut records = Records::begin(poses, tum, arguments.realtime)?;
+    let mut summary = summary.map(records::Output::begin).transpose()?;
     let overlay = arguments.overlay.as_deref().map(|dir| (dir, setup.clone()));
 
     // What is sent is sent at the pace at which it was recorded.
@@ -217,6 +230,19 @@ pub(in crate::cli) fn tracker_setup(
 }
 
 impl ReplayArguments {
+    /// What is read, and must not be written over.
+    fn spared(&self, settings: &Settings) -> Spared {
+        Spared::default().with_files(&settings.files, "a file of the config").with_clip(&self.clip)
+    }
+
+    /// Outputs that are opened later, by others.
+    fn claim_others(&self, settings: &Settings, spared: &mut Spared) -> Result<(), Failure> {
+        if let Some(folder) = &self.overlay {
+            spared.claim_folder("--overlay", folder)?;
+        }
+        if self.outputs { spared.claim_outputs(&settings.outputs) } else { Ok(()) }
+    }
+
     /// True where one output goes to stdout; two are refused.
     fn one_stdout(&self) -> Result<bool, Failure> {
         let outputs = [&self.poses, &self.tum, &self.summary];

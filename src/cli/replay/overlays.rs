@@ -1,6 +1,6 @@
 //! `--overlay DIR`: one JPEG a frame with what the tracker saw drawn on it.
 
-use std::fs::{File, create_dir_all};
+use std::fs::create_dir_all;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -14,6 +14,7 @@ use crate::cli::overlay::{self, Scene};
 use crate::daemon::TrackerSetup;
 use crate::frame::Frame;
 use crate::record::PoseSample;
+use crate::safe_file;
 use crate::track::{BodySpec, UsedPixel, UsedPixels};
 
 const QUALITY: u8 = 92;
@@ -50,7 +51,7 @@ impl Overlays {
 }
 
 fn write_jpeg(file: &Path, picture: &RgbImage) -> io::Result<()> {
-    let mut writer = BufWriter::new(File::create(file)?);
+    let mut writer = BufWriter::new(safe_file::replace(file)?);
     JpegEncoder::new_with_quality(&mut writer, QUALITY).encode_image(picture).map_err(io::Error::other)?;
     writer.flush()
 }

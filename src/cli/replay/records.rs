@@ -1,62 +1,36 @@
 //! The record files, written line by line as the samples come.
 
-use std::fs::{self, File, Metadata, OpenOptions};
-use std::io::{self, BufWriter, Write};
-use std::os::unix::fs::MetadataExt;
-use std::path::{Path, PathBuf};
+use std::io::{BufWriter, Write};
 
 use crate::cli::failure::Failure;
+use crate::cli::output_file::OutputFile;
 use crate::record::PoseSample;
 
-/// The file name that means standard output.
-pub(super) const STDOUT: &str = "-";
-
-/// A file or stdout, with its name for messages.
-pub(in crate::cli) struct Output {
-    file: PathBuf,
-    writer: BufWriter<Box<dyn Write>>,
-    /// Device and number of a plain file; none of pipes, devices and stdout.
-    identity: Option<(u64, u64)>,
-}
-
-/// What tells a plain file from all others, whatever its name.
-fn identity(metadata: &Metadata) -> Option<(u64, u64)> {
-    metadata.is_file().then(|| (metadata.dev(), metadata.ino()))
-}
+/// Lines on their way to a file.
+pub(in crate::cli) struct Output(BufWriter<OutputFile>);
 
 impl Output {
-    /// Creates the file, replacing what is there.
-    pub fn create(file: &Path) -> Result<Self, Failure> {
-        if file == Path::new(STDOUT) {
-            return Ok(Self { file: file.to_owned(), writer: BufWriter::new(Box::new(io::stdout())), identity: None });
-        }
-        Self::of(file, File::create(file).map_err(Failure::output(file))?)
-    }
-
-    fn of(file: &Path, opened: File) -> Result<Self, Failure> {
-        let identity = identity(&opened.metadata().map_err(Failure::output(file))?);
-        Ok(Self { file: file.to_owned(), writer: BufWriter::new(Box::new(opened)), identity })
+    /// Begins anew in a file; what was in it is gone.
+    pub fn begin(file: OutputFile) -> Result<Self, Failure> {
+        file.begin()?;
+        Ok(Self(BufWriter::new(file)))
     }
 
     /// Begins a new file where the one that was written to has been moved away or removed (a log rotation).
     pub fn reopen(&mut self) -> Result<(), Failure> {
         self.flush()?;
-        let there = fs::metadata(&self.file).ok().and_then(|metadata| identity(&metadata));
-        if self.identity.is_none() || there == self.identity {
-            return Ok(());
-        }
-        let opened = OpenOptions::new().create(true).append(true).open(&self.file).map_err(Failure::output(&self.file))?;
-        *self = Self::of(&self.file, opened)?;
-        Ok(())
+        self.0.get_mut().reopen()
     }
 
     fn write_line(&mut self, line: &str) -> Result<(), Failure> {
-        writeln!(self.writer, "{line}").map_err(Failure::output(&self.file))
+        let written = writeln!(self.0, "{line}");
+        written.map_err(Failure::output(&self.0.get_ref().name))
     }
 
     /// Brings everything written so far to the file: a full disk shows here at the latest.
     fn flush(&mut self) -> Result<(), Failure> {
-        self.writer.flush().map_err(Failure::output(&self.file))
+        let flushed = self.0.flush();
+        flushed.map_err(Failure::output(&self.0.get_ref().name))
     }
 
     /// Writes a whole text.
@@ -76,9 +50,9 @@ pub(in crate::cli) struct Records {
 }
 
 impl Records {
-    /// Creates the wanted files before anything is tracked, so that a wrong path is known at once.
-    pub fn create(poses: Option<&Path>, tum: Option<&Path>, every_line: bool) -> Result<Self, Failure> {
-        let (poses, tum) = (poses.map(Output::create).transpose()?, tum.map(Output::create).transpose()?);
+    /// Begins the wanted files.
+    pub fn begin(poses: Option<OutputFile>, tum: Option<OutputFile>, every_line: bool) -> Result<Self, Failure> {
+        let (poses, tum) = (poses.map(Output::begin).transpose()?, tum.map(Output::begin).transpose()?);
         Ok(Self { poses, tum, every_line, begun: false })
     }
 

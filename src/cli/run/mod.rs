@@ -15,7 +15,10 @@ use std::time::{Duration, Instant};
 use super::failure::Failure;
 use super::interrupt;
 use super::logging::{self, LogArguments};
+use super::output_file::OutputFile;
+use super::spared::Spared;
 use crate::config::Settings;
+use crate::contain;
 use crate::daemon::live::{Event, LiveLink};
 use service::Service;
 use session::{End, Session, Sinks};
@@ -58,6 +61,17 @@ pub(super) struct LiveArguments {
     log: LogArguments,
 }
 
+impl LiveArguments {
+    /// `--poses` and `--events`, open; none of them over what is read or over an output of the config.
+    fn open_sinks(&self, settings: &Settings) -> Result<(Option<OutputFile>, Option<OutputFile>), Failure> {
+        let spared = Spared::default().with_files(&settings.files, "a file of the config");
+        let mut spared = self.play.iter().fold(spared, |spared, clip| spared.with_clip(clip));
+        let (poses, events) = (spared.open("--poses", self.poses.as_deref())?, spared.open("--events", self.events.as_deref())?);
+        spared.claim_outputs(&settings.outputs)?;
+        Ok((poses, events))
+    }
+}
+
 pub(super) fn run(arguments: &RunArguments) -> Result<(), Failure> {
     live(&arguments.live, None)
 }
@@ -74,9 +88,10 @@ pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(
     interrupt::watch();
     interrupt::watch_service();
     // What the threads contain shall be in the log, not between its lines.
-    std::panic::set_hook(Box::new(|panic| tracing::error!("a part of the program failed: {panic}")));
+    contain::report_others(|panic| tracing::error!("a part of the program failed: {panic}"));
     let link = LiveLink::default();
-    let mut sinks = Sinks::create(arguments.poses.as_deref(), arguments.events.as_deref(), &link)?;
+    let (poses, events) = arguments.open_sinks(&settings)?;
+    let mut sinks = Sinks::begin(poses, events, &link)?;
     let mut service = Service::start(arguments.seconds);
     let mut previous: Option<Settings> = None;
     let mut failures: Vec<Instant> = Vec::new();
@@ -116,9 +131,10 @@ pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(
     };
     link.events.publish(Event::Ended { reason });
     service.end();
-    sinks.finish();
+    let written = sinks.finish();
     link.events.close();
-    outcome
+    let recorded = clips.cut_short().map_or(Ok(()), |reason| Err(Failure::Recording(reason)));
+    outcome.and(recorded).and(written)
 }
 
 /// Why this build cannot open a camera.

@@ -1,6 +1,6 @@
 //! One session: a camera, a tracker and what listens, under one config.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -14,6 +14,7 @@ use crate::capture::camera::CameraMode;
 use crate::capture::moment::monotonic_ns;
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
+use crate::cli::output_file::OutputFile;
 use crate::cli::receivers::Receivers;
 use crate::cli::replay::records::{Output, Records};
 use crate::cli::replay::tracker_setup;
@@ -27,6 +28,8 @@ use crate::web::RecorderState;
 
 /// Between two stale messages while a camera is waited for.
 const STALE_REPEAT: Duration = Duration::from_millis(100);
+/// A reader of `--poses` or `--events` that takes nothing for so long is given up: it holds up whoever else is told.
+const SLOW_READER: Duration = Duration::from_millis(200);
 
 /// Why a session ended.
 pub(super) enum End {
@@ -118,7 +121,7 @@ impl Session<'_> {
         receivers.close();
         let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
         if let Some(recorder) = recorder {
-            recorder.finish();
+            clips.ended(recorder.finish());
         }
         sinks.write_events();
         joined.map(|()| end)
@@ -206,14 +209,16 @@ pub(super) struct Sinks {
     poses: Option<Records>,
     events: Option<Output>,
     happening: EventListener,
+    /// Why the first of them was given up.
+    failure: Option<Failure>,
 }
 
 impl Sinks {
-    /// Creates the files.
-    pub fn create(poses: Option<&Path>, events: Option<&Path>, link: &LiveLink) -> Result<Self, Failure> {
-        let poses = poses.map(|file| Records::create(Some(file), None, true)).transpose()?;
-        let events = events.map(Output::create).transpose()?;
-        Ok(Self { poses, events, happening: link.events.listen() })
+    /// Begins the files.
+    pub fn begin(poses: Option<OutputFile>, events: Option<OutputFile>, link: &LiveLink) -> Result<Self, Failure> {
+        let poses = poses.map(|file| Records::begin(Some(file.with_patience(SLOW_READER)), None, true)).transpose()?;
+        let events = events.map(|file| Output::begin(file.with_patience(SLOW_READER))).transpose()?;
+        Ok(Self { poses, events, happening: link.events.listen(), failure: None })
     }
 
     /// Writes a sample's record; a stale message is none.
@@ -225,6 +230,7 @@ impl Sinks {
         if let Err(failure) = written {
             tracing::error!("{failure}; no more records are written");
             self.poses = None;
+            self.failure.get_or_insert(failure);
         }
     }
 
@@ -237,6 +243,7 @@ impl Sinks {
             if let Err(failure) = events.write_all_and_flush(&event.to_json_line()) {
                 tracing::error!("{failure}; no more events are written");
                 self.events = None;
+                self.failure.get_or_insert(failure);
             }
         }
     }
@@ -247,16 +254,22 @@ impl Sinks {
         if let Some(Err(failure)) = self.poses.as_mut().map(Records::reopen) {
             tracing::error!("{failure}; no more records are written");
             self.poses = None;
+            self.failure.get_or_insert(failure);
         }
         if let Some(Err(failure)) = self.events.as_mut().map(Output::reopen) {
             tracing::error!("{failure}; no more events are written");
             self.events = None;
+            self.failure.get_or_insert(failure);
         }
     }
 
     /// Writes what is left and closes the files.
-    pub fn finish(mut self) {
+    ///
+    /// # Errors
+    /// Why one of the files was given up, now or before. Tracking went on, but the file is not whole.
+    pub fn finish(mut self) -> Result<(), Failure> {
         self.write_events();
+        self.failure.map_or(Ok(()), Err)
     }
 }
 
@@ -264,12 +277,23 @@ impl Sinks {
 pub(super) struct Clips {
     asked: Option<PathBuf>,
     begun: u32,
+    /// Why the first of them that was asked for ended before its time.
+    cut_short: Option<String>,
 }
 
 impl Clips {
     /// `asked` is what the first session records to; later ones get a number behind it.
     pub fn new(asked: Option<PathBuf>) -> Self {
-        Self { asked, begun: 0 }
+        Self { asked, begun: 0, cut_short: None }
+    }
+
+    /// Why a recording that was asked for by name is not whole.
+    pub fn cut_short(self) -> Option<String> {
+        self.cut_short.filter(|_| self.asked.is_some())
+    }
+
+    fn ended(&mut self, reason: Option<String>) {
+        self.cut_short = self.cut_short.take().or(reason);
     }
 
     fn next(&mut self, settings: &RecorderSettings) -> Option<PathBuf> {

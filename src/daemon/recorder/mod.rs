@@ -57,7 +57,7 @@ enum Job {
 pub struct Recorder {
     jobs: Sender<Job>,
     queue: Arc<Queue>,
-    thread: JoinHandle<()>,
+    thread: JoinHandle<Option<String>>,
 }
 
 /// What waits for the disk.
@@ -82,8 +82,17 @@ impl Recorder {
         }
         let (jobs, to_do) = bounded(MOST_WAITING);
         let queue = Arc::new(Queue::default());
-        let work =
-            Work { plan, clip, ring, disk, link: link.clone(), queue: queue.clone(), recent: VecDeque::new(), synced: Instant::now() };
+        let work = Work {
+            plan,
+            clip,
+            ring,
+            disk,
+            link: link.clone(),
+            queue: queue.clone(),
+            recent: VecDeque::new(),
+            synced: Instant::now(),
+            stopped: None,
+        };
         let thread = std::thread::Builder::new().name("recorder".to_owned()).spawn(move || work.run(&to_do, &events))?;
         Ok(Self { jobs, queue, thread })
     }
@@ -111,12 +120,12 @@ impl Recorder {
         }
     }
 
-    /// Writes what waits, and ends. The daemon with its observer must have ended before.
-    pub fn finish(self) {
+    /// Writes what waits, and ends; tells why the recording ended before its time, where it did. The daemon with its
+    /// observer must have ended before.
+    pub fn finish(self) -> Option<String> {
         let Self { jobs, queue: _, thread } = self;
         drop(jobs);
-        // A recorder that failed has said so.
-        let _ = thread.join();
+        thread.join().unwrap_or_else(|_| Some("the recorder failed; please report it".to_owned()))
     }
 }
 
@@ -147,10 +156,13 @@ struct Work {
     queue: Arc<Queue>,
     recent: VecDeque<StampedEvent>,
     synced: Instant,
+    /// Why it gave up.
+    stopped: Option<String>,
 }
 
 impl Work {
-    fn run(mut self, jobs: &Receiver<Job>, events: &Receiver<StampedEvent>) {
+    /// Why it gave up, where it did.
+    fn run(mut self, jobs: &Receiver<Job>, events: &Receiver<StampedEvent>) -> Option<String> {
         loop {
             select! {
                 recv(jobs) -> job => match job {
@@ -178,6 +190,7 @@ impl Work {
         if self.link.statistics.recorder() == RecorderState::Recording {
             self.link.statistics.set_recorder(RecorderState::Off);
         }
+        self.stopped
     }
 
     fn row(&mut self, row: &Recorded) {
@@ -216,6 +229,7 @@ impl Work {
         if self.clip.take().is_none() & self.ring.take().is_none() {
             return;
         }
+        self.stopped = Some(reason.to_owned());
         self.link.statistics.set_recorder(RecorderState::Stopped);
         self.link.events.publish(Event::RecorderStopped { reason: reason.to_owned() });
     }

@@ -1,6 +1,0 @@
-//! The grey decoder on arbitrary bytes.
-#![no_main]
-
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
-    let _ = stagepose::capture::decode_grey(bytes);
-});

@@ -1,0 +1,190 @@
+//! Whether the numbers of a calibration can be those of a camera.
+//!
+//! Numbers that are finite may still be nonsense: a slipped point, a line of another file, another picture size. A tracker
+//! with such a camera finds nothing, or something wrong, and never says why. What no camera can have is an error; what is
+//! only rare is said. The bounds are wide: they shall catch slips, not judge lenses.
+
+use std::ops::RangeInclusive;
+
+use nalgebra::Vector2;
+
+use super::model::{CameraError, CameraModel, Intrinsics, Pixel};
+
+/// Focal lengths, longer sides of the picture. A tenth is 157 degrees across, which Brown's model cannot bend; a hundred is half
+/// a degree, the longest broadcast lenses.
+const FOCAL_SIDES: RangeInclusive<f64> = 0.1..=100.0;
+/// Beyond these (120 degrees, 3 degrees) a focal length is worth a word.
+const USUAL_FOCAL_SIDES: RangeInclusive<f64> = 0.28..=20.0;
+/// fx / fy. Anamorphic lenses and halved lines reach 2.
+const PIXEL_SHAPE: RangeInclusive<f64> = 0.25..=4.0;
+/// Beyond these pixels that are not square are worth a word.
+const USUAL_PIXEL_SHAPE: RangeInclusive<f64> = 0.9..=1.1;
+/// Principal point as a share of the picture. Cut pictures may have it outside, by no more than half of themselves.
+const CENTRE: RangeInclusive<f64> = -0.5..=1.5;
+/// Beyond these it is worth a word.
+const USUAL_CENTRE: RangeInclusive<f64> = 0.25..=0.75;
+/// alpha_c of a sensor that leans by 45 degrees.
+const LARGEST_SKEW: f64 = 1.0;
+/// Beyond this, 3 degrees, it is worth a word.
+const USUAL_SKEW: f64 = 0.05;
+/// How many times as far from the axis a ray may be as the lens shows it. Barrel distortion of the widest lenses reaches 4,
+/// pincushion distortion 0.7.
+const BENT: RangeInclusive<f64> = 0.5..=8.0;
+/// Share of the picture that must have rays. Fitted polynomials fold in the corners of good calibrations too.
+const LEAST_INVERTIBLE: f64 = 0.75;
+/// Sides of a picture, pixels: no file form holds longer ones.
+const LONGEST_SIDE: u32 = 65_535;
+/// The picture is asked at so many places along each side, edges included.
+const ASKED: u32 = 17;
+
+/// Refuses what no camera has; gives what is rare, a sentence each.
+///
+/// # Errors
+/// [`CameraError::Implausible`] with what is wrong and what is possible, or [`CameraError::NotInvertible`].
+pub fn judge(model: &CameraModel) -> Result<Vec<String>, CameraError> {
+    let i = model.intrinsics();
+    let longer = f64::from(i.width.max(i.height));
+    let side = |name, side: u32| allow(name, side.into(), side <= LONGEST_SIDE, || format!("at most {LONGEST_SIDE} pixels"));
+    side("width", i.width)?;
+    side("height", i.height)?;
+    for (name, focal) in [("fx", i.fx), ("fy", i.fy)] {
+        let possible =
+            || format!("from {} to {} pixels for pictures of this size", FOCAL_SIDES.start() * longer, FOCAL_SIDES.end() * longer);
+        allow(name, focal, FOCAL_SIDES.contains(&(focal / longer)), possible)?;
+    }
+    allow("fy", i.fy, PIXEL_SHAPE.contains(&(i.fx / i.fy)), || format!("within a factor of {} of fx, {}", PIXEL_SHAPE.end(), i.fx))?;
+    for (name, centre, side) in [("cx", i.cx, i.width), ("cy", i.cy, i.height)] {
+        let side = f64::from(side);
+        let possible = || format!("from {} to {}, half a picture outside of it at most", CENTRE.start() * side, CENTRE.end() * side);
+        allow(name, centre, CENTRE.contains(&(centre / side)), possible)?;
+    }
+    allow("skew", i.skew, i.skew.abs() <= LARGEST_SKEW, || format!("from -{LARGEST_SKEW} to {LARGEST_SKEW}"))?;
+    let mut odd = unusual(i);
+    odd.extend(judge_distortion(model)?);
+    Ok(odd)
+}
+
+fn allow(name: &'static str, value: f64, is_possible: bool, possible: impl Fn() -> String) -> Result<(), CameraError> {
+    if is_possible { Ok(()) } else { Err(CameraError::Implausible { name, value, possible: possible() }) }
+}
+
+fn unusual(i: &Intrinsics) -> Vec<String> {
+    let longer = f64::from(i.width.max(i.height));
+    let mut odd = Vec::new();
+    if !USUAL_FOCAL_SIDES.contains(&(i.fx / longer)) {
+        let across = 2.0 * (0.5 * f64::from(i.width) / i.fx).atan().to_degrees();
+        odd.push(format!("its focal length of {} pixels is rare: {across:.1} degrees across the picture", i.fx));
+    }
+    if !USUAL_PIXEL_SHAPE.contains(&(i.fx / i.fy)) {
+        odd.push(format!("its pixels are {:.3} times as wide as high (fy / fx)", i.fy / i.fx));
+    }
+    for (name, centre, side) in [("cx", i.cx, i.width), ("cy", i.cy, i.height)] {
+        if !USUAL_CENTRE.contains(&(centre / f64::from(side))) {
+            odd.push(format!(
+                "its {name} of {centre} is far from the middle of {side} pixels; was the picture cut after it was calibrated?"
+            ));
+        }
+    }
+    if i.skew.abs() > USUAL_SKEW {
+        odd.push(format!("its skew of {} is that of a sensor that leans by {:.0} degrees", i.skew, i.skew.atan().to_degrees()));
+    }
+    odd
+}
+
+/// Looks whether the pixels of the picture have rays, and such as a lens could bend.
+fn judge_distortion(model: &CameraModel) -> Result<Option<String>, CameraError> {
+    let i = model.intrinsics();
+    if i.distortion == [0.0; 5] {
+        return Ok(None);
+    }
+    let at = |k: u32, side: u32| f64::from(side) * f64::from(k) / f64::from(ASKED - 1) - 0.5;
+    let (mut rays, mut sound) = (0, 0);
+    for (row, column) in (0..ASKED).flat_map(|row| (0..ASKED).map(move |column| (row, column))) {
+        let pixel = Vector2::new(at(column, i.width), at(row, i.height));
+        let Some(ray) = model.unproject(Pixel(pixel)) else { continue };
+        rays += 1;
+        let straight = model.from_undistorted_pixel(pixel).0.norm();
+        // Near the axis the tangential terms alone decide, and 0 / 0 says nothing.
+        sound += u32::from(straight < 0.05 || BENT.contains(&(ray.0.norm() / straight)));
+    }
+    let share = f64::from(sound) / f64::from(ASKED * ASKED);
+    if share < LEAST_INVERTIBLE {
+        return Err(CameraError::NotInvertible { distortion: i.distortion, percent: 100.0 * (1.0 - share) });
+    }
+    let without = 100.0 * (1.0 - f64::from(rays) / f64::from(ASKED * ASKED));
+    Ok((without > 0.0).then(|| format!("its distortion folds over {without:.0} % of the picture, at the edges: what is there is not used")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: Intrinsics = Intrinsics {
+        width: 160,
+        height: 120,
+        fx: 150.0,
+        fy: 151.0,
+        cx: 79.0,
+        cy: 60.0,
+        skew: 0.0,
+        distortion: [-0.3, 0.1, 0.001, -0.001, 0.0],
+    };
+
+    fn judged(change: impl Fn(&mut Intrinsics)) -> Result<Vec<String>, String> {
+        let mut numbers = GOOD;
+        change(&mut numbers);
+        judge(&CameraModel::new(numbers).unwrap()).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn what_no_camera_has_is_refused_with_what_is_possible() {
+        assert_eq!(judged(|_| {}), Ok(vec![]));
+        let message = |change: fn(&mut Intrinsics)| judged(change).unwrap_err();
+        assert_eq!(
+            message(|i| i.fx = 1e300).split("; ").next().unwrap_or_default(),
+            "fx is 1e300, which no camera has: it can be from 16 to 16000 pixels for pictures of this size"
+        );
+        assert!(message(|i| i.fy = 1e-3).starts_with("fy is 0.001, which no camera has"));
+        assert!(message(|i| i.cx = 5000.0).starts_with("cx is 5000, which no camera has: it can be from -80 to 240"));
+        assert!(message(|i| i.cy = -61.0).starts_with("cy is -61, "));
+        assert!(message(|i| i.skew = 2.0).starts_with("skew is 2, "));
+        assert!(message(|i| (i.fx, i.fy) = (100.0, 1000.0)).starts_with("fy is 1000, "));
+        assert!(message(|i| (i.width, i.fx, i.fy, i.cx) = (70_000, 1e5, 1e5, 35_000.0)).starts_with("width is 70000, "));
+    }
+
+    #[test]
+    fn distortion_that_bends_no_picture_is_refused() {
+        for at in 0..5 {
+            for k in [1e6, -1e6, 1e300, -1e300] {
+                let refused = judged(|i| i.distortion[at] = k).unwrap_err();
+                assert!(refused.contains("% of the picture"), "{at} {k}: {refused}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_rare_is_said() {
+        let said = |change: fn(&mut Intrinsics)| judged(change).unwrap().join("; ");
+        assert!(said(|i| (i.fx, i.fy) = (8000.0, 8000.0)).contains("1.1 degrees across"));
+        assert!(said(|i| i.cx = 20.0).contains("far from the middle"));
+        assert!(said(|i| i.fy = 200.0).contains("1.333 times as wide as high"));
+        assert!(said(|i| i.skew = 0.1).contains("leans by 6 degrees"));
+        assert!(said(|i| i.distortion = [-0.55, 0.0, 0.0, 0.0, 0.0]).contains("of the picture, at the edges"));
+    }
+
+    #[test]
+    fn real_wide_lenses_are_good() {
+        // The webcams and action cameras of OpenCV's and ROS's samples, and the thesis' camera.
+        let lens = |width, height, f, c: [f64; 2], distortion| {
+            let [cx, cy] = c;
+            judge(&CameraModel::new(Intrinsics { width, height, fx: f, fy: f, cx, cy, skew: 0.0, distortion }).unwrap())
+        };
+        for judged in [
+            lens(640, 480, 535.9, [342.3, 235.6], [-0.2664, -0.0386, 0.0018, -0.0003, 0.2385]),
+            lens(752, 480, 458.7, [367.2, 248.4], [-0.2834, 0.0740, 0.0002, 1.8e-5, 0.0]),
+            lens(4288, 2848, 4178.8, [2191.2, 1412.2], [-0.1317, 0.2129, -0.0006, 0.0026, 0.0]),
+        ] {
+            assert_eq!(judged, Ok(vec![]));
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! Reading from a pipe without being held by it: whoever writes may be slow, stop, or never come.
+//!
+//! A read that waits cannot be called off. So this reader asks first whether there is something, a tenth of a second at
+//! a time, and looks in between whether it is still wanted. Where it is not, the pipe is at its end.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::os::fd::AsFd;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use nix::libc;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+
+/// Between two looks whether the end is asked for.
+const LOOK: Duration = Duration::from_millis(100);
+/// How long a named pipe may be without anybody who writes to it.
+const WRITER_WAIT: Duration = Duration::from_secs(5);
+
+/// A pipe that is read as long as it is wanted.
+pub(super) struct Waiting {
+    file: File,
+    is_stopped: fn() -> bool,
+    /// Until when the first writer may come; `None` once something came.
+    writer_until: Option<Instant>,
+}
+
+impl Waiting {
+    /// Standard input.
+    ///
+    /// # Errors
+    /// When it is closed.
+    pub fn stdin(is_stopped: fn() -> bool) -> io::Result<Self> {
+        let file = File::from(io::stdin().as_fd().try_clone_to_owned()?);
+        Ok(Self { file, is_stopped, writer_until: None })
+    }
+
+    /// A named pipe, opened whether somebody writes to it or not.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn named_pipe(path: &Path, is_stopped: fn() -> bool) -> io::Result<Self> {
+        use std::os::unix::fs::OpenOptionsExt;
+        let file = std::fs::OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path)?;
+        Ok(Self { file, is_stopped, writer_until: Some(Instant::now() + WRITER_WAIT) })
+    }
+}
+
+impl Read for Waiting {
+    fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
+        loop {
+            if (self.is_stopped)() {
+                return Ok(0);
+            }
+            let mut asked = [PollFd::new(self.file.as_fd(), PollFlags::POLLIN)];
+            let look = PollTimeout::try_from(LOOK).unwrap_or(PollTimeout::ZERO);
+            match poll(&mut asked, look) {
+                Ok(0) if self.writer_until.is_none() => continue,
+                // Without data a pipe that nobody has opened for writing is told from a slow writer by reading.
+                Ok(_) => {}
+                Err(nix::errno::Errno::EINTR) => continue,
+                Err(e) => return Err(e.into()),
+            }
+            match (self.file.read(to), self.writer_until) {
+                (Ok(0), Some(until)) if Instant::now() < until => std::thread::sleep(LOOK / 5),
+                (Ok(0), Some(_)) => return Err(io::Error::other("nobody writes to this named pipe")),
+                (Ok(n), _) => {
+                    self.writer_until = None;
+                    return Ok(n);
+                }
+                (Err(e), _) if e.kind() == io::ErrorKind::WouldBlock => self.writer_until = None,
+                (Err(e), _) => return Err(e),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    use super::*;
+
+    fn pipe() -> (tempfile::TempDir, std::path::PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pipe");
+        nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        (folder, path)
+    }
+
+    #[test]
+    fn a_writer_may_come_late_and_pause() {
+        let (_folder, path) = pipe();
+        let mut reader = Waiting::named_pipe(&path, || false).unwrap();
+        let writer = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(150));
+            let mut to = std::fs::OpenOptions::new().write(true).open(path).unwrap();
+            to.write_all(b"one").unwrap();
+            std::thread::sleep(Duration::from_millis(250));
+            to.write_all(b"two").unwrap();
+        });
+        let mut text = String::new();
+        reader.read_to_string(&mut text).unwrap();
+        assert_eq!(text, "onetwo");
+        writer.join().unwrap();
+    }
+
+    #[test]
+    fn a_writer_that_says_nothing_is_left_when_the_end_is_asked_for() {
+        static STOP: AtomicBool = AtomicBool::new(false);
+        let (_folder, path) = pipe();
+        let mut reader = Waiting::named_pipe(&path, || STOP.load(Ordering::Relaxed)).unwrap();
+        let _writer = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
+        let asked = std::thread::spawn(|| {
+            std::thread::sleep(Duration::from_millis(150));
+            STOP.store(true, Ordering::Relaxed);
+        });
+        assert_eq!(reader.read(&mut [0; 8]).unwrap(), 0);
+        asked.join().unwrap();
+    }
+}

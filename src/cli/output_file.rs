@@ -1,0 +1,166 @@
+//! A file that a command writes: opened without waiting for anybody, written without being held by anybody.
+//!
+//! Beside plain files there are outputs that are read while they are written: standard output, a named pipe, a terminal.
+//! Whoever reads them may stop. So nothing here waits longer than until the end is asked for.
+
+use std::fs::{File, Metadata};
+use std::io::{self, Seek, SeekFrom, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+
+use super::failure::Failure;
+use super::interrupt;
+use crate::safe_file;
+
+/// The file name that means standard output.
+pub(super) const STDOUT: &str = "-";
+
+/// An output that is open.
+#[derive(Debug)]
+pub(super) struct OutputFile {
+    /// Its name, for messages.
+    pub name: PathBuf,
+    to: File,
+    is_plain: bool,
+    /// How long a reader may take nothing; `None` is until the end is asked for.
+    patience: Option<Duration>,
+}
+
+/// What a pipe takes at once or not at all: one that is ready for writing has room for so much (POSIX).
+const PIPE_PIECE: usize = 4096;
+/// Between two looks whether the end is asked for.
+const LOOK: Duration = Duration::from_millis(100);
+
+impl OutputFile {
+    /// Opens or makes a file, or takes standard output for `-`. What is in it stays until [`begin`](Self::begin).
+    ///
+    /// # Errors
+    /// When the system refuses, when nobody reads a named pipe, and for what no output belongs in: folders, disks, sockets.
+    pub fn open(name: &Path) -> Result<Self, Failure> {
+        let opened = if name == Path::new(STDOUT) { stdout() } else { safe_file::open_output(name) };
+        let described = opened.and_then(|to| to.metadata().map(|about| (to, about.is_file())));
+        let (to, is_plain) = described.map_err(Failure::output(name))?;
+        Ok(Self { name: name.to_owned(), to, is_plain, patience: None })
+    }
+
+    /// For outputs of a running show: a reader that takes nothing for so long is given up.
+    pub fn with_patience(self, patience: Duration) -> Self {
+        Self { patience: Some(patience), ..self }
+    }
+
+    /// Empties what was there.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn begin(&self) -> Result<(), Failure> {
+        if self.is_plain && self.name != Path::new(STDOUT) {
+            self.to.set_len(0).map_err(Failure::output(&self.name))?;
+        }
+        Ok(())
+    }
+
+    /// Begins a new file where a plain one has been moved away or removed.
+    ///
+    /// # Errors
+    /// What the system says of the new one.
+    pub fn reopen(&mut self) -> Result<(), Failure> {
+        let same = |a: &Metadata, b: &Metadata| (a.dev(), a.ino()) == (b.dev(), b.ino());
+        let is_there = || Some(same(&std::fs::metadata(&self.name).ok()?, &self.to.metadata().ok()?));
+        if !self.is_plain || self.name == Path::new(STDOUT) || is_there() == Some(true) {
+            return Ok(());
+        }
+        let opened = Self::open(&self.name)?;
+        let patience = self.patience;
+        *self = Self { patience, ..opened };
+        // Somebody else may have begun it already.
+        self.to.seek(SeekFrom::End(0)).map_err(Failure::output(&self.name)).map(|_| ())
+    }
+
+    /// The open file, to compare it with others.
+    pub fn file(&self) -> &File {
+        &self.to
+    }
+
+    /// Waits until the reader has room.
+    fn wait(&self) -> io::Result<()> {
+        let begun = Instant::now();
+        loop {
+            let mut asked = [PollFd::new(self.to.as_fd(), PollFlags::POLLOUT)];
+            match poll(&mut asked, PollTimeout::try_from(LOOK).unwrap_or(PollTimeout::ZERO)) {
+                Ok(0) | Err(Errno::EINTR) => {}
+                Ok(_) => return Ok(()),
+                Err(e) => return Err(e.into()),
+            }
+            if interrupt::is_interrupted() {
+                return Err(io::Error::other("interrupted while its reader took nothing"));
+            }
+            if self.patience.is_some_and(|patience| begun.elapsed() > patience) {
+                return Err(io::Error::other("its reader takes nothing"));
+            }
+        }
+    }
+}
+
+impl Write for OutputFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.is_plain {
+            return self.to.write(bytes);
+        }
+        loop {
+            self.wait()?;
+            match self.to.write(&bytes[..bytes.len().min(PIPE_PIECE)]) {
+                Err(e) if e.kind() == io::ErrorKind::WouldBlock => {}
+                written => return written,
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.to.flush()
+    }
+}
+
+fn stdout() -> io::Result<File> {
+    Ok(File::from(io::stdout().as_fd().try_clone_to_owned()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::OpenOptions;
+    use std::os::unix::fs::OpenOptionsExt;
+
+    use nix::libc;
+
+    use super::*;
+
+    #[test]
+    fn nothing_waits_for_the_reader_of_a_named_pipe() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        assert!(OutputFile::open(&pipe).unwrap_err().to_string().contains("nobody reads; start its reader first"));
+        let _reader = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(&pipe).unwrap();
+        let mut output = OutputFile::open(&pipe).unwrap().with_patience(Duration::from_millis(50));
+        let error = output.write_all(&vec![7; 1 << 20]).unwrap_err();
+        assert_eq!(error.to_string(), "its reader takes nothing");
+    }
+
+    #[test]
+    fn what_is_there_stays_until_the_output_begins() {
+        let folder = tempfile::tempdir().unwrap();
+        let name = folder.path().join("out");
+        std::fs::write(&name, "before").unwrap();
+        let mut output = OutputFile::open(&name).unwrap();
+        assert_eq!(std::fs::read_to_string(&name).unwrap(), "before");
+        output.begin().unwrap();
+        output.write_all(b"now").unwrap();
+        assert_eq!(std::fs::read_to_string(&name).unwrap(), "now");
+        assert!(OutputFile::open(folder.path()).unwrap_err().to_string().contains("it is a folder"));
+        OutputFile::open(Path::new("/dev/null")).unwrap().begin().unwrap();
+    }
+}

@@ -1,0 +1,121 @@
+//! Opening files that somebody else named, without ever waiting for anybody.
+//!
+//! A named pipe that nobody writes to holds up whoever opens it, a device may have no end, and a large file may not fit
+//! into memory. So the kind of a file is looked at before a byte of it is read or written.
+
+use std::fs::{File, FileType, OpenOptions};
+use std::io::{self, Read};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::path::Path;
+
+use nix::libc;
+
+/// Opens a plain file for reading; never waits.
+///
+/// # Errors
+/// What the system says, or that the path names something else than a plain file.
+pub fn open(path: &Path) -> io::Result<File> {
+    // Looked at twice: opening some devices does something, and what the path names may change in between.
+    refuse_others(std::fs::metadata(path)?.file_type())?;
+    let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY).open(path)?;
+    refuse_others(file.metadata()?.file_type())?;
+    Ok(file)
+}
+
+/// Reads a plain file of at most so many bytes.
+///
+/// # Errors
+/// As [`open`], or that the file is larger.
+pub fn read(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
+    let file = open(path)?;
+    let too_large = || io::Error::other(format!("it has more than {} MB", most_bytes >> 20));
+    let length = file.metadata()?.len();
+    if length > most_bytes {
+        return Err(too_large());
+    }
+    let mut bytes = Vec::with_capacity(usize::try_from(length).unwrap_or(0));
+    file.take(most_bytes + 1).read_to_end(&mut bytes)?;
+    // A file may grow while it is read, and some of /proc's have no length at all.
+    if bytes.len() as u64 > most_bytes { Err(too_large()) } else { Ok(bytes) }
+}
+
+/// Makes a plain file for writing, empties the one that is there; never waits for the reader of a named pipe.
+///
+/// # Errors
+/// What the system says, or that the path names something else than a plain file.
+pub fn replace(path: &Path) -> io::Result<File> {
+    if let Ok(there) = std::fs::metadata(path) {
+        refuse_others(there.file_type())?;
+    }
+    let mut options = OpenOptions::new();
+    let file = options.write(true).create(true).truncate(true).custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY).open(path)?;
+    refuse_others(file.metadata()?.file_type())?;
+    Ok(file)
+}
+
+/// Opens or makes a file for output; what is in it stays. Devices such as /dev/null and named pipes with a reader will do.
+/// The file does not wait: where a pipe is full, writing fails with `WouldBlock`.
+///
+/// # Errors
+/// What the system says, that nobody reads a named pipe, or that no output belongs there: folders, disks, sockets.
+pub fn open_output(path: &Path) -> io::Result<File> {
+    // A disk is a file too, and what is on it is worth more than any output.
+    let refuse_wrong = |found: FileType| {
+        let is_wrong = found.is_block_device() || found.is_socket() || found.is_dir();
+        if is_wrong { Err(io::Error::other(format!("it is {}", kind(found)))) } else { Ok(()) }
+    };
+    if let Ok(there) = std::fs::metadata(path) {
+        refuse_wrong(there.file_type())?;
+    }
+    let mut options = OpenOptions::new();
+    let options = options.write(true).create(true).truncate(false).custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY);
+    let file = options.open(path).map_err(|e| match e.raw_os_error() {
+        Some(libc::ENXIO) => io::Error::other("it is a named pipe that nobody reads; start its reader first"),
+        _ => e,
+    })?;
+    refuse_wrong(file.metadata()?.file_type())?;
+    Ok(file)
+}
+
+/// What a path names, in words, where it is no plain file.
+pub fn kind(of: FileType) -> &'static str {
+    if of.is_dir() {
+        "a folder"
+    } else if of.is_fifo() {
+        "a named pipe"
+    } else if of.is_socket() {
+        "a socket"
+    } else {
+        "a device"
+    }
+}
+
+fn refuse_others(found: FileType) -> io::Result<()> {
+    if found.is_file() { Ok(()) } else { Err(io::Error::other(format!("it is {}, not a plain file", kind(found)))) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_plain_file_is_refused_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        for (path, kind) in [(pipe.as_path(), "a named pipe"), (folder.path(), "a folder"), (Path::new("/dev/zero"), "a device")] {
+            let message = format!("it is {kind}, not a plain file");
+            assert_eq!((read(path, 100).unwrap_err().to_string(), replace(path).unwrap_err().to_string()), (message.clone(), message));
+        }
+    }
+
+    #[test]
+    fn the_bound_is_kept() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), [7; 100]).unwrap();
+        assert_eq!(read(file.path(), 100).unwrap(), [7; 100]);
+        assert!(read(file.path(), 99).unwrap_err().to_string().contains("more than 0 MB"));
+        assert!(read(Path::new("/proc/self/maps"), 1).is_err(), "a file without a length");
+        assert!(!read(Path::new("/proc/self/maps"), 1 << 20).unwrap().is_empty());
+    }
+}

@@ -1,0 +1,148 @@
+//! The parsers, each in this process: a panic, a minute without an end, or memory beyond the bound is a fault.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use stagepose::calibrate::board::Board;
+use stagepose::camera::parse_calibration;
+use stagepose::capture::{AviReader, MjpegReader, Y4mReader, decode_oriented, picture_size, read_timestamps};
+use stagepose::config::Settings;
+
+use super::memory::taken_by;
+use super::mutator::{Form, Mutator};
+use super::{inputs, keep, seed, seeds};
+
+/// An input that takes so long hangs.
+const HANG: Duration = Duration::from_secs(60);
+/// Bytes that a text may take: a config reads pictures, all others take less.
+const MOST_OF_TEXT: usize = 256 << 20;
+/// Bytes that a picture may take: 67 million pixels of 16-bit RGBA, and what is made of them.
+const MOST_OF_PICTURES: usize = 1200 << 20;
+
+/// One parser at a time: the memory that is counted is the whole process'.
+static ALONE: Mutex<()> = Mutex::new(());
+
+fn fuzz(name: &'static str, mutator: Mutator, most: usize, parse: impl Fn(&[u8]) + Send + 'static) {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let count = inputs();
+    let (begun, told) = std::sync::mpsc::channel();
+    let (outcome, ended) = std::sync::mpsc::channel();
+    let mut mutator = mutator;
+    let worker = std::thread::Builder::new().name(format!("fuzz {name}")).spawn(move || {
+        for number in 0..count {
+            let input = mutator.next_input();
+            begun.send(input.clone()).expect("the judge waits");
+            let mut panicked = false;
+            let taken = taken_by(|| panicked = catch_unwind(AssertUnwindSafe(|| parse(&input))).is_err());
+            if panicked || taken > most {
+                let fault = if panicked { "panics".to_owned() } else { format!("takes {} MB", taken >> 20) };
+                let kept = keep(name, number, &input);
+                outcome.send(Err(format!("{name} {fault} on input {number}; see {kept}"))).expect("the judge waits");
+                return;
+            }
+        }
+        outcome.send(Ok(())).expect("the judge waits");
+    });
+    worker.expect("a thread");
+    let mut last = Vec::new();
+    let mut number = 0;
+    loop {
+        match told.recv_timeout(HANG) {
+            Ok(input) => {
+                last = input;
+                number += 1;
+            }
+            Err(std::sync::mpsc::RecvTimeoutError::Disconnected) => break,
+            Err(_) => panic!("{name} hangs on input {number}; see {}", keep(name, number, &last)),
+        }
+    }
+    let verdict: Result<(), String> = ended.recv().expect("the worker tells");
+    assert_eq!(verdict, Ok(()));
+    assert_eq!(number, count);
+    println!("{name}: {count} inputs, no fault");
+}
+
+fn text(seeds: &[&str]) -> Mutator {
+    Mutator::new(seed(), Form::Text, seeds.iter().map(|s| s.as_bytes().to_vec()).collect())
+}
+
+#[test]
+fn configs() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("camera.toml"), seeds::CAMERA).unwrap();
+    seeds::picture(120, 90).save(folder.path().join("art.png")).unwrap();
+    seeds::picture(120, 90).save(folder.path().join("mask.png")).unwrap();
+    let file = folder.path().join("stage.toml");
+    Settings::from_text(seeds::STAGE, &file).expect("the seed is good");
+    fuzz("config", text(&[seeds::STAGE, seeds::CONFIG]), MOST_OF_TEXT, move |bytes| {
+        let _kept = &folder;
+        let _ = Settings::from_text(&String::from_utf8_lossy(bytes), &file).map_err(|e| assert!(!e.to_string().is_empty()));
+    });
+}
+
+#[test]
+fn calibrations() {
+    let forms = [
+        ("c.toml", seeds::CAMERA),
+        ("c.yml", seeds::OPENCV),
+        ("c.yaml", seeds::ROS),
+        ("kalibr.yaml", seeds::KALIBR),
+        ("c.m", seeds::BOUGUET),
+    ];
+    for (name, seed) in forms {
+        parse_calibration(seed.as_bytes(), Path::new(name)).expect("the seed is good");
+        fuzz(name, text(&[seed]), MOST_OF_TEXT, move |bytes| {
+            match parse_calibration(bytes, Path::new(name)) {
+                Ok(read) => assert!(read.model.intrinsics().fx.is_finite()),
+                Err(e) => assert!(e.to_string().starts_with(name) && !e.to_string().contains('\n'), "{e}"),
+            }
+            let _ = parse_calibration(bytes, Path::new("unnamed"));
+        });
+    }
+}
+
+#[test]
+fn timestamps() {
+    fuzz("timestamps.csv", text(&[seeds::STAMPS]), MOST_OF_TEXT, |bytes| drop(read_timestamps(bytes)));
+}
+
+#[test]
+fn boards() {
+    fuzz("board", text(&["9x6", "8 x 5"]), MOST_OF_TEXT, |bytes| drop(Board::parse(&String::from_utf8_lossy(bytes), 25.0)));
+}
+
+#[test]
+fn pictures() {
+    let decode = |bytes: &[u8]| {
+        let _ = picture_size(bytes);
+        let _ = decode_oriented(bytes);
+    };
+    fuzz("png", Mutator::new(seed(), Form::Png, seeds::pngs()), MOST_OF_PICTURES, decode);
+    fuzz("jpeg", Mutator::new(seed(), Form::Binary, seeds::jpegs()), MOST_OF_PICTURES, decode);
+    fuzz("pnm", Mutator::new(seed(), Form::Text, seeds::pnms()), MOST_OF_PICTURES, decode);
+    let (heads, rest) = seeds::exif_heads();
+    fuzz("exif", Mutator::new(seed(), Form::Binary, heads), MOST_OF_PICTURES, move |head| decode(&[head, &rest].concat()));
+}
+
+#[test]
+fn videos() {
+    fuzz("y4m", Mutator::new(seed(), Form::Text, seeds::y4ms()), MOST_OF_PICTURES, |bytes| {
+        let Ok(mut reader) = Y4mReader::new(bytes) else { return };
+        let _ = (reader.rate(), reader.frames_in(bytes.len() as u64));
+        while reader.next_luma().is_some() {}
+    });
+    fuzz("avi", Mutator::new(seed(), Form::Binary, seeds::avis()), MOST_OF_PICTURES, |bytes| {
+        let Ok(mut reader) = AviReader::new(bytes) else { return };
+        while let Some(jpeg) = reader.next_jpeg() {
+            let _ = jpeg.map(|bytes| decode_oriented(&bytes));
+        }
+    });
+    fuzz("mjpeg", Mutator::new(seed(), Form::Binary, seeds::mjpegs()), MOST_OF_PICTURES, |bytes| {
+        let mut reader = MjpegReader::new(bytes);
+        while let Some(Ok(jpeg)) = reader.next_jpeg() {
+            let _ = decode_oriented(&jpeg);
+        }
+    });
+}
