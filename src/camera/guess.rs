@@ -20,8 +20,9 @@ const FIELD_OF_VIEW_SHARE: f64 = 0.03;
 const FILM_SHARE: f64 = 0.05;
 /// One sigma of the principal point, as a share of the picture's width: what webcams and phones are found off by.
 const CENTRE_SHARE: f64 = 0.02;
-/// One sigma of k1: webcams are between -0.1 and 0.1, and nothing is known of this one.
-const K1: f64 = 0.05;
+/// One sigma of k1, k2, p1 and p2: webcams are found there, and nothing is known of this one. A number that is left out would be told as
+/// known to be 0, and its millimetres would lie where the others leave no doubt.
+const DISTORTION: [f64; 4] = [0.1, 0.1, 0.003, 0.003];
 /// Half the diagonal of 36 x 24 mm film, millimetres.
 const FILM_HALF_DIAGONAL_MM: f64 = 21.633_307_652_783_937;
 
@@ -51,7 +52,8 @@ impl LensGuess {
         let (focal, centre) = (self.focal_px(width, height), 3.0 * CENTRE_SHARE * f64::from(width));
         let (cx, cy) = ((f64::from(width) - 1.0) / 2.0, (f64::from(height) - 1.0) / 2.0);
         let off = 3.0 * self.focal_share() * focal;
-        let distortion = [3.0 * K1, 0.0, 0.0, 0.0, 0.0];
+        let [k1, k2, p1, p2] = DISTORTION.map(|sigma| 3.0 * sigma);
+        let distortion = [k1, k2, p1, p2, 0.0];
         let uncertainty = IntrinsicsUncertainty { fx: off, fy: off, cx: centre, cy: centre, skew: 0.0, distortion };
         Ok(CameraModel::pinhole(width, height, focal, focal, cx, cy)?.with_doubt(Some(LensDoubt { uncertainty, has_square_pixels: true })))
     }

@@ -68,7 +68,9 @@ impl Ffmpeg {
             return Err(failed(std::io::Error::other("its pipes are gone")));
         };
         let (sender, announced) = channel();
-        let listener = std::thread::spawn(move || {
+        // From here on a failure ends the program that was started.
+        let mut stream = Self { path: path.to_owned(), child, frames, announced, listener: None, rate, next: 0 };
+        let listen = move || {
             let mut log = Log::default();
             // Read on after the receiver is gone, or ffmpeg would block on a full pipe.
             for line in BufReader::new(errors).split(b'\n').map_while(Result::ok) {
@@ -77,8 +79,9 @@ impl Ffmpeg {
                 }
             }
             log.last_words()
-        });
-        Ok(Self { path: path.to_owned(), child, frames, announced, listener: Some(listener), rate, next: 0 })
+        };
+        stream.listener = Some(std::thread::Builder::new().name("ffmpeg".to_owned()).spawn(listen).map_err(failed)?);
+        Ok(stream)
     }
 
     fn read_frame(&mut self, size: &Announced) -> PictureData {

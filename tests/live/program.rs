@@ -131,6 +131,64 @@ fn a_played_clip_is_recorded_and_replays_byte_for_byte() {
     assert!(again.status.code() == Some(1) && said.contains("holds a clip already"), "{said}");
 }
 
+/// A long clip of the fixture's frames that says, as a recording does, that its camera had the exposure locked.
+fn recording(folder: &std::path::Path, exposure_s: f64) -> std::path::PathBuf {
+    let clip = folder.join("recording");
+    std::fs::create_dir_all(clip.join("frames")).unwrap();
+    for frame in std::fs::read_dir(format!("{FIXTURE}/frames")).unwrap().flatten() {
+        std::fs::copy(frame.path(), clip.join("frames").join(frame.file_name())).unwrap();
+    }
+    let to_and_fro = (0..40).chain((1..39).rev()).collect::<Vec<i64>>().repeat(20);
+    let rows: String = to_and_fro.iter().zip(0_i64..).map(|(frame, n)| format!("{},{frame:06}.jpg\n", n * 33_333_333)).collect();
+    std::fs::write(clip.join("timestamps.csv"), format!("#timestamp [ns],filename\n{rows}")).unwrap();
+    std::fs::write(clip.join("clip.toml"), format!("[camera]\nname = \"Cam\"\nexposure_s = {exposure_s:?}\n")).unwrap();
+    clip
+}
+
+/// Records a take until some frames of it are tracked, and gives what was said.
+fn record_some(folder: &std::path::Path, clip: &std::path::Path, take: &str) -> String {
+    let arguments = ["record", take, "--config", "stage.toml", "--log", "info", "--play"];
+    let mut child = stagepose(folder).args(arguments).arg(clip).spawn().unwrap();
+    let poses = folder.join(take).join("poses.jsonl");
+    let begun = Instant::now();
+    while std::fs::read_to_string(&poses).map_or(0, |text| text.matches("\"tracking\"").count()) < 4 {
+        assert!(begun.elapsed() < Duration::from_secs(120), "nothing is tracked");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    signal(&child, Signal::SIGTERM);
+    let code = ends(&mut child);
+    let mut said = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+    assert_eq!(code, 0, "{said}");
+    said
+}
+
+#[test]
+fn a_locked_exposure_is_the_trackers_and_the_recordings_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path());
+    let set = std::fs::read_to_string(&config).unwrap();
+    let open = set.lines().filter(|line| !line.starts_with("exposure_s")).fold(String::new(), |text, line| text + line + "\n");
+    std::fs::write(&config, &open).unwrap();
+    let clip = recording(folder.path(), 0.0081);
+    let replay = |take: &str, config: &str| {
+        let replayed = stagepose(folder.path()).args(["replay", take, "--config", config, "--poses", "again.jsonl"]).output().unwrap();
+        assert_eq!(replayed.status.code(), Some(0), "{}", String::from_utf8_lossy(&replayed.stderr));
+        std::fs::read_to_string(folder.path().join("again.jsonl")).unwrap()
+    };
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    record_some(folder.path(), &clip, "take");
+    assert!(read("take/config/stage.toml").contains("exposure_s = 0.0081\n"), "{}", read("take/config/stage.toml"));
+    assert_eq!(replay("take", "take/config/stage.toml"), read("take/poses.jsonl"));
+    assert_ne!(replay("take", "stage.toml"), read("take/poses.jsonl"), "without the exposure the tracker has to learn it");
+    // Where both speak, the config counts, and the contradiction is said.
+    std::fs::write(&config, open.replace("[camera]", "[camera]\nexposure_s = 0.02")).unwrap();
+    let said = record_some(folder.path(), &clip, "contradicted");
+    assert!(said.contains("its exposure is 8.1 ms, exposure_s in [camera] says 20.0 ms"), "{said}");
+    assert!(read("contradicted/config/stage.toml").contains("exposure_s = 0.02"));
+    assert_eq!(replay("contradicted", "contradicted/config/stage.toml"), read("contradicted/poses.jsonl"));
+}
+
 #[test]
 fn it_is_a_good_service() {
     let folder = tempfile::tempdir().unwrap();
