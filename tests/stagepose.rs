@@ -6,4 +6,5 @@ mod cli;
 mod clips;
 mod live;
 mod network;
+mod outputs;
 mod pipeline;

@@ -305,6 +305,98 @@ listen = "127.0.0.1:{http}"
 """
 
 
+# What each protocol says of a record's state: status of OpenTrackIO, quality of FreeD, confidence of the others.
+MARKS = {
+    "tracking": ("Optical Good", 1, 1.0),
+    "coasting": ("Optical Unreliable", 2, 0.5),
+    "lost": ("Optical Lost", 3, 0.0),
+    "searching": ("Location Searching", 3, 0.0),
+}
+
+MARKED = """
+[safety]
+stale_after_s = 60
+[[output]]
+kind = "freed"
+on_loss = "flag"
+to = ["127.0.0.1:{freed}"]
+[[output]]
+kind = "opentrackio"
+on_loss = "flag"
+to = ["127.0.0.1:{otrk_json}"]
+[[output]]
+kind = "opentrackio"
+encoding = "cbor"
+on_loss = "flag"
+to = ["127.0.0.1:{otrk_cbor}"]
+[[output]]
+kind = "psn"
+on_loss = "flag"
+to = ["127.0.0.1:{psn}"]
+[[output]]
+kind = "osc"
+on_loss = "flag"
+to = ["127.0.0.1:{osc}"]
+[[output]]
+kind = "json"
+on_loss = "flag"
+to = ["127.0.0.1:{json}"]
+"""
+
+
+def darkened(fixture, out):
+    """The fixture as a clip in which the light fails for a while: frames 15 to 27 are black."""
+    clip = out / "darkened"
+    (clip / "frames").mkdir(parents=True, exist_ok=True)
+    camera = (fixture / "camera.toml").read_text()
+    width, height = (int(re.search(rf"^{key} *= *(\d+)", camera, re.M)[1]) for key in ("width", "height"))
+    rows = []
+    for number, line in enumerate((fixture / "timestamps.csv").read_text().splitlines()[1:]):
+        stamp, name = line.split(",")
+        dark = 15 <= number < 28
+        data = b"P5 %d %d 255\n" % (width, height) + bytes(width * height) if dark else (fixture / "frames" / name).read_bytes()
+        name = f"{number:06}.pgm" if dark else name
+        (clip / "frames" / name).write_bytes(data)
+        rows.append(f"{stamp},{name}")
+    (clip / "timestamps.csv").write_text("#timestamp [ns],filename\n" + "\n".join(rows) + "\n")
+    return clip
+
+
+def marks(packets, states):
+    """With `flag` every row makes a packet: the k-th one must have the mark of the k-th state."""
+    wanted = [MARKS[state] for state in states]
+    status = [s["tracker"]["status"] for s in (json.loads(p[16:]) for p in packets["otrk_json"])]
+    assert status == [w[0] for w in wanted], f"OpenTrackIO JSON: {status}"
+    status = [s["tracker"]["status"] for s in (cbor2.loads(p[16:]) for p in packets["otrk_cbor"])]
+    assert status == [w[0] for w in wanted], f"OpenTrackIO CBOR: {status}"
+    # FreeD has nothing to send before the first pose.
+    first = next(n for n, state in enumerate(states) if state == "tracking")
+    quality = [p[27] for p in packets["freed"]]
+    assert quality == [w[1] for w in wanted[first:]], f"FreeD: {quality}"
+    parsed = [pypsn.parse_psn_packet(p) for p in packets["psn"]]
+    validity = [p.trackers[0].status for p in parsed if not isinstance(p, pypsn.psn_info_packet)]
+    assert validity == [w[2] for w in wanted], f"PSN: {validity}"
+    status = [next(list(m.params) for m in OscBundle(p) if m.address.endswith("/status")) for p in packets["osc"]]
+    assert [(s[0], s[1]) for s in status] == [(state, MARKS[state][2]) for state in states], f"OSC: {status}"
+    lines = [json.loads(p)["state"] for p in packets["json"]]
+    assert lines == states, f"JSON: {lines}"
+    counts = {state: states.count(state) for state in MARKS}
+    assert counts["tracking"] and counts["coasting"] and counts["lost"], counts
+    return ", ".join(f"{n} {state}" for state, n in counts.items())
+
+
+def replay_darkened(a, stage):
+    """Replays the darkened clip with every output flagging; gives what came, and the records' states."""
+    udp = {name: Udp() for name in ("freed", "otrk_json", "otrk_cbor", "psn", "osc", "json")}
+    config = a.out / "marked.toml"
+    config.write_text(stage + MARKED.format(**{name: u.port for name, u in udp.items()}))
+    poses = a.out / "marked.jsonl"
+    command = [a.stagepose, "replay", darkened(a.fixture, a.out), "--config", config, "--outputs", "--poses", poses]
+    subprocess.run([str(c) for c in command], check=True, stdout=subprocess.DEVNULL)
+    packets = {name: u.close() for name, u in udp.items()}
+    return packets, [json.loads(line)["state"] for line in poses.read_text().splitlines()]
+
+
 def start_node(home, out, ports):
     script = Path(__file__).with_name("receive.mjs")
     process = subprocess.Popen(
@@ -372,6 +464,8 @@ def main():
         process.terminate()
         thread.join(timeout=5)
         report.check("node-osc, @jwetzell/posistagenet", lambda: node(lines, rows))
+    packets, states = replay_darkened(a, stage)
+    report.check("Marks (cbor2, pypsn, python-osc)", lambda: marks(packets, states))
     sys.exit(1 if report.failed else 0)
 
 
