@@ -1,9 +1,6 @@
 //! Small decoders from the protocols' documents: free-d manual A.3.2, OpenTrackIO 1.0.1, RFC 8949, PosiStageNet 2.03, OSC 1.0, RFC 6455.
 //! Whatever is not as the document says fails the test.
 
-use std::io::{ErrorKind, Read};
-use std::net::TcpStream;
-
 use serde_json::{Map, Value};
 
 /// What one packet says of the main body.
@@ -183,7 +180,10 @@ pub fn json(line: &str, of_object: bool) -> Said {
 }
 
 /// The next message of a WebSocket, none where the other side has closed.
-pub fn web_socket_message(stream: &mut TcpStream) -> Option<String> {
+#[cfg(feature = "http")]
+pub fn web_socket_message(stream: &mut std::net::TcpStream) -> Option<String> {
+    use std::io::{ErrorKind, Read};
+
     let mut head = [0; 2];
     match stream.read_exact(&mut head) {
         Ok(()) => {}
