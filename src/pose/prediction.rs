@@ -16,16 +16,20 @@ pub struct MotionHistory<To, From> {
     /// Radians per second in the axes of `To`.
     turn_rate: Vector3<f64>,
     reach: Reach<To, From>,
+    /// The step before the last, seconds.
+    step_s: f64,
 }
 
-/// Measurements further apart than this say nothing about velocity, seconds.
+/// Measurements further apart than this say nothing about velocity, seconds, unless they come no faster.
 const LONGEST_STEP_S: f64 = 0.1;
+/// And further apart than this never.
+const LONGEST_INTERVAL_S: f64 = 0.5;
 /// The velocity fades with this time constant, seconds: a camera that vanished is more likely to stop than to go on.
 const FADE_S: f64 = 0.2;
 
 impl<To, From> Default for MotionHistory<To, From> {
     fn default() -> Self {
-        Self { last: None, is_known: false, velocity: Vector3::zeros(), turn_rate: Vector3::zeros(), reach: Reach::default() }
+        Self { last: None, is_known: false, velocity: Vector3::zeros(), turn_rate: Vector3::zeros(), reach: Reach::default(), step_s: 0.0 }
     }
 }
 
@@ -35,7 +39,9 @@ impl<To, From> MotionHistory<To, From> {
         (self.velocity, self.turn_rate) = (Vector3::zeros(), Vector3::zeros());
         if let Some((before_ns, before)) = &self.last {
             let dt = timestamp_ns.saturating_sub(*before_ns) as f64 * 1e-9;
-            if dt > 1e-4 && dt <= LONGEST_STEP_S {
+            let longest = LONGEST_STEP_S.max(1.5 * self.step_s).min(LONGEST_INTERVAL_S);
+            self.step_s = dt;
+            if dt > 1e-4 && dt <= longest {
                 self.velocity = (pose.translation - before.translation) / dt;
                 self.turn_rate = (pose.rotation * before.rotation.inverse()).scaled_axis() / dt;
             }
@@ -100,6 +106,16 @@ mod tests {
             let late = history.predicted(99 * interval_ns + 5_000_000_000).expect("a history");
             assert!(late.translation.x <= 0.01 + 1e-9 && late.rotation.angle() <= 0.01 + 1e-9, "{late:?}");
         }
+    }
+
+    #[test]
+    fn a_slow_camera_has_a_velocity_too() {
+        let mut history = MotionHistory::<Stage, Camera>::default();
+        for k in 0..3 {
+            history.measured(k * 200_000_000, &Pose::new(UnitQuaternion::identity(), Vector3::x() * k as f64));
+        }
+        let next = history.predicted(450_000_000).expect("a history");
+        assert!(next.translation.x > 2.1, "{}", next.translation.x);
     }
 
     #[test]

@@ -55,6 +55,13 @@ impl Spline {
         Ok(Self { times, points, bends })
     }
 
+    /// Straight from key to key: the speed jumps at each of them, as when a dolly runs into its end.
+    pub fn straight(keys: &[(f64, Vector3<f64>)]) -> Result<Self, PathError> {
+        let mut path = Self::new(keys)?;
+        path.bends.fill(Vector3::zeros());
+        Ok(path)
+    }
+
     /// A point at rest.
     pub fn fixed(point: Vector3<f64>) -> Self {
         Self { times: vec![0.0], points: vec![point], bends: vec![Vector3::zeros()] }
@@ -235,6 +242,12 @@ mod tests {
         assert!((slope(t - step, t) - slope(t, t + step)).norm() < 1e-3);
         assert_eq!(spline.at(-1.0), keys[0].1);
         assert!((spline.at(9.0) - keys[3].1).norm() < 1e-12);
+    }
+
+    #[test]
+    fn straight_keys_have_corners() {
+        let path = Spline::straight(&[(0.0, Vector3::zeros()), (1.0, Vector3::x()), (3.0, Vector3::x())]).unwrap();
+        assert!((path.at(0.4) - Vector3::x() * 0.4).norm() < 1e-12 && (path.at(1.5) - Vector3::x()).norm() < 1e-12);
     }
 
     #[test]

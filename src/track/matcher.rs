@@ -12,6 +12,7 @@ use tracing::{debug, debug_span};
 
 use super::acquire::{candidates, surface_matches};
 use super::align::{Eye, FrameLevels, MotionEstimate, Sensor, ShutterClue, UsedPixel};
+use super::frame_interval::FrameInterval;
 use super::lens_doubt::covariance_by_lens;
 use super::lock::LockState;
 use super::reference::halve_into;
@@ -91,6 +92,7 @@ pub struct Matcher {
     settings: TrackerSettings,
     mask: Option<GrayImage>,
     readout_s: f64,
+    interval: FrameInterval,
     /// The stage first, then the objects.
     bodies: Vec<TrackedBody>,
     index: ReferenceIndex,
@@ -146,6 +148,7 @@ impl Matcher {
             settings,
             mask,
             readout_s,
+            interval: FrameInterval::default(),
             bodies,
             index,
             workers,
@@ -166,8 +169,10 @@ impl Matcher {
         if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
             return self.look_away(frame.sequence, frame.timestamp_ns);
         }
+        self.interval.update(frame.timestamp_ns);
         for tracked in &mut self.bodies {
             tracked.clue = None;
+            tracked.expect_next(self.interval.to_next_s());
         }
         let start = ComputeClock::start();
         self.levels.update(&frame.image);
@@ -218,7 +223,8 @@ impl Matcher {
         let conclusive = verified.is_some_and(|v| v.is_conclusive) && self.readout_s == 0.0;
         let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
         let pose = verified.as_ref().map(|v| &v.pose);
-        let state = tracked.lock.update(timestamp_ns, pose, self.settings.coast_s, confirm_frames);
+        let coast_s = longest_coast_s(&self.settings, &self.interval);
+        let state = tracked.lock.update(timestamp_ns, pose, coast_s, confirm_frames);
         let mut verified = verified.filter(|_| state == LockState::Tracking);
         if let Some(v) = &mut verified {
             v.by_lens = covariance_by_lens(&v.pose, &self.camera, tracked.anchors.iter().map(|anchor| &anchor.observation));
@@ -228,7 +234,8 @@ impl Matcher {
 
     /// Time went on, but there was no picture.
     pub fn look_away(&mut self, sequence: u64, timestamp_ns: i64) -> Sighting {
-        let (coast_s, confirm) = (self.settings.coast_s, self.settings.confirm_frames);
+        self.interval.update(timestamp_ns);
+        let (coast_s, confirm) = (longest_coast_s(&self.settings, &self.interval), self.settings.confirm_frames);
         let mut states =
             self.bodies.iter_mut().map(|b| BodySighting { state: b.lock.update(timestamp_ns, None, coast_s, confirm), verified: None });
         // There is always a stage.
@@ -313,7 +320,8 @@ impl Matcher {
         let tracked = &mut self.bodies[k];
         let back = verified.pose.inverse();
         let distance = tracked.aligner.distance(&back);
-        let first = MotionEstimate::unseen(back, distance, FIRST_SHIFT * distance, FIRST_TURN);
+        let [shift, turn] = MotionEstimate::off_by_readout(self.readout_s, distance);
+        let first = MotionEstimate::unseen(back, distance, FIRST_SHIFT * distance + shift, FIRST_TURN + turn);
         let aligned = tracked.align(frame, &mut self.levels, &self.eye, &first, false);
         *align_ms += start.elapsed_ms();
         aligned.or(Some(verified))
@@ -355,6 +363,11 @@ impl Matcher {
     pub fn camera(&self) -> &CameraModel {
         &self.camera
     }
+}
+
+/// How long a body may coast: to the next frame at least, or a slow camera could not miss one. 0 stays: no pose is ever predicted.
+fn longest_coast_s(settings: &TrackerSettings, interval: &FrameInterval) -> f64 {
+    if settings.coast_s > 0.0 { settings.coast_s.max(interval.to_next_s()) } else { 0.0 }
 }
 
 /// Describes all surfaces, larger pictures at no more pixels than a camera resolves.

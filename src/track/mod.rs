@@ -2,12 +2,14 @@
 //!
 //! `surface` and `reference` prepare the pictures; `acquire` proposes poses from matched features;
 //! `registration` and `verify` refine a proposal against the picture and judge it; `align` follows a body from frame
-//! to frame, pixel by pixel; `lock` decides what a verified pose means in time; `two_view` describes the frame by
+//! to frame, pixel by pixel; `lock` decides what a verified pose means in time;
+//! `frame_interval` measures how often frames come; `two_view` describes the frame by
 //! homography and essential matrix; `lens_doubt` tells what the lens leaves open; `twin` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
 //! body; `matcher` runs them all on a frame.
 
 mod acquire;
 mod align;
+mod frame_interval;
 mod lens_doubt;
 mod lock;
 mod matcher;

@@ -7,7 +7,7 @@ pub struct TrackerSettings {
     pub threads: usize,
     /// Corners looked for in a frame. More find a small or dim stage sooner; cost grows in proportion. Default 1500.
     pub features: usize,
-    /// Longest prediction after the last verified pose, seconds. Default 0.2.
+    /// Longest prediction after the last verified pose, seconds: at least to the next frame of a slow camera; 0: none. Default 0.2.
     pub coast_s: f64,
     /// Consecutive verified frames that must agree before a found pose is published as `tracking`, at least 2. Default 2.
     pub confirm_frames: u32,

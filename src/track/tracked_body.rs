@@ -14,9 +14,9 @@ use crate::frame::Frame;
 use crate::geometry::resection::{MovingCamera, Observation, Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
 
-/// Verified poses further apart tell nothing of the motion within a frame, seconds.
+/// Verified poses further apart tell nothing of the motion within a frame, seconds; those of two frames in a row do, however slow the camera.
 const LONGEST_MOTION_GAP_S: f64 = 0.07;
-/// An aligned body is followed over gaps up to this, seconds.
+/// An aligned body is followed over gaps up to this, seconds, and always to the next frame.
 const LONGEST_FOLLOWED_GAP_S: f64 = 0.1;
 /// How far off a pose that features found may be, one sigma: of the distance, and radians.
 pub const FIRST_SHIFT: f64 = 0.003;
@@ -49,6 +49,8 @@ pub struct TrackedBody {
     jerk: Jerk,
     /// The last verified pose, its stamp, and the motion that led to it.
     before: Option<(Pose<Camera, Body>, i64, Option<Twist>)>,
+    /// How long after a frame the next one comes, seconds.
+    to_next_s: f64,
     /// Followed frames since the last audit.
     unaudited: u32,
     observations: Vec<Observation>,
@@ -72,6 +74,7 @@ impl TrackedBody {
             motion: None,
             jerk: Jerk::default(),
             before: None,
+            to_next_s: 0.0,
             unaudited: 0,
             observations: Vec::with_capacity(most),
             squares: Vec::with_capacity(most),
@@ -79,11 +82,16 @@ impl TrackedBody {
         }
     }
 
+    /// Takes how long after a frame the next one comes, as [`FrameInterval`](super::frame_interval::FrameInterval) has it.
+    pub fn expect_next(&mut self, to_next_s: f64) {
+        self.to_next_s = to_next_s;
+    }
+
     /// Aligns the body from where it should be; `None` where it was not aligned lately, or the picture does not bear it out.
     pub fn follow(&mut self, frame: &Frame, levels: &mut FrameLevels, eye: &Eye) -> Option<Verified> {
         let (estimate, then_ns) = self.motion.take()?;
         let dt_s = frame.timestamp_ns.saturating_sub(then_ns) as f64 * 1e-9;
-        if dt_s <= 0.0 || dt_s > LONGEST_FOLLOWED_GAP_S {
+        if dt_s <= 0.0 || dt_s > LONGEST_FOLLOWED_GAP_S.max(self.to_next_s) {
             return None;
         }
         let expected = estimate.after(dt_s, self.aligner.distance(&estimate.motion.pose), &self.jerk);
@@ -119,9 +127,13 @@ impl TrackedBody {
         let mut found = self.aligner.align(levels, eye, expected)?;
         let is_pushed = is_expected && found.is_pulled();
         if is_pushed {
-            // Something pushed the camera: velocity and acceleration are unknown again.
-            let (pose, distance) = (expected.motion.pose, self.aligner.distance(&expected.motion.pose));
-            found = self.aligner.align(levels, eye, &MotionEstimate::unseen(pose, distance, FIRST_SHIFT * distance, FIRST_TURN))?;
+            // Something pushed the camera: velocity and acceleration are unknown again, and so is where they led.
+            let (before, pose) = (&expected.motion.pose, found.estimate.motion.pose);
+            let (shift, turn) = ((pose.translation - before.translation).norm(), pose.angle_to(before));
+            let distance = self.aligner.distance(&pose);
+            let afresh = MotionEstimate::unseen(pose, distance, FIRST_SHIFT * distance + shift, FIRST_TURN + turn);
+            found = self.aligner.align(levels, eye, &afresh)?;
+            found.covariance += self.aligner.by_jolt(&expected.motion, &found.estimate.motion);
         }
         let is_expected = is_expected && !is_pushed;
         debug!(
@@ -224,6 +236,6 @@ impl TrackedBody {
     pub fn before_at(&self, timestamp_ns: i64) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
         let (pose, then_ns, twist) = self.before?;
         let dt_s = timestamp_ns.saturating_sub(then_ns) as f64 * 1e-9;
-        (dt_s > 1e-4 && dt_s <= LONGEST_MOTION_GAP_S).then_some((pose, dt_s, twist))
+        (dt_s > 1e-4 && dt_s <= LONGEST_MOTION_GAP_S.max(self.to_next_s)).then_some((pose, dt_s, twist))
     }
 }

@@ -1,5 +1,6 @@
 //! `Tracker` and `Daemon` on frames of the virtual stage, held to its exact truth.
 
+mod any_frame;
 mod daemon;
 mod objects;
 mod photo;

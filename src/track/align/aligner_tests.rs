@@ -114,3 +114,26 @@ fn the_frame_tells_how_the_picture_was_enlarged() {
     let smooth = image::imageops::resize(&coarse.artwork, 1280, 960, image::imageops::FilterType::Lanczos3);
     assert!(followed(&coarse, smooth).slow.is_enlarged);
 }
+
+#[test]
+fn pixels_that_were_laid_out_anew_leave_nothing_to_conclude() {
+    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
+    let eye = Eye::new(lens(480, 360), None);
+    let mut frame = levels(1);
+    let found = aligner.align(&mut frame, &eye, &MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003));
+    let motion = found.expect("the picture agrees").estimate.motion;
+    assert!(aligner.fine.solved().is_some());
+    // Seen from much further away the same frame's pixels have another grid, with fewer nodes than the light that was solved for.
+    let away = Motion::still(facing(0.2, -0.3, Vector3::new(0.1, 0.05, 30.0)).inverse());
+    let (runs, nodes) = (aligner.fine.runs().len(), aligner.fine.pixels().light().gains().len());
+    let task = task(&aligner.surfaces, &aligner.slow, &eye, FINEST, &away);
+    assert!(aligner.fine.lay_out(&task, &mut frame, &away, &mut aligner.selector, &mut aligner.chosen, &aligner.light));
+    assert!(aligner.fine.runs().len() < runs && aligner.fine.pixels().light().gains().len() < nodes);
+    assert!(aligner.fine.solved().is_none() && aligner.fine.conclude(&task).is_none());
+    let used = &mut Vec::new();
+    aligner.used_pixels(&eye, used);
+    assert!(used.is_empty());
+    let mut patches = Vec::new();
+    aligner.patches(&eye, &motion, &mut patches);
+    assert!(patches.is_empty());
+}

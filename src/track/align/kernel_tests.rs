@@ -13,6 +13,7 @@ use super::normal::{
     COLUMNS, Residuals, RunView, TileSums, Weighing, columns, less_step, moments, residuals, tile_sums, tile_sums_lanes, weight,
 };
 use super::pixels::{Pixels, Source};
+use super::rows::{row_sums, row_sums_lanes};
 use super::selection::{Choice, Selector};
 use super::{AlignSurface, Eye, Sensor};
 use crate::track::synthetic::{cloth, facing, lens, view};
@@ -237,4 +238,49 @@ fn every_run_is_whole_and_no_pixel_comes_twice() {
     let mut chosen = Vec::new();
     Selector::default().choose(std::slice::from_ref(&scene.surface), &away, &choice, &mut chosen);
     assert!(chosen.is_empty());
+}
+
+#[test]
+fn sums_of_the_rows_are_products_of_the_columns_and_their_times() {
+    let scene = scene();
+    let at = appearance(&scene, &scene.motion, 1);
+    let noise = Noise { dark: 3.0, per_grey: 0.03, model_px: 0.02 };
+    let mut found = Residuals::default();
+    found.resize(scene.pixels.len());
+    let weighing = Weighing { scale: 1.3, is_first_look: false, stride: 1 };
+    let step = std::array::from_fn(|c| 1e-3 * (c as f32 - 5.0));
+    for run in scene.pixels.runs() {
+        let light = scene.pixels.light_of(run);
+        residuals(&scene.pixels, run, &at, &light, &noise, &mut found);
+        let view = RunView { pixels: &scene.pixels, run, appearance: &at, light: &light, residuals: &found };
+        // With the frame's own stamp as the tile's time, times are delays.
+        let rows = row_sums(&view, 0.0, &step, &weighing);
+        let plain = row_sums_lanes::<Plain>(&view, 0.0, &step, &weighing);
+        let mut all = Vec::new();
+        for i in 0..6 {
+            for c in i..=COLUMNS {
+                let of = |sums: &super::rows::RowSums| if c < 6 { sums.by_time(i, c) } else { sums.by_other(i, c) };
+                all.push((of(&rows), of(&plain)));
+                if c < 6 {
+                    all.push((rows.by_squared_time(i, c), plain.by_squared_time(i, c)));
+                    assert!(i != c || rows.by_squared_time(i, c) >= 0.0);
+                }
+            }
+        }
+        let largest = all.iter().map(|(a, _)| a.abs()).fold(0.0, f64::max);
+        assert!(all.iter().all(|(a, b)| (a - b).abs() <= 1e-3 * largest), "{all:?}");
+    }
+    // Where all rows of a run are as late, the sums are those of the tile times the delay.
+    let mut late = scene;
+    late.pixels.delay_s.fill(0.004);
+    let run = late.pixels.runs()[0];
+    let light = late.pixels.light_of(&run);
+    residuals(&late.pixels, &run, &at, &light, &noise, &mut found);
+    let view = RunView { pixels: &late.pixels, run: &run, appearance: &at, light: &light, residuals: &found };
+    let (rows, sums) = (row_sums(&view, 0.0, &step, &weighing), tile_sums(&view, &step, &weighing));
+    for i in 0..6 {
+        let near = |a: f64, b: f64| (a - b).abs() <= 1e-3 * sums.product(i, i).abs() * 0.004 + 1e-4 * b.abs();
+        assert!(near(rows.by_time(i, i), 0.004 * sums.product(i, i)), "{i}");
+        assert!(near(rows.by_squared_time(i, i), 0.004f64.powi(2) * sums.product(i, i)), "{i}");
+    }
 }

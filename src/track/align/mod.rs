@@ -29,6 +29,8 @@ mod noise;
 mod normal;
 mod pixels;
 mod rays;
+#[allow(clippy::needless_range_loop)]
+mod rows;
 mod selection;
 mod shutter_clue;
 #[allow(clippy::needless_range_loop)]
@@ -37,6 +39,7 @@ mod slopes;
 mod system;
 mod task;
 mod texture;
+mod tile_equations;
 mod tile_grid;
 mod verdict;
 mod work;

@@ -16,9 +16,15 @@ pub type MotionError = SVector<f64, 18>;
 /// Second moments of [`MotionError`].
 pub type MotionMatrix = SMatrix<f64, 18, 18>;
 
-/// What may be expected of a motion not seen yet, one sigma: m/s at 4 m, rad/s, m/s² at 4 m, rad/s².
-const UNSEEN: [f64; 4] = [0.5, 0.6, 4.0, 15.0];
+/// What may be expected of a motion not seen yet, one sigma: m/s at 4 m, rad/s, m/s² at 4 m, rad/s². A hand that shakes a camera does as
+/// much; less would pass for knowledge of what a single frame with a rolling shutter leaves open.
+const UNSEEN: [f64; 4] = [0.8, 1.0, 10.0, 30.0];
 const UNSEEN_DISTANCE_M: f64 = 4.0;
+/// Tilt that a stretched picture is taken for, by the angle of the stretch over the frame.
+const STRETCH_TO_TILT: f64 = 1.5;
+/// A velocity is remembered for so long, seconds; beyond that it fades into what may be expected unseen, as a hand's does.
+const REMEMBERED_S: f64 = 0.05;
+const FADES_IN_S: f64 = 0.1;
 
 /// Where the camera is as seen from the body, and how it moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -109,15 +115,22 @@ pub struct MotionEstimate {
 }
 
 impl MotionEstimate {
+    /// How far off a pose that features found may be, one sigma, m at a distance and rad: features know nothing of the shutter, and
+    /// what moved meanwhile stretches their picture, which looks like a tilt.
+    pub fn off_by_readout(readout_s: f64, distance_m: f64) -> [f64; 2] {
+        let turn = STRETCH_TO_TILT * UNSEEN[1] * readout_s;
+        [turn * distance_m, turn]
+    }
+
     /// A pose whose motion nobody saw yet. `shift` and `turn`: one sigma of the pose, metres and radians.
     pub fn unseen(pose: Pose<Body, Camera>, distance_m: f64, shift: f64, turn: f64) -> Self {
-        let d = distance_m / UNSEEN_DISTANCE_M;
         let mut covariance = MotionMatrix::zeros();
-        for (block, sigma) in [shift, turn, UNSEEN[0] * d, UNSEEN[1], UNSEEN[2] * d, UNSEEN[3]].into_iter().enumerate() {
+        for (block, sigma) in [shift, turn].into_iter().enumerate() {
             for k in 0..3 {
                 covariance[(3 * block + k, 3 * block + k)] = sigma * sigma;
             }
         }
+        add_unseen(&mut covariance, distance_m, 1.0);
         Self { motion: Motion::still(pose), covariance }
     }
 
@@ -136,7 +149,20 @@ impl MotionEstimate {
         let mut covariance = step * self.covariance * step.transpose();
         add_jerk(&mut covariance, 0, jerk.of_shift(distance_m), dt_s);
         add_jerk(&mut covariance, 3, jerk.of_turn(), dt_s);
+        // Between the frames of a slow camera jerk is no random walk any more: the motion is as good as new.
+        let faded = ((dt_s - REMEMBERED_S).max(0.0) / FADES_IN_S).powi(2);
+        add_unseen(&mut covariance, distance_m, 1.0 - (-faded).exp());
         Self { motion, covariance: (covariance + covariance.transpose()) * 0.5 }
+    }
+}
+
+/// Adds a share of what may be expected of velocities and accelerations that nobody saw.
+fn add_unseen(covariance: &mut MotionMatrix, distance_m: f64, share: f64) {
+    let d = distance_m / UNSEEN_DISTANCE_M;
+    for (block, sigma) in [UNSEEN[0] * d, UNSEEN[1], UNSEEN[2] * d, UNSEEN[3]].into_iter().enumerate() {
+        for k in 6 + 3 * block..9 + 3 * block {
+            covariance[(k, k)] += share * sigma * sigma;
+        }
     }
 }
 

@@ -8,7 +8,8 @@ use nalgebra::SVector;
 
 use super::light::Light;
 use super::motion::{MotionError, MotionMatrix};
-use super::normal::{BIAS, COLUMNS, GAINS, SPREAD, TileSums};
+use super::normal::{BIAS, COLUMNS, GAINS, SPREAD};
+use super::tile_equations::{TileEquations, TileScore, TileStep};
 
 pub mod side_column;
 
@@ -29,6 +30,18 @@ pub struct TileTime {
     pub delay_s: f64,
     /// Mean square of the times at which the tile's pixels were open, s².
     pub mean_square_s2: f64,
+}
+
+impl TileTime {
+    /// What the powers of a motion (position, velocity, acceleration) do to the pose at the middle of the tile.
+    fn factors(&self) -> [f64; POWERS] {
+        [1.0, self.delay_s, 0.5 * self.mean_square_s2]
+    }
+
+    /// And to how it grows from row to row, per second.
+    fn rates(&self) -> [f64; POWERS] {
+        [0.0, 1.0, self.delay_s]
+    }
 }
 
 /// What is known beforehand.
@@ -115,18 +128,20 @@ impl Step<'_> {
         MotionError::from_column_slice(&self.all[self.nodes + 2..])
     }
 
-    /// The part that a tile's columns see.
-    pub fn of_tile(&self, nodes: [usize; 4], time: &TileTime) -> [f32; COLUMNS] {
+    /// The part that a tile sees.
+    pub fn of_tile(&self, nodes: [usize; 4], time: &TileTime) -> TileStep {
         let motion = &self.all[self.nodes + 2..];
-        std::array::from_fn(|c| {
+        let by = |factors: [f64; POWERS], c: usize| (0..POWERS).map(|p| factors[p] * motion[6 * p + c]).sum::<f64>();
+        let columns = std::array::from_fn(|c| {
             let value = match c {
-                0..SPREAD => motion[c] + time.delay_s * motion[6 + c] + 0.5 * time.mean_square_s2 * motion[12 + c],
+                0..SPREAD => by(time.factors(), c),
                 SPREAD => self.spread(),
                 BIAS => self.bias(),
                 _ => self.all[nodes[c - GAINS]],
             };
             value as f32
-        })
+        });
+        TileStep { columns, rate: std::array::from_fn(|c| by(time.rates(), c) as f32) }
     }
 }
 
@@ -183,20 +198,25 @@ impl System {
         }
     }
 
-    /// Where the tile's columns go: for each, up to three unknowns and their factors.
-    fn places(&self, nodes: [usize; 4], time: &TileTime) -> [([usize; 3], [f64; 3]); COLUMNS] {
-        let motion = self.nodes + 2;
-        std::array::from_fn(|c| match c {
-            0..SPREAD => ([motion + c, motion + 6 + c, motion + 12 + c], [1.0, time.delay_s, 0.5 * time.mean_square_s2]),
-            SPREAD => ([self.nodes; 3], [1.0, 0.0, 0.0]),
-            BIAS => ([self.nodes + 1; 3], [1.0, 0.0, 0.0]),
-            _ => ([nodes[c - GAINS]; 3], [1.0, 0.0, 0.0]),
-        })
+    /// Adds a score of a tile to each unknown that it belongs to: calls `add` with the unknown's place and what it gets.
+    fn spread_out(&self, score: &TileScore, nodes: [usize; 4], time: &TileTime, mut add: impl FnMut(usize, f64)) {
+        let (factors, rates) = (time.factors(), time.rates());
+        for c in 0..SPREAD {
+            for p in 0..POWERS {
+                add(self.nodes + 2 + 6 * p + c, factors[p] * score.columns[c] + rates[p] * score.timed[c]);
+            }
+        }
+        add(self.nodes, score.columns[SPREAD]);
+        add(self.nodes + 1, score.columns[BIAS]);
+        for (node, value) in nodes.iter().zip(&score.columns[GAINS..]) {
+            add(*node, *value);
+        }
     }
 
     /// Adds a tile. `weight`: inverse of the residuals' variance beyond what their whitener says.
-    pub fn add(&mut self, sums: &TileSums, nodes: [usize; 4], time: &TileTime, weight: f64) {
+    pub fn add(&mut self, tile: &TileEquations, nodes: [usize; 4], time: &TileTime, weight: f64) {
         let n = self.size;
+        let TileEquations { sums, rows } = tile;
         let others = [self.nodes, self.nodes + 1, nodes[0], nodes[1], nodes[2], nodes[3]];
         for (i, row) in others.iter().enumerate() {
             self.right[*row] += weight * sums.product(SPREAD + i, COLUMNS);
@@ -204,35 +224,34 @@ impl System {
                 self.matrix[row * n + column] += weight * sums.product(SPREAD + i, SPREAD + j);
             }
         }
-        let mut tile = [0.0; 36];
-        for i in 0..6 {
-            for j in i..6 {
-                tile[6 * i + j] = weight * sums.product(i, j);
-                tile[6 * j + i] = tile[6 * i + j];
-            }
-        }
-        let factors = [1.0, time.delay_s, 0.5 * time.mean_square_s2];
+        // Powers of time: one, where it is the same for all; else that of the tile's middle, and of its rows from there.
         let powers = if self.same_time.is_some() { 1 } else { POWERS };
+        let (factors, rates) = (time.factors().map(|f| f * weight), time.rates());
+        let pairs: [[f64; 36]; 3] = [
+            std::array::from_fn(|k| sums.product(k / 6, k % 6)),
+            std::array::from_fn(|k| if powers > 1 { rows.by_time(k / 6, k % 6) } else { 0.0 }),
+            std::array::from_fn(|k| if powers > 1 { rows.by_squared_time(k / 6, k % 6) } else { 0.0 }),
+        ];
+        let plain = time.factors();
         for a in 0..powers {
             for b in 0..=a {
-                let factor = factors[a] * factors[b];
-                self.pose.by_pose[pair(a, b)].iter_mut().zip(&tile).for_each(|(sum, v)| *sum += factor * v);
-            }
-        }
-        let mut right = [0.0; 6];
-        let mut columns = [[0.0; 6]; 6];
-        for i in 0..6 {
-            right[i] = weight * sums.product(i, COLUMNS);
-            for (j, column) in columns.iter_mut().enumerate() {
-                column[i] = weight * sums.product(i, SPREAD + j);
+                let shares = [factors[a] * plain[b], factors[a] * rates[b] + rates[a] * factors[b], weight * rates[a] * rates[b]];
+                let sum = &mut self.pose.by_pose[pair(a, b)];
+                for (share, products) in shares.iter().zip(&pairs).take(powers) {
+                    sum.iter_mut().zip(products).for_each(|(sum, v)| *sum += share * v);
+                }
             }
         }
         for a in 0..powers {
-            let factor = factors[a];
-            self.pose.right[a].iter_mut().zip(&right).for_each(|(sum, v)| *sum += factor * v);
-            for (other, column) in others.iter().zip(&columns) {
-                let at = &mut self.pose.by_others[a][6 * other..6 * other + 6];
-                at.iter_mut().zip(column).for_each(|(sum, v)| *sum += factor * v);
+            let (factor, rate) = (factors[a], weight * rates[a]);
+            let along = |i: usize, c: usize| factor * sums.product(i, c) + if rate == 0.0 { 0.0 } else { rate * rows.by_other(i, c) };
+            for i in 0..6 {
+                self.pose.right[a][i] += along(i, COLUMNS);
+            }
+            for (k, other) in others.iter().enumerate() {
+                for i in 0..6 {
+                    self.pose.by_others[a][6 * other + i] += along(i, SPREAD + k);
+                }
             }
         }
     }
@@ -241,7 +260,7 @@ impl System {
     fn place_pose_sums(&mut self) {
         let (n, motion) = (self.size, self.nodes + 2);
         // With one time for all, every power is that of the first, times its factor.
-        let factors = self.same_time.map_or([1.0; POWERS], |t| [1.0, t.delay_s, 0.5 * t.mean_square_s2]);
+        let factors = self.same_time.map_or([1.0; POWERS], |t| t.factors());
         let kept = |a: usize| if self.same_time.is_some() { 0 } else { a };
         for a in 0..POWERS {
             for i in 0..6 {
@@ -343,17 +362,13 @@ impl System {
 
     /// A tile's vote on the pose: the step that its remaining residuals alone would add. `step`: the tile's part of the solution.
     /// After [`motion_covariance`](Self::motion_covariance).
-    pub fn vote(&self, sums: &TileSums, step: &[f32; COLUMNS], nodes: [usize; 4], time: &TileTime, weight: f64) -> SVector<f64, 6> {
+    pub fn vote(&self, tile: &TileEquations, step: &TileStep, nodes: [usize; 4], time: &TileTime, weight: f64) -> SVector<f64, 6> {
         let mut vote = SVector::<f64, 6>::zeros();
-        for (c, (rows, factors)) in self.places(nodes, time).iter().enumerate() {
-            let explained: f64 = step.iter().enumerate().map(|(k, s)| sums.product(c, k) * f64::from(*s)).sum();
-            let score = (sums.product(c, COLUMNS) - explained) * weight;
-            for (row, factor) in rows.iter().zip(factors) {
-                for (v, column) in vote.iter_mut().zip(&self.pose_columns) {
-                    *v += column[*row] * factor * score;
-                }
+        self.spread_out(&tile.left_by(step), nodes, time, |row, score| {
+            for (v, column) in vote.iter_mut().zip(&self.pose_columns) {
+                *v += column[row] * score * weight;
             }
-        }
+        });
         vote
     }
 }

@@ -37,10 +37,10 @@ impl Alignment {
         self.tiles >= CONCLUSIVE_TILES && self.share() >= CONCLUSIVE_SHARE
     }
 
-    /// Whether what was expected may have pulled the pose aside, through the shutter: it was found far from there, and the picture does not
-    /// clearly bear it out.
+    /// Whether what was expected may have pulled the pose aside, through the shutter: it was found far from there. However well the
+    /// picture agrees, within one frame it cannot tell some of the motion from the pose.
     pub fn is_pulled(&self) -> bool {
-        self.surprise > LARGEST_SURPRISE && !self.is_conclusive()
+        self.surprise > LARGEST_SURPRISE
     }
 
     /// Whether the pose may be given: clearly right, or less clearly where it was expected.

@@ -16,12 +16,14 @@ use super::gauge::{Gauge, median};
 use super::light::RememberedLight;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::noise::{Noise, NoiseSums};
-use super::normal::{COLUMNS, Residuals, RunView, TileLight, TileSums, Weighing, moments, residuals, squares_after, tile_sums};
+use super::normal::{COLUMNS, Residuals, RunView, TileLight, Weighing, moments, residuals, squares_after, tile_sums};
 use super::pixels::{Pixels, Run, Source};
+use super::rows::{RowSums, row_sums};
 use super::selection::{Choice, Chosen, Selector};
 use super::slopes::{ChangeSums, Foretold};
 use super::system::{Prior, System, TileTime};
 use super::task::{Task, moved};
+use super::tile_equations::{TileEquations, TileStep};
 use crate::geometry::resection::larger_covariance;
 
 /// Fewest pixels that a level is solved with.
@@ -86,9 +88,9 @@ pub struct RunAtWork {
     /// How it compares with its prediction.
     gauge: Gauge,
     /// The last step of its columns.
-    step: [f32; COLUMNS],
+    step: TileStep,
     /// What it said in the last pass; of open runs.
-    sums: TileSums,
+    equations: TileEquations,
 }
 
 /// A level: its pixels, where they are linearised, and what they were solved to.
@@ -187,7 +189,7 @@ impl Work {
         self.foretold.resize(self.pixels().len());
         let appearance = &self.picture.appearance;
         for r in &self.runs {
-            let step = std::array::from_fn(|c| r.step[c]);
+            let step = std::array::from_fn(|c| r.step.columns[c]);
             self.foretold.foretell(&appearance.grey, &appearance.by_pose, &step, r.run.range());
         }
         self.predict(task, motion);
@@ -199,7 +201,7 @@ impl Work {
         let Picture { pixels, appearance, residuals: out } = &mut self.picture;
         for r in &mut self.runs {
             r.light = pixels.light_of(&r.run);
-            r.step = [0.0; COLUMNS];
+            r.step = TileStep::default();
             residuals(pixels, &r.run, appearance, &r.light, noise, out);
         }
     }
@@ -243,9 +245,14 @@ impl Work {
             let light = picture.pixels.light();
             system.begin(light, &prior, task.same_time());
             let weight = scale.powi(-2) * stride as f64;
+            // A rough step, which only weights are taken from, needs no times of rows.
+            let is_rolling = task.same_time().is_none() && pass + 1 == passes;
             for r in runs.iter_mut().filter(|r| r.gauge.is_open) {
-                r.sums = tile_sums(&picture.view(r), &r.step, &weighing);
-                system.add(&r.sums, light.nodes_of(r.run.tile), &picture.time(task, &r.run), weight);
+                let (time, step) = (picture.time(task, &r.run), &r.step.columns);
+                r.equations.sums = tile_sums(&picture.view(r), step, &weighing);
+                r.equations.rows =
+                    if is_rolling { row_sums(&picture.view(r), time.delay_s as f32, step, &weighing) } else { RowSums::default() };
+                system.add(&r.equations, light.nodes_of(r.run.tile), &time, weight);
             }
             let step = system.solve()?;
             for r in runs {
@@ -275,7 +282,7 @@ impl Work {
     fn squares(&mut self, stride: usize) -> &mut [f32] {
         self.sorted.clear();
         for r in self.runs.iter().filter(|r| r.gauge.is_open) {
-            squares_after(&self.picture.view(r), &r.step, stride, &mut self.sorted);
+            squares_after(&self.picture.view(r), &r.step.columns, stride, &mut self.sorted);
         }
         &mut self.sorted
     }
@@ -384,7 +391,7 @@ impl Work {
         let weighing = Weighing { scale, is_first_look: false, stride: self.rough_stride() };
         let mut sums = NoiseSums::default();
         for r in self.runs.iter().filter(|r| r.gauge.is_open) {
-            sums.add(&self.picture.view(r), &r.step, &weighing);
+            sums.add(&self.picture.view(r), &r.step.columns, &weighing);
         }
         sums
     }
@@ -403,11 +410,11 @@ impl Work {
         for r in runs {
             if r.gauge.is_open {
                 let nodes = picture.pixels.light().nodes_of(r.run.tile);
-                let vote = system.vote(&r.sums, &r.step, nodes, &picture.time(task, &r.run), weight);
+                let vote = system.vote(&r.equations, &r.step, nodes, &picture.time(task, &r.run), weight);
                 votes += vote * vote.transpose();
                 n += 1.0;
             }
-            r.evidence = evidence(&picture.view(r), &r.step, &weighing);
+            r.evidence = evidence(&picture.view(r), &r.step.columns, &weighing);
         }
         let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
         let honest = larger_covariance(&noise, &(votes * factor))?;

@@ -4,7 +4,7 @@
 //! information, and the pull of the residuals that the step left. Quantities that no single frame may change, as the
 //! time in which a sensor is read, are learnt from these over many frames.
 
-use super::super::normal::{COLUMNS, TileSums};
+use super::super::tile_equations::{TileEquations, TileStep};
 use super::{System, TileTime};
 
 /// What one frame says of an unknown that it did not solve for.
@@ -27,10 +27,10 @@ pub struct SideColumn {
 
 /// A tile at the solution.
 pub struct SolvedTile<'a> {
-    /// Its sums at the linearisation.
-    pub sums: &'a TileSums,
+    /// Its equations at the linearisation.
+    pub equations: &'a TileEquations,
     /// Its part of the solution.
-    pub step: &'a [f32; COLUMNS],
+    pub step: &'a TileStep,
     /// Its light nodes.
     pub nodes: [usize; 4],
     /// When it was exposed.
@@ -47,17 +47,16 @@ impl SideColumn {
         (self.own, self.pull) = (0.0, 0.0);
     }
 
-    /// Adds a tile. `by_unknown`: how its pose (position, rotation as in the columns) changes with the unknown.
-    pub fn add(&mut self, system: &System, tile: &SolvedTile, by_unknown: &[f64; 6]) {
-        let along = |c: usize| by_unknown.iter().enumerate().map(|(k, d)| tile.sums.product(c, k) * d).sum::<f64>();
-        for (c, (rows, factors)) in system.places(tile.nodes, &tile.time).iter().enumerate() {
-            let shared = along(c) * tile.weight;
-            rows.iter().zip(factors).for_each(|(row, factor)| self.with_others[*row] += factor * shared);
-        }
-        for (c, d) in by_unknown.iter().enumerate() {
-            let explained: f64 = tile.step.iter().enumerate().map(|(k, s)| tile.sums.product(c, k) * f64::from(*s)).sum();
-            self.own += d * along(c) * tile.weight;
-            self.pull += d * (tile.sums.product(c, COLUMNS) - explained) * tile.weight;
+    /// Adds a tile. `by_unknown`: how all that it sees changes with the unknown.
+    pub fn add(&mut self, system: &System, tile: &SolvedTile, by_unknown: &TileStep) {
+        let shared = tile.equations.explained(by_unknown);
+        let left = tile.equations.left_by(tile.step);
+        system.spread_out(&shared, tile.nodes, &tile.time, |row, score| self.with_others[row] += score * tile.weight);
+        let changes = by_unknown.columns.iter().chain(&by_unknown.rate).map(|d| f64::from(*d) * tile.weight);
+        let own = shared.columns.iter().chain(&shared.timed);
+        for (d, (own, left)) in changes.zip(own.zip(left.columns.iter().chain(&left.timed))) {
+            self.own += d * own;
+            self.pull += d * left;
         }
     }
 

@@ -2,6 +2,7 @@
 
 use super::super::Sensor;
 use super::super::system::side_column::{Clue, SideColumn, SolvedTile};
+use super::super::tile_equations::TileStep;
 use super::{Corrected, Task, Work};
 
 impl Work {
@@ -15,11 +16,18 @@ impl Work {
             let time = self.picture.time(task, &r.run);
             let row = self.pixels().place[1][((r.run.start + r.run.end) / 2) as usize];
             let share = slow.delay_s(task.level, row as f64, task.eye.camera.height());
-            let shift = (motion.velocity + motion.acceleration * time.delay_s) * share;
-            let turn = (motion.turn_rate + motion.turn_acceleration * time.delay_s) * share;
+            let velocity = motion.velocity + motion.acceleration * time.delay_s;
+            let turn_rate = motion.turn_rate + motion.turn_acceleration * time.delay_s;
+            // Later rows of the tile are delayed the more, by the share of a readout that lies between them.
+            let per_second = if task.sensor.readout_s > 0.0 { 1.0 / task.sensor.readout_s } else { 0.0 };
+            let mut by_readout = TileStep::default();
+            for (c, speed) in velocity.iter().chain(&turn_rate).enumerate() {
+                by_readout.columns[c] = (speed * share) as f32;
+                by_readout.rate[c] = (speed * per_second) as f32;
+            }
             let nodes = self.pixels().light().nodes_of(r.run.tile);
-            let tile = SolvedTile { sums: &r.sums, step: &r.step, nodes, time, weight: scale.powi(-2) };
-            column.add(&self.system, &tile, &[shift.x, shift.y, shift.z, turn.x, turn.y, turn.z]);
+            let tile = SolvedTile { equations: &r.equations, step: &r.step, nodes, time, weight: scale.powi(-2) };
+            column.add(&self.system, &tile, &by_readout);
         }
         Some(column.finish(&self.system))
     }

@@ -22,7 +22,7 @@ impl Work {
         let mut squares = Vec::new();
         for r in &self.runs {
             squares.clear();
-            squares_after(&self.picture.view(r), &r.step, 1, &mut squares);
+            squares_after(&self.picture.view(r), &r.step.columns, 1, &mut squares);
             // Those that tell something, as the squares are.
             let told = r.run.range().filter(|k| self.picture.residuals.information[*k] > 0.0);
             out.extend(told.zip(&squares).map(|(k, square)| UsedPixel {

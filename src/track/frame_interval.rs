@@ -1,0 +1,63 @@
+//! How often frames come: gaps that a track may bridge are told by the camera's own rate, not by a clock's.
+//!
+//! Limits in seconds that suit a camera of 30 frames a second would cut off one of 5 between any two of its frames. So where a limit
+//! says "the next frame", it is this interval with some slack.
+
+/// Intervals that are remembered; the middle one of them is the camera's, whatever single frames were dropped.
+const REMEMBERED: usize = 5;
+/// Longer gaps are interruptions, not intervals, seconds. Raised, a clip of single pictures would count as a film.
+const LONGEST_S: f64 = 0.5;
+/// Intervals jitter: a frame comes this many intervals after the one before at most, unless one is missing.
+const JITTER: f64 = 1.25;
+
+/// The time from frame to frame, as the last stamps tell.
+#[derive(Debug, Clone, Default)]
+pub struct FrameInterval {
+    last_ns: Option<i64>,
+    /// The last intervals, seconds, in the order of their slots; 0 where there was none yet.
+    intervals: [f64; REMEMBERED],
+    next: usize,
+}
+
+impl FrameInterval {
+    /// Takes the stamp of the next frame.
+    pub fn update(&mut self, timestamp_ns: i64) {
+        let before = self.last_ns.replace(timestamp_ns);
+        let Some(interval) = before.map(|before| timestamp_ns.saturating_sub(before) as f64 * 1e-9) else { return };
+        if interval > 0.0 && interval <= LONGEST_S {
+            self.intervals[self.next] = interval;
+            self.next = (self.next + 1) % REMEMBERED;
+        }
+    }
+
+    /// How long after a frame the next one comes at the latest, seconds; 0 while nobody knows.
+    pub fn to_next_s(&self) -> f64 {
+        let mut known = self.intervals;
+        known.sort_by(f64::total_cmp);
+        let first = known.partition_point(|interval| *interval == 0.0);
+        known[first..].get((REMEMBERED - first) / 2).map_or(0.0, |middle| JITTER * middle)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn after(stamps_ms: &[i64]) -> f64 {
+        let mut interval = FrameInterval::default();
+        stamps_ms.iter().for_each(|ms| interval.update(ms * 1_000_000));
+        interval.to_next_s()
+    }
+
+    #[test]
+    fn the_middle_interval_counts() {
+        assert_eq!(after(&[]), 0.0);
+        assert_eq!(after(&[70]), 0.0);
+        assert!((after(&[0, 200]) - 0.25).abs() < 1e-9);
+        // One frame is missing, one comes late, and the clip was interrupted.
+        assert!((after(&[0, 20, 40, 80, 100, 121]) - 0.025).abs() < 1e-9);
+        assert!((after(&[0, 200, 400, 9000, 9200]) - 0.25).abs() < 1e-9);
+        // Stamps that stand still or go back are none.
+        assert!((after(&[0, 200, 200, 100, 300]) - 0.25).abs() < 1e-9);
+    }
+}
