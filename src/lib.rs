@@ -27,6 +27,7 @@
 //! - [`simulate`]: the virtual stage with exact truth
 //! - [`capture`]: [`capture::FrameSource`]: clips of every form, the virtual camera, V4L2 cameras
 //! - [`calibrate`]: a chessboard's corners, Zhang's method, bundle adjustment, judgement and report
+//! - [`targets`]: what to print: the poster and the board, as PDF and SVG
 //! - [`publish`]: one file a protocol, one thread an output: FreeD, OpenTrackIO, PosiStageNet, OSC, JSON
 //! - [`web`]: what a running daemon counts, its health and metrics; with feature `http` a server: WebSocket, pose and state
 //! - [`config`]: as typed, then resolved
@@ -60,6 +61,7 @@ pub mod publish;
 pub mod record;
 pub mod safe_file;
 pub mod simulate;
+pub mod targets;
 pub mod track;
 pub mod utc;
 pub mod web;

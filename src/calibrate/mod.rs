@@ -14,7 +14,6 @@ mod recompute;
 pub mod rendered;
 pub mod report;
 pub mod session;
-pub mod sheet;
 pub mod shutter;
 pub mod solve;
 pub mod table;

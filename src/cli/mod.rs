@@ -15,6 +15,7 @@ mod listen;
 mod logging;
 mod output_file;
 pub mod overlay;
+mod poster;
 mod receivers;
 mod record;
 mod replay;
@@ -52,6 +53,7 @@ enum Command {
     Demo(demo::DemoArguments),
     Calibrate(calibrate::CalibrateArguments),
     Board(board::BoardArguments),
+    Poster(poster::PosterArguments),
     Devices(devices::DevicesArguments),
     Run(run::RunArguments),
     Record(record::RecordArguments),
@@ -75,6 +77,7 @@ pub fn run(started: Instant) -> ExitCode {
         Command::Check(arguments) => check::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Board(arguments) => board::run(&arguments),
+        Command::Poster(arguments) => poster::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),

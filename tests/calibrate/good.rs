@@ -117,3 +117,18 @@ fn a_board_is_printed_with_its_ruler() {
     assert_eq!(run.stdout, svg);
     scene.run(&["board", "--board", "9x6", "--square-mm", "0"]).assert_refused(2, &["--square-mm is 0"]);
 }
+
+#[test]
+fn a_board_fits_its_paper_or_is_refused_with_the_largest_square() {
+    let scene = Scene::new(0, 0.0);
+    scene.run(&["board", "--board", "9x6", "--square-mm", "24", "--paper", "a4", "-o", "board.svg"]).assert_success();
+    assert!(scene.read("board.svg").contains("width=\"297mm\" height=\"210mm\""));
+    scene.run(&["board", "--board", "9x6", "--square-mm", "24", "--paper", "Letter", "-o", "board.pdf"]).assert_success();
+    let pdf = std::fs::read(scene.path("board.pdf")).unwrap();
+    assert!(pdf.starts_with(b"%PDF-") && String::from_utf8_lossy(&pdf).contains("/MediaBox [0 0 792"));
+    let run = scene.run(&["board", "--board", "9x6", "--square-mm", "30", "--paper", "a4", "-o", "large.pdf"]);
+    run.assert_refused(2, &["9x6 with squares of 30 mm does not fit", "--square-mm 24.5"]);
+    assert!(!scene.path("large.pdf").exists());
+    scene.run(&["board", "--board", "9x6", "--square-mm", "30", "--paper", "a9"]).assert_refused(2, &["--paper is \"a9\"", "letter"]);
+    scene.run(&["board", "--board", "9x6", "--square-mm", "20", "-o", "board.doc"]).assert_refused(2, &["board.doc", ".pdf or .svg"]);
+}

@@ -5,6 +5,7 @@ mod bad_config;
 mod files;
 mod good;
 mod outputs;
+mod poster;
 pub mod scene;
 mod terminal;
 mod usage;

@@ -5,6 +5,7 @@ mod daemon;
 mod objects;
 mod photo;
 mod poses;
+mod poster;
 mod record_line;
 pub mod scene;
 mod shutter;

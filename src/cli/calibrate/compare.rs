@@ -41,7 +41,7 @@ pub(super) fn run(own: &Path, arguments: &CalibrateArguments) -> Result<(), Fail
     let comparison = between(&read(own)?.calibration.model, &read(other)?)?;
     print(&table(&comparison))?;
     match &arguments.report {
-        Some(file) => output::write(file, &report::comparison_html(&own.display().to_string(), &comparison)),
+        Some(file) => output::write(file, report::comparison_html(&own.display().to_string(), &comparison)),
         None => Ok(()),
     }
 }

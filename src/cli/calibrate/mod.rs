@@ -157,10 +157,10 @@ fn write_results(
     accepted: bool,
 ) -> Result<(), Failure> {
     if let Some(file) = &arguments.json {
-        output::write(file, &json::text(made, calibration, comparison))?;
+        output::write(file, json::text(made, calibration, comparison))?;
     }
     if let Some(file) = &arguments.report {
-        output::write(file, &report::html(made, comparison))?;
+        output::write(file, report::html(made, comparison))?;
     }
     if let Some(file) = arguments.output.as_ref().filter(|_| accepted) {
         let text = match form_of(file, arguments.format) {

@@ -9,14 +9,15 @@ use crate::cli::output_file::OutputFile;
 use crate::cli::spared::Spared;
 
 /// Writes a file beside its place and moves it there, so that what was there is replaced by a whole file or not at all.
-pub(in crate::cli) fn write(file: &Path, text: &str) -> Result<(), Failure> {
+pub(in crate::cli) fn write(file: &Path, content: impl AsRef<[u8]>) -> Result<(), Failure> {
+    let content = content.as_ref();
     let name = file.file_name().unwrap_or_default().to_string_lossy();
     let beside = file.with_file_name(format!(".{name}.{}", std::process::id()));
     // What is no plain file - a pipe, /dev/stdout - cannot be replaced, only written to.
     if std::fs::metadata(file).is_ok_and(|m| !m.is_file()) {
-        return OutputFile::open(file)?.write_all(text.as_bytes()).map_err(Failure::output(file));
+        return OutputFile::open(file)?.write_all(content).map_err(Failure::output(file));
     }
-    let written = std::fs::write(&beside, text).and_then(|()| std::fs::rename(&beside, file));
+    let written = std::fs::write(&beside, content).and_then(|()| std::fs::rename(&beside, file));
     if written.is_err() {
         let _ = std::fs::remove_file(&beside);
     }

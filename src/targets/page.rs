@@ -1,0 +1,86 @@
+//! A page to print: black rectangles, lines, text and one picture, placed in millimetres.
+//!
+//! x goes right and y down from the paper's top left corner. What a page holds is the same in every file form.
+
+/// A page.
+#[derive(Debug, Clone)]
+pub struct Page {
+    /// Width and height of the paper, millimetres.
+    pub size_mm: [f64; 2],
+    /// What is on it.
+    pub items: Vec<Item>,
+}
+
+/// One thing on a page; lengths in millimetres.
+#[derive(Debug, Clone)]
+pub enum Item {
+    /// Black squares: their top left corners and their side.
+    Squares {
+        /// Top left corners.
+        at: Vec<[f64; 2]>,
+        /// Side of each.
+        side: f64,
+    },
+    /// Thin black lines from (x, y) to (x, y).
+    Lines(Vec<[f64; 4]>),
+    /// A line of text.
+    Text {
+        /// Where its base line starts, or the middle of its base line.
+        at: [f64; 2],
+        /// Size of the type.
+        size: f64,
+        /// What it says: ASCII.
+        text: String,
+        /// How it is set.
+        style: Style,
+    },
+    /// The picture.
+    Picture {
+        /// Top left corner.
+        at: [f64; 2],
+        /// Width and height between its outer edges.
+        size: [f64; 2],
+    },
+}
+
+/// How a text is set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Style {
+    /// Sans serif, from its start.
+    Plain,
+    /// Sans serif digits, centred.
+    Centred,
+    /// All letters of one width, from its start.
+    Typewriter,
+}
+
+/// Thickness of a line, millimetres: as thin as every printer prints it.
+pub const LINE_MM: f64 = 0.15;
+/// Height of a ruler with its numbers, millimetres.
+pub const RULER_MM: f64 = 8.0;
+/// Longest ruler, millimetres: the length of a desk ruler, which it is held against.
+const LONGEST_RULER_MM: f64 = 200.0;
+
+/// A ruler in whole centimetres, at most `room` long, with a tick a millimetre.
+pub fn ruler([left, top]: [f64; 2], room: f64) -> Vec<Item> {
+    let length = ((room.min(LONGEST_RULER_MM) / 10.0).floor().max(1.0) * 10.0) as u32;
+    let x = |mm: u32| left + f64::from(mm);
+    let tick = |mm: u32| {
+        if mm.is_multiple_of(10) {
+            4.0
+        } else if mm.is_multiple_of(5) {
+            2.8
+        } else {
+            1.8
+        }
+    };
+    let mut lines = vec![[left, top, x(length), top]];
+    lines.extend((0..=length).map(|mm| [x(mm), top, x(mm), top + tick(mm)]));
+    let number = |mm: u32| Item::Text { at: [x(mm), top + 7.0], size: 2.4, text: mm.to_string(), style: Style::Centred };
+    std::iter::once(Item::Lines(lines)).chain((0..=length).step_by(10).map(number)).collect()
+}
+
+/// The size of type, at most `largest`, at which a text is no wider than `room`.
+pub fn fitting_size(text: &str, room: f64, largest: f64, em_a_letter: f64) -> f64 {
+    (room / (text.len().max(1) as f64 * em_a_letter)).min(largest)
+}
