@@ -90,6 +90,7 @@ fn send(outputs: &[OutputSettings], frames: u64) -> (Vec<Instant>, Vec<Duration>
     let context = Context {
         camera: CameraModel::pinhole(1280, 720, 900.0, 900.0, 639.5, 359.5).expect("good intrinsics"),
         objects: Vec::new(),
+        mount: None,
         safety: SafetySettings::default(),
         stamps: Stamps::Recorded(ClipStart::default()),
         frame_rate: Some(HZ),
@@ -187,6 +188,7 @@ fn output(k: usize, protocol: Protocol, to: Vec<SocketAddr>) -> OutputSettings {
         udp: UdpSettings { to, ..UdpSettings::default() },
         bodies: vec![BodyChoice::Camera],
         rate: Rate::Every(1),
+        delay: Duration::ZERO,
         on_loss: OnLoss::Stop,
         placement: Placement::default(),
         is_guarded: true,

@@ -28,6 +28,7 @@
 //! - [`capture`]: [`capture::FrameSource`]: clips of every form, the virtual camera, V4L2 cameras
 //! - [`calibrate`]: a chessboard's corners, Zhang's method, bundle adjustment, judgement and report
 //! - [`targets`]: what to print: the poster and the board, as PDF and SVG
+//! - [`mount`]: where the filming camera sits on the rig, from views of both cameras
 //! - [`publish`]: one file a protocol, one thread an output: FreeD, OpenTrackIO, PosiStageNet, OSC, JSON
 //! - [`web`]: what a running daemon counts, its health and metrics; with feature `http` a server: WebSocket, pose and state
 //! - [`config`]: as typed, then resolved
@@ -55,6 +56,7 @@ pub mod frame;
 pub mod geometry;
 pub mod latest;
 pub mod matching;
+pub mod mount;
 pub mod pose;
 pub mod printable;
 pub mod publish;

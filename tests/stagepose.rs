@@ -5,6 +5,7 @@ mod calibrate;
 mod cli;
 mod clips;
 mod live;
+mod mount;
 mod network;
 mod outputs;
 mod pipeline;

@@ -81,8 +81,11 @@ fn report(settings: &Settings, camera: &CameraModel, notes: &[String], clip: Opt
     for object in &settings.objects {
         body(&mut text, &format!("object {}", object.name), object, camera);
     }
+    for (k, line) in settings.mount.iter().flat_map(|mount| mount::lines(mount, settings)).enumerate() {
+        let _ = writeln!(text, "{:<11} {line}", if k == 0 { "mount" } else { "" });
+    }
     for output in &settings.outputs {
-        let _ = writeln!(text, "output      {}", output_line(output));
+        let _ = writeln!(text, "output      {}", output_line(output, settings));
     }
     if let Some(http) = &settings.http {
         let _ = writeln!(text, "http        http://{0}/api/v1/pose, http://{0}/api/v1/state, ws://{0}/ws", http.listen);
@@ -101,7 +104,7 @@ fn report(settings: &Settings, camera: &CameraModel, notes: &[String], clip: Opt
     text
 }
 
-fn output_line(output: &OutputSettings) -> String {
+fn output_line(output: &OutputSettings, settings: &Settings) -> String {
     let mut to: Vec<String> = output.udp.to.iter().map(ToString::to_string).collect();
     if let Protocol::Json(json) = &output.protocol {
         to.extend(json.stream.tcp_listen.map(|address| format!("clients on {address}")));
@@ -118,7 +121,9 @@ fn output_line(output: &OutputSettings) -> String {
         OnLoss::Flag => "flags a loss",
     };
     let off = if output.enabled { "" } else { " (not enabled)" };
-    format!("{}: {} to {}, {rate}, {on_loss}{off}", output.name, output.protocol.word(), to.join(", "))
+    let late = if matches!(output.rate, Rate::Every(_)) { mount::late(output.delay) } else { String::new() };
+    let bodies = mount::bodies(output, settings);
+    format!("{}: {}{bodies} to {}, {rate}{late}, {on_loss}{off}", output.name, output.protocol.word(), to.join(", "))
 }
 
 /// Angles across the middle of the picture, through the lens' distortion where it can be inverted.
@@ -190,6 +195,7 @@ fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
 }
 
 mod lens;
+mod mount;
 mod shutter;
 
 #[cfg(feature = "live")]

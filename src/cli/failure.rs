@@ -64,6 +64,9 @@ pub enum Failure {
     /// The pictures make no calibration, or none that should be used.
     #[error("{0}")]
     Calibration(String),
+    /// Two clips tell no mount.
+    #[error("{0}")]
+    Mount(String),
     /// The tracker or one of its threads gave up.
     #[error("tracking failed: {0}")]
     Tracking(String),
@@ -116,6 +119,7 @@ impl Failure {
             | Self::Recording(_)
             | Self::Demo(_)
             | Self::Calibration(_)
+            | Self::Mount(_)
             | Self::Tracking(_) => 1,
         })
     }

@@ -13,6 +13,7 @@ mod failure;
 mod interrupt;
 mod listen;
 mod logging;
+mod mount;
 mod output_file;
 pub mod overlay;
 mod poster;
@@ -54,6 +55,7 @@ enum Command {
     Calibrate(calibrate::CalibrateArguments),
     Board(board::BoardArguments),
     Poster(poster::PosterArguments),
+    Mount(mount::MountArguments),
     Devices(devices::DevicesArguments),
     Run(run::RunArguments),
     Record(record::RecordArguments),
@@ -78,6 +80,7 @@ pub fn run(started: Instant) -> ExitCode {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Board(arguments) => board::run(&arguments),
         Command::Poster(arguments) => poster::run(&arguments),
+        Command::Mount(arguments) => mount::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),

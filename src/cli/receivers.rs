@@ -24,11 +24,13 @@ impl Receivers {
             camera: Some(camera),
             outputs: settings.outputs.clone(),
             objects: settings.objects.iter().map(|object| object.name.clone()).collect(),
+            mount: settings.mount.clone(),
             safety: settings.safety,
             http: settings.http.clone(),
             log: settings.log,
         };
-        let context = Context { camera, objects: sending.objects.clone(), safety: sending.safety, stamps, frame_rate, is_test: false };
+        let (objects, mount) = (sending.objects.clone(), sending.mount.clone());
+        let context = Context { camera, objects, mount, safety: sending.safety, stamps, frame_rate, is_test: false };
         Self::open(&sending, &context)
     }
 

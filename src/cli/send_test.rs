@@ -56,6 +56,7 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
     let context = Context {
         camera: settings.camera.unwrap_or_else(any_camera),
         objects: settings.objects.clone(),
+        mount: settings.mount.clone(),
         safety: settings.safety,
         stamps: Stamps::Recorded(ClipStart::default()),
         frame_rate: Some(arguments.fps),

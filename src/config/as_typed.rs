@@ -15,6 +15,7 @@ use toml::Spanned;
 
 use super::ConfigError;
 use super::origin::Origin;
+pub use super::stage_origin::TypedPoints;
 pub use super::typed_outputs::{Filter, Http, Output, OutputValue, Safety};
 use super::{characters, known_keys};
 
@@ -24,11 +25,13 @@ use super::{characters, known_keys};
 pub struct Config {
     /// `[camera]`
     pub camera: Option<Spanned<Camera>>,
-    /// `[stage]`, which only holds `[[stage.surface]]`.
+    /// `[stage]`: its origin, and `[[stage.surface]]`.
     pub stage: Option<Spanned<Stage>>,
     /// `[[object]]`
     #[serde(default)]
     pub object: Vec<Spanned<Object>>,
+    /// `[mount]`
+    pub mount: Option<Spanned<Mount>>,
     /// `[tracker]`
     pub tracker: Option<Tracker>,
     /// `[recorder]`
@@ -80,6 +83,8 @@ pub struct Camera {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
+    /// Where points of the first surface are, by their names, metres.
+    pub origin: Option<Spanned<TypedPoints>>,
     /// `[[stage.surface]]`
     #[serde(default)]
     pub surface: Vec<Spanned<Surface>>,
@@ -116,6 +121,30 @@ pub struct Surface {
     pub orientation_xyzw: Option<Spanned<Exactly<Number, 4>>>,
     /// or turn, tilt and roll, degrees.
     pub rotation_deg: Option<Spanned<Exactly<Number, 3>>>,
+}
+
+/// `[mount]`
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Mount {
+    /// For `bodies` and the receivers.
+    pub name: Option<Spanned<String>>,
+    /// "camera", or an object's name.
+    pub on: Option<Spanned<String>>,
+    /// Right, forward, up of the carrier, metres.
+    pub offset_m: Option<Spanned<Exactly<Number, 3>>>,
+    /// Pan, tilt and roll against the carrier, degrees,
+    pub rotation_deg: Option<Spanned<Exactly<Number, 3>>>,
+    /// or a unit quaternion.
+    pub orientation_xyzw: Option<Spanned<Exactly<Number, 4>>>,
+    /// One sigma of the offset along the carrier's axes, metres.
+    pub offset_sigma_m: Option<Spanned<Exactly<Number, 3>>>,
+    /// One sigma of pan, tilt and roll, degrees.
+    pub rotation_sigma_deg: Option<Spanned<Exactly<Number, 3>>>,
+    /// The filming camera's own calibration.
+    pub calibration: Option<Spanned<String>>,
+    /// How much later its picture comes, seconds.
+    pub delay_s: Option<Spanned<Number>>,
 }
 
 /// `[tracker]`

@@ -13,7 +13,7 @@ use super::lens::LensSource;
 use super::origin::Origin;
 use super::rotation::{Turned, TypedRotation};
 use super::values::Section;
-use super::{ConfigError, Problem};
+use super::{ConfigError, Problem, stage_origin};
 use crate::camera::{CameraModel, Pixel, plausible};
 use crate::capture::orientation_words;
 use crate::geometry::{Body, Pose, SurfaceFrame};
@@ -38,7 +38,11 @@ impl BodyReader<'_> {
             let mend = "a section [[stage.surface]] with an `image` or a `photo` of the stage and its `size_m`";
             return Err(self.origin.missing("the config".to_owned(), "stage.surface", mend));
         }
-        Ok(BodySpec { name: STAGE.to_owned(), surfaces: self.surfaces(surfaces, "[[stage.surface]]")? })
+        let mut stage = BodySpec { name: STAGE.to_owned(), surfaces: self.surfaces(surfaces, "[[stage.surface]]")? };
+        if let Some(points) = typed.and_then(|stage| stage.get_ref().origin.as_ref()) {
+            self.notes.extend(stage_origin::place(self.origin, points, &mut stage)?);
+        }
+        Ok(stage)
     }
 
     /// What is rare in a camera is said.

@@ -66,6 +66,7 @@ pub(super) fn named_files(typed: &Config) -> Vec<(String, Range<usize>)> {
     if let Some(camera) = &typed.camera {
         named.extend([camera.get_ref().calibration.as_ref(), camera.get_ref().mask.as_ref()]);
     }
+    named.extend(typed.mount.iter().map(|mount| mount.get_ref().calibration.as_ref()));
     let of_stage = typed.stage.iter().flat_map(|stage| &stage.get_ref().surface);
     let of_objects = typed.object.iter().flat_map(|object| &object.get_ref().surface);
     for surface in of_stage.chain(of_objects) {

@@ -13,12 +13,13 @@ use super::{ConfigError, Problem};
 
 /// Every section of this version with its keys, as a message writes it: `("[camera]", ["calibration", …])`.
 pub fn known_keys() -> Vec<(&'static str, &'static [&'static str])> {
-    let paths: [&[&str]; 13] = [
+    let paths: [&[&str]; 14] = [
         &["camera"],
         &["stage"],
         &["stage", "surface"],
         &["object"],
         &["object", "surface"],
+        &["mount"],
         &["tracker"],
         &["filter"],
         &["safety"],
@@ -40,6 +41,7 @@ fn section(path: &[&str]) -> Option<(&'static str, &'static [&'static str])> {
         ["stage", "surface"] => ("[[stage.surface]]", fields::<as_typed::Surface>()),
         ["object"] => ("[[object]]", fields::<as_typed::Object>()),
         ["object", "surface"] => ("[[object.surface]]", fields::<as_typed::Surface>()),
+        ["mount"] => ("[mount]", fields::<as_typed::Mount>()),
         ["tracker"] => ("[tracker]", fields::<as_typed::Tracker>()),
         ["recorder"] => ("[recorder]", fields::<as_typed::Recorder>()),
         ["filter"] => ("[filter]", fields::<as_typed::Filter>()),

@@ -1,6 +1,6 @@
 //! `[camera]`: the lens, from its calibration or from a guess, and pictures of which size it is for.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use toml::Spanned;
 
@@ -19,6 +19,14 @@ pub enum LensSource {
 }
 
 impl LensSource {
+    /// The calibration's file, where there is one.
+    pub fn calibration_file(&self) -> Option<&Path> {
+        match self {
+            Self::Calibration(file) => Some(file),
+            Self::Guess(..) => None,
+        }
+    }
+
     /// The size of the pictures that the lens is known for.
     pub fn size(&self, camera: &CameraModel) -> Option<(u32, u32)> {
         match self {

@@ -14,6 +14,7 @@ mod error;
 mod filter;
 mod known_keys;
 mod lens;
+mod mount;
 mod origin;
 #[cfg(test)]
 mod output_tests;
@@ -22,6 +23,7 @@ mod protocols;
 mod rotation;
 mod settings;
 mod source;
+mod stage_origin;
 #[cfg(test)]
 mod stage_words_tests;
 #[cfg(test)]

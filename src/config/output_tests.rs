@@ -225,3 +225,21 @@ fn the_examples_for_receivers_are_good() {
     }
     assert_eq!(read, 6);
 }
+
+#[test]
+fn a_receiver_brings_its_axes_and_units() {
+    let placement = |text: &str| load(text).unwrap().outputs[0].placement;
+    let unreal = placement(&format!("{OSC}receiver = \"Unreal\"\n"));
+    assert_eq!((unreal.order, unreal.scale, unreal.angle_signs), ([1, 0, 2], 100.0, [-1.0, 1.0, 1.0]));
+    // What is typed beside it counts on top: metres, and a pan that is turned round once more.
+    let own = placement(&format!("{OSC}receiver = \"unreal\"\nscale = 1\ninvert = [\"pan\"]\noffset_m = [1, 2, 3]\n"));
+    assert_eq!((own.order, own.scale, own.angle_signs, own.offset_m.y), ([1, 0, 2], 1.0, [1.0; 3], 2.0));
+    // Protocols with axes of their own are turned by the receiver's reader.
+    for receiver in ["unreal", "disguise", "touchdesigner", "lighting"] {
+        assert!(placement(&format!("{FREED}receiver = \"{receiver}\"\n")).is_identity());
+    }
+    let said = message(&format!("{JSON}receiver = \"unreal\"\n"));
+    assert!(said.starts_with("`receiver` in [[output]], line 4: json tells the record's own axes"), "{said}");
+    let said = message(&format!("{OSC}receiver = \"unity\"\n"));
+    assert!(said.starts_with("`receiver` in [[output]], line 4: `unity` cannot be used; give unreal, disguise"), "{said}");
+}

@@ -11,17 +11,21 @@ use super::rotation::{Turned, TypedRotation};
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::publish::{
-    BlendRates, BodyChoice, FixedRate, Interface, OnLoss, OutputSettings, Placement, Protocol, Rate, SafetySettings, UdpSettings,
-    needs_interface,
+    Axes, BlendRates, BodyChoice, FixedRate, Interface, MountSettings, OnLoss, OutputSettings, Placement, Protocol, Rate, SafetySettings,
+    UdpSettings, needs_interface,
 };
 
 pub(super) const OUTPUT: &str = "[[output]]";
+/// How far back ticks lie: two frames at 30 a second and the tracker's time, so that poses are interpolated.
+const USUAL_DELAY_S: f64 = 0.08;
 
 /// Reads outputs for one config.
 pub(super) struct OutputReader<'a> {
     pub origin: &'a Origin<'a>,
     /// The objects' names, in their order.
     pub objects: Vec<String>,
+    /// `[mount]`
+    pub mount: Option<&'a MountSettings>,
 }
 
 impl OutputReader<'_> {
@@ -59,15 +63,20 @@ impl OutputReader<'_> {
         let udp = self.udp(&section, output)?;
         self.has_somewhere_to_go(&protocol, &udp, &span)?;
         let on_loss = on_loss(&section, output, &protocol)?;
+        let placement = placement(&section, output, &protocol)?;
+        let bodies = self.bodies(&section, output, &protocol)?;
+        // Whoever draws on the filming camera's picture wants everything as it was when that was taken.
+        let mount_delay = self.mount.filter(|_| bodies.contains(&BodyChoice::Mount)).map_or(Duration::ZERO, |mount| mount.delay);
         Ok(OutputSettings {
             name,
             enabled: output.enabled.as_ref().is_none_or(|e| *e.get_ref()),
-            bodies: self.bodies(&section, output, &protocol)?,
+            bodies,
             protocol,
             udp,
-            rate: rate(&section, output)?,
+            rate: rate(&section, output, mount_delay)?,
+            delay: mount_delay,
             on_loss,
-            placement: placement(&section, output)?,
+            placement,
             is_guarded: output.safety.as_ref().is_none_or(|e| *e.get_ref()),
         })
     }
@@ -128,8 +137,13 @@ impl OutputReader<'_> {
     fn bodies(&self, section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol) -> Result<Vec<BodyChoice>, ConfigError> {
         let takes_one = matches!(protocol, Protocol::Freed(_) | Protocol::OpenTrackIo(_));
         let Some(typed) = &output.bodies else {
-            let objects = (0..self.objects.len()).filter(|_| !takes_one).map(BodyChoice::Object);
-            return Ok(std::iter::once(BodyChoice::Camera).chain(objects).collect());
+            // Who takes one camera draws on its picture: the filming one's, where there is one. Who takes all has it last, so that the
+            // others keep their numbers.
+            if takes_one {
+                return Ok(vec![self.mount.map_or(BodyChoice::Camera, |_| BodyChoice::Mount)]);
+            }
+            let objects = (0..self.objects.len()).map(BodyChoice::Object);
+            return Ok(std::iter::once(BodyChoice::Camera).chain(objects).chain(self.mount.map(|_| BodyChoice::Mount)).collect());
         };
         let bodies = Texts::all(typed);
         if bodies.is_empty() || takes_one && bodies.len() > 1 {
@@ -146,7 +160,11 @@ impl OutputReader<'_> {
         if found.is_none() && typed.get_ref().eq_ignore_ascii_case("camera") {
             return Ok(BodyChoice::Camera);
         }
-        let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted: "\"camera\" or the `name` of an [[object]]" };
+        if found.is_none() && self.mount.is_some_and(|mount| mount.name == *typed.get_ref()) {
+            return Ok(BodyChoice::Mount);
+        }
+        let wanted = "\"camera\" or the `name` of an [[object]] or of [mount]";
+        let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
         found.map(BodyChoice::Object).ok_or_else(|| section.refuse("bodies", &typed.span(), problem()))
     }
 }
@@ -170,7 +188,8 @@ fn on_loss(section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol
     }
 }
 
-fn rate(section: &Section<'_>, output: &as_typed::Output) -> Result<Rate, ConfigError> {
+/// Ticks lie back by the mount's delay, where that is more than what they need to be interpolated and the output does not say otherwise.
+fn rate(section: &Section<'_>, output: &as_typed::Output, mount_delay: Duration) -> Result<Rate, ConfigError> {
     let every = section.count("rate_divider", output.rate_divider.as_ref(), 1, 1..=1000, "a whole number from 1 to 1000")?;
     let Some(typed) = &output.rate_hz else {
         if let Some(delay) = &output.delay_s {
@@ -186,12 +205,37 @@ fn rate(section: &Section<'_>, output: &as_typed::Output) -> Result<Rate, Config
     let found = FixedRate::KNOWN.into_iter().find(|(hz, _)| *hz == typed.get_ref().0);
     let problem = || Problem::Range { value: typed.get_ref().0.to_string(), wanted: "25, 29.97, 30, 50, 59.94 or 60" };
     let (_, rate) = found.ok_or_else(|| section.refuse("rate_hz", &typed.span(), problem()))?;
-    let delay = section.number("delay_s", output.delay_s.as_ref(), 0.08, |v| (0.0..=0.5).contains(&v), "seconds from 0 to 0.5")?;
+    let default_s = if mount_delay.is_zero() { USUAL_DELAY_S } else { mount_delay.as_secs_f64() };
+    let delay = section.number("delay_s", output.delay_s.as_ref(), default_s, |v| (0.0..=0.5).contains(&v), "seconds from 0 to 0.5")?;
     Ok(Rate::Fixed { rate, delay: Duration::from_secs_f64(delay) })
 }
 
-fn placement(section: &Section<'_>, output: &as_typed::Output) -> Result<Placement, ConfigError> {
-    let mut placement = Placement { offset_m: section.position("offset_m", output.offset_m.as_ref())?, ..Placement::default() };
+/// The axes of the receiver that is named. FreeD, OpenTrackIO and PSN have axes of their own, which every receiver's reader knows: there the
+/// name changes nothing. OSC has bare numbers.
+fn receiver_axes(section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol) -> Result<Axes, ConfigError> {
+    let receivers =
+        [("unreal", Axes::UNREAL), ("disguise", Axes::DISGUISE), ("touchdesigner", Axes::TOUCHDESIGNER), ("lighting", Axes::STAGE)];
+    let wanted = "unreal, disguise, touchdesigner or lighting";
+    let axes = section.word("receiver", output.receiver.as_ref(), Axes::STAGE, &receivers, wanted)?;
+    match (protocol, &output.receiver) {
+        (Protocol::Osc(_), _) => Ok(axes),
+        (Protocol::Json(_), Some(typed)) => {
+            let problem = "json tells the record's own axes, which its reader turns; remove it, or send osc";
+            Err(section.refuse("receiver", &typed.span(), Problem::Combination(problem)))
+        }
+        _ => Ok(Axes::STAGE),
+    }
+}
+
+fn placement(section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol) -> Result<Placement, ConfigError> {
+    let Axes { order, position_signs, angle_signs, scale } = receiver_axes(section, output, protocol)?;
+    let mut placement = Placement {
+        order,
+        position_signs,
+        angle_signs,
+        offset_m: section.position("offset_m", output.offset_m.as_ref())?,
+        ..Placement::default()
+    };
     let rotation = TypedRotation {
         what: Turned::Frame,
         quaternion_key: "rotation_xyzw",
@@ -199,12 +243,13 @@ fn placement(section: &Section<'_>, output: &as_typed::Output) -> Result<Placeme
         angles: output.rotation_deg.as_ref(),
     };
     placement.rotation = rotation.resolved(section)?;
-    placement.scale = section.number("scale", output.scale.as_ref(), 1.0, |v| v > 0.0 && v <= 1e6, "a factor above 0, at most 1000000")?;
+    placement.scale =
+        section.number("scale", output.scale.as_ref(), scale, |v| v > 0.0 && v <= 1e6, "a factor above 0, at most 1000000")?;
     let axes = [("x", 0), ("y", 1), ("z", 2), ("pan", 3), ("tilt", 4), ("roll", 5)];
     for typed in output.invert.iter().flat_map(Texts::all) {
         match section.word("invert", Some(&typed), 0, &axes, "x, y, z, pan, tilt or roll")? {
-            axis @ 0..3 => placement.position_signs[axis] = -1.0,
-            axis => placement.angle_signs[axis - 3] = -1.0,
+            axis @ 0..3 => placement.position_signs[axis] = -position_signs[axis],
+            axis => placement.angle_signs[axis - 3] = -angle_signs[axis - 3],
         }
     }
     Ok(placement)

@@ -101,6 +101,9 @@ fn freed(section: &Section<'_>, o: &as_typed::Output) -> Result<FreedSettings, C
 fn opentrackio(section: &Section<'_>, o: &as_typed::Output) -> Result<OpenTrackIoSettings, ConfigError> {
     let encodings = [("json", Encoding::Json), ("cbor", Encoding::Cbor)];
     let points = [("projection", PrincipalPoint::Projection), ("both", PrincipalPoint::Both)];
+    // Unreal reads it from a field of its own.
+    let is_unreal = o.receiver.as_ref().is_some_and(|receiver| receiver.get_ref().trim().eq_ignore_ascii_case("unreal"));
+    let usual = if is_unreal { PrincipalPoint::Both } else { PrincipalPoint::Projection };
     let source = section.count("source_number", o.source_number.as_ref(), 1, 1..=200, "a whole number from 1 to 200")?;
     Ok(OpenTrackIoSettings {
         encoding: section.word("encoding", o.encoding.as_ref(), Encoding::Json, &encodings, "json or cbor")?,
@@ -109,7 +112,7 @@ fn opentrackio(section: &Section<'_>, o: &as_typed::Output) -> Result<OpenTrackI
         principal_point: section.word(
             "principal_point",
             o.principal_point.as_ref(),
-            PrincipalPoint::Projection,
+            usual,
             &points,
             "projection (as the standard has it) or both (for Unreal)",
         )?,

@@ -73,7 +73,10 @@ impl TypedRotation<'_> {
             (Some(_), Some(typed)) => {
                 let problem = match self.what {
                     Turned::Surface => "a surface has either `orientation_xyzw` or `rotation_deg`, this one has both; remove one",
-                    Turned::Frame => "an output has either `rotation_xyzw` or `rotation_deg`, this one has both; remove one",
+                    Turned::Frame if self.quaternion_key == "rotation_xyzw" => {
+                        "an output has either `rotation_xyzw` or `rotation_deg`, this one has both; remove one"
+                    }
+                    Turned::Frame => "a mount has either `orientation_xyzw` or `rotation_deg`, this one has both; remove one",
                 };
                 Err(section.refuse("rotation_deg", &typed.span(), Problem::Combination(problem)))
             }

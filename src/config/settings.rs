@@ -14,6 +14,7 @@ use super::bodies::BodyReader;
 use super::copy::named_files;
 use super::filter::filter;
 use super::lens::{self, LensSource, lens};
+use super::mount::mount;
 use super::origin::Origin;
 use super::outputs::{OUTPUT, OutputReader, safety};
 use super::protocols::address;
@@ -22,7 +23,7 @@ use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::CameraModel;
 use crate::pose::FilterSettings;
-use crate::publish::{OutputSettings, Publisher, SafetySettings};
+use crate::publish::{MountSettings, OutputSettings, Publisher, SafetySettings};
 use crate::track::{BodySpec, TrackerSettings};
 use crate::web::{HostName, HttpSettings};
 
@@ -51,6 +52,8 @@ pub struct Settings {
     pub stage: BodySpec,
     /// The tracked objects, in the order of the file.
     pub objects: Vec<BodySpec>,
+    /// The filming camera on the rig; none without `[mount]`.
+    pub mount: Option<MountSettings>,
     /// The tracker's tunables.
     pub tracker: TrackerSettings,
     /// What is recorded beside the tracking.
@@ -80,6 +83,8 @@ pub struct SendingSettings {
     pub outputs: Vec<OutputSettings>,
     /// The objects' names.
     pub objects: Vec<String>,
+    /// `[mount]`
+    pub mount: Option<MountSettings>,
     /// `[safety]`
     pub safety: SafetySettings,
     /// `[http]`
@@ -208,7 +213,9 @@ impl Settings {
             bodies.note_camera(calibration.get_ref(), &model);
         }
         let (stage, objects) = (bodies.stage(typed.stage.as_ref())?, bodies.objects(&typed.object)?);
-        let outputs = OutputReader { origin: &origin, objects: objects.iter().map(|o| o.name.clone()).collect() };
+        let names: Vec<String> = objects.iter().map(|o| o.name.clone()).collect();
+        let mount = mount(&origin, typed.mount.as_ref(), &names, &mut notes)?;
+        let outputs = OutputReader { origin: &origin, objects: names, mount: mount.as_ref() };
         let files = files_of(&typed, &origin);
         refuse_overwriting(&typed, &origin, &files)?;
         Ok(Self {
@@ -223,11 +230,12 @@ impl Settings {
             device: device(&section, camera)?,
             stage,
             objects,
+            outputs: outputs.outputs(&typed.output)?,
+            mount,
             tracker: tracker(&origin, typed.tracker.as_ref())?,
             recorder: recorder(&origin, typed.recorder.as_ref())?,
             filter: filter(&origin, typed.filter.as_ref())?,
             safety: safety(&origin, typed.safety.as_ref())?,
-            outputs: outputs.outputs(&typed.output)?,
             http: http(&origin, typed.http.as_ref())?,
             log: log(&origin, typed.log.as_ref())?,
             files,
@@ -246,11 +254,13 @@ impl Settings {
         let found = typed.camera.as_ref().map(|camera| lens::found(&section, camera.get_ref())).transpose()?.flatten();
         let names = typed.object.iter().filter_map(|object| object.get_ref().name.as_ref());
         let objects: Vec<String> = names.map(|name| name.get_ref().clone()).collect();
-        let outputs = OutputReader { origin: &origin, objects: objects.clone() };
+        let mount = mount(&origin, typed.mount.as_ref(), &objects, &mut Vec::new())?;
+        let outputs = OutputReader { origin: &origin, objects: objects.clone(), mount: mount.as_ref() };
         Ok(SendingSettings {
             camera: found.map(|(_, camera)| camera),
             outputs: refuse_overwriting(&typed, &origin, &files_of(&typed, &origin)).and_then(|()| outputs.outputs(&typed.output))?,
             objects,
+            mount,
             safety: safety(&origin, typed.safety.as_ref())?,
             http: http(&origin, typed.http.as_ref())?,
             log: log(&origin, typed.log.as_ref())?,

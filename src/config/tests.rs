@@ -129,7 +129,7 @@ fn wrong_keys_get_their_place_and_the_nearest_name() {
         (format!("{GOOD}[trackr]"), "stage.toml: unknown section [trackr], line 6; did you mean `tracker`?"),
         (
             format!("a = 1\n{GOOD}"),
-            "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, tracker, recorder, filter, safety, output, http, log",
+            "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, mount, tracker, recorder, filter, safety, output, http, log",
         ),
         (format!("{GOOD}[recorder]\nring = 1"), "stage.toml: unknown key `ring` in [recorder], line 7; did you mean `ring_s`?"),
         (GOOD.replace("\"camera.toml\"", "\"camera.toml"), "stage.toml: line 2 is not TOML: invalid basic string, expected `\"`"),
@@ -352,7 +352,7 @@ fn the_example_has_every_key_and_nothing_else() {
 
 #[test]
 fn the_example_still_parses_with_every_comment_mark_removed_from_a_key() {
-    let sections = ["[[object]]", "[[object.surface]]", "[[stage.surface]]", "[[output]]", "[[output.value]]"];
+    let sections = ["[mount]", "[stage]", "[[object]]", "[[object.surface]]", "[[stage.surface]]", "[[output]]", "[[output.value]]"];
     let keys: Vec<&str> = known_keys().into_iter().flat_map(|(_, keys)| keys.iter().copied()).collect();
     let opened = |line: &str| {
         let bare = line.trim_start_matches(['#', ' ']);
@@ -363,6 +363,7 @@ fn the_example_still_parses_with_every_comment_mark_removed_from_a_key() {
     let config = Config::parse(&text, Path::new("stage.toml")).unwrap();
     assert_eq!((config.stage.unwrap().get_ref().surface.len(), config.object.len()), (2, 1));
     assert_eq!(config.camera.unwrap().get_ref().controls.as_ref().unwrap().len(), 2);
+    assert!(config.mount.unwrap().get_ref().delay_s.is_some());
     assert!(config.tracker.unwrap().seed.is_some() && config.log.unwrap().level.is_some());
 }
 

@@ -82,6 +82,8 @@ pub struct Output {
     pub delay_s: Option<Spanned<Number>>,
     /// stop, hold, flag.
     pub on_loss: Option<Spanned<String>>,
+    /// Whose axes and units: unreal, disguise, touchdesigner, lighting.
+    pub receiver: Option<Spanned<String>>,
     /// The stage's origin in the receiver's world, metres.
     pub offset_m: Option<Spanned<Exactly<Number, 3>>>,
     /// The stage's axes in the receiver's world.

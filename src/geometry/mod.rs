@@ -15,4 +15,4 @@ pub mod robust;
 pub mod triangulation;
 
 pub use homography::{Homography, PointPair};
-pub use pose::{Body, Camera, Pose, ReferenceCamera, Stage, SurfaceFrame, quaternion, skew};
+pub use pose::{Body, Camera, FilmingCamera, Pose, ReferenceCamera, Stage, SurfaceFrame, quaternion, skew};

@@ -11,6 +11,9 @@ pub enum Stage {}
 /// The optical camera frame: x right, y down, z forward, origin at the projection centre.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Camera {}
+/// The optical frame of the camera whose picture goes on air, mounted beside the tracking one; axes as [`Camera`]'s.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FilmingCamera {}
 /// A rigid body made of surfaces; the stage's own body frame is the stage frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Body {}

@@ -7,6 +7,7 @@ use crossbeam_channel::Sender;
 use super::body_pose::body_of_camera;
 use super::complaints::Complaints;
 use super::limiter::{Limiter, Verdict};
+use super::mounted::Mount;
 use super::placement::Placement;
 use super::report::{BodyReport, Standing, Withheld};
 use super::resample::Resampler;
@@ -45,6 +46,7 @@ pub struct PoseWithheld {
 pub(super) struct BodyChannel {
     name: Arc<str>,
     choice: BodyChoice,
+    mount: Option<Mount>,
     limiter: Limiter,
     resampler: Resampler,
     /// The last pose sent, and when it was so.
@@ -59,14 +61,22 @@ pub(super) struct BodyChannel {
 
 impl BodyChannel {
     /// A body of an output; it tells `events` when its limits begin to hold the pose back.
-    pub fn new(name: Arc<str>, choice: BodyChoice, limits: SafetySettings, output: &OutputSettings, events: Sender<PoseWithheld>) -> Self {
-        let delay_ns = match output.rate {
-            Rate::Fixed { delay, .. } => i64::try_from(delay.as_nanos()).unwrap_or(i64::MAX),
-            Rate::Every(_) => 0,
+    pub fn new(
+        (name, choice): (Arc<str>, BodyChoice),
+        mount: Option<Mount>,
+        limits: SafetySettings,
+        output: &OutputSettings,
+        events: Sender<PoseWithheld>,
+    ) -> Self {
+        let delay = match output.rate {
+            Rate::Fixed { delay, .. } => delay,
+            Rate::Every(_) => output.delay,
         };
+        let delay_ns = i64::try_from(delay.as_nanos()).unwrap_or(i64::MAX);
         Self {
             name,
             choice,
+            mount,
             limiter: Limiter::new(limits),
             resampler: Resampler::new(delay_ns),
             sent: None,
@@ -81,14 +91,13 @@ impl BodyChannel {
 
     /// What a sample says of this body.
     pub fn known(&self, sample: &PoseSample) -> Known {
-        let (state, pose) = match self.choice {
-            BodyChoice::Camera => (sample.state, sample.pose.as_ref().map(body_of_camera)),
-            BodyChoice::Object(index) => match sample.objects.get(index) {
-                Some(object) => (object.state, object.pose),
-                None => return Known::nothing(Standing::Searching),
-            },
-        };
-        Known { standing: Standing::from(state), pose, is_predicted: false }
+        match (self.choice, self.mount) {
+            (BodyChoice::Mount, Some(mount)) => {
+                let carrier = known_of(mount.carrier, sample);
+                Known { pose: carrier.pose.map(|pose| mount.carried(&pose)), ..carrier }
+            }
+            (choice, _) => known_of(choice, sample),
+        }
     }
 
     /// Keeps what a sample said for the ticks to come.
@@ -150,4 +159,18 @@ impl BodyChannel {
             let _ = self.events.try_send(PoseWithheld { output: self.output.clone(), body: self.name.to_string(), reason });
         }
     }
+}
+
+/// What a sample says of a body that is tracked itself.
+fn known_of(choice: BodyChoice, sample: &PoseSample) -> Known {
+    let (state, pose) = match choice {
+        BodyChoice::Camera => (sample.state, sample.pose.as_ref().map(body_of_camera)),
+        BodyChoice::Object(index) => match sample.objects.get(index) {
+            Some(object) => (object.state, object.pose),
+            None => return Known::nothing(Standing::Searching),
+        },
+        // Nothing carries it.
+        BodyChoice::Mount => return Known::nothing(Standing::Searching),
+    };
+    Known { standing: Standing::from(state), pose, is_predicted: false }
 }

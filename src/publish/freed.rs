@@ -159,10 +159,11 @@ pub(super) struct FreedEncoder {
 }
 
 impl FreedEncoder {
-    pub fn new(settings: FreedSettings, camera: &CameraModel) -> Self {
-        let focal_mm = camera.intrinsics().fx * settings.sensor_width_mm / f64::from(camera.width());
+    /// Without a lens that is known the zoom is 0, unless the config gives one.
+    pub fn new(settings: FreedSettings, camera: Option<&CameraModel>) -> Self {
+        let focal_mm = |camera: &CameraModel| camera.intrinsics().fx * settings.sensor_width_mm / f64::from(camera.width());
         // A float beyond the range saturates in the cast.
-        let zoom = settings.zoom.unwrap_or((focal_mm * 1e3).round() as u32);
+        let zoom = settings.zoom.or(camera.map(|camera| (focal_mm(camera) * 1e3).round() as u32)).unwrap_or(0);
         Self { settings, zoom, last: None }
     }
 

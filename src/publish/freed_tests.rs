@@ -62,7 +62,7 @@ fn what_does_not_fit_is_cut_and_said() {
 #[test]
 fn the_encoder_holds_what_24_bits_reach() {
     let settings = FreedSettings { camera_id: 1, spare: Spare::Quality, zoom: None, sensor_width_mm: 4.8, focus: 0 };
-    let encoder = FreedEncoder::new(settings, &CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap());
+    let encoder = FreedEncoder::new(settings, Some(&CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap()));
     let at = |x| Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, x, 0.0));
     assert_eq!([131.0, -131.072, 131.0721, -131.1, 1e6].map(|x| encoder.holds(&at(x))), [true, true, false, false, false]);
 }

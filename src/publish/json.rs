@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 
 use super::body_pose::{body_of_camera, camera_of_body};
 use super::encoder::Encoder;
+use super::mounted::Mount;
 use super::placement::Placement;
 use super::report::{BodyReport, Report, Standing};
 use super::settings::{BodyChoice, StreamSettings};
@@ -28,22 +29,24 @@ pub struct JsonSettings {
 /// Turns reports into lines.
 pub(super) struct JsonEncoder {
     placement: Placement,
+    mount: Option<Mount>,
 }
 
 impl JsonEncoder {
     /// `placement` is what has been done to the poses: what is measured is placed in the same way.
-    pub fn new(placement: Placement) -> Self {
-        Self { placement }
+    pub fn new(placement: Placement, mount: Option<Mount>) -> Self {
+        Self { placement, mount }
     }
 
     /// One line, without its end.
     fn line(&self, report: &Report) -> String {
         let camera = report.bodies.iter().find(|body| body.choice == BodyChoice::Camera);
         let objects: Vec<ObjectLine> =
-            report.bodies.iter().filter(|body| body.choice != BodyChoice::Camera).map(|body| self.object(report, body)).collect();
+            report.bodies.iter().filter(|b| matches!(b.choice, BodyChoice::Object(_))).map(|body| self.object(report, body)).collect();
         // Objects serialise to maps with string keys, which cannot fail.
         let objects = serde_json::to_string(&objects).unwrap_or_default();
-        let marks = camera.map(marks).unwrap_or_default();
+        let mount = report.bodies.iter().find(|body| body.choice == BodyChoice::Mount).map(|body| self.mounted(report, body));
+        let marks = camera.map(marks).unwrap_or_default() + &mount.unwrap_or_default();
         // All bodies are stale together: no frame came.
         if report.bodies.first().is_some_and(|body| body.standing == Standing::Stale) {
             let pose = camera.and_then(|body| body.pose.as_ref()).map(camera_of_body);
@@ -107,6 +110,29 @@ impl JsonEncoder {
         let own = report.sample.as_ref().filter(|_| body.is_passed).and_then(|sample| sample.objects.get(index));
         let covariance = own.and_then(|object| object.covariance.as_ref()).and_then(|c| self.placed_covariance(c));
         ObjectLine::of(body, covariance)
+    }
+
+    /// The filming camera, from the comma on; a camera's pose is told of its optical frame.
+    fn mounted(&self, report: &Report, body: &BodyReport) -> String {
+        let pose = body.pose.as_ref().map(|pose| camera_of_body(pose).renamed());
+        let line = ObjectLine { pose, ..ObjectLine::of(body, self.mounted_covariance(report, body)) };
+        // A map with string keys cannot fail.
+        format!(r#","mount":{}"#, serde_json::to_string(&line).unwrap_or_default())
+    }
+
+    fn mounted_covariance(&self, report: &Report, body: &BodyReport) -> Option<Matrix6<f64>> {
+        let (mount, sample) = (self.mount?, report.sample.as_ref().filter(|_| body.is_passed)?);
+        let (carrier, covariance) = match mount.carrier {
+            BodyChoice::Object(index) => {
+                let object = sample.objects.get(index)?;
+                (object.pose?, object.covariance?)
+            }
+            _ => {
+                let measured = sample.measurement?;
+                (body_of_camera(&measured.pose), measured.covariance)
+            }
+        };
+        self.placed_covariance(&mount.carried_covariance(&carrier, &covariance))
     }
 }
 

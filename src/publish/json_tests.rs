@@ -50,7 +50,7 @@ fn report(standing: Standing) -> Report {
 
 fn line(placement: Placement, report: &Report) -> String {
     let mut lines = Vec::new();
-    JsonEncoder::new(placement).encode(report, &mut |line| lines.push(String::from_utf8(line.to_vec()).unwrap()));
+    JsonEncoder::new(placement, None).encode(report, &mut |line| lines.push(String::from_utf8(line.to_vec()).unwrap()));
     assert_eq!((lines.len(), lines[0].matches('\n').count(), lines[0].ends_with('\n')), (1, 1, true));
     lines.remove(0)
 }

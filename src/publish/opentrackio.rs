@@ -152,8 +152,9 @@ pub(super) struct OpenTrackIoEncoder {
     encoding: Encoding,
     source_number: u8,
     source_id: String,
-    lens: Value,
-    sensor: Value,
+    /// Of the camera that is spoken of, where its lens is known.
+    lens: Option<Value>,
+    sensor: Option<Value>,
     ids: Pcg64,
     sequence: u16,
     static_sent: Option<Instant>,
@@ -162,7 +163,7 @@ pub(super) struct OpenTrackIoEncoder {
 }
 
 impl OpenTrackIoEncoder {
-    pub fn new(settings: &OpenTrackIoSettings, camera: &CameraModel, output: &str) -> Self {
+    pub fn new(settings: &OpenTrackIoSettings, camera: Option<&CameraModel>, output: &str) -> Self {
         // The same machine and output have the same source id from start to start; sample ids never repeat.
         let machine = std::fs::read_to_string("/etc/machine-id").unwrap_or_default();
         let source = fnv_1a(machine.trim().bytes().chain(output.bytes()).chain([settings.source_number]));
@@ -171,8 +172,8 @@ impl OpenTrackIoEncoder {
             encoding: settings.encoding,
             source_number: settings.source_number,
             source_id: uuid_urn(&mut Pcg64::seed_from_u64(source)),
-            lens: lens(camera, settings.sensor_width_mm, settings.principal_point),
-            sensor: sensor(camera, settings.sensor_width_mm),
+            lens: camera.map(|camera| lens(camera, settings.sensor_width_mm, settings.principal_point)),
+            sensor: camera.map(|camera| sensor(camera, settings.sensor_width_mm)),
             ids: Pcg64::seed_from_u64(source ^ started ^ u64::from(std::process::id()) << 32),
             // Not 0: the reference receiver takes that for a repetition of what it had before the first one.
             sequence: 1,
@@ -192,12 +193,14 @@ impl OpenTrackIoEncoder {
         put("sourceNumber", json!(self.source_number));
         put("tracker", tracker(report, body));
         put("timing", timing(report));
-        put("lens", self.lens.clone());
+        if let Some(lens) = &self.lens {
+            put("lens", lens.clone());
+        }
         if let Some(pose) = &body.pose {
             let angles = PanTiltRoll::of_rotation(&pose.rotation, self.last_roll_deg);
             self.last_roll_deg = angles.roll_deg;
             let p = pose.translation;
-            let id = if body.choice == BodyChoice::Camera { "Camera" } else { &*body.name };
+            let id = if matches!(body.choice, BodyChoice::Object(_)) { &*body.name } else { "Camera" };
             put(
                 "transforms",
                 json!([{
@@ -215,7 +218,7 @@ impl OpenTrackIoEncoder {
     }
 
     fn fixed(&self, report: &Report) -> Value {
-        let mut camera = self.sensor.clone();
+        let mut camera = self.sensor.clone().unwrap_or_else(|| json!({}));
         camera["captureFrameRate"] = fraction(report.rate_hz);
         camera["make"] = json!("stagepose");
         camera["model"] = json!(report.bodies.first().map_or("camera", |body| &body.name));

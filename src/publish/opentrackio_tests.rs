@@ -10,7 +10,7 @@ fn settings(encoding: Encoding) -> OpenTrackIoSettings {
 
 fn encoder(encoding: Encoding) -> OpenTrackIoEncoder {
     let camera = CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap();
-    OpenTrackIoEncoder::new(&settings(encoding), &camera, "studio")
+    OpenTrackIoEncoder::new(&settings(encoding), Some(&camera), "studio")
 }
 
 fn datagrams(encoder: &mut OpenTrackIoEncoder, report: &Report) -> Vec<Vec<u8>> {

@@ -1,4 +1,7 @@
 //! The receiver's own origin, axes and units: what an output does to every pose before it is encoded.
+//!
+//! Receivers that take bare numbers (by OSC) count their axes in an order of their own: a renderer's y may be up, or its x forward. There
+//! [`Axes`] says which of the stage's axes is each of theirs. Protocols with axes of their own need none: the receiver's reader knows them.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -14,7 +17,9 @@ pub struct Placement {
     pub offset_m: Vector3<f64>,
     /// Receiver's units per metre of the protocol's own (1 = as the protocol has it).
     pub scale: f64,
-    /// Signs of x, y and z.
+    /// Which of the stage's axes (0, 1, 2) becomes the receiver's first, second and third.
+    pub order: [usize; 3],
+    /// Signs of the receiver's x, y and z.
     pub position_signs: [f64; 3],
     /// Signs of pan, tilt and roll.
     pub angle_signs: [f64; 3],
@@ -26,10 +31,35 @@ impl Default for Placement {
             rotation: UnitQuaternion::identity(),
             offset_m: Vector3::zeros(),
             scale: 1.0,
+            order: [0, 1, 2],
             position_signs: [1.0; 3],
             angle_signs: [1.0; 3],
         }
     }
+}
+
+/// A receiver's axes and units, where it takes bare numbers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Axes {
+    /// Which of the stage's axes becomes the receiver's first, second and third.
+    pub order: [usize; 3],
+    /// Their signs.
+    pub position_signs: [f64; 3],
+    /// Signs of pan, tilt and roll.
+    pub angle_signs: [f64; 3],
+    /// The receiver's units per metre.
+    pub scale: f64,
+}
+
+impl Axes {
+    /// As the stage has them, in metres: lighting desks.
+    pub const STAGE: Self = Self { order: [0, 1, 2], position_signs: [1.0; 3], angle_signs: [1.0; 3], scale: 1.0 };
+    /// Unreal: x forward, y right, z up, left-handed, centimetres; yaw to the right, pitch up, roll clockwise.
+    pub const UNREAL: Self = Self { order: [1, 0, 2], position_signs: [1.0; 3], angle_signs: [-1.0, 1.0, 1.0], scale: 100.0 };
+    /// disguise: x right, y up, z away from the audience, left-handed, metres; a turn to the right, down, and anticlockwise is positive.
+    pub const DISGUISE: Self = Self { order: [0, 2, 1], position_signs: [1.0; 3], angle_signs: [-1.0; 3], scale: 1.0 };
+    /// TouchDesigner: x right, y up, z towards the audience, right-handed, metres; ry to the left, rx up, rz anticlockwise (order Rz Rx Ry).
+    pub const TOUCHDESIGNER: Self = Self { order: [0, 2, 1], position_signs: [1.0, 1.0, -1.0], angle_signs: [1.0, 1.0, -1.0], scale: 1.0 };
 }
 
 impl Placement {
@@ -41,7 +71,7 @@ impl Placement {
     /// The pose as the receiver wants it.
     pub fn apply(&self, pose: &Pose<Stage, Body>) -> Pose<Stage, Body> {
         let position = (self.rotation * pose.translation + self.offset_m) * self.scale;
-        let position = position.component_mul(&Vector3::from(self.position_signs));
+        let position = Vector3::from(self.order.map(|axis| position[axis])).component_mul(&Vector3::from(self.position_signs));
         let turned = self.rotation * pose.rotation;
         if self.angle_signs == [1.0; 3] {
             return Pose::new(turned, position);
@@ -68,6 +98,7 @@ mod tests {
             rotation: quarter,
             offset_m: Vector3::new(0.0, 0.0, -1.0),
             scale: 100.0,
+            order: [0, 1, 2],
             position_signs: [-1.0, 1.0, 1.0],
             angle_signs: [-1.0, 1.0, -1.0],
         };
@@ -75,5 +106,43 @@ mod tests {
         assert!((placed.translation - Vector3::new(200.0, 100.0, 200.0)).norm() < 1e-9, "{}", placed.translation);
         let placed = PanTiltRoll::of_rotation(&placed.rotation, 0.0);
         assert!((placed.pan_deg + 100.0).abs() < 1e-9 && (placed.tilt_deg + 20.0).abs() < 1e-9 && (placed.roll_deg + 5.0).abs() < 1e-9);
+    }
+
+    /// Two metres right of the middle, five upstage, one up, looking 30 degrees to the left and 10 down, rolled by 5 clockwise.
+    fn placed_by(axes: Axes) -> ([f64; 3], [f64; 3]) {
+        let pose = Pose::new(PanTiltRoll { pan_deg: 30.0, tilt_deg: -10.0, roll_deg: 5.0 }.rotation(), Vector3::new(2.0, 5.0, 1.0));
+        let Axes { order, position_signs, angle_signs, scale } = axes;
+        let placed = Placement { order, position_signs, angle_signs, scale, ..Placement::default() }.apply(&pose);
+        let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(&placed.rotation, 0.0);
+        (placed.translation.into(), [pan_deg, tilt_deg, roll_deg].map(|v| (v * 1e6).round() / 1e6))
+    }
+
+    #[test]
+    fn receivers_have_their_own_axes() {
+        assert_eq!(placed_by(Axes::STAGE), ([2.0, 5.0, 1.0], [30.0, -10.0, 5.0]));
+        assert_eq!(placed_by(Axes::UNREAL), ([500.0, 200.0, 100.0], [-30.0, -10.0, 5.0]));
+        assert_eq!(placed_by(Axes::DISGUISE), ([2.0, 1.0, 5.0], [-30.0, 10.0, -5.0]));
+        assert_eq!(placed_by(Axes::TOUCHDESIGNER), ([2.0, 1.0, -5.0], [30.0, -10.0, -5.0]));
+    }
+
+    /// The angles of each receiver, put together in its own axes and order, look where the camera looks, its top where the camera's is.
+    #[test]
+    fn what_a_receiver_makes_of_the_angles_is_the_cameras_direction() {
+        let about = |axis: Vector3<f64>, degrees: f64| {
+            let axis = nalgebra::Unit::new_normalize(axis);
+            UnitQuaternion::from_axis_angle(&axis, degrees.to_radians())
+        };
+        let truth = PanTiltRoll { pan_deg: 30.0, tilt_deg: -10.0, roll_deg: 5.0 }.rotation();
+        let (ahead, top) = (truth * Vector3::y(), truth * Vector3::z());
+        let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
+        // In left-handed axes a positive angle turns x to y, y to z and z to x as well: the numbers' matrix is the same.
+        let (_, [pan, tilt, roll]) = placed_by(Axes::DISGUISE);
+        let made = about(y, pan) * about(x, tilt) * about(z, roll);
+        let stage_of = |v: Vector3<f64>| Vector3::new(v.x, v.z, v.y);
+        assert!((stage_of(made * z) - ahead).norm() < 1e-6 && (stage_of(made * y) - top).norm() < 1e-6, "disguise");
+        let (_, [pan, tilt, roll]) = placed_by(Axes::TOUCHDESIGNER);
+        let made = about(y, pan) * about(x, tilt) * about(z, roll);
+        let stage_of = |v: Vector3<f64>| Vector3::new(v.x, -v.z, v.y);
+        assert!((stage_of(made * -z) - ahead).norm() < 1e-6 && (stage_of(made * y) - top).norm() < 1e-6, "TouchDesigner");
     }
 }

@@ -14,6 +14,7 @@ use super::complaints::Complaints;
 use super::encoder::Encoder;
 use super::freed::FreedEncoder;
 use super::json::JsonEncoder;
+use super::mounted::MountSettings;
 use super::opentrackio::OpenTrackIoEncoder;
 use super::osc::OscEncoder;
 use super::psn::PsnEncoder;
@@ -32,6 +33,8 @@ pub struct Context {
     pub camera: CameraModel,
     /// The objects' names, in the order of the samples.
     pub objects: Vec<String>,
+    /// `[mount]`
+    pub mount: Option<MountSettings>,
     /// `[safety]`
     pub safety: SafetySettings,
     /// Where the samples' stamps come from.
@@ -230,6 +233,7 @@ impl RunningOutput {
             transport,
             bodies: settings.bodies.iter().map(|body| channel(*body, settings, context, events)).collect(),
             rate: settings.rate,
+            delay: settings.delay,
             on_loss: settings.on_loss,
             stale_after: context.safety.stale_after,
             is_test: context.is_test,
@@ -277,25 +281,32 @@ fn body_name(choice: BodyChoice, context: &Context) -> &str {
     match choice {
         BodyChoice::Camera => "camera",
         BodyChoice::Object(index) => context.objects.get(index).map_or("object", String::as_str),
+        BodyChoice::Mount => context.mount.as_ref().map_or("mount", |mount| &mount.name),
     }
 }
 
 fn channel(choice: BodyChoice, settings: &OutputSettings, context: &Context, events: &Sender<PoseWithheld>) -> BodyChannel {
     let name = body_name(choice, context);
     let limits = if settings.is_guarded { context.safety } else { SafetySettings::default() };
-    BodyChannel::new(name.into(), choice, limits, settings, events.clone())
+    let mount = context.mount.as_ref().map(|mount| mount.mount);
+    BodyChannel::new((name.into(), choice), mount, limits, settings, events.clone())
 }
 
 fn encoder(settings: &OutputSettings, context: &Context, clock: &FrameClock) -> Box<dyn Encoder> {
+    // The lens is that of the camera which is spoken of.
+    let camera = match (settings.bodies.first(), &context.mount) {
+        (Some(BodyChoice::Mount), Some(mount)) => mount.camera.as_ref(),
+        _ => Some(&context.camera),
+    };
     match &settings.protocol {
-        Protocol::Freed(freed) => Box::new(FreedEncoder::new(freed.clone(), &context.camera)),
-        Protocol::OpenTrackIo(otrk) => Box::new(OpenTrackIoEncoder::new(otrk, &context.camera, &settings.name)),
+        Protocol::Freed(freed) => Box::new(FreedEncoder::new(freed.clone(), camera)),
+        Protocol::OpenTrackIo(otrk) => Box::new(OpenTrackIoEncoder::new(otrk, camera, &settings.name)),
         Protocol::Psn(psn) => {
             let names: Vec<Arc<str>> = settings.bodies.iter().map(|body| body_name(*body, context).into()).collect();
             Box::new(PsnEncoder::new(psn, &names, clock.now().monotonic_ns))
         }
         Protocol::Osc(osc) => Box::new(OscEncoder::new(osc, &settings.name)),
-        Protocol::Json(_) => Box::new(JsonEncoder::new(settings.placement)),
+        Protocol::Json(_) => Box::new(JsonEncoder::new(settings.placement, context.mount.as_ref().map(|mount| mount.mount))),
     }
 }
 

@@ -68,6 +68,7 @@ fn output(protocol: Protocol, ear: &Ear) -> OutputSettings {
         udp: UdpSettings { to: vec![ear.address()], ..UdpSettings::default() },
         bodies: vec![BodyChoice::Camera],
         rate: Rate::Every(1),
+        delay: Duration::ZERO,
         on_loss: OnLoss::Stop,
         placement: Placement::default(),
         is_guarded: true,
@@ -80,6 +81,7 @@ fn context(safety: SafetySettings) -> Context {
     Context {
         camera,
         objects: vec!["cart".to_owned()],
+        mount: None,
         safety,
         stamps: Stamps::Recorded(ClipStart::default()),
         frame_rate: Some(30.0),
@@ -500,3 +502,6 @@ fn an_output_that_cannot_be_opened_is_named() {
     assert!(refusal.starts_with("output second: cannot wait for clients on 127.0.0.1:"), "{refusal}");
     assert_eq!(Publisher::rehearse(&outputs).err().unwrap().0, 1);
 }
+
+#[path = "publisher_mount_tests.rs"]
+mod mount;

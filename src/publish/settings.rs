@@ -27,6 +27,8 @@ pub struct OutputSettings {
     pub bodies: Vec<BodyChoice>,
     /// When it sends.
     pub rate: Rate,
+    /// With every frame: the poses sent are those of this long before it. A fixed rate has a delay of its own.
+    pub delay: Duration,
     /// What it does when no pose is known.
     pub on_loss: OnLoss,
     /// The receiver's origin, axes and units.
@@ -70,6 +72,8 @@ pub enum BodyChoice {
     Camera,
     /// The object of this number in the config, from 0.
     Object(usize),
+    /// The filming camera, which `[mount]` describes.
+    Mount,
 }
 
 /// Where datagrams go.

@@ -55,6 +55,8 @@ pub(super) struct Worker {
     pub transport: Transport,
     pub bodies: Vec<BodyChannel>,
     pub rate: Rate,
+    /// Of `Rate::Every`: the poses sent are those of this long before the frame.
+    pub delay: Duration,
     pub on_loss: OnLoss,
     pub stale_after: Duration,
     pub is_test: bool,
@@ -126,16 +128,26 @@ impl Worker {
         let is_late = self.is_stale(now);
         let known = |body: &BodyChannel| if is_late { Known::nothing(Standing::Stale) } else { body.known(&arrival.sample) };
         let known: Vec<Known> = self.bodies.iter().map(known).collect();
+        let keep = |(body, known): (&mut BodyChannel, Known)| body.keep(arrival.at_ns, known);
         match self.rate {
-            Rate::Fixed { .. } => self.bodies.iter_mut().zip(known).for_each(|(body, known)| body.keep(arrival.at_ns, known)),
+            Rate::Fixed { .. } => self.bodies.iter_mut().zip(known).for_each(keep),
             Rate::Every(n) => {
+                let delay_ns = nanoseconds(self.delay);
+                let at_ns = arrival.at_ns.saturating_sub(delay_ns);
+                let known = if delay_ns == 0 || is_late {
+                    known
+                } else {
+                    self.bodies.iter_mut().zip(known).for_each(keep);
+                    self.bodies.iter().map(|body| body.at(at_ns, arrival.interval_ns)).collect()
+                };
                 let is_due = self.memory.taken.is_multiple_of(u64::from(n.max(1)));
                 self.memory.taken += 1;
                 // A loss does not wait for its turn.
                 let known_bodies = known.iter().filter(|known| self.sendable(**known).pose.is_some()).count();
                 let is_loss = known_bodies < std::mem::replace(&mut self.memory.known_bodies, known_bodies);
                 if is_due || is_loss {
-                    self.say(arrival.sample.sequence, arrival.at_ns, known, Some(&arrival));
+                    // A delayed pose is not what this frame measured.
+                    self.say(arrival.sample.sequence, at_ns, known, Some(&arrival).filter(|_| delay_ns == 0));
                 }
             }
         }

@@ -11,7 +11,7 @@ use crate::geometry::resection::{MovingCamera, Observation, residual_and_jacobia
 use crate::geometry::{Body, Camera, Pose};
 
 /// Covariance of the left perturbation [δt, δθ] of `T_camera_body` by the lens alone; none where the lens is not in doubt.
-pub(super) fn covariance_by_lens<'a>(
+pub fn covariance_by_lens<'a>(
     pose: &Pose<Camera, Body>,
     camera: &CameraModel,
     observations: impl Iterator<Item = &'a Observation>,

@@ -26,6 +26,7 @@ mod two_view;
 mod verify;
 
 pub use align::{AlignKernels, Clue, Sensor, ShutterClue, UsedPixel};
+pub use lens_doubt::covariance_by_lens;
 pub use lock::LockState;
 pub use matcher::{BodySighting, Matcher, Sighting, Trial, UsedPixels};
 pub use settings::TrackerSettings;

@@ -104,6 +104,7 @@ impl Place {
             udp: UdpSettings { to, ..UdpSettings::default() },
             bodies: vec![if self.of_object { BodyChoice::Object(0) } else { BodyChoice::Camera }],
             rate,
+            delay: Duration::ZERO,
             on_loss,
             placement: Placement::default(),
             is_guarded: true,

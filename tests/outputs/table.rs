@@ -131,6 +131,7 @@ impl Show {
         let context = Context {
             camera: CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap(),
             objects: vec!["cart".to_owned()],
+            mount: None,
             // The one interval of the predicted row has room for many ticks.
             safety: if is_fixed { SafetySettings { stale_after: Duration::from_secs(60), ..safety() } } else { safety() },
             stamps: Stamps::Live,

@@ -1,0 +1,42 @@
+//! `[mount]` in words.
+
+use std::time::Duration;
+
+use crate::config::Settings;
+use crate::publish::{BodyChoice, MountSettings, OutputSettings, PanTiltRoll};
+
+/// Where the filming camera sits, and its lens.
+pub(super) fn lines(mount: &MountSettings, settings: &Settings) -> Vec<String> {
+    let carrier = match mount.mount.carrier {
+        BodyChoice::Object(index) => settings.objects.get(index).map_or("an object", |object| object.name.as_str()),
+        _ => "the camera",
+    };
+    let o = mount.mount.pose.translation;
+    let along = |metres: f64, [ahead, back]: [&str; 2]| format!("{:.3} m {}", metres.abs(), if metres < 0.0 { back } else { ahead });
+    let place = [along(o.x, ["right", "left"]), along(o.y, ["forward", "back"]), along(o.z, ["up", "down"])].join(", ");
+    let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(&mount.mount.pose.rotation, 0.0);
+    let [pan, tilt, roll] = [pan_deg, tilt_deg, roll_deg].map(|degrees| (degrees * 100.0).round() / 100.0 + 0.0);
+    let late = late(mount.delay);
+    let mut lines = vec![format!("{} on {carrier}: {place}; pan {pan:+.2} tilt {tilt:+.2} roll {roll:+.2} degrees{late}", mount.name)];
+    if let Some(camera) = &mount.camera {
+        let i = camera.intrinsics();
+        lines.push(format!("its lens: {} x {} pixels, focal length {:.1} x {:.1} px", i.width, i.height, i.fx, i.fy));
+    }
+    lines
+}
+
+/// The delay of poses, from the comma on.
+pub(super) fn late(delay: Duration) -> String {
+    if delay.is_zero() { String::new() } else { format!(", {} ms late", delay.as_millis()) }
+}
+
+/// Whom an output speaks of, where that is no matter of course.
+pub(super) fn bodies(output: &OutputSettings, settings: &Settings) -> String {
+    let Some(mount) = &settings.mount else { return String::new() };
+    let name = |body: &BodyChoice| match body {
+        BodyChoice::Camera => "camera",
+        BodyChoice::Mount => mount.name.as_str(),
+        BodyChoice::Object(index) => settings.objects.get(*index).map_or("object", |object| object.name.as_str()),
+    };
+    format!(" of {}", output.bodies.iter().map(name).collect::<Vec<_>>().join(", "))
+}

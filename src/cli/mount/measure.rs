@@ -1,0 +1,93 @@
+//! The camera's pose in every row of a clip of still views.
+
+use std::path::Path;
+
+use crate::camera::CameraModel;
+use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip};
+use crate::cli::failure::Failure;
+use crate::cli::interrupt;
+use crate::cli::replay::tracker_setup;
+use crate::config::Settings;
+use crate::daemon::{Tracker, TrackerSetup};
+use crate::frame::Frame;
+use crate::mount::View;
+use crate::record::State;
+
+/// Clips of at most so many rows are taken for single pictures, each of which the tracker is shown several times: it gives no pose that
+/// another frame does not confirm.
+const MOST_STILLS: u64 = 60;
+const TIMES_SHOWN: u64 = 4;
+/// The pace at which they are shown, nanoseconds: a webcam's.
+const PACE_NS: i64 = 33_333_333;
+
+/// What a clip tells.
+pub(super) struct Measured {
+    /// The camera at the size of the clip's pictures.
+    pub camera: CameraModel,
+    /// The pose in every row, without what the calibration's doubt adds to its covariance; none where the stage was not found.
+    pub rows: Vec<Option<View>>,
+}
+
+/// Tracks a clip from its first row to its last.
+pub(super) fn measure(settings: &Settings, clip: &Path) -> Result<Measured, Failure> {
+    if clip == Path::new("-") {
+        return Err(Failure::Usage("--clip is -; the clips of both cameras must be files or folders".to_owned()));
+    }
+    let calibrated = settings.lens.size(&settings.camera);
+    let mut source = open_clip(clip, ClipOptions { calibrated, is_stopped: Some(interrupt::is_interrupted), ..ClipOptions::default() })?;
+    source.notes().iter().for_each(|note| tracing::warn!("{note}"));
+    let setup = tracker_setup(settings, source.size(), None)?;
+    let camera = setup.camera;
+    // Objects say nothing of the mount.
+    let setup = TrackerSetup { camera: camera.with_doubt(None), objects: Vec::new(), ..setup };
+    let (first, is_stills) = beginning(source.as_mut());
+    let mut tracker = Tracker::new(setup);
+    let (mut rows, mut readable, mut first_reason) = (Vec::new(), 0_u64, None);
+    for row in first.into_iter().chain(std::iter::from_fn(|| source.next_row())) {
+        if interrupt::is_interrupted() {
+            return Err(Failure::Interrupted);
+        }
+        match &row.content {
+            RowContent::Frame(_) => readable += 1,
+            RowContent::Undecodable(reason) => {
+                first_reason.get_or_insert_with(|| reason.to_string());
+            }
+            RowContent::Skipped(_) => {}
+        }
+        rows.push(if is_stills { still(&mut tracker, &row, rows.len()) } else { view(&mut tracker, &row) });
+    }
+    if readable == 0 {
+        return Err(Failure::NoFrame { clip: clip.to_owned(), rows: rows.len() as u64, first: first_reason });
+    }
+    Ok(Measured { camera, rows })
+}
+
+/// The rows that had to be read to know whether the clip is one of single pictures, and whether it is.
+fn beginning(source: &mut dyn FrameSource) -> (Vec<Row>, bool) {
+    if let Some(rows) = source.rows() {
+        return (Vec::new(), rows <= MOST_STILLS);
+    }
+    let first: Vec<Row> = std::iter::from_fn(|| source.next_row()).take(MOST_STILLS as usize + 1).collect();
+    let is_stills = first.len() as u64 <= MOST_STILLS;
+    (first, is_stills)
+}
+
+/// A row of a film.
+fn view(tracker: &mut Tracker, row: &Row) -> Option<View> {
+    let sample = tracker.track_row(row);
+    let measured = sample.measurement.filter(|_| sample.state == State::Tracking)?;
+    Some(View { pose: measured.pose, covariance: measured.covariance })
+}
+
+/// A single picture: shown until it is confirmed or not; the last answer counts.
+fn still(tracker: &mut Tracker, row: &Row, index: usize) -> Option<View> {
+    let RowContent::Frame(frame) = &row.content else { return None };
+    let mut last = None;
+    for k in 0..TIMES_SHOWN {
+        let sequence = index as u64 * TIMES_SHOWN + k;
+        let shown = Frame { image: frame.image.clone(), sequence, timestamp_ns: sequence as i64 * PACE_NS };
+        let sample = tracker.track(&shown);
+        last = sample.measurement.filter(|_| sample.state == State::Tracking);
+    }
+    last.map(|measured| View { pose: measured.pose, covariance: measured.covariance })
+}

@@ -1,0 +1,160 @@
+//! `mount`: where the filming camera sits on the rig, from clips that both cameras took of still views.
+
+mod measure;
+mod told;
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use nalgebra::Matrix6;
+
+use super::calibrate::write_whole;
+use super::failure::Failure;
+use super::interrupt;
+use super::logging::{self, LogArguments};
+use super::spared::Spared;
+use crate::config::Settings;
+use crate::mount::{
+    Eye, Solution, Stages, StillPair, Unpaired, Unsolvable, Verdict, View, ViewPair, judge, next_view, solve, still_pairs, worst_sigmas,
+};
+use crate::printable::printable_lines;
+use crate::publish::BodyChoice;
+use measure::{Measured, measure};
+use told::Told;
+
+/// Measure where the filming camera sits beside the tracking camera, from still views that both took.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  stagepose mount --config tracking.toml --clip a --with filming.toml --clip b\n\n\
+    Bolt both cameras to the rig, put it in five or six places, and let each camera take a picture or a few seconds of film in every place, the \
+    rig standing still. The first --clip is the tracking camera's, the second the filming camera's: folders of pictures in the same order, or \
+    films. Both configs describe the same stage, each with its own camera's calibration. Where the cameras cannot see one stage, hang a board of \
+    its own before each (a poster, say), describe it in that camera's config, and add --own-boards; the rig must then pan, tilt and roll \
+    between the views.\nPrints the [mount] section for the tracking camera's config, and judges the one that is there.")]
+pub(super) struct MountArguments {
+    /// The tracking camera's config
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// The clips: first the tracking camera's, then the filming camera's
+    #[arg(long, value_name = "CLIP", required = true)]
+    clip: Vec<PathBuf>,
+    /// The filming camera's config
+    #[arg(long, value_name = "FILE")]
+    with: PathBuf,
+    /// Each camera sees a board of its own: the two configs have different stage frames
+    #[arg(long)]
+    own_boards: bool,
+    /// Write the result as JSON
+    #[arg(long, value_name = "OUT.json")]
+    json: Option<PathBuf>,
+    #[command(flatten)]
+    log: LogArguments,
+}
+
+pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
+    let [clip, other_clip] = &arguments.clip[..] else {
+        let mend = "give --clip twice: the tracking camera's clip, then the filming camera's";
+        return Err(Failure::Usage(format!("--clip is there {} times; {mend}", arguments.clip.len())));
+    };
+    let (settings, other) = (Settings::load(&arguments.config)?, Settings::load(&arguments.with)?);
+    logging::start(&arguments.log, settings.log);
+    interrupt::watch();
+    let read = settings.files.iter().chain(&other.files).cloned().collect::<Vec<_>>();
+    let mut spared = Spared::default().with_files(&read, "a file of the configs").with_clip(clip).with_clip(other_clip);
+    if let Some(file) = &arguments.json {
+        spared.claim("--json", file)?;
+    }
+    let tracking = measure(&settings, clip)?;
+    let filming = measure(&other, other_clip)?;
+    let stages = if arguments.own_boards { Stages::Apart } else { Stages::Shared };
+    let pairs = paired(&tracking, &filming, [clip, other_clip])?;
+    let complete: Vec<ViewPair> = pairs.iter().filter_map(complete_pair).collect();
+    let solution = solve(&complete, stages).map_err(|why| unsolvable(why, &pairs, arguments))?;
+    let (verdict, mut reasons) = judge(&solution);
+    let eyes = [Eye { camera: &tracking.camera, stage: &settings.stage }, Eye { camera: &filming.camera, stage: &other.stage }];
+    let next = next_view(eyes, &complete, &solution, stages);
+    // What the lenses are in doubt about is the same in all views, and does not shrink with their number.
+    let doubt = lens_doubt(eyes, &complete, &solution);
+    let covariance = solution.covariance + doubt;
+    if worst_sigmas(&doubt)[0] > worst_sigmas(&solution.covariance)[0] {
+        reasons.push("most of the doubt is the calibrations' own, which more views do not mend".to_owned());
+    }
+    let told = Told {
+        mount: &solution.mount,
+        covariance,
+        solution: &solution,
+        pairs: &pairs,
+        verdict,
+        reasons,
+        next,
+        // One that an object carries is another thing.
+        typed: settings.mount.as_ref().filter(|typed| typed.mount.carrier == BodyChoice::Camera),
+        lens: other.lens.calibration_file(),
+        tracking_config: &arguments.config,
+    };
+    if let Some(file) = &arguments.json {
+        write_whole(file, told.json())?;
+    }
+    writeln!(io::stdout(), "{}", printable_lines(&told.text())).map_err(Failure::output(Path::new("stdout")))?;
+    match verdict {
+        Verdict::DoNotUse => {
+            Err(Failure::Mount("the mount is not known well enough to be used; take the views that are asked for".to_owned()))
+        }
+        Verdict::Good | Verdict::Usable => Ok(()),
+    }
+}
+
+/// The still views of both clips.
+fn paired(tracking: &Measured, filming: &Measured, clips: [&PathBuf; 2]) -> Result<Vec<StillPair>, Failure> {
+    still_pairs(&tracking.rows, &filming.rows).map_err(|Unpaired([a, b])| {
+        let [clip, other] = clips.map(|clip| clip.display().to_string());
+        Failure::Mount(format!(
+            "{clip} has {} pictures and {a} times that the rig stood still, {other} has {} and {b}; give clips with one picture for each view \
+             in the same order, or films of the same standstills of a second or more",
+            tracking.rows.len(),
+            filming.rows.len(),
+        ))
+    })
+}
+
+fn complete_pair(pair: &StillPair) -> Option<ViewPair> {
+    let [tracking, filming]: [Option<View>; 2] = pair.views;
+    Some(ViewPair { tracking: tracking?, filming: filming? })
+}
+
+/// The covariance of the mount by what the lenses are in doubt about: as if it were the same in every view, which is the careful side.
+fn lens_doubt(eyes: [Eye<'_>; 2], pairs: &[ViewPair], solution: &Solution) -> Matrix6<f64> {
+    let of_pair = |pair: &ViewPair| {
+        let doubted = |eye: Eye<'_>, view: &View| View { covariance: eye.doubt(&view.pose), ..*view };
+        let pair = ViewPair { tracking: doubted(eyes[0], &pair.tracking), filming: doubted(eyes[1], &pair.filming) };
+        pair.mount_covariance(&solution.mount, &solution.between)
+    };
+    pairs.iter().map(of_pair).sum::<Matrix6<f64>>() / pairs.len().max(1) as f64
+}
+
+/// Why there is no mount, and what to do.
+fn unsolvable(why: Unsolvable, pairs: &[StillPair], arguments: &MountArguments) -> Failure {
+    let missing = told::missing(pairs);
+    let missing = if missing.is_empty() { String::new() } else { format!(" ({})", missing.join("; ")) };
+    let both_see = "or let both cameras see one stage, and leave --own-boards away";
+    Failure::Mount(match why {
+        Unsolvable::TooFew { found, wanted } => format!(
+            "of {} pairs of views {found} show both cameras their stage, {wanted} are needed{missing}; check with `stagepose replay CLIP --config \
+             FILE --overlay DIR` what each camera sees",
+            pairs.len()
+        ),
+        Unsolvable::NotTurned { .. } => {
+            format!(
+                "{why}, which with boards of their own tells nothing of the offset; pan, tilt and roll the rig by 20 degrees or more, {both_see}"
+            )
+        }
+        Unsolvable::OneAxis { axis, .. } => {
+            let (word, others) = told::axis_words(&axis);
+            format!(
+                "{why} ({word}), which with boards of their own leaves the offset along that axis open; add views with the rig {others} by 20 \
+                 degrees or more, {both_see}"
+            )
+        }
+        Unsolvable::NoSolution if arguments.own_boards => format!("{why}; check the configs, and that both cameras were bolted to the rig"),
+        Unsolvable::NoSolution => format!("{why}; check that both configs describe the same stage frame, or add --own-boards"),
+    })
+}

@@ -1,0 +1,155 @@
+//! What the result is worth, and which view would better it most.
+
+use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
+
+use super::sight::Eye;
+use super::solve::{Solution, Stages, Unknowns, View, ViewPair};
+use crate::geometry::{Pose, Stage};
+
+/// One sigma in the worst direction that a renderer does not show: of the shift, metres, and of the rotation, radians.
+const GOOD_M: f64 = 1e-3;
+const GOOD_RAD: f64 = 0.05 * std::f64::consts::PI / 180.0;
+/// And that is no use to anyone: a tape measure and an eye do better.
+const USELESS_M: f64 = 0.05;
+const USELESS_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
+/// Pairs that check one another.
+const ENOUGH_PAIRS: usize = 3;
+/// Scatter over what the covariances say beyond which something is not as assumed: the rig moved, or the stage is not as its config says.
+const ODD_EXCESS: f64 = 2.5;
+
+/// How far to trust a mount.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// Fit for use.
+    Good,
+    /// Works; the reasons say what makes it worse than it could be.
+    Usable,
+    /// Not known well enough.
+    DoNotUse,
+}
+
+impl Verdict {
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Usable => "usable",
+            Self::DoNotUse => "do not use",
+        }
+    }
+}
+
+/// One sigma of shift (metres) and rotation (radians), each in its worst direction.
+pub fn worst_sigmas(covariance: &Matrix6<f64>) -> [f64; 2] {
+    [0, 3].map(|at| covariance.fixed_view::<3, 3>(at, at).into_owned().symmetric_eigenvalues().max().max(0.0).sqrt())
+}
+
+/// The verdict with its reasons, one sentence each.
+pub fn judge(solution: &Solution) -> (Verdict, Vec<String>) {
+    let [shift, turn] = worst_sigmas(&solution.covariance);
+    let used = solution.views.iter().filter(|view| view.is_used).count();
+    let mut reasons = Vec::new();
+    if used == 1 {
+        reasons.push("one pair of views only: nothing checks it".to_owned());
+    } else if used < ENOUGH_PAIRS {
+        reasons.push(format!("{used} pairs of views only: where they disagree nobody knows which one is wrong"));
+    }
+    if shift > GOOD_M {
+        reasons.push(format!("the offset is known to {:.1} mm only (one sigma in the worst direction)", shift * 1e3));
+    }
+    if turn > GOOD_RAD {
+        reasons.push(format!("the rotation is known to {:.2} degrees only (one sigma in the worst direction)", turn.to_degrees()));
+    }
+    if solution.excess > ODD_EXCESS {
+        reasons.push(format!(
+            "the views scatter {:.1} times as much as their noise tells: was the rig still, are both cameras bolted to it, do size_m and \
+             the calibrations hold?",
+            solution.excess
+        ));
+    }
+    let verdict = match reasons.is_empty() {
+        _ if shift > USELESS_M || turn > USELESS_RAD => Verdict::DoNotUse,
+        true => Verdict::Good,
+        false => Verdict::Usable,
+    };
+    (verdict, reasons)
+}
+
+/// The view that would better the mount most.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NextView {
+    /// What to do with the rig.
+    pub words: String,
+    /// One sigma that is then to be expected in the worst direction: shift, metres, and rotation, radians; none where nothing tells.
+    pub sigmas: Option<[f64; 2]>,
+}
+
+/// The rig goes round the stage's middle by (turn, tilt) degrees, to so many times its distance.
+const MOVES: [([f64; 2], f64, &str); 8] = [
+    ([-35.0, 0.0], 1.0, "from about 35 degrees further to the house's left"),
+    ([35.0, 0.0], 1.0, "from about 35 degrees further to the house's right"),
+    ([0.0, -25.0], 1.0, "from about 25 degrees higher"),
+    ([0.0, 25.0], 1.0, "from about 25 degrees lower"),
+    ([0.0, 0.0], 0.5, "from half the distance"),
+    ([0.0, 0.0], 0.7, "from two thirds of the distance"),
+    ([-25.0, 0.0], 0.7, "from two thirds of the distance and about 25 degrees further to the house's left"),
+    ([25.0, 0.0], 0.7, "from two thirds of the distance and about 25 degrees further to the house's right"),
+];
+
+/// Which view to take next, for cameras that see as these `eyes` do: the tracking one, then the filming one.
+pub fn next_view(eyes: [Eye<'_>; 2], pairs: &[ViewPair], solution: &Solution, stages: Stages) -> Option<NextView> {
+    if stages == Stages::Apart {
+        return least_turned(pairs).map(|words| NextView { words, sigmas: None });
+    }
+    let scales = [eyes[0].scale(pairs.iter().map(|p| &p.tracking))?, eyes[1].scale(pairs.iter().map(|p| &p.filming))?];
+    let unknowns = Unknowns { mount: solution.mount, between: Pose::identity() };
+    let known = solution.covariance.cholesky()?.inverse();
+    let surfaces = &eyes[0].stage.surfaces;
+    let middle = surfaces.iter().map(|s| s.pose.translation).sum::<Vector3<f64>>() / surfaces.len().max(1) as f64;
+    let candidate = |pair: &ViewPair, ([turn, tilt], share, words): ([f64; 2], f64, &'static str)| {
+        let moved = gone_round(&pair.tracking.pose, &middle, turn, tilt, share);
+        let filming: Pose<Stage, crate::geometry::Camera> = (moved * solution.mount).renamed();
+        let view = |k: usize, pose| Some(View { pose, covariance: eyes[k].covariance(&pose)? * scales[k] });
+        let pair = ViewPair { tracking: view(0, moved)?, filming: view(1, filming)? };
+        let (_, jacobian) = unknowns.residual(&pair);
+        let jacobian = jacobian.fixed_columns::<6>(0);
+        let more = jacobian.transpose() * unknowns.covariance(&pair).cholesky()?.inverse() * jacobian;
+        let sigmas = worst_sigmas(&(known + more).cholesky()?.inverse());
+        Some((sigmas, words))
+    };
+    // From every view that there is, for the rig may not get further than it was.
+    let all = pairs.iter().flat_map(|pair| MOVES.iter().filter_map(move |step| candidate(pair, *step)));
+    let rated = all.min_by(|(a, _), (b, _)| worth(a).total_cmp(&worth(b)));
+    rated.map(|(sigmas, words)| NextView { words: format!("take a pair of views {words}"), sigmas: Some(sigmas) })
+}
+
+/// How far from good; less is better.
+fn worth([shift, turn]: &[f64; 2]) -> f64 {
+    (shift / GOOD_M).hypot(turn / GOOD_RAD)
+}
+
+/// The pose after going round a point: about the vertical, then about the line to the house's right.
+fn gone_round(
+    pose: &Pose<Stage, crate::geometry::Camera>,
+    middle: &Vector3<f64>,
+    turn_deg: f64,
+    tilt_deg: f64,
+    share: f64,
+) -> Pose<Stage, crate::geometry::Camera> {
+    let about = |axis, degrees: f64| UnitQuaternion::from_axis_angle(&axis, degrees.to_radians());
+    let turned = about(Vector3::z_axis(), turn_deg) * about(Vector3::x_axis(), tilt_deg);
+    Pose::new(turned * pose.rotation, middle + turned * (pose.translation - middle) * share)
+}
+
+/// About which of its own axes the rig turned least.
+fn least_turned(pairs: &[ViewPair]) -> Option<String> {
+    let first = pairs.first()?.tracking.pose.rotation;
+    let turns: Vec<Vector3<f64>> = pairs.iter().map(|pair| (first.inverse() * pair.tracking.pose.rotation).scaled_axis()).collect();
+    let mean = turns.iter().sum::<Vector3<f64>>() / turns.len() as f64;
+    let scatter: Matrix3<f64> = turns.iter().map(|t| (t - mean) * (t - mean).transpose()).sum();
+    Some(match scatter.diagonal().imin() {
+        0 => "take views with the rig tilted up and down by 20 degrees or more".to_owned(),
+        1 => "take views with the rig panned to both sides by 20 degrees or more".to_owned(),
+        _ => "take views with the rig rolled to both sides by 20 degrees or more".to_owned(),
+    })
+}

@@ -1,0 +1,22 @@
+//! Where the filming camera sits on the rig: `T_tracking_filming`, measured from views that both cameras took at once.
+//!
+//! The tracking camera tells where it is; the picture that goes on air comes from another one, bolted to the same rig. Where both see
+//! the same stage, each pair of views gives the mount directly: T_tracking_filming = T_stage_tracking⁻¹ T_stage_filming. Where each has
+//! a board of its own, two things are unknown, the mount and how the boards stand to one another, and only the rig's motion between the
+//! views tells them apart (robotics' AX = YB): a rig that turned about one axis only leaves the shift along that axis open.
+//!
+//! [`still_pairs`] finds the views in two clips, [`solve`] weighs them by their covariances and leaves out those that contradict the others,
+//! [`judge`] says how far to trust the result, and [`next_view`] what would better it.
+
+mod advice;
+mod sight;
+mod solve;
+#[cfg(test)]
+mod solve_tests;
+mod start;
+mod still;
+
+pub use advice::{NextView, Verdict, judge, next_view, worst_sigmas};
+pub use sight::Eye;
+pub use solve::{Solution, Stages, Unsolvable, Used, View, ViewPair, solve};
+pub use still::{StillPair, Unpaired, still_pairs};

@@ -1,0 +1,94 @@
+//! What a camera sees of its stage from a place: how sure it would be of its pose there, and how far its lens may lead it astray.
+//!
+//! A grid of points on every surface stands for the picture; how much a point tells is found by comparing with what was measured.
+
+use nalgebra::{Matrix2, Matrix6, Point3, Vector2};
+
+use super::solve::View;
+use crate::camera::{CameraModel, Normalized};
+use crate::geometry::resection::{MovingCamera, Observation, residual_and_jacobian};
+use crate::geometry::{Body, Camera, Pose, Stage};
+use crate::pose::covariance_of_camera;
+use crate::track::{BodySpec, covariance_by_lens};
+
+/// Points across and down a surface: enough that one more row changes little.
+const GRID: [u32; 2] = [11, 9];
+/// Points below which a view is too poor to be advised.
+const FEWEST_POINTS: usize = 30;
+/// What is nearer than this is not looked at, metres.
+const NEAREST_M: f64 = 0.05;
+
+/// A camera and the stage that it measures in.
+#[derive(Debug, Clone, Copy)]
+pub struct Eye<'a> {
+    /// Its lens.
+    pub camera: &'a CameraModel,
+    /// What it looks at.
+    pub stage: &'a BodySpec,
+}
+
+impl Eye<'_> {
+    /// Covariance that a pose would have if every point were seen to a pixel; none where too little is in the picture.
+    pub(super) fn covariance(&self, pose: &Pose<Stage, Camera>) -> Option<Matrix6<f64>> {
+        // The stage's body frame is the stage frame.
+        let seen: Pose<Camera, Body> = pose.inverse().renamed();
+        let observations = self.observations(&seen);
+        if observations.len() < FEWEST_POINTS {
+            return None;
+        }
+        let still = MovingCamera::still(self.camera);
+        let jacobians = observations.iter().filter_map(|o| residual_and_jacobian(&seen, &still, o));
+        let normal: Matrix6<f64> = jacobians.map(|(_, j)| j.transpose() * j).sum();
+        Some(covariance_of_camera(&pose.inverse(), &normal.cholesky()?.inverse()))
+    }
+
+    /// What the doubt about the lens adds to the covariance of a pose; nothing where there is none.
+    pub fn doubt(&self, pose: &Pose<Stage, Camera>) -> Matrix6<f64> {
+        let seen: Pose<Camera, Body> = pose.inverse().renamed();
+        let by_lens = covariance_by_lens(&seen, self.camera, self.observations(&seen).iter());
+        by_lens.map_or_else(Matrix6::zeros, |covariance| covariance_of_camera(&pose.inverse(), &covariance))
+    }
+
+    /// How many times larger the measured covariances are than those of the grid: half of them more, half less.
+    pub(super) fn scale<'v>(&self, views: impl Iterator<Item = &'v View>) -> Option<f64> {
+        let ratio = |view: &View| Some(view.covariance.trace() / self.covariance(&view.pose)?.trace());
+        let mut ratios: Vec<f64> = views.filter_map(ratio).filter(|ratio| ratio.is_finite()).collect();
+        ratios.sort_by(f64::total_cmp);
+        ratios.get(ratios.len() / 2).copied()
+    }
+
+    /// The points in the picture.
+    fn observations(&self, seen: &Pose<Camera, Body>) -> Vec<Observation> {
+        let from = seen.inverse().translation;
+        let mut observations = Vec::new();
+        for surface in &self.stage.surfaces {
+            let at = |k: u32, n: u32, side: f64| ((f64::from(k) + 0.5) / f64::from(n) - 0.5) * side;
+            let towards = surface.pose.rotation.inverse() * (from - surface.pose.translation);
+            if towards.z <= 0.0 {
+                continue;
+            }
+            for (column, row) in (0..GRID[0]).flat_map(|column| (0..GRID[1]).map(move |row| (column, row))) {
+                let on_surface = Point3::new(at(column, GRID[0], surface.size_m[0]), at(row, GRID[1], surface.size_m[1]), 0.0);
+                let point = surface.pose.transform(&on_surface);
+                observations.extend(self.pixel(&seen.transform(&point)).map(|pixel| Observation {
+                    point,
+                    pixel,
+                    information: Matrix2::identity(),
+                    delay_s: 0.0,
+                    group: 0,
+                }));
+            }
+        }
+        observations
+    }
+
+    /// Where a point in camera axes appears, if in the picture.
+    fn pixel(&self, at: &Point3<f64>) -> Option<Vector2<f64>> {
+        if at.z < NEAREST_M {
+            return None;
+        }
+        let pixel = self.camera.project(Normalized(Vector2::new(at.x / at.z, at.y / at.z))).0;
+        let is_inside = |v: f64, side: u32| v >= 0.0 && v <= f64::from(side) - 1.0;
+        (is_inside(pixel.x, self.camera.width()) && is_inside(pixel.y, self.camera.height())).then_some(pixel)
+    }
+}

@@ -1,0 +1,275 @@
+//! The least-squares mount: every view weighed by its covariance, the doubtful ones by how far they agree with the others.
+//!
+//! Of a pair of views, the mount X and the stages' relation Y predict the filming camera's pose, Y⁻¹ A X, and what was measured is B.
+//! The residual is B's error in the record's terms, [δp, δθ] in the axes of B's stage; both measurements' covariances are carried to it.
+
+use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
+use thiserror::Error;
+
+use super::start;
+use crate::geometry::{Camera, FilmingCamera, Pose, Stage, skew};
+
+/// A measured pose of a camera: `T_stage_camera`, and the covariance of [δp, δθ] in stage axes with p_true = p + δp and
+/// R_true = Exp(δθ) R, m and rad.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// Where the camera was.
+    pub pose: Pose<Stage, Camera>,
+    /// How well that is known.
+    pub covariance: Matrix6<f64>,
+}
+
+/// What both cameras measured while the rig stood still.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ViewPair {
+    /// The tracking camera.
+    pub tracking: View,
+    /// The filming camera, in its own stage.
+    pub filming: View,
+}
+
+impl ViewPair {
+    /// Covariance of the mount that this pair alone gives where the stages' relation is known: of [δt, δφ] in the tracking camera's axes.
+    pub fn mount_covariance(&self, mount: &Pose<Camera, FilmingCamera>, between: &Pose<Stage, Stage>) -> Matrix6<f64> {
+        let back = self.tracking.pose.rotation_matrix().transpose() * between.rotation_matrix();
+        let mut both = Matrix6::zeros();
+        both.fixed_view_mut::<3, 3>(0, 0).copy_from(&back);
+        both.fixed_view_mut::<3, 3>(3, 3).copy_from(&back);
+        both * Unknowns { mount: *mount, between: *between }.covariance(self) * both.transpose()
+    }
+}
+
+/// Whether both cameras measure in the same stage.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stages {
+    /// One stage frame.
+    Shared,
+    /// A board for each camera; how the boards stand to one another is found too.
+    Apart,
+}
+
+/// What becomes of a pair of views.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Used {
+    /// Squared error of the pair over its covariance; 6 on average where the covariances are right.
+    pub squared_distance: f64,
+    /// False where it contradicts the others and was left out.
+    pub is_used: bool,
+}
+
+/// The mount.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Solution {
+    /// `T_tracking_filming`.
+    pub mount: Pose<Camera, FilmingCamera>,
+    /// Covariance of [δt, δφ] in the tracking camera's axes: t_true = t + δt, R_true = Exp(δφ) R.
+    pub covariance: Matrix6<f64>,
+    /// How the filming camera's stage stands in the tracking camera's; the identity where they share one.
+    pub between: Pose<Stage, Stage>,
+    /// How much more the views scatter than their covariances say, as a factor on sigma; at least 1, and counted in `covariance`.
+    pub excess: f64,
+    /// What became of each pair, in the order given.
+    pub views: Vec<Used>,
+}
+
+/// Why views do not tell the mount.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum Unsolvable {
+    /// Too few pairs.
+    #[error("{found} pairs of views were measured, {wanted} are needed")]
+    TooFew {
+        /// How many there are.
+        found: usize,
+        /// How many it takes.
+        wanted: usize,
+    },
+    /// The rig did not turn between the views.
+    #[error("the rig turned by {turned_deg:.1} degrees at most between the views")]
+    NotTurned {
+        /// The largest turn between two of them.
+        turned_deg: f64,
+    },
+    /// All turns had the same axis.
+    #[error("the rig turned about one axis only")]
+    OneAxis {
+        /// That axis in the tracking camera's frame: x right, y down, z forward.
+        axis: Vector3<f64>,
+        /// How far it turned about any other, degrees (RMS).
+        across_deg: f64,
+    },
+    /// The numbers have no solution.
+    #[error("the views contradict one another")]
+    NoSolution,
+}
+
+/// Turns about a second axis below which boards apart tell nothing of the shift along the first one, degrees (RMS over all pairs of views).
+/// Lower, and the noise of the poses passes for turns.
+const LEAST_ACROSS_DEG: f64 = 3.0;
+/// Squared distance of six degrees of freedom that a good pair exceeds once in 10^5: it is then left out.
+const OUTLIER: f64 = 33.1;
+/// Median of the squared distance of six degrees of freedom.
+const MEDIAN: f64 = 5.35;
+/// Steps of the solver at most; it converges in three to six.
+const STEPS: usize = 30;
+
+type Normal = SMatrix<f64, 12, 12>;
+type Jacobian = SMatrix<f64, 6, 12>;
+
+/// The mount from pairs of views: one at least where the stage is shared, three where it is not.
+///
+/// # Errors
+/// Where the views do not tell it, with what is missing.
+pub fn solve(pairs: &[ViewPair], stages: Stages) -> Result<Solution, Unsolvable> {
+    let wanted = if stages == Stages::Shared { 1 } else { 3 };
+    if pairs.len() < wanted {
+        return Err(Unsolvable::TooFew { found: pairs.len(), wanted });
+    }
+    if stages == Stages::Apart {
+        turns_suffice(pairs)?;
+    }
+    let mut state = start::start(pairs, stages).ok_or(Unsolvable::NoSolution)?;
+    // Robust first: whoever contradicts weighs less and less.
+    state.refine(pairs, stages, |squared, spread| 1.0 / (1.0 + squared / (spread * OUTLIER)))?;
+    let distances = state.distances(pairs)?;
+    let spread = robust_spread(&distances);
+    let mut kept: Vec<bool> = distances.iter().map(|d| *d <= OUTLIER * spread).collect();
+    // A majority that is left out is no outlier: then all count, and the scatter says so.
+    if 2 * kept.iter().filter(|k| **k).count() <= pairs.len() || pairs.len() < wanted + 2 {
+        kept.fill(true);
+    }
+    let chosen: Vec<ViewPair> = pairs.iter().zip(&kept).filter(|(_, k)| **k).map(|(pair, _)| *pair).collect();
+    let normal = state.refine(&chosen, stages, |_, _| 1.0)?;
+    let distances = state.distances(pairs)?;
+    let unknowns = if stages == Stages::Shared { 6 } else { 12 };
+    let freedom = 6 * chosen.len() - unknowns;
+    let sum: f64 = distances.iter().zip(&kept).filter(|(_, k)| **k).map(|(d, _)| d).sum();
+    let excess = if freedom == 0 { 1.0 } else { (sum / freedom as f64).max(1.0) };
+    let inverse = normal.cholesky().ok_or(Unsolvable::NoSolution)?.inverse();
+    let covariance: Matrix6<f64> = inverse.fixed_view::<6, 6>(0, 0) * excess;
+    let covariance = (covariance + covariance.transpose()) * 0.5;
+    if !covariance.iter().all(|v| v.is_finite()) || !state.mount.is_finite() {
+        return Err(Unsolvable::NoSolution);
+    }
+    let used = |(squared_distance, is_used): (f64, bool)| Used { squared_distance, is_used };
+    let views = distances.into_iter().zip(kept).map(used).collect();
+    Ok(Solution { mount: state.mount, covariance, between: state.between, excess: excess.sqrt(), views })
+}
+
+/// Whether the turns between the views have more than one axis.
+fn turns_suffice(pairs: &[ViewPair]) -> Result<(), Unsolvable> {
+    let turn = |a: &ViewPair, b: &ViewPair| (a.tracking.pose.rotation.inverse() * b.tracking.pose.rotation).scaled_axis();
+    let turns: Vec<Vector3<f64>> = pairs.iter().enumerate().flat_map(|(k, a)| pairs[k + 1..].iter().map(move |b| turn(a, b))).collect();
+    let largest = turns.iter().map(Vector3::norm).fold(0.0, f64::max).to_degrees();
+    if largest < LEAST_ACROSS_DEG {
+        return Err(Unsolvable::NotTurned { turned_deg: largest });
+    }
+    let scatter: Matrix3<f64> = turns.iter().map(|v| v * v.transpose()).sum::<Matrix3<f64>>() / turns.len() as f64;
+    let eigen = scatter.symmetric_eigen();
+    let main = eigen.eigenvalues.imax();
+    let across = (eigen.eigenvalues.sum() - eigen.eigenvalues[main]).max(0.0).sqrt().to_degrees();
+    if across < LEAST_ACROSS_DEG {
+        return Err(Unsolvable::OneAxis { axis: eigen.eigenvectors.column(main).into_owned(), across_deg: across });
+    }
+    Ok(())
+}
+
+/// How many times larger than told the squared distances are; at least 1. Half of the pairs may be wrong.
+fn robust_spread(distances: &[f64]) -> f64 {
+    let mut sorted = distances.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    (sorted.get((sorted.len() - 1) / 2).copied().unwrap_or(MEDIAN) / MEDIAN).max(1.0)
+}
+
+/// The unknowns.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Unknowns {
+    pub mount: Pose<Camera, FilmingCamera>,
+    pub between: Pose<Stage, Stage>,
+}
+
+impl Unknowns {
+    /// Gauss-Newton with weights of the squared distances and their spread; gives the normal matrix of the end.
+    fn refine(&mut self, pairs: &[ViewPair], stages: Stages, weight: impl Fn(f64, f64) -> f64) -> Result<Normal, Unsolvable> {
+        let mut normal = Normal::identity();
+        for _ in 0..STEPS {
+            let spread = robust_spread(&self.distances(pairs)?);
+            normal = Normal::zeros();
+            let mut right = SVector::<f64, 12>::zeros();
+            for pair in pairs {
+                let (residual, jacobian) = self.residual(pair);
+                let information = self.covariance(pair).cholesky().ok_or(Unsolvable::NoSolution)?.inverse();
+                let weight = weight(residual.dot(&(information * residual)), spread);
+                let weighted = jacobian.transpose() * information * weight;
+                normal += weighted * jacobian;
+                right += weighted * residual;
+            }
+            if stages == Stages::Shared {
+                // One stage: the relation is known, and nothing moves it.
+                normal.fixed_view_mut::<6, 12>(6, 0).fill(0.0);
+                normal.fixed_view_mut::<12, 6>(0, 6).fill(0.0);
+                normal.fixed_view_mut::<6, 6>(6, 6).fill_with_identity();
+                right.fixed_rows_mut::<6>(6).fill(0.0);
+            }
+            let step = normal.cholesky().ok_or(Unsolvable::NoSolution)?.solve(&right);
+            self.step(&step);
+            if step.norm() < 1e-11 {
+                break;
+            }
+        }
+        Ok(normal)
+    }
+
+    pub(super) fn step(&mut self, step: &SVector<f64, 12>) {
+        self.mount = moved(&self.mount, step.fixed_rows::<6>(0).into_owned());
+        self.between = moved(&self.between, step.fixed_rows::<6>(6).into_owned());
+    }
+
+    /// Where the filming camera should be, in its own stage.
+    fn predicted(&self, pair: &ViewPair) -> Pose<Stage, FilmingCamera> {
+        self.between.inverse() * pair.tracking.pose * self.mount
+    }
+
+    /// Measured less predicted, and how the prediction moves with [δt, δφ] of the mount and of the stages' relation.
+    pub(super) fn residual(&self, pair: &ViewPair) -> (Vector6<f64>, Jacobian) {
+        let predicted = self.predicted(pair);
+        let shift = pair.filming.pose.translation - predicted.translation;
+        let turn = (pair.filming.pose.rotation * predicted.rotation.inverse()).scaled_axis();
+        let back = self.between.rotation_matrix().transpose();
+        let forth = back * pair.tracking.pose.rotation_matrix();
+        let arm = self.between.rotation_matrix() * predicted.translation;
+        let mut jacobian = Jacobian::zeros();
+        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&forth);
+        jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&forth);
+        jacobian.fixed_view_mut::<3, 3>(0, 6).copy_from(&-back);
+        jacobian.fixed_view_mut::<3, 3>(0, 9).copy_from(&(back * skew(&arm)));
+        jacobian.fixed_view_mut::<3, 3>(3, 9).copy_from(&-back);
+        (Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z), jacobian)
+    }
+
+    /// The covariance of a pair's residual: the filming camera's own, and the tracking camera's at the end of the mount's arm.
+    pub(super) fn covariance(&self, pair: &ViewPair) -> Matrix6<f64> {
+        let back = self.between.rotation_matrix().transpose();
+        let arm = pair.tracking.pose.rotation * self.mount.translation;
+        let mut by = Matrix6::zeros();
+        by.fixed_view_mut::<3, 3>(0, 0).copy_from(&back);
+        by.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-back * skew(&arm)));
+        by.fixed_view_mut::<3, 3>(3, 3).copy_from(&back);
+        by * pair.tracking.covariance * by.transpose() + pair.filming.covariance
+    }
+
+    /// Squared distance of every pair.
+    pub(super) fn distances(&self, pairs: &[ViewPair]) -> Result<Vec<f64>, Unsolvable> {
+        let distance = |pair: &ViewPair| {
+            let (residual, _) = self.residual(pair);
+            let information = self.covariance(pair).cholesky().ok_or(Unsolvable::NoSolution)?;
+            Ok(residual.dot(&information.solve(&residual)))
+        };
+        pairs.iter().map(distance).collect()
+    }
+}
+
+/// The pose after [δt, δφ] in the axes that it leads to.
+fn moved<To, From>(pose: &Pose<To, From>, step: Vector6<f64>) -> Pose<To, From> {
+    let turn = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
+    Pose::new(turn * pose.rotation, pose.translation + Vector3::new(step[0], step[1], step[2]))
+}

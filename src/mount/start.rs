@@ -1,0 +1,74 @@
+//! Where the solver starts: closed forms from few views, the one that most views agree with.
+
+use nalgebra::{DMatrix, DVector, Matrix3, UnitQuaternion, Vector3};
+
+use super::solve::{Stages, Unknowns, ViewPair};
+use crate::geometry::{Camera, FilmingCamera, Pose, Stage, quaternion};
+
+/// Triples of views that are tried where the stages are apart: all of the first twelve views. More only take time.
+const MOST_TRIPLES: usize = 220;
+
+/// The start that the views agree with best, by the sum of their distances, which one wrong view cannot spoil.
+pub(super) fn start(pairs: &[ViewPair], stages: Stages) -> Option<Unknowns> {
+    let candidates: Vec<Unknowns> = match stages {
+        Stages::Shared => pairs.iter().map(|pair| Unknowns { mount: direct(pair), between: Pose::identity() }).collect(),
+        Stages::Apart => triples(pairs).into_iter().filter_map(|triple| hand_eye(&triple)).chain(hand_eye(pairs)).collect(),
+    };
+    let disagreement = |unknowns: &Unknowns| Some(unknowns.distances(pairs).ok()?.iter().map(|d| d.sqrt()).sum::<f64>());
+    let rated = candidates.into_iter().filter_map(|unknowns| Some((disagreement(&unknowns).filter(|d| d.is_finite())?, unknowns)));
+    rated.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, unknowns)| unknowns)
+}
+
+/// T_tracking_filming = T_stage_tracking⁻¹ T_stage_filming.
+fn direct(pair: &ViewPair) -> Pose<Camera, FilmingCamera> {
+    pair.tracking.pose.inverse() * pair.filming.pose.renamed()
+}
+
+fn triples(pairs: &[ViewPair]) -> Vec<[ViewPair; 3]> {
+    let n = pairs.len();
+    let all = (0..n).flat_map(|i| (i + 1..n).flat_map(move |j| (j + 1..n).map(move |k| [pairs[i], pairs[j], pairs[k]])));
+    all.take(MOST_TRIPLES).collect()
+}
+
+/// Motions of the tracking camera are motions of the filming one, seen through the mount: A_ij X = X B_ij. The rotation is the one that
+/// carries the turns' axes onto one another, then the shift is linear (Tsai and Lenz 1989; Park and Martin 1994).
+fn hand_eye(pairs: &[ViewPair]) -> Option<Unknowns> {
+    let n = pairs.len();
+    let indices = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
+    let motions: Vec<_> = indices
+        .map(|(i, j)| {
+            let a = pairs[i].tracking.pose.inverse() * pairs[j].tracking.pose;
+            let b = pairs[i].filming.pose.inverse() * pairs[j].filming.pose;
+            (a, b)
+        })
+        .collect();
+    let cross: Matrix3<f64> = motions.iter().map(|(a, b)| a.rotation.scaled_axis() * b.rotation.scaled_axis().transpose()).sum();
+    let svd = cross.svd(true, true);
+    // A second axis that is missing leaves the rotation open.
+    if svd.singular_values[1] <= 1e-6 * svd.singular_values[0] || svd.singular_values[0] <= 0.0 {
+        return None;
+    }
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let sign = (u * v_t).determinant().signum();
+    let rotation = quaternion(&(u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t));
+    let mut left = DMatrix::zeros(3 * motions.len(), 3);
+    let mut right = DVector::zeros(3 * motions.len());
+    for (k, (a, b)) in motions.iter().enumerate() {
+        left.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(&(a.rotation_matrix() - Matrix3::identity()));
+        right.fixed_rows_mut::<3>(3 * k).copy_from(&(rotation * b.translation - a.translation));
+    }
+    let shift = left.svd(true, true).solve(&right, 1e-9).ok()?;
+    let mount = Pose::new(rotation, Vector3::new(shift[0], shift[1], shift[2]));
+    Some(Unknowns { mount, between: middle(pairs, &mount)? })
+}
+
+/// How the stages stand to one another by each view, averaged.
+fn middle(pairs: &[ViewPair], mount: &Pose<Camera, FilmingCamera>) -> Option<Pose<Stage, Stage>> {
+    let by_view: Vec<_> =
+        pairs.iter().map(|pair| pair.tracking.pose * *mount * pair.filming.pose.renamed::<Stage, FilmingCamera>().inverse()).collect();
+    let first = by_view.first()?.rotation;
+    let n = by_view.len() as f64;
+    let shift = by_view.iter().map(|pose| pose.translation).sum::<Vector3<f64>>() / n;
+    let turn = by_view.iter().map(|pose| (pose.rotation * first.inverse()).scaled_axis()).sum::<Vector3<f64>>() / n;
+    Some(Pose::new(UnitQuaternion::from_scaled_axis(turn) * first, shift))
+}

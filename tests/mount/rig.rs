@@ -1,0 +1,97 @@
+//! A rig of two cameras in front of painted boards, and what each of them sees from a few places.
+
+use std::path::{Path, PathBuf};
+
+use image::GrayImage;
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use stagepose::camera::{CameraModel, Intrinsics};
+use stagepose::geometry::{Camera, FilmingCamera, Pose, Stage};
+use stagepose::simulate::{CameraPath, Renderer, SensorNoise, VirtualStage, artwork_surface, grey, look_at, paint, upright};
+use stagepose::track::{BodySpec, SurfaceSpec};
+
+/// A board of 4 x 3 m around its own origin, painted from a seed.
+pub struct Board {
+    pub art: GrayImage,
+}
+
+pub const SIZE_M: [f64; 2] = [4.0, 3.0];
+
+impl Board {
+    pub fn new(seed: u64) -> Self {
+        Self { art: grey(&paint(1200, 900, seed)) }
+    }
+
+    fn surface(&self) -> SurfaceSpec {
+        artwork_surface("board", self.art.clone(), SIZE_M, upright(Vector3::zeros(), 0.0))
+    }
+
+    /// What a camera sees of it from a place.
+    pub fn seen(&self, camera: CameraModel, pose: &Pose<Stage, Camera>, seed: u64) -> GrayImage {
+        let stage = BodySpec { name: "stage".to_owned(), surfaces: vec![self.surface()] };
+        let mut scene = VirtualStage::new(camera, standing(pose), stage);
+        scene.noise = SensorNoise::webcam();
+        scene.background = 60.0;
+        scene.samples = 8;
+        scene.seed = seed;
+        Renderer::new(scene).render(0.0, seed)
+    }
+}
+
+/// A still camera with this pose.
+fn standing(pose: &Pose<Stage, Camera>) -> CameraPath {
+    let at = Point3::from(pose.translation);
+    let target = at + pose.rotation * Vector3::z();
+    let level = look_at(at, target, 0.0);
+    let roll_rad = (level.rotation.inverse() * pose.rotation).scaled_axis().z;
+    CameraPath { roll_rad, ..CameraPath::fixed(at, target) }
+}
+
+pub fn tracking_camera() -> CameraModel {
+    CameraModel::pinhole(640, 480, 540.0, 540.0, 319.5, 239.5).unwrap()
+}
+
+pub fn filming_camera() -> CameraModel {
+    let distortion = [-0.08, 0.02, 0.0003, -0.0002, 0.0];
+    CameraModel::new(Intrinsics { width: 960, height: 540, fx: 790.0, fy: 788.0, cx: 484.0, cy: 266.0, skew: 0.0, distortion }).unwrap()
+}
+
+/// 0.4 m and 25 degrees apart: `T_tracking_filming`.
+pub fn mount() -> Pose<Camera, FilmingCamera> {
+    let turn = Vector3::new(0.25, 1.0, 0.2).normalize() * 25.0_f64.to_radians();
+    Pose::new(UnitQuaternion::from_scaled_axis(turn), Vector3::new(0.3, -0.2, 0.17).normalize() * 0.4)
+}
+
+/// The rig at (x, y, z), panned, tilted and rolled (degrees, as a tripod head's) from where both cameras look upstage alike.
+pub fn rig([x, y, z]: [f64; 3], [pan, tilt, roll]: [f64; 3]) -> Pose<Stage, Camera> {
+    let level = look_at(Point3::origin(), Point3::new(0.0, 1.0, 0.0), 0.0).rotation;
+    let half_back = UnitQuaternion::from_scaled_axis(mount().rotation.scaled_axis() * -0.5);
+    let about = |axis, degrees: f64| UnitQuaternion::from_axis_angle(&axis, degrees.to_radians());
+    let turned = about(Vector3::z_axis(), pan) * about(Vector3::x_axis(), tilt) * about(Vector3::y_axis(), roll);
+    Pose::new(turned * level * half_back, Vector3::new(x, y, z))
+}
+
+/// Where the filming camera is, in the stage of the tracking one.
+pub fn filming(tracking: &Pose<Stage, Camera>) -> Pose<Stage, Camera> {
+    // The filming camera's optical frame is a camera's.
+    (*tracking * mount()).renamed()
+}
+
+/// Writes what a camera sees from these places as a folder of pictures, and its config and calibration beside it.
+pub fn write(folder: &Path, name: &str, camera: CameraModel, board: &Board, poses: &[Pose<Stage, Camera>]) -> PathBuf {
+    let clip = folder.join(name);
+    std::fs::create_dir_all(&clip).unwrap();
+    for (k, pose) in poses.iter().enumerate() {
+        board.seen(camera, pose, k as u64 + 1).save(clip.join(format!("{k:03}.png"))).unwrap();
+    }
+    board.art.save(folder.join(format!("{name}-board.png"))).unwrap();
+    let i = camera.intrinsics();
+    let lens = format!(
+        "width = {}\nheight = {}\nfx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\nskew = 0.0\ndistortion = {:?}\n",
+        i.width, i.height, i.fx, i.fy, i.cx, i.cy, i.distortion
+    );
+    std::fs::write(folder.join(format!("{name}-camera.toml")), lens).unwrap();
+    let config =
+        format!("[camera]\ncalibration = \"{name}-camera.toml\"\n[[stage.surface]]\nimage = \"{name}-board.png\"\nsize_m = {SIZE_M:?}\n");
+    std::fs::write(folder.join(format!("{name}.toml")), config).unwrap();
+    clip
+}
