@@ -291,7 +291,7 @@ impl Matcher {
         let stage = self.bodies.first_mut()?;
         let back = start.inverse();
         let expected = MotionEstimate::unseen(back, stage.aligner.distance(&back), shift_m, turn_rad);
-        let found = stage.aligner.align(&mut self.levels, &self.eye, &expected)?;
+        let found = stage.aligner.align(&mut self.levels, &self.eye, &expected, None)?;
         Some(Trial {
             pose: found.estimate.motion.pose.inverse(),
             tiles: found.tiles,
@@ -322,7 +322,7 @@ impl Matcher {
         let distance = tracked.aligner.distance(&back);
         let [shift, turn] = MotionEstimate::off_by_readout(self.readout_s, distance);
         let first = MotionEstimate::unseen(back, distance, FIRST_SHIFT * distance + shift, FIRST_TURN + turn);
-        let aligned = tracked.align(frame, &mut self.levels, &self.eye, &first, false);
+        let aligned = tracked.align(frame, &mut self.levels, &self.eye, &first, None);
         *align_ms += start.elapsed_ms();
         aligned.or(Some(verified))
     }

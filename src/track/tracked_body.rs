@@ -95,7 +95,8 @@ impl TrackedBody {
             return None;
         }
         let expected = estimate.after(dt_s, self.aligner.distance(&estimate.motion.pose), &self.jerk);
-        let verified = self.align(frame, levels, eye, &expected, true)?;
+        let with_jump = self.aligner.may_jump(&expected, dt_s);
+        let verified = self.align(frame, levels, eye, &expected, Some(&with_jump))?;
         self.unaudited += 1;
         if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose, eye.camera()) {
             self.motion = None;
@@ -115,27 +116,19 @@ impl TrackedBody {
         margin > -LEAST_MARGIN
     }
 
-    /// Aligns the body from a start and judges the result. `is_expected`: the start comes from the motion of an aligned body.
+    /// Aligns the body from a start and judges the result. `with_jump`: the same expectation where the velocity may have jumped, if the
+    /// start comes from the motion of an aligned body.
     pub fn align(
         &mut self,
         frame: &Frame,
         levels: &mut FrameLevels,
         eye: &Eye,
         expected: &MotionEstimate,
-        is_expected: bool,
+        with_jump: Option<&MotionEstimate>,
     ) -> Option<Verified> {
-        let mut found = self.aligner.align(levels, eye, expected)?;
-        let is_pushed = is_expected && found.is_pulled();
-        if is_pushed {
-            // Something pushed the camera: velocity and acceleration are unknown again, and so is where they led.
-            let (before, pose) = (&expected.motion.pose, found.estimate.motion.pose);
-            let (shift, turn) = ((pose.translation - before.translation).norm(), pose.angle_to(before));
-            let distance = self.aligner.distance(&pose);
-            let afresh = MotionEstimate::unseen(pose, distance, FIRST_SHIFT * distance + shift, FIRST_TURN + turn);
-            found = self.aligner.align(levels, eye, &afresh)?;
-            found.covariance += self.aligner.by_jolt(&expected.motion, &found.estimate.motion);
-        }
-        let is_expected = is_expected && !is_pushed;
+        let found = self.aligner.align(levels, eye, expected, with_jump)?;
+        // Pushed far away, it is a new pose as much as one that was found anew.
+        let is_expected = with_jump.is_some() && !found.is_pushed();
         debug!(
             share = found.share(),
             tiles = found.tiles,

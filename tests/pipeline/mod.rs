@@ -10,5 +10,6 @@ mod record_line;
 pub mod scene;
 mod shutter;
 mod states;
+mod stops;
 mod two_view;
 mod uncertainty;

@@ -1,6 +1,6 @@
 //! Coarse to fine: from where a body is expected to where the frame shows it.
 
-use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
+use nalgebra::{Matrix2, Vector2};
 
 use super::evidence::RunEvidence;
 use super::exposure::{KnownSpread, USUAL_EXPOSURE_S, UnknownExposure, exposure_clue};
@@ -13,6 +13,7 @@ use super::shutter_clue::{ClueKeeper, ShutterClue};
 use super::slopes::{ChangeSums, SlopeShare};
 use super::task::{SlowStates, Task};
 use super::tile_grid::MOST_TILES;
+use super::velocity_jump::{by_bend, by_start, end_jump, is_surprising, jumped, unseen_jump};
 use super::verdict::{Alignment, agreement, surprise};
 use super::work::used_pixels::UsedPixel;
 use super::work::{Corrected, Expected, Work};
@@ -83,10 +84,8 @@ const CLOSE_SHARE: f64 = 0.8;
 const TRIAL_FRAMES: u32 = 32;
 const FIRST_TRIAL: u32 = 3;
 const BETTER: f64 = 0.97;
-/// Of a change of velocity within a frame, times how long the frame was exposed and read, this share is an error of the pose: at most an
-/// eighth of it where all rows are exposed together, and 0.05 where rows follow each other; twice as much, because the
-/// velocity that is found lies between those before and after.
-const JOLT_SHARE: f64 = 0.18;
+/// Steps of a frame in which the velocity jumped, at most.
+const JUMP_ROUNDS: usize = 2;
 /// A prediction is kept for the next frame while nothing moved by more, pixels of the level.
 const KEPT_PX: f64 = 0.05;
 
@@ -171,7 +170,15 @@ impl Aligner {
     }
 
     /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges.
-    pub fn align(&mut self, frame: &mut FrameLevels, eye: &Eye, expected: &MotionEstimate) -> Option<Alignment> {
+    ///
+    /// `with_jump`: the same expectation where the velocity may have jumped ([`may_jump`](Self::may_jump)), if the body is followed.
+    pub fn align(
+        &mut self,
+        frame: &mut FrameLevels,
+        eye: &Eye,
+        expected: &MotionEstimate,
+        with_jump: Option<&MotionEstimate>,
+    ) -> Option<Alignment> {
         if let Some(clues) = &mut self.clues {
             clues.clue = None;
         }
@@ -179,10 +186,39 @@ impl Aligner {
         let blur_px = f64::from(1u32 << FINEST) * task(&self.surfaces, &self.slow, eye, FINEST, &expected.motion).blur_px;
         let spread_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_SPREAD_SIGMA } else { SPREAD_SIGMA };
         let known = Expected { motion: &expected.motion, information: &information, spread: self.spread, spread_sigma };
-        if self.same_again(frame, eye, &known).is_none() {
-            self.settle(frame, eye, &known, expected)?;
+        let found = match self.same_again(frame, eye, &known) {
+            Some(found) => found,
+            None => self.settle(frame, eye, &known, expected)?,
+        };
+        let has_jumped = with_jump.is_some() && is_surprising(surprise(expected, &found.motion));
+        if let Some(with_jump) = with_jump.filter(|_| has_jumped) {
+            self.solve_with_jump(eye, &known, with_jump, &found)?;
         }
-        self.conclude(eye, expected)
+        self.conclude(eye, expected, with_jump, has_jumped)
+    }
+
+    /// What is expected where the velocity may have jumped in the `dt_s` since the last frame. `expected`: where it did not.
+    pub fn may_jump(&self, expected: &MotionEstimate, dt_s: f64) -> MotionEstimate {
+        jumped(expected, dt_s, &self.slow.sensor, self.distance(&expected.motion.pose))
+    }
+
+    /// Solves the finest level once more from where it was found, with a velocity that may have jumped.
+    fn solve_with_jump(&mut self, eye: &Eye, known: &Expected, with_jump: &MotionEstimate, found: &Corrected) -> Option<()> {
+        let information = with_jump.covariance.cholesky()?.inverse();
+        let known = Expected { information: &information, ..*known };
+        self.has_kept = false;
+        let mut motion = found.motion;
+        for _ in 0..JUMP_ROUNDS {
+            let task = task(&self.surfaces, &self.slow, eye, FINEST, &motion);
+            self.fine.predict(&task, &motion);
+            let solved = self.fine.solve(&task, &known, &mut self.light, false, 2)?.motion;
+            let moved = self.fine.moved_px(&task, &motion, &solved);
+            motion = solved;
+            if moved < FINE_STEP_PX {
+                break;
+            }
+        }
+        Some(())
     }
 
     /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels.
@@ -357,21 +393,29 @@ impl Aligner {
         self.surfaces.iter().map(|s| (s.centre - pose.translation).norm()).fold(f64::INFINITY, f64::min).max(1e-3)
     }
 
-    /// What a jolt leaves open of the pose of the frame that it fell into. A motion that bends within the frame is solved for as one that
-    /// does not, and comes out off by a share of the bend: of what the velocity changed by, times how long the frame
-    /// took.
-    pub fn by_jolt(&self, before: &Motion, after: &Motion) -> Matrix6<f64> {
-        let Sensor { readout_s, exposure_s } = self.slow.sensor;
-        let bend: Vector6<f64> = before.error_to(after).fixed_rows::<6>(6).into_owned();
-        bend * bend.transpose() * (JOLT_SHARE.powi(2) * (readout_s.powi(2) + exposure_s.powi(2)))
-    }
-
     /// Covariance and evidence at the solution.
-    fn conclude(&mut self, eye: &Eye, expected: &MotionEstimate) -> Option<Alignment> {
+    fn conclude(
+        &mut self,
+        eye: &Eye,
+        expected: &MotionEstimate,
+        with_jump: Option<&MotionEstimate>,
+        has_jumped: bool,
+    ) -> Option<Alignment> {
         let solved = self.fine.solved()?;
         let task = task(&self.surfaces, &self.slow, eye, FINEST, &solved.motion);
         let blur_px = task.blur_px * f64::from(1u32 << FINEST);
-        let (estimate, covariance) = self.fine.conclude(&task)?;
+        let (mut estimate, mut covariance) = self.fine.conclude(&task)?;
+        let (sensor, distance_m) = (&self.slow.sensor, self.distance(&solved.motion.pose));
+        if let Some(with_jump) = with_jump {
+            covariance += by_bend(expected, &estimate, sensor, distance_m);
+            if has_jumped {
+                end_jump(&mut estimate, sensor, distance_m);
+            } else if let Some(more) = unseen_jump(expected, with_jump, &estimate) {
+                covariance += more;
+            }
+        } else {
+            covariance += by_start(&estimate, sensor);
+        }
         if blur_px < SHARP_FRAME_PX {
             self.spread += SPREAD_SHARE * (self.light.spread() - self.spread);
         }

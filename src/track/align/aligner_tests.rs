@@ -23,7 +23,7 @@ fn levels(seed: u32) -> FrameLevels {
 fn aligned(frame: &mut FrameLevels, start: &Pose<Camera, Body>) -> Option<Alignment> {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
-    aligner.align(frame, &Eye::new(lens(480, 360), None), &expected)
+    aligner.align(frame, &Eye::new(lens(480, 360), None), &expected, None)
 }
 
 #[test]
@@ -64,7 +64,7 @@ fn patches_lie_where_the_pose_puts_them() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
     let eye = Eye::new(lens(480, 360), None);
-    let found = aligner.align(&mut levels(1), &eye, &expected).expect("the picture agrees");
+    let found = aligner.align(&mut levels(1), &eye, &expected, None).expect("the picture agrees");
     let mut patches = Vec::new();
     aligner.patches(&eye, &found.estimate.motion, &mut patches);
     assert!(patches.len() > 40, "{}", patches.len());
@@ -81,7 +81,7 @@ fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
     let mut estimate = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
     let mut poses = Vec::new();
     for _ in 0..6 {
-        let found = aligner.align(&mut frame, &eye, &estimate).expect("the picture agrees");
+        let found = aligner.align(&mut frame, &eye, &estimate, None).expect("the picture agrees");
         poses.push(found.estimate.motion.pose);
         estimate = found.estimate.after(1.0 / 30.0, 3.4, &Jerk::default());
     }
@@ -100,7 +100,7 @@ fn followed(coarse: &SurfaceSpec, picture: GrayImage) -> Aligner {
     for k in 0..FIRST_TRIAL + 1 {
         let mut frame = FrameLevels::default();
         frame.update(&view(&display, &pose(k), &lens(480, 360)));
-        let found = aligner.align(&mut frame, &eye, &estimate).expect("the picture agrees");
+        let found = aligner.align(&mut frame, &eye, &estimate, None).expect("the picture agrees");
         estimate = found.estimate.after(1.0 / 30.0, 3.4, &Jerk::default());
     }
     aligner
@@ -120,7 +120,7 @@ fn pixels_that_were_laid_out_anew_leave_nothing_to_conclude() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
     let eye = Eye::new(lens(480, 360), None);
     let mut frame = levels(1);
-    let found = aligner.align(&mut frame, &eye, &MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003));
+    let found = aligner.align(&mut frame, &eye, &MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003), None);
     let motion = found.expect("the picture agrees").estimate.motion;
     assert!(aligner.fine.solved().is_some());
     // Seen from much further away the same frame's pixels have another grid, with fewer nodes than the light that was solved for.

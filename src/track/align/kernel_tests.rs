@@ -15,6 +15,7 @@ use super::normal::{
 use super::pixels::{Pixels, Source};
 use super::rows::{row_sums, row_sums_lanes};
 use super::selection::{Choice, Selector};
+use super::tile_equations::entry;
 use super::{AlignSurface, Eye, Sensor};
 use crate::track::synthetic::{cloth, facing, lens, view};
 
@@ -259,11 +260,11 @@ fn sums_of_the_rows_are_products_of_the_columns_and_their_times() {
         let mut all = Vec::new();
         for i in 0..6 {
             for c in i..=COLUMNS {
-                let of = |sums: &super::rows::RowSums| if c < 6 { sums.by_time(i, c) } else { sums.by_other(i, c) };
+                let of = |sums: &super::rows::RowSums| if c < 6 { sums.by_time()[entry(i, c)] } else { sums.by_other(i, c) };
                 all.push((of(&rows), of(&plain)));
                 if c < 6 {
-                    all.push((rows.by_squared_time(i, c), plain.by_squared_time(i, c)));
-                    assert!(i != c || rows.by_squared_time(i, c) >= 0.0);
+                    all.push((rows.by_squared_time()[entry(i, c)], plain.by_squared_time()[entry(i, c)]));
+                    assert!(i != c || rows.by_squared_time()[entry(i, c)] >= 0.0);
                 }
             }
         }
@@ -280,7 +281,7 @@ fn sums_of_the_rows_are_products_of_the_columns_and_their_times() {
     let (rows, sums) = (row_sums(&view, 0.0, &step, &weighing), tile_sums(&view, &step, &weighing));
     for i in 0..6 {
         let near = |a: f64, b: f64| (a - b).abs() <= 1e-3 * sums.product(i, i).abs() * 0.004 + 1e-4 * b.abs();
-        assert!(near(rows.by_time(i, i), 0.004 * sums.product(i, i)), "{i}");
-        assert!(near(rows.by_squared_time(i, i), 0.004f64.powi(2) * sums.product(i, i)), "{i}");
+        assert!(near(rows.by_time()[entry(i, i)], 0.004 * sums.product(i, i)), "{i}");
+        assert!(near(rows.by_squared_time()[entry(i, i)], 0.004f64.powi(2) * sums.product(i, i)), "{i}");
     }
 }

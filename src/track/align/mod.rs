@@ -41,6 +41,7 @@ mod task;
 mod texture;
 mod tile_equations;
 mod tile_grid;
+mod velocity_jump;
 mod verdict;
 mod work;
 

@@ -156,10 +156,15 @@ impl MotionEstimate {
     }
 }
 
+/// What may be expected of a motion not seen yet at a distance from the stage, one sigma: m/s, rad/s, m/s², rad/s².
+pub fn unseen(distance_m: f64) -> [f64; 4] {
+    let d = distance_m / UNSEEN_DISTANCE_M;
+    [UNSEEN[0] * d, UNSEEN[1], UNSEEN[2] * d, UNSEEN[3]]
+}
+
 /// Adds a share of what may be expected of velocities and accelerations that nobody saw.
 fn add_unseen(covariance: &mut MotionMatrix, distance_m: f64, share: f64) {
-    let d = distance_m / UNSEEN_DISTANCE_M;
-    for (block, sigma) in [UNSEEN[0] * d, UNSEEN[1], UNSEEN[2] * d, UNSEEN[3]].into_iter().enumerate() {
+    for (block, sigma) in unseen(distance_m).into_iter().enumerate() {
         for k in 6 + 3 * block..9 + 3 * block {
             covariance[(k, k)] += share * sigma * sigma;
         }

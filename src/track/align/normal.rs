@@ -17,6 +17,8 @@ pub const GAINS: usize = 8;
 const ALL: usize = COLUMNS + 1;
 /// Entries of the upper triangle of the columns and the residual.
 const ENTRIES: usize = ALL * (ALL + 1) / 2;
+/// Entries of the upper triangle of the pose's columns.
+pub const POSE_ENTRIES: usize = SPREAD * (SPREAD + 1) / 2;
 
 /// Weighted sums over one run of pixels.
 #[derive(Debug, Clone, Copy)]
@@ -35,6 +37,38 @@ impl TileSums {
     pub fn product(&self, i: usize, j: usize) -> f64 {
         let (i, j) = if i <= j { (i, j) } else { (j, i) };
         f64::from(self.sums[i * ALL - i * (i + 1) / 2 + j])
+    }
+
+    /// [`product`](Self::product) for the columns of the pose: the upper triangle, row by row.
+    pub fn of_pose(&self) -> [f64; POSE_ENTRIES] {
+        let mut triangle = [0.0; POSE_ENTRIES];
+        let (mut to, mut from) = (0, 0);
+        for i in 0..SPREAD {
+            for j in 0..SPREAD - i {
+                triangle[to + j] = f64::from(self.sums[from + j]);
+            }
+            (to, from) = (to + SPREAD - i, from + ALL - i);
+        }
+        triangle
+    }
+
+    /// The products by a step's columns, summed: what of the right side it explains.
+    pub fn by_step(&self, step: &[f32; COLUMNS]) -> [f64; COLUMNS] {
+        let step = step.map(f64::from);
+        let mut sums = [0.0; COLUMNS];
+        let mut first = 0;
+        for i in 0..COLUMNS {
+            // Each entry of the triangle stands for two of the full square, but on the diagonal.
+            let row = &self.sums[first..first + COLUMNS - i];
+            sums[i] += f64::from(row[0]) * step[i];
+            for (j, product) in (i + 1..COLUMNS).zip(&row[1..]) {
+                let product = f64::from(*product);
+                sums[i] += product * step[j];
+                sums[j] += product * step[i];
+            }
+            first += ALL - i;
+        }
+        sums
     }
 }
 

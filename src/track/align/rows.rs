@@ -7,14 +7,12 @@
 //! So the motion's columns have the time of each row.
 
 use super::lanes::{LANES, Lanes, dispatch, load_at, total};
-use super::normal::{COLUMNS, RunView, SPREAD, Weighing, columns, less_step, weight};
+use super::normal::{COLUMNS, POSE_ENTRIES as TRIANGLE, RunView, SPREAD, Weighing, columns, less_step, weight};
 
 /// Columns of the pose.
 const POSE: usize = SPREAD;
 /// Columns of a tile other than the pose.
 const OTHERS: usize = COLUMNS - POSE;
-/// Entries of the upper triangle of the pose's columns.
-const TRIANGLE: usize = POSE * (POSE + 1) / 2;
 const ALL: usize = 2 * TRIANGLE + POSE * (OTHERS + 1);
 
 /// Weighted sums over one run, with `d` for the seconds from the middle of the tile to a pixel's row.
@@ -23,27 +21,15 @@ pub struct RowSums {
     sums: [f32; ALL],
 }
 
-impl Default for RowSums {
-    /// Of rows that are exposed together.
-    fn default() -> Self {
-        Self { sums: [0.0; ALL] }
-    }
-}
-
 impl RowSums {
-    fn of_pair(&self, first: usize, i: usize, j: usize) -> f64 {
-        let (i, j) = if i <= j { (i, j) } else { (j, i) };
-        f64::from(self.sums[first + i * POSE - i * (i + 1) / 2 + j])
+    /// Sum of w d a_i a_j for columns of the pose: the upper triangle, row by row.
+    pub fn by_time(&self) -> [f64; TRIANGLE] {
+        std::array::from_fn(|k| f64::from(self.sums[k]))
     }
 
-    /// Sum of w d a_i a_j, for columns of the pose.
-    pub fn by_time(&self, i: usize, j: usize) -> f64 {
-        self.of_pair(0, i, j)
-    }
-
-    /// Sum of w d² a_i a_j, for columns of the pose.
-    pub fn by_squared_time(&self, i: usize, j: usize) -> f64 {
-        self.of_pair(TRIANGLE, i, j)
+    /// Sum of w d² a_i a_j, likewise.
+    pub fn by_squared_time(&self) -> [f64; TRIANGLE] {
+        std::array::from_fn(|k| f64::from(self.sums[TRIANGLE + k]))
     }
 
     /// Sum of w d a_i a_c: column `i` of the pose by any other column from [`SPREAD`] on; [`COLUMNS`] is the residual.

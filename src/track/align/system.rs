@@ -8,8 +8,9 @@ use nalgebra::SVector;
 
 use super::light::Light;
 use super::motion::{MotionError, MotionMatrix};
-use super::normal::{BIAS, COLUMNS, GAINS, SPREAD};
-use super::tile_equations::{TileEquations, TileScore, TileStep};
+use super::normal::{BIAS, COLUMNS, GAINS, POSE_ENTRIES, SPREAD};
+use super::rows::RowSums;
+use super::tile_equations::{TileEquations, TileScore, TileStep, entry};
 
 pub mod side_column;
 
@@ -62,8 +63,8 @@ const POWERS: usize = 3;
 /// What the tiles say of the pose at their own time, by powers of time.
 #[derive(Debug)]
 struct PoseSums {
-    /// Pose by pose, for each pair of powers a >= b (a, b: 00, 10, 11, 20, 21, 22), row by row.
-    by_pose: [[f64; 36]; 6],
+    /// Pose by pose, for each pair of powers a >= b (a, b: 00, 10, 11, 20, 21, 22): upper triangles, row by row.
+    by_pose: [[f64; POSE_ENTRIES]; 6],
     /// Pose by all other unknowns, six to each, for each power.
     by_others: [Vec<f64>; POWERS],
     right: [[f64; 6]; POWERS],
@@ -71,13 +72,17 @@ struct PoseSums {
 
 impl Default for PoseSums {
     fn default() -> Self {
-        Self { by_pose: [[0.0; 36]; 6], by_others: Default::default(), right: Default::default() }
+        Self { by_pose: [[0.0; POSE_ENTRIES]; 6], by_others: Default::default(), right: Default::default() }
     }
 }
 
 /// The place of a pair of powers a >= b in [`PoseSums::by_pose`].
 fn pair(a: usize, b: usize) -> usize {
     a * (a + 1) / 2 + b
+}
+
+fn add_scaled(sums: &mut [f64], factor: f64, values: &[f64]) {
+    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += factor * value);
 }
 
 /// The system and its factor; keeps its buffers.
@@ -157,7 +162,7 @@ impl System {
             list.clear();
             list.resize(length, 0.0);
         }
-        self.pose.by_pose = [[0.0; 36]; 6];
+        self.pose.by_pose = [[0.0; POSE_ENTRIES]; 6];
         self.pose.right = [[0.0; 6]; POWERS];
         for list in &mut self.pose.by_others {
             list.clear();
@@ -224,34 +229,42 @@ impl System {
                 self.matrix[row * n + column] += weight * sums.product(SPREAD + i, SPREAD + j);
             }
         }
-        // Powers of time: one, where it is the same for all; else that of the tile's middle, and of its rows from there.
+        let factors = time.factors();
+        // Powers of time: one, where it is the same for all.
         let powers = if self.same_time.is_some() { 1 } else { POWERS };
-        let (factors, rates) = (time.factors().map(|f| f * weight), time.rates());
-        let pairs: [[f64; 36]; 3] = [
-            std::array::from_fn(|k| sums.product(k / 6, k % 6)),
-            std::array::from_fn(|k| if powers > 1 { rows.by_time(k / 6, k % 6) } else { 0.0 }),
-            std::array::from_fn(|k| if powers > 1 { rows.by_squared_time(k / 6, k % 6) } else { 0.0 }),
-        ];
-        let plain = time.factors();
+        let pose = sums.of_pose();
+        let right: [f64; 6] = std::array::from_fn(|i| sums.product(i, COLUMNS));
+        let columns: [[f64; 6]; 6] = std::array::from_fn(|k| std::array::from_fn(|i| sums.product(i, SPREAD + k)));
         for a in 0..powers {
             for b in 0..=a {
-                let shares = [factors[a] * plain[b], factors[a] * rates[b] + rates[a] * factors[b], weight * rates[a] * rates[b]];
-                let sum = &mut self.pose.by_pose[pair(a, b)];
-                for (share, products) in shares.iter().zip(&pairs).take(powers) {
-                    sum.iter_mut().zip(products).for_each(|(sum, v)| *sum += share * v);
-                }
+                add_scaled(&mut self.pose.by_pose[pair(a, b)], weight * factors[a] * factors[b], &pose);
+            }
+            add_scaled(&mut self.pose.right[a], weight * factors[a], &right);
+            for (other, column) in others.iter().zip(&columns) {
+                add_scaled(&mut self.pose.by_others[a][6 * other..6 * other + 6], weight * factors[a], column);
             }
         }
-        for a in 0..powers {
-            let (factor, rate) = (factors[a], weight * rates[a]);
-            let along = |i: usize, c: usize| factor * sums.product(i, c) + if rate == 0.0 { 0.0 } else { rate * rows.by_other(i, c) };
-            for i in 0..6 {
-                self.pose.right[a][i] += along(i, COLUMNS);
+        if let Some(rows) = rows.as_ref().filter(|_| powers > 1) {
+            self.add_rows(rows, others, time, weight);
+        }
+    }
+
+    /// Adds what the rows of a tile differ by from its middle. `others`: its unknowns beside the pose.
+    fn add_rows(&mut self, rows: &RowSums, others: [usize; 6], time: &TileTime, weight: f64) {
+        let (factors, rates) = (time.factors(), time.rates());
+        let (by_time, by_squared_time) = (rows.by_time(), rows.by_squared_time());
+        let right: [f64; 6] = std::array::from_fn(|i| rows.by_other(i, COLUMNS));
+        let columns: [[f64; 6]; 6] = std::array::from_fn(|k| std::array::from_fn(|i| rows.by_other(i, SPREAD + k)));
+        // At power 0, a pose does not grow from row to row.
+        for a in 1..POWERS {
+            for b in 0..=a {
+                let sum = &mut self.pose.by_pose[pair(a, b)];
+                add_scaled(sum, weight * (factors[a] * rates[b] + rates[a] * factors[b]), &by_time);
+                add_scaled(sum, weight * rates[a] * rates[b], &by_squared_time);
             }
-            for (k, other) in others.iter().enumerate() {
-                for i in 0..6 {
-                    self.pose.by_others[a][6 * other + i] += along(i, SPREAD + k);
-                }
+            add_scaled(&mut self.pose.right[a], weight * rates[a], &right);
+            for (other, column) in others.iter().zip(&columns) {
+                add_scaled(&mut self.pose.by_others[a][6 * other..6 * other + 6], weight * rates[a], column);
             }
         }
     }
@@ -272,7 +285,7 @@ impl System {
                 for b in 0..=a {
                     let sums = &self.pose.by_pose[pair(kept(a), kept(b))];
                     for j in 0..6 {
-                        self.matrix[row * n + motion + 6 * b + j] += factors[a] * factors[b] * sums[6 * i + j];
+                        self.matrix[row * n + motion + 6 * b + j] += factors[a] * factors[b] * sums[entry(i, j)];
                     }
                 }
             }

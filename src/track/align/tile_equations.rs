@@ -1,6 +1,6 @@
 //! The normal equations of one tile, in its own columns and in those that its rows' times add.
 
-use super::normal::{COLUMNS, SPREAD, TileSums};
+use super::normal::{COLUMNS, POSE_ENTRIES, SPREAD, TileSums};
 use super::rows::RowSums;
 
 /// What a tile says, linearised: its sums, and those of the times of its rows.
@@ -8,8 +8,8 @@ use super::rows::RowSums;
 pub struct TileEquations {
     /// Over its pixels.
     pub sums: TileSums,
-    /// How they differ in time.
-    pub rows: RowSums,
+    /// How they differ in time; `None` where all are exposed together, or are taken to be.
+    pub rows: Option<RowSums>,
 }
 
 /// A change of everything that a tile sees.
@@ -30,32 +30,47 @@ pub struct TileScore {
     pub timed: [f64; SPREAD],
 }
 
+/// Where entry (i, j) of a symmetric matrix of the pose's columns is, in its upper triangle row by row.
+pub const fn entry(i: usize, j: usize) -> usize {
+    let (i, j) = if i <= j { (i, j) } else { (j, i) };
+    i * SPREAD - i * (i + 1) / 2 + j
+}
+
+/// A symmetric matrix of the pose's columns times a vector.
+fn times(triangle: &[f64; POSE_ENTRIES], vector: &[f64; SPREAD]) -> [f64; SPREAD] {
+    std::array::from_fn(|i| (0..SPREAD).map(|j| triangle[entry(i, j)] * vector[j]).sum())
+}
+
 impl TileEquations {
     /// The normal matrix times a step: what of the right side it explains.
     pub fn explained(&self, step: &TileStep) -> TileScore {
-        let (columns, rate) = (step.columns.map(f64::from), step.rate.map(f64::from));
-        let by_column = |c: usize| {
-            let own: f64 = columns.iter().enumerate().map(|(k, s)| self.sums.product(c, k) * s).sum();
-            own + rate.iter().enumerate().map(|(k, s)| self.by_time(k, c) * s).sum::<f64>()
-        };
-        let by_time = |i: usize| {
-            let own: f64 = columns.iter().enumerate().map(|(k, s)| self.by_time(i, k) * s).sum();
-            own + rate.iter().enumerate().map(|(k, s)| self.rows.by_squared_time(i, k) * s).sum::<f64>()
-        };
-        TileScore { columns: std::array::from_fn(by_column), timed: std::array::from_fn(by_time) }
+        let mut columns = self.sums.by_step(&step.columns);
+        let Some(rows) = &self.rows else { return TileScore { columns, timed: [0.0; SPREAD] } };
+        let rate = step.rate.map(f64::from);
+        let by_time = rows.by_time();
+        let pose: [f64; SPREAD] = std::array::from_fn(|i| f64::from(step.columns[i]));
+        let (own, squared) = (times(&by_time, &pose), times(&rows.by_squared_time(), &rate));
+        let mut timed: [f64; SPREAD] = std::array::from_fn(|i| own[i] + squared[i]);
+        for (sum, more) in columns.iter_mut().zip(times(&by_time, &rate)) {
+            *sum += more;
+        }
+        for (c, sum) in columns.iter_mut().enumerate().skip(SPREAD) {
+            for (i, timed) in timed.iter_mut().enumerate() {
+                let product = rows.by_other(i, c);
+                *sum += product * rate[i];
+                *timed += product * f64::from(step.columns[c]);
+            }
+        }
+        TileScore { columns, timed }
     }
 
     /// What of the right side a step leaves.
     pub fn left_by(&self, step: &TileStep) -> TileScore {
         let explained = self.explained(step);
+        let by_residual = |i: usize| self.rows.as_ref().map_or(0.0, |rows| rows.by_other(i, COLUMNS));
         TileScore {
             columns: std::array::from_fn(|c| self.sums.product(c, COLUMNS) - explained.columns[c]),
-            timed: std::array::from_fn(|i| self.rows.by_other(i, COLUMNS) - explained.timed[i]),
+            timed: std::array::from_fn(|i| by_residual(i) - explained.timed[i]),
         }
-    }
-
-    /// Sum of w d a_i a_c: column `i` of the pose by any column.
-    fn by_time(&self, i: usize, c: usize) -> f64 {
-        if c < SPREAD { self.rows.by_time(i, c) } else { self.rows.by_other(i, c) }
     }
 }

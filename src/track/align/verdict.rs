@@ -37,9 +37,8 @@ impl Alignment {
         self.tiles >= CONCLUSIVE_TILES && self.share() >= CONCLUSIVE_SHARE
     }
 
-    /// Whether what was expected may have pulled the pose aside, through the shutter: it was found far from there. However well the
-    /// picture agrees, within one frame it cannot tell some of the motion from the pose.
-    pub fn is_pulled(&self) -> bool {
+    /// Whether the pose was found so far from where it was expected that earlier frames say nothing of it.
+    pub fn is_pushed(&self) -> bool {
         self.surprise > LARGEST_SURPRISE
     }
 

@@ -18,7 +18,7 @@ use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::noise::{Noise, NoiseSums};
 use super::normal::{COLUMNS, Residuals, RunView, TileLight, Weighing, moments, residuals, squares_after, tile_sums};
 use super::pixels::{Pixels, Run, Source};
-use super::rows::{RowSums, row_sums};
+use super::rows::row_sums;
 use super::selection::{Choice, Chosen, Selector};
 use super::slopes::{ChangeSums, Foretold};
 use super::system::{Prior, System, TileTime};
@@ -250,8 +250,7 @@ impl Work {
             for r in runs.iter_mut().filter(|r| r.gauge.is_open) {
                 let (time, step) = (picture.time(task, &r.run), &r.step.columns);
                 r.equations.sums = tile_sums(&picture.view(r), step, &weighing);
-                r.equations.rows =
-                    if is_rolling { row_sums(&picture.view(r), time.delay_s as f32, step, &weighing) } else { RowSums::default() };
+                r.equations.rows = is_rolling.then(|| row_sums(&picture.view(r), time.delay_s as f32, step, &weighing));
                 system.add(&r.equations, light.nodes_of(r.run.tile), &time, weight);
             }
             let step = system.solve()?;
@@ -418,9 +417,6 @@ impl Work {
         }
         let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
         let honest = larger_covariance(&noise, &(votes * factor))?;
-        // A camera that starts or stops at a share s of the exposure is seen s (1 - s) / 2 of it from where its stamp says, per unit of
-        // speed: a mean square of 1 / 120 over all s.
-        let started = covariance.fixed_view::<6, 6>(6, 6) * (task.sensor.exposure_s.powi(2) / 120.0);
-        Some((MotionEstimate { motion: solved.motion, covariance }, honest + started))
+        Some((MotionEstimate { motion: solved.motion, covariance }, honest))
     }
 }
