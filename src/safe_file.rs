@@ -6,9 +6,10 @@
 use std::fs::{File, FileType, OpenOptions};
 use std::io::{self, Read};
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nix::libc;
+use nix::unistd::{AccessFlags, access};
 
 /// Opens a plain file for reading; never waits.
 ///
@@ -77,6 +78,28 @@ pub fn open_output(path: &Path) -> io::Result<File> {
     Ok(file)
 }
 
+/// Whether a file may be written, or made where it is not there yet; nothing is opened or made.
+///
+/// # Errors
+/// What the system says of the file, or of the folder that it would be made in.
+pub fn may_write(path: &Path) -> io::Result<()> {
+    let is_there = path.symlink_metadata().is_ok();
+    if is_there {
+        return Ok(access(path, AccessFlags::W_OK)?);
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let in_folder = |e: io::Error| io::Error::new(e.kind(), format!("the folder {}: {e}", folder.display()));
+    if !std::fs::metadata(folder).map_err(in_folder)?.is_dir() {
+        return Err(io::Error::other(format!("{} is no folder", folder.display())));
+    }
+    access(folder, AccessFlags::W_OK | AccessFlags::X_OK).map_err(|e| in_folder(e.into()))
+}
+
+/// The first of these names that a folder holds already: whoever writes them all would write over it. Links that lead nowhere count.
+pub fn first_taken<N: AsRef<Path>>(folder: &Path, names: impl IntoIterator<Item = N>) -> Option<PathBuf> {
+    names.into_iter().map(|name| folder.join(name)).find(|path| path.symlink_metadata().is_ok())
+}
+
 /// What a path names, in words, where it is no plain file.
 pub fn kind(of: FileType) -> &'static str {
     if of.is_dir() {
@@ -107,6 +130,14 @@ mod tests {
             let message = format!("it is {kind}, not a plain file");
             assert_eq!((read(path, 100).unwrap_err().to_string(), replace(path).unwrap_err().to_string()), (message.clone(), message));
         }
+    }
+
+    #[test]
+    fn a_name_is_taken_by_whatever_has_it() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(first_taken(folder.path(), ["a", "b"]), None);
+        std::os::unix::fs::symlink("nowhere", folder.path().join("b")).unwrap();
+        assert_eq!(first_taken(folder.path(), ["a", "b"]), Some(folder.path().join("b")));
     }
 
     #[test]

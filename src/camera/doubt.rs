@@ -8,20 +8,16 @@ use nalgebra::{SMatrix, Vector2};
 
 use super::model::{CameraModel, Intrinsics, Normalized};
 
-/// 3 sigma of each intrinsic, in the units of [`Intrinsics`]; 0 for a number that was held fixed.
+/// 3 sigma of the numbers of [`Intrinsics`], in the same units; 0 for a number that was held fixed.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct IntrinsicsUncertainty {
-    /// 3 sigma of fx, pixels.
-    pub fx: f64,
-    /// 3 sigma of fy, pixels.
-    pub fy: f64,
-    /// 3 sigma of cx, pixels.
-    pub cx: f64,
-    /// 3 sigma of cy, pixels.
-    pub cy: f64,
-    /// 3 sigma of alpha_c.
+    /// Of fx and fy.
+    pub focal_px: [f64; 2],
+    /// Of cx and cy.
+    pub centre_px: [f64; 2],
+    /// Of alpha_c.
     pub skew: f64,
-    /// 3 sigma of [k1, k2, p1, p2, k3].
+    /// Of k1, k2, p1, p2 and k3.
     pub distortion: [f64; 5],
 }
 
@@ -47,7 +43,8 @@ impl LensDoubt {
     /// The doubt about the same lens at another picture size.
     pub(super) fn scaled(self, sx: f64, sy: f64) -> Self {
         let u = self.uncertainty;
-        Self { uncertainty: IntrinsicsUncertainty { fx: u.fx * sx, fy: u.fy * sy, cx: u.cx * sx, cy: u.cy * sy, ..u }, ..self }
+        let scaled = |[x, y]: [f64; 2]| [x * sx, y * sy];
+        Self { uncertainty: IntrinsicsUncertainty { focal_px: scaled(u.focal_px), centre_px: scaled(u.centre_px), ..u }, ..self }
     }
 }
 
@@ -58,9 +55,9 @@ impl CameraModel {
         let i: &Intrinsics = self.intrinsics();
         let n = normalized.0;
         let (d, r2) = (self.distorted(n), n.norm_squared());
-        // What fx and fy are multiplied by: both are told as 3 sigma.
-        let by_fx = Vector2::new(d.x + i.skew * d.y, 0.0) * (u.fx / 3.0);
-        let by_fy = Vector2::new(0.0, d.y) * (u.fy / 3.0);
+        // What fx and fy are multiplied by.
+        let by_fx = Vector2::new(d.x + i.skew * d.y, 0.0) * (u.focal_px[0] / 3.0);
+        let by_fy = Vector2::new(0.0, d.y) * (u.focal_px[1] / 3.0);
         // An aspect ratio that is not known to be 1 errs as two independent focal lengths would.
         let against = if has_square_pixels { 0.0 } else { std::f64::consts::FRAC_1_SQRT_2 };
         let bent =
@@ -69,8 +66,8 @@ impl CameraModel {
         Some(SMatrix::from_columns(&[
             by_fx + by_fy,
             (by_fx - by_fy) * against,
-            Vector2::new(u.cx / 3.0, 0.0),
-            Vector2::new(0.0, u.cy / 3.0),
+            Vector2::new(u.centre_px[0] / 3.0, 0.0),
+            Vector2::new(0.0, u.centre_px[1] / 3.0),
             Vector2::new(i.fx * d.y, 0.0) * (u.skew / 3.0),
             bent(n * r2, k1),
             bent(n * (r2 * r2), k2),
@@ -97,7 +94,12 @@ mod tests {
             skew: 0.002,
             distortion: [-0.2, 0.1, 0.001, -0.002, 0.03],
         };
-        let u = IntrinsicsUncertainty { fx: 6.0, fy: 3.0, cx: 9.0, cy: 12.0, skew: 0.003, distortion: [0.03, 0.06, 0.003, 0.006, 0.09] };
+        let u = IntrinsicsUncertainty {
+            focal_px: [6.0, 3.0],
+            centre_px: [9.0, 12.0],
+            skew: 0.003,
+            distortion: [0.03, 0.06, 0.003, 0.006, 0.09],
+        };
         let camera = CameraModel::new(i).unwrap().with_doubt(Some(LensDoubt { uncertainty: u, has_square_pixels: false }));
         let n = Normalized(Vector2::new(0.31, -0.22));
         let columns = camera.pixel_doubt(n).unwrap();
@@ -129,10 +131,10 @@ mod tests {
     fn it_scales_with_the_picture_and_may_be_absent() {
         let camera = CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap();
         assert_eq!(camera.pixel_doubt(Normalized(Vector2::new(0.1, 0.1))), None);
-        let uncertainty = IntrinsicsUncertainty { fx: 6.0, fy: 6.0, cx: 3.0, cy: 3.0, ..Default::default() };
+        let uncertainty = IntrinsicsUncertainty { focal_px: [6.0; 2], centre_px: [3.0; 2], ..Default::default() };
         let camera = camera.with_doubt(LensDoubt::of_calibration(Some(uncertainty)));
         let half = camera.scaled_to(320, 240).unwrap().doubt().unwrap();
-        assert_eq!((half.uncertainty.fx, half.uncertainty.cy), (3.0, 1.5));
+        assert_eq!((half.uncertainty.focal_px[0], half.uncertainty.centre_px[1]), (3.0, 1.5));
         assert_eq!(LensDoubt::of_calibration(Some(IntrinsicsUncertainty::default())), None);
     }
 }

@@ -54,7 +54,7 @@ impl LensGuess {
         let off = 3.0 * self.focal_share() * focal;
         let [k1, k2, p1, p2] = DISTORTION.map(|sigma| 3.0 * sigma);
         let distortion = [k1, k2, p1, p2, 0.0];
-        let uncertainty = IntrinsicsUncertainty { fx: off, fy: off, cx: centre, cy: centre, skew: 0.0, distortion };
+        let uncertainty = IntrinsicsUncertainty { focal_px: [off; 2], centre_px: [centre; 2], skew: 0.0, distortion };
         Ok(CameraModel::pinhole(width, height, focal, focal, cx, cy)?.with_doubt(Some(LensDoubt { uncertainty, has_square_pixels: true })))
     }
 }

@@ -37,12 +37,13 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     let (mut clip_line, mut shutter_lines) = (None, Vec::new());
     if let Some(clip) = &arguments.clip {
         let calibrated = settings.lens.size(&settings.camera);
-        let source = open_clip(clip, ClipOptions { calibrated, ..ClipOptions::default() })?;
+        let mut source = open_clip(clip, ClipOptions { calibrated, ..ClipOptions::default() })?;
         notes.extend(source.notes());
         let (width, height) = source.size();
         let (scaled, note) = settings.camera_for(width, height)?;
         camera = scaled;
         notes.extend(note);
+        notes.extend(rate::frames_per_s(&mut *source).and_then(|rate| settings.safety.note_on_rate(rate)));
         let rows = source.rows().map_or("an unknown number of frames".to_owned(), |rows| format!("{rows} frames"));
         shutter_lines = shutter::lines(&settings, clip)?;
         clip_line = Some(format!("clip        {}: {rows} of {width} x {height} pixels", clip.display()));
@@ -196,6 +197,7 @@ fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
 
 mod lens;
 mod mount;
+mod rate;
 mod shutter;
 
 #[cfg(feature = "live")]

@@ -43,8 +43,8 @@ pub enum Failure {
         /// What the system says.
         source: io::Error,
     },
-    /// A recording would be mixed with another one.
-    #[error("{}: holds a clip already; give a new folder", .0.display())]
+    /// A recording would be mixed with another one; holds what is there of it.
+    #[error("{}: is there already and would be written over; give a new folder", .0.display())]
     ClipIsThere(PathBuf),
     /// The camera cannot be used.
     #[error("the camera: {0}")]

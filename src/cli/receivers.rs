@@ -1,5 +1,8 @@
 //! Everybody who is told the pose while a command runs: the outputs, and the clients of the HTTP server.
 
+#[cfg(feature = "http")]
+use std::sync::Arc;
+
 use super::failure::Failure;
 use crate::camera::CameraModel;
 use crate::config::{SendingSettings, Settings};
@@ -48,7 +51,7 @@ impl Receivers {
             let started = settings.http.as_ref().map(|http| Server::start(http, Vec::new())).transpose();
             let server = started.map_err(|e| Failure::Publishing(e.to_string()))?;
             if let Some(server) = &server {
-                server.judge_ages(FrameClock::new(context.stamps.clone()), context.safety.stale_after);
+                server.judge_ages(Arc::new(FrameClock::new(context.stamps.clone())), context.safety.stale_after);
             }
             server
         };

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::failure::Failure;
 use super::run::{LiveArguments, live};
+use crate::daemon::recorder::taken_by_earlier;
 
 /// Track with a camera and record the clip: pictures as received, stamps, records, events, config.
 #[derive(Debug, clap::Args)]
@@ -12,7 +13,7 @@ use super::run::{LiveArguments, live};
     The replay gives take1/poses.jsonl byte for byte. A disk that is full ends the recording, not the tracking."
 )]
 pub(super) struct RecordArguments {
-    /// The new folder
+    /// The folder of the clip, new or without anything of an earlier recording
     clip: PathBuf,
     #[command(flatten)]
     live: LiveArguments,
@@ -20,8 +21,8 @@ pub(super) struct RecordArguments {
 
 pub(super) fn run(arguments: &RecordArguments) -> Result<(), Failure> {
     // Said at once, not when a camera has come.
-    if arguments.clip.join("timestamps.csv").exists() {
-        return Err(Failure::ClipIsThere(arguments.clip.clone()));
+    if let Some(taken) = taken_by_earlier(&arguments.clip) {
+        return Err(Failure::ClipIsThere(taken));
     }
     live(&arguments.live, Some(arguments.clip.clone()))
 }

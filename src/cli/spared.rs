@@ -72,6 +72,10 @@ impl Spared {
     pub fn open(&mut self, flag: &str, file: Option<&Path>) -> Result<Option<OutputFile>, Failure> {
         let Some(file) = file else { return Ok(None) };
         let was_there = std::fs::metadata(file).is_ok();
+        if !was_there {
+            // Another output may have claimed the name and not made the file yet.
+            self.claim(flag, file)?;
+        }
         let output = OutputFile::open(file)?;
         let about = output.file().metadata().map_err(Failure::output(file))?;
         self.claim_file(flag, file, &about, was_there)?;
@@ -243,6 +247,8 @@ mod tests {
         assert!(message.contains("--poses goes to the same file; give each output a file of its own"), "{message}");
         let mut spared = Spared::default();
         spared.claim("--json", &folder.path().join("later")).unwrap();
+        assert!(spared.open("--poses", Some(&folder.path().join("./later"))).is_err());
+        assert!(!folder.path().join("later").exists());
         assert!(spared.claim("--report", &folder.path().join("./later")).is_err());
         let null = Path::new("/dev/null");
         spared.open("--poses", Some(null)).unwrap();

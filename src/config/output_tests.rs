@@ -80,7 +80,7 @@ fn one_text_needs_no_brackets_and_words_any_case() {
 }
 
 #[test]
-fn every_wrong_value_is_told_with_its_line() {
+fn every_wrong_value_is_named_with_its_line() {
     let value = |more: &str| format!("{OSC}[[output.value]]\naddress = \"/a\"\nquantity = \"x\"\n{more}");
     let cases = [
         ("[[output]]\nto = [\"127.0.0.1:1\"]".to_owned(), "[[output]], line 1, has no `kind`; add kind = \"freed\""),
@@ -90,24 +90,12 @@ fn every_wrong_value_is_told_with_its_line() {
         (FREED.replace("127.0.0.1", "192.168.1.300"), "`to` in [[output]], line 3: `192.168.1.300:40000` cannot be used"),
         (FREED.replace(":40000", ""), "`to` in [[output]], line 3: `127.0.0.1` cannot be used; give an IPv4 address and a port"),
         (FREED.replace("127.0.0.1", "239.1.2.3"), "`to` in [[output]], line 3: a multicast address needs `interface`"),
-        (format!("{FREED}interface = \"eth0\""), "`interface` in [[output]], line 4: `eth0` cannot be used; give this machine's IPv4"),
         (FREED.replace("127.0.0.1", "[ff15::7]"), "`to` in [[output]], line 3: a multicast or link-local IPv6 address needs `interface`"),
         (
             FREED.replace("127.0.0.1", "fd00::7"),
             "`to` in [[output]], line 3: `fd00::7:40000` cannot be used; give an IPv4 address and a port",
         ),
-        (format!("{FREED}ttl = 0"), "`ttl` in [[output]], line 4: 0 cannot be used"),
-        (format!("{FREED}rate_divider = 0"), "`rate_divider` in [[output]], line 4: 0 cannot be used; give a whole number from 1"),
-        (format!("{FREED}rate_hz = 0"), "`rate_hz` in [[output]], line 4: 0 cannot be used; give 25, 29.97, 30, 50, 59.94 or 60"),
         (format!("{FREED}rate_hz = 25\nrate_divider = 2"), "`rate_divider` in [[output]], line 5: an output has either"),
-        (format!("{FREED}delay_s = 0.1"), "`delay_s` in [[output]], line 4: it belongs to `rate_hz`"),
-        (format!("{FREED}bodies = [\"cart\"]"), "`bodies` in [[output]], line 4: `cart` cannot be used; give \"camera\" or the `name`"),
-        (format!("{FREED}bodies = []"), "`bodies` in [[output]], line 4: give one body to freed"),
-        (format!("{FREED}on_loss = \"guess\""), "`on_loss` in [[output]], line 4: `guess` cannot be used; give stop, hold or flag"),
-        (
-            format!("{FREED}on_loss = \"holt\""),
-            "`on_loss` in [[output]], line 4: `holt` cannot be used; give stop, hold or flag; did you mean `hold`?",
-        ),
         (
             FREED.replace("\"freed\"", "\"fred\""),
             "`kind` in [[output]], line 2: `fred` cannot be used; give freed, opentrackio, psn, osc or json; did you mean `freed`?",
@@ -125,25 +113,14 @@ fn every_wrong_value_is_told_with_its_line() {
             format!("{FREED}rotation_deg = [0, 0, 0]\nrotation_xyzw = [0, 0, 0, 1]"),
             "`rotation_deg` in [[output]], line 4: an output has either `rotation_xyzw` or `rotation_deg`, this one has both; remove one",
         ),
-        (
-            format!("{FREED}rotation_deg = [0, 0, 400]"),
-            "`rotation_deg` in [[output]], line 4: [0.0, 0.0, 400.0] cannot be used; give [turn, tilt, roll]",
-        ),
         (format!("{FREED}spare = \"frame\"\non_loss = \"flag\""), "`on_loss` in [[output]], line 5: there is nothing to flag a loss with"),
-        (format!("{FREED}camera_id = 256"), "`camera_id` in [[output]], line 4: 256 cannot be used"),
-        (format!("{FREED}invert = [\"w\"]"), "`invert` in [[output]], line 4: `w` cannot be used; give x, y, z, pan, tilt or roll"),
-        (format!("{FREED}scale = 0"), "`scale` in [[output]], line 4: 0 cannot be used"),
-        (format!("{FREED}prefix = \"/a\""), "`prefix` in [[output]], line 4: it belongs to osc; remove it"),
         (format!("{FREED}encoder = 1"), "unknown key `encoder` in [[output]], line 4; did you mean `encoding`?"),
         (format!("{FREED}name = \"a\"\n{OSC}name = \"a\""), "`name` in [[output]], line 8: `a`, which another output has,"),
-        (format!("{OSC}prefix = \"a b\""), "`prefix` in [[output]], line 4: `a b` cannot be used; give the first part of an OSC address"),
-        (format!("{OSC}messages = [\"euler\"]"), "`messages` in [[output]], line 4: `euler` cannot be used; give pose, quat or status"),
         (format!("{OSC}[[output.value]]\nquantity = \"x\""), "[[output.value]], line 4, has no `address`"),
         (value("clamp = [1, 0]"), "`clamp` in [[output.value]], line 7: [1.0, 0.0] cannot be used"),
         (value("every = 0"), "`every` in [[output.value]], line 7: 0 cannot be used"),
         (value("").replace("\"x\"", "\"yaw\""), "`quantity` in [[output.value]], line 6: `yaw` cannot be used"),
         (value("").replace("/a", "/a/{axis}"), "`address` in [[output.value]], line 5: the template's field {axis} is unknown; use {body}"),
-        (format!("{JSON}tcp_listen = \"localhost:9\""), "`tcp_listen` in [[output]], line 4: `localhost:9` cannot be used; give an IP"),
         ("[safety]\nmax_speed_m_s = 0".to_owned(), "`max_speed_m_s` in [safety], line 2: 0 cannot be used"),
         ("[safety]\nblend_speed_m_s = 1".to_owned(), "`blend_speed_m_s` in [safety], line 2: a return after a loss needs both"),
         ("[safety]\npermitted_box_m = [[0, 0, 0], [1, 1, 0]]".to_owned(), "`permitted_box_m` in [safety], line 2: [0.0, 0.0, 0.0]"),
@@ -159,6 +136,53 @@ fn every_wrong_value_is_told_with_its_line() {
         let said = message(&text);
         assert!(said.starts_with(wanted), "{text}\n{said}");
     }
+}
+
+#[test]
+fn every_wrong_key_of_an_output_is_named_with_its_line() {
+    let cases = [
+        (FREED, "interface = \"eth0\"", "`eth0` cannot be used; give this machine's IPv4"),
+        (FREED, "ttl = 0", "0 cannot be used"),
+        (FREED, "rate_divider = 0", "0 cannot be used; give a whole number from 1"),
+        (FREED, "rate_hz = 0", "0 cannot be used; give 25, 29.97, 30, 50, 59.94 or 60"),
+        (FREED, "delay_s = 0.1", "it belongs to `rate_hz`"),
+        (FREED, "bodies = [\"cart\"]", "`cart` cannot be used; give \"camera\" or the `name`"),
+        (FREED, "bodies = []", "give one body to freed"),
+        (FREED, "on_loss = \"guess\"", "`guess` cannot be used; give stop, hold or flag"),
+        (FREED, "on_loss = \"holt\"", "`holt` cannot be used; give stop, hold or flag; did you mean `hold`?"),
+        (FREED, "rotation_deg = [0, 0, 400]", "[0.0, 0.0, 400.0] cannot be used; give [turn, tilt, roll]"),
+        (FREED, "camera_id = 256", "256 cannot be used"),
+        (FREED, "invert = [\"w\"]", "`w` cannot be used; give x, y, z, pan, tilt or roll"),
+        (FREED, "scale = 0", "0 cannot be used"),
+        (FREED, "prefix = \"/a\"", "it belongs to osc; remove it"),
+        (OSC, "prefix = \"a b\"", "`a b` cannot be used; give the first part of an OSC address"),
+        (OSC, "messages = [\"euler\"]", "`euler` cannot be used; give pose, quat or status"),
+        (JSON, "tcp_listen = \"localhost:9\"", "`localhost:9` cannot be used; give an IP"),
+    ];
+    for (output, added, wanted) in cases {
+        let key = added.split(' ').next().unwrap();
+        let said = message(&format!("{output}{added}"));
+        assert!(said.starts_with(&format!("`{key}` in [[output]], line 4: {wanted}")), "{added}\n{said}");
+    }
+}
+
+#[test]
+fn frames_that_are_stale_before_the_next_one_comes_are_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    super::tests::fill(folder.path());
+    let notes = |camera: &str, safety: &str| {
+        let stage = "[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4, 3]\n";
+        let file = folder.path().join("stage.toml");
+        std::fs::write(&file, format!("[camera]\ncalibration = \"camera.toml\"\n{camera}\n{stage}[safety]\n{safety}\n")).unwrap();
+        Settings::load(&file).unwrap().notes.into_iter().filter(|note| note.contains("stale_after_s")).collect::<Vec<_>>()
+    };
+    let [slow] = &notes("fps = 1.5", "")[..] else { panic!("one note") };
+    assert!(
+        slow.contains("is 0.5 s, but at 1.5000 frames a second one comes every 0.667 s") && slow.ends_with("give at least 2.0"),
+        "{slow}"
+    );
+    assert_eq!(notes("fps = 30", "stale_after_s = 0.02").len(), 1);
+    assert_eq!(notes("fps = 30", "stale_after_s = 0.05").len() + notes("", "stale_after_s = 0.02").len(), 0);
 }
 
 #[test]
@@ -182,6 +206,12 @@ fn what_the_machine_does_not_give_is_told_with_its_line() {
     assert!(said.contains("`interface` in [[output]], line 9: cannot send by UDP"), "{said}");
     // An output that is not enabled needs nothing.
     assert_eq!(rehearse(&format!("{foreign}\nenabled = false")), Ok(()));
+    let into_nothing = "[[output]]\nkind = \"json\"\nfile = \"logs/sent.jsonl\"";
+    let said = rehearse(into_nothing).unwrap_err();
+    assert!(said.contains("`file` in [[output]], line 8: ") && said.contains("logs/sent.jsonl: cannot be written (the folder "), "{said}");
+    std::fs::create_dir(folder.path().join("logs")).unwrap();
+    assert_eq!(rehearse(into_nothing), Ok(()));
+    assert!(!folder.path().join("logs/sent.jsonl").exists(), "a rehearsal makes no file");
     // A port to send to may be anybody's.
     let receiver = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     assert_eq!(rehearse(&format!("[[output]]\nkind = \"freed\"\nto = [\"{receiver}\"]")), Ok(()));

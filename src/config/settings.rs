@@ -217,6 +217,8 @@ impl Settings {
         let mount = mount(&origin, typed.mount.as_ref(), &names, &mut notes)?;
         let outputs = OutputReader { origin: &origin, objects: names, mount: mount.as_ref() };
         let files = files_of(&typed, &origin);
+        let (device, safety) = (device(&section, camera)?, safety(&origin, typed.safety.as_ref())?);
+        notes.extend(device.fps.and_then(|fps| safety.note_on_rate(fps)));
         refuse_overwriting(&typed, &origin, &files)?;
         Ok(Self {
             file: file.to_owned(),
@@ -227,7 +229,7 @@ impl Settings {
             exposure_s,
             readout_s,
             mask,
-            device: device(&section, camera)?,
+            device,
             stage,
             objects,
             outputs: outputs.outputs(&typed.output)?,
@@ -235,7 +237,7 @@ impl Settings {
             tracker: tracker(&origin, typed.tracker.as_ref())?,
             recorder: recorder(&origin, typed.recorder.as_ref())?,
             filter: filter(&origin, typed.filter.as_ref())?,
-            safety: safety(&origin, typed.safety.as_ref())?,
+            safety,
             http: http(&origin, typed.http.as_ref())?,
             log: log(&origin, typed.log.as_ref())?,
             files,

@@ -35,7 +35,7 @@ fn a_lens_may_be_guessed_and_says_how_far_it_may_be_off() {
         assert!((i.fx - f64::from(width) / 2.0).abs() < 1e-9 && i.fx == i.fy && note.is_none());
         assert_eq!((i.cx, i.cy), ((f64::from(width) - 1.0) / 2.0, (f64::from(height) - 1.0) / 2.0));
         let uncertainty = camera.doubt().unwrap().uncertainty;
-        assert!((uncertainty.fx / i.fx - 0.09).abs() < 1e-9 && uncertainty.cx > 0.05 * f64::from(width));
+        assert!((uncertainty.focal_px[0] / i.fx - 0.09).abs() < 1e-9 && uncertainty.centre_px[0] > 0.05 * f64::from(width));
     }
     // With one, other shapes are refused and other sizes scaled, as of a calibration.
     let settings = guessed("focal_35mm_mm = 26\nwidth = 1280\nheight = 720").unwrap();
@@ -63,8 +63,8 @@ fn the_uncertainty_of_a_calibration_is_kept() {
     let uncertainty = "[uncertainty]\nfx = 3.0\nfy = 3.0\ncx = 6.0\ncy = 6.0\n";
     std::fs::write(folder.path().join("camera.toml"), format!("{CAMERA}{uncertainty}")).unwrap();
     let settings = load(&folder, GOOD).unwrap();
-    assert_eq!(settings.camera.doubt().unwrap().uncertainty.cx, 6.0);
-    assert_eq!(settings.camera_for(320, 240).unwrap().0.doubt().unwrap().uncertainty.cx, 3.0);
+    assert_eq!(settings.camera.doubt().unwrap().uncertainty.centre_px[0], 6.0);
+    assert_eq!(settings.camera_for(320, 240).unwrap().0.doubt().unwrap().uncertainty.centre_px[0], 3.0);
 }
 
 #[test]

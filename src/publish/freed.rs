@@ -33,7 +33,7 @@ pub enum Spare {
 }
 
 /// A D1 packet in physical units.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FreedPacket {
     /// 0 to 255.
     pub camera_id: u8,

@@ -32,6 +32,8 @@ mod worker;
 
 pub use body_pose::{PanTiltRoll, body_of_camera, camera_of_body};
 pub use channel::PoseWithheld;
+#[cfg(test)]
+pub(crate) use clocks::stepped;
 pub use clocks::{Clocks, FrameClock, Reading, SystemClocks};
 pub use json::JsonSettings;
 pub use mounted::{Mount, MountSettings};

@@ -146,11 +146,7 @@ impl Publisher {
     /// Opens every enabled output and closes it again: whether the addresses, ports and files can be used. Gives the number of the
     /// output that cannot, with the reason.
     pub fn rehearse(outputs: &[OutputSettings]) -> Result<(), (usize, TransportError)> {
-        let rehearse = |output: &OutputSettings| {
-            // A file is not created by a rehearsal.
-            let stream = StreamSettings { file: None, ..stream_of(&output.protocol).cloned().unwrap_or_default() };
-            Transport::open(&output.name, &output.udp, Some(&stream)).map(drop)
-        };
+        let rehearse = |output: &OutputSettings| Transport::rehearse(&output.name, &output.udp, stream_of(&output.protocol));
         let mut enabled = outputs.iter().enumerate().filter(|(_, o)| o.enabled);
         enabled.try_for_each(|(index, output)| rehearse(output).map_err(|e| (index, e)))
     }

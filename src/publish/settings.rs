@@ -192,6 +192,21 @@ pub struct BlendRates {
     pub turn_rad_s: f64,
 }
 
+impl SafetySettings {
+    /// What is to be said where frames come so rarely that each is stale before the next one is there.
+    pub fn note_on_rate(&self, frames_per_s: f64) -> Option<String> {
+        let (stale_s, interval_s) = (self.stale_after.as_secs_f64(), 1.0 / frames_per_s);
+        (frames_per_s > 0.0 && stale_s < interval_s).then(|| {
+            format!(
+                "stale_after_s in [safety] is {stale_s} s, but at {:.4} frames a second one comes every {interval_s:.3} s: \
+                 receivers hear `stale` between all frames; give at least {:.1}",
+                frames_per_s,
+                (30.0 * interval_s).ceil() / 10.0
+            )
+        })
+    }
+}
+
 impl Default for SafetySettings {
     fn default() -> Self {
         Self { max_speed_m_s: None, max_turn_rad_s: None, permitted_box_m: None, blend: None, stale_after: Duration::from_millis(500) }

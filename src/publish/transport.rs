@@ -57,6 +57,16 @@ impl Transport {
         })
     }
 
+    /// Whether [`open`](Self::open) would succeed now; no file is made or emptied for it.
+    pub fn rehearse(name: &str, udp: &UdpSettings, stream: Option<&StreamSettings>) -> Result<(), TransportError> {
+        let without_file = stream.map(|stream| StreamSettings { file: None, ..stream.clone() });
+        Self::open(name, udp, without_file.as_ref())?;
+        let file = stream.and_then(|stream| stream.file.as_deref()).filter(|file| *file != Path::new("-"));
+        file.map_or(Ok(()), |file| {
+            safe_file::may_write(file).map_err(|source| TransportError::File { file: file.display().to_string(), source })
+        })
+    }
+
     /// Sends one packet everywhere; gives how many places took it and how many did not.
     pub fn send(&mut self, packet: &[u8]) -> (u64, u64) {
         let mut tally = self.udp.as_mut().map_or((0, 0), |udp| udp.send(packet));

@@ -71,9 +71,9 @@ mod tests {
             Intrinsics { distortion, ..i }
         };
         let others: [Intrinsics; 7] = [
-            Intrinsics { fx: i.fx + u.fx / 3000.0, fy: i.fy + u.fy / 3000.0, ..i },
-            Intrinsics { cx: i.cx + u.cx / 3000.0, ..i },
-            Intrinsics { cy: i.cy + u.cy / 3000.0, ..i },
+            Intrinsics { fx: i.fx + u.focal_px[0] / 3000.0, fy: i.fy + u.focal_px[1] / 3000.0, ..i },
+            Intrinsics { cx: i.cx + u.centre_px[0] / 3000.0, ..i },
+            Intrinsics { cy: i.cy + u.centre_px[1] / 3000.0, ..i },
             bent(0),
             bent(1),
             bent(2),

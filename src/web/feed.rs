@@ -31,7 +31,7 @@ pub(super) struct Feed {
 /// How old frames are, and may be.
 #[derive(Debug)]
 struct Ages {
-    clock: FrameClock,
+    clock: Arc<FrameClock>,
     most_ns: i64,
 }
 
@@ -51,7 +51,7 @@ impl Feed {
     }
 
     /// From now on a frame older than `most` is too old. Only the first call counts.
-    pub fn judge_ages(&self, clock: FrameClock, most: Duration) {
+    pub fn judge_ages(&self, clock: Arc<FrameClock>, most: Duration) {
         self.ages.get_or_init(|| Ages { clock, most_ns: i64::try_from(most.as_nanos()).unwrap_or(i64::MAX) });
     }
 

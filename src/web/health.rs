@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::{CameraState, Page, RecorderState, Statistics};
 use crate::printable::printable;
+use crate::publish::FrameClock;
 
 #[derive(Serialize)]
 struct Health<'a> {
@@ -19,12 +20,11 @@ struct Health<'a> {
     recorder: &'a str,
 }
 
-/// The page. `now_ns` is monotonic. A camera that gives no pictures is the only thing that makes it 503: a stage
+/// The page; ages are as `clock` counts them. A camera that gives no pictures is the only thing that makes it 503: a stage
 /// that is dark or a recorder that stopped are states, not faults of the daemon.
-pub fn health(statistics: &Statistics, now_ns: i64) -> Page {
+pub fn health(statistics: &Statistics, clock: &FrameClock) -> Page {
     let camera = statistics.camera();
     let good = camera == CameraState::Streaming;
-    let last = statistics.last_frame_ns();
     let name = statistics.camera_name();
     let health = Health {
         status: if good { "ok" } else { "no pictures" },
@@ -36,7 +36,7 @@ pub fn health(statistics: &Statistics, now_ns: i64) -> Page {
         camera_name: &name,
         state: statistics.last_state().word(),
         fps: statistics.rate(),
-        frame_age_ms: (last != 0).then(|| now_ns.saturating_sub(last) as f64 * 1e-6),
+        frame_age_ms: statistics.last_frame_age_ns(clock).map(|ns| ns as f64 * 1e-6),
         frames: statistics.frames(),
         dropped: statistics.dropped(),
         reconnects: statistics.reconnects(),
@@ -55,31 +55,57 @@ pub fn health(statistics: &Statistics, now_ns: i64) -> Page {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use super::super::metrics;
     use super::*;
-    use crate::record::PoseSample;
+    use crate::publish::Stamps;
+    use crate::publish::stepped::{START, SteppedClocks};
+    use crate::record::{PoseSample, State};
 
     #[test]
     fn it_is_healthy_while_pictures_come() {
         let statistics = Statistics::default();
-        let page = health(&statistics, 5_000_000);
+        let clock = FrameClock::new(Stamps::Live);
+        let page = health(&statistics, &clock);
         assert_eq!((page.status, page.content_type), (503, "application/json"));
         assert!(page.body.contains("\"camera\":\"waiting\"") && page.body.contains("\"frame_age_ms\":null"), "{}", page.body);
 
         statistics.camera_opened("Cam \"3\"", false);
-        let page = health(&statistics, 5_000_000);
+        let page = health(&statistics, &clock);
         let json: serde_json::Value = serde_json::from_str(&page.body).unwrap();
         assert_eq!((page.status, json["status"].as_str(), json["camera_name"].as_str()), (200, Some("ok"), Some("Cam \"3\"")));
 
         statistics.camera_opened("Cam\u{9b}2J\x1b\u{202e}", true);
-        let page = health(&statistics, 5_000_000);
+        let page = health(&statistics, &clock);
         let json: serde_json::Value = serde_json::from_str(&page.body).unwrap();
         assert!(page.body.chars().all(crate::printable::stands_for_itself), "{:?}", page.body);
         assert_eq!(json["camera_name"].as_str(), Some("Cam\u{9b}2J\x1b\u{202e}"));
 
         statistics.set_silent(true);
         statistics.sample(&PoseSample::stale(3, 4, 120.0));
-        let page = health(&statistics, 5_000_000);
+        let page = health(&statistics, &clock);
         let json: serde_json::Value = serde_json::from_str(&page.body).unwrap();
         assert_eq!((page.status, json["camera"].as_str(), json["state"].as_str()), (503, Some("silent"), Some("stale")));
+    }
+
+    #[test]
+    fn a_suspend_makes_the_last_frame_old() {
+        let (statistics, clocks) = (Statistics::default(), SteppedClocks::new());
+        let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
+        statistics.sample(&PoseSample { state: State::Tracking, ..PoseSample::stale(3, START.monotonic_ns - 20_000_000, 0.0) });
+        let told = |wanted_s: f64| {
+            let health: serde_json::Value = serde_json::from_str(&health(&statistics, &clock).body).unwrap();
+            assert_eq!(health["frame_age_ms"].as_f64(), Some(wanted_s * 1e3));
+            let line = format!("stagepose_last_frame_age_seconds {wanted_s}");
+            let page = metrics(&statistics, &clock);
+            assert!(page.body.lines().any(|l| l == line), "{line} is not in\n{}", page.body);
+        };
+        told(0.02);
+        clocks.suspend_ms(3_600_000);
+        told(3_600.02);
+        clocks.step_wall_ms(-86_400_000);
+        clocks.advance_ms(100);
+        told(3_600.12);
     }
 }

@@ -4,14 +4,15 @@ use std::fmt::Write as _;
 
 use super::histogram::{EDGES_S, Histogram};
 use super::{CameraState, Page, RecorderState, Statistics};
+use crate::publish::FrameClock;
 use crate::record::State;
 
-/// The page. `now_ns` is monotonic.
-pub fn metrics(statistics: &Statistics, now_ns: i64) -> Page {
+/// The page; ages are as `clock` counts them.
+pub fn metrics(statistics: &Statistics, clock: &FrameClock) -> Page {
     let mut text = String::with_capacity(8 << 10);
     states(&mut text, statistics);
     counters(&mut text, statistics);
-    gauges(&mut text, statistics, now_ns);
+    gauges(&mut text, statistics, clock);
     head(&mut text, "stagepose_stage_seconds", "histogram", "Compute time of a frame by stage.");
     for (stage, histogram) in statistics.stages() {
         buckets(&mut text, "stagepose_stage_seconds", &format!("stage=\"{stage}\""), histogram);
@@ -56,11 +57,9 @@ fn counters(text: &mut String, s: &Statistics) {
     counters.iter().for_each(|(name, help, value)| one(text, name, "counter", help, value));
 }
 
-fn gauges(text: &mut String, s: &Statistics, now_ns: i64) {
+fn gauges(text: &mut String, s: &Statistics, clock: &FrameClock) {
     one(text, "stagepose_frame_rate", "gauge", "Frames tracked a second.", s.rate());
-    let last = s.last_frame_ns();
-    let age_s = if last == 0 { f64::NAN } else { now_ns.saturating_sub(last) as f64 / 1e9 };
-    let age = if age_s.is_nan() { "NaN".to_owned() } else { age_s.to_string() };
+    let age = s.last_frame_age_ns(clock).map_or("NaN".to_owned(), |ns| (ns as f64 / 1e9).to_string());
     one(text, "stagepose_last_frame_age_seconds", "gauge", "Age of the last tracked frame.", age);
     one(text, "stagepose_inliers", "gauge", "Inliers of the last frame.", s.inliers());
     one(text, "stagepose_rms_pixels", "gauge", "Residual of the last frame.", s.rms_px());
@@ -84,19 +83,23 @@ fn buckets(text: &mut String, name: &str, labels: &str, histogram: &Histogram) {
 #[cfg(test)]
 mod tests {
     use std::collections::HashSet;
+    use std::sync::Arc;
 
     use super::*;
+    use crate::publish::Stamps;
+    use crate::publish::stepped::{START, SteppedClocks};
     use crate::record::{PoseSample, StageTimes};
 
     #[test]
     fn every_line_is_of_the_text_format_and_every_name_has_its_type() {
         let statistics = Statistics::default();
-        let mut sample = PoseSample::stale(0, 1_000_000, 0.0);
+        let mut sample = PoseSample::stale(0, START.monotonic_ns - 2_000_000, 0.0);
         sample.state = State::Searching;
         sample.times = StageTimes { decode_ms: 2.0, acquire_ms: 20.0, align_ms: 5.0, pose_ms: 0.1, age_ms: Some(7.0) };
         statistics.sample(&sample);
         statistics.frames_dropped(3);
-        let page = metrics(&statistics, 3_000_000);
+        let clock = FrameClock::with(Arc::new(SteppedClocks::new()), Stamps::Live);
+        let page = metrics(&statistics, &clock);
         let mut typed = HashSet::new();
         for line in page.body.lines() {
             if let Some(rest) = line.strip_prefix("# TYPE ") {

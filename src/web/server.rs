@@ -116,7 +116,7 @@ impl Server {
     }
 
     /// From now on a frame older than `most` is told as stale, by this clock. Without it every record is given as it came.
-    pub fn judge_ages(&self, clock: FrameClock, most: Duration) {
+    pub fn judge_ages(&self, clock: Arc<FrameClock>, most: Duration) {
         self.feed.judge_ages(clock, most);
     }
 

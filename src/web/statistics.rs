@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use super::histogram::Histogram;
+use crate::publish::FrameClock;
 use crate::record::{PoseSample, State};
 
 /// What is known of the camera.
@@ -230,9 +231,11 @@ impl Statistics {
         }
     }
 
-    /// Capture time of the last tracked frame, monotonic nanoseconds; 0 before the first.
-    pub fn last_frame_ns(&self) -> i64 {
-        self.last_frame_ns.load(Ordering::Relaxed)
+    /// How long ago the last tracked frame was taken, by the clock that the outputs judge by; none before the first.
+    pub fn last_frame_age_ns(&self, clock: &FrameClock) -> Option<i64> {
+        let stamp_ns = Some(self.last_frame_ns.load(Ordering::Relaxed)).filter(|ns| *ns != 0)?;
+        let taken_ns = clock.taken_ns(stamp_ns, 0)?;
+        Some(clock.now().boot_ns.saturating_sub(taken_ns).max(0))
     }
 
     /// How old frames were when tracking them began.

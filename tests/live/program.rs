@@ -136,7 +136,32 @@ fn a_played_clip_is_recorded_and_replays_byte_for_byte() {
     // A take is not recorded over.
     let again = stagepose(folder.path()).args(record).output().unwrap();
     let said = String::from_utf8_lossy(&again.stderr).into_owned();
-    assert!(again.status.code() == Some(1) && said.contains("holds a clip already"), "{said}");
+    assert!(again.status.code() == Some(1) && said.contains("take/frames: is there already and would be written over"), "{said}");
+}
+
+#[test]
+fn what_is_left_of_a_recording_is_not_written_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path());
+    let record = |more: &[&str]| {
+        let arguments = ["record", "take", "--config", config.to_str().unwrap(), "--play", FIXTURE, "--seconds", "1"];
+        stagepose(folder.path()).args(arguments).args(more).output().unwrap()
+    };
+    for name in ["poses.jsonl", "events.jsonl", "dropped.csv", "clip.toml", "config", "frames"] {
+        std::fs::create_dir_all(folder.path().join("take")).unwrap();
+        let part = folder.path().join("take").join(name);
+        std::fs::write(&part, "kept").unwrap();
+        let ran = record(&[]);
+        let said = String::from_utf8_lossy(&ran.stderr).into_owned();
+        assert!(ran.status.code() == Some(1) && said.contains(&format!("take/{name}: is there already")), "{said}");
+        assert_eq!(std::fs::read_to_string(&part).unwrap(), "kept");
+        std::fs::remove_dir_all(folder.path().join("take")).unwrap();
+    }
+    // The recording's own files are no outputs of anything else.
+    std::fs::create_dir(folder.path().join("take")).unwrap();
+    let ran = record(&["--poses", "take/poses.jsonl"]);
+    let said = String::from_utf8_lossy(&ran.stderr).into_owned();
+    assert!(ran.status.code() == Some(2) && said.contains("the recording goes to the same file"), "{said}");
 }
 
 /// A long clip of the fixture's frames that says, as a recording does, that its camera had the exposure locked.

@@ -34,16 +34,7 @@ pub fn mended(protocol: &str, bytes: Vec<u8>) -> Vec<u8> {
 }
 
 fn freed() -> Vec<Vec<u8>> {
-    let packet = FreedPacket {
-        camera_id: 1,
-        pan_deg: -170.5,
-        tilt_deg: 12.25,
-        roll_deg: 0.5,
-        position_mm: [1200.0, -3400.5, 1600.25],
-        zoom: 4800,
-        focus: 70,
-        spare: 1,
-    };
+    let packet = FreedPacket { pan_deg: -170.5, position_mm: [1200.0, -3400.5, 1600.25], zoom: 4800, ..FreedPacket::default() };
     vec![packet.encode().0.to_vec()]
 }
 

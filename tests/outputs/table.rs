@@ -61,22 +61,18 @@ enum Story {
     Dead,
 }
 
-const STORIES: [(&str, Story); 14] = [
-    ("tracking", Story::Tracking),
-    ("predicted", Story::Predicted),
-    ("coasting", Story::Coasting),
-    ("blended", Story::Blended),
-    ("lost, `stop`", Story::Lost(OnLoss::Stop)),
-    ("lost, `hold`", Story::Lost(OnLoss::Hold)),
-    ("lost, `flag`", Story::Lost(OnLoss::Flag)),
-    ("withheld, `stop`", Story::Withheld(OnLoss::Stop)),
-    ("withheld, `hold`", Story::Withheld(OnLoss::Hold)),
-    ("withheld, `flag`", Story::Withheld(OnLoss::Flag)),
-    ("stale, `stop`", Story::Stale(OnLoss::Stop)),
-    ("stale, `hold`", Story::Stale(OnLoss::Hold)),
-    ("stale, `flag`", Story::Stale(OnLoss::Flag)),
-    ("dead", Story::Dead),
-];
+/// The rows of the table, by their titles.
+fn stories() -> Vec<(String, Story)> {
+    let before = [Story::Tracking, Story::Predicted, Story::Coasting, Story::Blended];
+    let mut stories: Vec<_> = before.map(|story| (format!("{story:?}").to_lowercase(), story)).into();
+    for on_loss in [OnLoss::Stop, OnLoss::Hold, OnLoss::Flag] {
+        let row = |state: &str| format!("{state}, `{}`", format!("{on_loss:?}").to_lowercase());
+        stories.extend([("lost", Story::Lost(on_loss)), ("withheld", Story::Withheld(on_loss))].map(|(state, story)| (row(state), story)));
+        stories.push((row("stale"), Story::Stale(on_loss)));
+    }
+    stories.push(("dead".to_owned(), Story::Dead));
+    stories
+}
 
 impl Story {
     fn on_loss(self) -> OnLoss {
@@ -262,9 +258,9 @@ fn cell(said: &Said) -> String {
 #[test]
 fn every_cell_is_what_is_sent() {
     let table = table();
-    for (row, story) in STORIES {
+    for (row, story) in stories() {
         let wanted = |title: &str| {
-            let cell = table.get(&(row.to_owned(), title.to_owned()));
+            let cell = table.get(&(row.clone(), title.to_owned()));
             cell.unwrap_or_else(|| panic!("docs/protocols.md has no cell {row} / {title}")).as_str()
         };
         for of_object in [false, true] {
@@ -358,11 +354,11 @@ mod web {
     #[test]
     fn every_cell_is_what_is_served() {
         let table = table();
-        for (row, story) in STORIES {
+        for (row, story) in stories() {
             let clocks = SteppedClocks::new();
             let server =
                 Server::start(&HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), ..HttpSettings::default() }, Vec::new()).unwrap();
-            server.judge_ages(FrameClock::with(Arc::new(clocks.clone()), Stamps::Live), safety().stale_after);
+            server.judge_ages(Arc::new(FrameClock::with(Arc::new(clocks.clone()), Stamps::Live)), safety().stale_after);
             let mut stream = web_socket(&server);
             let now_ns = || clocks.read().monotonic_ns;
             // The client may not be subscribed yet: what it hears first is the lead-in.
@@ -403,7 +399,7 @@ mod web {
                 [cell(&json(&line, false)), pose, state["state"].as_str().unwrap().to_owned()]
             };
             for (title, found) in ["`/ws`", "`/api/v1/pose`", "`/api/v1/state`"].into_iter().zip(found) {
-                let wanted = table.get(&(row.to_owned(), title.to_owned()));
+                let wanted = table.get(&(row.clone(), title.to_owned()));
                 assert_eq!(Some(&found), wanted, "{row} / {title}");
             }
         }

@@ -271,38 +271,33 @@ def ws_client(port, lines, stop):
     asyncio.run(read())
 
 
-CONFIG = """
-[[output]]
-kind = "freed"
-spare = "frame"
-to = ["127.0.0.1:{freed}"]
-[[output]]
-kind = "opentrackio"
-to = ["127.0.0.1:{otrk_json}"]
-[[output]]
-kind = "opentrackio"
-encoding = "cbor"
-principal_point = "both"
-to = ["127.0.0.1:{otrk_cbor}"]
-[[output]]
-kind = "psn"
-to = ["127.0.0.1:{psn}", "127.0.0.1:{node_psn}"]
-[[output]]
-kind = "osc"
-to = ["127.0.0.1:{osc}", "127.0.0.1:{node_osc}"]
-[[output.value]]
-address = "/axis/{{body}}/x"
-quantity = "x"
-factor = 1000
-[[output]]
-kind = "json"
-on_loss = "flag"
-to = ["127.0.0.1:{json}"]
-tcp_listen = "127.0.0.1:{tcp}"
-file = "sent.jsonl"
-[http]
-listen = "127.0.0.1:{http}"
-"""
+def output(kind, *ports, **keys):
+    """An [[output]] of a config, to these ports of this machine."""
+    to = {"to": [f"127.0.0.1:{port}" for port in ports]}
+    return "\n".join(["[[output]]", *(f"{key} = {json.dumps(value)}" for key, value in ({"kind": kind} | to | keys).items())]) + "\n"
+
+
+def every_protocol(ports):
+    """One output or more of every protocol, an OSC value and the HTTP server."""
+    value = {"address": "/axis/{body}/x", "quantity": "x"}
+    return "".join([
+        output("freed", ports["freed"], spare="frame"),
+        output("opentrackio", ports["otrk_json"]),
+        output("opentrackio", ports["otrk_cbor"], encoding="cbor", principal_point="both"),
+        output("psn", ports["psn"], ports["node_psn"]),
+        output("osc", ports["osc"], ports["node_osc"]),
+        "[[output.value]]\nfactor = 1000\n" + "".join(f"{key} = {json.dumps(text)}\n" for key, text in value.items()),
+        output("json", ports["json"], on_loss="flag", tcp_listen=f"127.0.0.1:{ports['tcp']}", file="sent.jsonl"),
+        f"[http]\nlisten = \"127.0.0.1:{ports['http']}\"\n",
+    ])
+
+
+def all_flagging(ports):
+    """One output of every form that can mark a loss, marking it."""
+    kinds = {name: (name, {}) for name in ("freed", "psn", "osc", "json")}
+    kinds |= {f"otrk_{encoding}": ("opentrackio", {"encoding": encoding}) for encoding in ("json", "cbor")}
+    outputs = (output(kind, ports[name], on_loss="flag", **keys) for name, (kind, keys) in kinds.items())
+    return "[safety]\nstale_after_s = 60\n" + "".join(outputs)
 
 
 # What each protocol says of a record's state: status of OpenTrackIO, quality of FreeD, confidence of the others.
@@ -312,36 +307,6 @@ MARKS = {
     "lost": ("Optical Lost", 3, 0.0),
     "searching": ("Location Searching", 3, 0.0),
 }
-
-MARKED = """
-[safety]
-stale_after_s = 60
-[[output]]
-kind = "freed"
-on_loss = "flag"
-to = ["127.0.0.1:{freed}"]
-[[output]]
-kind = "opentrackio"
-on_loss = "flag"
-to = ["127.0.0.1:{otrk_json}"]
-[[output]]
-kind = "opentrackio"
-encoding = "cbor"
-on_loss = "flag"
-to = ["127.0.0.1:{otrk_cbor}"]
-[[output]]
-kind = "psn"
-on_loss = "flag"
-to = ["127.0.0.1:{psn}"]
-[[output]]
-kind = "osc"
-on_loss = "flag"
-to = ["127.0.0.1:{osc}"]
-[[output]]
-kind = "json"
-on_loss = "flag"
-to = ["127.0.0.1:{json}"]
-"""
 
 
 def darkened(fixture, out):
@@ -389,7 +354,7 @@ def replay_darkened(a, stage):
     """Replays the darkened clip with every output flagging; gives what came, and the records' states."""
     udp = {name: Udp() for name in ("freed", "otrk_json", "otrk_cbor", "psn", "osc", "json")}
     config = a.out / "marked.toml"
-    config.write_text(stage + MARKED.format(**{name: u.port for name, u in udp.items()}))
+    config.write_text(stage + all_flagging({name: u.port for name, u in udp.items()}))
     poses = a.out / "marked.jsonl"
     command = [a.stagepose, "replay", darkened(a.fixture, a.out), "--config", config, "--outputs", "--poses", poses]
     subprocess.run([str(c) for c in command], check=True, stdout=subprocess.DEVNULL)
@@ -424,7 +389,7 @@ def main():
     ports |= {name: free_port() for name in ("node_osc", "node_psn")} | {name: free_port(socket.SOCK_STREAM) for name in ("tcp", "http")}
     stage = (a.fixture / "stage.toml").read_text()
     stage = re.sub(r'(calibration|image) = "', rf'\1 = "{a.fixture.resolve()}/', stage)
-    (a.out / "stage.toml").write_text(stage + CONFIG.format(**ports))
+    (a.out / "stage.toml").write_text(stage + every_protocol(ports))
 
     stop, tcp_lines, ws_lines = threading.Event(), [], []
     clients = [

@@ -76,10 +76,8 @@ fn uncertainty(assigned: &Assigned) -> Result<Option<IntrinsicsUncertainty>, Fau
     let get = |key: &str| assigned.get(key).map(|(v, _)| v.as_slice());
     let (Some(fc), Some(cc)) = (get("fc_error"), get("cc_error")) else { return Ok(None) };
     Ok(Some(IntrinsicsUncertainty {
-        fx: fc[0],
-        fy: fc[1],
-        cx: cc[0],
-        cy: cc[1],
+        focal_px: [fc[0], fc[1]],
+        centre_px: [cc[0], cc[1]],
         skew: get("alpha_c_error").map_or(0.0, |v| v[0]),
         distortion: get("kc_error").map_or([0.0; 5], five),
     }))

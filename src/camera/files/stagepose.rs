@@ -58,7 +58,8 @@ fn uncertainty(root: &Section) -> Result<Option<IntrinsicsUncertainty>, Fault> {
         return Err(section.out_of_range("distortion", value));
     }
     let skew = section.at_least_zero("skew")?.unwrap_or(0.0);
-    Ok(Some(IntrinsicsUncertainty { fx: sigma("fx")?, fy: sigma("fy")?, cx: sigma("cx")?, cy: sigma("cy")?, skew, distortion }))
+    let (focal_px, centre_px) = ([sigma("fx")?, sigma("fy")?], [sigma("cx")?, sigma("cy")?]);
+    Ok(Some(IntrinsicsUncertainty { focal_px, centre_px, skew, distortion }))
 }
 
 /// One table of the file, with what is needed to say where a value stands.
@@ -182,7 +183,7 @@ pub(super) fn write(calibration: &Calibration) -> String {
         text += "\n[uncertainty] # 3 sigma\n";
         text += &format!(
             "fx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\nskew = {:?}\ndistortion = {:?}\n",
-            u.fx, u.fy, u.cx, u.cy, u.skew, u.distortion
+            u.focal_px[0], u.focal_px[1], u.centre_px[0], u.centre_px[1], u.skew, u.distortion
         );
     }
     text

@@ -45,7 +45,7 @@ fn stagepose_toml_is_read_whole() {
     assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy, i.skew), (1280, 720, 900.5, 901.0, 640.25, 359.0, 0.001));
     assert_eq!(i.distortion, [-0.1, 0.05, 0.001, -0.002, 0.0]);
     let u = c.uncertainty.unwrap();
-    assert_eq!((u.fx, u.fy, u.cx, u.cy, u.skew, u.distortion[1]), (1.0, 1.5, 2.0, 2.5, 0.0, 0.02));
+    assert_eq!((u.focal_px, u.centre_px, u.skew, u.distortion[1]), ([1.0, 1.5], [2.0, 2.5], 0.0, 0.02));
     assert_eq!((c.rms_px, c.images, c.date.as_deref(), c.form), (Some(0.2), Some(20), Some("2026-01-02"), CalibrationForm::Stagepose));
 }
 
@@ -110,7 +110,7 @@ fn bouguet_is_read_with_its_errors_and_without_its_boards() {
         assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy, i.skew), (640, 480, 657.462, 657.945, 303.137, 242.569, 0.0004));
         assert_eq!(i.distortion, [-0.2553, 0.1275, -0.0002, 0.00003, 0.0]);
         let u = c.uncertainty.unwrap();
-        assert_eq!((u.fx, u.cy, u.skew, u.distortion[0]), (0.317, 0.591, 0.0001, 0.0027));
+        assert_eq!((u.focal_px[0], u.centre_px[1], u.skew, u.distortion[0]), (0.317, 0.591, 0.0001, 0.0027));
         assert_eq!((c.images, c.form), (Some(20), CalibrationForm::Bouguet));
     }
     let spread = BOUGUET.replace("[ 657.462 ; 657.945 ]", "[ 657.462\n 657.945 ]");
@@ -227,7 +227,7 @@ prop_compose! {
         let fx = f * w.max(h);
         let intrinsics = Intrinsics { width, height, fx, fy: pixel * fx, cx: c[0] * w, cy: c[1] * h, skew, distortion };
         let uncertainty = sigma.map(|s| IntrinsicsUncertainty {
-            fx: s[0], fy: s[1], cx: s[2], cy: s[3], skew: s[4], distortion: [s[5], s[6], s[7], s[8], s[9]],
+            focal_px: [s[0], s[1]], centre_px: [s[2], s[3]], skew: s[4], distortion: [s[5], s[6], s[7], s[8], s[9]],
         });
         Calibration { uncertainty, rms_px, images, date, ..Calibration::new(CameraModel::new(intrinsics).unwrap()) }
     }

@@ -15,7 +15,7 @@ pub(super) fn text(made: &CameraCalibration, calibration: &Calibration, comparis
     let all = json!({
         "width": i.width, "height": i.height,
         "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy, "skew": i.skew, "distortion": i.distortion,
-        "uncertainty": {"fx": u.fx, "fy": u.fy, "cx": u.cx, "cy": u.cy, "skew": u.skew, "distortion": u.distortion},
+        "uncertainty": {"fx": u.focal_px[0], "fy": u.focal_px[1], "cx": u.centre_px[0], "cy": u.centre_px[1], "skew": u.skew, "distortion": u.distortion},
         "rms_px": calibration.rms_px, "images": calibration.images, "date": calibration.date,
         "err_px": made.estimate.axis_error_px,
         "board": {"columns": made.board.columns(), "rows": made.board.rows(), "square_m": made.board.square_m()},

@@ -200,10 +200,8 @@ fn calibration_of(made: &CameraCalibration) -> Option<Calibration> {
     Some(Calibration {
         model,
         uncertainty: Some(IntrinsicsUncertainty {
-            fx: u[0],
-            fy: u[1],
-            cx: u[2],
-            cy: u[3],
+            focal_px: [u[0], u[1]],
+            centre_px: [u[2], u[3]],
             skew: u[4],
             distortion: std::array::from_fn(|k| u[5 + k]),
         }),

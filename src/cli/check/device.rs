@@ -8,6 +8,7 @@ use crate::capture::decode_picture;
 use crate::capture::moment::{DriverStamp, mid_exposure_ns};
 use crate::config::Settings;
 use crate::daemon::live::Shutter;
+use crate::publish::SafetySettings;
 
 /// How long pictures are read.
 const SPAN: Duration = Duration::from_millis(1500);
@@ -17,9 +18,9 @@ const FIRST: Duration = Duration::from_secs(5);
 /// What the camera is and does, or what to do about it. A camera that blocks does not block the check.
 pub(super) fn try_camera(settings: &Settings) -> Result<String, String> {
     let opener = crate::cli::run::opener(settings);
-    let (exposure_s, size) = (settings.exposure_s, settings.lens.size(&settings.camera));
+    let (exposure_s, size, safety) = (settings.exposure_s, settings.lens.size(&settings.camera), settings.safety);
     let (done, result) = crossbeam_channel::bounded(1);
-    let tried = std::thread::Builder::new().name("camera".to_owned()).spawn(move || done.send(look(&opener, exposure_s, size)));
+    let tried = std::thread::Builder::new().name("camera".to_owned()).spawn(move || done.send(look(&opener, exposure_s, size, &safety)));
     tried.map_err(|e| format!("cannot start a thread: {e}"))?;
     let blocked = || "it was opened and gives no picture; unplug it and plug it in again".to_owned();
     result.recv_timeout(FIRST + 2 * SPAN).unwrap_or_else(|_| Err(blocked()))
@@ -35,10 +36,10 @@ struct Seen {
     span_s: f64,
 }
 
-fn look(opener: &dyn CameraOpener, exposure_s: f64, calibrated: Option<(u32, u32)>) -> Result<String, String> {
+fn look(opener: &dyn CameraOpener, exposure_s: f64, calibrated: Option<(u32, u32)>, safety: &SafetySettings) -> Result<String, String> {
     let mut camera = opener.open().map_err(|fault| fault.to_string())?;
     let seen = watch(&mut *camera)?;
-    Ok(text(camera.mode(), &seen, exposure_s, calibrated))
+    Ok(text(camera.mode(), &seen, exposure_s, calibrated, safety))
 }
 
 fn watch(camera: &mut dyn Camera) -> Result<Seen, String> {
@@ -62,7 +63,7 @@ fn watch(camera: &mut dyn Camera) -> Result<Seen, String> {
     if seen.pictures == 0 { Err("it was opened and gives no picture; unplug it and plug it in again".to_owned()) } else { Ok(seen) }
 }
 
-fn text(mode: &CameraMode, seen: &Seen, exposure_s: f64, calibrated: Option<(u32, u32)>) -> String {
+fn text(mode: &CameraMode, seen: &Seen, exposure_s: f64, calibrated: Option<(u32, u32)>, safety: &SafetySettings) -> String {
     let (n, (w, h)) = (f64::from(seen.pictures), mode.size);
     let rate = if seen.span_s > 0.0 { (n - 1.0) / seen.span_s } else { 0.0 };
     let mut text = format!("{}: {} {w}x{h}, {rate:.1} pictures a second of {}", mode.name, mode.layout.fourcc(), mode.fps);
@@ -80,6 +81,7 @@ fn text(mode: &CameraMode, seen: &Seen, exposure_s: f64, calibrated: Option<(u32
     if rate < 0.8 * mode.fps {
         line("it is slower than agreed: lock the exposure, give it more light, or another USB port".to_owned());
     }
+    safety.note_on_rate(rate).into_iter().for_each(&mut line);
     let shutter = Shutter { exposure_s, readout_s: 0.0 };
     match shutter.contradiction(mode, mode) {
         Some(contradiction) => line(contradiction),
@@ -111,19 +113,21 @@ mod tests {
             notes: vec!["the focus is automatic".into()],
         };
         let seen = Seen { pictures: 16, unreadable: 2, unstamped: 0, age_ms: 160.0, span_s: 1.5 };
-        let text = text(&mode, &seen, 0.01, Some((1280, 960)));
+        let safety = SafetySettings { stale_after: Duration::from_millis(90), ..SafetySettings::default() };
+        let text = text(&mode, &seen, 0.01, Some((1280, 960)), &safety);
         for part in [
             "10.0 pictures a second of 30",
             "focus is automatic",
             "2 of 16",
             "arrive 10 ms",
             "slower than agreed",
+            "stale_after_s in [safety] is 0.09 s",
             "20.0 ms, exposure_s in [camera] says 10.0 ms",
             "1280 x 960",
         ] {
             assert!(text.contains(part), "`{part}` is not in\n{text}");
         }
-        let unset = super::text(&mode, &seen, 0.0, None);
+        let unset = super::text(&mode, &seen, 0.0, None, &SafetySettings::default());
         assert!(unset.contains("locked at 20.0 ms, which the tracker will be given"), "{unset}");
     }
 }

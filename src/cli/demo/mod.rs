@@ -76,8 +76,8 @@ pub enum DemoError {
     /// A frame or a stamp of the saved clip cannot be written.
     #[error(transparent)]
     Clip(#[from] CaptureError),
-    /// The folder for the saved clip holds one already.
-    #[error("{}: there is a clip already; give --save another folder", .0.display())]
+    /// What the saved clip consists of is in its folder already; holds the first such file.
+    #[error("{}: is there already and would be written over; give --save a new folder", .0.display())]
     Exists(PathBuf),
     /// Standard output is closed.
     #[error("standard output cannot be written ({0})")]

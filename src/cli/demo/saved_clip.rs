@@ -16,7 +16,9 @@ use crate::camera::Calibration;
 use crate::capture::{ClipWriter, PictureFormat};
 use crate::frame::Frame;
 use crate::geometry::{Camera, Pose, Stage};
+use crate::safe_file::first_taken;
 use crate::simulate::VirtualStage;
+use crate::track::SurfaceSpec;
 
 /// A clip that is being written.
 #[derive(Debug)]
@@ -30,15 +32,17 @@ impl SavedClip {
     /// Makes the folder and writes everything but the frames; `jpeg` is a quality from 1 to 100, PNG without.
     pub(super) fn create(folder: &Path, stage: &VirtualStage, jpeg: Option<u8>) -> Result<Self, DemoError> {
         let frames = folder.join("frames");
-        // Frames of another clip among these would make a clip of neither.
-        if frames.exists() {
-            return Err(DemoError::Exists(folder.to_owned()));
+        // Frames of another clip among these would make a clip of neither, and a config or calibration of that name is work of hours.
+        let artwork: Vec<String> = stage.stage.surfaces.iter().map(picture_of).collect();
+        let names = ["frames", "timestamps.csv", CAMERA, STAGE, TRUTH].into_iter().chain(artwork.iter().map(String::as_str));
+        if let Some(taken) = first_taken(folder, names) {
+            return Err(DemoError::Exists(taken));
         }
         fs::create_dir_all(&frames).map_err(at(&frames))?;
-        for surface in &stage.stage.surfaces {
-            save_picture(&folder.join(format!("{}.png", surface.name)), &surface.artwork)?;
+        for (surface, name) in stage.stage.surfaces.iter().zip(&artwork) {
+            save_picture(&folder.join(name), &surface.artwork)?;
         }
-        let texts = [("camera.toml", Calibration::new(stage.camera).to_toml()), ("stage.toml", stage_toml(stage))];
+        let texts = [(CAMERA, Calibration::new(stage.camera).to_toml()), (STAGE, stage_toml(stage))];
         for (name, text) in texts {
             let file = folder.join(name);
             fs::write(&file, text).map_err(at(&file))?;
@@ -65,6 +69,13 @@ impl SavedClip {
 }
 
 const TRUTH: &str = "groundtruth.txt";
+const CAMERA: &str = "camera.toml";
+const STAGE: &str = "stage.toml";
+
+/// The file of a surface's artwork.
+fn picture_of(surface: &SurfaceSpec) -> String {
+    format!("{}.png", surface.name)
+}
 
 fn at(file: &Path) -> impl FnOnce(io::Error) -> DemoError + '_ {
     move |source| DemoError::Save { file: file.to_owned(), source }
@@ -89,16 +100,16 @@ fn save_picture(file: &Path, picture: &GrayImage) -> Result<(), DemoError> {
 /// The config (contract C5).
 fn stage_toml(stage: &VirtualStage) -> String {
     let mut text = format!(
-        "# A virtual stage, written by `stagepose demo --save`; groundtruth.txt has the true poses.\n[camera]\ncalibration = \"camera.toml\"\nexposure_s = {:?}\nreadout_s = {:?}\n",
+        "# A virtual stage, written by `stagepose demo --save`; groundtruth.txt has the true poses.\n[camera]\ncalibration = \"{CAMERA}\"\nexposure_s = {:?}\nreadout_s = {:?}\n",
         stage.exposure_s, stage.readout_s
     );
     for surface in &stage.stage.surfaces {
         let position: [f64; 3] = surface.pose.translation.into();
-        let (name, size, orientation) = (&surface.name, surface.size_m, surface.pose.orientation_xyzw());
+        let (image, size, orientation) = (picture_of(surface), surface.size_m, surface.pose.orientation_xyzw());
         // Writing to a string cannot fail.
         let _ = write!(
             text,
-            "\n[[stage.surface]]\nimage = \"{name}.png\"\nsize_m = {size:?}\nposition_m = {position:?}\norientation_xyzw = {orientation:?}\n"
+            "\n[[stage.surface]]\nimage = \"{image}\"\nsize_m = {size:?}\nposition_m = {position:?}\norientation_xyzw = {orientation:?}\n"
         );
     }
     text

@@ -130,6 +130,20 @@ fn a_saved_clip_holds_what_was_rendered() {
 }
 
 #[test]
+fn nothing_that_is_in_the_folder_is_written_over() {
+    let stage = scene(&parse("--width 80 --height 64").unwrap()).unwrap();
+    for name in ["stage.toml", "camera.toml", "flat.png", "timestamps.csv", "groundtruth.txt", "frames"] {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join(name);
+        std::fs::write(&file, "hours of work").unwrap();
+        let said = SavedClip::create(folder.path(), &stage, None).map(|_| ()).unwrap_err().to_string();
+        assert!(said.contains(name) && said.ends_with("would be written over; give --save a new folder"), "{said}");
+        assert_eq!(std::fs::read_to_string(&file).unwrap(), "hours of work");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "{name}");
+    }
+}
+
+#[test]
 fn jpeg_frames_are_named_so_and_stay_close() {
     let folder = tempfile::tempdir().unwrap();
     let stage = scene(&parse("--width 80 --height 64").unwrap()).unwrap();

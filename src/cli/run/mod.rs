@@ -9,7 +9,7 @@ mod pages;
 mod service;
 mod session;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use super::failure::Failure;
@@ -20,6 +20,7 @@ use super::spared::Spared;
 use crate::config::Settings;
 use crate::contain;
 use crate::daemon::live::{Event, LiveLink};
+use crate::daemon::recorder;
 use service::Service;
 use session::{End, Session, Sinks};
 
@@ -62,10 +63,11 @@ pub(super) struct LiveArguments {
 }
 
 impl LiveArguments {
-    /// `--poses` and `--events`, open; none of them over what is read or over an output of the config.
-    fn open_sinks(&self, settings: &Settings) -> Result<(Option<OutputFile>, Option<OutputFile>), Failure> {
+    /// `--poses` and `--events`, open; none of them over what is read, what is recorded, or an output of the config.
+    fn open_sinks(&self, settings: &Settings, recording: Option<&Path>) -> Result<(Option<OutputFile>, Option<OutputFile>), Failure> {
         let spared = Spared::default().with_files(&settings.files, "a file of the config");
         let mut spared = self.play.iter().fold(spared, |spared, clip| spared.with_clip(clip));
+        recording.into_iter().flat_map(recorder::parts).try_for_each(|part| spared.claim("the recording", &part))?;
         let (poses, events) = (spared.open("--poses", self.poses.as_deref())?, spared.open("--events", self.events.as_deref())?);
         spared.claim_outputs(&settings.outputs)?;
         Ok((poses, events))
@@ -90,7 +92,7 @@ pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(
     // What the threads contain shall be in the log, not between its lines.
     contain::report_others(|panic| tracing::error!("a part of the program failed: {panic}"));
     let link = LiveLink::default();
-    let (poses, events) = arguments.open_sinks(&settings)?;
+    let (poses, events) = arguments.open_sinks(&settings, clip.as_deref())?;
     let mut sinks = Sinks::begin(poses, events, &link)?;
     let mut service = Service::start(arguments.seconds);
     let mut previous: Option<Settings> = None;

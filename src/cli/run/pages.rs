@@ -20,16 +20,18 @@ impl Pages {
     pub fn start(settings: &Settings, link: &LiveLink, save: &Arc<AtomicBool>) -> Result<Self, Failure> {
         use std::sync::atomic::Ordering;
 
-        use crate::capture::moment::monotonic_ns;
         use crate::publish::{FrameClock, Stamps};
         use crate::web::{Page, Reply, Route, Server, health, metrics};
 
         let reply = |page: Page| Reply { status: page.status, content_type: page.content_type, body: page.body.into_bytes() };
         let (for_health, for_metrics, save) = (link.statistics.clone(), link.statistics.clone(), save.clone());
+        // One clock for all pages: it is asked often enough to notice a suspend while nobody reads them.
+        let clock = Arc::new(FrameClock::new(Stamps::Live));
+        let (health_clock, metrics_clock) = (clock.clone(), clock.clone());
         let routes = || {
             vec![
-                Route::get("/healthz", move |_| reply(health(&for_health, monotonic_ns()))),
-                Route::get("/metrics", move |_| reply(metrics(&for_metrics, monotonic_ns()))),
+                Route::get("/healthz", move |_| reply(health(&for_health, &health_clock))),
+                Route::get("/metrics", move |_| reply(metrics(&for_metrics, &metrics_clock))),
                 Route::post("/api/v1/ring/save", move |_| {
                     save.store(true, Ordering::Relaxed);
                     Reply::text(202, "the last seconds will be saved\n")
@@ -39,7 +41,7 @@ impl Pages {
         let server = settings.http.as_ref().map(|http| Server::start(http, routes())).transpose();
         let server = server.map_err(|e| Failure::Publishing(e.to_string()))?;
         if let Some(server) = &server {
-            server.judge_ages(FrameClock::new(Stamps::Live), settings.safety.stale_after);
+            server.judge_ages(clock, settings.safety.stale_after);
         }
         Ok(Self { server })
     }

@@ -84,6 +84,9 @@ impl Session<'_> {
         // What the camera has locked is known to stamps and tracker alike, and to the recording's config.
         setup.exposure_s = shutter.exposure_of(&mode);
         let exposure_s = setup.exposure_s;
+        if self.settings.device.fps.is_none() {
+            self.settings.safety.note_on_rate(mode.fps).into_iter().for_each(|note| tracing::warn!("{note}"));
+        }
         let stopper = source.stopper();
         let receivers = Receivers::live(self.settings, setup.camera, mode.fps)?;
         let mut daemon = Daemon::live(source, Tracker::new(setup).with_filter(self.settings.filter));

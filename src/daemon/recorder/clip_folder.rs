@@ -9,6 +9,7 @@ use image::{ExtendedColorType, GrayImage, ImageEncoder};
 
 use super::disk::Disk;
 use crate::daemon::live::{Event, StampedEvent};
+use crate::safe_file::first_taken;
 
 /// A row as it is kept.
 #[derive(Debug, Clone)]
@@ -47,6 +48,19 @@ const PER_FOLDER: u64 = 10_000;
 /// The first line of an index.
 pub(super) const INDEX_HEAD: &[u8] = b"#timestamp [ns],filename\n";
 
+/// All that a recording writes into its folder.
+const PARTS: [&str; 7] = ["frames", "timestamps.csv", "poses.jsonl", "events.jsonl", "dropped.csv", "clip.toml", "config"];
+
+/// The files and folders of a recording to a folder.
+pub fn parts(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    PARTS.into_iter().map(|name| folder.join(name))
+}
+
+/// What of an earlier recording, whole or in part, a new one in this folder would write over or add to.
+pub fn taken_by_earlier(folder: &Path) -> Option<PathBuf> {
+    first_taken(folder, PARTS)
+}
+
 /// A clip's folder.
 #[derive(Debug)]
 pub(super) struct ClipFolder {
@@ -56,15 +70,14 @@ pub(super) struct ClipFolder {
 }
 
 impl ClipFolder {
-    /// Makes the folder, which must not hold a clip yet.
+    /// Makes the folder, which may be there but must hold nothing of a clip yet.
     pub fn create(folder: &Path, disk: &mut dyn Disk) -> io::Result<Self> {
-        let index = folder.join("timestamps.csv");
-        if index.exists() {
-            let reason = format!("{} holds a clip already; give a new folder", folder.display());
+        if let Some(taken) = taken_by_earlier(folder) {
+            let reason = format!("{} is there already; give a new folder", taken.display());
             return Err(io::Error::new(io::ErrorKind::AlreadyExists, reason));
         }
         disk.make_folder(&folder.join("frames"))?;
-        disk.append(&index, INDEX_HEAD)?;
+        disk.append(&folder.join("timestamps.csv"), INDEX_HEAD)?;
         Ok(Self::of(folder))
     }
 

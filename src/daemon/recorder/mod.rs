@@ -20,6 +20,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded, select};
 
 pub use about::AboutClip;
+pub use clip_folder::{parts, taken_by_earlier};
 pub use clip_name::new_clip_name;
 pub use disk::{Disk, RealDisk};
 

@@ -1,5 +1,6 @@
-use nalgebra::{Complex, Matrix3, Vector3};
+use nalgebra::{Complex, Matrix2, Matrix3, Vector2, Vector3};
 
+use super::super::tests::WhiteAcceleration;
 use super::*;
 
 const UNKNOWN: Unknown = Unknown { velocity: 0.5, acceleration: 30.0 };
@@ -22,6 +23,14 @@ fn eigenvalues(m: &Matrix3<f64>) -> Vec<Complex<f64>> {
     m.complex_eigenvalues().iter().copied().collect()
 }
 
+/// A threefold eigenvalue comes out as three with a distance of the root of rounding errors.
+const ROUNDING: f64 = 0.01;
+
+/// Whether an error swings on its way to nothing: it does not where all eigenvalues are real and positive.
+fn swings(eigenvalues: &[Complex<f64>]) -> bool {
+    eigenvalues.iter().any(|value| value.re < -ROUNDING || value.im.abs() > ROUNDING)
+}
+
 #[test]
 fn no_steady_state_rings_or_alternates() {
     for rate in [5.0, 12.5, 24.0, 30.0, 60.0, 120.0, 240.0] {
@@ -32,14 +41,33 @@ fn no_steady_state_rings_or_alternates() {
                 for _ in 0..(30.0 * memory_s / step_s) as usize + 30 {
                     filter.update(step_s, memory_s, &Vector3::zeros(), sigma * sigma);
                 }
-                // A threefold eigenvalue comes out as three with a distance of the root of rounding errors.
                 let kept = (-step_s / memory_s).exp().max(LEAST_KEPT);
-                for value in eigenvalues(&error_transition(&filter, step_s, memory_s, sigma)) {
+                let found = eigenvalues(&error_transition(&filter, step_s, memory_s, sigma));
+                assert!(!swings(&found), "{rate} Hz, {sigma}, {memory_s}: {found:?}");
+                for value in found {
                     let off = (value - Complex::new(kept, 0.0)).norm();
-                    assert!(off < 0.01, "{rate} Hz, {sigma}, {memory_s}: {value} is not {kept}");
+                    assert!(off < ROUNDING, "{rate} Hz, {sigma}, {memory_s}: {value} is not {kept}");
                 }
             }
         }
+    }
+}
+
+#[test]
+fn a_filter_that_swings_is_known_by_its_eigenvalues() {
+    for rate in [5.0, 30.0, 60.0] {
+        let (step_s, sigma) = (1.0 / rate, 1e-6);
+        let mut filter = WhiteAcceleration::at_rest(UNKNOWN.acceleration);
+        (0..100).for_each(|_| filter.update(step_s, 0.0, sigma * sigma));
+        let column = |state: Vector2<f64>| {
+            let mut moved = filter.clone();
+            moved.state = state;
+            moved.update(step_s, 0.0, sigma * sigma);
+            Vector2::new(moved.state.x, moved.state.y * step_s)
+        };
+        let transition = Matrix2::from_columns(&[column(Vector2::x()), column(Vector2::y() / step_s)]);
+        let found: Vec<Complex<f64>> = transition.complex_eigenvalues().iter().copied().collect();
+        assert!(swings(&found) && found.iter().any(|value| value.re < -0.9), "{rate} Hz: {found:?}");
     }
 }
 

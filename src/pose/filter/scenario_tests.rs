@@ -4,7 +4,7 @@ use nalgebra::{Matrix6, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::tests::{kalman, one_euro, pose};
+use super::tests::{WhiteAcceleration, kalman, one_euro, pose};
 use super::*;
 use crate::geometry::Camera;
 
@@ -94,6 +94,23 @@ fn kicks_end_stops_and_cuts_settle_and_never_alternate() {
                 }
             }
         }
+    }
+}
+
+#[test]
+fn a_filter_that_swings_is_rejected() {
+    let (sigma, predict_s, rate): (f64, f64, f64) = (1e-6, 0.1, 30.0);
+    for event in [Event::Kick, Event::EndStop, Event::Cut] {
+        let mut filter = WhiteAcceleration::at_rest(30.0);
+        let row: Vec<(f64, f64)> = stamps(rate, 0, 0.0)
+            .into_iter()
+            .map(|t| {
+                filter.update(1.0 / rate, event.at(t), sigma * sigma);
+                (t, filter.state.x + filter.state.y * predict_s)
+            })
+            .collect();
+        let (_, late, to_and_fro) = judged(&row, event.at(4.0));
+        assert!(late > 1e-3 && to_and_fro > 2, "{event:?}: {late} m off after 0.3 s, {to_and_fro} times to and fro");
     }
 }
 

@@ -1,4 +1,4 @@
-use nalgebra::{Matrix6, UnitQuaternion, Vector3};
+use nalgebra::{Matrix2, Matrix6, UnitQuaternion, Vector2, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -20,6 +20,34 @@ pub(super) fn one_euro() -> FilterSettings {
 
 pub(super) fn pose(position: Vector3<f64>, turn: Vector3<f64>) -> Pose<Stage, Camera> {
     Pose::new(UnitQuaternion::from_scaled_axis(turn), position)
+}
+
+/// The textbook filter along one axis: constant velocity, and an acceleration that is constant within a step and another one in the next.
+/// A counterexample: where the noise is small it takes what it did not expect for an acceleration since the last frame, gives the body
+/// twice the velocity that it has, and swings to and fro. What judges our filters must reject it.
+#[derive(Clone)]
+pub(super) struct WhiteAcceleration {
+    /// Metres and metres a second.
+    pub state: Vector2<f64>,
+    covariance: Matrix2<f64>,
+    /// One sigma of the acceleration, m/s².
+    acceleration: f64,
+}
+
+impl WhiteAcceleration {
+    pub fn at_rest(acceleration: f64) -> Self {
+        Self { state: Vector2::zeros(), covariance: Matrix2::identity(), acceleration }
+    }
+
+    pub fn update(&mut self, step_s: f64, measured: f64, variance: f64) {
+        let on = Matrix2::new(1.0, step_s, 0.0, 1.0);
+        let by_acceleration = Vector2::new(step_s * step_s / 2.0, step_s) * self.acceleration;
+        let covariance = on * self.covariance * on.transpose() + by_acceleration * by_acceleration.transpose();
+        let gain = covariance.column(0) / (covariance[(0, 0)] + variance);
+        let expected = on * self.state;
+        self.state = expected + gain * (measured - expected.x);
+        self.covariance = covariance - gain * covariance.row(0);
+    }
 }
 
 /// Filters `frames` noisy measurements of a path over time; gives (told, measured) of each frame.
