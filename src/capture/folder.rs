@@ -1,4 +1,4 @@
-//! Clips that are folders: pictures with a timestamps.csv, or just pictures in the order of their names.
+//! Clips that are folders: pictures with a timestamps.csv, or just pictures in the order of their names; and single pictures.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -37,6 +37,11 @@ pub(super) fn open(folder: &Path, rate: FrameRate) -> Result<Box<dyn PictureStre
         return Err(CaptureError::Empty { path: folder.to_owned() });
     }
     Ok(Box::new(NamedPictures { files: files.into_iter(), rate, next: 0 }))
+}
+
+/// A single picture as a clip of one frame.
+pub(super) fn single(file: &Path, rate: FrameRate) -> Box<dyn PictureStream> {
+    Box::new(NamedPictures { files: vec![file.to_owned()].into_iter(), rate, next: 0 })
 }
 
 fn stamped(folder: &Path, csv: &Path, bytes: &[u8]) -> Result<Box<dyn PictureStream>, CaptureError> {

@@ -20,7 +20,7 @@ mod open;
 mod order;
 mod played;
 mod rate;
-mod timestamps;
+pub(crate) mod timestamps;
 mod video;
 mod waiting;
 mod writer;

@@ -34,7 +34,7 @@ pub struct ClipOptions {
 const DEFAULT_FPS: f64 = 30.0;
 
 /// Opens a clip: a folder with frames/ and timestamps.csv, a folder of pictures, a .y4m, MJPEG .avi or .mjpeg file,
-/// `-` for y4m on stdin, or anything that an installed ffmpeg reads.
+/// a single picture, `-` for y4m on stdin, or anything that an installed ffmpeg reads.
 ///
 /// Reads ahead to the first frame, which sets the clip's size. Frame n of a clip with a rate is stamped n / rate.
 ///
@@ -83,6 +83,10 @@ fn open_file(path: &Path, given: Option<FrameRate>, default: FrameRate) -> Resul
         ([b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', ..], _) => avi(input, path, given),
         ([0xFF, 0xD8, 0xFF, ..], _) | (_, "mjpeg" | "mjpg") => {
             Ok(Box::new(Paced::new(MjpegReader::new(input), given.unwrap_or(default), None)))
+        }
+        // PNG, and what PGM and its kin begin with.
+        ([0x89, b'P', b'N', b'G', ..] | [b'P', b'1'..=b'6', b' ' | b'\n' | b'\r' | b'\t' | b'#', ..], _) => {
+            Ok(folder::single(path, given.unwrap_or(default)))
         }
         _ => Ok(Box::new(Ffmpeg::open(path, given)?)),
     }

@@ -72,6 +72,21 @@ fn what_the_writer_wrote_is_read() {
 }
 
 #[test]
+fn a_single_picture_is_a_clip_of_one_frame() {
+    for format in [PictureFormat::Png, PictureFormat::Pgm, PictureFormat::Jpeg { quality: 90 }] {
+        let folder = written(format);
+        let picture = std::fs::read_dir(folder.path().join("frames")).unwrap().flatten().map(|entry| entry.path()).max().unwrap();
+        // Whatever it is called.
+        let other = folder.path().join("still");
+        std::fs::copy(&picture, &other).unwrap();
+        for path in [picture, other] {
+            let rows = rows(path, None);
+            assert_eq!((kinds(&rows), stamps(&rows)), ("F".to_owned(), vec![0]), "{format:?}");
+        }
+    }
+}
+
+#[test]
 fn every_row_of_a_damaged_folder_keeps_its_number() {
     let folder = written(PictureFormat::Png);
     let frames = folder.path().join("frames");

@@ -43,6 +43,7 @@ enum Spoken {
     #[value(name = "opentrackio")]
     OpenTrackIo,
     Osc,
+    Json,
 }
 
 pub(super) fn run(arguments: &ListenArguments) -> Result<(), Failure> {

@@ -7,12 +7,14 @@ mod angles;
 mod board;
 mod calibrate;
 mod check;
+mod completions;
 mod demo;
 mod devices;
 mod failure;
 mod interrupt;
 mod listen;
 mod logging;
+mod man;
 mod mount;
 mod output_file;
 pub mod overlay;
@@ -20,6 +22,7 @@ mod poster;
 mod receivers;
 mod record;
 mod replay;
+mod report;
 mod run;
 mod send_test;
 mod spared;
@@ -61,6 +64,9 @@ enum Command {
     Record(record::RecordArguments),
     SendTest(send_test::SendTestArguments),
     Listen(listen::ListenArguments),
+    Report(report::ReportArguments),
+    Completions(completions::CompletionsArguments),
+    Man(man::ManArguments),
 }
 
 /// Runs the command line of this process; `started` is when the process began.
@@ -86,6 +92,9 @@ pub fn run(started: Instant) -> ExitCode {
         Command::Record(arguments) => record::run(&arguments),
         Command::SendTest(arguments) => send_test::run(&arguments),
         Command::Listen(arguments) => listen::run(&arguments),
+        Command::Report(arguments) => report::run(&arguments),
+        Command::Completions(arguments) => completions::run(&arguments),
+        Command::Man(arguments) => man::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments).map_err(Failure::from),
     };
     match outcome {

@@ -25,6 +25,7 @@ impl Receivers {
     pub fn start(settings: &Settings, camera: CameraModel, stamps: Stamps, frame_rate: Option<f64>) -> Result<Self, Failure> {
         let sending = SendingSettings {
             camera: Some(camera),
+            missing_calibration: None,
             outputs: settings.outputs.clone(),
             objects: settings.objects.iter().map(|object| object.name.clone()).collect(),
             mount: settings.mount.clone(),

@@ -16,6 +16,7 @@ use super::receivers::Receivers;
 use crate::camera::CameraModel;
 use crate::config::Settings;
 use crate::geometry::{Body, Pose, Stage};
+use crate::printable::printable;
 use crate::publish::{ClipStart, Context, PanTiltRoll, Stamps, camera_of_body};
 use crate::record::{ObjectSample, PoseSample, StageTimes, State};
 
@@ -63,6 +64,10 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
         is_test: true,
     };
     let receivers = Receivers::open(&settings, &context)?;
+    if let Some(file) = &settings.missing_calibration {
+        let line = format!("{} is not there yet: the lens that is sent is made up", file.display());
+        writeln!(io::stderr(), "{}", printable(&line)).map_err(Failure::output(Path::new("stderr")))?;
+    }
     let names: Vec<&str> = settings.outputs.iter().filter(|o| o.enabled).map(|o| o.name.as_str()).collect();
     writeln!(io::stderr(), "sending a test pose to {}; Ctrl-C ends it", names.join(", ")).map_err(Failure::output(Path::new("stderr")))?;
     let begun = Instant::now();

@@ -3,11 +3,11 @@
 use std::io;
 use std::ops::Range;
 
-use toml::Spanned;
 use toml::de::DeTable;
 
 use super::ConfigSource;
-use super::as_typed::{Config, Surface};
+use super::as_typed::Config;
+use super::named_files::named_files;
 
 /// A file of a copy: its name in the copy's folder, and its bytes.
 pub type CopiedFile = (String, Vec<u8>);
@@ -23,10 +23,11 @@ impl ConfigSource {
     pub fn copy(&self, exposure_s: Option<f64>) -> io::Result<Vec<CopiedFile>> {
         let typed = Config::parse(&self.text, &self.file).map_err(io::Error::other)?;
         let (mut files, mut changes) = (Vec::new(), Vec::new());
-        for (number, (name, span)) in named_files(&typed).into_iter().enumerate() {
+        for (number, (named, _)) in named_files(&typed).into_iter().enumerate() {
+            let (name, span) = (named.get_ref(), named.span());
             let base = name.rsplit('/').next().filter(|base| !base.is_empty()).unwrap_or("file");
             let new = format!("{number}-{base}");
-            files.push((new.clone(), self.bytes(&name)?.to_vec()));
+            files.push((new.clone(), self.bytes(name)?.to_vec()));
             changes.push((span, toml::Value::String(new).to_string()));
         }
         changes.extend(exposure_s.and_then(|exposure_s| self.exposure(&typed, exposure_s)));
@@ -58,22 +59,6 @@ impl ConfigSource {
             }
         }
     }
-}
-
-/// Every file that a config names, with the place of its name in the text.
-pub(super) fn named_files(typed: &Config) -> Vec<(String, Range<usize>)> {
-    let mut named: Vec<Option<&Spanned<String>>> = Vec::new();
-    if let Some(camera) = &typed.camera {
-        named.extend([camera.get_ref().calibration.as_ref(), camera.get_ref().mask.as_ref()]);
-    }
-    named.extend(typed.mount.iter().map(|mount| mount.get_ref().calibration.as_ref()));
-    let of_stage = typed.stage.iter().flat_map(|stage| &stage.get_ref().surface);
-    let of_objects = typed.object.iter().flat_map(|object| &object.get_ref().surface);
-    for surface in of_stage.chain(of_objects) {
-        let Surface { image, photo, photo_calibration, .. } = surface.get_ref();
-        named.extend([image.as_ref(), photo.as_ref(), photo_calibration.as_ref()]);
-    }
-    named.into_iter().flatten().map(|name| (name.get_ref().clone(), name.span())).collect()
 }
 
 #[cfg(test)]

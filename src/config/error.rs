@@ -115,6 +115,9 @@ pub enum Problem {
     /// Two bodies of the same name.
     #[error("the name `{0}` is taken; give each object a name of its own (`stage` is the stage itself)")]
     DuplicateName(String),
+    /// An object that receivers cannot tell from the camera.
+    #[error("`{0}` is what outputs call the camera itself, and one of them sends both; give the object another name")]
+    NamedAsCamera(String),
     /// An address template with a fault.
     #[error("{0}")]
     Template(crate::publish::osc::TemplateError),

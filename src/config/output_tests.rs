@@ -204,6 +204,30 @@ fn what_the_machine_does_not_give_is_told_with_its_line() {
     let foreign = "[[output]]\nkind = \"freed\"\nto = [\"239.1.2.3:4000\"]\ninterface = \"203.0.113.7\"";
     let said = rehearse(foreign).unwrap_err();
     assert!(said.contains("`interface` in [[output]], line 9: cannot send by UDP"), "{said}");
+    // Each of two finds a port free while it is tried alone.
+    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let output = |address: &str| format!("[[output]]\nkind = \"json\"\ntcp_listen = \"{address}\"\n");
+    let everywhere = format!("0.0.0.0:{}", free.port());
+    let said = rehearse(&format!("{}[http]\nlisten = \"{everywhere}\"", output(&free.to_string()))).unwrap_err();
+    let wanted =
+        format!("`listen` in [http], line 10: cannot listen on {everywhere} (the output json-6 listens there too); give a free port");
+    assert!(said.contains(&wanted), "{said}");
+    let said = rehearse(&format!("{}{}", output(&free.to_string()), output(&free.to_string()))).unwrap_err();
+    assert!(
+        said.contains("`tcp_listen` in [[output]], line 11: cannot listen on ") && said.contains("the output json-6 listens"),
+        "{said}"
+    );
+    let other = if free.port() == u16::MAX { free.port() - 1 } else { free.port() + 1 };
+    assert!(
+        !rehearse(&format!("{}{}", output(&free.to_string()), output(&format!("127.0.0.1:{other}")))).is_err_and(|e| e.contains("too"))
+    );
+    // Receivers know bodies by their names.
+    let object = |name: &str| format!("[[object]]\nname = \"{name}\"\n[[object.surface]]\nimage = \"art.png\"\nsize_m = [1, 1]\n");
+    let osc = |more: &str| format!("[[output]]\nkind = \"osc\"\nto = \"127.0.0.1:{}\"\n{more}", free.port());
+    let said = rehearse(&format!("{}{}", object("Camera"), osc(""))).unwrap_err();
+    assert!(said.contains("`name` in [[object]], line 7: `Camera` is what outputs call the camera itself"), "{said}");
+    assert_eq!(rehearse(&format!("{}{}", object("Camera"), osc("bodies = \"Camera\""))), Ok(()));
+    assert_eq!(rehearse(&format!("{}{}", object("cart"), osc(""))), Ok(()));
     // An output that is not enabled needs nothing.
     assert_eq!(rehearse(&format!("{foreign}\nenabled = false")), Ok(()));
     let into_nothing = "[[output]]\nkind = \"json\"\nfile = \"logs/sent.jsonl\"";

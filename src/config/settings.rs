@@ -1,7 +1,6 @@
 //! The config once everything in it has been checked and every file that it names has been read.
 
 use std::collections::BTreeMap;
-use std::net::TcpListener;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -11,10 +10,10 @@ use toml::Spanned;
 
 use super::as_typed::{self, ControlValue};
 use super::bodies::BodyReader;
-use super::copy::named_files;
 use super::filter::filter;
 use super::lens::{self, LensSource, lens};
 use super::mount::mount;
+use super::named_files::named_files;
 use super::origin::Origin;
 use super::outputs::{OUTPUT, OutputReader, safety};
 use super::protocols::address;
@@ -23,7 +22,7 @@ use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::CameraModel;
 use crate::pose::FilterSettings;
-use crate::publish::{MountSettings, OutputSettings, Publisher, SafetySettings};
+use crate::publish::{MountSettings, OutputSettings, SafetySettings};
 use crate::track::{BodySpec, TrackerSettings};
 use crate::web::{HostName, HttpSettings};
 
@@ -77,8 +76,10 @@ pub struct Settings {
 /// What belongs to sending alone.
 #[derive(Debug, Clone)]
 pub struct SendingSettings {
-    /// The calibrated camera, where one is named.
+    /// The calibrated camera, where one is named and its file is there.
     pub camera: Option<CameraModel>,
+    /// The calibration that is named and not there: sending a test pose can do without.
+    pub missing_calibration: Option<PathBuf>,
     /// `[[output]]`
     pub outputs: Vec<OutputSettings>,
     /// The objects' names.
@@ -248,18 +249,23 @@ impl Settings {
     /// Reads what belongs to sending alone: a config that has no stage or camera yet will do.
     ///
     /// # Errors
-    /// As [`load`](Self::load), of `[[output]]`, `[safety]`, `[http]`, `[log]` and the objects' names; of the calibration where it is named.
+    /// As [`load`](Self::load), of `[[output]]`, `[safety]`, `[http]`, `[log]` and the objects' names; of the calibration where its file is
+    /// there.
     pub fn load_outputs(file: &Path) -> Result<SendingSettings, ConfigError> {
         let text = read_text(file)?;
         let (typed, origin) = (as_typed::Config::parse(&text, file)?, Origin::new(file, &text));
         let section = Section { origin: &origin, name: "[camera]" };
-        let found = typed.camera.as_ref().map(|camera| lens::found(&section, camera.get_ref())).transpose()?.flatten();
+        let calibration = typed.camera.as_ref().and_then(|camera| camera.get_ref().calibration.as_ref());
+        let missing_calibration = calibration.map(|name| origin.beside(name.get_ref())).filter(|file| !file.exists());
+        let camera = typed.camera.as_ref().filter(|_| missing_calibration.is_none());
+        let found = camera.map(|camera| lens::found(&section, camera.get_ref())).transpose()?.flatten();
         let names = typed.object.iter().filter_map(|object| object.get_ref().name.as_ref());
         let objects: Vec<String> = names.map(|name| name.get_ref().clone()).collect();
         let mount = mount(&origin, typed.mount.as_ref(), &objects, &mut Vec::new())?;
         let outputs = OutputReader { origin: &origin, objects: objects.clone(), mount: mount.as_ref() };
         Ok(SendingSettings {
             camera: found.map(|(_, camera)| camera),
+            missing_calibration,
             outputs: refuse_overwriting(&typed, &origin, &files_of(&typed, &origin)).and_then(|()| outputs.outputs(&typed.output))?,
             objects,
             mount,
@@ -287,27 +293,6 @@ impl Settings {
         let scaled = self.camera.scaled_to(width, height).map_err(problem)?;
         let note = format!("the calibration for {from_width} x {from_height} pixels is scaled to the pictures' {width} x {height}");
         Ok((scaled, Some(note)))
-    }
-
-    /// Tries every address, port and interface of `[[output]]` and `[http]` on this machine, and lets go of them again.
-    ///
-    /// # Errors
-    /// The first that cannot be had, with its line.
-    pub fn rehearse_outputs(&self) -> Result<(), ConfigError> {
-        let text = &self.source.text;
-        let (typed, origin) = (as_typed::Config::parse(text, &self.file)?, Origin::new(&self.file, text));
-        if let Err((index, reason)) = Publisher::rehearse(&self.outputs) {
-            let output = typed.output.get(index).map(|o| (o.get_ref(), o.span()));
-            let (key, span) = output.map_or(("to", 0..0), |(o, span)| o.place_of(&reason, span));
-            return Err(origin.value(OUTPUT, key, &span, Problem::Transport(reason)));
-        }
-        let Some(http) = &self.http else { return Ok(()) };
-        let reason = match TcpListener::bind(http.listen) {
-            Ok(_) => return Ok(()),
-            Err(error) => error.to_string(),
-        };
-        let span = typed.http.and_then(|h| h.listen).map_or(0..0, |l| l.span());
-        Err(origin.value("[http]", "listen", &span, Problem::Listen { address: http.listen, reason }))
     }
 
     /// A mask whose camera was not known when the config was read.
@@ -356,7 +341,7 @@ fn refuse_overwriting(typed: &as_typed::Config, origin: &Origin<'_>, files: &[Pa
 
 /// Every file that a config names, and itself.
 fn files_of(typed: &as_typed::Config, origin: &Origin<'_>) -> Vec<PathBuf> {
-    let named = named_files(typed).into_iter().map(|(name, _)| origin.beside(&name));
+    let named = named_files(typed).into_iter().map(|(name, _)| origin.beside(name.get_ref()));
     std::iter::once(origin.file.to_owned()).chain(named).collect()
 }
 

@@ -84,10 +84,12 @@ pub enum SurfaceError {
     #[error("corners_px is not a convex quadrilateral; give top left, top right, bottom right, bottom left, clockwise in the photograph")]
     Corners,
     /// A corner lies where the photograph's calibration cannot be inverted, or outside of the photograph.
-    #[error("corner {index} at [{u}, {v}] lies outside of the photograph or of its calibration's valid field")]
+    #[error(
+        "corner {number} at [{u}, {v}] lies outside of the photograph or of its calibration's valid field; corner 1 is the top left one"
+    )]
     CornerOutside {
-        /// 0-based.
-        index: usize,
+        /// As the user counts: from 1, the top left one.
+        number: usize,
         /// Pixel column.
         u: f64,
         /// Pixel row.
@@ -198,7 +200,7 @@ fn corner_rays(photo: &GrayImage, corners: &[Pixel; 4], camera: &CameraModel) ->
     for (index, (ray, corner)) in rays.iter_mut().zip(corners).enumerate() {
         let (u, v) = (corner.0.x, corner.0.y);
         let inside = (-0.5..=w - 0.5).contains(&u) && (-0.5..=h - 0.5).contains(&v);
-        *ray = camera.unproject(*corner).filter(|_| inside).ok_or(SurfaceError::CornerOutside { index, u, v })?;
+        *ray = camera.unproject(*corner).filter(|_| inside).ok_or(SurfaceError::CornerOutside { number: index + 1, u, v })?;
     }
     Ok(rays)
 }

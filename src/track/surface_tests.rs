@@ -59,10 +59,10 @@ fn bad_corners_are_refused() {
         assert_eq!(photo(corners).unwrap_err(), SurfaceError::Corners, "{corners:?}");
     }
     let outside = photo([[20.0, 20.0], [300.0, 30.0], [290.0, 241.0], [25.0, 210.0]]).unwrap_err();
-    assert_eq!(outside, SurfaceError::CornerOutside { index: 2, u: 290.0, v: 241.0 });
+    assert_eq!(outside, SurfaceError::CornerOutside { number: 3, u: 290.0, v: 241.0 });
     assert!(matches!(
         photo([[f64::NAN, 20.0], [300.0, 30.0], [290.0, 220.0], [25.0, 210.0]]),
-        Err(SurfaceError::CornerOutside { index: 0, .. })
+        Err(SurfaceError::CornerOutside { number: 1, .. })
     ));
 }
 

@@ -2,10 +2,12 @@
 
 mod bad_clip;
 mod bad_config;
+mod examples;
 mod files;
 mod good;
 mod outputs;
 mod poster;
+mod report;
 pub mod scene;
 mod terminal;
 mod usage;

@@ -5,7 +5,23 @@ use super::scene::Scene;
 #[test]
 fn every_command_has_help_with_an_example() {
     let scene = Scene::new();
-    let names = ["replay", "check", "demo", "calibrate", "board", "poster", "mount", "devices", "run", "record", "send-test", "listen"];
+    let names = [
+        "replay",
+        "check",
+        "demo",
+        "calibrate",
+        "board",
+        "poster",
+        "mount",
+        "devices",
+        "run",
+        "record",
+        "send-test",
+        "listen",
+        "report",
+        "completions",
+        "man",
+    ];
     let commands = names.map(|name| vec![name, "--help"]).into_iter().chain([vec!["--help"]]);
     for command in commands {
         let run = scene.run(&command);

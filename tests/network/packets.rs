@@ -6,13 +6,16 @@ use stagepose::publish::opentrackio::{Encoding, HEADER, datagram};
 use stagepose::publish::psn::{PsnHeader, PsnPacket, PsnTracker};
 
 /// The words for them on the command line.
-pub const PROTOCOLS: [&str; 4] = ["freed", "psn", "opentrackio", "osc"];
+pub const PROTOCOLS: [&str; 5] = ["freed", "psn", "opentrackio", "osc", "json"];
 
 pub fn good(protocol: &str) -> Vec<Vec<u8>> {
     match protocol {
         "freed" => freed(),
         "psn" => psn(),
         "opentrackio" => opentrackio(),
+        "json" => {
+            vec![br#"{"sequence":12,"state":"tracking","pose":{"position_m":[1.5,-2,1e-9]},"objects":[{"name":"B\u00fchne"}]}"#.to_vec()]
+        }
         _ => osc(),
     }
 }

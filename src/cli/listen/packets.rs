@@ -23,11 +23,20 @@ pub(super) fn line(protocol: Spoken, bytes: &[u8]) -> String {
             opentrackio::decode(bytes).map(|(sequence, sample)| format!("#{sequence} {sample}")).map_err(|e| e.to_string())
         }
         Spoken::Osc if nests_too_deep(bytes) => Err(format!("its bundles or arrays nest more than {MOST_LEVELS} deep; check the sender")),
+        Spoken::Json => json(bytes),
         Spoken::Osc => {
             decoder::decode_udp(bytes).map(|(_, p)| osc(&p)).map_err(|_| "it is no OSC packet; check the sender's port".to_owned())
         }
     };
     decoded.unwrap_or_else(|reason| format!("{} bytes: {reason}", bytes.len()))
+}
+
+/// A line as it came; what is no JSON object is named, with the place.
+fn json(bytes: &[u8]) -> Result<String, String> {
+    let text = std::str::from_utf8(bytes).map_err(|_| "it is no UTF-8; check the sender's port".to_owned())?;
+    let line = text.trim_end_matches(['\r', '\n']);
+    let checked: Result<serde_json::Map<String, serde_json::Value>, _> = serde_json::from_str(line);
+    checked.map(|_| line.to_owned()).map_err(|e| format!("it is no JSON object ({e}); check the sender's port"))
 }
 
 fn freed(p: &FreedPacket) -> String {

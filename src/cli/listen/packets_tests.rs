@@ -23,6 +23,11 @@ fn packets_become_lines() {
     assert_eq!(line(Spoken::OpenTrackIo, &sample), r##"#4 {"a":1}"##);
     assert!(line(Spoken::Freed, b"hello").starts_with("5 bytes: 5 bytes are no FreeD"));
     assert!(line(Spoken::Osc, b"hello").contains("no OSC packet"));
+    assert_eq!(line(Spoken::Json, b"{\"state\":\"lost\", \"x\": 1.50}\n"), "{\"state\":\"lost\", \"x\": 1.50}");
+    assert_eq!(line(Spoken::Json, b"[1]").split_once(" (").unwrap().0, "3 bytes: it is no JSON object");
+    assert_eq!(line(Spoken::Json, b"\xff"), "1 bytes: it is no UTF-8; check the sender's port");
+    let deep = [b"{\"a\":".as_slice(), &[b'['; 30_000]].concat();
+    assert!(line(Spoken::Json, &deep).starts_with("30005 bytes: it is no JSON object"), "nesting ends, with a sentence");
 }
 
 fn message(args: Vec<OscType>) -> Vec<u8> {

@@ -55,7 +55,7 @@ pub(super) struct LiveArguments {
     /// Play a clip as if it were the camera: its pace, late frames dropped
     #[arg(long, value_name = "CLIP")]
     play: Option<PathBuf>,
-    /// End after this many seconds
+    /// End after tracking for this many seconds, or when the camera does not come in this time
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
     #[command(flatten)]

@@ -17,7 +17,9 @@ use crate::web::{CameraState, RecorderState, Statistics};
 pub(super) struct Service {
     notifier: Notifier,
     line: ProgressBar,
+    /// Since when the time that it is to run counts: from the start of tracking, and before that from the start of the program.
     begun: Instant,
+    is_tracking: bool,
     until: Option<Duration>,
     told: Instant,
     pinged: Instant,
@@ -40,12 +42,33 @@ impl Service {
         logging::beside(&line);
         let now = Instant::now();
         let until = seconds.map(|s| Duration::try_from_secs_f64(s.max(0.0)).unwrap_or(Duration::MAX));
-        Self { notifier, line, begun: now, until, told: now, pinged: now, frames_before: 0, ages_before: (0, 0.0), alive: now, pose: None }
+        Self {
+            notifier,
+            line,
+            begun: now,
+            is_tracking: false,
+            until,
+            told: now,
+            pinged: now,
+            frames_before: 0,
+            ages_before: (0, 0.0),
+            alive: now,
+            pose: None,
+        }
     }
 
     /// The pipeline gave a sign of life: a sample, a stale message, or it is still waiting for a camera.
     pub fn alive(&mut self) {
         self.alive = Instant::now();
+    }
+
+    /// The camera is there and tracking begins: only now does the time count that it is to run, so that as much of a played clip is
+    /// tracked as was asked for. A later session does not begin it anew.
+    pub fn tracking_begins(&mut self) {
+        self.alive();
+        if !std::mem::replace(&mut self.is_tracking, true) {
+            self.begun = Instant::now();
+        }
     }
 
     /// A sample came.

@@ -151,7 +151,7 @@ impl Session<'_> {
 
     fn follow(&self, listening: &Listening<'_>, service: &mut Service, sinks: &mut Sinks) -> End {
         let Listening { samples, running, size, save, saver, pages, receivers } = *listening;
-        service.alive();
+        service.tracking_begins();
         loop {
             match samples.recv_timeout(Duration::from_millis(50)) {
                 Ok(sample) => {

@@ -1,0 +1,27 @@
+//! `stagepose completions`: what a shell needs to complete commands and options.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use clap::CommandFactory;
+use clap_complete::Shell;
+
+use super::{Arguments, Failure};
+
+/// Print the completions for a shell.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  stagepose completions bash > ~/.local/share/bash-completion/completions/stagepose\n\n\
+    zsh: into a file _stagepose in a folder of $fpath. fish: ~/.config/fish/completions/stagepose.fish.\n\
+    The Debian package brings those of bash, zsh and fish.")]
+pub(super) struct CompletionsArguments {
+    /// The shell
+    #[arg(value_enum, value_name = "SHELL", ignore_case = true)]
+    shell: Shell,
+}
+
+pub(super) fn run(arguments: &CompletionsArguments) -> Result<(), Failure> {
+    // Into memory first: the generator panics where its output cannot be written, and a closed pipe is no error.
+    let mut script = Vec::new();
+    clap_complete::generate(arguments.shell, &mut Arguments::command(), "stagepose", &mut script);
+    io::stdout().write_all(&script).map_err(Failure::output(Path::new("stdout")))
+}

@@ -1,0 +1,90 @@
+//! The recordings that a report takes from: the newest clip, and what the ring holds or held.
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+
+use super::ReportArguments;
+use super::bundle::Bundle;
+use crate::capture::timestamps::read_timestamps;
+use crate::cli::failure::Failure;
+use crate::config::Settings;
+use crate::safe_file;
+
+/// The texts of a clip, those that are there.
+const TEXTS: [&str; 5] = ["clip.toml", "events.jsonl", "poses.jsonl", "timestamps.csv", "dropped.csv"];
+
+/// A clip on disk.
+pub(super) struct Recording {
+    /// Its folder in the report.
+    name: String,
+    folder: PathBuf,
+}
+
+/// The clip that was named, else the newest in the recorder's folder; then the ring's parts.
+pub(super) fn find(arguments: &ReportArguments, settings: Option<&Settings>) -> Vec<Recording> {
+    let folder = settings.map(|s| s.recorder.folder.clone());
+    let newest = || folder.as_deref().and_then(|folder| clips(folder).pop());
+    let clip = arguments.clip.clone().or_else(newest).map(|folder| Recording { name: "recording".to_owned(), folder });
+    let rings = folder.iter().flat_map(|folder| {
+        ["ring-before", "ring"].into_iter().flat_map(|ring| {
+            let parts = clips(&folder.join(ring)).into_iter().enumerate();
+            parts.map(move |(n, folder)| Recording { name: format!("{ring}/{n:02}"), folder }).collect::<Vec<_>>()
+        })
+    });
+    clip.into_iter().chain(rings).collect()
+}
+
+/// The clips in a folder, oldest first.
+fn clips(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut clips: Vec<_> = entries
+        .filter_map(|clip| {
+            let begun = clip.join("timestamps.csv").metadata().and_then(|m| m.modified()).ok()?;
+            Some((begun, clip))
+        })
+        .collect();
+    clips.sort();
+    clips.into_iter().map(|(_, clip)| clip).collect()
+}
+
+impl Recording {
+    /// Puts texts, counts and, where they are wanted, the last seconds of pictures into the report.
+    pub fn add(&self, bundle: &mut Bundle, picture_seconds: Option<f64>) -> Result<(), Failure> {
+        let Self { name, folder } = self;
+        for text in TEXTS.iter().filter(|text| folder.join(text).exists()) {
+            bundle.add_file(&format!("{name}/{text}"), &folder.join(text))?;
+        }
+        bundle.add_text(&format!("{name}/summary.json"), &self.summary())?;
+        for picture in picture_seconds.map(|seconds| self.last_pictures(seconds)).unwrap_or_default() {
+            bundle.add_file(&format!("{name}/frames/{picture}"), &folder.join("frames").join(&picture))?;
+        }
+        Ok(())
+    }
+
+    /// Names of the pictures within so long before the clip's end.
+    pub fn last_pictures(&self, seconds: f64) -> Vec<String> {
+        let Ok(file) = safe_file::open(&self.folder.join("timestamps.csv")) else { return Vec::new() };
+        let rows = read_timestamps(file).unwrap_or_default();
+        let stamped: Vec<(i64, String)> = rows.into_iter().filter_map(|row| Some((row.stamp.ok()?, row.file))).collect();
+        let Some(end) = stamped.iter().map(|(stamp, _)| *stamp).max() else { return Vec::new() };
+        let since = end.saturating_sub((seconds * 1e9) as i64);
+        // A name that leads out of the clip is none of its pictures.
+        let is_inside = |name: &str| Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
+        stamped.into_iter().filter(|(stamp, name)| *stamp >= since && is_inside(name)).map(|(_, name)| name).collect()
+    }
+
+    /// How often each state was said.
+    fn summary(&self) -> String {
+        let mut states: BTreeMap<String, u64> = BTreeMap::new();
+        let records = safe_file::open(&self.folder.join("poses.jsonl")).map(BufReader::new);
+        // An hour's records do not fit into memory, and what follows after a line that cannot be read is not known.
+        for line in records.into_iter().flat_map(BufRead::lines).map_while(Result::ok) {
+            let record: Option<serde_json::Value> = serde_json::from_str(&line).ok();
+            let state = record.as_ref().and_then(|r| r["state"].as_str()).unwrap_or("not a record");
+            *states.entry(state.to_owned()).or_default() += 1;
+        }
+        let frames: u64 = states.values().sum();
+        serde_json::json!({ "folder": self.folder, "frames": frames, "states": states }).to_string() + "\n"
+    }
+}

@@ -1,0 +1,82 @@
+//! What `check` tries of a config's outputs: whether they get what they need from this machine, and whether they are told apart.
+
+use std::net::{SocketAddr, TcpListener};
+use std::ops::Range;
+
+use toml::Spanned;
+
+use super::as_typed::{Config, Output};
+use super::origin::Origin;
+use super::outputs::OUTPUT;
+use super::{ConfigError, Problem, Settings};
+use crate::publish::{BodyChoice, Protocol, Publisher};
+
+impl Settings {
+    /// Opens every output and the HTTP server's port and closes them again.
+    ///
+    /// # Errors
+    /// The first one that this machine does not give, or that stands in the way of another, with its place in the config.
+    pub fn rehearse_outputs(&self) -> Result<(), ConfigError> {
+        let text = &self.source.text;
+        let (typed, origin) = (Config::parse(text, &self.file)?, Origin::new(&self.file, text));
+        self.names_differ(&typed, &origin)?;
+        self.ports_differ(&typed, &origin)?;
+        if let Err((index, reason)) = Publisher::rehearse(&self.outputs) {
+            let output = typed.output.get(index).map(|o| (o.get_ref(), o.span()));
+            let (key, span) = output.map_or(("to", 0..0), |(o, span)| o.place_of(&reason, span));
+            return Err(origin.value(OUTPUT, key, &span, Problem::Transport(reason)));
+        }
+        let Some(http) = &self.http else { return Ok(()) };
+        let reason = match TcpListener::bind(http.listen) {
+            Ok(_) => return Ok(()),
+            Err(error) => error.to_string(),
+        };
+        Err(origin.value("[http]", "listen", &http_place(&typed), Problem::Listen { address: http.listen, reason }))
+    }
+
+    /// An object that is called as outputs call the camera: receivers cannot tell the two apart where both are sent.
+    fn names_differ(&self, typed: &Config, origin: &Origin<'_>) -> Result<(), ConfigError> {
+        let is_camera = |name: &str| name.eq_ignore_ascii_case("camera");
+        let Some(index) = self.objects.iter().position(|object| is_camera(&object.name)) else { return Ok(()) };
+        let sends_both = |bodies: &[BodyChoice]| bodies.contains(&BodyChoice::Camera) && bodies.contains(&BodyChoice::Object(index));
+        let name = typed.object.get(index).and_then(|object| object.get_ref().name.as_ref());
+        match name {
+            Some(name) if self.outputs.iter().any(|output| output.enabled && sends_both(&output.bodies)) => {
+                Err(origin.value("[[object]]", "name", &name.span(), Problem::NamedAsCamera(name.get_ref().clone())))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Two that listen on one port of this machine: each would find it free while it is tried alone.
+    fn ports_differ(&self, typed: &Config, origin: &Origin<'_>) -> Result<(), ConfigError> {
+        let mut taken: Vec<(SocketAddr, String)> = Vec::new();
+        let of_outputs = self.outputs.iter().zip(&typed.output).filter(|(output, _)| output.enabled).filter_map(|(output, typed)| {
+            let Protocol::Json(json) = &output.protocol else { return None };
+            Some((json.stream.tcp_listen?, OUTPUT, "tcp_listen", output_place(typed), format!("the output {}", output.name)))
+        });
+        let of_http = self.http.iter().map(|http| (http.listen, "[http]", "listen", http_place(typed), "the HTTP server".to_owned()));
+        for (address, section, key, place, who) in of_outputs.chain(of_http) {
+            if let Some((_, other)) = taken.iter().find(|(other, _)| collide(*other, address)) {
+                let reason = format!("{other} listens there too");
+                return Err(origin.value(section, key, &place, Problem::Listen { address, reason }));
+            }
+            taken.push((address, who));
+        }
+        Ok(())
+    }
+}
+
+/// Whether two cannot both listen. An address that stands for all of this machine's takes the port on each; port 0 is any free one.
+fn collide(a: SocketAddr, b: SocketAddr) -> bool {
+    let (a_ip, b_ip) = (a.ip().to_canonical(), b.ip().to_canonical());
+    a.port() != 0 && a.port() == b.port() && (a_ip == b_ip || a_ip.is_unspecified() || b_ip.is_unspecified())
+}
+
+fn http_place(typed: &Config) -> Range<usize> {
+    typed.http.as_ref().and_then(|http| http.listen.as_ref()).map_or(0..0, Spanned::span)
+}
+
+fn output_place(typed: &Spanned<Output>) -> Range<usize> {
+    typed.get_ref().tcp_listen.as_ref().map_or(typed.span(), Spanned::span)
+}
