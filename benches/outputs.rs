@@ -127,6 +127,7 @@ fn sample(k: u64) -> PoseSample {
         pose: Some(camera_of_body(&body)),
         measurement: None,
         objects: Vec::new(),
+        reason: None,
         times: StageTimes::default(),
     }
 }

@@ -5,6 +5,7 @@ use serde::Serialize;
 use serde::ser::{SerializeMap, SerializeSeq, SerializeStruct, Serializer};
 
 use crate::geometry::{Body, Camera, Pose, Stage};
+use crate::track::Reason;
 
 /// What is known of a body in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default)]
@@ -122,6 +123,8 @@ pub struct PoseSample {
     pub measurement: Option<Measurement>,
     /// The tracked objects, in the order of the config.
     pub objects: Vec<ObjectSample>,
+    /// Why the camera is not tracked in this frame; not written. `None` while it is, and in a stale message.
+    pub reason: Option<Reason>,
     /// Compute times; not written.
     pub times: StageTimes,
 }
@@ -206,7 +209,7 @@ impl PoseSample {
     /// The message that the camera has given no picture for `age_ms` since its last one, which had this number and stamp.
     pub fn stale(sequence: u64, timestamp_ns: i64, age_ms: f64) -> Self {
         let times = StageTimes { age_ms: Some(age_ms), ..StageTimes::default() };
-        Self { sequence, timestamp_ns, state: State::Stale, pose: None, measurement: None, objects: Vec::new(), times }
+        Self { sequence, timestamp_ns, state: State::Stale, pose: None, measurement: None, objects: Vec::new(), reason: None, times }
     }
 
     /// The record as one line of JSON, without the line end.

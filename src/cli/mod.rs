@@ -16,6 +16,7 @@ mod listen;
 mod logging;
 mod man;
 mod mount;
+mod outcome;
 mod output_file;
 pub mod overlay;
 mod poster;

@@ -201,15 +201,27 @@ fn caption(picture: &mut RgbImage, sample: &PoseSample, colour: Rgb<u8>) {
         line += &format!("  rms {:.2} px", measurement.rms_px);
     }
     let scale = (picture.width() / 640).max(1);
-    let (margin, height) = ((picture.width() / 160).max(2) + 2, text::CELL_PX * scale);
+    let margin = (picture.width() / 160).max(2) + 2;
+    strip(picture, (margin, margin), scale, colour, &line);
+    let Some(reason) = sample.reason else { return };
+    // As many lines as the sentence takes.
+    let room = ((picture.width() - margin.min(picture.width())) / (text::CELL_PX * scale)).saturating_sub(2).max(8) as usize;
+    for (row, line) in (1..).zip(text::wrapped(reason.says(), room)) {
+        strip(picture, (margin, margin + row * (text::CELL_PX * scale + 4)), scale, colour, &line);
+    }
+}
+
+/// A line of text with its top left at a place, on a dark strip.
+fn strip(picture: &mut RgbImage, (left, top): (u32, u32), scale: u32, colour: Rgb<u8>, line: &str) {
+    let height = text::CELL_PX * scale;
     // A dark strip below the text, so that it reads on any picture.
     let width = line.chars().count() as u32 * text::CELL_PX * scale;
-    for y in margin..(margin + height + 4).min(picture.height()) {
-        for x in margin..(margin + width + 4).min(picture.width()) {
+    for y in top..(top + height + 4).min(picture.height()) {
+        for x in left..(left + width + 4).min(picture.width()) {
             picture.get_pixel_mut(x, y).0 = picture.get_pixel(x, y).0.map(|level| level / 4);
         }
     }
-    text::write(picture, (margin + 2, margin + 2), scale, colour, &line);
+    text::write(picture, (left + 2, top + 2), scale, colour, line);
 }
 
 #[cfg(test)]
@@ -243,7 +255,7 @@ mod tests {
         let rotation = UnitQuaternion::from_quaternion(Quaternion::new(1.0, -1.0, 0.0, 0.0));
         let pose = matches!(state, State::Tracking | State::Coasting).then(|| Pose::new(rotation, Vector3::new(0.0, y, 0.0)));
         let times = StageTimes::default();
-        PoseSample { sequence: 7, timestamp_ns: 0, state, pose, measurement: None, objects: Vec::new(), times }
+        PoseSample { sequence: 7, timestamp_ns: 0, state, pose, measurement: None, objects: Vec::new(), reason: None, times }
     }
 
     fn drawn(sample: &PoseSample, k1: f64, objects: &[BodySpec]) -> RgbImage {
@@ -293,6 +305,18 @@ mod tests {
         assert!(inside.into_iter().all(|(x, y)| picture.get_pixel(x, y).0 == [100; 3]));
         assert_eq!(*drawn(&sample(State::Searching, -4.0), 0.0, &[]).get_pixel(1, 240), GREY);
         assert_eq!(*drawn(&sample(State::Coasting, -4.0), 0.0, &[]).get_pixel(1, 240), YELLOW);
+    }
+
+    #[test]
+    fn a_frame_without_a_pose_says_why() {
+        let unsaid = drawn(&sample(State::Lost, -4.0), 0.0, &[]);
+        let said = drawn(&PoseSample { reason: Some(crate::track::Reason::TooDark), ..sample(State::Lost, -4.0) }, 0.0, &[]);
+        // The second line, below the state's.
+        let lit = |picture: &RgbImage| {
+            (8..300).flat_map(|x| (20..30).map(move |y| (x, y))).filter(|&(x, y)| *picture.get_pixel(x, y) == RED).count()
+        };
+        assert_eq!(lit(&unsaid), 0);
+        assert!(lit(&said) > 200, "{}", lit(&said));
     }
 
     #[test]

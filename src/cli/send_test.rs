@@ -123,6 +123,7 @@ fn test_sample(sequence: u64, seconds: f64, objects: &[String]) -> PoseSample {
         pose: Some(camera_of_body(&test_pose(seconds))),
         measurement: None,
         objects: objects.iter().enumerate().map(object).collect(),
+        reason: None,
         times: StageTimes::default(),
     }
 }

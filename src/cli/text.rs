@@ -28,6 +28,21 @@ pub(super) fn write(picture: &mut RgbImage, (x, y): (u32, u32), scale: u32, colo
     }
 }
 
+/// A sentence in lines of so many characters at most, broken between words where they are shorter than a line.
+pub(super) fn wrapped(text: &str, room: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= room => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -41,6 +56,12 @@ mod tests {
         };
         assert!(lit(2, 18) > lit(18, 34) && lit(18, 34) > 0);
         assert_eq!((lit(0, 2), lit(34, 40)), (0, 0));
+    }
+
+    #[test]
+    fn sentences_are_broken_between_words() {
+        assert_eq!(wrapped("no pose fits the picture", 9), ["no pose", "fits the", "picture"]);
+        assert!(wrapped("", 9).is_empty());
     }
 
     #[test]

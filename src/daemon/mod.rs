@@ -6,6 +6,7 @@
 //! drop-oldest, [`live`] a camera that may fail.
 
 pub mod live;
+mod reason_watch;
 pub mod recorder;
 mod stale;
 mod threads;

@@ -8,6 +8,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use thiserror::Error;
 
 use super::live::{LiveLink, LiveSource, dropped};
+use super::reason_watch::ReasonWatch;
 use super::stale::StaleWatch;
 use super::tracker::{PoseRecorder, Tracker, sight};
 use crate::capture::moment::monotonic_ns;
@@ -262,6 +263,7 @@ fn publish(
     mut subscribers: Vec<Subscriber>,
     mut watch: Option<StaleWatch>,
 ) {
+    let mut reasons = ReasonWatch::default();
     loop {
         let next = match &watch {
             Some(watch) => sightings.recv_timeout(watch.wait()),
@@ -274,6 +276,9 @@ fn publish(
                 if let Some(watch) = &mut watch {
                     watch.seen(&sample);
                     count(watch.link(), &row, &sample);
+                    if let Some(event) = reasons.seen(&sample) {
+                        watch.link().events.publish(event);
+                    }
                 }
                 observers.iter_mut().for_each(|observer| observer(&row, &sample));
                 deliver(&mut subscribers, &sample);

@@ -10,7 +10,7 @@ use crate::frame::Frame;
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
 use crate::simulate::VirtualStage;
-use crate::track::{BodySpec, LockState, Matcher, Sighting, TrackerSettings, UsedPixels};
+use crate::track::{BodySpec, LockState, Matcher, Reason, Sighting, TrackerSettings, UsedPixels};
 
 /// Everything a tracker is made from.
 #[derive(Debug, Clone)]
@@ -105,7 +105,7 @@ impl Tracker {
 pub(super) fn sight(matcher: &mut Matcher, row: &Row) -> Sighting {
     match &row.content {
         RowContent::Frame(frame) => matcher.look(frame),
-        RowContent::Undecodable(_) => matcher.look_away(row.sequence, row.timestamp_ns),
+        RowContent::Undecodable(_) => matcher.look_away(row.sequence, row.timestamp_ns, Reason::Undecodable),
         RowContent::Skipped(_) => matcher.look_past(row.sequence, row.timestamp_ns),
     }
 }
@@ -126,6 +126,7 @@ impl PoseRecorder {
             pose: camera.pose,
             measurement,
             objects,
+            reason: sighting.stage.reason.filter(|_| camera.state != LockState::Tracking),
             times: StageTimes { decode_ms, acquire_ms: sighting.acquire_ms, align_ms: sighting.align_ms, pose_ms, age_ms: None },
         }
     }

@@ -10,7 +10,7 @@ fn body(state: LockState) -> BodySighting {
     let pose = Pose::new(UnitQuaternion::from_euler_angles(1.5, 0.1, 0.0), Vector3::new(0.1, 0.2, 3.0));
     let verified =
         Verified { pose, covariance: Matrix6::identity() * 1e-6, by_lens: None, share: 1.0, inliers: 0, rms_px: 0.1, is_conclusive: false };
-    BodySighting { state, verified: (state == Tracking).then_some(verified) }
+    BodySighting { state, verified: (state == Tracking).then_some(verified), reason: None }
 }
 
 fn sighting(sequence: u64, stage: LockState, object: LockState) -> Sighting {

@@ -34,6 +34,7 @@ fn sample() -> PoseSample {
         pose: Some(golden_camera()),
         measurement: Some(measurement),
         objects: vec![cart("cart", 9.0), cart("lamp", 3.0)],
+        reason: None,
         times: StageTimes { decode_ms: 1.5, ..StageTimes::default() },
     }
 }

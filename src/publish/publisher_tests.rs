@@ -109,6 +109,7 @@ fn sample(k: u64, state: State, x: f64) -> PoseSample {
         pose: is_known.then_some(pose),
         measurement: None,
         objects: vec![ObjectSample { name: "cart".to_owned(), state, pose: is_known.then_some(cart), covariance: None }],
+        reason: None,
         times: StageTimes::default(),
     }
 }

@@ -42,6 +42,17 @@ pub struct Candidate {
     pub cost: f64,
 }
 
+/// What the matches of a frame say of a body before any lens or size is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Recognition {
+    /// Matches that agree on one homography of a surface: the most over the surfaces.
+    pub agreeing: usize,
+    /// Matches that the best pose explains.
+    pub reached: usize,
+    /// Root of the area that the surface with the most matches takes of the frame, pixels; `None` beyond its horizon.
+    pub outline_px: Option<f64>,
+}
+
 /// Fewest inliers of a homography that is worth a look.
 const LEAST_INLIERS: usize = 8;
 /// Noise of a feature's position, pixels of the level it was found on.
@@ -78,15 +89,17 @@ pub fn surface_matches(
     matches.iter().filter_map(of_body).collect()
 }
 
-/// Candidate poses of a body, best first, at most four.
-pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> Vec<Candidate> {
+/// Candidate poses of a body, best first, at most four; and what was recognised of it.
+pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> (Vec<Candidate>, Recognition) {
+    let mut seen = Recognition::default();
     let observations: Vec<Observation> = matches.iter().map(|m| observation(body, m)).collect();
     let still = MovingCamera::still(camera);
     let mut found: Vec<Candidate> = Vec::new();
     for surface in 0..body.surfaces.len() as u32 {
-        for start in surface_poses(body, surface, matches, camera, seed) {
+        for start in surface_poses(body, surface, matches, camera, seed, &mut seen) {
             let Some(pose) = refined(&start, &still, &observations) else { continue };
             let inliers = within_reach(&pose, &still, &observations, 4.0).count();
+            seen.reached = seen.reached.max(inliers);
             if inliers < LEAST_INLIERS {
                 continue;
             }
@@ -98,7 +111,7 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
     }
     found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     found.truncate(4);
-    found
+    (found, seen)
 }
 
 /// The start refined over the matches near it. Most matches may be wrong, and resection bears only a minority of them.
@@ -138,7 +151,14 @@ fn nearly_same(a: &Pose<Camera, Body>, b: &Pose<Camera, Body>) -> bool {
 }
 
 /// Both planar poses of the homography that most matches of a surface agree with.
-fn surface_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> Vec<Pose<Camera, Body>> {
+fn surface_poses(
+    body: &PreparedBody,
+    surface: u32,
+    matches: &[SurfaceMatch],
+    camera: &CameraModel,
+    seed: u64,
+    seen: &mut Recognition,
+) -> Vec<Pose<Camera, Body>> {
     let own: Vec<&SurfaceMatch> = matches.iter().filter(|m| m.surface == surface).collect();
     if own.len() < LEAST_INLIERS {
         return Vec::new();
@@ -150,6 +170,9 @@ fn surface_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], ca
         return Vec::new();
     };
     let spec = &body.surfaces[surface as usize].spec;
+    if found.inliers.len() > seen.agreeing {
+        (seen.agreeing, seen.outline_px) = (found.inliers.len(), outline_px(&found.homography, spec.artwork.dimensions()));
+    }
     let metric: Vec<PointPair> = found
         .inliers
         .iter()
@@ -157,6 +180,14 @@ fn surface_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], ca
         .collect();
     let Some(homography) = Homography::from_pairs(&metric, None) else { return Vec::new() };
     planar_poses(&homography, &metric).into_iter().map(|p| p * spec.pose.inverse()).collect()
+}
+
+/// Root of the area that a picture of a size takes of the frame.
+fn outline_px(homography: &Homography, (width, height): (u32, u32)) -> Option<f64> {
+    let (w, h) = (f64::from(width), f64::from(height));
+    let corners = [(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)].map(|(x, y)| homography.map(Vector2::new(x, y)));
+    let [a, b, c, d] = [corners[0]?, corners[1]?, corners[2]?, corners[3]?];
+    Some((0.5 * (c - a).perp(&(d - b))).abs().sqrt())
 }
 
 #[cfg(test)]

@@ -18,6 +18,15 @@ pub enum LockState {
     Lost,
 }
 
+/// Why a verified pose is not given yet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Doubt {
+    /// It is the first of its kind.
+    First,
+    /// It is far from the one before.
+    Disagrees,
+}
+
 /// A verified pose that waits for others to agree with it.
 #[derive(Debug, Clone, Copy)]
 struct Pending {
@@ -33,6 +42,7 @@ pub struct Lock {
     found_before: bool,
     last_tracked_ns: i64,
     pending: Option<Pending>,
+    doubt: Option<Doubt>,
 }
 
 /// How fast a body may plausibly move between two frames that confirm each other: metres per second relative to its distance, and
@@ -56,11 +66,19 @@ impl Lock {
         matches!(self.state, LockState::Tracking | LockState::Coasting)
     }
 
+    /// Why the last frame's verified pose was not given; `None` where it was, or where there was none.
+    pub fn doubt(&self) -> Option<Doubt> {
+        self.doubt
+    }
+
     /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings.
     pub fn update(&mut self, timestamp_ns: i64, verified: Option<&Pose<Camera, Body>>, coast_s: f64, confirm_frames: u32) -> LockState {
         let continued = self.is_continued();
+        self.doubt = None;
         match verified {
             Some(pose) => {
+                let is_near = |p: &Pending| seconds(p.timestamp_ns, timestamp_ns) <= LONGEST_GAP_S;
+                let disagrees = self.pending.as_ref().is_some_and(|p| is_near(p) && !agree(p, pose, timestamp_ns));
                 let agreeing = match &self.pending {
                     Some(p) if agree(p, pose, timestamp_ns) => p.agreeing + 1,
                     _ => 1,
@@ -73,6 +91,7 @@ impl Lock {
                     self.state = LockState::Tracking;
                     return self.state;
                 }
+                self.doubt = Some(if disagrees { Doubt::Disagrees } else { Doubt::First });
             }
             None => {
                 let stale = |p: &Pending| seconds(p.timestamp_ns, timestamp_ns) > LONGEST_GAP_S;
@@ -156,6 +175,17 @@ mod tests {
     fn one_frame_resumes_a_coasting_track() {
         use LockState::{Coasting, Searching, Tracking};
         assert_eq!(run(&[Some(0.0), Some(0.0), None, Some(0.0)]), [Searching, Tracking, Coasting, Tracking]);
+    }
+
+    #[test]
+    fn a_pose_that_is_not_given_has_its_doubt() {
+        let mut lock = Lock::default();
+        let mut doubt = |k: i64, x: Option<f64>| {
+            lock.update(k * FRAME_NS, x.map(at).as_ref(), 0.1, 2);
+            lock.doubt()
+        };
+        assert_eq!([doubt(0, Some(0.0)), doubt(1, Some(0.0)), doubt(2, None)], [Some(Doubt::First), None, None]);
+        assert_eq!(doubt(3, Some(3.0)), Some(Doubt::Disagrees));
     }
 
     #[test]

@@ -13,8 +13,10 @@ use tracing::{debug, debug_span};
 use super::acquire::{candidates, surface_matches};
 use super::align::{Eye, FrameLevels, MotionEstimate, Sensor, ShutterClue, UsedPixel};
 use super::frame_interval::FrameInterval;
+use super::frame_look::FrameLook;
 use super::lens_doubt::covariance_by_lens;
 use super::lock::LockState;
+use super::reason::Reason;
 use super::reference::halve_into;
 use super::registration::SearchPicture;
 use super::settings::TrackerSettings;
@@ -37,6 +39,8 @@ pub struct BodySighting {
     pub state: LockState,
     /// The verified pose; present while tracking.
     pub verified: Option<Verified>,
+    /// Why it is not tracking; `None` while it is.
+    pub reason: Option<Reason>,
 }
 
 /// What a frame showed.
@@ -167,11 +171,11 @@ impl Matcher {
     pub fn look(&mut self, frame: &Frame) -> Sighting {
         let _span = debug_span!("match", sequence = frame.sequence).entered();
         if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
-            return self.look_away(frame.sequence, frame.timestamp_ns);
+            return self.look_away(frame.sequence, frame.timestamp_ns, Reason::Skipped);
         }
         self.interval.update(frame.timestamp_ns);
         for tracked in &mut self.bodies {
-            tracked.clue = None;
+            (tracked.clue, tracked.refusal, tracked.reason) = (None, None, None);
             tracked.expect_next(self.interval.to_next_s());
         }
         let start = ComputeClock::start();
@@ -190,6 +194,7 @@ impl Matcher {
                     self.verified[k] = self.find(k, frame, &mut acquire_ms, &mut align_ms);
                 }
             }
+            self.give_reasons();
         }
         self.show_pixels(frame.sequence);
         let stage = self.sighting_of(0, frame.timestamp_ns);
@@ -225,21 +230,22 @@ impl Matcher {
         let pose = verified.as_ref().map(|v| &v.pose);
         let coast_s = longest_coast_s(&self.settings, &self.interval);
         let state = tracked.lock.update(timestamp_ns, pose, coast_s, confirm_frames);
+        let reason = tracked.reason.or_else(|| tracked.lock.doubt().map(Reason::of_doubt)).filter(|_| state != LockState::Tracking);
         let mut verified = verified.filter(|_| state == LockState::Tracking);
         if let Some(v) = &mut verified {
             v.by_lens = covariance_by_lens(&v.pose, &self.camera, tracked.anchors.iter().map(|anchor| &anchor.observation));
         }
-        BodySighting { state, verified }
+        BodySighting { state, verified, reason }
     }
 
-    /// Time went on, but there was no picture.
-    pub fn look_away(&mut self, sequence: u64, timestamp_ns: i64) -> Sighting {
+    /// Time went on, but there was no picture, for this reason.
+    pub fn look_away(&mut self, sequence: u64, timestamp_ns: i64, reason: Reason) -> Sighting {
         self.interval.update(timestamp_ns);
         let (coast_s, confirm) = (longest_coast_s(&self.settings, &self.interval), self.settings.confirm_frames);
-        let mut states =
-            self.bodies.iter_mut().map(|b| BodySighting { state: b.lock.update(timestamp_ns, None, coast_s, confirm), verified: None });
+        let unseen = |state| BodySighting { state, verified: None, reason: Some(reason) };
+        let mut states = self.bodies.iter_mut().map(|b| unseen(b.lock.update(timestamp_ns, None, coast_s, confirm)));
         // There is always a stage.
-        let stage = states.next().unwrap_or(BodySighting { state: LockState::Searching, verified: None });
+        let stage = states.next().unwrap_or(unseen(LockState::Searching));
         let objects = states.collect();
         Sighting { sequence, timestamp_ns, is_timed: true, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
     }
@@ -248,7 +254,7 @@ impl Matcher {
     pub fn look_past(&self, sequence: u64, timestamp_ns: i64) -> Sighting {
         let idle = |b: &TrackedBody| {
             let state = if b.lock.state() == LockState::Searching { LockState::Searching } else { LockState::Lost };
-            BodySighting { state, verified: None }
+            BodySighting { state, verified: None, reason: Some(Reason::Skipped) }
         };
         let stage = idle(&self.bodies[0]);
         let objects = self.bodies[1..].iter().map(idle).collect();
@@ -313,6 +319,17 @@ impl Matcher {
         *acquire_ms += start.elapsed_ms() + self.workers.take_extra_ms();
     }
 
+    /// Says of every body without a verified pose why it has none.
+    fn give_reasons(&mut self) {
+        let mut look = None;
+        for (tracked, _) in self.bodies.iter_mut().zip(&self.verified).filter(|(_, verified)| verified.is_none()) {
+            let look = look.get_or_insert_with(|| FrameLook::at(&self.half));
+            let reason = Reason::of_failure(&tracked.seen, tracked.refusal, look, self.camera.width());
+            debug!(body = %tracked.body.name, ?reason, seen = ?tracked.seen, refusal = ?tracked.refusal, ?look, "no pose");
+            tracked.reason = Some(reason);
+        }
+    }
+
     /// The best verified pose of a body in this frame, aligned where that succeeds.
     fn find(&mut self, k: usize, frame: &Frame, acquire_ms: &mut f64, align_ms: &mut f64) -> Option<Verified> {
         let verified = self.find_by_features(k, frame, acquire_ms, align_ms)?;
@@ -334,7 +351,8 @@ impl Matcher {
         let found = {
             let _span = debug_span!("acquire", body = %tracked.body.name).entered();
             let own = surface_matches(&self.matches, &self.features, self.index.features(), tracked.surfaces.clone(), &self.camera);
-            let found = candidates(&tracked.body, &own, &self.camera, self.settings.seed);
+            let (found, seen) = candidates(&tracked.body, &own, &self.camera, self.settings.seed);
+            tracked.seen = seen;
             debug!(matches = own.len(), candidates = found.len(), inliers = found.first().map_or(0, |c| c.inliers));
             found
         };

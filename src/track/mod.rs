@@ -4,15 +4,18 @@
 //! `registration` and `verify` refine a proposal against the picture and judge it; `align` follows a body from frame
 //! to frame, pixel by pixel; `lock` decides what a verified pose means in time;
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
-//! homography and essential matrix; `lens_doubt` tells what the lens leaves open; `twin` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
+//! homography and essential matrix; `lens_doubt` tells what the lens leaves open; `reason` says why a frame has no pose, with
+//! `frame_look`; `twin` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
 //! body; `matcher` runs them all on a frame.
 
 mod acquire;
 mod align;
 mod frame_interval;
+mod frame_look;
 mod lens_doubt;
 mod lock;
 mod matcher;
+mod reason;
 mod reference;
 mod registration;
 mod settings;
@@ -29,6 +32,7 @@ pub use align::{AlignKernels, Clue, Sensor, ShutterClue, UsedPixel};
 pub use lens_doubt::covariance_by_lens;
 pub use lock::LockState;
 pub use matcher::{BodySighting, Matcher, Sighting, Trial, UsedPixels};
+pub use reason::Reason;
 pub use settings::TrackerSettings;
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use two_view::TwoView;

@@ -3,12 +3,14 @@
 use nalgebra::{Matrix3, Matrix6};
 use tracing::debug;
 
+use super::acquire::Recognition;
 use super::align::{Aligner, Alignment, Eye, FrameLevels, Jerk, MotionEstimate, Patch, Sensor, ShutterClue, UsedPixel};
 use super::lock::Lock;
+use super::reason::Reason;
 use super::reference::PreparedBody;
 use super::surface::BodySpec;
 use super::twin::{LEAST_MARGIN, most_frequent_surface, twin_margin};
-use super::verify::{FittedAnchor, Verified, VerifyBuffers, View, verify};
+use super::verify::{FittedAnchor, Refusal, Verified, VerifyBuffers, View, verify};
 use crate::camera::{CameraModel, Normalized};
 use crate::frame::Frame;
 use crate::geometry::resection::{MovingCamera, Observation, Twist, perturbed};
@@ -40,6 +42,12 @@ pub struct TrackedBody {
     pub anchors: Vec<FittedAnchor>,
     /// What the last frame said of the shutter, where that is asked and the body was aligned.
     pub clue: Option<ShutterClue>,
+    /// What of it was recognised when it was last looked for by features.
+    pub seen: Recognition,
+    /// Of the poses that the last frame's verification refused, the one that came furthest.
+    pub refusal: Option<Refusal>,
+    /// Why the last frame has no verified pose.
+    pub reason: Option<Reason>,
     /// The pixels that the last pose rests on, where somebody watches them.
     pub used: Option<Vec<UsedPixel>>,
     patches: Vec<Patch>,
@@ -69,6 +77,9 @@ impl TrackedBody {
             aligner,
             anchors: Vec::with_capacity(most),
             clue: None,
+            seen: Recognition::default(),
+            refusal: None,
+            reason: None,
             used: None,
             patches: Vec::with_capacity(most),
             motion: None,
@@ -207,7 +218,12 @@ impl TrackedBody {
                         break;
                     }
                 }
-                Err(refusal) => debug!(?refusal, "refused"),
+                Err(refusal) => {
+                    debug!(?refusal, "refused");
+                    if self.refusal.is_none_or(|other| refusal.stage() > other.stage()) {
+                        self.refusal = Some(refusal);
+                    }
+                }
             }
         }
         best

@@ -92,6 +92,20 @@ pub enum Refusal {
     Ambiguous(f64),
 }
 
+impl Refusal {
+    /// How far through the judgement a pose came.
+    pub fn stage(self) -> u8 {
+        match self {
+            Self::TooFew(_) => 0,
+            Self::Clustered(_) => 1,
+            Self::Share(_) => 2,
+            Self::Contradicted(_) => 3,
+            Self::Uncertain => 4,
+            Self::Ambiguous(_) => 5,
+        }
+    }
+}
+
 /// A frame as verification needs it.
 #[derive(Debug, Clone, Copy)]
 pub struct View<'a> {

@@ -20,6 +20,7 @@ fn sample(sequence: u64) -> PoseSample {
         pose: Some(crate::publish::golden::golden_camera()),
         measurement: None,
         objects: Vec::new(),
+        reason: None,
         times: Default::default(),
     }
 }

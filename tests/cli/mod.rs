@@ -7,6 +7,7 @@ mod files;
 mod good;
 mod outputs;
 mod poster;
+mod reasons;
 mod report;
 pub mod scene;
 mod terminal;

@@ -60,6 +60,15 @@ impl Scene {
         self.write("stage.toml", &CONFIG.replace(from, to));
     }
 
+    /// Changes every frame of the clip that can be read.
+    pub fn change_frames(&self, change: impl Fn(&GrayImage) -> GrayImage) {
+        for k in 0..6 {
+            let file = self.path(&format!("clip/frames/{k:06}.png"));
+            let Ok(frame) = image::open(&file) else { continue };
+            change(&frame.into_luma8()).save(&file).unwrap();
+        }
+    }
+
     /// Cuts a file to its first `bytes`.
     pub fn truncate(&self, name: &str, bytes: usize) {
         let whole = std::fs::read(self.path(name)).unwrap();

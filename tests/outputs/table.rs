@@ -105,6 +105,7 @@ fn sample(sequence: u64, timestamp_ns: i64, state: State, x: f64) -> PoseSample 
         pose: is_known.then_some(camera),
         measurement: None,
         objects: vec![ObjectSample { name: "cart".to_owned(), state, pose: is_known.then_some(cart), covariance: None }],
+        reason: None,
         times: StageTimes::default(),
     }
 }

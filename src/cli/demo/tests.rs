@@ -33,6 +33,7 @@ fn tracked(frame: &Frame, pose: Pose<Stage, Camera>) -> PoseSample {
         pose: Some(pose),
         measurement: Some(measurement),
         objects: vec![],
+        reason: None,
         times: StageTimes::default(),
     }
 }

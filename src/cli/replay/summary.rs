@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use crate::cli::angles::camera_words;
 use crate::cli::failure::Failure;
+use crate::cli::outcome::{Outcome, ReasonCounts};
 use crate::geometry::{Camera, Pose, Stage};
 use crate::record::{PoseSample, StageTimes, State};
 
@@ -18,6 +19,7 @@ use crate::record::{PoseSample, StageTimes, State};
 pub(super) struct Tally {
     started: Instant,
     states: [u64; 5],
+    outcome: Outcome,
     undecodable: u64,
     skipped: u64,
     first_pose_ms: Option<f64>,
@@ -38,6 +40,8 @@ struct Summary {
     lost: u64,
     undecodable: u64,
     skipped: u64,
+    /// How many frames were not tracked for which reason.
+    reasons: ReasonCounts,
     stage_ms: StageTable,
     cpu_s: f64,
     first_pose_ms: Option<f64>,
@@ -74,12 +78,22 @@ impl Percentiles {
 impl Tally {
     /// `started` is when the process began.
     pub fn new(started: Instant) -> Self {
-        Self { started, states: [0; 5], undecodable: 0, skipped: 0, first_pose_ms: None, last: None, times: Default::default() }
+        Self {
+            started,
+            states: [0; 5],
+            outcome: Outcome::default(),
+            undecodable: 0,
+            skipped: 0,
+            first_pose_ms: None,
+            last: None,
+            times: Default::default(),
+        }
     }
 
     /// Counts one sample.
     pub fn add(&mut self, sample: &PoseSample) {
         self.states[sample.state as usize] += 1;
+        self.outcome.add(sample);
         if sample.state == State::Tracking && self.first_pose_ms.is_none() {
             self.first_pose_ms = Some(self.started.elapsed().as_secs_f64() * 1e3);
         }
@@ -116,6 +130,7 @@ impl Tally {
             lost: self.state(State::Lost),
             undecodable: self.undecodable,
             skipped: self.skipped,
+            reasons: self.outcome.counts(),
             stage_ms: StageTable { decode, acquire, align, pose, total },
             cpu_s,
             first_pose_ms: self.first_pose_ms,
@@ -155,6 +170,7 @@ impl Tally {
             let [x, y, z, w] = pose.orientation_xyzw();
             let _ = write!(table, "\nlast pose {} (frame {sequence}; quaternion {x:.4} {y:.4} {z:.4} {w:.4})", camera_words(pose));
         }
+        let _ = write!(table, "\n\n{}", self.outcome.sentences());
         table
     }
 }
@@ -180,10 +196,11 @@ pub(super) fn print_table(tally: &Tally, stdout_taken: bool) -> Result<(), Failu
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::track::Reason;
 
     fn sample(state: State, ms: f64) -> PoseSample {
         let times = StageTimes { decode_ms: 1.0, acquire_ms: ms, align_ms: 2.0, pose_ms: 0.5, age_ms: None };
-        PoseSample { sequence: 0, timestamp_ns: 0, state, pose: None, measurement: None, objects: Vec::new(), times }
+        PoseSample { sequence: 0, timestamp_ns: 0, state, pose: None, measurement: None, objects: Vec::new(), reason: None, times }
     }
 
     #[test]
@@ -214,6 +231,18 @@ mod tests {
         }
         assert_eq!(json["stage_ms"]["total"]["max"], 12.5);
         assert!(json["first_pose_ms"].as_f64().unwrap() > 0.0 && json["peak_rss_mb"].as_f64().unwrap() > 1.0 && json["cpu_s"].is_f64());
+    }
+
+    #[test]
+    fn every_frame_that_is_not_tracked_counts_under_its_reason() {
+        let mut tally = Tally::new(Instant::now());
+        tally.add(&sample(State::Tracking, 1.0));
+        for reason in [Reason::TooDark, Reason::Covered, Reason::TooDark] {
+            tally.add(&PoseSample { reason: Some(reason), ..sample(State::Lost, 1.0) });
+        }
+        let json: serde_json::Value = serde_json::from_str(&tally.summary_json()).unwrap();
+        assert_eq!(json["reasons"], serde_json::json!({"too_dark": 2, "covered": 1}));
+        assert!(tally.table().contains("The picture is recognised in 2 of 4 frames and tracked in 1. In 2 frames the frame is too dark"));
     }
 
     #[test]

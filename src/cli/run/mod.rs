@@ -93,7 +93,7 @@ pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(
     contain::report_others(|panic| tracing::error!("a part of the program failed: {panic}"));
     let link = LiveLink::default();
     let (poses, events) = arguments.open_sinks(&settings, clip.as_deref())?;
-    let mut sinks = Sinks::begin(poses, events, &link)?;
+    let mut sinks = Sinks::begin(poses, events, &link, settings.log)?;
     let mut service = Service::start(arguments.seconds);
     let mut previous: Option<Settings> = None;
     let mut failures: Vec<Instant> = Vec::new();

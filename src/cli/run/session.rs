@@ -1,5 +1,6 @@
 //! One session: a camera, a tracker and what listens, under one config.
 
+use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,11 +15,12 @@ use crate::capture::camera::CameraMode;
 use crate::capture::moment::monotonic_ns;
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
+use crate::cli::outcome::Outcome;
 use crate::cli::output_file::OutputFile;
 use crate::cli::receivers::Receivers;
 use crate::cli::replay::records::{Output, Records};
 use crate::cli::replay::tracker_setup;
-use crate::config::{RecorderSettings, Settings};
+use crate::config::{LogFormat, LogSettings, RecorderSettings, Settings};
 use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, Shutter};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
 use crate::daemon::{Daemon, RunningDaemon, Tracker};
@@ -214,14 +216,24 @@ pub(super) struct Sinks {
     happening: EventListener,
     /// Why the first of them was given up.
     failure: Option<Failure>,
+    outcome: Outcome,
+    /// Whether stderr is a log that programs read.
+    logs_json: bool,
 }
 
 impl Sinks {
     /// Begins the files.
-    pub fn begin(poses: Option<OutputFile>, events: Option<OutputFile>, link: &LiveLink) -> Result<Self, Failure> {
+    pub fn begin(poses: Option<OutputFile>, events: Option<OutputFile>, link: &LiveLink, log: LogSettings) -> Result<Self, Failure> {
         let poses = poses.map(|file| Records::begin(Some(file.with_patience(SLOW_READER)), None, true)).transpose()?;
         let events = events.map(|file| Output::begin(file.with_patience(SLOW_READER))).transpose()?;
-        Ok(Self { poses, events, happening: link.events.listen(), failure: None })
+        Ok(Self {
+            poses,
+            events,
+            happening: link.events.listen(),
+            failure: None,
+            outcome: Outcome::default(),
+            logs_json: log.format == LogFormat::Json,
+        })
     }
 
     /// Writes a sample's record; a stale message is none.
@@ -229,6 +241,7 @@ impl Sinks {
         if sample.state == State::Stale {
             return;
         }
+        self.outcome.add(sample);
         let written = self.poses.as_mut().map_or(Ok(()), |poses| poses.write(sample));
         if let Err(failure) = written {
             tracing::error!("{failure}; no more records are written");
@@ -266,12 +279,17 @@ impl Sinks {
         }
     }
 
-    /// Writes what is left and closes the files.
+    /// Writes what is left, closes the files, and says on stderr what the show came to.
     ///
     /// # Errors
     /// Why one of the files was given up, now or before. Tracking went on, but the file is not whole.
     pub fn finish(mut self) -> Result<(), Failure> {
         self.write_events();
+        match self.logs_json {
+            true => tracing::info!("{}", self.outcome.sentences()),
+            // Where stderr is closed there is nobody to tell.
+            false => drop(writeln!(io::stderr(), "{}", self.outcome.sentences())),
+        }
         self.failure.map_or(Ok(()), Err)
     }
 }

@@ -94,6 +94,18 @@ pub enum Event {
         /// The clip.
         clip: String,
     },
+    /// The stage has not been tracked for a second, for this reason most of all; again where the reason changes.
+    NotTracked {
+        /// One word.
+        reason: &'static str,
+        /// What is the matter, and what to do about it.
+        text: String,
+    },
+    /// The stage is tracked, for the first time or again.
+    Tracked {
+        /// Since the first frame, or since it was lost, milliseconds.
+        after_ms: f64,
+    },
     /// The safety limits began to hold a pose back.
     PoseWithheld {
         /// From this output,
@@ -211,6 +223,8 @@ fn note(event: &Event) {
         Event::RecorderFinished { clip, frames } => tracing::info!("{clip} is recorded: {frames} frames"),
         Event::RecorderStopped { reason } => tracing::error!("recording stopped: {reason}"),
         Event::RingSaved { clip } => tracing::info!("the last seconds are saved in {clip}"),
+        Event::NotTracked { text, .. } => tracing::warn!("not tracked: {text}"),
+        Event::Tracked { after_ms } => tracing::info!("tracked after {after_ms:.0} ms"),
         // The output's own warning has said it, at most once a minute.
         Event::PoseWithheld { output, body, reason } => tracing::debug!("output {output}: the pose of {body} is withheld, {reason}"),
         Event::ConfigReloaded { file } => tracing::info!("{file} was read again"),

@@ -1,0 +1,150 @@
+//! What a whole clip or show came to, in one or two sentences: how much was recognised and tracked, and why the rest was not.
+
+use serde::Serialize;
+use serde::ser::{SerializeMap, Serializer};
+
+use crate::record::{PoseSample, State};
+use crate::track::Reason;
+
+/// Frames, those that were tracked, and the reasons of the others.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Outcome {
+    frames: u64,
+    tracked: u64,
+    reasons: [u64; Reason::ALL.len()],
+}
+
+/// Reasons that are told in full; the others are only counted.
+const TOLD: usize = 2;
+/// A reason with a smaller share of the frames is not worth a sentence of its own where another has more.
+const LEAST_SHARE: f64 = 0.02;
+
+impl Outcome {
+    /// Counts a sample; a stale message is none.
+    pub fn add(&mut self, sample: &PoseSample) {
+        if sample.state == State::Stale {
+            return;
+        }
+        self.frames += 1;
+        match sample.reason {
+            _ if sample.state == State::Tracking => self.tracked += 1,
+            Some(reason) => self.reasons[reason as usize] += 1,
+            // Every sample of a tracker has one; a sample from elsewhere may not.
+            None => {}
+        }
+    }
+
+    /// Frames with this reason.
+    fn count(&self, reason: Reason) -> u64 {
+        self.reasons[reason as usize]
+    }
+
+    /// Frames that showed the picture, whatever became of it.
+    fn recognised(&self) -> u64 {
+        self.tracked + self.sum(Reason::is_recognised)
+    }
+
+    fn sum(&self, which: impl Fn(Reason) -> bool) -> u64 {
+        Reason::ALL.iter().filter(|r| which(**r)).map(|r| self.count(*r)).sum()
+    }
+
+    /// The reasons that there were, most frequent first.
+    fn reasons(&self) -> Vec<(Reason, u64)> {
+        let mut found: Vec<(Reason, u64)> = Reason::ALL.iter().map(|r| (*r, self.count(*r))).filter(|(_, n)| *n > 0).collect();
+        found.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
+        found
+    }
+
+    /// Counts of the reasons that there were, for the summary.
+    pub fn counts(&self) -> ReasonCounts {
+        ReasonCounts(self.reasons())
+    }
+
+    /// One sentence on what was tracked and one on why the rest was not.
+    pub fn sentences(&self) -> String {
+        let Self { frames, tracked, .. } = *self;
+        if frames == 0 {
+            return "No frame came.".to_owned();
+        }
+        let recognised = self.recognised();
+        let mut text = match (tracked, recognised) {
+            (_, 0) => format!("The picture is recognised in none of {frames} frames."),
+            (0, _) => format!("The picture is recognised in {recognised} of {frames} frames, and tracked in none."),
+            _ if tracked == frames => format!("The picture is tracked in all {frames} frames."),
+            _ => format!("The picture is recognised in {recognised} of {frames} frames and tracked in {tracked}."),
+        };
+        // Any find waits a frame for its confirmation: that is no fault.
+        let faults: Vec<(Reason, u64)> = self.reasons().into_iter().filter(|(r, n)| *r != Reason::Unconfirmed || *n * 4 > frames).collect();
+        let worth = |k: usize, n: u64| k == 0 || n as f64 >= LEAST_SHARE * frames as f64;
+        let told = faults.iter().enumerate().take(TOLD).filter(|(k, (_, n))| worth(*k, *n));
+        let told: Vec<String> = told
+            .map(|(_, (reason, n))| {
+                let of = if *n == 1 { "1 frame".to_owned() } else { format!("{n} frames") };
+                format!("In {of} {}: {}.", reason.says(), reason.mend())
+            })
+            .collect();
+        for sentence in told {
+            text += " ";
+            text += &sentence;
+        }
+        text
+    }
+}
+
+/// Reasons by their words, as JSON.
+pub(super) struct ReasonCounts(Vec<(Reason, u64)>);
+
+impl Serialize for ReasonCounts {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.0.len()))?;
+        for (reason, count) in &self.0 {
+            map.serialize_entry(reason.word(), count)?;
+        }
+        map.end()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn outcome(tracked: u64, reasons: &[(Reason, u64)]) -> Outcome {
+        let mut outcome = Outcome { tracked, frames: tracked, ..Outcome::default() };
+        for (reason, n) in reasons {
+            outcome.reasons[*reason as usize] += n;
+            outcome.frames += n;
+        }
+        outcome
+    }
+
+    #[test]
+    fn what_was_tracked_throughout_is_one_sentence() {
+        assert_eq!(outcome(90, &[]).sentences(), "The picture is tracked in all 90 frames.");
+        assert_eq!(outcome(89, &[(Reason::Unconfirmed, 1)]).sentences(), "The picture is recognised in 90 of 90 frames and tracked in 89.");
+    }
+
+    #[test]
+    fn the_worst_reason_comes_first_with_its_mend() {
+        let text = outcome(0, &[(Reason::NotRecognised, 34), (Reason::NoPoseFits, 127)]).sentences();
+        assert_eq!(
+            text,
+            "The picture is recognised in 127 of 161 frames, and tracked in none. In 127 frames the picture is recognised, but no pose \
+             fits: check the order of the corners, size_m, position_m and the calibration. In 34 frames the frame has detail, but the \
+             picture is not recognised in it: point the camera at the stage, from near enough; if it was, name the picture of this stage \
+             as `image` or `photo`."
+        );
+    }
+
+    #[test]
+    fn no_frames_are_no_division() {
+        assert_eq!(Outcome::default().sentences(), "No frame came.");
+    }
+
+    #[test]
+    fn counts_are_keyed_by_words_and_complete() {
+        let outcome = outcome(2, &[(Reason::TooDark, 3), (Reason::Covered, 1)]);
+        let json = serde_json::to_value(outcome.counts()).unwrap();
+        assert_eq!(json, serde_json::json!({"too_dark": 3, "covered": 1}));
+        assert_eq!(outcome.recognised(), 3);
+    }
+}

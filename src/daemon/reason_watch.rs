@@ -1,0 +1,110 @@
+//! Turns the reasons of single frames into events: a frame may fail for any reason, a second of them is worth a line.
+
+use super::live::Event;
+use crate::record::{PoseSample, State};
+use crate::track::Reason;
+
+/// A body that has not been tracked for so long is told of, and its reason again where it changes, nanoseconds. Shorter gaps (a hand
+/// before the lens, a whip pan) would fill the log.
+const TOLD_AFTER_NS: i64 = 1_000_000_000;
+
+/// Watches samples, by their stamps.
+#[derive(Debug, Default)]
+pub struct ReasonWatch {
+    /// When the first frame of this window without a pose was taken.
+    since_ns: Option<i64>,
+    /// When tracking ended, or the first frame came.
+    lost_ns: Option<i64>,
+    counts: [u32; Reason::ALL.len()],
+    told: Told,
+}
+
+/// What was told last.
+#[derive(Debug, Default, PartialEq, Eq)]
+enum Told {
+    #[default]
+    Nothing,
+    Tracking,
+    Reason(Reason),
+}
+
+impl ReasonWatch {
+    /// Takes a sample; gives the event that it completes.
+    pub fn seen(&mut self, sample: &PoseSample) -> Option<Event> {
+        if sample.state == State::Stale {
+            return None;
+        }
+        let now_ns = sample.timestamp_ns;
+        let Some(reason) = sample.reason.filter(|_| sample.state != State::Tracking) else {
+            let after_ms = self.lost_ns.take().map_or(0.0, |lost_ns| now_ns.saturating_sub(lost_ns) as f64 * 1e-6);
+            self.start_window(None);
+            let is_new = self.told != Told::Tracking;
+            self.told = Told::Tracking;
+            return is_new.then_some(Event::Tracked { after_ms });
+        };
+        self.lost_ns.get_or_insert(now_ns);
+        let since_ns = *self.since_ns.get_or_insert(now_ns);
+        self.counts[reason as usize] += 1;
+        if now_ns.saturating_sub(since_ns) < TOLD_AFTER_NS {
+            return None;
+        }
+        let most = Reason::ALL.into_iter().max_by_key(|r| self.counts[*r as usize]).unwrap_or(reason);
+        self.start_window(Some(now_ns));
+        let is_new = self.told != Told::Reason(most);
+        self.told = Told::Reason(most);
+        is_new.then(|| Event::NotTracked { reason: most.word(), text: format!("{}: {}", most.says(), most.mend()) })
+    }
+
+    fn start_window(&mut self, since_ns: Option<i64>) {
+        self.since_ns = since_ns;
+        self.counts = Default::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::StageTimes;
+
+    fn sample(k: i64, state: State, reason: Option<Reason>) -> PoseSample {
+        let (sequence, timestamp_ns) = (k as u64, k * 100_000_000);
+        let (pose, measurement, objects, times) = (None, None, Vec::new(), StageTimes::default());
+        PoseSample { sequence, timestamp_ns, state, pose, measurement, objects, reason, times }
+    }
+
+    /// Ten frames a second; the events by the frame that completes them.
+    fn events(frames: &[Option<Reason>]) -> Vec<(usize, Event)> {
+        let mut watch = ReasonWatch::default();
+        let state = |r: &Option<Reason>| if r.is_some() { State::Lost } else { State::Tracking };
+        frames.iter().enumerate().filter_map(|(k, r)| Some((k, watch.seen(&sample(k as i64, state(r), *r))?))).collect()
+    }
+
+    fn word(event: &Event) -> &str {
+        match event {
+            Event::NotTracked { reason, .. } => reason,
+            Event::Tracked { .. } => "tracked",
+            _ => "another",
+        }
+    }
+
+    #[test]
+    fn a_second_without_a_pose_is_told_once_and_so_is_its_end() {
+        let mut frames = vec![None; 3];
+        frames.extend([Some(Reason::Covered); 25]);
+        frames.extend([Some(Reason::TooDark); 20]);
+        frames.extend([None; 3]);
+        let events = events(&frames);
+        let words: Vec<&str> = events.iter().map(|(_, e)| word(e)).collect();
+        assert_eq!(words, ["tracked", "covered", "too_dark", "tracked"]);
+        assert_eq!((events[1].0, events[3].0), (13, 48));
+        assert!(matches!(events[3].1, Event::Tracked { after_ms } if (after_ms - 4500.0).abs() < 1e-6), "{:?}", events[3]);
+    }
+
+    #[test]
+    fn a_short_gap_is_not_told() {
+        let mut frames = vec![None; 3];
+        frames.extend([Some(Reason::TooBlurred); 5]);
+        frames.extend([None; 3]);
+        assert_eq!(events(&frames).len(), 1);
+    }
+}

@@ -1,0 +1,209 @@
+//! Why a frame has no pose: one word, one sentence and one mend for each case, for a person to act on.
+//!
+//! A reason is found where the decision falls: acquisition knows how many of the frame's details are the picture's, and
+//! whether any pose explains them; verification knows what its anchors lacked; the lock knows which poses disagree; and
+//! the frame itself is dark, blank or blurred (`frame_look`). Reasons only observe: no pose depends on one.
+
+use super::acquire::Recognition;
+use super::frame_look::FrameLook;
+use super::lock::Doubt;
+use super::verify::Refusal;
+
+/// Why a body is not tracked in a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Reason {
+    /// The picture's details are there, but no pose of a surface of this size, seen through this lens, explains where they are.
+    NoPoseFits,
+    /// The picture is recognised, and most of it is hidden or differs.
+    Covered,
+    /// The picture is recognised, and too small in the frame.
+    TooSmall,
+    /// The picture is recognised, and too little of it is seen to tell the pose well enough.
+    Uncertain,
+    /// The surface tilted the other way explains the frame as well.
+    Ambiguous,
+    /// The pose is far from where the frame before puts it.
+    Jumped,
+    /// Found and verified; the next frame has to agree.
+    Unconfirmed,
+    /// The frame is nearly black.
+    TooDark,
+    /// The frame is mostly white.
+    TooBright,
+    /// The frame is blurred.
+    TooBlurred,
+    /// The frame shows a plain area.
+    Blank,
+    /// The frame has detail, and nothing of the picture is in it.
+    NotRecognised,
+    /// The frame could not be decoded.
+    Undecodable,
+    /// The row's stamp does not follow the last one, or its picture has another size.
+    Skipped,
+}
+
+impl Reason {
+    /// All reasons, in the order of their numbers.
+    pub const ALL: [Self; 14] = [
+        Self::NoPoseFits,
+        Self::Covered,
+        Self::TooSmall,
+        Self::Uncertain,
+        Self::Ambiguous,
+        Self::Jumped,
+        Self::Unconfirmed,
+        Self::TooDark,
+        Self::TooBright,
+        Self::TooBlurred,
+        Self::Blank,
+        Self::NotRecognised,
+        Self::Undecodable,
+        Self::Skipped,
+    ];
+
+    /// The word for it in the summary and in events.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::NoPoseFits => "no_pose_fits",
+            Self::Covered => "covered",
+            Self::TooSmall => "too_small",
+            Self::Uncertain => "uncertain",
+            Self::Ambiguous => "ambiguous",
+            Self::Jumped => "jumped",
+            Self::Unconfirmed => "unconfirmed",
+            Self::TooDark => "too_dark",
+            Self::TooBright => "too_bright",
+            Self::TooBlurred => "too_blurred",
+            Self::Blank => "blank",
+            Self::NotRecognised => "not_recognised",
+            Self::Undecodable => "undecodable",
+            Self::Skipped => "skipped",
+        }
+    }
+
+    /// What is the matter, in a few words that follow "the picture …" or stand alone.
+    pub fn says(self) -> &'static str {
+        match self {
+            Self::NoPoseFits => "the picture is recognised, but no pose fits",
+            Self::Covered => "the picture is recognised, but most of it is covered or looks different",
+            Self::TooSmall => "the picture is recognised, but it is too small in the frame",
+            Self::Uncertain => "the picture is recognised, but too little of it is seen to tell the pose",
+            Self::Ambiguous => "the picture is too far away or too flat to the lens to tell which way it is tilted",
+            Self::Jumped => "a pose is found, but far from where the camera was a frame before",
+            Self::Unconfirmed => "a pose is found and waits for the next frame to confirm it",
+            Self::TooDark => "the frame is too dark",
+            Self::TooBright => "the frame is overexposed",
+            Self::TooBlurred => "the frame is blurred",
+            Self::Blank => "the frame shows a plain area without detail",
+            Self::NotRecognised => "the frame has detail, but the picture is not recognised in it",
+            Self::Undecodable => "the frame cannot be decoded",
+            Self::Skipped => "the row is skipped: its stamp or its size does not fit the clip",
+        }
+    }
+
+    /// What to do about it.
+    pub fn mend(self) -> &'static str {
+        match self {
+            Self::NoPoseFits => "check the order of the corners, size_m, position_m and the calibration",
+            Self::Covered => "clear the view, or take a new photo of the stage as it looks now",
+            Self::TooSmall => "go nearer, use a longer lens, or give a larger picture",
+            Self::Uncertain => "let the camera see more of the stage, or go nearer",
+            Self::Ambiguous => "go nearer, or add a surface that stands at another angle",
+            Self::Jumped => "check the clip's stamps and its frame rate",
+            Self::Unconfirmed => "nothing; where it stays so, frames come too rarely: at least two a second are needed",
+            Self::TooDark => "give more light or a longer exposure",
+            Self::TooBright => "expose less, or turn the lamp out of the picture",
+            Self::TooBlurred => "focus the lens, expose for a shorter time, or move the camera more slowly",
+            Self::Blank => "take the lens cap off, and point the camera at the stage",
+            Self::NotRecognised => {
+                "point the camera at the stage, from near enough; if it was, name the picture of this stage as `image` or `photo`"
+            }
+            Self::Undecodable => "record the clip again, or repair it",
+            Self::Skipped => "record with stamps that rise and frames of one size",
+        }
+    }
+
+    /// Whether the picture was found in the frame, whatever became of it.
+    pub fn is_recognised(self) -> bool {
+        use Reason::{Ambiguous, Covered, Jumped, NoPoseFits, TooSmall, Uncertain, Unconfirmed};
+        matches!(self, NoPoseFits | Covered | TooSmall | Uncertain | Ambiguous | Jumped | Unconfirmed)
+    }
+
+    /// Whether a pose was found and verified in the frame, though it was not given.
+    pub fn is_verified(self) -> bool {
+        matches!(self, Self::Jumped | Self::Unconfirmed)
+    }
+
+    /// Why a verified pose was not given.
+    pub(super) fn of_doubt(doubt: Doubt) -> Self {
+        match doubt {
+            Doubt::First => Self::Unconfirmed,
+            Doubt::Disagrees => Self::Jumped,
+        }
+    }
+
+    /// Why no pose was verified in a frame: what was recognised, what verification refused, and how the frame looks.
+    pub(super) fn of_failure(seen: &Recognition, refusal: Option<Refusal>, look: &FrameLook, width_px: u32) -> Self {
+        let of_frame = look.fault();
+        if seen.agreeing < LEAST_RECOGNISED {
+            return of_frame.unwrap_or(Self::NotRecognised);
+        }
+        if seen.outline_px.is_some_and(|side| side < LEAST_SIDE_PX.max(LEAST_SIDE * f64::from(width_px))) {
+            return Self::TooSmall;
+        }
+        // A homography needs no lens and no size. Where it explains far more matches than any pose does, those are wrong.
+        if (seen.reached as f64) < LEAST_REACHED * seen.agreeing as f64 {
+            return Self::NoPoseFits;
+        }
+        match refusal {
+            Some(Refusal::Contradicted(_)) | None => of_frame.unwrap_or(Self::NoPoseFits),
+            Some(Refusal::Share(_) | Refusal::TooFew(_)) => of_frame.unwrap_or(Self::Covered),
+            Some(Refusal::Clustered(_) | Refusal::Uncertain) => Self::Uncertain,
+            Some(Refusal::Ambiguous(_)) => Self::Ambiguous,
+        }
+    }
+}
+
+/// Matches that agree on one homography from here on are no chance. Chance agrees on 8 now and then where a frame is full of detail.
+const LEAST_RECOGNISED: usize = 12;
+/// Side of the picture (root of its area) below which size is what is wrong with it, as a share of the frame's width and in pixels: features need some
+/// 60 pixels of it.
+const LEAST_SIDE: f64 = 0.09;
+const LEAST_SIDE_PX: f64 = 60.0;
+/// Share of the homography's matches that a pose must explain for the geometry not to be what is wrong.
+const LEAST_REACHED: f64 = 0.7;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seen(agreeing: usize, reached: usize, outline_px: f64) -> Recognition {
+        Recognition { agreeing, reached, outline_px: Some(outline_px) }
+    }
+
+    fn reason(seen: &Recognition, refusal: Option<Refusal>) -> Reason {
+        Reason::of_failure(seen, refusal, &FrameLook::default(), 640)
+    }
+
+    #[test]
+    fn words_are_one_each_and_in_the_order_of_their_numbers() {
+        let words: std::collections::HashSet<&str> = Reason::ALL.iter().map(|r| r.word()).collect();
+        assert_eq!(words.len(), Reason::ALL.len());
+        assert!(Reason::ALL.iter().enumerate().all(|(k, r)| *r as usize == k));
+    }
+
+    #[test]
+    fn a_homography_without_a_pose_is_a_matter_of_geometry() {
+        assert_eq!(reason(&seen(80, 20, 300.0), Some(Refusal::Share(0.1))), Reason::NoPoseFits);
+        assert_eq!(reason(&seen(80, 0, 300.0), None), Reason::NoPoseFits);
+        assert_eq!(reason(&seen(80, 75, 300.0), Some(Refusal::Contradicted(90))), Reason::NoPoseFits);
+    }
+
+    #[test]
+    fn a_pose_with_few_anchors_is_a_matter_of_the_view() {
+        assert_eq!(reason(&seen(80, 75, 300.0), Some(Refusal::Share(0.1))), Reason::Covered);
+        assert_eq!(reason(&seen(80, 75, 300.0), Some(Refusal::Uncertain)), Reason::Uncertain);
+        assert_eq!(reason(&seen(40, 10, 30.0), Some(Refusal::Uncertain)), Reason::TooSmall);
+        assert_eq!(reason(&seen(9, 0, 30.0), None), Reason::NotRecognised);
+    }
+}

@@ -1,0 +1,71 @@
+//! Frames that are not tracked have a reason: in the summary, and in a sentence at the end.
+
+use image::{GrayImage, Luma, imageops};
+
+use super::scene::{Scene, texture};
+
+/// Replays the scene with every frame changed; gives the summary and what was printed.
+fn replay_changed(scene: &Scene, change: impl Fn(&GrayImage) -> GrayImage) -> (serde_json::Value, String) {
+    scene.change_frames(change);
+    let run = scene.replay(&["--summary", "summary.json", "--overlay", "seen"]);
+    run.assert_success();
+    (serde_json::from_str(&scene.read("summary.json")).unwrap(), run.stdout)
+}
+
+fn levels(frame: &GrayImage, change: impl Fn(f32) -> f32) -> GrayImage {
+    GrayImage::from_fn(frame.width(), frame.height(), |x, y| Luma([change(f32::from(frame.get_pixel(x, y)[0])).clamp(0.0, 255.0) as u8]))
+}
+
+/// All six frames have this reason, the sentence says so, and nothing was tracked.
+#[track_caller]
+fn assert_reason(word: &str, says: &str, change: impl Fn(&GrayImage) -> GrayImage) {
+    let (summary, printed) = replay_changed(&Scene::new(), change);
+    assert_eq!(summary["tracking"], 0, "{word}: {summary}");
+    assert_eq!(summary["reasons"][word], 6, "{word}: {summary}");
+    assert!(printed.contains(says), "`{says}` is not in: {printed}");
+}
+
+#[test]
+fn the_frame_itself_is_at_fault() {
+    assert_reason("too_dark", "In 6 frames the frame is too dark: give more light", |f| levels(f, |v| 0.02 * v));
+    assert_reason("too_bright", "overexposed", |f| levels(f, |v| 6.0 * v + 200.0));
+    assert_reason("blank", "without detail", |f| levels(f, |_| 120.0));
+    assert_reason("too_blurred", "blurred: focus the lens", |f| imageops::blur(f, 9.0));
+}
+
+#[test]
+fn the_picture_is_not_there_or_far_too_small() {
+    let other = imageops::flip_horizontal(&texture(320, 240));
+    assert_reason("not_recognised", "recognised in none of 6 frames. In 6 frames the frame has detail", |_| other.clone());
+    // Too small for its features to be told from others.
+    assert_reason("not_recognised", "point the camera at the stage, from near enough", |frame| {
+        let small = imageops::resize(frame, 64, 48, imageops::FilterType::Triangle);
+        let mut wide = GrayImage::from_pixel(320, 240, Luma([90]));
+        imageops::replace(&mut wide, &small, 140, 100);
+        wide
+    });
+}
+
+#[test]
+fn a_picture_that_no_pose_fits_is_told_from_one_that_is_not_there() {
+    let scene = Scene::new();
+    scene.config_with("[4.0, 3.0]", "[3.0, 4.0]");
+    let (summary, printed) = replay_changed(&scene, GrayImage::clone);
+    assert_eq!((&summary["tracking"], &summary["reasons"]["no_pose_fits"]), (&0.into(), &6.into()), "{summary}");
+    assert!(
+        printed
+            .contains("recognised in 6 of 6 frames, and tracked in none. In 6 frames the picture is recognised, but no pose fits: check"),
+        "{printed}"
+    );
+}
+
+#[test]
+fn every_frame_counts_once_whatever_became_of_it() {
+    let scene = Scene::new();
+    scene.truncate("clip/frames/000003.png", 400);
+    let (summary, printed) = replay_changed(&scene, GrayImage::clone);
+    let reasons: u64 = summary["reasons"].as_object().unwrap().values().map(|n| n.as_u64().unwrap()).sum();
+    assert_eq!(summary["reasons"]["undecodable"], 1, "{summary}");
+    assert_eq!(reasons + summary["tracking"].as_u64().unwrap(), 6, "{summary}");
+    assert!(printed.contains("The picture is recognised in 5 of 6 frames"), "{printed}");
+}
