@@ -2,7 +2,7 @@
 //! and how sure it is of its place there; then how the same falls with the detail of a picture.
 //!
 //! `cargo bench --bench poster` takes the natural pictures from ../shared/data/textures; `-- FOLDER` takes others. `-- --check` ends with 1
-//! where the poster is not followed from 0.3 to 10 widths and to 75 degrees, or is told less surely than a natural picture. `-- --detail FILE`
+//! where the poster is not followed from 0.3 to 10 widths and to 75 degrees, or its sigma is larger than a natural picture's. `-- --detail FILE`
 //! measures and paints the pictures of docs/targets.md instead.
 
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ use stagepose::track::BodySpec;
 use stagepose::{Tracker, TrackerSetup};
 
 const FPS: f64 = 30.0;
-/// A still camera in front of the picture, from nothing: so many frames, of which the last ones are scored.
+/// Frames of a still camera that starts with nothing known; the last [`SCORED_FRAMES`] of them are scored.
 const COLD_FRAMES: u64 = 14;
 const SCORED_FRAMES: u64 = 8;
 /// The way from one width in front to the place, seconds.

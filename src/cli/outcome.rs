@@ -14,7 +14,7 @@ pub(super) struct Outcome {
     reasons: [u64; Reason::ALL.len()],
 }
 
-/// Reasons that are told in full; the others are only counted.
+/// Most frequent reasons that have a sentence each; the others are only counted.
 const TOLD: usize = 2;
 /// A reason with a smaller share of the frames is not worth a sentence of its own where another has more.
 const LEAST_SHARE: f64 = 0.02;

@@ -28,7 +28,7 @@ pub(super) fn write(picture: &mut RgbImage, (x, y): (u32, u32), scale: u32, colo
     }
 }
 
-/// A sentence in lines of so many characters at most, broken between words where they are shorter than a line.
+/// Breaks a sentence into lines of at most `room` characters, between words; a word longer than that has a line of its own.
 pub(super) fn wrapped(text: &str, room: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split_whitespace() {

@@ -1,4 +1,4 @@
-//! What `check` tries of a config's outputs: whether they get what they need from this machine, and whether they are told apart.
+//! What `check` tries of a config's outputs: whether they get their ports and folders on this machine, and whether a receiver can tell them apart.
 
 use std::net::{SocketAddr, TcpListener};
 use std::ops::Range;

@@ -13,8 +13,8 @@ use crate::frame::Frame;
 use crate::mount::View;
 use crate::record::State;
 
-/// Clips of at most so many rows are taken for single pictures, each of which the tracker is shown several times: it gives no pose that
-/// another frame does not confirm.
+/// Largest number of rows of a clip that is taken for single pictures. The tracker is shown each of these several times, because
+/// it gives no pose before another frame confirms it.
 const MOST_STILLS: u64 = 60;
 const TIMES_SHOWN: u64 = 4;
 /// The pace at which they are shown, nanoseconds: a webcam's.

@@ -16,7 +16,7 @@ const SAME: f64 = 16.8;
 const TYPED_SIGMA_M: f64 = 2e-3;
 const TYPED_SIGMA_RAD: f64 = 0.1 * std::f64::consts::PI / 180.0;
 
-/// Everything that is told.
+/// What was measured, as it is printed.
 pub(super) struct Told<'a> {
     pub mount: &'a Pose<Camera, FilmingCamera>,
     /// With the lenses' doubt.
