@@ -81,8 +81,10 @@ impl Suspends {
         match self.0.back_mut() {
             None => self.0.push_back((i64::MIN, ahead_ns)),
             Some((_, known)) if ahead_ns > known.saturating_add(SHORTEST_SUSPEND_NS) => self.0.push_back((now.monotonic_ns, ahead_ns)),
-            // A reading that was torn apart after all is put right by the next one.
-            Some((_, known)) => *known = ahead_ns.min(*known),
+            // A reading that was torn apart after all is put right by the next one. Less is the scatter of readings: following it would
+            // shift stamps against each other.
+            Some((_, known)) if ahead_ns < known.saturating_sub(ONE_INSTANT_NS) => *known = ahead_ns,
+            Some(_) => {}
         }
         if self.0.len() > SUSPENDS {
             self.0.pop_front();
@@ -266,6 +268,18 @@ mod tests {
         suspends.note(reading(1_000_000_000, 3_500_000_000));
         suspends.note(reading(3_600_000_000, 3_600_000_000));
         assert_eq!(suspends.boot_ns(3_590_000_000), 3_590_000_000);
+    }
+
+    #[test]
+    fn the_scatter_of_readings_shifts_no_stamp() {
+        let mut suspends = Suspends::default();
+        let reading = |monotonic_ns, boot_ns| Reading { monotonic_ns, boot_ns, unix_ns: 0 };
+        suspends.note(reading(1_000_000_000, 2_000_000_000));
+        let before = suspends.boot_ns(1_500_000_000);
+        for late_ns in [30_000, 90_000, 0, 60_000] {
+            suspends.note(reading(1_600_000_000 + late_ns, 2_600_000_000));
+            assert_eq!(suspends.boot_ns(1_500_000_000), before);
+        }
     }
 
     #[test]
