@@ -2,11 +2,11 @@
 
 mod bad_clip;
 mod bad_config;
-mod examples;
 mod files;
 mod good;
 mod outputs;
 mod poster;
+mod readme;
 mod reasons;
 mod report;
 pub mod scene;
