@@ -33,6 +33,7 @@
 //! - [`web`]: what a running daemon counts, its health and metrics; with feature `http` a server: WebSocket, pose and state
 //! - [`config`]: as typed, then resolved
 //! - [`daemon`]: [`Tracker`] without threads, [`Daemon`] with them
+//! - [`diagnose`]: why a clip is not followed: what may be wrong is tried, and what fits is named
 //! - [`cli`]: one file a command
 //!
 //! # Two ways to use it
@@ -51,6 +52,7 @@ pub mod compute_clock;
 pub mod config;
 pub mod contain;
 pub mod daemon;
+pub mod diagnose;
 pub mod features;
 pub mod frame;
 pub mod geometry;

@@ -137,7 +137,9 @@ pub fn estimate_shutter<E>(mut open: impl FnMut() -> Result<Box<dyn FrameSource>
             has_settled: step_s.abs() < SMALL_READOUT_STEP_S.max(0.1 * readout.map_or(0.0, |r| r.sigma))
                 && step.abs() < SMALL_EXPOSURE_STEP,
         };
-        if estimate.has_settled && pass > 0 {
+        // Frames that tell of neither will not tell of it in another pass.
+        let is_told = readout.is_some() || exposure.is_some();
+        if estimate.has_settled && (pass > 0 || !is_told) {
             break;
         }
     }

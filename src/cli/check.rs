@@ -4,11 +4,14 @@ use std::fmt::Write as _;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use image::GrayImage;
+
 use super::angles::surface_angles;
 use super::failure::Failure;
+use super::logging::{self, LogArguments};
 use crate::camera::{CameraModel, Normalized, Pixel};
-use crate::capture::{ClipOptions, open_clip};
-use crate::config::Settings;
+use crate::config::{LensSource, Settings};
+use crate::diagnose::{self, Finding, Grade};
 use crate::printable::printable_lines;
 use crate::publish::{OnLoss, OutputSettings, Protocol, Rate};
 use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
@@ -23,46 +26,134 @@ pub(super) struct CheckArguments {
     /// The config of the camera and the stage
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// A clip that it shall fit; shaken by hand, it tells readout_s and exposure_s
+    /// A clip that it shall fit: tracked, and diagnosed where that does not go well; shaken by hand, it tells readout_s and exposure_s
     #[arg(long)]
     clip: Option<PathBuf>,
+    /// Frames per second of a clip without stamps
+    #[arg(long, value_name = "N", value_parser = super::replay::frames_per_second, requires = "clip")]
+    fps: Option<f64>,
     /// Leave the camera alone
     #[arg(long)]
     no_device: bool,
+    #[command(flatten)]
+    log: LogArguments,
 }
 
 pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     let settings = Settings::load(&arguments.config)?;
-    let (mut camera, mut notes) = (settings.camera, settings.notes.clone());
-    let (mut clip_line, mut shutter_lines) = (None, Vec::new());
-    if let Some(clip) = &arguments.clip {
-        let calibrated = settings.lens.size(&settings.camera);
-        let mut source = open_clip(clip, ClipOptions { calibrated, ..ClipOptions::default() })?;
-        notes.extend(source.notes());
-        let (width, height) = source.size();
-        let (scaled, note) = settings.camera_for(width, height)?;
-        camera = scaled;
-        notes.extend(note);
-        notes.extend(rate::frames_per_s(&mut *source).and_then(|rate| settings.safety.note_on_rate(rate)));
-        let rows = source.rows().map_or("an unknown number of frames".to_owned(), |rows| format!("{rows} frames"));
-        shutter_lines = shutter::lines(&settings, clip)?;
-        clip_line = Some(format!("clip        {}: {rows} of {width} x {height} pixels", clip.display()));
-    }
+    logging::start(&arguments.log, settings.log);
     settings.rehearse_outputs()?;
+    let mut camera = settings.camera;
+    let mut findings = of_config(&settings);
+    let (mut place, mut shutter_lines, mut is_followed) = (None, Vec::new(), true);
+    if let Some(file) = &arguments.clip {
+        let seen = clip::examine(&settings, file, arguments.fps)?;
+        let (scaled, note) = settings.camera_for(seen.size.0, seen.size.1)?;
+        camera = scaled;
+        findings.extend(seen.findings);
+        findings.extend(note.map(Finding::note));
+        is_followed = seen.followed >= clip::FOLLOWED;
+        place = Some(format!("clip        {}\n            {}", seen.line, seen.counts));
+        shutter_lines = match seen.followed >= clip::WELL_FOLLOWED {
+            true => shutter::lines(&settings, file, arguments.fps)?,
+            false => vec!["not estimated: the stage is followed in too few of the clip's frames".to_owned()],
+        };
+    }
     let tries = settings.device.device.is_some() && arguments.clip.is_none() && !arguments.no_device;
     let device = tries.then(|| device::try_camera(&settings));
-    let device_text = device.as_ref().map(|found| found.as_ref().map_or_else(|problem| problem.clone(), Clone::clone));
-    let mut report = report(&settings, &camera, &notes, clip_line.or(device_text.map(|text| format!("device      {text}"))));
+    if let Some(found) = &device {
+        place = Some(format!("device      {}", found.as_ref().unwrap_or_else(|problem| problem)));
+    }
+    findings.sort_by_key(|f| f.grade);
+    let verdict = Verdict::of(&findings, is_followed, arguments.clip.is_some());
+    let mut report = report(&settings, &camera, &verdict, &findings, place);
     for (k, line) in shutter_lines.iter().enumerate() {
         let _ = write!(report, "\n{:<11} {line}", if k == 0 { "shutter" } else { "" });
     }
     writeln!(io::stdout(), "{}", printable_lines(&report)).map_err(Failure::output(Path::new("stdout")))?;
-    device.transpose().map(|_| ()).map_err(Failure::Device)
+    device.transpose().map_err(Failure::Device)?;
+    let file = match verdict {
+        Verdict::Good | Verdict::Warned(_) => return Ok(()),
+        Verdict::Doubtful(_) => arguments.config.clone(),
+        Verdict::NotFollowed => arguments.clip.clone().unwrap_or(arguments.config.clone()),
+    };
+    let reason = findings.first().map_or_else(|| "the stage is not followed".to_owned(), |f| f.says.clone());
+    Err(Failure::Check { file, reason })
+}
+
+/// What a check comes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Verdict {
+    Good,
+    /// It works; so many things are to be looked at.
+    Warned(usize),
+    /// So many things are almost certainly wrong, though the stage may be followed.
+    Doubtful(usize),
+    /// Something must be mended before the clip can be followed.
+    NotFollowed,
+}
+
+impl Verdict {
+    fn of(findings: &[Finding], is_followed: bool, has_clip: bool) -> Self {
+        let count = |grade: Grade| findings.iter().filter(|f| f.grade == grade).count();
+        match (count(Grade::Fault), count(Grade::Doubt), count(Grade::Warning)) {
+            (faults, ..) if has_clip && (faults > 0 || !is_followed) => Self::NotFollowed,
+            (0, 0, 0) => Self::Good,
+            (0, 0, warnings) => Self::Warned(warnings),
+            (faults, doubts, _) => Self::Doubtful(faults + doubts),
+        }
+    }
+
+    fn words(self) -> String {
+        match self {
+            Self::Good => "good".to_owned(),
+            Self::Warned(1) => "can be used, with 1 thing to look at".to_owned(),
+            Self::Warned(n) => format!("can be used, with {n} things to look at"),
+            Self::Doubtful(1) => "not as it should be: 1 thing to mend".to_owned(),
+            Self::Doubtful(n) => format!("not as it should be: {n} things to mend, worst first"),
+            Self::NotFollowed => "does not fit the clip; worst first:".to_owned(),
+        }
+    }
+}
+
+/// A larger share of the picture under the mask is likelier a mask painted the wrong way round.
+const LARGEST_MASK: f64 = 0.6;
+
+/// What is odd about the config itself, without a clip.
+fn of_config(settings: &Settings) -> Vec<Finding> {
+    let mut findings: Vec<Finding> = settings.notes.iter().map(Finding::note).collect();
+    findings.extend(settings.warnings.iter().map(Finding::warning));
+    findings.extend(diagnose::of_lens(&settings.camera));
+    for body in std::iter::once(&settings.stage).chain(&settings.objects) {
+        findings.extend(diagnose::of_layout(body));
+        findings.extend(diagnose::of_corners(body, matches!(settings.lens, LensSource::Guess(..))));
+    }
+    if let Some(share) = settings.mask.as_ref().map(hidden_share).filter(|share| *share > LARGEST_MASK) {
+        let share = 100.0 * share;
+        findings.push(Finding::warning(format!(
+            "the mask hides {share:.0} % of the picture: black is ignored, white is seen; invert it if it was painted the other way round"
+        )));
+    }
+    if let Some(fps) = settings.device.fps {
+        findings.extend(diagnose::of_shutter(settings.exposure_s, settings.readout_s, 1.0 / fps));
+    }
+    findings
+}
+
+/// Share of the pixels that a mask hides.
+fn hidden_share(mask: &GrayImage) -> f64 {
+    mask.as_raw().iter().filter(|&&level| level == 0).count() as f64 / mask.as_raw().len().max(1) as f64
 }
 
 /// The whole text.
-fn report(settings: &Settings, camera: &CameraModel, notes: &[String], clip: Option<String>) -> String {
-    let mut text = format!("{}: good\n", settings.file.display());
+fn report(settings: &Settings, camera: &CameraModel, verdict: &Verdict, findings: &[Finding], place: Option<String>) -> String {
+    let mut text = format!("{}: {}\n", settings.file.display(), verdict.words());
+    let labels = [(Grade::Fault, "mend"), (Grade::Doubt, "mend"), (Grade::Warning, "look at")];
+    for (grade, label) in labels {
+        for finding in findings.iter().filter(|f| f.grade == grade) {
+            let _ = writeln!(text, "{label:<11} {}", finding.says);
+        }
+    }
     let i = camera.intrinsics();
     let _ = writeln!(text, "camera      {} ({} x {} pixels)", lens::source(&settings.lens), i.width, i.height);
     let _ = writeln!(text, "            focal length {:.1} x {:.1} px, principal point {:.1}, {:.1} px", i.fx, i.fy, i.cx, i.cy);
@@ -72,11 +163,10 @@ fn report(settings: &Settings, camera: &CameraModel, notes: &[String], clip: Opt
     let _ = writeln!(text, "            {}", field_of_view(camera));
     let _ = writeln!(text, "            {}", shutter(settings));
     if let Some(mask) = &settings.mask {
-        let hidden = mask.as_raw().iter().filter(|&&level| level == 0).count();
-        let _ = writeln!(text, "            the mask hides {:.1} % of the picture", 100.0 * hidden as f64 / mask.as_raw().len() as f64);
+        let _ = writeln!(text, "            the mask hides {:.1} % of the picture", 100.0 * hidden_share(mask));
     }
-    if let Some(clip) = clip {
-        let _ = writeln!(text, "{clip}");
+    if let Some(place) = place {
+        let _ = writeln!(text, "{place}");
     }
     body(&mut text, "stage", &settings.stage, camera);
     for object in &settings.objects {
@@ -92,8 +182,8 @@ fn report(settings: &Settings, camera: &CameraModel, notes: &[String], clip: Opt
         let _ = writeln!(text, "http        http://{0}/api/v1/pose, http://{0}/api/v1/state, ws://{0}/ws", http.listen);
         let _ = writeln!(text, "            answers for the hosts {}", AllowedHosts::new(&http.hosts).listing());
     }
-    for note in notes {
-        let _ = writeln!(text, "note        {note}");
+    for note in findings.iter().filter(|f| f.grade == Grade::Note) {
+        let _ = writeln!(text, "note        {}", note.says);
     }
     let t = &settings.tracker;
     let _ = write!(
@@ -195,9 +285,9 @@ fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
     (tenth_of_surface.max(coarse_texels), width_m * i.fx / (0.1 * width_px))
 }
 
+mod clip;
 mod lens;
 mod mount;
-mod rate;
 mod shutter;
 
 #[cfg(feature = "live")]
@@ -212,10 +302,20 @@ mod device {
 
 #[cfg(test)]
 mod tests {
-    use image::GrayImage;
-
     use super::*;
     use crate::geometry::Pose;
+
+    #[test]
+    fn a_clip_with_a_fault_is_never_good() {
+        let (fault, doubt, note) = (Finding::fault("a"), Finding::doubt("b"), Finding::note("c"));
+        assert_eq!(Verdict::of(std::slice::from_ref(&note), true, true), Verdict::Good);
+        assert_eq!(Verdict::of(std::slice::from_ref(&note), false, true), Verdict::NotFollowed);
+        assert_eq!(Verdict::of(&[fault.clone(), doubt.clone()], true, true), Verdict::NotFollowed);
+        assert_eq!(Verdict::of(&[doubt, note.clone()], true, true), Verdict::Doubtful(1));
+        assert_eq!(Verdict::of(&[Finding::warning("d"), note], true, true), Verdict::Warned(1));
+        let others = [Verdict::NotFollowed, Verdict::Doubtful(2), Verdict::Warned(1)];
+        assert!(others.iter().all(|verdict| !verdict.words().contains("good")));
+    }
 
     #[test]
     fn distances_follow_from_size_and_resolution() {

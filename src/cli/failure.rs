@@ -46,6 +46,14 @@ pub enum Failure {
     /// A recording would be mixed with another one; holds what is there of it.
     #[error("{}: is there already and would be written over; give a new folder", .0.display())]
     ClipIsThere(PathBuf),
+    /// A config or a clip was checked, and something is wrong with it (the report has all of it).
+    #[error("{}: {reason}", file.display())]
+    Check {
+        /// The clip where the stage is not followed in it, else the config.
+        file: PathBuf,
+        /// The worst finding, with its mend.
+        reason: String,
+    },
     /// The camera cannot be used.
     #[error("the camera: {0}")]
     Device(String),
@@ -113,6 +121,7 @@ impl Failure {
             | Self::NoFrame { .. }
             | Self::Output { .. }
             | Self::ClipIsThere(_)
+            | Self::Check { .. }
             | Self::Device(_)
             | Self::Publishing(_)
             | Self::Interrupted

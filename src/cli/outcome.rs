@@ -34,13 +34,28 @@ impl Outcome {
         }
     }
 
+    /// Frames so far.
+    pub fn frames(&self) -> u64 {
+        self.frames
+    }
+
+    /// Frames whose pose was given.
+    pub fn tracked(&self) -> u64 {
+        self.tracked
+    }
+
+    /// Frames with a verified pose, given or not.
+    pub fn followed(&self) -> u64 {
+        self.tracked + self.sum(Reason::is_verified)
+    }
+
     /// Frames with this reason.
     fn count(&self, reason: Reason) -> u64 {
         self.reasons[reason as usize]
     }
 
     /// Frames that showed the picture, whatever became of it.
-    fn recognised(&self) -> u64 {
+    pub fn recognised(&self) -> u64 {
         self.tracked + self.sum(Reason::is_recognised)
     }
 
@@ -49,7 +64,7 @@ impl Outcome {
     }
 
     /// The reasons that there were, most frequent first.
-    fn reasons(&self) -> Vec<(Reason, u64)> {
+    pub fn reasons(&self) -> Vec<(Reason, u64)> {
         let mut found: Vec<(Reason, u64)> = Reason::ALL.iter().map(|r| (*r, self.count(*r))).filter(|(_, n)| *n > 0).collect();
         found.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
         found
@@ -145,6 +160,6 @@ mod tests {
         let outcome = outcome(2, &[(Reason::TooDark, 3), (Reason::Covered, 1)]);
         let json = serde_json::to_value(outcome.counts()).unwrap();
         assert_eq!(json, serde_json::json!({"too_dark": 3, "covered": 1}));
-        assert_eq!(outcome.recognised(), 3);
+        assert_eq!((outcome.recognised(), outcome.followed(), outcome.frames()), (3, 2, 6));
     }
 }

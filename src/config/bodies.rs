@@ -29,6 +29,8 @@ pub(super) struct BodyReader<'a> {
     pub camera: CameraModel,
     pub lens: &'a LensSource,
     pub notes: &'a mut Vec<String>,
+    /// What is graver: parts of the config that are left out, numbers that are rare.
+    pub warnings: &'a mut Vec<String>,
 }
 
 impl BodyReader<'_> {
@@ -49,7 +51,7 @@ impl BodyReader<'_> {
     pub fn note_camera(&mut self, name: &str, model: &CameraModel) {
         // What is impossible was refused when its file was read.
         let odd = plausible::judge(model).unwrap_or_default();
-        self.notes.extend(odd.into_iter().map(|sentence| format!("{name}: {sentence}")));
+        self.warnings.extend(odd.into_iter().map(|sentence| format!("{name}: {sentence}")));
     }
 
     pub fn objects(&mut self, typed: &[Spanned<as_typed::Object>]) -> Result<Vec<BodySpec>, ConfigError> {
@@ -74,11 +76,41 @@ impl BodyReader<'_> {
         Ok(BodySpec { name, surfaces: self.surfaces(&object.surface, "[[object.surface]]")? })
     }
 
+    /// All surfaces of a body. A plain one among others is left out: it keeps its place in the list, and is never looked for.
     fn surfaces(&mut self, typed: &[Spanned<as_typed::Surface>], name: &'static str) -> Result<Vec<SurfaceSpec>, ConfigError> {
-        typed.iter().map(|surface| self.surface(surface, name)).collect()
+        let read = typed.iter().map(|surface| self.surface(surface, name)).collect::<Result<Vec<_>, _>>()?;
+        let has_texture = read.iter().any(|surface| surface.refusal.is_none());
+        let mut surfaces = Vec::with_capacity(read.len());
+        for SurfaceRead { spec, refusal } in read {
+            match refusal {
+                None => surfaces.push(spec),
+                Some(refusal) if !has_texture => return Err(refusal),
+                Some(_) => {
+                    self.warnings.push(format!(
+                        "{}: it has too little texture to be found and is left out; the other surfaces are tracked. Take its section out, or \
+                         give a picture with more detail",
+                        spec.name
+                    ));
+                    surfaces.push(spec.left_out());
+                }
+            }
+        }
+        Ok(surfaces)
     }
 
-    fn surface(&mut self, typed: &Spanned<as_typed::Surface>, name: &'static str) -> Result<SurfaceSpec, ConfigError> {
+    /// `T_body_surface`, as typed.
+    fn pose(&self, section: &Section<'_>, surface: &as_typed::Surface) -> Result<Pose<Body, SurfaceFrame>, ConfigError> {
+        let rotation = TypedRotation {
+            what: Turned::Surface,
+            quaternion_key: "orientation_xyzw",
+            quaternion: surface.orientation_xyzw.as_ref(),
+            angles: surface.rotation_deg.as_ref(),
+        };
+        let rotation = rotation.resolved(section)?;
+        Ok(Pose::new(rotation, section.position("position_m", surface.position_m.as_ref())?))
+    }
+
+    fn surface(&mut self, typed: &Spanned<as_typed::Surface>, name: &'static str) -> Result<SurfaceRead, ConfigError> {
         let section = Section { origin: self.origin, name };
         let here = || self.origin.section_at(name, &typed.span());
         let surface = typed.get_ref();
@@ -92,17 +124,10 @@ impl BodyReader<'_> {
             return Err(section.refuse("size_m", &typed_size.span(), Problem::Range { value: format!("{size_m:?}"), wanted }));
         }
         if !size_m.iter().all(|v| SURFACE_SIDE_M.contains(v)) {
-            let wanted = "a width and a height from 0.001 to 1000 metres";
+            let wanted = "a width and a height from 0.001 to 1000 metres: 4000 millimetres are 4.0";
             return Err(section.refuse("size_m", &typed_size.span(), Problem::Range { value: format!("{size_m:?}"), wanted }));
         }
-        let rotation = TypedRotation {
-            what: Turned::Surface,
-            quaternion_key: "orientation_xyzw",
-            quaternion: surface.orientation_xyzw.as_ref(),
-            angles: surface.rotation_deg.as_ref(),
-        };
-        let rotation = rotation.resolved(&section)?;
-        let pose = Pose::new(rotation, section.position("position_m", surface.position_m.as_ref())?);
+        let pose = self.pose(&section, surface)?;
         let placed = Placed { size_m, size_span: typed_size.span(), pose };
         match (&surface.image, &surface.photo) {
             (Some(image), None) => self.artwork(&section, surface, image, &placed),
@@ -121,7 +146,7 @@ impl BodyReader<'_> {
         typed: &as_typed::Surface,
         image: &Spanned<String>,
         placed: &Placed,
-    ) -> Result<SurfaceSpec, ConfigError> {
+    ) -> Result<SurfaceRead, ConfigError> {
         if let Some(corners) = &typed.corners_px {
             let problem = Problem::Combination("it belongs to `photo`, but this surface has an `image`; remove it");
             return Err(section.refuse("corners_px", &corners.span(), problem));
@@ -133,8 +158,9 @@ impl BodyReader<'_> {
         let (picture, orientation) = section.picture("image", image)?;
         let picture = self.upright(image.get_ref(), picture, orientation);
         self.note_pixel_shape(image.get_ref(), &picture, placed.size_m);
-        SurfaceSpec::from_artwork(file_name(image.get_ref()), picture, placed.size_m, placed.pose)
-            .map_err(|e| self.refused(section, "image", image, typed, placed, e))
+        let refused = |e| self.refused(section, "image", image, typed, placed, e);
+        let spec = SurfaceSpec::from_any_artwork(file_name(image.get_ref()), picture, placed.size_m, placed.pose).map_err(refused)?;
+        Ok(SurfaceRead { refusal: spec.check_texture().map_err(refused).err(), spec })
     }
 
     fn photograph(
@@ -144,7 +170,7 @@ impl BodyReader<'_> {
         photo: &Spanned<String>,
         placed: &Placed,
         here: String,
-    ) -> Result<SurfaceSpec, ConfigError> {
+    ) -> Result<SurfaceRead, ConfigError> {
         let Some(typed_corners) = &typed.corners_px else {
             let mend =
                 "the surface's corners in the photograph, clockwise from the top left: corners_px = [[u, v], [u, v], [u, v], [u, v]]";
@@ -158,8 +184,10 @@ impl BodyReader<'_> {
         let picture = section.raw_picture("photo", photo, "corners_px and its calibration count")?;
         let camera = self.photo_camera(section, typed, photo.get_ref(), &picture)?;
         let corners = corners.map(|[u, v]| Pixel(Vector2::new(u, v)));
-        SurfaceSpec::from_photograph(file_name(photo.get_ref()), &picture, corners, camera, placed.size_m, placed.pose)
-            .map_err(|e| self.refused(section, "photo", photo, typed, placed, e))
+        let refused = |e| self.refused(section, "photo", photo, typed, placed, e);
+        let spec = SurfaceSpec::from_any_photograph(file_name(photo.get_ref()), &picture, corners, camera, placed.size_m, placed.pose)
+            .map_err(refused)?;
+        Ok(SurfaceRead { refusal: spec.check_texture().map_err(refused).err(), spec })
     }
 
     /// The camera that took a photograph: as given, or the stage camera where the size is equal, or a guess.
@@ -234,11 +262,17 @@ impl BodyReader<'_> {
         let corners = typed.corners_px.as_ref();
         let (key, span) = match (&reason, corners) {
             (SurfaceError::Size(_), _) => ("size_m", placed.size_span.clone()),
-            (SurfaceError::Corners | SurfaceError::CornerOutside { .. }, Some(corners)) => ("corners_px", corners.span()),
+            (SurfaceError::Corners(_) | SurfaceError::CornerOutside { .. }, Some(corners)) => ("corners_px", corners.span()),
             _ => (picture_key, picture.span()),
         };
         section.refuse(key, &span, Problem::Surface { file: self.origin.beside(picture.get_ref()), reason })
     }
+}
+
+/// A surface as read, and why it cannot be tracked where its picture is too plain.
+struct SurfaceRead {
+    spec: SurfaceSpec,
+    refusal: Option<ConfigError>,
 }
 
 /// Where a surface is and how large.

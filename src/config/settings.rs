@@ -71,6 +71,8 @@ pub struct Settings {
     pub files: Vec<PathBuf>,
     /// What was assumed or looks odd, one sentence each; `check` prints them.
     pub notes: Vec<String>,
+    /// What was left out of the config, and numbers that are rare, one sentence each; every command warns of them.
+    pub warnings: Vec<String>,
 }
 
 /// What belongs to sending alone.
@@ -197,19 +199,19 @@ impl Settings {
     pub fn from_text(text: &str, file: &Path) -> Result<Self, ConfigError> {
         let typed = as_typed::Config::parse(text, file)?;
         let origin = Origin::new(file, text);
-        let mut notes = Vec::new();
+        let (mut notes, mut warnings) = (Vec::new(), Vec::new());
         let section = Section { origin: &origin, name: "[camera]" };
         let (lens, model) = lens(&section, typed.camera.as_ref())?;
         let none = as_typed::Camera::default();
         let camera = typed.camera.as_ref().map_or(&none, Spanned::get_ref);
         let calibration_line = camera.calibration.as_ref().map(Spanned::span).or(typed.camera.as_ref().map(Spanned::span));
         let calibration_line = calibration_line.map_or(1, |span| origin.line(&span));
-        let seconds = "seconds from 0 (unknown) to 1";
+        let seconds = "seconds from 0 (unknown) to 1: 15 milliseconds are 0.015";
         let within = |v: f64| (0.0..=1.0).contains(&v);
         let exposure_s = section.number("exposure_s", camera.exposure_s.as_ref(), 0.0, within, seconds)?;
         let readout_s = section.number("readout_s", camera.readout_s.as_ref(), 0.0, within, seconds)?;
         let mask = camera.mask.as_ref().map(|m| mask(&section, m, lens.size(&model).map(|_| &model))).transpose()?;
-        let mut bodies = BodyReader { origin: &origin, camera: model, lens: &lens, notes: &mut notes };
+        let mut bodies = BodyReader { origin: &origin, camera: model, lens: &lens, notes: &mut notes, warnings: &mut warnings };
         if let Some(calibration) = &camera.calibration {
             bodies.note_camera(calibration.get_ref(), &model);
         }
@@ -243,6 +245,7 @@ impl Settings {
             log: log(&origin, typed.log.as_ref())?,
             files,
             notes,
+            warnings,
         })
     }
 

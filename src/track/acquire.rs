@@ -47,8 +47,9 @@ pub struct Candidate {
 pub struct Recognition {
     /// Matches that agree on one homography of a surface: the most over the surfaces.
     pub agreeing: usize,
-    /// Matches that the best pose explains.
-    pub reached: usize,
+    /// What the best pose leaves of the agreeing matches of all surfaces over what their homographies leave: mean cut squares, in sigmas. About 0
+    /// where lens, sizes and places are right, however noisy the matches; `None` without a pose.
+    pub misfit: Option<f64>,
     /// Root of the area that the surface with the most matches takes of the frame, pixels; `None` beyond its horizon.
     pub outline_px: Option<f64>,
 }
@@ -59,6 +60,8 @@ const LEAST_INLIERS: usize = 8;
 const FEATURE_NOISE_PX: f64 = 1.0;
 /// How near a match must be to enter the refinement of a pose, sigmas: first by the start, then by the refined pose.
 const REFINED_WITHIN: [f64; 2] = [20.0, 8.0];
+/// A squared residual in sigmas counts so much at most.
+const LARGEST_SQUARED: f64 = 16.0;
 /// Samples of the robust homography at most.
 const SAMPLES: usize = 1500;
 
@@ -95,11 +98,15 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
     let observations: Vec<Observation> = matches.iter().map(|m| observation(body, m)).collect();
     let still = MovingCamera::still(camera);
     let mut found: Vec<Candidate> = Vec::new();
+    let mut agreeing: Vec<(Observation, f64)> = Vec::new();
+    let mut poses: Vec<Pose<Camera, Body>> = Vec::new();
     for surface in 0..body.surfaces.len() as u32 {
-        for start in surface_poses(body, surface, matches, camera, seed, &mut seen) {
+        let Some(view) = surface_view(surface, matches, camera, seed) else { continue };
+        agreeing.extend(view.matches.iter().map(|m| (observation(body, m), view.squared_error(m))));
+        for start in surface_poses(body, &view, camera, &mut seen) {
             let Some(pose) = refined(&start, &still, &observations) else { continue };
             let inliers = within_reach(&pose, &still, &observations, 4.0).count();
-            seen.reached = seen.reached.max(inliers);
+            poses.push(pose);
             if inliers < LEAST_INLIERS {
                 continue;
             }
@@ -111,6 +118,7 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
     }
     found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     found.truncate(4);
+    seen.misfit = misfit(&poses, &still, &agreeing);
     (found, seen)
 }
 
@@ -150,33 +158,57 @@ fn nearly_same(a: &Pose<Camera, Body>, b: &Pose<Camera, Body>) -> bool {
     a.angle_to(b) < 0.01 && (a.translation - b.translation).norm() < 0.01 * a.translation.norm()
 }
 
-/// Both planar poses of the homography that most matches of a surface agree with.
-fn surface_poses(
-    body: &PreparedBody,
-    surface: u32,
-    matches: &[SurfaceMatch],
-    camera: &CameraModel,
-    seed: u64,
-    seen: &mut Recognition,
-) -> Vec<Pose<Camera, Body>> {
-    let own: Vec<&SurfaceMatch> = matches.iter().filter(|m| m.surface == surface).collect();
+/// A surface as the matches of a frame show it, before any size is asked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SurfaceView {
+    /// Its index in its body.
+    pub surface: u32,
+    /// From the artwork's pixels to undistorted pixels of the frame.
+    pub homography: Homography,
+    /// The matches that agree on it, best first.
+    pub matches: Vec<SurfaceMatch>,
+}
+
+impl SurfaceView {
+    /// What the homography leaves of a match, in sigmas, squared and cut.
+    fn squared_error(&self, m: &SurfaceMatch) -> f64 {
+        let pair = PointPair { from: m.artwork, to: m.undistorted };
+        (self.homography.squared_error(&pair) / (FEATURE_NOISE_PX * m.scale).powi(2)).min(LARGEST_SQUARED)
+    }
+}
+
+/// See [`Recognition::misfit`]; each observation comes with what its homography leaves.
+fn misfit(poses: &[Pose<Camera, Body>], camera: &MovingCamera<CameraModel>, agreeing: &[(Observation, f64)]) -> Option<f64> {
+    let squared =
+        |pose: &Pose<Camera, Body>, o: &Observation| squared_residual(pose, camera, o).map_or(LARGEST_SQUARED, |s| s.min(LARGEST_SQUARED));
+    let over = |pose: &Pose<Camera, Body>| agreeing.iter().map(|(o, floor)| squared(pose, o) - floor).sum::<f64>() / agreeing.len() as f64;
+    poses.iter().map(over).min_by(f64::total_cmp).filter(|m| m.is_finite())
+}
+
+/// The homography that most matches of a surface agree with.
+pub fn surface_view(surface: u32, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> Option<SurfaceView> {
+    let own: Vec<SurfaceMatch> = matches.iter().filter(|m| m.surface == surface).copied().collect();
     if own.len() < LEAST_INLIERS {
-        return Vec::new();
+        return None;
     }
     let pairs: Vec<PointPair> = own.iter().map(|m| PointPair { from: m.artwork, to: m.undistorted }).collect();
     let threshold = 4.0 * (f64::from(camera.width().max(camera.height())) / 1280.0).max(0.75);
     let options = RobustOptions { threshold, max_samples: SAMPLES, confidence: 0.9999, seed };
-    let Some(found) = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= LEAST_INLIERS) else {
-        return Vec::new();
-    };
-    let spec = &body.surfaces[surface as usize].spec;
-    if found.inliers.len() > seen.agreeing {
-        (seen.agreeing, seen.outline_px) = (found.inliers.len(), outline_px(&found.homography, spec.artwork.dimensions()));
+    let found = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= LEAST_INLIERS)?;
+    let matches = found.inliers.iter().map(|&k| own[k]).collect();
+    Some(SurfaceView { surface, homography: found.homography, matches })
+}
+
+/// Both planar poses of a view; what was recognised is noted.
+fn surface_poses(body: &PreparedBody, view: &SurfaceView, camera: &CameraModel, seen: &mut Recognition) -> Vec<Pose<Camera, Body>> {
+    let spec = &body.surfaces[view.surface as usize].spec;
+    if view.matches.len() > seen.agreeing {
+        (seen.agreeing, seen.outline_px) = (view.matches.len(), outline_px(&view.homography, spec.artwork.dimensions()));
     }
-    let metric: Vec<PointPair> = found
-        .inliers
+    let metric: Vec<PointPair> = view
+        .matches
         .iter()
-        .map(|&k| PointPair { from: spec.metres_from_artwork(own[k].artwork), to: camera.from_undistorted_pixel(own[k].undistorted).0 })
+        .map(|m| PointPair { from: spec.metres_from_artwork(m.artwork), to: camera.from_undistorted_pixel(m.undistorted).0 })
         .collect();
     let Some(homography) = Homography::from_pairs(&metric, None) else { return Vec::new() };
     planar_poses(&homography, &metric).into_iter().map(|p| p * spec.pose.inverse()).collect()

@@ -35,7 +35,7 @@ fn assert_found(body: &PreparedBody, right: usize, wrong: usize) {
     let (shift, turn) = ((best.pose.translation - truth().translation).norm(), best.pose.angle_to(&truth()).to_degrees());
     println!("{right} right, {wrong} wrong: {shift:.4} m, {turn:.3} degrees, {} inliers", best.inliers);
     assert!(shift < 0.03 && turn < 0.5 && best.inliers > right / 2, "{shift} {turn} {}", best.inliers);
-    assert!(seen.agreeing > right / 2 && seen.reached >= best.inliers, "{seen:?}");
+    assert!(seen.agreeing > right / 2 && seen.misfit.is_some_and(|m| m.abs() < 0.3), "{seen:?}");
     assert!(found.windows(2).all(|w| w[0].cost <= w[1].cost) && found.len() <= 4);
 }
 

@@ -10,7 +10,7 @@ use image::GrayImage;
 use nalgebra::Vector2;
 use tracing::{debug, debug_span};
 
-use super::acquire::{candidates, surface_matches};
+use super::acquire::{SurfaceView, candidates, surface_matches, surface_view};
 use super::align::{Eye, FrameLevels, MotionEstimate, Sensor, ShutterClue, UsedPixel};
 use super::frame_interval::FrameInterval;
 use super::frame_look::FrameLook;
@@ -188,7 +188,7 @@ impl Matcher {
         let mut align_ms = start.elapsed_ms();
         let mut acquire_ms = 0.0;
         if self.verified.iter().any(Option::is_none) {
-            self.extract(frame, &mut acquire_ms);
+            self.extract(&frame.image, &mut acquire_ms);
             for k in 0..self.bodies.len() {
                 if self.verified[k].is_none() {
                     self.verified[k] = self.find(k, frame, &mut acquire_ms, &mut align_ms);
@@ -308,14 +308,26 @@ impl Matcher {
         })
     }
 
+    /// The stage's surfaces that are recognised in a picture, before any size is asked: for studies of a config that does not fit. Neither the
+    /// lock nor the motion take notice.
+    pub fn recognise(&mut self, image: &GrayImage) -> Vec<SurfaceView> {
+        if image.dimensions() != (self.camera.width(), self.camera.height()) {
+            return Vec::new();
+        }
+        self.extract(image, &mut 0.0);
+        let Some(stage) = self.bodies.first() else { return Vec::new() };
+        let own = surface_matches(&self.matches, &self.features, self.index.features(), stage.surfaces.clone(), &self.camera);
+        (0..stage.surfaces.len() as u32).filter_map(|k| surface_view(k, &own, &self.camera, self.settings.seed)).collect()
+    }
+
     /// Features of the frame and their matches, for bodies that were lost.
-    fn extract(&mut self, frame: &Frame, acquire_ms: &mut f64) {
+    fn extract(&mut self, image: &GrayImage, acquire_ms: &mut f64) {
         let _span = debug_span!("detect").entered();
         let start = ComputeClock::start();
         let options = ExtractorOptions { count: self.settings.features, ..Default::default() };
-        self.extractor.extract(&frame.image, self.mask.as_ref(), &options, &self.workers, &mut self.features);
+        self.extractor.extract(image, self.mask.as_ref(), &options, &self.workers, &mut self.features);
         self.index.match_features(&self.features, RATIO, &self.workers, &mut self.match_buffers, &mut self.matches);
-        halve_into(&frame.image, &mut self.half);
+        halve_into(image, &mut self.half);
         *acquire_ms += start.elapsed_ms() + self.workers.take_extra_ms();
     }
 

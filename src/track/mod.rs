@@ -28,6 +28,7 @@ mod twin;
 mod two_view;
 mod verify;
 
+pub use acquire::{SurfaceMatch, SurfaceView};
 pub use align::{AlignKernels, Clue, Sensor, ShutterClue, UsedPixel};
 pub use lens_doubt::covariance_by_lens;
 pub use lock::LockState;

@@ -151,9 +151,9 @@ impl Reason {
         if seen.outline_px.is_some_and(|side| side < LEAST_SIDE_PX.max(LEAST_SIDE * f64::from(width_px))) {
             return Self::TooSmall;
         }
-        // A homography needs no lens and no size. Where it explains far more matches than any pose does, those are wrong.
-        if (seen.reached as f64) < LEAST_REACHED * seen.agreeing as f64 {
-            return Self::NoPoseFits;
+        // A homography needs no lens and no size. Where it explains the matches far better than any pose does, those are wrong.
+        if seen.misfit.is_none_or(|misfit| misfit > LARGEST_MISFIT) {
+            return of_frame.unwrap_or(Self::NoPoseFits);
         }
         match refusal {
             Some(Refusal::Contradicted(_)) | None => of_frame.unwrap_or(Self::NoPoseFits),
@@ -170,15 +170,16 @@ const LEAST_RECOGNISED: usize = 12;
 /// 60 pixels of it.
 const LEAST_SIDE: f64 = 0.09;
 const LEAST_SIDE_PX: f64 = 60.0;
-/// Share of the homography's matches that a pose must explain for the geometry not to be what is wrong.
-const LEAST_REACHED: f64 = 0.7;
+/// What a pose may leave of the matches beyond a homography, for the geometry not to be what is wrong: right ones leave 0.1 at most, a width
+/// and a height that are swapped 2, and a rolling shutter that is not told a few tenths.
+const LARGEST_MISFIT: f64 = 0.6;
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn seen(agreeing: usize, reached: usize, outline_px: f64) -> Recognition {
-        Recognition { agreeing, reached, outline_px: Some(outline_px) }
+    fn seen(agreeing: usize, misfit: f64, outline_px: f64) -> Recognition {
+        Recognition { agreeing, misfit: Some(misfit), outline_px: Some(outline_px) }
     }
 
     fn reason(seen: &Recognition, refusal: Option<Refusal>) -> Reason {
@@ -194,16 +195,16 @@ mod tests {
 
     #[test]
     fn a_homography_without_a_pose_is_a_matter_of_geometry() {
-        assert_eq!(reason(&seen(80, 20, 300.0), Some(Refusal::Share(0.1))), Reason::NoPoseFits);
-        assert_eq!(reason(&seen(80, 0, 300.0), None), Reason::NoPoseFits);
-        assert_eq!(reason(&seen(80, 75, 300.0), Some(Refusal::Contradicted(90))), Reason::NoPoseFits);
+        assert_eq!(reason(&seen(80, 2.0, 300.0), Some(Refusal::Share(0.1))), Reason::NoPoseFits);
+        assert_eq!(reason(&Recognition { misfit: None, ..seen(80, 0.0, 300.0) }, None), Reason::NoPoseFits);
+        assert_eq!(reason(&seen(80, 0.05, 300.0), Some(Refusal::Contradicted(90))), Reason::NoPoseFits);
     }
 
     #[test]
     fn a_pose_with_few_anchors_is_a_matter_of_the_view() {
-        assert_eq!(reason(&seen(80, 75, 300.0), Some(Refusal::Share(0.1))), Reason::Covered);
-        assert_eq!(reason(&seen(80, 75, 300.0), Some(Refusal::Uncertain)), Reason::Uncertain);
-        assert_eq!(reason(&seen(40, 10, 30.0), Some(Refusal::Uncertain)), Reason::TooSmall);
-        assert_eq!(reason(&seen(9, 0, 30.0), None), Reason::NotRecognised);
+        assert_eq!(reason(&seen(80, 0.05, 300.0), Some(Refusal::Share(0.1))), Reason::Covered);
+        assert_eq!(reason(&seen(80, 0.05, 300.0), Some(Refusal::Uncertain)), Reason::Uncertain);
+        assert_eq!(reason(&seen(40, 2.0, 30.0), Some(Refusal::Uncertain)), Reason::TooSmall);
+        assert_eq!(reason(&seen(9, 0.0, 30.0), None), Reason::NotRecognised);
     }
 }

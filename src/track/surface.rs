@@ -81,8 +81,11 @@ pub enum SurfaceError {
         least: usize,
     },
     /// The four corners do not make a convex quadrilateral, clockwise from the top left.
-    #[error("corners_px is not a convex quadrilateral; give top left, top right, bottom right, bottom left, clockwise in the photograph")]
-    Corners,
+    #[error(
+        "corners_px is not a convex quadrilateral; give top left, top right, bottom right, bottom left, clockwise in the photograph, in pixels{}",
+        .0.map_or(String::new(), |c| format!("; these run anticlockwise or cross: write corners_px = {c:?}"))
+    )]
+    Corners(Option<[[f64; 2]; 4]>),
     /// A corner lies where the photograph's calibration cannot be inverted, or outside of the photograph.
     #[error(
         "corner {number} at [{u}, {v}] lies outside of the photograph or of its calibration's valid field; corner 1 is the top left one"
@@ -109,8 +112,19 @@ const LONGEST_FLAT_SIDE_PX: f64 = 4096.0;
 impl SurfaceSpec {
     /// A surface from its flat artwork.
     pub fn from_artwork(name: String, picture: GrayImage, size_m: [f64; 2], pose: Pose<Body, SurfaceFrame>) -> Result<Self, SurfaceError> {
+        let spec = Self::from_any_artwork(name, picture, size_m, pose)?;
+        spec.check_texture().map(|()| spec)
+    }
+
+    /// As [`from_artwork`](Self::from_artwork), of a picture that may be plain: see [`check_texture`](Self::check_texture).
+    pub fn from_any_artwork(
+        name: String,
+        picture: GrayImage,
+        size_m: [f64; 2],
+        pose: Pose<Body, SurfaceFrame>,
+    ) -> Result<Self, SurfaceError> {
         check_size(size_m)?;
-        check_picture(&picture)?;
+        check_sides(&picture)?;
         Ok(Self { name, artwork: picture, size_m, pose, kind: ReferenceKind::Artwork })
     }
 
@@ -124,11 +138,24 @@ impl SurfaceSpec {
         size_m: [f64; 2],
         pose: Pose<Body, SurfaceFrame>,
     ) -> Result<Self, SurfaceError> {
+        let spec = Self::from_any_photograph(name, photo, corners, camera, size_m, pose)?;
+        spec.check_texture().map(|()| spec)
+    }
+
+    /// As [`from_photograph`](Self::from_photograph), of a surface that may be plain: see [`check_texture`](Self::check_texture).
+    pub fn from_any_photograph(
+        name: String,
+        photo: &GrayImage,
+        corners: [Pixel; 4],
+        camera: CameraModel,
+        size_m: [f64; 2],
+        pose: Pose<Body, SurfaceFrame>,
+    ) -> Result<Self, SurfaceError> {
         check_size(size_m)?;
         let rays = corner_rays(photo, &corners, &camera)?;
         let seen = rays.map(|n| camera.undistorted_pixel(n));
         if !is_convex_clockwise(&seen) {
-            return Err(SurfaceError::Corners);
+            return Err(SurfaceError::Corners(clockwise(&corners)));
         }
         let length = |a: usize, b: usize| (seen[a] - seen[b]).norm();
         let sides = [length(0, 1).max(length(3, 2)), length(0, 3).max(length(1, 2))];
@@ -137,17 +164,30 @@ impl SurfaceSpec {
         let (wf, hf) = (f64::from(w), f64::from(h));
         let outer = [(-0.5, -0.5), (wf - 0.5, -0.5), (wf - 0.5, hf - 0.5), (-0.5, hf - 0.5)].map(|(x, y)| Vector2::new(x, y));
         let flat: [PointPair; 4] = std::array::from_fn(|k| PointPair { from: outer[k], to: seen[k] });
-        let photo_from_artwork = Homography::from_four(&flat).ok_or(SurfaceError::Corners)?;
+        let photo_from_artwork = Homography::from_four(&flat).ok_or(SurfaceError::Corners(None))?;
         let half = Vector2::new(0.5 * size_m[0], 0.5 * size_m[1]);
         let metres = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)].map(|(x, y)| Vector2::new(x * half.x, y * half.y));
         let metric: [PointPair; 4] = std::array::from_fn(|k| PointPair { from: metres[k], to: rays[k].0 });
-        let homography = Homography::from_four(&metric).ok_or(SurfaceError::Corners)?;
-        let seen_from = planar_poses(&homography, &metric).into_iter().next().ok_or(SurfaceError::Corners)?;
+        let homography = Homography::from_four(&metric).ok_or(SurfaceError::Corners(None))?;
+        let seen_from = planar_poses(&homography, &metric).into_iter().next().ok_or(SurfaceError::Corners(None))?;
         let artwork = laid_flat(photo, &photo_from_artwork, &camera, w, h);
-        check_picture(&artwork)?;
+        check_sides(&artwork)?;
         let kind =
             ReferenceKind::Photograph { photo_from_artwork: photo_from_artwork.0, camera: Box::new(camera), pose: seen_from.renamed() };
         Ok(Self { name, artwork, size_m, pose, kind })
+    }
+
+    /// Refuses a picture that no camera could find again.
+    pub fn check_texture(&self) -> Result<(), SurfaceError> {
+        let found = corners_to_find(&self.artwork);
+        if found < LEAST_CORNERS { Err(SurfaceError::Textureless { found, least: LEAST_CORNERS }) } else { Ok(()) }
+    }
+
+    /// The same surface left out: nothing is on its picture, so that it is never looked for. It keeps its place among the others, and what is
+    /// told relative to the first surface stays so.
+    pub fn left_out(mut self) -> Self {
+        self.artwork.fill(128);
+        self
     }
 
     /// Artwork pixels (centres at integers) to metres on the surface: x right, y up, origin at the centre.
@@ -174,16 +214,17 @@ fn check_size(size_m: [f64; 2]) -> Result<(), SurfaceError> {
     positive.then_some(()).ok_or(SurfaceError::Size(size_m))
 }
 
-/// Refuses pictures that no camera could find again.
-fn check_picture(picture: &GrayImage) -> Result<(), SurfaceError> {
+fn check_sides(picture: &GrayImage) -> Result<(), SurfaceError> {
     let (width, height) = picture.dimensions();
-    if width < LEAST_SIDE_PX || height < LEAST_SIDE_PX {
-        return Err(SurfaceError::TooSmall { width, height, least: LEAST_SIDE_PX });
-    }
-    let options =
-        CornerOptions { count: 4 * LEAST_CORNERS, threshold: 15, least_threshold: 8, border: 5, cell_px: (width.max(height) / 8).max(8) };
+    let is_small = width < LEAST_SIDE_PX || height < LEAST_SIDE_PX;
+    if is_small { Err(SurfaceError::TooSmall { width, height, least: LEAST_SIDE_PX }) } else { Ok(()) }
+}
+
+/// Corners of a picture that a camera could find again. Detail may be of any size: every octave is looked at.
+fn corners_to_find(picture: &GrayImage) -> usize {
+    let cell_px = (picture.width().max(picture.height()) / 8).max(8);
+    let options = CornerOptions { count: 4 * LEAST_CORNERS, threshold: 15, least_threshold: 8, border: 5, cell_px };
     let mut corners = Vec::new();
-    // Detail may be of any size: look at every octave.
     let mut found = 0;
     let mut octave = picture.clone();
     while octave.width() >= LEAST_SIDE_PX / 2 && octave.height() >= LEAST_SIDE_PX / 2 {
@@ -191,7 +232,7 @@ fn check_picture(picture: &GrayImage) -> Result<(), SurfaceError> {
         found += corners.iter().filter(|c| c.strength >= LEAST_STRENGTH).count();
         octave = super::reference::halved(&octave);
     }
-    if found < LEAST_CORNERS { Err(SurfaceError::Textureless { found, least: LEAST_CORNERS }) } else { Ok(()) }
+    found
 }
 
 fn corner_rays(photo: &GrayImage, corners: &[Pixel; 4], camera: &CameraModel) -> Result<[Normalized; 4], SurfaceError> {
@@ -208,6 +249,16 @@ fn corner_rays(photo: &GrayImage, corners: &[Pixel; 4], camera: &CameraModel) ->
 /// Convex, and clockwise as seen (y down).
 fn is_convex_clockwise(p: &[Vector2<f64>; 4]) -> bool {
     (0..4).all(|k| (p[(k + 1) % 4] - p[k]).perp(&(p[(k + 2) % 4] - p[(k + 1) % 4])) > 1.0)
+}
+
+/// The same corners clockwise from the top left one, where that order goes round a convex quadrilateral.
+fn clockwise(corners: &[Pixel; 4]) -> Option<[[f64; 2]; 4]> {
+    let mut around = corners.map(|c| c.0);
+    let centre = around.iter().sum::<Vector2<f64>>() / 4.0;
+    around.sort_by(|a, b| (a - centre).y.atan2((a - centre).x).total_cmp(&(b - centre).y.atan2((b - centre).x)));
+    let first = (0..4).min_by(|a, b| around[*a].sum().total_cmp(&around[*b].sum()))?;
+    around.rotate_left(first);
+    is_convex_clockwise(&around).then(|| around.map(|c| [c.x, c.y]))
 }
 
 /// Resamples the photograph onto the flat rectangle.

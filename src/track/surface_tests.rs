@@ -56,7 +56,12 @@ fn bad_corners_are_refused() {
         [[20.0, 20.0], [100.0, 20.0], [200.0, 20.0], [300.0, 20.0]],
         [[20.0, 20.0], [20.0, 20.0], [290.0, 220.0], [25.0, 210.0]],
     ] {
-        assert_eq!(photo(corners).unwrap_err(), SurfaceError::Corners, "{corners:?}");
+        assert!(matches!(photo(corners).unwrap_err(), SurfaceError::Corners(_)), "{corners:?}");
+    }
+    // Where an order goes round clockwise, it is said.
+    let upright = [[20.0, 20.0], [300.0, 30.0], [290.0, 220.0], [25.0, 210.0]];
+    for order in [[0, 3, 2, 1], [1, 0, 3, 2], [0, 2, 1, 3]] {
+        assert_eq!(photo(order.map(|k| upright[k])).unwrap_err(), SurfaceError::Corners(Some(upright)), "{order:?}");
     }
     let outside = photo([[20.0, 20.0], [300.0, 30.0], [290.0, 241.0], [25.0, 210.0]]).unwrap_err();
     assert_eq!(outside, SurfaceError::CornerOutside { number: 3, u: 290.0, v: 241.0 });

@@ -1,6 +1,6 @@
 //! Clips that are missing, empty or damaged, and outputs that cannot be written.
 
-use super::scene::Scene;
+use super::scene::{Scene, records};
 
 #[test]
 fn missing_clip() {
@@ -32,11 +32,6 @@ fn no_readable_frame() {
         scene.truncate(&format!("clip/frames/{k:06}.png"), 40);
     }
     scene.replay(&[]).assert_refused(1, &["clip"]);
-}
-
-/// The lines of `poses.jsonl`.
-fn records(scene: &Scene) -> Vec<serde_json::Value> {
-    scene.read("poses.jsonl").lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
 fn replay_with_summary(scene: &Scene) -> (Vec<serde_json::Value>, serde_json::Value, String) {

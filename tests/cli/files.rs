@@ -160,7 +160,7 @@ fn check_calls_no_nonsense_good() {
     scene.write("camera.toml", &CAMERA.replace("cx = 159.5", "cx = 30.0"));
     let check = scene.run(&["check", "--config", "stage.toml"]);
     check.assert_success();
-    assert!(check.stdout.contains("note        camera.toml: its cx of 30 is far from the middle of 320 pixels"), "{}", check.stdout);
+    assert!(check.stdout.contains("look at     camera.toml: its cx of 30 is far from the middle of 320 pixels"), "{}", check.stdout);
     scene.write("camera.toml", &CAMERA.replace("height = 240", "height = 180"));
     scene.replay(&[]).assert_refused(2, &["stage.toml: `calibration` in [camera], line 2: the calibration is for 320 x 180"]);
     scene.write("camera.toml", CAMERA);

@@ -118,6 +118,11 @@ impl Run {
     }
 }
 
+/// The lines of `poses.jsonl`.
+pub fn records(scene: &Scene) -> Vec<serde_json::Value> {
+    scene.read("poses.jsonl").lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
 /// Random blocks of two sizes: corners near and far.
 pub fn texture(width: u32, height: u32) -> GrayImage {
     let mut state = 7_u32;

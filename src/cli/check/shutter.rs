@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use crate::calibrate::shutter::{MOST_ROWS, ShutterEstimate, ShutterTime, estimate_shutter};
-use crate::capture::{ClipOptions, open_clip};
+use crate::capture::{ClipOptions, FrameSource, Row, open_clip};
 use crate::cli::failure::Failure;
+use crate::cli::replay::progress::Progress;
 use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
 use crate::track::Matcher;
@@ -14,16 +15,43 @@ const LARGEST_SIGMA_S: f64 = 0.001;
 const LARGEST_SHARE: f64 = 0.15;
 
 /// The lines of the report, the first with its label.
-pub(super) fn lines(settings: &Settings, clip: &Path) -> Result<Vec<String>, Failure> {
+pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Result<Vec<String>, Failure> {
     if clip == Path::new("-") {
         return Ok(vec!["not estimated: a clip from standard input cannot be read twice; save it to a file".to_owned()]);
     }
+    let progress = Progress::start(None);
     let calibrated = settings.lens.size(&settings.camera);
-    let open = || open_clip(clip, ClipOptions { calibrated, ..ClipOptions::default() }).map_err(Failure::from);
+    let open = || {
+        let source = open_clip(clip, ClipOptions { fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from)?;
+        Ok::<Box<dyn FrameSource>, Failure>(Box::new(Shown { source, progress: progress.clone() }))
+    };
     let setup = tracker_setup(settings, open()?.size(), None)?;
     let mut matcher = Matcher::new(setup.camera, 0.0, 0.0, setup.mask, &setup.stage, &[], setup.settings);
-    let estimate = estimate_shutter(open, &mut matcher)?;
+    let estimate = estimate_shutter(open, &mut matcher);
+    progress.finish();
+    let estimate = estimate?;
     Ok(told(&estimate, settings))
+}
+
+/// A clip whose rows are counted on the terminal as they are read, pass after pass.
+struct Shown {
+    source: Box<dyn FrameSource>,
+    progress: Progress,
+}
+
+impl FrameSource for Shown {
+    fn next_row(&mut self) -> Option<Row> {
+        self.progress.advance();
+        self.source.next_row()
+    }
+
+    fn size(&self) -> (u32, u32) {
+        self.source.size()
+    }
+
+    fn rows(&self) -> Option<u64> {
+        self.source.rows()
+    }
 }
 
 fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<String> {

@@ -2,7 +2,7 @@
 
 mod overlays;
 mod paced;
-mod progress;
+pub(in crate::cli) mod progress;
 pub(in crate::cli) mod records;
 mod summary;
 
@@ -68,7 +68,7 @@ pub(super) struct ReplayArguments {
     log: LogArguments,
 }
 
-fn frames_per_second(text: &str) -> Result<f64, String> {
+pub(in crate::cli) fn frames_per_second(text: &str) -> Result<f64, String> {
     let fps: f64 = text.parse().map_err(|_| "give a number such as 29.97".to_owned())?;
     if fps > 0.0 && fps <= 100_000.0 { Ok(fps) } else { Err("give frames per second above 0".to_owned()) }
 }
@@ -92,6 +92,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     }
     logging::start(&arguments.log, settings.log);
     settings.notes.iter().for_each(|note| tracing::info!("{note}"));
+    settings.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     interrupt::watch();
     let calibrated = settings.lens.size(&settings.camera);
     let options = ClipOptions { fps: arguments.fps, calibrated, is_stopped: Some(interrupt::is_interrupted) };

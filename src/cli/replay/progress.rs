@@ -6,7 +6,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::cli::logging;
 
-pub(super) struct Progress(ProgressBar);
+#[derive(Clone)]
+pub(in crate::cli) struct Progress(ProgressBar);
 
 impl Progress {
     /// Starts a bar for a known number of rows, or a counter.

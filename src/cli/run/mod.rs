@@ -87,6 +87,7 @@ pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(
     let mut settings = Settings::load(&arguments.config)?;
     logging::start(&arguments.log, settings.log);
     settings.notes.iter().for_each(|note| tracing::info!("{note}"));
+    settings.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     interrupt::watch();
     interrupt::watch_service();
     // What the threads contain shall be in the log, not between its lines.

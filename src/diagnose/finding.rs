@@ -1,0 +1,81 @@
+//! One thing that a diagnosis has to say, and how grave it is.
+
+/// How grave a finding is, worst first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Grade {
+    /// The stage cannot be followed, or poses are wrong, until it is mended.
+    Fault,
+    /// The stage may be followed, and something about it is almost certainly other than meant.
+    Doubt,
+    /// It works, less well than it could, or by something that was assumed.
+    Warning,
+    /// For information.
+    Note,
+}
+
+/// What was found, with its mend.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Finding {
+    /// How grave.
+    pub grade: Grade,
+    /// A plain sentence, without its full stop: what is the matter and what to write or do instead.
+    pub says: String,
+}
+
+impl Finding {
+    /// Something to mend.
+    pub fn fault(says: impl Into<String>) -> Self {
+        Self { grade: Grade::Fault, says: says.into() }
+    }
+
+    /// Something to mend, though tracking goes on without.
+    pub fn doubt(says: impl Into<String>) -> Self {
+        Self { grade: Grade::Doubt, says: says.into() }
+    }
+
+    /// Something to look at.
+    pub fn warning(says: impl Into<String>) -> Self {
+        Self { grade: Grade::Warning, says: says.into() }
+    }
+
+    /// Something to know.
+    pub fn note(says: impl Into<String>) -> Self {
+        Self { grade: Grade::Note, says: says.into() }
+    }
+}
+
+/// A number as one would write it into a config: four figures, without idle zeros.
+pub fn written(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return "0.0".to_owned();
+    }
+    let digits = (3 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    let text = format!("{value:.digits$}");
+    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text };
+    if text.contains('.') { text } else { format!("{text}.0") }
+}
+
+/// `[a, b]` as written into a config.
+pub fn list(values: &[f64]) -> String {
+    format!("[{}]", values.iter().map(|v| written(*v)).collect::<Vec<_>>().join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_written_as_in_a_config() {
+        let cases =
+            [(4.0, "4.0"), (0.1354, "0.1354"), (1.0 / 3.0, "0.3333"), (1234.6, "1235.0"), (-0.5, "-0.5"), (0.0, "0.0"), (1e-5, "0.00001")];
+        for (value, text) in cases {
+            assert_eq!(written(value), text);
+        }
+        assert_eq!(list(&[4.0, 2.25]), "[4.0, 2.25]");
+    }
+
+    #[test]
+    fn faults_come_first() {
+        assert!(Grade::Fault < Grade::Doubt && Grade::Doubt < Grade::Warning && Grade::Warning < Grade::Note);
+    }
+}

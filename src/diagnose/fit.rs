@@ -1,0 +1,260 @@
+//! What lens and what shape of a flat picture explain how it is seen: the lens' focal length and the picture's height over
+//! its width, each free where the other is known, or both.
+//!
+//! Seen through a known lens, four corners tell a rectangle's shape (Zhang and He, "Whiteboard scanning and image
+//! enhancement", 2007); from several tilted views both can be told (Zhang, 2000). Here all matches of all views vote: for
+//! every trial of lens and shape each view has its best pose, and the trial with the least that is left wins.
+
+use nalgebra::{Matrix2, Vector2};
+
+use crate::camera::{CameraModel, Intrinsics, Pixel};
+use crate::geometry::planar_pose::planar_poses;
+use crate::geometry::resection::{MovingCamera, Observation, resect, squared_residual};
+use crate::geometry::{Body, Camera, Homography, PointPair, Pose};
+use crate::track::SurfaceView;
+
+/// What is tried: the config's lens and shape, each times a factor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shape {
+    /// Focal length over the config's.
+    pub focal: f64,
+    /// Height over width, over the config's.
+    pub ratio: f64,
+}
+
+/// The config's own.
+pub const AS_CONFIGURED: Shape = Shape { focal: 1.0, ratio: 1.0 };
+
+/// A shape that was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Found {
+    /// The shape.
+    pub shape: Shape,
+    /// Mean cut square of what is left of a match, in sigmas.
+    pub left: f64,
+    /// Standard deviation of the logarithm of what was free (the larger, of two).
+    pub sigma: f64,
+}
+
+/// Views of one surface.
+pub struct Views<'a> {
+    /// At the size of the frames.
+    pub camera: CameraModel,
+    /// As configured.
+    pub size_m: [f64; 2],
+    /// Of the surface's picture.
+    pub artwork_px: [f64; 2],
+    /// One a frame.
+    pub views: Vec<&'a SurfaceView>,
+}
+
+/// A feature lies so well, pixels of the level it was found on.
+const NOISE_PX: f64 = 1.0;
+/// Squares are cut at this many sigmas squared.
+const CUT: f64 = 16.0;
+/// Matches of a view that are asked at most.
+const ASKED: usize = 60;
+/// Factors are looked for from 1 / this to this, with so many trials, each e^0.11 from the next.
+const LARGEST_FACTOR: f64 = 2.6;
+const TRIALS: i32 = 8;
+
+impl Views<'_> {
+    /// Mean cut square of what a free homography leaves of the matches: no lens and no shape leaves less.
+    pub fn floor(&self) -> f64 {
+        self.mean(|view| {
+            let squared = |m: &&crate::track::SurfaceMatch| {
+                let pair = PointPair { from: m.artwork, to: m.undistorted };
+                (view.homography.squared_error(&pair) / (NOISE_PX * m.scale).powi(2)).min(CUT)
+            };
+            view.matches.iter().take(ASKED).map(|m| squared(&m)).sum()
+        })
+    }
+
+    fn mean(&self, cost: impl Fn(&SurfaceView) -> f64) -> f64 {
+        let count: usize = self.views.iter().map(|v| v.matches.len().min(ASKED)).sum();
+        self.views.iter().map(|v| cost(v)).sum::<f64>() / count.max(1) as f64
+    }
+
+    /// Mean cut square of what a lens and a shape leave.
+    pub fn left(&self, shape: Shape) -> f64 {
+        let Some((camera, size_m)) = self.trial(shape) else { return CUT };
+        self.left_by(&camera, size_m)
+    }
+
+    /// As [`left`](Self::left), of a lens at hand.
+    pub fn left_by(&self, camera: &CameraModel, size_m: [f64; 2]) -> f64 {
+        self.mean(|view| self.pose_of(view, camera, size_m).map_or(CUT * view.matches.len().min(ASKED) as f64, |(cost, _)| cost))
+    }
+
+    /// The config's lens and size, changed by a shape; the width stays.
+    pub fn trial(&self, shape: Shape) -> Option<(CameraModel, [f64; 2])> {
+        let i = *self.camera.intrinsics();
+        let camera = CameraModel::new(Intrinsics { fx: i.fx * shape.focal, fy: i.fy * shape.focal, ..i }).ok()?;
+        Some((camera, [self.size_m[0], self.size_m[1] * shape.ratio]))
+    }
+
+    /// What the best pose of the surface itself leaves of a view, and that pose (`T_camera_surface`).
+    pub fn pose_of(&self, view: &SurfaceView, camera: &CameraModel, size_m: [f64; 2]) -> Option<(f64, Pose<Camera, Body>)> {
+        let metres = |p: Vector2<f64>| {
+            let [w, h] = self.artwork_px;
+            Vector2::new(((p.x + 0.5) / w - 0.5) * size_m[0], (0.5 - (p.y + 0.5) / h) * size_m[1])
+        };
+        let mut pairs = Vec::with_capacity(ASKED);
+        let mut observations = Vec::with_capacity(ASKED);
+        for m in view.matches.iter().take(ASKED) {
+            let Some(ray) = camera.unproject(Pixel(m.pixel)) else { continue };
+            let from = metres(m.artwork);
+            pairs.push(PointPair { from, to: ray.0 });
+            let information = Matrix2::identity() / (NOISE_PX * m.scale).powi(2);
+            observations.push(Observation { point: from.push(0.0).into(), pixel: m.pixel, information, delay_s: 0.0, group: 0 });
+        }
+        let still = MovingCamera::still(camera);
+        let poses = planar_poses(&Homography::from_pairs(&pairs, None)?, &pairs);
+        let judged = poses.into_iter().filter_map(|start| {
+            let pose = resect(&start.renamed(), &still, &observations, 10)?.pose;
+            let cost = observations.iter().map(|o| squared_residual(&pose, &still, o).unwrap_or(CUT).min(CUT)).sum::<f64>();
+            Some((cost, pose))
+        });
+        judged.min_by(|a, b| a.0.total_cmp(&b.0))
+    }
+
+    /// The ratio that fits best with the config's lens.
+    pub fn free_ratio(&self) -> Found {
+        self.along(|ratio| Shape { ratio, ..AS_CONFIGURED })
+    }
+
+    /// The focal length that fits best with the config's shape.
+    pub fn free_focal(&self) -> Found {
+        self.along(|focal| Shape { focal, ..AS_CONFIGURED })
+    }
+
+    /// The focal length that fits best with its best ratio.
+    pub fn free_both(&self) -> Found {
+        let mut best = self.free_ratio();
+        for _ in 0..3 {
+            let ratio = best.shape.ratio;
+            let focal = self.along(|focal| Shape { focal, ratio }).shape.focal;
+            let next = self.along(|ratio| Shape { focal, ratio });
+            let gained = best.left - next.left;
+            best = next;
+            if gained < 0.01 {
+                break;
+            }
+        }
+        best
+    }
+
+    /// The best factor along a line of shapes: trials over the whole range, then golden sections.
+    fn along(&self, shape: impl Fn(f64) -> Shape) -> Found {
+        let step = LARGEST_FACTOR.ln() / f64::from(TRIALS);
+        let left = |log: f64| self.left(shape(log.exp()));
+        let trials = (-TRIALS..=TRIALS).map(|k| f64::from(k) * step);
+        let centre = trials.map(|log| (left(log), log)).min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, log)| log);
+        let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
+        let (mut low, mut high) = (centre - step, centre + step);
+        let mut inner = [high - golden * (high - low), low + golden * (high - low)];
+        let mut values = inner.map(left);
+        for _ in 0..9 {
+            if values[0] < values[1] {
+                high = inner[1];
+                inner = [high - golden * (high - low), inner[0]];
+                values = [left(inner[0]), values[0]];
+            } else {
+                low = inner[0];
+                inner = [inner[1], low + golden * (high - low)];
+                values = [values[1], left(inner[1])];
+            }
+        }
+        let log = 0.5 * (low + high);
+        let least = left(log);
+        Found { shape: shape(log.exp()), left: least, sigma: self.sigma(&left, log, least) }
+    }
+
+    /// Standard deviation from how much worse the neighbours fit: the sum of squares rises by its own scale at one sigma.
+    fn sigma(&self, left: &impl Fn(f64) -> f64, log: f64, least: f64) -> f64 {
+        const ASIDE: f64 = 0.04;
+        let count: usize = self.views.iter().map(|v| v.matches.len().min(ASKED)).sum();
+        let curvature = (left(log - ASIDE) + left(log + ASIDE) - 2.0 * least).max(0.0) / (ASIDE * ASIDE);
+        let sigma = (2.0 * least.max(0.05) / (curvature * count.max(1) as f64)).sqrt();
+        if sigma.is_finite() { sigma.max(LEAST_SIGMA) } else { f64::INFINITY }
+    }
+}
+
+/// Features of one frame err alike: no ratio is known better than this.
+const LEAST_SIGMA: f64 = 0.002;
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+    use crate::camera::Normalized;
+    use crate::track::SurfaceMatch;
+
+    const SIZE_M: [f64; 2] = [4.0, 3.0];
+    const FOCAL_PX: f64 = 600.0;
+
+    fn lens(focal: f64) -> CameraModel {
+        CameraModel::pinhole(640, 480, focal, focal, 319.5, 239.5).unwrap()
+    }
+
+    /// Tilted views of the picture as it truly is, with half a pixel of noise.
+    fn views(count: u32) -> Vec<SurfaceView> {
+        let mut random = Pcg64Mcg::seed_from_u64(9);
+        let view = |k: u32| {
+            let turn_over = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+            let tilt = UnitQuaternion::from_euler_angles(0.3 * f64::from(k % 3) - 0.2, 0.7 - 0.4 * f64::from(k), 0.1);
+            let pose = Pose::<Camera, Body>::new(tilt * turn_over, Vector3::new(0.1, 0.0, 5.0));
+            let mut seen = |_| {
+                let artwork = Vector2::new(random.random_range(0.0..800.0), random.random_range(0.0..600.0));
+                let metres = Vector2::new((artwork.x / 800.0 - 0.5) * SIZE_M[0], (0.5 - artwork.y / 600.0) * SIZE_M[1]);
+                let c = pose.transform(&metres.push(0.0).into());
+                let noise = Vector2::new(random.random_range(-0.8..0.8), random.random_range(-0.8..0.8));
+                let pixel = lens(FOCAL_PX).project(Normalized(c.coords.xy() / c.z)).0 + noise;
+                SurfaceMatch { surface: 0, artwork, pixel, undistorted: pixel, scale: 1.0 }
+            };
+            let matches: Vec<SurfaceMatch> = (0..60).map(&mut seen).collect();
+            let pairs: Vec<PointPair> = matches.iter().map(|m| PointPair { from: m.artwork, to: m.undistorted }).collect();
+            SurfaceView { surface: 0, homography: Homography::from_pairs(&pairs, None).unwrap(), matches }
+        };
+        (0..count).map(view).collect()
+    }
+
+    fn told(views: &[SurfaceView], focal: f64, size_m: [f64; 2]) -> Views<'_> {
+        Views { camera: lens(focal), size_m, artwork_px: [800.0, 600.0], views: views.iter().collect() }
+    }
+
+    #[test]
+    fn what_is_configured_right_leaves_the_floor() {
+        let seen = views(4);
+        let views = told(&seen, FOCAL_PX, SIZE_M);
+        let (left, floor) = (views.left(AS_CONFIGURED), views.floor());
+        assert!(left < floor + 0.1, "{left} over {floor}");
+        let found = views.free_ratio();
+        assert!((found.shape.ratio - 1.0).abs() < 3.0 * found.sigma.max(0.004) && found.sigma < 0.01, "{found:?}");
+    }
+
+    #[test]
+    fn swapped_sides_and_another_lens_are_found() {
+        let seen = views(4);
+        let swapped = told(&seen, FOCAL_PX, [3.0, 4.0]);
+        assert!(swapped.left(AS_CONFIGURED) > swapped.floor() + 1.0);
+        let found = swapped.free_ratio();
+        assert!((found.shape.ratio - 0.5625).abs() < 0.02 && found.left < swapped.floor() + 0.1, "{found:?}");
+        let long = told(&seen, 1.7 * FOCAL_PX, SIZE_M);
+        let found = long.free_focal();
+        assert!((found.shape.focal * 1.7 - 1.0).abs() < 0.05 && found.left < long.floor() + 0.1, "{found:?}");
+        let both = told(&seen, 1.5 * FOCAL_PX, [4.0, 2.0]);
+        let found = both.free_both();
+        assert!(found.left < both.floor() + 0.1 && (found.shape.ratio - 1.5).abs() < 0.06, "{found:?}");
+    }
+
+    #[test]
+    fn no_views_are_no_panic() {
+        let views = told(&[], FOCAL_PX, SIZE_M);
+        assert_eq!(views.left(AS_CONFIGURED), 0.0);
+        assert!(views.free_both().shape.focal.is_finite());
+    }
+}

@@ -1,0 +1,321 @@
+//! Lens, shape and places held against how the surfaces are seen: what fits is named, and tried.
+
+use nalgebra::Vector2;
+
+use super::Trial;
+use super::corners::{begun_at, corners_of, top_left};
+use super::finding::{Finding, list, written};
+use super::fit::{AS_CONFIGURED, Found, Shape, Views};
+use crate::camera::{CameraModel, Intrinsics};
+use crate::daemon::TrackerSetup;
+use crate::frame::Frame;
+use crate::geometry::{Body, Pose, SurfaceFrame};
+use crate::track::{SurfaceSpec, SurfaceView};
+
+/// Views of a surface that are asked at most.
+const MOST_VIEWS: usize = 10;
+/// A trial fits where it leaves no more than the free homography does, and this much: of itself, and of what that leaves.
+const SLACK: (f64, f64) = (0.12, 0.2);
+/// Ratios and focal lengths this near to the config's are not worth a word (share), nor those within so many sigmas.
+const NEAR_RATIO: f64 = 0.025;
+const NEAR_FOCAL: f64 = 0.05;
+const SIGMAS: f64 = 4.0;
+/// What a better ratio or focal length must gain per match where the config's fits already.
+const LEAST_GAIN: f64 = 0.06;
+/// Of the logarithm of a factor: beyond it no fold of a cloth and no calibration in use is meant.
+const LARGE_FACTOR: f64 = 0.08;
+/// Two ratios are one within this, of the logarithm: a swap is told from a coincidence.
+const SAME_RATIO: f64 = 0.06;
+/// A surface that is seen this far from its place is not where the config has it: share of the camera's distance, and degrees.
+const LARGEST_SHIFT: f64 = 0.1;
+const LARGEST_TURN_DEG: f64 = 12.0;
+
+/// What the views say; `views` are those of each frame.
+pub fn of_views(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<SurfaceView>], is_followed: bool) -> Vec<Finding> {
+    let count = |s: usize| views.iter().flatten().filter(|v| v.surface as usize == s).count();
+    let Some(main) = (0..setup.stage.surfaces.len()).max_by_key(|s| (count(*s), usize::MAX - s)) else { return Vec::new() };
+    let seen = views_of(setup, views, main);
+    if seen.views.is_empty() {
+        return Vec::new();
+    }
+    let case = Case { setup, frames, main, spec: &setup.stage.surfaces[main], floor: seen.floor(), seen };
+    let left = case.seen.left(AS_CONFIGURED);
+    tracing::debug!(left, floor = case.floor, views = case.seen.views.len(), "lens and shape as configured");
+    if !case.fits(left) {
+        return vec![case.misfit()];
+    }
+    let mut findings = case.shape_as_seen(left);
+    let others = (0..setup.stage.surfaces.len()).filter(|s| *s != main);
+    findings.extend(others.filter_map(|other| case.place_of(views, other)));
+    if !is_followed && findings.is_empty() && case.is_on_its_side() {
+        findings.push(Finding::doubt(format!("{}: it is seen lying on its side: turn the picture's file by a quarter", case.spec.name)));
+    }
+    findings
+}
+
+/// The views of one surface, no more than [`MOST_VIEWS`], spread over the frames.
+fn views_of<'a>(setup: &TrackerSetup, views: &'a [Vec<SurfaceView>], surface: usize) -> Views<'a> {
+    let all: Vec<&SurfaceView> = views.iter().flatten().filter(|v| v.surface as usize == surface).collect();
+    let spec = &setup.stage.surfaces[surface];
+    let step = all.len().div_ceil(MOST_VIEWS).max(1);
+    Views {
+        camera: setup.camera,
+        size_m: spec.size_m,
+        artwork_px: [f64::from(spec.artwork.width()), f64::from(spec.artwork.height())],
+        views: all.into_iter().step_by(step).collect(),
+    }
+}
+
+/// Where a frame shows a surface to stand in its body, and how far from the camera, metres.
+struct Standing {
+    pose: Pose<Body, SurfaceFrame>,
+    distance: f64,
+}
+
+/// The surface that is seen most, and how.
+struct Case<'a> {
+    setup: &'a TrackerSetup,
+    frames: &'a [Frame],
+    main: usize,
+    spec: &'a SurfaceSpec,
+    floor: f64,
+    seen: Views<'a>,
+}
+
+impl Case<'_> {
+    fn fits(&self, left: f64) -> bool {
+        left < self.floor + SLACK.0 + SLACK.1 * self.floor
+    }
+
+    /// No pose fits as configured: what would.
+    fn misfit(&self) -> Finding {
+        let [w, h] = self.spec.size_m;
+        let name = &self.spec.name;
+        let ratio = self.seen.free_ratio();
+        let focal = self.seen.free_focal();
+        tracing::debug!(?ratio, ?focal, floor = self.floor, "lens and shape, each free");
+        let is_swap = (ratio.shape.ratio / (w / h).powi(2)).ln().abs() < SAME_RATIO && (w / h).ln().abs() > SAME_RATIO;
+        if self.fits(ratio.left) && is_swap {
+            return self.swapped(ratio.shape);
+        }
+        if self.fits(ratio.left) && ratio.left <= focal.left + 0.02 {
+            let size = list(&[w, h * ratio.shape.ratio]);
+            let tried = self.tried(ratio.shape);
+            let told = ratio_words(h / w * ratio.shape.ratio, &ratio, h / w);
+            return Finding::fault(format!(
+                "{name}: {told}, so that no pose fits: measure it again, and write size_m = {size} if its width is right, {} if its height is{tried}",
+                list(&[w / ratio.shape.ratio, h])
+            ));
+        }
+        if self.fits(focal.left) {
+            return Finding::fault(self.focal_words(&focal, "so that no pose fits"));
+        }
+        if let Some(finding) = self.other_distortion() {
+            return finding;
+        }
+        let both = self.seen.free_both();
+        tracing::debug!(?both, "lens and shape, both free");
+        if self.fits(both.left) {
+            let tried = self.tried(both.shape);
+            return Finding::fault(format!(
+                "{name}: neither size_m nor the calibration fit what is seen; a size_m of {} with a focal length of {} pixels (the calibration \
+                 has {}) would: check both, size_m first, and calibrate this camera at this picture size{tried}",
+                list(&[w, h * both.shape.ratio]),
+                written(self.setup.camera.intrinsics().fx * both.shape.focal),
+                written(self.setup.camera.intrinsics().fx)
+            ));
+        }
+        let mend = match corners_of(self.spec) {
+            Some((corners, _)) => format!(
+                "check that corners_px are the four outer corners of one flat rectangle, now {}, and that the calibration is this camera's",
+                begun_at(&corners, 0)
+            ),
+            None => {
+                "check that `image` is flat artwork, not a photograph taken at an angle (that is `photo` with corners_px), that it hangs \
+                     flat, and that the calibration is this camera's"
+                    .to_owned()
+            }
+        };
+        Finding::fault(format!(
+            "{name}: it is recognised, but no flat picture of any shape, through a lens of any focal length, looks as it does: {mend}"
+        ))
+    }
+
+    /// The sides are swapped: in the config, in the order of the corners, or in the picture's file.
+    fn swapped(&self, shape: Shape) -> Finding {
+        let [w, h] = self.spec.size_m;
+        let name = &self.spec.name;
+        let tried = self.tried(shape);
+        if let Some((corners, _)) = corners_of(self.spec)
+            && top_left(&corners) % 2 == 1
+        {
+            return Finding::fault(format!(
+                "{name}: the corners do not start at the top left, so that width and height are swapped: write {}{tried}",
+                begun_at(&corners, top_left(&corners))
+            ));
+        }
+        if self.is_on_its_side() {
+            return Finding::fault(format!(
+                "{name}: the picture's file lies on its side (a camera's EXIF orientation, or turned by a quarter): turn it upright, so that \
+                 its width belongs to size_m's first number{tried}"
+            ));
+        }
+        Finding::fault(format!("{name}: width and height are swapped: write size_m = {}{tried}", list(&[h, w])))
+    }
+
+    fn focal_words(&self, found: &Found, consequence: &str) -> String {
+        let i = self.setup.camera.intrinsics();
+        let focal_px = i.fx * found.shape.focal;
+        let fov = 2.0 * (0.5 * f64::from(i.width) / focal_px).atan().to_degrees();
+        format!(
+            "the calibration is not this camera's, or not of this picture size or zoom: it has a focal length of {} pixels, the clip speaks for \
+             {} +- {} ({fov:.0} degrees across), {consequence}: calibrate this camera as it is used, or write fx = {} and fy = {} for a first try{}",
+            written(i.fx),
+            written(focal_px),
+            written((3.0 * found.sigma * focal_px).max(0.01 * focal_px)),
+            written(focal_px),
+            written(i.fy * found.shape.focal),
+            self.tried(found.shape)
+        )
+    }
+
+    /// The distortion left out, or its numbers in the order of other programs.
+    fn other_distortion(&self) -> Option<Finding> {
+        let i = *self.setup.camera.intrinsics();
+        let [k1, k2, a, b, c] = i.distortion;
+        let orders = [
+            ([k1, k2, b, c, a], "in the order of a program that gives k1, k2, k3, p1, p2"),
+            ([-k1, -k2, -a, -b, -c], "with the opposite signs, for a program that undistorts by it"),
+            ([0.0; 5], "as of a lens without distortion, such as a picture that was straightened already"),
+        ];
+        orders.into_iter().filter(|(d, _)| *d != i.distortion).find_map(|(distortion, why)| {
+            let camera = CameraModel::new(Intrinsics { distortion, ..i }).ok()?;
+            let left = self.seen.left_by(&camera, self.spec.size_m);
+            tracing::debug!(left, ?distortion, "another distortion");
+            self.fits(left).then(|| {
+                Finding::fault(format!(
+                    "the calibration's distortion does not fit what is seen; {why}, it does: write distortion = {} ([k1, k2, p1, p2, k3])",
+                    list(&distortion)
+                ))
+            })
+        })
+    }
+
+    /// The config fits: whether another shape or lens fits clearly better.
+    fn shape_as_seen(&self, left: f64) -> Vec<Finding> {
+        let [w, h] = self.spec.size_m;
+        let name = &self.spec.name;
+        let (ratio, focal) = (self.seen.free_ratio(), self.seen.free_focal());
+        tracing::debug!(?ratio, ?focal, left, "lens and shape, each free");
+        let is_off = |log: f64, near: f64, found: &Found| log.abs() > near.max(SIGMAS * found.sigma) && left - found.left > LEAST_GAIN;
+        let ratio_off = is_off(ratio.shape.ratio.ln(), NEAR_RATIO, &ratio);
+        let focal_off = is_off(focal.shape.focal.ln(), NEAR_FOCAL, &focal);
+        if ratio_off && (!focal_off || ratio.left <= focal.left) {
+            let told = ratio_words(h / w * ratio.shape.ratio, &ratio, h / w);
+            let says = format!("{name}: {told}: measure it again; size_m = {} would fit", list(&[w, h * ratio.shape.ratio]));
+            return vec![graded(ratio.shape.ratio, says)];
+        }
+        if focal_off {
+            return vec![graded(focal.shape.focal, self.focal_words(&focal, "and poses are off by as much"))];
+        }
+        if ratio.sigma > 0.1 {
+            return Vec::new();
+        }
+        vec![Finding::note(format!("{name}: {}", ratio_words(h / w * ratio.shape.ratio, &ratio, h / w)))]
+    }
+
+    /// Whether another surface stands where the config has it, as far as both are seen together.
+    fn place_of(&self, views: &[Vec<SurfaceView>], other: usize) -> Option<Finding> {
+        let (spec, setup) = (&self.setup.stage.surfaces[other], self.setup);
+        let (main_views, other_views) = (&self.seen, views_of(setup, views, other));
+        let mut seen: Vec<Standing> = Vec::new();
+        for frame in views {
+            let find = |surface: usize| frame.iter().find(|v| v.surface as usize == surface);
+            let (Some(a), Some(b)) = (find(self.main), find(other)) else { continue };
+            let Some((_, from)) = main_views.pose_of(a, &setup.camera, self.spec.size_m) else { continue };
+            let Some((_, to)) = other_views.pose_of(b, &setup.camera, spec.size_m) else { continue };
+            // The body's frame, by the main surface: T_body_main * (T_camera_main)^-1 * T_camera_other.
+            let in_main: Pose<SurfaceFrame, SurfaceFrame> =
+                from.inverse().renamed::<SurfaceFrame, crate::geometry::Camera>() * to.renamed();
+            seen.push(Standing { pose: self.spec.pose * in_main, distance: to.translation.norm() });
+        }
+        if seen.is_empty() {
+            return None;
+        }
+        let median = |value: &dyn Fn(&Standing) -> f64| {
+            let mut values: Vec<f64> = seen.iter().map(value).collect();
+            values.sort_by(f64::total_cmp);
+            values[values.len() / 2]
+        };
+        let place = [0, 1, 2].map(|axis| median(&|s| s.pose.translation[axis]));
+        let shift = median(&|s| (s.pose.translation - spec.pose.translation).norm());
+        let turn_deg = median(&|s| s.pose.angle_to(&spec.pose)).to_degrees();
+        let distance = median(&|s| s.distance);
+        tracing::debug!(surface = %spec.name, shift, turn_deg, distance, ?place, frames = seen.len(), "where it stands");
+        if shift <= LARGEST_SHIFT * distance && turn_deg <= LARGEST_TURN_DEG {
+            return None;
+        }
+        if turn_deg > 150.0 {
+            let (turned, upright) = if top_deg(&other_views).abs() > 90.0 { (spec, self.spec) } else { (self.spec, spec) };
+            return Some(Finding::fault(format!(
+                "{}: it is upside down against {} (turned by {turn_deg:.0} degrees): turn the picture's file, or give its orientation so",
+                turned.name, upright.name
+            )));
+        }
+        let p = spec.pose.translation;
+        let units =
+            [1000.0, 100.0].into_iter().find(|by| [0, 1, 2].iter().all(|k| (p[*k] / by - place[*k]).abs() < LARGEST_SHIFT * distance));
+        let unit = match units {
+            Some(1000.0) => " (position_m is in metres, these look like millimetres)",
+            Some(_) => " (position_m is in metres, these look like centimetres)",
+            None => "",
+        };
+        let turned =
+            if turn_deg > LARGEST_TURN_DEG { format!(", turned by {turn_deg:.0} degrees from its orientation") } else { String::new() };
+        Some(Finding::fault(format!(
+            "{}: it is not seen where the config has it, at {}, but {shift:.1} m from there{turned}: write position_m = {}{unit}, and check its \
+             orientation and size_m",
+            spec.name,
+            list(&[p.x, p.y, p.z]),
+            list(&place)
+        )))
+    }
+
+    /// Whether the picture's top points sideways in the frames.
+    fn is_on_its_side(&self) -> bool {
+        (45.0..135.0).contains(&top_deg(&self.seen).abs())
+    }
+
+    /// What a mended config would do, by doing it.
+    fn tried(&self, shape: Shape) -> String {
+        let Some((camera, size_m)) = self.seen.trial(shape) else { return String::new() };
+        let mut stage = self.setup.stage.clone();
+        stage.surfaces[self.main].size_m = size_m;
+        let (verified, asked) = Trial::new(camera, self.setup.mask.clone(), &stage, &self.setup.settings).verified(self.frames);
+        format!(" (tried: a pose then fits in {verified} of {asked} frames)")
+    }
+}
+
+/// A factor that is off by little may be cloth that hangs in folds, or a lens that is known roughly; by much it is a mistake.
+fn graded(factor: f64, says: String) -> Finding {
+    if factor.ln().abs() > LARGE_FACTOR { Finding::doubt(says) } else { Finding::warning(says) }
+}
+
+/// How far the picture is turned in the frames, degrees clockwise: the median over the views.
+fn top_deg(views: &Views<'_>) -> f64 {
+    let [w, h] = views.artwork_px;
+    let along = |view: &SurfaceView| {
+        let at = |share: f64| view.homography.map(Vector2::new(share * w, 0.5 * h));
+        let along = at(0.6)? - at(0.4)?;
+        Some(along.y.atan2(along.x).to_degrees())
+    };
+    let mut turns: Vec<f64> = views.views.iter().filter_map(|v| along(v)).collect();
+    turns.iter_mut().filter(|t| **t < -150.0).for_each(|t| *t += 360.0);
+    turns.sort_by(f64::total_cmp);
+    turns.get(turns.len() / 2).copied().unwrap_or(0.0)
+}
+
+fn ratio_words(seen: f64, found: &Found, configured: f64) -> String {
+    let sigma = (3.0 * found.sigma * seen).max(0.002);
+    format!("in the clip it is {seen:.3} +- {sigma:.3} times as high as wide, by size_m {configured:.3}")
+}

@@ -1,0 +1,85 @@
+//! Why a clip is not followed: what may be wrong is tried, and what then fits is named with the line to write instead.
+//!
+//! `picture` looks at the frames themselves and tries them mirrored, in negative and without the mask; `geometry` asks, by
+//! `fit`, which lens and which shape of the picture would explain how it is seen, and where the other surfaces stand;
+//! `corners` asks the same of a photograph's four corners alone; `plausible` says in words what no picture shows: sizes,
+//! distances, speeds. Everything ends as a [`Finding`].
+
+mod corners;
+mod finding;
+mod fit;
+mod geometry;
+mod picture;
+mod plausible;
+
+use image::GrayImage;
+
+pub use corners::{corners_begun_at_top_left, of_corners};
+pub use finding::{Finding, Grade};
+pub use plausible::{Travel, of_layout, of_lens, of_shutter};
+
+use crate::camera::CameraModel;
+use crate::daemon::TrackerSetup;
+use crate::frame::Frame;
+use crate::track::{BodySpec, Matcher, Reason, SurfaceView, TrackerSettings};
+
+/// Matches of a view that count as seeing the surface at all; fewer may be chance.
+const LEAST_MATCHES: usize = 12;
+/// Frames that a mend is tried on.
+const TRIED_FRAMES: usize = 8;
+
+/// What is tried on the frames: a setup like the config's, and a way to ask it.
+pub struct Trial {
+    matcher: Matcher,
+    stamp_ns: i64,
+}
+
+impl Trial {
+    /// Prepares the pictures of a stage for a camera.
+    pub fn new(camera: CameraModel, mask: Option<GrayImage>, stage: &BodySpec, settings: &TrackerSettings) -> Self {
+        Self { matcher: Matcher::new(camera, 0.0, 0.0, mask, stage, &[], settings.clone()), stamp_ns: 0 }
+    }
+
+    /// As configured.
+    pub fn of(setup: &TrackerSetup) -> Self {
+        Self::new(setup.camera, setup.mask.clone(), &setup.stage, &setup.settings)
+    }
+
+    /// The surfaces that are recognised in a frame, before any lens or size is asked.
+    pub fn views(&mut self, image: &GrayImage) -> Vec<SurfaceView> {
+        let mut views = self.matcher.recognise(image);
+        views.retain(|v| v.matches.len() >= LEAST_MATCHES);
+        views
+    }
+
+    /// Of some frames, how many have a verified pose, each by itself; and how many were asked.
+    pub fn verified(&mut self, frames: &[Frame]) -> (usize, usize) {
+        let step = frames.len().div_ceil(TRIED_FRAMES).max(1);
+        let (mut verified, mut asked) = (0, 0);
+        for frame in frames.iter().step_by(step) {
+            // Stamps far apart: no frame knows of the one before.
+            self.stamp_ns += 10_000_000_000;
+            let sighting = self.matcher.look(&Frame { timestamp_ns: self.stamp_ns, ..frame.clone() });
+            asked += 1;
+            verified += usize::from(sighting.stage.reason.is_none_or(Reason::is_verified));
+        }
+        (verified, asked)
+    }
+}
+
+/// What is wrong with a clip, by trying; `frames` are some of its frames, spread over it. `is_followed`: whether tracking went well
+/// as configured, by `travel`.
+pub fn of_clip(setup: &TrackerSetup, frames: &[Frame], is_followed: bool, travel: &Travel) -> Vec<Finding> {
+    let mut findings = picture::of_frames(frames, is_followed);
+    let mut trial = Trial::of(setup);
+    let views: Vec<Vec<SurfaceView>> = frames.iter().map(|f| trial.views(&f.image)).collect();
+    let seen = views.iter().filter(|v| !v.is_empty()).count();
+    if 2 * seen < frames.len() {
+        findings.extend(picture::of_pictures(setup, frames, seen));
+    }
+    if seen > 0 {
+        findings.extend(geometry::of_views(setup, frames, &views, is_followed));
+        findings.extend(picture::never_recognised(setup, &views, travel));
+    }
+    findings
+}

@@ -1,0 +1,182 @@
+//! Frames as pictures: black bars, interlacing; and frames tried mirrored, in negative and without the mask.
+
+use image::{GrayImage, imageops};
+
+use super::finding::Finding;
+use super::{Travel, Trial};
+use crate::daemon::TrackerSetup;
+use crate::frame::Frame;
+use crate::track::SurfaceView;
+
+/// Levels of a black bar, limited range included, and how much of one bar they may differ: codecs keep it flat.
+const BLACK: u8 = 24;
+const FLAT: u8 = 4;
+/// Least share of a side that a bar takes.
+const LEAST_BAR: f64 = 0.03;
+/// Rows next to each other differ by this factor more than rows two apart where two fields are woven together.
+const COMBED: f64 = 1.12;
+
+/// What the frames show of how they were made. Where they are followed, black lines are a dark house, or bars that do no harm.
+pub fn of_frames(frames: &[Frame], is_followed: bool) -> Vec<Finding> {
+    let pictures: Vec<&GrayImage> = frames.iter().map(|f| &f.image).collect();
+    let mut findings = Vec::new();
+    let combed = pictures.iter().filter(|p| comb(p) > COMBED).count();
+    if 4 * combed >= pictures.len().max(1) {
+        findings.push(Finding::doubt(format!(
+            "the clip is interlaced: {combed} of {} frames weave two moments together; switch the camera to a progressive mode, or \
+             deinterlace the clip (ffmpeg -i CLIP -vf bwdif out.y4m)",
+            pictures.len()
+        )));
+    }
+    if is_followed {
+        return findings;
+    }
+    if let Some([before, after]) = bars(&pictures, |p, line, k| p.get_pixel(k, line)[0], |p| (p.height(), p.width())) {
+        findings.push(barred(before, after, "above and below"));
+    }
+    if let Some([before, after]) = bars(&pictures, |p, line, k| p.get_pixel(line, k)[0], |p| (p.width(), p.height())) {
+        findings.push(barred(before, after, "left and right"));
+    }
+    findings
+}
+
+fn barred(before: u32, after: u32, where_: &str) -> Finding {
+    Finding::fault(format!(
+        "the clip has black bars of {before} and {after} pixels {where_}: it was fitted into another format, so that the calibration is not \
+         its own; record without bars, at the size that was calibrated"
+    ))
+}
+
+/// Lines that are flat black at both ends in all pictures, where the middle is not. `at` reads pixel `k` of a line; `sides` is the number
+/// of lines and their length.
+fn bars(pictures: &[&GrayImage], at: impl Fn(&GrayImage, u32, u32) -> u8, sides: impl Fn(&GrayImage) -> (u32, u32)) -> Option<[u32; 2]> {
+    let (lines, length) = sides(pictures.first()?);
+    let is_bar = |line: u32| {
+        let levels = || pictures.iter().flat_map(|p| (0..length).step_by(3).map(|k| at(p, line, k)));
+        let (low, high) = levels().fold((255, 0), |(low, high): (u8, u8), v| (low.min(v), high.max(v)));
+        high <= BLACK && high - low <= FLAT
+    };
+    let before = (0..lines).take_while(|line| is_bar(*line)).count() as u32;
+    let after = (0..lines).rev().take_while(|line| is_bar(*line)).count() as u32;
+    let least = LEAST_BAR * f64::from(lines);
+    let even = before.abs_diff(after) * 4 <= before.max(after);
+    (before < lines && even && f64::from(before.min(after)) >= least).then_some([before, after])
+}
+
+/// Mean difference of neighbouring rows over that of rows two apart.
+fn comb(picture: &GrayImage) -> f64 {
+    let (width, height) = (picture.width() as usize, picture.height() as usize);
+    if height < 8 {
+        return 0.0;
+    }
+    let row = |y: usize| &picture.as_raw()[y * width..][..width];
+    let difference = |a: &[u8], b: &[u8]| a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>();
+    let (mut near, mut apart) = (0, 0);
+    for y in 0..height - 2 {
+        near += difference(row(y), row(y + 1));
+        apart += difference(row(y), row(y + 2));
+    }
+    near as f64 / apart.max(1) as f64
+}
+
+/// What would make the picture recognised where it is not; `seen` frames were as they are.
+pub fn of_pictures(setup: &TrackerSetup, frames: &[Frame], seen: usize) -> Vec<Finding> {
+    let mut trial = Trial::of(setup);
+    let mut count = |change: &dyn Fn(&GrayImage) -> GrayImage| frames.iter().filter(|f| !trial.views(&change(&f.image)).is_empty()).count();
+    let is_clear = |found: usize| found > 2 * seen && 10 * found >= 3 * frames.len();
+    let all = frames.len();
+    let mirrored = count(&|p| imageops::flip_horizontal(p));
+    if is_clear(mirrored) {
+        return vec![Finding::fault(format!(
+            "the clip shows the picture in mirror image (recognised in {mirrored} of {all} frames when they are mirrored): if the camera \
+             mirrors, as a webcam's selfie view does, switch that off (mirror or flip) in its settings or in the recording program; if not, \
+             the picture's file is mirrored: flip it left to right"
+        ))];
+    }
+    let negative = count(&|p| {
+        let mut p = p.clone();
+        imageops::invert(&mut p);
+        p
+    });
+    if is_clear(negative) {
+        return vec![Finding::fault(format!(
+            "the picture is a negative of what the clip shows (recognised in {negative} of {all} frames when they are inverted): invert the \
+             picture's file, or switch the camera's negative effect off"
+        ))];
+    }
+    if setup.mask.is_some() {
+        let mut trial = Trial::new(setup.camera, None, &setup.stage, &setup.settings);
+        let unmasked = frames.iter().filter(|f| !trial.views(&f.image).is_empty()).count();
+        if is_clear(unmasked) {
+            return vec![Finding::fault(format!(
+                "the mask hides the stage (without it the picture is recognised in {unmasked} of {all} frames): paint white what is to be \
+                 seen and black what is not, or take `mask` out of the config"
+            ))];
+        }
+    }
+    Vec::new()
+}
+
+/// A surface that should fill this share of the poses' views and is recognised in no frame has another picture, or stands elsewhere.
+const LEAST_IN_VIEW: f64 = 0.5;
+
+/// Surfaces that should be in view, by the poses that others gave, and are never recognised.
+pub fn never_recognised(setup: &TrackerSetup, views: &[Vec<SurfaceView>], travel: &Travel) -> Vec<Finding> {
+    let is_seen = |k: usize| views.iter().flatten().any(|v| v.surface as usize == k);
+    let unseen = setup.stage.surfaces.iter().enumerate().filter(|(k, spec)| !is_seen(*k) && spec.check_texture().is_ok());
+    unseen
+        .filter(|(_, spec)| travel.share_in_view(&setup.camera, spec) > LEAST_IN_VIEW)
+        .map(|(_, spec)| {
+            Finding::warning(format!(
+                "{}: it should be in view, and is recognised in none of {} frames: check that `image` or `photo` is its picture, and its \
+                 position_m and orientation",
+                spec.name,
+                views.len()
+            ))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use image::Luma;
+
+    use super::*;
+
+    fn frame(picture: GrayImage) -> Frame {
+        Frame { image: picture, timestamp_ns: 0, sequence: 0 }
+    }
+
+    /// Waves that move sideways with time.
+    fn scene(shift: u32) -> GrayImage {
+        GrayImage::from_fn(160, 120, |x, y| {
+            Luma([(128.0 + 90.0 * (f64::from(x + shift) * 0.35).sin() * (f64::from(y) * 0.08).cos()) as u8])
+        })
+    }
+
+    #[test]
+    fn a_plain_clip_has_neither_bars_nor_combs() {
+        assert!(of_frames(&[frame(scene(0)), frame(scene(9))], false).is_empty());
+        assert!(of_frames(&[frame(GrayImage::new(160, 120))], false).is_empty());
+        assert!(of_frames(&[], false).is_empty());
+    }
+
+    #[test]
+    fn bars_are_measured() {
+        let mut letterbox = GrayImage::from_pixel(160, 160, Luma([16]));
+        imageops::replace(&mut letterbox, &scene(0), 0, 20);
+        let said = of_frames(&[frame(letterbox.clone())], false);
+        assert!(said[0].says.contains("black bars of 20 and 20 pixels above and below"), "{said:?}");
+        assert!(of_frames(&[frame(letterbox)], true).is_empty());
+        let mut pillarbox = GrayImage::from_pixel(200, 120, Luma([0]));
+        imageops::replace(&mut pillarbox, &scene(0), 20, 0);
+        assert!(of_frames(&[frame(pillarbox)], false)[0].says.contains("left and right"));
+    }
+
+    #[test]
+    fn two_fields_are_a_comb() {
+        let (odd, even) = (scene(0), scene(9));
+        let woven = GrayImage::from_fn(160, 120, |x, y| *if y % 2 == 0 { even.get_pixel(x, y) } else { odd.get_pixel(x, y) });
+        assert!(of_frames(&[frame(woven)], true)[0].says.contains("interlaced"));
+    }
+}
