@@ -46,6 +46,9 @@ pub enum Failure {
     /// A recording would be mixed with another one; holds what is there of it.
     #[error("{}: is there already and would be written over; give a new folder", .0.display())]
     ClipIsThere(PathBuf),
+    /// Pictures would be written over, or mixed with others.
+    #[error("{}: holds pictures that are not of an earlier --overlay; give a new folder", .0.display())]
+    FolderIsUsed(PathBuf),
     /// A config or a clip was checked, and something is wrong with it (the report has all of it).
     #[error("{}: {reason}", file.display())]
     Check {
@@ -121,6 +124,7 @@ impl Failure {
             | Self::NoFrame { .. }
             | Self::Output { .. }
             | Self::ClipIsThere(_)
+            | Self::FolderIsUsed(_)
             | Self::Check { .. }
             | Self::Device(_)
             | Self::Publishing(_)

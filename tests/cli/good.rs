@@ -63,6 +63,22 @@ fn an_overlay_a_frame() {
 }
 
 #[test]
+fn the_overlays_of_an_earlier_run_are_replaced_whole_and_other_files_are_refused() {
+    let scene = Scene::new();
+    scene.replay(&["--overlay", "seen"]).assert_success();
+    std::fs::copy(scene.path("seen/000005.jpg"), scene.path("seen/000123.jpg")).unwrap();
+    scene.replay(&["--overlay", "seen"]).assert_success();
+    assert!(scene.path("seen/000005.jpg").exists() && !scene.path("seen/000123.jpg").exists());
+    std::fs::create_dir(scene.path("own")).unwrap();
+    scene.write("own/000000.jpg", "a picture of mine");
+    scene.write("poses.jsonl", "kept");
+    scene
+        .replay(&["--overlay", "own", "--poses", "poses.jsonl"])
+        .assert_refused(1, &["own: holds pictures that are not of an earlier --overlay", "give a new folder"]);
+    assert_eq!((scene.read("own/000000.jpg"), scene.read("poses.jsonl")), ("a picture of mine".to_owned(), "kept".to_owned()));
+}
+
+#[test]
 fn a_reader_that_leaves_is_no_error() {
     let scene = Scene::new();
     let mut child = scene

@@ -109,6 +109,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     let (poses, tum) = (spared.open("--poses", arguments.poses.as_deref())?, spared.open("--tum", arguments.tum.as_deref())?);
     let summary = spared.open("--summary", arguments.summary.as_deref())?;
     arguments.claim_others(&settings, &mut spared)?;
+    arguments.overlay.as_deref().map_or(Ok(()), overlays::refuse_foreign)?;
     let receivers = arguments.outputs.then(|| Receivers::start(&settings, setup.camera, stamps(), arguments.fps)).transpose()?;
     let mut records = Records::begin(poses, tum, arguments.realtime)?;
     let mut summary = summary.map(records::Output::begin).transpose()?;

@@ -1,6 +1,9 @@
 //! `--overlay DIR`: one JPEG a frame with what the tracker saw drawn on it.
+//!
+//! The folder's frames are this run's alone: those of an earlier run are removed first, or a shorter clip would end in frames of a longer one.
+//! They are known by a file that lies beside them. A folder with frames of other origin is refused, for they may be somebody's only ones.
 
-use std::fs::create_dir_all;
+use std::fs::{self, create_dir_all};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -18,6 +21,9 @@ use crate::safe_file;
 use crate::track::{BodySpec, UsedPixel, UsedPixels};
 
 const QUALITY: u8 = 92;
+/// Lies in a folder that this module made, and what it says.
+const MARK: &str = "stagepose-overlay.txt";
+const MARK_TEXT: &str = "Pictures of stagepose replay --overlay. The next run into this folder replaces them.\n";
 
 pub(super) struct Overlays {
     directory: PathBuf,
@@ -28,9 +34,9 @@ pub(super) struct Overlays {
 }
 
 impl Overlays {
-    /// Makes the folder; `pixels` come from the tracker.
+    /// Makes the folder anew; `pixels` come from the tracker.
     pub fn create(directory: &Path, setup: &TrackerSetup, pixels: Receiver<UsedPixels>) -> Result<Self, Failure> {
-        create_dir_all(directory).map_err(Failure::output(directory))?;
+        replace_folder(directory).map_err(Failure::output(directory))?;
         let (stage, objects) = (setup.stage.clone(), setup.objects.clone());
         Ok(Self { directory: directory.to_owned(), camera: setup.camera, stage, objects, pixels })
     }
@@ -48,6 +54,35 @@ impl Overlays {
         let file = self.directory.join(format!("{:06}.jpg", frame.sequence));
         write_jpeg(&file, &picture).map_err(Failure::output(&file))
     }
+}
+
+/// Refuses a folder that holds frames of another origin than an earlier run.
+pub(super) fn refuse_foreign(directory: &Path) -> Result<(), Failure> {
+    let Ok(mut entries) = fs::read_dir(directory) else {
+        // It is not there yet, or making it will say what is the matter.
+        return Ok(());
+    };
+    let is_own = directory.join(MARK).is_file();
+    let has_frames = entries.any(|entry| entry.is_ok_and(|entry| is_frame_name(&entry.path())));
+    if has_frames && !is_own { Err(Failure::FolderIsUsed(directory.to_owned())) } else { Ok(()) }
+}
+
+/// Makes the folder, marked, without the pictures of an earlier run.
+fn replace_folder(directory: &Path) -> io::Result<()> {
+    create_dir_all(directory)?;
+    for entry in fs::read_dir(directory)? {
+        let file = entry?.path();
+        if is_frame_name(&file) {
+            fs::remove_file(&file)?;
+        }
+    }
+    safe_file::replace(&directory.join(MARK))?.write_all(MARK_TEXT.as_bytes())
+}
+
+/// Whether a file is called as [`Overlays::write`] calls them.
+fn is_frame_name(file: &Path) -> bool {
+    let digits = file.file_name().and_then(|name| name.to_str()).and_then(|name| name.strip_suffix(".jpg"));
+    digits.is_some_and(|digits| digits.len() >= 6 && digits.bytes().all(|b| b.is_ascii_digit()))
 }
 
 fn write_jpeg(file: &Path, picture: &RgbImage) -> io::Result<()> {
