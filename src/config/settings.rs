@@ -206,7 +206,7 @@ impl Settings {
         let camera = typed.camera.as_ref().map_or(&none, Spanned::get_ref);
         let calibration_line = camera.calibration.as_ref().map(Spanned::span).or(typed.camera.as_ref().map(Spanned::span));
         let calibration_line = calibration_line.map_or(1, |span| origin.line(&span));
-        let seconds = "seconds from 0 (unknown) to 1: 15 milliseconds are 0.015";
+        let seconds = "seconds from 0 (unknown) to 1; 15 milliseconds are 0.015";
         let within = |v: f64| (0.0..=1.0).contains(&v);
         let exposure_s = section.number("exposure_s", camera.exposure_s.as_ref(), 0.0, within, seconds)?;
         let readout_s = section.number("readout_s", camera.readout_s.as_ref(), 0.0, within, seconds)?;

@@ -191,8 +191,14 @@ fn wrong_values_are_refused() {
     let photo = |corners: &str| GOOD.replace("image = \"art.png\"", &format!("photo = \"photo.png\"\ncorners_px = {corners}"));
     let object = |name: &str| format!("[[object]]\nname = \"{name}\"\n[[object.surface]]\nimage = \"art.png\"\nsize_m = [4, 3]\n");
     let cases = [
-        (camera_plus("exposure_s = -0.1"), "`exposure_s` in [camera], line 3: -0.1 cannot be used; give seconds from 0 (unknown) to 1"),
-        (camera_plus("readout_s = nan"), "`readout_s` in [camera], line 3: NaN cannot be used; give seconds from 0 (unknown) to 1"),
+        (
+            camera_plus("exposure_s = -0.1"),
+            "`exposure_s` in [camera], line 3: -0.1 cannot be used; give seconds from 0 (unknown) to 1; 15 milliseconds are 0.015",
+        ),
+        (
+            camera_plus("readout_s = nan"),
+            "`readout_s` in [camera], line 3: NaN cannot be used; give seconds from 0 (unknown) to 1; 15 milliseconds are 0.015",
+        ),
         (camera_plus("fps = 0"), "`fps` in [camera], line 3: 0 cannot be used; give frames per second, above 0, at most 1000"),
         (camera_plus("format = \"h264\""), "`format` in [camera], line 3: `h264` cannot be used; give mjpeg, yuyv, nv12, grey or rgb"),
         (
@@ -262,11 +268,12 @@ fn wrong_values_are_refused() {
         ),
         (
             photo("[[10, 10], [20, 450], [590, 440], [600, 12]]"),
-            "`corners_px` in [[stage.surface]], line 5: photo.png: corners_px is not a convex quadrilateral; give top left, top right, bottom right, bottom left, clockwise in the photograph",
+            "`corners_px` in [[stage.surface]], line 5: photo.png: corners_px is not a convex quadrilateral; give top left, top right, bottom right, bottom left, clockwise in the photograph, in pixels; these run anticlockwise or cross: write \
+             corners_px = [[10.0, 10.0], [600.0, 12.0], [590.0, 440.0], [20.0, 450.0]]",
         ),
         (
             photo("[[10, 10], [600, 12], [100, 100], [20, 450]]"),
-            "`corners_px` in [[stage.surface]], line 5: photo.png: corners_px is not a convex quadrilateral; give top left, top right, bottom right, bottom left, clockwise in the photograph",
+            "`corners_px` in [[stage.surface]], line 5: photo.png: corners_px is not a convex quadrilateral; give top left, top right, bottom right, bottom left, clockwise in the photograph, in pixels",
         ),
         (
             format!("{GOOD}{}{}", object("a"), object("a")),

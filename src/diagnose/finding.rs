@@ -55,6 +55,12 @@ pub fn written(value: f64) -> String {
     if text.contains('.') { text } else { format!("{text}.0") }
 }
 
+/// A number no finer than it is known: rounded to the decimal place of three sigmas.
+pub fn known_to(value: f64, sigma: f64) -> f64 {
+    let place = 10_f64.powf((3.0 * sigma).log10().floor());
+    if place.is_normal() { (value / place).round() * place } else { value }
+}
+
 /// `[a, b]` as written into a config.
 pub fn list(values: &[f64]) -> String {
     format!("[{}]", values.iter().map(|v| written(*v)).collect::<Vec<_>>().join(", "))
@@ -72,6 +78,16 @@ mod tests {
             assert_eq!(written(value), text);
         }
         assert_eq!(list(&[4.0, 2.25]), "[4.0, 2.25]");
+    }
+
+    #[test]
+    fn numbers_are_no_finer_than_they_are_known() {
+        assert_eq!(written(known_to(2.998, 0.006)), "3.0");
+        assert_eq!(written(known_to(0.1354, 0.0002)), "0.1354");
+        assert_eq!(written(known_to(1234.0, 40.0)), "1200.0");
+        assert_eq!(known_to(1.25, 0.0), 1.25);
+        assert_eq!(known_to(1.25, f64::INFINITY), 1.25);
+        assert_eq!(known_to(1.25, f64::NAN), 1.25);
     }
 
     #[test]

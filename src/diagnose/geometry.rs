@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 
 use super::Trial;
 use super::corners::{begun_at, corners_of, top_left};
-use super::finding::{Finding, list, written};
+use super::finding::{Finding, known_to, list, written};
 use super::fit::{AS_CONFIGURED, Found, Shape, Views};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::daemon::TrackerSetup;
@@ -42,7 +42,12 @@ pub fn of_views(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<SurfaceView
     let left = case.seen.left(AS_CONFIGURED);
     tracing::debug!(left, floor = case.floor, views = case.seen.views.len(), "lens and shape as configured");
     if !case.fits(left) {
-        return vec![case.misfit()];
+        match case.misfit() {
+            Some(finding) => return vec![finding],
+            // Where it is followed, what no shape and no lens explains is the frames' own motion, not the config's fault.
+            None if !is_followed => return vec![case.no_flat_picture()],
+            None => {}
+        }
     }
     let mut findings = case.shape_as_seen(left);
     let others = (0..setup.stage.surfaces.len()).filter(|s| *s != main);
@@ -87,8 +92,8 @@ impl Case<'_> {
         left < self.floor + SLACK.0 + SLACK.1 * self.floor
     }
 
-    /// No pose fits as configured: what would.
-    fn misfit(&self) -> Finding {
+    /// No pose fits as configured: which shape or lens would, if any.
+    fn misfit(&self) -> Option<Finding> {
         let [w, h] = self.spec.size_m;
         let name = &self.spec.name;
         let ratio = self.seen.free_ratio();
@@ -96,35 +101,42 @@ impl Case<'_> {
         tracing::debug!(?ratio, ?focal, floor = self.floor, "lens and shape, each free");
         let is_swap = (ratio.shape.ratio / (w / h).powi(2)).ln().abs() < SAME_RATIO && (w / h).ln().abs() > SAME_RATIO;
         if self.fits(ratio.left) && is_swap {
-            return self.swapped(ratio.shape);
+            return Some(self.swapped(ratio.shape));
         }
         if self.fits(ratio.left) && ratio.left <= focal.left + 0.02 {
-            let size = list(&[w, h * ratio.shape.ratio]);
+            let known = |side: f64| known_to(side, side * ratio.sigma);
+            let size = list(&[w, known(h * ratio.shape.ratio)]);
             let tried = self.tried(ratio.shape);
             let told = ratio_words(h / w * ratio.shape.ratio, &ratio, h / w);
-            return Finding::fault(format!(
+            return Some(Finding::fault(format!(
                 "{name}: {told}, so that no pose fits: measure it again, and write size_m = {size} if its width is right, {} if its height is{tried}",
-                list(&[w / ratio.shape.ratio, h])
-            ));
+                list(&[known(w / ratio.shape.ratio), h])
+            )));
         }
         if self.fits(focal.left) {
-            return Finding::fault(self.focal_words(&focal, "so that no pose fits"));
+            return Some(Finding::fault(self.focal_words(&focal, "so that no pose fits")));
         }
         if let Some(finding) = self.other_distortion() {
-            return finding;
+            return Some(finding);
         }
         let both = self.seen.free_both();
         tracing::debug!(?both, "lens and shape, both free");
         if self.fits(both.left) {
             let tried = self.tried(both.shape);
-            return Finding::fault(format!(
+            return Some(Finding::fault(format!(
                 "{name}: neither size_m nor the calibration fit what is seen; a size_m of {} with a focal length of {} pixels (the calibration \
                  has {}) would: check both, size_m first, and calibrate this camera at this picture size{tried}",
                 list(&[w, h * both.shape.ratio]),
                 written(self.setup.camera.intrinsics().fx * both.shape.focal),
                 written(self.setup.camera.intrinsics().fx)
-            ));
+            )));
         }
+        None
+    }
+
+    /// Nothing explains how it is seen.
+    fn no_flat_picture(&self) -> Finding {
+        let name = &self.spec.name;
         let mend = match corners_of(self.spec) {
             Some((corners, _)) => format!(
                 "check that corners_px are the four outer corners of one flat rectangle, now {}, and that the calibration is this camera's",
@@ -212,7 +224,9 @@ impl Case<'_> {
         let focal_off = is_off(focal.shape.focal.ln(), NEAR_FOCAL, &focal);
         if ratio_off && (!focal_off || ratio.left <= focal.left) {
             let told = ratio_words(h / w * ratio.shape.ratio, &ratio, h / w);
-            let says = format!("{name}: {told}: measure it again; size_m = {} would fit", list(&[w, h * ratio.shape.ratio]));
+            let height = h * ratio.shape.ratio;
+            let size = list(&[w, known_to(height, height * ratio.sigma)]);
+            let says = format!("{name}: {told}: measure it again; if its width is right, write size_m = {size}");
             return vec![graded(ratio.shape.ratio, says)];
         }
         if focal_off {

@@ -25,6 +25,8 @@ use crate::track::{BodySpec, Matcher, Reason, SurfaceView, TrackerSettings};
 
 /// Matches of a view that count as seeing the surface at all; fewer may be chance.
 const LEAST_MATCHES: usize = 12;
+/// Patches of a surface that fit a pose where the surface is seen; fewer may fit by chance.
+const LEAST_PATCHES: usize = 4;
 /// Frames that a mend is tried on.
 const TRIED_FRAMES: usize = 8;
 
@@ -54,16 +56,25 @@ impl Trial {
 
     /// Of some frames, how many have a verified pose, each by itself; and how many were asked.
     pub fn verified(&mut self, frames: &[Frame]) -> (usize, usize) {
+        self.count(frames, |_| true)
+    }
+
+    /// As [`verified`](Self::verified), where patches of a surface fit the pose as well.
+    pub fn fitted(&mut self, frames: &[Frame], surface: usize) -> (usize, usize) {
+        self.count(frames, |matcher| matcher.fitting_patches(surface) >= LEAST_PATCHES)
+    }
+
+    fn count(&mut self, frames: &[Frame], is_so: impl Fn(&Matcher) -> bool) -> (usize, usize) {
         let step = frames.len().div_ceil(TRIED_FRAMES).max(1);
-        let (mut verified, mut asked) = (0, 0);
+        let (mut counted, mut asked) = (0, 0);
         for frame in frames.iter().step_by(step) {
             // Stamps far apart: no frame knows of the one before.
             self.stamp_ns += 10_000_000_000;
             let sighting = self.matcher.look(&Frame { timestamp_ns: self.stamp_ns, ..frame.clone() });
             asked += 1;
-            verified += usize::from(sighting.stage.reason.is_none_or(Reason::is_verified));
+            counted += usize::from(sighting.stage.reason.is_none_or(Reason::is_verified) && is_so(&self.matcher));
         }
-        (verified, asked)
+        (counted, asked)
     }
 }
 
@@ -79,7 +90,7 @@ pub fn of_clip(setup: &TrackerSetup, frames: &[Frame], is_followed: bool, travel
     }
     if seen > 0 {
         findings.extend(geometry::of_views(setup, frames, &views, is_followed));
-        findings.extend(picture::never_recognised(setup, &views, travel));
+        findings.extend(picture::never_recognised(setup, frames, &views, travel));
     }
     findings
 }

@@ -13,14 +13,23 @@ const BLACK: u8 = 24;
 const FLAT: u8 = 4;
 /// Least share of a side that a bar takes.
 const LEAST_BAR: f64 = 0.03;
-/// Rows next to each other differ by this factor more than rows two apart where two fields are woven together.
+/// Rows next to each other differ by this factor more than rows two apart where two fields far apart are woven together.
 const COMBED: f64 = 1.12;
+/// Fields of a progressive picture lie 0.03 to 0.05 px apart, which is noise; those of two moments as far as the camera moved. Raised,
+/// slow movements pass unseen.
+const FIELDS_APART_PX: f64 = 0.2;
+/// Side of the blocks in which the fields are compared, pixels, and how many blocks with upright edges are needed.
+const BLOCK_PX: usize = 32;
+const LEAST_BLOCKS: usize = 6;
+/// Mean square of the horizontal gradient below which a block has no upright edges, levels squared: twice that of usual noise.
+const LEAST_GRADIENT: f64 = 4.0;
 
 /// What the frames show of how they were made. Where they are followed, black lines are a dark house, or bars that do no harm.
 pub fn of_frames(frames: &[Frame], is_followed: bool) -> Vec<Finding> {
     let pictures: Vec<&GrayImage> = frames.iter().map(|f| &f.image).collect();
     let mut findings = Vec::new();
-    let combed = pictures.iter().filter(|p| comb(p) > COMBED).count();
+    let is_combed = |p: &GrayImage| comb(p) > COMBED || fields_apart_px(p).is_some_and(|px| px > FIELDS_APART_PX);
+    let combed = pictures.iter().filter(|p| is_combed(p)).count();
     if 4 * combed >= pictures.len().max(1) {
         findings.push(Finding::doubt(format!(
             "the clip is interlaced: {combed} of {} frames weave two moments together; switch the camera to a progressive mode, or \
@@ -79,6 +88,36 @@ fn comb(picture: &GrayImage) -> f64 {
     near as f64 / apart.max(1) as f64
 }
 
+/// How far the odd rows are shifted sideways against the even ones, pixels: the median over blocks; `None` without upright edges.
+///
+/// A row that was shifted by u differs from the mean of its neighbours by u times the horizontal gradient; in a progressive picture that
+/// difference has nothing to do with the gradient. Each block has its u by least squares, with the sign of odd and even rows turned.
+fn fields_apart_px(picture: &GrayImage) -> Option<f64> {
+    let (width, height) = (picture.width() as usize, picture.height() as usize);
+    let row = |y: usize| &picture.as_raw()[y * width..][..width];
+    let mut shifts = Vec::new();
+    for top in (1..height.saturating_sub(BLOCK_PX)).step_by(BLOCK_PX) {
+        for left in (1..width.saturating_sub(BLOCK_PX)).step_by(BLOCK_PX) {
+            let (mut by_gradient, mut gradients) = (0.0, 0.0);
+            for y in top..top + BLOCK_PX {
+                let (above, here, below) = (row(y - 1), row(y), row(y + 1));
+                let mean = |x: usize| 0.5 * (f64::from(above[x]) + f64::from(below[x]));
+                let side = if y % 2 == 0 { 1.0 } else { -1.0 };
+                for (x, level) in here.iter().enumerate().skip(left).take(BLOCK_PX) {
+                    let gradient = 0.5 * (mean(x + 1) - mean(x - 1));
+                    by_gradient += side * (f64::from(*level) - mean(x)) * gradient;
+                    gradients += gradient * gradient;
+                }
+            }
+            if gradients > LEAST_GRADIENT * (BLOCK_PX * BLOCK_PX) as f64 {
+                shifts.push((by_gradient / gradients).abs());
+            }
+        }
+    }
+    shifts.sort_by(f64::total_cmp);
+    (shifts.len() >= LEAST_BLOCKS).then(|| shifts[shifts.len() / 2])
+}
+
 /// What would make the picture recognised where it is not; `seen` frames were as they are.
 pub fn of_pictures(setup: &TrackerSetup, frames: &[Frame], seen: usize) -> Vec<Finding> {
     let mut trial = Trial::of(setup);
@@ -120,12 +159,14 @@ pub fn of_pictures(setup: &TrackerSetup, frames: &[Frame], seen: usize) -> Vec<F
 /// A surface that should fill this share of the poses' views and is recognised in no frame has another picture, or stands elsewhere.
 const LEAST_IN_VIEW: f64 = 0.5;
 
-/// Surfaces that should be in view, by the poses that others gave, and are never recognised.
-pub fn never_recognised(setup: &TrackerSetup, views: &[Vec<SurfaceView>], travel: &Travel) -> Vec<Finding> {
+/// Surfaces that should be in view, by the poses that others gave, and are neither recognised nor fit those poses.
+pub fn never_recognised(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<SurfaceView>], travel: &Travel) -> Vec<Finding> {
     let is_seen = |k: usize| views.iter().flatten().any(|v| v.surface as usize == k);
     let unseen = setup.stage.surfaces.iter().enumerate().filter(|(k, spec)| !is_seen(*k) && spec.check_texture().is_ok());
     unseen
         .filter(|(_, spec)| travel.share_in_view(&setup.camera, spec) > LEAST_IN_VIEW)
+        // A small or stretched picture may be followed though no feature of it is recognised.
+        .filter(|(k, _)| Trial::of(setup).fitted(frames, *k).0 == 0)
         .map(|(_, spec)| {
             Finding::warning(format!(
                 "{}: it should be in view, and is recognised in none of {} frames: check that `image` or `photo` is its picture, and its \
@@ -177,6 +218,18 @@ mod tests {
     fn two_fields_are_a_comb() {
         let (odd, even) = (scene(0), scene(9));
         let woven = GrayImage::from_fn(160, 120, |x, y| *if y % 2 == 0 { even.get_pixel(x, y) } else { odd.get_pixel(x, y) });
+        assert!(of_frames(&[frame(woven)], true)[0].says.contains("interlaced"));
+    }
+
+    #[test]
+    fn a_slow_movement_is_a_comb_too() {
+        let (odd, even) = (scene(0), scene(1));
+        let woven = GrayImage::from_fn(160, 120, |x, y| *if y % 2 == 0 { even.get_pixel(x, y) } else { odd.get_pixel(x, y) });
+        let apart = fields_apart_px(&woven).unwrap();
+        assert!((0.8..1.2).contains(&apart), "{apart}");
+        assert!(fields_apart_px(&odd).unwrap() < 0.02);
+        assert_eq!(fields_apart_px(&GrayImage::new(160, 120)), None);
+        assert_eq!(fields_apart_px(&GrayImage::new(3, 2)), None);
         assert!(of_frames(&[frame(woven)], true)[0].says.contains("interlaced"));
     }
 }

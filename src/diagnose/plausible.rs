@@ -21,14 +21,20 @@ const LARGEST_SPEED: f64 = 12.0;
 /// Tangential distortion beyond this is no lens: it moves the picture's corner by percents.
 const LARGEST_TANGENTIAL: f64 = 0.02;
 
-/// A surface that is turned further away (cosine), or whose shorter side is smaller in the picture, need not be recognised.
+/// A surface that is turned further away (cosine), or whose shorter side is smaller in the picture, need not be recognised: below 60 px a
+/// frame counts as too small for a pose, and a third more leaves no doubt.
 const LEAST_FACING: f64 = 0.4;
-const LEAST_SIDE_PX: f64 = 100.0;
+const LEAST_SIDE_PX: f64 = 80.0;
 
 /// What a length might have been meant as, in the units that stages are measured in.
 fn in_other_units(values: &[f64]) -> String {
     let tenth = |by: f64| list(&values.iter().map(|v| v / by).collect::<Vec<_>>());
     format!("{} if those are millimetres, {} if centimetres", tenth(1000.0), tenth(100.0))
+}
+
+/// A length or speed for a sentence: tenths, and hundredths below one.
+fn in_words(value: f64) -> String {
+    if value < 1.0 { format!("{value:.2}") } else { format!("{value:.1}") }
 }
 
 /// Whether the sizes and places of a body's surfaces make sense, in metres.
@@ -166,8 +172,8 @@ impl Travel {
         let mut findings = Vec::new();
         if let Some([near, far]) = self.distances(&first.pose.translation) {
             words += &match far - near < 0.1 * far {
-                true => format!("; the camera is {far:.1} m away"),
-                false => format!("; the camera is {near:.1} to {far:.1} m away"),
+                true => format!("; the camera is {} m away", in_words(far)),
+                false => format!("; the camera is {} to {} m away", in_words(near), in_words(far)),
             };
             if far > LARGEST_DISTANCE_M {
                 findings.push(Finding::doubt(format!(
@@ -177,7 +183,7 @@ impl Travel {
             }
         }
         if let Some(speed) = self.speed() {
-            words += &format!(" and moves at up to {speed:.1} m/s");
+            words += &format!(" and moves at up to {} m/s", in_words(speed));
             if speed > LARGEST_SPEED {
                 findings.push(Finding::doubt(format!(
                     "the camera moves at {speed:.0} m/s, as no stage camera does; check that size_m is in metres (size_m = {}), and the \

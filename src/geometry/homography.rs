@@ -23,6 +23,12 @@ impl Homography {
         (v.z > 1e-12).then(|| Vector2::new(v.x / v.z, v.y / v.z))
     }
 
+    /// Whether the map keeps the sense of rotation, as every view of a picture's front does; a mirror image reverses it.
+    pub fn keeps_orientation(&self) -> bool {
+        // The Jacobian's determinant is det(H) / z^3, and z > 0 for every point that is mapped at all.
+        self.0.determinant() > 0.0
+    }
+
     /// Squared transfer error of a pair in the second plane; infinite behind the horizon.
     pub fn squared_error(&self, pair: &PointPair) -> f64 {
         self.map(pair.from).map_or(f64::INFINITY, |q| (q - pair.to).norm_squared())

@@ -185,7 +185,7 @@ fn misfit(poses: &[Pose<Camera, Body>], camera: &MovingCamera<CameraModel>, agre
     poses.iter().map(over).min_by(f64::total_cmp).filter(|m| m.is_finite())
 }
 
-/// The homography that most matches of a surface agree with.
+/// The homography that most matches of a surface agree with. A mirror image is no view of the surface's front.
 pub fn surface_view(surface: u32, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> Option<SurfaceView> {
     let own: Vec<SurfaceMatch> = matches.iter().filter(|m| m.surface == surface).copied().collect();
     if own.len() < LEAST_INLIERS {
@@ -194,7 +194,7 @@ pub fn surface_view(surface: u32, matches: &[SurfaceMatch], camera: &CameraModel
     let pairs: Vec<PointPair> = own.iter().map(|m| PointPair { from: m.artwork, to: m.undistorted }).collect();
     let threshold = 4.0 * (f64::from(camera.width().max(camera.height())) / 1280.0).max(0.75);
     let options = RobustOptions { threshold, max_samples: SAMPLES, confidence: 0.9999, seed };
-    let found = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= LEAST_INLIERS)?;
+    let found = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= LEAST_INLIERS && f.homography.keeps_orientation())?;
     let matches = found.inliers.iter().map(|&k| own[k]).collect();
     Some(SurfaceView { surface, homography: found.homography, matches })
 }

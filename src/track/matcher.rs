@@ -320,6 +320,11 @@ impl Matcher {
         (0..stage.surfaces.len() as u32).filter_map(|k| surface_view(k, &own, &self.camera, self.settings.seed)).collect()
     }
 
+    /// Patches of one of the stage's surfaces that fitted the last verified pose.
+    pub fn fitting_patches(&self, surface: usize) -> usize {
+        self.bodies.first().map_or(0, |stage| stage.anchors.iter().filter(|a| a.surface as usize == surface).count())
+    }
+
     /// Features of the frame and their matches, for bodies that were lost.
     fn extract(&mut self, image: &GrayImage, acquire_ms: &mut f64) {
         let _span = debug_span!("detect").entered();

@@ -10,9 +10,11 @@ use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
 use crate::track::Matcher;
 
-/// A time that is known worse than this is not told: seconds, and as a share of itself.
+/// A time that is known worse than this is not printed: seconds, and as a share of itself.
 const LARGEST_SIGMA_S: f64 = 0.001;
 const LARGEST_SHARE: f64 = 0.15;
+/// No sensor reads its rows one after the other faster than this, seconds: below it the estimate is that of a global shutter, off by a little.
+const FASTEST_READOUT_S: f64 = 5e-4;
 
 /// The lines of the report, the first with its label.
 pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Result<Vec<String>, Failure> {
@@ -77,10 +79,10 @@ fn readout(found: Option<ShutterTime>, configured_s: f64) -> String {
     };
     let ShutterTime { seconds, sigma_s, frames } = time;
     let measured = format!("readout: {:.2} ms +- {:.2} (3 sigma of the scatter of {frames} frames)", seconds * 1e3, 3e3 * sigma_s);
-    if seconds < -3.0 * sigma_s {
+    if seconds < -(3.0 * sigma_s).max(FASTEST_READOUT_S) {
         return format!("{measured}: rows are read from the bottom up; turn the camera's picture upright in its driver, not after");
     }
-    if seconds < 3.0 * sigma_s {
+    if seconds < (3.0 * sigma_s).max(FASTEST_READOUT_S) {
         return format!("{measured}, as of a global shutter: readout_s = 0.0{}", kept(configured_s, 0.0, sigma_s));
     }
     format!("{measured}: readout_s = {seconds:.5}{}", kept(configured_s, seconds, sigma_s))
@@ -122,6 +124,8 @@ mod tests {
     #[test]
     fn a_global_shutter_is_called_so() {
         assert!(readout(time(1e-4, 1e-4), 0.0).contains("readout_s = 0.0, as the config has it"));
+        assert!(readout(time(1e-4, 1e-5), 0.0).contains("global shutter"));
+        assert!(readout(time(-1e-4, 1e-5), 0.0).contains("global shutter"));
     }
 
     #[test]

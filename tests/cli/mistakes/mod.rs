@@ -77,7 +77,7 @@ const LAYOUT: [Mistake; 9] = [
         done: "the height was guessed",
         spoil: |s| s.config("[4.0, 3.0]", "[4.0, 2.25]"),
         code: 1,
-        says: &["times as high as wide, by size_m 0.56", "write size_m = [4.0, 3.0"],
+        says: &["times as high as wide, by size_m 0.56", "write size_m = [4.0, 3.0]"],
     },
     Mistake {
         done: "one surface's place in millimetres",
