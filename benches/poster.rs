@@ -10,13 +10,11 @@ use std::process::ExitCode;
 
 use image::GrayImage;
 use image::imageops::{self, FilterType};
-use nalgebra::{Point3, Vector3};
-use stagepose::camera::CameraModel;
+use nalgebra::Point3;
 use stagepose::frame::Frame;
 use stagepose::record::State;
-use stagepose::simulate::{CameraPath, LightKey, Renderer, SensorNoise, Spline, VirtualStage, artwork_surface, grey, paint, upright};
+use stagepose::simulate::{CameraPath, Renderer, grey, in_front, one_picture, paint, walk};
 use stagepose::targets::poster;
-use stagepose::track::BodySpec;
 use stagepose::{Tracker, TrackerSetup};
 
 const FPS: f64 = 30.0;
@@ -27,7 +25,7 @@ const SCORED_FRAMES: u64 = 8;
 const WAY_S: f64 = 3.0;
 const POSTERS: [u64; 3] = [1, 2, 3];
 /// Places: widths in front, and degrees askew.
-const NATURAL_PLACES: [(f64, f64); 4] = [(0.3, 0.0), (1.0, 0.0), (3.0, 0.0), (10.0, 0.0)];
+const NATURAL_PLACES: [(f64, f64); 3] = [(1.0, 0.0), (3.0, 0.0), (10.0, 0.0)];
 const POSTER_PLACES: [(f64, f64); 9] =
     [(0.3, 0.0), (1.0, 0.0), (3.0, 0.0), (5.0, 0.0), (7.0, 0.0), (10.0, 0.0), (1.0, 60.0), (1.0, 70.0), (1.0, 75.0)];
 
@@ -51,36 +49,13 @@ enum Start {
     Followed,
 }
 
-fn place((widths, askew_deg): (f64, f64)) -> Point3<f64> {
-    let angle = askew_deg.to_radians();
-    Point3::new(angle.sin(), -angle.cos(), 0.0) * widths
-}
-
-/// At even shares of the way in angle and in the distance's logarithm: the picture grows and turns evenly.
-fn way(to: (f64, f64)) -> CameraPath {
-    let steps = 24;
-    let key = |k: u32| {
-        let share = f64::from(k) / f64::from(steps);
-        (WAY_S * share, place((to.0.powf(share), to.1 * share)).coords)
-    };
-    let keys: Vec<_> = (0..=steps).map(key).collect();
-    let position = Spline::new(&keys).expect("keys in order of time");
-    CameraPath { position, ..CameraPath::fixed(Point3::origin(), Point3::origin()) }
-}
-
 fn seen(picture: &GrayImage, at: (f64, f64), start: Start, light: f32) -> Seen {
-    let camera = CameraModel::pinhole(640, 480, 550.0, 550.0, 319.5, 239.5).expect("a camera");
-    let size_m = [1.0, f64::from(picture.height()) / f64::from(picture.width())];
-    let surface = artwork_surface("poster", picture.clone(), size_m, upright(Vector3::zeros(), 0.0));
+    let place = in_front(at.0, at.1);
     let (path, lead_s) = match start {
-        Start::Cold => (CameraPath::fixed(place(at), Point3::origin()), 0.0),
-        Start::Followed => (way(at), WAY_S),
+        Start::Cold => (CameraPath::fixed(place, Point3::origin()), 0.0),
+        Start::Followed => (walk((1.0, 0.0), at, WAY_S), WAY_S),
     };
-    let mut scene = VirtualStage::new(camera, path, BodySpec { name: "stage".into(), surfaces: vec![surface] });
-    scene.noise = SensorNoise::webcam();
-    scene.background = 90.0;
-    scene.samples = 8;
-    scene.light = vec![LightKey { time_s: 0.0, gain: light }];
+    let scene = one_picture(picture.clone(), path, light);
     let mut tracker = Tracker::new(TrackerSetup::from(&scene));
     let renderer = Renderer::new(scene);
     let frames = COLD_FRAMES + (lead_s * FPS) as u64;
@@ -91,7 +66,7 @@ fn seen(picture: &GrayImage, at: (f64, f64), start: Start, light: f32) -> Seen {
         let sample = tracker.track(&frame);
         let Some(m) = sample.measurement.filter(|_| sample.state == State::Tracking && k >= frames - SCORED_FRAMES) else { continue };
         let covariance = m.covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let off = m.pose.translation - place(at).coords;
+        let off = m.pose.translation - place.coords;
         sum.tracked += 1.0;
         sum.sigma += covariance.trace().sqrt();
         sum.error += off.norm_squared();

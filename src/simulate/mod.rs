@@ -11,6 +11,7 @@
 mod backdrop;
 mod canvas;
 mod dolly;
+mod one_picture;
 mod path;
 mod render;
 mod sensor;
@@ -19,6 +20,7 @@ mod texture;
 
 pub use backdrop::{grey, paint, paint_boards};
 pub use dolly::{Dolly, DollyError, dolly};
+pub use one_picture::{in_front, one_picture, walk};
 pub use path::{CameraPath, ObjectPath, PathError, Shake, Spline, look_at};
 pub use render::Renderer;
 pub use sensor::SensorNoise;

@@ -1,28 +1,17 @@
 //! The poster: tracked from near and far and askew, and told better than natural pictures of the same width.
 
-use nalgebra::{Point3, Vector3};
-use stagepose::camera::CameraModel;
+use nalgebra::Point3;
 use stagepose::frame::Frame;
 use stagepose::record::Measurement;
-use stagepose::simulate::{CameraPath, LightKey, Renderer, SensorNoise, VirtualStage, artwork_surface, upright};
+use stagepose::simulate::{CameraPath, Renderer, in_front, one_picture, walk};
 use stagepose::targets::poster;
-use stagepose::track::BodySpec;
 use stagepose::{Tracker, TrackerSetup};
 
 /// The last of four frames of a still camera with 640x480 pixels, this many widths in front and this far askew; and how far off the
 /// camera's centre is, widths.
 fn seen(picture: &image::GrayImage, widths: f64, askew_deg: f64, light: f32) -> Option<(Measurement, f64)> {
-    let camera = CameraModel::pinhole(640, 480, 550.0, 550.0, 319.5, 239.5).unwrap();
-    let size_m = [1.0, f64::from(picture.height()) / f64::from(picture.width())];
-    let angle = askew_deg.to_radians();
-    let at = Point3::new(angle.sin(), -angle.cos(), 0.0) * widths;
-    let surface = artwork_surface("poster", picture.clone(), size_m, upright(Vector3::zeros(), 0.0));
-    let stage = BodySpec { name: "stage".into(), surfaces: vec![surface] };
-    let mut scene = VirtualStage::new(camera, CameraPath::fixed(at, Point3::origin()), stage);
-    scene.noise = SensorNoise::webcam();
-    scene.background = 90.0;
-    scene.samples = 8;
-    scene.light = vec![LightKey { time_s: 0.0, gain: light }];
+    let at = in_front(widths, askew_deg);
+    let scene = one_picture(picture.clone(), CameraPath::fixed(at, Point3::origin()), light);
     let mut tracker = Tracker::new(TrackerSetup::from(&scene));
     let renderer = Renderer::new(scene);
     let frame = |k: u64| Frame { image: renderer.render(0.0, k), timestamp_ns: k as i64 * 33_333_333, sequence: k };
@@ -39,6 +28,30 @@ fn the_poster_is_tracked_near_far_askew_and_in_dim_light() {
     for (widths, askew_deg, light) in [(0.3, 0.0, 1.0), (1.0, 60.0, 1.0), (5.0, 0.0, 1.0), (1.0, 30.0, 0.15)] {
         let (_, off) = seen(&picture, widths, askew_deg, light).unwrap_or_else(|| panic!("lost at {widths} widths, {askew_deg} degrees"));
         assert!(off < 0.01 * widths, "{widths} widths, {askew_deg} degrees: {off} widths off");
+    }
+}
+
+/// At ten widths it is 55 pixels wide. The camera stops dead there, which no motion filter expects.
+#[test]
+fn it_is_followed_to_ten_widths_and_to_75_degrees() {
+    let picture = poster::paint(850, 1200, 7);
+    for (from, to) in [((5.0, 0.0), (10.0, 0.0)), ((1.0, 45.0), (1.0, 75.0))] {
+        let scene = one_picture(picture.clone(), walk(from, to, 1.0), 1.0);
+        let mut tracker = Tracker::new(TrackerSetup::from(&scene));
+        let renderer = Renderer::new(scene);
+        for k in 0..40_u64 {
+            let time_s = k as f64 / 30.0;
+            let frame = Frame { image: renderer.render(time_s, k), timestamp_ns: (time_s * 1e9) as i64, sequence: k };
+            let sample = tracker.track(&frame);
+            // The first two frames confirm each other.
+            assert!(sample.measurement.is_some() || k < 2, "{to:?}: lost in frame {k}");
+            if let Some(m) = sample.measurement.filter(|_| k >= 30) {
+                let off = (m.pose.translation - in_front(to.0, to.1).coords).norm();
+                let sigma = m.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
+                println!("{to:?}: {off:.2e} widths off, sigma {sigma:.2e}");
+                assert!(sigma < 0.02 * to.0 && off < 5.0 * sigma, "{to:?}: {off} widths off, sigma {sigma}, in frame {k}");
+            }
+        }
     }
 }
 

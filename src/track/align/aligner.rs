@@ -76,7 +76,7 @@ const OFF_FADES: f64 = 0.8;
 /// What is remembered at first, pixels of the frame.
 const FIRST_OFF_PX: f64 = 40.0;
 /// A body that was aligned from nearby is looked for from further off where its residuals are larger than this, sigmas, or fewer of its
-/// tiles take part than this share of what did in the last frame.
+/// tiles take part than this share of what did in the last frame. With residuals as large, its velocity may also have jumped.
 const CLOSE_SCALE: f64 = 2.0;
 const CLOSE_SHARE: f64 = 0.8;
 /// How the picture was enlarged is asked again after so many frames, at first after fewer; a change must leave no more than this
@@ -190,7 +190,10 @@ impl Aligner {
             Some(found) => found,
             None => self.settle(frame, eye, &known, expected)?,
         };
-        let has_jumped = with_jump.is_some() && is_surprising(surprise(expected, &found.motion));
+        // A small picture has few pixels. Where they contradict the expectation, their residuals are large, and large residuals weigh little
+        // beside it: the pose stays where it was expected, and only the residuals tell.
+        let is_held_back = found.scale > CLOSE_SCALE;
+        let has_jumped = with_jump.is_some() && (is_held_back || is_surprising(surprise(expected, &found.motion)));
         if let Some(with_jump) = with_jump.filter(|_| has_jumped) {
             self.solve_with_jump(eye, &known, with_jump, &found)?;
         }

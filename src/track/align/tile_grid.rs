@@ -2,16 +2,18 @@
 
 use super::selection::Chosen;
 
-/// Most tiles across and down the part of the frame that the body covers; both even, because two by two tiles share a
-/// cell of the light grid.
+/// Most tiles across and down the part of the frame that the body covers. Two by two tiles share a cell of the light grid; where their number
+/// is odd, the last cells are half as wide.
 pub const MOST_TILES: [usize; 2] = [16, 10];
-/// Least side of a tile, pixels of the level.
-const LEAST_TILE_PX: usize = 8;
+/// Least side of a tile, pixels of the level. A tile votes on a pose by the correlation of its pixels, of which it needs a dozen: smaller
+/// ones have too few. Larger, and a picture seen small has too few tiles to be believed, however well all of them agree: with 8, one of 27 by
+/// 39 pixels of the level (a tenth of the frame's width) has four.
+const LEAST_TILE_PX: usize = 6;
 
 /// The tiles that a body's pixels are grouped by: a grid over the part of the frame that they cover.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct TileGrid {
-    /// Tiles across and down, even.
+    /// Tiles across and down.
     count: [usize; 2],
     /// First pixel column and row of the level.
     origin: [usize; 2],
@@ -30,7 +32,7 @@ impl TileGrid {
             }
         }
         let size = [0, 1].map(|k| (usize::from(high[k]) + 1).saturating_sub(usize::from(low[k])).max(1));
-        let count = [0, 1].map(|k| (size[k] / LEAST_TILE_PX / 2 * 2).clamp(2, MOST_TILES[k]));
+        let count = [0, 1].map(|k| (size[k] / LEAST_TILE_PX).clamp(2, MOST_TILES[k]));
         Self { count, origin: low.map(|v| if v == u16::MAX { 0 } else { usize::from(v) }), size }
     }
 
@@ -63,7 +65,7 @@ impl TileGrid {
 
     /// Nodes of the light grid across and down: the corners of the cells.
     pub fn nodes(&self) -> [usize; 2] {
-        self.count.map(|c| c / 2 + 1)
+        self.count.map(|c| c.div_ceil(2) + 1)
     }
 
     /// The light nodes at the corners of a tile's cell: top left, top right, bottom left, bottom right. Nodes are numbered
@@ -73,5 +75,37 @@ impl TileGrid {
         let (column, row) = (tile % self.count[0] / 2, tile / self.count[0] / 2);
         let at = |c: usize, r: usize| c * rows + r;
         [at(column, row), at(column + 1, row), at(column, row + 1), at(column + 1, row + 1)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn covering(width: u16, height: u16) -> TileGrid {
+        let corner = |x, y| Chosen { surface: 0, place: [x, y] };
+        TileGrid::covering(&[corner(40, 30), corner(40 + width - 1, 30 + height - 1)])
+    }
+
+    #[test]
+    fn a_small_picture_has_as_many_tiles_as_fit() {
+        assert_eq!(covering(21, 33).count, [3, 5]);
+        assert_eq!(covering(5, 5).count, [2, 2]);
+        assert_eq!(covering(900, 700).count, MOST_TILES);
+    }
+
+    #[test]
+    fn every_tile_has_its_nodes_and_places_lie_in_its_cell() {
+        for grid in [covering(21, 33), covering(40, 31), covering(900, 700)] {
+            let nodes = grid.nodes()[0] * grid.nodes()[1];
+            assert!((0..grid.len()).all(|tile| grid.nodes_of(tile).iter().all(|&node| node < nodes)), "{grid:?}");
+            let mut places = Vec::new();
+            for axis in [0, 1] {
+                grid.places(axis, &mut places);
+                assert_eq!(places.len(), grid.size[axis]);
+                // A pixel across the border of two cells belongs to one of them.
+                assert!(places.iter().all(|(tile, at)| usize::from(*tile) < grid.count[axis] && (-0.05..=1.05).contains(at)), "{grid:?}");
+            }
+        }
     }
 }

@@ -1,0 +1,71 @@
+//! One picture that hangs alone, seen by a webcam: the scene that tells how well a picture can be tracked.
+
+use image::GrayImage;
+use nalgebra::{Point3, Vector3};
+
+use super::{CameraPath, LightKey, SensorNoise, Spline, VirtualStage, artwork_surface, upright};
+use crate::camera::CameraModel;
+use crate::track::BodySpec;
+
+/// Frames of the webcam, pixels, and its focal length: 60 degrees across.
+const FRAME_PX: [u32; 2] = [640, 480];
+const FOCAL_PX: f64 = 550.0;
+/// Grey of what is around the picture.
+const AROUND: f32 = 90.0;
+/// Rays a pixel: marks of a fine picture are smaller than a pixel from afar.
+const SAMPLES: u32 = 8;
+
+/// A picture one metre wide around the origin, so that distances are in widths of the picture, seen by a webcam of 640x480 pixels that moves
+/// along `path`. `light`: 1 for the picture's own greys.
+pub fn one_picture(picture: GrayImage, path: CameraPath, light: f32) -> VirtualStage {
+    let [width, height] = FRAME_PX;
+    let middle = |size: u32| 0.5 * (f64::from(size) - 1.0);
+    let camera =
+        CameraModel::pinhole(width, height, FOCAL_PX, FOCAL_PX, middle(width), middle(height)).expect("a pinhole with a focal length");
+    let size_m = [1.0, f64::from(picture.height()) / f64::from(picture.width())];
+    let surface = artwork_surface("picture", picture, size_m, upright(Vector3::zeros(), 0.0));
+    let mut scene = VirtualStage::new(camera, path, BodySpec { name: "stage".into(), surfaces: vec![surface] });
+    scene.noise = SensorNoise::webcam();
+    scene.background = AROUND;
+    scene.samples = SAMPLES;
+    scene.light = vec![LightKey { time_s: 0.0, gain: light }];
+    scene
+}
+
+/// The place so many widths in front of the picture's middle, and this far to the side of its normal.
+pub fn in_front(widths: f64, askew_deg: f64) -> Point3<f64> {
+    let angle = askew_deg.to_radians();
+    Point3::new(angle.sin(), -angle.cos(), 0.0) * widths
+}
+
+/// From one place in front (widths, degrees askew) to another in so many seconds, at even shares of the way in angle and in the
+/// distance's logarithm: the picture grows and turns evenly, and the camera stops dead.
+///
+/// # Panics
+///
+/// Where `seconds` is not above 0, or a distance is not a number above 0.
+pub fn walk(from: (f64, f64), to: (f64, f64), seconds: f64) -> CameraPath {
+    const STEPS: u32 = 24;
+    let key = |k: u32| {
+        let share = f64::from(k) / f64::from(STEPS);
+        let widths = from.0 * (to.0 / from.0).powf(share);
+        (seconds * share, in_front(widths, from.1 + (to.1 - from.1) * share).coords)
+    };
+    let keys: Vec<_> = (0..=STEPS).map(key).collect();
+    let position = Spline::new(&keys).expect("keys in order of time");
+    CameraPath { position, ..CameraPath::fixed(Point3::origin(), Point3::origin()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_walk_ends_where_it_should() {
+        let path = walk((1.0, 0.0), (10.0, 60.0), 3.0);
+        for (time_s, place) in [(0.0, in_front(1.0, 0.0)), (3.0, in_front(10.0, 60.0)), (9.0, in_front(10.0, 60.0))] {
+            assert!((path.pose(time_s).translation - place.coords).norm() < 1e-9, "{time_s}");
+        }
+        assert!((path.pose(1.5).translation.norm() - 10.0_f64.sqrt()).abs() < 0.01);
+    }
+}
