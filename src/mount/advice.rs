@@ -62,7 +62,7 @@ pub fn judge(solution: &Solution) -> (Verdict, Vec<String>) {
     }
     if solution.excess > ODD_EXCESS {
         reasons.push(format!(
-            "the views scatter {:.1} times as much as their noise tells: was the rig still, are both cameras bolted to it, do size_m and \
+            "the views scatter {:.1} times as much as their noise explains: was the rig still, are both cameras bolted to it, do size_m and \
              the calibrations hold?",
             solution.excess
         ));

@@ -8,7 +8,7 @@
 //!
 //! 1. one layer of smooth noise for every octave of sizes, each on a lattice of its own that is turned against the others, so that
 //!    nothing is aligned and nothing repeats;
-//! 2. their sum, the finer ones slightly stronger, so that no place is empty when seen from near;
+//! 2. their sum, the finer ones slightly weaker, because a camera far away sees only the coarse ones;
 //! 3. black where the sum is below its median and white above, so that half of the picture is black: its mean is mid-grey wherever
 //!    the exposure comes from;
 //! 4. edges as soft as two pixels, so that the file itself has no steps.
@@ -24,9 +24,10 @@ const COARSEST_CELLS: f64 = 4.0;
 /// Layers, each with cells half the size of the one before: the last has 1024 across the picture's width, so that its marks are
 /// about 1/500 of the width. More would be finer than a printer prints; fewer leave a camera at 0.3 widths without detail.
 const LAYERS: u32 = 9;
-/// Strength of a layer over that of the one before. 1 is the same contrast in every octave; below, near pictures have empty places;
-/// above, far ones lose contrast.
-const FINER_IS_STRONGER: f64 = 1.07;
+/// Strength of a layer over that of the one before. 1 is the same contrast in every octave. A camera far away sees the coarse layers alone, and
+/// what black and white give to the fine ones is lost to it: by the Cramer-Rao bound, 0.87 instead of 1.07 takes a quarter off the sigma at 10 widths
+/// and a tenth at 3, and adds two fifths at 0.3, where it is smallest by far.
+const FINER_BY_COARSER: f64 = 0.87;
 /// Grey levels of black and white: paper is not 255 and ink not 0, and a camera in bright light shall not clip.
 const LEVELS: [f32; 2] = [20.0, 235.0];
 /// Width of an edge in the file, pixels.
@@ -94,7 +95,7 @@ fn layers(width: u32, height: u32, random: &mut Pcg64Mcg) -> Vec<Layer> {
             let middle = [0, 1].map(|_| 0.5 * (side as f64 - 1.0) + random.random_range(-0.5..0.5));
             let step = turn.map(|part| part * cells / shorter);
             let picture_middle = [width, height].map(|side| 0.5 * (f64::from(side) - 1.0));
-            (cells, strength) = (2.0 * cells, FINER_IS_STRONGER * strength);
+            (cells, strength) = (2.0 * cells, FINER_BY_COARSER * strength);
             Layer { numbers, side, step, middle, picture_middle }
         })
         .collect()

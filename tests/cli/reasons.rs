@@ -46,6 +46,25 @@ fn the_picture_is_not_there_or_far_too_small() {
     });
 }
 
+/// A poster's features are recognised when it is 50 pixels wide, but a pose from so few pixels would be too uncertain.
+#[test]
+fn the_picture_is_there_but_too_small() {
+    let scene = Scene::new();
+    let poster = stagepose::targets::poster::paint(850, 1100, 1);
+    poster.save(scene.path("art.png")).unwrap();
+    scene.config_with("size_m = [4.0, 3.0]", "size_m = [0.2, 0.25882]");
+    let lens = "fx = 550.0\nfy = 550.0\ncx = 319.5\ncy = 239.5\nskew = 0.0\ndistortion = [0.0, 0.0, 0.0, 0.0, 0.0]\n";
+    scene.write("camera.toml", &format!("width = 640\nheight = 480\n{lens}"));
+    let small = imageops::resize(&poster, 50, 65, imageops::FilterType::Triangle);
+    let (summary, printed) = replay_changed(&scene, |_| {
+        let mut wide = GrayImage::from_pixel(640, 480, Luma([90]));
+        imageops::replace(&mut wide, &small, 300, 200);
+        wide
+    });
+    assert_eq!((&summary["tracking"], &summary["reasons"]["too_small"]), (&0.into(), &6.into()), "{summary}");
+    assert!(printed.contains("the picture is recognised, but it is too small in the frame: go nearer"), "{printed}");
+}
+
 #[test]
 fn a_picture_that_no_pose_fits_is_told_from_one_that_is_not_there() {
     let scene = Scene::new();

@@ -1,7 +1,7 @@
 //! `mount`: where the filming camera sits on the rig, from clips that both cameras took of still views.
 
 mod measure;
-mod told;
+mod report;
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ use crate::mount::{
 use crate::printable::printable_lines;
 use crate::publish::BodyChoice;
 use measure::{Measured, measure};
-use told::Told;
+use report::MountReport;
 
 /// Measure where the filming camera sits beside the tracking camera, from still views that both took.
 #[derive(Debug, clap::Args)]
@@ -78,7 +78,7 @@ pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
     if worst_sigmas(&doubt)[0] > worst_sigmas(&solution.covariance)[0] {
         reasons.push("most of the doubt is the calibrations' own, which more views do not mend".to_owned());
     }
-    let told = Told {
+    let report = MountReport {
         mount: &solution.mount,
         covariance,
         solution: &solution,
@@ -92,9 +92,9 @@ pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
         tracking_config: &arguments.config,
     };
     if let Some(file) = &arguments.json {
-        write_whole(file, told.json())?;
+        write_whole(file, report.json())?;
     }
-    writeln!(io::stdout(), "{}", printable_lines(&told.text())).map_err(Failure::output(Path::new("stdout")))?;
+    writeln!(io::stdout(), "{}", printable_lines(&report.text())).map_err(Failure::output(Path::new("stdout")))?;
     match verdict {
         Verdict::DoNotUse => {
             Err(Failure::Mount("the mount is not known well enough to be used; take the views that are asked for".to_owned()))
@@ -133,7 +133,7 @@ fn lens_doubt(eyes: [Eye<'_>; 2], pairs: &[ViewPair], solution: &Solution) -> Ma
 
 /// Why there is no mount, and what to do.
 fn unsolvable(why: Unsolvable, pairs: &[StillPair], arguments: &MountArguments) -> Failure {
-    let missing = told::missing(pairs);
+    let missing = report::missing(pairs);
     let missing = if missing.is_empty() { String::new() } else { format!(" ({})", missing.join("; ")) };
     let both_see = "or let both cameras see one stage, and leave --own-boards away";
     Failure::Mount(match why {
@@ -148,7 +148,7 @@ fn unsolvable(why: Unsolvable, pairs: &[StillPair], arguments: &MountArguments) 
             )
         }
         Unsolvable::OneAxis { axis, .. } => {
-            let (word, others) = told::axis_words(&axis);
+            let (word, others) = report::axis_words(&axis);
             format!(
                 "{why} ({word}), which with boards of their own leaves the offset along that axis open; add views with the rig {others} by 20 \
                  degrees or more, {both_see}"

@@ -17,7 +17,7 @@ const TYPED_SIGMA_M: f64 = 2e-3;
 const TYPED_SIGMA_RAD: f64 = 0.1 * std::f64::consts::PI / 180.0;
 
 /// What was measured, as it is printed.
-pub(super) struct Told<'a> {
+pub(super) struct MountReport<'a> {
     pub mount: &'a Pose<Camera, FilmingCamera>,
     /// With the lenses' doubt.
     pub covariance: Matrix6<f64>,
@@ -37,7 +37,7 @@ fn body_axes() -> UnitQuaternion<f64> {
     body_of_camera(&Pose::identity()).rotation.inverse()
 }
 
-impl Told<'_> {
+impl MountReport<'_> {
     /// The mount between the cameras' bodies.
     fn of_bodies(&self) -> Pose<Body, Body> {
         let axes = body_axes();
@@ -96,7 +96,7 @@ impl Told<'_> {
         let line = |(pair, view): (&StillPair, &crate::mount::Used)| {
             let off = (view.squared_distance / 6.0).sqrt();
             format!(
-                "{}: left out, it is {off:.0} times as far off as its noise tells; was the rig moved between the two pictures?",
+                "{}: left out, it is {off:.0} times as far off as its noise explains; was the rig moved between the two pictures?",
                 named(pair)
             )
         };
