@@ -106,8 +106,7 @@ impl TrackedBody {
             return None;
         }
         let expected = estimate.after(dt_s, self.aligner.distance(&estimate.motion.pose), &self.jerk);
-        let with_jump = self.aligner.may_jump(&expected, dt_s);
-        let verified = self.align(frame, levels, eye, &expected, Some(&with_jump))?;
+        let verified = self.align(frame, levels, eye, &expected, Some(dt_s))?;
         self.unaudited += 1;
         if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose, eye.camera()) {
             self.motion = None;
@@ -127,19 +126,19 @@ impl TrackedBody {
         margin > -LEAST_MARGIN
     }
 
-    /// Aligns the body from a start and judges the result. `with_jump`: the same expectation where the velocity may have jumped, if the
-    /// start comes from the motion of an aligned body.
+    /// Aligns the body from a start and judges the result. `since_s`: seconds since the last frame, if the start comes from the motion
+    /// of an aligned body.
     pub fn align(
         &mut self,
         frame: &Frame,
         levels: &mut FrameLevels,
         eye: &Eye,
         expected: &MotionEstimate,
-        with_jump: Option<&MotionEstimate>,
+        since_s: Option<f64>,
     ) -> Option<Verified> {
-        let found = self.aligner.align(levels, eye, expected, with_jump)?;
+        let found = self.aligner.align(levels, eye, expected, since_s)?;
         // Pushed far away, it is a new pose as much as one that was found anew.
-        let is_expected = with_jump.is_some() && !found.is_pushed();
+        let is_expected = since_s.is_some() && !found.is_pushed();
         debug!(
             share = found.share(),
             tiles = found.tiles,
@@ -168,7 +167,7 @@ impl TrackedBody {
 
     /// An alignment in the terms of the record: pose and covariance of `T_camera_body`, and correspondences.
     fn aligned(&mut self, found: &Alignment, camera: &CameraModel) -> Verified {
-        let pose = found.estimate.motion.pose.inverse();
+        let pose = found.pose.inverse();
         // R <- R Exp(δθ), p <- p + δp of the inverse, as a left perturbation of the pose: φ = -δθ, τ = -Rᵀ δp.
         let mut by_error = Matrix6::zeros();
         by_error.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-pose.rotation_matrix()));

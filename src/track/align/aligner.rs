@@ -5,15 +5,16 @@ use nalgebra::{Matrix2, Vector2};
 use super::evidence::RunEvidence;
 use super::exposure::{KnownSpread, USUAL_EXPOSURE_S, UnknownExposure, exposure_clue};
 use super::frame_levels::{FrameLevels, LEVELS};
+use super::jump_instant::RowBands;
 use super::light::RememberedLight;
-use super::motion::{Motion, MotionEstimate};
+use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::noise::CameraNoise;
 use super::selection::{Chosen, Selector};
 use super::shutter_clue::{ClueKeeper, ShutterClue};
 use super::slopes::{ChangeSums, SlopeShare};
 use super::task::{SlowStates, Task};
 use super::tile_grid::MOST_TILES;
-use super::velocity_jump::{by_bend, by_start, end_jump, is_surprising, jumped, unseen_jump};
+use super::velocity_jump::{by_bend, by_start, is_surprising, jumped};
 use super::verdict::{Alignment, agreement, surprise};
 use super::work::used_pixels::UsedPixel;
 use super::work::{Corrected, Expected, Work};
@@ -171,14 +172,8 @@ impl Aligner {
 
     /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges.
     ///
-    /// `with_jump`: the same expectation where the velocity may have jumped ([`may_jump`](Self::may_jump)), if the body is followed.
-    pub fn align(
-        &mut self,
-        frame: &mut FrameLevels,
-        eye: &Eye,
-        expected: &MotionEstimate,
-        with_jump: Option<&MotionEstimate>,
-    ) -> Option<Alignment> {
+    /// `since_s`: seconds since the last frame, if the body is followed; its velocity may have jumped meanwhile.
+    pub fn align(&mut self, frame: &mut FrameLevels, eye: &Eye, expected: &MotionEstimate, since_s: Option<f64>) -> Option<Alignment> {
         if let Some(clues) = &mut self.clues {
             clues.clue = None;
         }
@@ -193,16 +188,12 @@ impl Aligner {
         // A small picture has few pixels. Where they contradict the expectation, their residuals are large, and large residuals weigh little
         // beside it: the pose stays where it was expected, and only the residuals tell.
         let is_held_back = found.scale > CLOSE_SCALE;
-        let has_jumped = with_jump.is_some() && (is_held_back || is_surprising(surprise(expected, &found.motion)));
-        if let Some(with_jump) = with_jump.filter(|_| has_jumped) {
-            self.solve_with_jump(eye, &known, with_jump, &found)?;
+        let jumped_since_s = since_s.filter(|_| is_held_back || is_surprising(surprise(expected, &found.motion)));
+        if let Some(since_s) = jumped_since_s {
+            let with_jump = jumped(expected, since_s, &self.slow.sensor, self.distance(&expected.motion.pose));
+            self.solve_with_jump(eye, &known, &with_jump, &found)?;
         }
-        self.conclude(eye, expected, with_jump, has_jumped)
-    }
-
-    /// What is expected where the velocity may have jumped in the `dt_s` since the last frame. `expected`: where it did not.
-    pub fn may_jump(&self, expected: &MotionEstimate, dt_s: f64) -> MotionEstimate {
-        jumped(expected, dt_s, &self.slow.sensor, self.distance(&expected.motion.pose))
+        self.conclude(eye, expected, &information, since_s, jumped_since_s.is_some())
     }
 
     /// Solves the finest level once more from where it was found, with a velocity that may have jumped.
@@ -396,25 +387,35 @@ impl Aligner {
         self.surfaces.iter().map(|s| (s.centre - pose.translation).norm()).fold(f64::INFINITY, f64::min).max(1e-3)
     }
 
-    /// Covariance and evidence at the solution.
+    /// Covariance and evidence at the solution. `information`: of what was expected; `has_jumped`: whether it was solved with a wider
+    /// expectation.
     fn conclude(
         &mut self,
         eye: &Eye,
         expected: &MotionEstimate,
-        with_jump: Option<&MotionEstimate>,
+        information: &MotionMatrix,
+        since_s: Option<f64>,
         has_jumped: bool,
     ) -> Option<Alignment> {
         let solved = self.fine.solved()?;
         let task = task(&self.surfaces, &self.slow, eye, FINEST, &solved.motion);
         let blur_px = task.blur_px * f64::from(1u32 << FINEST);
-        let (mut estimate, mut covariance) = self.fine.conclude(&task)?;
+        let mut bands = RowBands::new(self.slow.sensor);
+        let (mut estimate, mut covariance) = self.fine.conclude(&task, &mut bands)?;
         let (sensor, distance_m) = (&self.slow.sensor, self.distance(&solved.motion.pose));
-        if let Some(with_jump) = with_jump {
+        let mut pose = estimate.motion.pose;
+        if let Some(since_s) = since_s {
             covariance += by_bend(expected, &estimate, sensor, distance_m);
-            if has_jumped {
-                end_jump(&mut estimate, sensor, distance_m);
-            } else if let Some(more) = unseen_jump(expected, with_jump, &estimate) {
-                covariance += more;
+            let error = estimate.motion.error_to(&expected.motion);
+            if let Some(mixture) = bands.mixture(information, &error, since_s, distance_m) {
+                pose = estimate.motion.with_pose_corrected(&mixture.pose);
+                covariance += mixture.pose_covariance;
+                if has_jumped {
+                    // Solved with a wider expectation, which the mixture no longer needs.
+                    estimate.covariance = mixture.without_jump;
+                }
+                estimate.motion = estimate.motion.corrected(&mixture.motion);
+                estimate.covariance += mixture.motion_covariance;
             }
         } else {
             covariance += by_start(&estimate, sensor);
@@ -436,6 +437,7 @@ impl Aligner {
         let verdicts = self.fine.runs().iter().filter_map(|r| agreement(&r.evidence));
         let found = Alignment {
             estimate,
+            pose,
             covariance,
             scale: solved.scale,
             inliers,

@@ -129,7 +129,7 @@ fn pixels_that_were_laid_out_anew_leave_nothing_to_conclude() {
     let task = task(&aligner.surfaces, &aligner.slow, &eye, FINEST, &away);
     assert!(aligner.fine.lay_out(&task, &mut frame, &away, &mut aligner.selector, &mut aligner.chosen, &aligner.light));
     assert!(aligner.fine.runs().len() < runs && aligner.fine.pixels().light().gains().len() < nodes);
-    assert!(aligner.fine.solved().is_none() && aligner.fine.conclude(&task).is_none());
+    assert!(aligner.fine.solved().is_none() && aligner.fine.conclude(&task, &mut RowBands::new(aligner.slow.sensor)).is_none());
     let used = &mut Vec::new();
     aligner.used_pixels(&eye, used);
     assert!(used.is_empty());

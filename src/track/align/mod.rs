@@ -19,6 +19,7 @@ mod exposure;
 mod frame_levels;
 mod gauge;
 mod jerk;
+mod jump_instant;
 mod kernels;
 mod lanes;
 mod light;

@@ -5,7 +5,7 @@
 //! shutter was open, and is solved jointly with the picture: velocity and acceleration are what the filter says,
 //! corrected by what the rows show.
 
-use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 
 use super::jerk::Jerk;
 use crate::geometry::{Body, Camera, Pose, skew};
@@ -59,6 +59,13 @@ impl Motion {
             acceleration: self.acceleration + part(12),
             turn_acceleration: self.turn_acceleration + part(15),
         }
+    }
+
+    /// The pose alone after its error, [δp, δθ], is corrected.
+    pub fn with_pose_corrected(&self, error: &Vector6<f64>) -> Pose<Body, Camera> {
+        let mut of_motion = MotionError::zeros();
+        of_motion.fixed_rows_mut::<6>(0).copy_from(error);
+        self.corrected(&of_motion).pose
     }
 
     /// The error that [`corrected`](Self::corrected) would need to lead from here to `other`.

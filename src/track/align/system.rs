@@ -373,11 +373,11 @@ impl System {
         (covariance + covariance.transpose()) * 0.5
     }
 
-    /// A tile's vote on the pose: the step that its remaining residuals alone would add. `step`: the tile's part of the solution.
+    /// A tile's vote on the pose: the step that its remaining residuals alone would add. `left`: what the solution leaves of the tile.
     /// After [`motion_covariance`](Self::motion_covariance).
-    pub fn vote(&self, tile: &TileEquations, step: &TileStep, nodes: [usize; 4], time: &TileTime, weight: f64) -> SVector<f64, 6> {
+    pub fn vote(&self, left: &TileScore, nodes: [usize; 4], time: &TileTime, weight: f64) -> SVector<f64, 6> {
         let mut vote = SVector::<f64, 6>::zeros();
-        self.spread_out(&tile.left_by(step), nodes, time, |row, score| {
+        self.spread_out(left, nodes, time, |row, score| {
             for (v, column) in vote.iter_mut().zip(&self.pose_columns) {
                 *v += column[row] * score * weight;
             }

@@ -1,34 +1,31 @@
 //! Cameras that are started, stopped or pushed: their velocity jumps, at any instant, also while a frame is exposed and read.
 //!
-//! White jerk has no jumps. So there is a second expectation of each frame, with a velocity that jumped somewhere since the last frame or
-//! within this one. Where a pose is found too far from what jerk explains, the frame is solved with it. Where it is not, a
-//! jump may hide all the same: it shows as a small change of the pose, which is wrong by then. A mixture of both
-//! expectations (Bar-Shalom, Li and Kirubarajan 2001, section 11.6) tells how far off.
+//! White jerk has no jumps. Where a pose is found too far from what jerk explains, the frame is solved with a second expectation, whose
+//! velocity jumped somewhere since the last frame or within this one. When it jumped, and by how much, is asked of every frame after that
+//! (`jump_instant`); here is also what those questions leave open.
 
 use nalgebra::{Matrix6, Vector6};
 
 use super::Sensor;
-use super::motion::{MotionError, MotionEstimate, MotionMatrix, unseen};
+use super::motion::{MotionEstimate, unseen};
 
 /// A pose found further than this from where it was expected (squared, in sigmas, six degrees of freedom: one frame in 2000 by chance) is
 /// solved with a jump. Raised, jumps pull the pose by what was expected; lowered, frames of a shaken camera know
 /// less of their motion than they could: with 16 instead of 30, d-whip's errors grow from 0.24 to 0.31 mm.
 const SURPRISING: f64 = 24.0;
-/// How likely a jump is that shows no further than that. Raised, the covariance of every frame of a rolling shutter grows.
-const LIKELIHOOD: f64 = 0.03;
 /// A jump within the exposure bends the path of the picture: the acceleration that a rolling shutter's rows take it for, one sigma, times
 /// the velocity that is usual over the time of a frame.
 const BEND: f64 = 2.0;
 /// One sigma of the pose's error, as a share of how far the pose was found from where it was expected: all of it where
-/// the camera starts in the second half of the exposure, nothing where it does before.
-const OFF_SHARE: f64 = 0.4;
+/// the camera starts in the second half of the exposure, nothing where it does before. Where rows tell the instant it is known far
+/// better, so that this is half of the scatter over all instants.
+const OFF_SHARE: f64 = 0.22;
 /// A jump of this many sigmas at the middle of the exposure is the largest that such an error comes from: it is an eighth of the jump times
 /// the exposure.
 const LARGEST_JUMP: f64 = 3.0;
 /// Of a velocity that changed within a frame, times how long the frame was exposed and read, this share is an error of the pose: at most an
-/// eighth of it where all rows are exposed together, and 0.05 where rows follow each other; twice as much, because the
-/// velocity that is found lies between those before and after.
-const BEND_SHARE: f64 = 0.18;
+/// eighth of it where all rows are exposed together, and 0.05 where rows follow each other.
+const BEND_SHARE: f64 = 0.1;
 /// A camera that starts or stops at a share s of the exposure is seen s (1 - s) / 2 of it from where its stamp says, per unit of
 /// speed: the mean square over all s.
 const STARTED_SQUARE: f64 = 1.0 / 120.0;
@@ -58,37 +55,6 @@ pub fn jumped(expected: &MotionEstimate, dt_s: f64, sensor: &Sensor, distance_m:
     MotionEstimate { motion: expected.motion, covariance }
 }
 
-/// Takes back the acceleration that a frame with a jump was solved with: it stood for the jump, which is over.
-pub fn end_jump(estimate: &mut MotionEstimate, sensor: &Sensor, distance_m: f64) {
-    let MotionEstimate { motion, covariance } = estimate;
-    let half_frame_s = 0.5 * (sensor.readout_s + sensor.exposure_s);
-    let mut by_bend = MotionError::zeros();
-    by_bend.fixed_rows_mut::<3>(6).copy_from(&(motion.acceleration * half_frame_s));
-    by_bend.fixed_rows_mut::<3>(9).copy_from(&(motion.turn_acceleration * half_frame_s));
-    motion.acceleration.fill(0.0);
-    motion.turn_acceleration.fill(0.0);
-    *covariance += by_bend * by_bend.transpose();
-    covariance.fixed_view_mut::<6, 18>(12, 0).fill(0.0);
-    covariance.fixed_view_mut::<18, 6>(0, 12).fill(0.0);
-    let [.., acceleration, turn_acceleration] = unseen(distance_m);
-    for (first, sigma) in [(12, acceleration), (15, turn_acceleration)] {
-        for k in first..first + 3 {
-            covariance[(k, k)] = sigma * sigma;
-        }
-    }
-}
-
-/// What a jump that was not seen adds to the covariance of a pose. `expected` and `with_jump`: without and with one; `found`: what the frame
-/// made of the former.
-pub fn unseen_jump(expected: &MotionEstimate, with_jump: &MotionEstimate, found: &MotionEstimate) -> Option<Matrix6<f64>> {
-    let inverse = |m: &MotionMatrix| m.cholesky().map(|c| c.inverse());
-    // What the frame alone says, together with the wider expectation.
-    let frame = inverse(&found.covariance)? - inverse(&expected.covariance)?;
-    let wider = inverse(&(frame + inverse(&with_jump.covariance)?))?;
-    let of_pose = |m: &MotionMatrix| m.fixed_view::<6, 6>(0, 0).into_owned();
-    Some((of_pose(&wider) - of_pose(&found.covariance)) * LIKELIHOOD)
-}
-
 /// What a motion that bent within the frame adds to the covariance of the pose: the picture's middle is not where the camera was at the stamp.
 pub fn by_bend(expected: &MotionEstimate, found: &MotionEstimate, sensor: &Sensor, distance_m: f64) -> Matrix6<f64> {
     let error = expected.motion.error_to(&found.motion);
@@ -116,7 +82,7 @@ mod tests {
 
     use super::*;
     use crate::geometry::Pose;
-    use crate::track::align::motion::Motion;
+    use crate::track::align::motion::{Motion, MotionMatrix};
 
     const DISTANCE_M: f64 = 4.0;
     const GLOBAL: Sensor = Sensor { readout_s: 0.0, exposure_s: 0.012 };
@@ -158,46 +124,10 @@ mod tests {
                 let mut found = rest(1e-10);
                 found.motion.pose = Pose::new(UnitQuaternion::identity(), Vector3::x() * seen);
                 let sigma = by_bend(&rest(1e-8), &found, &GLOBAL, DISTANCE_M)[(0, 0)].sqrt();
-                assert!((seen - truth).abs() < 2.6 * sigma, "{s} {jump}: {} {sigma}", seen - truth);
+                assert!((seen - truth).abs() < 4.8 * sigma, "{s} {jump}: {} {sigma}", seen - truth);
                 // Nor is it absurdly more than the largest error of such a jump.
                 assert!(sigma < OFF_SHARE * LARGEST_JUMP / 8.0 * speed * exposure_s * 1.001);
             }
         }
-    }
-
-    #[test]
-    fn a_frame_that_leaves_motion_open_is_less_sure_where_it_may_have_jumped() {
-        let expected = rest(1e-6);
-        // Rows that tell the pose plus 5 ms of its velocity, but not one from the other.
-        let mut rows = MotionMatrix::zeros();
-        for k in 0..6 {
-            let (a, b) = (1.0, 0.005);
-            rows[(k, k)] = 1e10 * a * a;
-            rows[(k, k + 6)] = 1e10 * a * b;
-            rows[(k + 6, k)] = 1e10 * a * b;
-            rows[(k + 6, k + 6)] = 1e10 * b * b;
-        }
-        let covariance = (rows + expected.covariance.try_inverse().unwrap()).try_inverse().unwrap();
-        let found = MotionEstimate { covariance, ..expected };
-        let same = unseen_jump(&expected, &expected, &found).unwrap();
-        assert!(same.norm() < 1e-6 * covariance.fixed_view::<6, 6>(0, 0).norm());
-        let with_jump = jumped(&expected, 1.0 / 30.0, &ROLLING, DISTANCE_M);
-        let more = unseen_jump(&expected, &with_jump, &found).unwrap();
-        // The variance of x where x + b v is known, from the moments of both.
-        let c = &with_jump.covariance;
-        let (x, xv, v, b) = (c[(0, 0)], c[(0, 6)], c[(6, 6)], 0.005);
-        let open = x - (x + b * xv).powi(2) / (x + 2.0 * b * xv + b * b * v);
-        assert!((more[(0, 0)] / (LIKELIHOOD * open) - 1.0).abs() < 0.2, "{} {open}", more[(0, 0)]);
-    }
-
-    #[test]
-    fn the_acceleration_that_stood_for_a_jump_ends_with_the_frame() {
-        let mut estimate = rest(1e-4);
-        estimate.motion.acceleration = Vector3::new(60.0, 0.0, 0.0);
-        end_jump(&mut estimate, &ROLLING, DISTANCE_M);
-        assert_eq!(estimate.motion.acceleration, Vector3::zeros());
-        // Up to half of the jump is not in the velocity yet.
-        assert!(estimate.covariance[(6, 6)] > (60.0f64 * 0.011).powi(2));
-        assert!(estimate.covariance.cholesky().is_some());
     }
 }

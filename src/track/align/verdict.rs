@@ -4,12 +4,15 @@ use nalgebra::Matrix6;
 
 use super::evidence::RunEvidence;
 use super::motion::{Motion, MotionEstimate};
+use crate::geometry::{Body, Camera, Pose};
 
 /// What an alignment came to.
 #[derive(Debug, Clone, Copy)]
 pub struct Alignment {
     /// Pose and motion at the frame's stamp, and what the picture and the prior leave open of them.
     pub estimate: MotionEstimate,
+    /// Where the camera was at the stamp. The motion differs from it where the velocity jumped later in the frame.
+    pub pose: Pose<Body, Camera>,
     /// Covariance of [δp, δθ] of the pose (axes as in the motion's error): noise and model error.
     pub covariance: Matrix6<f64>,
     /// Robust standard deviation of the residuals, in sigmas of the expected noise.

@@ -13,6 +13,7 @@ use super::appearance::{Appearance, Predicted, predict};
 use super::evidence::{RunEvidence, evidence};
 use super::frame_levels::FrameLevels;
 use super::gauge::{Gauge, median};
+use super::jump_instant::RowBands;
 use super::light::RememberedLight;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::noise::{Noise, NoiseSums};
@@ -396,8 +397,8 @@ impl Work {
     }
 
     /// Covariance at the solution: of the whole motion (noise), and of the pose (noise, or the scatter of the tiles' votes where it
-    /// is larger). Fills the evidence of the runs. `None` where nothing was solved.
-    pub fn conclude(&mut self, task: &Task) -> Option<(MotionEstimate, Matrix6<f64>)> {
+    /// is larger). Fills the evidence of the runs, and `bands` with what the open ones say. `None` where nothing was solved.
+    pub fn conclude(&mut self, task: &Task, bands: &mut RowBands) -> Option<(MotionEstimate, Matrix6<f64>)> {
         let solved = self.solved?;
         let weighing = Weighing { scale: solved.scale, is_first_look: false, stride: 1 };
         let Self { picture, runs, system, .. } = self;
@@ -409,7 +410,9 @@ impl Work {
         for r in runs {
             if r.gauge.is_open {
                 let nodes = picture.pixels.light().nodes_of(r.run.tile);
-                let vote = system.vote(&r.equations, &r.step, nodes, &picture.time(task, &r.run), weight);
+                let (time, left) = (picture.time(task, &r.run), r.equations.left_by(&r.step));
+                bands.add(&r.equations, &left, time.delay_s, weight);
+                let vote = system.vote(&left, nodes, &time, weight);
                 votes += vote * vote.transpose();
                 n += 1.0;
             }
