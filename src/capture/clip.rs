@@ -6,15 +6,16 @@
 
 use std::collections::VecDeque;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use image::GrayImage;
 use image::metadata::Orientation;
+use image::{GrayImage, RgbImage};
 
 use super::error::CaptureError;
 use super::grey::{decode_oriented, orientation_words};
 use super::order::RowOrder;
-use super::{FrameSource, Row, RowContent};
+use super::{FrameSource, Received, Row, RowContent, colour};
 use crate::frame::Frame;
 
 /// A picture as it lies in the clip.
@@ -31,6 +32,8 @@ pub(super) enum PictureData {
     Encoded(Vec<u8>),
     /// Grey levels.
     Grey(GrayImage),
+    /// Grey levels, and the colours that were asked for.
+    Coloured(GrayImage, RgbImage),
     /// Nothing, and why.
     Missing(String),
 }
@@ -67,6 +70,8 @@ pub(super) struct Clip {
     order: RowOrder,
     /// Set by the first picture that its file says to show turned.
     turned: Option<String>,
+    /// Whether rows carry what their pictures were before they became grey.
+    keeps_colours: bool,
 }
 
 /// Pictures that are looked at to find the clip's size: a stray first one must not make all others strays.
@@ -80,9 +85,14 @@ impl Clip {
     ///
     /// # Errors
     /// When the stream has no rows, or no frame among them; `path` is for the message.
-    pub fn new(stream: Box<dyn PictureStream>, path: &Path, calibrated: Option<(u32, u32)>) -> Result<Self, CaptureError> {
+    pub fn new(
+        stream: Box<dyn PictureStream>,
+        path: &Path,
+        calibrated: Option<(u32, u32)>,
+        keeps_colours: bool,
+    ) -> Result<Self, CaptureError> {
         let (rows, order) = (stream.pictures(), RowOrder::default());
-        let mut clip = Self { rows, stream, ahead: VecDeque::new(), size: None, order, turned: None };
+        let mut clip = Self { rows, stream, ahead: VecDeque::new(), size: None, order, turned: None, keeps_colours };
         let mut sizes: Vec<(u32, u32)> = Vec::new();
         let is_enough = |sizes: &[(u32, u32)], one: bool| {
             let bytes: u64 = sizes.iter().map(|(w, h)| u64::from(*w) * u64::from(*h)).sum();
@@ -137,13 +147,17 @@ impl Clip {
             return Some(skipped(timestamp_ns, reason));
         }
         let start = Instant::now();
-        let image = match picture.data {
-            PictureData::Encoded(bytes) => decode_oriented(&bytes).map_err(|e| e.to_string()).map(|(image, orientation)| {
-                self.note_turned(orientation, sequence);
-                image
-            }),
-            PictureData::Grey(image) => Ok(image),
-            PictureData::Missing(reason) => Err(reason),
+        let (image, received) = match picture.data {
+            PictureData::Encoded(bytes) => {
+                let decoded = decode_oriented(&bytes).map_err(|e| e.to_string()).map(|(image, orientation)| {
+                    self.note_turned(orientation, sequence);
+                    image
+                });
+                (decoded, self.keeps_colours.then(|| colour::received(bytes)))
+            }
+            PictureData::Grey(image) => (Ok(image), None),
+            PictureData::Coloured(image, colours) => (Ok(image), Some(Received::Colours(Arc::new(colours)))),
+            PictureData::Missing(reason) => (Err(reason), None),
         };
         let decode = start.elapsed();
         let mut content = match image {
@@ -153,7 +167,7 @@ impl Clip {
         if let Some(size) = self.size {
             skip_other_sizes(&mut content, size);
         }
-        Some(Row { sequence, timestamp_ns, content, decode, received: None })
+        Some(Row { sequence, timestamp_ns, content, decode, received })
     }
 
     fn note_turned(&mut self, orientation: Orientation, sequence: u64) {

@@ -11,7 +11,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 
-use image::GrayImage;
+use image::{GrayImage, RgbImage};
 
 use super::clip::{Picture, PictureData, PictureStream};
 use super::error::CaptureError;
@@ -29,6 +29,32 @@ pub(super) struct Ffmpeg {
     /// Stands in place of the container's stamps.
     rate: Option<FrameRate>,
     next: u64,
+    form: Form,
+}
+
+/// What ffmpeg makes of the pictures.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Form {
+    /// Their luma plane as it is.
+    Grey,
+    /// Red, green and blue.
+    Colours,
+}
+
+impl Form {
+    fn filter(self) -> &'static str {
+        match self {
+            Self::Grey => "extractplanes=y,format=gray,showinfo",
+            Self::Colours => "format=rgb24,showinfo",
+        }
+    }
+
+    fn bytes_a_pixel(self) -> u64 {
+        match self {
+            Self::Grey => 1,
+            Self::Colours => 3,
+        }
+    }
 }
 
 /// What showinfo says of one frame.
@@ -42,10 +68,15 @@ struct Announced {
 impl Ffmpeg {
     /// Starts ffmpeg on a file.
     pub fn open(path: &Path, rate: Option<FrameRate>) -> Result<Self, CaptureError> {
-        Self::start(OsStr::new("ffmpeg"), path, rate)
+        Self::start(OsStr::new("ffmpeg"), path, rate, Form::Grey)
     }
 
-    fn start(program: &OsStr, path: &Path, rate: Option<FrameRate>) -> Result<Self, CaptureError> {
+    /// Starts ffmpeg on a file for its colours, to be read by [`next_colours`](Self::next_colours).
+    pub fn open_colours(path: &Path) -> Result<Self, CaptureError> {
+        Self::start(OsStr::new("ffmpeg"), path, None, Form::Colours)
+    }
+
+    fn start(program: &OsStr, path: &Path, rate: Option<FrameRate>, form: Form) -> Result<Self, CaptureError> {
         let failed = |e: std::io::Error| match e.kind() {
             std::io::ErrorKind::NotFound => CaptureError::FfmpegMissing { path: path.to_owned() },
             _ => CaptureError::FfmpegFailed { path: path.to_owned(), reason: e.to_string() },
@@ -57,7 +88,7 @@ impl Ffmpeg {
         let mut child = Command::new(program)
             .args(["-hide_banner", "-nostdin", "-nostats", "-loglevel", "info", "-i"])
             .arg(input)
-            .args(["-map", "0:v:0", "-an", "-sn", "-dn", "-vf", "extractplanes=y,format=gray,showinfo"])
+            .args(["-map", "0:v:0", "-an", "-sn", "-dn", "-vf", form.filter()])
             .args([passthrough, "passthrough", "-f", "rawvideo", "pipe:1"])
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -69,7 +100,7 @@ impl Ffmpeg {
         };
         let (sender, announced) = channel();
         // From here on a failure ends the program that was started.
-        let mut stream = Self { path: path.to_owned(), child, frames, announced, listener: None, rate, next: 0 };
+        let mut stream = Self { path: path.to_owned(), child, frames, announced, listener: None, rate, next: 0, form };
         let listen = move || {
             let mut log = Log::default();
             // Read on after the receiver is gone, or ffmpeg would block on a full pipe.
@@ -84,25 +115,36 @@ impl Ffmpeg {
         Ok(stream)
     }
 
-    fn read_frame(&mut self, size: &Announced) -> PictureData {
-        let wanted = u64::from(size.width) * u64::from(size.height);
+    /// The next picture's colours; `None` at the end, and where there are none for the picture.
+    pub fn next_colours(&mut self) -> Option<RgbImage> {
+        let announced = self.announced.recv().ok()?;
+        RgbImage::from_raw(announced.width, announced.height, self.read_bytes(&announced).ok()?)
+    }
+
+    /// The bytes of one picture, fewer where ffmpeg ended, or why there are none.
+    fn read_bytes(&mut self, size: &Announced) -> Result<Vec<u8>, String> {
+        let wanted = u64::from(size.width) * u64::from(size.height) * self.form.bytes_a_pixel();
+        let mut picture = (&mut self.frames).take(wanted);
+        let unreadable = |e| format!("ffmpeg cannot be read: {e}");
         if let Err(e) = check_size(size.width, size.height) {
-            let passed = std::io::copy(&mut (&mut self.frames).take(wanted), &mut std::io::sink());
-            return PictureData::Missing(passed.map_or_else(|e| format!("ffmpeg cannot be read: {e}"), |_| e.to_string()));
+            std::io::copy(&mut picture, &mut std::io::sink()).map_err(unreadable)?;
+            return Err(e.to_string());
         }
-        let mut grey = Vec::with_capacity(wanted.min(1 << 26) as usize);
-        match (&mut self.frames).take(wanted).read_to_end(&mut grey) {
-            Ok(_) => GrayImage::from_raw(size.width, size.height, grey)
-                .map_or_else(|| PictureData::Missing("ffmpeg ended in the middle of this frame".to_owned()), PictureData::Grey),
-            Err(e) => PictureData::Missing(format!("ffmpeg cannot be read: {e}")),
-        }
+        let mut bytes = Vec::with_capacity(wanted.min(1 << 26) as usize);
+        picture.read_to_end(&mut bytes).map_err(unreadable)?;
+        Ok(bytes)
+    }
+
+    fn read_frame(&mut self, size: &Announced) -> Result<GrayImage, String> {
+        let grey = self.read_bytes(size)?;
+        GrayImage::from_raw(size.width, size.height, grey).ok_or_else(|| "ffmpeg ended in the middle of this frame".to_owned())
     }
 }
 
 impl PictureStream for Ffmpeg {
     fn next_picture(&mut self) -> Option<Picture> {
         let announced = self.announced.recv().ok()?;
-        let data = self.read_frame(&announced);
+        let data = self.read_frame(&announced).map_or_else(PictureData::Missing, PictureData::Grey);
         let stamp = match (self.rate, announced.stamp_ns) {
             (Some(rate), _) => Ok(rate.stamp_ns(self.next)),
             (None, Some(stamp)) => Ok(stamp),
@@ -205,7 +247,7 @@ mod tests {
 
     #[test]
     fn a_missing_program_is_named_with_the_mend() {
-        let gone = Ffmpeg::start(OsStr::new("no-such-program-as-this"), Path::new("a.mp4"), None).err().map(|e| e.to_string());
+        let gone = Ffmpeg::start(OsStr::new("no-such-program-as-this"), Path::new("a.mp4"), None, Form::Grey).err().map(|e| e.to_string());
         assert!(gone.is_some_and(|e| e.contains("a.mp4") && e.contains("install it")));
     }
 }

@@ -108,6 +108,13 @@ pub(super) fn check_size(width: u32, height: u32) -> Result<(), DecodeError> {
 }
 
 fn decode_jpeg(bytes: &[u8]) -> Result<(GrayImage, Orientation), DecodeError> {
+    let (whole, has_tall_units) = sound_jpeg(bytes)?;
+    // Asked for luma alone, the decoder counts tall units wrongly and reads past the data.
+    decode_sound_jpeg(&whole, if has_tall_units { ColorSpace::YCbCr } else { ColorSpace::Luma })
+}
+
+/// A whole JPEG as the decoder takes it, with its tables and nothing behind it; and whether its units are taller than wide.
+pub(super) fn sound_jpeg(bytes: &[u8]) -> Result<(Vec<u8>, bool), DecodeError> {
     let mut walk = JpegWalk::default();
     let picture = match walk.advance(bytes) {
         Walked::Whole(end) => &bytes[..end],
@@ -121,9 +128,7 @@ fn decode_jpeg(bytes: &[u8]) -> Result<(GrayImage, Orientation), DecodeError> {
     // JPEG it counts on the end mark even for whole pictures.
     let (data, tail) =
         if walk.is_one_plain_scan() { (&picture[scan..picture.len() - 2], &[0; 16][..]) } else { (&picture[scan..], &[][..]) };
-    let whole = [&picture[..scan], &tables, data, tail].concat();
-    // Asked for luma alone, the decoder counts tall units wrongly and reads past the data.
-    decode_sound_jpeg(&whole, if walk.has_tall_units() { ColorSpace::YCbCr } else { ColorSpace::Luma })
+    Ok(([&picture[..scan], &tables, data, tail].concat(), walk.has_tall_units()))
 }
 
 /// Decodes a JPEG that has its tables; `luma_from` is what the decoder is asked for where the picture has a luma plane.

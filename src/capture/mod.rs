@@ -8,6 +8,7 @@ mod avi;
 pub mod camera;
 pub mod choice;
 mod clip;
+mod colour;
 mod error;
 mod ffmpeg;
 mod folder;
@@ -38,7 +39,7 @@ pub use error::CaptureError;
 pub use grey::{DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_oriented, orientation_words, picture_size};
 pub use luma::{Decoded, decode_picture};
 pub use mjpeg::MjpegReader;
-pub use open::{ClipOptions, open_clip};
+pub use open::{ClipOptions, open_clip, open_clip_in_colour};
 pub use order::RowOrder;
 pub use played::PlayedClip;
 pub use rate::FrameRate;
@@ -47,6 +48,7 @@ pub use writer::{ClipWriter, PictureFormat};
 pub use y4m::Y4mReader;
 
 use crate::frame::Frame;
+use image::RgbImage;
 
 pub use virtual_stage::VirtualCamera;
 
@@ -61,15 +63,19 @@ pub struct Row {
     pub content: RowContent,
     /// Time spent on turning its bytes into grey levels; reading and waiting excluded, zero for raw pictures.
     pub decode: Duration,
-    /// Live only: what the camera sent, for the recorder.
+    /// What the row's picture was before it became grey: of a camera for the recorder, of a clip only where its colours were asked for.
     pub received: Option<Received>,
 }
 
-/// What a camera sent for a row, as it is to be recorded.
+/// What a row's picture was before it became grey.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Received {
-    /// A JPEG, cut at its end mark.
+    /// A JPEG; a camera's is cut at its end mark.
     Jpeg(Arc<[u8]>),
+    /// A PNG, or PGM and its kin. Clips only.
+    Picture(Arc<[u8]>),
+    /// Decoded colours. Clips only.
+    Colours(Arc<RgbImage>),
     /// Raw pixels; the row's grey picture is all that is kept of them.
     Raw,
     /// Nothing that could be a picture.

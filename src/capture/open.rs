@@ -8,6 +8,7 @@ use std::path::Path;
 use super::FrameSource;
 use super::avi::{AviError, AviReader};
 use super::clip::{Clip, PictureStream};
+use super::colour::Coloured;
 use super::error::CaptureError;
 use super::ffmpeg::Ffmpeg;
 use super::folder;
@@ -41,7 +42,19 @@ const DEFAULT_FPS: f64 = 30.0;
 /// # Errors
 /// When there is no such clip, when it is no clip, and when none of its rows is a frame: see [`CaptureError`].
 pub fn open_clip(clip: impl AsRef<Path>, options: ClipOptions) -> Result<Box<dyn FrameSource>, CaptureError> {
-    let path = clip.as_ref();
+    open(clip.as_ref(), options, false)
+}
+
+/// As [`open_clip`], with rows that carry their pictures' colours in [`Row::received`](super::Row::received); the grey
+/// frames are the same to the bit. It costs memory, and for what ffmpeg reads a second ffmpeg.
+///
+/// # Errors
+/// As [`open_clip`].
+pub fn open_clip_in_colour(clip: impl AsRef<Path>, options: ClipOptions) -> Result<Box<dyn FrameSource>, CaptureError> {
+    open(clip.as_ref(), options, true)
+}
+
+fn open(path: &Path, options: ClipOptions, colours: bool) -> Result<Box<dyn FrameSource>, CaptureError> {
     let given = match options.fps {
         Some(fps) => Some(FrameRate::new(fps, 1.0).ok_or(CaptureError::Rate { fps })?),
         None => None,
@@ -51,22 +64,22 @@ pub fn open_clip(clip: impl AsRef<Path>, options: ClipOptions) -> Result<Box<dyn
     let stream = if path.as_os_str() == "-" {
         let stdin = Path::new("standard input");
         let input = Waiting::stdin(is_stopped).map_err(|e| CaptureError::reading(stdin, e))?;
-        y4m(BufReader::new(input), stdin, given, None)?
+        y4m(BufReader::new(input), stdin, given, (None, colours))?
     } else {
         let kind = std::fs::metadata(path).map_err(unreadable)?.file_type();
         if kind.is_dir() {
             folder::open(path, given.unwrap_or(default))?
         } else if kind.is_fifo() {
             // Nothing can be put back into a pipe, so only y4m, which needs no look ahead, can come from one.
-            y4m(BufReader::new(Waiting::named_pipe(path, is_stopped).map_err(unreadable)?), path, given, None)?
+            y4m(BufReader::new(Waiting::named_pipe(path, is_stopped).map_err(unreadable)?), path, given, (None, colours))?
         } else {
-            open_file(path, given, default)?
+            open_file(path, given, default, colours)?
         }
     };
-    Ok(Box::new(Clip::new(stream, path, options.calibrated)?))
+    Ok(Box::new(Clip::new(stream, path, options.calibrated, colours)?))
 }
 
-fn open_file(path: &Path, given: Option<FrameRate>, default: FrameRate) -> Result<Box<dyn PictureStream>, CaptureError> {
+fn open_file(path: &Path, given: Option<FrameRate>, default: FrameRate, colours: bool) -> Result<Box<dyn PictureStream>, CaptureError> {
     let unreadable = |e| CaptureError::reading(path, e);
     let mut file = safe_file::open(path).map_err(unreadable)?;
     let mut start = Vec::new();
@@ -79,8 +92,8 @@ fn open_file(path: &Path, given: Option<FrameRate>, default: FrameRate) -> Resul
     let input = BufReader::with_capacity(1 << 16, file);
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     match (start.as_slice(), extension.as_str()) {
-        ([b'Y', b'U', b'V', b'4', b'M', ..], _) | (_, "y4m") => y4m(input, path, given, Some(bytes)),
-        ([b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', ..], _) => avi(input, path, given),
+        ([b'Y', b'U', b'V', b'4', b'M', ..], _) | (_, "y4m") => y4m(input, path, given, (Some(bytes), colours)),
+        ([b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', ..], _) => avi(input, path, given, colours),
         ([0xFF, 0xD8, 0xFF, ..], _) | (_, "mjpeg" | "mjpg") => {
             Ok(Box::new(Paced::new(MjpegReader::new(input), given.unwrap_or(default), None)))
         }
@@ -88,29 +101,37 @@ fn open_file(path: &Path, given: Option<FrameRate>, default: FrameRate) -> Resul
         ([0x89, b'P', b'N', b'G', ..] | [b'P', b'1'..=b'6', b' ' | b'\n' | b'\r' | b'\t' | b'#', ..], _) => {
             Ok(folder::single(path, given.unwrap_or(default)))
         }
-        _ => Ok(Box::new(Ffmpeg::open(path, given)?)),
+        _ => ffmpeg(path, given, colours),
     }
+}
+
+fn ffmpeg(path: &Path, given: Option<FrameRate>, colours: bool) -> Result<Box<dyn PictureStream>, CaptureError> {
+    let grey = Ffmpeg::open(path, given)?;
+    Ok(if colours { Box::new(Coloured::new(grey, Ffmpeg::open_colours(path)?)) } else { Box::new(grey) })
 }
 
 fn y4m<R: std::io::BufRead + Send + 'static>(
     input: R,
     path: &Path,
     given: Option<FrameRate>,
-    bytes: Option<u64>,
+    (bytes, colours): (Option<u64>, bool),
 ) -> Result<Box<dyn PictureStream>, CaptureError> {
-    let reader = Y4mReader::new(input).map_err(|reason| CaptureError::Stream { path: path.to_owned(), reason })?;
+    let mut reader = Y4mReader::new(input).map_err(|reason| CaptureError::Stream { path: path.to_owned(), reason })?;
     let rate = given.or(reader.rate()).ok_or_else(|| CaptureError::RateUnknown { path: path.to_owned() })?;
     let total = bytes.and_then(|b| reader.frames_in(b));
+    if colours {
+        reader.keep_chroma();
+    }
     Ok(Box::new(Paced::new(reader, rate, total)))
 }
 
-fn avi(input: BufReader<File>, path: &Path, given: Option<FrameRate>) -> Result<Box<dyn PictureStream>, CaptureError> {
+fn avi(input: BufReader<File>, path: &Path, given: Option<FrameRate>, colours: bool) -> Result<Box<dyn PictureStream>, CaptureError> {
     match AviReader::new(input) {
         Ok(reader) => {
             let rate = given.or(reader.rate()).ok_or_else(|| CaptureError::RateUnknown { path: path.to_owned() })?;
             Ok(Box::new(Paced::new(reader, rate, None)))
         }
-        Err(AviError::NotMjpeg(_)) => Ok(Box::new(Ffmpeg::open(path, given)?)),
+        Err(AviError::NotMjpeg(_)) => ffmpeg(path, given, colours),
         Err(AviError::Malformed(reason)) => Err(CaptureError::Stream { path: path.to_owned(), reason }),
     }
 }

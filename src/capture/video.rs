@@ -52,7 +52,13 @@ impl<R: VideoReader> PictureStream for Paced<R> {
 
 impl<R: BufRead + Send> VideoReader for Y4mReader<R> {
     fn next_data(&mut self) -> Option<PictureData> {
-        Some(self.next_luma()?.map_or_else(PictureData::Missing, PictureData::Grey))
+        Some(match self.next_luma()? {
+            Ok(luma) => match self.colours(&luma) {
+                Some(colours) => PictureData::Coloured(luma, colours),
+                None => PictureData::Grey(luma),
+            },
+            Err(reason) => PictureData::Missing(reason),
+        })
     }
 
     fn is_of_one_size(&self) -> bool {

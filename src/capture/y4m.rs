@@ -2,8 +2,9 @@
 
 use std::io::{self, BufRead, Read};
 
-use image::GrayImage;
+use image::{GrayImage, RgbImage};
 
+use super::colour::Chroma;
 use super::grey::check_size;
 use super::rate::FrameRate;
 
@@ -14,10 +15,13 @@ pub struct Y4mReader<R> {
     width: u32,
     height: u32,
     rate: Option<FrameRate>,
+    chroma: Chroma,
     chroma_bytes: u64,
     header_bytes: u64,
     frames_read: u64,
     ended: bool,
+    /// The last frame's chroma planes, where they are kept.
+    kept: Option<Vec<u8>>,
 }
 
 /// Longer than any header line in use.
@@ -38,7 +42,7 @@ impl<R: BufRead> Y4mReader<R> {
         if words.next() != Some("YUV4MPEG2") {
             return Err("this is no y4m stream: it does not begin with YUV4MPEG2; make the clip again".to_owned());
         }
-        let (mut width, mut height, mut rate, mut chroma) = (None, None, None, "420");
+        let (mut width, mut height, mut rate, mut chroma, mut full_range) = (None, None, None, "420", false);
         for word in words.filter(|w| !w.is_empty()) {
             let (tag, value) = word.split_at(word.chars().next().map_or(0, char::len_utf8));
             match tag {
@@ -46,6 +50,7 @@ impl<R: BufRead> Y4mReader<R> {
                 "H" => height = side(value),
                 "F" => rate = FrameRate::from_ratio(value),
                 "C" => chroma = value,
+                "X" if value == "COLORRANGE=FULL" => full_range = true,
                 "I" if !matches!(value, "p" | "?" | "") => {
                     return Err(format!("the y4m stream is interlaced (I{value}); deinterlace the clip"));
                 }
@@ -56,8 +61,9 @@ impl<R: BufRead> Y4mReader<R> {
             return Err(format!("the y4m header has no picture size of 1 to {LONGEST_SIDE} pixels (W, H); make the clip again"));
         };
         check_size(width, height).map_err(|e| e.to_string())?;
-        let chroma_bytes = chroma_bytes(chroma, width.into(), height.into())?;
-        Ok(Self { input, width, height, rate, chroma_bytes, header_bytes, frames_read: 0, ended: false })
+        let (chroma, planes) = chroma_form(chroma, full_range)?;
+        let chroma_bytes = planes * chroma.plane_bytes((width, height));
+        Ok(Self { input, width, height, rate, chroma, chroma_bytes, header_bytes, frames_read: 0, ended: false, kept: None })
     }
 
     /// The frame rate of the header, where it has one.
@@ -70,6 +76,16 @@ impl<R: BufRead> Y4mReader<R> {
         let frame_bytes = 6 + u64::from(self.width) * u64::from(self.height) + self.chroma_bytes;
         let bytes = stream_bytes.checked_sub(self.header_bytes)?;
         (bytes % frame_bytes == 0).then_some(bytes / frame_bytes)
+    }
+
+    /// From here on the chroma planes are kept for [`colours`](Self::colours).
+    pub(super) fn keep_chroma(&mut self) {
+        self.kept = Some(Vec::new());
+    }
+
+    /// The last frame in colour, given its luma; `None` where its planes are not kept.
+    pub(super) fn colours(&self, luma: &GrayImage) -> Option<RgbImage> {
+        self.chroma.colours(luma, self.kept.as_ref()?)
     }
 
     /// The next frame's luma; an error sentence for a frame that is cut off or damaged, after which the stream ends.
@@ -96,8 +112,15 @@ impl<R: BufRead> Y4mReader<R> {
         let wanted = u64::from(self.width) * u64::from(self.height);
         let mut luma = Vec::with_capacity(wanted.min(1 << 24) as usize);
         (&mut self.input).take(wanted).read_to_end(&mut luma).map_err(unreadable)?;
-        let skipped = io::copy(&mut (&mut self.input).take(self.chroma_bytes), &mut io::sink()).map_err(unreadable)?;
-        let whole = skipped == self.chroma_bytes;
+        let mut rest = (&mut self.input).take(self.chroma_bytes);
+        let passed = match &mut self.kept {
+            None => io::copy(&mut rest, &mut io::sink()).map_err(unreadable)?,
+            Some(kept) => {
+                kept.clear();
+                rest.read_to_end(kept).map_err(unreadable)? as u64
+            }
+        };
+        let whole = passed == self.chroma_bytes;
         let image = GrayImage::from_raw(self.width, self.height, luma).filter(|_| whole);
         image.map(Some).ok_or_else(|| format!("the stream ends in the middle of frame {number}"))
     }
@@ -114,23 +137,23 @@ fn side(text: &str) -> Option<u32> {
     text.parse().ok().filter(|n| (1..=LONGEST_SIDE).contains(n))
 }
 
-/// Bytes that follow the luma plane in each frame.
-fn chroma_bytes(form: &str, w: u64, h: u64) -> Result<u64, String> {
-    let half = |n: u64| n.div_ceil(2);
-    match form {
-        "420" | "420jpeg" | "420mpeg2" | "420paldv" => Ok(2 * half(w) * half(h)),
-        "422" => Ok(2 * half(w) * h),
-        "444" => Ok(2 * w * h),
-        "444alpha" => Ok(3 * w * h),
-        "411" => Ok(2 * w.div_ceil(4) * h),
-        "410" => Ok(2 * w.div_ceil(4) * h.div_ceil(4)),
-        "440" => Ok(2 * w * half(h)),
-        "mono" => Ok(0),
+/// How the planes behind the luma are laid out, and how many of their size there are.
+fn chroma_form(form: &str, is_full_range: bool) -> Result<(Chroma, u64), String> {
+    let (across, down, planes) = match form {
+        "420" | "420jpeg" | "420mpeg2" | "420paldv" => (2, 2, 2),
+        "422" => (2, 1, 2),
+        "444" => (1, 1, 2),
+        "444alpha" => (1, 1, 3),
+        "411" => (4, 1, 2),
+        "410" => (4, 4, 2),
+        "440" => (1, 2, 2),
+        "mono" => (1, 1, 0),
         deep if deep.contains('p') && deep.starts_with('4') || deep.starts_with("mono") => {
-            Err(format!("the y4m stream has more than 8 bits a sample (C{deep}); convert the clip to 8 bits"))
+            return Err(format!("the y4m stream has more than 8 bits a sample (C{deep}); convert the clip to 8 bits"));
         }
-        other => Err(format!("the y4m colour form C{other} is not known; convert the clip to C420jpeg")),
-    }
+        other => return Err(format!("the y4m colour form C{other} is not known; convert the clip to C420jpeg")),
+    };
+    Ok((Chroma { across, down, is_full_range }, planes))
 }
 
 #[cfg(test)]

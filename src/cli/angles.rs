@@ -11,10 +11,15 @@ pub(super) fn camera_words(t_stage_camera: &Pose<Stage, Camera>) -> String {
 
 /// The angles alone.
 pub(super) fn angle_words(t_stage_camera: &Pose<Stage, Camera>) -> String {
+    let [pan, tilt, roll] = camera_angles(t_stage_camera);
+    format!("pan {pan:+.2} tilt {tilt:+.2} roll {roll:+.2} degrees")
+}
+
+/// Pan, tilt and roll of the camera's body in degrees, rounded to hundredths; no zero is negative.
+pub(super) fn camera_angles(t_stage_camera: &Pose<Stage, Camera>) -> [f64; 3] {
     let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(&body_of_camera(t_stage_camera).rotation, 0.0);
     // `+ 0.0` keeps a rounded zero from being printed as -0.00.
-    let [pan, tilt, roll] = [pan_deg, tilt_deg, roll_deg].map(|degrees| (degrees * 100.0).round() / 100.0 + 0.0);
-    format!("pan {pan:+.2} tilt {tilt:+.2} roll {roll:+.2} degrees")
+    [pan_deg, tilt_deg, roll_deg].map(|degrees| (degrees * 100.0).round() / 100.0 + 0.0)
 }
 
 /// The `rotation_deg` of a surface: turn, tilt and roll.

@@ -27,7 +27,6 @@ mod report;
 mod run;
 mod send_test;
 mod spared;
-mod text;
 
 use std::io::{self, Write as _};
 use std::process::ExitCode;

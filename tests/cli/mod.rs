@@ -6,6 +6,7 @@ mod files;
 mod good;
 mod mistakes;
 mod outputs;
+mod overlay;
 mod plain_surface;
 mod poster;
 mod readme;

@@ -1,5 +1,6 @@
 //! `replay`: a recorded clip in, the camera's pose out.
 
+mod overlay_video;
 mod overlays;
 mod paced;
 pub(in crate::cli) mod progress;
@@ -18,7 +19,7 @@ use super::logging::{self, LogArguments};
 use super::output_file::STDOUT;
 use super::receivers::Receivers;
 use super::spared::Spared;
-use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip};
+use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip, open_clip_in_colour};
 use crate::config::Settings;
 use crate::daemon::{Daemon, Delivery, Tracker, TrackerSetup};
 use crate::publish::{ClipStart, Stamps};
@@ -61,7 +62,8 @@ pub(super) struct ReplayArguments {
     /// Send to the outputs of the config too, and serve [http], at the pace of the stamps
     #[arg(long)]
     outputs: bool,
-    /// Write every frame as a picture with the surfaces, the axes, the pixels used (green to red by residual) and the state
+    /// Write every frame with what was found drawn on it: the surfaces, the axes, how well the picture fits, the pose in metres and degrees,
+    /// and why a frame is not tracked; as pictures in a folder, or as a video where the name ends in .mp4, .mov, .mkv, .webm or .avi (needs ffmpeg)
     #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
     #[command(flatten)]
@@ -80,6 +82,7 @@ struct RowTally {
     undecodable: u64,
     skipped: u64,
     first_reason: Option<String>,
+    overlays: Option<Overlays>,
     overlay_failure: Option<Failure>,
 }
 
@@ -96,7 +99,10 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     interrupt::watch();
     let calibrated = settings.lens.size(&settings.camera);
     let options = ClipOptions { fps: arguments.fps, calibrated, is_stopped: Some(interrupt::is_interrupted) };
-    let source = match open_clip(&arguments.clip, options) {
+    // Only those who look at pictures want colours.
+    let opened =
+        if arguments.overlay.is_some() { open_clip_in_colour(&arguments.clip, options) } else { open_clip(&arguments.clip, options) };
+    let source = match opened {
         Err(_) if interrupt::is_interrupted() => return Err(Failure::Interrupted),
         opened => opened?,
     };
@@ -155,7 +161,7 @@ impl Writing<'_> {
 fn track(
     source: Box<dyn FrameSource>,
     tracker: Tracker,
-    mut overlays: Option<Overlays>,
+    overlays: Option<Overlays>,
     writing: &mut Writing<'_>,
 ) -> Result<RowTally, Failure> {
     let progress = Progress::start(source.rows());
@@ -163,13 +169,8 @@ fn track(
     let mut daemon = Daemon::new(source, tracker, Delivery::Blocking);
     let samples = daemon.subscribe();
     let seen = Arc::clone(&rows);
-    daemon.observe(move |row, sample| {
-        let mut seen = lock(&seen);
-        seen.count(row);
-        if let (Some(overlays), RowContent::Frame(frame), None) = (&mut overlays, &row.content, &seen.overlay_failure) {
-            seen.overlay_failure = overlays.write(frame, sample).err();
-        }
-    });
+    lock(&seen).overlays = overlays;
+    daemon.observe(move |row, sample| lock(&seen).take(row, sample));
     let running = daemon.start().map_err(|e| Failure::Tracking(e.to_string()))?;
     let mut written = follow(&samples, &rows, writing, &progress);
     running.stop();
@@ -179,9 +180,11 @@ fn track(
     }
     let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
     progress.finish();
+    let mut rows = std::mem::take(&mut *lock(&rows));
+    rows.finish_overlays();
     written.and(joined)?;
     writing.records.finish()?;
-    Ok(std::mem::take(&mut *lock(&rows)))
+    Ok(rows)
 }
 
 /// Writes samples until the clip ends, Ctrl-C is pressed, or something cannot be written.
@@ -240,7 +243,12 @@ impl ReplayArguments {
     /// Outputs that are opened later, by others.
     fn claim_others(&self, settings: &Settings, spared: &mut Spared) -> Result<(), Failure> {
         if let Some(folder) = &self.overlay {
-            spared.claim_folder("--overlay", folder)?;
+            if overlay_video::is_video(folder) {
+                spared.claim("--overlay", folder)?;
+                overlay_video::refuse_without_program(folder)?;
+            } else {
+                spared.claim_folder("--overlay", folder)?;
+            }
         }
         if self.outputs { spared.claim_outputs(&settings.outputs) } else { Ok(()) }
     }
@@ -260,6 +268,19 @@ impl ReplayArguments {
 const WARNED_IN_FULL: u64 = 5;
 
 impl RowTally {
+    /// Counts a row and draws its frame, until that fails.
+    fn take(&mut self, row: &Row, sample: &PoseSample) {
+        self.count(row);
+        if let (Some(overlays), RowContent::Frame(frame), None) = (&mut self.overlays, &row.content, &self.overlay_failure) {
+            self.overlay_failure = overlays.write(frame, row.received.as_ref(), sample).err();
+        }
+    }
+
+    fn finish_overlays(&mut self) {
+        let finished = self.overlays.take().map_or(Ok(()), Overlays::finish);
+        self.overlay_failure = self.overlay_failure.take().or(finished.err());
+    }
+
     fn count(&mut self, row: &Row) {
         let (reason, what) = match &row.content {
             RowContent::Frame(_) => {

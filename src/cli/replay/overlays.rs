@@ -1,4 +1,4 @@
-//! `--overlay DIR`: one JPEG a frame with what the tracker saw drawn on it.
+//! `--overlay DIR`: one JPEG a frame with what the tracker saw drawn on it; `--overlay FILE.mp4`: the same as a video.
 //!
 //! The folder's frames are this run's alone: those of an earlier run are removed first, or a shorter clip would end in frames of a longer one.
 //! They are known by a file that lies beside them. A folder with frames of other origin is refused, for they may be somebody's only ones.
@@ -11,7 +11,9 @@ use crossbeam_channel::Receiver;
 use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
 
+use super::overlay_video::{VideoFile, is_video};
 use crate::camera::CameraModel;
+use crate::capture::Received;
 use crate::cli::failure::Failure;
 use crate::cli::overlay::{self, Scene};
 use crate::daemon::TrackerSetup;
@@ -26,19 +28,30 @@ const MARK: &str = "stagepose-overlay.txt";
 const MARK_TEXT: &str = "Pictures of stagepose replay --overlay. The next run into this folder replaces them.\n";
 
 pub(super) struct Overlays {
-    directory: PathBuf,
+    target: Target,
     camera: CameraModel,
     stage: BodySpec,
     objects: Vec<BodySpec>,
     pixels: Receiver<UsedPixels>,
 }
 
+/// Where the pictures go.
+enum Target {
+    Folder(PathBuf),
+    Video(VideoFile),
+}
+
 impl Overlays {
-    /// Makes the folder anew; `pixels` come from the tracker.
-    pub fn create(directory: &Path, setup: &TrackerSetup, pixels: Receiver<UsedPixels>) -> Result<Self, Failure> {
-        replace_folder(directory).map_err(Failure::output(directory))?;
+    /// Makes the folder anew where it is one; `pixels` come from the tracker.
+    pub fn create(path: &Path, setup: &TrackerSetup, pixels: Receiver<UsedPixels>) -> Result<Self, Failure> {
+        let target = if is_video(path) {
+            Target::Video(VideoFile::new(path))
+        } else {
+            replace_folder(path).map_err(Failure::output(path))?;
+            Target::Folder(path.to_owned())
+        };
         let (stage, objects) = (setup.stage.clone(), setup.objects.clone());
-        Ok(Self { directory: directory.to_owned(), camera: setup.camera, stage, objects, pixels })
+        Ok(Self { target, camera: setup.camera, stage, objects, pixels })
     }
 
     /// The pixels of a frame. They are there before its sample is; those of rows that nobody draws are let go.
@@ -46,13 +59,28 @@ impl Overlays {
         self.pixels.try_iter().find(|used| used.sequence == sequence).map_or_else(Vec::new, |used| used.pixels)
     }
 
-    /// Draws and writes one frame.
-    pub fn write(&mut self, frame: &Frame, sample: &PoseSample) -> Result<(), Failure> {
+    /// Draws and writes one frame; `received` holds its colours.
+    pub fn write(&mut self, frame: &Frame, received: Option<&Received>, sample: &PoseSample) -> Result<(), Failure> {
         let pixels = self.pixels_of(frame.sequence);
-        let scene = Scene { camera: &self.camera, stage: &self.stage, objects: &self.objects, pixels: &pixels };
+        let colours = received.and_then(Received::colours);
+        let scene =
+            Scene { camera: &self.camera, stage: &self.stage, objects: &self.objects, pixels: &pixels, colours: colours.as_deref() };
         let picture = overlay::draw(frame, sample, &scene);
-        let file = self.directory.join(format!("{:06}.jpg", frame.sequence));
-        write_jpeg(&file, &picture).map_err(Failure::output(&file))
+        match &mut self.target {
+            Target::Video(video) => video.write(frame.timestamp_ns, picture),
+            Target::Folder(directory) => {
+                let file = directory.join(format!("{:06}.jpg", frame.sequence));
+                write_jpeg(&file, &picture).map_err(Failure::output(&file))
+            }
+        }
+    }
+
+    /// Ends a video.
+    pub fn finish(self) -> Result<(), Failure> {
+        match self.target {
+            Target::Video(video) => video.finish(),
+            Target::Folder(_) => Ok(()),
+        }
     }
 }
 

@@ -1,0 +1,129 @@
+//! How well the picture fits the pose, place by place: one small dot for each cell of the frame.
+//!
+//! Alignment asks thousands of pixels. A mark for each would hide the very picture that is to be compared. So the frame is cut into
+//! cells, and the dot in the middle of a cell's pixels says how well they fit on average.
+
+use super::canvas::{Canvas, Colour};
+use crate::track::UsedPixel;
+
+/// Cells across the frame. More show where the fit changes more finely, and their marks hide more of the picture.
+const ACROSS: f32 = 26.0;
+/// Smallest side of a cell, pixels: in smaller ones the dots would be all there is to see.
+const LEAST_CELL_PX: f32 = 14.0;
+/// Residuals beyond this many sigmas count nothing.
+const COUNTS_NOTHING: f32 = 4.7;
+
+/// Pixels of tiles that take no part, for they show something else.
+pub(super) const LEFT_OUT: Colour = [165, 165, 170];
+
+/// From fits (0) to counts nothing (1): green, yellow, red.
+pub(super) fn fit_colour(share: f32) -> Colour {
+    const GREEN: [f32; 3] = [60.0, 215.0, 85.0];
+    const YELLOW: [f32; 3] = [250.0, 215.0, 60.0];
+    const RED: [f32; 3] = [245.0, 55.0, 45.0];
+    let share = share.clamp(0.0, 1.0);
+    let (from, to, along) = if share < 0.5 { (GREEN, YELLOW, 2.0 * share) } else { (YELLOW, RED, 2.0 * share - 1.0) };
+    std::array::from_fn(|k| (from[k] + (to[k] - from[k]) * along).round() as u8)
+}
+
+/// What the pixels of a cell say together.
+#[derive(Debug, Clone, Copy, Default)]
+struct Cell {
+    asked: u32,
+    left_out: u32,
+    /// Sum of the places of all.
+    places: [f32; 2],
+    /// Sum of the shares of those that take part.
+    shares: f32,
+}
+
+impl Cell {
+    fn add(&mut self, pixel: &UsedPixel) {
+        self.asked += 1;
+        self.places = [self.places[0] + pixel.centre_px[0], self.places[1] + pixel.centre_px[1]];
+        if pixel.takes_part {
+            self.shares += (pixel.sigmas / COUNTS_NOTHING).clamp(0.0, 1.0);
+        } else {
+            self.left_out += 1;
+        }
+    }
+
+    /// The mean place of its pixels.
+    fn middle(&self) -> [f32; 2] {
+        self.places.map(|sum| sum / self.asked.max(1) as f32)
+    }
+
+    /// `None` where no pixel was asked.
+    fn colour(&self) -> Option<Colour> {
+        let taken = self.asked - self.left_out;
+        match (self.asked, taken > self.left_out) {
+            (0, _) => None,
+            (_, true) => Some(fit_colour(self.shares / taken as f32)),
+            (_, false) => Some(LEFT_OUT),
+        }
+    }
+}
+
+/// Marks the cells of all pixels that alignment asked.
+pub(super) fn draw(canvas: &mut Canvas, pixels: &[UsedPixel]) {
+    let [width, height] = canvas.size();
+    let side = (width / ACROSS).max(LEAST_CELL_PX);
+    let (columns, rows) = ((width / side).ceil() as usize, (height / side).ceil() as usize);
+    let mut cells = vec![Cell::default(); columns * rows];
+    for pixel in pixels {
+        let [column, row] = pixel.centre_px.map(|p| (p / side).floor());
+        // What lies outside the frame, or nowhere, has no cell.
+        if column >= 0.0 && row >= 0.0 && (column as usize) < columns && (row as usize) < rows {
+            cells[row as usize * columns + column as usize].add(pixel);
+        }
+    }
+    let radius = dot_px(width);
+    for (at, colour) in cells.iter().filter_map(|cell| Some((cell.middle(), cell.colour()?))) {
+        canvas.disc(at, radius, (0.35 * radius).max(0.8), colour);
+    }
+}
+
+/// Radius of a cell's dot in a frame of a width.
+pub(super) fn dot_px(width: f32) -> f32 {
+    (width / 420.0).max(1.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use image::{Rgb, RgbImage};
+
+    use super::*;
+
+    fn pixel(x: f32, y: f32, sigmas: f32, takes_part: bool) -> UsedPixel {
+        UsedPixel { centre_px: [x, y], sigmas, takes_part }
+    }
+
+    fn drawn(pixels: &[UsedPixel]) -> RgbImage {
+        let mut canvas = Canvas::new(&RgbImage::from_pixel(640, 480, Rgb([100; 3]))).unwrap();
+        draw(&mut canvas, pixels);
+        canvas.finish()
+    }
+
+    fn has(picture: &RgbImage, colour: Colour) -> bool {
+        picture.pixels().any(|p| p.0 == colour)
+    }
+
+    #[test]
+    fn a_cell_is_coloured_by_how_its_pixels_fit() {
+        assert!(has(&drawn(&[pixel(100.0, 100.0, 0.0, true)]), fit_colour(0.0)));
+        assert!(has(&drawn(&[pixel(100.0, 100.0, 9.0, true)]), fit_colour(1.0)));
+        let half = [pixel(100.0, 100.0, 0.0, true), pixel(102.0, 101.0, 9.0, true), pixel(101.0, 101.0, 0.0, false)];
+        assert!(has(&drawn(&half), fit_colour(0.5)));
+        assert!(has(&drawn(&half[1..]), LEFT_OUT));
+        assert_eq!(drawn(&[pixel(f32::NAN, 0.0, 1.0, true), pixel(-1.0, 5.0, 1.0, true), pixel(1e9, 5.0, 1.0, true)]), drawn(&[]));
+    }
+
+    #[test]
+    fn marks_leave_most_of_the_picture_untouched() {
+        // Every pixel of the whole frame at half size was asked.
+        let all: Vec<UsedPixel> = (0..320 * 240).map(|k| pixel((k % 320) as f32 * 2.0, (k / 320) as f32 * 2.0, 1.0, true)).collect();
+        let picture = drawn(&all);
+        let untouched = picture.pixels().filter(|p| p.0 == [100; 3]).count() as f64 / f64::from(640 * 480);
+        assert!(untouched > 0.93, "{untouched}");
+    }
+}

@@ -1,0 +1,92 @@
+//! Text in pictures, in one proportional typeface that is part of the program.
+//!
+//! The typeface is DejaVu Sans Condensed, cut down to Latin, Greek and Cyrillic and a few signs (its licence lies beside it).
+//! Its digits are all equally wide, so numbers stand still from one frame of a video to the next.
+
+use std::sync::LazyLock;
+
+use ab_glyph::{Font, FontRef, PxScale, ScaleFont, point};
+
+static TYPEFACE: LazyLock<FontRef<'static>> = LazyLock::new(|| {
+    FontRef::try_from_slice(include_bytes!("DejaVuSansCondensed-subset.ttf"))
+        .expect("the typeface is part of the program, and a test reads it")
+});
+
+/// Pixels from a line's baseline to the next one's, as a share of the type's size.
+pub(super) const LINE: f32 = 1.28;
+/// What a line reaches above its baseline, as a share of the type's size.
+pub(super) const ASCENT: f32 = 0.98;
+
+/// Letters of one size.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Lettering {
+    /// Height of the em square, pixels.
+    pub size_px: f32,
+}
+
+impl Lettering {
+    /// Height of the em square into the scale that `ab_glyph` counts in, the height from the lowest to the highest letter.
+    fn scale(self) -> PxScale {
+        let font = &*TYPEFACE;
+        let per_em = font.units_per_em().unwrap_or(2048.0);
+        PxScale::from(self.size_px * font.height_unscaled() / per_em)
+    }
+
+    /// How wide a text is, pixels.
+    pub fn width_px(self, text: &str) -> f32 {
+        let font = TYPEFACE.as_scaled(self.scale());
+        text.chars().map(|c| font.h_advance(font.glyph_id(c))).sum()
+    }
+
+    /// Calls `dot` with each pixel that a text covers and by how much, 0 to 1; `(x, baseline)` is where the text begins.
+    pub fn draw(self, text: &str, (x, baseline): (f32, f32), mut dot: impl FnMut(i32, i32, f32)) {
+        let scale = self.scale();
+        let font = TYPEFACE.as_scaled(scale);
+        let mut pen = x;
+        for character in text.chars() {
+            let id = font.glyph_id(character);
+            // Letters stand on whole rows: their horizontal strokes stay sharp.
+            let glyph = id.with_scale_and_position(scale, point(pen, baseline.round()));
+            pen += font.h_advance(id);
+            let Some(outline) = TYPEFACE.outline_glyph(glyph) else { continue };
+            let bounds = outline.px_bounds();
+            outline.draw(|u, v, share| dot(bounds.min.x as i32 + u as i32, bounds.min.y as i32 + v as i32, share.clamp(0.0, 1.0)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ink(text: &str, size_px: f32) -> (f32, [i32; 4]) {
+        let (mut sum, mut bounds) = (0.0, [i32::MAX, i32::MAX, i32::MIN, i32::MIN]);
+        Lettering { size_px }.draw(text, (0.0, 100.0), |x, y, share| {
+            sum += share;
+            if share > 0.3 {
+                bounds = [bounds[0].min(x), bounds[1].min(y), bounds[2].max(x), bounds[3].max(y)];
+            }
+        });
+        (sum, bounds)
+    }
+
+    #[test]
+    fn letters_have_their_size_and_stand_on_the_baseline() {
+        let (sum, [_, top, right, bottom]) = ink("H", 40.0);
+        // A capital is 0.73 em high in this typeface.
+        assert!((98..=100).contains(&bottom) && (28..=31).contains(&(bottom - top)), "{top} {bottom}");
+        assert!(sum > 150.0 && (right as f32) < Lettering { size_px: 40.0 }.width_px("H"));
+        assert_eq!(ink(" ", 40.0).0, 0.0);
+    }
+
+    #[test]
+    fn digits_are_equally_wide_and_signs_are_there() {
+        let width = |text: &str| Lettering { size_px: 20.0 }.width_px(text);
+        assert!("0123456789+\u{2212}".chars().all(|c| c == '+' || c == '\u{2212}' || (width(&c.to_string()) - width("0")).abs() < 1e-3));
+        // What the typeface lacks is drawn as a box. These are not.
+        let lacking = ink("\u{1F600}", 30.0);
+        for sign in ["\u{b0}", "\u{2212}", "é", "Ж", "Ω", "\u{b1}", "\u{2013}"] {
+            assert_ne!(ink(sign, 30.0), lacking, "{sign}");
+        }
+    }
+}
