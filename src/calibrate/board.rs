@@ -36,7 +36,16 @@ pub enum BoardError {
         /// As given.
         mm: f64,
     },
+    /// The squares are too small for millimetres.
+    #[error("--square-mm is {mm}, which looks like metres; it is in millimetres: for squares of {mm} m give {}", (mm * 1e6).round() / 1e3)]
+    Metres {
+        /// As given.
+        mm: f64,
+    },
 }
+
+/// Side of a square, millimetres, below which metres were meant: no camera resolves such a board.
+const LEAST_SQUARE_MM: f64 = 0.5;
 
 /// What can be told of a board's pose from its pattern.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -75,6 +84,9 @@ impl Board {
         let (columns, rows) = parsed.ok_or_else(|| BoardError::Form(text.to_owned()))?;
         if !(square_mm > 0.0 && square_mm < 1e4) {
             return Err(BoardError::Square { mm: square_mm });
+        }
+        if square_mm < LEAST_SQUARE_MM {
+            return Err(BoardError::Metres { mm: square_mm });
         }
         Self::new(columns, rows, square_mm * 1e-3)
     }

@@ -2,13 +2,14 @@
 //!
 //! [`finder`] finds the [`board`]'s corners in each picture, [`solve`] estimates the lens and every board's pose,
 //! [`session`] puts both together until nothing moves, [`judge`] says what the result is worth, [`guide`] which views are
-//! missing, [`pick`] takes views from a clip, [`report`] and [`table`] show it all. [`shutter`] finds readout and exposure from a shaken clip
+//! missing, [`pick`] takes views from a clip, [`origin`] says which camera took a picture, [`report`] and [`table`] show it all. [`shutter`] finds readout and exposure from a shaken clip
 //! of a known stage.
 
 pub mod board;
 pub mod finder;
 pub mod guide;
 pub mod judge;
+pub mod origin;
 pub mod pick;
 mod recompute;
 pub mod rendered;

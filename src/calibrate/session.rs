@@ -11,6 +11,7 @@ use super::board::Board;
 use super::finder::window::Window;
 use super::finder::{FoundBoard, NoBoard, find_board};
 use super::judge::{self, Judgement};
+use super::origin::{self, Origin};
 use super::recompute::{BoardPatch, BoardView, model_of};
 use super::solve::adjust::Observation;
 use super::solve::{self, Estimate, Extrinsics, LEAST_VIEWS, SolveError, SolveOptions};
@@ -38,6 +39,8 @@ pub struct Inspected {
     pub(crate) patch: Option<BoardPatch>,
     /// A small copy for the report.
     pub thumbnail: Option<GrayImage>,
+    /// What its file says of the camera.
+    pub origin: Origin,
 }
 
 /// Longer side of the report's small pictures, pixels.
@@ -55,13 +58,18 @@ pub fn inspect(file: PathBuf, picture: &GrayImage, board: &Board) -> Inspected {
     let scale = (f64::from(THUMBNAIL_PX) / f64::from(size.0.max(size.1))).min(1.0);
     let side = |s: u32| ((f64::from(s) * scale).round() as u32).max(1);
     let thumbnail = Some(image::imageops::thumbnail(picture, side(size.0), side(size.1)));
-    Inspected { file, size: Some(size), board: found.map_err(|e| e.to_string()), other_size, patch, thumbnail }
+    Inspected { file, size: Some(size), board: found.map_err(|e| e.to_string()), other_size, patch, thumbnail, origin: Origin::default() }
 }
 
 impl Inspected {
     /// A picture that cannot be read, and why.
     pub fn unreadable(file: PathBuf, reason: String) -> Self {
-        Self { file, size: None, board: Err(reason), other_size: None, patch: None, thumbnail: None }
+        Self { file, size: None, board: Err(reason), other_size: None, patch: None, thumbnail: None, origin: Origin::default() }
+    }
+
+    /// With what the picture's file says of the camera.
+    pub fn taken_by(self, origin: Origin) -> Self {
+        Self { origin, ..self }
     }
 }
 
@@ -93,6 +101,8 @@ pub struct CalibrationView {
 pub struct CameraCalibration {
     /// The board.
     pub board: Board,
+    /// Maker and model of the camera, where the pictures' files name it.
+    pub camera: Option<String>,
     /// Width and height of the pictures, pixels.
     pub size: (u32, u32),
     /// What was estimated.
@@ -114,7 +124,7 @@ pub enum CalibrationError {
     #[error("{0}")]
     NoBoard(String),
     /// Pictures of several sizes show the board.
-    #[error("{first} is {} x {} pixels and {other} is {} x {}; all pictures must come from one camera at one size", .sizes[0].0, .sizes[0].1, .sizes[1].0, .sizes[1].1)]
+    #[error("{first} is {} x {} pixels and {other} is {} x {}; all pictures must come from one camera at one size{mend}", .sizes[0].0, .sizes[0].1, .sizes[1].0, .sizes[1].1)]
     Sizes {
         /// A picture.
         first: String,
@@ -122,6 +132,8 @@ pub enum CalibrationError {
         other: String,
         /// Their sizes.
         sizes: [(u32, u32); 2],
+        /// What to do.
+        mend: String,
     },
     /// Too few of them do.
     #[error("only {usable} of {pictures} pictures can be used and {LEAST_VIEWS} are the least; {mend}")]
@@ -133,6 +145,9 @@ pub enum CalibrationError {
         /// What to do.
         mend: String,
     },
+    /// Pictures of two cameras, or of two focal lengths.
+    #[error("{0}")]
+    Mixed(String),
     /// The views leave the lens open.
     #[error("{0}")]
     OneDirection(String),
@@ -173,6 +188,9 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
             working.push(Working { picture, inspected, found, corners: found.corners.clone() });
         }
     }
+    if let Some(sentence) = origin::mixed(pictures) {
+        return Err(CalibrationError::Mixed(sentence));
+    }
     if working.is_empty() {
         return Err(CalibrationError::NoBoard(judge::nothing_found(pictures, board)));
     }
@@ -199,8 +217,19 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
     }
     let observations: Vec<Vec<Observation>> = working.iter().map(|w| w.observations(board)).collect();
     let views = views_of(pictures, &working, reasons, board, &estimate);
-    let judgement = judge::judge(&views, &observations, &estimate, size, board, options);
-    Ok(CameraCalibration { board: *board, size, options: *options, views, estimate, judgement, rounds })
+    let mut judgement = judge::judge(&views, &observations, &estimate, size, board, options);
+    judgement.remarks.extend(judge::implausible_squares(&estimate, board));
+    judgement.remarks.extend(judge::all_blurred(&blurs(&working), size));
+    Ok(CameraCalibration {
+        board: *board,
+        camera: origin::camera_of(pictures),
+        size,
+        options: *options,
+        views,
+        estimate,
+        judgement,
+        rounds,
+    })
 }
 
 /// Estimates, measures the corners again with the result, and so on until nothing moves.
@@ -253,6 +282,7 @@ fn common_size(pictures: &[Inspected]) -> Result<(u32, u32), CalibrationError> {
             first: first.file.display().to_string(),
             other: other.file.display().to_string(),
             sizes: [size, other_size],
+            mend: judge::mend_for_sizes(pictures, size, other_size),
         }),
     }
 }
@@ -317,6 +347,11 @@ fn ill_conditioned(pose: &Extrinsics) -> Option<String> {
     })
 }
 
+/// How blurred each view is, pixels.
+fn blurs(working: &[Working]) -> Vec<f64> {
+    working.iter().map(|view| view.found.blur_px).collect()
+}
+
 /// Everything that is to be said of each picture.
 fn views_of(
     pictures: &[Inspected],
@@ -325,6 +360,7 @@ fn views_of(
     board: &Board,
     estimate: &Estimate,
 ) -> Vec<CalibrationView> {
+    let blurs = blurs(working);
     pictures
         .iter()
         .zip(reasons)
@@ -342,7 +378,9 @@ fn views_of(
                 file: inspected.file.clone(),
                 corners,
                 used: index.is_some(),
-                reason: reason.or_else(|| extrinsics.as_ref().and_then(ill_conditioned)),
+                reason: reason
+                    .or_else(|| extrinsics.as_ref().and_then(ill_conditioned))
+                    .or_else(|| judge::blurred(working.get(index?)?.found, &blurs)),
                 index,
                 rms_px: index.map(|v| estimate.view_rms_px(v, &working[v].observations(board))),
                 outliers,

@@ -35,7 +35,7 @@ fn table_json_report_and_file_all_say_the_same() {
     let html = scene.read("report.html");
     assert!(html.starts_with("<!DOCTYPE html>") && html.trim_end().ends_with("</html>"));
     assert_eq!(html.matches("data:image/jpeg;base64,").count(), 10);
-    assert_eq!(html.matches("<svg").count(), 14);
+    assert_eq!(html.matches("<svg").count(), 15);
     // One file that needs nothing else.
     for outside in ["http://", "https://", "<script", "<link"] {
         assert!(!html.contains(outside), "{outside}");

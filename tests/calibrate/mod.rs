@@ -4,3 +4,4 @@ mod bad;
 mod good;
 mod live;
 mod scene;
+mod slips;

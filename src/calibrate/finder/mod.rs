@@ -25,6 +25,7 @@ use nalgebra::Vector2;
 use thiserror::Error;
 
 use super::board::Board;
+use crate::track::{FrameLook, Reason};
 use fit::BLUR_REACHES;
 use lattice::Lattice;
 use level::Level;
@@ -277,8 +278,19 @@ fn brightness(picture: &GrayImage) -> String {
         (_, 0..40) => format!("the picture is dark (98 % of it below grey level {})", light + 1),
         (200.., _) => format!("the picture is overexposed (98 % of it above grey level {dark})"),
         _ if light - dark < 12 => format!("the picture is flat (grey levels {dark} to {light})"),
+        _ if is_blurred(picture) => "the picture is blurred; focus the lens, and hold board and camera still".to_owned(),
         _ => "no corners that hang together as one".to_owned(),
     }
+}
+
+/// Width of the copy in which blur is looked for: fine enough for what ruins corners, and the noise of large sensors is averaged out.
+const LOOKED_AT_PX: u32 = 640;
+
+fn is_blurred(picture: &GrayImage) -> bool {
+    let (width, height) = picture.dimensions();
+    let part = width.div_ceil(LOOKED_AT_PX).max(2);
+    let small = image::imageops::thumbnail(picture, (width / part).max(1), (height / part).max(1));
+    FrameLook::at(&small).fault() == Some(Reason::TooBlurred)
 }
 
 #[cfg(test)]

@@ -16,7 +16,9 @@ use super::solve::adjust::Observation;
 use super::solve::lens::{LENS_NAMES, LENS_NUMBERS};
 use halves::Halves;
 use map::PixelMap;
-pub(crate) use words::{another_board, mend_for_few, nothing_found, one_direction};
+pub(crate) use words::{
+    all_blurred, another_board, blurred, implausible_squares, mend_for_few, mend_for_sizes, nothing_found, one_direction,
+};
 
 /// The verdict, best first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -55,6 +57,8 @@ pub struct Judgement {
     pub verdict: Verdict,
     /// Everything found, heaviest first.
     pub findings: Vec<Finding>,
+    /// What is likely a mistake, and does no harm to the lens itself.
+    pub remarks: Vec<String>,
     /// What picture to take next.
     pub next_picture: String,
     /// Numbers of which 3 sigma is not below their value: they may as well be 0.
@@ -81,9 +85,9 @@ impl Judgement {
         format!("{}, because {}", self.verdict, because.join("; "))
     }
 
-    /// The findings as plain clauses, heaviest first.
+    /// The findings as plain clauses, heaviest first, and what else was remarked.
     pub fn reasons(&self) -> Vec<String> {
-        self.findings.iter().map(|f| f.text.clone()).collect()
+        self.findings.iter().map(|f| &f.text).chain(&self.remarks).cloned().collect()
     }
 }
 
@@ -121,6 +125,7 @@ pub(crate) fn judge(
     let mut judgement = Judgement {
         verdict: Verdict::Good,
         findings: Vec::new(),
+        remarks: Vec::new(),
         next_picture: String::new(),
         insignificant: insignificant(estimate),
         uncertainty,

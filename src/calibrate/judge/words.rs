@@ -1,8 +1,10 @@
 //! Sentences for sets of pictures that make no calibration.
 
 use super::super::board::Board;
+use super::super::finder::FoundBoard;
+use super::super::finder::lattice::median;
 use super::super::session::Inspected;
-use super::super::solve::LEAST_VIEWS;
+use super::super::solve::{Estimate, LEAST_VIEWS};
 
 /// The size of board that most pictures show instead, and in how many. A board at the picture's rim may be larger than it
 /// seems, so it only counts where others show that size in full.
@@ -60,13 +62,87 @@ pub(crate) fn one_direction() -> String {
         .to_owned()
 }
 
+/// What to do about pictures of two sizes; begins with the joint to the sentence before.
+pub(crate) fn mend_for_sizes(pictures: &[Inspected], first: (u32, u32), other: (u32, u32)) -> String {
+    if first == (other.1, other.0) {
+        return " (some were taken with the camera upright; hold it the same way for all)".to_owned();
+    }
+    let shown = || pictures.iter().filter(|p| p.board.is_ok());
+    let count = shown().filter(|p| p.size == Some(first)).count();
+    let (fewer, size) = if 2 * count >= shown().count() { (shown().count() - count, first) } else { (count, other) };
+    format!(" ({fewer} of {} are not {} x {}; leave them out)", shown().count(), size.0, size.1)
+}
+
+/// Standard deviation of blur, pixels, from which on a picture may be called blurred: that of sharp ones is 0.5 to 1.
+const BLURRED_PX: f64 = 1.5;
+/// … and it is when it is this many times as blurred as the median picture.
+const BLURRED_TIMES: f64 = 1.8;
+/// Blur of the median picture from which on all are, in 1920ths of the picture's width: large sensors show the lens' own blur.
+const ALL_BLURRED_PX: f64 = 2.2;
+
+/// A picture that is more blurred than the others; it is used all the same, for its blur is measured with its corners.
+pub(crate) fn blurred(found: &FoundBoard, blurs: &[f64]) -> Option<String> {
+    let median = median(&mut blurs.to_vec())?;
+    (found.blur_px > BLURRED_PX.max(BLURRED_TIMES * median)).then(|| {
+        format!(
+            "blurred (by {:.1} px, the median picture by {median:.1}): hold board and camera still, give more light, or take it again",
+            found.blur_px
+        )
+    })
+}
+
+/// Pictures that are all blurred.
+pub(crate) fn all_blurred(blurs: &[f64], (width, height): (u32, u32)) -> Option<String> {
+    let median = median(&mut blurs.to_vec())?;
+    let limit = ALL_BLURRED_PX * (f64::from(width.max(height)) / 1920.0).max(1.0);
+    (median > limit).then(|| {
+        format!(
+            "most pictures are blurred (by {median:.1} px): focus the lens at the distance of the stage and lock it, then take them again"
+        )
+    })
+}
+
+/// Boards are held between these distances from the camera, metres: nearer no lens is sharp, farther no board is large enough.
+const PLAUSIBLE_M: [f64; 2] = [0.08, 30.0];
+
+/// Squares whose size puts the boards where nobody holds one. The lens comes out the same; the distances do not.
+pub(crate) fn implausible_squares(estimate: &Estimate, board: &Board) -> Option<String> {
+    let mut distances: Vec<f64> = estimate.bundle.poses.iter().map(|pose| pose.translation.norm()).collect();
+    let metres = median(&mut distances)?;
+    let square_mm = 1e3 * board.square_m();
+    let away = |metres: f64| if metres < 1.0 { format!("{:.1} cm", 100.0 * metres) } else { format!("{metres:.0} m") };
+    let times = if metres < PLAUSIBLE_M[0] { 10.0 } else { 0.1 };
+    let is_plausible = (PLAUSIBLE_M[0]..=PLAUSIBLE_M[1]).contains(&metres);
+    (!is_plausible).then(|| {
+        format!(
+            "with squares of {} mm the boards were {} from the camera, which is hardly so: --square-mm is in millimetres (perhaps {}); the lens comes out the same",
+            rounded(square_mm),
+            away(metres),
+            rounded(times * square_mm)
+        )
+    })
+}
+
+/// A number without the dust of its arithmetic.
+fn rounded(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibrate::finder::FoundBoard;
+    use crate::calibrate::origin::Origin;
 
     fn picture(board: Result<FoundBoard, String>, other_size: Option<((u32, u32), bool)>) -> Inspected {
-        Inspected { file: "a.png".into(), size: Some((640, 480)), board, other_size, patch: None, thumbnail: None }
+        Inspected {
+            file: "a.png".into(),
+            size: Some((640, 480)),
+            board,
+            other_size,
+            patch: None,
+            thumbnail: None,
+            origin: Origin::default(),
+        }
     }
 
     fn another(size: (u32, u32), cut: bool) -> Inspected {
@@ -87,6 +163,28 @@ mod tests {
         // As many of each may be two boards, and boards at the rim alone tell no size.
         assert_eq!(another_board(&[found(), another((9, 6), false)], &board), None);
         assert_eq!(another_board(&[found(), another((9, 6), true), another((9, 6), true)], &board), None);
+    }
+
+    #[test]
+    fn blurred_pictures_are_named_where_others_are_sharp() {
+        let mut one = found().board.unwrap();
+        one.blur_px = 2.4;
+        assert!(blurred(&one, &[0.6, 0.7, 2.4]).unwrap().contains("by 2.4 px, the median picture by 0.7"));
+        assert_eq!(blurred(&one, &[2.2, 2.4, 2.4]), None);
+        one.blur_px = 1.2;
+        assert_eq!(blurred(&one, &[0.4, 0.4, 1.2]), None);
+        assert!(all_blurred(&[2.6, 2.4, 2.9], (640, 480)).unwrap().contains("focus the lens"));
+        assert_eq!(all_blurred(&[2.6, 2.4, 2.9], (4000, 3000)), None);
+    }
+
+    #[test]
+    fn pictures_of_two_sizes_have_their_mend() {
+        let of = |size| Inspected { size: Some(size), ..found() };
+        let pictures = [of((640, 480)), of((640, 480)), of((320, 240))];
+        assert!(mend_for_sizes(&pictures, (640, 480), (320, 240)).contains("1 of 3 are not 640 x 480"));
+        let pictures = [of((640, 480)), of((320, 240)), of((320, 240))];
+        assert!(mend_for_sizes(&pictures, (640, 480), (320, 240)).contains("1 of 3 are not 320 x 240"));
+        assert!(mend_for_sizes(&pictures, (640, 480), (480, 640)).contains("upright"));
     }
 
     #[test]

@@ -1,18 +1,18 @@
-//! The figures of a report, numbered as in the source thesis: 15 distortion, 16 the pictures, 17-19 corners and origin,
-//! 20 reprojection errors, 21 boards in space; and the map of uncertainty.
+//! The figures of a report: the pictures with their corners, the corners' errors, the boards in space, what the lens bends, and maps of
+//! pixels over the picture.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, GrayImage};
 use nalgebra::Vector3;
 
-use super::svg::{Drawing, base64, heat, hue};
+use super::coverage::residuals;
+use super::scale::{self, BAR_HEIGHT};
+use super::svg::{Drawing, base64, hue};
+use super::{INK, PALE};
 use crate::calibrate::board::Board;
 use crate::calibrate::judge::map::{MAP_COLUMNS, MAP_ROWS, PixelMap, places};
 use crate::calibrate::session::{CalibrationView, CameraCalibration};
 use crate::camera::CameraModel;
-
-const INK: &str = "#333";
-const PALE: &str = "#bbb";
 
 /// A small picture as a data URI; empty where it cannot be encoded.
 fn data_uri(picture: &GrayImage) -> String {
@@ -25,7 +25,7 @@ fn data_uri(picture: &GrayImage) -> String {
     format!("data:image/jpeg;base64,{}", base64(&bytes))
 }
 
-/// Figures 16 to 19: a picture with the corners found, the board's outline, its origin and axes.
+/// A picture with the corners found, the board's outline, its first corner and the directions of its sides.
 pub(super) fn picture(view: &CalibrationView, size: (u32, u32), board: &Board) -> Option<String> {
     let small = view.thumbnail.as_ref()?;
     let (w, h) = (f64::from(small.width()), f64::from(small.height()));
@@ -53,37 +53,35 @@ pub(super) fn picture(view: &CalibrationView, size: (u32, u32), board: &Board) -
     Some(drawing.finish(&format!("Corners found in {}", view.file.display())))
 }
 
-/// Figure 20: where corners were seen, seen from where they were predicted, all pictures in one, a colour each.
+/// How far every corner lies from where it is expected, all pictures in one.
 pub(super) fn errors(made: &CameraCalibration) -> String {
-    let side = 360.0;
+    let side = 480.0;
     let reach = (4.0 * made.estimate.sigma_px).max(1e-3);
-    let mut drawing = Drawing::new(side, side);
-    let to = |v: f64| side * (0.5 + 0.46 * (v / reach).clamp(-1.05, 1.05));
+    let mut drawing = Drawing::new(side, side + BAR_HEIGHT);
+    let to = |v: f64| side * (0.5 + 0.48 * (v / reach).clamp(-1.0, 1.0));
     drawing.line([0.0, to(0.0)], [side, to(0.0)], PALE, 0.8);
     drawing.line([to(0.0), 0.0], [to(0.0), side], PALE, 0.8);
-    for (k, radius) in [1.0, 2.0, 3.0].iter().enumerate() {
-        drawing.circle([to(0.0), to(0.0)], to(radius * made.estimate.sigma_px) - to(0.0), PALE, "none", 0.8);
-        let label = format!("{} sigma", k + 1);
-        drawing.text(
-            [to(radius * made.estimate.sigma_px * 0.72), to(-radius * made.estimate.sigma_px * 0.72)],
-            9.0,
-            "start",
-            "#888",
-            &label,
-        );
+    for (offset, error) in residuals(made).map(|(_, r)| ([to(r.x), to(r.y)], r.norm())) {
+        drawing.circle(offset, 2.6, INK, scale::colour(error), 0.35);
     }
-    for view in &made.views {
-        let (Some(index), Some(corners)) = (view.index, &view.corners) else { continue };
-        for (k, corner) in corners.iter().enumerate().filter(|(k, _)| !view.outliers.contains(k)) {
-            let Some(pixel) = corner else { continue };
-            let seen = crate::calibrate::solve::adjust::Observation { board_m: made.board.corner(k), pixel: *pixel };
-            if let Some(r) = made.estimate.bundle.residual(index, &seen) {
-                drawing.cross([to(r.x), to(r.y)], 2.4, &hue(index), 0.9);
-            }
-        }
+    let step = round_step(reach);
+    for radius in (1..).map(|k| step * f64::from(k)).take_while(|radius| *radius < reach).take(4) {
+        drawing.circle([to(0.0), to(0.0)], to(radius) - to(0.0), INK, "none", 0.7);
+        drawing.text([to(0.0) + 4.0, to(-radius) - 4.0], 13.0, "start", INK, &format!("{} px", rounded(radius)));
     }
-    drawing.text([side - 4.0, to(0.0) - 4.0], 10.0, "end", INK, &format!("{reach:.2} px"));
-    drawing.finish("Reprojection errors")
+    scale::bar(&mut drawing, side, side);
+    drawing.finish("How far corners lie from where they are expected")
+}
+
+/// The largest of 1, 2 and 5 times a power of ten that goes into a length at least twice.
+fn round_step(reach: f64) -> f64 {
+    let power = 10_f64.powf((reach / 2.0).log10().floor());
+    [5.0, 2.0, 1.0].map(|k| k * power).into_iter().find(|step| 2.0 * step <= reach).unwrap_or(power)
+}
+
+/// A number in as few digits as it needs.
+fn rounded(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6
 }
 
 /// Width and height of the figure of the boards in space.
@@ -120,8 +118,8 @@ impl Oblique {
     }
 }
 
-/// Figure 21: the camera and every board in space.
-pub(super) fn space(made: &CameraCalibration) -> String {
+/// The camera and every board in space; `number` is what a picture is called in the report.
+pub(super) fn space(made: &CameraCalibration, number: impl Fn(usize) -> usize) -> String {
     let rim = |view: &CalibrationView| {
         let pose = made.estimate.pose(view.index?);
         let (w, h) = (f64::from(made.board.columns() - 1), f64::from(made.board.rows() - 1));
@@ -141,21 +139,21 @@ pub(super) fn space(made: &CameraCalibration) -> String {
     let frustum = frustum.map(|corner| view.at(corner));
     let mut drawing = Drawing::new(SPACE[0], SPACE[1]);
     for corner in frustum {
-        drawing.line(view.at(Vector3::zeros()), corner, "#2a7d2a", 1.2);
+        drawing.line(view.at(Vector3::zeros()), corner, "var(--green)", 1.6);
     }
-    drawing.path(&frustum, true, "#2a7d2a", "#2a7d2a22", 1.2);
+    drawing.path(&frustum, true, "var(--green)", "none", 1.6);
     for (index, board) in &boards {
-        drawing.path(&board.map(|p| view.at(p)), true, &hue(*index), "#ffffff66", 1.2);
+        drawing.path(&board.map(|p| view.at(p)), true, &hue(*index), "none", 1.4);
         drawing.circle(view.at(board[0]), 2.2, &hue(*index), &hue(*index), 0.0);
         let [x, y] = view.at(board[0]);
-        drawing.text([x + 4.0, y - 3.0], 10.0, "start", &hue(*index), &format!("{}", index + 1));
+        drawing.text([x + 4.0, y - 3.0], 14.0, "start", INK, &format!("{}", number(*index)));
     }
     let [x, y] = view.at(Vector3::zeros());
-    drawing.text([x, y + 14.0], 11.0, "middle", "#2a7d2a", "camera");
+    drawing.text([x, y + 18.0], 14.0, "middle", "var(--green)", "camera");
     drawing.finish("The camera and the boards in space")
 }
 
-/// Figure 15: how far the lens moves the points of a grid.
+/// How far the lens moves the points of a grid.
 pub(super) fn distortion(model: &CameraModel) -> String {
     let (w, h) = (f64::from(model.width()), f64::from(model.height()));
     let scale = 480.0 / w;
@@ -173,32 +171,42 @@ pub(super) fn distortion(model: &CameraModel) -> String {
             let Some(d) = shift(p) else { continue };
             worst = worst.max(d.norm());
             let from = [(p.x + 0.5) * scale, (p.y + 0.5) * scale];
-            drawing.line(from, [from[0] + d.x * scale, from[1] + d.y * scale], "#2b6cff", 1.3);
+            drawing.line(from, [from[0] + d.x * scale, from[1] + d.y * scale], "var(--blue)", 1.5);
             drawing.circle(from, 1.2, "none", INK, 0.0);
         }
     }
     let i = model.intrinsics();
-    drawing.cross([(i.cx + 0.5) * scale, (i.cy + 0.5) * scale], 7.0, "#d02020", 1.6);
-    drawing.text([474.0, h * scale - 6.0], 12.0, "end", INK, &format!("longest arrow {worst:.1} px"));
+    drawing.cross([(i.cx + 0.5) * scale, (i.cy + 0.5) * scale], 7.0, "var(--bad)", 2.0);
+    drawing.text([474.0, h * scale - 8.0], 14.0, "end", INK, &format!("longest line {worst:.1} px"));
     drawing.finish("Where the lens moves points to")
 }
 
 /// A map of pixels over the picture as coloured tiles with numbers.
 pub(super) fn map(map: &PixelMap, size: (u32, u32), title: &str) -> String {
     let (w, h) = (f64::from(size.0), f64::from(size.1));
-    let scale = 480.0 / w;
-    let mut drawing = Drawing::new(480.0, h * scale);
-    let (tile_w, tile_h) = (480.0 / MAP_COLUMNS as f64, h * scale / MAP_ROWS as f64);
-    let top = map.quantile(0.95).max(1e-9);
-    for (k, value) in map.values_px.iter().enumerate() {
-        let (c, r) = ((k % MAP_COLUMNS) as f64, (k / MAP_COLUMNS) as f64);
-        let colour = value.map_or("#eee".to_owned(), |v| heat(v / top));
-        drawing.rect([c * tile_w, r * tile_h], [tile_w + 0.3, tile_h + 0.3], "none", &colour);
-        if (k % MAP_COLUMNS).is_multiple_of(2) && (k / MAP_COLUMNS).is_multiple_of(2) {
-            let label = value.map_or("-".to_owned(), |v| if v < 10.0 { format!("{v:.2}") } else { format!("{v:.0}") });
-            drawing.text([(c + 0.5) * tile_w, (r + 0.65) * tile_h], 9.5, "middle", "#111", &label);
-        }
+    let height = 480.0 * h / w;
+    let mut drawing = Drawing::new(480.0, height + BAR_HEIGHT);
+    let (tile_w, tile_h) = (480.0 / MAP_COLUMNS as f64, height / MAP_ROWS as f64);
+    let tiles = || map.values_px.iter().enumerate().map(|(k, value)| ((k % MAP_COLUMNS, k / MAP_COLUMNS), value));
+    for ((c, r), value) in tiles() {
+        let colour = value.map_or(PALE, scale::colour);
+        drawing.rect([c as f64 * tile_w, r as f64 * tile_h], [tile_w + 0.3, tile_h + 0.3], "none", colour);
     }
+    // Numbers are wider than tiles. So every second tile of every second row has one.
+    for ((c, r), value) in tiles().filter(|((c, r), _)| c % 2 == 0 && r % 2 == 0) {
+        let label = value.map_or("-".to_owned(), |v| if v < 10.0 { format!("{v:.2}") } else { format!("{v:.0}") });
+        // The outermost ones would be cut at the rim.
+        let anchor = if c == 0 {
+            ("start", 2.0)
+        } else if c + 1 == MAP_COLUMNS {
+            ("end", tile_w - 2.0)
+        } else {
+            ("middle", 0.5 * tile_w)
+        };
+        let at = [c as f64 * tile_w + anchor.1, (r as f64 + 0.5) * tile_h + 4.5];
+        drawing.text(at, 12.5, anchor.0, value.map_or(INK, scale::text_colour), &label);
+    }
+    scale::bar(&mut drawing, 480.0, height);
     drawing.finish(title)
 }
 
@@ -214,7 +222,7 @@ pub(super) fn arrows(field: &[Option<nalgebra::Vector2<f64>>], size: (u32, u32))
         drawing.circle(from, 1.2, "none", INK, 0.0);
         if let Some(d) = difference {
             let enlarged = d * (480.0 / MAP_COLUMNS as f64 / long.max(d.norm() / 3.0));
-            drawing.line(from, [from[0] + enlarged.x, from[1] + enlarged.y], "#c03030", 1.3);
+            drawing.line(from, [from[0] + enlarged.x, from[1] + enlarged.y], scale::colour(d.norm()), 2.0);
         }
     }
     drawing.finish("Differences as arrows")

@@ -1,7 +1,12 @@
-//! The report: one HTML file that needs nothing else, with the source thesis' figures as SVG and the numbers as Bouguet
-//! prints them.
+//! The report: one HTML file that needs nothing else, for those who took the pictures.
+//!
+//! It says in their words what the calibration is worth and what to do next, shows where the board has been and what the lens does, and
+//! keeps the numbers that calibration programs use folded away at the end of their part. It follows the reader's light or dark scheme.
 
+mod coverage;
 mod figures;
+mod numbers;
+mod scale;
 mod svg;
 
 use nalgebra::Vector2;
@@ -9,8 +14,11 @@ use nalgebra::Vector2;
 use super::judge::map::{PixelMap, lengths};
 use super::judge::{Judgement, Verdict};
 use super::session::{CalibrationView, CameraCalibration};
-use super::table::bouguet;
 use svg::escaped;
+
+/// Colours of lines and text, which follow the reader's scheme.
+const INK: &str = "var(--ink)";
+const PALE: &str = "var(--faint)";
 
 /// How far another calibration puts the same points apart; see [`super::judge::map::difference`].
 #[derive(Debug, Clone, PartialEq)]
@@ -30,19 +38,15 @@ impl Comparison {
     }
 }
 
-const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;color:#222;max-width:1080px;margin:1.5em auto;padding:0 1em}\
-h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em;border-bottom:1px solid #ddd}pre{background:#f5f5f3;padding:.8em;overflow-x:auto;font-size:.84em}\
-.verdict{padding:.7em 1em;border-left:6px solid;background:#f7f7f5}.good{border-color:#2a9d3a}.usable{border-color:#d99a00}.bad{border-color:#cc2b2b}\
-.grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(235px,1fr));gap:12px}.two{display:grid;grid-template-columns:1fr 1fr;gap:18px}\
-figure{margin:0}figcaption{font-size:.82em;color:#555;overflow-wrap:anywhere}svg{width:100%;height:auto;display:block}.off{opacity:.6}\
-table{border-collapse:collapse;font-size:.85em;display:block;overflow-x:auto}td,th{padding:.2em .6em;border-bottom:1px solid #e5e5e5;text-align:right;white-space:nowrap}\
-td:first-child,th:first-child{text-align:left}@media(max-width:700px){.two{grid-template-columns:1fr}}";
+const STYLE: &str = include_str!("report.css");
 
-fn page(title: &str, body: &str) -> String {
-    let title = escaped(title);
+/// `date` is when the report was made.
+fn page(title: &str, date: &str, body: &str) -> String {
+    let (title, date) = (escaped(title), escaped(date));
     format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>{title}</title><style>{STYLE}</style></head><body><h1>{title}</h1>\n{body}</body></html>\n"
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
+         <title>{title}</title>\n<style>\n{STYLE}</style></head><body><h1>{title}</h1>\n{body}<footer>stagepose {}, {date}</footer>\n</body></html>\n",
+        env!("CARGO_PKG_VERSION")
     )
 }
 
@@ -50,46 +54,77 @@ fn figure(svg: &str, caption: &str) -> String {
     format!("<figure>{svg}<figcaption>{caption}</figcaption></figure>\n")
 }
 
-/// The report of a calibration.
-pub fn html(made: &CameraCalibration, comparison: Option<&Comparison>) -> String {
-    let mut body = verdict(&made.judgement);
-    body += "<h2>Numbers</h2>\n<pre>";
-    body += &escaped(&bouguet(made));
-    body += "</pre>\n";
-    body += &format!(
-        "<p>What follows +/- is 3 sigma. Reprojection error per point {:.4} px over {} corners. Corners were measured again with the lens {} \
-         time(s); the last time none moved by more than {:.4} px.</p>\n",
-        made.estimate.rms_px,
-        made.estimate.used.iter().flatten().filter(|u| **u).count(),
-        made.rounds.0,
-        made.rounds.1
+/// The report of a calibration; `date` is when it was made.
+pub fn html(made: &CameraCalibration, comparison: Option<&Comparison>, date: &str) -> String {
+    let views = by_name(&made.views);
+    let number = |index: usize| 1 + views.iter().position(|view| view.index == Some(index)).unwrap_or(index);
+    let mut body = facts(made, date);
+    body += &verdict(&made.judgement);
+    body += &numbers::part(made);
+    body += "<h2>Where the board has been, and how well it fits</h2>\n<div class=\"figures\">";
+    body += &figure(
+        &coverage::figure(made),
+        "<b>Coverage.</b> Every corner of every picture used. The lens is known best where there are many, and only guessed where there are none. \
+         Colours: how far a corner lies from where the calibration expects it.",
     );
-    body += "<h2>Errors, boards in space, lens, uncertainty</h2>\n<div class=\"two\">";
-    body +=
-        &figure(&figures::errors(made), "Reprojection errors, one colour a picture: corner as seen minus corner as predicted (fig. 20)");
-    body += &figure(&figures::space(made), "The camera and the boards as it saw them; numbers as in the table below (fig. 21)");
+    body += &figure(
+        &figures::errors(made),
+        "<b>What is left over.</b> Each dot is a corner: the middle is where the calibration expects it, the dot where the picture shows it. A round \
+         cloud is good; a lopsided one speaks for a bent board or a lens that changed.",
+    );
+    let caption = "<b>How far to trust a place in the picture.</b> A point that the calibration puts here lies, in 997 of 1000 cases, within so many \
+                   pixels (3 sigma). What a small turn of the camera makes up for is left out, for tracking finds it by itself.";
+    body += &figure(&figures::map(&made.judgement.uncertainty, made.size, "Uncertainty over the picture"), caption);
     if let Ok(model) = made.estimate.bundle.lens.model(made.size.0, made.size.1) {
-        body += &figure(&figures::distortion(&model), "How the lens moves points; the red cross is the principal point (fig. 15)");
+        let caption = "<b>What the lens does.</b> Lines lead from where a lens without distortion would show a point to where this one does. The red \
+                       cross is where the lens looks straight ahead.";
+        body += &figure(&figures::distortion(&model), caption);
     }
-    let caption = "3 sigma of where a distant point appears, pixels; the turn of the camera that a tracker finds by itself is taken out";
-    body += &figure(&figures::map(&made.judgement.uncertainty, made.size, "Projection uncertainty"), caption);
+    let caption = "<b>The camera and the boards</b>, as they stood when the pictures were taken; numbers as below.";
+    body += &figure(&figures::space(made, number), caption);
     body += "</div>\n";
     if let Some(comparison) = comparison {
         body += &comparison_part(comparison);
     }
-    body += "<h2>Pictures</h2>\n<p>Green crosses: corners found. Red: left out. The circle is the board's origin, red its x axis, yellow its y axis \
-             (fig. 16-19).</p>\n<div class=\"grid\">";
-    for view in &made.views {
-        body += &picture(view, made);
+    body += "<h2>Pictures</h2>\n<p>Green crosses: corners found. Red crosses: left out, for they do not fit. The circle is the board's first corner; the \
+             red line runs along its rows, the yellow one along its columns.</p>\n<div class=\"pictures\">";
+    for (k, view) in views.iter().enumerate() {
+        body += &picture(k + 1, view, made);
     }
     body += "</div>\n";
-    body += &poses(made);
-    page("Camera calibration", &body)
+    body += &numbers::poses(made, &views);
+    page("Camera calibration", date, &body)
 }
 
-/// The report of two calibration files.
-pub fn comparison_html(own: &str, comparison: &Comparison) -> String {
-    page(&format!("{own} and {}", comparison.name), &comparison_part(comparison))
+/// The report of two calibration files; `date` is when it was made.
+pub fn comparison_html(own: &str, comparison: &Comparison, date: &str) -> String {
+    page(&format!("{own} and {}", comparison.name), date, &comparison_part(comparison))
+}
+
+/// The views in the order in which people count: view2 before view10.
+fn by_name(views: &[CalibrationView]) -> Vec<&CalibrationView> {
+    let mut sorted: Vec<&CalibrationView> = views.iter().collect();
+    sorted.sort_by(|a, b| alphanumeric_sort::compare_path(&a.file, &b.file));
+    sorted
+}
+
+/// What was calibrated, with what, and when.
+fn facts(made: &CameraCalibration, date: &str) -> String {
+    let used = made.views.iter().filter(|view| view.used).count();
+    let (board, mm) = (&made.board, 1e3 * made.board.square_m());
+    let camera = made.camera.as_ref().map_or(String::new(), |camera| format!("{} &middot; ", escaped(camera)));
+    format!(
+        "<p class=\"facts\">{camera}pictures of {} &times; {} pixels &middot; {used} of {} used &middot; board of {} &times; {} inner corners, squares of {} mm \
+         &middot; {} &middot; stagepose {}</p>\n",
+        made.size.0,
+        made.size.1,
+        made.views.len(),
+        board.columns(),
+        board.rows(),
+        (mm * 1e3).round() / 1e3,
+        escaped(date),
+        env!("CARGO_PKG_VERSION")
+    )
 }
 
 fn verdict(judgement: &Judgement) -> String {
@@ -99,10 +134,12 @@ fn verdict(judgement: &Judgement) -> String {
         Verdict::DoNotUse => "bad",
     };
     let others = judgement.findings.iter().filter(|f| f.weight != judgement.verdict);
-    let list: String = others.map(|f| format!("<li>{}</li>", escaped(&f.text))).collect();
+    let texts = others.map(|f| &f.text).chain(&judgement.remarks);
+    let list: String = texts.map(|text| format!("<li>{}</li>", escaped(text))).collect();
     format!(
-        "<div class=\"verdict {class}\"><b>Verdict: {}.</b><ul>{list}</ul>Take next: {}.</div>\n",
-        escaped(&judgement.sentence()),
+        "<div class=\"verdict {class}\"><b>Verdict: {}</b>{}.<ul>{list}</ul>Take next: {}.</div>\n",
+        judgement.verdict,
+        escaped(judgement.sentence().strip_prefix(&judgement.verdict.to_string()).unwrap_or_default()),
         escaped(&judgement.next_picture)
     )
 }
@@ -112,29 +149,28 @@ fn comparison_part(comparison: &Comparison) -> String {
     let map = figures::map(&lengths, comparison.size, "Difference in pixels");
     let arrows = figures::arrows(&comparison.field, comparison.size);
     format!(
-        "<h2>Difference to {}</h2>\n<p>Median {:.3} px, worst {:.3} px, the camera turned so that they fit best.</p><div class=\"two\">{}{}</div>\n",
+        "<h2>Difference to {}</h2>\n<p>Median {:.3} px, worst {:.3} px, the camera turned so that they fit best.</p><div class=\"figures\">{}{}</div>\n",
         escaped(&comparison.name),
         lengths.quantile(0.5),
         lengths.worst(),
-        figure(&map, "Pixels over the picture"),
-        figure(&arrows, "The same as arrows, enlarged")
+        figure(&map, "How far the two put the same point apart"),
+        figure(&arrows, "The same as lines, enlarged")
     )
 }
 
-fn picture(view: &CalibrationView, made: &CameraCalibration) -> String {
+fn picture(number: usize, view: &CalibrationView, made: &CameraCalibration) -> String {
     let drawn = figures::picture(view, made.size, &made.board).unwrap_or_default();
     let name = short_name(view);
-    let number = view.index.map_or(String::new(), |k| format!("{}: ", k + 1));
     let state = match (&view.reason, view.used) {
-        (Some(reason), false) => format!("rejected: {}", escaped(reason)),
-        (_, false) => "rejected".to_owned(),
+        (Some(reason), false) => format!("not used: {}", escaped(reason)),
+        (_, false) => "not used".to_owned(),
         (reason, true) => {
             let remark = reason.as_ref().map_or(String::new(), |r| format!("; {}", escaped(r)));
-            format!("used, {:.3} px{}{remark}", view.rms_px.unwrap_or(0.0), left_out(view))
+            format!("fits to {:.2} px{}{remark}", view.rms_px.unwrap_or(0.0), left_out(view))
         }
     };
     let class = if view.used { "" } else { " class=\"off\"" };
-    format!("<figure{class}>{drawn}<figcaption>{number}{name}<br>{state}</figcaption></figure>\n")
+    format!("<figure{class}>{drawn}<figcaption><b>{number}: {name}</b><br>{state}</figcaption></figure>\n")
 }
 
 /// The picture's file name, its whole path where the pointer rests on it.
@@ -145,25 +181,4 @@ fn short_name(view: &CalibrationView) -> String {
 
 fn left_out(view: &CalibrationView) -> String {
     if view.outliers.is_empty() { String::new() } else { format!(", {} corners left out", view.outliers.len()) }
-}
-
-/// Every board's pose with 3 sigma.
-fn poses(made: &CameraCalibration) -> String {
-    let mut rows = String::new();
-    for view in &made.views {
-        let (Some(index), Some(pose)) = (view.index, &view.extrinsics) else { continue };
-        let three = |v: &nalgebra::Vector3<f64>, s: f64| format!("{:.4} {:.4} {:.4}", s * v.x, s * v.y, s * v.z);
-        rows += &format!(
-            "<tr><td>{}: {}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>\n",
-            index + 1,
-            short_name(view),
-            three(&pose.rotation_vector, 1.0),
-            three(&pose.rotation_uncertainty, 1.0),
-            three(&pose.translation_m, 1e3),
-            three(&pose.translation_uncertainty_m, 1e3)
-        );
-    }
-    format!(
-        "<h2>Poses of the board</h2>\n<table><tr><th>picture</th><th>omc, rad</th><th>&plusmn;</th><th>Tc, mm</th><th>&plusmn;</th></tr>\n{rows}</table>\n"
-    )
 }

@@ -79,13 +79,7 @@ impl Drawing {
 
 /// A colour for the k-th of many things: hues a golden section apart.
 pub(super) fn hue(k: usize) -> String {
-    format!("hsl({:.0} 75% 42%)", (k as f64 * 137.508) % 360.0)
-}
-
-/// Blue through yellow to red for 0 to 1.
-pub(super) fn heat(share: f64) -> String {
-    let share = share.clamp(0.0, 1.0);
-    format!("hsl({:.0} 80% {:.0}%)", 230.0 * (1.0 - share), 62.0 - 12.0 * share)
+    format!("hsl({:.0} 70% 50%)", (k as f64 * 137.508) % 360.0)
 }
 
 /// Bytes as base64 (RFC 4648).

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use super::{CalibrateArguments, output, print};
+use super::{CalibrateArguments, output, print, report_date};
 use crate::calibrate::judge::map::{self, MAP_COLUMNS, MAP_ROWS};
 use crate::calibrate::report::{self, Comparison};
 use crate::camera::{Calibration, CameraModel, read_calibration};
@@ -41,7 +41,7 @@ pub(super) fn run(own: &Path, arguments: &CalibrateArguments) -> Result<(), Fail
     let comparison = between(&read(own)?.calibration.model, &read(other)?)?;
     print(&table(&comparison))?;
     match &arguments.report {
-        Some(file) => output::write(file, report::comparison_html(&own.display().to_string(), &comparison)),
+        Some(file) => output::write(file, report::comparison_html(&own.display().to_string(), &comparison, &report_date())),
         None => Ok(()),
     }
 }

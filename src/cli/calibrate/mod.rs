@@ -160,7 +160,7 @@ fn write_results(
         output::write(file, json::text(made, calibration, comparison))?;
     }
     if let Some(file) = &arguments.report {
-        output::write(file, report::html(made, comparison))?;
+        output::write(file, report::html(made, comparison, &report_date()))?;
     }
     if let Some(file) = arguments.output.as_ref().filter(|_| accepted) {
         let text = match form_of(file, arguments.format) {
@@ -171,6 +171,11 @@ fn write_results(
         output::write(file, &text)?;
     }
     Ok(())
+}
+
+/// When a report is made.
+fn report_date() -> String {
+    utc::date_and_time(utc::now_s()).replace('T', " ").replace('Z', " UTC")
 }
 
 fn form_of(file: &Path, asked: Option<OutputForm>) -> OutputForm {

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use super::{CalibrateArguments, live};
 use crate::calibrate::board::Board;
+use crate::calibrate::origin::Origin;
 use crate::calibrate::pick::ViewPicker;
 use crate::calibrate::session::{Inspected, inspect};
 use crate::capture::{
@@ -78,7 +79,7 @@ impl Looking {
         match decode_oriented(&bytes) {
             Ok((picture, orientation)) => {
                 self.turned.fetch_add(u64::from(orientation_words(orientation).is_some()), Ordering::Relaxed);
-                inspect(file, &picture, board)
+                inspect(file, &picture, board).taken_by(Origin::of_picture(&bytes))
             }
             Err(reason) => Inspected::unreadable(file, reason.to_string()),
         }
@@ -101,7 +102,7 @@ fn note(sentence: &str) {
     let _ = std::io::stderr().write_all(format!("stagepose: note: {sentence}\n").as_bytes());
 }
 
-/// The files themselves, and the pictures of the folders in the order of their names.
+/// The files themselves, and the pictures of the folders in the order of their names as people count: view2 before view10.
 fn files_of(images: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     let mut files = Vec::new();
     for path in images {
@@ -121,7 +122,7 @@ fn files_of(images: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         if inside.is_empty() {
             return Err(Failure::Usage(format!("{}: the folder has no pictures; give one with PNG, JPEG or PGM files", path.display())));
         }
-        inside.sort();
+        alphanumeric_sort::sort_path_slice(&mut inside);
         files.append(&mut inside);
     }
     Ok(files)

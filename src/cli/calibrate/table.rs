@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::calibrate::session::CameraCalibration;
+use crate::calibrate::session::{CalibrationView, CameraCalibration};
 use crate::calibrate::table::bouguet;
 use crate::printable::printable;
 
@@ -14,13 +14,15 @@ pub(super) fn table(made: &CameraCalibration) -> String {
     let mut text = String::new();
     // Writing to a String cannot fail.
     let _ = writeln!(text, "{used} of {} pictures used, {corners} corners; board {}", made.views.len(), made.board);
-    for view in made.views.iter().filter(|view| !view.used) {
+    let mut views: Vec<&CalibrationView> = made.views.iter().collect();
+    views.sort_by(|a, b| alphanumeric_sort::compare_path(&a.file, &b.file));
+    for view in views.iter().filter(|view| !view.used) {
         let _ = writeln!(text, "  not used: {}: {}", name(&view.file), view.reason.as_deref().unwrap_or("no board"));
     }
-    for view in made.views.iter().filter(|view| !view.outliers.is_empty()) {
+    for view in views.iter().filter(|view| !view.outliers.is_empty()) {
         let _ = writeln!(text, "  {}: {} of its corners do not fit and are left out", name(&view.file), view.outliers.len());
     }
-    for view in made.views.iter().filter(|view| view.used) {
+    for view in views.iter().filter(|view| view.used) {
         if let Some(reason) = &view.reason {
             let _ = writeln!(text, "  {}: {reason}", name(&view.file));
         }
@@ -32,6 +34,9 @@ pub(super) fn table(made: &CameraCalibration) -> String {
     let _ = writeln!(text, "\nVerdict: {}.", judgement.sentence());
     for finding in judgement.findings.iter().filter(|f| f.weight != judgement.verdict) {
         let _ = writeln!(text, "  {}", finding.text);
+    }
+    for remark in &judgement.remarks {
+        let _ = writeln!(text, "  note: {remark}");
     }
     let _ = writeln!(text, "Take next: {}.", judgement.next_picture);
     text

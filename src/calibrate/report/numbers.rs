@@ -1,0 +1,145 @@
+//! The numbers of a calibration: first as photographers speak of lenses, then as calibration programs write them.
+
+use nalgebra::{Rotation3, Vector2, Vector3};
+
+use super::coverage::shape;
+use super::short_name;
+use crate::calibrate::judge::map::MOST;
+use crate::calibrate::session::{CalibrationView, CameraCalibration};
+use crate::calibrate::solve::lens::LENS_NAMES;
+use crate::camera::{CameraModel, Pixel};
+
+/// Width of a full-frame sensor, millimetres: what focal lengths of lenses are commonly held against.
+const FULL_FRAME_MM: f64 = 36.0;
+
+/// Both tables.
+pub(super) fn part(made: &CameraCalibration) -> String {
+    let mut rows = String::new();
+    for (name, value) in plain(made) {
+        rows += &format!("<tr><th>{name}</th><td>{value}</td></tr>\n");
+    }
+    format!(
+        "<h2>The lens in numbers</h2>\n<div class=\"wide\"><table>\n{rows}</table></div>\n<p>What follows &plusmn; is 3 sigma: the truth lies within in 997 of \
+         1000 cases, as far as the pictures can tell.</p>\n{}",
+        programs(made)
+    )
+}
+
+/// Each number with its name, as text that may stand in HTML.
+fn plain(made: &CameraCalibration) -> Vec<(&'static str, String)> {
+    let n = &made.estimate.bundle.lens.0;
+    let u = made.estimate.lens_uncertainty();
+    let (w, h) = (f64::from(made.size.0), f64::from(made.size.1));
+    let mut rows = Vec::new();
+    let model = made.estimate.bundle.lens.model(made.size.0, made.size.1).ok();
+    if let Some([across, down]) = model.as_ref().and_then(view_deg) {
+        rows.push(("Angle of view", format!("{across:.1}&deg; across, {down:.1}&deg; down")));
+    }
+    rows.push((
+        "Focal length",
+        format!(
+            "{:.1} px &plusmn; {:.1} across, {:.1} px &plusmn; {:.1} down; as {:.1} mm on full frame",
+            n[0],
+            u[0],
+            n[1],
+            u[1],
+            n[0] / w * FULL_FRAME_MM
+        ),
+    ));
+    let aside = [n[2] + 0.5 - 0.5 * w, n[3] + 0.5 - 0.5 * h];
+    let side = |v: f64, [low, high]: [&'static str; 2]| format!("{:.1} px {}", v.abs(), if v < 0.0 { low } else { high });
+    rows.push((
+        "Where the lens looks straight ahead",
+        format!(
+            "{} and {} the picture's middle, &plusmn; {:.1} and {:.1} px",
+            side(aside[0], ["left of", "right of"]),
+            side(aside[1], ["above", "below"]),
+            u[2],
+            u[3]
+        ),
+    ));
+    if let Some(bending) = model.as_ref().and_then(bending) {
+        rows.push(("Distortion", bending));
+    }
+    let corners = made.estimate.used.iter().flatten().filter(|used| **used).count();
+    rows.push(("How well corners fit", format!("{:.2} px (root of the mean square over {corners} corners)", made.estimate.rms_px)));
+    let map = &made.judgement.uncertainty;
+    if map.quantile(MOST).is_finite() {
+        rows.push((
+            "How exactly places in the picture are known",
+            format!("{:.2} px over most of the picture, {:.2} px at the worst place", map.quantile(MOST), map.worst()),
+        ));
+    }
+    rows
+}
+
+/// Angles between the middles of opposite sides of the picture, degrees.
+fn view_deg(model: &CameraModel) -> Option<[f64; 2]> {
+    let (w, h) = (f64::from(model.width()), f64::from(model.height()));
+    let i = model.intrinsics();
+    let ray = |x: f64, y: f64| model.unproject(Pixel(Vector2::new(x, y))).map(|n| n.0.push(1.0));
+    let angle = |a: Option<Vector3<f64>>, b: Option<Vector3<f64>>| Some(a?.angle(&b?).to_degrees());
+    Some([angle(ray(-0.5, i.cy), ray(w - 0.5, i.cy))?, angle(ray(i.cx, -0.5), ray(i.cx, h - 0.5))?])
+}
+
+/// What the lens does to straight lines, from how far the picture's corners are moved.
+fn bending(model: &CameraModel) -> Option<String> {
+    let (w, h) = (f64::from(model.width()), f64::from(model.height()));
+    let i = model.intrinsics();
+    let centre = Vector2::new(i.cx, i.cy);
+    let corners = [(0.0, 0.0), (w, 0.0), (0.0, h), (w, h)].map(|(x, y)| Vector2::new(x - 0.5, y - 0.5));
+    let moved = corners.map(|corner| {
+        let straight = model.undistorted_pixel(model.unproject(Pixel(corner))?);
+        Some((corner - centre).norm() - (straight - centre).norm())
+    });
+    let farthest = moved.into_iter().flatten().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
+    let way =
+        if farthest < 0.0 { "inwards (barrel: straight lines bow outwards)" } else { "outwards (pincushion: straight lines bow inwards)" };
+    Some(if farthest.abs() < 0.5 {
+        "next to none".to_owned()
+    } else {
+        format!("moves the picture's corners by up to {:.0} px {way}", farthest.abs())
+    })
+}
+
+/// The numbers as they stand in calibration files.
+fn programs(made: &CameraCalibration) -> String {
+    let n = &made.estimate.bundle.lens.0;
+    let u = made.estimate.lens_uncertainty();
+    let mut rows = String::new();
+    for (k, name) in LENS_NAMES.iter().enumerate() {
+        let sigma = if u[k] > 0.0 { format!("{:.5}", u[k]) } else { "held".to_owned() };
+        rows += &format!("<tr><td>{name}</td><td class=\"number\">{:.5}</td><td class=\"number\">{sigma}</td></tr>\n", n[k]);
+    }
+    let (rounds, moved) = made.rounds;
+    format!(
+        "<details><summary>The same for calibration programs</summary>\n<div class=\"wide\"><table><tr><th></th><th class=\"number\">value</th>\
+         <th class=\"number\">&plusmn;</th></tr>\n{rows}</table></div>\n<p>Corners were measured again with the lens {rounds} time(s); the last time none moved \
+         by more than {moved:.4} px.</p></details>\n"
+    )
+}
+
+/// Where each board was, as seen from the camera.
+pub(super) fn poses(made: &CameraCalibration, views: &[&CalibrationView]) -> String {
+    let mut rows = String::new();
+    for (number, view) in (1..).zip(views) {
+        let (Some(pose), Some(corners)) = (&view.extrinsics, &view.corners) else { continue };
+        let tilt = shape(made, corners).map_or("-".to_owned(), |shape| {
+            let side = shape.side().map_or(String::new(), |side| format!(", {} side away", side.name()));
+            format!("{:.0}&deg;{side}", shape.tilt_deg())
+        });
+        let middle = Vector2::new(f64::from(made.board.columns() - 1), f64::from(made.board.rows() - 1)) * (0.5 * made.board.square_m());
+        let centre = Rotation3::from_scaled_axis(pose.rotation_vector) * middle.push(0.0) + pose.translation_m;
+        rows += &format!(
+            "<tr><td>{number}: {}</td><td class=\"number\">{:.3} m</td><td class=\"number\">&plusmn; {:.1} mm</td><td>{tilt}</td><td class=\"number\">{:.2} px</td></tr>\n",
+            short_name(view),
+            centre.norm(),
+            1e3 * pose.translation_uncertainty_m.norm(),
+            view.rms_px.unwrap_or(0.0)
+        );
+    }
+    format!(
+        "<h2>Where the boards were</h2>\n<div class=\"wide\"><table><tr><th>picture</th><th class=\"number\">distance</th><th></th><th>tilt</th>\
+         <th class=\"number\">fits to</th></tr>\n{rows}</table></div>\n"
+    )
+}
