@@ -33,6 +33,12 @@ pub(super) fn open(folder: &Path, rate: FrameRate) -> Result<Box<dyn PictureStre
     if files.is_empty() && folder.join("frames").is_dir() {
         files = pictures_in(&folder.join("frames"))?;
     }
+    if let Some((first, second)) = counted_otherwise(&files) {
+        tracing::warn!(
+            "{}: pictures are taken in the order of their names, letter by letter: {first} comes before {second}; number them with leading zeros",
+            folder.display()
+        );
+    }
     if files.is_empty() {
         return Err(CaptureError::Empty { path: folder.to_owned() });
     }
@@ -84,6 +90,13 @@ fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     Ok(files)
 }
 
+/// The first two names, one after the other, that people would count the other way round: 10 stands before 9.
+fn counted_otherwise(files: &[PathBuf]) -> Option<(String, String)> {
+    let pair = files.windows(2).find(|pair| alphanumeric_sort::compare_path(&pair[0], &pair[1]).is_gt())?;
+    let name = |file: &PathBuf| file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Some((name(&pair[0]), name(&pair[1])))
+}
+
 /// Pictures named by a timestamps.csv.
 struct StampedPictures {
     folder: PathBuf,
@@ -130,5 +143,19 @@ fn read(path: &Path) -> PictureData {
     match safe_file::read(path, LARGEST_PICTURE_FILE) {
         Ok(bytes) => PictureData::Encoded(bytes),
         Err(e) => PictureData::Missing(format!("the picture {} cannot be read: {e}", path.display())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_people_count_otherwise_are_found() {
+        let files = |names: &[&str]| names.iter().map(PathBuf::from).collect::<Vec<_>>();
+        assert_eq!(counted_otherwise(&files(&["a/1.png", "a/10.png", "a/2.png"])), Some(("10.png".to_owned(), "2.png".to_owned())));
+        assert_eq!(counted_otherwise(&files(&["a/01.png", "a/02.png", "a/10.png"])), None);
+        assert_eq!(counted_otherwise(&files(&["B.png", "a.png", "a1.png"])), None);
+        assert_eq!(counted_otherwise(&[]), None);
     }
 }

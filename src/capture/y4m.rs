@@ -201,6 +201,20 @@ mod tests {
     }
 
     #[test]
+    fn chroma_is_kept_where_it_is_asked_for() {
+        let bytes = stream("C420jpeg", 12, 2);
+        let mut reader = Y4mReader::new(&bytes[..]).unwrap();
+        let plain = reader.next_luma().unwrap().unwrap();
+        assert_eq!(reader.colours(&plain), None);
+        reader.keep_chroma();
+        let luma = reader.next_luma().unwrap().unwrap();
+        // Dark, with as much blue and red as there can be.
+        let [r, g, b] = reader.colours(&luma).unwrap().get_pixel(4, 2).0;
+        assert!(r > 150 && g == 0 && b > 150, "{r} {g} {b}");
+        assert!(reader.next_luma().is_none());
+    }
+
+    #[test]
     fn a_cut_stream_has_one_undecodable_frame_at_its_end() {
         let bytes = stream("C420", 12, 3);
         let frames = read(&bytes[..bytes.len() - 1]);

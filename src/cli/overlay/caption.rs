@@ -102,7 +102,7 @@ pub(super) fn legend(canvas: &mut Canvas, sample: &PoseSample, scene: &Scene, ed
     if !scene.objects.is_empty() {
         phrases.push(Phrase::marked(Mark::Line(CYAN), "object"));
     }
-    phrases.push(Phrase { lead: "picture fits", ..Phrase::marked(Mark::Scale, "does not fit") });
+    phrases.push(Phrase { lead: "fits", ..Phrase::marked(Mark::Scale, "does not fit") });
     phrases.push(Phrase::marked(Mark::Disc(LEFT_OUT), "left out"));
     Block::of(canvas, &[phrases], edge).draw(canvas, Anchor::Bottom);
 }

@@ -9,7 +9,7 @@ use crate::track::UsedPixel;
 /// Cells across the frame. More show where the fit changes more finely, and their marks hide more of the picture.
 const ACROSS: f32 = 26.0;
 /// Smallest side of a cell, pixels: in smaller ones the dots would be all there is to see.
-const LEAST_CELL_PX: f32 = 14.0;
+const LEAST_CELL_PX: f32 = 18.0;
 /// Residuals beyond this many sigmas count nothing.
 const COUNTS_NOTHING: f32 = 4.7;
 

@@ -2,8 +2,8 @@
 //!
 //! Outlines of all surfaces run through the lens' distortion, so that they lie on the picture's own edges
 //! when the pose is right. The border says the state: green tracking, yellow coasting, red lost, grey
-//! searching. Dots say how well the picture fits the pose ([`fit`]), a panel above says state, position, angles
-//! and why a frame is not tracked, and one below says what the marks mean ([`caption`]).
+//! searching. Dots say how well the picture fits the pose (`fit`), a panel above says state, position, angles
+//! and why a frame is not tracked, and one below says what the marks mean (`caption`).
 
 mod canvas;
 mod caption;
