@@ -314,12 +314,10 @@ fn worst_view(working: &[Working], board: &Board, estimate: &Estimate) -> Option
     let half_lost = (0..working.len()).find(|&v| 2 * lost(v) > estimate.used[v].len());
     if let Some(v) = half_lost {
         let (lost, all) = (lost(v), estimate.used[v].len());
-        return Some((
-            v,
-            format!(
-                "{lost} of its {all} corners do not fit the camera of the other pictures; was the board bent, or the zoom or focus changed?"
-            ),
-        ));
+        // A blurred picture has corners far off, too, and there is no need to look for a bent board.
+        let why = judge::blurred(working[v].found, &blurs(working))
+            .unwrap_or_else(|| "was the board bent, or the zoom or focus changed?".to_owned());
+        return Some((v, format!("{lost} of its {all} corners do not fit the camera of the other pictures; {why}")));
     }
     let worst = (0..rms.len()).max_by(|&a, &b| rms[a].total_cmp(&rms[b]))?;
     let median = super::finder::lattice::median(&mut rms.clone())?;
