@@ -85,9 +85,9 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Verdict {
     Good,
-    /// It works; so many things are to be looked at.
+    /// It works; this many things should be looked at.
     Warned(usize),
-    /// So many things are almost certainly wrong, though the stage may be followed.
+    /// This many things are almost certainly wrong, though the stage may be followed.
     Doubtful(usize),
     /// Something must be mended before the clip can be followed.
     NotFollowed,

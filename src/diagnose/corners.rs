@@ -8,7 +8,7 @@ use crate::camera::{CameraModel, Pixel};
 use crate::geometry::{Homography, PointPair};
 use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
 
-/// Corners are read off a photograph to so many pixels, one sigma.
+/// How well corners are read off a photograph, one sigma, pixels.
 const CORNER_PX: f64 = 1.5;
 /// A lens that is only known roughly moves the ratio by this much, one sigma of its logarithm.
 const LENS: f64 = 0.015;

@@ -2,7 +2,7 @@
 //! its width, each free where the other is known, or both.
 //!
 //! Seen through a known lens, four corners tell a rectangle's shape (Zhang and He, "Whiteboard scanning and image
-//! enhancement", 2007); from several tilted views both can be told (Zhang, 2000). Here all matches of all views vote: for
+//! enhancement", 2007); several tilted views give both (Zhang, 2000). Here all matches of all views vote: for
 //! every trial of lens and shape each view has its best pose, and the trial with the least that is left wins.
 
 use nalgebra::{Matrix2, Vector2};
@@ -54,7 +54,7 @@ const NOISE_PX: f64 = 1.0;
 const CUT: f64 = 16.0;
 /// Matches of a view that are asked at most.
 const ASKED: usize = 60;
-/// Factors are looked for from 1 / this to this, with so many trials, each e^0.11 from the next.
+/// Factors are looked for from 1 / this to this, in this many steps up and down, each e^0.11 from the next.
 const LARGEST_FACTOR: f64 = 2.6;
 const TRIALS: i32 = 8;
 

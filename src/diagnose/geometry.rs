@@ -16,7 +16,7 @@ use crate::track::{SurfaceSpec, SurfaceView};
 const MOST_VIEWS: usize = 10;
 /// A trial fits where it leaves no more than the free homography does, and this much: of itself, and of what that leaves.
 const SLACK: (f64, f64) = (0.12, 0.2);
-/// Ratios and focal lengths this near to the config's are not worth a word (share), nor those within so many sigmas.
+/// Ratios and focal lengths this near to the config's are not worth a word (share), nor those within this many sigmas.
 const NEAR_RATIO: f64 = 0.025;
 const NEAR_FOCAL: f64 = 0.05;
 const SIGMAS: f64 = 4.0;
@@ -24,7 +24,7 @@ const SIGMAS: f64 = 4.0;
 const LEAST_GAIN: f64 = 0.06;
 /// Of the logarithm of a factor: beyond it no fold of a cloth and no calibration in use is meant.
 const LARGE_FACTOR: f64 = 0.08;
-/// Two ratios are one within this, of the logarithm: a swap is told from a coincidence.
+/// Two ratios are the same within this, of the logarithm: it tells a swap from a coincidence.
 const SAME_RATIO: f64 = 0.06;
 /// A surface that is seen this far from its place is not where the config has it: share of the camera's distance, and degrees.
 const LARGEST_SHIFT: f64 = 0.1;

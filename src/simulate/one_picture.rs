@@ -32,13 +32,13 @@ pub fn one_picture(picture: GrayImage, path: CameraPath, light: f32) -> VirtualS
     scene
 }
 
-/// The place so many widths in front of the picture's middle, and this far to the side of its normal.
+/// The place at a distance in widths from the picture's middle, at an angle to its normal.
 pub fn in_front(widths: f64, askew_deg: f64) -> Point3<f64> {
     let angle = askew_deg.to_radians();
     Point3::new(angle.sin(), -angle.cos(), 0.0) * widths
 }
 
-/// From one place in front (widths, degrees askew) to another in so many seconds, at even shares of the way in angle and in the
+/// From one place in front (widths, degrees askew) to another in a number of seconds, at even shares of the way in angle and in the
 /// distance's logarithm: the picture grows and turns evenly, and the camera stops dead.
 ///
 /// # Panics

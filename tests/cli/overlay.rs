@@ -15,7 +15,7 @@ fn has_ffmpeg() -> bool {
     runs
 }
 
-/// A scene whose frames are tinted, so that colour and grey can be told apart.
+/// A scene whose frames are tinted, so that colour and grey differ.
 fn tinted() -> Scene {
     let scene = Scene::new();
     for k in 0..6 {

@@ -72,8 +72,8 @@ pub fn html(made: &CameraCalibration, comparison: Option<&Comparison>, date: &st
         "<b>What is left over.</b> Each dot is a corner: the middle is where the calibration expects it, the dot where the picture shows it. A round \
          cloud is good; a lopsided one speaks for a bent board or a lens that changed.",
     );
-    let caption = "<b>How far to trust a place in the picture.</b> A point that the calibration puts here lies, in 997 of 1000 cases, within so many \
-                   pixels (3 sigma). What a small turn of the camera makes up for is left out, for tracking finds it by itself.";
+    let caption = "<b>How far to trust a place in the picture.</b> The colour says within how many pixels a point lies of where the calibration \
+                   puts it, in 997 of 1000 cases (3 sigma). What a small turn of the camera makes up for is left out, for tracking finds it by itself.";
     body += &figure(&figures::map(&made.judgement.uncertainty, made.size, "Uncertainty over the picture"), caption);
     if let Ok(model) = made.estimate.bundle.lens.model(made.size.0, made.size.1) {
         let caption = "<b>What the lens does.</b> Lines lead from where a lens without distortion would show a point to where this one does. The red \

@@ -38,7 +38,7 @@ pub(super) struct Examined {
     pub followed: f64,
 }
 
-/// Every so many frames of a clip of unknown length: half of them are let go whenever there are too many.
+/// Frames at even intervals from a clip of unknown length: whenever there are too many, every other one is dropped.
 #[derive(Default)]
 struct Kept {
     frames: Vec<Frame>,

@@ -1,7 +1,7 @@
 //! `--overlay DIR`: one JPEG a frame with what the tracker saw drawn on it; `--overlay FILE.mp4`: the same as a video.
 //!
 //! The folder's frames are this run's alone: those of an earlier run are removed first, or a shorter clip would end in frames of a longer one.
-//! They are known by a file that lies beside them. A folder with frames of other origin is refused, for they may be somebody's only ones.
+//! They are known by a file that lies beside them. A folder with frames of other origin is refused, for they may be the only copies.
 
 use std::fs::{self, create_dir_all};
 use std::io::{self, BufWriter, Write};

@@ -365,7 +365,7 @@ fn move_up(stage: &Stage) {
     std::fs::remove_dir(stage.path("clip/frames")).unwrap();
 }
 
-/// Makes every mistake of a table; all that fail are told together.
+/// Makes every mistake of a table; all that fail are reported together.
 fn assert_named(mistakes: &[Mistake]) {
     let failed: Vec<String> = mistakes
         .iter()
