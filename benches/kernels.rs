@@ -155,7 +155,8 @@ fn alignment(c: &mut Criterion) {
     }
     kernels.predict(5, 1);
     c.bench_function("residuals", |b| b.iter(|| kernels.residuals()));
-    c.bench_function("normal equations of all tiles", |b| b.iter(|| kernels.tile_sums()));
+    c.bench_function("normal equations of all tiles", |b| b.iter(|| kernels.tile_equations(black_box(false))));
+    c.bench_function("normal equations of all tiles and their rows", |b| b.iter(|| kernels.tile_equations(black_box(true))));
     c.bench_function("evidence of all tiles", |b| b.iter(|| kernels.evidence()));
     c.bench_function("noise of all tiles", |b| b.iter(|| kernels.noise_sums()));
 }

@@ -9,13 +9,11 @@ use super::lanes::{LANES, Lanes, Plain, load_at};
 use super::light::RememberedLight;
 use super::motion::{Motion, MotionError};
 use super::noise::{Noise, noise_sums, noise_sums_lanes};
-use super::normal::{
-    COLUMNS, Residuals, RunView, TileSums, Weighing, columns, less_step, moments, residuals, tile_sums, tile_sums_lanes, weight,
-};
-use super::pixels::{Pixels, Source};
-use super::rows::{row_sums, row_sums_lanes};
+use super::normal::{COLUMNS, Residuals, RunView, Weighing, columns, less_step, moments, residuals, weight};
+use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Selector};
-use super::tile_equations::entry;
+use super::tile_equations::{TileEquations, entry};
+use super::tile_products::{ProductBuffer, tile_equations, tile_equations_lanes};
 use super::{AlignSurface, Eye, Sensor};
 use crate::track::synthetic::{cloth, facing, lens, view};
 
@@ -156,19 +154,19 @@ fn plain_twins_sum_the_same_and_sums_are_products_of_the_columns() {
     let weighing = Weighing { scale: 3.0, is_first_look: false, stride: 1 };
     let mut step = [0.0; COLUMNS];
     step[7] = 0.5;
+    let mut products = Box::<ProductBuffer>::default();
     for run in scene.pixels.runs() {
         let tile = scene.pixels.light_of(run);
         residuals(&scene.pixels, run, &at, &tile, &noise, &mut found);
         let view = RunView { pixels: &scene.pixels, run, appearance: &at, light: &tile, residuals: &found };
-        let fast = tile_sums(&view, &step, &weighing);
-        let plain = tile_sums_lanes::<Plain>(&view, &step, &weighing);
-        for i in 0..=COLUMNS {
-            for j in i..=COLUMNS {
-                let size = (plain.product(i, i) * plain.product(j, j)).sqrt();
-                assert!((fast.product(i, j) - plain.product(i, j)).abs() < 1e-3 * size + 1e-3, "{i} {j}");
-            }
+        let fast = tile_equations(&view, None, &step, &weighing, &mut products);
+        let plain = tile_equations_lanes::<Plain>(&view, None, &step, &weighing, &mut products);
+        assert!(fast.rows.is_none() && plain.rows.is_none());
+        for (i, j) in (0..=COLUMNS).flat_map(|i| (i..=COLUMNS).map(move |j| (i, j))) {
+            let size = (plain.sums.product(i, i) * plain.sums.product(j, j)).sqrt();
+            assert!((fast.sums.product(i, j) - plain.sums.product(i, j)).abs() < 1e-3 * size + 1e-3, "{i} {j}");
         }
-        assert_products(&view, &step, &weighing, &plain);
+        assert_products(&view, 0.0, &step, &weighing, &plain);
         let (fast, plain) = (evidence(&view, &step, &weighing), evidence_lanes::<Plain>(&view, &step, &weighing));
         let all = |e: &RunEvidence| [&[e.count, e.inliers, e.squared_px][..], &e.moments, &e.shift, &e.place, &e.blur].concat();
         assert_near(&all(&fast), &all(&plain));
@@ -187,9 +185,11 @@ fn assert_near(fast: &[f64], plain: &[f64]) {
 }
 
 /// The sums as they are defined: pixel by pixel.
-fn assert_products(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing, found: &TileSums) {
-    let mut sums = [[0.0; COLUMNS + 1]; COLUMNS + 1];
-    for k in view.run.range().step_by(LANES) {
+fn assert_products(view: &RunView, delay_s: f64, step: &[f32; COLUMNS], weighing: &Weighing, found: &TileEquations) {
+    // By the power of time.
+    let mut sums = [[[0.0; COLUMNS + 1]; COLUMNS + 1]; 3];
+    let mut longest = 0.0f64;
+    for k in view.run.range().step_by(LANES * weighing.stride) {
         let (columns, _) = columns::<Plain>(view.pixels, view.appearance, view.light, k);
         let r = load_at::<Plain>(&view.residuals.grey, k);
         let information = load_at::<Plain>(&view.residuals.information, k);
@@ -197,17 +197,29 @@ fn assert_products(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing, f
         let w = lanes(weight(after.mul(after).mul(information), weighing).mul(information));
         let all: Vec<[f32; LANES]> = columns.into_iter().chain([r]).map(lanes).collect();
         for (lane, w) in w.iter().enumerate() {
+            let d = f64::from(view.pixels.delay_s[k + lane]) - delay_s;
+            longest = longest.max(d.abs());
             for (i, a) in all.iter().enumerate() {
                 for (j, b) in all.iter().enumerate() {
-                    sums[i][j] += f64::from(*w) * f64::from(a[lane]) * f64::from(b[lane]);
+                    let product = f64::from(*w) * f64::from(a[lane]) * f64::from(b[lane]);
+                    for (power, sums) in sums.iter_mut().enumerate() {
+                        sums[i][j] += product * d.powi(power as i32);
+                    }
                 }
             }
         }
     }
-    for i in 0..=COLUMNS {
-        for j in 0..=COLUMNS {
-            let size = (sums[i][i] * sums[j][j]).sqrt();
-            assert!((found.product(i, j) - sums[i][j]).abs() < 1e-4 * size + 1e-4, "{i} {j}");
+    let size = |i: usize, j: usize| (sums[0][i][i] * sums[0][j][j]).sqrt();
+    for (i, j) in (0..=COLUMNS).flat_map(|i| (0..=COLUMNS).map(move |j| (i, j))) {
+        assert!((found.sums.product(i, j) - sums[0][i][j]).abs() < 1e-4 * size(i, j) + 1e-4, "{i} {j}");
+    }
+    let Some(rows) = &found.rows else { return };
+    for (i, j) in (0..6).flat_map(|i| (0..=COLUMNS).map(move |j| (i, j))) {
+        let once = if j < 6 { rows.by_time()[entry(i, j)] } else { rows.by_other(i, j) };
+        assert!((once - sums[1][i][j]).abs() <= 1e-4 * size(i, j) * longest, "{i} {j}: {once} {}", sums[1][i][j]);
+        if j < 6 {
+            let twice = rows.by_squared_time()[entry(i, j)];
+            assert!((twice - sums[2][i][j]).abs() <= 1e-4 * size(i, j) * longest.powi(2), "{i} {j}: {twice} {}", sums[2][i][j]);
         }
     }
 }
@@ -248,40 +260,27 @@ fn sums_of_the_rows_are_products_of_the_columns_and_their_times() {
     let noise = Noise { dark: 3.0, per_grey: 0.03, model_px: 0.02 };
     let mut found = Residuals::default();
     found.resize(scene.pixels.len());
-    let weighing = Weighing { scale: 1.3, is_first_look: false, stride: 1 };
     let step = std::array::from_fn(|c| 1e-3 * (c as f32 - 5.0));
-    for run in scene.pixels.runs() {
+    let mut products = Box::<ProductBuffer>::default();
+    // Runs of one group, of a chunk, and of more than one: as arranged, and all pixels as one run.
+    let all = Run { end: scene.pixels.len() as u32, ..scene.pixels.runs()[0] };
+    for run in scene.pixels.runs().iter().chain([&all]) {
         let light = scene.pixels.light_of(run);
         residuals(&scene.pixels, run, &at, &light, &noise, &mut found);
         let view = RunView { pixels: &scene.pixels, run, appearance: &at, light: &light, residuals: &found };
-        // With the frame's own stamp as the tile's time, times are delays.
-        let rows = row_sums(&view, 0.0, &step, &weighing);
-        let plain = row_sums_lanes::<Plain>(&view, 0.0, &step, &weighing);
-        let mut all = Vec::new();
-        for i in 0..6 {
-            for c in i..=COLUMNS {
-                let of = |sums: &super::rows::RowSums| if c < 6 { sums.by_time()[entry(i, c)] } else { sums.by_other(i, c) };
-                all.push((of(&rows), of(&plain)));
-                if c < 6 {
-                    all.push((rows.by_squared_time()[entry(i, c)], plain.by_squared_time()[entry(i, c)]));
-                    assert!(i != c || rows.by_squared_time()[entry(i, c)] >= 0.0);
-                }
-            }
+        let delay_s = scene.pixels.delay_s[(run.start as usize + run.end as usize) / 2];
+        for stride in [1, 3] {
+            let weighing = Weighing { scale: 1.3, is_first_look: false, stride };
+            let fast = tile_equations(&view, Some(delay_s), &step, &weighing, &mut products);
+            assert_products(&view, f64::from(delay_s), &step, &weighing, &fast);
+            let plain = tile_equations_lanes::<Plain>(&view, Some(delay_s), &step, &weighing, &mut products);
+            assert_products(&view, f64::from(delay_s), &step, &weighing, &plain);
         }
-        let largest = all.iter().map(|(a, _)| a.abs()).fold(0.0, f64::max);
-        assert!(all.iter().all(|(a, b)| (a - b).abs() <= 1e-3 * largest), "{all:?}");
     }
-    // Where all rows of a run are as late, the sums are those of the tile times the delay.
-    let mut late = scene;
-    late.pixels.delay_s.fill(0.004);
-    let run = late.pixels.runs()[0];
-    let light = late.pixels.light_of(&run);
-    residuals(&late.pixels, &run, &at, &light, &noise, &mut found);
-    let view = RunView { pixels: &late.pixels, run: &run, appearance: &at, light: &light, residuals: &found };
-    let (rows, sums) = (row_sums(&view, 0.0, &step, &weighing), tile_sums(&view, &step, &weighing));
-    for i in 0..6 {
-        let near = |a: f64, b: f64| (a - b).abs() <= 1e-3 * sums.product(i, i).abs() * 0.004 + 1e-4 * b.abs();
-        assert!(near(rows.by_time()[entry(i, i)], 0.004 * sums.product(i, i)), "{i}");
-        assert!(near(rows.by_squared_time()[entry(i, i)], 0.004f64.powi(2) * sums.product(i, i)), "{i}");
-    }
+    // Nothing of one run is left to the next.
+    let none = Run { end: all.start, ..all };
+    let light = scene.pixels.light_of(&all);
+    let view = RunView { pixels: &scene.pixels, run: &none, appearance: &at, light: &light, residuals: &found };
+    let weighing = Weighing { scale: 1.3, is_first_look: false, stride: 1 };
+    assert_products(&view, 0.0, &step, &weighing, &tile_equations(&view, Some(0.0), &step, &weighing, &mut products));
 }

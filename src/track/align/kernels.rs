@@ -8,9 +8,10 @@ use super::frame_levels::FrameLevels;
 use super::light::RememberedLight;
 use super::motion::Motion;
 use super::noise::{CameraNoise, noise_sums};
-use super::normal::{COLUMNS, Residuals, RunView, Weighing, residuals, tile_sums};
+use super::normal::{COLUMNS, Residuals, RunView, Weighing, residuals};
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
+use super::tile_products::{ProductBuffer, tile_equations};
 use super::{AlignSurface, Eye, Sensor};
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
@@ -35,6 +36,7 @@ pub struct AlignKernels {
     pixels: Pixels,
     appearance: Appearance,
     residuals: Residuals,
+    products: Box<ProductBuffer>,
 }
 
 impl AlignKernels {
@@ -54,6 +56,7 @@ impl AlignKernels {
             pixels: Pixels::default(),
             appearance: Appearance::default(),
             residuals: Residuals::default(),
+            products: Box::default(),
         }
     }
 
@@ -99,9 +102,14 @@ impl AlignKernels {
         }
     }
 
-    /// The normal equations of all runs; the sum of their weighted squared residuals.
-    pub fn tile_sums(&self) -> f64 {
-        self.each(|view, weighing| tile_sums(view, &[0.0; COLUMNS], weighing).product(COLUMNS, COLUMNS))
+    /// The normal equations of all runs, with the times of their rows or without; the sum of their weighted squared residuals.
+    pub fn tile_equations(&mut self, has_rows: bool) -> f64 {
+        let mut products = std::mem::take(&mut self.products);
+        let delay_s = has_rows.then_some(0.0);
+        let sum = self
+            .each(|view, weighing| tile_equations(view, delay_s, &[0.0; COLUMNS], weighing, &mut products).sums.product(COLUMNS, COLUMNS));
+        self.products = products;
+        sum
     }
 
     /// What all runs show; the number of pixels that fit.
@@ -114,7 +122,7 @@ impl AlignKernels {
         self.each(|view, weighing| f64::from(noise_sums(view, &[0.0; COLUMNS], weighing)[0]))
     }
 
-    fn each(&self, kernel: impl Fn(&RunView, &Weighing) -> f64) -> f64 {
+    fn each(&self, mut kernel: impl FnMut(&RunView, &Weighing) -> f64) -> f64 {
         let Self { pixels, appearance, residuals, .. } = self;
         let weighing = Weighing { scale: 1.0, is_first_look: false, stride: 1 };
         let of_run = |run: &Run| {

@@ -48,6 +48,8 @@ pub trait Lanes: Copy {
     fn floor(self) -> Self;
     /// log2 of positive normal numbers, straight between the powers of two (continuous, at most 0.09 low).
     fn rough_log2(self) -> Self;
+    /// The sum of all lanes of each.
+    fn totals(values: [Self; LANES]) -> Self;
     /// Whole numbers as indices.
     fn to_index(self) -> Self::Index;
     /// One of eight table entries per lane; indices 0 to 7.
@@ -124,6 +126,10 @@ impl Lanes for Plain {
     #[inline(always)]
     fn rough_log2(self) -> Self {
         Self(self.0.map(|v| v.to_bits() as i32 as f32 * MANTISSA_STEP - 127.0))
+    }
+    #[inline(always)]
+    fn totals(values: [Self; LANES]) -> Self {
+        Self(values.map(|Self([a, b, c, d, e, f, g, h])| ((a + b) + (c + d)) + ((e + f) + (g + h))))
     }
     #[inline(always)]
     fn to_index(self) -> Self::Index {
@@ -247,6 +253,17 @@ mod avx2 {
             unsafe {
                 let bits = _mm256_cvtepi32_ps(_mm256_castps_si256(self.0));
                 Self(_mm256_sub_ps(_mm256_mul_ps(bits, _mm256_set1_ps(MANTISSA_STEP)), _mm256_set1_ps(127.0)))
+            }
+        }
+        #[inline(always)]
+        fn totals(values: [Self; LANES]) -> Self {
+            let [a, b, c, d, e, f, g, h] = values;
+            unsafe {
+                // Four sums of four lanes in each half.
+                let of_four = |a: Self, b: Self, c: Self, d: Self| _mm256_hadd_ps(_mm256_hadd_ps(a.0, b.0), _mm256_hadd_ps(c.0, d.0));
+                let (first, last) = (of_four(a, b, c, d), of_four(e, f, g, h));
+                let (low, high) = (_mm256_permute2f128_ps::<0x20>(first, last), _mm256_permute2f128_ps::<0x31>(first, last));
+                Self(_mm256_add_ps(low, high))
             }
         }
         #[inline(always)]

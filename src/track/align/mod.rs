@@ -42,6 +42,7 @@ mod task;
 mod texture;
 mod tile_equations;
 mod tile_grid;
+mod tile_products;
 mod velocity_jump;
 mod verdict;
 mod work;

@@ -1,5 +1,5 @@
-//! The linear system of one alignment step, tile by tile: how the residuals of a tile's pixels change with the
-//! pose at the tile's rows, with the light of the tile's corners, the bias and the point spread.
+//! The columns of one alignment step, pixel by pixel: how the residuals of a tile's pixels change with the
+//! pose at the tile's rows, with the light of the tile's corners, the bias and the point spread. `tile_products` sums their products.
 
 use super::appearance::Appearance;
 use super::lanes::{LANES, Lanes, dispatch, load_at, store_at, total};
@@ -15,28 +15,38 @@ pub const BIAS: usize = 7;
 /// See [`SPREAD`].
 pub const GAINS: usize = 8;
 const ALL: usize = COLUMNS + 1;
-/// Entries of the upper triangle of the columns and the residual.
-const ENTRIES: usize = ALL * (ALL + 1) / 2;
 /// Entries of the upper triangle of the pose's columns.
 pub const POSE_ENTRIES: usize = SPREAD * (SPREAD + 1) / 2;
 
 /// Weighted sums over one run of pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct TileSums {
-    sums: [f32; ENTRIES],
+    sums: [f32; Self::ENTRIES],
 }
 
 impl Default for TileSums {
     fn default() -> Self {
-        Self { sums: [0.0; ENTRIES] }
+        Self { sums: [0.0; Self::ENTRIES] }
     }
 }
 
 impl TileSums {
-    /// Sum of w a_i a_j for columns i <= j; column [`COLUMNS`] is the residual.
+    /// Entries of the upper triangle of the columns and the residual.
+    pub const ENTRIES: usize = ALL * (ALL + 1) / 2;
+
+    /// From the upper triangle, row by row.
+    pub fn new(sums: [f32; Self::ENTRIES]) -> Self {
+        Self { sums }
+    }
+
+    /// Where the product of columns i <= j is.
+    pub const fn entry(i: usize, j: usize) -> usize {
+        i * ALL - i * (i + 1) / 2 + j
+    }
+
+    /// Sum of w a_i a_j; column [`COLUMNS`] is the residual.
     pub fn product(&self, i: usize, j: usize) -> f64 {
-        let (i, j) = if i <= j { (i, j) } else { (j, i) };
-        f64::from(self.sums[i * ALL - i * (i + 1) / 2 + j])
+        f64::from(self.sums[if i <= j { Self::entry(i, j) } else { Self::entry(j, i) }])
     }
 
     /// [`product`](Self::product) for the columns of the pose: the upper triangle, row by row.
@@ -124,12 +134,6 @@ dispatch! {
     (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals)
 }
 
-dispatch! {
-    /// Sums of a run at the linearisation; weights are those of the residuals as `step` (the tile's columns) leaves them.
-    tile_sums, tile_sums_avx2, tile_sums_lanes,
-    (view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> TileSums
-}
-
 /// A run with all that is known of its pixels at the linearisation.
 #[derive(Clone, Copy)]
 pub struct RunView<'a> {
@@ -181,87 +185,6 @@ fn residuals_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance
         let information = load_at::<L>(&pixels.counts, k).mul(one.div(variance));
         store_at(&mut out.grey, k, residual);
         store_at(&mut out.information, k, information);
-    }
-}
-
-/// Groups of [`LANES`] pixels whose columns are laid out before their products are summed.
-const CHUNK: usize = 8;
-
-/// Columns and residual of a chunk, group by group.
-type Chunk<L> = [[L; CHUNK]; ALL];
-
-#[inline(always)]
-pub fn tile_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> TileSums {
-    let RunView { pixels, run, appearance, light, residuals } = *view;
-    let zero = L::splat(0.0);
-    let mut sums = [[zero; ALL]; ALL];
-    let mut plain: Chunk<L> = [[zero; CHUNK]; ALL];
-    let mut weighted = plain;
-    let mut n = 0;
-    for k in run.range().step_by(LANES * weighing.stride) {
-        let (columns, _) = columns::<L>(pixels, appearance, light, k);
-        let r = load_at::<L>(&residuals.grey, k);
-        let after = less_step(r, &columns, step);
-        let information = load_at::<L>(&residuals.information, k);
-        let w = weight(after.mul(after).mul(information), weighing).mul(information);
-        for c in 0..COLUMNS {
-            plain[c][n] = columns[c];
-            weighted[c][n] = columns[c].mul(w);
-        }
-        plain[COLUMNS][n] = r;
-        weighted[COLUMNS][n] = r.mul(w);
-        n += 1;
-        if n == CHUNK {
-            add_products(&weighted, &plain, CHUNK, &mut sums);
-            n = 0;
-        }
-    }
-    add_products(&weighted, &plain, n, &mut sums);
-    let mut totals = [0.0; ENTRIES];
-    let mut at = 0;
-    for i in 0..ALL {
-        for j in i..ALL {
-            totals[at] = total(sums[i][j]);
-            at += 1;
-        }
-    }
-    TileSums { sums: totals }
-}
-
-/// Adds the products of the first `n` groups of a chunk: at least all with i <= j.
-#[inline(always)]
-fn add_products<L: Lanes>(weighted: &Chunk<L>, plain: &Chunk<L>, n: usize, sums: &mut [[L; ALL]; ALL]) {
-    // Blocks of three rows by four columns: their sums stay in registers while a chunk is walked through.
-    for [i, j] in [[0, 0], [0, 4], [0, 8], [3, 3], [3, 7], [6, 6], [9, 9]] {
-        add_block::<L, 3, 4>(weighted, plain, n, i, j, sums);
-    }
-    for [i, j] in [[0, 12], [3, 11], [3, 12], [6, 10], [6, 11], [6, 12]] {
-        add_block::<L, 3, 1>(weighted, plain, n, i, j, sums);
-    }
-    add_block::<L, 1, 1>(weighted, plain, n, COLUMNS, COLUMNS, sums);
-}
-
-#[inline(always)]
-fn add_block<L: Lanes, const R: usize, const C: usize>(
-    weighted: &Chunk<L>,
-    plain: &Chunk<L>,
-    n: usize,
-    i: usize,
-    j: usize,
-    sums: &mut [[L; ALL]; ALL],
-) {
-    let mut block = [[L::splat(0.0); C]; R];
-    for p in 0..n {
-        for a in 0..R {
-            for b in 0..C {
-                block[a][b] = weighted[i + a][p].mul_add(plain[j + b][p], block[a][b]);
-            }
-        }
-    }
-    for a in 0..R {
-        for b in 0..C {
-            sums[i + a][j + b] = sums[i + a][j + b].add(block[a][b]);
-        }
     }
 }
 

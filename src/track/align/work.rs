@@ -17,14 +17,14 @@ use super::jump_instant::RowBands;
 use super::light::RememberedLight;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::noise::{Noise, NoiseSums};
-use super::normal::{COLUMNS, Residuals, RunView, TileLight, Weighing, moments, residuals, squares_after, tile_sums};
+use super::normal::{COLUMNS, Residuals, RunView, TileLight, Weighing, moments, residuals, squares_after};
 use super::pixels::{Pixels, Run, Source};
-use super::rows::row_sums;
 use super::selection::{Choice, Chosen, Selector};
 use super::slopes::{ChangeSums, Foretold};
 use super::system::{Prior, System, TileTime};
 use super::task::{Task, moved};
 use super::tile_equations::{TileEquations, TileStep};
+use super::tile_products::{ProductBuffer, tile_equations};
 use crate::geometry::resection::larger_covariance;
 
 /// Fewest pixels that a level is solved with.
@@ -104,6 +104,7 @@ pub struct Work {
     at: Option<Motion>,
     /// Where that prediction led.
     solved: Option<Corrected>,
+    products: Box<ProductBuffer>,
     system: System,
     foretold: Foretold,
     sorted: Vec<f32>,
@@ -242,7 +243,7 @@ impl Work {
                 spread: expected.spread,
                 spread_sigma: expected.spread_sigma,
             };
-            let Self { picture, runs, system, .. } = self;
+            let Self { picture, runs, products, system, .. } = self;
             let light = picture.pixels.light();
             system.begin(light, &prior, task.same_time());
             let weight = scale.powi(-2) * stride as f64;
@@ -250,8 +251,8 @@ impl Work {
             let is_rolling = task.same_time().is_none() && pass + 1 == passes;
             for r in runs.iter_mut().filter(|r| r.gauge.is_open) {
                 let (time, step) = (picture.time(task, &r.run), &r.step.columns);
-                r.equations.sums = tile_sums(&picture.view(r), step, &weighing);
-                r.equations.rows = is_rolling.then(|| row_sums(&picture.view(r), time.delay_s as f32, step, &weighing));
+                let delay_s = is_rolling.then_some(time.delay_s as f32);
+                r.equations = tile_equations(&picture.view(r), delay_s, step, &weighing, products);
                 system.add(&r.equations, light.nodes_of(r.run.tile), &time, weight);
             }
             let step = system.solve()?;
