@@ -30,7 +30,6 @@ mod noise;
 mod normal;
 mod pixels;
 mod rays;
-#[allow(clippy::needless_range_loop)]
 mod rows;
 mod selection;
 mod shutter_clue;
@@ -42,6 +41,7 @@ mod task;
 mod texture;
 mod tile_equations;
 mod tile_grid;
+#[allow(clippy::needless_range_loop)]
 mod tile_products;
 mod velocity_jump;
 mod verdict;
