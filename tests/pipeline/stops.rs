@@ -105,6 +105,6 @@ fn the_covariance_holds_where_a_camera_starts_or_stops() {
     // A jump that hides within one frame may still have too small a covariance: 1 in 40 of many, no more than 1 in 12 of few.
     let beyond = near.iter().filter(|(nees, _, _)| *nees > 36.0).count();
     println!("{beyond} of {} beyond 6 sigma", near.len());
-    assert!(12 * beyond <= near.len(), "{beyond} of {}", near.len());
+    assert!(20 * beyond <= near.len(), "{beyond} of {}", near.len());
     assert!(10 * withheld < near.len(), "{withheld} withheld");
 }

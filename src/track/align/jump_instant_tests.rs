@@ -82,7 +82,7 @@ fn where_all_rows_are_exposed_together_the_covariance_covers_it() {
         let rest = MotionEstimate { motion: Motion::still(Pose::identity()), covariance: MotionMatrix::identity() };
         let mut seen = rest;
         seen.motion.pose.translation.x = 0.6 * mean_since(0.0, instant_s, GLOBAL.exposure_s);
-        let left_open = by_bend(&rest, &seen, &GLOBAL, DISTANCE_M) + found.pose_covariance;
+        let left_open = by_bend(&rest, &seen, None, &GLOBAL, DISTANCE_M) + found.pose_covariance;
         let sigma = (1.0 / (BANDS as f64 * INFORMATION) + left_open[(0, 0)]).sqrt();
         assert!(off.abs() < 5.0 * sigma, "{instant_s}: {off} {sigma}");
     }

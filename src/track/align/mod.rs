@@ -43,6 +43,7 @@ mod tile_equations;
 mod tile_grid;
 #[allow(clippy::needless_range_loop)]
 mod tile_products;
+mod uniform_motion;
 mod velocity_jump;
 mod verdict;
 mod work;

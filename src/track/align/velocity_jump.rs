@@ -8,6 +8,7 @@ use nalgebra::{Matrix6, Vector6};
 
 use super::Sensor;
 use super::motion::{MotionEstimate, unseen};
+use super::uniform_motion::Departure;
 
 /// A pose found further than this from where it was expected (squared, in sigmas, six degrees of freedom: one frame in 2000 by chance) is
 /// solved with a jump. Raised, jumps pull the pose by what was expected; lowered, frames of a shaken camera know
@@ -56,17 +57,24 @@ pub fn jumped(expected: &MotionEstimate, dt_s: f64, sensor: &Sensor, distance_m:
 }
 
 /// What a motion that bent within the frame adds to the covariance of the pose: the picture's middle is not where the camera was at the stamp.
-pub fn by_bend(expected: &MotionEstimate, found: &MotionEstimate, sensor: &Sensor, distance_m: f64) -> Matrix6<f64> {
+/// `left`: how the camera left the line that it went on, where it did; otherwise it is held against what was expected.
+pub fn by_bend(
+    expected: &MotionEstimate,
+    found: &MotionEstimate,
+    left: Option<Departure>,
+    sensor: &Sensor,
+    distance_m: f64,
+) -> Matrix6<f64> {
     let error = expected.motion.error_to(&found.motion);
     let frame_s = sensor.readout_s.hypot(sensor.exposure_s);
     let [speed, turn_rate, ..] = unseen(distance_m);
-    let off: Vector6<f64> = error.fixed_rows::<6>(0).into_owned();
+    let expectation = || Departure { off: error.fixed_rows::<6>(0).into_owned(), covariance: Matrix6::zeros() };
+    let Departure { off, covariance } = left.unwrap_or_else(expectation);
     // How long a usual jump takes to get there.
     let takes_s = (off.fixed_rows::<3>(0).norm() / speed).hypot(off.fixed_rows::<3>(3).norm() / turn_rate);
     let most = (LARGEST_JUMP / 8.0 * frame_s / takes_s.max(f64::MIN_POSITIVE)).min(1.0);
-    let off = off * (OFF_SHARE * most);
     let bend: Vector6<f64> = error.fixed_rows::<6>(6) * (BEND_SHARE * frame_s);
-    off * off.transpose() + bend * bend.transpose()
+    (off * off.transpose() + covariance) * (OFF_SHARE * most).powi(2) + bend * bend.transpose()
 }
 
 /// What is left open of the first pose: whether the camera just started or stopped.
@@ -123,7 +131,7 @@ mod tests {
                 let truth = jump * exposure_s * (0.5 - s).max(0.0);
                 let mut found = rest(1e-10);
                 found.motion.pose = Pose::new(UnitQuaternion::identity(), Vector3::x() * seen);
-                let sigma = by_bend(&rest(1e-8), &found, &GLOBAL, DISTANCE_M)[(0, 0)].sqrt();
+                let sigma = by_bend(&rest(1e-8), &found, None, &GLOBAL, DISTANCE_M)[(0, 0)].sqrt();
                 assert!((seen - truth).abs() < 4.8 * sigma, "{s} {jump}: {} {sigma}", seen - truth);
                 // Nor is it absurdly more than the largest error of such a jump.
                 assert!(sigma < OFF_SHARE * LARGEST_JUMP / 8.0 * speed * exposure_s * 1.001);
