@@ -44,9 +44,14 @@ pub fn worst_sigmas(covariance: &Matrix6<f64>) -> [f64; 2] {
     [0, 3].map(|at| covariance.fixed_view::<3, 3>(at, at).into_owned().symmetric_eigenvalues().max().max(0.0).sqrt())
 }
 
-/// The verdict with its reasons, one sentence each.
-pub fn judge(solution: &Solution) -> (Verdict, Vec<String>) {
-    let [shift, turn] = worst_sigmas(&solution.covariance);
+/// Whether more of the doubt comes from the lenses than from the views.
+pub fn is_doubt_of_lenses(solution: &Solution, by_lenses: &Matrix6<f64>) -> bool {
+    worst_sigmas(by_lenses)[0] > worst_sigmas(&solution.covariance)[0]
+}
+
+/// The verdict with its reasons, one sentence each. `by_lenses`: covariance of the mount by what the lenses are in doubt about.
+pub fn judge(solution: &Solution, by_lenses: &Matrix6<f64>) -> (Verdict, Vec<String>) {
+    let [shift, turn] = worst_sigmas(&(solution.covariance + by_lenses));
     let used = solution.views.iter().filter(|view| view.is_used).count();
     let mut reasons = Vec::new();
     if used == 1 {
@@ -66,6 +71,9 @@ pub fn judge(solution: &Solution) -> (Verdict, Vec<String>) {
              the calibrations hold?",
             solution.excess
         ));
+    }
+    if is_doubt_of_lenses(solution, by_lenses) {
+        reasons.push("most of the doubt is the calibrations' own, which more views do not mend: calibrate both cameras".to_owned());
     }
     let verdict = match reasons.is_empty() {
         _ if shift > USELESS_M || turn > USELESS_RAD => Verdict::DoNotUse,

@@ -16,7 +16,7 @@ mod solve_tests;
 mod start;
 mod still;
 
-pub use advice::{NextView, Verdict, judge, next_view, worst_sigmas};
+pub use advice::{NextView, Verdict, is_doubt_of_lenses, judge, next_view, worst_sigmas};
 pub use sight::Eye;
 pub use solve::{Solution, Stages, Unsolvable, Used, View, ViewPair, solve};
 pub use still::{StillPair, Unpaired, still_pairs};

@@ -126,6 +126,68 @@ fn one_pair_is_given_with_its_doubt_and_the_view_that_is_missing() {
     assert!(nees < 3.7 && mm < 20.0 && degrees < 0.5, "{mm} mm, {degrees} degrees, NEES/6 {nees}: {said}");
 }
 
+/// Frames of a film while the rig stands, and while it is carried on.
+const STANDING_FRAMES: usize = 12;
+const CARRIED_FRAMES: usize = 5;
+
+/// What a camera films of a rig that is carried from place to place, and how each film begins and ends is its own.
+fn filmed(places: &[Pose<Stage, Camera>], first: usize, last: usize) -> Vec<Pose<Stage, Camera>> {
+    let mut film = vec![places[0]; first];
+    for (k, place) in places.iter().enumerate() {
+        film.extend([*place; STANDING_FRAMES]);
+        let Some(next) = places.get(k + 1) else { continue };
+        film.extend((1..=CARRIED_FRAMES).map(|i| {
+            let share = i as f64 / (CARRIED_FRAMES + 1) as f64;
+            Pose::new(place.rotation.slerp(&next.rotation, share), place.translation.lerp(&next.translation, share))
+        }));
+    }
+    film.extend(vec![places[places.len() - 1]; last]);
+    film
+}
+
+#[test]
+fn films_of_the_same_standstills_are_counted_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let (folder, board, tracking) = (folder.path(), Board::new(6), poses(&PLACES[..3]));
+    let seen: Vec<_> = tracking.iter().map(filming).collect();
+    write(folder, "a", tracking_camera(), &board, &filmed(&tracking, 0, 4));
+    write(folder, "b", filming_camera(), &board, &filmed(&seen, 7, 0));
+    let told = run(folder, &["--json", "mount.json"]);
+    let said = text(&told.stdout);
+    assert_eq!(told.status.code(), Some(0), "{said}{}", text(&told.stderr));
+    assert!(said.contains("3 pairs of views, 3 measured by both cameras, 3 used"), "{said}");
+    let (mm, degrees, nees) = off(&json(folder));
+    assert!(mm <= 1.5 && degrees <= 0.05 && nees < 3.7, "{mm} mm, {degrees} degrees, NEES/6 {nees}: {said}");
+}
+
+#[test]
+fn a_lens_that_was_guessed_leaves_its_doubt_in_the_mount() {
+    let folder = tempfile::tempdir().unwrap();
+    let (folder, board, tracking) = (folder.path(), Board::new(7), poses(&PLACES));
+    let sigma = |told: &Value| numbers(&told["covariance"]).iter().step_by(7).take(3).sum::<f64>().sqrt();
+    write(folder, "a", tracking_camera(), &board, &tracking);
+    write(folder, "b", filming_camera(), &board, &tracking.iter().map(filming).collect::<Vec<_>>());
+    let told = run(folder, &["--json", "mount.json"]);
+    assert_eq!(told.status.code(), Some(0), "{}{}", text(&told.stdout), text(&told.stderr));
+    let calibrated = sigma(&json(folder));
+    // 61.3 degrees, by a data sheet that rounds.
+    let config = std::fs::read_to_string(folder.join("a.toml")).unwrap();
+    let guessed = config.replace("calibration = \"a-camera.toml\"", "width = 640\nheight = 480\nfov_deg = 60");
+    assert_ne!(config, guessed);
+    std::fs::write(folder.join("a.toml"), guessed).unwrap();
+    std::fs::remove_file(folder.join("mount.json")).unwrap();
+    let told = run(folder, &["--json", "mount.json"]);
+    let said = text(&told.stdout);
+    let (told_m, (mm, degrees, nees)) = (sigma(&json(folder)), off(&json(folder)));
+    println!("{said}\noff by {mm:.3} mm, {degrees:.4} degrees, NEES/6 {nees:.2}, sigma {told_m} m instead of {calibrated}");
+    assert!(said.contains("most of the doubt is the calibrations' own, which more views do not mend: calibrate both cameras"), "{said}");
+    // Decimetres: nothing to show a renderer, and no view is asked for that would not help.
+    assert!(said.contains("verdict   do not use") && !said.contains("next      "), "{said}");
+    assert!(text(&told.stderr).contains("calibrate both cameras with `stagepose calibrate`"), "{}", text(&told.stderr));
+    assert_eq!(told.status.code(), Some(1), "{said}");
+    assert!(told_m > 5.0 * calibrated && nees < 3.7, "{told_m} {calibrated} NEES/6 {nees}: {said}");
+}
+
 /// The rig in front of two boards, which stand 3.5 m from it: where the filming camera's own stage is in the tracking one's.
 fn boards_apart() -> Pose<Stage, Stage> {
     Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -0.3), Vector3::new(1.2, 0.4, 0.2))

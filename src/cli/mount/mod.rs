@@ -15,7 +15,8 @@ use super::logging::{self, LogArguments};
 use super::spared::Spared;
 use crate::config::Settings;
 use crate::mount::{
-    Eye, Solution, Stages, StillPair, Unpaired, Unsolvable, Verdict, View, ViewPair, judge, next_view, solve, still_pairs, worst_sigmas,
+    Eye, Solution, Stages, StillPair, Unpaired, Unsolvable, Verdict, View, ViewPair, is_doubt_of_lenses, judge, next_view, solve,
+    still_pairs,
 };
 use crate::printable::printable_lines;
 use crate::publish::BodyChoice;
@@ -69,15 +70,13 @@ pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
     let pairs = paired(&tracking, &filming, [clip, other_clip])?;
     let complete: Vec<ViewPair> = pairs.iter().filter_map(complete_pair).collect();
     let solution = solve(&complete, stages).map_err(|why| unsolvable(why, &pairs, arguments))?;
-    let (verdict, mut reasons) = judge(&solution);
     let eyes = [Eye { camera: &tracking.camera, stage: &settings.stage }, Eye { camera: &filming.camera, stage: &other.stage }];
-    let next = next_view(eyes, &complete, &solution, stages);
     // What the lenses are in doubt about is the same in all views, and does not shrink with their number.
-    let doubt = lens_doubt(eyes, &complete, &solution);
-    let covariance = solution.covariance + doubt;
-    if worst_sigmas(&doubt)[0] > worst_sigmas(&solution.covariance)[0] {
-        reasons.push("most of the doubt is the calibrations' own, which more views do not mend".to_owned());
-    }
+    let by_lenses = lens_doubt(eyes, &complete, &solution);
+    let covariance = solution.covariance + by_lenses;
+    let (verdict, reasons) = judge(&solution, &by_lenses);
+    let is_doubt_of_lenses = is_doubt_of_lenses(&solution, &by_lenses);
+    let next = next_view(eyes, &complete, &solution, stages).filter(|_| !is_doubt_of_lenses);
     let report = MountReport {
         mount: &solution.mount,
         covariance,
@@ -96,6 +95,10 @@ pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
     }
     writeln!(io::stdout(), "{}", printable_lines(&report.text())).map_err(Failure::output(Path::new("stdout")))?;
     match verdict {
+        Verdict::DoNotUse if is_doubt_of_lenses => Err(Failure::Mount(
+            "the mount is not known well enough to be used, for the lenses are not; calibrate both cameras with `stagepose calibrate`"
+                .to_owned(),
+        )),
         Verdict::DoNotUse => {
             Err(Failure::Mount("the mount is not known well enough to be used; take the views that are asked for".to_owned()))
         }
