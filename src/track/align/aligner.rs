@@ -5,7 +5,7 @@ use nalgebra::{Matrix2, Vector2};
 use super::evidence::RunEvidence;
 use super::exposure::{KnownSpread, USUAL_EXPOSURE_S, UnknownExposure, exposure_clue};
 use super::frame_levels::{FrameLevels, LEVELS};
-use super::jump_instant::RowBands;
+use super::jump_instant::{Expectation, RowBands};
 use super::light::RememberedLight;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::noise::CameraNoise;
@@ -89,6 +89,8 @@ const BETTER: f64 = 0.97;
 /// Steps of a frame in which the velocity jumped, at most: what was found first may be pixels off. With 2, a start at 1 m/s was left a
 /// millimetre from where the picture shows it.
 const JUMP_ROUNDS: usize = 8;
+/// How likely a camera that left the line it went on was shaken rather than started or stopped, where rows tell the two apart.
+const JERK_LIKELIHOOD: f64 = 0.01;
 /// A prediction is kept for the next frame while nothing moved by more, pixels of the level.
 const KEPT_PX: f64 = 0.05;
 
@@ -411,20 +413,32 @@ impl Aligner {
         let (mut estimate, mut covariance) = self.fine.conclude(&task, &mut bands)?;
         let (sensor, distance_m) = (&self.slow.sensor, self.distance(&solved.motion.pose));
         let mut pose = estimate.motion.pose;
-        let left = since_s.filter(|dt_s| *dt_s > 0.0).and_then(|dt_s| line.as_mut()?.add(&pose, &covariance, dt_s));
+        let left = since_s.filter(|dt_s| *dt_s > 0.0).and_then(|dt_s| line.as_mut()?.add(&pose, &covariance, dt_s, distance_m));
         self.line = Some(line.filter(|_| since_s.is_some()).unwrap_or(UniformMotion::new(pose)));
         if let Some(since_s) = since_s {
-            covariance += by_bend(expected, &estimate, left, sensor, distance_m);
-            let error = estimate.motion.error_to(&expected.motion);
-            if let Some(mixture) = bands.mixture(information, &error, since_s, distance_m) {
+            covariance += by_bend(expected, &estimate, left.as_ref(), sensor, distance_m);
+            let expectations = [
+                Some(Expectation {
+                    information: *information,
+                    error: estimate.motion.error_to(&expected.motion),
+                    likelihood: if left.is_some() { JERK_LIKELIHOOD } else { 1.0 },
+                    // Solved with a wider expectation, the motion is less sure than with this one.
+                    covariance: (!has_jumped).then_some(estimate.covariance),
+                }),
+                left.filter(|_| sensor.readout_s != 0.0).and_then(|left| {
+                    Some(Expectation {
+                        information: left.expected.covariance.cholesky()?.inverse(),
+                        error: estimate.motion.error_to(&left.expected.motion),
+                        likelihood: 1.0 - JERK_LIKELIHOOD,
+                        covariance: None,
+                    })
+                }),
+            ];
+            if let Some(mixture) = bands.mixture(expectations, since_s, distance_m) {
                 pose = estimate.motion.with_pose_corrected(&mixture.pose);
                 covariance += mixture.pose_covariance;
-                if has_jumped {
-                    // Solved with a wider expectation, which the mixture no longer needs.
-                    estimate.covariance = mixture.without_jump;
-                }
                 estimate.motion = estimate.motion.corrected(&mixture.motion);
-                estimate.covariance += mixture.motion_covariance;
+                estimate.covariance = mixture.motion_covariance;
             }
         } else {
             covariance += by_start(&estimate, sensor);

@@ -25,6 +25,9 @@ const SIZES: [f64; 2] = [1.0, 0.25];
 /// How likely a jump is in the time of a frame: one in ten seconds at 30 frames a second. Raised, the covariance of every frame grows: with
 /// 0.1, that of a still camera by half, and of 625 frames near starts and stops 12 instead of 16 are further off than six sigmas.
 const LIKELIHOOD: f64 = 0.003;
+/// Expectations that are mixed at most: with jerk, and with the even motion before.
+pub const EXPECTATIONS: usize = 2;
+const JUMPS: usize = (WITHIN + BEFORE) * SIZES.len();
 /// A jump less likely than this changes nothing.
 const NEGLIGIBLE: f64 = 1e-6;
 
@@ -46,6 +49,19 @@ pub struct RowBands {
 /// Value and slope in time of a factor of the pose, at the middle of a band.
 type Profile = [f64; 2];
 
+/// A motion that may be expected.
+#[derive(Debug, Clone, Copy)]
+pub struct Expectation {
+    /// Its information.
+    pub information: MotionMatrix,
+    /// From the solved motion to it.
+    pub error: MotionError,
+    /// How likely it is beforehand.
+    pub likelihood: f64,
+    /// Covariance of the motion that was solved with it and without a jump; `None` where that was solved with another.
+    pub covariance: Option<MotionMatrix>,
+}
+
 /// What the mixture makes of a solved motion.
 #[derive(Debug, Clone, Copy)]
 pub struct Mixture {
@@ -55,10 +71,8 @@ pub struct Mixture {
     pub pose_covariance: Matrix6<f64>,
     /// Correction of the motion after the frame, carried back to the stamp.
     pub motion: MotionError,
-    /// To be added to its covariance.
+    /// Its covariance.
     pub motion_covariance: MotionMatrix,
-    /// Covariance of the motion without a jump, where the light is known.
-    pub without_jump: MotionMatrix,
 }
 
 impl RowBands {
@@ -96,17 +110,27 @@ impl RowBands {
         }
     }
 
-    /// The mixture over all instants and none. `known`: information of the expected motion; `error`: from the solved motion to it; `dt_s`:
-    /// since the last frame. `None` where something is singular.
-    pub fn mixture(&self, known: &MotionMatrix, error: &MotionError, dt_s: f64, distance_m: f64) -> Option<Mixture> {
-        let without = self.without_jump(known, error)?;
+    /// The mixture over all expectations, and for each over all instants and none. `dt_s`: since the last frame. `None` where something is
+    /// singular.
+    pub fn mixture(&self, expectations: [Option<Expectation>; EXPECTATIONS], dt_s: f64, distance_m: f64) -> Option<Mixture> {
+        let is_alone = expectations.iter().flatten().count() < 2;
+        let part = |expected: Expectation| {
+            let without = self.without_jump(&expected, is_alone)?;
+            let jumps = self.jumps(&without, dt_s, distance_m);
+            Some(Part { without, jumps })
+        };
+        mix(&expectations.map(|expected| expected.and_then(part)))
+    }
+
+    /// What the bands say of jumps at all instants, of all sizes.
+    fn jumps(&self, without: &WithoutJump, dt_s: f64, distance_m: f64) -> [Option<Tried>; JUMPS] {
         let half_s = 0.5 * (self.sensor.readout_s.abs() + self.sensor.exposure_s);
         // From the last stamp on: what came later in that frame may not have shown in it.
         let gap_s = (dt_s - half_s).max(0.0);
         let whole_s = (2.0 * half_s + gap_s).max(f64::MIN_POSITIVE);
         let [speed, turn_rate, ..] = unseen(distance_m);
         let usual = Vector6::new(speed, speed, speed, turn_rate, turn_rate, turn_rate);
-        let mut tried = [None; (WITHIN + BEFORE) * SIZES.len()];
+        let mut tried = [None; JUMPS];
         for (k, of_instant) in tried.chunks_exact_mut(SIZES.len()).enumerate() {
             let (from_s, lasts_s, part, parts) =
                 if k < WITHIN { (-half_s, 2.0 * half_s, k, WITHIN) } else { (-half_s - gap_s, gap_s, k - WITHIN, BEFORE) };
@@ -117,10 +141,10 @@ impl RowBands {
             let likelihood = LIKELIHOOD * lasts_s / (whole_s * parts as f64 * SIZES.len() as f64);
             let sums = self.jump_sums(instant_s);
             for (slot, size) in of_instant.iter_mut().zip(SIZES) {
-                *slot = sums.tried(&without, &usual.map(|sigma| (size * sigma).powi(-2)), likelihood);
+                *slot = sums.tried(without, &usual.map(|sigma| (size * sigma).powi(-2)), likelihood);
             }
         }
-        mix(&tried, &without)
+        tried
     }
 
     /// Middle of a band, seconds from the stamp.
@@ -148,22 +172,39 @@ impl RowBands {
         [at(t), slope]
     }
 
-    /// The motion where it did not jump, as expected and as the bands show it.
-    fn without_jump(&self, known: &MotionMatrix, error: &MotionError) -> Option<WithoutJump> {
+    /// The motion where it did not jump, as expected and as the bands show it. `is_alone`: there is no other to weigh it against.
+    fn without_jump(&self, expected: &Expectation, is_alone: bool) -> Option<WithoutJump> {
+        let Expectation { information: known, error, likelihood, covariance } = expected;
         let (mut information, mut pull) = (*known, known * error);
         for (k, band) in self.filled() {
             let profiles = self.profiles(k);
             for (a, of_a) in profiles.iter().enumerate() {
                 let mut part = pull.fixed_rows_mut::<6>(6 * a);
                 part += band.pull(*of_a);
-                for (b, of_b) in profiles.iter().enumerate() {
+                for (b, of_b) in profiles.iter().enumerate().skip(a) {
+                    let product = band.product(*of_a, *of_b);
                     let mut block = information.fixed_view_mut::<6, 6>(6 * a, 6 * b);
-                    block += band.product(*of_a, *of_b);
+                    block += product;
+                    if a != b {
+                        let mut mirrored = information.fixed_view_mut::<6, 6>(6 * b, 6 * a);
+                        mirrored += product;
+                    }
                 }
             }
         }
-        let covariance = information.cholesky()?.inverse();
-        Some(WithoutJump { correction: covariance * pull, covariance })
+        let factor = information.cholesky()?;
+        let solved = factor.inverse();
+        let correction = solved * pull;
+        let evidence = if is_alone {
+            0.0
+        } else {
+            let half_log_determinant = |l: &MotionMatrix| l.diagonal().map(f64::ln).sum();
+            likelihood.ln()
+                + 0.5 * (pull.dot(&correction) - error.dot(&(known * error)))
+                + half_log_determinant(known.cholesky()?.l_dirty())
+                - half_log_determinant(factor.l_dirty())
+        };
+        Some(WithoutJump { correction, solved, covariance: covariance.unwrap_or(solved), evidence })
     }
 
     /// What the bands say of a jump at an instant.
@@ -216,7 +257,19 @@ fn mean_since(t: f64, instant_s: f64, exposure_s: f64) -> f64 {
 struct WithoutJump {
     /// Of the solved motion.
     correction: MotionError,
+    /// Covariance where the light is known.
+    solved: MotionMatrix,
+    /// Covariance of the motion.
     covariance: MotionMatrix,
+    /// Logarithm of likelihood times evidence of the frame.
+    evidence: f64,
+}
+
+/// An expectation and the jumps from it.
+#[derive(Debug)]
+struct Part {
+    without: WithoutJump,
+    jumps: [Option<Tried>; JUMPS],
 }
 
 /// Normal equations of a jump at an instant, beside those of the motion.
@@ -246,7 +299,7 @@ impl JumpSums {
     /// Solves for the jump, of which `prior` is the information. That the light is free as well is left out: gains and a bend of the path
     /// hardly look alike.
     fn tried(&self, without: &WithoutJump, prior: &Vector6<f64>, likelihood: f64) -> Option<Tried> {
-        let by_motion = without.covariance * self.shared;
+        let by_motion = without.solved * self.shared;
         let pull = self.pull - self.shared.transpose() * without.correction;
         let information = self.own + Matrix6::from_diagonal(prior) - self.shared.transpose() * by_motion;
         let factor = information.cholesky()?;
@@ -272,33 +325,66 @@ impl JumpSums {
     }
 }
 
-/// Mean and covariance of the mixture of all that was tried, and none.
-fn mix(tried: &[Option<Tried>], without: &WithoutJump) -> Option<Mixture> {
-    let none = (1.0 - LIKELIHOOD).ln();
-    let largest = tried.iter().flatten().map(|t| t.evidence).fold(none, f64::max);
-    let total = (none - largest).exp() + tried.iter().flatten().map(|t| (t.evidence - largest).exp()).sum::<f64>();
+/// One member of a mixture: what it makes of the pose at the stamp and of the motion after it, each with its covariance.
+struct Member {
+    evidence: f64,
+    pose: Vector6<f64>,
+    pose_covariance: Matrix6<f64>,
+    motion: MotionError,
+    motion_covariance: MotionMatrix,
+}
+
+impl Part {
+    /// Logarithms of likelihood times evidence: without a jump, then of every jump.
+    fn evidences(&self) -> impl Iterator<Item = f64> {
+        let none = self.without.evidence + (1.0 - LIKELIHOOD).ln();
+        std::iter::once(none).chain(self.jumps.iter().flatten().map(|t| self.without.evidence + t.evidence))
+    }
+
+    /// All members more likely than [`NEGLIGIBLE`] beside the largest.
+    fn members(&self, largest: f64) -> impl Iterator<Item = Member> {
+        let WithoutJump { correction, covariance, .. } = &self.without;
+        let own: Vector6<f64> = correction.fixed_rows::<6>(0).into_owned();
+        let all = std::iter::once(None).chain(self.jumps.iter().map(Option::as_ref).filter(Option::is_some));
+        self.evidences().zip(all).filter(move |(evidence, _)| (evidence - largest).exp() > NEGLIGIBLE).map(move |(evidence, jump)| {
+            let mut member =
+                Member { evidence, pose: own, pose_covariance: Matrix6::zeros(), motion: *correction, motion_covariance: *covariance };
+            if let Some(t) = jump {
+                member.pose += t.pose_by_jump * t.jump;
+                member.pose_covariance = t.pose_by_jump * t.covariance * t.pose_by_jump.transpose();
+                if t.is_seen {
+                    member.motion += t.motion_by_jump * t.jump;
+                    member.motion_covariance += t.motion_by_jump * t.covariance * t.motion_by_jump.transpose();
+                }
+            }
+            member
+        })
+    }
+}
+
+/// Mean and covariance of the mixture of all expectations, with their jumps and without.
+fn mix(parts: &[Option<Part>; EXPECTATIONS]) -> Option<Mixture> {
+    let evidences = || parts.iter().flatten().flat_map(Part::evidences);
+    let largest = evidences().fold(f64::NEG_INFINITY, f64::max);
+    let total: f64 = evidences().map(|e| (e - largest).exp()).sum();
     let (mut pose, mut pose_squares) = (Vector6::zeros(), Matrix6::zeros());
     let (mut motion, mut motion_squares) = (MotionError::zeros(), MotionMatrix::zeros());
-    for t in tried.iter().flatten() {
-        let weight = (t.evidence - largest).exp() / total;
-        if weight < NEGLIGIBLE {
-            continue;
-        }
-        let squares = (t.covariance + t.jump * t.jump.transpose()) * weight;
-        pose += t.pose_by_jump * t.jump * weight;
-        pose_squares += t.pose_by_jump * squares * t.pose_by_jump.transpose();
-        if !t.is_seen {
-            continue;
-        }
-        motion += t.motion_by_jump * t.jump * weight;
-        motion_squares += t.motion_by_jump * squares * t.motion_by_jump.transpose();
+    let mut weights = 0.0;
+    for member in parts.iter().flatten().flat_map(|part| part.members(largest)) {
+        let weight = (member.evidence - largest).exp() / total;
+        weights += weight;
+        pose += member.pose * weight;
+        pose_squares += (member.pose_covariance + member.pose * member.pose.transpose()) * weight;
+        motion += member.motion * weight;
+        motion_squares += (member.motion_covariance + member.motion * member.motion.transpose()) * weight;
     }
+    // The negligible ones are as the mean of the others.
+    let (pose, pose_squares, motion, motion_squares) = (pose / weights, pose_squares / weights, motion / weights, motion_squares / weights);
     let mixture = Mixture {
-        pose: without.correction.fixed_rows::<6>(0) + pose,
+        pose,
         pose_covariance: pose_squares - pose * pose.transpose(),
-        motion: without.correction + motion,
+        motion,
         motion_covariance: motion_squares - motion * motion.transpose(),
-        without_jump: without.covariance,
     };
     let Mixture { motion, motion_covariance, pose_covariance, .. } = &mixture;
     let is_finite = motion.iter().chain(motion_covariance.iter()).chain(pose_covariance.iter()).all(|v| v.is_finite());

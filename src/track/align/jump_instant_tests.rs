@@ -18,6 +18,10 @@ fn known() -> MotionMatrix {
     MotionMatrix::from_diagonal(&MotionError::from_fn(|k, _| f64::powi(sigma(k), -2)))
 }
 
+fn alone(information: MotionMatrix, error: MotionError) -> [Option<Expectation>; EXPECTATIONS] {
+    [Some(Expectation { information, error, likelihood: 1.0, covariance: None }), None]
+}
+
 /// What the bands of a camera show that rests and moves sideways from an instant on; nothing of it is explained yet.
 fn bands(sensor: Sensor, instant_s: f64, speed: f64) -> RowBands {
     let mut bands = RowBands::new(sensor);
@@ -51,7 +55,8 @@ fn a_jump_is_found_at_its_instant() {
         // Near the frame's end too few rows show it.
         for instant_s in [-2.0, -0.9, -0.5, -0.2, 0.0, 0.2].map(|share| share * half_s) {
             for speed in [0.3, -0.8] {
-                let found = bands(sensor, instant_s, speed).mixture(&known(), &MotionError::zeros(), FRAME_S, DISTANCE_M).expect("regular");
+                let found =
+                    bands(sensor, instant_s, speed).mixture(alone(known(), MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
                 let truth = speed * (-instant_s).max(0.0);
                 let sigma = (1.0 / (BANDS as f64 * INFORMATION) + found.pose_covariance[(0, 0)]).sqrt();
                 let off = found.pose[0] - truth;
@@ -77,7 +82,7 @@ fn a_jump_is_found_at_its_instant() {
 fn where_all_rows_are_exposed_together_the_covariance_covers_it() {
     for k in 0..20 {
         let instant_s = GLOBAL.exposure_s * ((f64::from(k) + 0.5) / 20.0 - 0.5);
-        let found = bands(GLOBAL, instant_s, 0.6).mixture(&known(), &MotionError::zeros(), FRAME_S, DISTANCE_M).expect("regular");
+        let found = bands(GLOBAL, instant_s, 0.6).mixture(alone(known(), MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
         let off = found.pose[0] - 0.6 * (-instant_s).max(0.0);
         let rest = MotionEstimate { motion: Motion::still(Pose::identity()), covariance: MotionMatrix::identity() };
         let mut seen = rest;
@@ -91,21 +96,39 @@ fn where_all_rows_are_exposed_together_the_covariance_covers_it() {
 #[test]
 fn a_camera_that_rests_stays_sure() {
     for sensor in [ROLLING, GLOBAL] {
-        let found = bands(sensor, 0.0, 0.0).mixture(&known(), &MotionError::zeros(), FRAME_S, DISTANCE_M).expect("regular");
+        let found = bands(sensor, 0.0, 0.0).mixture(alone(known(), MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
         assert!(found.pose.norm() < 1e-9 && found.motion.norm() < 1e-9);
-        assert!(found.pose_covariance[(0, 0)] < 0.1 * found.without_jump[(0, 0)], "{}", found.pose_covariance[(0, 0)]);
+        assert!(found.pose_covariance[(0, 0)] < 0.1 * found.motion_covariance[(0, 0)], "{}", found.pose_covariance[(0, 0)]);
     }
+}
+
+#[test]
+fn an_even_motion_before_tells_a_small_start_from_jerk() {
+    // A start at 0.05 m/s in the middle of the frame, a fifth of a millimetre, where jerk explains a whole one; the truth is no shift.
+    let jerky = MotionMatrix::from_diagonal(&MotionError::from_fn(|k, _| f64::powi([1e-3, 0.1, 5.0][k / 6], -2)));
+    let shown = bands(ROLLING, 0.0, 0.05);
+    let by_jerk = shown.mixture(alone(jerky, MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
+    let expectations = [(jerky, 0.01), (known(), 0.99)]
+        .map(|(information, likelihood)| Some(Expectation { information, error: MotionError::zeros(), likelihood, covariance: None }));
+    let by_both = shown.mixture(expectations, FRAME_S, DISTANCE_M).expect("regular");
+    let off = |found: &Mixture| found.pose[0].abs();
+    assert!(off(&by_both) < 0.7 * off(&by_jerk), "{} {}", off(&by_both), off(&by_jerk));
+    // Where the camera rests, jerk is hardly believed, and the pose is as sure as the even motion has it.
+    let rests = bands(ROLLING, 0.0, 0.0);
+    let [wide, sure] = [alone(jerky, MotionError::zeros()), expectations]
+        .map(|e| rests.mixture(e, FRAME_S, DISTANCE_M).expect("regular").motion_covariance[(6, 6)]);
+    assert!(sure < 0.5 * wide, "{sure} {wide}");
 }
 
 #[test]
 fn what_is_no_motion_is_no_panic() {
     let empty = RowBands::new(ROLLING);
-    let found = empty.mixture(&known(), &MotionError::zeros(), FRAME_S, DISTANCE_M).expect("what was known");
+    let found = empty.mixture(alone(known(), MotionError::zeros()), FRAME_S, DISTANCE_M).expect("what was known");
     assert!(found.motion.norm() == 0.0 && found.pose_covariance[(0, 0)] > 0.0);
-    assert!(empty.mixture(&MotionMatrix::zeros(), &MotionError::zeros(), FRAME_S, DISTANCE_M).is_none());
-    assert!(empty.mixture(&known(), &MotionError::repeat(f64::NAN), FRAME_S, DISTANCE_M).is_none());
+    assert!(empty.mixture(alone(MotionMatrix::zeros(), MotionError::zeros()), FRAME_S, DISTANCE_M).is_none());
+    assert!(empty.mixture(alone(known(), MotionError::repeat(f64::NAN)), FRAME_S, DISTANCE_M).is_none());
     let still = Sensor { readout_s: 0.0, exposure_s: 0.0 };
     for since_s in [0.0, FRAME_S] {
-        assert!(bands(still, 0.0, 0.0).mixture(&known(), &MotionError::zeros(), since_s, DISTANCE_M).is_some());
+        assert!(bands(still, 0.0, 0.0).mixture(alone(known(), MotionError::zeros()), since_s, DISTANCE_M).is_some());
     }
 }

@@ -6,13 +6,16 @@
 
 use nalgebra::{Matrix6, Vector6};
 
-use super::motion::{Motion, MotionError};
+use super::motion::{Motion, MotionError, MotionEstimate, MotionMatrix, unseen};
 use crate::geometry::{Body, Camera, Pose};
 
 /// Poses that a line is fitted through at most. Raised, a velocity that changes slowly passes for a jump.
 const MOST_POSES: f64 = 6.0;
 /// Fewest that a line is believed from: through two there always is one. Lowered to 2, a shaken camera leaves it in every frame.
 const LEAST_POSES: f64 = 3.0;
+/// What a motion accelerates by that passes for even, one sigma, as a share of what may be expected unseen. With 0.1 it takes up what a jump
+/// does, with 0.01 a pan that quickens passes for one.
+const EVEN: f64 = 0.03;
 /// A pose further from the line than this has left it (squared, in sigmas, six degrees of freedom: one in 2000 by chance).
 const LEFT: f64 = 24.0;
 
@@ -28,12 +31,14 @@ pub struct UniformMotion {
 }
 
 /// How a pose left a line.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Departure {
     /// From where the line led to where the pose was found.
     pub off: Vector6<f64>,
     /// Covariance of where the line led.
     pub covariance: Matrix6<f64>,
+    /// The motion that it led to.
+    pub expected: MotionEstimate,
 }
 
 impl UniformMotion {
@@ -43,11 +48,12 @@ impl UniformMotion {
     }
 
     /// Takes another pose, `dt_s` after the last; how it left the line, if it did.
-    pub fn add(&mut self, pose: &Pose<Body, Camera>, covariance: &Matrix6<f64>, dt_s: f64) -> Option<Departure> {
+    pub fn add(&mut self, pose: &Pose<Body, Camera>, covariance: &Matrix6<f64>, dt_s: f64, distance_m: f64) -> Option<Departure> {
         let n = self.poses;
         let expected = self.motion.after(dt_s);
         let off = pose_error(&expected, pose);
-        let by_line = covariance * extrapolated(n);
+        let [extrapolated, ..] = line_variances(n);
+        let by_line = covariance * extrapolated;
         let has_left = n > 1.0 && (covariance + by_line).cholesky().is_none_or(|factor| off.dot(&factor.solve(&off)) > LEFT);
         if has_left || n < 2.0 {
             let velocity = pose_error(&Motion::still(self.last), pose) / dt_s;
@@ -60,13 +66,33 @@ impl UniformMotion {
             self.poses = n;
         }
         self.last = *pose;
-        (has_left && n >= LEAST_POSES).then_some(Departure { off, covariance: by_line })
+        (has_left && n >= LEAST_POSES).then(|| Departure {
+            off,
+            covariance: by_line,
+            expected: MotionEstimate { motion: expected, covariance: line_covariance(n, covariance, dt_s, distance_m) },
+        })
     }
 }
 
-/// Variance of where a line through `n` poses leads one step further, in that of a pose.
-fn extrapolated(n: f64) -> f64 {
-    if n < 2.0 { 1.0 } else { 2.0 * (2.0 * n + 1.0) / (n * (n - 1.0)) }
+/// Covariance of the motion that a line through `n` poses leads to, which may accelerate a little.
+fn line_covariance(n: f64, of_pose: &Matrix6<f64>, dt_s: f64, distance_m: f64) -> MotionMatrix {
+    let [place, both, velocity] = line_variances(n);
+    let mut covariance = MotionMatrix::zeros();
+    for (row, column, share) in [(0, 0, place), (0, 6, both / dt_s), (6, 0, both / dt_s), (6, 6, velocity / (dt_s * dt_s))] {
+        covariance.fixed_view_mut::<6, 6>(row, column).copy_from(&(of_pose * share));
+    }
+    let [_, _, shift, turn] = unseen(distance_m);
+    for k in 0..3 {
+        covariance[(12 + k, 12 + k)] = (EVEN * shift).powi(2);
+        covariance[(15 + k, 15 + k)] = (EVEN * turn).powi(2);
+    }
+    covariance
+}
+
+/// Of a line through `n` poses, one step further, in the variance of a pose: the variance of its place, its covariance with the step, and
+/// the variance of the step.
+fn line_variances(n: f64) -> [f64; 3] {
+    if n < 2.0 { [1.0; 3] } else { [2.0 * (2.0 * n + 1.0) / (n * (n - 1.0)), 6.0 / (n * (n - 1.0)), 12.0 / (n * (n * n - 1.0))] }
 }
 
 fn pose_error(from: &Motion, to: &Pose<Body, Camera>) -> Vector6<f64> {
@@ -111,14 +137,14 @@ mod tests {
             let (mut sum, mut left, runs) = (0.0, 0, 2000);
             for _ in 0..runs {
                 let mut line = UniformMotion::new(seen(0, &mut random));
-                left += (1..frames).filter(|f| line.add(&seen(*f, &mut random), &covariance, DT_S).is_some()).count();
+                left += (1..frames).filter(|f| line.add(&seen(*f, &mut random), &covariance, DT_S, 4.0).is_some()).count();
                 let mut exact = Pcg64Mcg::seed_from_u64(1);
                 let truth = seen(frames, &mut exact);
                 let mut zero = Pcg64Mcg::seed_from_u64(1);
                 let noise = Vector6::from_fn(|_, _| SIGMA * ((0..12).map(|_| zero.random::<f64>()).sum::<f64>() - 6.0));
                 let truth = corrected(&Motion::still(truth), &-noise, &Vector6::zeros()).pose;
                 let expected = line.motion.after(DT_S);
-                sum += pose_error(&expected, &truth).norm_squared() / 6.0 / SIGMA.powi(2) / extrapolated(line.poses);
+                sum += pose_error(&expected, &truth).norm_squared() / 6.0 / SIGMA.powi(2) / line_variances(line.poses)[0];
             }
             let ratio = sum / f64::from(runs);
             // Gains that no longer fall remember more poses than they are named after.
@@ -133,16 +159,16 @@ mod tests {
         let covariance = Matrix6::identity() * SIGMA.powi(2);
         let mut line = UniformMotion::new(seen(0, &mut random));
         for frame in 1..8 {
-            assert_eq!(line.add(&seen(frame, &mut random), &covariance, DT_S), None, "{frame}");
+            assert!(line.add(&seen(frame, &mut random), &covariance, DT_S, 4.0).is_none(), "{frame}");
         }
         let (rests, would_be) = (seen(7, &mut random), seen(8, &mut random));
-        let left = line.add(&rests, &covariance, DT_S).expect("12 mm are many sigmas");
+        let left = line.add(&rests, &covariance, DT_S, 4.0).expect("12 mm are many sigmas");
         let expected = pose_error(&Motion::still(would_be), &rests);
         assert!((left.off - expected).norm() < 10.0 * SIGMA, "{:?}", left.off);
         // The line through the moving and the resting pose is another; the next ones are at rest.
-        line.add(&rests, &covariance, DT_S);
+        line.add(&rests, &covariance, DT_S, 4.0);
         for frame in 0..4 {
-            assert_eq!(line.add(&rests, &covariance, DT_S), None, "{frame}");
+            assert!(line.add(&rests, &covariance, DT_S, 4.0).is_none(), "{frame}");
         }
     }
 
@@ -154,7 +180,7 @@ mod tests {
         for frame in 1..50 {
             let shake = Vector6::from_fn(|_, _| random.random_range(-0.01..0.01));
             let pose = corrected(&Motion::still(seen(frame, &mut random)), &shake, &Vector6::zeros()).pose;
-            assert_eq!(line.add(&pose, &covariance, DT_S), None, "{frame}");
+            assert!(line.add(&pose, &covariance, DT_S, 4.0).is_none(), "{frame}");
         }
     }
 }

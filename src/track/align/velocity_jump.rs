@@ -61,15 +61,15 @@ pub fn jumped(expected: &MotionEstimate, dt_s: f64, sensor: &Sensor, distance_m:
 pub fn by_bend(
     expected: &MotionEstimate,
     found: &MotionEstimate,
-    left: Option<Departure>,
+    left: Option<&Departure>,
     sensor: &Sensor,
     distance_m: f64,
 ) -> Matrix6<f64> {
     let error = expected.motion.error_to(&found.motion);
     let frame_s = sensor.readout_s.hypot(sensor.exposure_s);
     let [speed, turn_rate, ..] = unseen(distance_m);
-    let expectation = || Departure { off: error.fixed_rows::<6>(0).into_owned(), covariance: Matrix6::zeros() };
-    let Departure { off, covariance } = left.unwrap_or_else(expectation);
+    let from_expected: Vector6<f64> = error.fixed_rows::<6>(0).into_owned();
+    let (off, covariance) = left.map_or((from_expected, Matrix6::zeros()), |left| (left.off, left.covariance));
     // How long a usual jump takes to get there.
     let takes_s = (off.fixed_rows::<3>(0).norm() / speed).hypot(off.fixed_rows::<3>(3).norm() / turn_rate);
     let most = (LARGEST_JUMP / 8.0 * frame_s / takes_s.max(f64::MIN_POSITIVE)).min(1.0);
