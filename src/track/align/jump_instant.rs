@@ -3,7 +3,7 @@
 //! A camera that starts or stops while a frame is exposed and read bends the path of the picture: rows exposed after the jump are
 //! shifted by it, those before are not. Pose, velocity and acceleration cannot follow that bend, and where the jump is small
 //! the pose is off by a tenth of a pixel without surprising. The residuals that a step leaves still ask for the jump: for every instant
-//! it has a score and, the motion being eliminated (the Schur complement), an information, and so an evidence. The mixture over
+//! it has a score and, the motion being eliminated (the Schur complement), an information, and so an evidence. The mixture over expectations,
 //! instants, sizes and no jump gives the pose at the stamp, the motion after the frame, and their covariances
 //! (Bar-Shalom, Li and Kirubarajan 2001, section 11.6).
 
