@@ -184,7 +184,7 @@ impl Aligner {
         if let Some(clues) = &mut self.clues {
             clues.clue = None;
         }
-        let line = self.line.take();
+        let line = self.line.take().filter(|_| since_s.is_some());
         let information = expected.covariance.cholesky()?.inverse();
         let blur_px = f64::from(1u32 << FINEST) * task(&self.surfaces, &self.slow, eye, FINEST, &expected.motion).blur_px;
         let spread_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_SPREAD_SIGMA } else { SPREAD_SIGMA };
@@ -414,21 +414,21 @@ impl Aligner {
         let (sensor, distance_m) = (&self.slow.sensor, self.distance(&solved.motion.pose));
         let mut pose = estimate.motion.pose;
         let left = since_s.filter(|dt_s| *dt_s > 0.0).and_then(|dt_s| line.as_mut()?.add(&pose, &covariance, dt_s, distance_m));
-        self.line = Some(line.filter(|_| since_s.is_some()).unwrap_or(UniformMotion::new(pose)));
+        self.line = Some(line.unwrap_or(UniformMotion::new(pose)));
         if let Some(since_s) = since_s {
             covariance += by_bend(expected, &estimate, left.as_ref(), sensor, distance_m);
             let expectations = [
                 Some(Expectation {
                     information: *information,
                     error: estimate.motion.error_to(&expected.motion),
-                    likelihood: if left.is_some() { JERK_LIKELIHOOD } else { 1.0 },
+                    likelihood: JERK_LIKELIHOOD,
                     // Solved with a wider expectation, the motion is less sure than with this one.
                     covariance: (!has_jumped).then_some(estimate.covariance),
                 }),
                 left.filter(|_| sensor.readout_s != 0.0).and_then(|left| {
                     Some(Expectation {
-                        information: left.expected.covariance.cholesky()?.inverse(),
-                        error: estimate.motion.error_to(&left.expected.motion),
+                        information: left.covariance.cholesky()?.inverse(),
+                        error: estimate.motion.error_to(&left.motion),
                         likelihood: 1.0 - JERK_LIKELIHOOD,
                         covariance: None,
                     })

@@ -56,7 +56,7 @@ pub struct Expectation {
     pub information: MotionMatrix,
     /// From the solved motion to it.
     pub error: MotionError,
-    /// How likely it is beforehand.
+    /// How likely it is beforehand, where there is another.
     pub likelihood: f64,
     /// Covariance of the motion that was solved with it and without a jump; `None` where that was solved with another.
     pub covariance: Option<MotionMatrix>,

@@ -14,7 +14,8 @@ pub const SPREAD: usize = 6;
 pub const BIAS: usize = 7;
 /// See [`SPREAD`].
 pub const GAINS: usize = 8;
-const ALL: usize = COLUMNS + 1;
+/// Columns and the residual.
+pub const ALL: usize = COLUMNS + 1;
 /// Entries of the upper triangle of the pose's columns.
 pub const POSE_ENTRIES: usize = SPREAD * (SPREAD + 1) / 2;
 

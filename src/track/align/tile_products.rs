@@ -5,15 +5,13 @@
 //! eight sums of lanes are added across at a time.
 
 use super::lanes::{LANES, Lanes, dispatch, load_at};
-use super::normal::{COLUMNS, RunView, SPREAD, TileSums, Weighing, columns, less_step, weight};
+use super::normal::{ALL, COLUMNS, RunView, SPREAD, TileSums, Weighing, columns, less_step, weight};
 use super::rows::RowSums;
 use super::tile_equations::TileEquations;
 
 /// Groups of [`LANES`] pixels that are laid out before their products are summed: as many as most runs have. Raised, the buffer leaves
 /// the first cache.
 const CHUNK: usize = 16;
-/// Columns and the residual.
-const ALL: usize = COLUMNS + 1;
 /// The first factors: all of [`ALL`] weighted, those of the pose once more times the seconds from the tile's middle, and times their squares.
 const TIMED: usize = ALL;
 const SQUARED: usize = TIMED + SPREAD;

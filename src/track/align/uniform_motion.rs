@@ -30,25 +30,14 @@ pub struct UniformMotion {
     poses: f64,
 }
 
-/// How a pose left a line.
-#[derive(Debug, Clone, Copy)]
-pub struct Departure {
-    /// From where the line led to where the pose was found.
-    pub off: Vector6<f64>,
-    /// Covariance of where the line led.
-    pub covariance: Matrix6<f64>,
-    /// The motion that it led to.
-    pub expected: MotionEstimate,
-}
-
 impl UniformMotion {
     /// One pose, of which no motion is known.
     pub fn new(pose: Pose<Body, Camera>) -> Self {
         Self { motion: Motion::still(pose), last: pose, poses: 1.0 }
     }
 
-    /// Takes another pose, `dt_s` after the last; how it left the line, if it did.
-    pub fn add(&mut self, pose: &Pose<Body, Camera>, covariance: &Matrix6<f64>, dt_s: f64, distance_m: f64) -> Option<Departure> {
+    /// Takes another pose, `dt_s` after the last; where it left the line, the motion that the line led to.
+    pub fn add(&mut self, pose: &Pose<Body, Camera>, covariance: &Matrix6<f64>, dt_s: f64, distance_m: f64) -> Option<MotionEstimate> {
         let n = self.poses;
         let expected = self.motion.after(dt_s);
         let off = pose_error(&expected, pose);
@@ -66,11 +55,8 @@ impl UniformMotion {
             self.poses = n;
         }
         self.last = *pose;
-        (has_left && n >= LEAST_POSES).then(|| Departure {
-            off,
-            covariance: by_line,
-            expected: MotionEstimate { motion: expected, covariance: line_covariance(n, covariance, dt_s, distance_m) },
-        })
+        (has_left && n >= LEAST_POSES)
+            .then(|| MotionEstimate { motion: expected, covariance: line_covariance(n, covariance, dt_s, distance_m) })
     }
 }
 
@@ -117,34 +103,33 @@ mod tests {
     const DT_S: f64 = 0.04;
     const SIGMA: f64 = 1e-4;
 
-    /// Goes evenly, and is seen with noise.
+    /// Goes evenly.
+    fn truth(frame: u32) -> Motion {
+        let start = Motion::still(Pose::new(UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3), Vector3::new(1.0, 2.0, 3.0)));
+        corrected(&start, &Vector6::zeros(), &Vector6::new(0.3, -0.2, 0.1, 0.2, 0.1, -0.3)).after(f64::from(frame) * DT_S)
+    }
+
+    /// Is seen with noise.
     fn seen(frame: u32, random: &mut Pcg64Mcg) -> Pose<Body, Camera> {
-        let t = f64::from(frame) * DT_S;
-        let mut noise = || SIGMA * ((0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0);
-        let path = corrected(
-            &Motion::still(Pose::new(UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3), Vector3::new(1.0, 2.0, 3.0))),
-            &Vector6::zeros(),
-            &Vector6::new(0.3, -0.2, 0.1, 0.2, 0.1, -0.3),
-        );
-        corrected(&path.after(t), &Vector6::from_fn(|_, _| noise()), &Vector6::zeros()).pose
+        let noise = Vector6::from_fn(|_, _| SIGMA * ((0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0));
+        truth(frame).with_pose_corrected(&noise)
+    }
+
+    /// The covariance of [`seen`], and a line through its first pose.
+    fn begun(random: &mut Pcg64Mcg) -> (Matrix6<f64>, UniformMotion) {
+        (Matrix6::identity() * SIGMA.powi(2), UniformMotion::new(seen(0, random)))
     }
 
     #[test]
     fn an_even_motion_stays_on_its_line_and_the_line_is_as_sure_as_it_says() {
         let mut random = Pcg64Mcg::seed_from_u64(1);
-        let covariance = Matrix6::identity() * SIGMA.powi(2);
         for frames in [3, 4, 6, 12] {
             let (mut sum, mut left, runs) = (0.0, 0, 2000);
             for _ in 0..runs {
-                let mut line = UniformMotion::new(seen(0, &mut random));
+                let (covariance, mut line) = begun(&mut random);
                 left += (1..frames).filter(|f| line.add(&seen(*f, &mut random), &covariance, DT_S, 4.0).is_some()).count();
-                let mut exact = Pcg64Mcg::seed_from_u64(1);
-                let truth = seen(frames, &mut exact);
-                let mut zero = Pcg64Mcg::seed_from_u64(1);
-                let noise = Vector6::from_fn(|_, _| SIGMA * ((0..12).map(|_| zero.random::<f64>()).sum::<f64>() - 6.0));
-                let truth = corrected(&Motion::still(truth), &-noise, &Vector6::zeros()).pose;
                 let expected = line.motion.after(DT_S);
-                sum += pose_error(&expected, &truth).norm_squared() / 6.0 / SIGMA.powi(2) / line_variances(line.poses)[0];
+                sum += pose_error(&expected, &truth(frames).pose).norm_squared() / 6.0 / SIGMA.powi(2) / line_variances(line.poses)[0];
             }
             let ratio = sum / f64::from(runs);
             // Gains that no longer fall remember more poses than they are named after.
@@ -156,15 +141,14 @@ mod tests {
     #[test]
     fn a_stop_leaves_the_line_by_what_the_camera_did_not_go_on() {
         let mut random = Pcg64Mcg::seed_from_u64(2);
-        let covariance = Matrix6::identity() * SIGMA.powi(2);
-        let mut line = UniformMotion::new(seen(0, &mut random));
+        let (covariance, mut line) = begun(&mut random);
         for frame in 1..8 {
             assert!(line.add(&seen(frame, &mut random), &covariance, DT_S, 4.0).is_none(), "{frame}");
         }
         let (rests, would_be) = (seen(7, &mut random), seen(8, &mut random));
         let left = line.add(&rests, &covariance, DT_S, 4.0).expect("12 mm are many sigmas");
-        let expected = pose_error(&Motion::still(would_be), &rests);
-        assert!((left.off - expected).norm() < 10.0 * SIGMA, "{:?}", left.off);
+        let (off, expected) = (pose_error(&left.motion, &rests), pose_error(&Motion::still(would_be), &rests));
+        assert!((off - expected).norm() < 10.0 * SIGMA, "{off:?}");
         // The line through the moving and the resting pose is another; the next ones are at rest.
         line.add(&rests, &covariance, DT_S, 4.0);
         for frame in 0..4 {
@@ -175,11 +159,10 @@ mod tests {
     #[test]
     fn a_shaken_camera_is_on_no_line() {
         let mut random = Pcg64Mcg::seed_from_u64(3);
-        let covariance = Matrix6::identity() * SIGMA.powi(2);
-        let mut line = UniformMotion::new(seen(0, &mut random));
+        let (covariance, mut line) = begun(&mut random);
         for frame in 1..50 {
             let shake = Vector6::from_fn(|_, _| random.random_range(-0.01..0.01));
-            let pose = corrected(&Motion::still(seen(frame, &mut random)), &shake, &Vector6::zeros()).pose;
+            let pose = Motion::still(seen(frame, &mut random)).with_pose_corrected(&shake);
             assert!(line.add(&pose, &covariance, DT_S, 4.0).is_none(), "{frame}");
         }
     }

@@ -8,7 +8,6 @@ use nalgebra::{Matrix6, Vector6};
 
 use super::Sensor;
 use super::motion::{MotionEstimate, unseen};
-use super::uniform_motion::Departure;
 
 /// A pose found further than this from where it was expected (squared, in sigmas, six degrees of freedom: one frame in 2000 by chance) is
 /// solved with a jump. Raised, jumps pull the pose by what was expected; lowered, frames of a shaken camera know
@@ -57,19 +56,20 @@ pub fn jumped(expected: &MotionEstimate, dt_s: f64, sensor: &Sensor, distance_m:
 }
 
 /// What a motion that bent within the frame adds to the covariance of the pose: the picture's middle is not where the camera was at the stamp.
-/// `left`: how the camera left the line that it went on, where it did; otherwise it is held against what was expected.
+/// `left`: where the line led that the camera went on and left, if it did; otherwise the pose is held against what was expected.
 pub fn by_bend(
     expected: &MotionEstimate,
     found: &MotionEstimate,
-    left: Option<&Departure>,
+    left: Option<&MotionEstimate>,
     sensor: &Sensor,
     distance_m: f64,
 ) -> Matrix6<f64> {
     let error = expected.motion.error_to(&found.motion);
     let frame_s = sensor.readout_s.hypot(sensor.exposure_s);
     let [speed, turn_rate, ..] = unseen(distance_m);
-    let from_expected: Vector6<f64> = error.fixed_rows::<6>(0).into_owned();
-    let (off, covariance) = left.map_or((from_expected, Matrix6::zeros()), |left| (left.off, left.covariance));
+    let off = left.map_or(error, |left| left.motion.error_to(&found.motion));
+    let off: Vector6<f64> = off.fixed_rows::<6>(0).into_owned();
+    let covariance = left.map_or(Matrix6::zeros(), |left| left.covariance.fixed_view::<6, 6>(0, 0).into_owned());
     // How long a usual jump takes to get there.
     let takes_s = (off.fixed_rows::<3>(0).norm() / speed).hypot(off.fixed_rows::<3>(3).norm() / turn_rate);
     let most = (LARGEST_JUMP / 8.0 * frame_s / takes_s.max(f64::MIN_POSITIVE)).min(1.0);
