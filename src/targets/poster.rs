@@ -2,9 +2,9 @@
 //!
 //! What picture tells a camera the most about where it is? One pixel tells as much as its squared gradient over its noise (the
 //! Cramer-Rao bound), after lens and pixel have blurred the picture to the pixel's own size. So only detail of a few pixels counts,
-//! and which detail that is depends on the distance. A camera that may stand anywhere wants the same contrast in every octave of
-//! sizes, as natural pictures have it (a spectrum like 1/f); and of all pictures with such a spectrum, the one that is only black
-//! and white has the most contrast. Hence:
+//! and which detail that is depends on the distance. A camera that may stand anywhere wants contrast in every octave of sizes that
+//! one of its places shows as a few pixels; and of all pictures with such a spectrum, the one that is only black and white has the
+//! most contrast. Hence:
 //!
 //! 1. one layer of smooth noise for every octave of sizes, each on a lattice of its own that is turned against the others, so that
 //!    nothing is aligned and nothing repeats;
@@ -18,16 +18,18 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 
-/// Cells of the coarsest layer's lattice across the picture's width. A cell is about a quarter of a wavelength: this one makes the
-/// forms that are left when the picture is 30 pixels wide. Fewer, and the whole picture may be one blob.
-const COARSEST_CELLS: f64 = 4.0;
+/// Cells of the coarsest layer's lattice across the picture's width. A cell is about a quarter of a wavelength: the coarsest forms are a quarter
+/// of the width. A camera at 10 widths, at half its resolution, sees the picture 27 pixels wide, and these forms are 7 of its pixels. Fewer
+/// cells, and most of those pixels lie within a form and tell nothing: with 4, sigma at 10 widths is a sixth larger. More, and a camera farther
+/// away sees grey.
+const COARSEST_CELLS: f64 = 16.0;
 /// Layers, each with cells half the size of the one before: the last has 1024 across the picture's width, so that its marks are
 /// about 1/500 of the width. More would be finer than a printer prints; fewer leave a camera at 0.3 widths without detail.
-const LAYERS: u32 = 9;
+const LAYERS: u32 = 7;
 /// Strength of a layer over that of the one before. 1 is the same contrast in every octave. A camera far away sees the coarse layers alone, and
-/// what black and white give to the fine ones is lost to it: by the Cramer-Rao bound, 0.87 instead of 1.07 takes a quarter off the sigma at 10 widths
-/// and a tenth at 3, and adds two fifths at 0.3, where it is smallest by far.
-const FINER_BY_COARSER: f64 = 0.87;
+/// what black and white give to the fine ones is lost to it: with 0.6, sigma at 10 widths is a tenth smaller than with 0.8, and at 0.3 widths,
+/// where it is smallest by far, twice as large.
+const FINER_BY_COARSER: f64 = 0.75;
 /// Grey levels of black and white: paper is not 255 and ink not 0, and a camera in bright light shall not clip.
 const LEVELS: [f32; 2] = [20.0, 235.0];
 /// Width of an edge in the file, pixels.
