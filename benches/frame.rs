@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use stagepose::capture::{FrameSource, Row, VirtualCamera};
+use stagepose::daemon::track_row;
 use stagepose::record::State;
 use stagepose::simulate::{Dolly, dolly};
 use stagepose::{Tracker, TrackerSetup};
@@ -29,7 +30,7 @@ fn frames(c: &mut Criterion) {
 fn pass(setup: &TrackerSetup, rows: &[Row]) -> Duration {
     let mut tracker = Tracker::new(setup.clone());
     let start = Instant::now();
-    let tracked = rows.iter().filter(|row| tracker.track_row(row).state == State::Tracking).count();
+    let tracked = rows.iter().filter(|row| track_row(&mut tracker, row).state == State::Tracking).count();
     let spent = start.elapsed();
     assert_eq!(tracked as u64, FRAMES - 1, "a lost frame costs less than a tracked one");
     spent

@@ -8,10 +8,11 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use stagepose::camera::{CameraModel, Intrinsics};
+use stagepose::compute_clock::ComputeClock;
 use stagepose::frame::Frame;
 use stagepose::geometry::{Body, Camera, Pose};
 use stagepose::simulate::{CameraPath, LightKey, Occluder, Renderer, SensorNoise, VirtualStage, artwork_surface, grey, paint, upright};
-use stagepose::track::{BodySpec, Matcher, TrackerSettings, Trial};
+use stagepose::track::{BodySpec, Matcher, Sensor, TrackerSettings, Trial};
 
 const STAGES: u64 = 40;
 /// Starts of each stage at each distance.
@@ -66,7 +67,8 @@ fn main() {
         let frame = Frame { image: Renderer::new(scene).render(0.0, 0), timestamp_ns: 0, sequence: 0 };
         let other_stage = BodySpec { surfaces: vec![surface(seed + 1000, stage.surfaces[0].size_m)], ..stage.clone() };
         for (is_shown, stage) in [(true, &stage), (false, &other_stage)] {
-            let mut matcher = Matcher::new(camera, 0.0, 0.0, None, stage, &[], TrackerSettings::default());
+            let mut matcher =
+                Matcher::new(camera, Sensor::default(), None, stage, &[], TrackerSettings::default(), ComputeClock::default());
             for (start, off) in FAR.iter().flat_map(|off| (0..STARTS).map(move |_| *off)).map(|off| (moved(&truth, off, &mut random), off))
             {
                 let found = matcher.try_start(&frame, &start, off * truth.translation.norm(), off);

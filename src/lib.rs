@@ -14,7 +14,7 @@
 //! - [`geometry`]: SE(3), homography, essential matrix, planar pose, resection, robust estimation: pure functions
 //! - [`camera`]: the camera model with distortion and its exact inverse; calibration files
 //! - [`frame`]: a grey picture with its stamp
-//! - [`compute_clock`]: how long work kept its thread busy
+//! - [`compute_clock`]: how long work kept its thread busy, by a clock that is handed in
 //! - [`utc`]: dates and times of day
 //! - [`printable`]: text from outside, as a terminal may show it
 //! - [`safe_file`], [`contain`]: reading files and running decoders that strangers have a hand in
@@ -23,6 +23,7 @@
 //! - [`track`]: surfaces and bodies; acquire, register, verify, align, lock: a frame becomes a [`track::Sighting`]
 //! - [`pose`]: a sighting becomes poses in the stage frame, with covariance, or a prediction
 //! - [`record`]: [`PoseSample`] and the line it becomes (contract C3)
+//! - [`tracker`]: [`Tracker`]: a frame in, a sample out
 //! - [`latest`]: the bounded channel that drops its oldest entry
 //! - [`simulate`]: the virtual stage with exact truth
 //! - [`capture`]: [`capture::FrameSource`]: clips of every form, the virtual camera, V4L2 cameras
@@ -32,7 +33,7 @@
 //! - [`publish`]: one file a protocol, one thread an output: FreeD, OpenTrackIO, PosiStageNet, OSC, JSON
 //! - [`web`]: what a running daemon counts, its health and metrics; with feature `http` a server: WebSocket, pose and state
 //! - [`config`]: as typed, then resolved
-//! - [`daemon`]: [`Tracker`] without threads, [`Daemon`] with them
+//! - [`daemon`]: the tracker on threads of its own: [`Daemon`]
 //! - [`diagnose`]: why a clip is not followed: what may be wrong is tried, and what fits is named
 //! - [`cli`]: one file a command
 //!
@@ -67,8 +68,10 @@ pub mod safe_file;
 pub mod simulate;
 pub mod targets;
 pub mod track;
+pub mod tracker;
 pub mod utc;
 pub mod web;
 
-pub use daemon::{Daemon, Tracker, TrackerSetup};
+pub use daemon::Daemon;
 pub use record::PoseSample;
+pub use tracker::{FrameError, Tracker, TrackerSetup};

@@ -49,7 +49,7 @@ fn a_followed_frame_allocates_nothing() {
     for row in &rows {
         let RowContent::Frame(frame) = &row.content else { panic!("a virtual camera loses no frame") };
         let before = ASKED.get();
-        let sample = tracker.track(frame);
+        let sample = tracker.track(frame).expect("a virtual camera's frame");
         counts.push((ASKED.get() - before, sample.state));
     }
     println!("allocations, frame by frame: {:?}", counts.iter().map(|(n, _)| *n).collect::<Vec<_>>());

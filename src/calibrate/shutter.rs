@@ -203,6 +203,7 @@ mod tests {
 
     use super::*;
     use crate::capture::{Row, VirtualCamera};
+    use crate::compute_clock::ComputeClock;
     use crate::simulate::{Dolly, Shake, Spline, VirtualStage, dolly};
     use crate::track::TrackerSettings;
 
@@ -226,7 +227,8 @@ mod tests {
     fn estimate_of(scene: &VirtualStage) -> ShutterEstimate {
         let mut camera = VirtualCamera::new(scene.clone(), 30.0, 60);
         let rows: Vec<Row> = std::iter::from_fn(|| camera.next_row()).collect();
-        let mut matcher = Matcher::new(scene.camera, 0.0, 0.0, None, &scene.stage, &[], TrackerSettings::default());
+        let mut matcher =
+            Matcher::new(scene.camera, Sensor::default(), None, &scene.stage, &[], TrackerSettings::default(), ComputeClock::default());
         let open = || Ok::<Box<dyn FrameSource>, String>(Box::new(Rows(rows.clone().into_iter(), camera.size())));
         estimate_shutter(open, &mut matcher).unwrap()
     }

@@ -21,9 +21,11 @@ use super::source::{ConfigSource, read_text};
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::CameraModel;
+use crate::compute_clock::ComputeClock;
 use crate::pose::FilterSettings;
 use crate::publish::{MountSettings, OutputSettings, SafetySettings};
 use crate::track::{BodySpec, TrackerSettings};
+use crate::tracker::TrackerSetup;
 use crate::web::{HostName, HttpSettings};
 
 /// A checked config.
@@ -296,6 +298,25 @@ impl Settings {
         let scaled = self.camera.scaled_to(width, height).map_err(problem)?;
         let note = format!("the calibration for {from_width} x {from_height} pixels is scaled to the pictures' {width} x {height}");
         Ok((scaled, Some(note)))
+    }
+
+    /// A tracker for pictures of a size, and what is to be said of the camera, if anything.
+    ///
+    /// # Errors
+    /// As [`camera_for`](Self::camera_for).
+    pub fn tracker_setup(&self, width: u32, height: u32) -> Result<(TrackerSetup, Option<String>), ConfigError> {
+        let (camera, note) = self.camera_for(width, height)?;
+        let setup = TrackerSetup {
+            camera,
+            exposure_s: self.exposure_s,
+            readout_s: self.readout_s,
+            mask: self.mask_for(width, height),
+            stage: self.stage.clone(),
+            objects: self.objects.clone(),
+            settings: self.tracker.clone(),
+            clock: ComputeClock::default(),
+        };
+        Ok((setup, note))
     }
 
     /// A mask whose camera was not known when the config was read.

@@ -9,13 +9,14 @@ use thiserror::Error;
 
 use super::live::{LiveLink, LiveSource, dropped};
 use super::reason_watch::ReasonWatch;
+use super::rows::sight;
 use super::stale::StaleWatch;
-use super::tracker::{PoseRecorder, Tracker, sight};
 use crate::capture::moment::monotonic_ns;
 use crate::capture::{FrameSource, Row, RowContent, RowOrder};
 use crate::latest::{LatestSender, latest};
 use crate::record::PoseSample;
 use crate::track::{Matcher, Sighting};
+use crate::tracker::{PoseRecorder, Tracker};
 
 /// What happens when a stage is slower than the one before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -123,7 +124,7 @@ impl Daemon {
     /// The threads come from a parameter, so that a system that gives none can be tested.
     fn start_with(self, mut spawn: impl FnMut(&'static str, Run) -> std::io::Result<JoinHandle<()>>) -> Result<RunningDaemon, DaemonError> {
         let Self { source, tracker, delivery, subscribers, observers, stop, dropped, live } = self;
-        let Tracker { matcher, poses } = tracker;
+        let Tracker { matcher, poses, .. } = tracker;
         let (to_matcher, rows) = row_channel(delivery);
         let (to_pose, sightings) = bounded(QUEUE);
         let capture = Capture { source, to_matcher, stop: stop.clone(), dropped: dropped.clone(), live: live.clone() };
@@ -318,9 +319,10 @@ mod tests {
 
     use super::*;
     use crate::camera::CameraModel;
-    use crate::daemon::TrackerSetup;
+    use crate::compute_clock::ComputeClock;
     use crate::geometry::Pose;
     use crate::track::{BodySpec, ReferenceKind, SurfaceSpec, TrackerSettings};
+    use crate::tracker::TrackerSetup;
 
     /// A source that never ends by itself.
     struct Endless(#[expect(dead_code, reason = "it is counted while the source lives")] Arc<()>);
@@ -353,6 +355,7 @@ mod tests {
             stage: BodySpec { name, surfaces: vec![surface] },
             objects: Vec::new(),
             settings: TrackerSettings::default(),
+            clock: ComputeClock::default(),
         })
     }
 

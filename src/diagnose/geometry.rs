@@ -7,10 +7,10 @@ use super::corners::{begun_at, corners_of, top_left};
 use super::finding::{Finding, known_to, list, written};
 use super::fit::{AS_CONFIGURED, Found, Shape, Views};
 use crate::camera::{CameraModel, Intrinsics};
-use crate::daemon::TrackerSetup;
 use crate::frame::Frame;
 use crate::geometry::{Body, Pose, SurfaceFrame};
 use crate::track::{SurfaceSpec, SurfaceView};
+use crate::tracker::TrackerSetup;
 
 /// Views of a surface that are asked at most.
 const MOST_VIEWS: usize = 10;

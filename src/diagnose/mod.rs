@@ -19,9 +19,10 @@ pub use finding::{Finding, Grade};
 pub use plausible::{Travel, of_layout, of_lens, of_shutter};
 
 use crate::camera::CameraModel;
-use crate::daemon::TrackerSetup;
+use crate::compute_clock::ComputeClock;
 use crate::frame::Frame;
-use crate::track::{BodySpec, Matcher, Reason, SurfaceView, TrackerSettings};
+use crate::track::{BodySpec, Matcher, Reason, Sensor, SurfaceView, TrackerSettings};
+use crate::tracker::TrackerSetup;
 
 /// Matches of a view that count as seeing the surface at all; fewer may be chance.
 const LEAST_MATCHES: usize = 12;
@@ -39,7 +40,7 @@ pub struct Trial {
 impl Trial {
     /// Prepares the pictures of a stage for a camera.
     pub fn new(camera: CameraModel, mask: Option<GrayImage>, stage: &BodySpec, settings: &TrackerSettings) -> Self {
-        Self { matcher: Matcher::new(camera, 0.0, 0.0, mask, stage, &[], settings.clone()), stamp_ns: 0 }
+        Self { matcher: Matcher::new(camera, Sensor::default(), mask, stage, &[], settings.clone(), ComputeClock::default()), stamp_ns: 0 }
     }
 
     /// As configured.

@@ -4,9 +4,9 @@ use image::{GrayImage, imageops};
 
 use super::finding::Finding;
 use super::{Travel, Trial};
-use crate::daemon::TrackerSetup;
 use crate::frame::Frame;
 use crate::track::SurfaceView;
+use crate::tracker::TrackerSetup;
 
 /// Levels of a black bar, limited range included, and how much of one bar they may differ: codecs keep it flat.
 const BLACK: u8 = 24;

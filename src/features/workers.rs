@@ -7,12 +7,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
-use crate::compute_clock::ComputeClock;
+use crate::compute_clock::{ComputeClock, Stopwatch};
 
 /// A fixed number of workers.
 #[derive(Debug, Default)]
 pub struct Workers {
     pool: Option<rayon::ThreadPool>,
+    clock: ComputeClock,
     /// Processor time of the pool's threads, nanoseconds, since the last [`Workers::take_extra_ms`].
     extra_ns: AtomicU64,
 }
@@ -22,7 +23,12 @@ impl Workers {
     pub fn new(threads: usize) -> Self {
         let build = |n| rayon::ThreadPoolBuilder::new().num_threads(n).thread_name(|k| format!("worker-{k}")).build().ok();
         let pool = (threads > 1).then(|| build(threads)).flatten();
-        Self { pool, extra_ns: AtomicU64::new(0) }
+        Self { pool, clock: ComputeClock::default(), extra_ns: AtomicU64::new(0) }
+    }
+
+    /// Their work is measured with `clock`.
+    pub fn measured_with(self, clock: ComputeClock) -> Self {
+        Self { clock, ..self }
     }
 
     /// `output[k] = compute(&input[k])` for every k.
@@ -38,7 +44,7 @@ impl Workers {
             input
                 .par_iter()
                 .with_min_len(piece)
-                .map_init(|| Stopwatch { clock: ComputeClock::start(), total: &busy }, |_, x| compute(x))
+                .map_init(|| Busy { watch: self.clock.start(), total: &busy }, |_, x| compute(x))
                 .collect_into_vec(output);
         });
         // The calling thread waited meanwhile.
@@ -54,7 +60,7 @@ impl Workers {
         let busy = AtomicU64::new(0);
         pool.install(|| {
             items.par_iter_mut().with_max_len(1).for_each(|x| {
-                let _watch = Stopwatch { clock: ComputeClock::start(), total: &busy };
+                let _watch = Busy { watch: self.clock.start(), total: &busy };
                 compute(x);
             });
         });
@@ -68,14 +74,15 @@ impl Workers {
     }
 }
 
-struct Stopwatch<'a> {
-    clock: ComputeClock,
+/// Adds the time of one worker's turn when it ends.
+struct Busy<'a> {
+    watch: Stopwatch,
     total: &'a AtomicU64,
 }
 
-impl Drop for Stopwatch<'_> {
+impl Drop for Busy<'_> {
     fn drop(&mut self) {
-        self.total.fetch_add(self.clock.elapsed().as_nanos() as u64, Ordering::Relaxed);
+        self.total.fetch_add(self.watch.elapsed().as_nanos() as u64, Ordering::Relaxed);
     }
 }
 

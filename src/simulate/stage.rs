@@ -8,8 +8,10 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use super::path::{CameraPath, ObjectPath};
 use super::sensor::SensorNoise;
 use crate::camera::CameraModel;
+use crate::compute_clock::ComputeClock;
 use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
-use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
+use crate::track::{BodySpec, ReferenceKind, SurfaceSpec, TrackerSettings};
+use crate::tracker::TrackerSetup;
 
 /// A stage, its camera, and everything that decides what the camera sees.
 #[derive(Debug, Clone)]
@@ -121,6 +123,22 @@ impl VirtualStage {
     /// True while there is no light at all.
     pub fn is_blackout(&self, time_s: f64) -> bool {
         self.blackouts.iter().any(|b| b.contains(&time_s))
+    }
+}
+
+impl From<&VirtualStage> for TrackerSetup {
+    /// What is true of a virtual stage; scenery stays untold.
+    fn from(scene: &VirtualStage) -> Self {
+        Self {
+            camera: scene.camera,
+            exposure_s: scene.exposure_s,
+            readout_s: scene.readout_s,
+            mask: None,
+            stage: scene.stage.clone(),
+            objects: scene.objects.iter().map(|object| object.body.clone()).collect(),
+            settings: TrackerSettings::default(),
+            clock: ComputeClock::default(),
+        }
     }
 }
 

@@ -95,6 +95,7 @@ pub struct Matcher {
     camera: CameraModel,
     settings: TrackerSettings,
     mask: Option<GrayImage>,
+    clock: ComputeClock,
     readout_s: f64,
     interval: FrameInterval,
     /// The stage first, then the objects.
@@ -129,18 +130,18 @@ impl Matcher {
     /// Prepares the reference pictures; takes a fraction of a second per surface.
     pub fn new(
         camera: CameraModel,
-        readout_s: f64,
-        exposure_s: f64,
+        sensor: Sensor,
         mask: Option<GrayImage>,
         stage: &BodySpec,
         objects: &[BodySpec],
         settings: TrackerSettings,
+        clock: ComputeClock,
     ) -> Self {
-        let workers = Workers::new(settings.threads);
+        let workers = Workers::new(settings.threads).measured_with(clock);
         let mut bodies: Vec<TrackedBody> = Vec::new();
         for spec in std::iter::once(stage).chain(objects) {
             let first = bodies.last().map_or(0, |b| b.surfaces.end);
-            bodies.push(TrackedBody::new(spec, first, Sensor { readout_s, exposure_s }));
+            bodies.push(TrackedBody::new(spec, first, sensor));
         }
         let index = reference_index(&bodies, &workers);
         workers.take_extra_ms();
@@ -151,7 +152,8 @@ impl Matcher {
             camera,
             settings,
             mask,
-            readout_s,
+            clock,
+            readout_s: sensor.readout_s,
             interval: FrameInterval::default(),
             bodies,
             index,
@@ -178,7 +180,7 @@ impl Matcher {
             (tracked.clue, tracked.refusal, tracked.reason) = (None, None, None);
             tracked.expect_next(self.interval.to_next_s());
         }
-        let start = ComputeClock::start();
+        let start = self.clock.start();
         self.levels.update(&frame.image);
         self.verified.clear();
         for tracked in &mut self.bodies {
@@ -199,7 +201,7 @@ impl Matcher {
         self.show_pixels(frame.sequence);
         let stage = self.sighting_of(0, frame.timestamp_ns);
         let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp_ns)).collect();
-        let start = ComputeClock::start();
+        let start = self.clock.start();
         let two_view = stage.verified.as_ref().map(|v| {
             let _span = debug_span!("two_view").entered();
             let TrackedBody { body, anchors, .. } = &self.bodies[0];
@@ -328,7 +330,7 @@ impl Matcher {
     /// Features of the frame and their matches, for bodies that were lost.
     fn extract(&mut self, image: &GrayImage, acquire_ms: &mut f64) {
         let _span = debug_span!("detect").entered();
-        let start = ComputeClock::start();
+        let start = self.clock.start();
         let options = ExtractorOptions { count: self.settings.features, ..Default::default() };
         self.extractor.extract(image, self.mask.as_ref(), &options, &self.workers, &mut self.features);
         self.index.match_features(&self.features, RATIO, &self.workers, &mut self.match_buffers, &mut self.matches);
@@ -350,7 +352,7 @@ impl Matcher {
     /// The best verified pose of a body in this frame, aligned where that succeeds.
     fn find(&mut self, k: usize, frame: &Frame, acquire_ms: &mut f64, align_ms: &mut f64) -> Option<Verified> {
         let verified = self.find_by_features(k, frame, acquire_ms, align_ms)?;
-        let start = ComputeClock::start();
+        let start = self.clock.start();
         let tracked = &mut self.bodies[k];
         let back = verified.pose.inverse();
         let distance = tracked.aligner.distance(&back);
@@ -364,7 +366,7 @@ impl Matcher {
     /// The best pose that patches at matched features verify.
     fn find_by_features(&mut self, k: usize, frame: &Frame, acquire_ms: &mut f64, align_ms: &mut f64) -> Option<Verified> {
         let tracked = &mut self.bodies[k];
-        let start = ComputeClock::start();
+        let start = self.clock.start();
         let found = {
             let _span = debug_span!("acquire", body = %tracked.body.name).entered();
             let own = surface_matches(&self.matches, &self.features, self.index.features(), tracked.surfaces.clone(), &self.camera);
@@ -374,7 +376,7 @@ impl Matcher {
             found
         };
         *acquire_ms += start.elapsed_ms();
-        let start = ComputeClock::start();
+        let start = self.clock.start();
         let _span = debug_span!("align", body = %tracked.body.name).entered();
         let view = View {
             camera: &self.camera,

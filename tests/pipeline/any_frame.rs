@@ -6,12 +6,15 @@
 //! `STAGEPOSE_RANDOM_SEED` for another first scene.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::Duration;
 
 use image::{GrayImage, Luma};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use stagepose::camera::{CameraModel, Intrinsics};
+use stagepose::capture::{Row, RowContent};
+use stagepose::daemon::track_row;
 use stagepose::frame::Frame;
 use stagepose::geometry::Pose;
 use stagepose::simulate::{
@@ -80,7 +83,9 @@ fn track_scene(seed: u64) -> [u64; 2] {
             1 => GrayImage::from_pixel(random.random_range(1..100), random.random_range(1..100), Luma([90])),
             _ => renderer.render(time_s, sequence),
         };
-        let sample = tracker.track(&Frame { image, timestamp_ns: (time_s * 1e9) as i64, sequence });
+        let frame = Frame { image, timestamp_ns: (time_s * 1e9) as i64, sequence };
+        let (timestamp_ns, decode) = (frame.timestamp_ns, Duration::ZERO);
+        let sample = track_row(&mut tracker, &Row { sequence, timestamp_ns, content: RowContent::Frame(frame), decode, received: None });
         assert_record_holds(&sample);
         tracked += u64::from(sample.measurement.is_some());
     }

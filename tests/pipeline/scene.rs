@@ -6,6 +6,7 @@ use image::GrayImage;
 use nalgebra::{Point3, Vector3};
 use stagepose::camera::{CameraModel, Intrinsics};
 use stagepose::capture::{FrameSource, Row, VirtualCamera};
+use stagepose::daemon::track_row;
 use stagepose::geometry::{Camera, Pose, Stage};
 use stagepose::record::{PoseSample, State};
 use stagepose::simulate::{CameraPath, SensorNoise, Spline, VirtualStage, grey, paint, upright};
@@ -83,7 +84,7 @@ pub fn rows(scene: &VirtualStage, frames: u64) -> Vec<Row> {
 /// Tracks rows one by one and holds every record to the contract.
 pub fn track_rows(setup: TrackerSetup, rows: &[Row]) -> Vec<PoseSample> {
     let mut tracker = Tracker::new(setup);
-    let samples: Vec<PoseSample> = rows.iter().map(|row| tracker.track_row(row)).collect();
+    let samples: Vec<PoseSample> = rows.iter().map(|row| track_row(&mut tracker, row)).collect();
     samples.iter().for_each(assert_record_holds);
     samples
 }

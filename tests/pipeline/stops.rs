@@ -76,7 +76,7 @@ fn the_covariance_holds_where_a_camera_starts_or_stops() {
         let mut source = VirtualCamera::new(scene.clone(), FPS, frames);
         while let Some(row) = source.next_row() {
             let RowContent::Frame(frame) = &row.content else { continue };
-            let sample = tracker.track(frame);
+            let sample = tracker.track(frame).expect("a virtual camera's frame");
             // The first frame that an event touches, and those after it.
             let t = frame.timestamp_ns as f64 * 1e-9;
             let reach = 0.5 * (scene.exposure_s + scene.readout_s);

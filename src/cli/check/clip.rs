@@ -7,11 +7,12 @@ use crate::cli::failure::Failure;
 use crate::cli::outcome::Outcome;
 use crate::cli::replay::{progress::Progress, tracker_setup};
 use crate::config::Settings;
-use crate::daemon::{Tracker, TrackerSetup};
+use crate::daemon::track_row;
 use crate::diagnose::{Finding, Grade, Travel, corners_begun_at_top_left, of_clip, of_shutter};
 use crate::frame::Frame;
 use crate::record::State;
 use crate::track::Reason;
+use crate::tracker::{Tracker, TrackerSetup};
 
 /// Rows that are tracked at most: half a minute at 30 frames a second.
 const MOST_ROWS: u64 = 900;
@@ -81,7 +82,7 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
             kept.offer(frame);
             stamps.push(frame.timestamp_ns);
         }
-        let sample = tracker.track_row(&row);
+        let sample = track_row(&mut tracker, &row);
         outcome.add(&sample);
         for (tracked, object) in objects.iter_mut().zip(&sample.objects) {
             *tracked += u64::from(object.state == State::Tracking);

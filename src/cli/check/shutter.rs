@@ -8,7 +8,7 @@ use crate::cli::failure::Failure;
 use crate::cli::replay::progress::Progress;
 use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
-use crate::track::Matcher;
+use crate::track::{Matcher, Sensor};
 
 /// A time that is known worse than this is not printed: seconds, and as a share of itself.
 const LARGEST_SIGMA_S: f64 = 0.001;
@@ -28,7 +28,7 @@ pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Resul
         Ok::<Box<dyn FrameSource>, Failure>(Box::new(Shown { source, progress: progress.clone() }))
     };
     let setup = tracker_setup(settings, open()?.size(), None)?;
-    let mut matcher = Matcher::new(setup.camera, 0.0, 0.0, setup.mask, &setup.stage, &[], setup.settings);
+    let mut matcher = Matcher::new(setup.camera, Sensor::default(), setup.mask, &setup.stage, &[], setup.settings, setup.clock);
     let estimate = estimate_shutter(open, &mut matcher);
     progress.finish();
     let estimate = estimate?;

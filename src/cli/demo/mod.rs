@@ -14,10 +14,11 @@ use clap::Args;
 use thiserror::Error;
 
 use crate::capture::{CaptureError, FrameSource, RowContent, VirtualCamera};
-use crate::daemon::{Tracker, TrackerSetup};
+use crate::daemon::thread_clock;
 use crate::frame::Frame;
 use crate::record::PoseSample;
 use crate::simulate::{Dolly, DollyError, VirtualStage, dolly};
+use crate::tracker::{FrameError, Tracker, TrackerSetup};
 use errors::PoseErrors;
 use live::LivePrint;
 use saved_clip::SavedClip;
@@ -79,6 +80,9 @@ pub enum DemoError {
     /// What the saved clip consists of is in its folder already; holds the first such file.
     #[error("{}: is there already and would be written over; give --save a new folder", .0.display())]
     Exists(PathBuf),
+    /// A frame cannot be tracked.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
     /// Standard output is closed.
     #[error("standard output cannot be written ({0})")]
     Print(#[from] io::Error),
@@ -101,7 +105,7 @@ pub fn run(arguments: &DemoArguments) -> Result<(), DemoError> {
         Some(folder) => Some(SavedClip::create(folder, &stage, arguments.jpeg)?),
         None => None,
     };
-    let mut tracker = Tracker::new(TrackerSetup::from(&stage));
+    let mut tracker = Tracker::new(TrackerSetup { clock: thread_clock(), ..TrackerSetup::from(&stage) });
     let mut camera = VirtualCamera::new(stage, arguments.fps, arguments.frames);
     let mut live = LivePrint::stdout();
     let errors = session(&mut camera, |frame| tracker.track(frame), saved.as_mut(), &mut live)?;
@@ -127,7 +131,7 @@ fn scene(arguments: &DemoArguments) -> Result<VirtualStage, DemoError> {
 /// Tracks every frame, saves it where wanted, prints it, and compares it with the truth.
 fn session<W: Write>(
     camera: &mut VirtualCamera,
-    mut track: impl FnMut(&Frame) -> PoseSample,
+    mut track: impl FnMut(&Frame) -> Result<PoseSample, FrameError>,
     mut saved: Option<&mut SavedClip>,
     live: &mut LivePrint<W>,
 ) -> Result<PoseErrors, DemoError> {
@@ -139,7 +143,7 @@ fn session<W: Write>(
         if let Some(saved) = saved.as_deref_mut() {
             saved.add(&frame, &truth)?;
         }
-        let sample = track(&frame);
+        let sample = track(&frame)?;
         errors.add(&sample, &truth);
         live.show(&sample, &truth)?;
     }

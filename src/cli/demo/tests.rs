@@ -71,7 +71,7 @@ fn a_session_scores_what_the_tracker_says_against_the_truth() {
     let off_m = |sequence: u64| if sequence == 20 { 0.5 } else { 0.003 };
     let track = |frame: &Frame| {
         let truth = truth[frame.sequence as usize];
-        tracked(frame, Pose::new(truth.rotation, truth.translation + Vector3::x() * off_m(frame.sequence)))
+        Ok(tracked(frame, Pose::new(truth.rotation, truth.translation + Vector3::x() * off_m(frame.sequence))))
     };
     let errors = session(&mut camera, track, None, &mut live).unwrap();
     let table = errors.to_string();
@@ -90,7 +90,7 @@ fn a_terminal_sees_one_line_rewritten() {
     let mut camera = VirtualCamera::new(scene(&arguments).unwrap(), 30.0, 2);
     let mut printed = Vec::new();
     let truth = camera.truth(0);
-    session(&mut camera, |frame| tracked(frame, truth), None, &mut LivePrint::to(&mut printed, true)).unwrap();
+    session(&mut camera, |frame| Ok(tracked(frame, truth)), None, &mut LivePrint::to(&mut printed, true)).unwrap();
     let text = String::from_utf8(printed).unwrap();
     assert_eq!((text.matches('\r').count(), text.matches('\n').count()), (2, 1), "{text:?}");
 }
@@ -107,7 +107,7 @@ fn a_saved_clip_holds_what_was_rendered() {
     let truth = camera.truth(0);
     let keep = |frame: &Frame| {
         frames.push(frame.clone());
-        tracked(frame, truth)
+        Ok(tracked(frame, truth))
     };
     session(&mut camera, keep, Some(&mut saved), &mut LivePrint::to(io::sink(), false)).unwrap();
     saved.finish().unwrap();
@@ -154,7 +154,7 @@ fn jpeg_frames_are_named_so_and_stay_close() {
     let mut rendered = None;
     let keep = |frame: &Frame| {
         rendered = Some(frame.image.clone());
-        tracked(frame, truth)
+        Ok(tracked(frame, truth))
     };
     session(&mut camera, keep, Some(&mut saved), &mut LivePrint::to(io::sink(), false)).unwrap();
     let (a, b) = (image::open(folder.path().join("frames/000000.jpg")).unwrap().to_luma8(), rendered.unwrap());

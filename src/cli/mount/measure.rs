@@ -8,10 +8,11 @@ use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
-use crate::daemon::{Tracker, TrackerSetup};
+use crate::daemon::track_row;
 use crate::frame::Frame;
 use crate::mount::View;
 use crate::record::State;
+use crate::tracker::{Tracker, TrackerSetup};
 
 /// Largest number of rows of a clip that is taken for single pictures. The tracker is shown each of these several times, because
 /// it gives no pose before another frame confirms it.
@@ -74,7 +75,7 @@ fn beginning(source: &mut dyn FrameSource) -> (Vec<Row>, bool) {
 
 /// A row of a film.
 fn view(tracker: &mut Tracker, row: &Row) -> Option<View> {
-    let sample = tracker.track_row(row);
+    let sample = track_row(tracker, row);
     let measured = sample.measurement.filter(|_| sample.state == State::Tracking)?;
     Some(View { pose: measured.pose, covariance: measured.covariance })
 }
@@ -86,8 +87,8 @@ fn still(tracker: &mut Tracker, row: &Row, index: usize) -> Option<View> {
     for k in 0..TIMES_SHOWN {
         let sequence = index as u64 * TIMES_SHOWN + k;
         let shown = Frame { image: frame.image.clone(), sequence, timestamp_ns: sequence as i64 * PACE_NS };
-        let sample = tracker.track(&shown);
-        last = sample.measurement.filter(|_| sample.state == State::Tracking);
+        // A picture of another size shows nothing.
+        last = tracker.track(&shown).ok().and_then(|sample| sample.measurement.filter(|_| sample.state == State::Tracking));
     }
     last.map(|measured| View { pose: measured.pose, covariance: measured.covariance })
 }

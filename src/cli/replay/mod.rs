@@ -21,9 +21,10 @@ use super::receivers::Receivers;
 use super::spared::Spared;
 use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip, open_clip_in_colour};
 use crate::config::Settings;
-use crate::daemon::{Daemon, Delivery, Tracker, TrackerSetup};
+use crate::daemon::{Daemon, Delivery, thread_clock};
 use crate::publish::{ClipStart, Stamps};
 use crate::record::PoseSample;
+use crate::tracker::{Tracker, TrackerSetup};
 use overlays::Overlays;
 use paced::Paced;
 use progress::Progress;
@@ -214,24 +215,16 @@ pub(in crate::cli) fn tracker_setup(
     (width, height): (u32, u32),
     threads: Option<u64>,
 ) -> Result<TrackerSetup, Failure> {
-    let (camera, note) = settings.camera_for(width, height)?;
+    let (setup, note) = settings.tracker_setup(width, height)?;
     if let Some(note) = note {
         tracing::warn!("{note}");
     }
-    let mut tunables = settings.tracker.clone();
+    let mut setup = TrackerSetup { clock: thread_clock(), ..setup };
     if let Some(threads) = threads {
         // At most 64, by the argument's range.
-        tunables.threads = threads as usize;
+        setup.settings.threads = threads as usize;
     }
-    Ok(TrackerSetup {
-        camera,
-        exposure_s: settings.exposure_s,
-        readout_s: settings.readout_s,
-        mask: settings.mask_for(width, height),
-        stage: settings.stage.clone(),
-        objects: settings.objects.clone(),
-        settings: tunables,
-    })
+    Ok(setup)
 }
 
 impl ReplayArguments {

@@ -16,11 +16,11 @@ use crate::camera::CameraModel;
 use crate::capture::Received;
 use crate::cli::failure::Failure;
 use crate::cli::overlay::{self, Scene};
-use crate::daemon::TrackerSetup;
 use crate::frame::Frame;
 use crate::record::PoseSample;
 use crate::safe_file;
 use crate::track::{BodySpec, UsedPixel, UsedPixels};
+use crate::tracker::TrackerSetup;
 
 const QUALITY: u8 = 92;
 /// Lies in a folder that this module made, and what it says.

@@ -23,9 +23,10 @@ use crate::cli::replay::tracker_setup;
 use crate::config::{LogFormat, LogSettings, RecorderSettings, Settings};
 use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, Shutter};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
-use crate::daemon::{Daemon, RunningDaemon, Tracker};
+use crate::daemon::{Daemon, RunningDaemon};
 use crate::publish::PoseWithheld;
 use crate::record::{PoseSample, State};
+use crate::tracker::Tracker;
 use crate::web::RecorderState;
 
 /// Between two stale messages while a camera is waited for.

@@ -67,8 +67,8 @@ pub use work::used_pixels::UsedPixel;
 use super::surface::SurfaceSpec;
 use crate::camera::CameraModel;
 
-/// When the rows of a frame are exposed.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// When the rows of a frame are exposed. The default: a global shutter, open for an unknown time.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Sensor {
     /// First row to last, seconds; 0 for a global or unknown shutter.
     pub readout_s: f64,

@@ -2,15 +2,14 @@
 
 use crossbeam_channel::Receiver;
 use image::GrayImage;
+use thiserror::Error;
 
 use crate::camera::CameraModel;
-use crate::capture::{Row, RowContent};
 use crate::compute_clock::ComputeClock;
 use crate::frame::Frame;
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-use crate::simulate::VirtualStage;
-use crate::track::{BodySpec, LockState, Matcher, Reason, Sighting, TrackerSettings, UsedPixels};
+use crate::track::{BodySpec, LockState, Matcher, Sensor, Sighting, TrackerSettings, UsedPixels};
 
 /// Everything a tracker is made from.
 #[derive(Debug, Clone)]
@@ -29,52 +28,65 @@ pub struct TrackerSetup {
     pub objects: Vec<BodySpec>,
     /// Tunables.
     pub settings: TrackerSettings,
+    /// What the times of a sample are measured with; the default stands still.
+    pub clock: ComputeClock,
 }
 
-impl From<&VirtualStage> for TrackerSetup {
-    /// What is true of a virtual stage; scenery stays untold.
-    fn from(scene: &VirtualStage) -> Self {
-        Self {
-            camera: scene.camera,
-            exposure_s: scene.exposure_s,
-            readout_s: scene.readout_s,
-            mask: None,
-            stage: scene.stage.clone(),
-            objects: scene.objects.iter().map(|object| object.body.clone()).collect(),
-            settings: TrackerSettings::default(),
-        }
-    }
+/// Why a frame cannot be tracked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum FrameError {
+    /// It is not of the camera's size.
+    #[error("the frame is {}x{} pixels, but the camera is calibrated for {}x{}; scale the calibration to the frames", size.0, size.1, wanted.0, wanted.1)]
+    Size {
+        /// Width and height of the frame, pixels.
+        size: (u32, u32),
+        /// Width and height of the camera, pixels.
+        wanted: (u32, u32),
+    },
+    /// Its stamp does not follow that of the frame before.
+    #[error("the frame's time stamp {timestamp_ns} does not follow {last_ns}; give frames in the order they were taken")]
+    Stamp {
+        /// Of the frame, nanoseconds.
+        timestamp_ns: i64,
+        /// Of the frame before, nanoseconds.
+        last_ns: i64,
+    },
 }
 
 /// Tracks frame by frame in the calling thread (plus its workers inside a frame).
 ///
 /// ```no_run
-/// # fn example(setup: stagepose::TrackerSetup, frames: Vec<stagepose::frame::Frame>) {
+/// # fn example(setup: stagepose::TrackerSetup, frames: Vec<stagepose::frame::Frame>) -> Result<(), stagepose::FrameError> {
 /// let mut tracker = stagepose::Tracker::new(setup);
 /// for frame in &frames {
-///     let sample = tracker.track(frame);
+///     let sample = tracker.track(frame)?;
 ///     println!("{}", sample.to_json_line());
 /// }
+/// # Ok(())
 /// # }
 /// ```
 pub struct Tracker {
-    pub(super) matcher: Matcher,
-    pub(super) poses: PoseRecorder,
+    pub(crate) matcher: Matcher,
+    pub(crate) poses: PoseRecorder,
+    /// Stamp of the last frame of [`Tracker::track`].
+    last_ns: Option<i64>,
 }
 
 /// The pose stage with the names that records carry.
-pub(super) struct PoseRecorder {
+pub(crate) struct PoseRecorder {
     stage: PoseStage,
     names: Vec<String>,
+    clock: ComputeClock,
 }
 
 impl Tracker {
     /// Prepares the reference pictures; takes a fraction of a second per surface.
     pub fn new(setup: TrackerSetup) -> Self {
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
-        let matcher =
-            Matcher::new(setup.camera, setup.readout_s, setup.exposure_s, setup.mask, &setup.stage, &setup.objects, setup.settings);
-        Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names } }
+        let sensor = Sensor { readout_s: setup.readout_s, exposure_s: setup.exposure_s };
+        let matcher = Matcher::new(setup.camera, sensor, setup.mask, &setup.stage, &setup.objects, setup.settings, setup.clock);
+        Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names, clock: setup.clock }, last_ns: None }
     }
 
     /// With a filter between the measured pose and the one for use; from the next frame on.
@@ -88,33 +100,29 @@ impl Tracker {
         self.matcher.watch_pixels()
     }
 
-    /// Tracks one frame. Frames must come in the order of their stamps.
-    pub fn track(&mut self, frame: &Frame) -> PoseSample {
+    /// Tracks one frame.
+    ///
+    /// # Errors
+    /// When the frame's size is not the camera's, or its stamp is not after the last one's. The frame then counts as never seen.
+    pub fn track(&mut self, frame: &Frame) -> Result<PoseSample, FrameError> {
+        let (size, wanted) = (frame.image.dimensions(), (self.matcher.camera().width(), self.matcher.camera().height()));
+        if size != wanted {
+            return Err(FrameError::Size { size, wanted });
+        }
+        if let Some(last_ns) = self.last_ns.filter(|last_ns| frame.timestamp_ns <= *last_ns) {
+            return Err(FrameError::Stamp { timestamp_ns: frame.timestamp_ns, last_ns });
+        }
+        self.last_ns = Some(frame.timestamp_ns);
         let sighting = self.matcher.look(frame);
-        self.poses.sample(&sighting, 0.0)
-    }
-
-    /// Tracks one row of a clip, whatever it holds: every row gets its sample.
-    pub fn track_row(&mut self, row: &Row) -> PoseSample {
-        let sighting = sight(&mut self.matcher, row);
-        self.poses.sample(&sighting, row.decode.as_secs_f64() * 1e3)
-    }
-}
-
-/// What the matcher makes of a row.
-pub(super) fn sight(matcher: &mut Matcher, row: &Row) -> Sighting {
-    match &row.content {
-        RowContent::Frame(frame) => matcher.look(frame),
-        RowContent::Undecodable(_) => matcher.look_away(row.sequence, row.timestamp_ns, Reason::Undecodable),
-        RowContent::Skipped(_) => matcher.look_past(row.sequence, row.timestamp_ns),
+        Ok(self.poses.sample(&sighting, 0.0))
     }
 }
 
 impl PoseRecorder {
     /// The sample of a sighting.
-    pub(super) fn sample(&mut self, sighting: &Sighting, decode_ms: f64) -> PoseSample {
+    pub(crate) fn sample(&mut self, sighting: &Sighting, decode_ms: f64) -> PoseSample {
         let _span = tracing::debug_span!("pose", sequence = sighting.sequence).entered();
-        let start = ComputeClock::start();
+        let start = self.clock.start();
         let PoseEstimate { camera, objects } = self.stage.estimate(sighting);
         let measurement = measurement(sighting, &camera);
         let objects = self.names.iter().zip(objects).map(|(name, o)| object_sample(name, o)).collect();
