@@ -11,13 +11,16 @@ use nalgebra::Vector3;
 use stagepose::PoseSample;
 use stagepose::camera::CameraModel;
 use stagepose::geometry::Pose;
+use stagepose::protocols::camera_of_body;
+use stagepose::protocols::opentrackio::Encoding;
+use stagepose::protocols::opentrackio_lens::PrincipalPoint;
 use stagepose::publish::freed::{FreedSettings, Spare};
-use stagepose::publish::opentrackio::{Encoding, OpenTrackIoSettings};
+use stagepose::publish::opentrackio::OpenTrackIoSettings;
 use stagepose::publish::osc::{OscMessageKind, OscSettings};
 use stagepose::publish::psn::PsnSettings;
 use stagepose::publish::{
-    BodyChoice, ClipStart, Context, JsonSettings, OnLoss, OutputSettings, Placement, PrincipalPoint, Protocol, Publisher, Rate,
-    SafetySettings, Stamps, StreamSettings, UdpSettings, camera_of_body,
+    BodyChoice, ClipStart, Context, JsonSettings, OnLoss, OutputSettings, Placement, Protocol, Publisher, Rate, SafetySettings, Stamps,
+    StreamSettings, UdpSettings,
 };
 use stagepose::record::{StageTimes, State};
 

@@ -26,10 +26,12 @@
 //! - [`tracker`]: [`Tracker`]: a frame in, a sample out
 //! - [`latest`]: the bounded channel that drops its oldest entry
 //! - [`simulate`]: the virtual stage with exact truth
+//! - [`survey`]: what a clip of a known stage says of the camera: its shutter
 //! - [`capture`]: [`capture::FrameSource`]: clips of every form, the virtual camera, V4L2 cameras
 //! - [`calibrate`]: a chessboard's corners, Zhang's method, bundle adjustment, judgement and report
 //! - [`targets`]: what to print: the poster and the board, as PDF and SVG
 //! - [`mount`]: where the filming camera sits on the rig, from views of both cameras
+//! - [`protocols`]: FreeD, OpenTrackIO and PosiStageNet, encoded and decoded
 //! - [`publish`]: one file a protocol, one thread an output: FreeD, OpenTrackIO, PosiStageNet, OSC, JSON
 //! - [`web`]: what a running daemon counts, its health and metrics; with feature `http` a server: WebSocket, pose and state
 //! - [`config`]: as typed, then resolved
@@ -45,33 +47,57 @@
 //! [`geometry::Stage`], [`geometry::Camera`], [`camera::Pixel`].
 #![warn(missing_docs)]
 
-pub mod calibrate;
+// The core.
 pub mod camera;
-pub mod capture;
-pub mod cli;
 pub mod compute_clock;
-pub mod config;
-pub mod contain;
-pub mod daemon;
-pub mod diagnose;
 pub mod features;
 pub mod frame;
 pub mod geometry;
-pub mod latest;
 pub mod matching;
-pub mod mount;
 pub mod pose;
-pub mod printable;
-pub mod publish;
 pub mod record;
-pub mod safe_file;
-pub mod simulate;
-pub mod targets;
 pub mod track;
 pub mod tracker;
+
+// Around it.
+#[cfg(feature = "calibrate")]
+pub mod calibrate;
+#[cfg(feature = "capture")]
+pub mod capture;
+#[cfg(feature = "cli")]
+pub mod cli;
+#[cfg(feature = "daemon")]
+pub mod config;
+#[cfg(feature = "capture")]
+pub mod contain;
+#[cfg(feature = "daemon")]
+pub mod daemon;
+#[cfg(feature = "daemon")]
+pub mod diagnose;
+#[cfg(any(feature = "publish", feature = "daemon"))]
+pub mod latest;
+#[cfg(feature = "calibrate")]
+pub mod mount;
+#[cfg(feature = "daemon")]
+pub mod printable;
+#[cfg(feature = "protocols")]
+pub mod protocols;
+#[cfg(feature = "publish")]
+pub mod publish;
+#[cfg(any(feature = "capture", feature = "publish"))]
+pub mod safe_file;
+#[cfg(feature = "simulate")]
+pub mod simulate;
+#[cfg(feature = "survey")]
+pub mod survey;
+#[cfg(feature = "calibrate")]
+pub mod targets;
+#[cfg(feature = "daemon")]
 pub mod utc;
+#[cfg(feature = "daemon")]
 pub mod web;
 
+#[cfg(feature = "daemon")]
 pub use daemon::Daemon;
 pub use record::PoseSample;
 pub use tracker::{FrameError, Tracker, TrackerSetup};

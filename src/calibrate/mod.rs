@@ -2,8 +2,8 @@
 //!
 //! [`finder`] finds the [`board`]'s corners in each picture, [`solve`] estimates the lens and every board's pose,
 //! [`session`] puts both together until nothing moves, [`judge`] says what the result is worth, [`guide`] which views are
-//! missing, [`pick`] takes views from a clip, [`origin`] says which camera took a picture, [`report`] and [`table`] show it all. [`shutter`] finds readout and exposure from a shaken clip
-//! of a known stage.
+//! missing, [`pick`] takes views from a clip, [`origin`] says which camera took a picture, [`report`] and
+//! [`table`] show it all.
 
 pub mod board;
 pub mod finder;
@@ -15,6 +15,5 @@ mod recompute;
 pub mod rendered;
 pub mod report;
 pub mod session;
-pub mod shutter;
 pub mod solve;
 pub mod table;

@@ -1,7 +1,7 @@
 //! Poses and rotations in words that people on a stage use: metres and degrees.
 
 use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
-use crate::publish::{PanTiltRoll, body_of_camera};
+use crate::protocols::{PanTiltRoll, body_of_camera};
 
 /// "at +0.0000 -4.0000 +1.6000 m, pan +0.00 tilt +0.00 roll +0.00 degrees": of the camera's body, level and looking upstage.
 pub(super) fn camera_words(t_stage_camera: &Pose<Stage, Camera>) -> String {

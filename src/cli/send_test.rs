@@ -17,7 +17,8 @@ use crate::camera::CameraModel;
 use crate::config::Settings;
 use crate::geometry::{Body, Pose, Stage};
 use crate::printable::printable;
-use crate::publish::{ClipStart, Context, PanTiltRoll, Stamps, camera_of_body};
+use crate::protocols::{PanTiltRoll, camera_of_body};
+use crate::publish::{ClipStart, Context, Stamps};
 use crate::record::{ObjectSample, PoseSample, StageTimes, State};
 
 /// Send a moving test pose to the outputs of a config; needs no camera and no stage.

@@ -8,6 +8,7 @@
 
 pub mod as_typed;
 mod bodies;
+mod calibration_file;
 mod characters;
 mod copy;
 mod error;
@@ -33,6 +34,7 @@ mod tests;
 mod typed_outputs;
 mod values;
 
+pub use calibration_file::read_calibration;
 pub use copy::CopiedFile;
 pub use error::{ConfigError, Problem};
 pub use known_keys::known_keys;

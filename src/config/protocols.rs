@@ -8,11 +8,13 @@ use toml::Spanned;
 use super::as_typed;
 use super::values::Section;
 use super::{ConfigError, Problem};
+use crate::protocols::opentrackio::Encoding;
+use crate::protocols::opentrackio_lens::PrincipalPoint;
 use crate::publish::freed::{FreedSettings, Spare};
-use crate::publish::opentrackio::{Encoding, OpenTrackIoSettings};
+use crate::publish::opentrackio::OpenTrackIoSettings;
 use crate::publish::osc::{AddressTemplate, OscMessageKind, OscSettings, OscValue, Quantity};
 use crate::publish::psn::PsnSettings;
-use crate::publish::{JsonSettings, PrincipalPoint, Protocol, StreamSettings};
+use crate::publish::{JsonSettings, Protocol, StreamSettings};
 
 /// The sensor's width that lengths are told for where none is given: a common webcam's, millimetres.
 const SENSOR_WIDTH_MM: f64 = 4.8;

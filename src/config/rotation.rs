@@ -123,7 +123,7 @@ mod tests {
     #[test]
     fn a_frames_angles_are_pan_tilt_and_roll() {
         let angles = [30.0, -20.0, 10.0];
-        let as_receivers_mean = crate::publish::PanTiltRoll { pan_deg: 30.0, tilt_deg: -20.0, roll_deg: 10.0 };
+        let as_receivers_mean = crate::protocols::PanTiltRoll { pan_deg: 30.0, tilt_deg: -20.0, roll_deg: 10.0 };
         assert!(Turned::Frame.by_angles(angles).angle_to(&as_receivers_mean.rotation()) < 1e-12);
         assert_eq!(Turned::Frame.by_angles([0.0; 3]), UnitQuaternion::identity());
     }

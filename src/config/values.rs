@@ -8,9 +8,10 @@ use nalgebra::Vector3;
 use toml::Spanned;
 
 use super::as_typed::{Count, Exactly, Number};
+use super::calibration_file::calibration_bytes;
 use super::origin::Origin;
 use super::{ConfigError, Problem};
-use crate::camera::{Calibration, calibration_bytes, parse_calibration};
+use crate::camera::{Calibration, parse_calibration};
 use crate::capture::{LARGEST_PICTURE_FILE, decode_oriented, orientation_words};
 use crate::safe_file;
 

@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use crossbeam_channel::Sender;
 
-use super::body_pose::body_of_camera;
 use super::complaints::Complaints;
 use super::limiter::{Limiter, Verdict};
 use super::mounted::Mount;
@@ -13,6 +12,7 @@ use super::report::{BodyReport, Standing, Withheld};
 use super::resample::Resampler;
 use super::settings::{BodyChoice, OnLoss, OutputSettings, Rate, SafetySettings};
 use crate::geometry::{Body, Pose, Stage};
+use crate::protocols::body_of_camera;
 use crate::record::PoseSample;
 
 /// What a sample, or a tick, says of a body.

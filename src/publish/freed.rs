@@ -1,23 +1,10 @@
-//! FreeD D1: 29 bytes a frame that nearly every studio renderer reads.
-//!
-//! Layout and signs from the Vinten Radamec free-d manual (A.3.2, appendix B): big-endian, angles in 1/32768 degree, positions in
-//! 1/64 mm, pan positive to the RIGHT (the opposite of OpenTrackIO), tilt up, roll clockwise from behind. It has no time stamp and
-//! no validity; Mo-Sys puts a quality into the spare bytes, Sony a frame number.
+//! A FreeD output: every report of its one body becomes a D1 packet, and what is not known is marked in its spare bytes.
 
-use thiserror::Error;
-
-use super::body_pose::PanTiltRoll;
 use super::encoder::Encoder;
 use super::report::{BodyReport, Report};
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Pose, Stage};
-
-/// Bytes of a D1 packet.
-pub const LENGTH: usize = 29;
-const TYPE: u8 = 0xD1;
-const PER_DEGREE: f64 = 32768.0;
-const PER_MM: f64 = 64.0;
-const GREATEST_24: f64 = 8_388_607.0;
+use crate::protocols::freed::FreedPacket;
 
 /// What the two spare bytes say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,110 +17,6 @@ pub enum Spare {
     Sony,
     /// Always 0.
     Zero,
-}
-
-/// A D1 packet in physical units.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct FreedPacket {
-    /// 0 to 255.
-    pub camera_id: u8,
-    /// Degrees, + to the right.
-    pub pan_deg: f64,
-    /// Degrees, + up.
-    pub tilt_deg: f64,
-    /// Degrees, + clockwise from behind.
-    pub roll_deg: f64,
-    /// Right, forward, up: millimetres.
-    pub position_mm: [f64; 3],
-    /// 24 bits, the receiver's own scale.
-    pub zoom: u32,
-    /// 24 bits, the receiver's own scale.
-    pub focus: u32,
-    /// 16 bits.
-    pub spare: u16,
-}
-
-/// Why bytes are no D1 packet.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-pub enum FreedError {
-    /// Another length.
-    #[error("{0} bytes are no FreeD D1 packet; it has 29")]
-    Length(usize),
-    /// Another message of the protocol, or another protocol.
-    #[error("the first byte is {0:#04x}, not 0xd1; set the sender to FreeD D1")]
-    Type(u8),
-    /// Damaged.
-    #[error("the checksum is {found:#04x}, not {wanted:#04x}; the packet is damaged")]
-    Checksum {
-        /// As received.
-        found: u8,
-        /// As computed.
-        wanted: u8,
-    },
-}
-
-impl FreedPacket {
-    /// The packet of a body's pose, and the roll that its angles have (for the next gimbal case).
-    pub fn of_pose(camera_id: u8, pose: &Pose<Stage, Body>, last_roll_deg: f64) -> Self {
-        let angles = PanTiltRoll::of_rotation(&pose.rotation, last_roll_deg);
-        let p = pose.translation * 1e3;
-        let (pan_deg, position_mm) = (-angles.pan_deg + 0.0, [p.x, p.y, p.z]);
-        Self { camera_id, pan_deg, tilt_deg: angles.tilt_deg, roll_deg: angles.roll_deg, position_mm, zoom: 0, focus: 0, spare: 0 }
-    }
-
-    /// The bytes, and whether a number had to be cut to what 24 bits hold (±256 degrees, ±131.07 m).
-    pub fn encode(&self) -> ([u8; LENGTH], bool) {
-        let mut bytes = [0; LENGTH];
-        (bytes[0], bytes[1]) = (TYPE, self.camera_id);
-        let mut is_cut = false;
-        let angles = [self.pan_deg, self.tilt_deg, self.roll_deg].map(|v| v * PER_DEGREE);
-        let positions = self.position_mm.map(|v| v * PER_MM);
-        for (index, value) in angles.into_iter().chain(positions).enumerate() {
-            let units = value.round();
-            is_cut |= !(-GREATEST_24 - 1.0..=GREATEST_24).contains(&units);
-            // A float beyond the range saturates in the cast, NaN becomes 0.
-            let units = units.clamp(-GREATEST_24 - 1.0, GREATEST_24) as i32;
-            bytes[2 + 3 * index..5 + 3 * index].copy_from_slice(&units.to_be_bytes()[1..]);
-        }
-        bytes[20..23].copy_from_slice(&self.zoom.min(0xFF_FFFF).to_be_bytes()[1..]);
-        bytes[23..26].copy_from_slice(&self.focus.min(0xFF_FFFF).to_be_bytes()[1..]);
-        bytes[26..28].copy_from_slice(&self.spare.to_be_bytes());
-        bytes[28] = checksum(&bytes[..28]);
-        (bytes, is_cut)
-    }
-
-    /// Reads the bytes of a packet.
-    ///
-    /// # Errors
-    /// Another length or type, or a wrong checksum.
-    pub fn decode(bytes: &[u8]) -> Result<Self, FreedError> {
-        let bytes: &[u8; LENGTH] = bytes.try_into().map_err(|_| FreedError::Length(bytes.len()))?;
-        if bytes[0] != TYPE {
-            return Err(FreedError::Type(bytes[0]));
-        }
-        let wanted = checksum(&bytes[..28]);
-        if bytes[28] != wanted {
-            return Err(FreedError::Checksum { found: bytes[28], wanted });
-        }
-        let unsigned = |at: usize| u32::from_be_bytes([0, bytes[at], bytes[at + 1], bytes[at + 2]]);
-        // Shifted up and down again, the sign of bit 23 is carried.
-        let signed = |at: usize| f64::from((unsigned(at) << 8) as i32 >> 8);
-        Ok(Self {
-            camera_id: bytes[1],
-            pan_deg: signed(2) / PER_DEGREE,
-            tilt_deg: signed(5) / PER_DEGREE,
-            roll_deg: signed(8) / PER_DEGREE,
-            position_mm: [signed(11), signed(14), signed(17)].map(|v| v / PER_MM),
-            zoom: unsigned(20),
-            focus: unsigned(23),
-            spare: u16::from_be_bytes([bytes[26], bytes[27]]),
-        })
-    }
-}
-
-/// 0x40 minus the sum of the bytes, modulo 256.
-fn checksum(bytes: &[u8]) -> u8 {
-    bytes.iter().fold(0x40, |sum, b| sum.wrapping_sub(*b))
 }
 
 /// How an output speaks FreeD.
@@ -219,5 +102,16 @@ impl Encoder for FreedEncoder {
 }
 
 #[cfg(test)]
-#[path = "freed_tests.rs"]
-mod tests;
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+
+    #[test]
+    fn the_encoder_holds_what_24_bits_reach() {
+        let settings = FreedSettings { camera_id: 1, spare: Spare::Quality, zoom: None, sensor_width_mm: 4.8, focus: 0 };
+        let encoder = FreedEncoder::new(settings, Some(&CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap()));
+        let at = |x| Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, x, 0.0));
+        assert_eq!([131.0, -131.072, 131.0721, -131.1, 1e6].map(|x| encoder.holds(&at(x))), [true, true, false, false, false]);
+    }
+}

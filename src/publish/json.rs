@@ -10,13 +10,13 @@ use nalgebra::{Matrix3, Matrix6};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::body_pose::{body_of_camera, camera_of_body};
 use super::encoder::Encoder;
 use super::mounted::Mount;
 use super::placement::Placement;
 use super::report::{BodyReport, Report, Standing};
 use super::settings::{BodyChoice, StreamSettings};
 use crate::geometry::{Body, Pose, Stage};
+use crate::protocols::{body_of_camera, camera_of_body};
 use crate::record::{Measurement, PoseSample, StageTimes, State};
 
 /// How an output writes JSON.

@@ -3,7 +3,8 @@ use std::sync::Arc;
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::*;
-use crate::publish::golden::{golden_body, golden_camera, golden_report};
+use crate::protocols::golden::golden_camera;
+use crate::publish::golden::{golden_body, golden_report};
 use crate::publish::report::Withheld;
 use crate::record::{ObjectSample, TwoViewModel};
 

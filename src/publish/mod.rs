@@ -5,7 +5,6 @@
 //! its own), the safety limits, and the receiver's own origin, axes and units; then an encoder (one file a protocol) makes packets of
 //! it. What happens where no pose is known is the output's `on_loss`. docs/protocols.md has every field.
 
-mod body_pose;
 mod channel;
 mod clocks;
 mod complaints;
@@ -18,7 +17,6 @@ mod limiter;
 mod mounted;
 mod network;
 pub mod opentrackio;
-mod opentrackio_lens;
 pub mod osc;
 mod placement;
 pub mod psn;
@@ -30,15 +28,13 @@ mod stamps;
 mod transport;
 mod worker;
 
-pub use body_pose::{PanTiltRoll, body_of_camera, camera_of_body};
 pub use channel::PoseWithheld;
-#[cfg(test)]
+#[cfg(all(test, feature = "daemon"))]
 pub(crate) use clocks::stepped;
 pub use clocks::{Clocks, FrameClock, Reading, SystemClocks};
 pub use json::JsonSettings;
 pub use mounted::{Mount, MountSettings};
 pub use network::{Interface, needs_interface};
-pub use opentrackio_lens::PrincipalPoint;
 pub use placement::{Axes, Placement};
 pub use publisher::{Context, OutputStatistics, PublishError, Publisher};
 pub use report::{Standing, Withheld};

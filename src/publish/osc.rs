@@ -6,10 +6,10 @@
 
 use rosc::{OscBundle, OscMessage, OscPacket, OscTime, OscType, encoder};
 
-use super::body_pose::PanTiltRoll;
 use super::complaints::Complaints;
 use super::encoder::Encoder;
 use super::report::{BodyReport, Report};
+use crate::protocols::PanTiltRoll;
 
 /// How an output speaks OSC.
 #[derive(Debug, Clone, PartialEq)]

@@ -4,7 +4,8 @@ use rosc::decoder;
 
 use super::*;
 use crate::geometry::{Body, Pose, Stage};
-use crate::publish::golden::{bytes_of, golden_report};
+use crate::protocols::golden::bytes_of;
+use crate::publish::golden::golden_report;
 use crate::publish::report::Standing;
 
 fn settings() -> OscSettings {

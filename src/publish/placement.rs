@@ -5,8 +5,8 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::body_pose::PanTiltRoll;
 use crate::geometry::{Body, Pose, Stage};
+use crate::protocols::PanTiltRoll;
 
 /// Rotation, offset and scale, then inversions: p' = scale (R p + offset), then signs; R' = R R_body, then signs of its angles.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -5,14 +5,16 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::super::ClipStart;
 use super::super::clocks::stepped::SteppedClocks;
-use super::super::freed::{FreedPacket, FreedSettings, Spare};
-use super::super::golden::golden_camera;
+use super::super::freed::{FreedSettings, Spare};
 use super::super::json::JsonSettings;
 use super::super::osc::{OscMessageKind, OscSettings};
 use super::super::settings::{BlendRates, FixedRate, OnLoss, Rate, UdpSettings};
 use super::super::{Placement, opentrackio::*};
 use super::*;
 use crate::geometry::Pose;
+use crate::protocols::freed::FreedPacket;
+use crate::protocols::golden::golden_camera;
+use crate::protocols::opentrackio::{Encoding, decode};
 use crate::record::{ObjectSample, StageTimes, State};
 
 const FRAME_NS: i64 = 33_333_333;
@@ -484,7 +486,7 @@ fn a_test_says_that_it_is_one() {
         encoding: Encoding::Json,
         source_number: 1,
         sensor_width_mm: 4.8,
-        principal_point: super::super::PrincipalPoint::Projection,
+        principal_point: crate::protocols::opentrackio_lens::PrincipalPoint::Projection,
     };
     let test = Context { is_test: true, ..context(patient()) };
     let publisher = Publisher::start(&[output(Protocol::OpenTrackIo(otrk), &ear)], &test).unwrap();

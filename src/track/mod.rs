@@ -30,6 +30,7 @@ mod verify;
 
 pub use acquire::{SurfaceMatch, SurfaceView};
 pub use align::{AlignKernels, Clue, Sensor, ShutterClue, UsedPixel};
+#[cfg(feature = "calibrate")]
 pub(crate) use frame_look::FrameLook;
 pub use lens_doubt::covariance_by_lens;
 pub use lock::LockState;

@@ -17,7 +17,7 @@ fn sample(sequence: u64) -> PoseSample {
         sequence,
         timestamp_ns: 40,
         state: State::Tracking,
-        pose: Some(crate::publish::golden::golden_camera()),
+        pose: Some(crate::protocols::golden::golden_camera()),
         measurement: None,
         objects: Vec::new(),
         reason: None,

@@ -9,7 +9,7 @@ use std::process::Command;
 use nalgebra::{UnitQuaternion, Vector3};
 use stagepose::calibrate::board::Board;
 use stagepose::calibrate::rendered::{BoardPhotographer, Photograph};
-use stagepose::camera::read_calibration;
+use stagepose::config::read_calibration;
 use stagepose::geometry::Pose;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");

@@ -10,7 +10,7 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde_json::Value;
 use stagepose::geometry::{Body, Camera, Pose, Stage};
-use stagepose::publish::body_of_camera;
+use stagepose::protocols::body_of_camera;
 
 use rig::{Board, filming, filming_camera, mount, rig, tracking_camera, write};
 
@@ -70,7 +70,7 @@ fn six_pairs_of_views_tell_the_mount_and_judge_the_typed_one() {
     let config = std::fs::read_to_string(folder.join("a.toml")).unwrap();
     // A tape measure's values, then one that is two centimetres off.
     let o = true_mount().translation;
-    let angles = stagepose::publish::PanTiltRoll::of_rotation(&true_mount().rotation, 0.0);
+    let angles = stagepose::protocols::PanTiltRoll::of_rotation(&true_mount().rotation, 0.0);
     let typed = |up: f64| {
         let rotation = format!("[{:.2}, {:.2}, {:.2}]", angles.pan_deg, angles.tilt_deg, angles.roll_deg);
         format!("{config}[mount]\nname = \"A-cam\"\noffset_m = [{:.3}, {:.3}, {:.3}]\nrotation_deg = {rotation}\n", o.x, o.y, o.z + up)

@@ -1,9 +1,9 @@
 //! Good packets of every protocol that `listen` knows, and the checksums that let damaged ones get past the first look.
 
 use rosc::{OscArray, OscBundle, OscColor, OscMessage, OscMidiMessage, OscPacket, OscTime, OscType, encoder};
-use stagepose::publish::freed::FreedPacket;
-use stagepose::publish::opentrackio::{Encoding, HEADER, datagram};
-use stagepose::publish::psn::{PsnHeader, PsnPacket, PsnTracker};
+use stagepose::protocols::freed::FreedPacket;
+use stagepose::protocols::opentrackio::{Encoding, HEADER, datagram};
+use stagepose::protocols::psn::{PsnHeader, PsnPacket, PsnTracker};
 
 /// The words for them on the command line.
 pub const PROTOCOLS: [&str; 5] = ["freed", "psn", "opentrackio", "osc", "json"];

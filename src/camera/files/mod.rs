@@ -18,8 +18,6 @@ use super::plausible;
 pub use problem::{CalibrationFileError, CalibrationProblem};
 use problem::{Fault, fault};
 
-use crate::safe_file;
-
 /// What a calibration file holds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
@@ -77,30 +75,10 @@ impl Calibration {
 /// Errors and uncertainties that a file may tell of, in the units of their numbers: beyond them covariances run over.
 const POSSIBLE_ERRORS: std::ops::RangeInclusive<f64> = 0.0..=1e5;
 
-/// Larger than any calibration file by far, small enough to read in one go.
-const LARGEST_FILE_BYTES: u64 = 4 << 20;
-
-/// Reads a calibration file in any of the forms of [`CalibrationForm`].
+/// Reads the bytes of a calibration file in any of the forms of [`CalibrationForm`]; `path` serves for its extension and the messages.
 ///
 /// # Errors
-/// When the file cannot be read or its text is no calibration; the message names the file, the line and the key.
-pub fn read_calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
-    parse_calibration(&calibration_bytes(path)?, path)
-}
-
-/// The bytes of a calibration file, for [`parse_calibration`].
-///
-/// # Errors
-/// When the file cannot be read, or is far too large.
-pub fn calibration_bytes(path: &Path) -> Result<Vec<u8>, CalibrationFileError> {
-    let unreadable = |source| CalibrationFileError::Unreadable { path: path.to_owned(), source };
-    safe_file::read(path, LARGEST_FILE_BYTES).map_err(unreadable)
-}
-
-/// Reads the bytes of a calibration file; `path` serves for its extension and the messages.
-///
-/// # Errors
-/// As [`read_calibration`], without the reading.
+/// When the bytes are no calibration; the message names the file, the line and the key.
 pub fn parse_calibration(bytes: &[u8], path: &Path) -> Result<Calibration, CalibrationFileError> {
     // Comments in other encodings are common in files of other programs; ours are UTF-8.
     let is_ours = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));

@@ -198,8 +198,6 @@ fn broken_yaml_and_unknown_forms_say_so() {
     assert!(refusal("c.yml", &"- ".repeat(100_000)).contains("nested too deeply"));
     assert!(refusal("c.yml", "a: &a [1]\nb: *a\n").contains("aliases"));
     assert!(refusal("picture.png", "\u{1}\u{2}").contains("no calibration file"));
-    let gone = read_calibration(Path::new("does/not/exist.toml")).unwrap_err().to_string();
-    assert!(gone.contains("does/not/exist.toml") && gone.contains("check its path"), "{gone}");
 }
 
 #[test]
@@ -210,9 +208,10 @@ fn real_files_are_read() {
         eprintln!("skipped: the shared calibration files are not here");
         return;
     }
-    let c = read_calibration(&opencv).unwrap();
+    let read = |file: &Path| parse_calibration(&std::fs::read(file).unwrap(), file).unwrap();
+    let c = read(&opencv);
     assert_eq!((c.form, c.images, c.model.intrinsics().fx), (CalibrationForm::OpenCv, Some(13), 535.915_733_961_632));
-    let c = read_calibration(&euroc).unwrap();
+    let c = read(&euroc);
     assert_eq!((c.form, c.model.width(), c.model.intrinsics().cy), (CalibrationForm::Euroc, 752, 248.375));
 }
 

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use super::{CalibrateArguments, output, print, report_date};
 use crate::calibrate::judge::map::{self, MAP_COLUMNS, MAP_ROWS};
 use crate::calibrate::report::{self, Comparison};
-use crate::camera::{Calibration, CameraModel, read_calibration};
+use crate::camera::{Calibration, CameraModel};
 use crate::cli::failure::Failure;
+use crate::config::read_calibration;
 
 /// Another calibration and its name.
 pub(super) struct Other {

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use crate::config::Settings;
-use crate::publish::{BodyChoice, MountSettings, OutputSettings, PanTiltRoll};
+use crate::protocols::PanTiltRoll;
+use crate::publish::{BodyChoice, MountSettings, OutputSettings};
 
 /// Where the filming camera sits, and its lens.
 pub(super) fn lines(mount: &MountSettings, settings: &Settings) -> Vec<String> {

@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
-use crate::calibrate::shutter::{MOST_ROWS, ShutterEstimate, ShutterTime, estimate_shutter};
-use crate::capture::{ClipOptions, FrameSource, Row, open_clip};
+use crate::capture::{ClipOptions, FrameSource, RowContent, open_clip};
 use crate::cli::failure::Failure;
 use crate::cli::replay::progress::Progress;
 use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
+use crate::frame::Frame;
+use crate::survey::shutter::{MOST_FRAMES, ShutterEstimate, ShutterTime, estimate_shutter};
 use crate::track::{Matcher, Sensor};
 
 /// A time that is known worse than this is not printed: seconds, and as a share of itself.
@@ -23,42 +24,30 @@ pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Resul
     }
     let progress = Progress::start(None);
     let calibrated = settings.lens.size(&settings.camera);
-    let open = || {
-        let source = open_clip(clip, ClipOptions { fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from)?;
-        Ok::<Box<dyn FrameSource>, Failure>(Box::new(Shown { source, progress: progress.clone() }))
-    };
+    let open = || open_clip(clip, ClipOptions { fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
     let setup = tracker_setup(settings, open()?.size(), None)?;
     let mut matcher = Matcher::new(setup.camera, Sensor::default(), setup.mask, &setup.stage, &[], setup.settings, setup.clock);
-    let estimate = estimate_shutter(open, &mut matcher);
+    let estimate = estimate_shutter(|| open().map(|source| frames(source, progress.clone())), &mut matcher);
     progress.finish();
     let estimate = estimate?;
     Ok(told(&estimate, settings))
 }
 
-/// A clip whose rows are counted on the terminal as they are read, pass after pass.
-struct Shown {
-    source: Box<dyn FrameSource>,
-    progress: Progress,
-}
-
-impl FrameSource for Shown {
-    fn next_row(&mut self) -> Option<Row> {
-        self.progress.advance();
-        self.source.next_row()
-    }
-
-    fn size(&self) -> (u32, u32) {
-        self.source.size()
-    }
-
-    fn rows(&self) -> Option<u64> {
-        self.source.rows()
-    }
+/// A clip's frames, counted on the terminal as they are read, pass after pass.
+fn frames(mut source: Box<dyn FrameSource>, progress: Progress) -> impl Iterator<Item = Frame> {
+    let rows = std::iter::from_fn(move || {
+        progress.advance();
+        source.next_row()
+    });
+    rows.filter_map(|row| match row.content {
+        RowContent::Frame(frame) => Some(frame),
+        _ => None,
+    })
 }
 
 fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<String> {
-    let ShutterEstimate { rows, aligned, .. } = estimate;
-    let mut lines = vec![format!("from the clip's first {rows} frames (of {MOST_ROWS} at most), the stage was followed in {aligned}")];
+    let ShutterEstimate { frames, aligned, .. } = estimate;
+    let mut lines = vec![format!("from the clip's first {frames} frames (of {MOST_FRAMES} at most), the stage was followed in {aligned}")];
     if !estimate.has_settled && [estimate.readout, estimate.exposure].iter().flatten().any(is_known) {
         lines.push("the estimate did not settle: take the times below for a hint".to_owned());
     }

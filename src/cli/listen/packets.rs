@@ -3,9 +3,9 @@
 use rosc::{OscPacket, OscTime, OscType, decoder};
 
 use super::Spoken;
-use crate::publish::freed::FreedPacket;
-use crate::publish::opentrackio;
-use crate::publish::psn::{PsnPacket, PsnTracker};
+use crate::protocols::freed::FreedPacket;
+use crate::protocols::opentrackio;
+use crate::protocols::psn::{PsnPacket, PsnTracker};
 use crate::utc;
 
 /// Bytes of a blob that are shown; the rest is counted.

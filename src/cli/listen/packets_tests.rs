@@ -1,7 +1,7 @@
 use rosc::{OscBundle, OscMessage, encoder};
 
 use super::*;
-use crate::publish::psn::PsnHeader;
+use crate::protocols::psn::PsnHeader;
 
 #[test]
 fn packets_become_lines() {

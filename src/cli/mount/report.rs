@@ -8,7 +8,8 @@ use serde_json::{Value, json};
 
 use crate::geometry::{Body, Camera, FilmingCamera, Pose};
 use crate::mount::{NextView, Solution, StillPair, Verdict, worst_sigmas};
-use crate::publish::{MountSettings, PanTiltRoll, body_of_camera};
+use crate::protocols::{PanTiltRoll, body_of_camera};
+use crate::publish::MountSettings;
 
 /// Squared distance of six degrees of freedom that two mounts which are the same exceed once in a hundred times.
 const SAME: f64 = 16.8;

@@ -25,7 +25,7 @@ fn on_sensor(camera: &CameraModel, width_mm: f64) -> ([f64; 2], f64) {
 }
 
 /// `static.camera`: the sensor's size.
-pub(super) fn sensor(camera: &CameraModel, width_mm: f64) -> Value {
+pub fn sensor(camera: &CameraModel, width_mm: f64) -> Value {
     let ([width, height], _) = on_sensor(camera, width_mm);
     json!({
         "activeSensorPhysicalDimensions": {"width": width, "height": height},
@@ -34,7 +34,7 @@ pub(super) fn sensor(camera: &CameraModel, width_mm: f64) -> Value {
 }
 
 /// `lens`
-pub(super) fn lens(camera: &CameraModel, width_mm: f64, principal_point: PrincipalPoint) -> Value {
+pub fn lens(camera: &CameraModel, width_mm: f64, principal_point: PrincipalPoint) -> Value {
     let i = camera.intrinsics();
     let ([width, height], focal_mm) = on_sensor(camera, width_mm);
     // From the picture's middle, where pixel centres are at integers.

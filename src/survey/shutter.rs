@@ -7,11 +7,11 @@
 
 use nalgebra::Vector2;
 
-use crate::capture::{FrameSource, RowContent};
+use crate::frame::Frame;
 use crate::track::{Clue, Matcher, Sensor};
 
-/// Rows looked at, from the clip's first.
-pub const MOST_ROWS: u64 = 240;
+/// Frames looked at, from the clip's first.
+pub const MOST_FRAMES: usize = 240;
 /// Passes over the clip at most.
 const MOST_PASSES: usize = 12;
 /// Start: a sensor that reads all rows at once, and a usual exposure, seconds.
@@ -53,8 +53,8 @@ pub struct ShutterEstimate {
     pub readout: Option<ShutterTime>,
     /// `None` where too few frames are blurred.
     pub exposure: Option<ShutterTime>,
-    /// Rows looked at.
-    pub rows: u64,
+    /// Frames looked at.
+    pub frames: usize,
     /// Frames in which the stage was aligned, in the last pass.
     pub aligned: usize,
     /// Whether the last pass changed next to nothing.
@@ -66,23 +66,22 @@ pub struct ShutterEstimate {
 struct Pass {
     readout: Vec<Clue>,
     exposure: Vec<Clue>,
-    rows: u64,
+    frames: usize,
     aligned: usize,
     first_ns: Option<i64>,
     last_ns: i64,
 }
 
 impl Pass {
-    /// Tracks the clip's first rows with a shutter that is taken as given.
-    fn over(clip: &mut dyn FrameSource, matcher: &mut Matcher, sensor: Sensor) -> Self {
+    /// Tracks the clip's first frames with a shutter that is taken as given.
+    fn over(clip: impl IntoIterator<Item = Frame>, matcher: &mut Matcher, sensor: Sensor) -> Self {
         matcher.ask_shutter(sensor);
         let mut pass = Self::default();
-        while let Some(row) = clip.next_row().filter(|_| pass.rows < MOST_ROWS) {
-            pass.rows += 1;
-            let RowContent::Frame(frame) = &row.content else { continue };
+        for frame in clip.into_iter().take(MOST_FRAMES) {
+            pass.frames += 1;
             pass.first_ns.get_or_insert(frame.timestamp_ns);
             pass.last_ns = frame.timestamp_ns;
-            matcher.look(frame);
+            matcher.look(&frame);
             let Some(clue) = matcher.shutter_clue() else { continue };
             pass.aligned += 1;
             pass.readout.push(clue.readout);
@@ -91,10 +90,10 @@ impl Pass {
         pass
     }
 
-    /// Mean time between rows, seconds.
+    /// Mean time between frames, seconds.
     fn interval_s(&self) -> f64 {
         let whole = self.first_ns.map_or(0, |first| self.last_ns.saturating_sub(first));
-        whole as f64 * 1e-9 / self.rows.saturating_sub(1).max(1) as f64
+        whole as f64 * 1e-9 / self.frames.saturating_sub(1).max(1) as f64
     }
 }
 
@@ -103,13 +102,16 @@ impl Pass {
 ///
 /// # Errors
 /// What `open` gives.
-pub fn estimate_shutter<E>(mut open: impl FnMut() -> Result<Box<dyn FrameSource>, E>, matcher: &mut Matcher) -> Result<ShutterEstimate, E> {
+pub fn estimate_shutter<I, E>(mut open: impl FnMut() -> Result<I, E>, matcher: &mut Matcher) -> Result<ShutterEstimate, E>
+where
+    I: IntoIterator<Item = Frame>,
+{
     let mut sensor = FIRST;
     let mut before: Option<(f64, f64)> = None;
     let mut slope = 1.0;
-    let mut estimate = ShutterEstimate { readout: None, exposure: None, rows: 0, aligned: 0, has_settled: false };
+    let mut estimate = ShutterEstimate { readout: None, exposure: None, frames: 0, aligned: 0, has_settled: false };
     for pass in 0..MOST_PASSES {
-        let found = Pass::over(&mut *open()?, matcher, sensor);
+        let found = Pass::over(open()?, matcher, sensor);
         let interval_s = found.interval_s();
         let readout = agreement(&found.readout, VAGUE_READOUT_S);
         let exposure = agreement(&found.exposure, VAGUE_EXPOSURE);
@@ -132,7 +134,7 @@ pub fn estimate_shutter<E>(mut open: impl FnMut() -> Result<Box<dyn FrameSource>
                 frames: r.frames,
             }),
             exposure: exposure.map(|e| ShutterTime { seconds: sensor.exposure_s, sigma_s: e.sigma * sensor.exposure_s, frames: e.frames }),
-            rows: found.rows,
+            frames: found.frames,
             aligned: found.aligned,
             has_settled: step_s.abs() < SMALL_READOUT_STEP_S.max(0.1 * readout.map_or(0.0, |r| r.sigma))
                 && step.abs() < SMALL_EXPOSURE_STEP,
@@ -197,40 +199,28 @@ fn weighted_median(values: impl Iterator<Item = (f64, f64)>) -> f64 {
         .map_or(0.0, |(value, _)| *value)
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "simulate"))]
 mod tests {
+    use std::convert::Infallible;
+
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::capture::{Row, VirtualCamera};
     use crate::compute_clock::ComputeClock;
-    use crate::simulate::{Dolly, Shake, Spline, VirtualStage, dolly};
+    use crate::simulate::{Dolly, Renderer, Shake, Spline, VirtualStage, dolly};
     use crate::track::TrackerSettings;
-
-    struct Rows(std::vec::IntoIter<Row>, (u32, u32));
-
-    impl FrameSource for Rows {
-        fn next_row(&mut self) -> Option<Row> {
-            self.0.next()
-        }
-
-        fn size(&self) -> (u32, u32) {
-            self.1
-        }
-
-        fn rows(&self) -> Option<u64> {
-            Some(self.0.len() as u64)
-        }
-    }
 
     /// The estimate from two seconds of a rendered scene.
     fn estimate_of(scene: &VirtualStage) -> ShutterEstimate {
-        let mut camera = VirtualCamera::new(scene.clone(), 30.0, 60);
-        let rows: Vec<Row> = std::iter::from_fn(|| camera.next_row()).collect();
+        let renderer = Renderer::new(scene.clone());
+        let frame = |k: u64| {
+            let time_s = k as f64 / 30.0;
+            Frame { image: renderer.render(time_s, k), timestamp_ns: (time_s * 1e9) as i64, sequence: k }
+        };
+        let frames: Vec<Frame> = (0..60).map(frame).collect();
         let mut matcher =
             Matcher::new(scene.camera, Sensor::default(), None, &scene.stage, &[], TrackerSettings::default(), ComputeClock::default());
-        let open = || Ok::<Box<dyn FrameSource>, String>(Box::new(Rows(rows.clone().into_iter(), camera.size())));
-        estimate_shutter(open, &mut matcher).unwrap()
+        estimate_shutter(|| Ok::<_, Infallible>(frames.clone()), &mut matcher).unwrap()
     }
 
     fn scene(shake: Option<Shake>, exposure_s: f64) -> VirtualStage {

@@ -1,0 +1,205 @@
+//! PosiStageNet 2.03: positions of any number of trackers for lighting desks and scenery automation.
+//!
+//! Little-endian chunks (u32: bits 0-15 id, 16-30 length, 31 holds chunks), data packets with every frame, info packets with the names
+//! once a second. PSN's axes are left-handed (x right, y up, z depth): position (x, z, y) of the stage, orientation as a rotation vector
+//! whose components are the negated (x, z, y) of the stage's. Only known fields are sent: position, orientation, validity, time.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use thiserror::Error;
+
+use crate::geometry::{Body, Pose, Stage};
+
+const DATA: u16 = 0x6755;
+const INFO: u16 = 0x6756;
+/// Bytes of one packet, so that it crosses an Ethernet in one piece; the standard's own limit is 1500.
+pub const LONGEST_PACKET: usize = 1472;
+
+/// What both kinds of packet begin with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct PsnHeader {
+    /// Microseconds since the sender started.
+    pub timestamp_us: u64,
+    /// Wraps; the same in all packets of a frame.
+    pub frame_id: u8,
+    /// Packets of this frame.
+    pub packets: u8,
+}
+
+/// A tracker in a data packet, in PSN's axes; only what is known.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PsnTracker {
+    /// Tracker number.
+    pub id: u16,
+    /// Metres: right, up, depth.
+    pub position_m: Option<[f32; 3]>,
+    /// Metres per second.
+    pub speed_m_s: Option<[f32; 3]>,
+    /// Rotation vector, radians.
+    pub orientation_rad: Option<[f32; 3]>,
+    /// 1 = measured, 0 = not to be relied on.
+    pub validity: Option<f32>,
+    /// Metres per second squared.
+    pub acceleration_m_s2: Option<[f32; 3]>,
+    /// Where it is going, metres.
+    pub target_m: Option<[f32; 3]>,
+    /// When it was there, microseconds since the sender started.
+    pub timestamp_us: Option<u64>,
+}
+
+/// A packet.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PsnPacket {
+    /// Positions.
+    Data(PsnHeader, Vec<PsnTracker>),
+    /// Names: of the system, and of trackers by number.
+    Info(PsnHeader, String, Vec<(u16, String)>),
+}
+
+/// Why bytes are no PSN packet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+pub enum PsnError {
+    /// Another protocol.
+    #[error("it is neither a data nor an info packet of PosiStageNet 2; set the sender to PSN 2")]
+    Kind,
+    /// A chunk that is longer than what holds it, or too short for what it says.
+    #[error("a chunk does not fit into its packet; the packet is damaged")]
+    Length,
+}
+
+/// Position and rotation vector in PSN's axes.
+pub fn to_psn(pose: &Pose<Stage, Body>) -> ([f32; 3], [f32; 3]) {
+    let (p, w) = (pose.translation, pose.rotation.scaled_axis());
+    // `+ 0.0` turns -0 into 0.
+    ([p.x, p.z, p.y].map(|v| v as f32), [-w.x, -w.z, -w.y].map(|v| (v + 0.0) as f32))
+}
+
+/// The pose of PSN's position and rotation vector.
+pub fn from_psn(position_m: [f32; 3], orientation_rad: [f32; 3]) -> Pose<Stage, Body> {
+    let ([x, y, z], [a, b, c]) = (position_m.map(f64::from), orientation_rad.map(f64::from));
+    Pose::new(UnitQuaternion::from_scaled_axis(Vector3::new(-a, -c, -b)), Vector3::new(x, z, y))
+}
+
+fn chunk(id: u16, holds_chunks: bool, content: &[u8]) -> Vec<u8> {
+    // Names are cut and packets split long before 32 kB.
+    let header = u32::from(id) | (content.len() as u32 & 0x7FFF) << 16 | u32::from(holds_chunks) << 31;
+    [&header.to_le_bytes()[..], content].concat()
+}
+
+fn vector(id: u16, v: Option<[f32; 3]>) -> Vec<u8> {
+    v.map_or(Vec::new(), |v| chunk(id, false, &v.map(f32::to_le_bytes).concat()))
+}
+
+impl PsnHeader {
+    fn encode(self) -> Vec<u8> {
+        let version = [2, 3];
+        chunk(0, false, &[&self.timestamp_us.to_le_bytes()[..], &version, &[self.frame_id, self.packets]].concat())
+    }
+}
+
+impl PsnTracker {
+    fn encode(&self) -> Vec<u8> {
+        let fields = [
+            vector(0, self.position_m),
+            vector(1, self.speed_m_s),
+            vector(2, self.orientation_rad),
+            self.validity.map_or(Vec::new(), |v| chunk(3, false, &v.to_le_bytes())),
+            vector(4, self.acceleration_m_s2),
+            vector(5, self.target_m),
+            self.timestamp_us.map_or(Vec::new(), |t| chunk(6, false, &t.to_le_bytes())),
+        ];
+        chunk(self.id, true, &fields.concat())
+    }
+}
+
+impl PsnPacket {
+    /// The bytes.
+    pub fn encode(&self) -> Vec<u8> {
+        match self {
+            Self::Data(header, trackers) => {
+                let trackers: Vec<u8> = trackers.iter().flat_map(PsnTracker::encode).collect();
+                chunk(DATA, true, &[header.encode(), chunk(1, true, &trackers)].concat())
+            }
+            Self::Info(header, system, names) => {
+                let name = |(id, name): &(u16, String)| chunk(*id, true, &chunk(0, false, name.as_bytes()));
+                let names: Vec<u8> = names.iter().flat_map(name).collect();
+                chunk(INFO, true, &[header.encode(), chunk(1, false, system.as_bytes()), chunk(2, true, &names)].concat())
+            }
+        }
+    }
+
+    /// Reads the bytes of a packet; chunks that are not known are passed over.
+    ///
+    /// # Errors
+    /// Another protocol, or chunks that do not fit into one another.
+    pub fn decode(bytes: &[u8]) -> Result<Self, PsnError> {
+        let chunks = chunks(bytes).map_err(|_| PsnError::Kind)?;
+        let Some((kind, content)) = chunks.first().copied().filter(|(id, _)| [DATA, INFO].contains(id)) else {
+            return Err(PsnError::Kind);
+        };
+        let (mut header, mut system, mut trackers, mut names) = (PsnHeader::default(), String::new(), Vec::new(), Vec::new());
+        for (id, content) in self::chunks(content)? {
+            match (kind, id) {
+                (_, 0) => header = decode_header(content)?,
+                (DATA, 1) => trackers = self::chunks(content)?.into_iter().map(decode_tracker).collect::<Result<_, _>>()?,
+                (INFO, 1) => system = String::from_utf8_lossy(content).into_owned(),
+                (INFO, 2) => names = self::chunks(content)?.into_iter().map(decode_name).collect::<Result<_, _>>()?,
+                _ => {}
+            }
+        }
+        Ok(if kind == DATA { Self::Data(header, trackers) } else { Self::Info(header, system, names) })
+    }
+}
+
+/// The chunks that follow one another: id and content.
+fn chunks(mut bytes: &[u8]) -> Result<Vec<(u16, &[u8])>, PsnError> {
+    let mut found = Vec::new();
+    while !bytes.is_empty() {
+        let (header, rest) = bytes.split_first_chunk::<4>().ok_or(PsnError::Length)?;
+        let header = u32::from_le_bytes(*header);
+        let (content, rest) = rest.split_at_checked((header >> 16 & 0x7FFF) as usize).ok_or(PsnError::Length)?;
+        found.push(((header & 0xFFFF) as u16, content));
+        bytes = rest;
+    }
+    Ok(found)
+}
+
+fn array<const N: usize>(bytes: &[u8]) -> Result<[u8; N], PsnError> {
+    bytes.first_chunk::<N>().copied().ok_or(PsnError::Length)
+}
+
+fn decode_header(content: &[u8]) -> Result<PsnHeader, PsnError> {
+    let bytes = array::<12>(content)?;
+    Ok(PsnHeader { timestamp_us: u64::from_le_bytes(array(content)?), frame_id: bytes[10], packets: bytes[11] })
+}
+
+fn decode_name((id, content): (u16, &[u8])) -> Result<(u16, String), PsnError> {
+    let name =
+        chunks(content)?.into_iter().find(|(id, _)| *id == 0).map_or(String::new(), |(_, n)| String::from_utf8_lossy(n).into_owned());
+    Ok((id, name))
+}
+
+fn decode_tracker((id, content): (u16, &[u8])) -> Result<PsnTracker, PsnError> {
+    let mut tracker = PsnTracker { id, ..PsnTracker::default() };
+    let float = |bytes: &[u8]| array(bytes).map(f32::from_le_bytes);
+    let vector = |bytes: &[u8]| -> Result<Option<[f32; 3]>, PsnError> {
+        let bytes = array::<12>(bytes)?;
+        Ok(Some([float(&bytes)?, float(&bytes[4..])?, float(&bytes[8..])?]))
+    };
+    for (field, content) in chunks(content)? {
+        match field {
+            0 => tracker.position_m = vector(content)?,
+            1 => tracker.speed_m_s = vector(content)?,
+            2 => tracker.orientation_rad = vector(content)?,
+            3 => tracker.validity = Some(float(content)?),
+            4 => tracker.acceleration_m_s2 = vector(content)?,
+            5 => tracker.target_m = vector(content)?,
+            6 => tracker.timestamp_us = Some(u64::from_le_bytes(array(content)?)),
+            _ => {}
+        }
+    }
+    Ok(tracker)
+}
+
+#[cfg(test)]
+#[path = "psn_tests.rs"]
+mod tests;
