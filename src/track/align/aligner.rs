@@ -184,6 +184,8 @@ impl Aligner {
         if let Some(clues) = &mut self.clues {
             clues.clue = None;
         }
+        // A velocity that may jump within the frame explains what a wrong readout leaves, and the shutter would be found there.
+        let since_s = since_s.filter(|_| self.clues.is_none());
         let line = self.line.take().filter(|_| since_s.is_some());
         let information = expected.covariance.cholesky()?.inverse();
         let blur_px = f64::from(1u32 << FINEST) * task(&self.surfaces, &self.slow, eye, FINEST, &expected.motion).blur_px;
