@@ -24,7 +24,7 @@
 //! - [`pose`]: a sighting becomes poses in the stage frame, with covariance, or a prediction
 //! - [`record`]: [`PoseSample`] and the line it becomes (contract C3)
 //! - [`tracker`]: [`Tracker`]: a frame in, a sample out
-//! - [`latest`]: the bounded channel that drops its oldest entry
+//! - [`drop_oldest`]: the bounded channel that drops its oldest entry
 //! - [`simulate`]: the virtual stage with exact truth
 //! - [`survey`]: what a clip of a known stage says of the camera: its shutter
 //! - [`capture`]: [`capture::FrameSource`]: clips of every form, the virtual camera, V4L2 cameras
@@ -33,7 +33,8 @@
 //! - [`mount`]: where the filming camera sits on the rig, from views of both cameras
 //! - [`protocols`]: FreeD, OpenTrackIO and PosiStageNet, encoded and decoded
 //! - [`publish`]: one file a protocol, one thread an output: FreeD, OpenTrackIO, PosiStageNet, OSC, JSON
-//! - [`web`]: what a running daemon counts, its health and metrics; with feature `http` a server: WebSocket, pose and state
+//! - [`telemetry`]: what a running daemon counts, its health and metrics
+//! - [`web`]: the HTTP server: WebSocket, pose and state
 //! - [`config`]: as typed, then resolved
 //! - [`daemon`]: the tracker on threads of its own: [`Daemon`]
 //! - [`diagnose`]: why a clip is not followed: what may be wrong is tried, and what fits is named
@@ -75,7 +76,7 @@ pub mod daemon;
 #[cfg(feature = "daemon")]
 pub mod diagnose;
 #[cfg(any(feature = "publish", feature = "daemon"))]
-pub mod latest;
+pub mod drop_oldest;
 #[cfg(feature = "calibrate")]
 pub mod mount;
 #[cfg(feature = "daemon")]
@@ -92,6 +93,8 @@ pub mod simulate;
 pub mod survey;
 #[cfg(feature = "calibrate")]
 pub mod targets;
+#[cfg(feature = "daemon")]
+pub mod telemetry;
 #[cfg(feature = "daemon")]
 pub mod utc;
 #[cfg(feature = "daemon")]

@@ -9,3 +9,4 @@ mod mount;
 mod network;
 mod outputs;
 mod pipeline;
+mod structure;

@@ -87,7 +87,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::capture::moment::DriverStamp;
+    use crate::capture::timestamping::DriverStamp;
 
     fn picture(bytes: Vec<u8>) -> CapturedPicture {
         CapturedPicture { bytes, stamp: DriverStamp::None, arrival_ns: 0, device_sequence: None, is_damaged: false }

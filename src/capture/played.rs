@@ -10,7 +10,7 @@ use std::time::Duration;
 use serde::Deserialize;
 
 use super::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
-use super::moment::{DriverStamp, monotonic_ns};
+use super::timestamping::{DriverStamp, monotonic_ns};
 use super::{CaptureError, ClipOptions, FrameSource, MjpegReader, Row, RowContent, open_clip};
 
 /// Plays a clip once.

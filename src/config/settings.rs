@@ -11,6 +11,8 @@ use toml::Spanned;
 use super::as_typed::{self, ControlValue};
 use super::bodies::BodyReader;
 use super::filter::filter;
+use super::host_name::HostName;
+use super::http::HttpSettings;
 use super::lens::{self, LensSource, lens};
 use super::mount::mount;
 use super::named_files::named_files;
@@ -26,7 +28,6 @@ use crate::pose::FilterSettings;
 use crate::publish::{MountSettings, OutputSettings, SafetySettings};
 use crate::track::{BodySpec, TrackerSettings};
 use crate::tracker::TrackerSetup;
-use crate::web::{HostName, HttpSettings};
 
 /// A checked config.
 #[derive(Debug, Clone)]

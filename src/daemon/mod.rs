@@ -1,7 +1,7 @@
 //! The running tracker: the three stages of the design as threads joined by bounded channels.
 //!
 //! [`Daemon`] runs capture, matcher and pose on a thread each; data moves one way, and a stage ends when its input ends.
-//! [`track_row`] is what they make of one row of a clip, in the calling thread. [`latest`] owns drop-oldest, [`live`] a camera
+//! [`track_row`] is what they make of one row of a clip, in the calling thread. [`live`] owns a camera
 //! that may fail.
 
 pub mod live;
@@ -12,7 +12,6 @@ mod stale;
 mod thread_time;
 mod threads;
 
-pub use crate::latest;
 pub use rows::track_row;
 pub use thread_time::thread_clock;
 pub use threads::{Daemon, DaemonError, Delivery, RunningDaemon};

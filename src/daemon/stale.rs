@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::live::{Event, LiveLink};
-use crate::capture::moment::monotonic_ns;
+use crate::capture::timestamping::monotonic_ns;
 use crate::record::{PoseSample, State};
 
 /// Between two messages of one silence.

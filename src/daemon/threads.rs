@@ -11,9 +11,9 @@ use super::live::{LiveLink, LiveSource, dropped};
 use super::reason_watch::ReasonWatch;
 use super::rows::sight;
 use super::stale::StaleWatch;
-use crate::capture::moment::monotonic_ns;
+use crate::capture::timestamping::monotonic_ns;
 use crate::capture::{FrameSource, Row, RowContent, RowOrder};
-use crate::latest::{LatestSender, latest};
+use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::PoseSample;
 use crate::track::{Matcher, Sighting};
 use crate::tracker::{PoseRecorder, Tracker};
@@ -65,7 +65,7 @@ pub struct Daemon {
 
 enum Subscriber {
     Blocking(Sender<PoseSample>),
-    Latest(LatestSender<PoseSample>),
+    Latest(DropOldestSender<PoseSample>),
 }
 
 /// A running daemon.
@@ -101,7 +101,7 @@ impl Daemon {
                 receiver
             }
             Delivery::DropOldest => {
-                let (sender, receiver) = latest(SUBSCRIBER_QUEUE);
+                let (sender, receiver) = drop_oldest(SUBSCRIBER_QUEUE);
                 self.subscribers.push(Subscriber::Latest(sender));
                 receiver
             }
@@ -191,7 +191,7 @@ type Run = Box<dyn FnOnce() + Send>;
 
 enum RowSender {
     Blocking(Sender<Row>),
-    Latest(LatestSender<Row>),
+    Latest(DropOldestSender<Row>),
 }
 
 fn row_channel(delivery: Delivery) -> (RowSender, Receiver<Row>) {
@@ -202,7 +202,7 @@ fn row_channel(delivery: Delivery) -> (RowSender, Receiver<Row>) {
         }
         // One frame waits, the newest.
         Delivery::DropOldest => {
-            let (sender, receiver) = latest(1);
+            let (sender, receiver) = drop_oldest(1);
             (RowSender::Latest(sender), receiver)
         }
     }

@@ -23,7 +23,7 @@ use super::stamps::{Pace, Stamps};
 use super::transport::{Transport, TransportError};
 use super::worker::{Arrival, Counters, Memory, USUAL_RATE_HZ, Worker};
 use crate::camera::CameraModel;
-use crate::latest::{LatestSender, latest};
+use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::{PoseSample, State};
 
 /// What all outputs share.
@@ -116,7 +116,7 @@ struct Order {
 struct RunningOutput {
     name: String,
     protocol: &'static str,
-    queue: LatestSender<Arc<Arrival>>,
+    queue: DropOldestSender<Arc<Arrival>>,
     counters: Arc<Counters>,
     thread: JoinHandle<()>,
 }
@@ -221,7 +221,7 @@ impl RunningOutput {
         let (name, protocol) = (settings.name.clone(), settings.protocol.word());
         let transport = Transport::open(&name, &settings.udp, stream_of(&settings.protocol))
             .map_err(|source| PublishError::Open { output: name.clone(), source })?;
-        let (queue, inbox) = latest(QUEUE);
+        let (queue, inbox) = drop_oldest(QUEUE);
         let counters = Arc::new(Counters::default());
         let worker = Worker {
             inbox,

@@ -1,7 +1,7 @@
 use std::net::Ipv4Addr;
 
 use super::*;
-use crate::web::HostName;
+use crate::config::HostName;
 
 /// The status of a request with these headers; 0 where it passes.
 fn status(method: &str, target: &str, version: Version, headers: &[(&str, &str)]) -> u16 {

@@ -24,13 +24,13 @@ use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_io_timeout::TimeoutStream;
 
-use super::HttpSettings;
 use super::answers::{Caller, response, router};
 use super::feed::Feed;
 use super::guard::Guard;
 use super::hosts::AllowedHosts;
 use super::places::{BriefOnes, Place, Places};
 use super::routes::Route;
+use crate::config::HttpSettings;
 use crate::publish::FrameClock;
 use crate::record::PoseSample;
 

@@ -11,7 +11,7 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use stagepose::TrackerSetup;
 use stagepose::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
-use stagepose::capture::moment::{DriverStamp, mid_exposure_ns, monotonic_ns};
+use stagepose::capture::timestamping::{DriverStamp, mid_exposure_ns, monotonic_ns};
 use stagepose::capture::{FrameSource, RowContent, VirtualCamera};
 use stagepose::daemon::live::{LiveLink, LiveSource, Patience, Shutter};
 use stagepose::geometry::{self, Pose, Stage};

@@ -307,8 +307,9 @@ mod web {
     use std::io::{Read, Write};
     use std::net::{Ipv4Addr, TcpStream};
 
+    use stagepose::config::HttpSettings;
     use stagepose::publish::FrameClock;
-    use stagepose::web::{HttpSettings, Server};
+    use stagepose::web::Server;
 
     use super::super::decoders::{json, web_socket_message};
     use super::*;

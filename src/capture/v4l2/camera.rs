@@ -11,7 +11,7 @@ use nokhwa::utils::{ApiBackend, CameraFormat, CameraIndex, FrameFormat, Requeste
 use super::ioctl::{self, contained};
 use crate::capture::camera::{Camera, CameraFault, CameraMode, CapturedPicture, PixelLayout};
 use crate::capture::choice::Offer;
-use crate::capture::moment::{DriverStamp, monotonic_ns};
+use crate::capture::timestamping::{DriverStamp, monotonic_ns};
 
 /// Buffers that nokhwa asks the driver for.
 const BUFFERS: u32 = 4;

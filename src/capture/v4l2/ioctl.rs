@@ -12,7 +12,7 @@ use v4l::v4l_sys::{
 };
 use v4l::v4l2::vidioc;
 
-use crate::capture::moment::DriverStamp;
+use crate::capture::timestamping::DriverStamp;
 
 /// Runs other people's code; a panic in there is `None`.
 pub(super) fn contained<T>(run: impl FnOnce() -> T) -> Option<T> {

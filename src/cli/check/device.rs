@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener};
 use crate::capture::decode_picture;
-use crate::capture::moment::{DriverStamp, mid_exposure_ns};
+use crate::capture::timestamping::{DriverStamp, mid_exposure_ns};
 use crate::config::Settings;
 use crate::daemon::live::Shutter;
 use crate::publish::SafetySettings;

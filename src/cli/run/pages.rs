@@ -21,7 +21,8 @@ impl Pages {
         use std::sync::atomic::Ordering;
 
         use crate::publish::{FrameClock, Stamps};
-        use crate::web::{Page, Reply, Route, Server, health, metrics};
+        use crate::telemetry::{Page, health, metrics};
+        use crate::web::{Reply, Route, Server};
 
         let reply = |page: Page| Reply { status: page.status, content_type: page.content_type, body: page.body.into_bytes() };
         let (for_health, for_metrics, save) = (link.statistics.clone(), link.statistics.clone(), save.clone());

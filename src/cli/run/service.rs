@@ -11,7 +11,7 @@ use crate::cli::{interrupt, logging};
 use crate::daemon::live::LiveLink;
 use crate::geometry::{Camera, Pose, Stage};
 use crate::record::{PoseSample, State};
-use crate::web::{CameraState, RecorderState, Statistics};
+use crate::telemetry::{CameraState, RecorderState, Statistics};
 
 /// The service side of the daemon.
 pub(super) struct Service {

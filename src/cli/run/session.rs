@@ -12,7 +12,7 @@ use super::pages::Pages;
 use super::service::Service;
 use super::{LiveArguments, camera};
 use crate::capture::camera::CameraMode;
-use crate::capture::moment::monotonic_ns;
+use crate::capture::timestamping::monotonic_ns;
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::outcome::Outcome;
@@ -26,8 +26,8 @@ use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan}
 use crate::daemon::{Daemon, RunningDaemon};
 use crate::publish::PoseWithheld;
 use crate::record::{PoseSample, State};
+use crate::telemetry::RecorderState;
 use crate::tracker::Tracker;
-use crate::web::RecorderState;
 
 /// Between two stale messages while a camera is waited for.
 const STALE_REPEAT: Duration = Duration::from_millis(100);

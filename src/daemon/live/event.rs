@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use crossbeam_channel::Receiver;
 use serde::Serialize;
 
-use crate::capture::moment::monotonic_ns;
-use crate::daemon::latest::{LatestSender, latest};
+use crate::capture::timestamping::monotonic_ns;
+use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::printable::printable;
 use crate::record::State;
 
@@ -154,7 +154,7 @@ impl StampedEvent {
 /// Gives every event to the log and to whoever listens.
 #[derive(Debug, Default)]
 pub struct EventLog {
-    listeners: Mutex<Vec<(LatestSender<StampedEvent>, Weak<()>)>>,
+    listeners: Mutex<Vec<(DropOldestSender<StampedEvent>, Weak<()>)>>,
 }
 
 /// A listener's own channel of events; the log forgets it when it is dropped.
@@ -178,7 +178,7 @@ const QUEUE: usize = 4096;
 impl EventLog {
     /// A channel with every event from now on; a listener that is late loses the oldest.
     pub fn listen(&self) -> EventListener {
-        let (sender, events) = latest(QUEUE);
+        let (sender, events) = drop_oldest(QUEUE);
         let alive = Arc::new(());
         self.listeners.lock().unwrap_or_else(PoisonError::into_inner).push((sender, Arc::downgrade(&alive)));
         EventListener { events, _alive: alive }

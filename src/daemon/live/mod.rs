@@ -19,7 +19,7 @@ pub use source::{LiveSource, LiveStop, Patience, Shutter};
 
 use std::sync::Arc;
 
-use crate::web::Statistics;
+use crate::telemetry::Statistics;
 
 /// What the stages of a live daemon share.
 #[derive(Debug, Clone, Default)]

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
-use crate::capture::moment::monotonic_ns;
+use crate::capture::timestamping::monotonic_ns;
 
 /// Shared by the thread that reads pictures and the one that says that none come.
 #[derive(Debug)]

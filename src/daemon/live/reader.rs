@@ -14,8 +14,8 @@ use nix::sys::signal::{SaFlags, SigAction, SigHandler, SigSet, Signal, sigaction
 use super::source::{Patience, Shutter};
 use super::{Event, LiveLink};
 use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture};
-use crate::capture::moment::{StampTrust, monotonic_ns};
-use crate::daemon::latest::LatestSender;
+use crate::capture::timestamping::{StampTrust, monotonic_ns};
+use crate::drop_oldest::DropOldestSender;
 
 /// A picture on its way to the capture stage.
 pub(super) struct Arrived {
@@ -122,7 +122,7 @@ enum Loss {
 }
 
 /// The thread's whole life.
-pub(super) fn read(shared: &Shared, ticket: &Ticket, to: &LatestSender<Arrived>) {
+pub(super) fn read(shared: &Shared, ticket: &Ticket, to: &DropOldestSender<Arrived>) {
     take_signal();
     let _here = OnThread::enter(ticket);
     // What drivers do is contained where they are called; this is for all the rest. The source starts another reader.
@@ -134,7 +134,7 @@ pub(super) fn read(shared: &Shared, ticket: &Ticket, to: &LatestSender<Arrived>)
     }
 }
 
-fn open_and_stream(shared: &Shared, ticket: &Ticket, to: &LatestSender<Arrived>) {
+fn open_and_stream(shared: &Shared, ticket: &Ticket, to: &DropOldestSender<Arrived>) {
     let mut said = None;
     while wanted(shared, ticket) {
         ticket.beat();
@@ -212,7 +212,7 @@ fn open(shared: &Shared) -> Result<(Box<dyn Camera>, CameraMode), String> {
     Ok((camera, mode))
 }
 
-fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: CameraMode, to: &LatestSender<Arrived>) -> Loss {
+fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: CameraMode, to: &DropOldestSender<Arrived>) -> Loss {
     let mode = Arc::new(mode);
     let exposure_s = shared.shutter.exposure_of(&mode);
     let silence = shared.patience.silence.max(Duration::from_secs_f64(15.0 / mode.fps.max(0.1)));

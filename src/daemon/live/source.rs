@@ -10,7 +10,7 @@ use super::reader::{Arrived, Shared, Ticket, read};
 use super::{Event, LiveLink};
 use crate::capture::camera::{CameraMode, CameraOpener};
 use crate::capture::{FrameSource, Row, decode_picture};
-use crate::daemon::latest::latest;
+use crate::drop_oldest::drop_oldest;
 
 /// The camera's shutter, seconds; 0 where unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -200,7 +200,7 @@ impl LiveSource {
 
 /// A reader and its channel. Where the system gives no thread, the channel is closed and the next look tries again.
 fn spawn(shared: &Arc<Shared>) -> (Receiver<Arrived>, Arc<Ticket>) {
-    let (to, pictures) = latest(1);
+    let (to, pictures) = drop_oldest(1);
     let ticket = Arc::new(Ticket::new());
     let (shared, own) = (shared.clone(), ticket.clone());
     let started = std::thread::Builder::new().name("camera".to_owned()).spawn(move || read(&shared, &own, &to));

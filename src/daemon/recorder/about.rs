@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::disk::Disk;
 use crate::capture::camera::CameraMode;
-use crate::capture::moment::monotonic_ns;
+use crate::capture::timestamping::monotonic_ns;
 use crate::config::ConfigSource;
 use crate::utc;
 

@@ -25,10 +25,10 @@ pub use clip_name::new_clip_name;
 pub use disk::{Disk, RealDisk};
 
 use super::live::{Event, LiveLink, StampedEvent};
-use crate::capture::moment::monotonic_ns;
+use crate::capture::timestamping::monotonic_ns;
 use crate::capture::{Received, Row, RowContent};
 use crate::record::PoseSample;
-use crate::web::RecorderState;
+use crate::telemetry::RecorderState;
 use clip_folder::{ClipFolder, Picture, Recorded};
 use ring::Ring;
 

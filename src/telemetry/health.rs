@@ -2,7 +2,8 @@
 
 use serde::Serialize;
 
-use super::{CameraState, Page, RecorderState, Statistics};
+use super::page::Page;
+use super::statistics::{CameraState, RecorderState, Statistics};
 use crate::printable::printable;
 use crate::publish::FrameClock;
 

@@ -1,8 +1,8 @@
-//! Where the server listens, and for which hosts it answers.
+//! `[http]`: where the server listens, and for which hosts it answers.
 
 use std::net::{Ipv4Addr, SocketAddr};
 
-use super::HostName;
+use super::host_name::HostName;
 
 /// `[http]`
 #[derive(Debug, Clone, PartialEq, Eq)]

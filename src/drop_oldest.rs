@@ -8,19 +8,19 @@ use crossbeam_channel::{Receiver, TrySendError, bounded};
 
 /// The sending end.
 #[derive(Debug)]
-pub struct LatestSender<T> {
+pub struct DropOldestSender<T> {
     sender: crossbeam_channel::Sender<T>,
     /// Used only to take out the oldest.
     drain: Receiver<T>,
 }
 
 /// A channel that holds at most `capacity` entries (at least 1).
-pub fn latest<T>(capacity: usize) -> (LatestSender<T>, Receiver<T>) {
+pub fn drop_oldest<T>(capacity: usize) -> (DropOldestSender<T>, Receiver<T>) {
     let (sender, receiver) = bounded(capacity.max(1));
-    (LatestSender { sender, drain: receiver.clone() }, receiver)
+    (DropOldestSender { sender, drain: receiver.clone() }, receiver)
 }
 
-impl<T> LatestSender<T> {
+impl<T> DropOldestSender<T> {
     /// Sends without ever waiting; gives the number of oldest entries that were dropped to make room.
     pub fn send(&self, entry: T) -> usize {
         self.send_dropping(entry, |_| {})
@@ -55,7 +55,7 @@ mod tests {
 
     #[test]
     fn the_newest_survive_in_order() {
-        let (sender, receiver) = latest(3);
+        let (sender, receiver) = drop_oldest(3);
         let dropped: usize = (0..10).map(|k| sender.send(k)).sum();
         assert_eq!(dropped, 7);
         drop(sender);
@@ -64,7 +64,7 @@ mod tests {
 
     #[test]
     fn the_stream_ends_after_the_last_entry() {
-        let (sender, receiver) = latest(2);
+        let (sender, receiver) = drop_oldest(2);
         sender.send('a');
         drop(sender);
         assert_eq!(receiver.recv(), Ok('a'));
@@ -73,7 +73,7 @@ mod tests {
 
     #[test]
     fn a_vanished_reader_never_blocks_the_sender() {
-        let (sender, receiver) = latest(2);
+        let (sender, receiver) = drop_oldest(2);
         drop(receiver);
         for k in 0..100 {
             sender.send(k);
@@ -83,7 +83,7 @@ mod tests {
 
     #[test]
     fn a_racing_reader_sees_rising_numbers_and_the_last() {
-        let (sender, receiver) = latest(4);
+        let (sender, receiver) = drop_oldest(4);
         let reader = std::thread::spawn(move || receiver.iter().collect::<Vec<u32>>());
         for k in 0..20_000 {
             sender.send(k);

@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 
 use super::histogram::{EDGES_S, Histogram};
-use super::{CameraState, Page, RecorderState, Statistics};
+use super::page::Page;
+use super::statistics::{CameraState, RecorderState, Statistics};
 use crate::publish::FrameClock;
 use crate::record::State;
 

@@ -1,0 +1,161 @@
+//! The architecture, held to: rooms use only rooms above them, and no two modules beside each other need each other.
+//!
+//! `STAGEPOSE_REMAKE=1 cargo test --test stagepose structure` draws docs/modules.md anew.
+
+mod modules;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+use std::path::Path;
+
+use modules::{Modules, Name};
+
+/// The rooms from the top. Each uses only those above it.
+const ROOMS: [&str; 30] = [
+    // The core.
+    "compute_clock",
+    "geometry",
+    "camera",
+    "frame",
+    "features",
+    "matching",
+    "track",
+    "pose",
+    "record",
+    "tracker",
+    // Around it.
+    "simulate",
+    "survey",
+    "printable",
+    "safe_file",
+    "contain",
+    "drop_oldest",
+    "utc",
+    "capture",
+    "calibrate",
+    "targets",
+    "mount",
+    "diagnose",
+    "protocols",
+    "publish",
+    "telemetry",
+    "config",
+    "daemon",
+    "web",
+    "cli",
+    "main",
+];
+/// Rooms of the core: the first of [`ROOMS`].
+const CORE: usize = 10;
+
+fn read() -> Modules {
+    Modules::of(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs"))
+}
+
+/// Which rooms use which.
+fn arrows_of_rooms(modules: &Modules) -> BTreeSet<(String, String)> {
+    let room = |name: &Name| name.first().cloned();
+    let arrows = modules.uses().into_iter().filter_map(|(user, used)| Some((room(&user)?, room(&used)?)));
+    arrows.filter(|(user, used)| user != used).collect()
+}
+
+#[test]
+fn every_room_uses_only_rooms_above_it() {
+    let place =
+        |room: &str| ROOMS.iter().position(|r| *r == room).unwrap_or_else(|| panic!("`{room}` has no place in the order of the rooms"));
+    let arrows = arrows_of_rooms(&read());
+    assert!(arrows.len() > 60, "the reader sees only {} arrows", arrows.len());
+    let back: Vec<_> = arrows.iter().filter(|(user, used)| place(used) >= place(user)).collect();
+    assert!(back.is_empty(), "arrows back: {back:?}");
+}
+
+/// A circle among a module's children, or `None`: each is followed along what it uses.
+fn circle(children: &BTreeSet<String>, arrows: &BTreeMap<&String, BTreeSet<&String>>) -> Option<Vec<String>> {
+    fn follow<'a>(
+        at: &'a String,
+        path: &mut Vec<&'a String>,
+        done: &mut BTreeSet<&'a String>,
+        arrows: &BTreeMap<&'a String, BTreeSet<&'a String>>,
+    ) -> Option<Vec<String>> {
+        if let Some(k) = path.iter().position(|p| *p == at) {
+            return Some(path[k..].iter().map(|p| (*p).clone()).collect());
+        }
+        if !done.insert(at) {
+            return None;
+        }
+        path.push(at);
+        let found = arrows.get(at).into_iter().flatten().find_map(|next| follow(next, path, done, arrows));
+        path.pop();
+        found
+    }
+    let mut done = BTreeSet::new();
+    children.iter().find_map(|child| follow(child, &mut Vec::new(), &mut done, arrows))
+}
+
+#[test]
+fn no_modules_beside_each_other_need_each_other() {
+    let modules = read();
+    let uses = modules.uses();
+    let mut circles = Vec::new();
+    for (parent, children) in modules.parents() {
+        let depth = parent.len();
+        let below = |name: &Name| (name.len() > depth && name.starts_with(parent)).then(|| children.get(&name[depth])).flatten();
+        let mut arrows: BTreeMap<&String, BTreeSet<&String>> = BTreeMap::new();
+        for (user, used) in &uses {
+            if let (Some(user), Some(used)) = (below(user), below(used))
+                && user != used
+            {
+                arrows.entry(user).or_default().insert(used);
+            }
+        }
+        circles.extend(circle(children, &arrows).map(|c| format!("crate::{}: {}", parent.join("::"), c.join(" -> "))));
+    }
+    assert!(circles.is_empty(), "circles:\n{}", circles.join("\n"));
+}
+
+/// The rooms as a picture that browsers and forges draw (Mermaid), core and the rest apart.
+fn drawn(arrows: &BTreeSet<(String, String)>) -> String {
+    let mut text = String::from(
+        "# Modules\n\nWhich room of `src/` uses which; drawn from the source by `STAGEPOSE_REMAKE=1 cargo test --test stagepose structure`. An arrow that\nfollows from others is left out.\n\n```mermaid\ngraph BT\n",
+    );
+    for (title, rooms) in [("core", &ROOMS[..CORE]), ("around", &ROOMS[CORE..])] {
+        let _ = writeln!(text, "  subgraph {title}");
+        rooms.iter().filter(|room| arrows.iter().any(|(a, b)| a == *room || b == *room)).for_each(|room| {
+            let _ = writeln!(text, "    {room}");
+        });
+        text.push_str("  end\n");
+    }
+    for (user, used) in arrows {
+        if !is_reached_otherwise(user, used, arrows) {
+            let _ = writeln!(text, "  {user} --> {used}");
+        }
+    }
+    text + "```\n"
+}
+
+/// Whether a longer way leads from one room to another.
+fn is_reached_otherwise(user: &str, used: &str, arrows: &BTreeSet<(String, String)>) -> bool {
+    let next = |at: &str| arrows.iter().filter(move |(from, _)| from == at).map(|(_, to)| to.clone()).collect::<Vec<_>>();
+    let mut waiting: Vec<String> = next(user).into_iter().filter(|n| n != used).collect();
+    let mut seen = BTreeSet::new();
+    while let Some(at) = waiting.pop() {
+        if at == used {
+            return true;
+        }
+        if seen.insert(at.clone()) {
+            waiting.extend(next(&at));
+        }
+    }
+    false
+}
+
+#[test]
+fn the_drawn_modules_are_those_of_the_source() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/modules.md");
+    let wanted = drawn(&arrows_of_rooms(&read()));
+    if std::env::var_os("STAGEPOSE_REMAKE").is_some() {
+        std::fs::write(&file, &wanted).expect("docs/modules.md can be written");
+    }
+    let found = std::fs::read_to_string(&file).unwrap_or_default();
+    assert_eq!(found, wanted, "run STAGEPOSE_REMAKE=1 cargo test --test stagepose structure");
+}
