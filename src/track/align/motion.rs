@@ -81,6 +81,11 @@ impl Motion {
         error
     }
 
+    /// The part of [`error_to`](Self::error_to) that is the pose's.
+    pub fn pose_error_to(&self, other: &Self) -> Vector6<f64> {
+        self.error_to(other).fixed_rows::<6>(0).into_owned()
+    }
+
     /// The state `dt_s` later, at constant acceleration.
     pub fn after(&self, dt_s: f64) -> Self {
         let half = 0.5 * dt_s * dt_s;

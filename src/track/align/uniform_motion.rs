@@ -4,7 +4,7 @@
 //! was, though it is the mean of a path that bent while the frame was exposed. Where the last poses lie on a line, their
 //! continuation is known nearly as well as a pose, and the first pose that leaves it shows by how much.
 
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::{Matrix2, Matrix3, Matrix6, Vector6};
 
 use super::motion::{Motion, MotionError, MotionEstimate, MotionMatrix, unseen};
 use crate::geometry::{Body, Camera, Pose};
@@ -19,8 +19,10 @@ const EVEN: f64 = 0.03;
 /// A pose further from the line than this has left it (squared, in sigmas, six degrees of freedom: one in 2000 by chance).
 const LEFT: f64 = 24.0;
 
-/// A line through the last poses, by least squares with a memory that fades (an alpha-beta filter whose gains begin as those of the line
-/// through all poses so far; Bar-Shalom, Li and Kirubarajan 2001, section 6.5).
+/// A line through the last poses, by least squares with a memory that fades (an alpha-beta filter, for the turn alpha-beta-gamma, whose
+/// gains begin as those of the fit through all poses so far; Bar-Shalom, Li and Kirubarajan 2001, section 6.5).
+///
+/// The place goes straight, the turn along a parabola: a camera that goes past what it looks at turns ever faster, then slower.
 #[derive(Debug, Clone, Copy)]
 pub struct UniformMotion {
     /// At the last pose, with its velocity.
@@ -41,18 +43,14 @@ impl UniformMotion {
         let n = self.poses;
         let expected = self.motion.after(dt_s);
         let off = pose_error(&expected, pose);
-        let [extrapolated, ..] = line_variances(n);
-        let by_line = covariance * extrapolated;
-        let has_left = n > 1.0 && (covariance + by_line).cholesky().is_none_or(|factor| off.dot(&factor.solve(&off)) > LEFT);
+        let has_left = n > 1.0 && is_far(&off, &(covariance + place_covariance(n, covariance)), n);
         if has_left || n < 2.0 {
             let velocity = pose_error(&Motion::still(self.last), pose) / dt_s;
-            self.motion = corrected(&Motion::still(*pose), &Vector6::zeros(), &velocity);
+            self.motion = with_velocity(&Motion::still(*pose), &velocity);
             self.poses = 2.0;
         } else {
-            let n = (n + 1.0).min(MOST_POSES);
-            let (alpha, beta) = (2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)), 6.0 / (n * (n + 1.0)));
-            self.motion = corrected(&expected, &(off * alpha), &(off * (beta / dt_s)));
-            self.poses = n;
+            self.poses = (n + 1.0).min(MOST_POSES);
+            self.motion = expected.corrected(&correction(self.poses, &off, dt_s));
         }
         self.last = *pose;
         (has_left && n >= LEAST_POSES)
@@ -60,34 +58,85 @@ impl UniformMotion {
     }
 }
 
+/// Whether a pose lies further from the line through `n` poses than chance explains. Two poses do not tell how the turn bends.
+fn is_far(off: &Vector6<f64>, covariance: &Matrix6<f64>, n: f64) -> bool {
+    if n < 3.0 {
+        let shift = off.fixed_rows::<3>(0);
+        let factor = covariance.fixed_view::<3, 3>(0, 0).into_owned().cholesky();
+        factor.is_none_or(|factor| shift.dot(&factor.solve(&shift)) > LEFT)
+    } else {
+        covariance.cholesky().is_none_or(|factor| off.dot(&factor.solve(off)) > LEFT)
+    }
+}
+
+/// What the last of `n` poses changes in the motion at it, by how far it is off.
+fn correction(n: f64, off: &Vector6<f64>, dt_s: f64) -> MotionError {
+    let (shift, turn) = (line_moments(n, 0.0), parabola_moments(n, 0.0));
+    MotionError::from_fn(|row, _| {
+        let (power, k) = (row / 6, row % 6);
+        let gain = if k < 3 { shift[(power, 0)] } else { turn[(power, 0)] };
+        gain * off[k] / dt_s.powi(power as i32)
+    })
+}
+
+/// What a straight line through `n` poses leaves open, `ahead` steps after the last of them: second moments of place, step and bend, in the
+/// variance of a pose.
+fn line_moments(n: f64, ahead: f64) -> Matrix3<f64> {
+    let [s0, s1, s2, ..] = sums_of_powers(n, ahead);
+    let mut moments = Matrix3::zeros();
+    moments.fixed_view_mut::<2, 2>(0, 0).copy_from(&Matrix2::new(s0, s1, s1, s2).try_inverse().unwrap_or_else(Matrix2::identity));
+    moments
+}
+
+/// The same of a parabola; of a line where there are too few poses.
+fn parabola_moments(n: f64, ahead: f64) -> Matrix3<f64> {
+    let [s0, s1, s2, s3, s4] = sums_of_powers(n, ahead);
+    let information = Matrix3::new(s0, s1, 0.5 * s2, s1, s2, 0.5 * s3, 0.5 * s2, 0.5 * s3, 0.25 * s4);
+    let inverse = if n < 3.0 { None } else { information.try_inverse() };
+    inverse.unwrap_or_else(|| line_moments(n, ahead))
+}
+
+/// Sums of the powers of the times of `n` poses, in steps, from `ahead` steps after the last.
+fn sums_of_powers(n: f64, ahead: f64) -> [f64; 5] {
+    std::array::from_fn(|power| (0..n as usize).map(|pose| (-(pose as f64) - ahead).powi(power as i32)).sum())
+}
+
+/// Covariance of the pose that a line through `n` poses leads to.
+fn place_covariance(n: f64, of_pose: &Matrix6<f64>) -> Matrix6<f64> {
+    shared_out(of_pose, line_moments(n, 1.0)[(0, 0)], parabola_moments(n, 1.0)[(0, 0)])
+}
+
+/// A covariance times one share for the shift and another for the turn. What both have in common is what both fits
+/// weigh alike, and that is the line.
+fn shared_out(of_pose: &Matrix6<f64>, of_shift: f64, of_turn: f64) -> Matrix6<f64> {
+    let mut covariance = of_pose * of_shift;
+    covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&(of_pose.fixed_view::<3, 3>(3, 3) * of_turn));
+    covariance
+}
+
 /// Covariance of the motion that a line through `n` poses leads to, which may accelerate a little.
 fn line_covariance(n: f64, of_pose: &Matrix6<f64>, dt_s: f64, distance_m: f64) -> MotionMatrix {
-    let [place, both, velocity] = line_variances(n);
+    let (shift, turn) = (line_moments(n, 1.0), parabola_moments(n, 1.0));
     let mut covariance = MotionMatrix::zeros();
-    for (row, column, share) in [(0, 0, place), (0, 6, both / dt_s), (6, 0, both / dt_s), (6, 6, velocity / (dt_s * dt_s))] {
-        covariance.fixed_view_mut::<6, 6>(row, column).copy_from(&(of_pose * share));
+    for (a, b) in (0..3).flat_map(|a| (0..3).map(move |b| (a, b))) {
+        let per_s = dt_s.powi(-((a + b) as i32));
+        let block = shared_out(of_pose, shift[(a, b)] * per_s, turn[(a, b)] * per_s);
+        covariance.fixed_view_mut::<6, 6>(6 * a, 6 * b).copy_from(&block);
     }
-    let [_, _, shift, turn] = unseen(distance_m);
+    let [_, _, of_shift, of_turn] = unseen(distance_m);
     for k in 0..3 {
-        covariance[(12 + k, 12 + k)] = (EVEN * shift).powi(2);
-        covariance[(15 + k, 15 + k)] = (EVEN * turn).powi(2);
+        covariance[(12 + k, 12 + k)] += (EVEN * of_shift).powi(2);
+        covariance[(15 + k, 15 + k)] += (EVEN * of_turn).powi(2);
     }
     covariance
 }
 
-/// Of a line through `n` poses, one step further, in the variance of a pose: the variance of its place, its covariance with the step, and
-/// the variance of the step.
-fn line_variances(n: f64) -> [f64; 3] {
-    if n < 2.0 { [1.0; 3] } else { [2.0 * (2.0 * n + 1.0) / (n * (n - 1.0)), 6.0 / (n * (n - 1.0)), 12.0 / (n * (n * n - 1.0))] }
-}
-
 fn pose_error(from: &Motion, to: &Pose<Body, Camera>) -> Vector6<f64> {
-    from.error_to(&Motion { pose: *to, ..*from }).fixed_rows::<6>(0).into_owned()
+    from.pose_error_to(&Motion { pose: *to, ..*from })
 }
 
-fn corrected(motion: &Motion, pose: &Vector6<f64>, velocity: &Vector6<f64>) -> Motion {
+fn with_velocity(motion: &Motion, velocity: &Vector6<f64>) -> Motion {
     let mut error = MotionError::zeros();
-    error.fixed_rows_mut::<6>(0).copy_from(pose);
     error.fixed_rows_mut::<6>(6).copy_from(velocity);
     motion.corrected(&error)
 }
@@ -106,7 +155,7 @@ mod tests {
     /// Goes evenly.
     fn truth(frame: u32) -> Motion {
         let start = Motion::still(Pose::new(UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3), Vector3::new(1.0, 2.0, 3.0)));
-        corrected(&start, &Vector6::zeros(), &Vector6::new(0.3, -0.2, 0.1, 0.2, 0.1, -0.3)).after(f64::from(frame) * DT_S)
+        with_velocity(&start, &Vector6::new(0.3, -0.2, 0.1, 0.2, 0.1, -0.3)).after(f64::from(frame) * DT_S)
     }
 
     /// Is seen with noise.
@@ -129,7 +178,9 @@ mod tests {
                 let (covariance, mut line) = begun(&mut random);
                 left += (1..frames).filter(|f| line.add(&seen(*f, &mut random), &covariance, DT_S, 4.0).is_some()).count();
                 let expected = line.motion.after(DT_S);
-                sum += pose_error(&expected, &truth(frames).pose).norm_squared() / 6.0 / SIGMA.powi(2) / line_variances(line.poses)[0];
+                let off = pose_error(&expected, &truth(frames).pose);
+                let factor = place_covariance(line.poses, &covariance).cholesky().expect("positive definite");
+                sum += off.dot(&factor.solve(&off)) / 6.0;
             }
             let ratio = sum / f64::from(runs);
             // Gains that no longer fall remember more poses than they are named after.
@@ -154,6 +205,25 @@ mod tests {
         for frame in 0..4 {
             assert!(line.add(&rests, &covariance, DT_S, 4.0).is_none(), "{frame}");
         }
+    }
+
+    #[test]
+    fn a_turn_that_quickens_stays_on_its_line() {
+        let mut random = Pcg64Mcg::seed_from_u64(4);
+        let mut on_line = 0;
+        for _ in 0..200 {
+            let (covariance, mut line) = begun(&mut random);
+            on_line += (1..8)
+                .filter(|frame| {
+                    let t = f64::from(*frame) * DT_S;
+                    // Its bend from frame to frame is 16 sigmas.
+                    let bend = Vector6::new(0.0, 0.0, 0.0, 1.0, 0.0, 0.0) * (0.5 * t * t);
+                    let pose = Motion::still(seen(*frame, &mut random)).with_pose_corrected(&bend);
+                    line.add(&pose, &covariance, DT_S, 4.0).is_none() && line.poses > 2.0
+                })
+                .count();
+        }
+        assert!(on_line > 1180, "{on_line} of 1200");
     }
 
     #[test]
