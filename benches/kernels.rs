@@ -15,7 +15,8 @@ use stagepose::capture::{FrameSource, RowContent, VirtualCamera};
 use stagepose::features::{
     CornerBuffers, CornerOptions, ExtractorOptions, FeatureExtractor, Pyramid, Workers, describe, detect_corners, orientation, smooth_into,
 };
-use stagepose::geometry::essential::{RayPair, five_point, robust_essential};
+use stagepose::geometry::essential::{five_point, robust_essential};
+use stagepose::geometry::relative_pose::RayPair;
 use stagepose::geometry::resection::{MovingCamera, Observation, resect};
 use stagepose::geometry::robust::{RobustOptions, robust_homography};
 use stagepose::geometry::{Body, Camera, PointPair, Pose};

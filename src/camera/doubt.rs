@@ -1,14 +1,9 @@
-//! How far the numbers of a lens may be off, and what that does to a pixel.
+//! How far the numbers of a lens may be off.
 //!
 //! A calibration file tells the uncertainty of each number by itself, a guessed lens one of its focal length and centre.
-//! Neither tells how the errors hang together, so each number's error counts alone, as one column of pixel shifts; only
-//! of the two focal lengths it is known that they mostly err together (pixels are square).
+//! Neither tells how the errors hang together, so each number's error counts alone; only of the two focal lengths it is known that they mostly err together (pixels are square).
 
-use nalgebra::{SMatrix, Vector2};
-
-use super::model::{CameraModel, Intrinsics, Normalized};
-
-/// 3 sigma of the numbers of [`Intrinsics`], in the same units; 0 for a number that was held fixed.
+/// 3 sigma of the numbers of [`Intrinsics`](super::Intrinsics), in the same units; 0 for a number that was held fixed.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct IntrinsicsUncertainty {
     /// Of fx and fy.
@@ -45,96 +40,5 @@ impl LensDoubt {
         let u = self.uncertainty;
         let scaled = |[x, y]: [f64; 2]| [x * sx, y * sy];
         Self { uncertainty: IntrinsicsUncertainty { focal_px: scaled(u.focal_px), centre_px: scaled(u.centre_px), ..u }, ..self }
-    }
-}
-
-impl CameraModel {
-    /// How a pixel moves by one sigma of each way in which the lens may be off, a column each; none where the lens is not in doubt.
-    pub fn pixel_doubt(&self, normalized: Normalized) -> Option<SMatrix<f64, 2, LENS_WAYS>> {
-        let LensDoubt { uncertainty: u, has_square_pixels } = self.doubt()?;
-        let i: &Intrinsics = self.intrinsics();
-        let n = normalized.0;
-        let (d, r2) = (self.distorted(n), n.norm_squared());
-        // What fx and fy are multiplied by.
-        let by_fx = Vector2::new(d.x + i.skew * d.y, 0.0) * (u.focal_px[0] / 3.0);
-        let by_fy = Vector2::new(0.0, d.y) * (u.focal_px[1] / 3.0);
-        // An aspect ratio that is not known to be 1 errs as two independent focal lengths would.
-        let against = if has_square_pixels { 0.0 } else { std::f64::consts::FRAC_1_SQRT_2 };
-        let bent =
-            |shift: Vector2<f64>, uncertainty: f64| Vector2::new(i.fx * (shift.x + i.skew * shift.y), i.fy * shift.y) * (uncertainty / 3.0);
-        let [k1, k2, p1, p2, k3] = u.distortion;
-        Some(SMatrix::from_columns(&[
-            by_fx + by_fy,
-            (by_fx - by_fy) * against,
-            Vector2::new(u.centre_px[0] / 3.0, 0.0),
-            Vector2::new(0.0, u.centre_px[1] / 3.0),
-            Vector2::new(i.fx * d.y, 0.0) * (u.skew / 3.0),
-            bent(n * r2, k1),
-            bent(n * (r2 * r2), k2),
-            bent(Vector2::new(2.0 * n.x * n.y, r2 + 2.0 * n.y * n.y), p1),
-            bent(Vector2::new(r2 + 2.0 * n.x * n.x, 2.0 * n.x * n.y), p2),
-            bent(n * (r2 * r2 * r2), k3),
-        ]))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn each_way_is_how_the_pixel_moves() {
-        let i = Intrinsics {
-            width: 640,
-            height: 480,
-            fx: 600.0,
-            fy: 580.0,
-            cx: 310.0,
-            cy: 250.0,
-            skew: 0.002,
-            distortion: [-0.2, 0.1, 0.001, -0.002, 0.03],
-        };
-        let u = IntrinsicsUncertainty {
-            focal_px: [6.0, 3.0],
-            centre_px: [9.0, 12.0],
-            skew: 0.003,
-            distortion: [0.03, 0.06, 0.003, 0.006, 0.09],
-        };
-        let camera = CameraModel::new(i).unwrap().with_doubt(Some(LensDoubt { uncertainty: u, has_square_pixels: false }));
-        let n = Normalized(Vector2::new(0.31, -0.22));
-        let columns = camera.pixel_doubt(n).unwrap();
-        let at = camera.project(n).0;
-        let moved = |change: &dyn Fn(&mut Intrinsics)| {
-            let mut other = i;
-            change(&mut other);
-            CameraModel::new(other).unwrap().project(n).0 - at
-        };
-        let half = std::f64::consts::FRAC_1_SQRT_2;
-        let ways: [&dyn Fn(&mut Intrinsics); LENS_WAYS] = [
-            &|i| (i.fx, i.fy) = (i.fx + 2.0, i.fy + 1.0),
-            &|i| (i.fx, i.fy) = (i.fx + 2.0 * half, i.fy - half),
-            &|i| i.cx += 3.0,
-            &|i| i.cy += 4.0,
-            &|i| i.skew += 0.001,
-            &|i| i.distortion[0] += 0.01,
-            &|i| i.distortion[1] += 0.02,
-            &|i| i.distortion[2] += 0.001,
-            &|i| i.distortion[3] += 0.002,
-            &|i| i.distortion[4] += 0.03,
-        ];
-        for (k, way) in ways.iter().enumerate() {
-            assert!((columns.column(k) - moved(way)).norm() < 1e-9, "{k}: {} {}", columns.column(k), moved(way));
-        }
-    }
-
-    #[test]
-    fn it_scales_with_the_picture_and_may_be_absent() {
-        let camera = CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap();
-        assert_eq!(camera.pixel_doubt(Normalized(Vector2::new(0.1, 0.1))), None);
-        let uncertainty = IntrinsicsUncertainty { focal_px: [6.0; 2], centre_px: [3.0; 2], ..Default::default() };
-        let camera = camera.with_doubt(LensDoubt::of_calibration(Some(uncertainty)));
-        let half = camera.scaled_to(320, 240).unwrap().doubt().unwrap();
-        assert_eq!((half.uncertainty.focal_px[0], half.uncertainty.centre_px[1]), (3.0, 1.5));
-        assert_eq!(LensDoubt::of_calibration(Some(IntrinsicsUncertainty::default())), None);
     }
 }

@@ -5,6 +5,7 @@ mod doubt;
 mod files;
 mod guess;
 mod model;
+mod pixel_doubt;
 pub mod plausible;
 
 pub use doubt::{IntrinsicsUncertainty, LENS_WAYS, LensDoubt};

@@ -6,12 +6,8 @@ use std::sync::OnceLock;
 
 use image::GrayImage;
 
-use super::pattern::{PAIRS, Pair};
+use super::pattern::{DESCRIPTOR_BITS, PAIRS, PATCH_RADIUS, Pair};
 
-/// Radius in level pixels of the disc that gives the orientation, and reach of the comparisons.
-pub const PATCH_RADIUS: i32 = 15;
-/// Comparisons, one bit each.
-pub const DESCRIPTOR_BITS: usize = 256;
 /// Directions that the pattern is turned to ahead of time.
 const DIRECTIONS: usize = 128;
 

@@ -4,7 +4,8 @@ use image::GrayImage;
 use nalgebra::Vector2;
 
 use super::corners::{Corner, CornerBuffers, CornerOptions, detect_corners};
-use super::descriptor::{Descriptor, PATCH_RADIUS, describe, orientation};
+use super::descriptor::{Descriptor, describe, orientation};
+use super::pattern::PATCH_RADIUS;
 use super::pyramid::{Level, Pyramid};
 use super::workers::Workers;
 

@@ -13,7 +13,9 @@ mod pyramid;
 mod workers;
 
 pub use corners::{Corner, CornerBuffers, CornerOptions, detect_corners};
-pub use descriptor::{DESCRIPTOR_BITS, Descriptor, PATCH_RADIUS, describe, orientation};
+pub use descriptor::{Descriptor, describe, orientation};
 pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
+pub use pattern::{DESCRIPTOR_BITS, PATCH_RADIUS};
 pub use pyramid::{Level, Pyramid, smooth_into};
+pub use pyramid::{halve_into, halved};
 pub use workers::Workers;

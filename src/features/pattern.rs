@@ -4,8 +4,10 @@
 //! it (a sum of uniform numbers with standard deviation 6.5 px, close to what BRIEF's authors found best),
 //! within reach of the patch, and no pair shorter than 3 px.
 
-use super::descriptor::{DESCRIPTOR_BITS, PATCH_RADIUS};
-
+/// Comparisons, one bit each.
+pub const DESCRIPTOR_BITS: usize = 256;
+/// Radius in level pixels of the disc that gives the orientation, and reach of the comparisons.
+pub const PATCH_RADIUS: i32 = 15;
 /// Two pixel offsets (dx, dy) from the corner.
 pub type Pair = ((i8, i8), (i8, i8));
 

@@ -1,37 +1,13 @@
 //! The essential matrix: five-point solver (Nistér, PAMI 2004), motion from it with cheirality judged by
 //! every correspondence in both views, and refinement of the motion on Sampson distances.
 
-use nalgebra::{Matrix3, Matrix5, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix3, Matrix5, SMatrix, SVector, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::pose::{quaternion, skew};
+use super::relative_pose::{RayPair, TwoViewMotion};
 use super::triangulation::depths;
-
-/// Corresponding normalised points in two views, `x2^T E x1 = 0`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RayPair {
-    /// In the first (reference) view, on the plane at depth 1.
-    pub first: Vector2<f64>,
-    /// In the second view (the frame), on the plane at depth 1.
-    pub second: Vector2<f64>,
-}
-
-/// Motion between two views up to scale: `x2 ∝ R x1 + t`, |t| = 1.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TwoViewMotion {
-    /// R.
-    pub rotation: UnitQuaternion<f64>,
-    /// Unit t in the second camera's axes.
-    pub direction: Vector3<f64>,
-}
-
-impl TwoViewMotion {
-    /// E = [t]x R.
-    pub fn essential(&self) -> Matrix3<f64> {
-        skew(&self.direction) * self.rotation.to_rotation_matrix().into_inner()
-    }
-}
 
 /// Squared Sampson distance of a pair to E, in normalised units squared.
 pub fn squared_sampson(e: &Matrix3<f64>, pair: &RayPair) -> f64 {
@@ -344,6 +320,8 @@ fn motion_normal_equations(m: &TwoViewMotion, pairs: &[RayPair], c2: f64) -> (Ma
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector2;
+
     use super::*;
 
     fn truth() -> TwoViewMotion {

@@ -10,6 +10,7 @@ pub mod essential;
 pub mod homography;
 pub mod planar_pose;
 mod pose;
+pub mod relative_pose;
 pub mod resection;
 pub mod robust;
 pub mod triangulation;

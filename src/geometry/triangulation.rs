@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::essential::{RayPair, TwoViewMotion};
+use super::relative_pose::{RayPair, TwoViewMotion};
 
 /// Depths along both optical axes, in units of the baseline, by least squares on `d2 x2 = d1 R x1 + t`; `None` for
 /// parallel rays.

@@ -4,17 +4,20 @@
 //! `registration` and `verify` refine a proposal against the picture and judge it; `align` follows a body from frame
 //! to frame, pixel by pixel; `lock` decides what a verified pose means in time;
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
-//! homography and essential matrix; `lens_doubt` tells what the lens leaves open; `reason` says why a frame has no pose, with
-//! `frame_look`; `twin` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
+//! homography and essential matrix; `lens_doubt` tells what the lens leaves open; `reason` says why a frame has no pose, `failure` finds it, with
+//! `frame_look`; `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
 //! body; `matcher` runs them all on a frame.
 
 mod acquire;
 mod align;
+mod failure;
+mod fitted_anchor;
 mod frame_interval;
 mod frame_look;
 mod lens_doubt;
 mod lock;
 mod matcher;
+mod planar_ambiguity;
 mod reason;
 mod reference;
 mod registration;
@@ -24,12 +27,12 @@ mod surface;
 #[cfg(test)]
 mod synthetic;
 mod tracked_body;
-mod twin;
 mod two_view;
 mod verify;
 
 pub use acquire::{SurfaceMatch, SurfaceView};
 pub use align::{AlignKernels, Clue, Sensor, ShutterClue, UsedPixel};
+pub use fitted_anchor::FittedAnchor;
 #[cfg(feature = "calibrate")]
 pub(crate) use frame_look::FrameLook;
 pub use lens_doubt::covariance_by_lens;
@@ -39,4 +42,4 @@ pub use reason::Reason;
 pub use settings::TrackerSettings;
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use two_view::TwoView;
-pub use verify::{FittedAnchor, Verified};
+pub use verify::Verified;

@@ -67,7 +67,7 @@ fn light_does_not_move_a_patch() {
 #[test]
 fn the_half_size_picture_speaks_in_full_size_pixels() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
-    let half = super::super::reference::halved(&view(&body.surfaces[0].spec, &truth(), &camera));
+    let half = crate::features::halved(&view(&body.surfaces[0].spec, &truth(), &camera));
     let (rms, share) = scatter(&body, &camera, &registered(&body, &half, 2.0, &nearby(), &camera));
     assert!(share > 0.8 && rms < 0.12, "{share} {rms}");
 }

@@ -230,7 +230,7 @@ fn corners_to_find(picture: &GrayImage) -> usize {
     while octave.width() >= LEAST_SIDE_PX / 2 && octave.height() >= LEAST_SIDE_PX / 2 {
         detect_corners(&octave, &options, |_, _| true, &mut CornerBuffers::default(), &mut corners);
         found += corners.iter().filter(|c| c.strength >= LEAST_STRENGTH).count();
-        octave = super::reference::halved(&octave);
+        octave = crate::features::halved(&octave);
     }
     found
 }

@@ -5,12 +5,13 @@ use tracing::debug;
 
 use super::acquire::Recognition;
 use super::align::{Aligner, Alignment, Eye, FrameLevels, Jerk, MotionEstimate, Patch, Sensor, ShutterClue, UsedPixel};
+use super::fitted_anchor::FittedAnchor;
 use super::lock::Lock;
+use super::planar_ambiguity::{LEAST_MARGIN, most_frequent_surface, twin_margin};
 use super::reason::Reason;
 use super::reference::PreparedBody;
 use super::surface::BodySpec;
-use super::twin::{LEAST_MARGIN, most_frequent_surface, twin_margin};
-use super::verify::{FittedAnchor, Refusal, Verified, VerifyBuffers, View, verify};
+use super::verify::{Refusal, Verified, VerifyBuffers, View, verify};
 use crate::camera::{CameraModel, Normalized};
 use crate::frame::Frame;
 use crate::geometry::resection::{MovingCamera, Observation, Twist, perturbed};
@@ -155,7 +156,7 @@ impl TrackedBody {
             self.jerk = Jerk::default();
         } else if self.clue.is_none() {
             // Where the shutter is in question, jerk must not explain what a wrong one does.
-            self.jerk.learn(expected, &found.estimate.motion);
+            self.jerk.learn(expected.squared_innovations(&found.estimate.motion));
         }
         self.motion = Some((found.estimate, frame.timestamp_ns));
         if let Some(used) = &mut self.used {

@@ -3,11 +3,13 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use super::fitted_anchor::FittedAnchor;
 use super::reference::PreparedBody;
 use super::surface::ReferenceKind;
-use super::verify::{FittedAnchor, Verified};
+use super::verify::Verified;
 use crate::camera::{CameraModel, Normalized, Pixel};
-use crate::geometry::essential::{RayPair, TwoViewMotion, motion_by_cheirality, refine_motion, robust_essential, squared_sampson};
+use crate::geometry::essential::{motion_by_cheirality, refine_motion, robust_essential, squared_sampson};
+use crate::geometry::relative_pose::{RayPair, TwoViewMotion};
 use crate::geometry::triangulation::depths;
 use crate::geometry::{Body, Camera, Homography, PointPair, Pose, ReferenceCamera, SurfaceFrame};
 

@@ -7,10 +7,11 @@
 
 use nalgebra::Matrix6;
 
+use super::fitted_anchor::FittedAnchor;
+use super::planar_ambiguity::{LEAST_MARGIN, most_frequent_surface, twin_margin};
 use super::reference::PreparedBody;
 use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
 use super::shutter::Shutter;
-use super::twin::{LEAST_MARGIN, most_frequent_surface, twin_margin};
 use crate::camera::CameraModel;
 use crate::features::Workers;
 use crate::geometry::resection::{
@@ -60,19 +61,6 @@ pub struct Verified {
     pub rms_px: f64,
     /// Whether this frame alone leaves no doubt.
     pub is_conclusive: bool,
-}
-
-/// An anchor that fits.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FittedAnchor {
-    /// Surface index in its body.
-    pub surface: u32,
-    /// On the artwork, pixels.
-    pub artwork: nalgebra::Vector2<f64>,
-    /// In the frame.
-    pub observation: Observation,
-    /// Its raw pixel if all rows were exposed with the middle one.
-    pub steady_px: nalgebra::Vector2<f64>,
 }
 
 /// Why a candidate was not given.

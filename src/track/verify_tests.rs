@@ -1,9 +1,9 @@
 use image::{GrayImage, Luma};
 use nalgebra::{Vector3, Vector6};
 
-use super::super::reference::halved;
 use super::super::synthetic::{cloth, facing, lens, prepared, texture, view};
 use super::*;
+use crate::features::halved;
 use crate::geometry::resection::perturbed;
 
 fn truth() -> Pose<Camera, Body> {

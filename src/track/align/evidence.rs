@@ -1,7 +1,8 @@
 //! What each run of pixels shows at the solution: how well it agrees, how far off its patch lies, and what it says of the blur.
 
+use super::columns::{COLUMNS, SPREAD};
 use super::lanes::{LANES, Lanes, dispatch, load_at, total};
-use super::normal::{COLUMNS, RunView, SPREAD, Weighing, columns, less_step, weight};
+use super::normal::{RunView, Weighing, columns, less_step, weight};
 
 /// What a run shows at the solution, for the judgement and for correspondences.
 #[derive(Debug, Clone, Copy, Default)]

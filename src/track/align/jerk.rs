@@ -5,10 +5,6 @@
 //! follows how far poses were found from where they were expected, in sigmas of what was expected (Mehra 1970:
 //! innovations tell of the process noise), within some ten frames.
 
-use nalgebra::{Matrix3, Vector3};
-
-use super::motion::{Motion, MotionEstimate};
-
 /// Spectral density of a motion not seen yet: m²/s⁵ at 4 m distance (growing with its square), and rad²/s⁵.
 const USUAL_SHIFT: f64 = 100.0;
 const USUAL_TURN: f64 = 3000.0;
@@ -55,18 +51,14 @@ impl Jerk {
         self.turn * USUAL_TURN
     }
 
-    /// Learns from where a pose was found, and where it was expected.
-    pub fn learn(&mut self, expected: &MotionEstimate, found: &Motion) {
+    /// Learns from the squared innovations of shift and turn ([`squared_innovations`](super::motion::MotionEstimate::squared_innovations)).
+    pub fn learn(&mut self, squared_innovations: [Option<f64>; 2]) {
         self.frames = self.frames.saturating_add(1);
         if self.frames <= UNTOLD_FRAMES {
             return;
         }
-        let error = expected.motion.error_to(found);
-        for (first, share) in [(0, &mut self.shift), (3, &mut self.turn)] {
-            let part: Vector3<f64> = error.fixed_rows::<3>(first).into_owned();
-            let covariance: Matrix3<f64> = expected.covariance.fixed_view::<3, 3>(first, first).into_owned();
-            let Some(factor) = covariance.cholesky() else { continue };
-            let squared = part.dot(&factor.solve(&part)) / 3.0;
+        for (squared, share) in squared_innovations.into_iter().zip([&mut self.shift, &mut self.turn]) {
+            let Some(squared) = squared else { continue };
             let change = SHARE * (squared.max(f64::MIN_POSITIVE).ln() - MEAN_LOG).clamp(LOGS[0], LOGS[1]);
             *share = (*share * change.exp()).clamp(LEAST, MOST);
         }
@@ -81,7 +73,7 @@ mod tests {
 
     use super::*;
     use crate::geometry::Pose;
-    use crate::track::align::motion::MotionMatrix;
+    use crate::track::align::motion::{Motion, MotionEstimate, MotionMatrix};
 
     const STEPS: usize = 30;
 
@@ -104,7 +96,7 @@ mod tests {
                 truth.acceleration += step(shift);
                 truth.turn_acceleration += step(turn);
             }
-            jerk.learn(&known.after(dt, distance, &jerk), &truth);
+            jerk.learn(known.after(dt, distance, &jerk).squared_innovations(&truth));
             if frame >= 100 {
                 sums = [sums[0] + (jerk.of_shift(distance) / shift).ln(), sums[1] + (jerk.of_turn() / turn).ln()];
                 n += 1.0;

@@ -10,9 +10,9 @@
 use nalgebra::{Matrix6, SMatrix, Vector6};
 
 use super::Sensor;
+use super::columns::{POSE_ENTRIES, entry};
 use super::motion::{MotionError, MotionMatrix, unseen};
-use super::normal::POSE_ENTRIES;
-use super::tile_equations::{TileEquations, TileScore, entry};
+use super::tile_equations::{TileEquations, TileScore};
 
 /// Bands of rows that tiles are gathered in: about as many as a frame has rows of tiles. More would tell instants no better apart.
 const BANDS: usize = 12;

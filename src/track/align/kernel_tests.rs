@@ -3,16 +3,18 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::appearance::{Appearance, Predicted, predict, predict_lanes};
+use super::columns::{COLUMNS, entry};
 use super::evidence::{RunEvidence, evidence, evidence_lanes};
 use super::frame_levels::FrameLevels;
 use super::lanes::{LANES, Lanes, Plain, load_at};
 use super::light::RememberedLight;
 use super::motion::{Motion, MotionError};
-use super::noise::{Noise, noise_sums, noise_sums_lanes};
-use super::normal::{COLUMNS, Residuals, RunView, Weighing, columns, less_step, moments, residuals, weight};
+use super::noise::Noise;
+use super::noise_sums::{noise_sums, noise_sums_lanes};
+use super::normal::{Residuals, RunView, Weighing, columns, less_step, moments, residuals, weight};
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Selector};
-use super::tile_equations::{TileEquations, entry};
+use super::tile_equations::TileEquations;
 use super::tile_products::{ProductBuffer, tile_equations, tile_equations_lanes};
 use super::{AlignSurface, Eye, Sensor};
 use crate::track::synthetic::{cloth, facing, lens, view};

@@ -3,12 +3,14 @@
 use image::GrayImage;
 
 use super::appearance::{Appearance, Predicted, predict};
+use super::columns::COLUMNS;
 use super::evidence::evidence;
 use super::frame_levels::FrameLevels;
 use super::light::RememberedLight;
 use super::motion::Motion;
-use super::noise::{CameraNoise, noise_sums};
-use super::normal::{COLUMNS, Residuals, RunView, Weighing, residuals};
+use super::noise::CameraNoise;
+use super::noise_sums::noise_sums;
+use super::normal::{Residuals, RunView, Weighing, residuals};
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
 use super::tile_products::{ProductBuffer, tile_equations};

@@ -4,12 +4,21 @@
 //! A [`Light`] and the grid that its gains are for are one value and change together: every tile of the grid has its
 //! four nodes. What outlives a grid is a [`RememberedLight`], which no tile can ask.
 
-use super::normal::TileLight;
-use super::system::Step;
 use super::tile_grid::TileGrid;
 
 /// Weight of the usual gain at a node, beside the tiles that touch it.
 const USUAL_SHARE: f64 = 0.2;
+
+/// The light at a tile and the small changes that a solution brings to its pixels.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct TileLight {
+    /// Gain at the corners of its cell.
+    pub gains: [f32; 4],
+    /// Point spread.
+    pub spread: f32,
+    /// Grey levels.
+    pub bias: f32,
+}
 
 /// seen = gain(x) (grey + spread * d grey / d spread) + bias.
 #[derive(Debug, Default)]
@@ -76,11 +85,11 @@ impl Light {
         (self.bias, self.spread) = (light.bias, light.spread);
     }
 
-    /// Corrects everything by the step of a system that was begun with this light.
-    pub fn correct(&mut self, step: &Step) {
-        self.spread += step.spread();
-        self.bias += step.bias();
-        for (gain, change) in self.gains.iter_mut().zip(step.gains()) {
+    /// Adds a solution's changes of the gains at the nodes, the point spread and the bias.
+    pub fn correct(&mut self, gains: &[f64], spread: f64, bias: f64) {
+        self.spread += spread;
+        self.bias += bias;
+        for (gain, change) in self.gains.iter_mut().zip(gains) {
             *gain += change;
         }
     }

@@ -12,6 +12,8 @@ mod aligner;
 // Index loops: what closures do would not be compiled for the wider registers of the function around them.
 #[allow(clippy::needless_range_loop)]
 mod appearance;
+#[allow(clippy::needless_range_loop)]
+mod columns;
 mod enlarge;
 #[allow(clippy::needless_range_loop)]
 mod evidence;
@@ -24,8 +26,9 @@ mod kernels;
 mod lanes;
 mod light;
 mod motion;
-#[allow(clippy::needless_range_loop)]
 mod noise;
+#[allow(clippy::needless_range_loop)]
+mod noise_sums;
 #[allow(clippy::needless_range_loop)]
 mod normal;
 mod pixels;

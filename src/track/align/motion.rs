@@ -146,6 +146,17 @@ impl MotionEstimate {
         Self { motion: Motion::still(pose), covariance }
     }
 
+    /// Squared innovations of shift and turn, where a pose was found: in sigmas of what was expected, a degree of freedom. `None` where
+    /// the covariance is singular.
+    pub fn squared_innovations(&self, found: &Motion) -> [Option<f64>; 2] {
+        let error = self.motion.error_to(found);
+        [0, 3].map(|first| {
+            let part = error.fixed_rows::<3>(first).into_owned();
+            let covariance = self.covariance.fixed_view::<3, 3>(first, first).into_owned();
+            Some(part.dot(&covariance.cholesky()?.solve(&part)) / 3.0)
+        })
+    }
+
     /// What is expected `dt_s` later, at a distance from the stage.
     pub fn after(&self, dt_s: f64, distance_m: f64, jerk: &Jerk) -> Self {
         let motion = self.motion.after(dt_s);

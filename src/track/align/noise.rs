@@ -7,9 +7,6 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::lanes::{LANES, Lanes, dispatch, load_at, total};
-use super::normal::{COLUMNS, RunView, Weighing, columns, less_step};
-
 /// Variance of a usual camera's pixel at black, and its growth per grey level, grey levels²; error of the prediction, pixels of the
 /// level. That is what is taken until frames tell more.
 const USUAL_DARK: f64 = 2.25 + 1.0 / 12.0;
@@ -26,9 +23,6 @@ const COARSE_MODEL_PX: f64 = 0.04;
 const FADES: f64 = 0.005;
 /// What is usual counts as so many pixels, so that what a frame cannot tell apart stays near it.
 const USUAL_PIXELS: f64 = 200.0;
-/// Squared residuals beyond so many squared scales are something else; what a normal distribution loses of its variance there.
-const LARGEST_SQUARED: f32 = 9.0;
-const KEPT_VARIANCE: f64 = 0.9733;
 
 /// What the noise of a pixel is made of, at one level of the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,22 +38,13 @@ pub struct Noise {
 /// Sums over pixels for the fit: of what the variance may be made of (1, grey, squared slope) by each other, and by the squared residual.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NoiseSums {
-    by_each_other: Matrix3<f64>,
-    by_squared: Vector3<f64>,
+    pub(super) by_each_other: Matrix3<f64>,
+    pub(super) by_squared: Vector3<f64>,
 }
 
 impl Default for NoiseSums {
     fn default() -> Self {
         Self { by_each_other: Matrix3::zeros(), by_squared: Vector3::zeros() }
-    }
-}
-
-impl NoiseSums {
-    /// Adds a run as `step` leaves it.
-    pub fn add(&mut self, view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) {
-        let [aa, ag, as_, gg, gs, ss, ra, rg, rs] = noise_sums(view, step, weighing).map(f64::from);
-        self.by_each_other += Matrix3::new(aa, ag, as_, ag, gg, gs, as_, gs, ss);
-        self.by_squared += Vector3::new(ra, rg, rs) / KEPT_VARIANCE;
     }
 }
 
@@ -148,48 +133,12 @@ fn at_least(a: &Matrix3<f64>, b: &Vector3<f64>, least: &Vector3<f64>) -> Option<
     None
 }
 
-dispatch! {
-    /// Sums over a run as `step` leaves it, weighted by the inverse square of the variance: 1, grey, slope² by each other (six), and by
-    /// the squared residual (three).
-    noise_sums, noise_sums_avx2, noise_sums_lanes,
-    (view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> [f32; 9]
-}
-
-#[inline(always)]
-pub fn noise_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> [f32; 9] {
-    let RunView { pixels, run, appearance, light, residuals } = *view;
-    let (zero, one) = (L::splat(0.0), L::splat(1.0));
-    let largest = L::splat(LARGEST_SQUARED * (weighing.scale * weighing.scale) as f32);
-    let mut sums = [zero; 9];
-    for k in run.range().step_by(LANES * weighing.stride) {
-        let (columns, g) = columns::<L>(pixels, appearance, light, k);
-        let r = less_step(load_at::<L>(&residuals.grey, k), &columns, step);
-        let information = load_at::<L>(&residuals.information, k);
-        let squared = r.mul(r);
-        // One where the residual is small enough to be noise, and the pixel tells anything.
-        let is_noise = largest.sub(squared.mul(information)).mul(L::splat(1e9)).max(zero).min(one).mul(load_at(&pixels.counts, k));
-        let w = information.mul(information).mul(is_noise);
-        let grey = load_at::<L>(&pixels.seen, k).sub(r).max(zero);
-        let (across, down) = (load_at::<L>(&appearance.across, k).mul(g), load_at::<L>(&appearance.down, k).mul(g));
-        let steep = across.mul(across).add(down.mul(down));
-        let (wg, ws) = (w.mul(grey), w.mul(steep));
-        let terms = [w, wg, ws, wg.mul(grey), wg.mul(steep), ws.mul(steep), w.mul(squared), wg.mul(squared), ws.mul(squared)];
-        for n in 0..9 {
-            sums[n] = sums[n].add(terms[n]);
-        }
-    }
-    let mut totals = [0.0; 9];
-    for n in 0..9 {
-        totals[n] = total(sums[n]);
-    }
-    totals
-}
-
 #[cfg(test)]
 mod tests {
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 
+    use super::super::noise_sums::{KEPT_VARIANCE, LARGEST_SQUARED};
     use super::*;
 
     /// Sums over pixels of random grey and slope whose variance is known.

@@ -2,86 +2,11 @@
 //! pose at the tile's rows, with the light of the tile's corners, the bias and the point spread. `tile_products` sums their products.
 
 use super::appearance::Appearance;
+use super::columns::{BIAS, COLUMNS, GAINS, SPREAD};
 use super::lanes::{LANES, Lanes, dispatch, load_at, store_at, total};
+use super::light::TileLight;
 use super::noise::Noise;
 use super::pixels::{Pixels, Run};
-
-/// Columns of a tile: pose (6), point spread, bias, gain at the four corners of its cell.
-pub const COLUMNS: usize = 12;
-/// Where the columns other than the pose start.
-pub const SPREAD: usize = 6;
-/// See [`SPREAD`].
-pub const BIAS: usize = 7;
-/// See [`SPREAD`].
-pub const GAINS: usize = 8;
-/// Columns and the residual.
-pub const ALL: usize = COLUMNS + 1;
-/// Entries of the upper triangle of the pose's columns.
-pub const POSE_ENTRIES: usize = SPREAD * (SPREAD + 1) / 2;
-
-/// Weighted sums over one run of pixels.
-#[derive(Debug, Clone, Copy)]
-pub struct TileSums {
-    sums: [f32; Self::ENTRIES],
-}
-
-impl Default for TileSums {
-    fn default() -> Self {
-        Self { sums: [0.0; Self::ENTRIES] }
-    }
-}
-
-impl TileSums {
-    /// Entries of the upper triangle of the columns and the residual.
-    pub const ENTRIES: usize = ALL * (ALL + 1) / 2;
-
-    /// From the upper triangle, row by row.
-    pub fn new(sums: [f32; Self::ENTRIES]) -> Self {
-        Self { sums }
-    }
-
-    /// Where the product of columns i <= j is.
-    pub const fn entry(i: usize, j: usize) -> usize {
-        i * ALL - i * (i + 1) / 2 + j
-    }
-
-    /// Sum of w a_i a_j; column [`COLUMNS`] is the residual.
-    pub fn product(&self, i: usize, j: usize) -> f64 {
-        f64::from(self.sums[if i <= j { Self::entry(i, j) } else { Self::entry(j, i) }])
-    }
-
-    /// [`product`](Self::product) for the columns of the pose: the upper triangle, row by row.
-    pub fn of_pose(&self) -> [f64; POSE_ENTRIES] {
-        let mut triangle = [0.0; POSE_ENTRIES];
-        let (mut to, mut from) = (0, 0);
-        for i in 0..SPREAD {
-            for j in 0..SPREAD - i {
-                triangle[to + j] = f64::from(self.sums[from + j]);
-            }
-            (to, from) = (to + SPREAD - i, from + ALL - i);
-        }
-        triangle
-    }
-
-    /// The products by a step's columns, summed: what of the right side it explains.
-    pub fn by_step(&self, step: &[f32; COLUMNS]) -> [f64; COLUMNS] {
-        let step = step.map(f64::from);
-        let mut sums = [0.0; COLUMNS];
-        let mut first = 0;
-        for i in 0..COLUMNS {
-            // Each entry of the triangle stands for two of the full square, but on the diagonal.
-            let row = &self.sums[first..first + COLUMNS - i];
-            sums[i] += f64::from(row[0]) * step[i];
-            for (j, product) in (i + 1..COLUMNS).zip(&row[1..]) {
-                let product = f64::from(*product);
-                sums[i] += product * step[j];
-                sums[j] += product * step[i];
-            }
-            first += ALL - i;
-        }
-        sums
-    }
-}
 
 /// Tukey's biweight: residuals beyond this many robust sigmas count nothing.
 const TUKEY: f32 = 4.7;
@@ -116,17 +41,6 @@ impl Residuals {
             list.resize(n, 0.0);
         }
     }
-}
-
-/// The light at a tile and the small changes that a solution brings to its pixels.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct TileLight {
-    /// Gain at the corners of its cell.
-    pub gains: [f32; 4],
-    /// Point spread.
-    pub spread: f32,
-    /// Grey levels.
-    pub bias: f32,
 }
 
 dispatch! {

@@ -7,11 +7,9 @@
 use super::Sensor;
 use super::frame_levels::Level;
 use super::lanes::LANES;
-use super::light::{Light, RememberedLight};
-use super::normal::TileLight;
+use super::light::{Light, RememberedLight, TileLight};
 use super::rays::RayTable;
 use super::selection::Chosen;
-use super::system::Step;
 use super::tile_grid::TileGrid;
 
 /// A level's grey that counts as burnt out or drowned.
@@ -173,9 +171,9 @@ impl Pixels {
         self.light.spread_over(*self.light.grid(), light);
     }
 
-    /// Corrects the light by the step of a system that was begun with it.
-    pub fn correct_light(&mut self, step: &Step) {
-        self.light.correct(step);
+    /// Adds a solution's changes of the gains, the point spread and the bias to the light.
+    pub fn correct_light(&mut self, gains: &[f64], spread: f64, bias: f64) {
+        self.light.correct(gains, spread, bias);
     }
 
     /// Takes a light from guesses: `gains` of tiles, near the usual one.

@@ -6,8 +6,7 @@
 //! difference between them: the pose would take what is the motion's, by centimetres, and the covariance would not tell.
 //! So the motion's columns have the time of each row.
 
-use super::normal::{COLUMNS, POSE_ENTRIES as TRIANGLE, SPREAD};
-use super::tile_equations::entry;
+use super::columns::{COLUMNS, POSE_ENTRIES as TRIANGLE, SPREAD, entry};
 
 /// Columns of the pose.
 const POSE: usize = SPREAD;

@@ -6,11 +6,11 @@
 
 use nalgebra::SVector;
 
+use super::columns::{BIAS, COLUMNS, GAINS, POSE_ENTRIES, SPREAD, entry};
 use super::light::Light;
 use super::motion::{MotionError, MotionMatrix};
-use super::normal::{BIAS, COLUMNS, GAINS, POSE_ENTRIES, SPREAD};
 use super::rows::RowSums;
-use super::tile_equations::{TileEquations, TileScore, TileStep, entry};
+use super::tile_equations::{TileEquations, TileScore, TileStep};
 
 pub mod side_column;
 

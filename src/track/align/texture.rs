@@ -8,7 +8,7 @@ use image::GrayImage;
 
 use super::enlarge::enlarged_twice;
 use super::lanes::{LANES, TILE_COLUMNS, TILE_ROWS, Tile};
-use crate::track::reference::halved;
+use crate::features::halved;
 
 /// Columns and rows from tile to tile.
 pub const TILE_STEP: [usize; 2] = [TILE_COLUMNS - 1, TILE_ROWS - 1];

@@ -1,6 +1,6 @@
 //! The normal equations of one tile, in its own columns and in those that its rows' times add.
 
-use super::normal::{COLUMNS, POSE_ENTRIES, SPREAD, TileSums};
+use super::columns::{COLUMNS, POSE_ENTRIES, SPREAD, TileSums, entry};
 use super::rows::RowSums;
 
 /// What a tile says, linearised: its sums, and those of the times of its rows.
@@ -28,12 +28,6 @@ pub struct TileScore {
     pub columns: [f64; COLUMNS],
     /// By column of the pose and time.
     pub timed: [f64; SPREAD],
-}
-
-/// Where entry (i, j) of a symmetric matrix of the pose's columns is, in its upper triangle row by row.
-pub const fn entry(i: usize, j: usize) -> usize {
-    let (i, j) = if i <= j { (i, j) } else { (j, i) };
-    i * SPREAD - i * (i + 1) / 2 + j
 }
 
 /// A symmetric matrix of the pose's columns times a vector.

@@ -4,8 +4,9 @@
 //! a run are laid out in a buffer that is kept and never cleared, their products are summed block by block in registers, and
 //! eight sums of lanes are added across at a time.
 
+use super::columns::{ALL, COLUMNS, SPREAD, TileSums};
 use super::lanes::{LANES, Lanes, dispatch, load_at};
-use super::normal::{ALL, COLUMNS, RunView, SPREAD, TileSums, Weighing, columns, less_step, weight};
+use super::normal::{RunView, Weighing, columns, less_step, weight};
 use super::rows::RowSums;
 use super::tile_equations::TileEquations;
 

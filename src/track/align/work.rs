@@ -10,14 +10,15 @@ pub mod used_pixels;
 
 use super::AlignSurface;
 use super::appearance::{Appearance, Predicted, predict};
+use super::columns::COLUMNS;
 use super::evidence::{RunEvidence, evidence};
 use super::frame_levels::FrameLevels;
 use super::gauge::{Gauge, median};
 use super::jump_instant::RowBands;
-use super::light::RememberedLight;
+use super::light::{RememberedLight, TileLight};
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::noise::{Noise, NoiseSums};
-use super::normal::{COLUMNS, Residuals, RunView, TileLight, Weighing, moments, residuals, squares_after};
+use super::normal::{Residuals, RunView, Weighing, moments, residuals, squares_after};
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
 use super::slopes::{ChangeSums, Foretold};
@@ -262,7 +263,7 @@ impl Work {
             scale = self.scale();
         }
         let step = self.system.step();
-        self.picture.pixels.correct_light(&step);
+        self.picture.pixels.correct_light(step.gains(), step.spread(), step.bias());
         light.take(self.picture.pixels.light());
         let motion = at.corrected(&step.motion());
         self.solved = motion.is_finite().then_some(Corrected { motion, scale });

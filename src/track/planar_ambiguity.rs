@@ -6,8 +6,8 @@
 
 use nalgebra::UnitQuaternion;
 
+use super::fitted_anchor::FittedAnchor;
 use super::reference::PreparedBody;
-use super::verify::FittedAnchor;
 use crate::camera::CameraModel;
 use crate::geometry::resection::{MovingCamera, Observation, resect_within, residual_scale, squared_residual};
 use crate::geometry::{Body, Camera, Pose, SurfaceFrame};

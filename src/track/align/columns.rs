@@ -1,0 +1,84 @@
+//! The columns of a tile's normal equations, and the sums of their products.
+
+/// Columns of a tile: pose (6), point spread, bias, gain at the four corners of its cell.
+pub const COLUMNS: usize = 12;
+/// Where the columns other than the pose start.
+pub const SPREAD: usize = 6;
+/// See [`SPREAD`].
+pub const BIAS: usize = 7;
+/// See [`SPREAD`].
+pub const GAINS: usize = 8;
+/// Columns and the residual.
+pub const ALL: usize = COLUMNS + 1;
+/// Entries of the upper triangle of the pose's columns.
+pub const POSE_ENTRIES: usize = SPREAD * (SPREAD + 1) / 2;
+
+/// Weighted sums over one run of pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct TileSums {
+    sums: [f32; Self::ENTRIES],
+}
+
+impl Default for TileSums {
+    fn default() -> Self {
+        Self { sums: [0.0; Self::ENTRIES] }
+    }
+}
+
+impl TileSums {
+    /// Entries of the upper triangle of the columns and the residual.
+    pub const ENTRIES: usize = ALL * (ALL + 1) / 2;
+
+    /// From the upper triangle, row by row.
+    pub fn new(sums: [f32; Self::ENTRIES]) -> Self {
+        Self { sums }
+    }
+
+    /// Where the product of columns i <= j is.
+    pub const fn entry(i: usize, j: usize) -> usize {
+        i * ALL - i * (i + 1) / 2 + j
+    }
+
+    /// Sum of w a_i a_j; column [`COLUMNS`] is the residual.
+    pub fn product(&self, i: usize, j: usize) -> f64 {
+        f64::from(self.sums[if i <= j { Self::entry(i, j) } else { Self::entry(j, i) }])
+    }
+
+    /// [`product`](Self::product) for the columns of the pose: the upper triangle, row by row.
+    pub fn of_pose(&self) -> [f64; POSE_ENTRIES] {
+        let mut triangle = [0.0; POSE_ENTRIES];
+        let (mut to, mut from) = (0, 0);
+        for i in 0..SPREAD {
+            for j in 0..SPREAD - i {
+                triangle[to + j] = f64::from(self.sums[from + j]);
+            }
+            (to, from) = (to + SPREAD - i, from + ALL - i);
+        }
+        triangle
+    }
+
+    /// The products by a step's columns, summed: what of the right side it explains.
+    pub fn by_step(&self, step: &[f32; COLUMNS]) -> [f64; COLUMNS] {
+        let step = step.map(f64::from);
+        let mut sums = [0.0; COLUMNS];
+        let mut first = 0;
+        for i in 0..COLUMNS {
+            // Each entry of the triangle stands for two of the full square, but on the diagonal.
+            let row = &self.sums[first..first + COLUMNS - i];
+            sums[i] += f64::from(row[0]) * step[i];
+            for (j, product) in (i + 1..COLUMNS).zip(&row[1..]) {
+                let product = f64::from(*product);
+                sums[i] += product * step[j];
+                sums[j] += product * step[i];
+            }
+            first += ALL - i;
+        }
+        sums
+    }
+}
+
+/// Where entry (i, j) of a symmetric matrix of the pose's columns is, in its upper triangle row by row.
+pub const fn entry(i: usize, j: usize) -> usize {
+    let (i, j) = if i <= j { (i, j) } else { (j, i) };
+    i * SPREAD - i * (i + 1) / 2 + j
+}
