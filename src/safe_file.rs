@@ -23,7 +23,7 @@ pub fn open(path: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// Reads a plain file of at most so many bytes.
+/// Reads a plain file of at most `most_bytes`.
 ///
 /// # Errors
 /// As [`open`], or that the file is larger.

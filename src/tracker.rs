@@ -9,7 +9,7 @@ use crate::compute_clock::ComputeClock;
 use crate::frame::Frame;
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-use crate::track::{BodySpec, LockState, Matcher, Sensor, Sighting, TrackerSettings, UsedPixels};
+use crate::track::{BodySpec, Matcher, Sensor, Sighting, TrackState, TrackerSettings, UsedPixels};
 
 /// Everything a tracker is made from.
 #[derive(Debug, Clone)]
@@ -134,18 +134,18 @@ impl PoseRecorder {
             pose: camera.pose,
             measurement,
             objects,
-            reason: sighting.stage.reason.filter(|_| camera.state != LockState::Tracking),
+            reason: sighting.stage.reason.filter(|_| camera.state != TrackState::Tracking),
             times: StageTimes { decode_ms, acquire_ms: sighting.acquire_ms, align_ms: sighting.align_ms, pose_ms, age_ms: None },
         }
     }
 }
 
-fn published(state: LockState) -> State {
+fn published(state: TrackState) -> State {
     match state {
-        LockState::Searching => State::Searching,
-        LockState::Tracking => State::Tracking,
-        LockState::Coasting => State::Coasting,
-        LockState::Lost => State::Lost,
+        TrackState::Searching => State::Searching,
+        TrackState::Tracking => State::Tracking,
+        TrackState::Coasting => State::Coasting,
+        TrackState::Lost => State::Lost,
     }
 }
 

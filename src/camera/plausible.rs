@@ -34,7 +34,7 @@ const BENT: RangeInclusive<f64> = 0.5..=8.0;
 const LEAST_INVERTIBLE: f64 = 0.75;
 /// Sides of a picture, pixels: no file form holds longer ones.
 const LONGEST_SIDE: u32 = 65_535;
-/// The picture is asked at so many places along each side, edges included.
+/// Places along each side of the picture at which it is tested, edges included.
 const ASKED: u32 = 17;
 
 /// Refuses what no camera has; gives what is rare, a sentence each.

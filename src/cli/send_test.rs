@@ -12,7 +12,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::failure::Failure;
 use super::interrupt;
 use super::logging::{self, LogArguments};
-use super::receivers::Receivers;
+use super::outputs::Outputs;
 use crate::camera::CameraModel;
 use crate::config::Settings;
 use crate::geometry::{Body, Pose, Stage};
@@ -64,7 +64,7 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
         frame_rate: Some(arguments.fps),
         is_test: true,
     };
-    let receivers = Receivers::open(&settings, &context)?;
+    let outputs = Outputs::open(&settings, &context)?;
     if let Some(file) = &settings.missing_calibration {
         let line = format!("{} is not there yet: the lens that is sent is made up", file.display());
         writeln!(io::stderr(), "{}", printable(&line)).map_err(Failure::output(Path::new("stderr")))?;
@@ -78,11 +78,11 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
         if arguments.seconds.is_some_and(|end| due >= end) || !wait_until(begun, due) {
             break;
         }
-        receivers.send(&test_sample(sequence, due, &settings.objects));
+        outputs.send(&test_sample(sequence, due, &settings.objects));
         // After a stop it goes on from now: frames are never sent late in a burst.
         sequence = (sequence + 1).max((begun.elapsed().as_secs_f64() * arguments.fps) as u64);
     }
-    receivers.close();
+    outputs.close();
     Ok(())
 }
 

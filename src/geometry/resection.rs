@@ -279,7 +279,7 @@ pub fn larger_covariance(noise: &Matrix6<f64>, scatter: &Matrix6<f64>) -> Option
 
 /// Where the observation's point would be seen if its row were exposed with the middle one: the pixel, less what the motion moved
 /// it by.
-pub fn steadied_pixel<P: Projection>(pose: &Pose<Camera, Body>, camera: &MovingCamera<P>, o: &Observation) -> Vector2<f64> {
+pub fn rolling_shutter_corrected_px<P: Projection>(pose: &Pose<Camera, Body>, camera: &MovingCamera<P>, o: &Observation) -> Vector2<f64> {
     let project = |c: Vector3<f64>| camera.lens.pixel_and_jacobian(Vector2::new(c.x / c.z, c.y / c.z)).0;
     let middle = pose.transform(&o.point).coords;
     let then = camera.twist.carried(middle, o.delay_s);
@@ -361,7 +361,7 @@ mod tests {
         let blind = resect(&truth(), &MovingCamera::still(&Pinhole), &observations, 30).expect("regular");
         assert!(blind.pose.angle_to(&truth()) > 1e-4);
         for o in &observations {
-            let steady = Observation { pixel: steadied_pixel(&found.pose, &moving, o), delay_s: 0.0, ..*o };
+            let steady = Observation { pixel: rolling_shutter_corrected_px(&found.pose, &moving, o), delay_s: 0.0, ..*o };
             assert!(squared_residual(&truth(), &MovingCamera::still(&Pinhole), &steady).expect("in front") < 1e-3);
         }
     }

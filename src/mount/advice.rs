@@ -92,7 +92,7 @@ pub struct NextView {
     pub sigmas: Option<[f64; 2]>,
 }
 
-/// The rig goes round the stage's middle by (turn, tilt) degrees, to so many times its distance.
+/// The rig goes round the stage's middle by (turn, tilt) degrees, to a multiple of its distance.
 const MOVES: [([f64; 2], f64, &str); 8] = [
     ([-35.0, 0.0], 1.0, "from about 35 degrees further to the house's left"),
     ([35.0, 0.0], 1.0, "from about 35 degrees further to the house's right"),

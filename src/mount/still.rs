@@ -11,7 +11,7 @@ use crate::geometry::Pose;
 
 /// Rows of a standstill at least, in clips where there are standstills: less is a slow moment of a movement.
 const LEAST_ROWS: usize = 5;
-/// Standing still is moving less than so many sigmas, and this besides: metres and radians.
+/// Largest motion that counts as standing still: sigmas, and besides metres and radians.
 const SIGMAS: f64 = 4.0;
 const SLACK_M: f64 = 5e-4;
 const SLACK_RAD: f64 = 4e-4;

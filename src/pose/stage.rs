@@ -6,13 +6,13 @@ use super::covariance::{covariance_of_camera, covariance_of_object};
 use super::filter::{FilterSettings, PoseFilter};
 use super::prediction::MotionHistory;
 use crate::geometry::{Body, Camera, Pose, Stage};
-use crate::track::{BodySighting, LockState, Sighting};
+use crate::track::{BodySighting, Sighting, TrackState};
 
 /// What is said of one pose after a frame.
 #[derive(Debug, Clone)]
 pub struct BodyEstimate<From> {
     /// The state to publish.
-    pub state: LockState,
+    pub state: TrackState,
     /// For use: measured (filtered where a filter is set), or predicted while coasting.
     pub pose: Option<Pose<Stage, From>>,
     /// Measured in this frame.
@@ -115,9 +115,9 @@ fn object_estimate(
     motion: &mut BodyMotion<Body>,
 ) -> BodyEstimate<Body> {
     let state = match (object.state, camera.state) {
-        (LockState::Tracking, LockState::Tracking) => LockState::Tracking,
-        (LockState::Tracking | LockState::Coasting, LockState::Coasting | LockState::Tracking) => LockState::Coasting,
-        (LockState::Tracking | LockState::Coasting, _) => LockState::Lost,
+        (TrackState::Tracking, TrackState::Tracking) => TrackState::Tracking,
+        (TrackState::Tracking | TrackState::Coasting, TrackState::Coasting | TrackState::Tracking) => TrackState::Coasting,
+        (TrackState::Tracking | TrackState::Coasting, _) => TrackState::Lost,
         (state, _) => state,
     };
     let measured = match (&object.verified, &camera.measured) {
@@ -138,21 +138,21 @@ fn object_estimate(
 
 /// Fits pose and state together: measured while tracking, predicted while coasting, nothing else.
 fn settle<From>(
-    state: LockState,
+    state: TrackState,
     measured: Option<Measured<From>>,
     timestamp_ns: i64,
     motion: &mut BodyMotion<From>,
 ) -> BodyEstimate<From> {
     let BodyMotion { history, filter } = motion;
-    if let (LockState::Tracking, Some(measured)) = (state, measured) {
+    if let (TrackState::Tracking, Some(measured)) = (state, measured) {
         history.measured(timestamp_ns, &measured.pose);
         let told = filter.measured(timestamp_ns, &measured.pose, &measured.noise);
         return BodyEstimate { state, pose: Some(told), measured: Some(measured) };
     }
-    let predicted = history.predicted(timestamp_ns).filter(|_| matches!(state, LockState::Tracking | LockState::Coasting));
+    let predicted = history.predicted(timestamp_ns).filter(|_| matches!(state, TrackState::Tracking | TrackState::Coasting));
     if let Some(pose) = predicted {
         let pose = filter.predicted(timestamp_ns).unwrap_or(pose);
-        return BodyEstimate { state: LockState::Coasting, pose: Some(pose), measured: None };
+        return BodyEstimate { state: TrackState::Coasting, pose: Some(pose), measured: None };
     }
     history.reset();
     filter.reset();
@@ -161,7 +161,7 @@ fn settle<From>(
 
 /// Nothing to say of a body but whether it was ever measured in the stage.
 fn unseen<From>(history: &MotionHistory<Stage, From>) -> BodyEstimate<From> {
-    let state = if history.is_known() { LockState::Lost } else { LockState::Searching };
+    let state = if history.is_known() { TrackState::Lost } else { TrackState::Searching };
     BodyEstimate { state, pose: None, measured: None }
 }
 

@@ -161,8 +161,8 @@ struct Agreement {
 fn agreement(clues: &[Clue], vague: f64) -> Option<Agreement> {
     let telling: Vec<Vector2<f64>> = clues
         .iter()
-        .filter(|c| c.information > vague.powi(-2) && c.pull.is_finite())
-        .map(|c| Vector2::new(c.pull / c.information, 1.0 / c.information))
+        .filter(|c| c.information > vague.powi(-2) && c.score.is_finite())
+        .map(|c| Vector2::new(c.score / c.information, 1.0 / c.information))
         .collect();
     if telling.len() < LEAST_FRAMES {
         return None;
@@ -248,7 +248,7 @@ mod tests {
     }
 
     fn clue(change: f64, sigma: f64) -> Clue {
-        Clue { pull: change / (sigma * sigma), information: sigma.powi(-2) }
+        Clue { score: change / (sigma * sigma), information: sigma.powi(-2) }
     }
 
     #[test]

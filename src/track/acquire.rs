@@ -132,7 +132,7 @@ fn refined(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, obser
     Some(pose)
 }
 
-/// The observations no more than so many sigmas from where the pose puts them.
+/// The observations within a number of sigmas of where the pose puts them.
 fn within_reach<'a>(
     pose: &Pose<Camera, Body>,
     camera: &MovingCamera<'a, CameraModel>,

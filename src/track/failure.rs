@@ -6,8 +6,8 @@
 
 use super::acquire::Recognition;
 use super::frame_look::FrameLook;
-use super::lock::Doubt;
 use super::reason::Reason;
+use super::track_state::Doubt;
 use super::verify::Refusal;
 
 /// Matches that agree on one homography from here on are no chance. Chance agrees on 8 now and then where a frame is full of detail.

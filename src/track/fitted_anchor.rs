@@ -14,5 +14,5 @@ pub struct FittedAnchor {
     /// In the frame.
     pub observation: Observation,
     /// Its raw pixel if all rows were exposed with the middle one.
-    pub steady_px: Vector2<f64>,
+    pub corrected_px: Vector2<f64>,
 }

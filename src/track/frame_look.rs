@@ -24,7 +24,7 @@ impl Default for FrameLook {
     }
 }
 
-/// Every so many pixels are looked at, across and down: a look costs 0.1 ms in a half-size frame of 640 x 360.
+/// Stride, across and down, pixels: the whole costs 0.1 ms in a half-size frame of 640 x 360.
 const STRIDE: usize = 2;
 /// Distance of the wider step, pixels of the half-size frame.
 const WIDE: usize = 4;

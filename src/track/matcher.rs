@@ -2,7 +2,7 @@
 //!
 //! A body that was aligned lately is followed: aligned from where it should be by now. For the others features are
 //! found and matched once; each has its candidate poses (failing those, where it should be), of which the first that the
-//! picture clearly verifies is aligned in turn. Its lock decides what that means. The matcher owns all buffers of the hot
+//! picture clearly verifies is aligned in turn. Its track state decides what that means. The matcher owns all buffers of the hot
 //! path.
 
 use crossbeam_channel::{Receiver, Sender};
@@ -11,16 +11,16 @@ use nalgebra::Vector2;
 use tracing::{debug, debug_span};
 
 use super::acquire::{SurfaceView, candidates, surface_matches, surface_view};
-use super::align::{Eye, FrameLevels, MotionEstimate, Sensor, ShutterClue, UsedPixel};
+use super::align::{CameraRays, FrameLevels, MotionEstimate, Sensor, ShutterClue, UsedPixel};
 use super::frame_interval::FrameInterval;
 use super::frame_look::FrameLook;
 use super::lens_doubt::covariance_by_lens;
-use super::lock::LockState;
 use super::reason::Reason;
 use super::registration::SearchPicture;
 use super::settings::TrackerSettings;
 use super::shutter::Shutter;
 use super::surface::BodySpec;
+use super::track_state::TrackState;
 use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody};
 use super::two_view::{TwoView, TwoViewBuffers, two_view};
 use super::verify::{Verified, VerifyBuffers, View};
@@ -34,8 +34,8 @@ use crate::matching::{Match, MatchBuffers, ReferenceIndex};
 /// What a frame showed of one body.
 #[derive(Debug, Clone)]
 pub struct BodySighting {
-    /// The lock's verdict.
-    pub state: LockState,
+    /// The track state's verdict.
+    pub state: TrackState,
     /// The verified pose; present while tracking.
     pub verified: Option<Verified>,
     /// Why it is not tracking; `None` while it is.
@@ -110,7 +110,7 @@ pub struct Matcher {
     /// What the frame showed of each body.
     verified: Vec<Option<Verified>>,
     half: GrayImage,
-    eye: Eye,
+    camera_rays: CameraRays,
     levels: FrameLevels,
     watcher: Option<Sender<UsedPixels>>,
 }
@@ -145,7 +145,7 @@ impl Matcher {
         let index = reference_index(&bodies, &workers);
         workers.take_extra_ms();
         Self {
-            eye: Eye::new(camera, mask.clone()),
+            camera_rays: CameraRays::new(camera, mask.clone()),
             levels: FrameLevels::default(),
             watcher: None,
             camera,
@@ -184,7 +184,7 @@ impl Matcher {
         self.verified.clear();
         for tracked in &mut self.bodies {
             let _span = debug_span!("follow", body = %tracked.body.name).entered();
-            self.verified.push(tracked.follow(frame, &mut self.levels, &self.eye));
+            self.verified.push(tracked.follow(frame, &mut self.levels, &self.camera_rays));
         }
         let mut align_ms = start.elapsed_ms();
         let mut acquire_ms = 0.0;
@@ -219,7 +219,7 @@ impl Matcher {
         }
     }
 
-    /// What the lock makes of the frame's pose of body `k`.
+    /// What the track state makes of the frame's pose of body `k`.
     fn sighting_of(&mut self, k: usize, timestamp_ns: i64) -> BodySighting {
         let (tracked, verified) = (&mut self.bodies[k], self.verified[k]);
         if let Some(v) = &verified {
@@ -230,9 +230,9 @@ impl Matcher {
         let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
         let pose = verified.as_ref().map(|v| &v.pose);
         let coast_s = longest_coast_s(&self.settings, &self.interval);
-        let state = tracked.lock.update(timestamp_ns, pose, coast_s, confirm_frames);
-        let reason = tracked.reason.or_else(|| tracked.lock.doubt().map(Reason::of_doubt)).filter(|_| state != LockState::Tracking);
-        let mut verified = verified.filter(|_| state == LockState::Tracking);
+        let state = tracked.track.update(timestamp_ns, pose, coast_s, confirm_frames);
+        let reason = tracked.reason.or_else(|| tracked.track.doubt().map(Reason::of_doubt)).filter(|_| state != TrackState::Tracking);
+        let mut verified = verified.filter(|_| state == TrackState::Tracking);
         if let Some(v) = &mut verified {
             v.by_lens = covariance_by_lens(&v.pose, &self.camera, tracked.anchors.iter().map(|anchor| &anchor.observation));
         }
@@ -244,9 +244,9 @@ impl Matcher {
         self.interval.update(timestamp_ns);
         let (coast_s, confirm) = (longest_coast_s(&self.settings, &self.interval), self.settings.confirm_frames);
         let unseen = |state| BodySighting { state, verified: None, reason: Some(reason) };
-        let mut states = self.bodies.iter_mut().map(|b| unseen(b.lock.update(timestamp_ns, None, coast_s, confirm)));
+        let mut states = self.bodies.iter_mut().map(|b| unseen(b.track.update(timestamp_ns, None, coast_s, confirm)));
         // There is always a stage.
-        let stage = states.next().unwrap_or(unseen(LockState::Searching));
+        let stage = states.next().unwrap_or(unseen(TrackState::Searching));
         let objects = states.collect();
         Sighting { sequence, timestamp_ns, is_timed: true, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
     }
@@ -254,7 +254,7 @@ impl Matcher {
     /// A row that tells nothing of its time (a stamp out of order): nothing changes.
     pub fn look_past(&self, sequence: u64, timestamp_ns: i64) -> Sighting {
         let idle = |b: &TrackedBody| {
-            let state = if b.lock.state() == LockState::Searching { LockState::Searching } else { LockState::Lost };
+            let state = if b.track.state() == TrackState::Searching { TrackState::Searching } else { TrackState::Lost };
             BodySighting { state, verified: None, reason: Some(Reason::Skipped) }
         };
         let stage = idle(&self.bodies[0]);
@@ -289,7 +289,7 @@ impl Matcher {
     }
 
     /// Aligns the stage from a start that is known to so much (one sigma, metres and radians), and tells what came of it. `None` where
-    /// nothing converges. Neither the lock nor the motion take notice.
+    /// nothing converges. Neither the track state nor the motion take notice.
     pub fn try_start(&mut self, frame: &Frame, start: &Pose<Camera, Body>, shift_m: f64, turn_rad: f64) -> Option<Trial> {
         if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
             return None;
@@ -298,7 +298,7 @@ impl Matcher {
         let stage = self.bodies.first_mut()?;
         let back = start.inverse();
         let expected = MotionEstimate::unseen(back, stage.aligner.distance(&back), shift_m, turn_rad);
-        let found = stage.aligner.align(&mut self.levels, &self.eye, &expected, None)?;
+        let found = stage.aligner.align(&mut self.levels, &self.camera_rays, &expected, None)?;
         Some(Trial {
             pose: found.estimate.motion.pose.inverse(),
             tiles: found.tiles,
@@ -357,7 +357,7 @@ impl Matcher {
         let distance = tracked.aligner.distance(&back);
         let [shift, turn] = MotionEstimate::off_by_readout(self.readout_s, distance);
         let first = MotionEstimate::unseen(back, distance, FIRST_SHIFT * distance + shift, FIRST_TURN + turn);
-        let aligned = tracked.align(frame, &mut self.levels, &self.eye, &first, None);
+        let aligned = tracked.align(frame, &mut self.levels, &self.camera_rays, &first, None);
         *align_ms += start.elapsed_ms();
         aligned.or(Some(verified))
     }
@@ -386,7 +386,7 @@ impl Matcher {
         };
         let starts = found.iter().take(TRIED).map(|c| c.pose);
         let mut best = tracked.best_verified(starts, &view, &mut self.verify_buffers);
-        if best.is_none() && tracked.lock.is_continued() {
+        if best.is_none() && tracked.track.is_continued() {
             // Too few features, as under blur or steep tilt: where the body should be by now is a start as good as any.
             let predicted = tracked.predicted(frame.timestamp_ns);
             best = tracked.best_verified(predicted.into_iter(), &view, &mut self.verify_buffers);

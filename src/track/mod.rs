@@ -2,7 +2,7 @@
 //!
 //! `surface` and `reference` prepare the pictures; `acquire` proposes poses from matched features;
 //! `registration` and `verify` refine a proposal against the picture and judge it; `align` follows a body from frame
-//! to frame, pixel by pixel; `lock` decides what a verified pose means in time;
+//! to frame, pixel by pixel; `track_state` decides what a verified pose means in time;
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
 //! homography and essential matrix; `lens_doubt` tells what the lens leaves open; `reason` says why a frame has no pose, `failure` finds it, with
 //! `frame_look`; `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
@@ -15,7 +15,6 @@ mod fitted_anchor;
 mod frame_interval;
 mod frame_look;
 mod lens_doubt;
-mod lock;
 mod matcher;
 mod planar_ambiguity;
 mod reason;
@@ -26,6 +25,7 @@ mod shutter;
 mod surface;
 #[cfg(test)]
 mod synthetic;
+mod track_state;
 mod tracked_body;
 mod two_view;
 mod verify;
@@ -36,10 +36,10 @@ pub use fitted_anchor::FittedAnchor;
 #[cfg(feature = "calibrate")]
 pub(crate) use frame_look::FrameLook;
 pub use lens_doubt::covariance_by_lens;
-pub use lock::LockState;
 pub use matcher::{BodySighting, Matcher, Sighting, Trial, UsedPixels};
 pub use reason::Reason;
 pub use settings::TrackerSettings;
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
+pub use track_state::TrackState;
 pub use two_view::TwoView;
 pub use verify::Verified;

@@ -16,14 +16,14 @@ use crate::geometry::{Body, Camera, Pose, SurfaceFrame};
 pub const LEAST_MARGIN: f64 = 25.0;
 /// Poses nearer to each other are one, radians.
 const SAME_TURN: f64 = 0.0087;
-/// Squared residuals count as so many squared scales at most.
+/// Largest squared residual that counts, squared scales.
 const LARGEST_SQUARED: f64 = 22.0;
 /// Steps of the twin's refinement at most.
 const ITERATIONS: usize = 15;
 
 /// How much worse (in robust chi-squared) the best pose near the tilted twin explains what was seen; infinite where there is none.
 /// `surface`: the one that is tilted; `squares`: a buffer.
-pub fn twin_margin(
+pub fn ambiguity_margin(
     body: &PreparedBody,
     surface: u32,
     pose: &Pose<Camera, Body>,
@@ -101,8 +101,8 @@ mod tests {
             }
             found += 1;
             let mut squares = Vec::new();
-            let right = twin_margin(&body, 0, &truth, &still, &observations, &mut squares);
-            let other = twin_margin(&body, 0, &wrong, &still, &observations, &mut squares);
+            let right = ambiguity_margin(&body, 0, &truth, &still, &observations, &mut squares);
+            let other = ambiguity_margin(&body, 0, &wrong, &still, &observations, &mut squares);
             println!("{distance} m: {:.1} degrees apart, margins {right:.1} and {other:.1}", wrong.angle_to(&truth).to_degrees());
             assert!(right > 0.0 && other < 0.0, "{distance} m: {right} {other}");
         }

@@ -84,7 +84,7 @@ pub fn visible_targets(
         let Some(octave) = best_octave(surface, pose, camera, picture.scale) else { continue };
         for anchor in &surface.octaves[octave].anchors {
             let Some(mut target) = project_anchor(surface, pose, camera, anchor.position, picture) else { continue };
-            if hidden(body, index, pose, &target.point) {
+            if occluded(body, index, pose, &target.point) {
                 continue;
             }
             target.surface = index as u32;
@@ -189,7 +189,7 @@ fn project_anchor(
 }
 
 /// Whether another surface of the body stands between the camera and the point.
-fn hidden(body: &PreparedBody, own: usize, pose: &Pose<Camera, Body>, point: &Point3<f64>) -> bool {
+fn occluded(body: &PreparedBody, own: usize, pose: &Pose<Camera, Body>, point: &Point3<f64>) -> bool {
     let centre = pose.inverse().translation;
     body.surfaces.iter().enumerate().any(|(index, surface)| {
         if index == own {

@@ -170,7 +170,7 @@ impl SurfaceSpec {
         let metric: [PointPair; 4] = std::array::from_fn(|k| PointPair { from: metres[k], to: rays[k].0 });
         let homography = Homography::from_four(&metric).ok_or(SurfaceError::Corners(None))?;
         let seen_from = planar_poses(&homography, &metric).into_iter().next().ok_or(SurfaceError::Corners(None))?;
-        let artwork = laid_flat(photo, &photo_from_artwork, &camera, w, h);
+        let artwork = rectified(photo, &photo_from_artwork, &camera, w, h);
         check_sides(&artwork)?;
         let kind =
             ReferenceKind::Photograph { photo_from_artwork: photo_from_artwork.0, camera: Box::new(camera), pose: seen_from.renamed() };
@@ -262,7 +262,7 @@ fn clockwise(corners: &[Pixel; 4]) -> Option<[[f64; 2]; 4]> {
 }
 
 /// Resamples the photograph onto the flat rectangle.
-fn laid_flat(photo: &GrayImage, photo_from_artwork: &Homography, camera: &CameraModel, width: u32, height: u32) -> GrayImage {
+fn rectified(photo: &GrayImage, photo_from_artwork: &Homography, camera: &CameraModel, width: u32, height: u32) -> GrayImage {
     GrayImage::from_fn(width, height, |x, y| {
         let undistorted = photo_from_artwork.map(Vector2::new(f64::from(x), f64::from(y)));
         let raw = undistorted.map(|p| camera.project(camera.from_undistorted_pixel(p)).0);

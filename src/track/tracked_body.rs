@@ -4,13 +4,13 @@ use nalgebra::{Matrix3, Matrix6};
 use tracing::debug;
 
 use super::acquire::Recognition;
-use super::align::{Aligner, Alignment, Eye, FrameLevels, Jerk, MotionEstimate, Patch, Sensor, ShutterClue, UsedPixel};
+use super::align::{Aligner, Alignment, CameraRays, FrameLevels, MotionEstimate, Patch, ProcessNoise, Sensor, ShutterClue, UsedPixel};
 use super::fitted_anchor::FittedAnchor;
-use super::lock::Lock;
-use super::planar_ambiguity::{LEAST_MARGIN, most_frequent_surface, twin_margin};
+use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
 use super::reason::Reason;
 use super::reference::PreparedBody;
 use super::surface::BodySpec;
+use super::track_state::TrackStateMachine;
 use super::verify::{Refusal, Verified, VerifyBuffers, View, verify};
 use crate::camera::{CameraModel, Normalized};
 use crate::frame::Frame;
@@ -26,7 +26,7 @@ pub const FIRST_SHIFT: f64 = 0.003;
 pub const FIRST_TURN: f64 = 0.003;
 /// Share of fitting anchors beyond which no rival is asked.
 const CLEAR_SHARE: f64 = 0.6;
-/// A followed pose is held against its tilted twin after so many frames.
+/// Frames between two tests of a followed pose against the one tilted the other way.
 const AUDIT_FRAMES: u32 = 16;
 
 /// A body and what its frames said so far; keeps its buffers.
@@ -36,7 +36,7 @@ pub struct TrackedBody {
     /// Its surfaces' numbers in the reference index.
     pub surfaces: std::ops::Range<u32>,
     /// What verified poses mean in time.
-    pub lock: Lock,
+    pub track: TrackStateMachine,
     /// Follows it.
     pub aligner: Aligner,
     /// The anchors that fit the last verified pose.
@@ -55,7 +55,7 @@ pub struct TrackedBody {
     /// The motion at the last aligned frame, and its stamp.
     motion: Option<(MotionEstimate, i64)>,
     /// How jerky that is.
-    jerk: Jerk,
+    process_noise: ProcessNoise,
     /// The last verified pose, its stamp, and the motion that led to it.
     before: Option<(Pose<Camera, Body>, i64, Option<Twist>)>,
     /// How long after a frame the next one comes, seconds.
@@ -74,7 +74,7 @@ impl TrackedBody {
         let most = aligner.most_patches();
         Self {
             surfaces: first..first + body.surfaces.len() as u32,
-            lock: Lock::default(),
+            track: TrackStateMachine::default(),
             aligner,
             anchors: Vec::with_capacity(most),
             clue: None,
@@ -84,7 +84,7 @@ impl TrackedBody {
             used: None,
             patches: Vec::with_capacity(most),
             motion: None,
-            jerk: Jerk::default(),
+            process_noise: ProcessNoise::default(),
             before: None,
             to_next_s: 0.0,
             unaudited: 0,
@@ -100,16 +100,16 @@ impl TrackedBody {
     }
 
     /// Aligns the body from where it should be; `None` where it was not aligned lately, or the picture does not bear it out.
-    pub fn follow(&mut self, frame: &Frame, levels: &mut FrameLevels, eye: &Eye) -> Option<Verified> {
+    pub fn follow(&mut self, frame: &Frame, levels: &mut FrameLevels, camera_rays: &CameraRays) -> Option<Verified> {
         let (estimate, then_ns) = self.motion.take()?;
         let dt_s = frame.timestamp_ns.saturating_sub(then_ns) as f64 * 1e-9;
         if dt_s <= 0.0 || dt_s > LONGEST_FOLLOWED_GAP_S.max(self.to_next_s) {
             return None;
         }
-        let expected = estimate.after(dt_s, self.aligner.distance(&estimate.motion.pose), &self.jerk);
-        let verified = self.align(frame, levels, eye, &expected, Some(dt_s))?;
+        let expected = estimate.after(dt_s, self.aligner.distance(&estimate.motion.pose), &self.process_noise);
+        let verified = self.align(frame, levels, camera_rays, &expected, Some(dt_s))?;
         self.unaudited += 1;
-        if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose, eye.camera()) {
+        if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose, camera_rays.camera()) {
             self.motion = None;
             return None;
         }
@@ -122,7 +122,7 @@ impl TrackedBody {
         self.observations.clear();
         self.observations.extend(self.anchors.iter().map(|a| a.observation));
         let surface = most_frequent_surface(&self.anchors, self.body.surfaces.len());
-        let margin = twin_margin(&self.body, surface, pose, &MovingCamera::still(camera), &self.observations, &mut self.squares);
+        let margin = ambiguity_margin(&self.body, surface, pose, &MovingCamera::still(camera), &self.observations, &mut self.squares);
         debug!(margin, "twin");
         margin > -LEAST_MARGIN
     }
@@ -133,11 +133,11 @@ impl TrackedBody {
         &mut self,
         frame: &Frame,
         levels: &mut FrameLevels,
-        eye: &Eye,
+        camera_rays: &CameraRays,
         expected: &MotionEstimate,
         since_s: Option<f64>,
     ) -> Option<Verified> {
-        let found = self.aligner.align(levels, eye, expected, since_s)?;
+        let found = self.aligner.align(levels, camera_rays, expected, since_s)?;
         // Pushed far away, it is a new pose as much as one that was found anew.
         let is_expected = since_s.is_some() && !found.is_pushed();
         debug!(
@@ -145,7 +145,7 @@ impl TrackedBody {
             tiles = found.tiles,
             scale = found.scale,
             inliers = found.inliers,
-            surprise = found.surprise,
+            squared_mahalanobis = found.squared_mahalanobis,
             "aligned"
         );
         if !found.is_credible(is_expected) {
@@ -153,17 +153,17 @@ impl TrackedBody {
         }
         self.clue = self.aligner.shutter_clue();
         if !is_expected {
-            self.jerk = Jerk::default();
+            self.process_noise = ProcessNoise::default();
         } else if self.clue.is_none() {
             // Where the shutter is in question, jerk must not explain what a wrong one does.
-            self.jerk.learn(expected.squared_innovations(&found.estimate.motion));
+            self.process_noise.learn(expected.squared_innovations(&found.estimate.motion));
         }
         self.motion = Some((found.estimate, frame.timestamp_ns));
         if let Some(used) = &mut self.used {
-            self.aligner.used_pixels(eye, used);
+            self.aligner.used_pixels(camera_rays, used);
         }
-        self.aligner.patches(eye, &found.estimate.motion, &mut self.patches);
-        Some(self.aligned(&found, eye.camera()))
+        self.aligner.patches(camera_rays, &found.estimate.motion, &mut self.patches);
+        Some(self.aligned(&found, camera_rays.camera()))
     }
 
     /// An alignment in the terms of the record: pose and covariance of `T_camera_body`, and correspondences.
@@ -180,9 +180,9 @@ impl TrackedBody {
             let artwork = spec.artwork_from_metres(p.on_surface_m);
             let point = spec.body_point(artwork);
             let seen = pose.transform(&point);
-            let steady_px = camera.project(Normalized(seen.coords.xy() / seen.z)).0 + p.shift_px;
-            let observation = Observation { point, pixel: steady_px, information: p.information, delay_s: 0.0, group: p.tile };
-            FittedAnchor { surface: p.surface, artwork, observation, steady_px }
+            let corrected_px = camera.project(Normalized(seen.coords.xy() / seen.z)).0 + p.shift_px;
+            let observation = Observation { point, pixel: corrected_px, information: p.information, delay_s: 0.0, group: p.tile };
+            FittedAnchor { surface: p.surface, artwork, observation, corrected_px }
         };
         anchors.clear();
         anchors.extend(patches.iter().map(anchor));
@@ -204,7 +204,7 @@ impl TrackedBody {
         view: &View,
         buffers: &mut VerifyBuffers,
     ) -> Option<Verified> {
-        let continued = self.lock.is_continued();
+        let continued = self.track.is_continued();
         let mut best: Option<Verified> = None;
         for start in starts {
             match verify(&self.body, &start, view, continued, buffers) {

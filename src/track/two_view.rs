@@ -68,7 +68,7 @@ pub fn two_view(
     let TwoViewBuffers { rays, pairs, points } = buffers;
     let t_body_reference = reference_camera(body);
     rays.clear();
-    rays.extend(anchors.iter().map(|a| camera.unproject(Pixel(a.steady_px))));
+    rays.extend(anchors.iter().map(|a| camera.unproject(Pixel(a.corrected_px))));
     pair_rays(body, anchors, rays, &t_body_reference, pairs);
     let t_frame_reference = verified.pose * t_body_reference;
     let distance = (verified.pose * body.surfaces[0].spec.pose).translation.norm();

@@ -17,7 +17,7 @@ fn seen(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel, ac
             let wobble = Vector2::new((f64::from(k) * 12.9).sin(), (f64::from(k) * 78.2).sin()) * noise_px;
             let pixel = camera.project(Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0 + wobble;
             let observation = Observation { point, pixel, information: Matrix2::identity(), delay_s: 0.0, group: 0 };
-            anchors.push(FittedAnchor { surface: surface as u32, artwork, observation, steady_px: pixel });
+            anchors.push(FittedAnchor { surface: surface as u32, artwork, observation, corrected_px: pixel });
         }
     }
     let (covariance, inliers, rms_px) = (Matrix6::identity(), anchors.len(), noise_px.max(0.05));

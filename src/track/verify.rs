@@ -8,14 +8,15 @@
 use nalgebra::Matrix6;
 
 use super::fitted_anchor::FittedAnchor;
-use super::planar_ambiguity::{LEAST_MARGIN, most_frequent_surface, twin_margin};
+use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
 use super::reference::PreparedBody;
 use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
 use super::shutter::Shutter;
 use crate::camera::CameraModel;
 use crate::features::Workers;
 use crate::geometry::resection::{
-    MovingCamera, Observation, Resection, pose_by_twist, resect, sandwich_covariance, squared_residual, steadied_pixel, tukey_weight,
+    MovingCamera, Observation, Resection, pose_by_twist, resect, rolling_shutter_corrected_px, sandwich_covariance, squared_residual,
+    tukey_weight,
 };
 use crate::geometry::{Body, Camera, Pose};
 
@@ -198,7 +199,7 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
     }
     let covariance = judged_covariance(body, fine, &moving, view, &buffers.observations)?;
     let surface = most_frequent_surface(anchors, body.surfaces.len());
-    let margin = twin_margin(body, surface, &fine.pose, &moving, &buffers.observations, &mut buffers.squares);
+    let margin = ambiguity_margin(body, surface, &fine.pose, &moving, &buffers.observations, &mut buffers.squares);
     if margin < LEAST_MARGIN {
         return Err(Refusal::Ambiguous(margin));
     }
@@ -223,7 +224,7 @@ fn fitting_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, buffers
             surface: r.surface,
             artwork: r.artwork,
             observation,
-            steady_px: steadied_pixel(&fine.pose, moving, &observation),
+            corrected_px: rolling_shutter_corrected_px(&fine.pose, moving, &observation),
         })
     };
     seen.zip(&buffers.observations).filter_map(fitted).collect()

@@ -40,7 +40,7 @@ fn a_pose_that_is_nearly_right_becomes_right() {
     assert_eq!(found.covariance, found.covariance.transpose());
     assert!(found.covariance.cholesky().is_some());
     // Without a rolling shutter every anchor is where it was seen, up to its residual.
-    let residual = |a: &FittedAnchor| (a.steady_px - a.observation.pixel).norm();
+    let residual = |a: &FittedAnchor| (a.corrected_px - a.observation.pixel).norm();
     assert!(anchors.iter().all(|a| residual(a) < 1e-9));
 }
 

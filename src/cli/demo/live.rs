@@ -6,7 +6,7 @@ use crate::cli::angles::camera_words;
 use crate::geometry::{Camera, Pose, Stage};
 use crate::record::PoseSample;
 
-/// Where nobody watches, one frame of so many makes a line.
+/// Frames a line where nobody watches.
 const LINE_EVERY: u64 = 15;
 
 /// Prints poses as they come.

@@ -17,7 +17,7 @@ use super::failure::Failure;
 use super::interrupt;
 use super::logging::{self, LogArguments};
 use super::output_file::STDOUT;
-use super::receivers::Receivers;
+use super::outputs::Outputs;
 use super::spared::Spared;
 use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip, open_clip_in_colour};
 use crate::config::Settings;
@@ -117,7 +117,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     let summary = spared.open("--summary", arguments.summary.as_deref())?;
     arguments.claim_others(&settings, &mut spared)?;
     arguments.overlay.as_deref().map_or(Ok(()), overlays::refuse_foreign)?;
-    let receivers = arguments.outputs.then(|| Receivers::start(&settings, setup.camera, stamps(), arguments.fps)).transpose()?;
+    let outputs = arguments.outputs.then(|| Outputs::start(&settings, setup.camera, stamps(), arguments.fps)).transpose()?;
     let mut records = Records::begin(poses, tum, arguments.realtime)?;
     let mut summary = summary.map(records::Output::begin).transpose()?;
     let overlay = arguments.overlay.as_deref().map(|dir| (dir, setup.clone()));
@@ -127,10 +127,10 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     let mut tally = Tally::new(started);
     let mut tracker = Tracker::new(setup).with_filter(settings.filter);
     let overlays = overlay.map(|(dir, setup)| Overlays::create(dir, &setup, tracker.watch_pixels())).transpose()?;
-    let mut writing = Writing { records: &mut records, tally: &mut tally, receivers: receivers.as_ref() };
+    let mut writing = Writing { records: &mut records, tally: &mut tally, outputs: outputs.as_ref() };
     let rows = track(source, tracker, overlays, &mut writing)?;
-    if let Some(receivers) = receivers {
-        receivers.close();
+    if let Some(outputs) = outputs {
+        outputs.close();
     }
     tally.set_rows(rows.undecodable, rows.skipped);
     if let Some(output) = &mut summary {
@@ -144,14 +144,14 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
 struct Writing<'a> {
     records: &'a mut Records,
     tally: &'a mut Tally,
-    receivers: Option<&'a Receivers>,
+    outputs: Option<&'a Outputs>,
 }
 
 impl Writing<'_> {
     fn take(&mut self, sample: &PoseSample) -> Result<(), Failure> {
-        // Receivers first: they wait for it.
-        if let Some(receivers) = self.receivers {
-            receivers.send(sample);
+        // Outputs first: they wait for it.
+        if let Some(outputs) = self.outputs {
+            outputs.send(sample);
         }
         self.tally.add(sample);
         self.records.write(sample)

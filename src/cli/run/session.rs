@@ -17,7 +17,7 @@ use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::outcome::Outcome;
 use crate::cli::output_file::OutputFile;
-use crate::cli::receivers::Receivers;
+use crate::cli::outputs::Outputs;
 use crate::cli::replay::records::{Output, Records};
 use crate::cli::replay::tracker_setup;
 use crate::config::{LogFormat, LogSettings, RecorderSettings, Settings};
@@ -59,13 +59,13 @@ struct Listening<'a> {
     /// which this does.
     saver: Option<&'a dyn Fn()>,
     pages: &'a Pages,
-    receivers: &'a Receivers,
+    outputs: &'a Outputs,
 }
 
 /// Gives a sample to everybody. The outputs have a watchdog of their own for stale poses.
-fn tell(sample: &PoseSample, pages: &Pages, receivers: &Receivers, sinks: &mut Sinks) {
+fn tell(sample: &PoseSample, pages: &Pages, outputs: &Outputs, sinks: &mut Sinks) {
     if sample.state != State::Stale {
-        receivers.send(sample);
+        outputs.send(sample);
     }
     pages.publish(sample);
     sinks.write(sample);
@@ -91,7 +91,7 @@ impl Session<'_> {
             self.settings.safety.note_on_rate(mode.fps).into_iter().for_each(|note| tracing::warn!("{note}"));
         }
         let stopper = source.stopper();
-        let receivers = Receivers::live(self.settings, setup.camera, mode.fps)?;
+        let outputs = Outputs::live(self.settings, setup.camera, mode.fps)?;
         let mut daemon = Daemon::live(source, Tracker::new(setup).with_filter(self.settings.filter));
         let samples = daemon.subscribe();
         let recorder = clips.recorder(self, mode.clone(), exposure_s)?;
@@ -101,7 +101,7 @@ impl Session<'_> {
         let running = match daemon.start() {
             Ok(running) => running,
             Err(e) => {
-                receivers.close();
+                outputs.close();
                 if let Some(recorder) = recorder {
                     recorder.finish();
                 }
@@ -116,15 +116,15 @@ impl Session<'_> {
             save: &save,
             saver: saver.as_ref().map(|s| s as &dyn Fn()),
             pages: &pages,
-            receivers: &receivers,
+            outputs: &outputs,
         };
         let end = self.follow(&listening, service, sinks);
         drop(saver);
         stopper.stop();
         running.stop();
         // What is under way comes to its end, and out.
-        samples.iter().for_each(|sample| tell(&sample, &pages, &receivers, sinks));
-        receivers.close();
+        samples.iter().for_each(|sample| tell(&sample, &pages, &outputs, sinks));
+        outputs.close();
         let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
         if let Some(recorder) = recorder {
             clips.ended(recorder.finish());
@@ -153,20 +153,20 @@ impl Session<'_> {
     }
 
     fn follow(&self, listening: &Listening<'_>, service: &mut Service, sinks: &mut Sinks) -> End {
-        let Listening { samples, running, size, save, saver, pages, receivers } = *listening;
+        let Listening { samples, running, size, save, saver, pages, outputs } = *listening;
         service.tracking_begins();
         loop {
             match samples.recv_timeout(Duration::from_millis(50)) {
                 Ok(sample) => {
                     service.seen(&sample);
-                    tell(&sample, pages, receivers, sinks);
+                    tell(&sample, pages, outputs, sinks);
                 }
                 Err(RecvTimeoutError::Timeout) if running.has_ended() => return End::Stopped,
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return End::Stopped,
             }
             service.tick(self.link);
-            for PoseWithheld { output, body, reason } in receivers.withheld() {
+            for PoseWithheld { output, body, reason } in outputs.withheld() {
                 self.link.events.publish(Event::PoseWithheld { output, body, reason: reason.words() });
             }
             sinks.write_events();

@@ -9,7 +9,7 @@ use crate::capture::camera::{CameraMode, PixelLayout};
 use crate::capture::{ClipOptions, open_clip};
 use crate::frame::Frame;
 
-/// A disk with room for so many bytes.
+/// A disk with room for a number of bytes.
 struct SmallDisk {
     disk: RealDisk,
     left: usize,

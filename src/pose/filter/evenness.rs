@@ -17,7 +17,7 @@ const ACCELERATIONS_S: f64 = 0.2;
 const NOISE_S: f64 = 0.3;
 /// The noise is no less than this share of what the covariance says, as a variance: a still picture has none, the next one has.
 const LEAST_NOISE: f64 = 1e-4;
-/// One measurement counts at most so many times the mean noise: a jump is no noise.
+/// Most that one measurement counts, in mean noises: a jump is no noise.
 const OUTLIER: f64 = 10.0;
 
 /// A measurement as long as it is needed.

@@ -67,7 +67,7 @@ impl<From> Motion<From> {
     }
 }
 
-/// A prediction reaches at most so many times as far as the body moved within the time it reaches ahead. 1 would cut predictions
+/// Longest reach of a prediction, in shares of how far the body moved within the time it reaches ahead. 1 would cut predictions
 /// short wherever a body speeds up; more lets a jump that is taken for a motion swing out by more.
 const PREDICTED_WAYS: f64 = 2.0;
 /// Stamps further apart than this are no continuation, seconds, unless the frame intervals themselves are that long.

@@ -3,23 +3,23 @@
 use nalgebra::{Matrix2, Vector2, Vector6};
 
 use super::evidence::RunEvidence;
-use super::exposure::{KnownSpread, USUAL_EXPOSURE_S, UnknownExposure, exposure_clue};
+use super::exposure::{KnownPsfVariance, USUAL_EXPOSURE_S, UnknownExposure, exposure_clue};
 use super::frame_levels::{FrameLevels, LEVELS};
+use super::gradient_gain::{ChangeSums, GradientGain};
 use super::jump_instant::{Expectation, RowBands};
+use super::level_problem::used_pixels::UsedPixel;
+use super::level_problem::{Corrected, Expected, LevelProblem};
+use super::level_spec::{LevelSpec, SlowStates};
 use super::light::RememberedLight;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::noise::CameraNoise;
 use super::selection::{Chosen, Selector};
 use super::shutter_clue::{ClueKeeper, ShutterClue};
-use super::slopes::{ChangeSums, SlopeShare};
-use super::task::{SlowStates, Task};
 use super::tile_grid::MOST_TILES;
 use super::uniform_motion::UniformMotion;
-use super::velocity_jump::{by_bend, by_start, is_surprising, jumped};
-use super::verdict::{Alignment, agreement, surprise};
-use super::work::used_pixels::UsedPixel;
-use super::work::{Corrected, Expected, Work};
-use super::{AlignSurface, Eye, Sensor};
+use super::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
+use super::verdict::{Alignment, agreement, squared_mahalanobis};
+use super::{AlignSurface, CameraRays, Sensor};
 use crate::geometry::{Body, Camera, Pose};
 use crate::track::reference::PreparedBody;
 
@@ -41,7 +41,7 @@ pub struct Patch {
 /// Pixels asked at each level, from full size down, of a frame 1280 pixels wide; wider ones are asked more.
 const PIXELS: [usize; LEVELS] = [10_000, 10_000, 4000, 1500, 500];
 const USUAL_WIDTH_PX: f64 = 1280.0;
-/// Looks across a pixel of the levels above the finest, and of that.
+/// Samples across a pixel of the levels above the finest, and of that.
 const COARSE_SIDE: usize = 3;
 const SIDE: usize = 5;
 /// Pixels asked while nothing moves: their prediction is kept from frame to frame.
@@ -49,9 +49,9 @@ const STILL_PIXELS: usize = 130_000;
 /// The point spread is one slow state, learnt from frames with less motion blur than this (pixels of the frame), by this share of
 /// what each says; one sigma about it in such frames, and in others, where it must not pass for motion. In the kernel's unit.
 const SHARP_FRAME_PX: f64 = 1.0;
-const SPREAD_SHARE: f64 = 0.2;
-const SPREAD_SIGMA: f64 = 0.5;
-const BLURRED_SPREAD_SIGMA: f64 = 0.05;
+const PSF_VARIANCE_SHARE: f64 = 0.2;
+const PSF_VARIANCE_SIGMA: f64 = 0.5;
+const BLURRED_PSF_VARIANCE_SIGMA: f64 = 0.05;
 /// Linearisations of a level at most: of the levels above the finest, and of that.
 const COARSE_ROUNDS: usize = 8;
 const FINE_ROUNDS: usize = 16;
@@ -64,7 +64,7 @@ const LARGEST_LAST_STEP_PX: f64 = 0.15;
 /// pictures of the tiles were predicted before the step. Raised, covariances are wider than errors; with 0, twice as many frames
 /// of a moving camera are further off than six sigmas.
 const MISSING_SHARE: f64 = 0.2;
-/// Patches are followed while they are further off than this on average, pixels of the level, so many times at most.
+/// Patches are sampled again, shifted, while their mean shift exceeds this, pixels of the level; and how often at most.
 const SMALL_SHIFT_PX: f64 = 0.05;
 const PATCH_ROUNDS: usize = 3;
 /// Fewest fitting pixels of a patch.
@@ -76,17 +76,18 @@ const BASIN_PX: f64 = 2.5;
 /// The finest level's pixels are chosen with the pose known to this, pixels of the level: seen from a pose that is off they lie beside
 /// their edges, all on one side, where every error of the point spread pulls the same way.
 const CHOSEN_PX: f64 = 0.25;
-/// Starts were lately off by at most so many times what is remembered of them; that fades by this share a frame.
+/// Search radius = `LATELY_OFF` x a decaying maximum of the start error, px. The maximum keeps this share a frame: raised, the search stays wide
+/// longer after a jump, and costs a level more.
 const LATELY_OFF: f64 = 2.0;
 const OFF_FADES: f64 = 0.8;
-/// What is remembered at first, pixels of the frame.
+/// The decaying maximum of the start error at first, pixels of the frame.
 const FIRST_OFF_PX: f64 = 40.0;
 /// A body that was aligned from nearby is looked for from further off where its residuals are larger than this, sigmas, or fewer of its
 /// tiles take part than this share of what did in the last frame. With residuals as large, its velocity may also have jumped.
 const CLOSE_SCALE: f64 = 2.0;
 const CLOSE_SHARE: f64 = 0.8;
-/// How the picture was enlarged is asked again after so many frames, at first after fewer; a change must leave no more than this
-/// share of the misfit.
+/// Frames between trials of how the picture was enlarged, and before the first; the other way is taken where it leaves less than this share
+/// of the misfit.
 const TRIAL_FRAMES: u32 = 32;
 const FIRST_TRIAL: u32 = 3;
 const BETTER: f64 = 0.97;
@@ -109,18 +110,18 @@ pub struct Aligner {
     /// What it was before an attempt that may be given up.
     light_before: RememberedLight,
     /// Slow average of the point spread.
-    spread: f64,
+    psf_variance: f64,
     selector: Selector,
     chosen: Vec<Chosen>,
-    coarse: Work,
-    fine: Work,
+    coarse: LevelProblem,
+    fine: LevelProblem,
     /// Whether the finest level holds the pixels of a still camera.
     has_kept: bool,
     /// The line that the last poses lie on; `None` where the last frame was not aligned.
     line: Option<UniformMotion>,
     /// Of the pose, since the frame was last predicted; zero where the prediction of the frame before was kept.
     last_step: Vector6<f64>,
-    /// How far starts were off lately, pixels of the frame.
+    /// Decaying maximum of the start error, pixels of the frame.
     off_px: f64,
     /// Share of the tiles that took part in the last frame.
     open_share: f64,
@@ -142,13 +143,13 @@ impl Aligner {
             exposure: (!is_known).then(UnknownExposure::default),
             selector: Selector::with_room_for(&surfaces),
             surfaces,
-            slow: SlowStates { sensor, noise: CameraNoise::usual(FINEST), is_enlarged: true, slopes: SlopeShare::default() },
+            slow: SlowStates { sensor, noise: CameraNoise::usual(FINEST), is_enlarged: true, gradient_gain: GradientGain::default() },
             light: RememberedLight::default(),
             light_before: RememberedLight::default(),
-            spread: 0.0,
+            psf_variance: 0.0,
             chosen: Vec::new(),
-            coarse: Work::default(),
-            fine: Work::default(),
+            coarse: LevelProblem::default(),
+            fine: LevelProblem::default(),
             has_kept: false,
             line: None,
             last_step: Vector6::zeros(),
@@ -178,16 +179,22 @@ impl Aligner {
     }
 
     /// Adds the pixels that the last frame's pose rests on. Before [`Aligner::patches`], which looks elsewhere.
-    pub fn used_pixels(&self, eye: &Eye, out: &mut Vec<UsedPixel>) {
+    pub fn used_pixels(&self, rays: &CameraRays, out: &mut Vec<UsedPixel>) {
         let Some(solved) = self.fine.solved() else { return };
-        let task = task(&self.surfaces, &self.slow, eye, FINEST, &solved.motion);
-        self.fine.used_pixels(&task, out);
+        let spec = spec(&self.surfaces, &self.slow, rays, FINEST, &solved.motion);
+        self.fine.used_pixels(&spec, out);
     }
 
     /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges.
     ///
     /// `since_s`: seconds since the last frame, if the body is followed; its velocity may have jumped meanwhile.
-    pub fn align(&mut self, frame: &mut FrameLevels, eye: &Eye, expected: &MotionEstimate, since_s: Option<f64>) -> Option<Alignment> {
+    pub fn align(
+        &mut self,
+        frame: &mut FrameLevels,
+        rays: &CameraRays,
+        expected: &MotionEstimate,
+        since_s: Option<f64>,
+    ) -> Option<Alignment> {
         if let Some(clues) = &mut self.clues {
             clues.clue = None;
         }
@@ -195,36 +202,36 @@ impl Aligner {
         let since_s = since_s.filter(|_| self.clues.is_none());
         let line = self.line.take().filter(|_| since_s.is_some());
         let information = expected.covariance.cholesky()?.inverse();
-        let blur_px = f64::from(1u32 << FINEST) * task(&self.surfaces, &self.slow, eye, FINEST, &expected.motion).blur_px;
-        let spread_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_SPREAD_SIGMA } else { SPREAD_SIGMA };
-        let known = Expected { motion: &expected.motion, information: &information, spread: self.spread, spread_sigma };
+        let blur_px = f64::from(1u32 << FINEST) * spec(&self.surfaces, &self.slow, rays, FINEST, &expected.motion).blur_px;
+        let psf_variance_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_PSF_VARIANCE_SIGMA } else { PSF_VARIANCE_SIGMA };
+        let known = Expected { motion: &expected.motion, information: &information, psf_variance: self.psf_variance, psf_variance_sigma };
         self.last_step = Vector6::zeros();
-        let found = match self.same_again(frame, eye, &known) {
+        let found = match self.same_again(frame, rays, &known) {
             Some(found) => found,
-            None => self.settle(frame, eye, &known, expected)?,
+            None => self.settle(frame, rays, &known, expected)?,
         };
         // A small picture has few pixels. Where they contradict the expectation, their residuals are large, and large residuals weigh little
         // beside it: the pose stays where it was expected, and only the residuals tell.
         let is_held_back = found.scale > CLOSE_SCALE;
-        let jumped_since_s = since_s.filter(|_| is_held_back || is_surprising(surprise(expected, &found.motion)));
+        let jumped_since_s = since_s.filter(|_| is_held_back || is_unexpected(squared_mahalanobis(expected, &found.motion)));
         if let Some(since_s) = jumped_since_s {
             let with_jump = jumped(expected, since_s, &self.slow.sensor, self.distance(&expected.motion.pose));
-            self.solve_with_jump(eye, &known, &with_jump, &found)?;
+            self.solve_with_jump(rays, &known, &with_jump, &found)?;
         }
-        self.conclude(eye, expected, &information, since_s, jumped_since_s.is_some(), line)
+        self.conclude(rays, expected, &information, since_s, jumped_since_s.is_some(), line)
     }
 
     /// Solves the finest level once more from where it was found, with a velocity that may have jumped.
-    fn solve_with_jump(&mut self, eye: &Eye, known: &Expected, with_jump: &MotionEstimate, found: &Corrected) -> Option<()> {
+    fn solve_with_jump(&mut self, rays: &CameraRays, known: &Expected, with_jump: &MotionEstimate, found: &Corrected) -> Option<()> {
         let information = with_jump.covariance.cholesky()?.inverse();
         let known = Expected { information: &information, ..*known };
         self.has_kept = false;
         let mut motion = found.motion;
         for _ in 0..JUMP_ROUNDS {
-            let task = task(&self.surfaces, &self.slow, eye, FINEST, &motion);
-            self.fine.predict(&task, &motion);
-            let solved = self.fine.solve(&task, &known, &mut self.light, false, 2)?.motion;
-            let moved = self.fine.moved_px(&task, &motion, &solved);
+            let spec = spec(&self.surfaces, &self.slow, rays, FINEST, &motion);
+            self.fine.predict(&spec, &motion);
+            let solved = self.fine.solve(&spec, &known, &mut self.light, false, 2)?.motion;
+            let moved = self.fine.moved_px(&spec, &motion, &solved);
             self.last_step = motion.pose_error_to(&solved);
             motion = solved;
             if moved < FINE_STEP_PX {
@@ -235,28 +242,28 @@ impl Aligner {
     }
 
     /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels.
-    fn same_again(&mut self, frame: &mut FrameLevels, eye: &Eye, known: &Expected) -> Option<Corrected> {
+    fn same_again(&mut self, frame: &mut FrameLevels, rays: &CameraRays, known: &Expected) -> Option<Corrected> {
         let noise = self.slow.noise.of_still();
-        let task = Task { count: STILL_PIXELS, is_dense: true, noise, ..task(&self.surfaces, &self.slow, eye, FINEST, known.motion) };
-        if self.fine.moved_since(&task, known.motion) > KEPT_PX {
+        let spec = LevelSpec { count: STILL_PIXELS, is_dense: true, noise, ..spec(&self.surfaces, &self.slow, rays, FINEST, known.motion) };
+        if self.fine.moved_since(&spec, known.motion) > KEPT_PX {
             self.has_kept = false;
             return None;
         }
         if self.has_kept {
-            self.fine.renew(&task, frame);
-        } else if self.fine.lay_out(&task, frame, known.motion, &mut self.selector, &mut self.chosen, &self.light) {
-            self.fine.predict(&task, known.motion);
+            self.fine.renew(&spec, frame);
+        } else if self.fine.lay_out(&spec, frame, known.motion, &mut self.selector, &mut self.chosen, &self.light) {
+            self.fine.predict(&spec, known.motion);
             self.has_kept = true;
         } else {
             return None;
         }
-        let solved = self.fine.solve(&task, known, &mut self.light, false, 2)?;
-        (self.fine.moved_px(&task, known.motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
+        let solved = self.fine.solve(&spec, known, &mut self.light, false, 2)?;
+        (self.fine.moved_px(&spec, known.motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
     }
 
     /// The patches of the last frame that fit, one a tile: where each is on its surface, and how far off the frame shows it.
-    pub fn patches(&mut self, eye: &Eye, motion: &Motion, patches: &mut Vec<Patch>) {
-        let task = task(&self.surfaces, &self.slow, eye, FINEST, motion);
+    pub fn patches(&mut self, rays: &CameraRays, motion: &Motion, patches: &mut Vec<Patch>) {
+        let spec = spec(&self.surfaces, &self.slow, rays, FINEST, motion);
         self.shifts.clear();
         self.shifts.extend(self.fine.runs().iter().map(|r| patch_shift(&r.evidence).map_or(Vector2::zeros(), |(shift, _)| shift)));
         // One linear step is right for small shifts. Where the calibration or the survey is off, patches must be followed.
@@ -266,7 +273,7 @@ impl Aligner {
                 break;
             }
             self.has_kept = false;
-            self.fine.look_shifted(&task, motion, &self.shifts);
+            self.fine.sample_shifted(&spec, motion, &self.shifts);
             for (shift, r) in self.shifts.iter_mut().zip(self.fine.runs()) {
                 let more = patch_shift(&r.evidence).map_or(Vector2::zeros(), |(more, _)| more);
                 *shift += more * (1.0 / more.norm().max(1.0));
@@ -290,28 +297,28 @@ impl Aligner {
 
     /// Aligns from the level whose basin holds what starts were off by lately; where that is not clearly right, from the one that holds
     /// all that is uncertain.
-    fn settle(&mut self, frame: &mut FrameLevels, eye: &Eye, known: &Expected, expected: &MotionEstimate) -> Option<Corrected> {
-        let far = level_for(self.uncertain_px(eye, expected)).max(FINEST + 1);
+    fn settle(&mut self, frame: &mut FrameLevels, rays: &CameraRays, known: &Expected, expected: &MotionEstimate) -> Option<Corrected> {
+        let far = level_for(self.uncertain_px(rays, expected)).max(FINEST + 1);
         let near = level_for(LATELY_OFF * self.off_px).min(far);
         self.light_before.clone_from(&self.light);
-        let found = self.descend(frame, eye, known, near);
+        let found = self.descend(frame, rays, known, near);
         let is_close = found.is_some_and(|f| f.scale < CLOSE_SCALE) && self.fine.open_share() > CLOSE_SHARE * self.open_share;
         let found = if is_close || near == far {
             found
         } else {
             self.light.clone_from(&self.light_before);
-            self.descend(frame, eye, known, far)
+            self.descend(frame, rays, known, far)
         }?;
-        let task = task(&self.surfaces, &self.slow, eye, FINEST, &found.motion);
-        let off_px = task.moved_px(known.motion, &found.motion) * f64::from(1u32 << FINEST);
+        let spec = spec(&self.surfaces, &self.slow, rays, FINEST, &found.motion);
+        let off_px = spec.moved_px(known.motion, &found.motion) * f64::from(1u32 << FINEST);
         self.off_px = off_px.max(OFF_FADES * self.off_px);
         self.open_share = self.fine.open_share();
-        self.tried(eye, known, found)
+        self.tried(rays, known, found)
     }
 
     /// Between its pixels the picture may be as smooth as their enlargement has it, or as a straight line (a projector or a wall of LEDs
     /// that scales it, a print of just these pixels): the frame tells. From time to time the finest level is solved with the other.
-    fn tried(&mut self, eye: &Eye, known: &Expected, found: Corrected) -> Option<Corrected> {
+    fn tried(&mut self, rays: &CameraRays, known: &Expected, found: Corrected) -> Option<Corrected> {
         let has_copies = self.surfaces.iter().any(|s| s.texture.own_level() > 0);
         self.untried += 1;
         if self.untried < TRIAL_FRAMES || !has_copies {
@@ -320,35 +327,35 @@ impl Aligner {
         self.untried = 0;
         self.light_before.clone_from(&self.light);
         let was = self.slow.is_enlarged;
-        let other = self.solved_enlarged(!was, eye, known, &found).map_or(f64::INFINITY, |(_, misfit)| misfit);
-        let (solved, misfit) = self.solved_enlarged(was, eye, known, &found)?;
+        let other = self.solved_enlarged(!was, rays, known, &found).map_or(f64::INFINITY, |(_, misfit)| misfit);
+        let (solved, misfit) = self.solved_enlarged(was, rays, known, &found)?;
         tracing::debug!(was, misfit, other, "enlargement");
         if other < BETTER * misfit {
-            return self.solved_enlarged(!was, eye, known, &found).map(|(solved, _)| solved);
+            return self.solved_enlarged(!was, rays, known, &found).map(|(solved, _)| solved);
         }
         Some(solved)
     }
 
     /// The finest level solved once more with the enlarged copies or without, and the misfit that is left.
-    fn solved_enlarged(&mut self, is_enlarged: bool, eye: &Eye, known: &Expected, found: &Corrected) -> Option<(Corrected, f64)> {
+    fn solved_enlarged(&mut self, is_enlarged: bool, rays: &CameraRays, known: &Expected, found: &Corrected) -> Option<(Corrected, f64)> {
         self.slow.is_enlarged = is_enlarged;
         self.fine.recall_light(&self.light_before);
-        let task = task(&self.surfaces, &self.slow, eye, FINEST, &found.motion);
-        self.fine.predict(&task, &found.motion);
-        let solved = self.fine.solve(&task, known, &mut self.light, false, 2)?;
+        let spec = spec(&self.surfaces, &self.slow, rays, FINEST, &found.motion);
+        self.fine.predict(&spec, &found.motion);
+        let solved = self.fine.solve(&spec, known, &mut self.light, false, 2)?;
         Some((solved, self.fine.misfit()))
     }
 
     /// From coarse to fine.
-    fn descend(&mut self, frame: &mut FrameLevels, eye: &Eye, known: &Expected, from: usize) -> Option<Corrected> {
+    fn descend(&mut self, frame: &mut FrameLevels, rays: &CameraRays, known: &Expected, from: usize) -> Option<Corrected> {
         self.has_kept = false;
         let mut motion = *known.motion;
         let mut is_first = true;
         for l in (FINEST..=from).rev() {
             let is_finest = l == FINEST;
-            let task = task(&self.surfaces, &self.slow, eye, l, &motion);
+            let spec = spec(&self.surfaces, &self.slow, rays, l, &motion);
             let work = if is_finest { &mut self.fine } else { &mut self.coarse };
-            if !work.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen, &self.light) {
+            if !work.lay_out(&spec, frame, &motion, &mut self.selector, &mut self.chosen, &self.light) {
                 continue;
             }
             let (rounds, small_px) = if is_finest { (FINE_ROUNDS, FINE_STEP_PX) } else { (COARSE_ROUNDS, COARSE_STEP_PX) };
@@ -357,26 +364,26 @@ impl Aligner {
             let mut is_same = false;
             let mut shown = ChangeSums::default();
             for _ in 0..rounds {
-                if is_finest && work.moved_px(&task, &chosen_at, &motion) > CHOSEN_PX {
+                if is_finest && work.moved_px(&spec, &chosen_at, &motion) > CHOSEN_PX {
                     chosen_at = motion;
                     is_same = false;
-                    if !work.lay_out(&task, frame, &motion, &mut self.selector, &mut self.chosen, &self.light) {
+                    if !work.lay_out(&spec, frame, &motion, &mut self.selector, &mut self.chosen, &self.light) {
                         return None;
                     }
                 }
                 if is_same && is_finest {
-                    shown.add(&work.predict_again(&task, &motion));
+                    shown.add(&work.predict_again(&spec, &motion));
                 } else {
-                    work.predict(&task, &motion);
+                    work.predict(&spec, &motion);
                 }
                 is_same = true;
                 if is_first {
-                    work.guess_light(&task, self.spread);
+                    work.guess_light(&spec, self.psf_variance);
                 }
                 let passes = if is_first { 3 } else { 2 };
-                let solved = work.solve(&task, known, &mut self.light, is_first, passes)?;
+                let solved = work.solve(&spec, known, &mut self.light, is_first, passes)?;
                 is_first = false;
-                let moved = work.moved_px(&task, &motion, &solved.motion);
+                let moved = work.moved_px(&spec, &motion, &solved.motion);
                 self.last_step = motion.pose_error_to(&solved.motion);
                 tracing::trace!(level = l, moved, pixels = work.pixels().len(), scale = solved.scale, open = work.open_share());
                 motion = solved.motion;
@@ -386,7 +393,7 @@ impl Aligner {
                 }
             }
             if is_finest {
-                self.slow.slopes.learn(&shown);
+                self.slow.gradient_gain.learn(&shown);
                 return last;
             }
         }
@@ -394,8 +401,8 @@ impl Aligner {
     }
 
     /// How far off the start may be in the frame, two sigmas, pixels.
-    fn uncertain_px(&self, eye: &Eye, expected: &MotionEstimate) -> f64 {
-        let focal = eye.camera.intrinsics().fx;
+    fn uncertain_px(&self, rays: &CameraRays, expected: &MotionEstimate) -> f64 {
+        let focal = rays.camera.intrinsics().fx;
         let distance = self.distance(&expected.motion.pose);
         let c = &expected.covariance;
         let sigma = |k: usize| (c[(k, k)] + c[(k + 1, k + 1)] + c[(k + 2, k + 2)]).max(0.0).sqrt();
@@ -411,7 +418,7 @@ impl Aligner {
     /// expectation; `line`: that the poses before it lie on.
     fn conclude(
         &mut self,
-        eye: &Eye,
+        rays: &CameraRays,
         expected: &MotionEstimate,
         information: &MotionMatrix,
         since_s: Option<f64>,
@@ -419,10 +426,10 @@ impl Aligner {
         mut line: Option<UniformMotion>,
     ) -> Option<Alignment> {
         let solved = self.fine.solved()?;
-        let task = task(&self.surfaces, &self.slow, eye, FINEST, &solved.motion);
-        let blur_px = task.blur_px * f64::from(1u32 << FINEST);
+        let spec = spec(&self.surfaces, &self.slow, rays, FINEST, &solved.motion);
+        let blur_px = spec.blur_px * f64::from(1u32 << FINEST);
         let mut bands = RowBands::new(self.slow.sensor);
-        let (mut estimate, mut covariance) = self.fine.conclude(&task, &mut bands)?;
+        let (mut estimate, mut covariance) = self.fine.conclude(&spec, &mut bands)?;
         covariance += self.last_step * self.last_step.transpose() * MISSING_SHARE.powi(2);
         let (sensor, distance_m) = (&self.slow.sensor, self.distance(&solved.motion.pose));
         let mut pose = estimate.motion.pose;
@@ -457,12 +464,12 @@ impl Aligner {
             covariance += by_start(&estimate, sensor);
         }
         if blur_px < SHARP_FRAME_PX {
-            self.spread += SPREAD_SHARE * (self.light.spread() - self.spread);
+            self.psf_variance += PSF_VARIANCE_SHARE * (self.light.psf_variance() - self.psf_variance);
         }
-        let spread = KnownSpread { error: self.spread - self.light.spread(), sigma: BLURRED_SPREAD_SIGMA };
-        let exposure = exposure_clue(self.fine.runs().iter().map(|r| &r.evidence), spread, blur_px);
+        let psf_variance = KnownPsfVariance { error: self.psf_variance - self.light.psf_variance(), sigma: BLURRED_PSF_VARIANCE_SIGMA };
+        let exposure = exposure_clue(self.fine.runs().iter().map(|r| &r.evidence), psf_variance, blur_px);
         if let Some(clues) = &mut self.clues {
-            let readout = self.fine.readout_clue(&task, &mut clues.column);
+            let readout = self.fine.readout_clue(&spec, &mut clues.column);
             clues.clue = readout.map(|readout| ShutterClue { readout, exposure });
         }
         if let (Some(unknown), Some(clue)) = (&mut self.exposure, exposure) {
@@ -480,7 +487,7 @@ impl Aligner {
             rms_px: (sum(|e| e.squared_px) / inliers.max(1.0)).sqrt() * f64::from(1u32 << FINEST),
             tiles: verdicts.clone().count(),
             agreeing: verdicts.filter(|v| *v).count(),
-            surprise: surprise(expected, &solved.motion),
+            squared_mahalanobis: squared_mahalanobis(expected, &solved.motion),
         };
         // A frame that shows something else says nothing of the camera.
         if blur_px < SHARP_FRAME_PX && found.is_conclusive() {
@@ -499,18 +506,29 @@ fn level_for(off_px: f64) -> usize {
 }
 
 /// What a level has to do at a motion.
-fn task<'a>(surfaces: &'a [AlignSurface], slow: &'a SlowStates, eye: &'a Eye, level: usize, motion: &Motion) -> Task<'a> {
-    let SlowStates { sensor, noise, is_enlarged, slopes } = slow;
-    let wider = (f64::from(eye.camera.width()) / USUAL_WIDTH_PX).max(1.0);
+fn spec<'a>(surfaces: &'a [AlignSurface], slow: &'a SlowStates, rays: &'a CameraRays, level: usize, motion: &Motion) -> LevelSpec<'a> {
+    let SlowStates { sensor, noise, is_enlarged, gradient_gain } = slow;
+    let wider = (f64::from(rays.camera.width()) / USUAL_WIDTH_PX).max(1.0);
     let count = (PIXELS[level] as f64 * wider) as usize;
     let side = if level == FINEST { SIDE } else { COARSE_SIDE };
     let noise = noise.at(level);
-    let slope_share = slopes.get() as f32;
-    let mut task =
-        Task { surfaces, eye, sensor, level, noise, count, is_dense: false, blur_px: 0.0, side, is_enlarged: *is_enlarged, slope_share };
+    let gradient_gain = gradient_gain.get() as f32;
+    let mut spec = LevelSpec {
+        surfaces,
+        rays,
+        sensor,
+        level,
+        noise,
+        count,
+        is_dense: false,
+        blur_px: 0.0,
+        side,
+        is_enlarged: *is_enlarged,
+        gradient_gain,
+    };
     let half = 0.5 * sensor.exposure_s;
-    task.blur_px = task.moved_px(&motion.after(-half), &motion.after(half));
-    task
+    spec.blur_px = spec.moved_px(&motion.after(-half), &motion.after(half));
+    spec
 }
 
 /// How far off the frame shows a tile (pixels of the level), and the information of that; `None` where too little of it fits or its

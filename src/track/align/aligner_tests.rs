@@ -1,10 +1,10 @@
 use image::GrayImage;
 use nalgebra::{Vector3, Vector6};
 
-use super::super::Eye;
+use super::super::CameraRays;
 use super::super::frame_levels::FrameLevels;
-use super::super::jerk::Jerk;
 use super::super::motion::MotionEstimate;
+use super::super::process_noise::ProcessNoise;
 use super::*;
 use crate::geometry::resection::perturbed;
 use crate::track::surface::SurfaceSpec;
@@ -23,7 +23,7 @@ fn levels(seed: u32) -> FrameLevels {
 fn aligned(frame: &mut FrameLevels, start: &Pose<Camera, Body>) -> Option<Alignment> {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
-    aligner.align(frame, &Eye::new(lens(480, 360), None), &expected, None)
+    aligner.align(frame, &CameraRays::new(lens(480, 360), None), &expected, None)
 }
 
 #[test]
@@ -63,10 +63,10 @@ fn a_start_far_off_is_not_credible() {
 fn patches_lie_where_the_pose_puts_them() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
-    let eye = Eye::new(lens(480, 360), None);
-    let found = aligner.align(&mut levels(1), &eye, &expected, None).expect("the picture agrees");
+    let rays = CameraRays::new(lens(480, 360), None);
+    let found = aligner.align(&mut levels(1), &rays, &expected, None).expect("the picture agrees");
     let mut patches = Vec::new();
-    aligner.patches(&eye, &found.estimate.motion, &mut patches);
+    aligner.patches(&rays, &found.estimate.motion, &mut patches);
     assert!(patches.len() > 40, "{}", patches.len());
     let mean = patches.iter().map(|p| p.shift_px.norm()).sum::<f64>() / patches.len() as f64;
     assert!(mean < 0.05, "{mean}");
@@ -76,14 +76,14 @@ fn patches_lie_where_the_pose_puts_them() {
 #[test]
 fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
-    let eye = Eye::new(lens(480, 360), None);
+    let rays = CameraRays::new(lens(480, 360), None);
     let mut frame = levels(1);
     let mut estimate = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
     let mut poses = Vec::new();
     for _ in 0..6 {
-        let found = aligner.align(&mut frame, &eye, &estimate, None).expect("the picture agrees");
+        let found = aligner.align(&mut frame, &rays, &estimate, None).expect("the picture agrees");
         poses.push(found.estimate.motion.pose);
-        estimate = found.estimate.after(1.0 / 30.0, 3.4, &Jerk::default());
+        estimate = found.estimate.after(1.0 / 30.0, 3.4, &ProcessNoise::default());
     }
     assert!(aligner.has_kept);
     let drift = (poses[5].translation - poses[3].translation).norm();
@@ -94,14 +94,14 @@ fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
 fn followed(coarse: &SurfaceSpec, picture: GrayImage) -> Aligner {
     let display = SurfaceSpec::from_artwork("display".into(), picture, [4.0, 3.0], Pose::identity()).expect("texture enough");
     let mut aligner = Aligner::new(&prepared(vec![coarse.clone()]), Sensor { readout_s: 0.0, exposure_s: 1e-6 });
-    let eye = Eye::new(lens(480, 360), None);
+    let rays = CameraRays::new(lens(480, 360), None);
     let pose = |k: u32| perturbed(&truth(), &Vector6::new(0.03 * f64::from(k), 0.0, 0.0, 0.0, 0.0, 0.0));
     let mut estimate = MotionEstimate::unseen(pose(0).inverse(), 3.4, 0.01, 0.003);
     for k in 0..FIRST_TRIAL + 1 {
         let mut frame = FrameLevels::default();
         frame.update(&view(&display, &pose(k), &lens(480, 360)));
-        let found = aligner.align(&mut frame, &eye, &estimate, None).expect("the picture agrees");
-        estimate = found.estimate.after(1.0 / 30.0, 3.4, &Jerk::default());
+        let found = aligner.align(&mut frame, &rays, &estimate, None).expect("the picture agrees");
+        estimate = found.estimate.after(1.0 / 30.0, 3.4, &ProcessNoise::default());
     }
     aligner
 }
@@ -118,22 +118,22 @@ fn the_frame_tells_how_the_picture_was_enlarged() {
 #[test]
 fn pixels_that_were_laid_out_anew_leave_nothing_to_conclude() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
-    let eye = Eye::new(lens(480, 360), None);
+    let rays = CameraRays::new(lens(480, 360), None);
     let mut frame = levels(1);
-    let found = aligner.align(&mut frame, &eye, &MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003), None);
+    let found = aligner.align(&mut frame, &rays, &MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003), None);
     let motion = found.expect("the picture agrees").estimate.motion;
     assert!(aligner.fine.solved().is_some());
     // Seen from much further away the same frame's pixels have another grid, with fewer nodes than the light that was solved for.
     let away = Motion::still(facing(0.2, -0.3, Vector3::new(0.1, 0.05, 30.0)).inverse());
     let (runs, nodes) = (aligner.fine.runs().len(), aligner.fine.pixels().light().gains().len());
-    let task = task(&aligner.surfaces, &aligner.slow, &eye, FINEST, &away);
-    assert!(aligner.fine.lay_out(&task, &mut frame, &away, &mut aligner.selector, &mut aligner.chosen, &aligner.light));
+    let spec = spec(&aligner.surfaces, &aligner.slow, &rays, FINEST, &away);
+    assert!(aligner.fine.lay_out(&spec, &mut frame, &away, &mut aligner.selector, &mut aligner.chosen, &aligner.light));
     assert!(aligner.fine.runs().len() < runs && aligner.fine.pixels().light().gains().len() < nodes);
-    assert!(aligner.fine.solved().is_none() && aligner.fine.conclude(&task, &mut RowBands::new(aligner.slow.sensor)).is_none());
+    assert!(aligner.fine.solved().is_none() && aligner.fine.conclude(&spec, &mut RowBands::new(aligner.slow.sensor)).is_none());
     let used = &mut Vec::new();
-    aligner.used_pixels(&eye, used);
+    aligner.used_pixels(&rays, used);
     assert!(used.is_empty());
     let mut patches = Vec::new();
-    aligner.patches(&eye, &motion, &mut patches);
+    aligner.patches(&rays, &motion, &mut patches);
     assert!(patches.is_empty());
 }

@@ -2,11 +2,11 @@
 //! alignment spends its time.
 //!
 //! A pixel's ray meets its surface at a texel; the pixel's own square covers a small quadrilateral of texels there.
-//! Five by five looks (three by three above the finest level), at the copy of the picture whose texels are a seventh of a
+//! Five by five samples (three by three above the finest level), at the copy of the picture whose texels are a seventh of a
 //! pixel wide, give the mean grey over that square, its gradient, and - by the curvature of the parabola that fits them
-//! best - how it would change with a wider point spread. (Fewer looks, or larger texels, leave errors of a grey level and more, which pull the pose of
+//! best - how it would change with a wider point spread. (Fewer samples, or larger texels, leave errors of a grey level and more, which pull the pose of
 //! a still camera aside by more than its noise; measured in docs/alignment.md.) While the shutter is open the texel
-//! moves along a short curve; under motion blur the looks are shared out along it.
+//! moves along a short curve; under motion blur the samples are shared out along it.
 
 use super::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, load_at, store_at};
 use super::motion::Motion;
@@ -14,23 +14,23 @@ use super::pixels::Pixels;
 use super::texture::TILE_STEP;
 use super::{AlignSurface, Sensor};
 
-/// Fewest looks across a sharp pixel of a surface tilted beyond this cosine, whose texels lie closer along one direction.
+/// Fewest samples across a sharp pixel of a surface tilted beyond this cosine, whose texels lie closer along one direction.
 const TILTED_SIDE: usize = 5;
 const TILTED_COSINE: f64 = 0.6;
-/// Under blur, up to so many places along it are looked at nine times each, and up to so many five times; more of them three times.
-const NINE_LOOKS: usize = 3;
-const FIVE_LOOKS: usize = 5;
-/// Four of five looks, and the outer two of three, are so far from the middle across and down: the variance of all is that of the
+/// Under blur: most places along it that are sampled nine times each, and five times each; where there are more, three times.
+const NINE_SAMPLES: usize = 3;
+const FIVE_SAMPLES: usize = 5;
+/// Four of five samples, and the outer two of three, are so far from the middle across and down: the variance of all is that of the
 /// pixel's square.
-const CORNER_LOOK: f32 = 0.3227;
-const DIAGONAL_LOOK: f32 = 0.3536;
+const CORNER_SAMPLE: f32 = 0.3227;
+const DIAGONAL_SAMPLE: f32 = 0.3536;
 /// The point spread's unit: variance that it adds across and down, pixels².
-const SPREAD_VARIANCE: f32 = 1.0 / 12.0;
-/// Texels are asked for so many groups of pixels ahead, as far from a pixel's middle as outer looks go: where they lie follows no order
+const PSF_VARIANCE_UNIT: f32 = 1.0 / 12.0;
+/// Groups of pixels by which texels are prefetched ahead, as far from a pixel's middle as outer samples go: where they lie follows no order
 /// that the processor could guess.
 const AHEAD: usize = 2;
-const OUTER_LOOK: f32 = 0.4;
-/// log2 of the size of a texel that suits a look, in pixels; under blur coarser ones do.
+const OUTER_SAMPLE: f32 = 0.4;
+/// log2 of the size of a texel that suits a sample, in pixels; under blur coarser ones do.
 const TEXEL_LOG2: f32 = -2.8;
 const TILTED_TEXEL_LOG2: f32 = -3.5;
 const BLURRED_TEXEL_LOG2: f32 = -1.9;
@@ -39,9 +39,9 @@ const BLURRED_TEXEL_LOG2: f32 = -1.9;
 #[derive(Debug, Default)]
 pub struct Appearance {
     /// Grey of the reference.
-    pub grey: Vec<f32>,
+    pub intensity: Vec<f32>,
     /// Change of grey with a wider point spread.
-    pub spread: Vec<f32>,
+    pub psf_variance: Vec<f32>,
     /// Grey without motion blur less grey with it.
     pub sharper: Vec<f32>,
     /// Derivative of grey by the camera's position (3, the body's axes, per metre) and rotation (3, the camera's axes, per
@@ -57,7 +57,7 @@ impl Appearance {
     /// Makes room for `n` pixels; a whole number of lanes.
     pub fn resize(&mut self, n: usize) {
         let by_pose = self.by_pose.iter_mut();
-        for v in by_pose.chain([&mut self.grey, &mut self.spread, &mut self.sharper, &mut self.across, &mut self.down]) {
+        for v in by_pose.chain([&mut self.intensity, &mut self.psf_variance, &mut self.sharper, &mut self.across, &mut self.down]) {
             v.resize(n, 0.0);
         }
     }
@@ -79,10 +79,10 @@ struct View {
     level_offset: f32,
     /// Half of the exposure, seconds.
     half_exposure_s: f32,
-    /// Looks across a sharp pixel.
+    /// Samples across a sharp pixel.
     side: usize,
-    /// See [`Predicted::slope_share`].
-    slope_share: f32,
+    /// See [`Predicted::gradient_gain`].
+    gradient_gain: f32,
 }
 
 impl View {
@@ -111,7 +111,7 @@ impl View {
             last_level: surface.texture.levels as f32 - 0.999,
             level_offset: surface.texture.own_level() as f32 + texel_log2,
             half_exposure_s: (0.5 * exposure_s) as f32,
-            slope_share: what.slope_share,
+            gradient_gain: what.gradient_gain,
         }
     }
 }
@@ -125,14 +125,14 @@ pub struct Predicted<'a> {
     pub motion: &'a Motion,
     /// Its shutter.
     pub sensor: &'a Sensor,
-    /// Places along the blur that are looked at; 1 for none, else odd.
+    /// Places along the blur that are sampled; 1 for none, else odd.
     pub places: usize,
-    /// Looks across a sharp pixel, odd; surfaces that are tilted get [`TILTED_SIDE`] at least.
+    /// Samples across a sharp pixel, odd; surfaces that are tilted get [`TILTED_SIDE`] at least.
     pub side: usize,
-    /// Whether the enlarged copy of the picture may be looked at.
+    /// Whether the enlarged copy of the picture may be sampled.
     pub is_enlarged: bool,
-    /// What slopes over looks are multiplied with: see [`slopes`](super::slopes).
-    pub slope_share: f32,
+    /// What slopes over samples are multiplied with: see [`gradient_gain`](super::gradient_gain).
+    pub gradient_gain: f32,
     /// The pixels of the level.
     pub pixels: &'a Pixels,
     /// First of these, and one beyond the last: whole lanes.
@@ -197,7 +197,7 @@ struct LevelLanes<L: Lanes> {
     base: L::Index,
 }
 
-/// The copy whose texels are nearest in size to what suits a look.
+/// The copy whose texels are nearest in size to what suits a sample.
 #[inline(always)]
 fn level_for<L: Lanes>(surface: &AlignSurface, view: &View, by_pixel: &[L; 4]) -> LevelLanes<L> {
     let area = by_pixel[0].mul(by_pixel[3]).sub(by_pixel[1].mul(by_pixel[2]));
@@ -232,7 +232,7 @@ fn address<L: Lanes>(level: &LevelLanes<L>, u: L, v: L) -> (L::Index, [L; 2]) {
 
 /// The grey at picture pixel (u, v).
 #[inline(always)]
-fn look<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, u: L, v: L) -> L {
+fn sample<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, u: L, v: L) -> L {
     let (address, [a, b]) = address(level, u, v);
     let [q00, q10, q01, q11] = L::gather_quads(tiles, address);
     let upper = q10.sub(q00).mul_add(a, q00);
@@ -240,11 +240,11 @@ fn look<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, u: L, v: L) -> L {
     lower.sub(upper).mul_add(b, upper)
 }
 
-/// Asks for the tiles that the looks at later pixels will need: the middles and corners of squares like `by_pixel`.
+/// Asks for the tiles that the samples at later pixels will need: the middles and corners of squares like `by_pixel`.
 #[inline(always)]
 fn prefetch<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4]) {
     for [x, y] in [[0.0, 0.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]] {
-        let [x, y] = [L::splat(OUTER_LOOK * x), L::splat(OUTER_LOOK * y)];
+        let [x, y] = [L::splat(OUTER_SAMPLE * x), L::splat(OUTER_SAMPLE * y)];
         let u = by_pixel[0].mul_add(x, by_pixel[1].mul_add(y, middle[0]));
         let v = by_pixel[2].mul_add(x, by_pixel[3].mul_add(y, middle[1]));
         L::prefetch_quads(tiles, address(level, u, v).0);
@@ -265,20 +265,20 @@ fn footprint<L: Lanes>(view: &View, a: &[L; 9], middle: &Hit<L>, pixels: &Pixels
     [ux.mul_add(xu, uy.mul(yu)), ux.mul_add(xv, uy.mul(yv)), vx.mul_add(xu, vy.mul(yu)), vx.mul_add(xv, vy.mul(yv))]
 }
 
-/// What a pixel's looks come to. Gradients are slopes over the looks: slopes inside single texels change from texel to texel, and their
+/// What a pixel's samples come to. Gradients are slopes over the samples: slopes inside single texels change from texel to texel, and their
 /// scatter would pass for information.
-struct Looked<L> {
-    grey: L,
-    spread: L,
+struct Sampled<L> {
+    intensity: L,
+    psf_variance: L,
     sharper: L,
     /// By pixels of the level.
     across: L,
     down: L,
 }
 
-/// `side` x `side` looks at a sharp pixel.
+/// `side` x `side` samples at a sharp pixel.
 #[inline(always)]
-fn sharp_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4], side: usize) -> Looked<L> {
+fn sharp_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4], side: usize) -> Sampled<L> {
     let zero = L::splat(0.0);
     let (mut sum, mut across, mut down, mut squared) = (zero, zero, zero, zero);
     let n = side as f32;
@@ -290,10 +290,10 @@ fn sharp_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], 
         let mut row = zero;
         for i in 0..side {
             let x = (i as f32 + 0.5) / n - 0.5;
-            let grey = look(tiles, level, by_pixel[0].mul_add(L::splat(x), u), by_pixel[2].mul_add(L::splat(x), v));
-            row = row.add(grey);
-            across = grey.mul_add(L::splat(x), across);
-            squared = grey.mul_add(L::splat(x * x), squared);
+            let intensity = sample(tiles, level, by_pixel[0].mul_add(L::splat(x), u), by_pixel[2].mul_add(L::splat(x), v));
+            row = row.add(intensity);
+            across = intensity.mul_add(L::splat(x), across);
+            squared = intensity.mul_add(L::splat(x * x), squared);
         }
         sum = sum.add(row);
         down = row.mul_add(L::splat(y), down);
@@ -302,14 +302,14 @@ fn sharp_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], 
         variance += y.powi(4) / n;
     }
     variance -= mean * mean;
-    let looks = n * n;
-    let grey = sum.mul(L::splat(1.0 / looks));
-    let slope = L::splat(1.0 / (looks * mean));
+    let samples = n * n;
+    let intensity = sum.mul(L::splat(1.0 / samples));
+    let slope = L::splat(1.0 / (samples * mean));
     // The curvature of the parabola that fits best: what a wider spread of a given variance adds is half of it per variance.
     let curved = squared.sub(sum.mul(L::splat(2.0 * mean)));
-    Looked {
-        grey,
-        spread: curved.mul(L::splat(SPREAD_VARIANCE / (looks * variance))),
+    Sampled {
+        intensity,
+        psf_variance: curved.mul(L::splat(PSF_VARIANCE_UNIT / (samples * variance))),
         sharper: zero,
         across: across.mul(slope),
         down: down.mul(slope),
@@ -318,13 +318,13 @@ fn sharp_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], 
 
 /// The way of a pixel's middle over the picture while the shutter is open.
 #[derive(Clone, Copy)]
-struct Way<L> {
+struct BlurPath<L> {
     middle: [L; 2],
     slope: [L; 2],
     bend: [L; 2],
 }
 
-impl<L: Lanes> Way<L> {
+impl<L: Lanes> BlurPath<L> {
     #[inline(always)]
     fn through(first: [L; 2], middle: [L; 2], last: [L; 2]) -> Self {
         let half = L::splat(0.5);
@@ -346,58 +346,59 @@ impl<L: Lanes> Way<L> {
     }
 }
 
-/// Looks at `places` (odd, 3 at least) along the blur: nine or five at each where these are few, else three.
+/// Samples at `places` (odd, 3 at least) along the blur: nine or five at each where these are few, else three.
 #[inline(always)]
-fn blurred_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &Way<L>, by_pixel: &[L; 4], places: usize) -> Looked<L> {
-    if places > FIVE_LOOKS {
-        return diagonal_looks(tiles, level, way, by_pixel, places);
+fn blurred_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
+    if places > FIVE_SAMPLES {
+        return diagonal_samples(tiles, level, way, by_pixel, places);
     }
     let zero = L::splat(0.0);
-    let (mut mean, mut unblurred) = (Looked { grey: zero, spread: zero, sharper: zero, across: zero, down: zero }, zero);
+    let (mut mean, mut unblurred) = (Sampled { intensity: zero, psf_variance: zero, sharper: zero, across: zero, down: zero }, zero);
     let share = L::splat(1.0 / places as f32);
     for n in 0..places {
         let at = way.place(n, places);
-        let looked = if places > NINE_LOOKS { five_looks(tiles, level, at, by_pixel) } else { sharp_looks(tiles, level, at, by_pixel, 3) };
-        mean.grey = looked.grey.mul_add(share, mean.grey);
-        mean.spread = looked.spread.mul_add(share, mean.spread);
-        mean.across = looked.across.mul_add(share, mean.across);
-        mean.down = looked.down.mul_add(share, mean.down);
+        let sampled =
+            if places > NINE_SAMPLES { five_samples(tiles, level, at, by_pixel) } else { sharp_samples(tiles, level, at, by_pixel, 3) };
+        mean.intensity = sampled.intensity.mul_add(share, mean.intensity);
+        mean.psf_variance = sampled.psf_variance.mul_add(share, mean.psf_variance);
+        mean.across = sampled.across.mul_add(share, mean.across);
+        mean.down = sampled.down.mul_add(share, mean.down);
         if 2 * n + 1 == places {
-            unblurred = looked.grey;
+            unblurred = sampled.intensity;
         }
     }
-    mean.sharper = unblurred.sub(mean.grey);
+    mean.sharper = unblurred.sub(mean.intensity);
     mean
 }
 
-/// A look at the middle of a pixel and four towards its corners.
+/// A sample at the middle of a pixel and four towards its corners.
 #[inline(always)]
-fn five_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, [u, v]: [L; 2], by_pixel: &[L; 4]) -> Looked<L> {
-    let step = L::splat(CORNER_LOOK);
+fn five_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, [u, v]: [L; 2], by_pixel: &[L; 4]) -> Sampled<L> {
+    let step = L::splat(CORNER_SAMPLE);
     let falling = [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)];
     let rising = [by_pixel[0].sub(by_pixel[1]).mul(step), by_pixel[2].sub(by_pixel[3]).mul(step)];
-    let centre = look(tiles, level, u, v);
-    let right_below = look(tiles, level, u.add(falling[0]), v.add(falling[1]));
-    let left_above = look(tiles, level, u.sub(falling[0]), v.sub(falling[1]));
-    let right_above = look(tiles, level, u.add(rising[0]), v.add(rising[1]));
-    let left_below = look(tiles, level, u.sub(rising[0]), v.sub(rising[1]));
+    let centre = sample(tiles, level, u, v);
+    let right_below = sample(tiles, level, u.add(falling[0]), v.add(falling[1]));
+    let left_above = sample(tiles, level, u.sub(falling[0]), v.sub(falling[1]));
+    let right_above = sample(tiles, level, u.add(rising[0]), v.add(rising[1]));
+    let left_below = sample(tiles, level, u.sub(rising[0]), v.sub(rising[1]));
     let corners = right_below.add(left_above).add(right_above.add(left_below));
-    let grey = corners.add(centre).mul(L::splat(0.2));
+    let intensity = corners.add(centre).mul(L::splat(0.2));
     let (along_falling, along_rising) = (right_below.sub(left_above), right_above.sub(left_below));
-    let slope = L::splat(0.25 / CORNER_LOOK);
-    Looked {
-        grey,
-        spread: corners.mul(L::splat(0.25)).sub(centre).mul(L::splat(SPREAD_VARIANCE / (CORNER_LOOK * CORNER_LOOK))),
+    let slope = L::splat(0.25 / CORNER_SAMPLE);
+    Sampled {
+        intensity,
+        psf_variance: corners.mul(L::splat(0.25)).sub(centre).mul(L::splat(PSF_VARIANCE_UNIT / (CORNER_SAMPLE * CORNER_SAMPLE))),
         sharper: L::splat(0.0),
         across: along_falling.add(along_rising).mul(slope),
         down: along_falling.sub(along_rising).mul(slope),
     }
 }
 
-/// Three looks at each of `places`, on alternating diagonals.
+/// Three samples at each of `places`, on alternating diagonals.
 #[inline(always)]
-fn diagonal_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &Way<L>, by_pixel: &[L; 4], places: usize) -> Looked<L> {
-    let step = L::splat(DIAGONAL_LOOK);
+fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
+    let step = L::splat(DIAGONAL_SAMPLE);
     let diagonals = [
         [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)],
         [by_pixel[0].sub(by_pixel[1]).mul(step), by_pixel[2].sub(by_pixel[3]).mul(step)],
@@ -408,8 +409,8 @@ fn diagonal_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &Way<L>,
     for n in 0..places {
         let [u, v] = way.place(n, places);
         let [du, dv] = diagonals[n % 2];
-        let centre = look(tiles, level, u, v);
-        let (ahead, behind) = (look(tiles, level, u.add(du), v.add(dv)), look(tiles, level, u.sub(du), v.sub(dv)));
+        let centre = sample(tiles, level, u, v);
+        let (ahead, behind) = (sample(tiles, level, u.add(du), v.add(dv)), sample(tiles, level, u.sub(du), v.sub(dv)));
         middles = middles.add(centre);
         outer = outer.add(ahead.add(behind));
         differences[n % 2] = differences[n % 2].add(ahead.sub(behind));
@@ -417,16 +418,16 @@ fn diagonal_looks<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &Way<L>,
             unblurred = centre;
         }
     }
-    let grey = outer.add(middles).mul(L::splat(1.0 / (3.0 * places as f32)));
+    let intensity = outer.add(middles).mul(L::splat(1.0 / (3.0 * places as f32)));
     let middles = middles.mul(L::splat(1.0 / places as f32));
     // Slopes along both diagonals: their half sum and half difference are those across and down.
     let [falling, rising] = [differences[0], differences[1]];
-    let falling = falling.mul(L::splat(0.25 / (DIAGONAL_LOOK * places.div_ceil(2) as f32)));
-    let rising = rising.mul(L::splat(0.25 / (DIAGONAL_LOOK * (places / 2) as f32)));
-    Looked {
-        grey,
-        spread: grey.sub(middles).mul(L::splat(1.5 * SPREAD_VARIANCE / (DIAGONAL_LOOK * DIAGONAL_LOOK))),
-        // Between middle looks alone: the outer ones lie on other diagonals from place to place.
+    let falling = falling.mul(L::splat(0.25 / (DIAGONAL_SAMPLE * places.div_ceil(2) as f32)));
+    let rising = rising.mul(L::splat(0.25 / (DIAGONAL_SAMPLE * (places / 2) as f32)));
+    Sampled {
+        intensity,
+        psf_variance: intensity.sub(middles).mul(L::splat(1.5 * PSF_VARIANCE_UNIT / (DIAGONAL_SAMPLE * DIAGONAL_SAMPLE))),
+        // Between middle samples alone: the outer ones lie on other diagonals from place to place.
         sharper: unblurred.sub(middles),
         across: falling.add(rising),
         down: falling.sub(rising),
@@ -451,20 +452,20 @@ pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
             let later = hit(view, &rotation_at(view, t), load_at::<L>(&pixels.x, ahead), load_at::<L>(&pixels.y, ahead), t);
             prefetch(tiles, &level, later.texel, &by_pixel);
         }
-        let looked = if places <= 1 {
-            sharp_looks(tiles, &level, middle.texel, &by_pixel, view.side)
+        let sampled = if places <= 1 {
+            sharp_samples(tiles, &level, middle.texel, &by_pixel, view.side)
         } else {
             let half = L::splat(view.half_exposure_s);
             let (before, after) = (t.sub(half), t.add(half));
             let first = hit(view, &rotation_at(view, before), x, y, before).texel;
             let last = hit(view, &rotation_at(view, after), x, y, after).texel;
-            blurred_looks(tiles, &level, &Way::through(first, middle.texel, last), &by_pixel, places)
+            blurred_samples(tiles, &level, &BlurPath::through(first, middle.texel, last), &by_pixel, places)
         };
-        store_at(&mut out.grey, k, looked.grey);
-        store_at(&mut out.spread, k, looked.spread);
-        store_at(&mut out.sharper, k, looked.sharper);
-        let slope_share = L::splat(view.slope_share);
-        let (across, down) = (looked.across.mul(slope_share), looked.down.mul(slope_share));
+        store_at(&mut out.intensity, k, sampled.intensity);
+        store_at(&mut out.psf_variance, k, sampled.psf_variance);
+        store_at(&mut out.sharper, k, sampled.sharper);
+        let gradient_gain = L::splat(view.gradient_gain);
+        let (across, down) = (sampled.across.mul(gradient_gain), sampled.down.mul(gradient_gain));
         store_at(&mut out.across, k, across);
         store_at(&mut out.down, k, down);
         let by_pose = by_pose(view, &a, &middle, [x, y], by_texel(&by_pixel, across, down));

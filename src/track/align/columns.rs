@@ -3,15 +3,15 @@
 /// Columns of a tile: pose (6), point spread, bias, gain at the four corners of its cell.
 pub const COLUMNS: usize = 12;
 /// Where the columns other than the pose start.
-pub const SPREAD: usize = 6;
-/// See [`SPREAD`].
+pub const PSF_VARIANCE: usize = 6;
+/// See [`PSF_VARIANCE`].
 pub const BIAS: usize = 7;
-/// See [`SPREAD`].
+/// See [`PSF_VARIANCE`].
 pub const GAINS: usize = 8;
 /// Columns and the residual.
 pub const ALL: usize = COLUMNS + 1;
 /// Entries of the upper triangle of the pose's columns.
-pub const POSE_ENTRIES: usize = SPREAD * (SPREAD + 1) / 2;
+pub const POSE_ENTRIES: usize = PSF_VARIANCE * (PSF_VARIANCE + 1) / 2;
 
 /// Weighted sums over one run of pixels.
 #[derive(Debug, Clone, Copy)]
@@ -48,11 +48,11 @@ impl TileSums {
     pub fn of_pose(&self) -> [f64; POSE_ENTRIES] {
         let mut triangle = [0.0; POSE_ENTRIES];
         let (mut to, mut from) = (0, 0);
-        for i in 0..SPREAD {
-            for j in 0..SPREAD - i {
+        for i in 0..PSF_VARIANCE {
+            for j in 0..PSF_VARIANCE - i {
                 triangle[to + j] = f64::from(self.sums[from + j]);
             }
-            (to, from) = (to + SPREAD - i, from + ALL - i);
+            (to, from) = (to + PSF_VARIANCE - i, from + ALL - i);
         }
         triangle
     }
@@ -80,5 +80,5 @@ impl TileSums {
 /// Where entry (i, j) of a symmetric matrix of the pose's columns is, in its upper triangle row by row.
 pub const fn entry(i: usize, j: usize) -> usize {
     let (i, j) = if i <= j { (i, j) } else { (j, i) };
-    i * SPREAD - i * (i + 1) / 2 + j
+    i * PSF_VARIANCE - i * (i + 1) / 2 + j
 }

@@ -32,11 +32,11 @@ pub fn enlarged_twice(picture: &GrayImage) -> GrayImage {
         row[..LOBES].fill(left);
         row[LOBES + w..].fill(right);
         for u in 0..w {
-            let grey = |weights: &[f32; TAPS], first: usize| {
+            let intensity = |weights: &[f32; TAPS], first: usize| {
                 let sum: f32 = weights.iter().zip(&row[first..first + TAPS]).map(|(w, g)| w * g).sum();
                 (sum + 0.5).clamp(0.0, 255.0) as u8
             };
-            out.extend([grey(&earlier, u), grey(&later, u + 1)]);
+            out.extend([intensity(&earlier, u), intensity(&later, u + 1)]);
         }
     }
     // As many greys as pixels: the fallback is never taken.
@@ -65,10 +65,10 @@ mod tests {
         let picture = GrayImage::from_fn(41, 37, |x, y| image::Luma([(x * x * 3 + y * 11 + x * y) as u8]));
         let (own, general) = (enlarged_twice(&picture), resize(&picture, 82, 74, FilterType::Lanczos3));
         assert_eq!(own.dimensions(), (82, 74));
-        for (x, y, grey) in own.enumerate_pixels() {
+        for (x, y, intensity) in own.enumerate_pixels() {
             // The border is continued here, and left out there.
             let is_inside = (6..76).contains(&x) && (6..68).contains(&y);
-            assert!(!is_inside || grey[0].abs_diff(general.get_pixel(x, y)[0]) <= 1, "{x} {y}");
+            assert!(!is_inside || intensity[0].abs_diff(general.get_pixel(x, y)[0]) <= 1, "{x} {y}");
         }
     }
 

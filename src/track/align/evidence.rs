@@ -1,8 +1,8 @@
 //! What each run of pixels shows at the solution: how well it agrees, how far off its patch lies, and what it says of the blur.
 
-use super::columns::{COLUMNS, SPREAD};
+use super::columns::{COLUMNS, PSF_VARIANCE};
 use super::lanes::{LANES, Lanes, dispatch, load_at, total};
-use super::normal::{RunView, Weighing, columns, less_step, weight};
+use super::normal::{RobustWeighting, RunView, columns, less_step, weight};
 
 /// What a run shows at the solution, for the judgement and for correspondences.
 #[derive(Debug, Clone, Copy, Default)]
@@ -28,30 +28,30 @@ pub struct RunEvidence {
 dispatch! {
     /// Looks at a run again after `step`.
     evidence, evidence_avx2, evidence_lanes,
-    (view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> RunEvidence
+    (view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> RunEvidence
 }
 
 #[inline(always)]
-pub fn evidence_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> RunEvidence {
+pub fn evidence_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> RunEvidence {
     let RunView { pixels, run, appearance, light, residuals } = *view;
     let zero = L::splat(0.0);
     let mut sums = [zero; 22];
     for k in run.range().step_by(LANES) {
         let (columns, g) = columns::<L>(pixels, appearance, light, k);
-        let r = less_step(load_at::<L>(&residuals.grey, k), &columns, step);
+        let r = less_step(load_at::<L>(&residuals.intensity, k), &columns, step);
         let counts = load_at::<L>(&pixels.counts, k);
         let seen = load_at::<L>(&pixels.seen, k).mul(counts);
         let predicted = seen.sub(r.mul(counts));
         let information = load_at::<L>(&residuals.information, k);
-        let robust = weight(r.mul(r).mul(information), weighing).mul(counts);
+        let robust = weight(r.mul(r).mul(information), weighting).mul(counts);
         let w = robust.mul(information);
         let inlier = robust.sub(L::splat(0.5)).mul(L::splat(1e9)).max(zero).min(L::splat(1.0));
         let (across, down) = (load_at::<L>(&appearance.across, k).mul(g), load_at::<L>(&appearance.down, k).mul(g));
         let steep = across.mul(across).add(down.mul(down)).max(L::splat(1.0));
-        let (spread, sharper) = (columns[SPREAD], load_at::<L>(&appearance.sharper, k).mul(g));
+        let (psf_variance, sharper) = (columns[PSF_VARIANCE], load_at::<L>(&appearance.sharper, k).mul(g));
         let variance = counts.div(information.max(L::splat(1e-9)));
         let (u, v) = (load_at::<L>(&pixels.place[0], k), load_at::<L>(&pixels.place[1], k));
-        let (wa, wd, ws, wx) = (w.mul(across), w.mul(down), w.mul(spread), w.mul(sharper));
+        let (wa, wd, ws, wx) = (w.mul(across), w.mul(down), w.mul(psf_variance), w.mul(sharper));
         let terms = [
             counts,
             inlier,
@@ -70,7 +70,7 @@ pub fn evidence_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing:
             w.mul(steep),
             w.mul(steep).mul(u),
             w.mul(steep).mul(v),
-            ws.mul(spread),
+            ws.mul(psf_variance),
             ws.mul(sharper),
             wx.mul(sharper),
             ws.mul(r),

@@ -2,7 +2,7 @@
 
 use super::Sensor;
 use super::evidence::RunEvidence;
-use super::system::side_column::Clue;
+use super::system::schur_complement::Clue;
 
 /// Exposure that an unknown camera is begun with, seconds.
 pub const USUAL_EXPOSURE_S: f64 = 0.004;
@@ -21,7 +21,7 @@ const LARGEST_RISE: f64 = 1.0;
 
 /// What is known of the point spread when a frame is asked for its blur.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KnownSpread {
+pub struct KnownPsfVariance {
     /// Its slow average less what the frame was solved with.
     pub error: f64,
     /// One sigma.
@@ -42,14 +42,14 @@ impl UnknownExposure {
         self.told += weight;
         let share = weight * LEARNT_SHARE.max(2.0 / (self.told + 1.0)).min(1.0);
         // Blur is linear in the square of the exposure.
-        let change = (2.0 * share * clue.pull / clue.information).clamp(-LARGEST_FALL, LARGEST_RISE);
+        let change = (2.0 * share * clue.score / clue.information).clamp(-LARGEST_FALL, LARGEST_RISE);
         sensor.exposure_s = (sensor.exposure_s * (1.0 + change).sqrt()).clamp(SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S);
     }
 }
 
 /// What the residuals of a frame with so much blur say of the exposure, beside the point spread, as a share of it; `None` where the frame
 /// is too sharp to tell.
-pub fn exposure_clue<'a>(evidence: impl Iterator<Item = &'a RunEvidence>, spread: KnownSpread, blur_px: f64) -> Option<Clue> {
+pub fn exposure_clue<'a>(evidence: impl Iterator<Item = &'a RunEvidence>, psf_variance: KnownPsfVariance, blur_px: f64) -> Option<Clue> {
     if blur_px <= LEAST_BLUR_PX {
         return None;
     }
@@ -60,12 +60,12 @@ pub fn exposure_clue<'a>(evidence: impl Iterator<Item = &'a RunEvidence>, spread
         }
     }
     // What is known of the point spread keeps it from passing for motion.
-    s[0] += spread.sigma.powi(-2);
-    s[3] += spread.error * spread.sigma.powi(-2);
+    s[0] += psf_variance.sigma.powi(-2);
+    s[3] += psf_variance.error * psf_variance.sigma.powi(-2);
     let determinant = s[0] * s[2] - s[1] * s[1];
     if determinant <= 1e-3 * s[0] * s[2] {
         return None;
     }
     // Grey changes by -2 / exposure of "sharper" per second of exposure: blur grows with its square.
-    Some(Clue { pull: -2.0 * (s[0] * s[4] - s[1] * s[3]) / s[0], information: 4.0 * determinant / s[0] })
+    Some(Clue { score: -2.0 * (s[0] * s[4] - s[1] * s[3]) / s[0], information: 4.0 * determinant / s[0] })
 }

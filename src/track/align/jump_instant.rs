@@ -2,7 +2,7 @@
 //!
 //! A camera that starts or stops while a frame is exposed and read bends the path of the picture: rows exposed after the jump are
 //! shifted by it, those before are not. Pose, velocity and acceleration cannot follow that bend, and where the jump is small
-//! the pose is off by a tenth of a pixel without surprising. The residuals that a step leaves still ask for the jump: for every instant
+//! the pose is off by a tenth of a pixel at a small Mahalanobis distance. The residuals that a step leaves still ask for the jump: for every instant
 //! it has a score and, the motion being eliminated (the Schur complement), an information, and so an evidence. The mixture over expectations,
 //! instants, sizes and no jump gives the pose at the stamp, the motion after the frame, and their covariances
 //! (Bar-Shalom, Li and Kirubarajan 2001, section 11.6).
@@ -180,7 +180,7 @@ impl RowBands {
             let profiles = self.profiles(k);
             for (a, of_a) in profiles.iter().enumerate() {
                 let mut part = pull.fixed_rows_mut::<6>(6 * a);
-                part += band.pull(*of_a);
+                part += band.score(*of_a);
                 for (b, of_b) in profiles.iter().enumerate().skip(a) {
                     let product = band.product(*of_a, *of_b);
                     let mut block = information.fixed_view_mut::<6, 6>(6 * a, 6 * b);
@@ -209,7 +209,7 @@ impl RowBands {
 
     /// What the bands say of a jump at an instant.
     fn jump_sums(&self, instant_s: f64) -> JumpSums {
-        let mut sums = JumpSums { instant_s, own: Matrix6::zeros(), shared: SMatrix::zeros(), pull: Vector6::zeros() };
+        let mut sums = JumpSums { instant_s, own: Matrix6::zeros(), shared: SMatrix::zeros(), score: Vector6::zeros() };
         for (k, band) in self.filled() {
             let jump = self.profile_of_jump(k, instant_s);
             if jump == [0.0, 0.0] {
@@ -220,7 +220,7 @@ impl RowBands {
                 let mut block = sums.shared.fixed_view_mut::<6, 6>(6 * power, 0);
                 block += band.product(jump, profile);
             }
-            sums.pull += band.pull(jump);
+            sums.score += band.score(jump);
         }
         sums
     }
@@ -235,7 +235,7 @@ impl Band {
     }
 
     /// What is left that a profile would explain.
-    fn pull(&self, [a, da]: Profile) -> Vector6<f64> {
+    fn score(&self, [a, da]: Profile) -> Vector6<f64> {
         Vector6::from(self.left[0]) * a + Vector6::from(self.left[1]) * da
     }
 }
@@ -278,7 +278,7 @@ struct JumpSums {
     instant_s: f64,
     own: Matrix6<f64>,
     shared: SMatrix<f64, 18, 6>,
-    pull: Vector6<f64>,
+    score: Vector6<f64>,
 }
 
 /// A jump at an instant: how well it explains the frame, and what it comes to.
@@ -300,7 +300,7 @@ impl JumpSums {
     /// hardly look alike.
     fn tried(&self, without: &WithoutJump, prior: &Vector6<f64>, likelihood: f64) -> Option<Tried> {
         let by_motion = without.solved * self.shared;
-        let pull = self.pull - self.shared.transpose() * without.correction;
+        let pull = self.score - self.shared.transpose() * without.correction;
         let information = self.own + Matrix6::from_diagonal(prior) - self.shared.transpose() * by_motion;
         let factor = information.cholesky()?;
         let jump = factor.solve(&pull);

@@ -11,12 +11,12 @@ use super::light::RememberedLight;
 use super::motion::{Motion, MotionError};
 use super::noise::Noise;
 use super::noise_sums::{noise_sums, noise_sums_lanes};
-use super::normal::{Residuals, RunView, Weighing, columns, less_step, moments, residuals, weight};
+use super::normal::{Residuals, RobustWeighting, RunView, columns, less_step, moments, residuals, weight};
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Selector};
 use super::tile_equations::TileEquations;
 use super::tile_products::{ProductBuffer, tile_equations, tile_equations_lanes};
-use super::{AlignSurface, Eye, Sensor};
+use super::{AlignSurface, CameraRays, Sensor};
 use crate::track::synthetic::{cloth, facing, lens, view};
 
 struct Scene {
@@ -40,11 +40,11 @@ fn scene() -> Scene {
     let frame = view(&cloth(1), &pose, &camera);
     let mut levels = FrameLevels::default();
     levels.update(&frame);
-    let eye = Eye::new(camera, None);
+    let rays = CameraRays::new(camera, None);
     let surface = AlignSurface::new(&cloth(1));
     let sensor = Sensor { readout_s: 0.012, exposure_s: 0.01 };
-    let table = eye.tables[1].as_ref().expect("levels above 0 have tables");
-    let choice = Choice { camera: &eye.camera, table, level: 1, sensor, blur_px: 0.0, count: 3000, is_dense: false };
+    let table = rays.tables[1].as_ref().expect("levels above 0 have tables");
+    let choice = Choice { camera: &rays.camera, table, level: 1, sensor, blur_px: 0.0, count: 3000, is_dense: false };
     let mut chosen = Vec::new();
     Selector::default().choose(std::slice::from_ref(&surface), &motion, &choice, &mut chosen);
     assert!((2000..6000).contains(&chosen.len()), "{}", chosen.len());
@@ -62,10 +62,10 @@ fn appearance(scene: &Scene, motion: &Motion, places: usize) -> Appearance {
 
 fn predicted<'a>(scene: &'a Scene, motion: &'a Motion, places: usize) -> Predicted<'a> {
     let Scene { surface, sensor, pixels, .. } = scene;
-    Predicted { surface, motion, sensor, places, side: 3, is_enlarged: true, slope_share: 1.0, pixels, range: [0, pixels.len()] }
+    Predicted { surface, motion, sensor, places, side: 3, is_enlarged: true, gradient_gain: 1.0, pixels, range: [0, pixels.len()] }
 }
 
-/// How far slopes over looks may be from the derivative.
+/// How far slopes over samples may be from the derivative.
 const SLOPE_ERROR: f64 = 0.04;
 
 /// Slope and correlation of `y` over `x`.
@@ -85,10 +85,11 @@ fn derivatives_by_the_pose_agree_with_differences() {
             step[k] = if k < 3 { 4e-4 } else { 1e-4 };
             let plus = appearance(&scene, &scene.motion.corrected(&step), places);
             let minus = appearance(&scene, &scene.motion.corrected(&-step), places);
-            let differences: Vec<f64> = plus.grey.iter().zip(&minus.grey).map(|(p, m)| f64::from(p - m) / (2.0 * step[k])).collect();
+            let differences: Vec<f64> =
+                plus.intensity.iter().zip(&minus.intensity).map(|(p, m)| f64::from(p - m) / (2.0 * step[k])).collect();
             let derivatives: Vec<f64> = at.by_pose[k].iter().map(|v| f64::from(*v)).collect();
             let (slope, correlation) = line(&derivatives, &differences);
-            // Derivatives are slopes over a pixel's looks: of the finest detail they are some percent too steep.
+            // Derivatives are slopes over a pixel's samples: of the finest detail they are some percent too steep.
             assert!((slope - 1.0).abs() < SLOPE_ERROR && correlation > 0.99, "places {places}, {k}: {slope} {correlation}");
         }
     }
@@ -103,7 +104,8 @@ fn velocity_acts_through_the_time_of_the_row() {
         step[6 + k] = if k < 3 { 0.1 } else { 0.03 };
         let plus = appearance(&scene, &scene.motion.corrected(&step), 1);
         let minus = appearance(&scene, &scene.motion.corrected(&-step), 1);
-        let differences: Vec<f64> = plus.grey.iter().zip(&minus.grey).map(|(p, m)| f64::from(p - m) / (2.0 * step[6 + k])).collect();
+        let differences: Vec<f64> =
+            plus.intensity.iter().zip(&minus.intensity).map(|(p, m)| f64::from(p - m) / (2.0 * step[6 + k])).collect();
         let derivatives: Vec<f64> = at.by_pose[k].iter().zip(&scene.pixels.delay_s).map(|(v, t)| f64::from(v * t)).collect();
         let (slope, correlation) = line(&derivatives, &differences);
         assert!((slope - 1.0).abs() < SLOPE_ERROR && correlation > 0.99, "{k}: {slope} {correlation}");
@@ -120,7 +122,7 @@ fn gradients_by_pixels_agree_with_differences() {
             scene.pixels.x[k] = x[k] + scene.pixels.x_across[k] * across + scene.pixels.x_down[k] * down;
             scene.pixels.y[k] = y[k] + scene.pixels.y_across[k] * across + scene.pixels.y_down[k] * down;
         }
-        appearance(&scene, &scene.motion, 1).grey
+        appearance(&scene, &scene.motion, 1).intensity
     };
     for (gradient, plus, minus) in [(&at.across, shifted(0.1, 0.0), shifted(-0.1, 0.0)), (&at.down, shifted(0.0, 0.1), shifted(0.0, -0.1))]
     {
@@ -139,7 +141,7 @@ fn the_plain_twin_predicts_the_same() {
         let mut plain = Appearance::default();
         plain.resize(scene.pixels.len());
         predict_lanes::<Plain>(&predicted(&scene, &scene.motion, places), &mut plain);
-        let largest = fast.grey.iter().zip(&plain.grey).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        let largest = fast.intensity.iter().zip(&plain.intensity).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(largest < 0.1, "{largest}");
         let mean = fast.by_pose[3].iter().zip(&plain.by_pose[3]).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
         assert!(mean < 1e-3 * plain.by_pose[3].iter().map(|v| f64::from(v.abs())).sum::<f64>());
@@ -150,10 +152,10 @@ fn the_plain_twin_predicts_the_same() {
 fn plain_twins_sum_the_same_and_sums_are_products_of_the_columns() {
     let scene = scene();
     let at = appearance(&scene, &scene.motion, 1);
-    let noise = Noise { dark: 0.6, per_grey: 0.01, model_px: 0.01 };
+    let noise = Noise { dark: 0.6, per_intensity: 0.01, model_px: 0.01 };
     let mut found = Residuals::default();
     found.resize(scene.pixels.len());
-    let weighing = Weighing { scale: 3.0, is_first_look: false, stride: 1 };
+    let weighting = RobustWeighting { scale: 3.0, is_first_pass: false, stride: 1 };
     let mut step = [0.0; COLUMNS];
     step[7] = 0.5;
     let mut products = Box::<ProductBuffer>::default();
@@ -161,18 +163,18 @@ fn plain_twins_sum_the_same_and_sums_are_products_of_the_columns() {
         let tile = scene.pixels.light_of(run);
         residuals(&scene.pixels, run, &at, &tile, &noise, &mut found);
         let view = RunView { pixels: &scene.pixels, run, appearance: &at, light: &tile, residuals: &found };
-        let fast = tile_equations(&view, None, &step, &weighing, &mut products);
-        let plain = tile_equations_lanes::<Plain>(&view, None, &step, &weighing, &mut products);
+        let fast = tile_equations(&view, None, &step, &weighting, &mut products);
+        let plain = tile_equations_lanes::<Plain>(&view, None, &step, &weighting, &mut products);
         assert!(fast.rows.is_none() && plain.rows.is_none());
         for (i, j) in (0..=COLUMNS).flat_map(|i| (i..=COLUMNS).map(move |j| (i, j))) {
             let size = (plain.sums.product(i, i) * plain.sums.product(j, j)).sqrt();
             assert!((fast.sums.product(i, j) - plain.sums.product(i, j)).abs() < 1e-3 * size + 1e-3, "{i} {j}");
         }
-        assert_products(&view, 0.0, &step, &weighing, &plain);
-        let (fast, plain) = (evidence(&view, &step, &weighing), evidence_lanes::<Plain>(&view, &step, &weighing));
+        assert_products(&view, 0.0, &step, &weighting, &plain);
+        let (fast, plain) = (evidence(&view, &step, &weighting), evidence_lanes::<Plain>(&view, &step, &weighting));
         let all = |e: &RunEvidence| [&[e.count, e.inliers, e.squared_px][..], &e.moments, &e.shift, &e.place, &e.blur].concat();
         assert_near(&all(&fast), &all(&plain));
-        let (fast, plain) = (noise_sums(&view, &step, &weighing), noise_sums_lanes::<Plain>(&view, &step, &weighing));
+        let (fast, plain) = (noise_sums(&view, &step, &weighting), noise_sums_lanes::<Plain>(&view, &step, &weighting));
         assert_near(&fast.map(f64::from), &plain.map(f64::from));
         let n = moments(&scene.pixels, run, &at)[0];
         assert!(n <= f64::from(run.end - run.start) && n > 0.0);
@@ -187,16 +189,16 @@ fn assert_near(fast: &[f64], plain: &[f64]) {
 }
 
 /// The sums as they are defined: pixel by pixel.
-fn assert_products(view: &RunView, delay_s: f64, step: &[f32; COLUMNS], weighing: &Weighing, found: &TileEquations) {
+fn assert_products(view: &RunView, delay_s: f64, step: &[f32; COLUMNS], weighting: &RobustWeighting, found: &TileEquations) {
     // By the power of time.
     let mut sums = [[[0.0; COLUMNS + 1]; COLUMNS + 1]; 3];
     let mut longest = 0.0f64;
-    for k in view.run.range().step_by(LANES * weighing.stride) {
+    for k in view.run.range().step_by(LANES * weighting.stride) {
         let (columns, _) = columns::<Plain>(view.pixels, view.appearance, view.light, k);
-        let r = load_at::<Plain>(&view.residuals.grey, k);
+        let r = load_at::<Plain>(&view.residuals.intensity, k);
         let information = load_at::<Plain>(&view.residuals.information, k);
         let after = less_step(r, &columns, step);
-        let w = lanes(weight(after.mul(after).mul(information), weighing).mul(information));
+        let w = lanes(weight(after.mul(after).mul(information), weighting).mul(information));
         let all: Vec<[f32; LANES]> = columns.into_iter().chain([r]).map(lanes).collect();
         for (lane, w) in w.iter().enumerate() {
             let d = f64::from(view.pixels.delay_s[k + lane]) - delay_s;
@@ -247,9 +249,9 @@ fn every_run_is_whole_and_no_pixel_comes_twice() {
     }
     // A camera that turned away sees none of the surface.
     let away = Motion::still(crate::geometry::Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 3.0)));
-    let eye = Eye::new(lens(480, 360), None);
-    let table = eye.tables[1].as_ref().expect("levels above 0 have tables");
-    let choice = Choice { camera: &eye.camera, table, level: 1, sensor: scene.sensor, blur_px: 0.0, count: 3000, is_dense: false };
+    let rays = CameraRays::new(lens(480, 360), None);
+    let table = rays.tables[1].as_ref().expect("levels above 0 have tables");
+    let choice = Choice { camera: &rays.camera, table, level: 1, sensor: scene.sensor, blur_px: 0.0, count: 3000, is_dense: false };
     let mut chosen = Vec::new();
     Selector::default().choose(std::slice::from_ref(&scene.surface), &away, &choice, &mut chosen);
     assert!(chosen.is_empty());
@@ -259,7 +261,7 @@ fn every_run_is_whole_and_no_pixel_comes_twice() {
 fn sums_of_the_rows_are_products_of_the_columns_and_their_times() {
     let scene = scene();
     let at = appearance(&scene, &scene.motion, 1);
-    let noise = Noise { dark: 3.0, per_grey: 0.03, model_px: 0.02 };
+    let noise = Noise { dark: 3.0, per_intensity: 0.03, model_px: 0.02 };
     let mut found = Residuals::default();
     found.resize(scene.pixels.len());
     let step = std::array::from_fn(|c| 1e-3 * (c as f32 - 5.0));
@@ -272,17 +274,17 @@ fn sums_of_the_rows_are_products_of_the_columns_and_their_times() {
         let view = RunView { pixels: &scene.pixels, run, appearance: &at, light: &light, residuals: &found };
         let delay_s = scene.pixels.delay_s[(run.start as usize + run.end as usize) / 2];
         for stride in [1, 3] {
-            let weighing = Weighing { scale: 1.3, is_first_look: false, stride };
-            let fast = tile_equations(&view, Some(delay_s), &step, &weighing, &mut products);
-            assert_products(&view, f64::from(delay_s), &step, &weighing, &fast);
-            let plain = tile_equations_lanes::<Plain>(&view, Some(delay_s), &step, &weighing, &mut products);
-            assert_products(&view, f64::from(delay_s), &step, &weighing, &plain);
+            let weighting = RobustWeighting { scale: 1.3, is_first_pass: false, stride };
+            let fast = tile_equations(&view, Some(delay_s), &step, &weighting, &mut products);
+            assert_products(&view, f64::from(delay_s), &step, &weighting, &fast);
+            let plain = tile_equations_lanes::<Plain>(&view, Some(delay_s), &step, &weighting, &mut products);
+            assert_products(&view, f64::from(delay_s), &step, &weighting, &plain);
         }
     }
     // Nothing of one run is left to the next.
     let none = Run { end: all.start, ..all };
     let light = scene.pixels.light_of(&all);
     let view = RunView { pixels: &scene.pixels, run: &none, appearance: &at, light: &light, residuals: &found };
-    let weighing = Weighing { scale: 1.3, is_first_look: false, stride: 1 };
-    assert_products(&view, 0.0, &step, &weighing, &tile_equations(&view, Some(0.0), &step, &weighing, &mut products));
+    let weighting = RobustWeighting { scale: 1.3, is_first_pass: false, stride: 1 };
+    assert_products(&view, 0.0, &step, &weighting, &tile_equations(&view, Some(0.0), &step, &weighting, &mut products));
 }

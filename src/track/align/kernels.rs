@@ -10,11 +10,11 @@ use super::light::RememberedLight;
 use super::motion::Motion;
 use super::noise::CameraNoise;
 use super::noise_sums::noise_sums;
-use super::normal::{Residuals, RunView, Weighing, residuals};
+use super::normal::{Residuals, RobustWeighting, RunView, residuals};
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
 use super::tile_products::{ProductBuffer, tile_equations};
-use super::{AlignSurface, Eye, Sensor};
+use super::{AlignSurface, CameraRays, Sensor};
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
 use crate::track::surface::SurfaceSpec;
@@ -29,7 +29,7 @@ const EXPOSURE_S: f64 = 0.01;
 pub struct AlignKernels {
     frame: GrayImage,
     surfaces: [AlignSurface; 1],
-    eye: Eye,
+    rays: CameraRays,
     motion: Motion,
     sensor: Sensor,
     levels: FrameLevels,
@@ -49,7 +49,7 @@ impl AlignKernels {
         Self {
             frame,
             surfaces: [AlignSurface::new(surface)],
-            eye: Eye::new(camera, None),
+            rays: CameraRays::new(camera, None),
             motion: Motion::still(t_camera_body.inverse()),
             sensor: Sensor { readout_s: 0.01, exposure_s: EXPOSURE_S },
             levels,
@@ -67,18 +67,18 @@ impl AlignKernels {
         self.levels.update(&self.frame);
     }
 
-    /// Chooses about so many pixels; how many it became.
+    /// Chooses about `count` pixels; gives their number.
     pub fn choose(&mut self, count: usize) -> usize {
-        let Some(table) = &self.eye.tables[LEVEL] else { return 0 };
-        let choice = Choice { camera: &self.eye.camera, table, level: LEVEL, sensor: self.sensor, blur_px: 0.0, count, is_dense: false };
+        let Some(table) = &self.rays.tables[LEVEL] else { return 0 };
+        let choice = Choice { camera: &self.rays.camera, table, level: LEVEL, sensor: self.sensor, blur_px: 0.0, count, is_dense: false };
         self.selector.choose(&self.surfaces, &self.motion, &choice, &mut self.chosen);
         self.chosen.len()
     }
 
     /// Lays the chosen pixels out in runs; the number of runs.
     pub fn lay_out(&mut self) -> usize {
-        let Some(table) = &self.eye.tables[LEVEL] else { return 0 };
-        let height = self.eye.camera.height();
+        let Some(table) = &self.rays.tables[LEVEL] else { return 0 };
+        let height = self.rays.camera.height();
         let source = Source { l: LEVEL, level: self.levels.level(LEVEL), table, sensor: &self.sensor, height };
         self.pixels.arrange(&self.chosen, 1, &source, &RememberedLight::default());
         self.appearance.resize(self.pixels.len());
@@ -86,12 +86,12 @@ impl AlignKernels {
         self.pixels.runs().len()
     }
 
-    /// Predicts all pixels, with so many looks across a sharp one, or at so many places along a blur (more than one).
+    /// Predicts all pixels, with `side` samples across a sharp one, or at `places` along a blur (more than one).
     pub fn predict(&mut self, side: usize, places: usize) {
         let Self { sensor, motion, pixels, .. } = self;
         let range = [0, pixels.len()];
         let what =
-            Predicted { surface: &self.surfaces[0], motion, sensor, places, side, is_enlarged: true, slope_share: 1.0, pixels, range };
+            Predicted { surface: &self.surfaces[0], motion, sensor, places, side, is_enlarged: true, gradient_gain: 1.0, pixels, range };
         predict(&what, &mut self.appearance);
     }
 
@@ -108,28 +108,29 @@ impl AlignKernels {
     pub fn tile_equations(&mut self, has_rows: bool) -> f64 {
         let mut products = std::mem::take(&mut self.products);
         let delay_s = has_rows.then_some(0.0);
-        let sum = self
-            .each(|view, weighing| tile_equations(view, delay_s, &[0.0; COLUMNS], weighing, &mut products).sums.product(COLUMNS, COLUMNS));
+        let sum = self.each(|view, weighting| {
+            tile_equations(view, delay_s, &[0.0; COLUMNS], weighting, &mut products).sums.product(COLUMNS, COLUMNS)
+        });
         self.products = products;
         sum
     }
 
     /// What all runs show; the number of pixels that fit.
     pub fn evidence(&self) -> f64 {
-        self.each(|view, weighing| evidence(view, &[0.0; COLUMNS], weighing).inliers)
+        self.each(|view, weighting| evidence(view, &[0.0; COLUMNS], weighting).inliers)
     }
 
     /// What all runs say of the noise; the sum of the first of them.
     pub fn noise_sums(&self) -> f64 {
-        self.each(|view, weighing| f64::from(noise_sums(view, &[0.0; COLUMNS], weighing)[0]))
+        self.each(|view, weighting| f64::from(noise_sums(view, &[0.0; COLUMNS], weighting)[0]))
     }
 
-    fn each(&self, mut kernel: impl FnMut(&RunView, &Weighing) -> f64) -> f64 {
+    fn each(&self, mut kernel: impl FnMut(&RunView, &RobustWeighting) -> f64) -> f64 {
         let Self { pixels, appearance, residuals, .. } = self;
-        let weighing = Weighing { scale: 1.0, is_first_look: false, stride: 1 };
+        let weighting = RobustWeighting { scale: 1.0, is_first_pass: false, stride: 1 };
         let of_run = |run: &Run| {
             let light = pixels.light_of(run);
-            kernel(&RunView { pixels, run, appearance, light: &light, residuals }, &weighing)
+            kernel(&RunView { pixels, run, appearance, light: &light, residuals }, &weighting)
         };
         pixels.runs().iter().map(of_run).sum()
     }

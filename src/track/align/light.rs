@@ -15,7 +15,7 @@ pub struct TileLight {
     /// Gain at the corners of its cell.
     pub gains: [f32; 4],
     /// Point spread.
-    pub spread: f32,
+    pub psf_variance: f32,
     /// Grey levels.
     pub bias: f32,
 }
@@ -29,7 +29,7 @@ pub struct Light {
     /// Grey levels.
     bias: f64,
     /// In the kernel's own unit.
-    spread: f64,
+    psf_variance: f64,
     /// How much is known of each node while a light is guessed.
     weights: Vec<f64>,
 }
@@ -51,8 +51,8 @@ impl Light {
     }
 
     /// In the kernel's own unit.
-    pub fn spread(&self) -> f64 {
-        self.spread
+    pub fn psf_variance(&self) -> f64 {
+        self.psf_variance
     }
 
     /// Mean of the nodes.
@@ -68,7 +68,7 @@ impl Light {
     /// The light of a tile of the grid.
     pub fn of_tile(&self, tile: u32) -> TileLight {
         let gains = self.nodes_of(tile).map(|n| self.gains[n] as f32);
-        TileLight { gains, spread: self.spread as f32, bias: self.bias as f32 }
+        TileLight { gains, psf_variance: self.psf_variance as f32, bias: self.bias as f32 }
     }
 
     /// A light that is remembered, on another grid, which may cover another part of the frame: nodes keep their relative places.
@@ -82,12 +82,12 @@ impl Light {
             // Starts from its mean: the grid changes when the view does, and the solve is linear in the gains.
             self.gains.resize(nodes[0] * nodes[1], mean(&light.gains));
         }
-        (self.bias, self.spread) = (light.bias, light.spread);
+        (self.bias, self.psf_variance) = (light.bias, light.psf_variance);
     }
 
     /// Adds a solution's changes of the gains at the nodes, the point spread and the bias.
-    pub fn correct(&mut self, gains: &[f64], spread: f64, bias: f64) {
-        self.spread += spread;
+    pub fn correct(&mut self, gains: &[f64], psf_variance: f64, bias: f64) {
+        self.psf_variance += psf_variance;
         self.bias += bias;
         for (gain, change) in self.gains.iter_mut().zip(gains) {
             *gain += change;
@@ -95,8 +95,8 @@ impl Light {
     }
 
     /// Takes a light from guesses: each node's gain is the mean of the tiles that touch it, and a little of what is usual.
-    pub fn guess(&mut self, bias: f64, spread: f64, usual: f64, tiles: impl Iterator<Item = (u32, f64)>) {
-        (self.bias, self.spread) = (bias, spread);
+    pub fn guess(&mut self, bias: f64, psf_variance: f64, usual: f64, tiles: impl Iterator<Item = (u32, f64)>) {
+        (self.bias, self.psf_variance) = (bias, psf_variance);
         self.weights.clear();
         self.weights.resize(self.gains.len(), USUAL_SHARE);
         self.gains.fill(usual * USUAL_SHARE);
@@ -120,12 +120,12 @@ pub struct RememberedLight {
     /// Nodes across and down.
     nodes: [usize; 2],
     bias: f64,
-    spread: f64,
+    psf_variance: f64,
 }
 
 impl Default for RememberedLight {
     fn default() -> Self {
-        Self { gains: vec![1.0; 4], nodes: [2, 2], bias: 0.0, spread: 0.0 }
+        Self { gains: vec![1.0; 4], nodes: [2, 2], bias: 0.0, psf_variance: 0.0 }
     }
 }
 
@@ -137,7 +137,7 @@ impl Clone for RememberedLight {
     /// Keeps the list of gains: nothing is allocated where there are no more nodes than before.
     fn clone_from(&mut self, other: &Self) {
         self.gains.clone_from(&other.gains);
-        (self.nodes, self.bias, self.spread) = (other.nodes, other.bias, other.spread);
+        (self.nodes, self.bias, self.psf_variance) = (other.nodes, other.bias, other.psf_variance);
     }
 }
 
@@ -146,12 +146,12 @@ impl RememberedLight {
     pub fn take(&mut self, light: &Light) {
         self.gains.clear();
         self.gains.extend_from_slice(&light.gains);
-        (self.nodes, self.bias, self.spread) = (light.grid.nodes(), light.bias, light.spread);
+        (self.nodes, self.bias, self.psf_variance) = (light.grid.nodes(), light.bias, light.psf_variance);
     }
 
     /// In the kernel's own unit.
-    pub fn spread(&self) -> f64 {
-        self.spread
+    pub fn psf_variance(&self) -> f64 {
+        self.psf_variance
     }
 }
 

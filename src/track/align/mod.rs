@@ -19,11 +19,13 @@ mod enlarge;
 mod evidence;
 mod exposure;
 mod frame_levels;
-mod gauge;
-mod jerk;
+#[allow(clippy::needless_range_loop)]
+mod gradient_gain;
 mod jump_instant;
 mod kernels;
 mod lanes;
+mod level_problem;
+mod level_spec;
 mod light;
 mod motion;
 mod noise;
@@ -32,16 +34,15 @@ mod noise_sums;
 #[allow(clippy::needless_range_loop)]
 mod normal;
 mod pixels;
+mod process_noise;
 mod rays;
 mod rows;
 mod selection;
 mod shutter_clue;
 #[allow(clippy::needless_range_loop)]
-mod slopes;
-#[allow(clippy::needless_range_loop)]
 mod system;
-mod task;
 mod texture;
+mod tile_correlation;
 mod tile_equations;
 mod tile_grid;
 #[allow(clippy::needless_range_loop)]
@@ -49,7 +50,6 @@ mod tile_products;
 mod uniform_motion;
 mod velocity_jump;
 mod verdict;
-mod work;
 
 use image::GrayImage;
 use nalgebra::{Matrix3, Vector3};
@@ -57,15 +57,15 @@ use nalgebra::{Matrix3, Vector3};
 pub use aligner::{Aligner, Patch};
 pub use frame_levels::FrameLevels;
 use frame_levels::LEVELS;
-pub use jerk::Jerk;
 pub use kernels::AlignKernels;
+pub use level_problem::used_pixels::UsedPixel;
 pub use motion::MotionEstimate;
+pub use process_noise::ProcessNoise;
 use rays::RayTable;
 pub use shutter_clue::ShutterClue;
-pub use system::side_column::Clue;
+pub use system::schur_complement::Clue;
 use texture::Texture;
 pub use verdict::Alignment;
-pub use work::used_pixels::UsedPixel;
 
 use super::surface::SurfaceSpec;
 use crate::camera::CameraModel;
@@ -115,13 +115,13 @@ impl AlignSurface {
 
 /// The camera's part of alignment, shared by all bodies.
 #[derive(Debug)]
-pub struct Eye {
+pub struct CameraRays {
     camera: CameraModel,
     /// Rays of levels 1 and up; of level 0 once a body needs it.
     tables: [Option<RayTable>; LEVELS],
 }
 
-impl Eye {
+impl CameraRays {
     /// Finds the rays of a camera's pixels. `mask`: pixels to leave out (0), of the frame's size.
     pub fn new(camera: CameraModel, mask: Option<GrayImage>) -> Self {
         let tables = std::array::from_fn(|l| (l > 0).then(|| RayTable::new(&camera, l, mask.as_ref())));

@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 
-use super::jerk::Jerk;
+use super::process_noise::ProcessNoise;
 use crate::geometry::{Body, Camera, Pose, skew};
 
 /// Error of the state: [δp, δθ, δv, δω, δa, δα]; position, velocity and acceleration in the body's axes, metres and
@@ -158,7 +158,7 @@ impl MotionEstimate {
     }
 
     /// What is expected `dt_s` later, at a distance from the stage.
-    pub fn after(&self, dt_s: f64, distance_m: f64, jerk: &Jerk) -> Self {
+    pub fn after(&self, dt_s: f64, distance_m: f64, process_noise: &ProcessNoise) -> Self {
         let motion = self.motion.after(dt_s);
         // The rotation error is told in the camera's axes, which turned meanwhile.
         let turned = (motion.pose.rotation.inverse() * self.motion.pose.rotation).to_rotation_matrix().into_inner();
@@ -170,8 +170,8 @@ impl MotionEstimate {
         }
         step.fixed_view_mut::<3, 3>(3, 3).copy_from(&turned);
         let mut covariance = step * self.covariance * step.transpose();
-        add_jerk(&mut covariance, 0, jerk.of_shift(distance_m), dt_s);
-        add_jerk(&mut covariance, 3, jerk.of_turn(), dt_s);
+        add_jerk(&mut covariance, 0, process_noise.of_shift(distance_m), dt_s);
+        add_jerk(&mut covariance, 3, process_noise.of_turn(), dt_s);
         // Between the frames of a slow camera jerk is no random walk any more: the motion is as good as new.
         let faded = ((dt_s - REMEMBERED_S).max(0.0) / FADES_IN_S).powi(2);
         add_unseen(&mut covariance, distance_m, 1.0 - (-faded).exp());
@@ -253,9 +253,9 @@ mod tests {
             error[k] = 1e-5;
             let alone = MotionEstimate { covariance: error * error.transpose(), ..estimate };
             let carried = estimate.motion.after(dt).error_to(&estimate.motion.corrected(&error).after(dt));
-            let grown = alone.after(dt, 0.0, &Jerk::default());
+            let grown = alone.after(dt, 0.0, &ProcessNoise::default());
             let mut jerk = MotionMatrix::zeros();
-            add_jerk(&mut jerk, 3, Jerk::default().of_turn(), dt);
+            add_jerk(&mut jerk, 3, ProcessNoise::default().of_turn(), dt);
             let expected = carried * carried.transpose();
             assert!((grown.covariance - jerk - expected).norm() < 0.02 * expected.norm(), "{k}");
         }

@@ -21,7 +21,7 @@ const MOVING_MODEL_PX: f64 = 0.02;
 const COARSE_MODEL_PX: f64 = 0.04;
 /// Of what is remembered this share fades with every frame.
 const FADES: f64 = 0.005;
-/// What is usual counts as so many pixels, so that what a frame cannot tell apart stays near it.
+/// Weight of the usual noise, pixels, so that what a frame cannot tell apart stays near it.
 const USUAL_PIXELS: f64 = 200.0;
 
 /// What the noise of a pixel is made of, at one level of the frame.
@@ -30,7 +30,7 @@ pub struct Noise {
     /// Variance at black, and its growth per grey level, of one pixel of the level.
     pub dark: f32,
     /// See `dark`.
-    pub per_grey: f32,
+    pub per_intensity: f32,
     /// Error of the prediction, pixels of the level.
     pub model_px: f32,
 }
@@ -71,7 +71,7 @@ impl CameraNoise {
         let least_px = if level == self.level { MOVING_MODEL_PX } else { COARSE_MODEL_PX };
         Noise {
             dark: (self.variance.x * smaller) as f32,
-            per_grey: (self.variance.y * smaller) as f32,
+            per_intensity: (self.variance.y * smaller) as f32,
             model_px: least_px.max(self.variance.z.sqrt()) as f32,
         }
     }
@@ -87,7 +87,7 @@ impl CameraNoise {
         self.sums.by_squared = self.sums.by_squared * (1.0 - FADES) + frame.by_squared;
         let usual = Self::usual(self.level).variance;
         let [least_dark, least_model] = [LEAST_DARK / f64::from(1u32 << (2 * self.level)), LEAST_MODEL_PX.powi(2)];
-        // As much as so many pixels of the usual grey and slope would tell of each part alone.
+        // As much as that number of pixels of the usual grey and slope would tell of each part alone.
         let weight = USUAL_PIXELS * Vector3::from(usual.map(|v| (v * v).recip())).component_mul(&self.share_of(&usual));
         let mut a = self.sums.by_each_other;
         let mut b = self.sums.by_squared;
@@ -97,7 +97,7 @@ impl CameraNoise {
         }
         if let Some(variance) = at_least(&a, &b, &Vector3::new(least_dark, 0.0, least_model)) {
             self.variance = variance;
-            tracing::trace!(dark = variance.x, per_grey = variance.y, model_px = variance.z.sqrt(), "noise");
+            tracing::trace!(dark = variance.x, per_intensity = variance.y, model_px = variance.z.sqrt(), "noise");
         }
     }
 

@@ -5,16 +5,16 @@ use nalgebra::{Matrix3, Vector3};
 use super::columns::COLUMNS;
 use super::lanes::{LANES, Lanes, dispatch, load_at, total};
 use super::noise::NoiseSums;
-use super::normal::{RunView, Weighing, columns, less_step};
+use super::normal::{RobustWeighting, RunView, columns, less_step};
 
-/// Squared residuals beyond so many squared scales are something else; what a normal distribution loses of its variance there.
+/// Largest squared residual that counts as noise, squared scales; and the share of its variance that a normal distribution keeps below it.
 pub const LARGEST_SQUARED: f32 = 9.0;
 pub const KEPT_VARIANCE: f64 = 0.9733;
 
 impl NoiseSums {
     /// Adds a run as `step` leaves it.
-    pub fn add(&mut self, view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) {
-        let [aa, ag, as_, gg, gs, ss, ra, rg, rs] = noise_sums(view, step, weighing).map(f64::from);
+    pub fn add(&mut self, view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) {
+        let [aa, ag, as_, gg, gs, ss, ra, rg, rs] = noise_sums(view, step, weighting).map(f64::from);
         self.by_each_other += Matrix3::new(aa, ag, as_, ag, gg, gs, as_, gs, ss);
         self.by_squared += Vector3::new(ra, rg, rs) / KEPT_VARIANCE;
     }
@@ -24,28 +24,28 @@ dispatch! {
     /// Sums over a run as `step` leaves it, weighted by the inverse square of the variance: 1, grey, slope² by each other (six), and by
     /// the squared residual (three).
     noise_sums, noise_sums_avx2, noise_sums_lanes,
-    (view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> [f32; 9]
+    (view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> [f32; 9]
 }
 
 #[inline(always)]
-pub fn noise_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighing: &Weighing) -> [f32; 9] {
+pub fn noise_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> [f32; 9] {
     let RunView { pixels, run, appearance, light, residuals } = *view;
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
-    let largest = L::splat(LARGEST_SQUARED * (weighing.scale * weighing.scale) as f32);
+    let largest = L::splat(LARGEST_SQUARED * (weighting.scale * weighting.scale) as f32);
     let mut sums = [zero; 9];
-    for k in run.range().step_by(LANES * weighing.stride) {
+    for k in run.range().step_by(LANES * weighting.stride) {
         let (columns, g) = columns::<L>(pixels, appearance, light, k);
-        let r = less_step(load_at::<L>(&residuals.grey, k), &columns, step);
+        let r = less_step(load_at::<L>(&residuals.intensity, k), &columns, step);
         let information = load_at::<L>(&residuals.information, k);
         let squared = r.mul(r);
         // One where the residual is small enough to be noise, and the pixel tells anything.
         let is_noise = largest.sub(squared.mul(information)).mul(L::splat(1e9)).max(zero).min(one).mul(load_at(&pixels.counts, k));
         let w = information.mul(information).mul(is_noise);
-        let grey = load_at::<L>(&pixels.seen, k).sub(r).max(zero);
+        let intensity = load_at::<L>(&pixels.seen, k).sub(r).max(zero);
         let (across, down) = (load_at::<L>(&appearance.across, k).mul(g), load_at::<L>(&appearance.down, k).mul(g));
         let steep = across.mul(across).add(down.mul(down));
-        let (wg, ws) = (w.mul(grey), w.mul(steep));
-        let terms = [w, wg, ws, wg.mul(grey), wg.mul(steep), ws.mul(steep), w.mul(squared), wg.mul(squared), ws.mul(squared)];
+        let (wg, ws) = (w.mul(intensity), w.mul(steep));
+        let terms = [w, wg, ws, wg.mul(intensity), wg.mul(steep), ws.mul(steep), w.mul(squared), wg.mul(squared), ws.mul(squared)];
         for n in 0..9 {
             sums[n] = sums[n].add(terms[n]);
         }

@@ -2,7 +2,7 @@
 //! pose at the tile's rows, with the light of the tile's corners, the bias and the point spread. `tile_products` sums their products.
 
 use super::appearance::Appearance;
-use super::columns::{BIAS, COLUMNS, GAINS, SPREAD};
+use super::columns::{BIAS, COLUMNS, GAINS, PSF_VARIANCE};
 use super::lanes::{LANES, Lanes, dispatch, load_at, store_at, total};
 use super::light::TileLight;
 use super::noise::Noise;
@@ -10,17 +10,17 @@ use super::pixels::{Pixels, Run};
 
 /// Tukey's biweight: residuals beyond this many robust sigmas count nothing.
 const TUKEY: f32 = 4.7;
-/// Geman and McClure's weight for a first look falls to one half at this many sigmas.
-const FIRST_LOOK: f32 = 2.7;
+/// Geman and McClure's weight in a first pass falls to one half at this many sigmas.
+const FIRST_PASS: f32 = 2.7;
 
 /// How residuals are weighed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Weighing {
+pub struct RobustWeighting {
     /// Robust standard deviation of the whitened residuals.
     pub scale: f64,
     /// Weights that never vanish instead of Tukey's: for a start that may be far off.
-    pub is_first_look: bool,
-    /// Of so many groups of [`LANES`] pixels one is summed: a rough step to take weights from needs no more.
+    pub is_first_pass: bool,
+    /// Stride over groups of [`LANES`] pixels: a rough step to take weights from needs only some of them.
     pub stride: usize,
 }
 
@@ -28,7 +28,7 @@ pub struct Weighing {
 #[derive(Debug, Default)]
 pub struct Residuals {
     /// Seen less predicted grey, at the state of the linearisation.
-    pub grey: Vec<f32>,
+    pub intensity: Vec<f32>,
     /// Inverse of the variance that noise and model explain; 0 where a pixel tells nothing.
     pub information: Vec<f32>,
 }
@@ -36,7 +36,7 @@ pub struct Residuals {
 impl Residuals {
     /// Makes room for `n` pixels, none of which tells anything yet.
     pub fn resize(&mut self, n: usize) {
-        for list in [&mut self.grey, &mut self.information] {
+        for list in [&mut self.intensity, &mut self.information] {
             list.clear();
             list.resize(n, 0.0);
         }
@@ -89,16 +89,16 @@ fn residuals_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance
     for k in run.range().step_by(LANES) {
         let corners = corner_weights::<L>(pixels, k);
         let g = gain(light, &corners);
-        let grey = load_at::<L>(&appearance.spread, k).mul_add(L::splat(light.spread), load_at(&appearance.grey, k));
+        let intensity = load_at::<L>(&appearance.psf_variance, k).mul_add(L::splat(light.psf_variance), load_at(&appearance.intensity, k));
         let seen = load_at::<L>(&pixels.seen, k);
-        let residual = seen.sub(g.mul_add(grey, L::splat(light.bias)));
+        let residual = seen.sub(g.mul_add(intensity, L::splat(light.bias)));
         let (across, down) = (load_at::<L>(&appearance.across, k), load_at::<L>(&appearance.down, k));
         let steep = across.mul(across).add(down.mul(down)).mul(g).mul(g);
-        let expected = g.mul_add(grey, L::splat(light.bias)).max(L::splat(0.0));
+        let expected = g.mul_add(intensity, L::splat(light.bias)).max(L::splat(0.0));
         let variance =
-            steep.mul_add(L::splat(noise.model_px * noise.model_px), expected.mul_add(L::splat(noise.per_grey), L::splat(noise.dark)));
+            steep.mul_add(L::splat(noise.model_px * noise.model_px), expected.mul_add(L::splat(noise.per_intensity), L::splat(noise.dark)));
         let information = load_at::<L>(&pixels.counts, k).mul(one.div(variance));
-        store_at(&mut out.grey, k, residual);
+        store_at(&mut out.intensity, k, residual);
         store_at(&mut out.information, k, information);
     }
 }
@@ -108,16 +108,16 @@ fn residuals_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance
 pub fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight, k: usize) -> ([L; COLUMNS], L) {
     let corners = corner_weights::<L>(pixels, k);
     let g = gain(light, &corners);
-    let spread = load_at::<L>(&appearance.spread, k);
-    let grey = spread.mul_add(L::splat(light.spread), load_at(&appearance.grey, k));
+    let psf_variance = load_at::<L>(&appearance.psf_variance, k);
+    let intensity = psf_variance.mul_add(L::splat(light.psf_variance), load_at(&appearance.intensity, k));
     let mut columns = [g; COLUMNS];
-    for c in 0..SPREAD {
+    for c in 0..PSF_VARIANCE {
         columns[c] = load_at::<L>(&appearance.by_pose[c], k).mul(g);
     }
-    columns[SPREAD] = spread.mul(g);
+    columns[PSF_VARIANCE] = psf_variance.mul(g);
     columns[BIAS] = L::splat(1.0);
     for c in 0..4 {
-        columns[GAINS + c] = corners[c].mul(grey);
+        columns[GAINS + c] = corners[c].mul(intensity);
     }
     (columns, g)
 }
@@ -133,11 +133,11 @@ pub fn less_step<L: Lanes>(mut r: L, columns: &[L; COLUMNS], step: &[f32; COLUMN
 
 /// The robust weight of a squared whitened residual.
 #[inline(always)]
-pub fn weight<L: Lanes>(squared: L, weighing: &Weighing) -> L {
+pub fn weight<L: Lanes>(squared: L, weighting: &RobustWeighting) -> L {
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
-    let scale2 = (weighing.scale * weighing.scale) as f32;
-    if weighing.is_first_look {
-        let u = squared.mul(L::splat(1.0 / (scale2 * FIRST_LOOK * FIRST_LOOK)));
+    let scale2 = (weighting.scale * weighting.scale) as f32;
+    if weighting.is_first_pass {
+        let u = squared.mul(L::splat(1.0 / (scale2 * FIRST_PASS * FIRST_PASS)));
         return one.div(one.add(u));
     }
     let u = one.sub(squared.mul(L::splat(1.0 / (scale2 * TUKEY * TUKEY)))).max(zero);
@@ -154,7 +154,7 @@ fn moments_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance) 
     let mut sums = [L::splat(0.0); 6];
     for k in run.range().step_by(LANES) {
         let c = load_at::<L>(&pixels.counts, k);
-        let (p, s) = (load_at::<L>(&appearance.grey, k).mul(c), load_at::<L>(&pixels.seen, k).mul(c));
+        let (p, s) = (load_at::<L>(&appearance.intensity, k).mul(c), load_at::<L>(&pixels.seen, k).mul(c));
         let terms = [c, p, s, p.mul(p), s.mul(s), p.mul(s)];
         for n in 0..6 {
             sums[n] = sums[n].add(terms[n]);
@@ -178,7 +178,7 @@ fn squares_after_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], stride: 
     let RunView { pixels, run, appearance, light, residuals } = *view;
     for k in run.range().step_by(LANES * stride) {
         let (columns, _) = columns::<L>(pixels, appearance, light, k);
-        let r = less_step(load_at(&residuals.grey, k), &columns, step);
+        let r = less_step(load_at(&residuals.intensity, k), &columns, step);
         let mut after = [0.0; LANES];
         r.mul(r).mul(load_at(&residuals.information, k)).store(&mut after);
         for n in 0..LANES {

@@ -172,13 +172,13 @@ impl Pixels {
     }
 
     /// Adds a solution's changes of the gains, the point spread and the bias to the light.
-    pub fn correct_light(&mut self, gains: &[f64], spread: f64, bias: f64) {
-        self.light.correct(gains, spread, bias);
+    pub fn correct_light(&mut self, gains: &[f64], psf_variance: f64, bias: f64) {
+        self.light.correct(gains, psf_variance, bias);
     }
 
     /// Takes a light from guesses: `gains` of tiles, near the usual one.
-    pub fn guess_light(&mut self, bias: f64, spread: f64, usual: f64, gains: impl Iterator<Item = (u32, f64)>) {
-        self.light.guess(bias, spread, usual, gains);
+    pub fn guess_light(&mut self, bias: f64, psf_variance: f64, usual: f64, gains: impl Iterator<Item = (u32, f64)>) {
+        self.light.guess(bias, psf_variance, usual, gains);
     }
 
     /// Finds the runs and groups of a choice, and which of it goes where.
@@ -233,6 +233,6 @@ impl Pixels {
 }
 
 /// 1 for a grey that is neither burnt out nor drowned.
-fn tells_something(grey: f32) -> f32 {
-    if grey > DARKEST && grey < BRIGHTEST { 1.0 } else { 0.0 }
+fn tells_something(intensity: f32) -> f32 {
+    if intensity > DARKEST && intensity < BRIGHTEST { 1.0 } else { 0.0 }
 }

@@ -6,10 +6,10 @@
 //! difference between them: the pose would take what is the motion's, by centimetres, and the covariance would not tell.
 //! So the motion's columns have the time of each row.
 
-use super::columns::{COLUMNS, POSE_ENTRIES as TRIANGLE, SPREAD, entry};
+use super::columns::{COLUMNS, POSE_ENTRIES as TRIANGLE, PSF_VARIANCE, entry};
 
 /// Columns of the pose.
-const POSE: usize = SPREAD;
+const POSE: usize = PSF_VARIANCE;
 /// Columns of a tile other than the pose.
 const OTHERS: usize = COLUMNS - POSE;
 
@@ -38,7 +38,7 @@ impl RowSums {
         TRIANGLE + entry(i, j)
     }
 
-    /// Where the sum of w d a_i a_c is: column `i` of the pose by any other column from [`SPREAD`] on; [`COLUMNS`] is the residual.
+    /// Where the sum of w d a_i a_c is: column `i` of the pose by any other column from [`PSF_VARIANCE`] on; [`COLUMNS`] is the residual.
     pub const fn other(i: usize, c: usize) -> usize {
         2 * TRIANGLE + i * (OTHERS + 1) + c - POSE
     }

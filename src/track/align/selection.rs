@@ -178,7 +178,7 @@ fn list_blocks(
             let Some(inverse) = seen.by_metres.try_inverse() else { continue };
             let margin = [0, 1].map(|k| (BORDER_PX + 0.5 * choice.blur_px) * (inverse[(k, 0)].abs() + inverse[(k, 1)].abs()));
             let reach_m = [0.5 * BLOCK as f64 * scale / tw, 0.5 * BLOCK as f64 * scale / th];
-            if hidden(surfaces, index, &seen.centre, [x, y], [reach_m[0] + margin[0], reach_m[1] + margin[1]]) {
+            if occluded(surfaces, index, &seen.centre, [x, y], [reach_m[0] + margin[0], reach_m[1] + margin[1]]) {
                 continue;
             }
             let Some(columns) = clear_offsets(x, half[0] - margin[0], scale / tw) else { continue };
@@ -268,7 +268,7 @@ fn see_at(surface: &AlignSurface, pose: &Pose<Body, Camera>, choice: &Choice, x:
 }
 
 /// Whether another surface of the body stands between the camera and any corner of a patch of +- `reach` around a point.
-fn hidden(surfaces: &[AlignSurface], own: usize, centre: &Vector3<f64>, middle: [f64; 2], reach: [f64; 2]) -> bool {
+fn occluded(surfaces: &[AlignSurface], own: usize, centre: &Vector3<f64>, middle: [f64; 2], reach: [f64; 2]) -> bool {
     if surfaces.len() == 1 {
         return false;
     }

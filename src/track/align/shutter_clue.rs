@@ -1,6 +1,6 @@
 //! What aligned frames say of the shutter: clues that are gathered over many frames, never used within one.
 
-use super::system::side_column::{Clue, SideColumn};
+use super::system::schur_complement::{Clue, SchurComplement};
 
 /// What a frame says of the shutter it was taken with.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,7 +15,7 @@ pub struct ShutterClue {
 #[derive(Debug, Default)]
 pub struct ClueKeeper {
     /// Buffers.
-    pub column: SideColumn,
+    pub column: SchurComplement,
     /// Of the last frame.
     pub clue: Option<ShutterClue>,
 }

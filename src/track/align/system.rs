@@ -6,13 +6,13 @@
 
 use nalgebra::SVector;
 
-use super::columns::{BIAS, COLUMNS, GAINS, POSE_ENTRIES, SPREAD, entry};
+use super::columns::{BIAS, COLUMNS, GAINS, POSE_ENTRIES, PSF_VARIANCE, entry};
 use super::light::Light;
 use super::motion::{MotionError, MotionMatrix};
 use super::rows::RowSums;
 use super::tile_equations::{TileEquations, TileScore, TileStep};
 
-pub mod side_column;
+pub mod schur_complement;
 
 /// Degrees of freedom of a motion.
 pub const MOTION: usize = 18;
@@ -52,9 +52,9 @@ pub struct Prior<'a> {
     /// From the linearisation to where the prior has the motion.
     pub error: MotionError,
     /// The slow average of the point spread, and one sigma about it.
-    pub spread: f64,
+    pub psf_variance: f64,
     /// See `spread`.
-    pub spread_sigma: f64,
+    pub psf_variance_sigma: f64,
 }
 
 /// Powers of time that a motion acts by: position, velocity, acceleration.
@@ -119,7 +119,7 @@ impl Step<'_> {
     }
 
     /// Point spread.
-    pub fn spread(&self) -> f64 {
+    pub fn psf_variance(&self) -> f64 {
         self.all[self.nodes]
     }
 
@@ -139,8 +139,8 @@ impl Step<'_> {
         let by = |factors: [f64; POWERS], c: usize| (0..POWERS).map(|p| factors[p] * motion[6 * p + c]).sum::<f64>();
         let columns = std::array::from_fn(|c| {
             let value = match c {
-                0..SPREAD => by(time.factors(), c),
-                SPREAD => self.spread(),
+                0..PSF_VARIANCE => by(time.factors(), c),
+                PSF_VARIANCE => self.psf_variance(),
                 BIAS => self.bias(),
                 _ => self.all[nodes[c - GAINS]],
             };
@@ -169,9 +169,9 @@ impl System {
             list.resize(6 * (self.nodes + 2), 0.0);
         }
         self.smooth(columns, light);
-        let (spread, bias, motion) = (self.nodes, self.nodes + 1, self.nodes + 2);
-        self.matrix[spread * n + spread] = prior.spread_sigma.powi(-2);
-        self.right[spread] = (prior.spread - light.spread()) * prior.spread_sigma.powi(-2);
+        let (psf_variance, bias, motion) = (self.nodes, self.nodes + 1, self.nodes + 2);
+        self.matrix[psf_variance * n + psf_variance] = prior.psf_variance_sigma.powi(-2);
+        self.right[psf_variance] = (prior.psf_variance - light.psf_variance()) * prior.psf_variance_sigma.powi(-2);
         self.matrix[bias * n + bias] = BIAS_SIGMA.powi(-2);
         self.right[bias] = -light.bias() * BIAS_SIGMA.powi(-2);
         let right = prior.information * prior.error;
@@ -206,12 +206,12 @@ impl System {
     /// Adds a score of a tile to each unknown that it belongs to: calls `add` with the unknown's place and what it gets.
     fn spread_out(&self, score: &TileScore, nodes: [usize; 4], time: &TileTime, mut add: impl FnMut(usize, f64)) {
         let (factors, rates) = (time.factors(), time.rates());
-        for c in 0..SPREAD {
+        for c in 0..PSF_VARIANCE {
             for p in 0..POWERS {
                 add(self.nodes + 2 + 6 * p + c, factors[p] * score.columns[c] + rates[p] * score.timed[c]);
             }
         }
-        add(self.nodes, score.columns[SPREAD]);
+        add(self.nodes, score.columns[PSF_VARIANCE]);
         add(self.nodes + 1, score.columns[BIAS]);
         for (node, value) in nodes.iter().zip(&score.columns[GAINS..]) {
             add(*node, *value);
@@ -224,9 +224,9 @@ impl System {
         let TileEquations { sums, rows } = tile;
         let others = [self.nodes, self.nodes + 1, nodes[0], nodes[1], nodes[2], nodes[3]];
         for (i, row) in others.iter().enumerate() {
-            self.right[*row] += weight * sums.product(SPREAD + i, COLUMNS);
+            self.right[*row] += weight * sums.product(PSF_VARIANCE + i, COLUMNS);
             for (j, column) in others.iter().enumerate().filter(|(_, column)| *column <= row) {
-                self.matrix[row * n + column] += weight * sums.product(SPREAD + i, SPREAD + j);
+                self.matrix[row * n + column] += weight * sums.product(PSF_VARIANCE + i, PSF_VARIANCE + j);
             }
         }
         let factors = time.factors();
@@ -234,7 +234,7 @@ impl System {
         let powers = if self.same_time.is_some() { 1 } else { POWERS };
         let pose = sums.of_pose();
         let right: [f64; 6] = std::array::from_fn(|i| sums.product(i, COLUMNS));
-        let columns: [[f64; 6]; 6] = std::array::from_fn(|k| std::array::from_fn(|i| sums.product(i, SPREAD + k)));
+        let columns: [[f64; 6]; 6] = std::array::from_fn(|k| std::array::from_fn(|i| sums.product(i, PSF_VARIANCE + k)));
         for a in 0..powers {
             for b in 0..=a {
                 add_scaled(&mut self.pose.by_pose[pair(a, b)], weight * factors[a] * factors[b], &pose);
@@ -254,7 +254,7 @@ impl System {
         let (factors, rates) = (time.factors(), time.rates());
         let (by_time, by_squared_time) = (rows.by_time(), rows.by_squared_time());
         let right: [f64; 6] = std::array::from_fn(|i| rows.by_other(i, COLUMNS));
-        let columns: [[f64; 6]; 6] = std::array::from_fn(|k| std::array::from_fn(|i| rows.by_other(i, SPREAD + k)));
+        let columns: [[f64; 6]; 6] = std::array::from_fn(|k| std::array::from_fn(|i| rows.by_other(i, PSF_VARIANCE + k)));
         // At power 0, a pose does not grow from row to row.
         for a in 1..POWERS {
             for b in 0..=a {

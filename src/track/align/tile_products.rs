@@ -4,9 +4,9 @@
 //! a run are laid out in a buffer that is kept and never cleared, their products are summed block by block in registers, and
 //! eight sums of lanes are added across at a time.
 
-use super::columns::{ALL, COLUMNS, SPREAD, TileSums};
+use super::columns::{ALL, COLUMNS, PSF_VARIANCE, TileSums};
 use super::lanes::{LANES, Lanes, dispatch, load_at};
-use super::normal::{RunView, Weighing, columns, less_step, weight};
+use super::normal::{RobustWeighting, RunView, columns, less_step, weight};
 use super::rows::RowSums;
 use super::tile_equations::TileEquations;
 
@@ -15,8 +15,8 @@ use super::tile_equations::TileEquations;
 const CHUNK: usize = 16;
 /// The first factors: all of [`ALL`] weighted, those of the pose once more times the seconds from the tile's middle, and times their squares.
 const TIMED: usize = ALL;
-const SQUARED: usize = TIMED + SPREAD;
-const FACTORS: usize = SQUARED + SPREAD;
+const SQUARED: usize = TIMED + PSF_VARIANCE;
+const FACTORS: usize = SQUARED + PSF_VARIANCE;
 /// Sums are kept for the tile, then for its rows, each filled up to whole [`LANES`].
 const ROW_SUMS: usize = TileSums::ENTRIES.next_multiple_of(LANES);
 const SUMS: usize = ROW_SUMS + RowSums::ENTRIES.next_multiple_of(LANES);
@@ -45,7 +45,7 @@ dispatch! {
     /// Sums of a run at the linearisation; weights are those of the residuals as `step` (the tile's columns) leaves them. `delay_s`: when
     /// the tile is taken to be exposed, seconds from the frame's stamp, where the times of its rows are to be summed as well.
     tile_equations, tile_equations_avx2, tile_equations_lanes,
-    (view: &RunView, delay_s: Option<f32>, step: &[f32; COLUMNS], weighing: &Weighing, buffer: &mut ProductBuffer) -> TileEquations
+    (view: &RunView, delay_s: Option<f32>, step: &[f32; COLUMNS], weighting: &RobustWeighting, buffer: &mut ProductBuffer) -> TileEquations
 }
 
 #[inline(always)]
@@ -53,21 +53,21 @@ pub fn tile_equations_lanes<L: Lanes>(
     view: &RunView,
     delay_s: Option<f32>,
     step: &[f32; COLUMNS],
-    weighing: &Weighing,
+    weighting: &RobustWeighting,
     buffer: &mut ProductBuffer,
 ) -> TileEquations {
     let RunView { pixels, run, appearance, light, residuals } = *view;
     let (mut n, mut is_first) = (0, true);
-    for k in run.range().step_by(LANES * weighing.stride) {
+    for k in run.range().step_by(LANES * weighting.stride) {
         if n == CHUNK {
             add_products::<L>(buffer, n, is_first, delay_s.is_some());
             (n, is_first) = (0, false);
         }
         let (columns, _) = columns::<L>(pixels, appearance, light, k);
-        let r = load_at::<L>(&residuals.grey, k);
+        let r = load_at::<L>(&residuals.intensity, k);
         let after = less_step(r, &columns, step);
         let information = load_at::<L>(&residuals.information, k);
-        let w = weight(after.mul(after).mul(information), weighing).mul(information);
+        let w = weight(after.mul(after).mul(information), weighting).mul(information);
         for c in 0..COLUMNS {
             put::<L>(&mut buffer.plain[c], n, columns[c]);
             put::<L>(&mut buffer.factors[c], n, columns[c].mul(w));
@@ -76,7 +76,7 @@ pub fn tile_equations_lanes<L: Lanes>(
         put::<L>(&mut buffer.factors[COLUMNS], n, r.mul(w));
         if let Some(delay_s) = delay_s {
             let d = load_at::<L>(&pixels.delay_s, k).sub(L::splat(delay_s));
-            for i in 0..SPREAD {
+            for i in 0..PSF_VARIANCE {
                 let timed = columns[i].mul(w).mul(d);
                 put::<L>(&mut buffer.factors[TIMED + i], n, timed);
                 put::<L>(&mut buffer.factors[SQUARED + i], n, timed.mul(d));
@@ -154,7 +154,7 @@ const fn place(factor: usize, column: usize) -> Option<usize> {
         let i = factor - TIMED;
         if i > column {
             None
-        } else if column < SPREAD {
+        } else if column < PSF_VARIANCE {
             Some(ROW_SUMS + RowSums::timed(i, column))
         } else {
             Some(ROW_SUMS + RowSums::other(i, column))

@@ -12,7 +12,7 @@ use super::motion::{MotionEstimate, unseen};
 /// A pose found further than this from where it was expected (squared, in sigmas, six degrees of freedom: one frame in 2000 by chance) is
 /// solved with a jump. Raised, jumps pull the pose by what was expected; lowered, frames of a shaken camera know
 /// less of their motion than they could: with 16 instead of 30, d-whip's errors grow from 0.24 to 0.31 mm.
-const SURPRISING: f64 = 24.0;
+const UNEXPECTED: f64 = 24.0;
 /// A jump within the exposure bends the path of the picture: the acceleration that a rolling shutter's rows take it for, one sigma, times
 /// the velocity that is usual over the time of a frame.
 const BEND: f64 = 2.0;
@@ -34,9 +34,9 @@ const BEND_SHARE: f64 = 0.1;
 /// speed: the mean square over all s.
 const STARTED_SQUARE: f64 = 1.0 / 120.0;
 
-/// Where a pose lies so far from what was expected (squared, in sigmas) that jerk does not explain it.
-pub fn is_surprising(surprise: f64) -> bool {
-    surprise >= SURPRISING
+/// Whether a pose lies too far from what was expected (squared Mahalanobis distance) for jerk to explain it.
+pub fn is_unexpected(squared_mahalanobis: f64) -> bool {
+    squared_mahalanobis >= UNEXPECTED
 }
 
 /// What is expected after `dt_s` where the velocity may have jumped meanwhile. `expected`: where it did not.

@@ -25,8 +25,8 @@ pub struct Alignment {
     pub tiles: usize,
     /// See `tiles`.
     pub agreeing: usize,
-    /// Squared distance between the expected and the found pose, in sigmas of what was expected; about 6 where nothing surprises.
-    pub surprise: f64,
+    /// Squared Mahalanobis distance of the found pose from the expected one, by the covariance of what was expected; about 6 where that is right.
+    pub squared_mahalanobis: f64,
 }
 
 impl Alignment {
@@ -42,29 +42,32 @@ impl Alignment {
 
     /// Whether the pose was found so far from where it was expected that earlier frames say nothing of it.
     pub fn is_pushed(&self) -> bool {
-        self.surprise > LARGEST_SURPRISE
+        self.squared_mahalanobis > LARGEST_SQUARED_MAHALANOBIS
     }
 
     /// Whether the pose may be given: clearly right, or less clearly where it was expected.
     pub fn is_credible(&self, is_expected: bool) -> bool {
-        let continues = is_expected && self.share() >= CONTINUED_SHARE && self.surprise < LARGEST_SURPRISE && self.scale < CONTINUED_SCALE;
+        let continues = is_expected
+            && self.share() >= CONTINUED_SHARE
+            && self.squared_mahalanobis < LARGEST_SQUARED_MAHALANOBIS
+            && self.scale < CONTINUED_SCALE;
         self.agreeing >= LEAST_TILES && (self.share() >= NEW_SHARE || continues)
     }
 }
 
 /// Fewest agreeing tiles of a pose that is given; their least share of those with detail: of any pose, and of one that is where the
-/// motion filter expected it (by less than this surprise, with residuals of what takes part no larger than these sigmas). Right and wrong poses over many starts: docs/alignment.md.
+/// motion filter expected it (by less than this squared Mahalanobis distance, with residuals of what takes part no larger than these sigmas). Right and wrong poses over many starts: docs/alignment.md.
 const LEAST_TILES: usize = 8;
 const NEW_SHARE: f64 = 0.5;
 const CONTINUED_SHARE: f64 = 0.12;
-const LARGEST_SURPRISE: f64 = 100.0;
+const LARGEST_SQUARED_MAHALANOBIS: f64 = 100.0;
 const CONTINUED_SCALE: f64 = 2.5;
 /// Tiles and their agreeing share that leave no doubt.
 const CONCLUSIVE_TILES: usize = 40;
 const CONCLUSIVE_SHARE: f64 = 0.7;
 
-/// See [`Alignment::surprise`].
-pub fn surprise(expected: &MotionEstimate, found: &Motion) -> f64 {
+/// See [`Alignment::squared_mahalanobis`].
+pub fn squared_mahalanobis(expected: &MotionEstimate, found: &Motion) -> f64 {
     let error = expected.motion.error_to(found).fixed_rows::<6>(0).into_owned();
     let covariance: Matrix6<f64> = expected.covariance.fixed_view::<6, 6>(0, 0).into_owned();
     covariance.cholesky().map_or(f64::INFINITY, |c| error.dot(&c.solve(&error)))

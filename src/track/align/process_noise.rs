@@ -19,28 +19,28 @@ const MOST: f64 = 1000.0;
 const SHARE: f64 = 0.3;
 /// Mean logarithm of the mean of three squared normal variables: the digamma function of 1.5, plus ln(2/3).
 const MEAN_LOG: f64 = -0.369;
-/// One frame counts as no more than these logarithms: a picture that misleads surprises as well as jerk, and a frame that comes where it was
+/// One frame counts as no more than these logarithms: a picture that misleads is as far from what was expected as one after jerk, and a frame that comes where it was
 /// expected may do so by chance.
 const LOGS: [f64; 2] = [-4.0, 3.0];
-/// Frames after the first that surprise because nobody knew yet how the camera moves.
+/// Frames after the first whose innovations say nothing: how the camera moves is not known yet.
 const UNTOLD_FRAMES: u32 = 3;
 
 /// White jerk as learnt so far, in shares of the usual.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Jerk {
+pub struct ProcessNoise {
     shift: f64,
     turn: f64,
     /// Frames that it has seen.
     frames: u32,
 }
 
-impl Default for Jerk {
+impl Default for ProcessNoise {
     fn default() -> Self {
         Self { shift: 1.0, turn: 1.0, frames: 0 }
     }
 }
 
-impl Jerk {
+impl ProcessNoise {
     /// Spectral density of the shift's jerk at a distance from the stage, m²/s⁵.
     pub fn of_shift(&self, distance_m: f64) -> f64 {
         self.shift * USUAL_SHIFT * (distance_m / DISTANCE_M).powi(2)
@@ -85,7 +85,7 @@ mod tests {
         // All of the motion is known, as no shutter shows it: what is not expected is jerk alone.
         let rest = Motion::still(Pose::new(UnitQuaternion::identity(), Vector3::zeros()));
         let known = MotionEstimate { motion: rest, covariance: MotionMatrix::identity() * 1e-14 };
-        let mut jerk = Jerk::default();
+        let mut process_noise = ProcessNoise::default();
         let (mut sums, mut n) = ([0.0; 2], 0.0);
         for frame in 0..600 {
             // Small steps: jerk changes acceleration, the rest follows.
@@ -96,9 +96,9 @@ mod tests {
                 truth.acceleration += step(shift);
                 truth.turn_acceleration += step(turn);
             }
-            jerk.learn(known.after(dt, distance, &jerk).squared_innovations(&truth));
+            process_noise.learn(known.after(dt, distance, &process_noise).squared_innovations(&truth));
             if frame >= 100 {
-                sums = [sums[0] + (jerk.of_shift(distance) / shift).ln(), sums[1] + (jerk.of_turn() / turn).ln()];
+                sums = [sums[0] + (process_noise.of_shift(distance) / shift).ln(), sums[1] + (process_noise.of_turn() / turn).ln()];
                 n += 1.0;
             }
         }

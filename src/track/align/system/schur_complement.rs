@@ -11,18 +11,18 @@ use super::{System, TileTime};
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Clue {
     /// Information times the change that the residuals ask for.
-    pub pull: f64,
+    pub score: f64,
     /// Inverse variance of that change, all other unknowns being free.
     pub information: f64,
 }
 
 /// Sums over tiles for the unknown; keeps its buffers.
 #[derive(Debug, Default)]
-pub struct SideColumn {
+pub struct SchurComplement {
     with_others: Vec<f64>,
     solved: Vec<f64>,
     own: f64,
-    pull: f64,
+    score: f64,
 }
 
 /// A tile at the solution.
@@ -39,12 +39,12 @@ pub struct SolvedTile<'a> {
     pub weight: f64,
 }
 
-impl SideColumn {
+impl SchurComplement {
     /// Starts the sums for a system that was solved.
     pub fn begin(&mut self, system: &System) {
         self.with_others.clear();
         self.with_others.resize(system.size, 0.0);
-        (self.own, self.pull) = (0.0, 0.0);
+        (self.own, self.score) = (0.0, 0.0);
     }
 
     /// Adds a tile. `by_unknown`: how all that it sees changes with the unknown.
@@ -56,7 +56,7 @@ impl SideColumn {
         let own = shared.columns.iter().chain(&shared.timed);
         for (d, (own, left)) in changes.zip(own.zip(left.columns.iter().chain(&left.timed))) {
             self.own += d * own;
-            self.pull += d * left;
+            self.score += d * left;
         }
     }
 
@@ -65,6 +65,6 @@ impl SideColumn {
         self.solved.clone_from(&self.with_others);
         system.back_substitute(&mut self.solved);
         let shared: f64 = self.with_others.iter().zip(&self.solved).map(|(a, b)| a * b).sum();
-        Clue { pull: self.pull, information: (self.own - shared).max(0.0) }
+        Clue { score: self.score, information: (self.own - shared).max(0.0) }
     }
 }

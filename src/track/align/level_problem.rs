@@ -1,6 +1,6 @@
 //! One level at work: its pixels, what they should look like, what they say, and the system that they make.
 //!
-//! All that is known of a choice of pixels lives and ends with it: [`Work::lay_out`] begins anew, and there is nothing to conclude until
+//! All that is known of a choice of pixels lives and ends with it: [`LevelProblem::lay_out`] begins anew, and there is nothing to conclude until
 //! these pixels were predicted and solved.
 
 use nalgebra::{Matrix6, Vector2, Vector3};
@@ -13,17 +13,17 @@ use super::appearance::{Appearance, Predicted, predict};
 use super::columns::COLUMNS;
 use super::evidence::{RunEvidence, evidence};
 use super::frame_levels::FrameLevels;
-use super::gauge::{Gauge, median};
+use super::gradient_gain::{ChangeSums, PredictedChange};
 use super::jump_instant::RowBands;
+use super::level_spec::{LevelSpec, moved};
 use super::light::{RememberedLight, TileLight};
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::noise::{Noise, NoiseSums};
-use super::normal::{Residuals, RunView, Weighing, moments, residuals, squares_after};
+use super::normal::{Residuals, RobustWeighting, RunView, moments, residuals, squares_after};
 use super::pixels::{Pixels, Run, Source};
 use super::selection::{Choice, Chosen, Selector};
-use super::slopes::{ChangeSums, Foretold};
 use super::system::{Prior, System, TileTime};
-use super::task::{Task, moved};
+use super::tile_correlation::{TileCorrelation, median};
 use super::tile_equations::{TileEquations, TileStep};
 use super::tile_products::{ProductBuffer, tile_equations};
 use crate::geometry::resection::larger_covariance;
@@ -52,9 +52,9 @@ pub struct Expected<'a> {
     /// Its information.
     pub information: &'a MotionMatrix,
     /// The slow average of the point spread, and one sigma about it.
-    pub spread: f64,
+    pub psf_variance: f64,
     /// See `spread`.
-    pub spread_sigma: f64,
+    pub psf_variance_sigma: f64,
 }
 
 /// The pixels of a level with their prediction and their residuals.
@@ -67,10 +67,10 @@ struct Picture {
 
 impl Picture {
     /// When a run was exposed.
-    fn time(&self, task: &Task, run: &Run) -> TileTime {
+    fn time(&self, spec: &LevelSpec, run: &Run) -> TileTime {
         let middle = (run.start + run.end) / 2;
         let delay_s = f64::from(self.pixels.delay_s[middle as usize]);
-        TileTime { delay_s, mean_square_s2: delay_s * delay_s + task.sensor.exposure_s.powi(2) / 12.0 }
+        TileTime { delay_s, mean_square_s2: delay_s * delay_s + spec.sensor.exposure_s.powi(2) / 12.0 }
     }
 
     fn view<'a>(&'a self, run: &'a RunAtWork) -> RunView<'a> {
@@ -88,7 +88,7 @@ pub struct RunAtWork {
     /// The light of its residuals.
     light: TileLight,
     /// How it compares with its prediction.
-    gauge: Gauge,
+    gauge: TileCorrelation,
     /// The last step of its columns.
     step: TileStep,
     /// What it said in the last pass; of open runs.
@@ -97,7 +97,7 @@ pub struct RunAtWork {
 
 /// A level: its pixels, where they are linearised, and what they were solved to.
 #[derive(Debug, Default)]
-pub struct Work {
+pub struct LevelProblem {
     picture: Picture,
     /// The runs of the pixels.
     runs: Vec<RunAtWork>,
@@ -107,7 +107,7 @@ pub struct Work {
     solved: Option<Corrected>,
     products: Box<ProductBuffer>,
     system: System,
-    foretold: Foretold,
+    predicted_change: PredictedChange,
     sorted: Vec<f32>,
 }
 
@@ -120,11 +120,11 @@ pub struct Corrected {
     pub scale: f64,
 }
 
-impl Work {
+impl LevelProblem {
     /// Chooses and lays out the pixels of the level, in the light that is remembered; false where there are too few.
     pub fn lay_out(
         &mut self,
-        task: &Task,
+        spec: &LevelSpec,
         frame: &mut FrameLevels,
         motion: &Motion,
         selector: &mut Selector,
@@ -133,16 +133,17 @@ impl Work {
     ) -> bool {
         (self.at, self.solved) = (None, None);
         self.runs.clear();
-        let Some(table) = &task.eye.tables[task.level] else { return false };
-        let Task { level, sensor, blur_px, count, is_dense, .. } = *task;
-        let choice = Choice { camera: &task.eye.camera, table, level, sensor: *sensor, blur_px, count, is_dense };
-        selector.choose(task.surfaces, motion, &choice, chosen);
+        let Some(table) = &spec.rays.tables[spec.level] else { return false };
+        let LevelSpec { level, sensor, blur_px, count, is_dense, .. } = *spec;
+        let choice = Choice { camera: &spec.rays.camera, table, level, sensor: *sensor, blur_px, count, is_dense };
+        selector.choose(spec.surfaces, motion, &choice, chosen);
         if chosen.len() < LEAST_PIXELS {
             return false;
         }
-        let source = Source { l: task.level, level: frame.level(task.level), table, sensor: task.sensor, height: task.eye.camera.height() };
+        let source =
+            Source { l: spec.level, level: frame.level(spec.level), table, sensor: spec.sensor, height: spec.rays.camera.height() };
         let Picture { pixels, appearance, residuals } = &mut self.picture;
-        pixels.arrange(chosen, task.surfaces.len(), &source, light);
+        pixels.arrange(chosen, spec.surfaces.len(), &source, light);
         appearance.resize(pixels.len());
         residuals.resize(pixels.len());
         self.runs.extend(pixels.runs().iter().map(|run| RunAtWork { run: *run, ..RunAtWork::default() }));
@@ -170,33 +171,33 @@ impl Work {
     }
 
     /// Predicts all pixels.
-    pub fn predict(&mut self, task: &Task, motion: &Motion) {
-        self.predict_all(task, motion);
+    pub fn predict(&mut self, spec: &LevelSpec, motion: &Motion) {
+        self.predict_all(spec, motion);
         self.at = Some(*motion);
     }
 
-    fn predict_all(&mut self, task: &Task, motion: &Motion) {
+    fn predict_all(&mut self, spec: &LevelSpec, motion: &Motion) {
         self.solved = None;
         let Picture { pixels, appearance, .. } = &mut self.picture;
         for &(surface, start, end) in &pixels.groups {
-            let surface = &task.surfaces[surface as usize];
+            let surface = &spec.surfaces[surface as usize];
             let range = [start as usize, end as usize];
-            let Task { sensor, side, is_enlarged, slope_share, .. } = *task;
-            let what = Predicted { surface, motion, sensor, places: task.places(), side, is_enlarged, slope_share, pixels, range };
+            let LevelSpec { sensor, side, is_enlarged, gradient_gain, .. } = *spec;
+            let what = Predicted { surface, motion, sensor, places: spec.places(), side, is_enlarged, gradient_gain, pixels, range };
             predict(&what, appearance);
         }
     }
 
-    /// Predicts the same pixels once more after a step, and says what that changed beside what the slopes foretold.
-    pub fn predict_again(&mut self, task: &Task, motion: &Motion) -> ChangeSums {
-        self.foretold.resize(self.pixels().len());
+    /// Predicts the same pixels once more after a step, and says what that changed beside what the slopes predicted.
+    pub fn predict_again(&mut self, spec: &LevelSpec, motion: &Motion) -> ChangeSums {
+        self.predicted_change.resize(self.pixels().len());
         let appearance = &self.picture.appearance;
         for r in &self.runs {
             let step = std::array::from_fn(|c| r.step.columns[c]);
-            self.foretold.foretell(&appearance.grey, &appearance.by_pose, &step, r.run.range());
+            self.predicted_change.foretell(&appearance.intensity, &appearance.by_pose, &step, r.run.range());
         }
-        self.predict(task, motion);
-        self.foretold.compare(&self.picture.appearance.grey, &self.picture.pixels.counts)
+        self.predict(spec, motion);
+        self.predicted_change.compare(&self.picture.appearance.intensity, &self.picture.pixels.counts)
     }
 
     /// Residuals of all runs in the light of their pixels.
@@ -210,21 +211,21 @@ impl Work {
     }
 
     /// How far the picture moved since the prediction, pixels of the level; infinite where there is none.
-    pub fn moved_since(&self, task: &Task, motion: &Motion) -> f64 {
-        self.at.map_or(f64::INFINITY, |at| self.moved_px(task, &at, motion))
+    pub fn moved_since(&self, spec: &LevelSpec, motion: &Motion) -> f64 {
+        self.at.map_or(f64::INFINITY, |at| self.moved_px(spec, &at, motion))
     }
 
     /// Keeps the pixels and their prediction for a new frame.
-    pub fn renew(&mut self, task: &Task, frame: &mut FrameLevels) {
+    pub fn renew(&mut self, spec: &LevelSpec, frame: &mut FrameLevels) {
         self.solved = None;
-        self.picture.pixels.see(task.level, frame.level(task.level));
+        self.picture.pixels.see(spec.level, frame.level(spec.level));
     }
 
     /// Solves the linearised problem, iteratively reweighted, and corrects the light, which is remembered. `passes`: reweightings; the first
     /// with weights that never vanish if `is_first`.
     pub fn solve(
         &mut self,
-        task: &Task,
+        spec: &LevelSpec,
         expected: &Expected,
         light: &mut RememberedLight,
         is_first: bool,
@@ -232,38 +233,38 @@ impl Work {
     ) -> Option<Corrected> {
         self.solved = None;
         let at = self.at?;
-        self.gauge(&task.noise);
-        self.residuals_all(&task.noise);
+        self.gauge(&spec.noise);
+        self.residuals_all(&spec.noise);
         let mut scale = self.scale();
         for pass in 0..passes {
             let stride = if pass + 1 < passes { self.rough_stride() } else { 1 };
-            let weighing = Weighing { scale, is_first_look: is_first && pass == 0, stride };
+            let weighting = RobustWeighting { scale, is_first_pass: is_first && pass == 0, stride };
             let prior = Prior {
                 information: expected.information,
                 error: at.error_to(expected.motion),
-                spread: expected.spread,
-                spread_sigma: expected.spread_sigma,
+                psf_variance: expected.psf_variance,
+                psf_variance_sigma: expected.psf_variance_sigma,
             };
             let Self { picture, runs, products, system, .. } = self;
             let light = picture.pixels.light();
-            system.begin(light, &prior, task.same_time());
+            system.begin(light, &prior, spec.same_time());
             let weight = scale.powi(-2) * stride as f64;
             // A rough step, which only weights are taken from, needs no times of rows.
-            let is_rolling = task.same_time().is_none() && pass + 1 == passes;
+            let is_rolling = spec.same_time().is_none() && pass + 1 == passes;
             for r in runs.iter_mut().filter(|r| r.gauge.is_open) {
-                let (time, step) = (picture.time(task, &r.run), &r.step.columns);
+                let (time, step) = (picture.time(spec, &r.run), &r.step.columns);
                 let delay_s = is_rolling.then_some(time.delay_s as f32);
-                r.equations = tile_equations(&picture.view(r), delay_s, step, &weighing, products);
+                r.equations = tile_equations(&picture.view(r), delay_s, step, &weighting, products);
                 system.add(&r.equations, light.nodes_of(r.run.tile), &time, weight);
             }
             let step = system.solve()?;
             for r in runs {
-                r.step = step.of_tile(light.nodes_of(r.run.tile), &picture.time(task, &r.run));
+                r.step = step.of_tile(light.nodes_of(r.run.tile), &picture.time(spec, &r.run));
             }
             scale = self.scale();
         }
         let step = self.system.step();
-        self.picture.pixels.correct_light(step.gains(), step.spread(), step.bias());
+        self.picture.pixels.correct_light(step.gains(), step.psf_variance(), step.bias());
         light.take(self.picture.pixels.light());
         let motion = at.corrected(&step.motion());
         self.solved = motion.is_finite().then_some(Corrected { motion, scale });
@@ -275,7 +276,7 @@ impl Work {
         self.runs.iter().filter(|r| r.gauge.is_open).count() as f64 / self.runs.len().max(1) as f64
     }
 
-    /// Of so many groups of pixels one is enough for weights and for the noise.
+    /// Stride over groups of pixels that is fine enough for weights and for the noise.
     fn rough_stride(&self) -> usize {
         (self.pixels().len() / ROUGH_PIXELS).clamp(1, LARGEST_STRIDE)
     }
@@ -306,7 +307,7 @@ impl Work {
         let Picture { pixels, appearance, .. } = &self.picture;
         self.sorted.clear();
         for r in &mut self.runs {
-            r.gauge = Gauge::new(&moments(pixels, &r.run, appearance), noise);
+            r.gauge = TileCorrelation::new(&moments(pixels, &r.run, appearance), noise);
             self.sorted.push(r.gauge.correlation);
         }
         // The better half at least: from a start that is off, nothing correlates well yet.
@@ -317,32 +318,32 @@ impl Work {
     }
 
     /// The light from the open runs: the median of their biases, then each tile's mean grey. Means do not mind a start that is off.
-    pub fn guess_light(&mut self, task: &Task, spread: f64) {
-        self.gauge(&task.noise);
+    pub fn guess_light(&mut self, spec: &LevelSpec, psf_variance: f64) {
+        self.gauge(&spec.noise);
         let Self { picture, runs, sorted, .. } = self;
         let open = || runs.iter().filter(|r| r.gauge.is_open);
         sorted.clear();
         sorted.extend(open().map(|r| &r.gauge).filter(|g| g.correlation > TELLING_CORRELATION).map(|g| g.bias));
         let bias = median(sorted).filter(|_| sorted.len() >= 6).map(|bias| bias.clamp(-LARGEST_BIAS, LARGEST_BIAS));
         let bias = bias.unwrap_or(picture.pixels.light().bias());
-        let gain = |g: &Gauge| ((f64::from(g.seen) - bias) / f64::from(g.predicted.max(1.0))).clamp(0.02, 20.0);
+        let gain = |g: &TileCorrelation| ((f64::from(g.seen) - bias) / f64::from(g.predicted.max(1.0))).clamp(0.02, 20.0);
         sorted.clear();
         sorted.extend(open().map(|r| gain(&r.gauge) as f32));
         let Some(usual) = median(sorted) else { return };
         let tiles = open().map(|r| (r.run.tile, gain(&r.gauge).clamp(0.25 * usual, 4.0 * usual)));
-        picture.pixels.guess_light(bias, spread, usual, tiles);
+        picture.pixels.guess_light(bias, psf_variance, usual, tiles);
     }
 
     /// Largest movement of a tile's middle between two motions, pixels of the level.
-    pub fn moved_px(&self, task: &Task, before: &Motion, after: &Motion) -> f64 {
-        let focal = task.eye.camera.intrinsics().fx / f64::from(1u32 << task.level);
+    pub fn moved_px(&self, spec: &LevelSpec, before: &Motion, after: &Motion) -> f64 {
+        let focal = spec.rays.camera.intrinsics().fx / f64::from(1u32 << spec.level);
         let pixels = self.pixels();
         let mut most = 0.0f64;
         for RunAtWork { run, .. } in &self.runs {
             let k = ((run.start + run.end) / 2) as usize;
             let ray = Vector3::new(f64::from(pixels.x[k]), f64::from(pixels.y[k]), 1.0);
             let tau = f64::from(pixels.delay_s[k]);
-            let surface = &task.surfaces[run.surface as usize];
+            let surface = &spec.surfaces[run.surface as usize];
             let moved = moved(surface, &ray, &before.after(tau).pose, &after.after(tau).pose);
             most = most.max(moved.unwrap_or(f64::INFINITY) * focal);
         }
@@ -351,11 +352,11 @@ impl Work {
 
     /// Predicts every run as if the frame showed it shifted (pixels of the level), and looks at it again. The pixels' rays are changed:
     /// nothing may be solved from them after.
-    pub fn look_shifted(&mut self, task: &Task, motion: &Motion, shifts: &[Vector2<f64>]) {
+    pub fn sample_shifted(&mut self, spec: &LevelSpec, motion: &Motion, shifts: &[Vector2<f64>]) {
         self.at = None;
         let pixels = &mut self.picture.pixels;
         for (r, shift) in self.runs.iter().zip(shifts) {
-            let table = task.eye.tables[task.level].as_ref();
+            let table = spec.rays.tables[spec.level].as_ref();
             let (su, sv) = (shift.x as f32, shift.y as f32);
             for k in r.run.range() {
                 let Some([x, y]) = table.map(|t| t.rays[pixels.index[k] as usize]) else { continue };
@@ -363,11 +364,11 @@ impl Work {
                 pixels.y[k] = y - pixels.y_across[k] * su - pixels.y_down[k] * sv;
             }
         }
-        self.predict_all(task, motion);
-        self.residuals_all(&task.noise);
-        let weighing = Weighing { scale: self.scale(), is_first_look: false, stride: 1 };
+        self.predict_all(spec, motion);
+        self.residuals_all(&spec.noise);
+        let weighting = RobustWeighting { scale: self.scale(), is_first_pass: false, stride: 1 };
         for r in &mut self.runs {
-            r.evidence = evidence(&self.picture.view(r), &[0.0; COLUMNS], &weighing);
+            r.evidence = evidence(&self.picture.view(r), &[0.0; COLUMNS], &weighting);
         }
     }
 
@@ -390,19 +391,19 @@ impl Work {
 
     /// What the open runs say of the noise, as the last step leaves them.
     pub fn noise_sums(&self, scale: f64) -> NoiseSums {
-        let weighing = Weighing { scale, is_first_look: false, stride: self.rough_stride() };
+        let weighting = RobustWeighting { scale, is_first_pass: false, stride: self.rough_stride() };
         let mut sums = NoiseSums::default();
         for r in self.runs.iter().filter(|r| r.gauge.is_open) {
-            sums.add(&self.picture.view(r), &r.step.columns, &weighing);
+            sums.add(&self.picture.view(r), &r.step.columns, &weighting);
         }
         sums
     }
 
     /// Covariance at the solution: of the whole motion (noise), and of the pose (noise, or the scatter of the tiles' votes where it
     /// is larger). Fills the evidence of the runs, and `bands` with what the open ones say. `None` where nothing was solved.
-    pub fn conclude(&mut self, task: &Task, bands: &mut RowBands) -> Option<(MotionEstimate, Matrix6<f64>)> {
+    pub fn conclude(&mut self, spec: &LevelSpec, bands: &mut RowBands) -> Option<(MotionEstimate, Matrix6<f64>)> {
         let solved = self.solved?;
-        let weighing = Weighing { scale: solved.scale, is_first_look: false, stride: 1 };
+        let weighting = RobustWeighting { scale: solved.scale, is_first_pass: false, stride: 1 };
         let Self { picture, runs, system, .. } = self;
         let covariance = system.motion_covariance();
         let noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
@@ -412,13 +413,13 @@ impl Work {
         for r in runs {
             if r.gauge.is_open {
                 let nodes = picture.pixels.light().nodes_of(r.run.tile);
-                let (time, left) = (picture.time(task, &r.run), r.equations.left_by(&r.step));
+                let (time, left) = (picture.time(spec, &r.run), r.equations.left_by(&r.step));
                 bands.add(&r.equations, &left, time.delay_s, weight);
                 let vote = system.vote(&left, nodes, &time, weight);
                 votes += vote * vote.transpose();
                 n += 1.0;
             }
-            r.evidence = evidence(&picture.view(r), &r.step.columns, &weighing);
+            r.evidence = evidence(&picture.view(r), &r.step.columns, &weighting);
         }
         let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
         let honest = larger_covariance(&noise, &(votes * factor))?;

@@ -6,7 +6,7 @@ use crate::geometry::{Body, Camera, Pose};
 
 /// What is known of a body after a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum LockState {
+pub enum TrackState {
     /// Never confirmed yet.
     #[default]
     Searching,
@@ -37,8 +37,8 @@ struct Pending {
 
 /// The state machine of one body.
 #[derive(Debug, Clone, Default)]
-pub struct Lock {
-    state: LockState,
+pub struct TrackStateMachine {
+    state: TrackState,
     found_before: bool,
     last_tracked_ns: i64,
     pending: Option<Pending>,
@@ -55,15 +55,15 @@ const SLACK_TURN: f64 = 0.02;
 /// Frames further apart than this do not confirm each other, seconds.
 const LONGEST_GAP_S: f64 = 0.5;
 
-impl Lock {
+impl TrackStateMachine {
     /// The state after the last frame.
-    pub fn state(&self) -> LockState {
+    pub fn state(&self) -> TrackState {
         self.state
     }
 
     /// Whether a pose in the next frame would continue a track.
     pub fn is_continued(&self) -> bool {
-        matches!(self.state, LockState::Tracking | LockState::Coasting)
+        matches!(self.state, TrackState::Tracking | TrackState::Coasting)
     }
 
     /// Why the last frame's verified pose was not given; `None` where it was, or where there was none.
@@ -72,7 +72,7 @@ impl Lock {
     }
 
     /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings.
-    pub fn update(&mut self, timestamp_ns: i64, verified: Option<&Pose<Camera, Body>>, coast_s: f64, confirm_frames: u32) -> LockState {
+    pub fn update(&mut self, timestamp_ns: i64, verified: Option<&Pose<Camera, Body>>, coast_s: f64, confirm_frames: u32) -> TrackState {
         let continued = self.is_continued();
         self.doubt = None;
         match verified {
@@ -88,7 +88,7 @@ impl Lock {
                 if agreeing >= confirm_frames {
                     self.found_before = true;
                     self.last_tracked_ns = timestamp_ns;
-                    self.state = LockState::Tracking;
+                    self.state = TrackState::Tracking;
                     return self.state;
                 }
                 self.doubt = Some(if disagrees { Doubt::Disagrees } else { Doubt::First });
@@ -103,11 +103,11 @@ impl Lock {
         }
         let may_coast = continued && seconds(self.last_tracked_ns, timestamp_ns) <= coast_s;
         self.state = match (may_coast, self.found_before) {
-            (true, _) => LockState::Coasting,
-            (false, true) => LockState::Lost,
-            (false, false) => LockState::Searching,
+            (true, _) => TrackState::Coasting,
+            (false, true) => TrackState::Lost,
+            (false, false) => TrackState::Searching,
         };
-        if self.state == LockState::Lost && verified.is_none() {
+        if self.state == TrackState::Lost && verified.is_none() {
             self.pending = None;
         }
         self.state
@@ -142,30 +142,30 @@ mod tests {
         Pose::new(UnitQuaternion::from_euler_angles(3.0, 0.0, 0.0), Vector3::new(x, 0.0, 4.0))
     }
 
-    fn run(seen: &[Option<f64>]) -> Vec<LockState> {
-        let mut lock = Lock::default();
+    fn run(seen: &[Option<f64>]) -> Vec<TrackState> {
+        let mut lock = TrackStateMachine::default();
         seen.iter().enumerate().map(|(k, x)| lock.update(k as i64 * FRAME_NS, x.map(at).as_ref(), 0.1, 2)).collect()
     }
 
     #[test]
     fn the_second_agreeing_frame_confirms() {
-        use LockState::{Searching, Tracking};
+        use TrackState::{Searching, Tracking};
         assert_eq!(run(&[None, Some(0.0), Some(0.01), Some(0.02)]), [Searching, Searching, Tracking, Tracking]);
     }
 
     #[test]
     fn poses_that_disagree_never_confirm() {
-        assert!(run(&[Some(0.0), Some(2.0), Some(-1.0), Some(1.5)]).iter().all(|s| *s == LockState::Searching));
+        assert!(run(&[Some(0.0), Some(2.0), Some(-1.0), Some(1.5)]).iter().all(|s| *s == TrackState::Searching));
     }
 
     #[test]
     fn an_isolated_find_is_forgotten() {
-        assert!(run(&[Some(0.0), None, Some(0.0), None]).iter().all(|s| *s == LockState::Searching));
+        assert!(run(&[Some(0.0), None, Some(0.0), None]).iter().all(|s| *s == TrackState::Searching));
     }
 
     #[test]
     fn a_gap_coasts_then_is_lost_then_needs_confirmation() {
-        use LockState::{Coasting, Lost, Searching, Tracking};
+        use TrackState::{Coasting, Lost, Searching, Tracking};
         let n = None;
         let s = Some(0.0);
         assert_eq!(run(&[s, s, n, n, n, n, s, s]), [Searching, Tracking, Coasting, Coasting, Coasting, Lost, Lost, Tracking]);
@@ -173,13 +173,13 @@ mod tests {
 
     #[test]
     fn one_frame_resumes_a_coasting_track() {
-        use LockState::{Coasting, Searching, Tracking};
+        use TrackState::{Coasting, Searching, Tracking};
         assert_eq!(run(&[Some(0.0), Some(0.0), None, Some(0.0)]), [Searching, Tracking, Coasting, Tracking]);
     }
 
     #[test]
     fn a_pose_that_is_not_given_has_its_doubt() {
-        let mut lock = Lock::default();
+        let mut lock = TrackStateMachine::default();
         let mut doubt = |k: i64, x: Option<f64>| {
             lock.update(k * FRAME_NS, x.map(at).as_ref(), 0.1, 2);
             lock.doubt()
@@ -190,7 +190,7 @@ mod tests {
 
     #[test]
     fn a_jump_while_tracking_is_not_given() {
-        use LockState::{Coasting, Searching, Tracking};
+        use TrackState::{Coasting, Searching, Tracking};
         assert_eq!(run(&[Some(0.0), Some(0.0), Some(3.0), Some(0.0)])[..3], [Searching, Tracking, Coasting]);
     }
 }

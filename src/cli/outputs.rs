@@ -1,4 +1,4 @@
-//! Everybody who is told the pose while a command runs: the outputs, and the clients of the HTTP server.
+//! Where poses go while a command runs: the config's outputs, and the clients of the HTTP server.
 
 #[cfg(feature = "http")]
 use std::sync::Arc;
@@ -13,14 +13,14 @@ use crate::record::PoseSample;
 #[cfg(feature = "http")]
 use crate::web::Server;
 
-/// The running outputs and the HTTP server.
-pub(super) struct Receivers {
+/// The running outputs, and the HTTP server beside them.
+pub(super) struct Outputs {
     publisher: Publisher,
     #[cfg(feature = "http")]
     server: Option<Server>,
 }
 
-impl Receivers {
+impl Outputs {
     /// Starts what the config has, for samples of this camera.
     pub fn start(settings: &Settings, camera: CameraModel, stamps: Stamps, frame_rate: Option<f64>) -> Result<Self, Failure> {
         let sending = SendingSettings {

@@ -2,14 +2,14 @@
 
 use nalgebra::{Vector2, Vector3};
 
+use super::gradient_gain::GradientGain;
 use super::motion::Motion;
 use super::noise::{CameraNoise, Noise};
-use super::slopes::SlopeShare;
 use super::system::TileTime;
-use super::{AlignSurface, Eye, Sensor};
+use super::{AlignSurface, CameraRays, Sensor};
 use crate::geometry::{Body, Camera, Pose};
 
-/// Places along a blur of less than so many pixels; [`MOST_PLACES`] for longer ones.
+/// Samples along a blur path: (length below which they do, pixels; their number). [`MOST_PLACES`] for longer ones.
 const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
 const MOST_PLACES: usize = 15;
 
@@ -20,19 +20,19 @@ pub struct SlowStates {
     pub sensor: Sensor,
     /// The noise.
     pub noise: CameraNoise,
-    /// Whether the enlarged copies of the pictures are looked at.
+    /// Whether the enlarged copies of the pictures are used.
     pub is_enlarged: bool,
-    /// How much of the slopes over looks is real.
-    pub slopes: SlopeShare,
+    /// How much of the slopes over samples is real.
+    pub gradient_gain: GradientGain,
 }
 
 /// What a level works for.
 #[derive(Clone, Copy)]
-pub struct Task<'a> {
+pub struct LevelSpec<'a> {
     /// The body's surfaces.
     pub surfaces: &'a [AlignSurface],
     /// The camera.
-    pub eye: &'a Eye,
+    pub rays: &'a CameraRays,
     /// Its shutter.
     pub sensor: &'a Sensor,
     /// The level.
@@ -41,25 +41,25 @@ pub struct Task<'a> {
     pub noise: Noise,
     /// Pixels wanted.
     pub count: usize,
-    /// Whether so many that none that is steep may be passed over.
+    /// Whether pixels are chosen densely, so that none that is steep is passed over.
     pub is_dense: bool,
     /// Length of the motion blur, pixels of the level.
     pub blur_px: f64,
-    /// Looks across a sharp pixel.
+    /// Samples across a sharp pixel.
     pub side: usize,
-    /// Whether the enlarged copies of the pictures may be looked at.
+    /// Whether the enlarged copies of the pictures may be used.
     pub is_enlarged: bool,
-    /// What slopes over looks are multiplied with.
-    pub slope_share: f32,
+    /// What slopes over samples are multiplied with.
+    pub gradient_gain: f32,
 }
 
-impl Task<'_> {
+impl LevelSpec<'_> {
     /// The time of every tile, where all rows are exposed together.
     pub fn same_time(&self) -> Option<TileTime> {
         (self.sensor.readout_s == 0.0).then(|| TileTime { delay_s: 0.0, mean_square_s2: self.sensor.exposure_s.powi(2) / 12.0 })
     }
 
-    /// Places along the blur that are looked at.
+    /// Places along the blur that are sampled.
     pub fn places(&self) -> usize {
         PLACES.iter().find(|(longest_px, _)| self.blur_px < *longest_px).map_or(MOST_PLACES, |(_, places)| *places)
     }
@@ -67,8 +67,8 @@ impl Task<'_> {
     /// How far the picture moves between two motions, in the middle and towards the corners of the frame: the most, in pixels of the
     /// level.
     pub fn moved_px(&self, before: &Motion, after: &Motion) -> f64 {
-        let Some(table) = &self.eye.tables[self.level] else { return 0.0 };
-        let focal = self.eye.camera.intrinsics().fx / f64::from(1u32 << self.level);
+        let Some(table) = &self.rays.tables[self.level] else { return 0.0 };
+        let focal = self.rays.camera.intrinsics().fx / f64::from(1u32 << self.level);
         let mut most = 0.0f64;
         for (a, b) in [(2, 2), (1, 1), (3, 1), (1, 3), (3, 3)] {
             let [x, y] = table.rays[table.height * b / 4 * table.width + table.width * a / 4];

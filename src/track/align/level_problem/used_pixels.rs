@@ -1,7 +1,7 @@
 //! The pixels that a pose rests on, for pictures that show what the tracker saw.
 
 use super::super::normal::squares_after;
-use super::{Task, Work};
+use super::{LevelProblem, LevelSpec};
 
 /// A pixel that alignment asked, as the solution left it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,11 +14,11 @@ pub struct UsedPixel {
     pub takes_part: bool,
 }
 
-impl Work {
+impl LevelProblem {
     /// Adds the pixels of the level that tell something; none where nothing was solved.
-    pub fn used_pixels(&self, task: &Task, out: &mut Vec<UsedPixel>) {
+    pub fn used_pixels(&self, spec: &LevelSpec, out: &mut Vec<UsedPixel>) {
         let Some(solved) = self.solved else { return };
-        let n = (1u32 << task.level) as f32;
+        let n = (1u32 << spec.level) as f32;
         let mut squares = Vec::new();
         for r in &self.runs {
             squares.clear();

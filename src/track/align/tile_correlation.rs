@@ -5,7 +5,7 @@ use super::noise::Noise;
 
 /// A run compared with its prediction, gain and bias free.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Gauge {
+pub struct TileCorrelation {
     /// Correlation, corrected for what noise takes of it.
     pub correlation: f32,
     /// Mean grey predicted.
@@ -18,13 +18,13 @@ pub struct Gauge {
     pub is_open: bool,
 }
 
-impl Gauge {
+impl TileCorrelation {
     /// From the sums of a run.
     pub fn new(moments: &[f64; 6], noise: &Noise) -> Self {
         let n = moments[0].max(1.0);
         let [_, p, s, pp, ss, ps] = moments.map(|m| m / n);
         let (predicted, seen, both) = ((pp - p * p).max(1e-3), (ss - s * s).max(1e-3), ps - p * s);
-        let expected = f64::from(noise.dark + noise.per_grey * s as f32);
+        let expected = f64::from(noise.dark + noise.per_intensity * s as f32);
         let clean = (seen - expected).max(0.25 * seen);
         let correlation = if moments[0] >= 8.0 { (both / (predicted * clean).sqrt()).clamp(-1.0, 1.0) } else { 0.0 };
         let bias = s - both / predicted * p;
