@@ -75,29 +75,52 @@ impl ReferenceIndex {
 
     /// The nearest entry and the ratio of its distance to that of the nearest elsewhere.
     fn nearest(&self, descriptor: &Descriptor) -> Option<(u32, f32)> {
-        let mut best = (u32::MAX, usize::MAX);
-        let mut second = (u32::MAX, usize::MAX);
+        const NONE: (u32, usize) = (u32::MAX, usize::MAX);
+        let (mut best, mut second) = (NONE, NONE);
+        // Whether entries were left out because they lie beside the best one, and whether a rival may be among them.
+        let (mut has_left_out, mut may_miss_rival) = (false, false);
         kernels::scan(descriptor, &self.blocks, |k, distance, bar: &mut u32| {
             if k >= self.features.len() {
                 return;
             }
             if distance < best.0 {
-                if best.1 != usize::MAX && !self.same_place(best.1, k) {
-                    second = best;
+                if best.1 == usize::MAX || !self.same_place(best.1, k) {
+                    // The old best is nearer than all that was left out beside it.
+                    (second, has_left_out) = (best, false);
+                } else {
+                    // What lay beside the old best may lie elsewhere from the new one.
+                    may_miss_rival |= has_left_out;
+                    has_left_out = true;
                 }
                 best = (distance, k);
-                // A second that turned out to lie beside the new best no longer counts as elsewhere.
                 if second.1 != usize::MAX && self.same_place(second.1, k) {
-                    second = (u32::MAX, usize::MAX);
+                    (second, may_miss_rival) = (NONE, true);
                 }
-            } else if distance < second.0 && !self.same_place(best.1, k) {
+            } else if self.same_place(best.1, k) {
+                has_left_out = true;
+            } else if distance < second.0 {
                 second = (distance, k);
             }
             *bar = second.0;
         });
+        if may_miss_rival {
+            second = self.nearest_elsewhere(descriptor, best.1);
+        }
         // One is added to both, so that two exact copies are rivals (0 / 0).
         let ratio = if second.1 == usize::MAX { 0.5 } else { (best.0 + 1) as f32 / (second.0 + 1) as f32 };
         (best.0 <= LARGEST_DISTANCE).then_some((best.1 as u32, ratio))
+    }
+
+    /// Distance and index of the nearest entry that does not show the place of entry `best`; both at their largest where there is none.
+    fn nearest_elsewhere(&self, descriptor: &Descriptor, best: usize) -> (u32, usize) {
+        let mut second = (u32::MAX, usize::MAX);
+        kernels::scan(descriptor, &self.blocks, |k, distance, bar: &mut u32| {
+            if k < self.features.len() && distance < second.0 && !self.same_place(best, k) {
+                second = (distance, k);
+                *bar = distance;
+            }
+        });
+        second
     }
 
     /// Matches frame features with the index: best ratio first (ties by frame index).
@@ -189,6 +212,31 @@ mod tests {
         let frame = [reference[7], reference[8]];
         index.match_features(&frame, 0.8, &Workers::new(1), &mut MatchBuffers::default(), &mut matches);
         assert_eq!(matches.iter().map(|m| m.frame).collect::<Vec<_>>(), [1]);
+    }
+
+    #[test]
+    fn no_rival_is_forgotten() {
+        let mut random = Pcg64Mcg::seed_from_u64(9);
+        for _ in 0..2000 {
+            // Few places close together, and distances that differ by little: places chain, and the best changes often.
+            let query = Descriptor([0; 4]);
+            let mut index = ReferenceIndex::default();
+            let entries: Vec<Feature> = (0..30)
+                .map(|_| {
+                    let mut descriptor = query;
+                    (0..random.random_range(5..60))
+                        .for_each(|_| descriptor.0[random.random_range(0..4)] |= 1 << random.random_range(0..64));
+                    let position = Vector2::new(random.random_range(0.0..30.0), 0.0);
+                    Feature { position, scale: 1.0, angle: 0.0, descriptor }
+                })
+                .collect();
+            index.add(0, &entries, |p| p, 1.0);
+            let distance = |k: usize| entries[k].descriptor.0.iter().map(|word| word.count_ones()).sum::<u32>();
+            let best = (0..entries.len()).min_by_key(|k| distance(*k)).unwrap();
+            let rival = (0..entries.len()).filter(|k| !index.same_place(best, *k)).map(distance).min();
+            let ratio = rival.map_or(0.5, |rival| (distance(best) + 1) as f32 / (rival + 1) as f32);
+            assert_eq!(index.nearest(&query), Some((best as u32, ratio)));
+        }
     }
 
     #[test]
