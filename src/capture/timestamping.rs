@@ -54,7 +54,7 @@ impl StampTrust {
         let (DriverStamp::StartOfExposure(at) | DriverStamp::EndOfFrame(at)) = stamp else {
             return mid_exposure_ns(stamp, arrival_ns, exposure_s, readout_s);
         };
-        let is_young = at > 0 && at <= arrival_ns && arrival_ns - at < OLDEST_NS;
+        let is_young = at > 0 && at <= arrival_ns && arrival_ns.saturating_sub(at) < OLDEST_NS;
         self.is_monotonic = is_young || self.is_monotonic && self.old < MOST_OLD;
         self.old = if is_young { 0 } else { self.old.saturating_add(1) };
         let oldest_ns = if self.is_monotonic { i64::MAX } else { OLDEST_NS };
@@ -64,12 +64,12 @@ impl StampTrust {
 
 fn reckoned(stamp: DriverStamp, arrival_ns: i64, exposure_s: f64, readout_s: f64, oldest_ns: i64) -> (i64, bool) {
     let half_ns = ((exposure_s + readout_s) * 0.5e9).round() as i64;
-    let plausible = |at: i64| at <= arrival_ns && arrival_ns - at < oldest_ns && at > 0;
+    let plausible = |at: i64| at <= arrival_ns && arrival_ns.saturating_sub(at) < oldest_ns && at > 0;
     match stamp {
         DriverStamp::StartOfExposure(at) if plausible(at) => (at + half_ns, true),
         DriverStamp::EndOfFrame(at) if plausible(at) => (at - half_ns, true),
         DriverStamp::MidExposure(at) => (at, true),
-        _ => (arrival_ns - half_ns, false),
+        _ => (arrival_ns.saturating_sub(half_ns), false),
     }
 }
 

@@ -45,7 +45,7 @@ impl Clocks for SystemClocks {
             let before = read(ClockId::CLOCK_MONOTONIC);
             let (boot_ns, unix_ns) = (read(ClockId::CLOCK_BOOTTIME), read(ClockId::CLOCK_REALTIME));
             let monotonic_ns = read(ClockId::CLOCK_MONOTONIC);
-            (monotonic_ns - before, Reading { monotonic_ns, boot_ns, unix_ns })
+            (monotonic_ns.saturating_sub(before), Reading { monotonic_ns, boot_ns, unix_ns })
         };
         let mut best = once();
         for _ in 1..TRIES {

@@ -151,6 +151,7 @@ impl TrackedBody {
         if !found.is_credible(is_expected) {
             return None;
         }
+        self.aligner.learn();
         self.clue = self.aligner.shutter_clue();
         if !is_expected {
             self.process_noise = ProcessNoise::default();

@@ -88,7 +88,7 @@ fn reading_fault(said: &str) -> String {
 fn wall_clock_stamp(stamp: Option<Duration>, arrival_ns: i64) -> DriverStamp {
     let wall = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
     match stamp.and_then(|stamp| wall.checked_sub(stamp)) {
-        Some(age) if age < Duration::from_secs(5) => DriverStamp::EndOfFrame(arrival_ns - age.as_nanos() as i64),
+        Some(age) if age < Duration::from_secs(5) => DriverStamp::EndOfFrame(arrival_ns.saturating_sub(age.as_nanos() as i64)),
         _ => DriverStamp::None,
     }
 }

@@ -53,7 +53,7 @@ fn watch(camera: &mut dyn Camera) -> Result<Seen, String> {
                 seen.unreadable += u32::from(decode_picture(&picture, mode.layout, mode.size).image.is_err());
                 let (at, stamped) = mid_exposure_ns(picture.stamp, picture.arrival_ns, 0.0, 0.0);
                 seen.unstamped += u32::from(!stamped || picture.stamp == DriverStamp::None);
-                seen.age_ms += (picture.arrival_ns - at) as f64 * 1e-6;
+                seen.age_ms += picture.arrival_ns.saturating_sub(at) as f64 * 1e-6;
             }
             Err(CameraFault::Silent) => {}
             Err(fault) => return Err(fault.to_string()),

@@ -12,9 +12,10 @@ use super::level_problem::{Corrected, Expected, LevelProblem};
 use super::level_spec::{LevelSpec, SlowStates};
 use super::light::RememberedLight;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
-use super::noise::CameraNoise;
+use super::noise::{CameraNoise, NoiseSums};
 use super::selection::{Chosen, Selector};
 use super::shutter_clue::{ClueKeeper, ShutterClue};
+use super::system::schur_complement::Clue;
 use super::tile_grid::MOST_TILES;
 use super::uniform_motion::UniformMotion;
 use super::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
@@ -99,6 +100,26 @@ const JERK_LIKELIHOOD: f64 = 0.01;
 /// A prediction is kept for the next frame while nothing moved by more, pixels of the level.
 const KEPT_PX: f64 = 0.05;
 
+/// What a frame would teach the slow estimates. They learn it when its pose is accepted ([`Aligner::learn`]): a frame that shows something
+/// else says nothing of the camera or the light.
+#[derive(Debug, Default)]
+struct Lessons {
+    /// What the last descent's steps changed in the prediction, and what they should have changed.
+    changes: ChangeSums,
+    /// Variance of the point spread function; `None` where the frame is blurred.
+    psf_variance: Option<f64>,
+    /// What the blur says of an unknown exposure, and its length in pixels of the frame.
+    exposure: Option<(Clue, f64)>,
+    /// Squared residuals, where the frame is sharp and leaves no doubt.
+    noise: Option<NoiseSums>,
+    /// How far off the start was, pixels of the frame, and the share of the tiles that took part; `None` where nothing moved.
+    start: Option<(f64, f64)>,
+    /// The line of the last poses, with this one.
+    line: Option<UniformMotion>,
+    /// Whether it was tried how the pictures were enlarged.
+    has_tried: bool,
+}
+
 /// Aligns one body; owns all buffers of its hot path and the slow states (light, point spread, and those of [`SlowStates`]).
 #[derive(Debug)]
 pub struct Aligner {
@@ -107,8 +128,11 @@ pub struct Aligner {
     /// Follows an unknown exposure; `None` where it is known.
     exposure: Option<UnknownExposure>,
     light: RememberedLight,
-    /// What it was before an attempt that may be given up.
+    /// What it was before an attempt that may be given up, and after the last accepted frame.
     light_before: RememberedLight,
+    accepted_light: RememberedLight,
+    /// What the last frame would teach.
+    lessons: Lessons,
     /// Slow average of the point spread.
     psf_variance: f64,
     selector: Selector,
@@ -117,7 +141,7 @@ pub struct Aligner {
     fine: LevelProblem,
     /// Whether the finest level holds the pixels of a still camera.
     has_kept: bool,
-    /// The line that the last poses lie on; `None` where the last frame was not aligned.
+    /// The line that the last accepted poses lie on.
     line: Option<UniformMotion>,
     /// Of the pose, since the frame was last predicted; zero where the prediction of the frame before was kept.
     last_step: Vector6<f64>,
@@ -125,7 +149,9 @@ pub struct Aligner {
     off_px: f64,
     /// Share of the tiles that took part in the last frame.
     open_share: f64,
-    /// How many frames ago it was tried whether the enlarged copies of the pictures are what the frame shows.
+    /// Whether the enlarged copies of the pictures are used, after the last accepted frame.
+    is_enlarged: bool,
+    /// How many accepted frames ago it was tried whether the enlarged copies of the pictures are what the frame shows.
     untried: u32,
     /// How far off each run of the finest level is shown, pixels of the level.
     shifts: Vec<Vector2<f64>>,
@@ -146,6 +172,8 @@ impl Aligner {
             slow: SlowStates { sensor, noise: CameraNoise::usual(FINEST), is_enlarged: true, gradient_gain: GradientGain::default() },
             light: RememberedLight::default(),
             light_before: RememberedLight::default(),
+            accepted_light: RememberedLight::default(),
+            lessons: Lessons::default(),
             psf_variance: 0.0,
             chosen: Vec::new(),
             coarse: LevelProblem::default(),
@@ -155,6 +183,7 @@ impl Aligner {
             last_step: Vector6::zeros(),
             off_px: FIRST_OFF_PX,
             open_share: 0.0,
+            is_enlarged: true,
             untried: TRIAL_FRAMES - FIRST_TRIAL,
             shifts: Vec::new(),
             clues: None,
@@ -185,7 +214,8 @@ impl Aligner {
         self.fine.used_pixels(&spec, out);
     }
 
-    /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges.
+    /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges. Who accepts the pose says
+    /// so with [`Aligner::learn`]; otherwise the next frame finds all slow estimates as they were.
     ///
     /// `since_s`: seconds since the last frame, if the body is followed; its velocity may have jumped meanwhile.
     pub fn align(
@@ -200,7 +230,10 @@ impl Aligner {
         }
         // A velocity that may jump within the frame explains what a wrong readout leaves, and the shutter would be found there.
         let since_s = since_s.filter(|_| self.clues.is_none());
-        let line = self.line.take().filter(|_| since_s.is_some());
+        let line = self.line.filter(|_| since_s.is_some());
+        self.light.clone_from(&self.accepted_light);
+        self.slow.is_enlarged = self.is_enlarged;
+        self.lessons = Lessons::default();
         let information = expected.covariance.cholesky()?.inverse();
         let blur_px = f64::from(1u32 << FINEST) * spec(&self.surfaces, &self.slow, rays, FINEST, &expected.motion).blur_px;
         let psf_variance_sigma = if blur_px > SHARP_FRAME_PX { BLURRED_PSF_VARIANCE_SIGMA } else { PSF_VARIANCE_SIGMA };
@@ -311,39 +344,63 @@ impl Aligner {
         }?;
         let spec = spec(&self.surfaces, &self.slow, rays, FINEST, &found.motion);
         let off_px = spec.moved_px(known.motion, &found.motion) * f64::from(1u32 << FINEST);
-        self.off_px = off_px.max(OFF_FADES * self.off_px);
-        self.open_share = self.fine.open_share();
-        self.tried(rays, known, found)
+        self.lessons.start = Some((off_px, self.fine.open_share()));
+        self.tried(frame, rays, known, found)
     }
 
     /// Between its pixels the picture may be as smooth as their enlargement has it, or as a straight line (a projector or a wall of LEDs
-    /// that scales it, a print of just these pixels): the frame tells. From time to time the finest level is solved with the other.
-    fn tried(&mut self, rays: &CameraRays, known: &Expected, found: Corrected) -> Option<Corrected> {
+    /// that scales it, a print of just these pixels): the frame tells. From time to time both are tried, beside the solution, which stays
+    /// as it is unless the other is clearly better.
+    fn tried(&mut self, frame: &mut FrameLevels, rays: &CameraRays, known: &Expected, found: Corrected) -> Option<Corrected> {
         let has_copies = self.surfaces.iter().any(|s| s.texture.own_level() > 0);
-        self.untried += 1;
-        if self.untried < TRIAL_FRAMES || !has_copies {
+        if self.untried + 1 < TRIAL_FRAMES || !has_copies {
             return Some(found);
         }
-        self.untried = 0;
+        self.lessons.has_tried = true;
         self.light_before.clone_from(&self.light);
         let was = self.slow.is_enlarged;
-        let other = self.solved_enlarged(!was, rays, known, &found).map_or(f64::INFINITY, |(_, misfit)| misfit);
-        let (solved, misfit) = self.solved_enlarged(was, rays, known, &found)?;
+        let [misfit, other] = [was, !was].map(|is_enlarged| self.misfit_of_trial(is_enlarged, frame, rays, known, &found));
+        self.slow.is_enlarged = was;
+        self.light.clone_from(&self.light_before);
         tracing::debug!(was, misfit, other, "enlargement");
-        if other < BETTER * misfit {
-            return self.solved_enlarged(!was, rays, known, &found).map(|(solved, _)| solved);
+        if other >= BETTER * misfit {
+            return Some(found);
         }
-        Some(solved)
+        self.slow.is_enlarged = !was;
+        self.solved_again(rays, known, &found).or_else(|| {
+            self.slow.is_enlarged = was;
+            self.light.clone_from(&self.light_before);
+            self.solved_again(rays, known, &found)
+        })
     }
 
-    /// The finest level solved once more with the enlarged copies or without, and the misfit that is left.
-    fn solved_enlarged(&mut self, is_enlarged: bool, rays: &CameraRays, known: &Expected, found: &Corrected) -> Option<(Corrected, f64)> {
+    /// The misfit that the finest level leaves with the enlarged copies or without, solved aside; infinite where it cannot be solved.
+    fn misfit_of_trial(
+        &mut self,
+        is_enlarged: bool,
+        frame: &mut FrameLevels,
+        rays: &CameraRays,
+        known: &Expected,
+        found: &Corrected,
+    ) -> f64 {
         self.slow.is_enlarged = is_enlarged;
-        self.fine.recall_light(&self.light_before);
+        self.light.clone_from(&self.light_before);
         let spec = spec(&self.surfaces, &self.slow, rays, FINEST, &found.motion);
+        // The coarse levels are done with: their buffers are free.
+        let aside = &mut self.coarse;
+        if !aside.lay_out(&spec, frame, &found.motion, &mut self.selector, &mut self.chosen, &self.light) {
+            return f64::INFINITY;
+        }
+        aside.predict(&spec, &found.motion);
+        aside.solve(&spec, known, &mut self.light, false, 2).map_or(f64::INFINITY, |_| aside.misfit())
+    }
+
+    /// The finest level solved once more from where it was found.
+    fn solved_again(&mut self, rays: &CameraRays, known: &Expected, found: &Corrected) -> Option<Corrected> {
+        let spec = spec(&self.surfaces, &self.slow, rays, FINEST, &found.motion);
+        self.fine.recall_light(&self.light);
         self.fine.predict(&spec, &found.motion);
-        let solved = self.fine.solve(&spec, known, &mut self.light, false, 2)?;
-        Some((solved, self.fine.misfit()))
+        self.fine.solve(&spec, known, &mut self.light, false, 2)
     }
 
     /// From coarse to fine.
@@ -393,7 +450,7 @@ impl Aligner {
                 }
             }
             if is_finest {
-                self.slow.gradient_gain.learn(&shown);
+                self.lessons.changes = shown;
                 return last;
             }
         }
@@ -434,7 +491,7 @@ impl Aligner {
         let (sensor, distance_m) = (&self.slow.sensor, self.distance(&solved.motion.pose));
         let mut pose = estimate.motion.pose;
         let left = since_s.filter(|dt_s| *dt_s > 0.0).and_then(|dt_s| line.as_mut()?.add(&pose, &covariance, dt_s, distance_m));
-        self.line = Some(line.unwrap_or(UniformMotion::new(pose)));
+        self.lessons.line = Some(line.unwrap_or(UniformMotion::new(pose)));
         if let Some(since_s) = since_s {
             covariance += by_bend(expected, &estimate, left.as_ref(), sensor, distance_m);
             let expectations = [
@@ -464,7 +521,7 @@ impl Aligner {
             covariance += by_start(&estimate, sensor);
         }
         if blur_px < SHARP_FRAME_PX {
-            self.psf_variance += PSF_VARIANCE_SHARE * (self.light.psf_variance() - self.psf_variance);
+            self.lessons.psf_variance = Some(self.light.psf_variance());
         }
         let psf_variance = KnownPsfVariance { error: self.psf_variance - self.light.psf_variance(), sigma: BLURRED_PSF_VARIANCE_SIGMA };
         let exposure = exposure_clue(self.fine.runs().iter().map(|r| &r.evidence), psf_variance, blur_px);
@@ -472,9 +529,7 @@ impl Aligner {
             let readout = self.fine.readout_clue(&spec, &mut clues.column);
             clues.clue = readout.map(|readout| ShutterClue { readout, exposure });
         }
-        if let (Some(unknown), Some(clue)) = (&mut self.exposure, exposure) {
-            unknown.learn(&mut self.slow.sensor, clue, blur_px);
-        }
+        self.lessons.exposure = exposure.map(|clue| (clue, blur_px));
         let sum = |f: fn(&RunEvidence) -> f64| self.fine.runs().iter().map(|r| f(&r.evidence)).sum::<f64>();
         let inliers = sum(|e| e.inliers);
         let verdicts = self.fine.runs().iter().filter_map(|r| agreement(&r.evidence));
@@ -489,11 +544,32 @@ impl Aligner {
             agreeing: verdicts.filter(|v| *v).count(),
             squared_mahalanobis: squared_mahalanobis(expected, &solved.motion),
         };
-        // A frame that shows something else says nothing of the camera.
         if blur_px < SHARP_FRAME_PX && found.is_conclusive() {
-            self.slow.noise.learn(&self.fine.noise_sums(found.scale));
+            self.lessons.noise = Some(self.fine.noise_sums(found.scale));
         }
         Some(found)
+    }
+
+    /// The last frame's pose was accepted: the slow estimates learn what it taught, once.
+    pub fn learn(&mut self) {
+        let Lessons { changes, psf_variance, exposure, noise, start, line, has_tried } = std::mem::take(&mut self.lessons);
+        self.accepted_light.clone_from(&self.light);
+        self.line = line;
+        self.is_enlarged = self.slow.is_enlarged;
+        self.slow.gradient_gain.learn(&changes);
+        if let Some(shown) = psf_variance {
+            self.psf_variance += PSF_VARIANCE_SHARE * (shown - self.psf_variance);
+        }
+        if let (Some(unknown), Some((clue, blur_px))) = (&mut self.exposure, exposure) {
+            unknown.learn(&mut self.slow.sensor, clue, blur_px);
+        }
+        if let Some(sums) = noise {
+            self.slow.noise.learn(&sums);
+        }
+        if let Some((off_px, open_share)) = start {
+            (self.off_px, self.open_share) = (off_px.max(OFF_FADES * self.off_px), open_share);
+            self.untried = if has_tried { 0 } else { self.untried + 1 };
+        }
     }
 }
 

@@ -82,6 +82,7 @@ fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
     let mut poses = Vec::new();
     for _ in 0..6 {
         let found = aligner.align(&mut frame, &rays, &estimate, None).expect("the picture agrees");
+        aligner.learn();
         poses.push(found.estimate.motion.pose);
         estimate = found.estimate.after(1.0 / 30.0, 3.4, &ProcessNoise::default());
     }
@@ -101,6 +102,7 @@ fn followed(coarse: &SurfaceSpec, picture: GrayImage) -> Aligner {
         let mut frame = FrameLevels::default();
         frame.update(&view(&display, &pose(k), &lens(480, 360)));
         let found = aligner.align(&mut frame, &rays, &estimate, None).expect("the picture agrees");
+        aligner.learn();
         estimate = found.estimate.after(1.0 / 30.0, 3.4, &ProcessNoise::default());
     }
     aligner
@@ -136,4 +138,49 @@ fn pixels_that_were_laid_out_anew_leave_nothing_to_conclude() {
     let mut patches = Vec::new();
     aligner.patches(&rays, &motion, &mut patches);
     assert!(patches.is_empty());
+}
+
+/// All that an aligner has learnt, in words.
+fn learnt(aligner: &Aligner) -> String {
+    let Aligner { slow, psf_variance, off_px, open_share, line, accepted_light, is_enlarged, untried, .. } = aligner;
+    format!("{slow:?} {psf_variance} {off_px} {open_share} {line:?} {accepted_light:?} {is_enlarged} {untried}")
+}
+
+#[test]
+fn a_frame_whose_pose_is_not_accepted_teaches_nothing() {
+    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
+    let rays = CameraRays::new(lens(480, 360), None);
+    let start = |x: f64| perturbed(&truth(), &Vector6::new(x, 0.0, 0.0, 0.0, 0.0, 0.0)).inverse();
+    let expected = |x: f64| MotionEstimate::unseen(start(x), 3.4, 0.02, 0.006);
+    aligner.align(&mut levels(1), &rays, &expected(0.01), None).expect("the picture agrees");
+    aligner.learn();
+    let before = learnt(&aligner);
+    // Another picture, and the right one from starts that the slow estimates would learn from.
+    let _ = aligner.align(&mut levels(2), &rays, &expected(0.0), None);
+    assert_eq!(learnt(&aligner), before);
+    let first = aligner.align(&mut levels(1), &rays, &expected(0.03), None).expect("the picture agrees");
+    assert_eq!(learnt(&aligner), before);
+    // Nothing is left of them for the frames to come.
+    let again = aligner.align(&mut levels(1), &rays, &expected(0.03), None).expect("the picture agrees");
+    assert_eq!(first.pose, again.pose);
+    aligner.learn();
+    assert_ne!(learnt(&aligner), before);
+}
+
+#[test]
+fn a_trial_that_changes_nothing_leaves_the_solution() {
+    let coarse = SurfaceSpec::from_artwork("coarse".into(), texture(160, 120, 4), [4.0, 3.0], Pose::identity()).expect("texture enough");
+    let smooth = image::imageops::resize(&coarse.artwork, 1280, 960, image::imageops::FilterType::Lanczos3);
+    let display = SurfaceSpec::from_artwork("display".into(), smooth, [4.0, 3.0], Pose::identity()).expect("texture enough");
+    let mut frame = FrameLevels::default();
+    frame.update(&view(&display, &truth(), &lens(480, 360)));
+    let mut found = |untried: u32| {
+        let mut aligner = Aligner::new(&prepared(vec![coarse.clone()]), Sensor { readout_s: 0.0, exposure_s: 1e-6 });
+        aligner.untried = untried;
+        let start = perturbed(&truth(), &Vector6::new(0.03, 0.0, 0.0, 0.0, 0.0, 0.0)).inverse();
+        let expected = MotionEstimate::unseen(start, 3.4, 0.02, 0.006);
+        let found = aligner.align(&mut frame, &CameraRays::new(lens(480, 360), None), &expected, None).expect("the picture agrees");
+        (found.pose, aligner.light)
+    };
+    assert_eq!(found(0), found(TRIAL_FRAMES));
 }
