@@ -54,6 +54,21 @@ pub fn replace(path: &Path) -> io::Result<File> {
     Ok(file)
 }
 
+/// Writes a whole file, or none: beside its place, from where it is moved there. Who reads the old one goes on reading it; a full disk and a
+/// killed process leave it as it was.
+///
+/// # Errors
+/// What the system says.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let beside = path.with_file_name(format!(".{name}.{}", std::process::id()));
+    let written = std::fs::write(&beside, bytes).and_then(|()| std::fs::rename(&beside, path));
+    if written.is_err() {
+        let _ = std::fs::remove_file(&beside);
+    }
+    written
+}
+
 /// Opens or makes a file for output; what is in it stays. Devices such as /dev/null and named pipes with a reader will do.
 /// The file does not wait: where a pipe is full, writing fails with `WouldBlock`.
 ///
@@ -120,6 +135,21 @@ fn refuse_others(found: FileType) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_is_replaced_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, old] = ["a", "old"].map(|name| folder.path().join(name));
+        write_whole(&file, b"first").unwrap();
+        std::fs::hard_link(&file, &old).unwrap();
+        write_whole(&file, b"second, and longer").unwrap();
+        // The old file itself was never touched.
+        assert_eq!((std::fs::read(&old).unwrap(), std::fs::read(&file).unwrap()), (b"first".to_vec(), b"second, and longer".to_vec()));
+        // Where it cannot be moved there, nothing is left beside it.
+        std::fs::create_dir(folder.path().join("taken")).unwrap();
+        assert!(write_whole(&folder.path().join("taken"), b"x").is_err());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3);
+    }
 
     #[test]
     fn what_is_no_plain_file_is_refused_at_once() {

@@ -66,8 +66,8 @@ fn reckoned(stamp: DriverStamp, arrival_ns: i64, exposure_s: f64, readout_s: f64
     let half_ns = ((exposure_s + readout_s) * 0.5e9).round() as i64;
     let plausible = |at: i64| at <= arrival_ns && arrival_ns.saturating_sub(at) < oldest_ns && at > 0;
     match stamp {
-        DriverStamp::StartOfExposure(at) if plausible(at) => (at + half_ns, true),
-        DriverStamp::EndOfFrame(at) if plausible(at) => (at - half_ns, true),
+        DriverStamp::StartOfExposure(at) if plausible(at) => (at.saturating_add(half_ns), true),
+        DriverStamp::EndOfFrame(at) if plausible(at) => (at.saturating_sub(half_ns), true),
         DriverStamp::MidExposure(at) => (at, true),
         _ => (arrival_ns.saturating_sub(half_ns), false),
     }
@@ -76,6 +76,17 @@ fn reckoned(stamp: DriverStamp, arrival_ns: i64, exposure_s: f64, readout_s: f64
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_stamp_overflows() {
+        let extremes = [i64::MIN, i64::MIN + 1, -1, 0, 1, i64::MAX - 1, i64::MAX];
+        for (at, arrival_ns) in extremes.into_iter().flat_map(|at| extremes.map(|arrival| (at, arrival))) {
+            for stamp in [DriverStamp::StartOfExposure(at), DriverStamp::EndOfFrame(at), DriverStamp::MidExposure(at), DriverStamp::None] {
+                let _ = mid_exposure_ns(stamp, arrival_ns, 0.04, 0.03);
+                let _ = StampTrust::default().mid_exposure_ns(stamp, arrival_ns, 0.04, 0.03);
+            }
+        }
+    }
 
     #[test]
     fn both_kinds_of_stamp_lead_to_the_same_moment() {

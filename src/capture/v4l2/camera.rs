@@ -42,8 +42,14 @@ pub(super) fn open(number: u32, offer: &Offer, mode: CameraMode) -> Result<V4l2C
     let nokhwa = Nokhwa::with_backend(CameraIndex::Index(number), request, ApiBackend::Video4Linux).map_err(|e| e.to_string())?;
     let mut camera = V4l2Camera { nokhwa: ManuallyDrop::new(nokhwa), fd: -1, mode, streaming: false };
     camera.nokhwa.open_stream().map_err(|e| e.to_string())?;
-    let fd = descriptors(number).difference(&before).next().copied();
-    camera.fd = fd.ok_or_else(|| "its file descriptor cannot be found below /proc/self/fd".to_owned())?;
+    // Two new ones are another thread's and this camera's, and nothing says which is which.
+    let after = descriptors(number);
+    let mut new = after.difference(&before);
+    match (new.next(), new.next()) {
+        (Some(fd), None) => camera.fd = *fd,
+        (None, _) => return Err("its file descriptor cannot be found below /proc/self/fd".to_owned()),
+        (Some(_), Some(_)) => return Err("it was opened twice at the same moment; open it again".to_owned()),
+    }
     Ok(camera)
 }
 

@@ -19,8 +19,10 @@ pub(super) fn contained<T>(run: impl FnOnce() -> T) -> Option<T> {
     crate::contain::contained(run).ok()
 }
 
-fn ask<T>(fd: RawFd, request: vidioc::_IOC_TYPE, argument: &mut T) -> io::Result<()> {
-    // SAFETY: every request below is paired with the struct that the kernel fills for it.
+/// # Safety
+/// `T` is the struct that the kernel reads and fills for `request`.
+unsafe fn ask<T>(fd: RawFd, request: vidioc::_IOC_TYPE, argument: &mut T) -> io::Result<()> {
+    // SAFETY: the caller pairs them; a file descriptor that is none is refused by the kernel.
     unsafe { v4l::v4l2::ioctl(fd, request, std::ptr::from_mut(argument).cast()) }
 }
 
@@ -40,13 +42,14 @@ pub(super) fn last_dequeued(fd: RawFd, buffers: u32) -> Option<Dequeued> {
         // SAFETY: v4l2_buffer is plain data, of which all-zero bytes are a value.
         let mut buffer: v4l2_buffer = unsafe { std::mem::zeroed() };
         (buffer.index, buffer.type_, buffer.memory) = (index, 1, 1); // video capture, memory map
-        ask(fd, vidioc::VIDIOC_QUERYBUF, &mut buffer).ok()?;
+        // SAFETY: the request's struct.
+        unsafe { ask(fd, vidioc::VIDIOC_QUERYBUF, &mut buffer) }.ok()?;
         if buffer.flags & QUEUED_OR_DONE == 0 && out.replace(buffer).is_some() {
             return None;
         }
     }
     out.map(|b| {
-        let at_ns = b.timestamp.tv_sec * 1_000_000_000 + b.timestamp.tv_usec * 1_000;
+        let at_ns = b.timestamp.tv_sec.saturating_mul(1_000_000_000).saturating_add(b.timestamp.tv_usec.saturating_mul(1_000));
         let monotonic = b.flags & V4L2_BUF_FLAG_TIMESTAMP_MASK == V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
         let at_start = b.flags & V4L2_BUF_FLAG_TSTAMP_SRC_MASK == V4L2_BUF_FLAG_TSTAMP_SRC_SOE;
         let stamp = match (monotonic, at_start) {
@@ -92,7 +95,9 @@ pub(super) fn controls(fd: RawFd) -> Vec<ControlDescription> {
         // SAFETY: plain data, of which all-zero bytes are a value.
         let mut query: v4l2_query_ext_ctrl = unsafe { std::mem::zeroed() };
         query.id = id | V4L2_CTRL_FLAG_NEXT_CTRL;
-        if ask(fd, vidioc::VIDIOC_QUERY_EXT_CTRL, &mut query).is_err() || query.id <= id {
+        // SAFETY: the request's struct.
+        let answer = unsafe { ask(fd, vidioc::VIDIOC_QUERY_EXT_CTRL, &mut query) };
+        if answer.is_err() || query.id <= id {
             break;
         }
         id = query.id;
@@ -118,7 +123,8 @@ pub(super) fn menu_entry(fd: RawFd, id: u32, index: u32) -> Option<String> {
     // SAFETY: plain data, of which all-zero bytes are a value.
     let mut menu: v4l2_querymenu = unsafe { std::mem::zeroed() };
     (menu.id, menu.index) = (id, index);
-    ask(fd, vidioc::VIDIOC_QUERYMENU, &mut menu).ok()?;
+    // SAFETY: the request's struct.
+    unsafe { ask(fd, vidioc::VIDIOC_QUERYMENU, &mut menu) }.ok()?;
     // SAFETY: the bytes of the union are valid as bytes whichever part was written. The struct is packed: copy first.
     let bytes = unsafe { menu.__bindgen_anon_1.name };
     Some(CStr::from_bytes_until_nul(&bytes).ok()?.to_string_lossy().into_owned())
@@ -127,12 +133,14 @@ pub(super) fn menu_entry(fd: RawFd, id: u32, index: u32) -> Option<String> {
 /// A control's value now.
 pub(super) fn control_value(fd: RawFd, id: u32) -> io::Result<i64> {
     let mut control = v4l2_control { id, value: 0 };
-    ask(fd, vidioc::VIDIOC_G_CTRL, &mut control)?;
+    // SAFETY: the request's struct.
+    unsafe { ask(fd, vidioc::VIDIOC_G_CTRL, &mut control) }?;
     Ok(control.value.into())
 }
 
 /// Sets a control.
 pub(super) fn set_control(fd: RawFd, id: u32, value: i64) -> io::Result<()> {
     let value = i32::try_from(value).map_err(|_| io::Error::from(io::ErrorKind::InvalidInput))?;
-    ask(fd, vidioc::VIDIOC_S_CTRL, &mut v4l2_control { id, value })
+    // SAFETY: the request's struct.
+    unsafe { ask(fd, vidioc::VIDIOC_S_CTRL, &mut v4l2_control { id, value }) }
 }

@@ -7,21 +7,16 @@ use super::CalibrateArguments;
 use crate::cli::failure::Failure;
 use crate::cli::output_file::OutputFile;
 use crate::cli::spared::Spared;
+use crate::safe_file;
 
 /// Writes a file beside its place and moves it there, so that what was there is replaced by a whole file or not at all.
 pub(in crate::cli) fn write(file: &Path, content: impl AsRef<[u8]>) -> Result<(), Failure> {
     let content = content.as_ref();
-    let name = file.file_name().unwrap_or_default().to_string_lossy();
-    let beside = file.with_file_name(format!(".{name}.{}", std::process::id()));
     // What is no plain file - a pipe, /dev/stdout - cannot be replaced, only written to.
     if std::fs::metadata(file).is_ok_and(|m| !m.is_file()) {
         return OutputFile::open(file)?.write_all(content).map_err(Failure::output(file));
     }
-    let written = std::fs::write(&beside, content).and_then(|()| std::fs::rename(&beside, file));
-    if written.is_err() {
-        let _ = std::fs::remove_file(&beside);
-    }
-    written.map_err(Failure::output(file))
+    safe_file::write_whole(file, content).map_err(Failure::output(file))
 }
 
 /// Finds an output's missing folder, or that it would be written over what is read, before the work is done, not after.

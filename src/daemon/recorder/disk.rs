@@ -5,6 +5,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use crate::safe_file;
+
 /// What the recorder asks of a disk; tests put one in its place that fills up.
 pub trait Disk: Send {
     /// Makes a folder with those above it.
@@ -37,10 +39,7 @@ impl Disk for RealDisk {
     }
 
     fn write_file(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()> {
-        fs::write(file, bytes).map_err(|e| {
-            let _ = fs::remove_file(file);
-            at(file)(e)
-        })
+        safe_file::write_whole(file, bytes).map_err(at(file))
     }
 
     fn append(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()> {

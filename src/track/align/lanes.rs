@@ -196,61 +196,69 @@ mod avx2 {
 
     use super::{LANES, Lanes, MANTISSA_STEP, QUAD_BYTES, Tile};
 
+    /// Intrinsics of AVX2 and FMA.
+    macro_rules! avx2 {
+        ($($work:tt)*) => {
+            // SAFETY: whoever names `Avx2` is compiled for AVX2 and FMA and runs only where both were detected. What memory the work
+            // reads or writes is given by references, or clamped to the slice beside it.
+            unsafe { $($work)* }
+        };
+    }
+
     /// AVX2 with FMA. Only to be named inside functions compiled for both, called where the processor has them.
     #[derive(Clone, Copy)]
     pub struct Avx2(__m256);
 
-    // SAFETY of all below: whoever names `Avx2` is compiled for AVX2 and FMA and runs only where both were detected.
     impl Lanes for Avx2 {
         type Index = __m256i;
 
         #[inline(always)]
         fn splat(value: f32) -> Self {
-            unsafe { Self(_mm256_set1_ps(value)) }
+            avx2! { Self(_mm256_set1_ps(value)) }
         }
         #[inline(always)]
         fn load(values: &[f32; LANES]) -> Self {
-            unsafe { Self(_mm256_loadu_ps(values.as_ptr())) }
+            avx2! { Self(_mm256_loadu_ps(values.as_ptr())) }
         }
         #[inline(always)]
         fn store(self, values: &mut [f32; LANES]) {
-            unsafe { _mm256_storeu_ps(values.as_mut_ptr(), self.0) }
+            avx2! { _mm256_storeu_ps(values.as_mut_ptr(), self.0) }
         }
         #[inline(always)]
         fn add(self, other: Self) -> Self {
-            unsafe { Self(_mm256_add_ps(self.0, other.0)) }
+            avx2! { Self(_mm256_add_ps(self.0, other.0)) }
         }
         #[inline(always)]
         fn sub(self, other: Self) -> Self {
-            unsafe { Self(_mm256_sub_ps(self.0, other.0)) }
+            avx2! { Self(_mm256_sub_ps(self.0, other.0)) }
         }
         #[inline(always)]
         fn mul(self, other: Self) -> Self {
-            unsafe { Self(_mm256_mul_ps(self.0, other.0)) }
+            avx2! { Self(_mm256_mul_ps(self.0, other.0)) }
         }
         #[inline(always)]
         fn div(self, other: Self) -> Self {
-            unsafe { Self(_mm256_div_ps(self.0, other.0)) }
+            avx2! { Self(_mm256_div_ps(self.0, other.0)) }
         }
         #[inline(always)]
         fn mul_add(self, factor: Self, summand: Self) -> Self {
-            unsafe { Self(_mm256_fmadd_ps(self.0, factor.0, summand.0)) }
+            avx2! { Self(_mm256_fmadd_ps(self.0, factor.0, summand.0)) }
         }
         #[inline(always)]
         fn min(self, other: Self) -> Self {
-            unsafe { Self(_mm256_min_ps(self.0, other.0)) }
+            avx2! { Self(_mm256_min_ps(self.0, other.0)) }
         }
         #[inline(always)]
         fn max(self, other: Self) -> Self {
-            unsafe { Self(_mm256_max_ps(self.0, other.0)) }
+            avx2! { Self(_mm256_max_ps(self.0, other.0)) }
         }
         #[inline(always)]
         fn floor(self) -> Self {
-            unsafe { Self(_mm256_floor_ps(self.0)) }
+            avx2! { Self(_mm256_floor_ps(self.0)) }
         }
         #[inline(always)]
         fn rough_log2(self) -> Self {
-            unsafe {
+            avx2! {
                 let bits = _mm256_cvtepi32_ps(_mm256_castps_si256(self.0));
                 Self(_mm256_sub_ps(_mm256_mul_ps(bits, _mm256_set1_ps(MANTISSA_STEP)), _mm256_set1_ps(127.0)))
             }
@@ -258,7 +266,7 @@ mod avx2 {
         #[inline(always)]
         fn totals(values: [Self; LANES]) -> Self {
             let [a, b, c, d, e, f, g, h] = values;
-            unsafe {
+            avx2! {
                 // Four sums of four lanes in each half.
                 let of_four = |a: Self, b: Self, c: Self, d: Self| _mm256_hadd_ps(_mm256_hadd_ps(a.0, b.0), _mm256_hadd_ps(c.0, d.0));
                 let (first, last) = (of_four(a, b, c, d), of_four(e, f, g, h));
@@ -268,19 +276,19 @@ mod avx2 {
         }
         #[inline(always)]
         fn to_index(self) -> Self::Index {
-            unsafe { _mm256_cvttps_epi32(self.0) }
+            avx2! { _mm256_cvttps_epi32(self.0) }
         }
         #[inline(always)]
         fn lookup(table: &[f32; LANES], index: Self::Index) -> Self {
-            unsafe { Self(_mm256_permutevar8x32_ps(_mm256_loadu_ps(table.as_ptr()), index)) }
+            avx2! { Self(_mm256_permutevar8x32_ps(_mm256_loadu_ps(table.as_ptr()), index)) }
         }
         #[inline(always)]
         fn lookup_index(table: &[i32; LANES], index: Self::Index) -> Self::Index {
-            unsafe { _mm256_permutevar8x32_epi32(_mm256_loadu_si256(table.as_ptr().cast()), index) }
+            avx2! { _mm256_permutevar8x32_epi32(_mm256_loadu_si256(table.as_ptr().cast()), index) }
         }
         #[inline(always)]
         fn address(row: Self::Index, stride: Self::Index, column: Self::Index, base: Self::Index) -> Self::Index {
-            unsafe { _mm256_add_epi32(_mm256_add_epi32(_mm256_mullo_epi32(row, stride), column), base) }
+            avx2! { _mm256_add_epi32(_mm256_add_epi32(_mm256_mullo_epi32(row, stride), column), base) }
         }
         #[inline(always)]
         fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4] {
@@ -290,7 +298,7 @@ mod avx2 {
             let last = i32::try_from(size_of_val(tiles) - QUAD_BYTES).unwrap_or(i32::MAX);
             let first = tiles.as_ptr().cast::<u8>();
             // Loads one by one: the gather instruction takes several times as long.
-            unsafe {
+            avx2! {
                 let address = _mm256_min_epi32(_mm256_max_epi32(address, _mm256_setzero_si256()), _mm256_set1_epi32(last));
                 let (low, high) = (_mm256_castsi256_si128(address), _mm256_extracti128_si256::<1>(address));
                 let pair = |addresses: i64| {
@@ -320,7 +328,7 @@ mod avx2 {
         fn prefetch_quads(tiles: &[Tile], address: Self::Index) {
             let first = tiles.as_ptr().cast::<i8>();
             // Nothing is read: addresses may be anything.
-            unsafe {
+            avx2! {
                 let (low, high) = (_mm256_castsi256_si128(address), _mm256_extracti128_si256::<1>(address));
                 let pairs = [_mm_cvtsi128_si64(low), _mm_extract_epi64::<1>(low), _mm_cvtsi128_si64(high), _mm_extract_epi64::<1>(high)];
                 for pair in pairs {
