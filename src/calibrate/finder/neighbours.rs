@@ -5,9 +5,9 @@ use std::f64::consts::FRAC_1_SQRT_2;
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::fit::{BLUR_REACHES, NextEdge, NextEdges, Surroundings};
 use super::lattice::{Extent, Lattice, median};
 use super::level::Level;
+use super::surroundings::{BLUR_REACHES, NextEdge, NextEdges, Surroundings};
 use super::window::erf_and_slope;
 
 /// What lies around a board.
