@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 use super::board::Board;
 use super::finder::{NoBoard, find_board};
 use super::guide::{ViewSet, ViewShape, observations_of};
-use super::session::{Inspected, inspect};
+use super::picture::{Inspected, inspect};
 
 /// More views than this add little and cost time.
 const MOST_VIEWS: usize = 40;

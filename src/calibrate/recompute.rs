@@ -8,8 +8,9 @@ use image::GrayImage;
 use nalgebra::{Matrix2, Matrix3, Vector2};
 
 use super::board::Board;
-use super::finder::fit::{self, NextEdge, NextEdges, Surroundings};
+use super::finder::fit;
 use super::finder::level::{Level, rescaled};
+use super::finder::surroundings::{self, NextEdge, NextEdges, Surroundings};
 use super::finder::window::Window;
 use super::finder::{FoundBoard, SMALL_SQUARE, WIDEST_BLUR};
 use super::solve::adjust::BoardFrame;
@@ -106,7 +107,7 @@ impl<'a> BoardView<'a> {
         let [u, v] = [0, 1].map(|k| per_metre.column(k) * self.board.square_m());
         let area = u.perp(&v);
         let blur = self.found.blur_px * scale;
-        let reach = fit::reach(blur);
+        let reach = surroundings::reach(blur);
         let around = self.surroundings(index, place, [u, v], scale);
         let middle = rescaled(centre - patch.corner, steps);
         let flat = Unbent::new(middle, reach, |p| {
@@ -140,7 +141,7 @@ impl BoardView<'_> {
     fn surroundings(&self, index: usize, place: Vector2<f64>, [u, v]: [Vector2<f64>; 2], scale: f64) -> Surroundings {
         let light = self.found.light.get(index).copied().unwrap_or_default() / scale;
         let nearest = u.perp(&v) / u.norm().max(v.norm());
-        if self.found.blur_px * scale < fit::BLUR_REACHES * nearest {
+        if self.found.blur_px * scale < surroundings::BLUR_REACHES * nearest {
             return Surroundings { light, edges: None };
         }
         let columns = self.board.columns() as usize;

@@ -8,11 +8,11 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use super::board::Board;
+use super::finder::FoundBoard;
 use super::finder::window::Window;
-use super::finder::{FoundBoard, NoBoard, find_board};
 use super::judge::{self, Judgement};
-use super::origin::{self, Origin};
-use super::recompute::{BoardPatch, BoardView, model_of};
+use super::picture::Inspected;
+use super::recompute::{BoardView, model_of};
 use super::solve::adjust::Observation;
 use super::solve::{self, Estimate, Extrinsics, LEAST_VIEWS, SolveError, SolveOptions};
 
@@ -23,54 +23,6 @@ pub struct CalibrationOptions {
     pub solve: SolveOptions,
     /// Every view that shows the board is used, as in Bouguet's toolbox: none is weeded out.
     pub keep_all_views: bool,
-}
-
-/// What one picture gave before anything was estimated.
-#[derive(Debug, Clone)]
-pub struct Inspected {
-    /// Name of the picture, for messages.
-    pub file: PathBuf,
-    /// Width and height, pixels; `None` where it cannot be read.
-    pub size: Option<(u32, u32)>,
-    /// The board, or why there is none.
-    pub board: Result<FoundBoard, String>,
-    /// Inner corners of what was seen instead, where that is another board, and whether more of it may lie outside the picture.
-    pub other_size: Option<((u32, u32), bool)>,
-    pub(crate) patch: Option<BoardPatch>,
-    /// A small copy for the report.
-    pub thumbnail: Option<GrayImage>,
-    /// What its file says of the camera.
-    pub origin: Origin,
-}
-
-/// Longer side of the report's small pictures, pixels.
-const THUMBNAIL_PX: u32 = 360;
-
-/// Looks for the board in one picture.
-pub fn inspect(file: PathBuf, picture: &GrayImage, board: &Board) -> Inspected {
-    let size = picture.dimensions();
-    let found = find_board(picture, board);
-    let other_size = match &found {
-        Err(NoBoard::OtherSize { columns, rows, cut, .. }) => Some(((*columns, *rows), *cut)),
-        _ => None,
-    };
-    let patch = found.as_ref().ok().map(|found| BoardPatch::cut(picture, found));
-    let scale = (f64::from(THUMBNAIL_PX) / f64::from(size.0.max(size.1))).min(1.0);
-    let side = |s: u32| ((f64::from(s) * scale).round() as u32).max(1);
-    let thumbnail = Some(image::imageops::thumbnail(picture, side(size.0), side(size.1)));
-    Inspected { file, size: Some(size), board: found.map_err(|e| e.to_string()), other_size, patch, thumbnail, origin: Origin::default() }
-}
-
-impl Inspected {
-    /// A picture that cannot be read, and why.
-    pub fn unreadable(file: PathBuf, reason: String) -> Self {
-        Self { file, size: None, board: Err(reason), other_size: None, patch: None, thumbnail: None, origin: Origin::default() }
-    }
-
-    /// With what the picture's file says of the camera.
-    pub fn taken_by(self, origin: Origin) -> Self {
-        Self { origin, ..self }
-    }
 }
 
 /// One picture's part in the calibration.
@@ -188,7 +140,7 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
             working.push(Working { picture, inspected, found, corners: found.corners.clone() });
         }
     }
-    if let Some(sentence) = origin::mixed(pictures) {
+    if let Some(sentence) = judge::mixed(pictures) {
         return Err(CalibrationError::Mixed(sentence));
     }
     if working.is_empty() {
@@ -197,9 +149,11 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
     if let Some(sentence) = judge::another_board(pictures, board) {
         return Err(CalibrationError::NoBoard(sentence));
     }
+    let shown = working.len();
     if !options.keep_all_views {
         drop_duplicates(&mut working, &mut reasons, size);
     }
+    let repeated = (shown - working.len(), pictures.len());
     let too_few = |usable: usize| CalibrationError::TooFew { usable, pictures: pictures.len(), mend: judge::mend_for_few(pictures, board) };
     if working.len() < LEAST_VIEWS {
         return Err(too_few(working.len()));
@@ -217,19 +171,10 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
     }
     let observations: Vec<Vec<Observation>> = working.iter().map(|w| w.observations(board)).collect();
     let views = views_of(pictures, &working, reasons, board, &estimate);
-    let mut judgement = judge::judge(&views, &observations, &estimate, size, board, options);
+    let mut judgement = judge::judge(&observations, &estimate, size, board, &options.solve, repeated);
     judgement.remarks.extend(judge::implausible_squares(&estimate, board));
     judgement.remarks.extend(judge::all_blurred(&blurs(&working), size));
-    Ok(CameraCalibration {
-        board: *board,
-        camera: origin::camera_of(pictures),
-        size,
-        options: *options,
-        views,
-        estimate,
-        judgement,
-        rounds,
-    })
+    Ok(CameraCalibration { board: *board, camera: camera_of(pictures), size, options: *options, views, estimate, judgement, rounds })
 }
 
 /// Estimates, measures the corners again with the result, and so on until nothing moves.
@@ -270,6 +215,11 @@ fn settle(
         }
     }
     Ok((estimate, (MOST_ROUNDS, moved)))
+}
+
+/// The camera of all pictures that show the board, where one is named.
+fn camera_of(pictures: &[Inspected]) -> Option<String> {
+    pictures.iter().filter(|p| p.board.is_ok()).find_map(|p| p.origin.camera.clone())
 }
 
 /// The size of all pictures that show the board.

@@ -6,6 +6,7 @@ use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 
 use super::*;
 use crate::calibrate::judge::Verdict;
+use crate::calibrate::picture::inspect;
 use crate::calibrate::rendered::{BoardPhotographer, Photograph};
 use crate::calibrate::solve::adjust::BoardFrame;
 use crate::camera::{CameraModel, Intrinsics};

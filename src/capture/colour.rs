@@ -11,10 +11,10 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::Received;
-use super::clip::{Picture, PictureData, PictureStream};
 use super::error::CaptureError;
 use super::ffmpeg::Ffmpeg;
 use super::grey::{check_size, picture_size, sound_jpeg};
+use super::picture_stream::{Picture, PictureData, PictureStream};
 use crate::contain::contained;
 
 impl Received {

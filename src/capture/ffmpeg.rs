@@ -13,9 +13,9 @@ use std::thread::JoinHandle;
 
 use image::{GrayImage, RgbImage};
 
-use super::clip::{Picture, PictureData, PictureStream};
 use super::error::CaptureError;
 use super::grey::check_size;
+use super::picture_stream::{Picture, PictureData, PictureStream};
 use super::rate::FrameRate;
 
 /// Frames from a running ffmpeg.

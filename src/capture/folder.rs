@@ -2,9 +2,9 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use super::clip::{Picture, PictureData, PictureStream};
 use super::error::CaptureError;
 use super::grey::LARGEST_PICTURE_FILE;
+use super::picture_stream::{Picture, PictureData, PictureStream};
 use super::rate::FrameRate;
 use super::timestamps::{StampRow, TimestampsError, read_timestamps, shortened};
 use crate::safe_file;

@@ -18,6 +18,7 @@ mod luma;
 mod mjpeg;
 mod open;
 mod order;
+mod picture_stream;
 mod played;
 mod rate;
 pub mod timestamping;

@@ -7,12 +7,13 @@ use std::path::Path;
 
 use super::FrameSource;
 use super::avi::{AviError, AviReader};
-use super::clip::{Clip, PictureStream};
+use super::clip::Clip;
 use super::colour::Coloured;
 use super::error::CaptureError;
 use super::ffmpeg::Ffmpeg;
 use super::folder;
 use super::mjpeg::MjpegReader;
+use super::picture_stream::PictureStream;
 use super::rate::FrameRate;
 use super::video::Paced;
 use super::waiting::Waiting;

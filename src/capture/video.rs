@@ -3,8 +3,8 @@
 use std::io::{BufRead, Read};
 
 use super::avi::AviReader;
-use super::clip::{Picture, PictureData, PictureStream};
 use super::mjpeg::MjpegReader;
+use super::picture_stream::{Picture, PictureData, PictureStream};
 use super::rate::FrameRate;
 use super::y4m::Y4mReader;
 

@@ -23,6 +23,7 @@ mod origin;
 #[cfg(test)]
 mod output_tests;
 mod outputs;
+mod parse;
 mod protocols;
 mod rehearsal;
 mod rotation;
@@ -34,6 +35,7 @@ mod stage_words_tests;
 #[cfg(test)]
 mod tests;
 mod typed_outputs;
+mod typed_values;
 mod values;
 
 pub use calibration_file::read_calibration;

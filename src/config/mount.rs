@@ -5,9 +5,10 @@ use std::time::Duration;
 use nalgebra::{Matrix6, Vector3, Vector6};
 use toml::Spanned;
 
-use super::as_typed::{self, Exactly, Number};
+use super::as_typed;
 use super::origin::Origin;
 use super::rotation::{Turned, TypedRotation};
+use super::typed_values::{Exactly, Number};
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::LensDoubt;

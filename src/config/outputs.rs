@@ -5,9 +5,10 @@ use std::time::Duration;
 
 use toml::Spanned;
 
-use super::as_typed::{self, Number, Texts};
+use super::as_typed;
 use super::origin::Origin;
 use super::rotation::{Turned, TypedRotation};
+use super::typed_values::{Number, Texts};
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::publish::{

@@ -11,7 +11,7 @@ use std::f64::consts::FRAC_1_SQRT_2;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use toml::Spanned;
 
-use super::as_typed::{Exactly, Number};
+use super::typed_values::{Exactly, Number};
 use super::values::Section;
 use super::{ConfigError, Problem};
 

@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 use nalgebra::{Matrix3, Point3, Vector3};
 use toml::Spanned;
 
-use super::as_typed::{Exactly, Number};
 use super::origin::Origin;
+use super::typed_values::{Exactly, Number};
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::geometry::{Body, Pose, quaternion};

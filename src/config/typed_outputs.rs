@@ -5,7 +5,7 @@ use std::ops::Range;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::as_typed::{Count, Exactly, Number, Texts};
+use super::typed_values::{Count, Exactly, Number, Texts};
 use crate::publish::TransportError;
 
 /// `[filter]`

@@ -7,9 +7,9 @@ use image::metadata::Orientation;
 use nalgebra::Vector3;
 use toml::Spanned;
 
-use super::as_typed::{Count, Exactly, Number};
 use super::calibration_file::calibration_bytes;
 use super::origin::Origin;
+use super::typed_values::{Count, Exactly, Number};
 use super::{ConfigError, Problem};
 use crate::camera::{Calibration, parse_calibration};
 use crate::capture::{LARGEST_PICTURE_FILE, decode_oriented, orientation_words};

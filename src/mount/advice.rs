@@ -2,8 +2,10 @@
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
+use super::residual::Unknowns;
 use super::sight::Eye;
-use super::solve::{Solution, Stages, Unknowns, View, ViewPair};
+use super::solve::Solution;
+use super::views::{Stages, View, ViewPair};
 use crate::geometry::{Pose, Stage};
 
 /// One sigma in the worst direction that a renderer does not show: of the shift, metres, and of the rotation, radians.

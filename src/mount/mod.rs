@@ -9,14 +9,17 @@
 //! [`judge`] says how far to trust the result, and [`next_view`] what would better it.
 
 mod advice;
+mod residual;
 mod sight;
 mod solve;
 #[cfg(test)]
 mod solve_tests;
 mod start;
 mod still;
+mod views;
 
 pub use advice::{NextView, Verdict, is_doubt_of_lenses, judge, next_view, worst_sigmas};
 pub use sight::Eye;
-pub use solve::{Solution, Stages, Unsolvable, Used, View, ViewPair, solve};
+pub use solve::{Solution, Unsolvable, Used, solve};
 pub use still::{StillPair, Unpaired, still_pairs};
+pub use views::{Stages, View, ViewPair};

@@ -4,7 +4,7 @@
 
 use nalgebra::{Matrix2, Matrix6, Point3, Vector2};
 
-use super::solve::View;
+use super::views::View;
 use crate::camera::{CameraModel, Normalized};
 use crate::geometry::resection::{MovingCamera, Observation, residual_and_jacobian};
 use crate::geometry::{Body, Camera, Pose, Stage};

@@ -1,52 +1,12 @@
 //! The least-squares mount: every view weighed by its covariance, the doubtful ones by how far they agree with the others.
-//!
-//! Of a pair of views, the mount X and the stages' relation Y predict the filming camera's pose, Y⁻¹ A X, and what was measured is B.
-//! The residual is B's error in the record's terms, [δp, δθ] in the axes of B's stage; both measurements' covariances are carried to it.
 
-use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3};
 use thiserror::Error;
 
+use super::residual::Unknowns;
 use super::start;
-use crate::geometry::{Camera, FilmingCamera, Pose, Stage, skew};
-
-/// A measured pose of a camera: `T_stage_camera`, and the covariance of [δp, δθ] in stage axes with p_true = p + δp and
-/// R_true = Exp(δθ) R, m and rad.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct View {
-    /// Where the camera was.
-    pub pose: Pose<Stage, Camera>,
-    /// How well that is known.
-    pub covariance: Matrix6<f64>,
-}
-
-/// What both cameras measured while the rig stood still.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ViewPair {
-    /// The tracking camera.
-    pub tracking: View,
-    /// The filming camera, in its own stage.
-    pub filming: View,
-}
-
-impl ViewPair {
-    /// Covariance of the mount that this pair alone gives where the stages' relation is known: of [δt, δφ] in the tracking camera's axes.
-    pub fn mount_covariance(&self, mount: &Pose<Camera, FilmingCamera>, between: &Pose<Stage, Stage>) -> Matrix6<f64> {
-        let back = self.tracking.pose.rotation_matrix().transpose() * between.rotation_matrix();
-        let mut both = Matrix6::zeros();
-        both.fixed_view_mut::<3, 3>(0, 0).copy_from(&back);
-        both.fixed_view_mut::<3, 3>(3, 3).copy_from(&back);
-        both * Unknowns { mount: *mount, between: *between }.covariance(self) * both.transpose()
-    }
-}
-
-/// Whether both cameras measure in the same stage.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stages {
-    /// One stage frame.
-    Shared,
-    /// A board for each camera; how the boards stand to one another is found too.
-    Apart,
-}
+use super::views::{Stages, ViewPair};
+use crate::geometry::{Camera, FilmingCamera, Pose, Stage};
 
 /// What becomes of a pair of views.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -113,7 +73,6 @@ const MEDIAN: f64 = 5.35;
 const STEPS: usize = 30;
 
 type Normal = SMatrix<f64, 12, 12>;
-type Jacobian = SMatrix<f64, 6, 12>;
 
 /// The mount from pairs of views: one at least where the stage is shared, three where it is not.
 ///
@@ -130,7 +89,7 @@ pub fn solve(pairs: &[ViewPair], stages: Stages) -> Result<Solution, Unsolvable>
     let mut state = start::start(pairs, stages).ok_or(Unsolvable::NoSolution)?;
     // Robust first: whoever contradicts weighs less and less.
     state.refine(pairs, stages, |squared, spread| 1.0 / (1.0 + squared / (spread * OUTLIER)))?;
-    let distances = state.distances(pairs)?;
+    let distances = state.distances(pairs).ok_or(Unsolvable::NoSolution)?;
     let spread = robust_spread(&distances);
     let mut kept: Vec<bool> = distances.iter().map(|d| *d <= OUTLIER * spread).collect();
     // A majority that is left out is no outlier: then all count, and the scatter says so.
@@ -139,7 +98,7 @@ pub fn solve(pairs: &[ViewPair], stages: Stages) -> Result<Solution, Unsolvable>
     }
     let chosen: Vec<ViewPair> = pairs.iter().zip(&kept).filter(|(_, k)| **k).map(|(pair, _)| *pair).collect();
     let normal = state.refine(&chosen, stages, |_, _| 1.0)?;
-    let distances = state.distances(pairs)?;
+    let distances = state.distances(pairs).ok_or(Unsolvable::NoSolution)?;
     let unknowns = if stages == Stages::Shared { 6 } else { 12 };
     let freedom = 6 * chosen.len() - unknowns;
     let sum: f64 = distances.iter().zip(&kept).filter(|(_, k)| **k).map(|(d, _)| d).sum();
@@ -180,19 +139,12 @@ fn robust_spread(distances: &[f64]) -> f64 {
     (sorted.get((sorted.len() - 1) / 2).copied().unwrap_or(MEDIAN) / MEDIAN).max(1.0)
 }
 
-/// The unknowns.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Unknowns {
-    pub mount: Pose<Camera, FilmingCamera>,
-    pub between: Pose<Stage, Stage>,
-}
-
 impl Unknowns {
     /// Gauss-Newton with weights of the squared distances and their spread; gives the normal matrix of the end.
     fn refine(&mut self, pairs: &[ViewPair], stages: Stages, weight: impl Fn(f64, f64) -> f64) -> Result<Normal, Unsolvable> {
         let mut normal = Normal::identity();
         for _ in 0..STEPS {
-            let spread = robust_spread(&self.distances(pairs)?);
+            let spread = robust_spread(&self.distances(pairs).ok_or(Unsolvable::NoSolution)?);
             normal = Normal::zeros();
             let mut right = SVector::<f64, 12>::zeros();
             for pair in pairs {
@@ -218,58 +170,4 @@ impl Unknowns {
         }
         Ok(normal)
     }
-
-    pub(super) fn step(&mut self, step: &SVector<f64, 12>) {
-        self.mount = moved(&self.mount, step.fixed_rows::<6>(0).into_owned());
-        self.between = moved(&self.between, step.fixed_rows::<6>(6).into_owned());
-    }
-
-    /// Where the filming camera should be, in its own stage.
-    fn predicted(&self, pair: &ViewPair) -> Pose<Stage, FilmingCamera> {
-        self.between.inverse() * pair.tracking.pose * self.mount
-    }
-
-    /// Measured less predicted, and how the prediction moves with [δt, δφ] of the mount and of the stages' relation.
-    pub(super) fn residual(&self, pair: &ViewPair) -> (Vector6<f64>, Jacobian) {
-        let predicted = self.predicted(pair);
-        let shift = pair.filming.pose.translation - predicted.translation;
-        let turn = (pair.filming.pose.rotation * predicted.rotation.inverse()).scaled_axis();
-        let back = self.between.rotation_matrix().transpose();
-        let forth = back * pair.tracking.pose.rotation_matrix();
-        let arm = self.between.rotation_matrix() * predicted.translation;
-        let mut jacobian = Jacobian::zeros();
-        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&forth);
-        jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&forth);
-        jacobian.fixed_view_mut::<3, 3>(0, 6).copy_from(&-back);
-        jacobian.fixed_view_mut::<3, 3>(0, 9).copy_from(&(back * skew(&arm)));
-        jacobian.fixed_view_mut::<3, 3>(3, 9).copy_from(&-back);
-        (Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z), jacobian)
-    }
-
-    /// The covariance of a pair's residual: the filming camera's own, and the tracking camera's at the end of the mount's arm.
-    pub(super) fn covariance(&self, pair: &ViewPair) -> Matrix6<f64> {
-        let back = self.between.rotation_matrix().transpose();
-        let arm = pair.tracking.pose.rotation * self.mount.translation;
-        let mut by = Matrix6::zeros();
-        by.fixed_view_mut::<3, 3>(0, 0).copy_from(&back);
-        by.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-back * skew(&arm)));
-        by.fixed_view_mut::<3, 3>(3, 3).copy_from(&back);
-        by * pair.tracking.covariance * by.transpose() + pair.filming.covariance
-    }
-
-    /// Squared distance of every pair.
-    pub(super) fn distances(&self, pairs: &[ViewPair]) -> Result<Vec<f64>, Unsolvable> {
-        let distance = |pair: &ViewPair| {
-            let (residual, _) = self.residual(pair);
-            let information = self.covariance(pair).cholesky().ok_or(Unsolvable::NoSolution)?;
-            Ok(residual.dot(&information.solve(&residual)))
-        };
-        pairs.iter().map(distance).collect()
-    }
-}
-
-/// The pose after [δt, δφ] in the axes that it leads to.
-fn moved<To, From>(pose: &Pose<To, From>, step: Vector6<f64>) -> Pose<To, From> {
-    let turn = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
-    Pose::new(turn * pose.rotation, pose.translation + Vector3::new(step[0], step[1], step[2]))
 }

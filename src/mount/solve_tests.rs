@@ -4,7 +4,9 @@ use nalgebra::{Matrix6, SVector, UnitQuaternion, Vector3, Vector6};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use super::solve::{Stages, Unknowns, Unsolvable, View, ViewPair, solve};
+use super::residual::Unknowns;
+use super::solve::{Unsolvable, solve};
+use super::views::{Stages, View, ViewPair};
 use crate::geometry::{Camera, FilmingCamera, Pose, Stage};
 
 fn random_vector(random: &mut Pcg64Mcg, size: f64) -> Vector3<f64> {

@@ -2,7 +2,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, UnitQuaternion, Vector3};
 
-use super::solve::{Stages, Unknowns, ViewPair};
+use super::residual::Unknowns;
+use super::views::{Stages, ViewPair};
 use crate::geometry::{Camera, FilmingCamera, Pose, Stage, quaternion};
 
 /// Triples of views that are tried where the stages are apart: all of the first twelve views. More only take time.
@@ -14,7 +15,7 @@ pub(super) fn start(pairs: &[ViewPair], stages: Stages) -> Option<Unknowns> {
         Stages::Shared => pairs.iter().map(|pair| Unknowns { mount: direct(pair), between: Pose::identity() }).collect(),
         Stages::Apart => triples(pairs).into_iter().filter_map(|triple| hand_eye(&triple)).chain(hand_eye(pairs)).collect(),
     };
-    let disagreement = |unknowns: &Unknowns| Some(unknowns.distances(pairs).ok()?.iter().map(|d| d.sqrt()).sum::<f64>());
+    let disagreement = |unknowns: &Unknowns| Some(unknowns.distances(pairs)?.iter().map(|d| d.sqrt()).sum::<f64>());
     let rated = candidates.into_iter().filter_map(|unknowns| Some((disagreement(&unknowns).filter(|d| d.is_finite())?, unknowns)));
     rated.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, unknowns)| unknowns)
 }

@@ -6,7 +6,7 @@
 
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
-use super::solve::View;
+use super::views::View;
 use crate::geometry::Pose;
 
 /// Rows of a standstill at least, in clips where there are standstills: less is a slow moment of a movement.

@@ -8,28 +8,12 @@ use super::complaints::Complaints;
 use super::limiter::{Limiter, Verdict};
 use super::mounted::Mount;
 use super::placement::Placement;
-use super::report::{BodyReport, Standing, Withheld};
-use super::resample::Resampler;
-use super::settings::{BodyChoice, OnLoss, OutputSettings, Rate, SafetySettings};
+use super::report::{BodyChoice, BodyReport, Standing, Withheld};
+use super::resample::{Known, Resampler};
+use super::settings::{OnLoss, OutputSettings, Rate, SafetySettings};
 use crate::geometry::{Body, Pose, Stage};
 use crate::protocols::body_of_camera;
 use crate::record::PoseSample;
-
-/// What a sample, or a tick, says of a body.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Known {
-    pub standing: Standing,
-    pub pose: Option<Pose<Stage, Body>>,
-    /// Carried on from the newest frame.
-    pub is_predicted: bool,
-}
-
-impl Known {
-    /// No pose, for this reason.
-    pub fn nothing(standing: Standing) -> Self {
-        Self { standing, pose: None, is_predicted: false }
-    }
-}
 
 /// The safety limits began to hold a body's pose back.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,16 +1,8 @@
-//! What time it is, and how long ago a frame was taken. The clocks are handed in, so that tests can step them.
-//!
-//! Frames are stamped by the monotonic clock, which stands still while the machine is suspended: a frame from before a suspend would look
-//! fresh after it. Ages are therefore counted on the boot clock, which goes on, and never on the wall clock, which may be stepped. A
-//! [`FrameClock`] leads from stamps to that clock; it notices suspends by the two clocks drifting apart.
+//! What time it is, on the three clocks of a machine. They are handed in, so that tests can step them.
 
-use std::collections::VecDeque;
 use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nix::time::{ClockId, clock_gettime};
-
-use super::stamps::Stamps;
 
 /// The three clocks at one instant, nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,7 +27,7 @@ pub struct SystemClocks;
 
 /// Three clocks that are read within this time are of one instant. A program that is stopped between two of them would see a suspend
 /// that there was not; longer than a few microseconds happens only then.
-const ONE_INSTANT_NS: i64 = 100_000;
+pub(super) const ONE_INSTANT_NS: i64 = 100_000;
 /// Tries to read them so.
 const TRIES: usize = 20;
 
@@ -64,108 +56,11 @@ fn read(clock: ClockId) -> i64 {
     clock_gettime(clock).map_or(0, |t| t.tv_sec() * 1_000_000_000 + t.tv_nsec())
 }
 
-/// The boot clock less the monotonic one changes by suspends alone; less than this is the reading's own scatter.
-const SHORTEST_SUSPEND_NS: i64 = 5_000_000;
-/// Suspends remembered; frames are long too old before they are forgotten.
-const SUSPENDS: usize = 8;
-
-/// How far the boot clock is ahead of the monotonic one, from which monotonic instant on.
-#[derive(Debug, Default)]
-struct Suspends(VecDeque<(i64, i64)>);
-
-impl Suspends {
-    /// Takes note of a reading. A suspend is known from the first one after it on: what was stamped before that counts as from before
-    /// the suspend, which makes it older, never younger than it is.
-    fn note(&mut self, now: Reading) {
-        let ahead_ns = now.boot_ns.saturating_sub(now.monotonic_ns);
-        match self.0.back_mut() {
-            None => self.0.push_back((i64::MIN, ahead_ns)),
-            Some((_, known)) if ahead_ns > known.saturating_add(SHORTEST_SUSPEND_NS) => self.0.push_back((now.monotonic_ns, ahead_ns)),
-            // A reading that was torn apart after all is put right by the next one. Less is the scatter of readings: following it would
-            // shift stamps against each other.
-            Some((_, known)) if ahead_ns < known.saturating_sub(ONE_INSTANT_NS) => *known = ahead_ns,
-            Some(_) => {}
-        }
-        if self.0.len() > SUSPENDS {
-            self.0.pop_front();
-        }
-    }
-
-    fn boot_ns(&self, monotonic_ns: i64) -> i64 {
-        let known = self.0.iter().rev().find(|(since, _)| *since < monotonic_ns).or(self.0.front());
-        monotonic_ns.saturating_add(known.map_or(0, |(_, ahead_ns)| *ahead_ns))
-    }
-}
-
-/// Leads from the stamps of frames to the boot clock. Everybody who judges ages of the same frames shares one.
-#[derive(Debug)]
-pub struct FrameClock {
-    clocks: Arc<dyn Clocks>,
-    stamps: Stamps,
-    memory: Mutex<Memory>,
-}
-
-#[derive(Debug, Default)]
-struct Memory {
-    suspends: Suspends,
-    /// Of a clip that nobody has said the beginning of: monotonic clock minus stamp, from its first sample.
-    clip_offset_ns: Option<i64>,
-}
-
-/// A live stamp may lie ahead by what is assumed of exposure and readout; further ahead it is of another clock, nanoseconds.
-const MOST_AHEAD_NS: i64 = 1_000_000_000;
-
-impl FrameClock {
-    /// With this machine's clocks.
-    pub fn new(stamps: Stamps) -> Self {
-        Self::with(Arc::new(SystemClocks), stamps)
-    }
-
-    /// With clocks of the caller's.
-    pub fn with(clocks: Arc<dyn Clocks>, stamps: Stamps) -> Self {
-        let clock = Self { clocks, stamps, memory: Mutex::default() };
-        clock.now();
-        clock
-    }
-
-    fn memory(&self) -> MutexGuard<'_, Memory> {
-        self.memory.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Now. It is to be asked several times a second: that is how suspends are noticed.
-    pub fn now(&self) -> Reading {
-        // Read under the lock, so that notes are taken in their order.
-        let mut memory = self.memory();
-        let now = self.clocks.read();
-        memory.suspends.note(now);
-        now
-    }
-
-    /// When the frame of a stamp was taken, on the boot clock. `work_ns` is how long its sample has been worked on, which counts for the
-    /// first one of a clip whose beginning nobody has said. None where the stamp cannot be of this machine's clock.
-    pub fn taken_ns(&self, stamp_ns: i64, work_ns: i64) -> Option<i64> {
-        let now = self.now();
-        let mut memory = self.memory();
-        let offset_ns = match &self.stamps {
-            Stamps::Live if stamp_ns.saturating_sub(now.monotonic_ns) > MOST_AHEAD_NS => return None,
-            Stamps::Live => 0,
-            Stamps::Recorded(start) => {
-                let at_first = now.monotonic_ns.saturating_sub(work_ns).saturating_sub(stamp_ns);
-                start.offset_ns().unwrap_or_else(|| *memory.clip_offset_ns.get_or_insert(at_first))
-            }
-        };
-        Some(memory.suspends.boot_ns(stamp_ns.saturating_add(offset_ns)))
-    }
-
-    /// The stamp as a clip has it, for formats that want both.
-    pub fn recorded_ns(&self, stamp_ns: i64) -> Option<i64> {
-        matches!(self.stamps, Stamps::Recorded(_)).then_some(stamp_ns)
-    }
-}
-
 #[cfg(test)]
 pub(crate) mod stepped {
     //! Clocks that a test steps.
+    use std::sync::{Arc, Mutex};
+
     use super::*;
 
     pub(crate) const START: Reading = Reading { monotonic_ns: 50_000_000_000, boot_ns: 60_000_000_000, unix_ns: 1_700_000_000_000_000_000 };
@@ -210,77 +105,7 @@ pub(crate) mod stepped {
 
 #[cfg(test)]
 mod tests {
-    use super::stepped::{START, SteppedClocks};
     use super::*;
-    use crate::publish::ClipStart;
-
-    fn age_ms(clock: &FrameClock, stamp_ns: i64) -> i64 {
-        (clock.now().boot_ns - clock.taken_ns(stamp_ns, 0).unwrap()) / 1_000_000
-    }
-
-    #[test]
-    fn a_suspend_makes_frames_from_before_it_old_and_those_after_it_not() {
-        let clocks = SteppedClocks::new();
-        let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
-        let before = START.monotonic_ns - 20_000_000;
-        assert_eq!(age_ms(&clock, before), 20);
-        clocks.suspend_ms(3_600_000);
-        assert_eq!(age_ms(&clock, before), 3_600_020);
-        clocks.advance_ms(100);
-        assert_eq!(age_ms(&clock, START.monotonic_ns + 70_000_000), 30);
-        assert_eq!(age_ms(&clock, before), 3_600_120);
-    }
-
-    #[test]
-    fn a_stepped_wall_clock_changes_no_age() {
-        let clocks = SteppedClocks::new();
-        let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
-        for step_ms in [7_200_000, -86_400_000] {
-            clocks.step_wall_ms(step_ms);
-            assert_eq!(age_ms(&clock, START.monotonic_ns - 20_000_000), 20);
-        }
-    }
-
-    #[test]
-    fn one_old_frame_shifts_nothing_and_a_stamp_of_another_clock_is_none() {
-        let clocks = SteppedClocks::new();
-        let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
-        assert_eq!(age_ms(&clock, START.monotonic_ns - 11_000_000_000), 11_000);
-        assert_eq!(age_ms(&clock, START.monotonic_ns - 30_000_000), 30);
-        assert_eq!(clock.taken_ns(START.unix_ns, 0), None);
-        assert_eq!(age_ms(&clock, START.monotonic_ns - 30_000_000), 30);
-    }
-
-    #[test]
-    fn a_clip_counts_from_its_beginning_or_from_its_first_sample() {
-        let clocks = SteppedClocks::new();
-        let unsaid = FrameClock::with(Arc::new(clocks.clone()), Stamps::Recorded(ClipStart::default()));
-        assert_eq!(unsaid.taken_ns(7_000, 1_000), Some(START.boot_ns - 1_000));
-        assert_eq!(unsaid.taken_ns(8_000, 9_000), Some(START.boot_ns));
-        assert_eq!((unsaid.recorded_ns(8_000), FrameClock::new(Stamps::Live).recorded_ns(5)), (Some(8_000), None));
-    }
-
-    #[test]
-    fn a_torn_reading_is_put_right_by_the_next_one() {
-        let mut suspends = Suspends::default();
-        let reading = |monotonic_ns, boot_ns| Reading { monotonic_ns, boot_ns, unix_ns: 0 };
-        suspends.note(reading(1_000_000_000, 1_000_000_000));
-        suspends.note(reading(1_000_000_000, 3_500_000_000));
-        suspends.note(reading(3_600_000_000, 3_600_000_000));
-        assert_eq!(suspends.boot_ns(3_590_000_000), 3_590_000_000);
-    }
-
-    #[test]
-    fn the_scatter_of_readings_shifts_no_stamp() {
-        let mut suspends = Suspends::default();
-        let reading = |monotonic_ns, boot_ns| Reading { monotonic_ns, boot_ns, unix_ns: 0 };
-        suspends.note(reading(1_000_000_000, 2_000_000_000));
-        let before = suspends.boot_ns(1_500_000_000);
-        for late_ns in [30_000, 90_000, 0, 60_000] {
-            suspends.note(reading(1_600_000_000 + late_ns, 2_600_000_000));
-            assert_eq!(suspends.boot_ns(1_500_000_000), before);
-        }
-    }
 
     #[test]
     fn the_system_clocks_run() {

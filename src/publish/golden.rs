@@ -2,8 +2,7 @@
 
 use std::sync::Arc;
 
-use super::report::{BodyReport, Report, Standing};
-use super::settings::BodyChoice;
+use super::report::{BodyChoice, BodyReport, Report, Standing};
 use crate::protocols::body_of_camera;
 use crate::protocols::golden::golden_camera;
 

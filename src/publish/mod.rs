@@ -9,6 +9,7 @@ mod channel;
 mod clocks;
 mod complaints;
 mod encoder;
+mod frame_clock;
 pub mod freed;
 #[cfg(test)]
 pub(crate) mod golden;
@@ -31,15 +32,14 @@ mod worker;
 pub use channel::PoseWithheld;
 #[cfg(all(test, feature = "daemon"))]
 pub(crate) use clocks::stepped;
-pub use clocks::{Clocks, FrameClock, Reading, SystemClocks};
+pub use clocks::{Clocks, Reading, SystemClocks};
+pub use frame_clock::FrameClock;
 pub use json::JsonSettings;
 pub use mounted::{Mount, MountSettings};
 pub use network::{Interface, needs_interface};
 pub use placement::{Axes, Placement};
 pub use publisher::{Context, OutputStatistics, PublishError, Publisher};
-pub use report::{Standing, Withheld};
-pub use settings::{
-    BlendRates, BodyChoice, FixedRate, OnLoss, OutputSettings, Protocol, Rate, SafetySettings, StreamSettings, UdpSettings,
-};
+pub use report::{BodyChoice, Standing, Withheld};
+pub use settings::{BlendRates, FixedRate, OnLoss, OutputSettings, Protocol, Rate, SafetySettings};
 pub use stamps::{ClipStart, Stamps};
-pub use transport::TransportError;
+pub use transport::{StreamSettings, TransportError, UdpSettings};

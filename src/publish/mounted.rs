@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use nalgebra::{Matrix3, Matrix6};
 
-use super::settings::BodyChoice;
+use super::report::BodyChoice;
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Pose, Stage, skew};
 

@@ -2,9 +2,19 @@
 
 use std::sync::Arc;
 
-use super::settings::BodyChoice;
 use crate::geometry::{Body, Pose, Stage};
 use crate::record::{PoseSample, State};
+
+/// A body that an output speaks of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BodyChoice {
+    /// The camera.
+    Camera,
+    /// The object of this number in the config, from 0.
+    Object(usize),
+    /// The filming camera, which `[mount]` describes.
+    Mount,
+}
 
 /// How far a pose can be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -8,7 +8,6 @@ use std::collections::VecDeque;
 
 use nalgebra::UnitQuaternion;
 
-use super::channel::Known;
 use super::report::Standing;
 use crate::geometry::{Body, Pose, Stage};
 
@@ -22,6 +21,22 @@ const LONGEST_GAP_NS: i64 = 250_000_000;
 const LONGEST_REACH_NS: i64 = 100_000_000;
 /// Stamps scatter; a tick that lies one frame interval and this much after a frame is still within the interval, nanoseconds.
 const JITTER_NS: i64 = 1_000_000;
+
+/// What a sample, or a tick, says of a body.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Known {
+    pub standing: Standing,
+    pub pose: Option<Pose<Stage, Body>>,
+    /// Carried on from the newest frame.
+    pub is_predicted: bool,
+}
+
+impl Known {
+    /// No pose, for this reason.
+    pub fn nothing(standing: Standing) -> Self {
+        Self { standing, pose: None, is_predicted: false }
+    }
+}
 
 /// What one sample said of the body.
 #[derive(Debug, Clone, Copy)]

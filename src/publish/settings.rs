@@ -1,16 +1,15 @@
 //! How an output is set up, once the config has been checked.
 
-use std::net::SocketAddr;
-use std::path::PathBuf;
 use std::time::Duration;
 
 use super::freed::FreedSettings;
 use super::json::JsonSettings;
-use super::network::Interface;
 use super::opentrackio::OpenTrackIoSettings;
 use super::osc::OscSettings;
 use super::placement::Placement;
 use super::psn::PsnSettings;
+use super::report::BodyChoice;
+use super::transport::UdpSettings;
 
 /// One `[[output]]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,34 +61,6 @@ impl Protocol {
             Self::Osc(_) => "osc",
             Self::Json(_) => "json",
         }
-    }
-}
-
-/// A body that an output speaks of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum BodyChoice {
-    /// The camera.
-    Camera,
-    /// The object of this number in the config, from 0.
-    Object(usize),
-    /// The filming camera, which `[mount]` describes.
-    Mount,
-}
-
-/// Where datagrams go.
-#[derive(Debug, Clone, PartialEq)]
-pub struct UdpSettings {
-    /// Unicast, broadcast and multicast addresses; empty where nothing goes by UDP.
-    pub to: Vec<SocketAddr>,
-    /// The network that multicasts, and IPv6 addresses of one network only, go to.
-    pub interface: Option<Interface>,
-    /// Routers that a datagram may cross; 1 = stays on the local network.
-    pub ttl: u8,
-}
-
-impl Default for UdpSettings {
-    fn default() -> Self {
-        Self { to: Vec::new(), interface: None, ttl: 1 }
     }
 }
 
@@ -211,15 +182,6 @@ impl Default for SafetySettings {
     fn default() -> Self {
         Self { max_speed_m_s: None, max_turn_rad_s: None, permitted_box_m: None, blend: None, stale_after: Duration::from_millis(500) }
     }
-}
-
-/// Where lines of JSON go besides UDP.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct StreamSettings {
-    /// Address on which clients are waited for.
-    pub tcp_listen: Option<SocketAddr>,
-    /// File that is written, replacing what is there; `-` is standard output.
-    pub file: Option<PathBuf>,
 }
 
 #[cfg(test)]

@@ -78,7 +78,7 @@ impl Pace {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::publish::clocks::FrameClock;
+    use crate::publish::frame_clock::FrameClock;
 
     #[test]
     fn a_played_clip_counts_from_when_its_first_frame_was_handed_out() {

@@ -5,14 +5,39 @@
 
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use socket2::{Domain, Protocol, Socket, Type};
 
 use super::complaints::Complaints;
 use super::network::{Interface, needs_interface};
-use super::settings::{StreamSettings, UdpSettings};
 use crate::safe_file;
+
+/// Where datagrams go.
+#[derive(Debug, Clone, PartialEq)]
+pub struct UdpSettings {
+    /// Unicast, broadcast and multicast addresses; empty where nothing goes by UDP.
+    pub to: Vec<SocketAddr>,
+    /// The network that multicasts, and IPv6 addresses of one network only, go to.
+    pub interface: Option<Interface>,
+    /// Routers that a datagram may cross; 1 = stays on the local network.
+    pub ttl: u8,
+}
+
+impl Default for UdpSettings {
+    fn default() -> Self {
+        Self { to: Vec::new(), interface: None, ttl: 1 }
+    }
+}
+
+/// Where lines of JSON go besides UDP.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct StreamSettings {
+    /// Address on which clients are waited for.
+    pub tcp_listen: Option<SocketAddr>,
+    /// File that is written, replacing what is there; `-` is standard output.
+    pub file: Option<PathBuf>,
+}
 
 /// All the places of one output.
 pub(super) struct Transport {

@@ -6,10 +6,12 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 
-use super::channel::{BodyChannel, Known};
-use super::clocks::{FrameClock, Reading};
+use super::channel::BodyChannel;
+use super::clocks::Reading;
 use super::encoder::Encoder;
+use super::frame_clock::FrameClock;
 use super::report::{Report, Standing};
+use super::resample::Known;
 use super::settings::{OnLoss, Rate};
 use super::transport::Transport;
 use crate::record::PoseSample;

@@ -14,11 +14,13 @@ use axum::routing::any;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
+use super::ending::ended;
 use super::feed::Feed;
 use super::places::Place;
 use super::routes::{Effect, Reply, Request, Route};
-use super::server::{TAKES_WITHIN, ended};
 
+/// A client that takes nothing for this long is let go.
+pub(super) const TAKES_WITHIN: Duration = Duration::from_secs(2);
 /// A client has nothing to say on the WebSocket, so that its messages may be short.
 const LONGEST_MESSAGE: usize = 4 * 1024;
 

@@ -6,6 +6,8 @@
 #[cfg(feature = "http")]
 mod answers;
 #[cfg(feature = "http")]
+mod ending;
+#[cfg(feature = "http")]
 mod feed;
 #[cfg(feature = "http")]
 mod guard;

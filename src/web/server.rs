@@ -24,7 +24,8 @@ use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_io_timeout::TimeoutStream;
 
-use super::answers::{Caller, response, router};
+use super::answers::{Caller, TAKES_WITHIN, response, router};
+use super::ending::ended;
 use super::feed::Feed;
 use super::guard::Guard;
 use super::hosts::AllowedHosts;
@@ -40,8 +41,6 @@ const HEAD_WITHIN: Duration = Duration::from_secs(5);
 const LONGEST_HEAD: usize = 16 * 1024;
 /// with this many header lines.
 const MOST_HEADERS: usize = 64;
-/// A client that takes nothing for this long is let go.
-pub(super) const TAKES_WITHIN: Duration = Duration::from_secs(2);
 /// A connection that is no WebSocket ends after this time and is made anew: who takes one byte a second shall not keep it.
 const LASTS: Duration = Duration::from_secs(60);
 /// Connections that may wait to be accepted. Where there is no room, the system passes the next one over, and it tries again only
@@ -240,12 +239,6 @@ async fn converse(stream: TcpStream, place: Option<Arc<Place>>, site: Arc<Site>,
     }
     connection.as_mut().graceful_shutdown();
     let _ = timeout(ENDS_WITHIN, connection).await;
-}
-
-/// Waits for the end of the server.
-pub(super) async fn ended(stopped: &mut watch::Receiver<bool>) {
-    // An error says that the server is gone, which is the end too.
-    drop(stopped.wait_for(|stop| *stop).await);
 }
 
 #[cfg(test)]

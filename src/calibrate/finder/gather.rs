@@ -8,8 +8,8 @@ use std::f64::consts::FRAC_1_SQRT_2;
 
 use nalgebra::Vector2;
 
-use super::fit::{NextEdges, Surroundings, reach};
 use super::level::Level;
+use super::surroundings::{NextEdges, Surroundings, reach};
 use super::window::{Eight, LANES, Window, erf_and_slope};
 
 /// From the first of eight pixels to each.
@@ -228,7 +228,7 @@ fn at_least(value: f32, least: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::fit::NextEdge;
+    use super::super::surroundings::NextEdge;
     use super::*;
 
     /// A level with grey levels like noise, and a corner's surroundings on it.

@@ -6,16 +6,17 @@
 
 pub mod halves;
 pub mod map;
+mod mixed;
 mod words;
 
 use super::board::{Board, Symmetry};
 use super::guide::{PART_COLUMNS, PART_ROWS, TILTED_DEG, ViewSet, ViewShape};
-use super::session::{CalibrationOptions, CalibrationView};
-use super::solve::Estimate;
 use super::solve::adjust::Observation;
 use super::solve::lens::{LENS_NAMES, LENS_NUMBERS};
+use super::solve::{Estimate, SolveOptions};
 use halves::Halves;
 use map::PixelMap;
+pub(crate) use mixed::mixed;
 pub(crate) use words::{
     all_blurred, another_board, blurred, implausible_squares, mend_for_few, mend_for_sizes, nothing_found, one_direction,
 };
@@ -106,14 +107,15 @@ const COVERAGE: [f64; 2] = [0.6, 0.25];
 /// A plane must be seen from directions this far apart, degrees.
 const LEAST_ANGLE_DEG: f64 = 8.0;
 
-/// Judges an estimate; `observations` are those of the used views, in the estimate's order.
+/// Judges an estimate; `observations` are those of the used views, in the estimate's order. `repeated` says how many pictures showed
+/// another one's view again, and of how many.
 pub(crate) fn judge(
-    views: &[CalibrationView],
     observations: &[Vec<Observation>],
     estimate: &Estimate,
     size: (u32, u32),
     board: &Board,
-    options: &CalibrationOptions,
+    options: &SolveOptions,
+    repeated: (usize, usize),
 ) -> Judgement {
     let lens = &estimate.bundle.lens;
     let mut set = ViewSet::default();
@@ -129,7 +131,7 @@ pub(crate) fn judge(
         next_picture: String::new(),
         insignificant: insignificant(estimate),
         uncertainty,
-        halves: halves::compare(observations, estimate, size, &options.solve),
+        halves: halves::compare(observations, estimate, size, options),
         coverage: 1.0 - missing.parts.len() as f64 / all_parts,
         tilted_views: set.shapes().iter().filter(|s| s.tilt_deg() >= TILTED_DEG).count(),
         widest_angle_deg: set.widest_angle_deg(),
@@ -138,7 +140,7 @@ pub(crate) fn judge(
     judgement.weigh_geometry(estimate, &set);
     judgement.weigh_errors(estimate, pixel);
     judgement.weigh_lens(estimate, size, options);
-    judgement.weigh_views(views, board);
+    judgement.weigh_views(repeated, board);
     judgement.conclude(&set);
     judgement
 }
@@ -191,12 +193,12 @@ impl Judgement {
     }
 
     /// What a real lens cannot be.
-    fn weigh_lens(&mut self, estimate: &Estimate, (width, height): (u32, u32), options: &CalibrationOptions) {
+    fn weigh_lens(&mut self, estimate: &Estimate, (width, height): (u32, u32), options: &SolveOptions) {
         let n = &estimate.bundle.lens.0;
         let covariance = &estimate.lens_covariance;
         let off = (n[0] - n[1]).abs();
         let joint = 3.0 * (covariance[(0, 0)] + covariance[(1, 1)] - 2.0 * covariance[(0, 1)]).max(0.0).sqrt();
-        let both_free = options.solve.free.is_estimated(0) && options.solve.free.is_estimated(1);
+        let both_free = options.free.is_estimated(0) && options.free.is_estimated(1);
         if both_free && off > 0.01 * n[0] && off > joint {
             let weight = if off > 0.02 * n[0] { Verdict::DoNotUse } else { Verdict::Usable };
             let percent = 100.0 * off / n[0];
@@ -259,11 +261,10 @@ impl Judgement {
         }
     }
 
-    fn weigh_views(&mut self, views: &[CalibrationView], board: &Board) {
-        let duplicates = views.iter().filter(|v| v.reason.as_deref().is_some_and(|r| r.starts_with("the same view"))).count();
+    fn weigh_views(&mut self, (duplicates, pictures): (usize, usize), board: &Board) {
         if duplicates > 0 {
-            let text = format!("{duplicates} of {} pictures repeat another one's view and add nothing", views.len());
-            self.find(if 2 * duplicates >= views.len() { Verdict::Usable } else { Verdict::Good }, text);
+            let text = format!("{duplicates} of {pictures} pictures repeat another one's view and add nothing");
+            self.find(if 2 * duplicates >= pictures { Verdict::Usable } else { Verdict::Good }, text);
         }
         match board.symmetry() {
             Symmetry::None => {}

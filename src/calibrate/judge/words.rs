@@ -3,7 +3,7 @@
 use super::super::board::Board;
 use super::super::finder::FoundBoard;
 use super::super::finder::lattice::median;
-use super::super::session::Inspected;
+use super::super::picture::Inspected;
 use super::super::solve::{Estimate, LEAST_VIEWS};
 
 /// The size of board that most pictures show instead, and in how many. A board at the picture's rim may be larger than it

@@ -12,7 +12,7 @@ use super::CalibrateArguments;
 use super::panel::Panel;
 use crate::calibrate::board::Board;
 use crate::calibrate::pick::{Look, ViewPicker};
-use crate::calibrate::session::Inspected;
+use crate::calibrate::picture::Inspected;
 use crate::capture::camera::CameraOpener;
 use crate::capture::{FrameSource, PlayedClip, RowContent};
 use crate::cli::failure::Failure;

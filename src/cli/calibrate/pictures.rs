@@ -12,7 +12,7 @@ use super::{CalibrateArguments, live};
 use crate::calibrate::board::Board;
 use crate::calibrate::origin::Origin;
 use crate::calibrate::pick::ViewPicker;
-use crate::calibrate::session::{Inspected, inspect};
+use crate::calibrate::picture::{Inspected, inspect};
 use crate::capture::{
     CaptureError, ClipOptions, LARGEST_PICTURE_FILE, RowContent, decode_oriented, open_clip, orientation_words, picture_size,
 };

@@ -8,14 +8,18 @@
 //! is ago, from which the pose stage makes stale messages.
 
 mod event;
+mod patience;
 mod pulse;
 mod reader;
+mod shutter;
 mod source;
 
 pub use event::{Event, EventListener, EventLog, StampedEvent};
+pub use patience::Patience;
 pub use pulse::Pulse;
 pub(super) use reader::dropped;
-pub use source::{LiveSource, LiveStop, Patience, Shutter};
+pub use shutter::Shutter;
+pub use source::{LiveSource, LiveStop};
 
 use std::sync::Arc;
 

@@ -11,7 +11,8 @@ use std::time::{Duration, Instant};
 use nix::libc;
 use nix::sys::signal::{SaFlags, SigAction, SigHandler, SigSet, Signal, sigaction};
 
-use super::source::{Patience, Shutter};
+use super::patience::Patience;
+use super::shutter::Shutter;
 use super::{Event, LiveLink};
 use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture};
 use crate::capture::timestamping::{StampTrust, monotonic_ns};

@@ -1,0 +1,58 @@
+//! One picture, before anything is estimated: the board in it, or why there is none, and what its file says.
+
+use std::path::PathBuf;
+
+use image::GrayImage;
+
+use super::board::Board;
+use super::finder::{FoundBoard, NoBoard, find_board};
+use super::origin::Origin;
+use super::recompute::BoardPatch;
+
+/// What one picture gave before anything was estimated.
+#[derive(Debug, Clone)]
+pub struct Inspected {
+    /// Name of the picture, for messages.
+    pub file: PathBuf,
+    /// Width and height, pixels; `None` where it cannot be read.
+    pub size: Option<(u32, u32)>,
+    /// The board, or why there is none.
+    pub board: Result<FoundBoard, String>,
+    /// Inner corners of what was seen instead, where that is another board, and whether more of it may lie outside the picture.
+    pub other_size: Option<((u32, u32), bool)>,
+    pub(crate) patch: Option<BoardPatch>,
+    /// A small copy for the report.
+    pub thumbnail: Option<GrayImage>,
+    /// What its file says of the camera.
+    pub origin: Origin,
+}
+
+/// Longer side of the report's small pictures, pixels.
+const THUMBNAIL_PX: u32 = 360;
+
+/// Looks for the board in one picture.
+pub fn inspect(file: PathBuf, picture: &GrayImage, board: &Board) -> Inspected {
+    let size = picture.dimensions();
+    let found = find_board(picture, board);
+    let other_size = match &found {
+        Err(NoBoard::OtherSize { columns, rows, cut, .. }) => Some(((*columns, *rows), *cut)),
+        _ => None,
+    };
+    let patch = found.as_ref().ok().map(|found| BoardPatch::cut(picture, found));
+    let scale = (f64::from(THUMBNAIL_PX) / f64::from(size.0.max(size.1))).min(1.0);
+    let side = |s: u32| ((f64::from(s) * scale).round() as u32).max(1);
+    let thumbnail = Some(image::imageops::thumbnail(picture, side(size.0), side(size.1)));
+    Inspected { file, size: Some(size), board: found.map_err(|e| e.to_string()), other_size, patch, thumbnail, origin: Origin::default() }
+}
+
+impl Inspected {
+    /// A picture that cannot be read, and why.
+    pub fn unreadable(file: PathBuf, reason: String) -> Self {
+        Self { file, size: None, board: Err(reason), other_size: None, patch: None, thumbnail: None, origin: Origin::default() }
+    }
+
+    /// With what the picture's file says of the camera.
+    pub fn taken_by(self, origin: Origin) -> Self {
+        Self { origin, ..self }
+    }
+}

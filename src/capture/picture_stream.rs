@@ -1,0 +1,46 @@
+//! What every form of clip gives: its pictures one by one, with their stamps, as they lie in the file.
+
+use image::{GrayImage, RgbImage};
+
+use super::error::CaptureError;
+
+/// A picture as it lies in the clip.
+pub(super) struct Picture {
+    /// Nanoseconds, or why they cannot be told.
+    pub stamp: Result<i64, String>,
+    /// The picture.
+    pub data: PictureData,
+}
+
+/// What there is of a picture.
+pub(super) enum PictureData {
+    /// A JPEG, PNG or PGM.
+    Encoded(Vec<u8>),
+    /// Grey levels.
+    Grey(GrayImage),
+    /// Grey levels, and the colours that were asked for.
+    Coloured(GrayImage, RgbImage),
+    /// Nothing, and why.
+    Missing(String),
+}
+
+/// Pictures with their stamps, in the order of the clip.
+pub(super) trait PictureStream: Send {
+    /// The next picture, or `None` at the end.
+    fn next_picture(&mut self) -> Option<Picture>;
+
+    /// How many there are from here to the end, where that is known.
+    fn pictures(&self) -> Option<u64> {
+        None
+    }
+
+    /// Whether all pictures are of one size, by the clip's form.
+    fn is_of_one_size(&self) -> bool {
+        false
+    }
+
+    /// Why the stream ended before its first picture, where that is a failure of its own.
+    fn failure(&mut self) -> Option<CaptureError> {
+        None
+    }
+}

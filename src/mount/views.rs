@@ -1,0 +1,33 @@
+//! What is measured: the poses of both cameras while the rig stood still, in one stage or in one each.
+
+use nalgebra::Matrix6;
+
+use crate::geometry::{Camera, Pose, Stage};
+
+/// A measured pose of a camera: `T_stage_camera`, and the covariance of [δp, δθ] in stage axes with p_true = p + δp and
+/// R_true = Exp(δθ) R, m and rad.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// Where the camera was.
+    pub pose: Pose<Stage, Camera>,
+    /// How well that is known.
+    pub covariance: Matrix6<f64>,
+}
+
+/// What both cameras measured while the rig stood still.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ViewPair {
+    /// The tracking camera.
+    pub tracking: View,
+    /// The filming camera, in its own stage.
+    pub filming: View,
+}
+
+/// Whether both cameras measure in the same stage.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stages {
+    /// One stage frame.
+    Shared,
+    /// A board for each camera; how the boards stand to one another is found too.
+    Apart,
+}
