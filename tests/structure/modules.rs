@@ -142,9 +142,12 @@ impl Reader {
     /// Takes note of a path, and of the name that it is given on by.
     fn add(&mut self, path: &[String], given_on_as: Option<String>) {
         let Some(path) = self.path_from_root(path) else { return };
-        match given_on_as {
-            Some(name) => drop(self.module.exports.insert(name, path)),
-            None => drop(self.module.used.insert(path)),
+        // What a parent gives on of its own children is no use of them.
+        if given_on_as.is_none() || !path.starts_with(&self.name) || path.len() <= self.name.len() {
+            self.module.used.insert(path.clone());
+        }
+        if let Some(name) = given_on_as {
+            self.module.exports.insert(name, path);
         }
     }
 }
