@@ -5,8 +5,8 @@
 use std::time::{Duration, Instant};
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use stagepose::capture::{FrameSource, Row, VirtualCamera};
-use stagepose::daemon::track_row;
+use stagepose::capture::{ClipEntry, FrameSource, VirtualCamera};
+use stagepose::daemon::track_entry;
 use stagepose::record::State;
 use stagepose::simulate::{Dolly, dolly};
 use stagepose::{Tracker, TrackerSetup};
@@ -18,7 +18,7 @@ fn frames(c: &mut Criterion) {
     for (width, height) in [(640, 480), (1280, 720)] {
         let choice = Dolly { width, height, seed: 1, duration_s: 1.0, artwork_width: 1600 };
         let mut camera = VirtualCamera::new(dolly(choice).expect("a scene"), 30.0, FRAMES);
-        let rows: Vec<Row> = std::iter::from_fn(|| camera.next_row()).collect();
+        let rows: Vec<ClipEntry> = std::iter::from_fn(|| camera.next_entry()).collect();
         let setup = TrackerSetup::from(camera.stage());
         c.bench_function(&format!("track a frame {width}x{height}"), |b| {
             b.iter_custom(|iterations| (0..iterations).map(|_| pass(&setup, &rows)).sum::<Duration>() / FRAMES as u32)
@@ -27,10 +27,10 @@ fn frames(c: &mut Criterion) {
 }
 
 /// Time to track all rows.
-fn pass(setup: &TrackerSetup, rows: &[Row]) -> Duration {
+fn pass(setup: &TrackerSetup, rows: &[ClipEntry]) -> Duration {
     let mut tracker = Tracker::new(setup.clone());
     let start = Instant::now();
-    let tracked = rows.iter().filter(|row| track_row(&mut tracker, row).state == State::Tracking).count();
+    let tracked = rows.iter().filter(|row| track_entry(&mut tracker, row).state == State::Tracking).count();
     let spent = start.elapsed();
     assert_eq!(tracked as u64, FRAMES - 1, "a lost frame costs less than a tracked one");
     spent

@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Point3, UnitQuaternion, Vector2, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use stagepose::camera::{CameraModel, Normalized};
-use stagepose::capture::{FrameSource, RowContent, VirtualCamera};
+use stagepose::capture::{EntryContent, FrameSource, VirtualCamera};
 use stagepose::features::{
     CornerBuffers, CornerOptions, ExtractorOptions, FeatureExtractor, Pyramid, Workers, describe, detect_corners, orientation, smooth_into,
 };
@@ -143,8 +143,8 @@ fn alignment(c: &mut Criterion) {
         30.0,
         1,
     );
-    let (scene, row) = (camera.stage().clone(), camera.next_row());
-    let Some(RowContent::Frame(frame)) = row.map(|r| r.content) else { panic!("a virtual camera loses no frame") };
+    let (scene, row) = (camera.stage().clone(), camera.next_entry());
+    let Some(EntryContent::Frame(frame)) = row.map(|r| r.content) else { panic!("a virtual camera loses no frame") };
     let seen: Pose<Camera, Body> = scene.truth(0.0).inverse().renamed();
     let mut kernels = AlignKernels::new(frame.image, scene.camera, &scene.stage.surfaces[0], &seen);
     c.bench_function("halve 1280x720", |b| b.iter(|| kernels.halve()));

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!  clip on disk ┐
-//!  virtual stage┴> capture ──Row──> matcher ──Sighting──> pose ──PoseSample──> crossbeam channels
+//!  virtual stage┴> capture ─Entry──> matcher ──Sighting──> pose ──PoseSample──> crossbeam channels
 //!                  thread           (features, matches,   (stage frame,        (one a subscriber)
 //!                                   candidates, verified) prediction)
 //! ```

@@ -4,7 +4,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use stagepose::capture::{FrameSource, RowContent, VirtualCamera};
+use stagepose::capture::{EntryContent, FrameSource, VirtualCamera};
 use stagepose::record::State;
 use stagepose::simulate::{Dolly, dolly};
 use stagepose::{Tracker, TrackerSetup};
@@ -43,11 +43,11 @@ const COUNTED: usize = 40;
 fn a_followed_frame_allocates_nothing() {
     let choice = Dolly { width: 640, height: 480, seed: 4, duration_s: 3.0, artwork_width: 1000 };
     let mut camera = VirtualCamera::new(dolly(choice).expect("a scene"), 30.0, (WARM_UP + COUNTED) as u64);
-    let rows: Vec<_> = std::iter::from_fn(|| camera.next_row()).collect();
+    let rows: Vec<_> = std::iter::from_fn(|| camera.next_entry()).collect();
     let mut tracker = Tracker::new(TrackerSetup::from(camera.stage()));
     let mut counts = Vec::with_capacity(rows.len());
     for row in &rows {
-        let RowContent::Frame(frame) = &row.content else { panic!("a virtual camera loses no frame") };
+        let EntryContent::Frame(frame) = &row.content else { panic!("a virtual camera loses no frame") };
         let before = ASKED.get();
         let sample = tracker.track(frame).expect("a virtual camera's frame");
         counts.push((ASKED.get() - before, sample.state));

@@ -13,9 +13,9 @@ use image::metadata::Orientation;
 
 use super::error::CaptureError;
 use super::grey::{decode_oriented, orientation_words};
-use super::order::RowOrder;
+use super::order::EntryOrder;
 use super::picture_stream::{PictureData, PictureStream};
-use super::{FrameSource, Received, Row, RowContent, colour};
+use super::{ClipEntry, EntryContent, FrameSource, Received, colour};
 use crate::frame::Frame;
 
 /// A clip as a source of rows.
@@ -23,10 +23,10 @@ pub(super) struct Clip {
     stream: Box<dyn PictureStream>,
     rows: Option<u64>,
     /// Rows that were read to find the size.
-    ahead: VecDeque<Row>,
+    ahead: VecDeque<ClipEntry>,
     /// Width and height of the clip's pictures, once that is decided.
     size: Option<(u32, u32)>,
-    order: RowOrder,
+    order: EntryOrder,
     /// Set by the first picture that its file says to show turned.
     turned: Option<String>,
     /// Whether rows carry what their pictures were before they became grey.
@@ -50,7 +50,7 @@ impl Clip {
         calibrated: Option<(u32, u32)>,
         keeps_colours: bool,
     ) -> Result<Self, CaptureError> {
-        let (rows, order) = (stream.pictures(), RowOrder::default());
+        let (rows, order) = (stream.pictures(), EntryOrder::default());
         let mut clip = Self { rows, stream, ahead: VecDeque::new(), size: None, order, turned: None, keeps_colours };
         let mut sizes: Vec<(u32, u32)> = Vec::new();
         let is_enough = |sizes: &[(u32, u32)], one: bool| {
@@ -60,7 +60,7 @@ impl Clip {
         };
         while !is_enough(&sizes, clip.stream.is_of_one_size()) {
             let Some(row) = clip.read_row() else { break };
-            if let RowContent::Frame(frame) = &row.content {
+            if let EntryContent::Frame(frame) = &row.content {
                 sizes.push(frame.image.dimensions());
             }
             clip.ahead.push_back(row);
@@ -80,21 +80,21 @@ impl Clip {
             (None, None) => CaptureError::Empty { path },
             (Some(row), None) => {
                 let reason = match &row.content {
-                    RowContent::Undecodable(reason) | RowContent::Skipped(reason) => reason.clone(),
-                    RowContent::Frame(_) => String::new(),
+                    EntryContent::Undecodable(reason) | EntryContent::Skipped(reason) => reason.clone(),
+                    EntryContent::Frame(_) => String::new(),
                 };
                 CaptureError::NoFrameReadable { path, rows: self.order.rows(), reason }
             }
         }
     }
 
-    fn read_row(&mut self) -> Option<Row> {
+    fn read_row(&mut self) -> Option<ClipEntry> {
         let picture = self.stream.next_picture()?;
         let sequence = self.order.number();
-        let skipped = |timestamp_ns, reason| Row {
+        let skipped = |timestamp_ns, reason| ClipEntry {
             sequence,
             timestamp_ns,
-            content: RowContent::Skipped(reason),
+            content: EntryContent::Skipped(reason),
             decode: Duration::ZERO,
             received: None,
         };
@@ -120,13 +120,13 @@ impl Clip {
         };
         let decode = start.elapsed();
         let mut content = match image {
-            Ok(image) => RowContent::Frame(Frame { image, timestamp_ns, sequence }),
-            Err(reason) => RowContent::Undecodable(reason),
+            Ok(image) => EntryContent::Frame(Frame { image, timestamp_ns, sequence }),
+            Err(reason) => EntryContent::Undecodable(reason),
         };
         if let Some(size) = self.size {
             skip_other_sizes(&mut content, size);
         }
-        Some(Row { sequence, timestamp_ns, content, decode, received })
+        Some(ClipEntry { sequence, timestamp_ns, content, decode, received })
     }
 
     fn note_turned(&mut self, orientation: Orientation, sequence: u64) {
@@ -155,17 +155,17 @@ fn chosen(sizes: &[(u32, u32)], calibrated: Option<(u32, u32)>) -> Option<(u32, 
 }
 
 /// A picture of another size than the clip's is not tracked.
-fn skip_other_sizes(content: &mut RowContent, (width, height): (u32, u32)) {
-    if let RowContent::Frame(Frame { image, .. }) = content
+fn skip_other_sizes(content: &mut EntryContent, (width, height): (u32, u32)) {
+    if let EntryContent::Frame(Frame { image, .. }) = content
         && image.dimensions() != (width, height)
     {
         let (w, h) = image.dimensions();
-        *content = RowContent::Skipped(format!("the picture is {w} x {h} pixels, the clip's are {width} x {height}"));
+        *content = EntryContent::Skipped(format!("the picture is {w} x {h} pixels, the clip's are {width} x {height}"));
     }
 }
 
 impl FrameSource for Clip {
-    fn next_row(&mut self) -> Option<Row> {
+    fn next_entry(&mut self) -> Option<ClipEntry> {
         self.ahead.pop_front().or_else(|| self.read_row())
     }
 

@@ -10,7 +10,7 @@ use image::GrayImage;
 use super::camera::{CapturedPicture, PixelLayout};
 use super::grey::{decode_grey, luma_8};
 use super::jpeg_markers::{JpegWalk, Walked};
-use super::{Received, RowContent};
+use super::{EntryContent, Received};
 use crate::frame::Frame;
 
 /// A picture once decoded.
@@ -44,17 +44,17 @@ pub fn decode_picture(picture: &CapturedPicture, layout: PixelLayout, size: (u32
 
 impl Decoded {
     /// What a row holds of it: pictures that are not of the session's size are not tracked.
-    pub fn content(self, size: (u32, u32), timestamp_ns: i64, sequence: u64) -> (RowContent, Received) {
+    pub fn content(self, size: (u32, u32), timestamp_ns: i64, sequence: u64) -> (EntryContent, Received) {
         let content = match self.image {
-            Ok(image) if image.dimensions() == size => RowContent::Frame(Frame { image, timestamp_ns, sequence }),
-            Ok(image) => RowContent::Skipped(format!(
+            Ok(image) if image.dimensions() == size => EntryContent::Frame(Frame { image, timestamp_ns, sequence }),
+            Ok(image) => EntryContent::Skipped(format!(
                 "the picture is {} x {} pixels, the camera's are {} x {}",
                 image.width(),
                 image.height(),
                 size.0,
                 size.1
             )),
-            Err(reason) => RowContent::Undecodable(reason),
+            Err(reason) => EntryContent::Undecodable(reason),
         };
         (content, self.received)
     }

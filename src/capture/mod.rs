@@ -41,7 +41,7 @@ pub use grey::{DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_oriented, 
 pub use luma::{Decoded, decode_picture};
 pub use mjpeg::MjpegReader;
 pub use open::{ClipOptions, open_clip, open_clip_in_colour};
-pub use order::RowOrder;
+pub use order::EntryOrder;
 pub use played::PlayedClip;
 pub use rate::FrameRate;
 pub use timestamps::{StampRow, TimestampsError, read_timestamps};
@@ -53,15 +53,15 @@ use image::RgbImage;
 
 pub use virtual_stage::VirtualCamera;
 
-/// One row of a clip: a frame, or why there is none.
+/// One entry of a clip (a row of its timestamps.csv): a frame, or why there is none.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct ClipEntry {
     /// Row number from 0.
     pub sequence: u64,
     /// Mid-exposure of the middle row, monotonic nanoseconds.
     pub timestamp_ns: i64,
     /// What the row holds.
-    pub content: RowContent,
+    pub content: EntryContent,
     /// Time spent on turning its bytes into grey levels; reading and waiting excluded, zero for raw pictures.
     pub decode: Duration,
     /// What the row's picture was before it became grey: of a camera for the recorder, of a clip only where its colours were asked for.
@@ -85,7 +85,7 @@ pub enum Received {
 
 /// What a row holds.
 #[derive(Debug, Clone, PartialEq)]
-pub enum RowContent {
+pub enum EntryContent {
     /// A picture.
     Frame(Frame),
     /// A picture that could not be read; time went on all the same. Holds the reason as a sentence.
@@ -98,7 +98,7 @@ pub enum RowContent {
 /// A stream of rows: a clip, the virtual stage, a camera.
 pub trait FrameSource: Send {
     /// The next row, or `None` at the end.
-    fn next_row(&mut self) -> Option<Row>;
+    fn next_entry(&mut self) -> Option<ClipEntry>;
 
     /// Width and height of the pictures, pixels.
     fn size(&self) -> (u32, u32);

@@ -7,7 +7,7 @@ use std::process::Command;
 use image::{GrayImage, Luma};
 use tempfile::TempDir;
 
-use super::super::{ClipWriter, PictureFormat, Row, RowContent, decode_grey};
+use super::super::{ClipEntry, ClipWriter, EntryContent, PictureFormat, decode_grey};
 use super::*;
 use crate::frame::Frame;
 
@@ -25,11 +25,11 @@ fn jpeg(level: u8) -> Vec<u8> {
     bytes
 }
 
-fn rows(path: impl AsRef<Path>, fps: Option<f64>) -> Vec<Row> {
+fn rows(path: impl AsRef<Path>, fps: Option<f64>) -> Vec<ClipEntry> {
     let mut clip = open_clip(path, ClipOptions { fps, ..ClipOptions::default() }).unwrap();
     assert_eq!(clip.size(), (32, 24));
     let expected = clip.rows();
-    let rows: Vec<Row> = std::iter::from_fn(|| clip.next_row()).collect();
+    let rows: Vec<ClipEntry> = std::iter::from_fn(|| clip.next_entry()).collect();
     assert!(rows.iter().enumerate().all(|(n, row)| row.sequence == n as u64));
     assert!(expected.is_none_or(|n| n == rows.len() as u64), "{expected:?} rows were promised, {} came", rows.len());
     rows
@@ -40,16 +40,16 @@ fn refusal(path: impl AsRef<Path>) -> CaptureError {
 }
 
 /// One letter a row: Frame, Undecodable, Skipped.
-fn kinds(rows: &[Row]) -> String {
-    let kind = |r: &Row| match r.content {
-        RowContent::Frame(_) => 'F',
-        RowContent::Undecodable(_) => 'U',
-        RowContent::Skipped(_) => 'S',
+fn kinds(rows: &[ClipEntry]) -> String {
+    let kind = |r: &ClipEntry| match r.content {
+        EntryContent::Frame(_) => 'F',
+        EntryContent::Undecodable(_) => 'U',
+        EntryContent::Skipped(_) => 'S',
     };
     rows.iter().map(kind).collect()
 }
 
-fn stamps(rows: &[Row]) -> Vec<i64> {
+fn stamps(rows: &[ClipEntry]) -> Vec<i64> {
     rows.iter().map(|r| r.timestamp_ns).collect()
 }
 
@@ -65,7 +65,7 @@ fn written(format: PictureFormat) -> TempDir {
 fn what_the_writer_wrote_is_read() {
     for format in [PictureFormat::Png, PictureFormat::Pgm] {
         let folder = written(format);
-        let wanted: Vec<_> = (0..4).map(|n| RowContent::Frame(frame(n))).collect();
+        let wanted: Vec<_> = (0..4).map(|n| EntryContent::Frame(frame(n))).collect();
         assert_eq!(rows(&folder, None).into_iter().map(|r| r.content).collect::<Vec<_>>(), wanted);
     }
     assert_eq!(stamps(&rows(written(PictureFormat::Jpeg { quality: 90 }), None)), [1_000, 40_001_000, 80_001_000, 120_001_000]);
@@ -129,7 +129,7 @@ fn a_frame_that_is_no_plain_file_is_a_row_without_a_picture() {
     fs::write(folder.path().join("timestamps.csv"), csv).unwrap();
     let rows = rows(&folder, None);
     assert_eq!(kinds(&rows), "UFUU");
-    let RowContent::Undecodable(reason) = &rows[0].content else { panic!("{:?}", rows[0].content) };
+    let EntryContent::Undecodable(reason) = &rows[0].content else { panic!("{:?}", rows[0].content) };
     assert!(reason.ends_with("pipe.png cannot be read: it is a named pipe, not a plain file"), "{reason}");
     fs::remove_file(folder.path().join("timestamps.csv")).unwrap();
     nix::unistd::mkfifo(&folder.path().join("timestamps.csv"), nix::sys::stat::Mode::S_IRWXU).unwrap();
@@ -143,7 +143,7 @@ fn a_stray_first_picture_does_not_make_all_others_strays() {
     assert_eq!(kinds(&rows(&folder, None)), "SFFF");
     let of = |calibrated| {
         let mut clip = open_clip(&folder, ClipOptions { calibrated, ..ClipOptions::default() }).unwrap();
-        (clip.size(), kinds(&std::iter::from_fn(|| clip.next_row()).collect::<Vec<_>>()))
+        (clip.size(), kinds(&std::iter::from_fn(|| clip.next_entry()).collect::<Vec<_>>()))
     };
     assert_eq!(of(Some((64, 24))), ((64, 24), "FSSS".to_owned()), "the calibration's size");
     assert_eq!(of(Some((640, 240))), ((64, 24), "FSSS".to_owned()), "its shape");
@@ -172,7 +172,7 @@ fn a_folder_of_pictures_is_read_in_the_order_of_names() {
     fs::write(folder.path().join("notes.txt"), "x").unwrap();
     fs::write(folder.path().join(".hidden.png"), "x").unwrap();
     let read = rows(&folder, None);
-    let firsts: Vec<u8> = read.iter().map(|r| if let RowContent::Frame(f) = &r.content { f.image.as_raw()[0] } else { 0 }).collect();
+    let firsts: Vec<u8> = read.iter().map(|r| if let EntryContent::Frame(f) = &r.content { f.image.as_raw()[0] } else { 0 }).collect();
     assert_eq!((firsts, stamps(&read)), (vec![1, 3, 2], vec![0, 33_333_333, 66_666_667]));
     assert_eq!(stamps(&rows(&folder, Some(50.0))), [0, 20_000_000, 40_000_000]);
 }
@@ -186,7 +186,7 @@ fn y4m_is_read_at_its_own_rate_or_the_given_one() {
     fs::write(&path, &bytes).unwrap();
     let read = rows(&path, None);
     assert_eq!((kinds(&read).as_str(), stamps(&read)), ("FFF", vec![0, 40_000_000, 80_000_000]));
-    assert_eq!(read[1].content, RowContent::Frame(Frame { image: picture(1), timestamp_ns: 40_000_000, sequence: 1 }));
+    assert_eq!(read[1].content, EntryContent::Frame(Frame { image: picture(1), timestamp_ns: 40_000_000, sequence: 1 }));
     assert_eq!(stamps(&rows(&path, Some(10.0)))[2], 200_000_000);
     fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
     assert_eq!(kinds(&rows(&path, None)), "FFU");
@@ -294,8 +294,8 @@ fn jpegs_of_every_sampling_are_whole_or_refused() {
 }
 
 /// The picture of a row; 1 x 1 pixel where it has none.
-fn image(row: &Row) -> GrayImage {
-    if let RowContent::Frame(f) = &row.content { f.image.clone() } else { GrayImage::new(1, 1) }
+fn image(row: &ClipEntry) -> GrayImage {
+    if let EntryContent::Frame(f) = &row.content { f.image.clone() } else { GrayImage::new(1, 1) }
 }
 
 #[test]

@@ -2,16 +2,16 @@
 //!
 //! Clips and the live pipeline share this rule, so that a recording replays as it was tracked.
 
-use super::{Row, RowContent};
+use super::{ClipEntry, EntryContent};
 
 /// Numbers rows and watches their stamps.
 #[derive(Debug, Clone, Default)]
-pub struct RowOrder {
+pub struct EntryOrder {
     next_sequence: u64,
     last_stamp_ns: Option<i64>,
 }
 
-impl RowOrder {
+impl EntryOrder {
     /// The number of the next row.
     pub fn number(&mut self) -> u64 {
         self.next_sequence += 1;
@@ -43,11 +43,11 @@ impl RowOrder {
     }
 
     /// A live row as a replay of the same rows would give it.
-    pub fn admit(&mut self, mut row: Row) -> Row {
+    pub fn admit(&mut self, mut row: ClipEntry) -> ClipEntry {
         row.sequence = self.number();
         match (self.follow(row.timestamp_ns), &mut row.content) {
-            (Err(reason), content) => *content = RowContent::Skipped(reason),
-            (Ok(()), RowContent::Frame(frame)) => frame.sequence = row.sequence,
+            (Err(reason), content) => *content = EntryContent::Skipped(reason),
+            (Ok(()), EntryContent::Frame(frame)) => frame.sequence = row.sequence,
             (Ok(()), _) => {}
         }
         row
@@ -62,17 +62,17 @@ mod tests {
 
     #[test]
     fn a_stamp_that_stands_still_or_goes_back_is_skipped_and_costs_only_itself() {
-        let row = |timestamp_ns| Row {
+        let row = |timestamp_ns| ClipEntry {
             sequence: 77,
             timestamp_ns,
-            content: RowContent::Undecodable("dark".into()),
+            content: EntryContent::Undecodable("dark".into()),
             decode: Duration::ZERO,
             received: None,
         };
-        let mut order = RowOrder::default();
-        let rows: Vec<Row> = [10, 10, 5, 11].map(|t| order.admit(row(t))).into();
+        let mut order = EntryOrder::default();
+        let rows: Vec<ClipEntry> = [10, 10, 5, 11].map(|t| order.admit(row(t))).into();
         assert_eq!(rows.iter().map(|r| r.sequence).collect::<Vec<_>>(), [0, 1, 2, 3]);
-        let skipped: Vec<bool> = rows.iter().map(|r| matches!(r.content, RowContent::Skipped(_))).collect();
+        let skipped: Vec<bool> = rows.iter().map(|r| matches!(r.content, EntryContent::Skipped(_))).collect();
         assert_eq!(skipped, [false, true, true, false]);
     }
 }

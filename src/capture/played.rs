@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use super::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
 use super::timestamping::{DriverStamp, monotonic_ns};
-use super::{CaptureError, ClipOptions, FrameSource, MjpegReader, Row, RowContent, open_clip};
+use super::{CaptureError, ClipEntry, ClipOptions, EntryContent, FrameSource, MjpegReader, open_clip};
 
 /// Plays a clip once.
 pub struct PlayedClip {
@@ -109,9 +109,9 @@ impl Pictures {
                 *next += 1;
                 Some((((*next - 1) as f64 * 1e9 / fps).round() as i64, bytes))
             }
-            Self::Rows(rows) => rows.next_row().map(|Row { timestamp_ns, content, .. }| match content {
-                RowContent::Frame(frame) => (timestamp_ns, frame.image.into_raw()),
-                RowContent::Undecodable(_) | RowContent::Skipped(_) => (timestamp_ns, Vec::new()),
+            Self::Rows(rows) => rows.next_entry().map(|ClipEntry { timestamp_ns, content, .. }| match content {
+                EntryContent::Frame(frame) => (timestamp_ns, frame.image.into_raw()),
+                EntryContent::Undecodable(_) | EntryContent::Skipped(_) => (timestamp_ns, Vec::new()),
             }),
         }
     }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::{FrameSource, Row, RowContent};
+use super::{ClipEntry, EntryContent, FrameSource};
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::simulate::{Renderer, VirtualStage};
@@ -49,7 +49,7 @@ impl VirtualCamera {
 }
 
 impl FrameSource for VirtualCamera {
-    fn next_row(&mut self) -> Option<Row> {
+    fn next_entry(&mut self) -> Option<ClipEntry> {
         let sequence = self.next;
         if sequence >= self.frames {
             return None;
@@ -58,8 +58,8 @@ impl FrameSource for VirtualCamera {
         let timestamp_ns = self.timestamp_ns(sequence);
         let image = self.renderer.render(self.time_s(sequence), sequence);
         // Rendering stands for the world, not for decoding: it costs the tracker nothing.
-        let content = RowContent::Frame(Frame { image, timestamp_ns, sequence });
-        Some(Row { sequence, timestamp_ns, content, decode: Duration::ZERO, received: None })
+        let content = EntryContent::Frame(Frame { image, timestamp_ns, sequence });
+        Some(ClipEntry { sequence, timestamp_ns, content, decode: Duration::ZERO, received: None })
     }
 
     fn size(&self) -> (u32, u32) {
@@ -82,12 +82,12 @@ mod tests {
         let mut camera = VirtualCamera::new(scene, 30.0, 3);
         assert_eq!((camera.size(), camera.rows()), ((40, 30), Some(3)));
         for (sequence, timestamp_ns) in [(0, 0), (1, 33_333_333), (2, 66_666_667)] {
-            let row = camera.next_row().unwrap();
+            let row = camera.next_entry().unwrap();
             assert_eq!((row.sequence, row.timestamp_ns), (sequence, timestamp_ns));
-            let RowContent::Frame(frame) = row.content else { panic!("the virtual stage has a picture for every row") };
+            let EntryContent::Frame(frame) = row.content else { panic!("the virtual stage has a picture for every row") };
             assert_eq!((frame.sequence, frame.timestamp_ns, frame.image.dimensions()), (sequence, timestamp_ns, (40, 30)));
             assert_eq!(camera.truth(sequence), camera.stage().truth(timestamp_ns as f64 * 1e-9));
         }
-        assert_eq!(camera.next_row(), None);
+        assert_eq!(camera.next_entry(), None);
     }
 }

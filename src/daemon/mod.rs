@@ -1,17 +1,17 @@
 //! The running tracker: the three stages of the design as threads joined by bounded channels.
 //!
 //! [`Daemon`] runs capture, matcher and pose on a thread each; data moves one way, and a stage ends when its input ends.
-//! [`track_row`] is what they make of one row of a clip, in the calling thread. [`live`] owns a camera
+//! [`track_entry`] is what they make of one row of a clip, in the calling thread. [`live`] owns a camera
 //! that may fail.
 
+mod entries;
 pub mod live;
 mod reason_watch;
 pub mod recorder;
-mod rows;
 mod stale;
 mod thread_time;
 mod threads;
 
-pub use rows::track_row;
+pub use entries::track_entry;
 pub use thread_time::thread_clock;
 pub use threads::{Daemon, DaemonError, Delivery, RunningDaemon};

@@ -7,12 +7,12 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use thiserror::Error;
 
+use super::entries::sight;
 use super::live::{LiveLink, LiveSource, dropped};
 use super::reason_watch::ReasonWatch;
-use super::rows::sight;
 use super::stale::StaleWatch;
 use crate::capture::timestamping::monotonic_ns;
-use crate::capture::{FrameSource, Row, RowContent, RowOrder};
+use crate::capture::{ClipEntry, EntryContent, EntryOrder, FrameSource};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::PoseSample;
 use crate::track::{Matcher, Sighting};
@@ -44,7 +44,7 @@ pub enum DaemonError {
 }
 
 /// What sees every row with its sample, on the pose thread: overlays, recorders.
-type Observer = Box<dyn FnMut(&Row, &PoseSample) + Send>;
+type Observer = Box<dyn FnMut(&ClipEntry, &PoseSample) + Send>;
 
 /// Rows that may wait between two stages.
 const QUEUE: usize = 4;
@@ -109,7 +109,7 @@ impl Daemon {
     }
 
     /// Calls `observer` on the pose thread with every row and its sample, before subscribers get it.
-    pub fn observe(&mut self, observer: impl FnMut(&Row, &PoseSample) + Send + 'static) {
+    pub fn observe(&mut self, observer: impl FnMut(&ClipEntry, &PoseSample) + Send + 'static) {
         self.observers.push(Box::new(observer));
     }
 
@@ -128,7 +128,7 @@ impl Daemon {
         let (to_matcher, rows) = row_channel(delivery);
         let (to_pose, sightings) = bounded(QUEUE);
         let capture = Capture { source, to_matcher, stop: stop.clone(), dropped: dropped.clone(), live: live.clone() };
-        let (order, watch) = (live.as_ref().map(|_| RowOrder::default()), live.map(|link| StaleWatch::new(link, stop.clone())));
+        let (order, watch) = (live.as_ref().map(|_| EntryOrder::default()), live.map(|link| StaleWatch::new(link, stop.clone())));
         // The last one first: a stage whose input never begins ends by itself, while a source that is being read may not.
         let stages: [(&'static str, Run); 3] = [
             ("pose", Box::new(move || publish(poses, &sightings, observers, subscribers, watch))),
@@ -190,11 +190,11 @@ impl RunningDaemon {
 type Run = Box<dyn FnOnce() + Send>;
 
 enum RowSender {
-    Blocking(Sender<Row>),
-    Latest(DropOldestSender<Row>),
+    Blocking(Sender<ClipEntry>),
+    Latest(DropOldestSender<ClipEntry>),
 }
 
-fn row_channel(delivery: Delivery) -> (RowSender, Receiver<Row>) {
+fn row_channel(delivery: Delivery) -> (RowSender, Receiver<ClipEntry>) {
     match delivery {
         Delivery::Blocking => {
             let (sender, receiver) = bounded(QUEUE);
@@ -219,7 +219,7 @@ struct Capture {
 impl Capture {
     fn run(mut self) {
         while !self.stop.load(Ordering::Relaxed) {
-            let Some(row) = self.source.next_row() else { return };
+            let Some(row) = self.source.next_entry() else { return };
             match &self.to_matcher {
                 RowSender::Blocking(sender) => {
                     if sender.send(row).is_err() {
@@ -227,7 +227,7 @@ impl Capture {
                     }
                 }
                 RowSender::Latest(sender) => {
-                    let late = |row: Row| self.live.iter().for_each(|live| dropped(live, row.timestamp_ns));
+                    let late = |row: ClipEntry| self.live.iter().for_each(|live| dropped(live, row.timestamp_ns));
                     self.dropped.fetch_add(sender.send_dropping(row, late) as u64, Ordering::Relaxed);
                 }
             }
@@ -237,13 +237,13 @@ impl Capture {
 
 /// A row, what the matcher makes of it, and how old it was when that began.
 struct Seen {
-    row: Row,
+    row: ClipEntry,
     sighting: Sighting,
     age_ms: Option<f64>,
 }
 
 /// `order` numbers the rows of a camera as they are tracked, after some were dropped.
-fn match_rows(mut matcher: Matcher, mut order: Option<RowOrder>, rows: &Receiver<Row>, to_pose: &Sender<Seen>) {
+fn match_rows(mut matcher: Matcher, mut order: Option<EntryOrder>, rows: &Receiver<ClipEntry>, to_pose: &Sender<Seen>) {
     for row in rows {
         let age_ms = order.as_ref().map(|_| monotonic_ns().saturating_sub(row.timestamp_ns) as f64 * 1e-6);
         let row = match &mut order {
@@ -294,11 +294,11 @@ fn publish(
     }
 }
 
-fn count(live: &LiveLink, row: &Row, sample: &PoseSample) {
+fn count(live: &LiveLink, row: &ClipEntry, sample: &PoseSample) {
     match row.content {
-        RowContent::Frame(_) => {}
-        RowContent::Undecodable(_) => live.statistics.undecodable_row(),
-        RowContent::Skipped(_) => live.statistics.skipped_row(),
+        EntryContent::Frame(_) => {}
+        EntryContent::Undecodable(_) => live.statistics.undecodable_row(),
+        EntryContent::Skipped(_) => live.statistics.skipped_row(),
     }
     live.statistics.sample(sample);
 }
@@ -328,10 +328,10 @@ mod tests {
     struct Endless(#[expect(dead_code, reason = "it is counted while the source lives")] Arc<()>);
 
     impl FrameSource for Endless {
-        fn next_row(&mut self) -> Option<Row> {
+        fn next_entry(&mut self) -> Option<ClipEntry> {
             std::thread::sleep(std::time::Duration::from_millis(1));
-            let content = RowContent::Undecodable("as told".to_owned());
-            Some(Row { sequence: 0, timestamp_ns: 0, content, decode: std::time::Duration::ZERO, received: None })
+            let content = EntryContent::Undecodable("as told".to_owned());
+            Some(ClipEntry { sequence: 0, timestamp_ns: 0, content, decode: std::time::Duration::ZERO, received: None })
         }
 
         fn size(&self) -> (u32, u32) {

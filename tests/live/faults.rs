@@ -10,7 +10,7 @@ use stagepose::config::Settings;
 use stagepose::daemon::RunningDaemon;
 use stagepose::daemon::live::{Event, LiveLink, LiveStop, StampedEvent};
 use stagepose::daemon::recorder::{AboutClip, RealDisk, Recorder, RecorderPlan};
-use stagepose::daemon::track_row;
+use stagepose::daemon::track_entry;
 use stagepose::record::{PoseSample, State};
 use stagepose::{Daemon, Tracker};
 
@@ -176,7 +176,8 @@ fn a_recording_full_of_faults_replays_byte_for_byte() {
     recorder.finish();
     let mut tracker = Tracker::new(tracker_setup());
     let mut replay = open_clip(&clip, ClipOptions::default()).unwrap();
-    let again: String = std::iter::from_fn(|| replay.next_row()).map(|row| track_row(&mut tracker, &row).to_json_line() + "\n").collect();
+    let again: String =
+        std::iter::from_fn(|| replay.next_entry()).map(|row| track_entry(&mut tracker, &row).to_json_line() + "\n").collect();
     let recorded = std::fs::read_to_string(clip.join("poses.jsonl")).unwrap();
     assert_eq!(recorded.lines().count(), 60);
     assert!(recorded.contains("\"tracking\"") && recorded.contains("\"pose\":null"));

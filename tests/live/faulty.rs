@@ -12,7 +12,7 @@ use rand_pcg::Pcg64Mcg;
 use stagepose::TrackerSetup;
 use stagepose::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
 use stagepose::capture::timestamping::{DriverStamp, mid_exposure_ns, monotonic_ns};
-use stagepose::capture::{FrameSource, RowContent, VirtualCamera};
+use stagepose::capture::{EntryContent, FrameSource, VirtualCamera};
 use stagepose::daemon::live::{LiveLink, LiveSource, Patience, Shutter};
 use stagepose::geometry::{self, Pose, Stage};
 use stagepose::simulate::VirtualStage;
@@ -45,8 +45,8 @@ pub fn take() -> &'static Take {
     TAKE.get_or_init(|| {
         let mut camera = VirtualCamera::new(scene(), FPS, 30);
         let (mut jpegs, mut truths) = (Vec::new(), Vec::new());
-        while let Some(row) = camera.next_row() {
-            let RowContent::Frame(frame) = row.content else { continue };
+        while let Some(row) = camera.next_entry() {
+            let EntryContent::Frame(frame) = row.content else { continue };
             jpegs.push(jpeg(&frame.image));
             truths.push(camera.truth(row.sequence));
         }
@@ -357,8 +357,8 @@ fn other_stage() -> &'static Vec<u8> {
         let art = crate::pipeline::scene::other_art();
         let surface = crate::pipeline::scene::surface("other", art, [4.0, 3.0], nalgebra::Vector3::zeros(), 0.0);
         let stage = quiet(camera(SIZE.0, SIZE.1), past(), crate::pipeline::scene::body(vec![surface]));
-        let row = VirtualCamera::new(stage, FPS, 1).next_row().unwrap();
-        let RowContent::Frame(frame) = row.content else { panic!("the virtual stage has a picture for every row") };
+        let row = VirtualCamera::new(stage, FPS, 1).next_entry().unwrap();
+        let EntryContent::Frame(frame) = row.content else { panic!("the virtual stage has a picture for every row") };
         jpeg(&frame.image)
     })
 }

@@ -13,8 +13,8 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use stagepose::camera::{CameraModel, Intrinsics};
-use stagepose::capture::{Row, RowContent};
-use stagepose::daemon::track_row;
+use stagepose::capture::{ClipEntry, EntryContent};
+use stagepose::daemon::track_entry;
 use stagepose::frame::Frame;
 use stagepose::geometry::Pose;
 use stagepose::simulate::{
@@ -85,7 +85,8 @@ fn track_scene(seed: u64) -> [u64; 2] {
         };
         let frame = Frame { image, timestamp_ns: (time_s * 1e9) as i64, sequence };
         let (timestamp_ns, decode) = (frame.timestamp_ns, Duration::ZERO);
-        let sample = track_row(&mut tracker, &Row { sequence, timestamp_ns, content: RowContent::Frame(frame), decode, received: None });
+        let sample =
+            track_entry(&mut tracker, &ClipEntry { sequence, timestamp_ns, content: EntryContent::Frame(frame), decode, received: None });
         assert_record_holds(&sample);
         tracked += u64::from(sample.measurement.is_some());
     }

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, bounded};
-use stagepose::capture::{FrameSource, Row, RowContent, VirtualCamera};
+use stagepose::capture::{ClipEntry, EntryContent, FrameSource, VirtualCamera};
 use stagepose::daemon::{Delivery, RunningDaemon};
 use stagepose::record::PoseSample;
 use stagepose::simulate::VirtualStage;
@@ -64,7 +64,7 @@ struct Beats {
 }
 
 impl FrameSource for Beats {
-    fn next_row(&mut self) -> Option<Row> {
+    fn next_entry(&mut self) -> Option<ClipEntry> {
         if self.next >= self.rows {
             return None;
         }
@@ -73,8 +73,8 @@ impl FrameSource for Beats {
         }
         let sequence = self.next;
         self.next += 1;
-        let content = RowContent::Undecodable("nothing to see".into());
-        Some(Row { sequence, timestamp_ns: sequence as i64 * 33_333_333, content, decode: Duration::ZERO, received: None })
+        let content = EntryContent::Undecodable("nothing to see".into());
+        Some(ClipEntry { sequence, timestamp_ns: sequence as i64 * 33_333_333, content, decode: Duration::ZERO, received: None })
     }
 
     fn size(&self) -> (u32, u32) {

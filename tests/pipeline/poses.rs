@@ -52,8 +52,8 @@ fn an_occluder_over_a_third_of_the_picture_moves_nothing() {
 }
 
 /// Share of two frames' pixels that differ by more than noise.
-fn share_that_differs(a: &stagepose::capture::Row, b: &stagepose::capture::Row) -> f64 {
-    use stagepose::capture::RowContent::Frame;
+fn share_that_differs(a: &stagepose::capture::ClipEntry, b: &stagepose::capture::ClipEntry) -> f64 {
+    use stagepose::capture::EntryContent::Frame;
     let (Frame(a), Frame(b)) = (&a.content, &b.content) else { panic!("rendered rows are frames") };
     let differ = a.image.iter().zip(b.image.iter()).filter(|(x, y)| x.abs_diff(**y) > 8).count();
     differ as f64 / a.image.len() as f64

@@ -5,8 +5,8 @@ use std::sync::OnceLock;
 use image::GrayImage;
 use nalgebra::{Point3, Vector3};
 use stagepose::camera::{CameraModel, Intrinsics};
-use stagepose::capture::{FrameSource, Row, VirtualCamera};
-use stagepose::daemon::track_row;
+use stagepose::capture::{ClipEntry, FrameSource, VirtualCamera};
+use stagepose::daemon::track_entry;
 use stagepose::geometry::{Camera, Pose, Stage};
 use stagepose::record::{PoseSample, State};
 use stagepose::simulate::{CameraPath, SensorNoise, Spline, VirtualStage, grey, paint, upright};
@@ -76,15 +76,15 @@ pub fn setup(scene: &VirtualStage) -> TrackerSetup {
     TrackerSetup::from(scene)
 }
 
-pub fn rows(scene: &VirtualStage, frames: u64) -> Vec<Row> {
+pub fn rows(scene: &VirtualStage, frames: u64) -> Vec<ClipEntry> {
     let mut source = VirtualCamera::new(scene.clone(), FPS, frames);
-    std::iter::from_fn(|| source.next_row()).collect()
+    std::iter::from_fn(|| source.next_entry()).collect()
 }
 
 /// Tracks rows one by one and holds every record to the contract.
-pub fn track_rows(setup: TrackerSetup, rows: &[Row]) -> Vec<PoseSample> {
+pub fn track_rows(setup: TrackerSetup, rows: &[ClipEntry]) -> Vec<PoseSample> {
     let mut tracker = Tracker::new(setup);
-    let samples: Vec<PoseSample> = rows.iter().map(|row| track_row(&mut tracker, row)).collect();
+    let samples: Vec<PoseSample> = rows.iter().map(|row| track_entry(&mut tracker, row)).collect();
     samples.iter().for_each(assert_record_holds);
     samples
 }

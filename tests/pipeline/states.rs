@@ -1,6 +1,6 @@
 //! What the record says while the stage cannot be seen.
 
-use stagepose::capture::{Row, RowContent};
+use stagepose::capture::{ClipEntry, EntryContent};
 use stagepose::record::State::{Coasting, Lost, Searching, Tracking};
 use stagepose::simulate::VirtualStage;
 
@@ -37,7 +37,7 @@ fn coasting_ends_by_stamps_not_by_frames() {
     // The camera hangs for a second while the stage is dark.
     for row in &mut rows[4..] {
         row.timestamp_ns += 1_000_000_000;
-        if let RowContent::Frame(frame) = &mut row.content {
+        if let EntryContent::Frame(frame) = &mut row.content {
             frame.timestamp_ns += 1_000_000_000;
         }
     }
@@ -45,12 +45,12 @@ fn coasting_ends_by_stamps_not_by_frames() {
     assert_eq!(states, [Tracking, Tracking, Tracking, Coasting, Lost, Lost, Lost, Lost]);
 }
 
-fn undecodable(row: &Row) -> Row {
-    Row { content: RowContent::Undecodable("the file ends too soon".into()), ..row.clone() }
+fn undecodable(row: &ClipEntry) -> ClipEntry {
+    ClipEntry { content: EntryContent::Undecodable("the file ends too soon".into()), ..row.clone() }
 }
 
-fn skipped(row: &Row, timestamp_ns: i64) -> Row {
-    Row { content: RowContent::Skipped("out of order".into()), timestamp_ns, ..row.clone() }
+fn skipped(row: &ClipEntry, timestamp_ns: i64) -> ClipEntry {
+    ClipEntry { content: EntryContent::Skipped("out of order".into()), timestamp_ns, ..row.clone() }
 }
 
 #[test]
@@ -66,7 +66,7 @@ fn undecodable_and_skipped_rows_make_a_line_and_disturb_nothing() {
     assert_eq!(states(&samples), [Tracking, Tracking, Tracking, Tracking, Coasting, Tracking, Lost, Tracking, Tracking]);
     for (row, (sample, before)) in rows.iter().zip(samples.iter().zip(&undisturbed)) {
         assert_eq!((sample.sequence, sample.timestamp_ns), (row.sequence, row.timestamp_ns));
-        if matches!(row.content, RowContent::Frame(_)) {
+        if matches!(row.content, EntryContent::Frame(_)) {
             // What is known of the motion differs after a gap, and with it the start of the next alignment.
             let (pose, undisturbed) = (sample.pose.expect("it tracks"), before.pose.expect("it tracks"));
             assert!((pose.translation - undisturbed.translation).norm() < 5e-4 && pose.angle_to(&undisturbed) < 2e-4);
@@ -97,7 +97,7 @@ fn a_first_row_without_a_picture_is_searching() {
 fn a_frame_of_another_size_shows_nothing() {
     let scene = small();
     let mut rows = rows(&scene, 4);
-    let RowContent::Frame(frame) = &mut rows[2].content else { panic!("rendered rows are frames") };
+    let EntryContent::Frame(frame) = &mut rows[2].content else { panic!("rendered rows are frames") };
     frame.image = image::GrayImage::new(100, 80);
     assert_eq!(states(&track_rows(setup(&scene), &rows)), [Tracking, Tracking, Coasting, Tracking]);
 }

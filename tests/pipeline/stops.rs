@@ -5,7 +5,7 @@
 use nalgebra::{Vector3, Vector6};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use stagepose::capture::{FrameSource, RowContent, VirtualCamera};
+use stagepose::capture::{EntryContent, FrameSource, VirtualCamera};
 use stagepose::record::PoseSample;
 use stagepose::simulate::{CameraPath, SensorNoise, Spline, VirtualStage};
 use stagepose::{Tracker, TrackerSetup};
@@ -74,8 +74,8 @@ fn the_covariance_holds_where_a_camera_starts_or_stops() {
         let mut tracker = Tracker::new(TrackerSetup::from(&scene));
         let frames = (events[events_a_scene - 1] * FPS) as u64 + 5;
         let mut source = VirtualCamera::new(scene.clone(), FPS, frames);
-        while let Some(row) = source.next_row() {
-            let RowContent::Frame(frame) = &row.content else { continue };
+        while let Some(row) = source.next_entry() {
+            let EntryContent::Frame(frame) = &row.content else { continue };
             let sample = tracker.track(frame).expect("a virtual camera's frame");
             // The first frame that an event touches, and those after it.
             let t = frame.timestamp_ns as f64 * 1e-9;

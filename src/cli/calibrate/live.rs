@@ -14,7 +14,7 @@ use crate::calibrate::board::Board;
 use crate::calibrate::pick::{Look, ViewPicker};
 use crate::calibrate::picture::Inspected;
 use crate::capture::camera::CameraOpener;
-use crate::capture::{FrameSource, PlayedClip, RowContent};
+use crate::capture::{EntryContent, FrameSource, PlayedClip};
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::daemon::live::{LiveLink, LiveSource, LiveStop, Patience, Shutter};
@@ -58,8 +58,8 @@ fn end_on_interrupt(stop: &LiveStop, done: &AtomicBool) {
 fn watched(source: &mut dyn FrameSource, board: &Board, most: usize, folder: Option<&Path>) -> Result<Vec<Inspected>, Failure> {
     let mut picker = ViewPicker::new(*board);
     let mut panel = Panel::new();
-    while let Some(row) = source.next_row().filter(|_| !interrupt::is_interrupted()) {
-        let RowContent::Frame(frame) = row.content else { continue };
+    while let Some(row) = source.next_entry().filter(|_| !interrupt::is_interrupted()) {
+        let EntryContent::Frame(frame) = row.content else { continue };
         let file = picture_file(folder, picker.taken().len() + 1);
         let look = picker.look_at(file.clone(), &frame.image);
         panel.show(picker.taken(), &look, most);

@@ -14,7 +14,7 @@ use crate::calibrate::origin::Origin;
 use crate::calibrate::pick::ViewPicker;
 use crate::calibrate::picture::{Inspected, inspect};
 use crate::capture::{
-    CaptureError, ClipOptions, LARGEST_PICTURE_FILE, RowContent, decode_oriented, open_clip, orientation_words, picture_size,
+    CaptureError, ClipOptions, EntryContent, LARGEST_PICTURE_FILE, decode_oriented, open_clip, orientation_words, picture_size,
 };
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
@@ -134,15 +134,15 @@ fn picked(clip: &Path, board: &Board) -> Result<Vec<Inspected>, Failure> {
     let bar = bar(source.rows());
     let mut picker = ViewPicker::new(*board);
     let (mut rows, mut readable, mut first_reason) = (0, 0, None);
-    while let Some(row) = source.next_row().filter(|_| !interrupt::is_interrupted()) {
+    while let Some(row) = source.next_entry().filter(|_| !interrupt::is_interrupted()) {
         bar.inc(1);
         rows += 1;
         match row.content {
-            RowContent::Frame(frame) => {
+            EntryContent::Frame(frame) => {
                 readable += 1;
                 picker.look_at(PathBuf::from(format!("{} frame {}", clip.display(), row.sequence)), &frame.image);
             }
-            RowContent::Undecodable(reason) | RowContent::Skipped(reason) => {
+            EntryContent::Undecodable(reason) | EntryContent::Skipped(reason) => {
                 first_reason.get_or_insert(reason);
             }
         }

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use crate::capture::{ClipOptions, RowContent, open_clip};
+use crate::capture::{ClipOptions, EntryContent, open_clip};
 use crate::cli::failure::Failure;
 use crate::cli::outcome::Outcome;
 use crate::cli::replay::{progress::Progress, tracker_setup};
 use crate::config::Settings;
-use crate::daemon::track_row;
+use crate::daemon::track_entry;
 use crate::diagnose::{Finding, Grade, Travel, corners_begun_at_top_left, of_clip, of_shutter};
 use crate::frame::Frame;
 use crate::record::State;
@@ -77,12 +77,12 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
     let mut stamps = Vec::new();
     let mut objects = vec![0_u64; setup.objects.len()];
     while outcome.frames() < MOST_ROWS {
-        let Some(row) = source.next_row() else { break };
-        if let RowContent::Frame(frame) = &row.content {
+        let Some(row) = source.next_entry() else { break };
+        if let EntryContent::Frame(frame) = &row.content {
             kept.offer(frame);
             stamps.push(frame.timestamp_ns);
         }
-        let sample = track_row(&mut tracker, &row);
+        let sample = track_entry(&mut tracker, &row);
         outcome.add(&sample);
         for (tracked, object) in objects.iter_mut().zip(&sample.objects) {
             *tracked += u64::from(object.state == State::Tracking);

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::capture::{ClipOptions, FrameSource, RowContent, open_clip};
+use crate::capture::{ClipOptions, EntryContent, FrameSource, open_clip};
 use crate::cli::failure::Failure;
 use crate::cli::replay::progress::Progress;
 use crate::cli::replay::tracker_setup;
@@ -37,10 +37,10 @@ pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Resul
 fn frames(mut source: Box<dyn FrameSource>, progress: Progress) -> impl Iterator<Item = Frame> {
     let rows = std::iter::from_fn(move || {
         progress.advance();
-        source.next_row()
+        source.next_entry()
     });
     rows.filter_map(|row| match row.content {
-        RowContent::Frame(frame) => Some(frame),
+        EntryContent::Frame(frame) => Some(frame),
         _ => None,
     })
 }

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use clap::Args;
 use thiserror::Error;
 
-use crate::capture::{CaptureError, FrameSource, RowContent, VirtualCamera};
+use crate::capture::{CaptureError, EntryContent, FrameSource, VirtualCamera};
 use crate::daemon::thread_clock;
 use crate::frame::Frame;
 use crate::record::PoseSample;
@@ -136,9 +136,9 @@ fn session<W: Write>(
     live: &mut LivePrint<W>,
 ) -> Result<PoseErrors, DemoError> {
     let mut errors = PoseErrors::default();
-    while let Some(row) = camera.next_row() {
+    while let Some(row) = camera.next_entry() {
         // The virtual camera has a picture for every row.
-        let RowContent::Frame(frame) = row.content else { continue };
+        let EntryContent::Frame(frame) = row.content else { continue };
         let truth = camera.truth(frame.sequence);
         if let Some(saved) = saved.as_deref_mut() {
             saved.add(&frame, &truth)?;

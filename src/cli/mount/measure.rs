@@ -3,12 +3,12 @@
 use std::path::Path;
 
 use crate::camera::CameraModel;
-use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip};
+use crate::capture::{ClipEntry, ClipOptions, EntryContent, FrameSource, open_clip};
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
-use crate::daemon::track_row;
+use crate::daemon::track_entry;
 use crate::frame::Frame;
 use crate::mount::View;
 use crate::record::State;
@@ -44,16 +44,16 @@ pub(super) fn measure(settings: &Settings, clip: &Path) -> Result<Measured, Fail
     let (first, is_stills) = beginning(source.as_mut());
     let mut tracker = Tracker::new(setup);
     let (mut rows, mut readable, mut first_reason) = (Vec::new(), 0_u64, None);
-    for row in first.into_iter().chain(std::iter::from_fn(|| source.next_row())) {
+    for row in first.into_iter().chain(std::iter::from_fn(|| source.next_entry())) {
         if interrupt::is_interrupted() {
             return Err(Failure::Interrupted);
         }
         match &row.content {
-            RowContent::Frame(_) => readable += 1,
-            RowContent::Undecodable(reason) => {
+            EntryContent::Frame(_) => readable += 1,
+            EntryContent::Undecodable(reason) => {
                 first_reason.get_or_insert_with(|| reason.to_string());
             }
-            RowContent::Skipped(_) => {}
+            EntryContent::Skipped(_) => {}
         }
         rows.push(if is_stills { still(&mut tracker, &row, rows.len()) } else { view(&mut tracker, &row) });
     }
@@ -64,25 +64,25 @@ pub(super) fn measure(settings: &Settings, clip: &Path) -> Result<Measured, Fail
 }
 
 /// The rows that had to be read to know whether the clip is one of single pictures, and whether it is.
-fn beginning(source: &mut dyn FrameSource) -> (Vec<Row>, bool) {
+fn beginning(source: &mut dyn FrameSource) -> (Vec<ClipEntry>, bool) {
     if let Some(rows) = source.rows() {
         return (Vec::new(), rows <= MOST_STILLS);
     }
-    let first: Vec<Row> = std::iter::from_fn(|| source.next_row()).take(MOST_STILLS as usize + 1).collect();
+    let first: Vec<ClipEntry> = std::iter::from_fn(|| source.next_entry()).take(MOST_STILLS as usize + 1).collect();
     let is_stills = first.len() as u64 <= MOST_STILLS;
     (first, is_stills)
 }
 
 /// A row of a film.
-fn view(tracker: &mut Tracker, row: &Row) -> Option<View> {
-    let sample = track_row(tracker, row);
+fn view(tracker: &mut Tracker, row: &ClipEntry) -> Option<View> {
+    let sample = track_entry(tracker, row);
     let measured = sample.measurement.filter(|_| sample.state == State::Tracking)?;
     Some(View { pose: measured.pose, covariance: measured.covariance })
 }
 
 /// A single picture: shown until it is confirmed or not; the last answer counts.
-fn still(tracker: &mut Tracker, row: &Row, index: usize) -> Option<View> {
-    let RowContent::Frame(frame) = &row.content else { return None };
+fn still(tracker: &mut Tracker, row: &ClipEntry, index: usize) -> Option<View> {
+    let EntryContent::Frame(frame) = &row.content else { return None };
     let mut last = None;
     for k in 0..TIMES_SHOWN {
         let sequence = index as u64 * TIMES_SHOWN + k;

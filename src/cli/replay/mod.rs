@@ -19,7 +19,7 @@ use super::logging::{self, LogArguments};
 use super::output_file::STDOUT;
 use super::outputs::Outputs;
 use super::spared::Spared;
-use crate::capture::{ClipOptions, FrameSource, Row, RowContent, open_clip, open_clip_in_colour};
+use crate::capture::{ClipEntry, ClipOptions, EntryContent, FrameSource, open_clip, open_clip_in_colour};
 use crate::config::Settings;
 use crate::daemon::{Daemon, Delivery, thread_clock};
 use crate::publish::{ClipStart, Stamps};
@@ -262,9 +262,9 @@ const WARNED_IN_FULL: u64 = 5;
 
 impl RowTally {
     /// Counts a row and draws its frame, until that fails.
-    fn take(&mut self, row: &Row, sample: &PoseSample) {
+    fn take(&mut self, row: &ClipEntry, sample: &PoseSample) {
         self.count(row);
-        if let (Some(overlays), RowContent::Frame(frame), None) = (&mut self.overlays, &row.content, &self.overlay_failure) {
+        if let (Some(overlays), EntryContent::Frame(frame), None) = (&mut self.overlays, &row.content, &self.overlay_failure) {
             self.overlay_failure = overlays.write(frame, row.received.as_ref(), sample).err();
         }
     }
@@ -274,17 +274,17 @@ impl RowTally {
         self.overlay_failure = self.overlay_failure.take().or(finished.err());
     }
 
-    fn count(&mut self, row: &Row) {
+    fn count(&mut self, row: &ClipEntry) {
         let (reason, what) = match &row.content {
-            RowContent::Frame(_) => {
+            EntryContent::Frame(_) => {
                 self.readable += 1;
                 return;
             }
-            RowContent::Undecodable(reason) => {
+            EntryContent::Undecodable(reason) => {
                 self.undecodable += 1;
                 (reason, "cannot be read")
             }
-            RowContent::Skipped(reason) => {
+            EntryContent::Skipped(reason) => {
                 self.skipped += 1;
                 (reason, "is skipped")
             }

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::capture::{FrameSource, Row};
+use crate::capture::{ClipEntry, FrameSource};
 use crate::cli::interrupt;
 use crate::publish::ClipStart;
 
@@ -26,8 +26,8 @@ fn due_after(first_ns: i64, stamp_ns: i64) -> Duration {
 }
 
 impl FrameSource for Paced {
-    fn next_row(&mut self) -> Option<Row> {
-        let row = self.source.next_row()?;
+    fn next_entry(&mut self) -> Option<ClipEntry> {
+        let row = self.source.next_entry()?;
         let (begun, first_ns) = *self.start.get_or_insert_with(|| (Instant::now(), row.timestamp_ns));
         self.begun.begin(first_ns);
         let due = due_after(first_ns, row.timestamp_ns);

@@ -11,7 +11,7 @@ use super::reader::{Arrived, Shared, Ticket, read};
 use super::shutter::Shutter;
 use super::{Event, LiveLink};
 use crate::capture::camera::{CameraMode, CameraOpener};
-use crate::capture::{FrameSource, Row, decode_picture};
+use crate::capture::{ClipEntry, FrameSource, decode_picture};
 use crate::drop_oldest::drop_oldest;
 
 /// Readers that may be left behind before the daemon only waits for one of them.
@@ -80,7 +80,7 @@ impl LiveSource {
         self.shared.link.clone()
     }
 
-    fn row(&mut self, arrived: Arrived) -> Row {
+    fn row(&mut self, arrived: Arrived) -> ClipEntry {
         let Arrived { picture, mode, timestamp_ns } = arrived;
         let begun = Instant::now();
         let decoded = decode_picture(&picture, mode.layout, mode.size);
@@ -88,7 +88,7 @@ impl LiveSource {
         let sequence = self.next_sequence;
         self.next_sequence += 1;
         let (content, received) = decoded.content(mode.size, timestamp_ns, sequence);
-        Row { sequence, timestamp_ns, content, decode, received: Some(received) }
+        ClipEntry { sequence, timestamp_ns, content, decode, received: Some(received) }
     }
 
     /// Puts another reader in the place of one that is gone or stays blocked; interrupts one that is blocked before that.
@@ -144,7 +144,7 @@ fn spawn(shared: &Arc<Shared>) -> (Receiver<Arrived>, Arc<Ticket>) {
 }
 
 impl FrameSource for LiveSource {
-    fn next_row(&mut self) -> Option<Row> {
+    fn next_entry(&mut self) -> Option<ClipEntry> {
         self.shared.is_read.store(true, Ordering::Relaxed);
         while !self.shared.stop.load(Ordering::Relaxed) {
             match self.pictures.recv_timeout(TICK) {

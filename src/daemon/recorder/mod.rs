@@ -26,7 +26,7 @@ pub use disk::{Disk, RealDisk};
 
 use super::live::{Event, LiveLink, StampedEvent};
 use crate::capture::timestamping::monotonic_ns;
-use crate::capture::{Received, Row, RowContent};
+use crate::capture::{ClipEntry, EntryContent, Received};
 use crate::record::PoseSample;
 use crate::telemetry::RecorderState;
 use clip_folder::{ClipFolder, Picture, Recorded};
@@ -50,7 +50,7 @@ const MOST_WAITING_BYTES: usize = 256 << 20;
 const RECENT_EVENTS: usize = 4096;
 
 enum Job {
-    Row(Recorded),
+    ClipEntry(Recorded),
     Save,
 }
 
@@ -99,7 +99,7 @@ impl Recorder {
     }
 
     /// What the daemon's pose stage calls with every row; waits for nothing.
-    pub fn observer(&self) -> impl FnMut(&Row, &PoseSample) + Send + 'static {
+    pub fn observer(&self) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
         let (jobs, queue) = (self.jobs.clone(), self.queue.clone());
         move |row, sample| {
             if queue.overflown.load(Ordering::Relaxed) {
@@ -107,7 +107,7 @@ impl Recorder {
             }
             let recorded = recorded(row, sample);
             let bytes = queue.bytes.fetch_add(recorded.bytes(), Ordering::Relaxed);
-            if bytes > MOST_WAITING_BYTES || matches!(jobs.try_send(Job::Row(recorded)), Err(TrySendError::Full(_))) {
+            if bytes > MOST_WAITING_BYTES || matches!(jobs.try_send(Job::ClipEntry(recorded)), Err(TrySendError::Full(_))) {
                 queue.overflown.store(true, Ordering::Relaxed);
             }
         }
@@ -137,12 +137,12 @@ fn begin_clip(folder: &Path, about: &AboutClip, disk: &mut dyn Disk) -> std::io:
 }
 
 /// What is kept of a row.
-fn recorded(row: &Row, sample: &PoseSample) -> Recorded {
+fn recorded(row: &ClipEntry, sample: &PoseSample) -> Recorded {
     let picture = match (&row.received, &row.content) {
         (Some(Received::Jpeg(bytes)), _) => Picture::Jpeg(bytes.clone()),
         (Some(Received::Damaged), _) => Picture::Nothing,
-        (_, RowContent::Frame(frame)) => Picture::Grey(frame.image.clone()),
-        (_, RowContent::Undecodable(_) | RowContent::Skipped(_)) => Picture::Nothing,
+        (_, EntryContent::Frame(frame)) => Picture::Grey(frame.image.clone()),
+        (_, EntryContent::Undecodable(_) | EntryContent::Skipped(_)) => Picture::Nothing,
     };
     Recorded { timestamp_ns: row.timestamp_ns, picture, line: sample.to_json_line() }
 }
@@ -167,7 +167,7 @@ impl Work {
         loop {
             select! {
                 recv(jobs) -> job => match job {
-                    Ok(Job::Row(row)) => self.row(&row),
+                    Ok(Job::ClipEntry(row)) => self.row(&row),
                     Ok(Job::Save) => self.save(),
                     Err(_) => break,
                 },

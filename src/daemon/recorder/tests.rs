@@ -49,16 +49,16 @@ fn about() -> AboutClip {
     AboutClip { camera, config, exposure_s: 0.0 }
 }
 
-fn row(sequence: u64) -> (Row, PoseSample) {
+fn row(sequence: u64) -> (ClipEntry, PoseSample) {
     let timestamp_ns = sequence as i64 * 100_000_000;
     let image = GrayImage::from_pixel(20, 10, image::Luma([sequence as u8]));
     let content = match sequence % 7 {
-        3 => RowContent::Undecodable("short".into()),
-        _ => RowContent::Frame(Frame { image, timestamp_ns, sequence }),
+        3 => EntryContent::Undecodable("short".into()),
+        _ => EntryContent::Frame(Frame { image, timestamp_ns, sequence }),
     };
     let mut sample = PoseSample::stale(sequence, timestamp_ns, 0.0);
     sample.state = crate::record::State::Searching;
-    (Row { sequence, timestamp_ns, content, decode: Duration::ZERO, received: Some(Received::Raw) }, sample)
+    (ClipEntry { sequence, timestamp_ns, content, decode: Duration::ZERO, received: Some(Received::Raw) }, sample)
 }
 
 /// Records rows and ends, or leaves the recorder as a killed process would.
@@ -77,7 +77,7 @@ fn record(plan: RecorderPlan, disk: Box<dyn Disk>, rows: std::ops::Range<u64>) -
 
 fn stamps_of(clip: &Path) -> Vec<i64> {
     let mut source = open_clip(clip, ClipOptions::default()).unwrap();
-    std::iter::from_fn(|| source.next_row()).map(|row| row.timestamp_ns).collect()
+    std::iter::from_fn(|| source.next_entry()).map(|row| row.timestamp_ns).collect()
 }
 
 #[test]
@@ -88,15 +88,15 @@ fn a_recording_replays_row_by_row() {
     assert_eq!((link.statistics.recorded(), link.statistics.recorder()), (20, RecorderState::Off));
     let mut source = open_clip(&clip, ClipOptions::default()).unwrap();
     for n in 0..20 {
-        let (was, is) = (row(n).0, source.next_row().unwrap());
+        let (was, is) = (row(n).0, source.next_entry().unwrap());
         assert_eq!((was.sequence, was.timestamp_ns), (is.sequence, is.timestamp_ns));
         match (was.content, is.content) {
-            (RowContent::Frame(was), RowContent::Frame(is)) => assert_eq!(was, is),
-            (RowContent::Undecodable(_), RowContent::Undecodable(_)) => {}
+            (EntryContent::Frame(was), EntryContent::Frame(is)) => assert_eq!(was, is),
+            (EntryContent::Undecodable(_), EntryContent::Undecodable(_)) => {}
             other => panic!("{other:?}"),
         }
     }
-    assert!(source.next_row().is_none());
+    assert!(source.next_entry().is_none());
     let text = |name: &str| std::fs::read_to_string(clip.join(name)).unwrap();
     assert_eq!(text("poses.jsonl").lines().count(), 20);
     assert!(text("clip.toml").contains("gain = 3") && text("clip.toml").contains("utc_ns"), "{}", text("clip.toml"));

@@ -1,0 +1,21 @@
+//! What becomes of a row of a clip: every row has its sample, whatever it holds.
+
+use crate::capture::{ClipEntry, EntryContent};
+use crate::record::PoseSample;
+use crate::track::{Matcher, Reason, Sighting};
+use crate::tracker::Tracker;
+
+/// Tracks a row in the calling thread.
+pub fn track_entry(tracker: &mut Tracker, row: &ClipEntry) -> PoseSample {
+    let sighting = sight(&mut tracker.matcher, row);
+    tracker.poses.sample(&sighting, row.decode.as_secs_f64() * 1e3)
+}
+
+/// What the matcher makes of a row.
+pub(super) fn sight(matcher: &mut Matcher, row: &ClipEntry) -> Sighting {
+    match &row.content {
+        EntryContent::Frame(frame) => matcher.look(frame),
+        EntryContent::Undecodable(_) => matcher.look_away(row.sequence, row.timestamp_ns, Reason::Undecodable),
+        EntryContent::Skipped(_) => matcher.look_past(row.sequence, row.timestamp_ns),
+    }
+}
