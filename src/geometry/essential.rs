@@ -5,8 +5,10 @@ use nalgebra::{Matrix3, Matrix5, SMatrix, SVector, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
+use super::least_squares::{Damping, Options, Problem, minimise};
 use super::pose::{quaternion, skew};
 use super::relative_pose::{RayPair, TwoViewMotion};
+use super::robust_kernel::{geman_mcclure_cost, geman_mcclure_weight};
 use super::triangulation::depths;
 
 /// Squared Sampson distance of a pair to E, in normalised units squared.
@@ -247,35 +249,33 @@ pub fn robust_essential(pairs: &[RayPair], threshold: f64, samples: usize, keep:
 
 /// Refines a motion on Sampson distances of all pairs (5 degrees of freedom, Geman-McClure at `sigma`, normalised units).
 pub fn refine_motion(start: &TwoViewMotion, pairs: &[RayPair], sigma: f64, iterations: usize) -> TwoViewMotion {
-    let c2 = (3.0 * sigma).powi(2);
-    let cost_of = |m: &TwoViewMotion| {
-        let e = m.essential();
-        pairs.iter().map(|p| squared_sampson(&e, p)).map(|s| s / (s + c2)).sum::<f64>()
-    };
-    let mut motion = *start;
-    let mut cost = cost_of(&motion);
-    let mut damping = 1e-4;
-    for _ in 0..iterations {
-        let (normal, gradient) = motion_normal_equations(&motion, pairs, c2);
-        let damped = normal + Matrix5::from_diagonal(&(normal.diagonal() * damping)) + Matrix5::identity() * 1e-14;
-        let Some(cholesky) = damped.cholesky() else { break };
-        let next = moved(&motion, &-cholesky.solve(&gradient));
-        let next_cost = cost_of(&next);
-        if next_cost <= cost {
-            let gain = cost - next_cost;
-            (motion, cost) = (next, next_cost);
-            damping = (damping * 0.1_f64).max(1e-12);
-            if gain < 1e-10 * cost {
-                break;
-            }
-        } else {
-            damping *= 10.0;
-            if damping > 1e6 {
-                break;
-            }
-        }
+    let options = Options { iterations, damping: Damping { now: 1e-4, least: 1e-12, most: 1e6 }, least_gain: 1e-10 };
+    minimise(&mut SampsonDistances { pairs, c2: (3.0 * sigma).powi(2) }, *start, &options).0
+}
+
+struct SampsonDistances<'a> {
+    pairs: &'a [RayPair],
+    /// Squared distance of half the cost.
+    c2: f64,
+}
+
+impl Problem for SampsonDistances<'_> {
+    type State = TwoViewMotion;
+    type Normal = (Matrix5<f64>, SVector<f64, 5>);
+
+    fn cost(&self, motion: &TwoViewMotion) -> f64 {
+        let e = motion.essential();
+        self.pairs.iter().map(|p| geman_mcclure_cost(squared_sampson(&e, p), self.c2)).sum()
     }
-    motion
+
+    fn linearised(&self, motion: &TwoViewMotion) -> Self::Normal {
+        motion_normal_equations(motion, self.pairs, self.c2)
+    }
+
+    fn stepped(&self, motion: &TwoViewMotion, (normal, gradient): &Self::Normal, damping: f64) -> Option<TwoViewMotion> {
+        let damped = normal + Matrix5::from_diagonal(&(normal.diagonal() * damping)) + Matrix5::identity() * 1e-14;
+        Some(moved(motion, &-damped.cholesky()?.solve(gradient)))
+    }
 }
 
 /// Two directions across t, and the step [δθ (3), δt (2)]: R <- Exp(δθ) R, t <- t + B δt, normalised.
@@ -309,7 +309,7 @@ fn motion_normal_equations(m: &TwoViewMotion, pairs: &[RayPair], c2: f64) -> (Ma
         let (a, b) = (p.first.push(1.0), p.second.push(1.0));
         let denominator = ((e * a).xy().norm_squared() + (e.transpose() * b).xy().norm_squared()).max(1e-300).sqrt();
         let residual = b.dot(&(e * a)) / denominator;
-        let w = (c2 / (residual * residual + c2)).powi(2);
+        let w = geman_mcclure_weight(residual * residual, c2);
         // Gauss-Newton with the denominator held, as usual for Sampson distances.
         let j = SVector::<f64, 5>::from_iterator(derivatives.iter().map(|d| b.dot(&(d * a)) / denominator));
         normal += w * j * j.transpose();

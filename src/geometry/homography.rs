@@ -3,6 +3,9 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
+use super::least_squares::{Damping, Options, Problem, minimise};
+use super::robust_kernel::{geman_mcclure_cost, geman_mcclure_weight};
+
 /// A projective map between two planes, `x2 ∝ H x1`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Homography(pub Matrix3<f64>);
@@ -96,72 +99,74 @@ impl Homography {
     pub fn refined(&self, pairs: &[PointPair], sigma: f64, iterations: usize) -> Option<Self> {
         let (from, to) = (normalising(pairs.iter().map(|p| p.from))?, normalising(pairs.iter().map(|p| p.to))?);
         let (from_inv, to_inv) = (from.try_inverse()?, to.try_inverse()?);
-        let scale = to[(0, 0)];
-        let mut h = to * self.0 * from_inv;
-        h /= h.norm();
-        let c2 = (3.0 * sigma * scale).powi(2);
-        let cost_of = |h: &Matrix3<f64>| {
-            pairs
-                .iter()
-                .map(|p| {
-                    let v = h * (from * p.from.push(1.0));
-                    let b = to * p.to.push(1.0);
-                    let e2 = (v.xy() / v.z - b.xy()).norm_squared();
-                    e2 / (e2 + c2)
-                })
-                .sum::<f64>()
-        };
-        let mut cost = cost_of(&h);
-        let mut damping = 1e-6;
-        for _ in 0..iterations {
-            let mut jtj = SMatrix::<f64, 9, 9>::zeros();
-            let mut jtr = SVector::<f64, 9>::zeros();
-            for p in pairs {
-                let a = from * p.from.push(1.0);
-                let b = to * p.to.push(1.0);
-                let v = h * a;
-                if v.z.abs() < 1e-9 {
-                    continue;
-                }
-                let q = v.xy() / v.z;
-                let r = q - b.xy();
-                let w = (c2 / (r.norm_squared() + c2)).powi(2);
-                let mut j = SMatrix::<f64, 2, 9>::zeros();
-                for k in 0..3 {
-                    j[(0, k)] = a[k] / v.z;
-                    j[(1, k + 3)] = a[k] / v.z;
-                    j[(0, k + 6)] = -q.x * a[k] / v.z;
-                    j[(1, k + 6)] = -q.y * a[k] / v.z;
-                }
-                jtj += w * j.transpose() * j;
-                jtr += w * j.transpose() * r;
-            }
-            // The scale of H is free: pin it by a unit constraint along h itself.
-            let hv = SVector::<f64, 9>::from_iterator(h.transpose().iter().copied());
-            let trace = jtj.trace();
-            let damped = jtj + SMatrix::<f64, 9, 9>::identity() * (damping * trace / 9.0) + hv * hv.transpose() * trace;
-            let Some(step) = damped.cholesky().map(|c| c.solve(&jtr)) else { break };
-            let next = h - Matrix3::from_row_slice(step.as_slice());
-            let next_cost = cost_of(&next);
-            if next_cost <= cost {
-                h = next / next.norm();
-                let gain = cost - next_cost;
-                cost = next_cost;
-                damping = (damping * 0.1_f64).max(1e-12);
-                if gain < 1e-10 * cost.max(1e-12) {
-                    break;
-                }
-            } else {
-                damping *= 10.0;
-                if damping > 1e3 {
-                    break;
-                }
-            }
-        }
+        let start = to * self.0 * from_inv;
+        let mut errors = TransferErrors { pairs, from, to, c2: (3.0 * sigma * to[(0, 0)]).powi(2) };
+        let options = Options { iterations, damping: Damping { now: 1e-6, least: 1e-12, most: 1e3 }, least_gain: 1e-10 };
+        let (h, _) = minimise(&mut errors, start / start.norm(), &options);
         let h = to_inv * h * from;
         let front = pairs.iter().map(|p| (h * p.from.push(1.0)).z.signum()).sum::<f64>();
         let h = h * (front.signum() / h.norm());
         h.iter().all(|v| v.is_finite()).then_some(Self(h))
+    }
+}
+
+/// Transfer errors in the second plane, of pairs that are normalised by `from` and `to`.
+struct TransferErrors<'a> {
+    pairs: &'a [PointPair],
+    from: Matrix3<f64>,
+    to: Matrix3<f64>,
+    /// Squared error of half the cost.
+    c2: f64,
+}
+
+impl Problem for TransferErrors<'_> {
+    type State = Matrix3<f64>;
+    type Normal = (SMatrix<f64, 9, 9>, SVector<f64, 9>);
+
+    fn cost(&self, h: &Matrix3<f64>) -> f64 {
+        let squared = |p: &PointPair| {
+            let v = h * (self.from * p.from.push(1.0));
+            let b = self.to * p.to.push(1.0);
+            (v.xy() / v.z - b.xy()).norm_squared()
+        };
+        self.pairs.iter().map(|p| geman_mcclure_cost(squared(p), self.c2)).sum()
+    }
+
+    fn linearised(&self, h: &Matrix3<f64>) -> Self::Normal {
+        let mut jtj = SMatrix::<f64, 9, 9>::zeros();
+        let mut jtr = SVector::<f64, 9>::zeros();
+        for p in self.pairs {
+            let a = self.from * p.from.push(1.0);
+            let b = self.to * p.to.push(1.0);
+            let v = h * a;
+            if v.z.abs() < 1e-9 {
+                continue;
+            }
+            let q = v.xy() / v.z;
+            let r = q - b.xy();
+            let w = geman_mcclure_weight(r.norm_squared(), self.c2);
+            let mut j = SMatrix::<f64, 2, 9>::zeros();
+            for k in 0..3 {
+                j[(0, k)] = a[k] / v.z;
+                j[(1, k + 3)] = a[k] / v.z;
+                j[(0, k + 6)] = -q.x * a[k] / v.z;
+                j[(1, k + 6)] = -q.y * a[k] / v.z;
+            }
+            jtj += w * j.transpose() * j;
+            jtr += w * j.transpose() * r;
+        }
+        // The scale of H is free: pin it by a unit constraint along h itself.
+        let along = SVector::<f64, 9>::from_iterator(h.transpose().iter().copied());
+        let trace = jtj.trace();
+        (jtj + along * along.transpose() * trace, jtr)
+    }
+
+    fn stepped(&self, h: &Matrix3<f64>, (normal, gradient): &Self::Normal, damping: f64) -> Option<Matrix3<f64>> {
+        // The constraint adds the trace once: half of it is the data's.
+        let share = damping * 0.5 * normal.trace() / 9.0;
+        let damped = normal + SMatrix::<f64, 9, 9>::identity() * share;
+        let next = h - Matrix3::from_row_slice(damped.cholesky()?.solve(gradient).as_slice());
+        Some(next / next.norm())
     }
 }
 

@@ -8,11 +8,13 @@
 
 pub mod essential;
 pub mod homography;
+pub mod least_squares;
 pub mod planar_pose;
 mod pose;
 pub mod relative_pose;
 pub mod resection;
 pub mod robust;
+pub mod robust_kernel;
 pub mod triangulation;
 
 pub use homography::{Homography, PointPair};

@@ -3,9 +3,14 @@
 //! Levenberg-Marquardt on robustly weighted reprojection errors. Each correspondence brings its own
 //! information matrix, so that a point on an edge holds the pose only across that edge.
 
+use std::cell::Cell;
+use std::ops::ControlFlow;
+
 use nalgebra::{Matrix2, Matrix6, Point3, SMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
 
+use super::least_squares::{Damping, Options, Problem, minimise};
 use super::pose::{Body, Camera, Pose, skew};
+use super::robust_kernel::{tukey_cost, tukey_weight};
 
 /// How rays become pixels; the camera room implements it.
 pub trait Projection {
@@ -84,8 +89,8 @@ pub struct Resection {
     pub normal: Matrix6<f64>,
 }
 
-/// Tukey's biweight limit in sigmas.
-const TUKEY: f64 = 4.685;
+/// Steps below this are none: radians, and as a share of the distance.
+const SMALLEST_STEP: f64 = 1e-9;
 
 /// Squared Mahalanobis residual of one observation; `None` behind the camera.
 pub fn squared_residual<P: Projection>(pose: &Pose<Camera, Body>, camera: &MovingCamera<P>, o: &Observation) -> Option<f64> {
@@ -149,52 +154,62 @@ pub fn resect_within<P: Projection>(
     if observations.len() < 4 {
         return None;
     }
-    let mut pose = *start;
-    let mut scale = residual_scale(&pose, camera, observations, squares)?;
-    let mut cost = robust_cost(&pose, camera, observations, scale);
-    let mut damping = 1e-6;
-    for _ in 0..iterations {
-        let (normal, gradient) = normal_equations(&pose, camera, observations, scale);
-        let damped = normal + Matrix6::from_diagonal(&(normal.diagonal() * damping));
-        let step = -damped.cholesky()?.solve(&gradient);
-        let next = perturbed(&pose, &step);
-        let next_cost = robust_cost(&next, camera, observations, scale);
-        if next_cost <= cost {
-            let small = step.fixed_rows::<3>(3).norm() < 1e-9 && step.fixed_rows::<3>(0).norm() < 1e-9 * pose.translation.norm();
-            let gain = cost - next_cost;
-            pose = next;
-            scale = residual_scale(&pose, camera, observations, squares)?;
-            cost = robust_cost(&pose, camera, observations, scale);
-            damping = (damping * 0.1).max(1e-9);
-            if small || gain < 1e-9 * cost {
-                break;
-            }
-        } else {
-            damping *= 10.0;
-            if damping > 1e4 {
-                break;
-            }
-        }
+    let scale = residual_scale(start, camera, observations, squares)?;
+    let mut errors = ReprojectionErrors { camera, observations, scale, squares, is_singular: Cell::new(false) };
+    let options = Options { iterations, damping: Damping { now: 1e-6, least: 1e-9, most: 1e4 }, least_gain: 1e-9 };
+    let (pose, cost) = minimise(&mut errors, *start, &options);
+    if errors.is_singular.get() {
+        return None;
     }
+    let scale = errors.scale;
     let (normal, _) = normal_equations(&pose, camera, observations, scale);
     pose.is_finite().then_some(Resection { pose, cost, scale, normal })
 }
 
-/// Tukey's weight of a squared residual (in sigmas of `scale`).
-pub fn tukey_weight(squared: f64, scale: f64) -> f64 {
-    let u = squared / (TUKEY * scale).powi(2);
-    if u < 1.0 { (1.0 - u).powi(2) } else { 0.0 }
+/// Squared Mahalanobis residuals of all observations, by Tukey's biweight at a scale that each step estimates anew.
+struct ReprojectionErrors<'a, P: Projection> {
+    camera: &'a MovingCamera<'a, P>,
+    observations: &'a [Observation],
+    scale: f64,
+    squares: &'a mut Vec<f64>,
+    /// Set where the observations do not determine a pose.
+    is_singular: Cell<bool>,
 }
 
-fn robust_cost<P: Projection>(pose: &Pose<Camera, Body>, camera: &MovingCamera<P>, observations: &[Observation], scale: f64) -> f64 {
-    let c2 = (TUKEY * scale).powi(2);
-    observations
-        .iter()
-        .map(|o| match squared_residual(pose, camera, o) {
-            Some(s) if s < c2 => c2 / 6.0 * (1.0 - (1.0 - s / c2).powi(3)),
-            _ => c2 / 6.0,
-        })
-        .sum()
+impl<P: Projection> Problem for ReprojectionErrors<'_, P> {
+    type State = Pose<Camera, Body>;
+    type Normal = (Matrix6<f64>, Vector6<f64>);
+
+    fn cost(&self, pose: &Self::State) -> f64 {
+        self.observations.iter().map(|o| tukey_cost(squared_residual(pose, self.camera, o), self.scale)).sum()
+    }
+
+    fn linearised(&self, pose: &Self::State) -> Self::Normal {
+        normal_equations(pose, self.camera, self.observations, self.scale)
+    }
+
+    fn stepped(&self, pose: &Self::State, (normal, gradient): &Self::Normal, damping: f64) -> Option<Self::State> {
+        let damped = normal + Matrix6::from_diagonal(&(normal.diagonal() * damping));
+        let factor = damped.cholesky();
+        self.is_singular.set(factor.is_none());
+        Some(perturbed(pose, &-factor?.solve(gradient)))
+    }
+
+    fn taken(&mut self, before: &Self::State, pose: &Self::State, _: f64) -> ControlFlow<f64, f64> {
+        let Some(scale) = residual_scale(pose, self.camera, self.observations, self.squares) else {
+            self.is_singular.set(true);
+            return ControlFlow::Break(f64::INFINITY);
+        };
+        self.scale = scale;
+        let cost = self.cost(pose);
+        let turn = before.rotation.angle_to(&pose.rotation);
+        let shift = (pose.translation - before.translation).norm();
+        if turn < SMALLEST_STEP && shift < SMALLEST_STEP * pose.translation.norm() {
+            ControlFlow::Break(cost)
+        } else {
+            ControlFlow::Continue(cost)
+        }
+    }
 }
 
 /// Median of |r|, divided by what it is for two-dimensional Gaussian noise (sqrt(2 ln 2)); at least 1. `None` of fewer than four

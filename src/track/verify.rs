@@ -16,8 +16,8 @@ use crate::camera::CameraModel;
 use crate::features::Workers;
 use crate::geometry::resection::{
     MovingCamera, Observation, Resection, pose_by_twist, resect, rolling_shutter_corrected_px, sandwich_covariance, squared_residual,
-    tukey_weight,
 };
+use crate::geometry::robust_kernel::tukey_weight;
 use crate::geometry::{Body, Camera, Pose};
 
 /// Tiles across and down the frame that anchors are grouped by.

@@ -14,6 +14,7 @@ use super::level::Level;
 use super::step;
 use super::surroundings::{Surroundings, reach};
 use super::window::{Linearised, Model, N, Window};
+use crate::geometry::least_squares::Damping;
 
 /// A corner as the fit sees it.
 #[derive(Debug, Clone, Copy)]
@@ -147,12 +148,12 @@ fn fit_drawn(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest
     let widest = WIDEST_BLUR * u.perp(&v) / u.norm().max(v.norm());
     let (mut model, mut here) = start(window, [u, v], blur.min(widest))?;
     let bounds = [LEAST_BLUR.ln(), widest.max(2.0 * LEAST_BLUR).ln()];
-    let mut damping = 1e-4;
+    let mut damping = Damping { now: 1e-4, least: 1e-9, most: 1e4 };
     for iteration in 0..20 {
         // A blur that lies at its bound and wants beyond stays there, or it would spoil the other numbers' step.
         let downhill = here.gradient[4];
         let beyond = (model.0[4] <= bounds[0] && downhill > 0.0) || (model.0[4] >= bounds[1] && downhill < 0.0);
-        let step = step::damped(&here, damping, beyond.then_some(4))?;
+        let step = step::damped(&here, damping.now, beyond.then_some(4))?;
         let mut next = Model(model.0 - SVector::from(step));
         next.0[4] = next.0[4].clamp(bounds[0], bounds[1]);
         let moved = step[0].hypot(step[1]);
@@ -166,12 +167,9 @@ fn fit_drawn(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest
         let there = window.linearised(&next);
         if there.cost < here.cost {
             (model, here) = (next, there);
-            damping = (0.1 * damping).max(1e-9);
-        } else {
-            damping *= 10.0;
-            if damping > 1e4 || moved < 5e-5 {
-                break;
-            }
+            damping.fall();
+        } else if !damping.rise() || moved < 5e-5 {
+            break;
         }
         if model.0[0].hypot(model.0[1]) > farthest {
             return None;

@@ -7,6 +7,7 @@
 use nalgebra::{Matrix6, SMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
 
 use super::lens::{FreeNumbers, LENS_NUMBERS, Lens, LensMatrix, LensVector};
+use crate::geometry::least_squares::{Damping, Options, Problem, minimise};
 use crate::geometry::{Camera, Pose};
 
 /// The board's frame; see [`crate::calibrate::board`].
@@ -63,7 +64,6 @@ struct ViewBlock {
 
 /// The normal equations at one place.
 struct Normal {
-    cost: f64,
     lens: LensMatrix,
     gradient: LensVector,
     views: Vec<ViewBlock>,
@@ -95,34 +95,10 @@ impl Bundle {
 
     /// Minimises the loss over everything that is free, from here, in at most `iterations` steps; gives the cost reached.
     pub fn adjust(&mut self, views: &[Vec<Observation>], free: &FreeNumbers, loss: Loss, iterations: usize) -> f64 {
-        let mut normal = self.normal(views, free, loss);
-        let mut damping = 1e-4;
-        for _ in 0..iterations {
-            let Some((lens_step, view_steps)) = normal.step(damping) else {
-                damping *= 10.0;
-                if damping > 1e8 {
-                    break;
-                }
-                continue;
-            };
-            let next = self.moved(&lens_step, &view_steps, free);
-            let cost = next.cost(views, loss);
-            if cost <= normal.cost {
-                let gain = normal.cost - cost;
-                *self = next;
-                if gain <= 1e-12 * cost {
-                    return cost;
-                }
-                damping = (damping * 0.1).max(1e-12);
-                normal = self.normal(views, free, loss);
-            } else {
-                damping *= 10.0;
-                if damping > 1e8 {
-                    break;
-                }
-            }
-        }
-        normal.cost
+        let options = Options { iterations, damping: Damping { now: 1e-4, least: 1e-12, most: 1e8 }, least_gain: 1e-12 };
+        let (found, cost) = minimise(&mut Adjustment { views, free, loss }, self.clone(), &options);
+        *self = found;
+        cost
     }
 
     fn moved(&self, lens_step: &LensVector, view_steps: &[Vector6<f64>], free: &FreeNumbers) -> Self {
@@ -138,8 +114,7 @@ impl Bundle {
     }
 
     fn normal(&self, views: &[Vec<Observation>], free: &FreeNumbers, loss: Loss) -> Normal {
-        let mut normal =
-            Normal { cost: 0.0, lens: LensMatrix::zeros(), gradient: LensVector::zeros(), views: Vec::with_capacity(views.len()) };
+        let mut normal = Normal { lens: LensMatrix::zeros(), gradient: LensVector::zeros(), views: Vec::with_capacity(views.len()) };
         for (pose, observations) in self.poses.iter().zip(views) {
             normal.add_view(&self.lens, pose, observations, free, loss);
         }
@@ -188,6 +163,31 @@ struct Reduced {
     inverses: Vec<Matrix6<f64>>,
 }
 
+/// A bundle's loss over all views, by what is free.
+struct Adjustment<'a> {
+    views: &'a [Vec<Observation>],
+    free: &'a FreeNumbers,
+    loss: Loss,
+}
+
+impl Problem for Adjustment<'_> {
+    type State = Bundle;
+    type Normal = Normal;
+
+    fn cost(&self, bundle: &Bundle) -> f64 {
+        bundle.cost(self.views, self.loss)
+    }
+
+    fn linearised(&self, bundle: &Bundle) -> Normal {
+        bundle.normal(self.views, self.free, self.loss)
+    }
+
+    fn stepped(&self, bundle: &Bundle, normal: &Normal, damping: f64) -> Option<Bundle> {
+        let (lens_step, view_steps) = normal.step(damping)?;
+        Some(bundle.moved(&lens_step, &view_steps, self.free))
+    }
+}
+
 impl Normal {
     fn add_view(&mut self, lens: &Lens, pose: &Pose<Camera, BoardFrame>, observations: &[Observation], free: &FreeNumbers, loss: Loss) {
         let mut block = ViewBlock { own: Matrix6::zeros(), coupling: Coupling::zeros(), gradient: Vector6::zeros() };
@@ -195,14 +195,12 @@ impl Normal {
             let turned: Vector3<f64> = pose.rotation * o.board_m.push(0.0);
             let p = turned + pose.translation;
             if p.z <= 1e-9 {
-                self.cost += loss.cost_and_weight(BEHIND).0;
                 continue;
             }
             let point = p.xy() / p.z;
             let (pixel, [by_x, by_y], mut by_lens) = lens.project_with_derivatives(point);
             let residual = o.pixel - pixel;
-            let (cost, weight) = loss.cost_and_weight(residual.norm_squared());
-            self.cost += cost;
+            let (_, weight) = loss.cost_and_weight(residual.norm_squared());
             let mut by_point = SMatrix::<f64, 2, 3>::zeros();
             by_point.set_column(0, &(by_x / p.z));
             by_point.set_column(1, &(by_y / p.z));

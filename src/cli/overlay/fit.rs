@@ -11,7 +11,7 @@ const ACROSS: f32 = 26.0;
 /// Smallest side of a cell, pixels: in smaller ones the dots would be all there is to see.
 const LEAST_CELL_PX: f32 = 18.0;
 /// Residuals beyond this many sigmas count nothing.
-const COUNTS_NOTHING: f32 = 4.7;
+const COUNTS_NOTHING: f32 = crate::geometry::robust_kernel::TUKEY as f32;
 
 /// Pixels of tiles that take no part, for they show something else.
 pub(super) const LEFT_OUT: Colour = [165, 165, 170];

@@ -7,9 +7,10 @@ use super::lanes::{LANES, Lanes, dispatch, load_at, store_at, total};
 use super::light::TileLight;
 use super::noise::Noise;
 use super::pixels::{Pixels, Run};
+use crate::geometry::robust_kernel;
 
-/// Tukey's biweight: residuals beyond this many robust sigmas count nothing.
-const TUKEY: f32 = 4.7;
+/// Tukey's biweight, as everywhere: residuals beyond this many robust sigmas count nothing.
+const TUKEY: f32 = robust_kernel::TUKEY as f32;
 /// Geman and McClure's weight in a first pass falls to one half at this many sigmas.
 const FIRST_PASS: f32 = 2.7;
 

@@ -1,0 +1,50 @@
+//! Robust kernels: how a residual's cost and weight fall behind its square, so that outliers do not pull (Zhang 1997, table 1).
+//!
+//! Residuals are squared and whitened: in variances of their noise.
+
+/// Tukey's biweight: residuals beyond this many sigmas count nothing; 95 % as efficient as least squares where all noise is normal. Raised,
+/// outliers pull more.
+pub const TUKEY: f64 = 4.685;
+
+/// Tukey's weight of a squared residual (in sigmas of `scale`).
+pub fn tukey_weight(squared: f64, scale: f64) -> f64 {
+    let u = squared / (TUKEY * scale).powi(2);
+    if u < 1.0 { (1.0 - u).powi(2) } else { 0.0 }
+}
+
+/// Tukey's cost of a squared residual; that of an outlier for `None`.
+pub fn tukey_cost(squared: Option<f64>, scale: f64) -> f64 {
+    let c2 = (TUKEY * scale).powi(2);
+    match squared {
+        Some(s) if s < c2 => c2 / 6.0 * (1.0 - (1.0 - s / c2).powi(3)),
+        _ => c2 / 6.0,
+    }
+}
+
+/// Geman's and McClure's cost: it grows to 1; one half at `c2`.
+pub fn geman_mcclure_cost(squared: f64, c2: f64) -> f64 {
+    squared / (squared + c2)
+}
+
+/// Geman's and McClure's weight, 1 for none.
+pub fn geman_mcclure_weight(squared: f64, c2: f64) -> f64 {
+    (c2 / (squared + c2)).powi(2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A weight is twice the slope of the cost over the squared residual, up to a factor that is the same for all residuals.
+    #[test]
+    fn weights_are_the_slopes_of_costs() {
+        const STEP: f64 = 1e-6;
+        for squared in [0.01, 0.5, 2.0, 7.0, 20.0, 21.9] {
+            let slope = (tukey_cost(Some(squared + STEP), 1.0) - tukey_cost(Some(squared - STEP), 1.0)) / (2.0 * STEP);
+            assert!((2.0 * slope - tukey_weight(squared, 1.0)).abs() < 1e-6, "{squared}");
+            let slope = (geman_mcclure_cost(squared + STEP, 9.0) - geman_mcclure_cost(squared - STEP, 9.0)) / (2.0 * STEP);
+            assert!((9.0 * slope - geman_mcclure_weight(squared, 9.0)).abs() < 1e-6, "{squared}");
+        }
+        assert_eq!((tukey_weight(30.0, 1.0), tukey_cost(Some(30.0), 1.0)), (0.0, tukey_cost(None, 1.0)));
+    }
+}
