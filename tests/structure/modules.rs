@@ -43,7 +43,7 @@ impl Modules {
             let ident = child.ident.to_string();
             let places = [folder.join(format!("{ident}.rs")), folder.join(&ident).join("mod.rs")];
             let found: &PathBuf = places.iter().find(|p| p.exists()).unwrap_or_else(|| panic!("no file of {name:?}::{ident}"));
-            self.read([name.as_slice(), &[ident.clone()]].concat(), found, &folder.join(&ident));
+            self.read([name.as_slice(), std::slice::from_ref(&ident)].concat(), found, &folder.join(&ident));
         }
     }
 
@@ -99,7 +99,7 @@ struct Reader {
 
 impl Reader {
     /// A path of this module from the crate's root; `None` where it leads out of the crate.
-    fn from_root(&self, path: &[String]) -> Option<Name> {
+    fn rooted(&self, path: &[String]) -> Option<Name> {
         let (first, rest) = path.split_first()?;
         let parent = |name: &Name| name[..name.len().saturating_sub(1)].to_vec();
         let (mut at, mut rest) = match first.as_str() {
@@ -141,7 +141,7 @@ impl Reader {
 
     /// Takes note of a path, and of the name that it is given on by.
     fn add(&mut self, path: &[String], given_on_as: Option<String>) {
-        let Some(path) = self.from_root(path) else { return };
+        let Some(path) = self.rooted(path) else { return };
         match given_on_as {
             Some(name) => drop(self.module.exports.insert(name, path)),
             None => drop(self.module.used.insert(path)),
