@@ -11,6 +11,7 @@
 
 use std::error::Error;
 use std::net::{Ipv4Addr, UdpSocket};
+use std::process::ExitCode;
 
 use stagepose::protocols::freed::FreedPacket;
 
@@ -20,7 +21,17 @@ const GOLDEN: [u8; 29] = [
     0xe8, 0x00, 0x07, 0xd0, 0x12, 0x34, 0x7b,
 ];
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) => {
+            eprintln!("{e}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> Result<(), Box<dyn Error>> {
     let Some(port) = std::env::args().nth(1) else {
         print(&FreedPacket::decode(&GOLDEN)?);
         return Ok(());

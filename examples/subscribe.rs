@@ -10,6 +10,7 @@
 
 use std::error::Error;
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::thread;
 
 use stagepose::capture::{ClipOptions, open_clip};
@@ -18,7 +19,17 @@ use stagepose::daemon::Delivery;
 use stagepose::record::State;
 use stagepose::{Daemon, Tracker};
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) => {
+            eprintln!("{e}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1).map(PathBuf::from);
     let clip = arguments.next().unwrap_or_else(|| "fixtures/dolly".into());
     let config = arguments.next().unwrap_or_else(|| clip.join("stage.toml"));

@@ -10,13 +10,24 @@
 use std::error::Error;
 use std::io::Write;
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 use stagepose::Tracker;
 use stagepose::capture::{ClipOptions, open_clip};
 use stagepose::config::Settings;
 use stagepose::daemon::track_row;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) => {
+            eprintln!("{e}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1).map(PathBuf::from);
     let clip = arguments.next().unwrap_or_else(|| "fixtures/dolly".into());
     let config = arguments.next().unwrap_or_else(|| clip.join("stage.toml"));
