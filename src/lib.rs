@@ -9,40 +9,43 @@
 //! ```
 //!
 //! # The map
-//! Data moves one way, and a room uses only rooms above it in this list:
+//! Data moves one way, and a room uses only rooms above it in this list. The core, which is always there:
 //!
-//! - [`geometry`]: SE(3), homography, essential matrix, planar pose, resection, robust estimation: pure functions
-//! - [`camera`]: the camera model with distortion and its exact inverse; calibration files
-//! - [`frame`]: a grey picture with its stamp
 //! - [`compute_clock`]: how long work kept its thread busy, by a clock that is handed in
-//! - [`utc`]: dates and times of day
-//! - [`printable`]: text from outside, as a terminal may show it
-//! - [`safe_file`], [`contain`]: reading files and running decoders that strangers have a hand in
+//! - [`geometry`]: SE(3), homography, essential matrix, planar pose, resection, robust estimation: pure functions
+//! - [`camera`]: the camera model with distortion and its exact inverse; calibration files (feature `calibration-files`)
+//! - [`frame`]: a grey picture with its stamp
 //! - [`features`]: pyramid, corners, binary descriptors
 //! - [`matching`]: which feature is which
 //! - [`track`]: surfaces and bodies; acquire, register, verify, align, lock: a frame becomes a [`track::Sighting`]
 //! - [`pose`]: a sighting becomes poses in the stage frame, with covariance, or a prediction
 //! - [`record`]: [`PoseSample`] and the line it becomes (contract C3)
 //! - [`tracker`]: [`Tracker`]: a frame in, a sample out
-//! - [`drop_oldest`]: the bounded channel that drops its oldest entry
-//! - [`simulate`]: the virtual stage with exact truth
-//! - [`survey`]: what a clip of a known stage says of the camera: its shutter
-//! - [`capture`]: [`capture::FrameSource`]: clips of every form, the virtual camera, V4L2 cameras
-//! - [`calibrate`]: a chessboard's corners, Zhang's method, bundle adjustment, judgement and report
-//! - [`targets`]: what to print: the poster and the board, as PDF and SVG
-//! - [`mount`]: where the filming camera sits on the rig, from views of both cameras
-//! - [`protocols`]: FreeD, OpenTrackIO and PosiStageNet, encoded and decoded
-//! - [`publish`]: one file a protocol, one thread an output: FreeD, OpenTrackIO, PosiStageNet, OSC, JSON
-//! - [`telemetry`]: what a running daemon counts, its health and metrics
-//! - [`web`]: the HTTP server: WebSocket, pose and state
-//! - [`config`]: as typed, then resolved
-//! - [`daemon`]: the tracker on threads of its own: [`Daemon`]
-//! - [`diagnose`]: why a clip is not followed: what may be wrong is tried, and what fits is named
-//! - [`cli`]: one file a command
+//!
+//! Around it, each with the feature that brings it:
+//!
+//! - `simulate` (`simulate`): the virtual stage with exact truth
+//! - `survey` (`survey`): what a clip of a known stage says of the camera: its shutter
+//! - `printable` (`daemon`): text from outside, as a terminal may show it
+//! - `safe_file`, `contain` (`capture`): reading files and running decoders that strangers have a hand in
+//! - `drop_oldest` (`publish`): the bounded channel that drops its oldest entry
+//! - `utc` (`daemon`): dates and times of day
+//! - `capture` (`capture`, V4L2 cameras `live`): `FrameSource`: clips of every form, the virtual camera, cameras
+//! - `calibrate` (`calibrate`): a chessboard's corners, Zhang's method, bundle adjustment, judgement and report
+//! - `targets` (`calibrate`): what to print: the poster and the board, as PDF and SVG
+//! - `mount` (`calibrate`): where the filming camera sits on the rig, from views of both cameras
+//! - `diagnose` (`daemon`): why a clip is not followed: what may be wrong is tried, and what fits is named
+//! - `protocols` (`protocols`): FreeD, OpenTrackIO and PosiStageNet, encoded and decoded
+//! - `publish` (`publish`): one file a protocol, one thread an output: FreeD, OpenTrackIO, PosiStageNet, OSC, JSON
+//! - `telemetry` (`daemon`): what a running daemon counts, its health and metrics
+//! - `config` (`daemon`): as typed, then resolved
+//! - `daemon` (`daemon`): the tracker on threads of its own: `Daemon`
+//! - `web` (`daemon`, the server `http`): WebSocket, pose and state over HTTP
+//! - `cli` (`cli`): one file a command
 //!
 //! # Two ways to use it
-//! [`Tracker::track`] takes a frame and gives a sample, in the calling thread. [`Daemon`] runs capture, matcher and pose on a
-//! thread each, and [`Daemon::subscribe`] gives every subscriber a channel of its own.
+//! [`Tracker::track`] takes a frame and gives a sample, in the calling thread. `Daemon` runs capture, matcher and pose on a
+//! thread each, and `Daemon::subscribe` gives every subscriber a channel of its own. `examples/` shows both.
 //!
 //! Conventions (metres, radians, pixel centres at integers, `T_to_from`) are said where the types are:
 //! [`geometry::Stage`], [`geometry::Camera`], [`camera::Pixel`].

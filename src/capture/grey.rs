@@ -57,7 +57,7 @@ impl DecodeError {
 /// or a calibration's view of that many takes about a gigabyte; cameras of stages have 2 to 8 million.
 pub(super) const MOST_PIXELS: u64 = 67_000_000;
 
-/// Bytes of a picture file: no picture of [`MOST_PIXELS`] needs more.
+/// Bytes of a picture file: no picture of 67 million pixels needs more.
 pub const LARGEST_PICTURE_FILE: u64 = 512 << 20;
 
 /// Decodes JPEG, PNG or PNM bytes to 8-bit grey, row-major.

@@ -46,7 +46,7 @@ pub fn open_clip(clip: impl AsRef<Path>, options: ClipOptions) -> Result<Box<dyn
     open(clip.as_ref(), options, false)
 }
 
-/// As [`open_clip`], with rows that carry their pictures' colours in [`Row::received`](super::Row::received); the grey
+/// As [`open_clip`], with rows that carry their pictures' colours in [`ClipEntry::received`](super::ClipEntry::received); the grey
 /// frames are the same to the bit. It costs memory, and for what ffmpeg reads a second ffmpeg.
 ///
 /// # Errors

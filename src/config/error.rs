@@ -36,7 +36,7 @@ pub enum ConfigError {
         file: PathBuf,
         /// 1-based.
         line: usize,
-        /// "key `x` in [y]", or "section [x]".
+        /// "key \`x\` in \[y\]", or "section \[x\]".
         what: String,
         /// The nearest known name, or all of them.
         mend: String,

@@ -11,7 +11,7 @@ impl Config {
     /// Reads the text of a config file; `file` is used in messages only.
     ///
     /// # Errors
-    /// [`ConfigError::Syntax`], [`ConfigError::Unknown`], [`ConfigError::LaterVersion`], or [`ConfigError::Value`] with a
+    /// [`ConfigError::Syntax`], [`ConfigError::Unknown`], or [`ConfigError::Value`] with a
     /// [`Problem::Type`](super::Problem::Type).
     pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
         let origin = Origin::new(file, text);

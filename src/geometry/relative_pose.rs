@@ -23,7 +23,7 @@ pub struct TwoViewMotion {
 }
 
 impl TwoViewMotion {
-    /// E = [t]x R.
+    /// E = \[t\]x R.
     pub fn essential(&self) -> Matrix3<f64> {
         skew(&self.direction) * self.rotation.to_rotation_matrix().into_inner()
     }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
-use super::scene::Scene;
+use super::scene::{Scene, records};
 
 #[test]
 fn replay_without_outputs_prints_the_table() {
@@ -36,6 +36,26 @@ fn the_same_bytes_on_one_and_two_threads() {
     scene.replay(&["--poses", "2.jsonl", "--tum", "2.txt", "--threads", "2"]).assert_success();
     assert_eq!(scene.read("1.jsonl"), scene.read("2.jsonl"));
     assert_eq!(scene.read("1.txt"), scene.read("2.txt"));
+}
+
+#[test]
+fn a_trajectory_has_the_poses_of_the_frames_that_are_tracked() {
+    let scene = Scene::new();
+    scene.replay(&["--poses", "poses.jsonl", "--tum", "poses.txt"]).assert_success();
+    let tracked: Vec<_> = records(&scene).into_iter().filter(|record| record["state"] == "tracking").collect();
+    let trajectory = scene.read("poses.txt");
+    assert_eq!((trajectory.lines().count(), tracked.is_empty()), (tracked.len(), false));
+    for (line, record) in trajectory.lines().zip(&tracked) {
+        let (seconds, pose) = line.split_once(' ').unwrap();
+        let (whole, fraction) = seconds.split_once('.').unwrap();
+        assert_eq!(fraction.len(), 9, "{line}");
+        assert_eq!(format!("{whole}{fraction}").parse::<i64>().unwrap(), record["timestamp_ns"].as_i64().unwrap(), "{line}");
+        let places = [("position_m", 3), ("orientation_xyzw", 4)].map(|(key, count)| (0..count).map(move |k| (key, k)));
+        let wanted = places.into_iter().flatten().map(|(key, k)| record["pose"][key][k].as_f64().unwrap());
+        let found: Vec<f64> = pose.split(' ').map(|number| number.parse().unwrap()).collect();
+        assert_eq!(found.len(), 7, "{line}");
+        assert!(found.iter().zip(wanted).all(|(found, wanted)| (found - wanted).abs() < 1e-9), "{line}\n{record}");
+    }
 }
 
 #[test]

@@ -37,6 +37,19 @@ fn a_replay_sends_its_records() {
 }
 
 #[test]
+fn a_replay_that_is_not_asked_to_sends_nothing() {
+    let scene = Scene::new();
+    let (socket, port) = receiver();
+    let output = format!("[[output]]\nkind = \"json\"\non_loss = \"flag\"\nto = [\"127.0.0.1:{port}\"]\nfile = \"sent.jsonl\"\n");
+    scene.write("stage.toml", &format!("{CONFIG}{output}"));
+    scene.replay(&["--poses", "poses.jsonl"]).assert_success();
+    socket.set_nonblocking(true).unwrap();
+    let heard = socket.recv(&mut [0; 64]);
+    assert_eq!(heard.map_err(|e| e.kind()), Err(std::io::ErrorKind::WouldBlock));
+    assert!(!scene.path("sent.jsonl").exists());
+}
+
+#[test]
 fn check_names_the_outputs_and_refuses_a_port_in_use() {
     let scene = Scene::new();
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();

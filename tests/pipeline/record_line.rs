@@ -1,9 +1,26 @@
 //! What every line of the pose record must hold, whatever the frame showed.
 
+use std::collections::BTreeSet;
+
 use nalgebra::Matrix6;
 use serde_json::Value;
 use stagepose::record::PoseSample;
 
+/// All keys of a line.
+const KEYS: [&str; 12] = [
+    "sequence",
+    "timestamp_ns",
+    "state",
+    "pose",
+    "measured",
+    "covariance",
+    "model",
+    "homography",
+    "essential",
+    "inliers",
+    "rms_px",
+    "objects",
+];
 const MEASURED_ONLY: [&str; 7] = ["measured", "covariance", "model", "homography", "essential", "inliers", "rms_px"];
 
 /// Parses the sample's line and holds it to contract C3.
@@ -11,6 +28,8 @@ pub fn assert_record_holds(sample: &PoseSample) {
     let text = sample.to_json_line();
     assert!(!text.contains('\n') && !text.contains("NaN") && !text.contains("inf"), "{text}");
     let line: Value = serde_json::from_str(&text).unwrap();
+    let keys: BTreeSet<&str> = line.as_object().unwrap().keys().map(String::as_str).collect();
+    assert_eq!(keys, BTreeSet::from(KEYS));
     assert_eq!(line["sequence"], sample.sequence);
     assert_eq!(line["timestamp_ns"], sample.timestamp_ns);
     let state = line["state"].as_str().unwrap();

@@ -1,10 +1,19 @@
 //! What the record says while the stage cannot be seen.
 
 use stagepose::capture::{ClipEntry, EntryContent};
+use stagepose::frame::Frame;
 use stagepose::record::State::{Coasting, Lost, Searching, Tracking};
 use stagepose::simulate::VirtualStage;
+use stagepose::{FrameError, Tracker};
 
 use super::scene::{FPS, aside, backdrop, camera, errors, past, quiet, rows, setup, states, track, track_rows, truth_of};
+
+fn frame_of(content: EntryContent) -> Option<Frame> {
+    match content {
+        EntryContent::Frame(frame) => Some(frame),
+        EntryContent::Undecodable(_) | EntryContent::Skipped(_) => None,
+    }
+}
 
 fn small() -> VirtualStage {
     quiet(camera(480, 360), past(), backdrop())
@@ -70,6 +79,24 @@ fn undecodable_and_skipped_rows_make_a_line_and_disturb_nothing() {
             // What is known of the motion differs after a gap, and with it the start of the next alignment.
             let (pose, undisturbed) = (sample.pose.expect("it tracks"), before.pose.expect("it tracks"));
             assert!((pose.translation - undisturbed.translation).norm() < 5e-4 && pose.angle_to(&undisturbed) < 2e-4);
+        }
+    }
+}
+
+#[test]
+fn a_frame_that_does_not_fit_is_an_error_and_counts_as_never_seen() {
+    let scene = small();
+    let frames: Vec<Frame> = rows(&scene, 4).into_iter().filter_map(|row| frame_of(row.content)).collect();
+    let (mut told, mut alone) = (Tracker::new(setup(&scene)), Tracker::new(setup(&scene)));
+    for frame in &frames {
+        let last_ns = frame.timestamp_ns;
+        let sample = told.track(frame).expect("it fits");
+        assert_eq!(sample.to_json_line(), alone.track(frame).expect("it fits").to_json_line());
+        let small = Frame { image: image::GrayImage::new(100, 80), timestamp_ns: last_ns + 1, sequence: frame.sequence };
+        assert_eq!(told.track(&small), Err(FrameError::Size { size: (100, 80), wanted: (480, 360) }));
+        for timestamp_ns in [last_ns, last_ns - 1] {
+            let late = Frame { timestamp_ns, ..frame.clone() };
+            assert_eq!(told.track(&late), Err(FrameError::Stamp { timestamp_ns, last_ns }));
         }
     }
 }

@@ -3,6 +3,7 @@
 //! `STAGEPOSE_REMAKE=1 cargo test --test stagepose structure` draws docs/modules.md anew.
 
 mod modules;
+mod specification;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
