@@ -28,7 +28,7 @@ fn frames(c: &mut Criterion) {
 
 /// Time to track all rows.
 fn pass(setup: &TrackerSetup, rows: &[ClipEntry]) -> Duration {
-    let mut tracker = Tracker::new(setup.clone());
+    let mut tracker = Tracker::new(setup.clone()).expect("a setup that fits");
     let start = Instant::now();
     let tracked = rows.iter().filter(|row| track_entry(&mut tracker, row).state == State::Tracking).count();
     let spent = start.elapsed();

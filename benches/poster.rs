@@ -56,7 +56,7 @@ fn seen(picture: &GrayImage, at: (f64, f64), start: Start, light: f32) -> Seen {
         Start::Followed => (walk((1.0, 0.0), at, WAY_S), WAY_S),
     };
     let scene = one_picture(picture.clone(), path, light);
-    let mut tracker = Tracker::new(TrackerSetup::from(&scene));
+    let mut tracker = Tracker::new(TrackerSetup::from(&scene)).expect("a setup that fits");
     let renderer = Renderer::new(scene);
     let frames = COLD_FRAMES + (lead_s * FPS) as u64;
     let mut sum = Seen::default();

@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let setup = TrackerSetup::from(&stage);
     let camera = Renderer::new(stage);
 
-    let mut tracker = Tracker::new(setup);
+    let mut tracker = Tracker::new(setup)?;
     let mut worst_mm: f64 = 0.0;
     for sequence in 0..FRAMES {
         let frame = grab(&camera, sequence);

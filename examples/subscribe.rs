@@ -41,7 +41,7 @@ fn run() -> Result<(), Box<dyn Error>> {
     let (setup, _) = settings.tracker_setup(width, height)?;
 
     // Subscribe before the start: a subscriber gets what comes after it.
-    let mut daemon = Daemon::new(source, Tracker::new(setup).with_filter(settings.filter), Delivery::Blocking);
+    let mut daemon = Daemon::new(source, Tracker::new(setup)?.with_filter(settings.filter), Delivery::Blocking);
     let samples = daemon.subscribe();
     let reader = thread::spawn(move || {
         let (mut tracking, mut all) = (0, 0);

@@ -42,7 +42,7 @@ fn run() -> Result<(), Box<dyn Error>> {
     if let Some(note) = note {
         eprintln!("{note}");
     }
-    let mut tracker = Tracker::new(setup).with_filter(settings.filter);
+    let mut tracker = Tracker::new(setup)?.with_filter(settings.filter);
 
     let mut out = std::io::stdout().lock();
     while let Some(row) = source.next_entry() {

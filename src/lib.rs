@@ -106,4 +106,4 @@ pub mod web;
 #[cfg(feature = "daemon")]
 pub use daemon::Daemon;
 pub use record::PoseSample;
-pub use tracker::{FrameError, Tracker, TrackerSetup};
+pub use tracker::{FrameError, SetupError, Tracker, TrackerSetup};

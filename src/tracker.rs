@@ -32,6 +32,53 @@ pub struct TrackerSetup {
     pub clock: ComputeClock,
 }
 
+/// Why no tracker can be made of a setup.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum SetupError {
+    /// The mask is not of the camera's size.
+    #[error("the mask is {}x{} pixels, the camera's frames {}x{}; scale the mask to the frames", size.0, size.1, wanted.0, wanted.1)]
+    MaskSize {
+        /// Width and height of the mask, pixels.
+        size: (u32, u32),
+        /// Width and height of the camera, pixels.
+        wanted: (u32, u32),
+    },
+    /// A time of the shutter that no camera has.
+    #[error("{name} is {seconds} s; give a number{}", if *name == "exposure_s" { " of 0 or more" } else { "" })]
+    Shutter {
+        /// Which.
+        name: &'static str,
+        /// As given.
+        seconds: f64,
+    },
+    /// Nothing to be seen of a body.
+    #[error("the body `{body}` has no surface; give it one, or leave it out")]
+    NoSurface {
+        /// Its name.
+        body: String,
+    },
+}
+
+impl TrackerSetup {
+    fn checked(&self) -> Result<(), SetupError> {
+        let wanted = (self.camera.width(), self.camera.height());
+        if let Some(size) = self.mask.as_ref().map(GrayImage::dimensions).filter(|size| *size != wanted) {
+            return Err(SetupError::MaskSize { size, wanted });
+        }
+        if !(self.exposure_s.is_finite() && self.exposure_s >= 0.0) {
+            return Err(SetupError::Shutter { name: "exposure_s", seconds: self.exposure_s });
+        }
+        if !self.readout_s.is_finite() {
+            return Err(SetupError::Shutter { name: "readout_s", seconds: self.readout_s });
+        }
+        match std::iter::once(&self.stage).chain(&self.objects).find(|body| body.surfaces.is_empty()) {
+            Some(body) => Err(SetupError::NoSurface { body: body.name.clone() }),
+            None => Ok(()),
+        }
+    }
+}
+
 /// Why a frame cannot be tracked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[non_exhaustive]
@@ -57,8 +104,8 @@ pub enum FrameError {
 /// Tracks frame by frame in the calling thread (plus its workers inside a frame).
 ///
 /// ```no_run
-/// # fn example(setup: stagepose::TrackerSetup, frames: Vec<stagepose::frame::Frame>) -> Result<(), stagepose::FrameError> {
-/// let mut tracker = stagepose::Tracker::new(setup);
+/// # fn example(setup: stagepose::TrackerSetup, frames: Vec<stagepose::frame::Frame>) -> Result<(), Box<dyn std::error::Error>> {
+/// let mut tracker = stagepose::Tracker::new(setup)?;
 /// for frame in &frames {
 ///     let sample = tracker.track(frame)?;
 ///     println!("{}", sample.to_json_line());
@@ -82,11 +129,15 @@ pub(crate) struct PoseRecorder {
 
 impl Tracker {
     /// Prepares the reference pictures; takes a fraction of a second per surface.
-    pub fn new(setup: TrackerSetup) -> Self {
+    ///
+    /// # Errors
+    /// When parts of the setup do not fit together.
+    pub fn new(setup: TrackerSetup) -> Result<Self, SetupError> {
+        setup.checked()?;
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
         let sensor = Sensor { readout_s: setup.readout_s, exposure_s: setup.exposure_s };
         let matcher = Matcher::new(setup.camera, sensor, setup.mask, &setup.stage, &setup.objects, setup.settings, setup.clock);
-        Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names, clock: setup.clock }, last_ns: None }
+        Ok(Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names, clock: setup.clock }, last_ns: None })
     }
 
     /// With a filter between the measured pose and the one for use; from the next frame on.

@@ -44,7 +44,7 @@ fn a_followed_frame_allocates_nothing() {
     let choice = Dolly { width: 640, height: 480, seed: 4, duration_s: 3.0, artwork_width: 1000 };
     let mut camera = VirtualCamera::new(dolly(choice).expect("a scene"), 30.0, (WARM_UP + COUNTED) as u64);
     let rows: Vec<_> = std::iter::from_fn(|| camera.next_entry()).collect();
-    let mut tracker = Tracker::new(TrackerSetup::from(camera.stage()));
+    let mut tracker = Tracker::new(TrackerSetup::from(camera.stage())).expect("a setup that fits");
     let mut counts = Vec::with_capacity(rows.len());
     for row in &rows {
         let EntryContent::Frame(frame) = &row.content else { panic!("a virtual camera loses no frame") };

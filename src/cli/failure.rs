@@ -22,6 +22,9 @@ pub enum Failure {
     /// The config, or something that it names, cannot be used.
     #[error(transparent)]
     Config(Box<ConfigError>),
+    /// The tracker cannot be set up.
+    #[error(transparent)]
+    Setup(#[from] crate::tracker::SetupError),
     /// The clip cannot be read.
     #[error(transparent)]
     Capture(Box<CaptureError>),
@@ -119,7 +122,7 @@ impl Failure {
     /// 1 or 2 (contract C1).
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
-            Self::Usage(_) | Self::Config(_) => USAGE,
+            Self::Usage(_) | Self::Config(_) | Self::Setup(_) => USAGE,
             Self::Capture(_)
             | Self::NoFrame { .. }
             | Self::Output { .. }

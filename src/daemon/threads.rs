@@ -357,6 +357,7 @@ mod tests {
             settings: TrackerSettings::default(),
             clock: ComputeClock::default(),
         })
+        .expect("a setup that fits")
     }
 
     #[test]

@@ -31,7 +31,7 @@ fn join(running: RunningDaemon) {
 }
 
 fn daemon(faulty: &Arc<Faulty>, link: &LiveLink) -> (Daemon, LiveStop) {
-    let tracker = Tracker::new(tracker_setup());
+    let tracker = Tracker::new(tracker_setup()).expect("a setup that fits");
     let source = source(faulty, link);
     let stop = source.stopper();
     let mut daemon = Daemon::live(source, tracker);
@@ -158,7 +158,7 @@ fn a_recording_full_of_faults_replays_byte_for_byte() {
     let folder = tempfile::tempdir().unwrap();
     let clip = folder.path().join("take");
     let faulty = Faulty::random(5, 6, 60);
-    let tracker = Tracker::new(tracker_setup());
+    let tracker = Tracker::new(tracker_setup()).expect("a setup that fits");
     let link = LiveLink::default();
     let mut source = source(&faulty, &link);
     let mode = source.wait_for_camera(|| false).expect("the camera opens");
@@ -174,7 +174,7 @@ fn a_recording_full_of_faults_replays_byte_for_byte() {
     });
     join(daemon.start().unwrap());
     recorder.finish();
-    let mut tracker = Tracker::new(tracker_setup());
+    let mut tracker = Tracker::new(tracker_setup()).expect("a setup that fits");
     let mut replay = open_clip(&clip, ClipOptions::default()).unwrap();
     let again: String =
         std::iter::from_fn(|| replay.next_entry()).map(|row| track_entry(&mut tracker, &row).to_json_line() + "\n").collect();

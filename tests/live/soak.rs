@@ -24,7 +24,7 @@ fn resident_mb() -> f64 {
 fn soak() {
     let frames: u64 = std::env::var("STAGEPOSE_SOAK_FRAMES").ok().and_then(|n| n.parse().ok()).unwrap_or(400);
     let faulty = Faulty::random(2026, 40, frames);
-    let tracker = Tracker::new(tracker_setup());
+    let tracker = Tracker::new(tracker_setup()).expect("a setup that fits");
     let link = LiveLink::default();
     let mut daemon = Daemon::live(source(&faulty, &link), tracker);
     // Never read: it must cost its queue and no more.

@@ -72,7 +72,7 @@ fn track_scene(seed: u64) -> [u64; 2] {
         let (w, h) = (random.random_range(1..200), random.random_range(1..200));
         setup.mask = Some(GrayImage::from_fn(w, h, |x, y| Luma([if (x + y) % 7 == 0 { 0 } else { 255 }])));
     }
-    let mut tracker = Tracker::new(setup);
+    let mut tracker = Tracker::new(setup).expect("a setup that fits");
     let fps = [5.0, 15.0, 30.0, 60.0, 240.0][random.random_range(0..5)];
     let renderer = Renderer::new(scene);
     let (mut tracked, mut time_s) = (0, 0.0);

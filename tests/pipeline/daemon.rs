@@ -25,7 +25,7 @@ fn with_threads(threads: usize) -> TrackerSetup {
 }
 
 fn daemon(threads: usize, delivery: Delivery, source: impl FrameSource + 'static) -> Daemon {
-    Daemon::new(Box::new(source), Tracker::new(with_threads(threads)), delivery)
+    Daemon::new(Box::new(source), Tracker::new(with_threads(threads)).expect("a setup that fits"), delivery)
 }
 
 fn lines(samples: impl IntoIterator<Item = PoseSample>) -> Vec<String> {

@@ -12,7 +12,7 @@ use stagepose::{Tracker, TrackerSetup};
 fn seen(picture: &image::GrayImage, widths: f64, askew_deg: f64, light: f32) -> Option<(Measurement, f64)> {
     let at = in_front(widths, askew_deg);
     let scene = one_picture(picture.clone(), CameraPath::fixed(at, Point3::origin()), light);
-    let mut tracker = Tracker::new(TrackerSetup::from(&scene));
+    let mut tracker = Tracker::new(TrackerSetup::from(&scene)).expect("a setup that fits");
     let renderer = Renderer::new(scene);
     let frame = |k: u64| Frame { image: renderer.render(0.0, k), timestamp_ns: k as i64 * 33_333_333, sequence: k };
     let last = (0..4).filter_map(|k| tracker.track(&frame(k)).ok()).last()?;
@@ -37,7 +37,7 @@ fn it_is_followed_to_ten_widths_and_to_75_degrees() {
     let picture = poster::paint(850, 1200, 7);
     for (from, to) in [((5.0, 0.0), (10.0, 0.0)), ((1.0, 45.0), (1.0, 75.0))] {
         let scene = one_picture(picture.clone(), walk(from, to, 1.0), 1.0);
-        let mut tracker = Tracker::new(TrackerSetup::from(&scene));
+        let mut tracker = Tracker::new(TrackerSetup::from(&scene)).expect("a setup that fits");
         let renderer = Renderer::new(scene);
         for k in 0..40_u64 {
             let time_s = k as f64 / 30.0;

@@ -83,7 +83,7 @@ pub fn rows(scene: &VirtualStage, frames: u64) -> Vec<ClipEntry> {
 
 /// Tracks rows one by one and holds every record to the contract.
 pub fn track_rows(setup: TrackerSetup, rows: &[ClipEntry]) -> Vec<PoseSample> {
-    let mut tracker = Tracker::new(setup);
+    let mut tracker = Tracker::new(setup).expect("a setup that fits");
     let samples: Vec<PoseSample> = rows.iter().map(|row| track_entry(&mut tracker, row)).collect();
     samples.iter().for_each(assert_record_holds);
     samples

@@ -4,7 +4,7 @@ use stagepose::capture::{ClipEntry, EntryContent};
 use stagepose::frame::Frame;
 use stagepose::record::State::{Coasting, Lost, Searching, Tracking};
 use stagepose::simulate::VirtualStage;
-use stagepose::{FrameError, Tracker};
+use stagepose::{FrameError, SetupError, Tracker, TrackerSetup};
 
 use super::scene::{FPS, aside, backdrop, camera, errors, past, quiet, rows, setup, states, track, track_rows, truth_of};
 
@@ -87,7 +87,8 @@ fn undecodable_and_skipped_rows_make_a_line_and_disturb_nothing() {
 fn a_frame_that_does_not_fit_is_an_error_and_counts_as_never_seen() {
     let scene = small();
     let frames: Vec<Frame> = rows(&scene, 4).into_iter().filter_map(|row| frame_of(row.content)).collect();
-    let (mut told, mut alone) = (Tracker::new(setup(&scene)), Tracker::new(setup(&scene)));
+    let (mut told, mut alone) =
+        (Tracker::new(setup(&scene)).expect("a setup that fits"), Tracker::new(setup(&scene)).expect("a setup that fits"));
     for frame in &frames {
         let last_ns = frame.timestamp_ns;
         let sample = told.track(frame).expect("it fits");
@@ -99,6 +100,26 @@ fn a_frame_that_does_not_fit_is_an_error_and_counts_as_never_seen() {
             assert_eq!(told.track(&late), Err(FrameError::Stamp { timestamp_ns, last_ns }));
         }
     }
+}
+
+#[test]
+fn a_setup_that_does_not_fit_is_an_error() {
+    let scene = small();
+    let mask = |width, height| Some(image::GrayImage::from_pixel(width, height, image::Luma([255])));
+    assert!(Tracker::new(TrackerSetup { mask: mask(480, 360), ..setup(&scene) }).is_ok());
+    let refused = |change: fn(&mut TrackerSetup)| {
+        let mut setup = setup(&scene);
+        change(&mut setup);
+        Tracker::new(setup).err().map(|e| e.to_string()).expect("it does not fit")
+    };
+    let small_mask = Tracker::new(TrackerSetup { mask: mask(100, 80), ..setup(&scene) }).err();
+    assert_eq!(small_mask, Some(SetupError::MaskSize { size: (100, 80), wanted: (480, 360) }));
+    assert_eq!(refused(|s| s.exposure_s = -0.1), "exposure_s is -0.1 s; give a number of 0 or more");
+    assert_eq!(refused(|s| s.readout_s = f64::NAN), "readout_s is NaN s; give a number");
+    assert_eq!(
+        refused(|s| s.stage.surfaces.clear()),
+        format!("the body `{}` has no surface; give it one, or leave it out", scene.stage.name)
+    );
 }
 
 #[test]

@@ -71,7 +71,7 @@ fn the_covariance_holds_where_a_camera_starts_or_stops() {
         let mut scene = quiet(camera(480, 270), path, backdrop());
         scene.noise = SensorNoise { read: 1.2, shot: 0.015 };
         (scene.exposure_s, scene.readout_s, scene.samples) = (random.random_range(0.004..0.02), [0.0, 0.006, 0.014][seed as usize % 3], 16);
-        let mut tracker = Tracker::new(TrackerSetup::from(&scene));
+        let mut tracker = Tracker::new(TrackerSetup::from(&scene)).expect("a setup that fits");
         let frames = (events[events_a_scene - 1] * FPS) as u64 + 5;
         let mut source = VirtualCamera::new(scene.clone(), FPS, frames);
         while let Some(row) = source.next_entry() {

@@ -18,7 +18,7 @@ use crate::daemon::thread_clock;
 use crate::frame::Frame;
 use crate::record::PoseSample;
 use crate::simulate::{Dolly, DollyError, VirtualStage, dolly};
-use crate::tracker::{FrameError, Tracker, TrackerSetup};
+use crate::tracker::{FrameError, SetupError, Tracker, TrackerSetup};
 use errors::PoseErrors;
 use live::LivePrint;
 use saved_clip::SavedClip;
@@ -80,6 +80,9 @@ pub enum DemoError {
     /// What the saved clip consists of is in its folder already; holds the first such file.
     #[error("{}: is there already and would be written over; give --save a new folder", .0.display())]
     Exists(PathBuf),
+    /// The tracker cannot be set up.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
     /// A frame cannot be tracked.
     #[error(transparent)]
     Frame(#[from] FrameError),
@@ -105,7 +108,7 @@ pub fn run(arguments: &DemoArguments) -> Result<(), DemoError> {
         Some(folder) => Some(SavedClip::create(folder, &stage, arguments.jpeg)?),
         None => None,
     };
-    let mut tracker = Tracker::new(TrackerSetup { clock: thread_clock(), ..TrackerSetup::from(&stage) });
+    let mut tracker = Tracker::new(TrackerSetup { clock: thread_clock(), ..TrackerSetup::from(&stage) })?;
     let mut camera = VirtualCamera::new(stage, arguments.fps, arguments.frames);
     let mut live = LivePrint::stdout();
     let errors = session(&mut camera, |frame| tracker.track(frame), saved.as_mut(), &mut live)?;

@@ -42,7 +42,7 @@ pub(super) fn measure(settings: &Settings, clip: &Path) -> Result<Measured, Fail
     // Objects say nothing of the mount.
     let setup = TrackerSetup { camera: camera.with_doubt(None), objects: Vec::new(), ..setup };
     let (first, is_stills) = beginning(source.as_mut());
-    let mut tracker = Tracker::new(setup);
+    let mut tracker = Tracker::new(setup)?;
     let (mut rows, mut readable, mut first_reason) = (Vec::new(), 0_u64, None);
     for row in first.into_iter().chain(std::iter::from_fn(|| source.next_entry())) {
         if interrupt::is_interrupted() {

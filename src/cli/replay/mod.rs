@@ -125,7 +125,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     // What is sent is sent at the pace at which it was recorded.
     let source: Box<dyn FrameSource> = if arguments.realtime || arguments.outputs { Box::new(Paced::new(source, begun)) } else { source };
     let mut tally = Tally::new(started);
-    let mut tracker = Tracker::new(setup).with_filter(settings.filter);
+    let mut tracker = Tracker::new(setup)?.with_filter(settings.filter);
     let overlays = overlay.map(|(dir, setup)| Overlays::create(dir, &setup, tracker.watch_pixels())).transpose()?;
     let mut writing = Writing { records: &mut records, tally: &mut tally, outputs: outputs.as_ref() };
     let rows = track(source, tracker, overlays, &mut writing)?;

@@ -92,7 +92,7 @@ impl Session<'_> {
         }
         let stopper = source.stopper();
         let outputs = Outputs::live(self.settings, setup.camera, mode.fps)?;
-        let mut daemon = Daemon::live(source, Tracker::new(setup).with_filter(self.settings.filter));
+        let mut daemon = Daemon::live(source, Tracker::new(setup)?.with_filter(self.settings.filter));
         let samples = daemon.subscribe();
         let recorder = clips.recorder(self, mode.clone(), exposure_s)?;
         if let Some(recorder) = &recorder {
