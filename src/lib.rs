@@ -107,3 +107,8 @@ pub mod web;
 pub use daemon::Daemon;
 pub use record::PoseSample;
 pub use tracker::{FrameError, SetupError, Tracker, TrackerSetup};
+
+/// The README's code, which is compiled with the documentation's.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
