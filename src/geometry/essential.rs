@@ -2,11 +2,10 @@
 //! every correspondence in both views, and refinement of the motion on Sampson distances.
 
 use nalgebra::{Matrix3, Matrix5, SMatrix, SVector, UnitQuaternion, Vector3};
-use rand::{Rng, SeedableRng};
-use rand_pcg::Pcg64Mcg;
 
 use super::least_squares::{Damping, Options, Problem, minimise};
 use super::pose::{quaternion, skew};
+use super::ransac::{self, Estimator};
 use super::relative_pose::{RayPair, TwoViewMotion};
 use super::robust_kernel::{geman_mcclure_cost, geman_mcclure_weight};
 use super::triangulation::depths;
@@ -223,28 +222,35 @@ pub fn robust_essential(pairs: &[RayPair], threshold: f64, samples: usize, keep:
     if pairs.len() < 6 {
         return Vec::new();
     }
-    let mut rng = Pcg64Mcg::seed_from_u64(seed);
-    let mut best: Vec<(f64, Matrix3<f64>)> = Vec::new();
-    for _ in 0..samples {
-        let mut pick = [0; 5];
-        for k in 0..5 {
-            pick[k] = loop {
-                let candidate = rng.random_range(0..pairs.len());
-                if !pick[..k].contains(&candidate) {
-                    break candidate;
-                }
-            };
-        }
-        for e in five_point(&pick.map(|k| pairs[k])) {
-            let cost = truncated_cost(&e, pairs, threshold);
-            if best.len() < keep || cost < best[best.len() - 1].0 {
-                best.push((cost, e));
-                best.sort_by(|a, b| a.0.total_cmp(&b.0));
-                best.truncate(keep);
-            }
-        }
+    let options = ransac::Options { samples, confidence: None, is_progressive: false, least_score: f64::NEG_INFINITY, keep, seed };
+    ransac::search(&TwoViews { pairs, threshold }, &options).into_iter().map(|(_, e)| e).collect()
+}
+
+/// Rays seen in two views, of which five make up to ten essential matrices.
+struct TwoViews<'a> {
+    pairs: &'a [RayPair],
+    threshold: f64,
+}
+
+impl Estimator<5> for TwoViews<'_> {
+    type Model = Matrix3<f64>;
+
+    fn count(&self) -> usize {
+        self.pairs.len()
     }
-    best.into_iter().map(|(_, e)| e).collect()
+
+    fn models(&self, sample: [usize; 5]) -> impl Iterator<Item = Matrix3<f64>> {
+        five_point(&sample.map(|k| self.pairs[k])).into_iter()
+    }
+
+    fn score(&self, e: &Matrix3<f64>) -> f64 {
+        -truncated_cost(e, self.pairs, self.threshold)
+    }
+
+    fn inlier_share(&self, e: &Matrix3<f64>) -> f64 {
+        let t2 = self.threshold * self.threshold;
+        self.pairs.iter().filter(|p| squared_sampson(e, p) < t2).count() as f64 / self.pairs.len() as f64
+    }
 }
 
 /// Refines a motion on Sampson distances of all pairs (5 degrees of freedom, Geman-McClure at `sigma`, normalised units).
@@ -321,6 +327,8 @@ fn motion_normal_equations(m: &TwoViewMotion, pairs: &[RayPair], c2: f64) -> (Ma
 #[cfg(test)]
 mod tests {
     use nalgebra::Vector2;
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
 
     use super::*;
 

@@ -11,6 +11,7 @@ pub mod homography;
 pub mod least_squares;
 pub mod planar_pose;
 mod pose;
+pub mod ransac;
 pub mod relative_pose;
 pub mod resection;
 pub mod robust;

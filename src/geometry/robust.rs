@@ -1,12 +1,13 @@
-//! Robust homography estimation: samples drawn in the order of match quality (PROSAC, Chum & Matas 2005),
-//! scored by truncated squares (MSAC), improved locally whenever a better one is found.
+//! Robust homography estimation: samples drawn in the order of match quality, scored by truncated squares (MSAC), improved
+//! locally whenever a better one is found.
 //!
 //! Matches must come sorted, best first. The generator is seeded, so the same matches give the same answer.
 
-use rand::{Rng, SeedableRng};
-use rand_pcg::Pcg64Mcg;
-
 use super::homography::{Homography, PointPair};
+use super::ransac::{self, Estimator};
+
+/// A homography that little more than its own sample agrees with is none.
+const LEAST_SCORE: f64 = 3.5;
 
 /// What the search may spend and what counts as agreement.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,35 +35,52 @@ pub struct RobustHomography {
 
 /// Finds the homography that most matches agree with, or `None` when fewer than four ever do.
 pub fn robust_homography(pairs: &[PointPair], options: &RobustOptions) -> Option<RobustHomography> {
-    if pairs.len() < 4 {
-        return None;
-    }
-    let t2 = options.threshold * options.threshold;
-    let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
-    let mut best: Option<(Homography, f64)> = None;
-    let mut wanted = options.max_samples;
-    let mut sampler = Prosac::new(pairs.len(), options.max_samples);
-    let mut drawn = 0;
-    while drawn < wanted {
-        drawn += 1;
-        let sample = sampler.next(&mut rng).map(|k| pairs[k]);
-        let Some(h) = Homography::from_four(&sample) else { continue };
-        let s = score(&h, pairs, t2);
-        if s <= best.as_ref().map_or(3.5, |b| b.1) {
-            continue;
-        }
-        let (h, s) = locally_optimised(h, s, pairs, options.threshold);
-        best = Some((h, s));
-        let share = pairs.iter().filter(|p| h.squared_error(p) < t2).count() as f64 / pairs.len() as f64;
-        let miss = (1.0 - share.powi(4)).clamp(1e-12, 1.0 - 1e-12).ln();
-        let needed = ((1.0 - options.confidence).ln() / miss).ceil();
-        wanted = options.max_samples.min(drawn.max(needed.min(1e9) as usize));
-    }
-    let (homography, _) = best?;
+    let RobustOptions { threshold, max_samples, confidence, seed } = *options;
+    let t2 = threshold * threshold;
+    let search = ransac::Options {
+        samples: max_samples,
+        confidence: Some(confidence),
+        is_progressive: true,
+        least_score: LEAST_SCORE,
+        keep: 1,
+        seed,
+    };
+    let (_, homography) = ransac::search(&Plane { pairs, threshold }, &search).pop()?;
     let homography = homography.refined(&inliers_of(&homography, pairs, t2), options.threshold / 3.0, 15).unwrap_or(homography);
     let inliers: Vec<usize> = (0..pairs.len()).filter(|&k| homography.squared_error(&pairs[k]) < t2).collect();
     let score = score(&homography, pairs, t2);
     (inliers.len() >= 4).then_some(RobustHomography { homography, inliers, score })
+}
+
+/// Pairs of points on two planes, of which four make a homography.
+struct Plane<'a> {
+    pairs: &'a [PointPair],
+    threshold: f64,
+}
+
+impl Estimator<4> for Plane<'_> {
+    type Model = Homography;
+
+    fn count(&self) -> usize {
+        self.pairs.len()
+    }
+
+    fn models(&self, sample: [usize; 4]) -> impl Iterator<Item = Homography> {
+        Homography::from_four(&sample.map(|k| self.pairs[k])).into_iter()
+    }
+
+    fn score(&self, h: &Homography) -> f64 {
+        score(h, self.pairs, self.threshold.powi(2))
+    }
+
+    fn improved(&self, h: Homography, score: f64) -> (Homography, f64) {
+        locally_optimised(h, score, self.pairs, self.threshold)
+    }
+
+    fn inlier_share(&self, h: &Homography) -> f64 {
+        let t2 = self.threshold.powi(2);
+        self.pairs.iter().filter(|p| h.squared_error(p) < t2).count() as f64 / self.pairs.len() as f64
+    }
 }
 
 fn score(h: &Homography, pairs: &[PointPair], t2: f64) -> f64 {
@@ -87,54 +105,12 @@ fn locally_optimised(mut h: Homography, mut s: f64, pairs: &[PointPair], thresho
     (h, s)
 }
 
-/// PROSAC's growing sample pool.
-struct Prosac {
-    total: usize,
-    pool: usize,
-    /// T_n of the paper: expected samples from the first n of `max_samples` drawn from all.
-    average: f64,
-    /// T'_n: the draw after which the pool grows.
-    grow_at: usize,
-    drawn: usize,
-}
-
-impl Prosac {
-    fn new(total: usize, max_samples: usize) -> Self {
-        let average = (0..4).fold(max_samples as f64, |t, i| t * (4 - i) as f64 / (total - i) as f64);
-        Self { total, pool: 4, average, grow_at: 1, drawn: 0 }
-    }
-
-    fn next(&mut self, rng: &mut Pcg64Mcg) -> [usize; 4] {
-        self.drawn += 1;
-        while self.drawn > self.grow_at && self.pool < self.total {
-            let next = self.average * (self.pool + 1) as f64 / (self.pool + 1 - 4) as f64;
-            self.grow_at += (next - self.average).ceil().max(1.0) as usize;
-            self.average = next;
-            self.pool += 1;
-        }
-        let mut sample = [0; 4];
-        // While the pool grows, its newest match is always part of the sample.
-        let from_rest = if self.pool < self.total && self.drawn <= self.grow_at { 3 } else { 4 };
-        let range = if from_rest == 3 { self.pool - 1 } else { self.pool };
-        for k in 0..from_rest {
-            sample[k] = loop {
-                let pick = rng.random_range(0..range);
-                if !sample[..k].contains(&pick) {
-                    break pick;
-                }
-            };
-        }
-        if from_rest == 3 {
-            sample[3] = self.pool - 1;
-        }
-        sample
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use nalgebra::{Matrix3, Vector2};
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
 
     /// `good` true pairs mixed into random ones; the true ones tend to come first, as a ratio test orders them.
     fn mixture(n: usize, good: usize, seed: u64) -> (Homography, Vec<PointPair>, Vec<bool>) {
