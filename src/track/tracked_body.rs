@@ -123,7 +123,7 @@ impl TrackedBody {
         self.observations.extend(self.anchors.iter().map(|a| a.observation));
         let surface = most_frequent_surface(&self.anchors, self.body.surfaces.len());
         let margin = ambiguity_margin(&self.body, surface, pose, &MovingCamera::still(camera), &self.observations, &mut self.squares);
-        debug!(margin, "twin");
+        debug!(margin, "planar ambiguity");
         margin > -LEAST_MARGIN
     }
 

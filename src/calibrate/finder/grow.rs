@@ -46,7 +46,7 @@ impl Lattice {
                 if tried.insert((i, j), neighbours).is_some_and(|before| before >= neighbours) {
                     continue;
                 }
-                let found = self.foretold(i, j).and_then(|start| {
+                let found = self.predicted(i, j).and_then(|start| {
                     let around = self.surroundings((i, j), start, None);
                     self.fit_at(level, (i, j), start, guess, &around, &mut window)
                 });

@@ -118,7 +118,7 @@ impl Lattice {
     }
 
     /// Where a corner should be, judging by those around it.
-    pub fn foretold(&self, i: i32, j: i32) -> Option<Vector2<f64>> {
+    pub fn predicted(&self, i: i32, j: i32) -> Option<Vector2<f64>> {
         let (mut sum, mut weight) = (Vector2::zeros(), 0.0);
         let mut say = |p: Vector2<f64>, w: f64| {
             sum += p * w;
@@ -161,7 +161,7 @@ impl Lattice {
             let Some((worst, _)) = strays.max_by(|a, b| a.1.total_cmp(b.1)) else { return };
             self.cells.remove(worst);
             off.remove(worst);
-            // Only those around it were foretold by it.
+            // Only the corners around it were predicted from it.
             for at in (-FORETELLS..=FORETELLS).flat_map(|a| (-FORETELLS..=FORETELLS).map(move |b| (worst.0 + a, worst.1 + b))) {
                 if let Some(cell) = self.cells.get(at) {
                     off.insert(at, self.share_off(at, cell));
@@ -172,7 +172,7 @@ impl Lattice {
 
     /// How far a corner lies from where its neighbours foretell it, squares; infinite where nothing speaks for it.
     fn share_off(&self, (i, j): Place, cell: &Cell) -> f64 {
-        let share = |[u, v]: [Vector2<f64>; 2]| Some((cell.position - self.foretold(i, j)?).norm() / u.norm().min(v.norm()));
+        let share = |[u, v]: [Vector2<f64>; 2]| Some((cell.position - self.predicted(i, j)?).norm() / u.norm().min(v.norm()));
         self.steps(i, j).and_then(share).unwrap_or(f64::INFINITY)
     }
 

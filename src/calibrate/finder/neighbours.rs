@@ -47,7 +47,8 @@ impl Margin {
 
 /// Blur above this share of a square makes the level of a single corner unsure …
 const MUCH_BLUR: f64 = 0.18;
-/// … so that the light is asked of corners up to so many squares away. Elsewhere one square, for a reflection is narrow.
+/// … so that the lightness around it is the median over the corners within this many squares. Elsewhere within one square, for a reflection
+/// is narrow.
 const REACH_BLURRED: i32 = 3;
 
 /// The outermost squares, which may be cut, alternate at least this much a quarter of a square out, and what is around the board at
@@ -164,7 +165,7 @@ impl Lattice {
         let across_u = Vector2::new(v.y, -v.x) / v.norm();
         let across_v = Vector2::new(-u.y, u.x) / u.norm();
         let edge = |di: i32, dj: i32, normal: Vector2<f64>| {
-            let next = self.at(i + di, j + dj).or_else(|| self.foretold(i + di, j + dj));
+            let next = self.at(i + di, j + dj).or_else(|| self.predicted(i + di, j + dj));
             let place = next.unwrap_or(here + u * f64::from(di) + v * f64::from(dj));
             let ends = margin.is_some_and(|m| !m.extent.contains((i + di, j + dj)));
             // An edge turns a little from one corner to the next.

@@ -50,7 +50,7 @@ const MOST_WAITING_BYTES: usize = 256 << 20;
 const RECENT_EVENTS: usize = 4096;
 
 enum Job {
-    ClipEntry(Recorded),
+    Entry(Recorded),
     Save,
 }
 
@@ -107,7 +107,7 @@ impl Recorder {
             }
             let recorded = recorded(row, sample);
             let bytes = queue.bytes.fetch_add(recorded.bytes(), Ordering::Relaxed);
-            if bytes > MOST_WAITING_BYTES || matches!(jobs.try_send(Job::ClipEntry(recorded)), Err(TrySendError::Full(_))) {
+            if bytes > MOST_WAITING_BYTES || matches!(jobs.try_send(Job::Entry(recorded)), Err(TrySendError::Full(_))) {
                 queue.overflown.store(true, Ordering::Relaxed);
             }
         }
@@ -167,7 +167,7 @@ impl Work {
         loop {
             select! {
                 recv(jobs) -> job => match job {
-                    Ok(Job::ClipEntry(row)) => self.row(&row),
+                    Ok(Job::Entry(row)) => self.row(&row),
                     Ok(Job::Save) => self.save(),
                     Err(_) => break,
                 },

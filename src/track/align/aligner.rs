@@ -284,6 +284,8 @@ impl Aligner {
         }
         if self.has_kept {
             self.fine.renew(&spec, frame);
+            // Not that of a frame whose pose was not accepted.
+            self.fine.recall_light(&self.light);
         } else if self.fine.lay_out(&spec, frame, known.motion, &mut self.selector, &mut self.chosen, &self.light) {
             self.fine.predict(&spec, known.motion);
             self.has_kept = true;
