@@ -8,12 +8,8 @@ use image::GrayImage;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use stagepose::calibrate::board::Board;
-use stagepose::calibrate::finder::{FoundBoard, find_board};
-use stagepose::calibrate::rendered::{BoardPhotographer, Photograph};
-use stagepose::calibrate::solve::adjust::BoardFrame;
-use stagepose::camera::{CameraModel, Intrinsics};
-use stagepose::geometry::{Camera, Pose};
+use stagepose::diagnostics::calibrate::{Board, BoardFrame, BoardPhotographer, FoundBoard, Photograph, find_board};
+use stagepose::{Camera, CameraModel, Intrinsics, Pose};
 
 const BOARDS: [(u32, u32); 4] = [(9, 6), (13, 12), (10, 10), (24, 17)];
 const KINDS: [&str; 7] =

@@ -6,13 +6,10 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use stagepose::calibrate::board::Board;
-use stagepose::calibrate::finder::find_board;
-use stagepose::calibrate::rendered::{BoardPhotographer, Photograph};
-use stagepose::calibrate::solve::adjust::{BoardFrame, Observation};
-use stagepose::calibrate::solve::{SolveOptions, estimate};
-use stagepose::camera::{CameraModel, Intrinsics};
-use stagepose::geometry::{Camera, Pose};
+use stagepose::diagnostics::calibrate::{
+    Board, BoardFrame, BoardPhotographer, Observation, Photograph, SolveOptions, estimate, find_board,
+};
+use stagepose::{Camera, CameraModel, Intrinsics, Pose};
 
 /// A camera of this width, 4 : 3.
 fn camera(width: u32) -> BoardPhotographer {

@@ -5,11 +5,8 @@
 use std::time::{Duration, Instant};
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use stagepose::capture::{ClipEntry, FrameSource, VirtualCamera};
-use stagepose::daemon::track_entry;
-use stagepose::record::State;
-use stagepose::simulate::{Dolly, dolly};
-use stagepose::{Tracker, TrackerSetup};
+use stagepose::diagnostics::capture::VirtualCamera;
+use stagepose::{ClipEntry, Dolly, FrameSource, State, Tracker, TrackerSetup, dolly, track_entry};
 
 /// Frames of one pass; every pass starts with a new tracker, whose preparation is not counted.
 const FRAMES: u64 = 12;

@@ -10,19 +10,17 @@ use image::GrayImage;
 use nalgebra::{Matrix2, Point3, UnitQuaternion, Vector2, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use stagepose::camera::{CameraModel, Normalized};
-use stagepose::capture::{EntryContent, FrameSource, VirtualCamera};
-use stagepose::features::{
-    CornerBuffers, CornerOptions, ExtractorOptions, FeatureExtractor, Pyramid, Workers, describe, detect_corners, orientation, smooth_into,
+use stagepose::diagnostics::capture::VirtualCamera;
+use stagepose::diagnostics::features::{
+    CornerBuffers, CornerOptions, ExtractorOptions, FeatureExtractor, MatchBuffers, Pyramid, ReferenceIndex, Workers, describe,
+    detect_corners, orientation, smooth_into,
 };
-use stagepose::geometry::essential::{five_point, robust_essential};
-use stagepose::geometry::relative_pose::RayPair;
-use stagepose::geometry::resection::{MovingCamera, Observation, resect};
-use stagepose::geometry::robust::{RobustOptions, robust_homography};
-use stagepose::geometry::{Body, Camera, PointPair, Pose};
-use stagepose::matching::{MatchBuffers, ReferenceIndex};
-use stagepose::simulate::{Dolly, dolly, grey, paint};
-use stagepose::track::AlignKernels;
+use stagepose::diagnostics::geometry::{
+    MovingCamera, Observation, PointPair, RayPair, RobustOptions, five_point, resect, robust_essential, robust_homography,
+};
+use stagepose::diagnostics::simulate::{grey, paint};
+use stagepose::diagnostics::track::AlignKernels;
+use stagepose::{Body, Camera, CameraModel, Dolly, EntryContent, FrameSource, Normalized, Pose, dolly};
 
 fn picture() -> GrayImage {
     grey(&paint(1280, 720, 3))

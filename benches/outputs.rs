@@ -8,21 +8,14 @@ use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use nalgebra::Vector3;
-use stagepose::PoseSample;
-use stagepose::camera::CameraModel;
-use stagepose::geometry::Pose;
+use stagepose::diagnostics::publish::{
+    BodyChoice, ClipStart, Context, FreedSettings, JsonSettings, OnLoss, OpenTrackIoSettings, OscMessageKind, OscSettings, OutputSettings,
+    Placement, Protocol, PsnSettings, Publisher, Rate, SafetySettings, Spare, Stamps, StreamSettings, UdpSettings,
+};
 use stagepose::protocols::camera_of_body;
 use stagepose::protocols::opentrackio::Encoding;
 use stagepose::protocols::opentrackio_lens::PrincipalPoint;
-use stagepose::publish::freed::{FreedSettings, Spare};
-use stagepose::publish::opentrackio::OpenTrackIoSettings;
-use stagepose::publish::osc::{OscMessageKind, OscSettings};
-use stagepose::publish::psn::PsnSettings;
-use stagepose::publish::{
-    BodyChoice, ClipStart, Context, JsonSettings, OnLoss, OutputSettings, Placement, Protocol, Publisher, Rate, SafetySettings, Stamps,
-    StreamSettings, UdpSettings,
-};
-use stagepose::record::{StageTimes, State};
+use stagepose::{CameraModel, Pose, PoseSample, StageTimes, State};
 
 const HZ: f64 = 240.0;
 

@@ -11,11 +11,9 @@ use std::process::ExitCode;
 use image::GrayImage;
 use image::imageops::{self, FilterType};
 use nalgebra::Point3;
-use stagepose::frame::Frame;
-use stagepose::record::State;
-use stagepose::simulate::{CameraPath, Renderer, grey, in_front, one_picture, paint, walk};
-use stagepose::targets::poster;
-use stagepose::{Tracker, TrackerSetup};
+use stagepose::diagnostics::calibrate::paint_poster;
+use stagepose::diagnostics::simulate::{grey, in_front, one_picture, paint, walk};
+use stagepose::{CameraPath, Frame, Renderer, State, Tracker, TrackerSetup};
 
 const FPS: f64 = 30.0;
 /// Frames of a still camera that starts with nothing known; the last [`SCORED_FRAMES`] of them are scored.
@@ -118,7 +116,7 @@ fn main() -> ExitCode {
         }
     }
     for seed in POSTERS {
-        let sigmas = row(&format!("poster of seed {seed}, upright paper"), &poster::paint(1700, 2400, seed), &POSTER_PLACES);
+        let sigmas = row(&format!("poster of seed {seed}, upright paper"), &paint_poster(1700, 2400, seed), &POSTER_PLACES);
         for (place, sigma) in POSTER_PLACES.iter().zip(sigmas) {
             let natural = NATURAL_PLACES.iter().position(|p| p == place).map_or(f64::INFINITY, |k| surest[k]);
             match sigma {
@@ -151,7 +149,7 @@ fn less_and_less() -> Vec<(&'static str, GrayImage)> {
         marks.iter().position(near)
     };
     vec![
-        ("the poster", poster::paint(width, height, 1)),
+        ("the poster", paint_poster(width, height, 1)),
         ("painted, marks of all sizes", painted.clone()),
         ("the same, out of focus: marks below 1/100 of the width are gone", blurred(0.004)),
         ("marks below 1/25 are gone", blurred(0.016)),

@@ -7,12 +7,12 @@
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use stagepose::camera::{CameraModel, Intrinsics};
-use stagepose::compute_clock::ComputeClock;
-use stagepose::frame::Frame;
-use stagepose::geometry::{Body, Camera, Pose};
-use stagepose::simulate::{CameraPath, LightKey, Occluder, Renderer, SensorNoise, VirtualStage, artwork_surface, grey, paint, upright};
-use stagepose::track::{BodySpec, Matcher, Sensor, TrackerSettings, Trial};
+use stagepose::diagnostics::simulate::{artwork_surface, grey, paint, upright};
+use stagepose::diagnostics::track::{Matcher, Sensor, Trial};
+use stagepose::{
+    Body, BodySpec, Camera, CameraModel, CameraPath, ComputeClock, Frame, Intrinsics, LightKey, Occluder, Pose, Renderer, SensorNoise,
+    TrackerSettings, VirtualStage,
+};
 
 const STAGES: u64 = 40;
 /// Starts of each stage at each distance.
@@ -90,7 +90,7 @@ fn main() {
     other.print("poses of a stage that is not shown");
 }
 
-fn surface(seed: u64, size_m: [f64; 2]) -> stagepose::track::SurfaceSpec {
+fn surface(seed: u64, size_m: [f64; 2]) -> stagepose::SurfaceSpec {
     let picture = grey(&paint(1200, (1200.0 * size_m[1] / size_m[0]) as u32, seed));
     artwork_surface("backdrop", picture, size_m, upright(Vector3::zeros(), 0.0))
 }

@@ -10,9 +10,7 @@
 use std::error::Error;
 
 use image::GrayImage;
-use stagepose::frame::Frame;
-use stagepose::simulate::{Dolly, Renderer, VirtualStage, dolly};
-use stagepose::{FrameError, Tracker, TrackerSetup};
+use stagepose::{Dolly, Frame, FrameError, Renderer, Tracker, TrackerSetup, VirtualStage, dolly};
 
 const FRAMES: u64 = 30;
 const FRAMES_PER_SECOND: f64 = 30.0;

@@ -13,11 +13,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::thread;
 
-use stagepose::capture::{ClipOptions, open_clip};
-use stagepose::config::Settings;
-use stagepose::daemon::Delivery;
-use stagepose::record::State;
-use stagepose::{Daemon, Tracker};
+use stagepose::{ClipOptions, Daemon, Delivery, Settings, State, Tracker, open_clip};
 
 fn main() -> ExitCode {
     match run() {

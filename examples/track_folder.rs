@@ -12,10 +12,7 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use stagepose::Tracker;
-use stagepose::capture::{ClipOptions, open_clip};
-use stagepose::config::Settings;
-use stagepose::daemon::track_entry;
+use stagepose::{ClipOptions, Settings, Tracker, open_clip, track_entry};
 
 fn main() -> ExitCode {
     match run() {

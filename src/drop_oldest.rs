@@ -42,11 +42,6 @@ impl<T> DropOldestSender<T> {
             }
         }
     }
-
-    /// Entries waiting to be read.
-    pub fn waiting(&self) -> usize {
-        self.drain.len()
-    }
 }
 
 #[cfg(test)]
@@ -78,7 +73,7 @@ mod tests {
         for k in 0..100 {
             sender.send(k);
         }
-        assert_eq!(sender.waiting(), 2);
+        assert_eq!(sender.drain.len(), 2);
     }
 
     #[test]

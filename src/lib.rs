@@ -8,19 +8,27 @@
 //!                                   candidates, verified) prediction)
 //! ```
 //!
-//! # The map
-//! Data moves one way, and a room uses only rooms above it in this list. The core, which is always there:
+//! # What is public
+//! The types at the root are what a program needs that builds a [`TrackerSetup`], feeds frames and reads samples; with features come
+//! clips (`capture`), the config and the `Daemon` (`daemon`), calibration files (`calibration-files`), the virtual
+//! stage (`simulate`) and the shutter from a clip (`survey`). The module `protocols` (`protocols`) has the codecs of FreeD, OpenTrackIO and
+//! PosiStageNet. [`diagnostics`] shows what is inside to studies, benches and tests, without a promise. The crates whose types are in
+//! signatures are re-exported: [`nalgebra`], [`image`], [`crossbeam_channel`], and with `protocols` `serde_json`.
 //!
-//! - [`compute_clock`]: how long work kept its thread busy, by a clock that is handed in
-//! - [`geometry`]: SE(3), homography, essential matrix, planar pose, resection, robust estimation: pure functions
-//! - [`camera`]: the camera model with distortion and its exact inverse; calibration files (feature `calibration-files`)
-//! - [`frame`]: a grey picture with its stamp
-//! - [`features`]: pyramid, corners, binary descriptors
-//! - [`matching`]: which feature is which
-//! - [`track`]: surfaces and bodies; acquire, register, verify, align, lock: a frame becomes a [`track::Sighting`]
-//! - [`pose`]: a sighting becomes poses in the stage frame, with covariance, or a prediction
-//! - [`record`]: [`PoseSample`] and the line it becomes (contract C3)
-//! - [`tracker`]: [`Tracker`]: a frame in, a sample out
+//! # The map
+//! Data moves one way, and a room (a private module, a folder or file of `src/`) uses only rooms above it in this list. The core, which is
+//! always there:
+//!
+//! - `compute_clock`: how long work kept its thread busy, by a clock that is handed in
+//! - `geometry`: SE(3), homography, essential matrix, planar pose, resection, robust estimation: pure functions
+//! - `camera`: the camera model with distortion and its exact inverse; calibration files (feature `calibration-files`)
+//! - `frame`: a grey picture with its stamp
+//! - `features`: pyramid, corners, binary descriptors
+//! - `matching`: which feature is which
+//! - `track`: surfaces and bodies; acquire, register, verify, align: a frame becomes a sighting
+//! - `pose`: a sighting becomes poses in the stage frame, with covariance, or a prediction
+//! - `record`: [`PoseSample`] and the line it becomes (contract C3)
+//! - `tracker`: [`Tracker`]: a frame in, a sample out
 //!
 //! Around it, each with the feature that brings it:
 //!
@@ -42,71 +50,103 @@
 //! - `daemon` (`daemon`): the tracker on threads of its own: `Daemon`
 //! - `web` (`daemon`, the server `http`): WebSocket, pose and state over HTTP
 //! - `cli` (`cli`): one file a command
+//! - [`diagnostics`]: a view of all of it
 //!
 //! # Two ways to use it
 //! [`Tracker::track`] takes a frame and gives a sample, in the calling thread. `Daemon` runs capture, matcher and pose on a
 //! thread each, and `Daemon::subscribe` gives every subscriber a channel of its own. `examples/` shows both.
 //!
 //! Conventions (metres, radians, pixel centres at integers, `T_to_from`) are said where the types are:
-//! [`geometry::Stage`], [`geometry::Camera`], [`camera::Pixel`].
+//! [`Stage`], [`Camera`], [`Pixel`].
 #![warn(missing_docs)]
+// A build with fewer features leaves unused what the others need; what nothing uses shows in a build of everything.
+#![cfg_attr(not(all(feature = "cli", feature = "http", feature = "live")), allow(dead_code, unused_imports))]
 
 // The core.
-pub mod camera;
-pub mod compute_clock;
-pub mod features;
-pub mod frame;
-pub mod geometry;
-pub mod matching;
-pub mod pose;
-pub mod record;
-pub mod track;
-pub mod tracker;
+mod camera;
+mod compute_clock;
+mod features;
+mod frame;
+mod geometry;
+mod matching;
+mod pose;
+mod record;
+mod track;
+mod tracker;
 
 // Around it.
 #[cfg(feature = "calibrate")]
-pub mod calibrate;
+mod calibrate;
 #[cfg(feature = "capture")]
-pub mod capture;
+mod capture;
 #[cfg(feature = "cli")]
-pub mod cli;
+mod cli;
 #[cfg(feature = "daemon")]
-pub mod config;
+mod config;
 #[cfg(feature = "capture")]
-pub mod contain;
+mod contain;
 #[cfg(feature = "daemon")]
-pub mod daemon;
+mod daemon;
 #[cfg(feature = "daemon")]
-pub mod diagnose;
+mod diagnose;
 #[cfg(any(feature = "publish", feature = "daemon"))]
-pub mod drop_oldest;
+mod drop_oldest;
 #[cfg(feature = "calibrate")]
-pub mod mount;
+mod mount;
 #[cfg(feature = "daemon")]
-pub mod printable;
+mod printable;
 #[cfg(feature = "protocols")]
 pub mod protocols;
 #[cfg(feature = "publish")]
-pub mod publish;
+mod publish;
 #[cfg(any(feature = "capture", feature = "publish"))]
-pub mod safe_file;
+mod safe_file;
 #[cfg(feature = "simulate")]
-pub mod simulate;
+mod simulate;
 #[cfg(feature = "survey")]
-pub mod survey;
+mod survey;
 #[cfg(feature = "calibrate")]
-pub mod targets;
+mod targets;
 #[cfg(feature = "daemon")]
-pub mod telemetry;
+mod telemetry;
 #[cfg(feature = "daemon")]
-pub mod utc;
+mod utc;
 #[cfg(feature = "daemon")]
-pub mod web;
+mod web;
 
-#[cfg(feature = "daemon")]
-pub use daemon::Daemon;
-pub use record::PoseSample;
+pub mod diagnostics;
+
+pub use camera::{CameraError, CameraModel, Intrinsics, IntrinsicsUncertainty, LensDoubt, LensGuess, Normalized, Pixel};
+pub use compute_clock::ComputeClock;
+pub use frame::Frame;
+pub use geometry::{Body, Camera, Pose, ReferenceCamera, Stage, SurfaceFrame};
+pub use pose::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
+pub use record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
+pub use track::{BodySpec, Reason, ReferenceKind, SurfaceError, SurfaceSpec, TrackerSettings};
 pub use tracker::{FrameError, SetupError, Tracker, TrackerSetup};
+
+#[cfg(feature = "calibration-files")]
+pub use camera::{Calibration, CalibrationFileError, CalibrationForm, CalibrationProblem, parse_calibration};
+#[cfg(feature = "capture")]
+pub use capture::{CaptureError, ClipEntry, ClipOptions, DecodeError, EntryContent, FrameSource, Received, decode_grey, open_clip};
+#[cfg(feature = "cli")]
+pub use cli::run as run_command_line;
+#[cfg(feature = "daemon")]
+pub use config::{ConfigError, Problem as ConfigProblem, Settings, read_calibration};
+#[cfg(feature = "daemon")]
+pub use daemon::{Daemon, DaemonError, Delivery, RunningDaemon, thread_clock, track_entry};
+#[cfg(feature = "simulate")]
+pub use simulate::{
+    CameraPath, Dolly, DollyError, LightKey, MovingObject, ObjectPath, Occluder, PathError, Renderer, SensorNoise, Shake, Spline,
+    VirtualStage, dolly,
+};
+#[cfg(feature = "survey")]
+pub use survey::shutter::{ShutterEstimate, ShutterTime, estimate_shutter};
+
+// Crates whose types are in the signatures above.
+#[cfg(feature = "protocols")]
+pub use serde_json;
+pub use {crossbeam_channel, image, nalgebra};
 
 /// The README's code, which is compiled with the documentation's.
 #[cfg(doctest)]

@@ -4,5 +4,5 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 fn main() -> ExitCode {
-    stagepose::cli::run(Instant::now())
+    stagepose::run_command_line(Instant::now())
 }

@@ -104,7 +104,7 @@ pub enum FrameError {
 /// Tracks frame by frame in the calling thread (plus its workers inside a frame).
 ///
 /// ```no_run
-/// # fn example(setup: stagepose::TrackerSetup, frames: Vec<stagepose::frame::Frame>) -> Result<(), Box<dyn std::error::Error>> {
+/// # fn example(setup: stagepose::TrackerSetup, frames: Vec<stagepose::Frame>) -> Result<(), Box<dyn std::error::Error>> {
 /// let mut tracker = stagepose::Tracker::new(setup)?;
 /// for frame in &frames {
 ///     let sample = tracker.track(frame)?;

@@ -4,10 +4,8 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use stagepose::capture::{EntryContent, FrameSource, VirtualCamera};
-use stagepose::record::State;
-use stagepose::simulate::{Dolly, dolly};
-use stagepose::{Tracker, TrackerSetup};
+use stagepose::diagnostics::capture::VirtualCamera;
+use stagepose::{Dolly, EntryContent, FrameSource, State, Tracker, TrackerSetup, dolly};
 
 /// The system's allocator, which counts what each thread asks of it.
 struct Counting;

@@ -156,11 +156,6 @@ impl ViewSet {
         self.shapes.len()
     }
 
-    /// Whether there is none yet.
-    pub fn is_empty(&self) -> bool {
-        self.shapes.is_empty()
-    }
-
     /// The views, in the order they were taken in.
     pub fn shapes(&self) -> &[ViewShape] {
         &self.shapes

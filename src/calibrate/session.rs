@@ -57,8 +57,6 @@ pub struct CameraCalibration {
     pub camera: Option<String>,
     /// Width and height of the pictures, pixels.
     pub size: (u32, u32),
-    /// What was estimated.
-    pub options: CalibrationOptions,
     /// Every picture, in the order given.
     pub views: Vec<CalibrationView>,
     /// Lens, poses and uncertainties.
@@ -174,7 +172,7 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
     let mut judgement = judge::judge(&observations, &estimate, size, board, &options.solve, repeated);
     judgement.remarks.extend(judge::implausible_squares(&estimate, board));
     judgement.remarks.extend(judge::all_blurred(&blurs(&working), size));
-    Ok(CameraCalibration { board: *board, camera: camera_of(pictures), size, options: *options, views, estimate, judgement, rounds })
+    Ok(CameraCalibration { board: *board, camera: camera_of(pictures), size, views, estimate, judgement, rounds })
 }
 
 /// Estimates, measures the corners again with the result, and so on until nothing moves.

@@ -51,7 +51,7 @@ impl<R: Read> AviReader<R> {
     /// Reads the headers up to the first picture.
     ///
     /// # Errors
-    /// See [`AviError`].
+    /// When it is no AVI file, or one without MJPEG pictures.
     pub fn new(mut input: R) -> Result<Self, AviError> {
         let malformed = |what: &str| AviError::Malformed(format!("the .avi {what}; make the clip again"));
         let mut headers = Headers::default();

@@ -35,16 +35,15 @@ mod virtual_stage;
 use std::sync::Arc;
 use std::time::Duration;
 
-pub use avi::{AviError, AviReader};
+pub use avi::AviReader;
 pub use error::CaptureError;
 pub use grey::{DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_oriented, orientation_words, picture_size};
-pub use luma::{Decoded, decode_picture};
+pub use luma::decode_picture;
 pub use mjpeg::MjpegReader;
 pub use open::{ClipOptions, open_clip, open_clip_in_colour};
 pub use order::EntryOrder;
 pub use played::PlayedClip;
-pub use rate::FrameRate;
-pub use timestamps::{StampRow, TimestampsError, read_timestamps};
+pub use timestamps::read_timestamps;
 pub use writer::{ClipWriter, PictureFormat};
 pub use y4m::Y4mReader;
 

@@ -31,7 +31,7 @@ const OLDEST_NS: i64 = 5_000_000_000;
 /// When the middle row was at mid-exposure, and whether the driver's stamp says it (else it is reckoned from the arrival).
 ///
 /// `exposure_s` and `readout_s` are 0 where unknown. A driver that was never heard before is judged by this one stamp; see
-/// [`StampTrust`] for one that was.
+/// `StampTrust` for one that was.
 pub fn mid_exposure_ns(stamp: DriverStamp, arrival_ns: i64, exposure_s: f64, readout_s: f64) -> (i64, bool) {
     reckoned(stamp, arrival_ns, exposure_s, readout_s, OLDEST_NS)
 }

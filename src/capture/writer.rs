@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::codecs::pnm::{PnmEncoder, PnmSubtype, SampleEncoding};
 use image::{ExtendedColorType, GrayImage, ImageEncoder, ImageError};
 
 use super::error::CaptureError;
@@ -22,8 +21,6 @@ pub enum PictureFormat {
         /// 1 to 100.
         quality: u8,
     },
-    /// Exact and fast, the largest.
-    Pgm,
 }
 
 impl PictureFormat {
@@ -31,7 +28,6 @@ impl PictureFormat {
         match self {
             Self::Png => "png",
             Self::Jpeg { .. } => "jpg",
-            Self::Pgm => "pgm",
         }
     }
 
@@ -47,12 +43,6 @@ impl PictureFormat {
             Self::Jpeg { quality } => {
                 JpegEncoder::new_with_quality(to, quality.clamp(1, 100)).encode(image, width, height, ExtendedColorType::L8)
             }
-            Self::Pgm => PnmEncoder::new(to).with_subtype(PnmSubtype::Graymap(SampleEncoding::Binary)).write_image(
-                image,
-                width,
-                height,
-                ExtendedColorType::L8,
-            ),
         }
     }
 }

@@ -39,12 +39,11 @@ mod typed_values;
 mod values;
 
 pub use calibration_file::read_calibration;
-pub use copy::CopiedFile;
 pub use error::{ConfigError, Problem};
 pub use host_name::HostName;
 pub use http::HttpSettings;
 pub use known_keys::known_keys;
 pub use lens::LensSource;
 pub use named_files::{FileKind, files_named_in};
-pub use settings::{DeviceSettings, LogFormat, LogLevel, LogSettings, PixelFormat, RecorderSettings, SendingSettings, Settings};
+pub use settings::{LogFormat, LogLevel, LogSettings, PixelFormat, RecorderSettings, SendingSettings, Settings};
 pub use source::ConfigSource;

@@ -6,6 +6,7 @@ use image::GrayImage;
 use proptest::prelude::*;
 
 use super::as_typed::Config;
+use super::settings::DeviceSettings;
 use super::*;
 
 pub(super) const CAMERA: &str =

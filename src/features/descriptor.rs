@@ -64,7 +64,7 @@ fn turned() -> &'static [[Pair; DESCRIPTOR_BITS]] {
 }
 
 /// Describes the corner at (x, y) of a smoothed level, turned by `angle`; the corner must lie more than
-/// [`PATCH_RADIUS`] + 1 from the border.
+/// `PATCH_RADIUS` + 1 from the border.
 pub fn describe(smooth: &GrayImage, x: u32, y: u32, angle: f32) -> Descriptor {
     let w = smooth.width() as isize;
     let source = smooth.as_raw();

@@ -12,10 +12,9 @@ mod pattern;
 mod pyramid;
 mod workers;
 
-pub use corners::{Corner, CornerBuffers, CornerOptions, detect_corners};
+pub use corners::{CornerBuffers, CornerOptions, detect_corners};
 pub use descriptor::{Descriptor, describe, orientation};
 pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
-pub use pattern::{DESCRIPTOR_BITS, PATCH_RADIUS};
-pub use pyramid::{Level, Pyramid, smooth_into};
+pub use pyramid::{Pyramid, smooth_into};
 pub use pyramid::{halve_into, halved};
 pub use workers::Workers;

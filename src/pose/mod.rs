@@ -8,7 +8,6 @@ mod reach;
 mod recent;
 mod stage;
 
-pub use covariance::{covariance_of_camera, covariance_of_object};
+pub use covariance::covariance_of_camera;
 pub use filter::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
-pub use prediction::MotionHistory;
-pub use stage::{BodyEstimate, Measured, PoseEstimate, PoseStage};
+pub use stage::{BodyEstimate, PoseEstimate, PoseStage};

@@ -32,14 +32,14 @@ mod worker;
 pub use channel::PoseWithheld;
 #[cfg(all(test, feature = "daemon"))]
 pub(crate) use clocks::stepped;
-pub use clocks::{Clocks, Reading, SystemClocks};
+pub use clocks::{Clocks, Reading};
 pub use frame_clock::FrameClock;
 pub use json::JsonSettings;
 pub use mounted::{Mount, MountSettings};
 pub use network::{Interface, needs_interface};
 pub use placement::{Axes, Placement};
-pub use publisher::{Context, OutputStatistics, PublishError, Publisher};
-pub use report::{BodyChoice, Standing, Withheld};
+pub use publisher::{Context, PublishError, Publisher};
+pub use report::BodyChoice;
 pub use settings::{BlendRates, FixedRate, OnLoss, OutputSettings, Protocol, Rate, SafetySettings};
 pub use stamps::{ClipStart, Stamps};
 pub use transport::{StreamSettings, TransportError, UdpSettings};

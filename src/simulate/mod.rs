@@ -18,7 +18,7 @@ mod sensor;
 mod stage;
 mod texture;
 
-pub use backdrop::{grey, paint, paint_boards};
+pub use backdrop::{grey, paint};
 pub use dolly::{Dolly, DollyError, dolly};
 pub use one_picture::{in_front, one_picture, walk};
 pub use path::{CameraPath, ObjectPath, PathError, Shake, Spline, look_at};

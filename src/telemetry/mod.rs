@@ -7,7 +7,6 @@ mod page;
 mod statistics;
 
 pub use health::health;
-pub use histogram::Histogram;
 pub use metrics::metrics;
 pub use page::Page;
 pub use statistics::{CameraState, RecorderState, Statistics};

@@ -31,8 +31,7 @@ mod two_view;
 mod verify;
 
 pub use acquire::{SurfaceMatch, SurfaceView};
-pub use align::{AlignKernels, Clue, Sensor, ShutterClue, UsedPixel};
-pub use fitted_anchor::FittedAnchor;
+pub use align::{AlignKernels, Clue, Sensor, UsedPixel};
 #[cfg(feature = "calibrate")]
 pub(crate) use frame_look::FrameLook;
 pub use lens_doubt::covariance_by_lens;
@@ -41,5 +40,5 @@ pub use reason::Reason;
 pub use settings::TrackerSettings;
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use track_state::TrackState;
-pub use two_view::TwoView;
-pub use verify::Verified;
+#[cfg(test)]
+pub(crate) use verify::Verified;

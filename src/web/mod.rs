@@ -23,6 +23,6 @@ mod server;
 
 pub use hosts::AllowedHosts;
 #[cfg(feature = "http")]
-pub use routes::{Reply, Request, Route};
+pub use routes::{Reply, Route};
 #[cfg(feature = "http")]
-pub use server::{Server, WebError};
+pub use server::Server;

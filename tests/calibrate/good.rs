@@ -1,8 +1,7 @@
 //! What comes out of good pictures.
 
 use image::{DynamicImage, ImageBuffer, Luma, Rgb, Rgba};
-use stagepose::camera::CalibrationForm;
-use stagepose::config::read_calibration;
+use stagepose::{CalibrationForm, read_calibration};
 
 use super::scene::{FX, Scene, view};
 

@@ -6,10 +6,8 @@ use std::sync::OnceLock;
 
 use image::GrayImage;
 use nalgebra::{UnitQuaternion, Vector3};
-use stagepose::calibrate::board::Board;
-use stagepose::calibrate::rendered::{BoardPhotographer, Photograph};
-use stagepose::camera::{CameraModel, Intrinsics};
-use stagepose::geometry::Pose;
+use stagepose::diagnostics::calibrate::{Board, BoardPhotographer, Photograph};
+use stagepose::{CameraModel, Intrinsics, Pose};
 
 pub const FX: f64 = 300.0;
 

@@ -7,10 +7,8 @@ use std::path::Path;
 use std::process::Command;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use stagepose::calibrate::board::Board;
-use stagepose::calibrate::rendered::{BoardPhotographer, Photograph};
-use stagepose::config::read_calibration;
-use stagepose::geometry::Pose;
+use stagepose::diagnostics::calibrate::{Board, BoardPhotographer, Photograph};
+use stagepose::{Pose, read_calibration};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 

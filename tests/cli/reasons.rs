@@ -50,7 +50,7 @@ fn the_picture_is_not_there_or_far_too_small() {
 #[test]
 fn the_picture_is_there_but_too_small() {
     let scene = Scene::new();
-    let poster = stagepose::targets::poster::paint(850, 1100, 1);
+    let poster = stagepose::diagnostics::calibrate::paint_poster(850, 1100, 1);
     poster.save(scene.path("art.png")).unwrap();
     scene.config_with("size_m = [4.0, 3.0]", "size_m = [0.2, 0.25882]");
     let lens = "fx = 550.0\nfy = 550.0\ncx = 319.5\ncy = 239.5\nskew = 0.0\ndistortion = [0.0, 0.0, 0.0, 0.0, 0.0]\n";

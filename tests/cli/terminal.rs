@@ -1,6 +1,6 @@
 //! Names that a terminal would obey: every command writes them escaped, to stdout, to stderr and to the log.
 
-use stagepose::printable::stands_for_itself;
+use stagepose::diagnostics::printable::stands_for_itself;
 
 use super::scene::{CONFIG, Run, Scene};
 

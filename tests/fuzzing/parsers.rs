@@ -5,10 +5,9 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use stagepose::calibrate::board::Board;
-use stagepose::camera::parse_calibration;
-use stagepose::capture::{AviReader, MjpegReader, Y4mReader, decode_oriented, picture_size, read_timestamps};
-use stagepose::config::Settings;
+use stagepose::diagnostics::calibrate::Board;
+use stagepose::diagnostics::capture::{AviReader, MjpegReader, Y4mReader, decode_oriented, picture_size, read_timestamps};
+use stagepose::{Settings, parse_calibration};
 
 use super::memory::taken_by;
 use super::mutator::{Form, Mutator};

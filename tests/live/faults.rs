@@ -5,14 +5,8 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use crossbeam_channel::bounded;
-use stagepose::capture::{ClipOptions, open_clip};
-use stagepose::config::Settings;
-use stagepose::daemon::RunningDaemon;
-use stagepose::daemon::live::{Event, LiveLink, LiveStop, StampedEvent};
-use stagepose::daemon::recorder::{AboutClip, RealDisk, Recorder, RecorderPlan};
-use stagepose::daemon::track_entry;
-use stagepose::record::{PoseSample, State};
-use stagepose::{Daemon, Tracker};
+use stagepose::diagnostics::live::{AboutClip, Event, LiveLink, LiveStop, RealDisk, Recorder, RecorderPlan, StampedEvent};
+use stagepose::{ClipOptions, Daemon, PoseSample, RunningDaemon, Settings, State, Tracker, open_clip, track_entry};
 
 use super::faulty::{Fault, Faulty, source, tracker_setup};
 

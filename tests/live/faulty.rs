@@ -9,14 +9,12 @@ use image::GrayImage;
 use image::codecs::jpeg::JpegEncoder;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use stagepose::TrackerSetup;
-use stagepose::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
-use stagepose::capture::timestamping::{DriverStamp, mid_exposure_ns, monotonic_ns};
-use stagepose::capture::{EntryContent, FrameSource, VirtualCamera};
-use stagepose::daemon::live::{LiveLink, LiveSource, Patience, Shutter};
-use stagepose::geometry::{self, Pose, Stage};
-use stagepose::simulate::VirtualStage;
-use stagepose::track::TrackerSettings;
+use stagepose::diagnostics::capture::{
+    Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, DriverStamp, OpenFault, PixelLayout, VirtualCamera, mid_exposure_ns,
+    monotonic_ns,
+};
+use stagepose::diagnostics::live::{LiveLink, LiveSource, Patience, Shutter};
+use stagepose::{EntryContent, FrameSource, Pose, Stage, TrackerSettings, TrackerSetup, VirtualStage};
 
 use crate::pipeline::scene::{FPS, backdrop, camera, past, quiet, setup};
 
@@ -28,7 +26,7 @@ const LOST_AFTER: Duration = Duration::from_secs(20);
 /// Rendered frames of one pass along the path, as JPEGs, with their true poses.
 pub struct Take {
     pub jpegs: Vec<Vec<u8>>,
-    pub truths: Vec<Pose<Stage, geometry::Camera>>,
+    pub truths: Vec<Pose<Stage, stagepose::Camera>>,
 }
 
 pub fn scene() -> VirtualStage {

@@ -4,9 +4,8 @@
 
 use std::sync::atomic::Ordering;
 
-use stagepose::daemon::live::LiveLink;
-use stagepose::record::State;
-use stagepose::{Daemon, Tracker};
+use stagepose::diagnostics::live::LiveLink;
+use stagepose::{Daemon, State, Tracker};
 
 use super::faulty::{Faulty, source, take, tracker_setup};
 

@@ -9,8 +9,8 @@ use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde_json::Value;
-use stagepose::geometry::{Body, Camera, Pose, Stage};
 use stagepose::protocols::body_of_camera;
+use stagepose::{Body, Camera, Pose, Stage};
 
 use rig::{Board, filming, filming_camera, mount, rig, tracking_camera, write};
 

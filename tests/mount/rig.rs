@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 
 use image::GrayImage;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
-use stagepose::camera::{CameraModel, Intrinsics};
-use stagepose::geometry::{Camera, FilmingCamera, Pose, Stage};
-use stagepose::simulate::{CameraPath, Renderer, SensorNoise, VirtualStage, artwork_surface, grey, look_at, paint, upright};
-use stagepose::track::{BodySpec, SurfaceSpec};
+use stagepose::diagnostics::geometry::FilmingCamera;
+use stagepose::diagnostics::simulate::{artwork_surface, grey, look_at, paint, upright};
+use stagepose::{BodySpec, Camera, CameraModel, CameraPath, Intrinsics, Pose, Renderer, SensorNoise, Stage, SurfaceSpec, VirtualStage};
 
 /// A board of 4 x 3 m around its own origin, painted from a seed.
 pub struct Board {

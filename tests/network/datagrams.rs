@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-use stagepose::printable::stands_for_itself;
+use stagepose::diagnostics::printable::stands_for_itself;
 
 use super::mutator::Mutator;
 use super::packets::{PROTOCOLS, good, mended};

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use stagepose::publish::{Clocks, Reading};
+use stagepose::diagnostics::publish::{Clocks, Reading};
 
 #[derive(Debug, Clone)]
 pub struct SteppedClocks(Arc<Mutex<Reading>>);

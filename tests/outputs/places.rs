@@ -5,13 +5,12 @@ use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::path::PathBuf;
 use std::time::Duration;
 
+use stagepose::diagnostics::publish::{
+    BodyChoice, FreedSettings, JsonSettings, OnLoss, OpenTrackIoSettings, OscMessageKind, OscSettings, OutputSettings, Placement, Protocol,
+    PsnSettings, Rate, Spare, StreamSettings, UdpSettings,
+};
 use stagepose::protocols::opentrackio::Encoding;
 use stagepose::protocols::opentrackio_lens::PrincipalPoint;
-use stagepose::publish::freed::{FreedSettings, Spare};
-use stagepose::publish::opentrackio::OpenTrackIoSettings;
-use stagepose::publish::osc::{OscMessageKind, OscSettings};
-use stagepose::publish::psn::PsnSettings;
-use stagepose::publish::{BodyChoice, JsonSettings, OnLoss, OutputSettings, Placement, Protocol, Rate, StreamSettings, UdpSettings};
 
 use super::decoders::{self, Said};
 

@@ -8,11 +8,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use stagepose::PoseSample;
-use stagepose::camera::CameraModel;
-use stagepose::geometry::Pose;
-use stagepose::publish::{BlendRates, Clocks, Context, FixedRate, OnLoss, Publisher, Rate, SafetySettings, Stamps};
-use stagepose::record::{ObjectSample, StageTimes, State};
+use stagepose::diagnostics::publish::{BlendRates, Clocks, Context, FixedRate, OnLoss, Publisher, Rate, SafetySettings, Stamps};
+use stagepose::{CameraModel, ObjectSample, Pose, PoseSample, StageTimes, State};
 
 use super::clocks::SteppedClocks;
 use super::decoders::Said;
@@ -307,9 +304,8 @@ mod web {
     use std::io::{Read, Write};
     use std::net::{Ipv4Addr, TcpStream};
 
-    use stagepose::config::HttpSettings;
-    use stagepose::publish::FrameClock;
-    use stagepose::web::Server;
+    use stagepose::diagnostics::publish::FrameClock;
+    use stagepose::diagnostics::web::{HttpSettings, Server};
 
     use super::super::decoders::{json, web_socket_message};
     use super::*;

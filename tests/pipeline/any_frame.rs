@@ -12,16 +12,11 @@ use image::{GrayImage, Luma};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use stagepose::camera::{CameraModel, Intrinsics};
-use stagepose::capture::{ClipEntry, EntryContent};
-use stagepose::daemon::track_entry;
-use stagepose::frame::Frame;
-use stagepose::geometry::Pose;
-use stagepose::simulate::{
-    CameraPath, MovingObject, ObjectPath, Renderer, SensorNoise, Shake, Spline, VirtualStage, artwork_surface, upright,
+use stagepose::diagnostics::simulate::{artwork_surface, upright};
+use stagepose::{
+    BodySpec, CameraModel, CameraPath, ClipEntry, EntryContent, Frame, Intrinsics, MovingObject, ObjectPath, Pose, Renderer, SensorNoise,
+    Shake, Spline, SurfaceSpec, Tracker, TrackerSetup, VirtualStage, track_entry,
 };
-use stagepose::track::{BodySpec, SurfaceSpec};
-use stagepose::{Tracker, TrackerSetup};
 
 use super::record_line::assert_record_holds;
 use super::scene::{backdrop_art, other_art};

@@ -5,12 +5,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, bounded};
-use stagepose::capture::{ClipEntry, EntryContent, FrameSource, VirtualCamera};
-use stagepose::daemon::{Delivery, RunningDaemon};
-use stagepose::record::PoseSample;
-use stagepose::simulate::VirtualStage;
-use stagepose::track::TrackerSettings;
-use stagepose::{Daemon, Tracker, TrackerSetup};
+use stagepose::diagnostics::capture::VirtualCamera;
+use stagepose::{
+    ClipEntry, Daemon, Delivery, EntryContent, FrameSource, PoseSample, RunningDaemon, Tracker, TrackerSettings, TrackerSetup, VirtualStage,
+};
 
 use super::scene::{FPS, backdrop, camera, past, quiet, setup, track};
 

@@ -1,15 +1,14 @@
 //! A tracked object in front of the stage.
 
 use nalgebra::Vector3;
-use stagepose::record::State;
-use stagepose::simulate::{MovingObject, ObjectPath, Spline, VirtualStage, paint};
-use stagepose::track::BodySpec;
+use stagepose::diagnostics::simulate::paint;
+use stagepose::{BodySpec, MovingObject, ObjectPath, Spline, State, VirtualStage};
 
 use super::scene::{FPS, aside, backdrop, camera, quiet, surface, track};
 
 fn with_prop() -> VirtualStage {
     let mut scene = quiet(camera(640, 480), aside(), backdrop());
-    let art = stagepose::simulate::grey(&paint(400, 400, 77));
+    let art = stagepose::diagnostics::simulate::grey(&paint(400, 400, 77));
     let prop = surface("prop", &art, [0.9, 0.9], Vector3::new(0.0, -0.1, 0.45), 0.0);
     let keys = [(0.0, Vector3::new(-0.5, -1.0, -0.5)), (1.0, Vector3::new(0.1, -1.1, -0.4))];
     let path = ObjectPath { position: Spline::new(&keys).unwrap(), turn_rad: -0.3, turn_rate_rad_s: 0.2 };

@@ -1,10 +1,8 @@
 //! A surface that is known from a photograph of it, taken by another camera.
 
 use nalgebra::{Point3, Vector2};
-use stagepose::camera::{CameraModel, Intrinsics, Normalized, Pixel};
-use stagepose::geometry::Homography;
-use stagepose::simulate::{CameraPath, Renderer};
-use stagepose::track::{ReferenceKind, SurfaceSpec};
+use stagepose::diagnostics::geometry::Homography;
+use stagepose::{CameraModel, CameraPath, Intrinsics, Normalized, Pixel, ReferenceKind, Renderer, SurfaceSpec};
 
 use super::scene::{assert_tracks_within, backdrop, body, camera, past, quiet, rows, setup, track_rows};
 use super::two_view::{motion_errors, worst_transfer};

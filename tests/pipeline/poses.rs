@@ -2,8 +2,7 @@
 
 use image::imageops;
 use nalgebra::{Point3, Vector3};
-use stagepose::record::State;
-use stagepose::simulate::Occluder;
+use stagepose::{Occluder, State};
 
 use super::scene::{aside, assert_tracks_within, backdrop, backdrop_art, body, camera, other_art, past, quiet, setup, surface};
 use super::scene::{rows, track, track_rows};
@@ -52,8 +51,8 @@ fn an_occluder_over_a_third_of_the_picture_moves_nothing() {
 }
 
 /// Share of two frames' pixels that differ by more than noise.
-fn share_that_differs(a: &stagepose::capture::ClipEntry, b: &stagepose::capture::ClipEntry) -> f64 {
-    use stagepose::capture::EntryContent::Frame;
+fn share_that_differs(a: &stagepose::ClipEntry, b: &stagepose::ClipEntry) -> f64 {
+    use stagepose::EntryContent::Frame;
     let (Frame(a), Frame(b)) = (&a.content, &b.content) else { panic!("rendered rows are frames") };
     let differ = a.image.iter().zip(b.image.iter()).filter(|(x, y)| x.abs_diff(**y) > 8).count();
     differ as f64 / a.image.len() as f64

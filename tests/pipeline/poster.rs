@@ -1,11 +1,9 @@
 //! The poster: tracked from near and far and askew, and told better than natural pictures of the same width.
 
 use nalgebra::Point3;
-use stagepose::frame::Frame;
-use stagepose::record::Measurement;
-use stagepose::simulate::{CameraPath, Renderer, in_front, one_picture, walk};
-use stagepose::targets::poster;
-use stagepose::{Tracker, TrackerSetup};
+use stagepose::diagnostics::calibrate::paint_poster;
+use stagepose::diagnostics::simulate::{in_front, one_picture, walk};
+use stagepose::{CameraPath, Frame, Measurement, Renderer, Tracker, TrackerSetup};
 
 /// The last of four frames of a still camera with 640x480 pixels, this many widths in front and this far askew; and how far off the
 /// camera's centre is, widths.
@@ -24,7 +22,7 @@ fn seen(picture: &image::GrayImage, widths: f64, askew_deg: f64, light: f32) -> 
 
 #[test]
 fn the_poster_is_tracked_near_far_askew_and_in_dim_light() {
-    let picture = poster::paint(850, 1200, 7);
+    let picture = paint_poster(850, 1200, 7);
     for (widths, askew_deg, light) in [(0.3, 0.0, 1.0), (1.0, 60.0, 1.0), (5.0, 0.0, 1.0), (1.0, 30.0, 0.15)] {
         let (_, off) = seen(&picture, widths, askew_deg, light).unwrap_or_else(|| panic!("lost at {widths} widths, {askew_deg} degrees"));
         assert!(off < 0.01 * widths, "{widths} widths, {askew_deg} degrees: {off} widths off");
@@ -34,7 +32,7 @@ fn the_poster_is_tracked_near_far_askew_and_in_dim_light() {
 /// At ten widths it is 55 pixels wide. The camera stops dead there, which no motion filter expects.
 #[test]
 fn it_is_followed_to_ten_widths_and_to_75_degrees() {
-    let picture = poster::paint(850, 1200, 7);
+    let picture = paint_poster(850, 1200, 7);
     for (from, to) in [((5.0, 0.0), (10.0, 0.0)), ((1.0, 45.0), (1.0, 75.0))] {
         let scene = one_picture(picture.clone(), walk(from, to, 1.0), 1.0);
         let mut tracker = Tracker::new(TrackerSetup::from(&scene)).expect("a setup that fits");
@@ -62,7 +60,7 @@ fn its_sigma_is_below_that_of_natural_pictures_of_the_same_width() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/textures");
     let names = ["starry_night.jpg", "astronaut.png", "Wine_by_Jakkub_Mede.jpg"];
     let pictures: Vec<_> = names.iter().filter_map(|name| Some((*name, image::open(folder.join(name)).ok()?.to_luma8()))).collect();
-    let poster = poster::paint(850, 1200, 8);
+    let poster = paint_poster(850, 1200, 8);
     for widths in [1.0, 3.0] {
         let sigma = |picture| seen(picture, widths, 0.0, 1.0).map(|(m, _)| m.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt());
         let of_poster = sigma(&poster).unwrap_or_else(|| panic!("lost at {widths} widths"));

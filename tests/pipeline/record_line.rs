@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use nalgebra::Matrix6;
 use serde_json::Value;
-use stagepose::record::PoseSample;
+use stagepose::PoseSample;
 
 /// All keys of a line.
 const KEYS: [&str; 12] = [

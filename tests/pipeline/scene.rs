@@ -4,14 +4,12 @@ use std::sync::OnceLock;
 
 use image::GrayImage;
 use nalgebra::{Point3, Vector3};
-use stagepose::camera::{CameraModel, Intrinsics};
-use stagepose::capture::{ClipEntry, FrameSource, VirtualCamera};
-use stagepose::daemon::track_entry;
-use stagepose::geometry::{Camera, Pose, Stage};
-use stagepose::record::{PoseSample, State};
-use stagepose::simulate::{CameraPath, SensorNoise, Spline, VirtualStage, grey, paint, upright};
-use stagepose::track::{BodySpec, SurfaceSpec};
-use stagepose::{Tracker, TrackerSetup};
+use stagepose::diagnostics::capture::VirtualCamera;
+use stagepose::diagnostics::simulate::{grey, paint, upright};
+use stagepose::{
+    BodySpec, Camera, CameraModel, CameraPath, ClipEntry, FrameSource, Intrinsics, Pose, PoseSample, SensorNoise, Spline, Stage, State,
+    SurfaceSpec, Tracker, TrackerSetup, VirtualStage, track_entry,
+};
 
 use super::record_line::assert_record_holds;
 

@@ -1,7 +1,6 @@
 //! A rolling shutter under a shaking hand.
 
-use stagepose::record::State;
-use stagepose::simulate::Shake;
+use stagepose::{Shake, State};
 
 use super::scene::{backdrop, camera, errors, past, quiet, rows, setup, track_rows};
 

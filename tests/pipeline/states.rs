@@ -1,10 +1,7 @@
 //! What the record says while the stage cannot be seen.
 
-use stagepose::capture::{ClipEntry, EntryContent};
-use stagepose::frame::Frame;
-use stagepose::record::State::{Coasting, Lost, Searching, Tracking};
-use stagepose::simulate::VirtualStage;
-use stagepose::{FrameError, SetupError, Tracker, TrackerSetup};
+use stagepose::State::{Coasting, Lost, Searching, Tracking};
+use stagepose::{ClipEntry, EntryContent, Frame, FrameError, SetupError, Tracker, TrackerSetup, VirtualStage};
 
 use super::scene::{FPS, aside, backdrop, camera, errors, past, quiet, rows, setup, states, track, track_rows, truth_of};
 

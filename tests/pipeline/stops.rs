@@ -5,10 +5,8 @@
 use nalgebra::{Vector3, Vector6};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use stagepose::capture::{EntryContent, FrameSource, VirtualCamera};
-use stagepose::record::PoseSample;
-use stagepose::simulate::{CameraPath, SensorNoise, Spline, VirtualStage};
-use stagepose::{Tracker, TrackerSetup};
+use stagepose::diagnostics::capture::VirtualCamera;
+use stagepose::{CameraPath, EntryContent, FrameSource, PoseSample, SensorNoise, Spline, Tracker, TrackerSetup, VirtualStage};
 
 use super::scene::{FPS, backdrop, camera, quiet, truth_of};
 

@@ -2,10 +2,9 @@
 
 use image::imageops;
 use nalgebra::{Matrix3, Point3, Vector2, Vector3};
-use stagepose::camera::Normalized;
-use stagepose::geometry::{Camera, Homography, Pose, Stage};
-use stagepose::record::{EssentialMotion, PoseSample, TwoViewModel};
-use stagepose::simulate::{CameraPath, VirtualStage, look_at};
+use stagepose::diagnostics::geometry::Homography;
+use stagepose::diagnostics::simulate::look_at;
+use stagepose::{Camera, CameraPath, EssentialMotion, Normalized, Pose, PoseSample, Stage, TwoViewModel, VirtualStage};
 
 use super::scene::{backdrop, backdrop_art, body, camera, other_art, past, quiet, surface, track, truth_of};
 

@@ -1,10 +1,7 @@
 //! The covariance of the record against the errors that it speaks of.
 
 use nalgebra::{Vector3, Vector6};
-use stagepose::TrackerSetup;
-use stagepose::camera::{CameraModel, LensGuess};
-use stagepose::record::{PoseSample, State};
-use stagepose::simulate::{CameraPath, SensorNoise, Spline, VirtualStage};
+use stagepose::{CameraModel, CameraPath, LensGuess, PoseSample, SensorNoise, Spline, State, TrackerSetup, VirtualStage};
 
 use super::scene::{aside, backdrop, camera, quiet, rows, setup, track, track_rows, truth_of};
 

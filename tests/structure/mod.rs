@@ -10,9 +10,10 @@ use std::fmt::Write;
 use std::path::Path;
 
 use modules::{Modules, Name};
+use syn::{Item, Visibility};
 
 /// The rooms from the top. Each uses only those above it.
-const ROOMS: [&str; 30] = [
+const ROOMS: [&str; 31] = [
     // The core.
     "compute_clock",
     "geometry",
@@ -44,6 +45,7 @@ const ROOMS: [&str; 30] = [
     "daemon",
     "web",
     "cli",
+    "diagnostics",
     "main",
 ];
 /// Rooms of the core: the first of [`ROOMS`].
@@ -68,6 +70,19 @@ fn every_room_uses_only_rooms_above_it() {
     assert!(arrows.len() > 60, "the reader sees only {} arrows", arrows.len());
     let back: Vec<_> = arrows.iter().filter(|(user, used)| place(used) >= place(user)).collect();
     assert!(back.is_empty(), "arrows back: {back:?}");
+}
+
+#[test]
+fn only_the_codecs_and_the_diagnostics_are_public_modules() {
+    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs")).expect("lib.rs is there");
+    let lib = syn::parse_file(&text).expect("lib.rs is Rust");
+    let public = lib.items.iter().filter_map(|item| match item {
+        Item::Mod(m) if matches!(m.vis, Visibility::Public(_)) => Some(m.ident.to_string()),
+        _ => None,
+    });
+    assert_eq!(public.collect::<BTreeSet<_>>(), ["diagnostics", "protocols"].map(str::to_owned).into());
+    // A glob would make public whatever a room happens to have.
+    assert!(!text.contains("::*"), "lib.rs names what it gives on");
 }
 
 /// A circle among a module's children, or `None`: each is followed along what it uses.

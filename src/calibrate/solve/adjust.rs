@@ -10,7 +10,7 @@ use super::lens::{FreeNumbers, LENS_NUMBERS, Lens, LensMatrix, LensVector};
 use crate::geometry::least_squares::{Damping, Options, Problem, minimise};
 use crate::geometry::{Camera, Pose};
 
-/// The board's frame; see [`crate::calibrate::board`].
+/// The board's frame; see `calibrate::board`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BoardFrame {}
 

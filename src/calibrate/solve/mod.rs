@@ -69,7 +69,7 @@ const MEDIAN_LENGTH: f64 = 1.1774;
 /// Estimates the lens and a pose for every view.
 ///
 /// # Errors
-/// With fewer than [`LEAST_VIEWS`] views, or where they do not determine the unknowns.
+/// With fewer than `LEAST_VIEWS` views, or where they do not determine the unknowns.
 pub fn estimate(views: &[Vec<Observation>], size: (u32, u32), options: &SolveOptions) -> Result<Estimate, SolveError> {
     if views.len() < LEAST_VIEWS {
         return Err(SolveError::TooFew { views: views.len() });

@@ -11,6 +11,7 @@ mod listing;
 mod nodes;
 mod opener;
 
-pub use listing::{ControlListing, DeviceListing, FormatListing, SizeListing, devices};
-pub use nodes::{Known, Node, camera_nodes, find_node, programs_that_hold};
+#[cfg(test)]
+pub(crate) use listing::SizeListing;
+pub use listing::{ControlListing, DeviceListing, FormatListing, devices};
 pub use opener::V4l2Opener;

@@ -6,7 +6,7 @@
 mod stage;
 
 use image::{GrayImage, Luma, imageops};
-use stagepose::simulate::{grey, paint};
+use stagepose::diagnostics::simulate::{grey, paint};
 
 use stage::{FRAMES, Stage, placed};
 

@@ -6,9 +6,8 @@ use std::sync::OnceLock;
 
 use image::{GrayImage, Luma, imageops};
 use nalgebra::{Point3, Vector3};
-use stagepose::camera::{CameraModel, Intrinsics, Normalized};
-use stagepose::simulate::{CameraPath, Renderer, SensorNoise, Spline, VirtualStage, artwork_surface, grey, paint, upright};
-use stagepose::track::BodySpec;
+use stagepose::diagnostics::simulate::{artwork_surface, grey, paint, upright};
+use stagepose::{BodySpec, CameraModel, CameraPath, Intrinsics, Normalized, Renderer, SensorNoise, Spline, VirtualStage};
 
 pub const FRAMES: usize = 16;
 const FPS: f64 = 15.0;

@@ -1,0 +1,82 @@
+//! For studies, benches, tests and overlays: what is inside, by room. No promise of stability: anything here may change with any version.
+
+/// Solvers of the geometry.
+pub mod geometry {
+    pub use crate::geometry::essential::{five_point, robust_essential};
+    pub use crate::geometry::relative_pose::RayPair;
+    pub use crate::geometry::resection::{MovingCamera, Observation, resect};
+    pub use crate::geometry::robust::{RobustOptions, robust_homography};
+    pub use crate::geometry::{FilmingCamera, Homography, PointPair};
+}
+
+/// Pyramid, corners, descriptors and their matching.
+pub mod features {
+    pub use crate::features::{
+        CornerBuffers, CornerOptions, ExtractorOptions, FeatureExtractor, Pyramid, Workers, describe, detect_corners, orientation,
+        smooth_into,
+    };
+    pub use crate::matching::{MatchBuffers, ReferenceIndex};
+}
+
+/// The matcher of a tracker, and the hot loops of alignment.
+pub mod track {
+    pub use crate::track::{AlignKernels, Matcher, Sensor, Trial, UsedPixel, UsedPixels};
+}
+
+/// The virtual stage: pictures on the cloth and paths through the hall.
+#[cfg(feature = "simulate")]
+pub mod simulate {
+    pub use crate::simulate::{artwork_surface, grey, in_front, look_at, one_picture, paint, upright, walk};
+}
+
+/// Readers of single formats, and cameras that tests make.
+#[cfg(feature = "capture")]
+pub mod capture {
+    pub use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
+    pub use crate::capture::timestamping::{DriverStamp, mid_exposure_ns, monotonic_ns};
+    pub use crate::capture::{AviReader, MjpegReader, VirtualCamera, Y4mReader, decode_oriented, picture_size, read_timestamps};
+}
+
+/// Boards: painted, found and calibrated with.
+#[cfg(feature = "calibrate")]
+pub mod calibrate {
+    pub use crate::calibrate::board::Board;
+    pub use crate::calibrate::finder::{FoundBoard, find_board};
+    pub use crate::calibrate::rendered::{BoardPhotographer, Photograph};
+    pub use crate::calibrate::solve::adjust::{BoardFrame, Observation};
+    pub use crate::calibrate::solve::{SolveOptions, estimate};
+    pub use crate::targets::poster::paint as paint_poster;
+}
+
+/// Outputs with clocks that are handed in.
+#[cfg(feature = "publish")]
+pub mod publish {
+    pub use crate::publish::freed::{FreedSettings, Spare};
+    pub use crate::publish::opentrackio::OpenTrackIoSettings;
+    pub use crate::publish::osc::{OscMessageKind, OscSettings};
+    pub use crate::publish::psn::PsnSettings;
+    pub use crate::publish::{
+        BlendRates, BodyChoice, ClipStart, Clocks, Context, FixedRate, FrameClock, JsonSettings, OnLoss, OutputSettings, Placement,
+        Protocol, Publisher, Rate, Reading, SafetySettings, Stamps, StreamSettings, UdpSettings,
+    };
+}
+
+/// Cameras that fail, what is done about them, and the recorder.
+#[cfg(feature = "daemon")]
+pub mod live {
+    pub use crate::daemon::live::{Event, LiveLink, LiveSource, LiveStop, Patience, Shutter, StampedEvent};
+    pub use crate::daemon::recorder::{AboutClip, RealDisk, Recorder, RecorderPlan};
+}
+
+/// The HTTP server.
+#[cfg(feature = "http")]
+pub mod web {
+    pub use crate::config::HttpSettings;
+    pub use crate::web::Server;
+}
+
+/// Text from outside, as a terminal may show it.
+#[cfg(feature = "daemon")]
+pub mod printable {
+    pub use crate::printable::stands_for_itself;
+}
