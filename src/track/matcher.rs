@@ -297,8 +297,9 @@ impl Matcher {
         self.levels.update(&frame.image);
         let stage = self.bodies.first_mut()?;
         let back = start.inverse();
-        let expected = MotionEstimate::unseen(back, stage.aligner.distance(&back), shift_m, turn_rad);
-        let found = stage.aligner.align(&mut self.levels, &self.camera_rays, &expected, None)?;
+        let expected = MotionEstimate::unseen(back, stage.aligner.distance_m(&back), shift_m, turn_rad);
+        let solution = stage.aligner.align(&mut self.levels, &self.camera_rays, &expected, None)?;
+        let found = solution.alignment();
         Some(Trial {
             pose: found.estimate.motion.pose.inverse(),
             tiles: found.tiles,
@@ -354,7 +355,7 @@ impl Matcher {
         let start = self.clock.start();
         let tracked = &mut self.bodies[k];
         let back = verified.pose.inverse();
-        let distance = tracked.aligner.distance(&back);
+        let distance = tracked.aligner.distance_m(&back);
         let [shift, turn] = MotionEstimate::off_by_readout(self.readout_s, distance);
         let first = MotionEstimate::unseen(back, distance, FIRST_SHIFT * distance + shift, FIRST_TURN + turn);
         let aligned = tracked.align(frame, &mut self.levels, &self.camera_rays, &first, None);

@@ -106,7 +106,7 @@ impl TrackedBody {
         if dt_s <= 0.0 || dt_s > LONGEST_FOLLOWED_GAP_S.max(self.to_next_s) {
             return None;
         }
-        let expected = estimate.after(dt_s, self.aligner.distance(&estimate.motion.pose), &self.process_noise);
+        let expected = estimate.after(dt_s, self.aligner.distance_m(&estimate.motion.pose), &self.process_noise);
         let verified = self.align(frame, levels, camera_rays, &expected, Some(dt_s))?;
         self.unaudited += 1;
         if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose, camera_rays.camera()) {
@@ -137,7 +137,8 @@ impl TrackedBody {
         expected: &MotionEstimate,
         since_s: Option<f64>,
     ) -> Option<Verified> {
-        let found = self.aligner.align(levels, camera_rays, expected, since_s)?;
+        let mut solution = self.aligner.align(levels, camera_rays, expected, since_s)?;
+        let found = *solution.alignment();
         // Pushed far away, it is a new pose as much as one that was found anew.
         let is_expected = since_s.is_some() && !found.is_pushed();
         debug!(
@@ -151,8 +152,7 @@ impl TrackedBody {
         if !found.is_credible(is_expected) {
             return None;
         }
-        self.aligner.learn();
-        self.clue = self.aligner.shutter_clue();
+        self.clue = solution.shutter_clue();
         if !is_expected {
             self.process_noise = ProcessNoise::default();
         } else if self.clue.is_none() {
@@ -161,9 +161,9 @@ impl TrackedBody {
         }
         self.motion = Some((found.estimate, frame.timestamp_ns));
         if let Some(used) = &mut self.used {
-            self.aligner.used_pixels(camera_rays, used);
+            solution.used_pixels(used);
         }
-        self.aligner.patches(camera_rays, &found.estimate.motion, &mut self.patches);
+        solution.accept(&mut self.patches);
         Some(self.aligned(&found, camera_rays.camera()))
     }
 

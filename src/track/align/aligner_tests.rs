@@ -3,8 +3,9 @@ use nalgebra::{Vector3, Vector6};
 
 use super::super::CameraRays;
 use super::super::frame_levels::FrameLevels;
-use super::super::motion::MotionEstimate;
+use super::super::motion::{Motion, MotionEstimate};
 use super::super::process_noise::ProcessNoise;
+use super::super::slow_estimates::{FIRST_TRIAL, TRIAL_FRAMES};
 use super::*;
 use crate::geometry::resection::perturbed;
 use crate::track::surface::SurfaceSpec;
@@ -23,7 +24,15 @@ fn levels(seed: u32) -> FrameLevels {
 fn aligned(frame: &mut FrameLevels, start: &Pose<Camera, Body>) -> Option<Alignment> {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
-    aligner.align(frame, &CameraRays::new(lens(480, 360), None), &expected, None)
+    aligner.align(frame, &CameraRays::new(lens(480, 360), None), &expected, None).map(|solution| *solution.alignment())
+}
+
+/// Aligns a frame and accepts its pose.
+fn accepted(aligner: &mut Aligner, frame: &mut FrameLevels, rays: &CameraRays, expected: &MotionEstimate) -> Alignment {
+    let solution = aligner.align(frame, rays, expected, None).expect("the picture agrees");
+    let found = *solution.alignment();
+    solution.accept(&mut Vec::new());
+    found
 }
 
 #[test]
@@ -64,9 +73,8 @@ fn patches_lie_where_the_pose_puts_them() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
     let rays = CameraRays::new(lens(480, 360), None);
-    let found = aligner.align(&mut levels(1), &rays, &expected, None).expect("the picture agrees");
     let mut patches = Vec::new();
-    aligner.patches(&rays, &found.estimate.motion, &mut patches);
+    aligner.align(&mut levels(1), &rays, &expected, None).expect("the picture agrees").accept(&mut patches);
     assert!(patches.len() > 40, "{}", patches.len());
     let mean = patches.iter().map(|p| p.shift_px.norm()).sum::<f64>() / patches.len() as f64;
     assert!(mean < 0.05, "{mean}");
@@ -81,12 +89,11 @@ fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
     let mut estimate = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
     let mut poses = Vec::new();
     for _ in 0..6 {
-        let found = aligner.align(&mut frame, &rays, &estimate, None).expect("the picture agrees");
-        aligner.learn();
+        let found = accepted(&mut aligner, &mut frame, &rays, &estimate);
         poses.push(found.estimate.motion.pose);
         estimate = found.estimate.after(1.0 / 30.0, 3.4, &ProcessNoise::default());
     }
-    assert!(aligner.has_kept);
+    assert!(aligner.buffers.has_kept);
     let drift = (poses[5].translation - poses[3].translation).norm();
     assert!(drift < 2e-5, "{drift}");
 }
@@ -101,8 +108,7 @@ fn followed(coarse: &SurfaceSpec, picture: GrayImage) -> Aligner {
     for k in 0..FIRST_TRIAL + 1 {
         let mut frame = FrameLevels::default();
         frame.update(&view(&display, &pose(k), &lens(480, 360)));
-        let found = aligner.align(&mut frame, &rays, &estimate, None).expect("the picture agrees");
-        aligner.learn();
+        let found = accepted(&mut aligner, &mut frame, &rays, &estimate);
         estimate = found.estimate.after(1.0 / 30.0, 3.4, &ProcessNoise::default());
     }
     aligner
@@ -122,28 +128,17 @@ fn pixels_that_were_laid_out_anew_leave_nothing_to_conclude() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
     let rays = CameraRays::new(lens(480, 360), None);
     let mut frame = levels(1);
-    let found = aligner.align(&mut frame, &rays, &MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003), None);
-    let motion = found.expect("the picture agrees").estimate.motion;
-    assert!(aligner.fine.solved().is_some());
+    aligner.align(&mut frame, &rays, &MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003), None).expect("the picture agrees");
+    let Aligner { settings, buffers, slow } = &mut aligner;
+    let Buffers { fine, selector, light, .. } = buffers;
+    assert!(fine.solution().is_some());
     // Seen from much further away the same frame's pixels have another grid, with fewer nodes than the light that was solved for.
     let away = Motion::still(facing(0.2, -0.3, Vector3::new(0.1, 0.05, 30.0)).inverse());
-    let (runs, nodes) = (aligner.fine.runs().len(), aligner.fine.pixels().light().gains().len());
-    let spec = spec(&aligner.surfaces, &aligner.slow, &rays, FINEST, &away);
-    assert!(aligner.fine.lay_out(&spec, &mut frame, &away, &mut aligner.selector, &mut aligner.chosen, &aligner.light));
-    assert!(aligner.fine.runs().len() < runs && aligner.fine.pixels().light().gains().len() < nodes);
-    assert!(aligner.fine.solved().is_none() && aligner.fine.conclude(&spec, &mut RowBands::new(aligner.slow.sensor)).is_none());
-    let used = &mut Vec::new();
-    aligner.used_pixels(&rays, used);
-    assert!(used.is_empty());
-    let mut patches = Vec::new();
-    aligner.patches(&rays, &motion, &mut patches);
-    assert!(patches.is_empty());
-}
-
-/// All that an aligner has learnt, in words.
-fn learnt(aligner: &Aligner) -> String {
-    let Aligner { slow, psf_variance, off_px, open_share, line, accepted_light, is_enlarged, untried, .. } = aligner;
-    format!("{slow:?} {psf_variance} {off_px} {open_share} {line:?} {accepted_light:?} {is_enlarged} {untried}")
+    let (runs, nodes) = (fine.pixels().runs().len(), fine.pixels().light().gains().len());
+    let spec = LevelSpec::new(&settings.surfaces, slow, &rays, true, FINEST, &away);
+    assert!(fine.lay_out(&spec, &mut frame, &away, selector, light));
+    assert!(fine.pixels().runs().len() < runs && fine.pixels().light().gains().len() < nodes);
+    assert!(fine.solution().is_none());
 }
 
 #[test]
@@ -152,18 +147,17 @@ fn a_frame_whose_pose_is_not_accepted_teaches_nothing() {
     let rays = CameraRays::new(lens(480, 360), None);
     let start = |x: f64| perturbed(&truth(), &Vector6::new(x, 0.0, 0.0, 0.0, 0.0, 0.0)).inverse();
     let expected = |x: f64| MotionEstimate::unseen(start(x), 3.4, 0.02, 0.006);
-    aligner.align(&mut levels(1), &rays, &expected(0.01), None).expect("the picture agrees");
-    aligner.learn();
+    accepted(&mut aligner, &mut levels(1), &rays, &expected(0.01));
+    let learnt = |aligner: &Aligner| format!("{:?}", aligner.slow);
     let before = learnt(&aligner);
     // Another picture, and the right one from starts that the slow estimates would learn from.
     let _ = aligner.align(&mut levels(2), &rays, &expected(0.0), None);
     assert_eq!(learnt(&aligner), before);
-    let first = aligner.align(&mut levels(1), &rays, &expected(0.03), None).expect("the picture agrees");
+    let first = aligner.align(&mut levels(1), &rays, &expected(0.03), None).expect("the picture agrees").alignment().pose;
     assert_eq!(learnt(&aligner), before);
     // Nothing is left of them for the frames to come.
-    let again = aligner.align(&mut levels(1), &rays, &expected(0.03), None).expect("the picture agrees");
-    assert_eq!(first.pose, again.pose);
-    aligner.learn();
+    let again = accepted(&mut aligner, &mut levels(1), &rays, &expected(0.03)).pose;
+    assert_eq!(first, again);
     assert_ne!(learnt(&aligner), before);
 }
 
@@ -176,11 +170,12 @@ fn a_trial_that_changes_nothing_leaves_the_solution() {
     frame.update(&view(&display, &truth(), &lens(480, 360)));
     let mut found = |untried: u32| {
         let mut aligner = Aligner::new(&prepared(vec![coarse.clone()]), Sensor { readout_s: 0.0, exposure_s: 1e-6 });
-        aligner.untried = untried;
+        aligner.slow.since_trial = untried;
         let start = perturbed(&truth(), &Vector6::new(0.03, 0.0, 0.0, 0.0, 0.0, 0.0)).inverse();
         let expected = MotionEstimate::unseen(start, 3.4, 0.02, 0.006);
-        let found = aligner.align(&mut frame, &CameraRays::new(lens(480, 360), None), &expected, None).expect("the picture agrees");
-        (found.pose, aligner.light)
+        let rays = CameraRays::new(lens(480, 360), None);
+        let pose = aligner.align(&mut frame, &rays, &expected, None).expect("the picture agrees").alignment().pose;
+        (pose, aligner.buffers.light)
     };
     assert_eq!(found(0), found(TRIAL_FRAMES));
 }

@@ -1,7 +1,6 @@
 //! How long the shutter is open, where nobody said: learnt from blurred frames.
 
 use super::Sensor;
-use super::evidence::RunEvidence;
 use super::system::schur_complement::Clue;
 
 /// Exposure that an unknown camera is begun with, seconds.
@@ -48,17 +47,12 @@ impl UnknownExposure {
 }
 
 /// What the residuals of a frame with so much blur say of the exposure, beside the point spread, as a share of it; `None` where the frame
-/// is too sharp to tell.
-pub fn exposure_clue<'a>(evidence: impl Iterator<Item = &'a RunEvidence>, psf_variance: KnownPsfVariance, blur_px: f64) -> Option<Clue> {
+/// is too sharp to tell. `blur`: sums of the tiles' evidence.
+pub fn exposure_clue(blur: &[f64; 5], psf_variance: KnownPsfVariance, blur_px: f64) -> Option<Clue> {
     if blur_px <= LEAST_BLUR_PX {
         return None;
     }
-    let mut s = [0.0; 5];
-    for e in evidence {
-        for (s, v) in s.iter_mut().zip(e.blur) {
-            *s += v;
-        }
-    }
+    let mut s = *blur;
     // What is known of the point spread keeps it from passing for motion.
     s[0] += psf_variance.sigma.powi(-2);
     s[3] += psf_variance.error * psf_variance.sigma.powi(-2);

@@ -45,11 +45,11 @@ fn scene() -> Scene {
     let sensor = Sensor { readout_s: 0.012, exposure_s: 0.01 };
     let table = rays.tables[1].as_ref().expect("levels above 0 have tables");
     let choice = Choice { camera: &rays.camera, table, level: 1, sensor, blur_px: 0.0, count: 3000, is_dense: false };
-    let mut chosen = Vec::new();
-    Selector::default().choose(std::slice::from_ref(&surface), &motion, &choice, &mut chosen);
+    let mut selector = Selector::default();
+    let chosen = selector.choose(std::slice::from_ref(&surface), &motion, &choice);
     assert!((2000..6000).contains(&chosen.len()), "{}", chosen.len());
     let mut pixels = Pixels::default();
-    pixels.arrange(&chosen, 1, &Source { l: 1, level: levels.level(1), table, sensor: &sensor, height: 360 }, &RememberedLight::default());
+    pixels.arrange(chosen, 1, &Source { l: 1, level: levels.level(1), table, sensor: &sensor, height: 360 }, &RememberedLight::default());
     Scene { surface, motion, sensor, pixels }
 }
 
@@ -252,9 +252,7 @@ fn every_run_is_whole_and_no_pixel_comes_twice() {
     let rays = CameraRays::new(lens(480, 360), None);
     let table = rays.tables[1].as_ref().expect("levels above 0 have tables");
     let choice = Choice { camera: &rays.camera, table, level: 1, sensor: scene.sensor, blur_px: 0.0, count: 3000, is_dense: false };
-    let mut chosen = Vec::new();
-    Selector::default().choose(std::slice::from_ref(&scene.surface), &away, &choice, &mut chosen);
-    assert!(chosen.is_empty());
+    assert!(Selector::default().choose(std::slice::from_ref(&scene.surface), &away, &choice).is_empty());
 }
 
 #[test]

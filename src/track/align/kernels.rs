@@ -12,7 +12,7 @@ use super::noise::CameraNoise;
 use super::noise_sums::noise_sums;
 use super::normal::{Residuals, RobustWeighting, RunView, residuals};
 use super::pixels::{Pixels, Run, Source};
-use super::selection::{Choice, Chosen, Selector};
+use super::selection::{Choice, Selector};
 use super::tile_products::{ProductBuffer, tile_equations};
 use super::{AlignSurface, CameraRays, Sensor};
 use crate::camera::CameraModel;
@@ -34,7 +34,6 @@ pub struct AlignKernels {
     sensor: Sensor,
     levels: FrameLevels,
     selector: Selector,
-    chosen: Vec<Chosen>,
     pixels: Pixels,
     appearance: Appearance,
     residuals: Residuals,
@@ -54,7 +53,6 @@ impl AlignKernels {
             sensor: Sensor { readout_s: 0.01, exposure_s: EXPOSURE_S },
             levels,
             selector: Selector::default(),
-            chosen: Vec::new(),
             pixels: Pixels::default(),
             appearance: Appearance::default(),
             residuals: Residuals::default(),
@@ -71,8 +69,7 @@ impl AlignKernels {
     pub fn choose(&mut self, count: usize) -> usize {
         let Some(table) = &self.rays.tables[LEVEL] else { return 0 };
         let choice = Choice { camera: &self.rays.camera, table, level: LEVEL, sensor: self.sensor, blur_px: 0.0, count, is_dense: false };
-        self.selector.choose(&self.surfaces, &self.motion, &choice, &mut self.chosen);
-        self.chosen.len()
+        self.selector.choose(&self.surfaces, &self.motion, &choice).len()
     }
 
     /// Lays the chosen pixels out in runs; the number of runs.
@@ -80,7 +77,7 @@ impl AlignKernels {
         let Some(table) = &self.rays.tables[LEVEL] else { return 0 };
         let height = self.rays.camera.height();
         let source = Source { l: LEVEL, level: self.levels.level(LEVEL), table, sensor: &self.sensor, height };
-        self.pixels.arrange(&self.chosen, 1, &source, &RememberedLight::default());
+        self.pixels.arrange(self.selector.chosen(), 1, &source, &RememberedLight::default());
         self.appearance.resize(self.pixels.len());
         self.residuals.resize(self.pixels.len());
         self.pixels.runs().len()

@@ -2,29 +2,25 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::gradient_gain::GradientGain;
+use super::frame_levels::LEVELS;
 use super::motion::Motion;
-use super::noise::{CameraNoise, Noise};
+use super::noise::Noise;
+use super::slow_estimates::SlowEstimates;
 use super::system::TileTime;
 use super::{AlignSurface, CameraRays, Sensor};
 use crate::geometry::{Body, Camera, Pose};
 
+/// The level that alignment ends at.
+pub const FINEST: usize = 1;
+/// Pixels asked at each level, from full size down, of a frame 1280 pixels wide; wider ones are asked more.
+const PIXELS: [usize; LEVELS] = [10_000, 10_000, 4000, 1500, 500];
+const USUAL_WIDTH_PX: f64 = 1280.0;
+/// Samples across a pixel of the levels above the finest, and of that.
+const COARSE_SIDE: usize = 3;
+const SIDE: usize = 5;
 /// Samples along a blur path: (length below which they do, pixels; their number). [`MOST_PLACES`] for longer ones.
 const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
 const MOST_PLACES: usize = 15;
-
-/// What is learnt slowly of a camera and of how the pictures are shown, and holds for every pixel.
-#[derive(Debug)]
-pub struct SlowStates {
-    /// The shutter, with the exposure as known or learnt.
-    pub sensor: Sensor,
-    /// The noise.
-    pub noise: CameraNoise,
-    /// Whether the enlarged copies of the pictures are used.
-    pub is_enlarged: bool,
-    /// How much of the slopes over samples is real.
-    pub gradient_gain: GradientGain,
-}
 
 /// What a level works for.
 #[derive(Clone, Copy)]
@@ -53,7 +49,40 @@ pub struct LevelSpec<'a> {
     pub gradient_gain: f32,
 }
 
-impl LevelSpec<'_> {
+impl<'a> LevelSpec<'a> {
+    /// What a level has to do at a motion, with what is known of the camera by now.
+    pub fn new(
+        surfaces: &'a [AlignSurface],
+        slow: &'a SlowEstimates,
+        rays: &'a CameraRays,
+        is_enlarged: bool,
+        level: usize,
+        motion: &Motion,
+    ) -> Self {
+        let wider = (f64::from(rays.camera.width()) / USUAL_WIDTH_PX).max(1.0);
+        let mut spec = Self {
+            surfaces,
+            rays,
+            sensor: &slow.sensor,
+            level,
+            noise: slow.noise.at(level),
+            count: (PIXELS[level] as f64 * wider) as usize,
+            is_dense: false,
+            blur_px: 0.0,
+            side: if level == FINEST { SIDE } else { COARSE_SIDE },
+            is_enlarged,
+            gradient_gain: slow.gradient_gain.get() as f32,
+        };
+        let half = 0.5 * slow.sensor.exposure_s;
+        spec.blur_px = spec.moved_px(&motion.after(-half), &motion.after(half));
+        spec
+    }
+
+    /// Pixels of the frame to a pixel of the level, along each axis.
+    pub fn frame_px(&self) -> f64 {
+        f64::from(1u32 << self.level)
+    }
+
     /// The time of every tile, where all rows are exposed together.
     pub fn same_time(&self) -> Option<TileTime> {
         (self.sensor.readout_s == 0.0).then(|| TileTime { delay_s: 0.0, mean_square_s2: self.sensor.exposure_s.powi(2) / 12.0 })

@@ -19,6 +19,7 @@ mod enlarge;
 mod evidence;
 mod exposure;
 mod frame_levels;
+mod frame_problem;
 #[allow(clippy::needless_range_loop)]
 mod gradient_gain;
 mod jump_instant;
@@ -39,6 +40,7 @@ mod rays;
 mod rows;
 mod selection;
 mod shutter_clue;
+mod slow_estimates;
 #[allow(clippy::needless_range_loop)]
 mod system;
 mod texture;
@@ -54,11 +56,12 @@ mod verdict;
 use image::GrayImage;
 use nalgebra::{Matrix3, Vector3};
 
-pub use aligner::{Aligner, Patch};
+pub use aligner::Aligner;
 pub use frame_levels::FrameLevels;
 use frame_levels::LEVELS;
 pub use kernels::AlignKernels;
-pub use level_problem::used_pixels::UsedPixel;
+pub use level_problem::patches::Patch;
+pub use level_problem::solution::UsedPixel;
 pub use motion::MotionEstimate;
 pub use process_noise::ProcessNoise;
 use rays::RayTable;
@@ -69,6 +72,7 @@ pub use verdict::Alignment;
 
 use super::surface::SurfaceSpec;
 use crate::camera::CameraModel;
+use crate::geometry::{Body, Camera, Pose};
 
 /// When the rows of a frame are exposed. The default: a global shutter, open for an unknown time.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -111,6 +115,11 @@ impl AlignSurface {
             height_px: spec.artwork.height(),
         }
     }
+}
+
+/// Distance of a camera from the nearest surface's centre, metres.
+fn distance_m(surfaces: &[AlignSurface], pose: &Pose<Body, Camera>) -> f64 {
+    surfaces.iter().map(|s| (s.centre - pose.translation).norm()).fold(f64::INFINITY, f64::min).max(1e-3)
 }
 
 /// The camera's part of alignment, shared by all bodies.

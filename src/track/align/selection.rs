@@ -33,6 +33,7 @@ pub struct Selector {
     blocks: Vec<VisibleBlock>,
     /// One bit a pixel of the level: set where it may not be asked, or is taken.
     taken: Vec<u64>,
+    chosen: Vec<Chosen>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -72,34 +73,41 @@ impl Selector {
     /// With room for all blocks of the surfaces that may come into view at once.
     pub fn with_room_for(surfaces: &[AlignSurface]) -> Self {
         let most = |s: &AlignSurface| s.texture.candidates.iter().map(|c| c.columns * c.rows).max().unwrap_or(0);
-        Self { blocks: Vec::with_capacity(surfaces.iter().map(most).sum()), taken: Vec::new() }
+        Self { blocks: Vec::with_capacity(surfaces.iter().map(most).sum()), ..Self::default() }
     }
 
-    /// Fills `chosen` with at most about `count` different pixels.
-    pub fn choose(&mut self, surfaces: &[AlignSurface], motion: &Motion, choice: &Choice, chosen: &mut Vec<Chosen>) {
+    /// Chooses at most about `count` different pixels.
+    pub fn choose(&mut self, surfaces: &[AlignSurface], motion: &Motion, choice: &Choice) -> &[Chosen] {
+        let Self { blocks, taken, chosen } = self;
         chosen.clear();
-        self.blocks.clear();
+        blocks.clear();
         for (index, surface) in surfaces.iter().enumerate() {
-            list_blocks(surfaces, index, surface, motion, choice, &mut self.blocks);
+            list_blocks(surfaces, index, surface, motion, choice, blocks);
         }
-        if self.blocks.is_empty() {
-            return;
+        if blocks.is_empty() {
+            return chosen;
         }
-        self.taken.clone_from(&choice.table.closed);
+        taken.clone_from(&choice.table.closed);
         let mut first = 0;
-        let mut share = choice.count / self.blocks.len() + 1;
+        let mut share = choice.count / blocks.len() + 1;
         // What blocks with little detail leave is taken up by the others.
         for _ in 0..3 {
-            for block in &self.blocks {
-                take(block, surfaces, first..first + share, choice.table, &mut self.taken, chosen);
+            for block in &*blocks {
+                take(block, surfaces, first..first + share, choice.table, taken, chosen);
             }
             first += share;
             let missing = choice.count.saturating_sub(chosen.len());
             if missing < choice.count / 8 {
                 break;
             }
-            share = missing / self.blocks.len() + 1;
+            share = missing / blocks.len() + 1;
         }
+        chosen
+    }
+
+    /// The last choice.
+    pub fn chosen(&self) -> &[Chosen] {
+        &self.chosen
     }
 }
 

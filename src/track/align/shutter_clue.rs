@@ -1,6 +1,6 @@
 //! What aligned frames say of the shutter: clues that are gathered over many frames, never used within one.
 
-use super::system::schur_complement::{Clue, SchurComplement};
+use super::system::schur_complement::Clue;
 
 /// What a frame says of the shutter it was taken with.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -9,13 +9,4 @@ pub struct ShutterClue {
     pub readout: Clue,
     /// On the exposure, as a share of itself; `None` where the frame is too sharp to tell.
     pub exposure: Option<Clue>,
-}
-
-/// Gathers the clues of a frame where they are asked for.
-#[derive(Debug, Default)]
-pub struct ClueKeeper {
-    /// Buffers.
-    pub column: SchurComplement,
-    /// Of the last frame.
-    pub clue: Option<ShutterClue>,
 }

@@ -353,8 +353,8 @@ impl System {
         }
     }
 
-    /// Covariance of the motion: the last block of the inverse, times nothing (weights were inverse variances).
-    pub fn motion_covariance(&mut self) -> MotionMatrix {
+    /// Covariance of the motion: the last block of the inverse, times nothing (weights were inverse variances); and the tiles' votes by it.
+    pub fn covariance(&mut self) -> (MotionMatrix, Votes<'_>) {
         let mut covariance = MotionMatrix::zeros();
         let mut column = std::mem::take(&mut self.score);
         for k in 0..MOTION {
@@ -370,15 +370,21 @@ impl System {
             }
         }
         self.score = column;
-        (covariance + covariance.transpose()) * 0.5
+        ((covariance + covariance.transpose()) * 0.5, Votes { system: self })
     }
+}
 
-    /// A tile's vote on the pose: the step that its remaining residuals alone would add. `left`: what the solution leaves of the tile.
-    /// After [`motion_covariance`](Self::motion_covariance).
-    pub fn vote(&self, left: &TileScore, nodes: [usize; 4], time: &TileTime, weight: f64) -> SVector<f64, 6> {
+/// The votes of single tiles on the pose.
+pub struct Votes<'a> {
+    system: &'a System,
+}
+
+impl Votes<'_> {
+    /// The step that a tile's remaining residuals alone would add. `left`: what the solution leaves of the tile.
+    pub fn of_tile(&self, left: &TileScore, nodes: [usize; 4], time: &TileTime, weight: f64) -> SVector<f64, 6> {
         let mut vote = SVector::<f64, 6>::zeros();
-        self.spread_out(left, nodes, time, |row, score| {
-            for (v, column) in vote.iter_mut().zip(&self.pose_columns) {
+        self.system.spread_out(left, nodes, time, |row, score| {
+            for (v, column) in vote.iter_mut().zip(&self.system.pose_columns) {
                 *v += column[row] * score * weight;
             }
         });

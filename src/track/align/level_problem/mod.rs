@@ -3,30 +3,27 @@
 //! All that is known of a choice of pixels lives and ends with it: [`LevelProblem::lay_out`] begins anew, and there is nothing to conclude until
 //! these pixels were predicted and solved.
 
-use nalgebra::{Matrix6, Vector2, Vector3};
+use nalgebra::Vector3;
 
-mod readout;
-pub mod used_pixels;
+pub mod patches;
+pub mod solution;
 
-use super::AlignSurface;
 use super::appearance::{Appearance, Predicted, predict};
-use super::columns::COLUMNS;
-use super::evidence::{RunEvidence, evidence};
+use super::evidence::RunEvidence;
 use super::frame_levels::FrameLevels;
 use super::gradient_gain::{ChangeSums, PredictedChange};
-use super::jump_instant::RowBands;
 use super::level_spec::{LevelSpec, moved};
 use super::light::{RememberedLight, TileLight};
-use super::motion::{Motion, MotionEstimate, MotionMatrix};
-use super::noise::{Noise, NoiseSums};
+use super::motion::{Motion, MotionMatrix};
+use super::noise::Noise;
 use super::normal::{Residuals, RobustWeighting, RunView, moments, residuals, squares_after};
 use super::pixels::{Pixels, Run, Source};
-use super::selection::{Choice, Chosen, Selector};
+use super::selection::{Choice, Selector};
 use super::system::{Prior, System, TileTime};
 use super::tile_correlation::{TileCorrelation, median};
 use super::tile_equations::{TileEquations, TileStep};
 use super::tile_products::{ProductBuffer, tile_equations};
-use crate::geometry::resection::larger_covariance;
+use solution::LevelSolution;
 
 /// Fewest pixels that a level is solved with.
 const LEAST_PIXELS: usize = 60;
@@ -37,8 +34,6 @@ const TELLING_CORRELATION: f32 = 0.8;
 const LARGEST_BIAS: f64 = 60.0;
 /// Residuals that are looked at for their spread.
 const SCALE_SAMPLES: usize = 1500;
-/// A residual beyond three sigmas says no more of how well a prediction fits.
-const LARGEST_MISFIT: f32 = 9.0;
 /// Pixels that a step rests on which only the next one's weights are taken from, and that tell of the noise; runs are so long that this
 /// many groups of theirs may be stepped over.
 const ROUGH_PIXELS: usize = 2500;
@@ -128,7 +123,6 @@ impl LevelProblem {
         frame: &mut FrameLevels,
         motion: &Motion,
         selector: &mut Selector,
-        chosen: &mut Vec<Chosen>,
         light: &RememberedLight,
     ) -> bool {
         (self.at, self.solved) = (None, None);
@@ -136,7 +130,7 @@ impl LevelProblem {
         let Some(table) = &spec.rays.tables[spec.level] else { return false };
         let LevelSpec { level, sensor, blur_px, count, is_dense, .. } = *spec;
         let choice = Choice { camera: &spec.rays.camera, table, level, sensor: *sensor, blur_px, count, is_dense };
-        selector.choose(spec.surfaces, motion, &choice, chosen);
+        let chosen = selector.choose(spec.surfaces, motion, &choice);
         if chosen.len() < LEAST_PIXELS {
             return false;
         }
@@ -155,14 +149,9 @@ impl LevelProblem {
         &self.picture.pixels
     }
 
-    /// Their runs.
-    pub fn runs(&self) -> &[RunAtWork] {
-        &self.runs
-    }
-
     /// Where the last prediction of these pixels led; `None` before it is solved.
-    pub fn solved(&self) -> Option<Corrected> {
-        self.solved
+    pub fn solution(&mut self) -> Option<LevelSolution<'_>> {
+        Some(LevelSolution { found: self.solved?, problem: self })
     }
 
     /// Goes back to a light that is remembered.
@@ -296,12 +285,6 @@ impl LevelProblem {
         median(self.squares(stride)).map_or(1.0, |middle| (middle.sqrt() * 1.4826).max(0.7))
     }
 
-    /// Mean squared residual that the last step left, sigmas squared; each counts as [`LARGEST_MISFIT`] at most.
-    pub fn misfit(&mut self) -> f64 {
-        let squares = self.squares(1);
-        squares.iter().map(|s| f64::from(s.min(LARGEST_MISFIT))).sum::<f64>() / squares.len().max(1) as f64
-    }
-
     /// Compares every run with its prediction, whatever its gain and bias: closes those that show something else.
     fn gauge(&mut self, noise: &Noise) {
         let Picture { pixels, appearance, .. } = &self.picture;
@@ -348,81 +331,5 @@ impl LevelProblem {
             most = most.max(moved.unwrap_or(f64::INFINITY) * focal);
         }
         most
-    }
-
-    /// Predicts every run as if the frame showed it shifted (pixels of the level), and looks at it again. The pixels' rays are changed:
-    /// nothing may be solved from them after.
-    pub fn sample_shifted(&mut self, spec: &LevelSpec, motion: &Motion, shifts: &[Vector2<f64>]) {
-        self.at = None;
-        let pixels = &mut self.picture.pixels;
-        for (r, shift) in self.runs.iter().zip(shifts) {
-            let table = spec.rays.tables[spec.level].as_ref();
-            let (su, sv) = (shift.x as f32, shift.y as f32);
-            for k in r.run.range() {
-                let Some([x, y]) = table.map(|t| t.rays[pixels.index[k] as usize]) else { continue };
-                pixels.x[k] = x - pixels.x_across[k] * su - pixels.x_down[k] * sv;
-                pixels.y[k] = y - pixels.y_across[k] * su - pixels.y_down[k] * sv;
-            }
-        }
-        self.predict_all(spec, motion);
-        self.residuals_all(&spec.noise);
-        let weighting = RobustWeighting { scale: self.scale(), is_first_pass: false, stride: 1 };
-        for r in &mut self.runs {
-            r.evidence = evidence(&self.picture.view(r), &[0.0; COLUMNS], &weighting);
-        }
-    }
-
-    /// Where the middle of a run's detail lies on its surface, metres from the centre.
-    pub fn middle_on_surface(&self, r: &RunAtWork, surface: &AlignSurface, motion: &Motion) -> Option<Vector2<f64>> {
-        // The pixel nearest to the middle stands for it: its ray is known exactly.
-        let [weight, u, v] = r.evidence.place;
-        let (u, v) = ((u / weight) as f32, (v / weight) as f32);
-        let pixels = self.pixels();
-        let [columns, rows] = &pixels.place;
-        let off = |k: &usize| (columns[*k] - u).powi(2) + (rows[*k] - v).powi(2);
-        let k = r.run.range().min_by(|a, b| off(a).total_cmp(&off(b)))?;
-        let ray = Vector3::new(f64::from(pixels.x[k]), f64::from(pixels.y[k]), 1.0);
-        let pose = motion.after(f64::from(pixels.delay_s[k])).pose;
-        let direction = surface.rotation.transpose() * (pose.rotation * ray);
-        let from = surface.rotation.transpose() * (pose.translation - surface.centre);
-        let point = from - direction * (from.z / direction.z);
-        Some(point.xy())
-    }
-
-    /// What the open runs say of the noise, as the last step leaves them.
-    pub fn noise_sums(&self, scale: f64) -> NoiseSums {
-        let weighting = RobustWeighting { scale, is_first_pass: false, stride: self.rough_stride() };
-        let mut sums = NoiseSums::default();
-        for r in self.runs.iter().filter(|r| r.gauge.is_open) {
-            sums.add(&self.picture.view(r), &r.step.columns, &weighting);
-        }
-        sums
-    }
-
-    /// Covariance at the solution: of the whole motion (noise), and of the pose (noise, or the scatter of the tiles' votes where it
-    /// is larger). Fills the evidence of the runs, and `bands` with what the open ones say. `None` where nothing was solved.
-    pub fn conclude(&mut self, spec: &LevelSpec, bands: &mut RowBands) -> Option<(MotionEstimate, Matrix6<f64>)> {
-        let solved = self.solved?;
-        let weighting = RobustWeighting { scale: solved.scale, is_first_pass: false, stride: 1 };
-        let Self { picture, runs, system, .. } = self;
-        let covariance = system.motion_covariance();
-        let noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
-        let weight = solved.scale.powi(-2);
-        let mut votes = Matrix6::zeros();
-        let mut n = 0.0;
-        for r in runs {
-            if r.gauge.is_open {
-                let nodes = picture.pixels.light().nodes_of(r.run.tile);
-                let (time, left) = (picture.time(spec, &r.run), r.equations.left_by(&r.step));
-                bands.add(&r.equations, &left, time.delay_s, weight);
-                let vote = system.vote(&left, nodes, &time, weight);
-                votes += vote * vote.transpose();
-                n += 1.0;
-            }
-            r.evidence = evidence(&picture.view(r), &r.step.columns, &weighting);
-        }
-        let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
-        let honest = larger_covariance(&noise, &(votes * factor))?;
-        Some((MotionEstimate { motion: solved.motion, covariance }, honest))
     }
 }

@@ -1,0 +1,440 @@
+//! One frame of one body: from where the body is expected to where the frame shows it, coarse to fine.
+//!
+//! The pixels that the last frame was solved with are solved again where nothing moved; otherwise each level's pixels are selected, predicted and
+//! solved for in turn, from the coarsest that the start's error asks for down to the finest. Nothing that is learnt slowly changes here.
+
+use nalgebra::{Vector2, Vector6};
+
+use super::exposure::{KnownPsfVariance, exposure_clue};
+use super::frame_levels::{FrameLevels, LEVELS};
+use super::gradient_gain::ChangeSums;
+use super::jump_instant::{Expectation, RowBands};
+use super::level_problem::solution::Conclusion;
+use super::level_problem::{Corrected, Expected, LevelProblem};
+use super::level_spec::{FINEST, LevelSpec};
+use super::light::RememberedLight;
+use super::motion::{Motion, MotionEstimate, MotionMatrix};
+use super::selection::Selector;
+use super::shutter_clue::ShutterClue;
+use super::slow_estimates::{Lessons, SlowEstimates};
+use super::system::schur_complement::{Clue, SchurComplement};
+use super::uniform_motion::UniformMotion;
+use super::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
+use super::verdict::{Alignment, squared_mahalanobis};
+use super::{AlignSurface, CameraRays, distance_m};
+
+/// Pixels asked while nothing moves: their prediction is kept from frame to frame.
+const STILL_PIXELS: usize = 130_000;
+/// A prediction is kept for the next frame while nothing moved by more, pixels of the level.
+const KEPT_PX: f64 = 0.05;
+/// Frames with less motion blur than this, pixels of the frame, tell of the point spread and of the noise.
+const SHARP_FRAME_PX: f64 = 1.0;
+/// One sigma about the slow estimate of the point spread's variance in such frames, and in others, where it must not pass for motion; in
+/// the kernel's unit.
+const PSF_VARIANCE_SIGMA: f64 = 0.5;
+const BLURRED_PSF_VARIANCE_SIGMA: f64 = 0.05;
+/// Linearisations of a level at most: of the levels above the finest, and of that.
+const COARSE_ROUNDS: usize = 8;
+const FINE_ROUNDS: usize = 16;
+/// A level is left when a step moved no tile by more, pixels of the level.
+const COARSE_STEP_PX: f64 = 0.1;
+const FINE_STEP_PX: f64 = 0.045;
+/// A pose that still moves by more than this at the end is none, pixels of the level.
+const LARGEST_LAST_STEP_PX: f64 = 0.15;
+/// The part of a frame's last step that may still be missing from its pose, one sigma: steps are too short where slopes are too steep, and the
+/// pictures of the tiles were predicted before the step. Raised, covariances are wider than errors; with 0, twice as many frames
+/// of a moving camera are further off than six sigmas.
+const MISSING_SHARE: f64 = 0.2;
+/// A level converges from this many of its pixels off.
+const BASIN_PX: f64 = 2.5;
+/// The finest level's pixels are chosen with the pose known to this, pixels of the level: seen from a pose that is off they lie beside
+/// their edges, all on one side, where every error of the point spread pulls the same way.
+const CHOSEN_PX: f64 = 0.25;
+/// Search radius = `START_ERRORS` x the decaying maximum of the start error, px. Raised, levels are solved that the start does not need; lowered,
+/// more frames are solved twice.
+const START_ERRORS: f64 = 2.0;
+/// A body is looked for from further off where its residuals are larger than this, sigmas, or fewer of its tiles take part than this share
+/// of what did in the last frame. With residuals as large, its velocity may also have jumped.
+const CLOSE_SCALE: f64 = 2.0;
+const CLOSE_SHARE: f64 = 0.8;
+/// Another way of enlarging the pictures is taken where it leaves less than this share of the misfit.
+const BETTER: f64 = 0.97;
+/// Steps of a frame in which the velocity jumped, at most: what was found first may be pixels off. With 2, a start at 1 m/s was left a
+/// millimetre from where the picture shows it.
+const JUMP_ROUNDS: usize = 8;
+/// How likely a camera that left the line it went on was shaken rather than started or stopped, where rows tell the two apart.
+const JERK_LIKELIHOOD: f64 = 0.01;
+
+/// Buffers of the hot path, kept from frame to frame.
+#[derive(Debug, Default)]
+pub struct Buffers {
+    pub selector: Selector,
+    pub coarse: LevelProblem,
+    pub fine: LevelProblem,
+    /// Whether the finest level holds the pixels of a still camera.
+    pub has_kept: bool,
+    /// The light of the frame, and of a trial beside it.
+    pub light: RememberedLight,
+    trial_light: RememberedLight,
+    readout_column: SchurComplement,
+    /// How far off each tile of the finest level is shown, pixels of the level.
+    pub shifts: Vec<Vector2<f64>>,
+}
+
+impl Buffers {
+    /// With room for all that may be selected of the surfaces.
+    pub fn with_room_for(surfaces: &[AlignSurface]) -> Self {
+        Self { selector: Selector::with_room_for(surfaces), ..Self::default() }
+    }
+
+    /// The problem of a level, and what else is needed to work on it.
+    fn at_level(&mut self, level: usize) -> (&mut LevelProblem, &mut Selector, &mut RememberedLight) {
+        (if level == FINEST { &mut self.fine } else { &mut self.coarse }, &mut self.selector, &mut self.light)
+    }
+}
+
+/// A frame at work.
+pub struct FrameProblem<'a> {
+    surfaces: &'a [AlignSurface],
+    slow: &'a SlowEstimates,
+    buffers: &'a mut Buffers,
+    levels: &'a mut FrameLevels,
+    rays: &'a CameraRays,
+    expected: &'a MotionEstimate,
+    known: Expected<'a>,
+    /// What the tiles say by the time of their rows.
+    bands: RowBands,
+    /// The pose's part of the last step; zero where the prediction of the frame before was kept.
+    last_step: Vector6<f64>,
+    lessons: Lessons,
+}
+
+/// Where a level's last linearisation led.
+struct Iterated {
+    motion: Motion,
+    /// `None` where it still moved.
+    converged: Option<Corrected>,
+}
+
+impl<'a> FrameProblem<'a> {
+    /// A frame as it is expected. `information`: inverse of the expectation's covariance.
+    pub fn new(
+        surfaces: &'a [AlignSurface],
+        slow: &'a SlowEstimates,
+        buffers: &'a mut Buffers,
+        levels: &'a mut FrameLevels,
+        rays: &'a CameraRays,
+        expected: &'a MotionEstimate,
+        information: &'a MotionMatrix,
+    ) -> Self {
+        buffers.light.clone_from(&slow.light);
+        let (motion, psf_variance) = (&expected.motion, slow.psf_variance);
+        let known = Expected { motion, information, psf_variance, psf_variance_sigma: PSF_VARIANCE_SIGMA };
+        let (bands, lessons) = (RowBands::new(slow.sensor), Lessons::none(slow));
+        let mut frame = Self { surfaces, slow, buffers, levels, rays, expected, known, bands, last_step: Vector6::zeros(), lessons };
+        if frame.blur_px(motion) > SHARP_FRAME_PX {
+            frame.known.psf_variance_sigma = BLURRED_PSF_VARIANCE_SIGMA;
+        }
+        frame
+    }
+
+    fn spec(&self, level: usize, motion: &Motion) -> LevelSpec<'a> {
+        LevelSpec::new(self.surfaces, self.slow, self.rays, self.lessons.is_enlarged, level, motion)
+    }
+
+    /// Length of the motion blur, pixels of the frame.
+    fn blur_px(&self, motion: &Motion) -> f64 {
+        let spec = self.spec(FINEST, motion);
+        spec.frame_px() * spec.blur_px
+    }
+
+    /// Finds the motion that the frame shows; `None` where too little of the body is in view or nothing converges.
+    pub fn solve(&mut self) -> Option<Corrected> {
+        self.same_again().or_else(|| self.coarse_to_fine())
+    }
+
+    /// Selects the pixels of a level; false where there are too few.
+    fn lay_out(&mut self, spec: &LevelSpec, motion: &Motion) -> bool {
+        let (problem, selector, light) = self.buffers.at_level(spec.level);
+        problem.lay_out(spec, self.levels, motion, selector, light)
+    }
+
+    /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels.
+    fn same_again(&mut self) -> Option<Corrected> {
+        let motion = self.known.motion;
+        let noise = self.slow.noise.of_still();
+        let spec = LevelSpec { count: STILL_PIXELS, is_dense: true, noise, ..self.spec(FINEST, motion) };
+        let is_kept = std::mem::take(&mut self.buffers.has_kept);
+        if self.buffers.fine.moved_since(&spec, motion) > KEPT_PX {
+            return None;
+        }
+        if is_kept {
+            self.buffers.fine.renew(&spec, self.levels);
+            // Not that of a frame whose pose was not accepted.
+            self.buffers.fine.recall_light(&self.slow.light);
+        } else if self.lay_out(&spec, motion) {
+            self.buffers.fine.predict(&spec, motion);
+        } else {
+            return None;
+        }
+        self.buffers.has_kept = true;
+        let (fine, _, light) = self.buffers.at_level(FINEST);
+        let solved = fine.solve(&spec, &self.known, light, false, 2)?;
+        (fine.moved_px(&spec, motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
+    }
+
+    /// Aligns from the level whose basin holds the usual start error; where the result is not clearly right, from the one that holds all that
+    /// is uncertain.
+    fn coarse_to_fine(&mut self) -> Option<Corrected> {
+        let far = level_for(self.uncertain_px()).max(FINEST + 1);
+        let near = level_for(START_ERRORS * self.slow.start_error_px).min(far);
+        let mut found = self.descend(near);
+        if near != far && !found.is_some_and(|f| self.is_close(&f)) {
+            found = self.descend(far);
+        }
+        let found = found?;
+        let spec = self.spec(FINEST, &found.motion);
+        let start_error_px = spec.moved_px(self.known.motion, &found.motion) * spec.frame_px();
+        self.lessons.start = Some((start_error_px, self.buffers.fine.open_share()));
+        self.try_enlargement(found)
+    }
+
+    /// Whether a solution from nearby is clearly right.
+    fn is_close(&self, found: &Corrected) -> bool {
+        found.scale < CLOSE_SCALE && self.buffers.fine.open_share() > CLOSE_SHARE * self.slow.open_share
+    }
+
+    /// From a level down to the finest.
+    fn descend(&mut self, from: usize) -> Option<Corrected> {
+        self.buffers.has_kept = false;
+        self.buffers.light.clone_from(&self.slow.light);
+        let mut motion = *self.known.motion;
+        let mut is_first = true;
+        for level in (FINEST..=from).rev() {
+            let spec = self.spec(level, &motion);
+            if !self.lay_out(&spec, &motion) {
+                continue;
+            }
+            let found = self.iterate(&spec, motion, is_first)?;
+            if level == FINEST {
+                return found.converged;
+            }
+            (motion, is_first) = (found.motion, false);
+        }
+        None
+    }
+
+    /// Predicts and solves a level's pixels until a step is small. The finest level's are selected anew where the pose moved much.
+    fn iterate(&mut self, spec: &LevelSpec, start: Motion, is_first: bool) -> Option<Iterated> {
+        let is_finest = spec.level == FINEST;
+        let (rounds, small_px) = if is_finest { (FINE_ROUNDS, FINE_STEP_PX) } else { (COARSE_ROUNDS, COARSE_STEP_PX) };
+        let (mut motion, mut chosen_at) = (start, start);
+        let mut converged = None;
+        // Whether these pixels were predicted before.
+        let mut is_same = false;
+        let mut changes = ChangeSums::default();
+        for round in 0..rounds {
+            let is_first = is_first && round == 0;
+            if is_finest && self.buffers.fine.moved_px(spec, &chosen_at, &motion) > CHOSEN_PX {
+                (chosen_at, is_same) = (motion, false);
+                if !self.lay_out(spec, &motion) {
+                    return None;
+                }
+            }
+            let (problem, _, light) = self.buffers.at_level(spec.level);
+            if is_same && is_finest {
+                changes.add(&problem.predict_again(spec, &motion));
+            } else {
+                problem.predict(spec, &motion);
+            }
+            is_same = true;
+            if is_first {
+                problem.guess_light(spec, self.slow.psf_variance);
+            }
+            let solved = problem.solve(spec, &self.known, light, is_first, if is_first { 3 } else { 2 })?;
+            let moved = problem.moved_px(spec, &motion, &solved.motion);
+            tracing::trace!(level = spec.level, moved, pixels = problem.pixels().len(), scale = solved.scale, open = problem.open_share());
+            self.last_step = motion.pose_error_to(&solved.motion);
+            motion = solved.motion;
+            converged = Some(solved).filter(|_| moved < LARGEST_LAST_STEP_PX);
+            if moved < small_px {
+                break;
+            }
+        }
+        if is_finest {
+            self.lessons.changes = changes;
+        }
+        Some(Iterated { motion, converged })
+    }
+
+    /// Between its pixels the picture may be as smooth as their enlargement has it, or as a straight line (a projector or a wall of LEDs
+    /// that scales it, a print of just these pixels): the frame tells. From time to time both are tried, beside the solution, which stays
+    /// as it is unless the other is clearly better.
+    fn try_enlargement(&mut self, found: Corrected) -> Option<Corrected> {
+        let has_copies = self.surfaces.iter().any(|s| s.texture.own_level() > 0);
+        if !self.slow.is_trial_due() || !has_copies {
+            return Some(found);
+        }
+        self.lessons.has_tried = true;
+        let was = self.lessons.is_enlarged;
+        let [misfit, other] = [was, !was].map(|is_enlarged| self.misfit_of_trial(is_enlarged, &found));
+        self.lessons.is_enlarged = was;
+        tracing::debug!(was, misfit, other, "enlargement");
+        if other >= BETTER * misfit {
+            return Some(found);
+        }
+        self.buffers.trial_light.clone_from(&self.buffers.light);
+        self.lessons.is_enlarged = !was;
+        self.solve_again(&found).or_else(|| {
+            self.lessons.is_enlarged = was;
+            self.buffers.light.clone_from(&self.buffers.trial_light);
+            self.solve_again(&found)
+        })
+    }
+
+    /// The misfit that the finest level leaves with the enlarged copies or without, solved aside; infinite where it cannot be solved.
+    fn misfit_of_trial(&mut self, is_enlarged: bool, found: &Corrected) -> f64 {
+        self.lessons.is_enlarged = is_enlarged;
+        let spec = self.spec(FINEST, &found.motion);
+        // The coarse levels are done with: their buffers are free.
+        let Buffers { coarse: aside, selector, light, trial_light, .. } = &mut *self.buffers;
+        trial_light.clone_from(light);
+        if !aside.lay_out(&spec, self.levels, &found.motion, selector, trial_light) {
+            return f64::INFINITY;
+        }
+        aside.predict(&spec, &found.motion);
+        aside.solve(&spec, &self.known, trial_light, false, 2).and_then(|_| aside.solution()).map_or(f64::INFINITY, |mut s| s.misfit())
+    }
+
+    /// The finest level solved once more from where it was found.
+    fn solve_again(&mut self, found: &Corrected) -> Option<Corrected> {
+        let spec = self.spec(FINEST, &found.motion);
+        let (fine, _, light) = self.buffers.at_level(FINEST);
+        fine.recall_light(light);
+        fine.predict(&spec, &found.motion);
+        fine.solve(&spec, &self.known, light, false, 2)
+    }
+
+    /// Whether the velocity may have jumped. A small picture has few pixels: where they contradict the expectation, their residuals are large,
+    /// and large residuals weigh little beside it: the pose stays where it was expected, and only the residuals tell.
+    pub fn is_surprising(&self, found: &Corrected) -> bool {
+        found.scale > CLOSE_SCALE || is_unexpected(squared_mahalanobis(self.expected, &found.motion))
+    }
+
+    /// Solves the finest level once more from where it was found, with a velocity that may have jumped since the last frame, `since_s` ago.
+    pub fn solve_with_jump(&mut self, found: &Corrected, since_s: f64) -> Option<()> {
+        let with_jump = jumped(self.expected, since_s, &self.slow.sensor, distance_m(self.surfaces, &self.expected.motion.pose));
+        let information = with_jump.covariance.cholesky()?.inverse();
+        let known = Expected { information: &information, ..self.known };
+        self.buffers.has_kept = false;
+        let mut motion = found.motion;
+        for _ in 0..JUMP_ROUNDS {
+            let spec = self.spec(FINEST, &motion);
+            let (fine, _, light) = self.buffers.at_level(FINEST);
+            fine.predict(&spec, &motion);
+            let solved = fine.solve(&spec, &known, light, false, 2)?.motion;
+            let moved = fine.moved_px(&spec, &motion, &solved);
+            self.last_step = motion.pose_error_to(&solved);
+            motion = solved;
+            if moved < FINE_STEP_PX {
+                break;
+            }
+        }
+        Some(())
+    }
+
+    /// Verifies the solution: how well its tiles agree, and what they leave open. With what the frame says of the exposure.
+    pub fn verify(&mut self) -> Option<(Alignment, Option<Clue>)> {
+        let Corrected { motion, scale } = self.buffers.fine.solution()?.found;
+        let spec = self.spec(FINEST, &motion);
+        let mut solution = self.buffers.fine.solution()?;
+        let blur_px = spec.blur_px * spec.frame_px();
+        let Conclusion { estimate, covariance, inliers, squared_px, tiles, agreeing, blur } = solution.conclude(&spec, &mut self.bands)?;
+        let found = Alignment {
+            estimate,
+            pose: motion.pose,
+            covariance: covariance + self.last_step * self.last_step.transpose() * MISSING_SHARE.powi(2),
+            scale,
+            inliers,
+            rms_px: (squared_px / inliers.max(1.0)).sqrt() * spec.frame_px(),
+            tiles,
+            agreeing,
+            squared_mahalanobis: squared_mahalanobis(self.expected, &motion),
+        };
+        let psf_variance = self.buffers.light.psf_variance();
+        if blur_px < SHARP_FRAME_PX {
+            self.lessons.psf_variance = Some(psf_variance);
+            self.lessons.noise = found.is_conclusive().then(|| solution.noise_sums());
+        }
+        let known = KnownPsfVariance { error: self.slow.psf_variance - psf_variance, sigma: BLURRED_PSF_VARIANCE_SIGMA };
+        let exposure = exposure_clue(&blur, known, blur_px);
+        self.lessons.exposure = exposure.map(|clue| (clue, blur_px));
+        Some((found, exposure))
+    }
+
+    /// Adds what the solution leaves open where the velocity may have jumped since the last frame, `since_s` ago, or within this one; corrects pose
+    /// and motion by the jumps that the rows show. `has_jumped`: whether it was solved with a wider expectation.
+    pub fn allow_for_jumps(&mut self, found: &mut Alignment, since_s: Option<f64>, has_jumped: bool) {
+        let sensor = &self.slow.sensor;
+        let Some(since_s) = since_s else {
+            self.lessons.line = Some(UniformMotion::new(found.pose));
+            found.covariance += by_start(&found.estimate, sensor);
+            return;
+        };
+        let Alignment { estimate, pose, covariance, .. } = found;
+        let distance_m = distance_m(self.surfaces, pose);
+        let mut line = self.slow.line;
+        let left = line.as_mut().filter(|_| since_s > 0.0).and_then(|line| line.add(pose, covariance, since_s, distance_m));
+        self.lessons.line = Some(line.unwrap_or(UniformMotion::new(*pose)));
+        *covariance += by_bend(self.expected, estimate, left.as_ref(), sensor, distance_m);
+        let with_jerk = Expectation {
+            information: *self.known.information,
+            error: estimate.motion.error_to(self.known.motion),
+            likelihood: JERK_LIKELIHOOD,
+            // Solved with a wider expectation, the motion is less sure than with this one.
+            covariance: (!has_jumped).then_some(estimate.covariance),
+        };
+        let on_line = left.filter(|_| sensor.readout_s != 0.0).and_then(|left| {
+            Some(Expectation {
+                information: left.covariance.cholesky()?.inverse(),
+                error: estimate.motion.error_to(&left.motion),
+                likelihood: 1.0 - JERK_LIKELIHOOD,
+                covariance: None,
+            })
+        });
+        if let Some(mixture) = self.bands.mixture([Some(with_jerk), on_line], since_s, distance_m) {
+            *pose = estimate.motion.with_pose_corrected(&mixture.pose);
+            *covariance += mixture.pose_covariance;
+            *estimate = MotionEstimate { motion: estimate.motion.corrected(&mixture.motion), covariance: mixture.motion_covariance };
+        }
+    }
+
+    /// What the frame says of the shutter, beside what it says of the exposure.
+    pub fn shutter_clue(&mut self, exposure: Option<Clue>) -> Option<ShutterClue> {
+        let motion = self.buffers.fine.solution()?.found.motion;
+        let spec = self.spec(FINEST, &motion);
+        let Buffers { fine, readout_column, .. } = &mut *self.buffers;
+        Some(ShutterClue { readout: fine.solution()?.readout_clue(&spec, readout_column), exposure })
+    }
+
+    /// What the frame would teach.
+    pub fn into_lessons(self) -> Lessons {
+        self.lessons
+    }
+
+    /// How far off the start may be in the frame, two sigmas, pixels.
+    fn uncertain_px(&self) -> f64 {
+        let focal = self.rays.camera.intrinsics().fx;
+        let c = &self.expected.covariance;
+        let sigma = |k: usize| (c[(k, k)] + c[(k + 1, k + 1)] + c[(k + 2, k + 2)]).max(0.0).sqrt();
+        2.0 * focal * (sigma(3).min(1.0) + sigma(0) / distance_m(self.surfaces, &self.expected.motion.pose))
+    }
+}
+
+/// The finest level whose basin holds a start this many pixels of the frame off; the coarsest if none does.
+fn level_for(off_px: f64) -> usize {
+    if off_px < CHOSEN_PX * f64::from(1u32 << FINEST) {
+        return FINEST;
+    }
+    (FINEST + 1..LEVELS).find(|l| BASIN_PX * f64::from(1u32 << l) > off_px).unwrap_or(LEVELS - 1)
+}

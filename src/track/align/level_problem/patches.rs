@@ -1,0 +1,118 @@
+//! Patches: where on its surface each tile's detail lies, and how far from where the solution puts it the frame shows it.
+
+use nalgebra::{Matrix2, Vector2, Vector3};
+
+use super::super::AlignSurface;
+use super::super::columns::COLUMNS;
+use super::super::evidence::{RunEvidence, evidence};
+use super::super::motion::Motion;
+use super::super::normal::RobustWeighting;
+use super::solution::LevelSolution;
+use super::{LevelProblem, LevelSpec, RunAtWork};
+
+/// Patches are sampled again, shifted, while their mean shift exceeds this, pixels of the level; and how often at most.
+const SMALL_SHIFT_PX: f64 = 0.05;
+const PATCH_ROUNDS: usize = 3;
+/// Fewest fitting pixels of a patch.
+const LEAST_PATCH_PIXELS: f64 = 12.0;
+
+/// A patch of the reference and where the frame shows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Patch {
+    /// Surface index in the body.
+    pub surface: u32,
+    /// Its middle on the surface, metres from the centre (x right, y up).
+    pub on_surface_m: Vector2<f64>,
+    /// How far from where the pose puts it the frame shows it, pixels of the frame.
+    pub shift_px: Vector2<f64>,
+    /// Information of the shift, pixels^-2.
+    pub information: Matrix2<f64>,
+    /// Tile, for grouping.
+    pub tile: u32,
+}
+
+impl LevelSolution<'_> {
+    /// Adds the patches that fit, one a tile. Looking for them changes the pixels' rays, so that nothing can be asked of the solution after.
+    /// `shifts`: a buffer.
+    pub fn patches(self, spec: &LevelSpec, motion: &Motion, shifts: &mut Vec<Vector2<f64>>, patches: &mut Vec<Patch>) {
+        let problem = self.problem;
+        shifts.clear();
+        shifts.extend(problem.runs.iter().map(|r| patch_shift(&r.evidence).map_or(Vector2::zeros(), |(shift, _)| shift)));
+        // One linear step is right for small shifts. Where the calibration or the survey is off, patches must be followed.
+        for _ in 0..PATCH_ROUNDS {
+            let mean = shifts.iter().map(|s| s.norm()).sum::<f64>() / shifts.len().max(1) as f64;
+            if mean < SMALL_SHIFT_PX {
+                break;
+            }
+            problem.sample_shifted(spec, motion, shifts);
+            for (shift, r) in shifts.iter_mut().zip(&problem.runs) {
+                let more = patch_shift(&r.evidence).map_or(Vector2::zeros(), |(more, _)| more);
+                *shift += more * (1.0 / more.norm().max(1.0));
+            }
+        }
+        let scale = spec.frame_px();
+        for (r, shift) in problem.runs.iter().zip(shifts) {
+            let Some((_, structure)) = patch_shift(&r.evidence) else { continue };
+            let Some(on_surface_m) = problem.middle_on_surface(r, &spec.surfaces[r.run.surface as usize], motion) else { continue };
+            patches.push(Patch {
+                surface: r.run.surface,
+                on_surface_m,
+                shift_px: *shift * scale,
+                information: structure / (scale * scale),
+                tile: r.run.tile,
+            });
+        }
+    }
+}
+
+impl LevelProblem {
+    /// Predicts every run as if the frame showed it shifted (pixels of the level), and looks at it again.
+    fn sample_shifted(&mut self, spec: &LevelSpec, motion: &Motion, shifts: &[Vector2<f64>]) {
+        self.at = None;
+        let pixels = &mut self.picture.pixels;
+        for (r, shift) in self.runs.iter().zip(shifts) {
+            let table = spec.rays.tables[spec.level].as_ref();
+            let (su, sv) = (shift.x as f32, shift.y as f32);
+            for k in r.run.range() {
+                let Some([x, y]) = table.map(|t| t.rays[pixels.index[k] as usize]) else { continue };
+                pixels.x[k] = x - pixels.x_across[k] * su - pixels.x_down[k] * sv;
+                pixels.y[k] = y - pixels.y_across[k] * su - pixels.y_down[k] * sv;
+            }
+        }
+        self.predict_all(spec, motion);
+        self.residuals_all(&spec.noise);
+        let weighting = RobustWeighting { scale: self.scale(), is_first_pass: false, stride: 1 };
+        for r in &mut self.runs {
+            r.evidence = evidence(&self.picture.view(r), &[0.0; COLUMNS], &weighting);
+        }
+    }
+
+    /// Where the middle of a run's detail lies on its surface, metres from the centre.
+    fn middle_on_surface(&self, r: &RunAtWork, surface: &AlignSurface, motion: &Motion) -> Option<Vector2<f64>> {
+        // The pixel nearest to the middle stands for it: its ray is known exactly.
+        let [weight, u, v] = r.evidence.place;
+        let (u, v) = ((u / weight) as f32, (v / weight) as f32);
+        let pixels = self.pixels();
+        let [columns, rows] = &pixels.place;
+        let off = |k: &usize| (columns[*k] - u).powi(2) + (rows[*k] - v).powi(2);
+        let k = r.run.range().min_by(|a, b| off(a).total_cmp(&off(b)))?;
+        let ray = Vector3::new(f64::from(pixels.x[k]), f64::from(pixels.y[k]), 1.0);
+        let pose = motion.after(f64::from(pixels.delay_s[k])).pose;
+        let direction = surface.rotation.transpose() * (pose.rotation * ray);
+        let from = surface.rotation.transpose() * (pose.translation - surface.centre);
+        let point = from - direction * (from.z / direction.z);
+        Some(point.xy())
+    }
+}
+
+/// How far off the frame shows a tile (pixels of the level), and the information of that; `None` where too little of it fits or its
+/// detail runs one way only.
+fn patch_shift(e: &RunEvidence) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+    let [aa, ab, bb, ra, rb] = e.shift;
+    if e.inliers < LEAST_PATCH_PIXELS || 2.0 * e.inliers < e.count || aa * bb - ab * ab < 0.02 * (aa + bb).powi(2) {
+        return None;
+    }
+    let structure = Matrix2::new(aa, ab, ab, bb);
+    // Predicted intensity at u shows what the frame has at u + shift: the residual is -gradient times shift.
+    Some((-(structure.try_inverse()? * Vector2::new(ra, rb)), structure))
+}

@@ -1,0 +1,154 @@
+//! A level that was solved: what only a solution can be asked.
+
+use nalgebra::Matrix6;
+
+use super::super::Sensor;
+use super::super::evidence::evidence;
+use super::super::jump_instant::RowBands;
+use super::super::motion::MotionEstimate;
+use super::super::noise::NoiseSums;
+use super::super::normal::{RobustWeighting, squares_after};
+use super::super::system::schur_complement::{Clue, SchurComplement, SolvedTile};
+use super::super::tile_equations::TileStep;
+use super::super::verdict::agreement;
+use super::{Corrected, LevelProblem, LevelSpec};
+use crate::geometry::resection::larger_covariance;
+
+/// A residual beyond three sigmas says no more of how well a prediction fits.
+const LARGEST_MISFIT: f32 = 9.0;
+
+/// A solved level.
+pub struct LevelSolution<'a> {
+    /// Where its linearisation led.
+    pub found: Corrected,
+    pub(super) problem: &'a mut LevelProblem,
+}
+
+/// What the tiles of a solved level say of it.
+#[derive(Debug, Clone, Copy)]
+pub struct Conclusion {
+    /// The motion, and what noise and expectation leave open of it.
+    pub estimate: MotionEstimate,
+    /// Covariance of the pose: by noise, or by the scatter of the tiles' votes where that is larger.
+    pub covariance: Matrix6<f64>,
+    /// Pixels that fit, and their squared residuals over squared gradients, pixels².
+    pub inliers: f64,
+    /// See `inliers`.
+    pub squared_px: f64,
+    /// Tiles with detail, and those that agree.
+    pub tiles: usize,
+    /// See `tiles`.
+    pub agreeing: usize,
+    /// Sums of what the tiles say of blur and point spread, as in their evidence.
+    pub blur: [f64; 5],
+}
+
+/// A pixel that alignment asked, as the solution left it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct UsedPixel {
+    /// Its centre, pixels of the frame (it covers two by two of them).
+    pub centre_px: [f32; 2],
+    /// Size of its residual in robust standard deviations; beyond 4.7 it counts nothing.
+    pub sigmas: f32,
+    /// Whether its tile takes part: tiles that show something else do not.
+    pub takes_part: bool,
+}
+
+impl LevelSolution<'_> {
+    /// Concludes from all tiles; keeps each one's evidence with it, and fills `bands` with what the open ones say. `None` where the covariance is
+    /// singular.
+    pub fn conclude(&mut self, spec: &LevelSpec, bands: &mut RowBands) -> Option<Conclusion> {
+        let Corrected { motion, scale } = self.found;
+        let weighting = RobustWeighting { scale, is_first_pass: false, stride: 1 };
+        let weight = scale.powi(-2);
+        let LevelProblem { picture, runs, system, .. } = &mut *self.problem;
+        let (covariance, votes) = system.covariance();
+        let mut scatter = Matrix6::zeros();
+        let mut n = 0.0;
+        let (mut inliers, mut squared_px, mut tiles, mut agreeing, mut blur) = (0.0, 0.0, 0, 0, [0.0; 5]);
+        for r in runs {
+            if r.gauge.is_open {
+                let nodes = picture.pixels.light().nodes_of(r.run.tile);
+                let (time, left) = (picture.time(spec, &r.run), r.equations.left_by(&r.step));
+                bands.add(&r.equations, &left, time.delay_s, weight);
+                let vote = votes.of_tile(&left, nodes, &time, weight);
+                scatter += vote * vote.transpose();
+                n += 1.0;
+            }
+            r.evidence = evidence(&picture.view(r), &r.step.columns, &weighting);
+            inliers += r.evidence.inliers;
+            squared_px += r.evidence.squared_px;
+            let agrees = agreement(&r.evidence);
+            tiles += usize::from(agrees.is_some());
+            agreeing += usize::from(agrees == Some(true));
+            blur.iter_mut().zip(r.evidence.blur).for_each(|(sum, value)| *sum += value);
+        }
+        let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
+        let by_noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
+        let estimate = MotionEstimate { motion, covariance };
+        let covariance = larger_covariance(&by_noise, &(scatter * factor))?;
+        Some(Conclusion { estimate, covariance, inliers, squared_px, tiles, agreeing, blur })
+    }
+
+    /// Mean squared residual that the last step left, sigmas squared; each counts as [`LARGEST_MISFIT`] at most.
+    pub fn misfit(&mut self) -> f64 {
+        let squares = self.problem.squares(1);
+        squares.iter().map(|s| f64::from(s.min(LARGEST_MISFIT))).sum::<f64>() / squares.len().max(1) as f64
+    }
+
+    /// What the open runs say of the noise, as the last step leaves them.
+    pub fn noise_sums(&self) -> NoiseSums {
+        let LevelProblem { picture, runs, .. } = &*self.problem;
+        let weighting = RobustWeighting { scale: self.found.scale, is_first_pass: false, stride: self.problem.rough_stride() };
+        let mut sums = NoiseSums::default();
+        for r in runs.iter().filter(|r| r.gauge.is_open) {
+            sums.add(&picture.view(r), &r.step.columns, &weighting);
+        }
+        sums
+    }
+
+    /// The clue on the time in which the sensor's rows are read, seconds.
+    pub fn readout_clue(&self, spec: &LevelSpec, column: &mut SchurComplement) -> Clue {
+        let Corrected { motion, scale } = self.found;
+        let LevelProblem { picture, runs, system, .. } = &*self.problem;
+        // A second more of readout delays a row by as much as a sensor of one second's readout does.
+        let slow = Sensor { readout_s: 1.0, ..*spec.sensor };
+        column.begin(system);
+        for r in runs.iter().filter(|r| r.gauge.is_open) {
+            let time = picture.time(spec, &r.run);
+            let row = picture.pixels.place[1][((r.run.start + r.run.end) / 2) as usize];
+            let share = slow.delay_s(spec.level, row as f64, spec.rays.camera.height());
+            let velocity = motion.velocity + motion.acceleration * time.delay_s;
+            let turn_rate = motion.turn_rate + motion.turn_acceleration * time.delay_s;
+            // Later rows of the tile are delayed the more, by the share of a readout that lies between them.
+            let per_second = if spec.sensor.readout_s > 0.0 { 1.0 / spec.sensor.readout_s } else { 0.0 };
+            let mut by_readout = TileStep::default();
+            for (c, speed) in velocity.iter().chain(&turn_rate).enumerate() {
+                by_readout.columns[c] = (speed * share) as f32;
+                by_readout.rate[c] = (speed * per_second) as f32;
+            }
+            let nodes = picture.pixels.light().nodes_of(r.run.tile);
+            let tile = SolvedTile { equations: &r.equations, step: &r.step, nodes, time, weight: scale.powi(-2) };
+            column.add(system, &tile, &by_readout);
+        }
+        column.finish(system)
+    }
+
+    /// Adds the pixels of the level that tell something, for pictures that show what the tracker saw.
+    pub fn used_pixels(&self, level: usize, out: &mut Vec<UsedPixel>) {
+        let LevelProblem { picture, runs, .. } = &*self.problem;
+        let n = (1u32 << level) as f32;
+        let mut squares = Vec::new();
+        for r in runs {
+            squares.clear();
+            squares_after(&picture.view(r), &r.step.columns, 1, &mut squares);
+            // Those that tell something, as the squares are.
+            let told = r.run.range().filter(|k| picture.residuals.information[*k] > 0.0);
+            out.extend(told.zip(&squares).map(|(k, square)| UsedPixel {
+                centre_px: [0, 1].map(|axis| n * picture.pixels.place[axis][k] + 0.5 * (n - 1.0)),
+                sigmas: square.sqrt() / self.found.scale as f32,
+                takes_part: r.gauge.is_open,
+            }));
+        }
+    }
+}

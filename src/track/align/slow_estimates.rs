@@ -1,0 +1,140 @@
+//! What is learnt slowly, over many frames: of the camera, of the light, of how the pictures are shown, and of how the body moves.
+//!
+//! A frame is solved with the estimates as they stand, and collects what it would teach them ([`Lessons`]). They learn that only when its
+//! pose is accepted: a frame that shows something else says nothing of the camera or the light.
+
+use super::Sensor;
+use super::exposure::{USUAL_EXPOSURE_S, UnknownExposure};
+use super::gradient_gain::{ChangeSums, GradientGain};
+use super::level_spec::FINEST;
+use super::light::RememberedLight;
+use super::noise::{CameraNoise, NoiseSums};
+use super::system::schur_complement::Clue;
+use super::uniform_motion::UniformMotion;
+
+/// The point spread follows what a sharp frame says of it by this share.
+const PSF_VARIANCE_SHARE: f64 = 0.2;
+/// The decaying maximum of the start error keeps this share a frame. Raised, the search stays wide longer after a jump, and costs a level more.
+const START_ERROR_KEPT: f64 = 0.8;
+/// The decaying maximum of the start error at first, pixels of the frame.
+const FIRST_START_ERROR_PX: f64 = 40.0;
+/// Accepted frames between trials of how the picture was enlarged, and before the first.
+pub(super) const TRIAL_FRAMES: u32 = 32;
+pub(super) const FIRST_TRIAL: u32 = 3;
+
+/// The slow estimates of one body's alignment.
+#[derive(Debug, Clone)]
+pub struct SlowEstimates {
+    /// The shutter, with the exposure as known or learnt.
+    pub sensor: Sensor,
+    /// Follows an unknown exposure; `None` where it is known.
+    exposure: Option<UnknownExposure>,
+    /// The camera's noise.
+    pub noise: CameraNoise,
+    /// How much of the slopes over samples is real.
+    pub gradient_gain: GradientGain,
+    /// Variance of the point spread function, in the kernel's unit.
+    pub psf_variance: f64,
+    /// The light of the last accepted frame.
+    pub light: RememberedLight,
+    /// Whether the enlarged copies of the pictures are what the frame shows.
+    pub is_enlarged: bool,
+    /// Accepted frames since that was tried.
+    pub(super) since_trial: u32,
+    /// The line that the last accepted poses lie on.
+    pub line: Option<UniformMotion>,
+    /// Decaying maximum of the start error, pixels of the frame.
+    pub start_error_px: f64,
+    /// Share of the tiles that took part in the last accepted frame.
+    pub open_share: f64,
+}
+
+/// What a frame would teach.
+#[derive(Debug)]
+pub struct Lessons {
+    /// What the last descent's steps changed in the prediction, and what they should have changed.
+    pub changes: ChangeSums,
+    /// Variance of the point spread function; `None` where the frame is blurred.
+    pub psf_variance: Option<f64>,
+    /// What the blur says of the exposure, and its length in pixels of the frame.
+    pub exposure: Option<(Clue, f64)>,
+    /// Squared residuals, where the frame is sharp and leaves no doubt.
+    pub noise: Option<NoiseSums>,
+    /// The start error, pixels of the frame, and the share of the tiles that took part; `None` where nothing moved.
+    pub start: Option<(f64, f64)>,
+    /// The line of the last poses, with this one.
+    pub line: Option<UniformMotion>,
+    /// Whether the enlarged copies of the pictures are what the frame shows.
+    pub is_enlarged: bool,
+    /// Whether that was tried.
+    pub has_tried: bool,
+}
+
+impl Lessons {
+    /// Before a frame is solved.
+    pub fn none(slow: &SlowEstimates) -> Self {
+        Self {
+            changes: ChangeSums::default(),
+            psf_variance: None,
+            exposure: None,
+            noise: None,
+            start: None,
+            line: None,
+            is_enlarged: slow.is_enlarged,
+            has_tried: false,
+        }
+    }
+}
+
+impl SlowEstimates {
+    /// Nothing learnt yet. An exposure of 0 in `sensor` is learnt from blurred frames.
+    pub fn new(sensor: Sensor) -> Self {
+        let is_known = sensor.exposure_s > 0.0;
+        Self {
+            sensor: Sensor { exposure_s: if is_known { sensor.exposure_s } else { USUAL_EXPOSURE_S }, ..sensor },
+            exposure: (!is_known).then(UnknownExposure::default),
+            noise: CameraNoise::usual(FINEST),
+            gradient_gain: GradientGain::default(),
+            psf_variance: 0.0,
+            light: RememberedLight::default(),
+            is_enlarged: true,
+            since_trial: TRIAL_FRAMES - FIRST_TRIAL,
+            line: None,
+            start_error_px: FIRST_START_ERROR_PX,
+            open_share: 0.0,
+        }
+    }
+
+    /// Takes the shutter as given from now on.
+    pub fn fix_shutter(&mut self, sensor: Sensor) {
+        self.exposure = None;
+        self.sensor = sensor;
+    }
+
+    /// Whether it is time to try how the pictures were enlarged.
+    pub fn is_trial_due(&self) -> bool {
+        self.since_trial + 1 >= TRIAL_FRAMES
+    }
+
+    /// Learns what a frame taught whose pose was accepted. `light`: that it was solved in.
+    pub fn learn(&mut self, lessons: &Lessons, light: &RememberedLight) {
+        self.light.clone_from(light);
+        self.line = lessons.line;
+        self.is_enlarged = lessons.is_enlarged;
+        self.gradient_gain.learn(&lessons.changes);
+        if let Some(shown) = lessons.psf_variance {
+            self.psf_variance += PSF_VARIANCE_SHARE * (shown - self.psf_variance);
+        }
+        if let (Some(unknown), Some((clue, blur_px))) = (&mut self.exposure, lessons.exposure) {
+            unknown.learn(&mut self.sensor, clue, blur_px);
+        }
+        if let Some(sums) = &lessons.noise {
+            self.noise.learn(sums);
+        }
+        if let Some((start_error_px, open_share)) = lessons.start {
+            self.start_error_px = start_error_px.max(START_ERROR_KEPT * self.start_error_px);
+            self.open_share = open_share;
+            self.since_trial = if lessons.has_tried { 0 } else { self.since_trial + 1 };
+        }
+    }
+}
