@@ -71,8 +71,8 @@ fn main() {
                 Matcher::new(camera, Sensor::default(), None, stage, &[], TrackerSettings::default(), ComputeClock::default());
             for (start, off) in FAR.iter().flat_map(|off| (0..STARTS).map(move |_| *off)).map(|off| (moved(&truth, off, &mut random), off))
             {
-                let found = matcher.try_start(&frame, &start, off * truth.translation.norm(), off);
-                let is_right = found.is_some_and(|f| is_right(&f.pose, &truth));
+                let found = matcher.try_start(&frame, &start.inverse(), off * truth.translation.norm(), off);
+                let is_right = found.is_some_and(|f| is_right(&f.pose.inverse(), &truth));
                 let counts = match (is_shown, is_right) {
                     (false, _) => &mut other,
                     (true, true) => &mut right,

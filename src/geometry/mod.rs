@@ -6,6 +6,7 @@
 //! coordinates into stage coordinates and cannot be multiplied with anything that does not start
 //! in the camera.
 
+pub mod covariance;
 pub mod essential;
 pub mod homography;
 pub mod least_squares;

@@ -6,9 +6,9 @@ use nalgebra::{Matrix2, Matrix6, Point3, Vector2};
 
 use super::views::View;
 use crate::camera::{CameraModel, Normalized};
+use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{MovingCamera, Observation, residual_and_jacobian};
 use crate::geometry::{Body, Camera, Pose, Stage};
-use crate::pose::covariance_of_camera;
 use crate::track::{BodySpec, covariance_by_lens};
 
 /// Points across and down a surface: enough that one more row changes little.
@@ -39,14 +39,14 @@ impl Eye<'_> {
         let still = MovingCamera::still(self.camera);
         let jacobians = observations.iter().filter_map(|o| residual_and_jacobian(&seen, &still, o));
         let normal: Matrix6<f64> = jacobians.map(|(_, j)| j.transpose() * j).sum();
-        Some(covariance_of_camera(&pose.inverse(), &normal.cholesky()?.inverse()))
+        Some(covariance_of_inverse(&seen, &normal.cholesky()?.inverse()))
     }
 
     /// What the doubt about the lens adds to the covariance of a pose; nothing where there is none.
     pub fn doubt(&self, pose: &Pose<Stage, Camera>) -> Matrix6<f64> {
         let seen: Pose<Camera, Body> = pose.inverse().renamed();
-        let by_lens = covariance_by_lens(&seen, self.camera, self.observations(&seen).iter());
-        by_lens.map_or_else(Matrix6::zeros, |covariance| covariance_of_camera(&pose.inverse(), &covariance))
+        let by_lens = covariance_by_lens(&pose.renamed(), self.camera, self.observations(&seen).iter());
+        by_lens.unwrap_or_else(Matrix6::zeros)
     }
 
     /// How many times larger the measured covariances are than those of the grid: half of them more, half less.

@@ -1,13 +1,11 @@
 //! The pose stage: from what a frame showed to what is said of the camera - poses turned into the stage
 //! frame with their covariance, the filter where one is wanted, and the prediction while coasting.
 
-mod covariance;
 mod filter;
 mod prediction;
 mod reach;
 mod recent;
 mod stage;
 
-pub use covariance::covariance_of_camera;
 pub use filter::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
 pub use stage::{BodyEstimate, PoseEstimate, PoseStage};

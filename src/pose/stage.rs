@@ -2,11 +2,11 @@
 
 use nalgebra::Matrix6;
 
-use super::covariance::{covariance_of_camera, covariance_of_object};
 use super::filter::{FilterSettings, PoseFilter};
 use super::prediction::MotionHistory;
+use crate::geometry::covariance::covariance_of_object;
 use crate::geometry::{Body, Camera, Pose, Stage};
-use crate::track::{BodySighting, Sighting, TrackState};
+use crate::track::{BodySighting, Sighting, TrackState, Verified};
 
 /// What is said of one pose after a frame.
 #[derive(Debug, Clone)]
@@ -90,12 +90,9 @@ impl PoseStage {
                 objects: self.objects.iter().map(|o| unseen(&o.history)).collect(),
             };
         }
-        let seen = sighting.stage.verified.as_ref().map(|v| {
-            // The stage's body frame is the stage frame.
-            let t_camera_stage: Pose<Camera, Stage> = v.pose.renamed();
-            let by_lens = v.by_lens.map(|by_lens| covariance_of_camera(&t_camera_stage, &by_lens));
-            Measured { pose: t_camera_stage.inverse(), noise: covariance_of_camera(&t_camera_stage, &v.covariance), by_lens }
-        });
+        // The stage's body frame is the stage frame.
+        let measured = |v: &Verified| Measured { pose: v.pose.renamed(), noise: v.covariance, by_lens: v.by_lens };
+        let seen = sighting.stage.verified.as_ref().map(measured);
         let camera = settle(sighting.stage.state, seen, sighting.timestamp_ns, &mut self.camera);
         let objects = sighting
             .objects
@@ -129,7 +126,7 @@ fn object_estimate(
                 .by_lens
                 .or(v.by_lens)
                 .map(|_| together(camera.by_lens.as_ref().unwrap_or(&none), v.by_lens.as_ref().unwrap_or(&none)));
-            Some(Measured { pose: camera.pose * v.pose, noise: together(&camera.noise, &v.covariance), by_lens })
+            Some(Measured { pose: camera.pose * v.pose.inverse(), noise: together(&camera.noise, &v.covariance), by_lens })
         }
         _ => None,
     };

@@ -1,7 +1,6 @@
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
 use super::*;
-use crate::track::Verified;
 use TrackState::{Coasting, Lost, Searching, Tracking};
 
 const FRAME_NS: i64 = 33_333_333;

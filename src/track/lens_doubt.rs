@@ -7,30 +7,32 @@
 use nalgebra::{Matrix6, SMatrix, Vector2};
 
 use crate::camera::{CameraModel, LENS_WAYS, Normalized};
+use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{MovingCamera, Observation, residual_and_jacobian};
 use crate::geometry::{Body, Camera, Pose};
 
-/// Covariance of the left perturbation [δt, δθ] of `T_camera_body` by the lens alone; none where the lens is not in doubt.
+/// Covariance of [δp, δθ] of `T_body_camera`, body axes, by the lens alone; none where the lens is not in doubt.
 pub fn covariance_by_lens<'a>(
-    pose: &Pose<Camera, Body>,
+    t_body_camera: &Pose<Body, Camera>,
     camera: &CameraModel,
     observations: impl Iterator<Item = &'a Observation>,
 ) -> Option<Matrix6<f64>> {
     camera.doubt()?;
+    let pose = t_body_camera.inverse();
     let still = MovingCamera::still(camera);
     let mut normal = Matrix6::zeros();
     let mut right = SMatrix::<f64, 6, LENS_WAYS>::zeros();
     for o in observations {
         let seen = pose.transform(&o.point).coords;
         let normalized = Normalized(Vector2::new(seen.x / seen.z, seen.y / seen.z));
-        let (Some((_, j)), Some(shifts)) = (residual_and_jacobian(pose, &still, o), camera.pixel_doubt(normalized)) else { continue };
+        let (Some((_, j)), Some(shifts)) = (residual_and_jacobian(&pose, &still, o), camera.pixel_doubt(normalized)) else { continue };
         let weighted = j.transpose() * o.information;
         normal += weighted * j;
         right += weighted * shifts;
     }
     let by_way = normal.cholesky()?.solve(&right);
-    let covariance = by_way * by_way.transpose();
-    covariance.iter().all(|v| v.is_finite()).then(|| (covariance + covariance.transpose()) * 0.5)
+    let covariance = covariance_of_inverse(&pose, &(by_way * by_way.transpose()));
+    covariance.iter().all(|v| v.is_finite()).then_some(covariance)
 }
 
 #[cfg(test)]
@@ -60,7 +62,7 @@ mod tests {
         let turn = nalgebra::UnitQuaternion::from_euler_angles(0.1, -0.25, 0.05);
         let pose = Pose::new(turn, Vector3::new(0.2, -0.1, 4.0));
         let observations = seen_by(&told, &pose);
-        let covariance = covariance_by_lens(&pose, &told, observations.iter()).unwrap();
+        let covariance = covariance_by_lens(&pose.inverse(), &told, observations.iter()).unwrap();
         // Scale is what a wrong focal length takes: 3 % of 4 m.
         assert!((0.09..=0.2).contains(&covariance[(2, 2)].sqrt()), "{}", covariance[(2, 2)].sqrt());
         let u = told.doubt().unwrap().uncertainty;
@@ -83,8 +85,8 @@ mod tests {
         let mut scatter = Matrix6::zeros();
         for real in others {
             let found = resect(&pose, &MovingCamera::still(&told), &seen_by(&CameraModel::new(real).unwrap(), &pose), 20).unwrap().pose;
-            let turned = (found.rotation * pose.rotation.inverse()).scaled_axis();
-            let moved = found.translation - found.rotation * pose.rotation.inverse() * pose.translation;
+            let (found, pose) = (found.inverse(), pose.inverse());
+            let (turned, moved) = ((found.rotation * pose.rotation.inverse()).scaled_axis(), found.translation - pose.translation);
             let step = nalgebra::Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z) * 1000.0;
             scatter += step * step.transpose();
         }
@@ -95,6 +97,6 @@ mod tests {
     fn a_lens_beyond_doubt_adds_nothing() {
         let camera = CameraModel::pinhole(1280, 720, 1000.0, 1000.0, 639.5, 359.5).unwrap();
         let pose = Pose::new(nalgebra::UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 4.0));
-        assert_eq!(covariance_by_lens(&pose, &camera, seen_by(&camera, &pose).iter()), None);
+        assert_eq!(covariance_by_lens(&pose.inverse(), &camera, seen_by(&camera, &pose).iter()), None);
     }
 }

@@ -66,8 +66,8 @@ pub struct Sighting {
 /// What an alignment of the stage from a given start came to: for studies of how right poses differ from wrong ones.
 #[derive(Debug, Clone, Copy)]
 pub struct Trial {
-    /// `T_camera_body`.
-    pub pose: Pose<Camera, Body>,
+    /// `T_body_camera`.
+    pub pose: Pose<Body, Camera>,
     /// Tiles with detail, and the share of them that agrees with the prediction.
     pub tiles: usize,
     /// See `tiles`.
@@ -290,18 +290,17 @@ impl Matcher {
 
     /// Aligns the stage from a start that is known to so much (one sigma, metres and radians), and tells what came of it. `None` where
     /// nothing converges. Neither the track state nor the motion take notice.
-    pub fn try_start(&mut self, frame: &Frame, start: &Pose<Camera, Body>, shift_m: f64, turn_rad: f64) -> Option<Trial> {
+    pub fn try_start(&mut self, frame: &Frame, start: &Pose<Body, Camera>, shift_m: f64, turn_rad: f64) -> Option<Trial> {
         if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
             return None;
         }
         self.levels.update(&frame.image);
         let stage = self.bodies.first_mut()?;
-        let back = start.inverse();
-        let expected = MotionEstimate::unseen(back, stage.aligner.distance_m(&back), shift_m, turn_rad);
+        let expected = MotionEstimate::unseen(*start, stage.aligner.distance_m(start), shift_m, turn_rad);
         let solution = stage.aligner.align(&mut self.levels, &self.camera_rays, &expected, None)?;
         let found = solution.alignment();
         Some(Trial {
-            pose: found.estimate.motion.pose.inverse(),
+            pose: found.estimate.motion.pose,
             tiles: found.tiles,
             share: found.share(),
             scale: found.scale,
@@ -354,10 +353,9 @@ impl Matcher {
         let verified = self.find_by_features(k, frame, acquire_ms, align_ms)?;
         let start = self.clock.start();
         let tracked = &mut self.bodies[k];
-        let back = verified.pose.inverse();
-        let distance = tracked.aligner.distance_m(&back);
+        let distance = tracked.aligner.distance_m(&verified.pose);
         let [shift, turn] = MotionEstimate::off_by_readout(self.readout_s, distance);
-        let first = MotionEstimate::unseen(back, distance, FIRST_SHIFT * distance + shift, FIRST_TURN + turn);
+        let first = MotionEstimate::unseen(verified.pose, distance, FIRST_SHIFT * distance + shift, FIRST_TURN + turn);
         let aligned = tracked.align(frame, &mut self.levels, &self.camera_rays, &first, None);
         *align_ms += start.elapsed_ms();
         aligned.or(Some(verified))

@@ -30,7 +30,7 @@ pub enum Doubt {
 /// A verified pose that waits for others to agree with it.
 #[derive(Debug, Clone, Copy)]
 struct Pending {
-    pose: Pose<Camera, Body>,
+    pose: Pose<Body, Camera>,
     timestamp_ns: i64,
     agreeing: u32,
 }
@@ -72,7 +72,7 @@ impl TrackStateMachine {
     }
 
     /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings.
-    pub fn update(&mut self, timestamp_ns: i64, verified: Option<&Pose<Camera, Body>>, coast_s: f64, confirm_frames: u32) -> TrackState {
+    pub fn update(&mut self, timestamp_ns: i64, verified: Option<&Pose<Body, Camera>>, coast_s: f64, confirm_frames: u32) -> TrackState {
         let continued = self.is_continued();
         self.doubt = None;
         match verified {
@@ -119,14 +119,14 @@ fn seconds(from_ns: i64, to_ns: i64) -> f64 {
 }
 
 /// Whether the body could have moved from the pending pose to this one in the time between.
-fn agree(pending: &Pending, pose: &Pose<Camera, Body>, timestamp_ns: i64) -> bool {
+fn agree(pending: &Pending, pose: &Pose<Body, Camera>, timestamp_ns: i64) -> bool {
     let dt = seconds(pending.timestamp_ns, timestamp_ns);
     if !(0.0..=LONGEST_GAP_S).contains(&dt) {
         return false;
     }
     let distance = pose.translation.norm().min(pending.pose.translation.norm());
-    // The centre of the camera, seen from the body: turning the camera on the spot must not count as a shift.
-    let shift = (pose.inverse().translation - pending.pose.inverse().translation).norm();
+    // Of the camera's centre: turning it on the spot is no shift.
+    let shift = (pose.translation - pending.pose.translation).norm();
     let turn = pose.angle_to(&pending.pose);
     shift < (SLACK_SHIFT + FASTEST_SHIFT_PER_S * dt) * distance && turn < SLACK_TURN + FASTEST_TURN_PER_S * dt
 }
@@ -138,7 +138,7 @@ mod tests {
 
     const FRAME_NS: i64 = 33_333_333;
 
-    fn at(x: f64) -> Pose<Camera, Body> {
+    fn at(x: f64) -> Pose<Body, Camera> {
         Pose::new(UnitQuaternion::from_euler_angles(3.0, 0.0, 0.0), Vector3::new(x, 0.0, 4.0))
     }
 

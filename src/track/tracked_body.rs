@@ -1,6 +1,6 @@
 //! What is known of one body: its pictures, its lock, its motion, and the last verified pose with the anchors that it rests on.
 
-use nalgebra::{Matrix3, Matrix6};
+use nalgebra::Matrix6;
 use tracing::debug;
 
 use super::acquire::Recognition;
@@ -109,7 +109,7 @@ impl TrackedBody {
         let expected = estimate.after(dt_s, self.aligner.distance_m(&estimate.motion.pose), &self.process_noise);
         let verified = self.align(frame, levels, camera_rays, &expected, Some(dt_s))?;
         self.unaudited += 1;
-        if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose, camera_rays.camera()) {
+        if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose.inverse(), camera_rays.camera()) {
             self.motion = None;
             return None;
         }
@@ -167,20 +167,19 @@ impl TrackedBody {
         Some(self.aligned(&found, camera_rays.camera()))
     }
 
-    /// An alignment in the terms of the record: pose and covariance of `T_camera_body`, and correspondences.
+    /// An alignment in the terms of the record: pose, covariance, and correspondences.
     fn aligned(&mut self, found: &Alignment, camera: &CameraModel) -> Verified {
-        let pose = found.pose.inverse();
-        // R <- R Exp(δθ), p <- p + δp of the inverse, as a left perturbation of the pose: φ = -δθ, τ = -Rᵀ δp.
-        let mut by_error = Matrix6::zeros();
-        by_error.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-pose.rotation_matrix()));
-        by_error.fixed_view_mut::<3, 3>(3, 3).copy_from(&(-Matrix3::identity()));
+        // Alignment turns the camera in its own axes, R <- R Exp(δθ); the record in the body's.
+        let mut by_error = Matrix6::identity();
+        by_error.fixed_view_mut::<3, 3>(3, 3).copy_from(&found.pose.rotation_matrix());
         let covariance = by_error * found.covariance * by_error.transpose();
+        let t_camera_body = found.pose.inverse();
         let Self { body, patches, anchors, .. } = self;
         let anchor = |p: &Patch| {
             let spec = &body.surfaces[p.surface as usize].spec;
             let artwork = spec.artwork_from_metres(p.on_surface_m);
             let point = spec.body_point(artwork);
-            let seen = pose.transform(&point);
+            let seen = t_camera_body.transform(&point);
             let corrected_px = camera.project(Normalized(seen.coords.xy() / seen.z)).0 + p.shift_px;
             let observation = Observation { point, pixel: corrected_px, information: p.information, delay_s: 0.0, group: p.tile };
             FittedAnchor { surface: p.surface, artwork, observation, corrected_px }
@@ -188,7 +187,7 @@ impl TrackedBody {
         anchors.clear();
         anchors.extend(patches.iter().map(anchor));
         Verified {
-            pose,
+            pose: found.pose,
             covariance: (covariance + covariance.transpose()) * 0.5,
             by_lens: None,
             share: found.share(),
@@ -231,9 +230,10 @@ impl TrackedBody {
     }
 
     /// Remembers a verified pose for the motion of the next frame.
-    pub fn remember(&mut self, timestamp_ns: i64, pose: &Pose<Camera, Body>) {
-        let twist = self.before_at(timestamp_ns).map(|(before, dt_s, _)| Twist::between(&before, pose, dt_s));
-        self.before = Some((*pose, timestamp_ns, twist));
+    pub fn remember(&mut self, timestamp_ns: i64, t_body_camera: &Pose<Body, Camera>) {
+        let pose = t_body_camera.inverse();
+        let twist = self.before_at(timestamp_ns).map(|(before, dt_s, _)| Twist::between(&before, &pose, dt_s));
+        self.before = Some((pose, timestamp_ns, twist));
     }
 
     /// Where the body should be at a stamp, carried on from the last verified poses.

@@ -70,8 +70,9 @@ pub fn two_view(
     rays.clear();
     rays.extend(anchors.iter().map(|a| camera.unproject(Pixel(a.corrected_px))));
     pair_rays(body, anchors, rays, &t_body_reference, pairs);
-    let t_frame_reference = verified.pose * t_body_reference;
-    let distance = (verified.pose * body.surfaces[0].spec.pose).translation.norm();
+    let t_camera_body = verified.pose.inverse();
+    let t_frame_reference = t_camera_body * t_body_reference;
+    let distance = (t_camera_body * body.surfaces[0].spec.pose).translation.norm();
     let focal = 0.5 * (camera.intrinsics().fx + camera.intrinsics().fy);
     let sigma = verified.rms_px.max(0.05) / focal;
     let has_baseline = t_frame_reference.translation.norm() >= LEAST_BASELINE * distance;

@@ -21,7 +21,7 @@ fn seen(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel, ac
         }
     }
     let (covariance, inliers, rms_px) = (Matrix6::identity(), anchors.len(), noise_px.max(0.05));
-    (Verified { pose: *pose, covariance, by_lens: None, inliers, share: 1.0, rms_px, is_conclusive: false }, anchors)
+    (Verified { pose: pose.inverse(), covariance, by_lens: None, inliers, share: 1.0, rms_px, is_conclusive: false }, anchors)
 }
 
 fn described(body: &PreparedBody, (verified, anchors): &(Verified, Vec<FittedAnchor>), camera: &CameraModel) -> TwoView {

@@ -14,6 +14,7 @@ use super::registration::{Registered, SearchPicture, Target, register, visible_t
 use super::shutter::Shutter;
 use crate::camera::CameraModel;
 use crate::features::Workers;
+use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{
     MovingCamera, Observation, Resection, pose_by_twist, resect, rolling_shutter_corrected_px, sandwich_covariance, squared_residual,
 };
@@ -47,9 +48,9 @@ const LARGEST_SHIFT: f64 = 0.012;
 /// A pose that passed.
 #[derive(Debug, Clone, Copy)]
 pub struct Verified {
-    /// `T_camera_body`.
-    pub pose: Pose<Camera, Body>,
-    /// Of the left perturbation [δt, δθ] of `T_camera_body`, camera axes; what this frame's noise leaves open.
+    /// `T_body_camera`.
+    pub pose: Pose<Body, Camera>,
+    /// Of [δp, δθ] in body axes: what this frame's noise leaves open.
     pub covariance: Matrix6<f64>,
     /// The same of what the doubt about the lens leaves open: it stays the same from frame to frame, so that no filter can
     /// average it away. None where the lens is not in doubt.
@@ -208,7 +209,8 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
         squared_residual(&fine.pose, &moving, &unit).unwrap_or(0.0)
     };
     let rms_px = (anchors.iter().map(squared_px).sum::<f64>() / anchors.len() as f64).sqrt();
-    Ok(Verified { pose: fine.pose, covariance, by_lens: None, share, inliers: anchors.len(), rms_px, is_conclusive: false })
+    let (pose, covariance) = (fine.pose.inverse(), covariance_of_inverse(&fine.pose, &covariance));
+    Ok(Verified { pose, covariance, by_lens: None, share, inliers: anchors.len(), rms_px, is_conclusive: false })
 }
 
 /// The anchors that agree with the pose, in pixels and in sigmas.

@@ -5,11 +5,11 @@
 //! solved for together (`system`), coarse to fine (`frame_problem`), and the tiles say how well the solution agrees (`verdict`). Who
 //! accepts the pose says so with [`Solution::accept`], and only then the slow estimates learn.
 
-use super::frame_levels::FrameLevels;
+use super::frame_levels::{FINEST, FrameLevels};
 use super::frame_problem::{Buffers, FrameProblem};
 use super::level_problem::patches::Patch;
 use super::level_problem::solution::UsedPixel;
-use super::level_spec::{FINEST, LevelSpec};
+use super::level_spec::LevelSpec;
 use super::motion::MotionEstimate;
 use super::shutter_clue::ShutterClue;
 use super::slow_estimates::{Lessons, SlowEstimates};

@@ -8,6 +8,8 @@ use super::lanes::has_avx2;
 
 /// Sizes: level 0 is the frame itself, which is not kept.
 pub const LEVELS: usize = 5;
+/// The level that alignment ends at: four pixels of the frame make one, with half the noise.
+pub const FINEST: usize = 1;
 
 /// The frame at levels 1 and up.
 #[derive(Debug, Default)]

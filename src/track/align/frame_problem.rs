@@ -6,12 +6,12 @@
 use nalgebra::{Vector2, Vector6};
 
 use super::exposure::{KnownPsfVariance, exposure_clue};
-use super::frame_levels::{FrameLevels, LEVELS};
+use super::frame_levels::{FINEST, FrameLevels, LEVELS};
 use super::gradient_gain::ChangeSums;
 use super::jump_instant::{Expectation, RowBands};
 use super::level_problem::solution::Conclusion;
 use super::level_problem::{Corrected, Expected, LevelProblem};
-use super::level_spec::{FINEST, LevelSpec};
+use super::level_spec::LevelSpec;
 use super::light::RememberedLight;
 use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::selection::Selector;

@@ -2,7 +2,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::frame_levels::LEVELS;
+use super::frame_levels::{FINEST, LEVELS};
 use super::motion::Motion;
 use super::noise::Noise;
 use super::slow_estimates::SlowEstimates;
@@ -10,8 +10,6 @@ use super::system::TileTime;
 use super::{AlignSurface, CameraRays, Sensor};
 use crate::geometry::{Body, Camera, Pose};
 
-/// The level that alignment ends at.
-pub const FINEST: usize = 1;
 /// Pixels asked at each level, from full size down, of a frame 1280 pixels wide; wider ones are asked more.
 const PIXELS: [usize; LEVELS] = [10_000, 10_000, 4000, 1500, 500];
 const USUAL_WIDTH_PX: f64 = 1280.0;

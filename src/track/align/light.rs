@@ -3,6 +3,12 @@
 //!
 //! A [`Light`] and the grid that its gains are for are one value and change together: every tile of the grid has its
 //! four nodes. What outlives a grid is a [`RememberedLight`], which no tile can ask.
+//!
+//! # Where another parameter goes
+//! 1. [`columns`](super::columns): its index, before `GAINS`, and `COLUMNS` one more. All sums over pixels take their sizes from there.
+//! 2. [`normal`](super::normal): its derivative in `columns`, its effect in `residuals_lanes`. `kernel_tests` hold the one to differences of the other.
+//! 3. Here: [`Light`], [`TileLight`], [`RememberedLight`] and what copies them: `of_tile`, `spread_over`, `correct`, `guess`, `take`.
+//! 4. [`system`](super::system): `DENSE`, its prior in `begin`, its part of `Step`, its place in `spread_out` and in the list `others` of `add`.
 
 use super::tile_grid::TileGrid;
 

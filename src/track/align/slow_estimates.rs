@@ -5,8 +5,8 @@
 
 use super::Sensor;
 use super::exposure::{USUAL_EXPOSURE_S, UnknownExposure};
+use super::frame_levels::FINEST;
 use super::gradient_gain::{ChangeSums, GradientGain};
-use super::level_spec::FINEST;
 use super::light::RememberedLight;
 use super::noise::{CameraNoise, NoiseSums};
 use super::system::schur_complement::Clue;

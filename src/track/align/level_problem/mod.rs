@@ -82,8 +82,8 @@ pub struct RunAtWork {
     pub evidence: RunEvidence,
     /// The light of its residuals.
     light: TileLight,
-    /// How it compares with its prediction.
-    gauge: TileCorrelation,
+    /// How it correlates with its prediction, and whether it takes part.
+    gate: TileCorrelation,
     /// The last step of its columns.
     step: TileStep,
     /// What it said in the last pass; of open runs.
@@ -222,7 +222,7 @@ impl LevelProblem {
     ) -> Option<Corrected> {
         self.solved = None;
         let at = self.at?;
-        self.gauge(&spec.noise);
+        self.gate_tiles(&spec.noise);
         self.residuals_all(&spec.noise);
         let mut scale = self.scale();
         for pass in 0..passes {
@@ -240,7 +240,7 @@ impl LevelProblem {
             let weight = scale.powi(-2) * stride as f64;
             // A rough step, which only weights are taken from, needs no times of rows.
             let is_rolling = spec.same_time().is_none() && pass + 1 == passes;
-            for r in runs.iter_mut().filter(|r| r.gauge.is_open) {
+            for r in runs.iter_mut().filter(|r| r.gate.is_open) {
                 let (time, step) = (picture.time(spec, &r.run), &r.step.columns);
                 let delay_s = is_rolling.then_some(time.delay_s as f32);
                 r.equations = tile_equations(&picture.view(r), delay_s, step, &weighting, products);
@@ -262,7 +262,7 @@ impl LevelProblem {
 
     /// Share of the runs that take part.
     pub fn open_share(&self) -> f64 {
-        self.runs.iter().filter(|r| r.gauge.is_open).count() as f64 / self.runs.len().max(1) as f64
+        self.runs.iter().filter(|r| r.gate.is_open).count() as f64 / self.runs.len().max(1) as f64
     }
 
     /// Stride over groups of pixels that is fine enough for weights and for the noise.
@@ -273,7 +273,7 @@ impl LevelProblem {
     /// Squared whitened residuals that the last step left in the open runs, of one group of pixels in `stride`.
     fn squares(&mut self, stride: usize) -> &mut [f32] {
         self.sorted.clear();
-        for r in self.runs.iter().filter(|r| r.gauge.is_open) {
+        for r in self.runs.iter().filter(|r| r.gate.is_open) {
             squares_after(&self.picture.view(r), &r.step.columns, stride, &mut self.sorted);
         }
         &mut self.sorted
@@ -285,35 +285,35 @@ impl LevelProblem {
         median(self.squares(stride)).map_or(1.0, |middle| (middle.sqrt() * 1.4826).max(0.7))
     }
 
-    /// Compares every run with its prediction, whatever its gain and bias: closes those that show something else.
-    fn gauge(&mut self, noise: &Noise) {
+    /// Gates the tiles: those that correlate too little with their prediction, whatever its gain and bias, show something else and are left out.
+    fn gate_tiles(&mut self, noise: &Noise) {
         let Picture { pixels, appearance, .. } = &self.picture;
         self.sorted.clear();
         for r in &mut self.runs {
-            r.gauge = TileCorrelation::new(&moments(pixels, &r.run, appearance), noise);
-            self.sorted.push(r.gauge.correlation);
+            r.gate = TileCorrelation::new(&moments(pixels, &r.run, appearance), noise);
+            self.sorted.push(r.gate.correlation);
         }
         // The better half at least: from a start that is off, nothing correlates well yet.
         let least = median(&mut self.sorted).map_or(LEAST_CORRELATION, |middle| LEAST_CORRELATION.min(middle as f32));
         for r in &mut self.runs {
-            r.gauge.is_open = r.gauge.correlation >= least;
+            r.gate.is_open = r.gate.correlation >= least;
         }
     }
 
     /// The light from the open runs: the median of their biases, then each tile's mean grey. Means do not mind a start that is off.
     pub fn guess_light(&mut self, spec: &LevelSpec, psf_variance: f64) {
-        self.gauge(&spec.noise);
+        self.gate_tiles(&spec.noise);
         let Self { picture, runs, sorted, .. } = self;
-        let open = || runs.iter().filter(|r| r.gauge.is_open);
+        let open = || runs.iter().filter(|r| r.gate.is_open);
         sorted.clear();
-        sorted.extend(open().map(|r| &r.gauge).filter(|g| g.correlation > TELLING_CORRELATION).map(|g| g.bias));
+        sorted.extend(open().map(|r| &r.gate).filter(|g| g.correlation > TELLING_CORRELATION).map(|g| g.bias));
         let bias = median(sorted).filter(|_| sorted.len() >= 6).map(|bias| bias.clamp(-LARGEST_BIAS, LARGEST_BIAS));
         let bias = bias.unwrap_or(picture.pixels.light().bias());
         let gain = |g: &TileCorrelation| ((f64::from(g.seen) - bias) / f64::from(g.predicted.max(1.0))).clamp(0.02, 20.0);
         sorted.clear();
-        sorted.extend(open().map(|r| gain(&r.gauge) as f32));
+        sorted.extend(open().map(|r| gain(&r.gate) as f32));
         let Some(usual) = median(sorted) else { return };
-        let tiles = open().map(|r| (r.run.tile, gain(&r.gauge).clamp(0.25 * usual, 4.0 * usual)));
+        let tiles = open().map(|r| (r.run.tile, gain(&r.gate).clamp(0.25 * usual, 4.0 * usual)));
         picture.pixels.guess_light(bias, psf_variance, usual, tiles);
     }
 

@@ -67,7 +67,7 @@ impl LevelSolution<'_> {
         let mut n = 0.0;
         let (mut inliers, mut squared_px, mut tiles, mut agreeing, mut blur) = (0.0, 0.0, 0, 0, [0.0; 5]);
         for r in runs {
-            if r.gauge.is_open {
+            if r.gate.is_open {
                 let nodes = picture.pixels.light().nodes_of(r.run.tile);
                 let (time, left) = (picture.time(spec, &r.run), r.equations.left_by(&r.step));
                 bands.add(&r.equations, &left, time.delay_s, weight);
@@ -101,7 +101,7 @@ impl LevelSolution<'_> {
         let LevelProblem { picture, runs, .. } = &*self.problem;
         let weighting = RobustWeighting { scale: self.found.scale, is_first_pass: false, stride: self.problem.rough_stride() };
         let mut sums = NoiseSums::default();
-        for r in runs.iter().filter(|r| r.gauge.is_open) {
+        for r in runs.iter().filter(|r| r.gate.is_open) {
             sums.add(&picture.view(r), &r.step.columns, &weighting);
         }
         sums
@@ -114,7 +114,7 @@ impl LevelSolution<'_> {
         // A second more of readout delays a row by as much as a sensor of one second's readout does.
         let slow = Sensor { readout_s: 1.0, ..*spec.sensor };
         column.begin(system);
-        for r in runs.iter().filter(|r| r.gauge.is_open) {
+        for r in runs.iter().filter(|r| r.gate.is_open) {
             let time = picture.time(spec, &r.run);
             let row = picture.pixels.place[1][((r.run.start + r.run.end) / 2) as usize];
             let share = slow.delay_s(spec.level, row as f64, spec.rays.camera.height());
@@ -147,7 +147,7 @@ impl LevelSolution<'_> {
             out.extend(told.zip(&squares).map(|(k, square)| UsedPixel {
                 centre_px: [0, 1].map(|axis| n * picture.pixels.place[axis][k] + 0.5 * (n - 1.0)),
                 sigmas: square.sqrt() / self.found.scale as f32,
-                takes_part: r.gauge.is_open,
+                takes_part: r.gate.is_open,
             }));
         }
     }
