@@ -18,6 +18,7 @@ mod lens_doubt;
 mod matcher;
 mod planar_ambiguity;
 mod reason;
+mod rectangle;
 mod reference;
 mod registration;
 mod settings;

@@ -5,6 +5,7 @@
 use image::GrayImage;
 use nalgebra::Vector2;
 
+use super::rectangle::Rectangle;
 use super::surface::{BodySpec, SurfaceSpec};
 use crate::features::halved;
 use crate::features::{CornerBuffers, CornerOptions, detect_corners};
@@ -30,6 +31,8 @@ pub struct Octave {
 pub struct PreparedSurface {
     /// What was configured.
     pub spec: SurfaceSpec,
+    /// Where it is in the body.
+    pub rectangle: Rectangle,
     /// Octave k is 2^k times smaller.
     pub octaves: Vec<Octave>,
 }
@@ -51,7 +54,7 @@ const LEAST_SIDE: u32 = 24;
 impl PreparedBody {
     /// Prepares every surface of a body.
     pub fn new(spec: &BodySpec) -> Self {
-        let surfaces = spec.surfaces.iter().map(|s| PreparedSurface { spec: s.clone(), octaves: octaves(&s.artwork) }).collect();
+        let surfaces = spec.surfaces.iter().map(|s| PreparedSurface { spec: s.clone(), rectangle: Rectangle::of(s), octaves: octaves(&s.artwork) }).collect();
         Self { name: spec.name.clone(), surfaces }
     }
 }

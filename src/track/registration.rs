@@ -6,14 +6,17 @@
 //! from its gradients and from how well it fits. How many fit is what the pose is verified by.
 
 use image::GrayImage;
-use nalgebra::{Matrix2, Matrix4, Point3, Vector2, Vector4};
+use nalgebra::{Matrix2, Matrix4, Point3, Vector2, Vector3, Vector4};
 
+use super::rectangle::SeenPoint;
 use super::reference::{Octave, PreparedBody, PreparedSurface};
-use crate::camera::{CameraModel, Normalized, Pixel};
+use crate::camera::CameraModel;
 use crate::features::Workers;
 use crate::geometry::resection::Observation;
 use crate::geometry::{Body, Camera, Pose};
 
+/// Surfaces are not registered where they are seen flatter than this (cosine of the tilt).
+const LEAST_COSINE: f64 = 0.02;
 /// Half side of a patch in pixels of the picture searched.
 const HALF: i32 = 6;
 const SIDE: usize = 2 * HALF as usize + 1;
@@ -78,13 +81,14 @@ pub fn visible_targets(
     targets: &mut Vec<Target>,
 ) {
     targets.clear();
+    let t_body_camera = pose.inverse();
     let mut starts = Vec::with_capacity(body.surfaces.len() + 1);
     for (index, surface) in body.surfaces.iter().enumerate() {
         starts.push(targets.len());
-        let Some(octave) = best_octave(surface, pose, camera, picture.scale) else { continue };
+        let Some(octave) = best_octave(surface, &t_body_camera, camera, picture.scale) else { continue };
         for anchor in &surface.octaves[octave].anchors {
-            let Some(mut target) = project_anchor(surface, pose, camera, anchor.position, picture) else { continue };
-            if occluded(body, index, pose, &target.point) {
+            let Some(mut target) = project_anchor(surface, &t_body_camera, camera, anchor.position, picture) else { continue };
+            if occluded(body, index, &t_body_camera.translation, &target.point) {
                 continue;
             }
             target.surface = index as u32;
@@ -113,68 +117,21 @@ fn thin(targets: &mut Vec<Target>, starts: &[usize], count: usize) {
 }
 
 /// The octave one of whose pixels is nearest in size to a pixel of the searched picture, at the part of the surface seen best.
-fn best_octave(surface: &PreparedSurface, pose: &Pose<Camera, Body>, camera: &CameraModel, scale: f64) -> Option<usize> {
-    let art = &surface.spec.artwork;
-    let (w, h) = (f64::from(art.width()), f64::from(art.height()));
-    let mut logs = Vec::with_capacity(25);
-    for i in 0..5 {
-        for k in 0..5 {
-            let p = Vector2::new((f64::from(i) + 0.5) / 5.0 * w, (f64::from(k) + 0.5) / 5.0 * h);
-            if let Some((pixel, j)) = frame_by_artwork(surface, pose, camera, p) {
-                let inside = pixel.x > 0.0 && pixel.y > 0.0 && pixel.x < f64::from(camera.width()) && pixel.y < f64::from(camera.height());
-                let determinant = j.determinant().abs();
-                if inside && determinant > 1e-12 {
-                    logs.push(-0.5 * determinant.log2() + scale.log2());
-                }
-            }
-        }
-    }
-    if logs.is_empty() {
-        return None;
-    }
-    logs.sort_by(f64::total_cmp);
-    let texels_log2 = logs[logs.len() / 2];
-    Some((texels_log2.round().max(0.0) as usize).min(surface.octaves.len() - 1))
-}
-
-/// The raw pixel of an artwork position and the derivative of the one by the other; `None` behind the camera, beyond the
-/// lens model, or seen from the back.
-fn frame_by_artwork(
-    surface: &PreparedSurface,
-    pose: &Pose<Camera, Body>,
-    camera: &CameraModel,
-    artwork: Vector2<f64>,
-) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-    let spec = &surface.spec;
-    let metres = spec.metres_from_artwork(artwork);
-    let t = *pose * spec.pose;
-    let r = t.rotation_matrix();
-    let c = r.column(0) * metres.x + r.column(1) * metres.y + t.translation;
-    // The face must look at the camera: its normal points against the ray.
-    if c.z < 1e-3 || r.column(2).dot(&c) >= -0.02 * c.norm() {
-        return None;
-    }
-    let n = Vector2::new(c.x / c.z, c.y / c.z);
-    if n.norm() > camera.valid_radius() {
-        return None;
-    }
-    let (Pixel(pixel), by_ray) = camera.project_with_jacobian(Normalized(n));
-    let (sx, sy) = (spec.size_m[0] / f64::from(spec.artwork.width()), -spec.size_m[1] / f64::from(spec.artwork.height()));
-    let column = |axis: usize, s: f64| {
-        let d = r.column(axis) * s;
-        Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z) / c.z
-    };
-    Some((pixel, by_ray * Matrix2::from_columns(&[column(0, sx), column(1, sy)])))
+fn best_octave(surface: &PreparedSurface, t_body_camera: &Pose<Body, Camera>, camera: &CameraModel, scale: f64) -> Option<usize> {
+    let size = [f64::from(camera.width()), f64::from(camera.height())];
+    let log2 = surface.rectangle.texels_log2(size, |point| surface.rectangle.see(t_body_camera, camera, point, LEAST_COSINE))? + scale.log2();
+    Some((log2.round().max(0.0) as usize).min(surface.octaves.len() - 1))
 }
 
 fn project_anchor(
     surface: &PreparedSurface,
-    pose: &Pose<Camera, Body>,
+    t_body_camera: &Pose<Body, Camera>,
     camera: &CameraModel,
     artwork: Vector2<f64>,
     picture: &SearchPicture,
 ) -> Option<Target> {
-    let (predicted, j) = frame_by_artwork(surface, pose, camera, artwork)?;
+    let metres = surface.spec.metres_from_artwork(artwork);
+    let SeenPoint { pixel: predicted, by_metres } = surface.rectangle.see(t_body_camera, camera, [metres.x, metres.y], LEAST_COSINE)?;
     let margin = (f64::from(HALF) + 4.0) * picture.scale;
     let (w, h) = (f64::from(camera.width()), f64::from(camera.height()));
     if predicted.x < margin || predicted.y < margin || predicted.x > w - 1.0 - margin || predicted.y > h - 1.0 - margin {
@@ -184,28 +141,16 @@ fn project_anchor(
     if picture.mask.is_some_and(masked) {
         return None;
     }
-    let artwork_by_frame = j.try_inverse()?;
+    // Rows of the artwork run down, y on the surface up.
+    let [across, down] = surface.rectangle.texels_per_m();
+    let artwork_by_frame = Matrix2::new(across, 0.0, 0.0, -down) * by_metres.try_inverse()?;
     Some(Target { surface: 0, octave: 0, artwork, point: surface.spec.body_point(artwork), predicted, artwork_by_frame })
 }
 
 /// Whether another surface of the body stands between the camera and the point.
-fn occluded(body: &PreparedBody, own: usize, pose: &Pose<Camera, Body>, point: &Point3<f64>) -> bool {
-    let centre = pose.inverse().translation;
-    body.surfaces.iter().enumerate().any(|(index, surface)| {
-        if index == own {
-            return false;
-        }
-        let to_surface = surface.spec.pose.inverse();
-        let from = to_surface.transform(&Point3::from(centre));
-        let to = to_surface.transform(point);
-        // The segment crosses the plane before it reaches the point.
-        let share = from.z / (from.z - to.z);
-        if !(0.0..0.999).contains(&share) {
-            return false;
-        }
-        let hit = from + (to - from) * share;
-        hit.x.abs() < 0.5 * surface.spec.size_m[0] && hit.y.abs() < 0.5 * surface.spec.size_m[1]
-    })
+fn occluded(body: &PreparedBody, own: usize, camera: &Vector3<f64>, point: &Point3<f64>) -> bool {
+    let others = body.surfaces.iter().enumerate().filter(|(index, _)| *index != own);
+    others.into_iter().any(|(_, other)| other.rectangle.hides(&point.coords, camera))
 }
 
 /// Searches every target in the picture.

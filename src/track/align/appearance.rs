@@ -13,6 +13,7 @@ use super::motion::Motion;
 use super::pixels::Pixels;
 use super::texture::TILE_STEP;
 use super::{AlignSurface, Sensor};
+use crate::track::rectangle::Rectangle;
 
 /// Fewest samples across a sharp pixel of a surface tilted beyond this cosine, whose texels lie closer along one direction.
 const TILTED_SIDE: usize = 5;
@@ -89,11 +90,11 @@ impl View {
     fn new(what: &Predicted) -> Self {
         let Predicted { surface, motion, side, is_enlarged, .. } = *what;
         let exposure_s = if what.places > 1 { what.sensor.exposure_s } else { 0.0 };
-        let rt = surface.rotation.transpose();
+        let Rectangle { rotation, centre, size_px: [w, h], .. } = &surface.rectangle;
+        let rt = rotation.transpose();
         let turn = motion.rotation_polynomial().map(|r| rt * r);
         let [p0, p1, p2] = motion.centre_polynomial();
-        let centre = [rt * (p0 - surface.centre), rt * p1, rt * p2];
-        let (w, h) = (f64::from(surface.width_px), f64::from(surface.height_px));
+        let from = [rt * (p0 - centre), rt * p1, rt * p2];
         let is_tilted = turn[0][(2, 2)].abs() < TILTED_COSINE;
         let texel_log2 = match (exposure_s > 0.0, is_tilted) {
             (true, _) => BLURRED_TEXEL_LOG2,
@@ -103,9 +104,9 @@ impl View {
         Self {
             side: if is_tilted { TILTED_SIDE.max(side) } else { side },
             rotation: std::array::from_fn(|k| std::array::from_fn(|power| turn[power][(k / 3, k % 3)] as f32)),
-            centre: std::array::from_fn(|k| std::array::from_fn(|power| centre[power][k] as f32)),
-            to_body: std::array::from_fn(|k| surface.rotation[(k / 3, k % 3)] as f32),
-            texels_per_m: [(w / surface.size_m[0]) as f32, (h / surface.size_m[1]) as f32],
+            centre: std::array::from_fn(|k| std::array::from_fn(|power| from[power][k] as f32)),
+            to_body: std::array::from_fn(|k| rotation[(k / 3, k % 3)] as f32),
+            texels_per_m: surface.rectangle.texels_per_m().map(|texels| texels as f32),
             middle_texel: [(0.5 * w - 0.5) as f32, (0.5 * h - 0.5) as f32],
             first_level: if is_enlarged { 0.0 } else { surface.texture.own_level() as f32 },
             last_level: surface.texture.levels as f32 - 0.999,

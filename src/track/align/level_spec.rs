@@ -109,9 +109,9 @@ impl<'a> LevelSpec<'a> {
 
 /// How far, at depth 1, the point of a surface that a ray meets moves when the camera does; `None` where it is not in front.
 pub fn moved(surface: &AlignSurface, ray: &Vector3<f64>, before: &Pose<Body, Camera>, after: &Pose<Body, Camera>) -> Option<f64> {
-    let normal = surface.rotation.column(2);
+    let normal = surface.rectangle.rotation.column(2);
     let direction = before.rotation * ray;
-    let depth = normal.dot(&(surface.centre - before.translation)) / normal.dot(&direction);
+    let depth = normal.dot(&(surface.rectangle.centre - before.translation)) / normal.dot(&direction);
     let seen = after.rotation.inverse() * (direction * depth + before.translation - after.translation);
     let shift = (Vector2::new(seen.x, seen.y) / seen.z - ray.xy()).norm();
     (depth > 0.0 && seen.z > 0.0 && shift.is_finite()).then_some(shift)

@@ -54,7 +54,6 @@ mod velocity_jump;
 mod verdict;
 
 use image::GrayImage;
-use nalgebra::{Matrix3, Vector3};
 
 pub use aligner::Aligner;
 pub use frame_levels::FrameLevels;
@@ -70,6 +69,7 @@ pub use system::schur_complement::Clue;
 use texture::Texture;
 pub use verdict::Alignment;
 
+use super::rectangle::Rectangle;
 use super::surface::SurfaceSpec;
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
@@ -95,31 +95,19 @@ impl Sensor {
 #[derive(Debug, Clone)]
 pub struct AlignSurface {
     texture: Texture,
-    /// `T_body_surface`.
-    rotation: Matrix3<f64>,
-    centre: Vector3<f64>,
-    size_m: [f64; 2],
-    width_px: u32,
-    height_px: u32,
+    rectangle: Rectangle,
 }
 
 impl AlignSurface {
     /// Prepares a surface.
     pub fn new(spec: &SurfaceSpec) -> Self {
-        Self {
-            texture: Texture::new(&spec.artwork),
-            rotation: spec.pose.rotation_matrix(),
-            centre: spec.pose.translation,
-            size_m: spec.size_m,
-            width_px: spec.artwork.width(),
-            height_px: spec.artwork.height(),
-        }
+        Self { texture: Texture::new(&spec.artwork), rectangle: Rectangle::of(spec) }
     }
 }
 
 /// Distance of a camera from the nearest surface's centre, metres.
 fn distance_m(surfaces: &[AlignSurface], pose: &Pose<Body, Camera>) -> f64 {
-    surfaces.iter().map(|s| (s.centre - pose.translation).norm()).fold(f64::INFINITY, f64::min).max(1e-3)
+    surfaces.iter().map(|s| (s.rectangle.centre - pose.translation).norm()).fold(f64::INFINITY, f64::min).max(1e-3)
 }
 
 /// The camera's part of alignment, shared by all bodies.

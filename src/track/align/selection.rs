@@ -4,14 +4,15 @@
 //! ones, so that they are spread over the frame as the stage is; each is put at its nearest pixel. The choice never
 //! looks at the camera's picture: what stands in front of the stage must not choose.
 
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use nalgebra::Vector3;
 
 use super::motion::Motion;
 use super::rays::RayTable;
 use super::texture::BLOCK;
 use super::{AlignSurface, Sensor};
-use crate::camera::{CameraModel, Normalized};
+use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
+use crate::track::rectangle::SeenPoint;
 
 /// Pixels of a level that lie nearer than this to a border of their surface are left out: what lies beyond is unknown.
 const BORDER_PX: f64 = 3.0;
@@ -142,15 +143,6 @@ fn take(
     }
 }
 
-/// A point of a surface as the frame shows it.
-struct Seen {
-    pixel: Vector2<f64>,
-    /// Pixels of the level by metres on the surface.
-    by_metres: Matrix2<f64>,
-    /// Camera centre in the surface's frame, at the row's time.
-    centre: Vector3<f64>,
-}
-
 fn list_blocks(
     surfaces: &[AlignSurface],
     index: usize,
@@ -163,14 +155,14 @@ fn list_blocks(
     let level = if choice.is_dense { level.max(surface.texture.own_level() + 1) - 1 } else { level };
     let texture = &surface.texture;
     let scale = 1.0 / f64::from(surface.texture.scale[level]);
-    let (tw, th) = (f64::from(surface.width_px) / surface.size_m[0], f64::from(surface.height_px) / surface.size_m[1]);
+    let [tw, th] = surface.rectangle.texels_per_m();
     let candidates = &texture.candidates[level];
-    let half = [0.5 * surface.size_m[0], 0.5 * surface.size_m[1]];
+    let half = surface.rectangle.size_m.map(|side| 0.5 * side);
     for row in 0..candidates.rows {
         for column in 0..candidates.columns {
             let middle = |k: usize| ((k as f64 + 0.5) * BLOCK as f64) * scale;
             let (x, y) = (middle(column) / tw - half[0], half[1] - middle(row) / th);
-            let Some(seen) = see(surface, motion, choice, x, y) else { continue };
+            let Some((seen, camera)) = see(surface, motion, choice, [x, y]) else { continue };
             let (by_x, by_y) = (seen.by_metres.column(0) * (scale / tw), seen.by_metres.column(1) * (-scale / th));
             let centre = 0.5 * (BLOCK as f64 - 1.0);
             let origin = seen.pixel - by_x * centre - by_y * centre;
@@ -186,7 +178,7 @@ fn list_blocks(
             let Some(inverse) = seen.by_metres.try_inverse() else { continue };
             let margin = [0, 1].map(|k| (BORDER_PX + 0.5 * choice.blur_px) * (inverse[(k, 0)].abs() + inverse[(k, 1)].abs()));
             let reach_m = [0.5 * BLOCK as f64 * scale / tw, 0.5 * BLOCK as f64 * scale / th];
-            if occluded(surfaces, index, &seen.centre, [x, y], [reach_m[0] + margin[0], reach_m[1] + margin[1]]) {
+            if occluded(surfaces, index, &camera, [x, y], [reach_m[0] + margin[0], reach_m[1] + margin[1]]) {
                 continue;
             }
             let Some(columns) = clear_offsets(x, half[0] - margin[0], scale / tw) else { continue };
@@ -216,81 +208,37 @@ fn clear_offsets(middle: f64, limit: f64, step: f64) -> Option<[u8; 2]> {
 
 /// The texture level one of whose texels is nearest in size to a pixel of the level, in the middle of what is seen.
 fn texture_level(surface: &AlignSurface, motion: &Motion, choice: &Choice) -> Option<usize> {
-    let mut logs = [0.0; 25];
-    let mut n = 0;
-    for i in 0..5 {
-        for k in 0..5 {
-            let x = ((f64::from(i) + 0.5) / 5.0 - 0.5) * surface.size_m[0];
-            let y = ((f64::from(k) + 0.5) / 5.0 - 0.5) * surface.size_m[1];
-            let Some(seen) = see(surface, motion, choice, x, y) else { continue };
-            let (w, h) = (choice.table.width as f64, choice.table.height as f64);
-            let inside = seen.pixel.x > 0.0 && seen.pixel.y > 0.0 && seen.pixel.x < w && seen.pixel.y < h;
-            if inside {
-                let texels = f64::from(surface.width_px) * f64::from(surface.height_px) / (surface.size_m[0] * surface.size_m[1]);
-                logs[n] = 0.5 * (texels / seen.by_metres.determinant().abs().max(1e-12)).log2();
-                n += 1;
-            }
-        }
-    }
-    if n == 0 {
+    let (own, most) = (surface.texture.own_level(), surface.texture.candidates.len() - 1);
+    let size = [choice.table.width as f64, choice.table.height as f64];
+    let Some(log2) = surface.rectangle.texels_log2(size, |point| see(surface, motion, choice, point).map(|(seen, _)| seen)) else {
         // Seen in part at most: any block that shows will do at a level of its own size.
-        return see(surface, motion, choice, 0.0, 0.0).map(|_| surface.texture.own_level());
-    }
-    logs[..n].sort_by(f64::total_cmp);
-    Some((logs[n / 2].round().max(0.0) as usize + surface.texture.own_level()).min(surface.texture.candidates.len() - 1))
-}
-
-/// Where a point of a surface is seen, its row's time included.
-fn see(surface: &AlignSurface, motion: &Motion, choice: &Choice, x: f64, y: f64) -> Option<Seen> {
-    let at_rest = see_at(surface, &motion.pose, choice, x, y)?;
-    let tau = choice.sensor.delay_s(choice.level, at_rest.pixel.y, choice.camera.height());
-    if tau == 0.0 {
-        return Some(at_rest);
-    }
-    see_at(surface, &motion.after(tau).pose, choice, x, y)
-}
-
-fn see_at(surface: &AlignSurface, pose: &Pose<Body, Camera>, choice: &Choice, x: f64, y: f64) -> Option<Seen> {
-    let camera_from_body: Matrix3<f64> = pose.rotation_matrix().transpose();
-    let r = camera_from_body * surface.rotation;
-    let c = r.column(0) * x + r.column(1) * y + camera_from_body * (surface.centre - pose.translation);
-    if c.z < 1e-3 || -r.column(2).dot(&c) < LEAST_COSINE * c.norm() {
-        return None;
-    }
-    let n = Vector2::new(c.x / c.z, c.y / c.z);
-    if n.norm() > choice.camera.valid_radius() {
-        return None;
-    }
-    let (pixel, by_ray) = choice.camera.project_with_jacobian(Normalized(n));
-    let by_metre = |axis: usize| {
-        let d = r.column(axis);
-        Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z) / c.z
+        return see(surface, motion, choice, [0.0, 0.0]).map(|_| own);
     };
+    Some((log2.round().max(0.0) as usize + own).min(most))
+}
+
+/// Where a point of a surface is seen in the level, and from where, at the time of its row.
+fn see(surface: &AlignSurface, motion: &Motion, choice: &Choice, point: [f64; 2]) -> Option<(SeenPoint, Vector3<f64>)> {
     let scale = f64::from(1u32 << choice.level);
-    let half = Vector2::new(0.5, 0.5);
-    Some(Seen {
-        pixel: (pixel.0 + half) / scale - half,
-        by_metres: by_ray * Matrix2::from_columns(&[by_metre(0), by_metre(1)]) / scale,
-        centre: surface.rotation.transpose() * (pose.translation - surface.centre),
-    })
+    let from = |pose: &Pose<Body, Camera>| {
+        let seen = surface.rectangle.see(pose, choice.camera, point, LEAST_COSINE)?;
+        Some((seen.in_smaller(scale), pose.translation))
+    };
+    let at_rest = from(&motion.pose)?;
+    let tau = choice.sensor.delay_s(choice.level, at_rest.0.pixel.y, choice.camera.height());
+    if tau == 0.0 { Some(at_rest) } else { from(&motion.after(tau).pose) }
 }
 
 /// Whether another surface of the body stands between the camera and any corner of a patch of +- `reach` around a point.
-fn occluded(surfaces: &[AlignSurface], own: usize, centre: &Vector3<f64>, middle: [f64; 2], reach: [f64; 2]) -> bool {
+fn occluded(surfaces: &[AlignSurface], own: usize, camera: &Vector3<f64>, middle: [f64; 2], reach: [f64; 2]) -> bool {
     if surfaces.len() == 1 {
         return false;
     }
-    let me = &surfaces[own];
-    let body_point = |p: Vector3<f64>| me.rotation * p + me.centre;
-    let eye = body_point(*centre);
-    surfaces.iter().enumerate().any(|(k, other)| {
-        k != own
-            && [(0.0, 0.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].iter().any(|(sx, sy)| {
-                let point = body_point(Vector3::new(middle[0] + sx * reach[0], middle[1] + sy * reach[1], 0.0));
-                let (from, to) = (other.rotation.transpose() * (eye - other.centre), other.rotation.transpose() * (point - other.centre));
-                let share = from.z / (from.z - to.z);
-                let hit = from + (to - from) * share;
-                (0.0..0.999).contains(&share) && hit.x.abs() < 0.5 * other.size_m[0] && hit.y.abs() < 0.5 * other.size_m[1]
-            })
-    })
+    let me = &surfaces[own].rectangle;
+    let corners = [(0.0, 0.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(sx, sy)| {
+        let on_surface = Vector3::new(middle[0] + sx * reach[0], middle[1] + sy * reach[1], 0.0);
+        me.rotation * on_surface + me.centre
+    });
+    let others = surfaces.iter().enumerate().filter(|(k, _)| *k != own);
+    others.into_iter().any(|(_, other)| corners.iter().any(|corner| other.rectangle.hides(corner, camera)))
 }

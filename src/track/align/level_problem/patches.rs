@@ -98,8 +98,9 @@ impl LevelProblem {
         let k = r.run.range().min_by(|a, b| off(a).total_cmp(&off(b)))?;
         let ray = Vector3::new(f64::from(pixels.x[k]), f64::from(pixels.y[k]), 1.0);
         let pose = motion.after(f64::from(pixels.delay_s[k])).pose;
-        let direction = surface.rotation.transpose() * (pose.rotation * ray);
-        let from = surface.rotation.transpose() * (pose.translation - surface.centre);
+        let to_surface = surface.rectangle.rotation.transpose();
+        let direction = to_surface * (pose.rotation * ray);
+        let from = to_surface * (pose.translation - surface.rectangle.centre);
         let point = from - direction * (from.z / direction.z);
         Some(point.xy())
     }

@@ -1,0 +1,106 @@
+//! A surface's rectangle, and how a camera sees it: shared by what selects pixels for alignment and what registers anchors.
+
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+
+use super::surface::SurfaceSpec;
+use crate::camera::{CameraModel, Normalized};
+use crate::geometry::{Body, Camera, Pose};
+
+/// A rectangle in the frame of its body.
+#[derive(Debug, Clone)]
+pub struct Rectangle {
+    /// Of `T_body_surface`.
+    pub rotation: Matrix3<f64>,
+    /// See `rotation`.
+    pub centre: Vector3<f64>,
+    /// Width and height, metres.
+    pub size_m: [f64; 2],
+    /// Width and height of its picture, pixels.
+    pub size_px: [f64; 2],
+}
+
+/// A point of a rectangle as the frame shows it.
+#[derive(Debug, Clone, Copy)]
+pub struct SeenPoint {
+    /// Pixel of the frame.
+    pub pixel: Vector2<f64>,
+    /// Derivative of the pixel by metres on the surface.
+    pub by_metres: Matrix2<f64>,
+}
+
+impl SeenPoint {
+    /// The same in a copy of the frame whose pixels are `scale` times as wide.
+    pub fn in_smaller(self, scale: f64) -> Self {
+        let half = Vector2::new(0.5, 0.5);
+        Self { pixel: (self.pixel + half) / scale - half, by_metres: self.by_metres / scale }
+    }
+}
+
+/// Points across and down a rectangle by which its size in the frame is found.
+const GRID: u32 = 5;
+
+impl Rectangle {
+    /// Of a surface.
+    pub fn of(spec: &SurfaceSpec) -> Self {
+        Self {
+            rotation: spec.pose.rotation_matrix(),
+            centre: spec.pose.translation,
+            size_m: spec.size_m,
+            size_px: [f64::from(spec.artwork.width()), f64::from(spec.artwork.height())],
+        }
+    }
+
+    /// Pixels of the picture to a metre, across and down.
+    pub fn texels_per_m(&self) -> [f64; 2] {
+        [self.size_px[0] / self.size_m[0], self.size_px[1] / self.size_m[1]]
+    }
+
+    /// Where a camera sees the point (`x`, `y`), metres from the centre; `None` behind it, beyond the lens model, or where the surface is tilted
+    /// further than `least_cosine`.
+    pub fn see(&self, t_body_camera: &Pose<Body, Camera>, camera: &CameraModel, [x, y]: [f64; 2], least_cosine: f64) -> Option<SeenPoint> {
+        let camera_from_body = t_body_camera.rotation_matrix().transpose();
+        let r = camera_from_body * self.rotation;
+        let c = r.column(0) * x + r.column(1) * y + camera_from_body * (self.centre - t_body_camera.translation);
+        // The face must look at the camera: its normal points against the ray.
+        if c.z < 1e-3 || -r.column(2).dot(&c) < least_cosine * c.norm() {
+            return None;
+        }
+        let n = Vector2::new(c.x / c.z, c.y / c.z);
+        if n.norm() > camera.valid_radius() {
+            return None;
+        }
+        let (pixel, by_ray) = camera.project_with_jacobian(Normalized(n));
+        let by_metre = |axis: usize| {
+            let d = r.column(axis);
+            Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z) / c.z
+        };
+        Some(SeenPoint { pixel: pixel.0, by_metres: by_ray * Matrix2::from_columns(&[by_metre(0), by_metre(1)]) })
+    }
+
+    /// log2 of how many pixels of the picture lie along a pixel of a frame of this size: the median over what is seen; `None` where nothing is.
+    pub fn texels_log2(&self, frame: [f64; 2], see: impl Fn([f64; 2]) -> Option<SeenPoint>) -> Option<f64> {
+        let [across, down] = self.texels_per_m();
+        let mut logs = [0.0; (GRID * GRID) as usize];
+        let mut n = 0;
+        for (i, k) in (0..GRID).flat_map(|i| (0..GRID).map(move |k| (i, k))) {
+            let place = |k: u32, size_m: f64| ((f64::from(k) + 0.5) / f64::from(GRID) - 0.5) * size_m;
+            let Some(SeenPoint { pixel, by_metres }) = see([place(i, self.size_m[0]), place(k, self.size_m[1])]) else { continue };
+            if pixel.x > 0.0 && pixel.y > 0.0 && pixel.x < frame[0] && pixel.y < frame[1] {
+                logs[n] = 0.5 * (across * down / by_metres.determinant().abs().max(1e-12)).log2();
+                n += 1;
+            }
+        }
+        logs[..n].sort_by(f64::total_cmp);
+        logs[..n].get(n / 2).copied()
+    }
+
+    /// Whether the rectangle stands between a camera and a point, both in body coordinates.
+    pub fn hides(&self, point: &Vector3<f64>, from: &Vector3<f64>) -> bool {
+        let local = |p: &Vector3<f64>| self.rotation.transpose() * (p - self.centre);
+        let (from, to) = (local(from), local(point));
+        // The segment crosses the plane before it reaches the point.
+        let share = from.z / (from.z - to.z);
+        let hit = from + (to - from) * share;
+        (0.0..0.999).contains(&share) && hit.x.abs() < 0.5 * self.size_m[0] && hit.y.abs() < 0.5 * self.size_m[1]
+    }
+}
