@@ -15,6 +15,5 @@ mod workers;
 pub use corners::{CornerBuffers, CornerOptions, detect_corners};
 pub use descriptor::{Descriptor, describe, orientation};
 pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
-pub use pyramid::{Pyramid, smooth_into};
-pub use pyramid::{halve_into, halved};
+pub use pyramid::{Pyramid, halved, smooth_into};
 pub use workers::Workers;

@@ -140,27 +140,10 @@ pub fn smooth_into(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>) {
 
 /// Means of 2x2 pixels; an odd last row or column is dropped, so that positions stay exact.
 pub fn halved(image: &GrayImage) -> GrayImage {
-    let mut out = GrayImage::default();
-    halve_into(image, &mut out);
-    out
-}
-
-/// [`halved`] into a buffer that is kept.
-pub fn halve_into(image: &GrayImage, out: &mut GrayImage) {
-    let (w, h) = (image.width() as usize / 2, image.height() as usize / 2);
-    let mut raw = std::mem::take(out).into_raw();
-    raw.resize(w * h, 0);
-    let source = image.as_raw();
-    let stride = image.width() as usize;
-    for y in 0..h {
-        let top = &source[2 * y * stride..][..2 * w];
-        let bottom = &source[(2 * y + 1) * stride..][..2 * w];
-        for ((out, t), b) in raw[y * w..(y + 1) * w].iter_mut().zip(top.chunks_exact(2)).zip(bottom.chunks_exact(2)) {
-            *out = ((u16::from(t[0]) + u16::from(t[1]) + u16::from(b[0]) + u16::from(b[1]) + 2) >> 2) as u8;
-        }
-    }
-    // The buffer was just made exactly this long.
-    *out = GrayImage::from_raw(w as u32, h as u32, raw).unwrap_or_default();
+    GrayImage::from_fn(image.width() / 2, image.height() / 2, |x, y| {
+        let sum: u16 = [(0, 0), (1, 0), (0, 1), (1, 1)].iter().map(|(i, j)| u16::from(image.get_pixel(2 * x + i, 2 * y + j)[0])).sum();
+        image::Luma([((sum + 2) >> 2) as u8])
+    })
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@ use super::two_view::{TwoView, TwoViewBuffers, two_view};
 use super::verify::{Verified, VerifyBuffers, View};
 use crate::camera::CameraModel;
 use crate::compute_clock::ComputeClock;
-use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers, halve_into};
+use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
 use crate::matching::{Match, MatchBuffers, ReferenceIndex};
@@ -190,6 +190,7 @@ impl Matcher {
         let mut acquire_ms = 0.0;
         if self.verified.iter().any(Option::is_none) {
             self.extract(&frame.image, &mut acquire_ms);
+            self.levels.half_into(&mut self.half);
             for k in 0..self.bodies.len() {
                 if self.verified[k].is_none() {
                     self.verified[k] = self.find(k, frame, &mut acquire_ms, &mut align_ms);
@@ -333,7 +334,6 @@ impl Matcher {
         let options = ExtractorOptions { count: self.settings.features, ..Default::default() };
         self.extractor.extract(image, self.mask.as_ref(), &options, &self.workers, &mut self.features);
         self.index.match_features(&self.features, RATIO, &self.workers, &mut self.match_buffers, &mut self.matches);
-        halve_into(image, &mut self.half);
         *acquire_ms += start.elapsed_ms() + self.workers.take_extra_ms();
     }
 

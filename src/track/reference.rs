@@ -54,7 +54,11 @@ const LEAST_SIDE: u32 = 24;
 impl PreparedBody {
     /// Prepares every surface of a body.
     pub fn new(spec: &BodySpec) -> Self {
-        let surfaces = spec.surfaces.iter().map(|s| PreparedSurface { spec: s.clone(), rectangle: Rectangle::of(s), octaves: octaves(&s.artwork) }).collect();
+        let surfaces = spec
+            .surfaces
+            .iter()
+            .map(|s| PreparedSurface { spec: s.clone(), rectangle: Rectangle::of(s), octaves: octaves(&s.artwork) })
+            .collect();
         Self { name: spec.name.clone(), surfaces }
     }
 }

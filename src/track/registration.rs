@@ -119,7 +119,8 @@ fn thin(targets: &mut Vec<Target>, starts: &[usize], count: usize) {
 /// The octave one of whose pixels is nearest in size to a pixel of the searched picture, at the part of the surface seen best.
 fn best_octave(surface: &PreparedSurface, t_body_camera: &Pose<Body, Camera>, camera: &CameraModel, scale: f64) -> Option<usize> {
     let size = [f64::from(camera.width()), f64::from(camera.height())];
-    let log2 = surface.rectangle.texels_log2(size, |point| surface.rectangle.see(t_body_camera, camera, point, LEAST_COSINE))? + scale.log2();
+    let log2 =
+        surface.rectangle.texels_log2(size, |point| surface.rectangle.see(t_body_camera, camera, point, LEAST_COSINE))? + scale.log2();
     Some((log2.round().max(0.0) as usize).min(surface.octaves.len() - 1))
 }
 

@@ -2,8 +2,8 @@ use nalgebra::Vector3;
 
 use super::super::synthetic::{cloth, facing, lens, prepared, texture, view};
 use super::*;
-use crate::camera::Normalized;
 use crate::camera::CameraModel;
+use crate::camera::Normalized;
 use crate::geometry::resection::perturbed;
 use nalgebra::Vector6;
 

@@ -44,6 +44,16 @@ impl FrameLevels {
         self.filled = 1;
     }
 
+    /// The frame at half its size, rounded to whole grey levels.
+    pub fn half_into(&self, out: &mut GrayImage) {
+        let half = &self.levels[0];
+        let mut raw = std::mem::take(out).into_raw();
+        raw.clear();
+        raw.extend(half.sums.iter().map(|sum| ((sum + 2) >> 2) as u8));
+        // There is one sum for each pixel.
+        *out = GrayImage::from_raw(half.width as u32, half.height as u32, raw).unwrap_or_default();
+    }
+
     /// Level `l`, from 1.
     pub fn level(&mut self, l: usize) -> &Level {
         while self.filled < l {
@@ -125,5 +135,15 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn the_half_size_is_the_mean_of_four() {
+        let image = GrayImage::from_fn(37, 21, |x, y| image::Luma([(x * 7 + y * 13) as u8]));
+        let mut levels = FrameLevels::default();
+        levels.update(&image);
+        let mut half = GrayImage::default();
+        levels.half_into(&mut half);
+        assert_eq!(half, crate::features::halved(&image));
     }
 }
