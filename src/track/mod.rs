@@ -41,5 +41,4 @@ pub use reason::Reason;
 pub use settings::TrackerSettings;
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use track_state::TrackState;
-#[cfg(test)]
-pub(crate) use verify::Verified;
+pub use verify::Verified;
