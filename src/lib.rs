@@ -25,6 +25,7 @@
 //! - `frame`: a grey picture with its stamp
 //! - `features`: pyramid, corners, binary descriptors
 //! - `matching`: which feature is which
+//! - `motion`: the one motion model: following, coasting, prediction, resampling
 //! - `track`: surfaces and bodies; acquire, register, verify, align: a frame becomes a sighting
 //! - `pose`: a sighting becomes poses in the stage frame, with covariance, or a prediction
 //! - `record`: [`PoseSample`] and the line it becomes (contract C3)
@@ -69,6 +70,7 @@ mod features;
 mod frame;
 mod geometry;
 mod matching;
+mod motion;
 mod pose;
 mod record;
 mod track;

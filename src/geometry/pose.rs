@@ -99,6 +99,16 @@ impl<To, From> Pose<To, From> {
         [q.i, q.j, q.k, q.w].map(|v| sign * v + 0.0)
     }
 
+    /// The pose after its origin moved by `shift` (metres, axes of `To`) and it turned by `turn` (radians, axes of `From`).
+    pub fn moved(&self, shift: &Vector3<f64>, turn: &Vector3<f64>) -> Self {
+        Self::new(self.rotation * UnitQuaternion::from_scaled_axis(*turn), self.translation + shift)
+    }
+
+    /// The shift and the turn by which [`moved`](Self::moved) leads to another pose.
+    pub fn step_to(&self, other: &Self) -> [Vector3<f64>; 2] {
+        [other.translation - self.translation, (self.rotation.inverse() * other.rotation).scaled_axis()]
+    }
+
     /// Rotation angle in radians between two poses.
     pub fn angle_to(&self, other: &Self) -> f64 {
         self.rotation.angle_to(&other.rotation)

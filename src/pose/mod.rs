@@ -2,9 +2,6 @@
 //! frame with their covariance, the filter where one is wanted, and the prediction while coasting.
 
 mod filter;
-mod prediction;
-mod reach;
-mod recent;
 mod stage;
 
 pub use filter::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};

@@ -3,9 +3,9 @@
 use nalgebra::Matrix6;
 
 use super::filter::{FilterSettings, PoseFilter};
-use super::prediction::MotionHistory;
 use crate::geometry::covariance::covariance_of_object;
 use crate::geometry::{Body, Camera, Pose, Stage};
+use crate::motion::MotionHistory;
 use crate::track::{BodySighting, Sighting, TrackState, Verified};
 
 /// What is said of one pose after a frame.

@@ -6,10 +6,9 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::UnitQuaternion;
-
 use super::report::Standing;
 use crate::geometry::{Body, Pose, Stage};
+use crate::motion::Motion;
 
 /// Samples kept at least, for the motion that they show,
 const FEWEST_KEPT: usize = 8;
@@ -122,11 +121,10 @@ fn longest(least_ns: i64, interval_ns: i64, halves: i64) -> i64 {
     least_ns.max(interval_ns.saturating_mul(halves) / 2)
 }
 
-/// On the screw-free line through two poses: positions linear, rotations at constant rate; beyond the second it goes on.
+/// On the even motion through two poses; beyond the second it goes on.
 fn between(a: (i64, &Pose<Stage, Body>), b: (i64, &Pose<Stage, Body>), at_ns: i64) -> Pose<Stage, Body> {
-    let share = at_ns.saturating_sub(a.0) as f64 / b.0.saturating_sub(a.0) as f64;
-    let turn = (b.1.rotation * a.1.rotation.inverse()).scaled_axis() * share;
-    Pose::new(UnitQuaternion::from_scaled_axis(turn) * a.1.rotation, a.1.translation + (b.1.translation - a.1.translation) * share)
+    let seconds = |from_ns: i64, to_ns: i64| to_ns.saturating_sub(from_ns) as f64 * 1e-9;
+    Motion::between(a.1, b.1, seconds(a.0, b.0)).after(seconds(b.0, at_ns)).pose
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::*;
 

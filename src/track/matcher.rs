@@ -11,7 +11,7 @@ use nalgebra::Vector2;
 use tracing::{debug, debug_span};
 
 use super::acquire::{SurfaceView, candidates, surface_matches, surface_view};
-use super::align::{CameraRays, FrameLevels, MotionEstimate, Sensor, ShutterClue, UsedPixel};
+use super::align::{CameraRays, FrameLevels, Sensor, ShutterClue, UsedPixel};
 use super::frame_interval::FrameInterval;
 use super::frame_look::FrameLook;
 use super::lens_doubt::covariance_by_lens;
@@ -30,6 +30,7 @@ use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
 use crate::matching::{Match, MatchBuffers, ReferenceIndex};
+use crate::motion::MotionEstimate;
 
 /// What a frame showed of one body.
 #[derive(Debug, Clone)]

@@ -4,7 +4,7 @@ use nalgebra::Matrix6;
 use tracing::debug;
 
 use super::acquire::Recognition;
-use super::align::{Aligner, Alignment, CameraRays, FrameLevels, MotionEstimate, Patch, ProcessNoise, Sensor, ShutterClue, UsedPixel};
+use super::align::{Aligner, Alignment, CameraRays, FrameLevels, Patch, Sensor, ShutterClue, UsedPixel};
 use super::fitted_anchor::FittedAnchor;
 use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
 use super::reason::Reason;
@@ -16,6 +16,7 @@ use crate::camera::{CameraModel, Normalized};
 use crate::frame::Frame;
 use crate::geometry::resection::{MovingCamera, Observation, Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
+use crate::motion::{MotionEstimate, ProcessNoise};
 
 /// Verified poses further apart tell nothing of the motion within a frame, seconds; those of two frames in a row do, however slow the camera.
 const LONGEST_MOTION_GAP_S: f64 = 0.07;

@@ -13,7 +13,7 @@ use modules::{Modules, Name};
 use syn::{Item, Visibility};
 
 /// The rooms from the top. Each uses only those above it.
-const ROOMS: [&str; 31] = [
+const ROOMS: [&str; 32] = [
     // The core.
     "compute_clock",
     "geometry",
@@ -21,6 +21,7 @@ const ROOMS: [&str; 31] = [
     "frame",
     "features",
     "matching",
+    "motion",
     "track",
     "pose",
     "record",

@@ -7,7 +7,7 @@ use super::evenness::Evenness;
 use super::fading::Unknown;
 use super::memories::Memories;
 use super::place::Place;
-use crate::pose::recent::Recent;
+use crate::motion::Recent;
 
 /// What may be when nothing is known of the motion: m/s and m/s², or rad/s and rad/s².
 const UNKNOWN: Unknown = Unknown { velocity: 0.5, acceleration: 30.0 };

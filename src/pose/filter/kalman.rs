@@ -6,9 +6,9 @@
 
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
-use super::Motion;
 use super::follower::Follower;
 use crate::geometry::{Pose, Stage};
+use crate::motion::Motion;
 
 /// How a Kalman filter is set.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,14 +46,16 @@ impl Kalman {
         self.rotation.update(timestamp_ns, step_s, &measured.rotation, rotation);
     }
 
-    pub fn motion<From>(&self) -> Motion<From> {
+    pub fn motion<From>(&self) -> Motion<Stage, From> {
         let (position, rotation) = (self.position.estimate(), self.rotation.estimate());
+        // It is followed in stage axes.
+        let to_own_axes = rotation.place.inverse();
         Motion {
             pose: Pose::new(rotation.place, position.place),
             velocity: position.velocity,
-            turn_rate: rotation.velocity,
+            turn_rate: to_own_axes * rotation.velocity,
             acceleration: position.acceleration,
-            turn_acceleration: rotation.acceleration,
+            turn_acceleration: to_own_axes * rotation.acceleration,
         }
     }
 }

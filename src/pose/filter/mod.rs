@@ -16,11 +16,10 @@ mod place;
 
 use nalgebra::{Matrix6, Vector3};
 
-use super::reach::Reach;
 use crate::geometry::{Pose, Stage};
+use crate::motion::{FADE_S, Motion, Reach};
 use kalman::Kalman;
 use one_euro::OneEuro;
-use place::Place;
 
 pub use kalman::KalmanSettings;
 pub use one_euro::OneEuroSettings;
@@ -46,27 +45,6 @@ pub enum FilterKind {
     Kalman(KalmanSettings),
 }
 
-/// A pose and how it moves, in stage axes.
-#[derive(Debug, Clone, Copy)]
-struct Motion<From> {
-    pose: Pose<Stage, From>,
-    /// Metres per second.
-    velocity: Vector3<f64>,
-    /// Radians per second.
-    turn_rate: Vector3<f64>,
-    /// Metres per second squared, as far as it counts for a prediction.
-    acceleration: Vector3<f64>,
-    /// Radians per second squared, in the same way.
-    turn_acceleration: Vector3<f64>,
-}
-
-impl<From> Motion<From> {
-    fn at_rest(pose: Pose<Stage, From>) -> Self {
-        let zeros = Vector3::zeros();
-        Self { pose, velocity: zeros, turn_rate: zeros, acceleration: zeros, turn_acceleration: zeros }
-    }
-}
-
 /// Longest reach of a prediction, in shares of how far the body moved within the time it reaches ahead. 1 would cut predictions
 /// short wherever a body speeds up; more lets a jump that is taken for a motion swing out by more.
 const PREDICTED_WAYS: f64 = 2.0;
@@ -76,8 +54,6 @@ const LONGEST_STEP_S: f64 = 0.25;
 const LONGEST_STEP_FRAMES: f64 = 2.5;
 /// No continuation, however long the frame intervals are, seconds.
 const NO_CONTINUATION_S: f64 = 1.0;
-/// Without measurements the velocity fades with this time constant, seconds, as it does without a filter.
-const FADE_S: f64 = 0.2;
 
 /// The filter of one body.
 #[derive(Debug, Clone)]
@@ -165,7 +141,7 @@ impl<From> PoseFilter<From> {
         let ahead = self.reach.supports(ahead, PREDICTED_WAYS, predict_s);
         let on = self.reach.carries([motion.velocity, motion.turn_rate], FADE_S);
         let [way, turn] = [0, 1].map(|part| ahead[part] * fade + on[part] * (1.0 - fade));
-        Pose::new(motion.pose.rotation.moved(turn), motion.pose.translation.moved(way))
+        motion.pose.moved(&way, &turn)
     }
 }
 
@@ -194,9 +170,9 @@ impl<From> State<From> {
         }
     }
 
-    fn motion(&self) -> Motion<From> {
+    fn motion(&self) -> Motion<Stage, From> {
         match self {
-            Self::OneEuro(filter) => Motion { ..filter.motion },
+            Self::OneEuro(filter) => filter.motion,
             Self::Kalman(filter) => filter.motion(),
         }
     }

@@ -3,10 +3,8 @@
 //! A first-order low-pass whose cutoff is f = min_cutoff + beta |velocity|. At rest it delays by 1 / (2 pi min_cutoff): 159 ms at 1 Hz;
 //! in motion by less. Position and rotation have a filter each; rotations are filtered along the turn from the last one.
 
-use nalgebra::UnitQuaternion;
-
-use super::Motion;
 use crate::geometry::{Pose, Stage};
+use crate::motion::Motion;
 
 /// How an One-Euro filter is set.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,23 +27,22 @@ const VELOCITY_CUTOFF_HZ: f64 = 1.0;
 #[derive(Debug, Clone)]
 pub(super) struct OneEuro<From> {
     settings: OneEuroSettings,
-    pub motion: Motion<From>,
+    pub motion: Motion<Stage, From>,
 }
 
 impl<From> OneEuro<From> {
     pub fn start(settings: OneEuroSettings, pose: &Pose<Stage, From>) -> Self {
-        Self { settings, motion: Motion::at_rest(*pose) }
+        Self { settings, motion: Motion::still(*pose) }
     }
 
     pub fn update(&mut self, step_s: f64, pose: &Pose<Stage, From>) {
         let Motion { pose: last, velocity, turn_rate, .. } = &mut self.motion;
-        let (way, turn) = (pose.translation - last.translation, (pose.rotation * last.rotation.inverse()).scaled_axis());
+        let [way, turn] = last.step_to(pose);
         let share = share_of(VELOCITY_CUTOFF_HZ, step_s);
         *velocity += share * (way / step_s - *velocity);
         *turn_rate += share * (turn / step_s - *turn_rate);
         let cutoff = |speed: f64| self.settings.min_cutoff_hz + self.settings.beta * speed;
-        last.translation += share_of(cutoff(velocity.norm()), step_s) * way;
-        last.rotation = UnitQuaternion::from_scaled_axis(share_of(cutoff(turn_rate.norm()), step_s) * turn) * last.rotation;
+        *last = last.moved(&(share_of(cutoff(velocity.norm()), step_s) * way), &(share_of(cutoff(turn_rate.norm()), step_s) * turn));
         last.rotation.renormalize();
     }
 }

@@ -10,13 +10,13 @@ use super::frame_problem::{Buffers, FrameProblem};
 use super::level_problem::patches::Patch;
 use super::level_problem::solution::UsedPixel;
 use super::level_spec::LevelSpec;
-use super::motion::MotionEstimate;
 use super::shutter_clue::ShutterClue;
 use super::slow_estimates::{Lessons, SlowEstimates};
 use super::tile_grid::MOST_TILES;
 use super::verdict::Alignment;
 use super::{AlignSurface, CameraRays, Sensor, distance_m};
 use crate::geometry::{Body, Camera, Pose};
+use crate::motion::MotionEstimate;
 use crate::track::reference::PreparedBody;
 
 /// Aligns one body. Its state is in three places.

@@ -3,11 +3,10 @@ use nalgebra::{Vector3, Vector6};
 
 use super::super::CameraRays;
 use super::super::frame_levels::FrameLevels;
-use super::super::motion::{Motion, MotionEstimate};
-use super::super::process_noise::ProcessNoise;
 use super::super::slow_estimates::{FIRST_TRIAL, TRIAL_FRAMES};
 use super::*;
 use crate::geometry::resection::perturbed;
+use crate::motion::{Motion, MotionEstimate, ProcessNoise};
 use crate::track::surface::SurfaceSpec;
 use crate::track::synthetic::{cloth, facing, lens, prepared, texture, view};
 

@@ -9,10 +9,10 @@
 //! moves along a short curve; under motion blur the samples are shared out along it.
 
 use super::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, load_at, store_at};
-use super::motion::Motion;
 use super::pixels::Pixels;
 use super::texture::TILE_STEP;
 use super::{AlignSurface, Sensor};
+use crate::motion::Motion;
 use crate::track::rectangle::Rectangle;
 
 /// Fewest samples across a sharp pixel of a surface tilted beyond this cosine, whose texels lie closer along one direction.

@@ -13,15 +13,14 @@ use super::level_problem::solution::Conclusion;
 use super::level_problem::{Corrected, Expected, LevelProblem};
 use super::level_spec::LevelSpec;
 use super::light::RememberedLight;
-use super::motion::{Motion, MotionEstimate, MotionMatrix};
 use super::selection::Selector;
 use super::shutter_clue::ShutterClue;
 use super::slow_estimates::{Lessons, SlowEstimates};
 use super::system::schur_complement::{Clue, SchurComplement};
-use super::uniform_motion::UniformMotion;
 use super::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
 use super::verdict::{Alignment, squared_mahalanobis};
 use super::{AlignSurface, CameraRays, distance_m};
+use crate::motion::{Motion, MotionEstimate, MotionMatrix, UniformMotion};
 
 /// Pixels asked while nothing moves: their prediction is kept from frame to frame.
 const STILL_PIXELS: usize = 130_000;

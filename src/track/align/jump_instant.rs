@@ -11,8 +11,8 @@ use nalgebra::{Matrix6, SMatrix, Vector6};
 
 use super::Sensor;
 use super::columns::{POSE_ENTRIES, entry};
-use super::motion::{MotionError, MotionMatrix, unseen};
 use super::tile_equations::{TileEquations, TileScore};
+use crate::motion::{MotionError, MotionMatrix, unseen};
 
 /// Bands of rows that tiles are gathered in: about as many as a frame has rows of tiles. More would tell instants no better apart.
 const BANDS: usize = 12;

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::geometry::Pose;
-use crate::track::align::motion::{Motion, MotionEstimate};
+use crate::motion::{Motion, MotionEstimate};
 use crate::track::align::velocity_jump::by_bend;
 
 const DISTANCE_M: f64 = 4.0;

@@ -8,7 +8,6 @@ use super::evidence::{RunEvidence, evidence, evidence_lanes};
 use super::frame_levels::FrameLevels;
 use super::lanes::{LANES, Lanes, Plain, load_at};
 use super::light::RememberedLight;
-use super::motion::{Motion, MotionError};
 use super::noise::Noise;
 use super::noise_sums::{noise_sums, noise_sums_lanes};
 use super::normal::{Residuals, RobustWeighting, RunView, columns, less_step, moments, residuals, weight};
@@ -17,6 +16,7 @@ use super::selection::{Choice, Selector};
 use super::tile_equations::TileEquations;
 use super::tile_products::{ProductBuffer, tile_equations, tile_equations_lanes};
 use super::{AlignSurface, CameraRays, Sensor};
+use crate::motion::{Motion, MotionError};
 use crate::track::synthetic::{cloth, facing, lens, view};
 
 struct Scene {

@@ -7,7 +7,6 @@ use super::columns::COLUMNS;
 use super::evidence::evidence;
 use super::frame_levels::FrameLevels;
 use super::light::RememberedLight;
-use super::motion::Motion;
 use super::noise::CameraNoise;
 use super::noise_sums::noise_sums;
 use super::normal::{Residuals, RobustWeighting, RunView, residuals};
@@ -17,6 +16,7 @@ use super::tile_products::{ProductBuffer, tile_equations};
 use super::{AlignSurface, CameraRays, Sensor};
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
+use crate::motion::Motion;
 use crate::track::surface::SurfaceSpec;
 
 /// The level that frames are aligned at in the end.

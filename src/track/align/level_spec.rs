@@ -3,12 +3,12 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::frame_levels::{FINEST, LEVELS};
-use super::motion::Motion;
 use super::noise::Noise;
 use super::slow_estimates::SlowEstimates;
 use super::system::TileTime;
 use super::{AlignSurface, CameraRays, Sensor};
 use crate::geometry::{Body, Camera, Pose};
+use crate::motion::Motion;
 
 /// Pixels asked at each level, from full size down, of a frame 1280 pixels wide; wider ones are asked more.
 const PIXELS: [usize; LEVELS] = [10_000, 10_000, 4000, 1500, 500];

@@ -28,14 +28,12 @@ mod lanes;
 mod level_problem;
 mod level_spec;
 mod light;
-mod motion;
 mod noise;
 #[allow(clippy::needless_range_loop)]
 mod noise_sums;
 #[allow(clippy::needless_range_loop)]
 mod normal;
 mod pixels;
-mod process_noise;
 mod rays;
 mod rows;
 mod selection;
@@ -49,7 +47,6 @@ mod tile_equations;
 mod tile_grid;
 #[allow(clippy::needless_range_loop)]
 mod tile_products;
-mod uniform_motion;
 mod velocity_jump;
 mod verdict;
 
@@ -61,8 +58,6 @@ use frame_levels::LEVELS;
 pub use kernels::AlignKernels;
 pub use level_problem::patches::Patch;
 pub use level_problem::solution::UsedPixel;
-pub use motion::MotionEstimate;
-pub use process_noise::ProcessNoise;
 use rays::RayTable;
 pub use shutter_clue::ShutterClue;
 pub use system::schur_complement::Clue;

@@ -6,12 +6,12 @@
 
 use nalgebra::Vector3;
 
-use super::motion::Motion;
 use super::rays::RayTable;
 use super::texture::BLOCK;
 use super::{AlignSurface, Sensor};
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
+use crate::motion::Motion;
 use crate::track::rectangle::SeenPoint;
 
 /// Pixels of a level that lie nearer than this to a border of their surface are left out: what lies beyond is unknown.

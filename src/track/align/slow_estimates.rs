@@ -10,7 +10,7 @@ use super::gradient_gain::{ChangeSums, GradientGain};
 use super::light::RememberedLight;
 use super::noise::{CameraNoise, NoiseSums};
 use super::system::schur_complement::Clue;
-use super::uniform_motion::UniformMotion;
+use crate::motion::UniformMotion;
 
 /// The point spread follows what a sharp frame says of it by this share.
 const PSF_VARIANCE_SHARE: f64 = 0.2;

@@ -7,7 +7,7 @@
 use nalgebra::{Matrix6, Vector6};
 
 use super::Sensor;
-use super::motion::{MotionEstimate, unseen};
+use crate::motion::{MotionEstimate, unseen};
 
 /// A pose found further than this from where it was expected (squared, in sigmas, six degrees of freedom: one frame in 2000 by chance) is
 /// solved with a jump. Raised, jumps pull the pose by what was expected; lowered, frames of a shaken camera know
@@ -95,7 +95,7 @@ mod tests {
 
     use super::*;
     use crate::geometry::Pose;
-    use crate::track::align::motion::{Motion, MotionMatrix};
+    use crate::motion::{Motion, MotionMatrix};
 
     const DISTANCE_M: f64 = 4.0;
     const GLOBAL: Sensor = Sensor { readout_s: 0.0, exposure_s: 0.012 };

@@ -3,8 +3,8 @@
 use nalgebra::Matrix6;
 
 use super::evidence::RunEvidence;
-use super::motion::{Motion, MotionEstimate};
 use crate::geometry::{Body, Camera, Pose};
+use crate::motion::{Motion, MotionEstimate};
 
 /// What an alignment came to.
 #[derive(Debug, Clone, Copy)]

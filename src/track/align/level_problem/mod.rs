@@ -14,7 +14,6 @@ use super::frame_levels::FrameLevels;
 use super::gradient_gain::{ChangeSums, PredictedChange};
 use super::level_spec::{LevelSpec, moved};
 use super::light::{RememberedLight, TileLight};
-use super::motion::{Motion, MotionMatrix};
 use super::noise::Noise;
 use super::normal::{Residuals, RobustWeighting, RunView, moments, residuals, squares_after};
 use super::pixels::{Pixels, Run, Source};
@@ -23,6 +22,7 @@ use super::system::{Prior, System, TileTime};
 use super::tile_correlation::{TileCorrelation, median};
 use super::tile_equations::{TileEquations, TileStep};
 use super::tile_products::{ProductBuffer, tile_equations};
+use crate::motion::{Motion, MotionMatrix};
 use solution::LevelSolution;
 
 /// Fewest pixels that a level is solved with.

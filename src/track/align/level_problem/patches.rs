@@ -5,10 +5,10 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 use super::super::AlignSurface;
 use super::super::columns::COLUMNS;
 use super::super::evidence::{RunEvidence, evidence};
-use super::super::motion::Motion;
 use super::super::normal::RobustWeighting;
 use super::solution::LevelSolution;
 use super::{LevelProblem, LevelSpec, RunAtWork};
+use crate::motion::Motion;
 
 /// Patches are sampled again, shifted, while their mean shift exceeds this, pixels of the level; and how often at most.
 const SMALL_SHIFT_PX: f64 = 0.05;

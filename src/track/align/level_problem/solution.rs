@@ -5,7 +5,6 @@ use nalgebra::Matrix6;
 use super::super::Sensor;
 use super::super::evidence::evidence;
 use super::super::jump_instant::RowBands;
-use super::super::motion::MotionEstimate;
 use super::super::noise::NoiseSums;
 use super::super::normal::{RobustWeighting, squares_after};
 use super::super::system::schur_complement::{Clue, SchurComplement, SolvedTile};
@@ -13,6 +12,7 @@ use super::super::tile_equations::TileStep;
 use super::super::verdict::agreement;
 use super::{Corrected, LevelProblem, LevelSpec};
 use crate::geometry::resection::larger_covariance;
+use crate::motion::MotionEstimate;
 
 /// A residual beyond three sigmas says no more of how well a prediction fits.
 const LARGEST_MISFIT: f32 = 9.0;

@@ -8,9 +8,9 @@ use nalgebra::SVector;
 
 use super::columns::{BIAS, COLUMNS, GAINS, POSE_ENTRIES, PSF_VARIANCE, entry};
 use super::light::Light;
-use super::motion::{MotionError, MotionMatrix};
 use super::rows::RowSums;
 use super::tile_equations::{TileEquations, TileScore, TileStep};
+use crate::motion::{MotionError, MotionMatrix};
 
 pub mod schur_complement;
 

@@ -7,12 +7,14 @@ const CAPACITY: usize = 64;
 /// How long entries are needed: the longest prediction and the longest coasting, with one frame before them, seconds.
 const SPAN_S: f64 = 0.26;
 
+/// The last entries with their stamps.
 #[derive(Debug, Clone)]
-pub(super) struct Recent<T> {
+pub struct Recent<T> {
     entries: VecDeque<(i64, T)>,
 }
 
 impl<T> Recent<T> {
+    /// None yet.
     pub fn new() -> Self {
         Self { entries: VecDeque::with_capacity(CAPACITY) }
     }
@@ -44,6 +46,7 @@ impl<T> Recent<T> {
         self.entries.iter().rev().find(|(at_ns, _)| *at_ns <= until_ns)
     }
 
+    /// Forgets all.
     pub fn clear(&mut self) {
         self.entries.clear();
     }

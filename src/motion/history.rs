@@ -1,20 +1,15 @@
 //! Prediction while coasting: the last two measured poses, carried on at constant velocity, by no more than was moved lately.
 
-use nalgebra::{UnitQuaternion, Vector3};
-
 use super::reach::Reach;
+use super::state::Motion;
 use crate::geometry::Pose;
 
-/// The last measurement and the velocity that led to it.
+/// The last measurement and the motion that led to it.
 #[derive(Debug, Clone)]
 pub struct MotionHistory<To, From> {
-    last: Option<(i64, Pose<To, From>)>,
+    last: Option<(i64, Motion<To, From>)>,
     /// Whether there ever was a measurement.
     is_known: bool,
-    /// Metres per second in `To`.
-    velocity: Vector3<f64>,
-    /// Radians per second in the axes of `To`.
-    turn_rate: Vector3<f64>,
     reach: Reach<To, From>,
     /// The step before the last, seconds.
     step_s: f64,
@@ -24,37 +19,35 @@ pub struct MotionHistory<To, From> {
 const LONGEST_STEP_S: f64 = 0.1;
 /// And further apart than this never.
 const LONGEST_INTERVAL_S: f64 = 0.5;
-/// The velocity fades with this time constant, seconds: a camera that vanished is more likely to stop than to go on.
-const FADE_S: f64 = 0.2;
+/// Without measurements the velocity fades with this time constant, seconds: a camera that vanished is more likely to stop than to go on.
+pub const FADE_S: f64 = 0.2;
 
 impl<To, From> Default for MotionHistory<To, From> {
     fn default() -> Self {
-        Self { last: None, is_known: false, velocity: Vector3::zeros(), turn_rate: Vector3::zeros(), reach: Reach::default(), step_s: 0.0 }
+        Self { last: None, is_known: false, reach: Reach::default(), step_s: 0.0 }
     }
 }
 
 impl<To, From> MotionHistory<To, From> {
     /// Takes a measured pose.
     pub fn measured(&mut self, timestamp_ns: i64, pose: &Pose<To, From>) {
-        (self.velocity, self.turn_rate) = (Vector3::zeros(), Vector3::zeros());
+        let mut motion = Motion::still(*pose);
         if let Some((before_ns, before)) = &self.last {
             let dt = timestamp_ns.saturating_sub(*before_ns) as f64 * 1e-9;
             let longest = LONGEST_STEP_S.max(1.5 * self.step_s).min(LONGEST_INTERVAL_S);
             self.step_s = dt;
             if dt > 1e-4 && dt <= longest {
-                self.velocity = (pose.translation - before.translation) / dt;
-                self.turn_rate = (pose.rotation * before.rotation.inverse()).scaled_axis() / dt;
+                motion = Motion::between(&before.pose, pose, dt);
             }
         }
         self.reach.push(timestamp_ns, pose);
-        self.last = Some((timestamp_ns, *pose));
+        self.last = Some((timestamp_ns, motion));
         self.is_known = true;
     }
 
     /// Forgets the motion: what comes next is no continuation.
     pub fn reset(&mut self) {
         self.last = None;
-        (self.velocity, self.turn_rate) = (Vector3::zeros(), Vector3::zeros());
         self.reach.clear();
     }
 
@@ -69,15 +62,16 @@ impl<To, From> MotionHistory<To, From> {
         let (last_ns, last) = self.last.as_ref()?;
         let dt = timestamp_ns.saturating_sub(*last_ns) as f64 * 1e-9;
         let share = 1.0 - (-dt / FADE_S).exp();
-        let [way, turn] = self.reach.carries([self.velocity, self.turn_rate], FADE_S);
-        let turn = UnitQuaternion::from_scaled_axis(turn * share);
-        let pose = Pose::new(turn * last.rotation, last.translation + way * share);
+        let [way, turn] = self.reach.carries([last.velocity, last.turn_rate], FADE_S);
+        let pose = last.pose.moved(&(way * share), &(turn * share));
         pose.is_finite().then_some(pose)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
     use super::*;
     use crate::geometry::{Camera, Stage};
 

@@ -8,7 +8,7 @@ use crate::geometry::Pose;
 
 /// The poses that were measured lately.
 #[derive(Debug, Clone)]
-pub(super) struct Reach<To, From> {
+pub struct Reach<To, From> {
     measured: Recent<Pose<To, From>>,
 }
 
@@ -19,10 +19,12 @@ impl<To, From> Default for Reach<To, From> {
 }
 
 impl<To, From> Reach<To, From> {
+    /// Takes a measured pose.
     pub fn push(&mut self, timestamp_ns: i64, measured: &Pose<To, From>) {
         self.measured.push(timestamp_ns, *measured);
     }
 
+    /// Forgets all: what comes next is no continuation.
     pub fn clear(&mut self) {
         self.measured.clear();
     }
@@ -43,7 +45,7 @@ impl<To, From> Reach<To, From> {
         let mut recent = self.measured.within_last(seconds);
         if let Some((_, now)) = recent.next() {
             for (_, then) in recent {
-                let since = [now.translation - then.translation, (now.rotation * then.rotation.inverse()).scaled_axis()];
+                let since = then.step_to(now);
                 for part in 0..2 {
                     moved[part] = moved[part].max(since[part].dot(&ways[part]) / lengths[part]);
                 }

@@ -73,7 +73,7 @@ mod tests {
 
     use super::*;
     use crate::geometry::Pose;
-    use crate::track::align::motion::{Motion, MotionEstimate, MotionMatrix};
+    use crate::motion::{Motion, MotionEstimate, MotionMatrix};
 
     const STEPS: usize = 30;
 

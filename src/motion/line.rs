@@ -6,7 +6,8 @@
 
 use nalgebra::{Matrix2, Matrix3, Matrix6, Vector6};
 
-use super::motion::{Motion, MotionError, MotionEstimate, MotionMatrix, unseen};
+use super::estimate::{MotionEstimate, unseen};
+use super::state::{Motion, MotionError, MotionMatrix};
 use crate::geometry::{Body, Camera, Pose};
 
 /// Poses that a line is fitted through at most. Raised, a velocity that changes slowly passes for a jump.
@@ -45,8 +46,7 @@ impl UniformMotion {
         let off = pose_error(&expected, pose);
         let has_left = n > 1.0 && is_far(&off, &(covariance + place_covariance(n, covariance)), n);
         if has_left || n < 2.0 {
-            let velocity = pose_error(&Motion::still(self.last), pose) / dt_s;
-            self.motion = with_velocity(&Motion::still(*pose), &velocity);
+            self.motion = Motion::between(&self.last, pose, dt_s);
             self.poses = 2.0;
         } else {
             self.poses = (n + 1.0).min(MOST_POSES);
@@ -135,12 +135,6 @@ fn pose_error(from: &Motion, to: &Pose<Body, Camera>) -> Vector6<f64> {
     from.pose_error_to(&Motion { pose: *to, ..*from })
 }
 
-fn with_velocity(motion: &Motion, velocity: &Vector6<f64>) -> Motion {
-    let mut error = MotionError::zeros();
-    error.fixed_rows_mut::<6>(6).copy_from(velocity);
-    motion.corrected(&error)
-}
-
 #[cfg(test)]
 mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
@@ -151,6 +145,12 @@ mod tests {
 
     const DT_S: f64 = 0.04;
     const SIGMA: f64 = 1e-4;
+
+    fn with_velocity(motion: &Motion, velocity: &Vector6<f64>) -> Motion {
+        let mut error = MotionError::zeros();
+        error.fixed_rows_mut::<6>(6).copy_from(velocity);
+        motion.corrected(&error)
+    }
 
     /// Goes evenly.
     fn truth(frame: u32) -> Motion {
