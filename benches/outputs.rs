@@ -15,7 +15,7 @@ use stagepose::diagnostics::publish::{
 use stagepose::protocols::camera_of_body;
 use stagepose::protocols::opentrackio::Encoding;
 use stagepose::protocols::opentrackio_lens::PrincipalPoint;
-use stagepose::{CameraModel, Pose, PoseSample, StageTimes, State};
+use stagepose::{CameraModel, Pose, PoseSample, StageTimes, State, Timestamp};
 
 const HZ: f64 = 240.0;
 
@@ -118,7 +118,7 @@ fn sample(k: u64) -> PoseSample {
     let body = Pose::new(nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, angle.sin()), Vector3::new(angle.sin(), -4.0, 1.6));
     PoseSample {
         sequence: k,
-        timestamp_ns: (k as f64 / HZ * 1e9) as i64,
+        timestamp: Timestamp::from_seconds(k as f64 / HZ),
         state: State::Tracking,
         pose: Some(camera_of_body(&body)),
         measurement: None,

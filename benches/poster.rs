@@ -13,7 +13,7 @@ use image::imageops::{self, FilterType};
 use nalgebra::Point3;
 use stagepose::diagnostics::calibrate::paint_poster;
 use stagepose::diagnostics::simulate::{grey, in_front, one_picture, paint, walk};
-use stagepose::{CameraPath, Frame, Renderer, State, Tracker, TrackerSetup};
+use stagepose::{CameraPath, Frame, Renderer, State, Timestamp, Tracker, TrackerSetup};
 
 const FPS: f64 = 30.0;
 /// Frames of a still camera that starts with nothing known; the last [`SCORED_FRAMES`] of them are scored.
@@ -60,7 +60,7 @@ fn seen(picture: &GrayImage, at: (f64, f64), start: Start, light: f32) -> Seen {
     let mut sum = Seen::default();
     for k in 0..frames {
         let time_s = k as f64 / FPS;
-        let frame = Frame { image: renderer.render(time_s, k), timestamp_ns: (time_s * 1e9) as i64, sequence: k };
+        let frame = Frame { image: renderer.render(time_s, k), timestamp: Timestamp::from_seconds(time_s), sequence: k };
         let sample = tracker.track(&frame).expect("a frame in order");
         let Some(m) = sample.measurement.filter(|_| sample.state == State::Tracking && k >= frames - SCORED_FRAMES) else { continue };
         let covariance = m.covariance.fixed_view::<3, 3>(0, 0).into_owned();

@@ -33,7 +33,7 @@ pub mod simulate {
 #[cfg(feature = "capture")]
 pub mod capture {
     pub use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
-    pub use crate::capture::timestamping::{DriverStamp, mid_exposure_ns, monotonic_ns};
+    pub use crate::capture::timestamping::{DriverStamp, mid_exposure, monotonic_now};
     pub use crate::capture::{AviReader, MjpegReader, VirtualCamera, Y4mReader, decode_oriented, picture_size, read_timestamps};
 }
 

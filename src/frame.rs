@@ -1,14 +1,143 @@
 //! A frame: one grey picture from a camera, with its stamp and its number.
 
+use std::fmt;
+use std::time::Duration;
+
 use image::GrayImage;
+use serde::Serialize;
 
 /// One picture to be tracked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
     /// Grey levels 0..=255, row-major, raw (distorted) pixels; pixel centres at integers.
     pub image: GrayImage,
-    /// When the middle row was at mid-exposure: monotonic nanoseconds.
-    pub timestamp_ns: i64,
+    /// When the middle row was at mid-exposure.
+    pub timestamp: Timestamp,
     /// Row number in the clip, or frame number of the device, from 0.
     pub sequence: u64,
+}
+
+/// An instant in whole nanoseconds on some clock: a camera's, a clip's, or one of the machine's. Only instants on one clock can be
+/// compared. A stamp comes from outside and may be any number, so all arithmetic saturates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize)]
+#[serde(transparent)]
+pub struct Timestamp(i64);
+
+impl Timestamp {
+    /// The earliest instant that there is.
+    pub const MIN: Self = Self(i64::MIN);
+
+    /// `ns` nanoseconds after the clock's zero.
+    pub const fn from_ns(ns: i64) -> Self {
+        Self(ns)
+    }
+
+    /// `seconds` after the clock's zero, to the nearest nanosecond.
+    pub fn from_seconds(seconds: f64) -> Self {
+        Self::default().after_s(seconds)
+    }
+
+    /// Nanoseconds after the clock's zero.
+    pub const fn ns(self) -> i64 {
+        self.0
+    }
+
+    /// Seconds after the clock's zero.
+    pub fn seconds(self) -> f64 {
+        self.0 as f64 * 1e-9
+    }
+
+    /// Seconds with nine digits behind the point, as TUM trajectories have them. Integer arithmetic, so that a late stamp keeps its
+    /// nanoseconds.
+    pub fn decimal_seconds(self) -> String {
+        let ns = self.0.unsigned_abs();
+        format!("{}{}.{:09}", if self.0 < 0 { "-" } else { "" }, ns / 1_000_000_000, ns % 1_000_000_000)
+    }
+
+    /// Nanoseconds from an earlier instant to this one; below 0 if that is the later one.
+    pub const fn ns_since(self, earlier: Self) -> i64 {
+        self.0.saturating_sub(earlier.0)
+    }
+
+    /// Seconds from an earlier instant to this one; below 0 if that is the later one.
+    pub fn seconds_since(self, earlier: Self) -> f64 {
+        self.ns_since(earlier) as f64 * 1e-9
+    }
+
+    /// Milliseconds from an earlier instant to this one; below 0 if that is the later one.
+    pub fn ms_since(self, earlier: Self) -> f64 {
+        self.ns_since(earlier) as f64 * 1e-6
+    }
+
+    /// Time from an earlier instant to this one; zero if that is the later one.
+    pub fn duration_since(self, earlier: Self) -> Duration {
+        Duration::from_nanos(self.ns_since(earlier).max(0).unsigned_abs())
+    }
+
+    /// The instant `ns` nanoseconds later.
+    pub const fn after_ns(self, ns: i64) -> Self {
+        Self(self.0.saturating_add(ns))
+    }
+
+    /// The instant that follows after `duration`.
+    pub fn after(self, duration: Duration) -> Self {
+        self.after_ns(i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX))
+    }
+
+    /// The instant that precedes by `duration`.
+    pub fn before(self, duration: Duration) -> Self {
+        self.after_ns(-i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX))
+    }
+
+    /// The instant `seconds` later, to the nearest nanosecond.
+    pub fn after_s(self, seconds: f64) -> Self {
+        self.after_ns((seconds * 1e9).round() as i64)
+    }
+}
+
+/// Whole nanoseconds.
+impl fmt::Display for Timestamp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MAX: Timestamp = Timestamp::from_ns(i64::MAX);
+    const INSTANT: Duration = Duration::from_nanos(1);
+
+    #[test]
+    fn arithmetic_saturates() {
+        assert_eq!(MAX.ns_since(Timestamp::MIN), i64::MAX);
+        assert_eq!(Timestamp::MIN.ns_since(MAX), i64::MIN);
+        assert_eq!(Timestamp::MIN.seconds_since(MAX), i64::MIN as f64 * 1e-9);
+        assert_eq!(MAX.duration_since(Timestamp::MIN), Duration::from_nanos(i64::MAX.unsigned_abs()));
+        assert_eq!(Timestamp::MIN.duration_since(MAX), Duration::ZERO);
+        assert_eq!((MAX.after_ns(1), Timestamp::MIN.after_ns(-1)), (MAX, Timestamp::MIN));
+        assert_eq!((MAX.after(INSTANT), Timestamp::MIN.before(INSTANT)), (MAX, Timestamp::MIN));
+        assert_eq!((Timestamp::MIN.after(Duration::MAX), MAX.before(Duration::MAX)), (Timestamp::from_ns(-1), Timestamp::default()));
+        assert_eq!([f64::INFINITY, f64::NEG_INFINITY, f64::NAN].map(Timestamp::from_seconds), [MAX, Timestamp::MIN, Timestamp::default()]);
+    }
+
+    #[test]
+    fn seconds_are_rounded_to_the_nanosecond() {
+        assert_eq!(Timestamp::from_seconds(4.1), Timestamp::from_ns(4_100_000_000));
+        assert_eq!(Timestamp::from_ns(5).after_s(-3.6e-9), Timestamp::from_ns(1));
+        assert_eq!(Timestamp::from_ns(2_500_000_000).seconds(), 2.5);
+        assert_eq!(
+            [5, -5, i64::MIN].map(|ns| Timestamp::from_ns(ns).decimal_seconds()),
+            ["0.000000005", "-0.000000005", "-9223372036.854775808"]
+        );
+    }
+
+    #[test]
+    fn it_is_written_as_whole_nanoseconds() {
+        for stamp in [MAX, Timestamp::MIN, Timestamp::default(), Timestamp::from_ns(-33_333_333)] {
+            assert_eq!(stamp.to_string(), stamp.ns().to_string());
+            assert_eq!(serde_json::to_string(&stamp).unwrap(), stamp.ns().to_string());
+        }
+    }
 }

@@ -120,7 +120,7 @@ pub mod diagnostics;
 
 pub use camera::{CameraError, CameraModel, Intrinsics, IntrinsicsUncertainty, LensDoubt, LensGuess, Normalized, Pixel};
 pub use compute_clock::ComputeClock;
-pub use frame::Frame;
+pub use frame::{Frame, Timestamp};
 pub use geometry::{Body, Camera, Pose, ReferenceCamera, Stage, SurfaceFrame};
 pub use pose::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
 pub use record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};

@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 use serde::Serialize;
 use serde::ser::{SerializeMap, SerializeSeq, SerializeStruct, Serializer};
 
+use crate::frame::Timestamp;
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::track::Reason;
 
@@ -113,8 +114,8 @@ pub struct StageTimes {
 pub struct PoseSample {
     /// Row number from 0.
     pub sequence: u64,
-    /// Mid-exposure of the middle row, monotonic nanoseconds.
-    pub timestamp_ns: i64,
+    /// Mid-exposure of the middle row.
+    pub timestamp: Timestamp,
     /// What is known of the camera.
     pub state: State,
     /// `T_stage_camera` for use: filtered, or predicted while coasting.
@@ -190,7 +191,7 @@ impl Serialize for PoseSample {
         let covariance = m.map(|m| row_major(&m.covariance));
         let mut map = serializer.serialize_struct("PoseSample", 12)?;
         map.serialize_field("sequence", &self.sequence)?;
-        map.serialize_field("timestamp_ns", &self.timestamp_ns)?;
+        map.serialize_field("timestamp_ns", &self.timestamp)?;
         map.serialize_field("state", &self.state)?;
         map.serialize_field("pose", &self.pose)?;
         map.serialize_field("measured", &m.map(|m| m.pose))?;
@@ -207,9 +208,9 @@ impl Serialize for PoseSample {
 
 impl PoseSample {
     /// The message that the camera has given no picture for `age_ms` since its last one, which had this number and stamp.
-    pub fn stale(sequence: u64, timestamp_ns: i64, age_ms: f64) -> Self {
+    pub fn stale(sequence: u64, timestamp: Timestamp, age_ms: f64) -> Self {
         let times = StageTimes { age_ms: Some(age_ms), ..StageTimes::default() };
-        Self { sequence, timestamp_ns, state: State::Stale, pose: None, measurement: None, objects: Vec::new(), reason: None, times }
+        Self { sequence, timestamp, state: State::Stale, pose: None, measurement: None, objects: Vec::new(), reason: None, times }
     }
 
     /// The record as one line of JSON, without the line end.
@@ -222,9 +223,7 @@ impl PoseSample {
     pub fn to_tum_line(&self) -> Option<String> {
         let pose = self.pose.filter(|_| self.state == State::Tracking)?;
         let (p, q) = (pose.translation, pose.orientation_xyzw());
-        // Integer arithmetic, so that a late stamp keeps its nanoseconds.
-        let (sign, ns) = (if self.timestamp_ns < 0 { "-" } else { "" }, self.timestamp_ns.unsigned_abs());
-        let (s, ns) = (ns / 1_000_000_000, ns % 1_000_000_000);
-        Some(format!("{sign}{s}.{ns:09} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}", p.x, p.y, p.z, q[0], q[1], q[2], q[3]))
+        let stamp = self.timestamp.decimal_seconds();
+        Some(format!("{stamp} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}", p.x, p.y, p.z, q[0], q[1], q[2], q[3]))
     }
 }

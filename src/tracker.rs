@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use crate::camera::CameraModel;
 use crate::compute_clock::ComputeClock;
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
 use crate::track::{BodySpec, Matcher, Sensor, Sighting, TrackState, TrackerSettings, UsedPixels};
@@ -92,12 +92,12 @@ pub enum FrameError {
         wanted: (u32, u32),
     },
     /// Its stamp does not follow that of the frame before.
-    #[error("the frame's time stamp {timestamp_ns} does not follow {last_ns}; give frames in the order they were taken")]
+    #[error("the frame's time stamp {timestamp} does not follow {last}; give frames in the order they were taken")]
     Stamp {
-        /// Of the frame, nanoseconds.
-        timestamp_ns: i64,
-        /// Of the frame before, nanoseconds.
-        last_ns: i64,
+        /// Of the frame.
+        timestamp: Timestamp,
+        /// Of the frame before.
+        last: Timestamp,
     },
 }
 
@@ -117,7 +117,7 @@ pub struct Tracker {
     pub(crate) matcher: Matcher,
     pub(crate) poses: PoseRecorder,
     /// Stamp of the last frame of [`Tracker::track`].
-    last_ns: Option<i64>,
+    last: Option<Timestamp>,
 }
 
 /// The pose stage with the names that records carry.
@@ -137,7 +137,7 @@ impl Tracker {
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
         let sensor = Sensor { readout_s: setup.readout_s, exposure_s: setup.exposure_s };
         let matcher = Matcher::new(setup.camera, sensor, setup.mask, &setup.stage, &setup.objects, setup.settings, setup.clock);
-        Ok(Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names, clock: setup.clock }, last_ns: None })
+        Ok(Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names, clock: setup.clock }, last: None })
     }
 
     /// With a filter between the measured pose and the one for use; from the next frame on.
@@ -160,10 +160,10 @@ impl Tracker {
         if size != wanted {
             return Err(FrameError::Size { size, wanted });
         }
-        if let Some(last_ns) = self.last_ns.filter(|last_ns| frame.timestamp_ns <= *last_ns) {
-            return Err(FrameError::Stamp { timestamp_ns: frame.timestamp_ns, last_ns });
+        if let Some(last) = self.last.filter(|last| frame.timestamp <= *last) {
+            return Err(FrameError::Stamp { timestamp: frame.timestamp, last });
         }
-        self.last_ns = Some(frame.timestamp_ns);
+        self.last = Some(frame.timestamp);
         let sighting = self.matcher.look(frame);
         Ok(self.poses.sample(&sighting, 0.0))
     }
@@ -180,7 +180,7 @@ impl PoseRecorder {
         let pose_ms = start.elapsed_ms();
         PoseSample {
             sequence: sighting.sequence,
-            timestamp_ns: sighting.timestamp_ns,
+            timestamp: sighting.timestamp,
             state: published(camera.state),
             pose: camera.pose,
             measurement,

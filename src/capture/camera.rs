@@ -8,6 +8,7 @@ use std::time::Duration;
 use thiserror::Error;
 
 use super::timestamping::DriverStamp;
+use crate::frame::Timestamp;
 
 /// How the bytes of a picture are laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -66,8 +67,8 @@ pub struct CapturedPicture {
     pub bytes: Vec<u8>,
     /// When it was taken, in the driver's words.
     pub stamp: DriverStamp,
-    /// When it was read, monotonic nanoseconds.
-    pub arrival_ns: i64,
+    /// When it was read, on the monotonic clock.
+    pub arrival: Timestamp,
     /// The driver's own count, where it tells it.
     pub device_sequence: Option<u32>,
     /// True where the driver says that the bytes are damaged.

@@ -91,19 +91,19 @@ impl Clip {
     fn read_row(&mut self) -> Option<ClipEntry> {
         let picture = self.stream.next_picture()?;
         let sequence = self.order.number();
-        let skipped = |timestamp_ns, reason| ClipEntry {
+        let skipped = |timestamp, reason| ClipEntry {
             sequence,
-            timestamp_ns,
+            timestamp,
             content: EntryContent::Skipped(reason),
             decode: Duration::ZERO,
             received: None,
         };
-        let timestamp_ns = match picture.stamp {
-            Err(reason) => return Some(skipped(self.order.last_stamp_ns().unwrap_or(0), reason)),
+        let timestamp = match picture.stamp {
+            Err(reason) => return Some(skipped(self.order.last_stamp().unwrap_or_default(), reason)),
             Ok(stamp) => stamp,
         };
-        if let Err(reason) = self.order.follow(timestamp_ns) {
-            return Some(skipped(timestamp_ns, reason));
+        if let Err(reason) = self.order.follow(timestamp) {
+            return Some(skipped(timestamp, reason));
         }
         let start = Instant::now();
         let (image, received) = match picture.data {
@@ -120,13 +120,13 @@ impl Clip {
         };
         let decode = start.elapsed();
         let mut content = match image {
-            Ok(image) => EntryContent::Frame(Frame { image, timestamp_ns, sequence }),
+            Ok(image) => EntryContent::Frame(Frame { image, timestamp, sequence }),
             Err(reason) => EntryContent::Undecodable(reason),
         };
         if let Some(size) = self.size {
             skip_other_sizes(&mut content, size);
         }
-        Some(ClipEntry { sequence, timestamp_ns, content, decode, received })
+        Some(ClipEntry { sequence, timestamp, content, decode, received })
     }
 
     fn note_turned(&mut self, orientation: Orientation, sequence: u64) {

@@ -17,6 +17,7 @@ use super::error::CaptureError;
 use super::grey::check_size;
 use super::picture_stream::{Picture, PictureData, PictureStream};
 use super::rate::FrameRate;
+use crate::frame::Timestamp;
 
 /// Frames from a running ffmpeg.
 pub(super) struct Ffmpeg {
@@ -60,7 +61,7 @@ impl Form {
 /// What showinfo says of one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Announced {
-    stamp_ns: Option<i64>,
+    stamp: Option<Timestamp>,
     width: u32,
     height: u32,
 }
@@ -145,8 +146,8 @@ impl PictureStream for Ffmpeg {
     fn next_picture(&mut self) -> Option<Picture> {
         let announced = self.announced.recv().ok()?;
         let data = self.read_frame(&announced).map_or_else(PictureData::Missing, PictureData::Grey);
-        let stamp = match (self.rate, announced.stamp_ns) {
-            (Some(rate), _) => Ok(rate.stamp_ns(self.next)),
+        let stamp = match (self.rate, announced.stamp) {
+            (Some(rate), _) => Ok(rate.stamp(self.next)),
             (None, Some(stamp)) => Ok(stamp),
             (None, None) => Err("the container has no time stamp for this frame; give --fps".to_owned()),
         };
@@ -205,8 +206,8 @@ impl Log {
         }
         let (width, height) = word_after(said, " s:")?.split_once('x')?;
         let ticks = word_after(said, " pts:").and_then(|t| t.parse::<i64>().ok());
-        let stamp_ns = ticks.zip(self.time_base).and_then(|(ticks, base)| nanoseconds(ticks, base));
-        Some(Announced { stamp_ns, width: width.parse().ok()?, height: height.parse().ok()? })
+        let stamp = ticks.zip(self.time_base).and_then(|(ticks, base)| stamp_of(ticks, base));
+        Some(Announced { stamp, width: width.parse().ok()?, height: height.parse().ok()? })
     }
 
     /// The line that says most likely what went wrong.
@@ -220,11 +221,12 @@ fn word_after<'a>(line: &'a str, name: &str) -> Option<&'a str> {
     line.split_once(name)?.1.split_whitespace().next()
 }
 
-/// Ticks of numerator / denominator seconds in nanoseconds, rounded.
-fn nanoseconds(ticks: i64, (numerator, denominator): (i64, i64)) -> Option<i64> {
+/// Ticks of numerator / denominator seconds as a stamp, rounded.
+fn stamp_of(ticks: i64, (numerator, denominator): (i64, i64)) -> Option<Timestamp> {
     let doubled = (i128::from(ticks) * i128::from(numerator)).checked_mul(2_000_000_000)?;
     let denominator = i128::from(denominator);
-    (denominator > 0).then(|| (doubled + denominator).div_euclid(2 * denominator)).and_then(|ns| i64::try_from(ns).ok())
+    let ns = (denominator > 0).then(|| (doubled + denominator).div_euclid(2 * denominator))?;
+    i64::try_from(ns).ok().map(Timestamp::from_ns)
 }
 
 #[cfg(test)]
@@ -237,12 +239,12 @@ mod tests {
         assert_eq!(log.note("[Parsed_showinfo_2 @ 0x55] config in time_base: 1/12800, frame_rate: 25/1"), None);
         let line =
             "[Parsed_showinfo_2 @ 0x55] n:   1 pts:    512 pts_time:0.04    pos:    40462 fmt:gray sar:1/1 s:640x480 i:P iskey:0 type:B ";
-        assert_eq!(log.note(line), Some(Announced { stamp_ns: Some(40_000_000), width: 640, height: 480 }));
+        assert_eq!(log.note(line), Some(Announced { stamp: Some(Timestamp::from_ns(40_000_000)), width: 640, height: 480 }));
         assert_eq!(log.note("[Parsed_showinfo_2 @ 0x55] color_range:unknown color_space:unknown"), None);
-        assert_eq!(log.note(&line.replace("512", "NOPTS")).unwrap().stamp_ns, None);
-        assert_eq!(nanoseconds(1, (1001, 30_000)), Some(33_366_667));
-        assert_eq!(nanoseconds(-1, (1, 3)), Some(-333_333_333));
-        assert_eq!((nanoseconds(1, (1, 0)), nanoseconds(i64::MAX, (i64::MAX, 1))), (None, None));
+        assert_eq!(log.note(&line.replace("512", "NOPTS")).unwrap().stamp, None);
+        assert_eq!(stamp_of(1, (1001, 30_000)), Some(Timestamp::from_ns(33_366_667)));
+        assert_eq!(stamp_of(-1, (1, 3)), Some(Timestamp::from_ns(-333_333_333)));
+        assert_eq!((stamp_of(1, (1, 0)), stamp_of(i64::MAX, (i64::MAX, 1))), (None, None));
     }
 
     #[test]

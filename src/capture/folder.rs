@@ -129,7 +129,7 @@ struct NamedPictures {
 impl PictureStream for NamedPictures {
     fn next_picture(&mut self) -> Option<Picture> {
         let path = self.files.next()?;
-        let stamp = Ok(self.rate.stamp_ns(self.next));
+        let stamp = Ok(self.rate.stamp(self.next));
         self.next += 1;
         Some(Picture { stamp, data: read(&path) })
     }

@@ -11,7 +11,7 @@ use super::camera::{CapturedPicture, PixelLayout};
 use super::grey::{decode_grey, luma_8};
 use super::jpeg_markers::{JpegWalk, Walked};
 use super::{EntryContent, Received};
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 
 /// A picture once decoded.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,9 +44,9 @@ pub fn decode_picture(picture: &CapturedPicture, layout: PixelLayout, size: (u32
 
 impl Decoded {
     /// What a row holds of it: pictures that are not of the session's size are not tracked.
-    pub fn content(self, size: (u32, u32), timestamp_ns: i64, sequence: u64) -> (EntryContent, Received) {
+    pub fn content(self, size: (u32, u32), timestamp: Timestamp, sequence: u64) -> (EntryContent, Received) {
         let content = match self.image {
-            Ok(image) if image.dimensions() == size => EntryContent::Frame(Frame { image, timestamp_ns, sequence }),
+            Ok(image) if image.dimensions() == size => EntryContent::Frame(Frame { image, timestamp, sequence }),
             Ok(image) => EntryContent::Skipped(format!(
                 "the picture is {} x {} pixels, the camera's are {} x {}",
                 image.width(),
@@ -90,7 +90,7 @@ mod tests {
     use crate::capture::timestamping::DriverStamp;
 
     fn picture(bytes: Vec<u8>) -> CapturedPicture {
-        CapturedPicture { bytes, stamp: DriverStamp::None, arrival_ns: 0, device_sequence: None, is_damaged: false }
+        CapturedPicture { bytes, stamp: DriverStamp::None, arrival: Timestamp::default(), device_sequence: None, is_damaged: false }
     }
 
     fn jpeg() -> Vec<u8> {
@@ -139,7 +139,7 @@ mod tests {
         fn any_bytes_end_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..200), which in 0..6_usize, w in 0..9_u32, h in 0..9_u32) {
             use PixelLayout::*;
             let decoded = decode_picture(&picture(bytes), [Mjpeg, Yuyv, Nv12, Grey, Rgb, Bgr][which], (w, h));
-            let _ = decoded.content((w, h), 0, 0);
+            let _ = decoded.content((w, h), Timestamp::default(), 0);
         }
     }
 }

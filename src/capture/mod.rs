@@ -47,7 +47,7 @@ pub use timestamps::read_timestamps;
 pub use writer::{ClipWriter, PictureFormat};
 pub use y4m::Y4mReader;
 
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 use image::RgbImage;
 
 pub use virtual_stage::VirtualCamera;
@@ -57,8 +57,8 @@ pub use virtual_stage::VirtualCamera;
 pub struct ClipEntry {
     /// Row number from 0.
     pub sequence: u64,
-    /// Mid-exposure of the middle row, monotonic nanoseconds.
-    pub timestamp_ns: i64,
+    /// Mid-exposure of the middle row.
+    pub timestamp: Timestamp,
     /// What the row holds.
     pub content: EntryContent,
     /// Time spent on turning its bytes into grey levels; reading and waiting excluded, zero for raw pictures.

@@ -9,14 +9,14 @@ use tempfile::TempDir;
 
 use super::super::{ClipEntry, ClipWriter, EntryContent, PictureFormat, decode_grey};
 use super::*;
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 
 fn picture(level: u8) -> GrayImage {
     GrayImage::from_fn(32, 24, |x, y| Luma([level.wrapping_add((x + y) as u8)]))
 }
 
 fn frame(n: u8) -> Frame {
-    Frame { image: picture(n * 10), timestamp_ns: 1_000 + i64::from(n) * 40_000_000, sequence: u64::from(n) }
+    Frame { image: picture(n * 10), timestamp: Timestamp::from_ns(1_000 + i64::from(n) * 40_000_000), sequence: u64::from(n) }
 }
 
 fn jpeg(level: u8) -> Vec<u8> {
@@ -50,7 +50,7 @@ fn kinds(rows: &[ClipEntry]) -> String {
 }
 
 fn stamps(rows: &[ClipEntry]) -> Vec<i64> {
-    rows.iter().map(|r| r.timestamp_ns).collect()
+    rows.iter().map(|r| r.timestamp.ns()).collect()
 }
 
 fn written(format: PictureFormat) -> TempDir {
@@ -84,7 +84,7 @@ fn a_single_picture_is_a_clip_of_one_frame() {
     let folder = TempDir::new().unwrap();
     let pgm = folder.path().join("still.pgm");
     frame(0).image.save(&pgm).unwrap();
-    assert_eq!(rows(pgm, None)[0].content, EntryContent::Frame(Frame { timestamp_ns: 0, ..frame(0) }));
+    assert_eq!(rows(pgm, None)[0].content, EntryContent::Frame(Frame { timestamp: Timestamp::default(), ..frame(0) }));
 }
 
 #[test]
@@ -187,7 +187,7 @@ fn y4m_is_read_at_its_own_rate_or_the_given_one() {
     fs::write(&path, &bytes).unwrap();
     let read = rows(&path, None);
     assert_eq!((kinds(&read).as_str(), stamps(&read)), ("FFF", vec![0, 40_000_000, 80_000_000]));
-    assert_eq!(read[1].content, EntryContent::Frame(Frame { image: picture(1), timestamp_ns: 40_000_000, sequence: 1 }));
+    assert_eq!(read[1].content, EntryContent::Frame(Frame { image: picture(1), timestamp: Timestamp::from_ns(40_000_000), sequence: 1 }));
     assert_eq!(stamps(&rows(&path, Some(10.0)))[2], 200_000_000);
     fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
     assert_eq!(kinds(&rows(&path, None)), "FFU");
@@ -262,7 +262,7 @@ fn files_made_by_ffmpeg_are_read() {
             return;
         }
         let read = rows(&path, None);
-        assert_eq!((kinds(&read).as_str(), read[1].timestamp_ns), ("FFFFFFFFFF", second), "{name}");
+        assert_eq!((kinds(&read).as_str(), read[1].timestamp.ns()), ("FFFFFFFFFF", second), "{name}");
         assert_eq!(stamps(&rows(&path, Some(10.0)))[2], 200_000_000, "{name}");
     }
 }

@@ -3,12 +3,13 @@
 //! Clips and the live pipeline share this rule, so that a recording replays as it was tracked.
 
 use super::{ClipEntry, EntryContent};
+use crate::frame::Timestamp;
 
 /// Numbers rows and watches their stamps.
 #[derive(Debug, Clone, Default)]
 pub struct EntryOrder {
     next_sequence: u64,
-    last_stamp_ns: Option<i64>,
+    last_stamp: Option<Timestamp>,
 }
 
 impl EntryOrder {
@@ -24,28 +25,28 @@ impl EntryOrder {
     }
 
     /// The last stamp that followed.
-    pub fn last_stamp_ns(&self) -> Option<i64> {
-        self.last_stamp_ns
+    pub fn last_stamp(&self) -> Option<Timestamp> {
+        self.last_stamp
     }
 
     /// Takes note of a row's stamp.
     ///
     /// # Errors
     /// The reason as a sentence, where it does not follow the last one.
-    pub fn follow(&mut self, stamp_ns: i64) -> Result<(), String> {
-        if let Some(last) = self.last_stamp_ns
-            && stamp_ns <= last
+    pub fn follow(&mut self, stamp: Timestamp) -> Result<(), String> {
+        if let Some(last) = self.last_stamp
+            && stamp <= last
         {
-            return Err(format!("the time stamp {stamp_ns} does not follow {last}"));
+            return Err(format!("the time stamp {stamp} does not follow {last}"));
         }
-        self.last_stamp_ns = Some(stamp_ns);
+        self.last_stamp = Some(stamp);
         Ok(())
     }
 
     /// A live row as a replay of the same rows would give it.
     pub fn admit(&mut self, mut row: ClipEntry) -> ClipEntry {
         row.sequence = self.number();
-        match (self.follow(row.timestamp_ns), &mut row.content) {
+        match (self.follow(row.timestamp), &mut row.content) {
             (Err(reason), content) => *content = EntryContent::Skipped(reason),
             (Ok(()), EntryContent::Frame(frame)) => frame.sequence = row.sequence,
             (Ok(()), _) => {}
@@ -62,9 +63,9 @@ mod tests {
 
     #[test]
     fn a_stamp_that_stands_still_or_goes_back_is_skipped_and_costs_only_itself() {
-        let row = |timestamp_ns| ClipEntry {
+        let row = |ns| ClipEntry {
             sequence: 77,
-            timestamp_ns,
+            timestamp: Timestamp::from_ns(ns),
             content: EntryContent::Undecodable("dark".into()),
             decode: Duration::ZERO,
             received: None,

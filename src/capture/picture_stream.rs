@@ -3,11 +3,12 @@
 use image::{GrayImage, RgbImage};
 
 use super::error::CaptureError;
+use crate::frame::Timestamp;
 
 /// A picture as it lies in the clip.
 pub(super) struct Picture {
-    /// Nanoseconds, or why they cannot be told.
-    pub stamp: Result<i64, String>,
+    /// When it was taken, or why that is not known.
+    pub stamp: Result<Timestamp, String>,
     /// The picture.
     pub data: PictureData,
 }

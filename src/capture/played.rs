@@ -10,8 +10,9 @@ use std::time::Duration;
 use serde::Deserialize;
 
 use super::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
-use super::timestamping::{DriverStamp, monotonic_ns};
+use super::timestamping::{DriverStamp, monotonic_now};
 use super::{CaptureError, ClipEntry, ClipOptions, EntryContent, FrameSource, MjpegReader, open_clip};
+use crate::frame::Timestamp;
 
 /// Plays a clip once.
 pub struct PlayedClip {
@@ -102,16 +103,16 @@ impl Pictures {
     }
 
     /// The next picture's stamp in the clip and its bytes (empty where it cannot be read).
-    fn next(&mut self, fps: f64) -> Option<(i64, Vec<u8>)> {
+    fn next(&mut self, fps: f64) -> Option<(Timestamp, Vec<u8>)> {
         match self {
             Self::Jpegs { reader, next, .. } => {
                 let bytes = reader.next_jpeg()?.unwrap_or_default();
                 *next += 1;
-                Some((((*next - 1) as f64 * 1e9 / fps).round() as i64, bytes))
+                Some((Timestamp::from_ns(((*next - 1) as f64 * 1e9 / fps).round() as i64), bytes))
             }
-            Self::Rows(rows) => rows.next_entry().map(|ClipEntry { timestamp_ns, content, .. }| match content {
-                EntryContent::Frame(frame) => (timestamp_ns, frame.image.into_raw()),
-                EntryContent::Undecodable(_) | EntryContent::Skipped(_) => (timestamp_ns, Vec::new()),
+            Self::Rows(rows) => rows.next_entry().map(|ClipEntry { timestamp, content, .. }| match content {
+                EntryContent::Frame(frame) => (timestamp, frame.image.into_raw()),
+                EntryContent::Undecodable(_) | EntryContent::Skipped(_) => (timestamp, Vec::new()),
             }),
         }
     }
@@ -120,19 +121,19 @@ impl Pictures {
 struct PlayingClip {
     pictures: Pictures,
     mode: CameraMode,
-    /// When the first picture was given, and its stamp in the clip; monotonic nanoseconds.
-    begun: Option<(i64, i64)>,
+    /// When the first picture was given, and its stamp in the clip.
+    begun: Option<(Timestamp, Timestamp)>,
     /// Pictures that were read before they were due, with their stamps in the clip.
-    ahead: VecDeque<(i64, Vec<u8>)>,
+    ahead: VecDeque<(Timestamp, Vec<u8>)>,
 }
 
 /// Pictures a second as the first two stamps tell, where the clip has stamps; the two wait in `ahead`.
-fn stamped_rate(pictures: &mut Pictures, ahead: &mut VecDeque<(i64, Vec<u8>)>) -> Option<f64> {
+fn stamped_rate(pictures: &mut Pictures, ahead: &mut VecDeque<(Timestamp, Vec<u8>)>) -> Option<f64> {
     let Pictures::Rows(_) = pictures else { return None };
     ahead.extend(pictures.next(0.0));
     ahead.extend(pictures.next(0.0));
     let (first, second) = (ahead.front()?.0, ahead.back()?.0);
-    let frame_s = second.checked_sub(first)? as f64 * 1e-9;
+    let frame_s = second.seconds_since(first);
     (0.001..=10.0).contains(&frame_s).then_some(1.0 / frame_s)
 }
 
@@ -143,16 +144,16 @@ impl Camera for PlayingClip {
 
     fn next_picture(&mut self, patience: Duration) -> Result<CapturedPicture, CameraFault> {
         let (stamp, bytes) = self.ahead.pop_front().or_else(|| self.pictures.next(self.mode.fps)).ok_or(CameraFault::End)?;
-        let (begun, first) = *self.begun.get_or_insert((monotonic_ns(), stamp));
-        let due = begun.saturating_add(stamp.saturating_sub(first));
-        let left = Duration::from_nanos(u64::try_from(due - monotonic_ns()).unwrap_or(0));
+        let (begun, first) = *self.begun.get_or_insert((monotonic_now(), stamp));
+        let due = begun.after_ns(stamp.ns_since(first));
+        let left = due.duration_since(monotonic_now());
         std::thread::sleep(left.min(patience));
         if left > patience {
             self.ahead.push_front((stamp, bytes));
             return Err(CameraFault::Silent);
         }
-        let arrival_ns = monotonic_ns();
-        Ok(CapturedPicture { is_damaged: bytes.is_empty(), bytes, stamp: DriverStamp::MidExposure(due), arrival_ns, device_sequence: None })
+        let arrival = monotonic_now();
+        Ok(CapturedPicture { is_damaged: bytes.is_empty(), bytes, stamp: DriverStamp::MidExposure(due), arrival, device_sequence: None })
     }
 }
 
@@ -180,6 +181,6 @@ mod tests {
                 other => break assert!(matches!(other, Err(CameraFault::End)), "{other:?}"),
             }
         }
-        assert_eq!(stamps.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>(), [40_000_000; 2]);
+        assert_eq!(stamps.windows(2).map(|w| w[1].ns_since(w[0])).collect::<Vec<_>>(), [40_000_000; 2]);
     }
 }

@@ -1,5 +1,7 @@
 //! Frame rates as exact ratios, and the stamps they give.
 
+use crate::frame::Timestamp;
+
 /// Frames a second, as a ratio.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameRate {
@@ -20,9 +22,9 @@ impl FrameRate {
         Self::new(f64::from(frames.parse::<u32>().ok()?), f64::from(seconds.parse::<u32>().ok()?))
     }
 
-    /// When frame `n` was taken, nanoseconds after frame 0, rounded.
-    pub fn stamp_ns(&self, n: u64) -> i64 {
-        (n as f64 * 1e9 * self.seconds / self.frames).round() as i64
+    /// When frame `n` was taken, where frame 0 was at 0; rounded.
+    pub fn stamp(&self, n: u64) -> Timestamp {
+        Timestamp::from_ns((n as f64 * 1e9 * self.seconds / self.frames).round() as i64)
     }
 }
 
@@ -33,8 +35,8 @@ mod tests {
     #[test]
     fn stamps_are_rounded_and_do_not_drift() {
         let ntsc = FrameRate::from_ratio("30000:1001").unwrap();
-        assert_eq!([0, 1, 2, 30_000].map(|n| ntsc.stamp_ns(n)), [0, 33_366_667, 66_733_333, 1_001_000_000_000]);
-        assert_eq!(FrameRate::new(30.0, 1.0).unwrap().stamp_ns(12), 400_000_000);
+        assert_eq!([0, 1, 2, 30_000].map(|n| ntsc.stamp(n).ns()), [0, 33_366_667, 66_733_333, 1_001_000_000_000]);
+        assert_eq!(FrameRate::new(30.0, 1.0).unwrap().stamp(12), Timestamp::from_seconds(0.4));
     }
 
     #[test]

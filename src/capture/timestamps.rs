@@ -2,11 +2,13 @@
 
 use std::io::Read;
 
+use crate::frame::Timestamp;
+
 /// One line of the file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StampRow {
-    /// Nanoseconds, or what is wrong with them.
-    pub stamp: Result<i64, String>,
+    /// The stamp, or what is wrong with it.
+    pub stamp: Result<Timestamp, String>,
     /// The picture's file name as written; empty where the line has none.
     pub file: String,
 }
@@ -38,7 +40,10 @@ pub fn read_timestamps(input: impl Read) -> Result<Vec<StampRow>, TimestampsErro
             check_header(&first, &second)?;
             header_seen = true;
         } else if !first.starts_with('#') && (!first.is_empty() || !second.is_empty()) {
-            let stamp = first.parse().map_err(|_| format!("\"{}\" is no time stamp in whole nanoseconds", shortened(&first)));
+            let stamp = first
+                .parse()
+                .map(Timestamp::from_ns)
+                .map_err(|_| format!("\"{}\" is no time stamp in whole nanoseconds", shortened(&first)));
             rows.push(StampRow { stamp, file: second });
         }
     }
@@ -75,7 +80,10 @@ mod tests {
         let rows = read_timestamps(text.as_bytes()).unwrap();
         let files: Vec<_> = rows.iter().map(|r| r.file.as_str()).collect();
         assert_eq!(files, ["a.png", "b.png", "c d.png", ""]);
-        assert_eq!((rows[0].stamp.clone(), rows[2].stamp.clone(), rows[3].stamp.clone()), (Ok(10), Ok(20), Ok(30)));
+        assert_eq!(
+            (rows[0].stamp.clone(), rows[2].stamp.clone(), rows[3].stamp.clone()),
+            (Ok(Timestamp::from_ns(10)), Ok(Timestamp::from_ns(20)), Ok(Timestamp::from_ns(30)))
+        );
         assert!(rows[1].stamp.as_ref().unwrap_err().contains("\"x\""));
     }
 
@@ -99,7 +107,7 @@ mod tests {
             let mut text = "#timestamp [ns],filename\n".to_owned();
             stamps.iter().for_each(|(t, f)| text += &format!("{t},{f}\n"));
             let rows = read_timestamps(text.as_bytes()).unwrap();
-            let back: Vec<_> = rows.into_iter().map(|r| (r.stamp.unwrap(), r.file)).collect();
+            let back: Vec<_> = rows.into_iter().map(|r| (r.stamp.unwrap().ns(), r.file)).collect();
             prop_assert_eq!(back, stamps);
         }
     }

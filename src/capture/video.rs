@@ -36,7 +36,7 @@ pub(super) trait VideoReader: Send {
 impl<R: VideoReader> PictureStream for Paced<R> {
     fn next_picture(&mut self) -> Option<Picture> {
         let data = self.reader.next_data()?;
-        let stamp = Ok(self.rate.stamp_ns(self.next));
+        let stamp = Ok(self.rate.stamp(self.next));
         self.next += 1;
         Some(Picture { stamp, data })
     }

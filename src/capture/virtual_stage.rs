@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::{ClipEntry, EntryContent, FrameSource};
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::simulate::{Renderer, VirtualStage};
 
@@ -27,9 +27,9 @@ impl VirtualCamera {
         self.renderer.stage()
     }
 
-    /// The stamp of a frame, nanoseconds from the first.
-    pub fn timestamp_ns(&self, sequence: u64) -> i64 {
-        (sequence as f64 * 1e9 / self.fps).round() as i64
+    /// The stamp of a frame; the first one's is 0.
+    pub fn timestamp(&self, sequence: u64) -> Timestamp {
+        Timestamp::from_ns((sequence as f64 * 1e9 / self.fps).round() as i64)
     }
 
     /// The exact `T_stage_camera` at the stamp of a frame.
@@ -44,7 +44,7 @@ impl VirtualCamera {
 
     /// The stamp in seconds: of the rounded nanoseconds, so that picture, truth and stamp agree exactly.
     fn time_s(&self, sequence: u64) -> f64 {
-        self.timestamp_ns(sequence) as f64 * 1e-9
+        self.timestamp(sequence).seconds()
     }
 }
 
@@ -55,11 +55,11 @@ impl FrameSource for VirtualCamera {
             return None;
         }
         self.next += 1;
-        let timestamp_ns = self.timestamp_ns(sequence);
+        let timestamp = self.timestamp(sequence);
         let image = self.renderer.render(self.time_s(sequence), sequence);
         // Rendering stands for the world, not for decoding: it costs the tracker nothing.
-        let content = EntryContent::Frame(Frame { image, timestamp_ns, sequence });
-        Some(ClipEntry { sequence, timestamp_ns, content, decode: Duration::ZERO, received: None })
+        let content = EntryContent::Frame(Frame { image, timestamp, sequence });
+        Some(ClipEntry { sequence, timestamp, content, decode: Duration::ZERO, received: None })
     }
 
     fn size(&self) -> (u32, u32) {
@@ -81,12 +81,13 @@ mod tests {
         let scene = dolly(Dolly { width: 40, height: 30, seed: 1, duration_s: 0.1, artwork_width: 60 }).unwrap();
         let mut camera = VirtualCamera::new(scene, 30.0, 3);
         assert_eq!((camera.size(), camera.rows()), ((40, 30), Some(3)));
-        for (sequence, timestamp_ns) in [(0, 0), (1, 33_333_333), (2, 66_666_667)] {
+        for (sequence, timestamp) in [0, 33_333_333, 66_666_667].map(Timestamp::from_ns).into_iter().enumerate() {
+            let sequence = sequence as u64;
             let row = camera.next_entry().unwrap();
-            assert_eq!((row.sequence, row.timestamp_ns), (sequence, timestamp_ns));
+            assert_eq!((row.sequence, row.timestamp), (sequence, timestamp));
             let EntryContent::Frame(frame) = row.content else { panic!("the virtual stage has a picture for every row") };
-            assert_eq!((frame.sequence, frame.timestamp_ns, frame.image.dimensions()), (sequence, timestamp_ns, (40, 30)));
-            assert_eq!(camera.truth(sequence), camera.stage().truth(timestamp_ns as f64 * 1e-9));
+            assert_eq!((frame.sequence, frame.timestamp, frame.image.dimensions()), (sequence, timestamp, (40, 30)));
+            assert_eq!(camera.truth(sequence), camera.stage().truth(timestamp.seconds()));
         }
         assert_eq!(camera.next_entry(), None);
     }

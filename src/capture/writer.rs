@@ -82,7 +82,7 @@ impl ClipWriter {
         let mut file = BufWriter::new(File::create(&path).map_err(|e| not_writable(&path, e))?);
         self.format.encode(&frame.image, &mut file).map_err(|e| not_writable(&path, e))?;
         file.flush().map_err(|e| not_writable(&path, e))?;
-        writeln!(self.stamps, "{},{name}", frame.timestamp_ns).map_err(|e| not_writable(&self.folder.join("timestamps.csv"), e))?;
+        writeln!(self.stamps, "{},{name}", frame.timestamp).map_err(|e| not_writable(&self.folder.join("timestamps.csv"), e))?;
         self.pictures += 1;
         Ok(())
     }

@@ -15,6 +15,7 @@ use super::logging::{self, LogArguments};
 use super::outputs::Outputs;
 use crate::camera::CameraModel;
 use crate::config::Settings;
+use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
 use crate::printable::printable;
 use crate::protocols::{PanTiltRoll, camera_of_body};
@@ -119,7 +120,7 @@ fn test_sample(sequence: u64, seconds: f64, objects: &[String]) -> PoseSample {
     };
     PoseSample {
         sequence,
-        timestamp_ns: (seconds * 1e9).round() as i64,
+        timestamp: Timestamp::from_seconds(seconds),
         state: State::Tracking,
         pose: Some(camera_of_body(&test_pose(seconds))),
         measurement: None,
@@ -139,6 +140,6 @@ mod tests {
         let sample = test_sample(3, 5.0, &["cart".to_owned()]);
         let angles = PanTiltRoll::of_rotation(&test_pose(5.0).rotation, 0.0);
         assert!((angles.pan_deg - 20.0).abs() < 1e-9 && angles.tilt_deg.abs() < 1e-9);
-        assert_eq!((sample.timestamp_ns, sample.objects[0].name.as_str()), (5_000_000_000, "cart"));
+        assert_eq!((sample.timestamp, sample.objects[0].name.as_str()), (Timestamp::from_seconds(5.0), "cart"));
     }
 }

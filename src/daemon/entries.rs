@@ -15,7 +15,7 @@ pub fn track_entry(tracker: &mut Tracker, row: &ClipEntry) -> PoseSample {
 pub(super) fn sight(matcher: &mut Matcher, row: &ClipEntry) -> Sighting {
     match &row.content {
         EntryContent::Frame(frame) => matcher.look(frame),
-        EntryContent::Undecodable(_) => matcher.look_away(row.sequence, row.timestamp_ns, Reason::Undecodable),
-        EntryContent::Skipped(_) => matcher.look_past(row.sequence, row.timestamp_ns),
+        EntryContent::Undecodable(_) => matcher.look_away(row.sequence, row.timestamp, Reason::Undecodable),
+        EntryContent::Skipped(_) => matcher.look_past(row.sequence, row.timestamp),
     }
 }

@@ -1,20 +1,23 @@
 //! Turns the reasons of single frames into events: a frame may fail for any reason, a second of them is worth a line.
 
+use std::time::Duration;
+
 use super::live::Event;
+use crate::frame::Timestamp;
 use crate::record::{PoseSample, State};
 use crate::track::Reason;
 
-/// A body that has not been tracked for so long is told of, and its reason again where it changes, nanoseconds. Shorter gaps (a hand
-/// before the lens, a whip pan) would fill the log.
-const TOLD_AFTER_NS: i64 = 1_000_000_000;
+/// A body that has not been tracked for so long is told of, and its reason again where it changes. Shorter gaps (a hand before the lens,
+/// a whip pan) would fill the log.
+const TOLD_AFTER: Duration = Duration::from_secs(1);
 
 /// Watches samples, by their stamps.
 #[derive(Debug, Default)]
 pub struct ReasonWatch {
     /// When the first frame of this window without a pose was taken.
-    since_ns: Option<i64>,
+    since: Option<Timestamp>,
     /// When tracking ended, or the first frame came.
-    lost_ns: Option<i64>,
+    lost: Option<Timestamp>,
     counts: [u32; Reason::ALL.len()],
     told: Told,
 }
@@ -34,29 +37,29 @@ impl ReasonWatch {
         if sample.state == State::Stale {
             return None;
         }
-        let now_ns = sample.timestamp_ns;
+        let now = sample.timestamp;
         let Some(reason) = sample.reason.filter(|_| sample.state != State::Tracking) else {
-            let after_ms = self.lost_ns.take().map_or(0.0, |lost_ns| now_ns.saturating_sub(lost_ns) as f64 * 1e-6);
+            let after_ms = self.lost.take().map_or(0.0, |lost| now.ms_since(lost));
             self.start_window(None);
             let is_new = self.told != Told::Tracking;
             self.told = Told::Tracking;
             return is_new.then_some(Event::Tracked { after_ms });
         };
-        self.lost_ns.get_or_insert(now_ns);
-        let since_ns = *self.since_ns.get_or_insert(now_ns);
+        self.lost.get_or_insert(now);
+        let since = *self.since.get_or_insert(now);
         self.counts[reason as usize] += 1;
-        if now_ns.saturating_sub(since_ns) < TOLD_AFTER_NS {
+        if now.duration_since(since) < TOLD_AFTER {
             return None;
         }
         let most = Reason::ALL.into_iter().max_by_key(|r| self.counts[*r as usize]).unwrap_or(reason);
-        self.start_window(Some(now_ns));
+        self.start_window(Some(now));
         let is_new = self.told != Told::Reason(most);
         self.told = Told::Reason(most);
         is_new.then(|| Event::NotTracked { reason: most.word(), text: format!("{}: {}", most.says(), most.mend()) })
     }
 
-    fn start_window(&mut self, since_ns: Option<i64>) {
-        self.since_ns = since_ns;
+    fn start_window(&mut self, since: Option<Timestamp>) {
+        self.since = since;
         self.counts = Default::default();
     }
 }
@@ -67,9 +70,9 @@ mod tests {
     use crate::record::StageTimes;
 
     fn sample(k: i64, state: State, reason: Option<Reason>) -> PoseSample {
-        let (sequence, timestamp_ns) = (k as u64, k * 100_000_000);
+        let (sequence, timestamp) = (k as u64, Timestamp::from_ns(k * 100_000_000));
         let (pose, measurement, objects, times) = (None, None, Vec::new(), StageTimes::default());
-        PoseSample { sequence, timestamp_ns, state, pose, measurement, objects, reason, times }
+        PoseSample { sequence, timestamp, state, pose, measurement, objects, reason, times }
     }
 
     /// Ten frames a second; the events by the frame that completes them.

@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::live::{Event, LiveLink};
-use crate::capture::timestamping::monotonic_ns;
+use crate::capture::timestamping::monotonic_now;
+use crate::frame::Timestamp;
 use crate::record::{PoseSample, State};
 
 /// Between two messages of one silence.
@@ -15,7 +16,7 @@ const REPEAT: Duration = Duration::from_millis(100);
 pub(super) struct StaleWatch {
     link: LiveLink,
     /// The last frame's number and stamp.
-    last: (u64, i64),
+    last: (u64, Timestamp),
     /// Since when it is silent, and when that was last said.
     silent: Option<(Instant, Instant)>,
     /// True from when the daemon is to end: then silence is no fault.
@@ -24,7 +25,7 @@ pub(super) struct StaleWatch {
 
 impl StaleWatch {
     pub fn new(link: LiveLink, ending: Arc<AtomicBool>) -> Self {
-        Self { link, last: (0, 0), silent: None, ending }
+        Self { link, last: Default::default(), silent: None, ending }
     }
 
     pub fn link(&self) -> &LiveLink {
@@ -36,7 +37,7 @@ impl StaleWatch {
         if self.ending.load(Ordering::Relaxed) {
             return REPEAT;
         }
-        match (self.silent, self.link.pulse.time_left(monotonic_ns())) {
+        match (self.silent, self.link.pulse.time_left(monotonic_now())) {
             (_, Some(left)) => left,
             (Some((_, said)), None) => REPEAT.saturating_sub(said.elapsed()).max(Duration::from_millis(1)),
             (None, None) => Duration::ZERO,
@@ -45,20 +46,20 @@ impl StaleWatch {
 
     /// A frame was tracked.
     pub fn seen(&mut self, sample: &PoseSample) {
-        self.last = (sample.sequence, sample.timestamp_ns);
+        self.last = (sample.sequence, sample.timestamp);
         // A frame that was under way when the silence began does not end it.
-        if self.link.pulse.time_left(monotonic_ns()).is_some() {
+        if self.link.pulse.time_left(monotonic_now()).is_some() {
             self.end_silence();
         }
     }
 
     /// The message for subscribers, where it is due.
     pub fn check(&mut self) -> Option<PoseSample> {
-        let now_ns = monotonic_ns();
-        if self.ending.load(Ordering::Relaxed) || self.link.pulse.time_left(now_ns).is_some() {
+        let now = monotonic_now();
+        if self.ending.load(Ordering::Relaxed) || self.link.pulse.time_left(now).is_some() {
             return None;
         }
-        let age_ms = self.link.pulse.age_ms(now_ns);
+        let age_ms = self.link.pulse.age_ms(now);
         match &mut self.silent {
             Some((_, said)) if said.elapsed() < REPEAT => return None,
             Some((_, said)) => *said = Instant::now(),

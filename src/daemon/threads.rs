@@ -11,7 +11,7 @@ use super::entries::sight;
 use super::live::{LiveLink, LiveSource, dropped};
 use super::reason_watch::ReasonWatch;
 use super::stale::StaleWatch;
-use crate::capture::timestamping::monotonic_ns;
+use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, EntryOrder, FrameSource};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::PoseSample;
@@ -227,7 +227,7 @@ impl Capture {
                     }
                 }
                 RowSender::Latest(sender) => {
-                    let late = |row: ClipEntry| self.live.iter().for_each(|live| dropped(live, row.timestamp_ns));
+                    let late = |row: ClipEntry| self.live.iter().for_each(|live| dropped(live, row.timestamp));
                     self.dropped.fetch_add(sender.send_dropping(row, late) as u64, Ordering::Relaxed);
                 }
             }
@@ -245,7 +245,7 @@ struct Seen {
 /// `order` numbers the rows of a camera as they are tracked, after some were dropped.
 fn match_rows(mut matcher: Matcher, mut order: Option<EntryOrder>, rows: &Receiver<ClipEntry>, to_pose: &Sender<Seen>) {
     for row in rows {
-        let age_ms = order.as_ref().map(|_| monotonic_ns().saturating_sub(row.timestamp_ns) as f64 * 1e-6);
+        let age_ms = order.as_ref().map(|_| monotonic_now().ms_since(row.timestamp));
         let row = match &mut order {
             Some(order) => order.admit(row),
             None => row,
@@ -331,7 +331,7 @@ mod tests {
         fn next_entry(&mut self) -> Option<ClipEntry> {
             std::thread::sleep(std::time::Duration::from_millis(1));
             let content = EntryContent::Undecodable("as told".to_owned());
-            Some(ClipEntry { sequence: 0, timestamp_ns: 0, content, decode: std::time::Duration::ZERO, received: None })
+            Some(ClipEntry { sequence: 0, timestamp: Default::default(), content, decode: std::time::Duration::ZERO, received: None })
         }
 
         fn size(&self) -> (u32, u32) {

@@ -20,7 +20,7 @@ pub use plausible::{Travel, of_layout, of_lens, of_shutter};
 
 use crate::camera::CameraModel;
 use crate::compute_clock::ComputeClock;
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 use crate::track::{BodySpec, Matcher, Reason, Sensor, SurfaceView, TrackerSettings};
 use crate::tracker::TrackerSetup;
 
@@ -34,13 +34,16 @@ const TRIED_FRAMES: usize = 8;
 /// What is tried on the frames: a setup like the config's, and a way to ask it.
 pub struct Trial {
     matcher: Matcher,
-    stamp_ns: i64,
+    stamp: Timestamp,
 }
 
 impl Trial {
     /// Prepares the pictures of a stage for a camera.
     pub fn new(camera: CameraModel, mask: Option<GrayImage>, stage: &BodySpec, settings: &TrackerSettings) -> Self {
-        Self { matcher: Matcher::new(camera, Sensor::default(), mask, stage, &[], settings.clone(), ComputeClock::default()), stamp_ns: 0 }
+        Self {
+            matcher: Matcher::new(camera, Sensor::default(), mask, stage, &[], settings.clone(), ComputeClock::default()),
+            stamp: Timestamp::default(),
+        }
     }
 
     /// As configured.
@@ -70,8 +73,8 @@ impl Trial {
         let (mut counted, mut asked) = (0, 0);
         for frame in frames.iter().step_by(step) {
             // Stamps far apart: no frame knows of the one before.
-            self.stamp_ns += 10_000_000_000;
-            let sighting = self.matcher.look(&Frame { timestamp_ns: self.stamp_ns, ..frame.clone() });
+            self.stamp = self.stamp.after_s(10.0);
+            let sighting = self.matcher.look(&Frame { timestamp: self.stamp, ..frame.clone() });
             asked += 1;
             counted += usize::from(sighting.stage.reason.is_none_or(Reason::is_verified) && is_so(&self.matcher));
         }

@@ -185,7 +185,7 @@ mod tests {
     use super::*;
 
     fn frame(picture: GrayImage) -> Frame {
-        Frame { image: picture, timestamp_ns: 0, sequence: 0 }
+        Frame { image: picture, timestamp: Default::default(), sequence: 0 }
     }
 
     /// Waves that move sideways with time.

@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use super::finding::{Finding, list, written};
 use crate::camera::{CameraModel, Normalized};
+use crate::frame::Timestamp;
 use crate::geometry::{Camera, Pose, Stage};
 use crate::track::{BodySpec, SurfaceSpec};
 
@@ -103,13 +104,13 @@ pub fn of_shutter(exposure_s: f64, readout_s: f64, frame_s: f64) -> Vec<Finding>
 /// How the camera moved, from poses with their stamps.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Travel {
-    poses: Vec<(i64, Pose<Stage, Camera>)>,
+    poses: Vec<(Timestamp, Pose<Stage, Camera>)>,
 }
 
 impl Travel {
     /// Takes a pose.
-    pub fn add(&mut self, timestamp_ns: i64, pose: &Pose<Stage, Camera>) {
-        self.poses.push((timestamp_ns, *pose));
+    pub fn add(&mut self, timestamp: Timestamp, pose: &Pose<Stage, Camera>) {
+        self.poses.push((timestamp, *pose));
     }
 
     /// Nearest and farthest distance from a place, metres.
@@ -123,7 +124,7 @@ impl Travel {
         let mut speeds = Vec::new();
         let mut from = *self.poses.first()?;
         for (stamp, pose) in &self.poses {
-            let dt_s = (stamp - from.0) as f64 * 1e-9;
+            let dt_s = stamp.seconds_since(from.0);
             if dt_s >= 0.1 {
                 if dt_s < 0.3 {
                     speeds.push((pose.translation - from.1.translation).norm() / dt_s);
@@ -254,7 +255,7 @@ mod tests {
             // Looking upstage, on its head, moving sideways at 30 m/s.
             let level = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
             let turned = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI) * level;
-            travel.add(k * 33_333_333, &Pose::new(turned, Vector3::new(k as f64, -40.0, 0.0)));
+            travel.add(Timestamp::from_ns(k * 33_333_333), &Pose::new(turned, Vector3::new(k as f64, -40.0, 0.0)));
         }
         assert!((travel.roll_deg().unwrap().abs() - 180.0).abs() < 1.0, "{:?}", travel.roll_deg());
         let findings = travel.findings(&stage(vec![surface([10.0, 13.5], [0.0; 3])]));
@@ -266,7 +267,7 @@ mod tests {
     fn what_should_be_in_view_faces_the_camera() {
         let mut travel = Travel::default();
         let level = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
-        travel.add(0, &Pose::new(level, Vector3::new(0.0, -4.0, 0.0)));
+        travel.add(Timestamp::default(), &Pose::new(level, Vector3::new(0.0, -4.0, 0.0)));
         let standing = |turn: f64, position: [f64; 3]| {
             let upright = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
             let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * upright;

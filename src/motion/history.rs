@@ -2,12 +2,13 @@
 
 use super::reach::Reach;
 use super::state::Motion;
+use crate::frame::Timestamp;
 use crate::geometry::Pose;
 
 /// The last measurement and the motion that led to it.
 #[derive(Debug, Clone)]
 pub struct MotionHistory<To, From> {
-    last: Option<(i64, Motion<To, From>)>,
+    last: Option<(Timestamp, Motion<To, From>)>,
     /// Whether there ever was a measurement.
     is_known: bool,
     reach: Reach<To, From>,
@@ -30,18 +31,18 @@ impl<To, From> Default for MotionHistory<To, From> {
 
 impl<To, From> MotionHistory<To, From> {
     /// Takes a measured pose.
-    pub fn measured(&mut self, timestamp_ns: i64, pose: &Pose<To, From>) {
+    pub fn measured(&mut self, timestamp: Timestamp, pose: &Pose<To, From>) {
         let mut motion = Motion::still(*pose);
-        if let Some((before_ns, before)) = &self.last {
-            let dt = timestamp_ns.saturating_sub(*before_ns) as f64 * 1e-9;
+        if let Some((then, before)) = &self.last {
+            let dt = timestamp.seconds_since(*then);
             let longest = LONGEST_STEP_S.max(1.5 * self.step_s).min(LONGEST_INTERVAL_S);
             self.step_s = dt;
             if dt > 1e-4 && dt <= longest {
                 motion = Motion::between(&before.pose, pose, dt);
             }
         }
-        self.reach.push(timestamp_ns, pose);
-        self.last = Some((timestamp_ns, motion));
+        self.reach.push(timestamp, pose);
+        self.last = Some((timestamp, motion));
         self.is_known = true;
     }
 
@@ -58,9 +59,9 @@ impl<To, From> MotionHistory<To, From> {
 
     /// The pose expected at a stamp. Two poses alone would make of a kick, or of noise at a high rate, a long way: what is added is no
     /// more than the body moved within the last `FADE_S`.
-    pub fn predicted(&self, timestamp_ns: i64) -> Option<Pose<To, From>> {
-        let (last_ns, last) = self.last.as_ref()?;
-        let dt = timestamp_ns.saturating_sub(*last_ns) as f64 * 1e-9;
+    pub fn predicted(&self, timestamp: Timestamp) -> Option<Pose<To, From>> {
+        let (then, last) = self.last.as_ref()?;
+        let dt = timestamp.seconds_since(*then);
         let share = 1.0 - (-dt / FADE_S).exp();
         let [way, turn] = self.reach.carries([last.velocity, last.turn_rate], FADE_S);
         let pose = last.pose.moved(&(way * share), &(turn * share));
@@ -78,14 +79,14 @@ mod tests {
     #[test]
     fn carries_on_at_first_and_comes_to_rest() {
         let mut history = MotionHistory::<Stage, Camera>::default();
-        assert!(history.predicted(0).is_none());
+        assert!(history.predicted(Timestamp::default()).is_none());
         let at = |x: f64| Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.0, x), Vector3::new(x, 0.0, 0.0));
         for k in 0..11 {
-            history.measured(k * 20_000_000, &at(0.02 * k as f64));
+            history.measured(Timestamp::from_ns(k * 20_000_000), &at(0.02 * k as f64));
         }
-        let soon = history.predicted(210_000_000).expect("a history");
+        let soon = history.predicted(Timestamp::from_seconds(0.21)).expect("a history");
         assert!((soon.translation.x - 0.21).abs() < 0.001 && (soon.rotation.angle() - 0.21).abs() < 0.001);
-        let late = history.predicted(5_000_000_000).expect("a history");
+        let late = history.predicted(Timestamp::from_seconds(5.0)).expect("a history");
         assert!((late.translation.x - 0.4).abs() < 0.01);
     }
 
@@ -95,9 +96,9 @@ mod tests {
             let mut history = MotionHistory::<Stage, Camera>::default();
             let at = |x: f64| Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.0, x), Vector3::new(x, 0.0, 0.0));
             for k in 0..100 {
-                history.measured(k * interval_ns, &at(0.005 * f64::from(k == 99)));
+                history.measured(Timestamp::from_ns(k * interval_ns), &at(0.005 * f64::from(k == 99)));
             }
-            let late = history.predicted(99 * interval_ns + 5_000_000_000).expect("a history");
+            let late = history.predicted(Timestamp::from_ns(99 * interval_ns).after_s(5.0)).expect("a history");
             assert!(late.translation.x <= 0.01 + 1e-9 && late.rotation.angle() <= 0.01 + 1e-9, "{late:?}");
         }
     }
@@ -106,18 +107,18 @@ mod tests {
     fn a_slow_camera_has_a_velocity_too() {
         let mut history = MotionHistory::<Stage, Camera>::default();
         for k in 0..3 {
-            history.measured(k * 200_000_000, &Pose::new(UnitQuaternion::identity(), Vector3::x() * k as f64));
+            history.measured(Timestamp::from_ns(k * 200_000_000), &Pose::new(UnitQuaternion::identity(), Vector3::x() * k as f64));
         }
-        let next = history.predicted(450_000_000).expect("a history");
+        let next = history.predicted(Timestamp::from_seconds(0.45)).expect("a history");
         assert!(next.translation.x > 2.1, "{}", next.translation.x);
     }
 
     #[test]
     fn a_long_gap_gives_no_velocity() {
         let mut history = MotionHistory::<Stage, Camera>::default();
-        history.measured(0, &Pose::identity());
-        history.measured(1_000_000_000, &Pose::new(UnitQuaternion::identity(), Vector3::x()));
-        let next = history.predicted(1_050_000_000).expect("a history");
+        history.measured(Timestamp::default(), &Pose::identity());
+        history.measured(Timestamp::from_seconds(1.0), &Pose::new(UnitQuaternion::identity(), Vector3::x()));
+        let next = history.predicted(Timestamp::from_seconds(1.05)).expect("a history");
         assert_eq!(next.translation, Vector3::x());
     }
 }

@@ -4,6 +4,7 @@
 use nalgebra::Vector3;
 
 use super::recent::Recent;
+use crate::frame::Timestamp;
 use crate::geometry::Pose;
 
 /// The poses that were measured lately.
@@ -20,8 +21,8 @@ impl<To, From> Default for Reach<To, From> {
 
 impl<To, From> Reach<To, From> {
     /// Takes a measured pose.
-    pub fn push(&mut self, timestamp_ns: i64, measured: &Pose<To, From>) {
-        self.measured.push(timestamp_ns, *measured);
+    pub fn push(&mut self, timestamp: Timestamp, measured: &Pose<To, From>) {
+        self.measured.push(timestamp, *measured);
     }
 
     /// Forgets all: what comes next is no continuation.
@@ -32,9 +33,9 @@ impl<To, From> Reach<To, From> {
     /// Shortens the ways that velocities, m/s and rad/s, lead within some seconds to what the body moved in their direction in as long
     /// before. Where it was not seen for so long yet, it is taken to have gone on before as it does since.
     pub fn carries(&self, velocities: [Vector3<f64>; 2], seconds: f64) -> [Vector3<f64>; 2] {
-        let mut stamps = self.measured.within_last(seconds).map(|(at_ns, _)| *at_ns);
-        let (newest, oldest) = (stamps.next().unwrap_or(0), stamps.last());
-        let seen_s = oldest.map_or(seconds, |oldest| newest.saturating_sub(oldest) as f64 * 1e-9).clamp(1e-3, seconds);
+        let mut stamps = self.measured.within_last(seconds).map(|(at, _)| *at);
+        let (newest, oldest) = (stamps.next().unwrap_or_default(), stamps.last());
+        let seen_s = oldest.map_or(seconds, |oldest| newest.seconds_since(oldest)).clamp(1e-3, seconds);
         self.supports(velocities.map(|velocity| velocity * seconds), seconds / seen_s, seconds)
     }
 

@@ -3,6 +3,7 @@
 use nalgebra::Matrix6;
 
 use super::filter::{FilterSettings, PoseFilter};
+use crate::frame::Timestamp;
 use crate::geometry::covariance::covariance_of_object;
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::motion::MotionHistory;
@@ -93,12 +94,12 @@ impl PoseStage {
         // The stage's body frame is the stage frame.
         let measured = |v: &Verified| Measured { pose: v.pose.renamed(), noise: v.covariance, by_lens: v.by_lens };
         let seen = sighting.stage.verified.as_ref().map(measured);
-        let camera = settle(sighting.stage.state, seen, sighting.timestamp_ns, &mut self.camera);
+        let camera = settle(sighting.stage.state, seen, sighting.timestamp, &mut self.camera);
         let objects = sighting
             .objects
             .iter()
             .zip(&mut self.objects)
-            .map(|(object, motion)| object_estimate(object, &camera, sighting.timestamp_ns, motion))
+            .map(|(object, motion)| object_estimate(object, &camera, sighting.timestamp, motion))
             .collect();
         PoseEstimate { camera, objects }
     }
@@ -108,7 +109,7 @@ impl PoseStage {
 fn object_estimate(
     object: &BodySighting,
     camera: &BodyEstimate<Camera>,
-    timestamp_ns: i64,
+    timestamp: Timestamp,
     motion: &mut BodyMotion<Body>,
 ) -> BodyEstimate<Body> {
     let state = match (object.state, camera.state) {
@@ -130,25 +131,25 @@ fn object_estimate(
         }
         _ => None,
     };
-    settle(state, measured, timestamp_ns, motion)
+    settle(state, measured, timestamp, motion)
 }
 
 /// Fits pose and state together: measured while tracking, predicted while coasting, nothing else.
 fn settle<From>(
     state: TrackState,
     measured: Option<Measured<From>>,
-    timestamp_ns: i64,
+    timestamp: Timestamp,
     motion: &mut BodyMotion<From>,
 ) -> BodyEstimate<From> {
     let BodyMotion { history, filter } = motion;
     if let (TrackState::Tracking, Some(measured)) = (state, measured) {
-        history.measured(timestamp_ns, &measured.pose);
-        let told = filter.measured(timestamp_ns, &measured.pose, &measured.noise);
+        history.measured(timestamp, &measured.pose);
+        let told = filter.measured(timestamp, &measured.pose, &measured.noise);
         return BodyEstimate { state, pose: Some(told), measured: Some(measured) };
     }
-    let predicted = history.predicted(timestamp_ns).filter(|_| matches!(state, TrackState::Tracking | TrackState::Coasting));
+    let predicted = history.predicted(timestamp).filter(|_| matches!(state, TrackState::Tracking | TrackState::Coasting));
     if let Some(pose) = predicted {
-        let pose = filter.predicted(timestamp_ns).unwrap_or(pose);
+        let pose = filter.predicted(timestamp).unwrap_or(pose);
         return BodyEstimate { state: TrackState::Coasting, pose: Some(pose), measured: None };
     }
     history.reset();

@@ -3,8 +3,6 @@ use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use super::*;
 use TrackState::{Coasting, Lost, Searching, Tracking};
 
-const FRAME_NS: i64 = 33_333_333;
-
 fn body(state: TrackState) -> BodySighting {
     let pose = Pose::new(UnitQuaternion::from_euler_angles(1.5, 0.1, 0.0), Vector3::new(0.1, 0.2, 3.0));
     let verified =
@@ -15,7 +13,7 @@ fn body(state: TrackState) -> BodySighting {
 fn sighting(sequence: u64, stage: TrackState, object: TrackState) -> Sighting {
     Sighting {
         sequence,
-        timestamp_ns: sequence as i64 * FRAME_NS,
+        timestamp: Timestamp::from_ns(sequence as i64 * 33_333_333),
         is_timed: true,
         stage: body(stage),
         two_view: None,

@@ -1,6 +1,7 @@
 //! One body on one output: from the tracker's pose to the pose that is sent, through rate, safety and placement.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use crossbeam_channel::Sender;
 
@@ -11,6 +12,7 @@ use super::placement::Placement;
 use super::report::{BodyChoice, BodyReport, Standing, Withheld};
 use super::resample::{Known, Resampler};
 use super::settings::{OnLoss, OutputSettings, Rate, SafetySettings};
+use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
 use crate::protocols::body_of_camera;
 use crate::record::PoseSample;
@@ -34,7 +36,7 @@ pub(super) struct BodyChannel {
     limiter: Limiter,
     resampler: Resampler,
     /// The last pose sent, and when it was so.
-    sent: Option<(i64, Pose<Stage, Body>)>,
+    sent: Option<(Timestamp, Pose<Stage, Body>)>,
     placement: Placement,
     on_loss: OnLoss,
     complaints: Complaints,
@@ -56,13 +58,12 @@ impl BodyChannel {
             Rate::Fixed { delay, .. } => delay,
             Rate::Every(_) => output.delay,
         };
-        let delay_ns = i64::try_from(delay.as_nanos()).unwrap_or(i64::MAX);
         Self {
             name,
             choice,
             mount,
             limiter: Limiter::new(limits),
-            resampler: Resampler::new(delay_ns),
+            resampler: Resampler::new(delay),
             sent: None,
             placement: output.placement,
             on_loss: output.on_loss,
@@ -85,28 +86,28 @@ impl BodyChannel {
     }
 
     /// Keeps what a sample said for the ticks to come.
-    pub fn keep(&mut self, at_ns: i64, known: Known) {
-        self.resampler.push(at_ns, known);
+    pub fn keep(&mut self, at: Timestamp, known: Known) {
+        self.resampler.push(at, known);
     }
 
-    /// What is known at a tick, where frames are `interval_ns` apart.
-    pub fn at(&self, at_ns: i64, interval_ns: i64) -> Known {
-        self.resampler.at(at_ns, interval_ns)
+    /// What is known at a tick, where frames are `interval` apart.
+    pub fn at(&self, at: Timestamp, interval: Duration) -> Known {
+        self.resampler.at(at, interval)
     }
 
     /// What is sent of it. `holds` says whether the protocol has room for a pose.
-    pub fn report(&mut self, at_ns: i64, known: Known, holds: &dyn Fn(&Pose<Stage, Body>) -> bool) -> BodyReport {
+    pub fn report(&mut self, at: Timestamp, known: Known, holds: &dyn Fn(&Pose<Stage, Body>) -> bool) -> BodyReport {
         let mut report = BodyReport {
             name: self.name.clone(),
             choice: self.choice,
             standing: known.standing,
             pose: None,
-            held_ns: None,
+            held: None,
             is_blended: false,
             is_predicted: known.is_predicted,
             is_passed: false,
         };
-        match known.pose.map(|pose| self.judged(at_ns, &pose, holds)) {
+        match known.pose.map(|pose| self.judged(at, &pose, holds)) {
             Some(Verdict::Pass(pose)) => (report.pose, report.is_passed) = (Some(self.placement.apply(&pose)), true),
             Some(Verdict::Blend(pose)) => {
                 report.pose = Some(self.placement.apply(&pose));
@@ -117,21 +118,21 @@ impl BodyChannel {
         }
         self.is_withheld = matches!(report.standing, Standing::Withheld(_));
         match (report.pose, self.sent) {
-            (Some(pose), _) => self.sent = Some((at_ns, pose)),
-            (None, Some((sent_ns, pose))) if self.on_loss == OnLoss::Hold => {
-                (report.pose, report.held_ns, report.is_predicted) = (Some(pose), Some(at_ns.saturating_sub(sent_ns).max(0)), false);
+            (Some(pose), _) => self.sent = Some((at, pose)),
+            (None, Some((sent, pose))) if self.on_loss == OnLoss::Hold => {
+                (report.pose, report.held, report.is_predicted) = (Some(pose), Some(at.duration_since(sent)), false);
             }
             (None, _) => report.is_predicted = false,
         }
         report
     }
 
-    fn judged(&mut self, at_ns: i64, pose: &Pose<Stage, Body>, holds: &dyn Fn(&Pose<Stage, Body>) -> bool) -> Verdict {
+    fn judged(&mut self, at: Timestamp, pose: &Pose<Stage, Body>, holds: &dyn Fn(&Pose<Stage, Body>) -> bool) -> Verdict {
         if pose.is_finite() && !holds(&self.placement.apply(pose)) {
             self.limiter.gap();
             return Verdict::Withhold(Withheld::OutOfRange);
         }
-        self.limiter.judge(at_ns, pose)
+        self.limiter.judge(at, pose)
     }
 
     fn withhold(&mut self, reason: Withheld, report: &mut BodyReport) {

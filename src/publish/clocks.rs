@@ -4,15 +4,17 @@ use std::fmt;
 
 use nix::time::{ClockId, clock_gettime};
 
-/// The three clocks at one instant, nanoseconds.
+use crate::frame::Timestamp;
+
+/// The three clocks at one instant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reading {
     /// `CLOCK_MONOTONIC`: what cameras stamp with. It stands still in a suspend.
-    pub monotonic_ns: i64,
+    pub monotonic: Timestamp,
     /// `CLOCK_BOOTTIME`: the same, suspends included.
-    pub boot_ns: i64,
+    pub boot: Timestamp,
     /// `CLOCK_REALTIME`: the time of day, which may be stepped.
-    pub unix_ns: i64,
+    pub unix: Timestamp,
 }
 
 /// Where the time comes from.
@@ -35,9 +37,9 @@ impl Clocks for SystemClocks {
     fn read(&self) -> Reading {
         let once = || {
             let before = read(ClockId::CLOCK_MONOTONIC);
-            let (boot_ns, unix_ns) = (read(ClockId::CLOCK_BOOTTIME), read(ClockId::CLOCK_REALTIME));
-            let monotonic_ns = read(ClockId::CLOCK_MONOTONIC);
-            (monotonic_ns.saturating_sub(before), Reading { monotonic_ns, boot_ns, unix_ns })
+            let (boot, unix) = (read(ClockId::CLOCK_BOOTTIME), read(ClockId::CLOCK_REALTIME));
+            let monotonic = read(ClockId::CLOCK_MONOTONIC);
+            (monotonic.ns_since(before), Reading { monotonic, boot, unix })
         };
         let mut best = once();
         for _ in 1..TRIES {
@@ -51,9 +53,9 @@ impl Clocks for SystemClocks {
     }
 }
 
-fn read(clock: ClockId) -> i64 {
+fn read(clock: ClockId) -> Timestamp {
     // Linux has these clocks always; where one fails, 0 is a stamp like any other.
-    clock_gettime(clock).map_or(0, |t| t.tv_sec() * 1_000_000_000 + t.tv_nsec())
+    clock_gettime(clock).map(|t| Timestamp::from_ns(t.tv_sec() * 1_000_000_000 + t.tv_nsec())).unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -63,7 +65,11 @@ pub(crate) mod stepped {
 
     use super::*;
 
-    pub(crate) const START: Reading = Reading { monotonic_ns: 50_000_000_000, boot_ns: 60_000_000_000, unix_ns: 1_700_000_000_000_000_000 };
+    pub(crate) const START: Reading = Reading {
+        monotonic: Timestamp::from_ns(50_000_000_000),
+        boot: Timestamp::from_ns(60_000_000_000),
+        unix: Timestamp::from_ns(1_700_000_000_000_000_000),
+    };
 
     /// Stand still until they are moved.
     #[derive(Debug, Clone)]
@@ -81,18 +87,18 @@ pub(crate) mod stepped {
         /// Time passes.
         pub(crate) fn advance_ms(&self, ms: i64) {
             let ns = ms * 1_000_000;
-            self.change(|r| (r.monotonic_ns, r.boot_ns, r.unix_ns) = (r.monotonic_ns + ns, r.boot_ns + ns, r.unix_ns + ns));
+            self.change(|r| (r.monotonic, r.boot, r.unix) = (r.monotonic.after_ns(ns), r.boot.after_ns(ns), r.unix.after_ns(ns)));
         }
 
         /// The machine sleeps.
         pub(crate) fn suspend_ms(&self, ms: i64) {
             let ns = ms * 1_000_000;
-            self.change(|r| (r.boot_ns, r.unix_ns) = (r.boot_ns + ns, r.unix_ns + ns));
+            self.change(|r| (r.boot, r.unix) = (r.boot.after_ns(ns), r.unix.after_ns(ns)));
         }
 
         /// Somebody sets the time of day.
         pub(crate) fn step_wall_ms(&self, ms: i64) {
-            self.change(|r| r.unix_ns += ms * 1_000_000);
+            self.change(|r| r.unix = r.unix.after_ns(ms * 1_000_000));
         }
     }
 
@@ -110,6 +116,6 @@ mod tests {
     #[test]
     fn the_system_clocks_run() {
         let (first, second) = (SystemClocks.read(), SystemClocks.read());
-        assert!(first.monotonic_ns > 0 && second.monotonic_ns >= first.monotonic_ns && second.boot_ns >= first.boot_ns);
+        assert!(first.monotonic > Timestamp::default() && second.monotonic >= first.monotonic && second.boot >= first.boot);
     }
 }

@@ -1,6 +1,7 @@
 //! What every protocol has in common: a report goes in, datagrams or lines come out.
 
 use super::report::Report;
+use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
 
 /// Turns reports into packets of one protocol; keeps what the protocol numbers and counts.
@@ -28,6 +29,6 @@ pub(super) trait Encoder: Send {
         true
     }
 
-    /// Sends what the protocol repeats once a second whatever happens; called about ten times a second. The stamp is now.
-    fn repeat(&mut self, _monotonic_ns: i64, _send: &mut dyn FnMut(&[u8])) {}
+    /// Sends what the protocol repeats once a second whatever happens; called about ten times a second. `now` is on the monotonic clock.
+    fn repeat(&mut self, _now: Timestamp, _send: &mut dyn FnMut(&[u8])) {}
 }

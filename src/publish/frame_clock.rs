@@ -6,9 +6,11 @@
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use super::clocks::{Clocks, ONE_INSTANT_NS, Reading, SystemClocks};
 use super::stamps::Stamps;
+use crate::frame::Timestamp;
 
 /// The boot clock less the monotonic one changes by suspends alone; less than this is the reading's own scatter.
 const SHORTEST_SUSPEND_NS: i64 = 5_000_000;
@@ -17,16 +19,16 @@ const SUSPENDS: usize = 8;
 
 /// How far the boot clock is ahead of the monotonic one, from which monotonic instant on.
 #[derive(Debug, Default)]
-struct Suspends(VecDeque<(i64, i64)>);
+struct Suspends(VecDeque<(Timestamp, i64)>);
 
 impl Suspends {
     /// Takes note of a reading. A suspend is known from the first one after it on: what was stamped before that counts as from before
     /// the suspend, which makes it older, never younger than it is.
     fn note(&mut self, now: Reading) {
-        let ahead_ns = now.boot_ns.saturating_sub(now.monotonic_ns);
+        let ahead_ns = now.boot.ns_since(now.monotonic);
         match self.0.back_mut() {
-            None => self.0.push_back((i64::MIN, ahead_ns)),
-            Some((_, known)) if ahead_ns > known.saturating_add(SHORTEST_SUSPEND_NS) => self.0.push_back((now.monotonic_ns, ahead_ns)),
+            None => self.0.push_back((Timestamp::MIN, ahead_ns)),
+            Some((_, known)) if ahead_ns > known.saturating_add(SHORTEST_SUSPEND_NS) => self.0.push_back((now.monotonic, ahead_ns)),
             // A reading that was torn apart after all is put right by the next one. Less is the scatter of readings: following it would
             // shift stamps against each other.
             Some((_, known)) if ahead_ns < known.saturating_sub(ONE_INSTANT_NS) => *known = ahead_ns,
@@ -37,9 +39,9 @@ impl Suspends {
         }
     }
 
-    fn boot_ns(&self, monotonic_ns: i64) -> i64 {
-        let known = self.0.iter().rev().find(|(since, _)| *since < monotonic_ns).or(self.0.front());
-        monotonic_ns.saturating_add(known.map_or(0, |(_, ahead_ns)| *ahead_ns))
+    fn boot(&self, monotonic: Timestamp) -> Timestamp {
+        let known = self.0.iter().rev().find(|(since, _)| *since < monotonic).or(self.0.front());
+        monotonic.after_ns(known.map_or(0, |(_, ahead_ns)| *ahead_ns))
     }
 }
 
@@ -87,25 +89,25 @@ impl FrameClock {
         now
     }
 
-    /// When the frame of a stamp was taken, on the boot clock. `work_ns` is how long its sample has been worked on, which counts for the
+    /// When the frame of a stamp was taken, on the boot clock. `work` is how long its sample has been worked on, which counts for the
     /// first one of a clip whose beginning nobody has said. None where the stamp cannot be of this machine's clock.
-    pub fn taken_ns(&self, stamp_ns: i64, work_ns: i64) -> Option<i64> {
+    pub fn taken(&self, stamp: Timestamp, work: Duration) -> Option<Timestamp> {
         let now = self.now();
         let mut memory = self.memory();
         let offset_ns = match &self.stamps {
-            Stamps::Live if stamp_ns.saturating_sub(now.monotonic_ns) > MOST_AHEAD_NS => return None,
+            Stamps::Live if stamp.ns_since(now.monotonic) > MOST_AHEAD_NS => return None,
             Stamps::Live => 0,
             Stamps::Recorded(start) => {
-                let at_first = now.monotonic_ns.saturating_sub(work_ns).saturating_sub(stamp_ns);
+                let at_first = now.monotonic.before(work).ns_since(stamp);
                 start.offset_ns().unwrap_or_else(|| *memory.clip_offset_ns.get_or_insert(at_first))
             }
         };
-        Some(memory.suspends.boot_ns(stamp_ns.saturating_add(offset_ns)))
+        Some(memory.suspends.boot(stamp.after_ns(offset_ns)))
     }
 
     /// The stamp as a clip has it, for formats that want both.
-    pub fn recorded_ns(&self, stamp_ns: i64) -> Option<i64> {
-        matches!(self.stamps, Stamps::Recorded(_)).then_some(stamp_ns)
+    pub fn recorded(&self, stamp: Timestamp) -> Option<Timestamp> {
+        matches!(self.stamps, Stamps::Recorded(_)).then_some(stamp)
     }
 }
 
@@ -115,20 +117,20 @@ mod tests {
     use super::super::stamps::ClipStart;
     use super::*;
 
-    fn age_ms(clock: &FrameClock, stamp_ns: i64) -> i64 {
-        (clock.now().boot_ns - clock.taken_ns(stamp_ns, 0).unwrap()) / 1_000_000
+    fn age_ms(clock: &FrameClock, stamp: Timestamp) -> i64 {
+        clock.now().boot.ns_since(clock.taken(stamp, Duration::ZERO).unwrap()) / 1_000_000
     }
 
     #[test]
     fn a_suspend_makes_frames_from_before_it_old_and_those_after_it_not() {
         let clocks = SteppedClocks::new();
         let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
-        let before = START.monotonic_ns - 20_000_000;
+        let before = START.monotonic.after_ns(-20_000_000);
         assert_eq!(age_ms(&clock, before), 20);
         clocks.suspend_ms(3_600_000);
         assert_eq!(age_ms(&clock, before), 3_600_020);
         clocks.advance_ms(100);
-        assert_eq!(age_ms(&clock, START.monotonic_ns + 70_000_000), 30);
+        assert_eq!(age_ms(&clock, START.monotonic.after_ns(70_000_000)), 30);
         assert_eq!(age_ms(&clock, before), 3_600_120);
     }
 
@@ -138,7 +140,7 @@ mod tests {
         let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
         for step_ms in [7_200_000, -86_400_000] {
             clocks.step_wall_ms(step_ms);
-            assert_eq!(age_ms(&clock, START.monotonic_ns - 20_000_000), 20);
+            assert_eq!(age_ms(&clock, START.monotonic.after_ns(-20_000_000)), 20);
         }
     }
 
@@ -146,40 +148,45 @@ mod tests {
     fn one_old_frame_shifts_nothing_and_a_stamp_of_another_clock_is_none() {
         let clocks = SteppedClocks::new();
         let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
-        assert_eq!(age_ms(&clock, START.monotonic_ns - 11_000_000_000), 11_000);
-        assert_eq!(age_ms(&clock, START.monotonic_ns - 30_000_000), 30);
-        assert_eq!(clock.taken_ns(START.unix_ns, 0), None);
-        assert_eq!(age_ms(&clock, START.monotonic_ns - 30_000_000), 30);
+        assert_eq!(age_ms(&clock, START.monotonic.after_ns(-11_000_000_000)), 11_000);
+        assert_eq!(age_ms(&clock, START.monotonic.after_ns(-30_000_000)), 30);
+        assert_eq!(clock.taken(START.unix, Duration::ZERO), None);
+        assert_eq!(age_ms(&clock, START.monotonic.after_ns(-30_000_000)), 30);
     }
 
     #[test]
     fn a_clip_counts_from_its_beginning_or_from_its_first_sample() {
         let clocks = SteppedClocks::new();
         let unsaid = FrameClock::with(Arc::new(clocks.clone()), Stamps::Recorded(ClipStart::default()));
-        assert_eq!(unsaid.taken_ns(7_000, 1_000), Some(START.boot_ns - 1_000));
-        assert_eq!(unsaid.taken_ns(8_000, 9_000), Some(START.boot_ns));
-        assert_eq!((unsaid.recorded_ns(8_000), FrameClock::new(Stamps::Live).recorded_ns(5)), (Some(8_000), None));
+        let next = Timestamp::from_ns(8_000);
+        assert_eq!(unsaid.taken(Timestamp::from_ns(7_000), Duration::from_nanos(1_000)), Some(START.boot.after_ns(-1_000)));
+        assert_eq!(unsaid.taken(next, Duration::from_nanos(9_000)), Some(START.boot));
+        assert_eq!((unsaid.recorded(next), FrameClock::new(Stamps::Live).recorded(next)), (Some(next), None));
+    }
+
+    fn reading(monotonic_ns: i64, boot_ns: i64) -> Reading {
+        Reading { monotonic: Timestamp::from_ns(monotonic_ns), boot: Timestamp::from_ns(boot_ns), unix: Timestamp::default() }
     }
 
     #[test]
     fn a_torn_reading_is_put_right_by_the_next_one() {
         let mut suspends = Suspends::default();
-        let reading = |monotonic_ns, boot_ns| Reading { monotonic_ns, boot_ns, unix_ns: 0 };
         suspends.note(reading(1_000_000_000, 1_000_000_000));
         suspends.note(reading(1_000_000_000, 3_500_000_000));
         suspends.note(reading(3_600_000_000, 3_600_000_000));
-        assert_eq!(suspends.boot_ns(3_590_000_000), 3_590_000_000);
+        let stamp = Timestamp::from_seconds(3.59);
+        assert_eq!(suspends.boot(stamp), stamp);
     }
 
     #[test]
     fn the_scatter_of_readings_shifts_no_stamp() {
         let mut suspends = Suspends::default();
-        let reading = |monotonic_ns, boot_ns| Reading { monotonic_ns, boot_ns, unix_ns: 0 };
         suspends.note(reading(1_000_000_000, 2_000_000_000));
-        let before = suspends.boot_ns(1_500_000_000);
+        let stamp = Timestamp::from_seconds(1.5);
+        let before = suspends.boot(stamp);
         for late_ns in [30_000, 90_000, 0, 60_000] {
             suspends.note(reading(1_600_000_000 + late_ns, 2_600_000_000));
-            assert_eq!(suspends.boot_ns(1_500_000_000), before);
+            assert_eq!(suspends.boot(stamp), before);
         }
     }
 }

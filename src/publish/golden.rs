@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::report::{BodyChoice, BodyReport, Report, Standing};
+use crate::frame::Timestamp;
 use crate::protocols::body_of_camera;
 use crate::protocols::golden::golden_camera;
 
@@ -13,7 +14,7 @@ pub(crate) fn golden_body(standing: Standing) -> BodyReport {
         choice: BodyChoice::Camera,
         standing,
         pose: Some(body_of_camera(&golden_camera())),
-        held_ns: None,
+        held: None,
         is_blended: false,
         is_predicted: false,
         is_passed: true,
@@ -24,10 +25,10 @@ pub(crate) fn golden_body(standing: Standing) -> BodyReport {
 pub(crate) fn golden_report(standing: Standing) -> Report {
     Report {
         sequence: 17,
-        unix_ns: 1_700_000_000_040_000_000,
-        monotonic_ns: 5_040_000_000,
-        sent_monotonic_ns: 5_052_500_000,
-        recorded_ns: None,
+        unix: Timestamp::from_ns(1_700_000_000_040_000_000),
+        monotonic: Timestamp::from_ns(5_040_000_000),
+        sent_monotonic: Timestamp::from_ns(5_052_500_000),
+        recorded: None,
         rate_hz: 30.0,
         bodies: vec![golden_body(standing)],
         sample: None,

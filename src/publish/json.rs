@@ -51,7 +51,7 @@ impl JsonEncoder {
         if report.bodies.first().is_some_and(|body| body.standing == Standing::Stale) {
             let pose = camera.and_then(|body| body.pose.as_ref()).map(camera_of_body);
             let event = json!({
-                "event": "stale", "state": "stale", "sequence": report.sequence, "age_ms": rounded(report.age_ms), "unix_ns": report.unix_ns,
+                "event": "stale", "state": "stale", "sequence": report.sequence, "age_ms": rounded(report.age_ms), "unix_ns": report.unix,
                 "pose": pose,
             });
             return format!(r#"{},"objects":{objects}{marks}{}}}"#, opened(event.to_string()), test_mark(report));
@@ -62,12 +62,12 @@ impl JsonEncoder {
 
     /// The record's fields up to the objects.
     fn record(&self, report: &Report, camera: Option<&BodyReport>) -> String {
-        let (sequence, tick_ns) = (report.sequence, report.recorded_ns.unwrap_or(report.monotonic_ns));
-        let timestamp_ns = report.sample.as_ref().map_or(tick_ns, |sample| sample.timestamp_ns);
+        let (sequence, tick) = (report.sequence, report.recorded.unwrap_or(report.monotonic));
+        let timestamp = report.sample.as_ref().map_or(tick, |sample| sample.timestamp);
         let Some(camera) = camera else {
             let nulls = ["state", "pose", "measured", "covariance", "model", "homography", "essential", "inliers", "rms_px"];
             let nulls: String = nulls.map(|key| format!(r#""{key}":null,"#)).concat();
-            return format!(r#"{{"sequence":{sequence},"timestamp_ns":{timestamp_ns},{nulls}"objects":"#);
+            return format!(r#"{{"sequence":{sequence},"timestamp_ns":{timestamp},{nulls}"objects":"#);
         };
         let own = report.sample.as_ref().filter(|_| camera.is_passed);
         let placed = || camera.pose.as_ref().map(camera_of_body);
@@ -75,7 +75,7 @@ impl JsonEncoder {
         let pose = own.filter(|_| self.placement.is_identity()).map_or_else(placed, |sample| sample.pose);
         let measurement = own.and_then(|sample| sample.measurement).and_then(|m| self.placed(m));
         let (state, times) = (state(camera.standing), StageTimes::default());
-        let record = PoseSample { sequence, timestamp_ns, state, pose, measurement, objects: Vec::new(), reason: None, times };
+        let record = PoseSample { sequence, timestamp, state, pose, measurement, objects: Vec::new(), reason: None, times };
         // Its last field is the list of objects, which is empty.
         let text = record.to_json_line();
         text.strip_suffix("[]}").map_or(text.clone(), str::to_owned)
@@ -191,7 +191,7 @@ impl Marks {
         Self {
             predicted: body.is_predicted.then_some(true),
             held: body.is_held().then_some(true),
-            held_ms: body.held_ns.map(|ns| rounded(ns as f64 * 1e-6)),
+            held_ms: body.held.map(|held| rounded(held.as_nanos() as f64 * 1e-6)),
             blended: body.is_blended.then_some(true),
             withheld,
         }
@@ -231,7 +231,7 @@ fn state(standing: Standing) -> State {
 
 /// Ages and times, from the comma on.
 fn ages(report: &Report, times: Option<StageTimes>) -> String {
-    let more = format!(r#","age_ms":{},"unix_ns":{}"#, rounded(report.age_ms), report.unix_ns);
+    let more = format!(r#","age_ms":{},"unix_ns":{}"#, rounded(report.age_ms), report.unix);
     let Some(times) = times else { return more };
     let [decode, acquire, align, pose] = [times.decode_ms, times.acquire_ms, times.align_ms, times.pose_ms].map(rounded);
     more + &format!(r#","times_ms":{{"decode":{decode},"acquire":{acquire},"align":{align},"pose":{pose}}}"#)

@@ -1,8 +1,10 @@
 use std::sync::Arc;
+use std::time::Duration;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::*;
+use crate::frame::Timestamp;
 use crate::protocols::golden::golden_camera;
 use crate::publish::golden::{golden_body, golden_report};
 use crate::publish::report::Withheld;
@@ -30,7 +32,7 @@ fn sample() -> PoseSample {
     };
     PoseSample {
         sequence: 17,
-        timestamp_ns: 5,
+        timestamp: Timestamp::from_ns(5),
         state: State::Tracking,
         pose: Some(golden_camera()),
         measurement: Some(measurement),
@@ -102,7 +104,8 @@ fn what_is_withheld_is_nowhere_in_the_line() {
 fn what_is_held_or_blended_is_not_tracking() {
     let mut report = report(Standing::Coasting);
     (report.bodies[0].is_blended, report.bodies[0].is_passed) = (true, false);
-    (report.bodies[1].standing, report.bodies[1].held_ns, report.bodies[1].is_passed) = (Standing::Lost, Some(2_500_000), false);
+    (report.bodies[1].standing, report.bodies[1].held, report.bodies[1].is_passed) =
+        (Standing::Lost, Some(Duration::from_micros(2_500)), false);
     let value = parsed(&report);
     assert_eq!((&value["state"], &value["blended"], &value["measured"]), (&json!("coasting"), &json!(true), &Value::Null));
     assert_eq!(value["pose"]["position_m"], json!([0.0, -4.0, 0.0]));
@@ -138,7 +141,9 @@ fn a_stale_marker_is_an_event_with_optical_axes() {
     assert_eq!((&value["event"], &value["state"], &value["pose"]), (&json!("stale"), &json!("stale"), &Value::Null));
     assert_eq!((&value["age_ms"], value.get("held")), (&json!(12.5), None));
     let mut held = report(Standing::Stale);
-    held.bodies.iter_mut().for_each(|body| (body.standing, body.held_ns, body.is_passed) = (Standing::Stale, Some(3_000_000), false));
+    held.bodies
+        .iter_mut()
+        .for_each(|body| (body.standing, body.held, body.is_passed) = (Standing::Stale, Some(Duration::from_millis(3)), false));
     let value = parsed(&held);
     let turn = value["pose"]["orientation_xyzw"].as_array().unwrap();
     assert!(turn.iter().zip(golden_camera().orientation_xyzw()).all(|(told, wanted)| (told.as_f64().unwrap() - wanted).abs() < 1e-12));

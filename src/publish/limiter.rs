@@ -11,6 +11,7 @@ use nalgebra::UnitQuaternion;
 
 use super::report::Withheld;
 use super::settings::{BlendRates, SafetySettings};
+use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
 
 /// What became of a pose.
@@ -34,7 +35,7 @@ const FARTHEST_M: f64 = 1e9;
 #[derive(Debug, Clone)]
 pub(super) struct Limiter {
     limits: SafetySettings,
-    sent: Option<(i64, Pose<Stage, Body>)>,
+    sent: Option<(Timestamp, Pose<Stage, Body>)>,
     has_gap: bool,
     /// On its way back to the tracker's pose.
     is_blending: bool,
@@ -55,12 +56,12 @@ impl Limiter {
         self.has_gap = true;
     }
 
-    /// Judges the pose of an instant (nanoseconds, rising).
-    pub fn judge(&mut self, at_ns: i64, pose: &Pose<Stage, Body>) -> Verdict {
-        let verdict = self.verdict(at_ns, pose);
+    /// Judges the pose of an instant (rising).
+    pub fn judge(&mut self, at: Timestamp, pose: &Pose<Stage, Body>) -> Verdict {
+        let verdict = self.verdict(at, pose);
         match verdict {
             Verdict::Pass(pose) | Verdict::Blend(pose) => {
-                self.sent = Some((at_ns, pose));
+                self.sent = Some((at, pose));
                 self.has_gap = false;
             }
             Verdict::Withhold(_) => self.gap(),
@@ -68,15 +69,15 @@ impl Limiter {
         verdict
     }
 
-    fn verdict(&mut self, at_ns: i64, pose: &Pose<Stage, Body>) -> Verdict {
+    fn verdict(&mut self, at: Timestamp, pose: &Pose<Stage, Body>) -> Verdict {
         if !pose.is_finite() || pose.translation.amax() > FARTHEST_M {
             return Verdict::Withhold(Withheld::NotFinite);
         }
         if !self.is_inside(pose) {
             return Verdict::Withhold(Withheld::OutsideBox);
         }
-        let Some((sent_ns, sent)) = self.sent else { return Verdict::Pass(*pose) };
-        let elapsed_s = at_ns.saturating_sub(sent_ns).max(0) as f64 * 1e-9;
+        let Some((then, sent)) = self.sent else { return Verdict::Pass(*pose) };
+        let elapsed_s = at.seconds_since(then).max(0.0);
         if let Some(rates) = self.limits.blend {
             let is_long = elapsed_s > LONGEST_STEP.as_secs_f64();
             // The first pose after a gap is where the output stood. A short gap on the way back does not begin anew: with a pose in

@@ -5,6 +5,10 @@ use super::*;
 
 const FRAME_NS: i64 = 33_333_333;
 
+fn frame(number: i64) -> Timestamp {
+    Timestamp::from_ns(number * FRAME_NS)
+}
+
 fn at(x: f64, turn: f64) -> Pose<Stage, Body> {
     Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn), Vector3::new(x, 0.0, 0.0))
 }
@@ -26,32 +30,32 @@ fn with_blend() -> SafetySettings {
 fn without_limits_every_finite_pose_passes_as_it_is() {
     let mut limiter = Limiter::new(SafetySettings::default());
     for (k, x) in [0.0, 50.0, -1e6].into_iter().enumerate() {
-        assert_eq!(limiter.judge(k as i64, &at(x, x)), Verdict::Pass(at(x, x)));
+        assert_eq!(limiter.judge(Timestamp::from_ns(k as i64), &at(x, x)), Verdict::Pass(at(x, x)));
     }
     let bad = Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, f64::NAN, 0.0));
-    assert_eq!(limiter.judge(9, &bad), Verdict::Withhold(Withheld::NotFinite));
+    assert_eq!(limiter.judge(Timestamp::from_ns(9), &bad), Verdict::Withhold(Withheld::NotFinite));
 }
 
 #[test]
 fn the_box_and_the_speeds_withhold() {
     let mut limiter = Limiter::new(limits());
-    assert!(matches!(limiter.judge(0, &at(1.9, 0.0)), Verdict::Pass(_)));
-    assert_eq!(limiter.judge(FRAME_NS, &at(2.01, 0.0)), Verdict::Withhold(Withheld::OutsideBox));
-    assert!(matches!(limiter.judge(2 * FRAME_NS, &at(1.99, 0.0)), Verdict::Pass(_)));
-    assert_eq!(limiter.judge(3 * FRAME_NS, &at(1.0, 0.0)), Verdict::Withhold(Withheld::TooFast));
-    assert_eq!(limiter.judge(4 * FRAME_NS, &at(1.95, 0.5)), Verdict::Withhold(Withheld::TurnsTooFast));
+    assert!(matches!(limiter.judge(frame(0), &at(1.9, 0.0)), Verdict::Pass(_)));
+    assert_eq!(limiter.judge(frame(1), &at(2.01, 0.0)), Verdict::Withhold(Withheld::OutsideBox));
+    assert!(matches!(limiter.judge(frame(2), &at(1.99, 0.0)), Verdict::Pass(_)));
+    assert_eq!(limiter.judge(frame(3), &at(1.0, 0.0)), Verdict::Withhold(Withheld::TooFast));
+    assert_eq!(limiter.judge(frame(4), &at(1.95, 0.5)), Verdict::Withhold(Withheld::TurnsTooFast));
     // 0.99 m from the last one sent takes 0.33 s at 3 m/s.
-    assert_eq!(limiter.judge(11 * FRAME_NS, &at(1.0, 0.0)), Verdict::Withhold(Withheld::TooFast));
-    assert!(matches!(limiter.judge(12 * FRAME_NS, &at(1.0, 0.0)), Verdict::Pass(_)));
+    assert_eq!(limiter.judge(frame(11), &at(1.0, 0.0)), Verdict::Withhold(Withheld::TooFast));
+    assert!(matches!(limiter.judge(frame(12), &at(1.0, 0.0)), Verdict::Pass(_)));
 }
 
 #[test]
 fn after_a_gap_it_starts_where_it_stood_and_arrives() {
     let mut limiter = Limiter::new(with_blend());
-    limiter.judge(0, &at(0.0, 0.0));
+    limiter.judge(frame(0), &at(0.0, 0.0));
     limiter.gap();
-    assert_eq!(limiter.judge(30 * FRAME_NS, &at(1.0, 0.2)), Verdict::Blend(at(0.0, 0.0)));
-    let verdicts: Vec<_> = (31..100).map(|k| limiter.judge(k * FRAME_NS, &at(1.0, 0.2))).collect();
+    assert_eq!(limiter.judge(frame(30), &at(1.0, 0.2)), Verdict::Blend(at(0.0, 0.0)));
+    let verdicts: Vec<_> = (31..100).map(|k| limiter.judge(frame(k), &at(1.0, 0.2))).collect();
     assert!(matches!(verdicts[0], Verdict::Blend(p) if (p.translation.x - 0.5 * 0.033_333_333).abs() < 1e-9));
     let arrived = verdicts.iter().position(|v| *v == Verdict::Pass(at(1.0, 0.2))).unwrap();
     // 1 m at 0.5 m/s.
@@ -61,11 +65,11 @@ fn after_a_gap_it_starts_where_it_stood_and_arrives() {
 #[test]
 fn a_pose_in_every_other_frame_brings_the_output_back_all_the_same() {
     let mut limiter = Limiter::new(with_blend());
-    limiter.judge(0, &at(0.0, 0.0));
+    limiter.judge(frame(0), &at(0.0, 0.0));
     limiter.gap();
     let arrived = (1..100).find(|k| {
         limiter.gap();
-        limiter.judge(2 * k * FRAME_NS, &at(0.5, 0.1)) == Verdict::Pass(at(0.5, 0.1))
+        limiter.judge(frame(2 * k), &at(0.5, 0.1)) == Verdict::Pass(at(0.5, 0.1))
     });
     // Half a metre at 0.5 m/s takes 15 times two frames, after the first that stands still.
     assert!(arrived.is_some_and(|k| (15..=17).contains(&k)), "{arrived:?}");
@@ -84,17 +88,17 @@ proptest! {
     fn nothing_ever_jumps(steps in steps(), speed_m_s in 0.1..20.0, turn_rad_s in 0.1..20.0) {
         let blend = Some(BlendRates { speed_m_s, turn_rad_s });
         let mut limiter = Limiter::new(SafetySettings { blend, ..limits() });
-        let mut now = 0;
-        let mut last: Option<(i64, Pose<Stage, Body>)> = None;
+        let mut now = Timestamp::default();
+        let mut last: Option<(Timestamp, Pose<Stage, Body>)> = None;
         for (is_known, x, turn, frames) in steps {
-            now += FRAME_NS * i64::from(frames);
+            now = now.after_ns(FRAME_NS * i64::from(frames));
             if !is_known {
                 limiter.gap();
                 continue;
             }
             if let Verdict::Pass(p) | Verdict::Blend(p) = limiter.judge(now, &at(x, turn)) {
                 if let Some((then, before)) = last {
-                    let dt = (now - then) as f64 * 1e-9;
+                    let dt = now.seconds_since(then);
                     prop_assert!((p.translation - before.translation).norm() <= 3.0 * dt + 1e-6);
                     prop_assert!(p.angle_to(&before) <= 2.0 * dt + 1e-6);
                 }

@@ -12,6 +12,7 @@ use super::complaints::Complaints;
 use super::encoder::Encoder;
 use super::report::{BodyChoice, BodyReport, Report, Standing};
 use crate::camera::CameraModel;
+use crate::frame::Timestamp;
 use crate::protocols::PanTiltRoll;
 use crate::protocols::opentrackio::{Encoding, ONE_FRAME, datagram};
 use crate::protocols::opentrackio_lens::{PrincipalPoint, lens, sensor};
@@ -51,7 +52,7 @@ impl OpenTrackIoEncoder {
         // The same machine and output have the same source id from start to start; sample ids never repeat.
         let machine = std::fs::read_to_string("/etc/machine-id").unwrap_or_default();
         let source = fnv_1a(machine.trim().bytes().chain(output.bytes()).chain([settings.source_number]));
-        let started = SystemClocks.read().unix_ns as u64;
+        let started = SystemClocks.read().unix.ns() as u64;
         Self {
             encoding: settings.encoding,
             source_number: settings.source_number,
@@ -167,19 +168,19 @@ fn timing(report: &Report) -> Value {
     let mut timing = json!({
         "mode": "internal",
         "sampleRate": fraction(report.rate_hz),
-        "sampleTimestamp": timestamp(report.unix_ns),
+        "sampleTimestamp": timestamp(report.unix),
         // The number wraps.
         "sequenceNumber": report.sequence as u32,
-        "timecode": timecode(report.unix_ns, report.rate_hz),
+        "timecode": timecode(report.unix, report.rate_hz),
     });
-    if let Some(recorded_ns) = report.recorded_ns {
-        timing["recordedTimestamp"] = timestamp(recorded_ns);
+    if let Some(recorded) = report.recorded {
+        timing["recordedTimestamp"] = timestamp(recorded);
     }
     timing
 }
 
-fn timestamp(ns: i64) -> Value {
-    let ns = ns.max(0);
+fn timestamp(at: Timestamp) -> Value {
+    let ns = at.ns().max(0);
     json!({"seconds": ns / 1_000_000_000, "nanoseconds": ns % 1_000_000_000})
 }
 
@@ -198,13 +199,13 @@ fn fraction_of(hz: f64) -> (u32, u32) {
 }
 
 /// The time of day (UTC) as a timecode: Unreal shows no time at all without one.
-fn timecode(unix_ns: i64, rate_hz: f64) -> Value {
+fn timecode(unix: Timestamp, rate_hz: f64) -> Value {
     let (num, mut denom) = fraction_of(rate_hz);
     // A timecode counts at most 120 frames a second.
     while num > 120 * denom {
         denom *= 2;
     }
-    let of_day = unix_ns.rem_euclid(86_400_000_000_000);
+    let of_day = unix.ns().rem_euclid(86_400_000_000_000);
     let (seconds, ns) = (of_day / 1_000_000_000, of_day % 1_000_000_000);
     let frame = (ns as f64 * 1e-9 * f64::from(num) / f64::from(denom)).floor().min(119.0);
     json!({

@@ -70,6 +70,6 @@ fn rates_become_fractions() {
         [29.97, 30.0, 59.94, 25.0, 23.976, 14.5].map(fraction_of),
         [(30_000, 1001), (30, 1), (60_000, 1001), (25, 1), (24_000, 1001), (14_500, 1000)]
     );
-    let timecode = timecode(999_999_999, 240.0);
+    let timecode = timecode(Timestamp::from_ns(999_999_999), 240.0);
     assert!(timecode["frames"].as_u64().unwrap() < 120 && timecode["frameRate"] == json!({"num": 240, "denom": 2}));
 }

@@ -9,6 +9,7 @@ use rosc::{OscBundle, OscMessage, OscPacket, OscTime, OscType, encoder};
 use super::complaints::Complaints;
 use super::encoder::Encoder;
 use super::report::{BodyReport, Report};
+use crate::frame::Timestamp;
 use crate::protocols::PanTiltRoll;
 
 /// How an output speaks OSC.
@@ -186,9 +187,9 @@ impl OscValue {
 }
 
 /// Unix time as OSC has it: seconds since 1900, and a binary fraction.
-fn time_tag(unix_ns: i64) -> OscTime {
+fn time_tag(unix: Timestamp) -> OscTime {
     const FROM_1900_TO_1970_S: i64 = 2_208_988_800;
-    let (seconds, ns) = (unix_ns.div_euclid(1_000_000_000), unix_ns.rem_euclid(1_000_000_000));
+    let (seconds, ns) = (unix.ns().div_euclid(1_000_000_000), unix.ns().rem_euclid(1_000_000_000));
     // The era ends in 2036 and begins again at 0, as NTP has it.
     let seconds = (seconds + FROM_1900_TO_1970_S) as u32;
     OscTime { seconds, fractional: (((ns as u64) << 32) / 1_000_000_000) as u32 }
@@ -205,7 +206,7 @@ impl Encoder for OscEncoder {
         if content.is_empty() {
             return;
         }
-        let bundle = OscPacket::Bundle(OscBundle { timetag: time_tag(report.unix_ns), content });
+        let bundle = OscPacket::Bundle(OscBundle { timetag: time_tag(report.unix), content });
         match encoder::encode(&bundle) {
             Ok(bytes) => send(&bytes),
             Err(error) => drop(self.trouble.say(|| format!("a bundle cannot be encoded ({error:?}); please report this"))),

@@ -1,16 +1,18 @@
 //! A PosiStageNet output: all bodies in every frame, their names once a second, both split over packets that cross an Ethernet in one piece.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::encoder::Encoder;
 use super::report::{BodyReport, Report};
+use crate::frame::Timestamp;
 use crate::protocols::psn::{LONGEST_PACKET, PsnHeader, PsnPacket, PsnTracker, to_psn};
 
 /// Bytes of trackers in one data packet.
 const MOST_TRACKERS: usize = 1400;
 /// Longer names are cut: a desk shows fewer letters, and a packet must have room for one.
 const LONGEST_NAME: usize = 255;
-const INFO_EVERY_NS: i64 = 1_000_000_000;
+const INFO_EVERY: Duration = Duration::from_secs(1);
 
 /// How an output speaks PSN.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -47,21 +49,21 @@ fn groups(names: &[(u16, String)], most: usize) -> Vec<&[(u16, String)]> {
 pub(super) struct PsnEncoder {
     settings: PsnSettings,
     names: Vec<(u16, String)>,
-    begun_ns: i64,
+    begun: Timestamp,
     frame_id: u8,
-    info_due_ns: i64,
+    info_due: Timestamp,
 }
 
 impl PsnEncoder {
-    /// `begun_ns` is now, on the monotonic clock: times in packets count from there.
-    pub fn new(settings: &PsnSettings, names: &[Arc<str>], begun_ns: i64) -> Self {
+    /// `begun` is now, on the monotonic clock: times in packets count from there.
+    pub fn new(settings: &PsnSettings, names: &[Arc<str>], begun: Timestamp) -> Self {
         let names = names.iter().zip(settings.first_tracker..).map(|(name, id)| (id, cut(name).to_owned())).collect();
         let settings = PsnSettings { system: cut(&settings.system).to_owned(), ..settings.clone() };
-        Self { settings, names, begun_ns, frame_id: 0, info_due_ns: i64::MIN }
+        Self { settings, names, begun, frame_id: 0, info_due: Timestamp::MIN }
     }
 
-    fn since_start_us(&self, monotonic_ns: i64) -> u64 {
-        u64::try_from(monotonic_ns.saturating_sub(self.begun_ns) / 1000).unwrap_or(0)
+    fn since_start_us(&self, at: Timestamp) -> u64 {
+        u64::try_from(at.duration_since(self.begun).as_micros()).unwrap_or(u64::MAX)
     }
 
     fn tracker(&self, report: &Report, body: &BodyReport, id: u16) -> PsnTracker {
@@ -72,7 +74,7 @@ impl PsnEncoder {
             orientation_rad: pose.map(|(_, w)| w),
             validity: Some(body.confidence()),
             // When the body was there: a pose that is held keeps its time.
-            timestamp_us: Some(self.since_start_us(report.monotonic_ns.saturating_sub(body.held_ns.unwrap_or(0)))),
+            timestamp_us: Some(self.since_start_us(report.monotonic.before(body.held.unwrap_or_default()))),
             ..PsnTracker::default()
         }
     }
@@ -85,7 +87,7 @@ impl Encoder for PsnEncoder {
             report.bodies.iter().zip(self.settings.first_tracker..).map(|(body, id)| self.tracker(report, body, id)).collect();
         // 4 bytes of chunk header, and 48 or fewer of fields.
         let groups: Vec<&[PsnTracker]> = trackers.chunks(MOST_TRACKERS / 60).collect();
-        let timestamp_us = self.since_start_us(report.sent_monotonic_ns);
+        let timestamp_us = self.since_start_us(report.sent_monotonic);
         // A frame is at most a handful of packets: a config names few objects.
         let header = PsnHeader { timestamp_us, frame_id: self.frame_id, packets: groups.len().min(255) as u8 };
         self.frame_id = self.frame_id.wrapping_add(1);
@@ -94,15 +96,15 @@ impl Encoder for PsnEncoder {
         }
     }
 
-    fn repeat(&mut self, monotonic_ns: i64, send: &mut dyn FnMut(&[u8])) {
-        if monotonic_ns < self.info_due_ns {
+    fn repeat(&mut self, now: Timestamp, send: &mut dyn FnMut(&[u8])) {
+        if now < self.info_due {
             return;
         }
-        self.info_due_ns = monotonic_ns.saturating_add(INFO_EVERY_NS);
+        self.info_due = now.after(INFO_EVERY);
         // 4 bytes each: the packet's, the header's, the system's and the list's chunk; the header has 12 more.
         let groups = groups(&self.names, LONGEST_PACKET - 4 - 4 - 12 - 4 - self.settings.system.len() - 4);
         let packets = groups.len().min(255) as u8;
-        let header = PsnHeader { timestamp_us: self.since_start_us(monotonic_ns), frame_id: self.frame_id, packets };
+        let header = PsnHeader { timestamp_us: self.since_start_us(now), frame_id: self.frame_id, packets };
         for group in groups {
             send(&PsnPacket::Info(header, self.settings.system.clone(), group.to_vec()).encode());
         }

@@ -10,7 +10,7 @@ fn packets(encoder: &mut PsnEncoder, report: &Report) -> Vec<Vec<u8>> {
 
 fn encoder(names: &[&str]) -> PsnEncoder {
     let names: Vec<Arc<str>> = names.iter().map(|n| Arc::from(*n)).collect();
-    PsnEncoder::new(&PsnSettings { system: "stagepose".to_owned(), first_tracker: 7 }, &names, 0)
+    PsnEncoder::new(&PsnSettings { system: "stagepose".to_owned(), first_tracker: 7 }, &names, Timestamp::default())
 }
 
 #[test]
@@ -51,7 +51,7 @@ fn names_come_once_a_second() {
     let mut encoder = encoder(&["camera", "cart"]);
     let mut sent = Vec::new();
     for ms in (0..=2000_i64).step_by(100) {
-        encoder.repeat(ms * 1_000_000, &mut |packet| sent.push(packet.to_vec()));
+        encoder.repeat(Timestamp::from_ns(ms * 1_000_000), &mut |packet| sent.push(packet.to_vec()));
     }
     assert_eq!(sent.len(), 3);
     let PsnPacket::Info(_, system, names) = PsnPacket::decode(&sent[0]).unwrap() else { panic!("no info packet") };
@@ -64,9 +64,9 @@ fn many_and_long_names_are_split_over_packets_of_one_frame() {
     let names: Vec<String> = (0..40).map(|k| format!("{k} {}", "ä".repeat(10 * k))).collect();
     let names: Vec<Arc<str>> = names.iter().map(|n| Arc::from(n.as_str())).collect();
     let settings = PsnSettings { system: "s".repeat(3000), first_tracker: 7 };
-    let mut encoder = PsnEncoder::new(&settings, &names, 0);
+    let mut encoder = PsnEncoder::new(&settings, &names, Timestamp::default());
     let mut sent = Vec::new();
-    encoder.repeat(0, &mut |packet| sent.push(packet.to_vec()));
+    encoder.repeat(Timestamp::default(), &mut |packet| sent.push(packet.to_vec()));
     let mut told = Vec::new();
     for packet in &sent {
         assert!(packet.len() <= 1472, "{} bytes", packet.len());
@@ -82,7 +82,7 @@ fn many_and_long_names_are_split_over_packets_of_one_frame() {
 #[test]
 fn a_held_pose_keeps_its_time() {
     let mut report = golden_report(Standing::Lost);
-    report.bodies[0].held_ns = Some(40_000_000);
+    report.bodies[0].held = Some(Duration::from_millis(40));
     let sent = packets(&mut encoder(&["camera"]), &report);
     let PsnPacket::Data(header, trackers) = PsnPacket::decode(&sent[0]).unwrap() else { panic!("no data packet") };
     assert_eq!((header.timestamp_us, trackers[0].timestamp_us, trackers[0].validity), (5_052_500, Some(5_000_000), Some(0.0)));

@@ -23,9 +23,10 @@ use super::report::BodyChoice;
 use super::settings::{OutputSettings, Protocol, SafetySettings};
 use super::stamps::{Pace, Stamps};
 use super::transport::{StreamSettings, Transport, TransportError};
-use super::worker::{Arrival, Counters, Memory, USUAL_RATE_HZ, Worker};
+use super::worker::{Arrival, Counters, Memory, USUAL_RATE_HZ, Worker, frame_time};
 use crate::camera::CameraModel;
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
+use crate::frame::Timestamp;
 use crate::record::{PoseSample, State};
 
 /// What all outputs share.
@@ -110,7 +111,7 @@ pub struct Publisher {
 #[derive(Debug)]
 struct Order {
     pace: Pace,
-    last_ns: Option<i64>,
+    last: Option<Timestamp>,
     foreign: Complaints,
 }
 
@@ -141,7 +142,7 @@ impl Publisher {
         let clock = Arc::new(FrameClock::with(clocks, context.stamps.clone()));
         let start = |output| RunningOutput::start(output, context, &clock, &raise);
         let outputs = outputs.iter().filter(|o| o.enabled).map(start).collect::<Result<_, _>>()?;
-        let order = Mutex::new(Order { pace: Pace::default(), last_ns: None, foreign: Complaints::new("all") });
+        let order = Mutex::new(Order { pace: Pace::default(), last: None, foreign: Complaints::new("all") });
         Ok(Self { outputs, frame_rate: context.frame_rate, clock, order, events })
     }
 
@@ -158,25 +159,25 @@ impl Publisher {
     pub fn send(&self, sample: &PoseSample) {
         let arrived = Instant::now();
         let t = &sample.times;
-        let work_ns = ((t.decode_ms + t.acquire_ms + t.align_ms + t.pose_ms) * 1e6) as i64;
-        let stamp_ns = sample.timestamp_ns;
+        let work = Duration::from_nanos(((t.decode_ms + t.acquire_ms + t.align_ms + t.pose_ms) * 1e6) as u64);
+        let stamp = sample.timestamp;
         let mut order = self.order.lock().unwrap_or_else(PoisonError::into_inner);
-        if sample.state == State::Stale || order.last_ns.is_some_and(|last_ns| stamp_ns <= last_ns) {
+        if sample.state == State::Stale || order.last.is_some_and(|last| stamp <= last) {
             return;
         }
-        let Some(at_ns) = self.clock.taken_ns(stamp_ns, work_ns) else {
+        let Some(at) = self.clock.taken(stamp, work) else {
             let sentence =
                 "the camera's stamps are not of the monotonic clock, so that nobody knows how old its frames are; they are not sent";
             order.foreign.say(|| sentence.to_owned());
             return;
         };
-        order.last_ns = Some(stamp_ns);
-        order.pace.follow(stamp_ns);
+        order.last = Some(stamp);
+        order.pace.follow(stamp);
         let rate_hz = self.frame_rate.or(order.pace.rate_hz()).unwrap_or(USUAL_RATE_HZ);
-        let interval_ns = order.pace.interval_ns().unwrap_or((1e9 / rate_hz) as i64);
+        let interval = order.pace.interval().unwrap_or(frame_time(rate_hz));
         drop(order);
-        let recorded_ns = self.clock.recorded_ns(stamp_ns);
-        let arrival = Arc::new(Arrival { sample: Arc::new(sample.clone()), at_ns, recorded_ns, rate_hz, interval_ns, arrived });
+        let recorded = self.clock.recorded(stamp);
+        let arrival = Arc::new(Arrival { sample: Arc::new(sample.clone()), at, recorded, rate_hz, interval, arrived });
         for output in &self.outputs {
             let dropped = output.queue.send(arrival.clone());
             output.counters.dropped.fetch_add(dropped as u64, Ordering::Relaxed);
@@ -301,7 +302,7 @@ fn encoder(settings: &OutputSettings, context: &Context, clock: &FrameClock) -> 
         Protocol::OpenTrackIo(otrk) => Box::new(OpenTrackIoEncoder::new(otrk, camera, &settings.name)),
         Protocol::Psn(psn) => {
             let names: Vec<Arc<str>> = settings.bodies.iter().map(|body| body_name(*body, context).into()).collect();
-            Box::new(PsnEncoder::new(psn, &names, clock.now().monotonic_ns))
+            Box::new(PsnEncoder::new(psn, &names, clock.now().monotonic))
         }
         Protocol::Osc(osc) => Box::new(OscEncoder::new(osc, &settings.name)),
         Protocol::Json(_) => Box::new(JsonEncoder::new(settings.placement, context.mount.as_ref().map(|mount| mount.mount))),

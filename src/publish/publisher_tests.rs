@@ -107,7 +107,7 @@ fn sample(k: u64, state: State, x: f64) -> PoseSample {
     let cart = Pose::new(UnitQuaternion::identity(), Vector3::new(9.0, 0.0, 0.0));
     PoseSample {
         sequence: k,
-        timestamp_ns: k as i64 * FRAME_NS,
+        timestamp: Timestamp::from_ns(k as i64 * FRAME_NS),
         state,
         pose: is_known.then_some(pose),
         measurement: None,
@@ -205,8 +205,8 @@ impl Stepped {
 
     /// A frame of so many milliseconds ago is handed over.
     fn frame(&mut self, age_ms: i64, state: State, x: f64) {
-        let timestamp_ns = self.clocks.read().monotonic_ns - age_ms * 1_000_000;
-        self.publisher.send(&PoseSample { timestamp_ns, ..sample(self.sequence, state, x) });
+        let timestamp = self.clocks.read().monotonic.after_ns(-age_ms * 1_000_000);
+        self.publisher.send(&PoseSample { timestamp, ..sample(self.sequence, state, x) });
         self.sequence += 1;
     }
 }
@@ -264,13 +264,13 @@ fn an_old_frame_is_never_sent_as_good() {
             camera.frame(20, State::Tracking, 0.001);
             assert_eq!(ear.freed().spare, 1);
             // The program is stopped, or the machine asleep, with a frame under way: what was taken before comes out after.
-            let taken_ns = camera.clocks.read().monotonic_ns;
+            let timestamp = camera.clocks.read().monotonic;
             if suspends {
                 camera.clocks.suspend_ms(2500)
             } else {
                 camera.clocks.advance_ms(2500)
             }
-            camera.publisher.send(&PoseSample { timestamp_ns: taken_ns, ..sample(7, State::Tracking, 0.002) });
+            camera.publisher.send(&PoseSample { timestamp, ..sample(7, State::Tracking, 0.002) });
             // Time enough for both kinds of output to have looked at it.
             std::thread::sleep(Duration::from_millis(150));
             let mut told = all_freed(&ear);
@@ -300,7 +300,7 @@ fn one_very_old_frame_and_a_stepped_wall_clock_shift_no_later_stamp() {
     camera.clocks.advance_ms(60_000);
     camera.frame(11_000, State::Tracking, 0.0);
     let at = |line: &serde_json::Value| (line["age_ms"].as_f64().unwrap(), line["unix_ns"].as_i64().unwrap());
-    let now_ns = camera.clocks.read().unix_ns;
+    let now_ns = camera.clocks.read().unix.ns();
     assert_eq!(at(&ear.json()), (11_000.0, now_ns - 11_000_000_000));
     camera.frame(30, State::Tracking, 0.0);
     assert_eq!(at(&ear.json()), (30.0, now_ns - 30_000_000));
@@ -308,7 +308,7 @@ fn one_very_old_frame_and_a_stepped_wall_clock_shift_no_later_stamp() {
         camera.clocks.step_wall_ms(step_ms);
         camera.clocks.advance_ms(33);
         camera.frame(30, State::Tracking, 0.0);
-        assert_eq!(at(&ear.json()), (30.0, camera.clocks.read().unix_ns - 30_000_000));
+        assert_eq!(at(&ear.json()), (30.0, camera.clocks.read().unix.ns() - 30_000_000));
     }
     camera.publisher.close();
 }

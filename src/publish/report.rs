@@ -1,7 +1,9 @@
 //! What one output is to say at one instant, before any protocol: this is what encoders turn into packets.
 
 use std::sync::Arc;
+use std::time::Duration;
 
+use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
 use crate::record::{PoseSample, State};
 
@@ -99,7 +101,7 @@ pub struct BodyReport {
     /// `T_stage_body` after safety and the output's own offset, inversion and scale.
     pub pose: Option<Pose<Stage, Body>>,
     /// The pose is the last one sent again, because nothing newer is known: so long before the report's instant it was true.
-    pub held_ns: Option<i64>,
+    pub held: Option<Duration>,
     /// The pose is on its way back to the tracker's after a gap.
     pub is_blended: bool,
     /// The pose is carried on from the newest frame.
@@ -111,7 +113,7 @@ pub struct BodyReport {
 impl BodyReport {
     /// The pose is the last one again.
     pub fn is_held(&self) -> bool {
-        self.held_ns.is_some()
+        self.held.is_some()
     }
 
     /// 1 measured, 0.5 predicted or on its way back, 0 nothing to rely on, also where an old pose is repeated.
@@ -139,14 +141,14 @@ impl BodyReport {
 pub struct Report {
     /// The sample's number; on a fixed rate the tick's.
     pub sequence: u64,
-    /// The instant that the poses are of, in Unix time, nanoseconds.
-    pub unix_ns: i64,
-    /// The same instant on the monotonic clock, nanoseconds.
-    pub monotonic_ns: i64,
-    /// When it is sent, on the monotonic clock, nanoseconds.
-    pub sent_monotonic_ns: i64,
+    /// The instant that the poses are of, in Unix time.
+    pub unix: Timestamp,
+    /// The same instant on the monotonic clock.
+    pub monotonic: Timestamp,
+    /// When it is sent, on the monotonic clock.
+    pub sent_monotonic: Timestamp,
     /// The same instant as the clip has it, where a clip is replayed.
-    pub recorded_ns: Option<i64>,
+    pub recorded: Option<Timestamp>,
     /// Samples per second, as far as known.
     pub rate_hz: f64,
     /// The bodies that the output speaks of, in its order; the first is the main one.

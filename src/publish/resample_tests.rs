@@ -2,8 +2,11 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::*;
 
-const MS: i64 = 1_000_000;
-const FRAME: i64 = 33 * MS;
+const FRAME: Duration = Duration::from_millis(33);
+
+fn at_ms(ms: i64) -> Timestamp {
+    Timestamp::from_ns(ms * 1_000_000)
+}
 
 fn moving(ms: i64) -> Pose<Stage, Body> {
     let s = ms as f64 * 1e-3;
@@ -17,9 +20,9 @@ fn known(standing: Standing, ms: i64) -> Known {
 
 /// Samples of these standings, a frame apart from 0 on, with the pose of their instant.
 fn samples(standings: &[Standing]) -> Resampler {
-    let mut resampler = Resampler::new(500 * MS);
+    let mut resampler = Resampler::new(Duration::from_millis(500));
     for (k, standing) in standings.iter().enumerate() {
-        resampler.push(k as i64 * FRAME, known(*standing, k as i64 * 33));
+        resampler.push(at_ms(k as i64 * 33), known(*standing, k as i64 * 33));
     }
     resampler
 }
@@ -30,15 +33,15 @@ use Standing::{Coasting, Lost, Tracking};
 fn uniform_motion_is_met_between_and_after_samples() {
     let r = samples(&[Tracking; 4]);
     for ms in [0, 1, 33, 50, 99, 100, 120, 198] {
-        let (found, wanted) = (r.at(ms * MS, FRAME).pose.unwrap(), moving(ms));
+        let (found, wanted) = (r.at(at_ms(ms), FRAME).pose.unwrap(), moving(ms));
         assert!((found.translation - wanted.translation).norm() < 1e-9 && found.angle_to(&wanted) < 1e-9, "{ms}");
     }
-    assert!(r.at(-1, FRAME).pose.is_none() && r.at(200 * MS, FRAME).pose.is_none());
+    assert!(r.at(Timestamp::from_ns(-1), FRAME).pose.is_none() && r.at(at_ms(200), FRAME).pose.is_none());
 }
 
 /// (standing, carried on) at so many milliseconds.
 fn told(r: &Resampler, ms: i64) -> (Standing, bool) {
-    let known = r.at(ms * MS, FRAME);
+    let known = r.at(at_ms(ms), FRAME);
     (known.standing, known.is_predicted)
 }
 
@@ -60,7 +63,7 @@ fn inside_a_gap_nothing_is_tracking() {
     assert_eq!(told(&r, 140).0, Tracking);
     // Frames that never came leave a gap too.
     let mut r = samples(&[Tracking; 2]);
-    r.push(99 * MS, known(Tracking, 99));
+    r.push(at_ms(99), known(Tracking, 99));
     assert_eq!([40, 90].map(|ms| told(&r, ms).0), [Coasting; 2]);
     assert_eq!(told(&r, 110), (Tracking, true));
 }
@@ -68,18 +71,18 @@ fn inside_a_gap_nothing_is_tracking() {
 #[test]
 fn nothing_is_made_up_across_a_loss_or_a_long_gap() {
     let mut r = samples(&[Tracking, Tracking, Lost]);
-    r.push(99 * MS, known(Tracking, 500));
+    r.push(at_ms(99), known(Tracking, 500));
     assert_eq!([34, 65, 66, 80].map(|ms| told(&r, ms).0), [Coasting, Coasting, Lost, Lost]);
     // A single sample stands still.
-    assert_eq!(r.at(110 * MS, FRAME).pose, Some(moving(500)));
-    r.push(500 * MS, known(Tracking, 500));
+    assert_eq!(r.at(at_ms(110), FRAME).pose, Some(moving(500)));
+    r.push(at_ms(500), known(Tracking, 500));
     assert_eq!(told(&r, 300), (Lost, false));
 }
 
 #[test]
 fn what_was_before_a_loss_is_known_to_a_late_tick() {
     let mut r = samples(&[Tracking; 4]);
-    r.push(4 * FRAME, known(Lost, 0));
+    r.push(at_ms(4 * 33), known(Lost, 0));
     assert_eq!(told(&r, 50), (Tracking, false));
     assert_eq!(told(&r, 140), (Lost, false));
 }
@@ -88,8 +91,8 @@ fn what_was_before_a_loss_is_known_to_a_late_tick() {
 fn a_jump_back_from_a_prediction_is_no_motion() {
     let mut r = samples(&[Tracking, Tracking, Coasting]);
     // The prediction was 80 mm off: the first measurement after it goes on as measurements did.
-    r.push(99 * MS, known(Tracking, 99 - 80));
-    let carried = r.at(119 * MS, FRAME).pose.unwrap().translation.x;
+    r.push(at_ms(99), known(Tracking, 99 - 80));
+    let carried = r.at(at_ms(119), FRAME).pose.unwrap().translation.x;
     let speed = (0.019 - 0.033) / 0.066;
     assert!((carried - (0.019 + 0.020 * speed)).abs() < 1e-9, "{carried}");
 }
@@ -98,22 +101,22 @@ fn a_jump_back_from_a_prediction_is_no_motion() {
 fn two_frames_at_nearly_one_instant_show_no_speed() {
     let mut r = samples(&[Tracking; 2]);
     let pose = Pose::new(UnitQuaternion::identity(), Vector3::new(0.034, 0.0, 0.0));
-    r.push(34 * MS, Known { standing: Tracking, pose: Some(pose), is_predicted: false });
-    assert!((r.at(60 * MS, FRAME).pose.unwrap().translation.x - 0.060).abs() < 1e-9);
+    r.push(at_ms(34), Known { standing: Tracking, pose: Some(pose), is_predicted: false });
+    assert!((r.at(at_ms(60), FRAME).pose.unwrap().translation.x - 0.060).abs() < 1e-9);
 }
 
 #[test]
 fn slow_and_fast_cameras_are_measured_by_their_own_interval() {
     for (hz, delay_ms) in [(5, 0), (240, 500), (1, 0)] {
-        let interval_ns = 1_000_000_000 / hz;
-        let mut r = Resampler::new(delay_ms * MS);
+        let (interval, delay) = (Duration::from_secs(1) / hz, Duration::from_millis(delay_ms));
+        let mut r = Resampler::new(delay);
         for k in 0..hz + 3 {
-            r.push(k * interval_ns, known(Tracking, k * interval_ns / MS));
+            r.push(Timestamp::default().after(interval * k), known(Tracking, (interval * k).as_millis() as i64));
         }
-        let newest = (hz + 2) * interval_ns;
-        let near = r.at(newest + interval_ns, interval_ns);
+        let newest = Timestamp::default().after(interval * (hz + 2));
+        let near = r.at(newest.after(interval), interval);
         assert_eq!((near.standing, near.is_predicted), (Tracking, true), "{hz}");
-        assert_ne!(r.at(newest + interval_ns * 5 / 4, interval_ns).standing, Tracking, "{hz}");
-        assert_eq!(r.at(newest - delay_ms * MS - interval_ns / 2, interval_ns).standing, Tracking, "{hz}");
+        assert_ne!(r.at(newest.after(interval * 5 / 4), interval).standing, Tracking, "{hz}");
+        assert_eq!(r.at(newest.before(delay + interval / 2), interval).standing, Tracking, "{hz}");
     }
 }

@@ -108,18 +108,18 @@ impl FixedRate {
         (60.0, FixedRate { ticks: 60, per_s: 1 }),
     ];
 
-    /// Nanoseconds from tick 0 to tick `k`, without accumulating rounding.
-    pub fn tick_ns(self, k: u64) -> i64 {
+    /// Time from tick 0 to tick `k`, without accumulating rounding.
+    pub fn tick(self, k: u64) -> Duration {
         let ns = u128::from(k) * u128::from(self.per_s) * 1_000_000_000 / u128::from(self.ticks);
-        i64::try_from(ns).unwrap_or(i64::MAX)
+        Duration::from_nanos(u64::try_from(ns).unwrap_or(u64::MAX))
     }
 
-    /// The last tick that is not later than so many nanoseconds after tick 0.
-    pub fn tick_at(self, ns: i64) -> u64 {
+    /// The last tick that has begun by this time after tick 0.
+    pub fn tick_at(self, time: Duration) -> u64 {
         let per_s = u128::from(self.per_s) * 1_000_000_000;
         // A tick's time is rounded down: the one before may be the last that has begun.
-        let next = u64::try_from(u128::from(ns.max(0).unsigned_abs()) * u128::from(self.ticks) / per_s).unwrap_or(u64::MAX - 1) + 1;
-        if self.tick_ns(next) <= ns { next } else { next - 1 }
+        let next = u64::try_from(time.as_nanos().saturating_mul(u128::from(self.ticks)) / per_s).unwrap_or(u64::MAX - 1) + 1;
+        if self.tick(next) <= time { next } else { next - 1 }
     }
 
     /// Ticks per second.
@@ -191,8 +191,8 @@ mod tests {
     #[test]
     fn ticks_do_not_drift() {
         let rate = FixedRate::KNOWN[1].1;
-        assert_eq!(rate.tick_ns(30_000), 1_001_000_000_000);
-        assert_eq!(rate.tick_ns(30_000 * 1_000_000), 1_001_000_000_000_000_000);
+        assert_eq!(rate.tick(30_000), Duration::from_secs(1_001));
+        assert_eq!(rate.tick(30_000 * 1_000_000), Duration::from_secs(1_001_000_000));
         assert!((rate.hz() - 29.97).abs() < 1e-4);
     }
 
@@ -200,10 +200,9 @@ mod tests {
     fn the_tick_of_an_instant_is_the_last_one_begun() {
         for (_, rate) in FixedRate::KNOWN {
             for k in [0, 1, 7, 59, 1_000_003] {
-                let at = rate.tick_ns(k);
-                assert_eq!([rate.tick_at(at), rate.tick_at(at + 1), rate.tick_at(rate.tick_ns(k + 1) - 1)], [k; 3]);
+                let (at, instant) = (rate.tick(k), Duration::from_nanos(1));
+                assert_eq!([rate.tick_at(at), rate.tick_at(at + instant), rate.tick_at(rate.tick(k + 1) - instant)], [k; 3]);
             }
-            assert_eq!(rate.tick_at(-5), 0);
         }
     }
 }

@@ -14,6 +14,7 @@ use super::report::{Report, Standing};
 use super::resample::Known;
 use super::settings::{OnLoss, Rate};
 use super::transport::Transport;
+use crate::frame::Timestamp;
 use crate::record::PoseSample;
 
 /// A sample with the instant that it is of.
@@ -21,12 +22,12 @@ use crate::record::PoseSample;
 pub(super) struct Arrival {
     pub sample: Arc<PoseSample>,
     /// When the frame was taken, on the boot clock.
-    pub at_ns: i64,
-    pub recorded_ns: Option<i64>,
+    pub at: Timestamp,
+    pub recorded: Option<Timestamp>,
     /// Frames per second of the source.
     pub rate_hz: f64,
     /// How far its frames are apart, as they come.
-    pub interval_ns: i64,
+    pub interval: Duration,
     /// When it was handed to the publisher.
     pub arrived: Instant,
 }
@@ -42,10 +43,10 @@ pub(super) struct Counters {
     pub greatest_latency_us: AtomicU64,
 }
 
-/// How often a loss is said again, and how often a protocol's own repetitions are due at least, nanoseconds.
-const REPEAT_NS: i64 = 1_000_000_000;
-/// How often new clients are let in and repetitions looked after, nanoseconds.
-const ROUND_NS: i64 = 100_000_000;
+/// How often a loss is said again, and how often a protocol's own repetitions are due at least.
+const REPEAT: Duration = Duration::from_secs(1);
+/// How often new clients are let in and repetitions looked after.
+const ROUND: Duration = Duration::from_millis(100);
 
 /// Taken for the source's rate before a few frames have come.
 pub(super) const USUAL_RATE_HZ: f64 = 30.0;
@@ -67,14 +68,14 @@ pub(super) struct Worker {
     pub memory: Memory,
 }
 
-/// What the worker remembers; instants are on the boot clock, nanoseconds.
+/// What the worker remembers; instants are on the boot clock.
 pub(super) struct Memory {
-    begun_ns: i64,
+    begun: Timestamp,
     /// When the newest frame was taken; before the first one, when the output began.
-    newest_ns: i64,
+    newest: Timestamp,
     last: Option<Arc<Arrival>>,
-    last_sent_ns: Option<i64>,
-    next_round_ns: i64,
+    last_sent: Option<Timestamp>,
+    next_round: Timestamp,
     next_tick: u64,
     taken: u64,
     /// How many bodies the last sample had a pose of.
@@ -85,11 +86,11 @@ pub(super) struct Memory {
 impl Memory {
     pub fn start(now: Reading) -> Self {
         Self {
-            begun_ns: now.boot_ns,
-            newest_ns: now.boot_ns,
+            begun: now.boot,
+            newest: now.boot,
             last: None,
-            last_sent_ns: None,
-            next_round_ns: now.boot_ns,
+            last_sent: None,
+            next_round: now.boot,
             next_tick: 0,
             taken: 0,
             known_bodies: 0,
@@ -114,33 +115,30 @@ impl Worker {
 
     /// How long until something is due, but never longer than a round: the clock may have jumped by then.
     fn wait(&self) -> Duration {
-        let due_ns = match self.rate {
-            Rate::Fixed { rate, .. } => {
-                self.memory.next_round_ns.min(self.memory.begun_ns.saturating_add(rate.tick_ns(self.memory.next_tick)))
-            }
-            Rate::Every(_) => self.memory.next_round_ns,
+        let due = match self.rate {
+            Rate::Fixed { rate, .. } => self.memory.next_round.min(self.memory.begun.after(rate.tick(self.memory.next_tick))),
+            Rate::Every(_) => self.memory.next_round,
         };
-        Duration::from_nanos(due_ns.saturating_sub(self.clock.now().boot_ns).clamp(0, ROUND_NS).unsigned_abs())
+        due.duration_since(self.clock.now().boot).min(ROUND)
     }
 
     fn take(&mut self, arrival: Arc<Arrival>) {
         let now = self.clock.now();
-        self.memory.newest_ns = arrival.at_ns;
+        self.memory.newest = arrival.at;
         // The frame's age decides, and now, however long it has waited in a queue.
         let is_late = self.is_stale(now);
         let known = |body: &BodyChannel| if is_late { Known::nothing(Standing::Stale) } else { body.known(&arrival.sample) };
         let known: Vec<Known> = self.bodies.iter().map(known).collect();
-        let keep = |(body, known): (&mut BodyChannel, Known)| body.keep(arrival.at_ns, known);
+        let keep = |(body, known): (&mut BodyChannel, Known)| body.keep(arrival.at, known);
         match self.rate {
             Rate::Fixed { .. } => self.bodies.iter_mut().zip(known).for_each(keep),
             Rate::Every(n) => {
-                let delay_ns = nanoseconds(self.delay);
-                let at_ns = arrival.at_ns.saturating_sub(delay_ns);
-                let known = if delay_ns == 0 || is_late {
+                let at = arrival.at.before(self.delay);
+                let known = if self.delay.is_zero() || is_late {
                     known
                 } else {
                     self.bodies.iter_mut().zip(known).for_each(keep);
-                    self.bodies.iter().map(|body| body.at(at_ns, arrival.interval_ns)).collect()
+                    self.bodies.iter().map(|body| body.at(at, arrival.interval)).collect()
                 };
                 let is_due = self.memory.taken.is_multiple_of(u64::from(n.max(1)));
                 self.memory.taken += 1;
@@ -149,7 +147,7 @@ impl Worker {
                 let is_loss = known_bodies < std::mem::replace(&mut self.memory.known_bodies, known_bodies);
                 if is_due || is_loss {
                     // A delayed pose is not what this frame measured.
-                    self.say(arrival.sample.sequence, at_ns, known, Some(&arrival).filter(|_| delay_ns == 0));
+                    self.say(arrival.sample.sequence, at, known, Some(&arrival).filter(|_| self.delay.is_zero()));
                 }
             }
         }
@@ -160,43 +158,42 @@ impl Worker {
     fn tick(&mut self) {
         let Rate::Fixed { rate, delay } = self.rate else { return };
         let now = self.clock.now();
-        let elapsed_ns = now.boot_ns.saturating_sub(self.memory.begun_ns);
-        if elapsed_ns < rate.tick_ns(self.memory.next_tick) {
+        let elapsed = now.boot.duration_since(self.memory.begun);
+        if elapsed < rate.tick(self.memory.next_tick) {
             return;
         }
         // Whoever is late skips ticks instead of sending a burst.
-        let tick = rate.tick_at(elapsed_ns).max(self.memory.next_tick);
+        let tick = rate.tick_at(elapsed).max(self.memory.next_tick);
         self.memory.next_tick = tick + 1;
-        let at_ns = self.memory.begun_ns.saturating_add(rate.tick_ns(tick)).saturating_sub(nanoseconds(delay));
-        let interval_ns = self.memory.last.as_ref().map_or((1e9 / USUAL_RATE_HZ) as i64, |last| last.interval_ns);
+        let at = self.memory.begun.after(rate.tick(tick)).before(delay);
+        let interval = self.memory.last.as_ref().map_or(frame_time(USUAL_RATE_HZ), |last| last.interval);
         let is_stale = self.is_stale(now);
-        let known = |body: &BodyChannel| if is_stale { Known::nothing(Standing::Stale) } else { body.at(at_ns, interval_ns) };
+        let known = |body: &BodyChannel| if is_stale { Known::nothing(Standing::Stale) } else { body.at(at, interval) };
         let known = self.bodies.iter().map(known).collect();
-        self.say(tick, at_ns, known, None);
+        self.say(tick, at, known, None);
     }
 
     /// The newest frame is too old.
     fn is_stale(&self, now: Reading) -> bool {
-        now.boot_ns.saturating_sub(self.memory.newest_ns) >= nanoseconds(self.stale_after)
+        now.boot.duration_since(self.memory.newest) >= self.stale_after
     }
 
     /// What is done ten times a second.
     fn round(&mut self) {
         let now = self.clock.now();
-        if now.boot_ns < self.memory.next_round_ns {
+        if now.boot < self.memory.next_round {
             return;
         }
-        let stale_after_ns = nanoseconds(self.stale_after);
-        let until_stale_ns = stale_after_ns.saturating_sub(now.boot_ns.saturating_sub(self.memory.newest_ns));
-        let pause_ns = if until_stale_ns <= 0 { stale_after_ns } else { until_stale_ns };
-        self.memory.next_round_ns = now.boot_ns.saturating_add(ROUND_NS.min(pause_ns));
+        let until_stale = self.memory.newest.after(self.stale_after).duration_since(now.boot);
+        let pause = if until_stale.is_zero() { self.stale_after } else { until_stale };
+        self.memory.next_round = now.boot.after(ROUND.min(pause));
         self.transport.attend();
         let (transport, counters) = (&mut self.transport, &self.counters);
-        self.encoder.repeat(now.monotonic_ns, &mut |packet| count(counters, transport.send(packet)));
+        self.encoder.repeat(now.monotonic, &mut |packet| count(counters, transport.send(packet)));
         if matches!(self.rate, Rate::Every(_)) && self.is_stale(now) {
             let known = vec![Known::nothing(Standing::Stale); self.bodies.len()];
             let sequence = self.memory.last.as_ref().map_or(0, |last| last.sample.sequence);
-            self.say(sequence, self.memory.newest_ns, known, None);
+            self.say(sequence, self.memory.newest, known, None);
         }
     }
 
@@ -207,10 +204,10 @@ impl Worker {
     }
 
     /// Sends a report of the bodies at an instant, if one is due.
-    fn say(&mut self, sequence: u64, at_ns: i64, known: Vec<Known>, arrival: Option<&Arc<Arrival>>) {
+    fn say(&mut self, sequence: u64, at: Timestamp, known: Vec<Known>, arrival: Option<&Arc<Arrival>>) {
         let known: Vec<Known> = known.into_iter().map(|known| self.sendable(known)).collect();
         let encoder = &self.encoder;
-        let report = |(body, known): (&mut BodyChannel, Known)| body.report(at_ns, known, &|pose| encoder.holds(pose));
+        let report = |(body, known): (&mut BodyChannel, Known)| body.report(at, known, &|pose| encoder.holds(pose));
         let bodies: Vec<_> = self.bodies.iter_mut().zip(known).map(report).collect();
         let withheld = bodies.iter().filter(|body| matches!(body.standing, Standing::Withheld(_))).count();
         self.counters.withheld.fetch_add(withheld as u64, Ordering::Relaxed);
@@ -222,24 +219,24 @@ impl Worker {
         }
         self.memory.had_pose = has_pose;
         let latest = arrival.or(self.memory.last.as_ref());
-        let age_ns = now.boot_ns.saturating_sub(at_ns);
+        let since_now_ns = at.ns_since(now.boot);
         let report = Report {
             sequence,
-            unix_ns: now.unix_ns.saturating_sub(age_ns),
-            monotonic_ns: now.monotonic_ns.saturating_sub(age_ns),
-            sent_monotonic_ns: now.monotonic_ns,
+            unix: now.unix.after_ns(since_now_ns),
+            monotonic: now.monotonic.after_ns(since_now_ns),
+            sent_monotonic: now.monotonic,
             // A tick has no stamp of its own: it lies as far from the last sample on the clip's clock as on this machine's.
-            recorded_ns: latest.and_then(|a| Some(a.recorded_ns?.saturating_add(at_ns.saturating_sub(a.at_ns)))),
+            recorded: latest.and_then(|a| Some(a.recorded?.after_ns(at.ns_since(a.at)))),
             rate_hz: self.rate.hz(latest.map_or(USUAL_RATE_HZ, |a| a.rate_hz)),
             bodies,
             sample: arrival.map(|a| a.sample.clone()),
             // A clip's first frame, from which its clock counts, may have come late: those after it are not from the future.
-            age_ms: age_ns.max(0) as f64 * 1e-6,
+            age_ms: now.boot.ms_since(at).max(0.0),
             is_test: self.is_test,
         };
         let (transport, counters) = (&mut self.transport, &self.counters);
         self.encoder.encode(&report, &mut |packet| count(counters, transport.send(packet)));
-        self.memory.last_sent_ns = Some(now.boot_ns);
+        self.memory.last_sent = Some(now.boot);
         if let Some(arrival) = arrival {
             let us = u64::try_from(arrival.arrived.elapsed().as_micros()).unwrap_or(u64::MAX);
             self.counters.latency_us.store(us, Ordering::Relaxed);
@@ -249,7 +246,7 @@ impl Worker {
 
     /// Whether a report without any pose is to be sent now.
     fn is_loss_due(&self, now: Reading) -> bool {
-        let is_repeated = self.memory.last_sent_ns.is_none_or(|sent_ns| now.boot_ns.saturating_sub(sent_ns) >= REPEAT_NS);
+        let is_repeated = self.memory.last_sent.is_none_or(|sent| now.boot.duration_since(sent) >= REPEAT);
         match self.on_loss {
             OnLoss::Flag => self.encoder.marks_loss(),
             OnLoss::Stop | OnLoss::Hold => self.encoder.announces_loss() && (self.memory.had_pose || is_repeated),
@@ -262,6 +259,7 @@ fn count(counters: &Counters, (taken, failed): (u64, u64)) {
     counters.failed.fetch_add(failed, Ordering::Relaxed);
 }
 
-fn nanoseconds(duration: Duration) -> i64 {
-    i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
+/// Time between frames at a rate.
+pub(super) fn frame_time(rate_hz: f64) -> Duration {
+    Duration::from_nanos((1e9 / rate_hz) as u64)
 }

@@ -7,7 +7,7 @@
 
 use nalgebra::Vector2;
 
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 use crate::track::{Clue, Matcher, Sensor};
 
 /// Frames looked at, from the clip's first.
@@ -68,8 +68,8 @@ struct Pass {
     exposure: Vec<Clue>,
     frames: usize,
     aligned: usize,
-    first_ns: Option<i64>,
-    last_ns: i64,
+    first: Option<Timestamp>,
+    last: Timestamp,
 }
 
 impl Pass {
@@ -79,8 +79,8 @@ impl Pass {
         let mut pass = Self::default();
         for frame in clip.into_iter().take(MOST_FRAMES) {
             pass.frames += 1;
-            pass.first_ns.get_or_insert(frame.timestamp_ns);
-            pass.last_ns = frame.timestamp_ns;
+            pass.first.get_or_insert(frame.timestamp);
+            pass.last = frame.timestamp;
             matcher.look(&frame);
             let Some(clue) = matcher.shutter_clue() else { continue };
             pass.aligned += 1;
@@ -92,8 +92,7 @@ impl Pass {
 
     /// Mean time between frames, seconds.
     fn interval_s(&self) -> f64 {
-        let whole = self.first_ns.map_or(0, |first| self.last_ns.saturating_sub(first));
-        whole as f64 * 1e-9 / self.frames.saturating_sub(1).max(1) as f64
+        self.first.map_or(0.0, |first| self.last.seconds_since(first)) / self.frames.saturating_sub(1).max(1) as f64
     }
 }
 
@@ -214,8 +213,8 @@ mod tests {
     fn estimate_of(scene: &VirtualStage) -> ShutterEstimate {
         let renderer = Renderer::new(scene.clone());
         let frame = |k: u64| {
-            let timestamp_ns = (k as f64 / 30.0 * 1e9) as i64;
-            Frame { image: renderer.render(timestamp_ns as f64 * 1e-9, k), timestamp_ns, sequence: k }
+            let timestamp = Timestamp::from_seconds(k as f64 / 30.0);
+            Frame { image: renderer.render(timestamp.seconds(), k), timestamp, sequence: k }
         };
         let frames: Vec<Frame> = (0..60).map(frame).collect();
         let mut matcher =

@@ -37,7 +37,7 @@ pub fn health(statistics: &Statistics, clock: &FrameClock) -> Page {
         camera_name: &name,
         state: statistics.last_state().word(),
         fps: statistics.rate(),
-        frame_age_ms: statistics.last_frame_age_ns(clock).map(|ns| ns as f64 * 1e-6),
+        frame_age_ms: statistics.last_frame_age(clock).map(|age| age.as_nanos() as f64 * 1e-6),
         frames: statistics.frames(),
         dropped: statistics.dropped(),
         reconnects: statistics.reconnects(),
@@ -60,6 +60,7 @@ mod tests {
 
     use super::super::metrics;
     use super::*;
+    use crate::frame::Timestamp;
     use crate::publish::Stamps;
     use crate::publish::stepped::{START, SteppedClocks};
     use crate::record::{PoseSample, State};
@@ -84,7 +85,7 @@ mod tests {
         assert_eq!(json["camera_name"].as_str(), Some("Cam\u{9b}2J\x1b\u{202e}"));
 
         statistics.set_silent(true);
-        statistics.sample(&PoseSample::stale(3, 4, 120.0));
+        statistics.sample(&PoseSample::stale(3, Timestamp::from_ns(4), 120.0));
         let page = health(&statistics, &clock);
         let json: serde_json::Value = serde_json::from_str(&page.body).unwrap();
         assert_eq!((page.status, json["camera"].as_str(), json["state"].as_str()), (503, Some("silent"), Some("stale")));
@@ -94,7 +95,7 @@ mod tests {
     fn a_suspend_makes_the_last_frame_old() {
         let (statistics, clocks) = (Statistics::default(), SteppedClocks::new());
         let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
-        statistics.sample(&PoseSample { state: State::Tracking, ..PoseSample::stale(3, START.monotonic_ns - 20_000_000, 0.0) });
+        statistics.sample(&PoseSample { state: State::Tracking, ..PoseSample::stale(3, START.monotonic.after_ns(-20_000_000), 0.0) });
         let told = |wanted_s: f64| {
             let health: serde_json::Value = serde_json::from_str(&health(&statistics, &clock).body).unwrap();
             assert_eq!(health["frame_age_ms"].as_f64(), Some(wanted_s * 1e3));

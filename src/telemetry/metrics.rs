@@ -60,7 +60,7 @@ fn counters(text: &mut String, s: &Statistics) {
 
 fn gauges(text: &mut String, s: &Statistics, clock: &FrameClock) {
     one(text, "stagepose_frame_rate", "gauge", "Frames tracked a second.", s.rate());
-    let age = s.last_frame_age_ns(clock).map_or("NaN".to_owned(), |ns| (ns as f64 / 1e9).to_string());
+    let age = s.last_frame_age(clock).map_or("NaN".to_owned(), |age| age.as_secs_f64().to_string());
     one(text, "stagepose_last_frame_age_seconds", "gauge", "Age of the last tracked frame.", age);
     one(text, "stagepose_inliers", "gauge", "Inliers of the last frame.", s.inliers());
     one(text, "stagepose_rms_pixels", "gauge", "Residual of the last frame.", s.rms_px());
@@ -94,7 +94,7 @@ mod tests {
     #[test]
     fn every_line_is_of_the_text_format_and_every_name_has_its_type() {
         let statistics = Statistics::default();
-        let mut sample = PoseSample::stale(0, START.monotonic_ns - 2_000_000, 0.0);
+        let mut sample = PoseSample::stale(0, START.monotonic.after_ns(-2_000_000), 0.0);
         sample.state = State::Searching;
         sample.times = StageTimes { decode_ms: 2.0, acquire_ms: 20.0, align_ms: 5.0, pose_ms: 0.1, age_ms: Some(7.0) };
         statistics.sample(&sample);

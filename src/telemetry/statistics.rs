@@ -2,8 +2,10 @@
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 
 use super::histogram::Histogram;
+use crate::frame::Timestamp;
 use crate::publish::FrameClock;
 use crate::record::{PoseSample, State};
 
@@ -74,7 +76,7 @@ impl Statistics {
         if sample.state == State::Stale {
             return;
         }
-        self.last_frame_ns.store(sample.timestamp_ns, Ordering::Relaxed);
+        self.last_frame_ns.store(sample.timestamp.ns(), Ordering::Relaxed);
         let t = &sample.times;
         let times = [t.decode_ms, t.acquire_ms, t.align_ms, t.pose_ms, t.acquire_ms + t.align_ms + t.pose_ms];
         self.stages.iter().zip(times).for_each(|(stage, ms)| stage.observe_ms(ms));
@@ -232,10 +234,10 @@ impl Statistics {
     }
 
     /// How long ago the last tracked frame was taken, by the clock that the outputs judge by; none before the first.
-    pub fn last_frame_age_ns(&self, clock: &FrameClock) -> Option<i64> {
-        let stamp_ns = Some(self.last_frame_ns.load(Ordering::Relaxed)).filter(|ns| *ns != 0)?;
-        let taken_ns = clock.taken_ns(stamp_ns, 0)?;
-        Some(clock.now().boot_ns.saturating_sub(taken_ns).max(0))
+    pub fn last_frame_age(&self, clock: &FrameClock) -> Option<Duration> {
+        let stamp = Some(self.last_frame_ns.load(Ordering::Relaxed)).filter(|ns| *ns != 0).map(Timestamp::from_ns)?;
+        let taken = clock.taken(stamp, Duration::ZERO)?;
+        Some(clock.now().boot.duration_since(taken))
     }
 
     /// How old frames were when tracking them began.

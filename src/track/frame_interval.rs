@@ -3,6 +3,8 @@
 //! Limits in seconds that suit a camera of 30 frames a second would cut off one of 5 between any two of its frames. So where a limit
 //! says "the next frame", it is this interval with some slack.
 
+use crate::frame::Timestamp;
+
 /// Intervals that are remembered; the middle one of them is the camera's, whatever single frames were dropped.
 const REMEMBERED: usize = 5;
 /// Longer gaps are interruptions, not intervals, seconds. Raised, a clip of single pictures would count as a film.
@@ -13,7 +15,7 @@ const JITTER: f64 = 1.25;
 /// The time from frame to frame, as the last stamps tell.
 #[derive(Debug, Clone, Default)]
 pub struct FrameInterval {
-    last_ns: Option<i64>,
+    last: Option<Timestamp>,
     /// The last intervals, seconds, in the order of their slots; 0 where there was none yet.
     intervals: [f64; REMEMBERED],
     next: usize,
@@ -21,9 +23,9 @@ pub struct FrameInterval {
 
 impl FrameInterval {
     /// Takes the stamp of the next frame.
-    pub fn update(&mut self, timestamp_ns: i64) {
-        let before = self.last_ns.replace(timestamp_ns);
-        let Some(interval) = before.map(|before| timestamp_ns.saturating_sub(before) as f64 * 1e-9) else { return };
+    pub fn update(&mut self, timestamp: Timestamp) {
+        let Some(before) = self.last.replace(timestamp) else { return };
+        let interval = timestamp.seconds_since(before);
         if interval > 0.0 && interval <= LONGEST_S {
             self.intervals[self.next] = interval;
             self.next = (self.next + 1) % REMEMBERED;
@@ -45,7 +47,7 @@ mod tests {
 
     fn after(stamps_ms: &[i64]) -> f64 {
         let mut interval = FrameInterval::default();
-        stamps_ms.iter().for_each(|ms| interval.update(ms * 1_000_000));
+        stamps_ms.iter().for_each(|ms| interval.update(Timestamp::from_ns(ms * 1_000_000)));
         interval.to_next_s()
     }
 

@@ -27,7 +27,7 @@ use super::verify::{Verified, VerifyBuffers, View};
 use crate::camera::CameraModel;
 use crate::compute_clock::ComputeClock;
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::matching::{Match, MatchBuffers, ReferenceIndex};
 use crate::motion::MotionEstimate;
@@ -48,8 +48,8 @@ pub struct BodySighting {
 pub struct Sighting {
     /// Row number.
     pub sequence: u64,
-    /// Stamp of the frame, nanoseconds.
-    pub timestamp_ns: i64,
+    /// Stamp of the frame.
+    pub timestamp: Timestamp,
     /// False for a skipped row: its stamp tells nothing of the time, so it neither continues nor ends a track.
     pub is_timed: bool,
     /// The stage itself.
@@ -173,9 +173,9 @@ impl Matcher {
     pub fn look(&mut self, frame: &Frame) -> Sighting {
         let _span = debug_span!("match", sequence = frame.sequence).entered();
         if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
-            return self.look_away(frame.sequence, frame.timestamp_ns, Reason::Skipped);
+            return self.look_away(frame.sequence, frame.timestamp, Reason::Skipped);
         }
-        self.interval.update(frame.timestamp_ns);
+        self.interval.update(frame.timestamp);
         for tracked in &mut self.bodies {
             (tracked.clue, tracked.refusal, tracked.reason) = (None, None, None);
             tracked.expect_next(self.interval.to_next_s());
@@ -200,8 +200,8 @@ impl Matcher {
             self.give_reasons();
         }
         self.show_pixels(frame.sequence);
-        let stage = self.sighting_of(0, frame.timestamp_ns);
-        let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp_ns)).collect();
+        let stage = self.sighting_of(0, frame.timestamp);
+        let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp)).collect();
         let start = self.clock.start();
         let two_view = stage.verified.as_ref().map(|v| {
             let _span = debug_span!("two_view").entered();
@@ -209,30 +209,21 @@ impl Matcher {
             two_view(body, v, anchors, &self.camera, self.settings.seed, &mut self.two_view_buffers)
         });
         align_ms += start.elapsed_ms();
-        Sighting {
-            sequence: frame.sequence,
-            timestamp_ns: frame.timestamp_ns,
-            is_timed: true,
-            stage,
-            two_view,
-            objects,
-            acquire_ms,
-            align_ms,
-        }
+        Sighting { sequence: frame.sequence, timestamp: frame.timestamp, is_timed: true, stage, two_view, objects, acquire_ms, align_ms }
     }
 
     /// What the track state makes of the frame's pose of body `k`.
-    fn sighting_of(&mut self, k: usize, timestamp_ns: i64) -> BodySighting {
+    fn sighting_of(&mut self, k: usize, timestamp: Timestamp) -> BodySighting {
         let (tracked, verified) = (&mut self.bodies[k], self.verified[k]);
         if let Some(v) = &verified {
-            tracked.remember(timestamp_ns, &v.pose);
+            tracked.remember(timestamp, &v.pose);
         }
         // A frame that leaves no doubt confirms itself, unless the motion during its readout is still unknown.
         let conclusive = verified.is_some_and(|v| v.is_conclusive) && self.readout_s == 0.0;
         let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
         let pose = verified.as_ref().map(|v| &v.pose);
         let coast_s = longest_coast_s(&self.settings, &self.interval);
-        let state = tracked.track.update(timestamp_ns, pose, coast_s, confirm_frames);
+        let state = tracked.track.update(timestamp, pose, coast_s, confirm_frames);
         let reason = tracked.reason.or_else(|| tracked.track.doubt().map(Reason::of_doubt)).filter(|_| state != TrackState::Tracking);
         let mut verified = verified.filter(|_| state == TrackState::Tracking);
         if let Some(v) = &mut verified {
@@ -242,26 +233,26 @@ impl Matcher {
     }
 
     /// Time went on, but there was no picture, for this reason.
-    pub fn look_away(&mut self, sequence: u64, timestamp_ns: i64, reason: Reason) -> Sighting {
-        self.interval.update(timestamp_ns);
+    pub fn look_away(&mut self, sequence: u64, timestamp: Timestamp, reason: Reason) -> Sighting {
+        self.interval.update(timestamp);
         let (coast_s, confirm) = (longest_coast_s(&self.settings, &self.interval), self.settings.confirm_frames);
         let unseen = |state| BodySighting { state, verified: None, reason: Some(reason) };
-        let mut states = self.bodies.iter_mut().map(|b| unseen(b.track.update(timestamp_ns, None, coast_s, confirm)));
+        let mut states = self.bodies.iter_mut().map(|b| unseen(b.track.update(timestamp, None, coast_s, confirm)));
         // There is always a stage.
         let stage = states.next().unwrap_or(unseen(TrackState::Searching));
         let objects = states.collect();
-        Sighting { sequence, timestamp_ns, is_timed: true, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
+        Sighting { sequence, timestamp, is_timed: true, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
     }
 
     /// A row that tells nothing of its time (a stamp out of order): nothing changes.
-    pub fn look_past(&self, sequence: u64, timestamp_ns: i64) -> Sighting {
+    pub fn look_past(&self, sequence: u64, timestamp: Timestamp) -> Sighting {
         let idle = |b: &TrackedBody| {
             let state = if b.track.state() == TrackState::Searching { TrackState::Searching } else { TrackState::Lost };
             BodySighting { state, verified: None, reason: Some(Reason::Skipped) }
         };
         let stage = idle(&self.bodies[0]);
         let objects = self.bodies[1..].iter().map(idle).collect();
-        Sighting { sequence, timestamp_ns, is_timed: false, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
+        Sighting { sequence, timestamp, is_timed: false, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
     }
 
     /// From now on the pixels that poses rest on are sent here, frame by frame, before the frame's sighting is given.
@@ -381,14 +372,14 @@ impl Matcher {
             camera: &self.camera,
             full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
             half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
-            shutter: Shutter { readout_s: self.readout_s, before: tracked.before_at(frame.timestamp_ns) },
+            shutter: Shutter { readout_s: self.readout_s, before: tracked.before_at(frame.timestamp) },
             workers: &self.workers,
         };
         let starts = found.iter().take(TRIED).map(|c| c.pose);
         let mut best = tracked.best_verified(starts, &view, &mut self.verify_buffers);
         if best.is_none() && tracked.track.is_continued() {
             // Too few features, as under blur or steep tilt: where the body should be by now is a start as good as any.
-            let predicted = tracked.predicted(frame.timestamp_ns);
+            let predicted = tracked.predicted(frame.timestamp);
             best = tracked.best_verified(predicted.into_iter(), &view, &mut self.verify_buffers);
         }
         *align_ms += start.elapsed_ms() + self.workers.take_extra_ms();

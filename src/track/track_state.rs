@@ -2,6 +2,7 @@
 //!
 //! Decided by frame stamps alone, never by a clock, so that a replay gives what the show gave.
 
+use crate::frame::Timestamp;
 use crate::geometry::{Body, Camera, Pose};
 
 /// What is known of a body after a frame.
@@ -31,7 +32,7 @@ pub enum Doubt {
 #[derive(Debug, Clone, Copy)]
 struct Pending {
     pose: Pose<Body, Camera>,
-    timestamp_ns: i64,
+    timestamp: Timestamp,
     agreeing: u32,
 }
 
@@ -40,7 +41,7 @@ struct Pending {
 pub struct TrackStateMachine {
     state: TrackState,
     found_before: bool,
-    last_tracked_ns: i64,
+    last_tracked: Timestamp,
     pending: Option<Pending>,
     doubt: Option<Doubt>,
 }
@@ -72,36 +73,36 @@ impl TrackStateMachine {
     }
 
     /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings.
-    pub fn update(&mut self, timestamp_ns: i64, verified: Option<&Pose<Body, Camera>>, coast_s: f64, confirm_frames: u32) -> TrackState {
+    pub fn update(&mut self, timestamp: Timestamp, verified: Option<&Pose<Body, Camera>>, coast_s: f64, confirm_frames: u32) -> TrackState {
         let continued = self.is_continued();
         self.doubt = None;
         match verified {
             Some(pose) => {
-                let is_near = |p: &Pending| seconds(p.timestamp_ns, timestamp_ns) <= LONGEST_GAP_S;
-                let disagrees = self.pending.as_ref().is_some_and(|p| is_near(p) && !agree(p, pose, timestamp_ns));
+                let is_near = |p: &Pending| timestamp.seconds_since(p.timestamp) <= LONGEST_GAP_S;
+                let disagrees = self.pending.as_ref().is_some_and(|p| is_near(p) && !agree(p, pose, timestamp));
                 let agreeing = match &self.pending {
-                    Some(p) if agree(p, pose, timestamp_ns) => p.agreeing + 1,
+                    Some(p) if agree(p, pose, timestamp) => p.agreeing + 1,
                     _ => 1,
                 };
-                self.pending = Some(Pending { pose: *pose, timestamp_ns, agreeing });
+                self.pending = Some(Pending { pose: *pose, timestamp, agreeing });
                 // While coasting, the last tracked pose is the pending one, so one agreeing frame is enough.
                 if agreeing >= confirm_frames {
                     self.found_before = true;
-                    self.last_tracked_ns = timestamp_ns;
+                    self.last_tracked = timestamp;
                     self.state = TrackState::Tracking;
                     return self.state;
                 }
                 self.doubt = Some(if disagrees { Doubt::Disagrees } else { Doubt::First });
             }
             None => {
-                let stale = |p: &Pending| seconds(p.timestamp_ns, timestamp_ns) > LONGEST_GAP_S;
+                let stale = |p: &Pending| timestamp.seconds_since(p.timestamp) > LONGEST_GAP_S;
                 // A single verified frame must be followed by another at once; a track may skip frames while it coasts.
                 if self.pending.as_ref().is_some_and(|p| stale(p) || (!continued && p.agreeing < confirm_frames)) {
                     self.pending = None;
                 }
             }
         }
-        let may_coast = continued && seconds(self.last_tracked_ns, timestamp_ns) <= coast_s;
+        let may_coast = continued && timestamp.seconds_since(self.last_tracked) <= coast_s;
         self.state = match (may_coast, self.found_before) {
             (true, _) => TrackState::Coasting,
             (false, true) => TrackState::Lost,
@@ -114,13 +115,9 @@ impl TrackStateMachine {
     }
 }
 
-fn seconds(from_ns: i64, to_ns: i64) -> f64 {
-    to_ns.saturating_sub(from_ns) as f64 * 1e-9
-}
-
 /// Whether the body could have moved from the pending pose to this one in the time between.
-fn agree(pending: &Pending, pose: &Pose<Body, Camera>, timestamp_ns: i64) -> bool {
-    let dt = seconds(pending.timestamp_ns, timestamp_ns);
+fn agree(pending: &Pending, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> bool {
+    let dt = timestamp.seconds_since(pending.timestamp);
     if !(0.0..=LONGEST_GAP_S).contains(&dt) {
         return false;
     }
@@ -136,7 +133,9 @@ mod tests {
     use super::*;
     use nalgebra::{UnitQuaternion, Vector3};
 
-    const FRAME_NS: i64 = 33_333_333;
+    fn stamp(frame: usize) -> Timestamp {
+        Timestamp::from_ns(frame as i64 * 33_333_333)
+    }
 
     fn at(x: f64) -> Pose<Body, Camera> {
         Pose::new(UnitQuaternion::from_euler_angles(3.0, 0.0, 0.0), Vector3::new(x, 0.0, 4.0))
@@ -144,7 +143,7 @@ mod tests {
 
     fn run(seen: &[Option<f64>]) -> Vec<TrackState> {
         let mut lock = TrackStateMachine::default();
-        seen.iter().enumerate().map(|(k, x)| lock.update(k as i64 * FRAME_NS, x.map(at).as_ref(), 0.1, 2)).collect()
+        seen.iter().enumerate().map(|(k, x)| lock.update(stamp(k), x.map(at).as_ref(), 0.1, 2)).collect()
     }
 
     #[test]
@@ -180,8 +179,8 @@ mod tests {
     #[test]
     fn a_pose_that_is_not_given_has_its_doubt() {
         let mut lock = TrackStateMachine::default();
-        let mut doubt = |k: i64, x: Option<f64>| {
-            lock.update(k * FRAME_NS, x.map(at).as_ref(), 0.1, 2);
+        let mut doubt = |k: usize, x: Option<f64>| {
+            lock.update(stamp(k), x.map(at).as_ref(), 0.1, 2);
             lock.doubt()
         };
         assert_eq!([doubt(0, Some(0.0)), doubt(1, Some(0.0)), doubt(2, None)], [Some(Doubt::First), None, None]);

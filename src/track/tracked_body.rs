@@ -13,7 +13,7 @@ use super::surface::BodySpec;
 use super::track_state::TrackStateMachine;
 use super::verify::{Refusal, Verified, VerifyBuffers, View, verify};
 use crate::camera::{CameraModel, Normalized};
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 use crate::geometry::resection::{MovingCamera, Observation, Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{MotionEstimate, ProcessNoise};
@@ -54,11 +54,11 @@ pub struct TrackedBody {
     pub used: Option<Vec<UsedPixel>>,
     patches: Vec<Patch>,
     /// The motion at the last aligned frame, and its stamp.
-    motion: Option<(MotionEstimate, i64)>,
+    motion: Option<(MotionEstimate, Timestamp)>,
     /// How jerky that is.
     process_noise: ProcessNoise,
     /// The last verified pose, its stamp, and the motion that led to it.
-    before: Option<(Pose<Camera, Body>, i64, Option<Twist>)>,
+    before: Option<(Pose<Camera, Body>, Timestamp, Option<Twist>)>,
     /// How long after a frame the next one comes, seconds.
     to_next_s: f64,
     /// Followed frames since the last audit.
@@ -102,8 +102,8 @@ impl TrackedBody {
 
     /// Aligns the body from where it should be; `None` where it was not aligned lately, or the picture does not bear it out.
     pub fn follow(&mut self, frame: &Frame, levels: &mut FrameLevels, camera_rays: &CameraRays) -> Option<Verified> {
-        let (estimate, then_ns) = self.motion.take()?;
-        let dt_s = frame.timestamp_ns.saturating_sub(then_ns) as f64 * 1e-9;
+        let (estimate, then) = self.motion.take()?;
+        let dt_s = frame.timestamp.seconds_since(then);
         if dt_s <= 0.0 || dt_s > LONGEST_FOLLOWED_GAP_S.max(self.to_next_s) {
             return None;
         }
@@ -160,7 +160,7 @@ impl TrackedBody {
             // Where the shutter is in question, jerk must not explain what a wrong one does.
             self.process_noise.learn(expected.squared_innovations(&found.estimate.motion));
         }
-        self.motion = Some((found.estimate, frame.timestamp_ns));
+        self.motion = Some((found.estimate, frame.timestamp));
         if let Some(used) = &mut self.used {
             solution.used_pixels(used);
         }
@@ -231,22 +231,22 @@ impl TrackedBody {
     }
 
     /// Remembers a verified pose for the motion of the next frame.
-    pub fn remember(&mut self, timestamp_ns: i64, t_body_camera: &Pose<Body, Camera>) {
+    pub fn remember(&mut self, timestamp: Timestamp, t_body_camera: &Pose<Body, Camera>) {
         let pose = t_body_camera.inverse();
-        let twist = self.before_at(timestamp_ns).map(|(before, dt_s, _)| Twist::between(&before, &pose, dt_s));
-        self.before = Some((pose, timestamp_ns, twist));
+        let twist = self.before_at(timestamp).map(|(before, dt_s, _)| Twist::between(&before, &pose, dt_s));
+        self.before = Some((pose, timestamp, twist));
     }
 
     /// Where the body should be at a stamp, carried on from the last verified poses.
-    pub fn predicted(&self, timestamp_ns: i64) -> Option<Pose<Camera, Body>> {
-        let (before, dt_s, twist) = self.before_at(timestamp_ns)?;
+    pub fn predicted(&self, timestamp: Timestamp) -> Option<Pose<Camera, Body>> {
+        let (before, dt_s, twist) = self.before_at(timestamp)?;
         Some(twist.map_or(before, |twist| perturbed(&before, &(twist.0 * dt_s))))
     }
 
     /// The last verified pose as seen from a stamp, if it is recent enough to tell of motion.
-    pub fn before_at(&self, timestamp_ns: i64) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
-        let (pose, then_ns, twist) = self.before?;
-        let dt_s = timestamp_ns.saturating_sub(then_ns) as f64 * 1e-9;
+    pub fn before_at(&self, timestamp: Timestamp) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
+        let (pose, then, twist) = self.before?;
+        let dt_s = timestamp.seconds_since(then);
         (dt_s > 1e-4 && dt_s <= LONGEST_MOTION_GAP_S.max(self.to_next_s)).then_some((pose, dt_s, twist))
     }
 }

@@ -12,13 +12,14 @@ use serde_json::json;
 use tokio::sync::broadcast;
 
 use super::routes::Reply;
+use crate::frame::Timestamp;
 use crate::publish::FrameClock;
 use crate::record::{PoseSample, State};
 
 /// Records that a client may be behind before it is let go.
 const MOST_BEHIND: usize = 256;
-/// How often a silence is said again, nanoseconds.
-const REPEAT_NS: i64 = 1_000_000_000;
+/// How often a silence is said again.
+const REPEAT: Duration = Duration::from_secs(1);
 
 /// What has been published so far.
 #[derive(Debug)]
@@ -32,17 +33,21 @@ pub(super) struct Feed {
 #[derive(Debug)]
 struct Ages {
     clock: Arc<FrameClock>,
-    most_ns: i64,
+    most: Duration,
 }
 
 #[derive(Debug, Default)]
 struct Last {
     /// The last record, and when its frame was taken.
-    record: Option<(Arc<PoseSample>, i64)>,
+    record: Option<(Arc<PoseSample>, Timestamp)>,
     /// What came after it says that no frame comes.
     silence: Option<Arc<PoseSample>>,
     /// When a silence was last said.
-    said_ns: Option<i64>,
+    said: Option<Timestamp>,
+}
+
+fn milliseconds(age: Duration) -> f64 {
+    age.as_nanos() as f64 * 1e-6
 }
 
 impl Feed {
@@ -52,7 +57,7 @@ impl Feed {
 
     /// From now on a frame older than `most` is too old. Only the first call counts.
     pub fn judge_ages(&self, clock: Arc<FrameClock>, most: Duration) {
-        self.ages.get_or_init(|| Ages { clock, most_ns: i64::try_from(most.as_nanos()).unwrap_or(i64::MAX) });
+        self.ages.get_or_init(|| Ages { clock, most });
     }
 
     fn last(&self) -> MutexGuard<'_, Last> {
@@ -66,15 +71,15 @@ impl Feed {
             last.silence = Some(Arc::new(sample.clone()));
             return self.say_silence(&mut last);
         }
-        let taken_ns = match self.ages.get() {
-            None => 0,
-            Some(_) if last.record.as_ref().is_some_and(|(before, _)| sample.timestamp_ns <= before.timestamp_ns) => return,
-            Some(ages) => match ages.clock.taken_ns(sample.timestamp_ns, 0) {
-                Some(taken_ns) => taken_ns,
+        let taken = match self.ages.get() {
+            None => Timestamp::default(),
+            Some(_) if last.record.as_ref().is_some_and(|(before, _)| sample.timestamp <= before.timestamp) => return,
+            Some(ages) => match ages.clock.taken(sample.timestamp, Duration::ZERO) {
+                Some(taken) => taken,
                 None => return,
             },
         };
-        *last = Last { record: Some((Arc::new(sample.clone()), taken_ns)), ..Last::default() };
+        *last = Last { record: Some((Arc::new(sample.clone()), taken)), ..Last::default() };
         if self.is_too_old(&last) {
             self.say_silence(&mut last);
         } else {
@@ -85,16 +90,16 @@ impl Feed {
     /// Says that the newest frame has become too old, once a second; called several times a second.
     pub fn watch(&self) {
         let Some(ages) = self.ages.get() else { return };
-        let now_ns = ages.clock.now().boot_ns;
+        let now = ages.clock.now().boot;
         let mut last = self.last();
-        let is_said = last.said_ns.is_some_and(|said_ns| now_ns.saturating_sub(said_ns) < REPEAT_NS);
+        let is_said = last.said.is_some_and(|said| now.duration_since(said) < REPEAT);
         if !is_said && self.is_too_old(&last) {
             self.say_silence(&mut last);
         }
     }
 
     fn say_silence(&self, last: &mut Last) {
-        last.said_ns = self.ages.get().map(|ages| ages.clock.now().boot_ns);
+        last.said = self.ages.get().map(|ages| ages.clock.now().boot);
         self.send(|| self.silence(last).to_json_line());
     }
 
@@ -106,21 +111,21 @@ impl Feed {
     }
 
     /// How old the newest frame is, where that is known.
-    fn age_ns(&self, last: &Last) -> Option<i64> {
-        let (ages, (_, taken_ns)) = (self.ages.get()?, last.record.as_ref()?);
-        Some(ages.clock.now().boot_ns.saturating_sub(*taken_ns).max(0))
+    fn age(&self, last: &Last) -> Option<Duration> {
+        let (ages, (_, taken)) = (self.ages.get()?, last.record.as_ref()?);
+        Some(ages.clock.now().boot.duration_since(*taken))
     }
 
     fn is_too_old(&self, last: &Last) -> bool {
-        last.silence.is_some() || self.ages.get().is_some_and(|ages| self.age_ns(last).is_some_and(|age_ns| age_ns >= ages.most_ns))
+        last.silence.is_some() || self.ages.get().is_some_and(|ages| self.age(last).is_some_and(|age| age >= ages.most))
     }
 
     /// The message that no frame comes, with the newest one's age as it is now.
     fn silence(&self, last: &Last) -> PoseSample {
-        let (sequence, stamp_ns) = last.record.as_ref().map_or((0, 0), |(record, _)| (record.sequence, record.timestamp_ns));
+        let (sequence, timestamp) = last.record.as_ref().map(|(record, _)| (record.sequence, record.timestamp)).unwrap_or_default();
         let told_ms = last.silence.as_ref().and_then(|silence| silence.times.age_ms);
-        let age_ms = self.age_ns(last).map(|ns| ns as f64 * 1e-6).or(told_ms);
-        PoseSample::stale(sequence, stamp_ns, age_ms.unwrap_or(0.0))
+        let age_ms = self.age(last).map(milliseconds).or(told_ms);
+        PoseSample::stale(sequence, timestamp, age_ms.unwrap_or(0.0))
     }
 
     /// Every line from now on.
@@ -154,9 +159,9 @@ impl Feed {
             return Reply::json(200, json!({"state": state, "sequence": null, "age_s": null, "objects": []}).to_string());
         };
         let objects: Vec<_> = record.objects.iter().map(|o| json!({"name": o.name, "state": told(o.state)})).collect();
-        let age_s = self.age_ns(&last).map(|ns| (ns as f64 * 1e-6).round() * 1e-3);
+        let age_s = self.age(&last).map(|age| milliseconds(age).round() * 1e-3);
         let state = json!({
-            "state": told(record.state), "sequence": record.sequence, "timestamp_ns": record.timestamp_ns,
+            "state": told(record.state), "sequence": record.sequence, "timestamp_ns": record.timestamp,
             "age_s": age_s, "objects": objects,
         });
         Reply::json(200, state.to_string())

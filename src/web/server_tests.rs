@@ -3,6 +3,7 @@ use std::net::{Ipv4Addr, TcpStream};
 use std::time::Instant;
 
 use super::*;
+use crate::frame::Timestamp;
 use crate::record::State;
 use crate::web::Reply;
 
@@ -15,7 +16,7 @@ fn server() -> Server {
 fn sample(sequence: u64) -> PoseSample {
     PoseSample {
         sequence,
-        timestamp_ns: 40,
+        timestamp: Timestamp::from_ns(40),
         state: State::Tracking,
         pose: Some(crate::protocols::golden::golden_camera()),
         measurement: None,

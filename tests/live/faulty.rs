@@ -10,11 +10,11 @@ use image::codecs::jpeg::JpegEncoder;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use stagepose::diagnostics::capture::{
-    Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, DriverStamp, OpenFault, PixelLayout, VirtualCamera, mid_exposure_ns,
-    monotonic_ns,
+    Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, DriverStamp, OpenFault, PixelLayout, VirtualCamera, mid_exposure,
+    monotonic_now,
 };
 use stagepose::diagnostics::live::{LiveLink, LiveSource, Patience, Shutter};
-use stagepose::{EntryContent, FrameSource, Pose, Stage, TrackerSettings, TrackerSetup, VirtualStage};
+use stagepose::{EntryContent, FrameSource, Pose, Stage, Timestamp, TrackerSettings, TrackerSetup, VirtualStage};
 
 use crate::pipeline::scene::{FPS, backdrop, camera, past, quiet, setup};
 
@@ -138,9 +138,9 @@ pub struct Faulty {
     /// The last picture that was waited for, and since when.
     waited: Mutex<(u64, Instant)>,
     /// Which frame of the ride a stamp belongs to; the other stage's are not in here.
-    pub shown: Mutex<HashMap<i64, usize>>,
+    pub shown: Mutex<HashMap<Timestamp, usize>>,
     pub faults: Mutex<HashMap<String, u64>>,
-    last_stamp_ns: Mutex<i64>,
+    last_stamp: Mutex<Timestamp>,
     /// While true, blocked reads do not come back.
     pub blocking: AtomicBool,
 }
@@ -160,7 +160,7 @@ impl Faulty {
             shown: Mutex::default(),
             faults: Mutex::default(),
             // Far ahead, so that a slow machine does not pull the frames apart in time.
-            last_stamp_ns: Mutex::new(monotonic_ns() + 3_600_000_000_000),
+            last_stamp: Mutex::new(monotonic_now().after_s(3600.0)),
             blocking: AtomicBool::new(true),
         })
     }
@@ -249,7 +249,7 @@ impl Camera for FaultyCamera {
     }
 
     fn next_picture(&mut self, patience: Duration) -> Result<CapturedPicture, CameraFault> {
-        let begun = monotonic_ns();
+        let begun = Instant::now();
         if self.stalls {
             std::thread::sleep(patience);
             return Err(CameraFault::Silent);
@@ -260,7 +260,7 @@ impl Camera for FaultyCamera {
                 self.faulty.lost.fetch_add(1, Ordering::AcqRel);
                 self.faulty.tracked.fetch_add(1, Ordering::AcqRel);
             }
-            if monotonic_ns() - begun > patience.as_nanos() as i64 {
+            if begun.elapsed() > patience {
                 return Err(CameraFault::Silent);
             }
             std::thread::sleep(Duration::from_micros(50));
@@ -286,7 +286,7 @@ impl Camera for FaultyCamera {
             }
             Some(Fault::Blocks) => {
                 // As a driver that hangs: it does not look at the time limit.
-                while self.faulty.blocking.load(Ordering::Relaxed) && monotonic_ns() - begun < 1_500_000_000 {
+                while self.faulty.blocking.load(Ordering::Relaxed) && begun.elapsed() < Duration::from_millis(1500) {
                     std::thread::sleep(Duration::from_millis(5));
                 }
                 return Err(CameraFault::Silent);
@@ -313,27 +313,27 @@ impl FaultyCamera {
             _ => {}
         }
         // One after another in time, whatever the pipeline's pace.
-        let arrival_ns = monotonic_ns();
-        let mut last = self.faulty.last_stamp_ns.lock().unwrap();
-        let at = *last + 33_333_333;
+        let arrival = monotonic_now();
+        let mut last = self.faulty.last_stamp.lock().unwrap();
+        let at = last.after_ns(33_333_333);
         let stamp = match fault {
             Some(Fault::StampRepeats) => DriverStamp::MidExposure(*last),
-            Some(Fault::StampGoesBack) => DriverStamp::MidExposure(*last - 500_000_000),
+            Some(Fault::StampGoesBack) => DriverStamp::MidExposure(last.after_s(-0.5)),
             Some(Fault::NoStamp) => DriverStamp::None,
-            Some(Fault::StampOfAnotherClock) => DriverStamp::StartOfExposure(1_795_000_000_000_000_000),
+            Some(Fault::StampOfAnotherClock) => DriverStamp::StartOfExposure(Timestamp::from_ns(1_795_000_000_000_000_000)),
             _ => DriverStamp::MidExposure(at),
         };
         *last = at;
-        let (stamp_ns, _) = mid_exposure_ns(stamp, arrival_ns, 0.0, 0.0);
+        let (timestamp, _) = mid_exposure(stamp, arrival, 0.0, 0.0);
         if shows_stage {
             // A repeated stamp is this picture's own where the one before came without it.
-            self.faulty.shown.lock().unwrap().entry(stamp_ns).or_insert(which);
+            self.faulty.shown.lock().unwrap().entry(timestamp).or_insert(which);
         }
         let lost = if fault == Some(Fault::FramesLostInDevice) { 3 } else { 0 };
         CapturedPicture {
             bytes,
             stamp,
-            arrival_ns,
+            arrival,
             device_sequence: Some(n as u32 + lost),
             is_damaged: fault == Some(Fault::DriverSaysDamaged),
         }

@@ -41,7 +41,7 @@ fn soak() {
             State::Tracking => {
                 tracking += 1;
                 // A stage that the tracker was not told of has no truth: any pose there is wrong.
-                let frame = faulty.shown.lock().unwrap().remove(&sample.timestamp_ns);
+                let frame = faulty.shown.lock().unwrap().remove(&sample.timestamp);
                 let measurement = sample.measurement.expect("a tracking sample");
                 let (measured, measured_by) = (measurement.pose, (measurement.inliers, measurement.rms_px));
                 let errors = frame.map(|frame| {
@@ -57,7 +57,7 @@ fn soak() {
                 }
             }
             _ => {
-                faulty.shown.lock().unwrap().remove(&sample.timestamp_ns);
+                faulty.shown.lock().unwrap().remove(&sample.timestamp);
             }
         }
         if early_mb == 0.0 && sample.sequence >= frames / 10 {

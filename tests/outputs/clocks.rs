@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
+use stagepose::Timestamp;
 use stagepose::diagnostics::publish::{Clocks, Reading};
 
 #[derive(Debug, Clone)]
@@ -9,15 +10,14 @@ pub struct SteppedClocks(Arc<Mutex<Reading>>);
 
 impl SteppedClocks {
     pub fn new() -> Self {
-        let start = Reading { monotonic_ns: 50_000_000_000, boot_ns: 60_000_000_000, unix_ns: 1_700_000_000_000_000_000 };
-        Self(Arc::new(Mutex::new(start)))
+        let [monotonic, boot, unix] = [50_000_000_000, 60_000_000_000, 1_700_000_000_000_000_000].map(Timestamp::from_ns);
+        Self(Arc::new(Mutex::new(Reading { monotonic, boot, unix })))
     }
 
     pub fn advance_ms(&self, ms: i64) {
         let (mut reading, ns) = (self.0.lock().unwrap(), ms * 1_000_000);
-        reading.monotonic_ns += ns;
-        reading.boot_ns += ns;
-        reading.unix_ns += ns;
+        let Reading { monotonic, boot, unix } = &mut *reading;
+        [monotonic, boot, unix].into_iter().for_each(|at| *at = at.after_ns(ns));
     }
 }
 

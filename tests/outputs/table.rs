@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use stagepose::diagnostics::publish::{BlendRates, Clocks, Context, FixedRate, OnLoss, Publisher, Rate, SafetySettings, Stamps};
-use stagepose::{CameraModel, ObjectSample, Pose, PoseSample, StageTimes, State};
+use stagepose::{CameraModel, ObjectSample, Pose, PoseSample, StageTimes, State, Timestamp};
 
 use super::clocks::SteppedClocks;
 use super::decoders::Said;
@@ -90,14 +90,14 @@ fn safety() -> SafetySettings {
 }
 
 /// A frame of now in which camera and object are `x` to the right.
-fn sample(sequence: u64, timestamp_ns: i64, state: State, x: f64) -> PoseSample {
+fn sample(sequence: u64, timestamp: Timestamp, state: State, x: f64) -> PoseSample {
     let is_known = matches!(state, State::Tracking | State::Coasting);
     let s = std::f64::consts::FRAC_1_SQRT_2;
     let camera = Pose::new(UnitQuaternion::from_quaternion(Quaternion::new(s, -s, 0.0, 0.0)), Vector3::new(x, -4.0, 0.0));
     let cart = Pose::new(UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0));
     PoseSample {
         sequence,
-        timestamp_ns,
+        timestamp,
         state,
         pose: is_known.then_some(camera),
         measurement: None,
@@ -140,7 +140,7 @@ impl Show {
 
     fn frame(&mut self, state: State, x: f64) {
         self.clocks.advance_ms(FRAME_MS);
-        self.publisher.send(&sample(self.sequence, self.clocks.read().monotonic_ns, state, x));
+        self.publisher.send(&sample(self.sequence, self.clocks.read().monotonic, state, x));
         self.sequence += 1;
     }
 
@@ -225,8 +225,8 @@ fn played(story: Story, of_object: bool, expects: &dyn Fn(&str) -> bool) -> Vec<
             show.clocks.advance_ms(2500);
             show.wait(&|_| {}, &|place| !expects(place.title) || !place.said.is_empty());
             // A frame from before the silence says nothing else.
-            let old_ns = show.clocks.read().monotonic_ns - 2_000_000_000;
-            show.publisher.send(&sample(9, old_ns, State::Tracking, THEN_M));
+            let old = show.clocks.read().monotonic.after_s(-2.0);
+            show.publisher.send(&sample(9, old, State::Tracking, THEN_M));
             std::thread::sleep(Duration::from_millis(200));
         }
         Story::Dead => {
@@ -358,12 +358,12 @@ mod web {
                 Server::start(&HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), ..HttpSettings::default() }, Vec::new()).unwrap();
             server.judge_ages(Arc::new(FrameClock::with(Arc::new(clocks.clone()), Stamps::Live)), safety().stale_after);
             let mut stream = web_socket(&server);
-            let now_ns = || clocks.read().monotonic_ns;
+            let now = || clocks.read().monotonic;
             // The client may not be subscribed yet: what it hears first is the lead-in.
             let mut sequence = 0;
             loop {
                 clocks.advance_ms(FRAME_MS);
-                server.publish(&sample(sequence, now_ns(), State::Tracking, BEFORE_M));
+                server.publish(&sample(sequence, now(), State::Tracking, BEFORE_M));
                 sequence += 1;
                 stream.set_nonblocking(true).unwrap();
                 let has_come = stream.peek(&mut [0; 1]).is_ok();
@@ -377,9 +377,9 @@ mod web {
             clocks.advance_ms(if matches!(story, Story::Stale(_)) { 2500 } else { FRAME_MS });
             if matches!(story, Story::Stale(_)) {
                 // A frame from before the silence says nothing else.
-                server.publish(&sample(sequence, now_ns() - 2_000_000_000, State::Tracking, THEN_M));
+                server.publish(&sample(sequence, now().after_s(-2.0), State::Tracking, THEN_M));
             } else if story != Story::Dead {
-                server.publish(&sample(sequence, now_ns(), state, x));
+                server.publish(&sample(sequence, now(), state, x));
             }
             let found = if story == Story::Dead {
                 let address = server.address();

@@ -15,7 +15,7 @@ use rand_pcg::Pcg64Mcg;
 use stagepose::diagnostics::simulate::{artwork_surface, upright};
 use stagepose::{
     BodySpec, CameraModel, CameraPath, ClipEntry, EntryContent, Frame, Intrinsics, MovingObject, ObjectPath, Pose, Renderer, SensorNoise,
-    Shake, Spline, SurfaceSpec, Tracker, TrackerSetup, VirtualStage, track_entry,
+    Shake, Spline, SurfaceSpec, Timestamp, Tracker, TrackerSetup, VirtualStage, track_entry,
 };
 
 use super::record_line::assert_record_holds;
@@ -78,10 +78,10 @@ fn track_scene(seed: u64) -> [u64; 2] {
             1 => GrayImage::from_pixel(random.random_range(1..100), random.random_range(1..100), Luma([90])),
             _ => renderer.render(time_s, sequence),
         };
-        let frame = Frame { image, timestamp_ns: (time_s * 1e9) as i64, sequence };
-        let (timestamp_ns, decode) = (frame.timestamp_ns, Duration::ZERO);
+        let frame = Frame { image, timestamp: Timestamp::from_seconds(time_s), sequence };
+        let (timestamp, decode) = (frame.timestamp, Duration::ZERO);
         let sample =
-            track_entry(&mut tracker, &ClipEntry { sequence, timestamp_ns, content: EntryContent::Frame(frame), decode, received: None });
+            track_entry(&mut tracker, &ClipEntry { sequence, timestamp, content: EntryContent::Frame(frame), decode, received: None });
         assert_record_holds(&sample);
         tracked += u64::from(sample.measurement.is_some());
     }

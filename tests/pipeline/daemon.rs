@@ -7,7 +7,8 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, bounded};
 use stagepose::diagnostics::capture::VirtualCamera;
 use stagepose::{
-    ClipEntry, Daemon, Delivery, EntryContent, FrameSource, PoseSample, RunningDaemon, Tracker, TrackerSettings, TrackerSetup, VirtualStage,
+    ClipEntry, Daemon, Delivery, EntryContent, FrameSource, PoseSample, RunningDaemon, Timestamp, Tracker, TrackerSettings, TrackerSetup,
+    VirtualStage,
 };
 
 use super::scene::{FPS, backdrop, camera, past, quiet, setup, track};
@@ -72,7 +73,13 @@ impl FrameSource for Beats {
         let sequence = self.next;
         self.next += 1;
         let content = EntryContent::Undecodable("nothing to see".into());
-        Some(ClipEntry { sequence, timestamp_ns: sequence as i64 * 33_333_333, content, decode: Duration::ZERO, received: None })
+        Some(ClipEntry {
+            sequence,
+            timestamp: Timestamp::from_ns(sequence as i64 * 33_333_333),
+            content,
+            decode: Duration::ZERO,
+            received: None,
+        })
     }
 
     fn size(&self) -> (u32, u32) {

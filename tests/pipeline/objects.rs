@@ -23,7 +23,7 @@ fn an_object_is_posed_in_the_stage() {
     for sample in track(&scene, 8).iter().skip(1) {
         assert_eq!((sample.state, sample.objects[0].state), (State::Tracking, State::Tracking), "frame {}", sample.sequence);
         assert_eq!(sample.objects[0].name, "prop");
-        let truth = scene.object_truth(0, sample.timestamp_ns as f64 * 1e-9).unwrap();
+        let truth = scene.object_truth(0, sample.timestamp.seconds()).unwrap();
         let found = sample.objects[0].pose.unwrap();
         worst.0 = worst.0.max((found.translation - truth.translation).norm());
         worst.1 = worst.1.max(found.angle_to(&truth).to_degrees());

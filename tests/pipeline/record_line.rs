@@ -31,7 +31,7 @@ pub fn assert_record_holds(sample: &PoseSample) {
     let keys: BTreeSet<&str> = line.as_object().unwrap().keys().map(String::as_str).collect();
     assert_eq!(keys, BTreeSet::from(KEYS));
     assert_eq!(line["sequence"], sample.sequence);
-    assert_eq!(line["timestamp_ns"], sample.timestamp_ns);
+    assert_eq!(line["timestamp_ns"], sample.timestamp.ns());
     let state = line["state"].as_str().unwrap();
     assert_eq!(!line["pose"].is_null(), matches!(state, "tracking" | "coasting"), "{text}");
     for key in MEASURED_ONLY {

@@ -93,7 +93,7 @@ pub fn track(scene: &VirtualStage, frames: u64) -> Vec<PoseSample> {
 }
 
 pub fn truth_of(scene: &VirtualStage, sample: &PoseSample) -> Pose<Stage, Camera> {
-    scene.truth(sample.timestamp_ns as f64 * 1e-9)
+    scene.truth(sample.timestamp.seconds())
 }
 
 /// Distance error as a share of the camera's distance from the origin, and angle error in degrees.

@@ -1,7 +1,7 @@
 //! What the record says while the stage cannot be seen.
 
 use stagepose::State::{Coasting, Lost, Searching, Tracking};
-use stagepose::{ClipEntry, EntryContent, Frame, FrameError, SetupError, Tracker, TrackerSetup, VirtualStage};
+use stagepose::{ClipEntry, EntryContent, Frame, FrameError, SetupError, Timestamp, Tracker, TrackerSetup, VirtualStage};
 
 use super::scene::{FPS, aside, backdrop, camera, errors, past, quiet, rows, setup, states, track, track_rows, truth_of};
 
@@ -42,9 +42,9 @@ fn coasting_ends_by_stamps_not_by_frames() {
     let mut rows = rows(&scene, 8);
     // The camera hangs for a second while the stage is dark.
     for row in &mut rows[4..] {
-        row.timestamp_ns += 1_000_000_000;
+        row.timestamp = row.timestamp.after_s(1.0);
         if let EntryContent::Frame(frame) = &mut row.content {
-            frame.timestamp_ns += 1_000_000_000;
+            frame.timestamp = row.timestamp;
         }
     }
     let states = states(&track_rows(setup(&scene), &rows));
@@ -55,8 +55,8 @@ fn undecodable(row: &ClipEntry) -> ClipEntry {
     ClipEntry { content: EntryContent::Undecodable("the file ends too soon".into()), ..row.clone() }
 }
 
-fn skipped(row: &ClipEntry, timestamp_ns: i64) -> ClipEntry {
-    ClipEntry { content: EntryContent::Skipped("out of order".into()), timestamp_ns, ..row.clone() }
+fn skipped(row: &ClipEntry, timestamp: Timestamp) -> ClipEntry {
+    ClipEntry { content: EntryContent::Skipped("out of order".into()), timestamp, ..row.clone() }
 }
 
 #[test]
@@ -66,12 +66,12 @@ fn undecodable_and_skipped_rows_make_a_line_and_disturb_nothing() {
     let undisturbed = track_rows(setup(&scene), &whole);
     let mut rows = whole.clone();
     rows[4] = undecodable(&whole[4]);
-    rows[6] = skipped(&whole[6], whole[5].timestamp_ns);
+    rows[6] = skipped(&whole[6], whole[5].timestamp);
     let samples = track_rows(setup(&scene), &rows);
     assert_eq!(samples.len(), rows.len());
     assert_eq!(states(&samples), [Tracking, Tracking, Tracking, Tracking, Coasting, Tracking, Lost, Tracking, Tracking]);
     for (row, (sample, before)) in rows.iter().zip(samples.iter().zip(&undisturbed)) {
-        assert_eq!((sample.sequence, sample.timestamp_ns), (row.sequence, row.timestamp_ns));
+        assert_eq!((sample.sequence, sample.timestamp), (row.sequence, row.timestamp));
         if matches!(row.content, EntryContent::Frame(_)) {
             // What is known of the motion differs after a gap, and with it the start of the next alignment.
             let (pose, undisturbed) = (sample.pose.expect("it tracks"), before.pose.expect("it tracks"));
@@ -87,14 +87,14 @@ fn a_frame_that_does_not_fit_is_an_error_and_counts_as_never_seen() {
     let (mut told, mut alone) =
         (Tracker::new(setup(&scene)).expect("a setup that fits"), Tracker::new(setup(&scene)).expect("a setup that fits"));
     for frame in &frames {
-        let last_ns = frame.timestamp_ns;
+        let last = frame.timestamp;
         let sample = told.track(frame).expect("it fits");
         assert_eq!(sample.to_json_line(), alone.track(frame).expect("it fits").to_json_line());
-        let small = Frame { image: image::GrayImage::new(100, 80), timestamp_ns: last_ns + 1, sequence: frame.sequence };
+        let small = Frame { image: image::GrayImage::new(100, 80), timestamp: last.after_ns(1), sequence: frame.sequence };
         assert_eq!(told.track(&small), Err(FrameError::Size { size: (100, 80), wanted: (480, 360) }));
-        for timestamp_ns in [last_ns, last_ns - 1] {
-            let late = Frame { timestamp_ns, ..frame.clone() };
-            assert_eq!(told.track(&late), Err(FrameError::Stamp { timestamp_ns, last_ns }));
+        for timestamp in [last, last.after_ns(-1)] {
+            let late = Frame { timestamp, ..frame.clone() };
+            assert_eq!(told.track(&late), Err(FrameError::Stamp { timestamp, last }));
         }
     }
 }
@@ -123,7 +123,7 @@ fn a_setup_that_does_not_fit_is_an_error() {
 fn a_skipped_row_does_not_end_a_track() {
     let scene = small();
     let mut rows = rows(&scene, 8);
-    rows[4] = skipped(&rows[4], rows[3].timestamp_ns);
+    rows[4] = skipped(&rows[4], rows[3].timestamp);
     rows[5] = undecodable(&rows[5]);
     let samples = track_rows(setup(&scene), &rows);
     assert_eq!(states(&samples), [Tracking, Tracking, Tracking, Tracking, Lost, Coasting, Tracking, Tracking]);
@@ -134,7 +134,7 @@ fn a_first_row_without_a_picture_is_searching() {
     let scene = quiet(camera(320, 240), aside(), backdrop());
     let mut rows = rows(&scene, 4);
     rows[0] = undecodable(&rows[0]);
-    rows[1] = skipped(&rows[1], 0);
+    rows[1] = skipped(&rows[1], Timestamp::default());
     assert_eq!(states(&track_rows(setup(&scene), &rows)), [Searching, Searching, Tracking, Tracking]);
 }
 

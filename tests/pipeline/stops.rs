@@ -76,7 +76,7 @@ fn the_covariance_holds_where_a_camera_starts_or_stops() {
             let EntryContent::Frame(frame) = &row.content else { continue };
             let sample = tracker.track(frame).expect("a virtual camera's frame");
             // The first frame that an event touches, and those after it.
-            let t = frame.timestamp_ns as f64 * 1e-9;
+            let t = frame.timestamp.seconds();
             let reach = 0.5 * (scene.exposure_s + scene.readout_s);
             let is_near = events.iter().any(|e| t + reach > *e && t - reach < *e + FRAMES_AFTER as f64 / FPS);
             match nees(&scene, &sample) {

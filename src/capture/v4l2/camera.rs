@@ -11,7 +11,8 @@ use nokhwa::utils::{ApiBackend, CameraFormat, CameraIndex, FrameFormat, Requeste
 use super::ioctl::{self, contained};
 use crate::capture::camera::{Camera, CameraFault, CameraMode, CapturedPicture, PixelLayout};
 use crate::capture::choice::Offer;
-use crate::capture::timestamping::{DriverStamp, monotonic_ns};
+use crate::capture::timestamping::{DriverStamp, monotonic_now};
+use crate::frame::Timestamp;
 
 /// Buffers that nokhwa asks the driver for.
 const BUFFERS: u32 = 4;
@@ -64,17 +65,17 @@ fn descriptors(number: u32) -> HashSet<RawFd> {
 impl V4l2Camera {
     fn read(&mut self) -> Result<CapturedPicture, CameraFault> {
         let buffer = self.nokhwa.frame().map_err(|e| CameraFault::Gone(reading_fault(&e.to_string())))?;
-        let arrival_ns = monotonic_ns();
+        let arrival = monotonic_now();
         self.streaming = true;
         let told = ioctl::last_dequeued(self.fd, BUFFERS);
         let whole = buffer.buffer();
         let (stamp, device_sequence, used, is_damaged) = match told {
             Some(d) => (d.stamp, Some(d.sequence), d.bytes_used, d.is_damaged),
-            None => (wall_clock_stamp(buffer.capture_timestamp(), arrival_ns), None, whole.len(), false),
+            None => (wall_clock_stamp(buffer.capture_timestamp(), arrival), None, whole.len(), false),
         };
         // Some drivers leave bytesused at 0 for whole buffers.
         let used = if used == 0 && !is_damaged { whole.len() } else { used.min(whole.len()) };
-        Ok(CapturedPicture { bytes: whole[..used].to_vec(), stamp, arrival_ns, device_sequence, is_damaged })
+        Ok(CapturedPicture { bytes: whole[..used].to_vec(), stamp, arrival, device_sequence, is_damaged })
     }
 }
 
@@ -91,10 +92,10 @@ fn reading_fault(said: &str) -> String {
 }
 
 /// nokhwa tells a driver's monotonic stamp as wall-clock time; the way back goes over the age.
-fn wall_clock_stamp(stamp: Option<Duration>, arrival_ns: i64) -> DriverStamp {
+fn wall_clock_stamp(stamp: Option<Duration>, arrival: Timestamp) -> DriverStamp {
     let wall = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
     match stamp.and_then(|stamp| wall.checked_sub(stamp)) {
-        Some(age) if age < Duration::from_secs(5) => DriverStamp::EndOfFrame(arrival_ns.saturating_sub(age.as_nanos() as i64)),
+        Some(age) if age < Duration::from_secs(5) => DriverStamp::EndOfFrame(arrival.before(age)),
         _ => DriverStamp::None,
     }
 }

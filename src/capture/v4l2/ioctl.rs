@@ -13,6 +13,7 @@ use v4l::v4l_sys::{
 use v4l::v4l2::vidioc;
 
 use crate::capture::timestamping::DriverStamp;
+use crate::frame::Timestamp;
 
 /// Runs other people's code; a panic in there is `None`.
 pub(super) fn contained<T>(run: impl FnOnce() -> T) -> Option<T> {
@@ -49,13 +50,13 @@ pub(super) fn last_dequeued(fd: RawFd, buffers: u32) -> Option<Dequeued> {
         }
     }
     out.map(|b| {
-        let at_ns = b.timestamp.tv_sec.saturating_mul(1_000_000_000).saturating_add(b.timestamp.tv_usec.saturating_mul(1_000));
+        let at = Timestamp::from_ns(b.timestamp.tv_sec.saturating_mul(1_000_000_000)).after_ns(b.timestamp.tv_usec.saturating_mul(1_000));
         let monotonic = b.flags & V4L2_BUF_FLAG_TIMESTAMP_MASK == V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
         let at_start = b.flags & V4L2_BUF_FLAG_TSTAMP_SRC_MASK == V4L2_BUF_FLAG_TSTAMP_SRC_SOE;
         let stamp = match (monotonic, at_start) {
             (false, _) => DriverStamp::None,
-            (true, true) => DriverStamp::StartOfExposure(at_ns),
-            (true, false) => DriverStamp::EndOfFrame(at_ns),
+            (true, true) => DriverStamp::StartOfExposure(at),
+            (true, false) => DriverStamp::EndOfFrame(at),
         };
         Dequeued { sequence: b.sequence, bytes_used: b.bytesused as usize, stamp, is_damaged: b.flags & V4L2_BUF_FLAG_ERROR != 0 }
     })

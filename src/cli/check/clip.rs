@@ -9,7 +9,7 @@ use crate::cli::replay::{progress::Progress, tracker_setup};
 use crate::config::Settings;
 use crate::daemon::track_entry;
 use crate::diagnose::{Finding, Grade, Travel, corners_begun_at_top_left, of_clip, of_shutter};
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 use crate::record::State;
 use crate::track::Reason;
 use crate::tracker::{Tracker, TrackerSetup};
@@ -80,7 +80,7 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
         let Some(row) = source.next_entry() else { break };
         if let EntryContent::Frame(frame) = &row.content {
             kept.offer(frame);
-            stamps.push(frame.timestamp_ns);
+            stamps.push(frame.timestamp);
         }
         let sample = track_entry(&mut tracker, &row);
         outcome.add(&sample);
@@ -88,7 +88,7 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
             *tracked += u64::from(object.state == State::Tracking);
         }
         if let (State::Tracking, Some(pose)) = (sample.state, &sample.pose) {
-            travel.add(sample.timestamp_ns, pose);
+            travel.add(sample.timestamp, pose);
         }
         progress.advance();
     }
@@ -179,10 +179,10 @@ fn of_roll(travel: &Travel, setup: &TrackerSetup) -> Option<Finding> {
 }
 
 /// The median time between two frames, seconds; rows that are out of order are skipped, with their intervals.
-fn frame_interval_s(stamps: &[i64]) -> Option<f64> {
-    let mut steps: Vec<i64> = stamps.windows(2).map(|w| w[1].saturating_sub(w[0])).filter(|ns| *ns > 0).collect();
-    steps.sort_unstable();
-    steps.get(steps.len() / 2).map(|ns| *ns as f64 * 1e-9)
+fn frame_interval_s(stamps: &[Timestamp]) -> Option<f64> {
+    let mut steps: Vec<f64> = stamps.windows(2).map(|w| w[1].seconds_since(w[0])).filter(|step_s| *step_s > 0.0).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied()
 }
 
 /// A clip without stamps is played at a rate that nobody gave.
@@ -207,7 +207,7 @@ mod tests {
     fn kept_frames_are_spread_over_the_clip() {
         let mut kept = Kept::default();
         for sequence in 0..500 {
-            kept.offer(&Frame { image: GrayImage::new(1, 1), timestamp_ns: 0, sequence });
+            kept.offer(&Frame { image: GrayImage::new(1, 1), timestamp: Timestamp::default(), sequence });
         }
         let numbers: Vec<u64> = kept.frames.iter().map(|f| f.sequence).collect();
         assert!((KEPT / 2..=KEPT).contains(&numbers.len()) && numbers[0] == 0 && *numbers.last().unwrap() > 450, "{numbers:?}");
@@ -216,8 +216,9 @@ mod tests {
 
     #[test]
     fn the_interval_is_that_of_most_frames() {
-        assert_eq!(frame_interval_s(&[0, 40_000_000, 80_000_000, 80_000_000, 900_000_000, 940_000_000]), Some(0.04));
-        assert_eq!(frame_interval_s(&[7]), None);
+        let stamps = [0, 40_000_000, 80_000_000, 80_000_000, 900_000_000, 940_000_000].map(Timestamp::from_ns);
+        assert_eq!(frame_interval_s(&stamps), Some(0.04));
+        assert_eq!(frame_interval_s(&stamps[..1]), None);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener};
 use crate::capture::decode_picture;
-use crate::capture::timestamping::{DriverStamp, mid_exposure_ns};
+use crate::capture::timestamping::{DriverStamp, mid_exposure};
 use crate::config::Settings;
 use crate::daemon::live::Shutter;
 use crate::publish::SafetySettings;
@@ -51,9 +51,9 @@ fn watch(camera: &mut dyn Camera) -> Result<Seen, String> {
                 first.get_or_insert_with(Instant::now);
                 seen.pictures += 1;
                 seen.unreadable += u32::from(decode_picture(&picture, mode.layout, mode.size).image.is_err());
-                let (at, stamped) = mid_exposure_ns(picture.stamp, picture.arrival_ns, 0.0, 0.0);
+                let (at, stamped) = mid_exposure(picture.stamp, picture.arrival, 0.0, 0.0);
                 seen.unstamped += u32::from(!stamped || picture.stamp == DriverStamp::None);
-                seen.age_ms += picture.arrival_ns.saturating_sub(at) as f64 * 1e-6;
+                seen.age_ms += picture.arrival.ms_since(at);
             }
             Err(CameraFault::Silent) => {}
             Err(fault) => return Err(fault.to_string()),

@@ -55,9 +55,8 @@ impl SavedClip {
     /// Writes one frame, its stamp and its true pose.
     pub(super) fn add(&mut self, frame: &Frame, truth: &Pose<Stage, Camera>) -> Result<(), DemoError> {
         self.clip.push(frame)?;
-        let (s, ns) = (frame.timestamp_ns / 1_000_000_000, frame.timestamp_ns % 1_000_000_000);
         let (p, [x, y, z, w]) = (truth.translation, truth.orientation_xyzw());
-        writeln!(self.truth, "{s}.{ns:09} {:.9} {:.9} {:.9} {x:.9} {y:.9} {z:.9} {w:.9}", p.x, p.y, p.z)
+        writeln!(self.truth, "{} {:.9} {:.9} {:.9} {x:.9} {y:.9} {z:.9} {w:.9}", frame.timestamp.decimal_seconds(), p.x, p.y, p.z)
             .map_err(at(&self.folder.join(TRUTH)))
     }
 

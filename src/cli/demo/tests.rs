@@ -28,7 +28,7 @@ fn tracked(frame: &Frame, pose: Pose<Stage, Camera>) -> PoseSample {
     };
     PoseSample {
         sequence: frame.sequence,
-        timestamp_ns: frame.timestamp_ns,
+        timestamp: frame.timestamp,
         state: State::Tracking,
         pose: Some(pose),
         measurement: Some(measurement),

@@ -9,7 +9,7 @@ use crate::cli::interrupt;
 use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
 use crate::daemon::track_entry;
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 use crate::mount::View;
 use crate::record::State;
 use crate::tracker::{Tracker, TrackerSetup};
@@ -86,7 +86,7 @@ fn still(tracker: &mut Tracker, row: &ClipEntry, index: usize) -> Option<View> {
     let mut last = None;
     for k in 0..TIMES_SHOWN {
         let sequence = index as u64 * TIMES_SHOWN + k;
-        let shown = Frame { image: frame.image.clone(), sequence, timestamp_ns: sequence as i64 * PACE_NS };
+        let shown = Frame { image: frame.image.clone(), sequence, timestamp: Timestamp::from_ns(sequence as i64 * PACE_NS) };
         // A picture of another size shows nothing.
         last = tracker.track(&shown).ok().and_then(|sample| sample.measurement.filter(|_| sample.state == State::Tracking));
     }

@@ -216,11 +216,11 @@ mod tests {
         let rotation = UnitQuaternion::from_quaternion(Quaternion::new(1.0, -1.0, 0.0, 0.0));
         let pose = matches!(state, State::Tracking | State::Coasting).then(|| Pose::new(rotation, Vector3::new(0.0, y, 0.0)));
         let times = StageTimes::default();
-        PoseSample { sequence: 7, timestamp_ns: 0, state, pose, measurement: None, objects: Vec::new(), reason: None, times }
+        PoseSample { sequence: 7, timestamp: Default::default(), state, pose, measurement: None, objects: Vec::new(), reason: None, times }
     }
 
     fn drawn(sample: &PoseSample, k1: f64, objects: &[BodySpec]) -> RgbImage {
-        let frame = Frame { image: GrayImage::from_pixel(640, 480, image::Luma([100])), timestamp_ns: 0, sequence: 7 };
+        let frame = Frame { image: GrayImage::from_pixel(640, 480, image::Luma([100])), timestamp: Default::default(), sequence: 7 };
         draw(&frame, sample, &Scene { camera: &camera(k1), stage: &body("stage", [3.0, 2.0]), objects, pixels: &[], colours: None })
     }
 
@@ -294,7 +294,8 @@ mod tests {
                     distortion: [0.0; 5],
                 };
                 let camera = CameraModel::new(intrinsics).unwrap();
-                let frame = Frame { image: GrayImage::from_pixel(width, height, image::Luma([level])), timestamp_ns: 0, sequence: 7 };
+                let frame =
+                    Frame { image: GrayImage::from_pixel(width, height, image::Luma([level])), timestamp: Default::default(), sequence: 7 };
                 // Every second pixel of the frame was asked.
                 let at = |k: u32| [(k % (width / 2) * 2) as f32, (k / (width / 2) * 2) as f32];
                 let pixels: Vec<UsedPixel> =
@@ -320,7 +321,7 @@ mod tests {
 
     #[test]
     fn a_clip_in_colour_is_shown_in_colour() {
-        let frame = Frame { image: GrayImage::from_pixel(640, 480, image::Luma([100])), timestamp_ns: 0, sequence: 7 };
+        let frame = Frame { image: GrayImage::from_pixel(640, 480, image::Luma([100])), timestamp: Default::default(), sequence: 7 };
         let colours = RgbImage::from_pixel(640, 480, image::Rgb([200, 30, 90]));
         let camera = camera(0.0);
         let scene = Scene { camera: &camera, stage: &body("stage", [3.0, 2.0]), objects: &[], pixels: &[], colours: Some(&colours) };

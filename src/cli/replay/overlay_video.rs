@@ -13,6 +13,7 @@ use std::thread::JoinHandle;
 use image::RgbImage;
 
 use crate::cli::failure::Failure;
+use crate::frame::Timestamp;
 use crate::safe_file;
 
 /// The program that encodes.
@@ -85,7 +86,7 @@ fn refuse_without(path: &Path, program: &str) -> Result<(), Failure> {
 pub(super) struct VideoFile {
     path: PathBuf,
     /// Stamps and pictures, until the rate is known.
-    held: Vec<(i64, RgbImage)>,
+    held: Vec<(Timestamp, RgbImage)>,
     encoder: Option<Encoder>,
 }
 
@@ -96,11 +97,11 @@ impl VideoFile {
     }
 
     /// Adds a picture; all are of one size.
-    pub fn write(&mut self, timestamp_ns: i64, picture: RgbImage) -> Result<(), Failure> {
+    pub fn write(&mut self, timestamp: Timestamp, picture: RgbImage) -> Result<(), Failure> {
         match &mut self.encoder {
-            Some(encoder) => encoder.add(timestamp_ns, picture),
+            Some(encoder) => encoder.add(timestamp, picture),
             None => {
-                self.held.push((timestamp_ns, picture));
+                self.held.push((timestamp, picture));
                 if self.held.len() > INTERVALS { self.begin() } else { Ok(()) }
             }
         }
@@ -108,10 +109,10 @@ impl VideoFile {
 
     /// Starts ffmpeg and hands it what was held.
     fn begin(&mut self) -> Result<(), Failure> {
-        let Some((first_ns, picture)) = self.held.first() else { return Ok(()) };
-        let mut encoder = Encoder::start(&self.path, picture.dimensions(), (*first_ns, interval_ns(&self.held)))?;
-        for (timestamp_ns, picture) in self.held.drain(..) {
-            encoder.add(timestamp_ns, picture)?;
+        let Some((first, picture)) = self.held.first() else { return Ok(()) };
+        let mut encoder = Encoder::start(&self.path, picture.dimensions(), (*first, interval_ns(&self.held)))?;
+        for (timestamp, picture) in self.held.drain(..) {
+            encoder.add(timestamp, picture)?;
         }
         self.encoder = Some(encoder);
         Ok(())
@@ -125,8 +126,8 @@ impl VideoFile {
 }
 
 /// The median of the intervals between stamps.
-fn interval_ns(held: &[(i64, RgbImage)]) -> i64 {
-    let mut intervals: Vec<i64> = held.windows(2).map(|pair| pair[1].0.saturating_sub(pair[0].0)).collect();
+fn interval_ns(held: &[(Timestamp, RgbImage)]) -> i64 {
+    let mut intervals: Vec<i64> = held.windows(2).map(|pair| pair[1].0.ns_since(pair[0].0)).collect();
     intervals.sort_unstable();
     intervals.get(intervals.len() / 2).copied().filter(|interval| *interval > 0).unwrap_or(SINGLE_FRAME_NS)
 }
@@ -144,7 +145,7 @@ struct Encoder {
 }
 
 impl Encoder {
-    fn start(path: &Path, (width, height): (u32, u32), (first_ns, interval_ns): (i64, i64)) -> Result<Self, Failure> {
+    fn start(path: &Path, (width, height): (u32, u32), (first, interval_ns): (Timestamp, i64)) -> Result<Self, Failure> {
         // Empties the file, and refuses what is no plain one, in words of our own.
         safe_file::replace(path).map_err(Failure::output(path))?;
         let arguments = encoding(path).unwrap_or(H264_AT_ONCE);
@@ -167,7 +168,7 @@ impl Encoder {
             .spawn()
             .map_err(Failure::output(path))?;
         let (pictures, complaints) = (child.stdin.take(), child.stderr.take());
-        let pacing = Pacing { first_ns, interval_ns, written: 0 };
+        let pacing = Pacing { first, interval_ns, written: 0 };
         // From here on a failure ends the program that was started.
         let mut encoder = Self { path: path.to_owned(), child, pictures, complaints: None, pacing, last: None };
         let listener = std::thread::Builder::new().name(PROGRAM.to_owned()).spawn(move || complaints.map_or_else(String::new, last_words));
@@ -175,8 +176,8 @@ impl Encoder {
         Ok(encoder)
     }
 
-    fn add(&mut self, timestamp_ns: i64, picture: RgbImage) -> Result<(), Failure> {
-        let repeats = self.pacing.repeats_before(timestamp_ns);
+    fn add(&mut self, timestamp: Timestamp, picture: RgbImage) -> Result<(), Failure> {
+        let repeats = self.pacing.repeats_before(timestamp);
         let pictures = self.pictures.as_mut().ok_or_else(|| io::Error::other("it has ended"));
         let written = pictures.and_then(|to| {
             for again in self.last.iter().cycle().take(if self.last.is_some() { repeats } else { 0 }) {
@@ -228,20 +229,20 @@ fn last_words(mut from: ChildStderr) -> String {
 
 /// Which picture of the video is due at which stamp.
 struct Pacing {
-    first_ns: i64,
+    first: Timestamp,
     interval_ns: i64,
     written: i64,
 }
 
 impl Pacing {
     /// How often the picture before has to be shown again before the one of this stamp, which is counted in.
-    fn repeats_before(&mut self, timestamp_ns: i64) -> usize {
-        let since_ns = timestamp_ns.saturating_sub(self.first_ns);
+    fn repeats_before(&mut self, timestamp: Timestamp) -> usize {
+        let since_ns = timestamp.ns_since(self.first);
         let due = since_ns.saturating_add(self.interval_ns / 2).div_euclid(self.interval_ns);
         let most = LONGEST_STAND_NS / self.interval_ns;
         let missing = (due - self.written).max(0);
         if missing > most {
-            self.first_ns = self.first_ns.saturating_add((missing - most).saturating_mul(self.interval_ns));
+            self.first = self.first.after_ns((missing - most).saturating_mul(self.interval_ns));
         }
         let repeats = missing.min(most);
         self.written += repeats + 1;
@@ -271,23 +272,24 @@ mod tests {
 
     #[test]
     fn missing_rows_are_bridged_and_jitter_is_not() {
-        let mut pacing = Pacing { first_ns: 5_000, interval_ns: 100, written: 0 };
+        let mut pacing = Pacing { first: Timestamp::from_ns(5_000), interval_ns: 100, written: 0 };
         let stamps = [5_000, 5_110, 5_190, 5_300, 5_700, 5_790];
-        assert_eq!(stamps.map(|stamp| pacing.repeats_before(stamp)), [0, 0, 0, 0, 3, 0]);
+        assert_eq!(stamps.map(|ns| pacing.repeats_before(Timestamp::from_ns(ns))), [0, 0, 0, 0, 3, 0]);
         // Faster than the rate: every frame is shown.
-        assert_eq!([5_820, 5_840, 5_860].map(|stamp| pacing.repeats_before(stamp)), [0, 0, 0]);
+        assert_eq!([5_820, 5_840, 5_860].map(|ns| pacing.repeats_before(Timestamp::from_ns(ns))), [0, 0, 0]);
         assert_eq!(
-            [i64::MAX, i64::MIN].map(|stamp| Pacing { first_ns: 0, interval_ns: 1 << 30, written: 0 }.repeats_before(stamp)),
+            [i64::MAX, i64::MIN]
+                .map(|ns| Pacing { first: Timestamp::default(), interval_ns: 1 << 30, written: 0 }.repeats_before(Timestamp::from_ns(ns))),
             [9, 0]
         );
         // After a jump of hours the video goes on at its rate.
-        let mut pacing = Pacing { first_ns: 0, interval_ns: 1_000_000_000, written: 0 };
-        assert_eq!([0, 3_600_000_000_000, 3_601_000_000_000].map(|stamp| pacing.repeats_before(stamp)), [0, 10, 0]);
+        let mut pacing = Pacing { first: Timestamp::default(), interval_ns: 1_000_000_000, written: 0 };
+        assert_eq!([0, 3_600_000_000_000, 3_601_000_000_000].map(|ns| pacing.repeats_before(Timestamp::from_ns(ns))), [0, 10, 0]);
     }
 
     #[test]
     fn the_rate_is_the_median_of_the_first_intervals() {
-        let held = |stamps: &[i64]| stamps.iter().map(|stamp| (*stamp, RgbImage::new(1, 1))).collect::<Vec<_>>();
+        let held = |stamps: &[i64]| stamps.iter().map(|ns| (Timestamp::from_ns(*ns), RgbImage::new(1, 1))).collect::<Vec<_>>();
         assert_eq!(interval_ns(&held(&[0, 33, 500, 533])), 33);
         assert_eq!(interval_ns(&held(&[7])), SINGLE_FRAME_NS);
     }

@@ -67,7 +67,7 @@ impl Overlays {
             Scene { camera: &self.camera, stage: &self.stage, objects: &self.objects, pixels: &pixels, colours: colours.as_deref() };
         let picture = overlay::draw(frame, sample, &scene);
         match &mut self.target {
-            Target::Video(video) => video.write(frame.timestamp_ns, picture),
+            Target::Video(video) => video.write(frame.timestamp, picture),
             Target::Folder(directory) => {
                 let file = directory.join(format!("{:06}.jpg", frame.sequence));
                 write_jpeg(&file, &picture).map_err(Failure::output(&file))

@@ -4,12 +4,13 @@ use std::time::{Duration, Instant};
 
 use crate::capture::{ClipEntry, FrameSource};
 use crate::cli::interrupt;
+use crate::frame::Timestamp;
 use crate::publish::ClipStart;
 
 pub(super) struct Paced {
     source: Box<dyn FrameSource>,
     /// When the first row was handed out, and its stamp.
-    start: Option<(Instant, i64)>,
+    start: Option<(Instant, Timestamp)>,
     /// Who sends what comes of it wants to know too.
     begun: ClipStart,
 }
@@ -20,17 +21,13 @@ impl Paced {
     }
 }
 
-/// Time from the first stamp to this one; stamps that do not follow wait for nothing.
-fn due_after(first_ns: i64, stamp_ns: i64) -> Duration {
-    Duration::from_nanos(u64::try_from(stamp_ns.saturating_sub(first_ns)).unwrap_or(0))
-}
-
 impl FrameSource for Paced {
     fn next_entry(&mut self) -> Option<ClipEntry> {
         let row = self.source.next_entry()?;
-        let (begun, first_ns) = *self.start.get_or_insert_with(|| (Instant::now(), row.timestamp_ns));
-        self.begun.begin(first_ns);
-        let due = due_after(first_ns, row.timestamp_ns);
+        let (begun, first) = *self.start.get_or_insert_with(|| (Instant::now(), row.timestamp));
+        self.begun.begin(first);
+        // Stamps that do not follow wait for nothing.
+        let due = row.timestamp.duration_since(first);
         loop {
             if interrupt::is_interrupted() {
                 return None;
@@ -55,12 +52,39 @@ impl FrameSource for Paced {
 
 #[cfg(test)]
 mod tests {
-    use super::due_after;
+    use super::*;
+    use crate::capture::EntryContent;
+
+    /// Rows of these stamps, in milliseconds.
+    struct Rows(std::array::IntoIter<i64, 4>);
+
+    impl FrameSource for Rows {
+        fn next_entry(&mut self) -> Option<ClipEntry> {
+            let timestamp = Timestamp::from_ns(self.0.next()? * 1_000_000);
+            let content = EntryContent::Undecodable("dark".to_owned());
+            Some(ClipEntry { sequence: 0, timestamp, content, decode: Duration::ZERO, received: None })
+        }
+
+        fn size(&self) -> (u32, u32) {
+            (1, 1)
+        }
+
+        fn rows(&self) -> Option<u64> {
+            None
+        }
+    }
 
     #[test]
-    fn rows_are_due_by_their_stamps_and_never_in_the_past() {
-        assert_eq!(due_after(1_000, 34_000).as_nanos(), 33_000);
-        assert_eq!(due_after(1_000, 500).as_nanos(), 0);
-        assert_eq!(due_after(i64::MIN, i64::MAX).as_nanos(), i64::MAX as u128);
+    fn no_row_is_handed_out_before_it_is_due() {
+        // The stamps begin anywhere, and may go back.
+        let stamps = [7_000, 7_030, 6_000, 7_080];
+        let mut paced = Paced::new(Box::new(Rows(stamps.into_iter())), ClipStart::default());
+        let begun = Instant::now();
+        for stamp in stamps {
+            let row = paced.next_entry().expect("a row");
+            assert_eq!(row.timestamp, Timestamp::from_ns(stamp * 1_000_000));
+            assert!(begun.elapsed() >= row.timestamp.duration_since(Timestamp::from_seconds(7.0)));
+        }
+        assert!(paced.next_entry().is_none());
     }
 }

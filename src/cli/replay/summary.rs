@@ -200,7 +200,16 @@ mod tests {
 
     fn sample(state: State, ms: f64) -> PoseSample {
         let times = StageTimes { decode_ms: 1.0, acquire_ms: ms, align_ms: 2.0, pose_ms: 0.5, age_ms: None };
-        PoseSample { sequence: 0, timestamp_ns: 0, state, pose: None, measurement: None, objects: Vec::new(), reason: None, times }
+        PoseSample {
+            sequence: 0,
+            timestamp: Default::default(),
+            state,
+            pose: None,
+            measurement: None,
+            objects: Vec::new(),
+            reason: None,
+            times,
+        }
     }
 
     #[test]

@@ -9,6 +9,7 @@ use super::bundle::Bundle;
 use crate::capture::timestamps::read_timestamps;
 use crate::cli::failure::Failure;
 use crate::config::Settings;
+use crate::frame::Timestamp;
 use crate::safe_file;
 
 /// The texts of a clip, those that are there.
@@ -66,9 +67,9 @@ impl Recording {
     pub fn last_pictures(&self, seconds: f64) -> Vec<String> {
         let Ok(file) = safe_file::open(&self.folder.join("timestamps.csv")) else { return Vec::new() };
         let rows = read_timestamps(file).unwrap_or_default();
-        let stamped: Vec<(i64, String)> = rows.into_iter().filter_map(|row| Some((row.stamp.ok()?, row.file))).collect();
+        let stamped: Vec<(Timestamp, String)> = rows.into_iter().filter_map(|row| Some((row.stamp.ok()?, row.file))).collect();
         let Some(end) = stamped.iter().map(|(stamp, _)| *stamp).max() else { return Vec::new() };
-        let since = end.saturating_sub((seconds * 1e9) as i64);
+        let since = end.after_s(-seconds);
         // A name that leads out of the clip is none of its pictures.
         let is_inside = |name: &str| Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
         stamped.into_iter().filter(|(stamp, name)| *stamp >= since && is_inside(name)).map(|(_, name)| name).collect()

@@ -158,7 +158,7 @@ mod tests {
         let s = Statistics::default();
         assert_eq!(status(&s, (0, 0.0), None), "waiting for the camera, 0.0 frames/s");
         s.camera_opened("Cam", false);
-        let mut sample = PoseSample::stale(0, 5, 12.0);
+        let mut sample = PoseSample::stale(0, crate::frame::Timestamp::from_ns(5), 12.0);
         sample.state = State::Tracking;
         s.sample(&sample);
         s.frames_dropped(2);

@@ -12,7 +12,7 @@ use super::pages::Pages;
 use super::service::Service;
 use super::{LiveArguments, camera};
 use crate::capture::camera::CameraMode;
-use crate::capture::timestamping::monotonic_ns;
+use crate::capture::timestamping::monotonic_now;
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::outcome::Outcome;
@@ -24,6 +24,7 @@ use crate::config::{LogFormat, LogSettings, RecorderSettings, Settings};
 use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, Shutter};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
 use crate::daemon::{Daemon, RunningDaemon};
+use crate::frame::Timestamp;
 use crate::publish::PoseWithheld;
 use crate::record::{PoseSample, State};
 use crate::telemetry::RecorderState;
@@ -139,10 +140,10 @@ impl Session<'_> {
         let mode = source.wait_for_camera(|| {
             service.alive();
             // Before there is a pipeline, too, clients hear that there is no pose.
-            let now_ns = monotonic_ns();
-            if stale_said.elapsed() >= STALE_REPEAT && self.link.pulse.time_left(now_ns).is_none() {
+            let now = monotonic_now();
+            if stale_said.elapsed() >= STALE_REPEAT && self.link.pulse.time_left(now).is_none() {
                 stale_said = Instant::now();
-                pages.publish(&PoseSample::stale(0, 0, self.link.pulse.age_ms(now_ns)));
+                pages.publish(&PoseSample::stale(0, Timestamp::default(), self.link.pulse.age_ms(now)));
             }
             service.tick(self.link);
             sinks.write_events();

@@ -5,8 +5,9 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use crossbeam_channel::Receiver;
 use serde::Serialize;
 
-use crate::capture::timestamping::monotonic_ns;
+use crate::capture::timestamping::monotonic_now;
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
+use crate::frame::Timestamp;
 use crate::printable::printable;
 use crate::record::State;
 
@@ -70,7 +71,8 @@ pub enum Event {
     /// A frame was dropped, since the tracker was late.
     FrameDropped {
         /// Its stamp.
-        frame_timestamp_ns: i64,
+        #[serde(rename = "frame_timestamp_ns")]
+        timestamp: Timestamp,
     },
     /// Recording began.
     RecorderStarted {
@@ -135,8 +137,9 @@ pub enum Event {
 /// An event with its time.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StampedEvent {
-    /// Monotonic nanoseconds, the clock of the frames.
-    pub timestamp_ns: i64,
+    /// On the monotonic clock, as the frames'.
+    #[serde(rename = "timestamp_ns")]
+    pub timestamp: Timestamp,
     /// What happened.
     #[serde(flatten)]
     pub event: Event,
@@ -187,7 +190,7 @@ impl EventLog {
     /// Something happened now.
     pub fn publish(&self, event: Event) {
         note(&event);
-        let stamped = StampedEvent { timestamp_ns: monotonic_ns(), event };
+        let stamped = StampedEvent { timestamp: monotonic_now(), event };
         self.listeners.lock().unwrap_or_else(PoisonError::into_inner).retain(|(listener, alive)| {
             listener.send(stamped.clone());
             alive.strong_count() > 0
@@ -216,8 +219,8 @@ fn note(event: &Event) {
         Event::ExposureDiffers { reason } => tracing::warn!("{reason}"),
         Event::Stale { age_ms, .. } => tracing::warn!("no picture for {age_ms:.0} ms"),
         Event::Resumed { after_ms } => tracing::info!("pictures come again after {after_ms:.0} ms"),
-        Event::FrameDropped { frame_timestamp_ns } => {
-            tracing::debug!("the frame of {frame_timestamp_ns} was dropped: the tracker was late")
+        Event::FrameDropped { timestamp } => {
+            tracing::debug!("the frame of {timestamp} was dropped: the tracker was late")
         }
         Event::RecorderStarted { clip } => tracing::info!("recording to {clip}"),
         Event::RecorderFinished { clip, frames } => tracing::info!("{clip} is recorded: {frames} frames"),
@@ -240,7 +243,7 @@ mod tests {
     #[test]
     fn a_name_that_a_terminal_would_obey_is_escaped() {
         let name = "Cam\u{9b}2J\x1b]0;x\x07\u{202e}".to_owned();
-        let line = StampedEvent { timestamp_ns: 1, event: Event::NoDriverStamp { name: name.clone() } }.to_json_line();
+        let line = StampedEvent { timestamp: Timestamp::from_ns(1), event: Event::NoDriverStamp { name: name.clone() } }.to_json_line();
         assert!(line.chars().all(crate::printable::stands_for_itself), "{line:?}");
         let read: serde_json::Value = serde_json::from_str(&line).unwrap();
         assert_eq!(read["name"], name);

@@ -3,9 +3,10 @@
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
-use crate::capture::timestamping::monotonic_ns;
+use crate::capture::timestamping::monotonic_now;
+use crate::frame::Timestamp;
 
-/// Shared by the thread that reads pictures and the one that says that none come.
+/// Shared by the thread that reads pictures and the one that says that none come; nanoseconds.
 #[derive(Debug)]
 pub struct Pulse {
     arrival_ns: AtomicI64,
@@ -15,7 +16,7 @@ pub struct Pulse {
 
 impl Default for Pulse {
     fn default() -> Self {
-        let now = monotonic_ns();
+        let now = monotonic_now().ns();
         Self { arrival_ns: AtomicI64::new(now), stamp_ns: AtomicI64::new(now), frame_time_ns: AtomicI64::new(33_333_333) }
     }
 }
@@ -25,9 +26,9 @@ const STALE_FRAME_TIMES: f64 = 2.6;
 
 impl Pulse {
     /// A picture came.
-    pub fn beat(&self, arrival_ns: i64, stamp_ns: i64) {
-        self.arrival_ns.store(arrival_ns, Ordering::Relaxed);
-        self.stamp_ns.store(stamp_ns, Ordering::Relaxed);
+    pub fn beat(&self, arrival: Timestamp, stamp: Timestamp) {
+        self.arrival_ns.store(arrival.ns(), Ordering::Relaxed);
+        self.stamp_ns.store(stamp.ns(), Ordering::Relaxed);
     }
 
     /// Pictures come at this rate, a second.
@@ -38,15 +39,15 @@ impl Pulse {
     }
 
     /// Time until the silence is too long; none where it is already.
-    pub fn time_left(&self, now_ns: i64) -> Option<Duration> {
+    pub fn time_left(&self, now: Timestamp) -> Option<Duration> {
         let allowed = (self.frame_time_ns.load(Ordering::Relaxed) as f64 * STALE_FRAME_TIMES) as i64;
-        let left = self.arrival_ns.load(Ordering::Relaxed).saturating_add(allowed).saturating_sub(now_ns);
-        u64::try_from(left).ok().filter(|left| *left > 0).map(Duration::from_nanos)
+        let left = Timestamp::from_ns(self.arrival_ns.load(Ordering::Relaxed)).after_ns(allowed).duration_since(now);
+        (!left.is_zero()).then_some(left)
     }
 
     /// How old the last picture is, milliseconds, from its exposure on.
-    pub fn age_ms(&self, now_ns: i64) -> f64 {
-        now_ns.saturating_sub(self.stamp_ns.load(Ordering::Relaxed)) as f64 * 1e-6
+    pub fn age_ms(&self, now: Timestamp) -> f64 {
+        now.ms_since(Timestamp::from_ns(self.stamp_ns.load(Ordering::Relaxed)))
     }
 }
 
@@ -58,10 +59,11 @@ mod tests {
     fn silence_is_too_long_before_the_third_frame_time_is_over() {
         let pulse = Pulse::default();
         pulse.set_rate(50.0);
-        pulse.beat(1_000_000_000, 990_000_000);
-        assert_eq!(pulse.time_left(1_000_000_000), Some(Duration::from_millis(52)));
-        assert_eq!(pulse.time_left(1_051_999_999), Some(Duration::from_nanos(1)));
-        assert_eq!(pulse.time_left(1_052_000_000), None);
-        assert_eq!(pulse.age_ms(1_050_000_000), 60.0);
+        let at = Timestamp::from_ns;
+        pulse.beat(at(1_000_000_000), at(990_000_000));
+        assert_eq!(pulse.time_left(at(1_000_000_000)), Some(Duration::from_millis(52)));
+        assert_eq!(pulse.time_left(at(1_051_999_999)), Some(Duration::from_nanos(1)));
+        assert_eq!(pulse.time_left(at(1_052_000_000)), None);
+        assert_eq!(pulse.age_ms(at(1_050_000_000)), 60.0);
     }
 }

@@ -15,14 +15,15 @@ use super::patience::Patience;
 use super::shutter::Shutter;
 use super::{Event, LiveLink};
 use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture};
-use crate::capture::timestamping::{StampTrust, monotonic_ns};
+use crate::capture::timestamping::{StampTrust, monotonic_now};
 use crate::drop_oldest::DropOldestSender;
+use crate::frame::Timestamp;
 
 /// A picture on its way to the capture stage.
 pub(super) struct Arrived {
     pub picture: CapturedPicture,
     pub mode: Arc<CameraMode>,
-    pub timestamp_ns: i64,
+    pub timestamp: Timestamp,
 }
 
 /// What readers and their source share; it outlives a reader that was left behind.
@@ -44,7 +45,7 @@ pub(super) struct Shared {
 pub(super) struct Ticket {
     /// False from when it is no longer wanted.
     pub wanted: AtomicBool,
-    /// When it last was not blocked, monotonic nanoseconds.
+    /// When it last was not blocked, nanoseconds on the monotonic clock.
     beat_ns: AtomicI64,
     /// True where its camera will give no more pictures (a played clip).
     pub ended: AtomicBool,
@@ -54,17 +55,17 @@ pub(super) struct Ticket {
 
 impl Ticket {
     pub fn new() -> Self {
-        let beat_ns = AtomicI64::new(monotonic_ns());
+        let beat_ns = AtomicI64::new(monotonic_now().ns());
         Self { wanted: AtomicBool::new(true), beat_ns, ended: AtomicBool::new(false), thread: Mutex::new(None) }
     }
 
     fn beat(&self) {
-        self.beat_ns.store(monotonic_ns(), Ordering::Relaxed);
+        self.beat_ns.store(monotonic_now().ns(), Ordering::Relaxed);
     }
 
     /// How long it has been blocked.
     pub fn blocked_for(&self) -> Duration {
-        Duration::from_nanos(u64::try_from(monotonic_ns() - self.beat_ns.load(Ordering::Relaxed)).unwrap_or(0))
+        monotonic_now().duration_since(Timestamp::from_ns(self.beat_ns.load(Ordering::Relaxed)))
     }
 
     /// Interrupts what it is blocked in.
@@ -232,7 +233,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
             }
         };
         last = Instant::now();
-        let (timestamp_ns, stamped) = trust.mid_exposure_ns(picture.stamp, picture.arrival_ns, exposure_s, shared.shutter.readout_s);
+        let (timestamp, stamped) = trust.mid_exposure(picture.stamp, picture.arrival, exposure_s, shared.shutter.readout_s);
         if !stamped && !shared.unstamped_said.swap(true, Ordering::Relaxed) {
             shared.link.events.publish(Event::NoDriverStamp { name: mode.name.clone() });
         }
@@ -242,21 +243,21 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
             shared.link.statistics.device_frames_dropped(if lost < 10_000 { lost.into() } else { 0 });
         }
         last_sequence = picture.device_sequence.or(last_sequence);
-        shared.link.pulse.beat(picture.arrival_ns, timestamp_ns);
+        shared.link.pulse.beat(picture.arrival, timestamp);
         let late = |late: Arrived| {
             if shared.is_read.load(Ordering::Relaxed) {
-                dropped(&shared.link, late.timestamp_ns);
+                dropped(&shared.link, late.timestamp);
             }
         };
-        to.send_dropping(Arrived { picture, mode: mode.clone(), timestamp_ns }, late);
+        to.send_dropping(Arrived { picture, mode: mode.clone(), timestamp }, late);
     }
     Loss::Unwanted
 }
 
 /// A frame nobody came for.
-pub(in crate::daemon) fn dropped(link: &LiveLink, frame_timestamp_ns: i64) {
+pub(in crate::daemon) fn dropped(link: &LiveLink, timestamp: Timestamp) {
     link.statistics.frames_dropped(1);
-    link.events.publish(Event::FrameDropped { frame_timestamp_ns });
+    link.events.publish(Event::FrameDropped { timestamp });
 }
 
 #[cfg(test)]

@@ -81,14 +81,14 @@ impl LiveSource {
     }
 
     fn row(&mut self, arrived: Arrived) -> ClipEntry {
-        let Arrived { picture, mode, timestamp_ns } = arrived;
+        let Arrived { picture, mode, timestamp } = arrived;
         let begun = Instant::now();
         let decoded = decode_picture(&picture, mode.layout, mode.size);
         let decode = begun.elapsed();
         let sequence = self.next_sequence;
         self.next_sequence += 1;
-        let (content, received) = decoded.content(mode.size, timestamp_ns, sequence);
-        ClipEntry { sequence, timestamp_ns, content, decode, received: Some(received) }
+        let (content, received) = decoded.content(mode.size, timestamp, sequence);
+        ClipEntry { sequence, timestamp, content, decode, received: Some(received) }
     }
 
     /// Puts another reader in the place of one that is gone or stays blocked; interrupts one that is blocked before that.

@@ -8,8 +8,9 @@ use serde::Serialize;
 
 use super::disk::Disk;
 use crate::capture::camera::CameraMode;
-use crate::capture::timestamping::monotonic_ns;
+use crate::capture::timestamping::monotonic_now;
 use crate::config::ConfigSource;
+use crate::frame::Timestamp;
 use crate::utc;
 
 /// What a clip is told of itself.
@@ -36,7 +37,7 @@ struct ClipToml<'a> {
 /// The clip's stamps are monotonic; both clocks were read at the same moment.
 #[derive(Serialize)]
 struct Clock {
-    monotonic_ns: i64,
+    monotonic_ns: Timestamp,
     utc_ns: i64,
 }
 
@@ -56,7 +57,7 @@ impl AboutClip {
     /// Writes clip.toml and config/ into a clip.
     pub fn write(&self, clip: &Path, disk: &mut dyn Disk) -> io::Result<()> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let clock = Clock { monotonic_ns: monotonic_ns(), utc_ns: i64::try_from(now.as_nanos()).unwrap_or(i64::MAX) };
+        let clock = Clock { monotonic_ns: monotonic_now(), utc_ns: i64::try_from(now.as_nanos()).unwrap_or(i64::MAX) };
         let CameraMode { name, size: (width, height), layout, fps, exposure_s, controls, notes: _ } = &self.camera;
         let controls = controls.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         let camera = Camera { name, width: *width, height: *height, format: layout.fourcc(), fps: *fps, exposure_s: *exposure_s, controls };

@@ -9,12 +9,13 @@ use image::{ExtendedColorType, GrayImage, ImageEncoder};
 
 use super::disk::Disk;
 use crate::daemon::live::{Event, StampedEvent};
+use crate::frame::Timestamp;
 use crate::safe_file::first_taken;
 
 /// A row as it is kept.
 #[derive(Debug, Clone)]
 pub(super) struct Recorded {
-    pub timestamp_ns: i64,
+    pub timestamp: Timestamp,
     pub picture: Picture,
     /// The C3 record, without the line end.
     pub line: String,
@@ -104,17 +105,17 @@ impl ClipFolder {
         };
         let name = format!("{subfolder}/{n:08}.{extension}");
         disk.write_file(&self.folder.join("frames").join(&name), &bytes)?;
-        disk.append(&self.folder.join("timestamps.csv"), format!("{},{name}\n", row.timestamp_ns).as_bytes())?;
+        disk.append(&self.folder.join("timestamps.csv"), format!("{},{name}\n", row.timestamp).as_bytes())?;
         self.pictures += 1;
         disk.append(&self.folder.join("poses.jsonl"), format!("{}\n", row.line).as_bytes())
     }
 
     /// Writes an event; a dropped frame goes to an index of its own.
     pub fn event(&mut self, event: &StampedEvent, disk: &mut dyn Disk) -> io::Result<()> {
-        if let Event::FrameDropped { frame_timestamp_ns } = event.event {
+        if let Event::FrameDropped { timestamp } = event.event {
             let head = if self.dropped_begun { "" } else { "#timestamp [ns] of frames that were not tracked\n" };
             self.dropped_begun = true;
-            return disk.append(&self.folder.join("dropped.csv"), format!("{head}{frame_timestamp_ns}\n").as_bytes());
+            return disk.append(&self.folder.join("dropped.csv"), format!("{head}{timestamp}\n").as_bytes());
         }
         disk.append(&self.folder.join("events.jsonl"), format!("{}\n", event.to_json_line()).as_bytes())
     }

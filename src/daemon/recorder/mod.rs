@@ -25,7 +25,7 @@ pub use clip_name::new_clip_name;
 pub use disk::{Disk, RealDisk};
 
 use super::live::{Event, LiveLink, StampedEvent};
-use crate::capture::timestamping::monotonic_ns;
+use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, Received};
 use crate::record::PoseSample;
 use crate::telemetry::RecorderState;
@@ -144,7 +144,7 @@ fn recorded(row: &ClipEntry, sample: &PoseSample) -> Recorded {
         (_, EntryContent::Frame(frame)) => Picture::Grey(frame.image.clone()),
         (_, EntryContent::Undecodable(_) | EntryContent::Skipped(_)) => Picture::Nothing,
     };
-    Recorded { timestamp_ns: row.timestamp_ns, picture, line: sample.to_json_line() }
+    Recorded { timestamp: row.timestamp, picture, line: sample.to_json_line() }
 }
 
 /// The recorder's thread.
@@ -222,7 +222,7 @@ impl Work {
         let Some(clip) = &self.clip else { return };
         let event = Event::RecorderFinished { clip: clip.folder.display().to_string(), frames: clip.rows() };
         self.link.events.publish(event.clone());
-        self.event(StampedEvent { timestamp_ns: monotonic_ns(), event });
+        self.event(StampedEvent { timestamp: monotonic_now(), event });
     }
 
     /// Gives up; what is written stays a good clip.
@@ -242,10 +242,10 @@ impl Work {
             return;
         }
         let clip = new_clip_name(folder);
-        let saved = ring.save(&clip, &mut *self.disk).and_then(|first_ns| {
+        let saved = ring.save(&clip, &mut *self.disk).and_then(|first| {
             self.plan.about.write(&clip, &mut *self.disk)?;
             let mut saved = ClipFolder::of(&clip);
-            let since = self.recent.iter().rev().filter(|e| e.timestamp_ns >= first_ns);
+            let since = self.recent.iter().rev().filter(|e| e.timestamp >= first);
             since.into_iter().try_for_each(|event| saved.event(event, &mut *self.disk))
         });
         match saved {

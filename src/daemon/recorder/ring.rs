@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 
 use super::clip_folder::{ClipFolder, INDEX_HEAD, Recorded};
 use super::disk::Disk;
+use crate::frame::Timestamp;
 
 struct Segment {
     clip: ClipFolder,
-    first_ns: i64,
+    first: Timestamp,
 }
 
 /// A ring of short clips.
@@ -40,11 +41,11 @@ impl Ring {
 
     /// Writes a row to the newest segment and removes what is too old.
     pub fn push(&mut self, row: &Recorded, disk: &mut dyn Disk) -> io::Result<()> {
-        let age = |segment: &Segment| row.timestamp_ns.saturating_sub(segment.first_ns);
+        let age = |segment: &Segment| row.timestamp.ns_since(segment.first);
         if self.segments.back().is_none_or(|s| age(s) >= self.length_ns / SEGMENTS) {
             let clip = ClipFolder::create(&self.folder.join(format!("{:08}", self.made)), disk)?;
             self.made += 1;
-            self.segments.push_back(Segment { clip, first_ns: row.timestamp_ns });
+            self.segments.push_back(Segment { clip, first: row.timestamp });
         }
         // The oldest may go when those behind it reach back far enough.
         while self.segments.get(1).is_some_and(|second| age(second) >= self.length_ns) {
@@ -62,9 +63,9 @@ impl Ring {
     }
 
     /// Moves what is there into a clip of its own and begins anew; gives the first row's stamp.
-    pub fn save(&mut self, clip: &Path, disk: &mut dyn Disk) -> io::Result<i64> {
+    pub fn save(&mut self, clip: &Path, disk: &mut dyn Disk) -> io::Result<Timestamp> {
         disk.make_folder(&clip.join("frames"))?;
-        let first_ns = self.segments.front().map_or(i64::MAX, |s| s.first_ns);
+        let first = self.segments.front().map(|s| s.first).unwrap_or_default();
         let (mut index, mut poses) = (INDEX_HEAD.to_vec(), Vec::new());
         for segment in std::mem::take(&mut self.segments) {
             let from = &segment.clip.folder;
@@ -80,6 +81,6 @@ impl Ring {
         }
         disk.write_file(&clip.join("timestamps.csv"), &index)?;
         disk.write_file(&clip.join("poses.jsonl"), &poses)?;
-        Ok(first_ns)
+        Ok(first)
     }
 }

@@ -7,7 +7,7 @@ use image::GrayImage;
 use super::*;
 use crate::capture::camera::{CameraMode, PixelLayout};
 use crate::capture::{ClipOptions, open_clip};
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 
 /// A disk with room for a number of bytes.
 struct SmallDisk {
@@ -50,15 +50,15 @@ fn about() -> AboutClip {
 }
 
 fn row(sequence: u64) -> (ClipEntry, PoseSample) {
-    let timestamp_ns = sequence as i64 * 100_000_000;
+    let timestamp = Timestamp::from_ns(sequence as i64 * 100_000_000);
     let image = GrayImage::from_pixel(20, 10, image::Luma([sequence as u8]));
     let content = match sequence % 7 {
         3 => EntryContent::Undecodable("short".into()),
-        _ => EntryContent::Frame(Frame { image, timestamp_ns, sequence }),
+        _ => EntryContent::Frame(Frame { image, timestamp, sequence }),
     };
-    let mut sample = PoseSample::stale(sequence, timestamp_ns, 0.0);
+    let mut sample = PoseSample::stale(sequence, timestamp, 0.0);
     sample.state = crate::record::State::Searching;
-    (ClipEntry { sequence, timestamp_ns, content, decode: Duration::ZERO, received: Some(Received::Raw) }, sample)
+    (ClipEntry { sequence, timestamp, content, decode: Duration::ZERO, received: Some(Received::Raw) }, sample)
 }
 
 /// Records rows and ends, or leaves the recorder as a killed process would.
@@ -77,7 +77,7 @@ fn record(plan: RecorderPlan, disk: Box<dyn Disk>, rows: std::ops::Range<u64>) -
 
 fn stamps_of(clip: &Path) -> Vec<i64> {
     let mut source = open_clip(clip, ClipOptions::default()).unwrap();
-    std::iter::from_fn(|| source.next_entry()).map(|row| row.timestamp_ns).collect()
+    std::iter::from_fn(|| source.next_entry()).map(|row| row.timestamp.ns()).collect()
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn a_recording_replays_row_by_row() {
     let mut source = open_clip(&clip, ClipOptions::default()).unwrap();
     for n in 0..20 {
         let (was, is) = (row(n).0, source.next_entry().unwrap());
-        assert_eq!((was.sequence, was.timestamp_ns), (is.sequence, is.timestamp_ns));
+        assert_eq!((was.sequence, was.timestamp), (is.sequence, is.timestamp));
         match (was.content, is.content) {
             (EntryContent::Frame(was), EntryContent::Frame(is)) => assert_eq!(was, is),
             (EntryContent::Undecodable(_), EntryContent::Undecodable(_)) => {}

@@ -7,6 +7,7 @@ use super::evenness::Evenness;
 use super::fading::Unknown;
 use super::memories::Memories;
 use super::place::Place;
+use crate::frame::Timestamp;
 use crate::motion::Recent;
 
 /// What may be when nothing is known of the motion: m/s and m/s², or rad/s and rad/s².
@@ -52,7 +53,7 @@ impl<P: Place> Follower<P> {
         }
     }
 
-    pub fn update(&mut self, timestamp_ns: i64, step_s: f64, measured: &P, variance: f64) {
+    pub fn update(&mut self, timestamp: Timestamp, step_s: f64, measured: &P, variance: f64) {
         let variance = usable(variance);
         let is_jump = self.evenness.jumps(step_s, measured, variance, UNKNOWN.velocity);
         let variance = usable(variance * self.evenness.noise_share());
@@ -65,7 +66,7 @@ impl<P: Place> Follower<P> {
         let shortest_s = (variance.sqrt() / self.acceleration).sqrt();
         self.memories.update(step_s, shortest_s, measured, variance);
         if self.ahead_s > 0.0 {
-            self.learn_lead(timestamp_ns, step_s, measured);
+            self.learn_lead(timestamp, step_s, measured);
         }
     }
 
@@ -79,9 +80,9 @@ impl<P: Place> Follower<P> {
 
     /// Holds what would have been predicted for now against the measurement: where accelerations last shorter than a prediction
     /// reaches ahead, as in the hand, adding them makes it worse; on rails it makes it better.
-    fn learn_lead(&mut self, timestamp_ns: i64, step_s: f64, measured: &P) {
-        if let Some((then_ns, then)) = self.estimates.before(timestamp_ns, self.ahead_s) {
-            let seconds = timestamp_ns.saturating_sub(*then_ns) as f64 * 1e-9;
+    fn learn_lead(&mut self, timestamp: Timestamp, step_s: f64, measured: &P) {
+        if let Some((at, then)) = self.estimates.before(timestamp, self.ahead_s) {
+            let seconds = timestamp.seconds_since(*at);
             let should = measured.way_from(&then.place.moved(then.velocity * seconds));
             let would = then.acceleration * (seconds * seconds / 2.0);
             let share = 1.0 - (-step_s / LEAD_S).exp();
@@ -90,7 +91,7 @@ impl<P: Place> Follower<P> {
         }
         let best = self.memories.best();
         let now = Estimate { place: best.place, velocity: best.velocity, acceleration: best.acceleration };
-        self.estimates.push(timestamp_ns, now);
+        self.estimates.push(timestamp, now);
     }
 }
 

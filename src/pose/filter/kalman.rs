@@ -7,6 +7,7 @@
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
 use super::follower::Follower;
+use crate::frame::Timestamp;
 use crate::geometry::{Pose, Stage};
 use crate::motion::Motion;
 
@@ -40,10 +41,10 @@ impl Kalman {
         }
     }
 
-    pub fn update<From>(&mut self, timestamp_ns: i64, step_s: f64, measured: &Pose<Stage, From>, covariance: &Matrix6<f64>) {
+    pub fn update<From>(&mut self, timestamp: Timestamp, step_s: f64, measured: &Pose<Stage, From>, covariance: &Matrix6<f64>) {
         let [position, rotation] = variances(covariance);
-        self.position.update(timestamp_ns, step_s, &measured.translation, position);
-        self.rotation.update(timestamp_ns, step_s, &measured.rotation, rotation);
+        self.position.update(timestamp, step_s, &measured.translation, position);
+        self.rotation.update(timestamp, step_s, &measured.rotation, rotation);
     }
 
     pub fn motion<From>(&self) -> Motion<Stage, From> {

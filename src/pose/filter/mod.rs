@@ -16,6 +16,7 @@ mod place;
 
 use nalgebra::{Matrix6, Vector3};
 
+use crate::frame::Timestamp;
 use crate::geometry::{Pose, Stage};
 use crate::motion::{FADE_S, Motion, Reach};
 use kalman::Kalman;
@@ -67,7 +68,7 @@ pub(super) struct PoseFilter<From> {
 /// A filter between two measurements.
 #[derive(Debug, Clone)]
 struct Running<From> {
-    last_ns: i64,
+    last: Timestamp,
     /// The last two frame intervals, seconds, as far as they are known.
     intervals_s: [Option<f64>; 2],
     state: State<From>,
@@ -85,17 +86,17 @@ impl<From> PoseFilter<From> {
     }
 
     /// Takes the measurement of a stamp and gives the pose for use.
-    pub fn measured(&mut self, timestamp_ns: i64, pose: &Pose<Stage, From>, covariance: &Matrix6<f64>) -> Pose<Stage, From> {
+    pub fn measured(&mut self, timestamp: Timestamp, pose: &Pose<Stage, From>, covariance: &Matrix6<f64>) -> Pose<Stage, From> {
         if self.settings.kind == FilterKind::Off {
             return *pose;
         }
         let (mut intervals_s, mut continued) = ([None; 2], None);
         if let Some(mut running) = self.running.take() {
-            let step_s = timestamp_ns.saturating_sub(running.last_ns) as f64 * 1e-9;
+            let step_s = timestamp.seconds_since(running.last);
             if step_s > 0.0 {
                 intervals_s = [Some(step_s), running.intervals_s[0]];
                 if step_s <= running.longest_step_s() {
-                    running.state.update(timestamp_ns, step_s, pose, covariance);
+                    running.state.update(timestamp, step_s, pose, covariance);
                     continued = Some(running.state);
                 }
             }
@@ -104,8 +105,8 @@ impl<From> PoseFilter<From> {
             self.reach.clear();
             State::start(&self.settings, pose, covariance)
         });
-        self.reach.push(timestamp_ns, pose);
-        let running = Running { last_ns: timestamp_ns, intervals_s, state };
+        self.reach.push(timestamp, pose);
+        let running = Running { last: timestamp, intervals_s, state };
         let told = self.after(&running, 0.0);
         self.running = Some(running);
         // A measurement that overflows the filter's numbers ends the filter, not the tracking.
@@ -117,9 +118,9 @@ impl<From> PoseFilter<From> {
     }
 
     /// The pose of a stamp without a measurement.
-    pub fn predicted(&self, timestamp_ns: i64) -> Option<Pose<Stage, From>> {
+    pub fn predicted(&self, timestamp: Timestamp) -> Option<Pose<Stage, From>> {
         let running = self.running.as_ref()?;
-        let gap_s = timestamp_ns.saturating_sub(running.last_ns) as f64 * 1e-9;
+        let gap_s = timestamp.seconds_since(running.last);
         Some(self.after(running, gap_s)).filter(Pose::is_finite)
     }
 
@@ -163,10 +164,10 @@ impl<From> State<From> {
         }
     }
 
-    fn update(&mut self, timestamp_ns: i64, step_s: f64, pose: &Pose<Stage, From>, covariance: &Matrix6<f64>) {
+    fn update(&mut self, timestamp: Timestamp, step_s: f64, pose: &Pose<Stage, From>, covariance: &Matrix6<f64>) {
         match self {
             Self::OneEuro(filter) => filter.update(step_s, pose),
-            Self::Kalman(filter) => filter.update(timestamp_ns, step_s, pose, covariance),
+            Self::Kalman(filter) => filter.update(timestamp, step_s, pose, covariance),
         }
     }
 

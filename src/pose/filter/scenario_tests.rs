@@ -56,7 +56,7 @@ fn told(settings: FilterSettings, stamps: &[f64], sigma: f64, noise: f64, path: 
     let mut one = |t: &f64| {
         let mut off = || Vector3::new(normal(), normal(), normal()) * noise;
         let measured = pose(Vector3::x() * path(*t) + off(), Vector3::x() * path(*t) + off());
-        let told = filter.measured((t * 1e9) as i64, &measured, &(Matrix6::identity() * sigma * sigma));
+        let told = filter.measured(Timestamp::from_seconds(*t), &measured, &(Matrix6::identity() * sigma * sigma));
         (*t, told.translation.x, told.rotation.scaled_axis().x)
     };
     stamps.iter().map(&mut one).collect()
@@ -164,8 +164,8 @@ fn predictions_reach_no_further_than_measurements_support() {
                 past.push((t, at));
                 let measured = pose(at, Vector3::zeros());
                 let covariance = Matrix6::identity() * 1e-8;
-                let here = now.measured((t * 1e9) as i64, &measured, &covariance);
-                let told = ahead.measured((t * 1e9) as i64, &measured, &covariance);
+                let here = now.measured(Timestamp::from_seconds(t), &measured, &covariance);
+                let told = ahead.measured(Timestamp::from_seconds(t), &measured, &covariance);
                 let since = past.iter().rposition(|(then, _)| *then <= t - predict_s - 1e-6).unwrap_or(0);
                 let moved = past[since..].iter().map(|(_, p)| (p - at).norm()).fold(0.0, f64::max);
                 let reach = (told.translation - here.translation).norm();
@@ -203,16 +203,16 @@ fn coasting_does_not_run_away() {
     for (event, rate, sigma) in cases.into_iter().filter(|(.., sigma)| *sigma <= 1e-3) {
         for (predict_s, frames) in [(0.0, 1), (0.0, 2), (0.1, 1), (0.0, 5)] {
             let mut filter = PoseFilter::<Camera>::new(kalman(predict_s));
-            let mut last = 0;
+            let mut last = Timestamp::default();
             // The light fails with so many frames that show what happened; at the end stop's own instant nothing is to be seen of it.
             let frames = frames + i64::from(matches!(event, Event::EndStop));
             for k in 0..(EVENT_S * rate).ceil() as i64 + frames {
-                last = (k as f64 / rate * 1e9) as i64;
-                let measured = pose(Vector3::x() * event.at(last as f64 * 1e-9 + 1e-6), Vector3::zeros());
+                last = Timestamp::from_seconds(k as f64 / rate);
+                let measured = pose(Vector3::x() * event.at(last.seconds() + 1e-6), Vector3::zeros());
                 filter.measured(last, &measured, &(Matrix6::identity() * sigma * sigma));
             }
-            for gap_ns in [0, 20_000_000, 100_000_000, 500_000_000, 10_000_000_000] {
-                let off = filter.predicted(last + gap_ns).expect("running").translation.x - event.at(4.0);
+            for gap_s in [0.0, 0.02, 0.1, 0.5, 10.0] {
+                let off = filter.predicted(last.after_s(gap_s)).expect("running").translation.x - event.at(4.0);
                 assert!(off.abs() < 2e-3, "{event:?} {rate} Hz sigma {sigma} +{predict_s} s, {frames} frames after: {off}");
             }
         }
@@ -229,10 +229,10 @@ fn coasting_goes_on_no_further_than_the_last_way() {
             let t = k as f64 / rate;
             let x = 0.3 * (4.0 * t).sin() + 0.004 * (random.random::<f64>() - 0.5);
             past.push((t, x));
-            filter.measured((t * 1e9) as i64, &pose(Vector3::x() * x, Vector3::zeros()), &(Matrix6::identity() * 1e-6));
+            filter.measured(Timestamp::from_seconds(t), &pose(Vector3::x() * x, Vector3::zeros()), &(Matrix6::identity() * 1e-6));
             let since = past.iter().rposition(|(then, _)| *then <= t - FADE_S - 1e-6).unwrap_or(0);
             let moved = past[since..].iter().map(|(_, p)| (p - x).abs()).fold(0.0, f64::max);
-            let at = |gap_s: f64| filter.predicted(((t + gap_s) * 1e9) as i64).expect("running").translation.x;
+            let at = |gap_s: f64| filter.predicted(Timestamp::from_seconds(t + gap_s)).expect("running").translation.x;
             // Seen for less than that, it is taken to have gone on before.
             assert!(t < FADE_S || (at(5.0) - at(0.0)).abs() <= moved + 1e-9, "{rate} Hz {k}");
         }

@@ -6,6 +6,11 @@ use super::*;
 use crate::geometry::Camera;
 
 const FRAME_NS: i64 = 33_333_333;
+
+fn stamp(frame: i64) -> Timestamp {
+    Timestamp::from_ns(frame * FRAME_NS)
+}
+
 const SIGMA: f64 = 1e-4;
 
 type Track = Vec<(Pose<Stage, Camera>, Pose<Stage, Camera>)>;
@@ -57,10 +62,10 @@ fn filtered(settings: FilterSettings, frames: i64, path: impl Fn(f64) -> Pose<St
     let mut normal = move || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
     let noise = Matrix6::identity() * SIGMA * SIGMA;
     let mut step = |k: i64| {
-        let truth = path(k as f64 * FRAME_NS as f64 * 1e-9);
+        let truth = path(stamp(k).seconds());
         let mut vector = || Vector3::new(normal(), normal(), normal()) * SIGMA;
         let measured = Pose::new(UnitQuaternion::from_scaled_axis(vector()) * truth.rotation, truth.translation + vector());
-        (filter.measured(k * FRAME_NS, &measured, &noise), measured)
+        (filter.measured(stamp(k), &measured, &noise), measured)
     };
     (0..frames).map(&mut step).collect()
 }
@@ -97,7 +102,7 @@ fn a_prediction_meets_uniform_motion() {
     let ahead = 0.05;
     let track = filtered(kalman(ahead), 120, path);
     for (k, (told, measured)) in track.iter().enumerate().skip(30) {
-        let truth = path(k as f64 * FRAME_NS as f64 * 1e-9 + ahead);
+        let truth = path(stamp(k as i64).seconds() + ahead);
         let (error, held) = ((told.translation - truth.translation).norm(), (measured.translation - truth.translation).norm());
         assert!(error < 0.05 * held, "{k}: {error} {held}");
         assert!(told.angle_to(&truth) < 0.05 * measured.angle_to(&truth), "{k}");
@@ -120,13 +125,13 @@ fn nothing_is_carried_across_a_loss_or_a_long_gap() {
     for settings in [kalman(0.03), one_euro()] {
         let mut filter = PoseFilter::new(settings);
         for k in 0..30 {
-            filter.measured(k * FRAME_NS, &pose(Vector3::x() * k as f64, Vector3::zeros()), &noise);
+            filter.measured(stamp(k), &pose(Vector3::x() * k as f64, Vector3::zeros()), &noise);
         }
         let elsewhere = pose(Vector3::new(-7.0, 1.0, 0.0), Vector3::zeros());
-        assert_eq!(filter.clone().measured(60 * FRAME_NS, &elsewhere, &noise).translation, elsewhere.translation);
+        assert_eq!(filter.clone().measured(stamp(60), &elsewhere, &noise).translation, elsewhere.translation);
         filter.reset();
-        assert!(filter.predicted(31 * FRAME_NS).is_none());
-        assert_eq!(filter.measured(31 * FRAME_NS, &elsewhere, &noise).translation, elsewhere.translation);
+        assert!(filter.predicted(stamp(31)).is_none());
+        assert_eq!(filter.measured(stamp(31), &elsewhere, &noise).translation, elsewhere.translation);
     }
 }
 
@@ -135,9 +140,9 @@ fn without_measurements_it_goes_on_and_comes_to_rest() {
     let noise = Matrix6::identity() * SIGMA * SIGMA;
     let mut filter = PoseFilter::new(kalman(0.0));
     for k in 0..60 {
-        filter.measured(k * FRAME_NS, &pose(Vector3::x() * (k as f64 / 30.0), Vector3::zeros()), &noise);
+        filter.measured(stamp(k), &pose(Vector3::x() * (k as f64 / 30.0), Vector3::zeros()), &noise);
     }
-    let x = |ns: i64| filter.predicted(59 * FRAME_NS + ns).expect("it is running").translation.x;
+    let x = |ns: i64| filter.predicted(stamp(59).after_ns(ns)).expect("it is running").translation.x;
     assert!((x(10_000_000) - x(0) - 0.01).abs() < 0.001);
     assert!((x(5_000_000_000) - x(0) - 0.2).abs() < 0.01);
 }
@@ -147,7 +152,7 @@ fn numbers_that_are_no_covariance_do_no_harm() {
     let mut filter = PoseFilter::new(kalman(0.02));
     for (k, scale) in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e300, 1e-300].into_iter().cycle().take(40).enumerate() {
         let given = pose(Vector3::x() * 0.01 * k as f64, Vector3::zeros());
-        let told = filter.measured(k as i64 * FRAME_NS, &given, &(Matrix6::identity() * scale));
+        let told = filter.measured(stamp(k as i64), &given, &(Matrix6::identity() * scale));
         assert!(told.is_finite(), "{k} {scale}: {told:?}");
     }
 }
