@@ -8,10 +8,11 @@
 //! a still camera aside by more than its noise; measured in docs/alignment.md.) While the shutter is open the texel
 //! moves along a short curve; under motion blur the samples are shared out along it.
 
+use super::AlignSurface;
 use super::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, load_at, store_at};
+use super::level_spec::LevelSpec;
 use super::pixels::Pixels;
 use super::texture::TILE_STEP;
-use super::{AlignSurface, Sensor};
 use crate::motion::Motion;
 use crate::track::rectangle::Rectangle;
 
@@ -82,14 +83,14 @@ struct View {
     half_exposure_s: f32,
     /// Samples across a sharp pixel.
     side: usize,
-    /// See [`Predicted::gradient_gain`].
+    /// See [`LevelSpec::gradient_gain`].
     gradient_gain: f32,
 }
 
 impl View {
     fn new(what: &Predicted) -> Self {
-        let Predicted { surface, motion, side, is_enlarged, .. } = *what;
-        let exposure_s = if what.places > 1 { what.sensor.exposure_s } else { 0.0 };
+        let Predicted { surface, motion, spec, .. } = *what;
+        let exposure_s = if spec.places > 1 { spec.sensor.exposure_s } else { 0.0 };
         let Rectangle { rotation, centre, size_px: [w, h], .. } = &surface.rectangle;
         let rt = rotation.transpose();
         let turn = motion.rotation_polynomial().map(|r| rt * r);
@@ -102,17 +103,17 @@ impl View {
             (false, true) => TILTED_TEXEL_LOG2,
         };
         Self {
-            side: if is_tilted { TILTED_SIDE.max(side) } else { side },
+            side: if is_tilted { TILTED_SIDE.max(spec.side) } else { spec.side },
             rotation: std::array::from_fn(|k| std::array::from_fn(|power| turn[power][(k / 3, k % 3)] as f32)),
             centre: std::array::from_fn(|k| std::array::from_fn(|power| from[power][k] as f32)),
             to_body: std::array::from_fn(|k| rotation[(k / 3, k % 3)] as f32),
             texels_per_m: surface.rectangle.texels_per_m().map(|texels| texels as f32),
             middle_texel: [(0.5 * w - 0.5) as f32, (0.5 * h - 0.5) as f32],
-            first_level: if is_enlarged { 0.0 } else { surface.texture.own_level() as f32 },
+            first_level: if spec.is_enlarged { 0.0 } else { surface.texture.own_level() as f32 },
             last_level: surface.texture.levels as f32 - 0.999,
             level_offset: surface.texture.own_level() as f32 + texel_log2,
             half_exposure_s: (0.5 * exposure_s) as f32,
-            gradient_gain: what.gradient_gain,
+            gradient_gain: spec.gradient_gain,
         }
     }
 }
@@ -124,16 +125,8 @@ pub struct Predicted<'a> {
     pub surface: &'a AlignSurface,
     /// How the camera moves.
     pub motion: &'a Motion,
-    /// Its shutter.
-    pub sensor: &'a Sensor,
-    /// Places along the blur that are sampled; 1 for none, else odd.
-    pub places: usize,
-    /// Samples across a sharp pixel, odd; surfaces that are tilted get [`TILTED_SIDE`] at least.
-    pub side: usize,
-    /// Whether the enlarged copy of the picture may be sampled.
-    pub is_enlarged: bool,
-    /// What slopes over samples are multiplied with: see [`gradient_gain`](super::gradient_gain).
-    pub gradient_gain: f32,
+    /// The level.
+    pub spec: &'a LevelSpec<'a>,
     /// The pixels of the level.
     pub pixels: &'a Pixels,
     /// First of these, and one beyond the last: whole lanes.
@@ -437,7 +430,7 @@ fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurP
 
 #[inline(always)]
 pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
-    let Predicted { surface, places, pixels, range, .. } = *what;
+    let Predicted { surface, spec, pixels, range, .. } = *what;
     let view = &View::new(what);
     let tiles = &surface.texture.tiles[..];
     let mut k = range[0];
@@ -453,14 +446,14 @@ pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
             let later = hit(view, &rotation_at(view, t), load_at::<L>(&pixels.x, ahead), load_at::<L>(&pixels.y, ahead), t);
             prefetch(tiles, &level, later.texel, &by_pixel);
         }
-        let sampled = if places <= 1 {
+        let sampled = if spec.places <= 1 {
             sharp_samples(tiles, &level, middle.texel, &by_pixel, view.side)
         } else {
             let half = L::splat(view.half_exposure_s);
             let (before, after) = (t.sub(half), t.add(half));
             let first = hit(view, &rotation_at(view, before), x, y, before).texel;
             let last = hit(view, &rotation_at(view, after), x, y, after).texel;
-            blurred_samples(tiles, &level, &BlurPath::through(first, middle.texel, last), &by_pixel, places)
+            blurred_samples(tiles, &level, &BlurPath::through(first, middle.texel, last), &by_pixel, spec.places)
         };
         store_at(&mut out.intensity, k, sampled.intensity);
         store_at(&mut out.psf_variance, k, sampled.psf_variance);

@@ -7,12 +7,14 @@ use super::columns::{COLUMNS, entry};
 use super::evidence::{RunEvidence, evidence, evidence_lanes};
 use super::frame_levels::FrameLevels;
 use super::lanes::{LANES, Lanes, Plain, load_at};
+use super::level_spec::LevelSpec;
 use super::light::RememberedLight;
 use super::noise::Noise;
 use super::noise_sums::{noise_sums, noise_sums_lanes};
 use super::normal::{Residuals, RobustWeighting, RunView, columns, less_step, moments, residuals, weight};
-use super::pixels::{Pixels, Run, Source};
-use super::selection::{Choice, Selector};
+use super::pixels::{Pixels, Run};
+use super::selection::Selector;
+use super::slow_estimates::SlowEstimates;
 use super::tile_equations::TileEquations;
 use super::tile_products::{ProductBuffer, tile_equations, tile_equations_lanes};
 use super::{AlignSurface, CameraRays, Sensor};
@@ -20,10 +22,18 @@ use crate::motion::{Motion, MotionError};
 use crate::track::synthetic::{cloth, facing, lens, view};
 
 struct Scene {
-    surface: AlignSurface,
+    surfaces: [AlignSurface; 1],
+    slow: SlowEstimates,
+    rays: CameraRays,
     motion: Motion,
-    sensor: Sensor,
     pixels: Pixels,
+}
+
+impl Scene {
+    fn spec(&self) -> LevelSpec<'_> {
+        let spec = LevelSpec::new(&self.surfaces, &self.slow, &self.rays, true, 1, &self.motion);
+        LevelSpec { count: 3000, side: 3, places: 1, gradient_gain: 1.0, ..spec }
+    }
 }
 
 /// A moving camera with a rolling shutter, and the pixels that it would ask at half size.
@@ -37,32 +47,28 @@ fn scene() -> Scene {
         ..Motion::still(pose.inverse())
     };
     let camera = lens(480, 360);
-    let frame = view(&cloth(1), &pose, &camera);
     let mut levels = FrameLevels::default();
-    levels.update(&frame);
-    let rays = CameraRays::new(camera, None);
-    let surface = AlignSurface::new(&cloth(1));
-    let sensor = Sensor { readout_s: 0.012, exposure_s: 0.01 };
-    let table = rays.tables[1].as_ref().expect("levels above 0 have tables");
-    let choice = Choice { camera: &rays.camera, table, level: 1, sensor, blur_px: 0.0, count: 3000, is_dense: false };
-    let mut selector = Selector::default();
-    let chosen = selector.choose(std::slice::from_ref(&surface), &motion, &choice);
+    levels.update(&view(&cloth(1), &pose, &camera));
+    let slow = SlowEstimates::new(Sensor { readout_s: 0.012, exposure_s: 0.01 });
+    let (surfaces, rays, pixels) = ([AlignSurface::new(&cloth(1))], CameraRays::new(camera, None), Pixels::default());
+    let mut scene = Scene { surfaces, slow, rays, motion, pixels };
+    let (mut selector, mut pixels) = (Selector::default(), Pixels::default());
+    let chosen = selector.choose(&scene.spec(), &motion);
     assert!((2000..6000).contains(&chosen.len()), "{}", chosen.len());
-    let mut pixels = Pixels::default();
-    pixels.arrange(chosen, 1, &Source { l: 1, level: levels.level(1), table, sensor: &sensor, height: 360 }, &RememberedLight::default());
-    Scene { surface, motion, sensor, pixels }
+    pixels.arrange(chosen, &scene.spec(), levels.level(1), &RememberedLight::default());
+    scene.pixels = pixels;
+    scene
 }
 
 fn appearance(scene: &Scene, motion: &Motion, places: usize) -> Appearance {
     let mut out = Appearance::default();
     out.resize(scene.pixels.len());
-    predict(&predicted(scene, motion, places), &mut out);
+    predict(&predicted(scene, motion, &LevelSpec { places, ..scene.spec() }), &mut out);
     out
 }
 
-fn predicted<'a>(scene: &'a Scene, motion: &'a Motion, places: usize) -> Predicted<'a> {
-    let Scene { surface, sensor, pixels, .. } = scene;
-    Predicted { surface, motion, sensor, places, side: 3, is_enlarged: true, gradient_gain: 1.0, pixels, range: [0, pixels.len()] }
+fn predicted<'a>(scene: &'a Scene, motion: &'a Motion, spec: &'a LevelSpec<'a>) -> Predicted<'a> {
+    Predicted { surface: &scene.surfaces[0], motion, spec, pixels: &scene.pixels, range: [0, scene.pixels.len()] }
 }
 
 /// How far slopes over samples may be from the derivative.
@@ -140,7 +146,7 @@ fn the_plain_twin_predicts_the_same() {
         let fast = appearance(&scene, &scene.motion, places);
         let mut plain = Appearance::default();
         plain.resize(scene.pixels.len());
-        predict_lanes::<Plain>(&predicted(&scene, &scene.motion, places), &mut plain);
+        predict_lanes::<Plain>(&predicted(&scene, &scene.motion, &LevelSpec { places, ..scene.spec() }), &mut plain);
         let largest = fast.intensity.iter().zip(&plain.intensity).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(largest < 0.1, "{largest}");
         let mean = fast.by_pose[3].iter().zip(&plain.by_pose[3]).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
@@ -249,10 +255,7 @@ fn every_run_is_whole_and_no_pixel_comes_twice() {
     }
     // A camera that turned away sees none of the surface.
     let away = Motion::still(crate::geometry::Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 3.0)));
-    let rays = CameraRays::new(lens(480, 360), None);
-    let table = rays.tables[1].as_ref().expect("levels above 0 have tables");
-    let choice = Choice { camera: &rays.camera, table, level: 1, sensor: scene.sensor, blur_px: 0.0, count: 3000, is_dense: false };
-    assert!(Selector::default().choose(std::slice::from_ref(&scene.surface), &away, &choice).is_empty());
+    assert!(Selector::default().choose(&scene.spec(), &away).is_empty());
 }
 
 #[test]

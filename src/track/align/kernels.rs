@@ -5,13 +5,14 @@ use image::GrayImage;
 use super::appearance::{Appearance, Predicted, predict};
 use super::columns::COLUMNS;
 use super::evidence::evidence;
-use super::frame_levels::FrameLevels;
+use super::frame_levels::{FINEST, FrameLevels};
+use super::level_spec::LevelSpec;
 use super::light::RememberedLight;
-use super::noise::CameraNoise;
 use super::noise_sums::noise_sums;
 use super::normal::{Residuals, RobustWeighting, RunView, residuals};
-use super::pixels::{Pixels, Run, Source};
-use super::selection::{Choice, Selector};
+use super::pixels::{Pixels, Run};
+use super::selection::Selector;
+use super::slow_estimates::SlowEstimates;
 use super::tile_products::{ProductBuffer, tile_equations};
 use super::{AlignSurface, CameraRays, Sensor};
 use crate::camera::CameraModel;
@@ -19,8 +20,6 @@ use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 use crate::track::surface::SurfaceSpec;
 
-/// The level that frames are aligned at in the end.
-const LEVEL: usize = 1;
 /// Exposure of a frame with blur, seconds.
 const EXPOSURE_S: f64 = 0.01;
 
@@ -31,7 +30,7 @@ pub struct AlignKernels {
     surfaces: [AlignSurface; 1],
     rays: CameraRays,
     motion: Motion,
-    sensor: Sensor,
+    slow: SlowEstimates,
     levels: FrameLevels,
     selector: Selector,
     pixels: Pixels,
@@ -50,7 +49,7 @@ impl AlignKernels {
             surfaces: [AlignSurface::new(surface)],
             rays: CameraRays::new(camera, None),
             motion: Motion::still(t_camera_body.inverse()),
-            sensor: Sensor { readout_s: 0.01, exposure_s: EXPOSURE_S },
+            slow: SlowEstimates::new(Sensor { readout_s: 0.01, exposure_s: EXPOSURE_S }),
             levels,
             selector: Selector::default(),
             pixels: Pixels::default(),
@@ -67,17 +66,14 @@ impl AlignKernels {
 
     /// Chooses about `count` pixels; gives their number.
     pub fn choose(&mut self, count: usize) -> usize {
-        let Some(table) = &self.rays.tables[LEVEL] else { return 0 };
-        let choice = Choice { camera: &self.rays.camera, table, level: LEVEL, sensor: self.sensor, blur_px: 0.0, count, is_dense: false };
-        self.selector.choose(&self.surfaces, &self.motion, &choice).len()
+        let Self { surfaces, slow, rays, motion, selector, .. } = self;
+        selector.choose(&LevelSpec { count, ..LevelSpec::new(surfaces, slow, rays, true, FINEST, motion) }, motion).len()
     }
 
     /// Lays the chosen pixels out in runs; the number of runs.
     pub fn lay_out(&mut self) -> usize {
-        let Some(table) = &self.rays.tables[LEVEL] else { return 0 };
-        let height = self.rays.camera.height();
-        let source = Source { l: LEVEL, level: self.levels.level(LEVEL), table, sensor: &self.sensor, height };
-        self.pixels.arrange(self.selector.chosen(), 1, &source, &RememberedLight::default());
+        let spec = LevelSpec::new(&self.surfaces, &self.slow, &self.rays, true, FINEST, &self.motion);
+        self.pixels.arrange(self.selector.chosen(), &spec, self.levels.level(FINEST), &RememberedLight::default());
         self.appearance.resize(self.pixels.len());
         self.residuals.resize(self.pixels.len());
         self.pixels.runs().len()
@@ -85,16 +81,15 @@ impl AlignKernels {
 
     /// Predicts all pixels, with `side` samples across a sharp one, or at `places` along a blur (more than one).
     pub fn predict(&mut self, side: usize, places: usize) {
-        let Self { sensor, motion, pixels, .. } = self;
-        let range = [0, pixels.len()];
-        let what =
-            Predicted { surface: &self.surfaces[0], motion, sensor, places, side, is_enlarged: true, gradient_gain: 1.0, pixels, range };
+        let Self { surfaces, slow, rays, motion, pixels, .. } = self;
+        let spec = &LevelSpec { side, places, ..LevelSpec::new(surfaces, slow, rays, true, FINEST, motion) };
+        let what = Predicted { surface: &surfaces[0], motion, spec, pixels, range: [0, pixels.len()] };
         predict(&what, &mut self.appearance);
     }
 
     /// Residuals of all runs.
     pub fn residuals(&mut self) {
-        let noise = CameraNoise::usual(LEVEL).at(LEVEL);
+        let noise = self.slow.noise.at(FINEST);
         for run in self.pixels.runs() {
             let light = self.pixels.light_of(run);
             residuals(&self.pixels, run, &self.appearance, &light, &noise, &mut self.residuals);

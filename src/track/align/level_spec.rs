@@ -39,7 +39,9 @@ pub struct LevelSpec<'a> {
     pub is_dense: bool,
     /// Length of the motion blur, pixels of the level.
     pub blur_px: f64,
-    /// Samples across a sharp pixel.
+    /// Places along the blur that are sampled; 1 for none, else odd.
+    pub places: usize,
+    /// Samples across a sharp pixel, odd; surfaces that are tilted get more.
     pub side: usize,
     /// Whether the enlarged copies of the pictures may be used.
     pub is_enlarged: bool,
@@ -67,12 +69,15 @@ impl<'a> LevelSpec<'a> {
             count: (PIXELS[level] as f64 * wider) as usize,
             is_dense: false,
             blur_px: 0.0,
+            places: 1,
             side: if level == FINEST { SIDE } else { COARSE_SIDE },
             is_enlarged,
             gradient_gain: slow.gradient_gain.get() as f32,
         };
         let half = 0.5 * slow.sensor.exposure_s;
         spec.blur_px = spec.moved_px(&motion.after(-half), &motion.after(half));
+        let at_blur = PLACES.iter().find(|(longest_px, _)| spec.blur_px < *longest_px);
+        spec.places = at_blur.map_or(MOST_PLACES, |(_, places)| *places);
         spec
     }
 
@@ -86,15 +91,10 @@ impl<'a> LevelSpec<'a> {
         (self.sensor.readout_s == 0.0).then(|| TileTime { delay_s: 0.0, mean_square_s2: self.sensor.exposure_s.powi(2) / 12.0 })
     }
 
-    /// Places along the blur that are sampled.
-    pub fn places(&self) -> usize {
-        PLACES.iter().find(|(longest_px, _)| self.blur_px < *longest_px).map_or(MOST_PLACES, |(_, places)| *places)
-    }
-
     /// How far the picture moves between two motions, in the middle and towards the corners of the frame: the most, in pixels of the
     /// level.
     pub fn moved_px(&self, before: &Motion, after: &Motion) -> f64 {
-        let Some(table) = &self.rays.tables[self.level] else { return 0.0 };
+        let table = self.rays.table(self.level);
         let focal = self.rays.camera.intrinsics().fx / f64::from(1u32 << self.level);
         let mut most = 0.0f64;
         for (a, b) in [(2, 2), (1, 1), (3, 1), (1, 3), (3, 3)] {

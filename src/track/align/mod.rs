@@ -109,15 +109,20 @@ fn distance_m(surfaces: &[AlignSurface], pose: &Pose<Body, Camera>) -> f64 {
 #[derive(Debug)]
 pub struct CameraRays {
     camera: CameraModel,
-    /// Rays of levels 1 and up; of level 0 once a body needs it.
-    tables: [Option<RayTable>; LEVELS],
+    /// Rays of levels 1 and up.
+    tables: [RayTable; LEVELS - 1],
 }
 
 impl CameraRays {
     /// Finds the rays of a camera's pixels. `mask`: pixels to leave out (0), of the frame's size.
     pub fn new(camera: CameraModel, mask: Option<GrayImage>) -> Self {
-        let tables = std::array::from_fn(|l| (l > 0).then(|| RayTable::new(&camera, l, mask.as_ref())));
+        let tables = std::array::from_fn(|k| RayTable::new(&camera, k + 1, mask.as_ref()));
         Self { camera, tables }
+    }
+
+    /// Rays of a level, from 1.
+    fn table(&self, level: usize) -> &RayTable {
+        &self.tables[level - 1]
     }
 
     /// The lens.

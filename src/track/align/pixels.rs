@@ -4,11 +4,10 @@
 //! Runs, tiles and light belong together, and are made anew together, by [`Pixels::arrange`] alone: there is no run
 //! without its four nodes of the light.
 
-use super::Sensor;
 use super::frame_levels::Level;
 use super::lanes::LANES;
+use super::level_spec::LevelSpec;
 use super::light::{Light, RememberedLight, TileLight};
-use super::rays::RayTable;
 use super::selection::Chosen;
 use super::tile_grid::TileGrid;
 
@@ -34,21 +33,6 @@ impl Run {
     pub fn range(&self) -> std::ops::Range<usize> {
         self.start as usize..self.end as usize
     }
-}
-
-/// Where pixels are taken from.
-#[derive(Clone, Copy)]
-pub struct Source<'a> {
-    /// The level's number.
-    pub l: usize,
-    /// What the camera saw there.
-    pub level: &'a Level,
-    /// Its rays.
-    pub table: &'a RayTable,
-    /// The shutter.
-    pub sensor: &'a Sensor,
-    /// Height of the frame at full size, pixels.
-    pub height: u32,
 }
 
 /// Chosen pixels, each a place in all of the lists.
@@ -95,12 +79,12 @@ pub struct Pixels {
 
 impl Pixels {
     /// Lays out a choice, in the light that is remembered.
-    pub fn arrange(&mut self, chosen: &[Chosen], surfaces: usize, source: &Source, light: &RememberedLight) {
-        let Source { l, level, table, sensor, height } = *source;
+    pub fn arrange(&mut self, chosen: &[Chosen], spec: &LevelSpec, level: &Level, light: &RememberedLight) {
+        let (table, height) = (spec.rays.table(spec.level), spec.rays.camera.height());
         let grid = TileGrid::covering(chosen);
         grid.places(0, &mut self.columns);
         grid.places(1, &mut self.rows);
-        self.sort(chosen, surfaces, &grid);
+        self.sort(chosen, spec.surfaces.len(), &grid);
         self.light.spread_over(grid, light);
         let n = self.order.len();
         for list in self.lists() {
@@ -116,14 +100,14 @@ impl Pixels {
         for ((x, y), index) in self.x.iter_mut().zip(&mut self.y).zip(&self.index) {
             [*x, *y] = table.rays[*index as usize];
         }
-        self.see(l, level);
+        self.see(spec.level, level);
         for (n, k) in self.order.iter().enumerate() {
             let [u, v] = chosen[*k as usize].place.map(usize::from);
             let slope = table.slope(u, v);
             (self.x_across[n], self.x_down[n]) = (slope.x_across, slope.x_down);
             (self.y_across[n], self.y_down[n]) = (slope.y_across, slope.y_down);
             (self.place[0][n], self.place[1][n]) = (u as f32, v as f32);
-            self.delay_s[n] = sensor.delay_s(l, v as f64, height) as f32;
+            self.delay_s[n] = spec.sensor.delay_s(spec.level, v as f64, height) as f32;
             (self.cell[0][n], self.cell[1][n]) = (self.columns[u - left].1, self.rows[v - top].1);
         }
     }

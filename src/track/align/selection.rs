@@ -6,10 +6,10 @@
 
 use nalgebra::Vector3;
 
+use super::AlignSurface;
+use super::level_spec::LevelSpec;
 use super::rays::RayTable;
 use super::texture::BLOCK;
-use super::{AlignSurface, Sensor};
-use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 use crate::track::rectangle::SeenPoint;
@@ -52,24 +52,6 @@ struct VisibleBlock {
     rows: [u8; 2],
 }
 
-/// What a choice is made for.
-pub struct Choice<'a> {
-    /// The lens.
-    pub camera: &'a CameraModel,
-    /// Rays of the level; pixels closed there are left out.
-    pub table: &'a RayTable,
-    /// The level.
-    pub level: usize,
-    /// Shutter of the camera.
-    pub sensor: Sensor,
-    /// Length of the motion blur, pixels of the level.
-    pub blur_px: f64,
-    /// Pixels wanted.
-    pub count: usize,
-    /// Whether they are chosen by texels of half the size, among which no steep pixel is passed over.
-    pub is_dense: bool,
-}
-
 impl Selector {
     /// With room for all blocks of the surfaces that may come into view at once.
     pub fn with_room_for(surfaces: &[AlignSurface]) -> Self {
@@ -78,27 +60,28 @@ impl Selector {
     }
 
     /// Chooses at most about `count` different pixels.
-    pub fn choose(&mut self, surfaces: &[AlignSurface], motion: &Motion, choice: &Choice) -> &[Chosen] {
+    pub fn choose(&mut self, spec: &LevelSpec, motion: &Motion) -> &[Chosen] {
         let Self { blocks, taken, chosen } = self;
         chosen.clear();
         blocks.clear();
-        for (index, surface) in surfaces.iter().enumerate() {
-            list_blocks(surfaces, index, surface, motion, choice, blocks);
+        for index in 0..spec.surfaces.len() {
+            list_blocks(spec, index, motion, blocks);
         }
         if blocks.is_empty() {
             return chosen;
         }
-        taken.clone_from(&choice.table.closed);
+        let table = spec.rays.table(spec.level);
+        taken.clone_from(&table.closed);
         let mut first = 0;
-        let mut share = choice.count / blocks.len() + 1;
+        let mut share = spec.count / blocks.len() + 1;
         // What blocks with little detail leave is taken up by the others.
         for _ in 0..3 {
             for block in &*blocks {
-                take(block, surfaces, first..first + share, choice.table, taken, chosen);
+                take(block, spec.surfaces, first..first + share, table, taken, chosen);
             }
             first += share;
-            let missing = choice.count.saturating_sub(chosen.len());
-            if missing < choice.count / 8 {
+            let missing = spec.count.saturating_sub(chosen.len());
+            if missing < spec.count / 8 {
                 break;
             }
             share = missing / blocks.len() + 1;
@@ -143,16 +126,10 @@ fn take(
     }
 }
 
-fn list_blocks(
-    surfaces: &[AlignSurface],
-    index: usize,
-    surface: &AlignSurface,
-    motion: &Motion,
-    choice: &Choice,
-    blocks: &mut Vec<VisibleBlock>,
-) {
-    let Some(level) = texture_level(surface, motion, choice) else { return };
-    let level = if choice.is_dense { level.max(surface.texture.own_level() + 1) - 1 } else { level };
+fn list_blocks(spec: &LevelSpec, index: usize, motion: &Motion, blocks: &mut Vec<VisibleBlock>) {
+    let (surface, table) = (&spec.surfaces[index], spec.rays.table(spec.level));
+    let Some(level) = texture_level(surface, motion, spec) else { return };
+    let level = if spec.is_dense { level.max(surface.texture.own_level() + 1) - 1 } else { level };
     let texture = &surface.texture;
     let scale = 1.0 / f64::from(surface.texture.scale[level]);
     let [tw, th] = surface.rectangle.texels_per_m();
@@ -162,23 +139,23 @@ fn list_blocks(
         for column in 0..candidates.columns {
             let middle = |k: usize| ((k as f64 + 0.5) * BLOCK as f64) * scale;
             let (x, y) = (middle(column) / tw - half[0], half[1] - middle(row) / th);
-            let Some((seen, camera)) = see(surface, motion, choice, [x, y]) else { continue };
+            let Some((seen, camera)) = see(surface, motion, spec, [x, y]) else { continue };
             let (by_x, by_y) = (seen.by_metres.column(0) * (scale / tw), seen.by_metres.column(1) * (-scale / th));
             let centre = 0.5 * (BLOCK as f64 - 1.0);
             let origin = seen.pixel - by_x * centre - by_y * centre;
             let reach = BLOCK as f64 * (by_x.abs() + by_y.abs());
             let outside = seen.pixel.x + reach.x < 0.0
                 || seen.pixel.y + reach.y < 0.0
-                || seen.pixel.x - reach.x > choice.table.width as f64
-                || seen.pixel.y - reach.y > choice.table.height as f64;
+                || seen.pixel.x - reach.x > table.width as f64
+                || seen.pixel.y - reach.y > table.height as f64;
             if outside {
                 continue;
             }
             // Metres that one pixel covers at most, along each axis of the surface.
             let Some(inverse) = seen.by_metres.try_inverse() else { continue };
-            let margin = [0, 1].map(|k| (BORDER_PX + 0.5 * choice.blur_px) * (inverse[(k, 0)].abs() + inverse[(k, 1)].abs()));
+            let margin = [0, 1].map(|k| (BORDER_PX + 0.5 * spec.blur_px) * (inverse[(k, 0)].abs() + inverse[(k, 1)].abs()));
             let reach_m = [0.5 * BLOCK as f64 * scale / tw, 0.5 * BLOCK as f64 * scale / th];
-            if occluded(surfaces, index, &camera, [x, y], [reach_m[0] + margin[0], reach_m[1] + margin[1]]) {
+            if occluded(spec.surfaces, index, &camera, [x, y], [reach_m[0] + margin[0], reach_m[1] + margin[1]]) {
                 continue;
             }
             let Some(columns) = clear_offsets(x, half[0] - margin[0], scale / tw) else { continue };
@@ -207,25 +184,26 @@ fn clear_offsets(middle: f64, limit: f64, step: f64) -> Option<[u8; 2]> {
 }
 
 /// The texture level one of whose texels is nearest in size to a pixel of the level, in the middle of what is seen.
-fn texture_level(surface: &AlignSurface, motion: &Motion, choice: &Choice) -> Option<usize> {
+fn texture_level(surface: &AlignSurface, motion: &Motion, spec: &LevelSpec) -> Option<usize> {
     let (own, most) = (surface.texture.own_level(), surface.texture.candidates.len() - 1);
-    let size = [choice.table.width as f64, choice.table.height as f64];
-    let Some(log2) = surface.rectangle.texels_log2(size, |point| see(surface, motion, choice, point).map(|(seen, _)| seen)) else {
+    let table = spec.rays.table(spec.level);
+    let size = [table.width as f64, table.height as f64];
+    let Some(log2) = surface.rectangle.texels_log2(size, |point| see(surface, motion, spec, point).map(|(seen, _)| seen)) else {
         // Seen in part at most: any block that shows will do at a level of its own size.
-        return see(surface, motion, choice, [0.0, 0.0]).map(|_| own);
+        return see(surface, motion, spec, [0.0, 0.0]).map(|_| own);
     };
     Some((log2.round().max(0.0) as usize + own).min(most))
 }
 
 /// Where a point of a surface is seen in the level, and from where, at the time of its row.
-fn see(surface: &AlignSurface, motion: &Motion, choice: &Choice, point: [f64; 2]) -> Option<(SeenPoint, Vector3<f64>)> {
-    let scale = f64::from(1u32 << choice.level);
+fn see(surface: &AlignSurface, motion: &Motion, spec: &LevelSpec, point: [f64; 2]) -> Option<(SeenPoint, Vector3<f64>)> {
+    let scale = spec.frame_px();
     let from = |pose: &Pose<Body, Camera>| {
-        let seen = surface.rectangle.see(pose, choice.camera, point, LEAST_COSINE)?;
+        let seen = surface.rectangle.see(pose, &spec.rays.camera, point, LEAST_COSINE)?;
         Some((seen.in_smaller(scale), pose.translation))
     };
     let at_rest = from(&motion.pose)?;
-    let tau = choice.sensor.delay_s(choice.level, at_rest.0.pixel.y, choice.camera.height());
+    let tau = spec.sensor.delay_s(spec.level, at_rest.0.pixel.y, spec.rays.camera.height());
     if tau == 0.0 { Some(at_rest) } else { from(&motion.after(tau).pose) }
 }
 

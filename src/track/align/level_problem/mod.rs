@@ -16,8 +16,8 @@ use super::level_spec::{LevelSpec, moved};
 use super::light::{RememberedLight, TileLight};
 use super::noise::Noise;
 use super::normal::{Residuals, RobustWeighting, RunView, moments, residuals, squares_after};
-use super::pixels::{Pixels, Run, Source};
-use super::selection::{Choice, Selector};
+use super::pixels::{Pixels, Run};
+use super::selection::Selector;
 use super::system::{Prior, System, TileTime};
 use super::tile_correlation::{TileCorrelation, median};
 use super::tile_equations::{TileEquations, TileStep};
@@ -127,17 +127,12 @@ impl LevelProblem {
     ) -> bool {
         (self.at, self.solved) = (None, None);
         self.runs.clear();
-        let Some(table) = &spec.rays.tables[spec.level] else { return false };
-        let LevelSpec { level, sensor, blur_px, count, is_dense, .. } = *spec;
-        let choice = Choice { camera: &spec.rays.camera, table, level, sensor: *sensor, blur_px, count, is_dense };
-        let chosen = selector.choose(spec.surfaces, motion, &choice);
+        let chosen = selector.choose(spec, motion);
         if chosen.len() < LEAST_PIXELS {
             return false;
         }
-        let source =
-            Source { l: spec.level, level: frame.level(spec.level), table, sensor: spec.sensor, height: spec.rays.camera.height() };
         let Picture { pixels, appearance, residuals } = &mut self.picture;
-        pixels.arrange(chosen, spec.surfaces.len(), &source, light);
+        pixels.arrange(chosen, spec, frame.level(spec.level), light);
         appearance.resize(pixels.len());
         residuals.resize(pixels.len());
         self.runs.extend(pixels.runs().iter().map(|run| RunAtWork { run: *run, ..RunAtWork::default() }));
@@ -171,9 +166,7 @@ impl LevelProblem {
         for &(surface, start, end) in &pixels.groups {
             let surface = &spec.surfaces[surface as usize];
             let range = [start as usize, end as usize];
-            let LevelSpec { sensor, side, is_enlarged, gradient_gain, .. } = *spec;
-            let what = Predicted { surface, motion, sensor, places: spec.places(), side, is_enlarged, gradient_gain, pixels, range };
-            predict(&what, appearance);
+            predict(&Predicted { surface, motion, spec, pixels, range }, appearance);
         }
     }
 

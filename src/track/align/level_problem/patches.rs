@@ -71,10 +71,9 @@ impl LevelProblem {
         self.at = None;
         let pixels = &mut self.picture.pixels;
         for (r, shift) in self.runs.iter().zip(shifts) {
-            let table = spec.rays.tables[spec.level].as_ref();
             let (su, sv) = (shift.x as f32, shift.y as f32);
             for k in r.run.range() {
-                let Some([x, y]) = table.map(|t| t.rays[pixels.index[k] as usize]) else { continue };
+                let [x, y] = spec.rays.table(spec.level).rays[pixels.index[k] as usize];
                 pixels.x[k] = x - pixels.x_across[k] * su - pixels.x_down[k] * sv;
                 pixels.y[k] = y - pixels.y_across[k] * su - pixels.y_down[k] * sv;
             }
