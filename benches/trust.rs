@@ -8,7 +8,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use stagepose::diagnostics::simulate::{artwork_surface, grey, paint, upright};
-use stagepose::diagnostics::track::{Matcher, Sensor, Trial};
+use stagepose::diagnostics::track::{Alignment, Matcher, Sensor};
 use stagepose::{
     Body, BodySpec, Camera, CameraModel, CameraPath, ComputeClock, Frame, Intrinsics, LightKey, Occluder, Pose, Renderer, SensorNoise,
     TrackerSettings, VirtualStage,
@@ -36,11 +36,11 @@ struct Counts {
 }
 
 impl Counts {
-    fn add(&mut self, trial: &Trial) {
-        self.by_share[(trial.share * BINS as f64) as usize] += 1;
-        self.scales.push(trial.scale);
-        self.new += usize::from(trial.is_credible_new);
-        self.continued += usize::from(trial.is_credible_continued);
+    fn add(&mut self, found: &Alignment) {
+        self.by_share[(found.share() * BINS as f64) as usize] += 1;
+        self.scales.push(found.scale);
+        self.new += usize::from(found.is_credible(false));
+        self.continued += usize::from(found.is_credible(true));
     }
 
     fn print(&mut self, name: &str) {

@@ -20,7 +20,7 @@ pub mod features {
 
 /// The matcher of a tracker, and the hot loops of alignment.
 pub mod track {
-    pub use crate::track::{AlignKernels, Matcher, Sensor, Trial, UsedPixel, UsedPixels};
+    pub use crate::track::{AlignKernels, Alignment, Matcher, Sensor, UsedPixel, UsedPixels};
 }
 
 /// The virtual stage: pictures on the cloth and paths through the hall.

@@ -11,7 +11,7 @@ use nalgebra::Vector2;
 use tracing::{debug, debug_span};
 
 use super::acquire::{SurfaceView, candidates, surface_matches, surface_view};
-use super::align::{CameraRays, FrameLevels, Sensor, ShutterClue, UsedPixel};
+use super::align::{Alignment, CameraRays, FrameLevels, Sensor, ShutterClue, UsedPixel};
 use super::frame_interval::FrameInterval;
 use super::frame_look::FrameLook;
 use super::lens_doubt::covariance_by_lens;
@@ -62,23 +62,6 @@ pub struct Sighting {
     pub acquire_ms: f64,
     /// Compute on registration and verification, milliseconds over all workers.
     pub align_ms: f64,
-}
-
-/// What an alignment of the stage from a given start came to: for studies of how right poses differ from wrong ones.
-#[derive(Debug, Clone, Copy)]
-pub struct Trial {
-    /// `T_body_camera`.
-    pub pose: Pose<Body, Camera>,
-    /// Tiles with detail, and the share of them that agrees with the prediction.
-    pub tiles: usize,
-    /// See `tiles`.
-    pub share: f64,
-    /// Robust standard deviation of the residuals, sigmas of the camera's noise.
-    pub scale: f64,
-    /// Whether such a pose would be given where it is new, and where it continues a track.
-    pub is_credible_new: bool,
-    /// See `is_credible_new`.
-    pub is_credible_continued: bool,
 }
 
 /// The pixels that the poses of a frame rest on.
@@ -283,23 +266,14 @@ impl Matcher {
 
     /// Aligns the stage from a start that is known to so much (one sigma, metres and radians), and tells what came of it. `None` where
     /// nothing converges. Neither the track state nor the motion take notice.
-    pub fn try_start(&mut self, frame: &Frame, start: &Pose<Body, Camera>, shift_m: f64, turn_rad: f64) -> Option<Trial> {
+    pub fn try_start(&mut self, frame: &Frame, start: &Pose<Body, Camera>, shift_m: f64, turn_rad: f64) -> Option<Alignment> {
         if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
             return None;
         }
         self.levels.update(&frame.image);
         let stage = self.bodies.first_mut()?;
         let expected = MotionEstimate::unseen(*start, stage.aligner.distance_m(start), shift_m, turn_rad);
-        let solution = stage.aligner.align(&mut self.levels, &self.camera_rays, &expected, None)?;
-        let found = solution.alignment();
-        Some(Trial {
-            pose: found.estimate.motion.pose,
-            tiles: found.tiles,
-            share: found.share(),
-            scale: found.scale,
-            is_credible_new: found.is_credible(false),
-            is_credible_continued: found.is_credible(true),
-        })
+        Some(*stage.aligner.align(&mut self.levels, &self.camera_rays, &expected, None)?.alignment())
     }
 
     /// The stage's surfaces that are recognised in a picture, before any size is asked: for studies of a config that does not fit. Neither the

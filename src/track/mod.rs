@@ -32,11 +32,11 @@ mod two_view;
 mod verify;
 
 pub use acquire::{SurfaceMatch, SurfaceView};
-pub use align::{AlignKernels, Clue, Sensor, UsedPixel};
+pub use align::{AlignKernels, Alignment, Clue, Sensor, UsedPixel};
 #[cfg(feature = "calibrate")]
 pub(crate) use frame_look::FrameLook;
 pub use lens_doubt::covariance_by_lens;
-pub use matcher::{BodySighting, Matcher, Sighting, Trial, UsedPixels};
+pub use matcher::{BodySighting, Matcher, Sighting, UsedPixels};
 pub use reason::Reason;
 pub use settings::TrackerSettings;
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};

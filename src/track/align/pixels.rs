@@ -8,8 +8,7 @@ use super::frame_levels::Level;
 use super::lanes::LANES;
 use super::level_spec::LevelSpec;
 use super::light::{Light, RememberedLight, TileLight};
-use super::selection::Chosen;
-use super::tile_grid::TileGrid;
+use super::tile_grid::{Chosen, TileGrid};
 
 /// A level's grey that counts as burnt out or drowned.
 const BRIGHTEST: f32 = 252.0;

@@ -10,6 +10,7 @@ use super::AlignSurface;
 use super::level_spec::LevelSpec;
 use super::rays::RayTable;
 use super::texture::BLOCK;
+use super::tile_grid::Chosen;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 use crate::track::rectangle::SeenPoint;
@@ -18,15 +19,6 @@ use crate::track::rectangle::SeenPoint;
 const BORDER_PX: f64 = 3.0;
 /// Surfaces are not read where they are seen flatter than this (cosine of the tilt).
 const LEAST_COSINE: f64 = 0.06;
-
-/// A pixel that was chosen.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Chosen {
-    /// Surface index in the body.
-    pub surface: u16,
-    /// Column and row of the level.
-    pub place: [u16; 2],
-}
 
 /// Chooses pixels; keeps its buffers.
 #[derive(Debug, Default)]

@@ -1,6 +1,13 @@
 //! The tiles that a level's pixels are grouped by, and the nodes of the light between them.
 
-use super::selection::Chosen;
+/// A pixel that was chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Chosen {
+    /// Surface index in the body.
+    pub surface: u16,
+    /// Column and row of the level.
+    pub place: [u16; 2],
+}
 
 /// Most tiles across and down the part of the frame that the body covers. Two by two tiles share a cell of the light grid; where their number
 /// is odd, the last cells are half as wide.
