@@ -12,9 +12,9 @@ use stagepose::diagnostics::publish::{
     BodyChoice, ClipStart, Context, FreedSettings, JsonSettings, OnLoss, OpenTrackIoSettings, OscMessageKind, OscSettings, OutputSettings,
     Placement, Protocol, PsnSettings, Publisher, Rate, SafetySettings, Spare, Stamps, StreamSettings, UdpSettings,
 };
-use stagepose::protocols::camera_of_body;
 use stagepose::protocols::opentrackio::Encoding;
 use stagepose::protocols::opentrackio_lens::PrincipalPoint;
+use stagepose::protocols::to_camera_axes;
 use stagepose::{CameraModel, Pose, PoseSample, StageTimes, State, Timestamp};
 
 const HZ: f64 = 240.0;
@@ -120,7 +120,7 @@ fn sample(k: u64) -> PoseSample {
         sequence: k,
         timestamp: Timestamp::from_seconds(k as f64 / HZ),
         state: State::Tracking,
-        pose: Some(camera_of_body(&body)),
+        pose: Some(to_camera_axes(&body)),
         measurement: None,
         objects: Vec::new(),
         reason: None,

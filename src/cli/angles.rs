@@ -1,7 +1,7 @@
 //! Poses and rotations in words that people on a stage use: metres and degrees.
 
 use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
-use crate::protocols::{PanTiltRoll, body_of_camera};
+use crate::protocols::{PanTiltRoll, to_body_axes};
 
 /// "at +0.0000 -4.0000 +1.6000 m, pan +0.00 tilt +0.00 roll +0.00 degrees": of the camera's body, level and looking upstage.
 pub(super) fn camera_words(t_stage_camera: &Pose<Stage, Camera>) -> String {
@@ -17,7 +17,7 @@ pub(super) fn angle_words(t_stage_camera: &Pose<Stage, Camera>) -> String {
 
 /// Pan, tilt and roll of the camera's body in degrees, rounded to hundredths; no zero is negative.
 pub(super) fn camera_angles(t_stage_camera: &Pose<Stage, Camera>) -> [f64; 3] {
-    let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(&body_of_camera(t_stage_camera).rotation, 0.0);
+    let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(&to_body_axes(t_stage_camera).rotation, 0.0);
     // `+ 0.0` keeps a rounded zero from being printed as -0.00.
     [pan_deg, tilt_deg, roll_deg].map(|degrees| (degrees * 100.0).round() / 100.0 + 0.0)
 }

@@ -18,7 +18,7 @@ use crate::config::Settings;
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
 use crate::printable::printable;
-use crate::protocols::{PanTiltRoll, camera_of_body};
+use crate::protocols::{PanTiltRoll, to_camera_axes};
 use crate::publish::{ClipStart, Context, Stamps};
 use crate::record::{ObjectSample, PoseSample, StageTimes, State};
 
@@ -122,7 +122,7 @@ fn test_sample(sequence: u64, seconds: f64, objects: &[String]) -> PoseSample {
         sequence,
         timestamp: Timestamp::from_seconds(seconds),
         state: State::Tracking,
-        pose: Some(camera_of_body(&test_pose(seconds))),
+        pose: Some(to_camera_axes(&test_pose(seconds))),
         measurement: None,
         objects: objects.iter().enumerate().map(object).collect(),
         reason: None,

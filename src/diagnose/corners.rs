@@ -48,9 +48,9 @@ fn spread(camera: &CameraModel, corners: &[Vector2<f64>; 4], found: &Rectangle) 
 
 /// The raw corners of a photographed surface, as the config has them, and the photograph's camera.
 pub fn corners_of(surface: &SurfaceSpec) -> Option<([Vector2<f64>; 4], &CameraModel)> {
-    let ReferenceKind::Photograph { photo_from_artwork, camera, .. } = &surface.kind else { return None };
+    let ReferenceKind::Photograph { h_photo_artwork, camera, .. } = &surface.kind else { return None };
     let (w, h) = (f64::from(surface.artwork.width()) - 0.5, f64::from(surface.artwork.height()) - 0.5);
-    let map = Homography(*photo_from_artwork);
+    let map = Homography(*h_photo_artwork);
     let mut corners = [Vector2::zeros(); 4];
     for (corner, (x, y)) in corners.iter_mut().zip([(-0.5, -0.5), (w, -0.5), (w, h), (-0.5, h)]) {
         *corner = camera.project(camera.from_undistorted_pixel(map.map(Vector2::new(x, y))?)).0;

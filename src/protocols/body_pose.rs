@@ -56,19 +56,19 @@ impl PanTiltRoll {
 }
 
 /// Body axes in the optical frame: x right = x, y forward = z, z up = -y, a quarter turn about x.
-fn optical_from_body() -> UnitQuaternion<f64> {
+fn r_camera_body() -> UnitQuaternion<f64> {
     let quarter = Rotation3::from_matrix_unchecked(Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0));
     UnitQuaternion::from_rotation_matrix(&quarter)
 }
 
 /// The pose of the camera's body, from that of its optical frame.
-pub fn body_of_camera(t_stage_camera: &Pose<Stage, Camera>) -> Pose<Stage, Body> {
-    Pose::new(t_stage_camera.rotation * optical_from_body(), t_stage_camera.translation)
+pub fn to_body_axes(t_stage_camera: &Pose<Stage, Camera>) -> Pose<Stage, Body> {
+    Pose::new(t_stage_camera.rotation * r_camera_body(), t_stage_camera.translation)
 }
 
 /// The pose of the camera's optical frame, from that of its body.
-pub fn camera_of_body(t_stage_body: &Pose<Stage, Body>) -> Pose<Stage, Camera> {
-    Pose::new(t_stage_body.rotation * optical_from_body().inverse(), t_stage_body.translation)
+pub fn to_camera_axes(t_stage_body: &Pose<Stage, Body>) -> Pose<Stage, Camera> {
+    Pose::new(t_stage_body.rotation * r_camera_body().inverse(), t_stage_body.translation)
 }
 
 #[cfg(test)]
@@ -83,7 +83,7 @@ mod tests {
 
     #[test]
     fn the_golden_pose_has_no_angles() {
-        let body = body_of_camera(&golden());
+        let body = to_body_axes(&golden());
         let angles = PanTiltRoll::of_rotation(&body.rotation, 0.0);
         assert!(angles.pan_deg.abs() < 1e-12 && angles.tilt_deg.abs() < 1e-12 && angles.roll_deg.abs() < 1e-12, "{angles:?}");
         assert_eq!(body.translation, Vector3::new(0.0, -4.0, 0.0));
@@ -120,7 +120,7 @@ mod tests {
         #[test]
         fn the_optical_frame_comes_back(x in -3.0..3.0, y in -3.0..3.0, z in -3.0..3.0) {
             let pose = Pose::<Stage, Camera>::new(UnitQuaternion::from_scaled_axis(Vector3::new(x, y, z)), Vector3::new(x, y, z));
-            prop_assert!(camera_of_body(&body_of_camera(&pose)).angle_to(&pose) < 1e-7);
+            prop_assert!(to_camera_axes(&to_body_axes(&pose)).angle_to(&pose) < 1e-7);
         }
     }
 }

@@ -1,7 +1,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
-use super::super::body_pose::body_of_camera;
+use super::super::body_pose::to_body_axes;
 use super::super::golden::{bytes_of, golden_camera};
 use super::*;
 
@@ -34,7 +34,7 @@ fn golden_packets() {
 
 #[test]
 fn the_golden_pose_is_all_zeros_but_for_the_distance() {
-    let packet = FreedPacket::of_pose(1, &body_of_camera(&golden_camera()), 0.0);
+    let packet = FreedPacket::of_pose(1, &to_body_axes(&golden_camera()), 0.0);
     let back = FreedPacket::decode(&packet.encode().0).unwrap();
     assert_eq!((back.pan_deg, back.tilt_deg, back.roll_deg, back.position_mm), (0.0, 0.0, 0.0, [0.0, -4000.0, 0.0]));
     let at_the_origin = Pose::new(UnitQuaternion::identity(), Vector3::zeros());
@@ -43,7 +43,7 @@ fn the_golden_pose_is_all_zeros_but_for_the_distance() {
 
 #[test]
 fn bad_packets_are_refused() {
-    let (mut bytes, _) = FreedPacket::of_pose(1, &body_of_camera(&golden_camera()), 0.0).encode();
+    let (mut bytes, _) = FreedPacket::of_pose(1, &to_body_axes(&golden_camera()), 0.0).encode();
     assert_eq!(FreedPacket::decode(&bytes[..28]), Err(FreedError::Length(28)));
     bytes[28] ^= 1;
     assert!(matches!(FreedPacket::decode(&bytes), Err(FreedError::Checksum { .. })));

@@ -12,4 +12,4 @@ pub mod opentrackio;
 pub mod opentrackio_lens;
 pub mod psn;
 
-pub use body_pose::{PanTiltRoll, body_of_camera, camera_of_body};
+pub use body_pose::{PanTiltRoll, to_body_axes, to_camera_axes};

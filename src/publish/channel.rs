@@ -14,7 +14,7 @@ use super::resample::{Known, Resampler};
 use super::settings::{OnLoss, OutputSettings, Rate, SafetySettings};
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
-use crate::protocols::body_of_camera;
+use crate::protocols::to_body_axes;
 use crate::record::PoseSample;
 
 /// The safety limits began to hold a body's pose back.
@@ -149,7 +149,7 @@ impl BodyChannel {
 /// What a sample says of a body that is tracked itself.
 fn known_of(choice: BodyChoice, sample: &PoseSample) -> Known {
     let (state, pose) = match choice {
-        BodyChoice::Camera => (sample.state, sample.pose.as_ref().map(body_of_camera)),
+        BodyChoice::Camera => (sample.state, sample.pose.as_ref().map(to_body_axes)),
         BodyChoice::Object(index) => match sample.objects.get(index) {
             Some(object) => (object.state, object.pose),
             None => return Known::nothing(Standing::Searching),

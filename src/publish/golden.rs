@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use super::report::{BodyChoice, BodyReport, Report, Standing};
 use crate::frame::Timestamp;
-use crate::protocols::body_of_camera;
 use crate::protocols::golden::golden_camera;
+use crate::protocols::to_body_axes;
 
 /// The camera at the golden pose.
 pub(crate) fn golden_body(standing: Standing) -> BodyReport {
@@ -13,7 +13,7 @@ pub(crate) fn golden_body(standing: Standing) -> BodyReport {
         name: Arc::from("camera"),
         choice: BodyChoice::Camera,
         standing,
-        pose: Some(body_of_camera(&golden_camera())),
+        pose: Some(to_body_axes(&golden_camera())),
         held: None,
         is_blended: false,
         is_predicted: false,

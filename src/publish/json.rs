@@ -16,7 +16,7 @@ use super::placement::Placement;
 use super::report::{BodyChoice, BodyReport, Report, Standing};
 use super::transport::StreamSettings;
 use crate::geometry::{Body, Pose, Stage};
-use crate::protocols::{body_of_camera, camera_of_body};
+use crate::protocols::{to_body_axes, to_camera_axes};
 use crate::record::{Measurement, PoseSample, StageTimes, State};
 
 /// How an output writes JSON.
@@ -49,7 +49,7 @@ impl JsonEncoder {
         let marks = camera.map(marks).unwrap_or_default() + &mount.unwrap_or_default();
         // All bodies are stale together: no frame came.
         if report.bodies.first().is_some_and(|body| body.standing == Standing::Stale) {
-            let pose = camera.and_then(|body| body.pose.as_ref()).map(camera_of_body);
+            let pose = camera.and_then(|body| body.pose.as_ref()).map(to_camera_axes);
             let event = json!({
                 "event": "stale", "state": "stale", "sequence": report.sequence, "age_ms": rounded(report.age_ms), "unix_ns": report.unix,
                 "pose": pose,
@@ -70,7 +70,7 @@ impl JsonEncoder {
             return format!(r#"{{"sequence":{sequence},"timestamp_ns":{timestamp},{nulls}"objects":"#);
         };
         let own = report.sample.as_ref().filter(|_| camera.is_passed);
-        let placed = || camera.pose.as_ref().map(camera_of_body);
+        let placed = || camera.pose.as_ref().map(to_camera_axes);
         // An untouched pose keeps its last digit.
         let pose = own.filter(|_| self.placement.is_identity()).map_or_else(placed, |sample| sample.pose);
         let measurement = own.and_then(|sample| sample.measurement).and_then(|m| self.placed(m));
@@ -86,7 +86,7 @@ impl JsonEncoder {
         if self.placement.is_identity() {
             return Some(measurement);
         }
-        let pose = camera_of_body(&self.placement.apply(&body_of_camera(&measurement.pose)));
+        let pose = to_camera_axes(&self.placement.apply(&to_body_axes(&measurement.pose)));
         Some(Measurement { pose, covariance: self.placed_covariance(&measurement.covariance)?, ..measurement })
     }
 
@@ -114,7 +114,7 @@ impl JsonEncoder {
 
     /// The filming camera, from the comma on; a camera's pose is told of its optical frame.
     fn mounted(&self, report: &Report, body: &BodyReport) -> String {
-        let pose = body.pose.as_ref().map(|pose| camera_of_body(pose).renamed());
+        let pose = body.pose.as_ref().map(|pose| to_camera_axes(pose).renamed());
         let line = ObjectLine { pose, ..ObjectLine::of(body, self.mounted_covariance(report, body)) };
         // A map with string keys cannot fail.
         format!(r#","mount":{}"#, serde_json::to_string(&line).unwrap_or_default())
@@ -129,7 +129,7 @@ impl JsonEncoder {
             }
             _ => {
                 let measured = sample.measurement?;
-                (body_of_camera(&measured.pose), measured.covariance)
+                (to_body_axes(&measured.pose), measured.covariance)
             }
         };
         self.placed_covariance(&mount.carried_covariance(&carrier, &covariance))

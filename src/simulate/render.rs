@@ -66,14 +66,14 @@ struct Plane {
     /// `T_carrier_surface`.
     pose: Pose<Stage, SurfaceFrame>,
     /// Metres on the surface to face coordinates: artwork pixels, or the unit circle of an ellipse.
-    face_from_metres: Matrix3<f64>,
+    h_face_metres: Matrix3<f64>,
 }
 
 /// A plane as one ray of one row sees it.
 #[derive(Debug, Clone, Copy)]
 struct View {
     /// Rays to face coordinates.
-    face_from_ray: Matrix3<f64>,
+    h_face_ray: Matrix3<f64>,
     determinant: f64,
     /// The camera's height above the face, metres; negative behind it.
     height: f64,
@@ -152,7 +152,7 @@ impl Renderer {
         let mut grey = self.stage.background;
         let mut hit = None;
         for (plane, view) in self.planes.iter().zip(views) {
-            let h = &view.face_from_ray;
+            let h = &view.h_face_ray;
             let slope = h[(2, 0)] * direction.x + h[(2, 1)] * direction.y + h[(2, 2)];
             // The ray meets the plane at this depth; NaN (no ray) fails the comparison.
             let inverse = 1.0 / slope;
@@ -197,13 +197,13 @@ impl Plane {
     fn of_surface(surface: &SurfaceSpec, carrier: Carrier) -> Self {
         let size_px = [f64::from(surface.artwork.width()), f64::from(surface.artwork.height())];
         let [per_x, per_y] = [size_px[0] / surface.size_m[0], size_px[1] / surface.size_m[1]];
-        let middle = surface.artwork_from_metres(Vector2::zeros());
+        let middle = surface.to_artwork(Vector2::zeros());
         Self {
             face: Face::Picture { texture: Texture::new(&surface.artwork), size_px },
             carrier,
             // A surface's pose is in its body; `pose_at` puts the body into the stage.
             pose: surface.pose.renamed(),
-            face_from_metres: Matrix3::new(per_x, 0.0, middle.x, 0.0, -per_y, middle.y, 0.0, 0.0, 1.0),
+            h_face_metres: Matrix3::new(per_x, 0.0, middle.x, 0.0, -per_y, middle.y, 0.0, 0.0, 1.0),
         }
     }
 
@@ -216,13 +216,13 @@ impl Plane {
     }
 
     fn view(&self, pose: &Pose<Stage, SurfaceFrame>, camera: &Pose<Stage, Camera>) -> View {
-        let surface_from_camera = pose.inverse() * *camera;
-        let (turn, eye) = (surface_from_camera.rotation_matrix(), surface_from_camera.translation);
+        let t_surface_camera = pose.inverse() * *camera;
+        let (turn, eye) = (t_surface_camera.rotation_matrix(), t_surface_camera.translation);
         // The ray eye + s turn d meets z = 0 at s = -eye.z / (turn d).z; its x there is (eye.x (turn d).z - eye.z (turn d).x) / (turn d).z.
         let down = turn.row(2);
         let metres = Matrix3::from_rows(&[down * eye.x - turn.row(0) * eye.z, down * eye.y - turn.row(1) * eye.z, down.into_owned()]);
-        let face_from_ray = self.face_from_metres * metres;
-        View { face_from_ray, determinant: face_from_ray.determinant(), height: eye.z }
+        let h_face_ray = self.h_face_metres * metres;
+        View { h_face_ray, determinant: h_face_ray.determinant(), height: eye.z }
     }
 }
 
@@ -236,7 +236,7 @@ fn planes_of(stage: &VirtualStage) -> Vec<Plane> {
             face: Face::Ellipse { grey: occluder.grey },
             carrier: Carrier::Occluder(k),
             pose: Pose::identity(),
-            face_from_metres: Matrix3::from_diagonal(&Vector3::new(1.0 / half_width, 1.0 / half_height, 1.0)),
+            h_face_metres: Matrix3::from_diagonal(&Vector3::new(1.0 / half_width, 1.0 / half_height, 1.0)),
         }
     });
     still.chain(moving).chain(people).collect()

@@ -208,7 +208,7 @@ fn surface_poses(body: &PreparedBody, view: &SurfaceView, camera: &CameraModel, 
     let metric: Vec<PointPair> = view
         .matches
         .iter()
-        .map(|m| PointPair { from: spec.metres_from_artwork(m.artwork), to: camera.from_undistorted_pixel(m.undistorted).0 })
+        .map(|m| PointPair { from: spec.to_metres(m.artwork), to: camera.from_undistorted_pixel(m.undistorted).0 })
         .collect();
     let Some(homography) = Homography::from_pairs(&metric, None) else { return Vec::new() };
     planar_poses(&homography, &metric).into_iter().map(|p| p * spec.pose.inverse()).collect()

@@ -58,9 +58,9 @@ impl Rectangle {
     /// Where a camera sees the point (`x`, `y`), metres from the centre; `None` behind it, beyond the lens model, or where the surface is tilted
     /// further than `least_cosine`.
     pub fn see(&self, t_body_camera: &Pose<Body, Camera>, camera: &CameraModel, [x, y]: [f64; 2], least_cosine: f64) -> Option<SeenPoint> {
-        let camera_from_body = t_body_camera.rotation_matrix().transpose();
-        let r = camera_from_body * self.rotation;
-        let c = r.column(0) * x + r.column(1) * y + camera_from_body * (self.centre - t_body_camera.translation);
+        let r_camera_body = t_body_camera.rotation_matrix().transpose();
+        let r = r_camera_body * self.rotation;
+        let c = r.column(0) * x + r.column(1) * y + r_camera_body * (self.centre - t_body_camera.translation);
         // The face must look at the camera: its normal points against the ray.
         if c.z < 1e-3 || -r.column(2).dot(&c) < least_cosine * c.norm() {
             return None;

@@ -131,7 +131,7 @@ fn project_anchor(
     artwork: Vector2<f64>,
     picture: &SearchPicture,
 ) -> Option<Target> {
-    let metres = surface.spec.metres_from_artwork(artwork);
+    let metres = surface.spec.to_metres(artwork);
     let SeenPoint { pixel: predicted, by_metres } = surface.rectangle.see(t_body_camera, camera, [metres.x, metres.y], LEAST_COSINE)?;
     let margin = (f64::from(HALF) + 4.0) * picture.scale;
     let (w, h) = (f64::from(camera.width()), f64::from(camera.height()));

@@ -37,7 +37,7 @@ pub enum ReferenceKind {
     /// A photograph of the surface.
     Photograph {
         /// Maps artwork pixels (of [`SurfaceSpec::artwork`]) to undistorted pixels of the photograph.
-        photo_from_artwork: Matrix3<f64>,
+        h_photo_artwork: Matrix3<f64>,
         /// The camera that took it.
         camera: Box<CameraModel>,
         /// `T_reference_surface`: the surface as that camera saw it, from its four corners.
@@ -164,16 +164,15 @@ impl SurfaceSpec {
         let (wf, hf) = (f64::from(w), f64::from(h));
         let outer = [(-0.5, -0.5), (wf - 0.5, -0.5), (wf - 0.5, hf - 0.5), (-0.5, hf - 0.5)].map(|(x, y)| Vector2::new(x, y));
         let flat: [PointPair; 4] = std::array::from_fn(|k| PointPair { from: outer[k], to: seen[k] });
-        let photo_from_artwork = Homography::from_four(&flat).ok_or(SurfaceError::Corners(None))?;
+        let h_photo_artwork = Homography::from_four(&flat).ok_or(SurfaceError::Corners(None))?;
         let half = Vector2::new(0.5 * size_m[0], 0.5 * size_m[1]);
         let metres = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)].map(|(x, y)| Vector2::new(x * half.x, y * half.y));
         let metric: [PointPair; 4] = std::array::from_fn(|k| PointPair { from: metres[k], to: rays[k].0 });
         let homography = Homography::from_four(&metric).ok_or(SurfaceError::Corners(None))?;
         let seen_from = planar_poses(&homography, &metric).into_iter().next().ok_or(SurfaceError::Corners(None))?;
-        let artwork = rectified(photo, &photo_from_artwork, &camera, w, h);
+        let artwork = rectified(photo, &h_photo_artwork, &camera, w, h);
         check_sides(&artwork)?;
-        let kind =
-            ReferenceKind::Photograph { photo_from_artwork: photo_from_artwork.0, camera: Box::new(camera), pose: seen_from.renamed() };
+        let kind = ReferenceKind::Photograph { h_photo_artwork: h_photo_artwork.0, camera: Box::new(camera), pose: seen_from.renamed() };
         Ok(Self { name, artwork, size_m, pose, kind })
     }
 
@@ -191,20 +190,20 @@ impl SurfaceSpec {
     }
 
     /// Artwork pixels (centres at integers) to metres on the surface: x right, y up, origin at the centre.
-    pub fn metres_from_artwork(&self, p: Vector2<f64>) -> Vector2<f64> {
+    pub fn to_metres(&self, p: Vector2<f64>) -> Vector2<f64> {
         let (w, h) = (f64::from(self.artwork.width()), f64::from(self.artwork.height()));
         Vector2::new(((p.x + 0.5) / w - 0.5) * self.size_m[0], (0.5 - (p.y + 0.5) / h) * self.size_m[1])
     }
 
     /// Metres on the surface to artwork pixels.
-    pub fn artwork_from_metres(&self, p: Vector2<f64>) -> Vector2<f64> {
+    pub fn to_artwork(&self, p: Vector2<f64>) -> Vector2<f64> {
         let (w, h) = (f64::from(self.artwork.width()), f64::from(self.artwork.height()));
         Vector2::new((p.x / self.size_m[0] + 0.5) * w - 0.5, (0.5 - p.y / self.size_m[1]) * h - 0.5)
     }
 
     /// An artwork pixel as a point of the body, metres.
     pub fn body_point(&self, p: Vector2<f64>) -> Point3<f64> {
-        let m = self.metres_from_artwork(p);
+        let m = self.to_metres(p);
         self.pose.transform(&Point3::new(m.x, m.y, 0.0))
     }
 }
@@ -262,9 +261,9 @@ fn clockwise(corners: &[Pixel; 4]) -> Option<[[f64; 2]; 4]> {
 }
 
 /// Resamples the photograph onto the flat rectangle.
-fn rectified(photo: &GrayImage, photo_from_artwork: &Homography, camera: &CameraModel, width: u32, height: u32) -> GrayImage {
+fn rectified(photo: &GrayImage, h_photo_artwork: &Homography, camera: &CameraModel, width: u32, height: u32) -> GrayImage {
     GrayImage::from_fn(width, height, |x, y| {
-        let undistorted = photo_from_artwork.map(Vector2::new(f64::from(x), f64::from(y)));
+        let undistorted = h_photo_artwork.map(Vector2::new(f64::from(x), f64::from(y)));
         let raw = undistorted.map(|p| camera.project(camera.from_undistorted_pixel(p)).0);
         image::Luma([raw.map_or(0, |p| cubic(photo, p))])
     })

@@ -20,10 +20,10 @@ fn photo(corners: [[f64; 2]; 4]) -> Result<SurfaceSpec, SurfaceError> {
 #[test]
 fn metres_span_the_outer_edges() {
     let spec = artwork(texture(400, 300, 1)).unwrap();
-    assert_eq!(spec.metres_from_artwork(Vector2::new(-0.5, -0.5)), Vector2::new(-2.0, 1.5));
-    assert_eq!(spec.metres_from_artwork(Vector2::new(399.5, 299.5)), Vector2::new(2.0, -1.5));
+    assert_eq!(spec.to_metres(Vector2::new(-0.5, -0.5)), Vector2::new(-2.0, 1.5));
+    assert_eq!(spec.to_metres(Vector2::new(399.5, 299.5)), Vector2::new(2.0, -1.5));
     let p = Vector2::new(12.25, 77.5);
-    assert!((spec.artwork_from_metres(spec.metres_from_artwork(p)) - p).norm() < 1e-12);
+    assert!((spec.to_artwork(spec.to_metres(p)) - p).norm() < 1e-12);
     // Upright at (0, 1, 2): the top left corner is up, left, and no nearer than the middle.
     assert!((spec.body_point(Vector2::new(-0.5, -0.5)) - Point3::new(-2.0, 1.0, 3.5)).norm() < 1e-12);
 }
@@ -86,8 +86,8 @@ fn a_photographed_checker_comes_out_straight() {
     assert!((seen_from.translation - pose.translation).norm() < 1e-6 && seen_from.rotation.angle_to(&pose.rotation) < 1e-6);
     // Every square's middle is where the artwork has it; every edge is crossed half way between two middles.
     for (i, k) in (0..15).flat_map(|i| (0..12).map(move |k| (i, k))) {
-        let middle = laid.artwork_from_metres(flat.metres_from_artwork(Vector2::new(f64::from(40 * i) + 19.5, f64::from(40 * k) + 19.5)));
-        let next = laid.artwork_from_metres(flat.metres_from_artwork(Vector2::new(f64::from(40 * i) + 59.5, f64::from(40 * k) + 19.5)));
+        let middle = laid.to_artwork(flat.to_metres(Vector2::new(f64::from(40 * i) + 19.5, f64::from(40 * k) + 19.5)));
+        let next = laid.to_artwork(flat.to_metres(Vector2::new(f64::from(40 * i) + 59.5, f64::from(40 * k) + 19.5)));
         let levels: Vec<f64> = (middle.x.round() as u32..=next.x.round() as u32)
             .map(|x| f64::from(laid.artwork.get_pixel(x, middle.y.round() as u32)[0]))
             .collect();

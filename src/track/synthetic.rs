@@ -66,7 +66,7 @@ pub fn view(surface: &SurfaceSpec, pose: &Pose<Camera, Body>, camera: &CameraMod
         let direction = to_surface.rotation * ray.0.push(1.0);
         let eye = to_surface.translation;
         let hit = eye - direction * (eye.z / direction.z);
-        grey_at(&surface.artwork, surface.artwork_from_metres(hit.xy()))
+        grey_at(&surface.artwork, surface.to_artwork(hit.xy()))
     };
     let steps = [-1.0 / 3.0, 0.0, 1.0 / 3.0];
     GrayImage::from_fn(camera.width(), camera.height(), |x, y| {

@@ -178,7 +178,7 @@ impl TrackedBody {
         let Self { body, patches, anchors, .. } = self;
         let anchor = |p: &Patch| {
             let spec = &body.surfaces[p.surface as usize].spec;
-            let artwork = spec.artwork_from_metres(p.on_surface_m);
+            let artwork = spec.to_artwork(p.on_surface_m);
             let point = spec.body_point(artwork);
             let seen = t_camera_body.transform(&point);
             let corrected_px = camera.project(Normalized(seen.coords.xy() / seen.z)).0 + p.shift_px;

@@ -119,7 +119,7 @@ fn first_surface_homography(
     let fit = Homography::from_pairs(pairs, None)?.refined(pairs, 0.2, 15)?;
     match &body.surfaces[0].spec.kind {
         ReferenceKind::Artwork => fit.with_unit_h33(),
-        ReferenceKind::Photograph { photo_from_artwork, .. } => Homography(fit.0 * photo_from_artwork.try_inverse()?).with_unit_h33(),
+        ReferenceKind::Photograph { h_photo_artwork, .. } => Homography(fit.0 * h_photo_artwork.try_inverse()?).with_unit_h33(),
     }
 }
 

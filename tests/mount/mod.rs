@@ -9,7 +9,7 @@ use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde_json::Value;
-use stagepose::protocols::body_of_camera;
+use stagepose::protocols::to_body_axes;
 use stagepose::{Body, Camera, Pose, Stage};
 
 use rig::{Board, filming, filming_camera, mount, rig, tracking_camera, write};
@@ -43,7 +43,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 
 /// The mount between the cameras' bodies, as the config has it.
 fn true_mount() -> Pose<Body, Body> {
-    let axes = body_of_camera(&Pose::identity()).rotation.inverse();
+    let axes = to_body_axes(&Pose::identity()).rotation.inverse();
     Pose::new(axes * mount().rotation * axes.inverse(), axes * mount().translation)
 }
 

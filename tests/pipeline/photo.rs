@@ -29,12 +29,12 @@ fn a_photograph_serves_as_the_stage() {
     let corners: [Pixel; 4] = outer.map(|p| photographer().project(seen(p)));
     let photo = Renderer::new(photo_scene).render(0.0, 0);
     let surface = SurfaceSpec::from_photograph("photo".into(), &photo, corners, photographer(), spec.size_m, spec.pose).unwrap();
-    let ReferenceKind::Photograph { photo_from_artwork, pose, .. } = &surface.kind else { panic!("a photograph's kind") };
+    let ReferenceKind::Photograph { h_photo_artwork, pose, .. } = &surface.kind else { panic!("a photograph's kind") };
     // The camera that took it is found from the corners alone.
     let found = (spec.pose * pose.inverse()).translation;
     assert!((found - stand.translation).norm() < 1e-6, "{found}");
     // And the flattened picture's corners are the photograph's.
-    let flat_corner = Homography(*photo_from_artwork).map(Vector2::new(-0.5, -0.5)).unwrap();
+    let flat_corner = Homography(*h_photo_artwork).map(Vector2::new(-0.5, -0.5)).unwrap();
     assert!((flat_corner - photographer().undistorted_pixel(seen(outer[0]))).norm() < 1e-6);
 
     let scene = quiet(camera(640, 480), past(), stage.clone());

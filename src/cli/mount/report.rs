@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::geometry::{Body, Camera, FilmingCamera, Pose};
 use crate::mount::{NextView, Solution, StillPair, Verdict, worst_sigmas};
-use crate::protocols::{PanTiltRoll, body_of_camera};
+use crate::protocols::{PanTiltRoll, to_body_axes};
 use crate::publish::MountSettings;
 
 /// Squared distance of six degrees of freedom that two mounts which are the same exceed once in a hundred times.
@@ -35,7 +35,7 @@ pub(super) struct MountReport<'a> {
 
 /// The camera's optical axes as its body's: x right, y forward, z up.
 fn body_axes() -> UnitQuaternion<f64> {
-    body_of_camera(&Pose::identity()).rotation.inverse()
+    to_body_axes(&Pose::identity()).rotation.inverse()
 }
 
 impl MountReport<'_> {

@@ -54,18 +54,18 @@ pub fn draw(frame: &Frame, sample: &PoseSample, scene: &Scene) -> RgbImage {
     let size = canvas.size();
     let thickness = (size[0].min(size[1]) / 400.0).max(1.2);
     fit::draw(&mut canvas, scene.pixels);
-    if let Some(stage_from_camera) = sample.pose {
-        let camera_from_stage = stage_from_camera.inverse();
+    if let Some(t_stage_camera) = sample.pose {
+        let t_camera_stage = t_stage_camera.inverse();
         for (body, object) in scene.objects.iter().zip(&sample.objects) {
-            if let Some(stage_from_object) = object.pose {
+            if let Some(t_stage_object) = object.pose {
                 let colour = if object.state == State::Tracking { CYAN } else { state_colour(object.state) };
-                let seen = Seen { camera: scene.camera, camera_from_body: camera_from_stage * stage_from_object };
+                let seen = Seen { camera: scene.camera, t_camera_body: t_camera_stage * t_stage_object };
                 seen.outlines(&mut canvas, body, thickness, colour);
                 seen.name(&mut canvas, body, colour);
             }
         }
         // The stage is the body whose own frame is the stage frame.
-        let seen = Seen { camera: scene.camera, camera_from_body: camera_from_stage.renamed() };
+        let seen = Seen { camera: scene.camera, t_camera_body: t_camera_stage.renamed() };
         seen.outlines(&mut canvas, scene.stage, thickness, state_colour(sample.state));
         seen.axes(&mut canvas, scene.stage, 1.4 * thickness);
     }
@@ -88,7 +88,7 @@ fn state_colour(state: State) -> Colour {
 /// A body as the camera sees it.
 struct Seen<'a> {
     camera: &'a CameraModel,
-    camera_from_body: Pose<Camera, Body>,
+    t_camera_body: Pose<Camera, Body>,
 }
 
 impl Seen<'_> {
@@ -104,7 +104,7 @@ impl Seen<'_> {
     /// The body's name inside the top left corner of its first surface.
     fn name(&self, canvas: &mut Canvas, body: &BodySpec, colour: Colour) {
         let lettering = caption::lettering(canvas.size());
-        let corner = body.surfaces.first().and_then(|surface| self.pixel(&self.camera_from_body.transform(&corners(surface)[0])));
+        let corner = body.surfaces.first().and_then(|surface| self.pixel(&self.t_camera_body.transform(&corners(surface)[0])));
         if let Some(at) = corner {
             let em = lettering.size_px;
             canvas.label(lettering, (at.x as f32 + 0.4 * em, at.y as f32 + 1.2 * em), colour, &body.name);
@@ -120,7 +120,7 @@ impl Seen<'_> {
             let axis = |along: f64| Point3::from(direction * (length * along));
             let runs = self.edge(canvas, (axis(0.0), axis(1.0)));
             canvas.lines(&runs, thickness, colour);
-            if let Some(end) = self.pixel(&self.camera_from_body.transform(&axis(1.15))) {
+            if let Some(end) = self.pixel(&self.t_camera_body.transform(&axis(1.15))) {
                 let em = lettering.size_px;
                 canvas.label(lettering, (end.x as f32 - 0.27 * em, end.y as f32 + 0.27 * em), colour, letter);
             }
@@ -130,7 +130,7 @@ impl Seen<'_> {
     /// A straight edge in space as the lens shows it: runs of points within the picture.
     fn edge(&self, canvas: &Canvas, (from, to): (Point3<f64>, Point3<f64>)) -> Vec<Vec<Vector2<f64>>> {
         let size = canvas.size().map(f64::from);
-        let (from, to) = (self.camera_from_body.transform(&from), self.camera_from_body.transform(&to));
+        let (from, to) = (self.t_camera_body.transform(&from), self.t_camera_body.transform(&to));
         let pixel = |k: u32| self.pixel(&(from + (to - from) * (f64::from(k) / f64::from(PIECES))));
         let mut runs: Vec<Vec<Vector2<f64>>> = Vec::new();
         let mut previous = pixel(0);
