@@ -8,7 +8,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use stagepose::diagnostics::simulate::{artwork_surface, grey, paint, upright};
-use stagepose::diagnostics::track::{Alignment, Matcher, Sensor};
+use stagepose::diagnostics::track::{Alignment, Matcher};
 use stagepose::{
     Body, BodySpec, Camera, CameraModel, CameraPath, ComputeClock, Frame, Intrinsics, LightKey, Occluder, Pose, Renderer, SensorNoise,
     TrackerSettings, VirtualStage,
@@ -68,7 +68,7 @@ fn main() {
         let other_stage = BodySpec { surfaces: vec![surface(seed + 1000, stage.surfaces[0].size_m)], ..stage.clone() };
         for (is_shown, stage) in [(true, &stage), (false, &other_stage)] {
             let mut matcher =
-                Matcher::new(camera, Sensor::default(), None, stage, &[], TrackerSettings::default(), ComputeClock::default());
+                Matcher::new(camera, Default::default(), None, stage, &[], TrackerSettings::default(), ComputeClock::default());
             for (start, off) in FAR.iter().flat_map(|off| (0..STARTS).map(move |_| *off)).map(|off| (moved(&truth, off, &mut random), off))
             {
                 let found = matcher.try_start(&frame, &start.inverse(), off * truth.translation.norm(), off);

@@ -20,7 +20,7 @@ pub mod features {
 
 /// The matcher of a tracker, and the hot loops of alignment.
 pub mod track {
-    pub use crate::track::{AlignKernels, Alignment, Matcher, Sensor, UsedPixel, UsedPixels};
+    pub use crate::track::{AlignKernels, Alignment, Matcher, UsedPixel, UsedPixels};
 }
 
 /// The virtual stage: pictures on the cloth and paths through the hall.
@@ -64,7 +64,7 @@ pub mod publish {
 /// Cameras that fail, what is done about them, and the recorder.
 #[cfg(feature = "daemon")]
 pub mod live {
-    pub use crate::daemon::live::{Event, LiveLink, LiveSource, LiveStop, Patience, Shutter, StampedEvent};
+    pub use crate::daemon::live::{Event, LiveLink, LiveSource, LiveStop, Patience, StampedEvent};
     pub use crate::daemon::recorder::{AboutClip, RealDisk, Recorder, RecorderPlan};
 }
 

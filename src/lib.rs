@@ -118,7 +118,7 @@ mod web;
 
 pub mod diagnostics;
 
-pub use camera::{CameraError, CameraModel, Intrinsics, IntrinsicsUncertainty, LensDoubt, LensGuess, Normalized, Pixel};
+pub use camera::{CameraError, CameraModel, Intrinsics, IntrinsicsUncertainty, LensDoubt, LensGuess, Normalized, Pixel, Shutter};
 pub use compute_clock::ComputeClock;
 pub use frame::{Frame, Timestamp};
 pub use geometry::{Body, Camera, Pose, ReferenceCamera, Stage, SurfaceFrame};

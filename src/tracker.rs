@@ -4,22 +4,20 @@ use crossbeam_channel::Receiver;
 use image::GrayImage;
 use thiserror::Error;
 
-use crate::camera::CameraModel;
+use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-use crate::track::{BodySpec, Matcher, Sensor, Sighting, TrackState, TrackerSettings, UsedPixels};
+use crate::track::{BodySpec, Matcher, Sighting, TrackState, TrackerSettings, UsedPixels};
 
 /// Everything a tracker is made from.
 #[derive(Debug, Clone)]
 pub struct TrackerSetup {
     /// The camera, at the size of the frames to come.
     pub camera: CameraModel,
-    /// Exposure in seconds; 0 = unknown: learnt while the camera moves.
-    pub exposure_s: f64,
-    /// First row to last in seconds; 0 = global shutter or unknown.
-    pub readout_s: f64,
+    /// Its shutter.
+    pub shutter: Shutter,
     /// Pixels to leave out (0); the frames' size.
     pub mask: Option<GrayImage>,
     /// The stage.
@@ -66,11 +64,8 @@ impl TrackerSetup {
         if let Some(size) = self.mask.as_ref().map(GrayImage::dimensions).filter(|size| *size != wanted) {
             return Err(SetupError::MaskSize { size, wanted });
         }
-        if !(self.exposure_s.is_finite() && self.exposure_s >= 0.0) {
-            return Err(SetupError::Shutter { name: "exposure_s", seconds: self.exposure_s });
-        }
-        if !self.readout_s.is_finite() {
-            return Err(SetupError::Shutter { name: "readout_s", seconds: self.readout_s });
+        if let Some((name, seconds)) = self.shutter.impossible_time() {
+            return Err(SetupError::Shutter { name, seconds });
         }
         match std::iter::once(&self.stage).chain(&self.objects).find(|body| body.surfaces.is_empty()) {
             Some(body) => Err(SetupError::NoSurface { body: body.name.clone() }),
@@ -135,8 +130,7 @@ impl Tracker {
     pub fn new(setup: TrackerSetup) -> Result<Self, SetupError> {
         setup.checked()?;
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
-        let sensor = Sensor { readout_s: setup.readout_s, exposure_s: setup.exposure_s };
-        let matcher = Matcher::new(setup.camera, sensor, setup.mask, &setup.stage, &setup.objects, setup.settings, setup.clock);
+        let matcher = Matcher::new(setup.camera, setup.shutter, setup.mask, &setup.stage, &setup.objects, setup.settings, setup.clock);
         Ok(Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names, clock: setup.clock }, last: None })
     }
 

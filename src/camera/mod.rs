@@ -7,9 +7,11 @@ mod guess;
 mod model;
 mod pixel_doubt;
 pub mod plausible;
+mod shutter;
 
 pub use doubt::{IntrinsicsUncertainty, LENS_WAYS, LensDoubt};
 #[cfg(feature = "calibration-files")]
 pub use files::{Calibration, CalibrationFileError, CalibrationForm, CalibrationProblem, parse_calibration};
 pub use guess::LensGuess;
 pub use model::{CameraError, CameraModel, Intrinsics, Normalized, Pixel};
+pub use shutter::Shutter;

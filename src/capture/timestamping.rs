@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use nix::time::{ClockId, clock_gettime};
 
+use crate::camera::Shutter;
 use crate::frame::Timestamp;
 
 /// A driver's stamp, on the monotonic clock.
@@ -34,10 +35,10 @@ const OLDEST: Duration = Duration::from_secs(5);
 
 /// When the middle row was at mid-exposure, and whether the driver's stamp says it (else it is reckoned from the arrival).
 ///
-/// `exposure_s` and `readout_s` are 0 where unknown. A driver that was never heard before is judged by this one stamp; see
+/// A driver that was never heard before is judged by this one stamp; see
 /// `StampTrust` for one that was.
-pub fn mid_exposure(stamp: DriverStamp, arrival: Timestamp, exposure_s: f64, readout_s: f64) -> (Timestamp, bool) {
-    reckoned(stamp, arrival, exposure_s, readout_s, OLDEST)
+pub fn mid_exposure(stamp: DriverStamp, arrival: Timestamp, shutter: &Shutter) -> (Timestamp, bool) {
+    reckoned(stamp, arrival, shutter, OLDEST)
 }
 
 /// What is known of a driver's stamps. A program that was stopped gets pictures that are as old as its stop was long: a driver whose stamps
@@ -54,20 +55,20 @@ const MOST_OLD: u32 = 64;
 
 impl StampTrust {
     /// As [`mid_exposure`], by what earlier stamps have shown.
-    pub fn mid_exposure(&mut self, stamp: DriverStamp, arrival: Timestamp, exposure_s: f64, readout_s: f64) -> (Timestamp, bool) {
+    pub fn mid_exposure(&mut self, stamp: DriverStamp, arrival: Timestamp, shutter: &Shutter) -> (Timestamp, bool) {
         let (DriverStamp::StartOfExposure(at) | DriverStamp::EndOfFrame(at)) = stamp else {
-            return mid_exposure(stamp, arrival, exposure_s, readout_s);
+            return mid_exposure(stamp, arrival, shutter);
         };
         let is_young = is_plausible(at, arrival, OLDEST);
         self.is_monotonic = is_young || self.is_monotonic && self.old < MOST_OLD;
         self.old = if is_young { 0 } else { self.old.saturating_add(1) };
         let oldest = if self.is_monotonic { Duration::MAX } else { OLDEST };
-        reckoned(stamp, arrival, exposure_s, readout_s, oldest)
+        reckoned(stamp, arrival, shutter, oldest)
     }
 }
 
-fn reckoned(stamp: DriverStamp, arrival: Timestamp, exposure_s: f64, readout_s: f64, oldest: Duration) -> (Timestamp, bool) {
-    let half_s = (exposure_s + readout_s) * 0.5;
+fn reckoned(stamp: DriverStamp, arrival: Timestamp, shutter: &Shutter, oldest: Duration) -> (Timestamp, bool) {
+    let half_s = (shutter.exposure_s + shutter.readout_s) * 0.5;
     match stamp {
         DriverStamp::StartOfExposure(at) if is_plausible(at, arrival, oldest) => (at.after_s(half_s), true),
         DriverStamp::EndOfFrame(at) if is_plausible(at, arrival, oldest) => (at.after_s(-half_s), true),
@@ -87,10 +88,11 @@ mod tests {
     #[test]
     fn no_stamp_overflows() {
         let extremes = [i64::MIN, i64::MIN + 1, -1, 0, 1, i64::MAX - 1, i64::MAX].map(Timestamp::from_ns);
+        let shutter = Shutter { exposure_s: 0.04, readout_s: 0.03 };
         for (at, arrival) in extremes.into_iter().flat_map(|at| extremes.map(|arrival| (at, arrival))) {
             for stamp in [DriverStamp::StartOfExposure(at), DriverStamp::EndOfFrame(at), DriverStamp::MidExposure(at), DriverStamp::None] {
-                let _ = mid_exposure(stamp, arrival, 0.04, 0.03);
-                let _ = StampTrust::default().mid_exposure(stamp, arrival, 0.04, 0.03);
+                let _ = mid_exposure(stamp, arrival, &shutter);
+                let _ = StampTrust::default().mid_exposure(stamp, arrival, &shutter);
             }
         }
     }
@@ -98,9 +100,9 @@ mod tests {
     #[test]
     fn both_kinds_of_stamp_lead_to_the_same_moment() {
         // Exposure 10 ms, readout 20 ms: the first row begins at 0, the last one ends at 30 ms, the middle of both is at 15 ms.
-        let (now, exposure_s, readout_s) = (Timestamp::from_seconds(2.0), 0.01, 0.02);
-        let start = mid_exposure(DriverStamp::StartOfExposure(Timestamp::from_seconds(1.0)), now, exposure_s, readout_s);
-        let end = mid_exposure(DriverStamp::EndOfFrame(Timestamp::from_seconds(1.03)), now, exposure_s, readout_s);
+        let (now, shutter) = (Timestamp::from_seconds(2.0), Shutter { exposure_s: 0.01, readout_s: 0.02 });
+        let start = mid_exposure(DriverStamp::StartOfExposure(Timestamp::from_seconds(1.0)), now, &shutter);
+        let end = mid_exposure(DriverStamp::EndOfFrame(Timestamp::from_seconds(1.03)), now, &shutter);
         assert_eq!([start, end], [(Timestamp::from_ns(1_015_000_000), true); 2]);
     }
 
@@ -108,9 +110,12 @@ mod tests {
     fn a_stamp_of_another_clock_is_no_stamp() {
         let now = Timestamp::from_seconds(15.0);
         for stamp in [0, -5, 9_000_000_000, 20_000_000_000].map(Timestamp::from_ns) {
-            assert_eq!(mid_exposure(DriverStamp::StartOfExposure(stamp), now, 0.0, 0.0), (now, false), "{stamp}");
+            assert_eq!(mid_exposure(DriverStamp::StartOfExposure(stamp), now, &Shutter::default()), (now, false), "{stamp}");
         }
-        assert_eq!(mid_exposure(DriverStamp::None, now, 0.01, 0.03), (now.after_ns(-20_000_000), false));
+        assert_eq!(
+            mid_exposure(DriverStamp::None, now, &Shutter { exposure_s: 0.01, readout_s: 0.03 }),
+            (now.after_ns(-20_000_000), false)
+        );
     }
 
     #[test]
@@ -118,7 +123,7 @@ mod tests {
         let mut trust = StampTrust::default();
         let mut at = |stamp, now| {
             let stamp = DriverStamp::StartOfExposure(Timestamp::from_ns(stamp));
-            let (at, is_stamped) = trust.mid_exposure(stamp, Timestamp::from_ns(now), 0.0, 0.0);
+            let (at, is_stamped) = trust.mid_exposure(stamp, Timestamp::from_ns(now), &Shutter::default());
             (at.ns(), is_stamped)
         };
         assert_eq!(at(99_000_000_000, 99_030_000_000), (99_000_000_000, true));
@@ -131,7 +136,7 @@ mod tests {
         assert_eq!(at(5_000_000_500, 200_000_000_000), (200_000_000_000, false));
         // A stamp of the future never is.
         let [now, future] = [5, 9].map(Timestamp::from_ns);
-        assert_eq!(StampTrust::default().mid_exposure(DriverStamp::EndOfFrame(future), now, 0.0, 0.0), (now, false));
+        assert_eq!(StampTrust::default().mid_exposure(DriverStamp::EndOfFrame(future), now, &Shutter::default()), (now, false));
     }
 
     #[test]

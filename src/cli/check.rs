@@ -135,7 +135,7 @@ fn of_config(settings: &Settings) -> Vec<Finding> {
         )));
     }
     if let Some(fps) = settings.device.fps {
-        findings.extend(diagnose::of_shutter(settings.exposure_s, settings.readout_s, 1.0 / fps));
+        findings.extend(diagnose::of_shutter(&settings.shutter, 1.0 / fps));
     }
     findings
 }
@@ -233,7 +233,8 @@ fn field_of_view(camera: &CameraModel) -> String {
 
 fn shutter(settings: &Settings) -> String {
     let in_ms = |s: f64, unknown: &str| if s == 0.0 { unknown.to_owned() } else { format!("{:.1} ms", s * 1e3) };
-    let (exposure, readout) = (in_ms(settings.exposure_s, "unknown"), in_ms(settings.readout_s, "global shutter or unknown"));
+    let (exposure, readout) =
+        (in_ms(settings.shutter.exposure_s, "unknown"), in_ms(settings.shutter.readout_s, "global shutter or unknown"));
     format!("exposure {exposure}, readout {readout}")
 }
 

@@ -89,7 +89,7 @@ mod tests {
         std::fs::write(home.path().join("backdrop.png"), b"painted over").unwrap();
         std::fs::remove_file(home.path().join("camera.toml")).unwrap();
         let is = write(was.source.copy(None).unwrap(), copied.path());
-        assert_eq!((was.camera, was.exposure_s, was.readout_s), (is.camera, is.exposure_s, is.readout_s));
+        assert_eq!((was.camera, was.shutter), (is.camera, is.shutter));
         assert_eq!(was.stage.surfaces.len(), is.stage.surfaces.len());
         for (a, b) in was.stage.surfaces.iter().zip(&is.stage.surfaces) {
             assert_eq!((a.artwork.as_raw(), a.size_m), (b.artwork.as_raw(), b.size_m));
@@ -111,12 +111,16 @@ mod tests {
             let folder = tempfile::tempdir().unwrap();
             let was = Settings::from_text(&format!("{camera}{surface}"), &Path::new(FIXTURE).join("stage.toml")).unwrap();
             let is = write(was.source.copy(Some(exposure_s)).unwrap(), folder.path());
-            assert_eq!((is.exposure_s.to_bits(), is.readout_s), (f64::to_bits(exposure_s), was.readout_s), "{camera}");
+            assert_eq!(
+                (is.shutter.exposure_s.to_bits(), is.shutter.readout_s),
+                (f64::to_bits(exposure_s), was.shutter.readout_s),
+                "{camera}"
+            );
         }
         // One that is set stays.
         let camera = "[camera]\ncalibration = \"camera.toml\"\nexposure_s = 0.01\n";
         let was = Settings::from_text(&format!("{camera}{surface}"), &Path::new(FIXTURE).join("stage.toml")).unwrap();
         let folder = tempfile::tempdir().unwrap();
-        assert_eq!(write(was.source.copy(Some(0.02)).unwrap(), folder.path()).exposure_s, 0.01);
+        assert_eq!(write(was.source.copy(Some(0.02)).unwrap(), folder.path()).shutter.exposure_s, 0.01);
     }
 }

@@ -22,7 +22,7 @@ use super::protocols::address;
 use super::source::{ConfigSource, read_text};
 use super::values::Section;
 use super::{ConfigError, Problem};
-use crate::camera::CameraModel;
+use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::pose::FilterSettings;
 use crate::publish::{MountSettings, OutputSettings, SafetySettings};
@@ -42,10 +42,8 @@ pub struct Settings {
     pub lens: LensSource,
     /// The camera at the calibration's own picture size (a guess: at any); [`camera_for`](Self::camera_for) fits it to a clip.
     pub camera: CameraModel,
-    /// Exposure in seconds; 0 = unknown.
-    pub exposure_s: f64,
-    /// First row to last in seconds; 0 = global shutter or unknown.
-    pub readout_s: f64,
+    /// Its shutter.
+    pub shutter: Shutter,
     /// Black where the camera's picture is to be ignored; of the calibration's aspect ratio.
     pub mask: Option<GrayImage>,
     /// How to open the camera, for the commands that do.
@@ -210,7 +208,7 @@ impl Settings {
         let calibration_line = camera.calibration.as_ref().map(Spanned::span).or(typed.camera.as_ref().map(Spanned::span));
         let calibration_line = calibration_line.map_or(1, |span| origin.line(&span));
         let seconds = "seconds from 0 (unknown) to 1; 15 milliseconds are 0.015";
-        let within = |v: f64| (0.0..=1.0).contains(&v);
+        let within = |v: f64| (0.0..=Shutter::LONGEST_S).contains(&v);
         let exposure_s = section.number("exposure_s", camera.exposure_s.as_ref(), 0.0, within, seconds)?;
         let readout_s = section.number("readout_s", camera.readout_s.as_ref(), 0.0, within, seconds)?;
         let mask = camera.mask.as_ref().map(|m| mask(&section, m, lens.size(&model).map(|_| &model))).transpose()?;
@@ -232,8 +230,7 @@ impl Settings {
             lens,
             calibration_line,
             camera: model,
-            exposure_s,
-            readout_s,
+            shutter: Shutter { exposure_s, readout_s },
             mask,
             device,
             stage,
@@ -309,8 +306,7 @@ impl Settings {
         let (camera, note) = self.camera_for(width, height)?;
         let setup = TrackerSetup {
             camera,
-            exposure_s: self.exposure_s,
-            readout_s: self.readout_s,
+            shutter: self.shutter,
             mask: self.mask_for(width, height),
             stage: self.stage.clone(),
             objects: self.objects.clone(),

@@ -84,7 +84,7 @@ impl Daemon {
 
     /// A daemon for a camera: drops the oldest, numbers the rows that are tracked, counts what happens, and gives
     /// subscribers a stale message ([`State::Stale`](crate::record::State::Stale)) when no picture has come for three frame times.
-    /// Give the tracker the exposure that [`Shutter::exposure_of`](super::live::Shutter::exposure_of) the camera's mode says.
+    /// Give the tracker the exposure that [`exposure_of`](super::live::exposure_of) the camera's mode says.
     pub fn live(source: LiveSource, tracker: Tracker) -> Self {
         // One switch for both: a source that waits for a picture would not look at the daemon's.
         let (live, stop) = (Some(source.link()), source.stop_switch());
@@ -349,8 +349,7 @@ mod tests {
         let surface = SurfaceSpec { name: name.clone(), artwork, size_m: [4.0, 3.0], pose: Pose::identity(), kind: ReferenceKind::Artwork };
         Tracker::new(TrackerSetup {
             camera: CameraModel::pinhole(64, 48, 60.0, 60.0, 31.5, 23.5).unwrap(),
-            exposure_s: 0.0,
-            readout_s: 0.0,
+            shutter: Default::default(),
             mask: None,
             stage: BodySpec { name, surfaces: vec![surface] },
             objects: Vec::new(),

@@ -18,10 +18,10 @@ pub use corners::{corners_begun_at_top_left, of_corners};
 pub use finding::{Finding, Grade};
 pub use plausible::{Travel, of_layout, of_lens, of_shutter};
 
-use crate::camera::CameraModel;
+use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
-use crate::track::{BodySpec, Matcher, Reason, Sensor, SurfaceView, TrackerSettings};
+use crate::track::{BodySpec, Matcher, Reason, SurfaceView, TrackerSettings};
 use crate::tracker::TrackerSetup;
 
 /// Matches of a view that count as seeing the surface at all; fewer may be chance.
@@ -41,7 +41,7 @@ impl Trial {
     /// Prepares the pictures of a stage for a camera.
     pub fn new(camera: CameraModel, mask: Option<GrayImage>, stage: &BodySpec, settings: &TrackerSettings) -> Self {
         Self {
-            matcher: Matcher::new(camera, Sensor::default(), mask, stage, &[], settings.clone(), ComputeClock::default()),
+            matcher: Matcher::new(camera, Shutter::default(), mask, stage, &[], settings.clone(), ComputeClock::default()),
             stamp: Timestamp::default(),
         }
     }

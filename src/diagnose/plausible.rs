@@ -5,7 +5,7 @@
 use nalgebra::Vector3;
 
 use super::finding::{Finding, list, written};
-use crate::camera::{CameraModel, Normalized};
+use crate::camera::{CameraModel, Normalized, Shutter};
 use crate::frame::Timestamp;
 use crate::geometry::{Camera, Pose, Stage};
 use crate::track::{BodySpec, SurfaceSpec};
@@ -86,7 +86,7 @@ pub fn of_lens(camera: &CameraModel) -> Vec<Finding> {
 }
 
 /// Whether the shutter's times fit the clip's rate.
-pub fn of_shutter(exposure_s: f64, readout_s: f64, frame_s: f64) -> Vec<Finding> {
+pub fn of_shutter(shutter: &Shutter, frame_s: f64) -> Vec<Finding> {
     let long = |key: &str, value: f64| {
         (value > 1.1 * frame_s).then(|| {
             Finding::doubt(format!(
@@ -98,7 +98,7 @@ pub fn of_shutter(exposure_s: f64, readout_s: f64, frame_s: f64) -> Vec<Finding>
             ))
         })
     };
-    [long("exposure_s", exposure_s), long("readout_s", readout_s)].into_iter().flatten().collect()
+    [long("exposure_s", shutter.exposure_s), long("readout_s", shutter.readout_s)].into_iter().flatten().collect()
 }
 
 /// How the camera moved, from poses with their stamps.
@@ -244,8 +244,12 @@ mod tests {
 
     #[test]
     fn times_longer_than_a_frame_are_told() {
-        assert!(of_shutter(0.01, 0.03, 1.0 / 30.0).is_empty());
-        assert!(of_shutter(0.5, 0.0, 1.0 / 30.0)[0].says.contains("write exposure_s = 0.0005 if 0.5 is milliseconds"));
+        assert!(of_shutter(&Shutter { exposure_s: 0.01, readout_s: 0.03 }, 1.0 / 30.0).is_empty());
+        assert!(
+            of_shutter(&Shutter { exposure_s: 0.5, readout_s: 0.0 }, 1.0 / 30.0)[0]
+                .says
+                .contains("write exposure_s = 0.0005 if 0.5 is milliseconds")
+        );
     }
 
     #[test]

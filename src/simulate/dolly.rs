@@ -57,8 +57,8 @@ pub fn dolly(choice: Dolly) -> Result<VirtualStage, DollyError> {
     let mut scene = VirtualStage::new(camera(choice.width, choice.height)?, ride(choice.duration_s, choice.seed)?, stage);
     scene.scenery = vec![floor];
     scene.light = [0.0, 2.0, 5.0, 9.0].into_iter().zip([0.9, 1.0, 0.8, 0.95]).map(|(time_s, gain)| LightKey { time_s, gain }).collect();
-    scene.exposure_s = 1.0 / 120.0;
-    scene.readout_s = 0.01;
+    scene.shutter.exposure_s = 1.0 / 120.0;
+    scene.shutter.readout_s = 0.01;
     scene.noise = SensorNoise::webcam();
     scene.background = 9.0;
     scene.seed = choice.seed;

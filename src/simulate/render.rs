@@ -122,7 +122,7 @@ impl Renderer {
         let row_time_s = time_s + self.row_delay_s(row);
         let mut light = vec![0.0; width];
         for sample in &self.samples {
-            let at_s = row_time_s + self.stage.exposure_s * sample.moment;
+            let at_s = row_time_s + self.stage.shutter.exposure_s * sample.moment;
             let gain = self.stage.light_gain(at_s) / self.samples.len() as f32;
             let views = self.views(at_s);
             for (sum, ray) in light.iter_mut().zip(&self.rays[row * width..]) {
@@ -135,7 +135,7 @@ impl Renderer {
     /// Seconds by which a row is exposed after the middle row.
     fn row_delay_s(&self, row: usize) -> f64 {
         let last = f64::from(self.stage.camera.height().max(2) - 1);
-        self.stage.readout_s * (row as f64 / last - 0.5)
+        self.stage.shutter.readout_s * (row as f64 / last - 0.5)
     }
 
     /// Every plane as the camera sees it at an instant.

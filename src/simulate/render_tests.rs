@@ -93,7 +93,7 @@ fn rolling_shutter_delays_rows_as_stated() {
     path.target = Spline::new(&keys.map(|(t, p)| (t, p + Vector3::y()))).unwrap();
     let artwork = GrayImage::from_fn(1200, 800, |x, _| image::Luma([if x < 600 { 30 } else { 220 }]));
     let mut scene = stage_of(artwork, camera([0.0; 5]), path);
-    (scene.readout_s, scene.samples) = (0.04, 16);
+    (scene.shutter.readout_s, scene.samples) = (0.04, 16);
     let renderer = Renderer::new(scene);
     // At 1.2 m/s and 2 m: the edge runs left by 108 px/s, and a row is late by up to ±20 ms.
     for (row, late_s) in [(0, -0.02), (149, 0.02), (30, 0.04 * (30.0 / 149.0 - 0.5))] {
@@ -115,7 +115,7 @@ fn the_exposure_spreads_an_edge_over_its_path() {
     path.target = Spline::new(&keys.map(|(t, p)| (t, p + Vector3::y()))).unwrap();
     let artwork = GrayImage::from_fn(1200, 800, |x, _| image::Luma([if x < 600 { 30 } else { 220 }]));
     let mut scene = stage_of(artwork, camera([0.0; 5]), path);
-    (scene.exposure_s, scene.samples) = (0.1, 64);
+    (scene.shutter.exposure_s, scene.samples) = (0.1, 64);
     let light = Renderer::new(scene).light_of_row(0.0, 74);
     // 108 px/s for 0.1 s: a ramp 10.8 px wide with its middle at the stamp's edge.
     let ramp = light.iter().filter(|&&g| (32.0..218.0).contains(&g)).count();

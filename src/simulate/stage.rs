@@ -7,7 +7,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::path::{CameraPath, ObjectPath};
 use super::sensor::SensorNoise;
-use crate::camera::CameraModel;
+use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
 use crate::track::{BodySpec, ReferenceKind, SurfaceSpec, TrackerSettings};
@@ -32,10 +32,8 @@ pub struct VirtualStage {
     pub light: Vec<LightKey>,
     /// Times in seconds during which there is no light at all.
     pub blackouts: Vec<Range<f64>>,
-    /// How long the shutter is open, seconds, centred on the stamp; 0 freezes motion.
-    pub exposure_s: f64,
-    /// Rolling shutter: seconds from the first row to the last, the middle row at the stamp; 0 for a global shutter.
-    pub readout_s: f64,
+    /// Open around the stamp of the middle row; an exposure of 0 freezes motion.
+    pub shutter: Shutter,
     /// The sensor's noise.
     pub noise: SensorNoise,
     /// Grey level where no surface is.
@@ -91,8 +89,7 @@ impl VirtualStage {
             occluders: Vec::new(),
             light: Vec::new(),
             blackouts: Vec::new(),
-            exposure_s: 0.0,
-            readout_s: 0.0,
+            shutter: Shutter::default(),
             noise: SensorNoise::none(),
             background: 0.0,
             samples: 4,
@@ -131,8 +128,7 @@ impl From<&VirtualStage> for TrackerSetup {
     fn from(scene: &VirtualStage) -> Self {
         Self {
             camera: scene.camera,
-            exposure_s: scene.exposure_s,
-            readout_s: scene.readout_s,
+            shutter: scene.shutter,
             mask: None,
             stage: scene.stage.clone(),
             objects: scene.objects.iter().map(|object| object.body.clone()).collect(),

@@ -7,15 +7,16 @@
 
 use nalgebra::Vector2;
 
+use crate::camera::Shutter;
 use crate::frame::{Frame, Timestamp};
-use crate::track::{Clue, Matcher, Sensor};
+use crate::track::{Clue, Matcher};
 
 /// Frames looked at, from the clip's first.
 pub const MOST_FRAMES: usize = 240;
 /// Passes over the clip at most.
 const MOST_PASSES: usize = 12;
 /// Start: a sensor that reads all rows at once, and a usual exposure, seconds.
-const FIRST: Sensor = Sensor { readout_s: 0.0, exposure_s: 0.004 };
+const FIRST: Shutter = Shutter { readout_s: 0.0, exposure_s: 0.004 };
 /// Shortest exposure that is told from none, seconds.
 const SHORTEST_EXPOSURE_S: f64 = 3e-4;
 /// Largest change in one pass: of the readout as a share of the time between frames, of the exposure as a share of itself.
@@ -74,8 +75,8 @@ struct Pass {
 
 impl Pass {
     /// Tracks the clip's first frames with a shutter that is taken as given.
-    fn over(clip: impl IntoIterator<Item = Frame>, matcher: &mut Matcher, sensor: Sensor) -> Self {
-        matcher.ask_shutter(sensor);
+    fn over(clip: impl IntoIterator<Item = Frame>, matcher: &mut Matcher, shutter: Shutter) -> Self {
+        matcher.ask_shutter(shutter);
         let mut pass = Self::default();
         for frame in clip.into_iter().take(MOST_FRAMES) {
             pass.frames += 1;
@@ -105,34 +106,38 @@ pub fn estimate_shutter<I, E>(mut open: impl FnMut() -> Result<I, E>, matcher: &
 where
     I: IntoIterator<Item = Frame>,
 {
-    let mut sensor = FIRST;
+    let mut shutter = FIRST;
     let mut before: Option<(f64, f64)> = None;
     let mut slope = 1.0;
     let mut estimate = ShutterEstimate { readout: None, exposure: None, frames: 0, aligned: 0, has_settled: false };
     for pass in 0..MOST_PASSES {
-        let found = Pass::over(open()?, matcher, sensor);
+        let found = Pass::over(open()?, matcher, shutter);
         let interval_s = found.interval_s();
         let readout = agreement(&found.readout, VAGUE_READOUT_S);
         let exposure = agreement(&found.exposure, VAGUE_EXPOSURE);
         // How much of a change shows: from the answers at two shutters.
-        if let (Some(r), Some((then_s, asked))) = (readout, before.filter(|(then_s, _)| (sensor.readout_s - then_s).abs() > 2e-4)) {
-            slope = ((asked - r.change) / (sensor.readout_s - then_s)).clamp(LEAST_SLOPE, 1.5);
+        if let (Some(r), Some((then_s, asked))) = (readout, before.filter(|(then_s, _)| (shutter.readout_s - then_s).abs() > 2e-4)) {
+            slope = ((asked - r.change) / (shutter.readout_s - then_s)).clamp(LEAST_SLOPE, 1.5);
         }
-        before = readout.map(|r| (sensor.readout_s, r.change));
+        before = readout.map(|r| (shutter.readout_s, r.change));
         let most = LARGEST_READOUT_STEP * interval_s;
         let step_s = readout.map_or(0.0, |r| (r.change / slope).clamp(-most, most));
         let step = exposure.map_or(0.0, |e| e.change.clamp(-LARGEST_EXPOSURE_STEP, LARGEST_EXPOSURE_STEP));
-        tracing::debug!(pass, sensor.readout_s, sensor.exposure_s, ?readout, ?exposure, slope, aligned = found.aligned);
-        sensor.readout_s = (sensor.readout_s + step_s).clamp(-interval_s, interval_s);
-        sensor.exposure_s = (sensor.exposure_s * (1.0 + step)).clamp(SHORTEST_EXPOSURE_S, interval_s.max(SHORTEST_EXPOSURE_S));
+        tracing::debug!(pass, shutter.readout_s, shutter.exposure_s, ?readout, ?exposure, slope, aligned = found.aligned);
+        shutter.readout_s = (shutter.readout_s + step_s).clamp(-interval_s, interval_s);
+        shutter.exposure_s = (shutter.exposure_s * (1.0 + step)).clamp(SHORTEST_EXPOSURE_S, interval_s.max(SHORTEST_EXPOSURE_S));
         estimate = ShutterEstimate {
             // At its bound it fits nothing: what the rows disagree about is not the shutter (a poor calibration, a picture that bends).
-            readout: readout.filter(|_| sensor.readout_s.abs() < interval_s).map(|r| ShutterTime {
-                seconds: sensor.readout_s,
+            readout: readout.filter(|_| shutter.readout_s.abs() < interval_s).map(|r| ShutterTime {
+                seconds: shutter.readout_s,
                 sigma_s: r.sigma / slope,
                 frames: r.frames,
             }),
-            exposure: exposure.map(|e| ShutterTime { seconds: sensor.exposure_s, sigma_s: e.sigma * sensor.exposure_s, frames: e.frames }),
+            exposure: exposure.map(|e| ShutterTime {
+                seconds: shutter.exposure_s,
+                sigma_s: e.sigma * shutter.exposure_s,
+                frames: e.frames,
+            }),
             frames: found.frames,
             aligned: found.aligned,
             has_settled: step_s.abs() < SMALL_READOUT_STEP_S.max(0.1 * readout.map_or(0.0, |r| r.sigma))
@@ -218,14 +223,14 @@ mod tests {
         };
         let frames: Vec<Frame> = (0..60).map(frame).collect();
         let mut matcher =
-            Matcher::new(scene.camera, Sensor::default(), None, &scene.stage, &[], TrackerSettings::default(), ComputeClock::default());
+            Matcher::new(scene.camera, Shutter::default(), None, &scene.stage, &[], TrackerSettings::default(), ComputeClock::default());
         estimate_shutter(|| Ok::<_, Infallible>(frames.clone()), &mut matcher).unwrap()
     }
 
     fn scene(shake: Option<Shake>, exposure_s: f64) -> VirtualStage {
         let mut scene = dolly(Dolly { width: 480, height: 360, seed: 3, duration_s: 2.5, artwork_width: 1200 }).unwrap();
         scene.camera_path.shake = shake;
-        (scene.readout_s, scene.exposure_s) = (0.012, exposure_s);
+        (scene.shutter.readout_s, scene.shutter.exposure_s) = (0.012, exposure_s);
         scene
     }
 

@@ -11,20 +11,20 @@ use nalgebra::Vector2;
 use tracing::{debug, debug_span};
 
 use super::acquire::{SurfaceView, candidates, surface_matches, surface_view};
-use super::align::{Alignment, CameraRays, FrameLevels, Sensor, ShutterClue, UsedPixel};
+use super::align::{Alignment, CameraRays, FrameLevels, ShutterClue, UsedPixel};
 use super::frame_interval::FrameInterval;
 use super::frame_look::FrameLook;
 use super::lens_doubt::covariance_by_lens;
 use super::reason::Reason;
 use super::registration::SearchPicture;
+use super::row_motion::RowMotion;
 use super::settings::TrackerSettings;
-use super::shutter::Shutter;
 use super::surface::BodySpec;
 use super::track_state::TrackState;
 use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody};
 use super::two_view::{TwoView, TwoViewBuffers, two_view};
 use super::verify::{Verified, VerifyBuffers, View};
-use crate::camera::CameraModel;
+use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::frame::{Frame, Timestamp};
@@ -79,7 +79,7 @@ pub struct Matcher {
     settings: TrackerSettings,
     mask: Option<GrayImage>,
     clock: ComputeClock,
-    readout_s: f64,
+    shutter: Shutter,
     interval: FrameInterval,
     /// The stage first, then the objects.
     bodies: Vec<TrackedBody>,
@@ -113,7 +113,7 @@ impl Matcher {
     /// Prepares the reference pictures; takes a fraction of a second per surface.
     pub fn new(
         camera: CameraModel,
-        sensor: Sensor,
+        shutter: Shutter,
         mask: Option<GrayImage>,
         stage: &BodySpec,
         objects: &[BodySpec],
@@ -124,7 +124,7 @@ impl Matcher {
         let mut bodies: Vec<TrackedBody> = Vec::new();
         for spec in std::iter::once(stage).chain(objects) {
             let first = bodies.last().map_or(0, |b| b.surfaces.end);
-            bodies.push(TrackedBody::new(spec, first, sensor));
+            bodies.push(TrackedBody::new(spec, first, shutter));
         }
         let index = reference_index(&bodies, &workers);
         workers.take_extra_ms();
@@ -136,7 +136,7 @@ impl Matcher {
             settings,
             mask,
             clock,
-            readout_s: sensor.readout_s,
+            shutter,
             interval: FrameInterval::default(),
             bodies,
             index,
@@ -202,7 +202,7 @@ impl Matcher {
             tracked.remember(timestamp, &v.pose);
         }
         // A frame that leaves no doubt confirms itself, unless the motion during its readout is still unknown.
-        let conclusive = verified.is_some_and(|v| v.is_conclusive) && self.readout_s == 0.0;
+        let conclusive = verified.is_some_and(|v| v.is_conclusive) && self.shutter.readout_s == 0.0;
         let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
         let pose = verified.as_ref().map(|v| &v.pose);
         let coast_s = longest_coast_s(&self.settings, &self.interval);
@@ -254,9 +254,9 @@ impl Matcher {
     }
 
     /// From now on the shutter is taken as given, and every frame is asked what it says of it.
-    pub fn ask_shutter(&mut self, sensor: Sensor) {
-        self.readout_s = sensor.readout_s;
-        self.bodies.iter_mut().for_each(|b| b.aligner.ask_shutter(sensor));
+    pub fn ask_shutter(&mut self, shutter: Shutter) {
+        self.shutter = shutter;
+        self.bodies.iter_mut().for_each(|b| b.aligner.ask_shutter(shutter));
     }
 
     /// What the last frame said of the shutter through the stage; `None` where it is not asked, or the stage was not aligned.
@@ -320,7 +320,7 @@ impl Matcher {
         let start = self.clock.start();
         let tracked = &mut self.bodies[k];
         let distance = tracked.aligner.distance_m(&verified.pose);
-        let [shift, turn] = MotionEstimate::off_by_readout(self.readout_s, distance);
+        let [shift, turn] = MotionEstimate::off_by_readout(self.shutter.readout_s, distance);
         let first = MotionEstimate::unseen(verified.pose, distance, FIRST_SHIFT * distance + shift, FIRST_TURN + turn);
         let aligned = tracked.align(frame, &mut self.levels, &self.camera_rays, &first, None);
         *align_ms += start.elapsed_ms();
@@ -346,7 +346,7 @@ impl Matcher {
             camera: &self.camera,
             full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
             half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
-            shutter: Shutter { readout_s: self.readout_s, before: tracked.before_at(frame.timestamp) },
+            row_motion: RowMotion { shutter: self.shutter, before: tracked.before_at(frame.timestamp) },
             workers: &self.workers,
         };
         let starts = found.iter().take(TRIED).map(|c| c.pose);

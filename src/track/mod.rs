@@ -21,8 +21,8 @@ mod reason;
 mod rectangle;
 mod reference;
 mod registration;
+mod row_motion;
 mod settings;
-mod shutter;
 mod surface;
 #[cfg(test)]
 mod synthetic;
@@ -32,7 +32,7 @@ mod two_view;
 mod verify;
 
 pub use acquire::{SurfaceMatch, SurfaceView};
-pub use align::{AlignKernels, Alignment, Clue, Sensor, UsedPixel};
+pub use align::{AlignKernels, Alignment, Clue, UsedPixel};
 #[cfg(feature = "calibrate")]
 pub(crate) use frame_look::FrameLook;
 pub use lens_doubt::covariance_by_lens;

@@ -4,7 +4,7 @@ use nalgebra::Matrix6;
 use tracing::debug;
 
 use super::acquire::Recognition;
-use super::align::{Aligner, Alignment, CameraRays, FrameLevels, Patch, Sensor, ShutterClue, UsedPixel};
+use super::align::{Aligner, Alignment, CameraRays, FrameLevels, Patch, ShutterClue, UsedPixel};
 use super::fitted_anchor::FittedAnchor;
 use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
 use super::reason::Reason;
@@ -12,7 +12,7 @@ use super::reference::PreparedBody;
 use super::surface::BodySpec;
 use super::track_state::TrackStateMachine;
 use super::verify::{Refusal, Verified, VerifyBuffers, View, verify};
-use crate::camera::{CameraModel, Normalized};
+use crate::camera::{CameraModel, Normalized, Shutter};
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::resection::{MovingCamera, Observation, Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
@@ -69,9 +69,9 @@ pub struct TrackedBody {
 
 impl TrackedBody {
     /// Prepares a body. `first`: the number of its first surface in the reference index.
-    pub fn new(spec: &BodySpec, first: u32, sensor: Sensor) -> Self {
+    pub fn new(spec: &BodySpec, first: u32, shutter: Shutter) -> Self {
         let body = PreparedBody::new(spec);
-        let aligner = Aligner::new(&body, sensor);
+        let aligner = Aligner::new(&body, shutter);
         let most = aligner.most_patches();
         Self {
             surfaces: first..first + body.surfaces.len() as u32,

@@ -11,7 +11,7 @@ use super::fitted_anchor::FittedAnchor;
 use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
 use super::reference::PreparedBody;
 use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
-use super::shutter::Shutter;
+use super::row_motion::RowMotion;
 use crate::camera::CameraModel;
 use crate::features::Workers;
 use crate::geometry::covariance::covariance_of_inverse;
@@ -106,7 +106,7 @@ pub struct View<'a> {
     /// The frame at half size.
     pub half: SearchPicture<'a>,
     /// What is known of the motion while its rows were read.
-    pub shutter: Shutter,
+    pub row_motion: RowMotion,
     /// Who searches the anchors.
     pub workers: &'a Workers,
 }
@@ -148,23 +148,24 @@ fn registered_pose(
     count: usize,
     buffers: &mut VerifyBuffers,
 ) -> Result<Resection, Refusal> {
-    let (camera, shutter) = (view.camera, &view.shutter);
+    let (camera, row_motion) = (view.camera, &view.row_motion);
+    let shutter = row_motion.shutter;
     visible_targets(body, start, camera, picture, count, &mut buffers.targets);
     register(body, &buffers.targets, picture, view.workers, &mut buffers.registered);
     buffers.observations.clear();
     for o in buffers.registered.iter().flatten().filter_map(|r| r.observation) {
-        buffers.observations.push(Observation { group: tile(camera, &o), delay_s: shutter.delay_s(camera, o.pixel.y), ..o });
+        buffers.observations.push(Observation { group: tile(camera, &o), delay_s: shutter.delay_s(o.pixel.y + 0.5, camera.height()), ..o });
     }
     let n = buffers.observations.len();
     if n < LEAST_RESECTED {
         return Err(Refusal::TooFew(n));
     }
-    let mut found = resect(start, &MovingCamera { lens: camera, twist: shutter.twist(start) }, &buffers.observations, 15);
-    if shutter.readout_s > 0.0 && shutter.before.is_some() {
+    let mut found = resect(start, &MovingCamera { lens: camera, twist: row_motion.twist(start) }, &buffers.observations, 15);
+    if shutter.readout_s > 0.0 && row_motion.before.is_some() {
         // The motion follows from the pose, and the pose from the motion.
         for _ in 0..2 {
             let Some(pose) = found.map(|f| f.pose) else { break };
-            found = resect(&pose, &MovingCamera { lens: camera, twist: shutter.twist(&pose) }, &buffers.observations, 15);
+            found = resect(&pose, &MovingCamera { lens: camera, twist: row_motion.twist(&pose) }, &buffers.observations, 15);
         }
     }
     found.ok_or(Refusal::Uncertain)
@@ -176,7 +177,7 @@ fn tile(camera: &CameraModel, o: &Observation) -> u32 {
 }
 
 fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, buffers: &mut VerifyBuffers) -> Result<Verified, Refusal> {
-    let moving = MovingCamera { lens: view.camera, twist: view.shutter.twist(&fine.pose) };
+    let moving = MovingCamera { lens: view.camera, twist: view.row_motion.twist(&fine.pose) };
     let asked = buffers.registered.iter().flatten().count();
     buffers.anchors = fitting_anchors(fine, &moving, buffers);
     let anchors = &buffers.anchors;
@@ -262,7 +263,7 @@ fn judged_covariance(
     if shift > LARGEST_SHIFT * distance || turn > LARGEST_TURN {
         return Err(Refusal::Uncertain);
     }
-    if let Some(deviation) = view.shutter.twist_deviation(&fine.pose) {
+    if let Some(deviation) = view.row_motion.twist_deviation(&fine.pose) {
         let by_twist = pose_by_twist(fine, moving, observations).ok_or(Refusal::Uncertain)?;
         let spread = by_twist * Matrix6::from_diagonal(&deviation);
         covariance += spread * spread.transpose();

@@ -18,7 +18,7 @@ fn verified(frame: &GrayImage, start: &Pose<Camera, Body>) -> Result<(Verified, 
         camera: &camera,
         full: SearchPicture { image: frame, scale: 1.0, mask: None },
         half: SearchPicture { image: &half, scale: 2.0, mask: None },
-        shutter: Shutter { readout_s: 0.0, before: None },
+        row_motion: RowMotion { shutter: Default::default(), before: None },
         workers: &workers,
     };
     let mut buffers = VerifyBuffers::default();

@@ -13,8 +13,8 @@ use stagepose::diagnostics::capture::{
     Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, DriverStamp, OpenFault, PixelLayout, VirtualCamera, mid_exposure,
     monotonic_now,
 };
-use stagepose::diagnostics::live::{LiveLink, LiveSource, Patience, Shutter};
-use stagepose::{EntryContent, FrameSource, Pose, Stage, Timestamp, TrackerSettings, TrackerSetup, VirtualStage};
+use stagepose::diagnostics::live::{LiveLink, LiveSource, Patience};
+use stagepose::{EntryContent, FrameSource, Pose, Shutter, Stage, Timestamp, TrackerSettings, TrackerSetup, VirtualStage};
 
 use crate::pipeline::scene::{FPS, backdrop, camera, past, quiet, setup};
 
@@ -324,7 +324,7 @@ impl FaultyCamera {
             _ => DriverStamp::MidExposure(at),
         };
         *last = at;
-        let (timestamp, _) = mid_exposure(stamp, arrival, 0.0, 0.0);
+        let (timestamp, _) = mid_exposure(stamp, arrival, &Shutter::default());
         if shows_stage {
             // A repeated stamp is this picture's own where the one before came without it.
             self.faulty.shown.lock().unwrap().entry(timestamp).or_insert(which);

@@ -58,8 +58,8 @@ fn track_scene(seed: u64) -> [u64; 2] {
     let mut setup = TrackerSetup::from(&scene);
     if random.random_bool(0.4) {
         // Told wrong, or not told.
-        setup.readout_s = if random.random_bool(0.5) { 0.0 } else { random.random_range(0.0..0.05) };
-        setup.exposure_s = if random.random_bool(0.5) { 0.0 } else { random.random_range(0.0..0.05) };
+        setup.shutter.readout_s = if random.random_bool(0.5) { 0.0 } else { random.random_range(0.0..0.05) };
+        setup.shutter.exposure_s = if random.random_bool(0.5) { 0.0 } else { random.random_range(0.0..0.05) };
     }
     setup.settings.features = random.random_range(50..600);
     if random.random_bool(0.1) {
@@ -111,8 +111,8 @@ fn random_scene(random: &mut Pcg64Mcg, most_pixels: f64) -> VirtualStage {
         };
         scene.objects = vec![MovingObject { body, path }];
     }
-    scene.exposure_s = if random.random_bool(0.3) { 0.0 } else { random.random_range(0.0..0.04) };
-    scene.readout_s = if random.random_bool(0.4) { 0.0 } else { random.random_range(0.0..0.03) };
+    scene.shutter.exposure_s = if random.random_bool(0.3) { 0.0 } else { random.random_range(0.0..0.04) };
+    scene.shutter.readout_s = if random.random_bool(0.4) { 0.0 } else { random.random_range(0.0..0.03) };
     if random.random_bool(0.3) {
         let from = random.random_range(0.0..3.0);
         scene.blackouts = vec![from..from + random.random_range(0.02..0.5)];

@@ -9,17 +9,18 @@ fn knowing_the_readout_is_worth_much() {
     let mut path = past();
     path.shake = Some(Shake::new(0.01, 0.012, 4.0, 5));
     let mut scene = quiet(camera(640, 360), path, backdrop());
-    scene.readout_s = 0.02;
+    scene.shutter.readout_s = 0.02;
     let rows = rows(&scene, 14);
     let scatter = |readout_s: f64| {
-        let told = stagepose::TrackerSetup { readout_s, ..setup(&scene) };
+        let mut told = setup(&scene);
+        told.shutter.readout_s = readout_s;
         let samples = track_rows(told, &rows);
         // The first motion is known from the second frame on, its change from the third.
         let squares: Vec<f64> =
             samples.iter().skip(3).filter(|s| s.state == State::Tracking).map(|s| errors(&scene, s).0.powi(2)).collect();
         (squares.len(), (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt())
     };
-    let ((known, with), (_, without)) = (scatter(scene.readout_s), scatter(0.0));
+    let ((known, with), (_, without)) = (scatter(scene.shutter.readout_s), scatter(0.0));
     println!("rms share of the distance: {with:.5} with the readout, {without:.5} without");
     assert_eq!(known, 11);
     assert!(with < 0.3 * without && with < 0.002, "{with} {without}");

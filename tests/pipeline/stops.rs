@@ -68,7 +68,8 @@ fn the_covariance_holds_where_a_camera_starts_or_stops() {
         let (path, events) = stop_and_go(&mut random, events_a_scene);
         let mut scene = quiet(camera(480, 270), path, backdrop());
         scene.noise = SensorNoise { read: 1.2, shot: 0.015 };
-        (scene.exposure_s, scene.readout_s, scene.samples) = (random.random_range(0.004..0.02), [0.0, 0.006, 0.014][seed as usize % 3], 16);
+        (scene.shutter.exposure_s, scene.shutter.readout_s, scene.samples) =
+            (random.random_range(0.004..0.02), [0.0, 0.006, 0.014][seed as usize % 3], 16);
         let mut tracker = Tracker::new(TrackerSetup::from(&scene)).expect("a setup that fits");
         let frames = (events[events_a_scene - 1] * FPS) as u64 + 5;
         let mut source = VirtualCamera::new(scene.clone(), FPS, frames);
@@ -77,7 +78,7 @@ fn the_covariance_holds_where_a_camera_starts_or_stops() {
             let sample = tracker.track(frame).expect("a virtual camera's frame");
             // The first frame that an event touches, and those after it.
             let t = frame.timestamp.seconds();
-            let reach = 0.5 * (scene.exposure_s + scene.readout_s);
+            let reach = 0.5 * (scene.shutter.exposure_s + scene.shutter.readout_s);
             let is_near = events.iter().any(|e| t + reach > *e && t - reach < *e + FRAMES_AFTER as f64 / FPS);
             match nees(&scene, &sample) {
                 Some(nees) if is_near => near.push((nees, seed, frame.sequence)),

@@ -17,7 +17,7 @@ use crate::capture::camera::CameraOpener;
 use crate::capture::{EntryContent, FrameSource, PlayedClip};
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
-use crate::daemon::live::{LiveLink, LiveSource, LiveStop, Patience, Shutter};
+use crate::daemon::live::{LiveLink, LiveSource, LiveStop, Patience};
 use crate::printable::printable;
 
 /// Pictures from the camera until the set is good, there are enough, or Ctrl-C ends it.
@@ -26,7 +26,7 @@ pub(super) fn taken(arguments: &CalibrateArguments, board: &Board) -> Result<Vec
     folder.map(make_folder).transpose()?;
     let opener = opener(arguments)?;
     interrupt::watch();
-    let mut source = LiveSource::start(opener, Shutter::default(), Patience::default(), LiveLink::default());
+    let mut source = LiveSource::start(opener, Default::default(), Patience::default(), LiveLink::default());
     let done = AtomicBool::new(false);
     let stop = source.stopper();
     let pictures = std::thread::scope(|threads| {

@@ -103,7 +103,7 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
     findings.extend(of_roll(&travel, &setup));
     if let Some(frame_s) = frame_interval_s(&stamps) {
         findings.extend(settings.safety.note_on_rate(1.0 / frame_s).map(Finding::warning));
-        findings.extend(of_shutter(settings.exposure_s, settings.readout_s, frame_s));
+        findings.extend(of_shutter(&settings.shutter, frame_s));
     }
     findings.extend(of_rate(clip, fps));
     findings.extend(source.notes().iter().map(Finding::note));

@@ -3,11 +3,12 @@
 use std::fmt::Write as _;
 use std::time::{Duration, Instant};
 
+use crate::camera::Shutter;
 use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener};
 use crate::capture::decode_picture;
 use crate::capture::timestamping::{DriverStamp, mid_exposure};
 use crate::config::Settings;
-use crate::daemon::live::Shutter;
+use crate::daemon::live::{contradiction, exposure_of};
 use crate::publish::SafetySettings;
 
 /// How long pictures are read.
@@ -18,9 +19,9 @@ const FIRST: Duration = Duration::from_secs(5);
 /// What the camera is and does, or what to do about it. A camera that blocks does not block the check.
 pub(super) fn try_camera(settings: &Settings) -> Result<String, String> {
     let opener = crate::cli::run::opener(settings);
-    let (exposure_s, size, safety) = (settings.exposure_s, settings.lens.size(&settings.camera), settings.safety);
+    let (shutter, size, safety) = (settings.shutter, settings.lens.size(&settings.camera), settings.safety);
     let (done, result) = crossbeam_channel::bounded(1);
-    let tried = std::thread::Builder::new().name("camera".to_owned()).spawn(move || done.send(look(&opener, exposure_s, size, &safety)));
+    let tried = std::thread::Builder::new().name("camera".to_owned()).spawn(move || done.send(look(&opener, &shutter, size, &safety)));
     tried.map_err(|e| format!("cannot start a thread: {e}"))?;
     let blocked = || "it was opened and gives no picture; unplug it and plug it in again".to_owned();
     result.recv_timeout(FIRST + 2 * SPAN).unwrap_or_else(|_| Err(blocked()))
@@ -36,10 +37,10 @@ struct Seen {
     span_s: f64,
 }
 
-fn look(opener: &dyn CameraOpener, exposure_s: f64, calibrated: Option<(u32, u32)>, safety: &SafetySettings) -> Result<String, String> {
+fn look(opener: &dyn CameraOpener, shutter: &Shutter, calibrated: Option<(u32, u32)>, safety: &SafetySettings) -> Result<String, String> {
     let mut camera = opener.open().map_err(|fault| fault.to_string())?;
     let seen = watch(&mut *camera)?;
-    Ok(text(camera.mode(), &seen, exposure_s, calibrated, safety))
+    Ok(text(camera.mode(), &seen, shutter, calibrated, safety))
 }
 
 fn watch(camera: &mut dyn Camera) -> Result<Seen, String> {
@@ -51,7 +52,7 @@ fn watch(camera: &mut dyn Camera) -> Result<Seen, String> {
                 first.get_or_insert_with(Instant::now);
                 seen.pictures += 1;
                 seen.unreadable += u32::from(decode_picture(&picture, mode.layout, mode.size).image.is_err());
-                let (at, stamped) = mid_exposure(picture.stamp, picture.arrival, 0.0, 0.0);
+                let (at, stamped) = mid_exposure(picture.stamp, picture.arrival, &Shutter::default());
                 seen.unstamped += u32::from(!stamped || picture.stamp == DriverStamp::None);
                 seen.age_ms += picture.arrival.ms_since(at);
             }
@@ -63,7 +64,7 @@ fn watch(camera: &mut dyn Camera) -> Result<Seen, String> {
     if seen.pictures == 0 { Err("it was opened and gives no picture; unplug it and plug it in again".to_owned()) } else { Ok(seen) }
 }
 
-fn text(mode: &CameraMode, seen: &Seen, exposure_s: f64, calibrated: Option<(u32, u32)>, safety: &SafetySettings) -> String {
+fn text(mode: &CameraMode, seen: &Seen, shutter: &Shutter, calibrated: Option<(u32, u32)>, safety: &SafetySettings) -> String {
     let (n, (w, h)) = (f64::from(seen.pictures), mode.size);
     let rate = if seen.span_s > 0.0 { (n - 1.0) / seen.span_s } else { 0.0 };
     let mut text = format!("{}: {} {w}x{h}, {rate:.1} pictures a second of {}", mode.name, mode.layout.fourcc(), mode.fps);
@@ -82,11 +83,10 @@ fn text(mode: &CameraMode, seen: &Seen, exposure_s: f64, calibrated: Option<(u32
         line("it is slower than agreed: lock the exposure, give it more light, or another USB port".to_owned());
     }
     safety.note_on_rate(rate).into_iter().for_each(&mut line);
-    let shutter = Shutter { exposure_s, readout_s: 0.0 };
-    match shutter.contradiction(mode, mode) {
+    match contradiction(shutter, mode, mode) {
         Some(contradiction) => line(contradiction),
-        None if exposure_s == 0.0 && shutter.exposure_of(mode) > 0.0 => {
-            line(format!("its exposure is locked at {:.1} ms, which the tracker will be given", shutter.exposure_of(mode) * 1e3));
+        None if shutter.exposure_s == 0.0 && exposure_of(shutter, mode) > 0.0 => {
+            line(format!("its exposure is locked at {:.1} ms, which the tracker will be given", exposure_of(shutter, mode) * 1e3));
         }
         None => {}
     }
@@ -114,7 +114,7 @@ mod tests {
         };
         let seen = Seen { pictures: 16, unreadable: 2, unstamped: 0, age_ms: 160.0, span_s: 1.5 };
         let safety = SafetySettings { stale_after: Duration::from_millis(90), ..SafetySettings::default() };
-        let text = text(&mode, &seen, 0.01, Some((1280, 960)), &safety);
+        let text = text(&mode, &seen, &Shutter { exposure_s: 0.01, readout_s: 0.0 }, Some((1280, 960)), &safety);
         for part in [
             "10.0 pictures a second of 30",
             "focus is automatic",
@@ -127,7 +127,7 @@ mod tests {
         ] {
             assert!(text.contains(part), "`{part}` is not in\n{text}");
         }
-        let unset = super::text(&mode, &seen, 0.0, None, &SafetySettings::default());
+        let unset = super::text(&mode, &seen, &Shutter::default(), None, &SafetySettings::default());
         assert!(unset.contains("locked at 20.0 ms, which the tracker will be given"), "{unset}");
     }
 }

@@ -9,7 +9,7 @@ use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
 use crate::frame::Frame;
 use crate::survey::shutter::{MOST_FRAMES, ShutterEstimate, ShutterTime, estimate_shutter};
-use crate::track::{Matcher, Sensor};
+use crate::track::Matcher;
 
 /// A time that is known worse than this is not printed: seconds, and as a share of itself.
 const LARGEST_SIGMA_S: f64 = 0.001;
@@ -26,7 +26,7 @@ pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Resul
     let calibrated = settings.lens.size(&settings.camera);
     let open = || open_clip(clip, ClipOptions { fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
     let setup = tracker_setup(settings, open()?.size(), None)?;
-    let mut matcher = Matcher::new(setup.camera, Sensor::default(), setup.mask, &setup.stage, &[], setup.settings, setup.clock);
+    let mut matcher = Matcher::new(setup.camera, Default::default(), setup.mask, &setup.stage, &[], setup.settings, setup.clock);
     let estimate = estimate_shutter(|| open().map(|source| frames(source, progress.clone())), &mut matcher);
     progress.finish();
     let estimate = estimate?;
@@ -51,8 +51,8 @@ fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<String> {
     if !estimate.has_settled && [estimate.readout, estimate.exposure].iter().flatten().any(is_known) {
         lines.push("the estimate did not settle: take the times below for a hint".to_owned());
     }
-    lines.push(readout(estimate.readout, settings.readout_s));
-    lines.push(exposure(estimate.exposure, settings.exposure_s));
+    lines.push(readout(estimate.readout, settings.shutter.readout_s));
+    lines.push(exposure(estimate.exposure, settings.shutter.exposure_s));
     lines
 }
 

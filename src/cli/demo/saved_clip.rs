@@ -100,7 +100,7 @@ fn save_picture(file: &Path, picture: &GrayImage) -> Result<(), DemoError> {
 fn stage_toml(stage: &VirtualStage) -> String {
     let mut text = format!(
         "# A virtual stage, written by `stagepose demo --save`; groundtruth.txt has the true poses.\n[camera]\ncalibration = \"{CAMERA}\"\nexposure_s = {:?}\nreadout_s = {:?}\n",
-        stage.exposure_s, stage.readout_s
+        stage.shutter.exposure_s, stage.shutter.readout_s
     );
     for surface in &stage.stage.surfaces {
         let position: [f64; 3] = surface.pose.translation.into();

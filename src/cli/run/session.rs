@@ -21,7 +21,7 @@ use crate::cli::outputs::Outputs;
 use crate::cli::replay::records::{Output, Records};
 use crate::cli::replay::tracker_setup;
 use crate::config::{LogFormat, LogSettings, RecorderSettings, Settings};
-use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, Shutter};
+use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, exposure_of};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
 use crate::daemon::{Daemon, RunningDaemon};
 use crate::frame::Timestamp;
@@ -75,19 +75,18 @@ fn tell(sample: &PoseSample, pages: &Pages, outputs: &Outputs, sinks: &mut Sinks
 impl Session<'_> {
     /// Runs until something ends it.
     pub fn run(&self, service: &mut Service, sinks: &mut Sinks, clips: &mut Clips) -> Result<End, Failure> {
-        let shutter = Shutter { exposure_s: self.settings.exposure_s, readout_s: self.settings.readout_s };
         let save = Arc::new(AtomicBool::new(false));
         let pages = Pages::start(self.settings, self.link, &save)?;
         let opener = camera::camera(self.settings, self.arguments.play.as_deref())?;
-        let mut source = LiveSource::start(opener, shutter, Patience::default(), self.link.clone());
+        let mut source = LiveSource::start(opener, self.settings.shutter, Patience::default(), self.link.clone());
         let mode = match self.wait(&mut source, &pages, service, sinks) {
             Ok(mode) => mode,
             Err(end) => return Ok(end),
         };
         let mut setup = tracker_setup(self.settings, mode.size, self.arguments.threads)?;
         // What the camera has locked is known to stamps and tracker alike, and to the recording's config.
-        setup.exposure_s = shutter.exposure_of(&mode);
-        let exposure_s = setup.exposure_s;
+        let exposure_s = exposure_of(&self.settings.shutter, &mode);
+        setup.shutter.exposure_s = exposure_s;
         if self.settings.device.fps.is_none() {
             self.settings.safety.note_on_rate(mode.fps).into_iter().for_each(|note| tracing::warn!("{note}"));
         }

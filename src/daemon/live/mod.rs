@@ -18,7 +18,7 @@ pub use event::{Event, EventListener, EventLog, StampedEvent};
 pub use patience::Patience;
 pub use pulse::Pulse;
 pub(super) use reader::dropped;
-pub use shutter::Shutter;
+pub use shutter::{contradiction, exposure_of};
 pub use source::{LiveSource, LiveStop};
 
 use std::sync::Arc;

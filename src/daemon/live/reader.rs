@@ -12,8 +12,9 @@ use nix::libc;
 use nix::sys::signal::{SaFlags, SigAction, SigHandler, SigSet, Signal, sigaction};
 
 use super::patience::Patience;
-use super::shutter::Shutter;
+use super::shutter::{contradiction, exposure_of};
 use super::{Event, LiveLink};
+use crate::camera::Shutter;
 use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture};
 use crate::capture::timestamping::{StampTrust, monotonic_now};
 use crate::drop_oldest::DropOldestSender;
@@ -208,7 +209,7 @@ fn open(shared: &Shared) -> Result<(Box<dyn Camera>, CameraMode), String> {
     shared.link.statistics.camera_opened(&mode.name, again);
     let CameraMode { name, size: (width, height), layout, fps, exposure_s, controls, .. } = mode.clone();
     shared.link.events.publish(Event::CameraOpened { name, width, height, format: layout.fourcc(), fps, exposure_s, controls, again });
-    if let Some(reason) = shared.shutter.contradiction(&before, &mode) {
+    if let Some(reason) = contradiction(&shared.shutter, &before, &mode) {
         shared.link.events.publish(Event::ExposureDiffers { reason: format!("{}: {reason}", mode.name) });
     }
     Ok((camera, mode))
@@ -216,7 +217,7 @@ fn open(shared: &Shared) -> Result<(Box<dyn Camera>, CameraMode), String> {
 
 fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: CameraMode, to: &DropOldestSender<Arrived>) -> Loss {
     let mode = Arc::new(mode);
-    let exposure_s = shared.shutter.exposure_of(&mode);
+    let shutter = Shutter { exposure_s: exposure_of(&shared.shutter, &mode), ..shared.shutter };
     let silence = shared.patience.silence.max(Duration::from_secs_f64(15.0 / mode.fps.max(0.1)));
     let (mut last, mut last_sequence, mut trust) = (Instant::now(), None, StampTrust::default());
     while wanted(shared, ticket) {
@@ -233,7 +234,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
             }
         };
         last = Instant::now();
-        let (timestamp, stamped) = trust.mid_exposure(picture.stamp, picture.arrival, exposure_s, shared.shutter.readout_s);
+        let (timestamp, stamped) = trust.mid_exposure(picture.stamp, picture.arrival, &shutter);
         if !stamped && !shared.unstamped_said.swap(true, Ordering::Relaxed) {
             shared.link.events.publish(Event::NoDriverStamp { name: mode.name.clone() });
         }

@@ -1,54 +1,42 @@
 //! The camera's exposure and readout: as set, as the camera says, and where the two contradict each other.
 
+use crate::camera::Shutter;
 use crate::capture::camera::CameraMode;
 
-/// The camera's shutter, seconds; 0 where unknown.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Shutter {
-    /// Exposure of a row; 0: as the camera says it, where it does.
-    pub exposure_s: f64,
-    /// First row to last.
-    pub readout_s: f64,
-}
-
-/// Longest exposure that is believed, seconds: the range of `exposure_s` in a config.
-const LONGEST_EXPOSURE_S: f64 = 1.0;
 /// Two exposures are equal within this much, seconds (drivers count in units of 0.1 ms), and within this share of the longer.
 const SAME_EXPOSURE_S: f64 = 1.5e-4;
 const SAME_EXPOSURE_SHARE: f64 = 0.02;
 
-impl Shutter {
-    /// The exposure to stamp and to track with: as set here, else as the camera has it locked; 0 where neither is known.
-    pub fn exposure_of(&self, mode: &CameraMode) -> f64 {
-        if self.exposure_s > 0.0 { self.exposure_s } else { locked(mode).unwrap_or(0.0) }
-    }
+/// The exposure to stamp and to track with: as set here, else as the camera has it locked; 0 where neither is known.
+pub fn exposure_of(shutter: &Shutter, mode: &CameraMode) -> f64 {
+    if shutter.exposure_s > 0.0 { shutter.exposure_s } else { locked(mode).unwrap_or(0.0) }
+}
 
-    /// What is to be said where the exposure that poses rest on is not the one that the camera has locked now; `first` is
-    /// the mode that the tracker was made for.
-    pub fn contradiction(&self, first: &CameraMode, now: &CameraMode) -> Option<String> {
-        let (used, real) = (self.exposure_of(first), locked(now).unwrap_or(0.0));
-        let (used_ms, real_ms) = (used * 1e3, real * 1e3);
-        if (used - real).abs() <= SAME_EXPOSURE_S.max(SAME_EXPOSURE_SHARE * used.max(real)) {
-            None
-        } else if self.exposure_s == 0.0 && used == 0.0 {
-            Some(format!("its exposure is now locked at {real_ms:.1} ms, which the tracker was not told; send SIGHUP or start again"))
-        } else if self.exposure_s == 0.0 && real == 0.0 {
-            Some(format!("its exposure is not locked any more, the tracker was told {used_ms:.1} ms; lock it in `controls`"))
-        } else if self.exposure_s == 0.0 {
-            Some(format!("its exposure is now {real_ms:.1} ms, the tracker was told {used_ms:.1} ms; send SIGHUP or start again"))
-        } else if real > 0.0 {
-            Some(format!(
-                "its exposure is {real_ms:.1} ms, exposure_s in [camera] says {used_ms:.1} ms, which is used; make them equal or remove exposure_s"
-            ))
-        } else {
-            None
-        }
+/// What is to be said where the exposure that poses rest on is not the one that the camera has locked now; `first` is
+/// the mode that the tracker was made for.
+pub fn contradiction(shutter: &Shutter, first: &CameraMode, now: &CameraMode) -> Option<String> {
+    let (used, real) = (exposure_of(shutter, first), locked(now).unwrap_or(0.0));
+    let (used_ms, real_ms) = (used * 1e3, real * 1e3);
+    if (used - real).abs() <= SAME_EXPOSURE_S.max(SAME_EXPOSURE_SHARE * used.max(real)) {
+        None
+    } else if shutter.exposure_s == 0.0 && used == 0.0 {
+        Some(format!("its exposure is now locked at {real_ms:.1} ms, which the tracker was not told; send SIGHUP or start again"))
+    } else if shutter.exposure_s == 0.0 && real == 0.0 {
+        Some(format!("its exposure is not locked any more, the tracker was told {used_ms:.1} ms; lock it in `controls`"))
+    } else if shutter.exposure_s == 0.0 {
+        Some(format!("its exposure is now {real_ms:.1} ms, the tracker was told {used_ms:.1} ms; send SIGHUP or start again"))
+    } else if real > 0.0 {
+        Some(format!(
+            "its exposure is {real_ms:.1} ms, exposure_s in [camera] says {used_ms:.1} ms, which is used; make them equal or remove exposure_s"
+        ))
+    } else {
+        None
     }
 }
 
 /// The exposure that a camera has locked, where it can be true.
 fn locked(mode: &CameraMode) -> Option<f64> {
-    mode.exposure_s.filter(|s| *s > 0.0 && *s <= LONGEST_EXPOSURE_S)
+    mode.exposure_s.filter(|s| *s > 0.0 && *s <= Shutter::LONGEST_S)
 }
 
 #[cfg(test)]
@@ -64,17 +52,17 @@ mod tests {
     #[test]
     fn the_cameras_locked_exposure_counts_where_none_is_set() {
         let (set, unset) = (Shutter { exposure_s: 0.01, readout_s: 0.0 }, Shutter::default());
-        assert_eq!(unset.exposure_of(&mode(Some(0.0083))), 0.0083);
-        assert_eq!(set.exposure_of(&mode(Some(0.0083))), 0.01);
+        assert_eq!(exposure_of(&unset, &mode(Some(0.0083))), 0.0083);
+        assert_eq!(exposure_of(&set, &mode(Some(0.0083))), 0.01);
         for impossible in [None, Some(0.0), Some(-1.0), Some(f64::NAN), Some(204.7)] {
-            assert_eq!(unset.exposure_of(&mode(impossible)), 0.0, "{impossible:?}");
+            assert_eq!(exposure_of(&unset, &mode(impossible)), 0.0, "{impossible:?}");
         }
     }
 
     #[test]
     fn exposures_that_contradict_each_other_are_said() {
         let (set, unset) = (Shutter { exposure_s: 0.01, readout_s: 0.0 }, Shutter::default());
-        let said = |shutter: Shutter, first: Option<f64>, now: Option<f64>| shutter.contradiction(&mode(first), &mode(now));
+        let said = |shutter: Shutter, first: Option<f64>, now: Option<f64>| contradiction(&shutter, &mode(first), &mode(now));
         assert_eq!(said(unset, Some(0.01), Some(0.01)), None);
         assert_eq!(said(unset, None, None), None);
         assert_eq!(said(set, None, None), None, "an automatic exposure is warned of elsewhere");

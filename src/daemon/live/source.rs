@@ -8,8 +8,8 @@ use crossbeam_channel::{Receiver, RecvTimeoutError};
 
 use super::patience::Patience;
 use super::reader::{Arrived, Shared, Ticket, read};
-use super::shutter::Shutter;
 use super::{Event, LiveLink};
+use crate::camera::Shutter;
 use crate::capture::camera::{CameraMode, CameraOpener};
 use crate::capture::{ClipEntry, FrameSource, decode_picture};
 use crate::drop_oldest::drop_oldest;

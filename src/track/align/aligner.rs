@@ -14,7 +14,8 @@ use super::shutter_clue::ShutterClue;
 use super::slow_estimates::{Lessons, SlowEstimates};
 use super::tile_grid::MOST_TILES;
 use super::verdict::Alignment;
-use super::{AlignSurface, CameraRays, Sensor, distance_m};
+use super::{AlignSurface, CameraRays, distance_m};
+use crate::camera::Shutter;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MotionEstimate;
 use crate::track::reference::PreparedBody;
@@ -46,12 +47,12 @@ pub struct Solution<'a> {
 
 impl Aligner {
     /// Prepares a body's pictures.
-    pub fn new(body: &PreparedBody, sensor: Sensor) -> Self {
+    pub fn new(body: &PreparedBody, shutter: Shutter) -> Self {
         let surfaces: Vec<AlignSurface> = body.surfaces.iter().map(|s| AlignSurface::new(&s.spec)).collect();
         Self {
             buffers: Buffers::with_room_for(&surfaces),
             settings: Settings { surfaces, asks_shutter: false },
-            slow: SlowEstimates::new(sensor),
+            slow: SlowEstimates::new(shutter),
         }
     }
 
@@ -66,8 +67,8 @@ impl Aligner {
     }
 
     /// From now on every frame is asked what it says of the shutter, which is taken as given here.
-    pub fn ask_shutter(&mut self, sensor: Sensor) {
-        self.slow.fix_shutter(sensor);
+    pub fn ask_shutter(&mut self, shutter: Shutter) {
+        self.slow.fix_shutter(shutter);
         self.settings.asks_shutter = true;
     }
 

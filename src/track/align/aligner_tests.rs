@@ -21,7 +21,7 @@ fn levels(seed: u32) -> FrameLevels {
 }
 
 fn aligned(frame: &mut FrameLevels, start: &Pose<Camera, Body>) -> Option<Alignment> {
-    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
+    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
     aligner.align(frame, &CameraRays::new(lens(480, 360), None), &expected, None).map(|solution| *solution.alignment())
 }
@@ -69,7 +69,7 @@ fn a_start_far_off_is_not_credible() {
 
 #[test]
 fn patches_lie_where_the_pose_puts_them() {
-    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
+    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
     let rays = CameraRays::new(lens(480, 360), None);
     let mut patches = Vec::new();
@@ -82,7 +82,7 @@ fn patches_lie_where_the_pose_puts_them() {
 
 #[test]
 fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
-    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
+    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let rays = CameraRays::new(lens(480, 360), None);
     let mut frame = levels(1);
     let mut estimate = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
@@ -100,7 +100,7 @@ fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
 /// Follows a camera that glides past a display of `picture`, knowing only the coarse picture that it was made from.
 fn followed(coarse: &SurfaceSpec, picture: GrayImage) -> Aligner {
     let display = SurfaceSpec::from_artwork("display".into(), picture, [4.0, 3.0], Pose::identity()).expect("texture enough");
-    let mut aligner = Aligner::new(&prepared(vec![coarse.clone()]), Sensor { readout_s: 0.0, exposure_s: 1e-6 });
+    let mut aligner = Aligner::new(&prepared(vec![coarse.clone()]), Shutter { readout_s: 0.0, exposure_s: 1e-6 });
     let rays = CameraRays::new(lens(480, 360), None);
     let pose = |k: u32| perturbed(&truth(), &Vector6::new(0.03 * f64::from(k), 0.0, 0.0, 0.0, 0.0, 0.0));
     let mut estimate = MotionEstimate::unseen(pose(0).inverse(), 3.4, 0.01, 0.003);
@@ -124,7 +124,7 @@ fn the_frame_tells_how_the_picture_was_enlarged() {
 
 #[test]
 fn pixels_that_were_laid_out_anew_leave_nothing_to_conclude() {
-    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
+    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let rays = CameraRays::new(lens(480, 360), None);
     let mut frame = levels(1);
     aligner.align(&mut frame, &rays, &MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003), None).expect("the picture agrees");
@@ -142,7 +142,7 @@ fn pixels_that_were_laid_out_anew_leave_nothing_to_conclude() {
 
 #[test]
 fn a_frame_whose_pose_is_not_accepted_teaches_nothing() {
-    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Sensor { readout_s: 0.0, exposure_s: 0.0 });
+    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let rays = CameraRays::new(lens(480, 360), None);
     let start = |x: f64| perturbed(&truth(), &Vector6::new(x, 0.0, 0.0, 0.0, 0.0, 0.0)).inverse();
     let expected = |x: f64| MotionEstimate::unseen(start(x), 3.4, 0.02, 0.006);
@@ -168,7 +168,7 @@ fn a_trial_that_changes_nothing_leaves_the_solution() {
     let mut frame = FrameLevels::default();
     frame.update(&view(&display, &truth(), &lens(480, 360)));
     let mut found = |untried: u32| {
-        let mut aligner = Aligner::new(&prepared(vec![coarse.clone()]), Sensor { readout_s: 0.0, exposure_s: 1e-6 });
+        let mut aligner = Aligner::new(&prepared(vec![coarse.clone()]), Shutter { readout_s: 0.0, exposure_s: 1e-6 });
         aligner.slow.since_trial = untried;
         let start = perturbed(&truth(), &Vector6::new(0.03, 0.0, 0.0, 0.0, 0.0, 0.0)).inverse();
         let expected = MotionEstimate::unseen(start, 3.4, 0.02, 0.006);

@@ -90,7 +90,7 @@ struct View {
 impl View {
     fn new(what: &Predicted) -> Self {
         let Predicted { surface, motion, spec, .. } = *what;
-        let exposure_s = if spec.places > 1 { spec.sensor.exposure_s } else { 0.0 };
+        let exposure_s = if spec.places > 1 { spec.shutter.exposure_s } else { 0.0 };
         let Rectangle { rotation, centre, size_px: [w, h], .. } = &surface.rectangle;
         let rt = rotation.transpose();
         let turn = motion.rotation_polynomial().map(|r| rt * r);

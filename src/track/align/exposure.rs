@@ -1,7 +1,7 @@
 //! How long the shutter is open, where nobody said: learnt from blurred frames.
 
-use super::Sensor;
 use super::system::schur_complement::Clue;
+use crate::camera::Shutter;
 
 /// Exposure that an unknown camera is begun with, seconds.
 pub const USUAL_EXPOSURE_S: f64 = 0.004;
@@ -36,13 +36,13 @@ pub struct UnknownExposure {
 
 impl UnknownExposure {
     /// Learns from a frame's clue.
-    pub fn learn(&mut self, sensor: &mut Sensor, clue: Clue, blur_px: f64) {
+    pub fn learn(&mut self, shutter: &mut Shutter, clue: Clue, blur_px: f64) {
         let weight = (blur_px / TELLING_BLUR_PX).min(1.0).powi(4);
         self.told += weight;
         let share = weight * LEARNT_SHARE.max(2.0 / (self.told + 1.0)).min(1.0);
         // Blur is linear in the square of the exposure.
         let change = (2.0 * share * clue.score / clue.information).clamp(-LARGEST_FALL, LARGEST_RISE);
-        sensor.exposure_s = (sensor.exposure_s * (1.0 + change).sqrt()).clamp(SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S);
+        shutter.exposure_s = (shutter.exposure_s * (1.0 + change).sqrt()).clamp(SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S);
     }
 }
 

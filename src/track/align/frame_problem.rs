@@ -129,7 +129,7 @@ impl<'a> FrameProblem<'a> {
         buffers.light.clone_from(&slow.light);
         let (motion, psf_variance) = (&expected.motion, slow.psf_variance);
         let known = Expected { motion, information, psf_variance, psf_variance_sigma: PSF_VARIANCE_SIGMA };
-        let (bands, lessons) = (RowBands::new(slow.sensor), Lessons::none(slow));
+        let (bands, lessons) = (RowBands::new(slow.shutter), Lessons::none(slow));
         let mut frame = Self { surfaces, slow, buffers, levels, rays, expected, known, bands, last_step: Vector6::zeros(), lessons };
         if frame.blur_px(motion) > SHARP_FRAME_PX {
             frame.known.psf_variance_sigma = BLURRED_PSF_VARIANCE_SIGMA;
@@ -322,7 +322,7 @@ impl<'a> FrameProblem<'a> {
 
     /// Solves the finest level once more from where it was found, with a velocity that may have jumped since the last frame, `since_s` ago.
     pub fn solve_with_jump(&mut self, found: &Corrected, since_s: f64) -> Option<()> {
-        let with_jump = jumped(self.expected, since_s, &self.slow.sensor, distance_m(self.surfaces, &self.expected.motion.pose));
+        let with_jump = jumped(self.expected, since_s, &self.slow.shutter, distance_m(self.surfaces, &self.expected.motion.pose));
         let information = with_jump.covariance.cholesky()?.inverse();
         let known = Expected { information: &information, ..self.known };
         self.buffers.has_kept = false;
@@ -374,10 +374,10 @@ impl<'a> FrameProblem<'a> {
     /// Adds what the solution leaves open where the velocity may have jumped since the last frame, `since_s` ago, or within this one; corrects pose
     /// and motion by the jumps that the rows show. `has_jumped`: whether it was solved with a wider expectation.
     pub fn allow_for_jumps(&mut self, found: &mut Alignment, since_s: Option<f64>, has_jumped: bool) {
-        let sensor = &self.slow.sensor;
+        let shutter = &self.slow.shutter;
         let Some(since_s) = since_s else {
             self.lessons.line = Some(UniformMotion::new(found.pose));
-            found.covariance += by_start(&found.estimate, sensor);
+            found.covariance += by_start(&found.estimate, shutter);
             return;
         };
         let Alignment { estimate, pose, covariance, .. } = found;
@@ -385,7 +385,7 @@ impl<'a> FrameProblem<'a> {
         let mut line = self.slow.line;
         let left = line.as_mut().filter(|_| since_s > 0.0).and_then(|line| line.add(pose, covariance, since_s, distance_m));
         self.lessons.line = Some(line.unwrap_or(UniformMotion::new(*pose)));
-        *covariance += by_bend(self.expected, estimate, left.as_ref(), sensor, distance_m);
+        *covariance += by_bend(self.expected, estimate, left.as_ref(), shutter, distance_m);
         let with_jerk = Expectation {
             information: *self.known.information,
             error: estimate.motion.error_to(self.known.motion),
@@ -393,7 +393,7 @@ impl<'a> FrameProblem<'a> {
             // Solved with a wider expectation, the motion is less sure than with this one.
             covariance: (!has_jumped).then_some(estimate.covariance),
         };
-        let on_line = left.filter(|_| sensor.readout_s != 0.0).and_then(|left| {
+        let on_line = left.filter(|_| shutter.readout_s != 0.0).and_then(|left| {
             Some(Expectation {
                 information: left.covariance.cholesky()?.inverse(),
                 error: estimate.motion.error_to(&left.motion),

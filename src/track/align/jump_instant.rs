@@ -9,9 +9,9 @@
 
 use nalgebra::{Matrix6, SMatrix, Vector6};
 
-use super::Sensor;
 use super::columns::{POSE_ENTRIES, entry};
 use super::tile_equations::{TileEquations, TileScore};
+use crate::camera::Shutter;
 use crate::motion::{MotionError, MotionMatrix, unseen};
 
 /// Bands of rows that tiles are gathered in: about as many as a frame has rows of tiles. More would tell instants no better apart.
@@ -43,7 +43,7 @@ struct Band {
 #[derive(Debug)]
 pub struct RowBands {
     bands: [Band; BANDS],
-    sensor: Sensor,
+    shutter: Shutter,
 }
 
 /// Value and slope in time of a factor of the pose, at the middle of a band.
@@ -77,15 +77,15 @@ pub struct Mixture {
 
 impl RowBands {
     /// No tiles yet.
-    pub fn new(sensor: Sensor) -> Self {
+    pub fn new(shutter: Shutter) -> Self {
         let band = Band { by_pose: [[0.0; POSE_ENTRIES]; 3], left: [[0.0; 6]; 2], is_empty: true };
-        Self { bands: [band; BANDS], sensor }
+        Self { bands: [band; BANDS], shutter }
     }
 
     /// Adds a tile whose middle is exposed `delay_s` after the stamp. `left`: what the step leaves of its equations; `weight`: inverse of
     /// the residuals' variance beyond what their whitener says.
     pub fn add(&mut self, tile: &TileEquations, left: &TileScore, delay_s: f64, weight: f64) {
-        let readout_s = self.sensor.readout_s;
+        let readout_s = self.shutter.readout_s;
         let share = if readout_s == 0.0 { 0.5 } else { delay_s / readout_s + 0.5 };
         let k = ((share * BANDS as f64) as usize).min(BANDS - 1);
         let off_s = delay_s - self.middle_s(k);
@@ -124,7 +124,7 @@ impl RowBands {
 
     /// What the bands say of jumps at all instants, of all sizes.
     fn jumps(&self, without: &WithoutJump, dt_s: f64, distance_m: f64) -> [Option<Tried>; JUMPS] {
-        let half_s = 0.5 * (self.sensor.readout_s.abs() + self.sensor.exposure_s);
+        let half_s = 0.5 * (self.shutter.readout_s.abs() + self.shutter.exposure_s);
         // From the last stamp on: what came later in that frame may not have shown in it.
         let gap_s = (dt_s - half_s).max(0.0);
         let whole_s = (2.0 * half_s + gap_s).max(f64::MIN_POSITIVE);
@@ -149,7 +149,7 @@ impl RowBands {
 
     /// Middle of a band, seconds from the stamp.
     fn middle_s(&self, band: usize) -> f64 {
-        self.sensor.readout_s * ((band as f64 + 0.5) / BANDS as f64 - 0.5)
+        self.shutter.readout_s * ((band as f64 + 0.5) / BANDS as f64 - 0.5)
     }
 
     /// The bands that have tiles, with their places.
@@ -160,13 +160,13 @@ impl RowBands {
     /// How position, velocity and acceleration change the pose of a band.
     fn profiles(&self, band: usize) -> [Profile; 3] {
         let t = self.middle_s(band);
-        [[1.0, 0.0], [t, 1.0], [0.5 * (t * t + self.sensor.exposure_s.powi(2) / 12.0), t]]
+        [[1.0, 0.0], [t, 1.0], [0.5 * (t * t + self.shutter.exposure_s.powi(2) / 12.0), t]]
     }
 
     /// How a jump changes the pose of a band.
     fn profile_of_jump(&self, band: usize, instant_s: f64) -> Profile {
-        let (t, exposure_s) = (self.middle_s(band), self.sensor.exposure_s);
-        let quarter_s = 0.25 * self.sensor.readout_s / BANDS as f64;
+        let (t, exposure_s) = (self.middle_s(band), self.shutter.exposure_s);
+        let quarter_s = 0.25 * self.shutter.readout_s / BANDS as f64;
         let at = |t: f64| mean_since(t, instant_s, exposure_s);
         let slope = if quarter_s == 0.0 { 0.0 } else { (at(t + quarter_s) - at(t - quarter_s)) / (2.0 * quarter_s) };
         [at(t), slope]

@@ -6,8 +6,8 @@ use crate::motion::{Motion, MotionEstimate};
 use crate::track::align::velocity_jump::by_bend;
 
 const DISTANCE_M: f64 = 4.0;
-const ROLLING: Sensor = Sensor { readout_s: 0.014, exposure_s: 0.008 };
-const GLOBAL: Sensor = Sensor { readout_s: 0.0, exposure_s: 0.012 };
+const ROLLING: Shutter = Shutter { readout_s: 0.014, exposure_s: 0.008 };
+const GLOBAL: Shutter = Shutter { readout_s: 0.0, exposure_s: 0.012 };
 const FRAME_S: f64 = 1.0 / 30.0;
 /// All bands together tell each coordinate of the pose to 0.1 mm or mrad.
 const INFORMATION: f64 = 1e8 / BANDS as f64;
@@ -23,18 +23,18 @@ fn alone(information: MotionMatrix, error: MotionError) -> [Option<Expectation>;
 }
 
 /// What the bands of a camera show that rests and moves sideways from an instant on; nothing of it is explained yet.
-fn bands(sensor: Sensor, instant_s: f64, speed: f64) -> RowBands {
-    let mut bands = RowBands::new(sensor);
-    let filled = if sensor.readout_s == 0.0 { BANDS / 2..BANDS / 2 + 1 } else { 0..BANDS };
+fn bands(shutter: Shutter, instant_s: f64, speed: f64) -> RowBands {
+    let mut bands = RowBands::new(shutter);
+    let filled = if shutter.readout_s == 0.0 { BANDS / 2..BANDS / 2 + 1 } else { 0..BANDS };
     for k in filled {
-        let share = if sensor.readout_s == 0.0 { BANDS as f64 } else { 1.0 };
+        let share = if shutter.readout_s == 0.0 { BANDS as f64 } else { 1.0 };
         let middle_s = bands.middle_s(k);
         let band = &mut bands.bands[k];
         band.is_empty = false;
         for i in 0..6 {
             band.by_pose[0][entry(i, i)] = share * INFORMATION;
         }
-        band.left[0][0] = share * INFORMATION * speed * mean_since(middle_s, instant_s, sensor.exposure_s);
+        band.left[0][0] = share * INFORMATION * speed * mean_since(middle_s, instant_s, shutter.exposure_s);
     }
     bands
 }
@@ -50,19 +50,19 @@ fn the_mean_time_since_an_instant_is_that_of_the_exposure() {
 
 #[test]
 fn a_jump_is_found_at_its_instant() {
-    for sensor in [ROLLING, Sensor { exposure_s: 0.002, ..ROLLING }] {
-        let half_s = 0.5 * (sensor.readout_s + sensor.exposure_s);
+    for shutter in [ROLLING, Shutter { exposure_s: 0.002, ..ROLLING }] {
+        let half_s = 0.5 * (shutter.readout_s + shutter.exposure_s);
         // Near the frame's end too few rows show it.
         for instant_s in [-2.0, -0.9, -0.5, -0.2, 0.0, 0.2].map(|share| share * half_s) {
             for speed in [0.3, -0.8] {
                 let found =
-                    bands(sensor, instant_s, speed).mixture(alone(known(), MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
+                    bands(shutter, instant_s, speed).mixture(alone(known(), MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
                 let truth = speed * (-instant_s).max(0.0);
                 let sigma = (1.0 / (BANDS as f64 * INFORMATION) + found.pose_covariance[(0, 0)]).sqrt();
                 let off = found.pose[0] - truth;
                 assert!(
                     off.abs() < 3.0 * sigma && off.abs() < 0.25e-3 + 0.05 * truth.abs(),
-                    "{sensor:?} {instant_s} {speed}: {off} {sigma}"
+                    "{shutter:?} {instant_s} {speed}: {off} {sigma}"
                 );
                 if instant_s > 0.0 && speed.abs() < 0.5 {
                     // Too small and too late to be seen: the next frame will show it.
@@ -95,8 +95,8 @@ fn where_all_rows_are_exposed_together_the_covariance_covers_it() {
 
 #[test]
 fn a_camera_that_rests_stays_sure() {
-    for sensor in [ROLLING, GLOBAL] {
-        let found = bands(sensor, 0.0, 0.0).mixture(alone(known(), MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
+    for shutter in [ROLLING, GLOBAL] {
+        let found = bands(shutter, 0.0, 0.0).mixture(alone(known(), MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
         assert!(found.pose.norm() < 1e-9 && found.motion.norm() < 1e-9);
         assert!(found.pose_covariance[(0, 0)] < 0.1 * found.motion_covariance[(0, 0)], "{}", found.pose_covariance[(0, 0)]);
     }
@@ -127,7 +127,7 @@ fn what_is_no_motion_is_no_panic() {
     assert!(found.motion.norm() == 0.0 && found.pose_covariance[(0, 0)] > 0.0);
     assert!(empty.mixture(alone(MotionMatrix::zeros(), MotionError::zeros()), FRAME_S, DISTANCE_M).is_none());
     assert!(empty.mixture(alone(known(), MotionError::repeat(f64::NAN)), FRAME_S, DISTANCE_M).is_none());
-    let still = Sensor { readout_s: 0.0, exposure_s: 0.0 };
+    let still = Shutter { readout_s: 0.0, exposure_s: 0.0 };
     for since_s in [0.0, FRAME_S] {
         assert!(bands(still, 0.0, 0.0).mixture(alone(known(), MotionError::zeros()), since_s, DISTANCE_M).is_some());
     }

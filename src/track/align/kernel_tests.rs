@@ -17,7 +17,8 @@ use super::selection::Selector;
 use super::slow_estimates::SlowEstimates;
 use super::tile_equations::TileEquations;
 use super::tile_products::{ProductBuffer, tile_equations, tile_equations_lanes};
-use super::{AlignSurface, CameraRays, Sensor};
+use super::{AlignSurface, CameraRays};
+use crate::camera::Shutter;
 use crate::motion::{Motion, MotionError};
 use crate::track::synthetic::{cloth, facing, lens, view};
 
@@ -49,7 +50,7 @@ fn scene() -> Scene {
     let camera = lens(480, 360);
     let mut levels = FrameLevels::default();
     levels.update(&view(&cloth(1), &pose, &camera));
-    let slow = SlowEstimates::new(Sensor { readout_s: 0.012, exposure_s: 0.01 });
+    let slow = SlowEstimates::new(Shutter { readout_s: 0.012, exposure_s: 0.01 });
     let (surfaces, rays, pixels) = ([AlignSurface::new(&cloth(1))], CameraRays::new(camera, None), Pixels::default());
     let mut scene = Scene { surfaces, slow, rays, motion, pixels };
     let (mut selector, mut pixels) = (Selector::default(), Pixels::default());

@@ -14,8 +14,8 @@ use super::pixels::{Pixels, Run};
 use super::selection::Selector;
 use super::slow_estimates::SlowEstimates;
 use super::tile_products::{ProductBuffer, tile_equations};
-use super::{AlignSurface, CameraRays, Sensor};
-use crate::camera::CameraModel;
+use super::{AlignSurface, CameraRays};
+use crate::camera::{CameraModel, Shutter};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 use crate::track::surface::SurfaceSpec;
@@ -49,7 +49,7 @@ impl AlignKernels {
             surfaces: [AlignSurface::new(surface)],
             rays: CameraRays::new(camera, None),
             motion: Motion::still(t_camera_body.inverse()),
-            slow: SlowEstimates::new(Sensor { readout_s: 0.01, exposure_s: EXPOSURE_S }),
+            slow: SlowEstimates::new(Shutter { readout_s: 0.01, exposure_s: EXPOSURE_S }),
             levels,
             selector: Selector::default(),
             pixels: Pixels::default(),

@@ -6,7 +6,8 @@ use super::frame_levels::{FINEST, LEVELS};
 use super::noise::Noise;
 use super::slow_estimates::SlowEstimates;
 use super::system::TileTime;
-use super::{AlignSurface, CameraRays, Sensor};
+use super::{AlignSurface, CameraRays};
+use crate::camera::Shutter;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 
@@ -28,7 +29,7 @@ pub struct LevelSpec<'a> {
     /// The camera.
     pub rays: &'a CameraRays,
     /// Its shutter.
-    pub sensor: &'a Sensor,
+    pub shutter: &'a Shutter,
     /// The level.
     pub level: usize,
     /// Noise of its pixels.
@@ -63,7 +64,7 @@ impl<'a> LevelSpec<'a> {
         let mut spec = Self {
             surfaces,
             rays,
-            sensor: &slow.sensor,
+            shutter: &slow.shutter,
             level,
             noise: slow.noise.at(level),
             count: (PIXELS[level] as f64 * wider) as usize,
@@ -74,7 +75,7 @@ impl<'a> LevelSpec<'a> {
             is_enlarged,
             gradient_gain: slow.gradient_gain.get() as f32,
         };
-        let half = 0.5 * slow.sensor.exposure_s;
+        let half = 0.5 * slow.shutter.exposure_s;
         spec.blur_px = spec.moved_px(&motion.after(-half), &motion.after(half));
         let at_blur = PLACES.iter().find(|(longest_px, _)| spec.blur_px < *longest_px);
         spec.places = at_blur.map_or(MOST_PLACES, |(_, places)| *places);
@@ -86,9 +87,14 @@ impl<'a> LevelSpec<'a> {
         f64::from(1u32 << self.level)
     }
 
+    /// How far a row of the level is below the upper edge of the frame, pixels of the frame.
+    pub fn frame_y(&self, row: f64) -> f64 {
+        f64::from(1u32 << self.level) * (row + 0.5)
+    }
+
     /// The time of every tile, where all rows are exposed together.
     pub fn same_time(&self) -> Option<TileTime> {
-        (self.sensor.readout_s == 0.0).then(|| TileTime { delay_s: 0.0, mean_square_s2: self.sensor.exposure_s.powi(2) / 12.0 })
+        (self.shutter.readout_s == 0.0).then(|| TileTime { delay_s: 0.0, mean_square_s2: self.shutter.exposure_s.powi(2) / 12.0 })
     }
 
     /// How far the picture moves between two motions, in the middle and towards the corners of the frame: the most, in pixels of the

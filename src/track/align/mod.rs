@@ -69,23 +69,6 @@ use super::surface::SurfaceSpec;
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
 
-/// When the rows of a frame are exposed. The default: a global shutter, open for an unknown time.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Sensor {
-    /// First row to last, seconds; 0 for a global or unknown shutter.
-    pub readout_s: f64,
-    /// How long each row is exposed, seconds; 0 where it is known to be short, or not known yet.
-    pub exposure_s: f64,
-}
-
-impl Sensor {
-    /// Seconds from the frame's stamp to the middle of the exposure of row `v` of a level; `height` is the frame's.
-    pub fn delay_s(&self, level: usize, v: f64, height: u32) -> f64 {
-        let n = f64::from(1u32 << level);
-        self.readout_s * ((n * v + 0.5 * n) / f64::from(height) - 0.5)
-    }
-}
-
 /// A surface as alignment needs it.
 #[derive(Debug, Clone)]
 pub struct AlignSurface {

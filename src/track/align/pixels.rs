@@ -106,7 +106,7 @@ impl Pixels {
             (self.x_across[n], self.x_down[n]) = (slope.x_across, slope.x_down);
             (self.y_across[n], self.y_down[n]) = (slope.y_across, slope.y_down);
             (self.place[0][n], self.place[1][n]) = (u as f32, v as f32);
-            self.delay_s[n] = spec.sensor.delay_s(spec.level, v as f64, height) as f32;
+            self.delay_s[n] = spec.shutter.delay_s(spec.frame_y(v as f64), height) as f32;
             (self.cell[0][n], self.cell[1][n]) = (self.columns[u - left].1, self.rows[v - top].1);
         }
     }

@@ -195,7 +195,7 @@ fn see(surface: &AlignSurface, motion: &Motion, spec: &LevelSpec, point: [f64; 2
         Some((seen.in_smaller(scale), pose.translation))
     };
     let at_rest = from(&motion.pose)?;
-    let tau = spec.sensor.delay_s(spec.level, at_rest.0.pixel.y, spec.rays.camera.height());
+    let tau = spec.shutter.delay_s(spec.frame_y(at_rest.0.pixel.y), spec.rays.camera.height());
     if tau == 0.0 { Some(at_rest) } else { from(&motion.after(tau).pose) }
 }
 

@@ -3,13 +3,13 @@
 //! A frame is solved with the estimates as they stand, and collects what it would teach them ([`Lessons`]). They learn that only when its
 //! pose is accepted: a frame that shows something else says nothing of the camera or the light.
 
-use super::Sensor;
 use super::exposure::{USUAL_EXPOSURE_S, UnknownExposure};
 use super::frame_levels::FINEST;
 use super::gradient_gain::{ChangeSums, GradientGain};
 use super::light::RememberedLight;
 use super::noise::{CameraNoise, NoiseSums};
 use super::system::schur_complement::Clue;
+use crate::camera::Shutter;
 use crate::motion::UniformMotion;
 
 /// The point spread follows what a sharp frame says of it by this share.
@@ -26,7 +26,7 @@ pub(super) const FIRST_TRIAL: u32 = 3;
 #[derive(Debug, Clone)]
 pub struct SlowEstimates {
     /// The shutter, with the exposure as known or learnt.
-    pub sensor: Sensor,
+    pub shutter: Shutter,
     /// Follows an unknown exposure; `None` where it is known.
     exposure: Option<UnknownExposure>,
     /// The camera's noise.
@@ -87,11 +87,11 @@ impl Lessons {
 }
 
 impl SlowEstimates {
-    /// Nothing learnt yet. An exposure of 0 in `sensor` is learnt from blurred frames.
-    pub fn new(sensor: Sensor) -> Self {
-        let is_known = sensor.exposure_s > 0.0;
+    /// Nothing learnt yet. An exposure of 0 in `shutter` is learnt from blurred frames.
+    pub fn new(shutter: Shutter) -> Self {
+        let is_known = shutter.exposure_s > 0.0;
         Self {
-            sensor: Sensor { exposure_s: if is_known { sensor.exposure_s } else { USUAL_EXPOSURE_S }, ..sensor },
+            shutter: Shutter { exposure_s: if is_known { shutter.exposure_s } else { USUAL_EXPOSURE_S }, ..shutter },
             exposure: (!is_known).then(UnknownExposure::default),
             noise: CameraNoise::usual(FINEST),
             gradient_gain: GradientGain::default(),
@@ -106,9 +106,9 @@ impl SlowEstimates {
     }
 
     /// Takes the shutter as given from now on.
-    pub fn fix_shutter(&mut self, sensor: Sensor) {
+    pub fn fix_shutter(&mut self, shutter: Shutter) {
         self.exposure = None;
-        self.sensor = sensor;
+        self.shutter = shutter;
     }
 
     /// Whether it is time to try how the pictures were enlarged.
@@ -126,7 +126,7 @@ impl SlowEstimates {
             self.psf_variance += PSF_VARIANCE_SHARE * (shown - self.psf_variance);
         }
         if let (Some(unknown), Some((clue, blur_px))) = (&mut self.exposure, lessons.exposure) {
-            unknown.learn(&mut self.sensor, clue, blur_px);
+            unknown.learn(&mut self.shutter, clue, blur_px);
         }
         if let Some(sums) = &lessons.noise {
             self.noise.learn(sums);

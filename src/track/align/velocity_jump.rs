@@ -6,7 +6,7 @@
 
 use nalgebra::{Matrix6, Vector6};
 
-use super::Sensor;
+use crate::camera::Shutter;
 use crate::motion::{MotionEstimate, unseen};
 
 /// A pose found further than this from where it was expected (squared, in sigmas, six degrees of freedom: one frame in 2000 by chance) is
@@ -40,14 +40,14 @@ pub fn is_unexpected(squared_mahalanobis: f64) -> bool {
 }
 
 /// What is expected after `dt_s` where the velocity may have jumped meanwhile. `expected`: where it did not.
-pub fn jumped(expected: &MotionEstimate, dt_s: f64, sensor: &Sensor, distance_m: f64) -> MotionEstimate {
+pub fn jumped(expected: &MotionEstimate, dt_s: f64, shutter: &Shutter, distance_m: f64) -> MotionEstimate {
     let mut covariance = expected.covariance;
-    let frame_s = sensor.readout_s + sensor.exposure_s;
+    let frame_s = shutter.readout_s + shutter.exposure_s;
     // At any instant since the last frame, or up to the end of this one.
     let since_s = dt_s.max(0.5 * frame_s);
     let [speed, turn_rate, ..] = unseen(distance_m);
     for (first, sigma) in [(0, speed), (3, turn_rate)] {
-        let bend = if frame_s > 0.0 { BEND * sigma * sensor.readout_s / frame_s.powi(2) } else { 0.0 };
+        let bend = if frame_s > 0.0 { BEND * sigma * shutter.readout_s / frame_s.powi(2) } else { 0.0 };
         for k in first..first + 3 {
             covariance[(k, k)] += (sigma * since_s).powi(2) / 3.0;
             covariance[(k, k + 6)] += sigma.powi(2) * since_s / 2.0;
@@ -65,11 +65,11 @@ pub fn by_bend(
     expected: &MotionEstimate,
     found: &MotionEstimate,
     left: Option<&MotionEstimate>,
-    sensor: &Sensor,
+    shutter: &Shutter,
     distance_m: f64,
 ) -> Matrix6<f64> {
     let error = expected.motion.error_to(&found.motion);
-    let frame_s = sensor.readout_s.hypot(sensor.exposure_s);
+    let frame_s = shutter.readout_s.hypot(shutter.exposure_s);
     let [speed, turn_rate, ..] = unseen(distance_m);
     let off = left.map_or(error, |left| left.motion.error_to(&found.motion));
     let off: Vector6<f64> = off.fixed_rows::<6>(0).into_owned();
@@ -83,8 +83,8 @@ pub fn by_bend(
 }
 
 /// What is left open of the first pose: whether the camera just started or stopped.
-pub fn by_start(found: &MotionEstimate, sensor: &Sensor) -> Matrix6<f64> {
-    found.covariance.fixed_view::<6, 6>(6, 6) * (STARTED_SQUARE * sensor.exposure_s.powi(2))
+pub fn by_start(found: &MotionEstimate, shutter: &Shutter) -> Matrix6<f64> {
+    found.covariance.fixed_view::<6, 6>(6, 6) * (STARTED_SQUARE * shutter.exposure_s.powi(2))
 }
 
 #[cfg(test)]
@@ -98,8 +98,8 @@ mod tests {
     use crate::motion::{Motion, MotionMatrix};
 
     const DISTANCE_M: f64 = 4.0;
-    const GLOBAL: Sensor = Sensor { readout_s: 0.0, exposure_s: 0.012 };
-    const ROLLING: Sensor = Sensor { readout_s: 0.014, exposure_s: 0.008 };
+    const GLOBAL: Shutter = Shutter { readout_s: 0.0, exposure_s: 0.012 };
+    const ROLLING: Shutter = Shutter { readout_s: 0.014, exposure_s: 0.008 };
 
     fn rest(variance: f64) -> MotionEstimate {
         let pose = Pose::new(UnitQuaternion::identity(), Vector3::zeros());

@@ -65,7 +65,7 @@ impl Picture {
     fn time(&self, spec: &LevelSpec, run: &Run) -> TileTime {
         let middle = (run.start + run.end) / 2;
         let delay_s = f64::from(self.pixels.delay_s[middle as usize]);
-        TileTime { delay_s, mean_square_s2: delay_s * delay_s + spec.sensor.exposure_s.powi(2) / 12.0 }
+        TileTime { delay_s, mean_square_s2: delay_s * delay_s + spec.shutter.exposure_s.powi(2) / 12.0 }
     }
 
     fn view<'a>(&'a self, run: &'a RunAtWork) -> RunView<'a> {

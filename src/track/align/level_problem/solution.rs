@@ -2,7 +2,6 @@
 
 use nalgebra::Matrix6;
 
-use super::super::Sensor;
 use super::super::evidence::evidence;
 use super::super::jump_instant::RowBands;
 use super::super::noise::NoiseSums;
@@ -11,6 +10,7 @@ use super::super::system::schur_complement::{Clue, SchurComplement, SolvedTile};
 use super::super::tile_equations::TileStep;
 use super::super::verdict::agreement;
 use super::{Corrected, LevelProblem, LevelSpec};
+use crate::camera::Shutter;
 use crate::geometry::resection::larger_covariance;
 use crate::motion::MotionEstimate;
 
@@ -112,16 +112,16 @@ impl LevelSolution<'_> {
         let Corrected { motion, scale } = self.found;
         let LevelProblem { picture, runs, system, .. } = &*self.problem;
         // A second more of readout delays a row by as much as a sensor of one second's readout does.
-        let slow = Sensor { readout_s: 1.0, ..*spec.sensor };
+        let slow = Shutter { readout_s: 1.0, ..*spec.shutter };
         column.begin(system);
         for r in runs.iter().filter(|r| r.gate.is_open) {
             let time = picture.time(spec, &r.run);
             let row = picture.pixels.place[1][((r.run.start + r.run.end) / 2) as usize];
-            let share = slow.delay_s(spec.level, row as f64, spec.rays.camera.height());
+            let share = slow.delay_s(spec.frame_y(row as f64), spec.rays.camera.height());
             let velocity = motion.velocity + motion.acceleration * time.delay_s;
             let turn_rate = motion.turn_rate + motion.turn_acceleration * time.delay_s;
             // Later rows of the tile are delayed the more, by the share of a readout that lies between them.
-            let per_second = if spec.sensor.readout_s > 0.0 { 1.0 / spec.sensor.readout_s } else { 0.0 };
+            let per_second = if spec.shutter.readout_s > 0.0 { 1.0 / spec.shutter.readout_s } else { 0.0 };
             let mut by_readout = TileStep::default();
             for (c, speed) in velocity.iter().chain(&turn_rate).enumerate() {
                 by_readout.columns[c] = (speed * share) as f32;

@@ -1,28 +1,28 @@
-//! The rolling shutter: when each row was exposed, and how the body moved meanwhile.
+//! How the body moved while a rolling shutter read the rows of a frame.
 //!
 //! The motion comes from the difference to the last verified pose, as a nuisance only: the pose itself is always
 //! measured against the reference picture.
 
 use nalgebra::Vector6;
 
-use crate::camera::CameraModel;
+use crate::camera::Shutter;
 use crate::geometry::resection::Twist;
 use crate::geometry::{Body, Camera, Pose};
 
 /// What is known of the motion while the rows of a frame were read.
 #[derive(Debug, Clone, Copy)]
-pub struct Shutter {
-    /// First row to last, seconds; 0 for a global or unknown shutter.
-    pub readout_s: f64,
+pub struct RowMotion {
+    /// When the rows are exposed.
+    pub shutter: Shutter,
     /// The last verified pose, how long ago it was in seconds, and the motion then.
     pub before: Option<(Pose<Camera, Body>, f64, Option<Twist>)>,
 }
 
-impl Shutter {
+impl RowMotion {
     /// The body's motion at the middle row of this frame, if it is now at `pose`.
     pub(super) fn twist(&self, pose: &Pose<Camera, Body>) -> Twist {
         match &self.before {
-            Some((before, dt_s, then)) if self.readout_s > 0.0 => {
+            Some((before, dt_s, then)) if self.shutter.readout_s > 0.0 => {
                 // The difference is the motion half a frame ago; half its change leads to now.
                 let between = Twist::between(before, pose, *dt_s);
                 then.map_or(between, |then| Twist(between.0 + (between.0 - then.0) * 0.5))
@@ -31,10 +31,10 @@ impl Shutter {
         }
     }
 
-    /// Standard deviations of [`Shutter::twist`], per second: how much the motion changed since the last frame, or what a hand-held camera does
+    /// Standard deviations of [`RowMotion::twist`], per second: how much the motion changed since the last frame, or what a hand-held camera does
     /// where nothing is known.
     pub(super) fn twist_deviation(&self, pose: &Pose<Camera, Body>) -> Option<Vector6<f64>> {
-        if self.readout_s <= 0.0 {
+        if self.shutter.readout_s <= 0.0 {
             return None;
         }
         let relative = pose.translation.norm();
@@ -45,18 +45,13 @@ impl Shutter {
             None => usual * 0.3,
         })
     }
-
-    pub(super) fn delay_s(&self, camera: &CameraModel, row: f64) -> f64 {
-        // The middle row is at (h - 1) / 2; rows start readout / h apart.
-        self.readout_s * (row - 0.5 * (f64::from(camera.height()) - 1.0)) / f64::from(camera.height())
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use nalgebra::Vector3;
 
-    use super::super::synthetic::{facing, lens};
+    use super::super::synthetic::facing;
     use super::*;
     use crate::geometry::resection::perturbed;
 
@@ -65,19 +60,15 @@ mod tests {
         let step = Vector6::new(0.03, 0.0, -0.02, 0.01, 0.0, 0.02);
         let now = facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4));
         let before = perturbed(&now, &-step);
-        let still = Shutter { readout_s: 0.0, before: Some((before, 0.05, None)) };
+        let still = RowMotion { shutter: Shutter { exposure_s: 0.0, readout_s: 0.0 }, before: Some((before, 0.05, None)) };
         assert_eq!(still.twist(&now), Twist::still());
         assert!(still.twist_deviation(&now).is_none());
-        let rolling = Shutter { readout_s: 0.02, before: Some((before, 0.05, None)) };
+        let rolling = RowMotion { shutter: Shutter { exposure_s: 0.0, readout_s: 0.02 }, before: Some((before, 0.05, None)) };
         assert!((rolling.twist(&now).0 - step / 0.05).norm() < 0.02);
         // Speeding up: half of the change leads from between the frames to now.
         let then = Twist(step / 0.1);
-        let faster = Shutter { readout_s: 0.02, before: Some((before, 0.05, Some(then))) };
+        let faster = RowMotion { shutter: Shutter { exposure_s: 0.0, readout_s: 0.02 }, before: Some((before, 0.05, Some(then))) };
         assert!((faster.twist(&now).0 - step * 25.0).norm() < 0.03);
         assert!(rolling.twist_deviation(&now).is_some_and(|d| d.iter().all(|v| *v > 0.0)));
-        // The middle row is not late; the first is half a readout early.
-        let camera = lens(480, 360);
-        assert!(rolling.delay_s(&camera, 179.5).abs() < 1e-12);
-        assert!((rolling.delay_s(&camera, 0.0) + 0.01).abs() < 1e-4);
     }
 }

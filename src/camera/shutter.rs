@@ -1,0 +1,50 @@
+//! The shutter: how long a row is exposed, and when.
+
+/// The times of a camera's shutter. The default: a global shutter, or an unknown one, open for an unknown time.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Shutter {
+    /// How long each row is exposed, seconds. 0: unknown; the tracker learns it while the camera moves.
+    pub exposure_s: f64,
+    /// From the first row to the last, seconds. 0: global or unknown. An estimate may be below 0: rows read from the bottom up.
+    pub readout_s: f64,
+}
+
+impl Shutter {
+    /// Longest times that a config may give, seconds. Cameras of 1 frame a second have them; longer ones are mostly milliseconds.
+    pub const LONGEST_S: f64 = 1.0;
+
+    /// The name and the value of a time that no shutter has.
+    pub fn impossible_time(&self) -> Option<(&'static str, f64)> {
+        if !(self.exposure_s.is_finite() && self.exposure_s >= 0.0) {
+            return Some(("exposure_s", self.exposure_s));
+        }
+        (!self.readout_s.is_finite()).then_some(("readout_s", self.readout_s))
+    }
+
+    /// Seconds from the frame's stamp to the middle of the exposure at `y` pixels below the upper edge of a frame of this height. Rows
+    /// begin `readout_s` / height apart; the middle of row r is at r + 0.5.
+    pub fn delay_s(&self, y: f64, height: u32) -> f64 {
+        self.readout_s * (y / f64::from(height) - 0.5)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_middle_row_has_no_delay_and_the_first_is_half_a_readout_early() {
+        let shutter = Shutter { exposure_s: 0.0, readout_s: 0.02 };
+        assert_eq!(shutter.delay_s(180.0, 360), 0.0);
+        assert!((shutter.delay_s(0.5, 360) + 0.01).abs() < 1e-4 && (shutter.delay_s(359.5, 360) - 0.01).abs() < 1e-4);
+        assert_eq!(Shutter::default().delay_s(3.0, 360), 0.0);
+    }
+
+    #[test]
+    fn times_that_no_shutter_has_are_named() {
+        let named = |exposure_s, readout_s| Shutter { exposure_s, readout_s }.impossible_time().map(|(name, _)| name);
+        assert_eq!([named(0.0, 0.0), named(0.01, -0.02)], [None; 2]);
+        assert_eq!([-0.1, f64::NAN, f64::INFINITY].map(|exposure_s| named(exposure_s, 0.0)), [Some("exposure_s"); 3]);
+        assert_eq!([f64::NAN, f64::NEG_INFINITY].map(|readout_s| named(0.0, readout_s)), [Some("readout_s"); 2]);
+    }
+}
