@@ -7,39 +7,7 @@ use serde::ser::{SerializeMap, SerializeSeq, SerializeStruct, Serializer};
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::track::Reason;
-
-/// What is known of a body in a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default)]
-#[serde(rename_all = "lowercase")]
-pub enum State {
-    /// Never found yet.
-    #[default]
-    Searching,
-    /// Measured in this frame, verified against the picture, and confirmed.
-    Tracking,
-    /// Predicted from earlier frames, for at most `coast_s`.
-    Coasting,
-    /// Was found before, is not now.
-    Lost,
-    /// Live only: the camera gives no pictures. Such a sample is a message to subscribers, never a line of contract C3.
-    Stale,
-}
-
-impl State {
-    /// All states, in the order of their numbers.
-    pub const ALL: [State; 5] = [Self::Searching, Self::Tracking, Self::Coasting, Self::Lost, Self::Stale];
-
-    /// The word for it in the records.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Searching => "searching",
-            Self::Tracking => "tracking",
-            Self::Coasting => "coasting",
-            Self::Lost => "lost",
-            Self::Stale => "stale",
-        }
-    }
-}
+pub use crate::track::State;
 
 /// Which two-view model explains the frame's correspondences better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

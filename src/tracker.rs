@@ -9,7 +9,7 @@ use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-use crate::track::{BodySpec, Matcher, Sighting, TrackState, TrackerSettings, UsedPixels};
+use crate::track::{BodySpec, Matcher, Sighting, TrackerSettings, UsedPixels};
 
 /// Everything a tracker is made from.
 #[derive(Debug, Clone)]
@@ -175,22 +175,13 @@ impl PoseRecorder {
         PoseSample {
             sequence: sighting.sequence,
             timestamp: sighting.timestamp,
-            state: published(camera.state),
+            state: camera.state,
             pose: camera.pose,
             measurement,
             objects,
-            reason: sighting.stage.reason.filter(|_| camera.state != TrackState::Tracking),
+            reason: sighting.stage.reason.filter(|_| camera.state != State::Tracking),
             times: StageTimes { decode_ms, acquire_ms: sighting.acquire_ms, align_ms: sighting.align_ms, pose_ms, age_ms: None },
         }
-    }
-}
-
-fn published(state: TrackState) -> State {
-    match state {
-        TrackState::Searching => State::Searching,
-        TrackState::Tracking => State::Tracking,
-        TrackState::Coasting => State::Coasting,
-        TrackState::Lost => State::Lost,
     }
 }
 
@@ -217,7 +208,7 @@ fn measurement(sighting: &Sighting, camera: &BodyEstimate<crate::geometry::Camer
 fn object_sample(name: &str, estimate: BodyEstimate<crate::geometry::Body>) -> ObjectSample {
     ObjectSample {
         name: name.to_owned(),
-        state: published(estimate.state),
+        state: estimate.state,
         pose: estimate.pose,
         covariance: estimate.measured.map(|m| m.covariance()),
     }

@@ -7,13 +7,13 @@ use crate::frame::Timestamp;
 use crate::geometry::covariance::covariance_of_object;
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::motion::MotionHistory;
-use crate::track::{BodySighting, Sighting, TrackState, Verified};
+use crate::track::{BodySighting, Sighting, State, Verified};
 
 /// What is said of one pose after a frame.
 #[derive(Debug, Clone)]
 pub struct BodyEstimate<From> {
     /// The state to publish.
-    pub state: TrackState,
+    pub state: State,
     /// For use: measured (filtered where a filter is set), or predicted while coasting.
     pub pose: Option<Pose<Stage, From>>,
     /// Measured in this frame.
@@ -113,9 +113,9 @@ fn object_estimate(
     motion: &mut BodyMotion<Body>,
 ) -> BodyEstimate<Body> {
     let state = match (object.state, camera.state) {
-        (TrackState::Tracking, TrackState::Tracking) => TrackState::Tracking,
-        (TrackState::Tracking | TrackState::Coasting, TrackState::Coasting | TrackState::Tracking) => TrackState::Coasting,
-        (TrackState::Tracking | TrackState::Coasting, _) => TrackState::Lost,
+        (State::Tracking, State::Tracking) => State::Tracking,
+        (State::Tracking | State::Coasting, State::Coasting | State::Tracking) => State::Coasting,
+        (State::Tracking | State::Coasting, _) => State::Lost,
         (state, _) => state,
     };
     let measured = match (&object.verified, &camera.measured) {
@@ -135,22 +135,17 @@ fn object_estimate(
 }
 
 /// Fits pose and state together: measured while tracking, predicted while coasting, nothing else.
-fn settle<From>(
-    state: TrackState,
-    measured: Option<Measured<From>>,
-    timestamp: Timestamp,
-    motion: &mut BodyMotion<From>,
-) -> BodyEstimate<From> {
+fn settle<From>(state: State, measured: Option<Measured<From>>, timestamp: Timestamp, motion: &mut BodyMotion<From>) -> BodyEstimate<From> {
     let BodyMotion { history, filter } = motion;
-    if let (TrackState::Tracking, Some(measured)) = (state, measured) {
+    if let (State::Tracking, Some(measured)) = (state, measured) {
         history.measured(timestamp, &measured.pose);
         let told = filter.measured(timestamp, &measured.pose, &measured.noise);
         return BodyEstimate { state, pose: Some(told), measured: Some(measured) };
     }
-    let predicted = history.predicted(timestamp).filter(|_| matches!(state, TrackState::Tracking | TrackState::Coasting));
+    let predicted = history.predicted(timestamp).filter(|_| matches!(state, State::Tracking | State::Coasting));
     if let Some(pose) = predicted {
         let pose = filter.predicted(timestamp).unwrap_or(pose);
-        return BodyEstimate { state: TrackState::Coasting, pose: Some(pose), measured: None };
+        return BodyEstimate { state: State::Coasting, pose: Some(pose), measured: None };
     }
     history.reset();
     filter.reset();
@@ -159,7 +154,7 @@ fn settle<From>(
 
 /// Nothing to say of a body but whether it was ever measured in the stage.
 fn unseen<From>(history: &MotionHistory<Stage, From>) -> BodyEstimate<From> {
-    let state = if history.is_known() { TrackState::Lost } else { TrackState::Searching };
+    let state = if history.is_known() { State::Lost } else { State::Searching };
     BodyEstimate { state, pose: None, measured: None }
 }
 

@@ -1,16 +1,16 @@
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
 use super::*;
-use TrackState::{Coasting, Lost, Searching, Tracking};
+use State::{Coasting, Lost, Searching, Tracking};
 
-fn body(state: TrackState) -> BodySighting {
+fn body(state: State) -> BodySighting {
     let pose = Pose::new(UnitQuaternion::from_euler_angles(1.5, 0.1, 0.0), Vector3::new(0.1, 0.2, 3.0));
     let verified =
         Verified { pose, covariance: Matrix6::identity() * 1e-6, by_lens: None, share: 1.0, inliers: 0, rms_px: 0.1, is_conclusive: false };
     BodySighting { state, verified: (state == Tracking).then_some(verified), reason: None }
 }
 
-fn sighting(sequence: u64, stage: TrackState, object: TrackState) -> Sighting {
+fn sighting(sequence: u64, stage: State, object: State) -> Sighting {
     Sighting {
         sequence,
         timestamp: Timestamp::from_ns(sequence as i64 * 33_333_333),
@@ -24,7 +24,7 @@ fn sighting(sequence: u64, stage: TrackState, object: TrackState) -> Sighting {
 }
 
 /// The published states of the camera and of the object, one sighting after another.
-fn published(seen: &[(TrackState, TrackState)]) -> Vec<(TrackState, TrackState)> {
+fn published(seen: &[(State, State)]) -> Vec<(State, State)> {
     let mut stage = PoseStage::default();
     let estimates = seen.iter().enumerate().map(|(k, (camera, object))| stage.estimate(&sighting(k as u64, *camera, *object)));
     estimates.map(|e| (e.camera.state, e.objects[0].state)).collect()

@@ -9,13 +9,13 @@ use super::complaints::Complaints;
 use super::limiter::{Limiter, Verdict};
 use super::mounted::Mount;
 use super::placement::Placement;
-use super::report::{BodyChoice, BodyReport, Standing, Withheld};
+use super::report::{BodyChoice, BodyReport, Withheld};
 use super::resample::{Known, Resampler};
 use super::settings::{OnLoss, OutputSettings, Rate, SafetySettings};
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
 use crate::protocols::to_body_axes;
-use crate::record::PoseSample;
+use crate::record::{PoseSample, State};
 
 /// The safety limits began to hold a body's pose back.
 #[derive(Debug, Clone, PartialEq)]
@@ -100,7 +100,8 @@ impl BodyChannel {
         let mut report = BodyReport {
             name: self.name.clone(),
             choice: self.choice,
-            standing: known.standing,
+            state: known.state,
+            withheld: None,
             pose: None,
             held: None,
             is_blended: false,
@@ -111,12 +112,12 @@ impl BodyChannel {
             Some(Verdict::Pass(pose)) => (report.pose, report.is_passed) = (Some(self.placement.apply(&pose)), true),
             Some(Verdict::Blend(pose)) => {
                 report.pose = Some(self.placement.apply(&pose));
-                (report.standing, report.is_blended, report.is_predicted) = (Standing::Coasting, true, false);
+                (report.state, report.is_blended, report.is_predicted) = (State::Coasting, true, false);
             }
             Some(Verdict::Withhold(reason)) => self.withhold(reason, &mut report),
             None => self.limiter.gap(),
         }
-        self.is_withheld = matches!(report.standing, Standing::Withheld(_));
+        self.is_withheld = report.withheld.is_some();
         match (report.pose, self.sent) {
             (Some(pose), _) => self.sent = Some((at, pose)),
             (None, Some((sent, pose))) if self.on_loss == OnLoss::Hold => {
@@ -136,7 +137,7 @@ impl BodyChannel {
     }
 
     fn withhold(&mut self, reason: Withheld, report: &mut BodyReport) {
-        report.standing = Standing::Withheld(reason);
+        (report.state, report.withheld) = (State::Lost, Some(reason));
         self.complaints
             .say(|| format!("event: the pose of {} is withheld, {}; check [safety] and the tracking", self.name, reason.words()));
         if !self.is_withheld {
@@ -152,10 +153,10 @@ fn known_of(choice: BodyChoice, sample: &PoseSample) -> Known {
         BodyChoice::Camera => (sample.state, sample.pose.as_ref().map(to_body_axes)),
         BodyChoice::Object(index) => match sample.objects.get(index) {
             Some(object) => (object.state, object.pose),
-            None => return Known::nothing(Standing::Searching),
+            None => return Known::nothing(State::Searching),
         },
         // Nothing carries it.
-        BodyChoice::Mount => return Known::nothing(Standing::Searching),
+        BodyChoice::Mount => return Known::nothing(State::Searching),
     };
-    Known { standing: Standing::from(state), pose, is_predicted: false }
+    Known { state, pose, is_predicted: false }
 }

@@ -2,17 +2,19 @@
 
 use std::sync::Arc;
 
-use super::report::{BodyChoice, BodyReport, Report, Standing};
+use super::report::{BodyChoice, BodyReport, Report};
 use crate::frame::Timestamp;
 use crate::protocols::golden::golden_camera;
 use crate::protocols::to_body_axes;
+use crate::record::State;
 
 /// The camera at the golden pose.
-pub(crate) fn golden_body(standing: Standing) -> BodyReport {
+pub(crate) fn golden_body(state: State) -> BodyReport {
     BodyReport {
         name: Arc::from("camera"),
         choice: BodyChoice::Camera,
-        standing,
+        state,
+        withheld: None,
         pose: Some(to_body_axes(&golden_camera())),
         held: None,
         is_blended: false,
@@ -22,7 +24,7 @@ pub(crate) fn golden_body(standing: Standing) -> BodyReport {
 }
 
 /// A report of the golden pose.
-pub(crate) fn golden_report(standing: Standing) -> Report {
+pub(crate) fn golden_report(state: State) -> Report {
     Report {
         sequence: 17,
         unix: Timestamp::from_ns(1_700_000_000_040_000_000),
@@ -30,7 +32,7 @@ pub(crate) fn golden_report(standing: Standing) -> Report {
         sent_monotonic: Timestamp::from_ns(5_052_500_000),
         recorded: None,
         rate_hz: 30.0,
-        bodies: vec![golden_body(standing)],
+        bodies: vec![golden_body(state)],
         sample: None,
         age_ms: 12.5,
         is_test: false,

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use super::encoder::Encoder;
 use super::mounted::Mount;
 use super::placement::Placement;
-use super::report::{BodyChoice, BodyReport, Report, Standing};
+use super::report::{BodyChoice, BodyReport, Report, Withheld};
 use super::transport::StreamSettings;
 use crate::geometry::{Body, Pose, Stage};
 use crate::protocols::{to_body_axes, to_camera_axes};
@@ -48,7 +48,7 @@ impl JsonEncoder {
         let mount = report.bodies.iter().find(|body| body.choice == BodyChoice::Mount).map(|body| self.mounted(report, body));
         let marks = camera.map(marks).unwrap_or_default() + &mount.unwrap_or_default();
         // All bodies are stale together: no frame came.
-        if report.bodies.first().is_some_and(|body| body.standing == Standing::Stale) {
+        if report.bodies.first().is_some_and(|body| body.state == State::Stale) {
             let pose = camera.and_then(|body| body.pose.as_ref()).map(to_camera_axes);
             let event = json!({
                 "event": "stale", "state": "stale", "sequence": report.sequence, "age_ms": rounded(report.age_ms), "unix_ns": report.unix,
@@ -74,7 +74,7 @@ impl JsonEncoder {
         // An untouched pose keeps its last digit.
         let pose = own.filter(|_| self.placement.is_identity()).map_or_else(placed, |sample| sample.pose);
         let measurement = own.and_then(|sample| sample.measurement).and_then(|m| self.placed(m));
-        let (state, times) = (state(camera.standing), StageTimes::default());
+        let (state, times) = (camera.state, StageTimes::default());
         let record = PoseSample { sequence, timestamp, state, pose, measurement, objects: Vec::new(), reason: None, times };
         // Its last field is the list of objects, which is empty.
         let text = record.to_json_line();
@@ -158,7 +158,7 @@ struct ObjectLine {
 impl ObjectLine {
     fn of(body: &BodyReport, covariance: Option<Matrix6<f64>>) -> Self {
         let covariance = covariance.map(|c| c.transpose().as_slice().to_vec());
-        Self { name: body.name.to_string(), state: state(body.standing), pose: body.pose, covariance, marks: Marks::of(body) }
+        Self { name: body.name.to_string(), state: body.state, pose: body.pose, covariance, marks: Marks::of(body) }
     }
 }
 
@@ -184,16 +184,12 @@ struct Marks {
 
 impl Marks {
     fn of(body: &BodyReport) -> Self {
-        let withheld = match body.standing {
-            Standing::Withheld(reason) => Some(reason.words()),
-            _ => None,
-        };
         Self {
             predicted: body.is_predicted.then_some(true),
             held: body.is_held().then_some(true),
             held_ms: body.held.map(|held| rounded(held.as_nanos() as f64 * 1e-6)),
             blended: body.is_blended.then_some(true),
-            withheld,
+            withheld: body.withheld.map(Withheld::words),
         }
     }
 }
@@ -216,17 +212,6 @@ fn test_mark(report: &Report) -> &'static str {
 fn opened(mut object: String) -> String {
     object.pop();
     object
-}
-
-/// The word of a record for what is sent: a pose that is withheld is none.
-fn state(standing: Standing) -> State {
-    match standing {
-        Standing::Tracking => State::Tracking,
-        Standing::Coasting => State::Coasting,
-        Standing::Searching => State::Searching,
-        Standing::Lost | Standing::Withheld(_) => State::Lost,
-        Standing::Stale => State::Stale,
-    }
 }
 
 /// Ages and times, from the comma on.

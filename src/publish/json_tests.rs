@@ -42,12 +42,12 @@ fn sample() -> PoseSample {
     }
 }
 
-/// The camera at this standing, and the two objects of the sample, tracked.
-fn report(standing: Standing) -> Report {
-    let mut report = Report { sample: Some(Arc::new(sample())), ..golden_report(standing) };
+/// The camera at this state, and the two objects of the sample, tracked.
+fn report(state: State) -> Report {
+    let mut report = Report { sample: Some(Arc::new(sample())), ..golden_report(state) };
     for (index, object) in sample().objects.into_iter().enumerate() {
         let (name, choice) = (object.name.into(), BodyChoice::Object(index));
-        report.bodies.push(BodyReport { name, choice, pose: object.pose, ..golden_body(Standing::Tracking) });
+        report.bodies.push(BodyReport { name, choice, pose: object.pose, ..golden_body(State::Tracking) });
     }
     report
 }
@@ -65,7 +65,7 @@ fn parsed(report: &Report) -> Value {
 
 #[test]
 fn a_line_is_the_record_and_more() {
-    let line = line(Placement::default(), &report(Standing::Tracking));
+    let line = line(Placement::default(), &report(State::Tracking));
     assert!(line.starts_with(sample().to_json_line().trim_end_matches('}')), "{line}");
     let value: Value = serde_json::from_str(&line).unwrap();
     assert_eq!((&value["age_ms"], &value["times_ms"]["decode"]), (&json!(12.5), &json!(1.5)));
@@ -74,7 +74,7 @@ fn a_line_is_the_record_and_more() {
 
 #[test]
 fn a_line_has_the_chosen_bodies_alone() {
-    let mut chosen = report(Standing::Tracking);
+    let mut chosen = report(State::Tracking);
     // The lamp, which is the second object.
     chosen.bodies = vec![chosen.bodies[2].clone()];
     let value = parsed(&chosen);
@@ -83,15 +83,16 @@ fn a_line_has_the_chosen_bodies_alone() {
     for key in ["state", "pose", "measured", "covariance", "model", "homography", "essential", "inliers", "rms_px"] {
         assert_eq!(value.get(key), Some(&Value::Null), "{key}");
     }
-    chosen.bodies = vec![golden_body(Standing::Tracking)];
+    chosen.bodies = vec![golden_body(State::Tracking)];
     assert_eq!(parsed(&chosen)["objects"], json!([]));
 }
 
 #[test]
 fn what_is_withheld_is_nowhere_in_the_line() {
-    let mut report = report(Standing::Withheld(Withheld::OutsideBox));
-    (report.bodies[0].pose, report.bodies[0].is_passed) = (None, false);
-    (report.bodies[1].standing, report.bodies[1].pose, report.bodies[1].is_passed) = (Standing::Withheld(Withheld::TooFast), None, false);
+    let mut report = report(State::Lost);
+    for (body, reason) in report.bodies.iter_mut().zip([Withheld::OutsideBox, Withheld::TooFast]) {
+        (body.state, body.withheld, body.pose, body.is_passed) = (State::Lost, Some(reason), None, false);
+    }
     let value = parsed(&report);
     assert_eq!((&value["state"], &value["pose"], &value["measured"]), (&json!("lost"), &Value::Null, &Value::Null));
     assert_eq!((&value["covariance"], &value["withheld"]), (&Value::Null, &json!("outside the permitted box")));
@@ -102,10 +103,9 @@ fn what_is_withheld_is_nowhere_in_the_line() {
 
 #[test]
 fn what_is_held_or_blended_is_not_tracking() {
-    let mut report = report(Standing::Coasting);
+    let mut report = report(State::Coasting);
     (report.bodies[0].is_blended, report.bodies[0].is_passed) = (true, false);
-    (report.bodies[1].standing, report.bodies[1].held, report.bodies[1].is_passed) =
-        (Standing::Lost, Some(Duration::from_micros(2_500)), false);
+    (report.bodies[1].state, report.bodies[1].held, report.bodies[1].is_passed) = (State::Lost, Some(Duration::from_micros(2_500)), false);
     let value = parsed(&report);
     assert_eq!((&value["state"], &value["blended"], &value["measured"]), (&json!("coasting"), &json!(true), &Value::Null));
     assert_eq!(value["pose"]["position_m"], json!([0.0, -4.0, 0.0]));
@@ -118,7 +118,7 @@ fn what_is_held_or_blended_is_not_tracking() {
 fn what_is_measured_is_placed_like_the_pose() {
     let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
     let placement = Placement { rotation: quarter, scale: 10.0, position_signs: [-1.0, 1.0, 1.0], ..Placement::default() };
-    let mut report = report(Standing::Tracking);
+    let mut report = report(State::Tracking);
     report.bodies.iter_mut().for_each(|body| body.pose = body.pose.map(|pose| placement.apply(&pose)));
     let value: Value = serde_json::from_str(&line(placement, &report)).unwrap();
     // 4 m in front becomes 4 m to the right, 40 units, with the other sign.
@@ -135,15 +135,13 @@ fn what_is_measured_is_placed_like_the_pose() {
 
 #[test]
 fn a_stale_marker_is_an_event_with_optical_axes() {
-    let mut stale = golden_report(Standing::Stale);
+    let mut stale = golden_report(State::Stale);
     stale.bodies[0].pose = None;
     let value = parsed(&stale);
     assert_eq!((&value["event"], &value["state"], &value["pose"]), (&json!("stale"), &json!("stale"), &Value::Null));
     assert_eq!((&value["age_ms"], value.get("held")), (&json!(12.5), None));
-    let mut held = report(Standing::Stale);
-    held.bodies
-        .iter_mut()
-        .for_each(|body| (body.standing, body.held, body.is_passed) = (Standing::Stale, Some(Duration::from_millis(3)), false));
+    let mut held = report(State::Stale);
+    held.bodies.iter_mut().for_each(|body| (body.state, body.held, body.is_passed) = (State::Stale, Some(Duration::from_millis(3)), false));
     let value = parsed(&held);
     let turn = value["pose"]["orientation_xyzw"].as_array().unwrap();
     assert!(turn.iter().zip(golden_camera().orientation_xyzw()).all(|(told, wanted)| (told.as_f64().unwrap() - wanted).abs() < 1e-12));
@@ -152,10 +150,10 @@ fn a_stale_marker_is_an_event_with_optical_axes() {
 
 #[test]
 fn on_a_fixed_rate_there_are_states_and_poses() {
-    let mut report = golden_report(Standing::Tracking);
+    let mut report = golden_report(State::Tracking);
     report.bodies[0].is_predicted = true;
     let (name, choice) = (Arc::from("cart"), BodyChoice::Object(0));
-    report.bodies.push(BodyReport { name, choice, ..golden_body(Standing::Coasting) });
+    report.bodies.push(BodyReport { name, choice, ..golden_body(State::Coasting) });
     let value = parsed(&report);
     assert_eq!((&value["state"], &value["predicted"], &value["measured"]), (&json!("tracking"), &json!(true), &Value::Null));
     assert_eq!(value["pose"]["position_m"], json!([0.0, -4.0, 0.0]));

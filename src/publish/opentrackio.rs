@@ -10,12 +10,13 @@ use uuid::Builder;
 use super::clocks::{Clocks, SystemClocks};
 use super::complaints::Complaints;
 use super::encoder::Encoder;
-use super::report::{BodyChoice, BodyReport, Report, Standing};
+use super::report::{BodyChoice, BodyReport, Report};
 use crate::camera::CameraModel;
 use crate::frame::Timestamp;
 use crate::protocols::PanTiltRoll;
 use crate::protocols::opentrackio::{Encoding, ONE_FRAME, datagram};
 use crate::protocols::opentrackio_lens::{PrincipalPoint, lens, sensor};
+use crate::record::State;
 
 const STATIC_EVERY: Duration = Duration::from_secs(2);
 
@@ -135,12 +136,12 @@ impl Encoder for OpenTrackIoEncoder {
 fn tracker(report: &Report, body: &BodyReport) -> Value {
     let mut tracker = json!({"recording": false, "status": status(report, body)});
     let mut notes: Vec<&str> = Vec::new();
-    match body.standing {
-        Standing::Tracking if body.is_predicted => notes.push("predicted"),
-        Standing::Tracking => {}
-        Standing::Coasting if body.is_blended => notes.push("blended"),
-        Standing::Withheld(reason) => notes.extend(["withheld", reason.words()]),
-        standing => notes.push(standing.word()),
+    match (body.state, body.withheld) {
+        (_, Some(reason)) => notes.extend(["withheld", reason.words()]),
+        (State::Tracking, _) if body.is_predicted => notes.push("predicted"),
+        (State::Tracking, _) => {}
+        (State::Coasting, _) if body.is_blended => notes.push("blended"),
+        (state, _) => notes.push(state.word()),
     }
     if body.is_held() {
         notes.push("held");
@@ -153,14 +154,14 @@ fn tracker(report: &Report, body: &BodyReport) -> Value {
 
 /// Mo-Sys' words, which renderers know.
 fn status(report: &Report, body: &BodyReport) -> &'static str {
-    match body.standing {
+    match body.state {
         _ if report.is_test => "Test Signal",
-        Standing::Tracking => "Optical Good",
-        Standing::Coasting => "Optical Unreliable",
-        Standing::Searching => "Location Searching",
-        Standing::Lost => "Optical Lost",
-        Standing::Withheld(_) => "Optical Unstable",
-        Standing::Stale => "I/O Error",
+        _ if body.withheld.is_some() => "Optical Unstable",
+        State::Tracking => "Optical Good",
+        State::Coasting => "Optical Unreliable",
+        State::Searching => "Location Searching",
+        State::Lost => "Optical Lost",
+        State::Stale => "I/O Error",
     }
 }
 

@@ -21,7 +21,7 @@ fn datagrams(encoder: &mut OpenTrackIoEncoder, report: &Report) -> Vec<Vec<u8>> 
 #[test]
 fn the_golden_pose_has_no_angles_in_either_encoding() {
     for encoding in [Encoding::Json, Encoding::Cbor] {
-        let sent = datagrams(&mut encoder(encoding), &golden_report(Standing::Tracking));
+        let sent = datagrams(&mut encoder(encoding), &golden_report(State::Tracking));
         assert_eq!(sent.len(), 1);
         assert!(sent[0].len() <= ONE_FRAME, "{} bytes", sent[0].len());
         let (_, sample) = decode(&sent[0]).unwrap();
@@ -42,7 +42,7 @@ fn the_golden_pose_has_no_angles_in_either_encoding() {
 #[test]
 fn numbers_rise_ids_differ_and_the_static_part_comes_once() {
     let mut encoder = encoder(Encoding::Json);
-    let samples: Vec<_> = (0..3).map(|_| decode(&datagrams(&mut encoder, &golden_report(Standing::Tracking))[0]).unwrap()).collect();
+    let samples: Vec<_> = (0..3).map(|_| decode(&datagrams(&mut encoder, &golden_report(State::Tracking))[0]).unwrap()).collect();
     assert_eq!(samples.iter().map(|(n, _)| *n).collect::<Vec<_>>(), [1, 2, 3]);
     assert_ne!(samples[0].1["sampleId"], samples[1].1["sampleId"]);
     assert_eq!(samples[0].1["sourceId"], samples[1].1["sourceId"]);
@@ -51,14 +51,14 @@ fn numbers_rise_ids_differ_and_the_static_part_comes_once() {
 
 #[test]
 fn a_loss_has_a_status_and_no_pose() {
-    for (standing, word) in [
-        (Standing::Lost, "Optical Lost"),
-        (Standing::Searching, "Location Searching"),
-        (Standing::Stale, "I/O Error"),
-        (Standing::Withheld(Withheld::TooFast), "Optical Unstable"),
+    for (state, withheld, word) in [
+        (State::Lost, None, "Optical Lost"),
+        (State::Searching, None, "Location Searching"),
+        (State::Stale, None, "I/O Error"),
+        (State::Lost, Some(Withheld::TooFast), "Optical Unstable"),
     ] {
-        let mut report = golden_report(standing);
-        report.bodies[0].pose = None;
+        let mut report = golden_report(state);
+        (report.bodies[0].withheld, report.bodies[0].pose) = (withheld, None);
         let (_, sample) = decode(&datagrams(&mut encoder(Encoding::Json), &report)[0]).unwrap();
         assert_eq!((&sample["tracker"]["status"], &sample["transforms"]), (&json!(word), &Value::Null));
     }

@@ -6,7 +6,7 @@ use super::*;
 use crate::geometry::{Body, Pose, Stage};
 use crate::protocols::golden::bytes_of;
 use crate::publish::golden::golden_report;
-use crate::publish::report::Standing;
+use crate::record::State;
 
 fn settings() -> OscSettings {
     let messages = vec![OscMessageKind::Pose, OscMessageKind::Quaternion, OscMessageKind::Status];
@@ -34,7 +34,7 @@ fn messages(packet: &[u8]) -> (OscTime, Vec<OscMessage>) {
 
 #[test]
 fn golden_bundle() {
-    let mut report = golden_report(Standing::Tracking);
+    let mut report = golden_report(State::Tracking);
     report.bodies[0].pose = Some(Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, -4.0, 0.0)));
     let sent = packets(&OscSettings { messages: vec![OscMessageKind::Status, OscMessageKind::Pose], ..settings() }, &[report]);
     let wanted = [
@@ -66,7 +66,7 @@ fn hex(bytes: &[u8]) -> String {
 
 #[test]
 fn the_golden_pose_has_no_angles() {
-    let (_, found) = messages(&packets(&settings(), &[golden_report(Standing::Tracking)])[0]);
+    let (_, found) = messages(&packets(&settings(), &[golden_report(State::Tracking)])[0]);
     let addresses: Vec<&str> = found.iter().map(|m| m.addr.as_str()).collect();
     assert_eq!(addresses, ["/stagepose/camera/status", "/stagepose/camera/pose", "/stagepose/camera/quat"]);
     let numbers: Vec<f32> = found[1].args.iter().map(|a| a.clone().float().unwrap()).collect();
@@ -76,7 +76,7 @@ fn the_golden_pose_has_no_angles() {
 
 #[test]
 fn a_loss_has_a_status_only() {
-    let mut report = golden_report(Standing::Lost);
+    let mut report = golden_report(State::Lost);
     report.bodies[0].pose = None;
     let (_, found) = messages(&packets(&settings(), &[report.clone()])[0]);
     assert_eq!(found.len(), 1);
@@ -96,7 +96,7 @@ fn values_are_scaled_clamped_and_thinned() {
     };
     let values = vec![value(Quantity::Y, None, 1), value(Quantity::Y, Some([-10.0, 900.0]), 2)];
     let settings = OscSettings { messages: Vec::new(), values, ..settings() };
-    let sent = packets(&settings, &[golden_report(Standing::Tracking), golden_report(Standing::Tracking)]);
+    let sent = packets(&settings, &[golden_report(State::Tracking), golden_report(State::Tracking)]);
     let found: Vec<Vec<OscMessage>> = sent.iter().map(|p| messages(p).1).collect();
     assert_eq!(found.iter().map(Vec::len).collect::<Vec<_>>(), [2, 1]);
     assert_eq!(found[0][0], OscMessage { addr: "/axis/camera/desk_1".to_owned(), args: vec![OscType::Float(4050.0)] });
@@ -119,7 +119,7 @@ proptest! {
         prop_assume!(a * a + b * b + c * c + d * d > 1e-3);
         let rotation = UnitQuaternion::from_quaternion(Quaternion::new(a, b, c, d));
         let pose = Pose::<Stage, Body>::new(rotation, Vector3::new(x, y, z));
-        let mut report = golden_report(Standing::Tracking);
+        let mut report = golden_report(State::Tracking);
         report.bodies[0].pose = Some(pose);
         let (_, found) = messages(&packets(&settings(), &[report])[0]);
         let pose_numbers: Vec<f64> = found[1].args.iter().map(|v| f64::from(v.clone().float().unwrap())).collect();

@@ -1,6 +1,6 @@
 use super::*;
 use crate::publish::golden::golden_report;
-use crate::publish::report::Standing;
+use crate::record::State;
 
 fn packets(encoder: &mut PsnEncoder, report: &Report) -> Vec<Vec<u8>> {
     let mut sent = Vec::new();
@@ -15,7 +15,7 @@ fn encoder(names: &[&str]) -> PsnEncoder {
 
 #[test]
 fn the_golden_pose_is_not_turned_and_four_metres_in_front() {
-    let sent = packets(&mut encoder(&["camera"]), &golden_report(Standing::Tracking));
+    let sent = packets(&mut encoder(&["camera"]), &golden_report(State::Tracking));
     let PsnPacket::Data(header, trackers) = PsnPacket::decode(&sent[0]).unwrap() else { panic!("no data packet") };
     assert_eq!((header.frame_id, header.packets, trackers.len(), trackers[0].id), (0, 1, 1, 7));
     assert_eq!((trackers[0].position_m, trackers[0].validity), (Some([0.0, 0.0, -4.0]), Some(1.0)));
@@ -24,7 +24,7 @@ fn the_golden_pose_is_not_turned_and_four_metres_in_front() {
 
 #[test]
 fn a_lost_body_is_told_without_a_pose() {
-    let mut report = golden_report(Standing::Lost);
+    let mut report = golden_report(State::Lost);
     report.bodies[0].pose = None;
     let sent = packets(&mut encoder(&["camera"]), &report);
     let PsnPacket::Data(_, trackers) = PsnPacket::decode(&sent[0]).unwrap() else { panic!("no data packet") };
@@ -33,7 +33,7 @@ fn a_lost_body_is_told_without_a_pose() {
 
 #[test]
 fn many_bodies_are_split_over_packets_of_one_frame() {
-    let mut report = golden_report(Standing::Tracking);
+    let mut report = golden_report(State::Tracking);
     report.bodies = vec![report.bodies[0].clone(); 50];
     let sent = packets(&mut encoder(&["camera"; 50]), &report);
     assert!(sent.len() == 3 && sent.iter().all(|p| p.len() <= 1500));
@@ -81,7 +81,7 @@ fn many_and_long_names_are_split_over_packets_of_one_frame() {
 
 #[test]
 fn a_held_pose_keeps_its_time() {
-    let mut report = golden_report(Standing::Lost);
+    let mut report = golden_report(State::Lost);
     report.bodies[0].held = Some(Duration::from_millis(40));
     let sent = packets(&mut encoder(&["camera"]), &report);
     let PsnPacket::Data(header, trackers) = PsnPacket::decode(&sent[0]).unwrap() else { panic!("no data packet") };

@@ -18,23 +18,6 @@ pub enum BodyChoice {
     Mount,
 }
 
-/// How far a pose can be trusted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Standing {
-    /// Measured and verified, or carried on from there by at most one frame interval.
-    Tracking,
-    /// Predicted over a gap, or on its way back after a loss.
-    Coasting,
-    /// Never found yet.
-    Searching,
-    /// Not known now.
-    Lost,
-    /// Known, but withheld by the safety limits.
-    Withheld(Withheld),
-    /// No frame came for too long, or what came is too old.
-    Stale,
-}
-
 /// Why a known pose is not sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Withheld {
@@ -63,32 +46,6 @@ impl Withheld {
     }
 }
 
-impl Standing {
-    /// One word for formats that carry one.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Tracking => "tracking",
-            Self::Coasting => "coasting",
-            Self::Searching => "searching",
-            Self::Lost => "lost",
-            Self::Withheld(_) => "withheld",
-            Self::Stale => "stale",
-        }
-    }
-}
-
-impl From<State> for Standing {
-    fn from(state: State) -> Self {
-        match state {
-            State::Searching => Self::Searching,
-            State::Tracking => Self::Tracking,
-            State::Coasting => Self::Coasting,
-            State::Lost => Self::Lost,
-            State::Stale => Self::Stale,
-        }
-    }
-}
-
 /// One body at the report's instant.
 #[derive(Debug, Clone)]
 pub struct BodyReport {
@@ -96,8 +53,11 @@ pub struct BodyReport {
     pub name: Arc<str>,
     /// Which body that is.
     pub choice: BodyChoice,
-    /// How far the pose can be trusted; says why there is none.
-    pub standing: Standing,
+    /// What is known of the body: tracking too where a pose is carried on from a measured one by at most one frame interval, coasting too
+    /// on the way back after a gap, lost where the pose is withheld, and stale where no frame came for too long or what came is too old.
+    pub state: State,
+    /// A pose is known, but the safety limits withhold it.
+    pub withheld: Option<Withheld>,
     /// `T_stage_body` after safety and the output's own offset, inversion and scale.
     pub pose: Option<Pose<Stage, Body>>,
     /// The pose is the last one sent again, because nothing newer is known: so long before the report's instant it was true.
@@ -118,20 +78,21 @@ impl BodyReport {
 
     /// 1 measured, 0.5 predicted or on its way back, 0 nothing to rely on, also where an old pose is repeated.
     pub fn confidence(&self) -> f32 {
-        match self.standing {
+        match self.state {
             _ if self.is_held() => 0.0,
-            Standing::Tracking => 1.0,
-            Standing::Coasting => 0.5,
-            Standing::Searching | Standing::Lost | Standing::Withheld(_) | Standing::Stale => 0.0,
+            State::Tracking => 1.0,
+            State::Coasting => 0.5,
+            State::Searching | State::Lost | State::Stale => 0.0,
         }
     }
 
     /// The mark as one word, for formats that carry one: what is to be known first.
     pub fn word(&self) -> &'static str {
-        match self.standing {
-            Standing::Coasting if self.is_blended => "blended",
-            Standing::Searching | Standing::Lost if self.is_held() => "held",
-            standing => standing.word(),
+        match self.state {
+            _ if self.withheld.is_some() => "withheld",
+            State::Coasting if self.is_blended => "blended",
+            State::Searching | State::Lost if self.is_held() => "held",
+            state => state.word(),
         }
     }
 }

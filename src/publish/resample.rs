@@ -7,10 +7,10 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use super::report::Standing;
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
 use crate::motion::Motion;
+use crate::record::State;
 
 /// Samples kept at least, for the motion that they show,
 const FEWEST_KEPT: usize = 8;
@@ -26,7 +26,7 @@ const JITTER: Duration = Duration::from_millis(1);
 /// What a sample, or a tick, says of a body.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Known {
-    pub standing: Standing,
+    pub state: State,
     pub pose: Option<Pose<Stage, Body>>,
     /// Carried on from the newest frame.
     pub is_predicted: bool,
@@ -34,8 +34,8 @@ pub(super) struct Known {
 
 impl Known {
     /// No pose, for this reason.
-    pub fn nothing(standing: Standing) -> Self {
-        Self { standing, pose: None, is_predicted: false }
+    pub fn nothing(state: State) -> Self {
+        Self { state, pose: None, is_predicted: false }
     }
 }
 
@@ -43,7 +43,7 @@ impl Known {
 #[derive(Debug, Clone, Copy)]
 struct Moment {
     at: Timestamp,
-    standing: Standing,
+    state: State,
     pose: Option<Pose<Stage, Body>>,
 }
 
@@ -65,7 +65,7 @@ impl Resampler {
         if self.moments.back().is_some_and(|last| last.at >= at) {
             return;
         }
-        self.moments.push_back(Moment { at, standing: known.standing, pose: known.pose });
+        self.moments.push_back(Moment { at, state: known.state, pose: known.pose });
         let is_over = |first: &Moment, kept: usize| kept > MOST_KEPT || kept > FEWEST_KEPT && at.duration_since(first.at) > self.kept;
         while self.moments.front().is_some_and(|first| is_over(first, self.moments.len())) {
             self.moments.pop_front();
@@ -76,30 +76,30 @@ impl Resampler {
     pub fn at(&self, at: Timestamp, interval: Duration) -> Known {
         let after = self.moments.partition_point(|m| m.at <= at);
         let Some((index, before)) = after.checked_sub(1).and_then(|index| Some((index, self.moments.get(index)?))) else {
-            return Known::nothing(Standing::Searching);
+            return Known::nothing(State::Searching);
         };
-        let Some(pose) = before.pose else { return Known::nothing(before.standing) };
+        let Some(pose) = before.pose else { return Known::nothing(before.state) };
         if before.at == at {
-            return Known { standing: before.standing, pose: Some(pose), is_predicted: false };
+            return Known { state: before.state, pose: Some(pose), is_predicted: false };
         }
         let later = self.moments.get(after);
-        if let Some(Moment { at: next_at, standing, pose: Some(next) }) = later {
+        if let Some(Moment { at: next_at, state, pose: Some(next) }) = later {
             let step = next_at.duration_since(before.at);
             if step <= longest(LONGEST_GAP, interval, 5) {
                 // A longer step has lost frames in it.
                 let is_whole = step <= longest(Duration::ZERO, interval, 3);
-                let is_measured = before.standing == Standing::Tracking && *standing == Standing::Tracking;
-                let standing = if is_whole && is_measured { Standing::Tracking } else { Standing::Coasting };
-                return Known { standing, pose: Some(between((before.at, &pose), (*next_at, next), at)), is_predicted: false };
+                let is_measured = before.state == State::Tracking && *state == State::Tracking;
+                let state = if is_whole && is_measured { State::Tracking } else { State::Coasting };
+                return Known { state, pose: Some(between((before.at, &pose), (*next_at, next), at)), is_predicted: false };
             }
         }
         let beyond = at.duration_since(before.at);
         if beyond > longest(LONGEST_REACH, interval, 3) {
-            return Known::nothing(Standing::Lost);
+            return Known::nothing(State::Lost);
         }
-        let is_near = later.is_none() && before.standing == Standing::Tracking && beyond <= interval.saturating_add(JITTER);
-        let standing = if is_near { Standing::Tracking } else { Standing::Coasting };
-        Known { standing, pose: Some(self.carried_on(index, &pose, at, interval)), is_predicted: is_near }
+        let is_near = later.is_none() && before.state == State::Tracking && beyond <= interval.saturating_add(JITTER);
+        let state = if is_near { State::Tracking } else { State::Coasting };
+        Known { state, pose: Some(self.carried_on(index, &pose, at, interval)), is_predicted: is_near }
     }
 
     /// The pose of a sample, carried on by the motion that led to it. The motion is that of samples of one kind, for a step from a
@@ -109,7 +109,7 @@ impl Resampler {
         for earlier in self.moments.range(..index).rev() {
             let step = last.at.duration_since(earlier.at);
             let Some(before) = earlier.pose.filter(|_| step <= longest(LONGEST_GAP, interval, 5)) else { break };
-            if earlier.standing == last.standing && step >= interval / 2 {
+            if earlier.state == last.state && step >= interval / 2 {
                 return between((earlier.at, &before), (last.at, pose), at);
             }
         }

@@ -13,21 +13,21 @@ fn moving(ms: i64) -> Pose<Stage, Body> {
     Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.5 * s), Vector3::new(s, 0.0, 0.0))
 }
 
-fn known(standing: Standing, ms: i64) -> Known {
-    let has_pose = matches!(standing, Standing::Tracking | Standing::Coasting);
-    Known { standing, pose: has_pose.then(|| moving(ms)), is_predicted: false }
+fn known(state: State, ms: i64) -> Known {
+    let has_pose = matches!(state, State::Tracking | State::Coasting);
+    Known { state, pose: has_pose.then(|| moving(ms)), is_predicted: false }
 }
 
-/// Samples of these standings, a frame apart from 0 on, with the pose of their instant.
-fn samples(standings: &[Standing]) -> Resampler {
+/// Samples of these states, a frame apart from 0 on, with the pose of their instant.
+fn samples(states: &[State]) -> Resampler {
     let mut resampler = Resampler::new(Duration::from_millis(500));
-    for (k, standing) in standings.iter().enumerate() {
-        resampler.push(at_ms(k as i64 * 33), known(*standing, k as i64 * 33));
+    for (k, state) in states.iter().enumerate() {
+        resampler.push(at_ms(k as i64 * 33), known(*state, k as i64 * 33));
     }
     resampler
 }
 
-use Standing::{Coasting, Lost, Tracking};
+use State::{Coasting, Lost, Tracking};
 
 #[test]
 fn uniform_motion_is_met_between_and_after_samples() {
@@ -39,10 +39,10 @@ fn uniform_motion_is_met_between_and_after_samples() {
     assert!(r.at(Timestamp::from_ns(-1), FRAME).pose.is_none() && r.at(at_ms(200), FRAME).pose.is_none());
 }
 
-/// (standing, carried on) at so many milliseconds.
-fn told(r: &Resampler, ms: i64) -> (Standing, bool) {
+/// (state, carried on) at so many milliseconds.
+fn told(r: &Resampler, ms: i64) -> (State, bool) {
     let known = r.at(at_ms(ms), FRAME);
-    (known.standing, known.is_predicted)
+    (known.state, known.is_predicted)
 }
 
 #[test]
@@ -101,7 +101,7 @@ fn a_jump_back_from_a_prediction_is_no_motion() {
 fn two_frames_at_nearly_one_instant_show_no_speed() {
     let mut r = samples(&[Tracking; 2]);
     let pose = Pose::new(UnitQuaternion::identity(), Vector3::new(0.034, 0.0, 0.0));
-    r.push(at_ms(34), Known { standing: Tracking, pose: Some(pose), is_predicted: false });
+    r.push(at_ms(34), Known { state: Tracking, pose: Some(pose), is_predicted: false });
     assert!((r.at(at_ms(60), FRAME).pose.unwrap().translation.x - 0.060).abs() < 1e-9);
 }
 
@@ -115,8 +115,8 @@ fn slow_and_fast_cameras_are_measured_by_their_own_interval() {
         }
         let newest = Timestamp::default().after(interval * (hz + 2));
         let near = r.at(newest.after(interval), interval);
-        assert_eq!((near.standing, near.is_predicted), (Tracking, true), "{hz}");
-        assert_ne!(r.at(newest.after(interval * 5 / 4), interval).standing, Tracking, "{hz}");
-        assert_eq!(r.at(newest.before(delay + interval / 2), interval).standing, Tracking, "{hz}");
+        assert_eq!((near.state, near.is_predicted), (Tracking, true), "{hz}");
+        assert_ne!(r.at(newest.after(interval * 5 / 4), interval).state, Tracking, "{hz}");
+        assert_eq!(r.at(newest.before(delay + interval / 2), interval).state, Tracking, "{hz}");
     }
 }

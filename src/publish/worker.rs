@@ -10,12 +10,12 @@ use super::channel::BodyChannel;
 use super::clocks::Reading;
 use super::encoder::Encoder;
 use super::frame_clock::FrameClock;
-use super::report::{Report, Standing};
+use super::report::Report;
 use super::resample::Known;
 use super::settings::{OnLoss, Rate};
 use super::transport::Transport;
 use crate::frame::Timestamp;
-use crate::record::PoseSample;
+use crate::record::{PoseSample, State};
 
 /// A sample with the instant that it is of.
 #[derive(Debug)]
@@ -127,7 +127,7 @@ impl Worker {
         self.memory.newest = arrival.at;
         // The frame's age decides, and now, however long it has waited in a queue.
         let is_late = self.is_stale(now);
-        let known = |body: &BodyChannel| if is_late { Known::nothing(Standing::Stale) } else { body.known(&arrival.sample) };
+        let known = |body: &BodyChannel| if is_late { Known::nothing(State::Stale) } else { body.known(&arrival.sample) };
         let known: Vec<Known> = self.bodies.iter().map(known).collect();
         let keep = |(body, known): (&mut BodyChannel, Known)| body.keep(arrival.at, known);
         match self.rate {
@@ -168,7 +168,7 @@ impl Worker {
         let at = self.memory.begun.after(rate.tick(tick)).before(delay);
         let interval = self.memory.last.as_ref().map_or(frame_time(USUAL_RATE_HZ), |last| last.interval);
         let is_stale = self.is_stale(now);
-        let known = |body: &BodyChannel| if is_stale { Known::nothing(Standing::Stale) } else { body.at(at, interval) };
+        let known = |body: &BodyChannel| if is_stale { Known::nothing(State::Stale) } else { body.at(at, interval) };
         let known = self.bodies.iter().map(known).collect();
         self.say(tick, at, known, None);
     }
@@ -191,7 +191,7 @@ impl Worker {
         let (transport, counters) = (&mut self.transport, &self.counters);
         self.encoder.repeat(now.monotonic, &mut |packet| count(counters, transport.send(packet)));
         if matches!(self.rate, Rate::Every(_)) && self.is_stale(now) {
-            let known = vec![Known::nothing(Standing::Stale); self.bodies.len()];
+            let known = vec![Known::nothing(State::Stale); self.bodies.len()];
             let sequence = self.memory.last.as_ref().map_or(0, |last| last.sample.sequence);
             self.say(sequence, self.memory.newest, known, None);
         }
@@ -199,7 +199,7 @@ impl Worker {
 
     /// A mere prediction counts as nothing where the format cannot mark it.
     fn sendable(&self, known: Known) -> Known {
-        let is_usable = known.standing != Standing::Coasting || self.encoder.marks_coasting();
+        let is_usable = known.state != State::Coasting || self.encoder.marks_coasting();
         Known { pose: known.pose.filter(|_| is_usable), ..known }
     }
 
@@ -209,7 +209,7 @@ impl Worker {
         let encoder = &self.encoder;
         let report = |(body, known): (&mut BodyChannel, Known)| body.report(at, known, &|pose| encoder.holds(pose));
         let bodies: Vec<_> = self.bodies.iter_mut().zip(known).map(report).collect();
-        let withheld = bodies.iter().filter(|body| matches!(body.standing, Standing::Withheld(_))).count();
+        let withheld = bodies.iter().filter(|body| body.withheld.is_some()).count();
         self.counters.withheld.fetch_add(withheld as u64, Ordering::Relaxed);
         let now = self.clock.now();
         let has_pose = bodies.iter().any(|body| body.pose.is_some());

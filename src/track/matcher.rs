@@ -20,7 +20,7 @@ use super::registration::SearchPicture;
 use super::row_motion::RowMotion;
 use super::settings::TrackerSettings;
 use super::surface::BodySpec;
-use super::track_state::TrackState;
+use super::track_state::State;
 use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody};
 use super::two_view::{TwoView, TwoViewBuffers, two_view};
 use super::verify::{Verified, VerifyBuffers, View};
@@ -36,7 +36,7 @@ use crate::motion::MotionEstimate;
 #[derive(Debug, Clone)]
 pub struct BodySighting {
     /// The track state's verdict.
-    pub state: TrackState,
+    pub state: State,
     /// The verified pose; present while tracking.
     pub verified: Option<Verified>,
     /// Why it is not tracking; `None` while it is.
@@ -207,8 +207,8 @@ impl Matcher {
         let pose = verified.as_ref().map(|v| &v.pose);
         let coast_s = longest_coast_s(&self.settings, &self.interval);
         let state = tracked.track.update(timestamp, pose, coast_s, confirm_frames);
-        let reason = tracked.reason.or_else(|| tracked.track.doubt().map(Reason::of_doubt)).filter(|_| state != TrackState::Tracking);
-        let mut verified = verified.filter(|_| state == TrackState::Tracking);
+        let reason = tracked.reason.or_else(|| tracked.track.doubt().map(Reason::of_doubt)).filter(|_| state != State::Tracking);
+        let mut verified = verified.filter(|_| state == State::Tracking);
         if let Some(v) = &mut verified {
             v.by_lens = covariance_by_lens(&v.pose, &self.camera, tracked.anchors.iter().map(|anchor| &anchor.observation));
         }
@@ -222,7 +222,7 @@ impl Matcher {
         let unseen = |state| BodySighting { state, verified: None, reason: Some(reason) };
         let mut states = self.bodies.iter_mut().map(|b| unseen(b.track.update(timestamp, None, coast_s, confirm)));
         // There is always a stage.
-        let stage = states.next().unwrap_or(unseen(TrackState::Searching));
+        let stage = states.next().unwrap_or(unseen(State::Searching));
         let objects = states.collect();
         Sighting { sequence, timestamp, is_timed: true, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
     }
@@ -230,7 +230,7 @@ impl Matcher {
     /// A row that tells nothing of its time (a stamp out of order): nothing changes.
     pub fn look_past(&self, sequence: u64, timestamp: Timestamp) -> Sighting {
         let idle = |b: &TrackedBody| {
-            let state = if b.track.state() == TrackState::Searching { TrackState::Searching } else { TrackState::Lost };
+            let state = if b.track.state() == State::Searching { State::Searching } else { State::Lost };
             BodySighting { state, verified: None, reason: Some(Reason::Skipped) }
         };
         let stage = idle(&self.bodies[0]);

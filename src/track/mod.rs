@@ -40,5 +40,5 @@ pub use matcher::{BodySighting, Matcher, Sighting, UsedPixels};
 pub use reason::Reason;
 pub use settings::TrackerSettings;
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
-pub use track_state::TrackState;
+pub use track_state::State;
 pub use verify::Verified;

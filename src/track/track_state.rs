@@ -2,21 +2,42 @@
 //!
 //! Decided by frame stamps alone, never by a clock, so that a replay gives what the show gave.
 
+use serde::Serialize;
+
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Camera, Pose};
 
-/// What is known of a body after a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum TrackState {
-    /// Never confirmed yet.
+/// What is known of a body in a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default)]
+#[serde(rename_all = "lowercase")]
+pub enum State {
+    /// Never found yet.
     #[default]
     Searching,
-    /// Verified in this frame, and confirmed.
+    /// Measured in this frame, verified against the picture, and confirmed.
     Tracking,
-    /// Not seen in this frame, but not long ago.
+    /// Predicted from earlier frames, for at most `coast_s`.
     Coasting,
-    /// Was confirmed once, is not now.
+    /// Was found before, is not now.
     Lost,
+    /// Live only: the camera gives no pictures. Such a sample is a message to subscribers, never a line of contract C3.
+    Stale,
+}
+
+impl State {
+    /// All states, in the order of their numbers.
+    pub const ALL: [State; 5] = [Self::Searching, Self::Tracking, Self::Coasting, Self::Lost, Self::Stale];
+
+    /// The word for it in the records.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Searching => "searching",
+            Self::Tracking => "tracking",
+            Self::Coasting => "coasting",
+            Self::Lost => "lost",
+            Self::Stale => "stale",
+        }
+    }
 }
 
 /// Why a verified pose is not given yet.
@@ -39,7 +60,7 @@ struct Pending {
 /// The state machine of one body.
 #[derive(Debug, Clone, Default)]
 pub struct TrackStateMachine {
-    state: TrackState,
+    state: State,
     found_before: bool,
     last_tracked: Timestamp,
     pending: Option<Pending>,
@@ -58,13 +79,13 @@ const LONGEST_GAP_S: f64 = 0.5;
 
 impl TrackStateMachine {
     /// The state after the last frame.
-    pub fn state(&self) -> TrackState {
+    pub fn state(&self) -> State {
         self.state
     }
 
     /// Whether a pose in the next frame would continue a track.
     pub fn is_continued(&self) -> bool {
-        matches!(self.state, TrackState::Tracking | TrackState::Coasting)
+        matches!(self.state, State::Tracking | State::Coasting)
     }
 
     /// Why the last frame's verified pose was not given; `None` where it was, or where there was none.
@@ -73,7 +94,7 @@ impl TrackStateMachine {
     }
 
     /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings.
-    pub fn update(&mut self, timestamp: Timestamp, verified: Option<&Pose<Body, Camera>>, coast_s: f64, confirm_frames: u32) -> TrackState {
+    pub fn update(&mut self, timestamp: Timestamp, verified: Option<&Pose<Body, Camera>>, coast_s: f64, confirm_frames: u32) -> State {
         let continued = self.is_continued();
         self.doubt = None;
         match verified {
@@ -89,7 +110,7 @@ impl TrackStateMachine {
                 if agreeing >= confirm_frames {
                     self.found_before = true;
                     self.last_tracked = timestamp;
-                    self.state = TrackState::Tracking;
+                    self.state = State::Tracking;
                     return self.state;
                 }
                 self.doubt = Some(if disagrees { Doubt::Disagrees } else { Doubt::First });
@@ -104,11 +125,11 @@ impl TrackStateMachine {
         }
         let may_coast = continued && timestamp.seconds_since(self.last_tracked) <= coast_s;
         self.state = match (may_coast, self.found_before) {
-            (true, _) => TrackState::Coasting,
-            (false, true) => TrackState::Lost,
-            (false, false) => TrackState::Searching,
+            (true, _) => State::Coasting,
+            (false, true) => State::Lost,
+            (false, false) => State::Searching,
         };
-        if self.state == TrackState::Lost && verified.is_none() {
+        if self.state == State::Lost && verified.is_none() {
             self.pending = None;
         }
         self.state
@@ -141,30 +162,30 @@ mod tests {
         Pose::new(UnitQuaternion::from_euler_angles(3.0, 0.0, 0.0), Vector3::new(x, 0.0, 4.0))
     }
 
-    fn run(seen: &[Option<f64>]) -> Vec<TrackState> {
+    fn run(seen: &[Option<f64>]) -> Vec<State> {
         let mut lock = TrackStateMachine::default();
         seen.iter().enumerate().map(|(k, x)| lock.update(stamp(k), x.map(at).as_ref(), 0.1, 2)).collect()
     }
 
     #[test]
     fn the_second_agreeing_frame_confirms() {
-        use TrackState::{Searching, Tracking};
+        use State::{Searching, Tracking};
         assert_eq!(run(&[None, Some(0.0), Some(0.01), Some(0.02)]), [Searching, Searching, Tracking, Tracking]);
     }
 
     #[test]
     fn poses_that_disagree_never_confirm() {
-        assert!(run(&[Some(0.0), Some(2.0), Some(-1.0), Some(1.5)]).iter().all(|s| *s == TrackState::Searching));
+        assert!(run(&[Some(0.0), Some(2.0), Some(-1.0), Some(1.5)]).iter().all(|s| *s == State::Searching));
     }
 
     #[test]
     fn an_isolated_find_is_forgotten() {
-        assert!(run(&[Some(0.0), None, Some(0.0), None]).iter().all(|s| *s == TrackState::Searching));
+        assert!(run(&[Some(0.0), None, Some(0.0), None]).iter().all(|s| *s == State::Searching));
     }
 
     #[test]
     fn a_gap_coasts_then_is_lost_then_needs_confirmation() {
-        use TrackState::{Coasting, Lost, Searching, Tracking};
+        use State::{Coasting, Lost, Searching, Tracking};
         let n = None;
         let s = Some(0.0);
         assert_eq!(run(&[s, s, n, n, n, n, s, s]), [Searching, Tracking, Coasting, Coasting, Coasting, Lost, Lost, Tracking]);
@@ -172,7 +193,7 @@ mod tests {
 
     #[test]
     fn one_frame_resumes_a_coasting_track() {
-        use TrackState::{Coasting, Searching, Tracking};
+        use State::{Coasting, Searching, Tracking};
         assert_eq!(run(&[Some(0.0), Some(0.0), None, Some(0.0)]), [Searching, Tracking, Coasting, Tracking]);
     }
 
@@ -189,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_jump_while_tracking_is_not_given() {
-        use TrackState::{Coasting, Searching, Tracking};
+        use State::{Coasting, Searching, Tracking};
         assert_eq!(run(&[Some(0.0), Some(0.0), Some(3.0), Some(0.0)])[..3], [Searching, Tracking, Coasting]);
     }
 }
