@@ -20,6 +20,7 @@
 //! always there:
 //!
 //! - `compute_clock`: how long work kept its thread busy, by a clock that is handed in
+//! - `simd`: kernels compiled for wider registers too
 //! - `geometry`: SE(3), homography, essential matrix, planar pose, resection, robust estimation: pure functions
 //! - `camera`: the camera model with distortion and its exact inverse; calibration files (feature `calibration-files`)
 //! - `frame`: a grey picture with its stamp
@@ -73,6 +74,7 @@ mod matching;
 mod motion;
 mod pose;
 mod record;
+mod simd;
 mod track;
 mod tracker;
 

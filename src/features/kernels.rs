@@ -1,6 +1,8 @@
 //! The hot loops of feature finding, each as a plain function and, where the processor allows it (asked at
 //! run time), the same function compiled for wider registers.
 
+use crate::simd::multiversion;
+
 /// Radius of FAST's circle in pixels.
 pub const CIRCLE_RADIUS: usize = 3;
 
@@ -27,22 +29,11 @@ pub const CIRCLE: [(isize, isize); 16] = [
 /// Pixels that are tested side by side.
 const LANES: usize = 32;
 
-/// Marks with 1 the FAST-9 corners among `marks.len()` pixels of a picture: those at `start`, `start + 1`, … whose circles lie
-/// inside `source`. `offsets` are the circle's pixels relative to the centre, in reading steps.
-pub fn segment_row(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, marks: &mut [u8]) {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2; the function is safe code compiled for it.
-        unsafe { segment_row_avx2(source, start, offsets, threshold, marks) };
-        return;
-    }
-    segment_row_blocked(source, start, offsets, threshold, marks);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn segment_row_avx2(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, marks: &mut [u8]) {
-    segment_row_blocked(source, start, offsets, threshold, marks);
+multiversion! {
+    /// Marks with 1 the FAST-9 corners among `marks.len()` pixels of a picture: those at `start`, `start + 1`, … whose circles lie
+    /// inside `source`. `offsets` are the circle's pixels relative to the centre, in reading steps.
+    pub fn segment_row(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, marks: &mut [u8]);
+    ["avx2"] => segment_row_blocked, else segment_row_blocked
 }
 
 /// Blocks of [`LANES`] pixels in registers; rows shorter than one pixel by pixel.
@@ -115,21 +106,10 @@ pub fn segment_row_plain(source: &[u8], start: usize, offsets: &[isize; 16], thr
     }
 }
 
-/// Scores the marked pixels of a row (see [`segment_row`]) with [`fast_score`]; the others get 0.
-pub fn score_row(source: &[u8], start: usize, offsets: &[isize; 16], marks: &[u8], scores: &mut [u8]) {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2; the function is safe code compiled for it.
-        unsafe { score_row_avx2(source, start, offsets, marks, scores) };
-        return;
-    }
-    score_row_plain(source, start, offsets, marks, scores);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn score_row_avx2(source: &[u8], start: usize, offsets: &[isize; 16], marks: &[u8], scores: &mut [u8]) {
-    score_row_plain(source, start, offsets, marks, scores);
+multiversion! {
+    /// Scores the marked pixels of a row (see [`segment_row`]) with [`fast_score`]; the others get 0.
+    pub fn score_row(source: &[u8], start: usize, offsets: &[isize; 16], marks: &[u8], scores: &mut [u8]);
+    ["avx2"] => score_row_plain, else score_row_plain
 }
 
 /// The plain twin of [`score_row`].

@@ -2,6 +2,7 @@
 //! for wider registers where the processor has them (asked at run time).
 
 use crate::features::Descriptor;
+use crate::simd::multiversion;
 
 /// Descriptors whose distances are computed side by side.
 pub const LANES: usize = 8;
@@ -25,35 +26,16 @@ pub fn pack_into(all: impl Iterator<Item = Descriptor>, blocks: &mut Vec<Block>)
     }
 }
 
-/// Calls `visit(index, distance, bar)` for every packed descriptor nearer than the bar, in order; `visit` may lower the bar.
-/// Indices beyond the packed ones may be visited: they are filling.
-pub fn scan(query: &Descriptor, all: &[Block], visit: impl FnMut(usize, u32, &mut u32)) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if std::arch::is_x86_feature_detected!("avx512vpopcntdq") && std::arch::is_x86_feature_detected!("avx512f") {
-            // SAFETY: the processor has both; the function is safe code compiled for them.
-            unsafe { scan_avx512(query, all, visit) };
-            return;
-        }
-        if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("popcnt") {
-            // SAFETY: as above.
-            unsafe { scan_avx2(query, all, visit) };
-            return;
-        }
-    }
-    scan_plain(query, all, visit);
+multiversion! {
+    /// Calls `visit(index, distance, bar)` for every packed descriptor nearer than the bar, in order; `visit` may lower the bar.
+    /// Indices beyond the packed ones may be visited: they are filling.
+    pub fn scan(query: &Descriptor, all: &[Block], visit: impl FnMut(usize, u32, &mut u32));
+    ["avx512f" "avx512vpopcntdq"] => scan_plain, else scan_avx2
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512vpopcntdq")]
-fn scan_avx512(query: &Descriptor, all: &[Block], visit: impl FnMut(usize, u32, &mut u32)) {
-    scan_plain(query, all, visit);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,popcnt")]
-fn scan_avx2(query: &Descriptor, all: &[Block], visit: impl FnMut(usize, u32, &mut u32)) {
-    scan_plain(query, all, visit);
+multiversion! {
+    fn scan_avx2(query: &Descriptor, all: &[Block], visit: impl FnMut(usize, u32, &mut u32));
+    ["avx2" "popcnt"] => scan_plain, else scan_plain
 }
 
 /// The plain twin of [`scan`].

@@ -11,6 +11,7 @@ use nalgebra::Vector2;
 use super::level::Level;
 use super::surroundings::{NextEdges, Surroundings, reach};
 use super::window::{Eight, LANES, Window, erf_and_slope};
+use crate::simd::multiversion;
 
 /// From the first of eight pixels to each.
 const STEPS: Eight = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
@@ -116,19 +117,9 @@ pub(super) fn gather(
     }
 }
 
-fn take(level: &Level, area: &Area, rows: [usize; 2], window: &mut Window) {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2.
-        return unsafe { take_avx2(level, area, rows, window) };
-    }
-    take_lanes(level, area, rows, window);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn take_avx2(level: &Level, area: &Area, rows: [usize; 2], window: &mut Window) {
-    take_lanes(level, area, rows, window);
+multiversion! {
+    fn take(level: &Level, area: &Area, rows: [usize; 2], window: &mut Window);
+    ["avx2"] => take_lanes, else take_lanes
 }
 
 #[inline(always)]

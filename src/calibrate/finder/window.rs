@@ -6,6 +6,7 @@
 
 use std::f32::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI, LN_2, LOG2_E};
 
+use crate::simd::multiversion;
 use nalgebra::{SVector, Vector2};
 
 /// Pixels handled side by side.
@@ -151,20 +152,10 @@ fn linear(gram: &Gram, [middle, contrast]: [f64; 2]) -> Linearised {
     Linearised { cost: cost.max(0.0), normal, gradient, weight: at(5, 5) }
 }
 
-/// The sums of all products of two of the rows' eight columns; the upper triangle.
-fn products(pixels: &Pixels, rows: &mut [Rows], model: &SVector<f32, N>) -> Gram {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2.
-        return unsafe { products_avx2(pixels, rows, model) };
-    }
-    products_lanes(pixels, rows, model)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn products_avx2(pixels: &Pixels, rows: &mut [Rows], model: &SVector<f32, N>) -> Gram {
-    products_lanes(pixels, rows, model)
+multiversion! {
+    /// The sums of all products of two of the rows' eight columns; the upper triangle.
+    fn products(pixels: &Pixels, rows: &mut [Rows], model: &SVector<f32, N>) -> Gram;
+    ["avx2"] => products_lanes, else products_lanes
 }
 
 #[inline(always)]

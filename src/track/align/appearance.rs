@@ -135,7 +135,7 @@ pub struct Predicted<'a> {
 
 dispatch! {
     /// Predicts the pixels of one surface.
-    predict, predict_avx2, predict_lanes, (what: &Predicted, out: &mut Appearance)
+    predict, predict_lanes, (what: &Predicted, out: &mut Appearance)
 }
 
 /// Where a ray meets the surface, and how that point moves with the ray.

@@ -27,7 +27,7 @@ pub struct RunEvidence {
 
 dispatch! {
     /// Looks at a run again after `step`.
-    evidence, evidence_avx2, evidence_lanes,
+    evidence, evidence_lanes,
     (view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> RunEvidence
 }
 

@@ -3,8 +3,7 @@
 
 use image::GrayImage;
 
-#[cfg(target_arch = "x86_64")]
-use super::lanes::has_avx2;
+use crate::simd::multiversion;
 
 /// Sizes: level 0 is the frame itself, which is not kept.
 pub const LEVELS: usize = 5;
@@ -77,25 +76,17 @@ fn halve_bytes(raw: &[u8], stride: usize, out: &mut Level) {
     let w = out.width;
     for (v, row) in out.sums.chunks_exact_mut(w.max(1)).enumerate() {
         let (top, bottom) = (&raw[2 * v * stride..][..2 * w], &raw[(2 * v + 1) * stride..][..2 * w]);
-        #[cfg(target_arch = "x86_64")]
-        if has_avx2() {
-            // SAFETY: the processor has AVX2.
-            unsafe { halve_rows_avx2(top, bottom, row) };
-            continue;
-        }
         halve_rows(top, bottom, row);
     }
 }
 
-/// [`halve_rows`], compiled for wider registers.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn halve_rows_avx2(top: &[u8], bottom: &[u8], out: &mut [u16]) {
-    halve_rows(top, bottom, out);
+multiversion! {
+    fn halve_rows(top: &[u8], bottom: &[u8], out: &mut [u16]);
+    ["avx2"] => halve_rows_plain, else halve_rows_plain
 }
 
 #[inline(always)]
-fn halve_rows(top: &[u8], bottom: &[u8], out: &mut [u16]) {
+fn halve_rows_plain(top: &[u8], bottom: &[u8], out: &mut [u16]) {
     for ((o, t), b) in out.iter_mut().zip(top.chunks_exact(2)).zip(bottom.chunks_exact(2)) {
         // Two bytes as one number: that is what the compiler makes wide steps of.
         let (t, b) = (u16::from_le_bytes([t[0], t[1]]), u16::from_le_bytes([b[0], b[1]]));

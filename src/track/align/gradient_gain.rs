@@ -92,7 +92,7 @@ impl PredictedChange {
 
 dispatch! {
     /// The change that slopes foretell for the pixels of a range.
-    foretell, foretell_avx2, foretell_lanes,
+    foretell, foretell_lanes,
     (by_pose: &[Vec<f32>; 6], step: &[f32; 6], range: [usize; 2], out: &mut [f32])
 }
 
@@ -111,7 +111,7 @@ fn foretell_lanes<L: Lanes>(by_pose: &[Vec<f32>; 6], step: &[f32; 6], range: [us
 
 dispatch! {
     /// The sums over the first `n` pixels.
-    compare, compare_avx2, compare_lanes, (predicted_change: &PredictedChange, intensity: &[f32], counts: &[f32], n: usize) -> [f64; 3]
+    compare, compare_lanes, (predicted_change: &PredictedChange, intensity: &[f32], counts: &[f32], n: usize) -> [f64; 3]
 }
 
 #[inline(always)]

@@ -199,7 +199,8 @@ mod avx2 {
     /// Intrinsics of AVX2 and FMA.
     macro_rules! avx2 {
         ($($work:tt)*) => {
-            // SAFETY: whoever names `Avx2` is compiled for AVX2 and FMA and runs only where both were detected. What memory the work
+            // SAFETY: only `dispatch` names `Avx2` (tests/structure holds that), in functions compiled for AVX2 and FMA that run where both were
+            // detected. What memory the work
             // reads or writes is given by references, or clamped to the slice beside it.
             unsafe { $($work)* }
         };
@@ -341,31 +342,12 @@ mod avx2 {
     }
 }
 
-/// Whether kernels may be run with [`Avx2`].
-pub fn has_avx2() -> bool {
-    #[cfg(target_arch = "x86_64")]
-    return std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma");
-    #[cfg(not(target_arch = "x86_64"))]
-    false
-}
-
 /// Makes a kernel's public function: `$lanes`, generic over [`Lanes`], with AVX2 where the processor has it, else in plain Rust.
 macro_rules! dispatch {
-    ($(#[$doc:meta])* $name:ident, $avx2:ident, $lanes:ident, ($($arg:ident : $ty:ty),*) $(-> $ret:ty)?) => {
-        #[cfg(target_arch = "x86_64")]
-        #[target_feature(enable = "avx2,fma")]
-        fn $avx2($($arg: $ty),*) $(-> $ret)? {
-            $lanes::<$crate::track::align::lanes::Avx2>($($arg),*)
-        }
-
-        $(#[$doc])*
-        pub fn $name($($arg: $ty),*) $(-> $ret)? {
-            #[cfg(target_arch = "x86_64")]
-            if $crate::track::align::lanes::has_avx2() {
-                // SAFETY: the processor has AVX2 and FMA.
-                return unsafe { $avx2($($arg),*) };
-            }
-            $lanes::<$crate::track::align::lanes::Plain>($($arg),*)
+    ($(#[$doc:meta])* $name:ident, $lanes:ident, ($($arg:ident: $ty:ty),*) $(-> $ret:ty)?) => {
+        $crate::simd::multiversion! {
+            $(#[$doc])* pub fn $name($($arg: $ty),*) $(-> $ret)?;
+            ["avx2" "fma"] => $lanes::<$crate::track::align::lanes::Avx2>, else $lanes::<$crate::track::align::lanes::Plain>
         }
     };
 }

@@ -23,7 +23,7 @@ impl NoiseSums {
 dispatch! {
     /// Sums over a run as `step` leaves it, weighted by the inverse square of the variance: 1, grey, slope² by each other (six), and by
     /// the squared residual (three).
-    noise_sums, noise_sums_avx2, noise_sums_lanes,
+    noise_sums, noise_sums_lanes,
     (view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> [f32; 9]
 }
 

@@ -46,7 +46,7 @@ impl Residuals {
 
 dispatch! {
     /// Residuals of a run at the linearisation, and their informations.
-    residuals, residuals_avx2, residuals_lanes,
+    residuals, residuals_lanes,
     (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals)
 }
 
@@ -147,7 +147,7 @@ pub fn weight<L: Lanes>(squared: L, weighting: &RobustWeighting) -> L {
 
 dispatch! {
     /// Sums over the pixels of a run that tell something: their number, predicted, seen, predicted², seen², predicted seen.
-    moments, moments_avx2, moments_lanes, (pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6]
+    moments, moments_lanes, (pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6]
 }
 
 #[inline(always)]
@@ -170,7 +170,7 @@ fn moments_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance) 
 
 dispatch! {
     /// Adds the squared whitened residuals that `step` leaves, of one group of [`LANES`] pixels in `stride`, to `squares`.
-    squares_after, squares_after_avx2, squares_after_lanes,
+    squares_after, squares_after_lanes,
     (view: &RunView, step: &[f32; COLUMNS], stride: usize, squares: &mut Vec<f32>)
 }
 

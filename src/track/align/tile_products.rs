@@ -44,7 +44,7 @@ impl Default for ProductBuffer {
 dispatch! {
     /// Sums of a run at the linearisation; weights are those of the residuals as `step` (the tile's columns) leaves them. `delay_s`: when
     /// the tile is taken to be exposed, seconds from the frame's stamp, where the times of its rows are to be summed as well.
-    tile_equations, tile_equations_avx2, tile_equations_lanes,
+    tile_equations, tile_equations_lanes,
     (view: &RunView, delay_s: Option<f32>, step: &[f32; COLUMNS], weighting: &RobustWeighting, buffer: &mut ProductBuffer) -> TileEquations
 }
 
