@@ -113,7 +113,4 @@ pub trait CameraOpener: Send + Sync {
     /// # Errors
     /// Why not, as a sentence; the pipeline tries again.
     fn open(&self) -> Result<Box<dyn Camera>, OpenFault>;
-
-    /// The camera as the config names it, for messages.
-    fn wanted(&self) -> String;
 }

@@ -55,7 +55,7 @@ impl DecodeError {
 
 /// Pixels of a picture; keeps a forged header from asking for all memory. With all that is made of a picture, a surface
 /// or a calibration's view of that many takes about a gigabyte; cameras of stages have 2 to 8 million.
-pub(super) const MOST_PIXELS: u64 = 67_000_000;
+const MOST_PIXELS: u64 = 67_000_000;
 
 /// Bytes of a picture file: no picture of 67 million pixels needs more.
 pub const LARGEST_PICTURE_FILE: u64 = 512 << 20;

@@ -81,10 +81,6 @@ impl CameraOpener for PlayedClip {
         let played = || OpenFault(format!("the clip {} has been played; give it again", self.clip.display()));
         playing.map(|p| Box::new(p) as Box<dyn Camera>).ok_or_else(played)
     }
-
-    fn wanted(&self) -> String {
-        self.clip.display().to_string()
-    }
 }
 
 enum Pictures {

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::{ClipEntry, EntryContent, FrameSource};
 use crate::frame::{Frame, Timestamp};
-use crate::geometry::{Body, Camera, Pose, Stage};
+use crate::geometry::{Camera, Pose, Stage};
 use crate::simulate::{Renderer, VirtualStage};
 
 /// A camera in front of a virtual stage: a given number of frames at a steady rate, the first one at time 0.
@@ -35,11 +35,6 @@ impl VirtualCamera {
     /// The exact `T_stage_camera` at the stamp of a frame.
     pub fn truth(&self, sequence: u64) -> Pose<Stage, Camera> {
         self.stage().truth(self.time_s(sequence))
-    }
-
-    /// The exact `T_stage_object` at the stamp of a frame, or `None` when there is no such object.
-    pub fn object_truth(&self, object: usize, sequence: u64) -> Option<Pose<Stage, Body>> {
-        self.stage().object_truth(object, self.time_s(sequence))
     }
 
     /// The stamp in seconds: of the rounded nanoseconds, so that picture, truth and stamp agree exactly.

@@ -34,7 +34,7 @@ impl Turned {
     }
 
     /// The rotation of three angles in degrees.
-    pub fn by_angles(self, [turn, tilt, roll]: [f64; 3]) -> UnitQuaternion<f64> {
+    fn by_angles(self, [turn, tilt, roll]: [f64; 3]) -> UnitQuaternion<f64> {
         let about = |axis, degrees: f64| UnitQuaternion::from_axis_angle(&axis, degrees.to_radians());
         let (turn, tilt) = (about(Vector3::z_axis(), turn), about(Vector3::x_axis(), tilt));
         match self {

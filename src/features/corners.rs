@@ -123,7 +123,7 @@ fn is_largest(scores: &[u8], w: usize, y: usize, x: usize, score: u8) -> bool {
 }
 
 /// The smaller eigenvalue of the structure tensor over 7x7 pixels, per pixel.
-pub fn smaller_eigenvalue(image: &GrayImage, x: u32, y: u32) -> f32 {
+fn smaller_eigenvalue(image: &GrayImage, x: u32, y: u32) -> f32 {
     let w = image.width() as usize;
     let source = image.as_raw();
     let (mut xx, mut xy, mut yy) = (0i32, 0i32, 0i32);

@@ -100,11 +100,6 @@ impl FeatureExtractor {
         }
         workers.map_into(&self.jobs, features, |(k, corner)| described(&levels[*k], corner));
     }
-
-    /// The pyramid of the last picture.
-    pub fn levels(&self) -> &[Level] {
-        self.pyramid.levels()
-    }
 }
 
 fn is_usable(mask: Option<&GrayImage>, level: &Level, x: u32, y: u32) -> bool {

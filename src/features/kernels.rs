@@ -95,7 +95,7 @@ fn longest_runs(lanes: &impl Fn(isize) -> [u8; LANES], offsets: &[isize; 16], hi
 }
 
 /// The plain twin of [`segment_row`].
-pub fn segment_row_plain(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, marks: &mut [u8]) {
+fn segment_row_plain(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, marks: &mut [u8]) {
     for (k, mark) in marks.iter_mut().enumerate() {
         let at = start + k;
         let circle = offsets.map(|o| source[at.wrapping_add_signed(o)]);

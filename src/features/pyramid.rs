@@ -60,11 +60,6 @@ impl Pyramid {
         self.levels.truncate(made);
         &self.levels
     }
-
-    /// The levels built last.
-    pub fn levels(&self) -> &[Level] {
-        &self.levels
-    }
 }
 
 /// Gives a buffer another size, keeping its memory where it suffices.

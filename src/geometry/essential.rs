@@ -184,7 +184,7 @@ fn real_roots(p: &[f64]) -> Vec<f64> {
 }
 
 /// The four motions that an essential matrix allows.
-pub fn decompose(e: &Matrix3<f64>) -> Option<[TwoViewMotion; 4]> {
+fn decompose(e: &Matrix3<f64>) -> Option<[TwoViewMotion; 4]> {
     let svd = e.svd(true, true);
     let (mut u, mut vt) = (svd.u?, svd.v_t?);
     // nalgebra sorts singular values, largest first: the null directions are the last ones.

@@ -40,7 +40,7 @@ multiversion! {
 
 /// The plain twin of [`scan`].
 #[inline(always)]
-pub fn scan_plain(query: &Descriptor, all: &[Block], mut visit: impl FnMut(usize, u32, &mut u32)) {
+fn scan_plain(query: &Descriptor, all: &[Block], mut visit: impl FnMut(usize, u32, &mut u32)) {
     let mut bar = u32::MAX;
     for (k, block) in all.iter().enumerate() {
         let mut distances = [0u64; LANES];

@@ -189,11 +189,6 @@ impl Publisher {
         &self.events
     }
 
-    /// What every output has done so far, in the order of the config.
-    pub fn statistics(&self) -> Vec<OutputStatistics> {
-        self.outputs.iter().map(RunningOutput::statistics).collect()
-    }
-
     /// Sends what is queued and ends the threads; one that hangs (a pipe that nobody reads) is left behind after two seconds.
     pub fn close(self) -> Vec<OutputStatistics> {
         let begun = Instant::now();
@@ -248,10 +243,6 @@ impl RunningOutput {
     /// Closes the queue; the thread ends when it is empty.
     fn into_thread(self) -> JoinHandle<()> {
         self.thread
-    }
-
-    fn statistics(&self) -> OutputStatistics {
-        statistics_of(self.name.clone(), self.protocol, &self.counters)
     }
 }
 

@@ -46,7 +46,7 @@ pub fn ambiguity_margin(
 }
 
 /// The pose of the same surface tilted the other way about the line of sight: where a wrong twin would lie.
-pub fn flipped(pose: &Pose<Camera, Body>, body: &PreparedBody, surface: u32) -> Pose<Camera, Body> {
+fn flipped(pose: &Pose<Camera, Body>, body: &PreparedBody, surface: u32) -> Pose<Camera, Body> {
     let spec = &body.surfaces[surface as usize].spec;
     let t_camera_surface = *pose * spec.pose;
     let sight = t_camera_surface.translation.normalize();

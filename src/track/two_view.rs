@@ -36,7 +36,7 @@ const KEPT: usize = 6;
 
 /// `T_body_reference`: where the reference camera stands (C3: the photograph's own camera, or a virtual pinhole on the first
 /// surface's axis, as far in front of its centre as it is wide).
-pub fn reference_camera(body: &PreparedBody) -> Pose<Body, ReferenceCamera> {
+fn reference_camera(body: &PreparedBody) -> Pose<Body, ReferenceCamera> {
     let spec = &body.surfaces[0].spec;
     match &spec.kind {
         ReferenceKind::Photograph { pose, .. } => spec.pose * pose.inverse(),

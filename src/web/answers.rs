@@ -17,7 +17,7 @@ use tokio::time::timeout;
 use super::ending::ended;
 use super::feed::Feed;
 use super::places::Place;
-use super::routes::{Effect, Reply, Request, Route};
+use super::routes::{Effect, Reply, Route};
 
 /// A client that takes nothing for this long is let go.
 pub(super) const TAKES_WITHIN: Duration = Duration::from_secs(2);
@@ -35,7 +35,7 @@ pub(super) struct Caller {
 pub(super) fn router(feed: Arc<Feed>, routes: Vec<Route>, stopped: &watch::Receiver<bool>) -> Router {
     let stopped = stopped.clone();
     let (pose, state) = (feed.clone(), feed.clone());
-    let own = [Route::get("/api/v1/pose", move |_| pose.pose()), Route::get("/api/v1/state", move |_| state.state())];
+    let own = [Route::get("/api/v1/pose", move || pose.pose()), Route::get("/api/v1/state", move || state.state())];
     let mut router = Router::new().route("/ws", any(move |request| web_socket(request, feed.clone(), stopped.clone())));
     for route in own.into_iter().chain(routes) {
         router = router.route(route.path, any(move |request| answer(request, route.clone())));
@@ -66,8 +66,7 @@ async fn answer(request: HttpRequest<Body>, route: Route) -> Result<Response<Bod
         let sentence = format!("this was asked for too often; ask again in {after} s\n");
         return Ok(with(response(Reply::text(429, sentence)), header::RETRY_AFTER, HeaderValue::from(after)));
     }
-    let uri = request.uri();
-    Ok(response((route.handler)(&Request { path: uri.path(), query: uri.query() })))
+    Ok(response((route.handler)()))
 }
 
 fn with(mut response: Response<Body>, name: HeaderName, value: HeaderValue) -> Response<Body> {

@@ -12,7 +12,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::AbortHandle;
 
 /// Connections that last, at a time. Each holds a file and some 50 kB.
-pub(super) const MOST_CONNECTIONS: usize = 64;
+const MOST_CONNECTIONS: usize = 64;
 /// Of these, what one peer may have: half, so that another is let in.
 const MOST_OF_A_PEER: usize = MOST_CONNECTIONS / 2;
 /// Connections beyond those, at a time. One is pushed out before its request arrives only by so many newer ones within that time;

@@ -1,17 +1,8 @@
-//! A route is a plain function from a request to a reply.
+//! A route is a path and a plain function that gives its reply.
 
 use std::sync::Arc;
 
 use super::pace::Pace;
-
-/// What a route hears of a request.
-#[derive(Debug, Clone, Copy)]
-pub struct Request<'a> {
-    /// Path, such as "/healthz".
-    pub path: &'a str,
-    /// What follows the question mark.
-    pub query: Option<&'a str>,
-}
 
 /// What a route answers.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -34,15 +25,10 @@ impl Reply {
     pub fn json(status: u16, body: impl Into<String>) -> Self {
         Self { status, content_type: "application/json", body: body.into().into_bytes() }
     }
-
-    /// A page.
-    pub fn html(body: impl Into<String>) -> Self {
-        Self { status: 200, content_type: "text/html; charset=utf-8", body: body.into().into_bytes() }
-    }
 }
 
 /// What answers a path.
-pub(super) type Handler = Arc<dyn Fn(&Request<'_>) -> Reply + Send + Sync>;
+pub(super) type Handler = Arc<dyn Fn() -> Reply + Send + Sync>;
 
 /// What a request for a path does.
 #[derive(Clone)]
@@ -63,12 +49,12 @@ pub struct Route {
 
 impl Route {
     /// A route that changes nothing, for one path, which begins with `/` and has no fields.
-    pub fn get(path: &'static str, handler: impl Fn(&Request<'_>) -> Reply + Send + Sync + 'static) -> Self {
+    pub fn get(path: &'static str, handler: impl Fn() -> Reply + Send + Sync + 'static) -> Self {
         Self { path, effect: Effect::Reads, handler: Arc::new(handler) }
     }
 
     /// A route that changes something; it is called a few times at once and then every few seconds at most.
-    pub fn post(path: &'static str, handler: impl Fn(&Request<'_>) -> Reply + Send + Sync + 'static) -> Self {
+    pub fn post(path: &'static str, handler: impl Fn() -> Reply + Send + Sync + 'static) -> Self {
         Self { path, effect: Effect::Changes(Arc::default()), handler: Arc::new(handler) }
     }
 }

@@ -9,8 +9,8 @@ use crate::web::Reply;
 
 fn server() -> Server {
     let settings = HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
-    let health = Route::get("/healthz", |r| Reply::text(503, format!("{} {:?}", r.path, r.query)));
-    Server::start(&settings, vec![health, Route::post("/save", |_| Reply::text(202, "saved\n"))]).unwrap()
+    let health = Route::get("/healthz", || Reply::text(503, "not yet"));
+    Server::start(&settings, vec![health, Route::post("/save", || Reply::text(202, "saved\n"))]).unwrap()
 }
 
 fn sample(sequence: u64) -> PoseSample {
@@ -58,7 +58,7 @@ fn pose_state_and_added_routes_are_answered() {
     let answer = get(&server, "/api/v1/state");
     assert!(answer.contains(r#""state":"tracking""#) && answer.contains(r#""sequence":7"#), "{answer}");
     let answer = get(&server, "/healthz?deep=1");
-    assert!(answer.starts_with("HTTP/1.1 503") && answer.ends_with(r#"/healthz Some("deep=1")"#), "{answer}");
+    assert!(answer.starts_with("HTTP/1.1 503") && answer.ends_with("not yet"), "{answer}");
     assert!(get(&server, "/nothing").starts_with("HTTP/1.1 404"));
     server.close();
 }
@@ -133,7 +133,7 @@ fn who_has_asked_may_close_its_side() {
         stream.shutdown(std::net::Shutdown::Write).unwrap();
         let mut answer = String::new();
         stream.read_to_string(&mut answer).unwrap();
-        assert!(answer.contains(" 503 ") && answer.ends_with("/healthz None"), "{answer}");
+        assert!(answer.contains(" 503 ") && answer.ends_with("not yet"), "{answer}");
     }
 }
 

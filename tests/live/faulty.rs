@@ -228,10 +228,6 @@ impl CameraOpener for Opener {
         };
         Ok(Box::new(FaultyCamera { faulty: self.0.clone(), mode, mode_panics, panics_in_drop, stalls: false }))
     }
-
-    fn wanted(&self) -> String {
-        "faulty".into()
-    }
 }
 
 struct FaultyCamera {

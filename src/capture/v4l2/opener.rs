@@ -130,10 +130,6 @@ impl CameraOpener for V4l2Opener {
         self.remember(&node);
         Ok(Box::new(camera))
     }
-
-    fn wanted(&self) -> String {
-        self.device.clone()
-    }
 }
 
 fn opening_fault(node: &Node, error: &io::Error) -> String {

@@ -84,7 +84,7 @@ pub(super) fn draw(canvas: &mut Canvas, pixels: &[UsedPixel]) {
 }
 
 /// Radius of a cell's dot in a frame of a width.
-pub(super) fn dot_px(width: f32) -> f32 {
+fn dot_px(width: f32) -> f32 {
     (width / 420.0).max(1.5)
 }
 

@@ -31,9 +31,9 @@ impl Pages {
         let (health_clock, metrics_clock) = (clock.clone(), clock.clone());
         let routes = || {
             vec![
-                Route::get("/healthz", move |_| reply(health(&for_health, &health_clock))),
-                Route::get("/metrics", move |_| reply(metrics(&for_metrics, &metrics_clock))),
-                Route::post("/api/v1/ring/save", move |_| {
+                Route::get("/healthz", move || reply(health(&for_health, &health_clock))),
+                Route::get("/metrics", move || reply(metrics(&for_metrics, &metrics_clock))),
+                Route::post("/api/v1/ring/save", move || {
                     save.store(true, Ordering::Relaxed);
                     Reply::text(202, "the last seconds will be saved\n")
                 }),

@@ -252,7 +252,7 @@ impl Sinks {
     }
 
     /// Writes what has happened since the last time.
-    pub fn write_events(&mut self) {
+    fn write_events(&mut self) {
         for event in self.happening.try_iter() {
             // A dropped frame is counted; a recording has a list of them.
             let dropped = matches!(event.event, Event::FrameDropped { .. });
