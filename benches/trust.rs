@@ -65,7 +65,7 @@ fn main() {
         let truth: Pose<Camera, Body> = scene.truth(0.0).inverse().renamed();
         let (camera, stage) = (scene.camera, scene.stage.clone());
         let frame = Frame { image: Renderer::new(scene).render(0.0, 0), timestamp: Default::default(), sequence: 0 };
-        let other_stage = BodySpec { surfaces: vec![surface(seed + 1000, stage.surfaces[0].size_m)], ..stage.clone() };
+        let other_stage = BodySpec::new("stage", vec![surface(seed + 1000, stage.surfaces[0].size_m)]);
         for (is_shown, stage) in [(true, &stage), (false, &other_stage)] {
             let mut matcher =
                 Matcher::new(camera, Default::default(), None, stage, &[], TrackerSettings::default(), ComputeClock::default());
@@ -106,7 +106,7 @@ fn scene(seed: u64, random: &mut Pcg64Mcg) -> VirtualStage {
     let distance = size_m[0] * focal / 960.0 / random.random_range(0.3..1.5);
     let towards = Vector3::new(tilt.sin() * around.cos(), -tilt.cos(), 0.8 * tilt.sin() * around.sin());
     let path = CameraPath::fixed(Point3::from(towards.normalize() * distance), Point3::origin());
-    let stage = BodySpec { name: "stage".to_owned(), surfaces: vec![surface(seed, size_m)] };
+    let stage = BodySpec::new("stage", vec![surface(seed, size_m)]);
     let mut scene = VirtualStage::new(camera, path, stage);
     scene.noise = SensorNoise::webcam();
     scene.samples = 8;

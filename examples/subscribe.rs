@@ -31,8 +31,9 @@ fn run() -> Result<(), Box<dyn Error>> {
     let config = arguments.next().unwrap_or_else(|| clip.join("stage.toml"));
 
     let settings = Settings::load(&config)?;
-    let calibrated = Some((settings.camera.width(), settings.camera.height()));
-    let source = open_clip(&clip, ClipOptions { calibrated, ..ClipOptions::default() })?;
+    let mut options = ClipOptions::default();
+    options.calibrated = Some((settings.camera.width(), settings.camera.height()));
+    let source = open_clip(&clip, options)?;
     let (width, height) = source.size();
     let (setup, _) = settings.tracker_setup(width, height)?;
 

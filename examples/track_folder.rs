@@ -30,8 +30,9 @@ fn run() -> Result<(), Box<dyn Error>> {
     let config = arguments.next().unwrap_or_else(|| clip.join("stage.toml"));
 
     let settings = Settings::load(&config)?;
-    let calibrated = Some((settings.camera.width(), settings.camera.height()));
-    let mut source = open_clip(&clip, ClipOptions { calibrated, ..ClipOptions::default() })?;
+    let mut options = ClipOptions::default();
+    options.calibrated = Some((settings.camera.width(), settings.camera.height()));
+    let mut source = open_clip(&clip, options)?;
 
     // The calibration is scaled to the clip's pictures; where that is a guess, it comes with a sentence.
     let (width, height) = source.size();

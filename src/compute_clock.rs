@@ -15,7 +15,7 @@ impl ComputeClock {
     }
 
     /// Starts to measure.
-    pub fn start(self) -> Stopwatch {
+    pub(crate) fn start(self) -> Stopwatch {
         Stopwatch { clock: self, start: (self.now)() }
     }
 }
@@ -29,7 +29,7 @@ impl Default for ComputeClock {
 
 /// A measurement under way.
 #[derive(Debug, Clone, Copy)]
-pub struct Stopwatch {
+pub(crate) struct Stopwatch {
     clock: ComputeClock,
     start: Duration,
 }

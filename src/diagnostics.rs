@@ -64,6 +64,7 @@ pub mod publish {
 /// Cameras that fail, what is done about them, and the recorder.
 #[cfg(feature = "daemon")]
 pub mod live {
+    pub use crate::config::ConfigSource;
     pub use crate::daemon::live::{Event, LiveLink, LiveSource, LiveStop, Patience, StampedEvent};
     pub use crate::daemon::recorder::{AboutClip, RealDisk, Recorder, RecorderPlan};
 }

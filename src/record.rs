@@ -21,6 +21,7 @@ pub enum TwoViewModel {
 
 /// The essential matrix as motion: `x_frame ∝ R x_ref + t`.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct EssentialMotion {
     /// R, from the reference camera's axes to the frame's.
     pub rotation: UnitQuaternion<f64>,
@@ -32,6 +33,7 @@ pub struct EssentialMotion {
 
 /// What was measured in one frame; only `tracking` has it.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Measurement {
     /// `T_stage_camera` before any filter.
     pub pose: Pose<Stage, Camera>,
@@ -51,6 +53,7 @@ pub struct Measurement {
 
 /// A tracked object in one frame.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct ObjectSample {
     /// Its name in the config.
     pub name: String,
@@ -62,8 +65,16 @@ pub struct ObjectSample {
     pub covariance: Option<Matrix6<f64>>,
 }
 
+impl ObjectSample {
+    /// An object without a pose.
+    pub fn new(name: impl Into<String>, state: State) -> Self {
+        Self { name: name.into(), state, pose: None, covariance: None }
+    }
+}
+
 /// Compute spent on a frame, milliseconds; never part of the record.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct StageTimes {
     /// Decoding the picture.
     pub decode_ms: f64,

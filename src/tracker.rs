@@ -13,6 +13,7 @@ use crate::track::{BodySpec, Matcher, Sighting, TrackerSettings, UsedPixels};
 
 /// Everything a tracker is made from.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct TrackerSetup {
     /// The camera, at the size of the frames to come.
     pub camera: CameraModel,
@@ -59,6 +60,19 @@ pub enum SetupError {
 }
 
 impl TrackerSetup {
+    /// A camera that looks at a stage, all else as it is where nothing is said: no mask, no objects, a shutter of which nothing is known.
+    pub fn new(camera: CameraModel, stage: BodySpec) -> Self {
+        Self {
+            camera,
+            shutter: Shutter::default(),
+            mask: None,
+            stage,
+            objects: Vec::new(),
+            settings: TrackerSettings::default(),
+            clock: ComputeClock::default(),
+        }
+    }
+
     fn checked(&self) -> Result<(), SetupError> {
         let wanted = (self.camera.width(), self.camera.height());
         if let Some(size) = self.mask.as_ref().map(GrayImage::dimensions).filter(|size| *size != wanted) {

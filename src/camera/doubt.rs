@@ -18,6 +18,7 @@ pub struct IntrinsicsUncertainty {
 
 /// How far the numbers of a lens may be off.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct LensDoubt {
     /// 3 sigma of each number.
     pub uncertainty: IntrinsicsUncertainty,

@@ -7,6 +7,7 @@ use super::model::{CameraError, CameraModel};
 
 /// What is known of a lens instead of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub enum LensGuess {
     /// The angle across the picture's width, degrees.
     FieldOfView(f64),

@@ -42,6 +42,7 @@ pub struct Intrinsics {
 
 /// Why a set of intrinsics is no camera.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
 pub enum CameraError {
     /// A number is NaN or infinite.
     #[error("{name} is {value}, not a finite number")]

@@ -7,6 +7,7 @@ use thiserror::Error;
 
 /// Why there is no clip.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum CaptureError {
     /// Nothing is at the path.
     #[error("the clip {} does not exist; check its path", path.display())]

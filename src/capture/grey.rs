@@ -21,6 +21,7 @@ use crate::contain::contained;
 
 /// Why bytes are no picture.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum DecodeError {
     /// There are no bytes.
     #[error("the picture is empty")]

@@ -69,6 +69,7 @@ pub struct ClipEntry {
 
 /// What a row's picture was before it became grey.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Received {
     /// A JPEG; a camera's is cut at its end mark.
     Jpeg(Arc<[u8]>),
@@ -84,6 +85,7 @@ pub enum Received {
 
 /// What a row holds.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum EntryContent {
     /// A picture.
     Frame(Frame),

@@ -22,6 +22,7 @@ use crate::safe_file;
 
 /// What may be said about a clip.
 #[derive(Debug, Clone, Copy, Default)]
+#[non_exhaustive]
 pub struct ClipOptions {
     /// Frames a second. Stands in place of a video's own rate; for pictures without stamps and .mjpeg, which have
     /// none, the default is 30. A timestamps.csv keeps its own stamps.

@@ -10,6 +10,7 @@ use crate::track::SurfaceError;
 
 /// Why a config is refused.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum ConfigError {
     /// The config file itself cannot be read.
     #[error("{}: the config cannot be read ({reason}); name a readable TOML file with --config", file.display())]
@@ -81,6 +82,7 @@ pub enum ConfigError {
 
 /// What is wrong with a value.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum Problem {
     /// Another TOML type, or another number of entries.
     #[error("{0}")]

@@ -23,7 +23,6 @@ use super::source::{ConfigSource, read_text};
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::{CameraModel, Shutter};
-use crate::compute_clock::ComputeClock;
 use crate::pose::FilterSettings;
 use crate::publish::{MountSettings, OutputSettings, SafetySettings};
 use crate::track::{BodySpec, TrackerSettings};
@@ -31,15 +30,16 @@ use crate::tracker::TrackerSetup;
 
 /// A checked config.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Settings {
     /// The config file.
     pub file: PathBuf,
     /// It and all that it names, as they were read.
     pub source: ConfigSource,
     /// Where the config names the calibration, 1-based; where it names none, its section.
-    pub calibration_line: usize,
+    pub(crate) calibration_line: usize,
     /// Where the camera's numbers come from.
-    pub lens: LensSource,
+    pub(crate) lens: LensSource,
     /// The camera at the calibration's own picture size (a guess: at any); [`camera_for`](Self::camera_for) fits it to a clip.
     pub camera: CameraModel,
     /// Its shutter.
@@ -47,27 +47,27 @@ pub struct Settings {
     /// Black where the camera's picture is to be ignored; of the calibration's aspect ratio.
     pub mask: Option<GrayImage>,
     /// How to open the camera, for the commands that do.
-    pub device: DeviceSettings,
+    pub(crate) device: DeviceSettings,
     /// The stage.
     pub stage: BodySpec,
     /// The tracked objects, in the order of the file.
     pub objects: Vec<BodySpec>,
     /// The filming camera on the rig; none without `[mount]`.
-    pub mount: Option<MountSettings>,
+    pub(crate) mount: Option<MountSettings>,
     /// The tracker's tunables.
     pub tracker: TrackerSettings,
     /// What is recorded beside the tracking.
-    pub recorder: RecorderSettings,
+    pub(crate) recorder: RecorderSettings,
     /// What happens to the measured pose before it is given.
     pub filter: FilterSettings,
     /// Limits that every output keeps.
-    pub safety: SafetySettings,
+    pub(crate) safety: SafetySettings,
     /// Where poses go, in the order of the file.
-    pub outputs: Vec<OutputSettings>,
+    pub(crate) outputs: Vec<OutputSettings>,
     /// The HTTP server; none without `[http]`.
-    pub http: Option<HttpSettings>,
+    pub(crate) http: Option<HttpSettings>,
     /// What is logged, and how.
-    pub log: LogSettings,
+    pub(crate) log: LogSettings,
     /// Every file that was read: the config and what it names.
     pub files: Vec<PathBuf>,
     /// What was assumed or looks odd, one sentence each; `check` prints them.
@@ -254,7 +254,7 @@ impl Settings {
     /// # Errors
     /// As [`load`](Self::load), of `[[output]]`, `[safety]`, `[http]`, `[log]` and the objects' names; of the calibration where its file is
     /// there.
-    pub fn load_outputs(file: &Path) -> Result<SendingSettings, ConfigError> {
+    pub(crate) fn load_outputs(file: &Path) -> Result<SendingSettings, ConfigError> {
         let text = read_text(file)?;
         let (typed, origin) = (as_typed::Config::parse(&text, file)?, Origin::new(file, &text));
         let section = Section { origin: &origin, name: "[camera]" };
@@ -305,13 +305,11 @@ impl Settings {
     pub fn tracker_setup(&self, width: u32, height: u32) -> Result<(TrackerSetup, Option<String>), ConfigError> {
         let (camera, note) = self.camera_for(width, height)?;
         let setup = TrackerSetup {
-            camera,
             shutter: self.shutter,
             mask: self.mask_for(width, height),
-            stage: self.stage.clone(),
             objects: self.objects.clone(),
             settings: self.tracker.clone(),
-            clock: ComputeClock::default(),
+            ..TrackerSetup::new(camera, self.stage.clone())
         };
         Ok((setup, note))
     }
@@ -329,7 +327,7 @@ impl Settings {
     }
 
     /// The mask at the size of the pictures.
-    pub fn mask_for(&self, width: u32, height: u32) -> Option<GrayImage> {
+    pub(super) fn mask_for(&self, width: u32, height: u32) -> Option<GrayImage> {
         self.mask.as_ref().map(|mask| match mask.dimensions() == (width, height) {
             true => mask.clone(),
             false => resize(mask, width, height, FilterType::Nearest),

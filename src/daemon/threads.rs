@@ -29,6 +29,7 @@ pub enum Delivery {
 
 /// Why the daemon could not run to its end.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum DaemonError {
     /// The system gave no thread.
     #[error("cannot start the {stage} thread: {source}; close other programs or raise the limit of processes")]
@@ -319,9 +320,8 @@ mod tests {
 
     use super::*;
     use crate::camera::CameraModel;
-    use crate::compute_clock::ComputeClock;
     use crate::geometry::Pose;
-    use crate::track::{BodySpec, ReferenceKind, SurfaceSpec, TrackerSettings};
+    use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
     use crate::tracker::TrackerSetup;
 
     /// A source that never ends by itself.
@@ -347,16 +347,8 @@ mod tests {
         let artwork = GrayImage::from_fn(64, 48, |x, y| image::Luma([if (x / 8 + y / 8) % 2 == 0 { 20 } else { 220 }]));
         let name = "plain".to_owned();
         let surface = SurfaceSpec { name: name.clone(), artwork, size_m: [4.0, 3.0], pose: Pose::identity(), kind: ReferenceKind::Artwork };
-        Tracker::new(TrackerSetup {
-            camera: CameraModel::pinhole(64, 48, 60.0, 60.0, 31.5, 23.5).unwrap(),
-            shutter: Default::default(),
-            mask: None,
-            stage: BodySpec { name, surfaces: vec![surface] },
-            objects: Vec::new(),
-            settings: TrackerSettings::default(),
-            clock: ComputeClock::default(),
-        })
-        .expect("a setup that fits")
+        let camera = CameraModel::pinhole(64, 48, 60.0, 60.0, 31.5, 23.5).unwrap();
+        Tracker::new(TrackerSetup::new(camera, BodySpec::new(name, vec![surface]))).expect("a setup that fits")
     }
 
     #[test]

@@ -165,7 +165,7 @@ mod tests {
         let photo = GrayImage::from_fn(640, 480, |x, y| Luma([if (x / 17 + y / 13) % 2 == 0 { 200 } else { 40 }]));
         let spec =
             SurfaceSpec::from_photograph("wall.jpg".to_owned(), &photo, corners.map(Pixel), camera(), size_m, Pose::identity()).unwrap();
-        of_corners(&BodySpec { name: "stage".to_owned(), surfaces: vec![spec] }, false).pop().unwrap().says
+        of_corners(&BodySpec::new("stage", vec![spec]), false).pop().unwrap().says
     }
 
     #[test]

@@ -215,7 +215,7 @@ mod tests {
     }
 
     fn stage(surfaces: Vec<SurfaceSpec>) -> BodySpec {
-        BodySpec { name: "stage".to_owned(), surfaces }
+        BodySpec::new("stage", surfaces)
     }
 
     #[test]

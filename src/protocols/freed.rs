@@ -39,6 +39,7 @@ pub struct FreedPacket {
 
 /// Why bytes are no D1 packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum FreedError {
     /// Another length.
     #[error("{0} bytes are no FreeD D1 packet; it has 29")]

@@ -34,6 +34,7 @@ impl Encoding {
 
 /// Why a datagram is no OpenTrackIO sample.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum OpenTrackIoError {
     /// Too short, or other first bytes.
     #[error("it does not begin with OTrk; set the sender to OpenTrackIO 1.0.1")]

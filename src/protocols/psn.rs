@@ -48,6 +48,7 @@ pub struct PsnTracker {
 
 /// A packet.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum PsnPacket {
     /// Positions.
     Data(PsnHeader, Vec<PsnTracker>),
@@ -57,6 +58,7 @@ pub enum PsnPacket {
 
 /// Why bytes are no PSN packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum PsnError {
     /// Another protocol.
     #[error("it is neither a data nor an info packet of PosiStageNet 2; set the sender to PSN 2")]

@@ -28,6 +28,7 @@ pub struct Dolly {
 
 /// Why there is no scene.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
 pub enum DollyError {
     /// The picture size is no camera.
     #[error(transparent)]
@@ -53,7 +54,7 @@ pub fn dolly(choice: Dolly) -> Result<VirtualStage, DollyError> {
     let floor_pose = Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, -2.7, -1.52));
     let floor = artwork_surface("floor", grey(&paint_boards(900, 600, choice.seed)), floor_m, floor_pose);
 
-    let stage = BodySpec { name: "stage".to_owned(), surfaces: vec![backdrop, flat] };
+    let stage = BodySpec::new("stage", vec![backdrop, flat]);
     let mut scene = VirtualStage::new(camera(choice.width, choice.height)?, ride(choice.duration_s, choice.seed)?, stage);
     scene.scenery = vec![floor];
     scene.light = [0.0, 2.0, 5.0, 9.0].into_iter().zip([0.9, 1.0, 0.8, 0.95]).map(|(time_s, gain)| LightKey { time_s, gain }).collect();

@@ -24,7 +24,7 @@ pub fn one_picture(picture: GrayImage, path: CameraPath, light: f32) -> VirtualS
         CameraModel::pinhole(width, height, FOCAL_PX, FOCAL_PX, middle(width), middle(height)).expect("a pinhole with a focal length");
     let size_m = [1.0, f64::from(picture.height()) / f64::from(picture.width())];
     let surface = artwork_surface("picture", picture, size_m, upright(Vector3::zeros(), 0.0));
-    let mut scene = VirtualStage::new(camera, path, BodySpec { name: "stage".into(), surfaces: vec![surface] });
+    let mut scene = VirtualStage::new(camera, path, BodySpec::new("stage", vec![surface]));
     scene.noise = SensorNoise::webcam();
     scene.background = AROUND;
     scene.samples = SAMPLES;

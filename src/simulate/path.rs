@@ -15,6 +15,7 @@ use crate::geometry::{Body, Camera, Pose, Stage};
 
 /// Why a list of keys is no path.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
 pub enum PathError {
     /// No keys at all.
     #[error("the path has no keys; give at least one")]

@@ -8,13 +8,13 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use super::path::{CameraPath, ObjectPath};
 use super::sensor::SensorNoise;
 use crate::camera::{CameraModel, Shutter};
-use crate::compute_clock::ComputeClock;
 use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
-use crate::track::{BodySpec, ReferenceKind, SurfaceSpec, TrackerSettings};
+use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
 /// A stage, its camera, and everything that decides what the camera sees.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct VirtualStage {
     /// The camera's optics.
     pub camera: CameraModel,
@@ -127,13 +127,9 @@ impl From<&VirtualStage> for TrackerSetup {
     /// What is true of a virtual stage; scenery stays untold.
     fn from(scene: &VirtualStage) -> Self {
         Self {
-            camera: scene.camera,
             shutter: scene.shutter,
-            mask: None,
-            stage: scene.stage.clone(),
             objects: scene.objects.iter().map(|object| object.body.clone()).collect(),
-            settings: TrackerSettings::default(),
-            clock: ComputeClock::default(),
+            ..Self::new(scene.camera, scene.stage.clone())
         }
     }
 }
@@ -168,7 +164,7 @@ mod tests {
     fn light_runs_straight_between_its_keys() {
         let camera = CameraModel::pinhole(8, 8, 8.0, 8.0, 3.5, 3.5).unwrap();
         let path = CameraPath::fixed(Point3::new(0.0, -1.0, 0.0), Point3::origin());
-        let mut stage = VirtualStage::new(camera, path, BodySpec { name: "stage".into(), surfaces: vec![] });
+        let mut stage = VirtualStage::new(camera, path, BodySpec::new("stage", vec![]));
         assert_eq!(stage.light_gain(3.0), 1.0);
         stage.light = vec![LightKey { time_s: 1.0, gain: 0.5 }, LightKey { time_s: 3.0, gain: 1.0 }];
         assert_eq!([0.0, 1.0, 2.0, 3.0, 9.0].map(|t| stage.light_gain(t)), [0.5, 0.5, 0.75, 1.0, 1.0]);

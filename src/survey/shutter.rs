@@ -10,6 +10,7 @@ use nalgebra::Vector2;
 use crate::camera::Shutter;
 use crate::frame::{Frame, Timestamp};
 use crate::track::{Clue, Matcher};
+use crate::tracker::Tracker;
 
 /// Frames looked at, from the clip's first.
 pub const MOST_FRAMES: usize = 240;
@@ -38,6 +39,7 @@ const BLOCK: usize = 6;
 
 /// A time and how sure it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct ShutterTime {
     /// Seconds. A readout is negative where the rows are read from the bottom up.
     pub seconds: f64,
@@ -49,6 +51,7 @@ pub struct ShutterTime {
 
 /// What a clip tells of the shutter.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct ShutterEstimate {
     /// First row to last; `None` where too few frames move, or where it would last longer than a frame.
     pub readout: Option<ShutterTime>,
@@ -97,21 +100,22 @@ impl Pass {
     }
 }
 
-/// Estimates readout and exposure. `open` gives the clip from its start, as often as it is asked; `matcher` is used up: it is left with
-/// a shutter of its own.
+/// Estimates readout and exposure. `open` gives the clip from its start, as often as it is asked; the tracker best has the stage alone
+/// and no shutter: it is given those that are tried.
 ///
 /// # Errors
 /// What `open` gives.
-pub fn estimate_shutter<I, E>(mut open: impl FnMut() -> Result<I, E>, matcher: &mut Matcher) -> Result<ShutterEstimate, E>
+pub fn estimate_shutter<I, E>(mut open: impl FnMut() -> Result<I, E>, tracker: Tracker) -> Result<ShutterEstimate, E>
 where
     I: IntoIterator<Item = Frame>,
 {
+    let mut matcher = tracker.matcher;
     let mut shutter = FIRST;
     let mut before: Option<(f64, f64)> = None;
     let mut slope = 1.0;
     let mut estimate = ShutterEstimate { readout: None, exposure: None, frames: 0, aligned: 0, has_settled: false };
     for pass in 0..MOST_PASSES {
-        let found = Pass::over(open()?, matcher, shutter);
+        let found = Pass::over(open()?, &mut matcher, shutter);
         let interval_s = found.interval_s();
         let readout = agreement(&found.readout, VAGUE_READOUT_S);
         let exposure = agreement(&found.exposure, VAGUE_EXPOSURE);
@@ -210,9 +214,8 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::compute_clock::ComputeClock;
     use crate::simulate::{Dolly, Renderer, Shake, Spline, VirtualStage, dolly};
-    use crate::track::TrackerSettings;
+    use crate::tracker::TrackerSetup;
 
     /// The estimate from two seconds of a rendered scene.
     fn estimate_of(scene: &VirtualStage) -> ShutterEstimate {
@@ -222,9 +225,8 @@ mod tests {
             Frame { image: renderer.render(timestamp.seconds(), k), timestamp, sequence: k }
         };
         let frames: Vec<Frame> = (0..60).map(frame).collect();
-        let mut matcher =
-            Matcher::new(scene.camera, Shutter::default(), None, &scene.stage, &[], TrackerSettings::default(), ComputeClock::default());
-        estimate_shutter(|| Ok::<_, Infallible>(frames.clone()), &mut matcher).unwrap()
+        let tracker = Tracker::new(TrackerSetup::new(scene.camera, scene.stage.clone())).unwrap();
+        estimate_shutter(|| Ok::<_, Infallible>(frames.clone()), tracker).unwrap()
     }
 
     fn scene(shake: Option<Shake>, exposure_s: f64) -> VirtualStage {

@@ -4,6 +4,7 @@
 
 /// Why a body is not tracked in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Reason {
     /// The picture's details are there, but no pose of a surface of this size, seen through this lens, explains where they are.
     NoPoseFits,

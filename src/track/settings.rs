@@ -2,6 +2,7 @@
 
 /// How the tracker works; the defaults suit a stage camera.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct TrackerSettings {
     /// Worker threads inside one frame; the result does not depend on it. Default 1.
     pub threads: usize,

@@ -16,6 +16,7 @@ use crate::geometry::{Body, Homography, PointPair, Pose, ReferenceCamera, Surfac
 
 /// One textured rectangle of a body, ready for tracking.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct SurfaceSpec {
     /// What to call it in messages (the picture's file name).
     pub name: String,
@@ -31,6 +32,7 @@ pub struct SurfaceSpec {
 
 /// Whether a surface was given as flat artwork or as a photograph.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub enum ReferenceKind {
     /// Flat artwork: its own pixels are the reference pixels.
     Artwork,
@@ -47,6 +49,7 @@ pub enum ReferenceKind {
 
 /// The stage, or a tracked object: a rigid body made of surfaces.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct BodySpec {
     /// `stage`, or the object's name.
     pub name: String,
@@ -54,8 +57,16 @@ pub struct BodySpec {
     pub surfaces: Vec<SurfaceSpec>,
 }
 
+impl BodySpec {
+    /// A body of this name.
+    pub fn new(name: impl Into<String>, surfaces: Vec<SurfaceSpec>) -> Self {
+        Self { name: name.into(), surfaces }
+    }
+}
+
 /// Why a picture cannot be tracked.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
 pub enum SurfaceError {
     /// Width or height in metres is not a positive number.
     #[error("size_m is [{}, {}]; both must be above 0 metres", .0[0], .0[1])]

@@ -10,6 +10,7 @@ use crate::geometry::{Body, Camera, Pose};
 /// What is known of a body in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum State {
     /// Never found yet.
     #[default]

@@ -14,7 +14,7 @@ use stagepose::diagnostics::capture::{
     monotonic_now,
 };
 use stagepose::diagnostics::live::{LiveLink, LiveSource, Patience};
-use stagepose::{EntryContent, FrameSource, Pose, Shutter, Stage, Timestamp, TrackerSettings, TrackerSetup, VirtualStage};
+use stagepose::{EntryContent, FrameSource, Pose, Shutter, Stage, Timestamp, TrackerSetup, VirtualStage};
 
 use crate::pipeline::scene::{FPS, backdrop, camera, past, quiet, setup};
 
@@ -35,7 +35,9 @@ pub fn scene() -> VirtualStage {
 
 /// What the tracker is told of it; fewer corners than usual, for the sake of time.
 pub fn tracker_setup() -> TrackerSetup {
-    TrackerSetup { settings: TrackerSettings { features: 150, threads: 2, ..TrackerSettings::default() }, ..setup(&scene()) }
+    let mut setup = setup(&scene());
+    (setup.settings.features, setup.settings.threads) = (150, 2);
+    setup
 }
 
 pub fn take() -> &'static Take {

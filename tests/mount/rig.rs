@@ -26,7 +26,7 @@ impl Board {
 
     /// What a camera sees of it from a place.
     pub fn seen(&self, camera: CameraModel, pose: &Pose<Stage, Camera>, seed: u64) -> GrayImage {
-        let stage = BodySpec { name: "stage".to_owned(), surfaces: vec![self.surface()] };
+        let stage = BodySpec::new("stage", vec![self.surface()]);
         let mut scene = VirtualStage::new(camera, standing(pose), stage);
         scene.noise = SensorNoise::webcam();
         scene.background = 60.0;

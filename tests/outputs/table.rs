@@ -95,13 +95,15 @@ fn sample(sequence: u64, timestamp: Timestamp, state: State, x: f64) -> PoseSamp
     let s = std::f64::consts::FRAC_1_SQRT_2;
     let camera = Pose::new(UnitQuaternion::from_quaternion(Quaternion::new(s, -s, 0.0, 0.0)), Vector3::new(x, -4.0, 0.0));
     let cart = Pose::new(UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0));
+    let mut object = ObjectSample::new("cart", state);
+    object.pose = is_known.then_some(cart);
     PoseSample {
         sequence,
         timestamp,
         state,
         pose: is_known.then_some(camera),
         measurement: None,
-        objects: vec![ObjectSample { name: "cart".to_owned(), state, pose: is_known.then_some(cart), covariance: None }],
+        objects: vec![object],
         reason: None,
         times: StageTimes::default(),
     }

@@ -97,10 +97,10 @@ fn random_scene(random: &mut Pcg64Mcg, most_pixels: f64) -> VirtualStage {
     for _ in 0..random.random_range(0..3) {
         surfaces.push(random_surface(random, "more", 0.5));
     }
-    let stage = BodySpec { name: "stage".to_owned(), surfaces };
+    let stage = BodySpec::new("stage", surfaces);
     let mut scene = VirtualStage::new(random_camera(random, width, height), random_path(random), stage);
     if random.random_bool(0.2) {
-        let body = BodySpec { name: "prop".to_owned(), surfaces: vec![random_surface(random, "side", 0.3)] };
+        let body = BodySpec::new("prop", vec![random_surface(random, "side", 0.3)]);
         let mut key =
             |t: f64| (t, Vector3::new(random.random_range(-1.0..1.0), random.random_range(-1.5..-0.3), random.random_range(-0.6..0.6)));
         let keys = [key(0.0), key(2.0), key(5.0)];

@@ -7,8 +7,7 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, bounded};
 use stagepose::diagnostics::capture::VirtualCamera;
 use stagepose::{
-    ClipEntry, Daemon, Delivery, EntryContent, FrameSource, PoseSample, RunningDaemon, Timestamp, Tracker, TrackerSettings, TrackerSetup,
-    VirtualStage,
+    ClipEntry, Daemon, Delivery, EntryContent, FrameSource, PoseSample, RunningDaemon, Timestamp, Tracker, TrackerSetup, VirtualStage,
 };
 
 use super::scene::{FPS, backdrop, camera, past, quiet, setup, track};
@@ -20,7 +19,9 @@ fn scene() -> VirtualStage {
 }
 
 fn with_threads(threads: usize) -> TrackerSetup {
-    TrackerSetup { settings: TrackerSettings { threads, ..TrackerSettings::default() }, ..setup(&scene()) }
+    let mut setup = setup(&scene());
+    setup.settings.threads = threads;
+    setup
 }
 
 fn daemon(threads: usize, delivery: Delivery, source: impl FrameSource + 'static) -> Daemon {

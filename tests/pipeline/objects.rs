@@ -12,7 +12,7 @@ fn with_prop() -> VirtualStage {
     let prop = surface("prop", &art, [0.9, 0.9], Vector3::new(0.0, -0.1, 0.45), 0.0);
     let keys = [(0.0, Vector3::new(-0.5, -1.0, -0.5)), (1.0, Vector3::new(0.1, -1.1, -0.4))];
     let path = ObjectPath { position: Spline::new(&keys).unwrap(), turn_rad: -0.3, turn_rate_rad_s: 0.2 };
-    scene.objects.push(MovingObject { body: BodySpec { name: "prop".into(), surfaces: vec![prop] }, path });
+    scene.objects.push(MovingObject { body: BodySpec::new("prop", vec![prop]), path });
     scene
 }
 

@@ -44,7 +44,7 @@ pub fn backdrop() -> BodySpec {
 }
 
 pub fn body(surfaces: Vec<SurfaceSpec>) -> BodySpec {
-    BodySpec { name: "stage".into(), surfaces }
+    BodySpec::new("stage", surfaces)
 }
 
 /// A path whose camera stands aside and looks at the backdrop.

@@ -1,7 +1,7 @@
 //! The covariance of the record against the errors that it speaks of.
 
 use nalgebra::{Vector3, Vector6};
-use stagepose::{CameraModel, CameraPath, LensGuess, PoseSample, SensorNoise, Spline, State, TrackerSetup, VirtualStage};
+use stagepose::{CameraModel, CameraPath, LensGuess, PoseSample, SensorNoise, Spline, State, VirtualStage};
 
 use super::scene::{aside, backdrop, camera, quiet, rows, setup, track, track_rows, truth_of};
 
@@ -38,7 +38,9 @@ fn a_guessed_lens_is_doubted_as_much_as_it_deserves() {
         let scene = quiet(CameraModel::new(real).unwrap(), aside(), backdrop());
         let across = 2.0 * (320.0 / (real.fx * off)).atan().to_degrees();
         let guess = LensGuess::FieldOfView(across).camera(640, 360).unwrap();
-        let samples = track_rows(TrackerSetup { camera: guess, ..setup(&scene) }, &rows(&scene, 8));
+        let mut guessed = setup(&scene);
+        guessed.camera = guess;
+        let samples = track_rows(guessed, &rows(&scene, 8));
         let tracked: Vec<&PoseSample> = samples.iter().filter(|s| s.state == State::Tracking).collect();
         assert!(tracked.len() >= 6, "{off} {k1}: {} frames of 8", tracked.len());
         for sample in tracked {

@@ -20,6 +20,7 @@ use problem::{Fault, fault};
 
 /// What a calibration file holds.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Calibration {
     /// The camera.
     pub model: CameraModel,
@@ -37,6 +38,7 @@ pub struct Calibration {
 
 /// The forms that are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum CalibrationForm {
     /// stagepose's own TOML.
     Stagepose,

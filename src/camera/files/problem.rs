@@ -8,6 +8,7 @@ use crate::camera::CameraError;
 
 /// Why a calibration file was not read.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum CalibrationFileError {
     /// The file is missing or cannot be read.
     #[error("cannot read the calibration file {}: {source}; check its path and permissions", path.display())]
@@ -37,6 +38,7 @@ impl CalibrationFileError {
 
 /// What is wrong with a calibration's text.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
 pub enum CalibrationProblem {
     /// None of the forms fits.
     #[error(

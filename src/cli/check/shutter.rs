@@ -9,7 +9,7 @@ use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
 use crate::frame::Frame;
 use crate::survey::shutter::{MOST_FRAMES, ShutterEstimate, ShutterTime, estimate_shutter};
-use crate::track::Matcher;
+use crate::tracker::{Tracker, TrackerSetup};
 
 /// A time that is known worse than this is not printed: seconds, and as a share of itself.
 const LARGEST_SIGMA_S: f64 = 0.001;
@@ -26,8 +26,8 @@ pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Resul
     let calibrated = settings.lens.size(&settings.camera);
     let open = || open_clip(clip, ClipOptions { fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
     let setup = tracker_setup(settings, open()?.size(), None)?;
-    let mut matcher = Matcher::new(setup.camera, Default::default(), setup.mask, &setup.stage, &[], setup.settings, setup.clock);
-    let estimate = estimate_shutter(|| open().map(|source| frames(source, progress.clone())), &mut matcher);
+    let tracker = Tracker::new(TrackerSetup { shutter: Default::default(), objects: Vec::new(), ..setup })?;
+    let estimate = estimate_shutter(|| open().map(|source| frames(source, progress.clone())), tracker);
     progress.finish();
     let estimate = estimate?;
     Ok(told(&estimate, settings))

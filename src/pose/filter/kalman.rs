@@ -13,6 +13,7 @@ use crate::motion::Motion;
 
 /// How a Kalman filter is set.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct KalmanSettings {
     /// Accelerations while moving, one sigma.
     pub acceleration_m_s2: f64,

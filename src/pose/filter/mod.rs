@@ -27,6 +27,7 @@ pub use one_euro::OneEuroSettings;
 
 /// `[filter]`
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct FilterSettings {
     /// Which filter.
     pub kind: FilterKind,
@@ -36,6 +37,7 @@ pub struct FilterSettings {
 
 /// Which filter.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub enum FilterKind {
     /// The pose is the measured one.
     #[default]

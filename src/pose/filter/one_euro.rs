@@ -8,6 +8,7 @@ use crate::motion::Motion;
 
 /// How an One-Euro filter is set.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct OneEuroSettings {
     /// Cutoff at rest, Hz.
     pub min_cutoff_hz: f64,

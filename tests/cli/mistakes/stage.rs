@@ -47,7 +47,7 @@ fn pictures() -> &'static Pictures {
         let keys = [(-0.2, [-2.2, -5.2, 0.9]), (0.5 * end_s, [0.1, -5.4, 0.3]), (end_s + 0.2, [2.0, -5.0, -0.3])];
         let position = Spline::new(&keys.map(|(t, p)| (t, Vector3::from(p)))).unwrap();
         let path = CameraPath { position, target: Spline::fixed(Vector3::new(0.0, 0.0, 0.0)), roll_rad: 0.03, shake: None };
-        let mut scene = VirtualStage::new(camera(), path, BodySpec { name: "stage".to_owned(), surfaces: vec![first, second] });
+        let mut scene = VirtualStage::new(camera(), path, BodySpec::new("stage", vec![first, second]));
         scene.noise = SensorNoise { read: 0.7, shot: 0.005 };
         scene.background = 40.0;
         let truth = scene.truth(0.0).inverse();
