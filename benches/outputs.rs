@@ -15,7 +15,7 @@ use stagepose::diagnostics::publish::{
 use stagepose::protocols::opentrackio::Encoding;
 use stagepose::protocols::opentrackio_lens::PrincipalPoint;
 use stagepose::protocols::to_camera_axes;
-use stagepose::{CameraModel, Pose, PoseSample, StageTimes, State, Timestamp};
+use stagepose::{CameraModel, Pose, PoseSample, State, Timestamp};
 
 const HZ: f64 = 240.0;
 
@@ -116,16 +116,9 @@ fn send(outputs: &[OutputSettings], frames: u64) -> (Vec<Instant>, Vec<Duration>
 fn sample(k: u64) -> PoseSample {
     let angle = k as f64 * 1e-3;
     let body = Pose::new(nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, angle.sin()), Vector3::new(angle.sin(), -4.0, 1.6));
-    PoseSample {
-        sequence: k,
-        timestamp: Timestamp::from_seconds(k as f64 / HZ),
-        state: State::Tracking,
-        pose: Some(to_camera_axes(&body)),
-        measurement: None,
-        objects: Vec::new(),
-        reason: None,
-        times: StageTimes::default(),
-    }
+    let mut sample = PoseSample::new(k, Timestamp::from_seconds(k as f64 / HZ), State::Tracking);
+    sample.pose = Some(to_camera_axes(&body));
+    sample
 }
 
 /// Whatever must stay open while the outputs run.

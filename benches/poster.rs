@@ -60,7 +60,7 @@ fn seen(picture: &GrayImage, at: (f64, f64), start: Start, light: f32) -> Seen {
     let mut sum = Seen::default();
     for k in 0..frames {
         let time_s = k as f64 / FPS;
-        let frame = Frame { image: renderer.render(time_s, k), timestamp: Timestamp::from_seconds(time_s), sequence: k };
+        let frame = Frame::new(renderer.render(time_s, k), Timestamp::from_seconds(time_s), k);
         let sample = tracker.track(&frame).expect("a frame in order");
         let Some(m) = sample.measurement.filter(|_| sample.state == State::Tracking && k >= frames - SCORED_FRAMES) else { continue };
         let covariance = m.covariance.fixed_view::<3, 3>(0, 0).into_owned();

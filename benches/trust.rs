@@ -64,7 +64,7 @@ fn main() {
         let scene = scene(seed, &mut random);
         let truth: Pose<Camera, Body> = scene.truth(0.0).inverse().renamed();
         let (camera, stage) = (scene.camera, scene.stage.clone());
-        let frame = Frame { image: Renderer::new(scene).render(0.0, 0), timestamp: Default::default(), sequence: 0 };
+        let frame = Frame::new(Renderer::new(scene).render(0.0, 0), Default::default(), 0);
         let other_stage = BodySpec::new("stage", vec![surface(seed + 1000, stage.surfaces[0].size_m)]);
         for (is_shown, stage) in [(true, &stage), (false, &other_stage)] {
             let mut matcher =

@@ -20,7 +20,7 @@ fn grab(camera: &Renderer, sequence: u64) -> Frame {
     let time_s = sequence as f64 / FRAMES_PER_SECOND;
     let image = if sequence == 10 { GrayImage::new(160, 120) } else { camera.render(time_s, sequence) };
     let stamp_s = if sequence == 20 { 19.0 / FRAMES_PER_SECOND } else { time_s };
-    Frame { image, timestamp: Timestamp::from_seconds(stamp_s), sequence }
+    Frame::new(image, Timestamp::from_seconds(stamp_s), sequence)
 }
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 /// One picture to be tracked.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Frame {
     /// Grey levels 0..=255, row-major, raw (distorted) pixels; pixel centres at integers.
     pub image: GrayImage,
@@ -15,6 +16,13 @@ pub struct Frame {
     pub timestamp: Timestamp,
     /// Row number in the clip, or frame number of the device, from 0.
     pub sequence: u64,
+}
+
+impl Frame {
+    /// A picture with its stamp and its number.
+    pub fn new(image: GrayImage, timestamp: Timestamp, sequence: u64) -> Self {
+        Self { image, timestamp, sequence }
+    }
 }
 
 /// An instant in whole nanoseconds on some clock: a camera's, a clip's, or one of the machine's. Only instants on one clock can be

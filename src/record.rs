@@ -90,6 +90,7 @@ pub struct StageTimes {
 
 /// The tracker's answer for one row of a clip or one frame of a camera.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct PoseSample {
     /// Row number from 0.
     pub sequence: u64,
@@ -186,10 +187,16 @@ impl Serialize for PoseSample {
 }
 
 impl PoseSample {
+    /// A sample without a pose.
+    pub fn new(sequence: u64, timestamp: Timestamp, state: State) -> Self {
+        let times = StageTimes::default();
+        Self { sequence, timestamp, state, pose: None, measurement: None, objects: Vec::new(), reason: None, times }
+    }
+
     /// The message that the camera has given no picture for `age_ms` since its last one, which had this number and stamp.
     pub fn stale(sequence: u64, timestamp: Timestamp, age_ms: f64) -> Self {
         let times = StageTimes { age_ms: Some(age_ms), ..StageTimes::default() };
-        Self { sequence, timestamp, state: State::Stale, pose: None, measurement: None, objects: Vec::new(), reason: None, times }
+        Self { times, ..Self::new(sequence, timestamp, State::Stale) }
     }
 
     /// The record as one line of JSON, without the line end.

@@ -9,7 +9,7 @@ use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-use crate::track::{BodySpec, Matcher, Sighting, TrackerSettings, UsedPixels};
+use crate::track::{BodySpec, Matcher, Sighting, SurfaceError, TrackerSettings, UsedPixels};
 
 /// Everything a tracker is made from.
 #[derive(Debug, Clone)]
@@ -57,6 +57,16 @@ pub enum SetupError {
         /// Its name.
         body: String,
     },
+    /// A surface without a picture or a size.
+    #[error("the surface `{surface}` of the body `{body}`: {problem}")]
+    Surface {
+        /// Name of the body.
+        body: String,
+        /// Name of the surface.
+        surface: String,
+        /// What is wrong with it.
+        problem: SurfaceError,
+    },
 }
 
 impl TrackerSetup {
@@ -81,10 +91,16 @@ impl TrackerSetup {
         if let Some((name, seconds)) = self.shutter.impossible_time() {
             return Err(SetupError::Shutter { name, seconds });
         }
-        match std::iter::once(&self.stage).chain(&self.objects).find(|body| body.surfaces.is_empty()) {
-            Some(body) => Err(SetupError::NoSurface { body: body.name.clone() }),
-            None => Ok(()),
+        for body in std::iter::once(&self.stage).chain(&self.objects) {
+            let name = || body.name.clone();
+            if body.surfaces.is_empty() {
+                return Err(SetupError::NoSurface { body: name() });
+            }
+            for surface in &body.surfaces {
+                surface.check().map_err(|problem| SetupError::Surface { body: name(), surface: surface.name.clone(), problem })?;
+            }
         }
+        Ok(())
     }
 }
 

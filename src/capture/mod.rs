@@ -54,6 +54,7 @@ pub use virtual_stage::VirtualCamera;
 
 /// One entry of a clip (a row of its timestamps.csv): a frame, or why there is none.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct ClipEntry {
     /// Row number from 0.
     pub sequence: u64,
@@ -65,6 +66,13 @@ pub struct ClipEntry {
     pub decode: Duration,
     /// What the row's picture was before it became grey: of a camera for the recorder, of a clip only where its colours were asked for.
     pub received: Option<Received>,
+}
+
+impl ClipEntry {
+    /// An entry that took no time to decode, and of which nothing but its content is known.
+    pub fn new(sequence: u64, timestamp: Timestamp, content: EntryContent) -> Self {
+        Self { sequence, timestamp, content, decode: Duration::ZERO, received: None }
+    }
 }
 
 /// What a row's picture was before it became grey.

@@ -1,7 +1,5 @@
 //! The virtual stage as a source of frames: what the demo and the tests track.
 
-use std::time::Duration;
-
 use super::{ClipEntry, EntryContent, FrameSource};
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Camera, Pose, Stage};
@@ -54,7 +52,7 @@ impl FrameSource for VirtualCamera {
         let image = self.renderer.render(self.time_s(sequence), sequence);
         // Rendering stands for the world, not for decoding: it costs the tracker nothing.
         let content = EntryContent::Frame(Frame { image, timestamp, sequence });
-        Some(ClipEntry { sequence, timestamp, content, decode: Duration::ZERO, received: None })
+        Some(ClipEntry::new(sequence, timestamp, content))
     }
 
     fn size(&self) -> (u32, u32) {

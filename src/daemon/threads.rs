@@ -331,7 +331,7 @@ mod tests {
         fn next_entry(&mut self) -> Option<ClipEntry> {
             std::thread::sleep(std::time::Duration::from_millis(1));
             let content = EntryContent::Undecodable("as told".to_owned());
-            Some(ClipEntry { sequence: 0, timestamp: Default::default(), content, decode: std::time::Duration::ZERO, received: None })
+            Some(ClipEntry::new(0, Default::default(), content))
         }
 
         fn size(&self) -> (u32, u32) {

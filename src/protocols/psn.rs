@@ -63,6 +63,9 @@ pub enum PsnError {
     /// Another protocol.
     #[error("it is neither a data nor an info packet of PosiStageNet 2; set the sender to PSN 2")]
     Kind,
+    /// More than the 15 bits of a chunk's length can say.
+    #[error("the packet is longer than 32767 bytes; split it")]
+    TooLong,
     /// A chunk that is longer than what holds it, or too short for what it says.
     #[error("a chunk does not fit into its packet; the packet is damaged")]
     Length,
@@ -81,9 +84,11 @@ pub fn from_psn(position_m: [f32; 3], orientation_rad: [f32; 3]) -> Pose<Stage, 
     Pose::new(UnitQuaternion::from_scaled_axis(Vector3::new(-a, -c, -b)), Vector3::new(x, z, y))
 }
 
+/// What a chunk can hold: its length has 15 bits.
+const LONGEST_CHUNK: usize = 0x7FFF;
+
 fn chunk(id: u16, holds_chunks: bool, content: &[u8]) -> Vec<u8> {
-    // Names are cut and packets split long before 32 kB.
-    let header = u32::from(id) | (content.len() as u32 & 0x7FFF) << 16 | u32::from(holds_chunks) << 31;
+    let header = u32::from(id) | ((content.len() & LONGEST_CHUNK) as u32) << 16 | u32::from(holds_chunks) << 31;
     [&header.to_le_bytes()[..], content].concat()
 }
 
@@ -115,18 +120,23 @@ impl PsnTracker {
 
 impl PsnPacket {
     /// The bytes.
-    pub fn encode(&self) -> Vec<u8> {
-        match self {
+    ///
+    /// # Errors
+    /// Trackers or names that do not fit into one packet.
+    pub fn encode(&self) -> Result<Vec<u8>, PsnError> {
+        let (kind, content) = match self {
             Self::Data(header, trackers) => {
                 let trackers: Vec<u8> = trackers.iter().flat_map(PsnTracker::encode).collect();
-                chunk(DATA, true, &[header.encode(), chunk(1, true, &trackers)].concat())
+                (DATA, [header.encode(), chunk(1, true, &trackers)].concat())
             }
             Self::Info(header, system, names) => {
                 let name = |(id, name): &(u16, String)| chunk(*id, true, &chunk(0, false, name.as_bytes()));
                 let names: Vec<u8> = names.iter().flat_map(name).collect();
-                chunk(INFO, true, &[header.encode(), chunk(1, false, system.as_bytes()), chunk(2, true, &names)].concat())
+                (INFO, [header.encode(), chunk(1, false, system.as_bytes()), chunk(2, true, &names)].concat())
             }
-        }
+        };
+        // What holds all others is the longest.
+        if content.len() > LONGEST_CHUNK { Err(PsnError::TooLong) } else { Ok(chunk(kind, true, &content)) }
     }
 
     /// Reads the bytes of a packet; chunks that are not known are passed over.

@@ -12,8 +12,8 @@ const GOLDEN_DATA: &str = "55676c8000000c00d007000000000000020306010100588001005
 fn golden_packets() {
     let header = PsnHeader { timestamp_us: 1000, frame_id: 5, packets: 1 };
     let info = PsnPacket::Info(header, "stagecam".to_owned(), vec![(1, "camera".to_owned())]);
-    assert_eq!(info.encode(), bytes_of(GOLDEN_INFO));
-    assert_eq!(PsnPacket::decode(&info.encode()), Ok(info));
+    assert_eq!(info.encode().unwrap(), bytes_of(GOLDEN_INFO));
+    assert_eq!(PsnPacket::decode(&info.encode().unwrap()), Ok(info));
     let header = PsnHeader { timestamp_us: 2000, frame_id: 6, packets: 1 };
     let tracker = PsnTracker {
         id: 1,
@@ -26,8 +26,17 @@ fn golden_packets() {
         timestamp_us: Some(1999),
     };
     let data = PsnPacket::Data(header, vec![tracker]);
-    assert_eq!(data.encode(), bytes_of(GOLDEN_DATA));
-    assert_eq!(PsnPacket::decode(&data.encode()), Ok(data));
+    assert_eq!(data.encode().unwrap(), bytes_of(GOLDEN_DATA));
+    assert_eq!(PsnPacket::decode(&data.encode().unwrap()), Ok(data));
+}
+
+#[test]
+fn what_no_length_can_say_is_refused() {
+    let names = |bytes| PsnPacket::Info(PsnHeader::default(), String::new(), vec![(1, "x".repeat(bytes))]);
+    // The header, the system, the list, a tracker and its name: 4 bytes each, and 12 of the header.
+    assert_eq!(PsnPacket::decode(&names(32_767 - 32).encode().unwrap()), Ok(names(32_767 - 32)));
+    assert_eq!(names(32_767 - 31).encode(), Err(PsnError::TooLong));
+    assert_eq!(names(100_000).encode(), Err(PsnError::TooLong));
 }
 
 #[test]
@@ -48,7 +57,7 @@ proptest! {
         let pose = Pose::new(PanTiltRoll { pan_deg, tilt_deg, roll_deg }.rotation(), Vector3::new(x, y, z));
         let (p, w) = to_psn(&pose);
         let tracker = PsnTracker { id: 3, position_m: Some(p), orientation_rad: Some(w), ..PsnTracker::default() };
-        let bytes = PsnPacket::Data(PsnHeader::default(), vec![tracker]).encode();
+        let bytes = PsnPacket::Data(PsnHeader::default(), vec![tracker]).encode().unwrap();
         let PsnPacket::Data(_, trackers) = PsnPacket::decode(&bytes).unwrap() else { panic!("no data packet") };
         let back = from_psn(trackers[0].position_m.unwrap(), trackers[0].orientation_rad.unwrap());
         for (found, given) in back.translation.iter().zip(pose.translation.iter()) {

@@ -92,7 +92,7 @@ impl Encoder for PsnEncoder {
         let header = PsnHeader { timestamp_us, frame_id: self.frame_id, packets: groups.len().min(255) as u8 };
         self.frame_id = self.frame_id.wrapping_add(1);
         for group in groups {
-            send(&PsnPacket::Data(header, group.to_vec()).encode());
+            let _ = PsnPacket::Data(header, group.to_vec()).encode().map(|bytes| send(&bytes));
         }
     }
 
@@ -106,7 +106,7 @@ impl Encoder for PsnEncoder {
         let packets = groups.len().min(255) as u8;
         let header = PsnHeader { timestamp_us: self.since_start_us(now), frame_id: self.frame_id, packets };
         for group in groups {
-            send(&PsnPacket::Info(header, self.settings.system.clone(), group.to_vec()).encode());
+            let _ = PsnPacket::Info(header, self.settings.system.clone(), group.to_vec()).encode().map(|bytes| send(&bytes));
         }
     }
 }

@@ -193,6 +193,15 @@ impl SurfaceSpec {
         if found < LEAST_CORNERS { Err(SurfaceError::Textureless { found, least: LEAST_CORNERS }) } else { Ok(()) }
     }
 
+    /// That there is a picture, and a size to place it with.
+    pub(crate) fn check(&self) -> Result<(), SurfaceError> {
+        let (width, height) = self.artwork.dimensions();
+        if width == 0 || height == 0 {
+            return Err(SurfaceError::TooSmall { width, height, least: LEAST_SIDE_PX });
+        }
+        check_size(self.size_m)
+    }
+
     /// The same surface left out: nothing is on its picture, so that it is never looked for. It keeps its place among the others, and what is
     /// told relative to the first surface stays so.
     pub fn left_out(mut self) -> Self {

@@ -54,7 +54,8 @@ fn psn() -> Vec<Vec<u8>> {
         timestamp_us: Some(77),
     };
     let names = vec![(1, "camera".to_owned()), (2, "Bühne".to_owned())];
-    vec![PsnPacket::Data(header, (1..4).map(tracker).collect()).encode(), PsnPacket::Info(header, "stage".to_owned(), names).encode()]
+    let packets = [PsnPacket::Data(header, (1..4).map(tracker).collect()), PsnPacket::Info(header, "stage".to_owned(), names)];
+    packets.iter().map(|packet| packet.encode().expect("it fits")).collect()
 }
 
 fn opentrackio() -> Vec<Vec<u8>> {

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use stagepose::diagnostics::publish::{BlendRates, Clocks, Context, FixedRate, OnLoss, Publisher, Rate, SafetySettings, Stamps};
-use stagepose::{CameraModel, ObjectSample, Pose, PoseSample, StageTimes, State, Timestamp};
+use stagepose::{CameraModel, ObjectSample, Pose, PoseSample, State, Timestamp};
 
 use super::clocks::SteppedClocks;
 use super::decoders::Said;
@@ -97,16 +97,9 @@ fn sample(sequence: u64, timestamp: Timestamp, state: State, x: f64) -> PoseSamp
     let cart = Pose::new(UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0));
     let mut object = ObjectSample::new("cart", state);
     object.pose = is_known.then_some(cart);
-    PoseSample {
-        sequence,
-        timestamp,
-        state,
-        pose: is_known.then_some(camera),
-        measurement: None,
-        objects: vec![object],
-        reason: None,
-        times: StageTimes::default(),
-    }
+    let mut sample = PoseSample::new(sequence, timestamp, state);
+    (sample.pose, sample.objects) = (is_known.then_some(camera), vec![object]);
+    sample
 }
 
 /// All columns with one story.

@@ -6,7 +6,6 @@
 //! `STAGEPOSE_RANDOM_SEED` for another first scene.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::time::Duration;
 
 use image::{GrayImage, Luma};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -78,10 +77,9 @@ fn track_scene(seed: u64) -> [u64; 2] {
             1 => GrayImage::from_pixel(random.random_range(1..100), random.random_range(1..100), Luma([90])),
             _ => renderer.render(time_s, sequence),
         };
-        let frame = Frame { image, timestamp: Timestamp::from_seconds(time_s), sequence };
-        let (timestamp, decode) = (frame.timestamp, Duration::ZERO);
-        let sample =
-            track_entry(&mut tracker, &ClipEntry { sequence, timestamp, content: EntryContent::Frame(frame), decode, received: None });
+        let timestamp = Timestamp::from_seconds(time_s);
+        let content = EntryContent::Frame(Frame::new(image, timestamp, sequence));
+        let sample = track_entry(&mut tracker, &ClipEntry::new(sequence, timestamp, content));
         assert_record_holds(&sample);
         tracked += u64::from(sample.measurement.is_some());
     }

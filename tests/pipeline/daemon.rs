@@ -74,13 +74,7 @@ impl FrameSource for Beats {
         let sequence = self.next;
         self.next += 1;
         let content = EntryContent::Undecodable("nothing to see".into());
-        Some(ClipEntry {
-            sequence,
-            timestamp: Timestamp::from_ns(sequence as i64 * 33_333_333),
-            content,
-            decode: Duration::ZERO,
-            received: None,
-        })
+        Some(ClipEntry::new(sequence, Timestamp::from_ns(sequence as i64 * 33_333_333), content))
     }
 
     fn size(&self) -> (u32, u32) {

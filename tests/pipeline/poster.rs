@@ -12,7 +12,7 @@ fn seen(picture: &image::GrayImage, widths: f64, askew_deg: f64, light: f32) -> 
     let scene = one_picture(picture.clone(), CameraPath::fixed(at, Point3::origin()), light);
     let mut tracker = Tracker::new(TrackerSetup::from(&scene)).expect("a setup that fits");
     let renderer = Renderer::new(scene);
-    let frame = |k: u64| Frame { image: renderer.render(0.0, k), timestamp: Timestamp::from_ns(k as i64 * 33_333_333), sequence: k };
+    let frame = |k: u64| Frame::new(renderer.render(0.0, k), Timestamp::from_ns(k as i64 * 33_333_333), k);
     let last = (0..4).filter_map(|k| tracker.track(&frame(k)).ok()).last()?;
     last.measurement.map(|m| {
         let off = (Point3::from(m.pose.translation) - at).norm();
@@ -39,7 +39,7 @@ fn it_is_followed_to_ten_widths_and_to_75_degrees() {
         let renderer = Renderer::new(scene);
         for k in 0..40_u64 {
             let time_s = k as f64 / 30.0;
-            let frame = Frame { image: renderer.render(time_s, k), timestamp: Timestamp::from_seconds(time_s), sequence: k };
+            let frame = Frame::new(renderer.render(time_s, k), Timestamp::from_seconds(time_s), k);
             let sample = tracker.track(&frame).expect("a frame in order");
             // The first two frames confirm each other.
             assert!(sample.measurement.is_some() || k < 2, "{to:?}: lost in frame {k}");

@@ -52,11 +52,11 @@ fn coasting_ends_by_stamps_not_by_frames() {
 }
 
 fn undecodable(row: &ClipEntry) -> ClipEntry {
-    ClipEntry { content: EntryContent::Undecodable("the file ends too soon".into()), ..row.clone() }
+    ClipEntry::new(row.sequence, row.timestamp, EntryContent::Undecodable("the file ends too soon".into()))
 }
 
 fn skipped(row: &ClipEntry, timestamp: Timestamp) -> ClipEntry {
-    ClipEntry { content: EntryContent::Skipped("out of order".into()), timestamp, ..row.clone() }
+    ClipEntry::new(row.sequence, timestamp, EntryContent::Skipped("out of order".into()))
 }
 
 #[test]
@@ -90,10 +90,10 @@ fn a_frame_that_does_not_fit_is_an_error_and_counts_as_never_seen() {
         let last = frame.timestamp;
         let sample = told.track(frame).expect("it fits");
         assert_eq!(sample.to_json_line(), alone.track(frame).expect("it fits").to_json_line());
-        let small = Frame { image: image::GrayImage::new(100, 80), timestamp: last.after_ns(1), sequence: frame.sequence };
+        let small = Frame::new(image::GrayImage::new(100, 80), last.after_ns(1), frame.sequence);
         assert_eq!(told.track(&small), Err(FrameError::Size { size: (100, 80), wanted: (480, 360) }));
         for timestamp in [last, last.after_ns(-1)] {
-            let late = Frame { timestamp, ..frame.clone() };
+            let late = Frame::new(frame.image.clone(), timestamp, frame.sequence);
             assert_eq!(told.track(&late), Err(FrameError::Stamp { timestamp, last }));
         }
     }
@@ -122,6 +122,8 @@ fn a_setup_that_does_not_fit_is_an_error() {
         refused(|s| s.stage.surfaces.clear()),
         format!("the body `{}` has no surface; give it one, or leave it out", scene.stage.name)
     );
+    assert!(refused(|s| s.stage.surfaces[0].artwork = Default::default()).contains("the picture is 0 x 0 pixels"));
+    assert!(refused(|s| s.stage.surfaces[0].size_m = [4.0, f64::NAN]).contains("both must be above 0 metres"));
 }
 
 #[test]

@@ -18,7 +18,7 @@ fn packets_become_lines() {
     let wanted = "camera 7 pan -12.5000 tilt 3.2500 roll 0.0000 deg, x 1.00 y -2.50 z 1600.00 mm, zoom 4800 focus 0 spare 0x0001";
     assert_eq!(line(Spoken::Freed, &packet.encode().0), wanted);
     let info = PsnPacket::Info(PsnHeader::default(), "s".to_owned(), vec![(1, "camera".to_owned())]);
-    assert_eq!(line(Spoken::Psn, &info.encode()), "info frame 0: s: 1 camera");
+    assert_eq!(line(Spoken::Psn, &info.encode().unwrap()), "info frame 0: s: 1 camera");
     let sample = opentrackio::datagram(opentrackio::Encoding::Json, 4, br#"{"a":1}"#).unwrap();
     assert_eq!(line(Spoken::OpenTrackIo, &sample), r##"#4 {"a":1}"##);
     assert!(line(Spoken::Freed, b"hello").starts_with("5 bytes: 5 bytes are no FreeD"));

@@ -62,7 +62,7 @@ mod tests {
         fn next_entry(&mut self) -> Option<ClipEntry> {
             let timestamp = Timestamp::from_ns(self.0.next()? * 1_000_000);
             let content = EntryContent::Undecodable("dark".to_owned());
-            Some(ClipEntry { sequence: 0, timestamp, content, decode: Duration::ZERO, received: None })
+            Some(ClipEntry::new(0, timestamp, content))
         }
 
         fn size(&self) -> (u32, u32) {
