@@ -85,7 +85,7 @@ impl Daemon {
 
     /// A daemon for a camera: drops the oldest, numbers the rows that are tracked, counts what happens, and gives
     /// subscribers a stale message ([`State::Stale`](crate::record::State::Stale)) when no picture has come for three frame times.
-    /// Give the tracker the exposure that [`exposure_of`](super::live::exposure_of) the camera's mode says.
+    /// Give the tracker the exposure that the camera's mode says.
     pub fn live(source: LiveSource, tracker: Tracker) -> Self {
         // One switch for both: a source that waits for a picture would not look at the daemon's.
         let (live, stop) = (Some(source.link()), source.stop_switch());
