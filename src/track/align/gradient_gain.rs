@@ -2,7 +2,7 @@
 //!
 //! A slope over the samples inside a pixel lets finer detail through than the pixel does: it is the pixel's own slope and something beside
 //! it, which scatters from pixel to pixel. That scatter counts as information, and steps come out too short (the dilution of a
-//! regression whose regressor is noisy: Fuller 1987). What a step changed in the prediction, over what its slopes foretold, is
+//! regression whose regressor is noisy: Fuller 1987). What a step changed in the prediction, over what its slopes predicted, is
 //! the share of the slopes that is real; with it steps are as long as they should be, and one of them is often enough.
 
 use super::lanes::{LANES, Lanes, dispatch, load_at, store_at, total};
@@ -62,7 +62,7 @@ impl ChangeSums {
     }
 }
 
-/// The grey of pixels before a step, and the change that the slopes foretell.
+/// The grey of pixels before a step, and the change that the slopes predict.
 #[derive(Debug, Default)]
 pub struct PredictedChange {
     intensity: Vec<f32>,
@@ -76,10 +76,10 @@ impl PredictedChange {
         self.change.resize(n, 0.0);
     }
 
-    /// Foretells the pixels of a range. `by_pose`: their derivatives; `step`: the change of pose at their time.
-    pub fn foretell(&mut self, intensity: &[f32], by_pose: &[Vec<f32>; 6], step: &[f32; 6], range: std::ops::Range<usize>) {
+    /// Predicts the pixels of a range. `by_pose`: their derivatives; `step`: the change of pose at their time.
+    pub fn predict(&mut self, intensity: &[f32], by_pose: &[Vec<f32>; 6], step: &[f32; 6], range: std::ops::Range<usize>) {
         self.intensity[range.clone()].copy_from_slice(&intensity[range.clone()]);
-        foretell(by_pose, step, [range.start, range.end], &mut self.change);
+        predict_change(by_pose, step, [range.start, range.end], &mut self.change);
     }
 
     /// What became of that. `grey`: after the step; `counts`: 1 for pixels that tell something.
@@ -91,13 +91,13 @@ impl PredictedChange {
 }
 
 dispatch! {
-    /// The change that slopes foretell for the pixels of a range.
-    foretell, foretell_lanes,
+    /// The change that slopes predict for the pixels of a range.
+    predict_change, predict_change_lanes,
     (by_pose: &[Vec<f32>; 6], step: &[f32; 6], range: [usize; 2], out: &mut [f32])
 }
 
 #[inline(always)]
-fn foretell_lanes<L: Lanes>(by_pose: &[Vec<f32>; 6], step: &[f32; 6], range: [usize; 2], out: &mut [f32]) {
+fn predict_change_lanes<L: Lanes>(by_pose: &[Vec<f32>; 6], step: &[f32; 6], range: [usize; 2], out: &mut [f32]) {
     let mut k = range[0];
     while k < range[1] {
         let mut change = L::splat(0.0);
@@ -138,7 +138,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn steps_that_change_less_than_foretold_flatten_the_slopes() {
+    fn steps_that_change_less_than_predicted_flatten_the_slopes() {
         let n = 64;
         let by_pose: [Vec<f32>; 6] = std::array::from_fn(|c| (0..n).map(|k| ((k * (c + 3)) as f32).sin() * 50.0).collect());
         let step = [0.1, -0.05, 0.2, 0.03, 0.07, -0.1];
@@ -150,7 +150,7 @@ mod tests {
         predicted_change.resize(n);
         for _ in 0..60 {
             let applied: [Vec<f32>; 6] = std::array::from_fn(|c| by_pose[c].iter().map(|v| v * share.get() as f32).collect());
-            predicted_change.foretell(&intensity, &applied, &step, 0..n);
+            predicted_change.predict(&intensity, &applied, &step, 0..n);
             // Eight tenths of the slopes as they are without any share are real; where nothing is told, all is other.
             let after = |k: usize| {
                 let change: f32 = (0..6).map(|c| by_pose[c][k] * step[c]).sum();

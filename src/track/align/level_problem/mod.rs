@@ -176,7 +176,7 @@ impl LevelProblem {
         let appearance = &self.picture.appearance;
         for r in &self.runs {
             let step = std::array::from_fn(|c| r.step.columns[c]);
-            self.predicted_change.foretell(&appearance.intensity, &appearance.by_pose, &step, r.run.range());
+            self.predicted_change.predict(&appearance.intensity, &appearance.by_pose, &step, r.run.range());
         }
         self.predict(spec, motion);
         self.predicted_change.compare(&self.picture.appearance.intensity, &self.picture.pixels.counts)
