@@ -16,10 +16,17 @@ use nix::unistd::{AccessFlags, access};
 /// # Errors
 /// What the system says, or that the path names something else than a plain file.
 pub fn open(path: &Path) -> io::Result<File> {
+    looked_at(path, OpenOptions::new().read(true), refuse_others)
+}
+
+/// Opens without waiting what `refuse` lets pass.
+fn looked_at(path: &Path, options: &mut OpenOptions, refuse: impl Fn(FileType) -> io::Result<()>) -> io::Result<File> {
     // Looked at twice: opening some devices does something, and what the path names may change in between.
-    refuse_others(std::fs::metadata(path)?.file_type())?;
-    let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY).open(path)?;
-    refuse_others(file.metadata()?.file_type())?;
+    if let Ok(there) = std::fs::metadata(path) {
+        refuse(there.file_type())?;
+    }
+    let file = options.custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY).open(path)?;
+    refuse(file.metadata()?.file_type())?;
     Ok(file)
 }
 
@@ -45,13 +52,7 @@ pub fn read(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
 /// # Errors
 /// What the system says, or that the path names something else than a plain file.
 pub fn replace(path: &Path) -> io::Result<File> {
-    if let Ok(there) = std::fs::metadata(path) {
-        refuse_others(there.file_type())?;
-    }
-    let mut options = OpenOptions::new();
-    let file = options.write(true).create(true).truncate(true).custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY).open(path)?;
-    refuse_others(file.metadata()?.file_type())?;
-    Ok(file)
+    looked_at(path, OpenOptions::new().write(true).create(true).truncate(true), refuse_others)
 }
 
 /// Writes a whole file, or none: beside its place, from where it is moved there. Who reads the old one goes on reading it; a full disk and a
@@ -80,17 +81,11 @@ pub fn open_output(path: &Path) -> io::Result<File> {
         let is_wrong = found.is_block_device() || found.is_socket() || found.is_dir();
         if is_wrong { Err(io::Error::other(format!("it is {}", kind(found)))) } else { Ok(()) }
     };
-    if let Ok(there) = std::fs::metadata(path) {
-        refuse_wrong(there.file_type())?;
-    }
-    let mut options = OpenOptions::new();
-    let options = options.write(true).create(true).truncate(false).custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY);
-    let file = options.open(path).map_err(|e| match e.raw_os_error() {
+    let opened = looked_at(path, OpenOptions::new().write(true).create(true).truncate(false), refuse_wrong);
+    opened.map_err(|e| match e.raw_os_error() {
         Some(libc::ENXIO) => io::Error::other("it is a named pipe that nobody reads; start its reader first"),
         _ => e,
-    })?;
-    refuse_wrong(file.metadata()?.file_type())?;
-    Ok(file)
+    })
 }
 
 /// Whether a file may be written, or made where it is not there yet; nothing is opened or made.

@@ -1,5 +1,7 @@
 //! Poses and rotations in words that people on a stage use: metres and degrees.
 
+use nalgebra::UnitQuaternion;
+
 use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
 use crate::protocols::{PanTiltRoll, to_body_axes};
 
@@ -15,26 +17,31 @@ pub(super) fn angle_words(t_stage_camera: &Pose<Stage, Camera>) -> String {
     format!("pan {pan:+.2} tilt {tilt:+.2} roll {roll:+.2} degrees")
 }
 
-/// Pan, tilt and roll of the camera's body in degrees, rounded to hundredths; no zero is negative.
+/// Pan, tilt and roll of the camera's body.
 pub(super) fn camera_angles(t_stage_camera: &Pose<Stage, Camera>) -> [f64; 3] {
-    let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(&to_body_axes(t_stage_camera).rotation, 0.0);
-    // `+ 0.0` keeps a rounded zero from being printed as -0.00.
-    [pan_deg, tilt_deg, roll_deg].map(|degrees| (degrees * 100.0).round() / 100.0 + 0.0)
+    angles(&to_body_axes(t_stage_camera).rotation)
 }
 
 /// The `rotation_deg` of a surface: turn, tilt and roll.
 pub(super) fn surface_angles(t_body_surface: &Pose<Body, SurfaceFrame>) -> [f64; 3] {
     // An upright surface that faces the audience is turned by nothing; its normal is a frame's y, the other way round.
-    let upright = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
-    let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(&(t_body_surface.rotation * upright.inverse()), 0.0);
-    [pan_deg, tilt_deg, -roll_deg].map(|degrees| (degrees * 100.0).round() / 100.0 + 0.0)
+    let upright = UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
+    let [turn, tilt, roll] = angles(&(t_body_surface.rotation * upright.inverse()));
+    [turn, tilt, 0.0 - roll]
+}
+
+/// Pan, tilt and roll of a rotation in degrees, rounded to hundredths; no zero is negative.
+pub(super) fn angles(rotation: &UnitQuaternion<f64>) -> [f64; 3] {
+    let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(rotation, 0.0);
+    // `+ 0.0` keeps a rounded zero from being printed as -0.00.
+    [pan_deg, tilt_deg, roll_deg].map(|degrees| (degrees * 100.0).round() / 100.0 + 0.0)
 }
 
 #[cfg(test)]
 mod tests {
     use std::path::Path;
 
-    use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+    use nalgebra::{Quaternion, Vector3};
 
     use super::*;
     use crate::config::Settings;

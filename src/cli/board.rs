@@ -1,10 +1,10 @@
 //! `stagepose board`: the chessboard to print.
 
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::calibrate::write_whole;
 use super::failure::Failure;
+use super::output_file::print;
 use super::poster::PageForm;
 use crate::calibrate::board::Board;
 use crate::targets::paper::Paper;
@@ -47,6 +47,6 @@ pub(super) fn run(arguments: &BoardArguments) -> Result<(), Failure> {
             PageForm::Pdf => write_whole(file, pdf::write(&page, None)),
             PageForm::Svg => write_whole(file, svg()),
         },
-        None => io::stdout().write_all(svg().as_bytes()).map_err(Failure::output(Path::new("stdout"))),
+        None => print(svg()),
     }
 }

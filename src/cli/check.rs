@@ -1,14 +1,14 @@
 //! `check`: reads a config and everything that it names, tries its camera, and says what was found and what will happen.
 
 use std::fmt::Write as _;
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use image::GrayImage;
 
 use super::angles::surface_angles;
 use super::failure::Failure;
 use super::logging::{self, LogArguments};
+use super::output_file::print;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::config::{LensSource, Settings};
 use crate::diagnose::{self, Finding, Grade};
@@ -70,7 +70,7 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     for (k, line) in shutter_lines.iter().enumerate() {
         let _ = write!(report, "\n{:<11} {line}", if k == 0 { "shutter" } else { "" });
     }
-    writeln!(io::stdout(), "{}", printable_lines(&report)).map_err(Failure::output(Path::new("stdout")))?;
+    print(printable_lines(&(report + "\n")).as_bytes())?;
     device.transpose().map_err(Failure::Device)?;
     let file = match verdict {
         Verdict::Good | Verdict::Warned(_) => return Ok(()),

@@ -1,11 +1,9 @@
 //! `stagepose completions`: what a shell needs to complete commands and options.
 
-use std::io::{self, Write};
-use std::path::Path;
-
 use clap::CommandFactory;
 use clap_complete::Shell;
 
+use super::output_file::print;
 use super::{Arguments, Failure};
 
 /// Print the completions for a shell.
@@ -23,5 +21,5 @@ pub(super) fn run(arguments: &CompletionsArguments) -> Result<(), Failure> {
     // Into memory first: the generator panics where its output cannot be written, and a closed pipe is no error.
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut Arguments::command(), "stagepose", &mut script);
-    io::stdout().write_all(&script).map_err(Failure::output(Path::new("stdout")))
+    print(script)
 }

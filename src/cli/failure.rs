@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use thiserror::Error;
 
+use super::demo::DemoError;
 use crate::capture::CaptureError;
 use crate::config::ConfigError;
 use crate::publish::PublishError;
@@ -21,13 +22,13 @@ pub enum Failure {
     Usage(String),
     /// The config, or something that it names, cannot be used.
     #[error(transparent)]
-    Config(Box<ConfigError>),
+    Config(#[from] ConfigError),
     /// The tracker cannot be set up.
     #[error(transparent)]
     Setup(#[from] crate::tracker::SetupError),
     /// The clip cannot be read.
     #[error(transparent)]
-    Capture(Box<CaptureError>),
+    Capture(#[from] CaptureError),
     /// Not one frame of the clip could be read.
     #[error("{}: none of its {rows} frames could be read{}; check the clip", clip.display(), first.as_ref().map_or(String::new(), |r| format!(" (the first: {r})")))]
     NoFrame {
@@ -74,7 +75,7 @@ pub enum Failure {
     Recording(String),
     /// The demo ended early.
     #[error(transparent)]
-    Demo(#[from] super::demo::DemoError),
+    Demo(#[from] DemoError),
     /// The pictures make no calibration, or none that should be used.
     #[error("{0}")]
     Calibration(String),
@@ -86,21 +87,9 @@ pub enum Failure {
     Tracking(String),
 }
 
-impl From<ConfigError> for Failure {
-    fn from(error: ConfigError) -> Self {
-        Self::Config(Box::new(error))
-    }
-}
-
 impl From<PublishError> for Failure {
     fn from(error: PublishError) -> Self {
         Self::Publishing(error.to_string())
-    }
-}
-
-impl From<CaptureError> for Failure {
-    fn from(error: CaptureError) -> Self {
-        Self::Capture(Box::new(error))
     }
 }
 
@@ -113,8 +102,7 @@ impl Failure {
     /// True where somebody stopped reading our output, which is their right.
     pub fn is_closed_pipe(&self) -> bool {
         match self {
-            Self::Output { source, .. } => source.kind() == io::ErrorKind::BrokenPipe,
-            Self::Demo(error) => error.is_closed_pipe(),
+            Self::Output { source, .. } | Self::Demo(DemoError::Print(source)) => source.kind() == io::ErrorKind::BrokenPipe,
             _ => false,
         }
     }
@@ -123,20 +111,7 @@ impl Failure {
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Usage(_) | Self::Config(_) | Self::Setup(_) => USAGE,
-            Self::Capture(_)
-            | Self::NoFrame { .. }
-            | Self::Output { .. }
-            | Self::ClipIsThere(_)
-            | Self::FolderIsUsed(_)
-            | Self::Check { .. }
-            | Self::Device(_)
-            | Self::Publishing(_)
-            | Self::Interrupted
-            | Self::Recording(_)
-            | Self::Demo(_)
-            | Self::Calibration(_)
-            | Self::Mount(_)
-            | Self::Tracking(_) => 1,
+            _ => 1,
         })
     }
 }

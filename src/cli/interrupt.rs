@@ -4,6 +4,7 @@
 //! first signal has not ended it within [`GRACE_S`], a timer does.
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use nix::sys::signal::{SigHandler, Signal, signal};
 
@@ -51,6 +52,17 @@ pub(super) fn watch() {
 /// True from the first Ctrl-C on.
 pub(super) fn is_interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
+}
+
+/// Waits until this long after `begun`, in short naps, so that Ctrl-C is heard in a long pause; false where it came first.
+pub(super) fn wait_until(begun: Instant, due: Duration) -> bool {
+    loop {
+        let left = due.saturating_sub(begun.elapsed());
+        if is_interrupted() || left.is_zero() {
+            return !is_interrupted();
+        }
+        std::thread::sleep(left.min(Duration::from_millis(50)));
+    }
 }
 
 static RELOAD: AtomicBool = AtomicBool::new(false);

@@ -3,15 +3,14 @@
 use std::io::{self, IsTerminal};
 use std::sync::OnceLock;
 
-use clap::ValueEnum;
-use clap::builder::PossibleValue;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::ProgressBar;
 use tracing::level_filters::LevelFilter;
 use tracing::{Level, Metadata};
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::fmt::format::FmtSpan;
 
-use crate::config::{LogFormat, LogLevel, LogSettings};
+use crate::config::{LOG_LEVELS, LogFormat, LogSettings};
 use crate::printable::printable;
 
 static BAR: OnceLock<ProgressBar> = OnceLock::new();
@@ -20,34 +19,17 @@ static BAR: OnceLock<ProgressBar> = OnceLock::new();
 #[derive(Debug, clap::Args)]
 pub(super) struct LogArguments {
     /// What to log to stderr; `debug` has the time of every stage of every frame [default: the config's, else warn]
-    #[arg(long, value_name = "LEVEL", ignore_case = true)]
-    log: Option<LogLevel>,
+    #[arg(long, value_name = "LEVEL", ignore_case = true, value_parser = levels())]
+    log: Option<LevelFilter>,
 }
 
-impl ValueEnum for LogLevel {
-    fn value_variants<'a>() -> &'a [Self] {
-        &[Self::Off, Self::Error, Self::Warn, Self::Info, Self::Debug, Self::Trace]
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Self::WORDS.iter().find(|(_, level)| level == self).map(|(word, _)| PossibleValue::new(*word))
-    }
-}
-
-fn filter(level: LogLevel) -> LevelFilter {
-    match level {
-        LogLevel::Off => LevelFilter::OFF,
-        LogLevel::Error => LevelFilter::ERROR,
-        LogLevel::Warn => LevelFilter::WARN,
-        LogLevel::Info => LevelFilter::INFO,
-        LogLevel::Debug => LevelFilter::DEBUG,
-        LogLevel::Trace => LevelFilter::TRACE,
-    }
+fn levels() -> impl TypedValueParser<Value = LevelFilter> {
+    PossibleValuesParser::new(LOG_LEVELS.map(|(word, _)| word)).try_map(|word| word.parse::<LevelFilter>())
 }
 
 /// Starts logging; a second call changes nothing.
 pub(super) fn start(arguments: &LogArguments, settings: LogSettings) {
-    let level = filter(arguments.log.unwrap_or(settings.level));
+    let level = arguments.log.unwrap_or(settings.level);
     // systemd says so where stderr goes to its journal, which has its own clock and reads "<4>" as a priority.
     let to_journal = std::env::var_os("JOURNAL_STREAM").is_some() && !io::stderr().is_terminal();
     let lines = Lines { with_priority: to_journal && settings.format == LogFormat::Text };

@@ -2,11 +2,12 @@
 
 use std::fs;
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Command, CommandFactory};
 use clap_mangen::Man;
 
+use super::output_file::print;
 use super::{Arguments, Failure};
 use crate::safe_file;
 
@@ -28,7 +29,7 @@ pub(super) fn run(arguments: &ManArguments) -> Result<(), Failure> {
         let file = folder.join(name);
         safe_file::replace(&file).and_then(|mut to| to.write_all(page)).map_err(Failure::output(&file))?;
     }
-    writeln!(io::stdout(), "{} pages in {}", pages.len(), folder.display()).map_err(Failure::output(Path::new("stdout")))
+    print(format!("{} pages in {}\n", pages.len(), folder.display()))
 }
 
 /// File names and texts: the program's page, then one for each of its commands.

@@ -20,6 +20,7 @@ mod outcome;
 mod output_file;
 mod outputs;
 pub mod overlay;
+mod pages;
 mod poster;
 mod record;
 mod replay;

@@ -1,7 +1,6 @@
 //! What a whole clip or show came to, in one or two sentences: how much was recognised and tracked, and why the rest was not.
 
-use serde::Serialize;
-use serde::ser::{SerializeMap, Serializer};
+use serde::{Serialize, Serializer};
 
 use crate::record::{PoseSample, State};
 use crate::track::Reason;
@@ -9,8 +8,10 @@ use crate::track::Reason;
 /// Frames, those that were tracked, and the reasons of the others.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Outcome {
-    frames: u64,
-    tracked: u64,
+    /// Frames so far.
+    pub frames: u64,
+    /// Frames whose pose was given.
+    pub tracked: u64,
     reasons: [u64; Reason::ALL.len()],
 }
 
@@ -32,16 +33,6 @@ impl Outcome {
             // Every sample of a tracker has one; a sample from elsewhere may not.
             None => {}
         }
-    }
-
-    /// Frames so far.
-    pub fn frames(&self) -> u64 {
-        self.frames
-    }
-
-    /// Frames whose pose was given.
-    pub fn tracked(&self) -> u64 {
-        self.tracked
     }
 
     /// Frames with a verified pose, given or not.
@@ -71,8 +62,8 @@ impl Outcome {
     }
 
     /// Counts of the reasons that there were, for the summary.
-    pub fn counts(&self) -> ReasonCounts {
-        ReasonCounts(self.reasons())
+    pub fn counts(&self) -> ByWord<u64> {
+        ByWord(self.reasons().into_iter().map(|(reason, n)| (reason.word(), n)).collect())
     }
 
     /// One sentence on what was tracked and one on why the rest was not.
@@ -106,16 +97,12 @@ impl Outcome {
     }
 }
 
-/// Reasons by their words, as JSON.
-pub(super) struct ReasonCounts(Vec<(Reason, u64)>);
+/// Words with their values, as a JSON object in this order.
+pub(super) struct ByWord<V>(pub Vec<(&'static str, V)>);
 
-impl Serialize for ReasonCounts {
+impl<V: Serialize> Serialize for ByWord<V> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(Some(self.0.len()))?;
-        for (reason, count) in &self.0 {
-            map.serialize_entry(reason.word(), count)?;
-        }
-        map.end()
+        serializer.collect_map(self.0.iter().map(|(word, value)| (word, value)))
     }
 }
 
@@ -160,6 +147,6 @@ mod tests {
         let outcome = outcome(2, &[(Reason::TooDark, 3), (Reason::Covered, 1)]);
         let json = serde_json::to_value(outcome.counts()).unwrap();
         assert_eq!(json, serde_json::json!({"too_dark": 3, "covered": 1}));
-        assert_eq!((outcome.recognised(), outcome.followed(), outcome.frames()), (3, 2, 6));
+        assert_eq!((outcome.recognised(), outcome.followed(), outcome.frames), (3, 2, 6));
     }
 }

@@ -129,6 +129,11 @@ fn stdout() -> io::Result<File> {
     Ok(File::from(io::stdout().as_fd().try_clone_to_owned()?))
 }
 
+/// Writes to stdout what a command has to say.
+pub(super) fn print(text: impl AsRef<[u8]>) -> Result<(), Failure> {
+    io::stdout().write_all(text.as_ref()).map_err(Failure::output(Path::new("stdout")))
+}
+
 #[cfg(test)]
 mod tests {
     use std::fs::OpenOptions;

@@ -1,12 +1,13 @@
 //! `stagepose poster`: a picture to print that is easy to track.
 
-use std::io::{self, Cursor, Write};
+use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 
 use image::ImageFormat;
 
 use super::calibrate::write_whole;
 use super::failure::Failure;
+use super::output_file::print;
 use crate::targets::paper::Paper;
 use crate::targets::{pdf, poster, poster_sheet, svg};
 
@@ -59,7 +60,7 @@ pub(super) fn run(arguments: &PosterArguments) -> Result<(), Failure> {
         beside.display(),
         poster_sheet::snippet(paper, &image),
     );
-    io::stdout().write_all(text.as_bytes()).map_err(Failure::output(Path::new("stdout")))
+    print(text)
 }
 
 /// What a page is written as.

@@ -45,7 +45,8 @@ fn seconds(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|s| *s > 0.0 && *s <= 1e6).ok_or_else(|| "give seconds above 0".to_owned())
 }
 
-fn rate(text: &str) -> Result<f64, String> {
+/// Reads a frame rate.
+pub(super) fn rate(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|hz| (1.0..=1000.0).contains(hz)).ok_or_else(|| "give a number from 1 to 1000".to_owned())
 }
 
@@ -65,7 +66,7 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
         frame_rate: Some(arguments.fps),
         is_test: true,
     };
-    let outputs = Outputs::open(&settings, &context)?;
+    let outputs = Outputs::open(&settings.outputs, settings.http.as_ref(), &context)?;
     if let Some(file) = &settings.missing_calibration {
         let line = format!("{} is not there yet: the lens that is sent is made up", file.display());
         writeln!(io::stderr(), "{}", printable(&line)).map_err(Failure::output(Path::new("stderr")))?;
@@ -76,7 +77,7 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
     let mut sequence = 0_u64;
     loop {
         let due = sequence as f64 / arguments.fps;
-        if arguments.seconds.is_some_and(|end| due >= end) || !wait_until(begun, due) {
+        if arguments.seconds.is_some_and(|end| due >= end) || !interrupt::wait_until(begun, Duration::from_secs_f64(due)) {
             break;
         }
         outputs.send(&test_sample(sequence, due, &settings.objects));
@@ -85,18 +86,6 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
     }
     outputs.close();
     Ok(())
-}
-
-/// False at Ctrl-C.
-fn wait_until(begun: Instant, due_s: f64) -> bool {
-    let due = Duration::from_secs_f64(due_s);
-    loop {
-        let left = due.saturating_sub(begun.elapsed());
-        if interrupt::is_interrupted() || left.is_zero() {
-            return !interrupt::is_interrupted();
-        }
-        std::thread::sleep(left.min(Duration::from_millis(50)));
-    }
 }
 
 /// A common webcam, where the config names no calibration.

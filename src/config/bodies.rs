@@ -11,7 +11,7 @@ use toml::Spanned;
 use super::as_typed;
 use super::lens::LensSource;
 use super::origin::Origin;
-use super::rotation::{Turned, TypedRotation};
+use super::rotation::Turned;
 use super::values::Section;
 use super::{ConfigError, Problem, stage_origin};
 use crate::camera::{CameraModel, Pixel, plausible};
@@ -98,18 +98,6 @@ impl BodyReader<'_> {
         Ok(surfaces)
     }
 
-    /// `T_body_surface`, as typed.
-    fn pose(&self, section: &Section<'_>, surface: &as_typed::Surface) -> Result<Pose<Body, SurfaceFrame>, ConfigError> {
-        let rotation = TypedRotation {
-            what: Turned::Surface,
-            quaternion_key: "orientation_xyzw",
-            quaternion: surface.orientation_xyzw.as_ref(),
-            angles: surface.rotation_deg.as_ref(),
-        };
-        let rotation = rotation.resolved(section)?;
-        Ok(Pose::new(rotation, section.position("position_m", surface.position_m.as_ref())?))
-    }
-
     fn surface(&mut self, typed: &Spanned<as_typed::Surface>, name: &'static str) -> Result<SurfaceRead, ConfigError> {
         let section = Section { origin: self.origin, name };
         let here = || self.origin.section_at(name, &typed.span());
@@ -127,14 +115,14 @@ impl BodyReader<'_> {
             let wanted = "a width and a height from 0.001 to 1000 metres: 4000 millimetres are 4.0";
             return Err(section.refuse("size_m", &typed_size.span(), Problem::Range { value: format!("{size_m:?}"), wanted }));
         }
-        let pose = self.pose(&section, surface)?;
+        let rotation = Turned::Surface.typed(&section, surface.orientation_xyzw.as_ref(), surface.rotation_deg.as_ref())?;
+        let pose = Pose::new(rotation, section.position("position_m", surface.position_m.as_ref())?);
         let placed = Placed { size_m, size_span: typed_size.span(), pose };
         match (&surface.image, &surface.photo) {
             (Some(image), None) => self.artwork(&section, surface, image, &placed),
             (None, Some(photo)) => self.photograph(&section, surface, photo, &placed, here()),
             (Some(_), Some(photo)) => {
-                let problem = Problem::Combination("a surface has either `image` or `photo`, this one has both; remove one");
-                Err(section.refuse("photo", &photo.span(), problem))
+                Err(section.conflict("photo", photo, "a surface has either `image` or `photo`, this one has both; remove one"))
             }
             (None, None) => Err(self.origin.missing(here(), "image", "image = \"artwork.png\", or photo = \"photo.jpg\" with corners_px")),
         }
@@ -148,12 +136,11 @@ impl BodyReader<'_> {
         placed: &Placed,
     ) -> Result<SurfaceRead, ConfigError> {
         if let Some(corners) = &typed.corners_px {
-            let problem = Problem::Combination("it belongs to `photo`, but this surface has an `image`; remove it");
-            return Err(section.refuse("corners_px", &corners.span(), problem));
+            return Err(section.conflict("corners_px", corners, "it belongs to `photo`, but this surface has an `image`; remove it"));
         }
         if let Some(calibration) = &typed.photo_calibration {
-            let problem = Problem::Combination("it belongs to `photo`, but this surface has an `image`; remove it");
-            return Err(section.refuse("photo_calibration", &calibration.span(), problem));
+            let problem = "it belongs to `photo`, but this surface has an `image`; remove it";
+            return Err(section.conflict("photo_calibration", calibration, problem));
         }
         let (picture, orientation) = section.picture("image", image)?;
         let picture = self.upright(image.get_ref(), picture, orientation);

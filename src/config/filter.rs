@@ -54,8 +54,8 @@ pub(super) fn filter(origin: &Origin<'_>, typed: Option<&as_typed::Filter>) -> R
     };
     let kind = match (kind, &typed.predict_s) {
         (Kind::Off, Some(predict)) if predict_s > 0.0 => {
-            let problem = Problem::Combination("a prediction needs the velocity that a filter estimates; add kind = \"kalman\"");
-            return Err(section.refuse("predict_s", &predict.span(), problem));
+            let problem = "a prediction needs the velocity that a filter estimates; add kind = \"kalman\"";
+            return Err(section.conflict("predict_s", predict, problem));
         }
         (Kind::Off, _) => FilterKind::Off,
         (Kind::OneEuro, _) => FilterKind::OneEuro(one_euro),

@@ -1,8 +1,7 @@
 //! `[http]`: where the server listens, and for which hosts it answers.
 
-use std::net::{Ipv4Addr, SocketAddr};
-
-use super::host_name::HostName;
+use std::fmt;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
 /// `[http]`
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -17,5 +16,40 @@ impl Default for HttpSettings {
     /// Loopback: only this machine.
     fn default() -> Self {
         Self { listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8090)), hosts: Vec::new() }
+    }
+}
+
+/// Longest name that DNS knows.
+const LONGEST_NAME: usize = 253;
+
+/// A host without its port.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum HostName {
+    /// An IP address; IPv4 in IPv6 is IPv4.
+    Address(IpAddr),
+    /// A name in small letters, without the dot at its end.
+    Name(String),
+}
+
+impl HostName {
+    /// An IP address (IPv6 with or without brackets) or a name; `None` for anything else, also where a port follows.
+    pub fn parse(text: &str) -> Option<Self> {
+        let bare = text.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).filter(|inner| inner.parse::<Ipv6Addr>().is_ok());
+        if let Ok(address) = bare.unwrap_or(text).parse::<IpAddr>() {
+            return Some(Self::Address(address.to_canonical()));
+        }
+        let name = text.strip_suffix('.').unwrap_or(text);
+        let is_label = |label: &str| !label.is_empty() && label.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
+        let is_name = name.len() <= LONGEST_NAME && name.split('.').all(is_label);
+        is_name.then(|| Self::Name(name.to_ascii_lowercase()))
+    }
+}
+
+impl fmt::Display for HostName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Address(address) => write!(f, "{address}"),
+            Self::Name(name) => f.write_str(name),
+        }
     }
 }

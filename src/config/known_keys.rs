@@ -11,47 +11,36 @@ use super::as_typed;
 use super::origin::{Origin, one_line};
 use super::{ConfigError, Problem};
 
-/// Every section of this version with its keys, as a message writes it: `("[camera]", ["calibration", …])`.
-pub fn known_keys() -> Vec<(&'static str, &'static [&'static str])> {
-    let paths: [&[&str]; 14] = [
-        &["camera"],
-        &["stage"],
-        &["stage", "surface"],
-        &["object"],
-        &["object", "surface"],
-        &["mount"],
-        &["tracker"],
-        &["filter"],
-        &["safety"],
-        &["output"],
-        &["output", "value"],
-        &["http"],
-        &["recorder"],
-        &["log"],
-    ];
-    paths.iter().filter_map(|path| section(path)).collect()
+/// A section's keys, as its typed form has them.
+type Keys = fn() -> &'static [&'static str];
+
+/// Every section of this version: its path, its name as a message writes it, its keys.
+const SECTIONS: [(&[&str], &str, Keys); 15] = [
+    (&[], "the config", fields::<as_typed::Config>),
+    (&["camera"], "[camera]", fields::<as_typed::Camera>),
+    (&["stage"], "[stage]", fields::<as_typed::Stage>),
+    (&["stage", "surface"], "[[stage.surface]]", fields::<as_typed::Surface>),
+    (&["object"], "[[object]]", fields::<as_typed::Object>),
+    (&["object", "surface"], "[[object.surface]]", fields::<as_typed::Surface>),
+    (&["mount"], "[mount]", fields::<as_typed::Mount>),
+    (&["tracker"], "[tracker]", fields::<as_typed::Tracker>),
+    (&["filter"], "[filter]", fields::<as_typed::Filter>),
+    (&["safety"], "[safety]", fields::<as_typed::Safety>),
+    (&["output"], "[[output]]", fields::<as_typed::Output>),
+    (&["output", "value"], "[[output.value]]", fields::<as_typed::OutputValue>),
+    (&["http"], "[http]", fields::<as_typed::Http>),
+    (&["recorder"], "[recorder]", fields::<as_typed::Recorder>),
+    (&["log"], "[log]", fields::<as_typed::Log>),
+];
+
+/// Every section below the config with its keys, as a message writes it: `("[camera]", ["calibration", …])`.
+pub(super) fn known_keys() -> impl Iterator<Item = (&'static str, &'static [&'static str])> {
+    SECTIONS.into_iter().skip(1).map(|(_, name, keys)| (name, keys()))
 }
 
 /// The name and the keys of the section at a path, or `None` where any key goes (driver controls).
 fn section(path: &[&str]) -> Option<(&'static str, &'static [&'static str])> {
-    Some(match path {
-        [] => ("the config", fields::<as_typed::Config>()),
-        ["camera"] => ("[camera]", fields::<as_typed::Camera>()),
-        ["stage"] => ("[stage]", fields::<as_typed::Stage>()),
-        ["stage", "surface"] => ("[[stage.surface]]", fields::<as_typed::Surface>()),
-        ["object"] => ("[[object]]", fields::<as_typed::Object>()),
-        ["object", "surface"] => ("[[object.surface]]", fields::<as_typed::Surface>()),
-        ["mount"] => ("[mount]", fields::<as_typed::Mount>()),
-        ["tracker"] => ("[tracker]", fields::<as_typed::Tracker>()),
-        ["recorder"] => ("[recorder]", fields::<as_typed::Recorder>()),
-        ["filter"] => ("[filter]", fields::<as_typed::Filter>()),
-        ["safety"] => ("[safety]", fields::<as_typed::Safety>()),
-        ["output"] => ("[[output]]", fields::<as_typed::Output>()),
-        ["output", "value"] => ("[[output.value]]", fields::<as_typed::OutputValue>()),
-        ["http"] => ("[http]", fields::<as_typed::Http>()),
-        ["log"] => ("[log]", fields::<as_typed::Log>()),
-        _ => return None,
-    })
+    SECTIONS.into_iter().find(|(known, ..)| *known == path).map(|(_, name, keys)| (name, keys()))
 }
 
 /// The section at a path as a message writes it.
@@ -61,12 +50,16 @@ pub(super) fn section_name(path: &[&str]) -> String {
 
 /// Refuses the first key in the file that nobody reads.
 pub(super) fn refuse_unknown(root: &DeTable<'_>, origin: &Origin<'_>) -> Result<(), ConfigError> {
+    refuse_first(root, |path, key, span, value| Some((span.start, refusal(path, key, &span, value, origin)?)))
+}
+
+/// Refuses what stands first in the file of all that `judge` does not let pass; it gives the place of its refusal too.
+pub(super) fn refuse_first(
+    root: &DeTable<'_>,
+    mut judge: impl FnMut(&[&str], &str, Range<usize>, &DeValue<'_>) -> Option<(usize, ConfigError)>,
+) -> Result<(), ConfigError> {
     let mut found = Vec::new();
-    visit(root, &mut Vec::new(), &mut |path, key, span, value| {
-        if let Some(error) = refusal(path, key, &span, value, origin) {
-            found.push((span.start, error));
-        }
-    });
+    visit(root, &mut Vec::new(), &mut |path, key, span, value| found.extend(judge(path, key, span, value)));
     found.into_iter().min_by_key(|(start, _)| *start).map_or(Ok(()), |(_, error)| Err(error))
 }
 
@@ -97,7 +90,7 @@ fn suggestion(key: &str, name: &str, known: &[&str]) -> String {
     {
         return format!("did you mean `{nearest}`?");
     }
-    let elsewhere = known_keys().into_iter().find(|(_, keys)| keys.contains(&key));
+    let elsewhere = known_keys().find(|(_, keys)| keys.contains(&key));
     match elsewhere {
         Some((other, _)) => format!("it belongs to {other}"),
         None => format!("{name} knows {}", known.join(", ")),
@@ -105,7 +98,7 @@ fn suggestion(key: &str, name: &str, known: &[&str]) -> String {
 }
 
 /// Calls `see(path of the section, key, span of the key, value)` for every key in every table.
-pub(super) fn visit<'t>(table: &'t DeTable<'_>, path: &mut Vec<&'t str>, see: &mut impl FnMut(&[&str], &str, Range<usize>, &DeValue<'_>)) {
+fn visit<'t>(table: &'t DeTable<'_>, path: &mut Vec<&'t str>, see: &mut impl FnMut(&[&str], &str, Range<usize>, &DeValue<'_>)) {
     for (key, value) in table {
         see(path, key.get_ref(), key.span(), value.get_ref());
         path.push(key.get_ref());

@@ -57,7 +57,7 @@ pub(super) fn found(section: &Section<'_>, camera: &as_typed::Camera) -> Result<
     let guess = guess(section, camera)?;
     let Some(calibration) = &camera.calibration else {
         let Some((guess, key, span)) = guess else { return Ok(None) };
-        let size = picture_size(section, camera)?;
+        let size = section.side("width", camera.width.as_ref())?.zip(section.side("height", camera.height.as_ref())?);
         let (width, height) = size.unwrap_or(ANY_SIZE);
         let model = guess.camera(width, height).map_err(|e| section.refuse(key, &span, Problem::Camera(e)))?;
         return Ok(Some((LensSource::Guess(guess, size), model)));
@@ -83,14 +83,6 @@ fn guess(section: &Section<'_>, camera: &as_typed::Camera) -> Result<Option<Type
         (None, None) => Ok(None),
         (Some(typed), None) => Ok(Some((LensGuess::FieldOfView(fov), "fov_deg", typed.span()))),
         (None, Some(typed)) => Ok(Some((LensGuess::FilmFocalLength(film), "focal_35mm_mm", typed.span()))),
-        (Some(_), Some(typed)) => {
-            let problem = Problem::Combination("[camera] has `fov_deg` too; remove one of them");
-            Err(section.refuse("focal_35mm_mm", &typed.span(), problem))
-        }
+        (Some(_), Some(typed)) => Err(section.conflict("focal_35mm_mm", typed, "[camera] has `fov_deg` too; remove one of them")),
     }
-}
-
-/// `width` and `height`, where both are there.
-fn picture_size(section: &Section<'_>, camera: &as_typed::Camera) -> Result<Option<(u32, u32)>, ConfigError> {
-    Ok(section.side("width", camera.width.as_ref())?.zip(section.side("height", camera.height.as_ref())?))
 }

@@ -8,12 +8,8 @@
 
 pub mod as_typed;
 mod bodies;
-mod calibration_file;
-mod characters;
-mod copy;
 mod error;
 mod filter;
-mod host_name;
 mod http;
 mod known_keys;
 mod lens;
@@ -34,16 +30,12 @@ mod stage_origin;
 mod stage_words_tests;
 #[cfg(test)]
 mod tests;
-mod typed_outputs;
 mod typed_values;
 mod values;
 
-pub use calibration_file::read_calibration;
 pub use error::{ConfigError, Problem};
-pub use host_name::HostName;
-pub use http::HttpSettings;
-pub use known_keys::known_keys;
+pub use http::{HostName, HttpSettings};
 pub use lens::LensSource;
 pub use named_files::{FileKind, files_named_in};
-pub use settings::{LogFormat, LogLevel, LogSettings, PixelFormat, RecorderSettings, SendingSettings, Settings};
-pub use source::ConfigSource;
+pub use settings::{LOG_LEVELS, LogFormat, LogSettings, RecorderSettings, Settings};
+pub use source::{ConfigSource, read_calibration};

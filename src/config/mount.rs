@@ -7,7 +7,7 @@ use toml::Spanned;
 
 use super::as_typed;
 use super::origin::Origin;
-use super::rotation::{Turned, TypedRotation};
+use super::rotation::Turned;
 use super::typed_values::{Exactly, Number};
 use super::values::Section;
 use super::{ConfigError, Problem};
@@ -46,13 +46,7 @@ pub(super) fn mount(
     if offset.norm() > ODD_M {
         notes.push(format!("[mount]: the cameras are {:.2} m apart; offset_m is in metres", offset.norm()));
     }
-    let rotation = TypedRotation {
-        what: Turned::Frame,
-        quaternion_key: "orientation_xyzw",
-        quaternion: typed.orientation_xyzw.as_ref(),
-        angles: typed.rotation_deg.as_ref(),
-    };
-    let rotation = rotation.resolved(&section)?;
+    let rotation = Turned::Mount.typed(&section, typed.orientation_xyzw.as_ref(), typed.rotation_deg.as_ref())?;
     let name = name(&section, typed, objects)?;
     let carrier = carrier(&section, typed, objects)?;
     let read = typed.calibration.as_ref().map(|file| section.calibration("calibration", file)).transpose()?;
@@ -72,9 +66,9 @@ fn name(section: &Section<'_>, typed: &as_typed::Mount, objects: &[String]) -> R
     let Some(typed) = &typed.name else { return Ok(USUAL_NAME.to_owned()) };
     let name = section.text("name", typed, "a name for the outputs, such as \"film\"")?;
     if name.eq_ignore_ascii_case("camera") || objects.contains(&name) {
-        return Err(section.refuse("name", &typed.span(), Problem::Combination(
-            "this name is another body's (`camera` is the tracking camera); give the filming camera a name of its own, such as \"film\"",
-        )));
+        let other =
+            "this name is another body's (`camera` is the tracking camera); give the filming camera a name of its own, such as \"film\"";
+        return Err(section.conflict("name", typed, other));
     }
     Ok(name)
 }
@@ -88,7 +82,7 @@ fn carrier(section: &Section<'_>, typed: &as_typed::Mount, objects: &[String]) -
         return Ok(BodyChoice::Camera);
     }
     let wanted = "\"camera\" or the `name` of the [[object]] that carries it";
-    Err(section.refuse("on", &typed.span(), Problem::Range { value: format!("`{}`", typed.get_ref()), wanted }))
+    Err(section.unusable("on", typed, wanted))
 }
 
 /// The mount's own, from its sigmas: a turn is about the carrier's z, a tilt about its x, a roll about its y.
@@ -112,7 +106,8 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::config::{SendingSettings, Settings};
+    use crate::config::Settings;
+    use crate::config::settings::SendingSettings;
     use crate::publish::Rate;
 
     const OUTPUTS: &str = "[[output]]\nkind = \"freed\"\nto = \"127.0.0.1:40000\"\n[[output]]\nkind = \"psn\"\nto = \"127.0.0.1:56565\"\n\

@@ -1,9 +1,14 @@
-//! The files that a config names: the calibrations, the mask, the surfaces' pictures.
+//! The files that a config names (the calibrations, the mask, the surfaces' pictures), and its copy with all of them, so that a recording
+//! can be replayed anywhere and at any time.
 
+use std::io;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use toml::Spanned;
+use toml::de::DeTable;
 
+use super::ConfigSource;
 use super::as_typed::{Config, Surface};
 
 /// What a config means by a file name.
@@ -38,4 +43,114 @@ pub fn files_named_in(text: &str, file: &Path) -> Vec<(PathBuf, FileKind)> {
     let folder = file.parent().unwrap_or(Path::new(""));
     let Ok(typed) = Config::parse(text, file) else { return Vec::new() };
     named_files(&typed).into_iter().map(|(name, kind)| (folder.join(name.get_ref()), kind)).collect()
+}
+
+/// A file of a copy: its name in the copy's folder, and its bytes.
+pub type CopiedFile = (String, Vec<u8>);
+
+impl ConfigSource {
+    /// The config as it was read, as `stage.toml`, and the files that it names, named anew in it; to be written into one folder.
+    ///
+    /// `exposure_s` is what the tracker was given where the config leaves it open: the camera's own, which the copy must
+    /// name for a replay to give the same poses.
+    ///
+    /// # Errors
+    /// Only by a defect of the program: the text was read as a config before.
+    pub fn copy(&self, exposure_s: Option<f64>) -> io::Result<Vec<CopiedFile>> {
+        let typed = Config::parse(&self.text, &self.file).map_err(io::Error::other)?;
+        let (mut files, mut changes) = (Vec::new(), Vec::new());
+        for (number, (named, _)) in named_files(&typed).into_iter().enumerate() {
+            let (name, span) = (named.get_ref(), named.span());
+            let base = name.rsplit('/').next().filter(|base| !base.is_empty()).unwrap_or("file");
+            let new = format!("{number}-{base}");
+            files.push((new.clone(), self.bytes(name)?.to_vec()));
+            changes.push((span, toml::Value::String(new).to_string()));
+        }
+        changes.extend(exposure_s.and_then(|exposure_s| self.exposure(&typed, exposure_s)));
+        // From the end, so that the spans in front stay where they are.
+        changes.sort_by_key(|(span, _)| std::cmp::Reverse(span.start));
+        let mut copy = self.text.to_string();
+        for (span, new) in changes {
+            copy.replace_range(span, &new);
+        }
+        files.push(("stage.toml".to_owned(), copy.into_bytes()));
+        Ok(files)
+    }
+
+    /// The change that puts an exposure into a config which leaves it open.
+    fn exposure(&self, typed: &Config, exposure_s: f64) -> Option<(Range<usize>, String)> {
+        match typed.camera.as_ref().and_then(|camera| camera.get_ref().exposure_s.as_ref()) {
+            Some(typed) if typed.get_ref().0 != 0.0 => None,
+            Some(typed) => Some((typed.span(), format!("{exposure_s:?}"))),
+            None => {
+                let table = DeTable::parse(&self.text).ok()?;
+                let camera = table.get_ref().get("camera")?.get_ref().as_table()?;
+                let first = camera.keys().map(|key| key.span().start).min()?;
+                let before = &self.text[..first];
+                let line = &before[before.rfind('\n').map_or(0, |end| end + 1)..];
+                // What stands before the first key says how keys are joined: in a table of its own, in braces, or by dots.
+                let has_own_line = line.trim().is_empty() || line.trim_end().ends_with('.');
+                let join = if has_own_line { format!("\n{line}") } else { ", ".to_owned() };
+                Some((first..first, format!("exposure_s = {exposure_s:?}{join}")))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Settings;
+
+    const FIXTURE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly");
+
+    fn write(files: Vec<CopiedFile>, folder: &Path) -> Settings {
+        for (name, bytes) in files {
+            std::fs::write(folder.join(name), bytes).unwrap();
+        }
+        Settings::load(&folder.join("stage.toml")).unwrap()
+    }
+
+    #[test]
+    fn a_copy_is_of_the_config_as_it_was_read_and_loads_alone() {
+        let (home, copied) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        for name in ["backdrop.png", "flat.png", "camera.toml", "stage.toml"] {
+            std::fs::copy(format!("{FIXTURE}/{name}"), home.path().join(name)).unwrap();
+        }
+        let was = Settings::load(&home.path().join("stage.toml")).unwrap();
+        // The director edits everything while the show goes on.
+        std::fs::write(home.path().join("stage.toml"), "[camera]\nx = 1\n").unwrap();
+        std::fs::write(home.path().join("backdrop.png"), b"painted over").unwrap();
+        std::fs::remove_file(home.path().join("camera.toml")).unwrap();
+        let is = write(was.source.copy(None).unwrap(), copied.path());
+        assert_eq!((was.camera, was.shutter), (is.camera, is.shutter));
+        assert_eq!(was.stage.surfaces.len(), is.stage.surfaces.len());
+        for (a, b) in was.stage.surfaces.iter().zip(&is.stage.surfaces) {
+            assert_eq!((a.artwork.as_raw(), a.size_m), (b.artwork.as_raw(), b.size_m));
+        }
+    }
+
+    #[test]
+    fn a_copy_names_the_exposure_that_the_config_leaves_open() {
+        let surface = "[[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [4.0, 3.0]\n";
+        let ways = [
+            ("[camera]\n# the lens\ncalibration = \"camera.toml\"\n", 0.008333333333333333),
+            ("[camera]\n  readout_s = 0.01\n  calibration = \"camera.toml\" # the lens\n", 0.0083),
+            ("[camera]\ncalibration = \"camera.toml\"\nexposure_s = 0 # unknown\n", 0.0083),
+            ("camera = { calibration = \"camera.toml\", readout_s = 0.01 }\n", 0.0083),
+            ("camera.calibration = \"camera.toml\"\ncamera.readout_s = 0.01\n", 0.0083),
+            ("camera . calibration = \"camera.toml\"\r\n", 0.0083),
+        ];
+        for (camera, exposure_s) in ways {
+            let folder = tempfile::tempdir().unwrap();
+            let was = Settings::from_text(&format!("{camera}{surface}"), &Path::new(FIXTURE).join("stage.toml")).unwrap();
+            let is = write(was.source.copy(Some(exposure_s)).unwrap(), folder.path());
+            assert_eq!((is.shutter.exposure_s.to_bits(), is.shutter.readout_s), (f64::to_bits(exposure_s), was.shutter.readout_s), "{camera}");
+        }
+        // One that is set stays.
+        let camera = "[camera]\ncalibration = \"camera.toml\"\nexposure_s = 0.01\n";
+        let was = Settings::from_text(&format!("{camera}{surface}"), &Path::new(FIXTURE).join("stage.toml")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(write(was.source.copy(Some(0.02)).unwrap(), folder.path()).shutter.exposure_s, 0.01);
+    }
 }

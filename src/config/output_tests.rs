@@ -3,6 +3,7 @@
 use std::net::{TcpListener, UdpSocket};
 use std::path::Path;
 
+use super::settings::SendingSettings;
 use super::*;
 use crate::pose::{FilterKind, FilterSettings};
 use crate::publish::{BodyChoice, Interface, OnLoss, Protocol, Rate, SafetySettings};

@@ -7,7 +7,7 @@ use toml::Spanned;
 
 use super::as_typed;
 use super::origin::Origin;
-use super::rotation::{Turned, TypedRotation};
+use super::rotation::Turned;
 use super::typed_values::{Number, Texts};
 use super::values::Section;
 use super::{ConfigError, Problem};
@@ -35,14 +35,9 @@ impl OutputReader<'_> {
         for typed in typed {
             let output = self.output(typed)?;
             if let Some(name) = typed.get_ref().name.as_ref().filter(|_| outputs.iter().any(|o| o.name == output.name)) {
-                return Err(self.section().refuse(
-                    "name",
-                    &name.span(),
-                    Problem::Range {
-                        value: format!("`{}`, which another output has,", output.name),
-                        wanted: "each output a name of its own",
-                    },
-                ));
+                let value = format!("`{}`, which another output has,", output.name);
+                let problem = Problem::Range { value, wanted: "each output a name of its own" };
+                return Err(self.section().refuse("name", &name.span(), problem));
             }
             outputs.push(output);
         }
@@ -100,8 +95,7 @@ impl OutputReader<'_> {
             let wanted =
                 "an IPv4 address and a port from 1 to 65535, such as \"192.168.1.20:40000\", or an IPv6 one, such as \"[fd00::20]:40000\"";
             let address = typed.get_ref().parse::<SocketAddr>().ok().filter(|a| a.port() != 0 && !a.ip().is_unspecified());
-            let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
-            to.push(address.ok_or_else(|| section.refuse("to", &typed.span(), problem()))?);
+            to.push(address.ok_or_else(|| section.unusable("to", &typed, wanted))?);
         }
         let interface = self.interface(section, output, &to)?;
         let needs = |v6: bool| to.iter().any(|a| a.is_ipv6() == v6 && needs_interface(a));
@@ -115,7 +109,7 @@ impl OutputReader<'_> {
             _ => "",
         };
         if let (Some(typed), false) = (&output.to, problem.is_empty()) {
-            return Err(section.refuse("to", &typed.span(), Problem::Combination(problem)));
+            return Err(section.conflict("to", typed, problem));
         }
         let ttl = section.count("ttl", output.ttl.as_ref(), 1, 1..=255, "a number of routers from 1 (this network only) to 255")?;
         Ok(UdpSettings { to, interface, ttl: u8::try_from(ttl).unwrap_or(u8::MAX) })
@@ -131,8 +125,7 @@ impl OutputReader<'_> {
         } else {
             "this machine's IPv4 address on that network, such as \"192.168.1.10\""
         };
-        let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
-        interface.map(Some).ok_or_else(|| section.refuse("interface", &typed.span(), problem()))
+        interface.map(Some).ok_or_else(|| section.unusable("interface", typed, wanted))
     }
 
     fn bodies(&self, section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol) -> Result<Vec<BodyChoice>, ConfigError> {
@@ -148,10 +141,8 @@ impl OutputReader<'_> {
         };
         let bodies = Texts::all(typed);
         if bodies.is_empty() || takes_one && bodies.len() > 1 {
-            let problem = Problem::Combination(
-                "give one body to freed and opentrackio, one or more to the others; make another [[output]] for the next",
-            );
-            return Err(section.refuse("bodies", &typed.span(), problem));
+            let problem = "give one body to freed and opentrackio, one or more to the others; make another [[output]] for the next";
+            return Err(section.conflict("bodies", typed, problem));
         }
         bodies.iter().map(|body| self.body(section, body)).collect()
     }
@@ -165,8 +156,7 @@ impl OutputReader<'_> {
             return Ok(BodyChoice::Mount);
         }
         let wanted = "\"camera\" or the `name` of an [[object]] or of [mount]";
-        let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
-        found.map(BodyChoice::Object).ok_or_else(|| section.refuse("bodies", &typed.span(), problem()))
+        found.map(BodyChoice::Object).ok_or_else(|| section.unusable("bodies", typed, wanted))
     }
 }
 
@@ -180,10 +170,8 @@ fn on_loss(section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol
     };
     match &output.on_loss {
         Some(typed) if chosen == OnLoss::Flag && has_no_flag => {
-            let problem = Problem::Combination(
-                "there is nothing to flag a loss with; add spare = \"quality\" (freed) or the message \"status\" (osc)",
-            );
-            Err(section.refuse("on_loss", &typed.span(), problem))
+            let problem = "there is nothing to flag a loss with; add spare = \"quality\" (freed) or the message \"status\" (osc)";
+            Err(section.conflict("on_loss", typed, problem))
         }
         _ => Ok(chosen),
     }
@@ -194,14 +182,13 @@ fn rate(section: &Section<'_>, output: &as_typed::Output, mount_delay: Duration)
     let every = section.count("rate_divider", output.rate_divider.as_ref(), 1, 1..=1000, "a whole number from 1 to 1000")?;
     let Some(typed) = &output.rate_hz else {
         if let Some(delay) = &output.delay_s {
-            let problem = Problem::Combination("it belongs to `rate_hz`, which is not there; add one or remove it");
-            return Err(section.refuse("delay_s", &delay.span(), problem));
+            return Err(section.conflict("delay_s", delay, "it belongs to `rate_hz`, which is not there; add one or remove it"));
         }
         return Ok(Rate::Every(u32::try_from(every).unwrap_or(1)));
     };
     if let Some(divider) = &output.rate_divider {
-        let problem = Problem::Combination("an output has either `rate_divider` or `rate_hz`, this one has both; remove one");
-        return Err(section.refuse("rate_divider", &divider.span(), problem));
+        let problem = "an output has either `rate_divider` or `rate_hz`, this one has both; remove one";
+        return Err(section.conflict("rate_divider", divider, problem));
     }
     let found = FixedRate::KNOWN.into_iter().find(|(hz, _)| *hz == typed.get_ref().0);
     let problem = || Problem::Range { value: typed.get_ref().0.to_string(), wanted: "25, 29.97, 30, 50, 59.94 or 60" };
@@ -222,7 +209,7 @@ fn receiver_axes(section: &Section<'_>, output: &as_typed::Output, protocol: &Pr
         (Protocol::Osc(_), _) => Ok(axes),
         (Protocol::Json(_), Some(typed)) => {
             let problem = "json tells the record's own axes, which its reader turns; remove it, or send osc";
-            Err(section.refuse("receiver", &typed.span(), Problem::Combination(problem)))
+            Err(section.conflict("receiver", typed, problem))
         }
         _ => Ok(Axes::STAGE),
     }
@@ -235,17 +222,9 @@ fn placement(section: &Section<'_>, output: &as_typed::Output, protocol: &Protoc
         position_signs,
         angle_signs,
         offset_m: section.position("offset_m", output.offset_m.as_ref())?,
-        ..Placement::default()
+        rotation: Turned::Output.typed(section, output.rotation_xyzw.as_ref(), output.rotation_deg.as_ref())?,
+        scale: section.number("scale", output.scale.as_ref(), scale, |v| v > 0.0 && v <= 1e6, "a factor above 0, at most 1000000")?,
     };
-    let rotation = TypedRotation {
-        what: Turned::Frame,
-        quaternion_key: "rotation_xyzw",
-        quaternion: output.rotation_xyzw.as_ref(),
-        angles: output.rotation_deg.as_ref(),
-    };
-    placement.rotation = rotation.resolved(section)?;
-    placement.scale =
-        section.number("scale", output.scale.as_ref(), scale, |v| v > 0.0 && v <= 1e6, "a factor above 0, at most 1000000")?;
     let axes = [("x", 0), ("y", 1), ("z", 2), ("pan", 3), ("tilt", 4), ("roll", 5)];
     for typed in output.invert.iter().flat_map(Texts::all) {
         match section.word("invert", Some(&typed), 0, &axes, "x, y, z, pan, tilt or roll")? {

@@ -133,11 +133,7 @@ fn osc(section: &Section<'_>, o: &as_typed::Output) -> Result<OscSettings, Confi
         Some(typed) => match AddressTemplate::parse(typed.get_ref()) {
             Ok(_) if !typed.get_ref().contains('{') && !typed.get_ref().ends_with('/') => typed.get_ref().clone(),
             _ => {
-                let problem = Problem::Range {
-                    value: format!("`{}`", typed.get_ref()),
-                    wanted: "the first part of an OSC address, such as \"/stagepose\"",
-                };
-                return Err(section.refuse("prefix", &typed.span(), problem));
+                return Err(section.unusable("prefix", typed, "the first part of an OSC address, such as \"/stagepose\""));
             }
         },
     };
@@ -197,7 +193,6 @@ fn json(section: &Section<'_>, o: &as_typed::Output) -> Result<JsonSettings, Con
 /// An address of this machine to wait on.
 pub(super) fn address(section: &Section<'_>, key: &str, typed: &Spanned<String>) -> Result<SocketAddr, ConfigError> {
     let wanted = "an IP address and a port from 1 to 65535, such as \"127.0.0.1:9000\"";
-    let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
     let address = typed.get_ref().parse::<SocketAddr>().ok().filter(|a| a.port() != 0);
-    address.ok_or_else(|| section.refuse(key, &typed.span(), problem()))
+    address.ok_or_else(|| section.unusable(key, typed, wanted))
 }

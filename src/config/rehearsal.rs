@@ -9,7 +9,7 @@ use super::as_typed::{Config, Output};
 use super::origin::Origin;
 use super::outputs::OUTPUT;
 use super::{ConfigError, Problem, Settings};
-use crate::publish::{BodyChoice, Protocol, Publisher};
+use crate::publish::{BodyChoice, Protocol, Publisher, TransportError};
 
 impl Settings {
     /// Opens every output and the HTTP server's port and closes them again.
@@ -23,7 +23,7 @@ impl Settings {
         self.ports_differ(&typed, &origin)?;
         if let Err((index, reason)) = Publisher::rehearse(&self.outputs) {
             let output = typed.output.get(index).map(|o| (o.get_ref(), o.span()));
-            let (key, span) = output.map_or(("to", 0..0), |(o, span)| o.place_of(&reason, span));
+            let (key, span) = output.map_or(("to", 0..0), |(o, span)| place_of(&reason, o, span));
             return Err(origin.value(OUTPUT, key, &span, Problem::Transport(reason)));
         }
         let Some(http) = &self.http else { return Ok(()) };
@@ -71,6 +71,16 @@ impl Settings {
 fn collide(a: SocketAddr, b: SocketAddr) -> bool {
     let (a_ip, b_ip) = (a.ip().to_canonical(), b.ip().to_canonical());
     a.port() != 0 && a.port() == b.port() && (a_ip == b_ip || a_ip.is_unspecified() || b_ip.is_unspecified())
+}
+
+/// The key that asked for what this machine does not give, and where it stands.
+fn place_of(error: &TransportError, output: &Output, section: Range<usize>) -> (&'static str, Range<usize>) {
+    let (key, span) = match error {
+        TransportError::Udp(_) => ("interface", output.interface.as_ref().map(Spanned::span)),
+        TransportError::Listen { .. } => ("tcp_listen", output.tcp_listen.as_ref().map(Spanned::span)),
+        TransportError::File { .. } => ("file", output.file.as_ref().map(Spanned::span)),
+    };
+    (key, span.unwrap_or(section))
 }
 
 fn http_place(typed: &Config) -> Range<usize> {

@@ -20,8 +20,10 @@ use super::{ConfigError, Problem};
 pub(super) enum Turned {
     /// A surface: its frame has x right and y up in its picture, z out of its face.
     Surface,
-    /// A frame with x right, y forward, z up.
-    Frame,
+    /// The filming camera's frame: x right, y forward, z up.
+    Mount,
+    /// A receiver's frame: x right, y forward, z up.
+    Output,
 }
 
 impl Turned {
@@ -29,7 +31,7 @@ impl Turned {
     fn default(self) -> UnitQuaternion<f64> {
         match self {
             Self::Surface => UnitQuaternion::from_quaternion(Quaternion::new(FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0, 0.0)),
-            Self::Frame => UnitQuaternion::identity(),
+            Self::Mount | Self::Output => UnitQuaternion::identity(),
         }
     }
 
@@ -39,50 +41,42 @@ impl Turned {
         let (turn, tilt) = (about(Vector3::z_axis(), turn), about(Vector3::x_axis(), tilt));
         match self {
             Self::Surface => turn * self.default() * tilt * about(Vector3::z_axis(), roll),
-            Self::Frame => turn * tilt * about(Vector3::y_axis(), roll),
+            Self::Mount | Self::Output => turn * tilt * about(Vector3::y_axis(), roll),
         }
     }
-}
 
-/// The two ways to give a rotation, of which at most one may be there.
-pub(super) struct TypedRotation<'a> {
-    pub what: Turned,
-    /// `orientation_xyzw` or `rotation_xyzw`.
-    pub quaternion_key: &'static str,
-    pub quaternion: Option<&'a Spanned<Exactly<Number, 4>>>,
-    /// `rotation_deg`.
-    pub angles: Option<&'a Spanned<Exactly<Number, 3>>>,
-}
-
-/// Angles that are given, one full turn at most.
-const LARGEST_DEG: f64 = 360.0;
-
-impl TypedRotation<'_> {
-    pub fn resolved(&self, section: &Section<'_>) -> Result<UnitQuaternion<f64>, ConfigError> {
-        match (self.quaternion, self.angles) {
-            (None, None) => Ok(self.what.default()),
-            (Some(typed), None) => unit_quaternion(section, self.quaternion_key, typed),
+    /// The rotation as typed: by its quaternion or by its angles (`rotation_deg`), of which at most one may be there.
+    pub fn typed(
+        self,
+        section: &Section<'_>,
+        quaternion: Option<&Spanned<Exactly<Number, 4>>>,
+        angles: Option<&Spanned<Exactly<Number, 3>>>,
+    ) -> Result<UnitQuaternion<f64>, ConfigError> {
+        let (key, both) = match self {
+            Self::Surface => {
+                ("orientation_xyzw", "a surface has either `orientation_xyzw` or `rotation_deg`, this one has both; remove one")
+            }
+            Self::Mount => ("orientation_xyzw", "a mount has either `orientation_xyzw` or `rotation_deg`, this one has both; remove one"),
+            Self::Output => ("rotation_xyzw", "an output has either `rotation_xyzw` or `rotation_deg`, this one has both; remove one"),
+        };
+        match (quaternion, angles) {
+            (None, None) => Ok(self.default()),
+            (Some(typed), None) => unit_quaternion(section, key, typed),
+            (Some(_), Some(typed)) => Err(section.conflict("rotation_deg", typed, both)),
             (None, Some(typed)) => {
                 let angles = typed.get_ref().values();
                 if angles.iter().all(|angle| angle.abs() <= LARGEST_DEG) {
-                    return Ok(self.what.by_angles(angles));
+                    return Ok(self.by_angles(angles));
                 }
                 let wanted = "[turn, tilt, roll], three angles in degrees between -360 and 360";
                 Err(section.refuse("rotation_deg", &typed.span(), Problem::Range { value: format!("{angles:?}"), wanted }))
             }
-            (Some(_), Some(typed)) => {
-                let problem = match self.what {
-                    Turned::Surface => "a surface has either `orientation_xyzw` or `rotation_deg`, this one has both; remove one",
-                    Turned::Frame if self.quaternion_key == "rotation_xyzw" => {
-                        "an output has either `rotation_xyzw` or `rotation_deg`, this one has both; remove one"
-                    }
-                    Turned::Frame => "a mount has either `orientation_xyzw` or `rotation_deg`, this one has both; remove one",
-                };
-                Err(section.refuse("rotation_deg", &typed.span(), Problem::Combination(problem)))
-            }
         }
     }
 }
+
+/// Angles that are given, one full turn at most.
+const LARGEST_DEG: f64 = 360.0;
 
 fn unit_quaternion(section: &Section<'_>, key: &str, typed: &Spanned<Exactly<Number, 4>>) -> Result<UnitQuaternion<f64>, ConfigError> {
     let [x, y, z, w] = typed.get_ref().values();
@@ -124,7 +118,7 @@ mod tests {
     fn a_frames_angles_are_pan_tilt_and_roll() {
         let angles = [30.0, -20.0, 10.0];
         let as_receivers_mean = crate::protocols::PanTiltRoll { pan_deg: 30.0, tilt_deg: -20.0, roll_deg: 10.0 };
-        assert!(Turned::Frame.by_angles(angles).angle_to(&as_receivers_mean.rotation()) < 1e-12);
-        assert_eq!(Turned::Frame.by_angles([0.0; 3]), UnitQuaternion::identity());
+        assert!(Turned::Mount.by_angles(angles).angle_to(&as_receivers_mean.rotation()) < 1e-12);
+        assert_eq!(Turned::Mount.by_angles([0.0; 3]), UnitQuaternion::identity());
     }
 }

@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use image::GrayImage;
 use image::imageops::{FilterType, resize};
 use toml::Spanned;
+use tracing::level_filters::LevelFilter;
 
-use super::as_typed::{self, ControlValue};
+use super::as_typed;
 use super::bodies::BodyReader;
 use super::filter::filter;
-use super::host_name::HostName;
-use super::http::HttpSettings;
+use super::http::{HostName, HttpSettings};
 use super::lens::{self, LensSource, lens};
 use super::mount::mount;
 use super::named_files::named_files;
@@ -23,6 +23,7 @@ use super::source::{ConfigSource, read_text};
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::{CameraModel, Shutter};
+use crate::capture::camera::PixelLayout;
 use crate::pose::FilterSettings;
 use crate::publish::{MountSettings, OutputSettings, SafetySettings};
 use crate::track::{BodySpec, TrackerSettings};
@@ -109,24 +110,9 @@ pub struct DeviceSettings {
     /// Frames per second.
     pub fps: Option<f64>,
     /// Pixel format.
-    pub format: Option<PixelFormat>,
+    pub format: Option<PixelLayout>,
     /// Driver controls by name, set once at the start.
-    pub controls: BTreeMap<String, ControlValue>,
-}
-
-/// A pixel format that cameras offer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PixelFormat {
-    /// JPEG pictures.
-    Mjpeg,
-    /// YUV 4:2:2, packed.
-    Yuyv,
-    /// YUV 4:2:0, two planes.
-    Nv12,
-    /// 8-bit grey.
-    Grey,
-    /// Three bytes a pixel.
-    Rgb,
+    pub controls: BTreeMap<String, i64>,
 }
 
 /// `[recorder]`
@@ -144,39 +130,20 @@ pub struct RecorderSettings {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LogSettings {
     /// The least grave messages that are written.
-    pub level: LogLevel,
+    pub level: LevelFilter,
     /// One line of text or one JSON object a message.
     pub format: LogFormat,
 }
 
-/// How grave a message must be to be written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum LogLevel {
-    /// Nothing.
-    Off,
-    /// What stops the work.
-    Error,
-    /// What goes wrong while the work goes on.
-    Warn,
-    /// What happens once.
-    Info,
-    /// What happens in every frame.
-    Debug,
-    /// Everything.
-    Trace,
-}
-
-impl LogLevel {
-    /// The words for it, in config and on the command line.
-    pub const WORDS: [(&'static str, LogLevel); 6] = [
-        ("off", Self::Off),
-        ("error", Self::Error),
-        ("warn", Self::Warn),
-        ("info", Self::Info),
-        ("debug", Self::Debug),
-        ("trace", Self::Trace),
-    ];
-}
+/// The words for how grave a message must be to be written, in config and on the command line.
+pub const LOG_LEVELS: [(&str, LevelFilter); 6] = [
+    ("off", LevelFilter::OFF),
+    ("error", LevelFilter::ERROR),
+    ("warn", LevelFilter::WARN),
+    ("info", LevelFilter::INFO),
+    ("debug", LevelFilter::DEBUG),
+    ("trace", LevelFilter::TRACE),
+];
 
 /// The form of a log message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -381,13 +348,13 @@ fn mask(section: &Section<'_>, typed: &Spanned<String>, camera: Option<&CameraMo
 fn device(section: &Section<'_>, typed: &as_typed::Camera) -> Result<DeviceSettings, ConfigError> {
     let fps = section.number("fps", typed.fps.as_ref(), 0.0, |v| v > 0.0 && v <= 1000.0, "frames per second, above 0, at most 1000")?;
     let formats = [
-        ("mjpeg", Some(PixelFormat::Mjpeg)),
-        ("yuyv", Some(PixelFormat::Yuyv)),
-        ("nv12", Some(PixelFormat::Nv12)),
-        ("grey", Some(PixelFormat::Grey)),
-        ("rgb", Some(PixelFormat::Rgb)),
+        ("mjpeg", Some(PixelLayout::Mjpeg)),
+        ("yuyv", Some(PixelLayout::Yuyv)),
+        ("nv12", Some(PixelLayout::Nv12)),
+        ("grey", Some(PixelLayout::Grey)),
+        ("rgb", Some(PixelLayout::Rgb)),
     ];
-    let controls = typed.controls.iter().flatten().map(|(name, value)| (name.clone(), *value.get_ref())).collect();
+    let controls = typed.controls.iter().flatten().map(|(name, value)| (name.clone(), value.get_ref().0)).collect();
     let device = typed.device.as_ref().map(|d| section.text("device", d, "a device such as \"/dev/video0\"")).transpose()?;
     Ok(DeviceSettings {
         device,
@@ -432,22 +399,19 @@ fn http(origin: &Origin<'_>, typed: Option<&as_typed::Http>) -> Result<Option<Ht
     let section = Section { origin, name: "[http]" };
     let listen = typed.listen.as_ref().map(|listen| address(&section, "listen", listen)).transpose()?;
     let wanted = "a host name or an IP address without port, such as \"stage.example.org\" (letters beyond ASCII as xn--…)";
-    let host = |typed: &Spanned<String>| {
-        let problem = || Problem::Range { value: format!("`{}`", typed.get_ref()), wanted };
-        HostName::parse(typed.get_ref()).ok_or_else(|| section.refuse("hosts", &typed.span(), problem()))
-    };
+    let host = |typed: &Spanned<String>| HostName::parse(typed.get_ref()).ok_or_else(|| section.unusable("hosts", typed, wanted));
     let hosts = typed.hosts.iter().flatten().map(host).collect::<Result<_, _>>()?;
     Ok(Some(HttpSettings { listen: listen.unwrap_or(HttpSettings::default().listen), hosts }))
 }
 
 fn log(origin: &Origin<'_>, typed: Option<&as_typed::Log>) -> Result<LogSettings, ConfigError> {
-    let default = LogSettings { level: LogLevel::Warn, format: LogFormat::Text };
+    let default = LogSettings { level: LevelFilter::WARN, format: LogFormat::Text };
     let Some(typed) = typed else { return Ok(default) };
     let section = Section { origin, name: "[log]" };
     let formats = [("text", LogFormat::Text), ("json", LogFormat::Json)];
     let levels = "off, error, warn, info, debug or trace";
     Ok(LogSettings {
-        level: section.word("level", typed.level.as_ref(), default.level, &LogLevel::WORDS, levels)?,
+        level: section.word("level", typed.level.as_ref(), default.level, &LOG_LEVELS, levels)?,
         format: section.word("format", typed.format.as_ref(), default.format, &formats, "text or json")?,
     })
 }

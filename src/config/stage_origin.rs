@@ -35,11 +35,12 @@ const LARGEST_MISFIT: f64 = 0.02;
 /// What a tape measure is off anyway, metres.
 const TAPE_M: f64 = 0.01;
 
-/// Points by name, with where they are.
-pub type TypedPoints = BTreeMap<String, Spanned<Exactly<Number, 3>>>;
-
 /// Moves a stage to where the points were measured; a sentence of how well they fit, where that can be told.
-pub(super) fn place(origin: &Origin<'_>, typed: &Spanned<TypedPoints>, stage: &mut BodySpec) -> Result<Option<String>, ConfigError> {
+pub(super) fn place(
+    origin: &Origin<'_>,
+    typed: &Spanned<BTreeMap<String, Spanned<Exactly<Number, 3>>>>,
+    stage: &mut BodySpec,
+) -> Result<Option<String>, ConfigError> {
     let section = Section { origin, name: "[stage]" };
     let refuse = |problem| section.refuse("origin", &typed.span(), Problem::Combination(problem));
     let Some(first) = stage.surfaces.first() else { return Ok(None) };

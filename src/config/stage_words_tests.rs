@@ -1,7 +1,10 @@
 //! What people write without a calibration and without quaternions: angles, a guessed lens, words in any case.
 
+use tracing::level_filters::LevelFilter;
+
 use super::tests::{CAMERA, GOOD, camera_plus, folder, load};
 use super::*;
+use crate::capture::camera::PixelLayout;
 
 #[test]
 fn angles_mean_what_the_quaternion_means() {
@@ -74,7 +77,7 @@ fn words_may_be_written_in_any_case() {
     let settings = load(&folder, &text).unwrap();
     assert_eq!(
         (settings.device.format, settings.log.level, settings.log.format),
-        (Some(PixelFormat::Mjpeg), LogLevel::Warn, LogFormat::Json)
+        (Some(PixelLayout::Mjpeg), LevelFilter::WARN, LogFormat::Json)
     );
     assert!(matches!(settings.filter.kind, crate::pose::FilterKind::OneEuro(_)));
 }

@@ -4,10 +4,13 @@ use std::path::Path;
 
 use image::GrayImage;
 use proptest::prelude::*;
+use tracing::level_filters::LevelFilter;
 
 use super::as_typed::Config;
+use super::known_keys::known_keys;
 use super::settings::DeviceSettings;
 use super::*;
+use crate::capture::camera::PixelLayout;
 
 pub(super) const CAMERA: &str =
     "width = 640\nheight = 480\nfx = 600.0\nfy = 600.0\ncx = 319.5\ncy = 239.5\nskew = 0.0\ndistortion = [0, 0, 0, 0, 0]\n";
@@ -61,7 +64,7 @@ fn defaults_are_those_of_the_documentation() {
     assert_eq!((settings.shutter.exposure_s, settings.shutter.readout_s), (0.0, 0.0));
     assert_eq!(settings.tracker, crate::track::TrackerSettings::default());
     assert_eq!(settings.device, DeviceSettings::default());
-    assert_eq!(settings.log, LogSettings { level: LogLevel::Warn, format: LogFormat::Text });
+    assert_eq!(settings.log, LogSettings { level: LevelFilter::WARN, format: LogFormat::Text });
     assert!(settings.objects.is_empty() && settings.mask.is_none());
     assert_eq!(settings.notes, Vec::<String>::new());
     let surface = &settings.stage.surfaces[0];
@@ -87,12 +90,12 @@ fn every_key_reaches_the_settings() {
     assert_eq!(s.mask_for(320, 240).unwrap().dimensions(), (320, 240));
     assert_eq!(
         (s.device.width, s.device.height, s.device.fps, s.device.format),
-        (Some(1280), Some(720), Some(59.94), Some(PixelFormat::Grey))
+        (Some(1280), Some(720), Some(59.94), Some(PixelLayout::Grey))
     );
-    assert_eq!(s.device.controls["gain"], as_typed::ControlValue::Integer(3));
+    assert_eq!(s.device.controls["gain"], 3);
     assert_eq!((s.tracker.threads, s.tracker.features, s.tracker.coast_s, s.tracker.confirm_frames, s.tracker.seed), (2, 800, 0.0, 3, 9));
     assert_eq!(s.recorder, RecorderSettings { folder: folder.path().join("takes"), continuous: true, ring_s: 20.0 });
-    assert_eq!(s.log, LogSettings { level: LogLevel::Debug, format: LogFormat::Json });
+    assert_eq!(s.log, LogSettings { level: LevelFilter::DEBUG, format: LogFormat::Json });
     assert_eq!(s.stage.surfaces[0].pose.translation.as_slice(), [1.0, 2.0, 3.0]);
     assert!((s.stage.surfaces[0].pose.rotation.coords.norm() - 1.0).abs() < 1e-12);
     assert_eq!((s.objects[0].name.as_str(), s.objects[0].surfaces.len()), ("cart", 1));
@@ -361,7 +364,7 @@ fn the_example_has_every_key_and_nothing_else() {
 #[test]
 fn the_example_still_parses_with_every_comment_mark_removed_from_a_key() {
     let sections = ["[mount]", "[stage]", "[[object]]", "[[object.surface]]", "[[stage.surface]]", "[[output]]", "[[output.value]]"];
-    let keys: Vec<&str> = known_keys().into_iter().flat_map(|(_, keys)| keys.iter().copied()).collect();
+    let keys: Vec<&str> = known_keys().flat_map(|(_, keys)| keys.iter().copied()).collect();
     let opened = |line: &str| {
         let bare = line.trim_start_matches(['#', ' ']);
         let is_key = bare.split_once(" = ").is_some_and(|(key, _)| keys.contains(&key));
@@ -377,7 +380,7 @@ fn the_example_still_parses_with_every_comment_mark_removed_from_a_key() {
 
 /// Pieces that make texts which are nearly configs.
 fn pieces() -> impl Strategy<Value = String> {
-    let keys: Vec<String> = known_keys().into_iter().flat_map(|(s, keys)| keys.iter().map(move |k| format!("{s}\n{k} = "))).collect();
+    let keys: Vec<String> = known_keys().flat_map(|(s, keys)| keys.iter().map(move |k| format!("{s}\n{k} = "))).collect();
     let values = ["1", "-1", "nan", "[1, 2]", "[[1,2],[3,4],[5,6],[7,8]]", "\"x\"", "{ a = 1 }", "true", "[", "\"\"\"", "1979-05-27", "é"];
     prop::collection::vec((prop::sample::select(keys), prop::sample::select(values.to_vec())), 0..8)
         .prop_map(|pairs| pairs.into_iter().map(|(key, value)| format!("{key}{value}\n")).collect())

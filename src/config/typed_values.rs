@@ -15,14 +15,9 @@ pub struct Number(pub f64);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Count(pub u64);
 
-/// A driver control's value.
+/// A driver control's value: a level, a menu entry, or a switch (1 = on).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ControlValue {
-    /// A level or a menu entry.
-    Integer(i64),
-    /// A switch.
-    Switch(bool),
-}
+pub struct ControlValue(pub i64);
 
 /// An array of exactly N entries; none may be left over.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -92,10 +87,10 @@ impl Visitor<'_> for ControlVisitor {
         f.write_str("a whole number, true or false")
     }
     fn visit_i64<E: de::Error>(self, v: i64) -> Result<ControlValue, E> {
-        Ok(ControlValue::Integer(v))
+        Ok(ControlValue(v))
     }
     fn visit_bool<E: de::Error>(self, v: bool) -> Result<ControlValue, E> {
-        Ok(ControlValue::Switch(v))
+        Ok(ControlValue(i64::from(v)))
     }
 }
 

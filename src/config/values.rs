@@ -7,8 +7,8 @@ use image::metadata::Orientation;
 use nalgebra::Vector3;
 use toml::Spanned;
 
-use super::calibration_file::calibration_bytes;
 use super::origin::Origin;
+use super::source::calibration_bytes;
 use super::typed_values::{Count, Exactly, Number};
 use super::{ConfigError, Problem};
 use crate::camera::{Calibration, parse_calibration};
@@ -25,6 +25,16 @@ pub(super) struct Section<'a> {
 impl Section<'_> {
     pub fn refuse(&self, key: &str, span: &Range<usize>, problem: Problem) -> ConfigError {
         self.origin.value(self.name, key, span, problem)
+    }
+
+    /// Refuses a value that does not go with another one.
+    pub fn conflict<T>(&self, key: &str, typed: &Spanned<T>, sentence: &'static str) -> ConfigError {
+        self.refuse(key, &typed.span(), Problem::Combination(sentence))
+    }
+
+    /// Refuses a name or an address that is none.
+    pub fn unusable(&self, key: &str, typed: &Spanned<String>, wanted: &'static str) -> ConfigError {
+        self.refuse(key, &typed.span(), Problem::Range { value: format!("`{}`", typed.get_ref()), wanted })
     }
 
     /// A number that satisfies `allowed`, or the default where the key is absent.

@@ -298,8 +298,8 @@ fn publish(
 fn count(live: &LiveLink, row: &ClipEntry, sample: &PoseSample) {
     match row.content {
         EntryContent::Frame(_) => {}
-        EntryContent::Undecodable(_) => live.statistics.undecodable_row(),
-        EntryContent::Skipped(_) => live.statistics.skipped_row(),
+        EntryContent::Undecodable(_) => live.statistics.undecodable.add(1),
+        EntryContent::Skipped(_) => live.statistics.skipped.add(1),
     }
     live.statistics.sample(sample);
 }

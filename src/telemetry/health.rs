@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::page::Page;
+use super::Page;
 use super::statistics::{CameraState, RecorderState, Statistics};
 use crate::printable::printable;
 use crate::publish::FrameClock;
@@ -39,8 +39,8 @@ pub fn health(statistics: &Statistics, clock: &FrameClock) -> Page {
         fps: statistics.rate(),
         frame_age_ms: statistics.last_frame_age(clock).map(|age| age.as_nanos() as f64 * 1e-6),
         frames: statistics.frames(),
-        dropped: statistics.dropped(),
-        reconnects: statistics.reconnects(),
+        dropped: statistics.dropped.get(),
+        reconnects: statistics.reconnects.get(),
         recorder: match statistics.recorder() {
             RecorderState::Off => "off",
             RecorderState::Recording => "recording",

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
+use super::Page;
 use super::histogram::{EDGES_S, Histogram};
-use super::page::Page;
 use super::statistics::{CameraState, RecorderState, Statistics};
 use crate::publish::FrameClock;
 use crate::record::State;
@@ -47,13 +47,13 @@ fn states(text: &mut String, statistics: &Statistics) {
 fn counters(text: &mut String, s: &Statistics) {
     let counters = [
         ("stagepose_frames_total", "Frames tracked, whatever became of them.", s.frames()),
-        ("stagepose_frames_undecodable_total", "Frames whose picture could not be read.", s.undecodable()),
-        ("stagepose_frames_skipped_total", "Frames not tracked for their stamp or size.", s.skipped()),
-        ("stagepose_frames_dropped_total", "Frames dropped because the tracker was late.", s.dropped()),
-        ("stagepose_frames_lost_in_device_total", "Frames lost before they came, by the driver's numbers.", s.device_dropped()),
-        ("stagepose_camera_reconnects_total", "How often the camera was opened again.", s.reconnects()),
-        ("stagepose_panics_contained_total", "Panics that were contained.", s.contained_panics()),
-        ("stagepose_frames_recorded_total", "Frames recorded.", s.recorded()),
+        ("stagepose_frames_undecodable_total", "Frames whose picture could not be read.", s.undecodable.get()),
+        ("stagepose_frames_skipped_total", "Frames not tracked for their stamp or size.", s.skipped.get()),
+        ("stagepose_frames_dropped_total", "Frames dropped because the tracker was late.", s.dropped.get()),
+        ("stagepose_frames_lost_in_device_total", "Frames lost before they came, by the driver's numbers.", s.device_dropped.get()),
+        ("stagepose_camera_reconnects_total", "How often the camera was opened again.", s.reconnects.get()),
+        ("stagepose_panics_contained_total", "Panics that were contained.", s.contained_panics.get()),
+        ("stagepose_frames_recorded_total", "Frames recorded.", s.recorded.get()),
     ];
     counters.iter().for_each(|(name, help, value)| one(text, name, "counter", help, value));
 }
@@ -98,7 +98,7 @@ mod tests {
         sample.state = State::Searching;
         sample.times = StageTimes { decode_ms: 2.0, acquire_ms: 20.0, align_ms: 5.0, pose_ms: 0.1, age_ms: Some(7.0) };
         statistics.sample(&sample);
-        statistics.frames_dropped(3);
+        statistics.dropped.add(3);
         let clock = FrameClock::with(Arc::new(SteppedClocks::new()), Stamps::Live);
         let page = metrics(&statistics, &clock);
         let mut typed = HashSet::new();

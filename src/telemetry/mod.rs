@@ -3,10 +3,19 @@
 mod health;
 mod histogram;
 mod metrics;
-mod page;
 mod statistics;
 
 pub use health::health;
 pub use metrics::metrics;
-pub use page::Page;
 pub use statistics::{CameraState, RecorderState, Statistics};
+
+/// A page as a server gives it out.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Page {
+    /// HTTP status.
+    pub status: u16,
+    /// MIME type.
+    pub content_type: &'static str,
+    /// The text.
+    pub body: String,
+}

@@ -31,21 +31,44 @@ pub enum RecorderState {
     Stopped,
 }
 
+/// A number that only grows.
+#[derive(Debug, Default)]
+pub struct Counter(AtomicU64);
+
+impl Counter {
+    /// Counts `n` more.
+    pub fn add(&self, n: u64) {
+        self.0.fetch_add(n, Ordering::Relaxed);
+    }
+
+    /// The count so far.
+    pub fn get(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
 /// Counts and last values of a running daemon. Every method may be called from any thread and waits for nobody.
 #[derive(Debug, Default)]
 pub struct Statistics {
-    states: [AtomicU64; State::ALL.len()],
+    states: [Counter; State::ALL.len()],
     last_state: AtomicU8,
-    undecodable: AtomicU64,
-    skipped: AtomicU64,
-    dropped: AtomicU64,
-    device_dropped: AtomicU64,
-    reconnects: AtomicU64,
-    contained_panics: AtomicU64,
+    /// Rows that held no readable picture.
+    pub undecodable: Counter,
+    /// Rows that were not tracked for their stamp or their size.
+    pub skipped: Counter,
+    /// Frames dropped because the tracker was late.
+    pub dropped: Counter,
+    /// Frames that the driver's own numbers say were lost before they came here.
+    pub device_dropped: Counter,
+    /// How often the camera was opened again.
+    pub reconnects: Counter,
+    /// Panics that were contained.
+    pub contained_panics: Counter,
+    /// Frames recorded.
+    pub recorded: Counter,
     streaming: AtomicBool,
     silent: AtomicBool,
     recorder: AtomicU8,
-    recorded: AtomicU64,
     inliers: AtomicU64,
     rms_bits: AtomicU64,
     rate_bits: AtomicU64,
@@ -60,18 +83,10 @@ pub struct Statistics {
 /// The stages of the latency histograms.
 pub(super) const STAGES: [&str; 5] = ["decode", "acquire", "align", "pose", "total"];
 
-fn add(counter: &AtomicU64, n: u64) {
-    counter.fetch_add(n, Ordering::Relaxed);
-}
-
-fn get(counter: &AtomicU64) -> u64 {
-    counter.load(Ordering::Relaxed)
-}
-
 impl Statistics {
     /// Counts a sample, its times and its quality. A stale one counts as a state only.
     pub fn sample(&self, sample: &PoseSample) {
-        add(&self.states[sample.state as usize], 1);
+        self.states[sample.state as usize].add(1);
         self.last_state.store(sample.state as u8, Ordering::Relaxed);
         if sample.state == State::Stale {
             return;
@@ -88,29 +103,9 @@ impl Statistics {
         self.rms_bits.store(rms_px.to_bits(), Ordering::Relaxed);
     }
 
-    /// Counts a row that held no readable picture.
-    pub fn undecodable_row(&self) {
-        add(&self.undecodable, 1);
-    }
-
-    /// Counts a row that was not tracked for its stamp or its size.
-    pub fn skipped_row(&self) {
-        add(&self.skipped, 1);
-    }
-
-    /// Counts frames dropped because the tracker was late.
-    pub fn frames_dropped(&self, n: u64) {
-        add(&self.dropped, n);
-    }
-
-    /// Counts frames that the driver's own numbers say were lost before they came here.
-    pub fn device_frames_dropped(&self, n: u64) {
-        add(&self.device_dropped, n);
-    }
-
     /// Notes that the camera streams; `again` where it was open before.
     pub fn camera_opened(&self, name: &str, again: bool) {
-        add(&self.reconnects, u64::from(again));
+        self.reconnects.add(u64::from(again));
         name.clone_into(&mut self.camera.lock().unwrap_or_else(PoisonError::into_inner));
         self.streaming.store(true, Ordering::Relaxed);
     }
@@ -125,19 +120,9 @@ impl Statistics {
         self.silent.store(silent, Ordering::Relaxed);
     }
 
-    /// Counts a panic that was contained.
-    pub fn panic_contained(&self) {
-        add(&self.contained_panics, 1);
-    }
-
     /// Notes what the recorder does.
     pub fn set_recorder(&self, state: RecorderState) {
         self.recorder.store(state as u8, Ordering::Relaxed);
-    }
-
-    /// Counts a recorded frame.
-    pub fn frame_recorded(&self) {
-        add(&self.recorded, 1);
     }
 
     /// Notes the frame rate as measured, frames a second.
@@ -152,7 +137,7 @@ impl Statistics {
 
     /// Samples in a state so far.
     pub fn in_state(&self, state: State) -> u64 {
-        get(&self.states[state as usize])
+        self.states[state as usize].get()
     }
 
     /// The state of the last sample.
@@ -162,52 +147,17 @@ impl Statistics {
 
     /// Frames a second, as last measured.
     pub fn rate(&self) -> f64 {
-        f64::from_bits(get(&self.rate_bits))
-    }
-
-    /// Rows without a readable picture so far.
-    pub fn undecodable(&self) -> u64 {
-        get(&self.undecodable)
-    }
-
-    /// Rows not tracked for their stamp or size so far.
-    pub fn skipped(&self) -> u64 {
-        get(&self.skipped)
-    }
-
-    /// Frames dropped so far because the tracker was late.
-    pub fn dropped(&self) -> u64 {
-        get(&self.dropped)
-    }
-
-    /// Frames lost so far before they came here.
-    pub fn device_dropped(&self) -> u64 {
-        get(&self.device_dropped)
-    }
-
-    /// How often the camera was opened again.
-    pub fn reconnects(&self) -> u64 {
-        get(&self.reconnects)
-    }
-
-    /// Panics contained so far.
-    pub fn contained_panics(&self) -> u64 {
-        get(&self.contained_panics)
-    }
-
-    /// Frames recorded so far.
-    pub fn recorded(&self) -> u64 {
-        get(&self.recorded)
+        f64::from_bits(self.rate_bits.load(Ordering::Relaxed))
     }
 
     /// Inliers of the last frame; 0 where it was not tracked.
     pub fn inliers(&self) -> u64 {
-        get(&self.inliers)
+        self.inliers.load(Ordering::Relaxed)
     }
 
     /// Residual of the last frame, pixels; 0 where it was not tracked.
     pub fn rms_px(&self) -> f64 {
-        f64::from_bits(get(&self.rms_bits))
+        f64::from_bits(self.rms_bits.load(Ordering::Relaxed))
     }
 
     /// What is known of the camera.

@@ -14,7 +14,6 @@ use axum::routing::any;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::ending::ended;
 use super::feed::Feed;
 use super::places::Place;
 use super::routes::{Effect, Reply, Route};
@@ -24,12 +23,8 @@ pub(super) const TAKES_WITHIN: Duration = Duration::from_secs(2);
 /// A client has nothing to say on the WebSocket, so that its messages may be short.
 const LONGEST_MESSAGE: usize = 4 * 1024;
 
-/// What a request knows of its connection.
-#[derive(Clone)]
-pub(super) struct Caller {
-    /// Its place among the connections that last; none where it is answered in brief.
-    pub place: Option<Arc<Place>>,
-}
+/// What a request knows of its connection: its place among those that last; none where it is answered in brief.
+pub(super) type Caller = Option<Arc<Place>>;
 
 /// /ws, /api/v1/pose, /api/v1/state and the given routes.
 pub(super) fn router(feed: Arc<Feed>, routes: Vec<Route>, stopped: &watch::Receiver<bool>) -> Router {
@@ -102,7 +97,7 @@ async fn web_socket(request: HttpRequest<Body>, feed: Arc<Feed>, stopped: watch:
         return refused;
     }
     // The connection's place is kept for as long as the WebSocket lasts.
-    let Some(place) = request.extensions().get::<Caller>().and_then(|caller| caller.place.clone()) else {
+    let Some(place) = request.extensions().get::<Caller>().and_then(Clone::clone) else {
         return response(Reply::text(503, "too many clients are connected; close some and try again\n"));
     };
     let (mut parts, _) = request.into_parts();
@@ -136,4 +131,10 @@ async fn stream(mut socket: WebSocket, feed: Arc<Feed>, mut stopped: watch::Rece
         }
     }
     let _ = timeout(Duration::from_millis(100), socket.send(Message::Close(None))).await;
+}
+
+/// Waits for the end of the server.
+pub(super) async fn ended(stopped: &mut watch::Receiver<bool>) {
+    // An error says that the server is gone, which is the end too.
+    drop(stopped.wait_for(|stop| *stop).await);
 }

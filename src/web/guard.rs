@@ -15,39 +15,23 @@ use super::routes::Reply;
 const HTTP_PORT: u16 = 80;
 const HTTPS_PORT: u16 = 443;
 
-/// The rules, made once.
-#[derive(Debug)]
-pub(super) struct Guard {
-    hosts: AllowedHosts,
-}
-
-impl Guard {
-    pub fn new(hosts: AllowedHosts) -> Self {
-        Self { hosts }
+/// Judges a request that came in at the address `reached`.
+///
+/// # Errors
+/// Why it is not answered.
+pub(super) fn judge<B>(hosts: &AllowedHosts, request: &Request<B>, reached: IpAddr) -> Result<(), Reply> {
+    let host = asked_host(request)?;
+    if host.as_ref().is_some_and(|host| !hosts.allows(&host.host, reached)) {
+        let sentence = "this server does not answer for that host; call it by localhost, by an address or the name of its machine, \
+            or add the host to hosts in [http]\n";
+        return Err(Reply::text(421, sentence));
     }
-
-    /// Why a request, which came in at the address `reached`, is not answered; `None` where it is.
-    pub fn refusal<B>(&self, request: &Request<B>, reached: IpAddr) -> Option<Reply> {
-        self.judge(request, reached).err()
+    let headers = request.headers();
+    if !is_from_here(headers, host.as_ref()) || !is_fetched_from_here(request.method(), headers) {
+        let sentence = "this request comes from another site's page, which may not ask here; open the page at this server's own address\n";
+        return Err(Reply::text(403, sentence));
     }
-
-    fn judge<B>(&self, request: &Request<B>, reached: IpAddr) -> Result<(), Reply> {
-        let host = asked_host(request)?;
-        if let Some(host) = &host
-            && !self.hosts.allows(&host.host, reached)
-        {
-            let sentence = "this server does not answer for that host; call it by localhost, by an address or the name of its machine, \
-                or add the host to hosts in [http]\n";
-            return Err(Reply::text(421, sentence));
-        }
-        let headers = request.headers();
-        if !is_from_here(headers, host.as_ref()) || !is_fetched_from_here(request.method(), headers) {
-            let sentence =
-                "this request comes from another site's page, which may not ask here; open the page at this server's own address\n";
-            return Err(Reply::text(403, sentence));
-        }
-        Ok(())
-    }
+    Ok(())
 }
 
 /// The host that a request is for; none where it is HTTP/1.0 without one, which no browser speaks.

@@ -10,7 +10,7 @@ fn status(method: &str, target: &str, version: Version, headers: &[(&str, &str)]
     for (name, value) in headers {
         request = request.header(*name, *value);
     }
-    let refusal = Guard::new(hosts).refusal(&request.body(()).unwrap(), Ipv4Addr::LOCALHOST.into());
+    let refusal = judge(&hosts, &request.body(()).unwrap(), Ipv4Addr::LOCALHOST.into()).err();
     if let Some(reply) = &refusal {
         let sentence = String::from_utf8(reply.body.clone()).unwrap();
         assert!(sentence.ends_with('\n') && sentence.len() > 20, "{sentence}");

@@ -16,7 +16,6 @@ const LOOPBACK_NAMES: [&str; 3] = ["localhost", "ip6-localhost", "ip6-loopback"]
 /// some 0.1 ms, which a flood of requests shall not make it do each time.
 const ADDRESSES_LAST: Duration = Duration::from_secs(5);
 /// A host and the port behind it, as `Host` and `Origin` write them.
-#[cfg(feature = "http")]
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct HostAndPort {
     pub host: HostName,
@@ -24,7 +23,6 @@ pub(super) struct HostAndPort {
     pub port: Option<u16>,
 }
 
-#[cfg(feature = "http")]
 impl HostAndPort {
     pub fn parse(text: &str) -> Option<Self> {
         // An IPv6 address has its own colons, and stands in brackets.
@@ -70,7 +68,6 @@ impl AllowedHosts {
     }
 
     /// Whether a request for this host, which came in at the address `reached`, is answered.
-    #[cfg(feature = "http")]
     pub(super) fn allows(&self, host: &HostName, reached: IpAddr) -> bool {
         self.added.contains(host)
             || match host {
@@ -114,7 +111,7 @@ fn addresses_of_this_machine() -> Vec<IpAddr> {
     interfaces.filter_map(address).collect()
 }
 
-#[cfg(all(test, feature = "http"))]
+#[cfg(test)]
 mod tests {
     use std::net::Ipv4Addr;
 

@@ -6,14 +6,10 @@
 #[cfg(feature = "http")]
 mod answers;
 #[cfg(feature = "http")]
-mod ending;
-#[cfg(feature = "http")]
 mod feed;
 #[cfg(feature = "http")]
 mod guard;
 mod hosts;
-#[cfg(feature = "http")]
-mod pace;
 #[cfg(feature = "http")]
 mod places;
 #[cfg(feature = "http")]

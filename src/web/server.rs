@@ -24,10 +24,9 @@ use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_io_timeout::TimeoutStream;
 
-use super::answers::{Caller, TAKES_WITHIN, response, router};
-use super::ending::ended;
+use super::answers::{TAKES_WITHIN, ended, response, router};
 use super::feed::Feed;
-use super::guard::Guard;
+use super::guard::judge;
 use super::hosts::AllowedHosts;
 use super::places::{BriefOnes, Place, Places};
 use super::routes::Route;
@@ -93,7 +92,7 @@ impl Server {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(WebError::Start)?;
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
         let router = router(feed.clone(), routes, &stopped);
-        let site = Arc::new(Site { router, guard: Guard::new(AllowedHosts::new(&settings.hosts)) });
+        let site = Arc::new(Site { router, hosts: AllowedHosts::new(&settings.hosts) });
         let watched = feed.clone();
         runtime.spawn(async move {
             loop {
@@ -152,7 +151,7 @@ fn bound(address: SocketAddr) -> io::Result<TcpListener> {
 /// What every connection is answered from.
 struct Site {
     router: Router,
-    guard: Guard,
+    hosts: AllowedHosts,
 }
 
 /// Accepts connections until it is stopped.
@@ -201,16 +200,13 @@ async fn converse(stream: TcpStream, place: Option<Arc<Place>>, site: Arc<Site>,
     let reached = stream.local_addr().map_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED), |address| address.ip());
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(TAKES_WITHIN));
-    let (is_brief, caller) = (place.is_none(), Caller { place });
+    let is_brief = place.is_none();
     let routes = TowerToHyperService::new(site.router.clone());
     let service = service_fn(|mut request: HttpRequest<Incoming>| {
-        let judged = match site.guard.refusal(&request, reached) {
-            Some(refused) => Err(refused),
-            None => {
-                request.extensions_mut().insert(caller.clone());
-                Ok(routes.call(request))
-            }
-        };
+        let judged = judge(&site.hosts, &request, reached).map(|()| {
+            request.extensions_mut().insert(place.clone());
+            routes.call(request)
+        });
         async move {
             // One request a turn: whoever sends hundreds in one piece waits for the others between them.
             yield_now().await;

@@ -74,10 +74,10 @@ fn soak() {
     println!("soak: {frames} frames, {tracking} tracking, {stale} stale messages, {} wrong poses", wrong.len());
     println!(
         "soak: {} reconnects, {} panics contained, {} undecodable, {} skipped",
-        s.reconnects(),
-        s.contained_panics(),
-        s.undecodable(),
-        s.skipped()
+        s.reconnects.get(),
+        s.contained_panics.get(),
+        s.undecodable.get(),
+        s.skipped.get()
     );
     println!("soak: memory {early_mb:.1} MB after a tenth, {late_mb:.1} MB at the end; faults {faults:?}");
     let lost = faulty.lost.load(Ordering::Acquire);

@@ -1,25 +1,23 @@
 //! `--compare`: how far apart two calibrations put the same points, pixels over the picture.
 
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::{CalibrateArguments, output, print, report_date};
+use super::{CalibrateArguments, output, report_date};
 use crate::calibrate::judge::map::{self, MAP_COLUMNS, MAP_ROWS};
 use crate::calibrate::report::{self, Comparison};
 use crate::camera::{Calibration, CameraModel};
 use crate::cli::failure::Failure;
+use crate::cli::output_file::print;
 use crate::config::read_calibration;
+use crate::printable::printable_lines;
 
-/// Another calibration and its name.
-pub(super) struct Other {
-    name: PathBuf,
-    calibration: Calibration,
-}
+/// Another calibration, after its file's name.
+pub(super) type Other<'a> = (&'a Path, Calibration);
 
 /// Reads the other calibration.
-pub(super) fn read(file: &Path) -> Result<Other, Failure> {
-    let calibration = read_calibration(file).map_err(|e| Failure::Usage(e.to_string()))?;
-    Ok(Other { name: file.to_owned(), calibration })
+pub(super) fn read(file: &Path) -> Result<Other<'_>, Failure> {
+    Ok((file, read_calibration(file).map_err(|e| Failure::Usage(e.to_string()))?))
 }
 
 /// The calibration file that stands where pictures would, if two files are to be compared.
@@ -39,8 +37,8 @@ pub(super) fn run(own: &Path, arguments: &CalibrateArguments) -> Result<(), Fail
         return Err(Failure::Usage(why.to_owned()));
     }
     output::refuse_unwritable(arguments)?;
-    let comparison = between(&read(own)?.calibration.model, &read(other)?)?;
-    print(&table(&comparison))?;
+    let comparison = between(&read(own)?.1.model, &read(other)?)?;
+    print(printable_lines(&table(&comparison)).as_bytes())?;
     match &arguments.report {
         Some(file) => output::write(file, report::comparison_html(&own.display().to_string(), &comparison, &report_date())),
         None => Ok(()),
@@ -48,11 +46,11 @@ pub(super) fn run(own: &Path, arguments: &CalibrateArguments) -> Result<(), Fail
 }
 
 /// The difference from a model to another calibration, which may be of another size of the same shape.
-pub(super) fn between(model: &CameraModel, other: &Other) -> Result<Comparison, Failure> {
-    let scaled = other.calibration.model.scaled_to(model.width(), model.height());
-    let scaled = scaled.map_err(|e| Failure::Usage(format!("{}: {e}", other.name.display())))?;
+pub(super) fn between(model: &CameraModel, (name, other): &Other<'_>) -> Result<Comparison, Failure> {
+    let scaled = other.model.scaled_to(model.width(), model.height());
+    let scaled = scaled.map_err(|e| Failure::Usage(format!("{}: {e}", name.display())))?;
     let field = map::difference(model, &scaled);
-    Ok(Comparison { name: other.name.display().to_string(), size: (model.width(), model.height()), field })
+    Ok(Comparison { name: name.display().to_string(), size: (model.width(), model.height()), field })
 }
 
 /// The difference as a grid of numbers.

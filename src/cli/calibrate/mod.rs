@@ -9,12 +9,12 @@ mod panel;
 mod pictures;
 mod table;
 
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
 use super::failure::Failure;
+use super::output_file::print;
 use crate::calibrate::board::Board;
 use crate::calibrate::judge::Verdict;
 use crate::calibrate::report::{self, Comparison};
@@ -138,7 +138,7 @@ pub(super) fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     if let Some(comparison) = &comparison {
         text += &compare::table(comparison);
     }
-    print(&text)?;
+    print(printable_lines(&text).as_bytes())?;
     write_results(arguments, &made, &calibration, comparison.as_ref(), accepted)?;
     if accepted {
         return Ok(());
@@ -215,9 +215,4 @@ fn calibration_of(made: &CameraCalibration) -> Option<Calibration> {
         date: Some(utc::date(utc::now_s())),
         form: CalibrationForm::Stagepose,
     })
-}
-
-fn print(text: &str) -> Result<(), Failure> {
-    // The pictures' names stand in it.
-    io::stdout().write_all(printable_lines(text).as_bytes()).map_err(Failure::output(Path::new("stdout")))
 }

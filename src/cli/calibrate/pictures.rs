@@ -1,11 +1,10 @@
 //! The pictures: named ones, whole folders, or those of a clip that are worth having.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 
 use super::{CalibrateArguments, live};
@@ -18,10 +17,13 @@ use crate::capture::{
 };
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
+use crate::cli::replay::progress::Progress;
 use crate::safe_file;
 
 /// What counts as a picture in a folder.
 const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
+/// What the progress bar says, and what the counter says where nobody knows how many there are.
+const PROGRESS_WORDS: [&str; 2] = ["{bar:32} {pos}/{len} pictures, {eta} left", "{spinner} {pos} pictures"];
 
 /// Every picture that the arguments name, looked through for the board.
 pub(super) fn inspected(arguments: &CalibrateArguments, board: &Board) -> Result<Vec<Inspected>, Failure> {
@@ -33,18 +35,18 @@ pub(super) fn inspected(arguments: &CalibrateArguments, board: &Board) -> Result
         return Err(Failure::Usage("there are no pictures; give picture files, folders of pictures, --clip or --device".to_owned()));
     }
     interrupt::watch();
-    let bar = bar(Some(files.len() as u64));
+    let progress = Progress::with(Some(files.len() as u64), PROGRESS_WORDS);
     let looking = Looking::default();
     let mut pictures: Vec<Inspected> = files
         .into_par_iter()
         .filter(|_| !interrupt::is_interrupted())
         .map(|file| {
             let seen = looking.look_at(file, board);
-            bar.inc(1);
+            progress.advance();
             seen
         })
         .collect();
-    bar.finish_and_clear();
+    progress.finish();
     looking.say_turned();
     if let Some(clip) = &arguments.clip {
         pictures.extend(picked(clip, board)?);
@@ -131,11 +133,11 @@ fn files_of(images: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
 /// The frames of a clip that are worth having.
 fn picked(clip: &Path, board: &Board) -> Result<Vec<Inspected>, Failure> {
     let mut source = open_clip(clip, ClipOptions { is_stopped: Some(interrupt::is_interrupted), ..ClipOptions::default() })?;
-    let bar = bar(source.rows());
+    let progress = Progress::with(source.rows(), PROGRESS_WORDS);
     let mut picker = ViewPicker::new(*board);
     let (mut rows, mut readable, mut first_reason) = (0, 0, None);
     while let Some(row) = source.next_entry().filter(|_| !interrupt::is_interrupted()) {
-        bar.inc(1);
+        progress.advance();
         rows += 1;
         match row.content {
             EntryContent::Frame(frame) => {
@@ -147,23 +149,10 @@ fn picked(clip: &Path, board: &Board) -> Result<Vec<Inspected>, Failure> {
             }
         }
     }
-    bar.finish_and_clear();
+    progress.finish();
     source.notes().iter().for_each(|sentence| note(sentence));
     if readable == 0 && !interrupt::is_interrupted() {
         return Err(Failure::NoFrame { clip: clip.to_owned(), rows, first: first_reason });
     }
     Ok(picker.finish())
-}
-
-/// A bar on a terminal, nothing otherwise.
-fn bar(total: Option<u64>) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let (bar, template) = match total {
-        Some(total) => (ProgressBar::new(total), "{bar:32} {pos}/{len} pictures, {eta} left"),
-        None => (ProgressBar::new_spinner(), "{spinner} {pos} pictures"),
-    };
-    bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
-    bar
 }

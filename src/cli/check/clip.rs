@@ -76,7 +76,7 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
     let (mut outcome, mut kept, mut travel) = (Outcome::default(), Kept::default(), Travel::default());
     let mut stamps = Vec::new();
     let mut objects = vec![0_u64; setup.objects.len()];
-    while outcome.frames() < MOST_ROWS {
+    while outcome.frames < MOST_ROWS {
         let Some(row) = source.next_entry() else { break };
         if let EntryContent::Frame(frame) = &row.content {
             kept.offer(frame);
@@ -93,12 +93,11 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
         progress.advance();
     }
     progress.finish();
-    let share = outcome.followed() as f64 / outcome.frames().max(1) as f64;
+    let share = outcome.followed() as f64 / outcome.frames.max(1) as f64;
     let mut findings = of_clip(&setup, &kept.frames, share >= WELL_FOLLOWED, &travel);
     let has_cause = findings.iter().any(|f| f.grade == Grade::Fault);
     findings.extend(of_reasons(&outcome, has_cause));
-    findings
-        .extend(setup.objects.iter().zip(&objects).filter_map(|(object, tracked)| of_object(&object.name, *tracked, outcome.tracked())));
+    findings.extend(setup.objects.iter().zip(&objects).filter_map(|(object, tracked)| of_object(&object.name, *tracked, outcome.tracked)));
     findings.extend(travel.findings(&settings.stage));
     findings.extend(of_roll(&travel, &setup));
     if let Some(frame_s) = frame_interval_s(&stamps) {
@@ -108,8 +107,8 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
     findings.extend(of_rate(clip, fps));
     findings.extend(source.notes().iter().map(Finding::note));
     let rows = match total {
-        Some(rows) if rows > outcome.frames() => format!("the first {} of {rows} frames", outcome.frames()),
-        _ => format!("{} frames", outcome.frames()),
+        Some(rows) if rows > outcome.frames => format!("the first {} of {rows} frames", outcome.frames),
+        _ => format!("{} frames", outcome.frames),
     };
     Ok(Examined {
         size: (width, height),
@@ -117,9 +116,9 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
         counts: format!(
             "the picture is found in {} of {} frames, followed in {}, its pose given in {}",
             outcome.recognised(),
-            outcome.frames(),
+            outcome.frames,
             outcome.followed(),
-            outcome.tracked()
+            outcome.tracked
         ),
         findings,
         followed: share,
@@ -128,7 +127,7 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
 
 /// The reasons of the frames that were not tracked. Where a fault was found that explains why no pose fits, that one has the mend.
 fn of_reasons(outcome: &Outcome, has_cause: bool) -> Vec<Finding> {
-    let frames = outcome.frames();
+    let frames = outcome.frames;
     let share = |n: u64| n as f64 / frames.max(1) as f64;
     let told = outcome.reasons().into_iter().filter(|(reason, n)| match reason {
         // A find waits a frame for the next one.

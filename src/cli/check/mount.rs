@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
+use crate::cli::angles::angles;
 use crate::config::Settings;
-use crate::protocols::PanTiltRoll;
 use crate::publish::{BodyChoice, MountSettings, OutputSettings};
 
 /// Where the filming camera sits, and its lens.
@@ -15,8 +15,7 @@ pub(super) fn lines(mount: &MountSettings, settings: &Settings) -> Vec<String> {
     let o = mount.mount.pose.translation;
     let along = |metres: f64, [ahead, back]: [&str; 2]| format!("{:.3} m {}", metres.abs(), if metres < 0.0 { back } else { ahead });
     let place = [along(o.x, ["right", "left"]), along(o.y, ["forward", "back"]), along(o.z, ["up", "down"])].join(", ");
-    let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(&mount.mount.pose.rotation, 0.0);
-    let [pan, tilt, roll] = [pan_deg, tilt_deg, roll_deg].map(|degrees| (degrees * 100.0).round() / 100.0 + 0.0);
+    let [pan, tilt, roll] = angles(&mount.mount.pose.rotation);
     let late = late(mount.delay);
     let mut lines = vec![format!("{} on {carrier}: {place}; pan {pan:+.2} tilt {tilt:+.2} roll {roll:+.2} degrees{late}", mount.name)];
     if let Some(camera) = &mount.camera {

@@ -42,7 +42,7 @@ pub struct DemoArguments {
     #[arg(long, value_name = "PX", default_value_t = 480, value_parser = clap::value_parser!(u32).range(64..=4096))]
     pub height: u32,
     /// Frames a second
-    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = frame_rate)]
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = super::send_test::rate)]
     pub fps: f64,
     /// Another number paints another stage and shakes the camera another way
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -50,14 +50,6 @@ pub struct DemoArguments {
     /// Save the frames as JPEG of this quality, 1 to 100, instead of PNG
     #[arg(long, value_name = "QUALITY", requires = "save", value_parser = clap::value_parser!(u8).range(1..=100))]
     pub jpeg: Option<u8>,
-}
-
-/// Reads `--fps`.
-fn frame_rate(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(fps) if (1.0..=1000.0).contains(&fps) => Ok(fps),
-        _ => Err("give a number from 1 to 1000".to_owned()),
-    }
 }
 
 /// Why a demo ended early.
@@ -89,13 +81,6 @@ pub enum DemoError {
     /// Standard output is closed.
     #[error("standard output cannot be written ({0})")]
     Print(#[from] io::Error),
-}
-
-impl DemoError {
-    /// True where somebody stopped reading our output, which is their right.
-    pub fn is_closed_pipe(&self) -> bool {
-        matches!(self, Self::Print(source) if source.kind() == io::ErrorKind::BrokenPipe)
-    }
 }
 
 /// Renders, tracks, and prints the errors.

@@ -3,8 +3,7 @@
 mod measure;
 mod report;
 
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use nalgebra::Matrix6;
 
@@ -12,6 +11,7 @@ use super::calibrate::write_whole;
 use super::failure::Failure;
 use super::interrupt;
 use super::logging::{self, LogArguments};
+use super::output_file::print;
 use super::spared::Spared;
 use crate::config::Settings;
 use crate::mount::{
@@ -93,7 +93,7 @@ pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
     if let Some(file) = &arguments.json {
         write_whole(file, report.json())?;
     }
-    writeln!(io::stdout(), "{}", printable_lines(&report.text())).map_err(Failure::output(Path::new("stdout")))?;
+    print(printable_lines(&(report.text() + "\n")).as_bytes())?;
     match verdict {
         Verdict::DoNotUse if is_doubt_of_lenses => Err(Failure::Mount(
             "the mount is not known well enough to be used, for the lenses are not; calibrate both cameras with `stagepose calibrate`"

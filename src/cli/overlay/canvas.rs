@@ -65,16 +65,18 @@ impl Canvas {
     }
 
     /// A dark panel to write on: left, top, width and height.
-    pub fn panel(&mut self, [x, y, w, h]: [f32; 4]) {
-        if let Some(rect) = Rect::from_xywh(x, y, w, h) {
-            self.pixels.fill_rect(rect, &paint([12, 14, 18], PANEL), Transform::identity(), None);
-        }
+    pub fn panel(&mut self, place: [f32; 4]) {
+        self.fill(place, &paint([12, 14, 18], PANEL));
     }
 
     /// A filled rectangle: left, top, width and height.
-    pub fn rect(&mut self, [x, y, w, h]: [f32; 4], colour: Colour) {
+    pub fn rect(&mut self, place: [f32; 4], colour: Colour) {
+        self.fill(place, &paint(colour, 1.0));
+    }
+
+    fn fill(&mut self, [x, y, w, h]: [f32; 4], paint: &Paint<'_>) {
         if let Some(rect) = Rect::from_xywh(x, y, w, h) {
-            self.pixels.fill_rect(rect, &paint(colour, 1.0), Transform::identity(), None);
+            self.pixels.fill_rect(rect, paint, Transform::identity(), None);
         }
     }
 

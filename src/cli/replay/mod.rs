@@ -117,7 +117,8 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     let summary = spared.open("--summary", arguments.summary.as_deref())?;
     arguments.claim_others(&settings, &mut spared)?;
     arguments.overlay.as_deref().map_or(Ok(()), overlays::refuse_foreign)?;
-    let outputs = arguments.outputs.then(|| Outputs::start(&settings, setup.camera, stamps(), arguments.fps)).transpose()?;
+    let outputs =
+        arguments.outputs.then(|| Outputs::start(&settings, settings.http.as_ref(), setup.camera, stamps(), arguments.fps)).transpose()?;
     let mut records = Records::begin(poses, tum, arguments.realtime)?;
     let mut summary = summary.map(records::Output::begin).transpose()?;
     let overlay = arguments.overlay.as_deref().map(|dir| (dir, setup.clone()));
@@ -126,7 +127,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     let source: Box<dyn FrameSource> = if arguments.realtime || arguments.outputs { Box::new(Paced::new(source, begun)) } else { source };
     let mut tally = Tally::new(started);
     let mut tracker = Tracker::new(setup)?.with_filter(settings.filter);
-    let overlays = overlay.map(|(dir, setup)| Overlays::create(dir, &setup, tracker.watch_pixels())).transpose()?;
+    let overlays = overlay.map(|(dir, setup)| Overlays::create(dir, setup, tracker.watch_pixels())).transpose()?;
     let mut writing = Writing { records: &mut records, tally: &mut tally, outputs: outputs.as_ref() };
     let rows = track(source, tracker, overlays, &mut writing)?;
     if let Some(outputs) = outputs {

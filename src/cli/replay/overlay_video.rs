@@ -26,37 +26,19 @@ const SINGLE_FRAME_NS: i64 = 1_000_000_000 / 25;
 const LONGEST_STAND_NS: i64 = 10_000_000_000;
 
 /// Ends of names that mean a video, and how ffmpeg is to encode it.
-const FORMS: [(&str, &[&str]); 6] = [
+const FORMS: [(&str, &str); 6] = [
     ("mp4", H264_AT_ONCE),
     ("m4v", H264_AT_ONCE),
     ("mov", H264_AT_ONCE),
-    ("mkv", &["-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p"]),
-    (
-        "webm",
-        &[
-            "-c:v",
-            "libvpx-vp9",
-            "-b:v",
-            "0",
-            "-crf",
-            "30",
-            "-deadline",
-            "realtime",
-            "-cpu-used",
-            "8",
-            "-row-mt",
-            "1",
-            "-pix_fmt",
-            "yuv420p",
-        ],
-    ),
-    ("avi", &["-c:v", "mjpeg", "-q:v", "3", "-pix_fmt", "yuvj420p"]),
+    ("mkv", "-c:v libx264 -preset veryfast -crf 20 -pix_fmt yuv420p"),
+    ("webm", "-c:v libvpx-vp9 -b:v 0 -crf 30 -deadline realtime -cpu-used 8 -row-mt 1 -pix_fmt yuv420p"),
+    ("avi", "-c:v mjpeg -q:v 3 -pix_fmt yuvj420p"),
 ];
 /// With the index in front, so that a browser plays it while it loads.
-const H264_AT_ONCE: &[&str] = &["-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"];
+const H264_AT_ONCE: &str = "-c:v libx264 -preset veryfast -crf 20 -pix_fmt yuv420p -movflags +faststart";
 
 /// How a file of this name is encoded; `None` where the name means a folder.
-fn encoding(path: &Path) -> Option<&'static [&'static str]> {
+fn encoding(path: &Path) -> Option<&'static str> {
     let extension = path.extension()?.to_str()?.to_ascii_lowercase();
     FORMS.iter().find(|(end, _)| *end == extension && !path.is_dir()).map(|(_, arguments)| *arguments)
 }
@@ -158,7 +140,7 @@ impl Encoder {
             // The codecs halve the colours' size, so sides must be even.
             .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709"])
             .args(["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"])
-            .args(arguments)
+            .args(arguments.split(' '))
             .arg(output)
             .stdin(Stdio::piped())
             .stdout(Stdio::null())

@@ -12,14 +12,13 @@ use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
 
 use super::overlay_video::{VideoFile, is_video};
-use crate::camera::CameraModel;
 use crate::capture::Received;
 use crate::cli::failure::Failure;
 use crate::cli::overlay::{self, Scene};
 use crate::frame::Frame;
 use crate::record::PoseSample;
 use crate::safe_file;
-use crate::track::{BodySpec, UsedPixel, UsedPixels};
+use crate::track::{UsedPixel, UsedPixels};
 use crate::tracker::TrackerSetup;
 
 const QUALITY: u8 = 92;
@@ -29,9 +28,7 @@ const MARK_TEXT: &str = "Pictures of stagepose replay --overlay. The next run in
 
 pub(super) struct Overlays {
     target: Target,
-    camera: CameraModel,
-    stage: BodySpec,
-    objects: Vec<BodySpec>,
+    setup: TrackerSetup,
     pixels: Receiver<UsedPixels>,
 }
 
@@ -43,15 +40,14 @@ enum Target {
 
 impl Overlays {
     /// Makes the folder anew where it is one; `pixels` come from the tracker.
-    pub fn create(path: &Path, setup: &TrackerSetup, pixels: Receiver<UsedPixels>) -> Result<Self, Failure> {
+    pub fn create(path: &Path, setup: TrackerSetup, pixels: Receiver<UsedPixels>) -> Result<Self, Failure> {
         let target = if is_video(path) {
             Target::Video(VideoFile::new(path))
         } else {
             replace_folder(path).map_err(Failure::output(path))?;
             Target::Folder(path.to_owned())
         };
-        let (stage, objects) = (setup.stage.clone(), setup.objects.clone());
-        Ok(Self { target, camera: setup.camera, stage, objects, pixels })
+        Ok(Self { target, setup, pixels })
     }
 
     /// The pixels of a frame. They are there before its sample is; those of rows that nobody draws are let go.
@@ -63,8 +59,8 @@ impl Overlays {
     pub fn write(&mut self, frame: &Frame, received: Option<&Received>, sample: &PoseSample) -> Result<(), Failure> {
         let pixels = self.pixels_of(frame.sequence);
         let colours = received.and_then(Received::colours);
-        let scene =
-            Scene { camera: &self.camera, stage: &self.stage, objects: &self.objects, pixels: &pixels, colours: colours.as_deref() };
+        let TrackerSetup { camera, stage, objects, .. } = &self.setup;
+        let scene = Scene { camera, stage, objects, pixels: &pixels, colours: colours.as_deref() };
         let picture = overlay::draw(frame, sample, &scene);
         match &mut self.target {
             Target::Video(video) => video.write(frame.timestamp, picture),

@@ -1,6 +1,6 @@
 //! A clip at the pace of its stamps: a row is handed out when it is due.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use crate::capture::{ClipEntry, FrameSource};
 use crate::cli::interrupt;
@@ -27,18 +27,7 @@ impl FrameSource for Paced {
         let (begun, first) = *self.start.get_or_insert_with(|| (Instant::now(), row.timestamp));
         self.begun.begin(first);
         // Stamps that do not follow wait for nothing.
-        let due = row.timestamp.duration_since(first);
-        loop {
-            if interrupt::is_interrupted() {
-                return None;
-            }
-            let left = due.saturating_sub(begun.elapsed());
-            if left.is_zero() {
-                return Some(row);
-            }
-            // Short naps, so that Ctrl-C is heard in a pause of the clip.
-            std::thread::sleep(left.min(Duration::from_millis(50)));
-        }
+        interrupt::wait_until(begun, row.timestamp.duration_since(first)).then_some(row)
     }
 
     fn size(&self) -> (u32, u32) {

@@ -12,12 +12,17 @@ pub(in crate::cli) struct Progress(ProgressBar);
 impl Progress {
     /// Starts a bar for a known number of rows, or a counter.
     pub fn start(rows: Option<u64>) -> Self {
+        Self::with(rows, ["{bar:32} {pos}/{len} frames, {per_sec}, {eta} left", "{spinner} {pos} frames, {per_sec}"])
+    }
+
+    /// The same with these words: of the bar, and of the counter.
+    pub fn with(total: Option<u64>, [words, counter_words]: [&str; 2]) -> Self {
         if !std::io::stderr().is_terminal() {
             return Self(ProgressBar::hidden());
         }
-        let (bar, template) = match rows {
-            Some(rows) => (ProgressBar::new(rows), "{bar:32} {pos}/{len} frames, {per_sec}, {eta} left"),
-            None => (ProgressBar::new_spinner(), "{spinner} {pos} frames, {per_sec}"),
+        let (bar, template) = match total {
+            Some(total) => (ProgressBar::new(total), words),
+            None => (ProgressBar::new_spinner(), counter_words),
         };
         bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
         logging::beside(&bar);

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::cli::angles::camera_words;
 use crate::cli::failure::Failure;
-use crate::cli::outcome::{Outcome, ReasonCounts};
+use crate::cli::outcome::{ByWord, Outcome};
 use crate::geometry::{Camera, Pose, Stage};
 use crate::record::{PoseSample, StageTimes, State};
 
@@ -41,20 +41,11 @@ struct Summary {
     undecodable: u64,
     skipped: u64,
     /// How many frames were not tracked for which reason.
-    reasons: ReasonCounts,
-    stage_ms: StageTable,
+    reasons: ByWord<u64>,
+    stage_ms: ByWord<Percentiles>,
     cpu_s: f64,
     first_pose_ms: Option<f64>,
     peak_rss_mb: f64,
-}
-
-#[derive(Serialize)]
-struct StageTable {
-    decode: Percentiles,
-    acquire: Percentiles,
-    align: Percentiles,
-    pose: Percentiles,
-    total: Percentiles,
 }
 
 /// Nearest-rank percentiles in milliseconds; none of no values.
@@ -121,7 +112,6 @@ impl Tally {
 
     fn summary(&self) -> Summary {
         let (cpu_s, peak_rss_mb) = usage();
-        let [decode, acquire, align, pose, total] = self.times.each_ref().map(|times| Percentiles::of(times));
         Summary {
             frames: self.frames(),
             tracking: self.state(State::Tracking),
@@ -131,7 +121,7 @@ impl Tally {
             undecodable: self.undecodable,
             skipped: self.skipped,
             reasons: self.outcome.counts(),
-            stage_ms: StageTable { decode, acquire, align, pose, total },
+            stage_ms: ByWord(STAGES.into_iter().zip(self.times.iter().map(|times| Percentiles::of(times))).collect()),
             cpu_s,
             first_pose_ms: self.first_pose_ms,
             peak_rss_mb,
@@ -157,8 +147,7 @@ impl Tally {
             let _ = write!(table, "\n{name:<10}{count:>7} {:>6.1} %", share(count));
         }
         let _ = write!(table, "\n\nms a frame    p50      p95      p99      max");
-        for (name, times) in STAGES.iter().zip(&self.times) {
-            let p = Percentiles::of(times);
+        for (name, p) in &summary.stage_ms.0 {
             let _ = write!(table, "\n{name:<8}");
             for value in [p.p50, p.p95, p.p99, p.max] {
                 let _ = write!(table, "{:>9}", value.map_or("-".to_owned(), |ms| format!("{ms:.2}")));

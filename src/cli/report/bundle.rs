@@ -48,16 +48,12 @@ impl Bundle {
     }
 
     /// Adds bytes under a name.
-    pub fn add(&mut self, name: &str, bytes: &[u8]) -> Result<(), Failure> {
+    pub fn add(&mut self, name: &str, content: impl AsRef<[u8]>) -> Result<(), Failure> {
+        let bytes = content.as_ref();
         let written = self.zip.start_file(name, SimpleFileOptions::default()).map_err(io_error).and_then(|()| self.zip.write_all(bytes));
         written.map_err(Failure::output(&self.file.path))?;
         self.contents.push(format!("{name} ({})", size(bytes.len() as u64)));
         Ok(())
-    }
-
-    /// Adds a text under a name.
-    pub fn add_text(&mut self, name: &str, text: &str) -> Result<(), Failure> {
-        self.add(name, text.as_bytes())
     }
 
     /// Adds a file; one that cannot be read leaves a sentence in its place.
@@ -70,7 +66,7 @@ impl Bundle {
         match read() {
             Ok(bytes) if bytes.len() as u64 == MOST_BYTES => self.add(&format!("{name}.first-{}", size(MOST_BYTES)), &bytes),
             Ok(bytes) => self.add(name, &bytes),
-            Err(e) => self.add_text(&format!("{name}.missing.txt"), &format!("{}: cannot be read ({e})\n", file.display())),
+            Err(e) => self.add(&format!("{name}.missing.txt"), format!("{}: cannot be read ({e})\n", file.display())),
         }
     }
 

@@ -13,6 +13,7 @@ use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use super::failure::Failure;
+use super::output_file::print;
 use crate::config::{FileKind, Settings, files_named_in};
 use crate::printable::printable_lines;
 use crate::safe_file;
@@ -65,15 +66,15 @@ pub(super) fn run(arguments: &ReportArguments) -> Result<(), Failure> {
     let pictures = wants_pictures(arguments, &recordings)?;
 
     let mut bundle = Bundle::create(&arguments.output)?;
-    bundle.add_text("about.txt", &about())?;
+    bundle.add("about.txt", about())?;
     #[cfg(feature = "live")]
-    bundle.add_text("devices.json", &devices())?;
+    bundle.add("devices.json", devices())?;
     bundle.add("config/stage.toml", &config)?;
     let verdict = match &settings {
         Ok(settings) => settings.notes.iter().fold("good\n".to_owned(), |text, note| text + note + "\n"),
         Err(problem) => format!("{problem}\n"),
     };
-    bundle.add_text("config/verdict.txt", &verdict)?;
+    bundle.add("config/verdict.txt", &verdict)?;
     let named = files_named_in(&String::from_utf8_lossy(&config), &arguments.config);
     for (number, (file, kind)) in named.iter().enumerate() {
         let name = file.file_name().unwrap_or_default().to_string_lossy();
@@ -84,7 +85,7 @@ pub(super) fn run(arguments: &ReportArguments) -> Result<(), Failure> {
     if let Some(listen) = settings.as_ref().ok().and_then(|s| s.http.as_ref()).map(|http| http.listen) {
         for (name, path) in [("daemon/state.json", "/api/v1/state"), ("daemon/health.txt", "/healthz"), ("daemon/metrics.txt", "/metrics")]
         {
-            bundle.add_text(name, &daemon::ask(listen, path))?;
+            bundle.add(name, daemon::ask(listen, path))?;
         }
     }
     for recording in &recordings {
@@ -96,7 +97,7 @@ pub(super) fn run(arguments: &ReportArguments) -> Result<(), Failure> {
     if !pictures {
         text += "No pictures of the stage are in it (--pictures takes them).\n";
     }
-    write!(io::stdout(), "{}", printable_lines(&text)).map_err(Failure::output(Path::new("stdout")))
+    print(printable_lines(&text).as_bytes())
 }
 
 /// Program, time and machine.

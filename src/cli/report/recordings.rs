@@ -56,7 +56,7 @@ impl Recording {
         for text in TEXTS.iter().filter(|text| folder.join(text).exists()) {
             bundle.add_file(&format!("{name}/{text}"), &folder.join(text))?;
         }
-        bundle.add_text(&format!("{name}/summary.json"), &self.summary())?;
+        bundle.add(&format!("{name}/summary.json"), self.summary())?;
         for picture in picture_seconds.map(|seconds| self.last_pictures(seconds)).unwrap_or_default() {
             bundle.add_file(&format!("{name}/frames/{picture}"), &folder.join("frames").join(&picture))?;
         }

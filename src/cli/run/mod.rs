@@ -5,7 +5,6 @@
 
 mod camera;
 mod notify;
-mod pages;
 mod service;
 mod session;
 
@@ -115,7 +114,7 @@ pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(
                 }
                 _ if !matches!(failure, Failure::Tracking(_)) => break Err(failure),
                 _ => {
-                    link.statistics.panic_contained();
+                    link.statistics.contained_panics.add(1);
                     failures.retain(|at| at.elapsed() < RESTART_SPAN);
                     failures.push(Instant::now());
                     if failures.len() > MOST_RESTARTS {

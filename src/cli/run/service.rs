@@ -136,7 +136,7 @@ fn status(s: &Statistics, ages_before: (u64, f64), pose: Option<&Pose<Stage, Cam
     if s.last_state() == State::Tracking {
         text += &format!(", {} inliers, rms {:.2} px", s.inliers(), s.rms_px());
     }
-    for (count, what) in [(s.dropped(), "dropped"), (s.undecodable(), "unreadable"), (s.reconnects(), "reconnects")] {
+    for (count, what) in [(s.dropped.get(), "dropped"), (s.undecodable.get(), "unreadable"), (s.reconnects.get(), "reconnects")] {
         if count > 0 {
             text += &format!(", {count} {what}");
         }
@@ -161,7 +161,7 @@ mod tests {
         let mut sample = PoseSample::stale(0, crate::frame::Timestamp::from_ns(5), 12.0);
         sample.state = State::Tracking;
         s.sample(&sample);
-        s.frames_dropped(2);
+        s.dropped.add(2);
         s.set_rate(29.97);
         s.set_recorder(RecorderState::Stopped);
         assert_eq!(status(&s, (0, 0.0), None), "tracking, 30.0 frames/s, age 12 ms, 0 inliers, rms 0.00 px, 2 dropped, RECORDING STOPPED");

@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 
-use super::pages::Pages;
 use super::service::Service;
 use super::{LiveArguments, camera};
 use crate::capture::camera::CameraMode;
@@ -18,6 +17,7 @@ use crate::cli::interrupt;
 use crate::cli::outcome::Outcome;
 use crate::cli::output_file::OutputFile;
 use crate::cli::outputs::Outputs;
+use crate::cli::pages::Pages;
 use crate::cli::replay::records::{Output, Records};
 use crate::cli::replay::tracker_setup;
 use crate::config::{LogFormat, LogSettings, RecorderSettings, Settings};
@@ -25,7 +25,7 @@ use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, 
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
 use crate::daemon::{Daemon, RunningDaemon};
 use crate::frame::Timestamp;
-use crate::publish::PoseWithheld;
+use crate::publish::{PoseWithheld, Stamps};
 use crate::record::{PoseSample, State};
 use crate::telemetry::RecorderState;
 use crate::tracker::Tracker;
@@ -76,7 +76,7 @@ impl Session<'_> {
     /// Runs until something ends it.
     pub fn run(&self, service: &mut Service, sinks: &mut Sinks, clips: &mut Clips) -> Result<End, Failure> {
         let save = Arc::new(AtomicBool::new(false));
-        let pages = Pages::start(self.settings, self.link, &save)?;
+        let pages = Pages::start(self.settings.http.as_ref(), &self.settings.safety, Stamps::Live, Some((self.link, &save)))?;
         let opener = camera::camera(self.settings, self.arguments.play.as_deref())?;
         let mut source = LiveSource::start(opener, self.settings.shutter, Patience::default(), self.link.clone());
         let mode = match self.wait(&mut source, &pages, service, sinks) {
@@ -91,7 +91,7 @@ impl Session<'_> {
             self.settings.safety.note_on_rate(mode.fps).into_iter().for_each(|note| tracing::warn!("{note}"));
         }
         let stopper = source.stopper();
-        let outputs = Outputs::live(self.settings, setup.camera, mode.fps)?;
+        let outputs = Outputs::start(self.settings, None, setup.camera, Stamps::Live, Some(mode.fps))?;
         let mut daemon = Daemon::live(source, Tracker::new(setup)?.with_filter(self.settings.filter));
         let samples = daemon.subscribe();
         let recorder = clips.recorder(self, mode.clone(), exposure_s)?;
@@ -243,24 +243,15 @@ impl Sinks {
             return;
         }
         self.outcome.add(sample);
-        let written = self.poses.as_mut().map_or(Ok(()), |poses| poses.write(sample));
-        if let Err(failure) = written {
-            tracing::error!("{failure}; no more records are written");
-            self.poses = None;
-            self.failure.get_or_insert(failure);
-        }
+        attempt(&mut self.poses, "records", &mut self.failure, |poses| poses.write(sample));
     }
 
     /// Writes what has happened since the last time.
     fn write_events(&mut self) {
         for event in self.happening.try_iter() {
             // A dropped frame is counted; a recording has a list of them.
-            let dropped = matches!(event.event, Event::FrameDropped { .. });
-            let Some(events) = self.events.as_mut().filter(|_| !dropped) else { continue };
-            if let Err(failure) = events.write_all_and_flush(&event.to_json_line()) {
-                tracing::error!("{failure}; no more events are written");
-                self.events = None;
-                self.failure.get_or_insert(failure);
+            if !matches!(event.event, Event::FrameDropped { .. }) {
+                attempt(&mut self.events, "events", &mut self.failure, |events| events.write_all_and_flush(&event.to_json_line()));
             }
         }
     }
@@ -268,16 +259,8 @@ impl Sinks {
     /// After a SIGHUP: what has happened is in the files, and files that were moved away meanwhile (by a log rotation) are begun anew.
     pub fn reopen(&mut self) {
         self.write_events();
-        if let Some(Err(failure)) = self.poses.as_mut().map(Records::reopen) {
-            tracing::error!("{failure}; no more records are written");
-            self.poses = None;
-            self.failure.get_or_insert(failure);
-        }
-        if let Some(Err(failure)) = self.events.as_mut().map(Output::reopen) {
-            tracing::error!("{failure}; no more events are written");
-            self.events = None;
-            self.failure.get_or_insert(failure);
-        }
+        attempt(&mut self.poses, "records", &mut self.failure, Records::reopen);
+        attempt(&mut self.events, "events", &mut self.failure, Output::reopen);
     }
 
     /// Writes what is left, closes the files, and says on stderr what the show came to.
@@ -292,6 +275,15 @@ impl Sinks {
             false => drop(writeln!(io::stderr(), "{}", self.outcome.sentences())),
         }
         self.failure.map_or(Ok(()), Err)
+    }
+}
+
+/// Does something with a file that is still there. Where that fails, it says so and gives the file up; the first reason is kept.
+fn attempt<T>(file: &mut Option<T>, of: &str, kept: &mut Option<Failure>, act: impl FnOnce(&mut T) -> Result<(), Failure>) {
+    if let Some(Err(failure)) = file.as_mut().map(act) {
+        tracing::error!("{failure}; no more {of} are written");
+        *file = None;
+        kept.get_or_insert(failure);
     }
 }
 

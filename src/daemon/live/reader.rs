@@ -130,7 +130,7 @@ pub(super) fn read(shared: &Shared, ticket: &Ticket, to: &DropOldestSender<Arriv
     let _here = OnThread::enter(ticket);
     // What drivers do is contained where they are called; this is for all the rest. The source starts another reader.
     if catch_unwind(AssertUnwindSafe(|| open_and_stream(shared, ticket, to))).is_err() {
-        shared.link.statistics.panic_contained();
+        shared.link.statistics.contained_panics.add(1);
         shared.link.statistics.camera_lost();
         let reason = "the thread that reads it failed; it is started again".to_owned();
         shared.link.events.publish(Event::CameraLost { reason });
@@ -182,14 +182,14 @@ fn nap(shared: &Shared, ticket: &Ticket, whole: Duration) {
 /// A driver's library may panic while it closes.
 fn close(shared: &Shared, camera: Box<dyn Camera>) {
     if catch_unwind(AssertUnwindSafe(|| drop(camera))).is_err() {
-        shared.link.statistics.panic_contained();
+        shared.link.statistics.contained_panics.add(1);
     }
 }
 
 fn open(shared: &Shared) -> Result<(Box<dyn Camera>, CameraMode), String> {
     let opened = catch_unwind(AssertUnwindSafe(|| shared.opener.open().map(|camera| (camera.mode().clone(), camera))));
     let opened = opened.map_err(|_| {
-        shared.link.statistics.panic_contained();
+        shared.link.statistics.contained_panics.add(1);
         "the camera's driver gave up while it was opened; unplug the camera and plug it in again".to_owned()
     })?;
     let (mode, camera) = opened.map_err(|fault| fault.to_string())?;
@@ -229,7 +229,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
             Ok(Err(CameraFault::Gone(reason))) => return Loss::Gone(reason),
             Ok(Err(CameraFault::End)) => return Loss::Ended,
             Err(_) => {
-                shared.link.statistics.panic_contained();
+                shared.link.statistics.contained_panics.add(1);
                 return Loss::Gone("the camera's driver gave up while it was read".to_owned());
             }
         };
@@ -241,7 +241,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
         if let (Some(before), Some(now)) = (last_sequence, picture.device_sequence) {
             let lost: u32 = u32::wrapping_sub(now, before).wrapping_sub(1);
             // A count that goes back begins anew; it does not mean four thousand million frames.
-            shared.link.statistics.device_frames_dropped(if lost < 10_000 { lost.into() } else { 0 });
+            shared.link.statistics.device_dropped.add(if lost < 10_000 { lost.into() } else { 0 });
         }
         last_sequence = picture.device_sequence.or(last_sequence);
         shared.link.pulse.beat(picture.arrival, timestamp);
@@ -257,7 +257,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
 
 /// A frame nobody came for.
 pub(in crate::daemon) fn dropped(link: &LiveLink, timestamp: Timestamp) {
-    link.statistics.frames_dropped(1);
+    link.statistics.dropped.add(1);
     link.events.publish(Event::FrameDropped { timestamp });
 }
 

@@ -11,6 +11,7 @@ use super::disk::Disk;
 use crate::daemon::live::{Event, StampedEvent};
 use crate::frame::Timestamp;
 use crate::safe_file::first_taken;
+use crate::utc;
 
 /// A row as it is kept.
 #[derive(Debug, Clone)]
@@ -60,6 +61,14 @@ pub fn parts(folder: &Path) -> impl Iterator<Item = PathBuf> {
 /// What of an earlier recording, whole or in part, a new one in this folder would write over or add to.
 pub fn taken_by_earlier(folder: &Path) -> Option<PathBuf> {
     first_taken(folder, PARTS)
+}
+
+/// A name below `folder` that is not taken: clip-20261121T074500Z, with a number behind it where need be.
+pub fn new_clip_name(folder: &Path) -> PathBuf {
+    let plain: String = utc::date_and_time(utc::now_s()).chars().filter(|c| *c != '-' && *c != ':').collect();
+    let first = folder.join(format!("clip-{plain}"));
+    let mut others = (2..).map(|n: u32| folder.join(format!("clip-{plain}-{n}")));
+    if first.exists() { others.find(|p| !p.exists()).unwrap_or(first) } else { first }
 }
 
 /// A clip's folder.

@@ -6,7 +6,6 @@
 
 mod about;
 mod clip_folder;
-mod clip_name;
 mod disk;
 mod ring;
 
@@ -20,8 +19,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded, select};
 
 pub use about::AboutClip;
-pub use clip_folder::{parts, taken_by_earlier};
-pub use clip_name::new_clip_name;
+pub use clip_folder::{new_clip_name, parts, taken_by_earlier};
 pub use disk::{Disk, RealDisk};
 
 use super::live::{Event, LiveLink, StampedEvent};
@@ -199,7 +197,7 @@ impl Work {
         let to_clip = self.clip.as_mut().map_or(Ok(()), |clip| clip.push(row, &mut *self.disk));
         let to_ring = self.ring.as_mut().map_or(Ok(()), |ring| ring.push(row, &mut *self.disk));
         match to_clip.and(to_ring) {
-            Ok(()) if self.clip.is_some() || self.ring.is_some() => self.link.statistics.frame_recorded(),
+            Ok(()) if self.clip.is_some() || self.ring.is_some() => self.link.statistics.recorded.add(1),
             Ok(()) => {}
             Err(e) => self.stop(&format!("{e}; make room on the disk, then start again or send SIGHUP")),
         }

@@ -85,7 +85,7 @@ fn a_recording_replays_row_by_row() {
     let folder = tempfile::tempdir().unwrap();
     let clip = folder.path().join("take");
     let link = record(RecorderPlan { clip: Some(clip.clone()), ring: None, about: about() }, Box::<RealDisk>::default(), 0..20);
-    assert_eq!((link.statistics.recorded(), link.statistics.recorder()), (20, RecorderState::Off));
+    assert_eq!((link.statistics.recorded.get(), link.statistics.recorder()), (20, RecorderState::Off));
     let mut source = open_clip(&clip, ClipOptions::default()).unwrap();
     for n in 0..20 {
         let (was, is) = (row(n).0, source.next_entry().unwrap());
@@ -118,7 +118,7 @@ fn a_full_disk_ends_the_recording_with_a_good_clip() {
         let plan = RecorderPlan { clip: Some(clip.clone()), ring: None, about: about() };
         let link = record(plan, Box::new(SmallDisk { disk: RealDisk::default(), left }), 0..100);
         assert_eq!(link.statistics.recorder(), RecorderState::Stopped);
-        let recorded = link.statistics.recorded();
+        let recorded = link.statistics.recorded.get();
         let stamps = stamps_of(&clip);
         assert!(recorded < 100 && stamps.len() as u64 >= recorded && stamps.len() as u64 <= recorded + 1, "{left}: {recorded} {stamps:?}");
     }
