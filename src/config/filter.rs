@@ -1,9 +1,9 @@
 //! `[filter]`: which filter, how strong, and how far ahead.
 
+use super::ConfigError;
 use super::as_typed;
 use super::origin::Origin;
 use super::values::Section;
-use super::{ConfigError, Problem};
 use crate::pose::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
 
 #[derive(Clone, Copy, PartialEq)]

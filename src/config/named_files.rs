@@ -145,7 +145,11 @@ mod tests {
             let folder = tempfile::tempdir().unwrap();
             let was = Settings::from_text(&format!("{camera}{surface}"), &Path::new(FIXTURE).join("stage.toml")).unwrap();
             let is = write(was.source.copy(Some(exposure_s)).unwrap(), folder.path());
-            assert_eq!((is.shutter.exposure_s.to_bits(), is.shutter.readout_s), (f64::to_bits(exposure_s), was.shutter.readout_s), "{camera}");
+            assert_eq!(
+                (is.shutter.exposure_s.to_bits(), is.shutter.readout_s),
+                (f64::to_bits(exposure_s), was.shutter.readout_s),
+                "{camera}"
+            );
         }
         // One that is set stays.
         let camera = "[camera]\ncalibration = \"camera.toml\"\nexposure_s = 0.01\n";
