@@ -83,15 +83,9 @@ impl Outcome {
         let faults: Vec<(Reason, u64)> = self.reasons().into_iter().filter(|(r, n)| *r != Reason::Unconfirmed || *n * 4 > frames).collect();
         let worth = |k: usize, n: u64| k == 0 || n as f64 >= LEAST_SHARE * frames as f64;
         let told = faults.iter().enumerate().take(TOLD).filter(|(k, (_, n))| worth(*k, *n));
-        let told: Vec<String> = told
-            .map(|(_, (reason, n))| {
-                let of = if *n == 1 { "1 frame".to_owned() } else { format!("{n} frames") };
-                format!("In {of} {}: {}.", reason.says(), reason.mend())
-            })
-            .collect();
-        for sentence in told {
-            text += " ";
-            text += &sentence;
+        for (_, (reason, n)) in told {
+            let of = if *n == 1 { "1 frame".to_owned() } else { format!("{n} frames") };
+            text += &format!(" In {of} {}: {}.", reason.says(), reason.mend());
         }
         text
     }

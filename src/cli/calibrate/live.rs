@@ -6,8 +6,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use image::GrayImage;
-
 use super::CalibrateArguments;
 use super::panel::Panel;
 use crate::calibrate::board::Board;
@@ -67,7 +65,7 @@ fn watched(source: &mut dyn FrameSource, board: &Board, most: usize, folder: Opt
             continue;
         }
         if folder.is_some() {
-            save(&file, &frame.image)?;
+            frame.image.save(&file).map_err(std::io::Error::other).map_err(Failure::output(&file))?;
         }
         if picker.taken().len() >= most || picker.taken().is_good() {
             break;
@@ -79,10 +77,6 @@ fn watched(source: &mut dyn FrameSource, board: &Board, most: usize, folder: Opt
 fn picture_file(folder: Option<&Path>, number: usize) -> PathBuf {
     let name = format!("picture-{number:02}.png");
     folder.map_or_else(|| PathBuf::from(&name), |folder| folder.join(&name))
-}
-
-fn save(file: &Path, picture: &GrayImage) -> Result<(), Failure> {
-    picture.save(file).map_err(|e| Failure::output(file)(std::io::Error::other(e)))
 }
 
 /// The folder for the pictures; one that has some already is refused, for they may be of another camera.
