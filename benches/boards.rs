@@ -8,8 +8,12 @@ use image::GrayImage;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use stagepose::diagnostics::calibrate::{Board, BoardFrame, BoardPhotographer, FoundBoard, Photograph, find_board};
+use stagepose::diagnostics::calibrate::{Board, BoardFrame, FoundBoard, find_board};
 use stagepose::{Camera, CameraModel, Intrinsics, Pose};
+
+#[path = "../tests/calibrate/rendered.rs"]
+mod rendered;
+use rendered::{BoardPhotographer, Photograph};
 
 const BOARDS: [(u32, u32); 4] = [(9, 6), (13, 12), (10, 10), (24, 17)];
 const KINDS: [&str; 7] =

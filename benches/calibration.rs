@@ -6,10 +6,12 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use stagepose::diagnostics::calibrate::{
-    Board, BoardFrame, BoardPhotographer, Observation, Photograph, SolveOptions, estimate, find_board,
-};
+use stagepose::diagnostics::calibrate::{Board, BoardFrame, Observation, SolveOptions, estimate, find_board};
 use stagepose::{Camera, CameraModel, Intrinsics, Pose};
+
+#[path = "../tests/calibrate/rendered.rs"]
+mod rendered;
+use rendered::{BoardPhotographer, Photograph};
 
 /// A camera of this width, 4 : 3.
 fn camera(width: u32) -> BoardPhotographer {

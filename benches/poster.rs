@@ -12,8 +12,12 @@ use image::GrayImage;
 use image::imageops::{self, FilterType};
 use nalgebra::Point3;
 use stagepose::diagnostics::calibrate::paint_poster;
-use stagepose::diagnostics::simulate::{grey, in_front, one_picture, paint, walk};
+use stagepose::diagnostics::simulate::{grey, paint};
 use stagepose::{CameraPath, Frame, Renderer, State, Timestamp, Tracker, TrackerSetup};
+
+#[path = "../tests/pipeline/one_picture.rs"]
+mod one_picture;
+use one_picture::{in_front, one_picture, walk};
 
 const FPS: f64 = 30.0;
 /// Frames of a still camera that starts with nothing known; the last [`SCORED_FRAMES`] of them are scored.

@@ -26,7 +26,7 @@ pub mod track {
 /// The virtual stage: pictures on the cloth and paths through the hall.
 #[cfg(feature = "simulate")]
 pub mod simulate {
-    pub use crate::simulate::{artwork_surface, grey, in_front, look_at, one_picture, paint, upright, walk};
+    pub use crate::simulate::{artwork_surface, grey, look_at, paint, upright};
 }
 
 /// Readers of single formats, and cameras that tests make.
@@ -42,7 +42,6 @@ pub mod capture {
 pub mod calibrate {
     pub use crate::calibrate::board::Board;
     pub use crate::calibrate::finder::{FoundBoard, find_board};
-    pub use crate::calibrate::rendered::{BoardPhotographer, Photograph};
     pub use crate::calibrate::solve::adjust::{BoardFrame, Observation};
     pub use crate::calibrate::solve::{SolveOptions, estimate};
     pub use crate::targets::poster::paint as paint_poster;

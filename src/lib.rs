@@ -120,6 +120,10 @@ mod web;
 
 pub mod diagnostics;
 
+// What unit tests and the tests of the program share names the library as both can.
+#[cfg(test)]
+extern crate self as stagepose;
+
 pub use camera::{CameraError, CameraModel, Intrinsics, IntrinsicsUncertainty, LensDoubt, LensGuess, Normalized, Pixel, Shutter};
 pub use compute_clock::ComputeClock;
 pub use frame::{Frame, Timestamp};

@@ -30,18 +30,12 @@ pub enum BoardError {
         /// Along y.
         rows: u32,
     },
-    /// The squares have no size.
-    #[error("--square-mm is {mm}; give the side of one square in millimetres, above 0 and below 10000")]
-    Square {
-        /// As given.
-        mm: f64,
-    },
+    /// The squares have no size, millimetres.
+    #[error("--square-mm is {0}; give the side of one square in millimetres, above 0 and below 10000")]
+    Square(f64),
     /// The squares are too small for millimetres.
-    #[error("--square-mm is {mm}, which looks like metres; it is in millimetres: for squares of {mm} m give {}", (mm * 1e6).round() / 1e3)]
-    Metres {
-        /// As given.
-        mm: f64,
-    },
+    #[error("--square-mm is {mm}, which looks like metres; it is in millimetres: for squares of {mm} m give {}", (.0 * 1e6).round() / 1e3, mm = .0)]
+    Metres(f64),
 }
 
 /// Side of a square, millimetres, below which metres were meant: no camera resolves such a board.
@@ -69,7 +63,7 @@ impl Board {
             return Err(BoardError::Size { columns, rows });
         }
         if !(square_m > 0.0 && square_m < 10.0) {
-            return Err(BoardError::Square { mm: square_m * 1e3 });
+            return Err(BoardError::Square(square_m * 1e3));
         }
         Ok(Self { columns, rows, square_m })
     }
@@ -83,10 +77,10 @@ impl Board {
         let parsed = numbers.and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
         let (columns, rows) = parsed.ok_or_else(|| BoardError::Form(text.to_owned()))?;
         if !(square_mm > 0.0 && square_mm < 1e4) {
-            return Err(BoardError::Square { mm: square_mm });
+            return Err(BoardError::Square(square_mm));
         }
         if square_mm < LEAST_SQUARE_MM {
-            return Err(BoardError::Metres { mm: square_mm });
+            return Err(BoardError::Metres(square_mm));
         }
         Self::new(columns, rows, square_mm * 1e-3)
     }
@@ -152,7 +146,7 @@ mod tests {
             assert!(matches!(Board::parse(text, 25.0), Err(BoardError::Size { .. })), "{text}");
         }
         for mm in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            assert!(matches!(Board::parse("9x6", mm), Err(BoardError::Square { .. })), "{mm}");
+            assert!(matches!(Board::parse("9x6", mm), Err(BoardError::Square(_))), "{mm}");
         }
     }
 

@@ -6,7 +6,6 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::board::Board;
 use super::solve::adjust::Observation;
 use super::solve::lens::Lens;
 use super::solve::start::{centre, pose_of};
@@ -226,15 +225,10 @@ fn part_name((column, row): (usize, usize)) -> String {
     }
 }
 
-/// The observations of corners in the board's order.
-pub fn observations_of(corners: &[Option<Vector2<f64>>], board: &Board) -> Vec<Observation> {
-    let seen = corners.iter().enumerate().filter_map(|(k, c)| Some((k, (*c)?)));
-    seen.map(|(k, pixel)| Observation { board_m: board.corner(k), pixel }).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::calibrate::board::Board;
     use nalgebra::UnitQuaternion;
 
     fn view(axis: Vector3<f64>, tilt_deg: f64, x_m: f64) -> ViewShape {

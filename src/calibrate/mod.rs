@@ -13,7 +13,9 @@ pub mod origin;
 pub mod pick;
 pub mod picture;
 mod recompute;
-pub mod rendered;
+#[cfg(test)]
+#[path = "../../tests/calibrate/rendered.rs"]
+mod rendered;
 pub mod report;
 pub mod session;
 pub mod solve;

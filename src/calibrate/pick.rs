@@ -7,8 +7,9 @@ use nalgebra::Vector2;
 
 use super::board::Board;
 use super::finder::{NoBoard, find_board};
-use super::guide::{ViewSet, ViewShape, observations_of};
+use super::guide::{ViewSet, ViewShape};
 use super::picture::{Inspected, inspect};
+use super::solve::adjust::{mean_distance, observations_of};
 
 /// More views than this add little and cost time.
 const MOST_VIEWS: usize = 40;
@@ -68,7 +69,7 @@ impl ViewPicker {
         };
         let width = f64::from(picture.width().max(picture.height()));
         let before = self.before.replace(found.corners.clone());
-        let still = before.is_some_and(|before| moved(&before, &found.corners) < STILL_SHARE * width);
+        let still = before.is_some_and(|before| mean_distance(&before, &found.corners) < STILL_SHARE * width);
         self.sharpest_px = self.sharpest_px.min(found.blur_px);
         if !still {
             return Look::Moving;
@@ -98,10 +99,4 @@ impl ViewPicker {
     pub fn finish(self) -> Vec<Inspected> {
         if self.pictures.is_empty() { self.without.into_iter().collect() } else { self.pictures }
     }
-}
-
-/// How far the corners moved between two frames on average, pixels.
-fn moved(before: &[Option<Vector2<f64>>], after: &[Option<Vector2<f64>>]) -> f64 {
-    let both: Vec<f64> = before.iter().zip(after).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
-    if both.is_empty() { f64::INFINITY } else { both.iter().sum::<f64>() / both.len() as f64 }
 }

@@ -14,7 +14,6 @@ use super::finder::surroundings::{self, NextEdge, NextEdges, Surroundings};
 use super::finder::window::Window;
 use super::finder::{FoundBoard, SMALL_SQUARE, WIDEST_BLUR};
 use super::solve::adjust::BoardFrame;
-use super::solve::lens::Lens;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::geometry::{Camera, Pose};
 
@@ -186,9 +185,4 @@ impl Unbent {
         let row = |nodes: &[Vector2<f64>; 3]| nodes[0] * wx[0] + nodes[1] * wx[1] + nodes[2] * wx[2];
         row(&self.nodes[0]) * wy[0] + row(&self.nodes[1]) * wy[1] + row(&self.nodes[2]) * wy[2]
     }
-}
-
-/// A camera model for measuring with; `None` where the lens' numbers are none.
-pub(crate) fn model_of(lens: &Lens, size: (u32, u32)) -> Option<CameraModel> {
-    lens.model(size.0, size.1).ok()
 }

@@ -12,9 +12,10 @@ use super::finder::FoundBoard;
 use super::finder::window::Window;
 use super::judge::{self, Judgement};
 use super::picture::Inspected;
-use super::recompute::{BoardView, model_of};
-use super::solve::adjust::Observation;
-use super::solve::{self, Estimate, Extrinsics, LEAST_VIEWS, SolveError, SolveOptions};
+use super::recompute::BoardView;
+use super::solve::adjust::{Observation, mean_distance, observations_of};
+use super::solve::{self, Estimate, Extrinsics, LEAST_VIEWS, SolveOptions};
+use crate::geometry::robust_kernel::median;
 
 /// How a calibration is made.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -67,41 +68,10 @@ pub struct CameraCalibration {
     pub rounds: (usize, f64),
 }
 
-/// Why there is no calibration at all.
+/// Why there is no calibration at all, and what to do.
 #[derive(Debug, Clone, PartialEq, Error)]
-pub enum CalibrationError {
-    /// No picture shows the board.
-    #[error("{0}")]
-    NoBoard(String),
-    /// Pictures of several sizes show the board.
-    #[error("{first} is {} x {} pixels and {other} is {} x {}; all pictures must come from one camera at one size{mend}", .sizes[0].0, .sizes[0].1, .sizes[1].0, .sizes[1].1)]
-    Sizes {
-        /// A picture.
-        first: String,
-        /// Another one.
-        other: String,
-        /// Their sizes.
-        sizes: [(u32, u32); 2],
-        /// What to do.
-        mend: String,
-    },
-    /// Too few of them do.
-    #[error("only {usable} of {pictures} pictures can be used and {LEAST_VIEWS} are the least; {mend}")]
-    TooFew {
-        /// Views that could be used.
-        usable: usize,
-        /// Pictures given.
-        pictures: usize,
-        /// What to do.
-        mend: String,
-    },
-    /// Pictures of two cameras, or of two focal lengths.
-    #[error("{0}")]
-    Mixed(String),
-    /// The views leave the lens open.
-    #[error("{0}")]
-    OneDirection(String),
-}
+#[error("{0}")]
+pub struct CalibrationError(String);
 
 /// A view on its way through the estimation.
 struct Working<'a> {
@@ -109,13 +79,6 @@ struct Working<'a> {
     inspected: &'a Inspected,
     found: &'a FoundBoard,
     corners: Vec<Option<Vector2<f64>>>,
-}
-
-impl Working<'_> {
-    fn observations(&self, board: &Board) -> Vec<Observation> {
-        let seen = self.corners.iter().enumerate().filter_map(|(k, c)| Some((k, (*c)?)));
-        seen.map(|(k, pixel)| Observation { board_m: board.corner(k), pixel }).collect()
-    }
 }
 
 /// Corners are measured again at most this often.
@@ -132,27 +95,22 @@ const WORSE: f64 = 3.0;
 pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOptions) -> Result<CameraCalibration, CalibrationError> {
     let size = common_size(pictures)?;
     let mut reasons: Vec<Option<String>> = pictures.iter().map(|p| p.board.as_ref().err().cloned()).collect();
-    let mut working: Vec<Working> = Vec::new();
-    for (picture, inspected) in pictures.iter().enumerate() {
-        if let Ok(found) = &inspected.board {
-            working.push(Working { picture, inspected, found, corners: found.corners.clone() });
-        }
-    }
-    if let Some(sentence) = judge::mixed(pictures) {
-        return Err(CalibrationError::Mixed(sentence));
-    }
-    if working.is_empty() {
-        return Err(CalibrationError::NoBoard(judge::nothing_found(pictures, board)));
-    }
-    if let Some(sentence) = judge::another_board(pictures, board) {
-        return Err(CalibrationError::NoBoard(sentence));
+    let shown = pictures.iter().enumerate().filter_map(|(k, inspected)| Some((k, inspected, inspected.board.as_ref().ok()?)));
+    let working = shown.map(|(picture, inspected, found)| Working { picture, inspected, found, corners: found.corners.clone() });
+    let mut working: Vec<Working> = working.collect();
+    let nothing_found = || working.is_empty().then(|| judge::nothing_found(pictures, board));
+    if let Some(sentence) = judge::mixed(pictures).or_else(nothing_found).or_else(|| judge::another_board(pictures, board)) {
+        return Err(CalibrationError(sentence));
     }
     let shown = working.len();
     if !options.keep_all_views {
         drop_duplicates(&mut working, &mut reasons, size);
     }
     let repeated = (shown - working.len(), pictures.len());
-    let too_few = |usable: usize| CalibrationError::TooFew { usable, pictures: pictures.len(), mend: judge::mend_for_few(pictures, board) };
+    let too_few = |usable: usize| {
+        let (all, mend) = (pictures.len(), judge::mend_for_few(pictures, board));
+        CalibrationError(format!("only {usable} of {all} pictures can be used and {LEAST_VIEWS} are the least; {mend}"))
+    };
     if working.len() < LEAST_VIEWS {
         return Err(too_few(working.len()));
     }
@@ -167,12 +125,13 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
             return Err(too_few(working.len()));
         }
     }
-    let observations: Vec<Vec<Observation>> = working.iter().map(|w| w.observations(board)).collect();
+    let observations: Vec<Vec<Observation>> = working.iter().map(|w| observations_of(&w.corners, board)).collect();
     let views = views_of(pictures, &working, reasons, board, &estimate);
     let mut judgement = judge::judge(&observations, &estimate, size, board, &options.solve, repeated);
     judgement.remarks.extend(judge::implausible_squares(&estimate, board));
     judgement.remarks.extend(judge::all_blurred(&blurs(&working), size));
-    Ok(CameraCalibration { board: *board, camera: camera_of(pictures), size, views, estimate, judgement, rounds })
+    let camera = pictures.iter().filter(|p| p.board.is_ok()).find_map(|p| p.origin.camera.clone());
+    Ok(CameraCalibration { board: *board, camera, size, views, estimate, judgement, rounds })
 }
 
 /// Estimates, measures the corners again with the result, and so on until nothing moves.
@@ -182,12 +141,12 @@ fn settle(
     size: (u32, u32),
     options: &CalibrationOptions,
 ) -> Result<(Estimate, (usize, f64)), CalibrationError> {
-    let undetermined = |_: SolveError| CalibrationError::OneDirection(judge::one_direction());
-    let observations = |working: &[Working]| working.iter().map(|w| w.observations(board)).collect::<Vec<_>>();
-    let mut estimate = solve::estimate(&observations(working), size, &options.solve).map_err(undetermined)?;
+    let undetermined = || CalibrationError(judge::one_direction());
+    let observations = |working: &[Working]| working.iter().map(|w| observations_of(&w.corners, board)).collect::<Vec<_>>();
+    let mut estimate = solve::estimate(&observations(working), size, &options.solve).ok_or_else(undetermined)?;
     let mut moved = 0.0;
     for round in 1..=MOST_ROUNDS {
-        let Some(model) = model_of(&estimate.bundle.lens, size) else { return Ok((estimate, (round - 1, moved))) };
+        let Ok(model) = estimate.bundle.lens.model(size.0, size.1) else { return Ok((estimate, (round - 1, moved))) };
         moved = working
             .par_iter_mut()
             .zip(&estimate.bundle.poses)
@@ -207,17 +166,12 @@ fn settle(
                 farthest
             })
             .reduce(|| 0.0, f64::max);
-        estimate = solve::refine(estimate.bundle, &observations(working), &options.solve).map_err(undetermined)?;
+        estimate = solve::refine(estimate.bundle, &observations(working), &options.solve).ok_or_else(undetermined)?;
         if moved < STILL_PX {
             return Ok((estimate, (round, moved)));
         }
     }
     Ok((estimate, (MOST_ROUNDS, moved)))
-}
-
-/// The camera of all pictures that show the board, where one is named.
-fn camera_of(pictures: &[Inspected]) -> Option<String> {
-    pictures.iter().filter(|p| p.board.is_ok()).find_map(|p| p.origin.camera.clone())
 }
 
 /// The size of all pictures that show the board.
@@ -226,12 +180,16 @@ fn common_size(pictures: &[Inspected]) -> Result<(u32, u32), CalibrationError> {
     let Some((first, size)) = sized.next() else { return Ok((1, 1)) };
     match sized.find(|(_, other)| *other != size) {
         None => Ok(size),
-        Some((other, other_size)) => Err(CalibrationError::Sizes {
-            first: first.file.display().to_string(),
-            other: other.file.display().to_string(),
-            sizes: [size, other_size],
-            mend: judge::mend_for_sizes(pictures, size, other_size),
-        }),
+        Some((other, other_size)) => Err(CalibrationError(format!(
+            "{} is {} x {} pixels and {} is {} x {}; all pictures must come from one camera at one size{}",
+            first.file.display(),
+            size.0,
+            size.1,
+            other.file.display(),
+            other_size.0,
+            other_size.1,
+            judge::mend_for_sizes(pictures, size, other_size)
+        ))),
     }
 }
 
@@ -250,14 +208,9 @@ fn drop_duplicates(working: &mut Vec<Working>, reasons: &mut [Option<String>], s
     *working = kept;
 }
 
-fn mean_distance(a: &[Option<Vector2<f64>>], b: &[Option<Vector2<f64>>]) -> f64 {
-    let distances: Vec<f64> = a.iter().zip(b).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
-    if distances.is_empty() { f64::INFINITY } else { distances.iter().sum::<f64>() / distances.len() as f64 }
-}
-
 /// The view that fits worst, if it fits so much worse than the others that something is wrong with it.
 fn worst_view(working: &[Working], board: &Board, estimate: &Estimate) -> Option<(usize, String)> {
-    let rms: Vec<f64> = working.iter().enumerate().map(|(v, w)| estimate.view_rms_px(v, &w.observations(board))).collect();
+    let rms: Vec<f64> = working.iter().enumerate().map(|(v, w)| estimate.view_rms_px(v, &observations_of(&w.corners, board))).collect();
     let lost = |v: usize| estimate.used[v].iter().filter(|used| !**used).count();
     let half_lost = (0..working.len()).find(|&v| 2 * lost(v) > estimate.used[v].len());
     if let Some(v) = half_lost {
@@ -268,16 +221,11 @@ fn worst_view(working: &[Working], board: &Board, estimate: &Estimate) -> Option
         return Some((v, format!("{lost} of its {all} corners do not fit the camera of the other pictures; {why}")));
     }
     let worst = (0..rms.len()).max_by(|&a, &b| rms[a].total_cmp(&rms[b]))?;
-    let median = super::finder::lattice::median(&mut rms.clone())?;
-    (rms[worst] > WORSE * median && rms[worst] > 0.1).then(|| {
-        let times = rms[worst] / median;
-        (
-            worst,
-            format!(
-                "its corners fit {times:.1} times worse than the median picture's ({:.2} px); was it moving, or the board bent?",
-                rms[worst]
-            ),
-        )
+    let median = median(&mut rms.clone())?;
+    let (worst_px, times) = (rms[worst], rms[worst] / median);
+    (worst_px > WORSE * median && worst_px > 0.1).then(|| {
+        let fit = format!("its corners fit {times:.1} times worse than the median picture's ({worst_px:.2} px)");
+        (worst, format!("{fit}; was it moving, or the board bent?"))
     })
 }
 
@@ -314,11 +262,10 @@ fn views_of(
         .map(|(picture, (inspected, reason))| {
             let index = working.iter().position(|w| w.picture == picture);
             let corners = index.map(|v| working[v].corners.clone()).or_else(|| inspected.board.as_ref().ok().map(|b| b.corners.clone()));
-            let mut outliers = Vec::new();
-            if let Some(v) = index {
+            let outliers = index.map_or(Vec::new(), |v| {
                 let seen = working[v].corners.iter().enumerate().filter(|(_, c)| c.is_some()).map(|(k, _)| k);
-                outliers.extend(seen.zip(&estimate.used[v]).filter(|(_, used)| !**used).map(|(k, _)| k));
-            }
+                seen.zip(&estimate.used[v]).filter(|(_, used)| !**used).map(|(k, _)| k).collect()
+            });
             let extrinsics = index.map(|v| estimate.extrinsics(v));
             CalibrationView {
                 file: inspected.file.clone(),
@@ -328,7 +275,7 @@ fn views_of(
                     .or_else(|| extrinsics.as_ref().and_then(ill_conditioned))
                     .or_else(|| judge::blurred(working.get(index?)?.found, &blurs)),
                 index,
-                rms_px: index.map(|v| estimate.view_rms_px(v, &working[v].observations(board))),
+                rms_px: index.map(|v| estimate.view_rms_px(v, &observations_of(&working[v].corners, board))),
                 outliers,
                 extrinsics,
                 thumbnail: inspected.thumbnail.clone(),

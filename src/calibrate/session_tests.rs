@@ -162,7 +162,7 @@ type RightFromLeft = Pose<Camera, Camera>;
 
 /// T_right_left = T_right_board T_board_left of one view, with the covariance of its [δθ, δt].
 fn between(left: &CameraCalibration, l: usize, right: &CameraCalibration, r: usize) -> (RightFromLeft, Matrix6<f64>) {
-    let (from_left, from_right) = (left.estimate.pose(l), right.estimate.pose(r));
+    let (from_left, from_right) = (&left.estimate.bundle.poses[l], &right.estimate.bundle.poses[r]);
     let pose = *from_right * from_left.inverse();
     let turn = pose.rotation_matrix();
     let lever = (turn * from_left.translation).cross_matrix();

@@ -6,7 +6,7 @@
 //! folds back on itself beyond some radius; [`CameraModel`] finds that radius once and refuses to
 //! undistort anything that lies outside of it, instead of returning a ray that does not exist.
 
-use nalgebra::{Matrix2, Matrix3, Vector2};
+use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2};
 use thiserror::Error;
 
 use super::doubt::LensDoubt;
@@ -121,6 +121,59 @@ pub struct CameraModel {
     doubt: Option<LensDoubt>,
 }
 
+impl Intrinsics {
+    /// Equations 5 to 10: the raw pixel of a normalised point.
+    pub(crate) fn project(&self, n: Vector2<f64>) -> Vector2<f64> {
+        self.affine(self.distort(n).0)
+    }
+
+    /// Equations 6 and 7: the distorted point and its derivative by the undistorted one.
+    pub(crate) fn distort(&self, n: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
+        let [k1, k2, p1, p2, k3] = self.distortion;
+        let (x, y) = (n.x, n.y);
+        let r2 = x * x + y * y;
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        let slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3); // d radial / d r2
+        let point =
+            Vector2::new(radial * x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), radial * y + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y);
+        let cross = 2.0 * slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y;
+        let jacobian = Matrix2::new(
+            radial + 2.0 * slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
+            cross,
+            cross,
+            radial + 2.0 * slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
+        );
+        (point, jacobian)
+    }
+
+    /// Equations 5 and 10: the pixel of a distorted point.
+    pub(crate) fn affine(&self, d: Vector2<f64>) -> Vector2<f64> {
+        Vector2::new(self.fx * (d.x + self.skew * d.y) + self.cx, self.fy * d.y + self.cy)
+    }
+
+    /// How far a pixel moves with the distorted point.
+    pub(crate) fn shift_px(&self, shift: Vector2<f64>) -> Vector2<f64> {
+        Vector2::new(self.fx * (shift.x + self.skew * shift.y), self.fy * shift.y)
+    }
+
+    /// The pixel's derivatives by fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, where `d` is the normalised point `n` distorted.
+    pub(crate) fn by_numbers(&self, n: Vector2<f64>, d: Vector2<f64>) -> SMatrix<f64, 2, 10> {
+        let r2 = n.norm_squared();
+        SMatrix::from_columns(&[
+            Vector2::new(d.x + self.skew * d.y, 0.0),
+            Vector2::new(0.0, d.y),
+            Vector2::x(),
+            Vector2::y(),
+            Vector2::new(self.fx * d.y, 0.0),
+            self.shift_px(n * r2),
+            self.shift_px(n * (r2 * r2)),
+            self.shift_px(Vector2::new(2.0 * n.x * n.y, r2 + 2.0 * n.y * n.y)),
+            self.shift_px(Vector2::new(r2 + 2.0 * n.x * n.x, 2.0 * n.x * n.y)),
+            self.shift_px(n * (r2 * r2 * r2)),
+        ])
+    }
+}
+
 impl CameraModel {
     /// Checks the numbers and finds the valid radius.
     pub fn new(intrinsics: Intrinsics) -> Result<Self, CameraError> {
@@ -191,46 +244,22 @@ impl CameraModel {
         Matrix3::new(i.fx, i.fx * i.skew, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0)
     }
 
-    /// Equations 6 and 7: the distorted point and its derivative by the undistorted one.
-    fn distort(&self, n: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
-        let [k1, k2, p1, p2, k3] = self.intrinsics.distortion;
-        let (x, y) = (n.x, n.y);
-        let r2 = x * x + y * y;
-        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-        let slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3); // d radial / d r2
-        let point =
-            Vector2::new(radial * x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), radial * y + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y);
-        let cross = 2.0 * slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y;
-        let jacobian = Matrix2::new(
-            radial + 2.0 * slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
-            cross,
-            cross,
-            radial + 2.0 * slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
-        );
-        (point, jacobian)
-    }
-
-    /// Equations 6 and 7 alone.
-    pub(super) fn distorted(&self, n: Vector2<f64>) -> Vector2<f64> {
-        self.distort(n).0
-    }
-
     /// Equations 5 to 10: the raw pixel of a normalised point.
     pub fn project(&self, n: Normalized) -> Pixel {
-        self.affine(self.distort(n.0).0)
+        Pixel(self.intrinsics.project(n.0))
     }
 
     /// The raw pixel of a normalised point and the 2x2 derivative of the one by the other.
     pub fn project_with_jacobian(&self, n: Normalized) -> (Pixel, Matrix2<f64>) {
         let i = &self.intrinsics;
-        let (d, j) = self.distort(n.0);
+        let (d, j) = i.distort(n.0);
         let affine = Matrix2::new(i.fx, i.fx * i.skew, 0.0, i.fy);
-        (self.affine(d), affine * j)
+        (Pixel(i.affine(d)), affine * j)
     }
 
     /// The pixel that a camera with the same K and no distortion would see: "undistorted pixels".
     pub fn undistorted_pixel(&self, n: Normalized) -> Vector2<f64> {
-        self.affine(n.0).0
+        self.intrinsics.affine(n.0)
     }
 
     /// The normalised point of an undistorted pixel (K alone).
@@ -249,7 +278,7 @@ impl CameraModel {
         }
         let mut n = self.radial_start(target)?;
         for _ in 0..30 {
-            let (d, j) = self.distort(n);
+            let (d, j) = self.intrinsics.distort(n);
             let step = j.try_inverse()? * (d - target);
             n -= step;
             let radius = n.norm();
@@ -260,7 +289,7 @@ impl CameraModel {
                 break;
             }
         }
-        let (d, j) = self.distort(n);
+        let (d, j) = self.intrinsics.distort(n);
         let converged = (d - target).norm() < 1e-10 && j.determinant() > 0.0 && n.norm() <= self.valid_radius;
         converged.then_some(Normalized(n))
     }
@@ -301,11 +330,6 @@ impl CameraModel {
         Some(target * (0.5 * (low + high) / wanted))
     }
 
-    fn affine(&self, d: Vector2<f64>) -> Pixel {
-        let i = &self.intrinsics;
-        Pixel(Vector2::new(i.fx * (d.x + i.skew * d.y) + i.cx, i.fy * d.y + i.cy))
-    }
-
     /// The same camera at another picture size of the same aspect ratio (binned or scaled pictures).
     ///
     /// A pixel moves to (c + 0.5) s - 0.5. Aspect ratios may differ by half a pixel of rounding.
@@ -323,8 +347,7 @@ impl CameraModel {
             fy: i.fy * sy,
             cx: (i.cx + 0.5) * sx - 0.5,
             cy: (i.cy + 0.5) * sy - 0.5,
-            skew: i.skew,
-            distortion: i.distortion,
+            ..i
         })?;
         Ok(scaled.with_doubt(self.doubt.map(|doubt| doubt.scaled(sx, sy))))
     }

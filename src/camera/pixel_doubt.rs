@@ -1,43 +1,34 @@
 //! What the doubt about a lens does to a pixel: one column of shifts for each way in which the lens may be off.
 
-use nalgebra::{SMatrix, Vector2};
+use nalgebra::SMatrix;
 
 use super::doubt::{LENS_WAYS, LensDoubt};
-use super::model::{CameraModel, Intrinsics, Normalized};
+use super::model::{CameraModel, Normalized};
 
 impl CameraModel {
     /// How a pixel moves by one sigma of each way in which the lens may be off, a column each; none where the lens is not in doubt.
     pub fn pixel_doubt(&self, normalized: Normalized) -> Option<SMatrix<f64, 2, LENS_WAYS>> {
         let LensDoubt { uncertainty: u, has_square_pixels } = self.doubt()?;
-        let i: &Intrinsics = self.intrinsics();
-        let n = normalized.0;
-        let (d, r2) = (self.distorted(n), n.norm_squared());
-        // What fx and fy are multiplied by.
-        let by_fx = Vector2::new(d.x + i.skew * d.y, 0.0) * (u.focal_px[0] / 3.0);
-        let by_fy = Vector2::new(0.0, d.y) * (u.focal_px[1] / 3.0);
+        let (i, n) = (self.intrinsics(), normalized.0);
+        let [k1, k2, p1, p2, k3] = u.distortion;
+        let three_sigma = [u.focal_px[0], u.focal_px[1], u.centre_px[0], u.centre_px[1], u.skew, k1, k2, p1, p2, k3];
+        let mut ways = i.by_numbers(n, i.distort(n).0);
+        ways.column_iter_mut().zip(three_sigma).for_each(|(mut by_number, uncertainty)| by_number *= uncertainty / 3.0);
         // An aspect ratio that is not known to be 1 errs as two independent focal lengths would.
         let against = if has_square_pixels { 0.0 } else { std::f64::consts::FRAC_1_SQRT_2 };
-        let bent =
-            |shift: Vector2<f64>, uncertainty: f64| Vector2::new(i.fx * (shift.x + i.skew * shift.y), i.fy * shift.y) * (uncertainty / 3.0);
-        let [k1, k2, p1, p2, k3] = u.distortion;
-        Some(SMatrix::from_columns(&[
-            by_fx + by_fy,
-            (by_fx - by_fy) * against,
-            Vector2::new(u.centre_px[0] / 3.0, 0.0),
-            Vector2::new(0.0, u.centre_px[1] / 3.0),
-            Vector2::new(i.fx * d.y, 0.0) * (u.skew / 3.0),
-            bent(n * r2, k1),
-            bent(n * (r2 * r2), k2),
-            bent(Vector2::new(2.0 * n.x * n.y, r2 + 2.0 * n.y * n.y), p1),
-            bent(Vector2::new(r2 + 2.0 * n.x * n.x, 2.0 * n.x * n.y), p2),
-            bent(n * (r2 * r2 * r2), k3),
-        ]))
+        let [by_fx, by_fy] = [0, 1].map(|k| ways.column(k).into_owned());
+        ways.set_column(0, &(by_fx + by_fy));
+        ways.set_column(1, &((by_fx - by_fy) * against));
+        Some(ways)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector2;
+
     use super::super::doubt::IntrinsicsUncertainty;
+    use super::super::model::Intrinsics;
     use super::*;
 
     #[test]

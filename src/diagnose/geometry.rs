@@ -8,6 +8,7 @@ use super::finding::{Finding, known_to, list, written};
 use super::fit::{AS_CONFIGURED, Found, Shape, Views};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::frame::Frame;
+use crate::geometry::robust_kernel::median;
 use crate::geometry::{Body, Pose, SurfaceFrame};
 use crate::track::{SurfaceSpec, SurfaceView};
 use crate::tracker::TrackerSetup;
@@ -256,11 +257,7 @@ impl Case<'_> {
         if seen.is_empty() {
             return None;
         }
-        let median = |value: &dyn Fn(&Standing) -> f64| {
-            let mut values: Vec<f64> = seen.iter().map(value).collect();
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
-        };
+        let median = |value: &dyn Fn(&Standing) -> f64| median(&mut seen.iter().map(value).collect::<Vec<_>>()).unwrap_or(0.0);
         let place = [0, 1, 2].map(|axis| median(&|s| s.pose.translation[axis]));
         let shift = median(&|s| (s.pose.translation - spec.pose.translation).norm());
         let turn_deg = median(&|s| s.pose.angle_to(&spec.pose)).to_degrees();
@@ -325,8 +322,7 @@ fn top_deg(views: &Views<'_>) -> f64 {
     };
     let mut turns: Vec<f64> = views.views.iter().filter_map(|v| along(v)).collect();
     turns.iter_mut().filter(|t| **t < -150.0).for_each(|t| *t += 360.0);
-    turns.sort_by(f64::total_cmp);
-    turns.get(turns.len() / 2).copied().unwrap_or(0.0)
+    median(&mut turns).unwrap_or(0.0)
 }
 
 fn ratio_words(seen: f64, found: &Found, configured: f64) -> String {

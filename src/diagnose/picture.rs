@@ -5,6 +5,7 @@ use image::{GrayImage, imageops};
 use super::finding::Finding;
 use super::{Travel, Trial};
 use crate::frame::Frame;
+use crate::geometry::robust_kernel::median;
 use crate::track::SurfaceView;
 use crate::tracker::TrackerSetup;
 
@@ -114,8 +115,7 @@ fn fields_apart_px(picture: &GrayImage) -> Option<f64> {
             }
         }
     }
-    shifts.sort_by(f64::total_cmp);
-    (shifts.len() >= LEAST_BLOCKS).then(|| shifts[shifts.len() / 2])
+    median(&mut shifts).filter(|_| shifts.len() >= LEAST_BLOCKS)
 }
 
 /// What would make the picture recognised where it is not; `seen` frames were as they are.

@@ -7,6 +7,7 @@ use nalgebra::Vector3;
 use super::finding::{Finding, list, written};
 use crate::camera::{CameraModel, Normalized, Shutter};
 use crate::frame::Timestamp;
+use crate::geometry::robust_kernel::median;
 use crate::geometry::{Camera, Pose, Stage};
 use crate::track::{BodySpec, SurfaceSpec};
 
@@ -161,8 +162,7 @@ impl Travel {
         let mut rolls: Vec<f64> = self.poses.iter().filter_map(|(_, pose)| roll(pose)).collect();
         // Half a turn is one place, whichever sign it has.
         rolls.iter_mut().filter(|r| **r < -150.0).for_each(|r| *r += 360.0);
-        rolls.sort_by(f64::total_cmp);
-        rolls.get(rolls.len() / 2).copied()
+        median(&mut rolls)
     }
 
     /// Size, distance and speed in words, and what is absurd about them.

@@ -1,4 +1,5 @@
-//! Robust kernels: how a residual's cost and weight fall behind its square, so that outliers do not pull (Zhang 1997, table 1).
+//! Robust kernels: how a residual's cost and weight fall behind its square, so that outliers do not pull (Zhang 1997, table 1);
+//! and the median, which half of the values may be wild for.
 //!
 //! Residuals are squared and whitened: in variances of their noise.
 
@@ -29,6 +30,15 @@ pub fn geman_mcclure_cost(squared: f64, c2: f64) -> f64 {
 /// Geman's and McClure's weight, 1 for none.
 pub fn geman_mcclure_weight(squared: f64, c2: f64) -> f64 {
     (c2 / (squared + c2)).powi(2)
+}
+
+/// The median, or `None` of nothing; reorders in place.
+pub fn median(values: &mut [f64]) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let (_, median, _) = values.select_nth_unstable_by(values.len() / 2, f64::total_cmp);
+    Some(*median)
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use super::residual::Unknowns;
 use super::sight::Eye;
 use super::solve::Solution;
 use super::views::{Stages, View, ViewPair};
+use crate::calibrate::judge::Verdict;
 use crate::geometry::{Pose, Stage};
 
 /// One sigma in the worst direction that a renderer does not show: of the shift, metres, and of the rotation, radians.
@@ -18,28 +19,6 @@ const USELESS_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 const ENOUGH_PAIRS: usize = 3;
 /// Scatter over what the covariances say beyond which something is not as assumed: the rig moved, or the stage is not as its config says.
 const ODD_EXCESS: f64 = 2.5;
-
-/// How far to trust a mount.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
-    /// Fit for use.
-    Good,
-    /// Works; the reasons say what makes it worse than it could be.
-    Usable,
-    /// Not known well enough.
-    DoNotUse,
-}
-
-impl Verdict {
-    /// In words.
-    pub fn words(self) -> &'static str {
-        match self {
-            Self::Good => "good",
-            Self::Usable => "usable",
-            Self::DoNotUse => "do not use",
-        }
-    }
-}
 
 /// One sigma of shift (metres) and rotation (radians), each in its worst direction.
 pub fn worst_sigmas(covariance: &Matrix6<f64>) -> [f64; 2] {

@@ -18,7 +18,8 @@ mod start;
 mod still;
 mod views;
 
-pub use advice::{NextView, Verdict, is_doubt_of_lenses, judge, next_view, worst_sigmas};
+pub use crate::calibrate::judge::Verdict;
+pub use advice::{NextView, is_doubt_of_lenses, judge, next_view, worst_sigmas};
 pub use sight::Eye;
 pub use solve::{Solution, Unsolvable, Used, solve};
 pub use still::{StillPair, Unpaired, still_pairs};

@@ -8,6 +8,7 @@ use super::views::View;
 use crate::camera::{CameraModel, Normalized};
 use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{MovingCamera, Observation, residual_and_jacobian};
+use crate::geometry::robust_kernel::median;
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::track::{BodySpec, covariance_by_lens};
 
@@ -53,8 +54,7 @@ impl Eye<'_> {
     pub(super) fn scale<'v>(&self, views: impl Iterator<Item = &'v View>) -> Option<f64> {
         let ratio = |view: &View| Some(view.covariance.trace() / self.covariance(&view.pose)?.trace());
         let mut ratios: Vec<f64> = views.filter_map(ratio).filter(|ratio| ratio.is_finite()).collect();
-        ratios.sort_by(f64::total_cmp);
-        ratios.get(ratios.len() / 2).copied()
+        median(&mut ratios)
     }
 
     /// The points in the picture.

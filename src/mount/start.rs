@@ -1,9 +1,9 @@
 //! Where the solver starts: closed forms from few views, the one that most views agree with.
 
-use nalgebra::{DMatrix, DVector, Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::residual::Unknowns;
-use super::views::{Stages, ViewPair};
+use super::views::{Stages, ViewPair, mean};
 use crate::geometry::{Camera, FilmingCamera, Pose, Stage, quaternion};
 
 /// Triples of views that are tried where the stages are apart: all of the first twelve views. More only take time.
@@ -60,16 +60,7 @@ fn hand_eye(pairs: &[ViewPair]) -> Option<Unknowns> {
     }
     let shift = left.svd(true, true).solve(&right, 1e-9).ok()?;
     let mount = Pose::new(rotation, Vector3::new(shift[0], shift[1], shift[2]));
-    Some(Unknowns { mount, between: middle(pairs, &mount)? })
-}
-
-/// How the stages stand to one another by each view, averaged.
-fn middle(pairs: &[ViewPair], mount: &Pose<Camera, FilmingCamera>) -> Option<Pose<Stage, Stage>> {
-    let by_view: Vec<_> =
-        pairs.iter().map(|pair| pair.tracking.pose * *mount * pair.filming.pose.renamed::<Stage, FilmingCamera>().inverse()).collect();
-    let first = by_view.first()?.rotation;
-    let n = by_view.len() as f64;
-    let shift = by_view.iter().map(|pose| pose.translation).sum::<Vector3<f64>>() / n;
-    let turn = by_view.iter().map(|pose| (pose.rotation * first.inverse()).scaled_axis()).sum::<Vector3<f64>>() / n;
-    Some(Pose::new(UnitQuaternion::from_scaled_axis(turn) * first, shift))
+    // How the boards stand to one another, by each pair.
+    let between = |pair: &ViewPair| pair.tracking.pose * mount * pair.filming.pose.renamed::<Stage, FilmingCamera>().inverse();
+    Some(Unknowns { mount, between: mean(&pairs.iter().map(between).collect::<Vec<_>>())? })
 }

@@ -4,10 +4,9 @@
 //! that the rig stood still, which are then counted off. Poses of one standstill make one view: what they have in common does not shrink
 //! with their number, so neither does the covariance.
 
-use nalgebra::{Matrix6, UnitQuaternion, Vector3};
+use nalgebra::Matrix6;
 
-use super::views::View;
-use crate::geometry::Pose;
+use super::views::{View, mean};
 
 /// Rows of a standstill at least, in clips where there are standstills: less is a slow moment of a movement.
 const LEAST_ROWS: usize = 5;
@@ -80,18 +79,17 @@ fn is_still(before: &Option<View>, after: &Option<View>) -> bool {
 
 /// One view of all; the covariance is their mean.
 fn merged(rows: &[Option<View>]) -> Option<View> {
-    let views: Vec<&View> = rows.iter().flatten().collect();
-    let first = views.first()?.pose.rotation;
-    let n = views.len() as f64;
-    let shift = views.iter().map(|view| view.pose.translation).sum::<Vector3<f64>>() / n;
-    let turn = views.iter().map(|view| (view.pose.rotation * first.inverse()).scaled_axis()).sum::<Vector3<f64>>() / n;
-    let covariance = views.iter().map(|view| view.covariance).sum::<Matrix6<f64>>() / n;
-    Some(View { pose: Pose::new(UnitQuaternion::from_scaled_axis(turn) * first, shift), covariance })
+    let poses: Vec<_> = rows.iter().flatten().map(|view| view.pose).collect();
+    let covariance = rows.iter().flatten().map(|view| view.covariance).sum::<Matrix6<f64>>() / poses.len() as f64;
+    Some(View { pose: mean(&poses)?, covariance })
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
     use super::*;
+    use crate::geometry::Pose;
 
     fn at(x: f64) -> Option<View> {
         let pose = Pose::new(UnitQuaternion::from_scaled_axis(Vector3::new(0.0, x, 0.0)), Vector3::new(x, -4.0, 1.6));

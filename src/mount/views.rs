@@ -1,6 +1,6 @@
 //! What is measured: the poses of both cameras while the rig stood still, in one stage or in one each.
 
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
 use crate::geometry::{Camera, Pose, Stage};
 
@@ -30,4 +30,12 @@ pub enum Stages {
     Shared,
     /// A board for each camera; how the boards stand to one another is found too.
     Apart,
+}
+
+/// The mean of poses that lie near one another.
+pub(super) fn mean<To, From>(poses: &[Pose<To, From>]) -> Option<Pose<To, From>> {
+    let (first, n) = (poses.first()?.rotation, poses.len() as f64);
+    let shift = poses.iter().map(|pose| pose.translation).sum::<Vector3<f64>>() / n;
+    let turn = poses.iter().map(|pose| (pose.rotation * first.inverse()).scaled_axis()).sum::<Vector3<f64>>() / n;
+    Some(Pose::new(UnitQuaternion::from_scaled_axis(turn) * first, shift))
 }

@@ -11,7 +11,6 @@
 mod backdrop;
 mod canvas;
 mod dolly;
-mod one_picture;
 mod path;
 mod render;
 mod sensor;
@@ -20,7 +19,6 @@ mod texture;
 
 pub use backdrop::{grey, paint};
 pub use dolly::{Dolly, DollyError, dolly};
-pub use one_picture::{in_front, one_picture, walk};
 pub use path::{CameraPath, ObjectPath, PathError, Shake, Spline, look_at};
 pub use render::Renderer;
 pub use sensor::SensorNoise;

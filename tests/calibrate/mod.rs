@@ -3,5 +3,6 @@
 mod bad;
 mod good;
 mod live;
+pub mod rendered;
 mod scene;
 mod slips;

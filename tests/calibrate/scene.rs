@@ -6,8 +6,10 @@ use std::sync::OnceLock;
 
 use image::GrayImage;
 use nalgebra::{UnitQuaternion, Vector3};
-use stagepose::diagnostics::calibrate::{Board, BoardPhotographer, Photograph};
+use stagepose::diagnostics::calibrate::Board;
 use stagepose::{CameraModel, Intrinsics, Pose};
+
+use super::rendered::{BoardPhotographer, Photograph};
 
 pub const FX: f64 = 300.0;
 

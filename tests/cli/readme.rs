@@ -7,8 +7,10 @@ use std::path::Path;
 use std::process::Command;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use stagepose::diagnostics::calibrate::{Board, BoardPhotographer, Photograph};
+use stagepose::diagnostics::calibrate::Board;
 use stagepose::{Pose, read_calibration};
+
+use crate::calibrate::rendered::{BoardPhotographer, Photograph};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 

@@ -3,6 +3,7 @@
 mod any_frame;
 mod daemon;
 mod objects;
+mod one_picture;
 mod photo;
 mod poses;
 mod poster;

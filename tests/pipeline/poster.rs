@@ -2,8 +2,9 @@
 
 use nalgebra::Point3;
 use stagepose::diagnostics::calibrate::paint_poster;
-use stagepose::diagnostics::simulate::{in_front, one_picture, walk};
 use stagepose::{CameraPath, Frame, Measurement, Renderer, Timestamp, Tracker, TrackerSetup};
+
+use super::one_picture::{in_front, one_picture, walk};
 
 /// The last of four frames of a still camera with 640x480 pixels, this many widths in front and this far askew; and how far off the
 /// camera's centre is, widths.
@@ -70,4 +71,13 @@ fn its_sigma_is_below_that_of_natural_pictures_of_the_same_width() {
             assert!(of_poster < natural, "{widths} widths: {of_poster} against {natural} of {name}");
         }
     }
+}
+
+#[test]
+fn a_walk_ends_where_it_should() {
+    let path = walk((1.0, 0.0), (10.0, 60.0), 3.0);
+    for (time_s, place) in [(0.0, in_front(1.0, 0.0)), (3.0, in_front(10.0, 60.0)), (9.0, in_front(10.0, 60.0))] {
+        assert!((path.pose(time_s).translation - place.coords).norm() < 1e-9, "{time_s}");
+    }
+    assert!((path.pose(1.5).translation.norm() - 10.0_f64.sqrt()).abs() < 0.01);
 }

@@ -16,23 +16,26 @@ pub(crate) struct Grid<T> {
     /// Places along i and along j.
     size: (i32, i32),
     slots: Vec<Option<T>>,
-    count: usize,
 }
 
 impl<T> Default for Grid<T> {
     fn default() -> Self {
-        Self { low: (0, 0), size: (0, 0), slots: Vec::new(), count: 0 }
+        Self { low: (0, 0), size: (0, 0), slots: Vec::new() }
     }
 }
 
 impl<T: Copy> Grid<T> {
     pub fn len(&self) -> usize {
-        self.count
+        self.slots.iter().flatten().count()
     }
 
     fn slot(&self, (i, j): Place) -> Option<usize> {
         let (a, b) = (i - self.low.0, j - self.low.1);
         ((0..self.size.0).contains(&a) && (0..self.size.1).contains(&b)).then(|| (a * self.size.1 + b) as usize)
+    }
+
+    fn place(&self, slot: usize) -> Place {
+        (self.low.0 + slot as i32 / self.size.1, self.low.1 + slot as i32 % self.size.1)
     }
 
     pub fn get(&self, at: Place) -> Option<&T> {
@@ -52,15 +55,12 @@ impl<T: Copy> Grid<T> {
             self.grow(at);
         }
         let slot = self.slot(at)?;
-        let before = self.slots[slot].replace(value);
-        self.count += usize::from(before.is_none());
-        before
+        self.slots[slot].replace(value)
     }
 
     pub fn remove(&mut self, at: Place) -> Option<T> {
-        let removed = self.slot(at).and_then(|slot| self.slots[slot].take());
-        self.count -= usize::from(removed.is_some());
-        removed
+        let slot = self.slot(at)?;
+        self.slots[slot].take()
     }
 
     /// Makes the block reach `at`.
@@ -73,7 +73,7 @@ impl<T: Copy> Grid<T> {
         }
         (low, high) = ((low.0 - ROOM, low.1 - ROOM), (high.0 + ROOM, high.1 + ROOM));
         let size = (high.0 - low.0 + 1, high.1 - low.1 + 1);
-        let mut grown = Self { low, size, slots: vec![None; (size.0 * size.1) as usize], count: self.count };
+        let mut grown = Self { low, size, slots: vec![None; (size.0 * size.1) as usize] };
         for (place, value) in self.iter() {
             if let Some(slot) = grown.slot(place) {
                 grown.slots[slot] = Some(*value);
@@ -83,11 +83,7 @@ impl<T: Copy> Grid<T> {
     }
 
     pub fn iter(&self) -> impl Iterator<Item = (Place, &T)> {
-        let (low, columns) = (self.low, self.size.1.max(1) as usize);
-        self.slots.chunks_exact(columns).zip(low.0..).flat_map(move |(line, i)| {
-            let places = line.iter().zip(low.1..).map(move |(value, j)| ((i, j), value));
-            places.filter_map(|(place, value)| Some((place, value.as_ref()?)))
-        })
+        self.slots.iter().enumerate().filter_map(|(slot, value)| Some((self.place(slot), value.as_ref()?)))
     }
 
     /// The values at most `reach` places away along either axis.
@@ -99,28 +95,13 @@ impl<T: Copy> Grid<T> {
 
     /// Other values at the same places, or none.
     pub fn filter_map<U: Copy>(&self, mut to: impl FnMut(Place, &T) -> Option<U>) -> Grid<U> {
-        let mut mapped = Grid { low: self.low, size: self.size, slots: vec![None; self.slots.len()], count: 0 };
-        let columns = self.size.1.max(1) as usize;
-        let lines = self.slots.chunks_exact(columns).zip(mapped.slots.chunks_exact_mut(columns));
-        for (i, (line, to_line)) in (self.low.0..).zip(lines) {
-            for (j, (value, slot)) in (self.low.1..).zip(line.iter().zip(to_line)) {
-                *slot = value.as_ref().and_then(|value| to((i, j), value));
-                mapped.count += usize::from(slot.is_some());
-            }
-        }
-        mapped
+        let other = |(slot, value): (usize, &Option<T>)| value.as_ref().and_then(|value| to(self.place(slot), value));
+        Grid { low: self.low, size: self.size, slots: self.slots.iter().enumerate().map(other).collect() }
     }
 
     /// Keeps the values of which this is true.
     pub fn retain(&mut self, mut keep: impl FnMut(Place, &T) -> bool) {
-        let columns = self.size.1.max(1);
-        for (slot, value) in self.slots.iter_mut().enumerate() {
-            let place = (self.low.0 + slot as i32 / columns, self.low.1 + slot as i32 % columns);
-            if value.as_ref().is_some_and(|value| !keep(place, value)) {
-                *value = None;
-                self.count -= 1;
-            }
-        }
+        *self = self.filter_map(|place, value| keep(place, value).then_some(*value));
     }
 }
 

@@ -4,11 +4,12 @@ use nalgebra::Vector2;
 
 use super::fit::{CornerFit, fit_corner};
 use super::grid::{Grid, Place};
-use super::lattice::{Cell, Extent, Lattice, median};
+use super::lattice::{Cell, Extent, Lattice};
 use super::level::Level;
 use super::neighbours::Margin;
 use super::surroundings::Surroundings;
 use super::window::Window;
+use crate::geometry::robust_kernel::median;
 
 /// Blur that a fit starts from at most, level pixels.
 const WIDEST_START: f64 = 2.0;

@@ -7,7 +7,8 @@
 use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
 
 use super::grid::{Grid, Place};
-use super::lattice::{Lattice, median};
+use super::lattice::Lattice;
+use crate::geometry::robust_kernel::median;
 
 /// A step unlike those around it by more than this share of them leads nowhere.
 const UNLIKE: f64 = 0.4;

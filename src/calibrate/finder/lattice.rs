@@ -7,6 +7,7 @@ use nalgebra::Vector2;
 
 use super::grid::{Grid, Place};
 use super::level::rescaled;
+use crate::geometry::robust_kernel::median;
 
 /// One corner of a lattice.
 #[derive(Debug, Clone, Copy)]
@@ -206,13 +207,4 @@ impl Lattice {
             self.cells.retain(|at, _| !on(side, at));
         }
     }
-}
-
-/// The median, or `None` of nothing; reorders in place.
-pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let (_, median, _) = values.select_nth_unstable_by(values.len() / 2, f64::total_cmp);
-    Some(*median)
 }

@@ -67,12 +67,9 @@ impl FoundBoard {
 /// Why there is no board, and what was seen instead.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum NoBoard {
-    /// Nothing hangs together.
-    #[error("no chessboard: {brightness}")]
-    Nothing {
-        /// What the picture is like.
-        brightness: String,
-    },
+    /// Nothing hangs together; what the picture is like.
+    #[error("no chessboard: {0}")]
+    Nothing(String),
     /// A board, or part of one, with other numbers of corners.
     #[error("a chessboard of {columns}x{rows} inner corners{}, not the {wanted} that was asked for", if *cut { " at the picture's rim" } else { "" })]
     OtherSize {
@@ -85,14 +82,11 @@ pub enum NoBoard {
         /// Whether it ends at the picture's rim, so that more of it may lie outside.
         cut: bool,
     },
-    /// The right size, but with no clear end.
+    /// The right size, as asked for, but with no clear end.
     #[error(
-        "{size} corners of a chessboard whose outermost squares cannot be told from what is around them; light the board evenly, and show its rim"
+        "{0} corners of a chessboard whose outermost squares cannot be told from what is around them; light the board evenly, and show its rim"
     )]
-    Endless {
-        /// Inner corners seen, which are as many as were asked for.
-        size: String,
-    },
+    Endless(String),
     /// The right size, with too many corners hidden.
     #[error("only {seen} of the board's {all} corners can be seen")]
     Hidden {
@@ -246,10 +240,10 @@ fn sharpened(lattice: Lattice, found_on: usize, levels: &[Level]) -> (Lattice, u
 fn seen_instead(picture: &GrayImage, board: &Board, partial: Option<(usize, Lattice)>, levels: &[Level]) -> NoBoard {
     let found = partial.and_then(|(index, lattice)| Some((lattice.extent()?, lattice, &levels[index])));
     let Some((extent, lattice, level)) = found.filter(|(e, l, _)| e.sorted_size().1 >= 3 && l.len() >= 9) else {
-        return NoBoard::Nothing { brightness: brightness(picture) };
+        return NoBoard::Nothing(brightness(picture));
     };
     if placement::fits(&lattice, board) {
-        return NoBoard::Endless { size: board.to_string() };
+        return NoBoard::Endless(board.to_string());
     }
     let (columns, rows) = extent.sorted_size();
     let cut = lattice.cells().any(|((i, j), cell)| {
@@ -264,17 +258,12 @@ fn brightness(picture: &GrayImage) -> String {
     let mut counts = [0_usize; 256];
     picture.as_raw().iter().for_each(|&v| counts[usize::from(v)] += 1);
     let total = picture.as_raw().len().max(1);
-    let level_at = |share: f64| {
-        let mut left = (share * total as f64) as usize;
-        counts
-            .iter()
-            .position(|&n| {
-                let here = left < n;
-                left = left.saturating_sub(n);
-                here
-            })
-            .unwrap_or(255)
-    };
+    let mut sum = 0;
+    let up_to = counts.map(|n| {
+        sum += n;
+        sum
+    });
+    let level_at = |share: f64| up_to.partition_point(|&n| n <= (share * total as f64) as usize).min(255);
     let (dark, light) = (level_at(0.02), level_at(0.98));
     match (dark, light) {
         (_, 0..40) => format!("the picture is dark (98 % of it below grey level {})", light + 1),

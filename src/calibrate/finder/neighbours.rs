@@ -5,10 +5,11 @@ use std::f64::consts::FRAC_1_SQRT_2;
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::lattice::{Extent, Lattice, median};
+use super::lattice::{Extent, Lattice};
 use super::level::Level;
 use super::surroundings::{BLUR_REACHES, NextEdge, NextEdges, Surroundings};
 use super::window::erf_and_slope;
+use crate::geometry::robust_kernel::median;
 
 /// What lies around a board.
 #[derive(Debug, Clone, Copy)]

@@ -8,8 +8,9 @@
 use nalgebra::Vector2;
 
 use super::FoundBoard;
-use super::lattice::{Extent, Lattice, median};
+use super::lattice::{Extent, Lattice};
 use crate::calibrate::board::{Board, Symmetry};
+use crate::geometry::robust_kernel::median;
 
 /// Whether the lattice spans exactly the board, one way or the other.
 pub(super) fn fits(lattice: &Lattice, board: &Board) -> bool {

@@ -36,7 +36,7 @@ pub fn compare(views: &[Vec<Observation>], whole: &Estimate, size: (u32, u32), o
         let pick = (first..views.len()).step_by(2);
         let chosen: Vec<Vec<Observation>> = pick.clone().map(|v| views[v].clone()).collect();
         let bundle = Bundle { lens: whole.bundle.lens, poses: pick.map(|v| whole.bundle.poses[v]).collect() };
-        solve::refine(bundle, &chosen, options).ok()
+        solve::refine(bundle, &chosen, options)
     };
     let (a, b) = (half(0)?, half(1)?);
     let sigmas = std::array::from_fn(|k| {

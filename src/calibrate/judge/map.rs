@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3};
 
 use super::super::solve::lens::{LENS_NUMBERS, Lens, LensMatrix};
 use crate::camera::{CameraModel, Normalized, Pixel};
+use crate::geometry::robust_kernel::median;
 
 /// Columns and rows of a map; odd, so that the middle has a place.
 pub const MAP_COLUMNS: usize = 17;
@@ -104,7 +105,7 @@ fn best_turn(lens: &Lens, rays: &[Option<(Vector2<f64>, Vector3<f64>)>]) -> Unit
         });
         let rows: Vec<(Vector2<f64>, SMatrix<f64, 2, 3>)> = seen.collect();
         let mut lengths: Vec<f64> = rows.iter().map(|(r, _)| r.norm_squared()).collect();
-        let Some(middle) = super::super::finder::lattice::median(&mut lengths) else { break };
+        let Some(middle) = median(&mut lengths) else { break };
         let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
         for (residual, by_turn) in &rows {
             let weight = 1.0 / (1.0 + residual.norm_squared() / (middle + 1e-12));

@@ -18,7 +18,7 @@ use halves::Halves;
 use map::PixelMap;
 pub(crate) use mixed::mixed;
 pub(crate) use words::{
-    all_blurred, another_board, blurred, implausible_squares, mend_for_few, mend_for_sizes, nothing_found, one_direction,
+    all_blurred, another_board, blurred, implausible_squares, mend_for_few, mend_for_sizes, nothing_found, one_direction, rounded,
 };
 
 /// The verdict, best first.
@@ -208,21 +208,16 @@ impl Judgement {
         let aside = [(n[2] + 0.5) / f64::from(width) - 0.5, (n[3] + 0.5) / f64::from(height) - 0.5];
         let aside = aside[0].hypot(aside[1]);
         if aside > 0.2 {
-            self.find(
-                Verdict::Usable,
-                format!(
-                    "the principal point lies {:.0} % of the picture away from its middle (fine for a cropped picture only)",
-                    100.0 * aside
-                ),
-            );
+            let percent = 100.0 * aside;
+            let text =
+                format!("the principal point lies {percent:.0} % of the picture away from its middle (fine for a cropped picture only)");
+            self.find(Verdict::Usable, text);
         }
         let folded = self.uncertainty.values_px.iter().filter(|v| v.is_none()).count();
         if folded > 0 {
             let percent = 100.0 * folded as f64 / self.uncertainty.values_px.len() as f64;
-            self.find(
-                Verdict::Usable,
-                format!("the distortion folds over in {percent:.0} % of the picture, towards its rim; show the board there"),
-            );
+            let text = format!("the distortion folds over in {percent:.0} % of the picture, towards its rim; show the board there");
+            self.find(Verdict::Usable, text);
         }
         if !self.insignificant.is_empty() {
             let names = self.insignificant.join(", ");
@@ -237,10 +232,8 @@ impl Judgement {
         let (most, worst) = (self.uncertainty.quantile(map::MOST), self.uncertainty.worst());
         self.graded(most / pixel, MOST_PX, || format!("a distant point may appear {most:.1} px off over most of the picture (3 sigma)"));
         if worst / pixel > WORST_PX {
-            self.find(
-                Verdict::Usable,
-                format!("a distant point may appear {worst:.1} px off near the picture's rim (3 sigma), where no corners are"),
-            );
+            let text = format!("a distant point may appear {worst:.1} px off near the picture's rim (3 sigma), where no corners are");
+            self.find(Verdict::Usable, text);
         }
         let share = 100.0 * focal_share(estimate);
         self.find(Verdict::Good, format!("corners fit to {rms:.3} px, the focal length is known to {share:.2} %, a distant point to {most:.2} px over most of the picture (3 sigma)"));

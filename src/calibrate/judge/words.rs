@@ -2,9 +2,9 @@
 
 use super::super::board::Board;
 use super::super::finder::FoundBoard;
-use super::super::finder::lattice::median;
 use super::super::picture::Inspected;
 use super::super::solve::{Estimate, LEAST_VIEWS};
+use crate::geometry::robust_kernel::median;
 
 /// The size of board that most pictures show instead, and in how many. A board at the picture's rim may be larger than it
 /// seems, so it only counts where others show that size in full.
@@ -124,7 +124,7 @@ pub(crate) fn implausible_squares(estimate: &Estimate, board: &Board) -> Option<
 }
 
 /// A number without the dust of its arithmetic.
-fn rounded(value: f64) -> f64 {
+pub(crate) fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
 

@@ -1,17 +1,19 @@
-//! The figures of a report: the pictures with their corners, the corners' errors, the boards in space, what the lens bends, and maps of
+//! The figures of a report: where the board has been, the pictures with their corners, the corners' errors, the boards in space, what the lens bends, and maps of
 //! pixels over the picture.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, GrayImage};
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
-use super::coverage::residuals;
 use super::scale::{self, BAR_HEIGHT};
 use super::svg::{Drawing, base64, hue};
 use super::{INK, PALE};
 use crate::calibrate::board::Board;
-use crate::calibrate::judge::map::{MAP_COLUMNS, MAP_ROWS, PixelMap, places};
+use crate::calibrate::guide::{PART_COLUMNS, PART_ROWS, ViewSet, ViewShape};
+use crate::calibrate::judge::map::{self, MAP_COLUMNS, MAP_ROWS, PixelMap, places};
+use crate::calibrate::judge::rounded;
 use crate::calibrate::session::{CalibrationView, CameraCalibration};
+use crate::calibrate::solve::adjust::{Observation, observations_of};
 use crate::camera::CameraModel;
 
 /// A small picture as a data URI; empty where it cannot be encoded.
@@ -25,13 +27,58 @@ fn data_uri(picture: &GrayImage) -> String {
     format!("data:image/jpeg;base64,{}", base64(&bytes))
 }
 
+/// The corners of all pictures used, coloured by how far each lies from where the calibration expects it.
+pub(super) fn coverage(made: &CameraCalibration) -> String {
+    let (w, h) = (f64::from(made.size.0), f64::from(made.size.1));
+    let width = 480.0;
+    let (scale, height) = (width / w, width * h / w);
+    let mut drawing = Drawing::new(width, height + BAR_HEIGHT);
+    drawing.rect([0.5, 0.5], [width - 1.0, height - 1.0], PALE, "var(--panel)");
+    let part = [width / PART_COLUMNS as f64, height / PART_ROWS as f64];
+    for (column, row) in missing_parts(made) {
+        let [x, y] = [column as f64 * part[0], row as f64 * part[1]];
+        drawing.rect([x, y], part, "none", "var(--hatch)");
+        drawing.text([x + 0.5 * part[0], y + 0.5 * part[1] + 5.0], 14.0, "middle", INK, "no board here");
+    }
+    for (pixel, residual) in residuals(made) {
+        let at = [(pixel.x + 0.5) * scale, (pixel.y + 0.5) * scale];
+        drawing.circle(at, 2.4, INK, scale::colour(residual.norm()), 0.35);
+    }
+    scale::bar(&mut drawing, width, height);
+    drawing.finish("Where in the picture the board has been")
+}
+
+/// Every corner used: where it is seen, and how far that is from where it is expected.
+fn residuals(made: &CameraCalibration) -> impl Iterator<Item = (Vector2<f64>, Vector2<f64>)> + '_ {
+    let used = made.views.iter().filter_map(|view| Some((view, view.index?, view.corners.as_ref()?)));
+    used.flat_map(move |(view, index, corners)| {
+        let counted = corners.iter().enumerate().filter(|(k, _)| !view.outliers.contains(k));
+        counted.filter_map(move |(k, corner)| {
+            let seen = Observation { board_m: made.board.corner(k), pixel: (*corner)? };
+            Some((seen.pixel, made.estimate.bundle.residual(index, &seen)?))
+        })
+    })
+}
+
+/// What the views' own shapes say of each picture, in the order of the views.
+pub(super) fn shape(made: &CameraCalibration, corners: &[Option<Vector2<f64>>]) -> Option<ViewShape> {
+    ViewShape::new(&observations_of(corners, &made.board), made.size, Some(&made.estimate.bundle.lens))
+}
+
+fn missing_parts(made: &CameraCalibration) -> Vec<(usize, usize)> {
+    let mut set = ViewSet::default();
+    let used = made.views.iter().filter(|view| view.used).filter_map(|view| view.corners.as_ref());
+    used.filter_map(|corners| shape(made, corners)).for_each(|shape| set.add(shape));
+    set.missing().parts
+}
+
 /// A picture with the corners found, the board's outline, its first corner and the directions of its sides.
 pub(super) fn picture(view: &CalibrationView, size: (u32, u32), board: &Board) -> Option<String> {
     let small = view.thumbnail.as_ref()?;
     let (w, h) = (f64::from(small.width()), f64::from(small.height()));
     let mut drawing = Drawing::new(w, h);
     drawing.picture(&data_uri(small));
-    let scale = |p: &nalgebra::Vector2<f64>| [(p.x + 0.5) * w / f64::from(size.0), (p.y + 0.5) * h / f64::from(size.1)];
+    let scale = |p: &Vector2<f64>| [(p.x + 0.5) * w / f64::from(size.0), (p.y + 0.5) * h / f64::from(size.1)];
     if let Some(corners) = &view.corners {
         let columns = board.columns() as usize;
         let at = |k: usize| corners.get(k).and_then(|c| c.as_ref()).map(scale);
@@ -79,11 +126,6 @@ fn round_step(reach: f64) -> f64 {
     [5.0, 2.0, 1.0].map(|k| k * power).into_iter().find(|step| 2.0 * step <= reach).unwrap_or(power)
 }
 
-/// A number in as few digits as it needs.
-fn rounded(value: f64) -> f64 {
-    (value * 1e6).round() / 1e6
-}
-
 /// Width and height of the figure of the boards in space.
 const SPACE: [f64; 2] = [480.0, 360.0];
 
@@ -121,7 +163,7 @@ impl Oblique {
 /// The camera and every board in space; `number` is what a picture is called in the report.
 pub(super) fn space(made: &CameraCalibration, number: impl Fn(usize) -> usize) -> String {
     let rim = |view: &CalibrationView| {
-        let pose = made.estimate.pose(view.index?);
+        let pose = made.estimate.bundle.poses[view.index?];
         let (w, h) = (f64::from(made.board.columns() - 1), f64::from(made.board.rows() - 1));
         let corners = [(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)];
         let place = |(x, y): (f64, f64)| pose.rotation * Vector3::new(x, y, 0.0) * made.board.square_m() + pose.translation;
@@ -159,7 +201,7 @@ pub(super) fn distortion(model: &CameraModel) -> String {
     let scale = 480.0 / w;
     let mut drawing = Drawing::new(480.0, h * scale);
     drawing.rect([0.0, 0.0], [480.0, h * scale], PALE, "none");
-    let shift = |p: nalgebra::Vector2<f64>| {
+    let shift = |p: Vector2<f64>| {
         let n = model.from_undistorted_pixel(p);
         (n.0.norm() <= model.valid_radius()).then(|| model.project(n).0 - p)
     };
@@ -167,7 +209,7 @@ pub(super) fn distortion(model: &CameraModel) -> String {
     let (columns, rows) = (16, 12);
     for r in 0..=rows {
         for c in 0..=columns {
-            let p = nalgebra::Vector2::new(w * f64::from(c) / f64::from(columns) - 0.5, h * f64::from(r) / f64::from(rows) - 0.5);
+            let p = Vector2::new(w * f64::from(c) / f64::from(columns) - 0.5, h * f64::from(r) / f64::from(rows) - 0.5);
             let Some(d) = shift(p) else { continue };
             worst = worst.max(d.norm());
             let from = [(p.x + 0.5) * scale, (p.y + 0.5) * scale];
@@ -211,12 +253,12 @@ pub(super) fn map(map: &PixelMap, size: (u32, u32), title: &str) -> String {
 }
 
 /// Differences as arrows, enlarged so that a long one is as long as a tile.
-pub(super) fn arrows(field: &[Option<nalgebra::Vector2<f64>>], size: (u32, u32)) -> String {
+pub(super) fn arrows(field: &[Option<Vector2<f64>>], size: (u32, u32)) -> String {
     let scale = 480.0 / f64::from(size.0);
     let mut drawing = Drawing::new(480.0, f64::from(size.1) * scale);
     drawing.rect([0.0, 0.0], [480.0, f64::from(size.1) * scale], PALE, "none");
     // A wild rim would make all other arrows vanish.
-    let long = crate::calibrate::judge::map::lengths(field).quantile(0.9).max(1e-9);
+    let long = map::lengths(field).quantile(0.9).max(1e-9);
     for (place, difference) in places(size).zip(field) {
         let from = [(place.x + 0.5) * scale, (place.y + 0.5) * scale];
         drawing.circle(from, 1.2, "none", INK, 0.0);

@@ -3,7 +3,6 @@
 //! It says in their words what the calibration is worth and what to do next, shows where the board has been and what the lens does, and
 //! keeps the numbers that calibration programs use folded away at the end of their part. It follows the reader's light or dark scheme.
 
-mod coverage;
 mod figures;
 mod numbers;
 mod scale;
@@ -63,7 +62,7 @@ pub fn html(made: &CameraCalibration, comparison: Option<&Comparison>, date: &st
     body += &numbers::part(made);
     body += "<h2>Where the board has been, and how well it fits</h2>\n<div class=\"figures\">";
     body += &figure(
-        &coverage::figure(made),
+        &figures::coverage(made),
         "<b>Coverage.</b> Every corner of every picture used. The lens is known best where there are many, and only guessed where there are none. \
          Colours: how far a corner lies from where the calibration expects it.",
     );
@@ -111,19 +110,13 @@ fn by_name(views: &[CalibrationView]) -> Vec<&CalibrationView> {
 /// What was calibrated, with what, and when.
 fn facts(made: &CameraCalibration, date: &str) -> String {
     let used = made.views.iter().filter(|view| view.used).count();
-    let (board, mm) = (&made.board, 1e3 * made.board.square_m());
+    let ((width, height), all, version) = (made.size, made.views.len(), env!("CARGO_PKG_VERSION"));
+    let (columns, rows, mm) = (made.board.columns(), made.board.rows(), (1e3 * made.board.square_m() * 1e3).round() / 1e3);
     let camera = made.camera.as_ref().map_or(String::new(), |camera| format!("{} &middot; ", escaped(camera)));
     format!(
-        "<p class=\"facts\">{camera}pictures of {} &times; {} pixels &middot; {used} of {} used &middot; board of {} &times; {} inner corners, squares of {} mm \
-         &middot; {} &middot; stagepose {}</p>\n",
-        made.size.0,
-        made.size.1,
-        made.views.len(),
-        board.columns(),
-        board.rows(),
-        (mm * 1e3).round() / 1e3,
-        escaped(date),
-        env!("CARGO_PKG_VERSION")
+        "<p class=\"facts\">{camera}pictures of {width} &times; {height} pixels &middot; {used} of {all} used &middot; board of {columns} &times; {rows} \
+         inner corners, squares of {mm} mm &middot; {} &middot; stagepose {version}</p>\n",
+        escaped(date)
     )
 }
 

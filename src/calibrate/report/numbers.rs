@@ -2,7 +2,7 @@
 
 use nalgebra::{Rotation3, Vector2, Vector3};
 
-use super::coverage::shape;
+use super::figures::shape;
 use super::short_name;
 use crate::calibrate::judge::map::MOST;
 use crate::calibrate::session::{CalibrationView, CameraCalibration};
@@ -35,29 +35,14 @@ fn plain(made: &CameraCalibration) -> Vec<(&'static str, String)> {
     if let Some([across, down]) = model.as_ref().and_then(view_deg) {
         rows.push(("Angle of view", format!("{across:.1}&deg; across, {down:.1}&deg; down")));
     }
-    rows.push((
-        "Focal length",
-        format!(
-            "{:.1} px &plusmn; {:.1} across, {:.1} px &plusmn; {:.1} down; as {:.1} mm on full frame",
-            n[0],
-            u[0],
-            n[1],
-            u[1],
-            n[0] / w * FULL_FRAME_MM
-        ),
-    ));
-    let aside = [n[2] + 0.5 - 0.5 * w, n[3] + 0.5 - 0.5 * h];
+    let mm = n[0] / w * FULL_FRAME_MM;
+    let focal =
+        format!("{:.1} px &plusmn; {:.1} across, {:.1} px &plusmn; {:.1} down; as {mm:.1} mm on full frame", n[0], u[0], n[1], u[1]);
+    rows.push(("Focal length", focal));
     let side = |v: f64, [low, high]: [&'static str; 2]| format!("{:.1} px {}", v.abs(), if v < 0.0 { low } else { high });
-    rows.push((
-        "Where the lens looks straight ahead",
-        format!(
-            "{} and {} the picture's middle, &plusmn; {:.1} and {:.1} px",
-            side(aside[0], ["left of", "right of"]),
-            side(aside[1], ["above", "below"]),
-            u[2],
-            u[3]
-        ),
-    ));
+    let [across, down] = [side(n[2] + 0.5 - 0.5 * w, ["left of", "right of"]), side(n[3] + 0.5 - 0.5 * h, ["above", "below"])];
+    let ahead = format!("{across} and {down} the picture's middle, &plusmn; {:.1} and {:.1} px", u[2], u[3]);
+    rows.push(("Where the lens looks straight ahead", ahead));
     if let Some(bending) = model.as_ref().and_then(bending) {
         rows.push(("Distortion", bending));
     }
@@ -65,10 +50,9 @@ fn plain(made: &CameraCalibration) -> Vec<(&'static str, String)> {
     rows.push(("How well corners fit", format!("{:.2} px (root of the mean square over {corners} corners)", made.estimate.rms_px)));
     let map = &made.judgement.uncertainty;
     if map.quantile(MOST).is_finite() {
-        rows.push((
-            "How exactly places in the picture are known",
-            format!("{:.2} px over most of the picture, {:.2} px at the worst place", map.quantile(MOST), map.worst()),
-        ));
+        let (most, worst) = (map.quantile(MOST), map.worst());
+        let places = format!("{most:.2} px over most of the picture, {worst:.2} px at the worst place");
+        rows.push(("How exactly places in the picture are known", places));
     }
     rows
 }
@@ -95,11 +79,8 @@ fn bending(model: &CameraModel) -> Option<String> {
     let farthest = moved.into_iter().flatten().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
     let way =
         if farthest < 0.0 { "inwards (barrel: straight lines bow outwards)" } else { "outwards (pincushion: straight lines bow inwards)" };
-    Some(if farthest.abs() < 0.5 {
-        "next to none".to_owned()
-    } else {
-        format!("moves the picture's corners by up to {:.0} px {way}", farthest.abs())
-    })
+    let moves = format!("moves the picture's corners by up to {:.0} px {way}", farthest.abs());
+    Some(if farthest.abs() < 0.5 { "next to none".to_owned() } else { moves })
 }
 
 /// The numbers as they stand in calibration files.

@@ -6,6 +6,7 @@
 
 use nalgebra::{Matrix6, SMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
 
+use super::super::board::Board;
 use super::lens::{FreeNumbers, LENS_NUMBERS, Lens, LensMatrix, LensVector};
 use crate::geometry::least_squares::{Damping, Options, Problem, minimise};
 use crate::geometry::{Camera, Pose};
@@ -21,6 +22,18 @@ pub struct Observation {
     pub board_m: Vector2<f64>,
     /// Raw pixel.
     pub pixel: Vector2<f64>,
+}
+
+/// The observations of corners in the board's order.
+pub fn observations_of(corners: &[Option<Vector2<f64>>], board: &Board) -> Vec<Observation> {
+    let seen = corners.iter().enumerate().filter_map(|(k, c)| Some((k, (*c)?)));
+    seen.map(|(k, pixel)| Observation { board_m: board.corner(k), pixel }).collect()
+}
+
+/// How far two views' corners lie apart on average, pixels; infinite where no corner is seen in both.
+pub fn mean_distance(a: &[Option<Vector2<f64>>], b: &[Option<Vector2<f64>>]) -> f64 {
+    let distances: Vec<f64> = a.iter().zip(b).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
+    if distances.is_empty() { f64::INFINITY } else { distances.iter().sum::<f64>() / distances.len() as f64 }
 }
 
 /// A lens and one pose `T_camera_board` a view.
@@ -88,9 +101,9 @@ impl Bundle {
         (p.z > 1e-9).then(|| o.pixel - self.lens.project(p.xy() / p.z))
     }
 
-    fn cost(&self, views: &[Vec<Observation>], loss: Loss) -> f64 {
-        let each = views.iter().enumerate().flat_map(|(v, all)| all.iter().map(move |o| (v, o)));
-        each.map(|(v, o)| loss.cost_and_weight(self.residual(v, o).map_or(BEHIND, |r| r.norm_squared())).0).sum()
+    /// The residuals of all views' corners, one view after another.
+    pub fn residuals<'a>(&'a self, views: &'a [Vec<Observation>]) -> impl Iterator<Item = Option<Vector2<f64>>> + 'a {
+        views.iter().enumerate().flat_map(move |(v, all)| all.iter().map(move |o| self.residual(v, o)))
     }
 
     /// Minimises the loss over everything that is free, from here, in at most `iterations` steps; gives the cost reached.
@@ -101,33 +114,10 @@ impl Bundle {
         cost
     }
 
-    fn moved(&self, lens_step: &LensVector, view_steps: &[Vector6<f64>], free: &FreeNumbers) -> Self {
-        let mut lens = Lens(self.lens.0 + lens_step);
-        if free.square_pixels && free.free[0] {
-            lens.0[1] = lens.0[0];
-        }
-        let poses = self.poses.iter().zip(view_steps).map(|(pose, step)| {
-            let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
-            Pose::new(turn * pose.rotation, pose.translation + step.fixed_rows::<3>(3))
-        });
-        Self { lens, poses: poses.collect() }
-    }
-
-    fn normal(&self, views: &[Vec<Observation>], free: &FreeNumbers, loss: Loss) -> Normal {
-        let mut normal = Normal { lens: LensMatrix::zeros(), gradient: LensVector::zeros(), views: Vec::with_capacity(views.len()) };
-        for (pose, observations) in self.poses.iter().zip(views) {
-            normal.add_view(&self.lens, pose, observations, free, loss);
-        }
-        for k in (0..LENS_NUMBERS).filter(|&k| !free.is_estimated(k)) {
-            normal.lens[(k, k)] = 1.0;
-        }
-        normal
-    }
-
     /// Covariances of everything for independent residuals of one pixel along each axis; times sigma squared they are the
     /// estimate's. `None` where the views do not determine the unknowns.
     pub fn covariance(&self, views: &[Vec<Observation>], free: &FreeNumbers) -> Option<BundleCovariance> {
-        let normal = self.normal(views, free, Loss::Squares);
+        let normal = Adjustment { views, free, loss: Loss::Squares }.linearised(self);
         let reduced = normal.reduced(0.0)?;
         // Scaled to a unit diagonal, the smallest eigenvalue says how far the unknowns can be told apart.
         let scale = LensVector::from_fn(|k, _| 1.0 / reduced.matrix[(k, k)].max(f64::MIN_POSITIVE).sqrt());
@@ -138,15 +128,13 @@ impl Bundle {
         }
         let inverse = scaled.try_inverse()?;
         let mut lens = LensMatrix::from_fn(|r, c| inverse[(r, c)] * scale[r] * scale[c]);
-        for k in (0..LENS_NUMBERS).filter(|&k| !free.is_estimated(k)) {
+        for k in free.held() {
             lens.row_mut(k).fill(0.0);
             lens.column_mut(k).fill(0.0);
         }
         if free.square_pixels && free.free[0] {
-            let row = lens.row(0).into_owned();
-            lens.set_row(1, &row);
-            let column = lens.column(0).into_owned();
-            lens.set_column(1, &column);
+            lens.set_row(1, &lens.row(0).into_owned());
+            lens.set_column(1, &lens.column(0).into_owned());
         }
         let views = normal.views.iter().zip(&reduced.inverses).map(|(view, inverse)| {
             let gain = inverse * view.coupling.transpose();
@@ -175,16 +163,33 @@ impl Problem for Adjustment<'_> {
     type Normal = Normal;
 
     fn cost(&self, bundle: &Bundle) -> f64 {
-        bundle.cost(self.views, self.loss)
+        let squared = bundle.residuals(self.views).map(|r| r.map_or(BEHIND, |r| r.norm_squared()));
+        squared.map(|squared| self.loss.cost_and_weight(squared).0).sum()
     }
 
     fn linearised(&self, bundle: &Bundle) -> Normal {
-        bundle.normal(self.views, self.free, self.loss)
+        let views = Vec::with_capacity(self.views.len());
+        let mut normal = Normal { lens: LensMatrix::zeros(), gradient: LensVector::zeros(), views };
+        for (pose, observations) in bundle.poses.iter().zip(self.views) {
+            normal.add_view(&bundle.lens, pose, observations, self.free, self.loss);
+        }
+        for k in self.free.held() {
+            normal.lens[(k, k)] = 1.0;
+        }
+        normal
     }
 
     fn stepped(&self, bundle: &Bundle, normal: &Normal, damping: f64) -> Option<Bundle> {
         let (lens_step, view_steps) = normal.step(damping)?;
-        Some(bundle.moved(&lens_step, &view_steps, self.free))
+        let mut lens = Lens(bundle.lens.0 + lens_step);
+        if self.free.square_pixels && self.free.free[0] {
+            lens.0[1] = lens.0[0];
+        }
+        let poses = bundle.poses.iter().zip(view_steps).map(|(pose, step)| {
+            let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
+            Pose::new(turn * pose.rotation, pose.translation + step.fixed_rows::<3>(3))
+        });
+        Some(Bundle { lens, poses: poses.collect() })
     }
 }
 
@@ -201,18 +206,14 @@ impl Normal {
             let (pixel, [by_x, by_y], mut by_lens) = lens.project_with_derivatives(point);
             let residual = o.pixel - pixel;
             let (_, weight) = loss.cost_and_weight(residual.norm_squared());
-            let mut by_point = SMatrix::<f64, 2, 3>::zeros();
-            by_point.set_column(0, &(by_x / p.z));
-            by_point.set_column(1, &(by_y / p.z));
-            by_point.set_column(2, &(-(by_x * point.x + by_y * point.y) / p.z));
+            let by_point = SMatrix::<f64, 2, 3>::from_columns(&[by_x / p.z, by_y / p.z, -(by_x * point.x + by_y * point.y) / p.z]);
             let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
             by_pose.fixed_columns_mut::<3>(0).copy_from(&(-by_point * turned.cross_matrix()));
             by_pose.fixed_columns_mut::<3>(3).copy_from(&by_point);
             if free.square_pixels && free.free[0] {
-                let both = by_lens.column(0) + by_lens.column(1);
-                by_lens.set_column(0, &both);
+                by_lens.set_column(0, &(by_lens.column(0) + by_lens.column(1)));
             }
-            for k in (0..LENS_NUMBERS).filter(|&k| !free.is_estimated(k)) {
+            for k in free.held() {
                 by_lens.column_mut(k).fill(0.0);
             }
             self.lens += by_lens.transpose() * by_lens * weight;

@@ -42,7 +42,12 @@ impl Default for FreeNumbers {
 impl FreeNumbers {
     /// How many numbers are estimated.
     pub fn count(&self) -> usize {
-        (0..LENS_NUMBERS).filter(|&k| self.is_estimated(k)).count()
+        LENS_NUMBERS - self.held().count()
+    }
+
+    /// The numbers that are not estimated.
+    pub fn held(&self) -> impl Iterator<Item = usize> {
+        (0..LENS_NUMBERS).filter(|&k| !self.is_estimated(k))
     }
 
     /// Whether a number has an unknown of its own.
@@ -54,9 +59,7 @@ impl FreeNumbers {
 impl Lens {
     /// A lens without distortion.
     pub fn pinhole(focal_px: [f64; 2], centre_px: [f64; 2]) -> Self {
-        let mut numbers = LensVector::zeros();
-        numbers.fixed_rows_mut::<4>(0).copy_from_slice(&[focal_px[0], focal_px[1], centre_px[0], centre_px[1]]);
-        Self(numbers)
+        Self(LensVector::from([focal_px[0], focal_px[1], centre_px[0], centre_px[1], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     }
 
     /// The numbers of a camera model.
@@ -71,57 +74,25 @@ impl Lens {
     /// # Errors
     /// When the numbers are no camera.
     pub fn model(&self, width: u32, height: u32) -> Result<CameraModel, CameraError> {
-        let n = &self.0;
-        let distortion = [n[5], n[6], n[7], n[8], n[9]];
-        CameraModel::new(Intrinsics { width, height, fx: n[0], fy: n[1], cx: n[2], cy: n[3], skew: n[4], distortion })
+        CameraModel::new(Intrinsics { width, height, ..self.intrinsics() })
+    }
+
+    /// The numbers by name, for pictures of no size.
+    fn intrinsics(&self) -> Intrinsics {
+        let [fx, fy, cx, cy, skew, k1, k2, p1, p2, k3] = self.0.into();
+        Intrinsics { width: 0, height: 0, fx, fy, cx, cy, skew, distortion: [k1, k2, p1, p2, k3] }
     }
 
     /// Equations 5 to 10: the raw pixel of a normalised point.
     pub fn project(&self, point: Vector2<f64>) -> Vector2<f64> {
-        let [d, ..] = self.distorted(point);
-        self.affine(d)
-    }
-
-    fn affine(&self, d: Vector2<f64>) -> Vector2<f64> {
-        let n = &self.0;
-        Vector2::new(n[0] * (d.x + n[4] * d.y) + n[2], n[1] * d.y + n[3])
-    }
-
-    /// The distorted point and its derivatives by x and by y.
-    fn distorted(&self, point: Vector2<f64>) -> [Vector2<f64>; 3] {
-        let n = &self.0;
-        let (k1, k2, p1, p2, k3) = (n[5], n[6], n[7], n[8], n[9]);
-        let (x, y) = (point.x, point.y);
-        let r2 = x * x + y * y;
-        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-        let slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
-        let d =
-            Vector2::new(radial * x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), radial * y + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y);
-        let cross = 2.0 * slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y;
-        let by_x = Vector2::new(radial + 2.0 * slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x, cross);
-        let by_y = Vector2::new(cross, radial + 2.0 * slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x);
-        [d, by_x, by_y]
+        self.intrinsics().project(point)
     }
 
     /// The pixel, its derivative by the normalised point (2x2, columns x and y), and by the ten numbers (2x10).
     pub fn project_with_derivatives(&self, point: Vector2<f64>) -> (Vector2<f64>, [Vector2<f64>; 2], SMatrix<f64, 2, LENS_NUMBERS>) {
-        let n = &self.0;
-        let [d, by_x, by_y] = self.distorted(point);
-        let turn = |v: Vector2<f64>| Vector2::new(n[0] * (v.x + n[4] * v.y), n[1] * v.y);
-        let (x, y) = (point.x, point.y);
-        let r2 = x * x + y * y;
-        let mut by_lens = SMatrix::<f64, 2, LENS_NUMBERS>::zeros();
-        by_lens[(0, 0)] = d.x + n[4] * d.y;
-        by_lens[(1, 1)] = d.y;
-        by_lens[(0, 2)] = 1.0;
-        by_lens[(1, 3)] = 1.0;
-        by_lens[(0, 4)] = n[0] * d.y;
-        by_lens.set_column(5, &turn(point * r2));
-        by_lens.set_column(6, &turn(point * (r2 * r2)));
-        by_lens.set_column(7, &turn(Vector2::new(2.0 * x * y, r2 + 2.0 * y * y)));
-        by_lens.set_column(8, &turn(Vector2::new(r2 + 2.0 * x * x, 2.0 * x * y)));
-        by_lens.set_column(9, &turn(point * (r2 * r2 * r2)));
-        (self.affine(d), [turn(by_x), turn(by_y)], by_lens)
+        let i = self.intrinsics();
+        let (d, by_point) = i.distort(point);
+        (i.affine(d), [0, 1].map(|k| i.shift_px(by_point.column(k).into_owned())), i.by_numbers(point, d))
     }
 }
 

@@ -9,10 +9,9 @@ pub mod lens;
 pub mod start;
 
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
-use thiserror::Error;
 
-use crate::geometry::{Camera, Pose};
-use adjust::{BoardFrame, Bundle, Loss, Observation};
+use crate::geometry::robust_kernel::median;
+use adjust::{Bundle, Loss, Observation};
 use lens::{FreeNumbers, Held, LensMatrix, LensVector};
 
 /// What is estimated, and how.
@@ -45,20 +44,6 @@ pub struct Estimate {
     pub pose_covariances: Vec<Matrix6<f64>>,
 }
 
-/// Why there is no estimate.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub enum SolveError {
-    /// Not enough views for the unknowns.
-    #[error("only {views} usable view(s)")]
-    TooFew {
-        /// How many there are.
-        views: usize,
-    },
-    /// The views leave the lens open.
-    #[error("the views do not determine the lens")]
-    Undetermined,
-}
-
 /// Fewer views than this are not tried.
 pub const LEAST_VIEWS: usize = 3;
 /// Corners farther off than this many sigma are left out: of good ones, one in 30 000 is.
@@ -66,23 +51,17 @@ const OUTLIER_SIGMAS: f64 = 4.6;
 /// The median length of a 2-vector of unit noise.
 const MEDIAN_LENGTH: f64 = 1.1774;
 
-/// Estimates the lens and a pose for every view.
-///
-/// # Errors
-/// With fewer than `LEAST_VIEWS` views, or where they do not determine the unknowns.
-pub fn estimate(views: &[Vec<Observation>], size: (u32, u32), options: &SolveOptions) -> Result<Estimate, SolveError> {
+/// Estimates the lens and a pose for every view; `None` with fewer than `LEAST_VIEWS` views, or where they do not determine the unknowns.
+pub fn estimate(views: &[Vec<Observation>], size: (u32, u32), options: &SolveOptions) -> Option<Estimate> {
     if views.len() < LEAST_VIEWS {
-        return Err(SolveError::TooFew { views: views.len() });
+        return None;
     }
-    let bundle = start::start(views, size, &options.free, &options.held).ok_or(SolveError::Undetermined)?;
+    let bundle = start::start(views, size, &options.free, &options.held)?;
     refine(bundle, views, options)
 }
 
 /// As [`estimate`], from a start that is near already.
-///
-/// # Errors
-/// As [`estimate`].
-pub fn refine(mut bundle: Bundle, views: &[Vec<Observation>], options: &SolveOptions) -> Result<Estimate, SolveError> {
+pub fn refine(mut bundle: Bundle, views: &[Vec<Observation>], options: &SolveOptions) -> Option<Estimate> {
     let free = &options.free;
     let all: Vec<Vec<bool>> = views.iter().map(|view| vec![true; view.len()]).collect();
     if options.bouguet {
@@ -110,11 +89,9 @@ pub fn refine(mut bundle: Bundle, views: &[Vec<Observation>], options: &SolveOpt
 
 /// Sigma of one coordinate from the median residual: half of the corners may be wild.
 fn robust_sigma(bundle: &Bundle, views: &[Vec<Observation>]) -> f64 {
-    let each = views.iter().enumerate().flat_map(|(v, all)| all.iter().map(move |o| (v, o)));
-    let mut lengths: Vec<f64> = each.map(|(v, o)| bundle.residual(v, o).map_or(f64::INFINITY, |r| r.norm())).collect();
-    lengths.sort_unstable_by(f64::total_cmp);
+    let mut lengths: Vec<f64> = bundle.residuals(views).map(|r| r.map_or(f64::INFINITY, |r| r.norm())).collect();
     // A floor keeps exact input from throwing out rounding errors.
-    lengths.get(lengths.len() / 2).map_or(1.0, |median| (median / MEDIAN_LENGTH).clamp(1e-6, 1e3))
+    median(&mut lengths).map_or(1.0, |median| (median / MEDIAN_LENGTH).clamp(1e-6, 1e3))
 }
 
 fn belonging(bundle: &Bundle, views: &[Vec<Observation>], limit: f64) -> Vec<Vec<bool>> {
@@ -128,28 +105,22 @@ fn selected(views: &[Vec<Observation>], used: &[Vec<bool>]) -> Vec<Vec<Observati
 }
 
 /// Errors and covariances of an adjusted bundle.
-fn summed_up(bundle: Bundle, views: &[Vec<Observation>], used: Vec<Vec<bool>>, options: &SolveOptions) -> Result<Estimate, SolveError> {
+fn summed_up(bundle: Bundle, views: &[Vec<Observation>], used: Vec<Vec<bool>>, options: &SolveOptions) -> Option<Estimate> {
     let free = &options.free;
     let kept = selected(views, &used);
-    let mut residuals: Vec<Vector2<f64>> = Vec::new();
-    for (v, view) in kept.iter().enumerate() {
-        for o in view {
-            residuals.push(bundle.residual(v, o).ok_or(SolveError::Undetermined)?);
-        }
-    }
+    let residuals: Vec<Vector2<f64>> = bundle.residuals(&kept).collect::<Option<_>>()?;
     let count = residuals.len() as f64;
     let squares: f64 = residuals.iter().map(|r| r.norm_squared()).sum();
     let unknowns = free.count() + 6 * views.len();
     let freedom = 2.0 * count - unknowns as f64;
-    let lens_is_sound = bundle.lens.model(1, 1).is_ok();
-    if freedom <= 0.0 || !squares.is_finite() || !lens_is_sound {
-        return Err(SolveError::Undetermined);
+    if freedom <= 0.0 || !squares.is_finite() || bundle.lens.model(1, 1).is_err() {
+        return None;
     }
-    let covariance = bundle.covariance(&kept, free).ok_or(SolveError::Undetermined)?;
+    let covariance = bundle.covariance(&kept, free)?;
     let variance = if options.bouguet { squares / (2.0 * count - 1.0) } else { squares / freedom * shared_error(&bundle, &kept) };
     let mean: Vector2<f64> = residuals.iter().sum::<Vector2<f64>>() / count;
     let spread = |k: usize| (residuals.iter().map(|r| (r[k] - mean[k]).powi(2)).sum::<f64>() / (count - 1.0)).sqrt();
-    Ok(Estimate {
+    Some(Estimate {
         rms_px: (squares / count).sqrt(),
         axis_error_px: [spread(0), spread(1)],
         sigma_px: variance.sqrt(),
@@ -205,11 +176,6 @@ impl Estimate {
         let kept = observations.iter().zip(&self.used[view]).filter(|(_, used)| **used);
         let squares: Vec<f64> = kept.filter_map(|(o, _)| Some(self.bundle.residual(view, o)?.norm_squared())).collect();
         (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
-    }
-
-    /// The pose `T_camera_board` of a view.
-    pub fn pose(&self, view: usize) -> &Pose<Camera, BoardFrame> {
-        &self.bundle.poses[view]
     }
 }
 

@@ -8,6 +8,7 @@ use super::adjust::BoardFrame;
 use super::lens::{FreeNumbers, LENS_NAMES, Lens, LensVector};
 use super::*;
 use crate::calibrate::board::Board;
+use crate::geometry::{Camera, Pose};
 
 const SIZE: (u32, u32) = (640, 480);
 
@@ -147,5 +148,5 @@ fn wild_corners_are_left_out_and_change_little() {
 fn views_that_leave_the_lens_open_are_refused() {
     let mut random = Pcg64Mcg::seed_from_u64(8);
     let views = corners(&truth(), &poses(2, 1.0, &mut random), 0.1, &mut random);
-    assert_eq!(estimate(&views, SIZE, &SolveOptions::default()).unwrap_err(), SolveError::TooFew { views: 2 });
+    assert!(estimate(&views, SIZE, &SolveOptions::default()).is_none());
 }

@@ -75,7 +75,7 @@ impl MountReport<'_> {
         let (pan, tilt, roll) = (angles.pan_deg, angles.tilt_deg, angles.roll_deg);
         let _ = writeln!(text, "rotation  pan {pan:+.3}, tilt {tilt:+.3}, roll {roll:+.3} degrees");
         let _ = writeln!(text, "  sigma   {:.3}, {:.3}, {:.3} degrees", s[3], s[4], s[5]);
-        let _ = writeln!(text, "verdict   {}", self.verdict.words());
+        let _ = writeln!(text, "verdict   {}", self.verdict);
         for reason in &self.reasons {
             let _ = writeln!(text, "          {reason}");
         }
@@ -186,7 +186,7 @@ impl MountReport<'_> {
             "T_tracking_filming": self.mount,
             "excess": self.solution.excess,
             "views": views,
-            "verdict": self.verdict.words(),
+            "verdict": self.verdict.to_string(),
             "reasons": self.reasons,
             "next": self.next.as_ref().map(|next| &next.words),
         });

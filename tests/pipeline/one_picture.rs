@@ -3,9 +3,8 @@
 use image::GrayImage;
 use nalgebra::{Point3, Vector3};
 
-use super::{CameraPath, LightKey, SensorNoise, Spline, VirtualStage, artwork_surface, upright};
-use crate::camera::CameraModel;
-use crate::track::BodySpec;
+use stagepose::diagnostics::simulate::{artwork_surface, upright};
+use stagepose::{BodySpec, CameraModel, CameraPath, LightKey, SensorNoise, Spline, VirtualStage};
 
 /// Frames of the webcam, pixels, and its focal length: 60 degrees across.
 const FRAME_PX: [u32; 2] = [640, 480];
@@ -54,18 +53,4 @@ pub fn walk(from: (f64, f64), to: (f64, f64), seconds: f64) -> CameraPath {
     let keys: Vec<_> = (0..=STEPS).map(key).collect();
     let position = Spline::new(&keys).expect("keys in order of time");
     CameraPath { position, ..CameraPath::fixed(Point3::origin(), Point3::origin()) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_walk_ends_where_it_should() {
-        let path = walk((1.0, 0.0), (10.0, 60.0), 3.0);
-        for (time_s, place) in [(0.0, in_front(1.0, 0.0)), (3.0, in_front(10.0, 60.0)), (9.0, in_front(10.0, 60.0))] {
-            assert!((path.pose(time_s).translation - place.coords).norm() < 1e-9, "{time_s}");
-        }
-        assert!((path.pose(1.5).translation.norm() - 10.0_f64.sqrt()).abs() < 0.01);
-    }
 }
