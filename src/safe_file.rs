@@ -1,4 +1,4 @@
-//! Opening files that somebody else named, without ever waiting for anybody.
+//! Opening files that others name, without ever waiting for them.
 //!
 //! A named pipe that nobody writes to holds up whoever opens it, a device may have no end, and a large file may not fit
 //! into memory. So the kind of a file is looked at before a byte of it is read or written.

@@ -41,7 +41,7 @@ pub enum BoardError {
 /// Side of a square, millimetres, below which metres were meant: no camera resolves such a board.
 const LEAST_SQUARE_MM: f64 = 0.5;
 
-/// What can be told of a board's pose from its pattern.
+/// What a board's pattern says of its pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Symmetry {
     /// One number of corners is odd and one even: the pattern has one origin only.

@@ -14,7 +14,7 @@ use super::solve::start::{centre, pose_of};
 pub const PART_COLUMNS: usize = 4;
 /// Rows of parts.
 pub const PART_ROWS: usize = 3;
-/// So many views make a good set …
+/// Views of a good set …
 pub const GOOD_VIEWS: usize = 12;
 /// … if not more parts of the picture than this are left out.
 const PARTS_TO_SPARE: usize = 1;

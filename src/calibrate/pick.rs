@@ -17,7 +17,7 @@ const MOST_VIEWS: usize = 40;
 const STILL_SHARE: f64 = 0.006;
 /// A view must be this unlike all before it (see [`ViewShape::distance`]) to be taken …
 const NOVELTY: f64 = 0.2;
-/// … and so much more for every view that there is already.
+/// … and this much more for every view that there is already.
 const NOVELTY_PER_VIEW: f64 = 0.01;
 /// A view this much more blurred than the sharpest so far is passed over.
 const BLURRED: f64 = 1.6;

@@ -35,7 +35,7 @@ impl Waiting {
         Ok(Self { file, is_stopped, writer_until: None })
     }
 
-    /// A named pipe, opened whether somebody writes to it or not.
+    /// A named pipe, opened whether there is a writer or not.
     ///
     /// # Errors
     /// What the system says.

@@ -71,7 +71,7 @@ impl<R: BufRead> Y4mReader<R> {
         self.rate
     }
 
-    /// How many frames a stream of so many bytes has; `None` where it is cut off or its frames carry parameters.
+    /// Frames of a stream of this many bytes; `None` where it is cut off or its frames carry parameters.
     pub fn frames_in(&self, stream_bytes: u64) -> Option<u64> {
         let frame_bytes = 6 + u64::from(self.width) * u64::from(self.height) + self.chroma_bytes;
         let bytes = stream_bytes.checked_sub(self.header_bytes)?;

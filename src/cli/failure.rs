@@ -99,7 +99,7 @@ impl Failure {
         move |source| Self::Output { file: file.to_owned(), source }
     }
 
-    /// True where somebody stopped reading our output, which is their right.
+    /// True where the reader of our output left, which is their right.
     pub fn is_closed_pipe(&self) -> bool {
         match self {
             Self::Output { source, .. } | Self::Demo(DemoError::Print(source)) => source.kind() == io::ErrorKind::BrokenPipe,

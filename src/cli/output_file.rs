@@ -31,7 +31,7 @@ pub(super) struct OutputFile {
     patience: Option<Duration>,
 }
 
-/// What a pipe takes at once or not at all: one that is ready for writing has room for so much (POSIX).
+/// What a pipe takes at once or not at all: one that is ready for writing has room for that (POSIX).
 const PIPE_PIECE: usize = 4096;
 /// Between two looks whether the end is asked for.
 const LOOK: Duration = Duration::from_millis(100);
@@ -77,7 +77,7 @@ impl OutputFile {
         let opened = Self::open(&self.name)?;
         let patience = self.patience;
         *self = Self { patience, ..opened };
-        // Somebody else may have begun it already.
+        // Another program may have begun it already.
         self.to.seek(SeekFrom::End(0)).map_err(Failure::output(&self.name)).map(|_| ())
     }
 

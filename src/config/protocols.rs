@@ -16,7 +16,7 @@ use crate::publish::osc::{AddressTemplate, OscMessageKind, OscSettings, OscValue
 use crate::publish::psn::PsnSettings;
 use crate::publish::{JsonSettings, Protocol, StreamSettings};
 
-/// The sensor's width that lengths are told for where none is given: a common webcam's, millimetres.
+/// The sensor's width that lengths refer to where none is given: a common webcam's, millimetres.
 const SENSOR_WIDTH_MM: f64 = 4.8;
 
 #[derive(Clone, Copy, PartialEq)]

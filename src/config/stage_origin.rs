@@ -1,7 +1,7 @@
-//! `[stage] origin`: the stage frame laid where the house counts from, by points of the first surface that somebody measured there.
+//! `[stage] origin`: the stage frame laid where the house counts from, by points of the first surface that were measured there.
 //!
 //! Surfaces are typed as they stand to one another, with the first one's middle at the origin unless they say otherwise. The house counts from
-//! elsewhere: from the centre line, the floor, the plaster line. Where one point of the first surface is told in the house's terms, all
+//! elsewhere: from the centre line, the floor, the plaster line. Where one point of the first surface is given in the house's terms, all
 //! surfaces move there; where three or more are, they turn as well.
 
 use std::collections::BTreeMap;
@@ -35,7 +35,7 @@ const LARGEST_MISFIT: f64 = 0.02;
 /// What a tape measure is off anyway, metres.
 const TAPE_M: f64 = 0.01;
 
-/// Moves a stage to where the points were measured; a sentence of how well they fit, where that can be told.
+/// Moves a stage to where the points were measured; a sentence of how well they fit, where that is known.
 pub(super) fn place(
     origin: &Origin<'_>,
     typed: &Spanned<BTreeMap<String, Spanned<Exactly<Number, 3>>>>,

@@ -7,7 +7,7 @@ use crate::frame::Timestamp;
 use crate::record::{PoseSample, State};
 use crate::track::Reason;
 
-/// A body that has not been tracked for so long is told of, and its reason again where it changes. Shorter gaps (a hand before the lens,
+/// A body that has not been tracked for this long is reported, and again where its reason changes. Shorter gaps (a hand before the lens,
 /// a whip pan) would fill the log.
 const TOLD_AFTER: Duration = Duration::from_secs(1);
 
@@ -22,7 +22,7 @@ pub struct ReasonWatch {
     told: Told,
 }
 
-/// What was told last.
+/// What was reported last.
 #[derive(Debug, Default, PartialEq, Eq)]
 enum Told {
     #[default]

@@ -96,7 +96,7 @@ pub(crate) mod stepped {
             self.change(|r| (r.boot, r.unix) = (r.boot.after_ns(ns), r.unix.after_ns(ns)));
         }
 
-        /// Somebody sets the time of day.
+        /// The time of day is set.
         pub(crate) fn step_wall_ms(&self, ms: i64) {
             self.change(|r| r.unix = r.unix.after_ns(ms * 1_000_000));
         }

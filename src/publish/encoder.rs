@@ -24,7 +24,7 @@ pub(super) trait Encoder: Send {
         true
     }
 
-    /// The format can say so without a pose, so that a receiver is told even where `on_loss` is "stop".
+    /// The format can say so without a pose, so that a receiver gets it even where `on_loss` is "stop".
     fn announces_loss(&self) -> bool {
         true
     }

@@ -28,7 +28,7 @@ pub struct FreedSettings {
     pub spare: Spare,
     /// Zoom as sent, 24 bits; by default the calibrated focal length in micrometres on the assumed sensor.
     pub zoom: Option<u32>,
-    /// Width of the sensor that the focal length is told for, millimetres.
+    /// Width of the sensor that the focal length refers to, millimetres.
     pub sensor_width_mm: f64,
     /// Focus as sent: 24 bits.
     pub focus: u32,

@@ -112,7 +112,7 @@ impl JsonEncoder {
         ObjectLine::of(body, covariance)
     }
 
-    /// The filming camera, from the comma on; a camera's pose is told of its optical frame.
+    /// The filming camera, from the comma on; a camera's pose is that of its optical frame.
     fn mounted(&self, report: &Report, body: &BodyReport) -> String {
         let pose = body.pose.as_ref().map(|pose| to_camera_axes(pose).renamed());
         let line = ObjectLine { pose, ..ObjectLine::of(body, self.mounted_covariance(report, body)) };

@@ -43,7 +43,7 @@ impl Interface {
     }
 }
 
-/// Whether the kernel must be told by which network an address is reached.
+/// Whether an address must name the network that it is reached by.
 pub fn needs_interface(to: &SocketAddr) -> bool {
     match to {
         SocketAddr::V4(to) => to.ip().is_multicast(),

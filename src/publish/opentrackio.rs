@@ -27,7 +27,7 @@ pub struct OpenTrackIoSettings {
     pub encoding: Encoding,
     /// 1 to 200; also the last byte of the usual multicast group.
     pub source_number: u8,
-    /// Width of the sensor that lengths of the lens are told for, millimetres.
+    /// Width of the sensor that lengths of the lens refer to, millimetres.
     pub sensor_width_mm: f64,
     /// Where the principal point goes.
     pub principal_point: PrincipalPoint,

@@ -29,7 +29,7 @@ fn cut(name: &str) -> &str {
     &name[..end]
 }
 
-/// Names in their order, as many at a time as fit into so many bytes; at least one group, which may be empty.
+/// Names in their order, as many at a time as fit into a number of bytes; at least one group, which may be empty.
 fn groups(names: &[(u16, String)], most: usize) -> Vec<&[(u16, String)]> {
     let (mut groups, mut begun, mut filled) = (Vec::new(), 0, 0);
     for (index, (_, name)) in names.iter().enumerate() {

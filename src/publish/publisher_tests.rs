@@ -203,7 +203,7 @@ impl Stepped {
         Self { clocks, publisher, sequence: 0 }
     }
 
-    /// A frame of so many milliseconds ago is handed over.
+    /// A frame taken this many milliseconds ago is handed over.
     fn frame(&mut self, age_ms: i64, state: State, x: f64) {
         let timestamp = self.clocks.read().monotonic.after_ns(-age_ms * 1_000_000);
         self.publisher.send(&PoseSample { timestamp, ..sample(self.sequence, state, x) });

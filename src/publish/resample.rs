@@ -117,7 +117,7 @@ impl Resampler {
     }
 }
 
-/// A length of time, or so many half frame intervals where those are longer.
+/// A length of time, or `halves` half frame intervals where those are longer.
 fn longest(least: Duration, interval: Duration, halves: u32) -> Duration {
     least.max(interval.saturating_mul(halves) / 2)
 }

@@ -39,7 +39,7 @@ fn uniform_motion_is_met_between_and_after_samples() {
     assert!(r.at(Timestamp::from_ns(-1), FRAME).pose.is_none() && r.at(at_ms(200), FRAME).pose.is_none());
 }
 
-/// (state, carried on) at so many milliseconds.
+/// (state, carried on) after some milliseconds.
 fn told(r: &Resampler, ms: i64) -> (State, bool) {
     let known = r.at(at_ms(ms), FRAME);
     (known.state, known.is_predicted)

@@ -150,7 +150,7 @@ pub struct SafetySettings {
     pub permitted_box_m: Option<[[f64; 3]; 2]>,
     /// After a loss the output returns to the pose at these rates instead of jumping.
     pub blend: Option<BlendRates>,
-    /// No frame for this long is a failure that the receiver is told of.
+    /// No frame for this long is a failure that is sent to the receiver.
     pub stale_after: Duration,
 }
 

@@ -24,7 +24,7 @@ pub struct VirtualStage {
     pub stage: BodySpec,
     /// Tracked objects.
     pub objects: Vec<MovingObject>,
-    /// Painted surfaces at rest in the stage frame that no tracker is told of: a floor, a wall.
+    /// Painted surfaces at rest in the stage frame that the tracker does not know: a floor, a wall.
     pub scenery: Vec<SurfaceSpec>,
     /// People and things that pass in front.
     pub occluders: Vec<Occluder>,

@@ -18,7 +18,7 @@ pub const MOST_FRAMES: usize = 240;
 const MOST_PASSES: usize = 12;
 /// Start: a sensor that reads all rows at once, and a usual exposure, seconds.
 const FIRST: Shutter = Shutter { readout_s: 0.0, exposure_s: 0.004 };
-/// Shortest exposure that is told from none, seconds.
+/// Shortest exposure that differs from none, seconds.
 const SHORTEST_EXPOSURE_S: f64 = 3e-4;
 /// Largest change in one pass: of the readout as a share of the time between frames, of the exposure as a share of itself.
 const LARGEST_READOUT_STEP: f64 = 0.2;
@@ -45,7 +45,7 @@ pub struct ShutterTime {
     pub seconds: f64,
     /// One standard deviation, seconds.
     pub sigma_s: f64,
-    /// Frames that told of it.
+    /// Frames that say something of it.
     pub frames: usize,
 }
 

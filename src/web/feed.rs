@@ -1,6 +1,6 @@
 //! The last sample, for requests, and every sample as it comes, for WebSockets.
 //!
-//! Both are told how old a frame is by the same rule as the outputs: once the newest frame is older than the limit, the answer is that no
+//! Both judge a frame's age by the same rule as the outputs: once the newest frame is older than the limit, the answer is that no
 //! pose is known, whatever the last record was, and so it is where a record comes late. A record whose stamp does not follow the last one
 //! (a row that was skipped) says nothing of the bodies and is passed over.
 

@@ -52,7 +52,7 @@ const BRIEFLY: Duration = Duration::from_secs(2);
 /// What a connection may take to end in form.
 const ENDS_WITHIN: Duration = Duration::from_millis(250);
 
-/// How often clients are told where the newest frame has become too old.
+/// How often clients get a message where the newest frame has become too old.
 const WATCH_EVERY: Duration = Duration::from_millis(100);
 
 /// Why the server cannot run.
@@ -113,7 +113,7 @@ impl Server {
         self.address
     }
 
-    /// From now on a frame older than `most` is told as stale, by this clock. Without it every record is given as it came.
+    /// From now on a frame older than `most` is sent as stale, by this clock. Without it every record is given as it came.
     pub fn judge_ages(&self, clock: Arc<FrameClock>, most: Duration) {
         self.feed.judge_ages(clock, most);
     }
@@ -180,7 +180,7 @@ async fn serve(listener: TcpListener, site: Arc<Site>, mut stopped: watch::Recei
             yield_now().await;
         }
     }
-    // Clients are told the end; whoever does not listen is cut off.
+    // Clients get a last message; who does not listen is cut off.
     let _ = timeout(ENDS_WITHIN + Duration::from_millis(50), places.empty()).await;
 }
 

@@ -57,7 +57,7 @@ const LAST_STEP: f64 = 4e-3;
 const LAST_GAIN: f64 = 3e-3;
 /// Windows drawn for one corner at most …
 const ROUNDS: usize = 4;
-/// … after so many that are good for one step only, where that shows that they do not lie around the corner.
+/// … after this many that are good for one step only, where that shows that they do not lie around the corner.
 const HASTY_ROUNDS: usize = 2;
 /// Residuals above this share of the contrast are no chessboard corner.
 pub(crate) const LARGEST_RESIDUAL: f64 = 0.35;

@@ -16,9 +16,9 @@ const UNLIKE: f64 = 0.4;
 const ALIKE: f64 = 0.2;
 /// A piece is kept when its corners lie this near, in squares, to where the board foretells them.
 const NEAR: f64 = 0.35;
-/// So many of its corners, those nearest to the board, are asked.
+/// Corners of it that are asked: those nearest to the board.
 const TOLD: usize = 6;
-/// How many of the board's corners foretell one beyond it.
+/// Corners of the board that predict one beyond it.
 const FORETELLERS: usize = 16;
 
 impl Lattice {
@@ -96,7 +96,7 @@ impl Lattice {
         })
     }
 
-    /// Whether a corner lies where the nearest ones of the board foretell it, as on a plane seen from afar.
+    /// Whether a corner lies where the nearest ones of the board predict it, as on a plane seen from afar.
     fn is_foretold(&self, at: Place, board: &[Place]) -> bool {
         let mut nearest: Vec<(i32, Place)> = board.iter().map(|b| ((b.0 - at.0).pow(2) + (b.1 - at.1).pow(2), *b)).collect();
         nearest.sort_unstable();

@@ -1,4 +1,4 @@
-//! A lattice of corners: whole-number coordinates, positions in the picture, and what they foretell of their neighbours.
+//! A lattice of corners: whole-number coordinates, positions in the picture, and what they predict of their neighbours.
 //!
 //! Coordinates (i, j) turn clockwise in the picture from +i to +j, and the square between +i and +j of corner (0, 0)
 //! is dark, so the one of (i, j) is dark where i + j is even.
@@ -54,9 +54,9 @@ impl Extent {
     }
 }
 
-/// A corner this share of a square away from where its neighbours foretell it is none.
+/// A corner this share of a square away from where its neighbours predict it is none.
 const STRAY: f64 = 0.25;
-/// Corners up to so many squares away foretell one.
+/// Corners up to this many squares away predict one.
 const FORETELLS: i32 = 3;
 /// More than this times the noise and this share of the contrast left unexplained is no clean corner.
 const DISTURBED_NOISE: f64 = 2.0;
@@ -154,7 +154,7 @@ impl Lattice {
         self.cells.retain(|_, cell| cell.residual < (DISTURBED_NOISE * noise).hypot(DISTURBED_SHARE * cell.contrast));
     }
 
-    /// Drops corners that lie where their neighbours do not foretell them, the worst first.
+    /// Drops corners that lie where their neighbours do not predict them, the worst first.
     pub fn drop_strays(&mut self) {
         let mut off: Grid<f64> = self.cells.filter_map(|at, cell| Some(self.share_off(at, cell)));
         loop {
@@ -171,7 +171,7 @@ impl Lattice {
         }
     }
 
-    /// How far a corner lies from where its neighbours foretell it, squares; infinite where nothing speaks for it.
+    /// How far a corner lies from where its neighbours predict it, squares; infinite where nothing speaks for it.
     fn share_off(&self, (i, j): Place, cell: &Cell) -> f64 {
         let share = |[u, v]: [Vector2<f64>; 2]| Some((cell.position - self.predicted(i, j)?).norm() / u.norm().min(v.norm()));
         self.steps(i, j).and_then(share).unwrap_or(f64::INFINITY)

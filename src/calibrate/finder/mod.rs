@@ -1,7 +1,7 @@
 //! The board finder: a grey picture in, the board's inner corners out, each to a few hundredths of a pixel.
 //!
 //! From the coarsest level of a pyramid to the finest: candidates (`saddle`), what hangs together as a lattice
-//! (`links`), missing corners fitted where their neighbours foretell them (`grow`, on the `lattice` kept in a `grid`). The first
+//! (`links`), missing corners fitted where their neighbours predict them (`grow`, on the `lattice` kept in a `grid`). The first
 //! level that shows the board nearly whole ends the search - coarse levels are cheap and do not see a screen's pixels,
 //! paper's grain or noise; one on which the lattice is torn waits until the finer ones have been seen. Then every corner, the
 //! missing ones too, is fitted on the finest level that is sharper than the blur (`fit`), and the lattice is turned so that

@@ -13,7 +13,7 @@ const LINE_EVERY: u64 = 15;
 #[derive(Debug)]
 pub(super) struct LivePrint<W> {
     out: W,
-    /// Somebody watches: rewrite one line.
+    /// At a terminal: rewrite one line.
     rewrite: bool,
 }
 

@@ -1,7 +1,7 @@
 //! The saved clip: a folder that `stagepose replay` reads like a recorded one, with the truth beside it.
 //!
 //! `frames/` and `timestamps.csv` are the clip (contract C2), `stage.toml`, `camera.toml` and the artwork what the
-//! tracker is told, and `groundtruth.txt` the exact poses in TUM form, at the same stamps.
+//! tracker knows, and `groundtruth.txt` the exact poses in TUM form, at the same stamps.
 
 use std::fmt::Write as _;
 use std::fs::{self, File};

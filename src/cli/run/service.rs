@@ -24,7 +24,7 @@ pub(super) struct Service {
     told: Instant,
     pinged: Instant,
     frames_before: u64,
-    /// Count and sum of the ages that were told of already.
+    /// Count and sum of the ages that were reported already.
     ages_before: (u64, f64),
     /// When the pipeline last gave a sign of life.
     alive: Instant,

@@ -32,7 +32,7 @@ use crate::tracker::Tracker;
 
 /// Between two stale messages while a camera is waited for.
 const STALE_REPEAT: Duration = Duration::from_millis(100);
-/// A reader of `--poses` or `--events` that takes nothing for so long is given up: it holds up whoever else is told.
+/// A reader of `--poses` or `--events` that takes nothing for this long is given up: it holds up the other outputs.
 const SLOW_READER: Duration = Duration::from_millis(200);
 
 /// Why a session ended.

@@ -36,7 +36,7 @@ pub(super) struct Shared {
     pub stop: Arc<AtomicBool>,
     /// The mode of the first opening: later ones must have its size.
     pub first_mode: Mutex<Option<CameraMode>>,
-    /// True once somebody reads; what was there before is not late.
+    /// True once there is a reader; what was there before is not late.
     pub is_read: AtomicBool,
     /// True once it was said that the driver gives no stamps.
     pub unstamped_said: AtomicBool,

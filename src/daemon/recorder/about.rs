@@ -13,7 +13,7 @@ use crate::config::ConfigSource;
 use crate::frame::Timestamp;
 use crate::utc;
 
-/// What a clip is told of itself.
+/// What a clip says of itself.
 #[derive(Debug, Clone)]
 pub struct AboutClip {
     /// The camera as it was opened.

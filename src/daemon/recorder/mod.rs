@@ -2,7 +2,7 @@
 //!
 //! A recording is a clip that replays to the same records byte for byte. It is written so that it is a good clip at every
 //! moment: a picture first, then its line. A disk that is full or too slow ends the recording and nothing else.
-//! The ring keeps the last seconds in the same form, until somebody wants to know what happened just now.
+//! The ring keeps the last seconds in the same form, until a user wants to know what happened just now.
 
 mod about;
 mod clip_folder;
