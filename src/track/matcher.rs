@@ -273,7 +273,7 @@ impl Matcher {
         self.levels.update(&frame.image);
         let stage = self.bodies.first_mut()?;
         let expected = MotionEstimate::unseen(*start, stage.aligner.distance_m(start), shift_m, turn_rad);
-        Some(*stage.aligner.align(&mut self.levels, &self.camera_rays, &expected, None)?.alignment())
+        Some(stage.aligner.align(&mut self.levels, &self.camera_rays, &expected, None)?.alignment)
     }
 
     /// The stage's surfaces that are recognised in a picture, before any size is asked: for studies of a config that does not fit. Neither the

@@ -139,7 +139,7 @@ impl TrackedBody {
         since_s: Option<f64>,
     ) -> Option<Verified> {
         let mut solution = self.aligner.align(levels, camera_rays, expected, since_s)?;
-        let found = *solution.alignment();
+        let found = solution.alignment;
         // Pushed far away, it is a new pose as much as one that was found anew.
         let is_expected = since_s.is_some() && !found.is_pushed();
         debug!(
@@ -153,7 +153,7 @@ impl TrackedBody {
         if !found.is_credible(is_expected) {
             return None;
         }
-        self.clue = solution.shutter_clue();
+        self.clue = solution.shutter_clue;
         if !is_expected {
             self.process_noise = ProcessNoise::default();
         } else if self.clue.is_none() {

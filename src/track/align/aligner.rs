@@ -40,9 +40,11 @@ struct Settings {
 pub struct Solution<'a> {
     aligner: &'a mut Aligner,
     rays: &'a CameraRays,
-    alignment: Alignment,
+    /// What it came to.
+    pub alignment: Alignment,
+    /// What the frame says of the shutter; `None` where it is not asked.
+    pub shutter_clue: Option<ShutterClue>,
     lessons: Lessons,
-    shutter_clue: Option<ShutterClue>,
 }
 
 impl Aligner {
@@ -101,16 +103,6 @@ impl Aligner {
 }
 
 impl Solution<'_> {
-    /// What it came to.
-    pub fn alignment(&self) -> &Alignment {
-        &self.alignment
-    }
-
-    /// What the frame says of the shutter; `None` where it is not asked.
-    pub fn shutter_clue(&self) -> Option<ShutterClue> {
-        self.shutter_clue
-    }
-
     /// Adds the pixels that the pose rests on.
     pub fn used_pixels(&mut self, out: &mut Vec<UsedPixel>) {
         if let Some(solution) = self.aligner.buffers.fine.solution() {

@@ -23,13 +23,13 @@ fn levels(seed: u32) -> FrameLevels {
 fn aligned(frame: &mut FrameLevels, start: &Pose<Camera, Body>) -> Option<Alignment> {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
-    aligner.align(frame, &CameraRays::new(lens(480, 360), None), &expected, None).map(|solution| *solution.alignment())
+    aligner.align(frame, &CameraRays::new(lens(480, 360), None), &expected, None).map(|solution| solution.alignment)
 }
 
 /// Aligns a frame and accepts its pose.
 fn accepted(aligner: &mut Aligner, frame: &mut FrameLevels, rays: &CameraRays, expected: &MotionEstimate) -> Alignment {
     let solution = aligner.align(frame, rays, expected, None).expect("the picture agrees");
-    let found = *solution.alignment();
+    let found = solution.alignment;
     solution.accept(&mut Vec::new());
     found
 }
@@ -152,7 +152,7 @@ fn a_frame_whose_pose_is_not_accepted_teaches_nothing() {
     // Another picture, and the right one from starts that the slow estimates would learn from.
     let _ = aligner.align(&mut levels(2), &rays, &expected(0.0), None);
     assert_eq!(learnt(&aligner), before);
-    let first = aligner.align(&mut levels(1), &rays, &expected(0.03), None).expect("the picture agrees").alignment().pose;
+    let first = aligner.align(&mut levels(1), &rays, &expected(0.03), None).expect("the picture agrees").alignment.pose;
     assert_eq!(learnt(&aligner), before);
     // Nothing is left of them for the frames to come.
     let again = accepted(&mut aligner, &mut levels(1), &rays, &expected(0.03)).pose;
@@ -173,7 +173,7 @@ fn a_trial_that_changes_nothing_leaves_the_solution() {
         let start = perturbed(&truth(), &Vector6::new(0.03, 0.0, 0.0, 0.0, 0.0, 0.0)).inverse();
         let expected = MotionEstimate::unseen(start, 3.4, 0.02, 0.006);
         let rays = CameraRays::new(lens(480, 360), None);
-        let pose = aligner.align(&mut frame, &rays, &expected, None).expect("the picture agrees").alignment().pose;
+        let pose = aligner.align(&mut frame, &rays, &expected, None).expect("the picture agrees").alignment.pose;
         (pose, aligner.buffers.light)
     };
     assert_eq!(found(0), found(TRIAL_FRAMES));

@@ -131,7 +131,8 @@ impl<'a> FrameProblem<'a> {
         let known = Expected { motion, information, psf_variance, psf_variance_sigma: PSF_VARIANCE_SIGMA };
         let (bands, lessons) = (RowBands::new(slow.shutter), Lessons::none(slow));
         let mut frame = Self { surfaces, slow, buffers, levels, rays, expected, known, bands, last_step: Vector6::zeros(), lessons };
-        if frame.blur_px(motion) > SHARP_FRAME_PX {
+        let spec = frame.spec(FINEST, motion);
+        if spec.frame_px() * spec.blur_px > SHARP_FRAME_PX {
             frame.known.psf_variance_sigma = BLURRED_PSF_VARIANCE_SIGMA;
         }
         frame
@@ -139,12 +140,6 @@ impl<'a> FrameProblem<'a> {
 
     fn spec(&self, level: usize, motion: &Motion) -> LevelSpec<'a> {
         LevelSpec::new(self.surfaces, self.slow, self.rays, self.lessons.is_enlarged, level, motion)
-    }
-
-    /// Length of the motion blur, pixels of the frame.
-    fn blur_px(&self, motion: &Motion) -> f64 {
-        let spec = self.spec(FINEST, motion);
-        spec.frame_px() * spec.blur_px
     }
 
     /// Finds the motion that the frame shows; `None` where too little of the body is in view or nothing converges.
