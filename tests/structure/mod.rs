@@ -7,7 +7,7 @@ mod specification;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use modules::{Modules, Name};
 use syn::{Item, Visibility};
@@ -87,22 +87,34 @@ fn only_the_codecs_and_the_diagnostics_are_public_modules() {
     assert!(!text.contains("::*"), "lib.rs names what it gives on");
 }
 
+/// The sources, relative to `src/`.
+fn sources() -> Vec<PathBuf> {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let (mut folders, mut files) = (vec![src.clone()], Vec::new());
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).expect("a folder of sources") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() { folders.push(path) } else { files.push(path.strip_prefix(&src).expect("below src").to_owned()) }
+        }
+    }
+    files
+}
+
+#[test]
+fn no_file_stands_beside_a_folder_of_its_name() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let files = sources();
+    assert!(files.len() > 300, "the reader sees only {} files", files.len());
+    let both: Vec<_> = files.iter().filter(|file| src.join(file).with_extension("").is_dir()).collect();
+    assert!(both.is_empty(), "make them mod.rs in their folders: {both:?}");
+}
+
 /// `lanes.rs` calls AVX2 from safe functions, which is sound while nothing but its macro, which asks the processor first, names the type.
 #[test]
 fn avx2_is_named_only_behind_its_detection() {
     let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let mut folders = vec![src.clone()];
-    let mut naming = Vec::new();
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).expect("a folder of sources") {
-            let path = entry.expect("an entry").path();
-            if path.is_dir() {
-                folders.push(path);
-            } else if std::fs::read_to_string(&path).is_ok_and(|text| text.contains("Avx2")) {
-                naming.push(path.strip_prefix(&src).expect("below src").to_owned());
-            }
-        }
-    }
+    let names_it = |file: &PathBuf| std::fs::read_to_string(src.join(file)).is_ok_and(|text| text.contains("Avx2"));
+    let naming: Vec<_> = sources().into_iter().filter(names_it).collect();
     assert_eq!(naming, [Path::new("track/align/lanes.rs")]);
 }
 
