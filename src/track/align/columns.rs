@@ -1,17 +1,21 @@
 //! The columns of a tile's normal equations, and the sums of their products.
 
-/// Columns of a tile: pose (6), point spread, bias, gain at the four corners of its cell.
-pub const COLUMNS: usize = 12;
-/// Where the columns other than the pose start.
-pub const PSF_VARIANCE: usize = 6;
-/// See [`PSF_VARIANCE`].
-pub const BIAS: usize = 7;
-/// See [`PSF_VARIANCE`].
-pub const GAINS: usize = 8;
+/// Columns of a tile: those of the pose, then the light's: point spread, bias, gain at the four corners of its cell.
+pub const COLUMNS: usize = POSE + LIGHT;
+/// Columns of the pose, which come first.
+pub const POSE: usize = 6;
+/// Columns of the light.
+pub const LIGHT: usize = 6;
+/// The column of the point spread's variance.
+pub const PSF_VARIANCE: usize = POSE;
+/// The column of the bias.
+pub const BIAS: usize = POSE + 1;
+/// The first of the four columns of the gains.
+pub const GAINS: usize = POSE + 2;
 /// Columns and the residual.
 pub const ALL: usize = COLUMNS + 1;
 /// Entries of the upper triangle of the pose's columns.
-pub const POSE_ENTRIES: usize = PSF_VARIANCE * (PSF_VARIANCE + 1) / 2;
+pub const POSE_ENTRIES: usize = POSE * (POSE + 1) / 2;
 
 /// Weighted sums over one run of pixels.
 #[derive(Debug, Clone, Copy)]
@@ -48,11 +52,11 @@ impl TileSums {
     pub fn of_pose(&self) -> [f64; POSE_ENTRIES] {
         let mut triangle = [0.0; POSE_ENTRIES];
         let (mut to, mut from) = (0, 0);
-        for i in 0..PSF_VARIANCE {
-            for j in 0..PSF_VARIANCE - i {
+        for i in 0..POSE {
+            for j in 0..POSE - i {
                 triangle[to + j] = f64::from(self.sums[from + j]);
             }
-            (to, from) = (to + PSF_VARIANCE - i, from + ALL - i);
+            (to, from) = (to + POSE - i, from + ALL - i);
         }
         triangle
     }
@@ -80,5 +84,5 @@ impl TileSums {
 /// Where entry (i, j) of a symmetric matrix of the pose's columns is, in its upper triangle row by row.
 pub const fn entry(i: usize, j: usize) -> usize {
     let (i, j) = if i <= j { (i, j) } else { (j, i) };
-    i * PSF_VARIANCE - i * (i + 1) / 2 + j
+    i * POSE - i * (i + 1) / 2 + j
 }

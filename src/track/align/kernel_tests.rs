@@ -3,12 +3,12 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::appearance::{Appearance, Predicted, predict, predict_lanes};
-use super::columns::{COLUMNS, entry};
+use super::columns::{BIAS, COLUMNS, GAINS, POSE, PSF_VARIANCE, entry};
 use super::evidence::{RunEvidence, evidence, evidence_lanes};
 use super::frame_levels::FrameLevels;
 use super::lanes::{LANES, Lanes, Plain, load_at};
 use super::level_spec::LevelSpec;
-use super::light::RememberedLight;
+use super::light::{RememberedLight, TileLight};
 use super::noise::Noise;
 use super::noise_sums::{noise_sums, noise_sums_lanes};
 use super::normal::{Residuals, RobustWeighting, RunView, columns, less_step, moments, residuals, weight};
@@ -164,7 +164,7 @@ fn plain_twins_sum_the_same_and_sums_are_products_of_the_columns() {
     found.resize(scene.pixels.len());
     let weighting = RobustWeighting { scale: 3.0, is_first_pass: false, stride: 1 };
     let mut step = [0.0; COLUMNS];
-    step[7] = 0.5;
+    step[BIAS] = 0.5;
     let mut products = Box::<ProductBuffer>::default();
     for run in scene.pixels.runs() {
         let tile = scene.pixels.light_of(run);
@@ -185,6 +185,45 @@ fn plain_twins_sum_the_same_and_sums_are_products_of_the_columns() {
         assert_near(&fast.map(f64::from), &plain.map(f64::from));
         let n = moments(&scene.pixels, run, &at)[0];
         assert!(n <= f64::from(run.end - run.start) && n > 0.0);
+    }
+}
+
+#[test]
+fn derivatives_by_the_light_agree_with_differences() {
+    let scene = scene();
+    let at = appearance(&scene, &scene.motion, 1);
+    let noise = Noise { dark: 0.6, per_intensity: 0.01, model_px: 0.01 };
+    let mut out = Residuals::default();
+    out.resize(scene.pixels.len());
+    for run in scene.pixels.runs() {
+        let light = TileLight { gains: [0.8, 0.9, 1.1, 1.2], psf_variance: 0.1, bias: 5.0 };
+        let mut residual = |change: &dyn Fn(&mut TileLight)| {
+            let mut changed = light;
+            change(&mut changed);
+            residuals(&scene.pixels, run, &at, &changed, &noise, &mut out);
+            out.intensity[run.range()].to_vec()
+        };
+        let step = 0.125;
+        let mut difference = |column: usize| {
+            let by = |sign: f32| {
+                move |light: &mut TileLight| match column {
+                    PSF_VARIANCE => light.psf_variance += sign * step,
+                    BIAS => light.bias += sign * step,
+                    _ => light.gains[column - GAINS] += sign * step,
+                }
+            };
+            let (minus, plus) = (residual(&by(-1.0)), residual(&by(1.0)));
+            minus.iter().zip(plus).map(|(minus, plus)| (minus - plus) / (2.0 * step)).collect::<Vec<f32>>()
+        };
+        for column in POSE..COLUMNS {
+            let difference = difference(column);
+            for (n, k) in run.range().step_by(LANES).enumerate() {
+                let (columns, _) = columns::<Plain>(&scene.pixels, &at, &light, k);
+                for (found, expected) in lanes(columns[column]).iter().zip(&difference[n * LANES..]) {
+                    assert!((found - expected).abs() < 1e-3 * expected.abs() + 2e-3, "{column}: {found} {expected}");
+                }
+            }
+        }
     }
 }
 

@@ -5,10 +5,14 @@
 //! four nodes. What outlives a grid is a [`RememberedLight`], which no tile can ask.
 //!
 //! # Where another parameter goes
-//! 1. [`columns`](super::columns): its index, before `GAINS`, and `COLUMNS` one more. All sums over pixels take their sizes from there.
-//! 2. [`normal`](super::normal): its derivative in `columns`, its effect in `residuals_lanes`. `kernel_tests` hold the one to differences of the other.
-//! 3. Here: [`Light`], [`TileLight`], [`RememberedLight`] and what copies them: `of_tile`, `spread_over`, `correct`, `guess`, `take`.
-//! 4. [`system`](super::system): `DENSE`, its prior in `begin`, its part of `Step`, its place in `spread_out` and in the list `others` of `add`.
+//! 1. [`columns`](super::columns): its column before `GAINS`, and `LIGHT` one more. Sums take their sizes from there; the blocks that they are
+//!    computed by stop compiling until `tile_products` lays them out anew.
+//! 2. [`normal`](super::normal): its effect in `residuals_lanes`, its derivative in `columns`; `kernel_tests` hold the one to differences of the other.
+//!    A term that is not linear in the picture also changes the columns beside it, and the slope of seen by predicted that `columns` gives as the gain.
+//! 3. Here: a field of [`Light`], [`TileLight`] and [`RememberedLight`], and all that copies them: `of_tile`, `spread_over`, `correct`, `guess`, `take`,
+//!    `clone_from`. `correct` and `guess` are called through [`pixels`](super::pixels) by [`level_problem`](super::level_problem).
+//! 4. [`system`](super::system): its prior in `begin`, its part of `Step` and of `of_tile`, its place in `spread_out` and in the list `others` of `add`.
+//!    A parameter that is one for the whole frame counts among `SHARED`.
 
 use super::tile_grid::TileGrid;
 

@@ -65,7 +65,7 @@ pub struct RunView<'a> {
     pub residuals: &'a Residuals,
 }
 
-/// Gain at each pixel of a run.
+/// How much the gain at each corner of its cell counts at a pixel.
 #[inline(always)]
 fn corner_weights<L: Lanes>(pixels: &Pixels, k: usize) -> [L; 4] {
     let (a, b) = (load_at::<L>(&pixels.cell[0], k), load_at::<L>(&pixels.cell[1], k));

@@ -6,12 +6,7 @@
 //! difference between them: the pose would take what is the motion's, by centimetres, and the covariance would not tell.
 //! So the motion's columns have the time of each row.
 
-use super::columns::{COLUMNS, POSE_ENTRIES as TRIANGLE, PSF_VARIANCE, entry};
-
-/// Columns of the pose.
-const POSE: usize = PSF_VARIANCE;
-/// Columns of a tile other than the pose.
-const OTHERS: usize = COLUMNS - POSE;
+use super::columns::{LIGHT, POSE, POSE_ENTRIES as TRIANGLE, entry};
 
 /// Weighted sums over one run, with `d` for the seconds from the middle of the tile to a pixel's row.
 #[derive(Debug, Clone, Copy)]
@@ -21,7 +16,7 @@ pub struct RowSums {
 
 impl RowSums {
     /// How many sums there are.
-    pub const ENTRIES: usize = 2 * TRIANGLE + POSE * (OTHERS + 1);
+    pub const ENTRIES: usize = 2 * TRIANGLE + POSE * (LIGHT + 1);
 
     /// From the sums in the order of their places.
     pub fn new(sums: [f32; Self::ENTRIES]) -> Self {
@@ -38,9 +33,9 @@ impl RowSums {
         TRIANGLE + entry(i, j)
     }
 
-    /// Where the sum of w d a_i a_c is: column `i` of the pose by any other column from [`PSF_VARIANCE`] on; [`COLUMNS`] is the residual.
+    /// Where the sum of w d a_i a_c is: column `i` of the pose by any other column from [`POSE`] on; [`COLUMNS`](super::columns::COLUMNS) is the residual.
     pub const fn other(i: usize, c: usize) -> usize {
-        2 * TRIANGLE + i * (OTHERS + 1) + c - POSE
+        2 * TRIANGLE + i * (LIGHT + 1) + c - POSE
     }
 
     /// Sum of w d a_i a_j for columns of the pose: the upper triangle, row by row.

@@ -1,6 +1,6 @@
 //! The normal equations of one tile, in its own columns and in those that its rows' times add.
 
-use super::columns::{COLUMNS, POSE_ENTRIES, PSF_VARIANCE, TileSums, entry};
+use super::columns::{COLUMNS, POSE, POSE_ENTRIES, TileSums, entry};
 use super::rows::RowSums;
 
 /// What a tile says, linearised: its sums, and those of the times of its rows.
@@ -18,7 +18,7 @@ pub struct TileStep {
     /// Of its columns, at its middle.
     pub columns: [f32; COLUMNS],
     /// How the change of the pose grows from row to row, per second.
-    pub rate: [f32; PSF_VARIANCE],
+    pub rate: [f32; POSE],
 }
 
 /// One number for each column, and for each column of the pose times the seconds from the middle of the tile.
@@ -27,28 +27,28 @@ pub struct TileScore {
     /// By column.
     pub columns: [f64; COLUMNS],
     /// By column of the pose and time.
-    pub timed: [f64; PSF_VARIANCE],
+    pub timed: [f64; POSE],
 }
 
 /// A symmetric matrix of the pose's columns times a vector.
-fn times(triangle: &[f64; POSE_ENTRIES], vector: &[f64; PSF_VARIANCE]) -> [f64; PSF_VARIANCE] {
-    std::array::from_fn(|i| (0..PSF_VARIANCE).map(|j| triangle[entry(i, j)] * vector[j]).sum())
+fn times(triangle: &[f64; POSE_ENTRIES], vector: &[f64; POSE]) -> [f64; POSE] {
+    std::array::from_fn(|i| (0..POSE).map(|j| triangle[entry(i, j)] * vector[j]).sum())
 }
 
 impl TileEquations {
     /// The normal matrix times a step: what of the right side it explains.
     pub fn explained(&self, step: &TileStep) -> TileScore {
         let mut columns = self.sums.by_step(&step.columns);
-        let Some(rows) = &self.rows else { return TileScore { columns, timed: [0.0; PSF_VARIANCE] } };
+        let Some(rows) = &self.rows else { return TileScore { columns, timed: [0.0; POSE] } };
         let rate = step.rate.map(f64::from);
         let by_time = rows.by_time();
-        let pose: [f64; PSF_VARIANCE] = std::array::from_fn(|i| f64::from(step.columns[i]));
+        let pose: [f64; POSE] = std::array::from_fn(|i| f64::from(step.columns[i]));
         let (own, squared) = (times(&by_time, &pose), times(&rows.by_squared_time(), &rate));
-        let mut timed: [f64; PSF_VARIANCE] = std::array::from_fn(|i| own[i] + squared[i]);
+        let mut timed: [f64; POSE] = std::array::from_fn(|i| own[i] + squared[i]);
         for (sum, more) in columns.iter_mut().zip(times(&by_time, &rate)) {
             *sum += more;
         }
-        for (c, sum) in columns.iter_mut().enumerate().skip(PSF_VARIANCE) {
+        for (c, sum) in columns.iter_mut().enumerate().skip(POSE) {
             for (i, timed) in timed.iter_mut().enumerate() {
                 let product = rows.by_other(i, c);
                 *sum += product * rate[i];

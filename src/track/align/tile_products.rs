@@ -4,7 +4,7 @@
 //! a run are laid out in a buffer that is kept and never cleared, their products are summed block by block in registers, and
 //! eight sums of lanes are added across at a time.
 
-use super::columns::{ALL, COLUMNS, PSF_VARIANCE, TileSums};
+use super::columns::{ALL, COLUMNS, POSE, TileSums};
 use super::lanes::{LANES, Lanes, dispatch, load_at};
 use super::normal::{RobustWeighting, RunView, columns, less_step, weight};
 use super::rows::RowSums;
@@ -15,8 +15,8 @@ use super::tile_equations::TileEquations;
 const CHUNK: usize = 16;
 /// The first factors: all of [`ALL`] weighted, those of the pose once more times the seconds from the tile's middle, and times their squares.
 const TIMED: usize = ALL;
-const SQUARED: usize = TIMED + PSF_VARIANCE;
-const FACTORS: usize = SQUARED + PSF_VARIANCE;
+const SQUARED: usize = TIMED + POSE;
+const FACTORS: usize = SQUARED + POSE;
 /// Sums are kept for the tile, then for its rows, each filled up to whole [`LANES`].
 const ROW_SUMS: usize = TileSums::ENTRIES.next_multiple_of(LANES);
 const SUMS: usize = ROW_SUMS + RowSums::ENTRIES.next_multiple_of(LANES);
@@ -76,7 +76,7 @@ pub fn tile_equations_lanes<L: Lanes>(
         put::<L>(&mut buffer.factors[COLUMNS], n, r.mul(w));
         if let Some(delay_s) = delay_s {
             let d = load_at::<L>(&pixels.delay_s, k).sub(L::splat(delay_s));
-            for i in 0..PSF_VARIANCE {
+            for i in 0..POSE {
                 let timed = columns[i].mul(w).mul(d);
                 put::<L>(&mut buffer.factors[TIMED + i], n, timed);
                 put::<L>(&mut buffer.factors[SQUARED + i], n, timed.mul(d));
@@ -104,6 +104,7 @@ fn add_products<L: Lanes>(buffer: &mut ProductBuffer, n: usize, is_first: bool, 
             $(add_block::<L, $rows, $columns, { $i }, { $j }>(buffer, n, is_first);)*
         };
     }
+    const { assert!(POSE == 6 && COLUMNS == 12, "the blocks are laid out for these columns and the residual: lay them out anew") }
     // Blocks of three factors by four columns: their sums stay in registers while a chunk is walked through.
     blocks!(3 x 4: [0, 0] [0, 4] [0, 8] [3, 3] [3, 7] [6, 6] [9, 9]);
     blocks!(3 x 1: [0, 12] [3, 11] [3, 12] [6, 10] [6, 11] [6, 12]);
@@ -154,7 +155,7 @@ const fn place(factor: usize, column: usize) -> Option<usize> {
         let i = factor - TIMED;
         if i > column {
             None
-        } else if column < PSF_VARIANCE {
+        } else if column < POSE {
             Some(ROW_SUMS + RowSums::timed(i, column))
         } else {
             Some(ROW_SUMS + RowSums::other(i, column))

@@ -48,7 +48,7 @@ pub struct Expected<'a> {
     pub information: &'a MotionMatrix,
     /// The slow average of the point spread, and one sigma about it.
     pub psf_variance: f64,
-    /// See `spread`.
+    /// See `psf_variance`.
     pub psf_variance_sigma: f64,
 }
 

@@ -6,7 +6,7 @@
 
 use nalgebra::SVector;
 
-use super::columns::{BIAS, COLUMNS, GAINS, POSE_ENTRIES, PSF_VARIANCE, entry};
+use super::columns::{BIAS, COLUMNS, GAINS, LIGHT, POSE, POSE_ENTRIES, PSF_VARIANCE, entry};
 use super::light::Light;
 use super::rows::RowSums;
 use super::tile_equations::{TileEquations, TileScore, TileStep};
@@ -16,8 +16,10 @@ pub mod schur_complement;
 
 /// Degrees of freedom of a motion.
 pub const MOTION: usize = 18;
-/// Unknowns behind the light nodes: point spread, bias, motion.
-const DENSE: usize = 2 + MOTION;
+/// Unknowns of the light that are the same for the whole frame, behind its nodes: point spread, bias.
+const SHARED: usize = LIGHT - 4;
+/// Unknowns behind the light nodes: those, and the motion.
+const DENSE: usize = SHARED + MOTION;
 
 /// Relative difference of gain that is usual between neighbouring nodes.
 const ROUGHNESS: f64 = 0.15;
@@ -53,7 +55,7 @@ pub struct Prior<'a> {
     pub error: MotionError,
     /// The slow average of the point spread, and one sigma about it.
     pub psf_variance: f64,
-    /// See `spread`.
+    /// See `psf_variance`.
     pub psf_variance_sigma: f64,
 }
 
@@ -67,7 +69,7 @@ struct PoseSums {
     by_pose: [[f64; POSE_ENTRIES]; 6],
     /// Pose by all other unknowns, six to each, for each power.
     by_others: [Vec<f64>; POWERS],
-    right: [[f64; 6]; POWERS],
+    right: [[f64; POSE]; POWERS],
 }
 
 impl Default for PoseSums {
@@ -100,7 +102,7 @@ pub struct System {
     right: Vec<f64>,
     solution: Vec<f64>,
     /// Columns of the inverse that belong to the pose.
-    pose_columns: [Vec<f64>; 6],
+    pose_columns: [Vec<f64>; POSE],
     score: Vec<f64>,
 }
 
@@ -130,16 +132,16 @@ impl Step<'_> {
 
     /// Motion.
     pub fn motion(&self) -> MotionError {
-        MotionError::from_column_slice(&self.all[self.nodes + 2..])
+        MotionError::from_column_slice(&self.all[self.nodes + SHARED..])
     }
 
     /// The part that a tile sees.
     pub fn of_tile(&self, nodes: [usize; 4], time: &TileTime) -> TileStep {
-        let motion = &self.all[self.nodes + 2..];
-        let by = |factors: [f64; POWERS], c: usize| (0..POWERS).map(|p| factors[p] * motion[6 * p + c]).sum::<f64>();
+        let motion = &self.all[self.nodes + SHARED..];
+        let by = |factors: [f64; POWERS], c: usize| (0..POWERS).map(|p| factors[p] * motion[POSE * p + c]).sum::<f64>();
         let columns = std::array::from_fn(|c| {
             let value = match c {
-                0..PSF_VARIANCE => by(time.factors(), c),
+                0..POSE => by(time.factors(), c),
                 PSF_VARIANCE => self.psf_variance(),
                 BIAS => self.bias(),
                 _ => self.all[nodes[c - GAINS]],
@@ -163,13 +165,13 @@ impl System {
             list.resize(length, 0.0);
         }
         self.pose.by_pose = [[0.0; POSE_ENTRIES]; 6];
-        self.pose.right = [[0.0; 6]; POWERS];
+        self.pose.right = [[0.0; POSE]; POWERS];
         for list in &mut self.pose.by_others {
             list.clear();
-            list.resize(6 * (self.nodes + 2), 0.0);
+            list.resize(POSE * (self.nodes + SHARED), 0.0);
         }
         self.smooth(columns, light);
-        let (psf_variance, bias, motion) = (self.nodes, self.nodes + 1, self.nodes + 2);
+        let (psf_variance, bias, motion) = (self.nodes, self.nodes + 1, self.nodes + SHARED);
         self.matrix[psf_variance * n + psf_variance] = prior.psf_variance_sigma.powi(-2);
         self.right[psf_variance] = (prior.psf_variance - light.psf_variance()) * prior.psf_variance_sigma.powi(-2);
         self.matrix[bias * n + bias] = BIAS_SIGMA.powi(-2);
@@ -206,9 +208,9 @@ impl System {
     /// Adds a score of a tile to each unknown that it belongs to: calls `add` with the unknown's place and what it gets.
     fn spread_out(&self, score: &TileScore, nodes: [usize; 4], time: &TileTime, mut add: impl FnMut(usize, f64)) {
         let (factors, rates) = (time.factors(), time.rates());
-        for c in 0..PSF_VARIANCE {
+        for c in 0..POSE {
             for p in 0..POWERS {
-                add(self.nodes + 2 + 6 * p + c, factors[p] * score.columns[c] + rates[p] * score.timed[c]);
+                add(self.nodes + SHARED + POSE * p + c, factors[p] * score.columns[c] + rates[p] * score.timed[c]);
             }
         }
         add(self.nodes, score.columns[PSF_VARIANCE]);
@@ -222,26 +224,26 @@ impl System {
     pub fn add(&mut self, tile: &TileEquations, nodes: [usize; 4], time: &TileTime, weight: f64) {
         let n = self.size;
         let TileEquations { sums, rows } = tile;
-        let others = [self.nodes, self.nodes + 1, nodes[0], nodes[1], nodes[2], nodes[3]];
+        let others: [usize; LIGHT] = [self.nodes, self.nodes + 1, nodes[0], nodes[1], nodes[2], nodes[3]];
         for (i, row) in others.iter().enumerate() {
-            self.right[*row] += weight * sums.product(PSF_VARIANCE + i, COLUMNS);
+            self.right[*row] += weight * sums.product(POSE + i, COLUMNS);
             for (j, column) in others.iter().enumerate().filter(|(_, column)| *column <= row) {
-                self.matrix[row * n + column] += weight * sums.product(PSF_VARIANCE + i, PSF_VARIANCE + j);
+                self.matrix[row * n + column] += weight * sums.product(POSE + i, POSE + j);
             }
         }
         let factors = time.factors();
         // Powers of time: one, where it is the same for all.
         let powers = if self.same_time.is_some() { 1 } else { POWERS };
         let pose = sums.of_pose();
-        let right: [f64; 6] = std::array::from_fn(|i| sums.product(i, COLUMNS));
-        let columns: [[f64; 6]; 6] = std::array::from_fn(|k| std::array::from_fn(|i| sums.product(i, PSF_VARIANCE + k)));
+        let right: [f64; POSE] = std::array::from_fn(|i| sums.product(i, COLUMNS));
+        let columns: [[f64; POSE]; LIGHT] = std::array::from_fn(|k| std::array::from_fn(|i| sums.product(i, POSE + k)));
         for a in 0..powers {
             for b in 0..=a {
                 add_scaled(&mut self.pose.by_pose[pair(a, b)], weight * factors[a] * factors[b], &pose);
             }
             add_scaled(&mut self.pose.right[a], weight * factors[a], &right);
             for (other, column) in others.iter().zip(&columns) {
-                add_scaled(&mut self.pose.by_others[a][6 * other..6 * other + 6], weight * factors[a], column);
+                add_scaled(&mut self.pose.by_others[a][POSE * other..POSE * (other + 1)], weight * factors[a], column);
             }
         }
         if let Some(rows) = rows.as_ref().filter(|_| powers > 1) {
@@ -250,11 +252,11 @@ impl System {
     }
 
     /// Adds what the rows of a tile differ by from its middle. `others`: its unknowns beside the pose.
-    fn add_rows(&mut self, rows: &RowSums, others: [usize; 6], time: &TileTime, weight: f64) {
+    fn add_rows(&mut self, rows: &RowSums, others: [usize; LIGHT], time: &TileTime, weight: f64) {
         let (factors, rates) = (time.factors(), time.rates());
         let (by_time, by_squared_time) = (rows.by_time(), rows.by_squared_time());
-        let right: [f64; 6] = std::array::from_fn(|i| rows.by_other(i, COLUMNS));
-        let columns: [[f64; 6]; 6] = std::array::from_fn(|k| std::array::from_fn(|i| rows.by_other(i, PSF_VARIANCE + k)));
+        let right: [f64; POSE] = std::array::from_fn(|i| rows.by_other(i, COLUMNS));
+        let columns: [[f64; POSE]; LIGHT] = std::array::from_fn(|k| std::array::from_fn(|i| rows.by_other(i, POSE + k)));
         // At power 0, a pose does not grow from row to row.
         for a in 1..POWERS {
             for b in 0..=a {
@@ -264,28 +266,28 @@ impl System {
             }
             add_scaled(&mut self.pose.right[a], weight * rates[a], &right);
             for (other, column) in others.iter().zip(&columns) {
-                add_scaled(&mut self.pose.by_others[a][6 * other..6 * other + 6], weight * rates[a], column);
+                add_scaled(&mut self.pose.by_others[a][POSE * other..POSE * (other + 1)], weight * rates[a], column);
             }
         }
     }
 
     /// Puts the pose sums in their places.
     fn place_pose_sums(&mut self) {
-        let (n, motion) = (self.size, self.nodes + 2);
+        let (n, motion) = (self.size, self.nodes + SHARED);
         // With one time for all, every power is that of the first, times its factor.
         let factors = self.same_time.map_or([1.0; POWERS], |t| t.factors());
         let kept = |a: usize| if self.same_time.is_some() { 0 } else { a };
         for a in 0..POWERS {
-            for i in 0..6 {
-                let row = motion + 6 * a + i;
+            for i in 0..POSE {
+                let row = motion + POSE * a + i;
                 self.right[row] += factors[a] * self.pose.right[kept(a)][i];
-                for (other, column) in self.pose.by_others[kept(a)].chunks_exact(6).enumerate() {
+                for (other, column) in self.pose.by_others[kept(a)].chunks_exact(POSE).enumerate() {
                     self.matrix[row * n + other] += factors[a] * column[i];
                 }
                 for b in 0..=a {
                     let sums = &self.pose.by_pose[pair(kept(a), kept(b))];
-                    for j in 0..6 {
-                        self.matrix[row * n + motion + 6 * b + j] += factors[a] * factors[b] * sums[entry(i, j)];
+                    for j in 0..POSE {
+                        self.matrix[row * n + motion + POSE * b + j] += factors[a] * factors[b] * sums[entry(i, j)];
                     }
                 }
             }
@@ -359,10 +361,10 @@ impl System {
         let mut column = std::mem::take(&mut self.score);
         for k in 0..MOTION {
             column.fill(0.0);
-            column[self.nodes + 2 + k] = 1.0;
+            column[self.nodes + SHARED + k] = 1.0;
             self.back_substitute(&mut column);
             for i in 0..MOTION {
-                covariance[(i, k)] = column[self.nodes + 2 + i];
+                covariance[(i, k)] = column[self.nodes + SHARED + i];
             }
             if let Some(kept) = self.pose_columns.get_mut(k) {
                 kept.clear();
