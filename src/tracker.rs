@@ -70,7 +70,7 @@ pub enum SetupError {
 }
 
 impl TrackerSetup {
-    /// A camera that looks at a stage, all else as it is where nothing is said: no mask, no objects, a shutter of which nothing is known.
+    /// A camera that looks at a stage. No mask, no objects, an unknown shutter and default settings; change the fields to say more.
     pub fn new(camera: CameraModel, stage: BodySpec) -> Self {
         Self {
             camera,

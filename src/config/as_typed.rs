@@ -164,7 +164,7 @@ pub struct Recorder {
 pub struct Filter {
     /// off, one-euro, kalman.
     pub kind: Option<Spanned<String>>,
-    /// The pose is told for this long after the frame, seconds.
+    /// The pose is predicted for this long after the frame, seconds.
     pub predict_s: Option<Spanned<Number>>,
     /// One-Euro: cutoff at rest, Hz.
     pub min_cutoff_hz: Option<Spanned<Number>>,
@@ -189,7 +189,7 @@ pub struct Safety {
     pub blend_speed_m_s: Option<Spanned<Number>>,
     /// Turn rate of the return after a loss, degrees/s.
     pub blend_turn_deg_s: Option<Spanned<Number>>,
-    /// No frame for this long is told, seconds.
+    /// Without a frame for this long outputs say that poses are stale, seconds.
     pub stale_after_s: Option<Spanned<Number>>,
 }
 

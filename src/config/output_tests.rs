@@ -1,4 +1,4 @@
-//! Outputs, safety, filter and HTTP: what is read, and what every wrong value is told.
+//! Outputs, safety, filter and HTTP: what is read, and the message for every wrong value.
 
 use std::net::{TcpListener, UdpSocket};
 use std::path::Path;

@@ -2,7 +2,7 @@
 //!
 //! A [`Motion`] is a pose with its velocity and acceleration; a [`MotionEstimate`] adds how sure that is and carries it from frame to frame by
 //! white jerk ([`ProcessNoise`]); a [`UniformMotion`] is the line that the last poses lie on. [`MotionHistory`] carries
-//! the last measured motion on while nothing is seen, and [`Reach`] bounds every prediction by what was moved lately.
+//! the last measured motion on while nothing is seen, and [`Reach`] allows no prediction to go further than the body lately moved.
 
 mod estimate;
 mod history;

@@ -31,7 +31,7 @@ pub use one_euro::OneEuroSettings;
 pub struct FilterSettings {
     /// Which filter.
     pub kind: FilterKind,
-    /// The pose is told for this long after the frame, seconds: about the time until it is seen or moved by.
+    /// The pose is predicted for this long after the frame, seconds: about the time until it is seen or moved by.
     pub predict_s: f64,
 }
 

@@ -5,7 +5,7 @@ use crate::camera::Shutter;
 
 /// Exposure that an unknown camera is begun with, seconds.
 pub const USUAL_EXPOSURE_S: f64 = 0.004;
-/// Shortest exposure that is told from none.
+/// Shortest exposure that differs from none, seconds.
 const SHORTEST_EXPOSURE_S: f64 = 5e-4;
 /// Longest exposure of a camera at 25 frames a second, seconds.
 const LONGEST_EXPOSURE_S: f64 = 0.04;

@@ -14,7 +14,7 @@ use crate::camera::Shutter;
 use crate::geometry::resection::larger_covariance;
 use crate::motion::MotionEstimate;
 
-/// A residual beyond three sigmas says no more of how well a prediction fits.
+/// Largest squared residual that counts, sigmas²: beyond three sigmas a pixel shows something else, and its size says nothing of the fit.
 const LARGEST_MISFIT: f32 = 9.0;
 
 /// A solved level.
