@@ -1,4 +1,4 @@
-//! How often frames come: gaps that a track may bridge follow from the camera's own rate, not by a clock's.
+//! How often frames come: gaps that a track may bridge follow from the camera's own rate, not a clock's.
 //!
 //! Limits in seconds that suit a camera of 30 frames a second would cut off one of 5 between any two of its frames. So where a limit
 //! says "the next frame", it is this interval with some slack.
