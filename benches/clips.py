@@ -43,6 +43,10 @@ BARS = {
     "d-handheld": Bar(good=0.95, wrong="plain", peer="sift", times_peer=1.3),
     "d-steep":    Bar(good=0.40),
 }
+AGAINST = "before"  # what the older build of --against is called in the table
+RUNS_AGAINST = 3  # runs of each build; the fastest counts, because whatever else runs only slows
+WORSE = 0.02  # share by which error, good and NEES may be worse than the older build's
+SLOWER = 0.03  # share by which a frame may take longer
 DECOY = "decoy"  # d-dolly's clip with d-still's stage: nothing may be given
 TIME_BAR_MS = 40.0  # median compute of a frame of 1280 x 720 on one thread; and below orb's in the same run
 
@@ -58,6 +62,7 @@ def arguments():
     parser.add_argument("--peers", default="orb,sift", help="orb, sift, lk with commas between; bars = those that the bars name; or nothing")
     parser.add_argument("--out", type=pathlib.Path, default=PROJECT / "target/clips")
     parser.add_argument("--binary", type=pathlib.Path, default=PROJECT / "target/release/stagepose")
+    parser.add_argument("--against", type=pathlib.Path, help="an older build: each clip is tracked by both in turn, and what got worse is named")
     parser.add_argument("--bench", type=pathlib.Path, default=PROJECT.parent / "shared/bench", help="where render.py and the scenes are")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="scenes rendered at a time; tracking is one at a time")
     parser.add_argument("--check", action="store_true", help="end with 1 when a bar is missed, times excepted")
@@ -68,6 +73,8 @@ def arguments():
         sys.exit(f"clips.py: {chosen.bench} is not there; give --bench")
     if not chosen.binary.exists():
         sys.exit(f"clips.py: {chosen.binary} is not there; run `cargo build --release`, or give --binary")
+    if chosen.against is not None and not chosen.against.exists():
+        sys.exit(f"clips.py: {chosen.against} is not there")
     return chosen
 
 
@@ -210,14 +217,24 @@ def score(evaluate, clip, tracker, estimate):
 
 
 def score_clip(evaluate, clip, chosen):
-    """The rows of one clip: stagepose first, then the peers."""
+    """The rows of one clip: stagepose first, then the older build, then the peers."""
     folder = clip.folder / "stagepose"
-    poses, summary = track(chosen.binary, clip, clip.write_config(folder, clip), folder)
-    row = score(evaluate, clip, "stagepose", poses)
-    total = summary["stage_ms"]["total"]
-    row["ms p50"], row["ms p95"] = total["p50"], total["p95"]
-    row["E rotation deg"], row["E direction deg"], row["NEES/6"] = consistency(evaluate, clip, poses)
-    rows = [row]
+    config = clip.write_config(folder, clip)
+    builds = {"stagepose": chosen.binary} | ({AGAINST: chosen.against} if chosen.against else {})
+    times = {name: [] for name in builds}
+    # Both in turn, so that a machine that slows down slows both.
+    for _ in range(RUNS_AGAINST if chosen.against else 1):
+        for name, binary in builds.items():
+            (folder / name).mkdir(exist_ok=True)
+            poses, summary = track(binary, clip, config, folder / name)
+            times[name].append(summary["stage_ms"]["total"])
+    rows = []
+    for name in builds:
+        poses = folder / name / "poses.jsonl"
+        row = score(evaluate, clip, name, poses)
+        row["ms p50"], row["ms p95"] = (min(run[percentile] for run in times[name]) for percentile in ("p50", "p95"))
+        row["E rotation deg"], row["E direction deg"], row["NEES/6"] = consistency(evaluate, clip, poses)
+        rows.append(row)
     for peer in peers(clip, chosen):
         estimate = clip.folder / f"opencv-{peer}.txt"
         printed = json.loads(run([sys.executable, chosen.bench / "opencv_track.py", clip.folder, peer, estimate]).splitlines()[-1])
@@ -281,6 +298,32 @@ def missed_times(clip, rows):
         yield f"a frame takes {ours:.1f} ms, less than orb's {theirs:.1f} are wanted"
 
 
+def worse(rows):
+    """A sentence for each number that is worse than the older build's."""
+    now, before = rows[0], next((row for row in rows if row["tracker"] == AGAINST), None)
+    if before is None:
+        return
+    for column in ("wrong %", "plain wrong %"):
+        if now[column] > before[column]:
+            yield f"{column} is {now[column]:.2f}, and was {before[column]:.2f}"
+    if now["good %"] < (1 - WORSE) * before["good %"]:
+        yield f"good is {now['good %']:.1f} %, and was {before['good %']:.1f}"
+    if None not in (now["median mm"], before["median mm"]) and now["median mm"] > (1 + WORSE) * before["median mm"]:
+        yield f"position is {now['median mm']:.4f} mm off, and was {before['median mm']:.4f}"
+    if None not in (now["NEES/6"], before["NEES/6"]):
+        # As far from 1 as before, whichever side: an uncertainty twice too wide is as untrue as one twice too narrow.
+        off = lambda row: abs(np.log(row["NEES/6"]))
+        if off(now) > off(before) + WORSE:
+            yield f"NEES/6 is {now['NEES/6']:.3f}, and was {before['NEES/6']:.3f}"
+
+
+def slower(rows):
+    """A sentence where a frame takes longer than with the older build."""
+    now, before = rows[0], next((row for row in rows if row["tracker"] == AGAINST), None)
+    if before is not None and now["ms p50"] > (1 + SLOWER) * before["ms p50"]:
+        yield f"a frame takes {now['ms p50']:.2f} ms, and took {before['ms p50']:.2f}"
+
+
 def cell(value):
     if isinstance(value, float):
         return f"{value:.3g}" if abs(value) < 10 else f"{value:.1f}"
@@ -313,8 +356,8 @@ def main():
         rows = score_clip(evaluate, clip, chosen)
         for row in rows:
             print_row([cell(row.get(column)) for column in COLUMNS])
-        faults += [f"{clip.folder.name}: {sentence}" for sentence in missed(clip, rows)]
-        late += [f"{clip.folder.name}: {sentence}" for sentence in missed_times(clip, rows)]
+        faults += [f"{clip.folder.name}: {sentence}" for sentence in [*missed(clip, rows), *worse(rows)]]
+        late += [f"{clip.folder.name}: {sentence}" for sentence in [*missed_times(clip, rows), *slower(rows)]]
     if decoy:
         row = score_decoy(*decoy, chosen)
         print_row([cell(row.get(column)) for column in COLUMNS])
