@@ -10,13 +10,17 @@ use super::process_noise::ProcessNoise;
 use super::state::{Motion, MotionMatrix};
 use crate::geometry::{Body, Camera, Pose};
 
-/// What may be expected of a motion not seen yet, one sigma: m/s at 4 m, rad/s, m/s² at 4 m, rad/s². A hand that shakes a camera does as
-/// much; less would pass for knowledge of what a single frame with a rolling shutter leaves open.
+/// What may be expected of a motion not seen yet, one sigma: m/s at `UNSEEN_DISTANCE_M`, rad/s, m/s² there, rad/s². A hand that shakes a
+/// camera does as much; less would pass for knowledge of what a single frame with a rolling shutter leaves open. Raised, first poses of
+/// such cameras are less sure.
 const UNSEEN: [f64; 4] = [0.8, 1.0, 10.0, 30.0];
 const UNSEEN_DISTANCE_M: f64 = 4.0;
-/// Tilt that a stretched picture is taken for, by the angle of the stretch over the frame.
+/// Tilt that a stretched picture is taken for, by the angle of the stretch over the frame. Assumed, somewhat above 1. Raised, a pose that
+/// features found binds alignment less; lowered, it pulls it where the camera moves.
 const STRETCH_TO_TILT: f64 = 1.5;
-/// A velocity is remembered for so long, seconds; beyond that it fades into what may be expected unseen, as a hand's does.
+/// A velocity is remembered for so long, seconds; beyond that it fades, over `FADES_IN_S`, into what may be expected unseen, as a hand's
+/// does. Chosen: cameras from 20 frames a second on fade nothing. Raised, slow cameras are expected where an old velocity leads; lowered,
+/// their motion is as unsure as a new one's.
 const REMEMBERED_S: f64 = 0.05;
 const FADES_IN_S: f64 = 0.1;
 

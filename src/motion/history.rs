@@ -16,11 +16,14 @@ pub struct MotionHistory<To, From> {
     step_s: f64,
 }
 
-/// Measurements further apart than this say nothing about velocity, seconds, unless they come no faster.
+/// Measurements further apart than this say nothing about velocity, seconds, unless they come no faster. Chosen: three frames at 30 a
+/// second. Raised, a body coasts with a velocity that is out of date; lowered, a dropped frame leaves it standing.
 const LONGEST_STEP_S: f64 = 0.1;
-/// And further apart than this never.
+/// And further apart than this never, seconds: as long as a gap between frames that is still an interval (`frame_interval`). Raised, pauses
+/// give velocities.
 const LONGEST_INTERVAL_S: f64 = 0.5;
 /// Without measurements the velocity fades with this time constant, seconds: a camera that vanished is more likely to stop than to go on.
+/// As long as bodies coast by default. Raised, coasting overshoots stops by more; lowered, it lags behind what goes on.
 pub const FADE_S: f64 = 0.2;
 
 impl<To, From> Default for MotionHistory<To, From> {

@@ -17,7 +17,8 @@ const LEAST_POSES: f64 = 3.0;
 /// What a motion accelerates by that passes for even, one sigma, as a share of what may be expected unseen. With 0.1 it takes up what a jump
 /// does, with 0.01 a pan that quickens passes for one.
 const EVEN: f64 = 0.03;
-/// A pose further from the line than this has left it (squared, in sigmas, six degrees of freedom: one in 2000 by chance).
+/// A pose further from the line than this has left it (squared, in sigmas, six degrees of freedom: one in 2000 by chance). Raised, small
+/// starts are not seen; lowered, poses of a resting camera leave it by chance, with a wider covariance.
 const LEFT: f64 = 24.0;
 
 /// A line through the last poses, by least squares with a memory that fades (an alpha-beta filter, for the turn alpha-beta-gamma, whose

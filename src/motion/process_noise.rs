@@ -5,24 +5,29 @@
 //! follows how far poses were found from where they were expected, in sigmas of what was expected (Mehra 1970:
 //! innovations tell of the process noise), within some ten frames.
 
-/// Spectral density of a motion not seen yet: m²/s⁵ at 4 m distance (growing with its square), and rad²/s⁵.
+/// Spectral density of a motion not seen yet: m²/s⁵ at `DISTANCE_M` (growing with the square of the distance), and rad²/s⁵. From a
+/// prototype, in which they served dolly, hand and whip pan alike; frames teach better. Raised, the first frames' motion is less sure, and
+/// the pose with it.
 const USUAL_SHIFT: f64 = 100.0;
 const USUAL_TURN: f64 = 3000.0;
 const DISTANCE_M: f64 = 4.0;
 /// The densities stay within these factors of the usual ones. At the lower end earlier frames hardly smooth the pose: that of a still
-/// camera correlates by 0.16 from frame to frame.
+/// camera correlates by 0.16 from frame to frame. `LEAST` lowered, they smooth it more; `MOST` raised, frames that mislead can leave the
+/// motion as good as unknown.
 const LEAST: f64 = 0.01;
 const MOST: f64 = 1000.0;
 /// The logarithm of a density follows one frame by this share of the logarithm of its squared innovation (in sigmas, a degree of freedom),
 /// less the mean of that. Innovations that are a tenth of what was expected so narrow the expectation by half within two frames; their squares
 /// themselves would take seven. Raised, densities follow chance: with 0.4, the covariances of steady cameras are too small by a tenth.
 const SHARE: f64 = 0.3;
-/// Mean logarithm of the mean of three squared normal variables: the digamma function of 1.5, plus ln(2/3).
+/// Mean logarithm of the mean of three squared normal variables: the digamma function of 1.5, plus ln(2/3). Any other and densities drift.
 const MEAN_LOG: f64 = -0.369;
-/// One frame counts as no more than these logarithms: a picture that misleads is as far from what was expected as one after jerk, and a frame that comes where it was
-/// expected may do so by chance.
+/// One frame counts as no less and no more than these logarithms: a picture that misleads is as far from what was expected as one after
+/// jerk, and a frame that comes where it was expected may do so by chance. Chosen, not tuned. Wider, single frames change the density by
+/// more.
 const LOGS: [f64; 2] = [-4.0, 3.0];
-/// Frames after the first whose innovations say nothing: how the camera moves is not known yet.
+/// Frames after the first whose innovations say nothing: how the camera moves is not known yet. As many as place, velocity and acceleration
+/// take. Raised, the density is learnt later; lowered, it falls as all is within the wide first expectation.
 const UNTOLD_FRAMES: u32 = 3;
 
 /// White jerk as learnt so far, in shares of the usual.

@@ -4,9 +4,10 @@ use std::collections::VecDeque;
 
 use crate::frame::Timestamp;
 
-/// Entries kept. 64 are every frame at 240 frames a second; of faster cameras some frames are left out.
+/// Entries kept. 64 are every frame at 240 frames a second; of faster cameras some frames are left out. Raised, every look back costs more.
 const CAPACITY: usize = 64;
-/// How long entries are needed: the longest prediction and the longest coasting, with one frame before them, seconds.
+/// How long entries are needed, seconds: the longest prediction (`predict_s`) and what coasting looks back on (`FADE_S`), 0.2 both, with
+/// one frame before them. Raised, entries of fast cameras lie further apart; lowered, the oldest are gone when they are asked for.
 const SPAN_S: f64 = 0.26;
 
 /// The last entries with their stamps.

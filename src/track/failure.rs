@@ -11,13 +11,15 @@ use super::track_state::Doubt;
 use super::verify::Refusal;
 
 /// Matches that agree on one homography from here on are no chance. Chance agrees on 8 now and then where a frame is full of detail.
+/// Raised, a picture that is hardly seen counts as not recognised. Only the reason that is given depends on it.
 const LEAST_RECOGNISED: usize = 12;
-/// Side of the picture (root of its area) below which size is what is wrong with it, as a share of the frame's width and in pixels: features need some
-/// 60 pixels of it.
+/// Side of the picture (root of its area) below which size is what is wrong with it, as a share of the frame's width and in pixels:
+/// features need some 60 pixels of it. Raised, other faults of a small picture are called its size.
 const LEAST_SIDE: f64 = 0.09;
 const LEAST_SIDE_PX: f64 = 60.0;
-/// What a pose may leave of the matches beyond a homography, for the geometry not to be what is wrong: right ones leave 0.1 at most, a width
-/// and a height that are swapped 2, and a rolling shutter that is not told a few tenths.
+/// What a pose may leave of the matches beyond a homography, for the geometry not to be what is wrong: right ones leave 0.1 at most, a
+/// width and a height that are swapped 2, and a rolling shutter that the config does not mention a few tenths. Raised, wrong sizes go
+/// unnamed.
 const LARGEST_MISFIT: f64 = 0.6;
 
 impl Reason {

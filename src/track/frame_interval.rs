@@ -5,11 +5,14 @@
 
 use crate::frame::Timestamp;
 
-/// Intervals that are remembered; the middle one of them is the camera's, whatever single frames were dropped.
+/// Intervals that are remembered; the middle one of them is the camera's, whatever single frames were dropped. Raised, a change of the rate
+/// is noticed later; lowered, two dropped frames pass for it.
 const REMEMBERED: usize = 5;
-/// Longer gaps are interruptions, not intervals, seconds. Raised, a clip of single pictures would count as a film.
+/// Longer gaps are interruptions, not intervals, seconds. Raised, a clip of single pictures would count as a film; lowered, a camera of 2
+/// frames a second has no interval.
 const LONGEST_S: f64 = 0.5;
-/// Intervals jitter: a frame comes this many intervals after the one before at most, unless one is missing.
+/// Intervals jitter: a frame comes this many intervals after the one before at most, unless one is missing. Chosen, not tuned: any value up
+/// to nearly 2 tells them apart. Lowered, late frames end a track; raised, slow cameras coast longer.
 const JITTER: f64 = 1.25;
 
 /// The time from frame to frame, as the last stamps tell.

@@ -24,16 +24,19 @@ impl Default for FrameLook {
     }
 }
 
-/// Stride, across and down, pixels: the whole costs 0.1 ms in a half-size frame of 640 x 360.
+/// Stride, across and down, pixels: the whole costs 0.1 ms in a half-size frame of 640 x 360. Raised, less, but thin detail is passed over.
 const STRIDE: usize = 2;
-/// Distance of the wider step, pixels of the half-size frame.
+/// Distance of the wider step, pixels of the half-size frame: with it a slope gives 1/16 and a step 1/4 (`FrameLook::sharpness`), and with
+/// another `BLURRED` would be another. Raised, more blur is needed to be called so.
 const WIDE: usize = 4;
-/// Levels: a frame whose bright end is below is dark, one whose middle is above is white, one with less between its ends is plain.
+/// Grey levels: a frame whose bright end is below `DARK` is dark, one whose middle is above `WHITE` is white, one with less than `PLAIN`
+/// between its ends is plain. Chosen, not tuned: a good picture at 0.3 of its light must pass, at 0.1 be dark. `DARK` and `PLAIN` raised,
+/// or `WHITE` lowered, more frames have that reason; nothing else depends on them.
 const DARK: u8 = 45;
 const WHITE: u8 = 240;
 const PLAIN: u8 = 20;
-/// See [`FrameLook::sharpness`]. Sharp pictures of stages and streets have 0.2 to 0.3; a Gaussian blur of 2 pixels of the frame leaves 0.11, one of
-/// 4 pixels 0.08.
+/// A frame is blurred below this, see [`FrameLook::sharpness`]. Sharp pictures of stages and streets have 0.2 to 0.3; a Gaussian blur of 2
+/// pixels of the frame leaves 0.11, one of 4 pixels 0.08. Raised, soft lenses are called blurred.
 const BLURRED: f32 = 0.095;
 
 impl FrameLook {

@@ -99,14 +99,19 @@ pub struct Matcher {
     watcher: Option<Sender<UsedPixels>>,
 }
 
-/// Lowe's ratio.
+/// Lowe's ratio (2004, section 7.1): a match counts where its distance is less than this share of the second nearest's. He took 0.8; more
+/// are let through here, as acquisition bears a majority of wrong matches. Raised, more of them are wrong; lowered, dim stages keep too
+/// few.
 const RATIO: f32 = 0.85;
-/// Reference features of all surfaces together, and of one at least.
+/// Reference features of all surfaces together, and of one at least. Chosen, not tuned. Raised, matching costs more in proportion; lowered,
+/// fewer features of a stage that is seen in part or small are among them.
 const REFERENCE_FEATURES: usize = 4000;
 const LEAST_REFERENCE_FEATURES: usize = 700;
-/// Artwork is looked at for features at no more than this many pixels across: no camera resolves more.
+/// Artwork is looked at for features at no more than this many pixels across, or down where it is higher: no camera resolves more. Raised,
+/// features are spent on detail that no frame shows; lowered, close views find fewer.
 const LARGEST_REFERENCE_PX: u32 = 2000;
-/// Candidates of a body that are put to the test per frame.
+/// Candidates of a body that are put to the test per frame, of four at most, best first. Two planar poses and one in reserve. Raised,
+/// frames without the stage cost more; lowered to 1, the wrong one of two planar poses may be the only one tried.
 const TRIED: usize = 3;
 
 impl Matcher {

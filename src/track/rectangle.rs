@@ -36,7 +36,8 @@ impl SeenPoint {
     }
 }
 
-/// Points across and down a rectangle by which its size in the frame is found.
+/// Points across and down a rectangle by which its size in the frame is found. Chosen, not tuned: the median of those in view. Raised, it
+/// costs more; lowered, a surface of which a corner is seen shows no point.
 const GRID: u32 = 5;
 
 impl Rectangle {

@@ -46,9 +46,11 @@ pub struct PreparedBody {
     pub surfaces: Vec<PreparedSurface>,
 }
 
-/// Anchors kept per octave.
+/// Anchors kept per octave: more than verification asks (`FINE_ANCHORS`), as a frame may show a part of the surface. Chosen, not tuned.
+/// Raised, the start takes longer; lowered, close views have few.
 const ANCHORS: usize = 500;
-/// Octaves end when a side falls below this many pixels.
+/// Octaves end when a side falls below this many pixels: a patch with its border takes 15 of them. Raised, surfaces seen small have no
+/// octave of their size; lowered, nothing is gained.
 const LEAST_SIDE: u32 = 24;
 
 impl PreparedBody {

@@ -15,21 +15,27 @@ use crate::features::Workers;
 use crate::geometry::resection::Observation;
 use crate::geometry::{Body, Camera, Pose};
 
-/// Surfaces are not registered where they are seen flatter than this (cosine of the tilt).
+/// Surfaces are not registered where they are seen flatter than this (cosine of the tilt: 88.9 degrees). Chosen, not tuned: beyond, artwork
+/// by pixels is nearly singular. Raised, starts at a steep view are refused.
 const LEAST_COSINE: f64 = 0.02;
-/// Half side of a patch in pixels of the picture searched.
+/// Half side of a patch in pixels of the picture searched; its side and area follow. Chosen, not tuned: a search goes at most 5 pixels from
+/// the start. Raised, patches cost more by the square, and are cut off at borders and people; lowered, they fit in wrong places.
 const HALF: i32 = 6;
 const SIDE: usize = 2 * HALF as usize + 1;
 const AREA: usize = SIDE * SIDE;
-/// Gradient needs one more pixel around.
+/// Side with one pixel more around, which gradients need.
 const WIDE: usize = SIDE + 2;
-/// Least standard deviation of a drawn patch, grey levels, for it to be asked at all.
+/// Least standard deviation of a drawn patch, grey levels, for it to be asked at all: a few times the noise. Chosen, not tuned. Raised,
+/// faint artwork has too few anchors; lowered, noise decides where plain patches fit.
 const LEAST_CONTRAST: f32 = 4.0;
-/// Least correlation of a fitting patch.
+/// Least correlation of a fitting patch. Chosen, not tuned: below the 0.9 of alignment's tiles, as the start is rougher. Raised, noisy or
+/// blurred frames have too few anchors; lowered, more of them fit elsewhere.
 const LEAST_CORRELATION: f32 = 0.75;
-/// Error of the model of a patch that more light does not average away, pixels of the picture searched.
+/// Error of the model of a patch that more light does not average away, pixels of the picture searched, one sigma. Assumed. Raised,
+/// covariances grow and strong patches count no more than others; lowered, they are believed too much.
 const MODEL_ERROR_PX: f64 = 0.04;
-/// Grey noise never assumed below this.
+/// Grey noise never assumed below this, grey levels: a usual camera's read noise. Raised, covariances grow; lowered, patches that fit well
+/// by chance outweigh the others.
 const LEAST_NOISE: f32 = 1.5;
 
 /// What became of an anchor.

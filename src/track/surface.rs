@@ -111,13 +111,17 @@ pub enum SurfaceError {
     },
 }
 
-/// Least side of a picture, pixels.
+/// Least side of a picture, pixels: as little as features can find (`failure`). Raised, small props are refused; lowered, pictures are
+/// taken that are never found.
 const LEAST_SIDE_PX: u32 = 64;
-/// Fewest corners of a picture that can be found again.
+/// Fewest corners of a picture that can be found again, over all octaves. Chosen, not tuned: verification wants 16 anchors that fit.
+/// Raised, plain artwork is refused that may do; lowered, it is taken and not found.
 const LEAST_CORNERS: usize = 40;
-/// Least strength of such a corner (smaller eigenvalue of the structure tensor), (grey/px)².
+/// Least strength of such a corner (smaller eigenvalue of the structure tensor), (grey/px)². Chosen, not tuned. Raised, faint artwork
+/// counts as plain; lowered, the grain of a photograph counts as corners.
 const LEAST_STRENGTH: f32 = 12.0;
-/// Longest side that a photograph is laid flat to, pixels.
+/// Longest side that a photograph is laid flat to, pixels: as long as a 4K camera's frame. Raised, large photographs take more memory and a
+/// longer start; lowered, they lose detail.
 const LONGEST_FLAT_SIDE_PX: f64 = 4096.0;
 
 impl SurfaceSpec {

@@ -24,13 +24,17 @@ pub struct TwoView {
     pub has_depth: bool,
 }
 
-/// Fewest correspondences of a homography that is written.
+/// Fewest correspondences of a homography that is written: three times the four that define one. Raised, small stages have none; lowered,
+/// its eight numbers are mostly noise.
 const LEAST_FOR_HOMOGRAPHY: usize = 12;
-/// Baseline below which the essential matrix says nothing, as a share of the distance.
+/// Baseline below which the essential matrix says nothing, as a share of the distance. Chosen, not tuned: the direction of a shift drowns
+/// in the noise of the rays. Raised, fewer frames have one; lowered, its direction is chance near the reference camera.
 const LEAST_BASELINE: f64 = 0.01;
-/// Share of the correspondences that a motion near the metric pose must explain to be taken.
+/// Share of the correspondences that a motion near the metric pose must explain to be taken. Chosen, not tuned. Raised, more frames pay for
+/// five-point samples; lowered, a motion may be kept where another explains more.
 const CLEAR_SHARE: f64 = 0.8;
-/// Five-point samples, and models kept for refinement.
+/// Five-point samples, and models kept for refinement. Few will do: the anchors fitted a pose already, so that most samples hold no wrong
+/// one. Raised, frames that need them cost more.
 const SAMPLES: usize = 12;
 const KEPT: usize = 6;
 

@@ -21,27 +21,37 @@ use crate::geometry::resection::{
 use crate::geometry::robust_kernel::tukey_weight;
 use crate::geometry::{Body, Camera, Pose};
 
-/// Tiles across and down the frame that anchors are grouped by.
+/// Tiles across and down the frame that anchors are grouped by: their errors count as common, and poses must rest on several. Chosen, not
+/// tuned. Raised, neighbours count as independent, and covariances shrink.
 const TILES: [u32; 2] = [8, 6];
-/// Anchors searched in the half-size and in the full frame.
+/// Anchors searched in the half-size and in the full frame. Chosen, not tuned: the first only leads to the start of the second. Raised,
+/// verification costs more in proportion; lowered, poses are less sure and small parts of a stage are missed.
 const COARSE_ANCHORS: usize = 120;
 const FINE_ANCHORS: usize = 300;
-/// Fewest anchors that a pose is computed from.
+/// Fewest anchors that a pose is computed from. Chosen: 16 numbers for six unknowns, so that a wrong one shows. Raised, small stages are
+/// given up before they are judged.
 const LEAST_RESECTED: usize = 8;
-/// Fewest anchors that must fit at half size for its pose to be taken over.
+/// Fewest anchors that must fit at half size for its pose to be taken over: a small stage shows too few there, and the start is better.
+/// Chosen, not tuned. Raised, rough starts are searched at full size, where they are out of reach; lowered, a few wrong anchors spoil a
+/// good start.
 const LEAST_COARSE_FITTING: usize = 24;
-/// Fewest anchors that must fit.
+/// Fewest anchors that must fit. Chosen, not tuned. Raised, small or covered stages are refused; lowered, chance passes more easily.
 const LEAST_FITTING: usize = 16;
-/// Fewest tiles that they must lie in.
+/// Fewest tiles that they must lie in, of 48. Chosen, not tuned. Raised, stages that are seen small are refused; lowered, a patch of
+/// repeated detail can carry a wrong pose.
 const LEAST_TILES: usize = 4;
-/// Least share of the anchors asked that must fit, for a pose without history, and for one that continues a track.
+/// Least share of the anchors asked that must fit, for a pose without history, and for one that continues a track. Chosen, not tuned.
+/// Raised, stages that are partly covered are refused; lowered, wrong poses pass more easily.
 const LEAST_SHARE_NEW: f64 = 0.35;
 const LEAST_SHARE_CONTINUED: f64 = 0.2;
 /// Anchors found elsewhere than the pose says, for each that fits. What is hidden is not found at all, so even a few speak against it.
+/// Raised, torn frames and wrong poses pass; lowered, repeated detail refuses right ones.
 const LARGEST_CONTRADICTION: f64 = 0.5;
-/// Largest residual, in pixels of a 1280-pixel-wide frame, of an anchor that counts as fitting.
+/// Largest residual, in pixels of a 1280-pixel-wide frame, of an anchor that counts as fitting. Chosen, not tuned: wide enough for a lens
+/// that is known roughly. Raised, poses beside the right one pass; lowered, guessed lenses are never verified.
 const LARGEST_RESIDUAL_PX: f64 = 1.5;
-/// Largest standard deviation of a pose that is given: of the direction in radians, and of the position as a share of the distance.
+/// Largest standard deviation of a pose that is given: of the direction in radians (half a degree), and of the position as a share of the
+/// distance. Chosen, not tuned. Raised, poses are given that tell little; lowered, distant or small stages are refused.
 const LARGEST_TURN: f64 = 0.5 * std::f64::consts::PI / 180.0;
 const LARGEST_SHIFT: f64 = 0.012;
 

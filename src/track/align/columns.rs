@@ -2,9 +2,9 @@
 
 /// Columns of a tile: those of the pose, then the light's: point spread, bias, gain at the four corners of its cell.
 pub const COLUMNS: usize = POSE + LIGHT;
-/// Columns of the pose, which come first.
+/// Columns of the pose, which come first: position, then rotation.
 pub const POSE: usize = 6;
-/// Columns of the light.
+/// Columns of the light: point spread, bias, four gains.
 pub const LIGHT: usize = 6;
 /// The column of the point spread's variance.
 pub const PSF_VARIANCE: usize = POSE;
@@ -12,7 +12,7 @@ pub const PSF_VARIANCE: usize = POSE;
 pub const BIAS: usize = POSE + 1;
 /// The first of the four columns of the gains.
 pub const GAINS: usize = POSE + 2;
-/// Columns and the residual.
+/// Columns and the residual, which comes last.
 pub const ALL: usize = COLUMNS + 1;
 /// Entries of the upper triangle of the pose's columns.
 pub const POSE_ENTRIES: usize = POSE * (POSE + 1) / 2;

@@ -5,9 +5,11 @@ use image::GrayImage;
 
 use crate::simd::multiversion;
 
-/// Sizes: level 0 is the frame itself, which is not kept.
+/// Sizes from full to a sixteenth; level 0 is the frame itself, which is not kept. Without the last one the basin was smaller than fast
+/// motion, and a clip of every third frame had wrong poses. Raised, the sums of a level no longer fit 16 bits.
 pub const LEVELS: usize = 5;
-/// The level that alignment ends at: four pixels of the frame make one, with half the noise.
+/// The level that alignment ends at: four pixels of the frame make one, with half the noise. With equally many pixels, poses are 1.2 to
+/// 1.75 times better than at full size (Fisher information, in a prototype). Raised, detail is lost.
 pub const FINEST: usize = 1;
 
 /// The frame at levels 1 and up.

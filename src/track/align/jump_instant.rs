@@ -14,21 +14,25 @@ use super::tile_equations::{TileEquations, TileScore};
 use crate::camera::Shutter;
 use crate::motion::{MotionError, MotionMatrix, unseen};
 
-/// Bands of rows that tiles are gathered in: about as many as a frame has rows of tiles. More would tell instants no better apart.
+/// Bands of rows that tiles are gathered in: about as many as a frame has rows of tiles. Raised, instants are told no better apart;
+/// lowered, the instants of `WITHIN` fall into the same band.
 const BANDS: usize = 12;
-/// Instants that are tried while the frame is exposed and read, and between the last frame and this one, where a jump looks like
-/// another velocity. Raised, the cost of a frame grows.
+/// Instants that are tried while the frame is exposed and read, and between the last frame and this one, where a jump looks like another
+/// velocity. Chosen: fewer than `BANDS`, which cannot tell more apart. Raised, the cost of a frame grows.
 const WITHIN: usize = 9;
 const BEFORE: usize = 3;
 /// How large a jump may be, one sigma, as shares of the velocity that is usual: a single large one would hold small jumps for unlikely.
+/// Chosen, not tuned. The smaller one raised, small starts are taken for noise again; more sizes cost more.
 const SIZES: [f64; 2] = [1.0, 0.25];
 /// How likely a jump is in the time of a frame: one in ten seconds at 30 frames a second. Raised, the covariance of every frame grows: with
 /// 0.1, that of a still camera by half, and of 625 frames near starts and stops 12 instead of 16 are further off than six sigmas.
 const LIKELIHOOD: f64 = 0.003;
 /// Expectations that are mixed at most: with jerk, and with the even motion before.
 pub const EXPECTATIONS: usize = 2;
+/// Jumps that are tried: every size at every instant.
 const JUMPS: usize = (WITHIN + BEFORE) * SIZES.len();
-/// A jump less likely than this changes nothing.
+/// Members of the mixture less likely than this, beside the likeliest, are left out. A round figure far below `LIKELIHOOD`. Raised, jumps
+/// that the covariance should allow for are dropped; lowered, frames cost more and nothing changes.
 const NEGLIGIBLE: f64 = 1e-6;
 
 /// What the tiles of a band of rows say of the pose, and what of it the step left, by powers of the time from the band's middle.

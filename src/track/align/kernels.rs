@@ -20,7 +20,7 @@ use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 use crate::track::surface::SurfaceSpec;
 
-/// Exposure of a frame with blur, seconds.
+/// Exposure of a frame with blur, seconds; the benches' alone. What a prediction costs depends on its number of places, not on this.
 const EXPOSURE_S: f64 = 0.01;
 
 /// A frame, a surface and all that alignment makes of them, step by step.

@@ -4,10 +4,11 @@
 //! A kernel is a generic function over [`Lanes`]; which of the two runs is decided at run time. Both do the
 //! same steps in the same order, so that the plain one is the other's test.
 
-/// Numbers handled side by side.
+/// Numbers handled side by side: as many `f32` as a register of AVX2 holds.
 pub const LANES: usize = 8;
 
-/// Columns and rows of texels in a tile. Neighbouring tiles share a column or a row, so that a texel and its neighbours lie in one.
+/// Columns and rows of texels in a tile: together the 64 bytes of a cache line. Neighbouring tiles share a column or a row, so that a texel
+/// and its neighbours lie in one. With four columns, two rows of a quad lie within eight bytes, which one load reads.
 pub const TILE_COLUMNS: usize = 4;
 /// See [`TILE_COLUMNS`].
 pub const TILE_ROWS: usize = 16;
@@ -17,7 +18,7 @@ pub const TILE_ROWS: usize = 16;
 #[repr(C, align(64))]
 pub struct Tile(pub [u8; TILE_COLUMNS * TILE_ROWS]);
 
-/// Bytes that the look at a quad reads.
+/// Bytes that the look at a quad reads: two rows of four texels, of which it uses two each.
 const QUAD_BYTES: usize = 8;
 
 /// Eight `f32` values with lane-wise arithmetic.
@@ -184,7 +185,7 @@ pub fn total<L: Lanes>(v: L) -> f32 {
     ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7]))
 }
 
-/// One step of an `f32` mantissa.
+/// One step of an `f32` mantissa: 2^-23 (IEEE 754).
 const MANTISSA_STEP: f32 = 1.0 / 8_388_608.0;
 
 #[cfg(target_arch = "x86_64")]

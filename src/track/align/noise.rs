@@ -7,21 +7,27 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Variance of a usual camera's pixel at black, and its growth per grey level, grey levels²; error of the prediction, pixels of the
-/// level. That is what is taken until frames tell more.
+/// Taken until frames tell more: variance of a usual camera's pixel at black, grey levels² (read noise 1.5 levels, and rounding); its
+/// growth per grey level; error of the prediction, pixels of the level. Assumed, and replaced within a few sharp frames. Raised, first
+/// covariances are wider.
 const USUAL_DARK: f64 = 2.25 + 1.0 / 12.0;
 const USUAL_SHOT: f64 = 0.03;
 const USUAL_MODEL_PX: f64 = 0.02;
-/// Least of each: rounding to whole grey levels; and what no prediction is better than.
+/// Least variance at black, grey levels²: that of rounding to whole levels. Raised, quiet cameras are believed less than they deserve.
 const LEAST_DARK: f64 = 1.0 / 12.0;
+/// Least error of the prediction, pixels of the level: below the 0.005 to 0.012 that rendered clips show. Raised, a still camera scatters
+/// more.
 const LEAST_MODEL_PX: f64 = 0.003;
-/// What prediction gets wrong at an edge it gets wrong all along it, and again in the next frames: that counts for more than its share
-/// of the variance, so that no better prediction than this is taken, pixels of the level; and above the finest level.
+/// Least error of the prediction while the camera moves, pixels of the finest level, and of those above. What is wrong at an edge is wrong
+/// all along it and in the next frames too: weights by the bare scatter made d-steep and d-handheld worse by a tenth. Raised, edges count
+/// less beside flat texture, and covariances are wider. The second is chosen, twice the first.
 const MOVING_MODEL_PX: f64 = 0.02;
 const COARSE_MODEL_PX: f64 = 0.04;
-/// Of what is remembered this share fades with every frame.
+/// Of what is remembered this share fades with every frame: a memory of 200 frames. Chosen, not tuned. Raised, the noise follows chance;
+/// lowered, a change of the camera's gain is learnt later.
 const FADES: f64 = 0.005;
-/// Weight of the usual noise, pixels, so that what a frame cannot tell apart stays near it.
+/// Weight of the usual noise, pixels, so that what a frame cannot tell apart stays near it. Chosen: less than a tenth of what a single
+/// frame tells (`ROUGH_PIXELS` in `level_problem`). Raised, the noise is learnt later.
 const USUAL_PIXELS: f64 = 200.0;
 
 /// What the noise of a pixel is made of, at one level of the frame.

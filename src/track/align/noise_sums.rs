@@ -7,8 +7,9 @@ use super::lanes::{LANES, Lanes, dispatch, load_at, total};
 use super::noise::NoiseSums;
 use super::normal::{RobustWeighting, RunView, columns, less_step};
 
-/// Largest squared residual that counts as noise, squared scales; and the share of its variance that a normal distribution keeps below it.
+/// Largest squared residual that counts as noise, squared scales: three sigmas. Raised, pixels that show something else count as noise.
 pub const LARGEST_SQUARED: f32 = 9.0;
+/// Variance of a standard normal distribution that is cut at three sigmas. It follows from [`LARGEST_SQUARED`].
 pub const KEPT_VARIANCE: f64 = 0.9733;
 
 impl NoiseSums {

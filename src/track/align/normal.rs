@@ -9,9 +9,10 @@ use super::noise::Noise;
 use super::pixels::{Pixels, Run};
 use crate::geometry::robust_kernel;
 
-/// Tukey's biweight, as everywhere: residuals beyond this many robust sigmas count nothing.
+/// The limit of Tukey's biweight, as everywhere ([`robust_kernel::TUKEY`]): residuals beyond this many robust sigmas count nothing.
 const TUKEY: f32 = robust_kernel::TUKEY as f32;
-/// Geman and McClure's weight in a first pass falls to one half at this many sigmas.
+/// Cauchy's weight in a first pass falls to one half at this many sigmas, and never vanishes. Near the 2.385 that are 95 % as efficient as
+/// least squares. Raised, outliers pull the first step more; lowered, fewer pixels lead back a start that is off.
 const FIRST_PASS: f32 = 2.7;
 
 /// How residuals are weighed.

@@ -10,7 +10,9 @@ use super::level_spec::LevelSpec;
 use super::light::{Light, RememberedLight, TileLight};
 use super::tile_grid::{Chosen, TileGrid};
 
-/// A level's grey that counts as burnt out or drowned.
+/// A level's grey from which on it counts as burnt out, and up to which as drowned. Below 255, for the mean of pixels of which some are
+/// clipped, and for JPEG's ringing; above 0 likewise. Chosen, not tuned. `BRIGHTEST` raised, clipped pixels pull the gain and the pose;
+/// lowered, white parts of a bright stage are not asked.
 const BRIGHTEST: f32 = 252.0;
 const DARKEST: f32 = 0.5;
 

@@ -15,7 +15,7 @@ pub struct RowSums {
 }
 
 impl RowSums {
-    /// How many sums there are.
+    /// How many sums there are: two triangles of the pose, by time and by its square, and the pose by light and residual.
     pub const ENTRIES: usize = 2 * TRIANGLE + POSE * (LIGHT + 1);
 
     /// From the sums in the order of their places.

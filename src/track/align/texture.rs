@@ -10,17 +10,22 @@ use super::enlarge::enlarged_twice;
 use super::lanes::{LANES, TILE_COLUMNS, TILE_ROWS, Tile};
 use crate::features::halved;
 
-/// Columns and rows from tile to tile.
+/// Columns and rows from tile to tile: neighbours share one of each.
 pub const TILE_STEP: [usize; 2] = [TILE_COLUMNS - 1, TILE_ROWS - 1];
-/// Side of a block of texels that candidates are chosen from.
+/// Side of a block of texels that candidates are chosen from. Chosen, not tuned. Raised, the chosen pixels are spread less evenly; lowered,
+/// more blocks are projected in every frame.
 pub const BLOCK: usize = 16;
-/// Candidates kept per block.
+/// Candidates kept per block, of 256 texels: what a still camera takes at most. Chosen, not tuned. Raised, the lists take more memory;
+/// lowered, a still camera is asked less of detailed pictures.
 const KEPT: usize = 160;
-/// Pictures of more pixels are not enlarged.
+/// Pictures of more pixels are not enlarged: the copy takes nearly six bytes for each of theirs, and few cameras show such a picture larger
+/// than it is. Raised, large pictures take more memory and a longer start; lowered, linear interpolation loses detail of more of them.
 const LARGEST_ENLARGED: u32 = 6_000_000;
-/// Least grey difference per texel of a candidate.
+/// Least grey difference per texel of a candidate. Chosen: the read noise of a usual camera, below which a pixel tells nearly nothing.
+/// Raised, soft pictures are left with too few pixels; lowered, lists hold texels that are never taken.
 const LEAST_GRADIENT: f32 = 1.5;
-/// The chain ends when a side falls below this.
+/// The chain ends when a side falls below this, texels. Chosen, not tuned: less shows no detail to align by. Raised, pictures seen from
+/// afar are sampled too finely, and alias.
 const LEAST_SIDE: u32 = 8;
 
 /// All levels of a picture.

@@ -9,8 +9,9 @@ pub struct Chosen {
     pub place: [u16; 2],
 }
 
-/// Most tiles across and down the part of the frame that the body covers. Two by two tiles share a cell of the light grid; where their number
-/// is odd, the last cells are half as wide.
+/// Most tiles across and down the part of the frame that the body covers: with 10,000 pixels, 60 in each. Two by two tiles share a cell of
+/// the light grid; where their number is odd, the last cells are half as wide. Raised, tiles have too few pixels to be judged by, and the
+/// system grows; lowered, a tile is lost with what covers a part of it.
 pub const MOST_TILES: [usize; 2] = [16, 10];
 /// Least side of a tile, pixels of the level. A tile votes on a pose by the correlation of its pixels, of which it needs a dozen: smaller
 /// ones have too few. Larger, and a picture seen small has too few tiles to be believed, however well all of them agree: with 8, one of 27 by

@@ -13,11 +13,12 @@ use super::tile_equations::TileEquations;
 /// Groups of [`LANES`] pixels that are laid out before their products are summed: as many as most runs have. Raised, the buffer leaves
 /// the first cache.
 const CHUNK: usize = 16;
-/// The first factors: all of [`ALL`] weighted, those of the pose once more times the seconds from the tile's middle, and times their squares.
+/// Where the factors of the pose times the seconds from the tile's middle begin, where those times their squares do, and how many there
+/// are: the first are all of [`ALL`], weighted.
 const TIMED: usize = ALL;
 const SQUARED: usize = TIMED + POSE;
 const FACTORS: usize = SQUARED + POSE;
-/// Sums are kept for the tile, then for its rows, each filled up to whole [`LANES`].
+/// Sums are kept for the tile, from `ROW_SUMS` on for its rows, each filled up to whole [`LANES`]; how many there are.
 const ROW_SUMS: usize = TileSums::ENTRIES.next_multiple_of(LANES);
 const SUMS: usize = ROW_SUMS + RowSums::ENTRIES.next_multiple_of(LANES);
 

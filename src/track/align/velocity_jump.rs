@@ -14,21 +14,23 @@ use crate::motion::{MotionEstimate, unseen};
 /// less of their motion than they could: with 16 instead of 30, d-whip's errors grow from 0.24 to 0.31 mm.
 const UNEXPECTED: f64 = 24.0;
 /// A jump within the exposure bends the path of the picture: the acceleration that a rolling shutter's rows take it for, one sigma, times
-/// the velocity that is usual over the time of a frame.
+/// the velocity that is usual over the time of a frame. Raised, frames with a jump know less of their acceleration; lowered, the bend
+/// passes for a shift of the pose.
 const BEND: f64 = 2.0;
-/// One sigma of the pose's error, as a share of how far the pose was found from where it was expected: all of it where
-/// the camera starts in the second half of the exposure, nothing where it does before. Where rows tell the instant it is known far
-/// better, so that this is half of the scatter over all instants.
+/// One sigma of the pose's error, as a share of how far it was found from where it was expected: all of it where the camera starts in the
+/// second half of the exposure, nothing before. Where rows tell the instant it is known far better, so that this is half of the scatter
+/// over all instants. Raised, the covariance of every surprise is wider.
 const OFF_SHARE: f64 = 0.22;
 /// The same where the pose left the line that the camera went on. A line is known nearly as well as a pose, so that also a small jump within the
 /// exposure leaves it: what is off is then all error in half of the cases. With 0.22, errors of 4.5 sigma are usual among them; raised, the
 /// covariance of every start and stop is wider.
 const LEFT_SHARE: f64 = 0.4;
 /// A jump of this many sigmas at the middle of the exposure is the largest that such an error comes from: it is an eighth of the jump times
-/// the exposure.
+/// the exposure. Raised, poses that are far off for other reasons get a wider covariance than any start could need.
 const LARGEST_JUMP: f64 = 3.0;
 /// Of a velocity that changed within a frame, times how long the frame was exposed and read, this share is an error of the pose: at most an
-/// eighth of it where all rows are exposed together, and 0.05 where rows follow each other.
+/// eighth of it where all rows are exposed together, and 0.05 where rows follow each other. Raised, covariances of shaken cameras are
+/// wider.
 const BEND_SHARE: f64 = 0.1;
 /// A camera that starts or stops at a share s of the exposure is seen s (1 - s) / 2 of it from where its stamp says, per unit of
 /// speed: the mean square over all s.

@@ -25,17 +25,24 @@ use super::tile_products::{ProductBuffer, tile_equations};
 use crate::motion::{Motion, MotionMatrix};
 use solution::LevelSolution;
 
-/// Fewest pixels that a level is solved with.
+/// Fewest pixels that a level is solved with. Chosen, not tuned: three for each of a motion's 18 unknowns. Raised, pictures seen small are
+/// given up, or begun at finer levels; lowered, the expectation decides what is found.
 const LEAST_PIXELS: usize = 60;
-/// Runs that correlate less with their prediction show something else.
+/// Runs that correlate less with their prediction show something else; the better half always takes part. The same limit as that of tiles
+/// that agree (`verdict`). Raised, tiles in haze or glare are left out; lowered, people in front of the stage pull the pose.
 const LEAST_CORRELATION: f32 = 0.9;
-/// Runs that correlate better tell of the bias, which is never larger than this, grey levels.
+/// Runs that correlate better tell of the bias in the first guess of the light. Chosen, not tuned: below `LEAST_CORRELATION`, as nothing
+/// correlates well from a start that is off. Raised, too few runs are left; lowered, runs of something else take part in the median.
 const TELLING_CORRELATION: f32 = 0.8;
+/// Largest bias of that guess, grey levels: one sigma of the solution's (`BIAS_SIGMA` in `system`). Raised, a line through runs with little
+/// contrast can leave nearly no gain.
 const LARGEST_BIAS: f64 = 60.0;
-/// Residuals that are looked at for their spread.
+/// Fewest residuals that their robust spread is taken from, where there are as many: it is then known to 3 %. Raised, the median costs
+/// more.
 const SCALE_SAMPLES: usize = 1500;
-/// Pixels that a step rests on which only the next one's weights are taken from, and that tell of the noise; runs are so long that this
-/// many groups of theirs may be stepped over.
+/// Pixels that a rough step rests on, from which only the next one's weights are taken, and the estimate of the noise. Runs are stepped
+/// over by at most `LARGEST_STRIDE` groups of them, so that long ones keep some. `ROUGH_PIXELS` raised, frames cost more; lowered, the
+/// weights are worse. Chosen: a quarter of the usual pixels.
 const ROUGH_PIXELS: usize = 2500;
 const LARGEST_STRIDE: usize = 16;
 

@@ -15,6 +15,7 @@ use crate::geometry::resection::larger_covariance;
 use crate::motion::MotionEstimate;
 
 /// Largest squared residual that counts, sigmas²: beyond three sigmas a pixel shows something else, and its size says nothing of the fit.
+/// Raised, what stands in front of the stage has a say in how pictures were enlarged.
 const LARGEST_MISFIT: f32 = 9.0;
 
 /// A solved level.

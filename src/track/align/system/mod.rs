@@ -14,16 +14,18 @@ use crate::motion::{MotionError, MotionMatrix};
 
 pub mod schur_complement;
 
-/// Degrees of freedom of a motion.
+/// Degrees of freedom of a motion: position and rotation, with velocity and acceleration.
 pub const MOTION: usize = 18;
-/// Unknowns of the light that are the same for the whole frame, behind its nodes: point spread, bias.
+/// Unknowns of the light that are the same for the whole frame, behind its nodes: point spread and bias; not the four gains.
 const SHARED: usize = LIGHT - 4;
 /// Unknowns behind the light nodes: those, and the motion.
 const DENSE: usize = SHARED + MOTION;
 
-/// Relative difference of gain that is usual between neighbouring nodes.
+/// Relative difference of gain that is usual between neighbouring nodes, one sigma. From a prototype; not tuned. Raised, gains take up what
+/// is no light; lowered, spots and shadows are smeared out and pull the pose.
 const ROUGHNESS: f64 = 0.15;
-/// One sigma of the bias, grey levels.
+/// One sigma of the bias, grey levels. Chosen wide, for haze and glare: pixels of different grey tell it far better. Raised, frames of
+/// nearly one grey trade bias for gain; lowered, haze pulls the gain.
 const BIAS_SIGMA: f64 = 60.0;
 
 /// Times of a tile: what a change of motion means for its pose.
