@@ -18,9 +18,9 @@ const UNSEEN_DISTANCE_M: f64 = 4.0;
 /// Tilt that a stretched picture is taken for, by the angle of the stretch over the frame. Assumed, somewhat above 1. Raised, a pose that
 /// features found binds alignment less; lowered, it pulls it where the camera moves.
 const STRETCH_TO_TILT: f64 = 1.5;
-/// A velocity is remembered for so long, seconds; beyond that it fades, over `FADES_IN_S`, into what may be expected unseen, as a hand's
-/// does. Chosen: cameras from 20 frames a second on fade nothing. Raised, slow cameras are expected where an old velocity leads; lowered,
-/// their motion is as unsure as a new one's.
+/// How long a velocity is remembered, seconds; beyond that it fades, over `FADES_IN_S`, into what may be expected unseen, as a hand's does.
+/// Chosen: cameras from 20 frames a second on fade nothing. Raised, slow cameras are expected where an old velocity leads; lowered, their
+/// motion is as unsure as a new one's.
 const REMEMBERED_S: f64 = 0.05;
 const FADES_IN_S: f64 = 0.1;
 

@@ -14,8 +14,8 @@ use super::tile_equations::{TileEquations, TileScore};
 use crate::camera::Shutter;
 use crate::motion::{MotionError, MotionMatrix, unseen};
 
-/// Bands of rows that tiles are gathered in: about as many as a frame has rows of tiles. Raised, instants are told no better apart;
-/// lowered, the instants of `WITHIN` fall into the same band.
+/// Bands of rows that tiles are gathered in: about as many as a frame has rows of tiles. Raised, nearby instants differ no more than
+/// before; lowered, the instants of `WITHIN` fall into the same band.
 const BANDS: usize = 12;
 /// Instants that are tried while the frame is exposed and read, and between the last frame and this one, where a jump looks like another
 /// velocity. Chosen: fewer than `BANDS`, which cannot tell more apart. Raised, the cost of a frame grows.
