@@ -38,7 +38,8 @@ pub enum BoardError {
     Metres(f64),
 }
 
-/// Side of a square, millimetres, below which metres were meant: no camera resolves such a board.
+/// Side of a square, millimetres, below which metres were meant: no camera resolves such a board. Raised, real boards for macro
+/// lenses are refused; lowered, squares of a fifth of a metre, given in metres, pass for millimetres.
 const LEAST_SQUARE_MM: f64 = 0.5;
 
 /// What a board's pattern says of its pose.

@@ -27,7 +27,8 @@ pub struct Inspected {
     pub origin: Origin,
 }
 
-/// Longer side of the report's small pictures, pixels.
+/// Longer side of the report's small pictures, pixels: enough to see which corners are
+/// meant. Raised, the report's file grows with its square.
 const THUMBNAIL_PX: u32 = 360;
 
 /// Looks for the board in one picture.

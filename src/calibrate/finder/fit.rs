@@ -45,21 +45,28 @@ pub(crate) struct WindowFit {
     pub directions: [Vector2<f64>; 2],
 }
 
-/// Blur above this share of a square leaves no corner to be seen.
+/// Bound of the fitted blur, as a share of a square: above it nothing of a corner is left between the next edges. Chosen, not tuned.
+/// Raised, the model may grow flat enough to fit a shadow; lowered, small squares of soft pictures lie at the bound.
 const WIDEST_BLUR: f64 = 0.6;
-/// Blur below this is not fitted: a pixel's own width is 0.29, and sharpened or thinned-out pictures that seem to have less have
-/// jagged edges, between whose steps a narrower model would hop about.
+/// Bound of the fitted blur, pixels: a pixel's own width is 0.29, and sharpened or thinned-out pictures that seem to have less have jagged
+/// edges, between whose steps a narrower model would hop about. Raised, sharp edges are fitted by wider ones.
 const LEAST_BLUR: f64 = 0.45;
-/// Cosine of the largest turn of an edge from the board's direction.
+/// Cosine of the largest turn of an edge from the board's direction, 26 degrees: more than perspective and distortion turn it within a
+/// square. Raised, corners of strongly bent boards are lost; lowered, fits that turned onto another edge are kept.
 const ALONG: f64 = 0.9;
-/// The fit ends with a step of the corner below this, pixels, that gains less than this share of what is left unexplained.
+/// The fit ends with a step of the corner below this, pixels, that gains less than this share of what is left unexplained. The step is
+/// still taken, so what remains is smaller. Raised, corners are less exact; lowered, each fit takes another iteration.
 const LAST_STEP: f64 = 4e-3;
 const LAST_GAIN: f64 = 3e-3;
-/// Windows drawn for one corner at most …
+/// Windows drawn for one corner at most; the last one's fit counts as it is. Raised,
+/// corners that do not settle take longer …
 const ROUNDS: usize = 4;
-/// … after this many that are good for one step only, where that shows that they do not lie around the corner.
+/// … after this many that are good for one step only, where that shows that they do not lie around the corner. Raised, fits from a
+/// poor start may take more windows in all; at 0 each window is fitted to its end before it is drawn again.
 const HASTY_ROUNDS: usize = 2;
-/// Residuals above this share of the contrast are no chessboard corner.
+/// Residuals above this share of the contrast are no chessboard corner. Chosen wide, not tuned, for motion blur and
+/// sharpening leave residuals too; [`Lattice::drop_disturbed`](super::lattice::Lattice::drop_disturbed) is stricter
+/// afterwards. Raised, other crossings pass.
 pub(crate) const LARGEST_RESIDUAL: f64 = 0.35;
 
 /// Fits a corner near `start`, where one square's step along the board's axes is `u` and `v` (their cross product positive).

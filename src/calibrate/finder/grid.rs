@@ -4,9 +4,10 @@
 /// Coordinates along i and j.
 pub(crate) type Place = (i32, i32);
 
-/// Places lie within this of (0, 0): twice the largest board, for the root may be any of its corners.
+/// Places lie within this of (0, 0): twice the largest board ([`Board::new`](crate::calibrate::board::Board::new)), for the
+/// root may be any of its corners. Raised, a lattice that grew wrong takes more memory.
 const REACH: i32 = 200;
-/// Room left beyond a new place when the block grows.
+/// Places left free beyond a new one when the block grows. Raised, blocks hold more empty places; lowered, they are copied more often.
 const ROOM: i32 = 3;
 
 /// Values by their places; iterates along j first.

@@ -10,15 +10,20 @@ use super::grid::{Grid, Place};
 use super::lattice::Lattice;
 use crate::geometry::robust_kernel::median;
 
-/// A step unlike those around it by more than this share of them leads nowhere.
+/// A step that differs from the median of those around it by more than this share links nothing: perspective changes steps by less from one
+/// square to the next, a slip by one square by far more. Raised, wrong pieces stay; lowered, steep boards fall apart.
 const UNLIKE: f64 = 0.4;
-/// Steps that differ by less than this share of one of them are alike.
+/// Steps that differ by less than this share along both axes are alike, and their median need not be computed. As long
+/// as it is at most half of [`UNLIKE`] it changes no verdict; lowered, it saves less time.
 const ALIKE: f64 = 0.2;
-/// A piece is kept when its corners lie this near, in squares, to where the board foretells them.
+/// A piece is kept when its corners lie this near, in squares, to where the board predicts them: beyond half a square the next place is the
+/// nearer one. Raised, pieces with wrong coordinates stay; lowered, those of bent boards beyond a finger are lost.
 const NEAR: f64 = 0.35;
-/// Corners of it that are asked: those nearest to the board.
+/// Corners of a piece that are asked: those nearest to the board. Raised, farther ones decide too,
+/// which the board predicts worse; lowered, one bad corner counts for more.
 const TOLD: usize = 6;
-/// Corners of the board that predict one beyond it.
+/// Corners of the board that predict one beyond it: the nearest, five times as many as the three unknowns of each axis. Raised, the
+/// plane that they lie on reaches farther and perspective bends it; lowered, their noise counts for more.
 const FORETELLERS: usize = 16;
 
 impl Lattice {

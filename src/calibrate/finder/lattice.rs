@@ -54,11 +54,14 @@ impl Extent {
     }
 }
 
-/// A corner this share of a square away from where its neighbours predict it is none.
+/// A corner this share of a square away from where its neighbours predict it is none: half as far as the border to the next place. Raised,
+/// corners of shadows and reflections stay; lowered, true ones of bent boards and near the rim of wide lenses go.
 const STRAY: f64 = 0.25;
-/// Corners up to this many squares away predict one.
+/// Corners up to this many squares away predict one: follows from [`Lattice::predicted`], and must grow with it.
 const FORETELLS: i32 = 3;
-/// More than this times the noise and this share of the contrast left unexplained is no clean corner.
+/// More than this times the noise and this share of the contrast left unexplained, added in squares, is no clean corner.
+/// Chosen, not tuned: twice the median residual, and a share for boards whose residuals are nearly nothing. Raised, corners
+/// under a shadow's edge or a reflection stay; lowered, good ones of noisy pictures go.
 const DISTURBED_NOISE: f64 = 2.0;
 const DISTURBED_SHARE: f64 = 0.08;
 

@@ -97,23 +97,32 @@ pub enum NoBoard {
     },
 }
 
-/// Levels are made down to this shorter side.
+/// Shorter side, pixels, down to which levels are made: squares of a 9x6 board that fills such a picture have about 9 pixels. Raised,
+/// noisy pictures lose the level that shows the board best; lowered, one more level is searched for nothing.
 const LEAST_SIDE: usize = 60;
-/// Lattices looked at on each level.
+/// Lattices looked at on each level, the largest first: the board is mostly the first, the others are for
+/// patterns in the background that are larger. Raised, pictures without the board take longer.
 const LATTICES: usize = 3;
-/// A coarse level on which less than this share of the board hangs together is too coarse for it.
+/// A coarse level on which less than this share of the board hangs together is too coarse for it, and is only come back to if no other
+/// shows the board. Raised, finer levels are searched that need not be; lowered, time goes into completing lattices in vain.
 const WORTH_COMPLETING: f64 = 0.5;
-/// A coarse lattice with a smaller share of its corners in one piece is torn, and mostly stays so when it is completed.
+/// A coarse lattice with a smaller share of its corners in one piece is torn, and mostly stays so when it is completed; it waits for
+/// the finer levels. Raised, boards behind a reflection wait too; lowered, torn lattices are completed in vain.
 const IN_ONE_PIECE: f64 = 0.7;
-/// The search ends with this share of the board's corners: the few others are looked for again on the sharpest level.
+/// The search ends with this share of the board's corners: the few others are looked for again on the sharpest level. Raised, a board with
+/// hidden corners is searched on every level; lowered, the search ends where a finer level would have shown more.
 const NEARLY_WHOLE: f64 = 0.9;
-/// A board counts as seen when this share of its corners is.
+/// A board counts as seen when this share of its corners is. Chosen, not tuned: fewer mostly lie on one side
+/// and tell the pose badly. Raised, pictures with a hand before the board are lost.
 const LEAST_SEEN: f64 = 0.7;
-/// Corners are fitted on a level where the blur is at most this, pixels.
+/// Corners are fitted on a level where the blur is at most this, pixels: finer pixels only make the windows larger, for the edges
+/// hold no more detail. Raised, blurred pictures take longer; lowered, corners are fitted on coarser pixels …
 pub(crate) const WIDEST_BLUR: f64 = 2.5;
-/// … or where squares are smaller than this: they have no pixels to spare.
+/// … or where squares are smaller than this, pixels: they have no pixels to spare.
+/// Raised, more blurred pictures are fitted on the finer level.
 pub(crate) const SMALL_SQUARE: f64 = 8.0;
-/// A level on which more blur than this is expected is not even tried, pixels.
+/// A level on which more blur than this is expected is not even tried, pixels: a little above [`WIDEST_BLUR`], as the expectation comes
+/// from the coarser level. Raised, levels are fitted in vain; lowered, some that are sharp enough are left out.
 const EXPECTED_BLUR: f64 = 2.8;
 
 /// Finds the board's corners in a picture.
@@ -275,6 +284,7 @@ fn brightness(picture: &GrayImage) -> String {
 }
 
 /// Width of the copy in which blur is looked for: fine enough for what ruins corners, and the noise of large sensors is averaged out.
+/// Raised, the lens' own softness in large pictures is called blur; lowered, blur that ruins corners is not seen.
 const LOOKED_AT_PX: u32 = 640;
 
 fn is_blurred(picture: &GrayImage) -> bool {

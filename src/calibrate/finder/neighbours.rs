@@ -19,7 +19,8 @@ pub(crate) struct Margin {
     pub lightness: f64,
 }
 
-/// How far outside the outermost corners the margin is looked at, squares.
+/// How far outside the outermost corners the margin is looked at, squares: the board's last squares end at 1, and half a square
+/// further the blur brings in little of them. Raised, what lies behind the board is taken for its margin.
 const OUTSIDE: f64 = 1.5;
 
 impl Margin {
@@ -46,16 +47,19 @@ impl Margin {
     }
 }
 
-/// Blur above this share of a square makes the level of a single corner unsure …
+/// Blur above this share of a square makes the level of a single corner unsure, for the next edges' blur reaches into it. Lowered, narrow
+/// reflections are averaged out; raised, the slope of the light over blurred corners is noisy and displaces them …
 const MUCH_BLUR: f64 = 0.18;
-/// … so that the lightness around it is the median over the corners within this many squares. Elsewhere within one square, for a reflection
-/// is narrow.
+/// … so that the light comes from the corners within this many squares. Elsewhere it is within one square,
+/// for a reflection is narrow. Raised, the light's slope is that of half the board.
 const REACH_BLURRED: i32 = 3;
 
-/// The outermost squares, which may be cut, alternate at least this much a quarter of a square out, and what is around the board at
-/// most this much, as a share of the squares inside.
+/// The outermost squares, which may be cut, alternate at least this much a quarter of a square out, and what is around the
+/// board at most this much, as a share of the squares inside: about half way between none and all. Raised, boards under
+/// uneven light seem to end early; lowered, patterns behind the board seem to continue it.
 const ALTERNATES: f64 = 0.45;
-/// Squares along a side that must be seen for it to tell anything.
+/// Squares along a side that must be seen for it to say anything: fewer alternate by chance. A side of
+/// three corners has two, and says nothing; raised, longer sides do not either.
 const LEAST_SQUARES: usize = 3;
 
 impl Lattice {

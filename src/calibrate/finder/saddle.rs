@@ -24,13 +24,17 @@ pub(super) struct Saddle {
     pub contrast: f64,
 }
 
-/// Determinants below this are noise: a board of about 2.5 grey levels of contrast on a quiet sensor.
+/// Determinants below this, (grey levels per square pixel) squared, are noise: a board of about 2.5 grey levels of contrast on a quiet
+/// sensor. Raised, dim boards are missed; lowered, noise gives candidates, each of which costs a look at its ring.
 const LEAST_DETERMINANT: f32 = 2.5;
-/// More candidates than the largest board has by far; the strongest are kept.
+/// Candidates kept at most, the strongest: more than the 10 000 corners of the largest board. Raised, textured
+/// pictures take longer; lowered, texture with more contrast crowds out large boards.
 const MOST_CANDIDATES: usize = 12_000;
-/// Radius of the ring, level pixels.
+/// Radius of the ring, level pixels: three sigma of the smoothing, so that the quadrants show, and less than a square.
+/// Raised, boards with small squares are missed; lowered, the smoothing mixes the quadrants.
 const RING_RADIUS: f64 = 3.0;
-/// Points on half the ring.
+/// Points on half the ring: 0.6 pixels apart, closer than the picture has detail. Raised, a
+/// candidate only costs more; lowered, the edges' directions get coarser.
 const HALF_RING: usize = 16;
 
 /// The ring's points from its centre, x and y.

@@ -9,7 +9,7 @@ use std::f32::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI, LN_2, LOG2_E};
 use crate::simd::multiversion;
 use nalgebra::{SVector, Vector2};
 
-/// Pixels handled side by side.
+/// Pixels handled side by side: one AVX2 register of single precision.
 pub(super) const LANES: usize = 8;
 /// Numbers of the model: position (2), the two edges' angles, ln blur, middle level, contrast.
 pub(crate) const N: usize = 7;
@@ -235,9 +235,10 @@ pub(crate) fn erf_and_slope(z: f32) -> (f32, f32) {
 /// e to the power of a number at or below 0, to 2e-7 of its value or 1e-12: two to a whole power, times a polynomial for the rest.
 #[inline(always)]
 fn exp_of_negative(x: f32) -> f32 {
-    // Adding and taking away 1.5 * 2^23 rounds to a whole number, which then stands in the lowest bits.
+    // Adding and taking away 1.5 * 2^23 rounds to a whole number, which then stands in the lowest bits: there single precision steps by 1.
     const ROUND: f32 = 12_582_912.0;
-    // Products of several of these must stay normal numbers: others take a hundred times as long.
+    // Products of three of these must stay normal numbers (2^-126): others take a hundred times as long.
+    // Raised, the tails of blurred edges end too early; lowered, such products underflow.
     const LEAST_POWER: f32 = -40.0;
     let power = (x * LOG2_E).max(LEAST_POWER);
     let rounded = power + ROUND;

@@ -9,12 +9,13 @@ use super::super::solve::lens::{LENS_NUMBERS, Lens, LensMatrix};
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::geometry::robust_kernel::median;
 
-/// Columns and rows of a map; odd, so that the middle has a place.
+/// Columns and rows of a map; odd, so that the middle has a place, and about as 4 to 3. Raised, maps are finer and take longer.
 pub const MAP_COLUMNS: usize = 17;
 /// See [`MAP_COLUMNS`].
 pub const MAP_ROWS: usize = 13;
 
 /// Share of the places that "most of the picture" means: the rest is the outermost rim, where few corners ever are.
+/// Raised, the rim decides the verdict; lowered, a lens known in the middle alone passes.
 pub const MOST: f64 = 0.8;
 
 /// One number for each place of a grid that spans the picture.

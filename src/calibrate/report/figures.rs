@@ -126,7 +126,7 @@ fn round_step(reach: f64) -> f64 {
     [5.0, 2.0, 1.0].map(|k| k * power).into_iter().find(|step| 2.0 * step <= reach).unwrap_or(power)
 }
 
-/// Width and height of the figure of the boards in space.
+/// Width and height of the figure of the boards in space, in the figure's units.
 const SPACE: [f64; 2] = [480.0, 360.0];
 
 /// Looks at the boards and the camera from the side and above, from so far away that parallels stay parallel.

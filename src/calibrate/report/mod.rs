@@ -37,6 +37,7 @@ impl Comparison {
     }
 }
 
+/// The report's style sheet; it defines the colours for light and dark.
 const STYLE: &str = include_str!("report.css");
 
 /// `date` is when the report was made.

@@ -4,14 +4,16 @@
 
 use super::svg::Drawing;
 
-/// Upper ends of the steps, pixels; the last step has none.
+/// Upper ends of the steps, pixels; the last step has none. From well below what a corner is measured to, to what anyone sees:
+/// steps of 1, 2 and 5 read easily. They are the same in every report, so that reports can be compared.
 const ENDS_PX: [f64; 7] = [0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0];
 /// A colour for each step (ColorBrewer's RdYlBu, reversed) …
 const COLOURS: [&str; 8] = ["#4575b4", "#74add1", "#abd9e9", "#e0f3f8", "#fee090", "#fdae61", "#f46d43", "#d73027"];
 /// … and the colour of text on it.
 const TEXT: [&str; 8] = ["#fff", "#111", "#111", "#111", "#111", "#111", "#111", "#fff"];
 
-/// Height that the bar takes below a figure, in the figure's units.
+/// Height that the bar takes below a figure, in the figure's units: what [`bar`] draws
+/// down to, and a little more. Lower, its numbers are cut off.
 pub(super) const BAR_HEIGHT: f64 = 46.0;
 
 fn step(pixels: f64) -> usize {

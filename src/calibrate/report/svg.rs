@@ -84,6 +84,7 @@ pub(super) fn hue(k: usize) -> String {
 
 /// Bytes as base64 (RFC 4648).
 pub(super) fn base64(bytes: &[u8]) -> String {
+    // The alphabet of RFC 4648, section 4.
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
     for group in bytes.chunks(3) {

@@ -91,7 +91,8 @@ pub struct BundleCovariance {
     pub views: Vec<Matrix6<f64>>,
 }
 
-/// What the place behind the camera costs: pixels squared, larger than any picture.
+/// What a corner behind the camera costs: pixels squared, larger than any picture, so that no step that
+/// puts one there is taken. Any value above a picture's diagonal squared would do.
 const BEHIND: f64 = 1e9;
 
 impl Bundle {

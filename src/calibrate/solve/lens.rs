@@ -4,7 +4,7 @@ use nalgebra::{SMatrix, SVector, Vector2};
 
 use crate::camera::{CameraError, CameraModel, Intrinsics};
 
-/// How many numbers a lens has.
+/// How many numbers a lens has: Brown's model as in Bouguet's toolbox, with [`LENS_NAMES`].
 pub const LENS_NUMBERS: usize = 10;
 /// Their names, in the order of [`Lens`].
 pub const LENS_NAMES: [&str; LENS_NUMBERS] = ["fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3"];

@@ -12,7 +12,8 @@ use crate::geometry::homography::{Homography, PointPair};
 use crate::geometry::planar_pose::planar_poses;
 use crate::geometry::{Camera, Pose};
 
-/// Focal lengths, in picture widths, from a wide lens to a long one.
+/// Focal lengths, in picture widths, from a wide lens (80 degrees across) to a long one (10 degrees). Each is about 1.4 to 2 times the
+/// one before, near enough for the adjustment to find its way from one of them. More steps only take longer.
 const LADDER: [f64; 6] = [0.6, 0.85, 1.2, 1.8, 3.0, 6.0];
 
 /// The best start for these views; `held` has the values of numbers that are not estimated. `None` where a view has no pose.
