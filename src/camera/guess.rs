@@ -16,15 +16,17 @@ pub enum LensGuess {
 }
 
 /// One sigma of a focal length that follows from a field of view: makers round it, and some mean the diagonal of another format.
+/// Chosen, not measured. Raised, covariances of a guessed lens grow; lowered, they promise more than is known.
 const FIELD_OF_VIEW_SHARE: f64 = 0.03;
-/// One sigma of a focal length that follows from a phone's: films are cropped from its pictures, and steadied ones once more.
+/// The same of one that follows from a phone's, and more: films are cropped from its pictures, and steadied ones once more.
 const FILM_SHARE: f64 = 0.05;
-/// One sigma of the principal point, as a share of the picture's width: what webcams and phones are found off by.
+/// One sigma of the principal point, as a share of the picture's width: what webcams and phones
+/// are found off by. Raised, covariances of a guessed lens grow.
 const CENTRE_SHARE: f64 = 0.02;
-/// One sigma of k1, k2, p1 and p2: webcams are found there, and nothing is known of this one. A number that is left out would be told as
-/// known to be 0, and its millimetres would lie where the others leave no doubt.
+/// One sigma of k1, k2, p1 and p2: what webcams are found to have, as nothing is known of this one. A number that is left out would
+/// count as known to be 0, and the pose would seem too sure. Raised, covariances of a guessed lens grow.
 const DISTORTION: [f64; 4] = [0.1, 0.1, 0.003, 0.003];
-/// Half the diagonal of 36 x 24 mm film, millimetres.
+/// Half the diagonal of 36 x 24 mm film, millimetres: sqrt(18² + 12²).
 const FILM_HALF_DIAGONAL_MM: f64 = 21.633_307_652_783_937;
 
 impl LensGuess {

@@ -353,7 +353,8 @@ impl CameraModel {
     }
 }
 
-/// No lens shows rays beyond this normalised radius (89.99994 degrees off the axis).
+/// No lens shows rays beyond this normalised radius (89.99994 degrees off the axis). It ends the search for a radius at which
+/// the distortion folds; raised, its powers in the polynomial lose their meaning before anything is gained.
 const LARGEST_RADIUS: f64 = 1e6;
 
 /// The first radius at which d(r radial(r))/dr = 1 + 3 k1 r² + 5 k2 r⁴ + 7 k3 r⁶ is no longer positive.

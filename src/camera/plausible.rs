@@ -10,31 +10,36 @@ use nalgebra::Vector2;
 
 use super::model::{CameraError, CameraModel, Intrinsics, Pixel};
 
-/// Focal lengths, longer sides of the picture. A tenth is 157 degrees across, which Brown's model cannot bend; a hundred is half
-/// a degree, the longest broadcast lenses.
+/// Focal lengths, in longer sides of the picture. A tenth is 157 degrees across, which Brown's model cannot bend; a hundred is half a
+/// degree, the longest broadcast lenses. Wider, slipped points pass; narrower, real lenses are refused.
 const FOCAL_SIDES: RangeInclusive<f64> = 0.1..=100.0;
-/// Beyond these (120 degrees, 3 degrees) a focal length is worth a word.
+/// Beyond these (122 degrees, 3 degrees) a focal length is worth a word. Narrower, calibrations of good lenses get remarks.
 const USUAL_FOCAL_SIDES: RangeInclusive<f64> = 0.28..=20.0;
-/// fx / fy. Anamorphic lenses and halved lines reach 2.
+/// fx / fy. Anamorphic lenses and halved lines reach 2, so this is twice as wide. Wider, a line of another file passes for fy.
 const PIXEL_SHAPE: RangeInclusive<f64> = 0.25..=4.0;
-/// Beyond these pixels that are not square are worth a word.
+/// Beyond these pixels that are not square are worth a word: square ones come out equal to a
+/// percent or so. Narrower, calibrations from few views get remarks too.
 const USUAL_PIXEL_SHAPE: RangeInclusive<f64> = 0.9..=1.1;
-/// Principal point as a share of the picture. Cut pictures may have it outside, by no more than half of themselves.
+/// Principal point as a share of the picture. Cut pictures may have it outside, by no more than
+/// half of themselves. Wider, the centre of another picture size passes.
 const CENTRE: RangeInclusive<f64> = -0.5..=1.5;
-/// Beyond these it is worth a word.
+/// Beyond these it is worth a word: whole pictures have it within a few hundredths of the
+/// middle. Narrower, slightly cropped pictures get remarks.
 const USUAL_CENTRE: RangeInclusive<f64> = 0.25..=0.75;
-/// alpha_c of a sensor that leans by 45 degrees.
+/// alpha_c of a sensor that leans by 45 degrees: far beyond any camera. Raised, a number of another line passes.
 const LARGEST_SKEW: f64 = 1.0;
-/// Beyond this, 3 degrees, it is worth a word.
+/// Beyond this, 3 degrees, it is worth a word: sensors have none that can be measured. Raised, slipped numbers go unmentioned.
 const USUAL_SKEW: f64 = 0.05;
-/// How many times as far from the axis a ray may be as the lens shows it. Barrel distortion of the widest lenses reaches 4,
-/// pincushion distortion 0.7.
+/// How many times as far from the axis a ray may be as the lens shows it. Barrel distortion of the widest lenses reaches 4, pincushion
+/// distortion 0.7. Wider, coefficients in a wrong order pass; narrower, fisheyes that the model just fits are refused.
 const BENT: RangeInclusive<f64> = 0.5..=8.0;
-/// Share of the picture that must have rays. Fitted polynomials fold in the corners of good calibrations too.
+/// Share of the picture that must have rays that a lens could bend. Fitted polynomials fold in the corners of good calibrations
+/// too. Raised, those are refused; lowered, a camera passes of which half the picture serves for nothing.
 const LEAST_INVERTIBLE: f64 = 0.75;
-/// Sides of a picture, pixels: no file form holds longer ones.
+/// Sides of a picture, pixels: what JPEG's 16 bits hold, and far beyond any sensor. Raised, slipped numbers pass.
 const LONGEST_SIDE: u32 = 65_535;
-/// Places along each side of the picture at which it is tested, edges included.
+/// Places along each side of the picture at which it is tested, edges included: a fold is a ring around
+/// the axis, so a coarse grid sees it. Raised, reading a calibration takes longer.
 const ASKED: u32 = 17;
 
 /// Refuses what no camera has; gives what is rare, a sentence each.

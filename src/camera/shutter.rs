@@ -10,7 +10,8 @@ pub struct Shutter {
 }
 
 impl Shutter {
-    /// Longest times that a config may give, seconds. Cameras of 1 frame a second have them; longer ones are mostly milliseconds.
+    /// Longest times that a config may give, seconds. Cameras of 1 frame a second have them; longer
+    /// ones are mostly milliseconds. Raised, such a slip of a thousand passes.
     pub const LONGEST_S: f64 = 1.0;
 
     /// The name and the value of a time that no shutter has.

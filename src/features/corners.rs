@@ -77,7 +77,7 @@ pub fn detect_corners(
     spread(corners, order, filled, (w, h), options, found);
 }
 
-/// Corners ranked by eigenvalue for each one wanted.
+/// Corners ranked by eigenvalue for each one wanted. Raised, more eigenvalues are computed; at 1 FAST's score alone would choose.
 const SHORTLIST: usize = 3;
 
 /// Leaves in `buffers.candidates` the FAST-9 corners that are the largest of their 3x3 neighbourhood.

@@ -8,7 +8,8 @@ use image::GrayImage;
 
 use super::pattern::{DESCRIPTOR_BITS, PAIRS, PATCH_RADIUS, Pair};
 
-/// Directions that the pattern is turned to ahead of time.
+/// Directions that the pattern is turned to ahead of time: at 2.8 degrees apart, no end of a pair is more than a third of a pixel off, less
+/// than the rounding. Raised, the table (128 KiB) leaves the cache; lowered, turned copies differ in more bits.
 const DIRECTIONS: usize = 128;
 
 /// The bits of a descriptor.
@@ -37,6 +38,7 @@ pub fn orientation(image: &GrayImage, x: u32, y: u32) -> f32 {
 
 /// Half-widths of the disc's rows.
 fn disc() -> &'static [i32; 2 * PATCH_RADIUS as usize + 1] {
+    // Computed at the first call.
     static DISC: OnceLock<[i32; 2 * PATCH_RADIUS as usize + 1]> = OnceLock::new();
     DISC.get_or_init(|| {
         std::array::from_fn(|k| {
@@ -48,6 +50,7 @@ fn disc() -> &'static [i32; 2 * PATCH_RADIUS as usize + 1] {
 
 /// The pattern turned to every direction.
 fn turned() -> &'static [[Pair; DESCRIPTOR_BITS]] {
+    // Computed at the first call.
     static TURNED: OnceLock<Vec<[Pair; DESCRIPTOR_BITS]>> = OnceLock::new();
     TURNED.get_or_init(|| {
         (0..DIRECTIONS)

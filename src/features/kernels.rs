@@ -3,7 +3,7 @@
 
 use crate::simd::multiversion;
 
-/// Radius of FAST's circle in pixels.
+/// Radius of FAST's circle in pixels (Rosten and Drummond 2006).
 pub const CIRCLE_RADIUS: usize = 3;
 
 /// The 16 circle pixels as (dx, dy), clockwise from the top.
@@ -26,7 +26,7 @@ pub const CIRCLE: [(isize, isize); 16] = [
     (-1, -3),
 ];
 
-/// Pixels that are tested side by side.
+/// Pixels that are tested side by side: one AVX2 register of bytes.
 const LANES: usize = 32;
 
 multiversion! {

@@ -4,9 +4,10 @@
 //! it (a sum of uniform numbers with standard deviation 6.5 px, close to what BRIEF's authors found best),
 //! within reach of the patch, and no pair shorter than 3 px.
 
-/// Comparisons, one bit each.
+/// Comparisons, one bit each, as in BRIEF-32 and ORB. Raised, chance matches get rarer, and matching takes longer.
 pub const DESCRIPTOR_BITS: usize = 256;
-/// Radius in level pixels of the disc that gives the orientation, and reach of the comparisons.
+/// Radius in level pixels of the disc that gives the orientation, and reach of the comparisons: ORB's patch of 31
+/// pixels. Raised, descriptors tell more apart, and tilts, borders and occluders disturb more of them.
 pub const PATCH_RADIUS: i32 = 15;
 /// Two pixel offsets (dx, dy) from the corner.
 pub type Pair = ((i8, i8), (i8, i8));

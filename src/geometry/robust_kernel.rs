@@ -3,8 +3,8 @@
 //!
 //! Residuals are squared and whitened: in variances of their noise.
 
-/// Tukey's biweight: residuals beyond this many sigmas count nothing. At 4.685, here rounded, it is 95 % as efficient as least squares where all
-/// noise is normal. Raised, outliers pull more.
+/// Tukey's biweight: residuals beyond this many sigmas count nothing. At 4.685, here rounded, it is 95 % as efficient as least
+/// squares where all noise is normal. Raised, outliers pull more; lowered, good residuals are lost.
 pub const TUKEY: f64 = 4.7;
 
 /// Tukey's weight of a squared residual (in sigmas of `scale`).

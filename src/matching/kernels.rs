@@ -4,7 +4,7 @@
 use crate::features::Descriptor;
 use crate::simd::multiversion;
 
-/// Descriptors whose distances are computed side by side.
+/// Descriptors whose distances are computed side by side: one AVX-512 register of 64-bit words.
 pub const LANES: usize = 8;
 
 /// Eight descriptors, word by word, so that one register holds the same word of all.

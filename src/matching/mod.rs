@@ -48,7 +48,8 @@ pub struct MatchBuffers {
     frame: Vec<kernels::Block>,
 }
 
-/// Hamming distances above this never match (chance pairs lie around 128 +- 8).
+/// Hamming distances above this never match: chance pairs lie around 128 +- 8, so this is six sigma below. Raised, chance
+/// matches pass the ratio test more often; lowered, matches under blur and steep angles are lost.
 const LARGEST_DISTANCE: u32 = 80;
 
 impl ReferenceIndex {
@@ -75,6 +76,7 @@ impl ReferenceIndex {
 
     /// The nearest entry and the ratio of its distance to that of the nearest elsewhere.
     fn nearest(&self, descriptor: &Descriptor) -> Option<(u32, f32)> {
+        // No entry yet: farther than any that may come.
         const NONE: (u32, usize) = (u32::MAX, usize::MAX);
         let (mut best, mut second) = (NONE, NONE);
         // Whether entries were left out because they lie beside the best one, and whether a rival may be among them.

@@ -12,11 +12,13 @@ use crate::geometry::robust_kernel::median;
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::track::{BodySpec, covariance_by_lens};
 
-/// Points across and down a surface: enough that one more row changes little.
+/// Points across and down a surface: enough that one more row changes little. Raised, advice takes longer.
 const GRID: [u32; 2] = [11, 9];
-/// Points below which a view is too poor to be advised.
+/// Points below which a view is too poor to be advised: a third of a surface. Raised, views from near and
+/// from the side are not advised; lowered, views are that the tracker may not find.
 const FEWEST_POINTS: usize = 30;
-/// What is nearer than this is not looked at, metres.
+/// What is nearer than this is not looked at, metres: no stage is, and below it the
+/// projection loses its meaning. Any small length would do.
 const NEAREST_M: f64 = 0.05;
 
 /// A camera and the stage that it measures in.

@@ -62,14 +62,16 @@ pub enum Unsolvable {
     NoSolution,
 }
 
-/// Turns about a second axis below which boards apart tell nothing of the shift along the first one, degrees (RMS over all pairs of views).
-/// Lower, and the noise of the poses passes for turns.
+/// Turns about a second axis below which boards apart tell nothing of the shift along the first one, degrees (RMS over all pairs of
+/// views). Lowered, the noise of the poses passes for turns; raised, careful sets of small turns are refused.
 const LEAST_ACROSS_DEG: f64 = 3.0;
-/// Squared distance of six degrees of freedom that a good pair exceeds once in 10^5: it is then left out.
+/// Squared distance of six degrees of freedom that a good pair exceeds once in 10^5 (chi-squared): it is then
+/// left out. Raised, wrong pairs pull the mount; lowered, good ones are lost.
 const OUTLIER: f64 = 33.1;
-/// Median of the squared distance of six degrees of freedom.
+/// Median of chi-squared of six degrees of freedom: what the squared distances' median is
+/// held against, so that half of the pairs may be wrong.
 const MEDIAN: f64 = 5.35;
-/// Steps of the solver at most; it converges in three to six.
+/// Steps of the solver at most; it converges in three to six. Raised, sets that do not converge take longer.
 const STEPS: usize = 30;
 
 type Normal = SMatrix<f64, 12, 12>;

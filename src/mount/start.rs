@@ -6,7 +6,8 @@ use super::residual::Unknowns;
 use super::views::{Stages, ViewPair, mean};
 use crate::geometry::{Camera, FilmingCamera, Pose, Stage, quaternion};
 
-/// Triples of views that are tried where the stages are apart: all of the first twelve views. More only take time.
+/// Triples of views that are tried where the stages are apart: all that twelve views have; of more views, those that begin
+/// with the first ones. Raised, the start takes longer; lowered, fewer of them are free of wrong views.
 const MOST_TRIPLES: usize = 220;
 
 /// The start that the views agree with best, by the sum of their distances, which one wrong view cannot spoil.

@@ -8,9 +8,11 @@ use nalgebra::Matrix6;
 
 use super::views::{View, mean};
 
-/// Rows of a standstill at least, in clips where there are standstills: less is a slow moment of a movement.
+/// Rows of a standstill at least, in clips where there are standstills: less is a slow moment of a movement. Chosen, not tuned.
+/// Raised, short halts are passed over; lowered, clips are cut at moments that are none, and do not pair.
 const LEAST_ROWS: usize = 5;
-/// Largest motion that counts as standing still: sigmas, and besides metres and radians.
+/// Largest motion between rows that counts as standing still: sigmas, and besides metres and radians, for covariances do not count all that
+/// a still pose wanders by. Chosen, not tuned. Raised, slow movements are merged into one view; lowered, a standstill falls into pieces.
 const SIGMAS: f64 = 4.0;
 const SLACK_M: f64 = 5e-4;
 const SLACK_RAD: f64 = 4e-4;

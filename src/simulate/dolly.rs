@@ -83,6 +83,7 @@ fn camera(width: u32, height: u32) -> Result<CameraModel, CameraError> {
 
 /// To and fro in ten seconds, nearer and farther, up and down, each with a period of its own so that it never repeats.
 fn ride(duration_s: f64, seed: u64) -> Result<CameraPath, PathError> {
+    // Seconds between keys: a tenth of the shortest period, so that the spline runs along the waves. Raised, their crests are cut.
     const KEY_EVERY_S: f64 = 0.5;
     // One key beyond the end: exposure and readout reach past the last stamp.
     let keys = (duration_s / KEY_EVERY_S).ceil() as i64 + 1;

@@ -115,6 +115,8 @@ impl Shake {
     /// A shake whose position scatters by about `amplitude_m` and its direction by about `amplitude_rad` (one sigma
     /// on each axis), with frequencies from 0.5 Hz to `highest_hz`; the faster, the smaller.
     pub fn new(amplitude_m: f64, amplitude_rad: f64, highest_hz: f64, seed: u64) -> Self {
+        // Sines on each axis: enough that their sum does not seem to repeat and is nearly normal.
+        // Raised, rendering takes longer; changed, every seed shakes otherwise.
         const SINES: usize = 12;
         let mut random = Pcg64Mcg::seed_from_u64(seed ^ 0x5ba6_e000);
         let sines = std::array::from_fn(|axis| {

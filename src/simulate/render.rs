@@ -16,11 +16,11 @@ use crate::camera::{CameraModel, Pixel};
 use crate::geometry::{Camera, Pose, Stage, SurfaceFrame};
 use crate::track::SurfaceSpec;
 
-/// Nothing nearer than this is seen, metres.
+/// Nothing nearer than this is seen, metres: a lens' own front. Raised, things held before the camera vanish.
 const NEAREST_M: f64 = 0.02;
-/// Grey level of the unpainted back of a surface.
+/// Grey level of the unpainted back of a surface: dim wood, unlike black and white of the artwork. Any grey would do.
 const BACK_GREY: f32 = 45.0;
-/// Grey level of the sensor in a blackout.
+/// Grey level of the sensor in a blackout: a dark frame's offset, before noise. Raised, a blackout counts as dim light.
 const BLACKOUT_GREY: f32 = 4.0;
 
 /// The ray through a pixel's centre and how it turns across the pixel.

@@ -6,15 +6,18 @@ use super::page::{Item, Page, RULER_MM, Style, fitting_size, ruler};
 use super::paper::{MARGIN_MM, Paper};
 use crate::calibrate::board::Board;
 
-/// White around the board where no paper is named, millimetres; a finder needs some, and so does a printer.
+/// White around the board where no paper is named, millimetres; a finder needs some, and so does
+/// a printer, which reaches to 5 mm of the edge. Raised, the sheet grows.
 const OWN_MARGIN_MM: f64 = 12.0;
-/// Room for the ruler and the label below the board where no paper is named, millimetres.
+/// Room below the board and its margin where no paper is named, millimetres: the ruler, the label of 3 mm type, and 4 mm of white.
 const OWN_FOOT_MM: f64 = 16.0;
-/// Room below the board on a paper for the gap, the ruler and the label, millimetres.
+/// Room below the board on a paper, millimetres: a gap, the ruler, the label of 3 mm type. Raised, the largest square that fits shrinks.
 const FOOT_MM: f64 = 4.0 + RULER_MM + 4.0;
-/// Far below what a printer resolves, far above the rounding of binary fractions, millimetres.
+/// Slack in what fits, millimetres: far below what a printer resolves, far above the
+/// rounding of binary fractions. Anything between would do.
 const ROUNDING_MM: f64 = 1e-6;
-/// Width of a letter of the label, ems, on the safe side.
+/// Width of a letter of the label, ems: above Helvetica's mean of about 0.5, as no font is asked.
+/// Raised, the label is printed smaller; lowered, it may run beyond the margin.
 const LETTER_EM: f64 = 0.55;
 
 /// The board does not fit on the paper.

@@ -54,11 +54,12 @@ pub enum Style {
     Typewriter,
 }
 
-/// Thickness of a line, millimetres: as thin as every printer prints it.
+/// Thickness of a line, millimetres: as thin as every printer prints it. Raised, the ruler's ticks of a millimetre are less exact to read.
 pub const LINE_MM: f64 = 0.15;
-/// Height of a ruler with its numbers, millimetres.
+/// Height of a ruler with its numbers, millimetres: what [`ruler`] draws, and 1 mm of white.
 pub const RULER_MM: f64 = 8.0;
 /// Longest ruler, millimetres: the length of a desk ruler, which it is held against.
+/// Shorter, an error of the printer's scale is less exact to read.
 const LONGEST_RULER_MM: f64 = 200.0;
 
 /// A ruler in whole centimetres, at most `room` long, with a tick a millimetre.

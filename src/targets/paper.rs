@@ -2,9 +2,10 @@
 
 use thiserror::Error;
 
-/// White that is left around everything, millimetres. Most printers reach to 5 mm of the edge; below 5 mm the ruler may be cut off.
+/// White that is left around everything, millimetres. Most printers reach to 5 mm of the edge; below
+/// 5 mm the ruler may be cut off. Raised, boards and posters are smaller.
 pub const MARGIN_MM: f64 = 10.0;
-/// Names and sizes, millimetres, upright.
+/// Names and sizes, millimetres, upright: ISO 216, and ANSI's Letter, Legal and Tabloid.
 const NAMED: [(&str, [f64; 2]); 9] = [
     ("a0", [841.0, 1189.0]),
     ("a1", [594.0, 841.0]),
@@ -16,9 +17,9 @@ const NAMED: [(&str, [f64; 2]); 9] = [
     ("legal", [215.9, 355.6]),
     ("tabloid", [279.4, 431.8]),
 ];
-/// Sides that are taken for paper, millimetres: smaller leaves no room for a ruler, larger is a mistyped unit.
+/// Sides that are taken for paper, millimetres: smaller leaves no room for a ruler, larger is a mistyped unit. The message names them.
 const SIDES_MM: [f64; 2] = [100.0, 5000.0];
-/// Longest side over the shortest: a longer strip holds a camera badly across it.
+/// Longest side over the shortest: a longer strip holds a camera badly across it. Chosen, not tuned. The message names it.
 const LONGEST_RATIO: f64 = 4.0;
 
 /// A sheet of paper.

@@ -7,10 +7,12 @@ use super::page::{Item, LINE_MM, Page, Style};
 
 /// PDF's unit: 72 points an inch.
 const POINTS_PER_MM: f64 = 72.0 / 25.4;
-/// Width of a digit in Helvetica, ems.
+/// Width of a digit in Helvetica, ems, by Adobe's font metrics: numbers are centred by it.
 const DIGIT_EM: f64 = 0.556;
-/// How hard the picture is compressed, 0 to 10; harder saves little of a picture that is mostly edges.
+/// How hard the picture is compressed, 0 to 10: deflate's usual level. Raised, writing
+/// takes longer and saves little of a picture that is mostly edges.
 const COMPRESSION: u8 = 6;
+/// The names by which the page's content calls its resources: two typefaces and the picture. Any names would do.
 const SANS: Name = Name(b"Sans");
 const TYPEWRITER: Name = Name(b"Typewriter");
 const PICTURE: Name = Name(b"Picture");

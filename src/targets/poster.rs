@@ -30,9 +30,11 @@ const LAYERS: u32 = 7;
 /// what black and white give to the fine ones is lost to it: with 0.6, sigma at 10 widths is a tenth smaller than with 0.8, and at 0.3 widths,
 /// where it is smallest by far, twice as large.
 const FINER_BY_COARSER: f64 = 0.75;
-/// Grey levels of black and white: paper is not 255 and ink not 0, and a camera in bright light shall not clip.
+/// Grey levels of black and white: paper is not 255 and ink not 0, and a camera in bright light shall not clip. Wider, the
+/// tracker's reference has more contrast than the print; narrower, the print has less than it could.
 const LEVELS: [f32; 2] = [20.0, 235.0];
-/// Width of an edge in the file, pixels.
+/// Width of an edge in the file, pixels: two keep edges smooth where they run aslant. Raised,
+/// the finest marks, three pixels, fade; lowered, edges are stairs.
 const EDGE_PX: f32 = 2.0;
 /// The lattices are turned against each other by the golden angle: (cosine, sine). No two of nine come near to parallel.
 const TURN: [f64; 2] = [-0.737_368_878_078_32, 0.675_490_294_261_524];

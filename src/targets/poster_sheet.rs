@@ -3,17 +3,19 @@
 use super::page::{Item, Page, RULER_MM, Style, fitting_size, ruler};
 use super::paper::{MARGIN_MM, Paper};
 
-/// Pixels of the picture's shorter side. Its finest marks are 1/500 of that side, so three pixels; more would only make the file larger.
+/// Pixels of the picture's shorter side. Its finest marks are 1/500 of that side, so three
+/// pixels; more would only make the file larger, fewer would lose those marks.
 const SHORTER_SIDE_PX: f64 = 1700.0;
-/// White between the picture and the ruler, millimetres.
+/// White between the picture and the ruler, millimetres. Raised, the picture is smaller.
 const GAP_MM: f64 = 4.0;
-/// A line of words, millimetres.
+/// Height of a line of words, millimetres: the largest type and a third more. Raised, the picture is smaller.
 const LINE_MM: f64 = 4.0;
-/// Largest type, millimetres.
+/// Largest type, millimetres: read at arm's length. Longer lines are set smaller. Raised, it needs a larger [`LINE_MM`].
 const TYPE_MM: f64 = 3.0;
-/// Lines below the ruler: two of words, three of the config.
+/// Lines below the ruler: two of words, three of the config's snippet. The picture leaves room for as many.
 const LINES: usize = 5;
-/// Width of a letter, ems: sans serif on the safe side, typewriter exactly.
+/// Width of a letter, ems: sans serif above its mean, typewriter (Courier) exactly.
+/// Raised, type is smaller; lowered, lines may run beyond the margin.
 const LETTER_EM: [f64; 2] = [0.55, 0.6];
 
 /// How large the picture is printed on a paper, in whole millimetres, which can be read off a ruler.

@@ -9,7 +9,7 @@ use super::problem::{CalibrationProblem, Fault, missing};
 use super::{Calibration, CalibrationForm, IntrinsicsUncertainty, POSSIBLE_ERRORS, model};
 use crate::camera::Intrinsics;
 
-/// Every assignment that is read, and how many numbers it must have.
+/// Every assignment that is read, how many numbers it must have, and how that is said in messages; the names are the toolbox's.
 const KEYS: [(&str, std::ops::RangeInclusive<usize>, &str); 11] = [
     ("fc", 2..=2, "2 numbers"),
     ("cc", 2..=2, "2 numbers"),

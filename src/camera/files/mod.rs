@@ -74,7 +74,8 @@ impl Calibration {
     }
 }
 
-/// Errors and uncertainties that a file may tell of, in the units of their numbers: beyond them covariances run over.
+/// Errors and uncertainties that a file may give, in the units of their numbers: far beyond any camera's. Raised until their
+/// squares overflow, covariances are no numbers any more; lowered, vague calibrations are refused.
 const POSSIBLE_ERRORS: std::ops::RangeInclusive<f64> = 0.0..=1e5;
 
 /// Reads the bytes of a calibration file in any of the forms of [`CalibrationForm`]; `path` serves for its extension and the messages.

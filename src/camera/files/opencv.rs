@@ -8,6 +8,8 @@ use super::yaml::{self, Content, Node};
 use super::{Calibration, CalibrationForm, model};
 use crate::camera::Intrinsics;
 
+/// The names that programs give to the 3 x 3 matrix, to the coefficients, and to
+/// Brown's model; of several in one file the first found counts.
 const MATRIX: [&str; 4] = ["camera_matrix", "K", "intrinsic_matrix", "M"];
 const DISTORTION: [&str; 5] = ["distortion_coefficients", "dist_coeffs", "distortion_coeffs", "dist_coeff", "D"];
 const DISTORTION_HINT: &str = "4 or 5 numbers k1, k2, p1, p2, k3";
@@ -89,6 +91,7 @@ fn size(root: &Node) -> Result<(u32, u32), Fault> {
 
 /// fx, fy, cx, cy and skew of a 3x3 matrix; the other fields stay empty.
 fn from_matrix(root: &Node) -> Result<Intrinsics, Fault> {
+    // What the matrix must be, for messages.
     const HINT: &str = "9 numbers fx, fx*skew, cx, 0, fy, cy, 0, 0, 1";
     let (key, node) = root.find(&MATRIX).ok_or_else(|| missing(MATRIX[0], HINT))?;
     let k: [f64; 9] = exactly(key, node, numbers(key, node, HINT)?, HINT)?;

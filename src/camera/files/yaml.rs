@@ -23,7 +23,8 @@ pub(super) enum Content {
     Map(Vec<(String, Node)>),
 }
 
-/// Deeper than any calibration.
+/// Nesting of lists and maps: deeper than any calibration, of which a matrix in a camera's map is the
+/// deepest. It bounds what a hostile file can cost; raised, it may cost more.
 const DEEPEST: usize = 16;
 
 fn syntax(line: usize, reason: impl Into<String>) -> Fault {

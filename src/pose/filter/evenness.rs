@@ -8,16 +8,20 @@ use nalgebra::Vector3;
 
 use super::place::Place;
 
-/// So many times the squared distance that accelerations and noise let expect is a jump: four sigmas. With less quick hands are
-/// taken for jumps, with more small kicks swing through the slower filters.
+/// A measurement is a jump at this many times the squared distance that accelerations and noise let expect: four sigmas.
+/// Lowered, quick hands are taken for jumps; raised, small kicks swing through the slower filters.
 const JUMP: f64 = 16.0;
-/// Time constant of the mean of the squared accelerations, seconds.
+/// Time constant of the mean of the squared accelerations, seconds: a few swings of a hand's tremor. Chosen, not tuned.
+/// Raised, the first moments of a quick motion count as jumps; lowered, the mean of few frames is chance.
 const ACCELERATIONS_S: f64 = 0.2;
-/// Time constant of the mean of the squared noise, seconds.
+/// Time constant of the mean of the squared noise, seconds: ten frames at 30 a second. Chosen, not tuned.
+/// Raised, it follows a change of light or distance later; lowered, it scatters.
 const NOISE_S: f64 = 0.3;
-/// The noise is no less than this share of what the covariance says, as a variance: a still picture has none, the next one has.
+/// The noise is no less than this share of what the covariance says, as a variance: a still picture repeats its
+/// measurement exactly, the next one does not. Lowered, that next one counts as a jump.
 const LEAST_NOISE: f64 = 1e-4;
-/// Most that one measurement counts, in mean noises: a jump is no noise.
+/// Most that one measurement counts, in mean noises: a jump is no noise. Raised, a jump calms
+/// the filter for a while; lowered, noise that rises is learnt later.
 const OUTLIER: f64 = 10.0;
 
 /// A measurement as long as it is needed.

@@ -19,8 +19,8 @@ pub(super) struct Unknown {
     pub acceleration: f64,
 }
 
-/// Weight that a memory far shorter than the frame interval leaves to the last measurement. With less the three last measurements would
-/// decide just as well, and rounding errors would grow.
+/// Weight that a memory far shorter than the frame interval leaves to the last measurement. Lowered, the three last
+/// measurements would decide just as well, and rounding errors would grow; raised, long frame intervals lag.
 const LEAST_KEPT: f64 = 0.01;
 
 #[derive(Debug, Clone)]

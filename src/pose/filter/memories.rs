@@ -10,16 +10,20 @@ use nalgebra::Vector3;
 use super::fading::{Fading, Unknown};
 use super::place::Place;
 
-/// How many filters.
+/// How many filters: with [`RATIO`] and [`LONGEST_S`] the shortest memory is 0.5 ms, below every frame
+/// interval. Raised, shorter ones are added that no camera needs, and each costs its update.
 const COUNT: usize = 6;
-/// How much longer each memory is than the one before. With less more filters are needed, with more the choice is coarse.
+/// How much longer each memory is than the one before. Lowered, more filters are needed; raised, the choice is coarse.
 const RATIO: f64 = 4.0;
-/// The longest memory, seconds. At rest the scatter falls with its root; a drift slower than it can follow is found out in time.
+/// The longest memory, seconds. At rest the scatter falls with its root; a drift slower than it can follow
+/// is found out in time. Raised, that takes longer, and the pose lags until then.
 const LONGEST_S: f64 = 0.5;
-/// Squared innovations so far beyond their mean of 1 contradict a filter. By chance less than one in a hundred thousand is; measured
-/// noise is neither quite normal nor quite without memory, and with 7 a still camera's filters are thrown away every second.
+/// Squared innovations so far beyond their mean of 1 contradict a filter. By chance less than one in a
+/// hundred thousand is; measured noise is neither quite normal nor quite without memory, and with 7 a still
+/// camera's filters are thrown away every second. Raised, lags last longer.
 const CONTRADICTION: f64 = 10.0;
-/// Over this share of the memory innovations are averaged: a lag shows in their mean long before it shows in one of them.
+/// Over this share of the memory innovations are averaged: a lag shows in their mean long before it shows in one of
+/// them. Raised, it shows surer and later; lowered, the mean says little more than one of them.
 const MEAN_OVER: f64 = 1.0 / 3.0;
 
 #[derive(Debug, Clone)]

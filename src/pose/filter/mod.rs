@@ -51,11 +51,13 @@ pub enum FilterKind {
 /// Longest reach of a prediction, in shares of how far the body moved within the time it reaches ahead. 1 would cut predictions
 /// short wherever a body speeds up; more lets a jump that is taken for a motion swing out by more.
 const PREDICTED_WAYS: f64 = 2.0;
-/// Stamps further apart than this are no continuation, seconds, unless the frame intervals themselves are that long.
+/// Stamps further apart than this are no continuation, seconds, unless the frame intervals themselves are that long: by then a hand may
+/// have turned back. Raised, a filter carries an old motion across gaps; lowered, brief hiccups start it anew.
 const LONGEST_STEP_S: f64 = 0.25;
-/// So many frame intervals are a continuation always: one dropped frame, and some unevenness.
+/// This many frame intervals are always a continuation: one dropped frame, and some
+/// unevenness. Raised, slow cameras are filtered across more dropped frames.
 const LONGEST_STEP_FRAMES: f64 = 2.5;
-/// No continuation, however long the frame intervals are, seconds.
+/// No continuation, however long the frame intervals are, seconds. Raised, clips of stills are filtered as if they were one motion.
 const NO_CONTINUATION_S: f64 = 1.0;
 
 /// The filter of one body.
