@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
 use super::residual::Unknowns;
-use super::sight::Eye;
+use super::sight::ObservationModel;
 use super::solve::Solution;
 use super::views::{Stages, View, ViewPair};
 use crate::calibrate::judge::Verdict;
@@ -90,20 +90,20 @@ const MOVES: [([f64; 2], f64, &str); 8] = [
     ([25.0, 0.0], 0.7, "from two thirds of the distance and about 25 degrees further to the house's right"),
 ];
 
-/// Which view to take next, for cameras that see as these `eyes` do: the tracking one, then the filming one.
-pub fn next_view(eyes: [Eye<'_>; 2], pairs: &[ViewPair], solution: &Solution, stages: Stages) -> Option<NextView> {
+/// Which view to take next, for cameras that see as these `models` do: the tracking one, then the filming one.
+pub fn next_view(models: [ObservationModel<'_>; 2], pairs: &[ViewPair], solution: &Solution, stages: Stages) -> Option<NextView> {
     if stages == Stages::Apart {
         return least_turned(pairs).map(|words| NextView { words, sigmas: None });
     }
-    let scales = [eyes[0].scale(pairs.iter().map(|p| &p.tracking))?, eyes[1].scale(pairs.iter().map(|p| &p.filming))?];
+    let scales = [models[0].scale(pairs.iter().map(|p| &p.tracking))?, models[1].scale(pairs.iter().map(|p| &p.filming))?];
     let unknowns = Unknowns { mount: solution.mount, between: Pose::identity() };
     let known = solution.covariance.cholesky()?.inverse();
-    let surfaces = &eyes[0].stage.surfaces;
+    let surfaces = &models[0].stage.surfaces;
     let middle = surfaces.iter().map(|s| s.pose.translation).sum::<Vector3<f64>>() / surfaces.len().max(1) as f64;
     let candidate = |pair: &ViewPair, ([turn, tilt], share, words): ([f64; 2], f64, &'static str)| {
         let moved = gone_round(&pair.tracking.pose, &middle, turn, tilt, share);
         let filming: Pose<Stage, crate::geometry::Camera> = (moved * solution.mount).renamed();
-        let view = |k: usize, pose| Some(View { pose, covariance: eyes[k].covariance(&pose)? * scales[k] });
+        let view = |k: usize, pose| Some(View { pose, covariance: models[k].covariance(&pose)? * scales[k] });
         let pair = ViewPair { tracking: view(0, moved)?, filming: view(1, filming)? };
         let (_, jacobian) = unknowns.residual(&pair);
         let jacobian = jacobian.fixed_columns::<6>(0);

@@ -20,7 +20,7 @@ mod views;
 
 pub use crate::calibrate::judge::Verdict;
 pub use advice::{NextView, is_doubt_of_lenses, judge, next_view, worst_sigmas};
-pub use sight::Eye;
+pub use sight::ObservationModel;
 pub use solve::{Solution, Unsolvable, Used, solve};
 pub use still::{StillPair, Unpaired, still_pairs};
 pub use views::{Stages, View, ViewPair};

@@ -23,14 +23,14 @@ const NEAREST_M: f64 = 0.05;
 
 /// A camera and the stage that it measures in.
 #[derive(Debug, Clone, Copy)]
-pub struct Eye<'a> {
+pub struct ObservationModel<'a> {
     /// Its lens.
     pub camera: &'a CameraModel,
     /// What it looks at.
     pub stage: &'a BodySpec,
 }
 
-impl Eye<'_> {
+impl ObservationModel<'_> {
     /// Covariance that a pose would have if every point were seen to a pixel; none where too little is in the picture.
     pub(super) fn covariance(&self, pose: &Pose<Stage, Camera>) -> Option<Matrix6<f64>> {
         // The stage's body frame is the stage frame.

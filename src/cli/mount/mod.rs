@@ -15,8 +15,8 @@ use super::output_file::print;
 use super::spared::Spared;
 use crate::config::Settings;
 use crate::mount::{
-    Eye, Solution, Stages, StillPair, Unpaired, Unsolvable, Verdict, View, ViewPair, is_doubt_of_lenses, judge, next_view, solve,
-    still_pairs,
+    ObservationModel, Solution, Stages, StillPair, Unpaired, Unsolvable, Verdict, View, ViewPair, is_doubt_of_lenses, judge, next_view,
+    solve, still_pairs,
 };
 use crate::printable::printable_lines;
 use crate::publish::BodyChoice;
@@ -70,13 +70,16 @@ pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
     let pairs = paired(&tracking, &filming, [clip, other_clip])?;
     let complete: Vec<ViewPair> = pairs.iter().filter_map(complete_pair).collect();
     let solution = solve(&complete, stages).map_err(|why| unsolvable(why, &pairs, arguments))?;
-    let eyes = [Eye { camera: &tracking.camera, stage: &settings.stage }, Eye { camera: &filming.camera, stage: &other.stage }];
+    let models = [
+        ObservationModel { camera: &tracking.camera, stage: &settings.stage },
+        ObservationModel { camera: &filming.camera, stage: &other.stage },
+    ];
     // What the lenses are in doubt about is the same in all views, and does not shrink with their number.
-    let by_lenses = lens_doubt(eyes, &complete, &solution);
+    let by_lenses = lens_doubt(models, &complete, &solution);
     let covariance = solution.covariance + by_lenses;
     let (verdict, reasons) = judge(&solution, &by_lenses);
     let is_doubt_of_lenses = is_doubt_of_lenses(&solution, &by_lenses);
-    let next = next_view(eyes, &complete, &solution, stages).filter(|_| !is_doubt_of_lenses);
+    let next = next_view(models, &complete, &solution, stages).filter(|_| !is_doubt_of_lenses);
     let report = MountReport {
         mount: &solution.mount,
         covariance,
@@ -125,10 +128,10 @@ fn complete_pair(pair: &StillPair) -> Option<ViewPair> {
 }
 
 /// The covariance of the mount by what the lenses are in doubt about: as if it were the same in every view, which is the careful side.
-fn lens_doubt(eyes: [Eye<'_>; 2], pairs: &[ViewPair], solution: &Solution) -> Matrix6<f64> {
+fn lens_doubt(models: [ObservationModel<'_>; 2], pairs: &[ViewPair], solution: &Solution) -> Matrix6<f64> {
     let of_pair = |pair: &ViewPair| {
-        let doubted = |eye: Eye<'_>, view: &View| View { covariance: eye.doubt(&view.pose), ..*view };
-        let pair = ViewPair { tracking: doubted(eyes[0], &pair.tracking), filming: doubted(eyes[1], &pair.filming) };
+        let doubted = |model: ObservationModel<'_>, view: &View| View { covariance: model.doubt(&view.pose), ..*view };
+        let pair = ViewPair { tracking: doubted(models[0], &pair.tracking), filming: doubted(models[1], &pair.filming) };
         pair.mount_covariance(&solution.mount, &solution.between)
     };
     pairs.iter().map(of_pair).sum::<Matrix6<f64>>() / pairs.len().max(1) as f64
