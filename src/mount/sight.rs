@@ -15,7 +15,7 @@ use crate::track::{BodySpec, covariance_by_lens};
 /// Points across and down a surface: enough that one more row changes little. Raised, advice takes longer.
 const GRID: [u32; 2] = [11, 9];
 /// Points below which a view is too poor to be advised: a third of a surface. Raised, views from near and
-/// from the side are not advised; lowered, views are that the tracker may not find.
+/// from the side are not advised; lowered, views are advised that the tracker may not find.
 const FEWEST_POINTS: usize = 30;
 /// What is nearer than this is not looked at, metres: no stage is, and below it the
 /// projection loses its meaning. Any small length would do.

@@ -10,7 +10,7 @@ use super::problem::{CalibrationProblem, Fault, missing};
 use super::{Calibration, CalibrationForm, IntrinsicsUncertainty, POSSIBLE_ERRORS, model};
 use crate::camera::Intrinsics;
 
-/// The keys of the file and of its [uncertainty], all that there are, and what the coefficients must be, for messages.
+/// The keys of the file and of its `[uncertainty]`, all that there are, and what the coefficients must be, for messages.
 const KEYS: [&str; 12] = ["width", "height", "fx", "fy", "cx", "cy", "skew", "distortion", "rms_px", "images", "date", "uncertainty"];
 const UNCERTAINTY_KEYS: [&str; 6] = ["fx", "fy", "cx", "cy", "skew", "distortion"];
 const DISTORTION: &str = "5 numbers [k1, k2, p1, p2, k3]";
