@@ -27,7 +27,7 @@ pub enum AviError {
     Malformed(String),
 }
 
-/// Larger than any picture; a chunk that claims more is damage.
+/// Larger than any picture, bytes; a chunk that claims more is damage. A round figure. Raised, a damaged file may ask for more memory.
 const LARGEST_PICTURE: u32 = 256 << 20;
 
 struct Chunk {

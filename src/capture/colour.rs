@@ -62,7 +62,8 @@ pub(super) struct Chroma {
     pub is_full_range: bool,
 }
 
-/// Lines from which on video without a statement is taken as HD (BT.709), by the usual guess of players.
+/// Lines from which on video without a statement is taken as HD (BT.709), by the usual guess of players: HD begins at 720 lines. The wrong
+/// matrix changes greys by a few levels.
 const HD_LINES: u32 = 720;
 
 impl Chroma {

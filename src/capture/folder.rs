@@ -13,10 +13,11 @@ use crate::safe_file;
 const STAMP_FILES: [&str; 2] = ["timestamps.csv", "data.csv"];
 /// Where a named picture may lie in the clip's folder.
 const PICTURE_FOLDERS: [&str; 3] = ["frames", "", "data"];
-/// What counts as a picture where no list names them.
+/// What counts as a picture where no list names them: names that end like this, in any case.
 const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
 
-/// Bytes of a stamp file, about five million rows: a whole day at 60 a second. All rows are held in memory.
+/// Bytes of a stamp file, about five million rows: a whole day at 60 a second. All rows are held in memory. Raised, a wrong file takes more
+/// of it.
 const LARGEST_STAMP_FILE: u64 = 256 << 20;
 
 /// Opens a folder as a clip; `rate` is for pictures without stamps.

@@ -54,11 +54,12 @@ impl DecodeError {
     }
 }
 
-/// Pixels of a picture; keeps a forged header from asking for all memory. With all that is made of a picture, a surface
-/// or a calibration's view of that many takes about a gigabyte; cameras of stages have 2 to 8 million.
+/// Pixels of a picture; keeps a forged header from asking for all memory. With all that is made of a picture, a surface or a calibration's
+/// view of that many takes about a gigabyte; cameras of stages have 2 to 8 million.
 const MOST_PIXELS: u64 = 67_000_000;
 
-/// Bytes of a picture file: no picture of 67 million pixels needs more.
+/// Bytes of a picture file: no picture of 67 million pixels needs more. Eight bytes a pixel, a round figure. Raised, a wrong file takes
+/// more memory.
 pub const LARGEST_PICTURE_FILE: u64 = 512 << 20;
 
 /// Decodes JPEG, PNG or PNM bytes to 8-bit grey, row-major.

@@ -3,6 +3,8 @@
 //! A search for the bytes of EOI would stop inside an EXIF thumbnail. The walk skips whole segments instead, and
 //! inside entropy-coded data it knows stuffed bytes and restart markers. It can be resumed as bytes arrive.
 
+/// Second bytes of JPEG's markers (ITU-T T.81, table B.1): frames from baseline to progressive, restart interval, Huffman tables, start and
+/// end of the picture, start of a scan.
 const SOF0: u8 = 0xC0;
 const SOF2: u8 = 0xC2;
 const DRI: u8 = 0xDD;
@@ -129,12 +131,14 @@ pub(super) fn standard_huffman_tables() -> Vec<u8> {
     segment
 }
 
-// Codes of each length 1..=16, then the values in code order.
+/// The usual Huffman tables (ITU-T T.81, K.3 to K.6), which Motion JPEG leaves out: how many codes each length 1..=16 has, and the values
+/// in code order.
 const DC_LUMA_COUNTS: [u8; 16] = [0, 1, 5, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0];
 const DC_CHROMA_COUNTS: [u8; 16] = [0, 3, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0];
 const DC_VALUES: [u8; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 const AC_LUMA_COUNTS: [u8; 16] = [0, 2, 1, 3, 3, 2, 4, 3, 5, 5, 4, 4, 0, 0, 1, 0x7D];
 const AC_CHROMA_COUNTS: [u8; 16] = [0, 2, 1, 2, 4, 4, 3, 4, 7, 5, 4, 4, 0, 1, 2, 0x77];
+/// Values of the luma's AC codes (T.81, table K.5).
 #[rustfmt::skip]
 const AC_LUMA_VALUES: [u8; 162] = [
     0x01, 0x02, 0x03, 0x00, 0x04, 0x11, 0x05, 0x12, 0x21, 0x31, 0x41, 0x06, 0x13, 0x51, 0x61, 0x07, 0x22, 0x71,
@@ -147,6 +151,7 @@ const AC_LUMA_VALUES: [u8; 162] = [
     0xC4, 0xC5, 0xC6, 0xC7, 0xC8, 0xC9, 0xCA, 0xD2, 0xD3, 0xD4, 0xD5, 0xD6, 0xD7, 0xD8, 0xD9, 0xDA, 0xE1, 0xE2,
     0xE3, 0xE4, 0xE5, 0xE6, 0xE7, 0xE8, 0xE9, 0xEA, 0xF1, 0xF2, 0xF3, 0xF4, 0xF5, 0xF6, 0xF7, 0xF8, 0xF9, 0xFA,
 ];
+/// Values of the chroma's AC codes (T.81, table K.6).
 #[rustfmt::skip]
 const AC_CHROMA_VALUES: [u8; 162] = [
     0x00, 0x01, 0x02, 0x03, 0x11, 0x04, 0x05, 0x21, 0x31, 0x06, 0x12, 0x41, 0x51, 0x07, 0x61, 0x71, 0x13, 0x22,

@@ -13,8 +13,11 @@ pub struct MjpegReader<R> {
     at_end: bool,
 }
 
-/// Larger than any camera's JPEG; a stream without an end mark is cut here.
+/// Larger than any camera's JPEG, bytes; a stream without an end mark is cut here. A round figure. Raised, such a stream takes more memory
+/// before it is cut.
 const LARGEST_PICTURE: usize = 64 << 20;
+/// Bytes that are asked for at once: about one picture of a webcam. Chosen, not tuned. Raised, a live stream's picture waits for the next
+/// ones.
 const READ_AT_ONCE: u64 = 256 << 10;
 
 impl<R: Read> MjpegReader<R> {

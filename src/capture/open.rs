@@ -33,7 +33,8 @@ pub struct ClipOptions {
     pub is_stopped: Option<fn() -> bool>,
 }
 
-/// The rate of pictures that nobody gave one.
+/// The rate of pictures that nobody gave one, frames a second: a webcam's. Too high, poses seem to move too fast, and motion is judged by
+/// it.
 const DEFAULT_FPS: f64 = 30.0;
 
 /// Opens a clip: a folder with frames/ and timestamps.csv, a folder of pictures, a .y4m, MJPEG .avi or .mjpeg file,

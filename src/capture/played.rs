@@ -64,7 +64,7 @@ struct RecordedCamera {
     exposure_s: Option<f64>,
 }
 
-/// Larger than any clip.toml by far.
+/// Larger than any clip.toml by far, which is a page of text. A round figure, so that a wrong file is not read into memory.
 const LARGEST_ACCOUNT_BYTES: u64 = 1 << 20;
 
 /// The exposure that the camera of a recording had locked, seconds; none where the clip is no recording.

@@ -30,7 +30,8 @@ pub fn monotonic_now() -> Timestamp {
     clock_gettime(ClockId::CLOCK_MONOTONIC).map(|t| Timestamp::from_ns(t.tv_sec() * 1_000_000_000 + t.tv_nsec())).unwrap_or_default()
 }
 
-/// Oldest picture that a driver may hand out; a stamp beyond it is on another clock.
+/// Oldest picture that a driver may hand out; a stamp beyond it is on another clock. Chosen: a queue of a few pictures is never so old.
+/// Raised, stamps of clocks that differ by seconds are believed; lowered, those of slow exposures are not.
 const OLDEST: Duration = Duration::from_secs(5);
 
 /// When the middle row was at mid-exposure, and whether the driver's stamp says it (else it is reckoned from the arrival).
@@ -50,7 +51,8 @@ pub struct StampTrust {
     old: u32,
 }
 
-/// A driver's queue is a few pictures long; more that are too old in a row are of another clock after all.
+/// A driver's queue is a few pictures long; more that are too old in a row are of another clock after all. Chosen: twice the 32 buffers
+/// that V4L2 has at most. Raised, a driver that changes its clock is believed for longer.
 const MOST_OLD: u32 = 64;
 
 impl StampTrust {

@@ -12,9 +12,10 @@ use std::time::{Duration, Instant};
 use nix::libc;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
-/// Between two looks whether the end is asked for.
+/// Between two looks whether the end is asked for. Chosen: below what a person notices. Raised, Ctrl-C takes longer.
 const LOOK: Duration = Duration::from_millis(100);
-/// How long a named pipe may be without anybody who writes to it.
+/// How long a named pipe may be without a program that writes to it. Chosen: both ends are started by hand or by one script. Raised, a
+/// forgotten writer is named later.
 const WRITER_WAIT: Duration = Duration::from_secs(5);
 
 /// A pipe that is read as long as it is wanted.

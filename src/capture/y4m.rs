@@ -24,9 +24,10 @@ pub struct Y4mReader<R> {
     kept: Option<Vec<u8>>,
 }
 
-/// Longer than any header line in use.
+/// Longer than any header line in use, bytes. A round figure, so that a file which is no y4m is refused at once.
 const LONGEST_LINE: u64 = 4096;
-/// As large as a picture may be on a side; larger is a damaged header.
+/// As large as a picture may be on a side: 16 bits, as JPEG has them; larger is a damaged header. Raised, such a header asks for more
+/// memory.
 const LONGEST_SIDE: u32 = 65_535;
 
 impl<R: BufRead> Y4mReader<R> {

@@ -11,7 +11,7 @@ use crate::capture::CaptureError;
 use crate::config::ConfigError;
 use crate::publish::PublishError;
 
-/// Exit code of bad usage or config.
+/// Exit code of bad usage or config: what shells and clap use for it. Every other failure is 1.
 pub(super) const USAGE: u8 = 2;
 
 /// Why a command did not succeed.

@@ -8,9 +8,11 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::{SigHandler, Signal, signal};
 
+/// Set by the first SIGINT or SIGTERM. A static, because a signal handler can reach nothing else.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// How long an ordered end may take, seconds: a recorder brings what waits to the disk.
+/// How long an ordered end may take, seconds: a recorder brings what waits to the disk. Chosen. Raised, a hung end lasts longer; lowered, a
+/// slow disk loses the end of a recording.
 const GRACE_S: u32 = 10;
 
 extern "C" fn on_signal(number: nix::libc::c_int) {
@@ -25,6 +27,7 @@ extern "C" fn on_signal(number: nix::libc::c_int) {
 }
 
 extern "C" fn on_alarm(_: nix::libc::c_int) {
+    /// What is written when [`GRACE_S`] is over. Bytes that are ready, for a signal handler must not format.
     const LAST_WORDS: &[u8] = b"stagepose: interrupted, but something did not end in time; ended without it\n";
     // SAFETY: `write` and `_exit` are async-signal-safe; the bytes live as long as the program.
     unsafe {
@@ -65,6 +68,7 @@ pub(super) fn wait_until(begun: Instant, due: Duration) -> bool {
     }
 }
 
+/// Set by SIGHUP and by SIGUSR1, until they are taken.
 static RELOAD: AtomicBool = AtomicBool::new(false);
 static SAVE: AtomicBool = AtomicBool::new(false);
 

@@ -13,6 +13,7 @@ use tracing_subscriber::fmt::format::FmtSpan;
 use crate::config::{LOG_LEVELS, LogFormat, LogSettings};
 use crate::printable::printable;
 
+/// The progress bar that log messages step aside for, once there is one.
 static BAR: OnceLock<ProgressBar> = OnceLock::new();
 
 /// `--log`, which overrides `[log] level`.

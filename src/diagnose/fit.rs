@@ -22,7 +22,7 @@ pub struct Shape {
     pub ratio: f64,
 }
 
-/// The config's own.
+/// The config's own shape and lens.
 pub const AS_CONFIGURED: Shape = Shape { focal: 1.0, ratio: 1.0 };
 
 /// A shape that was found.
@@ -48,13 +48,17 @@ pub struct Views<'a> {
     pub views: Vec<&'a SurfaceView>,
 }
 
-/// A feature lies so well, pixels of the level it was found on.
+/// A feature's place has this scatter, pixels of the level it was found on: a round figure, by which what is left is counted. Raised, all
+/// that is left shrinks, and worse shapes fit.
 const NOISE_PX: f64 = 1.0;
-/// Squares are cut at this many sigmas squared.
+/// Squares are cut at this many sigmas squared, so that a wrong match counts no more than one at four sigmas. Raised, wrong matches decide
+/// more; lowered, a wrong shape looks less wrong.
 const CUT: f64 = 16.0;
-/// Matches of a view that are asked at most.
+/// Matches of a view that are asked at most. Chosen for time: each trial solves a pose for each view. Raised, factors are known a little
+/// better, and a check takes longer.
 const ASKED: usize = 60;
-/// Factors are looked for from 1 / this to this, in this many steps up and down, each e^0.11 from the next.
+/// Factors are looked for from 1 / this to this, in this many steps up and down, each e^0.12 from the next. Chosen: mistaken sizes are
+/// further off only by units. More steps take longer; fewer may step over the best factor.
 const LARGEST_FACTOR: f64 = 2.6;
 const TRIALS: i32 = 8;
 
@@ -172,6 +176,8 @@ impl Views<'_> {
 
     /// Standard deviation from how much worse the neighbours fit: the sum of squares rises by its own scale at one sigma.
     fn sigma(&self, left: &impl Fn(f64) -> f64, log: f64, least: f64) -> f64 {
+        /// How far aside the neighbours are, of the logarithm. Chosen: well above the residual's roughness, within the parabola. Raised,
+        /// the cut squares flatten it and sigma is too large.
         const ASIDE: f64 = 0.04;
         let count: usize = self.views.iter().map(|v| v.matches.len().min(ASKED)).sum();
         let curvature = (left(log - ASIDE) + left(log + ASIDE) - 2.0 * least).max(0.0) / (ASIDE * ASIDE);
@@ -180,7 +186,8 @@ impl Views<'_> {
     }
 }
 
-/// Features of one frame err alike: no ratio is known better than this.
+/// Features of one frame err alike: no ratio is known better than this, one sigma of the logarithm. Chosen, not measured. Raised, smaller
+/// deviations pass without a word.
 const LEAST_SIGMA: f64 = 0.002;
 
 #[cfg(test)]

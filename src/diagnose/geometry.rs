@@ -13,21 +13,27 @@ use crate::geometry::{Body, Pose, SurfaceFrame};
 use crate::track::{SurfaceSpec, SurfaceView};
 use crate::tracker::TrackerSetup;
 
-/// Views of a surface that are asked at most.
+/// Views of a surface that are asked at most. Chosen for time, which grows with each. Raised, factors are known better.
 const MOST_VIEWS: usize = 10;
-/// A trial fits where it leaves no more than the free homography does, and this much: of itself, and of what that leaves.
+/// A trial fits where it leaves no more than the free homography does, and this much: in squared sigmas a match, and as a share of what
+/// that leaves. Chosen, not tuned. Raised, wrong shapes fit; lowered, right ones do not where the cloth has folds.
 const SLACK: (f64, f64) = (0.12, 0.2);
-/// Ratios and focal lengths this near to the config's are not worth a word (share), nor those within this many sigmas.
+/// Ratios and focal lengths this near to the config's are not worth a word (share), nor those within this many sigmas. Chosen: a tape
+/// measure and a calibration are better than the first two. Raised, smaller mistakes pass; lowered, right configs are doubted.
 const NEAR_RATIO: f64 = 0.025;
 const NEAR_FOCAL: f64 = 0.05;
 const SIGMAS: f64 = 4.0;
-/// What a better ratio or focal length must gain per match where the config's fits already.
+/// What a better ratio or focal length must gain per match, in squared sigmas, where the config's fits already. Chosen, not tuned. Raised,
+/// only larger mistakes are named; lowered, right configs are doubted.
 const LEAST_GAIN: f64 = 0.06;
-/// Of the logarithm of a factor: beyond it no fold of a cloth and no calibration in use is meant.
+/// Of the logarithm of a factor: beyond it no fold of a cloth and no calibration in use is meant, and the finding is a doubt instead of a
+/// warning. Chosen, not tuned. Raised, more are warnings.
 const LARGE_FACTOR: f64 = 0.08;
-/// Two ratios are the same within this, of the logarithm: it tells a swap from a coincidence.
+/// Two ratios are the same within this, of the logarithm: it tells a swap of width and height from a coincidence. Chosen, not tuned.
+/// Raised, more ratios are called a swap, and nearly square surfaces no more.
 const SAME_RATIO: f64 = 0.06;
-/// A surface that is seen this far from its place is not where the config has it: share of the camera's distance, and degrees.
+/// A surface that is seen this far from its place is not where the config has it: share of the camera's distance, and degrees. Chosen: far
+/// beyond the errors of a pose. Raised, misplaced surfaces pass; lowered, right ones are called misplaced.
 const LARGEST_SHIFT: f64 = 0.1;
 const LARGEST_TURN_DEG: f64 = 12.0;
 

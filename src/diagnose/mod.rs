@@ -24,11 +24,14 @@ use crate::frame::{Frame, Timestamp};
 use crate::track::{BodySpec, Matcher, Reason, SurfaceView, TrackerSettings};
 use crate::tracker::TrackerSetup;
 
-/// Matches of a view that count as seeing the surface at all; fewer may be chance.
+/// Matches of a view that count as seeing the surface at all; fewer may be chance. Chosen, not tuned. Raised, small and distant surfaces go
+/// unseen; lowered, chance is taken for a view.
 const LEAST_MATCHES: usize = 12;
-/// Patches of a surface that fit a pose where the surface is seen; fewer may fit by chance.
+/// Patches of a surface that fit a pose where the surface is seen; fewer may fit by chance. Chosen, not tuned. Raised, small surfaces count
+/// as unseen.
 const LEAST_PATCHES: usize = 4;
-/// Frames that a mend is tried on.
+/// Frames that a mend is tried on, at even steps. Chosen for time: each trial searches each of them. Raised, the verdict is surer and
+/// slower.
 const TRIED_FRAMES: usize = 8;
 
 /// What is tried on the frames: a setup like the config's, and a way to ask it.

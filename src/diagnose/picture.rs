@@ -9,20 +9,24 @@ use crate::geometry::robust_kernel::median;
 use crate::track::SurfaceView;
 use crate::tracker::TrackerSetup;
 
-/// Levels of a black bar, limited range included, and how much of one bar they may differ: codecs keep it flat.
+/// Levels of a black bar, limited range included (its black is 16), and how much of one bar they may differ: codecs keep it flat. Raised, a
+/// dark house counts as a bar; lowered, bars with a codec's noise do not.
 const BLACK: u8 = 24;
 const FLAT: u8 = 4;
-/// Least share of a side that a bar takes.
+/// Least share of a side that a bar takes. Chosen: less is an edge of a few lines that many cameras have. Raised, narrow bars pass.
 const LEAST_BAR: f64 = 0.03;
-/// Rows next to each other differ by this factor more than rows two apart where two fields far apart are woven together.
+/// Rows next to each other differ by this factor more than rows two apart where two fields far apart are woven together. In a progressive
+/// picture they differ less. Chosen, not tuned. Raised, only faster movement shows.
 const COMBED: f64 = 1.12;
 /// Fields of a progressive picture lie 0.03 to 0.05 px apart, which is noise; those of two moments as far as the camera moved. Raised,
 /// slow movements pass unseen.
 const FIELDS_APART_PX: f64 = 0.2;
-/// Side of the blocks in which the fields are compared, pixels, and how many blocks with upright edges are needed.
+/// Side of the blocks in which the fields are compared, pixels, and how many blocks with upright edges are needed. Chosen, not tuned. The
+/// first raised, a block's shift scatters less and there are fewer; the second, pictures of few edges are not judged.
 const BLOCK_PX: usize = 32;
 const LEAST_BLOCKS: usize = 6;
-/// Mean square of the horizontal gradient below which a block has no upright edges, levels squared: twice that of usual noise.
+/// Mean square of the horizontal gradient below which a block has no upright edges, levels squared: twice that of usual noise. Raised,
+/// fewer blocks are compared; lowered, noise is.
 const LEAST_GRADIENT: f64 = 4.0;
 
 /// What the frames show of how they were made. Where they are followed, black lines are a dark house, or bars that do no harm.
@@ -157,6 +161,7 @@ pub fn of_pictures(setup: &TrackerSetup, frames: &[Frame], seen: usize) -> Vec<F
 }
 
 /// A surface that should fill this share of the poses' views and is recognised in no frame has another picture, or stands elsewhere.
+/// Chosen, not tuned. Raised, fewer are named; lowered, those that passed the edge of the picture are, too.
 const LEAST_IN_VIEW: f64 = 0.5;
 
 /// Surfaces that should be in view, by the poses that others gave, and are neither recognised nor fit those poses.

@@ -11,20 +11,23 @@ use crate::geometry::robust_kernel::median;
 use crate::geometry::{Camera, Pose, Stage};
 use crate::track::{BodySpec, SurfaceSpec};
 
-/// Sides of a surface in metres beyond which a number is likelier a mistake than a stage: a postage stamp, an opera's whole horizon.
+/// Sides of a surface in metres beyond which a number is likelier a mistake than a stage: a postage stamp, an opera's whole horizon. Wider,
+/// slips of a unit pass.
 const SIDES_M: std::ops::RangeInclusive<f64> = 0.02..=60.0;
-/// A surface further than this from the first one, in metres and in its sizes, is not on the same stage.
+/// A surface further than this from the first one, in metres and in sizes of the larger, is not on the same stage. Chosen: larger than
+/// stages are. Raised, slips of a unit pass.
 const FARTHEST_M: f64 = 60.0;
 const FARTHEST_SIZES: f64 = 20.0;
-/// No camera tracks a stage from further away, metres.
+/// No camera tracks a stage from further away, metres. Chosen: a stadium's far side. Raised, slips of a unit pass.
 const LARGEST_DISTANCE_M: f64 = 150.0;
-/// No dolly, crane or runner is faster over a stage, metres per second; a camera on a wire may be.
+/// No dolly, crane or runner is faster over a stage, metres per second; a camera on a wire may be. A sprinter's speed. Raised, sizes that
+/// are too large pass.
 const LARGEST_SPEED: f64 = 12.0;
-/// Tangential distortion beyond this is no lens: it moves the picture's corner by percents.
+/// Tangential distortion beyond this is no lens: it moves the picture's corner by percents. Raised, calibrations from too few views pass.
 const LARGEST_TANGENTIAL: f64 = 0.02;
 
 /// A surface that is turned further away (cosine), or whose shorter side is smaller in the picture, need not be recognised: below 60 px a
-/// frame counts as too small for a pose, and a third more leaves no doubt.
+/// frame counts as too small for a pose, and a third more leaves no doubt. Lowered, surfaces are missed that could not be seen.
 const LEAST_FACING: f64 = 0.4;
 const LEAST_SIDE_PX: f64 = 80.0;
 

@@ -14,7 +14,7 @@ use crate::capture::choice::Offer;
 use crate::capture::timestamping::{DriverStamp, monotonic_now};
 use crate::frame::Timestamp;
 
-/// Buffers that nokhwa asks the driver for.
+/// Buffers that nokhwa asks the driver for. Fewer here, and the newest picture may be missed behind older ones.
 const BUFFERS: u32 = 4;
 
 /// A streaming camera.

@@ -8,12 +8,13 @@ use std::os::fd::RawFd;
 
 use super::ioctl::{self, ControlDescription};
 
-/// The exposure's mode: 1 is manual, 3 is "aperture priority", the automatic of most webcams.
+/// V4L2's number of the exposure's mode (linux/v4l2-controls.h): 1 is manual, 3 is "aperture priority", the automatic of most webcams.
 const AUTO_EXPOSURE: u32 = 0x009a_0901;
-/// In 100 microseconds.
+/// V4L2's numbers of the exposure time in 100 microseconds, of the automatic focus, of the mains frequency against flicker.
 const EXPOSURE_ABSOLUTE: u32 = 0x009a_0902;
 const AUTO_FOCUS: u32 = 0x009a_090c;
 const POWER_LINE: u32 = 0x0098_0918;
+/// V4L2_CTRL_FLAG_INACTIVE: the control has no effect while another has it, such as an automatic.
 const INACTIVE: u32 = 0x10;
 
 /// What became of the controls.

@@ -37,6 +37,7 @@ pub(super) struct Dequeued {
 
 /// `None` where the driver does not tell (v4l2loopback), or where more than one buffer is out.
 pub(super) fn last_dequeued(fd: RawFd, buffers: u32) -> Option<Dequeued> {
+    /// V4L2_BUF_FLAG_QUEUED and V4L2_BUF_FLAG_DONE: the buffer is the driver's, waiting for a picture or holding one.
     const QUEUED_OR_DONE: u32 = 0x2 | 0x4;
     let mut out = None;
     for index in 0..buffers {

@@ -131,7 +131,7 @@ fn formats(device: &Device) -> Vec<FormatListing> {
     there.iter().map(listing).collect()
 }
 
-/// Sizes that cameras are used at, for drivers that take any size in a range.
+/// Sizes that cameras are used at, for drivers that take any size in a range: those that would be listed otherwise by the thousand.
 const USUAL_SIZES: [(u32, u32); 8] = [(320, 240), (640, 360), (640, 480), (800, 600), (1280, 720), (1280, 960), (1920, 1080), (3840, 2160)];
 
 fn sizes(device: &Device, fourcc: FourCC) -> Vec<SizeListing> {
@@ -152,7 +152,7 @@ fn sizes(device: &Device, fourcc: FourCC) -> Vec<SizeListing> {
     sizes.into_iter().map(|(width, height)| SizeListing { width, height, fps: rates(device, fourcc, width, height) }).collect()
 }
 
-/// Whole rates that cameras are used at, for drivers that take any rate in a range.
+/// Whole rates that cameras are used at, frames a second, for drivers that take any rate in a range.
 const USUAL_RATES: [f64; 8] = [5.0, 10.0, 15.0, 24.0, 25.0, 30.0, 50.0, 60.0];
 
 fn rates(device: &Device, fourcc: FourCC, width: u32, height: u32) -> Vec<f64> {
@@ -174,6 +174,7 @@ fn rates(device: &Device, fourcc: FourCC, width: u32, height: u32) -> Vec<f64> {
 }
 
 fn controls(fd: RawFd) -> Vec<ControlListing> {
+    /// V4L2_CTRL_FLAG_DISABLED and V4L2_CTRL_FLAG_WRITE_ONLY (linux/videodev2.h).
     const DISABLED: u32 = 0x1;
     const WRITE_ONLY: u32 = 0x40;
     let usable = |c: &ioctl::ControlDescription| c.kind != 6 && c.kind < 0x100 && c.flags & DISABLED == 0;

@@ -20,7 +20,7 @@ use crate::cli::interrupt;
 use crate::cli::replay::progress::Progress;
 use crate::safe_file;
 
-/// What counts as a picture in a folder.
+/// What counts as a picture in a folder: names that end like this, in any case. All are formats that `capture` decodes.
 const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
 /// What the progress bar says, and what the counter says where nobody knows how many there are.
 const PROGRESS_WORDS: [&str; 2] = ["{bar:32} {pos}/{len} pictures, {eta} left", "{spinner} {pos} pictures"];
@@ -57,8 +57,8 @@ pub(super) fn inspected(arguments: &CalibrateArguments, board: &Board) -> Result
     Ok(pictures)
 }
 
-/// Pixels of a picture beyond which it is looked at alone: all that is made of it takes about 14 bytes a pixel, and every
-/// processor looking at such a one would be more memory than small machines have.
+/// Pixels of a picture beyond which it is looked at alone: all that is made of it takes about 14 bytes a pixel, and every processor looking
+/// at such a one would be more memory than small machines have. Raised, more memory is needed; lowered, large pictures take longer.
 const LARGE_PIXELS: u64 = 16_000_000;
 
 /// What is shared by those that look at pictures side by side.

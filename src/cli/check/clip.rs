@@ -14,14 +14,18 @@ use crate::record::State;
 use crate::track::Reason;
 use crate::tracker::{Tracker, TrackerSetup};
 
-/// Rows that are tracked at most: half a minute at 30 frames a second.
+/// Rows that are tracked at most: half a minute at 30 frames a second, chosen so that a check does not take longer than a clip is worth.
+/// Raised, faults late in a long clip are seen, and the check takes longer.
 const MOST_ROWS: u64 = 900;
-/// Frames that are kept for trying, at least half as many where the clip has them.
+/// Frames that are kept for trying, at least half as many where the clip has them. Chosen: what tries them takes 8 or 10 at even steps.
+/// Raised, more whole frames are held in memory.
 const KEPT: usize = 24;
-/// Share of the frames that must be followed for a clip to count as followed, and to be called good.
+/// Share of the frames that must be followed for a clip to count as followed, and to be called good. Chosen, not tuned. The first raised,
+/// more reasons are faults; the second, more clips are searched for every fault and get no readout time.
 pub(super) const FOLLOWED: f64 = 0.5;
 pub(super) const WELL_FOLLOWED: f64 = 0.85;
-/// Share of the frames from which a reason is worth a look, or a line.
+/// Share of the frames from which a reason is a warning, and from which it is named at all. Chosen, not tuned: a reason of one frame in
+/// fifty says nothing of the setup. Raised, fewer lines; lowered, good clips get warnings.
 const TOLD: f64 = 0.1;
 const NOTED: f64 = 0.02;
 

@@ -11,10 +11,12 @@ use crate::frame::Frame;
 use crate::survey::shutter::{MOST_FRAMES, ShutterEstimate, ShutterTime, estimate_shutter};
 use crate::tracker::{Tracker, TrackerSetup};
 
-/// A time that is known worse than this is not printed: seconds, and as a share of itself.
+/// A time whose sigma is larger than both of these is not printed: seconds, and as a share of the time. Chosen, not tuned. Raised, numbers
+/// get into configs that are worse than none.
 const LARGEST_SIGMA_S: f64 = 0.001;
 const LARGEST_SHARE: f64 = 0.15;
-/// No sensor reads its rows one after the other faster than this, seconds: below it the estimate is that of a global shutter, off by a little.
+/// No sensor reads its rows one after the other faster than this, seconds: below it the estimate is that of a global shutter, off by a
+/// little. Raised, fast rolling shutters are taken for global ones; lowered, global ones for rolling.
 const FASTEST_READOUT_S: f64 = 5e-4;
 
 /// The lines of the report, the first with its label.

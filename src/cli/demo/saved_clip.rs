@@ -67,6 +67,7 @@ impl SavedClip {
     }
 }
 
+/// Names of the files beside the frames of a saved clip: the true poses (in TUM's format), the calibration, the config.
 const TRUTH: &str = "groundtruth.txt";
 const CAMERA: &str = "camera.toml";
 const STAGE: &str = "stage.toml";

@@ -8,10 +8,10 @@ use crate::protocols::opentrackio;
 use crate::protocols::psn::{PsnPacket, PsnTracker};
 use crate::utc;
 
-/// Bytes of a blob that are shown; the rest is counted.
+/// Bytes of a blob that are shown; the rest is counted. Chosen: 64 hexadecimal digits fit a terminal's line. Raised, lines wrap.
 const SHOWN_OF_A_BLOB: usize = 32;
-/// Levels that OSC's bundles and arrays may nest. Decoding, printing and forgetting them takes a piece of the stack for each level,
-/// and a datagram has room for 30,000.
+/// Levels that OSC's bundles and arrays may nest. Decoding, printing and forgetting them takes a piece of the stack for each level, and a
+/// datagram has room for 30,000. Chosen: far more than senders use. Raised to thousands, a forged datagram overflows the stack.
 const MOST_LEVELS: usize = 16;
 
 /// One packet as a line; names in it are as they came.
@@ -105,6 +105,7 @@ fn blob(bytes: &[u8]) -> String {
 
 /// A time tag in UTC. The seconds count from 1900 and begin again in 2036; what would lie before 1970 is after that.
 fn time(tag: OscTime) -> String {
+    /// Seconds from NTP's epoch, which OSC's time tags count from, to that of Unix (RFC 868): 70 years with 17 leap days.
     const FROM_1900_TO_1970_S: u64 = 2_208_988_800;
     if (tag.seconds, tag.fractional) == (0, 1) {
         return "immediately".to_owned();

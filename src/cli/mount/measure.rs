@@ -14,11 +14,13 @@ use crate::mount::View;
 use crate::record::State;
 use crate::tracker::{Tracker, TrackerSetup};
 
-/// Largest number of rows of a clip that is taken for single pictures. The tracker is shown each of these several times, because
-/// it gives no pose before another frame confirms it.
+/// Rows of a clip up to which they are taken for single pictures, and how often the tracker is shown each of these, because it gives no
+/// pose before another frame confirms it. Chosen: the first is two seconds of film; raised, short films are solved as stills. The second is
+/// more than the two that a confirmed pose needs; raised, it only takes longer.
 const MOST_STILLS: u64 = 60;
 const TIMES_SHOWN: u64 = 4;
-/// The pace at which they are shown, nanoseconds: a webcam's.
+/// The interval at which stills are shown to the tracker, nanoseconds: a webcam's at 30 frames a second. They stand still, so it decides
+/// little.
 const PACE_NS: i64 = 33_333_333;
 
 /// What a clip tells.

@@ -11,9 +11,11 @@ use crate::mount::{NextView, Solution, StillPair, Verdict, worst_sigmas};
 use crate::protocols::{PanTiltRoll, to_body_axes};
 use crate::publish::MountSettings;
 
-/// Squared distance of six degrees of freedom that two mounts which are the same exceed once in a hundred times.
+/// Squared Mahalanobis distance that two mounts which are the same exceed once in a hundred times: the 99 % quantile of chi-squared with
+/// six degrees of freedom. Raised, typed mounts that are wrong by more still agree.
 const SAME: f64 = 16.8;
-/// What a tape measure and an inclinometer give, one sigma each: metres and radians. Typed values are judged with these where they name no sigma.
+/// What a tape measure and an inclinometer give, one sigma each: metres and radians. Typed values are judged with these where they name no
+/// sigma. Chosen, not measured. Raised, larger differences from the measured mount still agree.
 const TYPED_SIGMA_M: f64 = 2e-3;
 const TYPED_SIGMA_RAD: f64 = 0.1 * std::f64::consts::PI / 180.0;
 

@@ -9,12 +9,14 @@ use super::{CYAN, Scene, state_colour};
 use crate::cli::angles::camera_angles;
 use crate::record::{PoseSample, State};
 
+/// Colours of the text: of poses and legends, and of what is said beside them.
 const WHITE: Colour = [240, 242, 245];
 const PALE: Colour = [186, 192, 200];
 
-/// Size of the type as a share of the picture's height (of three quarters of its width where that is less).
+/// Size of the type as a share of the picture's height (of three quarters of its width where that is less). Chosen for looks. Raised,
+/// captions cover more of the picture.
 const TYPE_SHARE: f32 = 1.0 / 38.0;
-/// Smallest type that still reads, pixels.
+/// Smallest type that still reads, pixels. Raised, captions cover more of small pictures.
 const LEAST_TYPE_PX: f32 = 11.0;
 
 /// The type for a picture of a size.
@@ -184,6 +186,7 @@ fn mark(canvas: &mut Canvas, mark: &Mark, [left, middle]: [f32; 2], em: f32) {
         Mark::Disc(colour) => canvas.disc([left + 0.4 * em, middle], 0.32 * em, 0.0, *colour),
         Mark::Line(colour) => canvas.rect([left, (middle - 0.5 * thick).round(), 1.25 * em, thick], *colour),
         Mark::Scale => {
+            /// Fields of the legend's colour scale. Raised, it looks smoother.
             const STEPS: u8 = 12;
             let step = 2.7 * em / f32::from(STEPS);
             for k in 0..STEPS {

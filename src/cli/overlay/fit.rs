@@ -6,18 +6,19 @@
 use super::canvas::{Canvas, Colour};
 use crate::track::UsedPixel;
 
-/// Cells across the frame. More show where the fit changes more finely, and their marks hide more of the picture.
+/// Cells across the frame. Chosen for looks. More show where the fit changes more finely, and their marks hide more of the picture.
 const ACROSS: f32 = 26.0;
-/// Smallest side of a cell, pixels: in smaller ones the dots would be all there is to see.
+/// Smallest side of a cell, pixels: in smaller ones the dots would be all there is to see. Raised, small pictures have fewer cells.
 const LEAST_CELL_PX: f32 = 18.0;
-/// Residuals beyond this many sigmas count nothing.
+/// Residuals beyond this many sigmas count nothing: that is where the aligner's kernel ends.
 const COUNTS_NOTHING: f32 = crate::geometry::robust_kernel::TUKEY as f32;
 
-/// Pixels of tiles that take no part, for they show something else.
+/// Colour of pixels of tiles that take no part, for they show something else: grey, outside the scale of the fit.
 pub(super) const LEFT_OUT: Colour = [165, 165, 170];
 
 /// From fits (0) to counts nothing (1): green, yellow, red.
 pub(super) fn fit_colour(share: f32) -> Colour {
+    /// The scale's ends and middle, red, green and blue from 0 to 255.
     const GREEN: [f32; 3] = [60.0, 215.0, 85.0];
     const YELLOW: [f32; 3] = [250.0, 215.0, 60.0];
     const RED: [f32; 3] = [245.0, 55.0, 45.0];

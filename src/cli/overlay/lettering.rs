@@ -7,14 +7,17 @@ use std::sync::LazyLock;
 
 use ab_glyph::{Font, FontRef, PxScale, ScaleFont, point};
 
+/// The typeface of the captions, with the letters that they need.
 static TYPEFACE: LazyLock<FontRef<'static>> = LazyLock::new(|| {
     FontRef::try_from_slice(include_bytes!("DejaVuSansCondensed-subset.ttf"))
         .expect("the typeface is part of the program, and a test reads it")
 });
 
-/// Pixels from a line's baseline to the next one's, as a share of the type's size.
+/// Pixels from a line's baseline to the next one's, as a share of the type's size. Chosen for DejaVu Sans, whose letters take 1.16. Raised,
+/// panels are higher.
 pub(super) const LINE: f32 = 1.28;
-/// What a line reaches above its baseline, as a share of the type's size.
+/// What a line reaches above its baseline, as a share of the type's size: a little more than DejaVu's 0.93. Raised, text stands lower in
+/// its panel.
 pub(super) const ASCENT: f32 = 0.98;
 
 /// Letters of one size.

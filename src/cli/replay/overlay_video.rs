@@ -18,14 +18,17 @@ use crate::safe_file;
 
 /// The program that encodes.
 const PROGRAM: &str = "ffmpeg";
-/// Intervals between frames whose median is the rate. Their pictures are held in memory until it is known.
+/// Intervals between frames whose median is the rate: the least number whose median one gap does not change. Their pictures are held in
+/// memory until it is known; raised, more are.
 const INTERVALS: usize = 3;
-/// The rate of a clip of one frame, nanoseconds a frame.
+/// The rate of a clip of one frame, nanoseconds a frame: 25 a second. Any rate would do for a single picture.
 const SINGLE_FRAME_NS: i64 = 1_000_000_000 / 25;
-/// The longest that one picture stands for missing rows, nanoseconds: stamps may jump by hours.
+/// The longest that one picture stands for missing rows, nanoseconds: stamps may jump by hours. Chosen, not tuned. Raised, a jump makes a
+/// longer still in the video.
 const LONGEST_STAND_NS: i64 = 10_000_000_000;
 
-/// Ends of names that mean a video, and how ffmpeg is to encode it.
+/// Ends of names that mean a video, and how ffmpeg is to encode it. The qualities (`-crf`) are chosen, not tuned; raised, videos are
+/// smaller and worse.
 const FORMS: [(&str, &str); 6] = [
     ("mp4", H264_AT_ONCE),
     ("m4v", H264_AT_ONCE),
@@ -34,7 +37,7 @@ const FORMS: [(&str, &str); 6] = [
     ("webm", "-c:v libvpx-vp9 -b:v 0 -crf 30 -deadline realtime -cpu-used 8 -row-mt 1 -pix_fmt yuv420p"),
     ("avi", "-c:v mjpeg -q:v 3 -pix_fmt yuvj420p"),
 ];
-/// With the index in front, so that a browser plays it while it loads.
+/// H.264 with the index in front, so that a browser plays it while it loads.
 const H264_AT_ONCE: &str = "-c:v libx264 -preset veryfast -crf 20 -pix_fmt yuv420p -movflags +faststart";
 
 /// How a file of this name is encoded; `None` where the name means a folder.

@@ -29,6 +29,7 @@ pub(super) struct Tally {
     times: [Vec<f64>; 5],
 }
 
+/// Words of the summary for what a frame's time goes into, in the order in which the times are kept.
 const STAGES: [&str; 5] = ["decode", "acquire", "align", "pose", "total"];
 
 #[derive(Serialize)]

@@ -4,9 +4,10 @@ use std::io::{self, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpStream};
 use std::time::Duration;
 
-/// Longer than a daemon of this machine needs, short enough to wait for.
+/// How long the daemon may take to answer. Longer than one on this machine needs, short enough to wait for. Raised, a hung daemon holds up
+/// the report.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Of an answer at most this many bytes are taken.
+/// Of an answer at most this many bytes are taken: a round figure above what the status and the metrics take, which is kilobytes.
 const MOST_BYTES: u64 = 1 << 20;
 
 /// The answer to a GET request, head and content, or why there is none.

@@ -21,7 +21,7 @@ use crate::utc;
 use bundle::Bundle;
 use recordings::Recording;
 
-/// More than any config has, bytes.
+/// More than any config has, bytes: a round figure, so that a wrong file is refused instead of read into memory.
 const MOST_CONFIG_BYTES: u64 = 16 << 20;
 
 /// Put versions, config, events and the last recording into one file, to send to who can help.

@@ -12,7 +12,7 @@ use crate::config::Settings;
 use crate::frame::Timestamp;
 use crate::safe_file;
 
-/// The texts of a clip, those that are there.
+/// The text files of a clip that go into a report, those that are there.
 const TEXTS: [&str; 5] = ["clip.toml", "events.jsonl", "poses.jsonl", "timestamps.csv", "dropped.csv"];
 
 /// A clip on disk.

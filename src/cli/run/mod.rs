@@ -77,7 +77,8 @@ pub(super) fn run(arguments: &RunArguments) -> Result<(), Failure> {
     live(&arguments.live, None)
 }
 
-/// A stage may fail this often within [`RESTART_SPAN`] before the daemon gives up.
+/// A stage may fail this often within [`RESTART_SPAN`] before the daemon gives up. Chosen: a failure that comes back every few seconds is
+/// left to the supervisor. The number raised or the span shortened, a daemon that cannot work goes on restarting.
 const MOST_RESTARTS: usize = 5;
 const RESTART_SPAN: Duration = Duration::from_secs(60);
 

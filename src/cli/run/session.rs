@@ -30,9 +30,11 @@ use crate::record::{PoseSample, State};
 use crate::telemetry::RecorderState;
 use crate::tracker::Tracker;
 
-/// Between two stale messages while a camera is waited for.
+/// Between two stale messages while a camera is waited for: ten a second. Chosen: soon enough for a client that has just come. Raised,
+/// clients learn later that there is no pose.
 const STALE_REPEAT: Duration = Duration::from_millis(100);
-/// A reader of `--poses` or `--events` that takes nothing for this long is given up: it holds up the other outputs.
+/// A reader of `--poses` or `--events` that takes nothing for this long is given up: it holds up the other outputs. Chosen, not tuned.
+/// Raised, a hung reader freezes all outputs for longer.
 const SLOW_READER: Duration = Duration::from_millis(200);
 
 /// Why a session ended.
