@@ -27,6 +27,7 @@ pub fn contained<T>(work: impl FnOnce() -> T) -> Result<T, String> {
 
 /// Makes the process' panic hook silent where a panic is contained; every other panic goes to the hook that was there.
 fn quieten() {
+    /// The hook is set once for the process.
     static QUIET: Once = Once::new();
     QUIET.call_once(|| {
         let before = take_hook();

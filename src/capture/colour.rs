@@ -63,7 +63,7 @@ pub(super) struct Chroma {
 }
 
 /// Lines from which on video without a statement is taken as HD (BT.709), by the usual guess of players: HD begins at 720 lines. The wrong
-/// matrix changes greys by a few levels.
+/// matrix shifts the colours a little; greys stay.
 const HD_LINES: u32 = 720;
 
 impl Chroma {

@@ -19,8 +19,10 @@ use crate::capture::orientation_words;
 use crate::geometry::{Body, Pose, SurfaceFrame};
 use crate::track::{BodySpec, SurfaceError, SurfaceSpec};
 
+/// The stage's name among the bodies, which no object may have.
 const STAGE: &str = "stage";
-/// Sides of a surface, metres: from a stamp to a stadium. What is beyond is a slip of the unit or of the point.
+/// Sides of a surface, metres: from a stamp to a stadium. What is beyond is a slip of the unit or of the point. Wider, such slips pass;
+/// `check` doubts narrower ones.
 const SURFACE_SIDE_M: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 
 /// Reads surfaces for one config: what they share, and the notes that they leave.

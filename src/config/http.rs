@@ -19,7 +19,7 @@ impl Default for HttpSettings {
     }
 }
 
-/// Longest name that DNS knows.
+/// Longest name that DNS knows, characters (RFC 1035: 255 bytes with their lengths).
 const LONGEST_NAME: usize = 253;
 
 /// A host without its port.

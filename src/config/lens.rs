@@ -36,9 +36,10 @@ impl LensSource {
     }
 }
 
-/// Pictures that a guessed lens is thought of before a clip or a camera tells their size.
+/// Size of the pictures that a guessed lens is made for before a clip or a camera gives theirs, pixels. Any would do: the guess is an angle.
 const ANY_SIZE: (u32, u32) = (1280, 720);
 
+/// What to write where the config has no lens.
 const MEND: &str = "calibration = \"camera.toml\" (width, height, fx, fy, cx, cy, skew, distortion), or for a first look fov_deg = 60 (degrees across the picture)";
 
 /// The lens and the camera that it makes.

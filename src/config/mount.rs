@@ -15,12 +15,14 @@ use crate::camera::LensDoubt;
 use crate::geometry::Pose;
 use crate::publish::{BodyChoice, Mount, MountSettings};
 
+/// The section's name in messages.
 const MOUNT: &str = "[mount]";
-/// What it is called where nobody says.
+/// What the filming camera is called where the config has no name.
 const USUAL_NAME: &str = "film";
-/// Longest offset that is taken, metres: a crane's arm. Beyond it a unit has slipped.
+/// Longest offset that is taken, metres: a crane's arm. Beyond it a unit has slipped. Raised, offsets in centimetres pass.
 const LONGEST_M: f64 = 30.0;
-/// An offset beyond which it is asked whether millimetres or centimetres were meant, metres.
+/// An offset beyond which it is asked whether millimetres or centimetres were meant, metres. Chosen: rigs are shorter. Raised, fewer slips
+/// are noticed; lowered, right ones are asked about.
 const ODD_M: f64 = 3.0;
 
 /// The mount, where there is one; `objects` are the names that are taken, and may carry it.

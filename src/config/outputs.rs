@@ -16,8 +16,10 @@ use crate::publish::{
     UdpSettings, needs_interface,
 };
 
+/// The section's name in messages.
 pub(super) const OUTPUT: &str = "[[output]]";
-/// How far back ticks lie: two frames at 30 a second and the tracker's time, so that poses are interpolated.
+/// How far back ticks lie: two frames at 30 a second and the tracker's time, so that poses are interpolated. Raised, outputs lag more;
+/// lowered, ticks are predictions more often.
 const USUAL_DELAY_S: f64 = 0.08;
 
 /// Reads outputs for one config.

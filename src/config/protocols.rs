@@ -16,7 +16,8 @@ use crate::publish::osc::{AddressTemplate, OscMessageKind, OscSettings, OscValue
 use crate::publish::psn::PsnSettings;
 use crate::publish::{JsonSettings, Protocol, StreamSettings};
 
-/// The sensor's width that lengths refer to where none is given: a common webcam's, millimetres.
+/// The sensor's width that lengths refer to where none is given, millimetres: that of a 1/3-inch sensor, common in webcams. It only scales
+/// focal lengths in messages; their ratio to the width is right with any.
 const SENSOR_WIDTH_MM: f64 = 4.8;
 
 #[derive(Clone, Copy, PartialEq)]

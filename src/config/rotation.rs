@@ -75,7 +75,7 @@ impl Turned {
     }
 }
 
-/// Angles that are given, one full turn at most.
+/// Angles that are given, one full turn at most: more is a slip.
 const LARGEST_DEG: f64 = 360.0;
 
 fn unit_quaternion(section: &Section<'_>, key: &str, typed: &Spanned<Exactly<Number, 4>>) -> Result<UnitQuaternion<f64>, ConfigError> {

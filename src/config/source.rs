@@ -22,7 +22,7 @@ pub struct ConfigSource {
     pub(super) files: Arc<BTreeMap<PathBuf, Arc<[u8]>>>,
 }
 
-/// Longer than any config; an endless one is refused.
+/// Longer than any config, bytes; an endless one is refused. A round figure.
 const LARGEST_CONFIG_BYTES: u64 = 4 << 20;
 
 /// The text of a config file.
@@ -65,7 +65,7 @@ impl ConfigSource {
     }
 }
 
-/// Larger than any calibration file by far, small enough to read in one go.
+/// Larger than any calibration file by far, small enough to read in one go, bytes. A round figure.
 const LARGEST_CALIBRATION_BYTES: u64 = 4 << 20;
 
 /// Reads a calibration file in any of the forms that [`parse_calibration`] knows.

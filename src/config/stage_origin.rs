@@ -29,10 +29,12 @@ const POINTS: [(&str, [f64; 2]); 10] = [
     ("left", [-0.5, 0.0]),
     ("right", [0.5, 0.0]),
 ];
+/// The same names in a message.
 const KNOWN: &str = "centre, top left, top right, bottom left, bottom right, top, bottom, left or right of the first surface";
-/// Measured points and the surface's size may be this far apart, of the surface's diagonal: beyond, one of them is a slip.
+/// Measured points and the surface's size may be this far apart, of the surface's diagonal: beyond, one of them is a slip. Chosen: cloths
+/// hang and stretch by less. Raised, slips pass; lowered, honest measurements are refused.
 const LARGEST_MISFIT: f64 = 0.02;
-/// What a tape measure is off anyway, metres.
+/// What a tape measure is off anyway, metres. Chosen, not measured: it matters for small surfaces alone. Raised, slips there pass.
 const TAPE_M: f64 = 0.01;
 
 /// Moves a stage to where the points were measured; a sentence of how well they fit, where that is known.

@@ -7,8 +7,8 @@ use crate::frame::Timestamp;
 use crate::record::{PoseSample, State};
 use crate::track::Reason;
 
-/// A body that has not been tracked for this long is reported, and again where its reason changes. Shorter gaps (a hand before the lens,
-/// a whip pan) would fill the log.
+/// A body that has not been tracked for this long is reported, and again where its reason changes. Shorter gaps (a hand before the lens, a
+/// whip pan) would fill the log. Raised, a loss is reported later.
 const TOLD_AFTER: Duration = Duration::from_secs(1);
 
 /// Watches samples, by their stamps.

@@ -57,8 +57,8 @@ const CUT: f64 = 16.0;
 /// Matches of a view that are asked at most. Chosen for time: each trial solves a pose for each view. Raised, factors are known a little
 /// better, and a check takes longer.
 const ASKED: usize = 60;
-/// Factors are looked for from 1 / this to this, in this many steps up and down, each e^0.12 from the next. Chosen: mistaken sizes are
-/// further off only by units. More steps take longer; fewer may step over the best factor.
+/// Factors are looked for from 1 / this to this, in this many steps up and down, each e^0.12 from the next. Chosen, not tuned. The first
+/// raised, swapped sides of longer surfaces are found, for their ratio is off by its square; fewer steps may miss the best factor.
 const LARGEST_FACTOR: f64 = 2.6;
 const TRIALS: i32 = 8;
 

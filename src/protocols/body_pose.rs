@@ -19,7 +19,8 @@ pub struct PanTiltRoll {
     pub roll_deg: f64,
 }
 
-/// cos(tilt) below which pan and roll turn about the same line: about 0.00006 degrees from straight up.
+/// cos(tilt) below which pan and roll turn about the same line: about 0.00006 degrees from straight up. Chosen: far above a float's
+/// rounding. Raised, roll stands still around the zenith; lowered, both are noise there.
 const GIMBAL: f64 = 1e-6;
 
 impl PanTiltRoll {

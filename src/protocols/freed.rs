@@ -9,8 +9,10 @@ use thiserror::Error;
 use super::body_pose::PanTiltRoll;
 use crate::geometry::{Body, Pose, Stage};
 
-/// Bytes of a D1 packet.
+/// Bytes of a D1 packet, by the Free-D protocol.
 pub const LENGTH: usize = 29;
+/// Free-D's numbers: a D1 packet's first byte, units a degree (15 bits of fraction) and a millimetre (6 bits), the largest of 24 bits with
+/// a sign.
 const TYPE: u8 = 0xD1;
 const PER_DEGREE: f64 = 32768.0;
 const PER_MM: f64 = 64.0;

@@ -7,11 +7,11 @@
 use serde_json::Value;
 use thiserror::Error;
 
-/// Bytes before the payload.
+/// Bytes of OpenTrackIO's header before the payload.
 pub const HEADER: usize = 16;
-/// A datagram up to here crosses an Ethernet in one piece.
+/// A datagram up to here crosses an Ethernet in one piece, bytes: 1500, less 20 for IPv4 and 8 for UDP.
 pub const ONE_FRAME: usize = 1472;
-/// The length field has 15 bits.
+/// Bytes of a payload at most: OpenTrackIO's length field has 15 bits.
 const LONGEST_PAYLOAD: usize = 0x7FFF;
 
 /// How a payload is written.

@@ -9,9 +9,11 @@ use thiserror::Error;
 
 use crate::geometry::{Body, Pose, Stage};
 
+/// PosiStageNet's numbers of the packets with poses and with names.
 const DATA: u16 = 0x6755;
 const INFO: u16 = 0x6756;
-/// Bytes of one packet, so that it crosses an Ethernet in one piece; the standard's own limit is 1500.
+/// Bytes of one packet, so that it crosses an Ethernet in one piece (1500, less 20 for IPv4 and 8 for UDP); the standard's own limit is
+/// 1500.
 pub const LONGEST_PACKET: usize = 1472;
 
 /// What both kinds of packet begin with.
@@ -84,7 +86,7 @@ pub fn from_psn(position_m: [f32; 3], orientation_rad: [f32; 3]) -> Pose<Stage, 
     Pose::new(UnitQuaternion::from_scaled_axis(Vector3::new(-a, -c, -b)), Vector3::new(x, z, y))
 }
 
-/// What a chunk can hold: its length has 15 bits.
+/// What a chunk can hold, bytes: PosiStageNet's length field has 15 bits.
 const LONGEST_CHUNK: usize = 0x7FFF;
 
 fn chunk(id: u16, holds_chunks: bool, content: &[u8]) -> Vec<u8> {

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+/// Between two warnings of one kind. Chosen: seldom enough not to fill a log. Raised, trouble that comes back is said later.
 const PAUSE: Duration = Duration::from_secs(60);
 
 /// One kind of trouble of one output.

@@ -25,10 +25,11 @@ pub(super) enum Verdict {
     Withhold(Withheld),
 }
 
-/// A frame later than this is a gap, even where nobody said so.
+/// A frame later than this is a gap, even where nobody said so. Chosen: several frames of the slowest cameras. Raised, a pose after such a
+/// pause is not blended; lowered below a frame's interval, the blended output stands still.
 const LONGEST_STEP: Duration = Duration::from_millis(500);
 
-/// What is farther away is no place, and may not fit into a receiver's 32-bit floats.
+/// What is farther away than this is no place, metres. A round figure: with any unit of a receiver it stays within 32-bit floats.
 const FARTHEST_M: f64 = 1e9;
 
 /// The limits of one body.

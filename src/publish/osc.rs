@@ -188,6 +188,7 @@ impl OscValue {
 
 /// Unix time as OSC has it: seconds since 1900, and a binary fraction.
 fn time_tag(unix: Timestamp) -> OscTime {
+    /// Seconds from NTP's epoch, which OSC's time tags count from, to that of Unix (RFC 868): 70 years with 17 leap days.
     const FROM_1900_TO_1970_S: i64 = 2_208_988_800;
     let (seconds, ns) = (unix.ns().div_euclid(1_000_000_000), unix.ns().rem_euclid(1_000_000_000));
     // The era ends in 2036 and begins again at 0, as NTP has it.

@@ -8,10 +8,12 @@ use super::report::{BodyReport, Report};
 use crate::frame::Timestamp;
 use crate::protocols::psn::{LONGEST_PACKET, PsnHeader, PsnPacket, PsnTracker, to_psn};
 
-/// Bytes of trackers in one data packet.
+/// Bytes of trackers in one data packet, 60 counted for each, which take 52 at most: with the header it stays below [`LONGEST_PACKET`].
+/// Raised beyond that, packets are fragmented.
 const MOST_TRACKERS: usize = 1400;
-/// Longer names are cut: a desk shows fewer letters, and a packet must have room for one.
+/// Longer names are cut, bytes: a desk shows fewer letters, and a packet must have room for one.
 const LONGEST_NAME: usize = 255;
+/// How often names are sent: chosen, far slower than poses. Raised, a desk shows names later.
 const INFO_EVERY: Duration = Duration::from_secs(1);
 
 /// How an output speaks PSN.

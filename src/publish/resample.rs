@@ -12,15 +12,18 @@ use crate::geometry::{Body, Pose, Stage};
 use crate::motion::Motion;
 use crate::record::State;
 
-/// Samples kept at least, for the motion that they show,
+/// Samples kept at least, for the motion that they show, and at most: a delay of half a second at far more frames a second than cameras
+/// have. Chosen. The first raised, only memory; the second lowered, fast sources have too few for the delay.
 const FEWEST_KEPT: usize = 8;
-/// and at most: a delay of half a second at far more frames a second than cameras have.
 const MOST_KEPT: usize = 2048;
-/// Samples further apart have nothing between them: this, or 2.5 frame intervals where those are longer.
+/// Samples further apart have nothing between them: this, or 2.5 frame intervals where those are longer. Chosen: in a quarter of a second a
+/// camera may stop and turn back. Raised, poses are made up across longer gaps.
 const LONGEST_GAP: Duration = Duration::from_millis(250);
-/// The motion is carried on for at most this long, or 1.5 frame intervals where those are longer.
+/// The motion is carried on for at most this long, or 1.5 frame intervals where those are longer. Chosen, not tuned: the error grows with
+/// the square of the time. Raised, the last motion runs on for longer after a loss.
 const LONGEST_REACH: Duration = Duration::from_millis(100);
-/// Stamps scatter; a tick that lies one frame interval and this much after a frame is still within the interval.
+/// Stamps scatter; a tick that lies one frame interval and this much after a frame is still within the interval. Chosen: more than drivers'
+/// stamps scatter, little beside an interval. Lowered, ticks flicker between tracking and coasting.
 const JITTER: Duration = Duration::from_millis(1);
 
 /// What a sample, or a tick, says of a body.

@@ -98,7 +98,7 @@ pub struct FixedRate {
 }
 
 impl FixedRate {
-    /// The rates that there are, by their names in the config.
+    /// The rates that there are, by their names in the config: those of video, of which 29.97 and 59.94 are fractions over 1001 (SMPTE).
     pub const KNOWN: [(f64, FixedRate); 6] = [
         (25.0, FixedRate { ticks: 25, per_s: 1 }),
         (29.97, FixedRate { ticks: 30_000, per_s: 1001 }),

@@ -42,11 +42,13 @@ pub(super) struct Pace {
     steps: VecDeque<Duration>,
 }
 
-/// Steps whose median is the interval. A single long one, after a stall or a dropped frame, does not move it.
+/// Steps whose median is the interval. A single long one, after a stall or a dropped frame, does not move it, nor do four. Raised, a new
+/// rate is noticed later.
 const STEPS: usize = 9;
-/// With fewer, what the source says of itself counts.
+/// With fewer, what the source says of itself counts: the fewest of which a median leaves one out. Raised, a wrong rate of the source
+/// counts for longer.
 const FEW_STEPS: usize = 3;
-/// Rates that cameras have; a measured one near them is meant to be them.
+/// Rates that cameras have, frames a second; a measured one within 2 % is meant to be them.
 const USUAL_HZ: [f64; 9] = [15.0, 24.0, 25.0, 30.0, 50.0, 60.0, 90.0, 120.0, 240.0];
 
 impl Pace {

@@ -190,9 +190,10 @@ struct Client {
     waiting: Vec<u8>,
 }
 
-/// A client that is further behind is disconnected, bytes.
+/// A client that is further behind is disconnected, bytes. Chosen: some seconds of lines. Raised, a slow client gets older poses and takes
+/// more memory.
 const MOST_WAITING: usize = 256 * 1024;
-/// Further clients are turned away.
+/// Further clients are turned away. A round figure above what a stage has. Raised, more files and memory may be held.
 const MOST_CLIENTS: usize = 64;
 
 impl TcpClients {

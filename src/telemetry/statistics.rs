@@ -80,7 +80,7 @@ pub struct Statistics {
     camera: Mutex<String>,
 }
 
-/// The stages of the latency histograms.
+/// The stages of the latency histograms, in the order in which they are kept.
 pub(super) const STAGES: [&str; 5] = ["decode", "acquire", "align", "pose", "total"];
 
 impl Statistics {

@@ -18,9 +18,11 @@ use super::feed::Feed;
 use super::places::Place;
 use super::routes::{Effect, Reply, Route};
 
-/// A client that takes nothing for this long is let go.
+/// A client that takes nothing for this long is let go. Chosen: longer than a network's hiccup. Raised, dead clients hold their places for
+/// longer.
 pub(super) const TAKES_WITHIN: Duration = Duration::from_secs(2);
-/// A client has nothing to say on the WebSocket, so that its messages may be short.
+/// A client has nothing to say on the WebSocket, so that its messages may be short, bytes. A round figure. Raised, a client may take more
+/// memory.
 const LONGEST_MESSAGE: usize = 4 * 1024;
 
 /// What a request knows of its connection: its place among those that last; none where it is answered in brief.

@@ -12,6 +12,7 @@ use axum::http::{HeaderMap, HeaderName, Method, Request, Uri, Version, header};
 use super::hosts::{AllowedHosts, HostAndPort};
 use super::routes::Reply;
 
+/// The ports of `http` and `https` where an address names none (RFC 9110, 4.2).
 const HTTP_PORT: u16 = 80;
 const HTTPS_PORT: u16 = 443;
 

@@ -12,8 +12,8 @@ use crate::config::HostName;
 
 /// The system's names for loopback, as /etc/hosts has them.
 const LOOPBACK_NAMES: [&str; 3] = ["localhost", "ip6-localhost", "ip6-loopback"];
-/// The machine's addresses are asked for again after this time: a network may come while the server runs. Asking takes the system
-/// some 0.1 ms, which a flood of requests shall not make it do each time.
+/// The machine's addresses are asked for again after this time: a network may come while the server runs. Asking takes the system some 0.1
+/// ms, which a flood of requests shall not make it do each time. Raised, a new address is refused for longer.
 const ADDRESSES_LAST: Duration = Duration::from_secs(5);
 /// A host and the port behind it, as `Host` and `Origin` write them.
 #[derive(Debug, Clone, PartialEq, Eq)]

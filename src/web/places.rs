@@ -11,12 +11,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::AbortHandle;
 
-/// Connections that last, at a time. Each holds a file and some 50 kB.
+/// Connections that last, at a time. Each holds a file and some 50 kB. Chosen: more than the screens of a stage. Raised, more memory and
+/// files may be held.
 const MOST_CONNECTIONS: usize = 64;
 /// Of these, what one peer may have: half, so that another is let in.
 const MOST_OF_A_PEER: usize = MOST_CONNECTIONS / 2;
-/// Connections beyond those, at a time. One is pushed out before its request arrives only by so many newer ones within that time;
-/// more hold more files.
+/// Connections beyond those, at a time. One is pushed out before its request arrives only by that many newer ones within that time; more
+/// hold more files.
 const MOST_BRIEF: usize = 64;
 
 /// The places for connections that last.

@@ -59,7 +59,7 @@ impl Route {
     }
 }
 
-/// Changes that may come at once: a button that is pressed again and again.
+/// Changes that may come at once: a button that is pressed again and again. Raised, a program may fill the disk faster at first.
 const AT_ONCE: u32 = 4;
 /// Afterwards one more each time this has passed. A saved ring is a clip of its own with a copy of the config: at this pace a
 /// program gone wild fills a disk in days instead of minutes.

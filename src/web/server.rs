@@ -34,25 +34,28 @@ use crate::config::HttpSettings;
 use crate::publish::FrameClock;
 use crate::record::PoseSample;
 
-/// A request's head must come within this time, also where a connection waits for its next one,
+/// A request's head must come within this time, also where a connection waits for its next one. Chosen. Raised, silent clients hold their
+/// places for longer.
 const HEAD_WITHIN: Duration = Duration::from_secs(5);
-/// in this many bytes,
+/// Bytes and header lines of a request's head at most. Chosen: more than browsers send. Raised, a client may take more memory.
 const LONGEST_HEAD: usize = 16 * 1024;
-/// with this many header lines.
 const MOST_HEADERS: usize = 64;
-/// A connection that is no WebSocket ends after this time and is made anew: who takes one byte a second shall not keep it.
+/// A connection that is no WebSocket ends after this time and is made anew: who takes one byte a second shall not keep it. Raised, such
+/// clients hold places for longer; lowered, large answers to slow clients are cut.
 const LASTS: Duration = Duration::from_secs(60);
-/// Connections that may wait to be accepted. Where there is no room, the system passes the next one over, and it tries again only
-/// after a second.
+/// Connections that may wait to be accepted. Where there is no room, the system passes the next one over, and it tries again only after a
+/// second. A round figure, which Linux cuts to net.core.somaxconn.
 const MOST_WAITING: i32 = 1024;
-/// Connections accepted in a row; far fewer than may be answered in brief.
+/// Connections accepted in a row; far fewer than may be answered in brief. Raised to those, a flood pushes them out before they are heard.
 const AT_ONCE: u32 = 16;
-/// A connection without a place of its own ends after this time, answered or not.
+/// A connection without a place of its own ends after this time, answered or not. Chosen: enough for one page. Raised, a flood keeps others
+/// out for longer.
 const BRIEFLY: Duration = Duration::from_secs(2);
-/// What a connection may take to end in form.
+/// What a connection may take to end in form. Chosen. Raised, the daemon's end waits longer for clients that do not listen.
 const ENDS_WITHIN: Duration = Duration::from_millis(250);
 
-/// How often clients get a message where the newest frame has become too old.
+/// How often it is looked whether the newest frame has become too old, which clients then hear. Chosen: below what a person notices.
+/// Raised, they hear later.
 const WATCH_EVERY: Duration = Duration::from_millis(100);
 
 /// Why the server cannot run.

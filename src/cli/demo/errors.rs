@@ -8,7 +8,6 @@ use crate::record::{PoseSample, State};
 /// A pose is wrong when its position is off by more than this share of the camera's distance, or its direction by more than this many
 /// degrees. Chosen: errors that would be seen on a stage. Raised, fewer count as wrong.
 const WRONG_SHARE: f64 = 0.01;
-/// … or its direction by more than this, degrees.
 const WRONG_DEG: f64 = 0.3;
 
 /// The error of one tracked frame.

@@ -175,7 +175,7 @@ impl std::ops::Deref for EventListener {
     }
 }
 
-/// Events that may wait for a listener before the oldest is dropped.
+/// Events that may wait for a listener before the oldest is dropped. A round figure far above what comes in a second. Raised, only memory.
 const QUEUE: usize = 4096;
 
 impl EventLog {

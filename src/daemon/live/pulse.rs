@@ -21,7 +21,8 @@ impl Default for Pulse {
     }
 }
 
-/// A stale message is due before the third frame time is over; this much of it is left for its way.
+/// A stale message is due before the third frame time is over; the rest of it is left for its way. Raised, the message is late; lowered,
+/// frames that are merely late make the output stale.
 const STALE_FRAME_TIMES: f64 = 2.6;
 
 impl Pulse {

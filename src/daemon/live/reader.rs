@@ -108,6 +108,7 @@ impl Drop for OnThread<'_> {
 /// Makes the nudging signal do nothing but interrupt.
 fn take_signal() {
     extern "C" fn nothing(_: libc::c_int) {}
+    /// The signal's handler is set once for the process.
     static TAKEN: Once = Once::new();
     TAKEN.call_once(|| {
         // No SA_RESTART: a blocked call shall come back.

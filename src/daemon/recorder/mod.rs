@@ -41,10 +41,11 @@ pub struct RecorderPlan {
     pub about: AboutClip,
 }
 
-/// Rows that may wait for the disk, and their bytes: beyond them the disk is too slow.
+/// Rows that may wait for the disk, and their bytes: beyond them the disk is too slow. Chosen: 17 seconds at 30 a second, and what a small
+/// machine can spare. Raised, longer stalls of a disk lose nothing and take more memory.
 const MOST_WAITING: usize = 512;
 const MOST_WAITING_BYTES: usize = 256 << 20;
-/// Events that a saved ring tells of.
+/// Events that a saved ring has at most, the newest. A round figure far above what comes in a ring's time.
 const RECENT_EVENTS: usize = 4096;
 
 enum Job {

@@ -23,7 +23,8 @@ pub(super) struct Ring {
     made: u64,
 }
 
-/// Segments that make up the wanted time.
+/// Segments that make up the wanted time. The ring is longer by up to one of them. Raised, it is cut more closely and more folders are made
+/// and removed.
 const SEGMENTS: i64 = 8;
 
 impl Ring {
