@@ -1,7 +1,9 @@
-//! The architecture, held to: rooms use only rooms above them, and no two modules beside each other need each other.
+//! The architecture, held to: rooms use only rooms above them, and no two modules beside each other need each other. And what the source
+//! says of itself: each constant has its comment.
 //!
 //! `STAGEPOSE_REMAKE=1 cargo test --test stagepose structure` draws docs/modules.md anew.
 
+mod constants;
 mod modules;
 mod specification;
 

@@ -12,6 +12,7 @@ pub type Name = Vec<String>;
 /// A module without its tests.
 #[derive(Default)]
 struct Module {
+    file: PathBuf,
     children: BTreeSet<String>,
     /// Names that it gives on, and where they come from.
     exports: BTreeMap<String, Name>,
@@ -34,7 +35,7 @@ impl Modules {
     fn read(&mut self, name: Name, file: &Path, folder: &Path) {
         let text = std::fs::read_to_string(file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
         let parsed: File = syn::parse_file(&text).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
-        let mut reader = Reader { name: name.clone(), module: Module::default() };
+        let mut reader = Reader { name: name.clone(), module: Module { file: file.to_owned(), ..Module::default() } };
         let declared: Vec<&ItemMod> = parsed.items.iter().filter_map(declaration).collect();
         reader.module.children = declared.iter().map(|m| m.ident.to_string()).collect();
         reader.visit_file(&parsed);
@@ -68,6 +69,11 @@ impl Modules {
     pub fn uses(&self) -> BTreeSet<(Name, Name)> {
         let arrows = self.0.iter().flat_map(|(name, module)| module.used.iter().map(|path| (name.clone(), self.module_of(path, 8))));
         arrows.filter(|(user, used)| user != used).collect()
+    }
+
+    /// The files of all modules.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        self.0.values().map(|module| module.file.as_path())
     }
 
     /// Modules that have others in them.
