@@ -11,8 +11,8 @@ use nix::sys::signal::{SigHandler, Signal, signal};
 /// Set by the first SIGINT or SIGTERM. A static, because a signal handler can reach nothing else.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// How long an ordered end may take, seconds: a recorder brings what waits to the disk. Chosen. Raised, a hung end lasts longer; lowered, a
-/// slow disk loses the end of a recording.
+/// How long an ordered end may take, seconds: a recorder brings what waits to the disk. Chosen, not tuned. Raised, a hung end lasts longer;
+/// lowered, a slow disk loses the end of a recording.
 const GRACE_S: u32 = 10;
 
 extern "C" fn on_signal(number: nix::libc::c_int) {

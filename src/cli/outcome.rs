@@ -15,7 +15,8 @@ pub(super) struct Outcome {
     reasons: [u64; Reason::ALL.len()],
 }
 
-/// Most frequent reasons that have a sentence each; the others are only counted. Chosen. Raised, the end of a run is longer to read.
+/// Most frequent reasons that have a sentence each; the others are only counted. Chosen, not tuned. Raised, the end of a run is longer to
+/// read.
 const TOLD: usize = 2;
 /// A reason with a smaller share of the frames is not worth a sentence of its own where another has more. Chosen: that of `check`'s notes.
 /// Raised, rarer reasons are only counted.

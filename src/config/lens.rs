@@ -36,7 +36,8 @@ impl LensSource {
     }
 }
 
-/// Size of the pictures that a guessed lens is made for before a clip or a camera gives theirs, pixels. Any would do: the guess is an angle.
+/// Size of the pictures that a guessed lens is made for before a clip or a camera gives theirs, pixels. Any would do: the guess is an
+/// angle.
 const ANY_SIZE: (u32, u32) = (1280, 720);
 
 /// What to write where the config has no lens.

@@ -9,7 +9,7 @@ use crate::capture::timestamping::monotonic_now;
 use crate::frame::Timestamp;
 use crate::record::{PoseSample, State};
 
-/// Between two messages of one silence: ten a second. Chosen. Raised, a client that comes later learns of it later.
+/// Between two messages of one silence: ten a second. Chosen, not tuned. Raised, a client that comes later learns of it later.
 const REPEAT: Duration = Duration::from_millis(100);
 
 /// Watches the pulse for the pose stage.

@@ -50,8 +50,8 @@ type Observer = Box<dyn FnMut(&ClipEntry, &PoseSample) + Send>;
 /// Rows that may wait between two stages where none may be lost. Chosen: enough that stages do not wait for each other's slow frames.
 /// Raised, more pictures are held in memory.
 const QUEUE: usize = 4;
-/// Samples that may wait for a live subscriber before the oldest is dropped: some 8 seconds at 30 a second. Chosen. Raised, only memory: a
-/// subscriber that was held up gets older samples.
+/// Samples that may wait for a live subscriber before the oldest is dropped: some 8 seconds at 30 a second. Chosen, not tuned. Raised, only
+/// memory: a subscriber that was held up gets older samples.
 const SUBSCRIBER_QUEUE: usize = 256;
 
 /// The tracker on threads of its own. Subscribe first, then start.

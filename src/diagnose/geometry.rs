@@ -30,7 +30,7 @@ const LEAST_GAIN: f64 = 0.06;
 /// warning. Chosen, not tuned. Raised, more are warnings.
 const LARGE_FACTOR: f64 = 0.08;
 /// Two ratios are the same within this, of the logarithm: it tells a swap of width and height from a coincidence. Chosen, not tuned.
-/// Raised, more ratios are called a swap, and nearly square surfaces no more.
+/// Raised, more ratios are called a swap, and fewer nearly square surfaces can be.
 const SAME_RATIO: f64 = 0.06;
 /// A surface that is seen this far from its place is not where the config has it: share of the camera's distance, and degrees. Chosen: far
 /// beyond the errors of a pose. Raised, misplaced surfaces pass; lowered, right ones are called misplaced.

@@ -15,8 +15,8 @@ use crate::frame::Timestamp;
 /// The boot clock less the monotonic one changes by suspends alone; less than this is the reading's own scatter, nanoseconds. Chosen: 50
 /// times [`ONE_INSTANT_NS`], and no machine wakes so soon. Raised, short suspends are overlooked, by which later frames count as older.
 const SHORTEST_SUSPEND_NS: i64 = 5_000_000;
-/// Suspends remembered; frames are long too old before they are forgotten. Chosen. Raised, only memory; lowered to one, frames from before
-/// the last suspend count as younger.
+/// Suspends remembered; frames are long too old before they are forgotten. Chosen, not tuned. Raised, only memory; lowered to one, frames
+/// from before the last suspend count as younger.
 const SUSPENDS: usize = 8;
 
 /// How far the boot clock is ahead of the monotonic one, from which monotonic instant on.
@@ -62,8 +62,8 @@ struct Memory {
     clip_offset_ns: Option<i64>,
 }
 
-/// A live stamp may lie ahead by what is assumed of exposure and readout; further ahead it is of another clock, nanoseconds. Chosen: above
-/// the longest exposure. Raised, stamps of a wrong clock are believed.
+/// A live stamp may lie ahead by what is assumed of exposure and readout: half of each, 1 s at most (`Shutter::LONGEST_S`). Further
+/// ahead it is of another clock, nanoseconds. Raised, stamps of a wrong clock are believed.
 const MOST_AHEAD_NS: i64 = 1_000_000_000;
 
 impl FrameClock {

@@ -18,8 +18,8 @@ use crate::protocols::opentrackio::{Encoding, ONE_FRAME, datagram};
 use crate::protocols::opentrackio_lens::{PrincipalPoint, lens, sensor};
 use crate::record::State;
 
-/// How often the part of a sample that does not change is sent, for receivers that come later. Chosen. Raised, they wait longer for it;
-/// lowered, packets are larger.
+/// How often the part of a sample that does not change is sent, for receivers that come later. Chosen, not tuned. Raised, they wait longer
+/// for it; lowered, packets are larger.
 const STATIC_EVERY: Duration = Duration::from_secs(2);
 
 /// How an output speaks OpenTrackIO.

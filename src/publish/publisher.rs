@@ -90,8 +90,8 @@ pub struct OutputStatistics {
     pub greatest_latency_us: u64,
 }
 
-/// Samples that may wait for one output before the oldest is dropped: a second at 30 a second. Chosen. Raised, an output that was held up
-/// sends older poses.
+/// Samples that may wait for one output before the oldest is dropped: a second at 30 a second. Chosen, not tuned. Raised, an output that
+/// was held up sends older poses.
 const QUEUE: usize = 32;
 /// Safety events that may wait to be asked for. Chosen: far more than come between two looks. Raised, only memory; lowered, events may be
 /// lost.

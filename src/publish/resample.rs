@@ -13,7 +13,7 @@ use crate::motion::Motion;
 use crate::record::State;
 
 /// Samples kept at least, for the motion that they show, and at most: a delay of half a second at far more frames a second than cameras
-/// have. Chosen. The first raised, only memory; the second lowered, fast sources have too few for the delay.
+/// have. Chosen, not tuned. The first raised, only memory; the second lowered, fast sources have too few for the delay.
 const FEWEST_KEPT: usize = 8;
 const MOST_KEPT: usize = 2048;
 /// Samples further apart have nothing between them: this, or 2.5 frame intervals where those are longer. Chosen: in a quarter of a second a

@@ -43,10 +43,11 @@ pub(super) struct Counters {
     pub greatest_latency_us: AtomicU64,
 }
 
-/// How often a loss is said again where the format has a word for it. Chosen. Raised, a receiver that comes later learns of it later.
+/// How often a loss is said again where the format has a word for it. Chosen, not tuned. Raised, a receiver that comes later learns of it
+/// later.
 const REPEAT: Duration = Duration::from_secs(1);
-/// How often new clients are let in, repetitions looked after and the age of the newest frame judged. Chosen. Raised, a client waits longer
-/// to be let in; lowered, idle outputs take processor time.
+/// How often new clients are let in, repetitions looked after and the age of the newest frame judged. Chosen, not tuned. Raised, a client
+/// waits longer to be let in; lowered, idle outputs take processor time.
 const ROUND: Duration = Duration::from_millis(100);
 
 /// Taken for the source's rate before a few frames have come, frames a second: a webcam's.

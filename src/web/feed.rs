@@ -16,10 +16,10 @@ use crate::frame::Timestamp;
 use crate::publish::FrameClock;
 use crate::record::{PoseSample, State};
 
-/// Records that a client may be behind before it is let go: some 8 seconds at 30 a second. Chosen. Raised, slow clients show older poses,
-/// and more lines are held.
+/// Records that a client may be behind before it is let go: some 8 seconds at 30 a second. Chosen, not tuned. Raised, slow clients show
+/// older poses, and more lines are held.
 const MOST_BEHIND: usize = 256;
-/// How often a silence is said again. Chosen. Raised, a client that comes later learns of it later.
+/// How often a silence is said again. Chosen, not tuned. Raised, a client that comes later learns of it later.
 const REPEAT: Duration = Duration::from_secs(1);
 
 /// What has been published so far.

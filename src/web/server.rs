@@ -34,8 +34,8 @@ use crate::config::HttpSettings;
 use crate::publish::FrameClock;
 use crate::record::PoseSample;
 
-/// A request's head must come within this time, also where a connection waits for its next one. Chosen. Raised, silent clients hold their
-/// places for longer.
+/// A request's head must come within this time, also where a connection waits for its next one. Chosen, not tuned. Raised, silent clients
+/// hold their places for longer.
 const HEAD_WITHIN: Duration = Duration::from_secs(5);
 /// Bytes and header lines of a request's head at most. Chosen: more than browsers send. Raised, a client may take more memory.
 const LONGEST_HEAD: usize = 16 * 1024;
@@ -51,11 +51,11 @@ const AT_ONCE: u32 = 16;
 /// A connection without a place of its own ends after this time, answered or not. Chosen: enough for one page. Raised, a flood keeps others
 /// out for longer.
 const BRIEFLY: Duration = Duration::from_secs(2);
-/// What a connection may take to end in form. Chosen. Raised, the daemon's end waits longer for clients that do not listen.
+/// What a connection may take to end in form. Chosen, not tuned. Raised, the daemon's end waits longer for clients that do not listen.
 const ENDS_WITHIN: Duration = Duration::from_millis(250);
 
-/// How often it is looked whether the newest frame has become too old, which clients then hear. Chosen: below what a person notices.
-/// Raised, they hear later.
+/// How often the newest frame's age is looked at; clients hear when it has become too old. Chosen: below what a person notices. Raised,
+/// they hear later.
 const WATCH_EVERY: Duration = Duration::from_millis(100);
 
 /// Why the server cannot run.

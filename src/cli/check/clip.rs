@@ -14,8 +14,8 @@ use crate::record::State;
 use crate::track::Reason;
 use crate::tracker::{Tracker, TrackerSetup};
 
-/// Rows that are tracked at most: half a minute at 30 frames a second, chosen so that a check does not take longer than a clip is worth.
-/// Raised, faults late in a long clip are seen, and the check takes longer.
+/// Rows that are tracked at most: half a minute at 30 frames a second, chosen so that a check stays short. Raised, faults late in a long
+/// clip are seen, and the check takes longer.
 const MOST_ROWS: u64 = 900;
 /// Frames that are kept for trying, at least half as many where the clip has them. Chosen: what tries them takes 8 or 10 at even steps.
 /// Raised, more whole frames are held in memory.

@@ -14,8 +14,8 @@ use crate::publish::SafetySettings;
 /// How long pictures are read: 45 at 30 a second, enough to measure the rate and see stamps that repeat. Raised, `check` makes its user
 /// wait.
 const SPAN: Duration = Duration::from_millis(1500);
-/// How long the first picture may take. Chosen, not measured: patient beside what webcams are known to take. Raised, a camera that gives
-/// none is named later.
+/// How long the first picture may take. Chosen, not measured: cameras may take a second or two to start. Raised, a camera that gives none
+/// is named later.
 const FIRST: Duration = Duration::from_secs(5);
 
 /// What the camera is and does, or what to do about it. A camera that blocks does not block the check.

@@ -116,8 +116,8 @@ impl Verdict {
     }
 }
 
-/// A larger share of the picture under the mask is likelier a mask painted the wrong way round. Chosen: between the half, which a speaker
-/// and a lectern may hide, and most of it. Raised, some inverted masks pass; lowered, right ones are doubted.
+/// A larger share of the picture under the mask is likelier a mask painted the wrong way round. Chosen: a speaker and a lectern may hide
+/// half, an inverted mask hides most. Raised, some inverted masks pass; lowered, right ones are doubted.
 const LARGEST_MASK: f64 = 0.6;
 
 /// What is odd about the config itself, without a clip.

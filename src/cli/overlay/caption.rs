@@ -9,7 +9,7 @@ use super::{CYAN, Scene, state_colour};
 use crate::cli::angles::camera_angles;
 use crate::record::{PoseSample, State};
 
-/// Colours of the text: of poses and legends, and of what is said beside them.
+/// Colours of the text: poses and legends, and the lesser facts beside them.
 const WHITE: Colour = [240, 242, 245];
 const PALE: Colour = [186, 192, 200];
 

@@ -18,7 +18,7 @@ pub(super) const LEFT_OUT: Colour = [165, 165, 170];
 
 /// From fits (0) to counts nothing (1): green, yellow, red.
 pub(super) fn fit_colour(share: f32) -> Colour {
-    /// The scale's ends and middle, red, green and blue from 0 to 255.
+    /// The scale's beginning, middle and end: red, green and blue from 0 to 255.
     const GREEN: [f32; 3] = [60.0, 215.0, 85.0];
     const YELLOW: [f32; 3] = [250.0, 215.0, 60.0];
     const RED: [f32; 3] = [245.0, 55.0, 45.0];

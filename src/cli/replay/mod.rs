@@ -258,7 +258,7 @@ impl ReplayArguments {
     }
 }
 
-/// Rows without a frame are warned of one by one up to here, then only counted. Chosen. Raised, a damaged clip fills the screen.
+/// Rows without a frame are warned of one by one up to here, then only counted. Chosen, not tuned. Raised, a damaged clip fills the screen.
 const WARNED_IN_FULL: u64 = 5;
 
 impl RowTally {

@@ -11,8 +11,8 @@ use zip::write::SimpleFileOptions;
 use crate::cli::failure::Failure;
 use crate::safe_file;
 
-/// Of one file at most this many bytes are taken: a report is to be sent by mail. The name of what is cut says so. Chosen. Raised, reports
-/// of long recordings grow too large for mail.
+/// Of one file at most this many bytes are taken: a report is to be sent by mail. The name of what is cut says so. Chosen, not tuned.
+/// Raised, reports of long recordings grow too large for mail.
 const MOST_BYTES: u64 = 32 << 20;
 
 /// A zip file that is being written.

@@ -14,8 +14,8 @@ use crate::capture::camera::{CameraMode, CameraOpener};
 use crate::capture::{ClipEntry, FrameSource, decode_picture};
 use crate::drop_oldest::drop_oldest;
 
-/// Readers that may be left behind before the daemon only waits for one of them. Chosen. Raised, a driver that hangs for good holds more
-/// threads.
+/// Readers that may be left behind before the daemon only waits for one of them. Chosen, not tuned. Raised, a driver that hangs for good
+/// holds more threads.
 const MOST_READERS: usize = 8;
 /// How often the reader is looked after. Chosen: well below a frame time of slow cameras. Raised, a lost camera is noticed later; lowered,
 /// waiting takes processor time.
