@@ -6,8 +6,8 @@ use super::residual::Unknowns;
 use super::views::{Stages, ViewPair, mean};
 use crate::geometry::{Camera, FilmingCamera, Pose, Stage, quaternion};
 
-/// Triples of views that are tried where the stages are apart: all that twelve views have; of more views, those that begin
-/// with the first ones. Raised, the start takes longer; lowered, fewer of them are free of wrong views.
+/// Triples of views that are tried where the stages are apart: all that twelve views have; of more views' as many, evenly spread, so that no
+/// view is in most of them. Raised, the start takes longer; lowered, fewer of them are free of wrong views.
 const MOST_TRIPLES: usize = 220;
 
 /// The start that the views agree with best, by the sum of their distances, which one wrong view cannot spoil.
@@ -28,8 +28,9 @@ fn direct(pair: &ViewPair) -> Pose<Camera, FilmingCamera> {
 
 fn triples(pairs: &[ViewPair]) -> Vec<[ViewPair; 3]> {
     let n = pairs.len();
+    let count = n * n.saturating_sub(1) * n.saturating_sub(2) / 6;
     let all = (0..n).flat_map(|i| (i + 1..n).flat_map(move |j| (j + 1..n).map(move |k| [pairs[i], pairs[j], pairs[k]])));
-    all.take(MOST_TRIPLES).collect()
+    all.step_by(count.div_ceil(MOST_TRIPLES).max(1)).collect()
 }
 
 /// Motions of the tracking camera are motions of the filming one, seen through the mount: A_ij X = X B_ij. The rotation is the one that
@@ -64,4 +65,27 @@ fn hand_eye(pairs: &[ViewPair]) -> Option<Unknowns> {
     // How the boards stand to one another, by each pair.
     let between = |pair: &ViewPair| pair.tracking.pose * mount * pair.filming.pose.renamed::<Stage, FilmingCamera>().inverse();
     Some(Unknowns { mount, between: mean(&pairs.iter().map(between).collect::<Vec<_>>())? })
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix6;
+
+    use super::*;
+    use crate::mount::views::View;
+
+    #[test]
+    fn no_view_is_in_most_of_the_triples() {
+        // Each view stands at its own number, metres to the right.
+        let at =
+            |n: usize| View { pose: Pose::new(Default::default(), nalgebra::Vector3::x() * n as f64), covariance: Matrix6::identity() };
+        for n in [3, 12, 13, 25, 40] {
+            let pairs: Vec<ViewPair> = (0..n).map(|k| ViewPair { tracking: at(k), filming: at(k) }).collect();
+            let triples = triples(&pairs);
+            let with = |k: usize| triples.iter().filter(|t| t.iter().any(|p| p.tracking.pose.translation.x == k as f64)).count();
+            let most = (0..n).map(with).max().unwrap();
+            assert!(!triples.is_empty() && triples.len() <= MOST_TRIPLES);
+            assert!(n == 3 || 2 * most <= triples.len(), "{n}: one view is in {most} of {}", triples.len());
+        }
+    }
 }
