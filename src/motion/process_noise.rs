@@ -56,7 +56,7 @@ impl ProcessNoise {
         self.turn * USUAL_TURN
     }
 
-    /// Learns from the squared innovations of shift and turn ([`squared_innovations`](super::motion::MotionEstimate::squared_innovations)).
+    /// Learns from the squared innovations of shift and turn ([`squared_innovations`](super::MotionEstimate::squared_innovations)).
     pub fn learn(&mut self, squared_innovations: [Option<f64>; 2]) {
         self.frames = self.frames.saturating_add(1);
         if self.frames <= UNTOLD_FRAMES {
