@@ -37,7 +37,7 @@ const BENT: RangeInclusive<f64> = 0.5..=8.0;
 /// too. Raised, those are refused; lowered, a camera passes of which half the picture serves for nothing.
 const LEAST_INVERTIBLE: f64 = 0.75;
 /// Sides of a picture, pixels: what JPEG's 16 bits hold, and far beyond any sensor. Raised, slipped numbers pass.
-const LONGEST_SIDE: u32 = 65_535;
+pub const LONGEST_SIDE: u32 = 65_535;
 /// Places along each side of the picture at which it is tested, edges included: a fold is a ring around
 /// the axis, so a coarse grid sees it. Raised, reading a calibration takes longer.
 const ASKED: u32 = 17;

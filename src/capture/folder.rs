@@ -14,7 +14,7 @@ const STAMP_FILES: [&str; 2] = ["timestamps.csv", "data.csv"];
 /// Where a named picture may lie in the clip's folder.
 const PICTURE_FOLDERS: [&str; 3] = ["frames", "", "data"];
 /// What counts as a picture where no list names them: names that end like this, in any case.
-const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
+pub const PICTURE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
 
 /// Bytes of a stamp file, about five million rows: a whole day at 60 a second. All rows are held in memory. Raised, a wrong file takes more
 /// of it.
@@ -83,7 +83,7 @@ fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
         let path = entry.map_err(unreadable)?.path();
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         let hidden = path.file_name().is_some_and(|n| n.as_encoded_bytes().starts_with(b"."));
-        if EXTENSIONS.contains(&extension.as_str()) && !hidden && path.is_file() {
+        if PICTURE_EXTENSIONS.contains(&extension.as_str()) && !hidden && path.is_file() {
             files.push(path);
         }
     }

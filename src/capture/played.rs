@@ -71,7 +71,8 @@ const LARGEST_ACCOUNT_BYTES: u64 = 1 << 20;
 fn recorded_exposure(clip: &Path) -> Option<f64> {
     let account = clip.join("clip.toml");
     std::fs::metadata(&account).ok().filter(|m| m.is_file() && m.len() <= LARGEST_ACCOUNT_BYTES)?;
-    let recording: Recording = toml::from_str(&String::from_utf8(crate::safe_file::read(&account, 1 << 20).ok()?).ok()?).ok()?;
+    let recording: Recording =
+        toml::from_str(&String::from_utf8(crate::safe_file::read(&account, LARGEST_ACCOUNT_BYTES).ok()?).ok()?).ok()?;
     recording.camera.exposure_s
 }
 

@@ -7,6 +7,7 @@ use image::{GrayImage, RgbImage};
 use super::colour::Chroma;
 use super::grey::check_size;
 use super::rate::FrameRate;
+use crate::camera::plausible::LONGEST_SIDE;
 
 /// A .y4m stream.
 #[derive(Debug)]
@@ -26,9 +27,6 @@ pub struct Y4mReader<R> {
 
 /// Longer than any header line in use, bytes. A round figure, so that a file which is no y4m is refused at once.
 const LONGEST_LINE: u64 = 4096;
-/// As large as a picture may be on a side: 16 bits, as JPEG has them; larger is a damaged header. Raised, such a header asks for more
-/// memory.
-const LONGEST_SIDE: u32 = 65_535;
 
 impl<R: BufRead> Y4mReader<R> {
     /// Reads the stream's header.

@@ -186,13 +186,14 @@ impl OscValue {
     }
 }
 
+/// Seconds from NTP's epoch, which OSC's time tags count from, to that of Unix (RFC 868): 70 years with 17 leap days.
+pub const FROM_1900_TO_1970_S: u32 = 2_208_988_800;
+
 /// Unix time as OSC has it: seconds since 1900, and a binary fraction.
 fn time_tag(unix: Timestamp) -> OscTime {
-    /// Seconds from NTP's epoch, which OSC's time tags count from, to that of Unix (RFC 868): 70 years with 17 leap days.
-    const FROM_1900_TO_1970_S: i64 = 2_208_988_800;
     let (seconds, ns) = (unix.ns().div_euclid(1_000_000_000), unix.ns().rem_euclid(1_000_000_000));
     // The era ends in 2036 and begins again at 0, as NTP has it.
-    let seconds = (seconds + FROM_1900_TO_1970_S) as u32;
+    let seconds = (seconds + i64::from(FROM_1900_TO_1970_S)) as u32;
     OscTime { seconds, fractional: (((ns as u64) << 32) / 1_000_000_000) as u32 }
 }
 

@@ -10,7 +10,7 @@ use crate::protocols::psn::{LONGEST_PACKET, PsnHeader, PsnPacket, PsnTracker, to
 
 /// Bytes of trackers in one data packet, 60 counted for each, which take 52 at most: with the header it stays below [`LONGEST_PACKET`].
 /// Raised beyond that, packets are fragmented.
-const MOST_TRACKERS: usize = 1400;
+const MOST_TRACKER_BYTES: usize = 1400;
 /// Longer names are cut, bytes: a desk shows fewer letters, and a packet must have room for one.
 const LONGEST_NAME: usize = 255;
 /// How often names are sent: chosen, far slower than poses. Raised, a desk shows names later.
@@ -88,7 +88,7 @@ impl Encoder for PsnEncoder {
         let trackers: Vec<PsnTracker> =
             report.bodies.iter().zip(self.settings.first_tracker..).map(|(body, id)| self.tracker(report, body, id)).collect();
         // 4 bytes of chunk header, and 48 or fewer of fields.
-        let groups: Vec<&[PsnTracker]> = trackers.chunks(MOST_TRACKERS / 60).collect();
+        let groups: Vec<&[PsnTracker]> = trackers.chunks(MOST_TRACKER_BYTES / 60).collect();
         let timestamp_us = self.since_start_us(report.sent_monotonic);
         // A frame is at most a handful of packets: a config names few objects.
         let header = PsnHeader { timestamp_us, frame_id: self.frame_id, packets: groups.len().min(255) as u8 };

@@ -14,6 +14,9 @@ use super::canvas::{Canvas, Colour, cell, hsv, lattice, layered_noise, mix};
 
 /// Paints a backdrop of `width` x `height` pixels; the same seed gives the same picture.
 pub fn paint(width: u32, height: u32, seed: u64) -> RgbImage {
+    if width == 0 || height == 0 {
+        return RgbImage::new(width, height);
+    }
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let noise_seed: u32 = random.random();
     let hue: f32 = random.random();

@@ -7,7 +7,7 @@ mod statistics;
 
 pub use health::health;
 pub use metrics::metrics;
-pub use statistics::{CameraState, RecorderState, Statistics};
+pub use statistics::{CameraState, RecorderState, STAGES, Statistics};
 
 /// A page as a server gives it out.
 #[derive(Debug, Clone, PartialEq, Eq)]

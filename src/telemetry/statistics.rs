@@ -81,7 +81,7 @@ pub struct Statistics {
 }
 
 /// The stages of the latency histograms, in the order in which they are kept.
-pub(super) const STAGES: [&str; 5] = ["decode", "acquire", "align", "pose", "total"];
+pub const STAGES: [&str; 5] = ["decode", "acquire", "align", "pose", "total"];
 
 impl Statistics {
     /// Counts a sample, its times and its quality. A stale one counts as a state only.

@@ -111,7 +111,7 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
         agreeing.extend(view.matches.iter().map(|m| (observation(body, m), view.squared_error(m))));
         for start in surface_poses(body, &view, camera, &mut seen) {
             let Some(pose) = refined(&start, &still, &observations) else { continue };
-            let inliers = within_reach(&pose, &still, &observations, 4.0).count();
+            let inliers = within_reach(&pose, &still, &observations, LARGEST_SQUARED.sqrt()).count();
             poses.push(pose);
             if inliers < LEAST_INLIERS {
                 continue;
@@ -157,7 +157,7 @@ fn observation(body: &PreparedBody, m: &SurfaceMatch) -> Observation {
 /// Sum of squared residuals in sigmas, each cut at 16.
 fn truncated_cost(pose: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> f64 {
     let squared = |o: &Observation| squared_residual(pose, camera, o).unwrap_or(f64::INFINITY);
-    observations.iter().map(|o| squared(o).min(16.0)).sum()
+    observations.iter().map(|o| squared(o).min(LARGEST_SQUARED)).sum()
 }
 
 fn nearly_same(a: &Pose<Camera, Body>, b: &Pose<Camera, Body>) -> bool {

@@ -64,6 +64,22 @@ pub struct Sighting {
     pub align_ms: f64,
 }
 
+impl Sighting {
+    /// A row without a picture, for this reason; the states are the stage's and the objects'.
+    fn without_picture(
+        sequence: u64,
+        timestamp: Timestamp,
+        is_timed: bool,
+        reason: Reason,
+        states: impl IntoIterator<Item = State>,
+    ) -> Self {
+        let mut bodies = states.into_iter().map(|state| BodySighting { state, verified: None, reason: Some(reason) });
+        // There is always a stage.
+        let stage = bodies.next().unwrap_or(BodySighting { state: State::Searching, verified: None, reason: Some(reason) });
+        Self { sequence, timestamp, is_timed, stage, two_view: None, objects: bodies.collect(), acquire_ms: 0.0, align_ms: 0.0 }
+    }
+}
+
 /// The pixels that the poses of a frame rest on.
 #[derive(Debug, Clone)]
 pub struct UsedPixels {
@@ -224,23 +240,14 @@ impl Matcher {
     pub fn look_away(&mut self, sequence: u64, timestamp: Timestamp, reason: Reason) -> Sighting {
         self.interval.update(timestamp);
         let (coast_s, confirm) = (longest_coast_s(&self.settings, &self.interval), self.settings.confirm_frames);
-        let unseen = |state| BodySighting { state, verified: None, reason: Some(reason) };
-        let mut states = self.bodies.iter_mut().map(|b| unseen(b.track.update(timestamp, None, coast_s, confirm)));
-        // There is always a stage.
-        let stage = states.next().unwrap_or(unseen(State::Searching));
-        let objects = states.collect();
-        Sighting { sequence, timestamp, is_timed: true, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
+        let states = self.bodies.iter_mut().map(|b| b.track.update(timestamp, None, coast_s, confirm));
+        Sighting::without_picture(sequence, timestamp, true, reason, states)
     }
 
     /// A row that tells nothing of its time (a stamp out of order): nothing changes.
     pub fn look_past(&self, sequence: u64, timestamp: Timestamp) -> Sighting {
-        let idle = |b: &TrackedBody| {
-            let state = if b.track.state() == State::Searching { State::Searching } else { State::Lost };
-            BodySighting { state, verified: None, reason: Some(Reason::Skipped) }
-        };
-        let stage = idle(&self.bodies[0]);
-        let objects = self.bodies[1..].iter().map(idle).collect();
-        Sighting { sequence, timestamp, is_timed: false, stage, two_view: None, objects, acquire_ms: 0.0, align_ms: 0.0 }
+        let idle = |b: &TrackedBody| if b.track.state() == State::Searching { State::Searching } else { State::Lost };
+        Sighting::without_picture(sequence, timestamp, false, Reason::Skipped, self.bodies.iter().map(idle))
     }
 
     /// From now on the pixels that poses rest on are sent here, frame by frame, before the frame's sighting is given.

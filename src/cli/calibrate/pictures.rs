@@ -13,15 +13,14 @@ use crate::calibrate::origin::Origin;
 use crate::calibrate::pick::ViewPicker;
 use crate::calibrate::picture::{Inspected, inspect};
 use crate::capture::{
-    CaptureError, ClipOptions, EntryContent, LARGEST_PICTURE_FILE, decode_oriented, open_clip, orientation_words, picture_size,
+    CaptureError, ClipOptions, EntryContent, LARGEST_PICTURE_FILE, PICTURE_EXTENSIONS, decode_oriented, open_clip, orientation_words,
+    picture_size,
 };
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::replay::progress::Progress;
 use crate::safe_file;
 
-/// What counts as a picture in a folder: names that end like this, in any case. All are formats that `capture` decodes.
-const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
 /// What the progress bar says, and what the counter says where nobody knows how many there are.
 const PROGRESS_WORDS: [&str; 2] = ["{bar:32} {pos}/{len} pictures, {eta} left", "{spinner} {pos} pictures"];
 
@@ -117,7 +116,7 @@ fn files_of(images: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         for entry in std::fs::read_dir(path).map_err(unreadable)? {
             let file = entry.map_err(unreadable)?.path();
             let extension = file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-            if EXTENSIONS.contains(&extension.as_str()) && file.is_file() {
+            if PICTURE_EXTENSIONS.contains(&extension.as_str()) && file.is_file() {
                 inside.push(file);
             }
         }

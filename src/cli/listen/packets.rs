@@ -6,6 +6,7 @@ use super::Spoken;
 use crate::protocols::freed::FreedPacket;
 use crate::protocols::opentrackio;
 use crate::protocols::psn::{PsnPacket, PsnTracker};
+use crate::publish::osc::FROM_1900_TO_1970_S;
 use crate::utc;
 
 /// Bytes of a blob that are shown; the rest is counted. Chosen: 64 hexadecimal digits fit a terminal's line. Raised, lines wrap.
@@ -105,15 +106,12 @@ fn blob(bytes: &[u8]) -> String {
 
 /// A time tag in UTC. The seconds count from 1900 and begin again in 2036; what would lie before 1970 is after that.
 fn time(tag: OscTime) -> String {
-    /// Seconds from NTP's epoch, which OSC's time tags count from, to that of Unix (RFC 868): 70 years with 17 leap days.
-    const FROM_1900_TO_1970_S: u64 = 2_208_988_800;
     if (tag.seconds, tag.fractional) == (0, 1) {
         return "immediately".to_owned();
     }
-    let seconds = u64::from(tag.seconds);
-    let era = if seconds < FROM_1900_TO_1970_S { 1_u64 << 32 } else { 0 };
+    let after_1970 = u64::from(tag.seconds.wrapping_sub(FROM_1900_TO_1970_S));
     let us = (u64::from(tag.fractional) * 1_000_000) >> 32;
-    let to_the_second = utc::date_and_time(seconds + era - FROM_1900_TO_1970_S);
+    let to_the_second = utc::date_and_time(after_1970);
     format!("{}.{us:06}Z", to_the_second.trim_end_matches('Z'))
 }
 

@@ -14,6 +14,7 @@ use crate::cli::failure::Failure;
 use crate::cli::outcome::{ByWord, Outcome};
 use crate::geometry::{Camera, Pose, Stage};
 use crate::record::{PoseSample, StageTimes, State};
+use crate::telemetry::STAGES;
 
 /// What a replay came to, sample by sample.
 pub(super) struct Tally {
@@ -28,9 +29,6 @@ pub(super) struct Tally {
     /// Decode, acquire, align, pose, total of every row, milliseconds.
     times: [Vec<f64>; 5],
 }
-
-/// Words of the summary for what a frame's time goes into, in the order in which the times are kept.
-const STAGES: [&str; 5] = ["decode", "acquire", "align", "pose", "total"];
 
 #[derive(Serialize)]
 struct Summary {
