@@ -135,10 +135,15 @@ pub fn smooth_into(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>) {
 
 /// Means of 2x2 pixels; an odd last row or column is dropped, so that positions stay exact.
 pub fn halved(image: &GrayImage) -> GrayImage {
-    GrayImage::from_fn(image.width() / 2, image.height() / 2, |x, y| {
-        let sum: u16 = [(0, 0), (1, 0), (0, 1), (1, 1)].iter().map(|(i, j)| u16::from(image.get_pixel(2 * x + i, 2 * y + j)[0])).sum();
-        image::Luma([((sum + 2) >> 2) as u8])
-    })
+    let mut half = GrayImage::new(image.width() / 2, image.height() / 2);
+    let (w, stride) = (half.width() as usize, image.width() as usize);
+    for (out, rows) in half.chunks_exact_mut(w.max(1)).zip(image.as_raw().chunks_exact(2 * stride.max(1))) {
+        let (top, bottom) = rows.split_at(stride);
+        for ((out, t), b) in out.iter_mut().zip(top.chunks_exact(2)).zip(bottom.chunks_exact(2)) {
+            *out = ((u16::from(t[0]) + u16::from(t[1]) + u16::from(b[0]) + u16::from(b[1]) + 2) >> 2) as u8;
+        }
+    }
+    half
 }
 
 #[cfg(test)]

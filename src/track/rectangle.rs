@@ -95,13 +95,24 @@ impl Rectangle {
         logs[..n].get(n / 2).copied()
     }
 
-    /// Whether the rectangle stands between a camera and a point, both in body coordinates.
-    pub fn hides(&self, point: &Vector3<f64>, from: &Vector3<f64>) -> bool {
-        let local = |p: &Vector3<f64>| self.rotation.transpose() * (p - self.centre);
-        let (from, to) = (local(from), local(point));
-        // The segment crosses the plane before it reaches the point.
-        let share = from.z / (from.z - to.z);
-        let hit = from + (to - from) * share;
-        (0.0..0.999).contains(&share) && hit.x.abs() < 0.5 * self.size_m[0] && hit.y.abs() < 0.5 * self.size_m[1]
+    /// Whether the rectangle stands between a camera and any of these points, all in body coordinates.
+    pub fn hides_any(&self, points: &[Vector3<f64>], from: &Vector3<f64>) -> bool {
+        let [across, up, normal] = [0, 1, 2].map(|k| self.rotation.column(k));
+        let plane = normal.dot(&self.centre);
+        let from_height = normal.dot(from) - plane;
+        points.iter().any(|point| {
+            let to_height = normal.dot(point) - plane;
+            // On the same side, as nearly all are.
+            if from_height * to_height > 0.0 {
+                return false;
+            }
+            // The segment crosses the plane before it reaches the point.
+            let share = from_height / (from_height - to_height);
+            if !(0.0..0.999).contains(&share) {
+                return false;
+            }
+            let hit = from - self.centre + (point - from) * share;
+            across.dot(&hit).abs() < 0.5 * self.size_m[0] && up.dot(&hit).abs() < 0.5 * self.size_m[1]
+        })
     }
 }

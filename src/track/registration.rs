@@ -157,7 +157,7 @@ fn project_anchor(
 /// Whether another surface of the body stands between the camera and the point.
 fn occluded(body: &PreparedBody, own: usize, camera: &Vector3<f64>, point: &Point3<f64>) -> bool {
     let others = body.surfaces.iter().enumerate().filter(|(index, _)| *index != own);
-    others.into_iter().any(|(_, other)| other.rectangle.hides(&point.coords, camera))
+    others.into_iter().any(|(_, other)| other.rectangle.hides_any(&[point.coords], camera))
 }
 
 /// Searches every target in the picture.

@@ -213,5 +213,5 @@ fn occluded(surfaces: &[AlignSurface], own: usize, camera: &Vector3<f64>, middle
         me.rotation * on_surface + me.centre
     });
     let others = surfaces.iter().enumerate().filter(|(k, _)| *k != own);
-    others.into_iter().any(|(_, other)| corners.iter().any(|corner| other.rectangle.hides(corner, camera)))
+    others.into_iter().any(|(_, other)| other.rectangle.hides_any(&corners, camera))
 }
