@@ -12,9 +12,10 @@ printf '\n[tracker]\nfeatures = 150\n' >>stage.toml
 
 # As udev would: keeps the by-id link, and that of the port, on the camera, under whatever number it has.
 links() {
-    local class index node link path
+    local class index node link path pass=0
     mkdir -p /dev/v4l/by-{id,path}
     while true; do
+        echo $((pass += 1)) >/run/pass
         nap .1
         for class in /sys/class/video4linux/video*; do
             node=/dev/${class##*/}
@@ -47,10 +48,14 @@ ports=/sys/devices/platform/vhci_hcd.0/status
 
 plug() { uvcam 192x108 5 MJPG="$MEDIA/slow.mjpeg" YUYV="$MEDIA/slow.yuyv" "$@" 2>>rig.log & rig=$!; }
 
-# As udev does, before another camera can have the number.
+# As udev does, before another camera can have the number. The pass that is under way may have seen the camera and make
+# its links again, which would lead to the next camera: only the pass after it has not.
 unplug() {
+    local before now
     kill $rig
     while [ -e "$by_id" ]; do nap .1; done
+    until read -r before </run/pass; do :; done
+    until read -r now </run/pass && [ "$now" -gt "$before" ]; do nap .1; done
     rm -f /dev/v4l/by-{id,path}/*
 }
 
