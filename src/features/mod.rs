@@ -6,14 +6,22 @@
 
 mod corners;
 mod descriptor;
+pub mod descriptors;
+pub mod detectors;
 mod extractor;
+mod float_image;
+mod integral_image;
 mod kernels;
+mod keypoint;
 mod pattern;
 mod pyramid;
+mod scale_space;
 mod workers;
 
 pub use corners::{CornerBuffers, CornerOptions, detect_corners};
 pub use descriptor::{Descriptor, describe, orientation};
 pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
+pub use float_image::FloatImage;
+pub use keypoint::{Descriptors, Features, Keypoint, PictureForms};
 pub use pyramid::{Pyramid, halved, smooth_into};
 pub use workers::Workers;

@@ -1,0 +1,10 @@
+//! Descriptors: from a keypoint to numbers or bits that say what surrounds it. One a file, with its source.
+
+use super::keypoint::{Features, Keypoint, PictureForms};
+
+/// Describes keypoints.
+pub trait Describer {
+    /// The keypoints that can be described, each with its description. A keypoint too close to the border is left out; one with two directions
+    /// comes twice. Directions of the keypoints that came are assigned anew.
+    fn describe(&self, picture: &PictureForms, keypoints: &[Keypoint]) -> Features;
+}

@@ -1,0 +1,185 @@
+//! A picture of grey levels as `f32`, with what detectors ask of it: smoothing by Gaussians, values between pixels, halves and doubles.
+
+use image::GrayImage;
+
+use crate::simd::multiversion;
+
+/// Grey levels, row-major; pixel centres at integers. Outside its border it goes on with the border's values.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct FloatImage {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `width` x `height` values.
+    pub values: Vec<f32>,
+}
+
+/// A Gaussian is cut off beyond this many sigmas, where 6e-5 of it is left. Raised, smoothing takes longer and changes less than rounding does.
+const GAUSSIAN_REACH: f64 = 4.0;
+
+impl FloatImage {
+    /// All zero.
+    pub fn new(width: usize, height: usize) -> Self {
+        Self { width, height, values: vec![0.0; width * height] }
+    }
+
+    /// The grey levels 0 to 255 of a picture.
+    pub fn from_grey(picture: &GrayImage) -> Self {
+        let values = picture.as_raw().iter().map(|v| f32::from(*v)).collect();
+        Self { width: picture.width() as usize, height: picture.height() as usize, values }
+    }
+
+    /// A row.
+    pub fn row(&self, y: usize) -> &[f32] {
+        &self.values[y * self.width..][..self.width]
+    }
+
+    /// The value of a pixel; of the nearest one outside the border.
+    pub fn at(&self, x: isize, y: isize) -> f32 {
+        let clamp = |v: isize, n: usize| v.clamp(0, n as isize - 1) as usize;
+        self.values[clamp(y, self.height) * self.width + clamp(x, self.width)]
+    }
+
+    /// The value between pixels, bilinear.
+    pub fn bilinear(&self, x: f32, y: f32) -> f32 {
+        let (left, top) = (x.floor(), y.floor());
+        let (a, b) = (x - left, y - top);
+        let (i, k) = (left as isize, top as isize);
+        let [p, q, r, s] = if i >= 0 && k >= 0 && i + 1 < self.width as isize && k + 1 < self.height as isize {
+            let at = k as usize * self.width + i as usize;
+            [self.values[at], self.values[at + 1], self.values[at + self.width], self.values[at + self.width + 1]]
+        } else {
+            [self.at(i, k), self.at(i + 1, k), self.at(i, k + 1), self.at(i + 1, k + 1)]
+        };
+        let (upper, lower) = (p + a * (q - p), r + a * (s - r));
+        upper + b * (lower - upper)
+    }
+
+    /// Smoothed by a Gaussian of `sigma` pixels.
+    pub fn blurred(&self, sigma: f64) -> Self {
+        let mut out = Self::new(self.width, self.height);
+        self.blur_into(sigma, &mut out, &mut Vec::new());
+        out
+    }
+
+    /// As [`blurred`](Self::blurred), into buffers that are kept.
+    pub fn blur_into(&self, sigma: f64, out: &mut Self, rows: &mut Vec<f32>) {
+        let kernel = gaussian(sigma);
+        (out.width, out.height) = (self.width, self.height);
+        out.values.resize(self.values.len(), 0.0);
+        if !self.values.is_empty() {
+            convolve(self, &kernel, &mut out.values, rows);
+        }
+    }
+
+    /// Every second pixel of every second row: pixel k of the half is pixel 2 k of this.
+    pub fn decimated(&self) -> Self {
+        let (width, height) = (self.width / 2, self.height / 2);
+        let mut values = Vec::with_capacity(width * height);
+        for y in 0..height {
+            values.extend((0..width).map(|x| self.values[2 * y * self.width + 2 * x]));
+        }
+        Self { width, height, values }
+    }
+
+    /// Twice as large by bilinear interpolation: pixel k of the double lies at (k + 0.5) / 2 - 0.5 of this.
+    pub fn doubled(&self) -> Self {
+        let mut out = Self::new(2 * self.width, 2 * self.height);
+        for (k, value) in out.values.iter_mut().enumerate() {
+            let (x, y) = (k % (2 * self.width), k / (2 * self.width));
+            *value = self.bilinear((x as f32 + 0.5) * 0.5 - 0.5, (y as f32 + 0.5) * 0.5 - 0.5);
+        }
+        out
+    }
+}
+
+/// Half of a Gaussian, its middle first; both sides add up to 1.
+fn gaussian(sigma: f64) -> Vec<f32> {
+    let reach = (GAUSSIAN_REACH * sigma).ceil().max(0.0) as usize;
+    let value = |k: usize| if k == 0 { 1.0 } else { (-0.5 * (k as f64 / sigma).powi(2)).exp() };
+    let sum = 1.0 + 2.0 * (1..=reach).map(value).sum::<f64>();
+    (0..=reach).map(|k| (value(k) / sum) as f32).collect()
+}
+
+multiversion! {
+    /// Convolves rows, then columns, with a symmetric kernel (its half, middle first).
+    fn convolve(source: &FloatImage, half: &[f32], out: &mut [f32], rows: &mut Vec<f32>); ["avx2" "fma"] => convolve_plain, else convolve_plain
+}
+
+#[inline(always)]
+fn convolve_plain(source: &FloatImage, half: &[f32], out: &mut [f32], padded: &mut Vec<f32>) {
+    let (w, h, reach) = (source.width, source.height, half.len() - 1);
+    // Columns first: whole rows are added, which needs no shuffling.
+    for (y, row) in out.chunks_exact_mut(w).enumerate() {
+        for (o, v) in row.iter_mut().zip(source.row(y)) {
+            *o = half[0] * v;
+        }
+        for (k, weight) in half.iter().enumerate().skip(1) {
+            let (above, below) = (source.row(y.saturating_sub(k)), source.row((y + k).min(h - 1)));
+            for ((o, a), b) in row.iter_mut().zip(above).zip(below) {
+                *o += weight * (a + b);
+            }
+        }
+    }
+    padded.clear();
+    padded.resize(w + 2 * reach, 0.0);
+    for row in out.chunks_exact_mut(w) {
+        padded[..reach].fill(row[0]);
+        padded[reach..reach + w].copy_from_slice(row);
+        padded[reach + w..].fill(row[w - 1]);
+        for (o, v) in row.iter_mut().zip(&padded[reach..]) {
+            *o = half[0] * v;
+        }
+        for (k, weight) in half.iter().enumerate().skip(1) {
+            let (left, right) = (&padded[reach - k..][..w], &padded[reach + k..][..w]);
+            for ((o, a), b) in row.iter_mut().zip(left).zip(right) {
+                *o += weight * (a + b);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn dot() -> FloatImage {
+        let mut image = FloatImage::new(61, 51);
+        image.values[25 * 61 + 30] = 1.0;
+        image
+    }
+
+    #[test]
+    fn smoothing_adds_the_variance_of_its_kernel_and_keeps_the_sum() {
+        for sigma in [0.8, 1.6, 3.0] {
+            let blurred = dot().blurred(sigma);
+            let sum: f32 = blurred.values.iter().sum();
+            let variance = |along: fn(usize) -> f32| blurred.values.iter().enumerate().map(|(k, v)| v * along(k)).sum::<f32>();
+            let across = variance(|k| ((k % 61) as f32 - 30.0).powi(2));
+            let down = variance(|k| ((k / 61) as f32 - 25.0).powi(2));
+            assert!((sum - 1.0).abs() < 1e-4, "{sum}");
+            for v in [across, down] {
+                assert!((f64::from(v).sqrt() - sigma).abs() < 0.01, "{sigma}: {v}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_even_picture_stays_even_to_its_border() {
+        let even = FloatImage { width: 20, height: 9, values: vec![7.0; 180] };
+        assert!(even.blurred(4.0).values.iter().all(|v| (v - 7.0).abs() < 1e-4));
+        assert_eq!(FloatImage::default().blurred(2.0), FloatImage::default());
+    }
+
+    #[test]
+    fn values_between_pixels_lie_on_the_plane_of_a_ramp() {
+        let ramp = FloatImage { width: 8, height: 6, values: (0..48).map(|k| (k % 8) as f32 + 10.0 * (k / 8) as f32).collect() };
+        assert!((ramp.bilinear(2.25, 3.5) - 37.25).abs() < 1e-5);
+        assert_eq!(ramp.bilinear(-5.0, 100.0), 50.0);
+        let doubled = ramp.doubled();
+        assert_eq!((doubled.width, doubled.height), (16, 12));
+        assert!((doubled.bilinear(4.5, 6.5) - ramp.bilinear(2.0, 3.0)).abs() < 1e-4);
+        assert_eq!(ramp.decimated().row(1), &[20.0, 22.0, 24.0, 26.0]);
+    }
+}
