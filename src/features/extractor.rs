@@ -104,7 +104,7 @@ impl FeatureExtractor {
 
 fn is_usable(mask: Option<&GrayImage>, level: &Level, x: u32, y: u32) -> bool {
     mask.is_none_or(|mask| {
-        let [u, v] = level.to_picture(f64::from(x), f64::from(y));
+        let [u, v] = level.in_picture(f64::from(x), f64::from(y));
         let pixel = mask.get_pixel_checked(u.round().max(0.0) as u32, v.round().max(0.0) as u32);
         pixel.is_some_and(|p| p[0] > 0)
     })
@@ -112,7 +112,7 @@ fn is_usable(mask: Option<&GrayImage>, level: &Level, x: u32, y: u32) -> bool {
 
 fn described(level: &Level, corner: &Corner) -> Feature {
     let angle = orientation(&level.smooth, corner.x, corner.y);
-    let [x, y] = level.to_picture(f64::from(corner.x), f64::from(corner.y));
+    let [x, y] = level.in_picture(f64::from(corner.x), f64::from(corner.y));
     Feature {
         position: Vector2::new(x, y),
         scale: 1.0 / level.scale[0],

@@ -65,11 +65,16 @@ impl FloatImage {
 
     /// As [`blurred`](Self::blurred), into buffers that are kept.
     pub fn blur_into(&self, sigma: f64, out: &mut Self, rows: &mut Vec<f32>) {
-        let kernel = gaussian(sigma);
+        self.blur_axes_into([sigma, sigma], out, rows);
+    }
+
+    /// Smoothed by a Gaussian of other sigmas along the rows and along the columns, pixels, into buffers that are kept.
+    pub fn blur_axes_into(&self, sigmas: [f64; 2], out: &mut Self, rows: &mut Vec<f32>) {
+        let [across, down] = sigmas.map(gaussian);
         (out.width, out.height) = (self.width, self.height);
         out.values.resize(self.values.len(), 0.0);
         if !self.values.is_empty() {
-            convolve(self, &kernel, &mut out.values, rows);
+            convolve(self, &across, &down, &mut out.values, rows);
         }
     }
 
@@ -86,9 +91,8 @@ impl FloatImage {
     /// Twice as large by bilinear interpolation: pixel k of the double lies at (k + 0.5) / 2 - 0.5 of this.
     pub fn doubled(&self) -> Self {
         let mut out = Self::new(2 * self.width, 2 * self.height);
-        for (k, value) in out.values.iter_mut().enumerate() {
-            let (x, y) = (k % (2 * self.width), k / (2 * self.width));
-            *value = self.bilinear((x as f32 + 0.5) * 0.5 - 0.5, (y as f32 + 0.5) * 0.5 - 0.5);
+        if !self.values.is_empty() {
+            double(self, &mut out.values, &mut Vec::new());
         }
         out
     }
@@ -103,41 +107,87 @@ fn gaussian(sigma: f64) -> Vec<f32> {
 }
 
 multiversion! {
-    /// Convolves rows, then columns, with a symmetric kernel (its half, middle first).
-    fn convolve(source: &FloatImage, half: &[f32], out: &mut [f32], rows: &mut Vec<f32>); ["avx2" "fma"] => convolve_plain, else convolve_plain
+    /// Convolves rows with one and columns with another symmetric kernel (their halves, middle first).
+    fn convolve(source: &FloatImage, across: &[f32], down: &[f32], out: &mut [f32], row: &mut Vec<f32>);
+    ["avx2"] => convolve_plain, else convolve_plain
 }
 
+/// Pixels whose sums are kept in registers at once: four of AVX2. Raised, they no longer fit beside what is added.
+const BLOCK: usize = 32;
+
 #[inline(always)]
-fn convolve_plain(source: &FloatImage, half: &[f32], out: &mut [f32], padded: &mut Vec<f32>) {
-    let (w, h, reach) = (source.width, source.height, half.len() - 1);
-    // Columns first: whole rows are added, which needs no shuffling.
-    for (y, row) in out.chunks_exact_mut(w).enumerate() {
-        for (o, v) in row.iter_mut().zip(source.row(y)) {
-            *o = half[0] * v;
-        }
-        for (k, weight) in half.iter().enumerate().skip(1) {
-            let (above, below) = (source.row(y.saturating_sub(k)), source.row((y + k).min(h - 1)));
-            for ((o, a), b) in row.iter_mut().zip(above).zip(below) {
-                *o += weight * (a + b);
-            }
-        }
-    }
+fn convolve_plain(source: &FloatImage, across: &[f32], down: &[f32], out: &mut [f32], padded: &mut Vec<f32>) {
+    let (w, h, reach) = (source.width, source.height, across.len() - 1);
     padded.clear();
     padded.resize(w + 2 * reach, 0.0);
-    for row in out.chunks_exact_mut(w) {
-        padded[..reach].fill(row[0]);
-        padded[reach..reach + w].copy_from_slice(row);
-        padded[reach + w..].fill(row[w - 1]);
-        for (o, v) in row.iter_mut().zip(&padded[reach..]) {
-            *o = half[0] * v;
-        }
-        for (k, weight) in half.iter().enumerate().skip(1) {
-            let (left, right) = (&padded[reach - k..][..w], &padded[reach + k..][..w]);
-            for ((o, a), b) in row.iter_mut().zip(left).zip(right) {
-                *o += weight * (a + b);
+    for (y, row) in out.chunks_exact_mut(w).enumerate() {
+        // The row down its columns, which lies in the nearest cache when it is convolved along.
+        let pairs = (0..down.len()).map(|k| (source.row(y.saturating_sub(k)), source.row((y + k).min(h - 1))));
+        weighted_sum(down, pairs, &mut padded[reach..reach + w]);
+        let (first, last) = (padded[reach], padded[reach + w - 1]);
+        padded[..reach].fill(first);
+        padded[reach + w..].fill(last);
+        let pairs = (0..=reach).map(|k| (&padded[reach - k..][..w], &padded[reach + k..][..w]));
+        weighted_sum(across, pairs, row);
+    }
+}
+
+/// Adds pairs of rows with the weights of a symmetric kernel, in blocks that stay in registers.
+#[inline(always)]
+fn weighted_sum<'a>(half: &[f32], pairs: impl Iterator<Item = (&'a [f32], &'a [f32])> + Clone, out: &mut [f32]) {
+    let width = out.len();
+    let mut x = 0;
+    while x < width {
+        // The last block begins earlier than the one before it ends; what it repeats comes out the same.
+        if width >= BLOCK {
+            x = x.min(width - BLOCK);
+            let mut sums = [0.0; BLOCK];
+            for (k, ((a, b), weight)) in pairs.clone().zip(half).enumerate() {
+                let (Some(a), Some(b)) = (a[x..].first_chunk::<BLOCK>(), b[x..].first_chunk::<BLOCK>()) else { return };
+                let weight = if k == 0 { 0.5 * weight } else { *weight };
+                for i in 0..BLOCK {
+                    sums[i] += weight * (a[i] + b[i]);
+                }
             }
+            out[x..x + BLOCK].copy_from_slice(&sums);
+            x += BLOCK;
+        } else {
+            let weights = half.iter().enumerate().map(|(k, weight)| if k == 0 { 0.5 * weight } else { *weight });
+            out[x] = pairs.clone().zip(weights).map(|((a, b), weight)| weight * (a[x] + b[x])).sum();
+            x += 1;
         }
     }
+}
+
+multiversion! {
+    /// Doubles a picture, see [`FloatImage::doubled`].
+    fn double(source: &FloatImage, out: &mut [f32], row: &mut Vec<f32>); ["avx2"] => double_plain, else double_plain
+}
+
+/// The two pixels that a pixel becomes lie a quarter of a pixel before and behind it, so they are three quarters of it and one of a neighbour.
+#[inline(always)]
+fn double_plain(source: &FloatImage, out: &mut [f32], padded: &mut Vec<f32>) {
+    let (w, h) = (source.width, source.height);
+    padded.clear();
+    padded.resize(w + 2, 0.0);
+    for (y, row) in out.chunks_exact_mut(2 * w).enumerate() {
+        let near = y / 2;
+        let far = if y % 2 == 0 { near.saturating_sub(1) } else { (near + 1).min(h - 1) };
+        for ((o, a), b) in padded[1..].iter_mut().zip(source.row(near)).zip(source.row(far)) {
+            *o = 0.75 * a + 0.25 * b;
+        }
+        padded[0] = padded[1];
+        padded[w + 1] = padded[w];
+        for (pair, [a, b, c]) in row.as_chunks_mut::<2>().0.iter_mut().zip(triples(padded)) {
+            *pair = [0.75 * b + 0.25 * a, 0.75 * b + 0.25 * c];
+        }
+    }
+}
+
+/// Each value of a row with both its neighbours.
+#[inline(always)]
+fn triples(row: &[f32]) -> impl Iterator<Item = [f32; 3]> {
+    row.iter().zip(&row[1..]).zip(&row[2..]).map(|((a, b), c)| [*a, *b, *c])
 }
 
 #[cfg(test)]
@@ -181,5 +231,29 @@ mod tests {
         assert_eq!((doubled.width, doubled.height), (16, 12));
         assert!((doubled.bilinear(4.5, 6.5) - ramp.bilinear(2.0, 3.0)).abs() < 1e-4);
         assert_eq!(ramp.decimated().row(1), &[20.0, 22.0, 24.0, 26.0]);
+    }
+
+    #[test]
+    fn convolution_and_doubling_are_those_of_their_definitions_at_every_width() {
+        for (width, height) in [(1, 1), (1, 40), (2, 3), (31, 5), (32, 9), (33, 8), (97, 30)] {
+            let values = (0..width * height).map(|k| ((k * 7919) % 251) as f32).collect();
+            let image = FloatImage { width, height, values };
+            for sigma in [0.3, 1.2, 3.1] {
+                let (half, blurred) = (gaussian(sigma), image.blurred(sigma));
+                let reach = half.len() as isize - 1;
+                for (k, value) in blurred.values.iter().enumerate() {
+                    let (x, y) = ((k % width) as isize, (k / width) as isize);
+                    let offsets = (-reach..=reach).flat_map(|j| (-reach..=reach).map(move |i| (i, j)));
+                    let weight = |i: isize| f64::from(half[i.unsigned_abs()]);
+                    let exact: f64 = offsets.map(|(i, j)| weight(i) * weight(j) * f64::from(image.at(x + i, y + j))).sum();
+                    assert!((f64::from(*value) - exact).abs() < 1e-3, "{width} x {height}, {sigma}, {x} {y}: {value} not {exact}");
+                }
+            }
+            let doubled = image.doubled();
+            for (k, value) in doubled.values.iter().enumerate() {
+                let [x, y] = [k % (2 * width), k / (2 * width)].map(|c| (c as f32 + 0.5) * 0.5 - 0.5);
+                assert!((value - image.bilinear(x, y)).abs() < 1e-3, "{width} x {height}, {x} {y}");
+            }
+        }
     }
 }

@@ -18,7 +18,7 @@ pub struct Level {
 
 impl Level {
     /// A position on this level as a position in the full picture.
-    pub fn to_picture(&self, x: f64, y: f64) -> [f64; 2] {
+    pub fn in_picture(&self, x: f64, y: f64) -> [f64; 2] {
         [(x + 0.5) / self.scale[0] - 0.5, (y + 0.5) / self.scale[1] - 0.5]
     }
 }
@@ -161,11 +161,11 @@ mod tests {
         let levels = pyramid.build(&picture, 1.2, 8, 40);
         assert_eq!(levels.len(), 8);
         for level in levels {
-            let [x, y] = level.to_picture(f64::from(level.image.width()) / 2.0 - 0.5, f64::from(level.image.height()) / 2.0 - 0.5);
+            let [x, y] = level.in_picture(f64::from(level.image.width()) / 2.0 - 0.5, f64::from(level.image.height()) / 2.0 - 0.5);
             assert!((x - 319.5).abs() < 1e-9 && (y - 179.5).abs() < 1e-9);
             // A linear ramp stays in place under a correct reduction.
             let (px, py) = (level.image.width() / 2, level.image.height() / 2);
-            let [u, v] = level.to_picture(f64::from(px), f64::from(py));
+            let [u, v] = level.in_picture(f64::from(px), f64::from(py));
             let expected = 0.15 * u + 0.1 * v + 10.0;
             assert!((f64::from(level.image.get_pixel(px, py)[0]) - expected).abs() <= 3.0);
         }

@@ -1,5 +1,13 @@
 //! Descriptors: from a keypoint to numbers or bits that say what surrounds it. One a file, with its source.
 
+mod gradients;
+mod orientation;
+mod region;
+mod sift;
+mod window;
+
+pub use sift::SiftDescriber;
+
 use super::keypoint::{Features, Keypoint, PictureForms};
 
 /// Describes keypoints.

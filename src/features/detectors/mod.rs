@@ -1,5 +1,9 @@
 //! Detectors: from a picture to its keypoints. One a file, with its source.
 
+mod sift;
+
+pub use sift::SiftDetector;
+
 use super::keypoint::{Keypoint, PictureForms};
 
 /// Finds keypoints.
