@@ -16,7 +16,7 @@ use stagepose::diagnostics::features::{
     detect_corners, orientation, smooth_into,
 };
 use stagepose::diagnostics::geometry::{
-    MovingCamera, Observation, PointPair, RayPair, RobustOptions, five_point, resect, robust_essential, robust_homography,
+    MovingCamera, Observation, Order, PointPair, RayPair, RobustOptions, essential_candidates, five_point, resect, robust_homography,
 };
 use stagepose::diagnostics::simulate::{grey, paint};
 use stagepose::diagnostics::track::AlignKernels;
@@ -103,7 +103,8 @@ fn homography(c: &mut Criterion) {
             PointPair { from: p.coords.xy() * 300.0, to }
         })
         .collect();
-    let options = RobustOptions { threshold: 3.0, max_samples: 1500, confidence: 0.9999, seed: 1 };
+    let options =
+        RobustOptions { max_samples: 1500, order: Order::BestFirst { even_after: 1500, stops_by_best: false }, ..RobustOptions::default() };
     c.bench_function("robust homography, 400 pairs", |b| b.iter(|| robust_homography(black_box(&pairs), &options)));
 }
 
@@ -114,7 +115,9 @@ fn essential(c: &mut Criterion) {
     let pairs: Vec<RayPair> = points(300, 2.0, &mut random).iter().map(pair).collect();
     let five: [RayPair; 5] = std::array::from_fn(|k| pairs[17 * k]);
     c.bench_function("five-point", |b| b.iter(|| five_point(black_box(&five))));
-    c.bench_function("robust essential, 12 samples of 300 pairs", |b| b.iter(|| robust_essential(black_box(&pairs), 1e-3, 12, 6, 1)));
+    c.bench_function("essential candidates, 12 samples of 300 pairs", |b| {
+        b.iter(|| essential_candidates(black_box(&pairs), 1e-3, 12, 6, 1))
+    });
 }
 
 fn resection(c: &mut Criterion) {

@@ -2,10 +2,15 @@
 
 /// Solvers of the geometry.
 pub mod geometry {
-    pub use crate::geometry::essential::{five_point, robust_essential};
+    pub use crate::geometry::essential::essential_candidates;
+    pub use crate::geometry::five_point::five_point;
+    pub use crate::geometry::ransac::Order;
     pub use crate::geometry::relative_pose::RayPair;
     pub use crate::geometry::resection::{MovingCamera, Observation, resect};
-    pub use crate::geometry::robust::{RobustOptions, robust_homography};
+    pub use crate::geometry::robust::{RobustModel, RobustOptions};
+    pub use crate::geometry::robust_essential::robust_essential;
+    pub use crate::geometry::robust_fundamental::robust_fundamental;
+    pub use crate::geometry::robust_homography::robust_homography;
     pub use crate::geometry::{FilmingCamera, Homography, PointPair};
 }
 

@@ -1,7 +1,8 @@
 //! Robust search by random samples (RANSAC, Fischler and Bolles 1981), one driver for all models: samples drawn evenly or in the order of
 //! the data's quality (PROSAC, Chum and Matas 2005), each new best model improved locally (Chum, Matas and Kittler 2003).
 //!
-//! The generator is seeded, so the same data give the same models.
+//! A sample has no datum twice. A sample without a model, or whose model nothing agrees with, is one sample spent and no more. The generator is
+//! seeded, so the same data give the same models.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -17,16 +18,17 @@ pub trait Estimator<const N: usize> {
     /// The models that pass through a sample, as indices of data.
     fn models(&self, sample: [usize; N]) -> impl Iterator<Item = Self::Model>;
 
-    /// How well a model explains all data; higher is better.
-    fn score(&self, model: &Self::Model) -> f64;
+    /// How well a model explains all data, higher is better; `None` may stand for any score that is not above `bar`, which lets scoring end where
+    /// the rest of the data could not lift it that high.
+    fn score(&self, model: &Self::Model, bar: f64) -> Option<f64>;
 
     /// A model that beats all before, improved by the data that agree with it; with its score.
     fn improved(&self, model: Self::Model, score: f64) -> (Self::Model, f64) {
         (model, score)
     }
 
-    /// The share of the data that agree with a model.
-    fn inlier_share(&self, model: &Self::Model) -> f64;
+    /// Whether a datum agrees with a model.
+    fn agrees(&self, model: &Self::Model, datum: usize) -> bool;
 }
 
 /// What a search may spend, and what it gives.
@@ -36,8 +38,8 @@ pub struct Options {
     pub samples: usize,
     /// Stop when the chance of having missed a better model is below 1 - this; `None` draws all samples.
     pub confidence: Option<f64>,
-    /// Whether the data are sorted, best first, so that samples are drawn from the best of them first.
-    pub is_progressive: bool,
+    /// In which order samples are drawn.
+    pub order: Order,
     /// Scores up to this are no model.
     pub least_score: f64,
     /// Models to give.
@@ -46,10 +48,37 @@ pub struct Options {
     pub seed: u64,
 }
 
+/// In which order samples are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Order {
+    /// Every sample is as likely as any other.
+    Even,
+    /// The data are sorted, best first: samples are drawn from the best of them first.
+    BestFirst {
+        /// After so many samples all data are drawn from evenly. Raised, the search stays longer with the best.
+        even_after: usize,
+        /// Whether the chance of having missed a model is that among the best data, as many of them as make it smallest (PROSAC's rule), or that
+        /// among all of them (which draws far more samples where few agree).
+        stops_by_best: bool,
+    },
+}
+
+impl Order {
+    /// Best first as the paper has it: 200,000 samples until all data are drawn from evenly, and its rule to stop.
+    pub const PROSAC: Self = Self::BestFirst { even_after: 200_000, stops_by_best: true };
+}
+
+/// A stretch of best data says how many samples are enough only if more than its sample agrees by so many data, and ...
+const LEAST_BEYOND_SAMPLE: f64 = 5.0;
+/// ... by this many standard deviations of what agrees by chance, where a wrong datum agrees with a wrong model by this chance: a band of three
+/// pixels about a line takes one or two hundredths of a small picture. Raised, the search goes on longer before it believes a model.
+const LEAST_DEVIATIONS: f64 = 3.0;
+const CHANCE_OF_AGREEING: f64 = 0.05;
+
 /// The best models with their scores, best first.
 pub fn search<const N: usize, E: Estimator<N>>(estimator: &E, options: &Options) -> Vec<(f64, E::Model)> {
-    let mut best: Vec<(f64, E::Model)> = Vec::with_capacity(options.keep + 1);
-    if estimator.count() < N {
+    let mut best: Vec<(f64, E::Model)> = Vec::new();
+    if estimator.count() < N || options.keep == 0 {
         return best;
     }
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
@@ -58,16 +87,13 @@ pub fn search<const N: usize, E: Estimator<N>>(estimator: &E, options: &Options)
     while drawn < wanted {
         drawn += 1;
         for model in estimator.models(sampler.next(&mut rng)) {
-            let score = estimator.score(&model);
             let bar = if best.len() < options.keep { options.least_score } else { best.last().map_or(f64::INFINITY, |(worst, _)| *worst) };
-            if score.is_nan() || score <= bar {
-                continue;
-            }
+            let Some(score) = estimator.score(&model, bar).filter(|score| *score > bar) else { continue };
             let (model, score) = estimator.improved(model, score);
             if let Some(confidence) = options.confidence {
-                let miss = (1.0 - estimator.inlier_share(&model).powi(N as i32)).clamp(1e-12, 1.0 - 1e-12).ln();
-                let needed = ((1.0 - confidence).ln() / miss).ceil();
-                wanted = options.samples.min(drawn.max(needed.min(1e9) as usize));
+                let (needed, among) = samples_needed(estimator, &model, confidence, &options.order);
+                wanted = options.samples.min(drawn.max(needed));
+                sampler.limit = among;
             }
             best.push((score, model));
             best.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -77,10 +103,36 @@ pub fn search<const N: usize, E: Estimator<N>>(estimator: &E, options: &Options)
     best
 }
 
+/// How many samples are enough to have met a model of this many agreeing data, and from how many of the data they are to be drawn.
+fn samples_needed<const N: usize, E: Estimator<N>>(estimator: &E, model: &E::Model, confidence: f64, order: &Order) -> (usize, usize) {
+    let count = estimator.count();
+    let enough = |chance_of_sample: f64| {
+        let miss = (1.0 - chance_of_sample).clamp(1e-12, 1.0 - 1e-12).ln();
+        ((1.0 - confidence).ln() / miss).ceil().min(1e9) as usize
+    };
+    if !matches!(order, Order::BestFirst { stops_by_best: true, .. }) {
+        let agreeing = (0..count).filter(|&k| estimator.agrees(model, k)).count();
+        return (enough((agreeing as f64 / count as f64).powi(N as i32)), count);
+    }
+    let mut least = (usize::MAX, count);
+    let mut agreeing = 0;
+    for n in 1..=count {
+        agreeing += usize::from(estimator.agrees(model, n - 1));
+        let by_chance = n.saturating_sub(N) as f64 * CHANCE_OF_AGREEING;
+        let believed = N as f64 + LEAST_BEYOND_SAMPLE.max(by_chance + LEAST_DEVIATIONS * by_chance.sqrt());
+        if agreeing as f64 >= believed || n == count {
+            let chance = (0..N).fold(1.0, |p, j| p * agreeing.saturating_sub(j) as f64 / (n - j) as f64);
+            least = least.min((enough(chance), n));
+        }
+    }
+    least
+}
+
 /// Draws samples, from a pool that grows from the best data to all of them.
 struct Sampler<const N: usize> {
-    total: usize,
     pool: usize,
+    /// The pool grows no further: more data would only dilute it.
+    limit: usize,
     /// T_n of the paper: expected samples from the first n of all that are drawn.
     average: f64,
     /// T'_n: the draw after which the pool grows.
@@ -90,22 +142,26 @@ struct Sampler<const N: usize> {
 
 impl<const N: usize> Sampler<N> {
     fn new(total: usize, options: &Options) -> Self {
-        let average = (0..N).fold(options.samples as f64, |t, i| t * (N - i) as f64 / (total - i) as f64);
-        Self { total, pool: if options.is_progressive { N } else { total }, average, grow_at: 1, drawn: 0 }
+        let (pool, even_after) = match options.order {
+            Order::Even => (total, options.samples),
+            Order::BestFirst { even_after, .. } => (N, even_after),
+        };
+        let average = (0..N).fold(even_after as f64, |t, i| t * (N - i) as f64 / (total - i) as f64);
+        Self { pool, limit: total, average, grow_at: 1, drawn: 0 }
     }
 
     fn next(&mut self, rng: &mut Pcg64Mcg) -> [usize; N] {
         self.drawn += 1;
-        while self.drawn > self.grow_at && self.pool < self.total {
+        while self.drawn > self.grow_at && self.pool < self.limit {
             let next = self.average * (self.pool + 1) as f64 / (self.pool + 1 - N) as f64;
-            self.grow_at += (next - self.average).ceil().max(1.0) as usize;
+            self.grow_at = self.grow_at.saturating_add((next - self.average).ceil().max(1.0) as usize);
             self.average = next;
             self.pool += 1;
         }
         let mut sample = [0; N];
         // While the pool grows, its newest datum is always part of the sample.
-        let is_growing = self.pool < self.total && self.drawn <= self.grow_at;
-        let (from_rest, range) = if is_growing { (N - 1, self.pool - 1) } else { (N, self.pool) };
+        let is_growing = self.pool < self.limit && self.drawn <= self.grow_at;
+        let (from_rest, range) = if is_growing { (N - 1, self.pool - 1) } else { (N, self.pool.min(self.limit)) };
         for k in 0..from_rest {
             sample[k] = loop {
                 let pick = rng.random_range(0..range);
@@ -128,10 +184,8 @@ mod tests {
     /// Lines y = a x + b through points, of which two make a sample.
     struct Line(Vec<[f64; 2]>);
 
-    impl Line {
-        fn agree<'a>(&'a self, model: &'a [f64; 2]) -> impl Iterator<Item = &'a [f64; 2]> {
-            self.0.iter().filter(|[x, y]| (model[0] * x + model[1] - y).abs() < 0.1)
-        }
+    fn near(model: &[f64; 2], [x, y]: &[f64; 2]) -> bool {
+        (model[0] * x + model[1] - y).abs() < 0.1
     }
 
     impl Estimator<2> for Line {
@@ -147,12 +201,12 @@ mod tests {
             Some([slope, y - slope * x]).filter(|m| m[0].is_finite()).into_iter()
         }
 
-        fn score(&self, model: &[f64; 2]) -> f64 {
-            self.agree(model).count() as f64
+        fn score(&self, model: &[f64; 2], _bar: f64) -> Option<f64> {
+            Some(self.0.iter().filter(|p| near(model, p)).count() as f64)
         }
 
-        fn inlier_share(&self, model: &[f64; 2]) -> f64 {
-            self.score(model) / self.0.len() as f64
+        fn agrees(&self, model: &[f64; 2], datum: usize) -> bool {
+            near(model, &self.0[datum])
         }
     }
 
@@ -170,13 +224,15 @@ mod tests {
         Line((0..125).map(&mut at).collect())
     }
 
-    const OPTIONS: Options = Options { samples: 2000, confidence: None, is_progressive: false, least_score: 10.0, keep: 1, seed: 5 };
+    const OPTIONS: Options = Options { samples: 2000, confidence: None, order: Order::Even, least_score: 10.0, keep: 1, seed: 5 };
+
+    const SLOWLY: Order = Order::BestFirst { even_after: 500, stops_by_best: false };
 
     #[test]
     fn the_model_that_most_data_agree_with_is_found() {
-        for is_progressive in [false, true] {
+        for order in [Order::Even, SLOWLY, Order::PROSAC] {
             for confidence in [None, Some(0.9999)] {
-                let found = search(&points(), &Options { is_progressive, confidence, ..OPTIONS });
+                let found = search(&points(), &Options { order, confidence, ..OPTIONS });
                 let (score, [slope, level]) = found[0];
                 assert!(score >= 40.0 && (slope - 0.5).abs() < 0.05 && (level - 1.0).abs() < 0.1, "{found:?}");
             }
@@ -201,11 +257,61 @@ mod tests {
     #[test]
     fn samples_are_distinct_and_begin_with_the_best() {
         let mut rng = Pcg64Mcg::seed_from_u64(1);
-        let mut sampler = Sampler::<4>::new(100, &Options { samples: 500, is_progressive: true, ..OPTIONS });
+        let mut sampler = Sampler::<4>::new(100, &Options { samples: 500, order: SLOWLY, ..OPTIONS });
         let samples: Vec<[usize; 4]> = (0..500).map(|_| sampler.next(&mut rng)).collect();
         assert!(samples[0].iter().all(|k| *k < 4) && samples.iter().flatten().all(|k| *k < 100));
         assert!(samples.iter().all(|s| (0..4).all(|k| !s[..k].contains(&s[k]))));
         let reach = |of: &[[usize; 4]]| of.iter().flatten().max().copied().unwrap_or(0);
         assert!(reach(&samples[..20]) < reach(&samples[480..]));
+    }
+
+    /// Thesis error E23: the search that the source used ended with its first sample if nothing agreed with that.
+    #[test]
+    fn e23_a_first_sample_without_inliers_is_one_sample_spent() {
+        for (order, seeds) in [(Order::Even, 200), (Order::PROSAC, 10)] {
+            for seed in 0..seeds {
+                let options = Options { samples: 200_000, order, seed, confidence: Some(0.999), ..OPTIONS };
+                // Of 100 data the 40 that agree come last: the first samples in order cannot find their line.
+                let mut data = points();
+                data.0.drain(40..65);
+                data.0.reverse();
+                let mut rng = Pcg64Mcg::seed_from_u64(seed);
+                let first = Sampler::<2>::new(data.0.len(), &options).next(&mut rng);
+                let model = data.models(first).next();
+                let found = search(&data, &options);
+                let (score, [slope, _]) = found[0];
+                assert!(score >= 40.0 && (slope - 0.5).abs() < 0.05, "{order:?} {seed}, first sample {model:?}: {found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_best_data_say_when_to_stop() {
+        // 30 of the best 40 agree, and none of the 1000 others: their share alone would ask for ten thousand samples.
+        let mut random = Pcg64Mcg::seed_from_u64(7);
+        let data = Line(
+            (0..1040)
+                .map(|k| {
+                    let x: f64 = random.random_range(-10.0..10.0);
+                    if k < 40 && k % 4 != 0 { [x, 0.5 * x] } else { [x, random.random_range(-400.0..400.0)] }
+                })
+                .collect(),
+        );
+        let needed = |order| samples_needed(&data, &[0.5, 0.0], 0.9999, &order);
+        let (all, among_all) = needed(SLOWLY);
+        let (best, among_best) = needed(Order::PROSAC);
+        assert!(all > 5000 && among_all == 1040, "{all} {among_all}");
+        assert!(best < 30 && (12..=40).contains(&among_best), "{best} {among_best}");
+        // What nothing agrees with asks for all there are.
+        assert!(samples_needed(&data, &[0.0, 1e6], 0.9999, &Order::PROSAC).0 > 1_000_000);
+    }
+
+    #[test]
+    fn a_search_for_nothing_and_a_sample_of_all_end() {
+        assert!(search(&points(), &Options { keep: 0, ..OPTIONS }).is_empty());
+        let two = Line(vec![[0.0, 0.0], [1.0, 0.5]]);
+        for order in [Order::Even, Order::PROSAC] {
+            assert_eq!(search(&two, &Options { order, least_score: 1.0, ..OPTIONS }).len(), 1);
+        }
     }
 }

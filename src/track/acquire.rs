@@ -11,8 +11,10 @@ use super::reference::PreparedBody;
 use crate::camera::{CameraModel, Pixel};
 use crate::features::Feature;
 use crate::geometry::planar_pose::planar_poses;
+use crate::geometry::ransac::Order;
 use crate::geometry::resection::{MovingCamera, Observation, resect, squared_residual};
-use crate::geometry::robust::{RobustOptions, robust_homography};
+use crate::geometry::robust::RobustOptions;
+use crate::geometry::robust_homography::robust_homography;
 use crate::geometry::{Body, Camera, Homography, PointPair, Pose};
 use crate::matching::{Match, ReferenceFeature};
 
@@ -199,10 +201,11 @@ pub fn surface_view(surface: u32, matches: &[SurfaceMatch], camera: &CameraModel
     }
     let pairs: Vec<PointPair> = own.iter().map(|m| PointPair { from: m.artwork, to: m.undistorted }).collect();
     let threshold = 4.0 * (f64::from(camera.width().max(camera.height())) / 1280.0).max(0.75);
-    let options = RobustOptions { threshold, max_samples: SAMPLES, confidence: 0.9999, seed };
-    let found = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= LEAST_INLIERS && f.homography.keeps_orientation())?;
+    let order = Order::BestFirst { even_after: SAMPLES, stops_by_best: false };
+    let options = RobustOptions { threshold, max_samples: SAMPLES, confidence: 0.9999, order, seed };
+    let found = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= LEAST_INLIERS && f.model.keeps_orientation())?;
     let matches = found.inliers.iter().map(|&k| own[k]).collect();
-    Some(SurfaceView { surface, homography: found.homography, matches })
+    Some(SurfaceView { surface, homography: found.model, matches })
 }
 
 /// Both planar poses of a view; what was recognised is noted.

@@ -8,7 +8,10 @@ use super::reference::PreparedBody;
 use super::surface::ReferenceKind;
 use super::verify::Verified;
 use crate::camera::{CameraModel, Normalized, Pixel};
-use crate::geometry::essential::{motion_by_cheirality, refine_motion, robust_essential, squared_sampson};
+use crate::geometry::distances::squared_sampson;
+use crate::geometry::essential::essential_candidates;
+use crate::geometry::essential_decomposition::motion_by_cheirality;
+use crate::geometry::motion_refinement::refine_motion;
 use crate::geometry::relative_pose::{RayPair, TwoViewMotion};
 use crate::geometry::triangulation::depths;
 use crate::geometry::{Body, Camera, Homography, PointPair, Pose, ReferenceCamera, SurfaceFrame};
@@ -146,7 +149,7 @@ fn estimate_motion(pairs: &[RayPair], metric: &Pose<Camera, ReferenceCamera>, si
     if agreeing_near as f64 >= CLEAR_SHARE * pairs.len() as f64 {
         return Some((near, agreeing_near));
     }
-    let mut starts: Vec<TwoViewMotion> = robust_essential(pairs, threshold, SAMPLES, KEPT, seed)
+    let mut starts: Vec<TwoViewMotion> = essential_candidates(pairs, threshold, SAMPLES, KEPT, seed)
         .iter()
         .filter_map(|e| motion_by_cheirality(e, pairs))
         .filter(|(_, in_front)| 2 * in_front > pairs.len())

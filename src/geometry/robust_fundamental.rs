@@ -1,0 +1,183 @@
+//! Robust estimation of the fundamental matrix: seven-point samples, truncated squares (MSAC) of Sampson distances in pixels, refined on the inliers
+//! whenever a better one is found.
+
+use nalgebra::Matrix3;
+
+use super::correspondence::Correspondence;
+use super::distances::squared_sampson;
+use super::eight_point::eight_point;
+use super::fundamental_refinement::refine_fundamental;
+use super::noise::Dimensions;
+use super::ransac::{self, Estimator};
+use super::robust::{self, RobustModel, RobustOptions};
+use super::scoring::Scorer;
+use super::seven_point::{is_oriented, seven_point};
+
+/// A relation that hardly more than its own sample agrees with is none: seven points always do.
+const LEAST_SCORE: f64 = 7.5;
+/// Steps of a refinement in the search, and of the last one. Raised, the search takes longer; the last one has converged by then.
+const STEPS_IN_SEARCH: usize = 4;
+const LAST_STEPS: usize = 20;
+
+/// Finds the fundamental matrix (pixels to pixels, rank two, norm 1) that most pairs agree with; `None` when no more than a sample ever do.
+///
+/// All pairs on one plane, or a camera that only turned, leave F open: what is found then explains the pairs and no move.
+/// [`choose_model`](super::model_choice) says so.
+pub fn robust_fundamental<C: Correspondence + Copy>(pairs: &[C], options: &RobustOptions) -> Option<RobustModel<Matrix3<f64>>> {
+    let RobustOptions { threshold, max_samples, confidence, order, seed } = *options;
+    if !robust::is_sound(options) {
+        return None;
+    }
+    let indices = robust::usable(pairs);
+    let pairs: Vec<C> = indices.iter().map(|&k| pairs[k]).collect();
+    let search = ransac::Options { samples: max_samples, confidence: Some(confidence), order, least_score: LEAST_SCORE, keep: 1, seed };
+    let views = Views { pairs: &pairs, scorer: Scorer::new(&pairs, threshold), threshold };
+    let (score, f) = ransac::search(&views, &search).pop()?;
+    let (f, _) = views.refined(f, score, LAST_STEPS);
+    let found = RobustModel::judged(f, pairs.iter().map(|p| squared_sampson(&f, p)), threshold, Dimensions::One);
+    (found.inliers.len() > 7).then(|| found.among(&indices))
+}
+
+/// Pairs in two views, of which seven make up to three fundamental matrices.
+struct Views<'a, C> {
+    pairs: &'a [C],
+    scorer: Scorer,
+    threshold: f64,
+}
+
+impl<C: Correspondence + Copy> Estimator<7> for Views<'_, C> {
+    type Model = Matrix3<f64>;
+
+    fn count(&self) -> usize {
+        self.pairs.len()
+    }
+
+    fn models(&self, sample: [usize; 7]) -> impl Iterator<Item = Matrix3<f64>> {
+        let sample = sample.map(|k| self.pairs[k]);
+        seven_point(&sample).into_iter().filter(move |f| is_oriented(f, &sample))
+    }
+
+    fn score(&self, f: &Matrix3<f64>, bar: f64) -> Option<f64> {
+        self.scorer.epipolar(f, bar)
+    }
+
+    fn improved(&self, f: Matrix3<f64>, score: f64) -> (Matrix3<f64>, f64) {
+        let linear = eight_point(&self.near(&f, 2.0), None).and_then(|f| Some((f, self.scorer.epipolar(&f, score)?)));
+        let (f, score) = linear.unwrap_or((f, score));
+        self.refined(f, score, STEPS_IN_SEARCH)
+    }
+
+    fn agrees(&self, f: &Matrix3<f64>, datum: usize) -> bool {
+        squared_sampson(f, &self.pairs[datum]) < self.threshold.powi(2)
+    }
+}
+
+impl<C: Correspondence + Copy> Views<'_, C> {
+    /// Pairs within so many thresholds.
+    fn near(&self, f: &Matrix3<f64>, thresholds: f64) -> Vec<C> {
+        let within = (thresholds * self.threshold).powi(2);
+        self.pairs.iter().filter(|p| squared_sampson(f, *p) < within).copied().collect()
+    }
+
+    /// Refined on the pairs near it, the wider net first; the best that was met.
+    fn refined(&self, mut f: Matrix3<f64>, mut score: f64, steps: usize) -> (Matrix3<f64>, f64) {
+        for thresholds in [2.0, 1.0] {
+            let next = refine_fundamental(&f, &self.near(&f, thresholds), self.threshold / 3.0, steps);
+            if let Some((next, next_score)) = next.and_then(|next| Some((next, self.scorer.epipolar(&next, score)?))) {
+                (f, score) = (next, next_score);
+            }
+        }
+        (f, score)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector2;
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+    use crate::geometry::homography::PointPair;
+    use crate::geometry::ransac::Order;
+    use crate::geometry::test_views::{pixels, scene, true_fundamental};
+
+    /// True pairs with noise of half a pixel, and wrong ones spread among them.
+    pub fn mixture(good: usize, wrong: usize, seed: u64) -> (Vec<PointPair>, Vec<bool>) {
+        let mut random = Pcg64Mcg::seed_from_u64(seed);
+        let mut rows: Vec<(f64, PointPair, bool)> =
+            pixels(&scene(good, 0.001, false, seed)).into_iter().map(|p| (random.random_range(0.0..1.0), p, true)).collect();
+        for _ in 0..wrong {
+            let mut at = || Vector2::new(random.random_range(0.0..1000.0), random.random_range(0.0..800.0));
+            let pair = PointPair { from: at(), to: at() };
+            rows.push((random.random_range(0.3..1.3), pair, false));
+        }
+        rows.sort_by(|a, b| a.0.total_cmp(&b.0));
+        (rows.iter().map(|r| r.1).collect(), rows.iter().map(|r| r.2).collect())
+    }
+
+    /// RMS of the distances of exact pairs from an estimate.
+    fn error(f: &Matrix3<f64>) -> f64 {
+        let exact = pixels(&scene(300, 0.0, false, 99));
+        (exact.iter().map(|p| squared_sampson(f, p)).sum::<f64>() / 300.0).sqrt()
+    }
+
+    #[test]
+    fn the_relation_is_found_among_wrong_pairs() {
+        for (good, wrong, order) in [(200, 100, Order::Even), (150, 150, Order::Even), (100, 300, Order::PROSAC)] {
+            for seed in 0..5 {
+                let (pairs, labels) = mixture(good, wrong, seed);
+                let found = robust_fundamental(&pairs, &RobustOptions { threshold: 2.0, order, seed, ..RobustOptions::default() });
+                let found = found.expect("a relation");
+                let right = found.inliers.iter().filter(|&&k| labels[k]).count();
+                assert!(right as f64 > 0.95 * good as f64, "{right} of {good}");
+                let of_truth: Vec<PointPair> = pairs.iter().zip(&labels).filter(|(_, good)| **good).map(|(p, _)| *p).collect();
+                let oracle = error(&refine_fundamental(&true_fundamental(), &of_truth, 100.0, 50).expect("regular"));
+                assert!(error(&found.model) < 1.5 * oracle + 0.1, "{good} of {wrong}, {seed}: {} {oracle}", error(&found.model));
+                // The noise is even over ±0.8 px.
+                assert!((0.25..0.75).contains(&found.sigma), "{}", found.sigma);
+            }
+        }
+        assert!(error(&true_fundamental()) < 1e-9);
+    }
+
+    /// Thesis error E22: thresholds without a unit, whose meaning changed from pair to pair.
+    #[test]
+    fn e22_thresholds_are_in_pixels_whatever_the_unit_of_the_coordinates() {
+        let (pairs, _) = mixture(150, 100, 3);
+        let options = RobustOptions { threshold: 2.0, ..RobustOptions::default() };
+        let plain = robust_fundamental(&pairs, &options).expect("a relation");
+        assert!(pairs.iter().enumerate().all(|(k, p)| (squared_sampson(&plain.model, p) < 4.0) == plain.inliers.contains(&k)));
+        for unit in [1e-3, 1e3] {
+            let scaled: Vec<PointPair> = pairs.iter().map(|p| PointPair { from: p.from * unit, to: p.to * unit }).collect();
+            let found = robust_fundamental(&scaled, &RobustOptions { threshold: 2.0 * unit, ..options }).expect("a relation");
+            assert_eq!(found.inliers, plain.inliers);
+            assert!((found.sigma / unit - plain.sigma).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_and_too_few_give_none() {
+        let (pairs, _) = mixture(60, 60, 1);
+        let options = RobustOptions::default();
+        assert_eq!(robust_fundamental(&pairs, &options), robust_fundamental(&pairs, &options));
+        for few in [&pairs[..0], &pairs[..7]] {
+            assert_eq!(robust_fundamental(few, &options), None);
+        }
+        assert_eq!(robust_fundamental(&[pairs[0]; 40], &options), None);
+        for threshold in [0.0, -1.0, f64::NAN] {
+            assert_eq!(robust_fundamental(&pairs, &RobustOptions { threshold, ..options }), None);
+        }
+    }
+
+    #[test]
+    fn numbers_that_are_none_are_left_out_and_indices_stay() {
+        let (pairs, _) = mixture(80, 20, 2);
+        let mut with_holes = vec![PointPair { from: Vector2::new(f64::NAN, 1.0), to: Vector2::zeros() }; 3];
+        with_holes.extend(&pairs);
+        let options = RobustOptions::default();
+        let (plain, holes) = (robust_fundamental(&pairs, &options), robust_fundamental(&with_holes, &options));
+        let (plain, holes) = (plain.expect("a relation"), holes.expect("a relation"));
+        assert_eq!(holes.inliers, plain.inliers.iter().map(|k| k + 3).collect::<Vec<_>>());
+    }
+}
