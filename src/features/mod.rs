@@ -16,6 +16,7 @@ mod keypoint;
 mod pattern;
 mod pyramid;
 mod scale_space;
+mod view_simulation;
 mod workers;
 
 pub use corners::{CornerBuffers, CornerOptions, detect_corners};
@@ -24,4 +25,5 @@ pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
 pub use float_image::FloatImage;
 pub use keypoint::{Descriptors, Features, Keypoint, PictureForms};
 pub use pyramid::{Pyramid, halved, smooth_into};
+pub use view_simulation::ViewSimulation;
 pub use workers::Workers;

@@ -1,0 +1,415 @@
+//! Features of a picture as it would look from other sides (ASIFT: Morel & Yu, ASIFT: A New Framework for Fully Affine Invariant Image Comparison,
+//! SIAM Journal on Imaging Sciences 2009; Yu & Morel, ASIFT: An Algorithm for Fully Affine Invariant Comparison, IPOL 2011).
+//!
+//! A tilted camera sees a plane compressed along one direction. The compression loses detail, so no normalisation undoes it, but it can be
+//! simulated: the picture is turned, smoothed and compressed, and any detector and descriptor find what they find in it. Where both pictures
+//! are treated so, views far apart meet.
+//!
+//! Two matches of one place: every place is found in several views, whose descriptions are alike. A ratio test must therefore take as second
+//! nearest the nearest at another place, or the place's own other views make its match look ambiguous.
+
+use std::collections::BTreeMap;
+
+use image::GrayImage;
+use nalgebra::{Matrix2, Vector2};
+
+use super::descriptors::Describer;
+use super::detectors::Detector;
+use super::float_image::FloatImage;
+use super::keypoint::{Descriptors, Features, Keypoint, PictureForms};
+
+/// Which views are simulated, and what is kept of them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ViewSimulation {
+    /// Tilts beyond the picture itself: sqrt 2, 2, 2 sqrt 2, …. Default 5, the last 4 sqrt 2 (80 degrees from the normal). Each takes about two and
+    /// a half times as long as the picture itself.
+    pub tilts: u32,
+    /// Keypoints of one view at most, strongest first. Default 400: some ten thousand features in all, which exact matching bears, and a
+    /// thousand true matches at a tilt of 5 in a picture of a painted wall. Raised, more is found, and matching takes longer by the square.
+    pub count: usize,
+}
+
+impl Default for ViewSimulation {
+    fn default() -> Self {
+        Self { tilts: 5, count: 400 }
+    }
+}
+
+/// Degrees between two simulated longitudes at tilt 1 (IPOL 2011, section 2.2): a step of 72 / t changes the view by the same amount at any tilt.
+/// Raised, fewer views are simulated and places between them are missed.
+const LONGITUDE_STEP: f64 = 72.0;
+/// Blur against aliasing along the compressed direction, in pixels for each pixel that is lost (IPOL 2011, section 2.2).
+const ANTI_ALIASING: f64 = 0.8;
+/// Reach of that blur in sigmas, where 3e-4 of it is left.
+const BLUR_REACH: f64 = 3.6;
+/// A keypoint of a simulated view needs so many of its sigmas to the view's border: what SIFT reads (6 sqrt 2), as the authors' program does.
+/// Lowered, descriptions of the border itself come in.
+const BORDER_SIGMAS: f64 = 8.5;
+/// Features are the same when their places differ by less than this share of the smaller region's sigma …
+const SAME_PLACE: f64 = 0.5;
+/// … and their descriptions by less than this (unit vectors; unrelated ones differ by 1 and more) …
+const SAME_VECTOR: f32 = 0.25;
+/// … or, where they are bits, in fewer than this many of 256 (unrelated ones differ in about 128).
+const SAME_BITS: u32 = 16;
+
+/// A simulated camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct View {
+    /// Compression along one direction.
+    tilt: f64,
+    /// Angle of that direction, radians from x to y.
+    longitude: f64,
+}
+
+impl ViewSimulation {
+    /// The features of a picture in all views, in the picture's own pixels: keypoints of simulated views have elliptic regions.
+    pub fn features(&self, picture: &PictureForms, detector: &dyn Detector, describer: &dyn Describer) -> Features {
+        let mut all = self.of_view(picture, detector, describer, |_| true);
+        for view in self.views() {
+            let Some(simulated) = SimulatedPicture::of(picture, view) else { continue };
+            let mut found = self.of_view(&PictureForms::new(&simulated.pixels), detector, describer, |k| simulated.holds(k));
+            found.keypoints.iter_mut().for_each(|k| *k = simulated.in_picture(k));
+            append(&mut all, found);
+        }
+        thin(&mut all);
+        all
+    }
+
+    /// The simulated views beside the picture itself, least tilted first.
+    fn views(&self) -> Vec<View> {
+        let tilts = (1..=self.tilts.min(12)).map(|k| (f64::from(k) / 2.0).exp2());
+        tilts
+            .flat_map(|tilt| {
+                let step = LONGITUDE_STEP / tilt;
+                // Opposite longitudes see the same; a last one nearer than half a step to the half turn is the first one over again.
+                let count = (180.0 / step - 0.5).ceil() as usize;
+                (0..count).map(move |k| View { tilt, longitude: (k as f64 * step).to_radians() })
+            })
+            .collect()
+    }
+
+    /// The strongest features of a view of those that are `usable`.
+    fn of_view(
+        &self,
+        view: &PictureForms,
+        detector: &dyn Detector,
+        describer: &dyn Describer,
+        usable: impl Fn(&Keypoint) -> bool,
+    ) -> Features {
+        let mut keypoints = detector.detect(view);
+        keypoints.retain(usable);
+        keypoints.truncate(self.count);
+        describer.describe(view, &keypoints)
+    }
+}
+
+/// The picture as a view sees it.
+struct SimulatedPicture {
+    pixels: GrayImage,
+    /// From the view's pixels to the picture's.
+    inverse: Matrix2<f64>,
+    /// Picture pixel at the view's pixel 0.
+    origin: Vector2<f64>,
+    /// Corners of the picture's area.
+    size: Vector2<f64>,
+}
+
+impl SimulatedPicture {
+    /// None where the picture has no pixel.
+    fn of(picture: &PictureForms, view: View) -> Option<Self> {
+        let size = Vector2::new(f64::from(picture.grey.width()), f64::from(picture.grey.height()));
+        let (sin, cos) = view.longitude.sin_cos();
+        // The turned picture's box: x along the direction that is compressed.
+        let extent = Vector2::new(size.x * cos.abs() + size.y * sin.abs(), size.x * sin.abs() + size.y * cos.abs());
+        let (width, height) = ((extent.x / view.tilt).floor() as u32, extent.y.floor() as u32);
+        if size.min() < 1.0 || width == 0 || height == 0 {
+            return None;
+        }
+        let inverse = Matrix2::new(view.tilt * cos, -sin, view.tilt * sin, cos);
+        let middle = Vector2::new(f64::from(width - 1), f64::from(height - 1)) / 2.0;
+        let origin = (size - Vector2::repeat(1.0)) / 2.0 - inverse * middle;
+        let taps = Taps::of(view.tilt, width as usize);
+        let pixels = taps.compressed(&turned(picture.float(), &view, origin, (taps.length, height as usize), taps.margin));
+        Some(Self { pixels, inverse, origin, size })
+    }
+
+    fn place_in_picture(&self, place: Vector2<f64>) -> Vector2<f64> {
+        self.origin + self.inverse * place
+    }
+
+    /// Whether what a keypoint's description reads lies within the picture.
+    fn holds(&self, keypoint: &Keypoint) -> bool {
+        let place = self.place_in_picture(keypoint.position);
+        let shape = self.inverse * keypoint.shape;
+        // Half the box of an ellipse: the lengths of its matrix' rows.
+        (0..2).all(|k| {
+            let reach = BORDER_SIGMAS * shape.row(k).norm();
+            place[k] >= reach && place[k] <= self.size[k] - 1.0 - reach
+        })
+    }
+
+    fn in_picture(&self, keypoint: &Keypoint) -> Keypoint {
+        Keypoint { position: self.place_in_picture(keypoint.position), shape: self.inverse * keypoint.shape, ..*keypoint }
+    }
+}
+
+/// The picture turned so that the direction to be compressed lies along the rows, at full size: `margin` pixels before `origin` is the first.
+fn turned(picture: &FloatImage, view: &View, origin: Vector2<f64>, (width, height): (usize, usize), margin: usize) -> FloatImage {
+    let (sin, cos) = view.longitude.sin_cos();
+    let mut values = Vec::with_capacity(width * height);
+    for y in 0..height {
+        let start = origin + Vector2::new(-sin, cos) * y as f64 - Vector2::new(cos, sin) * margin as f64;
+        values.extend((0..width).map(|x| picture.bilinear((start.x + cos * x as f64) as f32, (start.y + sin * x as f64) as f32)));
+    }
+    FloatImage { width, height, values }
+}
+
+/// How a row is smoothed and compressed at once: the Gaussian is centred on each new pixel's exact place, so nothing is interpolated.
+struct Taps {
+    /// Pixels of a row before the place of the first new pixel.
+    margin: usize,
+    /// Pixels of a row that are read.
+    length: usize,
+    /// First pixel that goes into each new one.
+    first: Vec<usize>,
+    /// Weights of the pixels of each, one after the other.
+    weights: Vec<f32>,
+    /// Weights of one.
+    count: usize,
+}
+
+impl Taps {
+    fn of(tilt: f64, width: usize) -> Self {
+        let sigma = ANTI_ALIASING * (tilt * tilt - 1.0).sqrt();
+        let margin = (BLUR_REACH * sigma).ceil() as usize + 1;
+        let count = 2 * margin;
+        let (mut first, mut weights) = (Vec::with_capacity(width), Vec::with_capacity(width * count));
+        for x in 0..width {
+            let place = x as f64 * tilt + margin as f64;
+            let start = place as usize + 1 - margin;
+            let weight = |k: usize| (-0.5 * (((start + k) as f64 - place) / sigma).powi(2)).exp();
+            let sum: f64 = (0..count).map(weight).sum();
+            weights.extend((0..count).map(|k| (weight(k) / sum) as f32));
+            first.push(start);
+        }
+        let length = first.last().map_or(0, |last| last + count);
+        Self { margin, length, first, weights, count }
+    }
+
+    fn compressed(&self, turned: &FloatImage) -> GrayImage {
+        let mut pixels = Vec::with_capacity(self.first.len() * turned.height);
+        for y in 0..turned.height {
+            let row = turned.row(y);
+            for (first, weights) in self.first.iter().zip(self.weights.chunks_exact(self.count)) {
+                let value: f32 = row[*first..].iter().zip(weights).map(|(v, w)| v * w).sum();
+                pixels.push(value.round() as u8);
+            }
+        }
+        // As many pixels as its sides say.
+        GrayImage::from_raw(self.first.len() as u32, turned.height as u32, pixels).unwrap_or_default()
+    }
+}
+
+/// Leaves the features whose place in `kept` is true.
+fn keep(features: &mut Features, kept: &[bool]) {
+    let mut flags = kept.iter();
+    features.keypoints.retain(|_| flags.next().copied().unwrap_or(false));
+    match &mut features.descriptors {
+        Descriptors::Vectors { length, values } => {
+            let parts = values.chunks_exact((*length).max(1)).zip(kept).filter(|(_, kept)| **kept);
+            *values = parts.flat_map(|(part, _)| part.iter().copied()).collect();
+        }
+        Descriptors::Bits(bits) => {
+            let mut flags = kept.iter();
+            bits.retain(|_| flags.next().copied().unwrap_or(false));
+        }
+    }
+}
+
+/// Adds features of the same kind.
+fn append(all: &mut Features, more: Features) {
+    match (&mut all.descriptors, more.descriptors) {
+        (Descriptors::Vectors { values, .. }, Descriptors::Vectors { values: more, .. }) => values.extend(more),
+        (Descriptors::Bits(bits), Descriptors::Bits(more)) => bits.extend(more),
+        // A describer gives one kind.
+        _ => return,
+    }
+    all.keypoints.extend(more.keypoints);
+}
+
+/// Side of the cells in which features are looked for, pixels. Only those in the same cell or beside it can be the same.
+const CELL_PX: f64 = 8.0;
+
+/// Of features at the same place with alike descriptions leaves the first.
+fn thin(features: &mut Features) {
+    let cell = |place: Vector2<f64>| place.map(|c| (c / CELL_PX).floor() as i64);
+    let mut cells: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();
+    let mut kept = vec![true; features.keypoints.len()];
+    for (k, keypoint) in features.keypoints.iter().enumerate() {
+        let own = cell(keypoint.position);
+        let near = (-1..=1).flat_map(|i| (-1..=1).map(move |j| (own.y + i, own.x + j)));
+        let mut earlier = near.filter_map(|key| cells.get(&key)).flatten();
+        if earlier.any(|&e| same_place(&features.keypoints[e], keypoint) && alike(&features.descriptors, e, k)) {
+            kept[k] = false;
+        } else {
+            cells.entry((own.y, own.x)).or_default().push(k);
+        }
+    }
+    keep(features, &kept);
+}
+
+fn same_place(a: &Keypoint, b: &Keypoint) -> bool {
+    let limit = (SAME_PLACE * a.scale().min(b.scale())).min(CELL_PX);
+    (a.position - b.position).norm() < limit
+}
+
+fn alike(descriptors: &Descriptors, a: usize, b: usize) -> bool {
+    match descriptors {
+        Descriptors::Vectors { length, values } => {
+            let [a, b] = [a, b].map(|k| &values[k * length..][..*length]);
+            a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>() < SAME_VECTOR * SAME_VECTOR
+        }
+        Descriptors::Bits(bits) => {
+            let differing: u32 = bits[a].0.iter().zip(bits[b].0).map(|(a, b)| (a ^ b).count_ones()).sum();
+            differing < SAME_BITS
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::Luma;
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+    use crate::features::descriptors::SiftDescriber;
+    use crate::features::detectors::SiftDetector;
+
+    /// A Gaussian spot: middle, covariance, grey levels above its surroundings.
+    type Spot = (Vector2<f64>, Matrix2<f64>, f64);
+
+    fn spots(count: usize, side: f64, seed: u64) -> Vec<Spot> {
+        let mut random = Pcg64Mcg::seed_from_u64(seed);
+        let mut spot = || {
+            let middle = Vector2::new(random.random_range(-side..side), random.random_range(-side..side));
+            let size = 2.5 * 2.0_f64.powf(random.random_range(0.0..2.0));
+            let (stretch, angle) = (random.random_range(0.5..1.0), random.random_range(0.0..3.0_f64));
+            let turn = Matrix2::new(angle.cos(), -angle.sin(), angle.sin(), angle.cos());
+            let shape = turn * Matrix2::from_diagonal(&Vector2::new(size, size * stretch));
+            (middle, shape * shape.transpose(), random.random_range(-90.0..90.0))
+        };
+        (0..count).map(|_| spot()).collect()
+    }
+
+    /// The spots about the middle of a picture with `matrix` applied, by a camera that blurs by half a pixel.
+    fn picture(spots: &[Spot], matrix: Matrix2<f64>, (width, height): (u32, u32)) -> GrayImage {
+        let mut levels = vec![120.0; (width * height) as usize];
+        let middle = Vector2::new(f64::from(width - 1), f64::from(height - 1)) / 2.0;
+        for (place, covariance, contrast) in spots {
+            let seen = matrix * covariance * matrix.transpose() + Matrix2::identity() * 0.25;
+            let peak = contrast * (matrix.determinant().powi(2) * covariance.determinant() / seen.determinant()).sqrt();
+            let (inverse, place) = (seen.try_inverse().unwrap(), matrix * place + middle);
+            for (k, level) in levels.iter_mut().enumerate() {
+                let away = Vector2::new((k as u32 % width) as f64, (k as u32 / width) as f64) - place;
+                let distance = away.dot(&(inverse * away));
+                if distance < 30.0 {
+                    *level += peak * (-0.5 * distance).exp();
+                }
+            }
+        }
+        GrayImage::from_fn(width, height, |x, y| Luma([levels[(y * width + x) as usize].round().clamp(0.0, 255.0) as u8]))
+    }
+
+    fn features(picture: &GrayImage, options: ViewSimulation) -> Features {
+        options.features(&PictureForms::new(picture), &SiftDetector::default(), &SiftDescriber::default())
+    }
+
+    #[test]
+    fn keypoints_of_all_views_come_back_to_where_they_are() {
+        let round = |x: f64, y: f64| (Vector2::new(x, y), Matrix2::identity() * 16.0, 110.0);
+        let places = [round(-41.3, -20.8), round(30.7, 33.1), round(44.9, -35.4)];
+        let picture = picture(&places, Matrix2::identity(), (301, 281));
+        let forms = PictureForms::new(&picture);
+        let views = ViewSimulation { tilts: 3, count: 400 }.views();
+        let mut errors: Vec<Vector2<f64>> = Vec::new();
+        for view in &views {
+            let simulated = SimulatedPicture::of(&forms, *view).unwrap();
+            let found = SiftDetector::default().detect(&PictureForms::new(&simulated.pixels));
+            let held = found.iter().filter(|k| simulated.holds(k)).map(|k| simulated.in_picture(k));
+            for keypoint in held {
+                assert!(!keypoint.is_round() && keypoint.shape.determinant() > 0.0);
+                let away = |place: &Vector2<f64>| (keypoint.position - place - Vector2::new(150.0, 140.0)).norm();
+                let nearest = places.iter().map(|p| p.0).min_by(|a, b| away(a).total_cmp(&away(b))).unwrap();
+                errors.push(keypoint.position - nearest - Vector2::new(150.0, 140.0));
+            }
+        }
+        let mean = errors.iter().sum::<Vector2<f64>>() / errors.len() as f64;
+        assert!(errors.len() >= 2 * views.len(), "{} of {} views", errors.len(), views.len());
+        assert!(mean.norm() < 0.03 && errors.iter().all(|e| e.norm() < 0.3), "{mean} {errors:?}");
+    }
+
+    /// Features whose nearest description, both ways, is at the same place.
+    fn true_matches(a: &Features, b: &Features, map: impl Fn(Vector2<f64>) -> Vector2<f64>) -> usize {
+        let part = |f: &Features, k: usize| match &f.descriptors {
+            Descriptors::Vectors { length, values } => values[k * length..][..*length].to_vec(),
+            Descriptors::Bits(_) => Vec::new(),
+        };
+        let [p, q] = [a, b].map(|f| (0..f.keypoints.len()).map(|k| part(f, k)).collect::<Vec<_>>());
+        let alike = |v: &[f32], w: &[f32]| v.iter().zip(w).map(|(v, w)| v * w).sum::<f32>();
+        let nearest = |v: &[f32], among: &[Vec<f32>]| (0..among.len()).max_by(|i, k| alike(v, &among[*i]).total_cmp(&alike(v, &among[*k])));
+        let matched = |k: usize| {
+            let other = nearest(&p[k], &q)?;
+            (nearest(&q[other], &p)? == k).then_some(other)
+        };
+        let right = |k: usize| matched(k).is_some_and(|o| (map(a.keypoints[k].position) - b.keypoints[o].position).norm() < 2.0);
+        (0..p.len()).filter(|k| right(*k)).count()
+    }
+
+    #[test]
+    fn a_tilt_that_the_detector_alone_does_not_bear_is_matched() {
+        let spots = spots(260, 130.0, 5);
+        let turn = |a: f64| Matrix2::new(a.cos(), -a.sin(), a.sin(), a.cos());
+        let matrix = turn(0.5) * Matrix2::new(0.25, 0.0, 0.0, 1.0) * turn(-0.9);
+        let [a, b] = [(Matrix2::identity(), (221, 221)), (matrix, (221, 261))].map(|(m, size)| picture(&spots, m, size));
+        let map = |p: Vector2<f64>| matrix * (p - Vector2::repeat(110.0)) + Vector2::new(110.0, 130.0);
+        let count = |tilts: u32| {
+            let options = ViewSimulation { tilts, count: 80 };
+            true_matches(&features(&a, options), &features(&b, options), map)
+        };
+        let (alone, simulated) = (count(0), count(4));
+        assert!(simulated >= 30 && simulated > 5 * alone, "{alone} alone, {simulated} with views");
+    }
+
+    #[test]
+    fn views_are_those_of_the_paper() {
+        let views = ViewSimulation::default().views();
+        for (tilt, count) in [(2.0_f64.sqrt(), 4), (2.0, 5), (8.0_f64.sqrt(), 7), (4.0, 10), (32.0_f64.sqrt(), 14)] {
+            let of_tilt: Vec<&View> = views.iter().filter(|v| (v.tilt - tilt).abs() < 1e-9).collect();
+            assert_eq!(of_tilt.len(), count, "{tilt}");
+            assert!(of_tilt.windows(2).all(|v| ((v[1].longitude - v[0].longitude).to_degrees() - 72.0 / tilt).abs() < 1e-9));
+            assert!(of_tilt.iter().all(|v| v.longitude.to_degrees() < 180.0));
+        }
+        assert_eq!(views.len(), 40);
+    }
+
+    #[test]
+    fn what_is_the_same_in_two_views_is_kept_once() {
+        let picture = picture(&spots(60, 90.0, 8), Matrix2::identity(), (181, 181));
+        let found = features(&picture, ViewSimulation { tilts: 2, count: 100 });
+        let n = found.keypoints.len();
+        assert!(n > 50 && n == found.descriptors.len(), "{n}");
+        for k in 0..n {
+            assert!((0..k).all(|e| !same_place(&found.keypoints[e], &found.keypoints[k]) || !alike(&found.descriptors, e, k)));
+        }
+    }
+
+    #[test]
+    fn pictures_too_small_have_nothing() {
+        for (width, height) in [(0, 0), (1, 1), (1, 300), (300, 1), (40, 40)] {
+            let even = GrayImage::from_pixel(width, height, Luma([90]));
+            let found = features(&even, ViewSimulation { tilts: u32::MAX, count: 10 });
+            assert!(found.keypoints.is_empty() && found.descriptors.is_empty(), "{width} x {height}");
+        }
+    }
+}
