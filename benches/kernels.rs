@@ -103,8 +103,11 @@ fn homography(c: &mut Criterion) {
             PointPair { from: p.coords.xy() * 300.0, to }
         })
         .collect();
-    let options =
-        RobustOptions { max_samples: 1500, order: Order::BestFirst { even_after: 1500, stops_by_best: false }, ..RobustOptions::default() };
+    let options = RobustOptions {
+        max_samples: 1500,
+        order: Order::BestFirst { even_after: 1500, draws_each: 1, stops_by_best: false },
+        ..RobustOptions::default()
+    };
     c.bench_function("robust homography, 400 pairs", |b| b.iter(|| robust_homography(black_box(&pairs), &options)));
 }
 

@@ -57,6 +57,9 @@ pub enum Order {
     BestFirst {
         /// After so many samples all data are drawn from evenly. Raised, the search stays longer with the best.
         even_after: usize,
+        /// Samples at least before the pool of best data grows by one. The paper has 1, with which a pool of a few dozen, the best there is where few
+        /// data agree, is drawn from a few dozen times only.
+        draws_each: usize,
         /// Whether the chance of having missed a model is that among the best data, as many of them as make it smallest (PROSAC's rule), or that
         /// among all of them (which draws far more samples where few agree).
         stops_by_best: bool,
@@ -64,8 +67,9 @@ pub enum Order {
 }
 
 impl Order {
-    /// Best first as the paper has it: 200,000 samples until all data are drawn from evenly, and its rule to stop.
-    pub const PROSAC: Self = Self::BestFirst { even_after: 200_000, stops_by_best: true };
+    /// Best first: as the paper has it, 200,000 samples until all data are drawn from evenly, and its rule to stop; but thirty draws from every pool (of
+    /// searches among 1000 data of which 50 agree, moderately sorted, 97 of 100 succeed with it, 56 with one; well sorted ones succeed as fast).
+    pub const PROSAC: Self = Self::BestFirst { even_after: 200_000, draws_each: 30, stops_by_best: true };
 }
 
 /// A stretch of best data says how many samples are enough only if more than its sample agrees by so many data, and ...
@@ -137,24 +141,25 @@ struct Sampler<const N: usize> {
     average: f64,
     /// T'_n: the draw after which the pool grows.
     grow_at: usize,
+    draws_each: f64,
     drawn: usize,
 }
 
 impl<const N: usize> Sampler<N> {
     fn new(total: usize, options: &Options) -> Self {
-        let (pool, even_after) = match options.order {
-            Order::Even => (total, options.samples),
-            Order::BestFirst { even_after, .. } => (N, even_after),
+        let (pool, even_after, draws_each) = match options.order {
+            Order::Even => (total, options.samples, 1),
+            Order::BestFirst { even_after, draws_each, .. } => (N, even_after, draws_each),
         };
         let average = (0..N).fold(even_after as f64, |t, i| t * (N - i) as f64 / (total - i) as f64);
-        Self { pool, limit: total, average, grow_at: 1, drawn: 0 }
+        Self { pool, limit: total, average, grow_at: 1, draws_each: draws_each as f64, drawn: 0 }
     }
 
     fn next(&mut self, rng: &mut Pcg64Mcg) -> [usize; N] {
         self.drawn += 1;
         while self.drawn > self.grow_at && self.pool < self.limit {
             let next = self.average * (self.pool + 1) as f64 / (self.pool + 1 - N) as f64;
-            self.grow_at = self.grow_at.saturating_add((next - self.average).ceil().max(1.0) as usize);
+            self.grow_at = self.grow_at.saturating_add((next - self.average).ceil().max(self.draws_each) as usize);
             self.average = next;
             self.pool += 1;
         }
@@ -226,7 +231,7 @@ mod tests {
 
     const OPTIONS: Options = Options { samples: 2000, confidence: None, order: Order::Even, least_score: 10.0, keep: 1, seed: 5 };
 
-    const SLOWLY: Order = Order::BestFirst { even_after: 500, stops_by_best: false };
+    const SLOWLY: Order = Order::BestFirst { even_after: 500, draws_each: 1, stops_by_best: false };
 
     #[test]
     fn the_model_that_most_data_agree_with_is_found() {

@@ -12,9 +12,12 @@ use super::scoring::Scorer;
 /// A homography that little more than its own sample agrees with is none.
 const LEAST_SCORE: f64 = 3.5;
 
+/// Noise in thresholds at which the robust kernel weighs all inliers alike, to a millionth.
+const ALL_ALIKE: f64 = 1e3;
+
 /// Finds the homography that most pairs agree with, or `None` when fewer than four ever do. Distances are transfer errors in the second picture.
 pub fn robust_homography(pairs: &[PointPair], options: &RobustOptions) -> Option<RobustModel<Homography>> {
-    let RobustOptions { threshold, max_samples, confidence, order, seed } = *options;
+    let RobustOptions { threshold, max_samples, confidence, order, seed, .. } = *options;
     if !robust::is_sound(options) {
         return None;
     }
@@ -25,6 +28,8 @@ pub fn robust_homography(pairs: &[PointPair], options: &RobustOptions) -> Option
     let plane = Plane { pairs: &pairs, scorer: Scorer::new(&pairs, threshold), threshold };
     let (_, homography) = ransac::search(&plane, &search).pop()?;
     let homography = homography.refined(&inliers_of(&homography, &pairs, t2), threshold / 3.0, 15).unwrap_or(homography);
+    let alike = options.weighs_alike.then(|| homography.refined(&inliers_of(&homography, &pairs, t2), ALL_ALIKE * threshold, 10));
+    let homography = alike.flatten().unwrap_or(homography);
     let found = RobustModel::judged(homography, pairs.iter().map(|p| homography.squared_error(p)), threshold, Dimensions::Two);
     (found.inliers.len() >= 4).then(|| found.among(&indices))
 }

@@ -201,8 +201,8 @@ pub fn surface_view(surface: u32, matches: &[SurfaceMatch], camera: &CameraModel
     }
     let pairs: Vec<PointPair> = own.iter().map(|m| PointPair { from: m.artwork, to: m.undistorted }).collect();
     let threshold = 4.0 * (f64::from(camera.width().max(camera.height())) / 1280.0).max(0.75);
-    let order = Order::BestFirst { even_after: SAMPLES, stops_by_best: false };
-    let options = RobustOptions { threshold, max_samples: SAMPLES, confidence: 0.9999, order, seed };
+    let order = Order::BestFirst { even_after: SAMPLES, draws_each: 1, stops_by_best: false };
+    let options = RobustOptions { threshold, max_samples: SAMPLES, confidence: 0.9999, order, weighs_alike: false, seed };
     let found = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= LEAST_INLIERS && f.model.keeps_orientation())?;
     let matches = found.inliers.iter().map(|&k| own[k]).collect();
     Some(SurfaceView { surface, homography: found.model, matches })
