@@ -16,7 +16,9 @@ use stagepose::diagnostics::features::{
     detect_corners, orientation, smooth_into,
 };
 use stagepose::diagnostics::geometry::{
-    MovingCamera, Observation, Order, PointPair, RayPair, RobustOptions, essential_candidates, five_point, resect, robust_homography,
+    Homography, MovingCamera, Observation, Order, PointPair, RayPair, RobustOptions, corrected, decompose_homography, eight_point,
+    essential_candidates, five_point, gold_standard, judged_motion, refine_fundamental, refine_motion_in_pixels, resect, robust_essential,
+    robust_fundamental, robust_homography, seven_point,
 };
 use stagepose::diagnostics::simulate::{grey, paint};
 use stagepose::diagnostics::track::AlignKernels;
@@ -123,6 +125,52 @@ fn essential(c: &mut Criterion) {
     });
 }
 
+/// The solvers of two views, as docs/solvers.md lists them: 200 pairs of a box, and of a plane, with noise of about half a pixel.
+fn two_views(c: &mut Criterion) {
+    const FOCAL: f64 = 1100.0;
+    let mut random = Pcg64Mcg::seed_from_u64(4);
+    let first = Pose::<Camera, Body>::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 5.0));
+    let seen = |points: Vec<Point3<f64>>, random: &mut Pcg64Mcg| -> (Vec<RayPair>, Vec<PointPair>) {
+        let mut noise = || Vector2::new(random.random_range(-0.8..0.8), random.random_range(-0.8..0.8)) / FOCAL;
+        let rays: Vec<RayPair> =
+            points.iter().map(|p| RayPair { first: ray(&first, p) + noise(), second: ray(&pose(), p) + noise() }).collect();
+        let pixels = rays.iter().map(|r| PointPair { from: r.first * FOCAL, to: r.second * FOCAL }).collect();
+        (rays, pixels)
+    };
+    let (box_points, plane_points) = (points(200, 2.0, &mut random), points(200, 0.0, &mut random));
+    let ((rays, pixels), (flat_rays, flat)) = (seen(box_points, &mut random), seen(plane_points, &mut random));
+    let h = Homography::from_pairs(&flat, None).expect("a plane");
+    let f = eight_point(&pixels, None).expect("relief");
+    let motion = robust_essential(&rays, [FOCAL; 2], &RobustOptions::default()).expect("a motion").model.motion;
+    let normalised = Homography::from_pairs(&flat_rays.iter().map(|r| PointPair { from: r.first, to: r.second }).collect::<Vec<_>>(), None);
+    let (four, seven) = (std::array::from_fn(|k| flat[31 * k]), std::array::from_fn(|k| pixels[17 * k]));
+    c.bench_function("four-point", |b| b.iter(|| Homography::from_four(black_box(&four))));
+    c.bench_function("direct linear, 200 pairs", |b| b.iter(|| Homography::from_pairs(black_box(&flat), None)));
+    c.bench_function("transfer refinement, 200 pairs", |b| b.iter(|| h.refined(black_box(&flat), 0.5, 15)));
+    c.bench_function("gold standard, 200 pairs", |b| b.iter(|| gold_standard(&h, black_box(&flat), 15)));
+    c.bench_function("seven-point", |b| b.iter(|| seven_point(black_box(&seven))));
+    c.bench_function("eight-point, 200 pairs", |b| b.iter(|| eight_point(black_box(&pixels), None)));
+    c.bench_function("fundamental refinement, 200 pairs", |b| b.iter(|| refine_fundamental(&f, black_box(&pixels), 0.5, 15)));
+    c.bench_function("motion refinement, 200 pairs", |b| {
+        b.iter(|| refine_motion_in_pixels(&motion, black_box(&rays), [FOCAL; 2], 0.5, 15))
+    });
+    c.bench_function("essential decomposition, 200 pairs", |b| b.iter(|| judged_motion(&motion.essential(), black_box(&rays), 5e-4)));
+    if let Some(normalised) = normalised {
+        c.bench_function("homography decomposition, 200 pairs", |b| b.iter(|| decompose_homography(&normalised, black_box(&flat_rays))));
+    }
+    c.bench_function("triangulation, corrected", |b| b.iter(|| corrected(&motion, black_box(&rays[0]))));
+    let with_wrong = |mut pairs: Vec<PointPair>| {
+        pairs.iter_mut().step_by(2).for_each(|p| p.to = Vector2::new(p.from.y, p.from.x) * 0.7 + Vector2::new(17.0, -31.0));
+        pairs
+    };
+    let (flat, pixels) = (with_wrong(flat), with_wrong(pixels));
+    let rays: Vec<RayPair> = pixels.iter().map(|p| RayPair { first: p.from / FOCAL, second: p.to / FOCAL }).collect();
+    let options = RobustOptions::default();
+    c.bench_function("robust homography, 200 pairs, half wrong", |b| b.iter(|| robust_homography(black_box(&flat), &options)));
+    c.bench_function("robust fundamental, 200 pairs, half wrong", |b| b.iter(|| robust_fundamental(black_box(&pixels), &options)));
+    c.bench_function("robust essential, 200 pairs, half wrong", |b| b.iter(|| robust_essential(black_box(&rays), [FOCAL; 2], &options)));
+}
+
 fn resection(c: &mut Criterion) {
     let camera = CameraModel::pinhole(1280, 720, 1100.0, 1100.0, 639.5, 359.5).expect("a camera");
     let mut random = Pcg64Mcg::seed_from_u64(3);
@@ -166,5 +214,5 @@ fn alignment(c: &mut Criterion) {
     c.bench_function("noise of all tiles", |b| b.iter(|| kernels.noise_sums()));
 }
 
-criterion_group!(kernels, alignment, corners, pyramid, description, hamming, homography, essential, resection);
+criterion_group!(kernels, alignment, corners, pyramid, description, hamming, homography, essential, two_views, resection);
 criterion_main!(kernels);

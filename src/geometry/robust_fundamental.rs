@@ -2,7 +2,7 @@
 //! whenever a better one is found.
 
 use nalgebra::Matrix3;
-use rand::SeedableRng;
+use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::correspondence::Correspondence;
@@ -89,13 +89,17 @@ impl<C: Correspondence + Copy> Views<'_, C> {
     /// The best of what samples among the inliers alone lead to (the inner search of Chum, Matas and Kittler 2003): a few wrong pairs that agree by
     /// chance hold the refinement in a poor place, which samples without them leave.
     fn resampled(&self, mut f: Matrix3<f64>, mut score: f64, seed: u64) -> (Matrix3<f64>, f64) {
-        let inliers = self.near(&f, 1.0);
+        let mut inliers = self.near(&f, 1.0);
         let size = INNER_SAMPLE.min(inliers.len() / 2);
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         for _ in 0..INNER_SAMPLES {
-            let chosen = rand::seq::index::sample(&mut rng, inliers.len(), size);
-            let sample: Vec<C> = chosen.iter().map(|k| inliers[k]).collect();
-            let Some(start) = eight_point(&sample, None) else { continue };
+            // The first of a shuffle (Fisher and Yates): none is drawn twice.
+            for k in 0..size {
+                let other = rng.random_range(k..inliers.len());
+                inliers.swap(k, other);
+            }
+            let sample = &inliers[..size];
+            let Some(start) = eight_point(sample, None) else { continue };
             let (next, next_score) = self.refined(start, 0.0, STEPS_IN_SEARCH);
             if next_score > score {
                 (f, score) = (next, next_score);
