@@ -11,6 +11,8 @@
 mod backdrop;
 mod canvas;
 mod dolly;
+#[cfg(test)]
+mod gloh_basis_tests;
 mod path;
 mod render;
 mod sensor;

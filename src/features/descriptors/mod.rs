@@ -1,11 +1,13 @@
 //! Descriptors: from a keypoint to numbers or bits that say what surrounds it. One a file, with its source.
 
+mod gloh;
 mod gradients;
 mod orientation;
 mod region;
 mod sift;
 mod window;
 
+pub use gloh::{Basis, GlohDescriber};
 pub use sift::SiftDescriber;
 
 use super::keypoint::{Features, Keypoint, PictureForms};

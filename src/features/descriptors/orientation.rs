@@ -6,7 +6,7 @@ use super::gradients::Gradients;
 use super::region::Region;
 use super::window::Window;
 
-/// Directions of the histogram (section 5). Raised, they are told apart better and the histogram is noisier.
+/// Directions of the histogram (section 5). Raised, near directions are separated better and the histogram is noisier.
 const BINS: usize = 36;
 /// Sigma of the weights, in sigmas of the region (section 5).
 const WEIGHT_SIGMA: f64 = 1.5;

@@ -56,8 +56,8 @@ impl Describer for SiftDescriber {
 }
 
 /// Scales a description to unit length, clipped in between; false if it is empty.
-fn normalise(numbers: &mut [f32; LENGTH], root: bool) -> bool {
-    let unit = |numbers: &mut [f32; LENGTH]| {
+pub(super) fn normalise(numbers: &mut [f32], root: bool) -> bool {
+    let unit = |numbers: &mut [f32]| {
         let length = numbers.iter().map(|v| v * v).sum::<f32>().sqrt();
         numbers.iter_mut().for_each(|v| *v /= length);
         length > 0.0 && length.is_finite()

@@ -1,0 +1,102 @@
+//! Makes the principal components of GLOH from features of the virtual backdrops, and holds the committed ones to them.
+//!
+//! `STAGEPOSE_REMAKE=1 cargo test --lib --features simulate gloh_basis` writes src/features/descriptors/gloh.basis anew: a backdrop for each seed,
+//! seen from random sides with noise; SIFT's keypoints, at most 400 a picture; their 272 numbers; the eigenvectors of the covariance.
+
+use nalgebra::{DMatrix, Point3, SymmetricEigen, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use super::{CameraPath, Renderer, SensorNoise, VirtualStage, artwork_surface, grey, paint, upright};
+use crate::camera::CameraModel;
+use crate::features::descriptors::{Basis, Describer, GlohDescriber};
+use crate::features::detectors::{Detector, SiftDetector};
+use crate::features::{Descriptors, PictureForms};
+use crate::track::BodySpec;
+
+/// Numbers of a description before reduction.
+const NUMBERS: usize = 272;
+/// Backdrops that the basis is made from. Raised, it changes less than rounding to bytes does.
+const BACKDROPS: u64 = 24;
+/// Pictures of each.
+const VIEWS: u64 = 3;
+
+/// The descriptions of features of a backdrop from random sides.
+fn descriptions(seed: u64) -> Vec<f32> {
+    let artwork = grey(&paint(1200, 900, seed));
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    let mut all = Vec::new();
+    for view in 0..VIEWS {
+        let cloth = artwork_surface("cloth", artwork.clone(), [4.0, 3.0], upright(Vector3::zeros(), 0.0));
+        let camera = CameraModel::pinhole(480, 360, 480.0, 480.0, 239.5, 179.5).unwrap();
+        // Within 55 degrees of the normal, from where the cloth fills the picture to where it is half as large.
+        let (distance, side, height) =
+            (random.random_range(2.0..5.0_f64), random.random_range(-0.95..0.95_f64), random.random_range(-0.4..0.4));
+        let place = Point3::new(distance * side.sin(), -distance * side.cos(), distance * height);
+        let mut path = CameraPath::fixed(place, Point3::new(random.random_range(-0.5..0.5), 0.0, random.random_range(-0.4..0.4)));
+        path.roll_rad = random.random_range(-3.0..3.0);
+        let mut stage = VirtualStage::new(camera, path, BodySpec::new("stage", vec![cloth]));
+        stage.background = 110.0;
+        stage.noise = SensorNoise::webcam();
+        stage.seed = seed;
+        let picture = Renderer::new(stage).render(0.0, view);
+        let forms = PictureForms::new(&picture);
+        let keypoints = SiftDetector { count: 400, ..Default::default() }.detect(&forms);
+        let Descriptors::Vectors { length, values } = GlohDescriber { reduced: false }.describe(&forms, &keypoints).descriptors else {
+            panic!("GLOH gives vectors");
+        };
+        assert_eq!(length, NUMBERS);
+        all.extend(values);
+    }
+    all
+}
+
+/// Mean and covariance of descriptions.
+fn statistics(values: &[f32]) -> (Vec<f32>, DMatrix<f32>) {
+    let matrix = DMatrix::from_column_slice(NUMBERS, values.len() / NUMBERS, values);
+    let mean = matrix.column_mean();
+    let mut centred = matrix;
+    centred.column_iter_mut().for_each(|mut column| column -= &mean);
+    let covariance = &centred * centred.transpose() / centred.ncols() as f32;
+    (mean.iter().copied().collect(), covariance)
+}
+
+/// The principal components, that of the largest variance first, each with its largest number positive.
+fn made() -> Basis {
+    let values: Vec<f32> = (1..=BACKDROPS).flat_map(descriptions).collect();
+    let (mean, covariance) = statistics(&values);
+    let eigen = SymmetricEigen::new(covariance);
+    let mut order: Vec<usize> = (0..NUMBERS).collect();
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    let component = |k: &usize| {
+        let column = eigen.eigenvectors.column(*k);
+        let sign = column[column.iamax()].signum();
+        column.iter().map(|v| v * sign).collect::<Vec<f32>>()
+    };
+    Basis { mean, components: order.iter().take(128).flat_map(component).collect() }
+}
+
+/// Share of the variance that a basis keeps.
+fn kept(basis: &Basis, covariance: &DMatrix<f32>) -> f32 {
+    let components = DMatrix::from_column_slice(NUMBERS, 128, &basis.components);
+    (components.transpose() * covariance * &components).trace() / covariance.trace()
+}
+
+#[test]
+fn the_basis_keeps_what_features_of_other_backdrops_differ_in() {
+    if std::env::var_os("STAGEPOSE_REMAKE").is_some() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/features/descriptors/gloh.basis");
+        std::fs::write(file, made().to_bytes()).unwrap();
+        return;
+    }
+    // Seeds that the basis was not made from.
+    let values: Vec<f32> = (1001..1004).flat_map(descriptions).collect();
+    let (mean, covariance) = statistics(&values);
+    let own = Basis::own();
+    assert!(kept(&own, &covariance) > 0.93, "{}", kept(&own, &covariance));
+    let off = mean.iter().zip(&own.mean).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt();
+    assert!(off < 0.15, "the mean is off by {off}");
+    // The first components have more of it than any others of the same number could by chance.
+    let first = Basis { components: own.components[..16 * NUMBERS].iter().copied().chain(vec![0.0; 112 * NUMBERS]).collect(), ..own };
+    assert!(kept(&first, &covariance) > 0.35, "{}", kept(&first, &covariance));
+}
