@@ -16,6 +16,7 @@ mod keypoint;
 mod pattern;
 mod pyramid;
 mod scale_space;
+mod second_moments;
 mod view_simulation;
 mod workers;
 

@@ -3,12 +3,16 @@
 mod gloh;
 mod gradients;
 mod orientation;
+mod patch;
 mod region;
 mod sift;
+mod structure_tensor;
 mod window;
 
 pub use gloh::{Basis, GlohDescriber};
+pub use patch::PatchDescriber;
 pub use sift::SiftDescriber;
+pub use structure_tensor::StructureTensorDescriber;
 
 use super::keypoint::{Features, Keypoint, PictureForms};
 

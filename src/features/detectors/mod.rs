@@ -1,7 +1,9 @@
 //! Detectors: from a picture to its keypoints. One a file, with its source.
 
+mod harris;
 mod sift;
 
+pub use harris::{CornerMeasure, HarrisDetector};
 pub use sift::SiftDetector;
 
 use super::keypoint::{Keypoint, PictureForms};
@@ -10,4 +12,13 @@ use super::keypoint::{Keypoint, PictureForms};
 pub trait Detector {
     /// The keypoints of a picture, most distinctive first; among equals in the order of rows and columns, so that the same picture gives the same.
     fn detect(&self, picture: &PictureForms) -> Vec<Keypoint>;
+}
+
+/// Sorts the strongest first; among equals in the order of rows, columns and scales.
+fn strongest_first(keypoints: &mut [Keypoint]) {
+    keypoints.sort_by(|a, b| {
+        let key = |k: &Keypoint| [k.position.y, k.position.x, k.shape[(0, 0)], k.shape[(1, 1)], k.shape[(0, 1)]];
+        let places = key(a).into_iter().zip(key(b)).map(|(a, b)| a.total_cmp(&b));
+        b.response.total_cmp(&a.response).then(places.fold(std::cmp::Ordering::Equal, std::cmp::Ordering::then))
+    });
 }
