@@ -7,12 +7,14 @@ mod patch;
 mod region;
 mod sift;
 mod structure_tensor;
+mod surf;
 mod window;
 
 pub use gloh::{Basis, GlohDescriber};
 pub use patch::PatchDescriber;
 pub use sift::SiftDescriber;
 pub use structure_tensor::StructureTensorDescriber;
+pub use surf::SurfDescriber;
 
 use super::keypoint::{Features, Keypoint, PictureForms};
 

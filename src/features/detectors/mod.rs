@@ -2,9 +2,12 @@
 
 mod harris;
 mod sift;
+mod surf;
 
 pub use harris::{CornerMeasure, HarrisDetector};
 pub use sift::SiftDetector;
+pub use surf::SurfDetector;
+pub(in crate::features) use surf::surf_hessian;
 
 use super::keypoint::{Keypoint, PictureForms};
 

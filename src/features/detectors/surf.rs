@@ -1,0 +1,212 @@
+//! Maxima of the determinant of the Hessian over place and scale, with box filters in the place of Gaussian derivatives (Bay, Ess, Tuytelaars &
+//! Van Gool, Speeded-Up Robust Features (SURF), CVIU 2008, section 3): blobs, with a sigma of their own.
+
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+use super::{Detector, strongest_first};
+use crate::features::integral_image::IntegralImage;
+use crate::features::keypoint::{Keypoint, PictureForms};
+
+/// What to keep of the maxima.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfDetector {
+    /// Keypoints at most, strongest first. Default 5000: more than a picture of 640x480 usually has. Raised, matching takes longer by its square.
+    pub count: usize,
+    /// Least determinant, squared grey levels, of filters divided by their squared side. Default 10, some 3 grey levels of second difference.
+    /// Raised, fewer and stronger ones are left.
+    pub least_determinant: f64,
+    /// Octaves of scales. Default 4 (section 3.3), at most 8. Raised, larger blobs are found, which are few.
+    pub octaves: usize,
+}
+
+impl Default for SurfDetector {
+    fn default() -> Self {
+        Self { count: 5000, least_determinant: 10.0, octaves: 4 }
+    }
+}
+
+/// Filters an octave: two inner ones that can hold a maximum, and one on either side (section 3.3).
+const LAYERS: usize = 4;
+/// Octaves at most: the filters of the eighth are 3075 pixels wide.
+const MOST_OCTAVES: usize = 8;
+/// Sigma of the Gaussian that a filter of side 9 stands for, by the side (section 3.2: 1.2 pixels).
+const SIGMA_BY_SIDE: f64 = 1.2 / 9.0;
+/// Squared weight of the mixed derivative, which makes up for what boxes are too large (section 3.2, equation 3: 0.9).
+const MIXED: f32 = 0.81;
+/// Samples or layers at most from the maximum to the one fitted about it; more than a half, so that one in the middle of two is not lost.
+const MOST_OFFSET: f64 = 0.6;
+
+/// Determinants of one filter side, sampled every `step` pixels.
+struct Layer {
+    width: usize,
+    height: usize,
+    /// 0 where the filter does not fit in the picture.
+    values: Vec<f32>,
+}
+
+impl Detector for SurfDetector {
+    fn detect(&self, picture: &PictureForms) -> Vec<Keypoint> {
+        let integral = picture.integral();
+        let mut found = Vec::new();
+        for octave in 0..self.octaves.min(MOST_OCTAVES) {
+            let (step, sides) = (1 << octave, sides(octave));
+            if sides[LAYERS - 1] + 2 * step > integral.width.min(integral.height) {
+                break;
+            }
+            let layers = sides.map(|side| layer(integral, side, step));
+            for middle in 1..LAYERS - 1 {
+                let three = [&layers[middle - 1], &layers[middle], &layers[middle + 1]];
+                let spacing = (sides[1] - sides[0]) as f64;
+                for (x, y) in maxima(three, self.least_determinant as f32) {
+                    let Some(offset) = fitted(three, x, y) else { continue };
+                    let place = Vector2::new(x as f64 + offset.x, y as f64 + offset.y) * step as f64;
+                    let sigma = (sides[middle] as f64 + offset.z * spacing) * SIGMA_BY_SIDE;
+                    found.push(Keypoint::round(place, sigma, three[1].values[y * three[1].width + x]));
+                }
+            }
+        }
+        strongest_first(&mut found);
+        found.truncate(self.count);
+        found
+    }
+}
+
+/// Sides of an octave's filters: 9, 15, 21, 27; 15, 27, 39, 51; … (section 3.3, figure 5).
+fn sides(octave: usize) -> [usize; LAYERS] {
+    std::array::from_fn(|k| 3 * ((2 << octave) * (k + 1) + 1))
+}
+
+/// The Hessian's elements [xx, yy, xy] of a filter `side` pixels wide with its middle at a pixel, where it fits in the picture; divided by the
+/// squared side.
+fn hessian(integral: &IntegralImage, x: isize, y: isize, side: usize) -> [f32; 3] {
+    let (lobe, half) = ((side / 3) as isize, (side / 2) as isize);
+    let (inner, third) = (lobe / 2, lobe - 1);
+    let whole = |x: (isize, isize), y: (isize, isize)| integral.sum((x.0, x.1 + 1), (y.0, y.1 + 1));
+    let xx = whole((x - half, x + half), (y - third, y + third)) - 3.0 * whole((x - inner, x + inner), (y - third, y + third));
+    let yy = whole((x - third, x + third), (y - half, y + half)) - 3.0 * whole((x - third, x + third), (y - inner, y + inner));
+    let xy = whole((x - lobe, x - 1), (y - lobe, y - 1)) + whole((x + 1, x + lobe), (y + 1, y + lobe))
+        - whole((x + 1, x + lobe), (y - lobe, y - 1))
+        - whole((x - lobe, x - 1), (y + 1, y + lobe));
+    let area = (side * side) as f32;
+    [xx / area, yy / area, xy / area]
+}
+
+/// The Hessian's elements [xx, yy, xy] at a keypoint, of the filter whose side fits its scale.
+pub fn surf_hessian(integral: &IntegralImage, place: Vector2<f64>, scale: f64) -> [f32; 3] {
+    // Sides are odd multiples of 3 and at least 9.
+    let lobe = (scale / SIGMA_BY_SIDE / 3.0).clamp(3.0, 1e6) as usize | 1;
+    hessian(integral, place.x.round() as isize, place.y.round() as isize, 3 * lobe)
+}
+
+/// Determinants of a filter in the whole picture.
+fn layer(integral: &IntegralImage, side: usize, step: usize) -> Layer {
+    let (width, height) = (integral.width.div_ceil(step), integral.height.div_ceil(step));
+    let mut values = vec![0.0; width * height];
+    let half = side / 2;
+    for y in half.div_ceil(step)..(integral.height - half).div_ceil(step) {
+        for x in half.div_ceil(step)..(integral.width - half).div_ceil(step) {
+            let [xx, yy, xy] = hessian(integral, (x * step) as isize, (y * step) as isize, side);
+            values[y * width + x] = xx * yy - MIXED * xy * xy;
+        }
+    }
+    Layer { width, height, values }
+}
+
+/// Samples of the middle layer above `least` and all 26 neighbours; of equal ones, the first.
+fn maxima(three: [&Layer; 3], least: f32) -> Vec<(usize, usize)> {
+    let middle = three[1];
+    let mut found = Vec::new();
+    for y in 1..middle.height.saturating_sub(1) {
+        for x in 1..middle.width.saturating_sub(1) {
+            let at = y * middle.width + x;
+            let value = middle.values[at];
+            // The two neighbours in its row say no to most.
+            if value <= least.max(0.0) || value <= middle.values[at - 1] || value < middle.values[at + 1] {
+                continue;
+            }
+            let before = |k: usize, dy: usize| k == 0 || (k == 1 && dy == 0);
+            let row = |k: usize, dy: usize| &three[k].values[at + dy * middle.width - middle.width - 1..][..3];
+            let rows = (0..3).flat_map(|k| (0..3).map(move |dy| (k, dy))).filter(|r| *r != (1, 1));
+            let is_largest = rows.clone().all(|(k, dy)| row(k, dy).iter().all(|v| if before(k, dy) { value > *v } else { value >= *v }));
+            if is_largest {
+                found.push((x, y));
+            }
+        }
+    }
+    found
+}
+
+/// From a sample to the maximum of the quadratic through it and its neighbours: samples across and down, and layers (Brown & Lowe 2002). None
+/// where it is nearer to another sample, or a layer has no filter there.
+fn fitted(three: [&Layer; 3], x: usize, y: usize) -> Option<Vector3<f64>> {
+    let width = three[1].width;
+    let at = |dx: usize, dy: usize, k: usize| f64::from(three[k].values[(y + dy - 1) * width + x + dx - 1]);
+    let middle = at(1, 1, 1);
+    let slope = Vector3::new(at(2, 1, 1) - at(0, 1, 1), at(1, 2, 1) - at(1, 0, 1), at(1, 1, 2) - at(1, 1, 0)) * 0.5;
+    let xx = at(2, 1, 1) + at(0, 1, 1) - 2.0 * middle;
+    let yy = at(1, 2, 1) + at(1, 0, 1) - 2.0 * middle;
+    let ss = at(1, 1, 2) + at(1, 1, 0) - 2.0 * middle;
+    let xy = 0.25 * (at(2, 2, 1) - at(0, 2, 1) - at(2, 0, 1) + at(0, 0, 1));
+    let xs = 0.25 * (at(2, 1, 2) - at(0, 1, 2) - at(2, 1, 0) + at(0, 1, 0));
+    let ys = 0.25 * (at(1, 2, 2) - at(1, 0, 2) - at(1, 2, 0) + at(1, 0, 0));
+    let curvature = Matrix3::new(xx, xy, xs, xy, yy, ys, xs, ys, ss);
+    let fits = at(1, 1, 2) != 0.0 && at(1, 1, 0) != 0.0;
+    curvature.lu().solve(&-slope).filter(|offset| fits && offset.iter().all(|v| v.abs() <= MOST_OFFSET))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{GrayImage, Luma};
+
+    fn detect(picture: &GrayImage) -> Vec<Keypoint> {
+        SurfDetector::default().detect(&PictureForms::new(picture))
+    }
+
+    fn blob(middle: Vector2<f64>, sigma: f64, height: f64) -> GrayImage {
+        GrayImage::from_fn(160, 140, |x, y| {
+            let d = Vector2::new(f64::from(x), f64::from(y)) - middle;
+            Luma([(128.0 + height * (-0.5 * d.norm_squared() / (sigma * sigma)).exp()).round() as u8])
+        })
+    }
+
+    #[test]
+    fn blobs_are_found_at_their_place_and_scale() {
+        for (sigma, height) in [(2.5, 100.0), (4.0, -100.0), (7.0, 110.0), (12.0, -120.0)] {
+            let middle = Vector2::new(79.3, 68.6);
+            let found = detect(&blob(middle, sigma, height));
+            let first = found.first().expect("a blob is found");
+            assert!((first.position - middle).norm() < 0.1 * sigma + 0.2, "{sigma}: {}", first.position);
+            // Lobes of a third of the side have half of that as their own sigma, 1.5 at side 9, which the paper calls 1.2.
+            assert!((first.scale() / (0.8 * sigma)).log2().abs() < 0.3, "{sigma}: {}", first.scale());
+        }
+    }
+
+    #[test]
+    fn sides_are_those_of_the_paper() {
+        assert_eq!(sides(0), [9, 15, 21, 27]);
+        assert_eq!(sides(1), [15, 27, 39, 51]);
+        assert_eq!(sides(2), [27, 51, 75, 99]);
+        assert_eq!(sides(3), [51, 99, 147, 195]);
+    }
+
+    #[test]
+    fn the_filters_answer_to_curvature_alone() {
+        let ramp = GrayImage::from_fn(60, 60, |x, y| Luma([(2 * x + y) as u8]));
+        let bowl = GrayImage::from_fn(60, 60, |x, y| Luma([((x as i32 - 30) * (y as i32 - 30) + 128).clamp(0, 255) as u8]));
+        assert!(hessian(&IntegralImage::of(&ramp), 30, 30, 15).iter().all(|v| v.abs() < 1e-4));
+        let [xx, yy, xy] = hessian(&IntegralImage::of(&bowl), 30, 30, 15);
+        // Four lobes of 25 pixels whose products of coordinates are 9 on average, by 15 squared.
+        assert_eq!([xx, yy, xy], [0.0, 0.0, 4.0]);
+    }
+
+    #[test]
+    fn nothing_is_found_in_nothing() {
+        for (w, h) in [(0, 0), (1, 1), (200, 1), (5000, 3), (12, 300), (28, 29)] {
+            assert_eq!(detect(&GrayImage::from_pixel(w, h, Luma([90]))), []);
+        }
+        assert_eq!(detect(&GrayImage::from_pixel(300, 240, Luma([255]))), []);
+        let wild = SurfDetector { least_determinant: f64::NAN, octaves: usize::MAX, count: 3 };
+        assert!(wild.detect(&PictureForms::new(&blob(Vector2::new(80.0, 70.0), 5.0, 90.0))).len() <= 3);
+    }
+}
