@@ -15,6 +15,7 @@ mod kernels;
 mod keypoint;
 mod pattern;
 mod pyramid;
+pub mod repeatability;
 mod scale_space;
 mod second_moments;
 mod view_simulation;
