@@ -18,6 +18,8 @@ mod pyramid;
 pub mod repeatability;
 mod scale_space;
 mod second_moments;
+#[cfg(test)]
+mod test_pictures;
 mod view_simulation;
 mod workers;
 

@@ -1,10 +1,12 @@
 //! Detectors: from a picture to its keypoints. One a file, with its source.
 
 mod harris;
+mod mser;
 mod sift;
 mod surf;
 
 pub use harris::{CornerMeasure, HarrisDetector};
+pub use mser::MserDetector;
 pub use sift::SiftDetector;
 pub use surf::SurfDetector;
 pub(in crate::features) use surf::surf_hessian;
