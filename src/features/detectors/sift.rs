@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::Detector;
+use super::{Detector, strongest_first};
 use crate::features::keypoint::{Keypoint, PictureForms};
 use crate::features::scale_space::{Octave, SCALES};
 use crate::simd::multiversion;
@@ -50,13 +50,8 @@ impl Detector for SiftDetector {
                 keypoints.extend(self.refined(octave, cell));
             }
         }
-        // Total order, and so the same keypoints of the same picture; two extrema that lead to the same place are neighbours then.
-        keypoints.sort_by(|a: &Keypoint, b: &Keypoint| {
-            let key = |k: &Keypoint| [k.position.y, k.position.x, k.shape[(0, 0)]];
-            let [a_key, b_key] = [a, b].map(key);
-            let places = a_key.iter().zip(&b_key).map(|(a, b)| a.total_cmp(b));
-            b.response.total_cmp(&a.response).then(places.fold(std::cmp::Ordering::Equal, std::cmp::Ordering::then))
-        });
+        strongest_first(&mut keypoints);
+        // Two extrema that lead to the same place are neighbours now.
         keypoints.dedup();
         keypoints.truncate(self.count);
         keypoints
