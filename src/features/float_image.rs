@@ -56,6 +56,22 @@ impl FloatImage {
         upper + b * (lower - upper)
     }
 
+    /// The values along a straight line, bilinear, from `start` on by `step` (column and row, pixels).
+    pub fn sample_line(&self, start: [f32; 2], step: [f32; 2], out: &mut [f32]) {
+        let at = |i: usize, k: usize| start[k] + i as f32 * step[k];
+        let last = out.len().saturating_sub(1);
+        // The ends of the line hold all that is between them.
+        let is_inside = [0, last].iter().all(|i| {
+            let inside = |k: usize, side: usize| at(*i, k) >= 0.0 && at(*i, k) < side as f32 - 1.01;
+            inside(0, self.width) && inside(1, self.height)
+        });
+        if is_inside {
+            sample_inside(self, start, step, out);
+        } else {
+            out.iter_mut().enumerate().for_each(|(i, value)| *value = self.bilinear(at(i, 0), at(i, 1)));
+        }
+    }
+
     /// Smoothed by a Gaussian of `sigma` pixels.
     pub fn blurred(&self, sigma: f64) -> Self {
         let mut out = Self::new(self.width, self.height);
@@ -65,16 +81,17 @@ impl FloatImage {
 
     /// As [`blurred`](Self::blurred), into buffers that are kept.
     pub fn blur_into(&self, sigma: f64, out: &mut Self, rows: &mut Vec<f32>) {
-        self.blur_axes_into([sigma, sigma], out, rows);
+        self.blur_and_thin_into([sigma, sigma], [1, 1], out, rows);
     }
 
-    /// Smoothed by a Gaussian of other sigmas along the rows and along the columns, pixels, into buffers that are kept.
-    pub fn blur_axes_into(&self, sigmas: [f64; 2], out: &mut Self, rows: &mut Vec<f32>) {
-        let [across, down] = sigmas.map(gaussian);
-        (out.width, out.height) = (self.width, self.height);
-        out.values.resize(self.values.len(), 0.0);
+    /// Smoothed by a Gaussian of other sigmas along the rows and along the columns, pixels, and of that only each `every`-th column and row,
+    /// from the first, into buffers that are kept. Rows that are left out cost nothing.
+    pub fn blur_and_thin_into(&self, sigmas: [f64; 2], every: [usize; 2], out: &mut Self, rows: &mut Vec<f32>) {
+        let ([across, down], every) = (sigmas.map(gaussian), every.map(|n| n.max(1)));
+        (out.width, out.height) = (self.width.div_ceil(every[0]), self.height.div_ceil(every[1]));
+        out.values.resize(out.width * out.height, 0.0);
         if !self.values.is_empty() {
-            convolve(self, &across, &down, &mut out.values, rows);
+            convolve(self, [&across, &down], every, &mut out.values, rows);
         }
     }
 
@@ -98,6 +115,41 @@ impl FloatImage {
     }
 }
 
+multiversion! {
+    /// As [`FloatImage::sample_line`], of a line that lies between pixels of the picture.
+    fn sample_inside(image: &FloatImage, start: [f32; 2], step: [f32; 2], out: &mut [f32]);
+    ["avx2"] => sample_inside_plain, else sample_inside_plain
+}
+
+#[inline(always)]
+fn sample_inside_plain(image: &FloatImage, start: [f32; 2], step: [f32; 2], out: &mut [f32]) {
+    let width = image.width;
+    for (k, out) in out.chunks_mut(BLOCK).enumerate() {
+        // In three loops, of which only the middle one, which reads the pixels, goes one by one.
+        let (mut places, mut shares, mut pixels) = ([0u32; BLOCK], [[0.0f32; BLOCK]; 2], [[0.0f32; BLOCK]; 4]);
+        for i in 0..BLOCK {
+            let along = (k * BLOCK + i) as f32;
+            let (x, y) = (start[0] + along * step[0], start[1] + along * step[1]);
+            // Of what is not negative the whole part is the floor. Signed numbers convert in one instruction.
+            let (column, row) = (x as i32, y as i32);
+            (shares[0][i], shares[1][i]) = (x - column as f32, y - row as f32);
+            // What is behind the end of the line may be anywhere, and is not read.
+            places[i] = (row as u32).wrapping_mul(width as u32).wrapping_add(column as u32);
+        }
+        for (i, place) in places.iter().enumerate().take(out.len()) {
+            let Some(rows) = image.values.get(*place as usize..).and_then(|v| v.get(..width + 2)) else { continue };
+            (pixels[0][i], pixels[1][i]) = (rows[0], rows[1]);
+            (pixels[2][i], pixels[3][i]) = (rows[width], rows[width + 1]);
+        }
+        for (i, value) in out.iter_mut().enumerate() {
+            let [a, b] = [shares[0][i], shares[1][i]];
+            let [p, q, r, s] = [pixels[0][i], pixels[1][i], pixels[2][i], pixels[3][i]];
+            let (upper, lower) = (p + a * (q - p), r + a * (s - r));
+            *value = upper + b * (lower - upper);
+        }
+    }
+}
+
 /// Half of a Gaussian, its middle first; both sides add up to 1.
 fn gaussian(sigma: f64) -> Vec<f32> {
     let reach = (GAUSSIAN_REACH * sigma).ceil().max(0.0) as usize;
@@ -107,8 +159,8 @@ fn gaussian(sigma: f64) -> Vec<f32> {
 }
 
 multiversion! {
-    /// Convolves rows with one and columns with another symmetric kernel (their halves, middle first).
-    fn convolve(source: &FloatImage, across: &[f32], down: &[f32], out: &mut [f32], row: &mut Vec<f32>);
+    /// Convolves rows with one and columns with another symmetric kernel (their halves, middle first), where a column and row is kept.
+    fn convolve(source: &FloatImage, halves: [&[f32]; 2], every: [usize; 2], out: &mut [f32], row: &mut Vec<f32>);
     ["avx2"] => convolve_plain, else convolve_plain
 }
 
@@ -116,19 +168,27 @@ multiversion! {
 const BLOCK: usize = 32;
 
 #[inline(always)]
-fn convolve_plain(source: &FloatImage, across: &[f32], down: &[f32], out: &mut [f32], padded: &mut Vec<f32>) {
+fn convolve_plain(source: &FloatImage, [across, down]: [&[f32]; 2], every: [usize; 2], out: &mut [f32], padded: &mut Vec<f32>) {
     let (w, h, reach) = (source.width, source.height, across.len() - 1);
     padded.clear();
     padded.resize(w + 2 * reach, 0.0);
-    for (y, row) in out.chunks_exact_mut(w).enumerate() {
+    for (k, row) in out.chunks_exact_mut(w.div_ceil(every[0])).enumerate() {
+        let y = k * every[1];
         // The row down its columns, which lies in the nearest cache when it is convolved along.
         let pairs = (0..down.len()).map(|k| (source.row(y.saturating_sub(k)), source.row((y + k).min(h - 1))));
         weighted_sum(down, pairs, &mut padded[reach..reach + w]);
         let (first, last) = (padded[reach], padded[reach + w - 1]);
         padded[..reach].fill(first);
         padded[reach + w..].fill(last);
-        let pairs = (0..=reach).map(|k| (&padded[reach - k..][..w], &padded[reach + k..][..w]));
-        weighted_sum(across, pairs, row);
+        if every[0] == 1 {
+            let pairs = (0..=reach).map(|k| (&padded[reach - k..][..w], &padded[reach + k..][..w]));
+            weighted_sum(across, pairs, row);
+            continue;
+        }
+        for (k, out) in row.iter_mut().enumerate() {
+            let x = reach + k * every[0];
+            *out = across[0] * padded[x] + (1..=reach).map(|k| across[k] * (padded[x - k] + padded[x + k])).sum::<f32>();
+        }
     }
 }
 
@@ -227,6 +287,14 @@ mod tests {
         let ramp = FloatImage { width: 8, height: 6, values: (0..48).map(|k| (k % 8) as f32 + 10.0 * (k / 8) as f32).collect() };
         assert!((ramp.bilinear(2.25, 3.5) - 37.25).abs() < 1e-5);
         assert_eq!(ramp.bilinear(-5.0, 100.0), 50.0);
+        // Lines inside, along the border, and out of it.
+        for (start, step) in [([1.2, 1.1], [0.7, 0.3]), ([6.9, 4.8], [-0.7, -0.4]), ([0.0, 0.0], [1.0, 0.7]), ([-3.0, 9.0], [2.1, -1.9])] {
+            let mut line = [0.0; 8];
+            ramp.sample_line(start, step, &mut line);
+            for (i, value) in line.iter().enumerate() {
+                assert!((value - ramp.bilinear(start[0] + i as f32 * step[0], start[1] + i as f32 * step[1])).abs() < 1e-4);
+            }
+        }
         let doubled = ramp.doubled();
         assert_eq!((doubled.width, doubled.height), (16, 12));
         assert!((doubled.bilinear(4.5, 6.5) - ramp.bilinear(2.0, 3.0)).abs() < 1e-4);
@@ -247,6 +315,15 @@ mod tests {
                     let weight = |i: isize| f64::from(half[i.unsigned_abs()]);
                     let exact: f64 = offsets.map(|(i, j)| weight(i) * weight(j) * f64::from(image.at(x + i, y + j))).sum();
                     assert!((f64::from(*value) - exact).abs() < 1e-3, "{width} x {height}, {sigma}, {x} {y}: {value} not {exact}");
+                }
+            }
+            for every in [[1, 2], [2, 1], [3, 5]] {
+                let (mut thin, blurred) = (FloatImage::default(), image.blurred(1.2));
+                image.blur_and_thin_into([1.2, 1.2], every, &mut thin, &mut Vec::new());
+                assert_eq!((thin.width, thin.height), (width.div_ceil(every[0]), height.div_ceil(every[1])));
+                for (k, value) in thin.values.iter().enumerate() {
+                    let at = k / thin.width * every[1] * width + k % thin.width * every[0];
+                    assert!((value - blurred.values[at]).abs() < 1e-3, "{width} x {height}, {every:?}, {k}");
                 }
             }
             let doubled = image.doubled();

@@ -22,21 +22,25 @@ pub struct Region<'a> {
 const PATCH_SIGMA: f64 = 2.0;
 /// Half the side of a patch in sigmas: what SIFT reads, five bins of three sigmas turned by 45 degrees and a pixel for the gradient.
 const PATCH_REACH: f64 = 11.5;
-/// Pixels at most between the picture and a patch. Only a region far larger than its picture, or a needle, needs more.
-const MOST_PIXELS: f64 = 1e6;
+/// Half the side of a patch, pixels.
+const HALF: usize = (PATCH_REACH * PATCH_SIGMA) as usize;
+/// Samples of a copy for each sigma that it is smoothed by already. Raised, patches take longer by as much along either axis; below 1, detail of
+/// the copy is lost between the samples.
+const SAMPLES_PER_SIGMA: f64 = 1.5;
+/// Samples at most between the picture and a patch. Only a region far larger than its picture, or a needle, needs more.
+const MOST_SAMPLES: f64 = 1e6;
 
 /// Buffers for elliptic regions.
 #[derive(Debug, Default)]
 pub struct Patch {
-    along: FloatImage,
-    smoothed: FloatImage,
+    samples: FloatImage,
     row: Vec<f32>,
     patch: FloatImage,
 }
 
 impl Patch {
-    /// The region of a keypoint with the keypoint in that region's frame: round ones lose the direction that they had. None of what has no
-    /// pixels: regions outside of the picture, not finite or far too large, and pictures too small to be smoothed.
+    /// The region of a keypoint with the keypoint in that region's frame: its ellipse is the same, the direction that it had is lost. None of what
+    /// has no pixels: regions outside of the picture, not finite or far too large, and pictures too small to be smoothed.
     pub fn region<'a>(&'a mut self, picture: &'a PictureForms, keypoint: &Keypoint) -> Option<(Region<'a>, Keypoint)> {
         let [width, height] = [picture.grey.width(), picture.grey.height()].map(f64::from);
         let [x, y] = [keypoint.position.x, keypoint.position.y];
@@ -50,50 +54,115 @@ impl Patch {
             let keypoint = Keypoint::round(keypoint.position, keypoint.scale(), keypoint.response);
             return Some((Region { image: copy.image, middle, sigma }, keypoint));
         }
-        self.warp(picture, keypoint)?;
-        let middle = Vector2::from_element((self.patch.width / 2) as f64);
-        Some((Region { image: &self.patch, middle, sigma: PATCH_SIGMA }, *keypoint))
+        let (axes, sigmas) = short_and_long_axis(&keypoint.shape)?;
+        self.warp(picture, keypoint.position, axes, sigmas)?;
+        let keypoint = Keypoint { shape: axes * Matrix2::from_diagonal(&sigmas), ..*keypoint };
+        Some((Region { image: &self.patch, middle: Vector2::from_element(HALF as f64), sigma: PATCH_SIGMA }, keypoint))
     }
 
-    /// Fills the patch.
-    fn warp(&mut self, picture: &PictureForms, keypoint: &Keypoint) -> Option<()> {
-        let parts = keypoint.shape.svd(true, true);
-        let (axes, turn) = (parts.u?, parts.v_t?);
-        let sigmas = parts.singular_values;
+    /// Fills the patch, whose columns lie along the short axis and whose rows follow the long one. It takes its samples from the copy that is
+    /// smoothed nearly as much as the short axis asks for, as dense as that copy needs, so that the time depends on the ratio of the axes only.
+    fn warp(&mut self, picture: &PictureForms, position: Vector2<f64>, axes: Matrix2<f64>, sigmas: Vector2<f64>) -> Option<()> {
         let copy = picture.scale_space().at_most(sigmas.min())?;
-        self.cut(&copy, keypoint.position, axes, sigmas)?;
-        // What the copy's own smoothing lacks along either axis.
-        let missing = |k: usize| (sigmas[k].powi(2) - copy.sigma.powi(2)).max(0.0).sqrt() / copy.octave.step;
-        self.along.blur_axes_into([missing(0), missing(1)], &mut self.smoothed, &mut self.row);
-
-        let half = (PATCH_REACH * PATCH_SIGMA) as usize;
-        let side = 2 * half + 1;
-        self.patch = FloatImage { width: side, height: side, values: std::mem::take(&mut self.patch.values) };
-        self.patch.values.clear();
-        let middle = Vector2::new((self.along.width / 2) as f64, (self.along.height / 2) as f64);
-        let matrix = Matrix2::from_diagonal(&(sigmas / copy.octave.step)) * turn / PATCH_SIGMA;
-        for k in 0..side * side {
-            let offset = Vector2::new((k % side) as f64 - half as f64, (k / side) as f64 - half as f64);
-            let at = middle + matrix * offset;
-            self.patch.values.push(self.smoothed.bilinear(at.x as f32, at.y as f32));
-        }
-        Some(())
-    }
-
-    /// The part of a copy that holds the ellipse, turned so that its axes lie along rows and columns, pixel for pixel.
-    fn cut(&mut self, copy: &SmoothedCopy, position: Vector2<f64>, axes: Matrix2<f64>, sigmas: Vector2<f64>) -> Option<()> {
-        let [across, down] = [0, 1].map(|k| (PATCH_REACH * sigmas[k] / copy.octave.step).ceil() + 1.0);
-        if 4.0 * across * down > MOST_PIXELS {
+        // Samples a pixel of the patch along either axis.
+        let finer = sigmas.map(|sigma| (SAMPLES_PER_SIGMA / PATCH_SIGMA * sigma / copy.sigma).ceil().max(1.0));
+        let side = (2 * HALF + 1) as f64;
+        if finer.product() * side * side > MOST_SAMPLES {
             return None;
         }
-        let (width, height) = (2 * across as usize + 1, 2 * down as usize + 1);
-        let middle = copy.octave.in_octave(position);
-        self.along = FloatImage { width, height, values: std::mem::take(&mut self.along.values) };
-        self.along.values.clear();
-        for k in 0..width * height {
-            let at = middle + axes * Vector2::new((k % width) as f64 - across, (k / width) as f64 - down);
-            self.along.values.push(copy.image.bilinear(at.x as f32, at.y as f32));
-        }
+        let spacing = sigmas.component_div(&finer) / PATCH_SIGMA;
+        self.sample(&copy, position, axes * Matrix2::from_diagonal(&spacing), [finer.x as usize, finer.y as usize]);
+        // What the copy's own smoothing lacks along either axis.
+        let missing = [0, 1].map(|k| (sigmas[k].powi(2) - copy.sigma.powi(2)).max(0.0).sqrt() / spacing[k]);
+        self.samples.blur_and_thin_into(missing, [finer.x as usize, finer.y as usize], &mut self.patch, &mut self.row);
         Some(())
+    }
+
+    /// Samples a copy about a place of the picture: `steps` has the picture pixels from a sample to the next in its row and in its column.
+    fn sample(&mut self, copy: &SmoothedCopy, position: Vector2<f64>, steps: Matrix2<f64>, finer: [usize; 2]) {
+        let [across, down] = finer.map(|n| n * HALF);
+        let (width, height) = (2 * across + 1, 2 * down + 1);
+        (self.samples.width, self.samples.height) = (width, height);
+        self.samples.values.resize(width * height, 0.0);
+        let (middle, steps) = (copy.octave.in_octave(position), steps / copy.octave.step);
+        for (y, row) in self.samples.values.chunks_exact_mut(width).enumerate() {
+            let start = middle + steps * Vector2::new(-(across as f64), y as f64 - down as f64);
+            copy.image.sample_line([start.x, start.y].map(|v| v as f32), [steps.m11, steps.m21].map(|v| v as f32), row);
+        }
+    }
+}
+
+/// Directions of the short and of the long axis of an ellipse, a right-handed frame, and its half axes.
+fn short_and_long_axis(shape: &Matrix2<f64>) -> Option<(Matrix2<f64>, Vector2<f64>)> {
+    // The larger singular value is the first.
+    let parts = shape.svd(true, false);
+    let (axes, sigmas) = (parts.u?, parts.singular_values);
+    let (short, long) = (axes.column(1), axes.column(0));
+    let long = if axes.determinant() < 0.0 { long.into_owned() } else { -long };
+    Some((Matrix2::from_columns(&[short.into_owned(), long]), Vector2::new(sigmas[1], sigmas[0])))
+}
+
+#[cfg(test)]
+mod tests {
+    use image::{GrayImage, Luma};
+
+    use super::*;
+
+    /// Waves of many lengths.
+    fn texture() -> GrayImage {
+        GrayImage::from_fn(400, 300, |x, y| {
+            let wave = |k: u32| {
+                let (angle, length) = (f64::from(k) * 2.4, 5.0 + f64::from(k * 7 % 40));
+                ((f64::from(x) * angle.cos() + f64::from(y) * angle.sin()) / length * std::f64::consts::TAU + f64::from(k)).sin()
+            };
+            Luma([(128.0 + 14.0 * (0..20).map(wave).sum::<f64>()).round().clamp(0.0, 255.0) as u8])
+        })
+    }
+
+    /// A pixel of a patch by its definition: the mean of the copy under the Gaussian that its smoothing lacks, densely sampled.
+    fn plain_pixel(copy: &SmoothedCopy, keypoint: &Keypoint, axes: &Matrix2<f64>, offset: Vector2<f64>) -> f64 {
+        let sigmas = Vector2::new(keypoint.shape.column(0).norm(), keypoint.shape.column(1).norm());
+        let missing = sigmas.map(|s| (s * s - copy.sigma * copy.sigma).max(0.0).sqrt());
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for k in 0..65 * 65 {
+            let at = Vector2::new(f64::from(k % 65) - 32.0, f64::from(k / 65) - 32.0) / 8.0;
+            let weight = (-0.5 * at.norm_squared()).exp();
+            let place = keypoint.position + keypoint.shape * offset / PATCH_SIGMA + axes * at.component_mul(&missing);
+            let place = copy.octave.in_octave(place);
+            sum += weight * f64::from(copy.image.bilinear(place.x as f32, place.y as f32));
+            weights += weight;
+        }
+        sum / weights
+    }
+
+    #[test]
+    fn a_patch_is_that_of_its_definition() {
+        let picture = texture();
+        let forms = PictureForms::new(&picture);
+        let mut patch = Patch::default();
+        for (middle, short, ratio, angle) in [
+            ([200.0, 150.0], 1.3, 1.2, 0.4),
+            ([200.4, 150.9], 1.9, 2.0, 1.9),
+            ([120.7, 150.2], 2.5, 4.0, -0.7),
+            ([250.7, 120.2], 5.0, 2.6, 2.7),
+            ([9.1, 30.0], 3.1, 3.0, 0.2),
+        ] {
+            let turn = nalgebra::Rotation2::new(angle).into_inner();
+            let shape = turn * Matrix2::new(short * ratio, 0.0, 0.0, short) * nalgebra::Rotation2::new(1.0).into_inner();
+            let keypoint = Keypoint { position: Vector2::from(middle), shape, response: 1.0 };
+            let (region, framed) = patch.region(&forms, &keypoint).unwrap();
+            assert!((framed.shape * framed.shape.transpose() - shape * shape.transpose()).amax() < 1e-9 * short * short);
+            assert!(framed.shape.determinant() > 0.0);
+            let (axes, _) = short_and_long_axis(&shape).unwrap();
+            let copy = forms.scale_space().at_most(short).unwrap();
+            // Nearer to the rim of the patch its smoothing repeats the rim.
+            for k in 0..81 {
+                let offset = Vector2::new(f64::from(k % 9) - 4.0, f64::from(k / 9) - 4.0) * 3.0;
+                let exact = plain_pixel(&copy, &framed, &axes, offset);
+                let at = (region.middle + offset).map(|v| v as usize);
+                let fast = f64::from(region.image.row(at.y)[at.x]);
+                assert!((fast - exact).abs() < 0.3, "{short} {ratio} {offset:?}: {fast} not {exact}");
+            }
+        }
     }
 }
