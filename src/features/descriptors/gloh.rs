@@ -11,9 +11,11 @@ use super::Describer;
 use super::gradients::{Gradients, direction};
 use super::orientation::Orientation;
 use super::region::{Patch, Region};
+use super::shares::{self, Grids, Shares, bin};
 use super::sift::normalise;
 use super::window::Window;
 use crate::features::keypoint::{Descriptors, Features, Keypoint, PictureForms};
+use crate::simd::multiversion;
 
 /// 272 numbers of unit length, or their first 128 principal components.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,7 +48,7 @@ const PIXELS_PER_SIGMA: f64 = 2.5;
 
 impl Describer for GlohDescriber {
     fn describe(&self, picture: &PictureForms, keypoints: &[Keypoint]) -> Features {
-        let basis = self.reduced.then(Basis::own);
+        let reduction = self.reduced.then(|| Reduction::by(&Basis::own()));
         let length = if self.reduced { REDUCED_LENGTH } else { FULL_LENGTH };
         let (mut described, mut values) = (Vec::with_capacity(keypoints.len()), Vec::with_capacity(keypoints.len() * length));
         let (mut patch, mut orientation, mut grid) = (Patch::default(), Orientation::default(), PolarGrid::default());
@@ -56,8 +58,8 @@ impl Describer for GlohDescriber {
                 let mut numbers = grid.gather(&region, direction);
                 if normalise(&mut numbers, true) {
                     described.push(keypoint.turned(f64::from(direction)));
-                    match &basis {
-                        Some(basis) => basis.reduce(&numbers, &mut values),
+                    match &reduction {
+                        Some(reduction) => values.extend(reduction.of(&numbers)),
                         None => values.extend(numbers),
                     }
                 }
@@ -107,20 +109,74 @@ impl Basis {
         }
         bytes
     }
+}
 
-    /// Adds the components of a description.
-    fn reduce(&self, numbers: &[f32; FULL_LENGTH], values: &mut Vec<f32>) {
-        let centred: Vec<f32> = numbers.iter().zip(&self.mean).map(|(v, m)| v - m).collect();
-        let along = |component: &[f32]| component.iter().zip(&centred).map(|(c, v)| c * v).sum::<f32>();
-        values.extend(self.components.chunks_exact(FULL_LENGTH).map(along));
+/// Reduces descriptions.
+struct Reduction {
+    mean: Vec<f32>,
+    /// For each number its part in all components, so that these are added up side by side.
+    parts: Vec<[f32; REDUCED_LENGTH]>,
+}
+
+impl Reduction {
+    fn by(basis: &Basis) -> Self {
+        let part = |k: usize| std::array::from_fn(|component| basis.components[component * FULL_LENGTH + k]);
+        Self { mean: basis.mean.clone(), parts: (0..FULL_LENGTH).map(part).collect() }
+    }
+
+    /// The components of a description.
+    fn of(&self, numbers: &[f32; FULL_LENGTH]) -> [f32; REDUCED_LENGTH] {
+        let mut out = [0.0; REDUCED_LENGTH];
+        let centred: [f32; FULL_LENGTH] = std::array::from_fn(|k| numbers[k] - self.mean[k]);
+        multiply(&self.parts, &centred, &mut out);
+        out
     }
 }
+
+multiversion! {
+    /// Adds the parts of all numbers.
+    fn multiply(parts: &[[f32; REDUCED_LENGTH]], numbers: &[f32], out: &mut [f32; REDUCED_LENGTH]); ["avx2"] => multiply_plain, else multiply_plain
+}
+
+/// Components whose sums are kept in registers at once: eight of AVX2. Raised, they no longer fit beside what is added.
+const BLOCK: usize = 64;
+
+#[inline(always)]
+fn multiply_plain(parts: &[[f32; REDUCED_LENGTH]], numbers: &[f32], out: &mut [f32; REDUCED_LENGTH]) {
+    for (k, block) in out.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
+        let mut sums = [0.0; BLOCK];
+        for (part, number) in parts.iter().zip(numbers) {
+            let part = &part.as_chunks::<BLOCK>().0[k];
+            for i in 0..BLOCK {
+                sums[i] += part[i] * number;
+            }
+        }
+        *block = sums;
+    }
+}
+
+/// Cells of a ring, the first one once more at the end, so that the last one's next is behind it. The middle is a ring that is added up.
+const ROW: usize = SECTORS + 1;
+/// The middle and both rings.
+const CELLS: usize = 3 * ROW;
 
 /// Buffers.
 #[derive(Debug, Default)]
 struct PolarGrid {
     window: Window,
     gradients: Gradients,
+    shares: Shares,
+}
+
+/// A row of pixels from a region's middle.
+#[derive(Debug, Clone, Copy)]
+struct Line {
+    /// Column and row of the first, pixels.
+    start: [f32; 2],
+    /// Pixels of the normalised region in a pixel.
+    scale: f32,
+    /// Direction of the grid, radians.
+    turn: f32,
 }
 
 impl PolarGrid {
@@ -129,62 +185,72 @@ impl PolarGrid {
         let pixel = region.sigma / PIXELS_PER_SIGMA;
         let reach = f64::from(RADII[2] + OUTER_FADE) * pixel;
         self.window.set(region, reach, f64::from(RADII[2]) * pixel);
-        let mut histograms = [[0.0; DIRECTIONS]; PLACES];
+        // From -pi to pi, so that no angle in its frame is two turns below 0.
+        let turn = turn - TAU * (turn / TAU).round();
+        let mut grids = [[[0.0; DIRECTIONS]; CELLS]; 2];
         for y in self.window.rows() {
             let half = (reach * reach - (y as f64 - region.middle.y).powi(2)).max(0.0).sqrt();
             let Some(row) = self.window.row(region, y, -half, half) else { continue };
             self.gradients.of_row(row.rows, row.weights, row.weight);
-            for (i, (length, slope)) in self.gradients.lengths.iter().zip(&self.gradients.directions).enumerate() {
-                let (dx, dy) = (row.place[0] + i as f32, row.place[1]);
-                let radius = dx.hypot(dy) / pixel as f32;
-                let sector = bins(direction(dx, dy) - turn, SECTORS);
-                let bin = bins(slope - turn, DIRECTIONS);
-                for (ring, share) in rings(radius) {
-                    add(&mut histograms, ring, sector, bin, share * length);
-                }
-            }
+            let line = Line { start: row.place, scale: (1.0 / pixel) as f32, turn };
+            self.shares.resize(self.gradients.directions.len());
+            place_row(line, &self.gradients.directions, &mut self.gradients.lengths, &mut self.shares);
+            add_row(&self.shares, &self.gradients.lengths, &mut grids);
         }
-        std::array::from_fn(|k| histograms[k / DIRECTIONS][k % DIRECTIONS])
+        let cell = |cell: usize, bin: usize| grids[0][cell][bin] + grids[1][cell][bin];
+        std::array::from_fn(|k| {
+            let (place, bin) = (k / DIRECTIONS, k % DIRECTIONS);
+            if place == 0 {
+                return (0..ROW).map(|sector| cell(sector, bin)).sum();
+            }
+            let (first, sector) = (ROW * (1 + (place - 1) / SECTORS), (place - 1) % SECTORS);
+            cell(first + sector, bin) + if sector == 0 { cell(first + SECTORS, bin) } else { 0.0 }
+        })
     }
 }
 
 /// Pixels of the normalised region over which what lies outside of the outer ring fades out: half the ring.
 const OUTER_FADE: f32 = 2.0;
 
-/// The two rings that share a pixel `radius` from the middle, by its distance to the middles of both; 0 is the undivided middle.
-fn rings(radius: f32) -> [(usize, f32); 2] {
+/// Place between the middle (0), the inner ring (1) and the outer one (2) of a pixel `radius` from the middle, by the distance to the middles of
+/// both that share it; and what the fade leaves of it.
+#[inline(always)]
+fn ring(radius: f32) -> (f32, f32) {
     let middles = [0.5 * RADII[0], 0.5 * (RADII[0] + RADII[1]), 0.5 * (RADII[1] + RADII[2])];
     let between = |low: f32, high: f32| ((radius - low) / (high - low)).clamp(0.0, 1.0);
-    if radius < middles[1] {
-        let share = between(middles[0], middles[1]);
-        return [(0, 1.0 - share), (1, share)];
-    }
-    let share = between(middles[1], middles[2]);
     let inside = 1.0 - between(RADII[2] - OUTER_FADE, RADII[2] + OUTER_FADE);
-    [(1, (1.0 - share) * inside), (2, share * inside)]
+    (between(middles[0], middles[1]) + between(middles[1], middles[2]), inside)
 }
 
-/// The two of `count` bins around the circle that share an angle, and the second one's share.
-fn bins(angle: f32, count: usize) -> (usize, usize, f32) {
-    let place = angle.rem_euclid(TAU) * (count as f32 / TAU);
-    let first = place as usize;
-    (first % count, (first + 1) % count, (place - first as f32).clamp(0.0, 1.0))
+multiversion! {
+    /// Fills the shares of a row, and fades out the lengths.
+    fn place_row(line: Line, directions: &[f32], lengths: &mut [f32], shares: &mut Shares); ["avx2"] => place_row_plain, else place_row_plain
 }
 
-/// Adds a pixel to a ring.
-fn add(
-    histograms: &mut [[f32; DIRECTIONS]; PLACES],
-    ring: usize,
-    sector: (usize, usize, f32),
-    (first, second, share): (usize, usize, f32),
-    length: f32,
-) {
-    // The middle takes all, a ring by sector.
-    let place = |sector: usize| if ring == 0 { 0 } else { 1 + (ring - 1) * SECTORS + sector };
-    for (place, part) in [(place(sector.0), 1.0 - sector.2), (place(sector.1), sector.2)] {
-        histograms[place][first] += length * part * (1.0 - share);
-        histograms[place][second] += length * part * share;
+#[inline(always)]
+fn place_row_plain(line: Line, directions: &[f32], lengths: &mut [f32], shares: &mut Shares) {
+    let n = directions.len();
+    let (lengths, cells, bins) = (&mut lengths[..n], &mut shares.cells[..n], &mut shares.bins[..n]);
+    let (next, outer) = (&mut shares.next[..n], &mut shares.below[..n]);
+    for i in 0..n {
+        let (x, y) = (line.start[0] + i as f32, line.start[1]);
+        let (place, inside) = ring((x * x + y * y).sqrt() * line.scale);
+        let place = place.min(2.0 - 1e-6);
+        // Rounding may make a little below 0 a whole turn.
+        let sector = bin(direction(x, y) - line.turn, SECTORS as f32).min(SECTORS as f32 - 1e-6);
+        let (first, column) = (place as i32, sector as i32);
+        cells[i] = (first * ROW as i32 + column) as u32;
+        next[i] = sector - column as f32;
+        outer[i] = place - first as f32;
+        bins[i] = bin(directions[i] - line.turn, DIRECTIONS as f32);
+        lengths[i] *= inside;
     }
+}
+
+multiversion! {
+    /// Adds a row to the grids.
+    fn add_row(shares: &Shares, lengths: &[f32], grids: &mut Grids<DIRECTIONS, CELLS>);
+    ["avx2"] => shares::add_row::<DIRECTIONS, CELLS, ROW>, else shares::add_row::<DIRECTIONS, CELLS, ROW>
 }
 
 #[cfg(test)]
@@ -217,19 +283,80 @@ mod tests {
         assert_eq!(largest, Some((1 + 6) * DIRECTIONS + 12));
     }
 
+    /// As [`PolarGrid::gather`], pixel by pixel and place by place.
+    fn plain_grid(region: &Region, turn: f64) -> Vec<f64> {
+        let (image, pixel) = (region.image, region.sigma / PIXELS_PER_SIGMA);
+        let mut histograms = vec![0.0; FULL_LENGTH];
+        let around = |angle: f64, count: usize, bin: usize| {
+            let away = (angle / f64::from(TAU) * count as f64 - bin as f64).rem_euclid(count as f64);
+            (1.0 - away.min(count as f64 - away)).max(0.0)
+        };
+        for (x, y) in (1..image.height - 1).flat_map(|y| (1..image.width - 1).map(move |x| (x, y))) {
+            let at = |x: usize, y: usize| f64::from(image.values[y * image.width + x]);
+            let (gx, gy) = (at(x + 1, y) - at(x - 1, y), at(x, y + 1) - at(x, y - 1));
+            let d = (Vector2::new(x as f64, y as f64) - region.middle) / pixel;
+            // Middles of the rings: 3, 8.5 and 13 pixels; from 13 to 17 all fades out.
+            let radius = d.norm();
+            let fade = ((17.0 - radius) / 4.0).clamp(0.0, 1.0);
+            let rings = [(8.5 - radius) / 5.5, ((radius - 3.0) / 5.5).min((13.0 - radius) / 4.5), (radius - 8.5) / 4.5];
+            let length = gx.hypot(gy) * (-0.5 * d.norm_squared() / 225.0).exp() * fade;
+            for (k, number) in histograms.iter_mut().enumerate() {
+                let (place, bin) = (k / DIRECTIONS, k % DIRECTIONS);
+                let ring = if place == 0 { 0 } else { 1 + (place - 1) / SECTORS };
+                let sector = if place == 0 { 1.0 } else { around(d.y.atan2(d.x) - turn, SECTORS, (place - 1) % SECTORS) };
+                *number += length * rings[ring].clamp(0.0, 1.0) * sector * around(gy.atan2(gx) - turn, DIRECTIONS, bin);
+            }
+        }
+        histograms
+    }
+
+    #[test]
+    fn the_grid_is_that_of_its_definition() {
+        let value = |k: usize| ((k % 71 / 6 * 73 + k / 71 / 5 * 151 + k * 37 % 29) % 200) as f32;
+        let image = FloatImage { width: 71, height: 64, values: (0..71 * 64).map(value).collect() };
+        for (sigma, turn, middle) in
+            [(1.7, 0.3, [35.2, 30.0]), (3.3, 6.1, [30.0, 33.3]), (2.4, -2.5, [4.4, 60.1]), (2.0, 0.0, [40.0, 30.0])]
+        {
+            let region = Region { image: &image, middle: Vector2::from(middle), sigma };
+            let fast = PolarGrid::default().gather(&region, turn);
+            let plain = plain_grid(&region, f64::from(turn));
+            let length = plain.iter().map(|v| v * v).sum::<f64>().sqrt();
+            for (k, (a, b)) in fast.iter().zip(plain).enumerate() {
+                assert!((f64::from(*a) - b).abs() < 1e-3 * length, "{sigma} {turn}, {k}: {a} not {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_reduced_description_is_the_product_with_each_component() {
+        let (basis, numbers) = (Basis::own(), std::array::from_fn(|k| (k * 7 % 13) as f32 * 0.01));
+        let reduced = Reduction::by(&basis).of(&numbers);
+        for (value, component) in reduced.iter().zip(basis.components.chunks_exact(FULL_LENGTH)) {
+            let exact: f32 = component.iter().zip(&numbers).zip(&basis.mean).map(|((c, v), m)| c * (v - m)).sum();
+            assert!((value - exact).abs() < 1e-5, "{value} not {exact}");
+        }
+    }
+
     #[test]
     fn a_pixel_counts_once_however_it_is_shared() {
-        for k in 0..=65_u8 {
-            let radius = f32::from(k) * 0.2;
-            let sum: f32 = rings(radius).iter().map(|(_, share)| share).sum();
-            assert!((sum - 1.0).abs() < 1e-5, "{radius}: {sum}");
-            let (first, second, share) = bins(f32::from(k) - 30.0, SECTORS);
-            assert!(first < SECTORS && second == (first + 1) % SECTORS && (0.0..=1.0).contains(&share));
+        // Shares of two neighbours add up to 1 by their making; what the rings leave is all up to the fade.
+        for (radius, place, inside) in
+            [(0.0, 0.0, 1.0), (3.0, 0.0, 1.0), (5.75, 0.5, 1.0), (8.5, 1.0, 1.0), (13.0, 2.0, 1.0), (15.0, 2.0, 0.5)]
+        {
+            let found = ring(radius);
+            assert!((found.0 - place).abs() < 1e-6 && (found.1 - inside).abs() < 1e-6, "{radius}: {found:?}");
         }
-        assert_eq!(rings(17.0).map(|(_, share)| share), [0.0, 0.0]);
-        // Exactly on a bin, and so close below 0 that rounding makes it a whole turn.
-        assert_eq!(bins(0.0, 8), (0, 1, 0.0));
-        assert!(bins(-1e-9, 8).0 < 8);
+        assert_eq!(ring(17.0).1, 0.0);
+        // Exactly on a bin, all around, and so close below 0 that rounding makes it a whole turn.
+        assert_eq!(bin(0.0, 8.0), 0.0);
+        assert!((-60..30).all(|k| (0.0..=8.0).contains(&bin(f32::from(k as i8) * 0.2, 8.0))));
+        assert!(bin(-1e-9, 8.0) <= 8.0);
+        let mut shares = Shares::default();
+        shares.resize(1);
+        place_row(Line { start: [1.0, -1e-9], scale: 1.0, turn: 0.0 }, &[-1e-9], &mut [1.0], &mut shares);
+        let mut grids = [[[0.0; DIRECTIONS]; CELLS]; 2];
+        add_row(&shares, &[1.0], &mut grids);
+        assert!((grids.iter().flatten().flatten().sum::<f32>() - 1.0).abs() < 1e-5);
     }
 
     #[test]

@@ -5,6 +5,7 @@ mod gradients;
 mod orientation;
 mod patch;
 mod region;
+mod shares;
 mod sift;
 mod structure_tensor;
 mod surf;

@@ -5,6 +5,7 @@ use super::Describer;
 use super::gradients::Gradients;
 use super::orientation::Orientation;
 use super::region::{Patch, Region};
+use super::shares::{self, Grids, Shares, bin};
 use super::window::Window;
 use crate::features::keypoint::{Descriptors, Features, Keypoint, PictureForms};
 use crate::simd::multiversion;
@@ -74,26 +75,12 @@ pub(super) fn normalise(numbers: &mut [f32], root: bool) -> bool {
     unit(numbers)
 }
 
-/// Directions of a histogram as they are added to: one register of AVX2.
-type Histogram = [f32; DIRECTIONS];
-
 /// Buffers.
 #[derive(Debug, Default)]
 struct Grid {
     window: Window,
     gradients: Gradients,
-    places: Places,
-}
-
-/// Where the pixels of a row fall in the grid.
-#[derive(Debug, Default)]
-struct Places {
-    /// Number of the first of the four cells that share a pixel.
-    cells: Vec<u32>,
-    /// Share of the next column's and of the next row's cells.
-    shares: [Vec<f32>; 2],
-    /// Directions in the grid's frame, in bins, 0 to 8.
-    bins: Vec<f32>,
+    shares: Shares,
 }
 
 /// A straight line of pixels in the grid's frame, in cells from the middle of the rim's first.
@@ -113,7 +100,6 @@ impl Grid {
         let half = (CELLS + 1) as f64 / 2.0;
         self.window.set(region, half * cell * (sin.abs() + cos.abs()), CELLS as f64 / 2.0 * cell);
         let (along, aside) = (cos / cell, sin / cell);
-        // Neighbouring pixels mostly fall in the same cells. Taking turns between two grids, an addition need not wait for the one before.
         let mut grids = [[[0.0; DIRECTIONS]; RIMMED * RIMMED]; 2];
         for y in self.window.rows() {
             let down = y as f64 - region.middle.y;
@@ -123,8 +109,9 @@ impl Grid {
             let [x, y] = row.place.map(f64::from);
             let start = [along * x + aside * y + half, along * y - aside * x + half].map(|v| v as f32);
             let line = Line { start, step: [along as f32, -aside as f32], turn: direction };
-            self.places.of_row(line, &self.gradients.directions);
-            add_row(&self.places, &self.gradients.lengths, &mut grids);
+            self.shares.resize(self.gradients.directions.len());
+            place_row(line, &self.gradients.directions, &mut self.shares);
+            add_row(&self.shares, &self.gradients.lengths, &mut grids);
         }
         let inner = |k: usize| (k / CELLS + 1) * RIMMED + k % CELLS + 1;
         std::array::from_fn(|k| {
@@ -147,26 +134,16 @@ fn overlap(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
     (a.0.max(b.0), a.1.min(b.1))
 }
 
-impl Places {
-    fn of_row(&mut self, line: Line, directions: &[f32]) {
-        let n = directions.len();
-        self.cells.resize(n, 0);
-        self.bins.resize(n, 0.0);
-        self.shares.iter_mut().for_each(|s| s.resize(n, 0.0));
-        place_row(line, directions, self);
-    }
-}
-
 multiversion! {
-    /// Fills the places of a row.
-    fn place_row(line: Line, directions: &[f32], places: &mut Places); ["avx2"] => place_row_plain, else place_row_plain
+    /// Fills the shares of a row.
+    fn place_row(line: Line, directions: &[f32], shares: &mut Shares); ["avx2"] => place_row_plain, else place_row_plain
 }
 
 #[inline(always)]
-fn place_row_plain(line: Line, directions: &[f32], places: &mut Places) {
+fn place_row_plain(line: Line, directions: &[f32], shares: &mut Shares) {
     let n = directions.len();
-    let [right, lower] = &mut places.shares;
-    let (cells, right, lower, bins) = (&mut places.cells[..n], &mut right[..n], &mut lower[..n], &mut places.bins[..n]);
+    let (cells, bins) = (&mut shares.cells[..n], &mut shares.bins[..n]);
+    let (right, lower) = (&mut shares.next[..n], &mut shares.below[..n]);
     // Rounding may put a pixel on the rim's outer edge.
     let last = (RIMMED - 1) as f32 - 1e-4;
     for i in 0..n {
@@ -176,40 +153,14 @@ fn place_row_plain(line: Line, directions: &[f32], places: &mut Places) {
         cells[i] = (row * RIMMED as i32 + column) as u32;
         right[i] = u - column as f32;
         lower[i] = v - row as f32;
-        let bin = (directions[i] - line.turn) * (DIRECTIONS as f32 / std::f32::consts::TAU);
-        let bin = if bin < 0.0 { bin + DIRECTIONS as f32 } else { bin };
-        bins[i] = if bin < 0.0 { bin + DIRECTIONS as f32 } else { bin };
+        bins[i] = bin(directions[i] - line.turn, DIRECTIONS as f32);
     }
 }
 
 multiversion! {
     /// Adds a row to the grids.
-    fn add_row(places: &Places, lengths: &[f32], grids: &mut [[Histogram; RIMMED * RIMMED]; 2]); ["avx2"] => add_row_plain, else add_row_plain
-}
-
-#[inline(always)]
-fn add_row_plain(places: &Places, lengths: &[f32], grids: &mut [[Histogram; RIMMED * RIMMED]; 2]) {
-    let n = lengths.len();
-    let [right, lower] = &places.shares;
-    let (cells, right, lower, bins) = (&places.cells[..n], &right[..n], &lower[..n], &places.bins[..n]);
-    for i in 0..n {
-        // All eight shares at once: a bin loses one for each bin that it is away, around the circle.
-        let mut shares = [0.0; DIRECTIONS];
-        for (k, share) in shares.iter_mut().enumerate() {
-            let away = (bins[i] - k as f32).abs();
-            let away = if away < DIRECTIONS as f32 - away { away } else { DIRECTIONS as f32 - away };
-            *share = if away < 1.0 { 1.0 - away } else { 0.0 };
-        }
-        let first = cells[i] as usize;
-        let Some(four) = grids[i % 2].get_mut(first..first + RIMMED + 2) else { continue };
-        let (below, above) = (lengths[i] * lower[i], lengths[i] * (1.0 - lower[i]));
-        let weights = [above * (1.0 - right[i]), above * right[i], below * (1.0 - right[i]), below * right[i]];
-        for (cell, weight) in [0, 1, RIMMED, RIMMED + 1].into_iter().zip(weights) {
-            for k in 0..DIRECTIONS {
-                four[cell][k] += weight * shares[k];
-            }
-        }
-    }
+    fn add_row(shares: &Shares, lengths: &[f32], grids: &mut Grids<DIRECTIONS, { RIMMED * RIMMED }>);
+    ["avx2"] => shares::add_row::<DIRECTIONS, { RIMMED * RIMMED }, RIMMED>, else shares::add_row::<DIRECTIONS, { RIMMED * RIMMED }, RIMMED>
 }
 
 #[cfg(test)]
