@@ -3,7 +3,8 @@
 
 use image::GrayImage;
 
-use super::kernels::{CIRCLE, CIRCLE_RADIUS, score_row, segment_row};
+use super::kernels::{CIRCLE, CIRCLE_RADIUS, peak_row, score_row};
+use crate::simd::multiversion;
 
 /// A corner on a pyramid level.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,14 +35,15 @@ pub struct CornerOptions {
 /// Buffers of the detector.
 #[derive(Debug, Clone, Default)]
 pub struct CornerBuffers {
-    marks: Vec<u8>,
-    scores: Vec<u8>,
-    pending: Vec<(usize, u8)>,
-    previous: Vec<(usize, u8)>,
+    /// Rows of scores, a pixel longer than what is searched at either end.
+    scores: [Vec<u8>; 3],
+    peaks: Vec<u8>,
     candidates: Vec<Corner>,
+    sorted: Vec<Corner>,
     corners: Vec<Corner>,
-    order: Vec<u32>,
-    filled: Vec<u32>,
+    ranks: Ranks,
+    /// Lowest thresholds that the last picture did without, and the next one leaves out at first. It changes the time, never the corners.
+    spared: usize,
 }
 
 /// Finds at most `options.count` corners, strongest first within an even spread; `mask` (if any) tells by level position
@@ -59,127 +61,192 @@ pub fn detect_corners(
     if w <= 2 * border || h <= 2 * border {
         return;
     }
-    // High contrast first: a rich picture has enough of it, and each step down costs more than the last.
-    for threshold in [2 * options.threshold, options.threshold, options.least_threshold] {
-        segment_test(image, threshold, border, buffers);
-        if 2 * buffers.candidates.len() >= 3 * options.count {
-            break;
-        }
-    }
-    let CornerBuffers { candidates, corners, order, filled, .. } = buffers;
-    candidates.retain(|c| mask(c.x, c.y));
+    let least = candidates_of(image, options, border, buffers);
+    let CornerBuffers { candidates, sorted, corners, ranks, .. } = buffers;
+    candidates.retain(|c| c.strength >= f32::from(least) && mask(c.x, c.y));
     // FAST's score, which costs nothing more, chooses those that are worth an eigenvalue.
+    sort_by_score(candidates, sorted);
     corners.clear();
-    spread(candidates, order, filled, (w, h), &CornerOptions { count: SHORTLIST * options.count, ..*options }, corners);
-    for corner in corners.iter_mut() {
-        corner.strength = smaller_eigenvalue(image, corner.x, corner.y);
+    spread(sorted, ranks, (w, h), &CornerOptions { count: SHORTLIST * options.count, ..*options }, corners);
+    rank(image, corners);
+    corners.sort_unstable_by(|a, b| b.strength.total_cmp(&a.strength).then((a.y, a.x).cmp(&(b.y, b.x))));
+    spread(corners, ranks, (w, h), options, found);
+}
+
+/// Leaves in `buffers.candidates` the corners of the highest threshold that gives enough of them, which it returns, and maybe weaker ones.
+fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, buffers: &mut CornerBuffers) -> u8 {
+    // High contrast first: a rich picture has enough of it, and corners of low contrast are noise.
+    let thresholds = [options.threshold.saturating_mul(2), options.threshold, options.least_threshold];
+    let mut last = thresholds.len() - 1 - buffers.spared;
+    loop {
+        // A corner's score is the largest threshold that it passes, so those of a low threshold hold those of the higher ones.
+        let tried = &thresholds[..=last];
+        find_peaks(image, tried.iter().copied().min().unwrap_or(0), border, buffers);
+        let count = |t: u8| buffers.candidates.iter().filter(|c| c.strength >= f32::from(t)).count();
+        let enough = tried.iter().position(|t| 2 * count(*t) >= 3 * options.count);
+        if enough.is_some() || last + 1 == thresholds.len() {
+            let stage = enough.unwrap_or(last);
+            buffers.spared = thresholds.len() - 1 - stage;
+            return thresholds[stage];
+        }
+        last = thresholds.len() - 1;
     }
-    spread(corners, order, filled, (w, h), options, found);
 }
 
 /// Corners ranked by eigenvalue for each one wanted. Raised, more eigenvalues are computed; at 1 FAST's score alone would choose.
 const SHORTLIST: usize = 3;
 
-/// Leaves in `buffers.candidates` the FAST-9 corners that are the largest of their 3x3 neighbourhood.
-fn segment_test(image: &GrayImage, threshold: u8, border: u32, buffers: &mut CornerBuffers) {
+/// Leaves in `buffers.candidates` the FAST-9 corners that are the largest of their 3x3 neighbourhood, in reading order.
+fn find_peaks(image: &GrayImage, threshold: u8, border: u32, buffers: &mut CornerBuffers) {
     let (w, h) = (image.width() as usize, image.height() as usize);
     let source = image.as_raw();
     let b = border as usize;
-    buffers.marks.resize(w - 2 * b, 0);
-    // Scores of three rows roll around; row y is complete when row y + 1 was scored.
-    buffers.scores.clear();
-    buffers.scores.resize(3 * w, 0);
-    buffers.candidates.clear();
+    let CornerBuffers { scores, peaks, candidates, .. } = buffers;
+    for row in scores.iter_mut() {
+        row.clear();
+        row.resize(w - 2 * b + 2, 0);
+    }
+    peaks.resize(w - 2 * b, 0);
+    candidates.clear();
     let offsets = CIRCLE.map(|(dx, dy)| dy * w as isize + dx);
-    let (mut pending, mut previous) = (std::mem::take(&mut buffers.pending), std::mem::take(&mut buffers.previous));
-    pending.clear();
+    let [above, here, below] = scores;
+    // Scores of three rows roll on; row y is complete when row y + 1 was scored.
     for y in b..=h - b {
-        let slot = (y % 3) * w;
-        buffers.scores[slot..slot + w].fill(0);
-        previous.clear();
-        std::mem::swap(&mut previous, &mut pending);
+        let inner = &mut below[1..w - 2 * b + 1];
         if y < h - b {
-            segment_row(source, y * w + b, &offsets, threshold, &mut buffers.marks);
-            let scores = &mut buffers.scores[slot + b..slot + w - b];
-            score_row(source, y * w + b, &offsets, &buffers.marks, scores);
-            pending.extend(scores.iter().enumerate().filter(|(_, s)| **s != 0).map(|(k, s)| (b + k, *s)));
+            score_row(source, y * w + b, &offsets, threshold, inner);
+        } else {
+            inner.fill(0);
         }
-        for &(x, score) in &previous {
-            if is_largest(&buffers.scores, w, y - 1, x, score) {
-                buffers.candidates.push(Corner { x: x as u32, y: (y - 1) as u32, strength: f32::from(score) });
-            }
+        if y > b {
+            peak_row([above, here, below], peaks);
+            collect(peaks, b, y - 1, candidates);
+        }
+        std::mem::swap(above, here);
+        std::mem::swap(here, below);
+    }
+}
+
+/// Appends the corners of a row whose first pixel has the column `first`.
+fn collect(peaks: &[u8], first: usize, y: usize, candidates: &mut Vec<Corner>) {
+    // Most places have none: eight are passed at once.
+    for (k, eight) in peaks.chunks(8).enumerate() {
+        if eight.iter().fold(0, |any, score| any | score) == 0 {
+            continue;
+        }
+        for (i, score) in eight.iter().enumerate().filter(|(_, score)| **score != 0) {
+            candidates.push(Corner { x: (first + 8 * k + i) as u32, y: y as u32, strength: f32::from(*score) });
         }
     }
-    (buffers.pending, buffers.previous) = (pending, previous);
 }
 
-/// Whether a score at (x, y) beats its eight neighbours; among equals the first in reading order wins.
-fn is_largest(scores: &[u8], w: usize, y: usize, x: usize, score: u8) -> bool {
-    let row = |y: usize| &scores[(y % 3) * w..][..w];
-    let (above, here, below) = (row(y + 2), row(y), row(y + 1));
-    let before = above[x - 1].max(above[x]).max(above[x + 1]).max(here[x - 1]);
-    let after = here[x + 1].max(below[x - 1]).max(below[x]).max(below[x + 1]);
-    score > before && score >= after
+multiversion! {
+    /// Gives corners the strength that ranks them.
+    fn rank(image: &GrayImage, corners: &mut [Corner]); ["avx2"] => rank_lanes, else rank_lanes
 }
 
-/// The smaller eigenvalue of the structure tensor over 7x7 pixels, per pixel.
+#[inline(always)]
+fn rank_lanes(image: &GrayImage, corners: &mut [Corner]) {
+    for corner in corners {
+        corner.strength = smaller_eigenvalue(image, corner.x, corner.y);
+    }
+}
+
+/// The smaller eigenvalue of the structure tensor over 7x7 pixels, per pixel. The pixel must be 4 away from the border.
+#[inline(always)]
 fn smaller_eigenvalue(image: &GrayImage, x: u32, y: u32) -> f32 {
     let w = image.width() as usize;
     let source = image.as_raw();
-    let (mut xx, mut xy, mut yy) = (0i32, 0i32, 0i32);
+    // A row of seven in eight lanes, of which the last counts for nothing.
+    let (mut xx, mut xy, mut yy) = ([0i32; 8], [0i32; 8], [0i32; 8]);
+    let eight = |at: usize| -> [u8; 8] {
+        // The slice is exactly this long.
+        source[at..][..8].try_into().unwrap_or([0; 8])
+    };
     for v in y as usize - 3..=y as usize + 3 {
-        let (above, here, below) = (&source[(v - 1) * w..][..w], &source[v * w..][..w], &source[(v + 1) * w..][..w]);
-        for u in x as usize - 3..=x as usize + 3 {
-            let gx = i32::from(here[u + 1]) - i32::from(here[u - 1]);
-            let gy = i32::from(below[u]) - i32::from(above[u]);
-            xx += gx * gx;
-            xy += gx * gy;
-            yy += gy * gy;
+        let at = v * w + x as usize - 3;
+        let (left, right, above, below) = (eight(at - 1), eight(at + 1), eight(at - w), eight(at + w));
+        for k in 0..8 {
+            let gx = i16::from(right[k]) - i16::from(left[k]);
+            let gy = i16::from(below[k]) - i16::from(above[k]);
+            let (gx, gy) = (i32::from(gx), i32::from(gy));
+            xx[k] += gx * gx;
+            xy[k] += gx * gy;
+            yy[k] += gy * gy;
         }
     }
-    let (xx, xy, yy) = (xx as f32, xy as f32, yy as f32);
+    let sum = |lanes: [i32; 8]| lanes[..7].iter().sum::<i32>() as f32;
+    let (xx, xy, yy) = (sum(xx), sum(xy), sum(yy));
     // Central differences span two pixels: divide the squares by four, and by the 49 pixels.
     (0.5 * (xx + yy) - (0.25 * (xx - yy).powi(2) + xy * xy).sqrt()) / (4.0 * 49.0)
 }
 
-/// Takes the strongest of each cell, then the second strongest of each, and so on, until enough are taken.
-fn spread(
-    corners: &mut [Corner],
-    order: &mut Vec<u32>,
-    filled: &mut Vec<u32>,
-    (w, h): (u32, u32),
-    options: &CornerOptions,
-    found: &mut Vec<Corner>,
-) {
-    corners.sort_unstable_by(|a, b| b.strength.total_cmp(&a.strength).then((a.y, a.x).cmp(&(b.y, b.x))));
+/// Sorts candidates, which are in reading order, by FAST's score: the highest first, equal ones in reading order.
+fn sort_by_score(candidates: &[Corner], sorted: &mut Vec<Corner>) {
+    // Where the corners of each score begin; scores are whole numbers up to 255.
+    let mut begins = [0usize; 256];
+    for c in candidates {
+        begins[c.strength as usize & 255] += 1;
+    }
+    let mut sum = 0;
+    for begin in begins.iter_mut().rev() {
+        sum += std::mem::replace(begin, sum);
+    }
+    sorted.clear();
+    sorted.resize(candidates.len(), Corner { x: 0, y: 0, strength: 0.0 });
+    for c in candidates {
+        let place = &mut begins[c.strength as usize & 255];
+        sorted[*place] = *c;
+        *place += 1;
+    }
+}
+
+/// Buffers of [`spread`].
+#[derive(Debug, Clone, Default)]
+struct Ranks {
+    /// Corners so far in each cell.
+    filled: Vec<u32>,
+    /// Rank of each corner within its cell, from 0.
+    of_corner: Vec<u32>,
+    /// For each rank, where its corners begin in the result.
+    begins: Vec<u32>,
+}
+
+/// Takes the strongest of each cell, then the second strongest of each, and so on, until enough are taken. The corners come strongest first.
+fn spread(corners: &[Corner], ranks: &mut Ranks, (w, h): (u32, u32), options: &CornerOptions, found: &mut Vec<Corner>) {
+    found.clear();
     if corners.len() <= options.count {
         found.extend_from_slice(corners);
         return;
     }
+    let Ranks { filled, of_corner, begins } = ranks;
     let across = w.div_ceil(options.cell_px) as usize;
-    let cells = across * h.div_ceil(options.cell_px) as usize;
     filled.clear();
-    filled.resize(cells, 0);
+    filled.resize(across * h.div_ceil(options.cell_px) as usize, 0);
+    of_corner.clear();
+    begins.clear();
+    for c in corners {
+        let cell = &mut filled[(c.y / options.cell_px) as usize * across + (c.x / options.cell_px) as usize];
+        let rank = *cell as usize;
+        *cell += 1;
+        of_corner.push(rank as u32);
+        if begins.len() == rank {
+            begins.push(0);
+        }
+        begins[rank] += 1;
+    }
+    let mut sum = 0;
+    for begin in begins.iter_mut() {
+        sum += std::mem::replace(begin, sum);
+    }
     // The rank of a corner within its cell decides first, its strength second.
-    order.clear();
-    order.extend(corners.iter().map(|c| {
-        let cell = (c.y / options.cell_px) as usize * across + (c.x / options.cell_px) as usize;
-        filled[cell] += 1;
-        filled[cell]
-    }));
-    let mut rank = 1;
-    while found.len() < options.count {
-        let before = found.len();
-        for (corner, _) in corners.iter().zip(order.iter()).filter(|(_, r)| **r == rank) {
-            if found.len() == options.count {
-                return;
-            }
-            found.push(*corner);
+    found.resize(options.count, corners[0]);
+    for (corner, rank) in corners.iter().zip(of_corner.iter()) {
+        let place = &mut begins[*rank as usize];
+        if let Some(slot) = found.get_mut(*place as usize) {
+            *slot = *corner;
         }
-        if found.len() == before {
-            return;
-        }
-        rank += 1;
+        *place += 1;
     }
 }
 

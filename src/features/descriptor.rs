@@ -6,7 +6,8 @@ use std::sync::OnceLock;
 
 use image::GrayImage;
 
-use super::pattern::{DESCRIPTOR_BITS, PAIRS, PATCH_RADIUS, Pair};
+use super::pattern::{DESCRIPTOR_BITS, PAIRS, PATCH_RADIUS};
+use crate::simd::multiversion;
 
 /// Directions that the pattern is turned to ahead of time: at 2.8 degrees apart, no end of a pair is more than a third of a pixel off, less
 /// than the rounding. Raised, the table (128 KiB) leaves the cache; lowered, turned copies differ in more bits.
@@ -16,72 +17,142 @@ const DIRECTIONS: usize = 128;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Descriptor(pub [u64; 4]);
 
-/// Direction of the intensity centroid of the disc around (x, y), radians, y down; the disc must lie inside.
-pub fn orientation(image: &GrayImage, x: u32, y: u32) -> f32 {
-    let w = image.width() as usize;
-    let source = image.as_raw();
-    let (mut mx, mut my) = (0i32, 0i32);
-    for (k, half) in disc().iter().enumerate() {
-        let dy = k as i32 - PATCH_RADIUS;
-        let start = (y as i32 + dy) as usize * w + (x as i32 - half) as usize;
-        let row = &source[start..start + 2 * *half as usize + 1];
-        let (mut sum, mut moment) = (0i32, 0i32);
-        for (i, v) in row.iter().enumerate() {
-            sum += i32::from(*v);
-            moment += i as i32 * i32::from(*v);
+/// Pixels from one row of a copied patch to the next: one AVX2 register of bytes.
+const STRIDE: usize = 32;
+/// Side of a patch in pixels.
+const SIDE: usize = 2 * PATCH_RADIUS as usize + 1;
+
+/// The square of pixels around a corner, copied to where every place has the same index whatever the picture's width.
+struct Patch([[u8; STRIDE]; STRIDE]);
+
+impl Patch {
+    #[inline(always)]
+    fn around(image: &GrayImage, x: u32, y: u32) -> Self {
+        let (w, radius) = (image.width() as usize, PATCH_RADIUS as usize);
+        let source = image.as_raw();
+        let mut patch = [[0; STRIDE]; STRIDE];
+        for (k, row) in patch[..SIDE].iter_mut().enumerate() {
+            row[..SIDE].copy_from_slice(&source[(y as usize + k - radius) * w + x as usize - radius..][..SIDE]);
         }
-        mx += moment - half * sum;
-        my += dy * sum;
+        Self(patch)
     }
-    (my as f32).atan2(mx as f32)
+
+    /// Sums of (dx, dy) times brightness over the disc.
+    #[inline(always)]
+    fn moments(&self) -> (i32, i32) {
+        // Of each column: the sum, at most 31 * 255, and the moment in y, at most (1 + ... + 15) * 255 = 30600 either way.
+        let (mut sums, mut moments) = ([0i16; STRIDE], [0i16; STRIDE]);
+        for (k, (row, inside)) in self.0.iter().zip(&DISC).enumerate() {
+            let dy = k as i16 - PATCH_RADIUS as i16;
+            for x in 0..STRIDE {
+                let v = i16::from(row[x] & inside[x]);
+                sums[x] += v;
+                moments[x] += dy * v;
+            }
+        }
+        let (mut mx, mut my) = (0, 0);
+        for x in 0..STRIDE {
+            mx += (x as i32 - PATCH_RADIUS) * i32::from(sums[x]);
+            my += i32::from(moments[x]);
+        }
+        (mx, my)
+    }
+
+    #[inline(always)]
+    fn orientation(&self) -> f32 {
+        let (mx, my) = self.moments();
+        (my as f32).atan2(mx as f32)
+    }
+
+    #[inline(always)]
+    fn describe(&self, angle: f32) -> Descriptor {
+        let direction = (angle / std::f32::consts::TAU * DIRECTIONS as f32).round() as i32;
+        let pattern = &turned()[direction.rem_euclid(DIRECTIONS as i32) as usize];
+        let pixels = self.0.as_flattened();
+        // Indices are below the length anyway: this lets the compiler see it.
+        let at = |index: u16| pixels[index as usize % (STRIDE * STRIDE)];
+        let mut bits = [0u64; 4];
+        for (word, pairs) in bits.iter_mut().zip(pattern.chunks_exact(64)) {
+            // From the last to the first, so that each bit is shifted in.
+            for &[a, b] in pairs.iter().rev() {
+                *word = (*word << 1) | u64::from(at(a) < at(b));
+            }
+        }
+        Descriptor(bits)
+    }
 }
 
-/// Half-widths of the disc's rows.
-fn disc() -> &'static [i32; 2 * PATCH_RADIUS as usize + 1] {
-    // Computed at the first call.
-    static DISC: OnceLock<[i32; 2 * PATCH_RADIUS as usize + 1]> = OnceLock::new();
-    DISC.get_or_init(|| {
-        std::array::from_fn(|k| {
-            let dy = k as i32 - PATCH_RADIUS;
-            f64::from(PATCH_RADIUS * PATCH_RADIUS - dy * dy).sqrt().round() as i32
-        })
-    })
+/// All ones on the disc's places of a patch, 0 elsewhere. Half of a row is the rounded root of r² - dy².
+const DISC: [[u8; STRIDE]; STRIDE] = {
+    let mut disc = [[0; STRIDE]; STRIDE];
+    let mut k = 0;
+    while k < SIDE {
+        let dy = k as i32 - PATCH_RADIUS;
+        let mut x = 0;
+        while x < SIDE {
+            let dx = (x as i32 - PATCH_RADIUS).abs();
+            // The root rounds to dx or more where it is at least dx - 1/2.
+            if dx == 0 || (2 * dx - 1) * (2 * dx - 1) <= 4 * (PATCH_RADIUS * PATCH_RADIUS - dy * dy) {
+                disc[k][x] = 255;
+            }
+            x += 1;
+        }
+        k += 1;
+    }
+    disc
+};
+
+multiversion! {
+    /// Direction of the intensity centroid of the disc around (x, y), radians, y down; the square around the disc must lie inside.
+    pub fn orientation(image: &GrayImage, x: u32, y: u32) -> f32; ["avx2"] => orientation_lanes, else orientation_lanes
 }
 
-/// The pattern turned to every direction.
-fn turned() -> &'static [[Pair; DESCRIPTOR_BITS]] {
+#[inline(always)]
+fn orientation_lanes(image: &GrayImage, x: u32, y: u32) -> f32 {
+    Patch::around(image, x, y).orientation()
+}
+
+multiversion! {
+    /// Describes the corner at (x, y) of a smoothed level, turned by `angle`; the corner must lie more than
+    /// `PATCH_RADIUS` + 1 from the border.
+    pub fn describe(smooth: &GrayImage, x: u32, y: u32, angle: f32) -> Descriptor; ["avx2"] => describe_lanes, else describe_lanes
+}
+
+#[inline(always)]
+fn describe_lanes(smooth: &GrayImage, x: u32, y: u32, angle: f32) -> Descriptor {
+    Patch::around(smooth, x, y).describe(angle)
+}
+
+multiversion! {
+    /// [`orientation`] and what [`describe`] gives for it.
+    pub fn oriented_descriptor(smooth: &GrayImage, x: u32, y: u32) -> (f32, Descriptor);
+    ["avx2"] => oriented_descriptor_lanes, else oriented_descriptor_lanes
+}
+
+#[inline(always)]
+fn oriented_descriptor_lanes(smooth: &GrayImage, x: u32, y: u32) -> (f32, Descriptor) {
+    let patch = Patch::around(smooth, x, y);
+    let angle = patch.orientation();
+    (angle, patch.describe(angle))
+}
+
+/// The pattern turned to every direction, as indices of pixels of a patch.
+fn turned() -> &'static [[[u16; 2]; DESCRIPTOR_BITS]] {
     // Computed at the first call.
-    static TURNED: OnceLock<Vec<[Pair; DESCRIPTOR_BITS]>> = OnceLock::new();
+    static TURNED: OnceLock<Vec<[[u16; 2]; DESCRIPTOR_BITS]>> = OnceLock::new();
     TURNED.get_or_init(|| {
         (0..DIRECTIONS)
             .map(|k| {
                 let (sin, cos) = (std::f64::consts::TAU * k as f64 / DIRECTIONS as f64).sin_cos();
                 let turn = |(x, y): (i8, i8)| {
                     let (x, y) = (f64::from(x), f64::from(y));
-                    ((cos * x - sin * y).round() as i8, (sin * x + cos * y).round() as i8)
+                    let (x, y) = ((cos * x - sin * y).round() as i32, (sin * x + cos * y).round() as i32);
+                    ((y + PATCH_RADIUS) * STRIDE as i32 + x + PATCH_RADIUS) as u16
                 };
-                PAIRS.map(|(a, b)| (turn(a), turn(b)))
+                PAIRS.map(|(a, b)| [turn(a), turn(b)])
             })
             .collect()
     })
-}
-
-/// Describes the corner at (x, y) of a smoothed level, turned by `angle`; the corner must lie more than
-/// `PATCH_RADIUS` + 1 from the border.
-pub fn describe(smooth: &GrayImage, x: u32, y: u32, angle: f32) -> Descriptor {
-    let w = smooth.width() as isize;
-    let source = smooth.as_raw();
-    let direction = (angle / std::f32::consts::TAU * DIRECTIONS as f32).round() as i32;
-    let pattern = &turned()[direction.rem_euclid(DIRECTIONS as i32) as usize];
-    let centre = (y as usize * smooth.width() as usize + x as usize) as isize;
-    let at = |(dx, dy): (i8, i8)| source[(centre + isize::from(dy) * w + isize::from(dx)) as usize];
-    let mut bits = [0u64; 4];
-    for (word, pairs) in bits.iter_mut().zip(pattern.chunks_exact(64)) {
-        for (k, (a, b)) in pairs.iter().enumerate() {
-            *word |= u64::from(at(*a) < at(*b)) << k;
-        }
-    }
-    Descriptor(bits)
 }
 
 #[cfg(test)]

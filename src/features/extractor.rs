@@ -4,7 +4,7 @@ use image::GrayImage;
 use nalgebra::Vector2;
 
 use super::corners::{Corner, CornerBuffers, CornerOptions, detect_corners};
-use super::descriptor::{Descriptor, describe, orientation};
+use super::descriptor::{Descriptor, oriented_descriptor};
 use super::pattern::PATCH_RADIUS;
 use super::pyramid::{Level, Pyramid};
 use super::workers::Workers;
@@ -111,14 +111,9 @@ fn is_usable(mask: Option<&GrayImage>, level: &Level, x: u32, y: u32) -> bool {
 }
 
 fn described(level: &Level, corner: &Corner) -> Feature {
-    let angle = orientation(&level.smooth, corner.x, corner.y);
+    let (angle, descriptor) = oriented_descriptor(&level.smooth, corner.x, corner.y);
     let [x, y] = level.in_picture(f64::from(corner.x), f64::from(corner.y));
-    Feature {
-        position: Vector2::new(x, y),
-        scale: 1.0 / level.scale[0],
-        angle,
-        descriptor: describe(&level.smooth, corner.x, corner.y, angle),
-    }
+    Feature { position: Vector2::new(x, y), scale: 1.0 / level.scale[0], angle, descriptor }
 }
 
 #[cfg(test)]

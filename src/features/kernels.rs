@@ -28,28 +28,29 @@ pub const CIRCLE: [(isize, isize); 16] = [
 
 /// Pixels that are tested side by side: one AVX2 register of bytes.
 const LANES: usize = 32;
+type Lanes = [u8; LANES];
 
 multiversion! {
-    /// Marks with 1 the FAST-9 corners among `marks.len()` pixels of a picture: those at `start`, `start + 1`, … whose circles lie
-    /// inside `source`. `offsets` are the circle's pixels relative to the centre, in reading steps.
-    pub fn segment_row(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, marks: &mut [u8]);
-    ["avx2"] => segment_row_blocked, else segment_row_blocked
+    /// Fills `scores` with the FAST-9 scores of pixels of a picture: those at `start`, `start + 1`, … whose circles lie inside `source`;
+    /// 0 where the score is below `threshold`. `offsets` are the circle's pixels relative to the centre, in reading steps.
+    pub fn score_row(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, scores: &mut [u8]);
+    ["avx2"] => score_row_blocked, else score_row_blocked
 }
 
 /// Blocks of [`LANES`] pixels in registers; rows shorter than one pixel by pixel.
 #[inline(always)]
-fn segment_row_blocked(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, marks: &mut [u8]) {
-    let n = marks.len();
+fn score_row_blocked(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, scores: &mut [u8]) {
+    let n = scores.len();
     if n < LANES {
-        segment_row_plain(source, start, offsets, threshold, marks);
+        score_row_plain(source, start, offsets, threshold, scores);
         return;
     }
     // The last block overlaps the one before it, so that no pixel is left over.
     for first in (0..n - LANES).step_by(LANES).chain([n - LANES]) {
-        let (at, out) = (start + first, &mut marks[first..first + LANES]);
-        let lanes = |offset: isize| -> [u8; LANES] {
+        let at = start + first;
+        let lanes = |offset: isize| -> &Lanes {
             // The slice is exactly this long.
-            source[at.wrapping_add_signed(offset)..][..LANES].try_into().unwrap_or([0; LANES])
+            source[at.wrapping_add_signed(offset)..][..LANES].try_into().unwrap_or(&[0; LANES])
         };
         let centre = lanes(0);
         let (mut high, mut low) = ([0u8; LANES], [0u8; LANES]);
@@ -65,94 +66,84 @@ fn segment_row_blocked(source: &[u8], start: usize, offsets: &[isize; 16], thres
             let dark = ((n[x] < low[x]) | (s[x] < low[x])) & ((w[x] < low[x]) | (e[x] < low[x]));
             any |= u8::from(bright | dark);
         }
-        if any == 0 {
-            out.fill(0);
-        } else {
-            longest_runs(&lanes, offsets, &high, &low, out);
+        let mut block = [0; LANES];
+        if any != 0 {
+            score_block(&offsets.map(lanes), centre, threshold, &mut block);
         }
+        scores[first..first + LANES].copy_from_slice(&block);
     }
 }
 
-/// Marks the lanes whose circle has nine neighbours in a row beyond the limits.
+/// The scores of a block. Scoring all lanes costs less than to find out which ones need it.
 #[inline(always)]
-fn longest_runs(lanes: &impl Fn(isize) -> [u8; LANES], offsets: &[isize; 16], high: &[u8; LANES], low: &[u8; LANES], out: &mut [u8]) {
-    let (mut bright, mut dark) = ([0u8; LANES], [0u8; LANES]);
-    let mut longest = [0u8; LANES];
-    for k in 0..24 {
-        let v = lanes(offsets[k % 16]);
-        for x in 0..LANES {
-            // A mask of all ones keeps the run, of zeros ends it.
-            let is_bright = 0u8.wrapping_sub(u8::from(v[x] > high[x]));
-            let is_dark = 0u8.wrapping_sub(u8::from(v[x] < low[x]));
-            bright[x] = (bright[x] + 1) & is_bright;
-            dark[x] = (dark[x] + 1) & is_dark;
-            longest[x] = longest[x].max(bright[x]).max(dark[x]);
-        }
-    }
+fn score_block(circle: &[&Lanes; 16], centre: &Lanes, threshold: u8, out: &mut Lanes) {
     for x in 0..LANES {
-        out[x] = u8::from(longest[x] >= 9);
+        let (mut bright, mut dark) = ([0u8; 16], [0u8; 16]);
+        for k in 0..16 {
+            bright[k] = circle[k][x].saturating_sub(centre[x]);
+            dark[k] = centre[x].saturating_sub(circle[k][x]);
+        }
+        let best = most_of_nine(&bright).max(most_of_nine(&dark));
+        // "Brighter by more than t" holds up to t = best - 1.
+        out[x] = if best > threshold { best.wrapping_sub(1) } else { 0 };
     }
 }
 
-/// The plain twin of [`segment_row`].
-fn segment_row_plain(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, marks: &mut [u8]) {
-    for (k, mark) in marks.iter_mut().enumerate() {
+/// The largest, over all nine in a row of 16 differences, of the least of the nine.
+#[inline(always)]
+fn most_of_nine(d: &[u8; 16]) -> u8 {
+    // The least of 2, of 4 and of 8 in a row, from each odd place on.
+    let (mut two, mut four, mut best) = ([0u8; 8], [0u8; 8], 0);
+    for k in 0..8 {
+        two[k] = d[2 * k + 1].min(d[(2 * k + 2) % 16]);
+    }
+    for k in 0..8 {
+        four[k] = two[k].min(two[(k + 1) % 8]);
+    }
+    for k in 0..8 {
+        let eight = four[k].min(four[(k + 2) % 8]);
+        // Eight from 2k + 1 on make nine with the one before them or the one after.
+        best = best.max(eight.min(d[2 * k].max(d[(2 * k + 9) % 16])));
+    }
+    best
+}
+
+/// The plain twin of [`score_row`].
+fn score_row_plain(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, scores: &mut [u8]) {
+    for (k, score) in scores.iter_mut().enumerate() {
         let at = start + k;
-        let circle = offsets.map(|o| source[at.wrapping_add_signed(o)]);
-        let high = source[at].saturating_add(threshold);
-        let low = source[at].saturating_sub(threshold);
-        let nine = |test: &dyn Fn(u8) -> bool| (0..16).any(|s| (0..9).all(|k| test(circle[(s + k) % 16])));
-        *mark = u8::from(nine(&|v| v > high) || nine(&|v| v < low));
+        let best = fast_score(&offsets.map(|o| source[at.wrapping_add_signed(o)]), source[at]);
+        *score = if best >= threshold { best } else { 0 };
     }
 }
 
 multiversion! {
-    /// Scores the marked pixels of a row (see [`segment_row`]) with [`fast_score`]; the others get 0.
-    pub fn score_row(source: &[u8], start: usize, offsets: &[isize; 16], marks: &[u8], scores: &mut [u8]);
-    ["avx2"] => score_row_plain, else score_row_plain
+    /// Keeps in `peaks` the scores of `rows[1]` that are the largest of their 3x3 neighbourhood, and 0 elsewhere; among equals the first in
+    /// reading order wins. The rows are longer than `peaks` by one pixel at either end.
+    pub fn peak_row(rows: [&[u8]; 3], peaks: &mut [u8]);
+    ["avx2"] => peak_row_plain, else peak_row_plain
 }
 
-/// The plain twin of [`score_row`].
+/// The plain twin of [`peak_row`].
 #[inline(always)]
-fn score_row_plain(source: &[u8], start: usize, offsets: &[isize; 16], marks: &[u8], scores: &mut [u8]) {
-    for (k, (mark, score)) in marks.iter().zip(scores).enumerate() {
-        *score = 0;
-        if *mark != 0 {
-            let at = start + k;
-            let mut circle = [0u8; 16];
-            for (value, offset) in circle.iter_mut().zip(offsets) {
-                *value = source[at.wrapping_add_signed(*offset)];
-            }
-            *score = fast_score(&circle, source[at]);
-        }
+fn peak_row_plain(rows: [&[u8]; 3], peaks: &mut [u8]) {
+    let n = peaks.len();
+    let [above, here, below] = rows.map(|row| [&row[..n], &row[1..n + 1], &row[2..n + 2]]);
+    for (x, peak) in peaks.iter_mut().enumerate() {
+        let score = here[1][x];
+        let before = above[0][x].max(above[1][x]).max(above[2][x]).max(here[0][x]);
+        let after = here[2][x].max(below[0][x]).max(below[1][x]).max(below[2][x]);
+        *peak = if score > before && score >= after { score } else { 0 };
     }
 }
 
 /// FAST-9's score: the largest threshold at which nine contiguous circle pixels are all brighter or all darker than the
 /// centre; 0 where there is none.
-#[inline(always)]
 fn fast_score(circle: &[u8; 16], centre: u8) -> u8 {
-    // The circle twice round, so that runs need no wrapping.
-    let mut least = [0i16; 32];
-    for k in 0..32 {
-        least[k] = i16::from(circle[k % 16]) - i16::from(centre);
-    }
-    let once = least;
-    let mut most = least;
-    // The least (most) of nine in a row by doubling: of 2, of 4, of 8, and one more.
-    for step in [1, 2, 4] {
-        for k in 0..24 {
-            least[k] = least[k].min(least[k + step]);
-            most[k] = most[k].max(most[k + step]);
-        }
-    }
-    let (mut brightest, mut darkest) = (i16::MIN, i16::MAX);
-    for k in 0..16 {
-        brightest = brightest.max(least[k].min(once[k + 8]));
-        darkest = darkest.min(most[k].max(once[k + 8]));
-    }
+    let least = |s: usize, difference: &dyn Fn(u8) -> u8| (0..9).map(|k| difference(circle[(s + k) % 16])).min().unwrap_or(0);
+    let contrast = |s| least(s, &|v| v.saturating_sub(centre)).max(least(s, &|v| centre.saturating_sub(v)));
     // "Brighter by more than t" holds up to t = best - 1.
-    (brightest.max(-darkest) - 1).clamp(0, 255) as u8
+    (0..16).map(contrast).max().unwrap_or(0).saturating_sub(1)
 }
 
 #[cfg(test)]
@@ -168,14 +159,26 @@ mod tests {
 
     proptest! {
         #[test]
-        fn wide_segment_test_equals_plain(seed in any::<u64>(), contrast in 1u64..256, n in 0usize..110, threshold in 0u8..80) {
+        fn wide_scores_equal_plain(seed in any::<u64>(), contrast in 1u64..256, n in 0usize..110, threshold in 0u8..80) {
             let byte = |k: usize| ((seed.wrapping_mul(6364136223846793005).wrapping_add((k as u64).wrapping_mul(0x9E3779B97F4A7C15)) >> 29) % contrast) as u8;
             let source: Vec<u8> = (0..7 * WIDTH).map(byte).collect();
-            let (mut a, mut b) = (vec![9; n], vec![9; n]);
+            let (mut a, mut b) = (vec![9; n], vec![7; n]);
             let start = 3 * WIDTH + 4;
-            segment_row(&source, start, &offsets(), threshold, &mut a);
-            segment_row_plain(&source, start, &offsets(), threshold, &mut b);
+            score_row(&source, start, &offsets(), threshold, &mut a);
+            score_row_plain(&source, start, &offsets(), threshold, &mut b);
             prop_assert_eq!(a, b);
+        }
+
+        #[test]
+        fn peaks_are_the_first_largest_of_nine(scores in proptest::collection::vec(0u8..4, 3 * 50), n in 0usize..49) {
+            let mut peaks = vec![9; n];
+            peak_row([&scores[..n + 2], &scores[50..50 + n + 2], &scores[100..100 + n + 2]], &mut peaks);
+            for (k, peak) in peaks.iter().enumerate() {
+                let score = scores[50 + k + 1];
+                let neighbours: Vec<u8> = (0..9).filter(|i| *i != 4).map(|i| scores[i / 3 * 50 + k + i % 3]).collect();
+                let wins = neighbours[..4].iter().all(|s| *s < score) && neighbours[4..].iter().all(|s| *s <= score);
+                prop_assert_eq!(*peak, if wins { score } else { 0 });
+            }
         }
 
         #[test]

@@ -8,6 +8,8 @@ mod corners;
 mod descriptor;
 pub mod descriptors;
 pub mod detectors;
+#[cfg(test)]
+mod extraction_twin;
 mod extractor;
 mod float_image;
 mod integral_image;

@@ -5,6 +5,8 @@
 
 use image::GrayImage;
 
+use crate::simd::multiversion;
+
 /// One level: the picture at this size, and its smoothed copy that descriptors read.
 #[derive(Debug, Clone, Default)]
 pub struct Level {
@@ -72,9 +74,16 @@ fn resize_buffer(image: &mut GrayImage, width: u32, height: u32) {
     }
 }
 
+multiversion! {
+    /// See [`shrink_lanes`].
+    fn shrink(from: &GrayImage, to: &mut GrayImage, taps: &mut Vec<(u32, u16)>, blended: &mut Vec<u16>);
+    ["avx2"] => shrink_lanes, else shrink_lanes
+}
+
 /// Bilinear reduction by a factor between 1 and 2 (both axes), pixel areas aligned: rows are blended first, side by side, then
 /// columns are picked from the blended row.
-fn shrink(from: &GrayImage, to: &mut GrayImage, taps: &mut Vec<(u32, u16)>, blended: &mut Vec<u16>) {
+#[inline(always)]
+fn shrink_lanes(from: &GrayImage, to: &mut GrayImage, taps: &mut Vec<(u32, u16)>, blended: &mut Vec<u16>) {
     let (fw, fh) = (from.width() as usize, from.height() as usize);
     let (tw, th) = (to.width() as usize, to.height() as usize);
     let tap = |k: usize, from: usize, to: usize| {
@@ -103,8 +112,13 @@ fn shrink(from: &GrayImage, to: &mut GrayImage, taps: &mut Vec<(u32, u16)>, blen
     }
 }
 
-/// The 5x5 binomial filter (1 4 6 4 1)/16 along both axes; edges repeat the border pixel.
-pub fn smooth_into(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>) {
+multiversion! {
+    /// The 5x5 binomial filter (1 4 6 4 1)/16 along both axes; edges repeat the border pixel.
+    pub fn smooth_into(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>); ["avx2"] => smooth_lanes, else smooth_lanes
+}
+
+#[inline(always)]
+fn smooth_lanes(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>) {
     let (w, h) = (from.width() as usize, from.height() as usize);
     if w == 0 || h == 0 {
         return;
@@ -125,10 +139,10 @@ pub fn smooth_into(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>) {
         }
         let (first, last) = (row[2], row[w + 1]);
         (row[0], row[1], row[w + 2], row[w + 3]) = (first, first, last, last);
+        // At most 256 * 255 + 128: 16 bits hold it.
+        let [a, b, c, d, e] = [0, 1, 2, 3, 4].map(|k| &row[k..k + w]);
         for (x, out) in out.iter_mut().enumerate() {
-            let r = &row[x..x + 5];
-            let wide = |k: usize| u32::from(r[k]);
-            *out = ((wide(0) + wide(4) + 4 * (wide(1) + wide(3)) + 6 * wide(2) + 128) >> 8) as u8;
+            *out = ((a[x] + e[x] + 4 * (b[x] + d[x]) + 6 * c[x] + 128) >> 8) as u8;
         }
     }
 }
