@@ -50,6 +50,12 @@ impl Keypoint {
     }
 }
 
+/// The symmetric square root of a positive definite matrix (by Cayley & Hamilton): of a region's covariance, its shape without a direction.
+pub fn square_root(m: &Matrix2<f64>) -> Matrix2<f64> {
+    let root = m.determinant().max(0.0).sqrt();
+    (m + Matrix2::identity() * root) / (m.trace() + 2.0 * root).sqrt()
+}
+
 /// Descriptions of keypoints, one a keypoint.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Descriptors {

@@ -21,8 +21,12 @@ pub struct SecondMoments {
 impl SecondMoments {
     /// Of gradients of the picture smoothed by `derivative_sigma` pixels, gathered in a window of `sigma` pixels.
     pub fn of(picture: &FloatImage, derivative_sigma: f64, sigma: f64) -> Self {
-        let smooth = picture.blurred(within(derivative_sigma));
-        let (across, down) = gradients(&smooth);
+        Self::of_smoothed(&picture.blurred(within(derivative_sigma)), sigma)
+    }
+
+    /// Of gradients of a picture as it is, gathered in a window of `sigma` pixels.
+    pub fn of_smoothed(smooth: &FloatImage, sigma: f64) -> Self {
+        let (across, down) = gradients(smooth);
         let gathered = |a: &FloatImage, b: &FloatImage| {
             let values = a.values.iter().zip(&b.values).map(|(a, b)| a * b).collect();
             FloatImage { width: a.width, height: a.height, values }.blurred(within(sigma))

@@ -1,10 +1,15 @@
 //! Detectors: from a picture to its keypoints. One a file, with its source.
 
+mod affine;
+mod affine_measure;
 mod harris;
 mod mser;
+mod shape_adaptation;
 mod sift;
 mod surf;
 
+pub use affine::AffineDetector;
+pub use affine_measure::AffineMeasure;
 pub use harris::{CornerMeasure, HarrisDetector};
 pub use mser::MserDetector;
 pub use sift::SiftDetector;

@@ -9,7 +9,7 @@ use image::GrayImage;
 use nalgebra::{Matrix2, Vector2};
 
 use super::{Detector, strongest_first};
-use crate::features::keypoint::{Keypoint, PictureForms};
+use crate::features::keypoint::{Keypoint, PictureForms, square_root};
 
 /// Which regions are stable, and what to keep of them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -98,12 +98,6 @@ fn keypoint(region: &Region, variation: f32) -> Keypoint {
     let covariance = Matrix2::new(xx, xy, xy, yy) - mean * mean.transpose() + Matrix2::identity() * PIXEL_MOMENT;
     let shape = square_root(&covariance) * SIGMA_BY_MOMENT;
     Keypoint { position: mean + region.origin, shape, response: 1.0 / (1.0 + variation) }
-}
-
-/// The symmetric square root of a positive definite matrix (by Cayley & Hamilton).
-fn square_root(m: &Matrix2<f64>) -> Matrix2<f64> {
-    let root = m.determinant().max(0.0).sqrt();
-    (m + Matrix2::identity() * root) / (m.trace() + 2.0 * root).sqrt()
 }
 
 /// Nodes with less variation than the region that holds them, and no more than any that they hold.

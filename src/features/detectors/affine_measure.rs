@@ -1,0 +1,165 @@
+//! What makes a place stand out at one scale: the two measures of the affine invariant detectors, both normalised to the scale (Mikolajczyk &
+//! Schmid, Scale & Affine Invariant Interest Point Detectors, IJCV 2004, sections 2 and 3; Lindeberg, Feature Detection with Automatic Scale
+//! Selection, IJCV 1998, for the determinant over scales).
+
+use crate::features::float_image::FloatImage;
+use crate::features::second_moments::SecondMoments;
+use crate::simd::multiversion;
+
+/// What keypoints are maxima of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum AffineMeasure {
+    /// Corners: the measure of Harris & Stephens on the second-moment matrix; their scale is where the Laplacian has its extremum.
+    Harris,
+    /// Blobs: the determinant of the Hessian matrix, over place and scale.
+    #[default]
+    Hessian,
+}
+
+/// Weight of the squared trace in the Harris measure (IJCV 2004, section 2.1, as is in use). Raised, corners must be nearer to a right angle.
+const HARRIS_K: f32 = 0.04;
+/// Sigma of the derivatives by the sigma of the window. Two copies of a scale space of three an octave lie this far apart; Mikolajczyk & Schmid
+/// take 0.7 (section 2.1), and 0.5 to 0.75 for shapes (section 4.2). Raised, the window holds fewer independent gradients; lowered, noise counts more.
+pub const DERIVATIVE_SHARE: f64 = 0.629_960_524_947_436_6;
+/// Fourth root of the Harris measure of a right-angled corner one grey level high, without smoothing but its own (computed from such a corner
+/// of many pixels).
+const CORNER: f64 = 0.1668;
+/// Square root of the determinant of a round Gaussian blob one grey level high at its own scale: its second derivatives are a quarter there.
+const BLOB: f64 = 0.25;
+
+impl AffineMeasure {
+    /// The measure of each pixel of a picture smoothed by `sigma` pixels; `fine` is the same smoothed by [`DERIVATIVE_SHARE`] of it.
+    pub fn strength(self, smooth: &FloatImage, fine: &FloatImage, sigma: f64) -> FloatImage {
+        let mut out = FloatImage::new(smooth.width, smooth.height);
+        if out.width < 3 || out.height < 3 {
+            return out;
+        }
+        let squared = (sigma * sigma) as f32;
+        match self {
+            Self::Hessian => determinants(smooth, squared * squared, &mut out.values),
+            Self::Harris => {
+                let moments = SecondMoments::of_smoothed(fine, sigma);
+                corners(&moments, squared * (DERIVATIVE_SHARE * DERIVATIVE_SHARE) as f32, &mut out.values);
+            }
+        }
+        out
+    }
+
+    /// What is largest at the scale of the structure at a pixel: of a picture smoothed by `sigma` pixels the size of the normalised Laplacian, or
+    /// the determinant. Zero at the border.
+    pub fn at_scale(self, smooth: &FloatImage, sigma: f64, x: usize, y: usize) -> f64 {
+        if x == 0 || y == 0 || x + 1 >= smooth.width || y + 1 >= smooth.height {
+            return 0.0;
+        }
+        let rows = [y - 1, y, y + 1].map(|k| smooth.row(k)[x - 1..].first_chunk());
+        let [Some(above), Some(here), Some(below)] = rows else { return 0.0 };
+        let [xx, yy, xy] = second_derivatives(above, here, below).map(f64::from);
+        let squared = sigma * sigma;
+        match self {
+            Self::Hessian => squared * squared * (xx * yy - xy * xy),
+            Self::Harris => squared * (xx + yy).abs(),
+        }
+    }
+
+    /// The height in grey levels of the blob or corner that would have a strength.
+    pub fn contrast(self, strength: f64) -> f64 {
+        match self {
+            Self::Hessian => strength.max(0.0).sqrt() / BLOB,
+            Self::Harris => strength.max(0.0).sqrt().sqrt() / CORNER,
+        }
+    }
+
+    /// The strength of a blob or corner of a height in grey levels.
+    pub fn of_contrast(self, contrast: f64) -> f64 {
+        match self {
+            Self::Hessian => (BLOB * contrast.max(0.0)).powi(2),
+            Self::Harris => (CORNER * contrast.max(0.0)).powi(4),
+        }
+    }
+}
+
+/// Second derivatives across, down and mixed, from a pixel's eight neighbours.
+#[inline(always)]
+fn second_derivatives(above: &[f32; 3], here: &[f32; 3], below: &[f32; 3]) -> [f32; 3] {
+    let twice = 2.0 * here[1];
+    [here[0] + here[2] - twice, above[1] + below[1] - twice, 0.25 * (above[0] + below[2] - above[2] - below[0])]
+}
+
+multiversion! {
+    /// Determinants of the Hessian matrix of the inner pixels, times `factor`.
+    fn determinants(smooth: &FloatImage, factor: f32, out: &mut [f32]); ["avx2"] => determinants_plain, else determinants_plain
+}
+
+#[inline(always)]
+fn determinants_plain(smooth: &FloatImage, factor: f32, out: &mut [f32]) {
+    let w = smooth.width;
+    for (y, out) in out.chunks_exact_mut(w).enumerate().take(smooth.height - 1).skip(1) {
+        let rows = [smooth.row(y - 1), smooth.row(y), smooth.row(y + 1)];
+        let n = w - 2;
+        let [[a, b, c], [d, e, f], [g, h, i]] = rows.map(|row| [&row[..n], &row[1..=n], &row[2..n + 2]]);
+        for (k, out) in out[1..=n].iter_mut().enumerate() {
+            let [xx, yy, xy] = second_derivatives(&[a[k], b[k], c[k]], &[d[k], e[k], f[k]], &[g[k], h[k], i[k]]);
+            *out = factor * (xx * yy - xy * xy);
+        }
+    }
+}
+
+multiversion! {
+    /// The Harris measure of every pixel, of moments times `factor`.
+    fn corners(moments: &SecondMoments, factor: f32, out: &mut [f32]); ["avx2"] => corners_plain, else corners_plain
+}
+
+#[inline(always)]
+fn corners_plain(moments: &SecondMoments, factor: f32, out: &mut [f32]) {
+    let values = moments.xx.values.iter().zip(&moments.yy.values).zip(&moments.xy.values);
+    for (out, ((xx, yy), xy)) in out.iter_mut().zip(values) {
+        let (xx, yy, xy) = (factor * xx, factor * yy, factor * xy);
+        *out = xx * yy - xy * xy - HARRIS_K * (xx + yy) * (xx + yy);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A picture from its levels, about its middle.
+    fn picture(side: usize, level: impl Fn(f64, f64) -> f64) -> FloatImage {
+        let half = (side / 2) as f64;
+        let values = (0..side * side).map(|k| level((k % side) as f64 - half, (k / side) as f64 - half) as f32).collect();
+        FloatImage { width: side, height: side, values }
+    }
+
+    #[test]
+    fn a_blob_has_its_height_at_its_own_scale_and_less_at_others() {
+        let blob = picture(121, |x, y| 80.0 * (-0.5 * (x * x + y * y) / 36.0).exp());
+        let [before, own, after] = [5.0, 6.0, 7.2].map(|sigma| AffineMeasure::Hessian.at_scale(&blob.blurred(sigma), sigma, 60, 60));
+        assert!((AffineMeasure::Hessian.contrast(own) - 80.0).abs() < 2.0, "{own}");
+        assert!(own > before && own > after, "{before} {own} {after}");
+        let smooth = blob.blurred(6.0);
+        let map = AffineMeasure::Hessian.strength(&smooth, &smooth, 6.0);
+        assert!((f64::from(map.at(60, 60)) / own - 1.0).abs() < 1e-3);
+        let [before, own, after] = [5.0, 6.0, 7.2].map(|sigma| AffineMeasure::Harris.at_scale(&blob.blurred(sigma), sigma, 60, 60));
+        assert!(own > before && own > after && (own - 40.0).abs() < 1.0, "{before} {own} {after}");
+    }
+
+    #[test]
+    fn a_right_angle_has_its_height_and_an_edge_none() {
+        let corner = picture(161, |x, y| if x > 0.0 && y > 0.0 { 100.0 } else { 0.0 });
+        let edge = picture(161, |x, _| if x > 0.0 { 100.0 } else { 0.0 });
+        let most = |picture: &FloatImage| {
+            let (sigma, fine) = (8.0, picture.blurred(8.0 * DERIVATIVE_SHARE));
+            let map = AffineMeasure::Harris.strength(&picture.blurred(sigma), &fine, sigma);
+            f64::from(map.values.iter().fold(f32::MIN, |a, b| a.max(*b)))
+        };
+        assert!((AffineMeasure::Harris.contrast(most(&corner)) - 100.0).abs() < 3.0);
+        assert!(most(&edge) <= 0.0);
+    }
+
+    #[test]
+    fn contrast_and_strength_are_inverse() {
+        for measure in [AffineMeasure::Harris, AffineMeasure::Hessian] {
+            assert!((measure.contrast(measure.of_contrast(37.0)) - 37.0).abs() < 1e-9);
+            assert_eq!(measure.contrast(-1.0), 0.0);
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! Affine shape adaptation: the ellipse about a place in whose frame the picture's gradients are as strong in all directions (Lindeberg & Gårding,
+//! Shape-Adapted Smoothing in Estimation of 3-D Shape Cues from Affine Deformations of Local 2-D Brightness Structure, 1997; Baumberg, Reliable
+//! Feature Matching across Widely Separated Views, CVPR 2000), with place and scale found anew in that frame at every step (Mikolajczyk & Schmid,
+//! Scale & Affine Invariant Interest Point Detectors, IJCV 2004, section 4.2). What it ends at moves with the picture under any affine map.
+
+use nalgebra::{Matrix2, Vector2};
+
+use super::affine_measure::{AffineMeasure, DERIVATIVE_SHARE};
+use crate::features::float_image::FloatImage;
+use crate::features::keypoint::{Keypoint, square_root};
+use crate::features::scale_space::{SCALES, ScaleSpace};
+use crate::features::second_moments::gradients;
+
+/// When the iteration ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Steps at most.
+    pub steps: usize,
+    /// Least ratio of the second-moment matrix' eigenvalues of what is isotropic.
+    pub isotropy: f64,
+    /// Largest ratio of the axes.
+    pub elongation: f64,
+}
+
+/// Side of a patch, pixels: a sigma of 4 reaches 3.9 sigmas to either side. The place lies in its middle, between four pixels. It is a whole number
+/// of registers wide.
+const SIDE: usize = 32;
+/// Sigma of the ellipse in its patch, pixels. Raised, the patch would have to be larger; below 3 its derivatives lose accuracy.
+const SIGMA: f64 = 4.0;
+/// Where the place lies in the patch, both coordinates.
+const MIDDLE: f64 = 0.5 * (SIDE - 1) as f64;
+/// Pixels of a patch from one sample to the next at most, in sigmas of the copy that is sampled. Raised, what lies between samples is missed.
+const WIDEST_STEP: f64 = 1.0;
+/// Variance that bilinear interpolation adds, squared pixels of what is interpolated: the mean of a (1 - a).
+const INTERPOLATION: f64 = 1.0 / 6.0;
+/// Pixels of the patch that a place may move at a step; one that is farther from its maximum belongs to another structure (section 4.2 takes the
+/// nearest maximum).
+const FARTHEST: f64 = 2.0 * SIGMA;
+/// What is still said to stay at its place, pixels of the patch: a hundredth of its sigma by 2.5.
+const STILL: f64 = 0.1;
+/// What is still said to keep its scale, octaves.
+const STEADY: f64 = 0.03;
+/// Octaves between the scales that a patch is looked at.
+const OCTAVES: f64 = 1.0 / SCALES as f64;
+/// Reach of the ellipse that must lie within the picture, sigmas: beyond lies a fortieth of the window's weight. Raised, more keypoints next to the
+/// border are lost; lowered, their shapes are those of a picture that goes on beyond its border as it does not.
+const INSIDE: f64 = 2.0;
+
+/// Adapts shapes, and keeps the buffers.
+#[derive(Debug)]
+pub struct ShapeAdaptation<'a> {
+    space: &'a ScaleSpace,
+    /// Width and height of the picture, pixels.
+    size: [f64; 2],
+    measure: AffineMeasure,
+    limits: Limits,
+    sampled: FloatImage,
+    fine: FloatImage,
+    smooth: FloatImage,
+    row: Vec<f32>,
+    /// Variance of what `fine` is smoothed by along rows and columns, squared pixels.
+    variances: [f64; 2],
+}
+
+/// What is found in a patch.
+struct Found {
+    /// From the middle, pixels.
+    offset: Vector2<f64>,
+    strength: f64,
+    /// Octaves from the patch's scale to that of the structure.
+    octaves: f64,
+    /// Second-moment matrix of its gradients.
+    moments: Matrix2<f64>,
+}
+
+impl<'a> ShapeAdaptation<'a> {
+    /// In the scale space of a picture of a width and height.
+    pub fn new(space: &'a ScaleSpace, size: (usize, usize), measure: AffineMeasure, limits: Limits) -> Self {
+        let size = [size.0 as f64, size.1 as f64];
+        let empty = FloatImage::default;
+        let (sampled, fine, smooth, row) = (empty(), empty(), empty(), Vec::new());
+        Self { space, size, measure, limits, sampled, fine, smooth, row, variances: [0.0; 2] }
+    }
+
+    /// The keypoint that a round one leads to, its response the strength in the frame of its ellipse. None where the steps lead to no end, to a
+    /// needle, or out of the picture.
+    pub fn adapted(&mut self, start: Vector2<f64>, sigma: f64) -> Option<Keypoint> {
+        let (mut place, mut shape) = (start, Matrix2::identity() * sigma);
+        for _ in 0..self.limits.steps {
+            let parts = shape.svd(true, false);
+            let (axes, sigmas) = (parts.u?, parts.singular_values);
+            let bounded = sigmas.max() <= self.limits.elongation * sigmas.min();
+            if !bounded || !self.is_inside(place, &shape) {
+                return None;
+            }
+            let frame = axes * Matrix2::from_diagonal(&sigmas);
+            self.fill(place, axes, sigmas)?;
+            let found = self.find()?;
+            let eigen = found.moments.symmetric_eigenvalues();
+            let isotropic = eigen.min() >= self.limits.isotropy * eigen.max() && eigen.min() > 0.0;
+            place += frame * found.offset / SIGMA;
+            if isotropic && found.offset.norm() <= STILL && found.octaves.abs() <= STEADY {
+                let response = self.measure.contrast(found.strength);
+                return Some(Keypoint { position: place, shape: square_root(&(shape * shape.transpose())), response: response as f32 });
+            }
+            shape = frame * isotropic_map(&found.moments)? * found.octaves.exp2();
+        }
+        None
+    }
+
+    /// Whether the ellipse lies within the picture as far as it must.
+    fn is_inside(&self, place: Vector2<f64>, shape: &Matrix2<f64>) -> bool {
+        (0..2).all(|k| {
+            let reach = INSIDE * shape.row(k).norm();
+            place[k] - reach >= 0.0 && place[k] + reach <= self.size[k] - 1.0
+        })
+    }
+
+    /// Fills the patch: the picture about a place with its axes along rows and columns and made of one length, smoothed as much along both, at
+    /// [`DERIVATIVE_SHARE`] of the sigma and at the sigma.
+    fn fill(&mut self, place: Vector2<f64>, axes: Matrix2<f64>, sigmas: Vector2<f64>) -> Option<()> {
+        let copy = self.space.at_most(DERIVATIVE_SHARE * sigmas.min())?;
+        let step = copy.octave.step;
+        // Samples a patch pixel along each axis.
+        let dense = sigmas.map(|s| (s / SIGMA / (WIDEST_STEP * copy.sigma)).ceil().max(1.0));
+        let every = [dense.x as usize, dense.y as usize];
+        let [width, height] = every.map(|n| (SIDE - 1) * n + 1);
+        (self.sampled.width, self.sampled.height) = (width, height);
+        self.sampled.values.resize(width * height, 0.0);
+        let strides = sigmas.component_div(&dense) / (SIGMA * step);
+        let (across, down) = (axes.column(0) * strides.x, axes.column(1) * strides.y);
+        let corner = copy.octave.in_octave(place) - (across * dense.x + down * dense.y) * MIDDLE;
+        for (y, row) in self.sampled.values.chunks_exact_mut(width).enumerate() {
+            let start = corner + down * y as f64;
+            copy.image.sample_line([start.x, start.y].map(|v| v as f32), [across.x, across.y].map(|v| v as f32), row);
+        }
+        // Variance that the samples have along either axis, squared patch pixels.
+        let scale = sigmas.map(|s| SIGMA / s);
+        let has = scale.map(|s| (copy.sigma.powi(2) + INTERPOLATION * step * step) * s * s);
+        let missing = |wanted: f64, k: usize| (wanted * wanted - has[k]).max(0.0).sqrt();
+        let blurs = [0, 1].map(|k| missing(DERIVATIVE_SHARE * SIGMA, k) * dense[k]);
+        self.sampled.blur_and_thin_into(blurs, every, &mut self.fine, &mut self.row);
+        self.variances = [0, 1].map(|k| has[k].max((DERIVATIVE_SHARE * SIGMA).powi(2)));
+        self.fine.blur_and_thin_into(self.lacking(SIGMA), [1, 1], &mut self.smooth, &mut self.row);
+        Some(())
+    }
+
+    /// Sigmas of the smoothing along rows and columns that makes `fine` one of `sigma` pixels.
+    fn lacking(&self, sigma: f64) -> [f64; 2] {
+        self.variances.map(|v| (sigma * sigma - v).max(0.0).sqrt())
+    }
+
+    /// The maximum of the measure nearest to the patch's middle, and the scale there.
+    fn find(&self) -> Option<Found> {
+        let map = self.measure.strength(&self.smooth, &self.fine, SIGMA);
+        let (x, y) = nearest_maximum(&map)?;
+        let (fit, strength) = peak(&map, x, y);
+        let offset = Vector2::new(x as f64 - MIDDLE, y as f64 - MIDDLE) + fit;
+        let scales = [0, 1, 2].map(|k| {
+            let sigma = SIGMA * ((k as f64 - 1.0) * OCTAVES).exp2();
+            self.measure.at_scale(&smoothed_about(&self.fine, x, y, self.lacking(sigma)), sigma, 1, 1)
+        });
+        let [before, here, after] = scales;
+        let octaves = if before > here || after > here {
+            if before > after { -OCTAVES } else { OCTAVES }
+        } else {
+            let curve = before + after - 2.0 * here;
+            if curve < 0.0 { 0.5 * OCTAVES * (before - after) / curve } else { 0.0 }
+        };
+        let moments = self.moments(Vector2::new(x as f64, y as f64) + fit);
+        Some(Found { offset, strength, octaves, moments })
+    }
+
+    /// The second-moment matrix of a place of the patch.
+    fn moments(&self, place: Vector2<f64>) -> Matrix2<f64> {
+        let (across, down) = gradients(&self.fine);
+        let weights = [place.x, place.y].map(|c| {
+            let weight = |k: usize| (-0.5 * ((k as f64 - c) / SIGMA).powi(2)).exp() as f32;
+            std::array::from_fn::<f32, SIDE, _>(weight)
+        });
+        let (mut xx, mut yy, mut xy) = (0.0, 0.0, 0.0);
+        for (y, (a, b)) in across.values.chunks_exact(SIDE).zip(down.values.chunks_exact(SIDE)).enumerate() {
+            let mut sums = [0.0f32; 3];
+            for ((a, b), weight) in a.iter().zip(b).zip(&weights[0]) {
+                sums = [sums[0] + weight * a * a, sums[1] + weight * b * b, sums[2] + weight * a * b];
+            }
+            let [a, b, c] = sums.map(|s| f64::from(s * weights[1][y]));
+            (xx, yy, xy) = (xx + a, yy + b, xy + c);
+        }
+        Matrix2::new(xx, xy, xy, yy)
+    }
+}
+
+/// A pixel of a patch and its neighbours, smoothed by sigmas along rows and columns; beyond the border there is nothing.
+fn smoothed_about(patch: &FloatImage, x: usize, y: usize, sigmas: [f64; 2]) -> FloatImage {
+    let weights = |middle: usize, sigma: f64| {
+        // A sigma of nothing leaves the pixels as they are.
+        let exponent = -0.5 / (sigma * sigma).max(1e-6);
+        [0, 1, 2].map(|k| {
+            let offset = |i: usize| (i + 1) as f64 - (middle + k) as f64;
+            let values: [f32; SIDE] = std::array::from_fn(|i| (exponent * offset(i).powi(2)).exp() as f32);
+            let sum: f32 = values.iter().sum();
+            values.map(|v| v / sum)
+        })
+    };
+    let (columns, rows) = (weights(x, sigmas[0]), weights(y, sigmas[1]));
+    let mut out = FloatImage::new(3, 3);
+    for (out, weights) in out.values.chunks_exact_mut(3).zip(&rows) {
+        let mut sums = [0.0f32; SIDE];
+        for (row, weight) in patch.values.chunks_exact(SIDE).zip(weights) {
+            sums.iter_mut().zip(row).for_each(|(sum, v)| *sum += weight * v);
+        }
+        for (out, weights) in out.iter_mut().zip(&columns) {
+            *out = sums.iter().zip(weights).map(|(a, b)| a * b).sum();
+        }
+    }
+    out
+}
+
+/// Of a second-moment matrix, the map of area one from the frame in which it is a circle: its inverse square root.
+fn isotropic_map(moments: &Matrix2<f64>) -> Option<Matrix2<f64>> {
+    let determinant = moments.determinant();
+    // Of a straight edge nothing can be said.
+    if determinant.is_nan() || determinant <= 1e-8 * moments.trace().powi(2) {
+        return None;
+    }
+    let m = moments / determinant.sqrt();
+    Some(square_root(&Matrix2::new(m.m22, -m.m12, -m.m21, m.m11)))
+}
+
+/// The maximum that the steepest way from the middle leads to.
+fn nearest_maximum(map: &FloatImage) -> Option<(usize, usize)> {
+    let value = |(x, y): (usize, usize)| map.values[y * SIDE + x];
+    let better = |a: (usize, usize), b: (usize, usize)| if value(b) > value(a) { b } else { a };
+    let half = SIDE / 2;
+    let mut at = [(half, half - 1), (half - 1, half), (half, half)].into_iter().fold((half - 1, half - 1), better);
+    loop {
+        let (x, y) = at;
+        let far = Vector2::new(x as f64 - MIDDLE, y as f64 - MIDDLE).norm();
+        if far.is_nan() || far > FARTHEST {
+            return None;
+        }
+        let next = (y - 1..=y + 1).flat_map(|k| (x - 1..=x + 1).map(move |i| (i, k))).fold(at, better);
+        if next == at {
+            return (value(at) > 0.0).then_some(at);
+        }
+        at = next;
+    }
+}
+
+/// The vertex of the quadratic through a maximum and its neighbours, from its pixel, and the value there.
+fn peak(map: &FloatImage, x: usize, y: usize) -> (Vector2<f64>, f64) {
+    let at = |i: isize, k: isize| f64::from(map.values[y.wrapping_add_signed(k) * map.width + x.wrapping_add_signed(i)]);
+    let here = at(0, 0);
+    let slope = 0.5 * Vector2::new(at(1, 0) - at(-1, 0), at(0, 1) - at(0, -1));
+    let mixed = 0.25 * (at(1, 1) + at(-1, -1) - at(1, -1) - at(-1, 1));
+    let curvature = Matrix2::new(at(1, 0) + at(-1, 0) - 2.0 * here, mixed, mixed, at(0, 1) + at(0, -1) - 2.0 * here);
+    // Beyond the neighbours the fit says nothing; the pixel itself is the best known.
+    let vertex = curvature.try_inverse().map(|inverse| -(inverse * slope)).filter(|v| v.amax() <= 1.0).unwrap_or_default();
+    (vertex, here + 0.5 * slope.dot(&vertex))
+}
