@@ -44,7 +44,7 @@ const LONGITUDE_STEP: f64 = 72.0;
 const ANTI_ALIASING: f64 = 0.8;
 /// Reach of that blur in sigmas, where 3e-4 of it is left.
 const BLUR_REACH: f64 = 3.6;
-/// A keypoint of a simulated view needs so many of its sigmas to the view's border: what SIFT reads (6 sqrt 2), as the authors' program does.
+/// Least distance of a keypoint from a simulated view's border, in its sigmas: what SIFT reads (6 sqrt 2), as the authors' program does.
 /// Lowered, descriptions of the border itself come in.
 const BORDER_SIGMAS: f64 = 8.5;
 /// Features are the same when their places differ by less than this share of the smaller region's sigma …

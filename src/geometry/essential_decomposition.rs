@@ -52,7 +52,7 @@ pub struct JudgedMotion {
     pub parallax: f64,
 }
 
-/// A pair on the wrong side counts so many squares of the noise at most, so that wrong pairs among the inliers cannot decide.
+/// Largest count of a pair on the wrong side, in squares of the noise, so that wrong pairs among the inliers cannot decide.
 pub const LARGEST_SQUARED: f64 = 9.0;
 /// A motion is surely the right one of four from this margin on: four sigmas.
 pub const CLEAR_MARGIN: f64 = 16.0;

@@ -25,6 +25,7 @@ pub fn five_point(pairs: &[RayPair; 5]) -> Vec<Matrix3<f64>> {
 
 /// Index of the monomials of degree <= 3 in x, y, z, in the order that Nistér's elimination needs.
 fn monomial_index([x, y, z]: [usize; 3]) -> usize {
+    // Exponents of x, y and z: first the ten that are eliminated, then those that the polynomial in z is made of (Nistér 2004).
     const ORDER: [[usize; 3]; 20] = [
         [3, 0, 0],
         [0, 3, 0],

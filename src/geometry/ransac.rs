@@ -55,7 +55,7 @@ pub enum Order {
     Even,
     /// The data are sorted, best first: samples are drawn from the best of them first.
     BestFirst {
-        /// After so many samples all data are drawn from evenly. Raised, the search stays longer with the best.
+        /// Samples after which all data are drawn from evenly. Raised, the search stays longer with the best.
         even_after: usize,
         /// Samples at least before the pool of best data grows by one. The paper has 1, with which a pool of a few dozen, the best there is where few
         /// data agree, is drawn from a few dozen times only.
@@ -72,7 +72,7 @@ impl Order {
     pub const PROSAC: Self = Self::BestFirst { even_after: 200_000, draws_each: 30, stops_by_best: true };
 }
 
-/// A stretch of best data says how many samples are enough only if more than its sample agrees by so many data, and ...
+/// A stretch of best data says how many samples are enough only if at least this many data beyond its sample agree, and ...
 const LEAST_BEYOND_SAMPLE: f64 = 5.0;
 /// ... by this many standard deviations of what agrees by chance, where a wrong datum agrees with a wrong model by this chance: a band of three
 /// pixels about a line takes one or two hundredths of a small picture. Raised, the search goes on longer before it believes a model.

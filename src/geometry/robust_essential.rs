@@ -89,7 +89,7 @@ impl Views<'_> {
         self.threshold / 3.0 / self.focals[0].min(self.focals[1])
     }
 
-    /// Pairs within so many thresholds.
+    /// Pairs within this multiple of the threshold.
     fn near(&self, e: &Matrix3<f64>, thresholds: f64) -> Vec<RayPair> {
         let (f, within) = (self.in_pixels(e), (thresholds * self.threshold).powi(2));
         self.rays.iter().zip(self.pixels).filter(|(_, p)| squared_sampson(&f, *p) < within).map(|(r, _)| *r).collect()

@@ -80,7 +80,7 @@ impl<C: Correspondence + Copy> Estimator<7> for Views<'_, C> {
 }
 
 impl<C: Correspondence + Copy> Views<'_, C> {
-    /// Pairs within so many thresholds.
+    /// Pairs within this multiple of the threshold.
     fn near(&self, f: &Matrix3<f64>, thresholds: f64) -> Vec<C> {
         let within = (thresholds * self.threshold).powi(2);
         self.pairs.iter().filter(|p| squared_sampson(f, *p) < within).copied().collect()

@@ -56,7 +56,7 @@ impl Scorer {
 
     /// Where score minus pairs done is below this, the pairs that are left cannot lift the score over the bar.
     fn hopeless(&self, bar: f64) -> f64 {
-        // More than rounding can take from a sum of so many numbers up to 1.
+        // More than rounding can take from a sum of that length of numbers up to 1.
         let rounding = 1e-9 * self.count as f64;
         bar - rounding - (self.blocks.len() * LANES) as f64
     }
