@@ -17,6 +17,7 @@ pub mod essential_decomposition;
 pub mod false_alarms;
 pub mod five_point;
 mod four_point;
+pub mod frame_chain;
 pub mod fundamental_refinement;
 pub mod gold_standard;
 pub mod homography;
