@@ -46,7 +46,7 @@ impl Default for ExtractorOptions {
 }
 
 /// Pixels at a level's border that no descriptor can reach beyond: follows from [`describe`](super::descriptor::describe).
-const BORDER: u32 = PATCH_RADIUS as u32 + 2;
+pub(super) const BORDER: u32 = PATCH_RADIUS as u32 + 2;
 
 #[derive(Debug, Default)]
 struct LevelWork {

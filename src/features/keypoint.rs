@@ -5,8 +5,10 @@ use std::cell::OnceCell;
 use image::GrayImage;
 use nalgebra::{Matrix2, Vector2};
 
+use super::extractor::ExtractorOptions;
 use super::float_image::FloatImage;
-use super::{Descriptor, integral_image::IntegralImage, scale_space::ScaleSpace};
+use super::pyramid::{Level, Pyramid};
+use super::{Descriptor, extractor::BORDER, integral_image::IntegralImage, scale_space::ScaleSpace};
 
 /// A distinctive place of a picture with the region that belongs to it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -103,12 +105,13 @@ pub struct PictureForms<'a> {
     float: OnceCell<FloatImage>,
     scale_space: OnceCell<ScaleSpace>,
     integral: OnceCell<IntegralImage>,
+    pyramid: OnceCell<Pyramid>,
 }
 
 impl<'a> PictureForms<'a> {
     /// Nothing is made yet.
     pub fn new(grey: &'a GrayImage) -> Self {
-        Self { grey, float: OnceCell::new(), scale_space: OnceCell::new(), integral: OnceCell::new() }
+        Self { grey, float: OnceCell::new(), scale_space: OnceCell::new(), integral: OnceCell::new(), pyramid: OnceCell::new() }
     }
 
     /// Its grey levels as numbers.
@@ -124,5 +127,16 @@ impl<'a> PictureForms<'a> {
     /// Its integral image.
     pub fn integral(&self) -> &IntegralImage {
         self.integral.get_or_init(|| IntegralImage::of(self.grey))
+    }
+
+    /// The pyramid of the tracker's own corners and descriptors, largest level first.
+    pub fn pyramid(&self) -> &[Level] {
+        let ExtractorOptions { factor, levels, .. } = ExtractorOptions::default();
+        let build = || {
+            let mut pyramid = Pyramid::default();
+            pyramid.build(self.grey, factor, levels, 2 * BORDER + 8);
+            pyramid
+        };
+        self.pyramid.get_or_init(build).levels()
     }
 }

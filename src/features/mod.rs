@@ -4,6 +4,7 @@
 //! [`FeatureExtractor`] owns the buffers and keeps them from frame to frame. Hot loops live in `kernels`,
 //! each beside a plain twin that the tests hold it to.
 
+mod choice;
 mod corners;
 mod descriptor;
 pub mod descriptors;
@@ -25,6 +26,7 @@ mod test_pictures;
 mod view_simulation;
 mod workers;
 
+pub use choice::{DescriptorKind, DetectorKind, FeatureSettings, detect, extract};
 pub use corners::{CornerBuffers, CornerOptions, detect_corners};
 pub use descriptor::{Descriptor, describe, orientation};
 pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};

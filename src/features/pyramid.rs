@@ -34,6 +34,11 @@ pub struct Pyramid {
 }
 
 impl Pyramid {
+    /// The levels that were built last.
+    pub fn levels(&self) -> &[Level] {
+        &self.levels
+    }
+
     /// Builds at most `count` levels, each `factor` (> 1) smaller than the one before, none with a side below `least` pixels.
     pub fn build(&mut self, picture: &GrayImage, factor: f64, count: usize, least: u32) -> &[Level] {
         let (w, h) = picture.dimensions();

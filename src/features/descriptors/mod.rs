@@ -1,5 +1,6 @@
 //! Descriptors: from a keypoint to numbers or bits that say what surrounds it. One a file, with its source.
 
+mod binary;
 mod gloh;
 mod gradients;
 mod orientation;
@@ -11,6 +12,7 @@ mod structure_tensor;
 mod surf;
 mod window;
 
+pub use binary::BinaryComparisons;
 pub use gloh::{Basis, GlohDescriber};
 pub use patch::PatchDescriber;
 pub use sift::SiftDescriber;

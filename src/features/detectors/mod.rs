@@ -3,6 +3,7 @@
 mod affine;
 mod affine_measure;
 mod harris;
+mod live;
 mod mser;
 mod shape_adaptation;
 mod sift;
@@ -11,6 +12,8 @@ mod surf;
 pub use affine::AffineDetector;
 pub use affine_measure::AffineMeasure;
 pub use harris::{CornerMeasure, HarrisDetector};
+pub use live::LiveCorners;
+pub(super) use live::REGION_SIGMA;
 pub use mser::MserDetector;
 pub use sift::SiftDetector;
 pub use surf::SurfDetector;
