@@ -4,11 +4,15 @@
 //! nearest and the nearest that lies elsewhere, and the mutual test. The survivors come best first, which is
 //! the order that PROSAC wants.
 
+mod exact;
 mod kernels;
+mod rival;
 
 use nalgebra::Vector2;
 
 use crate::features::{Descriptor, Feature, Workers};
+pub use exact::{ExactMatch, ExactOptions, match_exactly};
+use rival::Nearest;
 
 /// A described corner of a reference picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,45 +80,22 @@ impl ReferenceIndex {
 
     /// The nearest entry and the ratio of its distance to that of the nearest elsewhere.
     fn nearest(&self, descriptor: &Descriptor) -> Option<(u32, f32)> {
-        // No entry yet: farther than any that may come.
-        const NONE: (u32, usize) = (u32::MAX, usize::MAX);
-        let (mut best, mut second) = (NONE, NONE);
-        // Whether entries were left out because they lie beside the best one, and whether a rival may be among them.
-        let (mut has_left_out, mut may_miss_rival) = (false, false);
+        let mut nearest = Nearest::<u32>::default();
         kernels::scan(descriptor, &self.blocks, |k, distance, bar: &mut u32| {
-            if k >= self.features.len() {
-                return;
+            if k < self.features.len() {
+                nearest.offer(k, distance, |a, b| self.same_place(a, b));
+                *bar = nearest.bar();
             }
-            if distance < best.0 {
-                if best.1 == usize::MAX || !self.same_place(best.1, k) {
-                    // The old best is nearer than all that was left out beside it.
-                    (second, has_left_out) = (best, false);
-                } else {
-                    // What lay beside the old best may lie elsewhere from the new one.
-                    may_miss_rival |= has_left_out;
-                    has_left_out = true;
-                }
-                best = (distance, k);
-                if second.1 != usize::MAX && self.same_place(second.1, k) {
-                    (second, may_miss_rival) = (NONE, true);
-                }
-            } else if self.same_place(best.1, k) {
-                has_left_out = true;
-            } else if distance < second.0 {
-                second = (distance, k);
-            }
-            *bar = second.0;
         });
-        if may_miss_rival {
-            second = self.nearest_elsewhere(descriptor, best.1);
-        }
+        let best = nearest.best()?;
+        let rival = if nearest.may_miss_rival() { self.nearest_elsewhere(descriptor, best.1) } else { nearest.rival() };
         // One is added to both, so that two exact copies are rivals (0 / 0).
-        let ratio = if second.1 == usize::MAX { 0.5 } else { (best.0 + 1) as f32 / (second.0 + 1) as f32 };
+        let ratio = rival.map_or(0.5, |(rival, _)| (best.0 + 1) as f32 / (rival + 1) as f32);
         (best.0 <= LARGEST_DISTANCE).then_some((best.1 as u32, ratio))
     }
 
-    /// Distance and index of the nearest entry that does not show the place of entry `best`; both at their largest where there is none.
-    fn nearest_elsewhere(&self, descriptor: &Descriptor, best: usize) -> (u32, usize) {
+    /// Distance and index of the nearest entry that does not show the place of entry `best`.
+    fn nearest_elsewhere(&self, descriptor: &Descriptor, best: usize) -> Option<(u32, usize)> {
         let mut second = (u32::MAX, usize::MAX);
         kernels::scan(descriptor, &self.blocks, |k, distance, bar: &mut u32| {
             if k < self.features.len() && distance < second.0 && !self.same_place(best, k) {
@@ -122,7 +103,7 @@ impl ReferenceIndex {
                 *bar = distance;
             }
         });
-        second
+        (second.1 != usize::MAX).then_some(second)
     }
 
     /// Matches frame features with the index: best ratio first (ties by frame index).

@@ -1,0 +1,353 @@
+//! Exact matching of two pictures' descriptors: every one is compared with every other.
+//!
+//! Three rules decide what is a match: the nearest; Lowe's ratio (2004, section 7.1) of its distance to that of the nearest that lies elsewhere;
+//! and the mutual test, that the nearest of the other is this one again. The matches come best ratio first, which is the order that PROSAC wants.
+
+use rayon::prelude::*;
+
+use super::kernels;
+use super::rival::Nearest;
+use crate::features::{Descriptor, Descriptors, Features, Keypoint};
+use crate::simd::multiversion;
+
+/// What is a match.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExactOptions {
+    /// Largest ratio of the distance to that of the nearest elsewhere; 1 lets all pass. Raised, there are more matches and more wrong ones.
+    pub ratio: f32,
+    /// Whether the nearest of the nearest must be where it began.
+    pub is_mutual: bool,
+}
+
+impl Default for ExactOptions {
+    /// Lowe's ratio, and mutual.
+    fn default() -> Self {
+        Self { ratio: 0.8, is_mutual: true }
+    }
+}
+
+/// A keypoint of the first picture with one of the second.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExactMatch {
+    /// Index into the first picture's keypoints.
+    pub first: u32,
+    /// Index into the second picture's keypoints.
+    pub second: u32,
+    /// Distance of the descriptors: Euclidean, or Hamming's.
+    pub distance: f32,
+    /// Distance over that of the nearest elsewhere.
+    pub ratio: f32,
+}
+
+/// Keypoints of the second picture closer together than this, in sigmas of the larger, show the same place: one is no rival of the other. A keypoint
+/// with two directions, or seen in two simulated views, comes twice. Raised, neighbours that could be mistaken for each other are no rivals either.
+const SAME_PLACE: f64 = 0.8;
+/// The same between a keypoint and the one that the mutual test leads back to.
+const SAME_PLACE_BACK: f64 = 1.0;
+
+/// Matches of two pictures' features, best ratio first; none where their descriptors are of different kinds.
+pub fn match_exactly(first: &Features, second: &Features, options: &ExactOptions) -> Vec<ExactMatch> {
+    let Some(Compared { forth, back }) = compared(first, second) else { return Vec::new() };
+    let mut matches: Vec<ExactMatch> = Vec::new();
+    for (k, nearest) in forth.iter().enumerate() {
+        let Some(found) = nearest.filter(|n| n.ratio < options.ratio || options.ratio >= 1.0) else { continue };
+        let returned = &first.keypoints[back[found.index]];
+        if !options.is_mutual || back[found.index] == k || same_place(returned, &first.keypoints[k], SAME_PLACE_BACK) {
+            matches.push(ExactMatch { first: k as u32, second: found.index as u32, distance: found.distance, ratio: found.ratio });
+        }
+    }
+    matches.sort_by(|a, b| a.ratio.total_cmp(&b.ratio).then(a.first.cmp(&b.first)));
+    matches
+}
+
+fn same_place(a: &Keypoint, b: &Keypoint, sigmas: f64) -> bool {
+    let near = sigmas * a.scale().max(b.scale());
+    (a.position - b.position).norm_squared() < near * near
+}
+
+/// The nearest descriptor of the other picture, with the rival's ratio.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Found {
+    index: usize,
+    distance: f32,
+    ratio: f32,
+}
+
+/// Every descriptor of one picture compared with every one of the other.
+struct Compared {
+    /// For each of the first picture's, the nearest of the second's.
+    forth: Vec<Option<Found>>,
+    /// For each of the second picture's, the nearest of the first's.
+    back: Vec<usize>,
+}
+
+/// `None` where there is nothing to compare.
+fn compared(first: &Features, second: &Features) -> Option<Compared> {
+    if first.keypoints.is_empty() || second.keypoints.is_empty() {
+        return None;
+    }
+    match (&first.descriptors, &second.descriptors) {
+        (Descriptors::Vectors { length: n, values: a }, Descriptors::Vectors { length: m, values: b }) if n == m && *n > 0 => {
+            Some(compared_vectors(a, b, *n, &second.keypoints))
+        }
+        (Descriptors::Bits(a), Descriptors::Bits(b)) => {
+            let back = nearest_bits(b, a, None).into_iter().map(|found| found.map_or(0, |found| found.index)).collect();
+            Some(Compared { forth: nearest_bits(a, b, Some(&second.keypoints)), back })
+        }
+        _ => None,
+    }
+}
+
+/// Queries that are compared with one target after the other: as many as stay in the first cache with their target. Raised, they fall out of it.
+const TOGETHER: usize = 16;
+/// Queries that one thread takes at a time, whose nearest for each target are kept: some megabytes for the largest pictures. Raised, threads wait
+/// for each other at the end; lowered, more is kept.
+const A_TURN: usize = 16 * TOGETHER;
+
+/// The nearest of the queries to one target: the distance's part that depends on the query, and its index.
+type NearestQuery = (f32, u32);
+
+fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[Keypoint]) -> Compared {
+    let square = |v: &[f32]| v.iter().map(|v| v * v).sum::<f32>();
+    let squares: Vec<f32> = targets.chunks_exact(length).map(square).collect();
+    let turn = |(turn, queries): (usize, &[f32])| {
+        let mut back: Vec<NearestQuery> = vec![(f32::INFINITY, 0); squares.len()];
+        let mut forth = Vec::with_capacity(A_TURN);
+        for (block, queries) in queries.chunks(TOGETHER * length).enumerate() {
+            let at = turn * A_TURN + block * TOGETHER;
+            let own: Vec<f32> = queries.chunks_exact(length).map(square).collect();
+            let mut nearest = vec![Nearest::default(); own.len()];
+            let mut products = [0.0; TOGETHER];
+            for (k, target) in targets.chunks_exact(length).enumerate() {
+                dot_products(queries, target, &mut products);
+                for (query, (nearest, product)) in nearest.iter_mut().zip(&products).enumerate() {
+                    // Squared distances, each less the square that is the same for all that are compared.
+                    nearest.offer(k, squares[k] - 2.0 * product, |a, b| same_place(&places[a], &places[b], SAME_PLACE));
+                    let from_here = own[query] - 2.0 * product;
+                    if from_here < back[k].0 {
+                        back[k] = (from_here, (at + query) as u32);
+                    }
+                }
+            }
+            forth.extend(queries.chunks_exact(length).zip(nearest).map(|(query, nearest)| found(query, targets, places, nearest)));
+        }
+        (forth, back)
+    };
+    let turns: Vec<(Vec<Option<Found>>, Vec<NearestQuery>)> = queries.par_chunks(A_TURN * length).enumerate().map(turn).collect();
+    let mut back = vec![(f32::INFINITY, 0); squares.len()];
+    let mut forth = Vec::with_capacity(queries.len() / length);
+    for (nearest, of_turn) in turns {
+        forth.extend(nearest);
+        // Turns come in the order of their queries: of equals the first stays.
+        back.iter_mut().zip(of_turn).filter(|(best, other)| other.0 < best.0).for_each(|(best, other)| *best = other);
+    }
+    Compared { forth, back: back.into_iter().map(|(_, index)| index as usize).collect() }
+}
+
+/// The answer for one query, whose rival is looked up again where it may have been missed.
+fn found(query: &[f32], targets: &[f32], places: &[Keypoint], nearest: Nearest<f32>) -> Option<Found> {
+    let length = query.len();
+    // Differences are squared here, which rounds less than the products of large vectors do.
+    let distance = |k: usize| query.iter().zip(&targets[k * length..]).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt();
+    let (_, best) = nearest.best()?;
+    let elsewhere = |k: &usize| !same_place(&places[best], &places[*k], SAME_PLACE);
+    let rival = if nearest.may_miss_rival() {
+        (0..places.len()).filter(elsewhere).map(distance).min_by(f32::total_cmp)
+    } else {
+        nearest.rival().map(|(_, k)| distance(k))
+    };
+    let own = distance(best);
+    // Two exact copies are rivals: 0 / 0 counts as 1.
+    let ratio = rival.map_or(NO_RIVAL, |rival| if rival > 0.0 { own / rival } else { 1.0 });
+    own.is_finite().then_some(Found { index: best, distance: own, ratio })
+}
+
+/// The ratio of a match without any rival: it may pass, but comes after those that beat one clearly.
+const NO_RIVAL: f32 = 0.5;
+
+/// For each query the nearest target, and its rival where places are given.
+fn nearest_bits(queries: &[Descriptor], targets: &[Descriptor], places: Option<&[Keypoint]>) -> Vec<Option<Found>> {
+    let mut blocks = Vec::new();
+    kernels::pack_into(targets.iter().copied(), &mut blocks);
+    let is_same = |a: usize, b: usize| places.is_none_or(|places| same_place(&places[a], &places[b], SAME_PLACE));
+    let one = |query: &Descriptor| {
+        let mut nearest = Nearest::<u32>::default();
+        kernels::scan(query, &blocks, |k, distance, bar: &mut u32| {
+            if k < targets.len() {
+                nearest.offer(k, distance, is_same);
+                *bar = nearest.bar();
+            }
+        });
+        let distance = |k: usize| query.0.iter().zip(targets[k].0).map(|(a, b)| (a ^ b).count_ones()).sum::<u32>();
+        let (_, best) = nearest.best()?;
+        let elsewhere = |k: &usize| !is_same(best, *k);
+        let rival = if nearest.may_miss_rival() {
+            (0..targets.len()).filter(elsewhere).map(distance).min()
+        } else {
+            nearest.rival().map(|(_, k)| distance(k))
+        };
+        let own = distance(best);
+        // One is added to both, so that two exact copies are rivals (0 / 0).
+        let ratio = rival.map_or(NO_RIVAL, |rival| (own + 1) as f32 / (rival + 1) as f32);
+        Some(Found { index: best, distance: own as f32, ratio })
+    };
+    queries.par_iter().map(one).collect()
+}
+
+multiversion! {
+    /// Products of up to [`TOGETHER`] vectors, one after the other, with one.
+    fn dot_products(block: &[f32], target: &[f32], products: &mut [f32; TOGETHER]); ["avx2" "fma"] => dot_products_wide, else dot_products_plain
+}
+
+/// Sums that are gathered side by side: the lanes of a register.
+const LANES: usize = 8;
+
+#[inline(always)]
+fn dot_products_wide(block: &[f32], target: &[f32], products: &mut [f32; TOGETHER]) {
+    let length = target.len();
+    // Four at a time share what is read of the target.
+    for (products, four) in products.chunks_exact_mut(4).zip(block.chunks(4 * length)) {
+        if four.len() < 4 * length {
+            dot_products_one_by_one(four, target, products);
+            continue;
+        }
+        let whole = length - length % LANES;
+        let mut sums = [[0.0_f32; LANES]; 4];
+        for at in (0..whole).step_by(LANES) {
+            let t: &[f32; LANES] = target[at..].first_chunk().unwrap_or(&[0.0; LANES]);
+            for (query, sum) in sums.iter_mut().enumerate() {
+                let q: &[f32; LANES] = four[query * length + at..].first_chunk().unwrap_or(&[0.0; LANES]);
+                for lane in 0..LANES {
+                    sum[lane] = q[lane].mul_add(t[lane], sum[lane]);
+                }
+            }
+        }
+        for (query, (product, sum)) in products.iter_mut().zip(&sums).enumerate() {
+            let rest = &four[query * length + whole..(query + 1) * length];
+            *product = sum.iter().sum::<f32>() + rest.iter().zip(&target[whole..]).map(|(a, b)| a * b).sum::<f32>();
+        }
+    }
+}
+
+#[inline(always)]
+fn dot_products_one_by_one(block: &[f32], target: &[f32], products: &mut [f32]) {
+    for (product, query) in products.iter_mut().zip(block.chunks_exact(target.len())) {
+        *product = query.iter().zip(target).map(|(a, b)| a * b).sum();
+    }
+}
+
+/// The plain twin of [`dot_products`].
+#[inline(always)]
+fn dot_products_plain(block: &[f32], target: &[f32], products: &mut [f32; TOGETHER]) {
+    dot_products_one_by_one(block, target, products);
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector2;
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    fn vectors(n: usize, length: usize, seed: u64) -> Features {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let keypoints =
+            (0..n).map(|_| Keypoint::round(Vector2::new(rng.random_range(0.0..40.0), rng.random_range(0.0..40.0)), 1.5, 1.0)).collect();
+        Features { keypoints, descriptors: Descriptors::Vectors { length, values: (0..n * length).map(|_| rng.random()).collect() } }
+    }
+
+    /// All distances, one after the other, and the rule in its own words.
+    fn plain(first: &Features, second: &Features, options: &ExactOptions) -> Vec<(u32, u32, f32)> {
+        let distance = |a: usize, b: usize| match (&first.descriptors, &second.descriptors) {
+            (Descriptors::Vectors { length: n, values: p }, Descriptors::Vectors { values: q, .. }) => {
+                (0..*n).map(|k| (p[a * n + k] - q[b * n + k]).powi(2)).sum::<f32>().sqrt()
+            }
+            (Descriptors::Bits(p), Descriptors::Bits(q)) => (0..4).map(|k| (p[a].0[k] ^ q[b].0[k]).count_ones()).sum::<u32>() as f32,
+            _ => f32::NAN,
+        };
+        let one = if matches!(first.descriptors, Descriptors::Bits(_)) { 1.0 } else { 0.0 };
+        let (n, m) = (first.keypoints.len(), second.keypoints.len());
+        let mut found = Vec::new();
+        for a in 0..n {
+            let best = (0..m).min_by(|p, q| distance(a, *p).total_cmp(&distance(a, *q))).unwrap();
+            let elsewhere = (0..m).filter(|k| !same_place(&second.keypoints[best], &second.keypoints[*k], SAME_PLACE));
+            let rival = elsewhere.map(|k| distance(a, k)).min_by(f32::total_cmp);
+            let ratio = rival.map_or(NO_RIVAL, |r| (distance(a, best) + one) / (r + one));
+            let back = (0..n).min_by(|p, q| distance(*p, best).total_cmp(&distance(*q, best))).unwrap();
+            let returns = back == a || same_place(&first.keypoints[back], &first.keypoints[a], SAME_PLACE_BACK);
+            if ratio < options.ratio && (returns || !options.is_mutual) {
+                found.push((a as u32, best as u32, ratio));
+            }
+        }
+        found.sort_by(|a, b| a.2.total_cmp(&b.2));
+        found
+    }
+
+    fn same(first: &Features, second: &Features) {
+        for is_mutual in [false, true] {
+            let options = ExactOptions { ratio: 0.97, is_mutual };
+            let mut expected: Vec<_> = plain(first, second, &options).iter().map(|m| (m.0, m.1)).collect();
+            let found = match_exactly(first, second, &options);
+            assert!(found.windows(2).all(|w| w[0].ratio <= w[1].ratio));
+            let mut found: Vec<_> = found.iter().map(|m| (m.first, m.second)).collect();
+            (expected.sort_unstable(), found.sort_unstable());
+            assert!(expected.len() > 5, "{}", expected.len());
+            assert_eq!(found, expected);
+        }
+    }
+
+    /// Thesis error E12: the source keeps a stale second best, so that its ratio test lets too much pass.
+    #[test]
+    fn e12_the_second_nearest_is_exact() {
+        for seed in 0..20 {
+            same(&vectors(60, 13, seed), &vectors(80, 13, seed + 100));
+            let bits = |seed| {
+                let mut rng = Pcg64Mcg::seed_from_u64(seed);
+                Features { descriptors: Descriptors::Bits((0..80).map(|_| Descriptor(rng.random())).collect()), ..vectors(80, 1, seed) }
+            };
+            same(&bits(seed), &bits(seed + 100));
+        }
+    }
+
+    #[test]
+    fn one_place_seen_twice_is_no_rival_and_two_places_that_look_alike_are_no_match() {
+        let query = vectors(1, 32, 1);
+        let both = |shift: f64| {
+            let Descriptors::Vectors { length, values } = &query.descriptors else { unreachable!("vectors") };
+            let place = query.keypoints[0];
+            let other = Keypoint { position: place.position + Vector2::new(shift, 0.0), ..place };
+            Features { keypoints: vec![place, other], descriptors: Descriptors::Vectors { length: *length, values: values.repeat(2) } }
+        };
+        assert_eq!(match_exactly(&query, &both(0.3), &ExactOptions::default()).len(), 1);
+        assert_eq!(match_exactly(&query, &both(30.0), &ExactOptions::default()).len(), 0);
+    }
+
+    #[test]
+    fn what_cannot_be_compared_gives_no_match() {
+        let none = Features { keypoints: Vec::new(), descriptors: Descriptors::Bits(Vec::new()) };
+        for (a, b) in [(&vectors(5, 8, 1), &vectors(5, 9, 2)), (&none, &vectors(5, 8, 1)), (&vectors(5, 8, 1), &none)] {
+            assert_eq!(match_exactly(a, b, &ExactOptions::default()), Vec::new());
+        }
+        let mut holed = vectors(5, 8, 3);
+        if let Descriptors::Vectors { values, .. } = &mut holed.descriptors {
+            values.fill(f32::NAN);
+        }
+        assert_eq!(match_exactly(&holed, &holed, &ExactOptions::default()), Vec::new());
+    }
+
+    #[test]
+    fn wide_products_are_the_plain_ones() {
+        for length in [3, 8, 64, 129] {
+            let (Descriptors::Vectors { values: a, .. }, Descriptors::Vectors { values: b, .. }) =
+                (vectors(TOGETHER - 1, length, 1).descriptors, vectors(1, length, 2).descriptors)
+            else {
+                unreachable!("vectors")
+            };
+            let (mut wide, mut plain) = ([0.0; TOGETHER], [0.0; TOGETHER]);
+            dot_products(&a, &b, &mut wide);
+            dot_products_plain(&a, &b, &mut plain);
+            assert!(wide.iter().zip(plain).all(|(w, p)| (w - p).abs() < 1e-3 * length as f32));
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! The nearest descriptor and its rival: the nearest that lies elsewhere.
+//!
+//! Candidates come one after the other. Those beside the best are no rivals, and the best changes on the way; where a rival may have been
+//! forgotten with that, it says so, and whoever asks looks through all again.
+
+/// The nearest so far. `D` is a distance whose largest value is no distance.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Nearest<D> {
+    best: (D, usize),
+    second: (D, usize),
+    /// Whether candidates were left out because they lie beside the best one.
+    has_left_out: bool,
+    may_miss_rival: bool,
+}
+
+/// A distance with a largest value.
+pub(super) trait Distance: Copy + PartialOrd {
+    /// No distance is larger.
+    const LARGEST: Self;
+}
+
+impl Distance for u32 {
+    // No number is larger.
+    const LARGEST: Self = u32::MAX;
+}
+
+impl Distance for f32 {
+    // No number is larger.
+    const LARGEST: Self = f32::INFINITY;
+}
+
+impl<D: Distance> Default for Nearest<D> {
+    fn default() -> Self {
+        let none = (D::LARGEST, usize::MAX);
+        Self { best: none, second: none, has_left_out: false, may_miss_rival: false }
+    }
+}
+
+impl<D: Distance> Nearest<D> {
+    /// Takes a candidate; `same_place` says of two whether they show the same place.
+    #[inline]
+    pub fn offer(&mut self, k: usize, distance: D, same_place: impl Fn(usize, usize) -> bool) {
+        // Most candidates are further away than both.
+        if !(distance < self.second.0) && self.second.1 != usize::MAX {
+            return;
+        }
+        let none = (D::LARGEST, usize::MAX);
+        if distance < self.best.0 {
+            if self.best.1 == usize::MAX || !same_place(self.best.1, k) {
+                // The old best is nearer than all that was left out beside it.
+                (self.second, self.has_left_out) = (self.best, false);
+            } else {
+                // What lay beside the old best may lie elsewhere from the new one.
+                self.may_miss_rival |= self.has_left_out;
+                self.has_left_out = true;
+            }
+            self.best = (distance, k);
+            if self.second.1 != usize::MAX && same_place(self.second.1, k) {
+                (self.second, self.may_miss_rival) = (none, true);
+            }
+        } else if self.best.1 == usize::MAX {
+            // Not a number, or the largest: no candidate.
+        } else if same_place(self.best.1, k) {
+            self.has_left_out = true;
+        } else if distance < self.second.0 {
+            self.second = (distance, k);
+        }
+    }
+
+    /// Candidates that are not below this change nothing.
+    pub fn bar(&self) -> D {
+        self.second.0
+    }
+
+    /// Distance and index of the nearest.
+    pub fn best(&self) -> Option<(D, usize)> {
+        (self.best.1 != usize::MAX).then_some(self.best)
+    }
+
+    /// Distance and index of the nearest elsewhere, unless it [may be another](Self::may_miss_rival).
+    pub fn rival(&self) -> Option<(D, usize)> {
+        (self.second.1 != usize::MAX).then_some(self.second)
+    }
+
+    /// Whether a nearer rival may have been forgotten.
+    pub fn may_miss_rival(&self) -> bool {
+        self.may_miss_rival
+    }
+}
