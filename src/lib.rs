@@ -40,6 +40,7 @@
 //! - `safe_file`, `contain` (`capture`): reading files and running decoders that strangers have a hand in
 //! - `drop_oldest` (`publish`): the bounded channel that drops its oldest entry
 //! - `utc` (`daemon`): dates and times of day
+//! - `html_page` (`capture`): what the reports share: the page and the shapes of its figures
 //! - `capture` (`capture`, V4L2 cameras `live`): `FrameSource`: clips of every form, the virtual camera, cameras
 //! - `calibrate` (`calibrate`): a chessboard's corners, Zhang's method, bundle adjustment, judgement and report
 //! - `targets` (`calibrate`): what to print: the poster and the board, as PDF and SVG
@@ -95,6 +96,8 @@ mod daemon;
 mod diagnose;
 #[cfg(any(feature = "publish", feature = "daemon"))]
 mod drop_oldest;
+#[cfg(feature = "capture")]
+mod html_page;
 #[cfg(feature = "calibrate")]
 mod mount;
 #[cfg(feature = "daemon")]

@@ -1,12 +1,9 @@
 //! The figures of a report: where the board has been, the pictures with their corners, the corners' errors, the boards in space, what the lens bends, and maps of
 //! pixels over the picture.
 
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, GrayImage};
 use nalgebra::{Vector2, Vector3};
 
 use super::scale::{self, BAR_HEIGHT};
-use super::svg::{Drawing, base64, hue};
 use super::{INK, PALE};
 use crate::calibrate::board::Board;
 use crate::calibrate::guide::{PART_COLUMNS, PART_ROWS, ViewSet, ViewShape};
@@ -15,17 +12,7 @@ use crate::calibrate::judge::rounded;
 use crate::calibrate::session::{CalibrationView, CameraCalibration};
 use crate::calibrate::solve::adjust::{Observation, observations_of};
 use crate::camera::CameraModel;
-
-/// A small picture as a data URI; empty where it cannot be encoded.
-fn data_uri(picture: &GrayImage) -> String {
-    let mut bytes = Vec::new();
-    let (width, height) = picture.dimensions();
-    let encoded = JpegEncoder::new_with_quality(&mut bytes, 80).encode(picture, width, height, ExtendedColorType::L8);
-    if encoded.is_err() {
-        return String::new();
-    }
-    format!("data:image/jpeg;base64,{}", base64(&bytes))
-}
+use crate::html_page::svg::{Drawing, data_uri, hue};
 
 /// The corners of all pictures used, coloured by how far each lies from where the calibration expects it.
 pub(super) fn coverage(made: &CameraCalibration) -> String {

@@ -6,14 +6,14 @@
 mod figures;
 mod numbers;
 mod scale;
-mod svg;
 
 use nalgebra::Vector2;
 
 use super::judge::map::{PixelMap, lengths};
 use super::judge::{Judgement, Verdict};
 use super::session::{CalibrationView, CameraCalibration};
-use svg::escaped;
+use crate::html_page::svg::escaped;
+use crate::html_page::{figure, page};
 
 /// Colours of lines and text, which follow the reader's scheme.
 const INK: &str = "var(--ink)";
@@ -35,23 +35,6 @@ impl Comparison {
     pub fn lengths(&self) -> PixelMap {
         lengths(&self.field)
     }
-}
-
-/// The report's style sheet; it defines the colours for light and dark.
-const STYLE: &str = include_str!("report.css");
-
-/// `date` is when the report was made.
-fn page(title: &str, date: &str, body: &str) -> String {
-    let (title, date) = (escaped(title), escaped(date));
-    format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
-         <title>{title}</title>\n<style>\n{STYLE}</style></head><body><h1>{title}</h1>\n{body}<footer>stagepose {}, {date}</footer>\n</body></html>\n",
-        env!("CARGO_PKG_VERSION")
-    )
-}
-
-fn figure(svg: &str, caption: &str) -> String {
-    format!("<figure>{svg}<figcaption>{caption}</figcaption></figure>\n")
 }
 
 /// The report of a calibration; `date` is when it was made.

@@ -2,7 +2,7 @@
 //!
 //! Eight steps from blue to red, which colour-blind readers tell apart too; each step is about twice the one before.
 
-use super::svg::Drawing;
+use crate::html_page::svg::Drawing;
 
 /// Upper ends of the steps, pixels; the last step has none. From well below what a corner is measured to, to what anyone sees:
 /// steps of 1, 2 and 5 read easily. They are the same in every report, so that reports can be compared.
