@@ -15,13 +15,13 @@ use stagepose::diagnostics::features::{
     CornerBuffers, CornerOptions, ExtractorOptions, FeatureExtractor, MatchBuffers, Pyramid, ReferenceIndex, Workers, describe,
     detect_corners, orientation, smooth_into,
 };
-use stagepose::diagnostics::geometry::{
-    Homography, MovingCamera, Observation, Order, PointPair, RayPair, RobustOptions, corrected, decompose_homography, eight_point,
-    essential_candidates, five_point, gold_standard, judged_motion, refine_fundamental, refine_motion_in_pixels, resect, robust_essential,
-    robust_fundamental, robust_homography, seven_point,
-};
+use stagepose::diagnostics::geometry::{MovingCamera, Observation, essential_candidates, resect};
 use stagepose::diagnostics::simulate::{grey, paint};
 use stagepose::diagnostics::track::AlignKernels;
+use stagepose::two_views::geometry::{
+    Homography, Order, PointPair, RayPair, RobustOptions, corrected, decompose_homography, eight_point, five_point, gold_standard,
+    judged_motion, refine_fundamental, refine_motion_in_pixels, robust_essential, robust_fundamental, robust_homography, seven_point,
+};
 use stagepose::{Body, Camera, CameraModel, Dolly, EntryContent, FrameSource, Normalized, Pose, dolly};
 
 fn picture() -> GrayImage {

@@ -1,25 +1,10 @@
 //! For studies, benches, tests and overlays: what is inside, by room. No promise of stability: anything here may change with any version.
 
-/// Solvers of the geometry.
+/// Solvers of the geometry beside those of [`two_views`](crate::two_views).
 pub mod geometry {
-    pub use crate::geometry::eight_point::eight_point;
+    pub use crate::geometry::FilmingCamera;
     pub use crate::geometry::essential::essential_candidates;
-    pub use crate::geometry::essential_decomposition::judged_motion;
-    pub use crate::geometry::five_point::five_point;
-    pub use crate::geometry::fundamental_refinement::refine_fundamental;
-    pub use crate::geometry::gold_standard::gold_standard;
-    pub use crate::geometry::homography_decomposition::decompose_homography;
-    pub use crate::geometry::motion_refinement::refine_motion_in_pixels;
-    pub use crate::geometry::ransac::Order;
-    pub use crate::geometry::relative_pose::RayPair;
     pub use crate::geometry::resection::{MovingCamera, Observation, resect};
-    pub use crate::geometry::robust::{RobustModel, RobustOptions};
-    pub use crate::geometry::robust_essential::robust_essential;
-    pub use crate::geometry::robust_fundamental::robust_fundamental;
-    pub use crate::geometry::robust_homography::robust_homography;
-    pub use crate::geometry::seven_point::seven_point;
-    pub use crate::geometry::triangulation::corrected;
-    pub use crate::geometry::{FilmingCamera, Homography, PointPair};
 }
 
 /// Pyramid, corners, descriptors and their matching.

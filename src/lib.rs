@@ -12,7 +12,7 @@
 //! The types at the root are what a program needs that builds a [`TrackerSetup`], feeds frames and reads samples; with features come
 //! clips (`capture`), the config and the `Daemon` (`daemon`), calibration files (`calibration-files`), the virtual
 //! stage (`simulate`) and the shutter from a clip (`survey`). The module `protocols` (`protocols`) has the codecs of FreeD, OpenTrackIO and
-//! PosiStageNet. [`diagnostics`] shows what is inside to studies, benches and tests, without a promise. The crates whose types are in
+//! PosiStageNet. [`two_views`] has features, matching and geometry of two pictures. [`diagnostics`] shows what is inside to studies, benches and tests, without a promise. The crates whose types are in
 //! signatures are re-exported: [`nalgebra`], [`image`], [`crossbeam_channel`], and with `protocols` `serde_json`.
 //!
 //! # The map
@@ -45,6 +45,7 @@
 //! - `calibrate` (`calibrate`): a chessboard's corners, Zhang's method, bundle adjustment, judgement and report
 //! - `targets` (`calibrate`): what to print: the poster and the board, as PDF and SVG
 //! - `mount` (`calibrate`): where the filming camera sits on the rig, from views of both cameras
+//! - `compare` (`compare`): two pictures: how points of the one lie in the other, and how the camera moved between them
 //! - `diagnose` (`daemon`): why a clip is not followed: what may be wrong is tried, and what fits is named
 //! - `protocols` (`protocols`): FreeD, OpenTrackIO and PosiStageNet, encoded and decoded
 //! - `publish` (`publish`): one file a protocol, one thread an output: FreeD, OpenTrackIO, PosiStageNet, OSC, JSON
@@ -53,6 +54,7 @@
 //! - `daemon` (`daemon`): the tracker on threads of its own: `Daemon`
 //! - `web` (`daemon`, the server `http`): WebSocket, pose and state over HTTP
 //! - `cli` (`cli`): one file a command
+//! - [`two_views`]: what relates two pictures, for programs that use the crate as a library
 //! - [`diagnostics`]: a view of all of it
 //!
 //! # Two ways to use it
@@ -86,6 +88,8 @@ mod calibrate;
 mod capture;
 #[cfg(feature = "cli")]
 mod cli;
+#[cfg(feature = "compare")]
+mod compare;
 #[cfg(feature = "daemon")]
 mod config;
 #[cfg(feature = "capture")]
@@ -122,6 +126,7 @@ mod utc;
 mod web;
 
 pub mod diagnostics;
+pub mod two_views;
 
 // What unit tests and the tests of the program share names the library as both can.
 #[cfg(test)]

@@ -4,6 +4,7 @@
 mod calibrate;
 mod cli;
 mod clips;
+mod compare;
 mod live;
 mod mount;
 mod network;

@@ -79,6 +79,17 @@ pub enum Failure {
     /// The pictures make no calibration, or none that should be used.
     #[error("{0}")]
     Calibration(String),
+    /// A picture cannot be read.
+    #[error("{}: cannot be read as a picture: {reason}", file.display())]
+    Picture {
+        /// The file.
+        file: PathBuf,
+        /// What the decoder says.
+        reason: String,
+    },
+    /// Two pictures were not compared.
+    #[error("{0}")]
+    Comparison(String),
     /// Two clips tell no mount.
     #[error("{0}")]
     Mount(String),

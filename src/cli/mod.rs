@@ -7,8 +7,10 @@ mod angles;
 mod board;
 mod calibrate;
 mod check;
+mod compare;
 mod completions;
 mod demo;
+mod detectors;
 mod devices;
 mod failure;
 mod interrupt;
@@ -55,6 +57,8 @@ struct Arguments {
 enum Command {
     Replay(replay::ReplayArguments),
     Check(check::CheckArguments),
+    Compare(compare::CompareArguments),
+    Detectors(detectors::DetectorsArguments),
     Demo(demo::DemoArguments),
     Calibrate(calibrate::CalibrateArguments),
     Board(board::BoardArguments),
@@ -84,6 +88,8 @@ pub fn run(started: Instant) -> ExitCode {
     let outcome = match arguments.command {
         Command::Replay(arguments) => replay::run(&arguments, started),
         Command::Check(arguments) => check::run(&arguments),
+        Command::Compare(arguments) => compare::run(&arguments),
+        Command::Detectors(arguments) => detectors::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Board(arguments) => board::run(&arguments),
         Command::Poster(arguments) => poster::run(&arguments),

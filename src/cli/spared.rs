@@ -98,6 +98,23 @@ impl Spared {
         self.claim_place(flag, file, Place::Name(folder.dev(), folder.ino(), name.to_owned()))
     }
 
+    /// Claims outputs that are whole files, each in a folder that is there.
+    ///
+    /// # Errors
+    /// As [`claim`](Self::claim), and [`Failure::Output`] where the folder is missing or the file is a folder.
+    pub fn claim_whole_files(&mut self, named: &[(&str, &Option<PathBuf>)]) -> Result<(), Failure> {
+        for (flag, file) in named.iter().filter_map(|(flag, file)| Some((flag, file.as_ref()?))) {
+            let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            if !folder.is_dir() || file.is_dir() {
+                let source =
+                    std::io::Error::from(if file.is_dir() { std::io::ErrorKind::IsADirectory } else { std::io::ErrorKind::NotFound });
+                return Err(Failure::output(file)(source));
+            }
+            self.claim(flag, file)?;
+        }
+        Ok(())
+    }
+
     /// Refuses a folder for pictures that is the clip's own, or in which a picture would be written over something.
     ///
     /// # Errors

@@ -27,7 +27,7 @@ const LEAST_NOISE: f64 = 1.0 / 30.0;
 /// Two estimates of one noise differ by less than this factor: each is known to about a tenth from a hundred pairs. Raised, relief of the noise's size
 /// is taken for noise; lowered, chance decides which one is taken.
 const SAME_NOISE: f64 = 1.25;
-/// Wrong pairs are made by pairing each point with the points of so many other pairs. Raised, the chance that a wrong pair agrees is known better.
+/// Other pairs whose points each point is paired with to make wrong pairs. Raised, the chance that a wrong pair agrees is known better.
 const MISPAIRINGS: usize = 8;
 
 /// The two explanations.
@@ -63,7 +63,8 @@ pub struct ModelChoice {
     pub data: f64,
 }
 
-/// Chooses between the refined models of the same pairs (in pixels), whose inliers are nearer than `threshold` pixels.
+/// Chooses between the refined models of the same pairs (in pixels), whose inliers are nearer than `threshold` pixels. Relief below `relief` pixels
+/// is none: real planes are bent, and lenses that nobody measured bend what is straight.
 ///
 /// Some wrong pairs agree with an epipolar relation by chance, because its band crosses the whole picture. Their number is estimated by pairing
 /// points wrongly on purpose, and inliers of the epipolar relation alone count only as far as they are more than that.
@@ -73,6 +74,7 @@ pub fn choose_model(
     fundamental: &RobustModel<Matrix3<f64>>,
     kind: EpipolarKind,
     threshold: f64,
+    relief: f64,
 ) -> ModelChoice {
     let on_plane = |k: usize| squared_sampson_of_homography(&homography.model, &pairs[k]);
     let on_line = |k: usize| squared_sampson(&fundamental.model, &pairs[k]);
@@ -87,7 +89,7 @@ pub fn choose_model(
         let mut of_lines: Vec<f64> = fundamental.inliers.iter().map(|&k| on_line(k)).collect();
         let plane = noise::of_inliers(&mut of_plane, threshold, Dimensions::Two);
         let lines = noise::of_inliers(&mut of_lines, threshold, Dimensions::One);
-        pooled([plane, lines], [2 * of_plane.len(), of_lines.len()]).max(LEAST_NOISE * threshold)
+        pooled([plane, lines], [2 * of_plane.len(), of_lines.len()]).max(LEAST_NOISE * threshold).max(relief)
     };
     let data = homography.inliers.len() as f64 + weight_alone * of_lines_alone.len() as f64;
     let sum = |squared: &dyn Fn(usize) -> f64, most: f64| {
@@ -189,8 +191,8 @@ mod tests {
         let e = robust_essential(&rays, [FOCAL; 2], &RobustOptions { max_samples: 300, ..options }).expect("a motion");
         let e = e.map(|m| in_pixels(&m.motion.essential(), [&k, &k]).expect("regular"));
         [
-            choose_model(pairs, &h, &f, EpipolarKind::Fundamental, options.threshold),
-            choose_model(pairs, &h, &e, EpipolarKind::Essential, options.threshold),
+            choose_model(pairs, &h, &f, EpipolarKind::Fundamental, options.threshold, 0.0),
+            choose_model(pairs, &h, &e, EpipolarKind::Essential, options.threshold, 0.0),
         ]
     }
 
@@ -228,7 +230,7 @@ mod tests {
         assert!(chosen(&exact(0.5), 0.0, 1).iter().all(|c| c.model == TwoViewModel::Epipolar));
         let none = |m: Matrix3<f64>| RobustModel { model: m, inliers: Vec::new(), score: 0.0, sigma: 0.0 };
         let choice =
-            choose_model(&[], &none(Matrix3::identity()).map(Homography), &none(Matrix3::identity()), EpipolarKind::Fundamental, 3.0);
+            choose_model(&[], &none(Matrix3::identity()).map(Homography), &none(Matrix3::identity()), EpipolarKind::Fundamental, 3.0, 0.0);
         assert_eq!(choice.model, TwoViewModel::Homography);
     }
 }

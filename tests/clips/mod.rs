@@ -4,4 +4,4 @@ mod fixture;
 mod kiosk;
 mod postcard;
 mod replayed;
-mod shared;
+pub mod shared;

@@ -1,7 +1,7 @@
 //! A surface that is known from a photograph of it, taken by another camera.
 
 use nalgebra::{Point3, Vector2};
-use stagepose::diagnostics::geometry::Homography;
+use stagepose::two_views::geometry::Homography;
 use stagepose::{CameraModel, CameraPath, Intrinsics, Normalized, Pixel, ReferenceKind, Renderer, SurfaceSpec};
 
 use super::scene::{assert_tracks_within, backdrop, body, camera, past, quiet, rows, setup, track_rows};

@@ -2,8 +2,8 @@
 
 use image::imageops;
 use nalgebra::{Matrix3, Point3, Vector2, Vector3};
-use stagepose::diagnostics::geometry::Homography;
 use stagepose::diagnostics::simulate::look_at;
+use stagepose::two_views::geometry::Homography;
 use stagepose::{Camera, CameraPath, EssentialMotion, Normalized, Pose, PoseSample, Stage, TwoViewModel, VirtualStage};
 
 use super::scene::{backdrop, backdrop_art, body, camera, other_art, past, quiet, surface, track, truth_of};

@@ -25,14 +25,5 @@ pub(super) fn refuse_unwritable(arguments: &CalibrateArguments) -> Result<(), Fa
         Spared::default().with_files(&arguments.images, "one of the pictures").with_files(&arguments.compare, "the other calibration");
     let folders = arguments.images.iter().filter(|path| path.is_dir()).chain(&arguments.clip).chain(&arguments.play);
     let mut spared = folders.fold(spared, |spared, folder| spared.with_clip(folder));
-    let named = [("--output", &arguments.output), ("--report", &arguments.report), ("--json", &arguments.json)];
-    for (flag, file) in named.iter().filter_map(|(flag, file)| Some((flag, file.as_ref()?))) {
-        let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        if !folder.is_dir() || file.is_dir() {
-            let source = std::io::Error::from(if file.is_dir() { std::io::ErrorKind::IsADirectory } else { std::io::ErrorKind::NotFound });
-            return Err(Failure::output(file)(source));
-        }
-        spared.claim(flag, file)?;
-    }
-    Ok(())
+    spared.claim_whole_files(&[("--output", &arguments.output), ("--report", &arguments.report), ("--json", &arguments.json)])
 }

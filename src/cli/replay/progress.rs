@@ -29,6 +29,12 @@ impl Progress {
         Self(bar)
     }
 
+    /// One further, and what comes now.
+    pub fn say(&self, words: &'static str) {
+        self.0.inc(1);
+        self.0.set_message(words);
+    }
+
     pub fn advance(&self) {
         self.0.inc(1);
     }

@@ -1,0 +1,84 @@
+"""Times of finding and describing features against OpenCV's, on one core, in turns: SIFT against SIFT, the live corners against ORB.
+
+    python benches/features.py STAGEPOSE [PICTURES…] [--rounds 5] [--check]
+
+Every picture is brought to 640 x 480. In each round `stagepose detectors` and OpenCV have the same picture, right after one another; the fastest of
+the rounds counts, for either. ORB gives as many features as the live detector. Without pictures: the first ones of ../shared's photographs.
+`--check` fails where SIFT takes over 1.5 times OpenCV's time, or the live corners over 0.7 times ORB's.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import cv2
+
+BARS = {"sift": 1.5, "live": 0.7}
+SIZE = (640, 480)
+
+
+def ours(program, name, picture, folder):
+    """Milliseconds for one picture, and its keypoints."""
+    table = folder / "table.json"
+    command = [program, "detectors", *[picture] * 4, *["--homography", folder / "same"] * 3, "--only", name, "--json", table]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env={**os.environ, "RAYON_NUM_THREADS": "1"})
+    rows = json.loads(table.read_text())
+    return min(row["features_ms"] for row in rows) / 2, rows[0]["keypoints"][0]
+
+
+def theirs(name, picture, count):
+    """The same of OpenCV."""
+    grey = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
+    detector = cv2.SIFT_create() if name == "sift" else cv2.ORB_create(nfeatures=count)
+    fastest, found = float("inf"), []
+    for _ in range(6):
+        begun = time.perf_counter()
+        found, _ = detector.detectAndCompute(grey, None)
+        fastest = min(fastest, time.perf_counter() - begun)
+    return 1e3 * fastest, len(found)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("program", type=Path)
+    parser.add_argument("pictures", type=Path, nargs="*")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--check", action="store_true")
+    arguments = parser.parse_args()
+    data = Path(__file__).resolve().parent.parent.parent / "shared/data"
+    pictures = arguments.pictures or sorted(data.glob("homog-oxford-*/1.png"))
+    if not pictures:
+        sys.exit("NOT RUN: no pictures are given, and ../shared is not beside this folder")
+    cv2.setNumThreads(1)
+    print(f"{'picture':<32}{'':<6}{'keypoints':>10}{'ms':>8}{'OpenCV':>10}{'ms':>8}{'ratio':>8}")
+    worst = dict.fromkeys(BARS, 0.0)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "same").write_text("1 0 0 0 1 0 0 0 1")
+        for picture in pictures:
+            small = folder / "picture.png"
+            cv2.imwrite(str(small), cv2.resize(cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE), SIZE, interpolation=cv2.INTER_AREA))
+            for kind in BARS:
+                best = [float("inf")] * 2
+                for _ in range(arguments.rounds):
+                    ms, count = ours(arguments.program.resolve(), kind, small, folder)
+                    their_ms, their_count = theirs(kind, small, count)
+                    best = [min(best[0], ms), min(best[1], their_ms)]
+                ratio = best[0] / best[1]
+                worst[kind] = max(worst[kind], ratio)
+                words = f"{picture.parent.name}/{picture.name}"
+                print(f"{words:<32}{kind:<6}{count:>10}{best[0]:>8.1f}{their_count:>10}{best[1]:>8.1f}{ratio:>8.2f}", flush=True)
+    over = [kind for kind, bar in BARS.items() if worst[kind] > bar]
+    for kind, bar in BARS.items():
+        print(f"{kind}: at worst {worst[kind]:.2f} (bar {bar})")
+    if arguments.check and over:
+        sys.exit("over the bar: " + ", ".join(over))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+//! `stagepose compare`: two pictures in; how points of the one lie in the other, and how the camera moved between them (contract C10).
+
+mod choice;
+mod json;
+mod pictures;
+mod text;
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::calibrate::write_whole;
+use super::failure::Failure;
+use super::interrupt;
+use super::output_file::print;
+use super::replay::progress::Progress;
+use super::spared::Spared;
+use crate::compare::{CompareOptions, Step, compare, report};
+use crate::printable::printable_lines;
+use crate::utc;
+pub(super) use choice::FeatureArguments;
+pub(super) use pictures::read_picture;
+
+/// Compare two pictures: how points of the one lie in the other, and how the camera moved.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = "Examples:\n  stagepose compare before.png after.png --camera camera.toml --report compare.html\n  \
+    stagepose compare backdrop.jpg photo.jpg --detector asift --json relation.json\n\n\
+    Example:\n  stagepose compare a.png b.png\n\n\
+    Without a camera there is a fundamental matrix and a homography between the pixels; with one also the essential matrix and the camera's move, \
+    up to its length, which two pictures cannot tell (--baseline-m gives it).")]
+pub(super) struct CompareArguments {
+    /// The first picture
+    a: PathBuf,
+    /// The second picture
+    b: PathBuf,
+    /// Calibration of the camera that took A, and B where --camera-b is not given
+    #[arg(long, value_name = "FILE")]
+    camera: Option<PathBuf>,
+    /// Calibration of the camera that took B
+    #[arg(long, value_name = "FILE", requires = "camera")]
+    camera_b: Option<PathBuf>,
+    #[command(flatten)]
+    features: FeatureArguments,
+    /// Largest distance of a match from its epipolar line, pixels, at which it agrees; from its place by the homography 1.25 times as much
+    #[arg(long, value_name = "PX", default_value_t = CompareOptions::default().threshold_px)]
+    threshold_px: f64,
+    /// How far the camera moved, metres: gives the move its length
+    #[arg(long, value_name = "M", requires = "camera")]
+    baseline_m: Option<f64>,
+    /// Seed of the random samples: the same gives the same
+    #[arg(long, value_name = "N", default_value_t = CompareOptions::default().seed)]
+    seed: u64,
+    /// Write everything as JSON
+    #[arg(long, value_name = "OUT.json")]
+    json: Option<PathBuf>,
+    /// Write a report with figures, one HTML file
+    #[arg(long, value_name = "OUT.html")]
+    report: Option<PathBuf>,
+}
+
+/// Runs the command. Pictures without a relation are a success: the answer is that there is none.
+///
+/// # Errors
+/// Bad usage, a picture or a calibration that cannot be read or does not fit, an output that cannot be written, an interrupt.
+pub(super) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
+    let options = options_of(arguments)?;
+    refuse_unwritable(arguments)?;
+    let [a, b] = pictures::views(arguments)?;
+    interrupt::watch();
+    let progress = Progress::with(Some(Step::ALL.len() as u64), ["{bar:32} {msg}", "{spinner} {msg}"]);
+    let step = |step: Step| {
+        progress.say(step.words());
+        !interrupt::is_interrupted()
+    };
+    let made = compare(&a.view(), &b.view(), &options, &step);
+    progress.finish();
+    let Some(made) = made else {
+        return Err(Failure::Comparison("interrupted; nothing is written".to_owned()));
+    };
+    print(printable_lines(&text::text(&made, &a, &b, arguments)).as_bytes())?;
+    if let Some(file) = &arguments.json {
+        write_whole(file, json::text(&made))?;
+    }
+    if let Some(file) = &arguments.report {
+        let names = [&arguments.a, &arguments.b].map(|path| path.display().to_string());
+        let date = utc::date_and_time(utc::now_s()).replace('T', " ").replace('Z', " UTC");
+        write_whole(file, report::html(&made, [&a.picture, &b.picture], [&names[0], &names[1]], &date))?;
+    }
+    Ok(())
+}
+
+fn options_of(arguments: &CompareArguments) -> Result<CompareOptions, Failure> {
+    let positive = |flag: &str, value: f64| {
+        let sentence = || Failure::Usage(format!("--{flag} is {value}; give a number above 0"));
+        if value.is_finite() && value > 0.0 { Ok(value) } else { Err(sentence()) }
+    };
+    Ok(CompareOptions {
+        features: arguments.features.settings()?,
+        matching: arguments.features.matching()?,
+        threshold_px: positive("threshold-px", arguments.threshold_px)?,
+        baseline_m: arguments.baseline_m.map(|m| positive("baseline-m", m)).transpose()?,
+        seed: arguments.seed,
+    })
+}
+
+/// Finds an output's missing folder, or that it would be written over what is read, before the work is done, not after.
+fn refuse_unwritable(arguments: &CompareArguments) -> Result<(), Failure> {
+    let mut spared = Spared::default()
+        .with_files([&arguments.a, &arguments.b], "one of the pictures")
+        .with_files(arguments.camera.iter().chain(&arguments.camera_b), "a calibration");
+    spared.claim_whole_files(&[("--json", &arguments.json), ("--report", &arguments.report)])
+}

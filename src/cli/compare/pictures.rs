@@ -1,0 +1,66 @@
+//! Reading a picture to compare, and the calibration of the camera that took it.
+
+use std::path::Path;
+
+use image::GrayImage;
+
+use super::CompareArguments;
+use crate::camera::CameraModel;
+use crate::capture::{CaptureError, LARGEST_PICTURE_FILE, decode_oriented, orientation_words};
+use crate::cli::failure::Failure;
+use crate::compare::View;
+use crate::config::read_calibration;
+use crate::safe_file;
+
+/// A picture with what is known of it.
+pub(in crate::cli) struct NamedPicture {
+    /// Grey levels, as they lie in the file.
+    pub picture: GrayImage,
+    /// The camera that took it.
+    pub camera: Option<CameraModel>,
+    /// What is to be said beside the result.
+    pub note: Option<String>,
+}
+
+impl NamedPicture {
+    /// What is compared.
+    pub fn view(&self) -> View<'_> {
+        View { picture: &self.picture, camera: self.camera.as_ref() }
+    }
+}
+
+/// Both pictures.
+pub(super) fn views(arguments: &CompareArguments) -> Result<[NamedPicture; 2], Failure> {
+    let camera_b = arguments.camera_b.as_ref().or(arguments.camera.as_ref());
+    Ok([with_camera(&arguments.a, arguments.camera.as_deref())?, with_camera(&arguments.b, camera_b.map(|p| p.as_path()))?])
+}
+
+fn with_camera(file: &Path, calibration: Option<&Path>) -> Result<NamedPicture, Failure> {
+    let mut named = read_picture(file)?;
+    let Some(calibration) = calibration else { return Ok(named) };
+    let camera = read_calibration(calibration).map_err(|e| Failure::Usage(e.to_string()))?.model;
+    let size = named.picture.dimensions();
+    if size != (camera.width(), camera.height()) {
+        return Err(Failure::Usage(format!(
+            "{}: is for pictures of {} x {} pixels, but {} has {} x {}; give the calibration of the camera that took it, at this size",
+            calibration.display(),
+            camera.width(),
+            camera.height(),
+            file.display(),
+            size.0,
+            size.1
+        )));
+    }
+    named.camera = Some(camera);
+    Ok(named)
+}
+
+/// A picture from a file, as its pixels lie there: a calibration counts them so.
+pub(in crate::cli) fn read_picture(file: &Path) -> Result<NamedPicture, Failure> {
+    let bytes =
+        safe_file::read(file, LARGEST_PICTURE_FILE).map_err(|source| CaptureError::NotReadable { path: file.to_owned(), source })?;
+    let (picture, orientation) = decode_oriented(&bytes).map_err(|e| Failure::Picture { file: file.to_owned(), reason: e.to_string() })?;
+    let note = orientation_words(orientation)
+        .map(|turned| format!("{} is to be shown {turned} (EXIF); it is compared as its pixels lie in the file", file.display()));
+    Ok(NamedPicture { picture, camera: None, note })
+}

@@ -1,0 +1,326 @@
+//! Two pictures: how points of the one lie in the other, and how the camera moved between them. This is the source's method put right.
+//!
+//! Features of both pictures are found, described and matched; a homography, a fundamental matrix and, with cameras, an essential matrix are searched
+//! for among the matches and refined; whether any of them is more than chance is tested; the model that explains the matches best is named; and the
+//! camera's move is taken from it, with the sign that puts the points in front of both cameras.
+//!
+//! [`compare`] knows no files; [`report`] draws what it found.
+
+pub mod detector_scores;
+pub mod known_views;
+mod relations;
+pub mod report;
+
+use image::GrayImage;
+use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
+
+use crate::camera::{CameraModel, Pixel};
+use crate::features::{FeatureSettings, Features, extract};
+use crate::geometry::PointPair;
+use crate::geometry::relative_pose::{RayPair, TwoViewMotion};
+use crate::matching::{ExactMatch, ExactOptions, match_exactly};
+
+/// A picture and, if known, the camera that took it.
+#[derive(Debug, Clone, Copy)]
+pub struct View<'a> {
+    /// Grey levels.
+    pub picture: &'a GrayImage,
+    /// Its camera, for pictures of this size.
+    pub camera: Option<&'a CameraModel>,
+}
+
+/// How to compare.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct CompareOptions {
+    /// Which features.
+    pub features: FeatureSettings,
+    /// What is a match.
+    pub matching: ExactOptions,
+    /// Largest Sampson distance to F or E of a match that agrees, pixels; to H 1.25 times as much. Raised, wrong matches agree; lowered, right ones that
+    /// were found less exactly do not.
+    pub threshold_px: f64,
+    /// How far the camera moved, metres, if that is known.
+    pub baseline_m: Option<f64>,
+    /// Seed of the random samples.
+    pub seed: u64,
+}
+
+impl Default for CompareOptions {
+    fn default() -> Self {
+        Self {
+            features: FeatureSettings::of(crate::features::DetectorKind::Sift),
+            matching: ExactOptions::default(),
+            threshold_px: 1.5,
+            baseline_m: None,
+            seed: 1,
+        }
+    }
+}
+
+/// What is being done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Step {
+    /// Finding and describing the keypoints of the first picture.
+    FirstFeatures,
+    /// Of the second.
+    SecondFeatures,
+    /// Comparing the descriptors.
+    Matching,
+    /// Searching for the models.
+    Geometry,
+}
+
+impl Step {
+    /// All of them, in order.
+    pub const ALL: [Self; 4] = [Self::FirstFeatures, Self::SecondFeatures, Self::Matching, Self::Geometry];
+
+    /// What it does.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::FirstFeatures => "features of the first picture",
+            Self::SecondFeatures => "features of the second picture",
+            Self::Matching => "matching",
+            Self::Geometry => "geometry",
+        }
+    }
+}
+
+/// A relation of two pictures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Model {
+    /// A flat scene, or a camera that only turned: a point has one place in the other picture.
+    Homography,
+    /// A scene with depth: a point has a line in the other picture.
+    Fundamental,
+    /// The same, of calibrated cameras.
+    Essential,
+}
+
+/// A matrix that relates two pictures.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Relation {
+    /// H (h33 = 1), F or E (unit norm).
+    pub matrix: Matrix3<f64>,
+    /// Matches that agree, as indices, ascending.
+    pub inliers: Vec<usize>,
+    /// Error of those, one sigma along each direction that the model predicts, pixels.
+    pub sigma_px: f64,
+}
+
+/// How the camera moved from the first picture to the second: `x_second ∝ R x_first + t`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct CameraMove {
+    /// R.
+    pub rotation: UnitQuaternion<f64>,
+    /// t / |t| in the second camera's axes; `None` where the pictures show no parallax.
+    pub direction: Option<Vector3<f64>>,
+    /// Matches in front of both cameras, of those that agree.
+    pub in_front: usize,
+    /// Median angle under which the two cameras see the points, degrees.
+    pub parallax_deg: f64,
+    /// A second move that explains the matches as well: of a flat scene seen from afar there are two.
+    pub is_ambiguous: bool,
+}
+
+impl CameraMove {
+    /// The move, where its direction is known.
+    pub fn motion(&self) -> Option<TwoViewMotion> {
+        Some(TwoViewMotion { rotation: self.rotation, direction: self.direction? })
+    }
+}
+
+/// What two pictures have in common.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Comparison {
+    /// With which features.
+    pub settings: FeatureSettings,
+    /// Keypoints of both pictures.
+    pub features: [Features; 2],
+    /// Matches, best ratio first.
+    pub matches: Vec<ExactMatch>,
+    /// The places of each match, pixels; undistorted where cameras are given.
+    pub pairs: Vec<PointPair>,
+    /// The same as rays of the cameras.
+    pub rays: Option<Vec<RayPair>>,
+    /// H maps the first picture's pixels to the second's.
+    pub homography: Option<Relation>,
+    /// `x_second^T F x_first = 0`, pixels.
+    pub fundamental: Option<Relation>,
+    /// E = \[t\]x R.
+    pub essential: Option<Relation>,
+    /// With cameras.
+    pub camera_move: Option<CameraMove>,
+    /// Which explains the matches best.
+    pub model: Option<Model>,
+    cameras: Option<[CameraModel; 2]>,
+    baseline_m: Option<f64>,
+}
+
+/// Compares two pictures. `on_step` hears what comes next, and ends the work with false; then there is no result.
+///
+/// A camera counts only where both pictures have one.
+pub fn compare(first: &View, second: &View, options: &CompareOptions, on_step: &dyn Fn(Step) -> bool) -> Option<Comparison> {
+    let mut features = Vec::with_capacity(2);
+    for (view, step) in [(first, Step::FirstFeatures), (second, Step::SecondFeatures)] {
+        features.push(on_step(step).then(|| extract(view.picture, &options.features))?);
+    }
+    let features: [Features; 2] = features.try_into().ok()?;
+    let cameras = first.camera.zip(second.camera).map(|(a, b)| [a.clone(), b.clone()]);
+    let mut matches = on_step(Step::Matching).then(|| match_exactly(&features[0], &features[1], &options.matching))?;
+    let [keys_a, keys_b] = [&features[0].keypoints, &features[1].keypoints];
+    let mut rays = Vec::new();
+    let mut pairs = Vec::new();
+    matches.retain(|m| {
+        let [from, to] = [keys_a[m.first as usize].position, keys_b[m.second as usize].position];
+        let Some([a, b]) = &cameras else {
+            pairs.push(PointPair { from, to });
+            return true;
+        };
+        // Where a lens model ends, a pixel has no ray.
+        let both = a.unproject(Pixel(from)).zip(b.unproject(Pixel(to)));
+        if let Some((p, q)) = both {
+            pairs.push(PointPair { from: a.undistorted_pixel(p), to: b.undistorted_pixel(q) });
+            rays.push(RayPair { first: p.0, second: q.0 });
+        }
+        both.is_some()
+    });
+    if !on_step(Step::Geometry) {
+        return None;
+    }
+    let rays = cameras.is_some().then_some(rays);
+    let sizes = [first.picture.dimensions(), second.picture.dimensions()];
+    let found = relations::find(&pairs, rays.as_deref().zip(cameras.as_ref()), sizes, options);
+    let relations::Found { homography, fundamental, essential, camera_move, model } = found;
+    Some(Comparison {
+        settings: options.features,
+        features,
+        matches,
+        pairs,
+        rays,
+        homography,
+        fundamental,
+        essential,
+        camera_move,
+        model,
+        cameras,
+        baseline_m: options.baseline_m,
+    })
+}
+
+impl Comparison {
+    /// The two places of a match as the pictures show them, pixels, distortion included.
+    fn raw_places(&self, k: usize) -> [Vector2<f64>; 2] {
+        let m = &self.matches[k];
+        [self.features[0].keypoints[m.first as usize].position, self.features[1].keypoints[m.second as usize].position]
+    }
+
+    /// An undistorted place of the second picture as the picture shows it.
+    fn raw_in_second(&self, p: Vector2<f64>) -> Vector2<f64> {
+        self.cameras.as_ref().map_or(p, |[_, b]| b.project(b.from_undistorted_pixel(p)).0)
+    }
+
+    /// t in metres, the second camera's axes: where the distance that the camera moved was given.
+    pub fn translation_m(&self) -> Option<Vector3<f64>> {
+        Some(self.camera_move?.direction? * self.baseline_m?)
+    }
+
+    /// The model that explains the matches best.
+    pub fn chosen(&self) -> Option<&Relation> {
+        match self.model? {
+            Model::Homography => self.homography.as_ref(),
+            Model::Fundamental => self.fundamental.as_ref(),
+            Model::Essential => self.essential.as_ref(),
+        }
+    }
+
+    /// Matches that agree with the model that explains them best, and the others.
+    fn split_matches(&self) -> (Vec<usize>, Vec<usize>) {
+        let inliers = self.chosen().map_or(&[][..], |relation| &relation.inliers);
+        (0..self.matches.len()).partition(|k| inliers.binary_search(k).is_ok())
+    }
+
+    /// The matrix whose epipolar lines are drawn, in pixels: F of the essential matrix where there is one.
+    fn essential_or_fundamental(&self) -> Option<(&Relation, Matrix3<f64>)> {
+        match (&self.essential, &self.cameras) {
+            (Some(essential), Some(cameras)) => Some((essential, relations::in_pixels(&essential.matrix, cameras)?)),
+            _ => self.fundamental.as_ref().map(|f| (f, f.matrix)),
+        }
+    }
+
+    /// How far each match lies from where the best model wants it, pixels.
+    fn errors_px(&self) -> Vec<f64> {
+        let Some(chosen) = self.chosen() else { return Vec::new() };
+        let matrix = match (self.model, &self.cameras) {
+            (Some(Model::Essential), Some(cameras)) => relations::in_pixels(&chosen.matrix, cameras),
+            _ => Some(chosen.matrix),
+        };
+        let Some(matrix) = matrix else { return Vec::new() };
+        let is_flat = self.model == Some(Model::Homography);
+        self.pairs.iter().map(|pair| relations::error_px(is_flat, &matrix, pair)).collect()
+    }
+
+    /// What was found, in one sentence.
+    pub fn sentence(&self) -> String {
+        let Some((model, relation)) = self.model.zip(self.chosen()) else {
+            return "No relation found: nothing shows that the two pictures show the same thing.".to_owned();
+        };
+        let how = match model {
+            Model::Homography if self.camera_move.is_some_and(|m| m.direction.is_none()) => "The camera turned without moving",
+            Model::Homography => "The scene is flat, or the camera only turned",
+            Model::Fundamental | Model::Essential => "The scene has depth",
+        };
+        format!("{how}: {} of {} matches agree, to {:.2} px.", relation.inliers.len(), self.matches.len(), relation.sigma_px)
+    }
+
+    /// What else is to be known, a sentence each.
+    pub fn remarks(&self) -> Vec<String> {
+        let mut remarks = Vec::new();
+        if let Some(found) = &self.camera_move {
+            let turn = found.rotation.angle().to_degrees();
+            remarks.push(match found.direction {
+                Some(t) => format!("The camera turned by {turn:.2} degrees and moved {}.", direction_words(&t, &found.rotation)),
+                None => format!("The camera turned by {turn:.2} degrees; a move of it does not show."),
+            });
+            if found.is_ambiguous {
+                remarks.push("Of a flat scene seen like this two moves explain the matches alike; the better one is given.".to_owned());
+            }
+        } else if self.cameras.is_none() && self.model.is_some() {
+            remarks.push("The move of the camera needs its calibration; give --camera.".to_owned());
+        }
+        let count = self.chosen().map_or(0, |relation| relation.inliers.len());
+        remarks.extend(self.model.map(|_| stage_words(count).to_owned()));
+        remarks
+    }
+}
+
+/// Where the second camera stands seen from the first, in words.
+fn direction_words(t: &Vector3<f64>, rotation: &UnitQuaternion<f64>) -> String {
+    let centre = -(rotation.inverse() * t);
+    let words = [["right", "left"], ["down", "up"], ["forward", "back"]];
+    let parts: Vec<String> = (0..3)
+        .filter(|k| centre[*k].abs() >= 0.05)
+        .map(|k| format!("{:.2} {}", centre[k].abs(), words[k][usize::from(centre[k] < 0.0)]))
+        .collect();
+    format!("{} (of 1 in all)", parts.join(", "))
+}
+
+/// Matches that agree, from which a picture is enough for tracking, and for tracking with much of it hidden. From the acquisition's own bar: a homography
+/// needs at least a dozen, and half of the stage is often hidden.
+const ENOUGH: [usize; 2] = [30, 120];
+
+/// What the matches say of a picture that is to be a stage's.
+fn stage_words(agreeing: usize) -> &'static str {
+    match agreeing {
+        n if n >= ENOUGH[1] => "As the picture of a stage it has plenty to hold on to.",
+        n if n >= ENOUGH[0] => "As the picture of a stage it will do; more detail on it would help when parts are hidden.",
+        _ => {
+            "As the picture of a stage it has too little to hold on to from this view; take a picture nearer to this view, or a richer one."
+        }
+    }
+}

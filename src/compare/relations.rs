@@ -1,0 +1,243 @@
+//! The relations of two pictures, from matches: searched for, refined, tested against chance, compared with each other; and the camera's move.
+
+use nalgebra::Matrix3;
+
+use super::{CameraMove, CompareOptions, Model, Relation};
+use crate::camera::CameraModel;
+use crate::geometry::distances::{squared_sampson, squared_sampson_of_homography};
+use crate::geometry::essential_decomposition::JudgedMotion;
+use crate::geometry::false_alarms::{chance_at_a_line, chance_at_a_point, ln_false_alarms};
+use crate::geometry::homography::Homography;
+use crate::geometry::homography_decomposition::{PlanarMotion, decompose_homography};
+use crate::geometry::model_choice::{EpipolarKind, TwoViewModel, choose_model};
+use crate::geometry::ransac::Order;
+use crate::geometry::relative_pose::{RayPair, TwoViewMotion};
+use crate::geometry::robust::{RobustModel, RobustOptions};
+use crate::geometry::robust_essential::robust_essential;
+use crate::geometry::robust_fundamental::robust_fundamental;
+use crate::geometry::robust_homography::robust_homography;
+use crate::geometry::robust_kernel::median;
+use crate::geometry::{PointPair, epipolar};
+
+/// What was found among the matches.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Found {
+    pub homography: Option<Relation>,
+    pub fundamental: Option<Relation>,
+    pub essential: Option<Relation>,
+    pub camera_move: Option<CameraMove>,
+    pub model: Option<Model>,
+}
+
+/// A relation that chance shows in more than one of a thousand pairs of pictures is none: natural logarithm. Raised, unrelated pictures are related now
+/// and then; lowered, pictures with little in common are not.
+const MOST_LN_FALSE_ALARMS: f64 = -7.0;
+/// Matches closer together than this in both pictures are one when chance is weighed, in thresholds: a blob with two directions says nothing twice.
+/// Raised, dense matches count less.
+const SAME_PLACE: f64 = 2.0;
+/// Largest distance of a match from its place by the homography, thresholds: two coordinates err where a distance from a line has one (the roots of chi
+/// square's 95 % points, 2.45 and 1.96).
+const HOMOGRAPHY_THRESHOLD: f64 = 1.25;
+/// Samples until all matches are drawn from evenly. Raised, the search stays longer with the best ones, which in scenes with many alike places are on
+/// one thing; lowered, models that few matches agree with are met later.
+const EVEN_AFTER: usize = 2000;
+/// Relief that a flat scene may have, in thresholds of the homography: two and a half pixels each. Raised, shallow scenes count as flat; lowered, real
+/// walls and pictures of uncalibrated cameras have depth.
+const RELIEF: f64 = 3.0;
+/// The move by the essential matrix is taken before a nearly flat scene too where this many times as many matches agree with it as with the plane's move.
+/// Raised, shallow relief is not used; lowered to 1, chance decides on a plane, where the essential matrix has a second solution.
+const CLEARLY_MORE: f64 = 1.05;
+/// Searches for the homography, of which the best counts. Real planes are a little bent, and so have several fits that are nearly as good; one search
+/// ends at the first. Raised, the best of them is missed less often.
+const SEARCHES: u64 = 20;
+/// Parallax below which a direction of the move is noise, in standard deviations of a ray. Raised, small moves go unnamed; lowered, they are noise.
+const LEAST_PARALLAX: f64 = 3.0;
+
+/// Searches for all relations; `calibrated` has the matches as rays of their cameras.
+pub(super) fn find(
+    pairs: &[PointPair],
+    calibrated: Option<(&[RayPair], &[CameraModel; 2])>,
+    sizes: [(u32, u32); 2],
+    options: &CompareOptions,
+) -> Found {
+    // The best matches may all lie on one thing in the picture, and agree on a model of that alone: all are asked before the search ends.
+    let order = Order::BestFirst { even_after: EVEN_AFTER, stops_by_best: false, draws_each: 1 };
+    let search = RobustOptions { threshold: options.threshold_px, order, seed: options.seed, ..RobustOptions::default() };
+    let wide = RobustOptions { threshold: HOMOGRAPHY_THRESHOLD * options.threshold_px, ..search };
+    let chance = Chance { pairs, sizes, same_place_px: SAME_PLACE * options.threshold_px };
+    let searches = (0..SEARCHES).filter_map(|k| robust_homography(pairs, &RobustOptions { seed: options.seed.wrapping_add(k), ..wide }));
+    let plane =
+        searches.max_by(|a, b| a.score.total_cmp(&b.score)).filter(|h| chance.is_excluded(&h.inliers, Sample::Homography(wide.threshold)));
+    let lines = robust_fundamental(pairs, &search).filter(|f| chance.is_excluded(&f.inliers, Sample::Fundamental(search.threshold)));
+    let motion = calibrated.and_then(|(rays, cameras)| {
+        let found = robust_essential(rays, focals(cameras), &search)?;
+        let matrix = in_pixels(&found.model.motion.essential(), cameras)?;
+        chance.is_excluded(&found.inliers, Sample::Essential(search.threshold)).then_some((found, matrix))
+    });
+    let epipolar = match (&motion, &lines) {
+        (Some((found, matrix)), _) => Some((found.clone().map(|_| *matrix), EpipolarKind::Essential)),
+        (None, lines) => lines.clone().map(|f| (f, EpipolarKind::Fundamental)),
+    };
+    // Whether the scene is flat is asked with a wider net, so that a plane that is a little bent, or seen through a lens that nobody measured, is one.
+    let bent = RobustOptions { threshold: RELIEF * wide.threshold, ..wide };
+    let nearly_flat = plane.as_ref().and_then(|_| robust_homography(pairs, &bent));
+    let model = choose(pairs, nearly_flat.as_ref(), epipolar.as_ref(), search.threshold);
+    let (camera_move, essential) = match (calibrated, &plane) {
+        (Some((rays, cameras)), Some(plane)) if model == Some(Model::Homography) => {
+            let of_plane = of_plane(plane, rays, cameras, &search);
+            let flat = of_plane.1.as_ref().map_or(plane.inliers.len(), |relation| relation.inliers.len());
+            // What relief there is tells the move better than the plane does, where clearly more matches agree with it.
+            let better = motion.filter(|(found, _)| found.model.is_clear() && found.inliers.len() as f64 > CLEARLY_MORE * flat as f64);
+            better.map_or(of_plane, |(found, _)| of_relief(&found, cameras))
+        }
+        (Some((_, cameras)), _) => motion.map_or((None, None), |(found, _)| of_relief(&found, cameras)),
+        _ => (None, None),
+    };
+    Found {
+        homography: plane.and_then(|h| Some(Relation { matrix: h.model.with_unit_h33()?, inliers: h.inliers, sigma_px: h.sigma })),
+        fundamental: lines.map(|f| Relation { matrix: normalised(f.model), inliers: f.inliers, sigma_px: f.sigma }),
+        essential,
+        camera_move,
+        model,
+    }
+}
+
+/// The move before a flat scene, and the essential matrix that it makes.
+fn of_plane(
+    plane: &RobustModel<Homography>,
+    rays: &[RayPair],
+    cameras: &[CameraModel; 2],
+    search: &RobustOptions,
+) -> (Option<CameraMove>, Option<Relation>) {
+    let Some(k_b_inverse) = cameras[1].k_matrix().try_inverse() else { return (None, None) };
+    let between_rays = Homography(k_b_inverse * plane.model.0 * cameras[0].k_matrix());
+    let seen: Vec<RayPair> = plane.inliers.iter().map(|k| rays[*k]).collect();
+    let motions = decompose_homography(&between_rays, &seen);
+    let focal = focals(cameras);
+    let agreeing = |motion: &TwoViewMotion| -> Vec<usize> {
+        let near = |k: &usize| squared_sampson(&motion.essential(), &rays[*k]) * focal[0] * focal[1] < search.threshold.powi(2);
+        (0..rays.len()).filter(near).collect()
+    };
+    let mut rated: Vec<(Vec<usize>, f64, PlanarMotion)> = motions
+        .into_iter()
+        .map(|m| {
+            let direction = m.translation.try_normalize(1e-12);
+            let inliers = direction.map_or(Vec::new(), |direction| agreeing(&TwoViewMotion { rotation: m.rotation, direction }));
+            let mut angles: Vec<f64> = seen.iter().map(|r| (m.rotation * r.first.push(1.0)).angle(&r.second.push(1.0))).collect();
+            (inliers, median(&mut angles).unwrap_or(0.0), m)
+        })
+        .collect();
+    rated.sort_by(|a, b| b.0.len().cmp(&a.0.len()).then(b.2.in_front.cmp(&a.2.in_front)));
+    let Some((inliers, parallax, best)) = rated.first() else { return (None, None) };
+    let noise = plane.sigma / (focal[0] * focal[1]).sqrt();
+    let direction = best.translation.try_normalize(1e-12).filter(|_| *parallax > LEAST_PARALLAX * noise);
+    // Matches off the plane tell the two apart; where hardly any do, both stand.
+    let is_ambiguous = direction.is_some() && rated.get(1).is_some_and(|other| 10 * other.0.len() > 9 * inliers.len());
+    let camera_move =
+        CameraMove { rotation: best.rotation, direction, in_front: best.in_front, parallax_deg: parallax.to_degrees(), is_ambiguous };
+    let essential = direction.map(|direction| {
+        let matrix = normalised(TwoViewMotion { rotation: best.rotation, direction }.essential());
+        Relation { matrix, inliers: inliers.clone(), sigma_px: plane.sigma }
+    });
+    (Some(camera_move), essential)
+}
+
+/// The move before a scene with depth.
+fn of_relief(judged: &RobustModel<JudgedMotion>, cameras: &[CameraModel; 2]) -> (Option<CameraMove>, Option<Relation>) {
+    let JudgedMotion { motion, in_front, parallax, .. } = judged.model;
+    let [a, b] = focals(cameras);
+    let has_direction = judged.model.is_clear() && parallax > LEAST_PARALLAX * judged.sigma / (a * b).sqrt();
+    let camera_move = CameraMove {
+        rotation: motion.rotation,
+        direction: has_direction.then_some(motion.direction),
+        in_front,
+        parallax_deg: parallax.to_degrees(),
+        is_ambiguous: false,
+    };
+    let matrix = normalised(motion.essential());
+    (Some(camera_move), Some(Relation { matrix, inliers: judged.inliers.clone(), sigma_px: judged.sigma }))
+}
+
+/// Geometric means of the focal lengths, pixels.
+fn focals(cameras: &[CameraModel; 2]) -> [f64; 2] {
+    cameras.each_ref().map(|camera| (camera.intrinsics().fx * camera.intrinsics().fy).abs().sqrt())
+}
+
+/// F of an essential matrix.
+pub(super) fn in_pixels(essential: &Matrix3<f64>, [a, b]: &[CameraModel; 2]) -> Option<Matrix3<f64>> {
+    epipolar::in_pixels(essential, [&a.k_matrix(), &b.k_matrix()])
+}
+
+/// Unit norm, and the largest element positive, so that the same relation has the same numbers.
+fn normalised(matrix: Matrix3<f64>) -> Matrix3<f64> {
+    let largest = matrix.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(1.0);
+    matrix * (largest.signum() / matrix.norm())
+}
+
+/// How far a match is from a homography, or from an epipolar relation, pixels: Sampson's distance.
+pub(super) fn error_px(is_flat: bool, matrix: &Matrix3<f64>, pair: &PointPair) -> f64 {
+    let squared = if is_flat { squared_sampson_of_homography(&Homography(*matrix), pair) } else { squared_sampson(matrix, pair) };
+    squared.sqrt()
+}
+
+/// What a sample of a relation is made of, and its threshold in pixels.
+#[derive(Debug, Clone, Copy)]
+enum Sample {
+    Homography(f64),
+    Fundamental(f64),
+    Essential(f64),
+}
+
+/// Whether agreement is more than chance.
+struct Chance<'a> {
+    pairs: &'a [PointPair],
+    sizes: [(u32, u32); 2],
+    same_place_px: f64,
+}
+
+impl Chance<'_> {
+    /// Whether chance does not explain that these matches agree.
+    fn is_excluded(&self, inliers: &[usize], sample: Sample) -> bool {
+        let all: Vec<usize> = (0..self.pairs.len()).collect();
+        let (n, k) = (self.distinct(&all), self.distinct(inliers));
+        let size = [self.sizes[1].0, self.sizes[1].1];
+        let ln_false_alarms = match sample {
+            Sample::Homography(t) => ln_false_alarms(n, k, 4, 1, chance_at_a_point(size, t)),
+            Sample::Fundamental(t) => ln_false_alarms(n, k, 7, 3, chance_at_a_line(size, t)),
+            Sample::Essential(t) => ln_false_alarms(n, k, 5, 10, chance_at_a_line(size, t)),
+        };
+        ln_false_alarms <= MOST_LN_FALSE_ALARMS
+    }
+
+    /// How many of these matches are at places of their own.
+    fn distinct(&self, which: &[usize]) -> usize {
+        let near = self.same_place_px.powi(2);
+        let mut kept: Vec<&PointPair> = Vec::new();
+        for pair in which.iter().map(|k| &self.pairs[*k]) {
+            let is_same = |other: &&PointPair| (other.from - pair.from).norm_squared() < near && (other.to - pair.to).norm_squared() < near;
+            if !kept.iter().any(|other| is_same(other)) {
+                kept.push(pair);
+            }
+        }
+        kept.len()
+    }
+}
+
+/// Which relation explains the matches best.
+fn choose(
+    pairs: &[PointPair],
+    plane: Option<&RobustModel<Homography>>,
+    epipolar: Option<&(RobustModel<Matrix3<f64>>, EpipolarKind)>,
+    threshold: f64,
+) -> Option<Model> {
+    let of_kind = |kind: &EpipolarKind| if *kind == EpipolarKind::Essential { Model::Essential } else { Model::Fundamental };
+    match (plane, epipolar) {
+        (Some(h), Some((f, kind))) => {
+            let choice = choose_model(pairs, h, f, *kind, threshold, threshold);
+            Some(if choice.model == TwoViewModel::Homography { Model::Homography } else { of_kind(kind) })
+        }
+        (Some(_), None) => Some(Model::Homography),
+        (None, Some((_, kind))) => Some(of_kind(kind)),
+        (None, None) => None,
+    }
+}

@@ -1,0 +1,59 @@
+//! Two pictures of one thing, as a library: features, their matching, the solvers of two views, and with the feature `compare` all of it in one call,
+//! `compare`, which is what `stagepose compare` runs.
+//!
+//! Data moves one way: a grey picture becomes [`features::Features`]; two of them become matches; the places of the matches, as
+//! [`geometry::PointPair`] in pixels or [`geometry::RayPair`] of calibrated cameras, become a homography, a fundamental or an essential matrix;
+//! and those become the camera's move. Each step stands alone. The random ones take a seed and give the same for the same.
+
+/// Relations of two views: one solver a function, each with its source. docs/solvers.md compares them.
+///
+/// H maps points of the first picture to the second, `x2 ∝ H x1`; F and E bind them, `x2ᵀ F x1 = 0`; a motion is `x2 ∝ R x1 + t`.
+pub mod geometry {
+    pub use crate::geometry::correspondence::Correspondence;
+    pub use crate::geometry::distances::{
+        squared_epipolar, squared_sampson, squared_sampson_of_homography, squared_symmetric_epipolar, squared_symmetric_transfer,
+    };
+    pub use crate::geometry::eight_point::eight_point;
+    pub use crate::geometry::epipolar::{epipolar_line, epipoles};
+    pub use crate::geometry::essential_decomposition::{JudgedMotion, judged_motion};
+    pub use crate::geometry::false_alarms::{chance_at_a_line, chance_at_a_point, ln_false_alarms};
+    pub use crate::geometry::five_point::five_point;
+    pub use crate::geometry::frame_chain::{FirstView, SecondView, first_from_second, object_in_camera, rotation_xyz};
+    pub use crate::geometry::fundamental_refinement::refine_fundamental;
+    pub use crate::geometry::gold_standard::{GoldStandard, gold_standard};
+    pub use crate::geometry::homography_decomposition::{PlanarMotion, decompose_homography};
+    pub use crate::geometry::model_choice::{EpipolarKind, ModelChoice, TwoViewModel, choose_model};
+    pub use crate::geometry::motion_refinement::refine_motion_in_pixels;
+    pub use crate::geometry::ransac::Order;
+    pub use crate::geometry::relative_pose::{RayPair, TwoViewMotion};
+    pub use crate::geometry::robust::{RobustModel, RobustOptions};
+    pub use crate::geometry::robust_essential::robust_essential;
+    pub use crate::geometry::robust_fundamental::robust_fundamental;
+    pub use crate::geometry::robust_homography::robust_homography;
+    pub use crate::geometry::seven_point::seven_point;
+    pub use crate::geometry::triangulation::{corrected, depths};
+    pub use crate::geometry::{Homography, PointPair};
+}
+
+/// Detectors and descriptors: every one goes with every other.
+///
+/// [`extract`](features::extract) chooses them by name; the detectors' and describers' own types have all their options.
+pub mod features {
+    pub use crate::features::descriptors::{
+        Basis, BinaryComparisons, Describer, GlohDescriber, PatchDescriber, SiftDescriber, StructureTensorDescriber, SurfDescriber,
+    };
+    pub use crate::features::detectors::{CornerMeasure, Detector, HarrisDetector, LiveCorners, MserDetector, SiftDetector, SurfDetector};
+    pub use crate::features::repeatability::{Repeatability, repeatability};
+    pub use crate::features::{
+        Descriptor, DescriptorKind, Descriptors, DetectorKind, FeatureSettings, Features, Keypoint, PictureForms, ViewSimulation, detect,
+        extract,
+    };
+}
+
+/// Which feature of the first picture is which of the second.
+pub mod matching {
+    pub use crate::matching::{ExactMatch, ExactOptions, match_exactly};
+}
+
+#[cfg(feature = "compare")]
+pub use crate::compare::{CameraMove, CompareOptions, Comparison, Model, Relation, Step, View, compare};
