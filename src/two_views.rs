@@ -42,7 +42,9 @@ pub mod features {
     pub use crate::features::descriptors::{
         Basis, BinaryComparisons, Describer, GlohDescriber, PatchDescriber, SiftDescriber, StructureTensorDescriber, SurfDescriber,
     };
-    pub use crate::features::detectors::{CornerMeasure, Detector, HarrisDetector, LiveCorners, MserDetector, SiftDetector, SurfDetector};
+    pub use crate::features::detectors::{
+        AffineDetector, AffineMeasure, CornerMeasure, Detector, HarrisDetector, LiveCorners, MserDetector, SiftDetector, SurfDetector,
+    };
     pub use crate::features::repeatability::{Repeatability, repeatability};
     pub use crate::features::{
         Descriptor, DescriptorKind, Descriptors, DetectorKind, FeatureSettings, Features, Keypoint, PictureForms, ViewSimulation, detect,

@@ -171,7 +171,7 @@ pub fn compare(first: &View, second: &View, options: &CompareOptions, on_step: &
         features.push(on_step(step).then(|| extract(view.picture, &options.features))?);
     }
     let features: [Features; 2] = features.try_into().ok()?;
-    let cameras = first.camera.zip(second.camera).map(|(a, b)| [a.clone(), b.clone()]);
+    let cameras = first.camera.zip(second.camera).map(|(a, b)| [*a, *b]);
     let mut matches = on_step(Step::Matching).then(|| match_exactly(&features[0], &features[1], &options.matching))?;
     let [keys_a, keys_b] = [&features[0].keypoints, &features[1].keypoints];
     let mut rays = Vec::new();

@@ -215,7 +215,7 @@ impl Chance<'_> {
         let mut kept: Vec<&PointPair> = Vec::new();
         for pair in which.iter().map(|k| &self.pairs[*k]) {
             let is_same = |other: &&PointPair| (other.from - pair.from).norm_squared() < near && (other.to - pair.to).norm_squared() < near;
-            if !kept.iter().any(|other| is_same(other)) {
+            if !kept.iter().any(is_same) {
                 kept.push(pair);
             }
         }

@@ -5,7 +5,9 @@ use image::GrayImage;
 use super::descriptors::{
     BinaryComparisons, Describer, GlohDescriber, PatchDescriber, SiftDescriber, StructureTensorDescriber, SurfDescriber,
 };
-use super::detectors::{CornerMeasure, Detector, HarrisDetector, LiveCorners, MserDetector, SiftDetector, SurfDetector};
+use super::detectors::{
+    AffineDetector, AffineMeasure, CornerMeasure, Detector, HarrisDetector, LiveCorners, MserDetector, SiftDetector, SurfDetector,
+};
 use super::keypoint::{Descriptors, Features, Keypoint, PictureForms};
 use super::view_simulation::ViewSimulation;
 
@@ -27,13 +29,17 @@ pub enum DetectorKind {
     Surf,
     /// Matas et al. 2002.
     Mser,
+    /// Mikolajczyk and Schmid 2004.
+    HarrisAffine,
+    /// Mikolajczyk and Schmid 2004.
+    HessianAffine,
     /// SIFT on simulated views of both pictures (Morel and Yu 2009).
     Asift,
 }
 
 impl DetectorKind {
     /// All of them with their names.
-    pub const ALL: [(&'static str, Self); 8] = [
+    pub const ALL: [(&'static str, Self); 10] = [
         ("live", Self::Live),
         ("harris", Self::Harris),
         ("noble", Self::Noble),
@@ -41,6 +47,8 @@ impl DetectorKind {
         ("sift", Self::Sift),
         ("surf", Self::Surf),
         ("mser", Self::Mser),
+        ("harris-affine", Self::HarrisAffine),
+        ("hessian-affine", Self::HessianAffine),
         ("asift", Self::Asift),
     ];
 
@@ -55,7 +63,7 @@ impl DetectorKind {
             Self::Live => DescriptorKind::Live,
             Self::Harris | Self::Noble | Self::ShiTomasi => DescriptorKind::Patch,
             Self::Surf => DescriptorKind::Surf,
-            Self::Sift | Self::Mser | Self::Asift => DescriptorKind::Sift,
+            Self::Sift | Self::Mser | Self::HarrisAffine | Self::HessianAffine | Self::Asift => DescriptorKind::Sift,
         }
     }
 }
@@ -191,7 +199,14 @@ fn detector(settings: &FeatureSettings) -> Box<dyn Detector> {
             let usual = MserDetector::default();
             Box::new(MserDetector { count: settings.count.unwrap_or(usual.count), ..usual })
         }
+        DetectorKind::HarrisAffine => affine(settings, AffineMeasure::Harris),
+        DetectorKind::HessianAffine => affine(settings, AffineMeasure::Hessian),
     }
+}
+
+fn affine(settings: &FeatureSettings, measure: AffineMeasure) -> Box<dyn Detector> {
+    let usual = AffineDetector { measure, ..AffineDetector::default() };
+    Box::new(AffineDetector { count: settings.count.unwrap_or(usual.count), ..usual })
 }
 
 fn harris(settings: &FeatureSettings, measure: CornerMeasure) -> HarrisDetector {

@@ -8,7 +8,7 @@ use super::ransac::{self, Estimator, Order};
 use super::relative_pose::RayPair;
 
 /// Robust search: `samples` five-point samples, truncated squares (MSAC) of Sampson distances; every distinct good model is given, best first (at most
-/// `keep`), because a flat scene allows two. `threshold` in the pairs' units. [`robust_essential`](super::robust_essential) gives the one best
+/// `keep`), because a flat scene allows two. `threshold` in the pairs' units. `robust_essential` gives the one best
 /// motion, refined, by a threshold in pixels.
 pub fn essential_candidates(pairs: &[RayPair], threshold: f64, samples: usize, keep: usize, seed: u64) -> Vec<Matrix3<f64>> {
     if pairs.len() < 6 {

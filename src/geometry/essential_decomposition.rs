@@ -45,7 +45,7 @@ pub struct JudgedMotion {
     /// Pairs that lie in front of both cameras.
     pub in_front: usize,
     /// By how much the next best motion is worse: in squares of the noise that would have to move pairs to in front of both cameras, each pair
-    /// counted up to [`LARGEST_SQUARED`]. About 0 for a camera that only turned; from [`CLEAR_MARGIN`] the choice is sure.
+    /// counted up to `LARGEST_SQUARED`. About 0 for a camera that only turned; from `CLEAR_MARGIN` the choice is sure.
     pub margin: f64,
     /// Median angle between the two rays of a pair, radians: the parallax that depths were judged by. In the order of the noise for a camera that
     /// only turned.

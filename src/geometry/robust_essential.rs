@@ -24,7 +24,7 @@ const LAST_STEPS: usize = 20;
 ///
 /// `focals` are the focal lengths of the first and the second picture in pixels, which make the rays' distances pixels: the options' threshold is in
 /// pixels as everywhere. The motion's [`essential`](super::relative_pose::TwoViewMotion::essential) is the matrix. A flat scene allows a second
-/// motion with the same matrix distances; [`decompose_homography`](super::homography_decomposition) gives both.
+/// motion with the same matrix distances; `decompose_homography` gives both.
 pub fn robust_essential(pairs: &[RayPair], focals: [f64; 2], options: &RobustOptions) -> Option<RobustModel<JudgedMotion>> {
     let RobustOptions { threshold, max_samples, confidence, order, seed, .. } = *options;
     if !robust::is_sound(options) || !focals.iter().all(|f| f.is_finite() && *f > 0.0) {

@@ -28,7 +28,7 @@ const INNER_SAMPLES: usize = 20;
 /// Finds the fundamental matrix (pixels to pixels, rank two, norm 1) that most pairs agree with; `None` when no more than a sample ever do.
 ///
 /// All pairs on one plane, or a camera that only turned, leave F open: what is found then explains the pairs and no move.
-/// [`choose_model`](super::model_choice) says so.
+/// `choose_model` says so.
 pub fn robust_fundamental<C: Correspondence + Copy>(pairs: &[C], options: &RobustOptions) -> Option<RobustModel<Matrix3<f64>>> {
     let RobustOptions { threshold, max_samples, confidence, order, seed, .. } = *options;
     if !robust::is_sound(options) {

@@ -291,7 +291,8 @@ mod tests {
             let found = match_exactly(first, second, &options);
             assert!(found.windows(2).all(|w| w[0].ratio <= w[1].ratio));
             let mut found: Vec<_> = found.iter().map(|m| (m.first, m.second)).collect();
-            (expected.sort_unstable(), found.sort_unstable());
+            expected.sort_unstable();
+            found.sort_unstable();
             assert!(expected.len() > 5, "{}", expected.len());
             assert_eq!(found, expected);
         }

@@ -41,7 +41,9 @@ impl<D: Distance> Nearest<D> {
     #[inline]
     pub fn offer(&mut self, k: usize, distance: D, same_place: impl Fn(usize, usize) -> bool) {
         // Most candidates are further away than both.
-        if !(distance < self.second.0) && self.second.1 != usize::MAX {
+        // A distance that is no number is not nearer.
+        let is_nearer = distance < self.second.0;
+        if !is_nearer && self.second.1 != usize::MAX {
             return;
         }
         let none = (D::LARGEST, usize::MAX);

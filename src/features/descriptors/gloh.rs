@@ -72,9 +72,9 @@ impl Describer for GlohDescriber {
 /// Mean and principal components of descriptions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Basis {
-    /// [`FULL_LENGTH`] numbers.
+    /// `FULL_LENGTH` numbers.
     pub mean: Vec<f32>,
-    /// [`REDUCED_LENGTH`] unit vectors of [`FULL_LENGTH`] numbers, that of the largest variance first.
+    /// `REDUCED_LENGTH` unit vectors of `FULL_LENGTH` numbers, that of the largest variance first.
     pub components: Vec<f32>,
 }
 

@@ -28,7 +28,7 @@ const CORNER: f64 = 0.1668;
 const BLOB: f64 = 0.25;
 
 impl AffineMeasure {
-    /// The measure of each pixel of a picture smoothed by `sigma` pixels; `fine` is the same smoothed by [`DERIVATIVE_SHARE`] of it.
+    /// The measure of each pixel of a picture smoothed by `sigma` pixels; `fine` is the same smoothed by `DERIVATIVE_SHARE` of it.
     pub fn strength(self, smooth: &FloatImage, fine: &FloatImage, sigma: f64) -> FloatImage {
         let mut out = FloatImage::new(smooth.width, smooth.height);
         if out.width < 3 || out.height < 3 {
