@@ -1,5 +1,7 @@
 //! The tracker's own corners: FAST-9 on a pyramid, ranked by the smaller eigenvalue of the structure tensor (see `corners`).
 
+use std::cell::RefCell;
+
 use nalgebra::{Matrix2, Rotation2};
 
 use super::Detector;
@@ -21,8 +23,12 @@ pub(in crate::features) const REGION_SIGMA: f64 = PATCH_RADIUS as f64 / 2.0;
 impl LiveCorners {
     /// The corners with their binary descriptions, found and described in one go.
     pub fn features(&self, picture: &PictureForms) -> Vec<Feature> {
+        thread_local! {
+            /// Its buffers, and the contrast that the last picture needed, make the next picture quicker and change nothing else.
+            static EXTRACTOR: RefCell<FeatureExtractor> = RefCell::default();
+        }
         let mut features = Vec::new();
-        FeatureExtractor::default().extract(picture.grey, None, &self.options, &Workers::new(1), &mut features);
+        EXTRACTOR.with_borrow_mut(|extractor| extractor.extract(picture.grey, None, &self.options, &Workers::new(1), &mut features));
         features
     }
 
