@@ -21,13 +21,13 @@ pub struct AffineDetector {
     /// determinant, 16 / 3 grey levels of its root (Perďoch, Chum & Matas, Efficient Representation of Local Geometry for Large Scale Object
     /// Retrieval, CVPR 2009, their program). Raised, fewer and stronger ones are left.
     pub contrast: f64,
-    /// Steps of the shape's iteration at most. Default 16, as in the same program; most end before the tenth (IJCV 2004, section 4.2). Raised, a few
+    /// Steps of the shape's iteration at most. Default 16, as in the same program; most end before the tenth (IJCV 2004). Raised, a few
     /// more come to an end.
     pub steps: usize,
-    /// Least ratio of the eigenvalues of the gradients' moments in the frame of the ellipse. Default 0.95 (section 4.2: 1 less 0.05). Raised,
+    /// Least ratio of the eigenvalues of the gradients' moments in the frame of the ellipse. Default 0.95, as in the paper. Raised,
     /// shapes are more exact and take more steps.
     pub isotropy: f64,
-    /// Largest ratio of an ellipse's axes. Default 6 (section 4.2). Raised, needles are kept, whose length is uncertain.
+    /// Largest ratio of an ellipse's axes. Default 6, as in the paper. Raised, needles are kept, whose length is uncertain.
     pub elongation: f64,
 }
 
@@ -41,6 +41,9 @@ impl Default for AffineDetector {
 const RANGE: f64 = 255.0;
 /// What a maximum must have of the least height before its shape is known: a blob of axes 4 to 1 has 0.64 of it in a round window.
 const BEFORE_SHAPE: f64 = 0.6;
+/// Ratio of the axes at most of a maximum in its round window, in largest ratios: an edge, whose shape the steps would only find to be a needle, is
+/// left out at once, which saves a fifth of the time. Lowered to 1, a twentieth of the keypoints is lost: few structures are Gaussian blobs.
+const MARGIN: f64 = 2.0;
 /// Copies from the one that the derivatives are taken of to the one whose scale is looked at.
 const FINER: usize = 2;
 /// Copies of an octave whose scale is looked at. Each has a finer one for its derivatives, and one on either side.
@@ -83,7 +86,8 @@ impl AffineDetector {
             let [before, here, after] = [level - 1, level, level + 1].map(|l| self.measure.at_scale(&octave.levels[l], sigma(l), x, y));
             here >= before && here >= after
         };
-        local_maxima(&map, least).into_iter().filter(at_its_scale).collect()
+        let bounded = |&(x, y): &(usize, usize)| self.measure.is_bounded(&octave.levels[level], x, y, MARGIN * self.elongation);
+        local_maxima(&map, least).into_iter().filter(bounded).filter(at_its_scale).collect()
     }
 }
 
@@ -179,25 +183,23 @@ mod tests {
     #[test]
     fn shapes_move_with_the_picture() {
         let painting = Painting::new();
+        let first = detect(AffineMeasure::Hessian, &painting.seen(&view(0.0, 0.0, 1.0)));
         for (turn, tilt, scale) in [(0.0, 0.0, 1.0), (0.8, 0.0, 0.9), (0.3, 0.8, 1.0), (2.0, 1.05, 1.2)] {
             let known = view(turn, tilt, scale);
             let map = known.0.fixed_view::<2, 2>(0, 0).into_owned();
-            for measure in MEASURES {
-                let [first, second] = [view(0.0, 0.0, 1.0), known].map(|v| detect(measure, &painting.seen(&v)));
-                // Ratio of the axes that one ellipse has in the frame of the other, of the nearest one at the same place.
-                let mut ratios: Vec<f64> = Vec::new();
-                for k in &first {
-                    let (place, shape) = (known.map(k.position).unwrap(), (map * k.shape).try_inverse().unwrap());
-                    let same = second.iter().filter(|s| (s.position - place).norm() < 1.0);
-                    let axes = same.map(|s| (shape * s.shape).singular_values()).map(|axes| axes.max() / axes.min());
-                    ratios.extend(axes.min_by(f64::total_cmp));
-                }
-                ratios.sort_by(f64::total_cmp);
-                let median = ratios[ratios.len() / 2];
-                // Circles would have a ratio of 1.43 at the third view, and of 2 at the last. A corner bounds its ellipse less than a blob does.
-                let most = if measure == AffineMeasure::Hessian { 1.15 } else { 1.4 };
-                assert!(ratios.len() > 15 && median < most, "{measure:?} {turn} {tilt} {scale}: {median} of {}", ratios.len());
+            let second = detect(AffineMeasure::Hessian, &painting.seen(&known));
+            // Ratio of the axes that one ellipse has in the frame of the other, of the nearest in shape at the same place.
+            let mut ratios: Vec<f64> = Vec::new();
+            for k in &first {
+                let (place, shape) = (known.map(k.position).unwrap(), (map * k.shape).try_inverse().unwrap());
+                let same = second.iter().filter(|s| (s.position - place).norm() < 1.0);
+                let axes = same.map(|s| (shape * s.shape).singular_values()).map(|axes| axes.max() / axes.min());
+                ratios.extend(axes.min_by(f64::total_cmp));
             }
+            ratios.sort_by(f64::total_cmp);
+            let median = ratios[ratios.len() / 2];
+            // Circles would have a ratio of 1.43 at the third view, and of 2 at the last.
+            assert!(ratios.len() > 50 && median < 1.1, "{turn} {tilt} {scale}: {median} of {}", ratios.len());
         }
     }
 

@@ -48,17 +48,22 @@ impl AffineMeasure {
     /// What is largest at the scale of the structure at a pixel: of a picture smoothed by `sigma` pixels the size of the normalised Laplacian, or
     /// the determinant. Zero at the border.
     pub fn at_scale(self, smooth: &FloatImage, sigma: f64, x: usize, y: usize) -> f64 {
-        if x == 0 || y == 0 || x + 1 >= smooth.width || y + 1 >= smooth.height {
-            return 0.0;
-        }
-        let rows = [y - 1, y, y + 1].map(|k| smooth.row(k)[x - 1..].first_chunk());
-        let [Some(above), Some(here), Some(below)] = rows else { return 0.0 };
-        let [xx, yy, xy] = second_derivatives(above, here, below).map(f64::from);
+        let Some([xx, yy, xy]) = derivatives_at(smooth, x, y) else { return 0.0 };
         let squared = sigma * sigma;
         match self {
             Self::Hessian => squared * squared * (xx * yy - xy * xy),
             Self::Harris => squared * (xx + yy).abs(),
         }
+    }
+
+    /// Whether the structure at a pixel can be a blob of axes of at most `ratio`: in the round window of its size, the second derivatives of a
+    /// Gaussian blob along its axes have the ratio of the axes. Of corners the measure itself bounds it.
+    pub fn is_bounded(self, smooth: &FloatImage, x: usize, y: usize, ratio: f64) -> bool {
+        if self == Self::Harris {
+            return true;
+        }
+        let Some([xx, yy, xy]) = derivatives_at(smooth, x, y) else { return false };
+        (xx + yy).powi(2) * ratio <= (ratio + 1.0).powi(2) * (xx * yy - xy * xy)
     }
 
     /// The height in grey levels of the blob or corner that would have a strength.
@@ -76,6 +81,15 @@ impl AffineMeasure {
             Self::Harris => (CORNER * contrast.max(0.0)).powi(4),
         }
     }
+}
+
+/// Second derivatives of a pixel across, down and mixed; none at the border.
+fn derivatives_at(smooth: &FloatImage, x: usize, y: usize) -> Option<[f64; 3]> {
+    if x == 0 || y == 0 || x + 1 >= smooth.width || y + 1 >= smooth.height {
+        return None;
+    }
+    let [above, here, below] = [y - 1, y, y + 1].map(|k| smooth.row(k)[x - 1..].first_chunk());
+    Some(second_derivatives(above?, here?, below?).map(f64::from))
 }
 
 /// Second derivatives across, down and mixed, from a pixel's eight neighbours.
@@ -153,6 +167,13 @@ mod tests {
         };
         assert!((AffineMeasure::Harris.contrast(most(&corner)) - 100.0).abs() < 3.0);
         assert!(most(&edge) <= 0.0);
+    }
+
+    #[test]
+    fn a_long_blob_is_bounded_by_the_ratio_of_its_axes() {
+        let blob = picture(121, |x, y| 80.0 * (-0.5 * (x * x / 144.0 + y * y / 9.0)).exp()).blurred(6.0);
+        assert!(AffineMeasure::Hessian.is_bounded(&blob, 60, 60, 4.3) && !AffineMeasure::Hessian.is_bounded(&blob, 60, 60, 3.7));
+        assert!(!AffineMeasure::Hessian.is_bounded(&blob, 0, 60, 9.0) && AffineMeasure::Harris.is_bounded(&blob, 60, 60, 2.0));
     }
 
     #[test]
