@@ -224,7 +224,8 @@ fn table(rows: &[Row]) -> String {
 /// Largest corner error of a homography that counts as found, pixels: that of the contract for steep views. Raised, worse ones count.
 const FOUND_PX: f64 = 5.0;
 
-/// Over all pairs: means, and how many pairs were related. Those that relate the most come first, and of them the quickest.
+/// Over all pairs: means, and how many pairs were related. Those that relate the most come first, and of them those with the most right matches for
+/// their time.
 fn overview(rows: &[Row], chosen: &[FeatureSettings]) -> String {
     let pairs = rows.len() / chosen.len().max(1);
     if pairs < 2 {
@@ -239,6 +240,7 @@ fn overview(rows: &[Row], chosen: &[FeatureSettings]) -> String {
         };
         let found = own.iter().filter(|row| row.score.corner_error_px.is_some_and(|e| e <= FOUND_PX)).count();
         let ms = mean(&|row| Some(row.features_ms));
+        let right_per_ms = mean(&|row| Some(row.score.matches as f64 * row.score.right)) / ms;
         let line = format!(
             "{:<16}{:<18}{:>10}{:>10.1}{:>12.2}{:>10}{:>8.1}{:>12}{ms:>10.0}\n",
             settings.detector.name(),
@@ -250,9 +252,9 @@ fn overview(rows: &[Row], chosen: &[FeatureSettings]) -> String {
             100.0 * mean(&|row| Some(row.score.right)),
             format!("{found} of {pairs}"),
         );
-        lines.push((found, ms, line));
+        lines.push((found, right_per_ms, line));
     }
-    lines.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.total_cmp(&b.1)));
+    lines.sort_by(|a, b| b.0.cmp(&a.0).then(b.1.total_cmp(&a.1)));
     let words = ["detector", "descriptor", "keypoints", "repeat %", "place px", "matches", "right %", "related", "ms"];
     let mut text = format!("\nall pairs (means; related: to {FOUND_PX} px at the corners)\n");
     for (k, word) in words.iter().enumerate() {
