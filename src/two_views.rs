@@ -47,14 +47,14 @@ pub mod features {
     };
     pub use crate::features::repeatability::{Repeatability, repeatability};
     pub use crate::features::{
-        Descriptor, DescriptorKind, Descriptors, DetectorKind, FeatureSettings, Features, Keypoint, PictureForms, ViewSimulation, detect,
-        extract,
+        Descriptor, DescriptorKind, Descriptors, DetectorKind, FeatureSettings, Features, Keypoint, PictureForms, Share, ViewSimulation,
+        detect, extract, extract_watched,
     };
 }
 
 /// Which feature of the first picture is which of the second.
 pub mod matching {
-    pub use crate::matching::{ExactMatch, ExactOptions, match_exactly};
+    pub use crate::matching::{ExactMatch, ExactOptions, match_exactly, match_watched};
 }
 
 #[cfg(feature = "compare")]

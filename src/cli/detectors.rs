@@ -19,7 +19,7 @@ use super::spared::Spared;
 use crate::compare::CompareOptions;
 use crate::compare::detector_scores::{DetectorScore, score};
 use crate::compare::known_views::{CHANGES, changed};
-use crate::features::{DescriptorKind, DetectorKind, FeatureSettings, extract};
+use crate::features::{DescriptorKind, DetectorKind, FeatureSettings, extract_watched};
 use crate::geometry::Homography;
 use crate::printable::printable_lines;
 use crate::safe_file;
@@ -86,10 +86,8 @@ pub(super) fn run(arguments: &DetectorsArguments) -> Result<(), Failure> {
     let mut rows = Vec::new();
     for pair in &pairs {
         for settings in &chosen {
-            if interrupt::is_interrupted() {
-                return Err(Failure::Comparison("interrupted; nothing is written".to_owned()));
-            }
-            rows.push(measured(pair, settings, &options));
+            let interrupted = || Failure::Comparison("interrupted; nothing is written".to_owned());
+            rows.push(measured(pair, settings, &options).ok_or_else(interrupted)?);
             progress.advance();
         }
     }
@@ -171,13 +169,15 @@ fn read_homography(file: &std::path::Path) -> Result<Homography, Failure> {
     Ok(Homography(matrix / matrix[(2, 2)]))
 }
 
-fn measured(pair: &KnownPair, settings: &FeatureSettings, options: &CompareOptions) -> Row {
+/// `None` after Ctrl-C.
+fn measured(pair: &KnownPair, settings: &FeatureSettings, options: &CompareOptions) -> Option<Row> {
     let begun = Instant::now();
-    let features = pair.pictures.each_ref().map(|picture| extract(picture, settings));
+    let found = |picture| extract_watched(picture, settings, &|_| !interrupt::is_interrupted());
+    let features = [found(&pair.pictures[0])?, found(&pair.pictures[1])?];
     let features_ms = begun.elapsed().as_secs_f64() * 1e3;
     let sizes = pair.pictures.each_ref().map(|picture| picture.dimensions());
     let score = score([&features[0], &features[1]], sizes, &pair.homography, options);
-    Row { pair: pair.name.clone(), settings: *settings, score, features_ms }
+    Some(Row { pair: pair.name.clone(), settings: *settings, score, features_ms })
 }
 
 fn table(rows: &[Row]) -> String {

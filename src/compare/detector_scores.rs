@@ -38,7 +38,7 @@ pub fn score(features: [&Features; 2], sizes: [(u32, u32); 2], known: &Homograph
         .collect();
     let is_right = |pair: &&PointPair| known.squared_error(pair) < RIGHT_PX * RIGHT_PX;
     let right = pairs.iter().filter(is_right).count() as f64 / pairs.len().max(1) as f64;
-    let found = relations::find(&pairs, None, sizes, options).homography;
+    let found = relations::find(&pairs, None, sizes, options, &|| true).and_then(|found| found.homography);
     DetectorScore {
         keypoints: keys.map(|k| k.len()),
         repeated: repeatability(keys[0], keys[1], known, sizes),

@@ -15,10 +15,10 @@ use image::GrayImage;
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
 use crate::camera::{CameraModel, Pixel};
-use crate::features::{FeatureSettings, Features, extract};
+use crate::features::{FeatureSettings, Features, Share, extract_watched};
 use crate::geometry::PointPair;
 use crate::geometry::relative_pose::{RayPair, TwoViewMotion};
-use crate::matching::{ExactMatch, ExactOptions, match_exactly};
+use crate::matching::{ExactMatch, ExactOptions, match_watched};
 
 /// A picture and, if known, the camera that took it.
 #[derive(Debug, Clone, Copy)]
@@ -162,17 +162,18 @@ pub struct Comparison {
     baseline_m: Option<f64>,
 }
 
-/// Compares two pictures. `on_step` hears what comes next, and ends the work with false; then there is no result.
+/// Compares two pictures. `goes_on` hears again and again what is being done, and how far it is; it ends the work with false, and then there is no
+/// result.
 ///
 /// A camera counts only where both pictures have one.
-pub fn compare(first: &View, second: &View, options: &CompareOptions, on_step: &dyn Fn(Step) -> bool) -> Option<Comparison> {
+pub fn compare(first: &View, second: &View, options: &CompareOptions, goes_on: &dyn Fn(Step, Share) -> bool) -> Option<Comparison> {
     let mut features = Vec::with_capacity(2);
     for (view, step) in [(first, Step::FirstFeatures), (second, Step::SecondFeatures)] {
-        features.push(on_step(step).then(|| extract(view.picture, &options.features))?);
+        features.push(extract_watched(view.picture, &options.features, &|share| goes_on(step, share))?);
     }
     let features: [Features; 2] = features.try_into().ok()?;
     let cameras = first.camera.zip(second.camera).map(|(a, b)| [*a, *b]);
-    let mut matches = on_step(Step::Matching).then(|| match_exactly(&features[0], &features[1], &options.matching))?;
+    let mut matches = match_watched(&features[0], &features[1], &options.matching, &|| goes_on(Step::Matching, Share::NOTHING))?;
     let [keys_a, keys_b] = [&features[0].keypoints, &features[1].keypoints];
     let mut rays = Vec::new();
     let mut pairs = Vec::new();
@@ -190,12 +191,10 @@ pub fn compare(first: &View, second: &View, options: &CompareOptions, on_step: &
         }
         both.is_some()
     });
-    if !on_step(Step::Geometry) {
-        return None;
-    }
     let rays = cameras.is_some().then_some(rays);
     let sizes = [first.picture.dimensions(), second.picture.dimensions()];
-    let found = relations::find(&pairs, rays.as_deref().zip(cameras.as_ref()), sizes, options);
+    let searching = || goes_on(Step::Geometry, Share::NOTHING);
+    let found = relations::find(&pairs, rays.as_deref().zip(cameras.as_ref()), sizes, options, &searching)?;
     let relations::Found { homography, fundamental, essential, camera_move, model } = found;
     Some(Comparison {
         settings: options.features,

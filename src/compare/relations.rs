@@ -53,22 +53,37 @@ const SEARCHES: u64 = 20;
 /// Parallax below which a direction of the move is noise, in standard deviations of a ray. Raised, small moves go unnamed; lowered, they are noise.
 const LEAST_PARALLAX: f64 = 3.0;
 
-/// Searches for all relations; `calibrated` has the matches as rays of their cameras.
+/// Searches for all relations; `calibrated` has the matches as rays of their cameras. `None` where `goes_on`, asked before each search, ended the work.
 pub(super) fn find(
     pairs: &[PointPair],
     calibrated: Option<(&[RayPair], &[CameraModel; 2])>,
     sizes: [(u32, u32); 2],
     options: &CompareOptions,
-) -> Found {
+    goes_on: &dyn Fn() -> bool,
+) -> Option<Found> {
     // The best matches may all lie on one thing in the picture, and agree on a model of that alone: all are asked before the search ends.
     let order = Order::BestFirst { even_after: EVEN_AFTER, stops_by_best: false, draws_each: 1 };
     let search = RobustOptions { threshold: options.threshold_px, order, seed: options.seed, ..RobustOptions::default() };
     let wide = RobustOptions { threshold: HOMOGRAPHY_THRESHOLD * options.threshold_px, ..search };
     let chance = Chance { pairs, sizes, same_place_px: SAME_PLACE * options.threshold_px };
-    let searches = (0..SEARCHES).filter_map(|k| robust_homography(pairs, &RobustOptions { seed: options.seed.wrapping_add(k), ..wide }));
-    let plane =
-        searches.max_by(|a, b| a.score.total_cmp(&b.score)).filter(|h| chance.is_excluded(&h.inliers, Sample::Homography(wide.threshold)));
+    let mut planes = Vec::new();
+    for k in 0..SEARCHES {
+        if !goes_on() {
+            return None;
+        }
+        planes.extend(robust_homography(pairs, &RobustOptions { seed: options.seed.wrapping_add(k), ..wide }));
+    }
+    let plane = planes
+        .into_iter()
+        .max_by(|a, b| a.score.total_cmp(&b.score))
+        .filter(|h| chance.is_excluded(&h.inliers, Sample::Homography(wide.threshold)));
+    if !goes_on() {
+        return None;
+    }
     let lines = robust_fundamental(pairs, &search).filter(|f| chance.is_excluded(&f.inliers, Sample::Fundamental(search.threshold)));
+    if !goes_on() {
+        return None;
+    }
     let motion = calibrated.and_then(|(rays, cameras)| {
         let found = robust_essential(rays, focals(cameras), &search)?;
         let matrix = in_pixels(&found.model.motion.essential(), cameras)?;
@@ -93,13 +108,14 @@ pub(super) fn find(
         (Some((_, cameras)), _) => motion.map_or((None, None), |(found, _)| of_relief(&found, cameras)),
         _ => (None, None),
     };
-    Found {
+    let found = Found {
         homography: plane.and_then(|h| Some(Relation { matrix: h.model.with_unit_h33()?, inliers: h.inliers, sigma_px: h.sigma })),
         fundamental: lines.map(|f| Relation { matrix: normalised(f.model), inliers: f.inliers, sigma_px: f.sigma }),
         essential,
         camera_move,
         model,
-    }
+    };
+    goes_on().then_some(found)
 }
 
 /// The move before a flat scene, and the essential matrix that it makes.

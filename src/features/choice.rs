@@ -1,5 +1,7 @@
 //! Every detector with every descriptor, chosen by name: one interface for all of them.
 
+use std::cell::Cell;
+
 use image::GrayImage;
 
 use super::descriptors::{
@@ -10,6 +12,7 @@ use super::detectors::{
 };
 use super::keypoint::{Descriptors, Features, Keypoint, PictureForms};
 use super::view_simulation::ViewSimulation;
+use super::watch::{Share, Watch};
 
 /// How keypoints are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -143,18 +146,35 @@ impl FeatureSettings {
 
 /// The keypoints of a picture and their descriptions.
 pub fn extract(picture: &GrayImage, settings: &FeatureSettings) -> Features {
-    let forms = PictureForms::new(picture);
+    features(&PictureForms::new(picture), settings)
+}
+
+/// The same; `goes_on` hears again and again how far the work is, and ends it with false. Then there is nothing.
+pub fn extract_watched(picture: &GrayImage, settings: &FeatureSettings, goes_on: &dyn Fn(Share) -> bool) -> Option<Features> {
+    let is_ended = Cell::new(false);
+    let heard = |share| {
+        is_ended.set(is_ended.get() || !goes_on(share));
+        !is_ended.get()
+    };
+    if !heard(Share::NOTHING) {
+        return None;
+    }
+    let found = features(&PictureForms::watched(picture, Watch::new(&heard)), settings);
+    (!is_ended.get()).then_some(found)
+}
+
+fn features(forms: &PictureForms, settings: &FeatureSettings) -> Features {
     if (settings.detector, settings.descriptor) == (DetectorKind::Live, DescriptorKind::Live) {
-        let features = live_corners(settings).features(&forms);
+        let features = live_corners(settings).features(forms);
         let keypoints = features.iter().map(LiveCorners::keypoint).collect();
         return Features { keypoints, descriptors: Descriptors::Bits(features.iter().map(|f| f.descriptor).collect()) };
     }
     let describer = describer(settings);
     if settings.detector == DetectorKind::Asift {
         let sift = detector(&FeatureSettings { detector: DetectorKind::Sift, ..*settings });
-        return ViewSimulation::default().features(&forms, sift.as_ref(), describer.as_ref());
+        return ViewSimulation::default().features(forms, sift.as_ref(), describer.as_ref());
     }
-    describer.describe(&forms, &found(&forms, settings))
+    describer.describe(forms, &found(forms, settings))
 }
 
 /// The keypoints of a picture alone.

@@ -8,6 +8,7 @@ use nalgebra::{Matrix2, Vector2};
 use super::extractor::ExtractorOptions;
 use super::float_image::FloatImage;
 use super::pyramid::{Level, Pyramid};
+use super::watch::Watch;
 use super::{Descriptor, extractor::BORDER, integral_image::IntegralImage, scale_space::ScaleSpace};
 
 /// A distinctive place of a picture with the region that belongs to it.
@@ -102,6 +103,8 @@ pub struct Features {
 pub struct PictureForms<'a> {
     /// The picture itself.
     pub grey: &'a GrayImage,
+    /// Who hears of the work with it.
+    pub(super) watch: Watch<'a>,
     float: OnceCell<FloatImage>,
     scale_space: OnceCell<ScaleSpace>,
     integral: OnceCell<IntegralImage>,
@@ -111,7 +114,13 @@ pub struct PictureForms<'a> {
 impl<'a> PictureForms<'a> {
     /// Nothing is made yet.
     pub fn new(grey: &'a GrayImage) -> Self {
-        Self { grey, float: OnceCell::new(), scale_space: OnceCell::new(), integral: OnceCell::new(), pyramid: OnceCell::new() }
+        Self::watched(grey, Watch::NONE)
+    }
+
+    /// The same; whoever works with it asks whether to go on.
+    pub(super) fn watched(grey: &'a GrayImage, watch: Watch<'a>) -> Self {
+        let (float, scale_space, integral, pyramid) = (OnceCell::new(), OnceCell::new(), OnceCell::new(), OnceCell::new());
+        Self { grey, watch, float, scale_space, integral, pyramid }
     }
 
     /// Its grey levels as numbers.
@@ -121,7 +130,7 @@ impl<'a> PictureForms<'a> {
 
     /// Its Gaussian scale space.
     pub fn scale_space(&self) -> &ScaleSpace {
-        self.scale_space.get_or_init(|| ScaleSpace::of(self.float()))
+        self.scale_space.get_or_init(|| ScaleSpace::watched(self.float(), &self.watch))
     }
 
     /// Its integral image.

@@ -24,9 +24,10 @@ mod second_moments;
 #[cfg(test)]
 mod test_pictures;
 mod view_simulation;
+mod watch;
 mod workers;
 
-pub use choice::{DescriptorKind, DetectorKind, FeatureSettings, detect, extract};
+pub use choice::{DescriptorKind, DetectorKind, FeatureSettings, detect, extract, extract_watched};
 pub use corners::{CornerBuffers, CornerOptions, detect_corners};
 pub use descriptor::{Descriptor, describe, orientation};
 pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
@@ -34,4 +35,5 @@ pub use float_image::FloatImage;
 pub use keypoint::{Descriptors, Features, Keypoint, PictureForms};
 pub use pyramid::{Pyramid, halved, smooth_into};
 pub use view_simulation::ViewSimulation;
+pub use watch::Share;
 pub use workers::Workers;

@@ -8,6 +8,7 @@
 use nalgebra::Vector2;
 
 use super::float_image::FloatImage;
+use super::watch::Watch;
 
 /// Scales sampled an octave: 3 has the most repeatable keypoints (Lowe 2004, figure 3). Raised, it finds more that are less stable and takes longer.
 pub const SCALES: usize = 3;
@@ -57,7 +58,13 @@ pub struct ScaleSpace {
 
 impl ScaleSpace {
     /// Of a picture.
+    #[cfg(test)]
     pub fn of(picture: &FloatImage) -> Self {
+        Self::watched(picture, &Watch::NONE)
+    }
+
+    /// Of a picture; the octaves so far where the work was ended.
+    pub(super) fn watched(picture: &FloatImage, watch: &Watch) -> Self {
         let mut octaves: Vec<Octave> = Vec::new();
         let mut row = Vec::new();
         let enough = |side: usize| side >= SMALLEST_SIDE;
@@ -70,7 +77,8 @@ impl ScaleSpace {
         picture.doubled().blur_into((BASE_SIGMA.powi(2) - 4.0 * CAMERA_SIGMA.powi(2)).sqrt(), &mut base, &mut row);
         let mut step = 0.5;
         loop {
-            let octave = Octave { step, levels: smoothed(base, &mut row) };
+            let Some(levels) = smoothed(base, &mut row, watch) else { return Self { octaves } };
+            let octave = Octave { step, levels };
             base = octave.levels[SCALES].decimated();
             octaves.push(octave);
             step *= 2.0;
@@ -117,17 +125,17 @@ pub struct SmoothedCopy<'a> {
     pub sigma: f64,
 }
 
-/// The copies of an octave, from its first.
-fn smoothed(base: FloatImage, row: &mut Vec<f32>) -> Vec<FloatImage> {
+/// The copies of an octave, from its first; none where the work was ended.
+fn smoothed(base: FloatImage, row: &mut Vec<f32>, watch: &Watch) -> Option<Vec<FloatImage>> {
     let mut levels = vec![base];
-    for level in 1..LEVELS {
+    for level in watch.over(1..LEVELS) {
         // Each is made from the one before: variances add up, so that a small kernel is enough.
         let [before, after] = [level - 1, level].map(|l| Octave::sigma(l as f64).powi(2));
         let mut next = FloatImage::default();
         levels[level - 1].blur_into((after - before).sqrt(), &mut next, row);
         levels.push(next);
     }
-    levels
+    (levels.len() == LEVELS).then_some(levels)
 }
 
 #[cfg(test)]

@@ -17,6 +17,7 @@ use super::descriptors::Describer;
 use super::detectors::Detector;
 use super::float_image::FloatImage;
 use super::keypoint::{Descriptors, Features, Keypoint, PictureForms};
+use super::watch::Share;
 
 /// Which views are simulated, and what is kept of them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,10 +67,17 @@ struct View {
 impl ViewSimulation {
     /// The features of a picture in all views, in the picture's own pixels: keypoints of simulated views have elliptic regions.
     pub fn features(&self, picture: &PictureForms, detector: &dyn Detector, describer: &dyn Describer) -> Features {
-        let mut all = self.of_view(picture, detector, describer, |_| true);
-        for view in self.views() {
-            let Some(simulated) = SimulatedPicture::of(picture, view) else { continue };
-            let mut found = self.of_view(&PictureForms::new(&simulated.pixels), detector, describer, |k| simulated.holds(k));
+        let views = self.views();
+        let at = |done: usize| picture.watch.at(Share { done, of: views.len() + 1 });
+        let mut all = self.of_view(&PictureForms::watched(picture.grey, at(0)), detector, describer, |_| true);
+        for (k, view) in views.iter().enumerate() {
+            let watch = at(k + 1);
+            if !watch.goes_on() {
+                break;
+            }
+            let Some(simulated) = SimulatedPicture::of(picture, *view) else { continue };
+            let forms = PictureForms::watched(&simulated.pixels, watch);
+            let mut found = self.of_view(&forms, detector, describer, |k| simulated.holds(k));
             found.keypoints.iter_mut().for_each(|k| *k = simulated.in_picture(k));
             append(&mut all, found);
         }

@@ -47,7 +47,12 @@ const SAME_PLACE_BACK: f64 = 1.0;
 
 /// Matches of two pictures' features, best ratio first; none where their descriptors are of different kinds.
 pub fn match_exactly(first: &Features, second: &Features, options: &ExactOptions) -> Vec<ExactMatch> {
-    let Some(Compared { forth, back }) = compared(first, second) else { return Vec::new() };
+    match_watched(first, second, options, &|| true).unwrap_or_default()
+}
+
+/// The same; `goes_on` is asked a few times a second and ends the work with false. Then there is nothing.
+pub fn match_watched(first: &Features, second: &Features, options: &ExactOptions, goes_on: &dyn Fn() -> bool) -> Option<Vec<ExactMatch>> {
+    let Some(Compared { forth, back }) = compared(first, second, goes_on)? else { return Some(Vec::new()) };
     let mut matches: Vec<ExactMatch> = Vec::new();
     for (k, nearest) in forth.iter().enumerate() {
         let Some(found) = nearest.filter(|n| n.ratio < options.ratio || options.ratio >= 1.0) else { continue };
@@ -57,7 +62,7 @@ pub fn match_exactly(first: &Features, second: &Features, options: &ExactOptions
         }
     }
     matches.sort_by(|a, b| a.ratio.total_cmp(&b.ratio).then(a.first.cmp(&b.first)));
-    matches
+    Some(matches)
 }
 
 fn same_place(a: &Keypoint, b: &Keypoint, sigmas: f64) -> bool {
@@ -81,20 +86,23 @@ struct Compared {
     back: Vec<usize>,
 }
 
-/// `None` where there is nothing to compare.
-fn compared(first: &Features, second: &Features) -> Option<Compared> {
+/// Nothing where there is nothing to compare; `None` where the work was ended.
+fn compared(first: &Features, second: &Features, goes_on: &dyn Fn() -> bool) -> Option<Option<Compared>> {
     if first.keypoints.is_empty() || second.keypoints.is_empty() {
-        return None;
+        return goes_on().then_some(None);
     }
     match (&first.descriptors, &second.descriptors) {
         (Descriptors::Vectors { length: n, values: a }, Descriptors::Vectors { length: m, values: b }) if n == m && *n > 0 => {
-            Some(compared_vectors(a, b, *n, &second.keypoints))
+            compared_vectors(a, b, *n, &second.keypoints, goes_on).map(Some)
         }
+        // Bits are compared so fast that it is enough to ask in between.
         (Descriptors::Bits(a), Descriptors::Bits(b)) => {
-            let back = nearest_bits(b, a, None).into_iter().map(|found| found.map_or(0, |found| found.index)).collect();
-            Some(Compared { forth: nearest_bits(a, b, Some(&second.keypoints)), back })
+            let back = goes_on().then(|| nearest_bits(b, a, None))?;
+            let back = back.into_iter().map(|found| found.map_or(0, |found| found.index)).collect();
+            let forth = goes_on().then(|| nearest_bits(a, b, Some(&second.keypoints)))?;
+            Some(Some(Compared { forth, back }))
         }
-        _ => None,
+        _ => Some(None),
     }
 }
 
@@ -103,11 +111,15 @@ const TOGETHER: usize = 16;
 /// Queries that one thread takes at a time, whose nearest for each target are kept: some megabytes for the largest pictures. Raised, threads wait
 /// for each other at the end; lowered, more is kept.
 const A_TURN: usize = 16 * TOGETHER;
+/// Turns between two questions whether to go on, of all threads together: half a second for some ten thousand vectors of 128 on one thread. Raised, an
+/// interrupt waits longer; lowered, threads wait for each other more often.
+const TURNS_BETWEEN: usize = 8;
 
 /// The nearest of the queries to one target: the distance's part that depends on the query, and its index.
 type NearestQuery = (f32, u32);
 
-fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[Keypoint]) -> Compared {
+/// `None` where the work was ended.
+fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[Keypoint], goes_on: &dyn Fn() -> bool) -> Option<Compared> {
     let square = |v: &[f32]| v.iter().map(|v| v * v).sum::<f32>();
     let squares: Vec<f32> = targets.chunks_exact(length).map(square).collect();
     let turn = |(turn, queries): (usize, &[f32])| {
@@ -133,15 +145,21 @@ fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[K
         }
         (forth, back)
     };
-    let turns: Vec<(Vec<Option<Found>>, Vec<NearestQuery>)> = queries.par_chunks(A_TURN * length).enumerate().map(turn).collect();
     let mut back = vec![(f32::INFINITY, 0); squares.len()];
     let mut forth = Vec::with_capacity(queries.len() / length);
-    for (nearest, of_turn) in turns {
-        forth.extend(nearest);
-        // Turns come in the order of their queries: of equals the first stays.
-        back.iter_mut().zip(of_turn).filter(|(best, other)| other.0 < best.0).for_each(|(best, other)| *best = other);
+    let all: Vec<(usize, &[f32])> = queries.chunks(A_TURN * length).enumerate().collect();
+    for some in all.chunks(TURNS_BETWEEN) {
+        if !goes_on() {
+            return None;
+        }
+        let turns: Vec<(Vec<Option<Found>>, Vec<NearestQuery>)> = some.par_iter().copied().map(turn).collect();
+        for (nearest, of_turn) in turns {
+            forth.extend(nearest);
+            // Turns come in the order of their queries: of equals the first stays.
+            back.iter_mut().zip(of_turn).filter(|(best, other)| other.0 < best.0).for_each(|(best, other)| *best = other);
+        }
     }
-    Compared { forth, back: back.into_iter().map(|(_, index)| index as usize).collect() }
+    Some(Compared { forth, back: back.into_iter().map(|(_, index)| index as usize).collect() })
 }
 
 /// The answer for one query, whose rival is looked up again where it may have been missed.

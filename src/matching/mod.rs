@@ -11,7 +11,7 @@ mod rival;
 use nalgebra::Vector2;
 
 use crate::features::{Descriptor, Feature, Workers};
-pub use exact::{ExactMatch, ExactOptions, match_exactly};
+pub use exact::{ExactMatch, ExactOptions, match_exactly, match_watched};
 use rival::Nearest;
 
 /// A described corner of a reference picture.

@@ -93,24 +93,30 @@ fn wrong_arguments_are_named_with_the_mend() {
     }
 }
 
-/// The end may come at any time; what was there before stays, and no half of a file is left.
+/// The end may come at any time, also within a step that takes many times the ten seconds after which the program would end without being asked; what
+/// was there before stays, and no half of a file is left.
 #[test]
 fn an_interrupt_leaves_no_half_written_file() {
     let folder = tempfile::tempdir().expect("a folder");
-    grey(&paint(1280, 960, 1)).save(folder.path().join("one.png")).expect("it can be written");
+    let picture = grey(&paint(640, 480, 1));
+    let large = image::imageops::resize(&picture, 2560, 1920, image::imageops::FilterType::Triangle);
+    large.save(folder.path().join("one.png")).expect("it can be written");
     std::fs::write(folder.path().join("out.json"), "before").expect("it can be written");
     let files = || std::fs::read_dir(folder.path()).expect("the folder is there").count();
     let before = files();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_stagepose"));
-    command.current_dir(folder.path()).args(["compare", "one.png", "one.png", "--detector", "asift"]);
-    command.args(["--json", "out.json", "--report", "out.html"]).stderr(Stdio::piped()).stdout(Stdio::null());
-    let child = command.spawn().expect("the program runs");
-    // It needs seconds, and a tenth of one until it listens to signals.
-    std::thread::sleep(Duration::from_millis(500));
-    kill(Pid::from_raw(child.id() as i32), Signal::SIGINT).expect("it still runs");
-    let output = child.wait_with_output().expect("it ends");
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{stderr}");
-    assert!(stderr.contains("interrupted"), "{stderr}");
-    assert_eq!((files(), std::fs::read_to_string(folder.path().join("out.json")).expect("it is there").as_str()), (before, "before"));
+    for (detector, signal) in [("asift", Signal::SIGINT), ("hessian-affine", Signal::SIGTERM)] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_stagepose"));
+        command.current_dir(folder.path()).args(["compare", "one.png", "one.png", "--detector", detector]);
+        command.args(["--json", "out.json", "--report", "out.html"]).stderr(Stdio::piped()).stdout(Stdio::null());
+        let child = command.spawn().expect("the program runs");
+        // It needs a minute, and a tenth of a second until it listens to signals.
+        std::thread::sleep(Duration::from_millis(1500));
+        kill(Pid::from_raw(child.id() as i32), signal).expect("it still runs");
+        let output = child.wait_with_output().expect("it ends");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{detector}: {stderr}");
+        assert!(stderr.contains("interrupted; nothing is written"), "{detector}: {stderr}");
+        let kept = std::fs::read_to_string(folder.path().join("out.json")).expect("it is there");
+        assert_eq!((files(), kept.as_str()), (before, "before"), "{detector}");
+    }
 }

@@ -3,6 +3,7 @@
 
 mod bad;
 mod detectors;
+mod ended;
 mod photographs;
 mod rendered;
 

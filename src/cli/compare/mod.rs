@@ -5,6 +5,7 @@ mod json;
 mod pictures;
 mod text;
 
+use std::cell::Cell;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -16,6 +17,7 @@ use super::output_file::print;
 use super::replay::progress::Progress;
 use super::spared::Spared;
 use crate::compare::{CompareOptions, Step, compare, report};
+use crate::features::Share;
 use crate::printable::printable_lines;
 use crate::utc;
 pub(super) use choice::FeatureArguments;
@@ -58,6 +60,9 @@ pub(super) struct CompareArguments {
     report: Option<PathBuf>,
 }
 
+/// Parts of a step on the bar: finer than its columns.
+const PARTS: u64 = 100;
+
 /// Runs the command. Pictures without a relation are a success: the answer is that there is none.
 ///
 /// # Errors
@@ -67,12 +72,8 @@ pub(super) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
     refuse_unwritable(arguments)?;
     let [a, b] = pictures::views(arguments)?;
     interrupt::watch();
-    let progress = Progress::with(Some(Step::ALL.len() as u64), ["{bar:32} {msg}", "{spinner} {msg}"]);
-    let step = |step: Step| {
-        progress.say(step.words());
-        !interrupt::is_interrupted()
-    };
-    let made = compare(&a.view(), &b.view(), &options, &step);
+    let progress = Progress::with(Some(PARTS * Step::ALL.len() as u64), ["{bar:32} {msg}", "{spinner} {msg}"]);
+    let made = compare(&a.view(), &b.view(), &options, &going_on(&progress));
     progress.finish();
     let Some(made) = made else {
         return Err(Failure::Comparison("interrupted; nothing is written".to_owned()));
@@ -87,6 +88,21 @@ pub(super) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
         write_whole(file, report::html(&made, [&a.picture, &b.picture], [&names[0], &names[1]], &date))?;
     }
     Ok(())
+}
+
+/// Shows what is being done, and ends it where Ctrl-C was pressed.
+fn going_on(progress: &Progress) -> impl Fn(Step, Share) -> bool {
+    let shown = Cell::new(None);
+    move |step, share| {
+        // Asked at every keypoint; most of the time there is nothing new to show.
+        if shown.replace(Some((step, share))) != Some((step, share)) {
+            let before = Step::ALL.iter().position(|s| *s == step).unwrap_or(0) as u64;
+            let parts = if share.of > 1 { format!(", view {} of {}", share.done + 1, share.of) } else { String::new() };
+            let done = PARTS * before + PARTS * share.done as u64 / share.of.max(1) as u64;
+            progress.at(done, format!("{}{parts}", step.words()));
+        }
+        !interrupt::is_interrupted()
+    }
 }
 
 fn options_of(arguments: &CompareArguments) -> Result<CompareOptions, Failure> {

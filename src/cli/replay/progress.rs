@@ -29,10 +29,10 @@ impl Progress {
         Self(bar)
     }
 
-    /// One further, and what comes now.
-    pub fn say(&self, words: &'static str) {
-        self.0.inc(1);
+    /// How far it is, and what is being done.
+    pub fn at(&self, done: u64, words: String) {
         self.0.set_message(words);
+        self.0.set_position(done);
     }
 
     pub fn advance(&self) {

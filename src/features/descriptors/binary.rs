@@ -14,7 +14,7 @@ pub struct BinaryComparisons;
 impl Describer for BinaryComparisons {
     fn describe(&self, picture: &PictureForms, keypoints: &[Keypoint]) -> Features {
         let levels = picture.pyramid();
-        let described = keypoints.iter().filter_map(|keypoint| {
+        let described = picture.watch.over(keypoints).filter_map(|keypoint| {
             let level = level_of(levels, keypoint.scale())?;
             let [x, y] = [0, 1].map(|axis| (keypoint.position[axis] + 0.5) * level.scale[axis] - 0.5);
             let inside = |v: f64, n: u32| (f64::from(BORDER)..f64::from(n) - 1.0 - f64::from(BORDER)).contains(&v);

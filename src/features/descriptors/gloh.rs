@@ -52,7 +52,7 @@ impl Describer for GlohDescriber {
         let length = if self.reduced { REDUCED_LENGTH } else { FULL_LENGTH };
         let (mut described, mut values) = (Vec::with_capacity(keypoints.len()), Vec::with_capacity(keypoints.len() * length));
         let (mut patch, mut orientation, mut grid) = (Patch::default(), Orientation::default(), PolarGrid::default());
-        for keypoint in keypoints {
+        for keypoint in picture.watch.over(keypoints) {
             let Some((region, keypoint)) = patch.region(picture, keypoint) else { continue };
             for direction in orientation.directions(&region) {
                 let mut numbers = grid.gather(&region, direction);

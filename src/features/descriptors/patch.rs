@@ -33,7 +33,7 @@ impl Describer for PatchDescriber {
         let mut kept = Vec::new();
         let mut values = Vec::new();
         let mut patch = Vec::with_capacity(side * side);
-        for keypoint in keypoints {
+        for keypoint in picture.watch.over(keypoints) {
             let (x, y) = (keypoint.position.x, keypoint.position.y);
             let inside = |v: f64, size: usize| v >= reach as f64 && v <= size as f64 - 1.0 - reach as f64;
             if !inside(x, float.width) || !inside(y, float.height) {

@@ -42,7 +42,7 @@ impl Describer for SiftDescriber {
     fn describe(&self, picture: &PictureForms, keypoints: &[Keypoint]) -> Features {
         let (mut described, mut values) = (Vec::with_capacity(keypoints.len()), Vec::with_capacity(keypoints.len() * LENGTH));
         let (mut patch, mut orientation, mut grid) = (Patch::default(), Orientation::default(), Grid::default());
-        for keypoint in keypoints {
+        for keypoint in picture.watch.over(keypoints) {
             let Some((region, keypoint)) = patch.region(picture, keypoint) else { continue };
             for direction in orientation.directions(&region) {
                 let mut numbers = grid.gather(&region, direction);

@@ -30,7 +30,7 @@ impl Describer for StructureTensorDescriber {
         let moments = SecondMoments::of(float, self.derivative_sigma, self.sigma);
         let mut kept = Vec::new();
         let mut values = Vec::new();
-        for keypoint in keypoints {
+        for keypoint in picture.watch.over(keypoints) {
             let (x, y) = (keypoint.position.x, keypoint.position.y);
             let inside = |v: f64, size: usize| v >= 0.0 && v <= size as f64 - 1.0;
             if !inside(x, float.width) || !inside(y, float.height) {

@@ -39,7 +39,7 @@ impl Describer for SurfDescriber {
     fn describe(&self, picture: &PictureForms, keypoints: &[Keypoint]) -> Features {
         let integral = picture.integral();
         let (mut kept, mut values) = (Vec::new(), Vec::new());
-        for keypoint in keypoints {
+        for keypoint in picture.watch.over(keypoints) {
             let (scale, place) = (keypoint.scale(), keypoint.position);
             let inside = |v: f64, side: usize| v >= 0.0 && v <= side as f64 - 1.0;
             let has_size = scale > 0.0 && scale < MOST_SCALE;

@@ -9,6 +9,7 @@ use super::{Detector, strongest_first};
 use crate::features::float_image::FloatImage;
 use crate::features::keypoint::{Keypoint, PictureForms};
 use crate::features::scale_space::Octave;
+use crate::features::watch::Watch;
 
 /// What to look for, and what to keep of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,7 +63,7 @@ impl Detector for AffineDetector {
         let mut found = Vec::new();
         for octave in &space.octaves {
             for level in LOOKED_AT {
-                for (x, y) in self.maxima(octave, level) {
+                for (x, y) in picture.watch.over(self.maxima(octave, level)) {
                     let place = octave.in_picture(Vector2::new(x as f64, y as f64));
                     found.extend(adaptation.adapted(place, Octave::sigma(level as f64) * octave.step));
                 }
@@ -70,7 +71,7 @@ impl Detector for AffineDetector {
         }
         found.retain(|k| f64::from(k.response) >= self.contrast * RANGE);
         strongest_first(&mut found);
-        let mut found = distinct(&found);
+        let mut found = distinct(&found, &picture.watch);
         found.truncate(self.count);
         found
     }
@@ -108,9 +109,9 @@ fn local_maxima(map: &FloatImage, least: f32) -> Vec<(usize, usize)> {
 }
 
 /// Of keypoints that several scales led to the same ellipse, the first.
-fn distinct(sorted: &[Keypoint]) -> Vec<Keypoint> {
+fn distinct(sorted: &[Keypoint], watch: &Watch) -> Vec<Keypoint> {
     let mut kept: Vec<Keypoint> = Vec::new();
-    for keypoint in sorted {
+    for keypoint in watch.over(sorted) {
         if !kept.iter().any(|k| is_same(k, keypoint)) {
             kept.push(*keypoint);
         }

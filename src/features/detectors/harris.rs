@@ -86,7 +86,7 @@ impl Detector for HarrisDetector {
         let least = self.least_strength.max(strongest * self.least_share.max(ROUNDING));
         let (across, down) = gradients(&float.blurred(within(self.derivative_sigma.min(EDGE_SIGMA))));
         let mut found = Vec::new();
-        for (x, y) in local_maxima(&strength, self.edge_gap, least as f32) {
+        for (x, y) in picture.watch.over(local_maxima(&strength, self.edge_gap, least as f32)) {
             let peak = parabola_peak(&strength, x, y);
             let place = self.meeting_point(&across, &down, peak).unwrap_or(peak);
             found.push(Keypoint::round(place, within(self.sigma), strength.at(x as isize, y as isize)));

@@ -10,6 +10,7 @@ use nalgebra::{Matrix2, Vector2};
 
 use super::{Detector, strongest_first};
 use crate::features::keypoint::{Keypoint, PictureForms, square_root};
+use crate::features::watch::Watch;
 
 /// Which regions are stable, and what to keep of them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,7 +48,7 @@ impl Detector for MserDetector {
         let mut found = Vec::new();
         // Dark regions, then light ones: those are dark in the negative.
         for flip in [0, u8::MAX] {
-            found.extend(self.stable(&ComponentTree::of(picture.grey, flip)));
+            found.extend(ComponentTree::of(picture.grey, flip, &picture.watch).map_or(Vec::new(), |tree| self.stable(&tree)));
         }
         strongest_first(&mut found);
         found.truncate(self.count);
@@ -135,17 +136,17 @@ struct ComponentTree {
 }
 
 impl ComponentTree {
-    /// Of the grey levels, each exclusive-or `flip`.
-    fn of(picture: &GrayImage, flip: u8) -> Self {
+    /// Of the grey levels, each exclusive-or `flip`; none where there is no pixel, or the work was ended.
+    fn of(picture: &GrayImage, flip: u8, watch: &Watch) -> Option<Self> {
         let (width, pixels) = (picture.width() as usize, picture.as_raw().len());
         // Pixels are counted by u32, as a picture's sides are; no picture in memory has more than those.
         if pixels == 0 || u32::try_from(pixels).is_err() {
-            return Self { nodes: Vec::new(), pixels: 0 };
+            return None;
         }
         let levels: Vec<u8> = picture.as_raw().iter().map(|v| v ^ flip).collect();
         let order = by_level(&levels);
-        let parents = parents(&levels, &order, width);
-        Self { nodes: regions(&levels, &order, &parents, width), pixels }
+        let parents = parents(&levels, &order, width, watch)?;
+        Some(Self { nodes: regions(&levels, &order, &parents, width, watch)?, pixels })
     }
 
     /// The regions that hold a node, from the smallest.
@@ -182,15 +183,22 @@ fn by_level(levels: &[u8]) -> Vec<u32> {
     order
 }
 
+/// Pixels between two questions whether to go on: a few hundredths of a second. Raised, an interrupt waits longer; lowered to some hundred, asking
+/// takes time of its own.
+const BETWEEN_LOOKS: usize = 1 << 18;
+
 /// No pixel yet.
 const NONE: u32 = u32::MAX;
 
 /// For each pixel the pixel that stands for the set it joined: pixels of one level and set share one of them, whose own is that of the next level.
-/// The last pixel of the order is its own.
-fn parents(levels: &[u8], order: &[u32], width: usize) -> Vec<u32> {
+/// The last pixel of the order is its own. None where the work was ended.
+fn parents(levels: &[u8], order: &[u32], width: usize, watch: &Watch) -> Option<Vec<u32>> {
     // `roots` leads to the last pixel of each set so far, by ever shorter ways.
     let (mut parents, mut roots) = (vec![NONE; levels.len()], vec![NONE; levels.len()]);
-    for &pixel in order {
+    for (k, &pixel) in order.iter().enumerate() {
+        if k % BETWEEN_LOOKS == 0 && !watch.goes_on() {
+            return None;
+        }
         let at = pixel as usize;
         (parents[at], roots[at]) = (pixel, pixel);
         for neighbour in neighbours(at, width, levels.len()) {
@@ -211,7 +219,7 @@ fn parents(levels: &[u8], order: &[u32], width: usize) -> Vec<u32> {
             parents[pixel as usize] = above;
         }
     }
-    parents
+    Some(parents)
 }
 
 /// The pixels beside, above and below one.
@@ -238,13 +246,16 @@ fn root_of(roots: &mut [u32], mut at: u32) -> u32 {
     }
 }
 
-/// The regions, from the whole to its parts, with the sums over their pixels.
-fn regions(levels: &[u8], order: &[u32], parents: &[u32], width: usize) -> Vec<Region> {
+/// The regions, from the whole to its parts, with the sums over their pixels. None where the work was ended.
+fn regions(levels: &[u8], order: &[u32], parents: &[u32], width: usize, watch: &Watch) -> Option<Vec<Region>> {
     let height = levels.len() / width;
     let origin = Vector2::new((width / 2) as f64, (height / 2) as f64);
     // Number of the region that each pixel belongs to.
     let (mut numbers, mut nodes) = (vec![0u32; levels.len()], Vec::new());
-    for &pixel in order.iter().rev() {
+    for (k, &pixel) in order.iter().rev().enumerate() {
+        if k % BETWEEN_LOOKS == 0 && !watch.goes_on() {
+            return None;
+        }
         let at = pixel as usize;
         let parent = parents[at];
         let stands = parent == pixel || levels[parent as usize] != levels[at];
@@ -277,7 +288,7 @@ fn regions(levels: &[u8], order: &[u32], parents: &[u32], width: usize) -> Vec<R
         whole.first += part.first;
         whole.second.iter_mut().zip(part.second).for_each(|(sum, v)| *sum += v);
     }
-    nodes
+    Some(nodes)
 }
 
 #[cfg(test)]
@@ -315,7 +326,7 @@ mod tests {
         // Few levels, so that sets are large.
         let picture = noise(23, 17);
         let picture = GrayImage::from_fn(23, 17, |x, y| Luma([picture.get_pixel(x, y).0[0] / 32]));
-        let tree = ComponentTree::of(&picture, 0);
+        let tree = ComponentTree::of(&picture, 0, &Watch::NONE).unwrap();
         let mut flooded: Vec<(u8, u32, u32)> = Vec::new();
         for level in 0..8 {
             let mut open: Vec<bool> = picture.as_raw().iter().map(|v| *v <= level).collect();

@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use super::{Detector, strongest_first};
 use crate::features::keypoint::{Keypoint, PictureForms};
 use crate::features::scale_space::{Octave, SCALES};
+use crate::features::watch::Watch;
 use crate::simd::multiversion;
 
 /// What to keep of the extrema.
@@ -46,7 +47,7 @@ impl Detector for SiftDetector {
         let mut keypoints = Vec::new();
         for octave in &picture.scale_space().octaves {
             let threshold = BEFORE_FIT * self.contrast / SCALES as f64 * RANGE;
-            for cell in extrema(octave, threshold as f32) {
+            for cell in extrema(octave, threshold as f32, &picture.watch) {
                 keypoints.extend(self.refined(octave, cell));
             }
         }
@@ -131,7 +132,7 @@ const DIFFERENCES: usize = SCALES + 2;
 
 /// Pixels whose difference is at least `threshold` and no smaller than its 26 neighbours, or the same below zero; by rows. Of equal neighbours
 /// the first in the order of rows, columns and levels counts.
-fn extrema(octave: &Octave, threshold: f32) -> Vec<Cell> {
+fn extrema(octave: &Octave, threshold: f32, watch: &Watch) -> Vec<Cell> {
     let (width, height) = (octave.levels[0].width, octave.levels[0].height);
     let mut found = Vec::new();
     if width <= 2 * BORDER || height <= 2 * BORDER {
@@ -141,7 +142,7 @@ fn extrema(octave: &Octave, threshold: f32) -> Vec<Cell> {
     let mut rows = RowBuffers::new(width);
     rows.subtract(octave, BORDER - 1);
     rows.subtract(octave, BORDER);
-    for y in BORDER..height - BORDER {
+    for y in watch.over(BORDER..height - BORDER) {
         rows.subtract(octave, y + 1);
         rows.bound();
         for level in 1..=SCALES {
@@ -362,7 +363,7 @@ mod tests {
         }
         let mut total = 0;
         for octave in &space.octaves {
-            let found = extrema(octave, 0.5);
+            let found = extrema(octave, 0.5, &Watch::NONE);
             total += found.len();
             assert_eq!(found, plain_extrema(octave, 0.5));
         }

@@ -10,6 +10,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use super::{Detector, strongest_first};
 use crate::features::integral_image::IntegralImage;
 use crate::features::keypoint::{Keypoint, PictureForms};
+use crate::features::watch::Watch;
 
 /// What to keep of the maxima.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,7 +60,7 @@ impl Detector for SurfDetector {
             if sides[LAYERS - 1] + 2 * step > integral.width.min(integral.height) {
                 break;
             }
-            let layers = sides.map(|side| layer(integral, side, step));
+            let layers = sides.map(|side| layer(integral, side, step, &picture.watch));
             for middle in 1..LAYERS - 1 {
                 let three = [&layers[middle - 1], &layers[middle], &layers[middle + 1]];
                 let spacing = (sides[1] - sides[0]) as f64;
@@ -105,11 +106,11 @@ pub fn surf_hessian(integral: &IntegralImage, place: Vector2<f64>, scale: f64) -
 }
 
 /// Determinants of a filter in the whole picture.
-fn layer(integral: &IntegralImage, side: usize, step: usize) -> Layer {
+fn layer(integral: &IntegralImage, side: usize, step: usize, watch: &Watch) -> Layer {
     let (width, height) = (integral.width.div_ceil(step), integral.height.div_ceil(step));
     let mut values = vec![0.0; width * height];
     let half = side / 2;
-    for y in half.div_ceil(step)..(integral.height - half).div_ceil(step) {
+    for y in watch.over(half.div_ceil(step)..(integral.height - half).div_ceil(step)) {
         for x in half.div_ceil(step)..(integral.width - half).div_ceil(step) {
             let [xx, yy, xy] = hessian(integral, (x * step) as isize, (y * step) as isize, side);
             values[y * width + x] = xx * yy - MIXED * xy * xy;
