@@ -6,6 +6,7 @@
 //! coordinates into stage coordinates and cannot be multiplied with anything that does not start
 //! in the camera. docs/solvers.md has a table of the solvers, with their sources and times.
 
+pub mod bspline;
 pub mod correspondence;
 pub mod covariance;
 mod direct_linear;

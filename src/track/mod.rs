@@ -1,6 +1,6 @@
 //! Tracking: what bodies are made of, and how a frame becomes a verified pose of each of them.
 //!
-//! `surface` and `reference` prepare the pictures; `acquire` proposes poses from matched features;
+//! `surface`, `shape` and `reference` prepare the pictures; `acquire` proposes poses from matched features;
 //! `registration` and `verify` refine a proposal against the picture and judge it; `align` follows a body from frame
 //! to frame, pixel by pixel; `track_state` decides what a verified pose means in time;
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
@@ -23,6 +23,7 @@ mod reference;
 mod registration;
 mod row_motion;
 mod settings;
+mod shape;
 mod surface;
 #[cfg(test)]
 mod synthetic;
@@ -39,6 +40,7 @@ pub use lens_doubt::covariance_by_lens;
 pub use matcher::{BodySighting, Matcher, Sighting, UsedPixels};
 pub use reason::Reason;
 pub use settings::TrackerSettings;
+pub use shape::{BentShape, ShapeWay, SurfaceShape};
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use track_state::State;
 pub use verify::Verified;

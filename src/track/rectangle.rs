@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
+use super::shape::{ShapePoint, SurfaceShape};
 use super::surface::SurfaceSpec;
 use crate::camera::{CameraModel, Normalized};
 use crate::geometry::{Body, Camera, Pose};
@@ -17,6 +18,8 @@ pub struct Rectangle {
     pub size_m: [f64; 2],
     /// Width and height of its picture, pixels.
     pub size_px: [f64; 2],
+    /// Where the points of the picture are.
+    pub shape: SurfaceShape,
 }
 
 /// A point of a rectangle as the frame shows it.
@@ -48,6 +51,7 @@ impl Rectangle {
             centre: spec.pose.translation,
             size_m: spec.size_m,
             size_px: [f64::from(spec.artwork.width()), f64::from(spec.artwork.height())],
+            shape: spec.shape.clone(),
         }
     }
 
@@ -61,9 +65,12 @@ impl Rectangle {
     pub fn see(&self, t_body_camera: &Pose<Body, Camera>, camera: &CameraModel, [x, y]: [f64; 2], least_cosine: f64) -> Option<SeenPoint> {
         let r_camera_body = t_body_camera.rotation_matrix().transpose();
         let r = r_camera_body * self.rotation;
-        let c = r.column(0) * x + r.column(1) * y + r_camera_body * (self.centre - t_body_camera.translation);
+        let ShapePoint { place, by_picture } = self.shape.at([x, y]);
+        let c = r * place + r_camera_body * (self.centre - t_body_camera.translation);
+        let [by_x, by_y] = by_picture.map(|d| r * d);
+        let normal = if self.shape.is_flat() { r.column(2).into_owned() } else { by_x.cross(&by_y).normalize() };
         // The face must look at the camera: its normal points against the ray.
-        if c.z < 1e-3 || -r.column(2).dot(&c) < least_cosine * c.norm() {
+        if c.z < 1e-3 || -normal.dot(&c) < least_cosine * c.norm() {
             return None;
         }
         let n = Vector2::new(c.x / c.z, c.y / c.z);
@@ -71,11 +78,8 @@ impl Rectangle {
             return None;
         }
         let (pixel, by_ray) = camera.project_with_jacobian(Normalized(n));
-        let by_metre = |axis: usize| {
-            let d = r.column(axis);
-            Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z) / c.z
-        };
-        Some(SeenPoint { pixel: pixel.0, by_metres: by_ray * Matrix2::from_columns(&[by_metre(0), by_metre(1)]) })
+        let by_metre = |d: Vector3<f64>| Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z) / c.z;
+        Some(SeenPoint { pixel: pixel.0, by_metres: by_ray * Matrix2::from_columns(&[by_metre(by_x), by_metre(by_y)]) })
     }
 
     /// log2 of how many pixels of the picture lie along a pixel of a frame of this size: the median over what is seen; `None` where nothing is.

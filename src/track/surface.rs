@@ -9,6 +9,7 @@ use image::GrayImage;
 use nalgebra::{Matrix3, Point3, Vector2};
 use thiserror::Error;
 
+use super::shape::SurfaceShape;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::features::{CornerBuffers, CornerOptions, detect_corners};
 use crate::geometry::planar_pose::planar_poses;
@@ -28,6 +29,8 @@ pub struct SurfaceSpec {
     pub pose: Pose<Body, SurfaceFrame>,
     /// Where the artwork came from; decides the reference camera and the pixels `homography` starts from.
     pub kind: ReferenceKind,
+    /// How it hangs: where the points of its picture are.
+    pub shape: SurfaceShape,
 }
 
 /// Whether a surface was given as flat artwork or as a photograph.
@@ -140,7 +143,7 @@ impl SurfaceSpec {
     ) -> Result<Self, SurfaceError> {
         check_size(size_m)?;
         check_sides(&picture)?;
-        Ok(Self { name, artwork: picture, size_m, pose, kind: ReferenceKind::Artwork })
+        Ok(Self { name, artwork: picture, size_m, pose, kind: ReferenceKind::Artwork, shape: SurfaceShape::Flat })
     }
 
     /// A surface from a photograph of it: `corners` are the raw pixels of its four corners, clockwise from the top left, which
@@ -188,7 +191,7 @@ impl SurfaceSpec {
         let artwork = rectified(photo, &h_photo_artwork, &camera, w, h);
         check_sides(&artwork)?;
         let kind = ReferenceKind::Photograph { h_photo_artwork: h_photo_artwork.0, camera: Box::new(camera), pose: seen_from.renamed() };
-        Ok(Self { name, artwork, size_m, pose, kind })
+        Ok(Self { name, artwork, size_m, pose, kind, shape: SurfaceShape::Flat })
     }
 
     /// Refuses a picture that no camera could find again.
@@ -228,7 +231,7 @@ impl SurfaceSpec {
     /// An artwork pixel as a point of the body, metres.
     pub fn body_point(&self, p: Vector2<f64>) -> Point3<f64> {
         let m = self.to_metres(p);
-        self.pose.transform(&Point3::new(m.x, m.y, 0.0))
+        self.pose.transform(&Point3::from(self.shape.at([m.x, m.y]).place))
     }
 }
 

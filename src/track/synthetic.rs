@@ -65,8 +65,7 @@ pub fn view(surface: &SurfaceSpec, pose: &Pose<Camera, Body>, camera: &CameraMod
         let Some(ray) = camera.unproject(Pixel(Vector2::new(u, v))) else { return 30.0 };
         let direction = to_surface.rotation * ray.0.push(1.0);
         let eye = to_surface.translation;
-        let hit = eye - direction * (eye.z / direction.z);
-        grey_at(&surface.artwork, surface.to_artwork(hit.xy()))
+        surface.shape.meet(&eye, &direction).map_or(30.0, |hit| grey_at(&surface.artwork, surface.to_artwork(hit.into())))
     };
     let steps = [-1.0 / 3.0, 0.0, 1.0 / 3.0];
     GrayImage::from_fn(camera.width(), camera.height(), |x, y| {

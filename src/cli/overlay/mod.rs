@@ -196,7 +196,7 @@ mod tests {
     use super::*;
     use crate::camera::Intrinsics;
     use crate::record::StageTimes;
-    use crate::track::ReferenceKind;
+    use crate::track::{ReferenceKind, SurfaceShape};
 
     /// Upright, facing the audience.
     fn upright() -> UnitQuaternion<f64> {
@@ -205,7 +205,7 @@ mod tests {
 
     fn body(name: &str, size_m: [f64; 2]) -> BodySpec {
         let pose = Pose::new(upright(), Vector3::zeros());
-        let surface = SurfaceSpec { name: name.to_owned(), artwork: GrayImage::new(40, 30), size_m, pose, kind: ReferenceKind::Artwork };
+        let surface = SurfaceSpec { name: name.to_owned(), artwork: GrayImage::new(40, 30), size_m, pose, kind: ReferenceKind::Artwork, shape: SurfaceShape::Flat };
         BodySpec { name: name.to_owned(), surfaces: vec![surface] }
     }
 

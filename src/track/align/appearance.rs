@@ -13,6 +13,7 @@ use super::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, load_at, store_at
 use super::level_spec::LevelSpec;
 use super::pixels::Pixels;
 use super::texture::TILE_STEP;
+use super::touching_planes::MapLanes;
 use crate::motion::Motion;
 use crate::track::rectangle::Rectangle;
 
@@ -159,6 +160,31 @@ fn polynomial<L: Lanes>(c: &[f32; 3], t: L) -> L {
     L::splat(c[2]).mul_add(t, L::splat(c[1])).mul_add(t, L::splat(c[0]))
 }
 
+/// The camera's centre in the surface's frame at time `t`.
+#[inline(always)]
+fn centre_at<L: Lanes>(view: &View, t: L) -> [L; 3] {
+    [polynomial(&view.centre[0], t), polynomial(&view.centre[1], t), polynomial(&view.centre[2], t)]
+}
+
+/// How a few pixels see the surface at a time: from where, and the rotation from their rays to its axes.
+#[derive(Clone, Copy)]
+struct Sight<L> {
+    centre: [L; 3],
+    rotation: [L; 9],
+}
+
+impl<L: Lanes> Sight<L> {
+    /// Of a flat surface; of a bent one in the frame of the planes that touch it.
+    #[inline(always)]
+    fn at(view: &View, t: L, map: Option<&MapLanes<L>>) -> Self {
+        let (centre, rotation) = (centre_at(view, t), rotation_at(view, t));
+        let Some(map) = map else { return Self { centre, rotation } };
+        let [a, b, c, d, e, f, g, h, i] = rotation;
+        let [[a, b, c], [d, e, f], [g, h, i]] = map.rows(&[[a, b, c], [d, e, f], [g, h, i]]);
+        Self { centre: map.point(centre), rotation: [a, b, c, d, e, f, g, h, i] }
+    }
+}
+
 /// The rotation from rays to surface axes at time `t`.
 #[inline(always)]
 fn rotation_at<L: Lanes>(view: &View, t: L) -> [L; 9] {
@@ -170,15 +196,16 @@ fn rotation_at<L: Lanes>(view: &View, t: L) -> [L; 9] {
 }
 
 #[inline(always)]
-fn hit<L: Lanes>(view: &View, a: &[L; 9], x: L, y: L, t: L) -> Hit<L> {
+fn hit<L: Lanes>(view: &View, sight: &Sight<L>, x: L, y: L) -> Hit<L> {
+    let Sight { centre, rotation: a } = sight;
     let mut direction = [x; 3];
     for r in 0..3 {
         direction[r] = a[3 * r].mul_add(x, a[3 * r + 1].mul_add(y, a[3 * r + 2]));
     }
     let inverse = L::splat(1.0).div(direction[2]);
-    let depth = L::splat(0.0).sub(polynomial(&view.centre[2], t)).mul(inverse);
-    let px = depth.mul_add(direction[0], polynomial(&view.centre[0], t));
-    let py = depth.mul_add(direction[1], polynomial(&view.centre[1], t));
+    let depth = L::splat(0.0).sub(centre[2]).mul(inverse);
+    let px = depth.mul_add(direction[0], centre[0]);
+    let py = depth.mul_add(direction[1], centre[1]);
     Hit {
         texel: [
             px.mul_add(L::splat(view.texels_per_m[0]), L::splat(view.middle_texel[0])),
@@ -437,20 +464,32 @@ fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurP
 
 #[inline(always)]
 pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
+    // Compiled for each: a flat surface costs nothing of what a bent one does.
+    if what.surface.rectangle.shape.is_flat() || what.pixels.planes.is_empty() {
+        predict_pixels::<L, false>(what, out);
+    } else {
+        predict_pixels::<L, true>(what, out);
+    }
+}
+
+#[inline(always)]
+fn predict_pixels<L: Lanes, const IS_BENT: bool>(what: &Predicted, out: &mut Appearance) {
     let Predicted { surface, spec, pixels, range, .. } = *what;
     let view = &View::new(what);
     let tiles = &surface.texture.tiles[..];
     let mut k = range[0];
     while k < range[1] {
         let (x, y, t) = (load_at::<L>(&pixels.x, k), load_at::<L>(&pixels.y, k), load_at::<L>(&pixels.delay_s, k));
-        let a = rotation_at(view, t);
-        let middle = hit(view, &a, x, y, t);
-        let by_pixel = footprint(view, &a, &middle, pixels, k);
+        let map = if IS_BENT { Some(pixels.planes.load::<L>(k)) } else { None };
+        let sight = Sight::at(view, t, map.as_ref());
+        let middle = hit(view, &sight, x, y);
+        let by_pixel = footprint(view, &sight.rotation, &middle, pixels, k);
         let level = level_for(surface, view, &by_pixel);
         let ahead = k + AHEAD * LANES;
         if ahead < range[1] {
-            let t = load_at::<L>(&pixels.delay_s, ahead);
-            let later = hit(view, &rotation_at(view, t), load_at::<L>(&pixels.x, ahead), load_at::<L>(&pixels.y, ahead), t);
+            // The plane of the surface is near enough to fetch by.
+            let later = Sight::at(view, load_at::<L>(&pixels.delay_s, ahead), None);
+            let later = hit(view, &later, load_at::<L>(&pixels.x, ahead), load_at::<L>(&pixels.y, ahead));
             prefetch(tiles, &level, later.texel, &by_pixel);
         }
         let sampled = if spec.places <= 1 {
@@ -458,8 +497,8 @@ pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
         } else {
             let half = L::splat(view.half_exposure_s);
             let (before, after) = (t.sub(half), t.add(half));
-            let first = hit(view, &rotation_at(view, before), x, y, before).texel;
-            let last = hit(view, &rotation_at(view, after), x, y, after).texel;
+            let first = hit(view, &Sight::at(view, before, map.as_ref()), x, y).texel;
+            let last = hit(view, &Sight::at(view, after, map.as_ref()), x, y).texel;
             blurred_samples(tiles, &level, &BlurPath::through(first, middle.texel, last), &by_pixel, spec.places)
         };
         store_at(&mut out.intensity, k, sampled.intensity);
@@ -469,7 +508,7 @@ pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
         let (across, down) = (sampled.across.mul(gradient_gain), sampled.down.mul(gradient_gain));
         store_at(&mut out.across, k, across);
         store_at(&mut out.down, k, down);
-        let by_pose = by_pose(view, &a, &middle, [x, y], by_texel(&by_pixel, across, down));
+        let by_pose = by_pose(view, &sight.rotation, &middle, [x, y], by_texel(&by_pixel, across, down), map.as_ref());
         for n in 0..6 {
             store_at(&mut out.by_pose[n], k, by_pose[n]);
         }
@@ -487,14 +526,22 @@ fn by_texel<L: Lanes>(by_pixel: &[L; 4], across: L, down: L) -> [L; 2] {
 
 /// dP/dp = R_s q and dP/dθ = depth (ray x Aᵀ q), with q the gradient that moving the camera in the surface's frame shows.
 #[inline(always)]
-fn by_pose<L: Lanes>(view: &View, a: &[L; 9], hit: &Hit<L>, ray: [L; 2], gradient: [L; 2]) -> [L; 6] {
+fn by_pose<L: Lanes>(
+    view: &View,
+    a: &[L; 9],
+    hit: &Hit<L>,
+    ray: [L; 2],
+    gradient: [L; 2],
+    map: Option<&MapLanes<L>>,
+) -> [L; 6] {
     let gx = gradient[0].mul(L::splat(view.texels_per_m[0]));
     let gy = gradient[1].mul(L::splat(-view.texels_per_m[1]));
     let gz = L::splat(0.0).sub(gx.mul_add(hit.slope[0], gy.mul(hit.slope[1])));
     let mut out = [gx; 6];
+    let [sx, sy, sz] = map.map_or([gx, gy, gz], |map| map.gradient([gx, gy, gz]));
     for r in 0..3 {
         let m = [L::splat(view.to_body[3 * r]), L::splat(view.to_body[3 * r + 1]), L::splat(view.to_body[3 * r + 2])];
-        out[r] = gx.mul_add(m[0], gy.mul_add(m[1], gz.mul(m[2])));
+        out[r] = sx.mul_add(m[0], sy.mul_add(m[1], sz.mul(m[2])));
     }
     let mut b = [gx; 3];
     for c in 0..3 {

@@ -20,6 +20,8 @@ use super::tile_products::{ProductBuffer, tile_equations, tile_equations_lanes};
 use super::{AlignSurface, CameraRays};
 use crate::camera::Shutter;
 use crate::motion::{Motion, MotionError};
+use crate::track::shape::tests::folds;
+use crate::track::surface::SurfaceSpec;
 use crate::track::synthetic::{cloth, facing, lens, view};
 
 struct Scene {
@@ -39,6 +41,15 @@ impl Scene {
 
 /// A moving camera with a rolling shutter, and the pixels that it would ask at half size.
 fn scene() -> Scene {
+    scene_of(cloth(1))
+}
+
+/// The same of a flat cloth and of one in folds.
+fn scenes() -> [Scene; 2] {
+    [scene(), scene_of(SurfaceSpec { shape: folds(), ..cloth(1) })]
+}
+
+fn scene_of(surface: SurfaceSpec) -> Scene {
     let pose = facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4));
     let motion = Motion {
         velocity: Vector3::new(0.3, -0.2, 0.1),
@@ -49,14 +60,16 @@ fn scene() -> Scene {
     };
     let camera = lens(480, 360);
     let mut levels = FrameLevels::default();
-    levels.update(&view(&cloth(1), &pose, &camera));
+    levels.update(&view(&surface, &pose, &camera));
     let slow = SlowEstimates::new(Shutter { readout_s: 0.012, exposure_s: 0.01 });
-    let (surfaces, rays, pixels) = ([AlignSurface::new(&cloth(1))], CameraRays::new(camera, None), Pixels::default());
+    let (surfaces, rays, pixels) = ([AlignSurface::new(&surface)], CameraRays::new(camera, None), Pixels::default());
     let mut scene = Scene { surfaces, slow, rays, motion, pixels };
     let (mut selector, mut pixels) = (Selector::default(), Pixels::default());
     let chosen = selector.choose(&scene.spec(), &motion);
     assert!((2000..6000).contains(&chosen.len()), "{}", chosen.len());
     pixels.arrange(chosen, &scene.spec(), levels.level(1), &RememberedLight::default());
+    pixels.touch(&scene.spec(), &motion);
+    assert_eq!(pixels.planes.is_empty(), surface.shape.is_flat());
     scene.pixels = pixels;
     scene
 }
@@ -84,14 +97,13 @@ fn line(x: &[f64], y: &[f64]) -> (f64, f64) {
 
 #[test]
 fn derivatives_by_the_pose_agree_with_differences() {
-    let scene = scene();
-    for places in [1, 5] {
-        let at = appearance(&scene, &scene.motion, places);
+    for (scene, places) in scenes().iter().flat_map(|scene| [(scene, 1), (scene, 5)]) {
+        let at = appearance(scene, &scene.motion, places);
         for k in 0..6 {
             let mut step = MotionError::zeros();
             step[k] = if k < 3 { 4e-4 } else { 1e-4 };
-            let plus = appearance(&scene, &scene.motion.corrected(&step), places);
-            let minus = appearance(&scene, &scene.motion.corrected(&-step), places);
+            let plus = appearance(scene, &scene.motion.corrected(&step), places);
+            let minus = appearance(scene, &scene.motion.corrected(&-step), places);
             let differences: Vec<f64> =
                 plus.intensity.iter().zip(&minus.intensity).map(|(p, m)| f64::from(p - m) / (2.0 * step[k])).collect();
             let derivatives: Vec<f64> = at.by_pose[k].iter().map(|v| f64::from(*v)).collect();
@@ -142,12 +154,11 @@ fn gradients_by_pixels_agree_with_differences() {
 
 #[test]
 fn the_plain_twin_predicts_the_same() {
-    let scene = scene();
-    for places in [1, 3, 9] {
-        let fast = appearance(&scene, &scene.motion, places);
+    for (scene, places) in scenes().iter().flat_map(|scene| [1, 3, 9].map(|places| (scene, places))) {
+        let fast = appearance(scene, &scene.motion, places);
         let mut plain = Appearance::default();
         plain.resize(scene.pixels.len());
-        predict_lanes::<Plain>(&predicted(&scene, &scene.motion, &LevelSpec { places, ..scene.spec() }), &mut plain);
+        predict_lanes::<Plain>(&predicted(scene, &scene.motion, &LevelSpec { places, ..scene.spec() }), &mut plain);
         let largest = fast.intensity.iter().zip(&plain.intensity).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(largest < 0.1, "{largest}");
         let mean = fast.by_pose[3].iter().zip(&plain.by_pose[3]).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();

@@ -47,6 +47,8 @@ mod tile_equations;
 mod tile_grid;
 #[allow(clippy::needless_range_loop)]
 mod tile_products;
+#[allow(clippy::needless_range_loop)]
+mod touching_planes;
 mod velocity_jump;
 mod verdict;
 

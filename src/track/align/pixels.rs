@@ -9,6 +9,8 @@ use super::lanes::LANES;
 use super::level_spec::LevelSpec;
 use super::light::{Light, RememberedLight, TileLight};
 use super::tile_grid::{Chosen, TileGrid};
+use super::touching_planes::TouchingPlanes;
+use crate::motion::Motion;
 
 /// A level's grey from which on it counts as burnt out, and up to which as drowned. Below 255, for the mean of pixels of which some are
 /// clipped, and for JPEG's ringing; above 0 likewise. Chosen, not tuned. `BRIGHTEST` raised, clipped pixels pull the gain and the pose;
@@ -67,6 +69,8 @@ pub struct Pixels {
     runs: Vec<Run>,
     /// Ranges of the surfaces, whole lanes: (surface, start, end).
     pub groups: Vec<(u32, u32, u32)>,
+    /// Of bent surfaces.
+    pub planes: TouchingPlanes,
     /// On the grid whose tiles the runs are of.
     light: Light,
     /// See [`TileGrid::places`]; where the next pixel of each surface's tile goes.
@@ -111,6 +115,13 @@ impl Pixels {
             self.delay_s[n] = spec.shutter.delay_s(spec.frame_y(v as f64), height) as f32;
             (self.cell[0][n], self.cell[1][n]) = (self.columns[u - left].1, self.rows[v - top].1);
         }
+    }
+
+    /// Finds where the pixels see bent surfaces from a motion.
+    pub fn touch(&mut self, spec: &LevelSpec, motion: &Motion) {
+        let mut planes = std::mem::take(&mut self.planes);
+        planes.find(self, spec, motion);
+        self.planes = planes;
     }
 
     /// Takes what a frame shows at the pixels.

@@ -140,6 +140,7 @@ impl LevelProblem {
         }
         let Picture { pixels, appearance, residuals } = &mut self.picture;
         pixels.arrange(chosen, spec, frame.level(spec.level), light);
+        pixels.touch(spec, motion);
         appearance.resize(pixels.len());
         residuals.resize(pixels.len());
         self.runs.extend(pixels.runs().iter().map(|run| RunAtWork { run: *run, ..RunAtWork::default() }));

@@ -103,8 +103,7 @@ impl LevelProblem {
         let to_surface = surface.rectangle.rotation.transpose();
         let direction = to_surface * (pose.rotation * ray);
         let from = to_surface * (pose.translation - surface.rectangle.centre);
-        let point = from - direction * (from.z / direction.z);
-        Some(point.xy())
+        surface.rectangle.shape.meet(&from, &direction).map(Vector2::from)
     }
 }
 
