@@ -90,6 +90,9 @@ pub enum Failure {
     /// Two pictures were not compared.
     #[error("{0}")]
     Comparison(String),
+    /// A walk makes no survey, or none that should be used.
+    #[error("{0}")]
+    Survey(String),
     /// Two clips tell no mount.
     #[error("{0}")]
     Mount(String),

@@ -30,6 +30,7 @@ mod report;
 mod run;
 mod send_test;
 mod spared;
+mod survey;
 
 use std::io::{self, Write as _};
 use std::process::ExitCode;
@@ -70,6 +71,7 @@ enum Command {
     SendTest(send_test::SendTestArguments),
     Listen(listen::ListenArguments),
     Report(report::ReportArguments),
+    Survey(survey::SurveyArguments),
     Completions(completions::CompletionsArguments),
     Man(man::ManArguments),
 }
@@ -100,6 +102,7 @@ pub fn run(started: Instant) -> ExitCode {
         Command::SendTest(arguments) => send_test::run(&arguments),
         Command::Listen(arguments) => listen::run(&arguments),
         Command::Report(arguments) => report::run(&arguments),
+        Command::Survey(arguments) => survey::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => man::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments).map_err(Failure::from),

@@ -100,6 +100,8 @@ pub struct Surface {
     pub corners_px: Option<Spanned<Exactly<Exactly<Number, 2>, 4>>>,
     /// and the calibration of the camera that took it.
     pub photo_calibration: Option<Spanned<String>>,
+    /// How it hangs: a file of `stagepose survey`.
+    pub shape: Option<Spanned<String>>,
     /// Width and height, metres.
     pub size_m: Option<Spanned<Exactly<Number, 2>>>,
     /// Centre in the body, metres.

@@ -17,7 +17,7 @@ use super::{ConfigError, Problem, stage_origin};
 use crate::camera::{CameraModel, Pixel, plausible};
 use crate::capture::orientation_words;
 use crate::geometry::{Body, Pose, SurfaceFrame};
-use crate::track::{BodySpec, SurfaceError, SurfaceSpec};
+use crate::track::{BodySpec, SurfaceError, SurfaceShape, SurfaceSpec};
 
 /// The stage's name among the bodies, which no object may have.
 const STAGE: &str = "stage";
@@ -33,6 +33,8 @@ pub(super) struct BodyReader<'a> {
     pub notes: &'a mut Vec<String>,
     /// What is graver: parts of the config that are left out, numbers that are rare.
     pub warnings: &'a mut Vec<String>,
+    /// Where the config itself has the stage's first surface, before `[stage] origin` moved it.
+    pub first_as_typed: Pose<Body, SurfaceFrame>,
 }
 
 impl BodyReader<'_> {
@@ -43,6 +45,7 @@ impl BodyReader<'_> {
             return Err(self.origin.missing("the config".to_owned(), "stage.surface", mend));
         }
         let mut stage = BodySpec { name: STAGE.to_owned(), surfaces: self.surfaces(surfaces, "[[stage.surface]]")? };
+        self.first_as_typed = stage.surfaces.first().map_or_else(Pose::identity, |first| first.pose);
         if let Some(points) = typed.and_then(|stage| stage.get_ref().origin.as_ref()) {
             self.notes.extend(stage_origin::place(self.origin, points, &mut stage)?);
         }
@@ -148,7 +151,8 @@ impl BodyReader<'_> {
         let picture = self.upright(image.get_ref(), picture, orientation);
         self.note_pixel_shape(image.get_ref(), &picture, placed.size_m);
         let refused = |e| self.refused(section, "image", image, typed, placed, e);
-        let spec = SurfaceSpec::from_any_artwork(file_name(image.get_ref()), picture, placed.size_m, placed.pose).map_err(refused)?;
+        let mut spec = SurfaceSpec::from_any_artwork(file_name(image.get_ref()), picture, placed.size_m, placed.pose).map_err(refused)?;
+        spec.shape = shape(section, typed, &spec)?;
         Ok(SurfaceRead { refusal: spec.check_texture().map_err(refused).err(), spec })
     }
 
@@ -174,8 +178,9 @@ impl BodyReader<'_> {
         let camera = self.photo_camera(section, typed, photo.get_ref(), &picture)?;
         let corners = corners.map(|[u, v]| Pixel(Vector2::new(u, v)));
         let refused = |e| self.refused(section, "photo", photo, typed, placed, e);
-        let spec = SurfaceSpec::from_any_photograph(file_name(photo.get_ref()), &picture, corners, camera, placed.size_m, placed.pose)
+        let mut spec = SurfaceSpec::from_any_photograph(file_name(photo.get_ref()), &picture, corners, camera, placed.size_m, placed.pose)
             .map_err(refused)?;
+        spec.shape = shape(section, typed, &spec)?;
         Ok(SurfaceRead { refusal: spec.check_texture().map_err(refused).err(), spec })
     }
 
@@ -269,6 +274,11 @@ struct Placed {
     size_m: [f64; 2],
     size_span: std::ops::Range<usize>,
     pose: Pose<Body, SurfaceFrame>,
+}
+
+/// How a surface hangs: flat, where nothing is said.
+fn shape(section: &Section<'_>, typed: &as_typed::Surface, spec: &SurfaceSpec) -> Result<SurfaceShape, ConfigError> {
+    typed.shape.as_ref().map_or(Ok(SurfaceShape::Flat), |file| section.shape("shape", file, spec))
 }
 
 fn file_name(name: &str) -> String {

@@ -142,6 +142,22 @@ pub enum Problem {
         /// What the system says.
         reason: String,
     },
+    /// A shape file that cannot be opened.
+    #[error("{}: {reason}; name a shape file of `stagepose survey`", file.display())]
+    ShapeFile {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        reason: String,
+    },
+    /// A shape file that does not fit.
+    #[error("{}: {reason}", file.display())]
+    ShapeContent {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: super::shape_file::ShapeFileError,
+    },
     /// A picture file that is no picture.
     #[error("{}: {reason}", file.display())]
     PictureContent {

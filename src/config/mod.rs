@@ -24,8 +24,10 @@ mod protocols;
 mod rehearsal;
 mod rotation;
 mod settings;
+pub mod shape_file;
 mod source;
 mod stage_origin;
+pub mod surveyed;
 #[cfg(test)]
 mod stage_words_tests;
 #[cfg(test)]

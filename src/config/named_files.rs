@@ -18,11 +18,13 @@ pub enum FileKind {
     Calibration,
     /// The mask, artwork or a photograph.
     Picture,
+    /// A surface's shape.
+    Shape,
 }
 
 /// Every file name in a config, in the order of its tables.
 pub(super) fn named_files(typed: &Config) -> Vec<(&Spanned<String>, FileKind)> {
-    use FileKind::{Calibration, Picture};
+    use FileKind::{Calibration, Picture, Shape};
     let mut named: Vec<(Option<&Spanned<String>>, FileKind)> = Vec::new();
     if let Some(camera) = &typed.camera {
         let camera = camera.get_ref();
@@ -32,8 +34,8 @@ pub(super) fn named_files(typed: &Config) -> Vec<(&Spanned<String>, FileKind)> {
     let of_stage = typed.stage.iter().flat_map(|stage| &stage.get_ref().surface);
     let of_objects = typed.object.iter().flat_map(|object| &object.get_ref().surface);
     for surface in of_stage.chain(of_objects) {
-        let Surface { image, photo, photo_calibration, .. } = surface.get_ref();
-        named.extend([(image.as_ref(), Picture), (photo.as_ref(), Picture), (photo_calibration.as_ref(), Calibration)]);
+        let Surface { image, photo, photo_calibration, shape, .. } = surface.get_ref();
+        named.extend([(image.as_ref(), Picture), (photo.as_ref(), Picture), (photo_calibration.as_ref(), Calibration), (shape.as_ref(), Shape)]);
     }
     named.into_iter().filter_map(|(name, kind)| Some((name?, kind))).collect()
 }

@@ -24,6 +24,7 @@ use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::{CameraModel, Shutter};
 use crate::capture::camera::PixelLayout;
+use crate::geometry::{Body, Pose, SurfaceFrame};
 use crate::pose::FilterSettings;
 use crate::publish::{MountSettings, OutputSettings, SafetySettings};
 use crate::track::{BodySpec, TrackerSettings};
@@ -51,6 +52,8 @@ pub struct Settings {
     pub(crate) device: DeviceSettings,
     /// The stage.
     pub stage: BodySpec,
+    /// Where the config itself has the stage's first surface, before `[stage] origin` moved it.
+    pub(crate) first_as_typed: Pose<Body, SurfaceFrame>,
     /// The tracked objects, in the order of the file.
     pub objects: Vec<BodySpec>,
     /// The filming camera on the rig; none without `[mount]`.
@@ -179,11 +182,12 @@ impl Settings {
         let exposure_s = section.number("exposure_s", camera.exposure_s.as_ref(), 0.0, within, seconds)?;
         let readout_s = section.number("readout_s", camera.readout_s.as_ref(), 0.0, within, seconds)?;
         let mask = camera.mask.as_ref().map(|m| mask(&section, m, lens.size(&model).map(|_| &model))).transpose()?;
-        let mut bodies = BodyReader { origin: &origin, camera: model, lens: &lens, notes: &mut notes, warnings: &mut warnings };
+        let mut bodies = BodyReader { origin: &origin, camera: model, lens: &lens, notes: &mut notes, warnings: &mut warnings, first_as_typed: Pose::identity() };
         if let Some(calibration) = &camera.calibration {
             bodies.note_camera(calibration.get_ref(), &model);
         }
         let (stage, objects) = (bodies.stage(typed.stage.as_ref())?, bodies.objects(&typed.object)?);
+        let first_as_typed = bodies.first_as_typed;
         let names: Vec<String> = objects.iter().map(|o| o.name.clone()).collect();
         let mount = mount(&origin, typed.mount.as_ref(), &names, &mut notes)?;
         let outputs = OutputReader { origin: &origin, objects: names, mount: mount.as_ref() };
@@ -201,6 +205,7 @@ impl Settings {
             mask,
             device,
             stage,
+            first_as_typed,
             objects,
             outputs: outputs.outputs(&typed.output)?,
             mount,

@@ -10,10 +10,14 @@ use toml::Spanned;
 use super::origin::Origin;
 use super::source::calibration_bytes;
 use super::typed_values::{Count, Exactly, Number};
-use super::{ConfigError, Problem};
+use super::{ConfigError, Problem, shape_file};
 use crate::camera::{Calibration, parse_calibration};
 use crate::capture::{LARGEST_PICTURE_FILE, decode_oriented, orientation_words};
 use crate::safe_file;
+use crate::track::{SurfaceShape, SurfaceSpec};
+
+/// Larger than any shape file, bytes; an endless one is refused. A round figure.
+const LARGEST_SHAPE_FILE: u64 = 64 << 20;
 
 /// The section at hand, for messages.
 pub(super) struct Section<'a> {
@@ -134,6 +138,18 @@ impl Section<'_> {
                 Err(self.refuse(key, &typed.span(), Problem::PictureTurned { file: self.origin.beside(typed.get_ref()), words, pixels }))
             }
         }
+    }
+
+    /// The shape of a surface; its file's name is relative to the config's folder.
+    pub fn shape(&self, key: &str, typed: &Spanned<String>, surface: &SurfaceSpec) -> Result<SurfaceShape, ConfigError> {
+        let file = self.origin.beside(typed.get_ref());
+        let refuse = |problem| self.refuse(key, &typed.span(), problem);
+        let bytes = self.origin.files.get(&file, |file| safe_file::read(file, LARGEST_SHAPE_FILE));
+        let bytes = bytes.map_err(|e| refuse(Problem::ShapeFile { file: file.clone(), reason: e.to_string() }))?;
+        let not_text = |_| Problem::ShapeFile { file: file.clone(), reason: "it is not UTF-8".to_owned() };
+        let text = std::str::from_utf8(&bytes).map_err(|e| refuse(not_text(e)))?;
+        let shape = shape_file::parse(text, &surface.artwork, surface.size_m);
+        shape.map_err(|reason| refuse(Problem::ShapeContent { file: file.clone(), reason }))
     }
 
     /// A calibration file; its name is relative to the config's folder.

@@ -1,5 +1,15 @@
-//! What a clip of a known stage says of the camera: [`shutter`] finds readout and exposure from a shaken clip.
+//! What a clip of a known stage says of the camera and of the stage itself: [`shutter`] finds readout and exposure from a shaken clip, [`stage`]
+//! finds the stage as it hangs and the lens as it is from a walk (C11).
 //!
 //! A survey takes an iterator of frames, wherever they come from, and reads them as often as it needs.
 
+mod adjustment;
+pub mod judgement;
+mod keyframes;
+mod normal_equations;
+mod prior;
 pub mod shutter;
+pub mod stage;
+mod stage_model;
+mod tile_derivatives;
+mod ways;

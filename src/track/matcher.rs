@@ -14,7 +14,7 @@ use super::acquire::{SurfaceView, candidates, surface_matches, surface_view};
 use super::align::{Alignment, CameraRays, FrameLevels, ShutterClue, UsedPixel};
 use super::frame_interval::FrameInterval;
 use super::frame_look::FrameLook;
-use super::lens_doubt::covariance_by_lens;
+use super::lens_doubt::{covariance_by_lens, covariance_by_shape};
 use super::reason::Reason;
 use super::registration::SearchPicture;
 use super::row_motion::RowMotion;
@@ -231,7 +231,9 @@ impl Matcher {
         let reason = tracked.reason.or_else(|| tracked.track.doubt().map(Reason::of_doubt)).filter(|_| state != State::Tracking);
         let mut verified = verified.filter(|_| state == State::Tracking);
         if let Some(v) = &mut verified {
-            v.by_lens = covariance_by_lens(&v.pose, &self.camera, tracked.anchors.iter().map(|anchor| &anchor.observation));
+            let by_lens = covariance_by_lens(&v.pose, &self.camera, tracked.anchors.iter().map(|anchor| &anchor.observation));
+            let by_shape = covariance_by_shape(&v.pose, &self.camera, &tracked.body.surfaces, &tracked.anchors);
+            v.by_lens = by_lens.map_or(by_shape, |lens| Some(by_shape.map_or(lens, |shape| lens + shape)));
         }
         BodySighting { state, verified, reason }
     }

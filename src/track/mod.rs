@@ -27,6 +27,7 @@ mod shape;
 mod surface;
 #[cfg(test)]
 mod synthetic;
+mod tile_observer;
 mod track_state;
 mod tracked_body;
 mod two_view;
@@ -42,5 +43,6 @@ pub use reason::Reason;
 pub use settings::TrackerSettings;
 pub use shape::{BentShape, ShapeWay, SurfaceShape};
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
+pub use tile_observer::{ObservedFrame, ObservedTile, TileObserver};
 pub use track_state::State;
 pub use verify::Verified;

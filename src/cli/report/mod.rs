@@ -78,7 +78,7 @@ pub(super) fn run(arguments: &ReportArguments) -> Result<(), Failure> {
     let named = files_named_in(&String::from_utf8_lossy(&config), &arguments.config);
     for (number, (file, kind)) in named.iter().enumerate() {
         let name = file.file_name().unwrap_or_default().to_string_lossy();
-        if pictures || *kind == FileKind::Calibration {
+        if pictures || *kind != FileKind::Picture {
             bundle.add_file(&format!("config/{number}-{name}"), file)?;
         }
     }

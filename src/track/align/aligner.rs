@@ -18,7 +18,9 @@ use super::{AlignSurface, CameraRays, distance_m};
 use crate::camera::Shutter;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MotionEstimate;
+use crate::track::rectangle::Rectangle;
 use crate::track::reference::PreparedBody;
+use crate::track::surface::SurfaceSpec;
 
 /// Aligns one body. Its state is in three places.
 #[derive(Debug)]
@@ -61,6 +63,14 @@ impl Aligner {
     /// Most patches that a frame can show: one a tile of each surface.
     pub fn most_patches(&self) -> usize {
         self.settings.surfaces.len() * MOST_TILES[0] * MOST_TILES[1]
+    }
+
+    /// Takes the surfaces' places and shapes anew; their pictures stay.
+    pub fn take_places(&mut self, surfaces: &[SurfaceSpec]) {
+        for (own, spec) in self.settings.surfaces.iter_mut().zip(surfaces) {
+            own.rectangle = Rectangle::of(spec);
+        }
+        self.buffers.has_kept = false;
     }
 
     /// Distance to the nearest surface's centre, metres.

@@ -7,7 +7,7 @@ use super::super::slow_estimates::{FIRST_TRIAL, TRIAL_FRAMES};
 use super::*;
 use crate::geometry::resection::perturbed;
 use crate::motion::{Motion, MotionEstimate, ProcessNoise};
-use crate::track::surface::SurfaceSpec;
+use crate::track::shape::tests::folds;
 use crate::track::synthetic::{cloth, facing, lens, prepared, texture, view};
 
 fn truth() -> Pose<Camera, Body> {
@@ -44,6 +44,23 @@ fn a_start_nearby_becomes_right_to_a_hundredth_of_a_pixel() {
     assert!(shift < 5e-4 && turn < 1e-4, "{shift} {turn}");
     assert!(found.share() > 0.9 && found.is_credible(false));
     assert!(found.covariance.cholesky().is_some() && found.estimate.covariance.cholesky().is_some());
+}
+
+#[test]
+fn a_bent_cloth_is_aligned_as_well_as_a_flat_one() {
+    let bent = SurfaceSpec { shape: folds(), ..cloth(1) };
+    let mut frame = FrameLevels::default();
+    frame.update(&view(&bent, &truth(), &lens(480, 360)));
+    let rays = CameraRays::new(lens(480, 360), None);
+    let start = perturbed(&truth(), &Vector6::new(0.02, -0.015, 0.03, 0.006, -0.005, 0.003));
+    let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
+    let shifts_m = [bent, cloth(1)].map(|surface| {
+        let mut aligner = Aligner::new(&prepared(vec![surface]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
+        let found = aligner.align(&mut frame, &rays, &expected, None).expect("the picture agrees").alignment.pose.inverse();
+        (found.translation - truth().translation).norm()
+    });
+    println!("{shifts_m:?}");
+    assert!(shifts_m[0] < 5e-4 && shifts_m[1] > 10.0 * shifts_m[0], "{shifts_m:?}");
 }
 
 #[test]

@@ -32,6 +32,8 @@ pub struct Patch {
     pub information: Matrix2<f64>,
     /// Tile, for grouping.
     pub tile: u32,
+    /// When its rows were exposed, seconds after the frame's stamp.
+    pub delay_s: f64,
 }
 
 impl LevelSolution<'_> {
@@ -63,6 +65,7 @@ impl LevelSolution<'_> {
                 shift_px: *shift * scale,
                 information: structure / (scale * scale),
                 tile: r.run.tile,
+                delay_s: problem.picture.time(spec, &r.run).delay_s,
             });
         }
     }

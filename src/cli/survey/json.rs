@@ -1,0 +1,47 @@
+//! What a survey came to, as JSON (contract C11).
+
+use serde_json::json;
+
+use crate::survey::judgement::Judgement;
+use crate::survey::stage::Survey;
+
+/// The document.
+pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
+    let i = made.camera.intrinsics();
+    let uncertainty = made.camera.doubt().map(|doubt| {
+        let u = doubt.uncertainty;
+        json!({"fx": u.focal_px[0], "fy": u.focal_px[1], "cx": u.centre_px[0], "cy": u.centre_px[1], "skew": u.skew, "distortion": u.distortion})
+    });
+    let surfaces: Vec<_> = made
+        .described()
+        .iter()
+        .zip(&made.surfaces)
+        .map(|(s, spec)| {
+            json!({
+                "name": spec.name,
+                "position_m": spec.pose.translation.as_slice(),
+                "orientation_xyzw": spec.pose.orientation_xyzw(),
+                "sigma_mm": s.sigma_mm,
+                "sigma_deg": s.sigma_deg,
+                "height_mm": {"rms": s.height_rms_mm, "max": s.height_max_mm, "sigma": s.height_sigma_mm},
+            })
+        })
+        .collect();
+    let document = json!({
+        "camera": {
+            "width": i.width, "height": i.height, "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy, "skew": i.skew, "distortion": i.distortion,
+            "uncertainty": uncertainty,
+        },
+        "surfaces": surfaces,
+        "verdict": judgement.verdict.words(),
+        "reasons": judgement.reasons,
+        "frames": made.frames,
+        "found": made.found,
+        "keyframes": made.keyframes,
+        "used": made.used,
+        "rms_px": {"configured": made.rms_px[0], "surveyed": made.rms_px[1]},
+        "scale": made.scale,
+        "rounds": made.rounds,
+    });
+    format!("{document:#}\n")
+}

@@ -1,0 +1,26 @@
+//! What a survey came to, for a person.
+
+use std::fmt::Write as _;
+
+use crate::survey::judgement::Judgement;
+use crate::survey::stage::Survey;
+
+/// The report on the terminal.
+pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = writeln!(text, "walk        {} frames, the stage was found in {}; {} keyframes, {} of them fit", made.frames, made.found, made.keyframes, made.used);
+    let _ = writeln!(text, "residual    {:.3} px as configured, {:.3} px as surveyed", made.rms_px[0], made.rms_px[1]);
+    let i = made.camera.intrinsics();
+    let _ = writeln!(text, "lens        fx {:.2}, fy {:.2}, cx {:.2}, cy {:.2}, distortion {:.4?}", i.fx, i.fy, i.cx, i.cy, i.distortion);
+    for (k, (surface, spec)) in made.described().iter().zip(&made.surfaces).enumerate() {
+        let label = if k == 0 { "surfaces" } else { "" };
+        let _ = writeln!(
+            text,
+            "{label:<11} {}: heights {:.2} mm rms, {:.1} mm at most, known to {:.2} mm; place {:.2} mm, {:.3} degrees",
+            spec.name, surface.height_rms_mm, surface.height_max_mm, surface.height_sigma_mm, surface.sigma_mm, surface.sigma_deg
+        );
+    }
+    let _ = writeln!(text, "verdict     {}", judgement.sentence());
+    text
+}

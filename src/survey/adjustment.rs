@@ -1,0 +1,197 @@
+//! The joint adjustment: in every round each keyframe is aligned on grey values with the model as it is, and the model takes one step from what
+//! the tiles leave (Gauss-Newton, with the frames' motions eliminated). What is left at the end is noise.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::keyframes::Keyframe;
+use super::normal_equations::{FrameRows, NormalEquations};
+use super::prior::{self, Smoothness};
+use super::stage_model::{LENS_NUMBERS, StageModel};
+use crate::camera::Shutter;
+use crate::motion::Motion;
+use crate::track::{ObservedFrame, ObservedTile, TileObserver};
+
+/// Rounds at most. Most surveys settle in five or six.
+pub const MOST_ROUNDS: usize = 12;
+/// Done when a step changes no tile's place by more, pixels (root mean square).
+const SMALL_STEP_PX: f64 = 0.004;
+/// Rounds in which the smoothness is chosen: once the residuals are no longer those of a flat stage, and again.
+const CHOOSING_ROUNDS: [usize; 3] = [1, 3, 5];
+/// Curvatures that are tried, per longer side, one sigma: from as good as flat to sharp folds.
+const CURVATURES: [f64; 7] = [0.003, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0];
+/// A rougher shape is taken only where it explains the held-out tiles better by this share of their cost.
+const BETTER: f64 = 0.005;
+/// One tile in so many is held out while the smoothness is chosen.
+const HELD_OUT: u32 = 5;
+/// Covariances are that much larger than those of independent tiles: neighbouring keyframes see the same tiles, and what is off in one is off in the next.
+/// (research/mapping.md, section 6.)
+const INFLATION: f64 = 2.0;
+/// Keyframes that share one observer, which learns light and noise from one to the next. The number of threads changes nothing.
+const KEYFRAMES_AN_OBSERVER: usize = 30;
+
+/// What a survey rests on.
+#[derive(Debug)]
+pub struct Adjustment {
+    keyframes: Vec<Keyframe>,
+    observers: Vec<TileObserver>,
+    shutter: Shutter,
+    lens_sigmas: [f64; LENS_NUMBERS],
+    smoothness: Smoothness,
+}
+
+/// A model, what its frames showed, and the equations at the end.
+#[derive(Debug)]
+pub struct Adjusted {
+    /// The model.
+    pub model: StageModel,
+    /// What each keyframe showed with it; `None` where it does not bear the model out.
+    pub frames: Vec<Option<ObservedFrame>>,
+    /// Robust scale of the residuals, in sigmas.
+    pub scale: f64,
+    /// Root mean square of what the tiles leave, pixels: of the start, and now.
+    pub rms_px: [f64; 2],
+    /// Covariance of all unknowns.
+    pub covariance: DMatrix<f64>,
+    /// The equations at the end.
+    pub equations: NormalEquations,
+    /// Rounds that it took, and whether it came to rest.
+    pub rounds: usize,
+    /// See `rounds`.
+    pub has_settled: bool,
+    /// How smooth the shapes are.
+    pub smoothness: Smoothness,
+}
+
+impl Adjustment {
+    /// Prepares the observers.
+    pub fn new(keyframes: Vec<Keyframe>, model: &StageModel, shutter: Shutter, body: &crate::track::BodySpec, mask: Option<&image::GrayImage>, lens_sigmas: [f64; LENS_NUMBERS]) -> Self {
+        let n = keyframes.len().div_ceil(KEYFRAMES_AN_OBSERVER).max(1);
+        let observers = (0..n).into_par_iter().map(|_| TileObserver::new(model.camera, shutter, mask.cloned(), body)).collect();
+        Self { keyframes, observers, shutter, lens_sigmas, smoothness: Smoothness { curvature: CURVATURES[2] } }
+    }
+
+    /// Aligns all keyframes with a model; each remembers its motion.
+    fn observe(&mut self, model: &StageModel) -> Vec<Option<ObservedFrame>> {
+        let chunks = self.keyframes.par_chunks_mut(KEYFRAMES_AN_OBSERVER).zip(&mut self.observers);
+        let of_chunk = |(keyframes, observer): (&mut [Keyframe], &mut TileObserver)| -> Vec<Option<ObservedFrame>> {
+            observer.take_model(&model.camera, &model.surfaces);
+            let of_frame = |keyframe: &mut Keyframe| {
+                let observed = observer.observe(&keyframe.frame.image, &keyframe.motion);
+                if let Some(observed) = &observed {
+                    keyframe.motion = observed.motion;
+                }
+                observed
+            };
+            keyframes.iter_mut().map(of_frame).collect()
+        };
+        chunks.map(of_chunk).collect::<Vec<_>>().into_iter().flatten().collect()
+    }
+
+    fn rows(&self, model: &StageModel, frames: &[Option<ObservedFrame>]) -> Vec<FrameRows> {
+        let of_frame = |(k, frame): (usize, &Option<ObservedFrame>)| {
+            let Some(frame) = frame else { return FrameRows::default() };
+            let distance_m = distance_m(model, &frame.motion);
+            FrameRows::new(frame, model, &self.shutter, distance_m, |tile| is_held_out(k, tile))
+        };
+        frames.iter().enumerate().map(of_frame).filter(|rows| !rows.rows().is_empty()).collect()
+    }
+
+    /// Adjusts a model. `progress` is called with the number of each round before it, and says whether to go on.
+    pub fn run(&mut self, start: StageModel, mut progress: impl FnMut(usize) -> bool) -> Option<Adjusted> {
+        let mut model = start;
+        let mut first_rms_px = None;
+        for round in 0..MOST_ROUNDS {
+            if !progress(round) {
+                return None;
+            }
+            let frames = self.observe(&model);
+            let rows = self.rows(&model, &frames);
+            let scale = robust_scale(&rows)?;
+            let rms_px = rms_px(&frames);
+            first_rms_px.get_or_insert(rms_px);
+            if CHOOSING_ROUNDS.contains(&round) {
+                self.choose_smoothness(&model, &rows, scale);
+            }
+            let equations = self.equations(&model, &rows, scale, true)?;
+            let factor = equations.matrix.clone().cholesky()?;
+            let step = factor.solve(&equations.right);
+            let step_px = step_px(&rows, &step);
+            tracing::debug!(round, frames = rows.len(), scale, rms_px, step_px, curvature = self.smoothness.curvature, "survey");
+            let is_last = round + 1 == MOST_ROUNDS;
+            if step_px < SMALL_STEP_PX && round > CHOOSING_ROUNDS[1] || is_last {
+                let has_settled = !is_last;
+                let rms_px = [first_rms_px?, rms_px];
+                let covariance = factor.inverse() * INFLATION;
+                return Some(Adjusted { model, frames, scale, rms_px, covariance, equations, rounds: round + 1, has_settled, smoothness: self.smoothness });
+            }
+            model = model.stepped(&step)?;
+        }
+        None
+    }
+
+    /// The equations with their priors, symmetric.
+    fn equations(&self, model: &StageModel, rows: &[FrameRows], scale: f64, with_held_out: bool) -> Option<NormalEquations> {
+        let mut equations = NormalEquations::new(rows, model.places().count, scale, with_held_out)?;
+        prior::add(model, self.smoothness, &self.lens_sigmas, &mut equations.matrix, &mut equations.right);
+        equations.matrix.fill_upper_triangle_with_lower_triangle();
+        Some(equations)
+    }
+
+    /// Takes the smoothness that predicts held-out tiles best.
+    fn choose_smoothness(&mut self, model: &StageModel, rows: &[FrameRows], scale: f64) {
+        let Some(data) = NormalEquations::new(rows, model.places().count, scale, false) else { return };
+        let mut best: Option<(f64, Smoothness)> = None;
+        for curvature in CURVATURES {
+            let smoothness = Smoothness { curvature };
+            let mut equations = data.clone();
+            prior::add(model, smoothness, &self.lens_sigmas, &mut equations.matrix, &mut equations.right);
+            equations.matrix.fill_upper_triangle_with_lower_triangle();
+            let Some(factor) = equations.matrix.clone().cholesky() else { continue };
+            let cost = equations.held_out_cost(rows, &factor.solve(&equations.right), scale);
+            tracing::debug!(curvature, cost, "smoothness");
+            if best.is_none_or(|(least, _)| cost < (1.0 - BETTER) * least) {
+                best = Some((cost, smoothness));
+            }
+        }
+        self.smoothness = best.map_or(self.smoothness, |(_, smoothness)| smoothness);
+    }
+
+    /// The keyframes, with the motions that were found last.
+    pub fn keyframes(&self) -> &[Keyframe] {
+        &self.keyframes
+    }
+}
+
+/// A fixed choice that no other numbers of frames or tiles share.
+fn is_held_out(frame: usize, tile: &ObservedTile) -> bool {
+    let mixed = (frame as u32).wrapping_mul(0x9e37_79b1) ^ (tile.number + 1).wrapping_mul(0x85eb_ca77) ^ (tile.surface as u32).wrapping_mul(0xc2b2_ae3d);
+    (mixed ^ (mixed >> 15)).wrapping_mul(0x2c1b_3c6d) >> 8 & 0xffff < 0xffff / HELD_OUT
+}
+
+fn distance_m(model: &StageModel, motion: &Motion) -> f64 {
+    model.surfaces.iter().map(|s| (s.pose.translation - motion.pose.translation).norm()).fold(f64::INFINITY, f64::min)
+}
+
+/// Median residual over what it is for noise of one sigma in two dimensions; at least 1 sigma.
+fn robust_scale(rows: &[FrameRows]) -> Option<f64> {
+    let mut squares: Vec<f64> = rows.iter().flat_map(FrameRows::rows).map(|r| r.squared_now()).collect();
+    if squares.len() < 20 {
+        return None;
+    }
+    squares.sort_by(f64::total_cmp);
+    Some((squares[squares.len() / 2] / (2.0 * 2.0_f64.ln())).sqrt().max(1.0))
+}
+
+/// Root mean square of what the tiles leave, pixels; the farthest twentieth is something else.
+fn rms_px(frames: &[Option<ObservedFrame>]) -> f64 {
+    let mut squares: Vec<f64> = frames.iter().flatten().flat_map(|f| &f.tiles).map(|t| t.shift_px.norm_squared()).collect();
+    squares.sort_by(f64::total_cmp);
+    let n = squares.len() - squares.len() / 20;
+    (squares[..n].iter().sum::<f64>() / n.max(1) as f64).sqrt()
+}
+
+fn step_px(rows: &[FrameRows], step: &DVector<f64>) -> f64 {
+    let moved: Vec<f64> = rows.iter().flat_map(FrameRows::rows).map(|r| r.moved_squared(step)).collect();
+    (moved.iter().sum::<f64>() / moved.len().max(1) as f64).sqrt()
+}

@@ -1,0 +1,156 @@
+//! How far to trust a survey, and what to film again.
+
+use super::stage::Survey;
+use super::stage_model::bent;
+
+/// Points across and down a surface by which its shape is described.
+const POINTS: [usize; 2] = [24, 18];
+/// Robust scale of the residuals up to which a survey is good, and usable: with the right model it is near 1; with a wrong lens or shutter above
+/// (research/mapping.md, section 6).
+const LARGEST_SCALE: [f64; 2] = [2.0, 5.0];
+/// Share of the keyframes that must bear the result out, for good and for usable.
+const LEAST_USED: [f64; 2] = [0.8, 0.5];
+/// Sigma of a surface's heights up to which it is good, and usable, as a share of its longer side.
+const LARGEST_HEIGHT_SIGMA: [f64; 2] = [1e-3, 5e-3];
+/// 3 sigma of a focal length that was found, as a share, up to which it is good, and usable.
+const LARGEST_FOCAL: [f64; 2] = [2e-3, 1e-2];
+
+/// The verdict, best first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Verdict {
+    /// Fit for the stage.
+    Good,
+    /// Better than none, with more error than needed.
+    Usable,
+    /// Wrong, or not known well enough.
+    DoNotUse,
+}
+
+impl Verdict {
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Usable => "usable",
+            Self::DoNotUse => "do not use",
+        }
+    }
+}
+
+/// What a survey is worth.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Judgement {
+    /// The verdict.
+    pub verdict: Verdict,
+    /// Clauses, heaviest first.
+    pub reasons: Vec<String>,
+}
+
+impl Judgement {
+    /// The verdict in one sentence.
+    pub fn sentence(&self) -> String {
+        format!("{}: {}", self.verdict.words(), self.reasons.join("; "))
+    }
+}
+
+/// A surface as it was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfaceDescription {
+    /// One sigma of its place against the first surface, millimetres; 0 of that one.
+    pub sigma_mm: f64,
+    /// The same of how it is turned, degrees.
+    pub sigma_deg: f64,
+    /// Root mean square height over its plane, millimetres.
+    pub height_rms_mm: f64,
+    /// Largest height, millimetres.
+    pub height_max_mm: f64,
+    /// One sigma of the heights, millimetres: the median over the surface.
+    pub height_sigma_mm: f64,
+}
+
+impl Survey {
+    /// The surfaces as they were found, in the config's order.
+    pub fn described(&self) -> Vec<SurfaceDescription> {
+        (0..self.surfaces.len()).filter_map(|k| self.description(k)).collect()
+    }
+
+    fn description(&self, k: usize) -> Option<SurfaceDescription> {
+        let surface = &self.surfaces[k];
+        let shape = bent(surface)?;
+        let share = |n: usize, of: usize| (n as f64 + 0.5) / of as f64 - 0.5;
+        let points = (0..POINTS[0] * POINTS[1])
+            .map(|n| [share(n % POINTS[0], POINTS[0]) * surface.size_m[0], share(n / POINTS[0], POINTS[1]) * surface.size_m[1]]);
+        let (mut squared, mut most, mut sigmas) = (0.0, 0.0_f64, Vec::new());
+        for point in points {
+            let height = shape.height.at(point).value.x;
+            squared += height * height;
+            most = most.max(height.abs());
+            let weights: Vec<(usize, f64)> = shape.height.support(point).weights().map(|(n, w)| (self.places.heights[k] + n, w)).collect();
+            let variance: f64 = weights.iter().flat_map(|(i, a)| weights.iter().map(move |(j, b)| a * b * self.covariance[(*i, *j)])).sum();
+            sigmas.push(variance.max(0.0).sqrt());
+        }
+        sigmas.sort_by(f64::total_cmp);
+        let sigma = |first: usize| {
+            self.places.poses[k].map_or(0.0, |at| (0..3).map(|n| self.covariance[(at + first + n, at + first + n)]).sum::<f64>().max(0.0).sqrt())
+        };
+        Some(SurfaceDescription {
+            sigma_mm: 1e3 * sigma(0),
+            sigma_deg: sigma(3).to_degrees(),
+            height_rms_mm: 1e3 * (squared / sigmas.len() as f64).sqrt(),
+            height_max_mm: 1e3 * most,
+            height_sigma_mm: 1e3 * sigmas[sigmas.len() / 2],
+        })
+    }
+
+    /// What it is worth.
+    pub fn judge(&self) -> Judgement {
+        let mut findings: Vec<(Verdict, String)> = Vec::new();
+        let mut below = |value: f64, limits: [f64; 2], good: String, bad: &dyn Fn() -> String| {
+            let verdict = if value <= limits[0] {
+                Verdict::Good
+            } else if value <= limits[1] {
+                Verdict::Usable
+            } else {
+                Verdict::DoNotUse
+            };
+            findings.push((verdict, if verdict == Verdict::Good { good } else { bad() }));
+        };
+        let used = self.used as f64 / self.keyframes.max(1) as f64;
+        below(
+            -used,
+            LEAST_USED.map(|share| -share),
+            format!("{} of {} keyframes bear it out", self.used, self.keyframes),
+            &|| format!("only {} of {} keyframes bear it out: is it this stage, and does its config fit?", self.used, self.keyframes),
+        );
+        below(self.scale, LARGEST_SCALE, format!("what is left is noise ({:.3} px)", self.rms_px[1]), &|| {
+            format!(
+                "what is left ({:.3} px) is {:.1} times what noise leaves: the lens or the shutter is off, or the stage moved; try --lens refine, and \
+                 check the shutter with `stagepose check --clip`",
+                self.rms_px[1], self.scale
+            )
+        });
+        for (description, surface) in self.described().iter().zip(&self.surfaces) {
+            let side_mm = 1e3 * surface.size_m[0].max(surface.size_m[1]);
+            let sigma = description.height_sigma_mm;
+            below(sigma / side_mm, LARGEST_HEIGHT_SIGMA, format!("{} is known to {sigma:.2} mm", surface.name), &|| {
+                format!("{} is known to {sigma:.1} mm only: film it from two sides, 20 degrees or more apart", surface.name)
+            });
+        }
+        if let (Some(doubt), true) = (self.camera.doubt(), self.places.lens.is_some()) {
+            let share = doubt.uncertainty.focal_px[0] / self.camera.intrinsics().fx;
+            below(share, LARGEST_FOCAL, format!("the focal length is known to {:.2} %", 100.0 * share), &|| {
+                format!(
+                    "the focal length is known to {:.1} % only: film the stage aslant, from near and far, and with the camera turned on its side",
+                    100.0 * share
+                )
+            });
+        }
+        if !self.has_settled {
+            findings.push((Verdict::Usable, format!("it did not come to rest in {} rounds", self.rounds)));
+        }
+        findings.sort_by_key(|(verdict, _)| std::cmp::Reverse(*verdict));
+        let verdict = findings.first().map_or(Verdict::DoNotUse, |(verdict, _)| *verdict);
+        let reasons = findings.into_iter().filter(|(of, _)| *of == verdict).map(|(_, text)| text).collect();
+        Judgement { verdict, reasons }
+    }
+}

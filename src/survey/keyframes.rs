@@ -1,0 +1,66 @@
+//! The frames of a walk that a survey rests on: sharp ones, spread over the places that the camera came to.
+
+use crate::frame::Frame;
+use crate::geometry::{Body, Camera, Pose};
+use crate::motion::Motion;
+
+/// Keyframes at most. Chosen: with 0.45 m between them, twice as many were no better (research/mapping.md). Raised, the time grows in proportion.
+pub const MOST_KEYFRAMES: usize = 120;
+/// Keyframes are this far apart at first, as a share of the distance or in radians; where there are too many, twice as far. Raised, short walks have
+/// few of them; lowered, long ones hold more frames in memory meanwhile.
+const FIRST_SPACING: f64 = 0.03;
+/// A turn counts as a movement by this share of its angle: it shows the stage elsewhere in the frame, but from the same place.
+const TURN_SHARE: f64 = 0.5;
+
+/// A frame that the survey rests on.
+#[derive(Debug, Clone)]
+pub struct Keyframe {
+    /// The picture, with its stamp and its row in the clip.
+    pub frame: Frame,
+    /// Number of the clip.
+    pub clip: usize,
+    /// Where the camera was and how it moved, as far as known.
+    pub motion: Motion,
+}
+
+/// Collects keyframes.
+#[derive(Debug, Default)]
+pub struct Keyframes {
+    kept: Vec<Keyframe>,
+    /// The sharpest frame since the last one that was kept, and how fast the picture moved in it.
+    best: Option<(Keyframe, f64)>,
+    spacing: Option<f64>,
+    last: Option<Pose<Body, Camera>>,
+}
+
+impl Keyframes {
+    /// Offers a frame in which the stage was found, with how fast the camera moved.
+    pub fn offer(&mut self, clip: usize, frame: &Frame, motion: Motion, distance_m: f64) {
+        let spacing = *self.spacing.get_or_insert(FIRST_SPACING);
+        let speed = motion.velocity.norm() / distance_m + motion.turn_rate.norm();
+        if self.best.as_ref().is_none_or(|(_, slowest)| speed < *slowest) {
+            self.best = Some((Keyframe { frame: frame.clone(), clip, motion }, speed));
+        }
+        let moved = self.last.map_or(f64::INFINITY, |last| {
+            (last.translation - motion.pose.translation).norm() / distance_m + TURN_SHARE * last.rotation.angle_to(&motion.pose.rotation)
+        });
+        if moved < spacing {
+            return;
+        }
+        self.last = Some(motion.pose);
+        self.kept.extend(self.best.take().map(|(keyframe, _)| keyframe));
+        if self.kept.len() > MOST_KEYFRAMES {
+            let mut index = 0;
+            self.kept.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            self.spacing = Some(2.0 * spacing);
+        }
+    }
+
+    /// All that were kept, in order.
+    pub fn into_kept(self) -> Vec<Keyframe> {
+        self.kept
+    }
+}

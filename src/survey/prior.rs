@@ -1,0 +1,139 @@
+//! What is known of a stage before any frame: shapes are smooth, what is nowhere said stays as the config has it, and one thing in the world has
+//! to stay where it is.
+
+use nalgebra::{DMatrix, DVector, Vector3};
+
+use super::stage_model::{LENS_NUMBERS, StageModel};
+use crate::geometry::bspline::BicubicSpline;
+
+/// What is free of the world's own place and size is held to this, metres and radians, one sigma: to nothing. (Lower, and the system loses digits.)
+const GAUGE_SIGMA: f64 = 1e-6;
+/// Points across and down a surface by which its mean plane is found.
+const GAUGE_POINTS: [usize; 2] = [24, 18];
+/// How far a surface may stand from where the config has it, one sigma: metres and radians.
+const POSE_SIGMAS: [f64; 2] = [0.3, 0.2];
+/// How far a point of a surface may be from its plane, and from its place in it, one sigma, as shares of the surface's longer side: it only keeps parts
+/// that no frame shows from anything at all.
+const HEIGHT_SHARE: f64 = 0.05;
+const STRETCH_SHARE: f64 = 0.01;
+/// How much a stretch changes along the surface, one sigma, per side of the surface: cloth and prints are stretched evenly.
+const STRETCH_BEND: f64 = 0.002;
+
+/// How smooth shapes are, one sigma.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Smoothness {
+    /// Curvature of the heights, times the surface's longer side.
+    pub curvature: f64,
+}
+
+/// Adds the priors at a model to its normal equations.
+pub fn add(model: &StageModel, smoothness: Smoothness, lens_sigmas: &[f64; LENS_NUMBERS], matrix: &mut DMatrix<f64>, right: &mut DVector<f64>) {
+    let mut system = System { matrix, right };
+    let places = model.places();
+    for (k, surface) in model.surfaces.iter().enumerate() {
+        let Some(shape) = model.shape(k) else { continue };
+        let side = surface.size_m[0].max(surface.size_m[1]);
+        system.smooth(&shape.height, places.heights[k], smoothness.curvature / side);
+        system.smooth(&shape.stretch, places.stretches[k], STRETCH_BEND / side);
+        system.small(&shape.height, places.heights[k], HEIGHT_SHARE * side);
+        system.small(&shape.stretch, places.stretches[k], STRETCH_SHARE * side);
+        system.gauge(model, k);
+        if let Some(at) = places.poses[k] {
+            let [shift, turn] = model.pose_change(k);
+            for axis in 0..3 {
+                system.add(&[(at + axis, 1.0)], shift[axis], POSE_SIGMAS[0]);
+                system.add(&[(at + 3 + axis, 1.0)], turn[axis], POSE_SIGMAS[1]);
+            }
+        }
+    }
+    if let Some(at) = places.lens {
+        for (k, change) in model.lens_change().into_iter().enumerate() {
+            system.add(&[(at + k, 1.0)], change, lens_sigmas[k]);
+        }
+    }
+}
+
+struct System<'a> {
+    matrix: &'a mut DMatrix<f64>,
+    right: &'a mut DVector<f64>,
+}
+
+impl System<'_> {
+    /// A sum of unknowns, which is `now` before the step, is zero to a sigma.
+    fn add(&mut self, row: &[(usize, f64)], now: f64, sigma: f64) {
+        let information = sigma.powi(-2);
+        for (i, a) in row {
+            self.right[*i] -= a * now * information;
+            for (j, b) in row.iter().filter(|(j, _)| j <= i) {
+                self.matrix[(*i, *j)] += a * b * information;
+            }
+        }
+    }
+
+    /// Second differences along both axes and across, as the second derivatives that they are.
+    fn smooth<const N: usize>(&mut self, field: &BicubicSpline<N>, first: usize, sigma: f64) {
+        let [columns, rows] = field.columns_and_rows();
+        let [dx, dy] = field.spacing();
+        let differences: [(&[(usize, usize, f64)], [usize; 2], f64); 3] = [
+            (&[(0, 0, 1.0), (1, 0, -2.0), (2, 0, 1.0)], [3, 1], dx * dx),
+            (&[(0, 0, 1.0), (0, 1, -2.0), (0, 2, 1.0)], [1, 3], dy * dy),
+            (&[(0, 0, 1.0), (1, 0, -1.0), (0, 1, -1.0), (1, 1, 1.0)], [2, 2], dx * dy / std::f64::consts::SQRT_2),
+        ];
+        for (stencil, [across, up], unit) in differences {
+            for (i, j, n) in (0..columns + 1 - across).flat_map(|i| (0..rows + 1 - up).flat_map(move |j| (0..N).map(move |n| (i, j, n)))) {
+                let at = |(a, b, w): &(usize, usize, f64)| ((j + b) * columns + i + a, w / unit);
+                let now: f64 = stencil.iter().map(at).map(|(k, w)| field.coefficients()[k][n] * w).sum();
+                let row: Vec<(usize, f64)> = stencil.iter().map(at).map(|(k, w)| (first + N * k + n, w)).collect();
+                self.add(&row, now, sigma);
+            }
+        }
+    }
+
+    fn small<const N: usize>(&mut self, field: &BicubicSpline<N>, first: usize, sigma: f64) {
+        for (k, c) in field.coefficients().iter().enumerate() {
+            for n in 0..N {
+                self.add(&[(first + N * k + n, 1.0)], c[n], sigma);
+            }
+        }
+    }
+
+    /// The surface's own frame: its mean plane, its centre and its axes. Of the first surface also the size, for no camera tells a stage from a smaller one
+    /// nearby.
+    fn gauge(&mut self, model: &StageModel, k: usize) {
+        let (surface, places) = (&model.surfaces[k], model.places());
+        let Some(shape) = model.shape(k) else { return };
+        let share = |n: usize, of: usize| (n as f64 + 0.5) / of as f64 - 0.5;
+        let points: Vec<[f64; 2]> = (0..GAUGE_POINTS[0] * GAUGE_POINTS[1])
+            .map(|n| [share(n % GAUGE_POINTS[0], GAUGE_POINTS[0]) * surface.size_m[0], share(n / GAUGE_POINTS[0], GAUGE_POINTS[1]) * surface.size_m[1]])
+            .collect();
+        let radius = 0.5 * surface.size_m[0].hypot(surface.size_m[1]);
+        // How a point's shift (right, up, out) enters the shift, the turn and the growth of the whole surface.
+        let ways: [fn(f64, f64) -> Vector3<f64>; 7] = [
+            |_, _| Vector3::z(),
+            |x, _| Vector3::z() * x,
+            |_, y| Vector3::z() * y,
+            |_, _| Vector3::x(),
+            |_, _| Vector3::y(),
+            |x, y| Vector3::new(-y, x, 0.0),
+            |x, y| Vector3::new(x, y, 0.0),
+        ];
+        for way in &ways[..if k == 0 { 7 } else { 6 }] {
+            let mut row = vec![0.0; places.count];
+            let mut now = 0.0;
+            for &point in &points {
+                let by = way(point[0] / radius, point[1] / radius) / points.len() as f64;
+                let (height, stretch) = (shape.height.at(point).value, shape.stretch.at(point).value);
+                now += by.z * height.x + by.x * stretch.x + by.y * stretch.y;
+                for (n, w) in shape.height.support(point).weights() {
+                    row[places.heights[k] + n] += by.z * w;
+                }
+                for (n, w) in shape.stretch.support(point).weights() {
+                    row[places.stretches[k] + 2 * n] += by.x * w;
+                    row[places.stretches[k] + 2 * n + 1] += by.y * w;
+                }
+            }
+            let row: Vec<(usize, f64)> = row.into_iter().enumerate().filter(|(_, w)| *w != 0.0).collect();
+            self.add(&row, now, GAUGE_SIGMA);
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! The survey of a stage: keyframes from a walk, the joint adjustment, and what came of it.
+
+use nalgebra::DMatrix;
+use thiserror::Error;
+
+use super::adjustment::{Adjusted, Adjustment};
+use super::keyframes::Keyframes;
+use super::stage_model::{LENS_NUMBERS, Places, StageModel};
+use super::ways;
+use crate::camera::{CameraModel, IntrinsicsUncertainty, LensDoubt};
+use crate::frame::{Frame, Timestamp};
+use crate::geometry::{Body, Camera, Pose};
+use crate::motion::Motion;
+use crate::track::{Matcher, SurfaceSpec};
+use crate::tracker::TrackerSetup;
+
+/// Fewest keyframes that a survey is made from. Raised, short walks are refused; lowered, shapes rest on a few views.
+const LEAST_KEYFRAMES: usize = 8;
+/// One sigma of a lens that nothing is known of: of the focal lengths (share), the centre (share of the width), k1, k2, p1, p2.
+const UNKNOWN_LENS: [f64; 6] = [0.05, 0.03, 0.3, 0.3, 0.01, 0.01];
+/// A verified pose this long before tells of the motion, seconds.
+const LONGEST_GAP_S: f64 = 0.25;
+
+/// What to find.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct SurveyOptions {
+    /// Whether the lens is found as well.
+    pub refines_lens: bool,
+}
+
+/// What a survey does at the moment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum SurveyStep {
+    /// Following the camera through a frame of a clip.
+    Frame,
+    /// A round of the adjustment.
+    Round(usize),
+}
+
+/// Why there is no survey.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum SurveyError {
+    /// No stage in any frame.
+    #[error("the stage is found in none of the {frames} frames; `stagepose check --clip` says why")]
+    NotFound {
+        /// Frames looked at.
+        frames: usize,
+    },
+    /// Too few places.
+    #[error(
+        "the camera came to {found} places only, at least {least} are needed; walk around the stage, a step to the side for each metre of distance"
+    )]
+    TooFewPlaces {
+        /// Places.
+        found: usize,
+        /// Needed.
+        least: usize,
+    },
+    /// The equations have no solution.
+    #[error("the walk does not determine the stage; film it from more sides")]
+    Undetermined,
+    /// Somebody asked for the end.
+    #[error("interrupted; nothing was written")]
+    Interrupted,
+}
+
+/// The stage as it hangs and the lens as it is.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct Survey {
+    /// The lens.
+    pub camera: CameraModel,
+    /// The surfaces, with their poses and shapes.
+    pub surfaces: Vec<SurfaceSpec>,
+    /// Frames looked at, and those in which the stage was found.
+    pub frames: usize,
+    /// See `frames`.
+    pub found: usize,
+    /// Keyframes, and those that bear the result out.
+    pub keyframes: usize,
+    /// See `keyframes`.
+    pub used: usize,
+    /// Root mean square of what the tiles leave, pixels: as configured, and as surveyed.
+    pub rms_px: [f64; 2],
+    /// Robust scale of the residuals, in sigmas.
+    pub scale: f64,
+    /// Whether the adjustment came to rest.
+    pub has_settled: bool,
+    /// Rounds of the adjustment.
+    pub rounds: usize,
+    /// Where the camera was at the keyframes.
+    pub cameras: Vec<Pose<Body, Camera>>,
+    /// Where the unknown numbers are.
+    pub(super) places: Places,
+    pub(super) covariance: DMatrix<f64>,
+}
+
+/// Surveys a stage from clips of walking around it. `progress` is called often and says whether to go on.
+///
+/// # Errors
+/// See [`SurveyError`].
+pub fn survey<C, F>(
+    clips: C,
+    setup: &TrackerSetup,
+    options: SurveyOptions,
+    mut progress: impl FnMut(SurveyStep) -> bool,
+) -> Result<Survey, SurveyError>
+where
+    C: IntoIterator<Item = F>,
+    F: IntoIterator<Item = Frame>,
+{
+    let TrackerSetup { camera, shutter, mask, stage, settings, clock, .. } = setup.clone();
+    let mut keyframes = Keyframes::default();
+    let (mut frames, mut found) = (0, 0);
+    for (number, clip) in clips.into_iter().enumerate() {
+        let mut matcher = Matcher::new(camera, shutter, mask.clone(), &stage, &[], settings.clone(), clock);
+        let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
+        for frame in clip {
+            if !progress(SurveyStep::Frame) {
+                return Err(SurveyError::Interrupted);
+            }
+            frames += 1;
+            let Some(verified) = matcher.look(&frame).stage.verified else { continue };
+            found += 1;
+            let pose = verified.pose;
+            let since = before.replace((pose, frame.timestamp));
+            let motion = since
+                .map(|(then, stamp)| (then, frame.timestamp.seconds_since(stamp)))
+                .filter(|(_, dt_s)| *dt_s > 0.0 && *dt_s < LONGEST_GAP_S)
+                .map_or(Motion::still(pose), |(then, dt_s)| Motion::between(&then, &pose, dt_s));
+            let distance_m = stage.surfaces.iter().map(|s| (s.pose.translation - pose.translation).norm()).fold(f64::INFINITY, f64::min);
+            keyframes.offer(number, &frame, motion, distance_m);
+        }
+    }
+    let keyframes = keyframes.into_kept();
+    match (found, keyframes.len()) {
+        (0, _) => return Err(SurveyError::NotFound { frames }),
+        (_, n) if n < LEAST_KEYFRAMES => return Err(SurveyError::TooFewPlaces { found: n, least: LEAST_KEYFRAMES }),
+        _ => {}
+    }
+    let model = StageModel::new(camera, &stage.surfaces, options.refines_lens);
+    let mut adjustment = Adjustment::new(keyframes, &model, shutter, &stage, mask.as_ref(), lens_sigmas(&camera));
+    let mut is_interrupted = false;
+    let adjusted = adjustment.run(model, |round| {
+        is_interrupted = !progress(SurveyStep::Round(round));
+        !is_interrupted
+    });
+    let Some(Adjusted { model, frames: observed, scale, rms_px, covariance, equations, rounds, has_settled, .. }) = adjusted else {
+        return Err(if is_interrupted { SurveyError::Interrupted } else { SurveyError::Undetermined });
+    };
+    let (keyframes, used) = (observed.len(), observed.iter().flatten().count());
+    let cameras = observed.iter().flatten().map(|f| f.motion.pose).collect();
+    let places = model.places().clone();
+    let camera = model.camera.with_doubt(lens_doubt(&places, &covariance).or(camera.doubt()));
+    let surfaces = ways::with_ways(&model, &covariance, &equations);
+    Ok(Survey { camera, surfaces, frames, found, keyframes, used, rms_px, scale, has_settled, rounds, cameras, places, covariance })
+}
+
+/// 3 sigma of the lens that was found; none where it was kept.
+fn lens_doubt(places: &Places, covariance: &DMatrix<f64>) -> Option<LensDoubt> {
+    let at = places.lens?;
+    let [fx, fy, cx, cy, k1, k2, p1, p2] = std::array::from_fn(|k| 3.0 * covariance[(at + k, at + k)].max(0.0).sqrt());
+    let uncertainty = IntrinsicsUncertainty { focal_px: [fx, fy], centre_px: [cx, cy], skew: 0.0, distortion: [k1, k2, p1, p2, 0.0] };
+    LensDoubt::of_calibration(Some(uncertainty))
+}
+
+/// How far a lens may be from what is known of it, one sigma, in the order of the model's numbers.
+fn lens_sigmas(camera: &CameraModel) -> [f64; LENS_NUMBERS] {
+    let i = camera.intrinsics();
+    let [focal, centre, k1, k2, p1, p2] = UNKNOWN_LENS;
+    let width = f64::from(i.width);
+    [focal * i.fx, focal * i.fy, centre * width, centre * width, k1, k2, p1, p2]
+}

@@ -1,0 +1,67 @@
+//! How the place where a frame shows a tile changes with all that is unknown.
+
+use nalgebra::{SMatrix, Vector2, Vector3};
+
+use super::stage_model::{LENS_COLUMNS, LENS_NUMBERS, StageModel};
+use crate::camera::Normalized;
+use crate::geometry::skew;
+use crate::motion::Motion;
+use crate::track::ObservedTile;
+
+/// Unknowns of a frame: [δp, δθ] of the pose in camera axes and, where rows are exposed one after the other, their rates.
+pub const FRAME_UNKNOWNS: usize = 12;
+
+/// A tile's derivatives, pixels.
+#[derive(Debug, Clone)]
+pub struct TileDerivatives {
+    /// By the frame's unknowns.
+    pub by_frame: SMatrix<f64, 2, FRAME_UNKNOWNS>,
+    /// By the model's: place in the vector of all, and derivative.
+    pub by_model: Vec<(usize, Vector2<f64>)>,
+}
+
+impl TileDerivatives {
+    /// Of a tile that a camera sees; `None` behind it.
+    pub fn of(tile: &ObservedTile, motion: &Motion, model: &StageModel) -> Option<Self> {
+        let (surface, places) = (&model.surfaces[tile.surface], model.places());
+        let shape = model.shape(tile.surface)?;
+        let t_camera_body = motion.after(tile.delay_s).pose.inverse();
+        let r_camera_surface = t_camera_body.rotation_matrix() * surface.pose.rotation_matrix();
+        let place = surface.shape.at(tile.on_picture_m).place;
+        let in_body = surface.pose.rotation * place;
+        let seen = t_camera_body.transform(&(in_body + surface.pose.translation).into()).coords;
+        if seen.z < 1e-6 {
+            return None;
+        }
+        let n = Vector2::new(seen.x / seen.z, seen.y / seen.z);
+        let (_, by_ray) = model.camera.project_with_jacobian(Normalized(n));
+        let by_point = by_ray * SMatrix::<f64, 2, 3>::new(1.0, 0.0, -n.x, 0.0, 1.0, -n.y) / seen.z;
+        let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
+        by_pose.fixed_columns_mut::<3>(0).copy_from(&by_point);
+        by_pose.fixed_columns_mut::<3>(3).copy_from(&(-by_point * skew(&seen)));
+        let mut by_frame = SMatrix::<f64, 2, FRAME_UNKNOWNS>::zeros();
+        by_frame.fixed_columns_mut::<6>(0).copy_from(&by_pose);
+        by_frame.fixed_columns_mut::<6>(6).copy_from(&(by_pose * tile.delay_s));
+
+        let by_place = by_point * r_camera_surface;
+        let [across, up, out]: [Vector2<f64>; 3] = std::array::from_fn(|k| by_place.column(k).into_owned());
+        let mut by_model = Vec::with_capacity(16 * 3 + 6 + LENS_NUMBERS);
+        by_model.extend(shape.height.support(tile.on_picture_m).weights().map(|(k, w)| (places.heights[tile.surface] + k, out * w)));
+        for (k, w) in shape.stretch.support(tile.on_picture_m).weights() {
+            let at = places.stretches[tile.surface] + 2 * k;
+            by_model.extend([(at, across * w), (at + 1, up * w)]);
+        }
+        if let Some(at) = places.poses[tile.surface] {
+            let by_body = by_point * t_camera_body.rotation_matrix();
+            let by_turn = -by_body * skew(&Vector3::from(in_body));
+            by_model.extend((0..3).map(|k| (at + k, by_body.column(k).into_owned())));
+            by_model.extend((0..3).map(|k| (at + 3 + k, by_turn.column(k).into_owned())));
+        }
+        if let Some(at) = places.lens {
+            let lens = model.camera.intrinsics();
+            let by_numbers = lens.by_numbers(n, lens.distort(n).0);
+            by_model.extend(LENS_COLUMNS.iter().enumerate().map(|(k, column)| (at + k, by_numbers.column(*column).into_owned())));
+        }
+        Some(Self { by_frame, by_model })
+    }
+}

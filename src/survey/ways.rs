@@ -1,0 +1,83 @@
+//! The ways in which a surveyed stage may be off, few enough to go with its shapes.
+//!
+//! The covariance of a thousand numbers is too much to carry into every frame, and most of it never shows in a pose. What shows is what the poses of the
+//! walk's own frames depend on: with A the derivative of those poses by the model's numbers and C their covariance, the ways are the columns of
+//! C Aᵀ U D^(-1/2), where U D Uᵀ = A C Aᵀ. Together they give these poses the covariance that C gives them. Those that move poses most are kept.
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector, Vector1, Vector2, Vector3};
+
+use super::normal_equations::NormalEquations;
+use super::stage_model::{StageModel, bent};
+use crate::geometry::bspline::BicubicSpline;
+use crate::track::{BentShape, ShapeWay, SurfaceShape, SurfaceSpec};
+
+/// Ways that are kept. Raised, frames cost more; lowered, covariances miss a part.
+const MOST_WAYS: usize = 24;
+/// Frames whose poses count, at even steps: six numbers each.
+const MOST_FRAMES: usize = 40;
+/// Ways that move no pose by more than this, metres and radians, are none.
+const SMALLEST_WAY: f64 = 1e-6;
+
+/// The surfaces of a model, each with the ways in which it may be off.
+pub fn with_ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &NormalEquations) -> Vec<SurfaceSpec> {
+    let ways = ways(model, covariance, equations);
+    let with = |(k, surface): (usize, &SurfaceSpec)| {
+        let mut surface = surface.clone();
+        if let Some(shape) = bent(&surface) {
+            let ways = ways.iter().map(|way| way_of(model, k, shape, way)).collect();
+            surface.shape = SurfaceShape::Bent(Arc::new(BentShape { ways, ..shape.clone() }));
+        }
+        surface
+    };
+    model.surfaces.iter().enumerate().map(with).collect()
+}
+
+fn ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &NormalEquations) -> Vec<DVector<f64>> {
+    let frames = equations.frame_count();
+    let step = frames.div_ceil(MOST_FRAMES).max(1);
+    let n = model.places().lens.unwrap_or(model.places().count);
+    let mut by_model = DMatrix::zeros(6 * frames.div_ceil(step), n);
+    for (row, k) in (0..frames).step_by(step).enumerate() {
+        by_model.rows_mut(6 * row, 6).copy_from(&equations.pose_by_model(k).columns(0, n));
+    }
+    // What the lens has to do with it is told by the lens.
+    let spread = covariance.view((0, 0), (n, n)) * by_model.transpose();
+    let eigen = (&by_model * &spread).symmetric_eigen();
+    let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).filter(|k| eigen.eigenvalues[*k] > SMALLEST_WAY * SMALLEST_WAY).collect();
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    order.truncate(MOST_WAYS);
+    order.into_iter().map(|k| &spread * eigen.eigenvectors.column(k) / eigen.eigenvalues[k].sqrt()).collect()
+}
+
+/// What a way does to surface `k`: to its shape and, as far as that is the same to first order, to its place.
+fn way_of(model: &StageModel, k: usize, shape: &BentShape, way: &DVector<f64>) -> ShapeWay {
+    let (places, surface) = (model.places(), &model.surfaces[k]);
+    let to_surface = surface.pose.rotation_matrix().transpose();
+    let moved = |[x, y]: [f64; 2]| {
+        let Some(at) = places.poses[k] else { return Vector3::zeros() };
+        let [shift, turn] = [0, 3].map(|first| Vector3::new(way[at + first], way[at + first + 1], way[at + first + 2]));
+        to_surface * (shift + turn.cross(&(surface.pose.rotation * Vector3::new(x, y, 0.0))))
+    };
+    let mut out = ShapeWay { height: shape.height.clone(), stretch: shape.stretch.clone() };
+    let at = middles(&out.height);
+    for (n, c) in out.height.coefficients_mut().iter_mut().enumerate() {
+        *c = Vector1::new(way[places.heights[k] + n] + moved(at(n)).z);
+    }
+    let at = middles(&out.stretch);
+    for (n, c) in out.stretch.coefficients_mut().iter_mut().enumerate() {
+        let place = places.stretches[k] + 2 * n;
+        *c = Vector2::new(way[place], way[place + 1]) + moved(at(n)).xy();
+    }
+    out
+}
+
+/// The middle of each coefficient's bump: coefficients that are a plane's values there make that plane.
+fn middles<const N: usize>(field: &BicubicSpline<N>) -> impl Fn(usize) -> [f64; 2] + use<N> {
+    let (columns, spacing, intervals) = (field.columns_and_rows()[0], field.spacing(), field.intervals());
+    move |n| {
+        let place = |index: usize, axis: usize| (index as f64 - 1.0 - 0.5 * intervals[axis] as f64) * spacing[axis];
+        [place(n % columns, 0), place(n / columns, 1)]
+    }
+}
