@@ -1,23 +1,32 @@
 //! The joint adjustment: in every round each keyframe is aligned on grey values with the model as it is, and the model takes one step from what
 //! the tiles leave (Gauss-Newton, with the frames' motions eliminated). What is left at the end is noise.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Matrix2};
 use rayon::prelude::*;
 
-use super::keyframes::Keyframe;
+use super::keyframes::{Keyframe, MatchedFeature};
 use super::normal_equations::{FrameRows, NormalEquations};
 use super::prior::{self, Smoothness};
 use super::stage_model::{LENS_NUMBERS, StageModel};
 use crate::camera::Shutter;
+use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian};
 use crate::motion::Motion;
 use crate::track::{ObservedFrame, ObservedTile, TileObserver};
 
 /// Rounds at most. Most surveys settle in five or six.
-pub const MOST_ROUNDS: usize = 12;
+pub const MOST_ROUNDS: usize = 16;
+/// Rounds with features, which lead to the basin of the alignment where a lens or a layout is far off.
+const FEATURE_ROUNDS: usize = 5;
+/// Rounds with anchors: the first half of them at half the frame's size.
+const ANCHOR_ROUNDS: usize = 4;
+/// The robust scale of the residuals is taken as this at least: smaller ones are those of tiles that see the same noise.
+const LEAST_SCALE: f64 = 0.4;
+/// Fewest features of a frame that count: twice the four that a pose needs.
+const LEAST_FEATURES: usize = 12;
 /// Done when a step changes no tile's place by more, pixels (root mean square).
-const SMALL_STEP_PX: f64 = 0.004;
+const SMALL_STEP_PX: f64 = 0.01;
 /// Rounds in which the smoothness is chosen: once the residuals are no longer those of a flat stage, and again.
-const CHOOSING_ROUNDS: [usize; 3] = [1, 3, 5];
+const CHOOSING_ROUNDS: [usize; 3] = [2, 4, 6];
 /// Curvatures that are tried, per longer side, one sigma: from as good as flat to sharp folds.
 const CURVATURES: [f64; 7] = [0.003, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0];
 /// A rougher shape is taken only where it explains the held-out tiles better by this share of their cost.
@@ -31,7 +40,6 @@ const INFLATION: f64 = 2.0;
 const KEYFRAMES_AN_OBSERVER: usize = 30;
 
 /// What a survey rests on.
-#[derive(Debug)]
 pub struct Adjustment {
     keyframes: Vec<Keyframe>,
     observers: Vec<TileObserver>,
@@ -49,8 +57,10 @@ pub struct Adjusted {
     pub frames: Vec<Option<ObservedFrame>>,
     /// Robust scale of the residuals, in sigmas.
     pub scale: f64,
-    /// Root mean square of what the tiles leave, pixels: of the start, and now.
-    pub rms_px: [f64; 2],
+    /// Root mean square of what the tiles left of the start, pixels; `None` where no frame bore it out.
+    pub start_rms_px: Option<f64>,
+    /// The same now.
+    pub rms_px: f64,
     /// Covariance of all unknowns.
     pub covariance: DMatrix<f64>,
     /// The equations at the end.
@@ -59,8 +69,6 @@ pub struct Adjusted {
     pub rounds: usize,
     /// See `rounds`.
     pub has_settled: bool,
-    /// How smooth the shapes are.
-    pub smoothness: Smoothness,
 }
 
 impl Adjustment {
@@ -68,7 +76,7 @@ impl Adjustment {
     pub fn new(keyframes: Vec<Keyframe>, model: &StageModel, shutter: Shutter, body: &crate::track::BodySpec, mask: Option<&image::GrayImage>, lens_sigmas: [f64; LENS_NUMBERS]) -> Self {
         let n = keyframes.len().div_ceil(KEYFRAMES_AN_OBSERVER).max(1);
         let observers = (0..n).into_par_iter().map(|_| TileObserver::new(model.camera, shutter, mask.cloned(), body)).collect();
-        Self { keyframes, observers, shutter, lens_sigmas, smoothness: Smoothness { curvature: CURVATURES[2] } }
+        Self { keyframes, observers, shutter, lens_sigmas, smoothness: Smoothness::even(model.surfaces.len(), CURVATURES[1]) }
     }
 
     /// Aligns all keyframes with a model; each remembers its motion.
@@ -88,6 +96,28 @@ impl Adjustment {
         chunks.map(of_chunk).collect::<Vec<_>>().into_iter().flatten().collect()
     }
 
+    /// Where each keyframe shows the anchors of a model.
+    fn observe_anchors(&mut self, model: &StageModel, is_half: bool) -> Vec<Option<ObservedFrame>> {
+        let chunks = self.keyframes.par_chunks_mut(KEYFRAMES_AN_OBSERVER).zip(&mut self.observers);
+        let of_chunk = |(keyframes, observer): (&mut [Keyframe], &mut TileObserver)| -> Vec<Option<ObservedFrame>> {
+            observer.take_model(&model.camera, &model.surfaces);
+            let of_frame = |keyframe: &mut Keyframe| {
+                let observed = observer.observe_anchors(&keyframe.frame.image, &keyframe.motion.pose, is_half);
+                if let Some(observed) = &observed {
+                    keyframe.motion.pose = observed.motion.pose;
+                }
+                observed
+            };
+            keyframes.iter_mut().map(of_frame).collect()
+        };
+        chunks.map(of_chunk).collect::<Vec<_>>().into_iter().flatten().collect()
+    }
+
+    /// Where each keyframe shows its features, from the pose that explains them best with a model.
+    fn observe_features(&mut self, model: &StageModel) -> Vec<Option<ObservedFrame>> {
+        self.keyframes.par_iter_mut().map(|keyframe| observed_features(keyframe, model)).collect()
+    }
+
     fn rows(&self, model: &StageModel, frames: &[Option<ObservedFrame>]) -> Vec<FrameRows> {
         let of_frame = |(k, frame): (usize, &Option<ObservedFrame>)| {
             let Some(frame) = frame else { return FrameRows::default() };
@@ -99,17 +129,32 @@ impl Adjustment {
 
     /// Adjusts a model. `progress` is called with the number of each round before it, and says whether to go on.
     pub fn run(&mut self, start: StageModel, mut progress: impl FnMut(usize) -> bool) -> Option<Adjusted> {
+        let configured = self.observe(&start);
+        let configured = configured.iter().flatten().next().map(|_| rms_px(&configured));
         let mut model = start;
-        let mut first_rms_px = None;
-        for round in 0..MOST_ROUNDS {
+        self.smoothness = Smoothness::even(model.surfaces.len(), CURVATURES[1]);
+        for round in 0..FEATURE_ROUNDS + ANCHOR_ROUNDS {
             if !progress(round) {
+                return None;
+            }
+            let anchors_at = round.checked_sub(FEATURE_ROUNDS);
+            let frames = match anchors_at {
+                None => self.observe_features(&model),
+                Some(n) => self.observe_anchors(&model, 2 * n < ANCHOR_ROUNDS),
+            };
+            let rows = self.rows(&model, &frames);
+            let Some(scale) = robust_scale(&rows) else { continue };
+            let step = self.step(&model, &rows, scale)?;
+            tracing::debug!(round, frames = rows.len(), scale, rms_px = rms_px(&frames), step_px = step_px(&rows, &step), "rough");
+            model = model.stepped(&step)?;
+        }
+        for round in 0..MOST_ROUNDS {
+            if !progress(FEATURE_ROUNDS + ANCHOR_ROUNDS + round) {
                 return None;
             }
             let frames = self.observe(&model);
             let rows = self.rows(&model, &frames);
             let scale = robust_scale(&rows)?;
-            let rms_px = rms_px(&frames);
-            first_rms_px.get_or_insert(rms_px);
             if CHOOSING_ROUNDS.contains(&round) {
                 self.choose_smoothness(&model, &rows, scale);
             }
@@ -117,50 +162,94 @@ impl Adjustment {
             let factor = equations.matrix.clone().cholesky()?;
             let step = factor.solve(&equations.right);
             let step_px = step_px(&rows, &step);
-            tracing::debug!(round, frames = rows.len(), scale, rms_px, step_px, curvature = self.smoothness.curvature, "survey");
+            let left_px = rms_px(&frames);
+            tracing::debug!(round, frames = rows.len(), scale, left_px, step_px, curvatures = ?self.smoothness.curvatures, "fine");
             let is_last = round + 1 == MOST_ROUNDS;
             if step_px < SMALL_STEP_PX && round > CHOOSING_ROUNDS[1] || is_last {
-                let has_settled = !is_last;
-                let rms_px = [first_rms_px?, rms_px];
+                let (has_settled, start_rms_px, rms_px) = (!is_last, configured, left_px);
                 let covariance = factor.inverse() * INFLATION;
-                return Some(Adjusted { model, frames, scale, rms_px, covariance, equations, rounds: round + 1, has_settled, smoothness: self.smoothness });
+                return Some(Adjusted { model, frames, scale, start_rms_px, rms_px, covariance, equations, rounds: round + 1, has_settled });
             }
             model = model.stepped(&step)?;
         }
         None
     }
 
+    fn step(&self, model: &StageModel, rows: &[FrameRows], scale: f64) -> Option<DVector<f64>> {
+        let equations = self.equations(model, rows, scale, true)?;
+        Some(equations.matrix.clone().cholesky()?.solve(&equations.right))
+    }
+
     /// The equations with their priors, symmetric.
     fn equations(&self, model: &StageModel, rows: &[FrameRows], scale: f64, with_held_out: bool) -> Option<NormalEquations> {
         let mut equations = NormalEquations::new(rows, model.places().count, scale, with_held_out)?;
-        prior::add(model, self.smoothness, &self.lens_sigmas, &mut equations.matrix, &mut equations.right);
+        prior::add(model, &self.smoothness, &self.lens_sigmas, &mut equations.matrix, &mut equations.right);
         equations.matrix.fill_upper_triangle_with_lower_triangle();
         Some(equations)
     }
 
-    /// Takes the smoothness that predicts held-out tiles best.
+    /// Takes the smoothness that predicts held-out tiles best: first one for all surfaces, then for each whether flat does as well.
     fn choose_smoothness(&mut self, model: &StageModel, rows: &[FrameRows], scale: f64) {
         let Some(data) = NormalEquations::new(rows, model.places().count, scale, false) else { return };
-        let mut best: Option<(f64, Smoothness)> = None;
-        for curvature in CURVATURES {
-            let smoothness = Smoothness { curvature };
+        let n = model.surfaces.len();
+        let costs = |smoothness: &Smoothness| -> Option<Vec<f64>> {
             let mut equations = data.clone();
             prior::add(model, smoothness, &self.lens_sigmas, &mut equations.matrix, &mut equations.right);
             equations.matrix.fill_upper_triangle_with_lower_triangle();
-            let Some(factor) = equations.matrix.clone().cholesky() else { continue };
-            let cost = equations.held_out_cost(rows, &factor.solve(&equations.right), scale);
+            let step = equations.matrix.clone().cholesky()?.solve(&equations.right);
+            Some(equations.held_out_costs(rows, &step, scale, n))
+        };
+        let mut best: Option<(f64, Smoothness)> = None;
+        for curvature in CURVATURES {
+            let smoothness = Smoothness::even(n, curvature);
+            let Some(cost) = costs(&smoothness).map(|costs| costs.iter().sum::<f64>()) else { continue };
             tracing::debug!(curvature, cost, "smoothness");
-            if best.is_none_or(|(least, _)| cost < (1.0 - BETTER) * least) {
+            if best.as_ref().is_none_or(|(least, _)| cost < (1.0 - BETTER) * least) {
                 best = Some((cost, smoothness));
             }
         }
-        self.smoothness = best.map_or(self.smoothness, |(_, smoothness)| smoothness);
+        let Some((_, mut best)) = best else { return };
+        if let (true, Some(bent)) = (n > 1, costs(&best)) {
+            for k in 0..n {
+                let flat = best.with(k, CURVATURES[0]);
+                if costs(&flat).is_some_and(|flat| flat[k] <= bent[k] * (1.0 + BETTER)) {
+                    best = flat;
+                }
+            }
+        }
+        self.smoothness = best;
     }
+}
 
-    /// The keyframes, with the motions that were found last.
-    pub fn keyframes(&self) -> &[Keyframe] {
-        &self.keyframes
+/// A keyframe's features by the pose that explains them best; `None` where there are too few.
+fn observed_features(keyframe: &mut Keyframe, model: &StageModel) -> Option<ObservedFrame> {
+    let observations: Vec<Observation> = keyframe.features.iter().map(|f| {
+        let surface = &model.surfaces[f.surface];
+        let point = surface.pose.transform(&surface.shape.at(f.on_picture_m).place.into());
+        let information = Matrix2::identity() / f.sigma_px.powi(2);
+        // Motion within the frame is left to the tiles: features are rough anyway.
+        Observation { point, pixel: f.pixel, information, delay_s: 0.0, group: 0 }
+    }).collect();
+    if observations.len() < LEAST_FEATURES {
+        return None;
     }
+    let still = MovingCamera::still(&model.camera);
+    let pose = resect(&keyframe.motion.pose.inverse(), &still, &observations, 15)?.pose;
+    keyframe.motion.pose = pose.inverse();
+    let motion = Motion::still(pose.inverse());
+    let tile = |(number, (f, o)): (usize, (&MatchedFeature, &Observation))| {
+        let (residual, _) = residual_and_jacobian(&pose, &still, o)?;
+        Some(ObservedTile {
+            surface: f.surface,
+            on_picture_m: f.on_picture_m,
+            shift_px: -residual,
+            information: o.information,
+            delay_s: 0.0,
+            number: number as u32,
+        })
+    };
+    let tiles = keyframe.features.iter().zip(&observations).enumerate().filter_map(tile).collect();
+    Some(ObservedFrame { motion, tiles })
 }
 
 /// A fixed choice that no other numbers of frames or tiles share.
@@ -173,14 +262,14 @@ fn distance_m(model: &StageModel, motion: &Motion) -> f64 {
     model.surfaces.iter().map(|s| (s.pose.translation - motion.pose.translation).norm()).fold(f64::INFINITY, f64::min)
 }
 
-/// Median residual over what it is for noise of one sigma in two dimensions; at least 1 sigma.
+/// Median residual over what it is for noise of one sigma in two dimensions.
 fn robust_scale(rows: &[FrameRows]) -> Option<f64> {
     let mut squares: Vec<f64> = rows.iter().flat_map(FrameRows::rows).map(|r| r.squared_now()).collect();
     if squares.len() < 20 {
         return None;
     }
     squares.sort_by(f64::total_cmp);
-    Some((squares[squares.len() / 2] / (2.0 * 2.0_f64.ln())).sqrt().max(1.0))
+    Some((squares[squares.len() / 2] / (2.0 * 2.0_f64.ln())).sqrt().max(LEAST_SCALE))
 }
 
 /// Root mean square of what the tiles leave, pixels; the farthest twentieth is something else.

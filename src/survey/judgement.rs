@@ -122,11 +122,11 @@ impl Survey {
             format!("{} of {} keyframes bear it out", self.used, self.keyframes),
             &|| format!("only {} of {} keyframes bear it out: is it this stage, and does its config fit?", self.used, self.keyframes),
         );
-        below(self.scale, LARGEST_SCALE, format!("what is left is noise ({:.3} px)", self.rms_px[1]), &|| {
+        below(self.scale, LARGEST_SCALE, format!("what is left is noise ({:.3} px)", self.rms_px), &|| {
             format!(
                 "what is left ({:.3} px) is {:.1} times what noise leaves: the lens or the shutter is off, or the stage moved; try --lens refine, and \
                  check the shutter with `stagepose check --clip`",
-                self.rms_px[1], self.scale
+                self.rms_px, self.scale
             )
         });
         for (description, surface) in self.described().iter().zip(&self.surfaces) {

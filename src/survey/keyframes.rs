@@ -1,5 +1,7 @@
 //! The frames of a walk that a survey rests on: sharp ones, spread over the places that the camera came to.
 
+use nalgebra::Vector2;
+
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
@@ -17,10 +19,23 @@ const TURN_SHARE: f64 = 0.5;
 pub struct Keyframe {
     /// The picture, with its stamp and its row in the clip.
     pub frame: Frame,
-    /// Number of the clip.
-    pub clip: usize,
     /// Where the camera was and how it moved, as far as known.
     pub motion: Motion,
+    /// Features that were matched in it: they lead to the basin of the alignment.
+    pub features: Vec<MatchedFeature>,
+}
+
+/// A feature of a frame that was matched with a place on a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MatchedFeature {
+    /// Index of the surface in its body.
+    pub surface: usize,
+    /// Metres on the picture from its centre.
+    pub on_picture_m: [f64; 2],
+    /// In the frame.
+    pub pixel: Vector2<f64>,
+    /// One sigma of that, along each axis.
+    pub sigma_px: f64,
 }
 
 /// Collects keyframes.
@@ -34,12 +49,12 @@ pub struct Keyframes {
 }
 
 impl Keyframes {
-    /// Offers a frame in which the stage was found, with how fast the camera moved.
-    pub fn offer(&mut self, clip: usize, frame: &Frame, motion: Motion, distance_m: f64) {
+    /// Offers a frame in which the stage was found, with how fast the camera moved. `features` is asked for those of a frame that is kept.
+    pub fn offer(&mut self, frame: &Frame, motion: Motion, distance_m: f64, features: impl FnOnce(&Frame) -> Vec<MatchedFeature>) {
         let spacing = *self.spacing.get_or_insert(FIRST_SPACING);
         let speed = motion.velocity.norm() / distance_m + motion.turn_rate.norm();
         if self.best.as_ref().is_none_or(|(_, slowest)| speed < *slowest) {
-            self.best = Some((Keyframe { frame: frame.clone(), clip, motion }, speed));
+            self.best = Some((Keyframe { frame: frame.clone(), motion, features: Vec::new() }, speed));
         }
         let moved = self.last.map_or(f64::INFINITY, |last| {
             (last.translation - motion.pose.translation).norm() / distance_m + TURN_SHARE * last.rotation.angle_to(&motion.pose.rotation)
@@ -48,7 +63,7 @@ impl Keyframes {
             return;
         }
         self.last = Some(motion.pose);
-        self.kept.extend(self.best.take().map(|(keyframe, _)| keyframe));
+        self.kept.extend(self.best.take().map(|(keyframe, _)| Keyframe { features: features(&keyframe.frame), ..keyframe }));
         if self.kept.len() > MOST_KEYFRAMES {
             let mut index = 0;
             self.kept.retain(|_| {

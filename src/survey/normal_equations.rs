@@ -29,6 +29,7 @@ pub struct TileRow {
     /// What the model leaves of it, pixels.
     residual: Vector2<f64>,
     information: Matrix2<f64>,
+    surface: usize,
     /// Whether it is kept for judging.
     pub is_held_out: bool,
 }
@@ -89,6 +90,7 @@ impl FrameRows {
                 derivatives: TileDerivatives::of(tile, &frame.motion, model)?,
                 residual: tile.shift_px,
                 information: covariance.try_inverse()?,
+                surface: tile.surface,
                 is_held_out: holds_out(tile),
             })
         });
@@ -166,17 +168,16 @@ impl NormalEquations {
         self.frames.len()
     }
 
-    /// The mean robust cost that a step leaves of the held-out tiles, in squared scales, each cut at Tukey's limit.
-    pub fn held_out_cost(&self, frames: &[FrameRows], step: &DVector<f64>, scale: f64) -> f64 {
-        let (mut sum, mut n) = (0.0, 0.0);
+    /// The robust cost that a step leaves of each surface's held-out tiles, in squared scales, each tile cut at Tukey's limit.
+    pub fn held_out_costs(&self, frames: &[FrameRows], step: &DVector<f64>, scale: f64, surfaces: usize) -> Vec<f64> {
+        let mut costs = vec![0.0; surfaces];
         for (frame, own) in frames.iter().zip(&self.frames) {
             let coupled = own.coupling.tr_mul(step);
             let by_frame = own.inverse * (own.right - FrameVector::from_column_slice(coupled.as_slice()));
             for row in frame.rows.iter().filter(|r| r.is_held_out) {
-                sum += (row.squared(&by_frame, step) / (scale * scale)).min(22.0);
-                n += 1.0;
+                costs[row.surface] += (row.squared(&by_frame, step) / (scale * scale)).min(22.0);
             }
         }
-        sum / f64::max(n, 1.0)
+        costs
     }
 }

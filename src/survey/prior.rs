@@ -14,26 +14,40 @@ const GAUGE_POINTS: [usize; 2] = [24, 18];
 const POSE_SIGMAS: [f64; 2] = [0.3, 0.2];
 /// How far a point of a surface may be from its plane, and from its place in it, one sigma, as shares of the surface's longer side: it only keeps parts
 /// that no frame shows from anything at all.
-const HEIGHT_SHARE: f64 = 0.05;
-const STRETCH_SHARE: f64 = 0.01;
+const HEIGHT_SHARE: f64 = 0.01;
+const STRETCH_SHARE: f64 = 0.005;
 /// How much a stretch changes along the surface, one sigma, per side of the surface: cloth and prints are stretched evenly.
 const STRETCH_BEND: f64 = 0.002;
 
 /// How smooth shapes are, one sigma.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Smoothness {
-    /// Curvature of the heights, times the surface's longer side.
-    pub curvature: f64,
+    /// Curvature of each surface's heights, times its longer side.
+    pub curvatures: Vec<f64>,
+}
+
+impl Smoothness {
+    /// The same for all surfaces.
+    pub fn even(surfaces: usize, curvature: f64) -> Self {
+        Self { curvatures: vec![curvature; surfaces] }
+    }
+
+    /// Another one for surface `k`.
+    pub fn with(&self, k: usize, curvature: f64) -> Self {
+        let mut other = self.clone();
+        other.curvatures[k] = curvature;
+        other
+    }
 }
 
 /// Adds the priors at a model to its normal equations.
-pub fn add(model: &StageModel, smoothness: Smoothness, lens_sigmas: &[f64; LENS_NUMBERS], matrix: &mut DMatrix<f64>, right: &mut DVector<f64>) {
+pub fn add(model: &StageModel, smoothness: &Smoothness, lens_sigmas: &[f64; LENS_NUMBERS], matrix: &mut DMatrix<f64>, right: &mut DVector<f64>) {
     let mut system = System { matrix, right };
     let places = model.places();
     for (k, surface) in model.surfaces.iter().enumerate() {
         let Some(shape) = model.shape(k) else { continue };
         let side = surface.size_m[0].max(surface.size_m[1]);
-        system.smooth(&shape.height, places.heights[k], smoothness.curvature / side);
+        system.smooth(&shape.height, places.heights[k], smoothness.curvatures[k] / side);
         system.smooth(&shape.stretch, places.stretches[k], STRETCH_BEND / side);
         system.small(&shape.height, places.heights[k], HEIGHT_SHARE * side);
         system.small(&shape.stretch, places.stretches[k], STRETCH_SHARE * side);

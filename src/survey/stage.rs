@@ -4,14 +4,14 @@ use nalgebra::DMatrix;
 use thiserror::Error;
 
 use super::adjustment::{Adjusted, Adjustment};
-use super::keyframes::Keyframes;
+use super::keyframes::{Keyframes, MatchedFeature};
 use super::stage_model::{LENS_NUMBERS, Places, StageModel};
 use super::ways;
 use crate::camera::{CameraModel, IntrinsicsUncertainty, LensDoubt};
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
-use crate::track::{Matcher, SurfaceSpec};
+use crate::track::{BodySpec, Matcher, SurfaceMatch, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
 /// Fewest keyframes that a survey is made from. Raised, short walks are refused; lowered, shapes rest on a few views.
@@ -83,16 +83,16 @@ pub struct Survey {
     pub keyframes: usize,
     /// See `keyframes`.
     pub used: usize,
-    /// Root mean square of what the tiles leave, pixels: as configured, and as surveyed.
-    pub rms_px: [f64; 2],
+    /// Root mean square of what the tiles leave of the stage as configured, pixels; `None` where no keyframe bears it out.
+    pub configured_rms_px: Option<f64>,
+    /// The same as surveyed.
+    pub rms_px: f64,
     /// Robust scale of the residuals, in sigmas.
     pub scale: f64,
     /// Whether the adjustment came to rest.
     pub has_settled: bool,
     /// Rounds of the adjustment.
     pub rounds: usize,
-    /// Where the camera was at the keyframes.
-    pub cameras: Vec<Pose<Body, Camera>>,
     /// Where the unknown numbers are.
     pub(super) places: Places,
     pub(super) covariance: DMatrix<f64>,
@@ -115,7 +115,7 @@ where
     let TrackerSetup { camera, shutter, mask, stage, settings, clock, .. } = setup.clone();
     let mut keyframes = Keyframes::default();
     let (mut frames, mut found) = (0, 0);
-    for (number, clip) in clips.into_iter().enumerate() {
+    for clip in clips {
         let mut matcher = Matcher::new(camera, shutter, mask.clone(), &stage, &[], settings.clone(), clock);
         let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
         for frame in clip {
@@ -123,16 +123,17 @@ where
                 return Err(SurveyError::Interrupted);
             }
             frames += 1;
-            let Some(verified) = matcher.look(&frame).stage.verified else { continue };
+            let verified = matcher.look(&frame).stage.verified.map(|verified| verified.pose);
+            // With a lens or a layout that is off nothing may pass verification, and yet the stage is there.
+            let Some(pose) = verified.or_else(|| Some(matcher.recognised_pose(&frame.image)?.0)) else { continue };
             found += 1;
-            let pose = verified.pose;
             let since = before.replace((pose, frame.timestamp));
             let motion = since
                 .map(|(then, stamp)| (then, frame.timestamp.seconds_since(stamp)))
                 .filter(|(_, dt_s)| *dt_s > 0.0 && *dt_s < LONGEST_GAP_S)
                 .map_or(Motion::still(pose), |(then, dt_s)| Motion::between(&then, &pose, dt_s));
             let distance_m = stage.surfaces.iter().map(|s| (s.pose.translation - pose.translation).norm()).fold(f64::INFINITY, f64::min);
-            keyframes.offer(number, &frame, motion, distance_m);
+            keyframes.offer(&frame, motion, distance_m, |frame| matched_features(&mut matcher, frame, &stage));
         }
     }
     let keyframes = keyframes.into_kept();
@@ -148,15 +149,24 @@ where
         is_interrupted = !progress(SurveyStep::Round(round));
         !is_interrupted
     });
-    let Some(Adjusted { model, frames: observed, scale, rms_px, covariance, equations, rounds, has_settled, .. }) = adjusted else {
+    let Some(Adjusted { model, frames: observed, scale, start_rms_px, rms_px, covariance, equations, rounds, has_settled }) = adjusted else {
         return Err(if is_interrupted { SurveyError::Interrupted } else { SurveyError::Undetermined });
     };
     let (keyframes, used) = (observed.len(), observed.iter().flatten().count());
-    let cameras = observed.iter().flatten().map(|f| f.motion.pose).collect();
     let places = model.places().clone();
     let camera = model.camera.with_doubt(lens_doubt(&places, &covariance).or(camera.doubt()));
     let surfaces = ways::with_ways(&model, &covariance, &equations);
-    Ok(Survey { camera, surfaces, frames, found, keyframes, used, rms_px, scale, has_settled, rounds, cameras, places, covariance })
+    Ok(Survey { camera, surfaces, frames, found, keyframes, used, configured_rms_px: start_rms_px, rms_px, scale, has_settled, rounds, places, covariance })
+}
+
+fn matched_features(matcher: &mut Matcher, frame: &Frame, stage: &BodySpec) -> Vec<MatchedFeature> {
+    let feature = |m: &SurfaceMatch| MatchedFeature {
+        surface: m.surface as usize,
+        on_picture_m: stage.surfaces[m.surface as usize].to_metres(m.artwork).into(),
+        pixel: m.pixel,
+        sigma_px: m.scale,
+    };
+    matcher.recognised_pose(&frame.image).map_or_else(Vec::new, |(_, matches)| matches.iter().map(feature).collect())
 }
 
 /// 3 sigma of the lens that was found; none where it was kept.

@@ -10,7 +10,7 @@ use image::GrayImage;
 use nalgebra::Vector2;
 use tracing::{debug, debug_span};
 
-use super::acquire::{SurfaceView, candidates, surface_matches, surface_view};
+use super::acquire::{SurfaceMatch, SurfaceView, candidates, surface_matches, surface_view};
 use super::align::{Alignment, CameraRays, FrameLevels, ShutterClue, UsedPixel};
 use super::frame_interval::FrameInterval;
 use super::frame_look::FrameLook;
@@ -300,6 +300,21 @@ impl Matcher {
         let Some(stage) = self.bodies.first() else { return Vec::new() };
         let own = surface_matches(&self.matches, &self.features, self.index.features(), stage.surfaces.clone(), &self.camera);
         (0..stage.surfaces.len() as u32).filter_map(|k| surface_view(k, &own, &self.camera, self.settings.seed)).collect()
+    }
+
+    /// Where features put the stage in a picture, and the matches that speak for it; for studies of a model that does not fit yet. Neither the lock nor the
+    /// motion take notice.
+    pub fn recognised_pose(&mut self, image: &GrayImage) -> Option<(Pose<Body, Camera>, Vec<SurfaceMatch>)> {
+        if image.dimensions() != (self.camera.width(), self.camera.height()) {
+            return None;
+        }
+        self.extract(image, &mut 0.0);
+        let stage = self.bodies.first()?;
+        let own = surface_matches(&self.matches, &self.features, self.index.features(), stage.surfaces.clone(), &self.camera);
+        let (found, _) = candidates(&stage.body, &own, &self.camera, self.settings.seed);
+        let pose = found.first()?.pose.inverse();
+        let views = (0..stage.surfaces.len() as u32).filter_map(|k| surface_view(k, &own, &self.camera, self.settings.seed));
+        Some((pose, views.flat_map(|view| view.matches).collect()))
     }
 
     /// Patches of one of the stage's surfaces that fitted the last verified pose.

@@ -7,9 +7,14 @@ use image::GrayImage;
 use nalgebra::{Matrix2, Vector2};
 
 use super::align::{Aligner, CameraRays, FrameLevels, Patch};
+use super::rectangle::Rectangle;
 use super::reference::PreparedBody;
+use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
 use super::surface::{BodySpec, SurfaceSpec};
 use crate::camera::{CameraModel, Shutter};
+use crate::features::Workers;
+use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian};
+use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{Motion, MotionEstimate};
 
 /// How far off a frame's motion may be after the model changed, one sigma: of the distance, and radians. Chosen: a lens that was 2 % off moves poses
@@ -17,14 +22,22 @@ use crate::motion::{Motion, MotionEstimate};
 const START_SHIFT: f64 = 0.02;
 const START_TURN: f64 = 0.01;
 
+/// Anchors that are searched for in a frame, and the fewest that must be found. Chosen as verification's.
+const ANCHORS: usize = 400;
+const LEAST_ANCHORS: usize = 16;
+
 /// Asks frames for the tiles of one body.
-#[derive(Debug)]
 pub struct TileObserver {
+    body: PreparedBody,
     aligner: Aligner,
     rays: CameraRays,
     mask: Option<GrayImage>,
     levels: FrameLevels,
     patches: Vec<Patch>,
+    half: GrayImage,
+    targets: Vec<Target>,
+    registered: Vec<Option<Registered>>,
+    workers: Workers,
 }
 
 /// A tile of a surface in a frame.
@@ -51,24 +64,69 @@ pub struct ObservedFrame {
     pub motion: Motion,
     /// The tiles that fit.
     pub tiles: Vec<ObservedTile>,
-    /// Share of the tiles with detail that agree.
-    pub share: f64,
 }
 
 impl TileObserver {
     /// Prepares a body's pictures.
     pub fn new(camera: CameraModel, shutter: Shutter, mask: Option<GrayImage>, body: &BodySpec) -> Self {
-        let aligner = Aligner::new(&PreparedBody::new(body), shutter);
-        let patches = Vec::with_capacity(aligner.most_patches());
-        Self { aligner, rays: CameraRays::new(camera, mask.clone()), mask, levels: FrameLevels::default(), patches }
+        let body = PreparedBody::new(body);
+        let aligner = Aligner::new(&body, shutter);
+        Self {
+            rays: CameraRays::new(camera, mask.clone()),
+            mask,
+            levels: FrameLevels::default(),
+            patches: Vec::with_capacity(aligner.most_patches()),
+            half: GrayImage::default(),
+            targets: Vec::new(),
+            registered: Vec::new(),
+            workers: Workers::new(1),
+            aligner,
+            body,
+        }
     }
 
     /// Takes another model: the same pictures, elsewhere, of another shape or seen by another lens.
     pub fn take_model(&mut self, camera: &CameraModel, surfaces: &[SurfaceSpec]) {
         self.aligner.take_places(surfaces);
+        for (own, surface) in self.body.surfaces.iter_mut().zip(surfaces) {
+            (own.spec.pose, own.spec.shape) = (surface.pose, surface.shape.clone());
+            own.rectangle = Rectangle::of(surface);
+        }
         if self.rays.camera() != camera {
             self.rays = CameraRays::new(*camera, self.mask.clone());
         }
+    }
+
+    /// Where a frame shows the anchors of each surface, searched for in the frame (`is_half`: at half its size, up to ten pixels from where the model has them) from a
+    /// pose; and the pose that explains them best. For surfaces that stand elsewhere than the model has them, beyond the reach of the tiles.
+    pub fn observe_anchors(&mut self, image: &GrayImage, start: &Pose<Body, Camera>, is_half: bool) -> Option<ObservedFrame> {
+        let camera = *self.rays.camera();
+        self.levels.update(image);
+        self.levels.half_into(&mut self.half);
+        let (image, scale) = if is_half { (&self.half, 2.0) } else { (image, 1.0) };
+        let picture = SearchPicture { image, scale, mask: self.mask.as_ref() };
+        let pose = start.inverse();
+        visible_targets(&self.body, &pose, &camera, &picture, ANCHORS, &mut self.targets);
+        register(&self.body, &self.targets, &picture, &self.workers, &mut self.registered);
+        let seen: Vec<(&Registered, Observation)> = self.registered.iter().flatten().filter_map(|r| Some((r, r.observation?))).collect();
+        let observations: Vec<Observation> = seen.iter().map(|(_, o)| *o).collect();
+        if observations.len() < LEAST_ANCHORS {
+            return None;
+        }
+        let still = MovingCamera::still(&camera);
+        let pose = resect(&pose, &still, &observations, 15)?.pose;
+        let tile = |(number, (r, o)): (usize, &(&Registered, Observation))| {
+            let (residual, _) = residual_and_jacobian(&pose, &still, o)?;
+            Some(ObservedTile {
+                surface: r.surface as usize,
+                on_picture_m: self.body.surfaces[r.surface as usize].spec.to_metres(r.artwork).into(),
+                shift_px: -residual,
+                information: o.information,
+                delay_s: 0.0,
+                number: number as u32,
+            })
+        };
+        Some(ObservedFrame { motion: Motion::still(pose.inverse()), tiles: seen.iter().enumerate().filter_map(tile).collect() })
     }
 
     /// Where a frame shows the tiles, from the motion that it had before; `None` where the picture does not bear the model out.
@@ -91,6 +149,6 @@ impl TileObserver {
             delay_s: p.delay_s,
             number: p.tile,
         };
-        Some(ObservedFrame { motion: found.estimate.motion, tiles: self.patches.iter().map(tile).collect(), share: found.share() })
+        Some(ObservedFrame { motion: found.estimate.motion, tiles: self.patches.iter().map(tile).collect() })
     }
 }

@@ -39,7 +39,7 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
         "found": made.found,
         "keyframes": made.keyframes,
         "used": made.used,
-        "rms_px": {"configured": made.rms_px[0], "surveyed": made.rms_px[1]},
+        "rms_px": {"configured": made.configured_rms_px, "surveyed": made.rms_px},
         "scale": made.scale,
         "rounds": made.rounds,
     });

@@ -10,7 +10,8 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
     let mut text = String::new();
     // Writing to a String cannot fail.
     let _ = writeln!(text, "walk        {} frames, the stage was found in {}; {} keyframes, {} of them fit", made.frames, made.found, made.keyframes, made.used);
-    let _ = writeln!(text, "residual    {:.3} px as configured, {:.3} px as surveyed", made.rms_px[0], made.rms_px[1]);
+    let configured = made.configured_rms_px.map_or_else(|| "nothing fits as configured".to_owned(), |px| format!("{px:.3} px as configured"));
+    let _ = writeln!(text, "residual    {configured}, {:.3} px as surveyed", made.rms_px);
     let i = made.camera.intrinsics();
     let _ = writeln!(text, "lens        fx {:.2}, fy {:.2}, cx {:.2}, cy {:.2}, distortion {:.4?}", i.fx, i.fy, i.cx, i.cy, i.distortion);
     for (k, (surface, spec)) in made.described().iter().zip(&made.surfaces).enumerate() {
