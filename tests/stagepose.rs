@@ -11,3 +11,4 @@ mod network;
 mod outputs;
 mod pipeline;
 mod structure;
+mod survey;

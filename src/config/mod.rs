@@ -27,9 +27,9 @@ mod settings;
 pub mod shape_file;
 mod source;
 mod stage_origin;
-pub mod surveyed;
 #[cfg(test)]
 mod stage_words_tests;
+pub mod surveyed;
 #[cfg(test)]
 mod tests;
 mod typed_values;

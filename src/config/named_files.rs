@@ -35,7 +35,12 @@ pub(super) fn named_files(typed: &Config) -> Vec<(&Spanned<String>, FileKind)> {
     let of_objects = typed.object.iter().flat_map(|object| &object.get_ref().surface);
     for surface in of_stage.chain(of_objects) {
         let Surface { image, photo, photo_calibration, shape, .. } = surface.get_ref();
-        named.extend([(image.as_ref(), Picture), (photo.as_ref(), Picture), (photo_calibration.as_ref(), Calibration), (shape.as_ref(), Shape)]);
+        named.extend([
+            (image.as_ref(), Picture),
+            (photo.as_ref(), Picture),
+            (photo_calibration.as_ref(), Calibration),
+            (shape.as_ref(), Shape),
+        ]);
     }
     named.into_iter().filter_map(|(name, kind)| Some((name?, kind))).collect()
 }

@@ -182,7 +182,14 @@ impl Settings {
         let exposure_s = section.number("exposure_s", camera.exposure_s.as_ref(), 0.0, within, seconds)?;
         let readout_s = section.number("readout_s", camera.readout_s.as_ref(), 0.0, within, seconds)?;
         let mask = camera.mask.as_ref().map(|m| mask(&section, m, lens.size(&model).map(|_| &model))).transpose()?;
-        let mut bodies = BodyReader { origin: &origin, camera: model, lens: &lens, notes: &mut notes, warnings: &mut warnings, first_as_typed: Pose::identity() };
+        let mut bodies = BodyReader {
+            origin: &origin,
+            camera: model,
+            lens: &lens,
+            notes: &mut notes,
+            warnings: &mut warnings,
+            first_as_typed: Pose::identity(),
+        };
         if let Some(calibration) = &camera.calibration {
             bodies.note_camera(calibration.get_ref(), &model);
         }

@@ -71,7 +71,8 @@ struct Way {
 /// What tells a picture from others: FNV-1a over its size and its grey levels.
 fn picture_mark(picture: &GrayImage) -> String {
     let size = [picture.width(), picture.height()].map(u32::to_le_bytes).concat();
-    let mark = size.iter().chain(picture.as_raw()).fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3));
+    let mark =
+        size.iter().chain(picture.as_raw()).fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3));
     format!("{mark:016x}")
 }
 
@@ -138,7 +139,11 @@ mod tests {
         height.coefficients_mut().iter_mut().enumerate().for_each(|(k, c)| c.x = 1e-3 * (k as f64).sin());
         stretch.coefficients_mut().iter_mut().enumerate().for_each(|(k, c)| c.y = 1e-4 * k as f64);
         let way = ShapeWay { height: height.clone(), stretch: stretch.clone() };
-        (BentShape { height, stretch, ways: vec![way.clone(), way] }, GrayImage::from_fn(30, 20, |x, y| image::Luma([(x * y) as u8])), size_m)
+        (
+            BentShape { height, stretch, ways: vec![way.clone(), way] },
+            GrayImage::from_fn(30, 20, |x, y| image::Luma([(x * y) as u8])),
+            size_m,
+        )
     }
 
     #[test]

@@ -348,7 +348,14 @@ mod tests {
     fn tracker() -> Tracker {
         let artwork = GrayImage::from_fn(64, 48, |x, y| image::Luma([if (x / 8 + y / 8) % 2 == 0 { 20 } else { 220 }]));
         let name = "plain".to_owned();
-        let surface = SurfaceSpec { name: name.clone(), artwork, size_m: [4.0, 3.0], pose: Pose::identity(), kind: ReferenceKind::Artwork, shape: SurfaceShape::Flat };
+        let surface = SurfaceSpec {
+            name: name.clone(),
+            artwork,
+            size_m: [4.0, 3.0],
+            pose: Pose::identity(),
+            kind: ReferenceKind::Artwork,
+            shape: SurfaceShape::Flat,
+        };
         let camera = CameraModel::pinhole(64, 48, 60.0, 60.0, 31.5, 23.5).unwrap();
         Tracker::new(TrackerSetup::new(camera, BodySpec::new(name, vec![surface]))).expect("a setup that fits")
     }

@@ -214,7 +214,14 @@ mod tests {
 
     fn surface(size_m: [f64; 2], position: [f64; 3]) -> SurfaceSpec {
         let pose = Pose::new(UnitQuaternion::identity(), position.into());
-        SurfaceSpec { name: "a.png".to_owned(), artwork: GrayImage::new(4, 3), size_m, pose, kind: ReferenceKind::Artwork, shape: SurfaceShape::Flat }
+        SurfaceSpec {
+            name: "a.png".to_owned(),
+            artwork: GrayImage::new(4, 3),
+            size_m,
+            pose,
+            kind: ReferenceKind::Artwork,
+            shape: SurfaceShape::Flat,
+        }
     }
 
     fn stage(surfaces: Vec<SurfaceSpec>) -> BodySpec {

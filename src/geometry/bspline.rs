@@ -65,9 +65,8 @@ impl Basis {
 impl Support {
     /// Index and weight of each coefficient.
     pub fn weights(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
-        (0..SUPPORT).flat_map(move |j| {
-            (0..SUPPORT).map(move |i| (self.first + j * self.stride + i, self.across.weights[i] * self.up.weights[j]))
-        })
+        (0..SUPPORT)
+            .flat_map(move |j| (0..SUPPORT).map(move |i| (self.first + j * self.stride + i, self.across.weights[i] * self.up.weights[j])))
     }
 }
 

@@ -1,7 +1,7 @@
 //! The joint adjustment: in every round each keyframe is aligned on grey values with the model as it is, and the model takes one step from what
 //! the tiles leave (Gauss-Newton, with the frames' motions eliminated). What is left at the end is noise.
 
-use nalgebra::{DMatrix, DVector, Matrix2};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
 use super::keyframes::{Keyframe, MatchedFeature};
@@ -29,13 +29,15 @@ const SMALL_STEP_PX: f64 = 0.01;
 const CHOOSING_ROUNDS: [usize; 3] = [2, 4, 6];
 /// Curvatures that are tried, per longer side, one sigma: from as good as flat to sharp folds.
 const CURVATURES: [f64; 7] = [0.003, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0];
+/// Curvatures are beside each other up to this ratio, as a logarithm.
+const NEAR: f64 = 1.5;
 /// A rougher shape is taken only where it explains the held-out tiles better by this share of their cost.
-const BETTER: f64 = 0.005;
+const BETTER: f64 = 0.01;
 /// One tile in so many is held out while the smoothness is chosen.
 const HELD_OUT: u32 = 5;
 /// Covariances are that much larger than those of independent tiles: neighbouring keyframes see the same tiles, and what is off in one is off in the next.
 /// (research/mapping.md, section 6.)
-const INFLATION: f64 = 2.0;
+const INFLATION: f64 = 1.5;
 /// Keyframes that share one observer, which learns light and noise from one to the next. The number of threads changes nothing.
 const KEYFRAMES_AN_OBSERVER: usize = 30;
 
@@ -61,6 +63,9 @@ pub struct Adjusted {
     pub start_rms_px: Option<f64>,
     /// The same now.
     pub rms_px: f64,
+    /// How far the start put the camera beside where it is now, once one rigid motion of the whole walk is taken away: the median, metres; `None` where
+    /// fewer than three frames bore the start out.
+    pub start_error_m: Option<f64>,
     /// Covariance of all unknowns.
     pub covariance: DMatrix<f64>,
     /// The equations at the end.
@@ -73,7 +78,14 @@ pub struct Adjusted {
 
 impl Adjustment {
     /// Prepares the observers.
-    pub fn new(keyframes: Vec<Keyframe>, model: &StageModel, shutter: Shutter, body: &crate::track::BodySpec, mask: Option<&image::GrayImage>, lens_sigmas: [f64; LENS_NUMBERS]) -> Self {
+    pub fn new(
+        keyframes: Vec<Keyframe>,
+        model: &StageModel,
+        shutter: Shutter,
+        body: &crate::track::BodySpec,
+        mask: Option<&image::GrayImage>,
+        lens_sigmas: [f64; LENS_NUMBERS],
+    ) -> Self {
         let n = keyframes.len().div_ceil(KEYFRAMES_AN_OBSERVER).max(1);
         let observers = (0..n).into_par_iter().map(|_| TileObserver::new(model.camera, shutter, mask.cloned(), body)).collect();
         Self { keyframes, observers, shutter, lens_sigmas, smoothness: Smoothness::even(model.surfaces.len(), CURVATURES[1]) }
@@ -129,8 +141,7 @@ impl Adjustment {
 
     /// Adjusts a model. `progress` is called with the number of each round before it, and says whether to go on.
     pub fn run(&mut self, start: StageModel, mut progress: impl FnMut(usize) -> bool) -> Option<Adjusted> {
-        let configured = self.observe(&start);
-        let configured = configured.iter().flatten().next().map(|_| rms_px(&configured));
+        let at_start = self.observe(&start);
         let mut model = start;
         self.smoothness = Smoothness::even(model.surfaces.len(), CURVATURES[1]);
         for round in 0..FEATURE_ROUNDS + ANCHOR_ROUNDS {
@@ -156,19 +167,32 @@ impl Adjustment {
             let rows = self.rows(&model, &frames);
             let scale = robust_scale(&rows)?;
             if CHOOSING_ROUNDS.contains(&round) {
-                self.choose_smoothness(&model, &rows, scale);
+                self.choose_smoothness(&model, &rows, scale, round == CHOOSING_ROUNDS[0]);
             }
             let equations = self.equations(&model, &rows, scale, true)?;
             let factor = equations.matrix.clone().cholesky()?;
             let step = factor.solve(&equations.right);
             let step_px = step_px(&rows, &step);
             let left_px = rms_px(&frames);
-            tracing::debug!(round, frames = rows.len(), scale, left_px, step_px, curvatures = ?self.smoothness.curvatures, "fine");
+            tracing::debug!(round, frames = rows.len(), scale, left_px, step_px, curvatures = ?self.smoothness.curvatures, is_stretched = self.smoothness.is_stretched, "fine");
             let is_last = round + 1 == MOST_ROUNDS;
             if step_px < SMALL_STEP_PX && round > CHOOSING_ROUNDS[1] || is_last {
-                let (has_settled, start_rms_px, rms_px) = (!is_last, configured, left_px);
+                let (has_settled, rms_px) = (!is_last, left_px);
+                let start_rms_px = at_start.iter().flatten().next().map(|_| self::rms_px(&at_start));
+                let start_error_m = start_error_m(&at_start, &frames);
                 let covariance = factor.inverse() * INFLATION;
-                return Some(Adjusted { model, frames, scale, start_rms_px, rms_px, covariance, equations, rounds: round + 1, has_settled });
+                return Some(Adjusted {
+                    model,
+                    frames,
+                    scale,
+                    start_rms_px,
+                    rms_px,
+                    start_error_m,
+                    covariance,
+                    equations,
+                    rounds: round + 1,
+                    has_settled,
+                });
             }
             model = model.stepped(&step)?;
         }
@@ -189,7 +213,7 @@ impl Adjustment {
     }
 
     /// Takes the smoothness that predicts held-out tiles best: first one for all surfaces, then for each whether flat does as well.
-    fn choose_smoothness(&mut self, model: &StageModel, rows: &[FrameRows], scale: f64) {
+    fn choose_smoothness(&mut self, model: &StageModel, rows: &[FrameRows], scale: f64, is_first: bool) {
         let Some(data) = NormalEquations::new(rows, model.places().count, scale, false) else { return };
         let n = model.surfaces.len();
         let costs = |smoothness: &Smoothness| -> Option<Vec<f64>> {
@@ -200,8 +224,11 @@ impl Adjustment {
             Some(equations.held_out_costs(rows, &step, scale, n))
         };
         let mut best: Option<(f64, Smoothness)> = None;
-        for curvature in CURVATURES {
-            let smoothness = Smoothness::even(n, curvature);
+        // Later on only what lies beside the last choice is tried.
+        let usual = self.smoothness.curvatures.iter().copied().fold(0.0, f64::max);
+        let is_near = |curvature: f64| is_first || (curvature / usual).ln().abs() < NEAR;
+        for curvature in CURVATURES.into_iter().filter(|curvature| is_near(*curvature)) {
+            let smoothness = Smoothness { is_stretched: self.smoothness.is_stretched, ..Smoothness::even(n, curvature) };
             let Some(cost) = costs(&smoothness).map(|costs| costs.iter().sum::<f64>()) else { continue };
             tracing::debug!(curvature, cost, "smoothness");
             if best.as_ref().is_none_or(|(least, _)| cost < (1.0 - BETTER) * least) {
@@ -209,7 +236,13 @@ impl Adjustment {
             }
         }
         let Some((_, mut best)) = best else { return };
-        if let (true, Some(bent)) = (n > 1, costs(&best)) {
+        let [rigid, stretched] = [false, true].map(|is_stretched| Smoothness { is_stretched, ..best.clone() });
+        if let (Some(rigid_costs), Some(costs)) = (costs(&rigid), costs(&stretched)) {
+            let [rigid_cost, cost] = [rigid_costs, costs].map(|costs| costs.iter().sum::<f64>());
+            tracing::debug!(rigid_cost, cost, "stretch");
+            best = if cost < (1.0 - BETTER) * rigid_cost { stretched } else { rigid };
+        }
+        if let (true, Some(bent)) = (n > 1 && !is_first, costs(&best)) {
             for k in 0..n {
                 let flat = best.with(k, CURVATURES[0]);
                 if costs(&flat).is_some_and(|flat| flat[k] <= bent[k] * (1.0 + BETTER)) {
@@ -223,13 +256,17 @@ impl Adjustment {
 
 /// A keyframe's features by the pose that explains them best; `None` where there are too few.
 fn observed_features(keyframe: &mut Keyframe, model: &StageModel) -> Option<ObservedFrame> {
-    let observations: Vec<Observation> = keyframe.features.iter().map(|f| {
-        let surface = &model.surfaces[f.surface];
-        let point = surface.pose.transform(&surface.shape.at(f.on_picture_m).place.into());
-        let information = Matrix2::identity() / f.sigma_px.powi(2);
-        // Motion within the frame is left to the tiles: features are rough anyway.
-        Observation { point, pixel: f.pixel, information, delay_s: 0.0, group: 0 }
-    }).collect();
+    let observations: Vec<Observation> = keyframe
+        .features
+        .iter()
+        .map(|f| {
+            let surface = &model.surfaces[f.surface];
+            let point = surface.pose.transform(&surface.shape.at(f.on_picture_m).place.into());
+            let information = Matrix2::identity() / f.sigma_px.powi(2);
+            // Motion within the frame is left to the tiles: features are rough anyway.
+            Observation { point, pixel: f.pixel, information, delay_s: 0.0, group: 0 }
+        })
+        .collect();
     if observations.len() < LEAST_FEATURES {
         return None;
     }
@@ -254,7 +291,9 @@ fn observed_features(keyframe: &mut Keyframe, model: &StageModel) -> Option<Obse
 
 /// A fixed choice that no other numbers of frames or tiles share.
 fn is_held_out(frame: usize, tile: &ObservedTile) -> bool {
-    let mixed = (frame as u32).wrapping_mul(0x9e37_79b1) ^ (tile.number + 1).wrapping_mul(0x85eb_ca77) ^ (tile.surface as u32).wrapping_mul(0xc2b2_ae3d);
+    let mixed = (frame as u32).wrapping_mul(0x9e37_79b1)
+        ^ (tile.number + 1).wrapping_mul(0x85eb_ca77)
+        ^ (tile.surface as u32).wrapping_mul(0xc2b2_ae3d);
     (mixed ^ (mixed >> 15)).wrapping_mul(0x2c1b_3c6d) >> 8 & 0xffff < 0xffff / HELD_OUT
 }
 
@@ -278,6 +317,20 @@ fn rms_px(frames: &[Option<ObservedFrame>]) -> f64 {
     squares.sort_by(f64::total_cmp);
     let n = squares.len() - squares.len() / 20;
     (squares[..n].iter().sum::<f64>() / n.max(1) as f64).sqrt()
+}
+
+/// See [`Adjusted::start_error_m`].
+fn start_error_m(start: &[Option<ObservedFrame>], now: &[Option<ObservedFrame>]) -> Option<f64> {
+    let pairs: Vec<_> = start.iter().zip(now).filter_map(|(a, b)| Some((a.as_ref()?.motion.pose, b.as_ref()?.motion.pose))).collect();
+    if pairs.len() < 3 {
+        return None;
+    }
+    let mean = pairs.iter().map(|(a, b)| b.rotation_matrix() * a.rotation_matrix().transpose()).sum::<Matrix3<f64>>();
+    let rotation = UnitQuaternion::from_matrix(&mean);
+    let shift = pairs.iter().map(|(a, b)| b.translation - rotation * a.translation).sum::<Vector3<f64>>() / pairs.len() as f64;
+    let mut errors: Vec<f64> = pairs.iter().map(|(a, b)| (rotation * a.translation + shift - b.translation).norm()).collect();
+    errors.sort_by(f64::total_cmp);
+    Some(errors[errors.len() / 2])
 }
 
 fn step_px(rows: &[FrameRows], step: &DVector<f64>) -> f64 {

@@ -74,6 +74,14 @@ impl Survey {
         (0..self.surfaces.len()).filter_map(|k| self.description(k)).collect()
     }
 
+    /// One sigma of the height of surface `k` at a point of its picture, metres.
+    pub fn height_sigma_m(&self, k: usize, point: [f64; 2]) -> f64 {
+        let Some(shape) = bent(&self.surfaces[k]) else { return 0.0 };
+        let weights: Vec<(usize, f64)> = shape.height.support(point).weights().map(|(n, w)| (self.places.heights[k] + n, w)).collect();
+        let variance: f64 = weights.iter().flat_map(|(i, a)| weights.iter().map(move |(j, b)| a * b * self.covariance[(*i, *j)])).sum();
+        variance.max(0.0).sqrt()
+    }
+
     fn description(&self, k: usize) -> Option<SurfaceDescription> {
         let surface = &self.surfaces[k];
         let shape = bent(surface)?;
@@ -85,13 +93,12 @@ impl Survey {
             let height = shape.height.at(point).value.x;
             squared += height * height;
             most = most.max(height.abs());
-            let weights: Vec<(usize, f64)> = shape.height.support(point).weights().map(|(n, w)| (self.places.heights[k] + n, w)).collect();
-            let variance: f64 = weights.iter().flat_map(|(i, a)| weights.iter().map(move |(j, b)| a * b * self.covariance[(*i, *j)])).sum();
-            sigmas.push(variance.max(0.0).sqrt());
+            sigmas.push(self.height_sigma_m(k, point));
         }
         sigmas.sort_by(f64::total_cmp);
         let sigma = |first: usize| {
-            self.places.poses[k].map_or(0.0, |at| (0..3).map(|n| self.covariance[(at + first + n, at + first + n)]).sum::<f64>().max(0.0).sqrt())
+            self.places.poses[k]
+                .map_or(0.0, |at| (0..3).map(|n| self.covariance[(at + first + n, at + first + n)]).sum::<f64>().max(0.0).sqrt())
         };
         Some(SurfaceDescription {
             sigma_mm: 1e3 * sigma(0),
@@ -116,12 +123,9 @@ impl Survey {
             findings.push((verdict, if verdict == Verdict::Good { good } else { bad() }));
         };
         let used = self.used as f64 / self.keyframes.max(1) as f64;
-        below(
-            -used,
-            LEAST_USED.map(|share| -share),
-            format!("{} of {} keyframes bear it out", self.used, self.keyframes),
-            &|| format!("only {} of {} keyframes bear it out: is it this stage, and does its config fit?", self.used, self.keyframes),
-        );
+        below(-used, LEAST_USED.map(|share| -share), format!("{} of {} keyframes bear it out", self.used, self.keyframes), &|| {
+            format!("only {} of {} keyframes bear it out: is it this stage, and does its config fit?", self.used, self.keyframes)
+        });
         below(self.scale, LARGEST_SCALE, format!("what is left is noise ({:.3} px)", self.rms_px), &|| {
             format!(
                 "what is left ({:.3} px) is {:.1} times what noise leaves: the lens or the shutter is off, or the stage moved; try --lens refine, and \

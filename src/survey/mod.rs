@@ -11,5 +11,7 @@ mod prior;
 pub mod shutter;
 pub mod stage;
 mod stage_model;
+#[cfg(test)]
+mod synthetic;
 mod tile_derivatives;
 mod ways;

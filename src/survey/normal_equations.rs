@@ -83,7 +83,13 @@ impl TileRow {
 
 impl FrameRows {
     /// Of what a frame showed. `holds_out`: tiles to judge by.
-    pub fn new(frame: &ObservedFrame, model: &StageModel, shutter: &Shutter, distance_m: f64, holds_out: impl Fn(&ObservedTile) -> bool) -> Self {
+    pub fn new(
+        frame: &ObservedFrame,
+        model: &StageModel,
+        shutter: &Shutter,
+        distance_m: f64,
+        holds_out: impl Fn(&ObservedTile) -> bool,
+    ) -> Self {
         let rows = frame.tiles.iter().filter_map(|tile| {
             let covariance = tile.information.try_inverse()? + Matrix2::identity() * FLOOR_PX.powi(2);
             Some(TileRow {
@@ -118,7 +124,8 @@ fn frame_prior(_motion: &Motion, shutter: &Shutter, distance_m: f64) -> FrameMat
 impl NormalEquations {
     /// Of all frames, with Tukey's weights at a robust scale. Held-out tiles count only where `with_held_out`.
     pub fn new(frames: &[FrameRows], unknowns: usize, scale: f64, with_held_out: bool) -> Option<Self> {
-        let mut out = Self { matrix: DMatrix::zeros(unknowns, unknowns), right: DVector::zeros(unknowns), frames: Vec::with_capacity(frames.len()) };
+        let mut out =
+            Self { matrix: DMatrix::zeros(unknowns, unknowns), right: DVector::zeros(unknowns), frames: Vec::with_capacity(frames.len()) };
         for frame in frames {
             out.add(frame, scale, with_held_out)?;
         }

@@ -12,10 +12,13 @@ const GAUGE_SIGMA: f64 = 1e-6;
 const GAUGE_POINTS: [usize; 2] = [24, 18];
 /// How far a surface may stand from where the config has it, one sigma: metres and radians.
 const POSE_SIGMAS: [f64; 2] = [0.3, 0.2];
-/// How far a point of a surface may be from its plane, and from its place in it, one sigma, as shares of the surface's longer side: it only keeps parts
-/// that no frame shows from anything at all.
+/// How far a point of a surface may be from its plane, one sigma, as a share of the surface's longer side: it only keeps parts that no frame shows
+/// from anything at all.
 const HEIGHT_SHARE: f64 = 0.01;
-const STRETCH_SHARE: f64 = 0.005;
+/// How far a point may be from its place within the plane, as such a share: of surfaces that are as long as `size_m` says, and of others. Were all free,
+/// the first surface alone would say how large the stage is.
+const RIGID_SHARE: f64 = 1e-6;
+const STRETCHED_SHARE: f64 = 0.005;
 /// How much a stretch changes along the surface, one sigma, per side of the surface: cloth and prints are stretched evenly.
 const STRETCH_BEND: f64 = 0.002;
 
@@ -24,12 +27,14 @@ const STRETCH_BEND: f64 = 0.002;
 pub struct Smoothness {
     /// Curvature of each surface's heights, times its longer side.
     pub curvatures: Vec<f64>,
+    /// Whether surfaces may be stretched.
+    pub is_stretched: bool,
 }
 
 impl Smoothness {
     /// The same for all surfaces.
     pub fn even(surfaces: usize, curvature: f64) -> Self {
-        Self { curvatures: vec![curvature; surfaces] }
+        Self { curvatures: vec![curvature; surfaces], is_stretched: false }
     }
 
     /// Another one for surface `k`.
@@ -41,7 +46,13 @@ impl Smoothness {
 }
 
 /// Adds the priors at a model to its normal equations.
-pub fn add(model: &StageModel, smoothness: &Smoothness, lens_sigmas: &[f64; LENS_NUMBERS], matrix: &mut DMatrix<f64>, right: &mut DVector<f64>) {
+pub fn add(
+    model: &StageModel,
+    smoothness: &Smoothness,
+    lens_sigmas: &[f64; LENS_NUMBERS],
+    matrix: &mut DMatrix<f64>,
+    right: &mut DVector<f64>,
+) {
     let mut system = System { matrix, right };
     let places = model.places();
     for (k, surface) in model.surfaces.iter().enumerate() {
@@ -50,7 +61,8 @@ pub fn add(model: &StageModel, smoothness: &Smoothness, lens_sigmas: &[f64; LENS
         system.smooth(&shape.height, places.heights[k], smoothness.curvatures[k] / side);
         system.smooth(&shape.stretch, places.stretches[k], STRETCH_BEND / side);
         system.small(&shape.height, places.heights[k], HEIGHT_SHARE * side);
-        system.small(&shape.stretch, places.stretches[k], STRETCH_SHARE * side);
+        let share = if smoothness.is_stretched { STRETCHED_SHARE } else { RIGID_SHARE };
+        system.small(&shape.stretch, places.stretches[k], share * side);
         system.gauge(model, k);
         if let Some(at) = places.poses[k] {
             let [shift, turn] = model.pose_change(k);
@@ -118,7 +130,12 @@ impl System<'_> {
         let Some(shape) = model.shape(k) else { return };
         let share = |n: usize, of: usize| (n as f64 + 0.5) / of as f64 - 0.5;
         let points: Vec<[f64; 2]> = (0..GAUGE_POINTS[0] * GAUGE_POINTS[1])
-            .map(|n| [share(n % GAUGE_POINTS[0], GAUGE_POINTS[0]) * surface.size_m[0], share(n / GAUGE_POINTS[0], GAUGE_POINTS[1]) * surface.size_m[1]])
+            .map(|n| {
+                [
+                    share(n % GAUGE_POINTS[0], GAUGE_POINTS[0]) * surface.size_m[0],
+                    share(n / GAUGE_POINTS[0], GAUGE_POINTS[1]) * surface.size_m[1],
+                ]
+            })
             .collect();
         let radius = 0.5 * surface.size_m[0].hypot(surface.size_m[1]);
         // How a point's shift (right, up, out) enters the shift, the turn and the growth of the whole surface.
@@ -149,5 +166,89 @@ impl System<'_> {
             let row: Vec<(usize, f64)> = row.into_iter().enumerate().filter(|(_, w)| *w != 0.0).collect();
             self.add(&row, now, GAUGE_SIGMA);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{DMatrix, DVector};
+
+    use super::*;
+    use crate::camera::{CameraModel, Intrinsics, Shutter};
+    use crate::survey::normal_equations::{FrameRows, NormalEquations};
+    use crate::survey::synthetic::{LENS, camera_poses, observed, stage};
+
+    /// A lens of which nothing is known.
+    const SIGMAS: [f64; LENS_NUMBERS] = [50.0, 50.0, 40.0, 40.0, 0.3, 0.3, 0.01, 0.01];
+
+    fn lens(change: f64) -> CameraModel {
+        let [k1, k2, p1, p2, k3] = LENS.distortion;
+        CameraModel::new(Intrinsics {
+            fx: LENS.fx * (1.0 + change),
+            cx: LENS.cx + 200.0 * change,
+            distortion: [k1 - change, k2, p1, p2, k3],
+            ..LENS
+        })
+        .unwrap()
+    }
+
+    /// A stage in folds of a centimetre, whose flat stands 20 mm and a degree beside where it was measured.
+    fn truth() -> StageModel {
+        let flat = StageModel::new(lens(0.0), &stage(), true);
+        let places = flat.places().clone();
+        let columns = flat.shape(0).unwrap().height.columns_and_rows()[0];
+        let mut step = DVector::zeros(places.count);
+        for n in 0..flat.shape(0).unwrap().height.coefficients().len() {
+            let (i, j) = ((n % columns) as f64, (n / columns) as f64);
+            step[places.heights[0] + n] = 0.01 * (0.5 * i).sin() * (0.3 * j).cos();
+        }
+        let at = places.poses[1].unwrap();
+        for (k, v) in [0.012, -0.008, 0.02, 0.01, -0.015, 0.005].into_iter().enumerate() {
+            step[at + k] = v;
+        }
+        flat.stepped(&step).unwrap()
+    }
+
+    /// Gauss-Newton on tiles that are observed anew in every round; the model and its covariance.
+    fn adjusted(start: StageModel, truth: &StageModel, noise_px: f64, rounds: usize) -> (StageModel, DMatrix<f64>) {
+        let (mut model, poses) = (start, camera_poses(24));
+        let smoothness = Smoothness { is_stretched: true, ..Smoothness::even(2, 3.0) };
+        let mut covariance = DMatrix::zeros(0, 0);
+        for _ in 0..rounds {
+            // Linearised at the true poses, which the equations leave free.
+            let frames = observed(truth, &model, &poses, noise_px, 7);
+            let rows: Vec<FrameRows> = frames.iter().map(|f| FrameRows::new(f, &model, &Shutter::default(), 3.0, |_| false)).collect();
+            let mut equations = NormalEquations::new(&rows, model.places().count, 1e3, true).unwrap();
+            // The scale of Tukey's weights leaves all tiles in; undo what it did to the information.
+            equations.matrix *= 1e6;
+            equations.right *= 1e6;
+            add(&model, &smoothness, &SIGMAS, &mut equations.matrix, &mut equations.right);
+            equations.matrix.fill_upper_triangle_with_lower_triangle();
+            let factor = equations.matrix.clone().cholesky().unwrap();
+            model = model.stepped(&factor.solve(&equations.right)).unwrap();
+            covariance = factor.inverse();
+        }
+        (model, covariance)
+    }
+
+    #[test]
+    fn shape_layout_and_lens_are_found_from_exact_tiles() {
+        let truth = truth();
+        let start = StageModel::new(lens(0.01), &stage(), true);
+        let (found, covariance) = adjusted(start, &truth, 0.002, 6);
+        let (lens, real) = (found.camera.intrinsics(), truth.camera.intrinsics());
+        assert!((lens.fx / real.fx - 1.0).abs() < 1e-4 && (lens.cx - real.cx).abs() < 0.1, "{lens:?}");
+        let at = found.places().lens.unwrap();
+        let sigma = covariance[(at, at)].sqrt();
+        assert!((lens.fx - real.fx).abs() < 5.0 * sigma && sigma < 1e-4 * real.fx, "{} {sigma}", lens.fx - real.fx);
+        // Heights where the walk sees them, beside the plane that the gauge takes for the surface's own.
+        let mut worst = 0.0_f64;
+        for (i, j) in (-6..=6).flat_map(|i| (-4..=4).map(move |j| (i, j))) {
+            let point = [0.25 * f64::from(i), 0.25 * f64::from(j)];
+            let off = found.shape(0).unwrap().height.at(point).value.x - truth.shape(0).unwrap().height.at(point).value.x;
+            worst = worst.max(off.abs());
+        }
+        println!("heights {worst}");
+        assert!(worst < 2e-3, "{worst}");
     }
 }

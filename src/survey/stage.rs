@@ -87,6 +87,11 @@ pub struct Survey {
     pub configured_rms_px: Option<f64>,
     /// The same as surveyed.
     pub rms_px: f64,
+    /// How far the stage as configured puts the camera beside the stage as surveyed, once one rigid motion of the whole walk is taken away: the median,
+    /// metres.
+    pub configured_error_m: Option<f64>,
+    /// Where the camera was at the keyframes that bear the result out.
+    pub cameras: Vec<Pose<Body, Camera>>,
     /// Robust scale of the residuals, in sigmas.
     pub scale: f64,
     /// Whether the adjustment came to rest.
@@ -149,14 +154,33 @@ where
         is_interrupted = !progress(SurveyStep::Round(round));
         !is_interrupted
     });
-    let Some(Adjusted { model, frames: observed, scale, start_rms_px, rms_px, covariance, equations, rounds, has_settled }) = adjusted else {
+    let Some(Adjusted { model, frames: observed, scale, start_rms_px, rms_px, start_error_m, covariance, equations, rounds, has_settled }) =
+        adjusted
+    else {
         return Err(if is_interrupted { SurveyError::Interrupted } else { SurveyError::Undetermined });
     };
     let (keyframes, used) = (observed.len(), observed.iter().flatten().count());
+    let cameras = observed.iter().flatten().map(|f| f.motion.pose).collect();
     let places = model.places().clone();
     let camera = model.camera.with_doubt(lens_doubt(&places, &covariance).or(camera.doubt()));
     let surfaces = ways::with_ways(&model, &covariance, &equations);
-    Ok(Survey { camera, surfaces, frames, found, keyframes, used, configured_rms_px: start_rms_px, rms_px, scale, has_settled, rounds, places, covariance })
+    Ok(Survey {
+        camera,
+        surfaces,
+        frames,
+        found,
+        keyframes,
+        used,
+        configured_rms_px: start_rms_px,
+        configured_error_m: start_error_m,
+        cameras,
+        rms_px,
+        scale,
+        has_settled,
+        rounds,
+        places,
+        covariance,
+    })
 }
 
 fn matched_features(matcher: &mut Matcher, frame: &Frame, stage: &BodySpec) -> Vec<MatchedFeature> {

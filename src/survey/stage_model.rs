@@ -127,8 +127,7 @@ impl StageModel {
             surface.shape = SurfaceShape::Bent(Arc::new(shape));
             if let Some(at) = self.places.poses[k] {
                 let [shift, turn] = [0, 3].map(|first| Vector3::new(step[at + first], step[at + first + 1], step[at + first + 2]));
-                surface.pose =
-                    Pose::new(UnitQuaternion::from_scaled_axis(turn) * surface.pose.rotation, surface.pose.translation + shift);
+                surface.pose = Pose::new(UnitQuaternion::from_scaled_axis(turn) * surface.pose.rotation, surface.pose.translation + shift);
             }
         }
         if let Some(at) = self.places.lens {

@@ -65,3 +65,63 @@ impl TileDerivatives {
         Some(Self { by_frame, by_model })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Pose;
+    use crate::survey::synthetic::{LENS, camera_poses, stage};
+    use nalgebra::{DVector, Matrix2, UnitQuaternion};
+
+    /// Where a model puts a tile in a frame.
+    fn seen(tile: &ObservedTile, motion: &Motion, model: &StageModel) -> Vector2<f64> {
+        let surface = &model.surfaces[tile.surface];
+        let in_body = surface.pose.transform(&surface.shape.at(tile.on_picture_m).place.into());
+        let c = motion.after(tile.delay_s).pose.inverse().transform(&in_body).coords;
+        model.camera.project(Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0
+    }
+
+    #[test]
+    fn derivatives_by_all_unknowns_agree_with_differences() {
+        let mut model = StageModel::new(crate::camera::CameraModel::new(LENS).unwrap(), &stage(), true);
+        // Somewhere off flat, so that slopes are none of zero.
+        let bend = DVector::from_fn(model.places().count, |k, _| if k < 400 { 2e-3 * (k as f64).sin() } else { 0.0 });
+        model = model.stepped(&bend).unwrap();
+        let motion =
+            Motion { velocity: Vector3::new(0.3, -0.2, 0.1), turn_rate: Vector3::new(0.2, 0.1, -0.3), ..Motion::still(camera_poses(5)[3]) };
+        let h = 1e-6;
+        for (surface, on_picture_m) in [(0, [0.7, -0.4]), (0, [-1.9, 1.3]), (1, [0.2, 0.1])] {
+            let tile = ObservedTile {
+                surface,
+                on_picture_m,
+                shift_px: Vector2::zeros(),
+                information: Matrix2::identity(),
+                delay_s: 0.004,
+                number: 0,
+            };
+            let found = TileDerivatives::of(&tile, &motion, &model).unwrap();
+            for (k, d) in &found.by_model {
+                let mut step = DVector::zeros(model.places().count);
+                step[*k] = h;
+                let (plus, minus) = (model.stepped(&step).unwrap(), model.stepped(&-step).unwrap());
+                let difference = (seen(&tile, &motion, &plus) - seen(&tile, &motion, &minus)) / (2.0 * h);
+                assert!((difference - d).norm() < 1e-4 * d.norm().max(1.0), "{k}: {difference} {d}");
+            }
+            for k in 0..FRAME_UNKNOWNS {
+                // A left perturbation of T_camera_body, at the tile's own time.
+                let of = |sign: f64| {
+                    let size = sign * h * if k < 6 { 1.0 } else { tile.delay_s };
+                    let mut step = nalgebra::Vector6::zeros();
+                    step[k % 6] = size;
+                    let at = motion.after(tile.delay_s).pose.inverse();
+                    let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
+                    let moved = Pose::new(turn * at.rotation, turn * at.translation + step.fixed_rows::<3>(0)).inverse();
+                    seen(&ObservedTile { delay_s: 0.0, ..tile }, &Motion::still(moved), &model)
+                };
+                let difference = (of(1.0) - of(-1.0)) / (2.0 * h);
+                let d = found.by_frame.column(k);
+                assert!((difference - d).norm() < 1e-4 * d.norm().max(1.0), "{k}: {difference} {d}");
+            }
+        }
+    }
+}

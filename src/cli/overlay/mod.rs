@@ -205,7 +205,14 @@ mod tests {
 
     fn body(name: &str, size_m: [f64; 2]) -> BodySpec {
         let pose = Pose::new(upright(), Vector3::zeros());
-        let surface = SurfaceSpec { name: name.to_owned(), artwork: GrayImage::new(40, 30), size_m, pose, kind: ReferenceKind::Artwork, shape: SurfaceShape::Flat };
+        let surface = SurfaceSpec {
+            name: name.to_owned(),
+            artwork: GrayImage::new(40, 30),
+            size_m,
+            pose,
+            kind: ReferenceKind::Artwork,
+            shape: SurfaceShape::Flat,
+        };
         BodySpec { name: name.to_owned(), surfaces: vec![surface] }
     }
 

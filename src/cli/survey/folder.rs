@@ -31,7 +31,8 @@ pub(super) fn refuse_unusable(folder: &Path) -> Result<(), Failure> {
 /// Writes a surveyed stage; an earlier one is replaced as a whole.
 pub(super) fn write(folder: &Path, settings: &Settings, made: &Survey) -> Result<(), Failure> {
     let files = files(settings, made).map_err(Failure::output(folder))?;
-    let beside = folder.with_file_name(format!(".{}.new", folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())));
+    let beside =
+        folder.with_file_name(format!(".{}.new", folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())));
     let written = (|| {
         fs::create_dir_all(&beside)?;
         for (name, bytes) in files {

@@ -40,6 +40,7 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
         "keyframes": made.keyframes,
         "used": made.used,
         "rms_px": {"configured": made.configured_rms_px, "surveyed": made.rms_px},
+        "configured_error_mm": made.configured_error_m.map(|metres| 1e3 * metres),
         "scale": made.scale,
         "rounds": made.rounds,
     });

@@ -2,6 +2,7 @@
 
 mod folder;
 mod json;
+mod report;
 mod text;
 
 use std::path::PathBuf;
@@ -10,12 +11,12 @@ use clap::{Args, ValueEnum};
 
 use super::calibrate::write_whole;
 use super::failure::Failure;
+use super::interrupt;
 use super::logging::{self, LogArguments};
 use super::output_file::print;
 use super::replay::progress::Progress;
 use super::replay::tracker_setup;
 use super::spared::Spared;
-use super::interrupt;
 use crate::capture::{ClipOptions, EntryContent, FrameSource, open_clip};
 use crate::config::Settings;
 use crate::frame::Frame;
@@ -23,14 +24,13 @@ use crate::printable::printable_lines;
 use crate::survey::judgement::Verdict;
 use crate::survey::stage::{Survey, SurveyOptions, SurveyStep, survey};
 use crate::tracker::TrackerSetup;
+use crate::utc;
 
 /// Measure the stage as it hangs and the lens as it is, from clips of walking around.
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Example:\n  stagepose survey walk --config stage.toml --output surveyed\n\n\
+#[command(after_help = "Example:\n  stagepose survey walk --config stage.toml --output surveyed\n\n\
     Walk for half a minute: past the stage from one side to the other and back, nearer and farther, the camera a little higher and lower, so that every part is seen \
-    from two sides. People may be in the way now and then. Where the verdict is \"do not use\", nothing is written and the exit code is 1."
-)]
+    from two sides. People may be in the way now and then. Where the verdict is \"do not use\", nothing is written and the exit code is 1.")]
 pub(super) struct SurveyArguments {
     /// Clips of walking around the stage
     #[arg(required = true)]
@@ -47,6 +47,9 @@ pub(super) struct SurveyArguments {
     /// Write everything as JSON
     #[arg(long, value_name = "OUT.json")]
     json: Option<PathBuf>,
+    /// Write a report with figures, one HTML file
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
     /// Frames per second of clips without stamps
     #[arg(long, value_name = "N", value_parser = super::replay::frames_per_second)]
     fps: Option<f64>,
@@ -71,16 +74,22 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     let settings = Settings::load(&arguments.config)?;
     logging::start(&arguments.log, settings.log);
     let mut spared = arguments.clips.iter().fold(Spared::default(), |spared, clip| spared.with_clip(clip));
-    spared.claim_whole_files(&[("--json", &arguments.json)])?;
+    spared.claim_whole_files(&[("--json", &arguments.json), ("--report", &arguments.report)])?;
     folder::refuse_unusable(&arguments.output)?;
     interrupt::watch();
     let calibrated = settings.lens.size(&settings.camera);
-    let open = |clip: &PathBuf| open_clip(clip, ClipOptions { fps: arguments.fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
+    let open =
+        |clip: &PathBuf| open_clip(clip, ClipOptions { fps: arguments.fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
     let mut sources = arguments.clips.iter().map(open).collect::<Result<Vec<_>, _>>()?;
     let size = sources[0].size();
     if let Some((clip, source)) = arguments.clips.iter().zip(&sources).find(|(_, source)| source.size() != size) {
         let (w, h) = source.size();
-        return Err(Failure::Usage(format!("{}: its frames have {w} x {h} pixels, those of the first clip {} x {}; survey one camera at a time", clip.display(), size.0, size.1)));
+        return Err(Failure::Usage(format!(
+            "{}: its frames have {w} x {h} pixels, those of the first clip {} x {}; survey one camera at a time",
+            clip.display(),
+            size.0,
+            size.1
+        )));
     }
     let setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
     let total = sources.iter().map(|source| source.rows()).sum::<Option<u64>>();
@@ -90,13 +99,22 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     if let Some(file) = &arguments.json {
         write_whole(file, json::text(&made, &judgement))?;
     }
+    if let Some(file) = &arguments.report {
+        let date = utc::date_and_time(utc::now_s()).replace('T', " ").replace('Z', " UTC");
+        write_whole(file, report::html(&made, &judgement, &date))?;
+    }
     if judgement.verdict == Verdict::DoNotUse {
         return Err(Failure::Survey(format!("{}; nothing is written to {}", judgement.sentence(), arguments.output.display())));
     }
     folder::write(&arguments.output, &settings, &made)
 }
 
-fn surveyed(sources: &mut [Box<dyn FrameSource>], setup: &TrackerSetup, arguments: &SurveyArguments, progress: Progress) -> Result<Survey, Failure> {
+fn surveyed(
+    sources: &mut [Box<dyn FrameSource>],
+    setup: &TrackerSetup,
+    arguments: &SurveyArguments,
+    progress: Progress,
+) -> Result<Survey, Failure> {
     let options = SurveyOptions { refines_lens: arguments.lens == Lens::Refine };
     let clips = sources.iter_mut().map(|source| frames(&mut **source));
     let made = survey(clips, setup, options, |step| {

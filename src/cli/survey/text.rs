@@ -9,9 +9,21 @@ use crate::survey::stage::Survey;
 pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
     let mut text = String::new();
     // Writing to a String cannot fail.
-    let _ = writeln!(text, "walk        {} frames, the stage was found in {}; {} keyframes, {} of them fit", made.frames, made.found, made.keyframes, made.used);
-    let configured = made.configured_rms_px.map_or_else(|| "nothing fits as configured".to_owned(), |px| format!("{px:.3} px as configured"));
+    let _ = writeln!(
+        text,
+        "walk        {} frames, the stage was found in {}; {} keyframes, {} of them fit",
+        made.frames, made.found, made.keyframes, made.used
+    );
+    let configured =
+        made.configured_rms_px.map_or_else(|| "nothing fits as configured".to_owned(), |px| format!("{px:.3} px as configured"));
     let _ = writeln!(text, "residual    {configured}, {:.3} px as surveyed", made.rms_px);
+    if let Some(metres) = made.configured_error_m {
+        let _ = writeln!(
+            text,
+            "gain        without the survey the camera would be {:.2} mm beside where it is, one rigid motion of the stage aside",
+            1e3 * metres
+        );
+    }
     let i = made.camera.intrinsics();
     let _ = writeln!(text, "lens        fx {:.2}, fy {:.2}, cx {:.2}, cy {:.2}, distortion {:.4?}", i.fx, i.fy, i.cx, i.cy, i.distortion);
     for (k, (surface, spec)) in made.described().iter().zip(&made.surfaces).enumerate() {

@@ -526,14 +526,7 @@ fn by_texel<L: Lanes>(by_pixel: &[L; 4], across: L, down: L) -> [L; 2] {
 
 /// dP/dp = R_s q and dP/dθ = depth (ray x Aᵀ q), with q the gradient that moving the camera in the surface's frame shows.
 #[inline(always)]
-fn by_pose<L: Lanes>(
-    view: &View,
-    a: &[L; 9],
-    hit: &Hit<L>,
-    ray: [L; 2],
-    gradient: [L; 2],
-    map: Option<&MapLanes<L>>,
-) -> [L; 6] {
+fn by_pose<L: Lanes>(view: &View, a: &[L; 9], hit: &Hit<L>, ray: [L; 2], gradient: [L; 2], map: Option<&MapLanes<L>>) -> [L; 6] {
     let gx = gradient[0].mul(L::splat(view.texels_per_m[0]));
     let gy = gradient[1].mul(L::splat(-view.texels_per_m[1]));
     let gz = L::splat(0.0).sub(gx.mul_add(hit.slope[0], gy.mul(hit.slope[1])));

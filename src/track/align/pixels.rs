@@ -9,7 +9,7 @@ use super::lanes::LANES;
 use super::level_spec::LevelSpec;
 use super::light::{Light, RememberedLight, TileLight};
 use super::tile_grid::{Chosen, TileGrid};
-use super::touching_planes::TouchingPlanes;
+use super::touching_planes::{Rays, TouchingPlanes};
 use crate::motion::Motion;
 
 /// A level's grey from which on it counts as burnt out, and up to which as drowned. Below 255, for the mean of pixels of which some are
@@ -119,9 +119,8 @@ impl Pixels {
 
     /// Finds where the pixels see bent surfaces from a motion.
     pub fn touch(&mut self, spec: &LevelSpec, motion: &Motion) {
-        let mut planes = std::mem::take(&mut self.planes);
-        planes.find(self, spec, motion);
-        self.planes = planes;
+        let Self { x, y, delay_s, groups, planes, .. } = self;
+        planes.find(&Rays { x, y, delay_s, groups }, spec, motion);
     }
 
     /// Takes what a frame shows at the pixels.

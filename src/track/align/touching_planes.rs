@@ -8,7 +8,6 @@ use nalgebra::{Matrix2, Matrix3, Vector3};
 
 use super::lanes::{LANES, Lanes, load_at};
 use super::level_spec::LevelSpec;
-use super::pixels::Pixels;
 use crate::motion::Motion;
 
 /// Numbers of a map: two rows of the linear part by the surface's x and y, the third's, and the shift. (The linear part's third column is 0, 0, 1.)
@@ -20,6 +19,19 @@ pub struct TouchingPlanes {
     maps: [Vec<f32>; NUMBERS],
 }
 
+/// The pixels of a level as their planes need them: in lists of the same order.
+#[derive(Debug, Clone, Copy)]
+pub struct Rays<'a> {
+    /// Ray at depth 1.
+    pub x: &'a [f32],
+    /// See `x`.
+    pub y: &'a [f32],
+    /// Seconds from the frame's stamp to the middle of the row's exposure.
+    pub delay_s: &'a [f32],
+    /// Ranges of the surfaces: (surface, start, end).
+    pub groups: &'a [(u32, u32, u32)],
+}
+
 /// The maps of a few pixels at a time.
 #[derive(Clone, Copy)]
 pub struct MapLanes<L> {
@@ -28,9 +40,9 @@ pub struct MapLanes<L> {
 
 impl TouchingPlanes {
     /// Finds the planes for pixels that were arranged, seen from a motion.
-    pub fn find(&mut self, pixels: &Pixels, spec: &LevelSpec, motion: &Motion) {
+    pub fn find(&mut self, pixels: &Rays, spec: &LevelSpec, motion: &Motion) {
         let is_bent = |surface: u32| !spec.surfaces[surface as usize].rectangle.shape.is_flat();
-        let n = if pixels.groups.iter().any(|(surface, ..)| is_bent(*surface)) { pixels.len() } else { 0 };
+        let n = if pixels.groups.iter().any(|(surface, ..)| is_bent(*surface)) { pixels.x.len() } else { 0 };
         self.maps.iter_mut().for_each(|numbers| numbers.resize(n, 0.0));
         let (rotations, centres) = (motion.rotation_polynomial(), motion.centre_polynomial());
         for &(surface, start, end) in pixels.groups.iter().filter(|(surface, ..)| is_bent(*surface)) {

@@ -1,0 +1,122 @@
+//! A survey's report: every surface's heights as a picture, the layout with the walk, and what it is worth.
+
+use std::fmt::Write as _;
+
+use crate::html_page::svg::{Drawing, escaped, hue};
+use crate::html_page::{figure, page};
+use crate::survey::judgement::Judgement;
+use crate::survey::stage::Survey;
+
+/// Cells across a surface's picture. Raised, the file grows.
+const CELLS: usize = 60;
+/// Width of a figure, units.
+const WIDTH: f64 = 640.0;
+/// Heights are drawn in full colour from this many sigmas of themselves on: less than that may be noise.
+const PALE_BELOW_SIGMAS: f64 = 2.0;
+
+/// The page.
+pub(super) fn html(made: &Survey, judgement: &Judgement, date: &str) -> String {
+    let mut body = format!("<p>{}</p>\n", escaped(&judgement.sentence()));
+    body += &residuals(made);
+    for k in 0..made.surfaces.len() {
+        body += &heights(made, k);
+    }
+    body += &layout(made, [0, 1], "from above: x to the right, y up the page (away from the house)");
+    body += &layout(made, [0, 2], "from the house: x to the right, z up");
+    page("Survey of a stage", date, &body)
+}
+
+fn residuals(made: &Survey) -> String {
+    let mut rows = String::new();
+    let mut row = |label: &str, value: String| {
+        // Writing to a String cannot fail.
+        let _ = write!(rows, "<tr><th>{label}</th><td>{}</td></tr>", escaped(&value));
+    };
+    row("frames", format!("{}, the stage found in {}", made.frames, made.found));
+    row("keyframes", format!("{}, {} of them bear the result out", made.keyframes, made.used));
+    row("left as configured", made.configured_rms_px.map_or("nothing fits".to_owned(), |px| format!("{px:.3} px")));
+    row("left as surveyed", format!("{:.3} px", made.rms_px));
+    if let Some(metres) = made.configured_error_m {
+        row("error without the survey", format!("{:.2} mm, one rigid motion of the stage aside", 1e3 * metres));
+    }
+    let i = made.camera.intrinsics();
+    row(
+        "lens",
+        format!(
+            "fx {:.2}, fy {:.2}, cx {:.2}, cy {:.2}, distortion {:?}",
+            i.fx,
+            i.fy,
+            i.cx,
+            i.cy,
+            i.distortion.map(|k| (1e5 * k).round() / 1e5)
+        ),
+    );
+    for (description, spec) in made.described().iter().zip(&made.surfaces) {
+        let text = format!(
+            "heights {:.2} mm rms, {:.1} mm at most, one sigma {:.2} mm; place known to {:.2} mm and {:.3} degrees",
+            description.height_rms_mm, description.height_max_mm, description.height_sigma_mm, description.sigma_mm, description.sigma_deg
+        );
+        row(&escaped(&spec.name), text);
+    }
+    format!("<table>{rows}</table>\n")
+}
+
+/// The heights of a surface as its picture shows them: red towards the camera, blue away from it, pale where they are not known.
+fn heights(made: &Survey, k: usize) -> String {
+    let spec = &made.surfaces[k];
+    let [w, h] = spec.size_m;
+    let rows = ((CELLS as f64 * h / w).round() as usize).clamp(4, 4 * CELLS);
+    let cell = WIDTH / CELLS as f64;
+    let place = |i: usize, j: usize| [((i as f64 + 0.5) / CELLS as f64 - 0.5) * w, (0.5 - (j as f64 + 0.5) / rows as f64) * h];
+    let all: Vec<(usize, usize, f64, f64)> = (0..rows)
+        .flat_map(|j| (0..CELLS).map(move |i| (i, j)))
+        .map(|(i, j)| (i, j, spec.shape.at(place(i, j)).place.z, made.height_sigma_m(k, place(i, j))))
+        .collect();
+    let most = all.iter().map(|(.., height, _)| height.abs()).fold(1e-4, f64::max);
+    let mut drawing = Drawing::new(WIDTH, cell * rows as f64 + 22.0);
+    for (i, j, height, sigma) in &all {
+        let share = (height / most).clamp(-1.0, 1.0);
+        let sureness = (height.abs().max(0.05 * most) / (PALE_BELOW_SIGMAS * sigma.max(1e-9))).min(1.0);
+        let colour = format!("hsl({} {:.0}% {:.0}%)", if share > 0.0 { 8 } else { 215 }, 75.0 * sureness, 96.0 - 50.0 * share.abs());
+        drawing.rect([*i as f64 * cell, *j as f64 * cell], [cell + 0.3, cell + 0.3], "none", &colour);
+    }
+    let legend = format!("{:+.1} mm (blue, away from the house) to {:+.1} mm (red)", -1e3 * most, 1e3 * most);
+    drawing.text([0.0, cell * rows as f64 + 16.0], 13.0, "start", "currentColor", &legend);
+    let caption = format!(
+        "Heights of {} over its plane, as its picture lies. Grey parts are not known well: let the walk go there again.",
+        escaped(&spec.name)
+    );
+    figure(&drawing.finish(&format!("heights of {}", spec.name)), &caption)
+}
+
+/// The surfaces' edges and the cameras of the walk along two axes of the stage.
+fn layout(made: &Survey, axes: [usize; 2], caption: &str) -> String {
+    let outline = |spec: &crate::track::SurfaceSpec| -> Vec<[f64; 2]> {
+        let [w, h] = spec.size_m;
+        let corners = [(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)];
+        corners
+            .iter()
+            .map(|(x, y)| {
+                let point = spec.pose.transform(&spec.shape.at([x * w, y * h]).place.into());
+                axes.map(|axis| point[axis])
+            })
+            .collect()
+    };
+    let outlines: Vec<Vec<[f64; 2]>> = made.surfaces.iter().map(outline).collect();
+    let cameras: Vec<[f64; 2]> = made.cameras.iter().map(|pose| axes.map(|axis| pose.translation[axis])).collect();
+    let all = || outlines.iter().flatten().chain(&cameras);
+    let bound = |axis: usize, pick: fn(f64, f64) -> f64, start: f64| all().map(|p| p[axis]).fold(start, pick);
+    let low = [0, 1].map(|axis| bound(axis, f64::min, f64::INFINITY));
+    let high = [0, 1].map(|axis| bound(axis, f64::max, f64::NEG_INFINITY));
+    let scale = (WIDTH - 40.0) / (high[0] - low[0]).max(high[1] - low[1]).max(1e-6);
+    let to_page = |p: &[f64; 2]| [20.0 + (p[0] - low[0]) * scale, 20.0 + (high[1] - p[1]) * scale];
+    let mut drawing = Drawing::new(WIDTH, 40.0 + (high[1] - low[1]) * scale);
+    for (k, outline) in outlines.iter().enumerate() {
+        let points: Vec<[f64; 2]> = outline.iter().map(to_page).collect();
+        drawing.path(&points, true, &hue(k), "none", 2.0);
+    }
+    for camera in &cameras {
+        drawing.circle(to_page(camera), 2.5, "none", "currentColor", 0.0);
+    }
+    figure(&drawing.finish("layout"), &format!("Surfaces and the cameras of the walk (dots), {caption}."))
+}

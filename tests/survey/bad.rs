@@ -1,0 +1,66 @@
+//! What is no walk around this stage: a sentence each, and nothing is overwritten.
+
+use image::GrayImage;
+use stagepose::diagnostics::simulate::{grey, paint};
+
+use super::{Walk, frames};
+
+fn survey<'a>(clip: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    [&["survey", clip, "--config", "stage.toml", "--output", "surveyed"], more].concat()
+}
+
+#[test]
+fn clips_that_are_no_walk_give_a_sentence_and_write_nothing() {
+    let walk = Walk::new();
+    let other = grey(&paint(480, 270, 77));
+    walk.save("elsewhere", &vec![other; 4]);
+    walk.save("still", &vec![frames()[20].clone(); 6]);
+    walk.save("one", &frames()[..1]);
+    walk.save("dark", &vec![GrayImage::new(480, 270); 3]);
+    for (clip, part) in [
+        ("elsewhere", "the stage is found in none of the 4 frames"),
+        ("still", "the camera came to"),
+        ("one", "the camera came to"),
+        ("dark", "the stage is found in none of the 3 frames"),
+        ("nothing", "nothing"),
+    ] {
+        walk.run(&survey(clip, &[])).assert_refused(1, &[part]);
+        assert!(!walk.path("surveyed").exists(), "{clip}");
+    }
+}
+
+#[test]
+fn an_earlier_survey_is_replaced_whole_and_its_shapes_belong_to_their_pictures() {
+    let walk = Walk::new();
+    std::fs::create_dir(walk.path("surveyed")).expect("it can be made");
+    walk.write("surveyed/mine.txt", "keep");
+    walk.run(&survey("walk", &[])).assert_refused(2, &["surveyed", "not of an earlier survey"]);
+    assert_eq!(walk.read("surveyed/mine.txt"), "keep");
+    std::fs::remove_file(walk.path("surveyed/mine.txt")).expect("it is there");
+    walk.run(&survey("walk", &[])).assert_success();
+    let first = walk.files("surveyed");
+    // A survey that fails leaves the earlier one as it was.
+    walk.save("one", &frames()[..1]);
+    walk.run(&survey("one", &[])).assert_refused(1, &["the camera came to"]);
+    assert_eq!(walk.files("surveyed"), first);
+    walk.run(&survey("walk", &[])).assert_success();
+    assert_eq!(walk.files("surveyed"), first);
+    a_shape_of_another_picture_or_size_is_refused_with_the_mend(&walk);
+}
+
+fn a_shape_of_another_picture_or_size_is_refused_with_the_mend(walk: &Walk) {
+    std::fs::copy(walk.path("surveyed/shape-1.toml"), walk.path("shape.toml")).expect("it can be copied");
+    let config = |surface: &str| {
+        walk.write(
+            "bent.toml",
+            &format!("[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\n{surface}\nshape = \"shape.toml\"\n"),
+        );
+        walk.run(&["check", "--config", "bent.toml", "--no-device"])
+    };
+    config("image = \"backdrop.png\"\nsize_m = [4.0, 3.0]").assert_success();
+    config("image = \"flat.png\"\nsize_m = [4.0, 3.0]")
+        .assert_refused(2, &["bent.toml", "line 6", "shape.toml", "another picture", "stagepose survey"]);
+    config("image = \"backdrop.png\"\nsize_m = [4.0, 2.9]").assert_refused(2, &["shape.toml", "4 x 3 m", "4 x 2.9 m"]);
+    walk.write("shape.toml", "picture = 3\n");
+    config("image = \"backdrop.png\"\nsize_m = [4.0, 3.0]").assert_refused(2, &["shape.toml", "line 1"]);
+}
