@@ -134,8 +134,8 @@ mod tests {
 
     fn shape() -> (BentShape, GrayImage, [f64; 2]) {
         let size_m = [4.0, 2.7];
-        let mut height = BicubicSpline::zero([5, 3], size_m);
-        let mut stretch = BicubicSpline::zero([2, 1], size_m);
+        let mut height = BicubicSpline::<1>::zero([5, 3], size_m);
+        let mut stretch = BicubicSpline::<2>::zero([2, 1], size_m);
         height.coefficients_mut().iter_mut().enumerate().for_each(|(k, c)| c.x = 1e-3 * (k as f64).sin());
         stretch.coefficients_mut().iter_mut().enumerate().for_each(|(k, c)| c.y = 1e-4 * k as f64);
         let way = ShapeWay { height: height.clone(), stretch: stretch.clone() };

@@ -133,9 +133,9 @@ impl<const N: usize> BicubicSpline<N> {
         for j in 0..SUPPORT {
             let row = &self.coefficients[first + j * stride..][..SUPPORT];
             let (mut value, mut by_x) = (SVector::<f64, N>::zeros(), SVector::<f64, N>::zeros());
-            for i in 0..SUPPORT {
-                value += row[i] * across.weights[i];
-                by_x += row[i] * across.slopes[i];
+            for ((c, weight), slope) in row.iter().zip(across.weights).zip(across.slopes) {
+                value += c * weight;
+                by_x += c * slope;
             }
             out.value += value * up.weights[j];
             out.by_x += by_x * up.weights[j];

@@ -79,6 +79,9 @@ pub fn add(
     }
 }
 
+/// A difference of neighbouring coefficients: columns and rows from the first, with their weights; how many it spans; the unit of the derivative that it is.
+type Difference = (&'static [(usize, usize, f64)], [usize; 2], f64);
+
 struct System<'a> {
     matrix: &'a mut DMatrix<f64>,
     right: &'a mut DVector<f64>,
@@ -100,7 +103,7 @@ impl System<'_> {
     fn smooth<const N: usize>(&mut self, field: &BicubicSpline<N>, first: usize, sigma: f64) {
         let [columns, rows] = field.columns_and_rows();
         let [dx, dy] = field.spacing();
-        let differences: [(&[(usize, usize, f64)], [usize; 2], f64); 3] = [
+        let differences: [Difference; 3] = [
             (&[(0, 0, 1.0), (1, 0, -2.0), (2, 0, 1.0)], [3, 1], dx * dx),
             (&[(0, 0, 1.0), (0, 1, -2.0), (0, 2, 1.0)], [1, 3], dy * dy),
             (&[(0, 0, 1.0), (1, 0, -1.0), (0, 1, -1.0), (1, 1, 1.0)], [2, 2], dx * dy / std::f64::consts::SQRT_2),

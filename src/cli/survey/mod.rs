@@ -5,6 +5,7 @@ mod json;
 mod report;
 mod text;
 
+use std::cell::Cell;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
@@ -93,7 +94,12 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     }
     let setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
     let total = sources.iter().map(|source| source.rows()).sum::<Option<u64>>();
-    let made = surveyed(&mut sources, &setup, arguments, Progress::start(total))?;
+    let made = surveyed(
+        &mut sources,
+        &setup,
+        arguments,
+        Progress::with(total, ["{bar:32} {pos}/{len} frames {msg}", "{spinner} {pos} frames {msg}"]),
+    )?;
     let judgement = made.judge();
     print(printable_lines(&text::text(&made, &judgement)).as_bytes())?;
     if let Some(file) = &arguments.json {
@@ -116,11 +122,15 @@ fn surveyed(
     progress: Progress,
 ) -> Result<Survey, Failure> {
     let options = SurveyOptions { refines_lens: arguments.lens == Lens::Refine };
+    let frames_read = Cell::new(0);
     let clips = sources.iter_mut().map(|source| frames(&mut **source));
     let made = survey(clips, setup, options, |step| {
         match step {
-            SurveyStep::Frame => progress.advance(),
-            SurveyStep::Round(_) => progress.say("adjusting"),
+            SurveyStep::Frame => {
+                frames_read.set(frames_read.get() + 1);
+                progress.advance();
+            }
+            SurveyStep::Round(round) => progress.at(frames_read.get(), format!("adjusting, round {}", round + 1)),
         }
         !interrupt::is_interrupted()
     });
