@@ -30,7 +30,7 @@ pub struct SurveyedSurface {
 type Change = (Range<usize>, String);
 
 impl ConfigSource {
-    /// The files of a surveyed stage: `stage.toml`, [`CALIBRATION`], the shapes, and copies of what else the config names. `first_typed`: where the config
+    /// The files of a surveyed stage: `stage.toml`, `camera.toml`, the shapes, and copies of what else the config names. `first_typed`: where the config
     /// itself has the first surface.
     ///
     /// # Errors
