@@ -21,6 +21,8 @@ const FEATURE_ROUNDS: usize = 5;
 const ANCHOR_ROUNDS: usize = 4;
 /// The robust scale of the residuals is taken as this at least: smaller ones are those of tiles that see the same noise.
 const LEAST_SCALE: f64 = 0.4;
+/// Fewest tiles that a scale is taken from. Raised, small surfaces are judged by the scale of the others; lowered, by chance.
+const LEAST_ROWS: usize = 20;
 /// Fewest features of a frame that count: twice the four that a pose needs.
 const LEAST_FEATURES: usize = 12;
 /// Done when a step changes no tile's place by more, pixels (root mean square).
@@ -57,7 +59,7 @@ pub struct Adjusted {
     pub model: StageModel,
     /// What each keyframe showed with it; `None` where it does not bear the model out.
     pub frames: Vec<Option<ObservedFrame>>,
-    /// Robust scale of the residuals, in sigmas.
+    /// Robust scale of the residuals, in sigmas: the largest of all surfaces'.
     pub scale: f64,
     /// Root mean square of what the tiles left of the start, pixels; `None` where no frame bore it out.
     pub start_rms_px: Option<f64>,
@@ -154,9 +156,9 @@ impl Adjustment {
                 Some(n) => self.observe_anchors(&model, 2 * n < ANCHOR_ROUNDS),
             };
             let rows = self.rows(&model, &frames);
-            let Some(scale) = robust_scale(&rows) else { continue };
-            let step = self.step(&model, &rows, scale)?;
-            tracing::debug!(round, frames = rows.len(), scale, rms_px = rms_px(&frames), step_px = step_px(&rows, &step), "rough");
+            let Some(scales) = robust_scales(&rows, model.surfaces.len()) else { continue };
+            let step = self.step(&model, &rows, &scales)?;
+            tracing::debug!(round, frames = rows.len(), ?scales, rms_px = rms_px(&frames), step_px = step_px(&rows, &step), "rough");
             model = model.stepped(&step)?;
         }
         for round in 0..MOST_ROUNDS {
@@ -165,16 +167,16 @@ impl Adjustment {
             }
             let frames = self.observe(&model);
             let rows = self.rows(&model, &frames);
-            let scale = robust_scale(&rows)?;
+            let scales = robust_scales(&rows, model.surfaces.len())?;
             if CHOOSING_ROUNDS.contains(&round) {
-                self.choose_smoothness(&model, &rows, scale, round == CHOOSING_ROUNDS[0]);
+                self.choose_smoothness(&model, &rows, &scales, round == CHOOSING_ROUNDS[0]);
             }
-            let equations = self.equations(&model, &rows, scale, true)?;
+            let equations = self.equations(&model, &rows, &scales, true)?;
             let factor = equations.matrix.clone().cholesky()?;
             let step = factor.solve(&equations.right);
             let step_px = step_px(&rows, &step);
             let left_px = rms_px(&frames);
-            tracing::debug!(round, frames = rows.len(), scale, left_px, step_px, curvatures = ?self.smoothness.curvatures, is_stretched = self.smoothness.is_stretched, "fine");
+            tracing::debug!(round, frames = rows.len(), ?scales, left_px, step_px, curvatures = ?self.smoothness.curvatures, is_stretched = self.smoothness.is_stretched, "fine");
             let is_last = round + 1 == MOST_ROUNDS;
             if step_px < SMALL_STEP_PX && round > CHOOSING_ROUNDS[1] || is_last {
                 let (has_settled, rms_px) = (!is_last, left_px);
@@ -184,7 +186,7 @@ impl Adjustment {
                 return Some(Adjusted {
                     model,
                     frames,
-                    scale,
+                    scale: scales.iter().copied().fold(0.0, f64::max),
                     start_rms_px,
                     rms_px,
                     start_error_m,
@@ -199,29 +201,29 @@ impl Adjustment {
         None
     }
 
-    fn step(&self, model: &StageModel, rows: &[FrameRows], scale: f64) -> Option<DVector<f64>> {
-        let equations = self.equations(model, rows, scale, true)?;
+    fn step(&self, model: &StageModel, rows: &[FrameRows], scales: &[f64]) -> Option<DVector<f64>> {
+        let equations = self.equations(model, rows, scales, true)?;
         Some(equations.matrix.clone().cholesky()?.solve(&equations.right))
     }
 
     /// The equations with their priors, symmetric.
-    fn equations(&self, model: &StageModel, rows: &[FrameRows], scale: f64, with_held_out: bool) -> Option<NormalEquations> {
-        let mut equations = NormalEquations::new(rows, model.places().count, scale, with_held_out)?;
+    fn equations(&self, model: &StageModel, rows: &[FrameRows], scales: &[f64], with_held_out: bool) -> Option<NormalEquations> {
+        let mut equations = NormalEquations::new(rows, model.places().count, scales, with_held_out)?;
         prior::add(model, &self.smoothness, &self.lens_sigmas, &mut equations.matrix, &mut equations.right);
         equations.matrix.fill_upper_triangle_with_lower_triangle();
         Some(equations)
     }
 
     /// Takes the smoothness that predicts held-out tiles best: first one for all surfaces, then for each whether flat does as well.
-    fn choose_smoothness(&mut self, model: &StageModel, rows: &[FrameRows], scale: f64, is_first: bool) {
-        let Some(data) = NormalEquations::new(rows, model.places().count, scale, false) else { return };
+    fn choose_smoothness(&mut self, model: &StageModel, rows: &[FrameRows], scales: &[f64], is_first: bool) {
+        let Some(data) = NormalEquations::new(rows, model.places().count, scales, false) else { return };
         let n = model.surfaces.len();
         let costs = |smoothness: &Smoothness| -> Option<Vec<f64>> {
             let mut equations = data.clone();
             prior::add(model, smoothness, &self.lens_sigmas, &mut equations.matrix, &mut equations.right);
             equations.matrix.fill_upper_triangle_with_lower_triangle();
             let step = equations.matrix.clone().cholesky()?.solve(&equations.right);
-            Some(equations.held_out_costs(rows, &step, scale, n))
+            Some(equations.held_out_costs(rows, &step, scales))
         };
         let mut best: Option<(f64, Smoothness)> = None;
         // Later on only what lies beside the last choice is tried.
@@ -301,14 +303,17 @@ fn distance_m(model: &StageModel, motion: &Motion) -> f64 {
     model.surfaces.iter().map(|s| (s.pose.translation - motion.pose.translation).norm()).fold(f64::INFINITY, f64::min)
 }
 
-/// Median residual over what it is for noise of one sigma in two dimensions.
-fn robust_scale(rows: &[FrameRows]) -> Option<f64> {
-    let mut squares: Vec<f64> = rows.iter().flat_map(FrameRows::rows).map(|r| r.squared_now()).collect();
-    if squares.len() < 20 {
-        return None;
-    }
-    squares.sort_by(f64::total_cmp);
-    Some((squares[squares.len() / 2] / (2.0 * 2.0_f64.ln())).sqrt().max(LEAST_SCALE))
+/// Each surface's median residual over what it is for noise of one sigma in two dimensions: one that stands elsewhere than the model has it is judged by
+/// itself, or its tiles would count as something else. Of surfaces with few tiles that of all.
+fn robust_scales(rows: &[FrameRows], surfaces: usize) -> Option<Vec<f64>> {
+    let scale = |of: &dyn Fn(usize) -> bool| {
+        let mut squares: Vec<f64> = rows.iter().flat_map(FrameRows::rows).filter(|r| of(r.surface)).map(|r| r.squared_now()).collect();
+        squares.sort_by(f64::total_cmp);
+        let median = squares.get(squares.len() / 2).filter(|_| squares.len() >= LEAST_ROWS);
+        median.map(|median| (median / (2.0 * 2.0_f64.ln())).sqrt().max(LEAST_SCALE))
+    };
+    let all = scale(&|_| true)?;
+    Some((0..surfaces).map(|k| scale(&|surface| surface == k).unwrap_or(all)).collect())
 }
 
 /// Root mean square of what the tiles leave, pixels; the farthest twentieth is something else.

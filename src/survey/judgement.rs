@@ -12,6 +12,9 @@ const LARGEST_SCALE: [f64; 2] = [2.0, 5.0];
 const LEAST_USED: [f64; 2] = [0.8, 0.5];
 /// Sigma of a surface's heights up to which it is good, and usable, as a share of its longer side.
 const LARGEST_HEIGHT_SIGMA: [f64; 2] = [1e-3, 5e-3];
+/// Sigma of a surface's place, as the same share, up to which it is good, and usable: a surface that no frame shows stays where the config has it, and
+/// is named.
+const LARGEST_PLACE_SIGMA: [f64; 2] = [2e-3, f64::INFINITY];
 /// 3 sigma of a focal length that was found, as a share, up to which it is good, and usable.
 const LARGEST_FOCAL: [f64; 2] = [2e-3, 1e-2];
 
@@ -136,6 +139,18 @@ impl Survey {
         for (description, surface) in self.described().iter().zip(&self.surfaces) {
             let side_mm = 1e3 * surface.size_m[0].max(surface.size_m[1]);
             let sigma = description.height_sigma_mm;
+            below(
+                description.sigma_mm / side_mm,
+                LARGEST_PLACE_SIGMA,
+                format!("{} stands where it was found to {:.2} mm", surface.name, description.sigma_mm),
+                &|| {
+                    format!(
+                        "where {} stands is known to {:.0} mm only: too few keyframes show it as its picture has it; film it from nearer and from two sides, and measure its \
+                     place better",
+                        surface.name, description.sigma_mm
+                    )
+                },
+            );
             below(sigma / side_mm, LARGEST_HEIGHT_SIGMA, format!("{} is known to {sigma:.2} mm", surface.name), &|| {
                 format!("{} is known to {sigma:.1} mm only: film it from two sides, 20 degrees or more apart", surface.name)
             });

@@ -29,7 +29,8 @@ pub struct TileRow {
     /// What the model leaves of it, pixels.
     residual: Vector2<f64>,
     information: Matrix2<f64>,
-    surface: usize,
+    /// Index of its surface.
+    pub surface: usize,
     /// Whether it is kept for judging.
     pub is_held_out: bool,
 }
@@ -122,21 +123,22 @@ fn frame_prior(_motion: &Motion, shutter: &Shutter, distance_m: f64) -> FrameMat
 }
 
 impl NormalEquations {
-    /// Of all frames, with Tukey's weights at a robust scale. Held-out tiles count only where `with_held_out`.
-    pub fn new(frames: &[FrameRows], unknowns: usize, scale: f64, with_held_out: bool) -> Option<Self> {
+    /// Of all frames, with Tukey's weights at the robust scale of each surface. Held-out tiles count only where `with_held_out`.
+    pub fn new(frames: &[FrameRows], unknowns: usize, scales: &[f64], with_held_out: bool) -> Option<Self> {
         let mut out =
             Self { matrix: DMatrix::zeros(unknowns, unknowns), right: DVector::zeros(unknowns), frames: Vec::with_capacity(frames.len()) };
         for frame in frames {
-            out.add(frame, scale, with_held_out)?;
+            out.add(frame, scales, with_held_out)?;
         }
         Some(out)
     }
 
-    fn add(&mut self, frame: &FrameRows, scale: f64, with_held_out: bool) -> Option<()> {
+    fn add(&mut self, frame: &FrameRows, scales: &[f64], with_held_out: bool) -> Option<()> {
         let mut own = frame.prior;
         let mut right = FrameVector::zeros();
         let mut coupling = DMatrix::zeros(self.right.len(), FRAME_UNKNOWNS);
         for row in frame.rows.iter().filter(|r| with_held_out || !r.is_held_out) {
+            let scale = scales[row.surface];
             let information = row.information * (tukey_weight(row.squared_now(), scale) / (scale * scale));
             let TileDerivatives { by_frame, by_model } = &row.derivatives;
             let weighted = by_frame.transpose() * information;
@@ -176,13 +178,13 @@ impl NormalEquations {
     }
 
     /// The robust cost that a step leaves of each surface's held-out tiles, in squared scales, each tile cut at Tukey's limit.
-    pub fn held_out_costs(&self, frames: &[FrameRows], step: &DVector<f64>, scale: f64, surfaces: usize) -> Vec<f64> {
-        let mut costs = vec![0.0; surfaces];
+    pub fn held_out_costs(&self, frames: &[FrameRows], step: &DVector<f64>, scales: &[f64]) -> Vec<f64> {
+        let mut costs = vec![0.0; scales.len()];
         for (frame, own) in frames.iter().zip(&self.frames) {
             let coupled = own.coupling.tr_mul(step);
             let by_frame = own.inverse * (own.right - FrameVector::from_column_slice(coupled.as_slice()));
             for row in frame.rows.iter().filter(|r| r.is_held_out) {
-                costs[row.surface] += (row.squared(&by_frame, step) / (scale * scale)).min(22.0);
+                costs[row.surface] += (row.squared(&by_frame, step) / scales[row.surface].powi(2)).min(22.0);
             }
         }
         costs

@@ -221,7 +221,7 @@ mod tests {
             // Linearised at the true poses, which the equations leave free.
             let frames = observed(truth, &model, &poses, noise_px, 7);
             let rows: Vec<FrameRows> = frames.iter().map(|f| FrameRows::new(f, &model, &Shutter::default(), 3.0, |_| false)).collect();
-            let mut equations = NormalEquations::new(&rows, model.places().count, 1e3, true).unwrap();
+            let mut equations = NormalEquations::new(&rows, model.places().count, &[1e3; 2], true).unwrap();
             // The scale of Tukey's weights leaves all tiles in; undo what it did to the information.
             equations.matrix *= 1e6;
             equations.right *= 1e6;
