@@ -38,8 +38,8 @@ pub struct CompareOptions {
     /// What is a match.
     pub matching: ExactOptions,
     /// Largest Sampson distance to F or E of a match that agrees, pixels; to H 1.25 times as much. Raised, wrong matches agree; lowered, right ones that
-    /// were found less exactly do not. The default is 2.4 sigmas of SIFT's keypoints where they are worst: in eleven pairs of photographs of planes they err by
-    /// 0.2 to 0.5 pixels (with 1.5 the geometric mean of the corner errors is 0.496 instead of 0.495 pixels).
+    /// were found less exactly do not. The default is three sigmas of SIFT's keypoints where they are worst: in pairs of photographs of planes they err by 0.2
+    /// to 0.5 pixels.
     pub threshold_px: f64,
     /// How far the camera moved, metres, if that is known.
     pub baseline_m: Option<f64>,
@@ -52,7 +52,7 @@ impl Default for CompareOptions {
         Self {
             features: FeatureSettings::of(crate::features::DetectorKind::Sift),
             matching: ExactOptions::default(),
-            threshold_px: 1.2,
+            threshold_px: 1.5,
             baseline_m: None,
             seed: 1,
         }
