@@ -54,6 +54,8 @@ pub fn files_named_in(text: &str, file: &Path) -> Vec<(PathBuf, FileKind)> {
 
 /// A file of a copy: its name in the copy's folder, and its bytes.
 pub type CopiedFile = (String, Vec<u8>);
+/// A change of a config's text: what is replaced, and by what.
+pub(super) type Change = (Range<usize>, String);
 
 impl ConfigSource {
     /// The config as it was read, as `stage.toml`, and the files that it names, named anew in it; to be written into one folder.
@@ -65,43 +67,66 @@ impl ConfigSource {
     /// Only by a defect of the program: the text was read as a config before.
     pub fn copy(&self, exposure_s: Option<f64>) -> io::Result<Vec<CopiedFile>> {
         let typed = Config::parse(&self.text, &self.file).map_err(io::Error::other)?;
+        let (mut files, mut changes) = self.named_anew(&typed, |_| false)?;
+        changes.extend(exposure_s.and_then(|exposure_s| self.exposure(&typed, exposure_s)));
+        files.push(self.changed(changes));
+        Ok(files)
+    }
+
+    /// Copies of the files that the config names, but for those at spans that are spared, and the changes that name the copies.
+    pub(super) fn named_anew(
+        &self,
+        typed: &Config,
+        is_spared: impl Fn(&Range<usize>) -> bool,
+    ) -> io::Result<(Vec<CopiedFile>, Vec<Change>)> {
         let (mut files, mut changes) = (Vec::new(), Vec::new());
-        for (number, (named, _)) in named_files(&typed).into_iter().enumerate() {
+        for (number, (named, _)) in named_files(typed).into_iter().enumerate() {
             let (name, span) = (named.get_ref(), named.span());
+            if is_spared(&span) {
+                continue;
+            }
             let base = name.rsplit('/').next().filter(|base| !base.is_empty()).unwrap_or("file");
             let new = format!("{number}-{base}");
             files.push((new.clone(), self.bytes(name)?.to_vec()));
             changes.push((span, toml::Value::String(new).to_string()));
         }
-        changes.extend(exposure_s.and_then(|exposure_s| self.exposure(&typed, exposure_s)));
+        Ok((files, changes))
+    }
+
+    /// The config's text after changes, as `stage.toml`.
+    pub(super) fn changed(&self, mut changes: Vec<Change>) -> CopiedFile {
         // From the end, so that the spans in front stay where they are.
-        changes.sort_by_key(|(span, _)| std::cmp::Reverse(span.start));
+        changes.sort_by_key(|(span, _)| std::cmp::Reverse((span.start, span.end)));
         let mut copy = self.text.to_string();
         for (span, new) in changes {
             copy.replace_range(span, &new);
         }
-        files.push(("stage.toml".to_owned(), copy.into_bytes()));
-        Ok(files)
+        ("stage.toml".to_owned(), copy.into_bytes())
     }
 
     /// The change that puts an exposure into a config which leaves it open.
-    fn exposure(&self, typed: &Config, exposure_s: f64) -> Option<(Range<usize>, String)> {
+    fn exposure(&self, typed: &Config, exposure_s: f64) -> Option<Change> {
         match typed.camera.as_ref().and_then(|camera| camera.get_ref().exposure_s.as_ref()) {
             Some(typed) if typed.get_ref().0 != 0.0 => None,
             Some(typed) => Some((typed.span(), format!("{exposure_s:?}"))),
             None => {
                 let table = DeTable::parse(&self.text).ok()?;
                 let camera = table.get_ref().get("camera")?.get_ref().as_table()?;
-                let first = camera.keys().map(|key| key.span().start).min()?;
-                let before = &self.text[..first];
-                let line = &before[before.rfind('\n').map_or(0, |end| end + 1)..];
-                // What stands before the first key says how keys are joined: in a table of its own, in braces, or by dots.
-                let has_own_line = line.trim().is_empty() || line.trim_end().ends_with('.');
-                let join = if has_own_line { format!("\n{line}") } else { ", ".to_owned() };
-                Some((first..first, format!("exposure_s = {exposure_s:?}{join}")))
+                added(&self.text, camera, "exposure_s", &format!("{exposure_s:?}"))
             }
         }
     }
+}
+
+/// The change that adds a key to a table; `None` where the table is empty.
+pub(super) fn added(text: &str, table: &DeTable, key: &str, value: &str) -> Option<Change> {
+    let first = table.keys().map(|key| key.span().start).min()?;
+    let before = &text[..first];
+    let line = &before[before.rfind('\n').map_or(0, |end| end + 1)..];
+    // What stands before the first key says how keys are joined: in a table of its own, in braces, or by dots.
+    let has_own_line = line.trim().is_empty() || line.trim_end().ends_with('.');
+    let join = if has_own_line { format!("\n{line}") } else { ", ".to_owned() };
+    Some((first..first, format!("{key} = {value}{join}")))
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::ConfigSource;
 use super::as_typed::Config;
-use super::named_files::{CopiedFile, named_files};
+use super::named_files::{Change, CopiedFile, added};
 use crate::geometry::{Body, Pose, SurfaceFrame};
 
 /// The calibration's name in the folder.
@@ -25,9 +25,6 @@ pub struct SurveyedSurface {
     /// The text of its shape file.
     pub shape: String,
 }
-
-/// A change of the text.
-type Change = (Range<usize>, String);
 
 impl ConfigSource {
     /// The files of a surveyed stage: `stage.toml`, `camera.toml`, the shapes, and copies of what else the config names. `first_typed`: where the config
@@ -48,7 +45,7 @@ impl ConfigSource {
         let camera = document.get_ref().get("camera").and_then(|camera| camera.get_ref().as_table());
         if let Some(camera) = camera {
             changes.extend(GUESSES.iter().filter_map(|key| without(camera, key)));
-            changes.push(with(&self.text, camera, "calibration", format!("{CALIBRATION:?}")));
+            changes.extend(with(&self.text, camera, "calibration", &format!("{CALIBRATION:?}")));
         }
         let of_camera = typed.camera.as_ref().and_then(|camera| camera.get_ref().calibration.as_ref()).map(Spanned::span);
         let tables = document.get_ref().get("stage").and_then(|stage| stage.get_ref().as_table()?.get("surface")?.get_ref().as_array());
@@ -65,41 +62,20 @@ impl ConfigSource {
                 values.push(("orientation_xyzw", format!("{:?}", pose.orientation_xyzw())));
             }
             shapes.extend(table.get("shape").map(Spanned::span));
-            changes.extend(values.into_iter().map(|(key, value)| with(&self.text, table, key, value)));
+            changes.extend(values.into_iter().filter_map(|(key, value)| with(&self.text, table, key, &value)));
         }
-        for (number, (named, _)) in named_files(&typed).into_iter().enumerate() {
-            let (name, span) = (named.get_ref(), named.span());
-            if of_camera == Some(span.clone()) || shapes.contains(&span) {
-                continue;
-            }
-            let base = name.rsplit('/').next().filter(|base| !base.is_empty()).unwrap_or("file");
-            let new = format!("{number}-{base}");
-            files.push((new.clone(), self.bytes(name)?.to_vec()));
-            changes.push((span, toml::Value::String(new).to_string()));
-        }
-        // From the end, so that the spans in front stay where they are.
-        changes.sort_by_key(|(span, _)| std::cmp::Reverse((span.start, span.end)));
-        let mut text = self.text.to_string();
-        for (span, new) in changes {
-            text.replace_range(span, &new);
-        }
-        files.push(("stage.toml".to_owned(), text.into_bytes()));
+        let is_written_anew = |span: &Range<usize>| of_camera.as_ref() == Some(span) || shapes.contains(span);
+        let (copies, names) = self.named_anew(&typed, is_written_anew)?;
+        files.extend(copies);
+        changes.extend(names);
+        files.push(self.changed(changes));
         Ok(files)
     }
 }
 
-/// The change that gives a key of a table a value.
-fn with(text: &str, table: &DeTable, key: &str, value: String) -> Change {
-    if let Some(old) = table.get(key) {
-        return (old.span(), value);
-    }
-    let first = table.keys().map(|key| key.span().start).min().unwrap_or(0);
-    let before = &text[..first];
-    let line = &before[before.rfind('\n').map_or(0, |end| end + 1)..];
-    // What stands before the first key says how keys are joined: in a table of its own, in braces, or by dots.
-    let has_own_line = line.trim().is_empty() || line.trim_end().ends_with('.');
-    let join = if has_own_line { format!("\n{line}") } else { ", ".to_owned() };
-    (first..first, format!("{key} = {value}{join}"))
+/// The change that gives a key of a table a value; `None` of an empty table.
+fn with(text: &str, table: &DeTable, key: &str, value: &str) -> Option<Change> {
+    table.get(key).map(|old| (old.span(), value.to_owned())).or_else(|| added(text, table, key, value))
 }
 
 /// The change that takes a key out of a table; a harmless comment stays in its place where it has a line of its own.

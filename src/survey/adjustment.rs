@@ -14,7 +14,7 @@ use crate::motion::Motion;
 use crate::track::{ObservedFrame, ObservedTile, TileObserver};
 
 /// Rounds at most. Most surveys settle in five or six.
-pub const MOST_ROUNDS: usize = 16;
+const MOST_ROUNDS: usize = 16;
 /// Rounds with features, which lead to the basin of the alignment where a lens or a layout is far off.
 const FEATURE_ROUNDS: usize = 5;
 /// Rounds with anchors: the first half of them at half the frame's size.
@@ -23,7 +23,7 @@ const ANCHOR_ROUNDS: usize = 4;
 const LEAST_SCALE: f64 = 0.4;
 /// Fewest tiles that a scale is taken from. Raised, small surfaces are judged by the scale of the others; lowered, by chance.
 const LEAST_ROWS: usize = 20;
-/// Fewest features of a frame that count: twice the four that a pose needs.
+/// Fewest features of a frame that count: three times the four that a pose needs.
 const LEAST_FEATURES: usize = 12;
 /// Done when a step changes no tile's place by more, pixels (root mean square).
 const SMALL_STEP_PX: f64 = 0.01;
@@ -35,7 +35,7 @@ const CURVATURES: [f64; 7] = [0.003, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0];
 const NEAR: f64 = 1.5;
 /// A rougher shape is taken only where it explains the held-out tiles better by this share of their cost.
 const BETTER: f64 = 0.01;
-/// One tile in so many is held out while the smoothness is chosen.
+/// While the smoothness is chosen, one tile of this many is held out.
 const HELD_OUT: u32 = 5;
 /// Covariances are that much larger than those of independent tiles: neighbouring keyframes see the same tiles, and what is off in one is off in the next.
 /// (research/mapping.md, section 6.)
@@ -95,34 +95,32 @@ impl Adjustment {
 
     /// Aligns all keyframes with a model; each remembers its motion.
     fn observe(&mut self, model: &StageModel) -> Vec<Option<ObservedFrame>> {
-        let chunks = self.keyframes.par_chunks_mut(KEYFRAMES_AN_OBSERVER).zip(&mut self.observers);
-        let of_chunk = |(keyframes, observer): (&mut [Keyframe], &mut TileObserver)| -> Vec<Option<ObservedFrame>> {
-            observer.take_model(&model.camera, &model.surfaces);
-            let of_frame = |keyframe: &mut Keyframe| {
-                let observed = observer.observe(&keyframe.frame.image, &keyframe.motion);
-                if let Some(observed) = &observed {
-                    keyframe.motion = observed.motion;
-                }
-                observed
-            };
-            keyframes.iter_mut().map(of_frame).collect()
-        };
-        chunks.map(of_chunk).collect::<Vec<_>>().into_iter().flatten().collect()
+        self.ask(model, |observer, keyframe| {
+            let observed = observer.observe(&keyframe.frame.image, &keyframe.motion)?;
+            keyframe.motion = observed.motion;
+            Some(observed)
+        })
     }
 
-    /// Where each keyframe shows the anchors of a model.
+    /// Where each keyframe shows the anchors of a model; each remembers its pose.
     fn observe_anchors(&mut self, model: &StageModel, is_half: bool) -> Vec<Option<ObservedFrame>> {
+        self.ask(model, |observer, keyframe| {
+            let observed = observer.observe_anchors(&keyframe.frame.image, &keyframe.motion.pose, is_half)?;
+            keyframe.motion.pose = observed.motion.pose;
+            Some(observed)
+        })
+    }
+
+    /// Asks every keyframe through its observer, which takes the model first.
+    fn ask(
+        &mut self,
+        model: &StageModel,
+        of_frame: impl Fn(&mut TileObserver, &mut Keyframe) -> Option<ObservedFrame> + Sync,
+    ) -> Vec<Option<ObservedFrame>> {
         let chunks = self.keyframes.par_chunks_mut(KEYFRAMES_AN_OBSERVER).zip(&mut self.observers);
         let of_chunk = |(keyframes, observer): (&mut [Keyframe], &mut TileObserver)| -> Vec<Option<ObservedFrame>> {
             observer.take_model(&model.camera, &model.surfaces);
-            let of_frame = |keyframe: &mut Keyframe| {
-                let observed = observer.observe_anchors(&keyframe.frame.image, &keyframe.motion.pose, is_half);
-                if let Some(observed) = &observed {
-                    keyframe.motion.pose = observed.motion.pose;
-                }
-                observed
-            };
-            keyframes.iter_mut().map(of_frame).collect()
+            keyframes.iter_mut().map(|keyframe| of_frame(observer, keyframe)).collect()
         };
         chunks.map(of_chunk).collect::<Vec<_>>().into_iter().flatten().collect()
     }
@@ -171,7 +169,7 @@ impl Adjustment {
             if CHOOSING_ROUNDS.contains(&round) {
                 self.choose_smoothness(&model, &rows, &scales, round == CHOOSING_ROUNDS[0]);
             }
-            let equations = self.equations(&model, &rows, &scales, true)?;
+            let equations = self.equations(&model, &rows, &scales)?;
             let factor = equations.matrix.clone().cholesky()?;
             let step = factor.solve(&equations.right);
             let step_px = step_px(&rows, &step);
@@ -202,16 +200,21 @@ impl Adjustment {
     }
 
     fn step(&self, model: &StageModel, rows: &[FrameRows], scales: &[f64]) -> Option<DVector<f64>> {
-        let equations = self.equations(model, rows, scales, true)?;
+        let equations = self.equations(model, rows, scales)?;
         Some(equations.matrix.clone().cholesky()?.solve(&equations.right))
     }
 
-    /// The equations with their priors, symmetric.
-    fn equations(&self, model: &StageModel, rows: &[FrameRows], scales: &[f64], with_held_out: bool) -> Option<NormalEquations> {
-        let mut equations = NormalEquations::new(rows, model.places().count, scales, with_held_out)?;
-        prior::add(model, &self.smoothness, &self.lens_sigmas, &mut equations.matrix, &mut equations.right);
+    /// The equations of all tiles with their priors.
+    fn equations(&self, model: &StageModel, rows: &[FrameRows], scales: &[f64]) -> Option<NormalEquations> {
+        let data = NormalEquations::new(rows, model.places().count, scales, true)?;
+        Some(self.with_priors(data, model, &self.smoothness))
+    }
+
+    /// Equations of tiles with the priors at a smoothness, symmetric.
+    fn with_priors(&self, mut equations: NormalEquations, model: &StageModel, smoothness: &Smoothness) -> NormalEquations {
+        prior::add(model, smoothness, &self.lens_sigmas, &mut equations.matrix, &mut equations.right);
         equations.matrix.fill_upper_triangle_with_lower_triangle();
-        Some(equations)
+        equations
     }
 
     /// Takes the smoothness that predicts held-out tiles best: first one for all surfaces, then for each whether flat does as well.
@@ -219,9 +222,7 @@ impl Adjustment {
         let Some(data) = NormalEquations::new(rows, model.places().count, scales, false) else { return };
         let n = model.surfaces.len();
         let costs = |smoothness: &Smoothness| -> Option<Vec<f64>> {
-            let mut equations = data.clone();
-            prior::add(model, smoothness, &self.lens_sigmas, &mut equations.matrix, &mut equations.right);
-            equations.matrix.fill_upper_triangle_with_lower_triangle();
+            let equations = self.with_priors(data.clone(), model, smoothness);
             let step = equations.matrix.clone().cholesky()?.solve(&equations.right);
             Some(equations.held_out_costs(rows, &step, scales))
         };

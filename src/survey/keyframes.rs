@@ -7,7 +7,7 @@ use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 
 /// Keyframes at most. Chosen: with 0.45 m between them, twice as many were no better (research/mapping.md). Raised, the time grows in proportion.
-pub const MOST_KEYFRAMES: usize = 120;
+const MOST_KEYFRAMES: usize = 120;
 /// Keyframes are this far apart at first, as a share of the distance or in radians; where there are too many, twice as far. Raised, short walks have
 /// few of them; lowered, long ones hold more frames in memory meanwhile.
 const FIRST_SPACING: f64 = 0.03;

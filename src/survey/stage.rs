@@ -62,7 +62,7 @@ pub enum SurveyError {
     /// The equations have no solution.
     #[error("the walk does not determine the stage; film it from more sides")]
     Undetermined,
-    /// Somebody asked for the end.
+    /// `progress` asked for the end.
     #[error("interrupted; nothing was written")]
     Interrupted,
 }
@@ -83,7 +83,7 @@ pub struct Survey {
     pub keyframes: usize,
     /// See `keyframes`.
     pub used: usize,
-    /// Root mean square of what the tiles leave of the stage as configured, pixels; `None` where no keyframe bears it out.
+    /// Root mean square residual of the tiles with the stage as configured, pixels; `None` where no keyframe could be aligned with it.
     pub configured_rms_px: Option<f64>,
     /// The same as surveyed.
     pub rms_px: f64,

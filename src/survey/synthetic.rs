@@ -53,7 +53,7 @@ pub fn camera_poses(n: usize) -> Vec<Pose<Body, Camera>> {
     (0..n).map(pose).collect()
 }
 
-/// What frames at these poses show of a true stage beside where a model has it, with noise of so many pixels.
+/// The tiles that frames at these poses show of the true stage, each as its shift from where a model predicts it, with noise (one sigma, pixels).
 pub fn observed(truth: &StageModel, model: &StageModel, poses: &[Pose<Body, Camera>], noise_px: f64, seed: u64) -> Vec<ObservedFrame> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut gauss = move || (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>();

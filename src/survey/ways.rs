@@ -42,7 +42,7 @@ fn ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &NormalEquatio
     for (row, k) in (0..frames).step_by(step).enumerate() {
         by_model.rows_mut(6 * row, 6).copy_from(&equations.pose_by_model(k).columns(0, n));
     }
-    // What the lens has to do with it is told by the lens.
+    // The lens's own uncertainty goes with the lens, in its calibration.
     let spread = covariance.view((0, 0), (n, n)) * by_model.transpose();
     let eigen = (&by_model * &spread).symmetric_eigen();
     let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).filter(|k| eigen.eigenvalues[*k] > SMALLEST_WAY * SMALLEST_WAY).collect();

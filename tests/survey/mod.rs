@@ -84,7 +84,7 @@ fn calibration(lens: &Intrinsics) -> String {
 }
 
 impl Walk {
-    /// The walk; its flat is measured 20 mm and a degree beside where it stands, and its lens is told as it is.
+    /// The walk, with a config whose flat is 20 mm and a degree off, and whose lens is right.
     pub fn new() -> Self {
         let walk = Self { folder: tempfile::tempdir().expect("a folder") };
         backdrop_art().save(walk.path("backdrop.png")).expect("it can be written");
