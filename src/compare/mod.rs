@@ -38,7 +38,7 @@ pub struct CompareOptions {
     /// What is a match.
     pub matching: ExactOptions,
     /// Largest Sampson distance to F or E of a match that agrees, pixels; to H 1.25 times as much. Raised, wrong matches agree; lowered, right ones that
-    /// were found less exactly do not. The default is three sigmas of SIFT's keypoints where they are worst: in pairs of photographs of planes they err by 0.2
+    /// were found less exactly do not. The default is 2.4 sigmas of SIFT's keypoints where they are worst: in pairs of photographs of planes they err by 0.2
     /// to 0.5 pixels.
     pub threshold_px: f64,
     /// How far the camera moved, metres, if that is known.
@@ -52,7 +52,7 @@ impl Default for CompareOptions {
         Self {
             features: FeatureSettings::of(crate::features::DetectorKind::Sift),
             matching: ExactOptions::default(),
-            threshold_px: 1.5,
+            threshold_px: 1.2,
             baseline_m: None,
             seed: 1,
         }
@@ -288,7 +288,7 @@ impl Comparison {
                 None => format!("The camera turned by {turn:.2} degrees; a move of it does not show."),
             });
             if found.is_ambiguous {
-                remarks.push("Of a flat scene seen like this two moves explain the matches alike; the better one is given.".to_owned());
+                remarks.push("Of a flat scene seen like this two moves explain the matches alike; the one that sees the plane more squarely is given.".to_owned());
             }
         } else if self.cameras.is_none() && self.model.is_some() {
             remarks.push("The move of the camera needs its calibration; give --camera.".to_owned());

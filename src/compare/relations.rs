@@ -50,6 +50,9 @@ const CLEARLY_MORE: f64 = 1.05;
 /// Searches for the homography, of which the best counts. Real planes are a little bent, and so have several fits that are nearly as good; one search
 /// ends at the first. Raised, the best of them is missed less often.
 const SEARCHES: u64 = 20;
+/// Of two moves before a plane, the matches that agree with one alone decide where they are this far from even: McNemar's statistic, chi square's
+/// 99.9 % point with one degree of freedom. Raised, little relief is not used; lowered, mismatches decide.
+const NOT_EVEN: f64 = 10.83;
 /// Parallax below which a direction of the move is noise, in standard deviations of a ray. Raised, small moves go unnamed; lowered, they are noise.
 const LEAST_PARALLAX: f64 = 3.0;
 
@@ -134,21 +137,30 @@ fn of_plane(
         let near = |k: &usize| squared_sampson(&motion.essential(), &rays[*k]) * focal[0] * focal[1] < search.threshold.powi(2);
         (0..rays.len()).filter(near).collect()
     };
-    let mut rated: Vec<(Vec<usize>, f64, PlanarMotion)> = motions
+    let mut rated: Vec<(Vec<usize>, PlanarMotion)> = motions
         .into_iter()
         .map(|m| {
             let direction = m.translation.try_normalize(1e-12);
             let inliers = direction.map_or(Vec::new(), |direction| agreeing(&TwoViewMotion { rotation: m.rotation, direction }));
-            let mut angles: Vec<f64> = seen.iter().map(|r| (m.rotation * r.first.push(1.0)).angle(&r.second.push(1.0))).collect();
-            (inliers, median(&mut angles).unwrap_or(0.0), m)
+            (inliers, m)
         })
         .collect();
-    rated.sort_by(|a, b| b.0.len().cmp(&a.0.len()).then(b.2.in_front.cmp(&a.2.in_front)));
-    let Some((inliers, parallax, best)) = rated.first() else { return (None, None) };
+    let mut is_undecided = false;
+    if let [first, second] = &rated[..] {
+        let verdict = verdict_off_the_plane(&first.0, &second.0);
+        is_undecided = verdict.is_none();
+        // A plane shows itself by the cosine of its slant: of two that explain the matches alike, the one seen more squarely is the likelier.
+        let second_wins = verdict.unwrap_or_else(|| squareness(&second.1, &seen) > squareness(&first.1, &seen));
+        if second_wins {
+            rated.swap(0, 1);
+        }
+    }
+    let Some((inliers, best)) = rated.first() else { return (None, None) };
+    let mut angles: Vec<f64> = seen.iter().map(|r| (best.rotation * r.first.push(1.0)).angle(&r.second.push(1.0))).collect();
+    let parallax = median(&mut angles).unwrap_or(0.0);
     let noise = plane.sigma / (focal[0] * focal[1]).sqrt();
-    let direction = best.translation.try_normalize(1e-12).filter(|_| *parallax > LEAST_PARALLAX * noise);
-    // Matches off the plane tell the two apart; where hardly any do, both stand.
-    let is_ambiguous = direction.is_some() && rated.get(1).is_some_and(|other| 10 * other.0.len() > 9 * inliers.len());
+    let direction = best.translation.try_normalize(1e-12).filter(|_| parallax > LEAST_PARALLAX * noise);
+    let is_ambiguous = direction.is_some() && is_undecided;
     let camera_move =
         CameraMove { rotation: best.rotation, direction, in_front: best.in_front, parallax_deg: parallax.to_degrees(), is_ambiguous };
     let essential = direction.map(|direction| {
@@ -156,6 +168,24 @@ fn of_plane(
         Relation { matrix, inliers: inliers.clone(), sigma_px: plane.sigma }
     });
     (Some(camera_move), essential)
+}
+
+/// Whether the second of two moves is right, by the matches that agree with one of them alone (both lists ascend): those on the plane agree with both,
+/// mismatches with either by chance, what lies off the plane with the true one. `None` where chance explains the difference (McNemar 1947).
+fn verdict_off_the_plane(first: &[usize], second: &[usize]) -> Option<bool> {
+    let only = |of: &[usize], other: &[usize]| of.iter().filter(|k| other.binary_search(k).is_err()).count() as f64;
+    let (first, second) = (only(first, second), only(second, first));
+    ((first - second).powi(2) > NOT_EVEN * (first + second)).then_some(second > first)
+}
+
+/// How squarely both cameras see a motion's plane: the product of its two mean cosines of slant. 1 head-on, 0 edge-on.
+fn squareness(motion: &PlanarMotion, seen: &[RayPair]) -> f64 {
+    let Some(normal) = motion.normal else { return 0.0 };
+    let turned = motion.rotation * normal;
+    let [first, second] = seen.iter().fold([0.0; 2], |[a, b], pair| {
+        [a + normal.dot(&pair.first.push(1.0).normalize()), b + turned.dot(&pair.second.push(1.0).normalize())]
+    });
+    first * second / (seen.len() as f64).powi(2)
 }
 
 /// The move before a scene with depth.
@@ -255,5 +285,38 @@ fn choose(
         (Some(_), None) => Some(Model::Homography),
         (None, Some((_, kind))) => Some(of_kind(kind)),
         (None, None) => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector2, Vector3};
+
+    use super::*;
+
+    #[test]
+    fn few_matches_off_the_plane_decide_nothing_and_many_decide() {
+        let on_the_plane = 0..200;
+        let with = |more: std::ops::Range<usize>| -> Vec<usize> { on_the_plane.clone().chain(more).collect() };
+        assert_eq!(verdict_off_the_plane(&with(200..206), &with(206..210)), None);
+        assert_eq!(verdict_off_the_plane(&with(200..200), &with(200..200)), None);
+        assert_eq!(verdict_off_the_plane(&with(200..230), &with(230..235)), Some(false));
+        assert_eq!(verdict_off_the_plane(&with(200..205), &with(205..235)), Some(true));
+    }
+
+    #[test]
+    fn a_plane_before_the_camera_is_seen_more_squarely_than_a_steep_one() {
+        let seen: Vec<RayPair> = [-0.2, 0.0, 0.2].map(|x| RayPair { first: Vector2::new(x, 0.0), second: Vector2::new(x, 0.0) }).to_vec();
+        let with = |normal: Vector3<f64>| {
+            let motion = PlanarMotion {
+                rotation: UnitQuaternion::identity(),
+                translation: Vector3::x(),
+                normal: Some(normal.normalize()),
+                in_front: 3,
+            };
+            squareness(&motion, &seen)
+        };
+        let (square, slanted) = (with(Vector3::z()), with(Vector3::new(1.0, 0.0, 1.0)));
+        assert!(square > 0.95 && square <= 1.0 && slanted > 0.3 && slanted < 0.6, "{square} {slanted}");
     }
 }
