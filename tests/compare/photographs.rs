@@ -25,8 +25,7 @@ fn corner_error_px(found: &Compared, truth: &Matrix3<f64>, picture: &Path) -> f6
 }
 
 /// Sets of Oxford, the pictures that are compared with the first one, and the largest corner error: 1.2 times that of OpenCV's SIFT with MAGSAC
-/// (CATALOG.md), at least a pixel. Bikes 1-3 has 0.015 more: 1.051 with the usual threshold of 1.5 pixels, 1.018 with 1.2, which of two moves before a flat scene then takes the
-/// wrong one in `e31_the_move_is_never_reversed`.
+/// (CATALOG.md), at least a pixel.
 const OXFORD: [(&str, &[(u32, f64)]); 4] = [
     ("homog-oxford-graf", &[(2, 1.38), (3, 3.96)]),
     ("homog-oxford-boat", &[(2, 1.0), (3, 1.0), (4, 2.14)]),
