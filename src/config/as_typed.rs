@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 use toml::Spanned;
 
-pub use super::typed_values::{ControlValue, Count, Exactly, Number, Texts};
+pub use super::typed_values::{ControlValue, Count, Exactly, Number, PictureWord, Texts};
 
 /// A whole config file.
 #[derive(Debug, Deserialize)]
@@ -21,6 +21,8 @@ pub struct Config {
     /// `[[object]]`
     #[serde(default)]
     pub object: Vec<Spanned<Object>>,
+    /// `[[survey.distance]]` and `[[survey.point]]`
+    pub survey: Option<Survey>,
     /// `[mount]`
     pub mount: Option<Spanned<Mount>>,
     /// `[tracker]`
@@ -110,6 +112,43 @@ pub struct Surface {
     pub orientation_xyzw: Option<Spanned<Exactly<Number, 4>>>,
     /// or turn, tilt and roll, degrees.
     pub rotation_deg: Option<Spanned<Exactly<Number, 3>>>,
+}
+
+/// What was measured on the stage.
+#[derive(Debug, Deserialize)]
+pub struct Survey {
+    /// `[[survey.distance]]`
+    #[serde(default)]
+    pub distance: Vec<Spanned<SurveyDistance>>,
+    /// `[[survey.point]]`
+    #[serde(default)]
+    pub point: Vec<Spanned<SurveyPoint>>,
+}
+
+/// `[[survey.distance]]`: a length between two points of surfaces.
+#[derive(Debug, Deserialize)]
+pub struct SurveyDistance {
+    /// The stage's surfaces that have the points, by their numbers from 1.
+    pub surfaces: Option<Spanned<Exactly<Count, 2>>>,
+    /// Where the points are on their pictures.
+    pub at: Option<Spanned<Exactly<PictureWord, 2>>>,
+    /// Metres.
+    pub length_m: Option<Spanned<Number>>,
+    /// One sigma, metres.
+    pub sigma_m: Option<Spanned<Number>>,
+}
+
+/// `[[survey.point]]`: where a point of a surface is in the stage.
+#[derive(Debug, Deserialize)]
+pub struct SurveyPoint {
+    /// The stage's surface that has it, by its number from 1.
+    pub surface: Option<Spanned<Count>>,
+    /// Where it is on its picture.
+    pub at: Option<Spanned<PictureWord>>,
+    /// Stage frame, metres.
+    pub position_m: Option<Spanned<Exactly<Number, 3>>>,
+    /// One sigma along each axis, metres.
+    pub sigma_m: Option<Spanned<Number>>,
 }
 
 /// `[mount]`

@@ -15,13 +15,16 @@ use super::{ConfigError, Problem};
 type Keys = fn() -> &'static [&'static str];
 
 /// Every section of this version: its path, its name as a message writes it, its keys.
-const SECTIONS: [(&[&str], &str, Keys); 15] = [
+const SECTIONS: [(&[&str], &str, Keys); 18] = [
     (&[], "the config", fields::<as_typed::Config>),
     (&["camera"], "[camera]", fields::<as_typed::Camera>),
     (&["stage"], "[stage]", fields::<as_typed::Stage>),
     (&["stage", "surface"], "[[stage.surface]]", fields::<as_typed::Surface>),
     (&["object"], "[[object]]", fields::<as_typed::Object>),
     (&["object", "surface"], "[[object.surface]]", fields::<as_typed::Surface>),
+    (&["survey"], "[survey]", fields::<as_typed::Survey>),
+    (&["survey", "distance"], "[[survey.distance]]", fields::<as_typed::SurveyDistance>),
+    (&["survey", "point"], "[[survey.point]]", fields::<as_typed::SurveyPoint>),
     (&["mount"], "[mount]", fields::<as_typed::Mount>),
     (&["tracker"], "[tracker]", fields::<as_typed::Tracker>),
     (&["filter"], "[filter]", fields::<as_typed::Filter>),

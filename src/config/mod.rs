@@ -13,6 +13,7 @@ mod filter;
 mod http;
 mod known_keys;
 mod lens;
+mod measured;
 mod mount;
 mod named_files;
 mod origin;

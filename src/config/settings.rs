@@ -14,6 +14,7 @@ use super::bodies::BodyReader;
 use super::filter::filter;
 use super::http::{HostName, HttpSettings};
 use super::lens::{self, LensSource, lens};
+use super::measured::measured;
 use super::mount::mount;
 use super::named_files::named_files;
 use super::origin::Origin;
@@ -27,6 +28,7 @@ use crate::capture::camera::PixelLayout;
 use crate::geometry::{Body, Pose, SurfaceFrame};
 use crate::pose::FilterSettings;
 use crate::publish::{MountSettings, OutputSettings, SafetySettings};
+use crate::survey::constraints::Constraint;
 use crate::track::{BodySpec, TrackerSettings};
 use crate::tracker::TrackerSetup;
 
@@ -56,6 +58,8 @@ pub struct Settings {
     pub(crate) first_as_typed: Pose<Body, SurfaceFrame>,
     /// The tracked objects, in the order of the file.
     pub objects: Vec<BodySpec>,
+    /// What was measured on the stage, for a survey.
+    pub(crate) measured: Vec<Constraint>,
     /// The filming camera on the rig; none without `[mount]`.
     pub(crate) mount: Option<MountSettings>,
     /// The tracker's tunables.
@@ -204,6 +208,7 @@ impl Settings {
         refuse_overwriting(&typed, &origin, &files)?;
         Ok(Self {
             file: file.to_owned(),
+            measured: measured(&origin, typed.survey.as_ref(), &stage)?,
             source: origin.files.with_config(file, text),
             lens,
             calibration_line,

@@ -16,8 +16,8 @@ use super::{ConfigError, Problem};
 use crate::geometry::{Body, Pose, quaternion};
 use crate::track::{BodySpec, SurfaceSpec};
 
-/// The points that have names: shares of the surface's width and height from its middle, right and up as its audience sees it.
-const POINTS: [(&str, [f64; 2]); 10] = [
+/// The points of a picture that have names: shares of the surface's width and height from its middle, right and up as its audience sees it.
+pub(super) const NAMED_POINTS: [(&str, [f64; 2]); 10] = [
     ("centre", [0.0, 0.0]),
     ("center", [0.0, 0.0]),
     ("top left", [-0.5, 0.5]),
@@ -30,7 +30,7 @@ const POINTS: [(&str, [f64; 2]); 10] = [
     ("right", [0.5, 0.0]),
 ];
 /// The same names in a message.
-const KNOWN: &str = "centre, top left, top right, bottom left, bottom right, top, bottom, left or right of the first surface";
+pub(super) const KNOWN_POINTS: &str = "centre, top left, top right, bottom left, bottom right, top, bottom, left or right, of the surface";
 /// Measured points and the surface's size may be this far apart, of the surface's diagonal: beyond, one of them is a slip. Chosen: cloths
 /// hang and stretch by less. Raised, slips pass; lowered, honest measurements are refused.
 const LARGEST_MISFIT: f64 = 0.02;
@@ -48,9 +48,8 @@ pub(super) fn place(
     let Some(first) = stage.surfaces.first() else { return Ok(None) };
     let mut pairs = Vec::new();
     for (name, measured) in typed.get_ref() {
-        let words = POINTS.map(|(word, share)| (word, share));
         let typed_name = Spanned::new(measured.span(), name.clone());
-        let [across, up] = section.word("origin", Some(&typed_name), [0.0; 2], &words, KNOWN)?;
+        let [across, up] = section.word("origin", Some(&typed_name), [0.0; 2], &NAMED_POINTS, KNOWN_POINTS)?;
         let on_surface = Point3::new(across * first.size_m[0], up * first.size_m[1], 0.0);
         pairs.push((first.pose.transform(&on_surface).coords, section.position("origin", Some(measured))?));
     }

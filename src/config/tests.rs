@@ -133,7 +133,7 @@ fn wrong_keys_get_their_place_and_the_nearest_name() {
         (format!("{GOOD}[trackr]"), "stage.toml: unknown section [trackr], line 6; did you mean `tracker`?"),
         (
             format!("a = 1\n{GOOD}"),
-            "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, mount, tracker, recorder, filter, safety, output, http, log",
+            "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, survey, mount, tracker, recorder, filter, safety, output, http, log",
         ),
         (format!("{GOOD}[recorder]\nring = 1"), "stage.toml: unknown key `ring` in [recorder], line 7; did you mean `ring_s`?"),
         (GOOD.replace("\"camera.toml\"", "\"camera.toml"), "stage.toml: line 2 is not TOML: invalid basic string, expected `\"`"),
@@ -353,8 +353,8 @@ fn the_example_has_every_key_and_nothing_else() {
     Config::parse(EXAMPLE, Path::new("stage.toml")).unwrap();
     for (section, keys) in known_keys() {
         let bare = section.trim_matches(['[', ']']);
-        assert!(EXAMPLE.contains(section) || keys.contains(&"surface"), "{section} is not in the example");
-        for key in keys.iter().filter(|key| !["surface", "value"].contains(*key)) {
+        assert!(EXAMPLE.contains(section) || keys.contains(&"surface") || section == "[survey]", "{section} is not in the example");
+        for key in keys.iter().filter(|key| !["surface", "value", "distance", "point"].contains(*key)) {
             let there = EXAMPLE.lines().any(|line| line.trim_start_matches(['#', ' ']).starts_with(&format!("{key} = ")));
             assert!(there, "{bare}.{key} is not in the example");
         }
@@ -363,7 +363,17 @@ fn the_example_has_every_key_and_nothing_else() {
 
 #[test]
 fn the_example_still_parses_with_every_comment_mark_removed_from_a_key() {
-    let sections = ["[mount]", "[stage]", "[[object]]", "[[object.surface]]", "[[stage.surface]]", "[[output]]", "[[output.value]]"];
+    let sections = [
+        "[mount]",
+        "[stage]",
+        "[[object]]",
+        "[[object.surface]]",
+        "[[stage.surface]]",
+        "[[output]]",
+        "[[output.value]]",
+        "[[survey.distance]]",
+        "[[survey.point]]",
+    ];
     let keys: Vec<&str> = known_keys().flat_map(|(_, keys)| keys.iter().copied()).collect();
     let opened = |line: &str| {
         let bare = line.trim_start_matches(['#', ' ']);

@@ -32,6 +32,15 @@ pub enum Texts {
     Several(Vec<Spanned<String>>),
 }
 
+/// A point of a picture: one that has a name, or a pixel.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PictureWord {
+    /// A corner, the middle of a side, the centre.
+    Named(String),
+    /// Column and row.
+    Pixel([f64; 2]),
+}
+
 impl Texts {
     /// All of them, each with its place.
     pub fn all(typed: &Spanned<Self>) -> Vec<Spanned<String>> {
@@ -112,6 +121,21 @@ impl<'de> Visitor<'de> for TextsVisitor {
     }
 }
 
+struct PictureWordVisitor;
+impl<'de> Visitor<'de> for PictureWordVisitor {
+    type Value = PictureWord;
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a point's name, or its pixel [u, v]")
+    }
+    fn visit_str<E: de::Error>(self, text: &str) -> Result<PictureWord, E> {
+        Ok(PictureWord::Named(text.to_owned()))
+    }
+    fn visit_seq<A: de::SeqAccess<'de>>(self, entries: A) -> Result<PictureWord, A::Error> {
+        let pixel: Exactly<Number, 2> = ExactlyVisitor(PhantomData).visit_seq(entries)?;
+        Ok(PictureWord::Pixel(pixel.values()))
+    }
+}
+
 struct ExactlyVisitor<T, const N: usize>(PhantomData<T>);
 impl<'de, T: Deserialize<'de>, const N: usize> Visitor<'de> for ExactlyVisitor<T, N> {
     type Value = Exactly<T, N>;
@@ -130,6 +154,12 @@ impl<'de, T: Deserialize<'de>, const N: usize> Visitor<'de> for ExactlyVisitor<T
 impl<'de, T: Deserialize<'de>, const N: usize> Deserialize<'de> for Exactly<T, N> {
     fn deserialize<D: de::Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
         d.deserialize_any(ExactlyVisitor(PhantomData))
+    }
+}
+
+impl<'de> Deserialize<'de> for PictureWord {
+    fn deserialize<D: de::Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        d.deserialize_any(PictureWordVisitor)
     }
 }
 

@@ -112,6 +112,15 @@ impl<const N: usize> BicubicSpline<N> {
         &mut self.coefficients
     }
 
+    /// Gives the middle of each coefficient's bump: coefficients that are a plane's values there make that plane.
+    pub fn middles(&self) -> impl Fn(usize) -> [f64; 2] + use<N> {
+        let (columns, spacing, intervals) = (self.columns_and_rows()[0], self.spacing(), self.intervals());
+        move |n| {
+            let place = |index: usize, axis: usize| (index as f64 - 1.0 - 0.5 * intervals[axis] as f64) * spacing[axis];
+            [place(n % columns, 0), place(n / columns, 1)]
+        }
+    }
+
     /// What a point depends on; beyond the rectangle the nearest point of its border.
     pub fn support(&self, [x, y]: [f64; 2]) -> Support {
         let place = |v: f64, axis: usize| {
@@ -165,10 +174,9 @@ mod tests {
     #[test]
     fn coefficients_that_lie_on_a_plane_make_that_plane() {
         let mut field = BicubicSpline::<1>::zero([6, 4], [4.0, 3.0]);
-        let [dx, dy] = field.spacing();
-        let columns = field.columns_and_rows()[0];
+        let middles = field.middles();
         for (k, c) in field.coefficients_mut().iter_mut().enumerate() {
-            let (x, y) = ((k % columns) as f64 * dx - 2.0 - dx, (k / columns) as f64 * dy - 1.5 - dy);
+            let [x, y] = middles(k);
             c.x = 0.3 + 0.2 * x - 0.1 * y;
         }
         for (x, y) in [(-2.0, -1.5), (0.13, 0.7), (1.99, 1.5), (0.0, 0.0)] {

@@ -4,6 +4,7 @@
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
+use super::constraints::{self, Constraint, ConstraintCheck};
 use super::keyframes::{Keyframe, MatchedFeature};
 use super::normal_equations::{FrameRows, NormalEquations};
 use super::prior::{self, Smoothness};
@@ -29,8 +30,10 @@ const LEAST_FEATURES: usize = 12;
 const SMALL_STEP_PX: f64 = 0.01;
 /// Rounds in which the smoothness is chosen: once the residuals are no longer those of a flat stage, and again.
 const CHOOSING_ROUNDS: [usize; 3] = [2, 4, 6];
+/// Curvature before anything is chosen: that of a wall.
+const FIRST_CURVATURE: f64 = 0.03;
 /// Curvatures that are tried, per longer side, one sigma: from as good as flat to sharp folds.
-const CURVATURES: [f64; 7] = [0.003, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0];
+const CURVATURES: [f64; 8] = [0.0001, 0.003, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0];
 /// Curvatures are beside each other up to this ratio, as a logarithm.
 const NEAR: f64 = 1.5;
 /// A rougher shape is taken only where it explains the held-out tiles better by this share of their cost.
@@ -49,6 +52,7 @@ pub struct Adjustment {
     observers: Vec<TileObserver>,
     shutter: Shutter,
     lens_sigmas: [f64; LENS_NUMBERS],
+    constraints: Vec<Constraint>,
     smoothness: Smoothness,
 }
 
@@ -68,6 +72,8 @@ pub struct Adjusted {
     /// How far the start put the camera beside where it is now, once one rigid motion of the whole walk is taken away: the median, metres; `None` where
     /// fewer than three frames bore the start out.
     pub start_error_m: Option<f64>,
+    /// Each measurement beside what was found.
+    pub checks: Vec<ConstraintCheck>,
     /// Covariance of all unknowns.
     pub covariance: DMatrix<f64>,
     /// The equations at the end.
@@ -87,10 +93,18 @@ impl Adjustment {
         body: &crate::track::BodySpec,
         mask: Option<&image::GrayImage>,
         lens_sigmas: [f64; LENS_NUMBERS],
+        constraints: Vec<Constraint>,
     ) -> Self {
         let n = keyframes.len().div_ceil(KEYFRAMES_AN_OBSERVER).max(1);
         let observers = (0..n).into_par_iter().map(|_| TileObserver::new(model.camera, shutter, mask.cloned(), body)).collect();
-        Self { keyframes, observers, shutter, lens_sigmas, smoothness: Smoothness::even(model.surfaces.len(), CURVATURES[1]) }
+        Self {
+            keyframes,
+            observers,
+            shutter,
+            lens_sigmas,
+            constraints,
+            smoothness: Smoothness::even(model.surfaces.len(), FIRST_CURVATURE),
+        }
     }
 
     /// Aligns all keyframes with a model; each remembers its motion.
@@ -143,7 +157,7 @@ impl Adjustment {
     pub fn run(&mut self, start: StageModel, mut progress: impl FnMut(usize) -> bool) -> Option<Adjusted> {
         let at_start = self.observe(&start);
         let mut model = start;
-        self.smoothness = Smoothness::even(model.surfaces.len(), CURVATURES[1]);
+        self.smoothness = Smoothness::even(model.surfaces.len(), FIRST_CURVATURE);
         for round in 0..FEATURE_ROUNDS + ANCHOR_ROUNDS {
             if !progress(round) {
                 return None;
@@ -180,8 +194,11 @@ impl Adjustment {
                 let (has_settled, rms_px) = (!is_last, left_px);
                 let start_rms_px = at_start.iter().flatten().next().map(|_| self::rms_px(&at_start));
                 let start_error_m = start_error_m(&at_start, &frames);
-                let covariance = factor.inverse() * INFLATION;
+                let covariance = factor.inverse();
+                let checks = constraints::check(&self.constraints, &model, &covariance);
+                let covariance = covariance * INFLATION;
                 return Some(Adjusted {
+                    checks,
                     model,
                     frames,
                     scale: scales.iter().copied().fold(0.0, f64::max),
@@ -212,7 +229,7 @@ impl Adjustment {
 
     /// Equations of tiles with the priors at a smoothness, symmetric.
     fn with_priors(&self, mut equations: NormalEquations, model: &StageModel, smoothness: &Smoothness) -> NormalEquations {
-        prior::add(model, smoothness, &self.lens_sigmas, &mut equations.matrix, &mut equations.right);
+        prior::add(model, smoothness, &self.lens_sigmas, &self.constraints, &mut equations.matrix, &mut equations.right);
         equations.matrix.fill_upper_triangle_with_lower_triangle();
         equations
     }

@@ -164,6 +164,11 @@ impl Survey {
                 )
             });
         }
+        // One wrong length makes others look wrong: the worst is the one to measure again.
+        let contradicted = self.checks.iter().filter(|check| check.is_contradicted());
+        if let Some(worst) = contradicted.max_by(|a, b| a.sigmas.total_cmp(&b.sigmas)) {
+            findings.push((Verdict::DoNotUse, worst.contradiction()));
+        }
         if !self.has_settled {
             findings.push((Verdict::Usable, format!("it did not come to rest in {} rounds", self.rounds)));
         }

@@ -1,8 +1,9 @@
 //! What is known of a stage before any frame: shapes are smooth, what is nowhere said stays as the config has it, and one thing in the world has
 //! to stay where it is.
 
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, SVector, Vector2, Vector3};
 
+use super::constraints::Constraint;
 use super::stage_model::{LENS_NUMBERS, StageModel};
 use crate::geometry::bspline::BicubicSpline;
 
@@ -21,6 +22,10 @@ const RIGID_SHARE: f64 = 1e-6;
 const STRETCHED_SHARE: f64 = 0.005;
 /// How much a stretch changes along the surface, one sigma, per side of the surface: cloth and prints are stretched evenly.
 const STRETCH_BEND: f64 = 0.002;
+
+/// How far the stage may be from the size that `size_m` says where something else was measured, one sigma, as a share: tapes are better, what is
+/// painted on a cloth is not. Raised, one slip of a length passes; lowered, `size_m` has a say beside lengths that know better.
+const SIZE_SIGMA: f64 = 0.02;
 
 /// How smooth shapes are, one sigma.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,6 +55,7 @@ pub fn add(
     model: &StageModel,
     smoothness: &Smoothness,
     lens_sigmas: &[f64; LENS_NUMBERS],
+    constraints: &[Constraint],
     matrix: &mut DMatrix<f64>,
     right: &mut DVector<f64>,
 ) {
@@ -60,16 +66,28 @@ pub fn add(
         let side = surface.size_m[0].max(surface.size_m[1]);
         system.smooth(&shape.height, places.heights[k], smoothness.curvatures[k] / side);
         system.smooth(&shape.stretch, places.stretches[k], STRETCH_BEND / side);
-        system.small(&shape.height, places.heights[k], HEIGHT_SHARE * side);
+        system.small(&shape.height, places.heights[k], HEIGHT_SHARE * side, |_| SVector::zeros());
         let share = if smoothness.is_stretched { STRETCHED_SHARE } else { RIGID_SHARE };
-        system.small(&shape.stretch, places.stretches[k], share * side);
+        let middles = shape.stretch.middles();
+        system.small(&shape.stretch, places.stretches[k], share * side, |n| Vector2::from(middles(n)) * model.growth());
         system.gauge(model, k);
         if let Some(at) = places.poses[k] {
-            let [shift, turn] = model.pose_change(k);
+            let ([shift, turn], start) = (model.pose_change(k), model.start_from_first(k));
             for axis in 0..3 {
-                system.add(&[(at + axis, 1.0)], shift[axis], POSE_SIGMAS[0]);
+                // A stage that is larger has its surfaces farther apart.
+                let by_size = places.size.map(|size| (size, -start[axis]));
+                let row: Vec<(usize, f64)> = std::iter::once((at + axis, 1.0)).chain(by_size).collect();
+                system.add(&row, shift[axis] - model.growth() * start[axis], POSE_SIGMAS[0]);
                 system.add(&[(at + 3 + axis, 1.0)], turn[axis], POSE_SIGMAS[1]);
             }
+        }
+    }
+    if let Some(at) = places.size {
+        system.add(&[(at, 1.0)], model.growth(), SIZE_SIGMA);
+    }
+    for constraint in constraints {
+        for row in constraint.rows(model) {
+            system.add(&row.by_model, -row.left, constraint.sigma_m);
         }
     }
     if let Some(at) = places.lens {
@@ -118,10 +136,12 @@ impl System<'_> {
         }
     }
 
-    fn small<const N: usize>(&mut self, field: &BicubicSpline<N>, first: usize, sigma: f64) {
+    /// Coefficients are near those that `expected` gives by their number.
+    fn small<const N: usize>(&mut self, field: &BicubicSpline<N>, first: usize, sigma: f64, expected: impl Fn(usize) -> SVector<f64, N>) {
         for (k, c) in field.coefficients().iter().enumerate() {
+            let off = c - expected(k);
             for n in 0..N {
-                self.add(&[(first + N * k + n, 1.0)], c[n], sigma);
+                self.add(&[(first + N * k + n, 1.0)], off[n], sigma);
             }
         }
     }
@@ -156,7 +176,8 @@ impl System<'_> {
             let mut now = 0.0;
             for &point in &points {
                 let by = way(point[0] / radius, point[1] / radius) / points.len() as f64;
-                let (height, stretch) = (shape.height.at(point).value, shape.stretch.at(point).value);
+                let height = shape.height.at(point).value;
+                let stretch = shape.stretch.at(point).value - Vector2::from(point) * model.growth();
                 now += by.z * height.x + by.x * stretch.x + by.y * stretch.y;
                 for (n, w) in shape.height.support(point).weights() {
                     row[places.heights[k] + n] += by.z * w;
@@ -178,8 +199,11 @@ mod tests {
 
     use super::*;
     use crate::camera::{CameraModel, Intrinsics, Shutter};
+    use crate::geometry::Pose;
+    use crate::survey::constraints::{Measured, PicturePoint};
     use crate::survey::normal_equations::{FrameRows, NormalEquations};
     use crate::survey::synthetic::{LENS, camera_poses, observed, stage};
+    use crate::track::SurfaceSpec;
 
     /// A lens of which nothing is known.
     const SIGMAS: [f64; LENS_NUMBERS] = [50.0, 50.0, 40.0, 40.0, 0.3, 0.3, 0.01, 0.01];
@@ -197,7 +221,7 @@ mod tests {
 
     /// A stage in folds of a centimetre, whose flat stands 20 mm and a degree beside where it was measured.
     fn truth() -> StageModel {
-        let flat = StageModel::new(lens(0.0), &stage(), true);
+        let flat = StageModel::new(lens(0.0), &stage(), true, false);
         let places = flat.places().clone();
         let columns = flat.shape(0).unwrap().height.columns_and_rows()[0];
         let mut step = DVector::zeros(places.count);
@@ -213,7 +237,13 @@ mod tests {
     }
 
     /// Gauss-Newton on tiles that are observed anew in every round; the model and its covariance.
-    fn adjusted(start: StageModel, truth: &StageModel, noise_px: f64, rounds: usize) -> (StageModel, DMatrix<f64>) {
+    fn adjusted(
+        start: StageModel,
+        truth: &StageModel,
+        constraints: &[Constraint],
+        noise_px: f64,
+        rounds: usize,
+    ) -> (StageModel, DMatrix<f64>) {
         let (mut model, poses) = (start, camera_poses(24));
         let smoothness = Smoothness { is_stretched: true, ..Smoothness::even(2, 3.0) };
         let mut covariance = DMatrix::zeros(0, 0);
@@ -225,7 +255,7 @@ mod tests {
             // The scale of Tukey's weights leaves all tiles in; undo what it did to the information.
             equations.matrix *= 1e6;
             equations.right *= 1e6;
-            add(&model, &smoothness, &SIGMAS, &mut equations.matrix, &mut equations.right);
+            add(&model, &smoothness, &SIGMAS, constraints, &mut equations.matrix, &mut equations.right);
             equations.matrix.fill_upper_triangle_with_lower_triangle();
             let factor = equations.matrix.clone().cholesky().unwrap();
             model = model.stepped(&factor.solve(&equations.right)).unwrap();
@@ -237,8 +267,8 @@ mod tests {
     #[test]
     fn shape_layout_and_lens_are_found_from_exact_tiles() {
         let truth = truth();
-        let start = StageModel::new(lens(0.01), &stage(), true);
-        let (found, covariance) = adjusted(start, &truth, 0.002, 6);
+        let start = StageModel::new(lens(0.01), &stage(), true, false);
+        let (found, covariance) = adjusted(start, &truth, &[], 0.002, 6);
         let (lens, real) = (found.camera.intrinsics(), truth.camera.intrinsics());
         assert!((lens.fx / real.fx - 1.0).abs() < 1e-4 && (lens.cx - real.cx).abs() < 0.1, "{lens:?}");
         let at = found.places().lens.unwrap();
@@ -253,5 +283,49 @@ mod tests {
         }
         println!("heights {worst}");
         assert!(worst < 2e-3, "{worst}");
+    }
+
+    #[test]
+    fn a_measured_length_mends_a_stage_whose_sizes_are_all_wrong() {
+        // As configured everything is two parts in a hundred smaller than it is.
+        let real = stage();
+        let typed: Vec<SurfaceSpec> = real
+            .iter()
+            .map(|s| SurfaceSpec {
+                size_m: s.size_m.map(|side| side / 1.02),
+                pose: Pose::new(s.pose.rotation, s.pose.translation / 1.02),
+                ..s.clone()
+            })
+            .collect();
+        let truth = {
+            let start = StageModel::new(lens(0.0), &typed, false, true);
+            let mut step = DVector::zeros(start.places().count);
+            step[start.places().size.unwrap()] = 0.02;
+            let at = start.places().poses[1].unwrap();
+            for axis in 0..3 {
+                step[at + axis] = real[1].pose.translation[axis] - typed[1].pose.translation[axis];
+            }
+            start.stepped(&step).unwrap()
+        };
+        let corner = |surface: usize, right: f64, up: f64| PicturePoint {
+            surface,
+            on_picture_m: [right * typed[surface].size_m[0], up * typed[surface].size_m[1]],
+        };
+        let between = [corner(0, -0.5, 0.5), corner(1, 0.5, -0.5)];
+        let [from, to] = between.each_ref().map(|p| truth.point(p.surface, p.on_picture_m).place);
+        let length = Constraint {
+            name: "length".to_owned(),
+            measured: Measured::Distance { between, length_m: (to - from).norm() },
+            sigma_m: 0.001,
+        };
+        let (found, covariance) = adjusted(StageModel::new(lens(0.0), &typed, false, true), &truth, &[length], 0.002, 6);
+        let size = found.places().size.unwrap();
+        assert!((found.growth() - 0.02).abs() < 1e-5, "{}", found.growth());
+        assert!(covariance[(size, size)].sqrt() < 1e-3);
+        let off = found.surfaces[1].pose.translation - real[1].pose.translation;
+        assert!(off.norm() < 1e-4, "{off}");
+        let place = found.point(0, corner(0, 0.5, 0.5).on_picture_m).place;
+        // The corner's height hangs on its bend, which few tiles show there; how large the stage is does not.
+        assert!((place.xy() - Vector2::new(2.0, 1.5)).norm() < 1e-4 && place.z.abs() < 1e-3, "{place}");
     }
 }

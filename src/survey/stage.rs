@@ -4,6 +4,7 @@ use nalgebra::DMatrix;
 use thiserror::Error;
 
 use super::adjustment::{Adjusted, Adjustment};
+use super::constraints::{Constraint, ConstraintCheck};
 use super::keyframes::{Keyframes, MatchedFeature};
 use super::stage_model::{LENS_NUMBERS, Places, StageModel};
 use super::ways;
@@ -22,11 +23,13 @@ const UNKNOWN_LENS: [f64; 6] = [0.05, 0.03, 0.3, 0.3, 0.01, 0.01];
 const LONGEST_GAP_S: f64 = 0.25;
 
 /// What to find.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct SurveyOptions {
     /// Whether the lens is found as well.
     pub refines_lens: bool,
+    /// What was measured on the stage.
+    pub constraints: Vec<Constraint>,
 }
 
 /// What a survey does at the moment.
@@ -67,6 +70,15 @@ pub enum SurveyError {
     Interrupted,
 }
 
+/// How large a stage is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SizeFound {
+    /// By how much it is larger than `size_m` says, as a share.
+    pub growth: f64,
+    /// One sigma of that.
+    pub sigma: f64,
+}
+
 /// The stage as it hangs and the lens as it is.
 #[derive(Debug)]
 #[non_exhaustive]
@@ -92,6 +104,10 @@ pub struct Survey {
     pub configured_error_m: Option<f64>,
     /// Where the camera was at the keyframes that bear the result out.
     pub cameras: Vec<Pose<Body, Camera>>,
+    /// How large the stage is beside what `size_m` says, where something else was measured.
+    pub size: Option<SizeFound>,
+    /// Each measurement beside what was found.
+    pub checks: Vec<ConstraintCheck>,
     /// Robust scale of the residuals, in sigmas.
     pub scale: f64,
     /// Whether the adjustment came to rest.
@@ -147,26 +163,40 @@ where
         (_, n) if n < LEAST_KEYFRAMES => return Err(SurveyError::TooFewPlaces { found: n, least: LEAST_KEYFRAMES }),
         _ => {}
     }
-    let model = StageModel::new(camera, &stage.surfaces, options.refines_lens);
-    let mut adjustment = Adjustment::new(keyframes, &model, shutter, &stage, mask.as_ref(), lens_sigmas(&camera));
+    let model = StageModel::new(camera, &stage.surfaces, options.refines_lens, !options.constraints.is_empty());
+    let mut adjustment = Adjustment::new(keyframes, &model, shutter, &stage, mask.as_ref(), lens_sigmas(&camera), options.constraints);
     let mut is_interrupted = false;
     let adjusted = adjustment.run(model, |round| {
         is_interrupted = !progress(SurveyStep::Round(round));
         !is_interrupted
     });
-    let Some(Adjusted { model, frames: observed, scale, start_rms_px, rms_px, start_error_m, covariance, equations, rounds, has_settled }) =
-        adjusted
+    let Some(Adjusted {
+        model,
+        frames: observed,
+        scale,
+        start_rms_px,
+        rms_px,
+        start_error_m,
+        checks,
+        covariance,
+        equations,
+        rounds,
+        has_settled,
+    }) = adjusted
     else {
         return Err(if is_interrupted { SurveyError::Interrupted } else { SurveyError::Undetermined });
     };
     let (keyframes, used) = (observed.len(), observed.iter().flatten().count());
     let cameras = observed.iter().flatten().map(|f| f.motion.pose).collect();
     let places = model.places().clone();
+    let size = places.size.map(|at| SizeFound { growth: model.growth(), sigma: covariance[(at, at)].max(0.0).sqrt() });
     let camera = model.camera.with_doubt(lens_doubt(&places, &covariance).or(camera.doubt()));
     let surfaces = ways::with_ways(&model, &covariance, &equations);
     Ok(Survey {
         camera,
         surfaces,
+        size,
+        checks,
         frames,
         found,
         keyframes,

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use nalgebra::{DVector, UnitQuaternion, Vector1, Vector2, Vector3};
 
 use crate::camera::{CameraModel, Intrinsics};
-use crate::geometry::Pose;
 use crate::geometry::bspline::BicubicSpline;
+use crate::geometry::{Pose, skew};
 use crate::track::{BentShape, SurfaceShape, SurfaceSpec};
 
 /// Numbers of a lens that are unknown: fx, fy, cx, cy, k1, k2, p1, p2. The skew stays, and so does k3, which no stage tells from k2.
@@ -31,6 +31,8 @@ pub struct StageModel {
     pub camera: CameraModel,
     /// The surfaces, bent ones all.
     pub surfaces: Vec<SurfaceSpec>,
+    /// By how much the stage is larger than `size_m` says, as a share: every surface's stretch contains it.
+    growth: f64,
     /// Where everything began.
     start: Start,
     places: Places,
@@ -51,10 +53,21 @@ pub struct Places {
     pub stretches: Vec<usize>,
     /// Of each surface's pose, [δp, δθ] in body axes; none of the first.
     pub poses: Vec<Option<usize>>,
-    /// Of the lens.
+    /// Of the stage's size, where something was measured; see [`StageModel::growth`].
+    pub size: Option<usize>,
+    /// Of the lens, the last of all.
     pub lens: Option<usize>,
     /// How many there are.
     pub count: usize,
+}
+
+/// A point of a picture in the stage.
+#[derive(Debug, Clone)]
+pub struct ModelPoint {
+    /// Where it is in the stage, metres.
+    pub place: Vector3<f64>,
+    /// Place of an unknown, and how the point moves with it.
+    pub by_model: Vec<(usize, Vector3<f64>)>,
 }
 
 /// A surface's shape, which a survey always has.
@@ -66,8 +79,9 @@ pub fn bent(surface: &SurfaceSpec) -> Option<&BentShape> {
 }
 
 impl StageModel {
-    /// A stage as the config has it. Surfaces that are flat there become bent by nothing.
-    pub fn new(camera: CameraModel, surfaces: &[SurfaceSpec], refines_lens: bool) -> Self {
+    /// A stage as the config has it. Surfaces that are flat there become bent by nothing. `has_measurements`: whether something else than `size_m` says how
+    /// large it is.
+    pub fn new(camera: CameraModel, surfaces: &[SurfaceSpec], refines_lens: bool, has_measurements: bool) -> Self {
         let longest = surfaces.iter().flat_map(|s| s.size_m).fold(0.0, f64::max);
         let intervals = |surface: &SurfaceSpec, spacing: f64| surface.size_m.map(|side| (side / spacing).round().max(2.0) as usize);
         let mut spacing = longest / HEIGHT_INTERVALS;
@@ -87,8 +101,8 @@ impl StageModel {
             surface
         };
         let surfaces: Vec<SurfaceSpec> = surfaces.iter().map(model).collect();
-        let places = Places::of(&surfaces, refines_lens);
-        Self { camera, start: Start { intrinsics: *camera.intrinsics(), surfaces: surfaces.clone() }, surfaces, places }
+        let places = Places::of(&surfaces, refines_lens, has_measurements);
+        Self { camera, growth: 0.0, start: Start { intrinsics: *camera.intrinsics(), surfaces: surfaces.clone() }, surfaces, places }
     }
 
     /// Where the unknown numbers are.
@@ -99,6 +113,39 @@ impl StageModel {
     /// The shape of surface `k`.
     pub fn shape(&self, k: usize) -> Option<&BentShape> {
         bent(&self.surfaces[k])
+    }
+
+    /// By how much the stage is larger than `size_m` says, as a share.
+    pub fn growth(&self) -> f64 {
+        self.growth
+    }
+
+    /// A point of the picture of surface `k`, with all that moves it.
+    pub fn point(&self, k: usize, on_picture_m: [f64; 2]) -> ModelPoint {
+        let surface = &self.surfaces[k];
+        let from_centre = surface.pose.rotation * surface.shape.at(on_picture_m).place;
+        let axes = surface.pose.rotation_matrix();
+        let [across, up, out]: [Vector3<f64>; 3] = std::array::from_fn(|axis| axes.column(axis).into_owned());
+        let mut by_model = Vec::with_capacity(16 * 3 + 7 + LENS_NUMBERS);
+        if let Some(shape) = self.shape(k) {
+            by_model.extend(shape.height.support(on_picture_m).weights().map(|(n, w)| (self.places.heights[k] + n, out * w)));
+            for (n, w) in shape.stretch.support(on_picture_m).weights() {
+                let at = self.places.stretches[k] + 2 * n;
+                by_model.extend([(at, across * w), (at + 1, up * w)]);
+            }
+        }
+        if let Some(at) = self.places.poses[k] {
+            let by_turn = -skew(&from_centre);
+            by_model.extend((0..3).map(|axis| (at + axis, Vector3::ith(axis, 1.0))));
+            by_model.extend((0..3).map(|axis| (at + 3 + axis, by_turn.column(axis).into_owned())));
+        }
+        by_model.extend(self.places.size.map(|at| (at, across * on_picture_m[0] + up * on_picture_m[1])));
+        ModelPoint { place: from_centre + surface.pose.translation, by_model }
+    }
+
+    /// Where surface `k` stood when it began, from the first one's centre, metres.
+    pub fn start_from_first(&self, k: usize) -> Vector3<f64> {
+        self.start.surfaces[k].pose.translation - self.start.surfaces[0].pose.translation
     }
 
     /// How far the lens is from where it began, in the order of [`LENS_COLUMNS`].
@@ -116,13 +163,17 @@ impl StageModel {
     /// The model after a step; `None` where that is no camera.
     pub fn stepped(&self, step: &DVector<f64>) -> Option<Self> {
         let mut next = self.clone();
+        let growth = self.places.size.map_or(0.0, |at| step[at]);
+        next.growth += growth;
         for (k, surface) in next.surfaces.iter_mut().enumerate() {
             let mut shape = bent(surface)?.clone();
             for (n, c) in shape.height.coefficients_mut().iter_mut().enumerate() {
                 *c += Vector1::new(step[self.places.heights[k] + n]);
             }
+            let middles = shape.stretch.middles();
             for (n, c) in shape.stretch.coefficients_mut().iter_mut().enumerate() {
-                *c += Vector2::new(step[self.places.stretches[k] + 2 * n], step[self.places.stretches[k] + 2 * n + 1]);
+                let at = self.places.stretches[k] + 2 * n;
+                *c += Vector2::new(step[at], step[at + 1]) + Vector2::from(middles(n)) * growth;
             }
             surface.shape = SurfaceShape::Bent(Arc::new(shape));
             if let Some(at) = self.places.poses[k] {
@@ -147,8 +198,8 @@ fn lens_numbers(i: &Intrinsics) -> [f64; LENS_NUMBERS] {
 }
 
 impl Places {
-    fn of(surfaces: &[SurfaceSpec], refines_lens: bool) -> Self {
-        let mut places = Self { heights: Vec::new(), stretches: Vec::new(), poses: Vec::new(), lens: None, count: 0 };
+    fn of(surfaces: &[SurfaceSpec], refines_lens: bool, has_measurements: bool) -> Self {
+        let mut places = Self { heights: Vec::new(), stretches: Vec::new(), poses: Vec::new(), size: None, lens: None, count: 0 };
         let mut take = |n: usize| {
             places.count += n;
             places.count - n
@@ -159,6 +210,7 @@ impl Places {
             places.stretches.push(take(of(bent(surface).map(|s| 2 * s.stretch.coefficients().len()))));
             places.poses.push((k > 0).then(|| take(6)));
         }
+        places.size = has_measurements.then(|| take(1));
         places.lens = refines_lens.then(|| take(LENS_NUMBERS));
         places
     }

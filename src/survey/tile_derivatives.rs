@@ -1,8 +1,8 @@
 //! How the place where a frame shows a tile changes with all that is unknown.
 
-use nalgebra::{SMatrix, Vector2, Vector3};
+use nalgebra::{SMatrix, Vector2};
 
-use super::stage_model::{LENS_COLUMNS, LENS_NUMBERS, StageModel};
+use super::stage_model::{LENS_COLUMNS, StageModel};
 use crate::camera::Normalized;
 use crate::geometry::skew;
 use crate::motion::Motion;
@@ -23,13 +23,9 @@ pub struct TileDerivatives {
 impl TileDerivatives {
     /// Of a tile that a camera sees; `None` behind it.
     pub fn of(tile: &ObservedTile, motion: &Motion, model: &StageModel) -> Option<Self> {
-        let (surface, places) = (&model.surfaces[tile.surface], model.places());
-        let shape = model.shape(tile.surface)?;
         let t_camera_body = motion.after(tile.delay_s).pose.inverse();
-        let r_camera_surface = t_camera_body.rotation_matrix() * surface.pose.rotation_matrix();
-        let place = surface.shape.at(tile.on_picture_m).place;
-        let in_body = surface.pose.rotation * place;
-        let seen = t_camera_body.transform(&(in_body + surface.pose.translation).into()).coords;
+        let point = model.point(tile.surface, tile.on_picture_m);
+        let seen = t_camera_body.transform(&point.place.into()).coords;
         if seen.z < 1e-6 {
             return None;
         }
@@ -43,21 +39,9 @@ impl TileDerivatives {
         by_frame.fixed_columns_mut::<6>(0).copy_from(&by_pose);
         by_frame.fixed_columns_mut::<6>(6).copy_from(&(by_pose * tile.delay_s));
 
-        let by_place = by_point * r_camera_surface;
-        let [across, up, out]: [Vector2<f64>; 3] = std::array::from_fn(|k| by_place.column(k).into_owned());
-        let mut by_model = Vec::with_capacity(16 * 3 + 6 + LENS_NUMBERS);
-        by_model.extend(shape.height.support(tile.on_picture_m).weights().map(|(k, w)| (places.heights[tile.surface] + k, out * w)));
-        for (k, w) in shape.stretch.support(tile.on_picture_m).weights() {
-            let at = places.stretches[tile.surface] + 2 * k;
-            by_model.extend([(at, across * w), (at + 1, up * w)]);
-        }
-        if let Some(at) = places.poses[tile.surface] {
-            let by_body = by_point * t_camera_body.rotation_matrix();
-            let by_turn = -by_body * skew(&Vector3::from(in_body));
-            by_model.extend((0..3).map(|k| (at + k, by_body.column(k).into_owned())));
-            by_model.extend((0..3).map(|k| (at + 3 + k, by_turn.column(k).into_owned())));
-        }
-        if let Some(at) = places.lens {
+        let by_body = by_point * t_camera_body.rotation_matrix();
+        let mut by_model: Vec<(usize, Vector2<f64>)> = point.by_model.iter().map(|(k, d)| (*k, by_body * d)).collect();
+        if let Some(at) = model.places().lens {
             let lens = model.camera.intrinsics();
             let by_numbers = lens.by_numbers(n, lens.distort(n).0);
             by_model.extend(LENS_COLUMNS.iter().enumerate().map(|(k, column)| (at + k, by_numbers.column(*column).into_owned())));
@@ -71,7 +55,7 @@ mod tests {
     use super::*;
     use crate::geometry::Pose;
     use crate::survey::synthetic::{LENS, camera_poses, stage};
-    use nalgebra::{DVector, Matrix2, UnitQuaternion};
+    use nalgebra::{DVector, Matrix2, UnitQuaternion, Vector3};
 
     /// Where a model puts a tile in a frame.
     fn seen(tile: &ObservedTile, motion: &Motion, model: &StageModel) -> Vector2<f64> {
@@ -83,7 +67,7 @@ mod tests {
 
     #[test]
     fn derivatives_by_all_unknowns_agree_with_differences() {
-        let mut model = StageModel::new(crate::camera::CameraModel::new(LENS).unwrap(), &stage(), true);
+        let mut model = StageModel::new(crate::camera::CameraModel::new(LENS).unwrap(), &stage(), true, true);
         // Somewhere off flat, so that slopes are none of zero.
         let bend = DVector::from_fn(model.places().count, |k, _| if k < 400 { 2e-3 * (k as f64).sin() } else { 0.0 });
         model = model.stepped(&bend).unwrap();

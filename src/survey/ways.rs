@@ -10,7 +10,6 @@ use nalgebra::{DMatrix, DVector, Vector1, Vector2, Vector3};
 
 use super::normal_equations::NormalEquations;
 use super::stage_model::{StageModel, bent};
-use crate::geometry::bspline::BicubicSpline;
 use crate::track::{BentShape, ShapeWay, SurfaceShape, SurfaceSpec};
 
 /// Ways that are kept. Raised, frames cost more; lowered, covariances miss a part.
@@ -60,24 +59,16 @@ fn way_of(model: &StageModel, k: usize, shape: &BentShape, way: &DVector<f64>) -
         let [shift, turn] = [0, 3].map(|first| Vector3::new(way[at + first], way[at + first + 1], way[at + first + 2]));
         to_surface * (shift + turn.cross(&(surface.pose.rotation * Vector3::new(x, y, 0.0))))
     };
+    let growth = places.size.map_or(0.0, |at| way[at]);
     let mut out = ShapeWay { height: shape.height.clone(), stretch: shape.stretch.clone() };
-    let at = middles(&out.height);
+    let at = out.height.middles();
     for (n, c) in out.height.coefficients_mut().iter_mut().enumerate() {
         *c = Vector1::new(way[places.heights[k] + n] + moved(at(n)).z);
     }
-    let at = middles(&out.stretch);
+    let at = out.stretch.middles();
     for (n, c) in out.stretch.coefficients_mut().iter_mut().enumerate() {
         let place = places.stretches[k] + 2 * n;
-        *c = Vector2::new(way[place], way[place + 1]) + moved(at(n)).xy();
+        *c = Vector2::new(way[place], way[place + 1]) + Vector2::from(at(n)) * growth + moved(at(n)).xy();
     }
     out
-}
-
-/// The middle of each coefficient's bump: coefficients that are a plane's values there make that plane.
-fn middles<const N: usize>(field: &BicubicSpline<N>) -> impl Fn(usize) -> [f64; 2] + use<N> {
-    let (columns, spacing, intervals) = (field.columns_and_rows()[0], field.spacing(), field.intervals());
-    move |n| {
-        let place = |index: usize, axis: usize| (index as f64 - 1.0 - 0.5 * intervals[axis] as f64) * spacing[axis];
-        [place(n % columns, 0), place(n / columns, 1)]
-    }
 }

@@ -222,6 +222,15 @@ impl SurfaceSpec {
         Vector2::new(((p.x + 0.5) / w - 0.5) * self.size_m[0], (0.5 - (p.y + 0.5) / h) * self.size_m[1])
     }
 
+    /// A raw pixel of the file that the surface was given as (of the photograph, where it was one) as a pixel of the artwork; none where the photograph's
+    /// lens or corners do not map it.
+    pub fn artwork_pixel(&self, raw: Pixel) -> Option<Vector2<f64>> {
+        let ReferenceKind::Photograph { h_photo_artwork, camera, .. } = &self.kind else { return Some(raw.0) };
+        let seen = camera.undistorted_pixel(camera.unproject(raw)?);
+        let flat = h_photo_artwork.try_inverse()? * seen.push(1.0);
+        (flat.z.abs() > f64::EPSILON).then(|| flat.xy() / flat.z)
+    }
+
     /// Metres on the surface to artwork pixels.
     pub fn to_artwork(&self, p: Vector2<f64>) -> Vector2<f64> {
         let (w, h) = (f64::from(self.artwork.width()), f64::from(self.artwork.height()));

@@ -47,6 +47,42 @@ fn a_flat_that_stands_elsewhere_is_found_and_the_folder_is_complete_by_itself() 
 }
 
 #[test]
+fn a_measured_length_mends_sizes_that_are_wrong_and_one_that_contradicts_all_else_is_named() {
+    let walk = Walk::new();
+    // All sizes and places two parts in a hundred too small; then the diagonal of the backdrop, and one from it to the flat.
+    let stage = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [3.92, 2.94]\n\
+                 [[stage.surface]]\nimage = \"flat.png\"\nsize_m = [1.176, 0.882]\nposition_m = [0.89, -0.58, -0.3]\nrotation_deg = [0.0, 0.5, 12.4]\n";
+    let length = |surfaces: &str, at: &str, metres: f64| {
+        format!("[[survey.distance]]\nsurfaces = {surfaces}\nat = {at}\nlength_m = {metres}\nsigma_m = 0.001\n")
+    };
+    let right = length("[1, 1]", "[\"bottom left\", \"top right\"]", 5.0) + &length("[1, 1]", "[\"left\", \"right\"]", 4.0);
+    walk.write("small.toml", &format!("{stage}{right}"));
+    let run = walk.run(&["survey", "walk", "--config", "small.toml", "--output", "surveyed", "--json", "out.json"]);
+    run.assert_success();
+    let json = walk.json("out.json");
+    let growth = json["size"]["growth"].as_f64().expect("a number");
+    assert!((growth - 1.0 / 0.98 + 1.0).abs() < 5e-4, "{growth}: {}", run.stdout);
+    assert!(run.stdout.contains("[[survey.distance]], line 11: 5.0000 m as measured"), "{}", run.stdout);
+    let (mm, degrees) = errors(&json, 1);
+    assert!(mm < 2.0 && degrees < 0.1, "{mm} {degrees}");
+    // The camera of the surveyed stage is where it is with the right sizes.
+    walk.run(&["replay", "walk", "--config", "surveyed/stage.toml", "--tum", "mended.txt"]).assert_success();
+    walk.run(&["replay", "walk", "--config", "stage.toml", "--tum", "right.txt"]).assert_success();
+    let apart = |a: &str, b: &str| {
+        let place = |line: &str| Vector3::from_iterator(line.split(' ').skip(1).take(3).map(|v| v.parse::<f64>().expect("a number")));
+        (place(a) - place(b)).norm()
+    };
+    let (mended, right_sizes) = (walk.read("mended.txt"), walk.read("right.txt"));
+    assert!(mended.lines().zip(right_sizes.lines()).all(|(a, b)| apart(a, b) < 0.03), "{mended}\n{right_sizes}");
+    // A slip of a decimetre in a third length.
+    walk.write("slip.toml", &format!("{stage}{right}{}", length("[1, 1]", "[\"top\", \"bottom\"]", 3.1)));
+    let before = walk.files("surveyed");
+    walk.run(&["survey", "walk", "--config", "slip.toml", "--output", "surveyed"])
+        .assert_refused(1, &["[[survey.distance]], line 21", "3.1000 m", "say 3.0", "measure it again", "nothing is written"]);
+    assert_eq!(walk.files("surveyed"), before);
+}
+
+#[test]
 fn a_lens_that_is_two_percent_off_is_found_from_the_stage_alone_and_the_same_bytes_come_twice() {
     let walk = Walk::new();
     let told = Intrinsics { fx: 1.02 * LENS.fx, fy: 1.02 * LENS.fy, cx: 239.5, cy: 134.5, distortion: [0.0; 5], ..LENS };

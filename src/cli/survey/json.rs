@@ -33,6 +33,13 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
             "uncertainty": uncertainty,
         },
         "surfaces": surfaces,
+        "size": made.size.map(|size| json!({"growth": size.growth, "sigma": size.sigma})),
+        "measured": made.checks.iter().map(|check| json!({
+            "name": check.constraint.name,
+            "off_mm": 1e3 * check.off_m,
+            "off_from_others_mm": 1e3 * check.off_from_others_m,
+            "sigmas": check.sigmas,
+        })).collect::<Vec<_>>(),
         "verdict": judgement.verdict.words(),
         "reasons": judgement.reasons,
         "frames": made.frames,

@@ -94,10 +94,11 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     }
     let setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
     let total = sources.iter().map(|source| source.rows()).sum::<Option<u64>>();
+    let options = SurveyOptions { refines_lens: arguments.lens == Lens::Refine, constraints: settings.measured.clone() };
     let made = surveyed(
         &mut sources,
         &setup,
-        arguments,
+        options,
         Progress::with(total, ["{bar:32} {pos}/{len} frames {msg}", "{spinner} {pos} frames {msg}"]),
     )?;
     let judgement = made.judge();
@@ -118,10 +119,9 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
 fn surveyed(
     sources: &mut [Box<dyn FrameSource>],
     setup: &TrackerSetup,
-    arguments: &SurveyArguments,
+    options: SurveyOptions,
     progress: Progress,
 ) -> Result<Survey, Failure> {
-    let options = SurveyOptions { refines_lens: arguments.lens == Lens::Refine };
     let frames_read = Cell::new(0);
     let clips = sources.iter_mut().map(|source| frames(&mut **source));
     let made = survey(clips, setup, options, |step| {

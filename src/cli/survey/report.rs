@@ -58,6 +58,9 @@ fn residuals(made: &Survey) -> String {
         );
         row(&escaped(&spec.name), text);
     }
+    for line in super::text::measured(made) {
+        row("measured", line);
+    }
     format!("<table>{rows}</table>\n")
 }
 

@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use crate::survey::constraints::{ConstraintCheck, Measured};
 use crate::survey::judgement::Judgement;
 use crate::survey::stage::Survey;
 
@@ -34,6 +35,27 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
             spec.name, surface.height_rms_mm, surface.height_max_mm, surface.height_sigma_mm, surface.sigma_mm, surface.sigma_deg
         );
     }
+    for line in measured(made) {
+        let _ = writeln!(text, "measured    {line}");
+    }
     let _ = writeln!(text, "verdict     {}", judgement.sentence());
     text
+}
+
+/// What was measured beside what was found, a line each; the size first.
+pub(super) fn measured(made: &Survey) -> Vec<String> {
+    let size =
+        made.size.map(|size| format!("the stage is {:.5} times as large as size_m says, known to {:.5}", 1.0 + size.growth, size.sigma));
+    let check = |check: &ConstraintCheck| {
+        let (name, sigmas) = (&check.constraint.name, check.sigmas);
+        match &check.constraint.measured {
+            Measured::Distance { length_m, .. } => {
+                format!("{name}: {length_m:.4} m as measured, {:.4} m as found, {sigmas:.1} sigmas from all else", length_m - check.off_m)
+            }
+            Measured::Place { .. } => {
+                format!("{name}: found {:.1} mm beside its place, {sigmas:.1} sigmas from all else", 1e3 * check.off_m)
+            }
+        }
+    };
+    size.into_iter().chain(made.checks.iter().map(check)).collect()
 }
