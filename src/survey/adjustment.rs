@@ -243,19 +243,20 @@ impl Adjustment {
             let step = equations.matrix.clone().cholesky()?.solve(&equations.right);
             Some(equations.held_out_costs(rows, &step, scales))
         };
-        let mut best: Option<(f64, Smoothness)> = None;
         // Later on only what lies beside the last choice is tried.
         let usual = self.smoothness.curvatures.iter().copied().fold(0.0, f64::max);
         let is_near = |curvature: f64| is_first || (curvature / usual).ln().abs() < NEAR;
-        for curvature in CURVATURES.into_iter().filter(|curvature| is_near(*curvature)) {
+        let tried = CURVATURES.into_iter().filter(|curvature| is_near(*curvature)).filter_map(|curvature| {
             let smoothness = Smoothness { is_stretched: self.smoothness.is_stretched, ..Smoothness::even(n, curvature) };
-            let Some(cost) = costs(&smoothness).map(|costs| costs.iter().sum::<f64>()) else { continue };
+            let cost = costs(&smoothness)?.iter().sum::<f64>();
             tracing::debug!(curvature, cost, "smoothness");
-            if best.as_ref().is_none_or(|(least, _)| cost < (1.0 - BETTER) * least) {
-                best = Some((cost, smoothness));
-            }
-        }
-        let Some((_, mut best)) = best else { return };
+            Some((cost, smoothness))
+        });
+        let tried: Vec<(f64, Smoothness)> = tried.collect();
+        // The smoothest of those that do as well as the best.
+        let least = tried.iter().map(|(cost, _)| *cost).fold(f64::INFINITY, f64::min);
+        let mut tried = tried.into_iter();
+        let Some((_, mut best)) = tried.find(|(cost, _)| (1.0 - BETTER) * cost <= least) else { return };
         let [rigid, stretched] = [false, true].map(|is_stretched| Smoothness { is_stretched, ..best.clone() });
         if let (Some(rigid_costs), Some(costs)) = (costs(&rigid), costs(&stretched)) {
             let [rigid_cost, cost] = [rigid_costs, costs].map(|costs| costs.iter().sum::<f64>());

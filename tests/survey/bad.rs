@@ -1,6 +1,10 @@
 //! What is no walk around this stage: a sentence each, and nothing is overwritten.
 
+use std::io::{BufRead, BufReader};
+
 use image::GrayImage;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use stagepose::diagnostics::simulate::{grey, paint};
 
 use super::{Walk, frames};
@@ -63,4 +67,32 @@ fn a_shape_of_another_picture_or_size_is_refused_with_the_mend(walk: &Walk) {
     config("image = \"backdrop.png\"\nsize_m = [4.0, 2.9]").assert_refused(2, &["shape.toml", "4 x 3 m", "4 x 2.9 m"]);
     walk.write("shape.toml", "picture = 3\n");
     config("image = \"backdrop.png\"\nsize_m = [4.0, 3.0]").assert_refused(2, &["shape.toml", "line 1"]);
+}
+
+#[test]
+fn an_interrupted_survey_says_so_and_leaves_the_earlier_one_as_it_was() {
+    let walk = Walk::new();
+    walk.run(&survey("walk", &[])).assert_success();
+    let first = walk.files("surveyed");
+    // What a run that was killed while it wrote has left is no part of the next.
+    std::fs::create_dir(walk.path(".surveyed.new")).expect("it can be made");
+    walk.write(".surveyed.new/shape-9.toml", "");
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_stagepose"))
+        .args(survey("walk", &["--log", "debug", "--json", "out.json"]))
+        .current_dir(walk.path(""))
+        .stderr(std::process::Stdio::piped())
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .expect("the program runs");
+    let mut lines = BufReader::new(child.stderr.take().expect("it is piped")).lines().map_while(Result::ok);
+    assert!(lines.any(|line| line.contains("survey::adjustment")), "it adjusts");
+    kill(Pid::from_raw(child.id() as i32), Signal::SIGINT).expect("it runs");
+    let rest: Vec<String> = lines.collect();
+    assert_eq!(child.wait().expect("it ends").code(), Some(1));
+    assert!(rest.iter().any(|line| line.contains("interrupted; nothing was written")), "{rest:?}");
+    assert!(!walk.path("out.json").exists());
+    assert_eq!(walk.files("surveyed"), first);
+    walk.run(&survey("walk", &[])).assert_success();
+    assert_eq!(walk.files("surveyed"), first);
+    assert!(!walk.path(".surveyed.new").exists() && !walk.path(".surveyed.old").exists());
 }

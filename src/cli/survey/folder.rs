@@ -31,24 +31,34 @@ pub(super) fn refuse_unusable(folder: &Path) -> Result<(), Failure> {
 /// Writes a surveyed stage; an earlier one is replaced as a whole.
 pub(super) fn write(folder: &Path, settings: &Settings, made: &Survey) -> Result<(), Failure> {
     let files = files(settings, made).map_err(Failure::output(folder))?;
-    let beside =
-        folder.with_file_name(format!(".{}.new", folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())));
+    let name = folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    let [beside, aside] = ["new", "old"].map(|word| folder.with_file_name(format!(".{name}.{word}")));
     let written = (|| {
+        // What a run that was killed has left would mix with this one's files.
+        remove(&beside)?;
+        remove(&aside)?;
         fs::create_dir_all(&beside)?;
         for (name, bytes) in files {
             safe_file::write_whole(&beside.join(name), &bytes)?;
         }
         safe_file::write_whole(&beside.join(MARK), b"")?;
+        // The earlier one goes only when this one is in its place.
         if folder.exists() {
-            fs::remove_dir_all(folder)?;
+            fs::rename(folder, &aside)?;
         }
-        fs::rename(&beside, folder)
+        fs::rename(&beside, folder)?;
+        remove(&aside)
     })();
     if written.is_err() {
         // What is left of it is of no use; where even that fails, the first reason is the one to say.
         let _ = fs::remove_dir_all(&beside);
     }
     written.map_err(Failure::output(folder))
+}
+
+/// Removes a folder, if it is there.
+fn remove(folder: &Path) -> std::io::Result<()> {
+    fs::remove_dir_all(folder).or_else(|e| if e.kind() == std::io::ErrorKind::NotFound { Ok(()) } else { Err(e) })
 }
 
 fn files(settings: &Settings, made: &Survey) -> std::io::Result<Vec<(String, Vec<u8>)>> {
