@@ -1,4 +1,4 @@
-//! What somebody measured on the stage: lengths between points of its surfaces, and places of such points in the stage.
+//! Measurements that constrain the adjustment: lengths between points of surfaces, and positions of such points in the stage frame.
 //!
 //! No camera tells a stage from a smaller one nearby, so without these `size_m` says how large it is. With them the size is an unknown like any other.
 //! Each measurement is also held against all else: what it is beside its prediction without it (the deleted residual), in sigmas of that. Source:
