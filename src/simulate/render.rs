@@ -22,6 +22,9 @@ const NEAREST_M: f64 = 0.02;
 const BACK_GREY: f32 = 45.0;
 /// Grey level of the sensor in a blackout: a dark frame's offset, before noise. Raised, a blackout counts as dim light.
 const BLACKOUT_GREY: f32 = 4.0;
+/// A swap of two rays must bring their correlations nearer to zero by this, squared pixels squared: rounding alone must not keep it swapping.
+/// Raised, correlations stay; lowered to zero, it may not end.
+const LEAST_GAIN: f64 = 1e-12;
 
 /// The ray through a pixel's centre and how it turns across the pixel.
 #[derive(Debug, Clone, Copy)]
@@ -256,21 +259,59 @@ fn ray_table(camera: &CameraModel) -> Vec<Ray> {
         .collect()
 }
 
-/// Rays that fill the pixel and the exposure evenly: every column, row and time slice of n has one ray (n rooks),
-/// so that the mean offset is exactly zero and nothing is shifted.
+/// Rays that fill the pixel and the exposure evenly: every column, row and time slice of n has one ray (n rooks), so that the mean offset is
+/// exactly zero and nothing is shifted.
+///
+/// Each ray has one opposite to it in place and time, so that all odd moments are zero: with a mean of x² t other than zero, say, a picture
+/// that moves is seen ahead of itself, in proportion to the exposure. Columns, rows and times are uncorrelated as nearly as n slices allow, so
+/// that neither the pixel nor the blur is slanted.
 fn sample_pattern(count: usize) -> Vec<Sample> {
     let slice = |k: usize| (k as f64 + 0.5) / count as f64 - 0.5;
-    // The two irrational steps of the plane's best-spread additive sequence give the order of the slices.
-    let order = |step: f64| {
-        let value = |k: &usize| (*k as f64 * step).fract();
-        let mut by_value: Vec<usize> = (0..count).collect();
-        by_value.sort_by(|a, b| value(a).total_cmp(&value(b)));
-        let mut rank = vec![0; count];
-        by_value.iter().enumerate().for_each(|(r, &k)| rank[k] = r);
-        rank
+    // Signed offsets of the first half in an order of the plane's best-spread additive sequence, whose steps are irrational; the others mirror them.
+    let axis = |step: f64| {
+        let half = count / 2;
+        let value = |k: usize| ((k as f64 + 0.5) * step).fract() - 0.5;
+        let mut by_size: Vec<usize> = (0..half).collect();
+        by_size.sort_by(|a, b| value(*a).abs().total_cmp(&value(*b).abs()));
+        let mut offsets = vec![0.0; count];
+        for (rank, k) in by_size.into_iter().enumerate() {
+            offsets[k] = slice(count - half + rank).copysign(value(k));
+            offsets[count - 1 - k] = -offsets[k];
+        }
+        offsets
     };
-    let (columns, rows) = (order(0.754_877_666_246_692_7), order(0.569_840_290_998_053_2));
-    (0..count).map(|k| Sample { offset_px: Vector2::new(slice(columns[k]), slice(rows[k])), moment: slice(k) }).collect()
+    let mut axes = [axis(0.754_877_666_246_692_7), axis(0.569_840_290_998_053_2), (0..count).map(slice).collect()];
+    decorrelate(&mut axes);
+    let [columns, rows, moments] = axes;
+    (0..count).map(|k| Sample { offset_px: Vector2::new(columns[k], rows[k]), moment: moments[k] }).collect()
+}
+
+/// Swaps columns or rows of two rays, and of their opposites, as long as that brings the axes' correlations nearer to zero; always the best swap.
+fn decorrelate(axes: &mut [Vec<f64>; 3]) {
+    let count = axes[0].len();
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    loop {
+        let between = [product(&axes[0], &axes[1]), product(&axes[0], &axes[2]), product(&axes[1], &axes[2])];
+        let misfit = |change: [f64; 3]| between.iter().zip(change).map(|(b, c)| (b + c).powi(2)).sum::<f64>();
+        let mut best = (misfit([0.0; 3]), None);
+        // The ray in the middle is its own opposite and stays.
+        let pairs = || (0..count / 2).flat_map(|i| (i + 1..count).filter(move |j| 2 * j + 1 != count).map(move |j| (i, j)));
+        for (axis, (i, j)) in (0..2).flat_map(|axis| pairs().map(move |pair| (axis, pair))) {
+            let [own, other, moment] = [axis, 1 - axis, 2].map(|a| axes[a][j] - axes[a][i]);
+            // Their opposites change the products alike, unless the two are opposite to each other.
+            let both = if i + j + 1 == count { -own } else { -2.0 * own };
+            let with_moment = both * moment;
+            let change = if axis == 0 { [both * other, with_moment, 0.0] } else { [both * other, 0.0, with_moment] };
+            if misfit(change) < best.0 - LEAST_GAIN {
+                best = (misfit(change), Some((axis, i, j)));
+            }
+        }
+        let Some((axis, i, j)) = best.1 else { return };
+        axes[axis].swap(i, j);
+        if i + j + 1 != count {
+            axes[axis].swap(count - 1 - i, count - 1 - j);
+        }
+    }
 }
 
 #[cfg(test)]

@@ -177,5 +177,50 @@ fn rays_fill_the_pixel_and_the_exposure_evenly() {
         assert!(mean.norm() < 1e-12);
         assert!(pattern.iter().map(|s| s.moment).sum::<f64>().abs() < 1e-12);
         assert!(pattern.iter().all(|s| s.offset_px.amax() < 0.5 && s.moment.abs() < 0.5));
+        // One ray in each slice of every axis.
+        for axis in [|s: &Sample| s.offset_px.x, |s: &Sample| s.offset_px.y, |s: &Sample| s.moment] {
+            let mut slices: Vec<f64> = pattern.iter().map(axis).collect();
+            slices.sort_by(f64::total_cmp);
+            assert!(slices.windows(2).all(|w| (w[1] - w[0] - 1.0 / count as f64).abs() < 1e-12), "{slices:?}");
+        }
     }
+}
+
+#[test]
+fn rays_favour_no_direction_of_motion() {
+    for count in [1, 2, 3, 4, 7, 16, 25, 64] {
+        let pattern = sample_pattern(count);
+        let moment = |power: [i32; 3]| {
+            let of = |s: &Sample| s.offset_px.x.powi(power[0]) * s.offset_px.y.powi(power[1]) * s.moment.powi(power[2]);
+            pattern.iter().map(of).sum::<f64>() / count as f64
+        };
+        // An odd one would shift what moves.
+        let odd = [[1, 1, 1], [2, 0, 1], [0, 2, 1], [1, 0, 2], [0, 1, 2], [2, 1, 0], [1, 2, 0], [3, 0, 0], [0, 3, 0]];
+        assert!(odd.iter().all(|power| moment(*power).abs() < 1e-15), "{count}: {:?}", odd.map(moment));
+        // Correlations slant the pixel and the blur.
+        let mixed = [[1, 1, 0], [1, 0, 1], [0, 1, 1]].map(|power| 12.0 * moment(power));
+        assert!(count < 16 || mixed.iter().all(|m| m.abs() < 0.03), "{count}: {mixed:?}");
+    }
+}
+
+#[test]
+fn a_picture_that_moves_is_seen_where_the_path_has_it() {
+    // Fine detail, long exposed while the camera goes to the left and to the right: where it moves by 2.5 pixels, both see the same place. Rolled,
+    // so that edges lie anywhere between pixel centres: at one place alone, the steps of the rays show.
+    let seen = |speed: f64| {
+        let along = |y: f64| Spline::straight(&[(-1.0, Vector3::new(-speed, y, 0.0)), (1.0, Vector3::new(speed, y, 0.0))]).unwrap();
+        let path = CameraPath { position: along(-2.9), target: along(0.0), roll_rad: 0.1, shake: None };
+        let mut scene = stage_of(checker(40), camera([0.0; 5]), path);
+        (scene.shutter.exposure_s, scene.samples) = (0.02, 16);
+        Renderer::new(scene).render(0.0, 0)
+    };
+    let (left, right) = (seen(-2.0), seen(2.0));
+    let [mut difference, mut slopes] = [0.0; 2];
+    for (x, y) in (1..WIDTH - 1).flat_map(|x| (0..HEIGHT).map(move |y| (x, y))) {
+        let grey = |picture: &GrayImage, x: u32| f64::from(picture.get_pixel(x, y)[0]);
+        let slope = 0.25 * (grey(&left, x + 1) - grey(&left, x - 1) + grey(&right, x + 1) - grey(&right, x - 1));
+        difference += slope * (grey(&left, x) - grey(&right, x));
+        slopes += slope * slope;
+    }
+    assert!((difference / slopes).abs() < 0.003, "{} pixels", difference / slopes);
 }
