@@ -34,14 +34,23 @@ pub struct UniformMotion {
     poses: f64,
 }
 
+/// Where a line led that was believed before a pose came.
+#[derive(Debug, Clone, Copy)]
+pub struct Continuation {
+    /// The motion that it led to.
+    pub expected: MotionEstimate,
+    /// Whether the pose lies further from it than chance explains.
+    pub has_left: bool,
+}
+
 impl UniformMotion {
     /// One pose, of which no motion is known.
     pub fn new(pose: Pose<Body, Camera>) -> Self {
         Self { motion: Motion::still(pose), last: pose, poses: 1.0 }
     }
 
-    /// Takes another pose, `dt_s` after the last; where it left the line, the motion that the line led to.
-    pub fn add(&mut self, pose: &Pose<Body, Camera>, covariance: &Matrix6<f64>, dt_s: f64, distance_m: f64) -> Option<MotionEstimate> {
+    /// Takes another pose, `dt_s` after the last, and says where the line led; `None` where it went through too few poses to be believed.
+    pub fn add(&mut self, pose: &Pose<Body, Camera>, covariance: &Matrix6<f64>, dt_s: f64, distance_m: f64) -> Option<Continuation> {
         let n = self.poses;
         let expected = self.motion.after(dt_s);
         let off = pose_error(&expected, pose);
@@ -54,8 +63,8 @@ impl UniformMotion {
             self.motion = expected.corrected(&correction(self.poses, &off, dt_s));
         }
         self.last = *pose;
-        (has_left && n >= LEAST_POSES)
-            .then(|| MotionEstimate { motion: expected, covariance: line_covariance(n, covariance, dt_s, distance_m) })
+        let covariance = line_covariance(n, covariance, dt_s, distance_m);
+        (n >= LEAST_POSES).then_some(Continuation { expected: MotionEstimate { motion: expected, covariance }, has_left })
     }
 }
 
@@ -170,6 +179,11 @@ mod tests {
         (Matrix6::identity() * SIGMA.powi(2), UniformMotion::new(seen(0, random)))
     }
 
+    /// Whether another pose leaves the line.
+    fn leaves(line: &mut UniformMotion, pose: &Pose<Body, Camera>, covariance: &Matrix6<f64>) -> bool {
+        line.add(pose, covariance, DT_S, 4.0).is_some_and(|c| c.has_left)
+    }
+
     #[test]
     fn an_even_motion_stays_on_its_line_and_the_line_is_as_sure_as_it_says() {
         let mut random = Pcg64Mcg::seed_from_u64(1);
@@ -177,7 +191,7 @@ mod tests {
             let (mut sum, mut left, runs) = (0.0, 0, 2000);
             for _ in 0..runs {
                 let (covariance, mut line) = begun(&mut random);
-                left += (1..frames).filter(|f| line.add(&seen(*f, &mut random), &covariance, DT_S, 4.0).is_some()).count();
+                left += (1..frames).filter(|f| leaves(&mut line, &seen(*f, &mut random), &covariance)).count();
                 let expected = line.motion.after(DT_S);
                 let off = pose_error(&expected, &truth(frames).pose);
                 let factor = place_covariance(line.poses, &covariance).cholesky().expect("positive definite");
@@ -195,16 +209,17 @@ mod tests {
         let mut random = Pcg64Mcg::seed_from_u64(2);
         let (covariance, mut line) = begun(&mut random);
         for frame in 1..8 {
-            assert!(line.add(&seen(frame, &mut random), &covariance, DT_S, 4.0).is_none(), "{frame}");
+            assert!(!leaves(&mut line, &seen(frame, &mut random), &covariance), "{frame}");
         }
         let (rests, would_be) = (seen(7, &mut random), seen(8, &mut random));
-        let left = line.add(&rests, &covariance, DT_S, 4.0).expect("12 mm are many sigmas");
-        let (off, expected) = (pose_error(&left.motion, &rests), pose_error(&Motion::still(would_be), &rests));
+        let left = line.add(&rests, &covariance, DT_S, 4.0).expect("seven poses lie on it");
+        assert!(left.has_left, "12 mm are many sigmas");
+        let (off, expected) = (pose_error(&left.expected.motion, &rests), pose_error(&Motion::still(would_be), &rests));
         assert!((off - expected).norm() < 10.0 * SIGMA, "{off:?}");
         // The line through the moving and the resting pose is another; the next ones are at rest.
         line.add(&rests, &covariance, DT_S, 4.0);
         for frame in 0..4 {
-            assert!(line.add(&rests, &covariance, DT_S, 4.0).is_none(), "{frame}");
+            assert!(!leaves(&mut line, &rests, &covariance), "{frame}");
         }
     }
 
@@ -220,7 +235,7 @@ mod tests {
                     // Its bend from frame to frame is 16 sigmas.
                     let bend = Vector6::new(0.0, 0.0, 0.0, 1.0, 0.0, 0.0) * (0.5 * t * t);
                     let pose = Motion::still(seen(*frame, &mut random)).with_pose_corrected(&bend);
-                    line.add(&pose, &covariance, DT_S, 4.0).is_none() && line.poses > 2.0
+                    !leaves(&mut line, &pose, &covariance) && line.poses > 2.0
                 })
                 .count();
         }
@@ -234,7 +249,7 @@ mod tests {
         for frame in 1..50 {
             let shake = Vector6::from_fn(|_, _| random.random_range(-0.01..0.01));
             let pose = Motion::still(seen(frame, &mut random)).with_pose_corrected(&shake);
-            assert!(line.add(&pose, &covariance, DT_S, 4.0).is_none(), "{frame}");
+            assert!(!leaves(&mut line, &pose, &covariance), "{frame}");
         }
     }
 }

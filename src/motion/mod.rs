@@ -14,7 +14,7 @@ mod state;
 
 pub use estimate::{MotionEstimate, unseen};
 pub use history::{FADE_S, MotionHistory};
-pub use line::UniformMotion;
+pub use line::{Continuation, UniformMotion};
 pub use process_noise::ProcessNoise;
 pub use reach::Reach;
 pub use recent::Recent;

@@ -3,7 +3,7 @@
 //! The pixels that the last frame was solved with are solved again where nothing moved; otherwise each level's pixels are selected, predicted and
 //! solved for in turn, from the coarsest that the start's error asks for down to the finest. Nothing that is learnt slowly changes here.
 
-use nalgebra::{Vector2, Vector6};
+use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
 
 use super::exposure::{KnownPsfVariance, exposure_clue};
 use super::frame_levels::{FINEST, FrameLevels, LEVELS};
@@ -20,7 +20,7 @@ use super::system::schur_complement::{Clue, SchurComplement};
 use super::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
 use super::verdict::{Alignment, squared_mahalanobis};
 use super::{AlignSurface, CameraRays, distance_m};
-use crate::motion::{Motion, MotionEstimate, MotionMatrix, UniformMotion};
+use crate::motion::{Continuation, Motion, MotionEstimate, MotionMatrix, UniformMotion};
 
 /// Pixels asked while nothing moves: their prediction is kept from frame to frame. More than the steep pixels of d-still (105,000); with
 /// 62,000 its scatter was 0.0134 mm instead of 0.0119. Raised, only the frames of larger cameras cost more.
@@ -53,6 +53,10 @@ const LARGEST_LAST_STEP_PX: f64 = 0.15;
 /// pictures of the tiles were predicted before the step. Raised, covariances are wider than errors; with 0, twice as many frames
 /// of a moving camera are further off than six sigmas.
 const MISSING_SHARE: f64 = 0.2;
+/// What no frame tells of its image motion, one sigma, pixels of the frame: the pictures of the tiles share faults of interpolation, point
+/// spread and shutter, which more pixels do not average away. With 0, the best-known directions of a pose (3 to 15 micrometres at 2.6 m) were twice
+/// as far off as their covariance says (mean square, `tests/pipeline/stops.rs`). Raised, covariances are wider than errors.
+const LEAST_ERROR_PX: f64 = 0.001;
 /// A level converges from this many of its pixels off: 2.5 to 5 in a prototype. Raised, starts are left to levels that are too fine for
 /// them, and solved twice or lost; lowered, a level more is solved than the start needs.
 const BASIN_PX: f64 = 2.5;
@@ -116,7 +120,7 @@ pub struct FrameProblem<'a> {
     known: Expected<'a>,
     /// What the tiles say by the time of their rows.
     bands: RowBands,
-    /// The pose's part of the last step; zero where the prediction of the frame before was kept.
+    /// The pose's part of the last step, from where the pictures of the tiles were predicted.
     last_step: Vector6<f64>,
     lessons: Lessons,
 }
@@ -187,6 +191,8 @@ impl<'a> FrameProblem<'a> {
         self.buffers.has_kept = true;
         let (fine, _, light) = self.buffers.at_level(FINEST);
         let solved = fine.solve(&spec, &self.known, light, false, 2)?;
+        let predicted_at = fine.predicted_at()?;
+        self.last_step = predicted_at.pose_error_to(&solved.motion);
         (fine.moved_px(&spec, motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
     }
 
@@ -354,13 +360,14 @@ impl<'a> FrameProblem<'a> {
     pub fn verify(&mut self) -> Option<(Alignment, Option<Clue>)> {
         let Corrected { motion, scale } = self.buffers.fine.solution()?.found;
         let spec = self.spec(FINEST, &motion);
+        let floor = self.floor(&motion);
         let mut solution = self.buffers.fine.solution()?;
         let blur_px = spec.blur_px * spec.frame_px();
         let Conclusion { estimate, covariance, inliers, squared_px, tiles, agreeing, blur } = solution.conclude(&spec, &mut self.bands)?;
         let found = Alignment {
             estimate,
             pose: motion.pose,
-            covariance: covariance + self.last_step * self.last_step.transpose() * MISSING_SHARE.powi(2),
+            covariance: covariance + self.last_step * self.last_step.transpose() * MISSING_SHARE.powi(2) + floor,
             scale,
             inliers,
             rms_px: (squared_px / inliers.max(1.0)).sqrt() * spec.frame_px(),
@@ -379,6 +386,19 @@ impl<'a> FrameProblem<'a> {
         Some((found, exposure))
     }
 
+    /// What no frame tells better, however many pixels it asks: covariance of [δp, δθ] of an image motion of [`LEAST_ERROR_PX`].
+    fn floor(&self, motion: &Motion) -> Matrix6<f64> {
+        let camera = &self.rays.camera;
+        let (width, height) = (f64::from(camera.width()), f64::from(camera.height()));
+        // Root mean square distance of a picture's pixels from its middle.
+        let radius_px = ((width.powi(2) + height.powi(2)) / 12.0).sqrt();
+        let [turn, roll] = [camera.intrinsics().fx, radius_px].map(|px| (LEAST_ERROR_PX / px).powi(2));
+        let nearer = motion.pose.rotation * Vector3::z() * distance_m(self.surfaces, &motion.pose);
+        let mut covariance = Matrix6::from_diagonal(&Vector6::new(0.0, 0.0, 0.0, turn, turn, roll));
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&(nearer * nearer.transpose() * roll));
+        covariance
+    }
+
     /// Adds what the solution leaves open where the velocity may have jumped since the last frame, `since_s` ago, or within this one; corrects pose
     /// and motion by the jumps that the rows show. `has_jumped`: whether it was solved with a wider expectation.
     pub fn allow_for_jumps(&mut self, found: &mut Alignment, since_s: Option<f64>, has_jumped: bool) {
@@ -391,9 +411,9 @@ impl<'a> FrameProblem<'a> {
         let Alignment { estimate, pose, covariance, .. } = found;
         let distance_m = distance_m(self.surfaces, pose);
         let mut line = self.slow.line;
-        let left = line.as_mut().filter(|_| since_s > 0.0).and_then(|line| line.add(pose, covariance, since_s, distance_m));
+        let led = line.as_mut().filter(|_| since_s > 0.0).and_then(|line| line.add(pose, covariance, since_s, distance_m));
         self.lessons.line = Some(line.unwrap_or(UniformMotion::new(*pose)));
-        *covariance += by_bend(self.expected, estimate, left.as_ref(), shutter, distance_m);
+        *covariance += by_bend(self.expected, estimate, led.as_ref(), shutter, distance_m);
         let with_jerk = Expectation {
             information: *self.known.information,
             error: estimate.motion.error_to(self.known.motion),
@@ -401,10 +421,10 @@ impl<'a> FrameProblem<'a> {
             // Solved with a wider expectation, the motion is less sure than with this one.
             covariance: (!has_jumped).then_some(estimate.covariance),
         };
-        let on_line = left.filter(|_| shutter.readout_s != 0.0).and_then(|left| {
+        let on_line = led.filter(|led| led.has_left && shutter.readout_s != 0.0).and_then(|Continuation { expected, .. }| {
             Some(Expectation {
-                information: left.covariance.cholesky()?.inverse(),
-                error: estimate.motion.error_to(&left.motion),
+                information: expected.covariance.cholesky()?.inverse(),
+                error: estimate.motion.error_to(&expected.motion),
                 likelihood: 1.0 - JERK_LIKELIHOOD,
                 covariance: None,
             })

@@ -7,7 +7,7 @@
 use nalgebra::{Matrix6, Vector6};
 
 use crate::camera::Shutter;
-use crate::motion::{MotionEstimate, unseen};
+use crate::motion::{Continuation, MotionEstimate, unseen};
 
 /// A pose found further than this from where it was expected (squared, in sigmas, six degrees of freedom: one frame in 2000 by chance) is
 /// solved with a jump. Raised, jumps pull the pose by what was expected; lowered, frames of a shaken camera know
@@ -21,10 +21,10 @@ const BEND: f64 = 2.0;
 /// second half of the exposure, nothing before. Where rows tell the instant it is known far better, so that this is half of the scatter
 /// over all instants. Raised, the covariance of every surprise is wider.
 const OFF_SHARE: f64 = 0.22;
-/// The same where the pose left the line that the camera went on. A line is known nearly as well as a pose, so that also a small jump within the
-/// exposure leaves it: what is off is then all error in half of the cases. With 0.22, errors of 4.5 sigma are usual among them; raised, the
-/// covariance of every start and stop is wider.
-const LEFT_SHARE: f64 = 0.4;
+/// The same of how far the pose was found from the line that the camera went on. A line is known nearly as well as a pose, so that also a small
+/// jump within the exposure leads away from it: what is off is then all error in half of the cases. With 0.22, errors of 4.5 sigma are usual among
+/// poses that left their line; raised, the covariance of every start and stop is wider.
+const LINE_SHARE: f64 = 0.4;
 /// A jump of this many sigmas at the middle of the exposure is the largest that such an error comes from: it is an eighth of the jump times
 /// the exposure. Raised, poses that are far off for other reasons get a wider covariance than any start could need.
 const LARGEST_JUMP: f64 = 3.0;
@@ -62,21 +62,24 @@ pub fn jumped(expected: &MotionEstimate, dt_s: f64, shutter: &Shutter, distance_
 }
 
 /// What a motion that bent within the frame adds to the covariance of the pose: the picture's middle is not where the camera was at the stamp.
-/// `left`: where the line led that the camera went on and left, if it did; otherwise the pose is held against what was expected.
+/// `line`: where the line led that the camera went on, if it did; otherwise the pose is held against what was expected. Also a pose
+/// that stays within the noise about its line may be off: a jump may hide there.
 pub fn by_bend(
     expected: &MotionEstimate,
     found: &MotionEstimate,
-    left: Option<&MotionEstimate>,
+    line: Option<&Continuation>,
     shutter: &Shutter,
     distance_m: f64,
 ) -> Matrix6<f64> {
     let error = expected.motion.error_to(&found.motion);
     let frame_s = shutter.readout_s.hypot(shutter.exposure_s);
     let [speed, turn_rate, ..] = unseen(distance_m);
-    let off = left.map_or(error, |left| left.motion.error_to(&found.motion));
+    let off = line.map_or(error, |line| line.expected.motion.error_to(&found.motion));
     let off: Vector6<f64> = off.fixed_rows::<6>(0).into_owned();
-    let share = if left.is_some() { LEFT_SHARE } else { OFF_SHARE };
-    let covariance = left.map_or(Matrix6::zeros(), |left| left.covariance.fixed_view::<6, 6>(0, 0).into_owned());
+    let share = if line.is_some() { LINE_SHARE } else { OFF_SHARE };
+    // By as much may the line itself be off; while the pose lies on it, that is part of the distance.
+    let left = line.filter(|line| line.has_left);
+    let covariance = left.map_or(Matrix6::zeros(), |line| line.expected.covariance.fixed_view::<6, 6>(0, 0).into_owned());
     // How long a usual jump takes to get there.
     let takes_s = (off.fixed_rows::<3>(0).norm() / speed).hypot(off.fixed_rows::<3>(3).norm() / turn_rate);
     let most = (LARGEST_JUMP / 8.0 * frame_s / takes_s.max(f64::MIN_POSITIVE)).min(1.0);

@@ -205,6 +205,11 @@ impl LevelProblem {
         self.at.map_or(f64::INFINITY, |at| self.moved_px(spec, &at, motion))
     }
 
+    /// The motion that the pixels' prediction is of; `None` before the first.
+    pub fn predicted_at(&self) -> Option<Motion> {
+        self.at
+    }
+
     /// Keeps the pixels and their prediction for a new frame.
     pub fn renew(&mut self, spec: &LevelSpec, frame: &mut FrameLevels) {
         self.solved = None;
