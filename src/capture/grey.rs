@@ -7,6 +7,7 @@
 //! they are on the sensor, and so does the calibration. [`decode_grey`] gives the pixels as they lie in the file,
 //! [`decode_oriented`] tells besides how they are to be shown.
 
+use std::borrow::Cow;
 use std::io::Cursor;
 
 use image::metadata::Orientation;
@@ -131,6 +132,17 @@ pub(super) fn sound_jpeg(bytes: &[u8]) -> Result<(Vec<u8>, bool), DecodeError> {
     let (data, tail) =
         if walk.is_one_plain_scan() { (&picture[scan..picture.len() - 2], &[0; 16][..]) } else { (&picture[scan..], &[][..]) };
     Ok(([&picture[..scan], &tables, data, tail].concat(), walk.has_tall_units()))
+}
+
+/// A JPEG with its Huffman tables: cameras leave out the standard ones, and a browser need not know them. What is no whole JPEG stays as it is.
+pub fn with_huffman_tables(bytes: &[u8]) -> Cow<'_, [u8]> {
+    let mut walk = JpegWalk::default();
+    match (walk.advance(bytes), walk.first_scan) {
+        (Walked::Whole(_), Some(scan)) if !walk.has_huffman_tables => {
+            [&bytes[..scan], &standard_huffman_tables(), &bytes[scan..]].concat().into()
+        }
+        _ => bytes.into(),
+    }
 }
 
 /// Decodes a JPEG that has its tables; `luma_from` is what the decoder is asked for where the picture has a luma plane.

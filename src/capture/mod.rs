@@ -38,7 +38,7 @@ use std::time::Duration;
 pub use avi::AviReader;
 pub use error::CaptureError;
 pub use folder::PICTURE_EXTENSIONS;
-pub use grey::{DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_oriented, orientation_words, picture_size};
+pub use grey::{DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_oriented, orientation_words, picture_size, with_huffman_tables};
 pub use luma::decode_picture;
 pub use mjpeg::MjpegReader;
 pub use open::{ClipOptions, open_clip, open_clip_in_colour};

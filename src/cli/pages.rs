@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use super::failure::Failure;
+use crate::capture::ClipEntry;
 use crate::config::HttpSettings;
 use crate::daemon::live::LiveLink;
 use crate::publish::{SafetySettings, Stamps};
@@ -41,6 +42,14 @@ impl Pages {
             tracing::warn!("[http]: this build has no HTTP server; build it with the feature `http`");
         }
         Ok(Self {})
+    }
+
+    /// What the session's pose stage calls with every row, for those who watch; none where there is no server.
+    pub fn observer(&self) -> Option<impl FnMut(&ClipEntry, &PoseSample) + Send + 'static> {
+        #[cfg(feature = "http")]
+        return self.server.as_ref().map(web::Server::observer);
+        #[cfg(not(feature = "http"))]
+        None::<fn(&ClipEntry, &PoseSample)>
     }
 
     /// Gives a sample, or a stale message, to the server's clients.

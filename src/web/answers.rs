@@ -5,22 +5,24 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::Router;
-use axum::body::{Body, HttpBody};
+use axum::body::Body;
 use axum::extract::FromRequestParts;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
-use axum::http::{HeaderName, HeaderValue, Method, Request as HttpRequest, Response, StatusCode, header};
+use axum::http::{HeaderValue, Request as HttpRequest, Response, header};
 use axum::response::IntoResponse;
 use axum::routing::any;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
+use super::assets::with_page;
 use super::feed::Feed;
+use super::hub::Hub;
+use super::lifetime::{TAKES_WITHIN, ended};
 use super::places::Place;
+use super::replies::{refusal, response, with};
 use super::routes::{Effect, Reply, Route};
+use super::view::show;
 
-/// A client that takes nothing for this long is let go. Chosen: longer than a network's hiccup. Raised, dead clients hold their places for
-/// longer.
-pub(super) const TAKES_WITHIN: Duration = Duration::from_secs(2);
 /// A client has nothing to say on the WebSocket, so that its messages may be short, bytes. A round figure. Raised, a client may take more
 /// memory.
 const LONGEST_MESSAGE: usize = 4 * 1024;
@@ -28,28 +30,25 @@ const LONGEST_MESSAGE: usize = 4 * 1024;
 /// What a request knows of its connection: its place among those that last; none where it is answered in brief.
 pub(super) type Caller = Option<Arc<Place>>;
 
-/// /ws, /api/v1/pose, /api/v1/state and the given routes.
-pub(super) fn router(feed: Arc<Feed>, routes: Vec<Route>, stopped: &watch::Receiver<bool>) -> Router {
-    let stopped = stopped.clone();
+/// The page, /ws, /ws/view, /api/v1/pose, /api/v1/state and the given routes.
+pub(super) fn router(feed: &Arc<Feed>, hub: &Arc<Hub>, routes: Vec<Route>, stopped: &watch::Receiver<bool>) -> Router {
     let (pose, state) = (feed.clone(), feed.clone());
     let own = [Route::get("/api/v1/pose", move || pose.pose()), Route::get("/api/v1/state", move || state.state())];
-    let mut router = Router::new().route("/ws", any(move |request| web_socket(request, feed.clone(), stopped.clone())));
+    let of_records = {
+        let (feed, stopped) = (feed.clone(), stopped.clone());
+        move |socket| stream(socket, feed.clone(), stopped.clone())
+    };
+    let of_frames = {
+        let (feed, hub, stopped) = (feed.clone(), hub.clone(), stopped.clone());
+        move |socket| show(socket, hub.clone(), feed.clone(), stopped.clone())
+    };
+    let mut router = Router::new()
+        .route("/ws", any(move |request| web_socket(request, of_records)))
+        .route("/ws/view", any(move |request| web_socket(request, of_frames)));
     for route in own.into_iter().chain(routes) {
         router = router.route(route.path, any(move |request| answer(request, route.clone())));
     }
-    router.fallback(|| async { response(Reply::text(404, "there is nothing here; see /api/v1/pose, /api/v1/state and /ws\n")) })
-}
-
-/// Refuses another method than the route's, and content.
-fn refusal(request: &HttpRequest<Body>, effect: &Effect) -> Option<Response<Body>> {
-    let (is_allowed, allow, sentence) = match effect {
-        Effect::Reads => (matches!(*request.method(), Method::GET | Method::HEAD), "GET, HEAD", "only GET is answered here\n"),
-        Effect::Changes(_) => (*request.method() == Method::POST, "POST", "this changes something; ask with POST\n"),
-    };
-    if !is_allowed {
-        return Some(with(response(Reply::text(405, sentence)), header::ALLOW, HeaderValue::from_static(allow)));
-    }
-    (!request.body().is_end_stream()).then(|| response(Reply::text(413, "a request has no content here\n")))
+    with_page(router).fallback(|| async { response(Reply::text(404, "there is nothing here; the page is at /\n")) })
 }
 
 async fn answer(request: HttpRequest<Body>, route: Route) -> Result<Response<Body>, Infallible> {
@@ -66,35 +65,11 @@ async fn answer(request: HttpRequest<Body>, route: Route) -> Result<Response<Bod
     Ok(response((route.handler)()))
 }
 
-fn with(mut response: Response<Body>, name: HeaderName, value: HeaderValue) -> Response<Body> {
-    response.headers_mut().insert(name, value);
-    response
-}
-
-/// The reply with what no page of another site may do with it. What was refused also ends its connection: it may hold more.
-pub(super) fn response(reply: Reply) -> Response<Body> {
-    let is_refused = matches!(reply.status, 400 | 403 | 405 | 413 | 421);
-    let mut response = Response::new(Body::from(reply.body));
-    *response.status_mut() = StatusCode::from_u16(reply.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
-    let headers = response.headers_mut();
-    let fixed = [
-        (header::CONTENT_TYPE, reply.content_type),
-        (header::CACHE_CONTROL, "no-store"),
-        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
-        (header::CONTENT_SECURITY_POLICY, "default-src 'none'; frame-ancestors 'none'"),
-        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
-    ];
-    for (name, value) in fixed {
-        headers.insert(name, HeaderValue::from_static(value));
-    }
-    if is_refused {
-        headers.insert(header::CONNECTION, HeaderValue::from_static("close"));
-    }
-    response
-}
-
-/// `/ws`: every record from now on.
-async fn web_socket(request: HttpRequest<Body>, feed: Arc<Feed>, stopped: watch::Receiver<bool>) -> Response<Body> {
+/// A connection that becomes a WebSocket, and is then served by `serve`.
+async fn web_socket<F>(request: HttpRequest<Body>, serve: impl FnOnce(WebSocket) -> F + Send + 'static) -> Response<Body>
+where
+    F: Future<Output = ()> + Send,
+{
     if let Some(refused) = refusal(&request, &Effect::Reads) {
         return refused;
     }
@@ -105,13 +80,14 @@ async fn web_socket(request: HttpRequest<Body>, feed: Arc<Feed>, stopped: watch:
     let (mut parts, _) = request.into_parts();
     match WebSocketUpgrade::from_request_parts(&mut parts, &()).await {
         Ok(upgrade) => upgrade.max_message_size(LONGEST_MESSAGE).max_frame_size(LONGEST_MESSAGE).on_upgrade(move |socket| async move {
-            stream(socket, feed, stopped).await;
+            serve(socket).await;
             drop(place);
         }),
         Err(rejection) => rejection.into_response(),
     }
 }
 
+/// `/ws`: every record from now on.
 async fn stream(mut socket: WebSocket, feed: Arc<Feed>, mut stopped: watch::Receiver<bool>) {
     let mut lines = feed.lines();
     loop {
@@ -133,10 +109,4 @@ async fn stream(mut socket: WebSocket, feed: Arc<Feed>, mut stopped: watch::Rece
         }
     }
     let _ = timeout(Duration::from_millis(100), socket.send(Message::Close(None))).await;
-}
-
-/// Waits for the end of the server.
-pub(super) async fn ended(stopped: &mut watch::Receiver<bool>) {
-    // An error says that the server is gone, which is the end too.
-    drop(stopped.wait_for(|stop| *stop).await);
 }

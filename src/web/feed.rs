@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use axum::extract::ws::Utf8Bytes;
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio::sync::broadcast;
 
 use super::routes::Reply;
@@ -150,21 +150,25 @@ impl Feed {
         }
     }
 
-    /// `GET /api/v1/state`: what is known, of which frame, and how old that frame is.
+    /// `GET /api/v1/state`.
     pub fn state(&self) -> Reply {
+        Reply::json(200, self.known().to_string())
+    }
+
+    /// What is known, of which frame, and how old that frame is.
+    pub fn known(&self) -> Value {
         let last = self.last();
         let is_too_old = self.is_too_old(&last);
         let told = |state: State| if is_too_old { State::Stale } else { state };
         let Some((record, _)) = &last.record else {
             let state = is_too_old.then_some(State::Stale);
-            return Reply::json(200, json!({"state": state, "sequence": null, "age_s": null, "objects": []}).to_string());
+            return json!({"state": state, "sequence": null, "age_s": null, "objects": []});
         };
         let objects: Vec<_> = record.objects.iter().map(|o| json!({"name": o.name, "state": told(o.state)})).collect();
         let age_s = self.age(&last).map(|age| milliseconds(age).round() * 1e-3);
-        let state = json!({
+        json!({
             "state": told(record.state), "sequence": record.sequence, "timestamp_ns": record.timestamp,
             "age_s": age_s, "objects": objects,
-        });
-        Reply::json(200, state.to_string())
+        })
     }
 }

@@ -1,21 +1,32 @@
-//! The HTTP server (feature `http`): `GET /ws` sends every record as a line of JSON (contract C3), `GET /api/v1/pose` the last record,
-//! `GET /api/v1/state` what is known and since when, and whatever routes the caller adds. It has one thread, listens on loopback unless the
-//! config says otherwise, answers only for this machine's hosts and to pages of its own, takes only small requests without content, and lets
-//! go of a client that does not read.
+//! The HTTP server (feature `http`): `GET /` is the page, `GET /ws` sends every record as a line of JSON (contract C3), `GET /ws/view` the
+//! picture with its record to whoever asks for a frame, `GET /api/v1/pose` the last record, `GET /api/v1/state` what is known and since
+//! when, and whatever routes the caller adds. It has one thread for answers and one for pictures, listens on loopback unless the config says
+//! otherwise, answers only for this machine's hosts and to pages of its own, takes only small requests without content, and lets go of a
+//! client that does not read.
 
 #[cfg(feature = "http")]
 mod answers;
+#[cfg(feature = "http")]
+mod assets;
 #[cfg(feature = "http")]
 mod feed;
 #[cfg(feature = "http")]
 mod guard;
 mod hosts;
 #[cfg(feature = "http")]
+mod hub;
+#[cfg(feature = "http")]
+mod lifetime;
+#[cfg(feature = "http")]
 mod places;
+#[cfg(feature = "http")]
+mod replies;
 #[cfg(feature = "http")]
 mod routes;
 #[cfg(feature = "http")]
 mod server;
+#[cfg(feature = "http")]
+mod view;
 
 pub use hosts::AllowedHosts;
 #[cfg(feature = "http")]

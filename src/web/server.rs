@@ -24,12 +24,16 @@ use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_io_timeout::TimeoutStream;
 
-use super::answers::{TAKES_WITHIN, ended, response, router};
+use super::answers::router;
 use super::feed::Feed;
 use super::guard::judge;
 use super::hosts::AllowedHosts;
+use super::hub::Hub;
+use super::lifetime::{TAKES_WITHIN, ended};
 use super::places::{BriefOnes, Place, Places};
+use super::replies::response;
 use super::routes::Route;
+use crate::capture::ClipEntry;
 use crate::config::HttpSettings;
 use crate::publish::FrameClock;
 use crate::record::PoseSample;
@@ -78,13 +82,14 @@ pub enum WebError {
 #[derive(Debug)]
 pub struct Server {
     feed: Arc<Feed>,
+    hub: Arc<Hub>,
     address: SocketAddr,
     stop: watch::Sender<bool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Server {
-    /// Listens, and answers from now on: /ws, /api/v1/pose, /api/v1/state and the given routes.
+    /// Listens, and answers from now on: the page, /ws, /ws/view, /api/v1/pose, /api/v1/state and the given routes.
     ///
     /// # Errors
     /// Where the address cannot be had or the thread cannot be started.
@@ -94,7 +99,8 @@ impl Server {
         let address = listener.local_addr().map_err(listen)?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(WebError::Start)?;
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
-        let router = router(feed.clone(), routes, &stopped);
+        let hub = Hub::start().map_err(WebError::Start)?;
+        let router = router(&feed, &hub, routes, &stopped);
         let site = Arc::new(Site { router, hosts: AllowedHosts::new(&settings.hosts) });
         let watched = feed.clone();
         runtime.spawn(async move {
@@ -108,7 +114,7 @@ impl Server {
             runtime.shutdown_timeout(Duration::from_millis(200));
         };
         let thread = std::thread::Builder::new().name("http".to_owned()).spawn(run).map_err(WebError::Start)?;
-        Ok(Self { feed, address, stop, thread: Some(thread) })
+        Ok(Self { feed, hub, address, stop, thread: Some(thread) })
     }
 
     /// Where it listens.
@@ -124,6 +130,12 @@ impl Server {
     /// Gives a sample to everybody who listens; never waits.
     pub fn publish(&self, sample: &PoseSample) {
         self.feed.publish(sample);
+    }
+
+    /// What a session's pose stage calls with every row and its sample, for those who watch; it waits for nothing, and copies nothing
+    /// while nobody waits for a frame. Each call begins another session, whose rows are numbered anew.
+    pub fn observer(&self) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
+        self.hub.observer()
     }
 
     /// Ends the server and its connections.

@@ -64,6 +64,35 @@ fn pose_state_and_added_routes_are_answered() {
 }
 
 #[test]
+fn the_page_is_served_under_a_policy_and_asked_for_once() {
+    let server = server();
+    for (path, content_type) in [("/", "text/html"), ("/style.css", "text/css"), ("/app.js", "text/javascript"), ("/icon.svg", "image/svg")]
+    {
+        let answer = get(&server, path);
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        let head = head.to_lowercase();
+        assert!(head.starts_with("http/1.1 200") && head.contains(&format!("\r\ncontent-type: {content_type}")), "{head}");
+        let has = |line: &str| assert!(head.contains(&format!("\r\n{line}")), "{path} has no {line}: {head}");
+        has("content-security-policy: default-src 'none'; script-src 'self'; style-src 'self'; ");
+        has("x-content-type-options: nosniff");
+        has("cross-origin-resource-policy: same-origin");
+        has("cache-control: no-cache");
+        has(&format!("content-length: {}", body.len()));
+        assert!(!head.contains("unsafe-inline") && !head.contains("access-control-allow"), "{head}");
+        let tag = head.lines().find_map(|line| line.strip_prefix("etag: ")).unwrap();
+        let again = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nIf-None-Match: {tag}\r\nConnection: close\r\n\r\n");
+        let again = exchange(&server, again.as_bytes());
+        assert!(again.starts_with("HTTP/1.1 304") && again.ends_with("\r\n\r\n"), "{again}");
+        let head_only = exchange(&server, format!("HEAD {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").as_bytes());
+        assert!(head_only.starts_with("HTTP/1.1 200") && head_only.ends_with("\r\n\r\n"), "{head_only}");
+        assert_eq!(status(&server, &format!("POST {path} HTTP/1.1"), "Host: localhost\r\n"), 405, "{path}");
+    }
+    for path in ["/index.html", "/page/app.js", "/vendor/", "/vendor/../app.js", "/%2e%2e/Cargo.toml", "/vendor/remake", "//app.js"] {
+        assert_eq!(status(&server, &format!("GET {path} HTTP/1.1"), "Host: localhost\r\n"), 404, "{path}");
+    }
+}
+
+#[test]
 fn malformed_and_oversized_requests_are_refused() {
     let server = server();
     let long = format!("GET /{} HTTP/1.1\r\nHost: localhost\r\n\r\n", "a".repeat(64 * 1024));
@@ -104,7 +133,7 @@ fn status(server: &Server, line: &str, headers: &str) -> u16 {
 #[test]
 fn every_path_is_guarded_and_the_web_socket_too() {
     let server = server();
-    for path in ["/ws", "/healthz", "/save", "/api/v1/pose", "/api/v1/state", "/nothing"] {
+    for path in ["/", "/app.js", "/ws", "/ws/view", "/healthz", "/save", "/api/v1/pose", "/api/v1/state", "/nothing"] {
         for method in ["GET", "POST", "OPTIONS", "PUT"] {
             let asked = |headers: &str| status(&server, &format!("{method} {path} HTTP/1.1"), headers);
             assert_eq!(asked("Host: evil.example\r\n"), 421, "{method} {path}");
@@ -191,8 +220,21 @@ const UPGRADE: &str = "GET /ws HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrad
 /// A WebSocket that the server has subscribed to the feed.
 fn web_socket(server: &Server) -> TcpStream {
     let clients = server.feed.clients();
+    let stream = upgraded(server, UPGRADE);
+    wait_until(|| server.feed.clients() > clients);
+    stream
+}
+
+/// A viewer that has heard how things stand, and has asked for nothing.
+fn viewer(server: &Server) -> TcpStream {
+    let mut stream = upgraded(server, &UPGRADE.replace("/ws", "/ws/view"));
+    assert!(next_text(&mut stream).contains("\"state\":"));
+    stream
+}
+
+fn upgraded(server: &Server, request: &str) -> TcpStream {
     let mut stream = connect(server);
-    stream.write_all(UPGRADE.as_bytes()).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
     let mut head = Vec::new();
     let mut byte = [0];
     while !head.ends_with(b"\r\n\r\n") {
@@ -200,7 +242,6 @@ fn web_socket(server: &Server) -> TcpStream {
         head.push(byte[0]);
     }
     assert!(head.starts_with(b"HTTP/1.1 101"), "{}", String::from_utf8_lossy(&head));
-    wait_until(|| server.feed.clients() > clients);
     stream
 }
 
@@ -212,22 +253,54 @@ fn wait_until(mut done: impl FnMut() -> bool) {
     }
 }
 
-/// The text of the next frame, which is not masked and shorter than 64 kB.
+/// The text of the next frame.
 fn next_text(stream: &mut TcpStream) -> String {
+    let (kind, content) = next_message(stream);
+    assert_eq!(kind, 0x81);
+    String::from_utf8(content).unwrap()
+}
+
+/// The first byte and the content of the next frame, which is not masked.
+fn next_message(stream: &mut TcpStream) -> (u8, Vec<u8>) {
     let mut head = [0; 2];
     stream.read_exact(&mut head).unwrap();
-    assert_eq!(head[0], 0x81);
-    let length = match head[1] {
-        126 => {
-            let mut long = [0; 2];
-            stream.read_exact(&mut long).unwrap();
-            usize::from(u16::from_be_bytes(long))
-        }
-        short => usize::from(short),
+    let mut long = |bytes: usize| {
+        let mut length = [0; 8];
+        stream.read_exact(&mut length[8 - bytes..]).unwrap();
+        u64::from_be_bytes(length)
     };
-    let mut text = vec![0; length];
-    stream.read_exact(&mut text).unwrap();
-    String::from_utf8(text).unwrap()
+    let length = match head[1] {
+        126 => long(2),
+        127 => long(8),
+        short => short.into(),
+    };
+    let mut content = vec![0; length as usize];
+    stream.read_exact(&mut content).unwrap();
+    (head[0], content)
+}
+
+/// Asks for a frame: `n`, masked with zeros.
+const NEXT: [u8; 7] = [0x81, 0x81, 0, 0, 0, 0, b'n'];
+
+/// The number of the next frame, and the length of its picture; what is said between frames is passed over.
+fn next_frame(stream: &mut TcpStream) -> (u64, usize) {
+    loop {
+        let (kind, content) = next_message(stream);
+        if kind == 0x82 {
+            let (length, rest) = content.split_first_chunk().unwrap();
+            let (head, jpeg) = rest.split_at(u32::from_le_bytes(*length) as usize);
+            let head: serde_json::Value = serde_json::from_slice(head).unwrap();
+            return (head["record"]["sequence"].as_u64().unwrap(), jpeg.len());
+        }
+        assert_eq!(kind, 0x81);
+    }
+}
+
+/// A row with a JPEG of this length, as far as the server knows.
+fn row(sequence: u64, bytes: usize) -> ClipEntry {
+    let frame = crate::frame::Frame::new(image::GrayImage::new(4, 3), Timestamp::from_ns(40), sequence);
+    let received = Some(crate::capture::Received::Jpeg(vec![7; bytes].into()));
+    ClipEntry { received, ..ClipEntry::new(sequence, frame.timestamp, crate::capture::EntryContent::Frame(frame)) }
 }
 
 #[test]
@@ -279,4 +352,80 @@ fn a_port_in_use_is_refused() {
     let settings = HttpSettings { listen: first.address(), hosts: Vec::new() };
     let refusal = Server::start(&settings, Vec::new()).err().unwrap().to_string();
     assert!(refusal.contains(&first.address().to_string()) && refusal.contains("free port"), "{refusal}");
+}
+
+#[test]
+fn a_viewer_gets_the_frame_that_it_asks_for_and_nothing_is_copied_for_who_does_not_ask() {
+    let server = server();
+    let mut observer = server.observer();
+    let mut seen = |k| observer(&row(k, 1000), &sample(k));
+    let mut viewer = viewer(&server);
+    (0..50).for_each(&mut seen);
+    assert_eq!(server.hub.copied(), 0, "it is connected, and asks for nothing");
+    for k in 50..60 {
+        viewer.write_all(&NEXT).unwrap();
+        wait_until(|| server.hub.waiting() == 1);
+        seen(k);
+        assert_eq!(next_frame(&mut viewer), (k, 1000));
+        // It has what it asked for.
+        seen(1000 + k);
+    }
+    assert_eq!(server.hub.copied(), 10);
+    // Whoever asks again and again has two frames on their way at most.
+    (0..20).for_each(|_| viewer.write_all(&NEXT).unwrap());
+    wait_until(|| server.hub.waiting() == 1);
+    for k in 60..62 {
+        seen(k);
+        assert_eq!(next_frame(&mut viewer), (k, 1000));
+    }
+    drop(viewer);
+    wait_until(|| server.hub.waiting() == 0 && server.hub.viewers() == 0);
+    server.close();
+}
+
+#[test]
+fn of_eight_viewers_one_that_stalls_harms_no_other() {
+    let server = server();
+    let mut observer = server.observer();
+    let mut stalled = viewer(&server);
+    let mut others: Vec<TcpStream> = (0..7).map(|_| viewer(&server)).collect();
+    let mut k = 0;
+    // Until it is let go: by then the system's buffers are full, and a message has waited for its time.
+    wait_until(|| {
+        let _ = stalled.write_all(&NEXT);
+        others.iter_mut().for_each(|viewer| viewer.write_all(&NEXT).unwrap());
+        wait_until(|| server.hub.waiting() >= 7);
+        observer(&row(k, 500_000), &sample(k));
+        for viewer in &mut others {
+            assert_eq!(next_frame(viewer), (k, 500_000));
+        }
+        k += 1;
+        server.hub.viewers() == 7
+    });
+    assert!(k > 2, "{k}");
+}
+
+#[test]
+fn what_a_viewer_says_beside_n_ends_it_with_a_sentence() {
+    let server = server();
+    for said in [&[0x81, 0x81, 0, 0, 0, 0, b'x'][..], &[0x82, 0x81, 0, 0, 0, 0, b'n'], &[0x81, 0x80, 0, 0, 0, 0]] {
+        let mut viewer = viewer(&server);
+        viewer.write_all(said).unwrap();
+        let close = std::iter::repeat_with(|| next_message(&mut viewer)).find(|(kind, _)| *kind != 0x81).unwrap();
+        assert_eq!((close.0, &close.1[..2]), (0x88, &1008_u16.to_be_bytes()[..]));
+        assert!(close.1.ends_with(b"nothing else is understood"));
+    }
+    wait_until(|| server.hub.viewers() == 0);
+}
+
+#[test]
+fn a_viewer_hears_how_things_stand_while_no_frame_comes() {
+    let server = server();
+    let mut viewer = viewer(&server);
+    server.publish(&sample(7));
+    let said: serde_json::Value = std::iter::repeat_with(|| serde_json::from_str(&next_text(&mut viewer)).unwrap())
+        .find(|s: &serde_json::Value| s["state"]["state"].is_string())
+        .unwrap();
+    assert_eq!((&said["state"]["state"], &said["state"]["sequence"]), (&"tracking".into(), &7.into()));
+    assert_eq!(said["page"].as_str().map(str::len), Some(16));
 }

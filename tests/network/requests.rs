@@ -5,7 +5,7 @@ use super::mutator::Mutator;
 use super::service::Service;
 
 /// Statuses of requests that were let in, and of those that were not.
-const LET_IN: [u16; 8] = [101, 200, 202, 404, 405, 413, 429, 503];
+const LET_IN: [u16; 9] = [101, 200, 202, 304, 404, 405, 413, 429, 503];
 const REFUSED: [u16; 6] = [400, 403, 414, 421, 426, 431];
 
 fn good() -> Vec<Vec<u8>> {
@@ -14,11 +14,15 @@ fn good() -> Vec<Vec<u8>> {
         "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
     let frames = b"\x89\x80\x01\x02\x03\x04\x81\x83\x01\x02\x03\x04abc\x88\x80\x01\x02\x03\x04".to_vec();
     vec![
+        get("/", "Accept-Encoding: gzip\r\nIf-None-Match: \"0123456789abcdef\"\r\n"),
+        get("/vendor/preact.js", "If-None-Match: W/\"1\", *\r\n"),
         get("/api/v1/state", ""),
         get("/api/v1/pose?x=%00%ff", "Origin: http://localhost:8090\r\nAccept: */*\r\n"),
         get("/healthz", "Sec-Fetch-Site: same-origin\r\nConnection: close\r\n"),
         get("/metrics", "User-Agent: Prometheus/3\r\nAccept-Encoding: gzip\r\n"),
-        [get("/ws", upgrade), frames].concat(),
+        [get("/ws", upgrade), frames.clone()].concat(),
+        // `n`, for a frame, and what is not understood.
+        [get("/ws/view?width=-1", upgrade), b"\x81\x81\x00\x00\x00\x00n\x82\x81\x00\x00\x00\x00n".to_vec(), frames].concat(),
         b"POST /api/v1/ring/save HTTP/1.1\r\nHost: [::1]\r\nContent-Length: 0\r\n\r\n".to_vec(),
         b"POST /api/v1/ring/save HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n3\r\nabc\r\n0\r\n\r\n".to_vec(),
         b"GET http://127.0.0.1/healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".to_vec(),

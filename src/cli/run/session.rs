@@ -100,6 +100,9 @@ impl Session<'_> {
         if let Some(recorder) = &recorder {
             daemon.observe(recorder.observer());
         }
+        if let Some(observer) = pages.observer() {
+            daemon.observe(observer);
+        }
         let running = match daemon.start() {
             Ok(running) => running,
             Err(e) => {

@@ -1,0 +1,109 @@
+//! The page: the files that a browser loads, embedded in the program.
+//!
+//! Nothing comes from elsewhere: the policy sent with each file allows scripts, styles and connections of this server alone, and no script or
+//! style within the HTML. A browser asks each time whether its copy is still the newest, so that a page never mixes two versions.
+
+use axum::Router;
+use axum::body::Body;
+use axum::http::{HeaderValue, Request, Response, StatusCode, header};
+use axum::routing::any;
+
+use super::replies::{refusal, response};
+use super::routes::{Effect, Reply};
+
+/// A file of the page.
+#[derive(Debug)]
+struct Asset {
+    path: &'static str,
+    content_type: &'static str,
+    bytes: &'static [u8],
+}
+
+/// MIME types of the page's files.
+const HTML: &str = "text/html; charset=utf-8";
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+const STYLE: &str = "text/css; charset=utf-8";
+const PICTURE: &str = "image/svg+xml";
+const TEXT: &str = "text/plain; charset=utf-8";
+
+/// An [`Asset`] of a file in `page/`, by its path below it.
+macro_rules! asset {
+    ($content_type:expr, $file:literal) => {
+        asset!($content_type, $file, concat!("/", $file))
+    };
+    ($content_type:expr, $file:literal, $path:expr) => {
+        Asset { path: $path, content_type: $content_type, bytes: include_bytes!(concat!("page/", $file)) }
+    };
+}
+
+/// All files of the page.
+const ASSETS: &[Asset] = &[
+    asset!(HTML, "index.html", "/"),
+    asset!(STYLE, "style.css"),
+    asset!(PICTURE, "icon.svg"),
+    asset!(SCRIPT, "app.js"),
+    asset!(SCRIPT, "daemon.js"),
+    asset!(SCRIPT, "live.js"),
+    asset!(SCRIPT, "theme.js"),
+    asset!(SCRIPT, "ui.js"),
+    asset!(SCRIPT, "vendor/preact.js"),
+    asset!(SCRIPT, "vendor/hooks.js"),
+    asset!(SCRIPT, "vendor/signals-core.js"),
+    asset!(SCRIPT, "vendor/signals.js"),
+    asset!(SCRIPT, "vendor/htm.js"),
+    asset!(TEXT, "vendor/LICENSES.txt"),
+];
+
+/// What the page may load: files and connections of this server alone, pictures also from its own memory. Nobody may frame it.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; base-uri 'none'; \
+    form-action 'none'; frame-ancestors 'none'";
+
+/// Start and factor of the 64-bit FNV-1a hash, as its authors give them: it tells versions apart, against nobody's ill will.
+const FNV_START: u64 = 0xcbf2_9ce4_8422_2325;
+const FNV_FACTOR: u64 = 0x0100_0000_01b3;
+
+fn hash(start: u64, bytes: &[u8]) -> u64 {
+    bytes.iter().fold(start, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(FNV_FACTOR))
+}
+
+/// One word for the version of the page: another one says that a page that is open is not the newest.
+pub(super) fn version() -> String {
+    format!("{:016x}", ASSETS.iter().fold(FNV_START, |hashed, asset| hash(hashed, asset.bytes)))
+}
+
+/// The router with the page's files.
+pub(super) fn with_page(router: Router) -> Router {
+    ASSETS.iter().fold(router, |router, asset| {
+        let tag = format!("\"{:016x}\"", hash(FNV_START, asset.bytes));
+        router.route(asset.path, any(move |request| async move { answer(&request, asset, &tag) }))
+    })
+}
+
+fn answer(request: &Request<Body>, asset: &Asset, tag: &str) -> Response<Body> {
+    if let Some(refused) = refusal(request, &Effect::Reads) {
+        return refused;
+    }
+    let mut response = response(Reply { status: 200, content_type: asset.content_type, body: Vec::new() });
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+    // Sixteen digits between quotes.
+    headers.extend(HeaderValue::from_str(tag).ok().map(|tag| (header::ETAG, tag)));
+    if has_it(request, tag) {
+        *response.status_mut() = StatusCode::NOT_MODIFIED;
+    } else {
+        *response.body_mut() = Body::from(asset.bytes);
+    }
+    response
+}
+
+/// Whether the browser says that it has the file already (RFC 9110, 13.1.2).
+fn has_it(request: &Request<Body>, tag: &str) -> bool {
+    let said = request.headers().get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok());
+    said.flat_map(|value| value.split(',')).map(str::trim).any(|one| one == "*" || one.strip_prefix("W/").unwrap_or(one) == tag)
+}
+
+#[cfg(test)]
+#[path = "assets_tests.rs"]
+mod tests;

@@ -1,0 +1,187 @@
+//! The newest frame with its record, for those who watch; nothing is copied or encoded while nobody waits for a frame.
+//!
+//! ```text
+//! pose stage --row, sample--> Hub (somebody waits?) --newest only--> thread `view` (encodes, joins) --newest only--> /ws/view, one each viewer
+//! ```
+//! A message is one piece of memory, whoever gets it: a viewer holds at most the one that is on its way to it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+
+use axum::body::Bytes;
+use crossbeam_channel::Receiver;
+use image::GrayImage;
+use jpeg_encoder::{ColorType, Encoder};
+use nix::libc;
+use serde::Serialize;
+use tokio::sync::watch;
+
+use crate::capture::{ClipEntry, EntryContent, Received, with_huffman_tables};
+use crate::drop_oldest::{DropOldestSender, drop_oldest};
+use crate::record::{PoseSample, State};
+
+/// Quality of JPEGs that are encoded here, 1 to 100. Chosen: no blocks are seen, at a third of the size of 95. Raised, larger messages.
+const QUALITY: u8 = 80;
+/// How far the thread that encodes stands back behind the others, in steps of `nice` (0 to 19): pictures for people are less urgent than
+/// poses. Raised, a busy machine shows fewer pictures.
+const STANDS_BACK: libc::c_int = 10;
+
+/// What is taken over of a row.
+#[derive(Debug)]
+struct Taken {
+    epoch: u64,
+    picture: Picture,
+    size: (u32, u32),
+    sample: PoseSample,
+}
+
+#[derive(Debug)]
+enum Picture {
+    /// The camera's own.
+    Jpeg(Arc<[u8]>),
+    /// All that is left of a raw one.
+    Grey(GrayImage),
+}
+
+/// Between the pose stage and those who watch.
+#[derive(Debug)]
+pub(super) struct Hub {
+    /// Viewers that could take a frame now.
+    waiting: AtomicUsize,
+    /// Rows that were copied so far.
+    copied: AtomicU64,
+    /// Sessions so far: row numbers begin anew with each.
+    epochs: AtomicU64,
+    to_view: DropOldestSender<Taken>,
+    newest: Arc<watch::Sender<Bytes>>,
+}
+
+/// A viewer that waits for a frame, until it is dropped.
+#[derive(Debug)]
+pub(super) struct Waiting(Arc<Hub>);
+
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        self.0.waiting.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl Hub {
+    /// With a thread of its own, which ends when the hub is dropped.
+    ///
+    /// # Errors
+    /// Where the system gives no thread.
+    pub fn start() -> std::io::Result<Arc<Self>> {
+        // One row waits, the newest.
+        let (to_view, rows) = drop_oldest(1);
+        let newest = Arc::new(watch::Sender::new(Bytes::new()));
+        let to = newest.clone();
+        std::thread::Builder::new().name("view".to_owned()).spawn(move || work(&rows, &to))?;
+        Ok(Arc::new(Self { waiting: 0.into(), copied: 0.into(), epochs: 0.into(), to_view, newest }))
+    }
+
+    /// What a new session's pose stage calls with every row; waits for nothing.
+    pub fn observer(self: &Arc<Self>) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
+        let (hub, epoch) = (self.clone(), self.epochs.fetch_add(1, Ordering::Relaxed) + 1);
+        move |row, sample| {
+            if hub.waiting.load(Ordering::Relaxed) > 0
+                && let Some(taken) = taken(epoch, row, sample)
+            {
+                hub.copied.fetch_add(1, Ordering::Relaxed);
+                hub.to_view.send(taken);
+            }
+        }
+    }
+
+    /// Says that somebody waits for a frame.
+    pub fn wait(self: &Arc<Self>) -> Waiting {
+        self.waiting.fetch_add(1, Ordering::Relaxed);
+        Waiting(self.clone())
+    }
+
+    /// Messages from now on, the newest only.
+    pub fn messages(&self) -> watch::Receiver<Bytes> {
+        self.newest.subscribe()
+    }
+
+    /// Rows that were copied so far.
+    #[cfg(test)]
+    pub fn copied(&self) -> u64 {
+        self.copied.load(Ordering::Relaxed)
+    }
+
+    /// Viewers that could take a frame now.
+    #[cfg(test)]
+    pub fn waiting(&self) -> usize {
+        self.waiting.load(Ordering::Relaxed)
+    }
+
+    /// How many watch.
+    #[cfg(test)]
+    pub fn viewers(&self) -> usize {
+        self.newest.receiver_count()
+    }
+}
+
+/// A row's picture with its sample; none where the row has no picture.
+fn taken(epoch: u64, row: &ClipEntry, sample: &PoseSample) -> Option<Taken> {
+    let EntryContent::Frame(frame) = &row.content else { return None };
+    let picture = match &row.received {
+        Some(Received::Jpeg(bytes)) => Picture::Jpeg(bytes.clone()),
+        _ => Picture::Grey(frame.image.clone()),
+    };
+    Some(Taken { epoch, picture, size: frame.image.dimensions(), sample: sample.clone() })
+}
+
+/// The thread's whole life.
+fn work(rows: &Receiver<Taken>, to: &watch::Sender<Bytes>) {
+    // SAFETY: it takes numbers only; on Linux 0 means the calling thread. Where the system refuses, pictures are as urgent as the rest.
+    unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, STANDS_BACK) };
+    for row in rows {
+        if let Some(message) = message(&row) {
+            to.send_replace(message);
+        }
+    }
+}
+
+/// What is said of a frame beside its picture.
+#[derive(Debug, Serialize)]
+struct Head<'a> {
+    epoch: u64,
+    size: [u32; 2],
+    /// Why the stage is not tracked, as a word, a sentence and what to do; all null while it is.
+    reason: Option<&'static str>,
+    says: Option<&'static str>,
+    mend: Option<&'static str>,
+    record: &'a PoseSample,
+}
+
+/// Length of the head in bytes (u32, little-endian), the head as JSON, a JPEG. None for a picture that no JPEG can hold.
+fn message(row: &Taken) -> Option<Bytes> {
+    let sample = &row.sample;
+    let reason = sample.reason.filter(|_| sample.state != State::Tracking);
+    let head = Head {
+        epoch: row.epoch,
+        size: row.size.into(),
+        reason: reason.map(|reason| reason.word()),
+        says: reason.map(|reason| reason.says()),
+        mend: reason.map(|reason| reason.mend()),
+        record: sample,
+    };
+    // Serialising fails only for non-string map keys, of which there are none.
+    let head = serde_json::to_vec(&head).ok()?;
+    let mut whole = Vec::from(u32::try_from(head.len()).ok()?.to_le_bytes());
+    whole.extend_from_slice(&head);
+    match &row.picture {
+        Picture::Jpeg(bytes) => whole.extend_from_slice(&with_huffman_tables(bytes)),
+        Picture::Grey(picture) => {
+            let (width, height) = (u16::try_from(row.size.0).ok()?, u16::try_from(row.size.1).ok()?);
+            Encoder::new(&mut whole, QUALITY).encode(picture, width, height, ColorType::Luma).ok()?;
+        }
+    }
+    Some(whole.into())
+}
+
+#[cfg(test)]
+#[path = "hub_tests.rs"]
+mod tests;

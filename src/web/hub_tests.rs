@@ -1,0 +1,103 @@
+use image::Luma;
+
+use super::*;
+use crate::frame::{Frame, Timestamp};
+use crate::track::Reason;
+
+const SIZE: (u32, u32) = (64, 48);
+
+fn sample(sequence: u64, state: State) -> PoseSample {
+    PoseSample::new(sequence, Timestamp::from_ns(40), state)
+}
+
+fn row(sequence: u64, received: Option<Received>) -> ClipEntry {
+    let picture = GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| Luma([(40 + 2 * x + y) as u8]));
+    let frame = Frame::new(picture, Timestamp::from_ns(40), sequence);
+    ClipEntry { received, ..ClipEntry::new(sequence, Timestamp::from_ns(40), EntryContent::Frame(frame)) }
+}
+
+/// The head and the JPEG of a message.
+fn parts(message: &[u8]) -> (serde_json::Value, &[u8]) {
+    let (length, rest) = message.split_first_chunk().unwrap();
+    let (head, jpeg) = rest.split_at(u32::from_le_bytes(*length) as usize);
+    (serde_json::from_slice(head).unwrap(), jpeg)
+}
+
+#[test]
+fn a_cameras_jpeg_is_given_on_as_it_came_beside_the_record_of_its_frame() {
+    let jpeg: Arc<[u8]> = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly/frames/000000.jpg")).unwrap().into();
+    let mut lost = sample(7, State::Lost);
+    lost.reason = Some(Reason::Covered);
+    let taken = taken(3, &row(7, Some(Received::Jpeg(jpeg.clone()))), &lost).unwrap();
+    let message = message(&taken).unwrap();
+    let (head, picture) = parts(&message);
+    assert_eq!(picture, &*jpeg);
+    assert_eq!(head["record"].to_string(), serde_json::from_str::<serde_json::Value>(&lost.to_json_line()).unwrap().to_string());
+    assert_eq!((&head["epoch"], &head["size"][0], &head["reason"]), (&3.into(), &64.into(), &"covered".into()));
+    assert_eq!((&head["says"], &head["mend"]), (&Reason::Covered.says().into(), &Reason::Covered.mend().into()));
+}
+
+#[test]
+fn tables_that_a_camera_leaves_out_are_put_in() {
+    let whole = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly/frames/000000.jpg")).unwrap();
+    assert_eq!(*with_huffman_tables(&whole), *whole);
+    // Encoded here with the standard tables, which are then cut out: FF C4, its length, its content.
+    let mut jpeg = Vec::new();
+    let row = row(0, None);
+    let EntryContent::Frame(frame) = &row.content else { unreachable!("it was made with a frame") };
+    Encoder::new(&mut jpeg, QUALITY).encode(&frame.image, SIZE.0 as u16, SIZE.1 as u16, ColorType::Luma).unwrap();
+    let mut bare = jpeg.clone();
+    while let Some(at) = bare.windows(2).position(|two| two == [0xFF, 0xC4]) {
+        let length = usize::from(u16::from_be_bytes([bare[at + 2], bare[at + 3]]));
+        bare.drain(at..at + 2 + length);
+    }
+    assert!(image::load_from_memory(&with_huffman_tables(&bare)).unwrap().to_luma8() == image::load_from_memory(&jpeg).unwrap().to_luma8());
+    assert_eq!(*with_huffman_tables(&bare[..200]), bare[..200], "half a picture stays half a picture");
+}
+
+#[test]
+fn a_raw_picture_is_encoded_and_rows_without_a_picture_are_passed_over() {
+    let taken_of = |row: &ClipEntry| taken(1, row, &sample(0, State::Tracking));
+    let row = row(0, Some(Received::Raw));
+    let message = message(&taken_of(&row).unwrap()).unwrap();
+    let (head, jpeg) = parts(&message);
+    assert!(head["says"].is_null() && head["reason"].is_null(), "{head}");
+    let shown = image::load_from_memory_with_format(jpeg, image::ImageFormat::Jpeg).unwrap();
+    let EntryContent::Frame(frame) = &row.content else { unreachable!("it was made with a frame") };
+    let worst = shown.to_luma8().iter().zip(frame.image.iter()).map(|(a, b)| a.abs_diff(*b)).max();
+    assert!(shown.width() == SIZE.0 && worst <= Some(6), "{worst:?}");
+    let damaged = ClipEntry::new(0, Timestamp::from_ns(40), EntryContent::Undecodable("cut off".to_owned()));
+    assert!(taken_of(&damaged).is_none());
+}
+
+#[test]
+fn nothing_is_copied_while_nobody_waits() {
+    let hub = Hub::start().unwrap();
+    let mut observer = hub.observer();
+    let mut messages = hub.messages();
+    (0..100).for_each(|k| observer(&row(k, None), &sample(k, State::Tracking)));
+    assert_eq!(hub.copied(), 0);
+    let waiting = hub.wait();
+    observer(&row(100, None), &sample(100, State::Tracking));
+    drop(waiting);
+    (101..200).for_each(|k| observer(&row(k, None), &sample(k, State::Tracking)));
+    assert_eq!(hub.copied(), 1);
+    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+    runtime.block_on(messages.changed()).unwrap();
+    assert_eq!(parts(&messages.borrow_and_update()).0["record"]["sequence"], 100);
+}
+
+#[test]
+fn each_session_has_its_own_number() {
+    let hub = Hub::start().unwrap();
+    let (mut first, mut second) = (hub.observer(), hub.observer());
+    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+    let _waiting = hub.wait();
+    let mut messages = hub.messages();
+    let mut epoch = |observer: &mut dyn FnMut(&ClipEntry, &PoseSample)| {
+        observer(&row(0, None), &sample(0, State::Tracking));
+        runtime.block_on(messages.changed()).unwrap();
+        parts(&messages.borrow_and_update()).0["epoch"].as_u64()
+    };
+    assert_eq!((epoch(&mut first), epoch(&mut second)), (Some(1), Some(2)));
+}

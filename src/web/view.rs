@@ -1,0 +1,76 @@
+//! `/ws/view`: the picture with its record, to whoever asks for a frame.
+//!
+//! A client says `n` for each frame that it can take and gets the next one; so it never falls behind, however slow it is. Between frames it
+//! hears a few times a second how things stand, so that silence means that the daemon is gone.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
+use serde_json::json;
+use tokio::sync::watch;
+use tokio::time::{Instant, sleep_until, timeout};
+
+use super::assets;
+use super::feed::Feed;
+use super::hub::{Hub, Waiting};
+use super::lifetime::{TAKES_WITHIN, ended};
+
+/// Frames that a client may have asked for and not got. Two keep a picture on its way while one is drawn. Raised, a slow client sees older
+/// pictures.
+const MOST_ASKED: u32 = 2;
+/// A client hears something at least this often. Chosen: a loss of contact can be said within a second, one message late included. Raised,
+/// it is said later; lowered, hidden pages cost more.
+const SPEAKS_EVERY: Duration = Duration::from_millis(300);
+
+/// Serves one client until it goes.
+pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, mut stopped: watch::Receiver<bool>) {
+    let mut messages = hub.messages();
+    let mut asked = 0;
+    let mut waiting: Option<Waiting> = None;
+    let mut speaks_at = Instant::now();
+    let version = assets::version();
+    loop {
+        let message = tokio::select! {
+            changed = messages.changed(), if asked > 0 => {
+                if changed.is_err() {
+                    break;
+                }
+                asked -= 1;
+                if asked == 0 {
+                    waiting = None;
+                }
+                Message::Binary(messages.borrow_and_update().clone())
+            }
+            said = socket.recv() => match said {
+                Some(Ok(Message::Text(text))) if text.as_str() == "n" => {
+                    if asked == 0 {
+                        // A frame from before is old: the next one is near.
+                        messages.mark_unchanged();
+                        waiting = Some(hub.wait());
+                    }
+                    asked = (asked + 1).min(MOST_ASKED);
+                    continue;
+                }
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
+                Some(Ok(Message::Text(_) | Message::Binary(_))) => {
+                    let reason = "say n for the next frame; nothing else is understood".into();
+                    let close = Message::Close(Some(CloseFrame { code: close_code::POLICY, reason }));
+                    let _ = timeout(TAKES_WITHIN, socket.send(close)).await;
+                    return;
+                }
+                Some(Ok(Message::Close(_)) | Err(_)) | None => return,
+            },
+            () = sleep_until(speaks_at) => {
+                Message::Text(json!({"page": version, "state": feed.known()}).to_string().into())
+            }
+            () = ended(&mut stopped) => break,
+        };
+        match timeout(TAKES_WITHIN, socket.send(message)).await {
+            Ok(Ok(())) => speaks_at = Instant::now() + SPEAKS_EVERY,
+            _ => return,
+        }
+    }
+    drop(waiting);
+    let _ = timeout(Duration::from_millis(100), socket.send(Message::Close(None))).await;
+}
