@@ -27,14 +27,14 @@ pub struct Measured<From> {
     pub pose: Pose<Stage, From>,
     /// Covariance of [δp, δθ] in stage axes by the frame's noise: what a filter weighs.
     pub noise: Matrix6<f64>,
-    /// The same by the doubt about the lens, which lasts.
-    pub by_lens: Option<Matrix6<f64>>,
+    /// The same by the doubt about lens and shapes and by what does not fit, which lasts.
+    pub by_model: Option<Matrix6<f64>>,
 }
 
 impl<From> Measured<From> {
     /// All that is left open.
     pub fn covariance(&self) -> Matrix6<f64> {
-        self.by_lens.map_or(self.noise, |by_lens| self.noise + by_lens)
+        self.by_model.map_or(self.noise, |by_model| self.noise + by_model)
     }
 }
 
@@ -92,7 +92,7 @@ impl PoseStage {
             };
         }
         // The stage's body frame is the stage frame.
-        let measured = |v: &Verified| Measured { pose: v.pose.renamed(), noise: v.covariance, by_lens: v.by_lens };
+        let measured = |v: &Verified| Measured { pose: v.pose.renamed(), noise: v.covariance, by_model: v.by_model };
         let seen = sighting.stage.verified.as_ref().map(measured);
         let camera = settle(sighting.stage.state, seen, sighting.timestamp, &mut self.camera);
         let objects = sighting
@@ -122,12 +122,12 @@ fn object_estimate(
         (Some(v), Some(camera)) => {
             let together = |camera_part, own_part| covariance_of_object(&camera.pose, camera_part, &v.pose, own_part);
             let none = Matrix6::zeros();
-            // One lens puts both off, mostly the same way, so that counting them apart rather tells too much.
-            let by_lens = camera
-                .by_lens
-                .or(v.by_lens)
-                .map(|_| together(camera.by_lens.as_ref().unwrap_or(&none), v.by_lens.as_ref().unwrap_or(&none)));
-            Some(Measured { pose: camera.pose * v.pose.inverse(), noise: together(&camera.noise, &v.covariance), by_lens })
+            // One lens puts both off, mostly the same way, so that counting them apart rather says too much.
+            let by_model = camera
+                .by_model
+                .or(v.by_model)
+                .map(|_| together(camera.by_model.as_ref().unwrap_or(&none), v.by_model.as_ref().unwrap_or(&none)));
+            Some(Measured { pose: camera.pose * v.pose.inverse(), noise: together(&camera.noise, &v.covariance), by_model })
         }
         _ => None,
     };

@@ -5,8 +5,15 @@ use State::{Coasting, Lost, Searching, Tracking};
 
 fn body(state: State) -> BodySighting {
     let pose = Pose::new(UnitQuaternion::from_euler_angles(1.5, 0.1, 0.0), Vector3::new(0.1, 0.2, 3.0));
-    let verified =
-        Verified { pose, covariance: Matrix6::identity() * 1e-6, by_lens: None, share: 1.0, inliers: 0, rms_px: 0.1, is_conclusive: false };
+    let verified = Verified {
+        pose,
+        covariance: Matrix6::identity() * 1e-6,
+        by_model: None,
+        share: 1.0,
+        inliers: 0,
+        rms_px: 0.1,
+        is_conclusive: false,
+    };
     BodySighting { state, verified: (state == Tracking).then_some(verified), reason: None }
 }
 
@@ -69,7 +76,7 @@ fn covariance_comes_with_a_measurement_only() {
 #[test]
 fn what_the_lens_leaves_open_is_told_and_not_filtered() {
     let doubtful = |mut seen: BodySighting| {
-        seen.verified.iter_mut().for_each(|v| v.by_lens = Some(Matrix6::identity() * 1e-2));
+        seen.verified.iter_mut().for_each(|v| v.by_model = Some(Matrix6::identity() * 1e-2));
         seen
     };
     let kalman = FilterSettings { kind: crate::pose::FilterKind::Kalman(crate::pose::KalmanSettings::default()), predict_s: 0.0 };

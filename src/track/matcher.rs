@@ -15,13 +15,14 @@ use super::align::{Alignment, CameraRays, FrameLevels, ShutterClue, UsedPixel};
 use super::frame_interval::FrameInterval;
 use super::frame_look::FrameLook;
 use super::lens_doubt::{covariance_by_lens, covariance_by_shape};
+use super::lens_watch::{LensState, LensWatch};
 use super::reason::Reason;
 use super::registration::SearchPicture;
 use super::row_motion::RowMotion;
 use super::settings::TrackerSettings;
 use super::surface::BodySpec;
 use super::track_state::State;
-use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody};
+use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, ModelFit, TrackedBody};
 use super::two_view::{TwoView, TwoViewBuffers, two_view};
 use super::verify::{Verified, VerifyBuffers, View};
 use crate::camera::{CameraModel, Shutter};
@@ -109,6 +110,9 @@ pub struct Matcher {
     two_view_buffers: TwoViewBuffers,
     /// What the frame showed of each body.
     verified: Vec<Option<Verified>>,
+    /// How well the model fits what was shown.
+    fits: Vec<Option<ModelFit>>,
+    lens_watch: LensWatch,
     half: GrayImage,
     camera_rays: CameraRays,
     levels: FrameLevels,
@@ -169,6 +173,8 @@ impl Matcher {
             verify_buffers: VerifyBuffers::default(),
             two_view_buffers: TwoViewBuffers::default(),
             verified: Vec::new(),
+            fits: Vec::new(),
+            lens_watch: LensWatch::default(),
             half: GrayImage::default(),
         }
     }
@@ -204,8 +210,11 @@ impl Matcher {
             self.give_reasons();
         }
         self.show_pixels(frame.sequence);
-        let stage = self.sighting_of(0, frame.timestamp);
-        let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp)).collect();
+        let start = self.clock.start();
+        let lens = self.watch_lens();
+        align_ms += start.elapsed_ms();
+        let stage = self.sighting_of(0, frame.timestamp, lens);
+        let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp, lens)).collect();
         let start = self.clock.start();
         let two_view = stage.verified.as_ref().map(|v| {
             let _span = debug_span!("two_view").entered();
@@ -216,11 +225,31 @@ impl Matcher {
         Sighting { sequence: frame.sequence, timestamp: frame.timestamp, is_timed: true, stage, two_view, objects, acquire_ms, align_ms }
     }
 
+    /// Asks every body that was found how well the model fits, and what of it a lens that was moved would explain.
+    fn watch_lens(&mut self) -> LensState {
+        let (camera, has_rows, is_moved) = (&self.camera, self.shutter.readout_s > 0.0, self.lens_watch.is_moved());
+        self.fits.clear();
+        let bodies = self.bodies.iter_mut().zip(&self.verified);
+        self.fits.extend(bodies.map(|(body, verified)| body.model_fit(&verified.as_ref()?.pose, camera, has_rows, is_moved)));
+        // All are seen through one lens: the body that tells most of it speaks.
+        let clues = self.fits.iter().flatten().filter_map(|fit| fit.focal.as_ref());
+        let clue = clues.min_by(|a, b| a.sigma.total_cmp(&b.sigma));
+        let doubt = camera.doubt().map_or(0.0, |doubt| doubt.uncertainty.focal_px[0] / (3.0 * camera.intrinsics().fx));
+        let is_seen = self.fits.iter().any(Option::is_some);
+        self.lens_watch.update(clue, is_seen, doubt)
+    }
+
     /// What the track state makes of the frame's pose of body `k`.
-    fn sighting_of(&mut self, k: usize, timestamp: Timestamp) -> BodySighting {
-        let (tracked, verified) = (&mut self.bodies[k], self.verified[k]);
+    fn sighting_of(&mut self, k: usize, timestamp: Timestamp, lens: LensState) -> BodySighting {
+        let (tracked, mut verified) = (&mut self.bodies[k], self.verified[k]);
         if let Some(v) = &verified {
             tracked.remember(timestamp, &v.pose);
+        }
+        if lens != LensState::Fits && verified.take().is_some() {
+            tracked.reason = Some(Reason::LensMoved);
+        }
+        if lens == LensState::Moved {
+            return BodySighting { state: tracked.track.withhold(), verified: None, reason: tracked.reason.or(Some(Reason::LensMoved)) };
         }
         // A frame that leaves no doubt confirms itself, unless the motion during its readout is still unknown.
         let conclusive = verified.is_some_and(|v| v.is_conclusive) && self.shutter.readout_s == 0.0;
@@ -233,7 +262,9 @@ impl Matcher {
         if let Some(v) = &mut verified {
             let by_lens = covariance_by_lens(&v.pose, &self.camera, tracked.anchors.iter().map(|anchor| &anchor.observation));
             let by_shape = covariance_by_shape(&v.pose, &self.camera, &tracked.body.surfaces, &tracked.anchors);
-            v.by_lens = by_lens.map_or(by_shape, |lens| Some(by_shape.map_or(lens, |shape| lens + shape)));
+            let fit = self.fits[k];
+            v.by_model = [by_lens, by_shape, fit.and_then(|fit| fit.covariance)].into_iter().flatten().reduce(|sum, more| sum + more);
+            v.rms_px = fit.map_or(v.rms_px, |fit| fit.rms_px);
         }
         BodySighting { state, verified, reason }
     }

@@ -4,7 +4,8 @@
 //! `registration` and `verify` refine a proposal against the picture and judge it; `align` follows a body from frame
 //! to frame, pixel by pixel; `track_state` decides what a verified pose means in time;
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
-//! homography and essential matrix; `lens_doubt` tells what the lens leaves open; `reason` says why a frame has no pose, `failure` finds it, with
+//! homography and essential matrix; `lens_doubt` tells what the doubt about lens and shapes leaves open; `tile_residuals` are the displacements that a solution leaves, `model_error` is what
+//! they say of the pose, `focal_clue` what they say of the focal length, and `lens_watch` withholds poses where the lens was moved; `reason` says why a frame has no pose, `failure` finds it, with
 //! `frame_look`; `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
 //! body; `matcher` runs them all on a frame.
 
@@ -12,10 +13,13 @@ mod acquire;
 mod align;
 mod failure;
 mod fitted_anchor;
+mod focal_clue;
 mod frame_interval;
 mod frame_look;
 mod lens_doubt;
+mod lens_watch;
 mod matcher;
+mod model_error;
 mod planar_ambiguity;
 mod reason;
 mod rectangle;
@@ -28,6 +32,7 @@ mod surface;
 #[cfg(test)]
 mod synthetic;
 mod tile_observer;
+mod tile_residuals;
 mod track_state;
 mod tracked_body;
 mod two_view;

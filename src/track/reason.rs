@@ -34,11 +34,13 @@ pub enum Reason {
     Undecodable,
     /// The row's stamp does not follow the last one, or its picture has another size.
     Skipped,
+    /// Another focal length than the calibration's explains the frame clearly better.
+    LensMoved,
 }
 
 impl Reason {
     /// All reasons, in the order of their numbers.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::NoPoseFits,
         Self::Covered,
         Self::TooSmall,
@@ -53,6 +55,7 @@ impl Reason {
         Self::NotRecognised,
         Self::Undecodable,
         Self::Skipped,
+        Self::LensMoved,
     ];
 
     /// The word for it in the summary and in events.
@@ -72,6 +75,7 @@ impl Reason {
             Self::NotRecognised => "not_recognised",
             Self::Undecodable => "undecodable",
             Self::Skipped => "skipped",
+            Self::LensMoved => "lens_moved",
         }
     }
 
@@ -92,6 +96,7 @@ impl Reason {
             Self::NotRecognised => "the frame has detail, but the picture is not recognised in it",
             Self::Undecodable => "the frame cannot be decoded",
             Self::Skipped => "the row is skipped: its stamp or its size does not fit the clip",
+            Self::LensMoved => "the picture is recognised, but through a lens of another focal length than the calibration's",
         }
     }
 
@@ -114,18 +119,19 @@ impl Reason {
             }
             Self::Undecodable => "record the clip again, or repair it",
             Self::Skipped => "record with stamps that rise and frames of one size",
+            Self::LensMoved => "set zoom and focus back, or calibrate the lens as it is now (`stagepose survey --lens refine` on a walk)",
         }
     }
 
     /// Whether the picture was found in the frame, whatever became of it.
     pub fn is_recognised(self) -> bool {
-        use Reason::{Ambiguous, Covered, Jumped, NoPoseFits, TooSmall, Uncertain, Unconfirmed};
-        matches!(self, NoPoseFits | Covered | TooSmall | Uncertain | Ambiguous | Jumped | Unconfirmed)
+        use Reason::{Ambiguous, Covered, Jumped, LensMoved, NoPoseFits, TooSmall, Uncertain, Unconfirmed};
+        matches!(self, NoPoseFits | Covered | TooSmall | Uncertain | Ambiguous | Jumped | Unconfirmed | LensMoved)
     }
 
     /// Whether a pose was found and verified in the frame, though it was not given.
     pub fn is_verified(self) -> bool {
-        matches!(self, Self::Jumped | Self::Unconfirmed)
+        matches!(self, Self::Jumped | Self::Unconfirmed | Self::LensMoved)
     }
 }
 

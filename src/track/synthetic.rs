@@ -1,11 +1,13 @@
 //! Pictures made by hand for the tests of this room: smooth random texture, and a surface as a camera sees it.
 
 use image::{GrayImage, Luma};
-use nalgebra::{UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
+use super::fitted_anchor::FittedAnchor;
 use super::reference::PreparedBody;
 use super::surface::{BodySpec, SurfaceSpec};
-use crate::camera::{CameraModel, Intrinsics, Pixel};
+use crate::camera::{CameraModel, Intrinsics, Normalized, Pixel};
+use crate::geometry::resection::Observation;
 use crate::geometry::{Body, Camera, Pose};
 
 /// Smooth random texture: noise on lattices of three pitches, so that there is detail of every size.
@@ -56,6 +58,31 @@ pub fn prepared(surfaces: Vec<SurfaceSpec>) -> PreparedBody {
 pub fn facing(tilt_x: f64, tilt_y: f64, shift: Vector3<f64>) -> Pose<Camera, Body> {
     let turn_over = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     Pose::new(UnitQuaternion::from_euler_angles(tilt_x, tilt_y, 0.02) * turn_over, shift)
+}
+
+/// Anchors on a grid over every surface, `across` to a side, each seen by one pixel's noise and `shift_px` from where the camera has it. `shift_px`: by
+/// its number on the surface and its pixel.
+pub fn seen_anchors(
+    body: &PreparedBody,
+    pose: &Pose<Camera, Body>,
+    camera: &CameraModel,
+    across: u32,
+    mut shift_px: impl FnMut(u32, Vector2<f64>) -> Vector2<f64>,
+) -> Vec<FittedAnchor> {
+    let mut anchors = Vec::new();
+    for (surface, prepared) in body.surfaces.iter().enumerate() {
+        for k in 0..across * across {
+            let artwork = Vector2::new(f64::from(k % across) + 0.5, f64::from(k / across) + 0.5).component_mul(&Vector2::new(640.0, 480.0));
+            let artwork = artwork / f64::from(across);
+            let point = prepared.spec.body_point(artwork);
+            let c = pose.transform(&point);
+            let pixel = camera.project(Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0;
+            let pixel = pixel + shift_px(k, pixel);
+            let observation = Observation { point, pixel, information: Matrix2::identity(), delay_s: 0.0, group: 0 };
+            anchors.push(FittedAnchor { surface: surface as u32, artwork, observation, corrected_px: pixel });
+        }
+    }
+    anchors
 }
 
 /// What the camera sees of a surface alone: 3 x 3 looks a pixel, 30 where there is nothing.

@@ -97,6 +97,13 @@ impl TrackStateMachine {
         self.doubt
     }
 
+    /// Gives the body up at once: its poses are withheld, and none may be predicted from them.
+    pub fn withhold(&mut self) -> State {
+        let found_before = self.found_before;
+        *self = Self { state: if found_before { State::Lost } else { State::Searching }, found_before, ..Self::default() };
+        self.state
+    }
+
     /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings.
     pub fn update(&mut self, timestamp: Timestamp, verified: Option<&Pose<Body, Camera>>, coast_s: f64, confirm_frames: u32) -> State {
         let continued = self.is_continued();
@@ -210,6 +217,16 @@ mod tests {
         };
         assert_eq!([doubt(0, Some(0.0)), doubt(1, Some(0.0)), doubt(2, None)], [Some(Doubt::First), None, None]);
         assert_eq!(doubt(3, Some(3.0)), Some(Doubt::Disagrees));
+    }
+
+    #[test]
+    fn a_body_that_is_withheld_does_not_coast_and_needs_confirmation() {
+        let mut lock = TrackStateMachine::default();
+        assert_eq!(lock.withhold(), State::Searching);
+        let states: Vec<State> = (0..2).map(|k| lock.update(stamp(k), Some(&at(0.0)), 0.1, 2)).collect();
+        assert_eq!(states[1], State::Tracking);
+        assert_eq!(lock.withhold(), State::Lost);
+        assert_eq!([3, 4].map(|k| lock.update(stamp(k), Some(&at(0.0)), 0.1, 2)), [State::Lost, State::Tracking]);
     }
 
     #[test]

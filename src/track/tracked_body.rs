@@ -1,15 +1,18 @@
 //! What is known of one body: its pictures, its lock, its motion, and the last verified pose with the anchors that it rests on.
 
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Matrix6x2};
 use tracing::debug;
 
 use super::acquire::Recognition;
 use super::align::{Aligner, Alignment, CameraRays, FrameLevels, Patch, ShutterClue, UsedPixel};
 use super::fitted_anchor::FittedAnchor;
+use super::focal_clue::{FocalClue, focal_clue, is_suspect};
+use super::model_error::covariance_by_model_error;
 use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
 use super::reason::Reason;
 use super::reference::PreparedBody;
 use super::surface::BodySpec;
+use super::tile_residuals::TileResiduals;
 use super::track_state::TrackStateMachine;
 use super::verify::{Refusal, Verified, VerifyBuffers, View, verify};
 use crate::camera::{CameraModel, Normalized, Shutter};
@@ -48,6 +51,8 @@ pub struct TrackedBody {
     pub aligner: Aligner,
     /// The anchors that fit the last verified pose.
     pub anchors: Vec<FittedAnchor>,
+    /// Where features found it, all anchors that were found, fitting or not; empty where it was aligned.
+    found: Vec<FittedAnchor>,
     /// What the last frame said of the shutter, where that is asked and the body was aligned.
     pub clue: Option<ShutterClue>,
     /// What of it was recognised when it was last looked for by features.
@@ -71,6 +76,19 @@ pub struct TrackedBody {
     unaudited: u32,
     observations: Vec<Observation>,
     squares: Vec<f64>,
+    residuals: TileResiduals,
+    steps: Vec<Matrix6x2<f64>>,
+}
+
+/// What the displacements that a pose leaves say of the model.
+#[derive(Debug, Clone, Copy)]
+pub struct ModelFit {
+    /// Root mean square of the displacements, pixels.
+    pub rms_px: f64,
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit; `None` where all fits within the noise.
+    pub covariance: Option<Matrix6<f64>>,
+    /// What they say of the focal length; `None` where that explains nothing and was not asked for.
+    pub focal: Option<FocalClue>,
 }
 
 impl TrackedBody {
@@ -84,6 +102,7 @@ impl TrackedBody {
             track: TrackStateMachine::default(),
             aligner,
             anchors: Vec::with_capacity(most),
+            found: Vec::new(),
             clue: None,
             seen: Recognition::default(),
             refusal: None,
@@ -97,6 +116,8 @@ impl TrackedBody {
             unaudited: 0,
             observations: Vec::with_capacity(most),
             squares: Vec::with_capacity(most),
+            residuals: TileResiduals::default(),
+            steps: Vec::with_capacity(most),
             body,
         }
     }
@@ -188,20 +209,36 @@ impl TrackedBody {
             let point = spec.body_point(artwork);
             let seen = t_camera_body.transform(&point);
             let corrected_px = camera.project(Normalized(seen.coords.xy() / seen.z)).0 + p.shift_px;
-            let observation = Observation { point, pixel: corrected_px, information: p.information, delay_s: 0.0, group: p.tile };
+            let observation = Observation { point, pixel: corrected_px, information: p.information, delay_s: p.delay_s, group: p.tile };
             FittedAnchor { surface: p.surface, artwork, observation, corrected_px }
         };
+        self.found.clear();
         anchors.clear();
         anchors.extend(patches.iter().map(anchor));
         Verified {
             pose: found.pose,
             covariance: (covariance + covariance.transpose()) * 0.5,
-            by_lens: None,
+            by_model: None,
             share: found.share(),
             inliers: found.inliers as usize,
             rms_px: found.rms_px,
             is_conclusive: found.is_conclusive(),
         }
+    }
+
+    /// What the anchors of a verified pose leave displaced; `None` where they are too few. `asks_focal`: asked for the focal length in any case.
+    pub fn model_fit(&mut self, pose: &Pose<Body, Camera>, camera: &CameraModel, has_rows: bool, asks_focal: bool) -> Option<ModelFit> {
+        let t_camera_body = pose.inverse();
+        let Self { residuals, anchors, found, body, steps, .. } = self;
+        // Those that do not fit tell of a lens or a shape that is off, which is why they do not.
+        let anchors = if found.is_empty() { anchors } else { found };
+        residuals.take(&t_camera_body, camera, anchors)?;
+        let covariance = covariance_by_model_error(&t_camera_body, f64::from(camera.width()), residuals, steps);
+        let asks_focal = asks_focal || is_suspect(residuals);
+        let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, has_rows) } else { None };
+        let fit = ModelFit { rms_px: residuals.rms_px(), covariance, focal };
+        debug!(body = %body.name, rms_px = fit.rms_px, doubts = covariance.is_some(), focal = ?fit.focal, "model");
+        Some(fit)
     }
 
     /// Puts starts to the test, and takes the first clear success, or the best of what passes.
@@ -220,6 +257,7 @@ impl TrackedBody {
                     if best.is_none_or(|b| v.inliers > b.inliers) {
                         best = Some(v);
                         self.anchors.clone_from(&buffers.anchors);
+                        self.found.clone_from(&buffers.found);
                     }
                     if v.share > CLEAR_SHARE {
                         break;

@@ -1,27 +1,15 @@
-use nalgebra::{Matrix2, Matrix6, UnitQuaternion, Vector2};
+use nalgebra::{Matrix6, UnitQuaternion, Vector2};
 
-use super::super::synthetic::{cloth, facing, lens, prepared};
+use super::super::synthetic::{cloth, facing, lens, prepared, seen_anchors};
 use super::*;
 use crate::camera::Normalized;
-use crate::geometry::resection::Observation;
 
 /// Exact anchors on a grid over every surface, moved by up to `noise_px` by a fixed pattern.
 fn seen(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel, across: u32, noise_px: f64) -> (Verified, Vec<FittedAnchor>) {
-    let mut anchors = Vec::new();
-    for (surface, prepared) in body.surfaces.iter().enumerate() {
-        for k in 0..across * across {
-            let artwork = Vector2::new(f64::from(k % across) + 0.5, f64::from(k / across) + 0.5).component_mul(&Vector2::new(640.0, 480.0));
-            let artwork = artwork / f64::from(across);
-            let point = prepared.spec.body_point(artwork);
-            let c = pose.transform(&point);
-            let wobble = Vector2::new((f64::from(k) * 12.9).sin(), (f64::from(k) * 78.2).sin()) * noise_px;
-            let pixel = camera.project(Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0 + wobble;
-            let observation = Observation { point, pixel, information: Matrix2::identity(), delay_s: 0.0, group: 0 };
-            anchors.push(FittedAnchor { surface: surface as u32, artwork, observation, corrected_px: pixel });
-        }
-    }
+    let wobble = |k: u32, _| Vector2::new((f64::from(k) * 12.9).sin(), (f64::from(k) * 78.2).sin()) * noise_px;
+    let anchors = seen_anchors(body, pose, camera, across, wobble);
     let (covariance, inliers, rms_px) = (Matrix6::identity(), anchors.len(), noise_px.max(0.05));
-    (Verified { pose: pose.inverse(), covariance, by_lens: None, inliers, share: 1.0, rms_px, is_conclusive: false }, anchors)
+    (Verified { pose: pose.inverse(), covariance, by_model: None, inliers, share: 1.0, rms_px, is_conclusive: false }, anchors)
 }
 
 fn described(body: &PreparedBody, (verified, anchors): &(Verified, Vec<FittedAnchor>), camera: &CameraModel) -> TwoView {

@@ -62,14 +62,14 @@ pub struct Verified {
     pub pose: Pose<Body, Camera>,
     /// Of [δp, δθ] in body axes: what this frame's noise leaves open.
     pub covariance: Matrix6<f64>,
-    /// The same of what the doubt about the lens leaves open: it stays the same from frame to frame, so that no filter can
-    /// average it away. None where the lens is not in doubt.
-    pub by_lens: Option<Matrix6<f64>>,
+    /// The same of what the doubt about lens and shapes leaves open, and what of the model does not fit: it stays from frame to frame, so that no
+    /// filter can average it away. None where there is none.
+    pub by_model: Option<Matrix6<f64>>,
     /// Share of the anchors asked that fit.
     pub share: f64,
     /// Pixels or anchors that it rests on.
     pub inliers: usize,
-    /// Their root mean square residual, pixels.
+    /// Root mean square of the displacements that are left, pixels: of the tiles, or of the anchors.
     pub rms_px: f64,
     /// Whether this frame alone leaves no doubt.
     pub is_conclusive: bool,
@@ -130,6 +130,8 @@ pub struct VerifyBuffers {
     squares: Vec<f64>,
     /// The anchors that fit the last pose that passed.
     pub anchors: Vec<FittedAnchor>,
+    /// All that were found then, wherever that was.
+    pub found: Vec<FittedAnchor>,
 }
 
 /// Refines a candidate coarse to fine and judges it. `continued`: the pose continues a confirmed track.
@@ -189,7 +191,7 @@ fn tile(camera: &CameraModel, o: &Observation) -> u32 {
 fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, buffers: &mut VerifyBuffers) -> Result<Verified, Refusal> {
     let moving = MovingCamera { lens: view.camera, twist: view.row_motion.twist(&fine.pose) };
     let asked = buffers.registered.iter().flatten().count();
-    buffers.anchors = fitting_anchors(fine, &moving, buffers);
+    collect_anchors(fine, &moving, buffers);
     let anchors = &buffers.anchors;
     if anchors.len() < LEAST_FITTING {
         return Err(Refusal::TooFew(anchors.len()));
@@ -221,26 +223,29 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
     };
     let rms_px = (anchors.iter().map(squared_px).sum::<f64>() / anchors.len() as f64).sqrt();
     let (pose, covariance) = (fine.pose.inverse(), covariance_of_inverse(&fine.pose, &covariance));
-    Ok(Verified { pose, covariance, by_lens: None, share, inliers: anchors.len(), rms_px, is_conclusive: false })
+    Ok(Verified { pose, covariance, by_model: None, share, inliers: anchors.len(), rms_px, is_conclusive: false })
 }
 
-/// The anchors that agree with the pose, in pixels and in sigmas.
-fn fitting_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, buffers: &VerifyBuffers) -> Vec<FittedAnchor> {
+/// Collects the anchors that were found, and those of them that agree with the pose, in pixels and in sigmas.
+fn collect_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, buffers: &mut VerifyBuffers) {
+    let VerifyBuffers { registered, observations, anchors, found, .. } = buffers;
     let limit = residual_limit_px(moving.lens);
     // The observations were collected from these, in this order.
-    let seen = buffers.registered.iter().flatten().filter(|r| r.observation.is_some());
-    let fitted = |(r, &observation): (&Registered, &Observation)| {
-        let unit = Observation { information: nalgebra::Matrix2::identity(), ..observation };
-        let in_pixels = squared_residual(&fine.pose, moving, &unit)?;
-        let in_sigmas = squared_residual(&fine.pose, moving, &observation)?;
-        (in_pixels < limit * limit && tukey_weight(in_sigmas, fine.scale) > 0.0).then(|| FittedAnchor {
-            surface: r.surface,
-            artwork: r.artwork,
-            observation,
-            corrected_px: rolling_shutter_corrected_px(&fine.pose, moving, &observation),
-        })
+    let seen = registered.iter().flatten().filter(|r| r.observation.is_some());
+    found.clear();
+    found.extend(seen.zip(&*observations).map(|(r, &observation)| FittedAnchor {
+        surface: r.surface,
+        artwork: r.artwork,
+        observation,
+        corrected_px: rolling_shutter_corrected_px(&fine.pose, moving, &observation),
+    }));
+    let fits = |anchor: &&FittedAnchor| {
+        let unit = Observation { information: nalgebra::Matrix2::identity(), ..anchor.observation };
+        let squared = |o: &Observation| squared_residual(&fine.pose, moving, o).unwrap_or(f64::INFINITY);
+        squared(&unit) < limit * limit && tukey_weight(squared(&anchor.observation), fine.scale) > 0.0
     };
-    seen.zip(&buffers.observations).filter_map(fitted).collect()
+    anchors.clear();
+    anchors.extend(found.iter().filter(fits));
 }
 
 /// Anchors that were found well away from where the pose puts them: more than a lens known only roughly explains.

@@ -2,6 +2,7 @@
 
 mod any_frame;
 mod daemon;
+mod misfit;
 mod objects;
 mod one_picture;
 mod photo;

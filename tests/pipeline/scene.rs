@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 
 use image::GrayImage;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Vector3, Vector6};
 use stagepose::diagnostics::capture::VirtualCamera;
 use stagepose::diagnostics::simulate::{grey, paint, upright};
 use stagepose::{
@@ -67,6 +67,16 @@ pub fn quiet(camera: CameraModel, path: CameraPath, stage: BodySpec) -> VirtualS
     scene.noise = SensorNoise { read: 0.7, shot: 0.005 };
     scene.background = 9.0;
     scene
+}
+
+/// Normalised estimation error squared over its six degrees of freedom (C3: p_true = p + δp, R_true = Exp(δθ) R).
+pub fn nees_per_freedom(scene: &VirtualStage, sample: &PoseSample) -> f64 {
+    let m = sample.measurement.expect("it tracks");
+    let truth = truth_of(scene, sample);
+    let shift = truth.translation - m.pose.translation;
+    let turn = (truth.rotation * m.pose.rotation.inverse()).scaled_axis();
+    let e = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+    e.dot(&(m.covariance.try_inverse().expect("positive definite") * e)) / 6.0
 }
 
 /// What the tracker is told of a virtual stage: all that is true.

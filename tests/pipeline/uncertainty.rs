@@ -1,19 +1,9 @@
 //! The covariance of the record against the errors that it speaks of.
 
-use nalgebra::{Vector3, Vector6};
-use stagepose::{CameraModel, CameraPath, LensGuess, PoseSample, SensorNoise, Spline, State, VirtualStage};
+use nalgebra::Vector3;
+use stagepose::{CameraModel, CameraPath, LensGuess, PoseSample, SensorNoise, Spline, State};
 
-use super::scene::{aside, backdrop, camera, quiet, rows, setup, track, track_rows, truth_of};
-
-/// Normalised estimation error squared over its six degrees of freedom (C3: p_true = p + δp, R_true = Exp(δθ) R).
-fn nees_per_freedom(scene: &VirtualStage, sample: &PoseSample) -> f64 {
-    let m = sample.measurement.expect("it tracks");
-    let truth = truth_of(scene, sample);
-    let shift = truth.translation - m.pose.translation;
-    let turn = (truth.rotation * m.pose.rotation.inverse()).scaled_axis();
-    let e = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
-    e.dot(&(m.covariance.try_inverse().expect("positive definite") * e)) / 6.0
-}
+use super::scene::{aside, backdrop, camera, nees_per_freedom, quiet, rows, setup, track, track_rows, truth_of};
 
 #[test]
 fn errors_are_as_large_as_the_covariance_says() {

@@ -1,0 +1,282 @@
+//! Whether another focal length explains a frame better than the calibration's: the lens was zoomed or focused, or it is another lens.
+//!
+//! Seen straight from ahead, a flat stage that fills more of the picture is nearer, or the lens is longer: nothing tells. Seen from the side
+//! or in depth, the two differ in perspective, and the tiles are left displaced. But so they are where a print is stretched, where a
+//! surface stands elsewhere than configured, or where the lens bends more than calibrated. So all these may explain the displacements first;
+//! only what then is explained by the focal length alone counts. That costs some time, and is asked where the focal length explains much
+//! by itself.
+
+use nalgebra::{DMatrix, DVector, Dyn, Matrix2xX, Vector3, Vector6};
+
+use super::fitted_anchor::FittedAnchor;
+use super::reference::PreparedBody;
+use super::tile_residuals::{TileResidual, TileResiduals};
+use crate::geometry::{Body, Camera, Pose, skew};
+
+/// How far other parts of the model may be off, one sigma: the first radial coefficient, the ratio of a surface's sides, its place (metres) and
+/// direction (radians) beside the others, and the body's motion while the rows are read (m/s and rad/s). Chosen wide: a print of 4 m that is 4 cm too
+/// long, a flat placed by a tape. Raised, other focal lengths are told from fewer views; lowered, careless measures pass for a lens that was
+/// moved.
+const RADIAL_SIGMA: f64 = 0.05;
+const RATIO_SIGMA: f64 = 0.01;
+const PLACE_SIGMA_M: f64 = 0.01;
+const DIRECTION_SIGMA: f64 = 0.01;
+const MOTION_SIGMA: [f64; 2] = [1.0, 1.0];
+/// A focal length counts as another one beyond this share of itself: it puts a camera 4 m away 2 cm off. Raised, such errors are given;
+/// lowered, lenses that breathe with focus are refused.
+const LEAST_CHANGE: f64 = 0.005;
+/// And beyond this many sigmas of what the frame tells, and of the calibration's own doubt. Chosen, not tuned: tiles next to each other err
+/// together, so that sigmas are too small by a factor of two at most. Raised, a zoom is noticed later; lowered, patterns of other causes pass
+/// for one.
+const LEAST_SIGMAS: f64 = 8.0;
+const DOUBT_SIGMAS: f64 = 4.0;
+/// And where it explains this share of what all else leaves. Of folds in cloth it explains 0.05 at most, of a zoom 0.5 to 0.98. Raised, a zoom of
+/// a stage that does not fit is not noticed; lowered, see above.
+const LEAST_SHARE: f64 = 0.5;
+/// Sigmas within which a focal length is the calibration's again. Raised, poses are withheld for longer.
+const RIGHT_SIGMAS: f64 = 3.0;
+
+/// What a frame says of the focal length.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FocalClue {
+    /// Logarithm of the focal length that fits over the calibration's.
+    pub change: f64,
+    /// One sigma of it, all else that may be off being free.
+    pub sigma: f64,
+    /// Share of the squared displacements that it explains, of what all else leaves.
+    pub share: f64,
+}
+
+impl FocalClue {
+    /// Whether another focal length explains the frame clearly better. `doubt`: one sigma of the logarithm of the calibrated one.
+    pub fn is_off(&self, doubt: f64) -> bool {
+        let size = self.change.abs();
+        size > LEAST_CHANGE && size > LEAST_SIGMAS * self.sigma && size > DOUBT_SIGMAS * doubt && self.share > LEAST_SHARE
+    }
+
+    /// Whether the frame is clearly taken with the calibrated focal length.
+    pub fn is_right(&self, doubt: f64) -> bool {
+        self.change.abs() + RIGHT_SIGMAS * self.sigma < LEAST_CHANGE + DOUBT_SIGMAS * doubt
+    }
+}
+
+/// Whether the focal length explains much where nothing but the pose may explain the rest: then, and then only, it pays to ask further.
+pub fn is_suspect(residuals: &TileResiduals) -> bool {
+    let mut right = Vector6::<f64>::zeros();
+    let mut shared = Vector6::<f64>::zeros();
+    let (mut own, mut score, mut squared) = (0.0, 0.0, 0.0);
+    for t in residuals.tiles() {
+        let weighted = t.by_pose.transpose() * t.information;
+        right += weighted * t.shift_px;
+        shared += weighted * t.by_focal;
+        own += t.by_focal.dot(&(t.information * t.by_focal));
+        score += t.by_focal.dot(&(t.information * t.shift_px));
+        squared += t.squared();
+    }
+    let Some(factor) = residuals.normal().cholesky() else { return false };
+    let by_pose = factor.solve(&shared);
+    let (information, score, left) = (own - shared.dot(&by_pose), score - right.dot(&by_pose), squared - right.dot(&factor.solve(&right)));
+    let freedom = 2.0 * residuals.weight() - 7.0;
+    if information <= 0.0 || freedom <= 0.0 {
+        return false;
+    }
+    let explained = score.powi(2) / information;
+    let sigma = ((left - explained).max(0.0) / freedom / information).sqrt();
+    let clue = FocalClue { change: score / information, sigma, share: explained / left.max(f64::MIN_POSITIVE) };
+    clue.is_off(0.0)
+}
+
+/// What the frame says of the focal length, all else being free as far as it may be off. `pose`: `T_camera_body`; `has_rows`: whether the rows are
+/// read one after the other.
+pub fn focal_clue(
+    residuals: &TileResiduals,
+    pose: &Pose<Camera, Body>,
+    body: &PreparedBody,
+    anchors: &[FittedAnchor],
+    has_rows: bool,
+) -> Option<FocalClue> {
+    let unknowns = Unknowns::new(body, anchors, has_rows);
+    let n = unknowns.count();
+    let mut normal = DMatrix::zeros(n, n);
+    normal.set_diagonal(&unknowns.prior());
+    let (mut right, mut shared) = (DVector::zeros(n), DVector::zeros(n));
+    let (mut own, mut score, mut squared) = (0.0, 0.0, 0.0);
+    let mut row = Matrix2xX::zeros(n);
+    for t in residuals.tiles() {
+        unknowns.fill(&mut row, t, &anchors[t.anchor], pose, body);
+        let weighted = t.information * &row;
+        normal.gemm_tr(1.0, &row, &weighted, 1.0);
+        right.gemv_tr(1.0, &weighted, &t.shift_px, 1.0);
+        shared.gemv_tr(1.0, &weighted, &t.by_focal, 1.0);
+        own += t.by_focal.dot(&(t.information * t.by_focal));
+        score += t.by_focal.dot(&(t.information * t.shift_px));
+        squared += t.squared();
+    }
+    let factor = nalgebra::Cholesky::<f64, Dyn>::new(normal)?;
+    let by_others = factor.solve(&shared);
+    let information = own - shared.dot(&by_others);
+    let score = score - right.dot(&by_others);
+    let left = squared - right.dot(&factor.solve(&right));
+    let freedom = 2.0 * residuals.weight() - (n + 1) as f64;
+    if !(information > 0.0 && left > 0.0 && freedom > 0.0) {
+        return None;
+    }
+    let explained = score.powi(2) / information;
+    let sigma = ((left - explained).max(0.0) / freedom / information).sqrt();
+    Some(FocalClue { change: score / information, sigma, share: explained / left })
+}
+
+/// What may explain displacements beside the focal length, in the order of its columns: the pose, the radial coefficient, the motion while rows are read,
+/// the ratios of the surfaces' sides, and where the surfaces are beside the first one.
+struct Unknowns {
+    has_rows: bool,
+    /// Surfaces with tiles.
+    surfaces: Vec<u32>,
+}
+
+impl Unknowns {
+    fn new(body: &PreparedBody, anchors: &[FittedAnchor], has_rows: bool) -> Self {
+        let has_tiles = |k: &u32| anchors.iter().any(|a| a.surface == *k);
+        Self { has_rows, surfaces: (0..body.surfaces.len() as u32).filter(has_tiles).collect() }
+    }
+
+    /// First columns of the motion, the ratios and the places.
+    fn begins(&self) -> [usize; 3] {
+        let motion = 7;
+        let ratios = motion + if self.has_rows { 6 } else { 0 };
+        [motion, ratios, ratios + self.surfaces.len()]
+    }
+
+    fn count(&self) -> usize {
+        self.begins()[2] + 6 * self.surfaces.len().saturating_sub(1)
+    }
+
+    /// Information of each by how far it may be off.
+    fn prior(&self) -> DVector<f64> {
+        let [motion, ratios, places] = self.begins();
+        DVector::from_fn(self.count(), |k, _| {
+            let sigma = match k {
+                0..6 => return 0.0,
+                6 => RADIAL_SIGMA,
+                k if k < ratios => MOTION_SIGMA[(k - motion) / 3],
+                k if k < places => RATIO_SIGMA,
+                k if (k - places) % 6 < 3 => PLACE_SIGMA_M,
+                _ => DIRECTION_SIGMA,
+            };
+            f64::powi(sigma, -2)
+        })
+    }
+
+    /// The derivatives of a tile's shift.
+    fn fill(&self, row: &mut Matrix2xX<f64>, t: &TileResidual, anchor: &FittedAnchor, pose: &Pose<Camera, Body>, body: &PreparedBody) {
+        row.fill(0.0);
+        row.columns_mut(0, 6).copy_from(&t.by_pose);
+        row.set_column(6, &t.by_radial);
+        let [motion, ratios, places] = self.begins();
+        if self.has_rows {
+            row.columns_mut(motion, 6).copy_from(&(t.by_pose * anchor.observation.delay_s));
+        }
+        let Some(k) = self.surfaces.iter().position(|s| *s == anchor.surface) else { return };
+        let spec = &body.surfaces[anchor.surface as usize].spec;
+        let to_camera = pose.rotation_matrix();
+        let by_point = t.by_pose.fixed_columns::<3>(0);
+        let along = Vector3::new(spec.to_metres(anchor.artwork).x, 0.0, 0.0);
+        row.set_column(ratios + k, &(by_point * (to_camera * (spec.pose.rotation_matrix() * along))));
+        if k > 0 {
+            let from_centre = to_camera * (anchor.observation.point.coords - spec.pose.translation);
+            row.columns_mut(places + 6 * (k - 1), 3).copy_from(&by_point);
+            row.columns_mut(places + 6 * (k - 1) + 3, 3).copy_from(&(-by_point * skew(&from_centre)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector2};
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::super::surface::SurfaceSpec;
+    use super::super::synthetic::{cloth, facing, lens, prepared, seen_anchors};
+    use super::*;
+    use crate::camera::{CameraModel, Intrinsics};
+    use crate::geometry::resection::{MovingCamera, Observation, resect};
+
+    const NOISE_PX: f64 = 0.005;
+
+    /// A cloth and a flat before it, at an angle.
+    fn with_flat() -> Vec<SurfaceSpec> {
+        let mut flat = cloth(2);
+        flat.pose = Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.4, 0.0), Vector3::new(0.7, 0.1, 0.9));
+        flat.size_m = [1.2, 0.9];
+        vec![cloth(1), flat]
+    }
+
+    fn zoomed(by: f64) -> CameraModel {
+        let i = *lens(640, 480).intrinsics();
+        CameraModel::new(Intrinsics { fx: by * i.fx, fy: by * i.fy, ..i }).unwrap()
+    }
+
+    /// What the configured body and the usual lens make of pictures that `camera` took of the `real` body.
+    fn clue(configured: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, camera: &CameraModel, start: &Pose<Camera, Body>) -> (bool, FocalClue) {
+        let mut random = Pcg64Mcg::seed_from_u64(1);
+        let mut noise = |_, _| Vector2::from_fn(|_, _| (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>() * NOISE_PX);
+        let (configured, real) = (prepared(configured), prepared(real));
+        let mut anchors = seen_anchors(&real, start, camera, 10, &mut noise);
+        for a in &mut anchors {
+            a.observation.point = configured.surfaces[a.surface as usize].spec.body_point(a.artwork);
+            a.observation.information /= NOISE_PX.powi(2);
+        }
+        let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
+        let told = lens(640, 480);
+        let pose = resect(start, &MovingCamera::still(&told), &observations, 30).expect("a pose").pose;
+        let mut residuals = TileResiduals::default();
+        residuals.take(&pose, &told, &anchors).expect("tiles enough");
+        (is_suspect(&residuals), focal_clue(&residuals, &pose, &configured, &anchors, false).expect("a clue"))
+    }
+
+    fn oblique() -> Pose<Camera, Body> {
+        facing(0.1, -0.35, Vector3::new(0.2, 0.05, 5.0))
+    }
+
+    #[test]
+    fn a_zoom_is_seen_from_the_side_and_in_depth() {
+        let ahead = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
+        for (surfaces, pose, zooms) in [(vec![cloth(1)], oblique(), [1.2, 0.85]), (with_flat(), ahead, [1.02, 0.97])] {
+            for by in zooms {
+                let (is_suspect, clue) = clue(surfaces.clone(), surfaces.clone(), &zoomed(by), &pose);
+                assert!(is_suspect && clue.is_off(0.0) && !clue.is_right(0.0), "{by}: {clue:?}");
+                assert!((clue.change - f64::ln(by)).abs() < 0.15 * f64::abs(by - 1.0) + 4.0 * clue.sigma, "{by}: {clue:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_calibrated_lens_is_right() {
+        let (is_suspect, clue) = clue(with_flat(), with_flat(), &lens(640, 480), &oblique());
+        assert!(!is_suspect && clue.is_right(0.0) && clue.change.abs() < 4.0 * clue.sigma, "{clue:?}");
+    }
+
+    #[test]
+    fn a_flat_stage_straight_ahead_says_nothing_of_it() {
+        let pose = facing(0.0, 0.0, Vector3::new(0.2, 0.05, 5.0));
+        let (_, clue) = clue(vec![cloth(1)], vec![cloth(1)], &zoomed(1.1), &pose);
+        assert!(!clue.is_off(0.0) && !clue.is_right(0.0), "{clue:?}");
+    }
+
+    #[test]
+    fn careless_measures_are_no_zoom() {
+        let mut stretched = cloth(1);
+        stretched.size_m[0] *= 1.005;
+        let (_, print) = clue(vec![stretched], vec![cloth(1)], &lens(640, 480), &oblique());
+        assert!(!print.is_off(0.0), "{print:?}");
+        let mut elsewhere = with_flat();
+        elsewhere[1].pose.translation += Vector3::new(0.004, -0.003, 0.006);
+        let (_, layout) = clue(elsewhere, with_flat(), &lens(640, 480), &oblique());
+        assert!(!layout.is_off(0.0), "{layout:?}");
+        let i = *lens(640, 480).intrinsics();
+        let bent = CameraModel::new(Intrinsics { distortion: [-0.13, 0.05, 0.0005, -0.0003, 0.0], ..i }).unwrap();
+        let (_, bent) = clue(vec![cloth(1)], vec![cloth(1)], &bent, &oblique());
+        assert!(!bent.is_off(0.0), "{bent:?}");
+    }
+}

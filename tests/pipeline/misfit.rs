@@ -1,0 +1,77 @@
+//! A stage or a lens that is not as configured: the covariance says so, or no pose is given.
+
+use nalgebra::Vector3;
+use stagepose::diagnostics::capture::VirtualCamera;
+use stagepose::{
+    CameraModel, CameraPath, ClipEntry, EntryContent, FrameSource, Intrinsics, PoseSample, Reason, Spline, State, VirtualStage,
+};
+
+use super::scene::{FPS, backdrop, backdrop_art, body, camera, nees_per_freedom, quiet, rows, setup, surface, track, track_rows, truth_of};
+
+/// A camera that goes past the backdrop, well to the side of it.
+fn from_the_side() -> CameraPath {
+    let keys = [(-0.5, Vector3::new(-2.1, -3.0, 0.3)), (2.5, Vector3::new(-1.2, -3.3, 0.1))];
+    let targets = [(-0.5, Vector3::new(-0.2, 0.0, 0.0)), (2.5, Vector3::new(0.1, 0.0, 0.1))];
+    CameraPath { position: Spline::new(&keys).unwrap(), target: Spline::new(&targets).unwrap(), roll_rad: 0.02, shake: None }
+}
+
+#[test]
+fn a_stretched_print_is_in_the_covariance() {
+    let scene = quiet(camera(640, 360), from_the_side(), backdrop());
+    let mut told = setup(&scene);
+    told.stage = body(vec![surface("backdrop", backdrop_art(), [4.04, 3.0], Vector3::zeros(), 0.0)]);
+    let samples = track_rows(told, &rows(&scene, 30));
+    let tracked: Vec<&PoseSample> = samples.iter().filter(|s| s.state == State::Tracking).collect();
+    let mean = |of: &dyn Fn(&PoseSample) -> f64, samples: &[&PoseSample]| samples.iter().map(|s| of(s)).sum::<f64>() / samples.len() as f64;
+    let rms_px = |s: &PoseSample| s.measurement.expect("it tracks").rms_px;
+    let nees = mean(&|s| nees_per_freedom(&scene, s), &tracked);
+    let off = mean(&|s| (truth_of(&scene, s).translation - s.measurement.unwrap().pose.translation).norm(), &tracked);
+    let right = track(&scene, 30);
+    let right: Vec<&PoseSample> = right.iter().filter(|s| s.state == State::Tracking).collect();
+    let (of_stretched, of_right) = (mean(&rms_px, &tracked), mean(&rms_px, &right));
+    println!("{} of 30, {:.1} mm, NEES / 6 {nees:.2}, left {of_stretched:.3} px; as it is {of_right:.3} px", tracked.len(), off * 1e3);
+    assert!(tracked.len() >= 28 && off > 0.01, "{} {off}", tracked.len());
+    assert!(nees < 5.0, "{nees}");
+    assert!(of_right < 0.1 && of_stretched > 2.0 * of_right, "{of_right} {of_stretched}");
+}
+
+/// Frames of a lens that zooms in by 2 % a frame from frame 15 on, to 1.15, and back from frame 30 on.
+fn zooming(scene: &VirtualStage) -> Vec<ClipEntry> {
+    let i = *scene.camera.intrinsics();
+    let zoom = |frame: usize| (1.0 + 0.02 * frame.saturating_sub(14).min(37_usize.saturating_sub(frame)) as f64).min(1.15);
+    let of_frame = |frame: usize| {
+        let mut zoomed = scene.clone();
+        zoomed.camera = CameraModel::new(Intrinsics { fx: zoom(frame) * i.fx, fy: zoom(frame) * i.fy, ..i }).unwrap();
+        // The second frame of a camera so slow that it is taken at this one's time.
+        let mut slow = VirtualCamera::new(zoomed, FPS / frame as f64, 2);
+        let last = std::iter::from_fn(|| slow.next_entry()).last();
+        match last.map(|entry| (entry.timestamp, entry.content)) {
+            Some((timestamp, EntryContent::Frame(mut taken))) => {
+                taken.sequence = frame as u64;
+                ClipEntry::new(taken.sequence, timestamp, EntryContent::Frame(taken))
+            }
+            _ => unreachable!("a virtual camera loses no frame"),
+        }
+    };
+    let mut seen = rows(scene, 60);
+    for (frame, entry) in seen.iter_mut().enumerate().take(37).skip(15) {
+        *entry = of_frame(frame);
+    }
+    seen
+}
+
+#[test]
+fn a_zoom_is_withheld_until_the_lens_is_back() {
+    let scene = quiet(camera(640, 360), from_the_side(), backdrop());
+    let samples = track_rows(setup(&scene), &zooming(&scene));
+    let states: Vec<State> = samples.iter().map(|s| s.state).collect();
+    println!("{states:?}");
+    assert!(states[1..15].iter().all(|s| *s == State::Tracking), "{states:?}");
+    // Frame 15 is 2 % off, frame 20 12 %.
+    assert!(states[18..36].iter().all(|s| *s == State::Lost), "{states:?}");
+    assert!(samples[18..36].iter().any(|s| s.reason == Some(Reason::LensMoved)));
+    assert!(states[45..].iter().all(|s| *s == State::Tracking), "{states:?}");
+    let given = samples.iter().filter(|s| s.state == State::Tracking && !(15..18).contains(&s.sequence));
+    let worst = given.map(|s| nees_per_freedom(&scene, s)).fold(0.0, f64::max);
+    assert!(worst < 6.0, "{worst}");
+}
