@@ -34,6 +34,7 @@ pub(super) fn write(folder: &Path, settings: &Settings, made: &Survey) -> Result
     let name = folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let [beside, aside] = ["new", "old"].map(|word| folder.with_file_name(format!(".{name}.{word}")));
     let written = (|| {
+        put_back(&aside, folder)?;
         // What a run that was killed has left would mix with this one's files.
         remove(&beside)?;
         remove(&aside)?;
@@ -42,18 +43,30 @@ pub(super) fn write(folder: &Path, settings: &Settings, made: &Survey) -> Result
             safe_file::write_whole(&beside.join(name), &bytes)?;
         }
         safe_file::write_whole(&beside.join(MARK), b"")?;
-        // The earlier one goes only when this one is in its place.
-        if folder.exists() {
-            fs::rename(folder, &aside)?;
-        }
-        fs::rename(&beside, folder)?;
-        remove(&aside)
+        replace(folder, &beside, &aside)
     })();
     if written.is_err() {
         // What is left of it is of no use; where even that fails, the first reason is the one to say.
         let _ = fs::remove_dir_all(&beside);
     }
     written.map_err(Failure::output(folder))
+}
+
+/// Puts the new folder in the place of the earlier one, which goes only when that has succeeded.
+fn replace(folder: &Path, new: &Path, aside: &Path) -> std::io::Result<()> {
+    if folder.exists() {
+        fs::rename(folder, aside)?;
+    }
+    if let Err(e) = fs::rename(new, folder) {
+        put_back(aside, folder)?;
+        return Err(e);
+    }
+    remove(aside)
+}
+
+/// Puts an earlier survey back that was set aside, where nothing took its place: a run may have been killed in between.
+fn put_back(aside: &Path, folder: &Path) -> std::io::Result<()> {
+    if aside.exists() && !folder.exists() { fs::rename(aside, folder) } else { Ok(()) }
 }
 
 /// Removes a folder, if it is there.
@@ -81,4 +94,29 @@ fn files(settings: &Settings, made: &Survey) -> std::io::Result<Vec<(String, Vec
     };
     debug_assert_eq!(CALIBRATION, "camera.toml");
     settings.source.surveyed(&settings.first_as_typed, &surfaces, calibration.to_toml())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_earlier_survey_is_back_in_its_place_where_the_new_one_cannot_take_it() {
+        let room = tempfile::tempdir().unwrap();
+        let [folder, new, aside] = ["stage", ".stage.new", ".stage.old"].map(|name| room.path().join(name));
+        fs::create_dir(&folder).unwrap();
+        fs::write(folder.join("stage.toml"), "earlier").unwrap();
+        // There is no new one.
+        assert!(replace(&folder, &new, &aside).is_err());
+        assert_eq!(fs::read_to_string(folder.join("stage.toml")).unwrap(), "earlier");
+        // A run was killed between the two steps.
+        fs::rename(&folder, &aside).unwrap();
+        put_back(&aside, &folder).unwrap();
+        assert_eq!(fs::read_to_string(folder.join("stage.toml")).unwrap(), "earlier");
+        fs::create_dir(&new).unwrap();
+        fs::write(new.join("stage.toml"), "new").unwrap();
+        replace(&folder, &new, &aside).unwrap();
+        assert_eq!(fs::read_to_string(folder.join("stage.toml")).unwrap(), "new");
+        assert!(!aside.exists() && !new.exists());
+    }
 }
