@@ -10,6 +10,7 @@ use crate::config::HttpSettings;
 use crate::daemon::live::LiveLink;
 use crate::publish::{SafetySettings, Stamps};
 use crate::record::PoseSample;
+use crate::tracker::TrackerSetup;
 #[cfg(feature = "http")]
 use crate::{publish::FrameClock, web};
 
@@ -42,6 +43,16 @@ impl Pages {
             tracing::warn!("[http]: this build has no HTTP server; build it with the feature `http`");
         }
         Ok(Self {})
+    }
+
+    /// Describes the session's camera and surfaces to the server's clients.
+    pub fn show_scene(&self, setup: &TrackerSetup) {
+        #[cfg(feature = "http")]
+        if let Some(server) = &self.server {
+            server.show_scene(setup);
+        }
+        #[cfg(not(feature = "http"))]
+        let _ = setup;
     }
 
     /// What the session's pose stage calls with every row, for those who watch; none where there is no server.

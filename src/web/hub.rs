@@ -1,7 +1,7 @@
 //! The newest frame with its record, for those who watch; nothing is copied or encoded while nobody waits for a frame.
 //!
 //! ```text
-//! pose stage --row, sample--> Hub (somebody waits?) --newest only--> thread `view` (encodes, joins) --newest only--> /ws/view, one each viewer
+//! pose stage --row, sample--> Hub (a viewer waits?) --newest only--> thread `view` (encodes, joins) --newest only--> /ws/view, one each viewer
 //! ```
 //! A message is one piece of memory, whoever gets it: a viewer holds at most the one that is on its way to it.
 
@@ -93,7 +93,7 @@ impl Hub {
         }
     }
 
-    /// Says that somebody waits for a frame.
+    /// Says that a viewer waits for a frame.
     pub fn wait(self: &Arc<Self>) -> Waiting {
         self.waiting.fetch_add(1, Ordering::Relaxed);
         Waiting(self.clone())

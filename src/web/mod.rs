@@ -1,8 +1,8 @@
 //! The HTTP server (feature `http`): `GET /` is the page, `GET /ws` sends every record as a line of JSON (contract C3), `GET /ws/view` the
 //! picture with its record to whoever asks for a frame, `GET /api/v1/pose` the last record, `GET /api/v1/state` what is known and since
-//! when, and whatever routes the caller adds. It has one thread for answers and one for pictures, listens on loopback unless the config says
-//! otherwise, answers only for this machine's hosts and to pages of its own, takes only small requests without content, and lets go of a
-//! client that does not read.
+//! when, `GET /api/v1/scene` the camera and the surfaces, and whatever routes the caller adds. It has one thread for answers and one for
+//! pictures, listens on loopback unless the config says otherwise, answers only for this machine's hosts and to pages of its own, takes only
+//! small requests without content, and lets go of a client that does not read.
 
 #[cfg(feature = "http")]
 mod answers;
@@ -23,6 +23,8 @@ mod places;
 mod replies;
 #[cfg(feature = "http")]
 mod routes;
+#[cfg(feature = "http")]
+mod scene;
 #[cfg(feature = "http")]
 mod server;
 #[cfg(feature = "http")]

@@ -33,10 +33,12 @@ use super::lifetime::{TAKES_WITHIN, ended};
 use super::places::{BriefOnes, Place, Places};
 use super::replies::response;
 use super::routes::Route;
+use super::scene::Scene;
 use crate::capture::ClipEntry;
 use crate::config::HttpSettings;
 use crate::publish::FrameClock;
 use crate::record::PoseSample;
+use crate::tracker::TrackerSetup;
 
 /// A request's head must come within this time, also where a connection waits for its next one. Chosen, not tuned. Raised, silent clients
 /// hold their places for longer.
@@ -83,23 +85,27 @@ pub enum WebError {
 pub struct Server {
     feed: Arc<Feed>,
     hub: Arc<Hub>,
+    scene: Arc<Scene>,
     address: SocketAddr,
     stop: watch::Sender<bool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Server {
-    /// Listens, and answers from now on: the page, /ws, /ws/view, /api/v1/pose, /api/v1/state and the given routes.
+    /// Listens, and answers from now on: the page, /ws, /ws/view, /api/v1/pose, /api/v1/state, /api/v1/scene and the given routes.
     ///
     /// # Errors
     /// Where the address cannot be had or the thread cannot be started.
-    pub fn start(settings: &HttpSettings, routes: Vec<Route>) -> Result<Self, WebError> {
+    pub fn start(settings: &HttpSettings, mut routes: Vec<Route>) -> Result<Self, WebError> {
         let listen = |source| WebError::Listen { address: settings.listen, source };
         let listener = bound(settings.listen).map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(WebError::Start)?;
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
         let hub = Hub::start().map_err(WebError::Start)?;
+        let scene = Arc::<Scene>::default();
+        let described = scene.clone();
+        routes.push(Route::get("/api/v1/scene", move || described.reply()));
         let router = router(&feed, &hub, routes, &stopped);
         let site = Arc::new(Site { router, hosts: AllowedHosts::new(&settings.hosts) });
         let watched = feed.clone();
@@ -114,7 +120,7 @@ impl Server {
             runtime.shutdown_timeout(Duration::from_millis(200));
         };
         let thread = std::thread::Builder::new().name("http".to_owned()).spawn(run).map_err(WebError::Start)?;
-        Ok(Self { feed, hub, address, stop, thread: Some(thread) })
+        Ok(Self { feed, hub, scene, address, stop, thread: Some(thread) })
     }
 
     /// Where it listens.
@@ -130,6 +136,11 @@ impl Server {
     /// Gives a sample to everybody who listens; never waits.
     pub fn publish(&self, sample: &PoseSample) {
         self.feed.publish(sample);
+    }
+
+    /// From now on the scene is this session's.
+    pub fn show_scene(&self, setup: &TrackerSetup) {
+        self.scene.set(setup);
     }
 
     /// What a session's pose stage calls with every row and its sample, for those who watch; it waits for nothing, and copies nothing

@@ -59,6 +59,7 @@ fn pose_state_and_added_routes_are_answered() {
     assert!(answer.contains(r#""state":"tracking""#) && answer.contains(r#""sequence":7"#), "{answer}");
     let answer = get(&server, "/healthz?deep=1");
     assert!(answer.starts_with("HTTP/1.1 503") && answer.ends_with("not yet"), "{answer}");
+    assert!(get(&server, "/api/v1/scene").starts_with("HTTP/1.1 503"), "there is no session");
     assert!(get(&server, "/nothing").starts_with("HTTP/1.1 404"));
     server.close();
 }
@@ -133,7 +134,7 @@ fn status(server: &Server, line: &str, headers: &str) -> u16 {
 #[test]
 fn every_path_is_guarded_and_the_web_socket_too() {
     let server = server();
-    for path in ["/", "/app.js", "/ws", "/ws/view", "/healthz", "/save", "/api/v1/pose", "/api/v1/state", "/nothing"] {
+    for path in ["/", "/app.js", "/ws", "/ws/view", "/healthz", "/save", "/api/v1/pose", "/api/v1/state", "/api/v1/scene", "/nothing"] {
         for method in ["GET", "POST", "OPTIONS", "PUT"] {
             let asked = |headers: &str| status(&server, &format!("{method} {path} HTTP/1.1"), headers);
             assert_eq!(asked("Host: evil.example\r\n"), 421, "{method} {path}");

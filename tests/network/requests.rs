@@ -17,6 +17,7 @@ fn good() -> Vec<Vec<u8>> {
         get("/", "Accept-Encoding: gzip\r\nIf-None-Match: \"0123456789abcdef\"\r\n"),
         get("/vendor/preact.js", "If-None-Match: W/\"1\", *\r\n"),
         get("/api/v1/state", ""),
+        get("/api/v1/scene", ""),
         get("/api/v1/pose?x=%00%ff", "Origin: http://localhost:8090\r\nAccept: */*\r\n"),
         get("/healthz", "Sec-Fetch-Site: same-origin\r\nConnection: close\r\n"),
         get("/metrics", "User-Agent: Prometheus/3\r\nAccept-Encoding: gzip\r\n"),

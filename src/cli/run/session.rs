@@ -94,6 +94,7 @@ impl Session<'_> {
         }
         let stopper = source.stopper();
         let outputs = Outputs::start(self.settings, None, setup.camera, Stamps::Live, Some(mode.fps))?;
+        pages.show_scene(&setup);
         let mut daemon = Daemon::live(source, Tracker::new(setup)?.with_filter(self.settings.filter));
         let samples = daemon.subscribe();
         let recorder = clips.recorder(self, mode.clone(), exposure_s)?;

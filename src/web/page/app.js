@@ -1,41 +1,70 @@
 // The page: its bar, its view, its keys.
 import { render } from "./vendor/preact.js";
 // Signals take part in rendering as soon as they are loaded.
-import "./vendor/signals.js";
-import { listen } from "./daemon.js";
-import { Live } from "./live.js";
+import { signal } from "./vendor/signals.js";
+import { frozen, listen, toggleFrozen } from "./daemon.js";
+import { Live, State, outlined } from "./live.js";
+import { drawFrame } from "./picture.js";
 import { THEMES, theme, toggleStage } from "./theme.js";
 import { html } from "./ui.js";
+
+const keysShown = signal(false);
+
+/** What single keys do. */
+const KEYS = [
+  { key: " ", name: "Space", does: "freeze the picture, or go on", act: toggleFrozen },
+  { key: "o", name: "o", does: "outlines on and off", act: () => (outlined.value = !outlined.value) },
+  { key: "n", name: "n", does: "stage colours on and off", act: toggleStage },
+  { key: "?", name: "?", does: "this list", act: () => (keysShown.value = !keysShown.value) },
+];
+
+/** A button that is on or off. @param {{on: boolean, act: () => void, children: unknown}} props */
+function Switch({ on, act, children }) {
+  return html`<button type="button" aria-pressed=${on ? "true" : "false"} onClick=${act}>${children}</button>`;
+}
 
 function Bar() {
   return html`<header>
     <h1>stagepose</h1>
-    <fieldset class="choice">
-      <legend>Colours</legend>
-      ${THEMES.map(
-        (name) => html`<label key=${name}>
-          <input type="radio" name="theme" value=${name} checked=${theme.value === name} onChange=${() => (theme.value = name)} />
-          <span>${name}</span>
-        </label>`,
-      )}
-    </fieldset>
+    <${State} />
+    <div class="switches">
+      <${Switch} on=${frozen.value} act=${toggleFrozen}>Freeze<//>
+      <${Switch} on=${outlined.value} act=${KEYS[1].act}>Outlines<//>
+      <fieldset class="choice">
+        <legend>Colours</legend>
+        ${THEMES.map(
+          (name) => html`<label key=${name}>
+            <input type="radio" name="theme" value=${name} checked=${theme.value === name} onChange=${() => (theme.value = name)} />
+            <span>${name}</span>
+          </label>`,
+        )}
+      </fieldset>
+    </div>
   </header>`;
 }
 
-function Page() {
-  return html`<${Bar} /><${Live} />
-    <footer>Keys: <kbd>n</kbd> stage colours on and off. <a href="./vendor/LICENSES.txt">Licences</a></footer>`;
+function Foot() {
+  return html`<footer>
+    <button type="button" aria-expanded=${keysShown.value ? "true" : "false"} onClick=${KEYS[3].act}>Keys</button>
+    ${keysShown.value
+      ? html`<ul class="keys">${KEYS.map(({ name, does }) => html`<li key=${name}><kbd>${name}</kbd> ${does}</li>`)}</ul>`
+      : null}
+    <a href="./vendor/LICENSES.txt">Licences</a>
+  </footer>`;
 }
 
-/** What single keys do, where nothing is typed into. */
-const KEYS = { n: toggleStage };
+function Page() {
+  return html`<${Bar} /><${Live} /><${Foot} />`;
+}
 
 addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  const act = KEYS[/** @type {keyof typeof KEYS} */ (event.key)];
-  if (act) {
+  if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
+  // Space presses the button that has the focus.
+  if (event.key === " " && event.target instanceof HTMLElement && event.target.closest("button, a, input")) return;
+  const found = KEYS.find(({ key }) => key === event.key);
+  if (found) {
     event.preventDefault();
-    act();
+    found.act();
   }
 });
 
@@ -44,4 +73,4 @@ if (place) {
   place.replaceChildren();
   render(html`<${Page} />`, place);
 }
-listen();
+listen(drawFrame);

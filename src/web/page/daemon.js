@@ -1,36 +1,154 @@
-// What the daemon says: asked for a few times a second. Silence is said within a second.
+// What the daemon sends: pictures with their records, and between them how things stand. A picture is asked for after the last one was drawn,
+// so the page shows the newest however slow it is. Silence is said within a second.
 import { signal } from "./vendor/signals.js";
 
-/** Milliseconds from one answer to the next question, and the longest wait for an answer: together below a second. */
-const PAUSE = 300;
-const PATIENCE = 600;
+/** Milliseconds: the daemon speaks each 300; who has said nothing for this long is gone. */
+const SILENT_AFTER = 750;
+/** Milliseconds from a lost connection, or one that does not come about, to the next try. */
+const TRY_AGAIN = 700;
+const GIVE_UP_AFTER = 2500;
+/** Milliseconds that a shown frame says how things stand. */
+const FRAME_SPEAKS = 1000;
+/** Shown frames that the rate is counted over. */
+const RATE_OVER = 30;
 
-/** Whether the daemon answers; null until that is known. */
+/**
+ * @typedef {{position_m: number[], orientation_xyzw: number[]}} Pose
+ * @typedef {{sequence: number, timestamp_ns: number, state: string, pose: Pose | null, rms_px: number | null, inliers: number | null,
+ *   objects: {name: string, state: string, pose: Pose | null}[]}} PoseRecord a record as docs/protocols.md has it
+ * @typedef {{epoch: number, size: [number, number], reason: string | null, says: string | null, mend: string | null,
+ *   record: PoseRecord}} Head what is said of a frame
+ */
+
+/** Whether the daemon speaks; null until that is known. */
 export const contact = signal(/** @type {boolean | null} */ (null));
-/** The last answer of /api/v1/state. */
-export const state = signal(/** @type {{state: string | null, sequence: number | null, age_s: number | null} | null} */ (null));
-/** The last record, where there is one (contract C3 in docs/protocols.md). */
-export const record = signal(/** @type {any} */ (null));
+/** How things stand, as /api/v1/state has it, where no frames come. */
+export const standing = signal(/** @type {{state: string | null, age_s: number | null} | null} */ (null));
+/** What was said of the frame that is shown. */
+export const head = signal(/** @type {Head | null} */ (null));
+/** Frames shown a second; null with fewer than two. */
+export const rate = signal(/** @type {number | null} */ (null));
+/** Whether the picture stands still because the user wants it. */
+export const frozen = signal(false);
+/** Camera and surfaces of this session, as /api/v1/scene has them. */
+export const scene = signal(/** @type {any} */ (null));
 
-/** @param {string} path */
-async function ask(path) {
-  const answer = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(PATIENCE) });
-  return answer.ok ? answer.json() : null;
+/** @type {(picture: ImageBitmap, head: Head) => void} */
+let draw = () => {};
+/** @type {WebSocket | null} */
+let socket = null;
+let triedAt = 0;
+let heardAt = 0;
+let owesFrame = false;
+let epoch = 0;
+/** @type {string | null} */
+let page = null;
+/** @type {number[]} */
+let shownAt = [];
+
+/** Begins; `drawFrame` draws a picture when the browser paints. @param {typeof draw} drawFrame */
+export function listen(drawFrame) {
+  draw = drawFrame;
+  connect();
+  setInterval(watch, 100);
+  document.addEventListener("visibilitychange", ask);
 }
 
-async function goOn() {
-  try {
-    const [known, last] = await Promise.all([ask("/api/v1/state"), ask("/api/v1/pose")]);
-    state.value = known;
-    record.value = last;
-    contact.value = true;
-  } catch {
-    contact.value = false;
+/** Pictures stand still, or go on. */
+export function toggleFrozen() {
+  frozen.value = !frozen.value;
+  ask();
+}
+
+function connect() {
+  const address = new URL("ws/view", document.baseURI);
+  address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
+  const opened = new WebSocket(address);
+  opened.binaryType = "arraybuffer";
+  opened.onopen = ask;
+  opened.onmessage = ({ data }) => {
+    if (opened === socket) heard(data);
+  };
+  opened.onclose = () => {
+    if (opened === socket) {
+      socket = null;
+      contact.value = false;
+    }
+  };
+  socket = opened;
+  triedAt = performance.now();
+  owesFrame = false;
+}
+
+/** Says that nobody speaks, and tries again. */
+function watch() {
+  const now = performance.now();
+  if (now - Math.max(heardAt, contact.value === null ? triedAt : 0) > SILENT_AFTER) contact.value = false;
+  const wait = socket === null ? TRY_AGAIN : GIVE_UP_AFTER;
+  if (contact.value === false && now - triedAt > wait) {
+    const old = socket;
+    connect();
+    old?.close();
   }
-  setTimeout(goOn, PAUSE);
 }
 
-/** Begins to ask. */
-export function listen() {
-  goOn();
+/** Asks for the next frame, unless one is on its way or nobody would see it. */
+function ask() {
+  if (owesFrame || frozen.value || document.hidden || socket?.readyState !== WebSocket.OPEN) return;
+  owesFrame = true;
+  socket.send("n");
+}
+
+/** @param {string | ArrayBuffer} data */
+function heard(data) {
+  heardAt = performance.now();
+  contact.value = true;
+  if (typeof data === "string") {
+    const said = JSON.parse(data);
+    // A page of another version does not know what this daemon says.
+    if (page !== null && page !== said.page) location.reload();
+    page = said.page;
+    // Between the frames of a slow tracker the last of them says more, unless it is not true any more.
+    if (heardAt - (shownAt.at(-1) ?? 0) > FRAME_SPEAKS || said.state.state !== head.value?.record.state) {
+      standing.value = said.state;
+      rate.value = null;
+      shownAt = [];
+    }
+  } else {
+    show(data);
+  }
+}
+
+/** @param {ArrayBuffer} data */
+async function show(data) {
+  const length = new DataView(data).getUint32(0, true);
+  /** @type {Head} */
+  const said = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  const picture = await createImageBitmap(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" })).catch(() => null);
+  if (said.epoch !== epoch) learnScene(said.epoch);
+  requestAnimationFrame((now) => {
+    owesFrame = false;
+    if (picture !== null && !frozen.value) {
+      draw(picture, said);
+      head.value = said;
+      standing.value = null;
+      shownAt = [...shownAt.slice(1 - RATE_OVER), now];
+      const span = now - shownAt[0];
+      rate.value = span > 0 ? (1000 * (shownAt.length - 1)) / span : null;
+    }
+    picture?.close();
+    ask();
+  });
+}
+
+/** @param {number} of the session's number */
+async function learnScene(of) {
+  epoch = of;
+  try {
+    const answer = await fetch("./api/v1/scene", { cache: "no-store" });
+    scene.value = answer.ok ? await answer.json() : null;
+  } catch {
+    // The next frame asks again.
+    epoch = 0;
+  }
 }

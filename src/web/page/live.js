@@ -1,47 +1,140 @@
-// The Live view: the state as one sentence, and where the camera is.
-import { contact, record, state } from "./daemon.js";
+// The Live view: the picture with what was found in it, the state as one sentence, and where the camera is.
+import { computed, effect, signal } from "./vendor/signals.js";
+import { useEffect, useRef } from "./vendor/hooks.js";
+import { contact, frozen, head, rate, standing } from "./daemon.js";
+import { drawAgain, drawOn } from "./picture.js";
+import { theme } from "./theme.js";
 import { StateMark, amount, html } from "./ui.js";
 
-/** The state to show: the daemon's, unless it is silent. */
-function shown() {
-  if (contact.value === false) return "none";
-  return state.value?.state ?? "searching";
-}
+/** Milliseconds that a sentence stands at least while the state stays: reasons may change with every frame. */
+const STANDS = 1000;
 
-/** What the states mean, for a person. */
+/** Whether the outlines are drawn. */
+export const outlined = signal(true);
+
+/** @typedef {{state: string, sentence: string, mend: string | null}} Account what the state is, for a person */
+
+/** What is to be said where no frame tells more. */
 const SENTENCES = {
   tracking: "The camera's pose is measured in every frame.",
   coasting: "The stage is not seen just now; the pose is predicted for a moment.",
   searching: "The stage has not been found yet.",
   lost: "The stage was tracked and is not seen any more.",
   stale: "The camera gives no pictures.",
-  none: "stagepose does not answer. This page looks for it until it does.",
+  none: "stagepose does not answer.",
+};
+const MENDS = {
+  stale: "See that the camera is plugged in and that no other program has it.",
+  none: "See that it runs. This page goes on by itself when it is back.",
 };
 
+/** @returns {Account} */
+function account() {
+  if (contact.value === false) return of("none");
+  if (contact.value === null) return { state: "searching", sentence: "Asking stagepose how things stand.", mend: null };
+  if (standing.value !== null) {
+    const { state } = standing.value;
+    return state === null ? { state: "searching", sentence: "No picture has come from the camera yet.", mend: MENDS.stale } : of(state);
+  }
+  const { says, mend, record } = head.value ?? {};
+  return record && says ? { state: record.state, sentence: `${says[0].toUpperCase()}${says.slice(1)}.`, mend: asked(mend) } : of(record?.state ?? "searching");
+}
+
+/** @param {string} state */
+function of(state) {
+  return { state, sentence: SENTENCES[/** @type {keyof typeof SENTENCES} */ (state)], mend: MENDS[/** @type {keyof typeof MENDS} */ (state)] ?? null };
+}
+
+/** A mend as a sentence. @param {string | null | undefined} mend */
+function asked(mend) {
+  return mend ? `${mend[0].toUpperCase()}${mend.slice(1)}.` : null;
+}
+
+/** What is said; the same for a while unless the state changes. */
+const said = signal(account());
+let saidAt = 0;
+
+effect(() => {
+  const next = account();
+  const now = performance.now();
+  const before = said.peek();
+  const isSame = next.state === before.state && next.sentence === before.sentence;
+  if (isSame || (next.state === before.state && now - saidAt < STANDS)) return;
+  saidAt = now;
+  said.value = next;
+});
+
+/** The state as the bar shows it. */
+export function State() {
+  return html`<${StateMark} state=${said.value.state} />`;
+}
+
+/** Width and height of the pictures; that of a wide picture before the first. */
+const size = computed(() => head.value?.size.join("x") ?? "16x9");
+
+function Picture() {
+  const below = useRef(null);
+  const above = useRef(null);
+  useEffect(() => {
+    const marks = /** @type {unknown} */ (above.current);
+    drawOn(below.current, /** @type {HTMLCanvasElement} */ (marks));
+    const sized = new ResizeObserver(drawAgain);
+    sized.observe(/** @type {HTMLCanvasElement} */ (marks));
+    return () => sized.disconnect();
+  }, []);
+  // Marks have the theme's colours.
+  useEffect(drawAgain, [theme.value]);
+  const [width, height] = size.value.split("x").map(Number);
+  return html`<figure class="picture" style=${{ aspectRatio: width / height, maxWidth: `calc((100vh - 9rem) * ${width / height})` }}>
+    <canvas ref=${below} role="img" aria-label="What the camera sees" />
+    <canvas ref=${above} class="marks ${outlined.value ? "" : "off"}" aria-hidden="true" />
+    ${frozen.value ? html`<figcaption>Frozen. Space goes on.</figcaption>` : null}
+  </figure>`;
+}
+
+/** The record of the shown frame, while frames come or the user looks at this one. */
+const record = computed(() => (contact.value && (frozen.value || standing.value === null) ? (head.value?.record ?? null) : null));
+
+// What changes with every frame goes straight into its text: no view is made anew for it.
+const position = (/** @type {number} */ axis) => computed(() => amount(record.value?.pose?.position_m[axis], 3, "m"));
+const FACTS = [
+  { name: "Right", value: position(0) },
+  { name: "Upstage", value: position(1) },
+  { name: "Up", value: position(2) },
+  { name: "Fits to", value: computed(() => amount(record.value?.rms_px, 2, "px")) },
+  { name: "Frame", value: computed(() => `${record.value?.sequence ?? "–"}`) },
+  { name: "Shown", value: computed(() => amount(rate.value, 1, "/s")) },
+];
+
 function Facts() {
-  const pose = record.value?.pose;
-  const [x, y, z] = pose?.position_m ?? [];
-  const rows = [
-    ["right", amount(x, 3, "m")],
-    ["upstage", amount(y, 3, "m")],
-    ["up", amount(z, 3, "m")],
-    ["does not fit", amount(record.value?.rms_px, 2, "px")],
-    ["frame", state.value?.sequence ?? "–"],
-    ["age", amount(state.value?.age_s === null ? null : (state.value?.age_s ?? 0) * 1000, 0, "ms")],
-  ];
   return html`<dl class="facts">
-    ${rows.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value}</dd></div>`)}
+    ${FACTS.map(({ name, value }) => html`<div key=${name}><dt>${name}</dt><dd>${value}</dd></div>`)}
   </dl>`;
+}
+
+/** Names and states of the tracked objects, as text that changes seldom. */
+const objects = computed(() => JSON.stringify(record.value?.objects.map(({ name, state }) => [name, state]) ?? []));
+
+function Objects() {
+  /** @type {[string, string][]} */
+  const all = JSON.parse(objects.value);
+  if (all.length === 0) return null;
+  return html`<ul class="objects">
+    ${all.map(([name, state]) => html`<li key=${name}><span>${name}</span> <${StateMark} state=${state} /></li>`)}
+  </ul>`;
 }
 
 /** The view. */
 export function Live() {
-  const now = /** @type {keyof typeof SENTENCES} */ (shown());
   return html`<main class=${contact.value === false ? "silent" : ""}>
-    <section class="says" role="status">
-      <${StateMark} state=${now} />
-      <p>${SENTENCES[now]}</p>
-    </section>
-    <section aria-label="The camera's pose"><${Facts} /></section>
+    <${Picture} />
+    <div class="beside">
+      <section class="says" role="status" aria-live="polite">
+        <p>${said.value.sentence}</p>
+        ${said.value.mend ? html`<p class="mend">${said.value.mend}</p>` : null}
+      </section>
+      <section aria-label="The camera in the stage"><${Facts} /></section>
+      <${Objects} />
+    </div>
   </main>`;
 }

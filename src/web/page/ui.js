@@ -35,5 +35,5 @@ export function StateMark({ state }) {
 
 /** A number with its unit, or a dash. @param {number | null | undefined} value @param {number} digits @param {string} unit */
 export function amount(value, digits, unit) {
-  return value === null || value === undefined ? "–" : `${value.toFixed(digits)}\u00a0${unit}`;
+  return value === null || value === undefined ? "–" : `${value.toFixed(digits).replace("-", "\u2212")}\u00a0${unit}`;
 }

@@ -1,0 +1,36 @@
+// Where a camera shows points of the stage: poses and the lens, as docs/glossary.md has their conventions.
+
+/** A vector turned by a unit quaternion. @param {number[]} q x, y, z, w @param {number[]} v */
+export function turn([x, y, z, w], [a, b, c]) {
+  const [tx, ty, tz] = [2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)];
+  return [a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx];
+}
+
+/** A point of a body in the frame that its pose is in. @param {{position_m: number[], orientation_xyzw: number[]}} pose @param {number[]} point */
+export function place(pose, point) {
+  const turned = turn(pose.orientation_xyzw, point);
+  return turned.map((value, axis) => value + pose.position_m[axis]);
+}
+
+/** A point in the frame of a body. @param {{position_m: number[], orientation_xyzw: number[]}} pose @param {number[]} point */
+export function within(pose, point) {
+  const [x, y, z, w] = pose.orientation_xyzw;
+  return turn([-x, -y, -z, w], point.map((value, axis) => value - pose.position_m[axis]));
+}
+
+/** Nearer points than this, metres, are not drawn: they are beside or behind the lens. */
+const NEAR_M = 0.01;
+
+/** The raw pixel of a point in the camera's frame; null where the lens shows none. @param {any} camera @param {number[]} point */
+export function pixel(camera, [x, y, z]) {
+  if (!(z > NEAR_M)) return null;
+  const [a, b] = [x / z, y / z];
+  const r2 = a * a + b * b;
+  // Further out the formula folds back into the picture.
+  if (camera.valid_radius !== null && r2 > camera.valid_radius ** 2) return null;
+  const [k1, k2, p1, p2, k3] = camera.distortion;
+  const radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3));
+  const dx = radial * a + 2 * p1 * a * b + p2 * (r2 + 2 * a * a);
+  const dy = radial * b + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b;
+  return [camera.fx * (dx + camera.skew * dy) + camera.cx, camera.fy * dy + camera.cy];
+}

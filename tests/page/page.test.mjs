@@ -1,0 +1,264 @@
+// The page in a true browser, served by a true daemon.
+//   STAGEPOSE=target/release/stagepose PAGE_OUT=target/page node --test tests/page/page.test.mjs
+// PAGE_OUT has node_modules with what package.json names, and gets a screenshot of every theme and width. CHROMIUM names another browser.
+// PAGE_DIR=src/web/page takes the page's files from there instead of from the program, to try a change before it is built.
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { join, resolve } from "node:path";
+import { after, before, test } from "node:test";
+import { prepare, start } from "./daemon.mjs";
+
+const out = resolve(process.env.PAGE_OUT ?? "target/page");
+const program = resolve(process.env.STAGEPOSE ?? "target/release/stagepose");
+const { chromium } = createRequire(join(out, "package.json"))("playwright-core");
+const axe = readFileSync(createRequire(join(out, "package.json")).resolve("axe-core/axe.min.js"), "utf8");
+
+const files = process.env.PAGE_DIR;
+
+/** Widths of a phone, a tablet and a desk, with their heights. */
+const SIZES = [
+  [360, 740],
+  [820, 1180],
+  [1440, 900],
+];
+const THEMES = ["dark", "light", "stage"];
+/** Milliseconds that anything may take before a test gives up; nothing is judged by time. */
+const PATIENCE = 60_000;
+
+let browser, daemon, place;
+before(async () => {
+  place = await prepare(join(out, "run"));
+  daemon = start(program, place.folder);
+  browser = await chromium.launch({
+    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+    args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", ...(files ? ["--disable-features=LocalNetworkAccessChecks"] : [])],
+  });
+});
+after(async () => {
+  await browser?.close();
+  await daemon?.end();
+});
+
+/** Answers for a file of the page with that of PAGE_DIR, under the headers that the program sends. */
+async function fromFiles(route) {
+  const { pathname } = new URL(route.request().url());
+  if (pathname.startsWith("/api/")) return route.continue();
+  const file = pathname === "/" ? "index.html" : pathname.slice(1);
+  const type = { html: "text/html", js: "text/javascript", css: "text/css", svg: "image/svg+xml", txt: "text/plain" }[file.split(".").pop()];
+  const { headers } = await fetch(place.address);
+  const policy = headers.get("content-security-policy");
+  return route.fulfill({ body: readFileSync(join(files, file)), headers: { "content-type": type, "content-security-policy": policy } });
+}
+
+/** A page that has shown the first frame that is tracked; what it complains of is collected. */
+async function opened(options = {}) {
+  const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, bypassCSP: false, ...options });
+  if (files) await context.route("**/*", fromFiles);
+  const page = await context.newPage();
+  const complaints = [];
+  const asked = new Set();
+  page.on("console", (said) => ["error", "warning"].includes(said.type()) && complaints.push(said.text()));
+  page.on("pageerror", (error) => complaints.push(String(error)));
+  page.on("request", (request) => asked.add(new URL(request.url()).host));
+  await page.addInitScript(() => {
+    addEventListener("securitypolicyviolation", (event) => console.error(`policy: ${event.violatedDirective} ${event.blockedURI}`));
+  });
+  // The daemon may still be starting.
+  for (const begun = Date.now(); ; ) {
+    try {
+      await page.goto(place.address);
+      break;
+    } catch (error) {
+      if (Date.now() - begun > PATIENCE) throw error;
+      complaints.length = 0;
+      await new Promise((done) => setTimeout(done, 200));
+    }
+  }
+  await says(page, "Tracking");
+  // The state may be known before the first frame is drawn.
+  await page.locator(".facts div", { hasText: /^Frame\d+$/ }).waitFor({ timeout: PATIENCE });
+  return { page, complaints, asked, close: () => context.close() };
+}
+
+/** Waits for a state in the bar. */
+async function says(page, state) {
+  await page.locator("header .state", { hasText: state }).waitFor({ timeout: PATIENCE });
+}
+
+const fact = (page, name) => page.locator(".facts div", { hasText: name }).locator("dd").textContent();
+
+/** The share of a picture's pixels that a condition holds for; the picture is a PNG, the condition an expression of r, g and b. */
+async function share(png, condition) {
+  const page = await browser.newPage();
+  const counted = await page.evaluate(
+    async ([base64, condition]) => {
+      const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
+      const picture = await createImageBitmap(new Blob([bytes]));
+      const canvas = new OffscreenCanvas(picture.width, picture.height);
+      const context = canvas.getContext("2d");
+      context.drawImage(picture, 0, 0);
+      const { data } = context.getImageData(0, 0, picture.width, picture.height);
+      const holds = new Function("r", "g", "b", `return ${condition}`);
+      let count = 0;
+      for (let k = 0; k < data.length; k += 4) count += holds(data[k], data[k + 1], data[k + 2]) ? 1 : 0;
+      return count / (data.length / 4);
+    },
+    [png.toString("base64"), condition],
+  );
+  await page.close();
+  return counted;
+}
+
+test("the page loads from its own server alone and shows what is tracked", async () => {
+  const { page, complaints, asked, close } = await opened();
+  assert.deepEqual([...asked], [new URL(place.address).host]);
+  // The picture is there, and goes on.
+  const first = Number(await fact(page, "Frame"));
+  await page.waitForFunction((first) => Number([...document.querySelectorAll(".facts div")].find((d) => d.textContent.startsWith("Frame")).lastChild.textContent) > first + 5, first);
+  const colours = await page.evaluate(() => {
+    const canvas = document.querySelector(".picture canvas");
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    return { width: canvas.width, levels: new Set(data.filter((_, k) => k % 4 === 0)).size };
+  });
+  assert.equal(colours.width, 640);
+  assert.ok(colours.levels > 100, `${colours.levels} levels`);
+  assert.match(await fact(page, "Upstage"), /^\u2212\d\.\d{3}\sm$/);
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
+test("outlines are where the lens shows the surfaces", async () => {
+  const { page, close } = await opened();
+  const off = await page.evaluate(async () => {
+    const [{ pixel, within }, { head, scene }] = await Promise.all([import("/lens.js"), import("/daemon.js")]);
+    while (!head.value?.record.homography || !scene.value) await new Promise((done) => setTimeout(done, 20));
+    const { record } = head.value;
+    const camera = { ...scene.value.camera, distortion: [0, 0, 0, 0, 0], valid_radius: null };
+    const corners = scene.value.stage.surfaces[0].outline_m.filter((_, k) => k % 16 === 0);
+    // Another way to the same place: the record's homography takes the artwork's corners to undistorted pixels.
+    const picture = await (await fetch("/api/v1/scene")).json();
+    const [w, h] = picture.stage.surfaces[0].picture_px;
+    const by = (u, v) => {
+      const m = record.homography;
+      const s = m[6] * u + m[7] * v + m[8];
+      return [(m[0] * u + m[1] * v + m[2]) / s, (m[3] * u + m[4] * v + m[5]) / s];
+    };
+    const edges = [[-0.5, -0.5], [w - 0.5, -0.5], [w - 0.5, h - 0.5], [-0.5, h - 0.5]];
+    return corners.map((corner, k) => {
+      const [a, b] = [pixel(camera, within(record.pose, corner)), by(...edges[k])];
+      return Math.hypot(a[0] - b[0], a[1] - b[1]);
+    });
+  });
+  assert.equal(off.length, 4);
+  assert.ok(Math.max(...off) < 1.5, `${off}`);
+  // And they are drawn: marks cover some pixels of their canvas, none when they are off.
+  const covered = () =>
+    page.evaluate(() => {
+      const marks = document.querySelector(".marks");
+      const { data } = marks.getContext("2d").getImageData(0, 0, marks.width, marks.height);
+      return getComputedStyle(marks).visibility === "visible" ? data.filter((_, k) => k % 4 === 3).filter((a) => a > 0).length : 0;
+    });
+  assert.ok((await covered()) > 1000);
+  await page.keyboard.press("o");
+  assert.equal(await covered(), 0);
+  await close();
+});
+
+test("every theme and width is accessible, and the stage's has no light but amber", async () => {
+  const { page, complaints, close } = await opened();
+  for (const theme of THEMES) {
+    await page.getByLabel(theme, { exact: true }).check({ force: true });
+    for (const [width, height] of SIZES) {
+      await page.setViewportSize({ width, height });
+      await page.waitForTimeout(150);
+      const png = await page.screenshot({ path: join(out, `live-${theme}-${width}.png`) });
+      const room = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+      assert.ok(room <= 0, `${theme} at ${width}: ${room} px sideways`);
+      if (theme === "stage") assert.equal(await share(png, "g > 140 || b > 40"), 0, `${width}`);
+    }
+  }
+  await close();
+  // The judge is a script of its own, which the policy would not let in.
+  const judged = await opened({ bypassCSP: true });
+  for (const theme of THEMES) {
+    await judged.page.getByLabel(theme, { exact: true }).check({ force: true });
+    for (const [width, height] of SIZES) {
+      await judged.page.setViewportSize({ width, height });
+      await judged.page.addScriptTag({ content: axe });
+      const { violations } = await judged.page.evaluate(() => axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"] }));
+      assert.deepEqual(violations.map(({ id, nodes }) => `${theme} ${width}: ${id} ${nodes[0].html}`), []);
+    }
+  }
+  await judged.close();
+  assert.deepEqual(complaints, []);
+});
+
+test("the keyboard alone is enough, and the theme is kept", async () => {
+  const { page, close } = await opened();
+  const frame = async () => Number(await fact(page, "Frame"));
+  await page.keyboard.press("Space");
+  await page.getByText("Frozen.").waitFor();
+  const now = await frame();
+  // Longer than a frame speaks for.
+  await page.waitForTimeout(1500);
+  assert.equal(await frame(), now);
+  await says(page, "Tracking");
+  await page.keyboard.press("Space");
+  await page.waitForFunction((now) => Number(document.querySelectorAll(".facts dd")[4].textContent) > now, now);
+  await page.keyboard.press("?");
+  await page.getByText("outlines on and off").waitFor();
+  // Tab reaches every switch; what has the focus is seen.
+  const reached = new Set();
+  for (let k = 0; k < 8; k += 1) {
+    await page.keyboard.press("Tab");
+    reached.add(await page.evaluate(() => document.activeElement?.textContent || document.activeElement?.getAttribute("value")));
+  }
+  for (const name of ["Freeze", "Outlines", "Keys", "Licences"]) assert.ok(reached.has(name), `${[...reached]}`);
+  await page.keyboard.press("n");
+  assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "stage");
+  await page.reload();
+  assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "stage");
+  await close();
+});
+
+test("a daemon that stands still or dies is said to be silent, and the page goes on by itself", async () => {
+  const { page, close } = await opened();
+  const span = async (act, state) => {
+    const begun = Date.now();
+    await act();
+    await says(page, state);
+    return Date.now() - begun;
+  };
+  const stood = await span(() => daemon.stand(), "No contact");
+  await page.screenshot({ path: join(out, "live-no-contact.png") });
+  const wentOn = await span(() => daemon.goOn(), "Tracking");
+  const died = await span(() => daemon.end(), "No contact");
+  daemon = start(program, place.folder);
+  const back = await span(() => {}, "Tracking");
+  console.log(`no contact said after ${stood} ms (standing) and ${died} ms (killed), back after ${wentOn} ms and ${back} ms`);
+  await close();
+});
+
+test("a page that nobody sees asks for nothing", async () => {
+  const { page, close } = await opened();
+  const client = await page.context().newCDPSession(page);
+  await client.send("Network.enable");
+  await page.evaluate(() => {
+    Object.defineProperty(document, "hidden", { value: true, configurable: true });
+    document.dispatchEvent(new Event("visibilitychange"));
+  });
+  await page.waitForTimeout(500);
+  let pictures = 0;
+  client.on("Network.webSocketFrameReceived", ({ response }) => (pictures += response.opcode === 2 ? 1 : 0));
+  await page.waitForTimeout(1500);
+  assert.equal(pictures, 0);
+  await page.evaluate(() => {
+    Object.defineProperty(document, "hidden", { value: false, configurable: true });
+    document.dispatchEvent(new Event("visibilitychange"));
+  });
+  const now = Number(await fact(page, "Frame")) || 0;
+  await page.waitForFunction((now) => Number(document.querySelectorAll(".facts dd")[4].textContent) > now, now);
+  assert.ok(pictures > 0);
+  await close();
+});
