@@ -30,8 +30,12 @@ impl Pages {
         let Some(http) = http else { return Ok(Self { server: None }) };
         // One clock for all pages: it is asked often enough to notice a suspend while nobody reads them.
         let clock = Arc::new(FrameClock::new(stamps));
+        let events = run.map(|(link, _)| link.events.listen());
         let routes = run.map_or_else(Vec::new, |run| routes(run, &clock));
         let server = web::Server::start(http, routes).map_err(|e| Failure::Publishing(e.to_string()))?;
+        if let Some(events) = events {
+            server.follow_events(events);
+        }
         server.judge_ages(clock, safety.stale_after);
         Ok(Self { server: Some(server) })
     }

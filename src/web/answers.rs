@@ -2,7 +2,7 @@
 
 use std::convert::Infallible;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use axum::Router;
 use axum::body::Body;
@@ -15,9 +15,10 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 
 use super::assets::with_page;
+use super::events::{Events, tell};
 use super::feed::Feed;
 use super::hub::Hub;
-use super::lifetime::{TAKES_WITHIN, ended};
+use super::lifetime::{TAKES_WITHIN, close, ended};
 use super::places::Place;
 use super::replies::{refusal, response, with};
 use super::routes::{Effect, Reply, Route};
@@ -30,8 +31,14 @@ const LONGEST_MESSAGE: usize = 4 * 1024;
 /// What a request knows of its connection: its place among those that last; none where it is answered in brief.
 pub(super) type Caller = Option<Arc<Place>>;
 
-/// The page, /ws, /ws/view, /api/v1/pose, /api/v1/state and the given routes.
-pub(super) fn router(feed: &Arc<Feed>, hub: &Arc<Hub>, routes: Vec<Route>, stopped: &watch::Receiver<bool>) -> Router {
+/// The page, /ws, /ws/events, /ws/view, /api/v1/pose, /api/v1/state and the given routes.
+pub(super) fn router(
+    feed: &Arc<Feed>,
+    hub: &Arc<Hub>,
+    events: &Arc<Events>,
+    routes: Vec<Route>,
+    stopped: &watch::Receiver<bool>,
+) -> Router {
     let (pose, state) = (feed.clone(), feed.clone());
     let own = [Route::get("/api/v1/pose", move || pose.pose()), Route::get("/api/v1/state", move || state.state())];
     let of_records = {
@@ -42,8 +49,13 @@ pub(super) fn router(feed: &Arc<Feed>, hub: &Arc<Hub>, routes: Vec<Route>, stopp
         let (feed, hub, stopped) = (feed.clone(), hub.clone(), stopped.clone());
         move |socket| show(socket, hub.clone(), feed.clone(), stopped.clone())
     };
+    let of_events = {
+        let (events, stopped) = (events.clone(), stopped.clone());
+        move |socket| tell(socket, events.clone(), stopped.clone())
+    };
     let mut router = Router::new()
         .route("/ws", any(move |request| web_socket(request, of_records)))
+        .route("/ws/events", any(move |request| web_socket(request, of_events)))
         .route("/ws/view", any(move |request| web_socket(request, of_frames)));
     for route in own.into_iter().chain(routes) {
         router = router.route(route.path, any(move |request| answer(request, route.clone())));
@@ -108,5 +120,5 @@ async fn stream(mut socket: WebSocket, feed: Arc<Feed>, mut stopped: watch::Rece
             () = ended(&mut stopped) => break,
         }
     }
-    let _ = timeout(Duration::from_millis(100), socket.send(Message::Close(None))).await;
+    close(socket).await;
 }

@@ -43,6 +43,7 @@ const ASSETS: &[Asset] = &[
     asset!(PICTURE, "icon.svg"),
     asset!(SCRIPT, "app.js"),
     asset!(SCRIPT, "daemon.js"),
+    asset!(SCRIPT, "events.js"),
     asset!(SCRIPT, "lens.js"),
     asset!(SCRIPT, "live.js"),
     asset!(SCRIPT, "picture.js"),

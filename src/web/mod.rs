@@ -1,5 +1,5 @@
 //! The HTTP server (feature `http`): `GET /` is the page, `GET /ws` sends every record as a line of JSON (contract C3), `GET /ws/view` the
-//! picture with its record to whoever asks for a frame, `GET /api/v1/pose` the last record, `GET /api/v1/state` what is known and since
+//! picture with its record to whoever asks for a frame, `GET /ws/events` what happens, `GET /api/v1/pose` the last record, `GET /api/v1/state` what is known and since
 //! when, `GET /api/v1/scene` the camera and the surfaces, and whatever routes the caller adds. It has one thread for answers and one for
 //! pictures, listens on loopback unless the config says otherwise, answers only for this machine's hosts and to pages of its own, takes only
 //! small requests without content, and lets go of a client that does not read.
@@ -8,6 +8,8 @@
 mod answers;
 #[cfg(feature = "http")]
 mod assets;
+#[cfg(feature = "http")]
+mod events;
 #[cfg(feature = "http")]
 mod feed;
 #[cfg(feature = "http")]

@@ -25,6 +25,7 @@ use tokio::time::{sleep, timeout};
 use tokio_io_timeout::TimeoutStream;
 
 use super::answers::router;
+use super::events::Events;
 use super::feed::Feed;
 use super::guard::judge;
 use super::hosts::AllowedHosts;
@@ -36,6 +37,7 @@ use super::routes::Route;
 use super::scene::Scene;
 use crate::capture::ClipEntry;
 use crate::config::HttpSettings;
+use crate::daemon::live::EventListener;
 use crate::publish::FrameClock;
 use crate::record::PoseSample;
 use crate::tracker::TrackerSetup;
@@ -60,7 +62,7 @@ const BRIEFLY: Duration = Duration::from_secs(2);
 /// What a connection may take to end in form. Chosen, not tuned. Raised, the daemon's end waits longer for clients that do not listen.
 const ENDS_WITHIN: Duration = Duration::from_millis(250);
 
-/// How often the newest frame's age is looked at; clients hear when it has become too old. Chosen: below what a person notices. Raised,
+/// How often the newest frame's age and the events are looked at; clients hear when a frame has become too old. Chosen: below what a person notices. Raised,
 /// they hear later.
 const WATCH_EVERY: Duration = Duration::from_millis(100);
 
@@ -85,6 +87,7 @@ pub enum WebError {
 pub struct Server {
     feed: Arc<Feed>,
     hub: Arc<Hub>,
+    events: Arc<Events>,
     scene: Arc<Scene>,
     address: SocketAddr,
     stop: watch::Sender<bool>,
@@ -92,7 +95,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Listens, and answers from now on: the page, /ws, /ws/view, /api/v1/pose, /api/v1/state, /api/v1/scene and the given routes.
+    /// Listens, and answers from now on: the page, /ws, /ws/events, /ws/view, /api/v1/pose, /api/v1/state, /api/v1/scene and the given routes.
     ///
     /// # Errors
     /// Where the address cannot be had or the thread cannot be started.
@@ -103,16 +106,17 @@ impl Server {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(WebError::Start)?;
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
         let hub = Hub::start().map_err(WebError::Start)?;
-        let scene = Arc::<Scene>::default();
+        let (events, scene) = (Arc::new(Events::new()), Arc::<Scene>::default());
         let described = scene.clone();
         routes.push(Route::get("/api/v1/scene", move || described.reply()));
-        let router = router(&feed, &hub, routes, &stopped);
+        let router = router(&feed, &hub, &events, routes, &stopped);
         let site = Arc::new(Site { router, hosts: AllowedHosts::new(&settings.hosts) });
-        let watched = feed.clone();
+        let watched = (feed.clone(), events.clone());
         runtime.spawn(async move {
             loop {
                 sleep(WATCH_EVERY).await;
-                watched.watch();
+                watched.0.watch();
+                watched.1.watch();
             }
         });
         let run = move || {
@@ -120,7 +124,7 @@ impl Server {
             runtime.shutdown_timeout(Duration::from_millis(200));
         };
         let thread = std::thread::Builder::new().name("http".to_owned()).spawn(run).map_err(WebError::Start)?;
-        Ok(Self { feed, hub, scene, address, stop, thread: Some(thread) })
+        Ok(Self { feed, hub, events, scene, address, stop, thread: Some(thread) })
     }
 
     /// Where it listens.
@@ -136,6 +140,11 @@ impl Server {
     /// Gives a sample to everybody who listens; never waits.
     pub fn publish(&self, sample: &PoseSample) {
         self.feed.publish(sample);
+    }
+
+    /// From now on clients hear of these events.
+    pub fn follow_events(&self, events: EventListener) {
+        self.events.follow(events);
     }
 
     /// From now on the scene is this session's.

@@ -134,7 +134,9 @@ fn status(server: &Server, line: &str, headers: &str) -> u16 {
 #[test]
 fn every_path_is_guarded_and_the_web_socket_too() {
     let server = server();
-    for path in ["/", "/app.js", "/ws", "/ws/view", "/healthz", "/save", "/api/v1/pose", "/api/v1/state", "/api/v1/scene", "/nothing"] {
+    for path in
+        ["/", "/app.js", "/ws", "/ws/events", "/ws/view", "/healthz", "/save", "/api/v1/pose", "/api/v1/state", "/api/v1/scene", "/nothing"]
+    {
         for method in ["GET", "POST", "OPTIONS", "PUT"] {
             let asked = |headers: &str| status(&server, &format!("{method} {path} HTTP/1.1"), headers);
             assert_eq!(asked("Host: evil.example\r\n"), 421, "{method} {path}");
@@ -429,4 +431,21 @@ fn a_viewer_hears_how_things_stand_while_no_frame_comes() {
         .unwrap();
     assert_eq!((&said["state"]["state"], &said["state"]["sequence"]), (&"tracking".into(), &7.into()));
     assert_eq!(said["page"].as_str().map(str::len), Some(16));
+}
+
+#[test]
+fn events_are_heard_as_sentences() {
+    let server = server();
+    let log = crate::daemon::live::EventLog::default();
+    server.follow_events(log.listen());
+    log.publish(crate::daemon::live::Event::CameraWaiting { reason: "it is not plugged in".to_owned() });
+    let mut stream = upgraded(&server, &UPGRADE.replace("/ws", "/ws/events"));
+    let told: serde_json::Value = serde_json::from_str(&next_text(&mut stream)).unwrap();
+    assert_eq!((&told["event"], &told["says"]), (&"camera_waiting".into(), &"waiting for the camera: it is not plugged in".into()));
+    log.publish(crate::daemon::live::Event::Ended { reason: "it was asked to".to_owned() });
+    assert!(next_text(&mut stream).contains("ended: it was asked to"));
+    server.close();
+    let mut rest = Vec::new();
+    stream.read_to_end(&mut rest).unwrap();
+    assert_eq!(rest, [0x88, 0], "it is closed in form");
 }

@@ -14,7 +14,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 use super::assets;
 use super::feed::Feed;
 use super::hub::{Hub, Waiting};
-use super::lifetime::{TAKES_WITHIN, ended};
+use super::lifetime::{TAKES_WITHIN, close, ended};
 
 /// Frames that a client may have asked for and not got. Two keep a picture on its way while one is drawn. Raised, a slow client sees older
 /// pictures.
@@ -55,8 +55,8 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
                 Some(Ok(Message::Text(_) | Message::Binary(_))) => {
                     let reason = "say n for the next frame; nothing else is understood".into();
-                    let close = Message::Close(Some(CloseFrame { code: close_code::POLICY, reason }));
-                    let _ = timeout(TAKES_WITHIN, socket.send(close)).await;
+                    let refusal = Message::Close(Some(CloseFrame { code: close_code::POLICY, reason }));
+                    let _ = timeout(TAKES_WITHIN, socket.send(refusal)).await;
                     return;
                 }
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
@@ -72,5 +72,5 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
         }
     }
     drop(waiting);
-    let _ = timeout(Duration::from_millis(100), socket.send(Message::Close(None))).await;
+    close(socket).await;
 }

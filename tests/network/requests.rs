@@ -22,6 +22,7 @@ fn good() -> Vec<Vec<u8>> {
         get("/healthz", "Sec-Fetch-Site: same-origin\r\nConnection: close\r\n"),
         get("/metrics", "User-Agent: Prometheus/3\r\nAccept-Encoding: gzip\r\n"),
         [get("/ws", upgrade), frames.clone()].concat(),
+        [get("/ws/events", upgrade), frames.clone()].concat(),
         // `n`, for a frame, and what is not understood.
         [get("/ws/view?width=-1", upgrade), b"\x81\x81\x00\x00\x00\x00n\x82\x81\x00\x00\x00\x00n".to_vec(), frames].concat(),
         b"POST /api/v1/ring/save HTTP/1.1\r\nHost: [::1]\r\nContent-Length: 0\r\n\r\n".to_vec(),

@@ -124,6 +124,10 @@ test("the page loads from its own server alone and shows what is tracked", async
   assert.equal(colours.width, 640);
   assert.ok(colours.levels > 100, `${colours.levels} levels`);
   assert.match(await fact(page, "Upstage"), /^\u2212\d\.\d{3}\sm$/);
+  // What happened is listed, the newest first.
+  const last = page.locator(".happened li");
+  await last.filter({ hasText: "long.mjpeg is open: MJPG 640x360" }).waitFor();
+  await last.first().filter({ hasText: "Tracked after" }).waitFor();
   assert.deepEqual(complaints, []);
   await close();
 });

@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use crossbeam_channel::Receiver;
 use serde::Serialize;
+use tracing::Level;
 
 use crate::capture::timestamping::monotonic_now;
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
@@ -203,36 +204,54 @@ impl EventLog {
     }
 }
 
+impl Event {
+    /// What happened in one sentence without its full stop, and how much it matters.
+    pub fn says(&self) -> (Level, String) {
+        match self {
+            Self::CameraOpened { name, width, height, format, fps, again, .. } => {
+                let again = if *again { "open again" } else { "open" };
+                (Level::INFO, format!("{name} is {again}: {format} {width}x{height}, {fps}/s"))
+            }
+            Self::CameraWaiting { reason } => (Level::WARN, format!("waiting for the camera: {reason}")),
+            Self::CameraLost { reason } => (Level::WARN, format!("the camera is lost: {reason}")),
+            Self::NoDriverStamp { name } => (
+                Level::WARN,
+                format!(
+                    "{name}: its driver gives no time stamps that can be true; frames are stamped when they arrive, which is later than they were taken"
+                ),
+            ),
+            Self::ExposureDiffers { reason } => (Level::WARN, reason.clone()),
+            Self::Stale { age_ms, .. } => (Level::WARN, format!("no picture for {age_ms:.0} ms")),
+            Self::Resumed { after_ms } => (Level::INFO, format!("pictures come again after {after_ms:.0} ms")),
+            Self::FrameDropped { timestamp } => (Level::DEBUG, format!("the frame of {timestamp} was dropped: the tracker was late")),
+            Self::RecorderStarted { clip } => (Level::INFO, format!("recording to {clip}")),
+            Self::RecorderFinished { clip, frames } => (Level::INFO, format!("{clip} is recorded: {frames} frames")),
+            Self::RecorderStopped { reason } => (Level::ERROR, format!("recording stopped: {reason}")),
+            Self::RingSaved { clip } => (Level::INFO, format!("the last seconds are saved in {clip}")),
+            Self::NotTracked { text, .. } => (Level::WARN, format!("not tracked: {text}")),
+            Self::Tracked { after_ms } => (Level::INFO, format!("tracked after {after_ms:.0} ms")),
+            // The output's own warning has said it, at most once a minute.
+            Self::PoseWithheld { output, body, reason } => {
+                (Level::DEBUG, format!("output {output}: the pose of {body} is withheld, {reason}"))
+            }
+            Self::ConfigReloaded { file } => (Level::INFO, format!("{file} was read again")),
+            Self::ConfigRefused { reason } => (Level::ERROR, format!("the old config stays: {reason}")),
+            Self::Ended { reason } => (Level::INFO, format!("ended: {reason}")),
+        }
+    }
+}
+
+/// Writes an event to the log.
 fn note(event: &Event) {
-    match event {
-        Event::CameraOpened { name, width, height, format, fps, again, .. } => {
-            let again = if *again { "open again" } else { "open" };
-            tracing::info!("{name} is {again}: {format} {width}x{height}, {fps}/s");
-        }
-        Event::CameraWaiting { reason } => tracing::warn!("waiting for the camera: {reason}"),
-        Event::CameraLost { reason } => tracing::warn!("the camera is lost: {reason}"),
-        Event::NoDriverStamp { name } => {
-            tracing::warn!(
-                "{name}: its driver gives no time stamps that can be true; frames are stamped when they arrive, which is later than they were taken"
-            );
-        }
-        Event::ExposureDiffers { reason } => tracing::warn!("{reason}"),
-        Event::Stale { age_ms, .. } => tracing::warn!("no picture for {age_ms:.0} ms"),
-        Event::Resumed { after_ms } => tracing::info!("pictures come again after {after_ms:.0} ms"),
-        Event::FrameDropped { timestamp } => {
-            tracing::debug!("the frame of {timestamp} was dropped: the tracker was late")
-        }
-        Event::RecorderStarted { clip } => tracing::info!("recording to {clip}"),
-        Event::RecorderFinished { clip, frames } => tracing::info!("{clip} is recorded: {frames} frames"),
-        Event::RecorderStopped { reason } => tracing::error!("recording stopped: {reason}"),
-        Event::RingSaved { clip } => tracing::info!("the last seconds are saved in {clip}"),
-        Event::NotTracked { text, .. } => tracing::warn!("not tracked: {text}"),
-        Event::Tracked { after_ms } => tracing::info!("tracked after {after_ms:.0} ms"),
-        // The output's own warning has said it, at most once a minute.
-        Event::PoseWithheld { output, body, reason } => tracing::debug!("output {output}: the pose of {body} is withheld, {reason}"),
-        Event::ConfigReloaded { file } => tracing::info!("{file} was read again"),
-        Event::ConfigRefused { reason } => tracing::error!("the old config stays: {reason}"),
-        Event::Ended { reason } => tracing::info!("ended: {reason}"),
+    // It comes with every frame that is late, and is seldom asked for.
+    if matches!(event, Event::FrameDropped { .. }) && !tracing::enabled!(Level::DEBUG) {
+        return;
+    }
+    match event.says() {
+        (Level::ERROR, text) => tracing::error!("{text}"),
+        (Level::WARN, text) => tracing::warn!("{text}"),
+        (Level::INFO, text) => tracing::info!("{text}"),
+        (_, text) => tracing::debug!("{text}"),
     }
 }
 

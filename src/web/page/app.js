@@ -3,6 +3,7 @@ import { render } from "./vendor/preact.js";
 // Signals take part in rendering as soon as they are loaded.
 import { signal } from "./vendor/signals.js";
 import { frozen, listen, toggleFrozen } from "./daemon.js";
+import { listenToEvents } from "./events.js";
 import { Live, State, outlined } from "./live.js";
 import { drawFrame } from "./picture.js";
 import { THEMES, theme, toggleStage } from "./theme.js";
@@ -74,3 +75,4 @@ if (place) {
   render(html`<${Page} />`, place);
 }
 listen(drawFrame);
+listenToEvents();

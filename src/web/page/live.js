@@ -2,6 +2,7 @@
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { contact, frozen, head, rate, standing } from "./daemon.js";
+import { Happened, trouble } from "./events.js";
 import { drawAgain, drawOn } from "./picture.js";
 import { theme } from "./theme.js";
 import { StateMark, amount, html } from "./ui.js";
@@ -34,6 +35,7 @@ function account() {
   if (contact.value === null) return { state: "searching", sentence: "Asking stagepose how things stand.", mend: null };
   if (standing.value !== null) {
     const { state } = standing.value;
+    if ((state === null || state === "stale") && trouble.value !== null) return { state: state ?? "stale", sentence: trouble.value, mend: null };
     return state === null ? { state: "searching", sentence: "No picture has come from the camera yet.", mend: MENDS.stale } : of(state);
   }
   const { says, mend, record } = head.value ?? {};
@@ -135,6 +137,7 @@ export function Live() {
       </section>
       <section aria-label="The camera in the stage"><${Facts} /></section>
       <${Objects} />
+      <${Happened} />
     </div>
   </main>`;
 }

@@ -1,0 +1,150 @@
+//! What happens beside the poses, for `/ws/events`: the last of it at once, then each event as it comes.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
+use serde::Serialize;
+use tokio::sync::{broadcast, watch};
+use tokio::time::timeout;
+
+use super::lifetime::{TAKES_WITHIN, close, ended};
+use crate::daemon::live::{Event, EventListener, StampedEvent};
+use crate::printable::printable;
+
+/// Events that one who comes later still hears of: an evening's, where nothing fails again and again. Chosen, not tuned. Raised, only memory.
+const REMEMBERED: usize = 200;
+/// Events that a client may be behind before it is let go. As above.
+const MOST_BEHIND: usize = 256;
+
+/// What has happened, and to whom it is said.
+#[derive(Debug)]
+pub(super) struct Events {
+    /// Where events come from.
+    source: Mutex<Option<EventListener>>,
+    recent: Mutex<VecDeque<Utf8Bytes>>,
+    lines: broadcast::Sender<Utf8Bytes>,
+}
+
+/// An event as it is sent.
+#[derive(Serialize)]
+struct Line<'a> {
+    /// When it was heard of, milliseconds since 1970.
+    unix_ms: u64,
+    /// `error`, `warn` or `info`.
+    level: &'static str,
+    says: String,
+    #[serde(flatten)]
+    event: &'a StampedEvent,
+}
+
+impl Events {
+    pub fn new() -> Self {
+        Self { source: Mutex::default(), recent: Mutex::default(), lines: broadcast::Sender::new(MOST_BEHIND) }
+    }
+
+    /// From now on these are the events.
+    pub fn follow(&self, source: EventListener) {
+        *self.source.lock().unwrap_or_else(PoisonError::into_inner) = Some(source);
+    }
+
+    /// Takes what has happened since the last time; called several times a second.
+    pub fn watch(&self) {
+        let source = self.source.lock().unwrap_or_else(PoisonError::into_inner);
+        // A dropped frame is counted; there may be thousands.
+        let told = source.iter().flat_map(|source| source.try_iter()).filter(|e| !matches!(e.event, Event::FrameDropped { .. }));
+        for line in told.filter_map(|event| line(&event)) {
+            let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+            if recent.len() == REMEMBERED {
+                recent.pop_front();
+            }
+            recent.push_back(line.clone());
+            // Under the lock, so that who comes now hears of it once. Nobody may be there to hear it.
+            let _ = self.lines.send(line);
+        }
+    }
+
+    /// The last events, and a channel with those to come.
+    fn listen(&self) -> (Vec<Utf8Bytes>, broadcast::Receiver<Utf8Bytes>) {
+        let recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        (recent.iter().cloned().collect(), self.lines.subscribe())
+    }
+}
+
+fn line(event: &StampedEvent) -> Option<Utf8Bytes> {
+    let unix_ms = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
+    let (level, says) = event.event.says();
+    let level = match level {
+        tracing::Level::ERROR => "error",
+        tracing::Level::WARN => "warn",
+        _ => "info",
+    };
+    // Serialising fails only for non-string map keys, of which there are none.
+    let line = serde_json::to_string(&Line { unix_ms, level, says, event }).ok()?;
+    Some(printable(&line).into_owned().into())
+}
+
+/// Serves one client until it goes.
+pub(super) async fn tell(mut socket: WebSocket, events: Arc<Events>, mut stopped: watch::Receiver<bool>) {
+    let (recent, mut lines) = events.listen();
+    let mut recent = recent.into_iter();
+    loop {
+        let line = match recent.next() {
+            Some(line) => line,
+            None => tokio::select! {
+                line = lines.recv() => match line {
+                    Ok(line) => line,
+                    // Behind by more than the queue holds, or the end.
+                    Err(_) => break,
+                },
+                message = socket.recv() => match message {
+                    Some(Ok(Message::Close(_)) | Err(_)) | None => return,
+                    // There is nothing to say here.
+                    Some(Ok(_)) => continue,
+                },
+                () = ended(&mut stopped) => break,
+            },
+        };
+        match timeout(TAKES_WITHIN, socket.send(Message::Text(line))).await {
+            Ok(Ok(())) => {}
+            _ => return,
+        }
+    }
+    close(socket).await;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::live::EventLog;
+
+    fn read(lines: &[Utf8Bytes]) -> Vec<serde_json::Value> {
+        lines.iter().map(|line| serde_json::from_str(line.as_str()).unwrap()).collect()
+    }
+
+    #[test]
+    fn who_comes_later_hears_the_last_and_everybody_hears_the_next() {
+        let (events, log) = (Events::new(), EventLog::default());
+        log.publish(Event::NoDriverStamp { name: "before".to_owned() });
+        events.follow(log.listen());
+        let (_, mut early) = events.listen();
+        for k in 0..REMEMBERED + 5 {
+            log.publish(Event::CameraLost { reason: format!("reason {k}") });
+            log.publish(Event::FrameDropped { timestamp: crate::frame::Timestamp::default() });
+        }
+        events.watch();
+        let (recent, mut late) = events.listen();
+        let told = read(&recent);
+        assert_eq!((told.len(), &told[0]["reason"]), (REMEMBERED, &"reason 5".into()));
+        assert_eq!((&told[0]["event"], &told[0]["level"]), (&"camera_lost".into(), &"warn".into()));
+        assert_eq!(told[0]["says"], "the camera is lost: reason 5");
+        assert!(told[0]["unix_ms"].as_u64() > Some(1_600_000_000_000));
+        log.publish(Event::CameraWaiting { reason: "a\u{1b}[2J".to_owned() });
+        events.watch();
+        let next = late.try_recv().unwrap();
+        assert!(next.as_str().chars().all(crate::printable::stands_for_itself), "{next:?}");
+        let heard: Vec<_> = std::iter::from_fn(|| early.try_recv().ok()).collect();
+        assert_eq!((heard.len(), heard.last()), (REMEMBERED + 6, Some(&next)));
+    }
+}
