@@ -242,8 +242,8 @@ mod tests {
     #[test]
     fn a_zoom_is_seen_from_the_side_and_in_depth() {
         let ahead = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
-        for (surfaces, pose, zooms) in [(vec![cloth(1)], oblique(), [1.2, 0.85]), (with_flat(), ahead, [1.02, 0.97])] {
-            for by in zooms {
+        for (surfaces, pose) in [(vec![cloth(1)], oblique()), (with_flat(), ahead)] {
+            for by in [1.2, 0.85] {
                 let (is_suspect, clue) = clue(surfaces.clone(), surfaces.clone(), &zoomed(by), &pose);
                 assert!(is_suspect && clue.is_off(0.0) && !clue.is_right(0.0), "{by}: {clue:?}");
                 assert!((clue.change - f64::ln(by)).abs() < 0.15 * f64::abs(by - 1.0) + 4.0 * clue.sigma, "{by}: {clue:?}");
