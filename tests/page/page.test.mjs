@@ -169,6 +169,100 @@ test("outlines are where the lens shows the surfaces", async () => {
   await close();
 });
 
+test("the stage in 3D turns by keys, buttons and the mouse, and its projections are exact", async () => {
+  const { page, complaints, close } = await opened();
+  const at = () => page.evaluate(async () => ({ ...(await import("/stage.js")).view.value }));
+  const canvas = page.locator(".stage canvas");
+  // It is drawn: the floor, the surfaces, the camera.
+  const drawn = () => canvas.evaluate((canvas) => canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data.filter((_, k) => k % 4 === 3).filter((a) => a > 0).length);
+  await page.evaluate(async () => {
+    const [{ scene }, { minute }] = await Promise.all([import("/daemon.js"), import("/minute.js")]);
+    while (scene.value === null || minute.length < 3) await new Promise((done) => setTimeout(done, 20));
+  });
+  const pixels = await drawn();
+  assert.ok(pixels > 3000, `${pixels} pixels`);
+  const first = await at();
+  await canvas.focus();
+  await page.keyboard.press("ArrowRight");
+  await page.keyboard.press("+");
+  const second = await at();
+  assert.ok(second.azimuth > first.azimuth && second.zoom > first.zoom, JSON.stringify(second));
+  await page.getByRole("button", { name: "turn left" }).click();
+  assert.ok(Math.abs((await at()).azimuth - first.azimuth) < 1e-9);
+  await canvas.scrollIntoViewIfNeeded();
+  const { x, y, width, height } = await canvas.boundingBox();
+  await page.mouse.move(x + width / 2, y + height / 2);
+  await page.mouse.down();
+  await page.mouse.move(x + width / 2 - 60, y + height / 2 + 30, { steps: 6 });
+  await page.mouse.up();
+  const dragged = await at();
+  assert.ok(dragged.azimuth > first.azimuth + 0.2 && dragged.elevation > first.elevation + 0.1, JSON.stringify(dragged));
+  await page.getByRole("button", { name: "All" }).click();
+  assert.deepEqual(await at(), first);
+  // Axes stand square on each other, an ellipse has the covariance's sigmas, and the lens is undone at the picture's corners.
+  const off = await page.evaluate(async () => {
+    const [{ axes, dot, ellipse }, { direction, pixel }, { scene }] = await Promise.all([import("/orbit.js"), import("/lens.js"), import("/daemon.js")]);
+    const seen = axes({ azimuth: 0.7, elevation: 0.3, zoom: 1 });
+    const pairs = [[seen.right, seen.up], [seen.right, seen.away], [seen.up, seen.away]].map(([a, b]) => dot(a, b));
+    const front = axes({ azimuth: 0, elevation: 0, zoom: 1 });
+    // Sigmas of 3 and 1 along x turned by 30 degrees towards z, and 2 along y, which is not seen from the front.
+    const [c, s] = [Math.cos(Math.PI / 6), Math.sin(Math.PI / 6)];
+    const { long, short, turned } = ellipse([[9 * c * c + s * s, 0, 8 * c * s], [0, 4, 0], [8 * c * s, 0, 9 * s * s + c * c]], front);
+    const { camera } = scene.value;
+    const corners = [[0, 0], [camera.width - 1, camera.height - 1]].map((corner) => {
+      const back = pixel(camera, [...direction(camera, corner), 1]);
+      return Math.hypot(back[0] - corner[0], back[1] - corner[1]);
+    });
+    return [...pairs, long - 3, short - 1, turned - Math.PI / 6, ...corners.map((pixels) => pixels * 1e-4)];
+  });
+  assert.ok(Math.max(...off.map(Math.abs)) < 1e-6, `${off}`);
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
+test("the floor is drawn where the lens shows it, and the last minute has every frame shown", async () => {
+  const { page, complaints, close } = await opened();
+  await page.evaluate(async () => {
+    const [{ scene }, { minute }] = await Promise.all([import("/daemon.js"), import("/minute.js")]);
+    while (scene.value === null || minute.length <= 10) await new Promise((done) => setTimeout(done, 20));
+  });
+  await page.keyboard.press("o");
+  await page.keyboard.press("g");
+  await page.keyboard.press("Space");
+  await page.getByText("Frozen.").waitFor();
+  // Points on lines of the floor that the picture shows are drawn; those between four lines are not.
+  const { on, off, seen } = await page.evaluate(async () => {
+    const [{ pixel, within }, { head, scene }] = await Promise.all([import("/lens.js"), import("/daemon.js")]);
+    const marks = document.querySelector(".marks");
+    const { data } = marks.getContext("2d").getImageData(0, 0, marks.width, marks.height);
+    const { pose } = head.value.record;
+    const { camera } = scene.value;
+    const alpha = (point) => {
+      const raw = pixel(camera, within(pose, point));
+      const [x, y] = raw === null ? [-1, -1] : raw.map((value) => ((value + 0.5) * marks.width) / camera.width);
+      if (!(x >= 2 && y >= 2 && x < marks.width - 2 && y < marks.height - 2)) return null;
+      let most = 0;
+      for (const dx of [-1, 0, 1]) for (const dy of [-1, 0, 1]) most = Math.max(most, data[4 * ((Math.floor(y) + dy) * marks.width + Math.floor(x) + dx) + 3]);
+      return most;
+    };
+    const [x, y] = pose.position_m.map(Math.round);
+    // The floor is seen edge on where the camera is as high as it: only near points are apart.
+    const near = [1, 2, 3, 4].flatMap((dy) => [-1, 0, 1].map((dx) => [x + dx, y + dy + 0.25, 0]));
+    const lines = near.map(alpha).filter((value) => value !== null);
+    return { on: lines.filter((value) => value > 40).length, off: data.filter((_, k) => k % 4 === 3).filter((a) => a === 0).length / (data.length / 4), seen: lines.length };
+  });
+  assert.ok(seen > 0 && on === seen, `${on} of ${seen}`);
+  assert.ok(off > 0.5, `${off} of the picture is free`);
+  // The strip's words count what the page remembers, and each state has its band.
+  const counted = await page.evaluate(async () => (await import("/minute.js")).minute.length);
+  assert.ok(counted > 0);
+  await page.locator(".strip .note", { hasText: `Of ${counted} frames shown: ` }).waitFor();
+  await page.locator(".strip .note", { hasText: /tracking \d+\s%.*fits to \d\.\d\d\spx at worst/ }).waitFor();
+  assert.ok((await share(await page.locator(".strip canvas").screenshot(), "g > r + 40 && g > b + 20")) > 0);
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
 test("every theme and width is accessible, and the stage's has no light but amber", async () => {
   const { page, complaints, close } = await opened();
   for (const theme of THEMES) {
@@ -214,11 +308,11 @@ test("the keyboard alone is enough, and the theme is kept", async () => {
   await page.getByText("outlines on and off").waitFor();
   // Tab reaches every switch; what has the focus is seen.
   const reached = new Set();
-  for (let k = 0; k < 8; k += 1) {
+  for (let k = 0; k < 24; k += 1) {
     await page.keyboard.press("Tab");
     reached.add(await page.evaluate(() => document.activeElement?.textContent || document.activeElement?.getAttribute("value")));
   }
-  for (const name of ["Freeze", "Outlines", "Keys", "Licences"]) assert.ok(reached.has(name), `${[...reached]}`);
+  for (const name of ["Freeze", "Outlines", "Floor", "Keys", "Licences"]) assert.ok(reached.has(name), `${[...reached]}`);
   await page.keyboard.press("n");
   assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "stage");
   await page.reload();

@@ -4,8 +4,8 @@ import { render } from "./vendor/preact.js";
 import { signal } from "./vendor/signals.js";
 import { frozen, listen, toggleFrozen } from "./daemon.js";
 import { listenToEvents } from "./events.js";
-import { Live, State, outlined } from "./live.js";
-import { drawFrame } from "./picture.js";
+import { Live, State } from "./live.js";
+import { drawFrame, floored, outlined } from "./picture.js";
 import { THEMES, theme, toggleStage } from "./theme.js";
 import { html } from "./ui.js";
 
@@ -15,6 +15,7 @@ const keysShown = signal(false);
 const KEYS = [
   { key: " ", name: "Space", does: "freeze the picture, or go on", act: toggleFrozen },
   { key: "o", name: "o", does: "outlines on and off", act: () => (outlined.value = !outlined.value) },
+  { key: "g", name: "g", does: "a metre grid on the floor on and off", act: () => (floored.value = !floored.value) },
   { key: "n", name: "n", does: "stage colours on and off", act: toggleStage },
   { key: "?", name: "?", does: "this list", act: () => (keysShown.value = !keysShown.value) },
 ];
@@ -31,6 +32,7 @@ function Bar() {
     <div class="switches">
       <${Switch} on=${frozen.value} act=${toggleFrozen}>Freeze<//>
       <${Switch} on=${outlined.value} act=${KEYS[1].act}>Outlines<//>
+      <${Switch} on=${floored.value} act=${KEYS[2].act}>Floor<//>
       <fieldset class="choice">
         <legend>Colours</legend>
         ${THEMES.map(
@@ -46,7 +48,7 @@ function Bar() {
 
 function Foot() {
   return html`<footer>
-    <button type="button" aria-expanded=${keysShown.value ? "true" : "false"} onClick=${KEYS[3].act}>Keys</button>
+    <button type="button" aria-expanded=${keysShown.value ? "true" : "false"} onClick=${KEYS[4].act}>Keys</button>
     ${keysShown.value
       ? html`<ul class="keys">${KEYS.map(({ name, does }) => html`<li key=${name}><kbd>${name}</kbd> ${does}</li>`)}</ul>`
       : null}

@@ -15,7 +15,7 @@ const RATE_OVER = 30;
 /**
  * @typedef {{position_m: number[], orientation_xyzw: number[]}} Pose
  * @typedef {{sequence: number, timestamp_ns: number, state: string, pose: Pose | null, rms_px: number | null, inliers: number | null,
- *   objects: {name: string, state: string, pose: Pose | null}[]}} PoseRecord a record as docs/protocols.md has it
+ *   covariance: number[] | null, objects: {name: string, state: string, pose: Pose | null}[]}} PoseRecord a record as docs/protocols.md has it
  * @typedef {{epoch: number, size: [number, number], reason: string | null, says: string | null, mend: string | null,
  *   record: PoseRecord}} Head what is said of a frame
  */

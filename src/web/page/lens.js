@@ -34,3 +34,18 @@ export function pixel(camera, [x, y, z]) {
   const dy = radial * b + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b;
   return [camera.fx * (dx + camera.skew * dy) + camera.cx, camera.fy * dy + camera.cy];
 }
+
+/** Rounds in which the lens is undone. Each takes off nine tenths of the error or more where the formula does not fold. */
+const ROUNDS = 20;
+
+/** The direction (x, y at z = 1) that the lens shows at a raw pixel: to draw by, not to measure by. @param {any} camera @param {number[]} seen */
+export function direction(camera, [u, v]) {
+  const dy = (v - camera.cy) / camera.fy;
+  const dx = (u - camera.cx) / camera.fx - camera.skew * dy;
+  let [x, y] = [dx, dy];
+  for (let k = 0; k < ROUNDS; k += 1) {
+    const shown = pixel({ ...camera, fx: 1, fy: 1, cx: 0, cy: 0, skew: 0, valid_radius: null }, [x, y, 1]) ?? [x, y];
+    [x, y] = [x + dx - shown[0], y + dy - shown[1]];
+  }
+  return [x, y];
+}

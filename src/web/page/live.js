@@ -3,15 +3,14 @@ import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { contact, frozen, head, rate, standing } from "./daemon.js";
 import { Happened, trouble } from "./events.js";
-import { drawAgain, drawOn } from "./picture.js";
+import { drawAgain, drawOn, floored, outlined } from "./picture.js";
+import { Stage } from "./stage.js";
+import { Strip } from "./strip.js";
 import { theme } from "./theme.js";
 import { StateMark, amount, html } from "./ui.js";
 
 /** Milliseconds that a sentence stands at least while the state stays: reasons may change with every frame. */
 const STANDS = 1000;
-
-/** Whether the outlines are drawn. */
-export const outlined = signal(true);
 
 /** @typedef {{state: string, sentence: string, mend: string | null}} Account what the state is, for a person */
 
@@ -84,12 +83,12 @@ function Picture() {
     sized.observe(/** @type {HTMLCanvasElement} */ (marks));
     return () => sized.disconnect();
   }, []);
-  // Marks have the theme's colours.
-  useEffect(drawAgain, [theme.value]);
+  // Marks have the theme's colours; which are drawn is chosen.
+  useEffect(drawAgain, [theme.value, outlined.value, floored.value]);
   const [width, height] = size.value.split("x").map(Number);
   return html`<figure class="picture" style=${{ aspectRatio: width / height, maxWidth: `calc((100vh - 9rem) * ${width / height})` }}>
     <canvas ref=${below} role="img" aria-label="What the camera sees" />
-    <canvas ref=${above} class="marks ${outlined.value ? "" : "off"}" aria-hidden="true" />
+    <canvas ref=${above} class="marks ${outlined.value || floored.value ? "" : "off"}" aria-hidden="true" />
     ${frozen.value ? html`<figcaption>Frozen. Space goes on.</figcaption>` : null}
   </figure>`;
 }
@@ -136,8 +135,10 @@ export function Live() {
         ${said.value.mend ? html`<p class="mend">${said.value.mend}</p>` : null}
       </section>
       <section aria-label="The camera in the stage"><${Facts} /></section>
+      <${Stage} />
       <${Objects} />
       <${Happened} />
     </div>
+    <${Strip} />
   </main>`;
 }

@@ -1,8 +1,19 @@
 // The camera's picture, and over it what the pose says where the surfaces are.
+import { signal } from "./vendor/signals.js";
 import { head, scene } from "./daemon.js";
 import { pixel, place, within } from "./lens.js";
 
 /** @typedef {import("./daemon.js").Head} Head */
+
+/** Whether the outlines are drawn. */
+export const outlined = signal(true);
+/** Whether the floor is drawn. */
+export const floored = signal(false);
+
+/** Metres between the floor's lines, between the points of a line, and how far around the camera they reach. */
+const LINES = 1;
+const POINTS = 0.25;
+const REACHES = 8;
 
 /** @type {HTMLCanvasElement | null} */
 let below = null;
@@ -52,6 +63,8 @@ function drawMarks(said) {
     const pixels = surface.outline_m.map((/** @type {number[]} */ point) => pixel(scene.value.camera, within(record.pose, inStage(point))));
     stroke(context, pixels, scale, colour(state));
   };
+  if (floored.value) drawFloor(context, record.pose, scale, colour("accent"));
+  if (!outlined.value) return;
   for (const surface of scene.value.stage.surfaces) draw(surface, null, record.state);
   scene.value.objects.forEach((/** @type {any} */ object, /** @type {number} */ k) => {
     const { pose, state } = record.objects[k] ?? {};
@@ -59,28 +72,48 @@ function drawMarks(said) {
   });
 }
 
+/** Lines on the stage's floor, a metre apart, through the lens. @param {CanvasRenderingContext2D} context @param {any} pose
+ * @param {number} scale @param {string} colour */
+function drawFloor(context, pose, scale, colour) {
+  const [x, y] = pose.position_m.map((/** @type {number} */ value) => Math.round(value));
+  const along = Array.from({ length: 1 + (2 * REACHES) / POINTS }, (_, k) => k * POINTS - REACHES);
+  context.strokeStyle = colour;
+  context.lineWidth = devicePixelRatio;
+  for (let from = -REACHES; from <= REACHES; from += LINES) {
+    for (const line of [along.map((to) => [x + from, y + to, 0]), along.map((to) => [x + to, y + from, 0])]) {
+      context.stroke(path(line.map((point) => pixel(scene.value.camera, within(pose, point))), scale));
+    }
+  }
+}
+
 /** A closed line through pixels, open where one is not seen; with a dark seam, to be seen on any ground.
  * @param {CanvasRenderingContext2D} context @param {(number[] | null)[]} pixels @param {number} scale @param {string} colour */
 function stroke(context, pixels, scale, colour) {
-  const path = new Path2D();
+  const line = path([...pixels, pixels[0]], scale);
+  context.lineJoin = "round";
+  const wide = 2.2 * devicePixelRatio;
+  context.strokeStyle = "rgb(0 0 0 / 55%)";
+  context.lineWidth = wide + 2 * devicePixelRatio;
+  context.stroke(line);
+  context.strokeStyle = colour;
+  context.lineWidth = wide;
+  context.stroke(line);
+}
+
+/** A line through pixels of the picture, interrupted where one is not seen. @param {(number[] | null)[]} pixels @param {number} scale */
+function path(pixels, scale) {
+  const line = new Path2D();
   let isOpen = true;
-  for (const point of [...pixels, pixels[0]]) {
+  for (const point of pixels) {
     if (point === null) {
       isOpen = true;
     } else {
       // A pixel's centre is half a pixel into it.
       const [x, y] = point.map((value) => (value + 0.5) * scale);
-      if (isOpen) path.moveTo(x, y);
-      else path.lineTo(x, y);
+      if (isOpen) line.moveTo(x, y);
+      else line.lineTo(x, y);
       isOpen = false;
     }
   }
-  context.lineJoin = "round";
-  const line = 2.2 * devicePixelRatio;
-  context.strokeStyle = "rgb(0 0 0 / 55%)";
-  context.lineWidth = line + 2 * devicePixelRatio;
-  context.stroke(path);
-  context.strokeStyle = colour;
-  context.lineWidth = line;
-  context.stroke(path);
+  return line;
 }

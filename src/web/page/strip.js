@@ -1,0 +1,86 @@
+// The last minute as a strip: the state of each frame that was shown, and how well its picture fits the pose.
+import { computed, effect } from "./vendor/signals.js";
+import { useEffect, useRef } from "./vendor/hooks.js";
+import { REMEMBERED, added, minute } from "./minute.js";
+import { theme } from "./theme.js";
+import { WORDS, amount, html } from "./ui.js";
+
+/** Pixels of the band of states; a state is told by the band's height too: the surer, the higher. */
+const BAND = 14;
+const HEIGHTS = { tracking: 1, coasting: 0.6, searching: 0.3, lost: 0.3 };
+/** The least rms, pixels, that fills the height: noise alone is not to look like trouble. */
+const LEAST_FULL = 0.5;
+/** Milliseconds after which a frame does not speak for the time that follows: nothing was shown. */
+const SPEAKS = 1000;
+
+/** The strip's own words: the share of each state, and the worst fit. */
+const words = computed(() => {
+  if (added.value === 0 || minute.length === 0) return "Nothing has been shown yet.";
+  const states = Object.keys(WORDS).map((state) => ({ state, count: minute.filter((moment) => moment.state === state).length }));
+  const shares = states.filter(({ count }) => count > 0).map(({ state, count }) => {
+    return `${WORDS[/** @type {keyof typeof WORDS} */ (state)].toLowerCase()} ${Math.round((100 * count) / minute.length)}\u00a0%`;
+  });
+  return `Of ${minute.length} frames shown: ${shares.join(", ")}; fits to ${amount(worst(), 2, "px")} at worst.`;
+});
+
+/** The largest rms that is remembered; null where nothing was measured. */
+function worst() {
+  const measured = minute.flatMap(({ rms }) => (rms === null ? [] : [rms]));
+  return measured.length === 0 ? null : Math.max(...measured);
+}
+
+/** @param {HTMLCanvasElement} canvas */
+function draw(canvas) {
+  const context = canvas.getContext("2d");
+  if (!context) return;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((length) => Math.round(length * devicePixelRatio));
+  if (canvas.width !== width || canvas.height !== height) {
+    canvas.width = width;
+    canvas.height = height;
+  }
+  context.clearRect(0, 0, width, height);
+  const style = getComputedStyle(canvas);
+  const colour = (/** @type {string} */ name) => style.getPropertyValue(`--${name}`).trim();
+  const begun = performance.now() - REMEMBERED;
+  const x = (/** @type {number} */ at) => ((at - begun) / REMEMBERED) * width;
+  const band = BAND * devicePixelRatio;
+  const full = Math.max(LEAST_FULL, worst() ?? 0);
+  const fits = new Path2D();
+  let isOpen = true;
+  minute.forEach(({ at, state, rms }, k) => {
+    const until = Math.min(minute[k + 1]?.at ?? at, at + SPEAKS);
+    const share = HEIGHTS[/** @type {keyof typeof HEIGHTS} */ (state)] ?? 0;
+    context.fillStyle = colour(state);
+    context.fillRect(x(at), height - band * share, Math.max(1, x(until) - x(at)), band * share);
+    if (rms !== null) {
+      const y = (height - band - 4 * devicePixelRatio) * (1 - rms / full) + 2 * devicePixelRatio;
+      if (isOpen) fits.moveTo(x(at), y);
+      else fits.lineTo(x(at), y);
+    }
+    isOpen = rms === null || until < (minute[k + 1]?.at ?? at);
+  });
+  context.lineWidth = 1.5 * devicePixelRatio;
+  context.strokeStyle = colour("text");
+  context.stroke(fits);
+}
+
+/** The strip with its words. */
+export function Strip() {
+  const drawn = useRef(null);
+  useEffect(() => {
+    const canvas = /** @type {HTMLCanvasElement} */ (/** @type {unknown} */ (drawn.current));
+    const again = () => draw(canvas);
+    const sized = new ResizeObserver(again);
+    sized.observe(canvas);
+    const stop = effect(() => [added.value, theme.value] && again());
+    return () => {
+      stop();
+      sized.disconnect();
+    };
+  }, []);
+  return html`<section class="strip" aria-labelledby="strip">
+    <h2 id="strip">The last minute</h2>
+    <canvas ref=${drawn} aria-hidden="true" />
+    <p class="note">${words}</p>
+  </section>`;
+}
