@@ -398,6 +398,7 @@ fn tracker(origin: &Origin<'_>, typed: Option<&as_typed::Tracker>) -> Result<Tra
         coast_s: section.number("coast_s", typed.coast_s.as_ref(), default.coast_s, coast, "seconds from 0 to 10")?,
         confirm_frames: confirm as u32,
         seed: section.count("seed", typed.seed.as_ref(), default.seed, 0..=u64::MAX, "a whole number of 0 or more")?,
+        adds_lens_doubt: default.adds_lens_doubt,
     })
 }
 

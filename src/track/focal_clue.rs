@@ -6,11 +6,13 @@
 //! only what then is explained by the focal length alone counts. That costs some time, and is asked where the focal length explains much
 //! by itself.
 
-use nalgebra::{DMatrix, DVector, Dyn, Matrix2xX, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Dyn, Matrix2xX, Matrix6, Vector3, Vector6};
 
 use super::fitted_anchor::FittedAnchor;
 use super::reference::PreparedBody;
+use super::row_motion::RowMotion;
 use super::tile_residuals::{TileResidual, TileResiduals};
+use crate::camera::{CameraModel, Shutter};
 use crate::geometry::{Body, Camera, Pose, skew};
 
 /// How far other parts of the model may be off, one sigma: the first radial coefficient, the ratio of a surface's sides, its place (metres) and
@@ -22,6 +24,10 @@ const RATIO_SIGMA: f64 = 0.01;
 const PLACE_SIGMA_M: f64 = 0.01;
 const DIRECTION_SIGMA: f64 = 0.01;
 const MOTION_SIGMA: [f64; 2] = [1.0, 1.0];
+/// How long a frame is read where nobody said so, seconds: the usual webcam's. Raised, fast pans pass for less of a zoom.
+const USUAL_READOUT_S: f64 = 0.02;
+/// Least sigma of that motion, m/s and rad/s: keeps the equations regular where nothing moves. Raised, see [`MOTION_SIGMA`].
+const LEAST_MOTION: f64 = 1e-4;
 /// A focal length counts as another one beyond this share of itself: it puts a camera 4 m away 2 cm off. Raised, such errors are given;
 /// lowered, lenses that breathe with focus are refused.
 const LEAST_CHANGE: f64 = 0.005;
@@ -33,6 +39,9 @@ const DOUBT_SIGMAS: f64 = 4.0;
 /// And where it explains this share of what all else leaves. Of folds in cloth it explains 0.05 at most, of a zoom 0.5 to 0.98. Raised, a zoom of
 /// a stage that does not fit is not noticed; lowered, see above.
 const LEAST_SHARE: f64 = 0.5;
+/// A motion while rows are read that leaves less than this share of what the focal length leaves explains the frame instead. 0.03 to 0.3 of a shaken
+/// camera, 0.95 to 1.1 of a zoom. Raised, a zoom passes for a motion; lowered, shaken cameras with a rolling shutter that nobody described are refused.
+const RIVAL_SHARE: f64 = 0.7;
 /// Sigmas within which a focal length is the calibration's again. Raised, poses are withheld for longer.
 const RIGHT_SIGMAS: f64 = 3.0;
 
@@ -86,64 +95,149 @@ pub fn is_suspect(residuals: &TileResiduals) -> bool {
     clue.is_off(0.0)
 }
 
-/// What the frame says of the focal length, all else being free as far as it may be off. `pose`: `T_camera_body`; `has_rows`: whether the rows are
-/// read one after the other.
+/// How the rows of a frame may be displaced by a motion that its pose does not account for.
+#[derive(Debug, Clone, Copy)]
+pub struct RowDisplacement {
+    shutter: Shutter,
+    height: u32,
+    /// Inverse covariance of the motion, per second.
+    motion_information: Matrix6<f64>,
+    is_described: bool,
+}
+
+impl RowDisplacement {
+    /// A shutter that was described leaves what its motion was estimated wrong by. One that was not may read the rows one after the other all the same:
+    /// then any share of the body's motion to `pose` (`T_camera_body`) may be in the rows, and of each component what it changed by.
+    pub fn new(camera: &CameraModel, rows: &RowMotion, pose: &Pose<Camera, Body>) -> Self {
+        let is_described = rows.shutter.readout_s != 0.0;
+        let [moving, turning] = MOTION_SIGMA.map(|sigma| sigma.powi(2));
+        let usual = Matrix6::from_diagonal(&Vector6::new(moving, moving, moving, turning, turning, turning));
+        let moved = rows.twist_and_change(pose).filter(|_| !is_described);
+        let covariance = moved.map_or(usual, |(twist, change)| {
+            twist * twist.transpose() + Matrix6::from_diagonal(&change.component_mul(&change).add_scalar(LEAST_MOTION.powi(2)))
+        });
+        let motion_information = covariance.cholesky().map_or(still(), |factor| factor.inverse());
+        let readout_s = if is_described { rows.shutter.readout_s } else { USUAL_READOUT_S };
+        Self { shutter: Shutter { readout_s, ..rows.shutter }, height: camera.height(), motion_information, is_described }
+    }
+
+    /// The rows of a frame in which nothing moved.
+    fn without_motion(&self) -> Self {
+        Self { motion_information: still(), ..*self }
+    }
+
+    fn delay_s(&self, t: &TileResidual) -> f64 {
+        self.shutter.delay_s(t.place_px.y + 0.5, self.height)
+    }
+}
+
+/// Inverse covariance of a motion that is none.
+fn still() -> Matrix6<f64> {
+    Matrix6::identity() * LEAST_MOTION.powi(-2)
+}
+
+/// What the frame says of the focal length, all else being free as far as it may be off. `pose`: `T_camera_body`.
+///
+/// Where nobody described the shutter, a motion while rows are read and a zoom can look alike, and together they explain nearly anything. Then they are
+/// rivals: the focal length explains something only where the motion does not explain the frame better.
 pub fn focal_clue(
     residuals: &TileResiduals,
     pose: &Pose<Camera, Body>,
     body: &PreparedBody,
     anchors: &[FittedAnchor],
-    has_rows: bool,
+    rows: &RowDisplacement,
 ) -> Option<FocalClue> {
-    let unknowns = Unknowns::new(body, anchors, has_rows);
-    let n = unknowns.count();
-    let mut normal = DMatrix::zeros(n, n);
-    normal.set_diagonal(&unknowns.prior());
-    let (mut right, mut shared) = (DVector::zeros(n), DVector::zeros(n));
-    let (mut own, mut score, mut squared) = (0.0, 0.0, 0.0);
-    let mut row = Matrix2xX::zeros(n);
-    for t in residuals.tiles() {
-        unknowns.fill(&mut row, t, &anchors[t.anchor], pose, body);
-        let weighted = t.information * &row;
-        normal.gemm_tr(1.0, &row, &weighted, 1.0);
-        right.gemv_tr(1.0, &weighted, &t.shift_px, 1.0);
-        shared.gemv_tr(1.0, &weighted, &t.by_focal, 1.0);
-        own += t.by_focal.dot(&(t.information * t.by_focal));
-        score += t.by_focal.dot(&(t.information * t.shift_px));
-        squared += t.squared();
+    if rows.is_described {
+        return Fit::new(residuals, pose, body, anchors, rows)?.clue();
     }
-    let factor = nalgebra::Cholesky::<f64, Dyn>::new(normal)?;
-    let by_others = factor.solve(&shared);
-    let information = own - shared.dot(&by_others);
-    let score = score - right.dot(&by_others);
-    let left = squared - right.dot(&factor.solve(&right));
-    let freedom = 2.0 * residuals.weight() - (n + 1) as f64;
-    if !(information > 0.0 && left > 0.0 && freedom > 0.0) {
-        return None;
+    let still = Fit::new(residuals, pose, body, anchors, &rows.without_motion())?;
+    let moving = Fit::new(residuals, pose, body, anchors, rows)?;
+    let clue = still.clue()?;
+    let by_focal = still.left - still.explained();
+    let is_rivalled = moving.left < RIVAL_SHARE * by_focal;
+    Some(FocalClue { share: if is_rivalled { 0.0 } else { clue.share }, ..clue })
+}
+
+/// What all else leaves of the displacements, and what the focal length makes of that.
+struct Fit {
+    /// Squared displacements that all else leaves, in sigmas of noise.
+    left: f64,
+    /// Information of the logarithm of the focal length.
+    information: f64,
+    /// The right side of its equation.
+    score: f64,
+    /// Numbers beyond the unknowns.
+    freedom: f64,
+}
+
+impl Fit {
+    fn new(
+        residuals: &TileResiduals,
+        pose: &Pose<Camera, Body>,
+        body: &PreparedBody,
+        anchors: &[FittedAnchor],
+        rows: &RowDisplacement,
+    ) -> Option<Self> {
+        let unknowns = Unknowns::new(body, anchors, *rows);
+        let n = unknowns.count();
+        let mut normal = unknowns.prior();
+        let (mut right, mut shared) = (DVector::zeros(n), DVector::zeros(n));
+        let (mut own, mut score, mut squared) = (0.0, 0.0, 0.0);
+        let mut row = Matrix2xX::zeros(n);
+        for t in residuals.tiles() {
+            unknowns.fill(&mut row, t, &anchors[t.anchor], pose, body);
+            let weighted = t.information * &row;
+            normal.gemm_tr(1.0, &row, &weighted, 1.0);
+            right.gemv_tr(1.0, &weighted, &t.shift_px, 1.0);
+            shared.gemv_tr(1.0, &weighted, &t.by_focal, 1.0);
+            own += t.by_focal.dot(&(t.information * t.by_focal));
+            score += t.by_focal.dot(&(t.information * t.shift_px));
+            squared += t.squared();
+        }
+        let factor = nalgebra::Cholesky::<f64, Dyn>::new(normal)?;
+        let by_others = factor.solve(&shared);
+        Some(Self {
+            left: squared - right.dot(&factor.solve(&right)),
+            information: own - shared.dot(&by_others),
+            score: score - right.dot(&by_others),
+            freedom: 2.0 * residuals.weight() - (n + 1) as f64,
+        })
     }
-    let explained = score.powi(2) / information;
-    let sigma = ((left - explained).max(0.0) / freedom / information).sqrt();
-    Some(FocalClue { change: score / information, sigma, share: explained / left })
+
+    /// Squared displacements that the focal length explains.
+    fn explained(&self) -> f64 {
+        self.score.powi(2) / self.information
+    }
+
+    fn clue(&self) -> Option<FocalClue> {
+        let Self { left, information, score, freedom } = *self;
+        if !(information > 0.0 && left > 0.0 && freedom > 0.0) {
+            return None;
+        }
+        let explained = self.explained();
+        let sigma = ((left - explained).max(0.0) / freedom / information).sqrt();
+        Some(FocalClue { change: score / information, sigma, share: explained / left })
+    }
 }
 
 /// What may explain displacements beside the focal length, in the order of its columns: the pose, the radial coefficient, the motion while rows are read,
 /// the ratios of the surfaces' sides, and where the surfaces are beside the first one.
 struct Unknowns {
-    has_rows: bool,
+    rows: RowDisplacement,
     /// Surfaces with tiles.
     surfaces: Vec<u32>,
 }
 
 impl Unknowns {
-    fn new(body: &PreparedBody, anchors: &[FittedAnchor], has_rows: bool) -> Self {
+    fn new(body: &PreparedBody, anchors: &[FittedAnchor], rows: RowDisplacement) -> Self {
         let has_tiles = |k: &u32| anchors.iter().any(|a| a.surface == *k);
-        Self { has_rows, surfaces: (0..body.surfaces.len() as u32).filter(has_tiles).collect() }
+        Self { rows, surfaces: (0..body.surfaces.len() as u32).filter(has_tiles).collect() }
     }
 
     /// First columns of the motion, the ratios and the places.
     fn begins(&self) -> [usize; 3] {
         let motion = 7;
-        let ratios = motion + if self.has_rows { 6 } else { 0 };
+        let ratios = motion + 6;
         [motion, ratios, ratios + self.surfaces.len()]
     }
 
@@ -152,19 +246,19 @@ impl Unknowns {
     }
 
     /// Information of each by how far it may be off.
-    fn prior(&self) -> DVector<f64> {
+    fn prior(&self) -> DMatrix<f64> {
         let [motion, ratios, places] = self.begins();
-        DVector::from_fn(self.count(), |k, _| {
-            let sigma = match k {
-                0..6 => return 0.0,
-                6 => RADIAL_SIGMA,
-                k if k < ratios => MOTION_SIGMA[(k - motion) / 3],
-                k if k < places => RATIO_SIGMA,
-                k if (k - places) % 6 < 3 => PLACE_SIGMA_M,
-                _ => DIRECTION_SIGMA,
-            };
-            f64::powi(sigma, -2)
-        })
+        let sigmas = DVector::from_fn(self.count(), |k, _| match k {
+            0..6 => f64::INFINITY,
+            6 => RADIAL_SIGMA,
+            k if k < ratios => 1.0,
+            k if k < places => RATIO_SIGMA,
+            k if (k - places) % 6 < 3 => PLACE_SIGMA_M,
+            _ => DIRECTION_SIGMA,
+        });
+        let mut prior = DMatrix::from_diagonal(&sigmas.map(|sigma: f64| sigma.powi(-2)));
+        prior.fixed_view_mut::<6, 6>(motion, motion).copy_from(&self.rows.motion_information);
+        prior
     }
 
     /// The derivatives of a tile's shift.
@@ -173,9 +267,7 @@ impl Unknowns {
         row.columns_mut(0, 6).copy_from(&t.by_pose);
         row.set_column(6, &t.by_radial);
         let [motion, ratios, places] = self.begins();
-        if self.has_rows {
-            row.columns_mut(motion, 6).copy_from(&(t.by_pose * anchor.observation.delay_s));
-        }
+        row.columns_mut(motion, 6).copy_from(&(t.by_pose * self.rows.delay_s(t)));
         let Some(k) = self.surfaces.iter().position(|s| *s == anchor.surface) else { return };
         let spec = &body.surfaces[anchor.surface as usize].spec;
         let to_camera = pose.rotation_matrix();
@@ -199,8 +291,8 @@ mod tests {
     use super::super::surface::SurfaceSpec;
     use super::super::synthetic::{cloth, facing, lens, prepared, seen_anchors};
     use super::*;
-    use crate::camera::{CameraModel, Intrinsics};
-    use crate::geometry::resection::{MovingCamera, Observation, resect};
+    use crate::camera::{Intrinsics, Normalized};
+    use crate::geometry::resection::{MovingCamera, Observation, perturbed, resect};
 
     const NOISE_PX: f64 = 0.005;
 
@@ -232,7 +324,9 @@ mod tests {
         let pose = resect(start, &MovingCamera::still(&told), &observations, 30).expect("a pose").pose;
         let mut residuals = TileResiduals::default();
         residuals.take(&pose, &told, &anchors).expect("tiles enough");
-        (is_suspect(&residuals), focal_clue(&residuals, &pose, &configured, &anchors, false).expect("a clue"))
+        let rows = RowMotion { shutter: Shutter::default(), before: Some((pose, 0.03, None)) };
+        let rows = RowDisplacement::new(&told, &rows, &pose);
+        (is_suspect(&residuals), focal_clue(&residuals, &pose, &configured, &anchors, &rows).expect("a clue"))
     }
 
     fn oblique() -> Pose<Camera, Body> {
@@ -248,6 +342,30 @@ mod tests {
                 assert!(is_suspect && clue.is_off(0.0) && !clue.is_right(0.0), "{by}: {clue:?}");
                 assert!((clue.change - f64::ln(by)).abs() < 0.15 * f64::abs(by - 1.0) + 4.0 * clue.sigma, "{by}: {clue:?}");
             }
+        }
+    }
+
+    #[test]
+    fn a_pan_under_a_rolling_shutter_that_nobody_described_is_no_zoom() {
+        let (body, camera, height) = (prepared(vec![cloth(1)]), lens(640, 480), 480.0);
+        for motion in [[0.0, 0.0, 0.4, 0.6, 0.0, 0.0], [0.0, 0.4, 0.0, 0.8, -0.4, 0.3]] {
+            let still = seen_anchors(&body, &oblique(), &camera, 10, &mut |_, _| Vector2::zeros());
+            let mut anchors = still.clone();
+            for a in &mut anchors {
+                let late = perturbed(&oblique(), &(Vector6::from(motion) * (0.025 * (a.observation.pixel.y / height - 0.5))));
+                let c = late.transform(&a.observation.point).coords;
+                a.observation.pixel = camera.project(Normalized(c.xy() / c.z)).0;
+                a.corrected_px = a.observation.pixel;
+                a.observation.information /= NOISE_PX.powi(2);
+            }
+            let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
+            let pose = resect(&oblique(), &MovingCamera::still(&camera), &observations, 30).expect("a pose").pose;
+            let mut residuals = TileResiduals::default();
+            residuals.take(&pose, &camera, &anchors).expect("tiles enough");
+            let before = perturbed(&pose, &(Vector6::from(motion) * -0.03));
+            let rows = RowMotion { shutter: Shutter::default(), before: Some((before, 0.03, None)) };
+            let clue = focal_clue(&residuals, &pose, &body, &anchors, &RowDisplacement::new(&camera, &rows, &pose));
+            assert!(!clue.expect("a clue").is_off(0.0), "{motion:?}: {clue:?}");
         }
     }
 

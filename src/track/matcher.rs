@@ -211,7 +211,7 @@ impl Matcher {
         }
         self.show_pixels(frame.sequence);
         let start = self.clock.start();
-        let lens = self.watch_lens();
+        let lens = self.watch_lens(frame.timestamp);
         align_ms += start.elapsed_ms();
         let stage = self.sighting_of(0, frame.timestamp, lens);
         let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp, lens)).collect();
@@ -226,11 +226,14 @@ impl Matcher {
     }
 
     /// Asks every body that was found how well the model fits, and what of it a lens that was moved would explain.
-    fn watch_lens(&mut self) -> LensState {
-        let (camera, has_rows, is_moved) = (&self.camera, self.shutter.readout_s > 0.0, self.lens_watch.is_moved());
+    fn watch_lens(&mut self, timestamp: Timestamp) -> LensState {
+        let (camera, shutter, is_moved) = (&self.camera, self.shutter, self.lens_watch.is_moved());
         self.fits.clear();
         let bodies = self.bodies.iter_mut().zip(&self.verified);
-        self.fits.extend(bodies.map(|(body, verified)| body.model_fit(&verified.as_ref()?.pose, camera, has_rows, is_moved)));
+        self.fits.extend(bodies.map(|(body, verified)| {
+            let rows = RowMotion { shutter, before: body.before_at(timestamp) };
+            body.model_fit(&verified.as_ref()?.pose, camera, &rows, is_moved)
+        }));
         // All are seen through one lens: the body that tells most of it speaks.
         let clues = self.fits.iter().flatten().filter_map(|fit| fit.focal.as_ref());
         let clue = clues.min_by(|a, b| a.sigma.total_cmp(&b.sigma));
@@ -260,7 +263,8 @@ impl Matcher {
         let reason = tracked.reason.or_else(|| tracked.track.doubt().map(Reason::of_doubt)).filter(|_| state != State::Tracking);
         let mut verified = verified.filter(|_| state == State::Tracking);
         if let Some(v) = &mut verified {
-            let by_lens = covariance_by_lens(&v.pose, &self.camera, tracked.anchors.iter().map(|anchor| &anchor.observation));
+            let observations = tracked.anchors.iter().map(|anchor| &anchor.observation);
+            let by_lens = covariance_by_lens(&v.pose, &self.camera, observations).filter(|_| self.settings.adds_lens_doubt);
             let by_shape = covariance_by_shape(&v.pose, &self.camera, &tracked.body.surfaces, &tracked.anchors);
             let fit = self.fits[k];
             v.by_model = [by_lens, by_shape, fit.and_then(|fit| fit.covariance)].into_iter().flatten().reduce(|sum, more| sum + more);

@@ -31,6 +31,14 @@ impl RowMotion {
         }
     }
 
+    /// The motion since the last pose, if the body is now at `pose`, and by how much it changed, or may have where that is not known, both per second.
+    /// `None` where there is no last pose.
+    pub(super) fn twist_and_change(&self, pose: &Pose<Camera, Body>) -> Option<(Vector6<f64>, Vector6<f64>)> {
+        let (before, dt_s, then) = self.before.as_ref()?;
+        let now = Twist::between(before, pose, *dt_s).0;
+        Some((now, then.map_or(now * 0.5, |then| now - then.0)))
+    }
+
     /// Standard deviations of [`RowMotion::twist`], per second: how much the motion changed since the last frame, or what a hand-held camera does
     /// where nothing is known.
     pub(super) fn twist_deviation(&self, pose: &Pose<Camera, Body>) -> Option<Vector6<f64>> {
@@ -69,6 +77,8 @@ mod tests {
         let then = Twist(step / 0.1);
         let faster = RowMotion { shutter: Shutter { exposure_s: 0.0, readout_s: 0.02 }, before: Some((before, 0.05, Some(then))) };
         assert!((faster.twist(&now).0 - step * 25.0).norm() < 0.03);
+        let (twist, change) = still.twist_and_change(&now).expect("a pose before");
+        assert!((twist - step * 20.0).norm() < 0.02 && (change - twist * 0.5).norm() < 1e-9);
         assert!(rolling.twist_deviation(&now).is_some_and(|d| d.iter().all(|v| *v > 0.0)));
     }
 }

@@ -14,10 +14,13 @@ pub struct TrackerSettings {
     pub confirm_frames: u32,
     /// Seed of the robust estimators. Another seed gives another, equally good, answer in the last digits. Default 1.
     pub seed: u64,
+    /// Whether covariances contain what the calibration's doubt leaves open. Without, they are what many frames average away; whether the lens was
+    /// moved is judged by the doubt in any case. Default true; no cost.
+    pub adds_lens_doubt: bool,
 }
 
 impl Default for TrackerSettings {
     fn default() -> Self {
-        Self { threads: 1, features: 1500, coast_s: 0.2, confirm_frames: 2, seed: 1 }
+        Self { threads: 1, features: 1500, coast_s: 0.2, confirm_frames: 2, seed: 1, adds_lens_doubt: true }
     }
 }

@@ -6,11 +6,12 @@ use tracing::debug;
 use super::acquire::Recognition;
 use super::align::{Aligner, Alignment, CameraRays, FrameLevels, Patch, ShutterClue, UsedPixel};
 use super::fitted_anchor::FittedAnchor;
-use super::focal_clue::{FocalClue, focal_clue, is_suspect};
+use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
 use super::model_error::covariance_by_model_error;
 use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
 use super::reason::Reason;
 use super::reference::PreparedBody;
+use super::row_motion::RowMotion;
 use super::surface::BodySpec;
 use super::tile_residuals::TileResiduals;
 use super::track_state::TrackStateMachine;
@@ -227,7 +228,7 @@ impl TrackedBody {
     }
 
     /// What the anchors of a verified pose leave displaced; `None` where they are too few. `asks_focal`: asked for the focal length in any case.
-    pub fn model_fit(&mut self, pose: &Pose<Body, Camera>, camera: &CameraModel, has_rows: bool, asks_focal: bool) -> Option<ModelFit> {
+    pub fn model_fit(&mut self, pose: &Pose<Body, Camera>, camera: &CameraModel, rows: &RowMotion, asks_focal: bool) -> Option<ModelFit> {
         let t_camera_body = pose.inverse();
         let Self { residuals, anchors, found, body, steps, .. } = self;
         // Those that do not fit tell of a lens or a shape that is off, which is why they do not.
@@ -235,7 +236,8 @@ impl TrackedBody {
         residuals.take(&t_camera_body, camera, anchors)?;
         let covariance = covariance_by_model_error(&t_camera_body, f64::from(camera.width()), residuals, steps);
         let asks_focal = asks_focal || is_suspect(residuals);
-        let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, has_rows) } else { None };
+        let rows = RowDisplacement::new(camera, rows, &t_camera_body);
+        let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
         let fit = ModelFit { rms_px: residuals.rms_px(), covariance, focal };
         debug!(body = %body.name, rms_px = fit.rms_px, doubts = covariance.is_some(), focal = ?fit.focal, "model");
         Some(fit)

@@ -12,6 +12,7 @@ use crate::daemon::track_entry;
 use crate::frame::{Frame, Timestamp};
 use crate::mount::View;
 use crate::record::State;
+use crate::track::TrackerSettings;
 use crate::tracker::{Tracker, TrackerSetup};
 
 /// Rows of a clip up to which they are taken for single pictures, and how often the tracker is shown each of these, because it gives no
@@ -42,7 +43,8 @@ pub(super) fn measure(settings: &Settings, clip: &Path) -> Result<Measured, Fail
     let setup = tracker_setup(settings, source.size(), None)?;
     let camera = setup.camera;
     // Objects say nothing of the mount.
-    let setup = TrackerSetup { camera: camera.with_doubt(None), objects: Vec::new(), ..setup };
+    let settings = TrackerSettings { adds_lens_doubt: false, ..setup.settings };
+    let setup = TrackerSetup { settings, objects: Vec::new(), ..setup };
     let (first, is_stills) = beginning(source.as_mut());
     let mut tracker = Tracker::new(setup)?;
     let (mut rows, mut readable, mut first_reason) = (Vec::new(), 0_u64, None);
