@@ -3,6 +3,7 @@
 /// Solvers of the geometry beside those of [`two_views`](crate::two_views).
 pub mod geometry {
     pub use crate::geometry::FilmingCamera;
+    pub use crate::geometry::bspline::BicubicSpline;
     pub use crate::geometry::essential::essential_candidates;
     pub use crate::geometry::resection::{MovingCamera, Observation, resect};
 }
@@ -16,9 +17,9 @@ pub mod features {
     pub use crate::matching::{MatchBuffers, ReferenceIndex};
 }
 
-/// The matcher of a tracker, and the hot loops of alignment.
+/// The matcher of a tracker, the hot loops of alignment, and the shapes of surfaces.
 pub mod track {
-    pub use crate::track::{AlignKernels, Alignment, Matcher, UsedPixel, UsedPixels};
+    pub use crate::track::{AlignKernels, Alignment, BentShape, Matcher, SurfaceShape, UsedPixel, UsedPixels};
 }
 
 /// The virtual stage: pictures on the cloth and paths through the hall.

@@ -153,8 +153,8 @@ pub use config::{ConfigError, Problem as ConfigProblem, Settings, read_calibrati
 pub use daemon::{Daemon, DaemonError, Delivery, RunningDaemon, thread_clock, track_entry};
 #[cfg(feature = "simulate")]
 pub use simulate::{
-    CameraPath, Dolly, DollyError, LightKey, MovingObject, ObjectPath, Occluder, PathError, Renderer, SensorNoise, Shake, Spline,
-    VirtualStage, dolly,
+    CameraPath, Dolly, DollyError, Draught, LightKey, MovingObject, ObjectPath, Occluder, PathError, Renderer, SensorNoise, Shake, Spline,
+    VirtualStage, Wave, dolly,
 };
 #[cfg(feature = "survey")]
 pub use survey::shutter::{ShutterEstimate, ShutterTime, estimate_shutter};

@@ -1,7 +1,7 @@
 //! The virtual stage: a painted stage and a camera in front of it, with exact truth.
 //!
 //! The demo, the fixtures and the tests need pictures of a stage whose camera pose is known exactly, which no
-//! real clip has. [`VirtualStage`] describes what there is (surfaces, moving objects, people in the way, light,
+//! real clip has. [`VirtualStage`] describes what there is (surfaces flat or bent, draughts, moving objects, people in the way, light,
 //! the camera and its path), [`Renderer`] takes its picture at any instant as a real camera would: lens
 //! distortion, motion blur, rolling shutter, sensor noise. [`paint`] makes the pictures on the cloth.
 //!
@@ -10,6 +10,7 @@
 
 mod backdrop;
 mod canvas;
+mod cloth;
 mod dolly;
 #[cfg(test)]
 mod gloh_basis_tests;
@@ -24,4 +25,4 @@ pub use dolly::{Dolly, DollyError, dolly};
 pub use path::{CameraPath, ObjectPath, PathError, Shake, Spline, look_at};
 pub use render::Renderer;
 pub use sensor::SensorNoise;
-pub use stage::{LightKey, MovingObject, Occluder, VirtualStage, artwork_surface, upright};
+pub use stage::{Draught, LightKey, MovingObject, Occluder, VirtualStage, Wave, artwork_surface, upright};

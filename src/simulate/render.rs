@@ -3,14 +3,16 @@
 //! Every pixel sends out a few rays, each through another part of the pixel and at another part of the exposure,
 //! and averages what they hit. A row has its own instant (rolling shutter), so the camera's pose is taken anew for
 //! every row and ray. A plane seen by a camera is a homography from rays to artwork pixels: finding the hit costs
-//! one division, and the determinant of its derivative says how many texels a ray stands for.
+//! one division, and the determinant of its derivative says how many texels a ray stands for. Bent surfaces are a list of their own
+//! (`cloth`), so that flat stages pay nothing for them.
 
 use image::GrayImage;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
+use super::cloth::Cloth;
 use super::sensor::develop_row;
-use super::stage::VirtualStage;
+use super::stage::{VirtualStage, Wave};
 use super::texture::Texture;
 use crate::camera::{CameraModel, Pixel};
 use crate::geometry::{Camera, Pose, Stage, SurfaceFrame};
@@ -89,6 +91,22 @@ pub struct Renderer {
     rays: Vec<Ray>,
     samples: Vec<Sample>,
     planes: Vec<Plane>,
+    bent: Vec<(Plane, Cloth)>,
+}
+
+/// A bent surface as one ray of one row sees it: the camera in the surface's frame.
+#[derive(Debug, Clone, Copy)]
+struct BentView {
+    eye: Vector3<f64>,
+    turn: Matrix3<f64>,
+    time_s: f64,
+}
+
+/// All surfaces as one ray of one row sees them.
+#[derive(Debug)]
+struct Views {
+    planes: Vec<View>,
+    bent: Vec<BentView>,
 }
 
 impl Renderer {
@@ -96,8 +114,8 @@ impl Renderer {
     pub fn new(stage: VirtualStage) -> Self {
         let rays = ray_table(&stage.camera);
         let samples = sample_pattern(stage.samples.max(1) as usize);
-        let planes = planes_of(&stage);
-        Self { stage, rays, samples, planes }
+        let (planes, bent) = faces_of(&stage);
+        Self { stage, rays, samples, planes, bent }
     }
 
     /// What is rendered.
@@ -141,20 +159,25 @@ impl Renderer {
         self.stage.shutter.readout_s * (row as f64 / last - 0.5)
     }
 
-    /// Every plane as the camera sees it at an instant.
-    fn views(&self, time_s: f64) -> Vec<View> {
+    /// Every surface as the camera sees it at an instant.
+    fn views(&self, time_s: f64) -> Views {
         let camera = self.stage.camera_path.pose(time_s);
-        self.planes.iter().map(|plane| plane.view(&plane.pose_at(&self.stage, time_s), &camera)).collect()
+        let planes = self.planes.iter().map(|plane| plane.view(&plane.pose_at(&self.stage, time_s), &camera)).collect();
+        let bent = self.bent.iter().map(|(plane, _)| {
+            let t_surface_camera = plane.pose_at(&self.stage, time_s).inverse() * camera;
+            BentView { eye: t_surface_camera.translation, turn: t_surface_camera.rotation_matrix(), time_s }
+        });
+        Views { planes, bent: bent.collect() }
     }
 
     /// The grey level that one ray of a pixel brings home.
-    fn trace(&self, ray: &Ray, sample: &Sample, views: &[View]) -> f32 {
+    fn trace(&self, ray: &Ray, sample: &Sample, views: &Views) -> f32 {
         let offset = ray.per_px * sample.offset_px;
         let direction = Vector3::new(ray.centre.x + offset.x, ray.centre.y + offset.y, 1.0);
         let mut nearest = f64::INFINITY;
         let mut grey = self.stage.background;
         let mut hit = None;
-        for (plane, view) in self.planes.iter().zip(views) {
+        for (plane, view) in self.planes.iter().zip(&views.planes) {
             let h = &view.h_face_ray;
             let slope = h[(2, 0)] * direction.x + h[(2, 1)] * direction.y + h[(2, 2)];
             // The ray meets the plane at this depth; NaN (no ray) fails the comparison.
@@ -174,6 +197,18 @@ impl Renderer {
             // Texels under one ray: the area of a pixel on the face, shared by its rays.
             let texels = (view.determinant * inverse * inverse * inverse).abs() * ray.area / self.samples.len() as f64;
             grey = if view.height > 0.0 { face.grey(u, v, 0.5 * (texels as f32).log2()) } else { BACK_GREY };
+        }
+        for ((plane, cloth), view) in self.bent.iter().zip(&views.bent) {
+            let toward = view.turn * direction;
+            let Some(met) = cloth.meet(&view.eye, &toward, NEAREST_M, view.time_s).filter(|met| met.depth < nearest) else { continue };
+            nearest = met.depth;
+            let [x, y] = met.on_picture_m;
+            let face = plane.h_face_metres * Vector3::new(x, y, 1.0);
+            let against = -toward.dot(&met.normal);
+            // A pixel's area at that depth, laid along the ray onto the cloth, in texels.
+            let square_m = met.depth * met.depth * ray.area / against.abs();
+            let texels = square_m * plane.texels_per_square_m() / self.samples.len() as f64;
+            grey = if against > 0.0 { plane.face.grey(face.x, face.y, 0.5 * (texels as f32).log2()) } else { BACK_GREY };
         }
         grey
     }
@@ -210,6 +245,10 @@ impl Plane {
         }
     }
 
+    fn texels_per_square_m(&self) -> f64 {
+        (self.h_face_metres[(0, 0)] * self.h_face_metres[(1, 1)]).abs()
+    }
+
     fn pose_at(&self, stage: &VirtualStage, time_s: f64) -> Pose<Stage, SurfaceFrame> {
         match self.carrier {
             Carrier::Stage => self.pose,
@@ -229,10 +268,22 @@ impl Plane {
     }
 }
 
-fn planes_of(stage: &VirtualStage) -> Vec<Plane> {
-    let still = stage.stage.surfaces.iter().chain(&stage.scenery).map(|s| Plane::of_surface(s, Carrier::Stage));
+/// All that can be hit: the flat, and the bent.
+fn faces_of(stage: &VirtualStage) -> (Vec<Plane>, Vec<(Plane, Cloth)>) {
+    let waves =
+        |k: usize| -> Vec<Wave> { stage.draughts.iter().filter(|d| d.surface == k).flat_map(|d| d.waves.iter().copied()).collect() };
+    let still = stage.stage.surfaces.iter().enumerate().map(|(k, s)| (s, Carrier::Stage, waves(k)));
+    let scenery = stage.scenery.iter().map(|s| (s, Carrier::Stage, Vec::new()));
     let moving = stage.objects.iter().enumerate();
-    let moving = moving.flat_map(|(k, object)| object.body.surfaces.iter().map(move |s| Plane::of_surface(s, Carrier::Object(k))));
+    let moving = moving.flat_map(|(k, object)| object.body.surfaces.iter().map(move |s| (s, Carrier::Object(k), Vec::new())));
+    let (mut planes, mut bent) = (Vec::new(), Vec::new());
+    for (surface, carrier, waves) in still.chain(scenery).chain(moving) {
+        let plane = Plane::of_surface(surface, carrier);
+        match Cloth::of(surface, &waves) {
+            Some(cloth) => bent.push((plane, cloth)),
+            None => planes.push(plane),
+        }
+    }
     let people = stage.occluders.iter().enumerate().map(|(k, occluder)| {
         let [half_width, half_height] = occluder.half_size_m;
         Plane {
@@ -242,7 +293,8 @@ fn planes_of(stage: &VirtualStage) -> Vec<Plane> {
             h_face_metres: Matrix3::from_diagonal(&Vector3::new(1.0 / half_width, 1.0 / half_height, 1.0)),
         }
     });
-    still.chain(moving).chain(people).collect()
+    planes.extend(people);
+    (planes, bent)
 }
 
 /// The exact inverse of the lens at every pixel centre, row-major.

@@ -22,6 +22,8 @@ pub struct VirtualStage {
     pub camera_path: CameraPath,
     /// The surfaces of the stage; its body frame is the stage frame.
     pub stage: BodySpec,
+    /// Waves over surfaces of the stage, beside the shape that a surface has. A tracker made of this is told the shapes, but no waves.
+    pub draughts: Vec<Draught>,
     /// Tracked objects.
     pub objects: Vec<MovingObject>,
     /// Painted surfaces at rest in the stage frame that the tracker does not know: a floor, a wall.
@@ -42,6 +44,28 @@ pub struct VirtualStage {
     pub samples: u32,
     /// Seed of the sensor noise.
     pub seed: u64,
+}
+
+/// Waves that stand or run over a surface of the stage: folds of a cloth, and a draught that moves it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Draught {
+    /// The surface's index in the stage; beyond the last one nothing moves.
+    pub surface: usize,
+    /// They add up.
+    pub waves: Vec<Wave>,
+}
+
+/// A wave: out of the face by `height_m` · sin(`wave_vector` · (x, y) + 2π `rate_hz` t + `phase_rad`), with x and y along the picture from its centre.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wave {
+    /// Metres, from the middle to the top.
+    pub height_m: f64,
+    /// Radians a metre along x and y.
+    pub wave_vector: [f64; 2],
+    /// Waves a second; 0 stands still.
+    pub rate_hz: f64,
+    /// Radians.
+    pub phase_rad: f64,
 }
 
 /// A tracked object on its way.
@@ -84,6 +108,7 @@ impl VirtualStage {
             camera,
             camera_path,
             stage,
+            draughts: Vec::new(),
             objects: Vec::new(),
             scenery: Vec::new(),
             occluders: Vec::new(),

@@ -46,7 +46,7 @@ pub use lens_doubt::covariance_by_lens;
 pub use matcher::{BodySighting, Matcher, Sighting, UsedPixels};
 pub use reason::Reason;
 pub use settings::TrackerSettings;
-pub use shape::{BentShape, ShapeWay, SurfaceShape};
+pub use shape::{BentShape, ShapePoint, ShapeWay, SurfaceShape};
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use tile_observer::{ObservedFrame, ObservedTile, TileObserver};
 pub use track_state::State;
