@@ -31,7 +31,7 @@ const CYAN: Colour = [70, 220, 235];
 /// Nearer than this in metres a point is taken as behind the camera. It keeps the division by depth finite; no lens sees a stage from so
 /// near, so any value below a centimetre would do.
 const NEAR_M: f64 = 1e-3;
-/// Pieces that a straight edge is cut into, so that distortion shows. Chosen for looks. Raised, edges bend more smoothly and take longer to
+/// Pieces that an edge is cut into, so that distortion and folds show. Chosen for looks. Raised, edges bend more smoothly and take longer to
 /// draw.
 const PIECES: u32 = 48;
 
@@ -97,9 +97,7 @@ struct Seen<'a> {
 impl Seen<'_> {
     fn outlines(&self, canvas: &mut Canvas, body: &BodySpec, thickness: f32, colour: Colour) {
         for surface in &body.surfaces {
-            let corners = corners(surface);
-            let edges = (0..4).map(|k| (corners[k], corners[(k + 1) % 4]));
-            let runs: Vec<_> = edges.flat_map(|edge| self.edge(canvas, edge)).collect();
+            let runs: Vec<_> = (0..4).flat_map(|side| self.line(canvas, |share| along_side(surface, side, share))).collect();
             canvas.lines(&runs, thickness, colour);
         }
     }
@@ -107,7 +105,7 @@ impl Seen<'_> {
     /// The body's name inside the top left corner of its first surface.
     fn name(&self, canvas: &mut Canvas, body: &BodySpec, colour: Colour) {
         let lettering = caption::lettering(canvas.size());
-        let corner = body.surfaces.first().and_then(|surface| self.pixel(&self.t_camera_body.transform(&corners(surface)[0])));
+        let corner = body.surfaces.first().and_then(|surface| self.pixel(&self.t_camera_body.transform(&along_side(surface, 0, 0.0))));
         if let Some(at) = corner {
             let em = lettering.size_px;
             canvas.label(lettering, (at.x as f32 + 0.4 * em, at.y as f32 + 1.2 * em), colour, &body.name);
@@ -121,7 +119,7 @@ impl Seen<'_> {
         let lettering = caption::lettering(canvas.size());
         for (direction, colour, letter) in [(Vector3::x(), RED, "x"), (Vector3::y(), GREEN, "y"), (Vector3::z(), BLUE, "z")] {
             let axis = |along: f64| Point3::from(direction * (length * along));
-            let runs = self.edge(canvas, (axis(0.0), axis(1.0)));
+            let runs = self.line(canvas, axis);
             canvas.lines(&runs, thickness, colour);
             if let Some(end) = self.pixel(&self.t_camera_body.transform(&axis(1.15))) {
                 let em = lettering.size_px;
@@ -130,11 +128,10 @@ impl Seen<'_> {
         }
     }
 
-    /// A straight edge in space as the lens shows it: runs of points within the picture.
-    fn edge(&self, canvas: &Canvas, (from, to): (Point3<f64>, Point3<f64>)) -> Vec<Vec<Vector2<f64>>> {
+    /// A line in space, by its points from 0 to 1, as the lens shows it: runs of points within the picture.
+    fn line(&self, canvas: &Canvas, at: impl Fn(f64) -> Point3<f64>) -> Vec<Vec<Vector2<f64>>> {
         let size = canvas.size().map(f64::from);
-        let (from, to) = (self.t_camera_body.transform(&from), self.t_camera_body.transform(&to));
-        let pixel = |k: u32| self.pixel(&(from + (to - from) * (f64::from(k) / f64::from(PIECES))));
+        let pixel = |k: u32| self.pixel(&self.t_camera_body.transform(&at(f64::from(k) / f64::from(PIECES))));
         let mut runs: Vec<Vec<Vector2<f64>>> = Vec::new();
         let mut previous = pixel(0);
         for k in 1..=PIECES {
@@ -162,10 +159,13 @@ impl Seen<'_> {
     }
 }
 
-/// Top left, top right, bottom right, bottom left, in the body's frame.
-fn corners(surface: &SurfaceSpec) -> [Point3<f64>; 4] {
+/// A point along a side of a surface as it hangs, in the body's frame: sides clockwise from the upper one, which begins top left; `share` from 0 to 1.
+fn along_side(surface: &SurfaceSpec, side: usize, share: f64) -> Point3<f64> {
     let [w, h] = surface.size_m.map(|m| m / 2.0);
-    [(-w, h), (w, h), (w, -h), (-w, -h)].map(|(x, y)| surface.pose.transform(&Point3::new(x, y, 0.0)))
+    let corners = [(-w, h), (w, h), (w, -h), (-w, -h)];
+    let ((x, y), (to_x, to_y)) = (corners[side % 4], corners[(side + 1) % 4]);
+    let place = surface.shape.at([x + share * (to_x - x), y + share * (to_y - y)]).place;
+    surface.pose.transform(&Point3::from(place))
 }
 
 /// The part of a line inside of the picture (Liang and Barsky), so that a far end costs nothing.
@@ -190,13 +190,16 @@ fn cut(a: Vector2<f64>, b: Vector2<f64>, size: Vector2<f64>) -> Option<(Vector2<
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use image::GrayImage;
-    use nalgebra::{Quaternion, UnitQuaternion};
+    use nalgebra::{Quaternion, UnitQuaternion, Vector1};
 
     use super::*;
     use crate::camera::Intrinsics;
+    use crate::geometry::bspline::BicubicSpline;
     use crate::record::StageTimes;
-    use crate::track::{ReferenceKind, SurfaceShape};
+    use crate::track::{BentShape, ReferenceKind, SurfaceShape};
 
     /// Upright, facing the audience.
     fn upright() -> UnitQuaternion<f64> {
@@ -263,6 +266,27 @@ mod tests {
         let greenness = |x: u32, y: u32| i32::from(picture.get_pixel(x, y).0[1]) - i32::from(picture.get_pixel(x, y).0[0]);
         let left_edge_at = |y: u32| (20..300).max_by_key(|&x| greenness(x, y)).unwrap();
         assert!(left_edge_at(120) > left_edge_at(240) + 1, "{} {}", left_edge_at(120), left_edge_at(240));
+    }
+
+    #[test]
+    fn the_outline_of_a_bent_surface_is_bent_as_it_hangs() {
+        // A cylinder about the vertical: the middle of the upper side 0.5 m nearer than its ends, which lie in the plane.
+        let mut height = BicubicSpline::zero([8, 2], [3.0, 2.0]);
+        for k in 0..height.coefficients().len() {
+            let [x, _] = height.middles()(k);
+            height.coefficients_mut()[k] = Vector1::new(0.5 * (1.0 - (x / 1.5).powi(2)));
+        }
+        let shape = BentShape { height, stretch: BicubicSpline::zero([2, 2], [3.0, 2.0]), ways: Vec::new() };
+        let mut bent = body("stage", [3.0, 2.0]);
+        bent.surfaces[0].shape = SurfaceShape::Bent(Arc::new(shape));
+        let frame = Frame { image: GrayImage::from_pixel(640, 480, image::Luma([100])), timestamp: Default::default(), sequence: 7 };
+        let scene = Scene { camera: &camera(0.0), stage: &bent, objects: &[], pixels: &[], colours: None };
+        let picture = draw(&frame, &sample(State::Tracking, -4.0), &scene);
+        let greenness = |x: u32, y: u32| i32::from(picture.get_pixel(x, y).0[1]) - i32::from(picture.get_pixel(x, y).0[0]);
+        let lower_side_at = |x: u32| (300..430).max_by_key(|&y| greenness(x, y)).unwrap();
+        // 1 m below the axis: at 3.5 m 171 pixels below it, at 4 m 150.
+        assert!(lower_side_at(320).abs_diff(411) <= 3, "{}", lower_side_at(320));
+        assert!(lower_side_at(105).abs_diff(391) <= 5, "{}", lower_side_at(105));
     }
 
     #[test]
