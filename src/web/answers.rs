@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use axum::Router;
 use axum::body::Body;
-use axum::extract::FromRequestParts;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::extract::{FromRequestParts, Path};
 use axum::http::{HeaderValue, Request as HttpRequest, Response, header};
 use axum::response::IntoResponse;
 use axum::routing::any;
@@ -22,6 +22,7 @@ use super::lifetime::{TAKES_WITHIN, close, ended};
 use super::places::Place;
 use super::replies::{refusal, response, with};
 use super::routes::{Effect, Reply, Route};
+use super::scene::Scene;
 use super::view::show;
 
 /// A client has nothing to say on the WebSocket, so that its messages may be short, bytes. A round figure. Raised, a client may take more
@@ -31,16 +32,21 @@ const LONGEST_MESSAGE: usize = 4 * 1024;
 /// What a request knows of its connection: its place among those that last; none where it is answered in brief.
 pub(super) type Caller = Option<Arc<Place>>;
 
-/// The page, /ws, /ws/events, /ws/view, /api/v1/pose, /api/v1/state and the given routes.
+/// The page, /ws, /ws/events, /ws/view, /api/v1/pose, /api/v1/state, /api/v1/scene, the stage's pictures and the given routes.
 pub(super) fn router(
     feed: &Arc<Feed>,
     hub: &Arc<Hub>,
     events: &Arc<Events>,
+    scene: &Arc<Scene>,
     routes: Vec<Route>,
     stopped: &watch::Receiver<bool>,
 ) -> Router {
-    let (pose, state) = (feed.clone(), feed.clone());
-    let own = [Route::get("/api/v1/pose", move || pose.pose()), Route::get("/api/v1/state", move || state.state())];
+    let (pose, state, described) = (feed.clone(), feed.clone(), scene.clone());
+    let own = [
+        Route::get("/api/v1/pose", move || pose.pose()),
+        Route::get("/api/v1/state", move || state.state()),
+        Route::get("/api/v1/scene", move || described.reply()),
+    ];
     let of_records = {
         let (feed, stopped) = (feed.clone(), stopped.clone());
         move |socket| stream(socket, feed.clone(), stopped.clone())
@@ -56,7 +62,13 @@ pub(super) fn router(
     let mut router = Router::new()
         .route("/ws", any(move |request| web_socket(request, of_records)))
         .route("/ws/events", any(move |request| web_socket(request, of_events)))
-        .route("/ws/view", any(move |request| web_socket(request, of_frames)));
+        .route("/ws/view", any(move |request| web_socket(request, of_frames)))
+        .route("/api/v1/surfaces/{number}/picture", {
+            let scene = scene.clone();
+            any(move |number: Path<String>, request: HttpRequest<Body>| async move {
+                refusal(&request, &Effect::Reads).unwrap_or_else(|| response(scene.picture(&number)))
+            })
+        });
     for route in own.into_iter().chain(routes) {
         router = router.route(route.path, any(move |request| answer(request, route.clone())));
     }

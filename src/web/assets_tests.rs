@@ -6,7 +6,7 @@ use super::*;
 /// Names in quotes that a module imports, or that an attribute of the HTML names.
 fn named(text: &str) -> impl Iterator<Item = &str> {
     let parts: Vec<&str> = text.split('"').collect();
-    let follows = |before: &str| ["from", "import", "src=", "href="].iter().any(|word| before.trim_end().ends_with(word));
+    let follows = |before: &str| ["from", "import", "import(", "src=", "href="].iter().any(|word| before.trim_end().ends_with(word));
     parts.windows(2).filter(|pair| follows(pair[0])).map(|pair| pair[1]).collect::<Vec<_>>().into_iter()
 }
 
@@ -77,5 +77,21 @@ fn a_tag_is_known_in_every_form() {
     }
     for said in ["", "0a", "\"0A\"", "\"1\"", "W/0a"] {
         assert!(!has(said), "{said}");
+    }
+}
+
+#[test]
+fn a_packed_file_is_sent_to_whoever_unpacks_it() {
+    let unpacks = |said: &str| unpacks(&Request::builder().header(header::ACCEPT_ENCODING, said).body(Body::empty()).unwrap());
+    for said in ["gzip", "br, GZIP", "deflate, gzip;q=0.5", "x-gzip"] {
+        assert!(unpacks(said), "{said}");
+    }
+    for said in ["", "br", "gzip;q=0", "gzip; q=0.0", "identity, *;q=0"] {
+        assert!(!unpacks(said), "{said}");
+    }
+    for (asset, packed) in ASSETS.iter().zip(PACKED.iter()) {
+        let mut whole = Vec::new();
+        std::io::copy(&mut flate2::read::GzDecoder::new(packed.as_slice()), &mut whole).unwrap();
+        assert!(whole == asset.bytes, "{}", asset.path);
     }
 }

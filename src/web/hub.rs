@@ -16,6 +16,7 @@ use nix::libc;
 use serde::Serialize;
 use tokio::sync::watch;
 
+use super::camera_motion::{CameraMotion, MotionFollower};
 use crate::capture::{ClipEntry, EntryContent, Received, with_huffman_tables};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::{PoseSample, State};
@@ -33,6 +34,7 @@ struct Taken {
     picture: Picture,
     size: (u32, u32),
     sample: PoseSample,
+    motion: Option<CameraMotion>,
 }
 
 #[derive(Debug)]
@@ -83,9 +85,11 @@ impl Hub {
     /// What a new session's pose stage calls with every row; waits for nothing.
     pub fn observer(self: &Arc<Self>) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
         let (hub, epoch) = (self.clone(), self.epochs.fetch_add(1, Ordering::Relaxed) + 1);
+        let mut follower = MotionFollower::default();
         move |row, sample| {
+            let motion = follower.after(sample);
             if hub.waiting.load(Ordering::Relaxed) > 0
-                && let Some(taken) = taken(epoch, row, sample)
+                && let Some(taken) = taken(epoch, row, sample, motion)
             {
                 hub.copied.fetch_add(1, Ordering::Relaxed);
                 hub.to_view.send(taken);
@@ -124,13 +128,13 @@ impl Hub {
 }
 
 /// A row's picture with its sample; none where the row has no picture.
-fn taken(epoch: u64, row: &ClipEntry, sample: &PoseSample) -> Option<Taken> {
+fn taken(epoch: u64, row: &ClipEntry, sample: &PoseSample, motion: Option<CameraMotion>) -> Option<Taken> {
     let EntryContent::Frame(frame) = &row.content else { return None };
     let picture = match &row.received {
         Some(Received::Jpeg(bytes)) => Picture::Jpeg(bytes.clone()),
         _ => Picture::Grey(frame.image.clone()),
     };
-    Some(Taken { epoch, picture, size: frame.image.dimensions(), sample: sample.clone() })
+    Some(Taken { epoch, picture, size: frame.image.dimensions(), sample: sample.clone(), motion })
 }
 
 /// The thread's whole life.
@@ -153,6 +157,8 @@ struct Head<'a> {
     reason: Option<&'static str>,
     says: Option<&'static str>,
     mend: Option<&'static str>,
+    /// How the camera moved at the frame's stamp, in its own axes; null where that is not known.
+    motion: Option<CameraMotion>,
     record: &'a PoseSample,
 }
 
@@ -166,6 +172,7 @@ fn message(row: &Taken) -> Option<Bytes> {
         reason: reason.map(|reason| reason.word()),
         says: reason.map(|reason| reason.says()),
         mend: reason.map(|reason| reason.mend()),
+        motion: row.motion,
         record: sample,
     };
     // Serialising fails only for non-string map keys, of which there are none.

@@ -27,13 +27,15 @@ fn parts(message: &[u8]) -> (serde_json::Value, &[u8]) {
 fn a_cameras_jpeg_is_given_on_as_it_came_beside_the_record_of_its_frame() {
     let jpeg: Arc<[u8]> = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly/frames/000000.jpg")).unwrap().into();
     let mut lost = sample(7, State::Lost);
+    let motion = CameraMotion { velocity: [0.5, 0.0, 0.25], turn_rate: [0.0, 2.0, 0.0] };
     lost.reason = Some(Reason::Covered);
-    let taken = taken(3, &row(7, Some(Received::Jpeg(jpeg.clone()))), &lost).unwrap();
+    let taken = taken(3, &row(7, Some(Received::Jpeg(jpeg.clone()))), &lost, Some(motion)).unwrap();
     let message = message(&taken).unwrap();
     let (head, picture) = parts(&message);
     assert_eq!(picture, &*jpeg);
     assert_eq!(head["record"].to_string(), serde_json::from_str::<serde_json::Value>(&lost.to_json_line()).unwrap().to_string());
     assert_eq!((&head["epoch"], &head["size"][0], &head["reason"]), (&3.into(), &64.into(), &"covered".into()));
+    assert_eq!((&head["motion"]["velocity"][2], &head["motion"]["turn_rate"][1]), (&0.25.into(), &2.0.into()));
     assert_eq!((&head["says"], &head["mend"]), (&Reason::Covered.says().into(), &Reason::Covered.mend().into()));
 }
 
@@ -57,7 +59,7 @@ fn tables_that_a_camera_leaves_out_are_put_in() {
 
 #[test]
 fn a_raw_picture_is_encoded_and_rows_without_a_picture_are_passed_over() {
-    let taken_of = |row: &ClipEntry| taken(1, row, &sample(0, State::Tracking));
+    let taken_of = |row: &ClipEntry| taken(1, row, &sample(0, State::Tracking), None);
     let row = row(0, Some(Received::Raw));
     let message = message(&taken_of(&row).unwrap()).unwrap();
     let (head, jpeg) = parts(&message);

@@ -9,6 +9,8 @@ mod answers;
 #[cfg(feature = "http")]
 mod assets;
 #[cfg(feature = "http")]
+mod camera_motion;
+#[cfg(feature = "http")]
 mod events;
 #[cfg(feature = "http")]
 mod feed;

@@ -1,41 +1,114 @@
-//! `GET /api/v1/scene`: the camera and the surfaces of the session, for whoever draws them.
+//! `GET /api/v1/scene`: the camera and the surfaces of the session, for whoever draws them, and `GET /api/v1/surfaces/N/picture`: what is on
+//! the stage's surfaces, as the tracker knows them. The pictures are made ready beside the session's start, which does not wait for them.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use image::GrayImage;
+use image::imageops::{FilterType, resize};
+use jpeg_encoder::{ColorType, Encoder};
 use nalgebra::Point3;
 use serde_json::{Value, json};
 
 use super::routes::Reply;
 use crate::camera::CameraModel;
-use crate::track::{BodySpec, SurfaceSpec};
+use crate::track::{BodySpec, SurfaceShape, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
 /// Points along each edge of a surface: where it is bent or the lens bends it, its outline is. Chosen for looks: a wide lens shows no corners.
 /// Raised, a larger answer.
 const PIECES: u32 = 16;
+/// Points along each side of a bent surface's mesh. Chosen: a fold of a tenth of the width has some. Raised, a larger answer.
+const MESH: u32 = 33;
+/// Pixels along a picture's longer side at most. Chosen: what a camera sees of a surface has seldom more. Raised, pages load for longer.
+const LONGEST_SIDE: u32 = 2048;
+/// JPEG quality of the pictures, of 100. Chosen: its blocks are far below what moves an alignment. Raised, larger files.
+const QUALITY: u8 = 92;
 
 /// What is known of the session's scene; nothing before its camera is there.
 #[derive(Debug, Default)]
-pub(super) struct Scene(Mutex<Option<String>>);
+pub(super) struct Scene(Mutex<Known>);
+
+#[derive(Debug, Default)]
+struct Known {
+    described: Option<String>,
+    /// The stage's pictures as JPEG, in the config's order; none where they are not ready.
+    pictures: Vec<Option<Vec<u8>>>,
+    /// Counts sessions: pictures of an earlier one are not wanted any more.
+    session: u64,
+}
 
 impl Scene {
+    fn known(&self) -> MutexGuard<'_, Known> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// From now on it is this one.
-    pub fn set(&self, setup: &TrackerSetup) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(described(setup).to_string());
+    pub fn set(self: &Arc<Self>, setup: &TrackerSetup) {
+        let artworks: Vec<GrayImage> = setup.stage.surfaces.iter().map(|surface| surface.artwork.clone()).collect();
+        let session = {
+            let mut known = self.known();
+            *known =
+                Known { described: Some(described(setup).to_string()), pictures: vec![None; artworks.len()], session: known.session + 1 };
+            known.session
+        };
+        let scene = self.clone();
+        let make = move || {
+            for (k, artwork) in artworks.into_iter().enumerate() {
+                let picture = jpeg(artwork);
+                let mut known = scene.known();
+                if known.session != session {
+                    return;
+                }
+                known.pictures[k] = picture;
+            }
+        };
+        if let Err(error) = std::thread::Builder::new().name("pictures".to_owned()).spawn(make) {
+            tracing::warn!("[http]: the stage's pictures cannot be served ({error}); raise the limit of processes");
+        }
     }
 
     /// `GET /api/v1/scene`.
     pub fn reply(&self) -> Reply {
-        match &*self.0.lock().unwrap_or_else(PoisonError::into_inner) {
+        match &self.known().described {
             Some(scene) => Reply::json(200, scene.as_str()),
             None => Reply::json(503, r#"{"error":"the camera has not been opened yet"}"#),
         }
     }
+
+    /// `GET /api/v1/surfaces/N/picture`.
+    pub fn picture(&self, number: &str) -> Reply {
+        let known = self.known();
+        if known.described.is_none() {
+            return Reply::text(503, "the camera has not been opened yet\n");
+        }
+        let picture = number.parse::<usize>().ok().and_then(|number| known.pictures.get(number));
+        match picture {
+            Some(Some(bytes)) => Reply { status: 200, content_type: "image/jpeg", body: bytes.clone() },
+            Some(None) => Reply::text(503, "the picture is being made ready; ask again in a second\n"),
+            None => Reply::text(404, format!("the stage has {} surfaces, counted from 0\n", known.pictures.len())),
+        }
+    }
+}
+
+/// A picture as JPEG, not larger than a page needs it; none for what no JPEG can hold.
+fn jpeg(artwork: GrayImage) -> Option<Vec<u8>> {
+    let (w, h) = artwork.dimensions();
+    let longest = w.max(h);
+    let picture = if longest > LONGEST_SIDE {
+        let scaled = |side: u32| (u64::from(side) * u64::from(LONGEST_SIDE)).div_ceil(u64::from(longest)) as u32;
+        resize(&artwork, scaled(w), scaled(h), FilterType::Triangle)
+    } else {
+        artwork
+    };
+    let (width, height) = (u16::try_from(picture.width()).ok()?, u16::try_from(picture.height()).ok()?);
+    let mut bytes = Vec::new();
+    Encoder::new(&mut bytes, QUALITY).encode(&picture, width, height, ColorType::Luma).ok()?;
+    Some(bytes)
 }
 
 fn described(setup: &TrackerSetup) -> Value {
     let objects: Vec<Value> = setup.objects.iter().map(body).collect();
-    json!({"camera": camera(&setup.camera), "stage": body(&setup.stage), "objects": objects})
+    json!({"camera": camera(&setup.camera), "readout_s": setup.shutter.readout_s, "stage": body(&setup.stage), "objects": objects})
 }
 
 /// The lens as a calibration file has it, and how far out its formula may be used.
@@ -55,7 +128,25 @@ fn body(body: &BodySpec) -> Value {
 
 fn surface(surface: &SurfaceSpec) -> Value {
     let (w, h) = surface.artwork.dimensions();
-    json!({"name": surface.name, "size_m": surface.size_m, "pose": surface.pose, "picture_px": [w, h], "outline_m": outline(surface)})
+    let mut described =
+        json!({"name": surface.name, "size_m": surface.size_m, "pose": surface.pose, "picture_px": [w, h], "outline_m": outline(surface)});
+    if let SurfaceShape::Bent(_) = surface.shape {
+        described["mesh_m"] = json!(mesh(surface));
+    }
+    described
+}
+
+/// A bent surface's points in its body's frame, metres: rows from the picture's top, each from its left, evenly spread over the picture.
+fn mesh(surface: &SurfaceSpec) -> Vec<Vec<[f64; 3]>> {
+    let share = |k: u32| f64::from(k) / f64::from(MESH - 1) - 0.5;
+    let [width, height] = surface.size_m;
+    let row = |j: u32| (0..MESH).map(|i| hanging(surface, [share(i) * width, -share(j) * height])).collect();
+    (0..MESH).map(row).collect()
+}
+
+/// Where a point of a surface's plane hangs, in its body's frame.
+fn hanging(surface: &SurfaceSpec, point: [f64; 2]) -> [f64; 3] {
+    surface.pose.transform(&Point3::from(surface.shape.at(point).place)).coords.into()
 }
 
 /// Around the surface from its top left corner, in its body's frame, metres; the last point is before the first.
@@ -64,8 +155,7 @@ fn outline(surface: &SurfaceSpec) -> Vec<[f64; 3]> {
     let corners = [[-w, h], [w, h], [w, -h], [-w, -h]];
     let along = |edge: usize, k: u32| {
         let (from, to, share) = (corners[edge], corners[(edge + 1) % 4], f64::from(k) / f64::from(PIECES));
-        let place = surface.shape.at([from[0] + share * (to[0] - from[0]), from[1] + share * (to[1] - from[1])]).place;
-        surface.pose.transform(&Point3::from(place)).coords.into()
+        hanging(surface, [from[0] + share * (to[0] - from[0]), from[1] + share * (to[1] - from[1])])
     };
     (0..4).flat_map(|edge| (0..PIECES).map(move |k| (edge, k))).map(|(edge, k)| along(edge, k)).collect()
 }
@@ -95,8 +185,8 @@ mod tests {
 
     #[test]
     fn it_has_the_lens_and_the_outlines_in_the_stage() {
-        let scene = Scene::default();
-        assert_eq!(scene.reply().status, 503);
+        let scene = Arc::new(Scene::default());
+        assert_eq!((scene.reply().status, scene.picture("0").status), (503, 503));
         scene.set(&setup());
         let told: Value = serde_json::from_slice(&scene.reply().body).unwrap();
         assert_eq!((&told["camera"]["fy"], &told["camera"]["valid_radius"]), (&61.0.into(), &Value::Null));
@@ -107,6 +197,26 @@ mod tests {
         for (k, [x, z]) in [(0, [-2.0, 3.0]), (16, [2.0, 3.0]), (24, [2.0, 1.5]), (32, [2.0, 0.0]), (48, [-2.0, 0.0])] {
             let off = Vector3::from(outline[k]) - Vector3::new(x, 0.0, z);
             assert!(off.norm() < 1e-12, "{k}: {:?}", outline[k]);
+        }
+    }
+    #[test]
+    fn its_pictures_are_those_of_the_stage() {
+        let scene = Arc::new(Scene::default());
+        let mut setup = setup();
+        setup.stage.surfaces[0].artwork = GrayImage::from_fn(3000, 20, |x, _| image::Luma([if x < 1500 { 40 } else { 200 }]));
+        scene.set(&setup);
+        let picture = loop {
+            match scene.picture("0") {
+                Reply { status: 503, .. } => std::thread::yield_now(),
+                ready => break ready,
+            }
+        };
+        assert_eq!((picture.status, picture.content_type), (200, "image/jpeg"));
+        let seen = crate::capture::decode_grey(&picture.body).unwrap();
+        assert_eq!(seen.dimensions(), (2048, 14));
+        assert!(seen.get_pixel(500, 7)[0].abs_diff(40) < 4 && seen.get_pixel(1500, 7)[0].abs_diff(200) < 4);
+        for wrong in ["1", "-1", "x", "", "99999999999999999999"] {
+            assert_eq!(scene.picture(wrong).status, 404, "{wrong}");
         }
     }
 }

@@ -95,11 +95,12 @@ pub struct Server {
 }
 
 impl Server {
-    /// Listens, and answers from now on: the page, /ws, /ws/events, /ws/view, /api/v1/pose, /api/v1/state, /api/v1/scene and the given routes.
+    /// Listens, and answers from now on: the page, /ws, /ws/events, /ws/view, /api/v1/pose, /api/v1/state, /api/v1/scene,
+    /// the stage's pictures and the given routes.
     ///
     /// # Errors
     /// Where the address cannot be had or the thread cannot be started.
-    pub fn start(settings: &HttpSettings, mut routes: Vec<Route>) -> Result<Self, WebError> {
+    pub fn start(settings: &HttpSettings, routes: Vec<Route>) -> Result<Self, WebError> {
         let listen = |source| WebError::Listen { address: settings.listen, source };
         let listener = bound(settings.listen).map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
@@ -107,9 +108,7 @@ impl Server {
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
         let hub = Hub::start().map_err(WebError::Start)?;
         let (events, scene) = (Arc::new(Events::new()), Arc::<Scene>::default());
-        let described = scene.clone();
-        routes.push(Route::get("/api/v1/scene", move || described.reply()));
-        let router = router(&feed, &hub, &events, routes, &stopped);
+        let router = router(&feed, &hub, &events, &scene, routes, &stopped);
         let site = Arc::new(Site { router, hosts: AllowedHosts::new(&settings.hosts) });
         let watched = (feed.clone(), events.clone());
         runtime.spawn(async move {

@@ -3,112 +3,32 @@
 // PAGE_OUT has node_modules with what package.json names, and gets a screenshot of every theme and width. CHROMIUM names another browser.
 // PAGE_DIR=src/web/page takes the page's files from there instead of from the program, to try a change before it is built.
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
-import { createRequire } from "node:module";
-import { join, resolve } from "node:path";
+import { join } from "node:path";
 import { after, before, test } from "node:test";
+import { PATIENCE, SIZES, THEMES, axe, launch, out, pageOf, program, says, share as shareOf } from "./browser.mjs";
 import { prepare, start } from "./daemon.mjs";
-
-const out = resolve(process.env.PAGE_OUT ?? "target/page");
-const program = resolve(process.env.STAGEPOSE ?? "target/release/stagepose");
-const { chromium } = createRequire(join(out, "package.json"))("playwright-core");
-const axe = readFileSync(createRequire(join(out, "package.json")).resolve("axe-core/axe.min.js"), "utf8");
-
-const files = process.env.PAGE_DIR;
-
-/** Widths of a phone, a tablet and a desk, with their heights. */
-const SIZES = [
-  [360, 740],
-  [820, 1180],
-  [1440, 900],
-];
-const THEMES = ["dark", "light", "stage"];
-/** Milliseconds that anything may take before a test gives up; nothing is judged by time. */
-const PATIENCE = 60_000;
 
 let browser, daemon, place;
 before(async () => {
   place = await prepare(join(out, "run"));
   daemon = start(program, place.folder);
-  browser = await chromium.launch({
-    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
-    args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", ...(files ? ["--disable-features=LocalNetworkAccessChecks"] : [])],
-  });
+  browser = await launch();
 });
 after(async () => {
   await browser?.close();
   await daemon?.end();
 });
 
-/** Answers for a file of the page with that of PAGE_DIR, under the headers that the program sends. */
-async function fromFiles(route) {
-  const { pathname } = new URL(route.request().url());
-  if (pathname.startsWith("/api/")) return route.continue();
-  const file = pathname === "/" ? "index.html" : pathname.slice(1);
-  const type = { html: "text/html", js: "text/javascript", css: "text/css", svg: "image/svg+xml", txt: "text/plain" }[file.split(".").pop()];
-  const { headers } = await fetch(place.address);
-  const policy = headers.get("content-security-policy");
-  return route.fulfill({ body: readFileSync(join(files, file)), headers: { "content-type": type, "content-security-policy": policy } });
-}
-
-/** A page that has shown the first frame that is tracked; what it complains of is collected. */
+/** A page that has shown the first frame that is tracked. */
 async function opened(options = {}) {
-  const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, bypassCSP: false, ...options });
-  if (files) await context.route("**/*", fromFiles);
-  const page = await context.newPage();
-  const complaints = [];
-  const asked = new Set();
-  page.on("console", (said) => ["error", "warning"].includes(said.type()) && complaints.push(said.text()));
-  page.on("pageerror", (error) => complaints.push(String(error)));
-  page.on("request", (request) => asked.add(new URL(request.url()).host));
-  await page.addInitScript(() => {
-    addEventListener("securitypolicyviolation", (event) => console.error(`policy: ${event.violatedDirective} ${event.blockedURI}`));
-  });
-  // The daemon may still be starting.
-  for (const begun = Date.now(); ; ) {
-    try {
-      await page.goto(place.address);
-      break;
-    } catch (error) {
-      if (Date.now() - begun > PATIENCE) throw error;
-      complaints.length = 0;
-      await new Promise((done) => setTimeout(done, 200));
-    }
-  }
-  await says(page, "Tracking");
+  const found = await pageOf(browser, place.address, options);
   // The state may be known before the first frame is drawn.
-  await page.locator(".facts div", { hasText: /^Frame\d+$/ }).waitFor({ timeout: PATIENCE });
-  return { page, complaints, asked, close: () => context.close() };
+  await found.page.locator(".facts div", { hasText: /^Frame\d+$/ }).waitFor({ timeout: PATIENCE });
+  return found;
 }
 
-/** Waits for a state in the bar. */
-async function says(page, state) {
-  await page.locator("header .state", { hasText: state }).waitFor({ timeout: PATIENCE });
-}
-
+const share = (png, condition) => shareOf(browser, png, condition);
 const fact = (page, name) => page.locator(".facts div", { hasText: name }).locator("dd").textContent();
-
-/** The share of a picture's pixels that a condition holds for; the picture is a PNG, the condition an expression of r, g and b. */
-async function share(png, condition) {
-  const page = await browser.newPage();
-  const counted = await page.evaluate(
-    async ([base64, condition]) => {
-      const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
-      const picture = await createImageBitmap(new Blob([bytes]));
-      const canvas = new OffscreenCanvas(picture.width, picture.height);
-      const context = canvas.getContext("2d");
-      context.drawImage(picture, 0, 0);
-      const { data } = context.getImageData(0, 0, picture.width, picture.height);
-      const holds = new Function("r", "g", "b", `return ${condition}`);
-      let count = 0;
-      for (let k = 0; k < data.length; k += 4) count += holds(data[k], data[k + 1], data[k + 2]) ? 1 : 0;
-      return count / (data.length / 4);
-    },
-    [png.toString("base64"), condition],
-  );
-  await page.close();
-  return counted;
-}
 
 test("the page loads from its own server alone and shows what is tracked", async () => {
   const { page, complaints, asked, close } = await opened();

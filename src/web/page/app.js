@@ -1,15 +1,22 @@
 // The page: its bar, its view, its keys.
 import { render } from "./vendor/preact.js";
 // Signals take part in rendering as soon as they are loaded.
-import { signal } from "./vendor/signals.js";
+import { effect, signal } from "./vendor/signals.js";
 import { frozen, listen, toggleFrozen } from "./daemon.js";
 import { listenToEvents } from "./events.js";
 import { Live, State } from "./live.js";
-import { drawFrame, floored, outlined } from "./picture.js";
+import { PAGES, show, shown } from "./pages.js";
+import { floored, outlined } from "./picture.js";
 import { THEMES, theme, toggleStage } from "./theme.js";
 import { html } from "./ui.js";
 
 const keysShown = signal(false);
+
+/** The view of the set, which is loaded when it is first asked for: most people never do. @type {import("./vendor/signals.js").Signal<any>} */
+const setPage = signal(null);
+effect(() => {
+  if (shown.value === "set" && setPage.peek() === null) import("./setpage.js").then(({ SetPage }) => (setPage.value = SetPage));
+});
 
 /** What single keys do. */
 const KEYS = [
@@ -18,6 +25,7 @@ const KEYS = [
   { key: "g", name: "g", does: "a metre grid on the floor on and off", act: () => (floored.value = !floored.value) },
   { key: "n", name: "n", does: "stage colours on and off", act: toggleStage },
   { key: "?", name: "?", does: "this list", act: () => (keysShown.value = !keysShown.value) },
+  ...PAGES.map(({ name, title, key }) => ({ key, name: key, does: `the view ${title}`, act: () => show(name) })),
 ];
 
 /** A button that is on or off. @param {{on: boolean, act: () => void, children: unknown}} props */
@@ -28,11 +36,15 @@ function Switch({ on, act, children }) {
 function Bar() {
   return html`<header>
     <h1>stagepose</h1>
+    <nav aria-label="Views">
+      ${PAGES.map(({ name, title }) => html`<a key=${name} href=${`#${name}`} aria-current=${shown.value === name ? "page" : null}>${title}</a>`)}
+    </nav>
     <${State} />
     <div class="switches">
       <${Switch} on=${frozen.value} act=${toggleFrozen}>Freeze<//>
-      <${Switch} on=${outlined.value} act=${KEYS[1].act}>Outlines<//>
-      <${Switch} on=${floored.value} act=${KEYS[2].act}>Floor<//>
+      ${shown.value === "live"
+        ? html`<${Switch} on=${outlined.value} act=${KEYS[1].act}>Outlines<//><${Switch} on=${floored.value} act=${KEYS[2].act}>Floor<//>`
+        : null}
       <fieldset class="choice">
         <legend>Colours</legend>
         ${THEMES.map(
@@ -56,12 +68,19 @@ function Foot() {
   </footer>`;
 }
 
+function View() {
+  if (shown.value !== "set") return html`<${Live} />`;
+  return setPage.value === null ? html`<main><p>The set is being loaded.</p></main>` : html`<${setPage.value} />`;
+}
+
 function Page() {
-  return html`<${Bar} /><${Live} /><${Foot} />`;
+  return html`<${Bar} /><${View} /><${Foot} />`;
 }
 
 addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
+  // What is typed into a field is the field's.
+  if (event.target instanceof HTMLElement && event.target.matches("input:not([type=radio]), select, textarea")) return;
   // Space presses the button that has the focus.
   if (event.key === " " && event.target instanceof HTMLElement && event.target.closest("button, a, input")) return;
   const found = KEYS.find(({ key }) => key === event.key);
@@ -76,5 +95,5 @@ if (place) {
   place.replaceChildren();
   render(html`<${Page} />`, place);
 }
-listen(drawFrame);
+listen();
 listenToEvents();

@@ -16,7 +16,8 @@ const RATE_OVER = 30;
  * @typedef {{position_m: number[], orientation_xyzw: number[]}} Pose
  * @typedef {{sequence: number, timestamp_ns: number, state: string, pose: Pose | null, rms_px: number | null, inliers: number | null,
  *   covariance: number[] | null, objects: {name: string, state: string, pose: Pose | null}[]}} PoseRecord a record as docs/protocols.md has it
- * @typedef {{epoch: number, size: [number, number], reason: string | null, says: string | null, mend: string | null,
+ * @typedef {{velocity: number[], turn_rate: number[]}} Motion m/s and rad/s in the camera's axes
+ * @typedef {{epoch: number, size: [number, number], reason: string | null, says: string | null, mend: string | null, motion: Motion | null,
  *   record: PoseRecord}} Head what is said of a frame
  */
 
@@ -33,8 +34,8 @@ export const frozen = signal(false);
 /** Camera and surfaces of this session, as /api/v1/scene has them. */
 export const scene = signal(/** @type {any} */ (null));
 
-/** @type {(picture: ImageBitmap, head: Head) => void} */
-let draw = () => {};
+/** Who draws a frame when the browser paints; the picture is gone afterwards. @type {Set<(picture: ImageBitmap, head: Head) => void>} */
+export const painters = new Set();
 /** @type {WebSocket | null} */
 let socket = null;
 let triedAt = 0;
@@ -46,9 +47,8 @@ let page = null;
 /** @type {number[]} */
 let shownAt = [];
 
-/** Begins; `drawFrame` draws a picture when the browser paints. @param {typeof draw} drawFrame */
-export function listen(drawFrame) {
-  draw = drawFrame;
+/** Begins. */
+export function listen() {
   connect();
   setInterval(watch, 100);
   document.addEventListener("visibilitychange", ask);
@@ -129,7 +129,7 @@ async function show(data) {
   requestAnimationFrame((now) => {
     owesFrame = false;
     if (picture !== null && !frozen.value) {
-      draw(picture, said);
+      for (const paint of painters) paint(picture, said);
       head.value = said;
       standing.value = null;
       shownAt = [...shownAt.slice(1 - RATE_OVER), now];

@@ -1,9 +1,9 @@
 // The Live view: the picture with what was found in it, the state as one sentence, and where the camera is.
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
-import { contact, frozen, head, rate, standing } from "./daemon.js";
+import { contact, frozen, head, painters, rate, standing } from "./daemon.js";
 import { Happened, trouble } from "./events.js";
-import { drawAgain, drawOn, floored, outlined } from "./picture.js";
+import { drawAgain, drawFrame, drawOn, floored, outlined } from "./picture.js";
 import { Stage } from "./stage.js";
 import { Strip } from "./strip.js";
 import { theme } from "./theme.js";
@@ -81,7 +81,11 @@ function Picture() {
     drawOn(below.current, /** @type {HTMLCanvasElement} */ (marks));
     const sized = new ResizeObserver(drawAgain);
     sized.observe(/** @type {HTMLCanvasElement} */ (marks));
-    return () => sized.disconnect();
+    painters.add(drawFrame);
+    return () => {
+      painters.delete(drawFrame);
+      sized.disconnect();
+    };
   }, []);
   // Marks have the theme's colours; which are drawn is chosen.
   useEffect(drawAgain, [theme.value, outlined.value, floored.value]);

@@ -54,13 +54,14 @@ function drawMarks(said) {
   }
   context.clearRect(0, 0, width, height);
   const { record, size } = said;
-  if (!scene.value || !record.pose) return;
+  const seen = record.pose;
+  if (!scene.value || !seen) return;
   const scale = width / size[0];
   const style = getComputedStyle(above);
   const colour = (/** @type {string} */ state) => style.getPropertyValue(`--${state}`).trim();
   const draw = (/** @type {any} */ surface, /** @type {any} */ pose, /** @type {string} */ state) => {
     const inStage = (/** @type {number[]} */ point) => (pose === null ? point : place(pose, point));
-    const pixels = surface.outline_m.map((/** @type {number[]} */ point) => pixel(scene.value.camera, within(record.pose, inStage(point))));
+    const pixels = surface.outline_m.map((/** @type {number[]} */ point) => pixel(scene.value.camera, within(seen, inStage(point))));
     stroke(context, pixels, scale, colour(state));
   };
   if (floored.value) drawFloor(context, record.pose, scale, colour("accent"));

@@ -202,14 +202,17 @@ function dragged(event) {
 
 /** The drawing, with buttons for whoever does not drag. */
 export function Stage() {
-  const drawn = useRef(null);
+  const drawn = useRef(/** @type {HTMLCanvasElement | null} */ (null));
   useEffect(() => {
     const own = /** @type {HTMLCanvasElement} */ (/** @type {unknown} */ (drawn.current));
     canvas = own;
     const sized = new ResizeObserver(draw);
     sized.observe(own);
     // After each shown frame, and where the view or the colours change.
-    const stop = effect(() => [added.value, scene.value, view.value, theme.value, contact.value] && draw());
+    const stop = effect(() => {
+      void [added.value, scene.value, view.value, theme.value, contact.value];
+      draw();
+    });
     return () => {
       stop();
       sized.disconnect();

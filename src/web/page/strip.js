@@ -72,7 +72,10 @@ export function Strip() {
     const again = () => draw(canvas);
     const sized = new ResizeObserver(again);
     sized.observe(canvas);
-    const stop = effect(() => [added.value, theme.value] && again());
+    const stop = effect(() => {
+      void [added.value, theme.value];
+      again();
+    });
     return () => {
       stop();
       sized.disconnect();

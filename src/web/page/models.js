@@ -1,0 +1,58 @@
+// Models from files: glTF in one file (.glb). A file that names others is refused, for the page loads nothing from elsewhere.
+import { signal } from "./vendor/signals.js";
+import { Box3, Group, GLTFLoader, LoadingManager, TextureLoader, Vector3 } from "./vendor/three.js";
+
+/** Bytes of a file at most. */
+const LARGEST = 64 * 1024 * 1024;
+
+/** Models by the name of their file, a metre high at most, standing on their origin, z up. */
+export const models = signal(/** @type {Map<string, import("./vendor/three.js").Object3D>} */ (new Map()));
+
+/** Reads a model; the promise fails with a sentence for people. @param {File} file */
+export async function load(file) {
+  if (file.size > LARGEST) throw new Error(`${file.name} has ${Math.ceil(file.size / 1048576)} MB; at most 64 MB are taken. Make its pictures smaller.`);
+  const bytes = await file.arrayBuffer();
+  refuseOthers(file.name, bytes);
+  const loader = new GLTFLoader(new LoadingManager());
+  // Pictures through an element: the policy lets nothing be fetched from memory.
+  loader.register((/** @type {any} */ parser) => {
+    parser.textureLoader = new TextureLoader(parser.options.manager);
+    return { name: "pictures" };
+  });
+  const gltf = await loader.parseAsync(bytes, "").catch((/** @type {unknown} */ why) => {
+    throw new Error(`${file.name} cannot be read (${why instanceof Error ? why.message : why}). Export it as glTF binary (.glb) without compression.`);
+  });
+  models.value = new Map([...models.value, [file.name, upright(gltf.scene)]]);
+  return file.name;
+}
+
+/** @param {string} name @param {ArrayBuffer} bytes */
+function refuseOthers(name, bytes) {
+  const view = new DataView(bytes);
+  // "glTF", then the version, the length, and the first chunk: JSON.
+  if (bytes.byteLength < 20 || view.getUint32(0, true) !== 0x46546c67) throw new Error(`${name} is not a glTF binary file. Export it as .glb.`);
+  const length = view.getUint32(12, true);
+  if (20 + length > bytes.byteLength) throw new Error(`${name} is cut short. Copy it again.`);
+  let said;
+  try {
+    said = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 20, length)));
+  } catch {
+    throw new Error(`${name} does not say what is in it. Export it again.`);
+  }
+  const named = [...(said.buffers ?? []), ...(said.images ?? [])].filter(({ uri }) => uri !== undefined);
+  if (named.length > 0) throw new Error(`${name} names other files. Export it as one file (.glb) with everything in it.`);
+}
+
+/** glTF is y up and of any size: turned, scaled to a metre, set on its origin. @param {import("./vendor/three.js").Object3D} model */
+function upright(model) {
+  model.rotation.x = Math.PI / 2;
+  model.updateMatrixWorld(true);
+  const bounds = new Box3().setFromObject(model);
+  const [size, middle] = [bounds.getSize(new Vector3()), bounds.getCenter(new Vector3())];
+  const scale = 1 / Math.max(size.x, size.y, size.z, 1e-6);
+  const whole = new Group();
+  whole.scale.setScalar(scale);
+  whole.position.set(-middle.x * scale, -middle.y * scale, -bounds.min.z * scale);
+  whole.add(model);
+  return new Group().add(whole);
+}

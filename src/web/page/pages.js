@@ -1,0 +1,23 @@
+// The page's views, and which is shown: the part of its address after the hash, so that a view can be linked to and gone back from.
+import { signal } from "./vendor/signals.js";
+
+/** The views that there are, with their keys. */
+export const PAGES = [
+  { name: "live", title: "Live", key: "1" },
+  { name: "set", title: "Set", key: "3" },
+];
+
+/** The view that is shown. */
+export const shown = signal(named());
+
+function named() {
+  const name = location.hash.slice(1);
+  return PAGES.some((page) => page.name === name) ? name : "live";
+}
+
+addEventListener("hashchange", () => (shown.value = named()));
+
+/** Shows a view. @param {string} name */
+export function show(name) {
+  location.hash = name;
+}

@@ -1,0 +1,88 @@
+// What is on the set. It is kept in this browser with every change, so that nothing typed is lost.
+import { effect, signal } from "./vendor/signals.js";
+
+/**
+ * @typedef {"cone" | "cube" | "grid" | "model"} Kind
+ * @typedef {{id: string, kind: Kind, name: string, on: string, position_m: number[], rotation_deg: number[], size_m: number[], colour: string,
+ *   shown: boolean, file?: string}} Thing `on` is "floor" or a surface's number; place, turn (about z, then y, then x) and size are within that frame
+ * @typedef {{things: Thing[], floor_m: number | null}} Kept `floor_m` is the floor's height, or null for the stage's lowest point
+ */
+
+const KEPT_AS = "stagepose.set";
+/** Former sets that can be had back. */
+const REMEMBERED = 100;
+
+/** What a thing of each kind is at first. @type {Record<Kind, {name: string, size_m: number[], colour: string}>} */
+const FIRST = {
+  cone: { name: "Cone", size_m: [0.4, 0.4, 0.6], colour: "#e8762d" },
+  cube: { name: "Cube", size_m: [0.5, 0.5, 0.5], colour: "#3d8bd4" },
+  grid: { name: "Grid", size_m: [4, 4, 1], colour: "#ff9d2e" },
+  model: { name: "Model", size_m: [1, 1, 1], colour: "#ffffff" },
+};
+
+/** @returns {Kept} */
+function kept() {
+  try {
+    const text = localStorage.getItem(KEPT_AS);
+    const found = text === null ? null : JSON.parse(text);
+    if (found !== null && Array.isArray(found.things) && found.things.every(isThing)) return { things: found.things, floor_m: found.floor_m ?? null };
+  } catch {
+    // A browser that keeps nothing, or something else, begins with an empty set.
+  }
+  return { things: [], floor_m: null };
+}
+
+/** @param {any} one */
+function isThing(one) {
+  const threes = [one?.position_m, one?.rotation_deg, one?.size_m];
+  return typeof one?.id === "string" && Object.hasOwn(FIRST, one.kind) && threes.every((three) => Array.isArray(three) && three.length === 3 && three.every(Number.isFinite));
+}
+
+/** The set as it is now. */
+export const set = signal(kept());
+/** The thing that is being changed. */
+export const chosen = signal(/** @type {string | null} */ (null));
+/** @type {Kept[]} */
+const former = [];
+
+effect(() => {
+  try {
+    localStorage.setItem(KEPT_AS, JSON.stringify(set.value));
+  } catch {
+    // As above.
+  }
+});
+
+/** Changes the set; `undo` has the former one back. @param {Partial<Kept>} by */
+export function change(by) {
+  former.push(set.value);
+  if (former.length > REMEMBERED) former.shift();
+  set.value = { ...set.value, ...by };
+}
+
+/** The set as it was before the last change. */
+export function undo() {
+  const last = former.pop();
+  if (last !== undefined) set.value = last;
+}
+
+/** A new thing, which is then chosen. @param {Kind} kind @param {Partial<Thing>} [with_] */
+export function add(kind, with_ = {}) {
+  const { name, size_m, colour } = FIRST[kind];
+  const id = `${Date.now().toString(36)}${Math.floor(Math.random() * 1e9).toString(36)}`;
+  const count = set.value.things.filter((thing) => thing.kind === kind).length;
+  const thing = { id, kind, name: count === 0 ? name : `${name} ${count + 1}`, on: "floor", position_m: [0, 0, 0], rotation_deg: [0, 0, 0], size_m: [...size_m], colour, shown: true };
+  change({ things: [...set.value.things, { ...thing, ...with_ }] });
+  chosen.value = id;
+}
+
+/** Changes a thing. @param {string} id @param {Partial<Thing>} by */
+export function alter(id, by) {
+  change({ things: set.value.things.map((thing) => (thing.id === id ? { ...thing, ...by } : thing)) });
+}
+
+/** Takes a thing off the set. @param {string} id */
+export function remove(id) {
+  change({ things: set.value.things.filter((thing) => thing.id !== id) });
+  if (chosen.value === id) chosen.value = null;
+}

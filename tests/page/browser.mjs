@@ -1,0 +1,102 @@
+// A browser before the page of a daemon, for the tests.
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { join, resolve } from "node:path";
+
+/** Where the packages are and screenshots go. */
+export const out = resolve(process.env.PAGE_OUT ?? "target/page");
+/** The program under test. */
+export const program = resolve(process.env.STAGEPOSE ?? "target/release/stagepose");
+const { chromium } = createRequire(join(out, "package.json"))("playwright-core");
+/** A judge of accessibility, as a script. */
+export const axe = readFileSync(createRequire(join(out, "package.json")).resolve("axe-core/axe.min.js"), "utf8");
+/** The page's files instead of the program's, to try a change before it is built. */
+export const files = process.env.PAGE_DIR;
+
+/** Widths of a phone, a tablet and a desk, with their heights. */
+export const SIZES = [
+  [360, 740],
+  [820, 1180],
+  [1440, 900],
+];
+export const THEMES = ["dark", "light", "stage"];
+/** Milliseconds that anything may take before a test gives up; nothing is judged by time. */
+export const PATIENCE = 60_000;
+
+/** A browser that draws in 3D without a graphics card. */
+export function launch() {
+  return chromium.launch({
+    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+    args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", ...(files ? ["--disable-features=LocalNetworkAccessChecks"] : [])],
+  });
+}
+
+/** Waits until the daemon answers. @param {string} address */
+export async function answers(address) {
+  for (const begun = Date.now(); ; ) {
+    try {
+      return await fetch(address);
+    } catch (error) {
+      if (Date.now() - begun > PATIENCE) throw error;
+      await new Promise((done) => setTimeout(done, 200));
+    }
+  }
+}
+
+/** Answers for a file of the page with that of PAGE_DIR, under the headers that the program sends. */
+async function fromFiles(route, address) {
+  const { pathname } = new URL(route.request().url());
+  if (pathname.startsWith("/api/")) return route.continue();
+  const file = pathname === "/" ? "index.html" : pathname.slice(1);
+  const type = { html: "text/html", js: "text/javascript", css: "text/css", svg: "image/svg+xml", txt: "text/plain" }[file.split(".").pop()];
+  const { headers } = await fetch(address);
+  const policy = headers.get("content-security-policy");
+  return route.fulfill({ body: readFileSync(join(files, file)), headers: { "content-type": type, "content-security-policy": policy } });
+}
+
+/** A page that says that the stage is tracked; what it complains of is collected. `view` is the part of its address after the hash. */
+export async function pageOf(browser, address, { view = "live", ...options } = {}) {
+  const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, bypassCSP: false, ...options });
+  if (files) await context.route("**/*", (route) => fromFiles(route, address));
+  const page = await context.newPage();
+  const complaints = [];
+  const asked = new Set();
+  page.on("console", (said) => ["error", "warning"].includes(said.type()) && complaints.push(said.text()));
+  page.on("pageerror", (error) => complaints.push(String(error)));
+  page.on("request", (request) => asked.add(new URL(request.url()).host));
+  await page.addInitScript(() => {
+    addEventListener("securitypolicyviolation", (event) => console.error(`policy: ${event.violatedDirective} ${event.blockedURI}`));
+  });
+  // The daemon may still be starting.
+  await answers(address);
+  await page.goto(`${address}#${view}`);
+  await says(page, "Tracking");
+  return { page, complaints, asked, close: () => context.close() };
+}
+
+/** Waits for a state in the bar. */
+export async function says(page, state) {
+  await page.locator("header .state", { hasText: state }).waitFor({ timeout: PATIENCE });
+}
+
+/** The share of a picture's pixels that a condition holds for; the picture is a PNG, the condition an expression of r, g and b. */
+export async function share(browser, png, condition) {
+  const page = await browser.newPage();
+  const counted = await page.evaluate(
+    async ([base64, condition]) => {
+      const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
+      const picture = await createImageBitmap(new Blob([bytes]));
+      const canvas = new OffscreenCanvas(picture.width, picture.height);
+      const context = canvas.getContext("2d");
+      context.drawImage(picture, 0, 0);
+      const { data } = context.getImageData(0, 0, picture.width, picture.height);
+      const holds = new Function("r", "g", "b", `return ${condition}`);
+      let count = 0;
+      for (let k = 0; k < data.length; k += 4) count += holds(data[k], data[k + 1], data[k + 2]) ? 1 : 0;
+      return count / (data.length / 4);
+    },
+    [png.toString("base64"), condition],
+  );
+  await page.close();
+  return counted;
+}

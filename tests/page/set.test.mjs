@@ -1,0 +1,250 @@
+// The Set view in a true browser: how exactly the set lies in the camera's picture, and how it is put there. See page.test.mjs for what is needed.
+// Rendered clips with exact truth are tried where they are: STAGEPOSE_CLIPS (default target/clips) has what benches/clips.py makes.
+import assert from "node:assert/strict";
+import { existsSync } from "node:fs";
+import { join, resolve } from "node:path";
+import { after, before, test } from "node:test";
+import { PATIENCE, SIZES, THEMES, answers, axe, files, launch, out, pageOf, program, share } from "./browser.mjs";
+import { prepare, prepareClip, start } from "./daemon.mjs";
+
+const clips = resolve(process.env.STAGEPOSE_CLIPS ?? "target/clips");
+
+let browser, daemon, place;
+before(async () => {
+  place = await prepare(join(out, "run-set"));
+  daemon = start(program, place.folder);
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+  await daemon?.end();
+});
+
+/** The Set view, with a picture in it and the stage's artwork at hand. */
+async function opened(options = {}) {
+  const found = await pageOf(browser, place.address, { view: "set", ...options });
+  await found.page.locator(".aligned .figure", { hasText: /\d/ }).waitFor({ timeout: PATIENCE });
+  return found;
+}
+
+const median = (values) => values.toSorted((a, b) => a - b)[Math.floor(values.length / 2)];
+
+/** The medians and nine-of-ten of the tiles' shifts in some frames, by their own pose and by that of the frame before.
+ * @param {import("playwright-core").Page} page @param {number} count frames @param {number[]} rows of the clip, and how many of them are played forwards */
+async function alignments(page, count, [rows, forwards]) {
+  const found = await page.evaluate(
+    async ([count, rows, forwards]) => {
+      const [{ measure, mode }, { painters }] = await Promise.all([import("/composite.js"), import("/daemon.js")]);
+      // Drawing the set takes time here and is not what is measured.
+      mode.value = "image";
+      const records = new Map();
+      const socket = new WebSocket(`ws://${location.host}/ws`);
+      socket.onmessage = ({ data }) => {
+        const record = JSON.parse(data);
+        records.set(record.sequence, record);
+      };
+      const measured = [];
+      await new Promise((done) => {
+        const paint = (_, { record, motion }) => {
+          const before = records.get(record.sequence - 1);
+          // A clip that is played backwards has a shutter that runs upwards, which no camera has.
+          if (record.state !== "tracking" || before?.state !== "tracking" || record.sequence % rows < 3 || record.sequence % rows >= forwards) return;
+          const [own, late] = [measure(record, motion), measure(before, motion)];
+          measured.push({ sequence: record.sequence, own, late });
+          if (measured.length === count) {
+            painters.delete(paint);
+            socket.close();
+            done();
+          }
+        };
+        painters.add(paint);
+      });
+      mode.value = "set";
+      return measured;
+    },
+    [count, rows, forwards],
+  );
+  const of = (key, which) => median(found.map((one) => one[which][key] ?? NaN));
+  return { median: of("median", "own"), most: of("most", "own"), tiles: of("tiles", "own"), late: of("median", "late") };
+}
+
+const told = (name, { median, most, tiles, late }) => console.log(`${name}: median ${median.toFixed(3)} px, 90 % ${most.toFixed(3)} px, ${tiles} tiles; by the frame before ${late.toFixed(3)} px`);
+
+test("the set lies in the camera's picture to a tenth of a pixel, and the frame before is told from it", async () => {
+  const { page, complaints, close } = await opened();
+  const found = await alignments(page, 20, [78, 40]);
+  told("fixture", found);
+  assert.ok(found.tiles > 100, `${found.tiles} tiles`);
+  assert.ok(found.median <= 0.1 && found.most <= 0.3, JSON.stringify(found));
+  assert.ok(found.late >= 5 * found.median, JSON.stringify(found));
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
+for (const [name, least, most] of [
+  ["d-relief", 0.15, 0.4],
+  ["d-handheld", 0.3, 0.9],
+]) {
+  const isThere = existsSync(join(clips, name, "stagepose/stage.toml"));
+  test(`the set lies in the pictures of ${name}`, { skip: isThere ? false : `NOT RUN: no ${join(clips, name)}` }, async () => {
+    const clip = await prepareClip(join(out, `run-${name}`), join(clips, name));
+    const played = start(program, clip.folder, "clip");
+    try {
+      const { page, close } = await pageOf(browser, clip.address, { view: "set" });
+      await page.locator(".aligned .figure", { hasText: /\d/ }).waitFor({ timeout: PATIENCE });
+      const found = await alignments(page, 12, [clip.rows, clip.rows]);
+      told(name, found);
+      assert.ok(found.median <= least && found.most <= most, JSON.stringify(found));
+      if (name === "d-relief") assert.ok(found.late >= 5 * found.median, JSON.stringify(found));
+      await close();
+    } finally {
+      await played.end();
+    }
+  });
+}
+
+test("things are put on the set by keys and numbers, hidden by surfaces, and kept", async () => {
+  const { page, complaints, close } = await opened();
+  // Drawn and read within one task: a canvas of the graphics card is empty afterwards.
+  const blue = () =>
+    page.evaluate(async () => {
+      const { again, clean } = await import("/composite.js");
+      // Handles are seen before everything.
+      clean.value = true;
+      const drawn = document.querySelector(".composite canvas");
+      const context = new OffscreenCanvas(drawn.width, drawn.height).getContext("2d");
+      again();
+      context.drawImage(drawn, 0, 0);
+      clean.value = false;
+      const { data } = context.getImageData(0, 0, drawn.width, drawn.height);
+      let count = 0;
+      for (let k = 0; k < data.length; k += 4) count += data[k + 2] > data[k] + 40 && data[k + 2] > 60 ? 1 : 0;
+      return count / (data.length / 4);
+    });
+  assert.equal(await blue(), 0);
+  // Still pictures: what changes is the set.
+  await page.keyboard.press("Space");
+  await page.getByRole("button", { name: "+ cube" }).focus();
+  await page.keyboard.press("Enter");
+  const field = (label) => page.locator(".chosen").getByRole("textbox", { name: new RegExp(`^${label} `) });
+  await page.locator(".chosen select").selectOption("0");
+  await field("Up").fill("0.2");
+  await page.waitForTimeout(300);
+  const seen = await blue();
+  assert.ok(seen > 0.005, `${seen}`);
+  // Behind the backdrop it is hidden.
+  await field("Out").fill("-1");
+  await page.waitForTimeout(300);
+  assert.equal(await blue(), 0);
+  // Undone, it is where it was; half a number changes nothing and stays as typed.
+  await page.getByRole("button", { name: "Undo" }).click();
+  await page.waitForTimeout(300);
+  assert.ok(Math.abs((await blue()) - seen) < 0.002);
+  await field("Right").fill("-");
+  assert.equal(await field("Right").getAttribute("aria-invalid"), "true");
+  assert.equal(await field("Right").inputValue(), "-");
+  await field("Right").fill("0,25");
+  await page.getByLabel("image", { exact: true }).check({ force: true });
+  await page.waitForTimeout(300);
+  assert.equal(await blue(), 0);
+  await page.reload();
+  await page.getByRole("button", { name: "Cube" , exact: true }).click();
+  assert.equal(await field("Right").inputValue(), "0.25");
+  // The handle along the surface's x moves it along x alone.
+  await page.locator(".aligned .figure", { hasText: /\d/ }).waitFor({ timeout: PATIENCE });
+  await page.getByRole("button", { name: "Freeze" }).click();
+  await page.waitForTimeout(500);
+  const { from, to } = await page.evaluate(async () => {
+    const [{ compositor }, { pixel, within, place }, { head, scene }] = await Promise.all([import("/composite.js"), import("/lens.js"), import("/daemon.js")]);
+    const canvas = document.querySelector(".composite canvas");
+    const { left, top, width } = canvas.getBoundingClientRect();
+    const surface = scene.value.stage.surfaces[0];
+    const helper = compositor.handles[0].root;
+    let size = 0;
+    helper.traverse((one) => one.name === "X" && one.visible && (size = Math.max(size, one.scale.x)));
+    const at = (x) => {
+      const point = place(surface.pose, [x, 0.2, 0]);
+      const raw = pixel(scene.value.camera, within(head.value.record.pose, point));
+      return raw.map((value, axis) => ((value + 0.5) * width) / scene.value.camera.width + [left, top][axis]);
+    };
+    return { from: at(0.25 + 0.4 * size), to: at(0.25 + 0.4 * size + 0.3) };
+  });
+  await page.mouse.move(...from);
+  await page.mouse.down();
+  await page.mouse.move(...to, { steps: 5 });
+  await page.mouse.up();
+  const moved = await page.evaluate(async () => (await import("/things.js")).set.value.things[0].position_m);
+  assert.ok(Math.abs(moved[0] - 0.55) < 0.03 && moved[1] === 0.2 && moved[2] === 0, `${moved}`);
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
+test("a model that names other files, or is none, is refused with a sentence", async () => {
+  const { page, complaints, close } = await opened();
+  const glb = (said, length) => {
+    const json = Buffer.from(JSON.stringify(said).padEnd(Math.ceil(JSON.stringify(said).length / 4) * 4));
+    const head = Buffer.alloc(20);
+    [0x46546c67, 2, 20 + json.length, length ?? json.length, 0x4e4f534a].forEach((value, k) => head.writeUInt32LE(value, 4 * k));
+    return Buffer.concat([head, json]);
+  };
+  const give = (name, buffer) => page.locator("input[type=file]").setInputFiles({ name, mimeType: "model/gltf-binary", buffer });
+  const asset = { version: "2.0" };
+  for (const [name, buffer, says] of [
+    ["text.glb", Buffer.from("this is a text, not a model"), "text.glb is not a glTF binary file. Export it as .glb."],
+    ["short.glb", glb({ asset }, 4000), "short.glb is cut short. Copy it again."],
+    ["far.glb", glb({ asset, buffers: [{ uri: "http://example.com/a.bin", byteLength: 4 }] }), "far.glb names other files."],
+    ["old.glb", glb({ asset: { version: "1.0" } }), "old.glb cannot be read"],
+  ]) {
+    await give(name, buffer);
+    await page.locator(".refused", { hasText: says }).waitFor({ timeout: PATIENCE });
+  }
+  await give("empty.glb", glb({ asset, scene: 0, scenes: [{ nodes: [] }] }));
+  await page.getByRole("button", { name: "empty", exact: true }).waitFor();
+  assert.equal(await page.locator(".refused").count(), 0);
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
+test("the Set view is accessible in every theme and width", async () => {
+  const { page, close } = await opened({ bypassCSP: true });
+  await page.getByRole("button", { name: "+ cone" }).click();
+  await page.getByLabel("wipe", { exact: true }).check({ force: true });
+  for (const theme of THEMES) {
+    await page.getByLabel(theme, { exact: true }).check({ force: true });
+    for (const [width, height] of SIZES) {
+      await page.setViewportSize({ width, height });
+      await page.waitForTimeout(300);
+      const png = await page.screenshot({ path: join(out, `set-${theme}-${width}.png`) });
+      const room = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+      assert.ok(room <= 0, `${theme} at ${width}: ${room} px sideways`);
+      if (theme === "stage") assert.equal(await share(browser, png, "g > 140 || b > 40"), 0, `${width}`);
+      await page.addScriptTag({ content: axe });
+      const { violations } = await page.evaluate(() => axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"] }));
+      assert.deepEqual(violations.map(({ id, nodes }) => `${theme} ${width}: ${id} ${nodes[0].html}`), []);
+    }
+  }
+  await close();
+});
+
+test("the first view is small, and the set not large", { skip: files ? "the program's own files are what is sent" : false }, async () => {
+  const sent = async (view, until) => {
+    const context = await browser.newContext();
+    const page = await context.newPage();
+    const client = await context.newCDPSession(page);
+    await client.send("Network.enable");
+    let bytes = 0;
+    client.on("Network.loadingFinished", ({ encodedDataLength }) => (bytes += encodedDataLength));
+    await page.goto(`${place.address}#${view}`);
+    await page.locator(until).first().waitFor({ timeout: PATIENCE });
+    await page.waitForTimeout(500);
+    await context.close();
+    return bytes;
+  };
+  await answers(place.address);
+  const [live, set] = [await sent("live", ".stage canvas"), await sent("set", ".composite canvas")];
+  console.log(`sent for the first view ${live} bytes, for the set ${set} bytes`);
+  assert.ok(live <= 60_000, `${live}`);
+  // The stage's pictures are not the page's.
+  const pictures = await Promise.all([0, 1].map(async (k) => Number((await (await fetch(`${place.address}api/v1/surfaces/${k}/picture`)).arrayBuffer()).byteLength)));
+  assert.ok(set - pictures[0] - pictures[1] <= 300_000, `${set} with ${pictures}`);
+});
