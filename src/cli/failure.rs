@@ -96,6 +96,9 @@ pub enum Failure {
     /// Two clips tell no mount.
     #[error("{0}")]
     Mount(String),
+    /// The code that pairs a browser is not there.
+    #[error("{0}")]
+    Pairing(String),
     /// The tracker or one of its threads gave up.
     #[error("tracking failed: {0}")]
     Tracking(String),

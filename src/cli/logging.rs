@@ -12,6 +12,7 @@ use tracing_subscriber::fmt::format::FmtSpan;
 
 use crate::config::{LOG_LEVELS, LogFormat, LogSettings};
 use crate::printable::printable;
+use crate::telemetry::keep_log_line;
 
 /// The progress bar that log messages step aside for, once there is one.
 static BAR: OnceLock<ProgressBar> = OnceLock::new();
@@ -85,7 +86,9 @@ impl io::Write for BesideBar {
         // nobody logged, came with a name from outside. Escaped as JSON escapes it, a line of JSON stays one.
         let whole = String::from_utf8_lossy(text);
         let (message, end) = whole.strip_suffix('\n').map_or((&*whole, ""), |message| (message, "\n"));
-        let line = [self.priority, &*printable(message), end].concat().into_bytes();
+        let message = printable(message);
+        keep_log_line(&message);
+        let line = [self.priority, &*message, end].concat().into_bytes();
         match BAR.get() {
             Some(bar) => bar.suspend(|| io::stderr().write_all(&line))?,
             None => io::stderr().write_all(&line)?,

@@ -23,6 +23,8 @@ mod output_file;
 mod outputs;
 pub mod overlay;
 mod pages;
+#[cfg(feature = "http")]
+mod pair;
 mod poster;
 mod record;
 mod replay;
@@ -71,6 +73,8 @@ enum Command {
     SendTest(send_test::SendTestArguments),
     Listen(listen::ListenArguments),
     Report(report::ReportArguments),
+    #[cfg(feature = "http")]
+    Pair(pair::PairArguments),
     Survey(survey::SurveyArguments),
     Completions(completions::CompletionsArguments),
     Man(man::ManArguments),
@@ -102,6 +106,8 @@ pub fn run(started: Instant) -> ExitCode {
         Command::SendTest(arguments) => send_test::run(&arguments),
         Command::Listen(arguments) => listen::run(&arguments),
         Command::Report(arguments) => report::run(&arguments),
+        #[cfg(feature = "http")]
+        Command::Pair(arguments) => pair::run(&arguments),
         Command::Survey(arguments) => survey::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => man::run(&arguments),

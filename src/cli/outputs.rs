@@ -4,7 +4,7 @@ use super::failure::Failure;
 use super::pages::Pages;
 use crate::camera::CameraModel;
 use crate::config::{HttpSettings, Settings};
-use crate::publish::{Context, OutputSettings, PoseWithheld, Publisher, Stamps};
+use crate::publish::{Context, OutputSettings, OutputStatistics, PoseWithheld, Publisher, Stamps};
 use crate::record::PoseSample;
 
 /// The running outputs, and the HTTP server beside them.
@@ -37,6 +37,11 @@ impl Outputs {
     pub fn send(&self, sample: &PoseSample) {
         self.publisher.send(sample);
         self.pages.publish(sample);
+    }
+
+    /// What tells the HTTP server what the outputs have done so far.
+    pub fn watch(&self) -> impl Fn() -> Vec<OutputStatistics> + Send + Sync + 'static {
+        self.publisher.watch()
     }
 
     /// Poses that the safety limits began to hold back since the last call.

@@ -1,13 +1,13 @@
 //! The HTTP server beside a command: pose and state as the server gives them, and what `run` adds: health, metrics, and the call that saves
 //! the ring.
 
+use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use super::failure::Failure;
 use crate::capture::ClipEntry;
 use crate::config::HttpSettings;
-use crate::daemon::live::LiveLink;
+use crate::daemon::Supervisor;
 use crate::publish::{SafetySettings, Stamps};
 use crate::record::PoseSample;
 use crate::tracker::TrackerSetup;
@@ -18,27 +18,46 @@ use crate::{publish::FrameClock, web};
 pub(super) struct Pages {
     #[cfg(feature = "http")]
     server: Option<web::Server>,
+    #[cfg(feature = "http")]
+    clock: Option<Arc<FrameClock>>,
 }
 
-/// What `run` counts, and what the call that asks for the ring switches on.
-pub(super) type OfRun<'a> = (&'a LiveLink, &'a Arc<AtomicBool>);
+/// What `run` has beside the poses: what steers its sessions, and the page's folder where one was named.
+pub(super) type OfRun<'a> = (&'a Arc<Supervisor>, Option<&'a Path>);
 
 impl Pages {
     /// Starts the server; it judges the age of a pose by the clock that `stamps` are of.
     #[cfg(feature = "http")]
     pub fn start(http: Option<&HttpSettings>, safety: &SafetySettings, stamps: Stamps, run: Option<OfRun<'_>>) -> Result<Self, Failure> {
-        let Some(http) = http else { return Ok(Self { server: None }) };
+        let Some(http) = http else { return Ok(Self { server: None, clock: None }) };
         // One clock for all pages: it is asked often enough to notice a suspend while nobody reads them.
         let clock = Arc::new(FrameClock::new(stamps));
-        let events = run.map(|(link, _)| link.events.listen());
-        let routes = run.map_or_else(Vec::new, |run| routes(run, &clock));
-        let server = web::Server::start(http, routes).map_err(|e| Failure::Publishing(e.to_string()))?;
+        let events = run.map(|(supervisor, _)| supervisor.link.events.listen());
+        let routes = run.map_or_else(Vec::new, |(supervisor, _)| routes(supervisor, &clock));
+        let site = run.map_or_else(web::Site::default, |(supervisor, page_dir)| web::Site {
+            state: Some(crate::daemon::state_folder()),
+            page_dir: page_dir.map(Path::to_owned),
+            about: Some(web::about(supervisor)),
+        });
+        let server = web::Server::start_site(http, routes, site).map_err(|e| Failure::Publishing(e.to_string()))?;
         if let Some(events) = events {
             server.follow_events(events);
         }
-        server.judge_ages(clock, safety.stale_after);
-        Ok(Self { server: Some(server) })
+        server.judge_ages(clock.clone(), safety.stale_after);
+        Ok(Self { server: Some(server), clock: Some(clock) })
     }
+
+    /// A session begins whose limit of age may be another.
+    #[cfg(feature = "http")]
+    pub fn use_limits(&self, safety: &SafetySettings) {
+        if let (Some(server), Some(clock)) = (&self.server, &self.clock) {
+            server.judge_ages(clock.clone(), safety.stale_after);
+        }
+    }
+
+    /// A session begins whose limit of age may be another.
+    #[cfg(not(feature = "http"))]
+    pub fn use_limits(&self, _: &SafetySettings) {}
 
     /// Says that there is no server in this build.
     #[cfg(not(feature = "http"))]
@@ -79,17 +98,20 @@ impl Pages {
 }
 
 #[cfg(feature = "http")]
-fn routes((link, save): OfRun<'_>, clock: &Arc<FrameClock>) -> Vec<web::Route> {
+fn routes(supervisor: &Arc<Supervisor>, clock: &Arc<FrameClock>) -> Vec<web::Route> {
     use crate::telemetry::{Page, health, metrics};
-    let reply = |page: Page| web::Reply { status: page.status, content_type: page.content_type, body: page.body.into_bytes() };
-    let (for_health, for_metrics, save) = (link.statistics.clone(), link.statistics.clone(), save.clone());
+    let reply = |page: Page| web::Reply::new(page.status, page.content_type, page.body.into_bytes());
+    let statistics = &supervisor.link.statistics;
+    let (for_health, for_metrics, save) = (statistics.clone(), statistics.clone(), supervisor.clone());
     let (health_clock, metrics_clock) = (clock.clone(), clock.clone());
-    vec![
+    let mut routes = vec![
         web::Route::get("/healthz", move || reply(health(&for_health, &health_clock))),
         web::Route::get("/metrics", move || reply(metrics(&for_metrics, &metrics_clock))),
         web::Route::post("/api/v1/ring/save", move || {
-            save.store(true, std::sync::atomic::Ordering::Relaxed);
+            save.save_ring();
             web::Reply::text(202, "the last seconds will be saved\n")
         }),
-    ]
+    ];
+    routes.extend(web::routes(supervisor));
+    routes
 }

@@ -9,9 +9,13 @@ pub mod live;
 mod reason_watch;
 pub mod recorder;
 mod stale;
+mod state_folder;
+mod supervisor;
 mod thread_time;
 mod threads;
 
 pub use entries::track_entry;
+pub use state_folder::state_folder;
+pub use supervisor::{Mode, RecordingWish, Supervisor};
 pub use thread_time::thread_clock;
 pub use threads::{Daemon, DaemonError, Delivery, RunningDaemon};

@@ -38,7 +38,7 @@ pub use json::JsonSettings;
 pub use mounted::{Mount, MountSettings};
 pub use network::{Interface, needs_interface};
 pub use placement::{Axes, Placement};
-pub use publisher::{Context, PublishError, Publisher};
+pub use publisher::{Context, OutputStatistics, PublishError, Publisher};
 pub use report::BodyChoice;
 pub use settings::{BlendRates, FixedRate, OnLoss, OutputSettings, Protocol, Rate, SafetySettings};
 pub use stamps::{ClipStart, Stamps};

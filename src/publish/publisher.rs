@@ -88,6 +88,8 @@ pub struct OutputStatistics {
     pub latency_us: u64,
     /// and the longest.
     pub greatest_latency_us: u64,
+    /// The last packet that was handed to its places; empty before the first.
+    pub last_packet: Vec<u8>,
 }
 
 /// Samples that may wait for one output before the oldest is dropped: a second at 30 a second. Chosen, not tuned. Raised, an output that
@@ -187,6 +189,12 @@ impl Publisher {
         }
     }
 
+    /// What tells other threads what the outputs have done so far.
+    pub fn watch(&self) -> impl Fn() -> Vec<OutputStatistics> + Send + Sync + 'static {
+        let outputs: Vec<_> = self.outputs.iter().map(|o| (o.name.clone(), o.protocol, o.counters.clone())).collect();
+        move || outputs.iter().map(|(name, protocol, counters)| statistics_of(name.clone(), protocol, counters)).collect()
+    }
+
     /// Where the outputs tell that their safety limits began to hold a pose back; the latest are lost where nobody asks.
     pub fn events(&self) -> &Receiver<PoseWithheld> {
         &self.events
@@ -260,6 +268,7 @@ fn statistics_of(name: String, protocol: &'static str, counters: &Counters) -> O
         dropped: read(&counters.dropped),
         latency_us: read(&counters.latency_us),
         greatest_latency_us: read(&counters.greatest_latency_us),
+        last_packet: counters.last_packet.lock().unwrap_or_else(PoisonError::into_inner).clone(),
     }
 }
 

@@ -1,7 +1,7 @@
 //! One output's thread: takes samples from its queue, decides what is due, and sends it.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
@@ -41,6 +41,8 @@ pub(super) struct Counters {
     pub dropped: AtomicU64,
     pub latency_us: AtomicU64,
     pub greatest_latency_us: AtomicU64,
+    /// Its memory is used again and again.
+    pub last_packet: Mutex<Vec<u8>>,
 }
 
 /// How often a loss is said again where the format has a word for it. Chosen, not tuned. Raised, a receiver that comes later learns of it
@@ -191,7 +193,7 @@ impl Worker {
         self.memory.next_round = now.boot.after(ROUND.min(pause));
         self.transport.attend();
         let (transport, counters) = (&mut self.transport, &self.counters);
-        self.encoder.repeat(now.monotonic, &mut |packet| count(counters, transport.send(packet)));
+        self.encoder.repeat(now.monotonic, &mut |packet| count(counters, packet, transport.send(packet)));
         if matches!(self.rate, Rate::Every(_)) && self.is_stale(now) {
             let known = vec![Known::nothing(State::Stale); self.bodies.len()];
             let sequence = self.memory.last.as_ref().map_or(0, |last| last.sample.sequence);
@@ -237,7 +239,7 @@ impl Worker {
             is_test: self.is_test,
         };
         let (transport, counters) = (&mut self.transport, &self.counters);
-        self.encoder.encode(&report, &mut |packet| count(counters, transport.send(packet)));
+        self.encoder.encode(&report, &mut |packet| count(counters, packet, transport.send(packet)));
         self.memory.last_sent = Some(now.boot);
         if let Some(arrival) = arrival {
             let us = u64::try_from(arrival.arrived.elapsed().as_micros()).unwrap_or(u64::MAX);
@@ -256,7 +258,11 @@ impl Worker {
     }
 }
 
-fn count(counters: &Counters, (taken, failed): (u64, u64)) {
+fn count(counters: &Counters, packet: &[u8], (taken, failed): (u64, u64)) {
+    let mut last = counters.last_packet.lock().unwrap_or_else(PoisonError::into_inner);
+    last.clear();
+    last.extend_from_slice(packet);
+    drop(last);
     counters.sent.fetch_add(taken, Ordering::Relaxed);
     counters.failed.fetch_add(failed, Ordering::Relaxed);
 }

@@ -1,11 +1,13 @@
-//! What a running daemon counts: [`Statistics`] is filled without locks; [`health`] and [`metrics`] are pure functions from it to a page.
+//! What a running daemon counts: [`Statistics`] is filled without locks, the last lines of the log are kept; [`health`] and [`metrics`] are pure functions from it to a page.
 
 mod health;
 mod histogram;
+mod log_tail;
 mod metrics;
 mod statistics;
 
 pub use health::health;
+pub use log_tail::{keep_log_line, log_tail};
 pub use metrics::metrics;
 pub use statistics::{CameraState, RecorderState, STAGES, Statistics};
 

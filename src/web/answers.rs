@@ -1,52 +1,73 @@
 //! From a request that may be asked to its answer: routes, methods, WebSockets.
 
+use std::collections::BTreeMap;
 use std::convert::Infallible;
+use std::net::IpAddr;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
 use axum::Router;
 use axum::body::Body;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
-use axum::extract::{FromRequestParts, Path};
-use axum::http::{HeaderValue, Request as HttpRequest, Response, header};
+use axum::extract::{FromRequestParts, RawPathParams};
+use axum::http::{Method, Request as HttpRequest, Response};
 use axum::response::IntoResponse;
 use axum::routing::any;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 use tokio::time::timeout;
 
 use super::assets::with_page;
+use super::call::Call;
+use super::content::{Transfers, Upload, pump};
 use super::events::{Events, tell};
 use super::feed::Feed;
 use super::hub::Hub;
+use super::keys::Keys;
 use super::lifetime::{TAKES_WITHIN, close, ended};
 use super::places::Place;
-use super::replies::{refusal, response, with};
-use super::routes::{Effect, Reply, Route};
-use super::scene::Scene;
+use super::replies::{reads, refused_content, response};
+use super::reply::Reply;
+use super::routes::{Handler, Route};
 use super::view::show;
 
 /// A client has nothing to say on the WebSocket, so that its messages may be short, bytes. A round figure. Raised, a client may take more
 /// memory.
 const LONGEST_MESSAGE: usize = 4 * 1024;
 
-/// What a request knows of its connection: its place among those that last; none where it is answered in brief.
-pub(super) type Caller = Option<Arc<Place>>;
+/// Requests that are worked on aside at a time. Chosen for the smallest machine: more of them take turns anyway. Raised, more memory at once.
+const AT_ONCE_ASIDE: usize = 3;
 
-/// The page, /ws, /ws/events, /ws/view, /api/v1/pose, /api/v1/state, /api/v1/scene, the stage's pictures and the given routes.
-pub(super) fn router(
-    feed: &Arc<Feed>,
-    hub: &Arc<Hub>,
-    events: &Arc<Events>,
-    scene: &Arc<Scene>,
-    routes: Vec<Route>,
-    stopped: &watch::Receiver<bool>,
-) -> Router {
-    let (pose, state, described) = (feed.clone(), feed.clone(), scene.clone());
-    let own = [
-        Route::get("/api/v1/pose", move || pose.pose()),
-        Route::get("/api/v1/state", move || state.state()),
-        Route::get("/api/v1/scene", move || described.reply()),
-    ];
+/// What a request knows of its connection.
+#[derive(Debug, Clone)]
+pub(super) struct Caller {
+    /// Its place among those that last; none where it is answered in brief.
+    pub place: Option<Arc<Place>>,
+    /// Who asks.
+    pub peer: IpAddr,
+    /// What it carries that may last.
+    pub transfers: Transfers,
+}
+
+/// What all routes are answered with.
+struct Desk {
+    keys: Arc<Keys>,
+    aside: Arc<Semaphore>,
+}
+
+/// What the streams are of.
+pub(super) struct Streams {
+    pub feed: Arc<Feed>,
+    pub hub: Arc<Hub>,
+    pub events: Arc<Events>,
+    pub stopped: watch::Receiver<bool>,
+}
+
+/// The page (from a folder, where one is named), /ws, /ws/events, /ws/view, /api/v1/pose, /api/v1/state and the given routes.
+pub(super) fn router(streams: Streams, routes: Vec<Route>, keys: Arc<Keys>, page_dir: Option<PathBuf>) -> Router {
+    let Streams { feed, hub, events, stopped } = streams;
+    let (pose, state) = (feed.clone(), feed.clone());
+    let own = [Route::get("/api/v1/pose", move || pose.pose()), Route::get("/api/v1/state", move || state.state())];
     let of_records = {
         let (feed, stopped) = (feed.clone(), stopped.clone());
         move |socket| stream(socket, feed.clone(), stopped.clone())
@@ -55,38 +76,94 @@ pub(super) fn router(
         let (feed, hub, stopped) = (feed.clone(), hub.clone(), stopped.clone());
         move |socket| show(socket, hub.clone(), feed.clone(), stopped.clone())
     };
-    let of_events = {
-        let (events, stopped) = (events.clone(), stopped.clone());
-        move |socket| tell(socket, events.clone(), stopped.clone())
-    };
+    let of_events = move |socket| tell(socket, events.clone(), stopped.clone());
     let mut router = Router::new()
         .route("/ws", any(move |request| web_socket(request, of_records)))
         .route("/ws/events", any(move |request| web_socket(request, of_events)))
-        .route("/ws/view", any(move |request| web_socket(request, of_frames)))
-        .route("/api/v1/surfaces/{number}/picture", {
-            let scene = scene.clone();
-            any(move |number: Path<String>, request: HttpRequest<Body>| async move {
-                refusal(&request, &Effect::Reads).unwrap_or_else(|| response(scene.picture(&number)))
-            })
-        });
-    for route in own.into_iter().chain(routes) {
-        router = router.route(route.path, any(move |request| answer(request, route.clone())));
+        .route("/ws/view", any(move |request| web_socket(request, of_frames)));
+    let mut by_path: BTreeMap<&'static str, Vec<Route>> = BTreeMap::new();
+    own.into_iter().chain(routes).for_each(|route| by_path.entry(route.path).or_default().push(route));
+    let desk = Arc::new(Desk { keys, aside: Arc::new(Semaphore::new(AT_ONCE_ASIDE)) });
+    for (path, of_path) in by_path {
+        let (of_path, desk): (Arc<[Route]>, _) = (of_path.into(), desk.clone());
+        router = router.route(path, any(move |request| answer(request, of_path.clone(), desk.clone())));
     }
-    with_page(router).fallback(|| async { response(Reply::text(404, "there is nothing here; the page is at /\n")) })
+    with_page(router, page_dir)
 }
 
-async fn answer(request: HttpRequest<Body>, route: Route) -> Result<Response<Body>, Infallible> {
-    if let Some(refused) = refusal(&request, &route.effect) {
+async fn answer(request: HttpRequest<Body>, of_path: Arc<[Route]>, desk: Arc<Desk>) -> Result<Response<Body>, Infallible> {
+    let method = if *request.method() == Method::HEAD { Method::GET } else { request.method().clone() };
+    let Some(route) = of_path.iter().find(|route| route.method == method) else { return Ok(wrong_method(&of_path)) };
+    let caller = request.extensions().get::<Caller>().cloned();
+    // Who has no connection is nobody who is known.
+    let peer = caller.as_ref().map_or(IpAddr::from([0, 0, 0, 0]), |caller| caller.peer);
+    if let Err(refused) = desk.keys.judge(route.access, &method, request.headers(), peer) {
+        return Ok(response(refused));
+    }
+    if let Handler::Quick(_) = &route.handler
+        && let Some(refused) = refused_content(&request)
+    {
         return Ok(refused);
     }
-    if let Effect::Changes(pace) = &route.effect
+    if let Some(pace) = &route.pace
         && let Err(wait) = pace.take(Instant::now())
     {
         let after = wait.as_secs() + 1;
         let sentence = format!("this was asked for too often; ask again in {after} s\n");
-        return Ok(with(response(Reply::text(429, sentence)), header::RETRY_AFTER, HeaderValue::from(after)));
+        return Ok(response(Reply::text(429, sentence).with("retry-after", &after.to_string())));
     }
-    Ok(response((route.handler)()))
+    let Handler::Aside(handler) = &route.handler else {
+        let Handler::Quick(handler) = &route.handler else { unreachable!("a handler is one of two kinds") };
+        return Ok(response(handler()));
+    };
+    let transfers = caller.map(|caller| caller.transfers).unwrap_or_default();
+    let _transfer = transfers.begin();
+    let is_here = Keys::is_here(peer, request.headers());
+    let (mut parts, body) = request.into_parts();
+    let fields = fields(&mut parts).await;
+    let (to, content) = Upload::channel();
+    let query = parts.uri.query().unwrap_or_default().to_owned();
+    let mut call = Call { fields, query, headers: parts.headers, content, is_here };
+    // The semaphore is never closed.
+    let permit = desk.aside.clone().acquire_owned().await;
+    let handler = handler.clone();
+    let work = tokio::task::spawn_blocking(move || {
+        let reply = handler(&mut call).unwrap_or_else(|refused| refused);
+        drop(permit);
+        reply
+    });
+    let (reply, ()) = tokio::join!(work, pump(body, to));
+    // A handler that panics is a defect; the message is in the log.
+    let reply = reply.unwrap_or_else(|_| Reply::text(500, "this failed inside the program; please report it with the log\n"));
+    Ok(with_download(reply, &transfers))
+}
+
+fn with_download(mut reply: Reply, transfers: &Transfers) -> Response<Body> {
+    let download = reply.download.take();
+    let mut response = response(reply);
+    if let Some(download) = download {
+        *response.body_mut() = download.into_body(Some(transfers));
+    }
+    response
+}
+
+async fn fields(parts: &mut axum::http::request::Parts) -> Vec<(String, String)> {
+    let named = RawPathParams::from_request_parts(parts, &()).await;
+    named.map(|named| named.iter().map(|(name, value)| (name.to_owned(), value.to_owned())).collect()).unwrap_or_default()
+}
+
+/// Says which methods a path has.
+fn wrong_method(of_path: &[Route]) -> Response<Body> {
+    let mut methods: Vec<&str> = of_path.iter().map(|route| route.method.as_str()).collect();
+    if methods.contains(&"GET") {
+        methods.push("HEAD");
+    }
+    let sentence = match methods[..] {
+        ["GET", "HEAD"] => "only GET is answered here\n".to_owned(),
+        ["POST"] => "this changes something; ask with POST\n".to_owned(),
+        _ => format!("this path has {}\n", methods.join(", ")),
+    };
+    response(Reply::text(405, sentence).with("allow", &methods.join(", ")))
 }
 
 /// A connection that becomes a WebSocket, and is then served by `serve`.
@@ -94,11 +171,11 @@ async fn web_socket<F>(request: HttpRequest<Body>, serve: impl FnOnce(WebSocket)
 where
     F: Future<Output = ()> + Send,
 {
-    if let Some(refused) = refusal(&request, &Effect::Reads) {
+    if let Some(refused) = reads(&request) {
         return refused;
     }
     // The connection's place is kept for as long as the WebSocket lasts.
-    let Some(place) = request.extensions().get::<Caller>().and_then(Clone::clone) else {
+    let Some(place) = request.extensions().get::<Caller>().and_then(|caller| caller.place.clone()) else {
         return response(Reply::text(503, "too many clients are connected; close some and try again\n"));
     };
     let (mut parts, _) = request.into_parts();

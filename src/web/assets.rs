@@ -6,6 +6,8 @@
 use std::io::Write as _;
 use std::sync::LazyLock;
 
+use std::path::{Path, PathBuf};
+
 use axum::Router;
 use axum::body::Body;
 use axum::http::{HeaderValue, Request, Response, StatusCode, header};
@@ -13,8 +15,10 @@ use axum::routing::any;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
-use super::replies::{refusal, response};
-use super::routes::{Effect, Reply};
+use super::call::is_name;
+use super::replies::{reads, response};
+use super::reply::Reply;
+use crate::safe_file;
 
 /// A file of the page.
 #[derive(Debug)]
@@ -106,8 +110,57 @@ fn packed(bytes: &[u8]) -> Vec<u8> {
     whole.unwrap_or_default()
 }
 
-/// The router with the page's files.
-pub(super) fn with_page(router: Router) -> Router {
+/// Larger than any file of the page, bytes; a round figure.
+const LARGEST_FILE: u64 = 16 << 20;
+
+/// The router with the page's files: those of the program, or those of a folder as they are at each request, for who works on the page.
+pub(super) fn with_page(router: Router, folder: Option<PathBuf>) -> Router {
+    match folder {
+        None => with_embedded(router).fallback(|| async { nothing_here() }),
+        Some(folder) => router.fallback(move |request: Request<Body>| from_folder(request, folder.clone())),
+    }
+}
+
+fn nothing_here() -> Response<Body> {
+    response(Reply::text(404, "there is nothing here; the page is at /\n"))
+}
+
+/// A file of the folder; reading it takes a moment of another thread.
+async fn from_folder(request: Request<Body>, folder: PathBuf) -> Response<Body> {
+    if let Some(refused) = reads(&request) {
+        return refused;
+    }
+    let path = match request.uri().path() {
+        "/" => "index.html",
+        path => &path[1..],
+    };
+    // No part leads out of the folder.
+    if !path.split('/').all(is_name) {
+        return nothing_here();
+    }
+    let file = folder.join(path);
+    let content_type = content_type(&file);
+    match tokio::task::spawn_blocking(move || safe_file::read(&file, LARGEST_FILE)).await {
+        Ok(Ok(bytes)) => {
+            let reply = Reply::new(200, content_type, bytes).with("content-security-policy", POLICY);
+            response(reply.with("cache-control", "no-cache").with("referrer-policy", "no-referrer"))
+        }
+        _ => nothing_here(),
+    }
+}
+
+/// The MIME type of a file of the page.
+fn content_type(file: &Path) -> &'static str {
+    match file.extension().and_then(|extension| extension.to_str()) {
+        Some("html") => HTML,
+        Some("js") => SCRIPT,
+        Some("css") => STYLE,
+        Some("svg") => PICTURE,
+        _ => TEXT,
+    }
+}
+
+fn with_embedded(router: Router) -> Router {
     ASSETS.iter().enumerate().fold(router, |router, (k, asset)| {
         let tag = format!("\"{:016x}\"", hash(FNV_START, asset.bytes));
         router.route(asset.path, any(move |request| async move { answer(&request, asset, k, &tag) }))
@@ -115,10 +168,10 @@ pub(super) fn with_page(router: Router) -> Router {
 }
 
 fn answer(request: &Request<Body>, asset: &Asset, k: usize, tag: &str) -> Response<Body> {
-    if let Some(refused) = refusal(request, &Effect::Reads) {
+    if let Some(refused) = reads(request) {
         return refused;
     }
-    let mut response = response(Reply { status: 200, content_type: asset.content_type, body: Vec::new() });
+    let mut response = response(Reply::new(200, asset.content_type, Vec::new()));
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));

@@ -4,14 +4,14 @@
 //! pose is known, whatever the last record was, and so it is where a record comes late. A record whose stamp does not follow the last one
 //! (a row that was skipped) says nothing of the bodies and is passed over.
 
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use axum::extract::ws::Utf8Bytes;
 use serde_json::{Value, json};
 use tokio::sync::broadcast;
 
-use super::routes::Reply;
+use super::reply::Reply;
 use crate::frame::Timestamp;
 use crate::publish::FrameClock;
 use crate::record::{PoseSample, State};
@@ -25,13 +25,13 @@ const REPEAT: Duration = Duration::from_secs(1);
 /// What has been published so far.
 #[derive(Debug)]
 pub(super) struct Feed {
-    ages: OnceLock<Ages>,
+    ages: Mutex<Option<Ages>>,
     last: Mutex<Last>,
     lines: broadcast::Sender<Utf8Bytes>,
 }
 
 /// How old frames are, and may be.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Ages {
     clock: Arc<FrameClock>,
     most: Duration,
@@ -53,12 +53,16 @@ fn milliseconds(age: Duration) -> f64 {
 
 impl Feed {
     pub fn new() -> Self {
-        Self { ages: OnceLock::new(), last: Mutex::default(), lines: broadcast::Sender::new(MOST_BEHIND) }
+        Self { ages: Mutex::default(), last: Mutex::default(), lines: broadcast::Sender::new(MOST_BEHIND) }
     }
 
-    /// From now on a frame older than `most` is too old. Only the first call counts.
+    /// From now on a frame older than `most` is too old.
     pub fn judge_ages(&self, clock: Arc<FrameClock>, most: Duration) {
-        self.ages.get_or_init(|| Ages { clock, most });
+        *self.ages.lock().unwrap_or_else(PoisonError::into_inner) = Some(Ages { clock, most });
+    }
+
+    fn ages(&self) -> Option<Ages> {
+        self.ages.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     fn last(&self) -> MutexGuard<'_, Last> {
@@ -72,7 +76,7 @@ impl Feed {
             last.silence = Some(Arc::new(sample.clone()));
             return self.say_silence(&mut last);
         }
-        let taken = match self.ages.get() {
+        let taken = match &self.ages() {
             None => Timestamp::default(),
             Some(_) if last.record.as_ref().is_some_and(|(before, _)| sample.timestamp <= before.timestamp) => return,
             Some(ages) => match ages.clock.taken(sample.timestamp, Duration::ZERO) {
@@ -90,7 +94,7 @@ impl Feed {
 
     /// Says that the newest frame has become too old, once a second; called several times a second.
     pub fn watch(&self) {
-        let Some(ages) = self.ages.get() else { return };
+        let Some(ages) = self.ages() else { return };
         let now = ages.clock.now().boot;
         let mut last = self.last();
         let is_said = last.said.is_some_and(|said| now.duration_since(said) < REPEAT);
@@ -100,7 +104,7 @@ impl Feed {
     }
 
     fn say_silence(&self, last: &mut Last) {
-        last.said = self.ages.get().map(|ages| ages.clock.now().boot);
+        last.said = self.ages().map(|ages| ages.clock.now().boot);
         self.send(|| self.silence(last).to_json_line());
     }
 
@@ -113,12 +117,12 @@ impl Feed {
 
     /// How old the newest frame is, where that is known.
     fn age(&self, last: &Last) -> Option<Duration> {
-        let (ages, (_, taken)) = (self.ages.get()?, last.record.as_ref()?);
+        let (ages, (_, taken)) = (self.ages()?, last.record.as_ref()?);
         Some(ages.clock.now().boot.duration_since(*taken))
     }
 
     fn is_too_old(&self, last: &Last) -> bool {
-        last.silence.is_some() || self.ages.get().is_some_and(|ages| self.age(last).is_some_and(|age| age >= ages.most))
+        last.silence.is_some() || self.ages().is_some_and(|ages| self.age(last).is_some_and(|age| age >= ages.most))
     }
 
     /// The message that no frame comes, with the newest one's age as it is now.

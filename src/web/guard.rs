@@ -10,7 +10,7 @@ use std::net::IpAddr;
 use axum::http::{HeaderMap, HeaderName, Method, Request, Uri, Version, header};
 
 use super::hosts::{AllowedHosts, HostAndPort};
-use super::routes::Reply;
+use super::reply::Reply;
 
 /// The ports of `http` and `https` where an address names none (RFC 9110, 4.2).
 const HTTP_PORT: u16 = 80;

@@ -12,20 +12,17 @@ use axum::body::Bytes;
 use crossbeam_channel::Receiver;
 use image::GrayImage;
 use jpeg_encoder::{ColorType, Encoder};
-use nix::libc;
 use serde::Serialize;
 use tokio::sync::watch;
 
 use super::camera_motion::{CameraMotion, MotionFollower};
+use super::priority::stand_back;
 use crate::capture::{ClipEntry, EntryContent, Received, with_huffman_tables};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::{PoseSample, State};
 
 /// Quality of JPEGs that are encoded here, 1 to 100. Chosen: no blocks are seen, at a third of the size of 95. Raised, larger messages.
 const QUALITY: u8 = 80;
-/// How far the thread that encodes stands back behind the others, in steps of `nice` (0 to 19): pictures for people are less urgent than
-/// poses. Raised, a busy machine shows fewer pictures.
-const STANDS_BACK: libc::c_int = 10;
 
 /// What is taken over of a row.
 #[derive(Debug)]
@@ -139,8 +136,7 @@ fn taken(epoch: u64, row: &ClipEntry, sample: &PoseSample, motion: Option<Camera
 
 /// The thread's whole life.
 fn work(rows: &Receiver<Taken>, to: &watch::Sender<Bytes>) {
-    // SAFETY: it takes numbers only; on Linux 0 means the calling thread. Where the system refuses, pictures are as urgent as the rest.
-    unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, STANDS_BACK) };
+    stand_back();
     for row in rows {
         if let Some(message) = message(&row) {
             to.send_replace(message);
@@ -183,10 +179,16 @@ fn message(row: &Taken) -> Option<Bytes> {
         Picture::Jpeg(bytes) => whole.extend_from_slice(&with_huffman_tables(bytes)),
         Picture::Grey(picture) => {
             let (width, height) = (u16::try_from(row.size.0).ok()?, u16::try_from(row.size.1).ok()?);
-            Encoder::new(&mut whole, QUALITY).encode(picture, width, height, ColorType::Luma).ok()?;
+            whole = grey_jpeg(picture, width, height, whole)?;
         }
     }
     Some(whole.into())
+}
+
+/// What is there, followed by a grey picture as a JPEG.
+pub(super) fn grey_jpeg(picture: &[u8], width: u16, height: u16, mut behind: Vec<u8>) -> Option<Vec<u8>> {
+    Encoder::new(&mut behind, QUALITY).encode(picture, width, height, ColorType::Luma).ok()?;
+    Some(behind)
 }
 
 #[cfg(test)]

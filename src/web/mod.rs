@@ -2,14 +2,23 @@
 //! picture with its record to whoever asks for a frame, `GET /ws/events` what happens, `GET /api/v1/pose` the last record, `GET /api/v1/state` what is known and since
 //! when, `GET /api/v1/scene` the camera and the surfaces, and whatever routes the caller adds. It has one thread for answers and one for
 //! pictures, listens on loopback unless the config says otherwise, answers only for this machine's hosts and to pages of its own, takes only
-//! small requests without content, and lets go of a client that does not read.
+//! small requests, and lets go of a client that does not read. What may take its time (`api`: recordings, the config, the set, health) is done on
+//! threads that stand back behind the tracker. Whoever changes something is on this machine, or paired (`keys`).
 
 #[cfg(feature = "http")]
 mod answers;
 #[cfg(feature = "http")]
+mod api;
+#[cfg(feature = "http")]
 mod assets;
 #[cfg(feature = "http")]
+mod call;
+#[cfg(feature = "http")]
 mod camera_motion;
+#[cfg(feature = "http")]
+mod content;
+#[cfg(feature = "http")]
+mod entrance;
 #[cfg(feature = "http")]
 mod events;
 #[cfg(feature = "http")]
@@ -20,11 +29,17 @@ mod hosts;
 #[cfg(feature = "http")]
 mod hub;
 #[cfg(feature = "http")]
+mod keys;
+#[cfg(feature = "http")]
 mod lifetime;
 #[cfg(feature = "http")]
 mod places;
 #[cfg(feature = "http")]
+mod priority;
+#[cfg(feature = "http")]
 mod replies;
+#[cfg(feature = "http")]
+mod reply;
 #[cfg(feature = "http")]
 mod routes;
 #[cfg(feature = "http")]
@@ -34,8 +49,14 @@ mod server;
 #[cfg(feature = "http")]
 mod view;
 
+#[cfg(feature = "http")]
+pub use api::{about, routes};
 pub use hosts::AllowedHosts;
 #[cfg(feature = "http")]
-pub use routes::{Reply, Route};
+pub use keys::code_file;
 #[cfg(feature = "http")]
-pub use server::Server;
+pub use reply::Reply;
+#[cfg(feature = "http")]
+pub use routes::Route;
+#[cfg(feature = "http")]
+pub use server::{Server, Site};

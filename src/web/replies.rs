@@ -3,29 +3,24 @@
 use axum::body::{Body, HttpBody};
 use axum::http::{HeaderName, HeaderValue, Method, Request as HttpRequest, Response, StatusCode, header};
 
-use super::routes::{Effect, Reply};
+use super::reply::Reply;
 
-/// Refuses another method than the route's, and content.
-pub(super) fn refusal(request: &HttpRequest<Body>, effect: &Effect) -> Option<Response<Body>> {
-    let (is_allowed, allow, sentence) = match effect {
-        Effect::Reads => (matches!(*request.method(), Method::GET | Method::HEAD), "GET, HEAD", "only GET is answered here\n"),
-        Effect::Changes(_) => (*request.method() == Method::POST, "POST", "this changes something; ask with POST\n"),
-    };
-    if !is_allowed {
-        return Some(with(response(Reply::text(405, sentence)), header::ALLOW, HeaderValue::from_static(allow)));
+/// Refuses what is more than a question.
+pub(super) fn reads(request: &HttpRequest<Body>) -> Option<Response<Body>> {
+    if !matches!(*request.method(), Method::GET | Method::HEAD) {
+        return Some(response(Reply::text(405, "only GET is answered here\n").with("allow", "GET, HEAD")));
     }
-    (!request.body().is_end_stream()).then(|| response(Reply::text(413, "a request has no content here\n")))
+    refused_content(request)
 }
 
-/// The response with one more header.
-pub(super) fn with(mut response: Response<Body>, name: HeaderName, value: HeaderValue) -> Response<Body> {
-    response.headers_mut().insert(name, value);
-    response
+/// Refuses content.
+pub(super) fn refused_content(request: &HttpRequest<Body>) -> Option<Response<Body>> {
+    (!request.body().is_end_stream()).then(|| response(Reply::text(413, "a request has no content here\n")))
 }
 
 /// The reply with what no page of another site may do with it. What was refused also ends its connection: it may hold more.
 pub(super) fn response(reply: Reply) -> Response<Body> {
-    let is_refused = matches!(reply.status, 400 | 403 | 405 | 413 | 421);
+    let is_refused = matches!(reply.status, 400 | 401 | 403 | 405 | 408 | 413 | 421 | 423);
     let mut response = Response::new(Body::from(reply.body));
     *response.status_mut() = StatusCode::from_u16(reply.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
     let headers = response.headers_mut();
@@ -39,6 +34,7 @@ pub(super) fn response(reply: Reply) -> Response<Body> {
     for (name, value) in fixed {
         headers.insert(name, HeaderValue::from_static(value));
     }
+    headers.extend(reply.headers);
     if is_refused {
         headers.insert(header::CONNECTION, HeaderValue::from_static("close"));
     }

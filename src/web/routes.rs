@@ -1,61 +1,79 @@
-//! A route is a path with a plain function that makes the reply. What changes something is answered a few times at once, then at a
+//! A route is a method and a path with a function that makes the reply. What changes something is answered a few times at once, then at a
 //! steady pace.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// What a route answers.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Reply {
-    /// HTTP status, such as 200 or 503.
-    pub status: u16,
-    /// MIME type, such as "text/plain; charset=utf-8".
-    pub content_type: &'static str,
-    /// Content.
-    pub body: Vec<u8>,
-}
+use axum::http::Method;
 
-impl Reply {
-    /// Plain text.
-    pub fn text(status: u16, body: impl Into<String>) -> Self {
-        Self { status, content_type: "text/plain; charset=utf-8", body: body.into().into_bytes() }
-    }
+use super::call::Call;
+use super::reply::Reply;
 
-    /// JSON.
-    pub fn json(status: u16, body: impl Into<String>) -> Self {
-        Self { status, content_type: "application/json", body: body.into().into_bytes() }
-    }
-}
+/// A quick answer, which needs nothing of the request.
+type Quick = Arc<dyn Fn() -> Reply + Send + Sync>;
+/// An answer that may take its time: it may read, write and compute, and runs on a thread that stands back behind the tracker.
+type Aside = Arc<dyn Fn(&mut Call) -> Result<Reply, Reply> + Send + Sync>;
 
 /// What answers a path.
-pub(super) type Handler = Arc<dyn Fn() -> Reply + Send + Sync>;
-
-/// What a request for a path does.
 #[derive(Clone)]
-pub(super) enum Effect {
-    /// It changes nothing: GET and HEAD.
-    Reads,
-    /// It changes something: POST, and not too often.
-    Changes(Arc<Pace>),
+pub(super) enum Handler {
+    Quick(Quick),
+    Aside(Aside),
 }
 
-/// A path with what answers it. It is called on the server's thread: it must be quick and wait for nothing.
+/// Who may ask.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Access {
+    /// Whoever passes the guard; it changes nothing.
+    Anyone,
+    /// It changes nothing, but tells more than the page shows: off loopback for paired browsers only.
+    Paired,
+    /// It changes something: off loopback for paired browsers only, and for nobody while the show lock is on.
+    Change,
+    /// It changes something, also under the lock: what releases it.
+    Unlock,
+    /// Pairing itself.
+    Pair,
+}
+
+/// A method and a path with what answers them.
 #[derive(Clone)]
 pub struct Route {
+    pub(super) method: Method,
     pub(super) path: &'static str,
-    pub(super) effect: Effect,
+    pub(super) access: Access,
+    /// How often it may be asked, where that is limited.
+    pub(super) pace: Option<Arc<Pace>>,
     pub(super) handler: Handler,
 }
 
 impl Route {
-    /// A route that changes nothing, for one path, which begins with `/` and has no fields.
+    /// A route that changes nothing, for one path, which begins with `/` and has no fields. It is called on the server's thread: it must be
+    /// quick and wait for nothing.
     pub fn get(path: &'static str, handler: impl Fn() -> Reply + Send + Sync + 'static) -> Self {
-        Self { path, effect: Effect::Reads, handler: Arc::new(handler) }
+        Self { method: Method::GET, path, access: Access::Anyone, pace: None, handler: Handler::Quick(Arc::new(handler)) }
     }
 
-    /// A route that changes something; it is called a few times at once and then every few seconds at most.
+    /// A route that changes something; it is called a few times at once and then every few seconds at most. As [`get`](Self::get), it must be
+    /// quick.
     pub fn post(path: &'static str, handler: impl Fn() -> Reply + Send + Sync + 'static) -> Self {
-        Self { path, effect: Effect::Changes(Arc::default()), handler: Arc::new(handler) }
+        let (pace, handler) = (Some(Arc::default()), Handler::Quick(Arc::new(handler)));
+        Self { method: Method::POST, path, access: Access::Change, pace, handler }
+    }
+
+    /// A route that may take its time, with fields such as `{id}` in its path.
+    pub(super) fn aside(
+        method: Method,
+        path: &'static str,
+        access: Access,
+        handler: impl Fn(&mut Call) -> Result<Reply, Reply> + Send + Sync + 'static,
+    ) -> Self {
+        Self { method, path, access, pace: None, handler: Handler::Aside(Arc::new(handler)) }
+    }
+
+    /// The same, but seldom: see [`post`](Self::post).
+    pub(super) fn seldom(self) -> Self {
+        Self { pace: Some(Arc::default()), ..self }
     }
 }
 

@@ -3,6 +3,7 @@
 use std::convert::Infallible;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
+use std::path::PathBuf;
 use std::pin::pin;
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -10,7 +11,7 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
-use axum::http::{Request as HttpRequest, Response};
+use axum::http::{Method, Request as HttpRequest, Response};
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::{Service as _, service_fn};
@@ -24,16 +25,20 @@ use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_io_timeout::TimeoutStream;
 
-use super::answers::router;
+use super::answers::{Caller, Streams, router};
+use super::content::Transfers;
+use super::entrance::{self, About};
 use super::events::Events;
 use super::feed::Feed;
 use super::guard::judge;
 use super::hosts::AllowedHosts;
 use super::hub::Hub;
+use super::keys::Keys;
 use super::lifetime::{TAKES_WITHIN, ended};
 use super::places::{BriefOnes, Place, Places};
+use super::priority::stand_back;
 use super::replies::response;
-use super::routes::Route;
+use super::routes::{Access, Route};
 use super::scene::Scene;
 use crate::capture::ClipEntry;
 use crate::config::HttpSettings;
@@ -62,6 +67,9 @@ const BRIEFLY: Duration = Duration::from_secs(2);
 /// What a connection may take to end in form. Chosen, not tuned. Raised, the daemon's end waits longer for clients that do not listen.
 const ENDS_WITHIN: Duration = Duration::from_millis(250);
 
+/// Threads for what takes time. More than are worked on at once, for the page's folder. Raised, more memory.
+const MOST_ASIDE: usize = 8;
+
 /// How often the newest frame's age and the events are looked at; clients hear when a frame has become too old. Chosen: below what a person notices. Raised,
 /// they hear later.
 const WATCH_EVERY: Duration = Duration::from_millis(100);
@@ -80,6 +88,20 @@ pub enum WebError {
     /// The system gave no thread or no event queue.
     #[error("[http]: cannot start the server ({0}); close other programs or raise the limits of processes and files")]
     Start(io::Error),
+    /// Pairings cannot be kept.
+    #[error("[http]: pairings cannot be kept ({0}); make room in the state folder, or let it be written")]
+    State(io::Error),
+}
+
+/// What a server has beside its routes.
+#[derive(Default)]
+pub struct Site {
+    /// Where pairings are kept; without it they end with the server.
+    pub state: Option<PathBuf>,
+    /// The page's files, for who works on it; else those in the program.
+    pub page_dir: Option<PathBuf>,
+    /// What the caller says in /api/v1/session.
+    pub about: Option<About>,
 }
 
 /// The running server; dropped, it ends.
@@ -101,15 +123,36 @@ impl Server {
     /// # Errors
     /// Where the address cannot be had or the thread cannot be started.
     pub fn start(settings: &HttpSettings, routes: Vec<Route>) -> Result<Self, WebError> {
+        Self::start_site(settings, routes, Site::default())
+    }
+
+    /// The same, with more of a site.
+    ///
+    /// # Errors
+    /// Where the address cannot be had, the thread cannot be started, or the state folder cannot be written.
+    pub fn start_site(settings: &HttpSettings, mut routes: Vec<Route>, site: Site) -> Result<Self, WebError> {
         let listen = |source| WebError::Listen { address: settings.listen, source };
         let listener = bound(settings.listen).map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(WebError::Start)?;
+        // Its thread answers; what takes time is done on others, which stand back.
+        let mut runtime = tokio::runtime::Builder::new_current_thread();
+        let runtime = runtime.enable_all().max_blocking_threads(MOST_ASIDE).on_thread_start(stand_back).build().map_err(WebError::Start)?;
+        let keys = Arc::new(Keys::open(site.state.as_deref(), address.port()).map_err(WebError::State)?);
+        if !address.ip().is_loopback() {
+            tracing::info!("[http]: a browser on another machine that is to change something is paired by the code {}", keys.code());
+        }
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
         let hub = Hub::start().map_err(WebError::Start)?;
         let (events, scene) = (Arc::new(Events::new()), Arc::<Scene>::default());
-        let router = router(&feed, &hub, &events, &scene, routes, &stopped);
-        let site = Arc::new(Site { router, hosts: AllowedHosts::new(&settings.hosts) });
+        let (described, pictured) = (scene.clone(), scene.clone());
+        routes.push(Route::get("/api/v1/scene", move || described.reply()));
+        routes.push(Route::aside(Method::GET, "/api/v1/surfaces/{number}/picture", Access::Anyone, move |call| {
+            Ok(pictured.picture(call.name("number")?))
+        }));
+        routes.extend(entrance::routes(&keys, site.about));
+        let streams = Streams { feed: feed.clone(), hub: hub.clone(), events: events.clone(), stopped: stopped.clone() };
+        let router = router(streams, routes, keys, site.page_dir);
+        let site = Arc::new(Answering { router, hosts: AllowedHosts::new(&settings.hosts) });
         let watched = (feed.clone(), events.clone());
         runtime.spawn(async move {
             loop {
@@ -183,13 +226,13 @@ fn bound(address: SocketAddr) -> io::Result<TcpListener> {
 }
 
 /// What every connection is answered from.
-struct Site {
+struct Answering {
     router: Router,
     hosts: AllowedHosts,
 }
 
 /// Accepts connections until it is stopped.
-async fn serve(listener: TcpListener, site: Arc<Site>, mut stopped: watch::Receiver<bool>) {
+async fn serve(listener: TcpListener, site: Arc<Answering>, mut stopped: watch::Receiver<bool>) {
     let listener = match tokio::net::TcpListener::from_std(listener) {
         Ok(listener) => listener,
         Err(error) => return tracing::error!("[http]: the server cannot run ({error}); restart the program"),
@@ -203,7 +246,7 @@ async fn serve(listener: TcpListener, site: Arc<Site>, mut stopped: watch::Recei
         let _ = stream.set_nodelay(true);
         let place = places.take(peer.ip()).map(Arc::new);
         let is_brief = place.is_none();
-        let task = tokio::spawn(converse(stream, place, site.clone(), stopped.clone()));
+        let task = tokio::spawn(converse((stream, peer.ip()), place, site.clone(), stopped.clone()));
         if is_brief {
             brief.admit(peer.ip(), task.abort_handle());
         }
@@ -230,15 +273,21 @@ async fn accept(listener: &tokio::net::TcpListener) -> (TcpStream, SocketAddr) {
 }
 
 /// Answers one connection until it ends, or has lasted long enough. A WebSocket goes its own way, with the place.
-async fn converse(stream: TcpStream, place: Option<Arc<Place>>, site: Arc<Site>, mut stopped: watch::Receiver<bool>) {
+async fn converse(
+    (stream, peer): (TcpStream, IpAddr),
+    place: Option<Arc<Place>>,
+    site: Arc<Answering>,
+    mut stopped: watch::Receiver<bool>,
+) {
     let reached = stream.local_addr().map_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED), |address| address.ip());
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(TAKES_WITHIN));
     let is_brief = place.is_none();
+    let caller = Caller { place, peer, transfers: Transfers::default() };
     let routes = TowerToHyperService::new(site.router.clone());
     let service = service_fn(|mut request: HttpRequest<Incoming>| {
         let judged = judge(&site.hosts, &request, reached).map(|()| {
-            request.extensions_mut().insert(place.clone());
+            request.extensions_mut().insert(caller.clone());
             routes.call(request)
         });
         async move {
@@ -264,11 +313,19 @@ async fn converse(stream: TcpStream, place: Option<Arc<Place>>, site: Arc<Site>,
     tokio::select! {
         // A client that breaks off or talks nonsense is its own trouble.
         _ = connection.as_mut() => return,
-        () = sleep(if is_brief { BRIEFLY } else { LASTS }) => {}
+        () = grown_old(if is_brief { BRIEFLY } else { LASTS }, &caller.transfers) => {}
         () = ended(&mut stopped) => {}
     }
     connection.as_mut().graceful_shutdown();
     let _ = timeout(ENDS_WITHIN, connection).await;
+}
+
+/// Waits for the end of a connection's time: a file that is on its way is not cut off, for its reader takes it or is let go by itself.
+async fn grown_old(time: Duration, transfers: &Transfers) {
+    sleep(time).await;
+    while transfers.any() {
+        sleep(BRIEFLY).await;
+    }
 }
 
 #[cfg(test)]

@@ -9,17 +9,21 @@ mod service;
 mod session;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::failure::Failure;
 use super::interrupt;
 use super::logging::{self, LogArguments};
 use super::output_file::OutputFile;
+use super::pages::Pages;
 use super::spared::Spared;
-use crate::config::Settings;
+use crate::config::{HttpSettings, Settings};
 use crate::contain;
 use crate::daemon::live::{Event, LiveLink};
 use crate::daemon::recorder;
+use crate::daemon::{Mode, Supervisor};
+use crate::publish::Stamps;
 use service::Service;
 use session::{End, Session, Sinks};
 
@@ -57,11 +61,25 @@ pub(super) struct LiveArguments {
     /// End after tracking for this many seconds, or when the camera does not come in this time
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
+    /// Serve the page from this folder instead of the program, for who works on it
+    #[cfg(feature = "http")]
+    #[arg(long, value_name = "FOLDER")]
+    page_dir: Option<PathBuf>,
     #[command(flatten)]
     log: LogArguments,
 }
 
 impl LiveArguments {
+    #[cfg(feature = "http")]
+    fn page_dir(&self) -> Option<&Path> {
+        self.page_dir.as_deref()
+    }
+
+    #[cfg(not(feature = "http"))]
+    fn page_dir(&self) -> Option<&Path> {
+        None
+    }
+
     /// `--poses` and `--events`, open; none of them over what is read, what is recorded, or an output of the config.
     fn open_sinks(&self, settings: &Settings, recording: Option<&Path>) -> Result<(Option<OutputFile>, Option<OutputFile>), Failure> {
         let spared = Spared::default().with_files(&settings.files, "a file of the config");
@@ -82,6 +100,9 @@ pub(super) fn run(arguments: &RunArguments) -> Result<(), Failure> {
 const MOST_RESTARTS: usize = 5;
 const RESTART_SPAN: Duration = Duration::from_secs(60);
 
+/// How often it is looked whether a lent camera is back. Chosen: nobody notices it. Raised, tracking begins later.
+const LENT_LOOK: Duration = Duration::from_millis(50);
+
 /// Sessions one after another; `clip` is what `record` records to.
 pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(), Failure> {
     let mut settings = Settings::load(&arguments.config)?;
@@ -99,10 +120,21 @@ pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(
     let mut previous: Option<Settings> = None;
     let mut failures: Vec<Instant> = Vec::new();
     let mut clips = session::Clips::new(clip);
+    let supervisor = Arc::new(Supervisor::new(&arguments.config, link.clone()));
+    let mut server = Serving::default();
     let outcome = loop {
-        let session = Session { settings: &settings, arguments, link: &link };
-        match session.run(&mut service, &mut sinks, &mut clips) {
+        let outcome = server.serve(&settings, &supervisor, arguments).and_then(|pages| {
+            supervisor.use_settings(settings.clone());
+            let session = Session { settings: &settings, arguments, link: &link, supervisor: &supervisor, pages };
+            session.run(&mut service, &mut sinks, &mut clips)
+        });
+        match outcome {
             Ok(End::Stopped) => break Ok(()),
+            Ok(End::Lent) => {
+                if !lent(&mut service, &mut sinks, &supervisor) {
+                    break Ok(());
+                }
+            }
             Ok(End::Reload(new)) => {
                 sinks.reopen();
                 previous = Some(std::mem::replace(&mut settings, *new));
@@ -138,6 +170,44 @@ pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(
     link.events.close();
     let recorded = clips.cut_short().map_or(Ok(()), |reason| Err(Failure::Recording(reason)));
     outcome.and(recorded).and(written)
+}
+
+/// The server, which outlives sessions; it begins anew only where the config has another one.
+#[derive(Default)]
+struct Serving {
+    pages: Option<(Option<HttpSettings>, Pages)>,
+}
+
+impl Serving {
+    /// The server of this config.
+    fn serve(&mut self, settings: &Settings, supervisor: &Arc<Supervisor>, arguments: &LiveArguments) -> Result<&Pages, Failure> {
+        if self.pages.as_ref().is_some_and(|(http, _)| *http != settings.http) {
+            self.pages = None;
+        }
+        let (_, pages) = match self.pages.take() {
+            Some(pages) => self.pages.insert(pages),
+            None => {
+                let run = Some((supervisor, arguments.page_dir()));
+                let pages = Pages::start(settings.http.as_ref(), &settings.safety, Stamps::Live, run)?;
+                self.pages.insert((settings.http.clone(), pages))
+            }
+        };
+        Ok(pages)
+    }
+}
+
+/// Waits until the tracker gets the camera back; false where the program is to end before.
+fn lent(service: &mut Service, sinks: &mut Sinks, supervisor: &Supervisor) -> bool {
+    while supervisor.mode() != Mode::Track {
+        service.alive();
+        service.tick(&supervisor.link);
+        sinks.write_events();
+        if service.is_over() {
+            return false;
+        }
+        std::thread::sleep(LENT_LOOK);
+    }
+    true
 }
 
 /// Why this build cannot open a camera.

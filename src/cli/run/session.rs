@@ -3,7 +3,6 @@
 use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
@@ -23,7 +22,7 @@ use crate::cli::replay::tracker_setup;
 use crate::config::{LogFormat, LogSettings, RecorderSettings, Settings};
 use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, exposure_of};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
-use crate::daemon::{Daemon, RunningDaemon};
+use crate::daemon::{Daemon, Mode, RecordingWish, RunningDaemon, Supervisor};
 use crate::frame::Timestamp;
 use crate::publish::{PoseWithheld, Stamps};
 use crate::record::{PoseSample, State};
@@ -43,6 +42,8 @@ pub(super) enum End {
     Stopped,
     /// A new config is there.
     Reload(Box<Settings>),
+    /// The camera is lent to somebody else.
+    Lent,
 }
 
 /// What a session is made from.
@@ -50,6 +51,8 @@ pub(super) struct Session<'a> {
     pub settings: &'a Settings,
     pub arguments: &'a LiveArguments,
     pub link: &'a LiveLink,
+    pub supervisor: &'a Supervisor,
+    pub pages: &'a Pages,
 }
 
 /// What a running session is followed by.
@@ -57,10 +60,9 @@ struct Listening<'a> {
     samples: &'a Receiver<PoseSample>,
     running: &'a RunningDaemon,
     size: (u32, u32),
-    /// Switched on by whoever wants the ring saved,
-    save: &'a AtomicBool,
-    /// which this does.
+    /// Saves the ring.
     saver: Option<&'a dyn Fn()>,
+    recorder: Option<&'a Recorder>,
     pages: &'a Pages,
     outputs: &'a Outputs,
 }
@@ -77,11 +79,11 @@ fn tell(sample: &PoseSample, pages: &Pages, outputs: &Outputs, sinks: &mut Sinks
 impl Session<'_> {
     /// Runs until something ends it.
     pub fn run(&self, service: &mut Service, sinks: &mut Sinks, clips: &mut Clips) -> Result<End, Failure> {
-        let save = Arc::new(AtomicBool::new(false));
-        let pages = Pages::start(self.settings.http.as_ref(), &self.settings.safety, Stamps::Live, Some((self.link, &save)))?;
+        let pages = self.pages;
+        pages.use_limits(&self.settings.safety);
         let opener = camera::camera(self.settings, self.arguments.play.as_deref())?;
         let mut source = LiveSource::start(opener, self.settings.shutter, Patience::default(), self.link.clone());
-        let mode = match self.wait(&mut source, &pages, service, sinks) {
+        let mode = match self.wait(&mut source, pages, service, sinks) {
             Ok(mode) => mode,
             Err(end) => return Ok(end),
         };
@@ -119,17 +121,20 @@ impl Session<'_> {
             samples: &samples,
             running: &running,
             size: mode.size,
-            save: &save,
             saver: saver.as_ref().map(|s| s as &dyn Fn()),
-            pages: &pages,
+            recorder: recorder.as_ref(),
+            pages,
             outputs: &outputs,
         };
+        self.supervisor.watch_outputs(Some(Arc::new(outputs.watch())));
         let end = self.follow(&listening, service, sinks);
+        self.supervisor.watch_outputs(None);
+        self.supervisor.set_recording(None);
         drop(saver);
         stopper.stop();
         running.stop();
         // What is under way comes to its end, and out.
-        samples.iter().for_each(|sample| tell(&sample, &pages, &outputs, sinks));
+        samples.iter().for_each(|sample| tell(&sample, pages, &outputs, sinks));
         outputs.close();
         let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
         if let Some(recorder) = recorder {
@@ -153,13 +158,14 @@ impl Session<'_> {
             service.tick(self.link);
             sinks.write_events();
             reload = self.reload(None);
-            service.is_over() || reload.is_some()
+            service.is_over() || reload.is_some() || self.supervisor.mode() != Mode::Track
         });
-        mode.ok_or_else(|| reload.map_or(End::Stopped, End::Reload))
+        let ended = || if self.supervisor.mode() == Mode::Track { End::Stopped } else { End::Lent };
+        mode.ok_or_else(|| reload.map_or_else(ended, End::Reload))
     }
 
     fn follow(&self, listening: &Listening<'_>, service: &mut Service, sinks: &mut Sinks) -> End {
-        let Listening { samples, running, size, save, saver, pages, outputs } = *listening;
+        let Listening { samples, running, size, saver, recorder, pages, outputs } = *listening;
         service.tracking_begins();
         loop {
             match samples.recv_timeout(Duration::from_millis(50)) {
@@ -176,7 +182,8 @@ impl Session<'_> {
                 self.link.events.publish(Event::PoseWithheld { output, body, reason: reason.words() });
             }
             sinks.write_events();
-            if interrupt::take_save() | save.swap(false, Ordering::Relaxed) {
+            self.take_up_recording(recorder);
+            if interrupt::take_save() | self.supervisor.take_save() {
                 match saver {
                     Some(save) => save(),
                     None => tracing::warn!("there is no ring to save; set ring_s in [recorder]"),
@@ -186,15 +193,35 @@ impl Session<'_> {
                 service.reloading();
                 return End::Reload(new);
             }
+            if self.supervisor.mode() != Mode::Track {
+                return End::Lent;
+            }
             if service.is_over() {
                 return End::Stopped;
             }
         }
     }
 
+    /// Begins or ends a recording where that is wished for.
+    fn take_up_recording(&self, recorder: Option<&Recorder>) {
+        let (Some(wish), Some(recorder)) = (self.supervisor.take_recording(), recorder) else { return };
+        match wish {
+            RecordingWish::Start if self.supervisor.recording().is_none() => {
+                let clip = recorder::new_clip_name(&self.settings.recorder.folder);
+                self.supervisor.set_recording(Some(clip.clone()));
+                recorder.begin(clip);
+            }
+            RecordingWish::Start => {}
+            RecordingWish::Stop => {
+                self.supervisor.set_recording(None);
+                recorder.end();
+            }
+        }
+    }
+
     /// The new config, where SIGHUP asked for it and it is good.
     fn reload(&self, size: Option<(u32, u32)>) -> Option<Box<Settings>> {
-        if !interrupt::take_reload() {
+        if !(interrupt::take_reload() | self.supervisor.take_reload()) {
             return None;
         }
         let file = &self.settings.file;
@@ -253,7 +280,7 @@ impl Sinks {
     }
 
     /// Writes what has happened since the last time.
-    fn write_events(&mut self) {
+    pub fn write_events(&mut self) {
         for event in self.happening.try_iter() {
             // A dropped frame is counted; a recording has a list of them.
             if !matches!(event.event, Event::FrameDropped { .. }) {
@@ -334,9 +361,11 @@ impl Clips {
         let settings = &session.settings.recorder;
         let clip = self.next(settings);
         let ring = (settings.ring_s > 0.0).then(|| (settings.folder.clone(), settings.ring_s));
-        if clip.is_none() && ring.is_none() {
+        // With a server somebody may want to record later.
+        if clip.is_none() && ring.is_none() && session.settings.http.is_none() {
             return Ok(None);
         }
+        session.supervisor.set_recording(clip.clone());
         let named = clip.clone().filter(|_| self.asked.is_some() && self.begun == 1);
         let about = AboutClip { camera, config: session.settings.source.clone(), exposure_s };
         let recorder = Recorder::start(RecorderPlan { clip, ring, about }, session.link, Box::<RealDisk>::default());

@@ -97,6 +97,11 @@ pub enum Event {
         /// The clip.
         clip: String,
     },
+    /// Somebody marked this moment.
+    Marked {
+        /// What it is.
+        text: String,
+    },
     /// The stage has not been tracked for a second, for this reason most of all; again where the reason changes.
     NotTracked {
         /// One word.
@@ -228,6 +233,7 @@ impl Event {
             Self::RecorderFinished { clip, frames } => (Level::INFO, format!("{clip} is recorded: {frames} frames")),
             Self::RecorderStopped { reason } => (Level::ERROR, format!("recording stopped: {reason}")),
             Self::RingSaved { clip } => (Level::INFO, format!("the last seconds are saved in {clip}")),
+            Self::Marked { text } => (Level::INFO, format!("marked: {text}")),
             Self::NotTracked { text, .. } => (Level::WARN, format!("not tracked: {text}")),
             Self::Tracked { after_ms } => (Level::INFO, format!("tracked after {after_ms:.0} ms")),
             // The output's own warning has said it, at most once a minute.

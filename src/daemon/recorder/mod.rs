@@ -51,6 +51,10 @@ const RECENT_EVENTS: usize = 4096;
 enum Job {
     Entry(Recorded),
     Save,
+    /// A clip begins in this new folder.
+    Begin(PathBuf),
+    /// It ends.
+    End,
 }
 
 /// A running recorder.
@@ -65,6 +69,8 @@ pub struct Recorder {
 struct Queue {
     bytes: AtomicUsize,
     overflown: AtomicBool,
+    /// Whether rows are wanted at all.
+    wanted: AtomicBool,
 }
 
 impl Recorder {
@@ -82,6 +88,7 @@ impl Recorder {
         }
         let (jobs, to_do) = bounded(MOST_WAITING);
         let queue = Arc::new(Queue::default());
+        queue.wanted.store(clip.is_some() || ring.is_some(), Ordering::Relaxed);
         let work = Work {
             plan,
             clip,
@@ -101,7 +108,7 @@ impl Recorder {
     pub fn observer(&self) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
         let (jobs, queue) = (self.jobs.clone(), self.queue.clone());
         move |row, sample| {
-            if queue.overflown.load(Ordering::Relaxed) {
+            if queue.overflown.load(Ordering::Relaxed) || !queue.wanted.load(Ordering::Relaxed) {
                 return;
             }
             let recorded = recorded(row, sample);
@@ -118,6 +125,18 @@ impl Recorder {
         move || {
             let _ = jobs.try_send(Job::Save);
         }
+    }
+
+    /// Begins a clip in a new folder, beside the ring. Where one is recorded already, nothing happens.
+    pub fn begin(&self, folder: PathBuf) {
+        if self.jobs.try_send(Job::Begin(folder)).is_ok() {
+            self.queue.wanted.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// Ends the clip.
+    pub fn end(&self) {
+        let _ = self.jobs.try_send(Job::End);
     }
 
     /// Writes what waits, and ends; tells why the recording ended before its time, where it did. The daemon with its
@@ -168,6 +187,8 @@ impl Work {
                 recv(jobs) -> job => match job {
                     Ok(Job::Entry(row)) => self.row(&row),
                     Ok(Job::Save) => self.save(),
+                    Ok(Job::Begin(folder)) => self.begin(folder),
+                    Ok(Job::End) => self.end(),
                     Err(_) => break,
                 },
                 recv(events) -> event => match event {
@@ -213,6 +234,30 @@ impl Work {
         if self.ring.is_some() {
             self.recent.truncate(RECENT_EVENTS);
             self.recent.push_front(event);
+        }
+    }
+
+    fn begin(&mut self, folder: PathBuf) {
+        if self.clip.is_some() {
+            return;
+        }
+        match begin_clip(&folder, &self.plan.about, &mut *self.disk) {
+            Ok(clip) => {
+                self.clip = Some(clip);
+                self.link.statistics.set_recorder(RecorderState::Recording);
+                self.link.events.publish(Event::RecorderStarted { clip: folder.display().to_string() });
+            }
+            Err(e) => self.link.events.publish(Event::RecorderStopped { reason: format!("{e}; make room on the disk, then start again") }),
+        }
+    }
+
+    fn end(&mut self) {
+        self.finish_clip();
+        self.clip = None;
+        let is_wanted = self.ring.is_some();
+        self.queue.wanted.store(is_wanted, Ordering::Relaxed);
+        if !is_wanted {
+            self.link.statistics.set_recorder(RecorderState::Off);
         }
     }
 

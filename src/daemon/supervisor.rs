@@ -1,0 +1,181 @@
+//! What outlives a session: the config file, what is wished for, and who has the camera.
+//!
+//! A session (a camera, a tracker and what listens, under one config) comes and goes; the HTTP server stays. It asks here for what it wants
+//! (another config, a recording, the ring saved), and the session's loop takes the wishes up. Nobody waits for anybody.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::live::LiveLink;
+use crate::config::Settings;
+use crate::publish::OutputStatistics;
+
+/// Who has the camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// The tracker.
+    Track,
+    /// Nobody: it is closed, for whoever sets the stage up.
+    Setup,
+}
+
+impl Mode {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Track, Self::Setup];
+
+    /// Its word in the API.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Track => "track",
+            Self::Setup => "setup",
+        }
+    }
+}
+
+/// What is wished of the recorder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RecordingWish {
+    /// A new recording.
+    Start,
+    /// The end of it.
+    Stop,
+}
+
+/// Tells what the outputs have done so far.
+type OutputsWatch = Arc<dyn Fn() -> Vec<OutputStatistics> + Send + Sync>;
+
+/// Between sessions and those that steer them.
+pub struct Supervisor {
+    /// Counts, events, the camera's pulse.
+    pub link: LiveLink,
+    file: PathBuf,
+    settings: Mutex<Option<Arc<Settings>>>,
+    outputs: Mutex<Option<OutputsWatch>>,
+    recording: Mutex<Option<RecordingWish>>,
+    /// What is recorded now.
+    clip: Mutex<Option<PathBuf>>,
+    save: AtomicBool,
+    reload: AtomicBool,
+    mode: AtomicU8,
+}
+
+fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Supervisor {
+    /// Of the daemon with this config file.
+    pub fn new(file: &Path, link: LiveLink) -> Self {
+        Self {
+            link,
+            file: file.to_owned(),
+            settings: Mutex::default(),
+            outputs: Mutex::default(),
+            recording: Mutex::default(),
+            clip: Mutex::default(),
+            save: AtomicBool::new(false),
+            reload: AtomicBool::new(false),
+            mode: AtomicU8::new(Mode::Track as u8),
+        }
+    }
+
+    /// The config's file.
+    pub fn file(&self) -> &Path {
+        &self.file
+    }
+
+    /// The config that is used, where there is one.
+    pub fn settings(&self) -> Option<Arc<Settings>> {
+        held(&self.settings).clone()
+    }
+
+    /// A session begins under this config.
+    pub fn use_settings(&self, settings: Settings) {
+        *held(&self.settings) = Some(Arc::new(settings));
+    }
+
+    /// The session's outputs; none when it ends.
+    pub fn watch_outputs(&self, watch: Option<OutputsWatch>) {
+        *held(&self.outputs) = watch;
+    }
+
+    /// What the outputs have done so far; none where no session runs.
+    pub fn outputs(&self) -> Vec<OutputStatistics> {
+        // Not under the lock: it asks the outputs.
+        let watch = held(&self.outputs).clone();
+        watch.map_or_else(Vec::new, |watch| watch())
+    }
+
+    /// Wishes for the ring to be saved.
+    pub fn save_ring(&self) {
+        self.save.store(true, Ordering::Relaxed);
+    }
+
+    /// Takes that wish.
+    pub fn take_save(&self) -> bool {
+        self.save.swap(false, Ordering::Relaxed)
+    }
+
+    /// Wishes for the config to be read again.
+    pub fn reload(&self) {
+        self.reload.store(true, Ordering::Relaxed);
+    }
+
+    /// Takes that wish.
+    pub fn take_reload(&self) -> bool {
+        self.reload.swap(false, Ordering::Relaxed)
+    }
+
+    /// Wishes for a recording, or its end.
+    pub fn record(&self, wish: RecordingWish) {
+        *held(&self.recording) = Some(wish);
+    }
+
+    /// Takes that wish.
+    pub fn take_recording(&self) -> Option<RecordingWish> {
+        held(&self.recording).take()
+    }
+
+    /// What is recorded now.
+    pub fn recording(&self) -> Option<PathBuf> {
+        held(&self.clip).clone()
+    }
+
+    /// Says what is recorded now.
+    pub fn set_recording(&self, clip: Option<PathBuf>) {
+        *held(&self.clip) = clip;
+    }
+
+    /// Who has the camera.
+    pub fn mode(&self) -> Mode {
+        Mode::ALL.into_iter().find(|mode| *mode as u8 == self.mode.load(Ordering::Relaxed)).unwrap_or(Mode::Track)
+    }
+
+    /// Lends the camera; the session that has it ends soon.
+    pub fn set_mode(&self, mode: Mode) {
+        self.mode.store(mode as u8, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wish_is_taken_once_and_the_last_one_of_a_kind_counts() {
+        let supervisor = Supervisor::new(Path::new("stage.toml"), LiveLink::default());
+        supervisor.save_ring();
+        supervisor.reload();
+        supervisor.record(RecordingWish::Start);
+        supervisor.record(RecordingWish::Stop);
+        assert!(supervisor.take_save() && supervisor.take_reload());
+        assert_eq!(supervisor.take_recording(), Some(RecordingWish::Stop));
+        assert!(!supervisor.take_save() && !supervisor.take_reload() && supervisor.take_recording().is_none());
+        for mode in Mode::ALL {
+            supervisor.set_mode(mode);
+            assert_eq!(supervisor.mode(), mode);
+        }
+        assert!(supervisor.outputs().is_empty() && supervisor.settings().is_none());
+    }
+}

@@ -1,0 +1,153 @@
+//! `GET`, `PUT /api/v1/config`: the config's text. A new one is judged before anything is written, the former one is kept, and the running
+//! session takes the new one over.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use axum::http::Method;
+use serde_json::json;
+use sha2::{Digest, Sha256};
+
+use super::findings::{Finding, judged};
+use crate::daemon::Supervisor;
+use crate::safe_file;
+use crate::utc;
+use crate::web::reply::Reply;
+use crate::web::routes::{Access, Route};
+
+/// Longer than any config, bytes. A round figure, as for the file itself.
+const LARGEST_CONFIG: u64 = 4 << 20;
+/// Former configs that are kept at most; the oldest go. Chosen: an evening of changes. Raised, only room on the disk.
+const MOST_FORMER: usize = 100;
+
+pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
+    let (for_get, for_put) = (supervisor.clone(), supervisor.clone());
+    vec![
+        Route::aside(Method::GET, "/api/v1/config", Access::Paired, move |_| {
+            let bytes = safe_file::read(for_get.file(), LARGEST_CONFIG).map_err(|e| unreadable(for_get.file(), &e))?;
+            let tag = tag(&bytes);
+            Ok(Reply::new(200, "text/plain; charset=utf-8", bytes).with("etag", &tag))
+        }),
+        Route::aside(Method::PUT, "/api/v1/config", Access::Change, move |call| {
+            let text = String::from_utf8(call.content(LARGEST_CONFIG)?).map_err(|_| Reply::text(400, "a config is text in UTF-8\n"))?;
+            let wanted = call.header("if-match").ok_or_else(|| {
+                Reply::text(428, "say which config this one replaces: If-Match with the ETag of GET /api/v1/config, or * for any\n")
+            })?;
+            // One that is not there yet has the tag of nothing.
+            let before = match safe_file::read(for_put.file(), LARGEST_CONFIG) {
+                Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(unreadable(for_put.file(), &e)),
+                read => read.unwrap_or_default(),
+            };
+            if wanted != "*" && wanted != tag(&before) {
+                return Err(Reply::text(412, "the config was changed meanwhile; read it again, and put the change into that one\n"));
+            }
+            let (settings, findings) = judged(&text, for_put.file());
+            if settings.is_none() {
+                return Ok(reply(422, &findings, false));
+            }
+            replace(for_put.file(), &text).map_err(|e| unwritable(for_put.file(), &e))?;
+            for_put.reload();
+            Ok(reply(200, &findings, true).with("etag", &tag(text.as_bytes())))
+        }),
+    ]
+}
+
+/// What came of a new config.
+pub(super) fn reply(status: u16, findings: &[Finding], saved: bool) -> Reply {
+    Reply::json(status, json!({"findings": findings, "saved": saved}).to_string())
+}
+
+fn unreadable(file: &Path, error: &io::Error) -> Reply {
+    Reply::text(500, format!("{}: the config cannot be read ({error})\n", file.display()))
+}
+
+/// A config that may not be written.
+pub(super) fn unwritable(file: &Path, error: &io::Error) -> Reply {
+    let mend = "start the daemon with a config in a folder that it may write, such as /var/lib/stagepose for the service";
+    Reply::text(500, format!("{}: the config cannot be written ({error}); {mend}\n", file.display()))
+}
+
+/// One word for a content.
+pub(super) fn tag(bytes: &[u8]) -> String {
+    let digest = Sha256::digest(bytes);
+    format!("\"{}\"", digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect::<String>())
+}
+
+/// Writes a file whole and keeps what was there.
+fn replace(file: &Path, text: &str) -> io::Result<()> {
+    keep_former(&[file.to_owned()])?;
+    safe_file::write_whole(file, text.as_bytes())
+}
+
+/// Copies of these files, those that are there, in a new folder of `former/` beside the first.
+pub(super) fn keep_former(files: &[PathBuf]) -> io::Result<Option<PathBuf>> {
+    let Some(folder) = files.first().map(|file| file.parent().unwrap_or(Path::new("")).join("former")) else { return Ok(None) };
+    let stamp: String = utc::date_and_time(utc::now_s()).chars().filter(|c| *c != '-' && *c != ':').collect();
+    let free = (1..).map(|n: u32| folder.join(if n == 1 { stamp.clone() } else { format!("{stamp}-{n}") })).find(|path| !path.exists());
+    let Some(to) = free else { return Ok(None) };
+    let there: Vec<&PathBuf> = files.iter().filter(|file| file.is_file()).collect();
+    if there.is_empty() {
+        return Ok(None);
+    }
+    std::fs::create_dir_all(&to)?;
+    for file in there {
+        std::fs::copy(file, to.join(file.file_name().unwrap_or_default()))?;
+    }
+    let mut kept: Vec<PathBuf> = std::fs::read_dir(&folder)?.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    kept.sort();
+    for oldest in kept.iter().take(kept.len().saturating_sub(MOST_FORMER)) {
+        std::fs::remove_dir_all(oldest)?;
+    }
+    Ok(Some(to))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::web::api::tests::{asked, asked_with, supervised};
+
+    #[test]
+    fn a_good_config_is_taken_over_and_the_former_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let supervisor = supervised(folder.path());
+        let routes = routes(&supervisor);
+        let (status, text) = asked(&routes, "GET", "/api/v1/config", b"");
+        assert_eq!(status, 200);
+        let put = |if_match: &str, text: &[u8]| asked_with(&routes, "PUT", "/api/v1/config", if_match, text);
+        let new = [&text[..], b"[log]\nlevel = \"info\"\n"].concat();
+        assert_eq!(put("", &new).0, 428);
+        assert_eq!(put("If-Match: \"0\"\r\n", &new).0, 412);
+        assert!(!supervisor.take_reload());
+        let if_match = format!("If-Match: {}\r\n", tag(&text));
+        let (status, said) = put(&if_match, &new);
+        assert_eq!(status, 200, "{}", String::from_utf8_lossy(&said));
+        assert!(supervisor.take_reload());
+        assert_eq!(std::fs::read(supervisor.file()).unwrap(), new);
+        let former = std::fs::read_dir(folder.path().join("former")).unwrap().next().unwrap().unwrap().path();
+        assert_eq!(std::fs::read(former.join("stage.toml")).unwrap(), text);
+        assert_eq!(put(&if_match, &new).0, 412, "it is another one now");
+    }
+
+    #[test]
+    fn a_bad_config_changes_nothing_and_says_where_it_is_bad() {
+        let folder = tempfile::tempdir().unwrap();
+        let supervisor = supervised(folder.path());
+        let before = std::fs::read(supervisor.file()).unwrap();
+        for (text, line, word) in [
+            ("[camera]\nfov_deg = 60\nfovdeg = 1\n", Some(3), "fov"),
+            ("[camera\n", Some(1), "TOML"),
+            ("[camera]\nfov_deg = 600\n[[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [4.0, 3.0]\n", Some(2), "fov_deg"),
+            ("", None, "stage"),
+        ] {
+            let (status, said) = asked_with(&routes(&supervisor), "PUT", "/api/v1/config", "If-Match: *\r\n", text.as_bytes());
+            let said: serde_json::Value = serde_json::from_slice(&said).unwrap();
+            let finding = &said["findings"][0];
+            assert_eq!((status, &said["saved"], &finding["level"]), (422, &false.into(), &"error".into()), "{said}");
+            assert_eq!(finding["line"].as_u64(), line, "{said}");
+            assert!(finding.to_string().contains(word), "{said}");
+        }
+        assert_eq!(asked_with(&routes(&supervisor), "PUT", "/api/v1/config", "If-Match: *\r\n", b"\xff").0, 400);
+        assert_eq!((std::fs::read(supervisor.file()).unwrap(), supervisor.take_reload()), (before, false));
+    }
+}

@@ -1,0 +1,73 @@
+//! What a config comes to, as a list that a page can show: what refuses it, else what is odd about it.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::config::{ConfigError, LensSource, Settings};
+use crate::diagnose::{Finding as Diagnosed, Grade, of_corners, of_layout, of_lens, of_shutter};
+
+/// One thing.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(super) struct Finding {
+    /// `error` where the config cannot be used, `warning`, `note`.
+    pub level: &'static str,
+    /// The key that it is about, where there is one.
+    pub key: Option<String>,
+    /// Its line in the config, from 1.
+    pub line: Option<usize>,
+    /// What is the matter.
+    pub sentence: String,
+    /// What to do about it.
+    pub mend: Option<String>,
+}
+
+/// What follows the last semicolon of a message is its mend, by this project's own form of messages.
+fn parts(message: &str) -> (String, Option<String>) {
+    match message.rsplit_once("; ") {
+        Some((says, mend)) => (says.to_owned(), Some(mend.to_owned())),
+        None => (message.to_owned(), None),
+    }
+}
+
+fn refused(error: &ConfigError) -> Finding {
+    let (key, line) = match error {
+        ConfigError::Syntax { line, .. } | ConfigError::Unknown { line, .. } => (None, Some(*line)),
+        ConfigError::Missing { section, key, .. } => (Some(format!("{section} {key}")), None),
+        ConfigError::Value { section, key, line, .. } => (Some(format!("{section} {key}")), Some(*line)),
+        ConfigError::PictureSize { line, .. } => (Some("[camera] calibration".to_owned()), Some(*line)),
+        _ => (None, None),
+    };
+    let (sentence, mend) = parts(&error.to_string());
+    Finding { level: "error", key, line, sentence, mend }
+}
+
+fn odd(found: &Diagnosed) -> Finding {
+    let level = match found.grade {
+        Grade::Note => "note",
+        _ => "warning",
+    };
+    let (sentence, mend) = parts(&found.says);
+    Finding { level, key: None, line: None, sentence, mend }
+}
+
+/// Reads a config's text as if it stood in `file`: the settings, where it can be used, and what is to be said of it.
+pub(super) fn judged(text: &str, file: &Path) -> (Option<Settings>, Vec<Finding>) {
+    let settings = match Settings::from_text(text, file) {
+        Ok(settings) => settings,
+        Err(error) => return (None, vec![refused(&error)]),
+    };
+    let mut found: Vec<Diagnosed> = settings.warnings.iter().map(Diagnosed::warning).collect();
+    found.extend(of_lens(&settings.camera));
+    for body in std::iter::once(&settings.stage).chain(&settings.objects) {
+        found.extend(of_layout(body));
+        found.extend(of_corners(body, matches!(settings.lens, LensSource::Guess(..))));
+    }
+    if let Some(fps) = settings.device.fps {
+        found.extend(of_shutter(&settings.shutter, 1.0 / fps));
+    }
+    found.extend(settings.notes.iter().map(Diagnosed::note));
+    found.sort_by_key(|finding| finding.grade);
+    let findings = found.iter().map(odd).collect();
+    (Some(settings), findings)
+}

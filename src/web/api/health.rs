@@ -1,0 +1,293 @@
+//! `GET /api/v1/health`, `outputs`, `log`, `diagnostics`: each part of the daemon in one sentence, with the mend where something is wrong.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use axum::http::Method;
+use nix::sys::statvfs::statvfs;
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::daemon::{Mode, Supervisor};
+use crate::printable::printable;
+use crate::protocols::{freed::FreedPacket, opentrackio, psn::PsnPacket};
+use crate::publish::{FrameClock, OutputStatistics, Stamps};
+use crate::record::State;
+use crate::telemetry::{CameraState, RecorderState, Statistics, log_tail, metrics};
+use crate::web::reply::Reply;
+use crate::web::routes::{Access, Route};
+
+/// Less room than this on the disk is worth a warning, and than that a fault, bytes: an hour, and minutes, of a camera's JPEGs.
+const LITTLE_ROOM: f64 = 20e9;
+const NO_ROOM: f64 = 1e9;
+/// Lines of the log in one answer at most: all that are kept.
+const MOST_LINES: u64 = 1000;
+/// Bytes of a packet that are shown as hexadecimal digits. Raised, wider answers.
+const SHOWN_BYTES: usize = 256;
+
+/// A part of the daemon.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+struct Part {
+    part: String,
+    /// `good`, `warn`, `bad` or `off`.
+    level: &'static str,
+    sentence: String,
+    mend: Option<String>,
+}
+
+fn part(part: &str, level: &'static str, sentence: impl Into<String>, mend: Option<&str>) -> Part {
+    Part { part: part.to_owned(), level, sentence: sentence.into(), mend: mend.map(str::to_owned) }
+}
+
+pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
+    let of = |supervisor: &Arc<Supervisor>| supervisor.clone();
+    let (for_health, for_outputs, for_text) = (of(supervisor), of(supervisor), of(supervisor));
+    let rates: Arc<Rates> = Arc::default();
+    vec![
+        Route::aside(Method::GET, "/api/v1/health", Access::Anyone, move |_| {
+            Ok(Reply::json(200, printable(&json!({"parts": parts(&for_health)}).to_string()).into_owned()))
+        }),
+        Route::aside(Method::GET, "/api/v1/outputs", Access::Anyone, move |_| {
+            let outputs: Vec<Value> = rates.of(for_outputs.outputs(), Instant::now()).iter().map(output).collect();
+            Ok(Reply::json(200, json!({"outputs": outputs}).to_string()))
+        }),
+        Route::aside(Method::GET, "/api/v1/log", Access::Paired, |call| {
+            let lines = call.queried("lines", 200, 1..=MOST_LINES)?;
+            Ok(Reply::text(200, log_tail(lines as usize).concat()))
+        }),
+        Route::aside(Method::GET, "/api/v1/diagnostics", Access::Paired, move |_| Ok(Reply::text(200, diagnostics(&for_text)))),
+    ]
+}
+
+fn parts(supervisor: &Supervisor) -> Vec<Part> {
+    let statistics = &supervisor.link.statistics;
+    let mut parts = vec![camera(statistics, supervisor.mode()), tracker(statistics)];
+    parts.extend(supervisor.outputs().iter().map(of_output));
+    parts.push(recorder(statistics));
+    let folder = supervisor.settings().map(|settings| settings.recorder.folder.clone());
+    parts.push(disk(folder.as_deref().unwrap_or(supervisor.file())));
+    parts.push(clock(statistics));
+    parts
+}
+
+fn camera(statistics: &Statistics, mode: Mode) -> Part {
+    let (name, rate) = (statistics.camera_name(), statistics.rate());
+    if mode != Mode::Track {
+        return part("camera", "off", "the camera is lent to the set-up", Some("go back to tracking when it is done"));
+    }
+    match statistics.camera() {
+        CameraState::Streaming => part("camera", "good", format!("{name} gives {rate:.1} pictures a second"), None),
+        CameraState::Silent => {
+            part("camera", "bad", format!("{name} gives no pictures"), Some("check its cable, and that nothing else uses it"))
+        }
+        CameraState::Waiting => part(
+            "camera",
+            "bad",
+            "the camera is not there",
+            Some("plug it in; `stagepose devices` lists what is there, [camera] device names it"),
+        ),
+    }
+}
+
+fn tracker(statistics: &Statistics) -> Part {
+    let (frames, dropped) = (statistics.frames(), statistics.dropped.get());
+    let late = format!("{dropped} of {} frames came too late for it", frames + dropped);
+    let slow = dropped * 100 > (frames + dropped).max(1);
+    match statistics.last_state() {
+        _ if frames == 0 => part("tracker", "off", "no frame has come yet", None),
+        State::Tracking if slow => part(
+            "tracker",
+            "warn",
+            format!("it tracks, but {late}"),
+            Some("give it more threads ([tracker] threads), or the camera a lower rate"),
+        ),
+        State::Tracking => part("tracker", "good", format!("it tracks, to {:.2} px", statistics.rms_px()), None),
+        State::Coasting => part("tracker", "warn", "it predicts the pose for a moment", None),
+        State::Stale => part("tracker", "bad", "it gets no pictures", Some("see to the camera")),
+        state => {
+            let sentence = format!("it does not find the stage ({})", state.word());
+            part("tracker", "bad", sentence, Some("the events say why; `stagepose check --clip` tries what would help"))
+        }
+    }
+}
+
+fn of_output(output: &OutputStatistics) -> Part {
+    let (name, failed, sent) = (format!("output {}", output.name), output.failed, output.sent);
+    let to = Some("check the address in [[output]], the network and the receiver");
+    match (sent, failed) {
+        (0, 0) => part(&name, "off", "it has sent nothing yet", None),
+        (0, _) => part(&name, "bad", format!("none of its {failed} packets could be sent"), to),
+        (_, 0) => part(&name, "good", format!("{sent} packets were sent"), None),
+        _ if failed * 100 > sent => part(&name, "warn", format!("{failed} of {} packets could not be sent", sent + failed), to),
+        _ => part(&name, "good", format!("{sent} packets were sent, {failed} were not"), None),
+    }
+}
+
+fn recorder(statistics: &Statistics) -> Part {
+    match statistics.recorder() {
+        RecorderState::Off => part("recorder", "off", "nothing is recorded", None),
+        RecorderState::Recording => part("recorder", "good", format!("{} frames are recorded", statistics.recorded.get()), None),
+        RecorderState::Stopped => part(
+            "recorder",
+            "bad",
+            "recording stopped, tracking goes on",
+            Some("make room on the disk or use a faster one, then begin a recording anew"),
+        ),
+    }
+}
+
+/// The room where a path lies or would lie.
+fn disk(path: &Path) -> Part {
+    let there = path.ancestors().find(|path| path.exists()).map_or_else(|| PathBuf::from("."), Path::to_owned);
+    let Ok(about) = statvfs(&there) else { return part("disk", "warn", "the system does not say how much room there is", None) };
+    let free = about.blocks_available() as f64 * about.fragment_size() as f64;
+    let sentence = format!("{:.1} GB are free for recordings", free / 1e9);
+    if free < NO_ROOM {
+        part("disk", "bad", sentence, Some("delete or move recordings"))
+    } else if free < LITTLE_ROOM {
+        part("disk", "warn", sentence, Some("move recordings away before the show"))
+    } else {
+        part("disk", "good", sentence, None)
+    }
+}
+
+/// Whether frames are of this machine's clock.
+fn clock(statistics: &Statistics) -> Part {
+    let age = statistics.last_frame_age(&FrameClock::new(Stamps::Live));
+    match age {
+        None => part("clock", "off", "no frame has been stamped yet", None),
+        Some(age) => {
+            part("clock", "good", format!("frames have the camera's stamps; the newest is {:.0} ms old", age.as_secs_f64() * 1e3), None)
+        }
+    }
+}
+
+/// Packets a second, from two looks.
+#[derive(Debug, Default)]
+struct Rates(Mutex<Vec<Look>>);
+
+/// What an output had sent when it was last looked at.
+#[derive(Debug)]
+struct Look {
+    name: String,
+    sent: u64,
+    at: Instant,
+    rate: Option<f64>,
+}
+
+/// The shortest time between two looks of which a rate is made, seconds: several pages may ask. Lowered, rates jump.
+const LOOK_S: f64 = 0.5;
+
+impl Rates {
+    /// The outputs with their rates; none at the first look.
+    fn of(&self, outputs: Vec<OutputStatistics>, now: Instant) -> Vec<(OutputStatistics, Option<f64>)> {
+        let mut before = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        before.retain(|look| outputs.iter().any(|output| output.name == look.name));
+        let mut told = Vec::new();
+        for output in outputs {
+            let rate = match before.iter_mut().find(|look| look.name == output.name) {
+                None => {
+                    before.push(Look { name: output.name.clone(), sent: output.sent, at: now, rate: None });
+                    None
+                }
+                Some(look) => {
+                    let seconds = now.duration_since(look.at).as_secs_f64();
+                    if seconds >= LOOK_S {
+                        // A session that began anew counts from nothing.
+                        look.rate = output.sent.checked_sub(look.sent).map(|packets| packets as f64 / seconds);
+                        (look.sent, look.at) = (output.sent, now);
+                    }
+                    look.rate
+                }
+            };
+            told.push((output, rate));
+        }
+        told
+    }
+}
+
+fn output((output, per_s): &(OutputStatistics, Option<f64>)) -> Value {
+    let packet = &output.last_packet;
+    let hex: Vec<String> = packet.iter().take(SHOWN_BYTES).map(|byte| format!("{byte:02x}")).collect();
+    json!({
+        "name": output.name, "protocol": output.protocol, "sent": output.sent, "failed": output.failed, "withheld": output.withheld,
+        "dropped": output.dropped, "latency_us": output.latency_us, "per_s": per_s, "last": decoded(output.protocol, packet),
+        "last_hex": hex.join(" "),
+    })
+}
+
+/// What a packet says; null where it has no words here.
+fn decoded(protocol: &str, packet: &[u8]) -> Value {
+    if packet.is_empty() {
+        return Value::Null;
+    }
+    match protocol {
+        "freed" => FreedPacket::decode(packet).map_or(Value::Null, |packet| format!("{packet:?}").into()),
+        "psn" => PsnPacket::decode(packet).map_or(Value::Null, |packet| format!("{packet:?}").into()),
+        "opentrackio" => opentrackio::decode(packet).map_or(Value::Null, |(_, sample)| sample),
+        "json" => serde_json::from_slice(packet).unwrap_or(Value::Null),
+        _ => Value::Null,
+    }
+}
+
+fn diagnostics(supervisor: &Supervisor) -> String {
+    let mut text = format!("stagepose {}\nconfig {}\n\n", env!("CARGO_PKG_VERSION"), supervisor.file().display());
+    for part in parts(supervisor) {
+        let mend = part.mend.map_or_else(String::new, |mend| format!("; {mend}"));
+        text += &format!("{:<5} {}: {}{mend}\n", part.level, part.part, part.sentence);
+    }
+    text += "\n";
+    text += &metrics(&supervisor.link.statistics, &FrameClock::new(Stamps::Live)).body;
+    text += "\n";
+    text += &log_tail(MOST_LINES as usize).concat();
+    crate::printable::printable_lines(&text).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::web::api::tests::{asked, supervised};
+
+    #[test]
+    fn each_part_says_how_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let supervisor = supervised(folder.path());
+        let levels = |supervisor: &Supervisor| -> Vec<(String, &'static str)> {
+            parts(supervisor).into_iter().filter(|part| part.part != "disk").map(|part| (part.part, part.level)).collect()
+        };
+        let told = |all: [(&str, &'static str); 4]| all.map(|(part, level)| (part.to_owned(), level)).to_vec();
+        assert_eq!(levels(&supervisor), told([("camera", "bad"), ("tracker", "off"), ("recorder", "off"), ("clock", "off")]));
+        let statistics = &supervisor.link.statistics;
+        statistics.camera_opened("Cam", false);
+        statistics.set_recorder(RecorderState::Stopped);
+        assert_eq!(levels(&supervisor)[0].1, "good");
+        assert_eq!(levels(&supervisor)[2].1, "bad");
+        assert!(parts(&supervisor).iter().all(|part| part.level != "bad" || part.mend.is_some()));
+        supervisor.set_mode(Mode::Setup);
+        assert_eq!(levels(&supervisor)[0].1, "off");
+        let (status, text) = asked(&routes(&supervisor), "GET", "/api/v1/diagnostics", b"");
+        assert!(status == 200 && String::from_utf8(text).unwrap().contains("recorder: recording stopped"));
+        assert_eq!(asked(&routes(&supervisor), "GET", "/api/v1/log?lines=0", b"").0, 400);
+    }
+
+    #[test]
+    fn packets_a_second_are_counted_between_two_looks() {
+        let (rates, begun) = (Rates::default(), Instant::now());
+        let look = |sent, s: f64| {
+            let output = OutputStatistics {
+                name: "a".to_owned(),
+                protocol: "freed",
+                sent,
+                failed: 0,
+                withheld: 0,
+                dropped: 0,
+                latency_us: 0,
+                greatest_latency_us: 0,
+                last_packet: Vec::new(),
+            };
+            rates.of(vec![output], begun + std::time::Duration::from_secs_f64(s))[0].1
+        };
+        assert_eq!([look(10, 0.0), look(11, 0.1), look(40, 1.0), look(41, 1.1), look(5, 2.0)], [None, None, Some(30.0), Some(30.0), None]);
+    }
+}

@@ -1,0 +1,246 @@
+//! `GET /api/v1/recordings` and what is below it: what was recorded, its states over time, its pictures and records, and all of it as a zip.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, UNIX_EPOCH};
+
+use axum::http::Method;
+use serde_json::{Value, json};
+use zip::ZipWriter;
+use zip::write::SimpleFileOptions;
+
+use super::failed;
+use super::timeline::timeline;
+use crate::capture::timestamps::{StampRow, read_timestamps};
+use crate::capture::with_huffman_tables;
+use crate::daemon::Supervisor;
+use crate::safe_file;
+use crate::web::call::Call;
+use crate::web::call::is_name;
+use crate::web::content::Download;
+use crate::web::reply::Reply;
+use crate::web::routes::{Access, Route};
+
+/// Larger than any picture of a camera, bytes.
+const LARGEST_PICTURE: u64 = 64 << 20;
+/// Records in one answer at most: some 3 MB. Raised, an answer takes more memory.
+const MOST_RECORDS: u64 = 5000;
+/// Columns of a timeline at most: more than a screen has pixels. Raised, larger answers.
+const MOST_POINTS: u64 = 4000;
+/// Downloads at a time, for all: each keeps the disk busy. Raised, the recorder has less of it.
+const MOST_DOWNLOADS: usize = 2;
+/// Folders within a recording's folder at most: frames/0000/picture. Deeper ones are not a recording's.
+const DEEPEST: usize = 4;
+
+pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
+    let read = |path, access, answer: fn(&Folder, &mut Call) -> Result<Reply, Reply>| {
+        let folder = Folder(supervisor.clone());
+        Route::aside(Method::GET, path, access, move |call| answer(&folder, call))
+    };
+    let downloads: Arc<AtomicUsize> = Arc::default();
+    let folder = Folder(supervisor.clone());
+    vec![
+        read("/api/v1/recordings", Access::Anyone, Folder::list),
+        read("/api/v1/recordings/{id}/timeline", Access::Anyone, Folder::timeline),
+        read("/api/v1/recordings/{id}/frame/{row}", Access::Anyone, Folder::frame),
+        read("/api/v1/recordings/{id}/poses", Access::Anyone, Folder::poses),
+        Route::aside(Method::GET, "/api/v1/recordings/{id}/download", Access::Paired, move |call| {
+            download(&folder.clip(call)?, &downloads)
+        }),
+    ]
+}
+
+/// The recorder's folder.
+struct Folder(Arc<Supervisor>);
+
+/// A recording that is there.
+struct Clip {
+    id: String,
+    path: PathBuf,
+}
+
+impl Folder {
+    fn path(&self) -> Result<PathBuf, Reply> {
+        let settings =
+            self.0.settings().ok_or_else(|| Reply::text(409, "there is no config yet, so there is no folder of recordings\n"))?;
+        Ok(settings.recorder.folder.clone())
+    }
+
+    /// The recording that the path names.
+    fn clip(&self, call: &Call) -> Result<Clip, Reply> {
+        let id = call.name("id")?.to_owned();
+        let path = self.path()?.join(&id);
+        // A link would lead out of the folder.
+        let is_folder = path.symlink_metadata().is_ok_and(|about| about.is_dir());
+        if !is_folder || !path.join("timestamps.csv").is_file() {
+            return Err(Reply::text(404, "there is no such recording; GET /api/v1/recordings lists them\n"));
+        }
+        Ok(Clip { id, path })
+    }
+
+    fn list(&self, _: &mut Call) -> Result<Reply, Reply> {
+        let folder = self.path()?;
+        let current = self.0.recording();
+        let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten();
+        let names = entries.filter_map(|entry| entry.file_name().into_string().ok()).filter(|name| is_name(name));
+        let mut clips: Vec<(i64, Value)> = names.filter_map(|name| summary(&folder, &name, current.as_deref())).collect();
+        clips.sort_by_key(|(begun, _)| std::cmp::Reverse(*begun));
+        let clips: Vec<Value> = clips.into_iter().map(|(_, clip)| clip).collect();
+        let ring_s = self.0.settings().map_or(0.0, |settings| settings.recorder.ring_s);
+        let recording = current.as_deref().and_then(Path::file_name).map(|name| name.to_string_lossy());
+        Ok(Reply::json(200, json!({"recordings": clips, "folder": folder, "ring_s": ring_s, "recording": recording}).to_string()))
+    }
+
+    fn timeline(&self, call: &mut Call) -> Result<Reply, Reply> {
+        let clip = self.clip(call)?;
+        let points = call.queried("points", 1000, 1..=MOST_POINTS)?;
+        let told = timeline(&clip.path.join("poses.jsonl"), &clip.path.join("events.jsonl"), points as usize);
+        Ok(Reply::json(200, told.map_err(|e| failed("the recording cannot be read", &e))?.to_string()))
+    }
+
+    fn frame(&self, call: &mut Call) -> Result<Reply, Reply> {
+        let clip = self.clip(call)?;
+        let number = call.number("row")?;
+        let beyond = || Reply::text(404, "the recording has no such row; its timeline says how many there are\n");
+        let row = clip.rows()?.into_iter().nth(usize::try_from(number).unwrap_or(usize::MAX)).ok_or_else(beyond)?;
+        let inside = |name: &str| Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
+        let picture = clip.path.join("frames").join(&row.file);
+        if row.file.is_empty() || !inside(&row.file) {
+            return Err(Reply::text(404, "this row has no picture\n"));
+        }
+        let bytes = safe_file::read(&picture, LARGEST_PICTURE).map_err(|e| failed("the picture cannot be read", &e))?;
+        let record = record(&clip.path.join("poses.jsonl"), number).unwrap_or_else(|| "null".to_owned());
+        Ok(Reply::new(200, "image/jpeg", jpeg(bytes)?).with("x-stagepose-record", &escaped(&record)))
+    }
+
+    fn poses(&self, call: &mut Call) -> Result<Reply, Reply> {
+        let clip = self.clip(call)?;
+        lines(&clip.path.join("poses.jsonl"), call)
+    }
+}
+
+/// So many of a file's lines from there on, as JSON lines.
+pub(super) fn lines(file: &Path, call: &Call) -> Result<Reply, Reply> {
+    let (from, count) = (call.queried("from", 0, 0..=u64::from(u32::MAX))?, call.queried("count", 500, 1..=MOST_RECORDS)?);
+    let opened = safe_file::open(file).map_err(|e| failed("the records cannot be read", &e))?;
+    let mut text = Vec::new();
+    for line in BufReader::new(opened).split(b'\n').skip(from as usize).take(count as usize).map_while(Result::ok) {
+        text.extend_from_slice(&line);
+        text.push(b'\n');
+    }
+    Ok(Reply::new(200, "application/x-ndjson", text))
+}
+
+impl Clip {
+    fn rows(&self) -> Result<Vec<StampRow>, Reply> {
+        let file = safe_file::open(&self.path.join("timestamps.csv")).map_err(|e| failed("the recording cannot be read", &e))?;
+        read_timestamps(file).map_err(|_| Reply::text(500, "the recording's timestamps.csv cannot be read\n"))
+    }
+}
+
+/// What the list says of a recording, with when it began, milliseconds since 1970.
+fn summary(folder: &Path, name: &str, current: Option<&Path>) -> Option<(i64, Value)> {
+    let path = folder.join(name);
+    let index = path.join("timestamps.csv");
+    if !path.symlink_metadata().ok()?.is_dir() {
+        return None;
+    }
+    let rows = read_timestamps(safe_file::open(&index).ok()?).ok()?;
+    let mut stamps = rows.iter().filter_map(|row| row.stamp.as_ref().ok());
+    let seconds = stamps.next().zip(stamps.next_back()).map_or(0.0, |(first, last)| last.ms_since(*first) / 1e3);
+    let ended = index.metadata().and_then(|about| about.modified()).ok()?.duration_since(UNIX_EPOCH).ok()?;
+    let begun = ended.saturating_sub(Duration::try_from_secs_f64(seconds).unwrap_or_default()).as_millis() as i64;
+    let is_open = current == Some(path.as_path());
+    Some((begun, json!({"id": name, "begun_unix_ms": begun, "seconds": seconds, "frames": rows.len(), "open": is_open})))
+}
+
+/// The record of a row.
+fn record(poses: &Path, row: u64) -> Option<String> {
+    let lines = BufReader::new(safe_file::open(poses).ok()?).lines();
+    let line = lines.map_while(Result::ok).nth(usize::try_from(row).ok()?)?;
+    serde_json::from_str::<Value>(&line).ok().map(|_| line)
+}
+
+/// For a header: what is not plain ASCII by its bytes.
+fn escaped(text: &str) -> String {
+    let escape = |byte: u8| match byte {
+        b' '..=b'~' if byte != b'%' => char::from(byte).to_string(),
+        _ => format!("%{byte:02X}"),
+    };
+    text.bytes().map(escape).collect()
+}
+
+/// A picture as a JPEG that browsers show.
+fn jpeg(bytes: Vec<u8>) -> Result<Vec<u8>, Reply> {
+    if bytes.starts_with(&[0xFF, 0xD8]) {
+        return Ok(with_huffman_tables(&bytes).into_owned());
+    }
+    let none = || Reply::text(404, "this row has no picture that can be read\n");
+    let grey = image::load_from_memory(&bytes).map_err(|_| none())?.into_luma8();
+    let (width, height) = (u16::try_from(grey.width()).map_err(|_| none())?, u16::try_from(grey.height()).map_err(|_| none())?);
+    crate::web::hub::grey_jpeg(&grey, width, height, Vec::new()).ok_or_else(none)
+}
+
+/// Counts downloads.
+struct Running(Arc<AtomicUsize>);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+fn download(clip: &Clip, running: &Arc<AtomicUsize>) -> Result<Reply, Reply> {
+    if running.fetch_add(1, Ordering::Relaxed) >= MOST_DOWNLOADS {
+        running.fetch_sub(1, Ordering::Relaxed);
+        return Err(Reply::text(429, "two downloads are under way; wait for one of them\n").with("retry-after", "10"));
+    }
+    let (counted, path, id) = (Running(running.clone()), clip.path.clone(), clip.id.clone());
+    let make = move |to: &mut dyn Write| {
+        let _counted = counted;
+        zip_folder(&path, &id, to)
+    };
+    let download = Download::start(make).map_err(|e| failed("the download cannot begin", &e))?;
+    let mut reply = Reply::new(200, "application/zip", Vec::new());
+    reply.download = Some(download);
+    Ok(reply.with("content-disposition", &format!("attachment; filename=\"{}.zip\"", clip.id)))
+}
+
+/// All plain files of a folder, as they are: pictures are packed already.
+fn zip_folder(folder: &Path, name: &str, to: &mut dyn Write) -> io::Result<()> {
+    let mut zip = ZipWriter::new_stream(to);
+    let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored).large_file(true);
+    add(&mut zip, options, folder, name, DEEPEST)?;
+    zip.finish().map_err(io::Error::other)?.flush()
+}
+
+fn add<W: Write + io::Seek>(
+    zip: &mut ZipWriter<W>,
+    options: SimpleFileOptions,
+    folder: &Path,
+    name: &str,
+    deeper: usize,
+) -> io::Result<()> {
+    let mut entries: Vec<_> = std::fs::read_dir(folder)?.collect::<Result<_, _>>()?;
+    entries.sort_by_key(std::fs::DirEntry::file_name);
+    for entry in entries {
+        let (kind, below) = (entry.file_type()?, format!("{name}/{}", entry.file_name().to_string_lossy()));
+        if kind.is_dir() && deeper > 0 {
+            add(zip, options, &entry.path(), &below, deeper - 1)?;
+        } else if kind.is_file() {
+            zip.start_file(&below, options).map_err(io::Error::other)?;
+            let file: File = safe_file::open(&entry.path())?;
+            // A recording that goes on grows: as long as it is now.
+            let length = file.metadata()?.len();
+            io::copy(&mut file.take(length), zip)?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+#[path = "recordings_tests.rs"]
+mod tests;

@@ -1,0 +1,66 @@
+use super::*;
+use crate::web::api::tests::{asked, supervised};
+
+/// A recording of two rows, one with a JPEG and one grey, and a third without a picture.
+fn recording(folder: &Path) {
+    let clip = folder.join("recordings/clip-1");
+    std::fs::create_dir_all(clip.join("frames/0000")).unwrap();
+    std::fs::write(clip.join("timestamps.csv"), "#timestamp [ns],filename\n10,0000/a.jpg\n2000000010,0000/b.pgm\n20,../../../stage.toml\n")
+        .unwrap();
+    let jpeg = crate::web::hub::grey_jpeg(&[7; 64], 8, 8, Vec::new()).unwrap();
+    std::fs::write(clip.join("frames/0000/a.jpg"), jpeg).unwrap();
+    std::fs::write(clip.join("frames/0000/b.pgm"), b"P5\n2 2\n255\n\x01\x02\x03\x04").unwrap();
+    let line = |k: u32| format!("{{\"sequence\":{k},\"timestamp_ns\":{k},\"state\":\"lost\",\"rms_px\":null,\"name\":\"\u{e4}%\"}}\n");
+    std::fs::write(clip.join("poses.jsonl"), (0..3).map(line).collect::<String>()).unwrap();
+    std::os::unix::fs::symlink("/", folder.join("recordings/root")).unwrap();
+}
+
+#[test]
+fn a_recording_is_listed_and_its_rows_are_given() {
+    let folder = tempfile::tempdir().unwrap();
+    recording(folder.path());
+    let supervisor = supervised(folder.path());
+    let get = |path: &str| asked(&routes(&supervisor), "GET", path, b"");
+    let listed: Value = serde_json::from_slice(&get("/api/v1/recordings").1).unwrap();
+    assert_eq!(listed["recordings"].as_array().unwrap().len(), 1);
+    assert_eq!((&listed["recordings"][0]["id"], &listed["recordings"][0]["frames"]), (&"clip-1".into(), &3.into()));
+    assert!(get("/api/v1/recordings/clip-1/frame/0").1.starts_with(&[0xFF, 0xD8]));
+    assert!(get("/api/v1/recordings/clip-1/frame/1").1.starts_with(&[0xFF, 0xD8]));
+    assert_eq!(get("/api/v1/recordings/clip-1/poses?from=1&count=1").1.iter().filter(|b| **b == b'\n').count(), 1);
+    let told: Value = serde_json::from_slice(&get("/api/v1/recordings/clip-1/timeline?points=2").1).unwrap();
+    assert_eq!(told["frames"], 3);
+}
+
+#[test]
+fn nothing_outside_of_the_folder_is_given() {
+    let folder = tempfile::tempdir().unwrap();
+    recording(folder.path());
+    let supervisor = supervised(folder.path());
+    let status = |path: &str| asked(&routes(&supervisor), "GET", path, b"").0;
+    assert_eq!(status("/api/v1/recordings/clip-1/frame/2"), 404, "its name leads out");
+    for id in ["root", "..", ".", "%2e%2e", "..%2f..", "clip-1%2f..", "a%00b", "%ff", "none"] {
+        for below in ["timeline", "frame/0", "poses", "download"] {
+            let status = status(&format!("/api/v1/recordings/{id}/{below}"));
+            assert!((400..405).contains(&status), "{id}/{below}: {status}");
+        }
+    }
+    for wrong in ["frame/-1", "frame/x", "frame/99999999999999999999", "timeline?points=0", "timeline?points=1e9", "poses?count=-1"] {
+        assert_eq!(status(&format!("/api/v1/recordings/clip-1/{wrong}")), 400, "{wrong}");
+    }
+    assert_eq!(status("/api/v1/recordings/clip-1/frame/3"), 404);
+}
+
+#[test]
+fn a_download_is_a_zip_of_all_of_it() {
+    let folder = tempfile::tempdir().unwrap();
+    recording(folder.path());
+    let supervisor = supervised(folder.path());
+    let (status, zipped) = asked(&routes(&supervisor), "GET", "/api/v1/recordings/clip-1/download", b"");
+    assert_eq!(status, 200);
+    let mut zip = zip::ZipArchive::new(io::Cursor::new(zipped)).unwrap();
+    let names: Vec<String> = zip.file_names().map(str::to_owned).collect();
+    assert_eq!(names.len(), 4, "{names:?}");
+    let mut picture = Vec::new();
+    zip.by_name("clip-1/frames/0000/b.pgm").unwrap().read_to_end(&mut picture).unwrap();
+    assert_eq!(picture, b"P5\n2 2\n255\n\x01\x02\x03\x04");
+}

@@ -1,0 +1,64 @@
+//! `POST /api/v1/mode`, `recordings/start`, `stop`, `mark`: what the running daemon is asked to do.
+
+use std::sync::Arc;
+
+use axum::http::Method;
+use serde::Deserialize;
+
+use crate::daemon::live::Event;
+use crate::daemon::{Mode, RecordingWish, Supervisor};
+use crate::printable::printable;
+use crate::web::reply::Reply;
+use crate::web::routes::{Access, Route};
+
+/// Larger than any request here, bytes.
+const LARGEST: u64 = 4096;
+/// Longest text of a mark, characters: a line in a list. Raised, lists grow wide.
+const LONGEST_MARK: usize = 200;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Wanted {
+    mode: String,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Mark {
+    #[serde(default)]
+    text: String,
+}
+
+pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
+    let of = |supervisor: &Arc<Supervisor>| supervisor.clone();
+    let (for_mode, for_start, for_stop, for_mark) = (of(supervisor), of(supervisor), of(supervisor), of(supervisor));
+    let record = |supervisor: Arc<Supervisor>, path, wish, says: &'static str| {
+        Route::aside(Method::POST, path, Access::Change, move |call| {
+            call.nothing()?;
+            if supervisor.settings().is_none() || supervisor.mode() != Mode::Track {
+                return Err(Reply::text(409, "nothing is tracked, so nothing can be recorded; begin to track first\n"));
+            }
+            supervisor.record(wish);
+            Ok(Reply::text(202, says))
+        })
+    };
+    vec![
+        Route::aside(Method::POST, "/api/v1/mode", Access::Change, move |call| {
+            let wanted: Wanted = call.json(LARGEST)?;
+            let mode = Mode::ALL.into_iter().find(|mode| mode.word() == wanted.mode);
+            let mode = mode.ok_or_else(|| Reply::text(422, "there is no such mode; give track or setup\n"))?;
+            for_mode.set_mode(mode);
+            Ok(Reply::text(202, format!("the camera goes to: {}\n", mode.word())))
+        }),
+        record(for_start, "/api/v1/recordings/start", RecordingWish::Start, "a recording begins\n").seldom(),
+        record(for_stop, "/api/v1/recordings/stop", RecordingWish::Stop, "the recording ends\n"),
+        Route::aside(Method::POST, "/api/v1/recordings/mark", Access::Change, move |call| {
+            let mark: Mark = call.json(LARGEST)?;
+            if mark.text.chars().count() > LONGEST_MARK {
+                return Err(Reply::text(422, format!("a mark has at most {LONGEST_MARK} characters\n")));
+            }
+            for_mark.link.events.publish(Event::Marked { text: printable(&mark.text).into_owned() });
+            Ok(Reply::text(202, "marked\n"))
+        }),
+    ]
+}

@@ -1,0 +1,144 @@
+//! A recording's states and fit over time, drawn together into as many columns as a screen has.
+
+use std::collections::BTreeMap;
+use std::io::{self, BufRead, BufReader};
+use std::path::Path;
+
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::safe_file;
+
+/// Events at most, the first ones: a list that a person reads. Raised, larger answers.
+const MOST_EVENTS: usize = 2000;
+
+/// What a timeline has of a record.
+#[derive(Debug, Deserialize)]
+struct Row {
+    timestamp_ns: i64,
+    state: String,
+    rms_px: Option<f64>,
+}
+
+/// Several rows that stand beside each other, as one.
+#[derive(Debug, Default)]
+struct Column {
+    rows: u64,
+    states: BTreeMap<String, u64>,
+    rms_px: Option<f64>,
+}
+
+/// The worst first: a lost frame shows among hundreds that were tracked.
+const WORST_FIRST: [&str; 4] = ["lost", "searching", "coasting", "tracking"];
+
+impl Column {
+    fn add(&mut self, row: Row) {
+        self.rows += 1;
+        self.rms_px = [self.rms_px, row.rms_px].into_iter().flatten().reduce(f64::max);
+        *self.states.entry(row.state).or_default() += 1;
+    }
+
+    fn join(&mut self, other: Self) {
+        self.rows += other.rows;
+        self.rms_px = [self.rms_px, other.rms_px].into_iter().flatten().reduce(f64::max);
+        other.states.into_iter().for_each(|(state, n)| *self.states.entry(state).or_default() += n);
+    }
+}
+
+/// The timeline of a file of records, with the events of another; what cannot be read ends it.
+pub(super) fn timeline(poses: &Path, events: &Path, points: usize) -> io::Result<Value> {
+    let (mut columns, mut of_each): (Vec<Column>, u64) = (Vec::new(), 1);
+    let (mut stamps, mut rows): (Vec<i64>, u64) = (Vec::new(), 0);
+    for line in BufReader::new(safe_file::open(poses)?).lines().map_while(Result::ok) {
+        let Ok(row) = serde_json::from_str::<Row>(&line) else { break };
+        rows += 1;
+        stamps.push(row.timestamp_ns);
+        match columns.last_mut().filter(|column| column.rows < of_each) {
+            Some(column) => column.add(row),
+            None => {
+                // Twice as many as are wanted: pairs become one.
+                if columns.len() >= 2 * points {
+                    columns = joined(columns);
+                    of_each *= 2;
+                }
+                let mut column = Column::default();
+                column.add(row);
+                columns.push(column);
+            }
+        }
+    }
+    while columns.len() > points {
+        columns = joined(columns);
+    }
+    let mut first_row = 0;
+    let told: Vec<Value> = columns
+        .into_iter()
+        .map(|column| {
+            let state = WORST_FIRST.into_iter().find(|state| column.states.contains_key(*state));
+            let told = json!({"row": first_row, "rows": column.rows, "state": state, "rms_px": column.rms_px, "states": column.states});
+            first_row += column.rows;
+            told
+        })
+        .collect();
+    let ends = (stamps.first().copied(), stamps.last().copied());
+    Ok(json!({"frames": rows, "first_ns": ends.0, "last_ns": ends.1, "columns": told, "events": with_rows(events, &stamps)}))
+}
+
+fn joined(columns: Vec<Column>) -> Vec<Column> {
+    let mut joined: Vec<Column> = Vec::with_capacity(columns.len() / 2 + 1);
+    for (k, column) in columns.into_iter().enumerate() {
+        match joined.last_mut().filter(|_| k % 2 == 1) {
+            Some(before) => before.join(column),
+            None => joined.push(column),
+        }
+    }
+    joined
+}
+
+/// The events as they stand in the file, each with the first row that is not before it.
+fn with_rows(events: &Path, stamps: &[i64]) -> Vec<Value> {
+    let Ok(file) = safe_file::open(events) else { return Vec::new() };
+    let lines = BufReader::new(file).lines().map_while(Result::ok);
+    let told = lines.filter_map(|line| serde_json::from_str::<Value>(&line).ok()).filter(Value::is_object);
+    told.take(MOST_EVENTS)
+        .map(|mut event| {
+            let at = event["timestamp_ns"].as_i64().unwrap_or_default();
+            event["row"] = stamps.partition_point(|stamp| *stamp < at).min(stamps.len().saturating_sub(1)).into();
+            event
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(k: i64, state: &str, rms_px: &str) -> String {
+        format!("{{\"timestamp_ns\":{},\"state\":\"{state}\",\"rms_px\":{rms_px}}}\n", 100 * k)
+    }
+
+    #[test]
+    fn columns_keep_the_worst_and_lose_no_row() {
+        let folder = tempfile::tempdir().unwrap();
+        let (poses, events) = (folder.path().join("poses.jsonl"), folder.path().join("events.jsonl"));
+        let text: String =
+            (0..1001).map(|k| if k == 700 { line(k, "lost", "null") } else { line(k, "tracking", &format!("0.{k}1")) }).collect();
+        std::fs::write(&poses, text).unwrap();
+        std::fs::write(&events, "{\"timestamp_ns\":70000,\"event\":\"marked\"}\nnonsense\n{\"timestamp_ns\":1000000}\n").unwrap();
+        for points in [1, 7, 100, 1000, 4000] {
+            let told = timeline(&poses, &events, points).unwrap();
+            let columns = told["columns"].as_array().unwrap();
+            assert!(columns.len() <= points && columns.len() * 2 + 2 > points.min(1001), "{} of {points}", columns.len());
+            assert_eq!(columns.iter().map(|c| c["rows"].as_u64().unwrap()).sum::<u64>(), 1001);
+            let lost: Vec<_> = columns.iter().filter(|c| c["state"] == "lost").collect();
+            assert_eq!(lost.len(), 1);
+            let first = lost[0]["row"].as_u64().unwrap();
+            assert!((first..first + lost[0]["rows"].as_u64().unwrap()).contains(&700));
+            assert_eq!((&told["frames"], &told["last_ns"]), (&1001.into(), &100_000.into()));
+            let rows: Vec<_> = told["events"].as_array().unwrap().iter().map(|e| e["row"].as_u64().unwrap()).collect();
+            assert_eq!(rows, [700, 1000]);
+        }
+        std::fs::write(&poses, "").unwrap();
+        assert_eq!(timeline(&poses, &folder.path().join("none"), 10).unwrap()["frames"], 0);
+    }
+}

@@ -1,0 +1,95 @@
+//! A request as the function behind a route sees it: fields of the path, the query, headers, the content. What is asked for wrongly
+//! becomes a reply that says how it is asked.
+
+use std::io::{ErrorKind, Read};
+
+use axum::http::HeaderMap;
+use serde::de::DeserializeOwned;
+
+use super::content::Upload;
+use super::reply::Reply;
+
+/// Longest name of a recording, a file or a client, bytes: as file systems have it, less what is put behind it.
+const LONGEST_NAME: usize = 128;
+
+/// A request.
+#[derive(Debug)]
+pub struct Call {
+    pub(super) fields: Vec<(String, String)>,
+    pub(super) query: String,
+    pub(super) headers: HeaderMap,
+    pub(super) content: Upload,
+    /// Whether this machine itself asks.
+    pub(super) is_here: bool,
+}
+
+impl Call {
+    /// A field of the path that names something: letters, digits, dots, dashes and underscores; it cannot lead out of a folder.
+    pub(super) fn name(&self, field: &str) -> Result<&str, Reply> {
+        let name = self.fields.iter().find(|(name, _)| name == field).map_or("", |(_, value)| value.as_str());
+        if is_name(name) {
+            Ok(name)
+        } else {
+            Err(Reply::text(
+                400,
+                "a name here has letters, digits, dots, dashes and underscores, does not begin with a dot, and is at most 128 long\n",
+            ))
+        }
+    }
+
+    /// A field of the path that is a number.
+    pub(super) fn number(&self, field: &str) -> Result<u64, Reply> {
+        self.name(field)?.parse().map_err(|_| Reply::text(400, format!("the last part of the path is no {field}; give a whole number\n")))
+    }
+
+    /// A number of the query, within these limits.
+    pub(super) fn queried(&self, name: &str, default: u64, limits: std::ops::RangeInclusive<u64>) -> Result<u64, Reply> {
+        let found = self.query.split('&').filter_map(|pair| pair.split_once('=')).find(|(key, _)| *key == name);
+        let Some((_, value)) = found else { return Ok(default) };
+        let number = value.parse().ok().filter(|number| limits.contains(number));
+        number.ok_or_else(|| Reply::text(400, format!("{name} must be a whole number from {} to {}\n", limits.start(), limits.end())))
+    }
+
+    /// A header's text.
+    pub(super) fn header(&self, name: &str) -> Option<&str> {
+        self.headers.get(name)?.to_str().ok()
+    }
+
+    /// The whole content, where it is not longer than this.
+    pub(super) fn content(&mut self, most_bytes: u64) -> Result<Vec<u8>, Reply> {
+        let mut bytes = Vec::new();
+        (&mut self.content).take(most_bytes + 1).read_to_end(&mut bytes).map_err(|e| not_arrived(&e))?;
+        if bytes.len() as u64 > most_bytes { Err(too_large(most_bytes)) } else { Ok(bytes) }
+    }
+
+    /// The content as JSON of this form.
+    pub(super) fn json<T: DeserializeOwned>(&mut self, most_bytes: u64) -> Result<T, Reply> {
+        let bytes = self.content(most_bytes)?;
+        serde_json::from_slice(&bytes).map_err(|e| Reply::text(400, format!("the request is not the JSON that is wanted here: {e}\n")))
+    }
+
+    /// Refuses content where there should be none.
+    pub(super) fn nothing(&mut self) -> Result<(), Reply> {
+        self.content(0).map(drop).map_err(|_| Reply::text(413, "this request has no content\n"))
+    }
+}
+
+/// Whether it can stand for one file or folder.
+pub(super) fn is_name(name: &str) -> bool {
+    let is_plain = |b: u8| b.is_ascii_alphanumeric() || b"._-".contains(&b);
+    !name.is_empty() && name.len() <= LONGEST_NAME && !name.starts_with('.') && name.bytes().all(is_plain)
+}
+
+/// Content beyond its limit.
+pub(super) fn too_large(most_bytes: u64) -> Reply {
+    let limit = if most_bytes >= 1 << 20 { format!("{} MB", most_bytes >> 20) } else { format!("{most_bytes} bytes") };
+    Reply::text(413, format!("the content is larger than {limit}, which is the most that is taken here\n"))
+}
+
+/// Content that did not come.
+pub(super) fn not_arrived(error: &std::io::Error) -> Reply {
+    match error.kind() {
+        ErrorKind::TimedOut => Reply::text(408, "the content did not come in time; send it again\n"),
+        _ => Reply::text(400, "the content broke off; send it again\n"),
+    }
+}

@@ -1,0 +1,62 @@
+//! `/api/v1/session`, `pair`, `clients`, `lock`, `unlock`: who is here, and what they may do.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use axum::http::Method;
+use serde::Deserialize;
+use serde_json::json;
+
+use super::assets;
+use super::keys::Keys;
+use super::reply::Reply;
+use super::routes::{Access, Route};
+
+/// What the caller says of itself: an object.
+pub type About = Box<dyn Fn() -> serde_json::Value + Send + Sync>;
+
+/// Larger than any request here, bytes.
+const LARGEST: u64 = 4096;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Pairing {
+    code: String,
+    #[serde(default)]
+    name: String,
+}
+
+/// The routes. `about` adds what the daemon says of itself to the session.
+pub(super) fn routes(keys: &Arc<Keys>, about: Option<About>) -> Vec<Route> {
+    let of = |keys: &Arc<Keys>| keys.clone();
+    let (session, pair, clients, revoke, lock, unlock) = (of(keys), of(keys), of(keys), of(keys), of(keys), of(keys));
+    vec![
+        Route::aside(Method::GET, "/api/v1/session", Access::Anyone, move |call| {
+            let mut told = about.as_ref().map_or_else(|| json!({}), |about| about());
+            let is_paired = session.is_paired(&call.headers);
+            told["paired"] = is_paired.into();
+            told["needs_pairing"] = (!call.is_here && !is_paired).into();
+            told["locked"] = session.is_locked().into();
+            told["version"] = env!("CARGO_PKG_VERSION").into();
+            told["page"] = assets::version().into();
+            Ok(Reply::json(200, told.to_string()))
+        }),
+        Route::aside(Method::POST, "/api/v1/pair", Access::Pair, move |call| {
+            let asked: Pairing = call.json(LARGEST)?;
+            Ok(Reply::done().with("set-cookie", &pair.pair(&asked.code, &asked.name, Instant::now())?))
+        }),
+        Route::aside(Method::GET, "/api/v1/clients", Access::Paired, move |_| Ok(Reply::json(200, json!(clients.clients()).to_string()))),
+        Route::aside(Method::DELETE, "/api/v1/clients/{id}", Access::Change, move |call| {
+            call.nothing()?;
+            revoke.revoke(call.name("id")?).map(|()| Reply::done())
+        }),
+        Route::aside(Method::POST, "/api/v1/lock", Access::Change, move |call| {
+            call.nothing()?;
+            lock.lock(true).map(|()| Reply::done())
+        }),
+        Route::aside(Method::POST, "/api/v1/unlock", Access::Unlock, move |call| {
+            call.nothing()?;
+            unlock.lock(false).map(|()| Reply::done())
+        }),
+    ]
+}

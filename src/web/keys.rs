@@ -1,0 +1,248 @@
+//! Who may change something: pairing of browsers on other machines, and the lock for the show.
+//!
+//! On this machine everybody may. A browser elsewhere types a code of eight digits once, which `stagepose pair` and the journal tell to who
+//! has this machine, and keeps a random token in a cookie that no script can read. Only the token's hash is kept here, in the state folder.
+
+use std::fs::OpenOptions;
+use std::io::{self, Read, Write};
+use std::net::IpAddr;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use axum::http::{HeaderMap, Method, header};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::reply::Reply;
+use super::routes::Access;
+use crate::safe_file;
+
+/// The cookie's name.
+const COOKIE: &str = "stagepose";
+/// How long a browser keeps it, seconds: a year. Raised, a tablet that was given away stays paired for longer.
+const COOKIE_LASTS_S: u64 = 365 * 24 * 3600;
+/// Codes that may be tried within [`TRIES_WITHIN`], by everybody together: eight digits then last a century of guessing. Raised, they last
+/// less.
+const MOST_TRIES: usize = 5;
+const TRIES_WITHIN: Duration = Duration::from_secs(60);
+/// Browsers that are paired at most; the oldest goes. Chosen: more than a theatre has. Raised, forgotten ones stay for longer.
+const MOST_CLIENTS: usize = 64;
+/// Longest name of a browser, characters. Chosen for the list that shows it.
+const LONGEST_LABEL: usize = 60;
+/// Larger than the file of clients can be, bytes.
+const LARGEST_FILE: u64 = 1 << 20;
+
+/// A paired browser.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Client {
+    id: String,
+    name: String,
+    since_unix_ms: u64,
+    hash: String,
+}
+
+/// What is kept on disk.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct Kept {
+    locked: bool,
+    clients: Vec<Client>,
+}
+
+#[derive(Debug, Default)]
+struct Known {
+    kept: Kept,
+    code: String,
+    tries: Vec<Instant>,
+}
+
+/// Codes, clients and the lock.
+#[derive(Debug)]
+pub struct Keys {
+    /// Where they are kept; nowhere in a test.
+    folder: Option<PathBuf>,
+    /// Tells several daemons of one machine apart.
+    port: u16,
+    known: Mutex<Known>,
+}
+
+/// Where the code for a daemon's port is kept, for `stagepose pair`.
+pub fn code_file(state: &Path, port: u16) -> PathBuf {
+    state.join(format!("pair-code-{port}"))
+}
+
+/// This many random bytes as hexadecimal digits.
+fn random_hex(bytes: usize) -> io::Result<String> {
+    let mut random = vec![0; bytes];
+    std::fs::File::open("/dev/urandom")?.read_exact(&mut random)?;
+    Ok(hex(&random))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn hash(token: &str) -> String {
+    hex(&Sha256::digest(token.as_bytes()))
+}
+
+/// Eight random digits.
+fn new_code() -> io::Result<String> {
+    let random = random_hex(8)?;
+    // Sixteen hexadecimal digits are 64 bits: the digits are even to a few in 10^12.
+    let number = u64::from_str_radix(&random, 16).unwrap_or_default();
+    Ok(format!("{:08}", number % 100_000_000))
+}
+
+impl Keys {
+    /// Those that `folder` keeps, with a new code.
+    ///
+    /// # Errors
+    /// Where the system gives no random numbers, or the folder cannot be written.
+    pub fn open(folder: Option<&Path>, port: u16) -> io::Result<Self> {
+        let keys = Self { folder: folder.map(Path::to_owned), port, known: Mutex::default() };
+        let kept = keys.file().and_then(|file| safe_file::read(&file, LARGEST_FILE).ok());
+        // A file that cannot be read pairs nobody: they pair again.
+        let kept: Kept = kept.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
+        if let Some(folder) = &keys.folder {
+            std::fs::create_dir_all(folder)?;
+        }
+        let mut known = keys.known();
+        known.kept = kept;
+        keys.renew(&mut known)?;
+        drop(known);
+        Ok(keys)
+    }
+
+    fn known(&self) -> MutexGuard<'_, Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn file(&self) -> Option<PathBuf> {
+        Some(self.folder.as_ref()?.join(format!("clients-{}.json", self.port)))
+    }
+
+    /// A new code, so that each is used once.
+    fn renew(&self, known: &mut Known) -> io::Result<()> {
+        known.code = new_code()?;
+        let Some(folder) = &self.folder else { return Ok(()) };
+        let file = code_file(folder, self.port);
+        let _ = std::fs::remove_file(&file);
+        // For this user and the machine's master alone.
+        OpenOptions::new().write(true).create_new(true).mode(0o600).open(&file)?.write_all(known.code.as_bytes())
+    }
+
+    fn keep(&self, known: &Known) -> Result<(), Reply> {
+        let Some(file) = self.file() else { return Ok(()) };
+        let text = serde_json::to_vec(&known.kept).unwrap_or_default();
+        safe_file::write_whole(&file, &text)
+            .map_err(|e| Reply::text(500, format!("{}: cannot be written ({e}); make room in the state folder\n", file.display())))
+    }
+
+    /// The code as it is told to people.
+    pub fn code(&self) -> String {
+        self.known().code.clone()
+    }
+
+    /// Whether this machine itself asks, and no proxy on it for somebody else.
+    pub(super) fn is_here(peer: IpAddr, headers: &HeaderMap) -> bool {
+        peer.to_canonical().is_loopback() && !headers.contains_key("x-forwarded-for") && !headers.contains_key(header::FORWARDED)
+    }
+
+    /// Whether the request comes with a cookie that was given here.
+    pub(super) fn is_paired(&self, headers: &HeaderMap) -> bool {
+        let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(';'));
+        let mut tokens =
+            cookies.filter_map(|cookie| cookie.trim().split_once('=')).filter(|(name, _)| *name == COOKIE).map(|(_, token)| hash(token));
+        let known = self.known();
+        // Of the hashes, so that the time which this takes tells nothing of the tokens.
+        tokens.any(|hash| known.kept.clients.iter().any(|client| client.hash == hash))
+    }
+
+    /// Whether the show lock is on.
+    pub(super) fn is_locked(&self) -> bool {
+        self.known().kept.locked
+    }
+
+    /// Judges a request for a route.
+    pub(super) fn judge(&self, access: Access, method: &Method, headers: &HeaderMap, peer: IpAddr) -> Result<(), Reply> {
+        let is_browser = headers.contains_key(header::ORIGIN) || headers.contains_key("sec-fetch-site");
+        if !matches!(*method, Method::GET | Method::HEAD) && is_browser && !headers.contains_key("x-stagepose") {
+            return Err(Reply::text(403, "a page that changes something says X-Stagepose: 1, which no other site's page can\n"));
+        }
+        let is_known = || Self::is_here(peer, headers) || self.is_paired(headers);
+        match access {
+            Access::Anyone | Access::Pair => Ok(()),
+            _ if !is_known() => {
+                let sentence = "this browser is not paired; type the code that `stagepose pair` prints on the daemon's machine\n";
+                Err(Reply::text(401, sentence))
+            }
+            Access::Change if self.is_locked() => {
+                Err(Reply::text(423, "the show lock is on; hold the lock in the page's top bar for a second to release it\n"))
+            }
+            Access::Change | Access::Paired | Access::Unlock => Ok(()),
+        }
+    }
+
+    /// Pairs a browser that knows the code: the cookie to set.
+    pub(super) fn pair(&self, code: &str, name: &str, now: Instant) -> Result<String, Reply> {
+        let mut known = self.known();
+        known.tries.retain(|tried| now.duration_since(*tried) < TRIES_WITHIN);
+        if known.tries.len() >= MOST_TRIES {
+            return Err(Reply::text(429, "too many codes were tried; wait a minute\n").with("retry-after", "60"));
+        }
+        known.tries.push(now);
+        let digits: String = code.chars().filter(|c| !c.is_whitespace()).collect();
+        if hash(&digits) != hash(&known.code) {
+            return Err(Reply::text(401, "this is not the code; `stagepose pair` on the daemon's machine prints it\n"));
+        }
+        let failed = |e: io::Error| Reply::text(500, format!("no pairing was made: {e}\n"));
+        let (token, id) = (random_hex(32).map_err(failed)?, random_hex(4).map_err(failed)?);
+        let name = name.chars().filter(|c| crate::printable::stands_for_itself(*c)).take(LONGEST_LABEL).collect();
+        let since_unix_ms = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
+        if known.kept.clients.len() >= MOST_CLIENTS {
+            known.kept.clients.remove(0);
+        }
+        known.kept.clients.push(Client { id, name, since_unix_ms, hash: hash(&token) });
+        self.keep(&known)?;
+        self.renew(&mut known).map_err(failed)?;
+        Ok(format!("{COOKIE}={token}; Path=/; Max-Age={COOKIE_LASTS_S}; HttpOnly; SameSite=Strict"))
+    }
+
+    /// The paired browsers, without what proves them.
+    pub(super) fn clients(&self) -> serde_json::Value {
+        let known = self.known();
+        known.kept.clients.iter().map(|c| serde_json::json!({"id": c.id, "name": c.name, "since_unix_ms": c.since_unix_ms})).collect()
+    }
+
+    /// Forgets one.
+    pub(super) fn revoke(&self, id: &str) -> Result<(), Reply> {
+        let mut known = self.known();
+        let before = known.kept.clients.len();
+        known.kept.clients.retain(|client| client.id != id);
+        if known.kept.clients.len() == before {
+            return Err(Reply::text(404, "no browser of that id is paired; GET /api/v1/clients lists them\n"));
+        }
+        self.keep(&known)
+    }
+
+    /// Switches the show lock.
+    pub(super) fn lock(&self, on: bool) -> Result<(), Reply> {
+        let mut known = self.known();
+        known.kept.locked = on;
+        self.keep(&known)
+    }
+}
+
+impl Drop for Keys {
+    fn drop(&mut self) {
+        if let Some(folder) = &self.folder {
+            let _ = std::fs::remove_file(code_file(folder, self.port));
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "keys_tests.rs"]
+mod tests;

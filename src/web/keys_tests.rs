@@ -1,0 +1,81 @@
+use std::os::unix::fs::PermissionsExt;
+
+use super::*;
+
+/// Headers of a request.
+fn headers(of: &[(&'static str, &str)]) -> HeaderMap {
+    of.iter().map(|(name, value)| (header::HeaderName::from_static(name), value.parse().unwrap())).collect()
+}
+
+fn elsewhere() -> IpAddr {
+    "192.0.2.7".parse().unwrap()
+}
+
+#[test]
+fn a_code_pairs_once_and_the_token_itself_is_nowhere_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let keys = Keys::open(Some(folder.path()), 1).unwrap();
+    let file = code_file(folder.path(), 1);
+    let code = std::fs::read_to_string(&file).unwrap();
+    assert_eq!((code.len(), code.as_str()), (8, keys.code().as_str()));
+    assert_eq!(file.metadata().unwrap().permissions().mode() & 0o777, 0o600);
+    let now = Instant::now();
+    let cookie = keys.pair(&format!("{} {}", &code[..4], &code[4..]), "Anna's\u{1b} tablet", now).unwrap();
+    assert!(cookie.ends_with("; HttpOnly; SameSite=Strict"), "{cookie}");
+    let token = cookie.split(';').next().unwrap();
+    let given = headers(&[("cookie", &format!("other=1; {token}"))]);
+    let change =
+        |keys: &Keys, headers: &HeaderMap| keys.judge(Access::Change, &Method::POST, headers, elsewhere()).err().map_or(0, |r| r.status);
+    assert_eq!((change(&keys, &given), change(&keys, &HeaderMap::new())), (0, 401));
+    assert_eq!(keys.pair(&code, "again", now).unwrap_err().status, 401, "each code is used once");
+    let kept = std::fs::read_to_string(folder.path().join("clients-1.json")).unwrap();
+    assert!(!kept.contains(token.split_once('=').unwrap().1), "{kept}");
+    drop(keys);
+    assert!(!file.exists());
+    // It lasts over a restart, until it is revoked.
+    let keys = Keys::open(Some(folder.path()), 1).unwrap();
+    assert_eq!(change(&keys, &given), 0);
+    let client = &keys.clients()[0];
+    assert_eq!(client["name"], "Anna's tablet");
+    keys.revoke(client["id"].as_str().unwrap()).unwrap();
+    assert_eq!((change(&keys, &given), keys.revoke("0").unwrap_err().status), (401, 404));
+}
+
+#[test]
+fn guesses_are_few() {
+    let keys = Keys::open(None, 1).unwrap();
+    let begun = Instant::now();
+    let tried: Vec<u16> = (0..8).map(|k| keys.pair("x", "", begun + Duration::from_secs(k)).unwrap_err().status).collect();
+    assert_eq!(tried, [401, 401, 401, 401, 401, 429, 429, 429]);
+    assert_eq!(keys.pair(&keys.code(), "", begun + Duration::from_secs(8)).unwrap_err().status, 429, "also for who knows it");
+    assert!(keys.pair(&keys.code(), "", begun + Duration::from_secs(70)).is_ok());
+}
+
+#[test]
+fn on_this_machine_everybody_may_but_for_who_asks_through_a_proxy() {
+    let keys = Keys::open(None, 1).unwrap();
+    let change = |of: &[(&'static str, &str)], peer: &str| {
+        keys.judge(Access::Change, &Method::POST, &headers(of), peer.parse().unwrap()).err().map_or(0, |r| r.status)
+    };
+    for peer in ["127.0.0.1", "::1", "::ffff:127.0.0.1"] {
+        assert_eq!(change(&[], peer), 0, "{peer}");
+        assert_eq!(change(&[("x-forwarded-for", "192.0.2.7")], peer), 401);
+        assert_eq!(change(&[("forwarded", "for=192.0.2.7")], peer), 401);
+        assert_eq!(change(&[("origin", "http://localhost")], peer), 403, "a browser says the header");
+        assert_eq!(change(&[("origin", "http://localhost"), ("x-stagepose", "1")], peer), 0);
+    }
+    assert_eq!(change(&[("cookie", "stagepose=; stagepose")], "192.0.2.7"), 401);
+}
+
+#[test]
+fn the_lock_holds_changes_and_lets_itself_be_released() {
+    let folder = tempfile::tempdir().unwrap();
+    let keys = Keys::open(Some(folder.path()), 1).unwrap();
+    keys.lock(true).unwrap();
+    drop(keys);
+    let keys = Keys::open(Some(folder.path()), 1).unwrap();
+    let asked = |access| keys.judge(access, &Method::POST, &HeaderMap::new(), [127, 0, 0, 1].into()).err().map_or(0, |r| r.status);
+    assert_eq!([Access::Change, Access::Unlock, Access::Paired, Access::Anyone].map(asked), [423, 0, 0, 0]);
+    keys.lock(false).unwrap();
+    assert_eq!(asked(Access::Change), 0);
+}
