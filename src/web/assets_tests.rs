@@ -24,7 +24,8 @@ fn path(from: &str, name: &str) -> Option<String> {
 fn every_file_that_the_page_names_is_there_and_each_is_named() {
     let there: BTreeSet<String> = ASSETS.iter().map(|asset| asset.path.to_owned()).collect();
     let mut reached = BTreeSet::from(["/".to_owned(), "/vendor/LICENSES.txt".to_owned()]);
-    for asset in ASSETS {
+    // One module made of many imports nothing, and its packed text has `from` and quotes of other meaning.
+    for asset in ASSETS.iter().filter(|asset| asset.path != "/vendor/three.js") {
         let text = std::str::from_utf8(asset.bytes).unwrap();
         for name in named(text) {
             let path = path(asset.path, name).unwrap_or_else(|| panic!("{} names {name:?}, which is not below the page", asset.path));
