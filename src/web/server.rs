@@ -137,7 +137,12 @@ impl Server {
         // Its thread answers; what takes time is done on others, which stand back.
         let mut runtime = tokio::runtime::Builder::new_current_thread();
         let runtime = runtime.enable_all().max_blocking_threads(MOST_ASIDE).on_thread_start(stand_back).build().map_err(WebError::Start)?;
-        let keys = Arc::new(Keys::open(site.state.as_deref(), address.port()).map_err(WebError::State)?);
+        let keys = Keys::open(site.state.as_deref(), address.port()).or_else(|e| {
+            // Whoever has no folder for them still tracks, and this machine's own page needs none.
+            tracing::warn!("[http]: pairings end with the program, for they cannot be kept ({e}); let the state folder be written");
+            Keys::open(None, address.port())
+        });
+        let keys = Arc::new(keys.map_err(WebError::State)?);
         if !address.ip().is_loopback() {
             tracing::info!("[http]: a browser on another machine that is to change something is paired by the code {}", keys.code());
         }
