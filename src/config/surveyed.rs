@@ -10,6 +10,7 @@ use toml::de::{DeTable, DeValue};
 use super::ConfigSource;
 use super::as_typed::Config;
 use super::named_files::{Change, CopiedFile, added};
+use crate::camera::Shutter;
 use crate::geometry::{Body, Pose, SurfaceFrame};
 
 /// The calibration's name in the folder.
@@ -28,7 +29,7 @@ pub struct SurveyedSurface {
 
 impl ConfigSource {
     /// The files of a surveyed stage: `stage.toml`, `camera.toml`, the shapes, and copies of what else the config names. `first_typed`: where the config
-    /// itself has the first surface.
+    /// itself has the first surface. `shutter`: the one to write, where it is another than the config's.
     ///
     /// # Errors
     /// Only by a defect of the program: the text was read as a config before.
@@ -37,6 +38,7 @@ impl ConfigSource {
         first_typed: &Pose<Body, SurfaceFrame>,
         surfaces: &[SurveyedSurface],
         calibration: String,
+        shutter: Option<Shutter>,
     ) -> io::Result<Vec<CopiedFile>> {
         let typed = Config::parse(&self.text, &self.file).map_err(io::Error::other)?;
         let document = DeTable::parse(&self.text).map_err(io::Error::other)?;
@@ -46,6 +48,9 @@ impl ConfigSource {
         if let Some(camera) = camera {
             changes.extend(GUESSES.iter().filter_map(|key| without(camera, key)));
             changes.extend(with(&self.text, camera, "calibration", &format!("{CALIBRATION:?}")));
+            let times = shutter.iter().flat_map(|s| [("readout_s", s.readout_s), ("exposure_s", s.exposure_s)]);
+            changes
+                .extend(times.filter_map(|(key, seconds)| with(&self.text, camera, key, &format!("{:?}", (1e6 * seconds).round() / 1e6))));
         }
         let of_camera = typed.camera.as_ref().and_then(|camera| camera.get_ref().calibration.as_ref()).map(Spanned::span);
         let tables = document.get_ref().get("stage").and_then(|stage| stage.get_ref().as_table()?.get("surface")?.get_ref().as_array());

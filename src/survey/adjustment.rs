@@ -1,18 +1,16 @@
 //! The joint adjustment: in every round each keyframe is aligned on grey values with the model as it is, and the model takes one step from what
 //! the tiles leave (Gauss-Newton, with the frames' motions eliminated). What is left at the end is noise.
 
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, UnitQuaternion, Vector3};
-use rayon::prelude::*;
+use nalgebra::{DMatrix, DVector, Matrix3, UnitQuaternion, Vector3};
 
 use super::constraints::{self, Constraint, ConstraintCheck};
-use super::keyframes::{Keyframe, MatchedFeature};
 use super::normal_equations::{FrameRows, NormalEquations};
+use super::observers::{ObservedFrames, Observers};
 use super::prior::{self, Smoothness};
 use super::stage_model::{LENS_NUMBERS, StageModel};
 use crate::camera::Shutter;
-use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian};
 use crate::motion::Motion;
-use crate::track::{ObservedFrame, ObservedTile, TileObserver};
+use crate::track::{ObservedFrame, ObservedTile};
 
 /// Rounds at most. Most surveys settle in five or six.
 const MOST_ROUNDS: usize = 16;
@@ -24,8 +22,6 @@ const ANCHOR_ROUNDS: usize = 4;
 const LEAST_SCALE: f64 = 0.4;
 /// Fewest tiles that a scale is taken from. Raised, small surfaces are judged by the scale of the others; lowered, by chance.
 const LEAST_ROWS: usize = 20;
-/// Fewest features of a frame that count: three times the four that a pose needs.
-const LEAST_FEATURES: usize = 12;
 /// Done when a step changes no tile's place by more, pixels (root mean square).
 const SMALL_STEP_PX: f64 = 0.01;
 /// Rounds in which the smoothness is chosen: once the residuals are no longer those of a flat stage, and again.
@@ -43,17 +39,16 @@ const HELD_OUT: u32 = 5;
 /// Covariances are that much larger than those of independent tiles: neighbouring keyframes see the same tiles, and what is off in one is off in the next.
 /// (research/mapping.md, section 6.)
 const INFLATION: f64 = 1.5;
-/// Keyframes that share one observer, which learns light and noise from one to the next. The number of threads changes nothing.
-const KEYFRAMES_AN_OBSERVER: usize = 30;
 
 /// What a survey rests on.
-pub struct Adjustment {
-    keyframes: Vec<Keyframe>,
-    observers: Vec<TileObserver>,
+pub struct Adjustment<'a> {
+    observers: Observers<'a>,
     shutter: Shutter,
     lens_sigmas: [f64; LENS_NUMBERS],
     constraints: Vec<Constraint>,
     smoothness: Smoothness,
+    /// What the frames showed with the stage as configured.
+    at_start: ObservedFrames,
 }
 
 /// A model, what its frames showed, and the equations at the end.
@@ -84,64 +79,10 @@ pub struct Adjusted {
     pub has_settled: bool,
 }
 
-impl Adjustment {
-    /// Prepares the observers.
-    pub fn new(
-        keyframes: Vec<Keyframe>,
-        model: &StageModel,
-        shutter: Shutter,
-        body: &crate::track::BodySpec,
-        mask: Option<&image::GrayImage>,
-        lens_sigmas: [f64; LENS_NUMBERS],
-        constraints: Vec<Constraint>,
-    ) -> Self {
-        let n = keyframes.len().div_ceil(KEYFRAMES_AN_OBSERVER).max(1);
-        let observers = (0..n).into_par_iter().map(|_| TileObserver::new(model.camera, shutter, mask.cloned(), body)).collect();
-        Self {
-            keyframes,
-            observers,
-            shutter,
-            lens_sigmas,
-            constraints,
-            smoothness: Smoothness::even(model.surfaces.len(), FIRST_CURVATURE),
-        }
-    }
-
-    /// Aligns all keyframes with a model; each remembers its motion.
-    fn observe(&mut self, model: &StageModel) -> Vec<Option<ObservedFrame>> {
-        self.ask(model, |observer, keyframe| {
-            let observed = observer.observe(&keyframe.frame.image, &keyframe.motion)?;
-            keyframe.motion = observed.motion;
-            Some(observed)
-        })
-    }
-
-    /// Where each keyframe shows the anchors of a model; each remembers its pose.
-    fn observe_anchors(&mut self, model: &StageModel, is_half: bool) -> Vec<Option<ObservedFrame>> {
-        self.ask(model, |observer, keyframe| {
-            let observed = observer.observe_anchors(&keyframe.frame.image, &keyframe.motion.pose, is_half)?;
-            keyframe.motion.pose = observed.motion.pose;
-            Some(observed)
-        })
-    }
-
-    /// Asks every keyframe through its observer, which takes the model first.
-    fn ask(
-        &mut self,
-        model: &StageModel,
-        of_frame: impl Fn(&mut TileObserver, &mut Keyframe) -> Option<ObservedFrame> + Sync,
-    ) -> Vec<Option<ObservedFrame>> {
-        let chunks = self.keyframes.par_chunks_mut(KEYFRAMES_AN_OBSERVER).zip(&mut self.observers);
-        let of_chunk = |(keyframes, observer): (&mut [Keyframe], &mut TileObserver)| -> Vec<Option<ObservedFrame>> {
-            observer.take_model(&model.camera, &model.surfaces);
-            keyframes.iter_mut().map(|keyframe| of_frame(observer, keyframe)).collect()
-        };
-        chunks.map(of_chunk).collect::<Vec<_>>().into_iter().flatten().collect()
-    }
-
-    /// Where each keyframe shows its features, from the pose that explains them best with a model.
-    fn observe_features(&mut self, model: &StageModel) -> Vec<Option<ObservedFrame>> {
-        self.keyframes.par_iter_mut().map(|keyframe| observed_features(keyframe, model)).collect()
+impl<'a> Adjustment<'a> {
+    /// Of keyframes by a lens whose numbers are known to `lens_sigmas`.
+    pub fn new(observers: Observers<'a>, shutter: Shutter, lens_sigmas: [f64; LENS_NUMBERS], constraints: Vec<Constraint>) -> Self {
+        Self { observers, shutter, lens_sigmas, constraints, smoothness: Smoothness::even(0, FIRST_CURVATURE), at_start: Vec::new() }
     }
 
     fn rows(&self, model: &StageModel, frames: &[Option<ObservedFrame>]) -> Vec<FrameRows> {
@@ -153,35 +94,47 @@ impl Adjustment {
         frames.iter().enumerate().map(of_frame).filter(|rows| !rows.rows().is_empty()).collect()
     }
 
-    /// Adjusts a model. `progress` is called with the number of each round before it, and says whether to go on.
-    pub fn run(&mut self, start: StageModel, mut progress: impl FnMut(usize) -> bool) -> Option<Adjusted> {
-        let at_start = self.observe(&start);
+    /// Adjusts a model. `progress` is called with the number of each round before it. `None` where the equations have no solution, or the work was
+    /// ended.
+    pub fn run(&mut self, start: StageModel, mut progress: impl FnMut(usize)) -> Option<Adjusted> {
+        self.at_start = self.observers.tiles(&start)?;
         let mut model = start;
         self.smoothness = Smoothness::even(model.surfaces.len(), FIRST_CURVATURE);
         for round in 0..FEATURE_ROUNDS + ANCHOR_ROUNDS {
-            if !progress(round) {
-                return None;
-            }
+            progress(round);
             let anchors_at = round.checked_sub(FEATURE_ROUNDS);
             let frames = match anchors_at {
-                None => self.observe_features(&model),
-                Some(n) => self.observe_anchors(&model, 2 * n < ANCHOR_ROUNDS),
+                None => self.observers.features(&model)?,
+                Some(n) => self.observers.anchors(&model, 2 * n < ANCHOR_ROUNDS)?,
             };
             let rows = self.rows(&model, &frames);
             let Some(scales) = robust_scales(&rows, model.surfaces.len()) else { continue };
+            if anchors_at.is_some_and(|n| n > 0) {
+                self.choose_smoothness(&model, &rows, &scales, true)?;
+            }
             let step = self.step(&model, &rows, &scales)?;
             tracing::debug!(round, frames = rows.len(), ?scales, rms_px = rms_px(&frames), step_px = step_px(&rows, &step), "rough");
             model = model.stepped(&step)?;
         }
+        self.settle(model, progress)
+    }
+
+    /// Adjusts a model that was adjusted before, with another shutter. As [`run`](Self::run).
+    pub fn run_with_shutter(&mut self, model: StageModel, shutter: Shutter, progress: impl FnMut(usize)) -> Option<Adjusted> {
+        self.shutter = shutter;
+        self.observers.take_shutter(&model, shutter);
+        self.settle(model, progress)
+    }
+
+    /// Aligns on grey values until the model comes to rest.
+    fn settle(&mut self, mut model: StageModel, mut progress: impl FnMut(usize)) -> Option<Adjusted> {
         for round in 0..MOST_ROUNDS {
-            if !progress(FEATURE_ROUNDS + ANCHOR_ROUNDS + round) {
-                return None;
-            }
-            let frames = self.observe(&model);
+            progress(FEATURE_ROUNDS + ANCHOR_ROUNDS + round);
+            let frames = self.observers.tiles(&model)?;
             let rows = self.rows(&model, &frames);
             let scales = robust_scales(&rows, model.surfaces.len())?;
             if CHOOSING_ROUNDS.contains(&round) {
-                self.choose_smoothness(&model, &rows, &scales, round == CHOOSING_ROUNDS[0]);
+                self.choose_smoothness(&model, &rows, &scales, round == CHOOSING_ROUNDS[0])?;
             }
             let equations = self.equations(&model, &rows, &scales)?;
             let factor = equations.matrix.clone().cholesky()?;
@@ -192,8 +145,8 @@ impl Adjustment {
             let is_last = round + 1 == MOST_ROUNDS;
             if step_px < SMALL_STEP_PX && round > CHOOSING_ROUNDS[1] || is_last {
                 let (has_settled, rms_px) = (!is_last, left_px);
-                let start_rms_px = at_start.iter().flatten().next().map(|_| self::rms_px(&at_start));
-                let start_error_m = start_error_m(&at_start, &frames);
+                let start_rms_px = self.at_start.iter().flatten().next().map(|_| self::rms_px(&self.at_start));
+                let start_error_m = start_error_m(&self.at_start, &frames);
                 let covariance = factor.inverse();
                 let checks = constraints::check(&self.constraints, &model, &covariance);
                 let covariance = covariance * INFLATION;
@@ -234,11 +187,15 @@ impl Adjustment {
         equations
     }
 
-    /// Takes the smoothness that predicts held-out tiles best: first one for all surfaces, then for each whether flat does as well.
-    fn choose_smoothness(&mut self, model: &StageModel, rows: &[FrameRows], scales: &[f64], is_first: bool) {
-        let Some(data) = NormalEquations::new(rows, model.places().count, scales, false) else { return };
+    /// Takes the smoothness that predicts held-out tiles best: first one for all surfaces, then for each whether flat does as well. `None` where the work
+    /// was ended meanwhile.
+    fn choose_smoothness(&mut self, model: &StageModel, rows: &[FrameRows], scales: &[f64], is_first: bool) -> Option<()> {
+        let Some(data) = NormalEquations::new(rows, model.places().count, scales, false) else { return Some(()) };
         let n = model.surfaces.len();
         let costs = |smoothness: &Smoothness| -> Option<Vec<f64>> {
+            if !self.observers.go_on() {
+                return None;
+            }
             let equations = self.with_priors(data.clone(), model, smoothness);
             let step = equations.matrix.clone().cholesky()?.solve(&equations.right);
             Some(equations.held_out_costs(rows, &step, scales))
@@ -256,7 +213,9 @@ impl Adjustment {
         // The smoothest of those that do as well as the best.
         let least = tried.iter().map(|(cost, _)| *cost).fold(f64::INFINITY, f64::min);
         let mut tried = tried.into_iter();
-        let Some((_, mut best)) = tried.find(|(cost, _)| (1.0 - BETTER) * cost <= least) else { return };
+        let Some((_, mut best)) = tried.find(|(cost, _)| (1.0 - BETTER) * cost <= least) else {
+            return self.observers.go_on().then_some(());
+        };
         let [rigid, stretched] = [false, true].map(|is_stretched| Smoothness { is_stretched, ..best.clone() });
         if let (Some(rigid_costs), Some(costs)) = (costs(&rigid), costs(&stretched)) {
             let [rigid_cost, cost] = [rigid_costs, costs].map(|costs| costs.iter().sum::<f64>());
@@ -272,42 +231,8 @@ impl Adjustment {
             }
         }
         self.smoothness = best;
+        self.observers.go_on().then_some(())
     }
-}
-
-/// A keyframe's features by the pose that explains them best; `None` where there are too few.
-fn observed_features(keyframe: &mut Keyframe, model: &StageModel) -> Option<ObservedFrame> {
-    let observations: Vec<Observation> = keyframe
-        .features
-        .iter()
-        .map(|f| {
-            let surface = &model.surfaces[f.surface];
-            let point = surface.pose.transform(&surface.shape.at(f.on_picture_m).place.into());
-            let information = Matrix2::identity() / f.sigma_px.powi(2);
-            // Motion within the frame is left to the tiles: features are rough anyway.
-            Observation { point, pixel: f.pixel, information, delay_s: 0.0, group: 0 }
-        })
-        .collect();
-    if observations.len() < LEAST_FEATURES {
-        return None;
-    }
-    let still = MovingCamera::still(&model.camera);
-    let pose = resect(&keyframe.motion.pose.inverse(), &still, &observations, 15)?.pose;
-    keyframe.motion.pose = pose.inverse();
-    let motion = Motion::still(pose.inverse());
-    let tile = |(number, (f, o)): (usize, (&MatchedFeature, &Observation))| {
-        let (residual, _) = residual_and_jacobian(&pose, &still, o)?;
-        Some(ObservedTile {
-            surface: f.surface,
-            on_picture_m: f.on_picture_m,
-            shift_px: -residual,
-            information: o.information,
-            delay_s: 0.0,
-            number: number as u32,
-        })
-    };
-    let tiles = keyframe.features.iter().zip(&observations).enumerate().filter_map(tile).collect();
-    Some(ObservedFrame { motion, tiles })
 }
 
 /// A fixed choice that no other numbers of frames or tiles share.

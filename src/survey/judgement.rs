@@ -10,13 +10,17 @@ const POINTS: [usize; 2] = [24, 18];
 const LARGEST_SCALE: [f64; 2] = [2.0, 5.0];
 /// Share of the keyframes that must bear the result out, for good and for usable.
 const LEAST_USED: [f64; 2] = [0.8, 0.5];
-/// Sigma of a surface's heights up to which it is good, and usable, as a share of its longer side.
+/// Sigma of a surface's heights as a share of its longer side: up to the first, of each of its parts, it is good; up to the second, over the median of the whole,
+/// usable.
 const LARGEST_HEIGHT_SIGMA: [f64; 2] = [1e-3, 5e-3];
 /// Sigma of a surface's place, as the same share, up to which it is good, and usable: a surface that no frame shows stays where the config has it, and
 /// is named.
 const LARGEST_PLACE_SIGMA: [f64; 2] = [2e-3, f64::INFINITY];
 /// 3 sigma of a focal length that was found, as a share, up to which it is good, and usable.
 const LARGEST_FOCAL: [f64; 2] = [2e-3, 1e-2];
+/// 3 sigma of a lens that was found at its least known place, in 640ths of the picture's width, up to which it is good and usable: what calibration asks for over
+/// most of the picture (`calibrate::judge`).
+const LARGEST_PIXEL: [f64; 2] = [2.0, 6.0];
 
 /// The verdict, best first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -38,6 +42,11 @@ impl Verdict {
             Self::DoNotUse => "do not use",
         }
     }
+}
+
+/// A finding by how large something is: up to the first limit good, up to the second usable.
+fn graded(value: f64, limits: [f64; 2], good: String, bad: &dyn Fn() -> String) -> (Verdict, String) {
+    if value <= limits[0] { (Verdict::Good, good) } else { (if value <= limits[1] { Verdict::Usable } else { Verdict::DoNotUse }, bad()) }
 }
 
 /// What a survey is worth.
@@ -115,16 +124,7 @@ impl Survey {
     /// What it is worth.
     pub fn judge(&self) -> Judgement {
         let mut findings: Vec<(Verdict, String)> = Vec::new();
-        let mut below = |value: f64, limits: [f64; 2], good: String, bad: &dyn Fn() -> String| {
-            let verdict = if value <= limits[0] {
-                Verdict::Good
-            } else if value <= limits[1] {
-                Verdict::Usable
-            } else {
-                Verdict::DoNotUse
-            };
-            findings.push((verdict, if verdict == Verdict::Good { good } else { bad() }));
-        };
+        let mut below = |value, limits, good, bad: &dyn Fn() -> String| findings.push(graded(value, limits, good, bad));
         let used = self.used as f64 / self.keyframes.max(1) as f64;
         below(-used, LEAST_USED.map(|share| -share), format!("{} of {} keyframes bear it out", self.used, self.keyframes), &|| {
             format!("only {} of {} keyframes bear it out: is it this stage, and does its config fit?", self.used, self.keyframes)
@@ -136,34 +136,8 @@ impl Survey {
                 self.rms_px, self.scale
             )
         });
-        for (description, surface) in self.described().iter().zip(&self.surfaces) {
-            let side_mm = 1e3 * surface.size_m[0].max(surface.size_m[1]);
-            let sigma = description.height_sigma_mm;
-            below(
-                description.sigma_mm / side_mm,
-                LARGEST_PLACE_SIGMA,
-                format!("{} stands where it was found to {:.2} mm", surface.name, description.sigma_mm),
-                &|| {
-                    format!(
-                        "where {} stands is known to {:.0} mm only: too few keyframes show it as its picture has it; film it from nearer and from two sides, and measure its \
-                     place better",
-                        surface.name, description.sigma_mm
-                    )
-                },
-            );
-            below(sigma / side_mm, LARGEST_HEIGHT_SIGMA, format!("{} is known to {sigma:.2} mm", surface.name), &|| {
-                format!("{} is known to {sigma:.1} mm only: film it from two sides, 20 degrees or more apart", surface.name)
-            });
-        }
-        if let (Some(doubt), true) = (self.camera.doubt(), self.places.lens.is_some()) {
-            let share = doubt.uncertainty.focal_px[0] / self.camera.intrinsics().fx;
-            below(share, LARGEST_FOCAL, format!("the focal length is known to {:.2} %", 100.0 * share), &|| {
-                format!(
-                    "the focal length is known to {:.1} % only: film the stage aslant, from near and far, and with the camera turned on its side",
-                    100.0 * share
-                )
-            });
-        }
+        findings.extend(self.of_surfaces());
+        findings.extend(self.of_lens());
         // One wrong length makes others look wrong: the worst is the one to measure again.
         let contradicted = self.checks.iter().filter(|check| check.is_contradicted());
         if let Some(worst) = contradicted.max_by(|a, b| a.sigmas.total_cmp(&b.sigmas)) {
@@ -176,5 +150,54 @@ impl Survey {
         let verdict = findings.first().map_or(Verdict::DoNotUse, |(verdict, _)| *verdict);
         let reasons = findings.into_iter().filter(|(of, _)| *of == verdict).map(|(_, text)| text).collect();
         Judgement { verdict, reasons }
+    }
+
+    /// What is known of the surfaces; all of them together where that is enough.
+    fn of_surfaces(&self) -> Vec<(Verdict, String)> {
+        let (mut places_mm, mut shapes_mm) = (0.0_f64, 0.0_f64);
+        let mut findings = Vec::new();
+        for (k, (description, surface)) in self.described().iter().zip(&self.surfaces).enumerate() {
+            let side_mm = 1e3 * surface.size_m[0].max(surface.size_m[1]);
+            let parts = self.parts(k);
+            let (place_mm, worst_mm) = (description.sigma_mm, 1e3 * parts.worst_m());
+            (places_mm, shapes_mm) = (places_mm.max(place_mm), shapes_mm.max(worst_mm));
+            findings.push(graded(place_mm / side_mm, LARGEST_PLACE_SIGMA, String::new(), &|| {
+                format!(
+                    "where {} stands is known to {place_mm:.0} mm only: too few keyframes show it as its picture has it; film it from nearer and from two sides, \
+                     and measure its place better",
+                    surface.name
+                )
+            }));
+            let [good, usable] = LARGEST_HEIGHT_SIGMA.map(|share| share * side_mm);
+            // One part that nobody filmed leaves the others of use; half of them does not.
+            let unknown_mm = if description.height_sigma_mm > usable { f64::INFINITY } else { worst_mm.min(usable) };
+            findings.push(graded(unknown_mm, [good, usable], String::new(), &|| {
+                let parts = parts.beyond(1e-3 * good);
+                format!("{} is known to {worst_mm:.1} mm only ({parts}): film it from two sides, 20 degrees or more apart", surface.name)
+            }));
+        }
+        findings.retain(|(verdict, _)| *verdict != Verdict::Good);
+        findings.push((Verdict::Good, format!("shapes are known to {shapes_mm:.2} mm and places to {places_mm:.2} mm at worst")));
+        findings
+    }
+
+    /// What is known of the lens; nothing where it was kept.
+    fn of_lens(&self) -> Vec<(Verdict, String)> {
+        let (Some(doubt), Some(weakest)) = (self.camera.doubt(), self.weakest_pixel()) else { return Vec::new() };
+        let share = doubt.uncertainty.focal_px[0] / self.camera.intrinsics().fx;
+        let focal = graded(share, LARGEST_FOCAL, format!("the focal length is known to {:.3} %", 100.0 * share), &|| {
+            format!(
+                "the focal length is known to {:.1} % only: film the stage aslant, from near and far, and with the camera turned on its side",
+                100.0 * share
+            )
+        });
+        let (px, part) = (weakest.three_sigma_px, weakest.part);
+        let of_640ths = px * 640.0 / f64::from(self.camera.width());
+        let picture = graded(of_640ths, LARGEST_PIXEL, format!("the lens is known to {px:.2} px all over its picture"), &|| {
+            format!(
+                "the lens is known to {px:.1} px only in the {part} of its picture: film so that the stage fills that part, and turn the camera on its side"
+            )
+        });
+        vec![focal, picture]
     }
 }

@@ -49,10 +49,17 @@ pub struct Keyframes {
 }
 
 impl Keyframes {
-    /// Offers a frame in which the stage was found, with how fast the camera moved. `features` is asked for those of a frame that is kept.
-    pub fn offer(&mut self, frame: &Frame, motion: Motion, distance_m: f64, features: impl FnOnce(&Frame) -> Vec<MatchedFeature>) {
+    /// Offers a frame in which the stage was found, with the camera's motion and how fast the picture moved, radians a second. `features` is asked for those of
+    /// a frame that is kept.
+    pub fn offer(
+        &mut self,
+        frame: &Frame,
+        motion: Motion,
+        speed: f64,
+        distance_m: f64,
+        features: impl FnOnce(&Frame) -> Vec<MatchedFeature>,
+    ) {
         let spacing = *self.spacing.get_or_insert(FIRST_SPACING);
-        let speed = motion.velocity.norm() / distance_m + motion.turn_rate.norm();
         if self.best.as_ref().is_none_or(|(_, slowest)| speed < *slowest) {
             self.best = Some((Keyframe { frame: frame.clone(), motion, features: Vec::new() }, speed));
         }

@@ -6,9 +6,12 @@ use thiserror::Error;
 use super::adjustment::{Adjusted, Adjustment};
 use super::constraints::{Constraint, ConstraintCheck};
 use super::keyframes::{Keyframes, MatchedFeature};
+use super::lively_part::{LivelyPart, mended, shutter_of};
+use super::observers::Observers;
+use super::shutter::ShutterEstimate;
 use super::stage_model::{LENS_NUMBERS, Places, StageModel};
 use super::ways;
-use crate::camera::{CameraModel, IntrinsicsUncertainty, LensDoubt};
+use crate::camera::{CameraModel, IntrinsicsUncertainty, LensDoubt, Shutter};
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
@@ -19,6 +22,9 @@ use crate::tracker::TrackerSetup;
 const LEAST_KEYFRAMES: usize = 8;
 /// One sigma of a lens that nothing is known of: of the focal lengths (share), the centre (share of the width), k1, k2, p1, p2.
 const UNKNOWN_LENS: [f64; 6] = [0.05, 0.03, 0.3, 0.3, 0.01, 0.01];
+/// How often the shutter is asked for at most: the first time with a stage and a lens that a wrong shutter has bent. Raised, nothing is gained; lowered,
+/// that is believed.
+const SHUTTER_ROUNDS: usize = 2;
 /// A verified pose this long before tells of the motion, seconds.
 const LONGEST_GAP_S: f64 = 0.25;
 
@@ -26,7 +32,7 @@ const LONGEST_GAP_S: f64 = 0.25;
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct SurveyOptions {
-    /// Whether the lens is found as well.
+    /// Whether the lens and the shutter are found as well.
     pub refines_lens: bool,
     /// What was measured on the stage.
     pub constraints: Vec<Constraint>,
@@ -65,7 +71,7 @@ pub enum SurveyError {
     /// The equations have no solution.
     #[error("the walk does not determine the stage; film it from more sides")]
     Undetermined,
-    /// `progress` asked for the end.
+    /// The end was asked for.
     #[error("interrupted; nothing was written")]
     Interrupted,
 }
@@ -85,6 +91,10 @@ pub struct SizeFound {
 pub struct Survey {
     /// The lens.
     pub camera: CameraModel,
+    /// The shutter: as told, but for the times that the walk shows to be others.
+    pub shutter: Shutter,
+    /// What the walk says of the shutter; `None` where that was not asked, or no part of it is long enough.
+    pub shutter_found: Option<ShutterEstimate>,
     /// The surfaces, with their poses and shapes.
     pub surfaces: Vec<SurfaceSpec>,
     /// Frames looked at, and those in which the stage was found.
@@ -119,7 +129,8 @@ pub struct Survey {
     pub(super) covariance: DMatrix<f64>,
 }
 
-/// Surveys a stage from clips of walking around it. `progress` is called often and says whether to go on.
+/// Surveys a stage from clips of walking around it. `progress` hears what is done; `goes_on` is asked many times a second, by several threads, and ends the
+/// work with false.
 ///
 /// # Errors
 /// See [`SurveyError`].
@@ -127,26 +138,31 @@ pub fn survey<C, F>(
     clips: C,
     setup: &TrackerSetup,
     options: SurveyOptions,
-    mut progress: impl FnMut(SurveyStep) -> bool,
+    mut progress: impl FnMut(SurveyStep),
+    goes_on: &(dyn Fn() -> bool + Sync),
 ) -> Result<Survey, SurveyError>
 where
     C: IntoIterator<Item = F>,
     F: IntoIterator<Item = Frame>,
 {
-    let TrackerSetup { camera, shutter, mask, stage, settings, clock, .. } = setup.clone();
-    let mut keyframes = Keyframes::default();
+    let TrackerSetup { camera, mut shutter, mask, stage, settings, clock, .. } = setup.clone();
+    let (mut keyframes, mut lively) = (Keyframes::default(), LivelyPart::default());
     let (mut frames, mut found) = (0, 0);
     for clip in clips {
         let mut matcher = Matcher::new(camera, shutter, mask.clone(), &stage, &[], settings.clone(), clock);
         let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
         for frame in clip {
-            if !progress(SurveyStep::Frame) {
+            if !goes_on() {
                 return Err(SurveyError::Interrupted);
             }
+            progress(SurveyStep::Frame);
             frames += 1;
             let verified = matcher.look(&frame).stage.verified.map(|verified| verified.pose);
             // With a lens or a layout that is off nothing may pass verification, and yet the stage is there.
-            let Some(pose) = verified.or_else(|| Some(matcher.recognised_pose(&frame.image)?.0)) else { continue };
+            let Some(pose) = verified.or_else(|| Some(matcher.recognised_pose(&frame.image)?.0)) else {
+                lively.offer(None);
+                continue;
+            };
             found += 1;
             let since = before.replace((pose, frame.timestamp));
             let motion = since
@@ -154,8 +170,13 @@ where
                 .filter(|(_, dt_s)| *dt_s > 0.0 && *dt_s < LONGEST_GAP_S)
                 .map_or(Motion::still(pose), |(then, dt_s)| Motion::between(&then, &pose, dt_s));
             let distance_m = stage.surfaces.iter().map(|s| (s.pose.translation - pose.translation).norm()).fold(f64::INFINITY, f64::min);
-            keyframes.offer(&frame, motion, distance_m, |frame| matched_features(&mut matcher, frame, &stage));
+            let speed = motion.velocity.norm() / distance_m + motion.turn_rate.norm();
+            if options.refines_lens {
+                lively.offer(Some((&frame, speed)));
+            }
+            keyframes.offer(&frame, motion, speed, distance_m, |frame| matched_features(&mut matcher, frame, &stage));
         }
+        lively.offer(None);
     }
     let keyframes = keyframes.into_kept();
     match (found, keyframes.len()) {
@@ -164,12 +185,26 @@ where
         _ => {}
     }
     let model = StageModel::new(camera, &stage.surfaces, options.refines_lens, !options.constraints.is_empty());
-    let mut adjustment = Adjustment::new(keyframes, &model, shutter, &stage, mask.as_ref(), lens_sigmas(&camera), options.constraints);
-    let mut is_interrupted = false;
-    let adjusted = adjustment.run(model, |round| {
-        is_interrupted = !progress(SurveyStep::Round(round));
-        !is_interrupted
-    });
+    let observers = Observers::new(keyframes, &model, shutter, &stage, mask.as_ref(), goes_on);
+    let mut adjustment = Adjustment::new(observers, shutter, lens_sigmas(&camera), options.constraints);
+    let mut round = 0;
+    let mut hear = |_| {
+        progress(SurveyStep::Round(round));
+        round += 1;
+    };
+    let mut adjusted = adjustment.run(model, &mut hear);
+    let (frames_of_shutter, mut shutter_found) = (lively.into_frames(), None);
+    for _ in 0..if options.refines_lens { SHUTTER_ROUNDS } else { 0 } {
+        let Some(before) = &adjusted else { break };
+        let stage = BodySpec { surfaces: before.model.surfaces.clone(), ..stage.clone() };
+        shutter_found = shutter_of(&frames_of_shutter, TrackerSetup { camera: before.model.camera, stage, ..setup.clone() }, goes_on);
+        let next = shutter_found.filter(|found| found.has_settled).map_or(shutter, |found| mended(shutter, &found));
+        if next == shutter {
+            break;
+        }
+        shutter = next;
+        adjusted = adjustment.run_with_shutter(before.model.clone(), shutter, &mut hear);
+    }
     let Some(Adjusted {
         model,
         frames: observed,
@@ -184,7 +219,7 @@ where
         has_settled,
     }) = adjusted
     else {
-        return Err(if is_interrupted { SurveyError::Interrupted } else { SurveyError::Undetermined });
+        return Err(if !goes_on() { SurveyError::Interrupted } else { SurveyError::Undetermined });
     };
     let (keyframes, used) = (observed.len(), observed.iter().flatten().count());
     let cameras = observed.iter().flatten().map(|f| f.motion.pose).collect();
@@ -194,6 +229,8 @@ where
     let surfaces = ways::with_ways(&model, &covariance, &equations);
     Ok(Survey {
         camera,
+        shutter,
+        shutter_found,
         surfaces,
         size,
         checks,

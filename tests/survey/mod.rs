@@ -2,6 +2,7 @@
 
 mod bad;
 mod rendered;
+mod unkind;
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -62,18 +63,21 @@ fn path() -> CameraPath {
 /// The frames of the walk, rendered once.
 fn frames() -> &'static [GrayImage] {
     static FRAMES_OF_WALK: OnceLock<Vec<GrayImage>> = OnceLock::new();
-    FRAMES_OF_WALK.get_or_init(|| {
-        let mut scene: VirtualStage = quiet(CameraModel::new(LENS).expect("a camera"), path(), stage());
-        scene.samples = 9;
-        let mut source = VirtualCamera::new(scene, FPS, FRAMES);
-        let entries = std::iter::from_fn(|| source.next_entry());
-        entries
-            .filter_map(|row| match row.content {
-                EntryContent::Frame(frame) => Some(frame.image),
-                _ => None,
-            })
-            .collect()
-    })
+    FRAMES_OF_WALK.get_or_init(|| filmed(path(), stage()))
+}
+
+/// What the lens shows of a stage along a path.
+fn filmed(path: CameraPath, stage: BodySpec) -> Vec<GrayImage> {
+    let mut scene: VirtualStage = quiet(CameraModel::new(LENS).expect("a camera"), path, stage);
+    scene.samples = 9;
+    let mut source = VirtualCamera::new(scene, FPS, FRAMES);
+    let entries = std::iter::from_fn(|| source.next_entry());
+    entries
+        .filter_map(|row| match row.content {
+            EntryContent::Frame(frame) => Some(frame.image),
+            _ => None,
+        })
+        .collect()
 }
 
 fn calibration(lens: &Intrinsics) -> String {

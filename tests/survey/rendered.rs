@@ -12,7 +12,7 @@ fn numbers<const N: usize>(value: &Value) -> [f64; N] {
 }
 
 /// How far surface `k` is from where it stands: millimetres and degrees.
-fn errors(json: &Value, k: usize) -> (f64, f64) {
+pub(super) fn errors(json: &Value, k: usize) -> (f64, f64) {
     let (found, truth) = (&json["surfaces"][k], &stage().surfaces[k].pose);
     let [x, y, z, w] = numbers::<4>(&found["orientation_xyzw"]);
     let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));

@@ -93,7 +93,8 @@ fn files(settings: &Settings, made: &Survey) -> std::io::Result<Vec<(String, Vec
         form: CalibrationForm::Stagepose,
     };
     debug_assert_eq!(CALIBRATION, "camera.toml");
-    settings.source.surveyed(&settings.first_as_typed, &surfaces, calibration.to_toml())
+    let shutter = (made.shutter != settings.shutter).then_some(made.shutter);
+    settings.source.surveyed(&settings.first_as_typed, &surfaces, calibration.to_toml(), shutter)
 }
 
 #[cfg(test)]

@@ -12,6 +12,17 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
         let u = doubt.uncertainty;
         json!({"fx": u.focal_px[0], "fy": u.focal_px[1], "cx": u.centre_px[0], "cy": u.centre_px[1], "skew": u.skew, "distortion": u.distortion})
     });
+    // Times of which the walk says nothing are as told, without a sigma.
+    let shutter = made.refines_lens().then(|| {
+        let found = made.shutter_found.as_ref();
+        let (readout, exposure) = (found.and_then(|f| f.readout), found.and_then(|f| f.exposure));
+        json!({
+            "readout_s": made.shutter.readout_s,
+            "readout_sigma_s": readout.map(|time| time.sigma_s),
+            "exposure_s": exposure.map_or(made.shutter.exposure_s, |time| time.seconds),
+            "exposure_sigma_s": exposure.map(|time| time.sigma_s),
+        })
+    });
     let surfaces: Vec<_> = made
         .described()
         .iter()
@@ -32,6 +43,7 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
             "width": i.width, "height": i.height, "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy, "skew": i.skew, "distortion": i.distortion,
             "uncertainty": uncertainty,
         },
+        "shutter": shutter,
         "surfaces": surfaces,
         "size": made.size.map(|size| json!({"growth": size.growth, "sigma": size.sigma})),
         "measured": made.checks.iter().map(|check| json!({

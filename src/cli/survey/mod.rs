@@ -42,7 +42,7 @@ pub(super) struct SurveyArguments {
     /// The folder for the surveyed stage: its stage.toml, camera.toml, shapes and pictures
     #[arg(long, short, value_name = "DIR")]
     output: PathBuf,
-    /// What becomes of the lens: `keep` it as it is, or `refine` it, too
+    /// What becomes of the lens and the shutter: `keep` them as they are, or `refine` them, too
     #[arg(long, value_enum, default_value_t = Lens::Keep)]
     lens: Lens,
     /// Write everything as JSON
@@ -61,9 +61,9 @@ pub(super) struct SurveyArguments {
 /// What becomes of the lens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Lens {
-    /// It stays as it is
+    /// They stay as they are
     Keep,
-    /// It is found as well
+    /// They are found as well
     Refine,
 }
 
@@ -124,16 +124,14 @@ fn surveyed(
 ) -> Result<Survey, Failure> {
     let frames_read = Cell::new(0);
     let clips = sources.iter_mut().map(|source| frames(&mut **source));
-    let made = survey(clips, setup, options, |step| {
-        match step {
-            SurveyStep::Frame => {
-                frames_read.set(frames_read.get() + 1);
-                progress.advance();
-            }
-            SurveyStep::Round(round) => progress.at(frames_read.get(), format!("adjusting, round {}", round + 1)),
+    let show = |step| match step {
+        SurveyStep::Frame => {
+            frames_read.set(frames_read.get() + 1);
+            progress.advance();
         }
-        !interrupt::is_interrupted()
-    });
+        SurveyStep::Round(round) => progress.at(frames_read.get(), format!("adjusting, round {}", round + 1)),
+    };
+    let made = survey(clips, setup, options, show, &|| !interrupt::is_interrupted());
     progress.finish();
     made.map_err(|e| Failure::Survey(e.to_string()))
 }

@@ -2,10 +2,13 @@
 
 use std::fmt::Write as _;
 
+use nalgebra::Vector3;
+
 use crate::html_page::svg::{Drawing, escaped, hue};
 use crate::html_page::{figure, page};
 use crate::survey::judgement::Judgement;
 use crate::survey::stage::Survey;
+use crate::track::SurfaceSpec;
 
 /// Cells across a surface's picture. Raised, the file grows.
 const CELLS: usize = 60;
@@ -16,13 +19,21 @@ const PALE_BELOW_SIGMAS: f64 = 2.0;
 
 /// The page.
 pub(super) fn html(made: &Survey, judgement: &Judgement, date: &str) -> String {
-    let mut body = format!("<p>{}</p>\n", escaped(&judgement.sentence()));
+    let mut body = format!("<p><b>{}</b></p>\n", escaped(&judgement.sentence()));
+    if let Some(metres) = made.configured_error_m {
+        let _ = writeln!(
+            body,
+            "<p>Without this survey the camera would be {:.2} mm beside where it is: half of the keyframes by less, half by more.</p>",
+            1e3 * metres
+        );
+    }
     body += &residuals(made);
     for k in 0..made.surfaces.len() {
         body += &heights(made, k);
     }
-    body += &layout(made, [0, 1], "from above: x to the right, y up the page (away from the house)");
-    body += &layout(made, [0, 2], "from the house: x to the right, z up");
+    for view in VIEWS {
+        body += &layout(made, &view);
+    }
     page("Survey of a stage", date, &body)
 }
 
@@ -51,6 +62,9 @@ fn residuals(made: &Survey) -> String {
             i.distortion.map(|k| (1e5 * k).round() / 1e5)
         ),
     );
+    if let Some(shutter) = super::text::shutter(made) {
+        row("shutter", shutter);
+    }
     for (description, spec) in made.described().iter().zip(&made.surfaces) {
         let text = format!(
             "heights {:.2} mm rms, {:.1} mm at most, one sigma {:.2} mm; place known to {:.2} mm and {:.3} degrees",
@@ -92,21 +106,39 @@ fn heights(made: &Survey, k: usize) -> String {
     figure(&drawing.finish(&format!("heights of {}", spec.name)), &caption)
 }
 
-/// The surfaces' edges and the cameras of the walk along two axes of the stage.
-fn layout(made: &Survey, axes: [usize; 2], caption: &str) -> String {
-    let outline = |spec: &crate::track::SurfaceSpec| -> Vec<[f64; 2]> {
+/// A view of the stage: what a metre along x, y and z is on the page, right and up.
+struct View {
+    right: [f64; 3],
+    up: [f64; 3],
+    words: &'static str,
+}
+
+/// The views of the layout. The first one's slants are chosen for looks: all three axes are told apart.
+const VIEWS: [View; 3] = [
+    View { right: [0.94, 0.34, 0.0], up: [-0.14, 0.4, 0.9], words: "from the house, from the left and above" },
+    View { right: [1.0, 0.0, 0.0], up: [0.0, 1.0, 0.0], words: "from above: x to the right, y up the page (away from the house)" },
+    View { right: [1.0, 0.0, 0.0], up: [0.0, 0.0, 1.0], words: "from the house: x to the right, z up" },
+];
+/// Pieces of a surface's side. Raised, folds are smoother and the file grows.
+const PIECES: usize = 24;
+/// Names on a drawing at most; more of them would cover each other.
+const MOST_NAMES: usize = 8;
+
+/// The surfaces' edges as they hang, and the cameras of the walk.
+fn layout(made: &Survey, view: &View) -> String {
+    let seen = |p: &Vector3<f64>| [view.right, view.up].map(|by| p.dot(&Vector3::from(by)));
+    let outline = |spec: &SurfaceSpec| -> Vec<[f64; 2]> {
         let [w, h] = spec.size_m;
-        let corners = [(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)];
-        corners
-            .iter()
-            .map(|(x, y)| {
-                let point = spec.pose.transform(&spec.shape.at([x * w, y * h]).place.into());
-                axes.map(|axis| point[axis])
-            })
-            .collect()
+        let corners = [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]];
+        let along = |n: usize| {
+            let (from, to, share) = (corners[n / PIECES], corners[(n / PIECES + 1) % 4], (n % PIECES) as f64 / PIECES as f64);
+            let [x, y] = [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]));
+            seen(&spec.pose.transform(&spec.shape.at([x * w, y * h]).place.into()).coords)
+        };
+        (0..4 * PIECES).map(along).collect()
     };
     let outlines: Vec<Vec<[f64; 2]>> = made.surfaces.iter().map(outline).collect();
-    let cameras: Vec<[f64; 2]> = made.cameras.iter().map(|pose| axes.map(|axis| pose.translation[axis])).collect();
+    let cameras: Vec<[f64; 2]> = made.cameras.iter().map(|pose| seen(&pose.translation)).collect();
     let all = || outlines.iter().flatten().chain(&cameras);
     let bound = |axis: usize, pick: fn(f64, f64) -> f64, start: f64| all().map(|p| p[axis]).fold(start, pick);
     let low = [0, 1].map(|axis| bound(axis, f64::min, f64::INFINITY));
@@ -114,12 +146,16 @@ fn layout(made: &Survey, axes: [usize; 2], caption: &str) -> String {
     let scale = (WIDTH - 40.0) / (high[0] - low[0]).max(high[1] - low[1]).max(1e-6);
     let to_page = |p: &[f64; 2]| [20.0 + (p[0] - low[0]) * scale, 20.0 + (high[1] - p[1]) * scale];
     let mut drawing = Drawing::new(WIDTH, 40.0 + (high[1] - low[1]) * scale);
-    for (k, outline) in outlines.iter().enumerate() {
-        let points: Vec<[f64; 2]> = outline.iter().map(to_page).collect();
-        drawing.path(&points, true, &hue(k), "none", 2.0);
-    }
     for camera in &cameras {
         drawing.circle(to_page(camera), 2.5, "none", "currentColor", 0.0);
     }
-    figure(&drawing.finish("layout"), &format!("Surfaces and the cameras of the walk (dots), {caption}."))
+    for (k, (outline, spec)) in outlines.iter().zip(&made.surfaces).enumerate() {
+        let points: Vec<[f64; 2]> = outline.iter().map(to_page).collect();
+        drawing.path(&points, true, &hue(k), "none", 2.0);
+        if made.surfaces.len() <= MOST_NAMES {
+            let [x, y] = points[0];
+            drawing.text([x + 4.0, y + 14.0], 12.0, "start", &hue(k), &spec.name);
+        }
+    }
+    figure(&drawing.finish("layout"), &format!("Surfaces and the cameras of the walk (dots), {}.", view.words))
 }

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use crate::survey::constraints::{ConstraintCheck, Measured};
 use crate::survey::judgement::Judgement;
+use crate::survey::shutter::ShutterTime;
 use crate::survey::stage::Survey;
 
 /// The report on the terminal.
@@ -27,6 +28,9 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
     }
     let i = made.camera.intrinsics();
     let _ = writeln!(text, "lens        fx {:.2}, fy {:.2}, cx {:.2}, cy {:.2}, distortion {:.4?}", i.fx, i.fy, i.cx, i.cy, i.distortion);
+    if let Some(shutter) = shutter(made) {
+        let _ = writeln!(text, "shutter     {shutter}");
+    }
     for (k, (surface, spec)) in made.described().iter().zip(&made.surfaces).enumerate() {
         let label = if k == 0 { "surfaces" } else { "" };
         let _ = writeln!(
@@ -40,6 +44,24 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
     }
     let _ = writeln!(text, "verdict     {}", judgement.sentence());
     text
+}
+
+/// What the walk says of the shutter; `None` where that was not asked.
+pub(super) fn shutter(made: &Survey) -> Option<String> {
+    let found = made.shutter_found.as_ref();
+    let milliseconds = |time: &ShutterTime| format!("{:.2} ms (sigma {:.2})", 1e3 * time.seconds, 1e3 * time.sigma_s);
+    let say = |name: &str, time: Option<ShutterTime>, told_s: f64| match time {
+        Some(time) => format!("{name} {}", milliseconds(&time)),
+        None => format!("{name} {:.2} ms as told: the walk moves too little to say", 1e3 * told_s),
+    };
+    made.refines_lens().then(|| {
+        let readout = say("readout", found.and_then(|f| f.readout), made.shutter.readout_s);
+        format!(
+            "{readout}, taken as {:.2} ms; {}",
+            1e3 * made.shutter.readout_s,
+            say("exposure", found.and_then(|f| f.exposure), made.shutter.exposure_s)
+        )
+    })
 }
 
 /// What was measured beside what was found, a line each; the size first.

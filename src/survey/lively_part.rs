@@ -1,0 +1,135 @@
+//! The shutter from the walk itself: the part of it in which the picture moved most is tracked with the stage and the lens as they are by now.
+//!
+//! Keyframes are of no use here: they are the sharp ones, in which all shutters are alike, and what tells of a shutter is how fast the camera moved, which
+//! the frames around tell.
+
+use crate::camera::Shutter;
+use crate::frame::Frame;
+use crate::survey::shutter::{ShutterEstimate, ShutterTime, estimate_shutter};
+use crate::tracker::{Tracker, TrackerSetup};
+
+/// Frames of a part: three seconds at 30 a second. Two parts are in memory at a time. Raised, the shutter is known better and more memory is taken.
+const FRAMES: usize = 100;
+/// Fewest frames that make a part: a dozen must tell something (`shutter`). Raised, short clips tell nothing; lowered, they are asked in vain.
+const FEWEST: usize = 40;
+/// Times that differ by less are the same, seconds: in a slow walk's frame nothing moves by a tenth of a pixel in it. Raised, readouts of good sensors pass
+/// for none; lowered, a global shutter is called a rolling one for what the model leaves.
+const SAME_S: f64 = 3e-4;
+/// A time is another one than was told from this many sigmas on. Raised, small slips stay; lowered, chance changes what was typed.
+const OTHER_SIGMAS: f64 = 3.0;
+
+/// Collects the liveliest part of the clips.
+#[derive(Debug, Default)]
+pub struct LivelyPart {
+    run: Vec<Frame>,
+    speed: f64,
+    kept: Option<(Vec<Frame>, f64)>,
+}
+
+impl LivelyPart {
+    /// Offers the next frame, with how fast the picture moved in it; `None` where the stage was not found, or a clip ends.
+    pub fn offer(&mut self, next: Option<(&Frame, f64)>) {
+        let Some((frame, speed)) = next else { return self.close() };
+        self.run.push(frame.clone());
+        self.speed += speed;
+        if self.run.len() == FRAMES {
+            self.close();
+        }
+    }
+
+    fn close(&mut self) {
+        let (run, speed) = (std::mem::take(&mut self.run), std::mem::take(&mut self.speed));
+        let mean = speed / run.len().max(1) as f64;
+        if run.len() >= FEWEST && self.kept.as_ref().is_none_or(|(_, most)| mean > *most) {
+            self.kept = Some((run, mean));
+        }
+    }
+
+    /// Its frames, in order; none of a clip that is too short.
+    pub fn into_frames(mut self) -> Vec<Frame> {
+        self.close();
+        self.kept.map_or_else(Vec::new, |(frames, _)| frames)
+    }
+}
+
+/// What frames say of the shutter, by a stage and a lens. `None` where there are too few, or the work was ended meanwhile.
+pub fn shutter_of(frames: &[Frame], setup: TrackerSetup, goes_on: &(dyn Fn() -> bool + Sync)) -> Option<ShutterEstimate> {
+    if frames.is_empty() {
+        return None;
+    }
+    let tracker = Tracker::new(TrackerSetup { shutter: Shutter::default(), objects: Vec::new(), ..setup }).ok()?;
+    let open = || goes_on().then(|| frames.iter().take_while(|_| goes_on()).cloned()).ok_or(());
+    estimate_shutter(open, tracker).ok().filter(|_| goes_on())
+}
+
+/// The shutter to go on with: as told, but for the times that a clip shows to be others. An exposure that nobody told stays unknown: the tracker learns it, and
+/// a camera may choose another one in the light of the show.
+pub fn mended(told: Shutter, found: &ShutterEstimate) -> Shutter {
+    let time = |told_s: f64, found: Option<ShutterTime>| {
+        let Some(found) = found else { return told_s };
+        let unsure_s = SAME_S.max(OTHER_SIGMAS * found.sigma_s);
+        match found.seconds {
+            s if (s - told_s).abs() < unsure_s => told_s,
+            s if s.abs() < unsure_s => 0.0,
+            // Rows that are read from the bottom up cannot be told to a config.
+            s if s < 0.0 => told_s,
+            s => s,
+        }
+    };
+    let exposure = found.exposure.filter(|_| told.exposure_s != 0.0);
+    Shutter { readout_s: time(told.readout_s, found.readout), exposure_s: time(told.exposure_s, exposure) }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::GrayImage;
+
+    use super::*;
+
+    fn frames(n: u64) -> Vec<Frame> {
+        let frame = |sequence| Frame { image: GrayImage::new(4, 3), timestamp: Default::default(), sequence };
+        (0..n).map(frame).collect()
+    }
+
+    #[test]
+    fn the_part_in_which_the_picture_moved_most_is_kept() {
+        let mut part = LivelyPart::default();
+        for frame in &frames(350) {
+            part.offer(Some((frame, if frame.sequence / 100 == 1 { 0.5 } else { 0.1 })));
+        }
+        let kept = part.into_frames();
+        assert_eq!((kept.len(), kept[0].sequence), (FRAMES, 100));
+    }
+
+    #[test]
+    fn a_part_has_no_gaps_and_is_long_enough() {
+        let mut part = LivelyPart::default();
+        for frame in &frames(FEWEST as u64 - 1) {
+            part.offer(Some((frame, 9.0)));
+        }
+        part.offer(None);
+        for frame in &frames(FEWEST as u64) {
+            part.offer(Some((frame, 0.1)));
+        }
+        assert_eq!(part.into_frames().len(), FEWEST);
+        assert!(LivelyPart::default().into_frames().is_empty());
+    }
+
+    #[test]
+    fn what_was_told_stays_unless_the_clip_shows_another_time() {
+        let time = |seconds, sigma_s| Some(ShutterTime { seconds, sigma_s, frames: 50 });
+        let found = |readout, exposure| ShutterEstimate { readout, exposure, frames: 100, aligned: 100, has_settled: true };
+        let told = Shutter { readout_s: 0.012, exposure_s: 0.01 };
+        let mend = |readout, exposure| {
+            let Shutter { readout_s, exposure_s } = mended(told, &found(readout, exposure));
+            (readout_s, exposure_s)
+        };
+        assert_eq!(mend(None, None), (0.012, 0.01));
+        assert_eq!(mend(time(0.0121, 1e-5), None), (0.012, 0.01));
+        assert_eq!(mend(time(0.018, 1e-4), time(0.004, 1e-4)), (0.018, 0.004));
+        assert_eq!(mend(time(0.018, 4e-3), None), (0.012, 0.01));
+        assert_eq!(mend(time(1e-5, 1e-5), None), (0.0, 0.01));
+        assert_eq!(mend(time(-0.01, 1e-5), None), (0.012, 0.01));
+        assert_eq!(mended(Shutter::default(), &found(None, time(0.004, 1e-4))), Shutter::default());
+    }
+}

@@ -1,0 +1,132 @@
+//! The keyframes of a survey and those who ask them: features, anchors and tiles, each by the model as it is.
+
+use image::GrayImage;
+use nalgebra::Matrix2;
+use rayon::prelude::*;
+
+use super::keyframes::{Keyframe, MatchedFeature};
+use super::stage_model::StageModel;
+use crate::camera::Shutter;
+use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian};
+use crate::motion::Motion;
+use crate::track::{BodySpec, ObservedFrame, ObservedTile, TileObserver};
+
+/// Fewest features of a frame that count: three times the four that a pose needs.
+const LEAST_FEATURES: usize = 12;
+/// Keyframes that share one observer, which learns light and noise from one to the next. The number of threads changes nothing.
+const KEYFRAMES_AN_OBSERVER: usize = 30;
+
+/// What each keyframe showed; `None` where it does not bear the model out.
+pub type ObservedFrames = Vec<Option<ObservedFrame>>;
+
+/// Keyframes with their observers.
+pub struct Observers<'a> {
+    keyframes: Vec<Keyframe>,
+    observers: Vec<TileObserver>,
+    body: &'a BodySpec,
+    mask: Option<&'a GrayImage>,
+    /// Asked before each frame; false ends the work.
+    goes_on: &'a (dyn Fn() -> bool + Sync),
+}
+
+impl<'a> Observers<'a> {
+    /// Prepares them.
+    pub fn new(
+        keyframes: Vec<Keyframe>,
+        model: &StageModel,
+        shutter: Shutter,
+        body: &'a BodySpec,
+        mask: Option<&'a GrayImage>,
+        goes_on: &'a (dyn Fn() -> bool + Sync),
+    ) -> Self {
+        let mut observers = Self { keyframes, observers: Vec::new(), body, mask, goes_on };
+        observers.take_shutter(model, shutter);
+        observers
+    }
+
+    /// From now on frames are taken as exposed by this shutter.
+    pub fn take_shutter(&mut self, model: &StageModel, shutter: Shutter) {
+        let n = self.keyframes.len().div_ceil(KEYFRAMES_AN_OBSERVER).max(1);
+        let (body, mask) = (self.body, self.mask);
+        self.observers = (0..n).into_par_iter().map(|_| TileObserver::new(model.camera, shutter, mask.cloned(), body)).collect();
+    }
+
+    /// Aligns all keyframes with a model; each remembers its motion. `None` where the work was ended meanwhile.
+    pub fn tiles(&mut self, model: &StageModel) -> Option<ObservedFrames> {
+        self.ask(model, |observer, keyframe| {
+            let observed = observer.observe(&keyframe.frame.image, &keyframe.motion)?;
+            keyframe.motion = observed.motion;
+            Some(observed)
+        })
+    }
+
+    /// Where each keyframe shows the anchors of a model; each remembers its pose. `None` as above.
+    pub fn anchors(&mut self, model: &StageModel, is_half: bool) -> Option<ObservedFrames> {
+        self.ask(model, |observer, keyframe| {
+            let observed = observer.observe_anchors(&keyframe.frame.image, &keyframe.motion.pose, is_half)?;
+            keyframe.motion.pose = observed.motion.pose;
+            Some(observed)
+        })
+    }
+
+    /// Where each keyframe shows its features, from the pose that explains them best with a model. `None` as above.
+    pub fn features(&mut self, model: &StageModel) -> Option<ObservedFrames> {
+        let frames = self.keyframes.par_iter_mut().map(|keyframe| observed_features(keyframe, model)).collect();
+        (self.goes_on)().then_some(frames)
+    }
+
+    /// Whether to go on.
+    pub fn go_on(&self) -> bool {
+        (self.goes_on)()
+    }
+
+    /// Asks every keyframe through its observer, which takes the model first.
+    fn ask(
+        &mut self,
+        model: &StageModel,
+        of_frame: impl Fn(&mut TileObserver, &mut Keyframe) -> Option<ObservedFrame> + Sync,
+    ) -> Option<ObservedFrames> {
+        let goes_on = self.goes_on;
+        let chunks = self.keyframes.par_chunks_mut(KEYFRAMES_AN_OBSERVER).zip(&mut self.observers);
+        let of_chunk = |(keyframes, observer): (&mut [Keyframe], &mut TileObserver)| -> Option<ObservedFrames> {
+            observer.take_model(&model.camera, &model.surfaces);
+            keyframes.iter_mut().map(|keyframe| goes_on().then(|| of_frame(observer, keyframe))).collect()
+        };
+        Some(chunks.map(of_chunk).collect::<Option<Vec<_>>>()?.into_iter().flatten().collect())
+    }
+}
+
+/// A keyframe's features by the pose that explains them best; `None` where there are too few.
+fn observed_features(keyframe: &mut Keyframe, model: &StageModel) -> Option<ObservedFrame> {
+    let observations: Vec<Observation> = keyframe
+        .features
+        .iter()
+        .map(|f| {
+            let surface = &model.surfaces[f.surface];
+            let point = surface.pose.transform(&surface.shape.at(f.on_picture_m).place.into());
+            let information = Matrix2::identity() / f.sigma_px.powi(2);
+            // Motion within the frame is left to the tiles: features are rough anyway.
+            Observation { point, pixel: f.pixel, information, delay_s: 0.0, group: 0 }
+        })
+        .collect();
+    if observations.len() < LEAST_FEATURES {
+        return None;
+    }
+    let still = MovingCamera::still(&model.camera);
+    let pose = resect(&keyframe.motion.pose.inverse(), &still, &observations, 15)?.pose;
+    keyframe.motion.pose = pose.inverse();
+    let motion = Motion::still(pose.inverse());
+    let tile = |(number, (f, o)): (usize, (&MatchedFeature, &Observation))| {
+        let (residual, _) = residual_and_jacobian(&pose, &still, o)?;
+        Some(ObservedTile {
+            surface: f.surface,
+            on_picture_m: f.on_picture_m,
+            shift_px: -residual,
+            information: o.information,
+            delay_s: 0.0,
+            number: number as u32,
+        })
+    };
+    let tiles = keyframe.features.iter().zip(&observations).enumerate().filter_map(tile).collect();
+    Some(ObservedFrame { motion, tiles })
+}

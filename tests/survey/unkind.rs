@@ -1,0 +1,70 @@
+//! Walks that are hard but honest: people in front, a lens far from its file, a shutter that nobody told of; and one that cannot tell its lens.
+
+use image::GrayImage;
+use nalgebra::Vector3;
+use stagepose::diagnostics::simulate::{grey, paint};
+use stagepose::{BodySpec, CameraPath, Intrinsics, Spline};
+
+use super::rendered::errors;
+use super::{LENS, Walk, calibration, filmed, frames, stage};
+
+/// Two people of some width who walk through a picture.
+fn with_people(frame: &GrayImage, at: usize) -> GrayImage {
+    let coat = grey(&paint(480, 270, 91));
+    let mut picture = frame.clone();
+    for (first, speed, top) in [(40, 11, 60), (430, -9, 90)] {
+        let left = (first + speed * at as i64).clamp(0, 400);
+        for (x, y, pixel) in picture.enumerate_pixels_mut() {
+            // Their pattern goes with them.
+            let across = i64::from(x) - left;
+            if (0..75).contains(&across) && y >= top {
+                *pixel = *coat.get_pixel(across as u32 + 100, y);
+            }
+        }
+    }
+    picture
+}
+
+#[test]
+fn people_in_front_for_half_of_the_walk_are_left_out() {
+    let walk = Walk::new();
+    let half = frames().len() / 2;
+    let crowded = |(k, frame): (usize, &GrayImage)| if k < half { with_people(frame, k) } else { frame.clone() };
+    walk.save("crowded", &frames().iter().enumerate().map(crowded).collect::<Vec<_>>());
+    let run = walk.run(&["survey", "crowded", "--config", "stage.toml", "--output", "surveyed", "--json", "out.json"]);
+    run.assert_success();
+    let json = walk.json("out.json");
+    let (mm, degrees) = errors(&json, 1);
+    println!("{mm:.3} mm, {degrees:.4} degrees; {}", run.stdout);
+    assert!(mm < 0.7 && degrees < 0.07, "{mm} {degrees}");
+}
+
+#[test]
+fn a_lens_with_which_nothing_aligns_is_found_by_features_first() {
+    let walk = Walk::new();
+    let told = Intrinsics { fx: 1.3 * LENS.fx, fy: 1.3 * LENS.fy, cx: 239.5, cy: 134.5, distortion: [0.0; 5], ..LENS };
+    walk.write("camera.toml", &calibration(&told));
+    // Kept as told, it is no survey: a sentence that says what to do, and nothing is written.
+    walk.run(&["survey", "walk", "--config", "stage.toml", "--output", "surveyed"])
+        .assert_refused(1, &["--lens refine", "nothing is written"]);
+    assert!(!walk.path("surveyed").exists());
+    walk.run(&["survey", "walk", "--config", "stage.toml", "--output", "surveyed", "--lens", "refine", "--json", "out.json"])
+        .assert_success();
+    let camera = &walk.json("out.json")["camera"];
+    let share = camera["fx"].as_f64().expect("a number") / LENS.fx - 1.0;
+    assert!(share.abs() < 3e-3, "{camera}");
+}
+
+#[test]
+fn a_walk_that_cannot_tell_its_lens_is_refused_with_the_view_that_is_missing() {
+    let walk = Walk::new();
+    // Along a wall, always square on: a focal length is as good as a distance.
+    let along = |y: f64| Spline::new(&[(-0.5, Vector3::new(-1.0, y, 0.0)), (3.5, Vector3::new(1.0, y, 0.0))]).expect("keys in order");
+    let wall = BodySpec::new("stage", stage().surfaces.into_iter().take(1).collect());
+    let square = filmed(CameraPath { position: along(-3.0), target: along(0.0), roll_rad: 0.0, shake: None }, wall);
+    walk.save("square", &square);
+    walk.write("wall.toml", "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [4.0, 3.0]\n");
+    walk.run(&["survey", "square", "--config", "wall.toml", "--output", "surveyed", "--lens", "refine"])
+        .assert_refused(1, &["the focal length is known to", "film the stage aslant, from near and far", "nothing is written"]);
+    assert!(!walk.path("surveyed").exists());
+}
