@@ -24,6 +24,7 @@ use super::surface::BodySpec;
 use super::track_state::State;
 use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, ModelFit, TrackedBody};
 use super::two_view::{TwoView, TwoViewBuffers, two_view};
+use super::unexplained::Unexplained;
 use super::verify::{Verified, VerifyBuffers, View};
 use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
@@ -104,6 +105,7 @@ pub struct Matcher {
     workers: Workers,
     extractor: FeatureExtractor,
     features: Vec<Feature>,
+    unexplained: Unexplained,
     matches: Vec<Match>,
     match_buffers: MatchBuffers,
     verify_buffers: VerifyBuffers,
@@ -168,6 +170,7 @@ impl Matcher {
             workers,
             extractor: FeatureExtractor::default(),
             features: Vec::new(),
+            unexplained: Unexplained::default(),
             matches: Vec::new(),
             match_buffers: MatchBuffers::default(),
             verify_buffers: VerifyBuffers::default(),
@@ -200,7 +203,11 @@ impl Matcher {
         let mut align_ms = start.elapsed_ms();
         let mut acquire_ms = 0.0;
         if self.verified.iter().any(Option::is_none) {
-            self.extract(&frame.image, &mut acquire_ms);
+            if self.verified[0].is_some() {
+                self.extract_unexplained(&frame.image, &mut acquire_ms);
+            } else {
+                self.extract(&frame.image, &mut acquire_ms);
+            }
             self.levels.half_into(&mut self.half);
             for k in 0..self.bodies.len() {
                 if self.verified[k].is_none() {
@@ -363,6 +370,18 @@ impl Matcher {
         let start = self.clock.start();
         let options = ExtractorOptions { count: self.settings.features, ..Default::default() };
         self.extractor.extract(image, self.mask.as_ref(), &options, &self.workers, &mut self.features);
+        self.index.match_features(&self.features, RATIO, &self.workers, &mut self.match_buffers, &mut self.matches);
+        *acquire_ms += start.elapsed_ms() + self.workers.take_extra_ms();
+    }
+
+    /// As [`extract`](Self::extract), only where the frame shows something else than the bodies that were followed: once the stage's pose is
+    /// known, the rest need not be looked for in front of what is plainly it.
+    fn extract_unexplained(&mut self, image: &GrayImage, acquire_ms: &mut f64) {
+        let _span = debug_span!("detect").entered();
+        let start = self.clock.start();
+        let seen = self.bodies.iter().zip(&self.verified).filter_map(|(b, v)| v.as_ref().map(|v| (&b.body, v.pose)));
+        self.unexplained.look(seen, &mut self.levels, &self.camera_rays);
+        self.unexplained.extract(image, self.mask.as_ref(), self.settings.features, &mut self.extractor, &self.workers, &mut self.features);
         self.index.match_features(&self.features, RATIO, &self.workers, &mut self.match_buffers, &mut self.matches);
         *acquire_ms += start.elapsed_ms() + self.workers.take_extra_ms();
     }

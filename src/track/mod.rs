@@ -6,7 +6,7 @@
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
 //! homography and essential matrix; `lens_doubt` tells what the doubt about lens and shapes leaves open; `tile_residuals` are the displacements that a solution leaves, `model_error` is what
 //! they say of the pose, `focal_clue` what they say of the focal length, and `lens_watch` withholds poses where the lens was moved; `reason` says why a frame has no pose, `failure` finds it, with
-//! `frame_look`; `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
+//! `frame_look`; `unexplained` is what of a frame no followed body explains, where missing ones are looked for; `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
 //! body; `matcher` runs them all on a frame.
 
 mod acquire;
@@ -36,6 +36,7 @@ mod tile_residuals;
 mod track_state;
 mod tracked_body;
 mod two_view;
+mod unexplained;
 mod verify;
 
 pub use acquire::{SurfaceMatch, SurfaceView};

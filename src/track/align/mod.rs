@@ -106,7 +106,7 @@ impl CameraRays {
     }
 
     /// Rays of a level, from 1.
-    fn table(&self, level: usize) -> &RayTable {
+    pub(super) fn table(&self, level: usize) -> &RayTable {
         &self.tables[level - 1]
     }
 
