@@ -50,6 +50,21 @@ fn an_object_that_never_had_a_stage_is_still_searched() {
 }
 
 #[test]
+fn an_object_whose_pose_is_open_is_not_given() {
+    let mut stage = PoseStage::default();
+    let states = [1e-6, 1e-4, 1e-6].into_iter().enumerate().map(|(k, variance)| {
+        let mut seen = sighting(k as u64, Tracking, Tracking);
+        seen.objects[0].verified.iter_mut().for_each(|v| v.covariance = Matrix6::identity() * variance);
+        let estimate = stage.estimate(&seen);
+        assert_eq!(estimate.camera.state, Tracking);
+        assert_eq!(estimate.objects[0].pose.is_some(), estimate.objects[0].state == Tracking);
+        estimate.objects[0].state
+    });
+    // A hundredth of a radian to each axis is a degree in all.
+    assert_eq!(states.collect::<Vec<_>>(), [Tracking, Lost, Tracking]);
+}
+
+#[test]
 fn a_skipped_row_leaves_the_motion_as_it_was() {
     let mut stage = PoseStage::default();
     stage.estimate(&sighting(0, Tracking, Tracking));
