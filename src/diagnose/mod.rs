@@ -3,7 +3,7 @@
 //! `picture` looks at the frames themselves and tries them mirrored, in negative and without the mask; `geometry` asks, by
 //! `fit`, which lens and which shape of the picture would explain how it is seen, and where the other surfaces stand;
 //! `corners` asks the same of a photograph's four corners alone; `plausible` says in words what no picture shows: sizes,
-//! distances, speeds. Everything ends as a [`Finding`].
+//! distances, speeds. Everything ends as a [`Finding`]. `trackability` rates each picture before the show.
 
 mod corners;
 mod finding;
@@ -11,6 +11,7 @@ mod fit;
 mod geometry;
 mod picture;
 mod plausible;
+pub mod trackability;
 
 use image::GrayImage;
 

@@ -9,6 +9,7 @@ mod outputs;
 mod overlay;
 mod plain_surface;
 mod poster;
+mod ratings;
 mod readme;
 mod reasons;
 mod report;

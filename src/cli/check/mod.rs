@@ -17,6 +17,8 @@ use crate::publish::{OnLoss, OutputSettings, Protocol, Rate};
 use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
 use crate::web::AllowedHosts;
 
+use ratings::Ratings;
+
 /// Check a config and everything that it names.
 #[derive(Debug, clap::Args)]
 #[command(
@@ -35,6 +37,9 @@ pub(super) struct CheckArguments {
     /// Leave the camera alone
     #[arg(long)]
     no_device: bool,
+    /// Write a picture of each surface that shows where there is something to hold on to, and print it
+    #[arg(long, value_name = "DIR")]
+    ratings: Option<PathBuf>,
     #[command(flatten)]
     log: LogArguments,
 }
@@ -59,6 +64,8 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
             false => vec!["not estimated: the stage is followed in too few of the clip's frames".to_owned()],
         };
     }
+    let ratings = Ratings::of(&settings, &camera, arguments.ratings.as_deref())?;
+    findings.extend(ratings.findings());
     let tries = settings.device.device.is_some() && arguments.clip.is_none() && !arguments.no_device;
     let device = tries.then(|| device::try_camera(&settings));
     if let Some(found) = &device {
@@ -66,7 +73,7 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     }
     findings.sort_by_key(|f| f.grade);
     let verdict = Verdict::of(&findings, is_followed, arguments.clip.is_some());
-    let mut report = report(&settings, &camera, &verdict, &findings, place);
+    let mut report = report(&settings, &camera, &verdict, &findings, &ratings, place);
     for (k, line) in shutter_lines.iter().enumerate() {
         let _ = write!(report, "\n{:<11} {line}", if k == 0 { "shutter" } else { "" });
     }
@@ -147,7 +154,14 @@ fn hidden_share(mask: &GrayImage) -> f64 {
 }
 
 /// The whole text.
-fn report(settings: &Settings, camera: &CameraModel, verdict: &Verdict, findings: &[Finding], place: Option<String>) -> String {
+fn report(
+    settings: &Settings,
+    camera: &CameraModel,
+    verdict: &Verdict,
+    findings: &[Finding],
+    ratings: &Ratings,
+    place: Option<String>,
+) -> String {
     let mut text = format!("{}: {}\n", settings.file.display(), verdict.words());
     let labels = [(Grade::Fault, "mend"), (Grade::Doubt, "mend"), (Grade::Warning, "look at")];
     for (grade, label) in labels {
@@ -169,9 +183,10 @@ fn report(settings: &Settings, camera: &CameraModel, verdict: &Verdict, findings
     if let Some(place) = place {
         let _ = writeln!(text, "{place}");
     }
-    body(&mut text, "stage", &settings.stage, camera);
+    let mut number = 0;
+    body(&mut text, "stage", &settings.stage, camera, ratings, &mut number);
     for object in &settings.objects {
-        body(&mut text, &format!("object {}", object.name), object, camera);
+        body(&mut text, &format!("object {}", object.name), object, camera, ratings, &mut number);
     }
     for (k, line) in settings.mount.iter().flat_map(|mount| mount::lines(mount, settings)).enumerate() {
         let _ = writeln!(text, "{:<11} {line}", if k == 0 { "mount" } else { "" });
@@ -239,11 +254,16 @@ fn shutter(settings: &Settings) -> String {
     format!("exposure {exposure}, readout {readout}")
 }
 
-fn body(text: &mut String, title: &str, body: &BodySpec, camera: &CameraModel) {
+/// The lines of a body; `number` is that of its first surface among all, and becomes that of the next body's.
+fn body(text: &mut String, title: &str, body: &BodySpec, camera: &CameraModel, ratings: &Ratings, number: &mut usize) {
     for (index, surface) in body.surfaces.iter().enumerate() {
         let label = if index == 0 { title } else { "" };
         let _ = writeln!(text, "{label:<11} {}", surface_line(surface));
         let _ = writeln!(text, "            {}", distance_line(surface, camera));
+        for line in ratings.lines(*number) {
+            let _ = writeln!(text, "            {line}");
+        }
+        *number += 1;
     }
 }
 
@@ -290,6 +310,7 @@ fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
 mod clip;
 mod lens;
 mod mount;
+mod ratings;
 mod shutter;
 
 #[cfg(feature = "live")]

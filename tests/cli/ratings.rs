@@ -1,0 +1,60 @@
+//! How `check` rates pictures, as a user sees it.
+
+use super::scene::{CONFIG, Scene};
+
+/// The config with objects of these pictures, half a metre wide.
+fn with_objects(scene: &Scene, pictures: &[(&str, &str)]) {
+    let object = |(name, image): &(&str, &str)| {
+        format!("[[object]]\nname = \"{name}\"\n[[object.surface]]\nimage = \"{image}\"\nsize_m = [1.2, 0.9]\n")
+    };
+    scene.write("stage.toml", &(CONFIG.to_owned() + &pictures.iter().map(object).collect::<String>()));
+}
+
+/// Another picture of the same kind: the scene's own upside down and in negative.
+fn write_other(scene: &Scene, name: &str) {
+    let mut other = image::imageops::rotate180(&image::open(scene.path("art.png")).unwrap().into_luma8());
+    image::imageops::invert(&mut other);
+    other.save(scene.path(name)).unwrap();
+}
+
+#[test]
+fn ratings_are_printed_and_drawn() {
+    let scene = Scene::new();
+    write_other(&scene, "other.png");
+    with_objects(&scene, &[("a/b", "other.png")]);
+    let plain = scene.run(&["check", "--config", "stage.toml"]);
+    plain.assert_success();
+    assert_eq!(plain.stdout.matches("of 5 for tracking").count(), 2, "{}", plain.stdout);
+    assert!(!plain.stdout.contains("# plenty"), "{}", plain.stdout);
+
+    let drawn = scene.run(&["check", "--config", "stage.toml", "--ratings", "maps"]);
+    drawn.assert_success();
+    assert_eq!(drawn.stdout.matches("# plenty").count(), 2, "{}", drawn.stdout);
+    for name in ["rating-stage-1.png", "rating-a_b-1.png"] {
+        let map = image::open(scene.path("maps").join(name)).unwrap().into_rgb8();
+        assert!(map.pixels().any(|p| p[0] != p[1]), "{name} has no colour");
+    }
+}
+
+#[test]
+fn two_objects_with_one_picture_are_refused() {
+    let scene = Scene::new();
+    write_other(&scene, "other.png");
+    with_objects(&scene, &[("left", "other.png"), ("right", "other.png")]);
+    let parts = ["other.png of left and other.png of right show the same picture", "give each its own"];
+    scene.run(&["check", "--config", "stage.toml"]).assert_refused(1, &parts);
+}
+
+#[test]
+fn maps_are_written_over_nothing_that_is_read() {
+    let scene = Scene::new();
+    std::fs::rename(scene.path("art.png"), scene.path("rating-stage-1.png")).unwrap();
+    scene.config_with("art.png", "rating-stage-1.png");
+    let before = std::fs::read(scene.path("rating-stage-1.png")).unwrap();
+    scene
+        .run(&["check", "--config", "stage.toml", "--ratings", "."])
+        .assert_refused(2, &["--ratings", "rating-stage-1.png", "a file of the config"]);
+    assert_eq!(std::fs::read(scene.path("rating-stage-1.png")).unwrap(), before);
+    scene.write("taken", "");
+    scene.run(&["check", "--config", "stage.toml", "--ratings", "taken"]).assert_refused(1, &["taken"]);
+}
