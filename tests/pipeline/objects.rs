@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use stagepose::diagnostics::simulate::paint;
-use stagepose::{BodySpec, MovingObject, ObjectPath, Spline, State, VirtualStage};
+use stagepose::{BodySpec, MovingObject, Normalized, ObjectPath, PoseSample, Spline, State, VirtualStage};
 
 use super::scene::{FPS, aside, backdrop, camera, quiet, surface, track};
 
@@ -46,4 +46,161 @@ fn an_object_does_not_track_in_a_blackout() {
             assert_eq!(sample.objects[0].state, State::Tracking, "frame {}", sample.sequence);
         }
     }
+}
+
+/// Height and side of a square prop, its seed, and where it stands or goes.
+fn prop(name: &str, seed: u64, side_m: f64, path: ObjectPath) -> MovingObject {
+    let art = stagepose::diagnostics::simulate::grey(&paint(320, 320, seed));
+    MovingObject { body: BodySpec::new(name, vec![surface(name, &art, [side_m, side_m], Vector3::zeros(), 0.0)]), path }
+}
+
+fn along(keys: &[(f64, [f64; 3])], turn_rad: f64, turn_rate_rad_s: f64) -> ObjectPath {
+    let keys: Vec<_> = keys.iter().map(|(t, p)| (*t, Vector3::from(*p))).collect();
+    ObjectPath { position: Spline::straight(&keys).unwrap(), turn_rad, turn_rate_rad_s }
+}
+
+/// Frames that give an object, and the worst of its errors: of its distance from the camera, and degrees.
+fn given(scene: &VirtualStage, samples: &[PoseSample], object: usize) -> (Vec<u64>, [f64; 2]) {
+    let (mut frames, mut worst) = (Vec::new(), [0.0_f64; 2]);
+    for sample in samples.iter().filter(|s| s.objects[object].state == State::Tracking) {
+        let at_s = sample.timestamp.seconds();
+        let (truth, camera) = (scene.object_truth(object, at_s).unwrap(), scene.truth(at_s));
+        let found = sample.objects[object].pose.unwrap();
+        let distance = (truth.translation - camera.translation).norm();
+        worst[0] = worst[0].max((found.translation - truth.translation).norm() / distance);
+        worst[1] = worst[1].max(found.angle_to(&truth).to_degrees());
+        frames.push(sample.sequence);
+    }
+    (frames, worst)
+}
+
+/// Nothing that is given is off by more than a hundredth of the distance or 0.3 degrees.
+fn assert_right(scene: &VirtualStage, samples: &[PoseSample], object: usize) -> Vec<u64> {
+    let (frames, worst) = given(scene, samples, object);
+    println!("object {object}: {} frames, worst {:.5} of the distance, {:.3} degrees", frames.len(), worst[0], worst[1]);
+    assert!(worst[0] < 0.01 && worst[1] < 0.3, "object {object}: {worst:?}");
+    frames
+}
+
+#[test]
+fn four_objects_are_followed_each_by_itself() {
+    let mut scene = quiet(camera(960, 720), aside(), backdrop());
+    for k in 0..4 {
+        let (column, row) = (f64::from(k % 2), f64::from(k / 2));
+        let from = [-1.25 + 0.8 * column, -0.3 - 0.05 * row, -0.38 + 0.62 * row];
+        let drift = 0.15 * f64::from(k) - 0.3;
+        let path = along(&[(0.0, from), (1.0, [from[0] + drift, from[1], from[2] + 0.1])], 0.1 * f64::from(k % 3), 0.3 * drift);
+        scene.objects.push(prop(&format!("prop {k}"), 100 + u64::try_from(k).unwrap(), 0.45, path));
+    }
+    let started = std::time::Instant::now();
+    let samples = track(&scene, 12);
+    println!("{:.0} ms a frame, rendering included", started.elapsed().as_secs_f64() * 1e3 / 12.0);
+    let frames: Vec<Vec<u64>> = (0..4).map(|object| assert_right(&scene, &samples, object)).collect();
+    for (object, frames) in frames.iter().enumerate() {
+        assert!((4..12).all(|frame| frames.contains(&frame)), "object {object}: {frames:?}");
+    }
+    assert!(samples.iter().skip(1).all(|sample| sample.state == State::Tracking));
+}
+
+#[test]
+fn two_objects_with_one_picture_are_never_swapped() {
+    let mut scene = quiet(camera(640, 480), aside(), backdrop());
+    // The same print twice, and another one: they cross.
+    for (name, seed, from, to) in [("left", 77, -1.2, 0.4), ("right", 77, 0.4, -1.2), ("other", 78, -0.4, -0.3)] {
+        let height = if name == "other" { 0.7 } else { -0.4 };
+        let path = along(&[(0.0, [from, -0.6, height]), (0.5, [to, -0.6, height])], 0.1, 0.0);
+        scene.objects.push(prop(name, seed, 0.6, path));
+    }
+    let samples = track(&scene, 15);
+    for object in 0..2 {
+        assert_right(&scene, &samples, object);
+    }
+    let other = assert_right(&scene, &samples, 2);
+    assert!(other.len() >= 12, "the twins hide what is not theirs: {other:?}");
+}
+
+#[test]
+fn a_box_is_one_object_whichever_side_is_seen() {
+    let mut scene = quiet(camera(640, 480), aside(), backdrop());
+    let art = |seed| stagepose::diagnostics::simulate::grey(&paint(320, 320, seed));
+    let face = |name: &str, seed, x: f64, y: f64, turn: f64| surface(name, &art(seed), [0.8, 0.8], Vector3::new(x, y, 0.0), turn);
+    let quarter = std::f64::consts::FRAC_PI_2;
+    let faces = vec![face("front", 21, 0.0, -0.4, 0.0), face("right", 22, 0.4, 0.0, quarter), face("left", 23, -0.4, 0.0, -quarter)];
+    // From its left side to its right side within a second.
+    scene.objects.push(MovingObject {
+        body: BodySpec::new("box", faces),
+        path: along(&[(0.0, [-0.4, -0.9, -0.3]), (1.0, [0.0, -0.9, -0.3])], 1.1, -2.2),
+    });
+    let samples = track(&scene, 30);
+    let frames = assert_right(&scene, &samples, 0);
+    assert!((3..30).all(|frame| frames.contains(&frame)), "{frames:?}");
+}
+
+#[test]
+fn an_object_that_leaves_comes_back() {
+    let mut scene = quiet(camera(640, 480), aside(), backdrop());
+    // Out of the frame to the left, and in again.
+    let keys =
+        [(0.0, [-0.6, -0.8, 0.0]), (0.4, [-3.6, -0.8, 0.0]), (0.6, [-3.6, -0.8, 0.0]), (1.0, [-0.6, -0.8, 0.0]), (1.4, [-0.6, -0.8, 0.0])];
+    scene.objects.push(prop("cart", 31, 0.7, along(&keys, 0.1, 0.0)));
+    let samples = track(&scene, 40);
+    let frames = assert_right(&scene, &samples, 0);
+    let is_whole = |sample: &&PoseSample| {
+        let at_s = sample.timestamp.seconds();
+        let (object, seen_from) = (scene.object_truth(0, at_s).unwrap(), scene.truth(at_s).inverse());
+        [[-0.35, -0.35], [0.35, -0.35], [-0.35, 0.35], [0.35, 0.35]].iter().all(|[x, z]| {
+            let place = seen_from.transform(&object.transform(&nalgebra::Point3::new(*x, 0.0, *z)));
+            let ray = Normalized(nalgebra::Vector2::new(place.x / place.z, place.y / place.z));
+            let pixel = scene.camera.project(ray).0;
+            place.z > 0.0 && (0.0..639.0).contains(&pixel.x) && (0.0..479.0).contains(&pixel.y)
+        })
+    };
+    let whole: Vec<u64> = samples.iter().filter(is_whole).map(|s| s.sequence).collect();
+    let back = whole.windows(2).find(|w| w[1] > w[0] + 1).map(|w| w[1]).expect("it is away for some frames");
+    assert!((back + 2..40).all(|frame| frames.contains(&frame)), "whole again in {back}: {frames:?}");
+    assert!(samples.iter().filter(|s| (14..18).contains(&s.sequence)).all(|s| s.objects[0].state != State::Tracking));
+}
+
+#[test]
+fn an_object_that_is_thrown_is_lost_honestly() {
+    let mut scene = quiet(camera(640, 480), aside(), backdrop());
+    scene.shutter.exposure_s = 0.008;
+    scene.samples = 16;
+    // Held, thrown at 9 m/s, caught.
+    let keys = [(0.0, [-1.0, -0.7, -0.3]), (0.3, [-1.0, -0.7, -0.3]), (0.5, [0.8, -0.9, 0.5]), (1.0, [0.8, -0.9, 0.5])];
+    scene.objects.push(prop("ball", 41, 0.6, along(&keys, -0.2, 0.0)));
+    // One that spins at two turns a second.
+    scene.objects.push(prop("sign", 42, 0.6, along(&[(0.0, [-0.2, -0.8, -0.8]), (1.0, [-0.2, -0.8, -0.8])], 0.0, 12.5)));
+    let samples = track(&scene, 30);
+    let thrown = assert_right(&scene, &samples, 0);
+    assert!((3..9).chain(18..30).all(|frame| thrown.contains(&frame)), "{thrown:?}");
+    assert_right(&scene, &samples, 1);
+    assert!(samples.iter().skip(1).all(|sample| sample.state == State::Tracking));
+}
+
+#[test]
+fn objects_in_front_leave_the_stage_s_pose_alone() {
+    let bare = quiet(camera(640, 480), aside(), backdrop());
+    let mut crowded = bare.clone();
+    for k in 0..4 {
+        let from = [-1.3 + 0.7 * f64::from(k), -0.5, -0.5 + 0.4 * f64::from(k % 2)];
+        crowded.objects.push(prop(
+            &format!("prop {k}"),
+            60 + u64::try_from(k).unwrap(),
+            0.6,
+            along(&[(0.0, from), (1.0, [from[0] + 0.3, -0.7, from[2]])], 0.1, 0.2),
+        ));
+    }
+    let rms_mm = |scene: &VirtualStage| {
+        let samples = track(scene, 16);
+        let late = samples
+            .iter()
+            .skip(4)
+            .map(|s| (s.measurement.unwrap().pose.translation - scene.truth(s.timestamp.seconds()).translation).norm_squared());
+        (late.sum::<f64>() / 12.0).sqrt() * 1e3
+    };
+    let (alone, among) = (rms_mm(&bare), rms_mm(&crowded));
+    println!("the stage alone {alone:.4} mm, behind four objects {among:.4} mm");
+    // A fifth of it is hidden.
+    assert!(among < 2.0 * alone + 0.05, "{among} {alone}");
 }
