@@ -35,7 +35,7 @@ fn painted(seed: u64) -> GrayImage {
 }
 
 fn chessboard(cell: u32) -> GrayImage {
-    GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| Luma([if (x / cell + y / cell) % 2 == 0 { 40 } else { 210 }]))
+    GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| Luma([if (x / cell + y / cell).is_multiple_of(2) { 40 } else { 210 }]))
 }
 
 fn said(rating: &Rating) -> String {
