@@ -11,7 +11,7 @@ const { chromium } = createRequire(join(out, "package.json"))("playwright-core")
 /** A judge of accessibility, as a script. */
 export const axe = readFileSync(createRequire(join(out, "package.json")).resolve("axe-core/axe.min.js"), "utf8");
 /** The page's files instead of the program's, to try a change before it is built. */
-export const files = process.env.PAGE_DIR;
+export const files = process.env.PAGE_DIR && resolve(process.env.PAGE_DIR);
 
 /** Widths of a phone, a tablet and a desk, with their heights. */
 export const SIZES = [
@@ -58,6 +58,7 @@ async function fromFiles(route, address) {
 export async function pageOf(browser, address, { view = "live", ...options } = {}) {
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, bypassCSP: false, ...options });
   if (files) await context.route("**/*", (route) => fromFiles(route, address));
+  context.setDefaultTimeout(PATIENCE);
   const page = await context.newPage();
   const complaints = [];
   const asked = new Set();
@@ -77,6 +78,29 @@ export async function pageOf(browser, address, { view = "live", ...options } = {
 /** Waits for a state in the bar. */
 export async function says(page, state) {
   await page.locator("header .state", { hasText: state }).waitFor({ timeout: PATIENCE });
+}
+
+/** Stops the picture at a frame that has a pose: where the clip turns round, or on a busy machine, one may have none. */
+export async function freeze(page) {
+  const button = page.getByRole("button", { name: "Freeze", exact: true });
+  for (;;) {
+    await button.click();
+    await page.locator("button[aria-pressed=true]", { hasText: "Freeze" }).waitFor();
+    const isPosed = await page.evaluate(async () => Boolean((await import("/daemon.js")).head.value?.record.pose));
+    if (isPosed) return;
+    await button.click();
+    await page.waitForTimeout(100);
+  }
+}
+
+/** What is asked for, as soon as it is as it shall be; what it was last where it never is. @template T @param {() => Promise<T>} asked
+ * @param {(found: T) => boolean} isRight @returns {Promise<T>} */
+export async function until(asked, isRight) {
+  for (const begun = Date.now(); ; ) {
+    const found = await asked();
+    if (isRight(found) || Date.now() - begun > PATIENCE) return found;
+    await new Promise((done) => setTimeout(done, 50));
+  }
 }
 
 /** The share of a picture's pixels that a condition holds for; the picture is a PNG, the condition an expression of r, g and b. */

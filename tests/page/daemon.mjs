@@ -3,10 +3,28 @@ import { spawn } from "node:child_process";
 import { copyFileSync, mkdirSync, readFileSync, readdirSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
 import { createServer } from "node:net";
 import { extname, join } from "node:path";
+import { after, before } from "node:test";
+import { launch, out, program } from "./browser.mjs";
 
 const FIXTURE = new URL("../../fixtures/dolly/", import.meta.url).pathname;
 /** How often the fixture is played to and fro: 78 frames each, far longer than the tests take. */
 const TIMES = 300;
+
+/** A browser and a daemon for the tests of a file, from before the first until after the last. @param {string} name of the folder
+ * @param {(folder: string, browser: any) => Promise<any>} made what the daemon plays @param {string} [clip] */
+export function played(name, made = prepare, clip = undefined) {
+  const found = /** @type {any} */ ({});
+  before(async () => {
+    found.browser = await launch();
+    found.place = await made(join(out, name), found.browser);
+    found.daemon = start(found.place.folder, clip);
+  });
+  after(async () => {
+    await found.browser?.close();
+    await found.daemon?.end();
+  });
+  return found;
+}
 
 /** A port that was free just now. @returns {Promise<number>} */
 function freePort() {
@@ -32,8 +50,8 @@ export async function prepare(folder) {
   return { folder, address: `http://127.0.0.1:${port}/` };
 }
 
-/** Starts it; waits for nothing. @param {string} program @param {string} folder @param {string} [clip] */
-export function start(program, folder, clip = "long.mjpeg") {
+/** Starts it; waits for nothing. @param {string} folder @param {string} [clip] */
+export function start(folder, clip = "long.mjpeg") {
   const daemon = spawn(program, ["run", "--config", "stage.toml", "--play", clip, "--log", "error"], { cwd: folder, stdio: ["ignore", "ignore", "inherit"] });
   const ended = new Promise((done) => daemon.once("exit", done));
   return {
@@ -68,4 +86,66 @@ export async function prepareClip(folder, clip) {
   }
   writeFileSync(join(folder, "clip/timestamps.csv"), table);
   return { folder, address: `http://127.0.0.1:${port}/`, rows: rows.length };
+}
+
+/** Squares of a picture's number, and pixels along one: large enough for a JPEG. */
+const BITS = 11;
+const SQUARE = 16;
+/** Numbered pictures: 50 s at the fixture's rate; and how often they are played. */
+const NUMBERED = 1500;
+const PLAYED = 10;
+
+/** The fixture to and fro, each picture with its row's number as squares along its lower edge, the highest bit first; drawn by the browser.
+ * After so many the numbers begin anew. @param {string} folder @param {import("playwright-core").Browser} browser */
+export async function prepareNumbered(folder, browser) {
+  const { address } = await prepare(folder);
+  rmSync(join(folder, "clip"), { recursive: true, force: true });
+  mkdirSync(join(folder, "clip/frames"), { recursive: true });
+  const page = await browser.newPage();
+  const names = readdirSync(join(FIXTURE, "frames")).sort();
+  const pictures = names.map((name) => readFileSync(join(FIXTURE, "frames", name)).toString("base64"));
+  await page.evaluate(async (pictures) => {
+    globalThis.pictures = await Promise.all(pictures.map(async (one) => createImageBitmap(await (await fetch(`data:image/jpeg;base64,${one}`)).blob())));
+  }, pictures);
+  let table = "#timestamp [ns],filename\n";
+  const step = 100;
+  for (let from = 0; from < NUMBERED; from += step) {
+    const made = await page.evaluate(
+      async ([from, step, bits, square]) => {
+        const { pictures } = globalThis;
+        const canvas = new OffscreenCanvas(pictures[0].width, pictures[0].height);
+        const context = canvas.getContext("2d");
+        const all = [];
+        for (let row = from; row < from + step; row += 1) {
+          const k = row % (2 * pictures.length - 2);
+          context.drawImage(pictures[k < pictures.length ? k : 2 * pictures.length - 2 - k], 0, 0);
+          for (let bit = 0; bit < bits; bit += 1) {
+            context.fillStyle = (row >> (bits - 1 - bit)) & 1 ? "#fff" : "#000";
+            context.fillRect(bit * square, canvas.height - square, square, square);
+          }
+          const bytes = new Uint8Array(await (await canvas.convertToBlob({ type: "image/jpeg", quality: 0.85 })).arrayBuffer());
+          let text = "";
+          for (let at = 0; at < bytes.length; at += 8192) text += String.fromCharCode(...bytes.subarray(at, at + 8192));
+          all.push(btoa(text));
+        }
+        return all;
+      },
+      [from, step, BITS, SQUARE],
+    );
+    made.forEach((one, k) => {
+      writeFileSync(join(folder, "clip/frames", numbered(from + k)), Buffer.from(one, "base64"));
+    });
+  }
+  await page.close();
+  for (let row = 0; row < PLAYED * NUMBERED; row += 1) {
+    if (row >= NUMBERED) symlinkSync(numbered(row % NUMBERED), join(folder, "clip/frames", numbered(row)));
+    table += `${Math.round(row * (1e9 / 30))},${numbered(row)}\n`;
+  }
+  writeFileSync(join(folder, "clip/timestamps.csv"), table);
+  return { folder, address, bits: BITS, square: SQUARE, numbers: NUMBERED };
+}
+
+/** @param {number} row */
+function numbered(row) {
+  return `${String(row).padStart(6, "0")}.jpg`;
 }

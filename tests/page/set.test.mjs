@@ -3,27 +3,18 @@
 import assert from "node:assert/strict";
 import { existsSync } from "node:fs";
 import { join, resolve } from "node:path";
-import { after, before, test } from "node:test";
-import { PATIENCE, SIZES, THEMES, answers, axe, files, launch, out, pageOf, program, share } from "./browser.mjs";
-import { prepare, prepareClip, start } from "./daemon.mjs";
+import { test } from "node:test";
+import { SIZES, THEMES, answers, axe, files, freeze, out, pageOf, share, until } from "./browser.mjs";
+import { played, prepareClip, start } from "./daemon.mjs";
 
 const clips = resolve(process.env.STAGEPOSE_CLIPS ?? "target/clips");
 
-let browser, daemon, place;
-before(async () => {
-  place = await prepare(join(out, "run-set"));
-  daemon = start(program, place.folder);
-  browser = await launch();
-});
-after(async () => {
-  await browser?.close();
-  await daemon?.end();
-});
+const on = played("run-set");
 
 /** The Set view, with a picture in it and the stage's artwork at hand. */
 async function opened(options = {}) {
-  const found = await pageOf(browser, place.address, { view: "set", ...options });
-  await found.page.locator(".aligned .figure", { hasText: /\d/ }).waitFor({ timeout: PATIENCE });
+  const found = await pageOf(on.browser, on.place.address, { view: "set", ...options });
+  await found.page.locator(".aligned .figure", { hasText: /\d/ }).waitFor();
   return found;
 }
 
@@ -88,17 +79,17 @@ for (const [name, least, most] of [
   const isThere = existsSync(join(clips, name, "stagepose/stage.toml"));
   test(`the set lies in the pictures of ${name}`, { skip: isThere ? false : `NOT RUN: no ${join(clips, name)}` }, async () => {
     const clip = await prepareClip(join(out, `run-${name}`), join(clips, name));
-    const played = start(program, clip.folder, "clip");
+    const daemon = start(clip.folder, "clip");
     try {
-      const { page, close } = await pageOf(browser, clip.address, { view: "set" });
-      await page.locator(".aligned .figure", { hasText: /\d/ }).waitFor({ timeout: PATIENCE });
+      const { page, close } = await pageOf(on.browser, clip.address, { view: "set" });
+      await page.locator(".aligned .figure", { hasText: /\d/ }).waitFor();
       const found = await alignments(page, 12, [clip.rows, clip.rows]);
       told(name, found);
       assert.ok(found.median <= least && found.most <= most, JSON.stringify(found));
       if (name === "d-relief") assert.ok(found.late >= 5 * found.median, JSON.stringify(found));
       await close();
     } finally {
-      await played.end();
+      await daemon.end();
     }
   });
 }
@@ -123,37 +114,33 @@ test("things are put on the set by keys and numbers, hidden by surfaces, and kep
     });
   assert.equal(await blue(), 0);
   // Still pictures: what changes is the set.
-  await page.keyboard.press("Space");
+  await freeze(page);
   await page.getByRole("button", { name: "+ cube" }).focus();
   await page.keyboard.press("Enter");
   const field = (label) => page.locator(".chosen").getByRole("textbox", { name: new RegExp(`^${label} `) });
   await page.locator(".chosen select").selectOption("0");
   await field("Up").fill("0.2");
-  await page.waitForTimeout(300);
-  const seen = await blue();
+  const seen = await until(blue, (share) => share > 0.005);
   assert.ok(seen > 0.005, `${seen}`);
   // Behind the backdrop it is hidden.
   await field("Out").fill("-1");
-  await page.waitForTimeout(300);
-  assert.equal(await blue(), 0);
+  assert.equal(await until(blue, (share) => share === 0), 0);
   // Undone, it is where it was; half a number changes nothing and stays as typed.
   await page.getByRole("button", { name: "Undo" }).click();
-  await page.waitForTimeout(300);
-  assert.ok(Math.abs((await blue()) - seen) < 0.002);
+  const isAsBefore = (share) => Math.abs(share - seen) < 0.002;
+  assert.ok(isAsBefore(await until(blue, isAsBefore)));
   await field("Right").fill("-");
   assert.equal(await field("Right").getAttribute("aria-invalid"), "true");
   assert.equal(await field("Right").inputValue(), "-");
   await field("Right").fill("0,25");
   await page.getByLabel("image", { exact: true }).check({ force: true });
-  await page.waitForTimeout(300);
-  assert.equal(await blue(), 0);
+  assert.equal(await until(blue, (share) => share === 0), 0);
   await page.reload();
   await page.getByRole("button", { name: "Cube" , exact: true }).click();
   assert.equal(await field("Right").inputValue(), "0.25");
   // The handle along the surface's x moves it along x alone.
-  await page.locator(".aligned .figure", { hasText: /\d/ }).waitFor({ timeout: PATIENCE });
-  await page.getByRole("button", { name: "Freeze" }).click();
-  await page.waitForTimeout(500);
+  await page.locator(".aligned .figure", { hasText: /\d/ }).waitFor();
+  await freeze(page);
   const { from, to } = await page.evaluate(async () => {
     const [{ compositor }, { pixel, within, place }, { head, scene }] = await Promise.all([import("/composite.js"), import("/lens.js"), import("/daemon.js")]);
     const canvas = document.querySelector(".composite canvas");
@@ -196,7 +183,7 @@ test("a model that names other files, or is none, is refused with a sentence", a
     ["old.glb", glb({ asset: { version: "1.0" } }), "old.glb cannot be read"],
   ]) {
     await give(name, buffer);
-    await page.locator(".refused", { hasText: says }).waitFor({ timeout: PATIENCE });
+    await page.locator(".refused", { hasText: says }).waitFor();
   }
   await give("empty.glb", glb({ asset, scene: 0, scenes: [{ nodes: [] }] }));
   await page.getByRole("button", { name: "empty", exact: true }).waitFor();
@@ -217,7 +204,7 @@ test("the Set view is accessible in every theme and width", async () => {
       const png = await page.screenshot({ path: join(out, `set-${theme}-${width}.png`) });
       const room = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
       assert.ok(room <= 0, `${theme} at ${width}: ${room} px sideways`);
-      if (theme === "stage") assert.equal(await share(browser, png, "g > 140 || b > 40"), 0, `${width}`);
+      if (theme === "stage") assert.equal(await share(on.browser, png, "g > 140 || b > 40"), 0, `${width}`);
       await page.addScriptTag({ content: axe });
       const { violations } = await page.evaluate(() => axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"] }));
       assert.deepEqual(violations.map(({ id, nodes }) => `${theme} ${width}: ${id} ${nodes[0].html}`), []);
@@ -228,23 +215,23 @@ test("the Set view is accessible in every theme and width", async () => {
 
 test("the first view is small, and the set not large", { skip: files ? "the program's own files are what is sent" : false }, async () => {
   const sent = async (view, until) => {
-    const context = await browser.newContext();
+    const context = await on.browser.newContext();
     const page = await context.newPage();
     const client = await context.newCDPSession(page);
     await client.send("Network.enable");
     let bytes = 0;
     client.on("Network.loadingFinished", ({ encodedDataLength }) => (bytes += encodedDataLength));
-    await page.goto(`${place.address}#${view}`);
-    await page.locator(until).first().waitFor({ timeout: PATIENCE });
+    await page.goto(`${on.place.address}#${view}`);
+    await page.locator(until).first().waitFor();
     await page.waitForTimeout(500);
     await context.close();
     return bytes;
   };
-  await answers(place.address);
+  await answers(on.place.address);
   const [live, set] = [await sent("live", ".stage canvas"), await sent("set", ".composite canvas")];
   console.log(`sent for the first view ${live} bytes, for the set ${set} bytes`);
   assert.ok(live <= 60_000, `${live}`);
   // The stage's pictures are not the page's.
-  const pictures = await Promise.all([0, 1].map(async (k) => Number((await (await fetch(`${place.address}api/v1/surfaces/${k}/picture`)).arrayBuffer()).byteLength)));
+  const pictures = await Promise.all([0, 1].map(async (k) => Number((await (await fetch(`${on.place.address}api/v1/surfaces/${k}/picture`)).arrayBuffer()).byteLength)));
   assert.ok(set - pictures[0] - pictures[1] <= 300_000, `${set} with ${pictures}`);
 });
