@@ -1,4 +1,5 @@
 // A browser before the page of a daemon, for the tests.
+import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { join, resolve } from "node:path";
@@ -49,13 +50,15 @@ async function fromFiles(route, address) {
   if (pathname.startsWith("/api/")) return route.continue();
   const file = pathname === "/" ? "index.html" : pathname.slice(1);
   const type = { html: "text/html", js: "text/javascript", css: "text/css", svg: "image/svg+xml", txt: "text/plain" }[file.split(".").pop()];
-  const { headers } = await fetch(address);
-  const policy = headers.get("content-security-policy");
+  // Without a daemon there are no files either.
+  const answer = await fetch(address).catch(() => null);
+  if (answer === null) return route.abort();
+  const policy = answer.headers.get("content-security-policy");
   return route.fulfill({ body: readFileSync(join(files, file)), headers: { "content-type": type, "content-security-policy": policy } });
 }
 
 /** A page that says that the stage is tracked; what it complains of is collected. `view` is the part of its address after the hash. */
-export async function pageOf(browser, address, { view = "live", ...options } = {}) {
+export async function pageOf(browser, address, { view = "live", state = "Tracking", ...options } = {}) {
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, bypassCSP: false, ...options });
   if (files) await context.route("**/*", (route) => fromFiles(route, address));
   context.setDefaultTimeout(PATIENCE);
@@ -71,8 +74,27 @@ export async function pageOf(browser, address, { view = "live", ...options } = {
   // The daemon may still be starting.
   await answers(address);
   await page.goto(`${address}#${view}`);
-  await says(page, "Tracking");
+  await says(page, state);
   return { page, complaints, asked, close: () => context.close() };
+}
+
+/** Pictures of a view in every theme and width, each of which must fit, be accessible, and have no light but amber in the theme that is so.
+ * The page needs `bypassCSP`: the judge is a script of its own. */
+export async function looksWell(browser, page, name) {
+  for (const theme of THEMES) {
+    await page.getByLabel(theme, { exact: true }).check({ force: true });
+    for (const [width, height] of SIZES) {
+      await page.setViewportSize({ width, height });
+      await page.waitForTimeout(150);
+      const png = await page.screenshot({ path: join(out, `${name}-${theme}-${width}.png`) });
+      const room = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+      assert.ok(room <= 0, `${name}, ${theme} at ${width}: ${room} px sideways`);
+      if (theme === "stage") assert.equal(await share(browser, png, "g > 140 || b > 40"), 0, `${name} at ${width}`);
+      await page.addScriptTag({ content: axe });
+      const { violations } = await page.evaluate(() => axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"] }));
+      assert.deepEqual(violations.map(({ id, nodes }) => `${name}, ${theme} ${width}: ${id} ${nodes[0].html}`), []);
+    }
+  }
 }
 
 /** Waits for a state in the bar. */

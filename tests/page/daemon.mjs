@@ -1,6 +1,6 @@
 // A true daemon that plays the fixture to and fro as its camera, with its page on a free port.
-import { spawn } from "node:child_process";
-import { copyFileSync, mkdirSync, readFileSync, readdirSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
+import { spawn, spawnSync } from "node:child_process";
+import { copyFileSync, mkdirSync, readFileSync, readdirSync, rmSync, statSync, symlinkSync, writeFileSync } from "node:fs";
 import { createServer } from "node:net";
 import { extname, join } from "node:path";
 import { after, before } from "node:test";
@@ -11,13 +11,13 @@ const FIXTURE = new URL("../../fixtures/dolly/", import.meta.url).pathname;
 const TIMES = 300;
 
 /** A browser and a daemon for the tests of a file, from before the first until after the last. @param {string} name of the folder
- * @param {(folder: string, browser: any) => Promise<any>} made what the daemon plays @param {string} [clip] */
-export function played(name, made = prepare, clip = undefined) {
+ * @param {(folder: string, browser: any) => Promise<any>} made what the daemon plays @param {string} [clip] @param {string[]} [more] arguments */
+export function played(name, made = prepare, clip = undefined, more = undefined) {
   const found = /** @type {any} */ ({});
   before(async () => {
     found.browser = await launch();
     found.place = await made(join(out, name), found.browser);
-    found.daemon = start(found.place.folder, clip);
+    found.daemon = start(found.place.folder, clip, more);
   });
   after(async () => {
     await found.browser?.close();
@@ -40,6 +40,8 @@ function freePort() {
 /** The config and the clip, in `folder`; one that is there already is written anew. @param {string} folder */
 export async function prepare(folder) {
   mkdirSync(folder, { recursive: true });
+  // No set of former tests, no lock.
+  for (const name of ["set.json", "sets", "state"]) rmSync(join(folder, name), { recursive: true, force: true });
   for (const name of ["backdrop.png", "flat.png", "camera.toml"]) copyFileSync(join(FIXTURE, name), join(folder, name));
   const port = await freePort();
   const config = readFileSync(join(FIXTURE, "stage.toml"), "utf8");
@@ -50,11 +52,50 @@ export async function prepare(folder) {
   return { folder, address: `http://127.0.0.1:${port}/` };
 }
 
-/** Starts it; waits for nothing. @param {string} folder @param {string} [clip] */
-export function start(folder, clip = "long.mjpeg") {
-  const daemon = spawn(program, ["run", "--config", "stage.toml", "--play", clip, "--log", "error"], { cwd: folder, stdio: ["ignore", "ignore", "inherit"] });
+/** Frames to and fro, and those of the dark that follows: longer than a pose is predicted for. */
+const DARK = 30;
+const ROUND = 78;
+/** A show's rounds: far longer than the tests take. */
+const ROUNDS = 250;
+
+/** The fixture to and fro, then a second of darkness, over and over; with a recorder that keeps the last seconds, and outputs.
+ * @param {string} folder @param {import("playwright-core").Browser} browser */
+export async function prepareShow(folder, browser) {
+  rmSync(folder, { recursive: true, force: true });
+  const { address } = await prepare(folder);
+  const port = await freePort();
+  const outputs = ["freed", "opentrackio", "osc", "psn"].map((kind) => `[[output]]\nname = "${kind}"\nkind = "${kind}"\nto = ["127.0.0.1:${port}"]\n`);
+  const file = join(folder, "stage.toml");
+  writeFileSync(file, `${readFileSync(file, "utf8")}\n[recorder]\nfolder = "recordings"\nring_s = 5\n\n[log]\nlevel = "info"\n\n${outputs.join("\n")}`);
+  const page = await browser.newPage();
+  const dark = await page.evaluate(async () => {
+    const canvas = new OffscreenCanvas(640, 360);
+    canvas.getContext("2d").fillRect(0, 0, 640, 360);
+    return [...new Uint8Array(await (await canvas.convertToBlob({ type: "image/jpeg" })).arrayBuffer())];
+  });
+  await page.close();
+  const lit = readFileSync(join(folder, "long.mjpeg")).subarray(0, statSync(join(folder, "long.mjpeg")).size / TIMES);
+  writeFileSync(join(folder, "long.mjpeg"), Buffer.concat(Array(ROUNDS).fill(Buffer.concat([lit, ...Array(DARK).fill(Buffer.from(dark))]))));
+  return { folder, address, round: ROUND + DARK };
+}
+
+/** Where a daemon of this folder keeps who is paired, and its lock: no other's. @param {string} folder */
+const stateOf = (folder) => join(folder, "state");
+
+/** The code that the program prints for who stands at this machine. @param {{folder: string, address: string}} place */
+export function code({ folder, address }) {
+  const told = spawnSync(program, ["pair", "--port", new URL(address).port, "--state", join(stateOf(folder), "stagepose")], { encoding: "utf8" });
+  return /\b\d{4}\s?\d{4}\b/.exec(told.stdout)?.[0] ?? `${told.stdout}${told.stderr}`;
+}
+
+/** Starts it; waits for nothing. @param {string} folder @param {string | null} [clip] none is the config's camera
+ * @param {string[]} [more] arguments */
+export function start(folder, clip = "long.mjpeg", more = ["--log", "error"]) {
+  const daemon = spawn(program, ["run", "--config", "stage.toml", ...(clip === null ? [] : ["--play", clip]), ...more], { cwd: folder, env: { ...process.env, XDG_STATE_HOME: stateOf(folder) }, stdio: ["ignore", "ignore", more.includes("error") ? "inherit" : "ignore"] });
   const ended = new Promise((done) => daemon.once("exit", done));
   return {
+    /** Bytes of memory that it has. */
+    memory: () => 1024 * Number(/VmRSS:\s+(\d+)/.exec(readFileSync(`/proc/${daemon.pid}/status`, "utf8"))?.[1]),
     /** Stands still, as a machine that hangs. */
     stand: () => daemon.kill("SIGSTOP"),
     /** Goes on. */

@@ -2,27 +2,47 @@
 import { render } from "./vendor/preact.js";
 // Signals take part in rendering as soon as they are loaded.
 import { effect, signal } from "./vendor/signals.js";
+import { Lock, Pairing, barred, watchAccess } from "./access.js";
+import { post, reason } from "./ask.js";
 import { frozen, listen, toggleFrozen } from "./daemon.js";
 import { listenToEvents } from "./events.js";
 import { Live, State } from "./live.js";
-import { PAGES, show, shown } from "./pages.js";
+import { PAGES, show, shown, viewKeys } from "./pages.js";
 import { floored, outlined } from "./picture.js";
 import { THEMES, theme, toggleStage } from "./theme.js";
 import { html } from "./ui.js";
 
 const keysShown = signal(false);
 
-/** The view of the set, which is loaded when it is first asked for: most people never do. @type {import("./vendor/signals.js").Signal<any>} */
-const setPage = signal(null);
+/** Views that are loaded when they are first asked for: most people never do. @type {Record<string, () => Promise<any>>} */
+const LATER = {
+  set: () => import("./setpage.js").then(({ SetPage }) => SetPage),
+  recordings: () => import("./recordings.js").then(({ Recordings }) => Recordings),
+  health: () => import("./health.js").then(({ Health }) => Health),
+};
+/** Those that are here; null where one could not be loaded. */
+const loaded = signal(/** @type {Record<string, any>} */ ({ live: Live }));
 effect(() => {
-  if (shown.value === "set" && setPage.peek() === null) import("./setpage.js").then(({ SetPage }) => (setPage.value = SetPage));
+  const name = shown.value;
+  if (name in loaded.peek()) return;
+  const keep = (/** @type {any} */ view) => (loaded.value = { ...loaded.peek(), [name]: view });
+  LATER[name]().then(keep, () => keep(null));
 });
+
+/** Why a mark made by key was not made, for as long as a sentence is read. */
+const unmarked = signal("");
+const READ_WITHIN = 8000;
+async function mark() {
+  unmarked.value = barred.value ?? (await post("recordings/mark", { text: "" }).then(() => "", reason));
+  setTimeout(() => (unmarked.value = ""), READ_WITHIN);
+}
 
 /** What single keys do. */
 const KEYS = [
   { key: " ", name: "Space", does: "freeze the picture, or go on", act: toggleFrozen },
   { key: "o", name: "o", does: "outlines on and off", act: () => (outlined.value = !outlined.value) },
   { key: "g", name: "g", does: "a metre grid on the floor on and off", act: () => (floored.value = !floored.value) },
+  { key: "r", name: "r", does: "mark this moment", act: mark },
   { key: "n", name: "n", does: "stage colours on and off", act: toggleStage },
   { key: "?", name: "?", does: "this list", act: () => (keysShown.value = !keysShown.value) },
   ...PAGES.map(({ name, title, key }) => ({ key, name: key, does: `the view ${title}`, act: () => show(name) })),
@@ -40,8 +60,10 @@ function Bar() {
       ${PAGES.map(({ name, title }) => html`<a key=${name} href=${`#${name}`} aria-current=${shown.value === name ? "page" : null}>${title}</a>`)}
     </nav>
     <${State} />
+    ${unmarked.value ? html`<span class="refused" role="alert">${unmarked.value}</span>` : null}
     <div class="switches">
-      <${Switch} on=${frozen.value} act=${toggleFrozen}>Freeze<//>
+      <${Lock} />
+      ${shown.value === "live" || shown.value === "set" ? html`<${Switch} on=${frozen.value} act=${toggleFrozen}>Freeze<//>` : null}
       ${shown.value === "live"
         ? html`<${Switch} on=${outlined.value} act=${KEYS[1].act}>Outlines<//><${Switch} on=${floored.value} act=${KEYS[2].act}>Floor<//>`
         : null}
@@ -60,21 +82,22 @@ function Bar() {
 
 function Foot() {
   return html`<footer>
-    <button type="button" aria-expanded=${keysShown.value ? "true" : "false"} onClick=${KEYS[4].act}>Keys</button>
+    <button type="button" aria-expanded=${keysShown.value ? "true" : "false"} onClick=${KEYS[5].act}>Keys</button>
     ${keysShown.value
-      ? html`<ul class="keys">${KEYS.map(({ name, does }) => html`<li key=${name}><kbd>${name}</kbd> ${does}</li>`)}</ul>`
+      ? html`<ul class="keys">${[...viewKeys.value, ...KEYS].filter(({ name }) => name !== "").map(({ name, does }) => html`<li key=${name}><kbd>${name}</kbd> ${does}</li>`)}</ul>`
       : null}
     <a href="./vendor/LICENSES.txt">Licences</a>
   </footer>`;
 }
 
 function View() {
-  if (shown.value !== "set") return html`<${Live} />`;
-  return setPage.value === null ? html`<main><p>The set is being loaded.</p></main>` : html`<${setPage.value} />`;
+  const view = loaded.value[shown.value];
+  if (view) return html`<${view} />`;
+  return html`<main><p role="status">${view === null ? "This view could not be loaded. See that stagepose runs, and load the page anew." : "This view is being loaded."}</p></main>`;
 }
 
 function Page() {
-  return html`<${Bar} /><${View} /><${Foot} />`;
+  return html`<${Bar} /><${Pairing} /><${View} /><${Foot} />`;
 }
 
 addEventListener("keydown", (event) => {
@@ -83,7 +106,7 @@ addEventListener("keydown", (event) => {
   if (event.target instanceof HTMLElement && event.target.matches("input:not([type=radio]), select, textarea")) return;
   // Space presses the button that has the focus.
   if (event.key === " " && event.target instanceof HTMLElement && event.target.closest("button, a, input")) return;
-  const found = KEYS.find(({ key }) => key === event.key);
+  const found = [...viewKeys.value, ...KEYS].find(({ key }) => key === event.key);
   if (found) {
     event.preventDefault();
     found.act();
@@ -97,3 +120,4 @@ if (place) {
 }
 listen();
 listenToEvents();
+watchAccess();

@@ -1,5 +1,6 @@
 // What happened: the daemon's events, the last of them first.
 import { computed, signal } from "./vendor/signals.js";
+import { sentence } from "./ask.js";
 import { html } from "./ui.js";
 
 /** Events that are shown; the daemon remembers more. */
@@ -17,11 +18,6 @@ export const trouble = computed(() => {
   const last = happened.value.find(({ event }) => event.startsWith("camera_"));
   return last === undefined || last.event === "camera_opened" ? null : sentence(last.says);
 });
-
-/** Begins with a capital, unless a name comes first. @param {string} words */
-function sentence(words) {
-  return /^[a-z]+ /.test(words) ? `${words[0].toUpperCase()}${words.slice(1)}.` : `${words}.`;
-}
 
 /** Begins to listen. */
 export function listenToEvents() {

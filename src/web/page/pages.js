@@ -5,7 +5,14 @@ import { signal } from "./vendor/signals.js";
 export const PAGES = [
   { name: "live", title: "Live", key: "1" },
   { name: "set", title: "Set", key: "3" },
+  { name: "recordings", title: "Recordings", key: "4" },
+  { name: "health", title: "Health", key: "5" },
 ];
+
+/** @typedef {{key: string, name: string, does: string, act: () => unknown}} Key what a single key does; one without a name is another key for the same */
+
+/** Keys of the view that is shown, beside those of the page. */
+export const viewKeys = signal(/** @type {Key[]} */ ([]));
 
 /** The view that is shown. */
 export const shown = signal(named());

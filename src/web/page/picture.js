@@ -29,23 +29,28 @@ export function drawOn(picture, marks) {
 /** @param {ImageBitmap} picture @param {Head} said */
 export function drawFrame(picture, said) {
   if (below === null || above === null) return;
-  if (below.width !== picture.width || below.height !== picture.height) {
-    below.width = picture.width;
-    below.height = picture.height;
-  }
-  below.getContext("2d", { alpha: false })?.drawImage(picture, 0, 0);
-  drawMarks(said);
+  drawPicture(below, picture);
+  drawMarks(above, said);
 }
 
 /** Draws the marks of the shown frame anew, after its size or the colours changed. */
 export function drawAgain() {
-  if (head.value !== null) drawMarks(head.value);
+  if (head.value !== null && above !== null) drawMarks(above, head.value);
 }
 
-/** @param {Head} said */
-function drawMarks(said) {
-  const context = above?.getContext("2d");
-  if (!above || !context) return;
+/** A picture on a canvas, which takes on its size. @param {HTMLCanvasElement} canvas @param {ImageBitmap} picture */
+export function drawPicture(canvas, picture) {
+  if (canvas.width !== picture.width || canvas.height !== picture.height) {
+    canvas.width = picture.width;
+    canvas.height = picture.height;
+  }
+  canvas.getContext("2d", { alpha: false })?.drawImage(picture, 0, 0);
+}
+
+/** The marks of a frame on a canvas that lies on its picture. @param {HTMLCanvasElement} above @param {{record: any, size: [number, number]}} said */
+export function drawMarks(above, said) {
+  const context = above.getContext("2d");
+  if (!context) return;
   const width = Math.round(above.clientWidth * devicePixelRatio);
   const height = Math.round(above.clientHeight * devicePixelRatio);
   if (above.width !== width || above.height !== height) {
@@ -54,7 +59,7 @@ function drawMarks(said) {
   }
   context.clearRect(0, 0, width, height);
   const { record, size } = said;
-  const seen = record.pose;
+  const seen = record?.pose;
   if (!scene.value || !seen) return;
   const scale = width / size[0];
   const style = getComputedStyle(above);

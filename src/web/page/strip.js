@@ -6,10 +6,11 @@ import { theme } from "./theme.js";
 import { WORDS, amount, html } from "./ui.js";
 
 /** Pixels of the band of states; a state is told by the band's height too: the surer, the higher. */
-const BAND = 14;
-const HEIGHTS = { tracking: 1, coasting: 0.6, searching: 0.3, lost: 0.3 };
+export const BAND = 14;
+/** @type {Record<string, number>} */
+export const HEIGHTS = { tracking: 1, coasting: 0.6, searching: 0.3, lost: 0.3 };
 /** The least rms, pixels, that fills the height: noise alone is not to look like trouble. */
-const LEAST_FULL = 0.5;
+export const LEAST_FULL = 0.5;
 /** Milliseconds after which a frame does not speak for the time that follows: nothing was shown. */
 const SPEAKS = 1000;
 
@@ -49,7 +50,7 @@ function draw(canvas) {
   let isOpen = true;
   minute.forEach(({ at, state, rms }, k) => {
     const until = Math.min(minute[k + 1]?.at ?? at, at + SPEAKS);
-    const share = HEIGHTS[/** @type {keyof typeof HEIGHTS} */ (state)] ?? 0;
+    const share = HEIGHTS[state] ?? 0;
     context.fillStyle = colour(state);
     context.fillRect(x(at), height - band * share, Math.max(1, x(until) - x(at)), band * share);
     if (rms !== null) {

@@ -1,0 +1,156 @@
+// Who may change something: the show lock, and the pairing of a browser on another machine.
+import { computed, effect, signal } from "./vendor/signals.js";
+import { useRef, useState } from "./vendor/hooks.js";
+import { post, read, reason, whenRefused } from "./ask.js";
+import { contact } from "./daemon.js";
+import { draft } from "./drafts.js";
+import { html } from "./ui.js";
+
+/** Milliseconds between two looks at the session: another page may have locked it. */
+const LOOKS_EVERY = 2000;
+/** Milliseconds that the lock is held to release it: nobody does so by mistake. */
+const HELD_FOR = 1000;
+/** Letters of the name that a browser is listed by. */
+const LONGEST_NAME = 60;
+
+/** @typedef {{paired: boolean, needs_pairing: boolean, locked: boolean, mode: string, version: string, page: string}} Session */
+
+/** How this browser stands; null until that is known. */
+export const session = signal(/** @type {Session | null} */ (null));
+/** Whether the box for the code is open. */
+const isPairing = signal(false);
+/** What went wrong with the lock. */
+const refused = signal("");
+
+/** Why nothing can be changed just now; null where it can. */
+export const barred = computed(() => {
+  if (contact.value === false) return "stagepose does not answer: nothing can be changed.";
+  if (session.value?.needs_pairing) return "This browser is not paired: it can look, and change nothing.";
+  if (session.value?.locked) return "The show lock is on: nothing can be changed. Hold “Locked” in the top bar for a second to release it.";
+  return null;
+});
+
+async function look() {
+  if (document.hidden || contact.value === false) return;
+  try {
+    const found = await read("session");
+    // A page of another version does not know what this daemon says.
+    if (session.peek() !== null && session.peek()?.page !== found.page) location.reload();
+    if (JSON.stringify(found) !== JSON.stringify(session.peek())) session.value = found;
+  } catch {
+    // That nobody answers is said elsewhere.
+  }
+}
+
+/** Begins to look. */
+export function watchAccess() {
+  setInterval(look, LOOKS_EVERY);
+  // At once when the daemon is there, or there again.
+  effect(() => void (contact.value && look()));
+  whenRefused.add((status) => {
+    if (status === 401) isPairing.value = true;
+    if (status === 401 || status === 423) look();
+  });
+}
+
+/** @param {"lock" | "unlock"} which */
+async function turn(which) {
+  refused.value = "";
+  try {
+    await post(which);
+  } catch (why) {
+    refused.value = reason(why);
+  }
+  await look();
+}
+
+/** The show lock in the bar: pressed, it locks; held for a second, it unlocks. By key as by hand. */
+export function Lock() {
+  const timer = useRef(/** @type {ReturnType<typeof setTimeout> | undefined} */ (undefined));
+  const [isHeld, setHeld] = useState(false);
+  // The press that has just released the lock, or was too short for it, does not lock.
+  const began = useRef(false);
+  if (session.value === null) return null;
+  const { locked } = session.value;
+  const down = (/** @type {PointerEvent | KeyboardEvent} */ event) => {
+    // The pointer stays this button's, wherever it trembles to.
+    if (event instanceof PointerEvent) /** @type {HTMLElement} */ (event.currentTarget).setPointerCapture(event.pointerId);
+    began.current = locked;
+    if (!locked || isHeld) return;
+    setHeld(true);
+    timer.current = setTimeout(() => turn("unlock").then(() => setHeld(false)), HELD_FOR);
+  };
+  const up = () => {
+    clearTimeout(timer.current);
+    setHeld(false);
+  };
+  const isKey = (/** @type {KeyboardEvent} */ { key }) => key === " " || key === "Enter";
+  return html`<button
+      type="button"
+      class="lock ${isHeld ? "held" : ""}"
+      aria-pressed=${locked ? "true" : "false"}
+      title=${locked ? "Hold for a second to release the show lock" : "Show lock: nothing can be changed while it is on"}
+      onPointerDown=${down}
+      onPointerUp=${up}
+      onPointerCancel=${up}
+      onKeyDown=${(/** @type {KeyboardEvent} */ event) => isKey(event) && !event.repeat && down(event)}
+      onContextMenu=${(/** @type {Event} */ event) => event.preventDefault()}
+      onKeyUp=${up}
+      onBlur=${up}
+      onClick=${() => !locked && !began.current && turn("lock")}
+    >
+      ${locked ? (isHeld ? "Hold …" : "Locked") : "Lock"}
+    </button>
+    ${refused.value ? html`<span class="refused" role="alert">${refused.value}</span>` : null}`;
+}
+
+/** Says why the controls below do nothing, with the way out. */
+export function Barred() {
+  if (barred.value === null) return null;
+  return html`<p class="barred">
+    ${barred.value} ${session.value?.needs_pairing ? html`<button type="button" onClick=${() => (isPairing.value = true)}>Pair …</button>` : null}
+  </p>`;
+}
+
+/** A button that changes something. @param {{act: () => void, children: unknown, off?: boolean}} props */
+export function Change({ act, children, off = false }) {
+  return html`<button type="button" disabled=${off || barred.value !== null} onClick=${act}>${children}</button>`;
+}
+
+/** What is typed in the box is kept while it is closed. */
+const code = draft("code");
+const name = draft("name");
+const tried = signal("");
+
+/** @param {Event} event */
+async function pair(event) {
+  event.preventDefault();
+  tried.value = "";
+  try {
+    await post("pair", { code: code.value.replace(/\s/g, ""), name: name.value.trim() || "A browser" });
+    code.value = "";
+    isPairing.value = false;
+  } catch (why) {
+    tried.value = reason(why);
+  }
+  await look();
+}
+
+/** The box for the code, where this browser may not yet do what it was asked to. */
+export function Pairing() {
+  if (!isPairing.value || session.value?.needs_pairing === false) return null;
+  const typed = (/** @type {typeof code} */ into) => (/** @type {any} */ event) => (into.value = event.target.value);
+  return html`<section class="pairing" aria-labelledby="pairing">
+    <h2 id="pairing">Pair this browser</h2>
+    <p>On the daemon's machine, <code>stagepose pair</code> prints a code of eight digits. It is used once.</p>
+    <form onSubmit=${pair}>
+      <label class="field"><span>Code</span><input inputmode="numeric" autocomplete="one-time-code" maxlength="20" required value=${code.value} onInput=${typed(code)} /></label>
+      <label class="field"><span>Name of this browser</span><input maxlength=${LONGEST_NAME} placeholder="Anna's tablet" value=${name.value} onInput=${typed(name)} /></label>
+      <div class="row">
+        <button type="submit">Pair</button>
+        <button type="button" onClick=${() => (isPairing.value = false)}>Not now</button>
+      </div>
+    </form>
+    ${tried.value ? html`<p class="refused" role="alert">${tried.value}</p>` : null}
+  </section>`;
+}

@@ -1,0 +1,79 @@
+// Backup and restore: what a restore would change is said before it is done.
+import { signal } from "./vendor/signals.js";
+import { Barred, Change } from "./access.js";
+import { ask, post, reason, sentence } from "./ask.js";
+import { html } from "./ui.js";
+import { differing, entries, textOf } from "./zip.js";
+
+/** The config's name in a backup. */
+const CONFIG = "stage.toml";
+/** Changed lines that are shown. */
+const SHOWN = 40;
+
+/** @typedef {{file: File, names: string[], goes: string[], comes: string[], isKnown: boolean}} Plan what a restore would do; `isKnown`: the config of now could be read */
+
+const plan = signal(/** @type {Plan | null} */ (null));
+const said = signal("");
+
+/** @param {Event} event */
+async function choose(event) {
+  const input = /** @type {HTMLInputElement} */ (event.target);
+  const [file] = input.files ?? [];
+  if (!file) return;
+  plan.value = null;
+  said.value = "";
+  try {
+    const found = await entries(file);
+    const config = found.find(({ name }) => name === CONFIG);
+    if (config === undefined) throw new Error(`${file.name} has no ${CONFIG}, so it is no backup. Choose a backup of this page.`);
+    const [now, then] = await Promise.all([ask("config").then((answer) => answer.text(), () => null), textOf(file, config)]);
+    plan.value = { file, names: found.map(({ name }) => name), ...differing(now ?? "", then), isKnown: now !== null };
+  } catch (why) {
+    said.value = reason(why);
+  }
+  input.value = "";
+}
+
+/** @param {Plan} of */
+async function restore({ file }) {
+  try {
+    const { findings = [] } = await (await post("restore", new Blob([file], { type: "application/zip" }))).json();
+    said.value = [`${file.name} is in place, and the config was read anew.`, ...findings.map((/** @type {any} */ found) => sentence(found.sentence))].join(" ");
+    plan.value = null;
+  } catch (why) {
+    said.value = reason(why);
+  }
+}
+
+/** What would be done, and whether it shall. @param {{of: Plan}} props */
+function Planned({ of }) {
+  const { file, names, goes, comes, isKnown } = of;
+  const others = names.filter((name) => name !== CONFIG);
+  const lines = [...goes.map((line) => `− ${line}`), ...comes.map((line) => `+ ${line}`)];
+  return html`<div class="planned">
+    <p>
+      Restoring ${file.name} takes the place of the config${others.length > 0 ? ` and of ${others.join(", ")}` : ""}. The former ones are kept in “former” beside the config.
+      ${!isKnown ? " The config of now cannot be read, so what changes in it is not known." : lines.length === 0 ? " The config stays as it is." : " In the config this changes:"}
+    </p>
+    ${isKnown && lines.length > 0 ? html`<pre tabindex="0">${lines.slice(0, SHOWN).join("\n")}${lines.length > SHOWN ? `\n… and ${lines.length - SHOWN} lines more` : ""}</pre>` : null}
+    <div class="row">
+      <${Change} act=${() => restore(of)}>Restore<//>
+      <button type="button" onClick=${() => (plan.value = null)}>Leave it as it is</button>
+    </div>
+  </div>`;
+}
+
+/** Both. */
+export function Backup() {
+  return html`<section aria-labelledby="backup">
+    <h2 id="backup">Backup</h2>
+    <p class="note">The config, all that it names, and the set, as one zip.</p>
+    <${Barred} />
+    <div class="row">
+      <a class="button" href=${"./api/v1/backup"} download>Download backup</a>
+      <label class="button">Restore …<input type="file" accept=".zip,application/zip" onChange=${choose} /></label>
+    </div>
+    ${plan.value ? html`<${Planned} of=${plan.value} />` : null}
+    <p role="status">${said.value}</p>
+  </section>`;
+}

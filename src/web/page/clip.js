@@ -1,0 +1,206 @@
+// One recording: its timeline, the row that is shown, and playing it at its own pace or another.
+import { signal } from "./vendor/signals.js";
+import { ask, read, reason } from "./ask.js";
+
+/** Columns of a timeline that are asked for: an hour at 30 frames a second has one a second. */
+const COLUMNS = 4000;
+/** Rows whose stamps are fetched at once, and milliseconds of a gap between two rows that are waited at most. */
+const STAMPS = 400;
+const LONGEST_GAP = 2000;
+
+/** @typedef {{row: number, rows: number, state: string, rms_px: number | null, states: Record<string, number>}} Column
+ * @typedef {{row: number, timestamp_ns: number, event: string, text?: string, says?: string, level?: string}} Happening
+ * @typedef {{id: string, frames: number, first_ns: number | null, last_ns: number | null, columns: Column[], events: Happening[]}} Clip
+ * @typedef {{row: number, record: import("./daemon.js").PoseRecord | null, size: [number, number] | null}} Shown a row without a picture has no size */
+
+/** The recording that is open. */
+export const clip = signal(/** @type {Clip | null} */ (null));
+/** The row that is wanted, and what is shown of it. */
+export const row = signal(0);
+export const shown = signal(/** @type {Shown | null} */ (null));
+export const playing = signal(false);
+export const speed = signal(1);
+/** What is the matter with the recording, or with the shown row. */
+export const fault = signal("");
+/** Who draws a row's picture; null where the row has none. @type {Set<(picture: ImageBitmap | null, shown: Shown) => void>} */
+export const painters = new Set();
+
+/** Ends what was begun for the recording before. */
+let open_ = new AbortController();
+let isFetching = false;
+/** The tick that comes next: there is one at most. */
+let ticking = 0;
+/** Stamps in milliseconds since the first, by the rows from a multiple of STAMPS on. @type {Map<number, number[] | null>} */
+const stamps = new Map();
+
+/** Opens a recording. @param {string} id */
+export async function open(id) {
+  close();
+  const { signal: own } = open_;
+  try {
+    const found = await read(`recordings/${id}/timeline?points=${COLUMNS}`, own);
+    clip.value = { id, ...found };
+    if (found.frames > 0) go(0);
+    else fault.value = "This recording has no frames.";
+  } catch (why) {
+    if (!own.aborted) fault.value = reason(why);
+  }
+}
+
+/** Closes it. */
+export function close() {
+  open_.abort();
+  open_ = new AbortController();
+  stamps.clear();
+  clip.value = shown.value = null;
+  row.value = 0;
+  playing.value = false;
+  fault.value = "";
+}
+
+/** Goes to a row. @param {number} to */
+export function go(to) {
+  if (clip.value === null || clip.value.frames === 0) return;
+  row.value = Math.min(clip.value.frames - 1, Math.max(0, Math.round(to)));
+  fetchShown();
+}
+
+/** Fetches the wanted row and then, if another is wanted meanwhile, that one: a slow line shows fewer rows, never older ones. */
+async function fetchShown() {
+  if (isFetching) return;
+  isFetching = true;
+  const { signal: own } = open_;
+  while (clip.value !== null && shown.value?.row !== row.value) {
+    const { picture, said } = await frame(clip.value.id, row.value, own);
+    if (own.aborted) {
+      picture?.close();
+      break;
+    }
+    for (const paint of painters) paint(picture, said);
+    picture?.close();
+    shown.value = said;
+  }
+  isFetching = false;
+  // Another recording was opened meanwhile.
+  if (own.aborted && clip.value !== null) fetchShown();
+}
+
+/** @param {string} id @param {number} number @param {AbortSignal} own @returns {Promise<{picture: ImageBitmap | null, said: Shown}>} */
+async function frame(id, number, own) {
+  try {
+    const answer = await ask(`recordings/${id}/frame/${number}`, { signal: own });
+    const record = JSON.parse(decodeURIComponent(answer.headers.get("X-Stagepose-Record") ?? "null"));
+    const picture = await createImageBitmap(await answer.blob());
+    fault.value = "";
+    return { picture, said: { row: number, record, size: [picture.width, picture.height] } };
+  } catch (why) {
+    if (!own.aborted) fault.value = why instanceof DOMException ? "This row's picture cannot be read." : reason(why);
+    return { picture: null, said: { row: number, record: null, size: null } };
+  }
+}
+
+/** Milliseconds of a row since the first; undefined while that is not known. @param {number} of */
+function stampOf(of) {
+  const from = of - (of % STAMPS);
+  if (!stamps.has(from)) fetchStamps(from);
+  return stamps.get(from)?.[of - from];
+}
+
+/** @param {number} from */
+async function fetchStamps(from) {
+  if (clip.value === null) return;
+  const { signal: own } = open_;
+  const { id, first_ns } = clip.value;
+  stamps.set(from, null);
+  try {
+    const text = await (await ask(`recordings/${id}/poses?from=${from}&count=${STAMPS}`, { signal: own })).text();
+    const lines = text.split("\n").filter((line) => line !== "");
+    if (!own.aborted) stamps.set(from, lines.map((line) => (JSON.parse(line).timestamp_ns - (first_ns ?? 0)) / 1e6));
+  } catch (why) {
+    if (own.aborted) return;
+    playing.value = false;
+    stamps.delete(from);
+    fault.value = reason(why);
+  }
+}
+
+/** Begins to play, or stops; at the end it begins anew. */
+export function togglePlaying() {
+  if (clip.value === null || clip.value.frames === 0) return;
+  playing.value = !playing.value;
+  if (!playing.value) return;
+  if (row.value === clip.value.frames - 1) go(0);
+  const { signal: own } = open_;
+  /** @type {number | undefined} */
+  let at;
+  /** @type {number | undefined} */
+  let last;
+  let reached = row.value;
+  const tick = (/** @type {number} */ now) => {
+    if (!playing.value || own.aborted || clip.value === null) return;
+    // Somebody has gone elsewhere meanwhile.
+    if (row.value !== reached) at = undefined;
+    at ??= stampOf(row.value);
+    if (at !== undefined) at += speed.value * (now - (last ?? now));
+    last = now;
+    reached = at === undefined ? row.value : advanced(row.value, at, (stamp) => (at = stamp));
+    if (reached !== row.value) go(reached);
+    if (reached === clip.value.frames - 1) playing.value = false;
+    else ticking = requestAnimationFrame(tick);
+  };
+  // One of before may still be on its way.
+  cancelAnimationFrame(ticking);
+  ticking = requestAnimationFrame(tick);
+}
+
+/** The last row whose time has come. @param {number} from @param {number} at @param {(stamp: number) => void} set takes the time where it is not `at` */
+function advanced(from, at, set) {
+  const { frames } = /** @type {Clip} */ (clip.value);
+  let now = from;
+  while (now + 1 < frames) {
+    const next = stampOf(now + 1);
+    // Stamps that are on their way stop the time.
+    if (next === undefined) {
+      set(Math.min(at, stampOf(now) ?? at));
+      break;
+    }
+    if (next > at) {
+      if (next - at > LONGEST_GAP * speed.value) set(next - LONGEST_GAP * speed.value);
+      break;
+    }
+    now += 1;
+  }
+  // Those that come soon.
+  stampOf(Math.min(frames - 1, now + STAMPS / 2));
+  return now;
+}
+
+/** Whether the stage was not known in some row of a column. @param {Column} column */
+export function isLost({ states }) {
+  return Object.keys(states).some((state) => state !== "tracking" && state !== "coasting");
+}
+
+/** The first column of the next loss, or of the one before. @param {Column[]} columns @param {number} from a row @param {1 | -1} way */
+export function loss(columns, from, way) {
+  const begins = columns.filter((column, k) => isLost(column) && (k === 0 || !isLost(columns[k - 1])));
+  return way === 1 ? begins.find((column) => column.row > from) : begins.filter((column) => column.row + column.rows - 1 < from).at(-1);
+}
+
+/** Goes to the first row of the next loss, or of the one before; says whether there is one. @param {1 | -1} way */
+export async function goToLoss(way) {
+  if (clip.value === null) return;
+  const { id, columns } = clip.value;
+  const column = loss(columns, row.value, way);
+  if (column === undefined) {
+    fault.value = way === 1 ? "There is no loss after this row." : "There is no loss before this row.";
+    return;
+  }
+  playing.value = false;
+  fault.value = "";
+  go(column.row);
+  if (column.rows === 1) return;
+  const { signal: own } = open_;
+  const text = await ask(`recordings/${id}/poses?from=${column.row}&count=${column.rows}`, { signal: own }).then((answer) => answer.text(), () => "");
+  const first = text.split("\n").findIndex((line) => line !== "" && !["tracking", "coasting"].includes(JSON.parse(line).state));
+  if (!own.aborted && first > 0) go(column.row + first);
+}

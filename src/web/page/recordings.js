@@ -1,0 +1,244 @@
+// The Recordings view: what was recorded, its timeline, and playing it with what was found; beginning, ending and marking a recording.
+import { computed, effect, signal } from "./vendor/signals.js";
+import { useEffect, useRef } from "./vendor/hooks.js";
+import { Barred, Change } from "./access.js";
+import { post, read, reason } from "./ask.js";
+import { clip, close, fault, go, goToLoss, isLost, open, painters, playing, row, shown, speed, togglePlaying } from "./clip.js";
+import { contact } from "./daemon.js";
+import { draft } from "./drafts.js";
+import { happened } from "./events.js";
+import { viewKeys } from "./pages.js";
+import { drawMarks, drawPicture, outlined } from "./picture.js";
+import { theme } from "./theme.js";
+import { Timeline, clock, secondsOf } from "./timeline.js";
+import { StateMark, amount, html } from "./ui.js";
+
+/** Milliseconds between two looks at the list; where a recording begins or ends it is looked at once. */
+const LOOKS_EVERY = 10_000;
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4, 8];
+/** Letters of a mark, as the daemon takes them. */
+const LONGEST_MARK = 200;
+
+/** @typedef {{id: string, begun_unix_ms: number, seconds: number, frames: number, bytes?: number, open: boolean}} Recording
+ * @typedef {{recordings: Recording[], folder: string, ring_s: number, recording: string | null}} List */
+
+const list = signal(/** @type {List | null} */ (null));
+/** Why there is no list. */
+const listFault = signal("");
+/** What became of the last wish. */
+const said = signal("");
+const mark = draft("mark");
+
+async function look() {
+  if (document.hidden) return;
+  try {
+    list.value = await read("recordings");
+    listFault.value = "";
+  } catch (why) {
+    listFault.value = reason(why);
+  }
+}
+
+/** @param {string} path @param {string} done @param {any} [content] */
+async function wish(path, done, content) {
+  said.value = "";
+  try {
+    await post(path, content);
+    said.value = done;
+    return true;
+  } catch (why) {
+    said.value = reason(why);
+    return false;
+  } finally {
+    look();
+  }
+}
+
+/** @param {Event} event */
+async function addMark(event) {
+  event.preventDefault();
+  // What was typed stays where it was not taken.
+  if (await wish("recordings/mark", "Marked.", { text: mark.value })) mark.value = "";
+}
+
+const date = new Intl.DateTimeFormat(undefined, { dateStyle: "medium", timeStyle: "medium", hourCycle: "h23" });
+
+/** Where the picture is drawn. */
+function Picture() {
+  const below = useRef(/** @type {HTMLCanvasElement | null} */ (null));
+  const above = useRef(/** @type {HTMLCanvasElement | null} */ (null));
+  const again = () => {
+    const now = shown.peek();
+    if (above.current && now?.size) drawMarks(above.current, /** @type {any} */ (now));
+    else above.current?.getContext("2d")?.reset();
+  };
+  useEffect(() => {
+    const paint = (/** @type {ImageBitmap | null} */ picture, /** @type {any} */ of) => {
+      if (!below.current || !above.current) return;
+      if (picture !== null) drawPicture(below.current, picture);
+      else below.current.getContext("2d", { alpha: false })?.reset();
+      if (picture !== null) drawMarks(above.current, of);
+      else above.current.getContext("2d")?.reset();
+    };
+    const sized = new ResizeObserver(again);
+    if (above.current) sized.observe(above.current);
+    painters.add(paint);
+    return () => {
+      painters.delete(paint);
+      sized.disconnect();
+    };
+  }, []);
+  useEffect(again, [theme.value, outlined.value]);
+  const [width, height] = size.value.split("x").map(Number);
+  return html`<figure class="picture" style=${{ aspectRatio: width / height, maxWidth: `calc((100vh - 22rem) * ${width / height})` }}>
+    <canvas ref=${below} role="img" aria-label="The recorded picture" />
+    <canvas ref=${above} class="marks ${outlined.value ? "" : "off"}" aria-hidden="true" />
+    ${fault.value ? html`<figcaption role="status">${fault.value}</figcaption>` : null}
+  </figure>`;
+}
+
+/** The last known size of the pictures. */
+const size = computed(() => {
+  const now = shown.value?.size;
+  if (now) lastSize = now.join("x");
+  return lastSize;
+});
+let lastSize = "16x9";
+
+const time = computed(() => (clip.value === null ? "–" : `${clock(secondsOf(clip.value, row.value))} of ${clock(secondsOf(clip.value, Math.max(0, clip.value.frames - 1)))}`));
+const place = computed(() => (clip.value === null ? "–" : `${row.value + 1} of ${clip.value.frames}`));
+const fits = computed(() => amount(shown.value?.record?.rms_px, 2, "px"));
+const state = computed(() => shown.value?.record?.state ?? null);
+
+/** What there is to be said where no recording is open. */
+function nothing() {
+  if (list.value === null) return listFault.value || "Asking for the recordings.";
+  if (list.value.recordings.length > 0) return "Choose a recording to see it.";
+  return `Nothing has been recorded yet. Press Record, or save the last seconds; recordings go to ${list.value.folder}.`;
+}
+
+function Player() {
+  const of = clip.value;
+  if (of === null) return html`<p role="status">${fault.value || nothing()}</p>`;
+  const losses = of.columns.filter((column, k) => isLost(column) && (k === 0 || !isLost(of.columns[k - 1]))).length;
+  return html`<div class="player">
+    <${Picture} />
+    <${Timeline} of=${of} />
+    <div class="row">
+      <button type="button" onClick=${() => goToLoss(-1)} disabled=${losses === 0}>Previous loss</button>
+      <button type="button" onClick=${togglePlaying} aria-pressed=${playing.value ? "true" : "false"}>${playing.value ? "Stop" : "Play"}</button>
+      <button type="button" onClick=${() => goToLoss(1)} disabled=${losses === 0}>Next loss</button>
+      <button type="button" onClick=${() => go(row.value - 1)}>−1 row</button>
+      <button type="button" onClick=${() => go(row.value + 1)}>+1 row</button>
+      <label class="field speed"><span>Speed</span>
+        <select value=${`${speed.value}`} onChange=${(/** @type {any} */ event) => (speed.value = Number(event.target.value))}>
+          ${SPEEDS.map((one) => html`<option key=${one} value=${`${one}`} selected=${one === speed.value}>${one} ×</option>`)}
+        </select>
+      </label>
+    </div>
+    <dl class="facts">
+      <div><dt>Time</dt><dd>${time}</dd></div>
+      <div><dt>Row</dt><dd>${place}</dd></div>
+      <div><dt>State</dt><dd>${state.value === null ? "–" : html`<${StateMark} state=${state.value} />`}</dd></div>
+      <div><dt>Fits to</dt><dd>${fits}</dd></div>
+    </dl>
+    <p class="note">${losses === 0 ? "The stage was never lost in it." : `The stage was lost ${losses === 1 ? "once" : `${losses} times`}.`} Outlines are those of today's stage and lens.</p>
+  </div>`;
+}
+
+function Recorder() {
+  const now = list.value;
+  const isOn = now?.recording != null;
+  return html`<section class="recorder" aria-labelledby="recorder">
+    <h2 id="recorder">Recorder</h2>
+    <p>${now === null ? "Not known yet." : isOn ? `Recording ${now.recording}.` : "Nothing is being recorded."}</p>
+    <${Barred} />
+    <div class="row">
+      ${isOn
+        ? html`<${Change} act=${() => wish("recordings/stop", "The recording ends.")}>Stop recording<//>`
+        : html`<${Change} off=${now === null} act=${() => wish("recordings/start", "A recording begins.")}>Record<//>`}
+      <${Change} off=${!now?.ring_s} act=${() => wish("ring/save", `The last ${now?.ring_s} s are being saved.`)}>Save the last ${now?.ring_s ? `${now.ring_s} s` : "seconds"}<//>
+    </div>
+    ${now !== null && !now.ring_s ? html`<p class="note">The last seconds are not kept: [recorder] ring_s in the config says how many shall be.</p>` : null}
+    <form class="row" onSubmit=${addMark}>
+      <label class="field wide"><span>Mark this moment</span><input maxlength=${LONGEST_MARK} value=${mark.value} placeholder="cue 12" onInput=${(/** @type {any} */ event) => (mark.value = event.target.value)} /></label>
+      <${Change} act=${addMark}>Mark<//>
+    </form>
+    <p role="status" class="note">${said.value}</p>
+  </section>`;
+}
+
+/** @param {number | undefined} bytes */
+function megabytes(bytes) {
+  return bytes === undefined ? "" : `, ${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
+}
+
+function Choice() {
+  const now = list.value;
+  if (now === null || now.recordings.length === 0) return null;
+  return html`<section aria-labelledby="recordings">
+    <h2 id="recordings">Recordings</h2>
+    <ul class="recordings">
+      ${now.recordings.map(
+        (one) => html`<li key=${one.id}>
+          <button type="button" aria-pressed=${clip.value?.id === one.id ? "true" : "false"} onClick=${() => open(one.id)}>
+            ${date.format(one.begun_unix_ms)}<br /><small>${clock(one.seconds)}, ${one.frames} rows${megabytes(one.bytes)}${one.open ? ", still going on" : ""}</small>
+          </button>
+          <a class="button" href=${`./api/v1/recordings/${one.id}/download`} download aria-label=${`Download ${one.id}`}>Download</a>
+        </li>`,
+      )}
+    </ul>
+  </section>`;
+}
+
+/** What happened in the open recording; each leads to its row. */
+function Events() {
+  const of = clip.value;
+  if (of === null || of.events.length === 0) return null;
+  const words = (/** @type {import("./clip.js").Happening} */ { event, text, says }) => says ?? [event.replaceAll("_", " "), text].filter(Boolean).join(": ");
+  return html`<section class="happened" aria-labelledby="inside">
+    <h2 id="inside">What happened in it</h2>
+    <ol>
+      ${of.events.map(
+        (one, k) => html`<li key=${k} class=${one.level ?? "info"}><button type="button" class="plain" onClick=${() => go(one.row)}><time>${clock(secondsOf(of, one.row))}</time> ${words(one)}</button></li>`,
+      )}
+    </ol>
+  </section>`;
+}
+
+/** Keys of this view. */
+const KEYS = [
+  { key: " ", name: "Space, k", does: "play, or stop", act: togglePlaying },
+  { key: "k", name: "", does: "", act: togglePlaying },
+  { key: "j", name: "j", does: "to the loss before", act: () => goToLoss(-1) },
+  { key: "l", name: "l", does: "to the next loss", act: () => goToLoss(1) },
+  { key: ",", name: ",", does: "one row back", act: () => go(row.value - 1) },
+  { key: ".", name: ".", does: "one row on", act: () => go(row.value + 1) },
+];
+
+/** The view. */
+export function Recordings() {
+  useEffect(() => {
+    viewKeys.value = KEYS;
+    const timer = setInterval(look, LOOKS_EVERY);
+    const stop = effect(() => {
+      // Where a recording begins or ends, and where the daemon comes back.
+      void [happened.value[0], contact.value];
+      look();
+    });
+    return () => {
+      clearInterval(timer);
+      stop();
+      viewKeys.value = [];
+      close();
+    };
+  }, []);
+  return html`<main class=${contact.value === false ? "silent" : ""}>
+    <section aria-label="The open recording"><${Player} /></section>
+    <div class="beside">
+      <${Recorder} />
+      <${Choice} />
+      <${Events} />
+    </div>
+  </main>`;
+}
