@@ -23,6 +23,7 @@ mod scale_space;
 mod second_moments;
 #[cfg(test)]
 mod test_pictures;
+mod tilted_view;
 mod view_simulation;
 mod watch;
 mod workers;
@@ -34,6 +35,7 @@ pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
 pub use float_image::FloatImage;
 pub use keypoint::{Descriptors, Features, Keypoint, PictureForms};
 pub use pyramid::{Pyramid, halved, smooth_into};
+pub use tilted_view::{TiltedViews, append_tilted_features};
 pub use view_simulation::ViewSimulation;
 pub use watch::Share;
 pub use workers::Workers;

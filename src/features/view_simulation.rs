@@ -57,11 +57,11 @@ const SAME_BITS: u32 = 16;
 
 /// A simulated camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct View {
+pub(super) struct View {
     /// Compression along one direction.
-    tilt: f64,
+    pub tilt: f64,
     /// Angle of that direction, radians from x to y.
-    longitude: f64,
+    pub longitude: f64,
 }
 
 impl ViewSimulation {
@@ -114,8 +114,9 @@ impl ViewSimulation {
 }
 
 /// The picture as a view sees it.
-struct SimulatedPicture {
-    pixels: GrayImage,
+pub(super) struct SimulatedPicture {
+    /// What it sees.
+    pub pixels: GrayImage,
     /// From the view's pixels to the picture's.
     inverse: Matrix2<f64>,
     /// Picture pixel at the view's pixel 0.
@@ -126,7 +127,7 @@ struct SimulatedPicture {
 
 impl SimulatedPicture {
     /// None where the picture has no pixel.
-    fn of(picture: &PictureForms, view: View) -> Option<Self> {
+    pub fn of(picture: &PictureForms, view: View) -> Option<Self> {
         let size = Vector2::new(f64::from(picture.grey.width()), f64::from(picture.grey.height()));
         let (sin, cos) = view.longitude.sin_cos();
         // The turned picture's box: x along the direction that is compressed.
@@ -143,17 +144,27 @@ impl SimulatedPicture {
         Some(Self { pixels, inverse, origin, size })
     }
 
-    fn place_in_picture(&self, place: Vector2<f64>) -> Vector2<f64> {
+    /// A place of the view in the picture.
+    pub fn place_in_picture(&self, place: Vector2<f64>) -> Vector2<f64> {
         self.origin + self.inverse * place
     }
 
     /// Whether what a keypoint's description reads lies within the picture.
     fn holds(&self, keypoint: &Keypoint) -> bool {
-        let place = self.place_in_picture(keypoint.position);
-        let shape = self.inverse * keypoint.shape;
+        self.holds_ellipse(keypoint.position, &(keypoint.shape * BORDER_SIGMAS))
+    }
+
+    /// Whether a disc of the view lies within the picture.
+    pub fn holds_disc(&self, middle: Vector2<f64>, radius: f64) -> bool {
+        self.holds_ellipse(middle, &(Matrix2::identity() * radius))
+    }
+
+    fn holds_ellipse(&self, middle: Vector2<f64>, shape: &Matrix2<f64>) -> bool {
+        let place = self.place_in_picture(middle);
+        let shape = self.inverse * shape;
         // Half the box of an ellipse: the lengths of its matrix' rows.
         (0..2).all(|k| {
-            let reach = BORDER_SIGMAS * shape.row(k).norm();
+            let reach = shape.row(k).norm();
             place[k] >= reach && place[k] <= self.size[k] - 1.0 - reach
         })
     }

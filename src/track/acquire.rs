@@ -10,9 +10,10 @@ use nalgebra::{Matrix2, Vector2};
 use super::reference::PreparedBody;
 use crate::camera::{CameraModel, Pixel};
 use crate::features::Feature;
+use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::planar_pose::planar_poses;
 use crate::geometry::ransac::Order;
-use crate::geometry::resection::{MovingCamera, Observation, resect, squared_residual};
+use crate::geometry::resection::{MovingCamera, Observation, Resection, resect, squared_residual};
 use crate::geometry::robust::RobustOptions;
 use crate::geometry::robust_homography::robust_homography;
 use crate::geometry::{Body, Camera, Homography, PointPair, Pose};
@@ -42,6 +43,8 @@ pub struct Candidate {
     pub inliers: usize,
     /// Robust cost over all matches; lower is better.
     pub cost: f64,
+    /// How far off the matches' noise leaves `T_body_camera`, one sigma: metres and radians, over all axes.
+    pub off: [f64; 2],
 }
 
 /// What the matches of a frame say of a body before any lens or size is asked.
@@ -112,13 +115,14 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
         let Some(view) = surface_view(surface, matches, camera, seed) else { continue };
         agreeing.extend(view.matches.iter().map(|m| (observation(body, m), view.squared_error(m))));
         for start in surface_poses(body, &view, camera, &mut seen) {
-            let Some(pose) = refined(&start, &still, &observations) else { continue };
+            let Some(found_pose) = refined(&start, &still, &observations) else { continue };
+            let pose = found_pose.pose;
             let inliers = within_reach(&pose, &still, &observations, LARGEST_SQUARED.sqrt()).count();
             poses.push(pose);
             if inliers < LEAST_INLIERS {
                 continue;
             }
-            let candidate = Candidate { pose, inliers, cost: truncated_cost(&pose, &still, &observations) };
+            let candidate = Candidate { pose, inliers, cost: truncated_cost(&pose, &still, &observations), off: off(&found_pose) };
             if !found.iter().any(|c| nearly_same(&c.pose, &candidate.pose)) {
                 found.push(candidate);
             }
@@ -131,13 +135,20 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
 }
 
 /// The start refined over the matches near it. Most matches may be wrong, and resection bears only a minority of them.
-fn refined(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> Option<Pose<Camera, Body>> {
-    let mut pose = *start;
-    for sigmas in REFINED_WITHIN {
-        let near: Vec<Observation> = within_reach(&pose, camera, observations, sigmas).copied().collect();
-        pose = resect(&pose, camera, &near, 15)?.pose;
-    }
-    Some(pose)
+fn refined(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> Option<Resection> {
+    let near = |pose: &Pose<Camera, Body>, sigmas: f64| -> Vec<Observation> {
+        within_reach(pose, camera, observations, sigmas).copied().collect()
+    };
+    let [rough, fine] = REFINED_WITHIN;
+    let pose = resect(start, camera, &near(start, rough), 15)?.pose;
+    resect(&pose, camera, &near(&pose, fine), 15)
+}
+
+/// See [`Candidate::off`]; infinite where the matches leave a direction free.
+fn off(found: &Resection) -> [f64; 2] {
+    let Some(noise) = found.normal.cholesky() else { return [f64::INFINITY; 2] };
+    let covariance = covariance_of_inverse(&found.pose, &(noise.inverse() * found.scale.powi(2)));
+    [0, 3].map(|first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt())
 }
 
 /// The observations within a number of sigmas of where the pose puts them.

@@ -1,17 +1,19 @@
 //! Tracking: what bodies are made of, and how a frame becomes a verified pose of each of them.
 //!
-//! `surface`, `shape` and `reference` prepare the pictures; `acquire` proposes poses from matched features;
+//! `surface`, `shape` and `reference` prepare the pictures; `feature_search` matches a frame's features with a bank of views; `acquire` proposes poses from them;
 //! `registration` and `verify` refine a proposal against the picture and judge it; `align` follows a body from frame
 //! to frame, pixel by pixel; `track_state` decides what a verified pose means in time;
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
 //! homography and essential matrix; `lens_doubt` tells what the doubt about lens and shapes leaves open; `tile_residuals` are the displacements that a solution leaves, `model_error` is what
 //! they say of the pose, `focal_clue` what they say of the focal length, and `lens_watch` withholds poses where the lens was moved; `reason` says why a frame has no pose, `failure` finds it, with
 //! `frame_look`; `unexplained` is what of a frame no followed body explains, where missing ones are looked for; `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
-//! body; `matcher` runs them all on a frame.
+//! body; `body_search` looks for those that are not followed; `matcher` runs them all on a frame.
 
 mod acquire;
 mod align;
+mod body_search;
 mod failure;
+mod feature_search;
 mod fitted_anchor;
 mod focal_clue;
 mod frame_interval;

@@ -15,7 +15,7 @@ use super::row_motion::RowMotion;
 use super::surface::BodySpec;
 use super::tile_residuals::TileResiduals;
 use super::track_state::TrackStateMachine;
-use super::verify::{Refusal, Verified, VerifyBuffers, View, verify};
+use super::verify::{Refusal, Verified, VerifyBuffers, View, judged_noise, verify};
 use crate::camera::{CameraModel, Normalized, Shutter};
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::resection::{MovingCamera, Observation, Twist, perturbed};
@@ -60,6 +60,8 @@ pub struct TrackedBody {
     pub seen: Recognition,
     /// Of the poses that the last frame's verification refused, the one that came furthest.
     pub refusal: Option<Refusal>,
+    /// Where features put it in this frame, and alignment began in vain or not.
+    pub tried: Vec<Pose<Body, Camera>>,
     /// Why the last frame has no verified pose.
     pub reason: Option<Reason>,
     /// The pixels that the last pose rests on, where somebody watches them.
@@ -107,6 +109,7 @@ impl TrackedBody {
             clue: None,
             seen: Recognition::default(),
             refusal: None,
+            tried: Vec::new(),
             reason: None,
             used: None,
             patches: Vec::with_capacity(most),
@@ -148,12 +151,48 @@ impl TrackedBody {
     /// Whether what the frame shows is not clearly better explained by the surface tilted the other way.
     fn is_audited(&mut self, pose: &Pose<Camera, Body>, camera: &CameraModel) -> bool {
         self.unaudited = 0;
+        self.twin_margin(pose, camera) > -LEAST_MARGIN
+    }
+
+    /// How much worse than the pose its tilted twin explains the anchors.
+    fn twin_margin(&mut self, pose: &Pose<Camera, Body>, camera: &CameraModel) -> f64 {
         self.observations.clear();
         self.observations.extend(self.anchors.iter().map(|a| a.observation));
         let surface = most_frequent_surface(&self.anchors, self.body.surfaces.len());
         let margin = ambiguity_margin(&self.body, surface, pose, &MovingCamera::still(camera), &self.observations, &mut self.squares);
         debug!(margin, "planar ambiguity");
-        margin > -LEAST_MARGIN
+        margin
+    }
+
+    /// Aligns the body from where features found it, known to so much (one sigma, metres and radians), before anything is judged: small and covered
+    /// stages have too few features to be judged by those. The picture decides, and the twin that is tilted the other way must do clearly worse.
+    pub fn align_found(
+        &mut self,
+        frame: &Frame,
+        levels: &mut FrameLevels,
+        camera_rays: &CameraRays,
+        start: &Pose<Body, Camera>,
+        [shift_m, turn_rad]: [f64; 2],
+    ) -> Option<Verified> {
+        let expected = MotionEstimate::unseen(*start, self.aligner.distance_m(start), shift_m, turn_rad);
+        let verified = self.align(frame, levels, camera_rays, &expected, None)?;
+        let margin = self.twin_margin(&verified.pose.inverse(), camera_rays.camera());
+        let distance_m = self.aligner.distance_m(&verified.pose);
+        let refusal =
+            if margin < LEAST_MARGIN { Some(Refusal::Ambiguous(margin)) } else { judged_noise(&verified.covariance, distance_m).err() };
+        let Some(refusal) = refusal else { return Some(verified) };
+        debug!(?refusal, "aligned, and refused");
+        (self.motion, self.clue) = (None, None);
+        self.used.iter_mut().for_each(Vec::clear);
+        self.refuse(refusal);
+        None
+    }
+
+    /// Keeps the refusal that came furthest.
+    fn refuse(&mut self, refusal: Refusal) {
+        if self.refusal.is_none_or(|other| refusal.stage() > other.stage()) {
+            self.refusal = Some(refusal);
+        }
     }
 
     /// Aligns the body from a start and judges the result. `since_s`: seconds since the last frame, if the start comes from the motion
@@ -166,6 +205,7 @@ impl TrackedBody {
         expected: &MotionEstimate,
         since_s: Option<f64>,
     ) -> Option<Verified> {
+        let distance_m = self.aligner.distance_m(&expected.motion.pose);
         let mut solution = self.aligner.align(levels, camera_rays, expected, since_s)?;
         let found = solution.alignment;
         // Pushed far away, it is a new pose as much as one that was found anew.
@@ -176,9 +216,11 @@ impl TrackedBody {
             scale = found.scale,
             inliers = found.inliers,
             squared_mahalanobis = found.squared_mahalanobis,
+            sigma_m = found.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt(),
+            sigma_rad = found.covariance.fixed_view::<3, 3>(3, 3).trace().sqrt(),
             "aligned"
         );
-        if !found.is_credible(is_expected) {
+        if !found.is_credible(is_expected) && !found.is_borne_out(distance_m) {
             return None;
         }
         self.clue = solution.shutter_clue;
@@ -223,7 +265,7 @@ impl TrackedBody {
             share: found.share(),
             inliers: found.inliers as usize,
             rms_px: found.rms_px,
-            is_conclusive: found.is_conclusive(),
+            is_conclusive: found.is_borne_out(self.aligner.distance_m(&found.pose)),
         }
     }
 
@@ -267,9 +309,7 @@ impl TrackedBody {
                 }
                 Err(refusal) => {
                     debug!(?refusal, "refused");
-                    if self.refusal.is_none_or(|other| refusal.stage() > other.stage()) {
-                        self.refusal = Some(refusal);
-                    }
+                    self.refuse(refusal);
                 }
             }
         }

@@ -273,17 +273,21 @@ fn judged_covariance(
 ) -> Result<Matrix6<f64>, Refusal> {
     let mut covariance = sandwich_covariance(fine, moving, observations).ok_or(Refusal::Uncertain)?;
     let distance = nearest_surface_distance(body, &fine.pose);
-    let shift = covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
-    let turn = covariance.fixed_view::<3, 3>(3, 3).trace().sqrt();
-    if shift > LARGEST_SHIFT * distance || turn > LARGEST_TURN {
-        return Err(Refusal::Uncertain);
-    }
+    judged_noise(&covariance, distance)?;
     if let Some(deviation) = view.row_motion.twist_deviation(&fine.pose) {
         let by_twist = pose_by_twist(fine, moving, observations).ok_or(Refusal::Uncertain)?;
         let spread = by_twist * Matrix6::from_diagonal(&deviation);
         covariance += spread * spread.transpose();
     }
     Ok(covariance)
+}
+
+/// Refuses a pose that its noise leaves too uncertain. `covariance`: of shift and turn, of either direction of the pose; `distance_m`: to
+/// the nearest surface.
+pub fn judged_noise(covariance: &Matrix6<f64>, distance_m: f64) -> Result<(), Refusal> {
+    let sigma = |first: usize| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
+    let is_known = sigma(0) <= LARGEST_SHIFT * distance_m && sigma(3) <= LARGEST_TURN;
+    is_known.then_some(()).ok_or(Refusal::Uncertain)
 }
 
 /// Distance from the camera to the nearest surface centre, metres.

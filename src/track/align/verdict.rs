@@ -40,6 +40,20 @@ impl Alignment {
         self.tiles >= CONCLUSIVE_TILES && self.share() >= CONCLUSIVE_SHARE
     }
 
+    /// Whether this frame alone may give the pose: so many tiles agree that what is in front of the others does not matter, and the pose is sharp. Tiles
+    /// alone do not do: a picture that is seen small has minima beside the right one, where tiles agree a pixel off (one was 47 degrees away), and leaves the
+    /// pose open. `distance_m`: to the nearest surface.
+    pub fn is_borne_out(&self, distance_m: f64) -> bool {
+        let is_clear = self.is_conclusive() || (self.agreeing >= SURE_TILES && self.share() >= SURE_SHARE);
+        is_clear && self.is_sharp(distance_m)
+    }
+
+    /// Whether the pose is known so well that this frame alone may give it, the motion during its readout included.
+    fn is_sharp(&self, distance_m: f64) -> bool {
+        let sigma = |first: usize| self.covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
+        sigma(0) < SHARP_SHIFT * distance_m && sigma(3) < SHARP_TURN
+    }
+
     /// Whether the pose was found so far from where it was expected that earlier frames say nothing of it.
     pub fn is_pushed(&self) -> bool {
         self.squared_mahalanobis > LARGEST_SQUARED_MAHALANOBIS
@@ -70,11 +84,19 @@ const LARGEST_SQUARED_MAHALANOBIS: f64 = 100.0;
 /// every third frame of d-steep is wrong, before 12.5 % were. Raised, such poses may come back; lowered, a stage that is partly covered is
 /// lost sooner.
 const CONTINUED_SCALE: f64 = 2.5;
-/// Tiles and their agreeing share that leave no doubt: noise is learnt from such a frame, and where all rows are exposed together it needs
-/// no second one to confirm it. Chosen well above `NEW_SHARE`. Raised, bodies are found a frame later; lowered, a single wrong frame could
+/// Tiles and their agreeing share that leave no doubt: noise is learnt from such a frame, and where its pose is sharp it needs no second one to confirm it. Chosen well above `NEW_SHARE`. Raised, bodies are found a frame later; lowered, a single wrong frame could
 /// be given.
 const CONCLUSIVE_TILES: usize = 40;
 const CONCLUSIVE_SHARE: f64 = 0.7;
+
+/// Agreeing tiles, and their share, that leave no doubt where people or scenery cover the rest. Of 405 wrong poses below 10 % agree
+/// (docs/alignment.md). Raised, stages behind people are found late; lowered, poses that are right in a corner may be given.
+const SURE_TILES: usize = 24;
+const SURE_SHARE: f64 = 0.15;
+/// Largest standard deviation of a pose that a single frame may give, of the distance and in radians: a third of what counts as wrong
+/// (1 % and 0.3 degrees). Raised, first poses of a shaken camera may be wrong; lowered, they wait for a second frame.
+const SHARP_SHIFT: f64 = 0.0033;
+const SHARP_TURN: f64 = 0.00175;
 
 /// See [`Alignment::squared_mahalanobis`].
 pub fn squared_mahalanobis(expected: &MotionEstimate, found: &Motion) -> f64 {
@@ -96,4 +118,44 @@ pub fn agreement(e: &RunEvidence) -> Option<bool> {
         return None;
     }
     Some(both > 0.0 && both * both > 0.81 * seen * predicted)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::MotionEstimate;
+
+    /// An alignment at 4 m in which so many tiles of 100 agree, with these deviations of each axis: metres, radians.
+    fn found(agreeing: usize, shift_m: f64, turn_rad: f64) -> Alignment {
+        let variances = [shift_m, shift_m, shift_m, turn_rad, turn_rad, turn_rad].map(|sigma| sigma * sigma);
+        Alignment {
+            estimate: MotionEstimate::unseen(Pose::identity(), 4.0, shift_m, turn_rad),
+            pose: Pose::identity(),
+            covariance: Matrix6::from_diagonal(&variances.into()),
+            scale: 1.0,
+            inliers: 5000.0,
+            rms_px: 0.05,
+            tiles: 100,
+            agreeing,
+            squared_mahalanobis: 6.0,
+        }
+    }
+
+    #[test]
+    fn a_frame_whose_pose_is_sharp_bears_itself_out_behind_people() {
+        assert!(found(30, 0.001, 0.0003).is_borne_out(4.0));
+        assert!(!found(10, 0.001, 0.0003).is_borne_out(4.0));
+    }
+
+    #[test]
+    fn agreeing_tiles_alone_give_no_pose_that_the_picture_leaves_open() {
+        // So a small tray had 30 agreeing tiles at a pose that was 47 degrees off, and nothing but its deviation told.
+        for (shift_m, turn_rad) in [(0.001, 0.02), (0.05, 0.0003)] {
+            let open = found(30, shift_m, turn_rad);
+            assert!(!open.is_borne_out(4.0) && !open.is_credible(false));
+            assert!(!found(95, shift_m, turn_rad).is_borne_out(4.0));
+        }
+        // The same deviation in metres is sharp from far away.
+        assert!(found(30, 0.01, 0.0003).is_borne_out(40.0) && !found(30, 0.01, 0.0003).is_borne_out(4.0));
+    }
 }

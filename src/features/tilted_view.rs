@@ -1,0 +1,42 @@
+//! The tracker's own features of a picture as a tilted camera sees it.
+//!
+//! A view from the side compresses the picture along one direction, by the inverse cosine of the angle between the line of sight and the
+//! picture's normal. Descriptors bear a compression of two. Beyond, they have to be taken from a picture that is compressed as much: the
+//! simulated views of ASIFT (see [`ViewSimulation`](super::ViewSimulation)), made of the reference alone and ahead of time.
+
+use image::GrayImage;
+
+use super::extractor::{BORDER, ExtractorOptions, Feature, FeatureExtractor};
+use super::keypoint::PictureForms;
+use super::view_simulation::{SimulatedPicture, View};
+use super::workers::Workers;
+
+/// Views of one tilt, at even longitudes over the half turn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TiltedViews {
+    /// Compression along one direction, above 1.
+    pub tilt: f64,
+    /// How many.
+    pub count: usize,
+}
+
+/// Appends the features of a picture in views of one tilt, in the picture's own pixels. `options` are those of each view. A feature's scale is along
+/// the compressed direction, its largest.
+pub fn append_tilted_features(
+    picture: &GrayImage,
+    views: TiltedViews,
+    options: &ExtractorOptions,
+    extractor: &mut FeatureExtractor,
+    workers: &Workers,
+    features: &mut Vec<Feature>,
+) {
+    let forms = PictureForms::new(picture);
+    let mut of_view = Vec::new();
+    for k in 0..views.count {
+        let longitude = std::f64::consts::PI * k as f64 / views.count as f64;
+        let Some(view) = SimulatedPicture::of(&forms, View { tilt: views.tilt, longitude }) else { continue };
+        extractor.extract(&view.pixels, None, options, workers, &mut of_view);
+        let in_picture = of_view.iter().filter(|f| view.holds_disc(f.position, f64::from(BORDER) * f.scale));
+        features.extend(in_picture.map(|f| Feature { position: view.place_in_picture(f.position), scale: f.scale * views.tilt, ..*f }));
+    }
+}

@@ -1,0 +1,311 @@
+//! Looking for the bodies that are not followed.
+//!
+//! Features put a body somewhere; the first of these poses that the picture bears out once it is aligned is the body's. Only where none is, patches are
+//! asked: around those poses, and where the body should be by now.
+//!
+//! Where nothing is known, the whole frame is searched: quickly, then closely. Once the stage's pose is known, only what that leaves unexplained is.
+
+use image::GrayImage;
+use tracing::{debug, debug_span};
+
+use super::acquire::{Candidate, SurfaceMatch, SurfaceView, candidates, surface_view};
+use super::align::{CameraRays, FrameLevels};
+use super::feature_search::{FeatureSearch, Look};
+use super::frame_look::FrameLook;
+use super::reason::Reason;
+use super::registration::SearchPicture;
+use super::row_motion::RowMotion;
+use super::settings::TrackerSettings;
+use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody};
+use super::unexplained::Unexplained;
+use super::verify::{Verified, VerifyBuffers, View};
+use crate::camera::{CameraModel, Shutter};
+use crate::compute_clock::ComputeClock;
+use crate::features::Workers;
+use crate::frame::Frame;
+use crate::geometry::{Body, Camera, Pose};
+use crate::motion::MotionEstimate;
+
+/// Candidates of a body that are put to the test per frame, of four at most, best first. Two planar poses and one in reserve. Raised,
+/// frames without the stage cost more; lowered to 1, the wrong one of two planar poses may be the only one tried.
+const TRIED: usize = 3;
+/// Starts that differ by less, radians and of the distance, are one. Raised, a start that would succeed is left out; lowered, alignment fails
+/// twice from the same place.
+const SAME_START: f64 = 0.005;
+/// A frame with fewer features in a quick look is not looked at closely: it is black or blank. Raised, dim stages are not looked for; lowered,
+/// black frames cost more.
+const LEAST_FEATURES: usize = 16;
+/// While the stage is known, the tilted views of a missing body are asked in every so many frames. Chosen, not tuned: four times a second at 30 frames.
+/// Raised, a prop that comes into view from its side is found later; lowered, a prop that is not there costs more.
+const VIEWS_EVERY: u32 = 8;
+
+/// A frame in which bodies are missing, and what is known of it.
+pub struct Scene<'a> {
+    /// The frame.
+    pub frame: &'a Frame,
+    /// The same, smaller.
+    pub levels: &'a mut FrameLevels,
+    /// The camera's rays.
+    pub rays: &'a CameraRays,
+    /// The stage first, then the objects.
+    pub bodies: &'a mut [TrackedBody],
+    /// What the frame showed of each so far.
+    pub verified: &'a mut [Option<Verified>],
+}
+
+impl Scene<'_> {
+    fn is_complete(&self) -> bool {
+        self.verified.iter().all(Option::is_some)
+    }
+}
+
+/// Compute that a search took, milliseconds over all workers.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Spent {
+    /// On finding candidates.
+    pub acquire_ms: f64,
+    /// On alignment and verification.
+    pub align_ms: f64,
+}
+
+/// Looks for bodies; keeps its buffers.
+pub struct BodySearch {
+    camera: CameraModel,
+    shutter: Shutter,
+    mask: Option<GrayImage>,
+    seed: u64,
+    clock: ComputeClock,
+    workers: Workers,
+    features: FeatureSearch,
+    unexplained: Unexplained,
+    verify_buffers: VerifyBuffers,
+    half: GrayImage,
+    /// Frames in a row in which the stage was known and another body was not.
+    incomplete: u32,
+    spent: Spent,
+}
+
+impl BodySearch {
+    /// Describes the pictures of all bodies.
+    pub fn new(
+        camera: CameraModel,
+        shutter: Shutter,
+        mask: Option<GrayImage>,
+        bodies: &[TrackedBody],
+        settings: &TrackerSettings,
+        clock: ComputeClock,
+    ) -> Self {
+        let workers = Workers::new(settings.threads).measured_with(clock);
+        let features = FeatureSearch::new(bodies.iter().flat_map(|b| &b.body.surfaces), settings.features, &workers);
+        workers.take_extra_ms();
+        Self {
+            camera,
+            shutter,
+            mask,
+            seed: settings.seed,
+            clock,
+            workers,
+            features,
+            unexplained: Unexplained::default(),
+            verify_buffers: VerifyBuffers::default(),
+            half: GrayImage::default(),
+            incomplete: 0,
+            spent: Spent::default(),
+        }
+    }
+
+    /// From now on the shutter is this one.
+    pub fn set_shutter(&mut self, shutter: Shutter) {
+        self.shutter = shutter;
+    }
+
+    /// Looks for the bodies of a frame that are missing, says of each that stays so why, and what it took.
+    pub fn find_missing(&mut self, scene: &mut Scene) -> Spent {
+        self.spent = Spent::default();
+        if scene.is_complete() {
+            self.incomplete = 0;
+            return self.spent;
+        }
+        scene.levels.half_into(&mut self.half);
+        if scene.verified[0].is_some() {
+            self.find_beside_stage(scene);
+        } else {
+            self.find_anywhere(scene);
+        }
+        self.give_reasons(scene);
+        self.spent
+    }
+
+    /// Looks in the whole frame: quickly, and closely for the stage if it is not found so.
+    fn find_anywhere(&mut self, scene: &mut Scene) {
+        self.incomplete = 0;
+        self.timed(|search| search.features.look(&scene.frame.image, search.mask.as_ref(), Look::Quick, &search.workers));
+        self.find_each(scene, false);
+        if scene.is_complete() {
+            return;
+        }
+        if scene.verified[0].is_some() {
+            self.find_beside_stage(scene);
+        } else if self.features.features().len() < LEAST_FEATURES {
+            // A frame as plain as that has no others.
+            self.find_by_prediction(scene);
+        } else {
+            self.timed(|search| search.features.look(&scene.frame.image, search.mask.as_ref(), Look::Close, &search.workers));
+            self.find_each(scene, true);
+        }
+    }
+
+    /// Looks only where the frame shows something else than the bodies that were found: once the stage's pose is known, the rest need not be looked
+    /// for in front of what is plainly it.
+    fn find_beside_stage(&mut self, scene: &mut Scene) {
+        self.timed(|search| {
+            let known = scene.bodies.iter().zip(&*scene.verified).filter_map(|(b, v)| v.as_ref().map(|v| (&b.body, v.pose)));
+            search.unexplained.look(known, scene.levels, scene.rays);
+            search.features.look_beside(&scene.frame.image, search.mask.as_ref(), &mut search.unexplained, &search.workers);
+        });
+        let asks_views = self.incomplete.is_multiple_of(VIEWS_EVERY);
+        self.incomplete = self.incomplete.wrapping_add(1);
+        self.find_each(scene, !asks_views);
+        if asks_views && !scene.is_complete() {
+            self.timed(|search| search.features.ask_all_views(&search.workers));
+            self.find_each(scene, true);
+        }
+    }
+
+    /// Looks for each missing body by the features that were taken. `asks_patches`: and by patches, where that fails. They are asked last: what a closer
+    /// look finds may be aligned.
+    fn find_each(&mut self, scene: &mut Scene, asks_patches: bool) {
+        for k in 0..scene.bodies.len() {
+            if scene.verified[k].is_some() {
+                continue;
+            }
+            let start = self.clock.start();
+            let found = self.candidates(&mut scene.bodies[k]);
+            self.spent.acquire_ms += start.elapsed_ms();
+            let start = self.clock.start();
+            scene.verified[k] = self.align_candidates(k, scene, &found);
+            self.spent.align_ms += start.elapsed_ms();
+            if asks_patches && scene.verified[k].is_none() {
+                scene.verified[k] = self.find_by_patches(k, scene, &found);
+            }
+        }
+    }
+
+    /// Looks for the missing bodies where they should be by now.
+    fn find_by_prediction(&mut self, scene: &mut Scene) {
+        for k in 0..scene.bodies.len() {
+            if scene.verified[k].is_none() {
+                scene.verified[k] = self.find_by_patches(k, scene, &[]);
+            }
+        }
+    }
+
+    /// Does a piece of acquisition, and counts its time.
+    fn timed(&mut self, work: impl FnOnce(&mut Self)) {
+        let _span = debug_span!("detect").entered();
+        let start = self.clock.start();
+        work(self);
+        self.spent.acquire_ms += start.elapsed_ms() + self.workers.take_extra_ms();
+    }
+
+    /// Where the frame's matches put a body.
+    fn candidates(&self, tracked: &mut TrackedBody) -> Vec<Candidate> {
+        let _span = debug_span!("acquire", body = %tracked.body.name).entered();
+        let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
+        let (found, seen) = candidates(&tracked.body, &own, &self.camera, self.seed);
+        tracked.seen = seen;
+        debug!(matches = own.len(), candidates = found.len(), inliers = found.first().map_or(0, |c| c.inliers));
+        found
+    }
+
+    /// The first candidate that the picture bears out once it is aligned.
+    fn align_candidates(&self, k: usize, scene: &mut Scene, found: &[Candidate]) -> Option<Verified> {
+        let tracked = &mut scene.bodies[k];
+        let _span = debug_span!("align found", body = %tracked.body.name).entered();
+        let hopeful = found.iter().take(TRIED).filter(|c| c.off.iter().all(|sigma| sigma.is_finite()));
+        hopeful
+            .filter_map(|candidate| {
+                let start = candidate.pose.inverse();
+                // A closer look finds what the quick one tried in vain.
+                if tracked.tried.iter().any(|tried| is_near(tried, &start)) {
+                    return None;
+                }
+                tracked.tried.push(start);
+                let off = first_off(self.shutter.readout_s, tracked.aligner.distance_m(&start), candidate.off);
+                tracked.align_found(scene.frame, scene.levels, scene.rays, &start, off)
+            })
+            .next()
+    }
+
+    /// The best pose that patches verify around the candidates, aligned where that succeeds.
+    fn find_by_patches(&mut self, k: usize, scene: &mut Scene, found: &[Candidate]) -> Option<Verified> {
+        let tracked = &mut scene.bodies[k];
+        let frame = scene.frame;
+        let start = self.clock.start();
+        let _span = debug_span!("align", body = %tracked.body.name).entered();
+        let view = View {
+            camera: &self.camera,
+            full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
+            half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
+            row_motion: RowMotion { shutter: self.shutter, before: tracked.before_at(frame.timestamp) },
+            workers: &self.workers,
+        };
+        let starts = found.iter().take(TRIED).map(|c| c.pose);
+        let mut best = tracked.best_verified(starts, &view, &mut self.verify_buffers);
+        if best.is_none() && tracked.track.is_continued() {
+            // Too few features, as under blur or steep tilt: where the body should be by now is a start as good as any.
+            let predicted = tracked.predicted(frame.timestamp);
+            best = tracked.best_verified(predicted.into_iter(), &view, &mut self.verify_buffers);
+        }
+        let aligned = best.and_then(|verified| {
+            let distance = tracked.aligner.distance_m(&verified.pose);
+            let [shift, turn] = first_off(self.shutter.readout_s, distance, [0.0; 2]);
+            let first = MotionEstimate::unseen(verified.pose, distance, shift, turn);
+            tracked.align(frame, scene.levels, scene.rays, &first, None)
+        });
+        self.spent.align_ms += start.elapsed_ms() + self.workers.take_extra_ms();
+        aligned.or(best)
+    }
+
+    /// Says of every body without a verified pose why it has none.
+    fn give_reasons(&self, scene: &mut Scene) {
+        let mut look = None;
+        for (tracked, _) in scene.bodies.iter_mut().zip(&*scene.verified).filter(|(_, verified)| verified.is_none()) {
+            let look = look.get_or_insert_with(|| FrameLook::at(&self.half));
+            let reason = Reason::of_failure(&tracked.seen, tracked.refusal, look, self.camera.width());
+            debug!(body = %tracked.body.name, ?reason, seen = ?tracked.seen, refusal = ?tracked.refusal, ?look, "no pose");
+            tracked.reason = Some(reason);
+        }
+    }
+
+    /// A body's surfaces that are recognised in a picture, before any size is asked.
+    pub fn recognise(&mut self, image: &GrayImage, tracked: &TrackedBody) -> Vec<SurfaceView> {
+        self.features.look(image, self.mask.as_ref(), Look::Frontal, &self.workers);
+        let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
+        self.views(&own, tracked)
+    }
+
+    /// Where features put a body in a picture, and the matches that speak for it.
+    pub fn recognised_pose(&mut self, image: &GrayImage, tracked: &TrackedBody) -> Option<(Pose<Body, Camera>, Vec<SurfaceMatch>)> {
+        self.features.look(image, self.mask.as_ref(), Look::Frontal, &self.workers);
+        let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
+        let (found, _) = candidates(&tracked.body, &own, &self.camera, self.seed);
+        let pose = found.first()?.pose.inverse();
+        Some((pose, self.views(&own, tracked).into_iter().flat_map(|view| view.matches).collect()))
+    }
+
+    fn views(&self, own: &[SurfaceMatch], tracked: &TrackedBody) -> Vec<SurfaceView> {
+        (0..tracked.surfaces.len() as u32).filter_map(|k| surface_view(k, own, &self.camera, self.seed)).collect()
+    }
+}
+
+/// Whether alignment from the one leads where it leads from the other: half a degree and as much of the distance is well within its basin.
+fn is_near(a: &Pose<Body, Camera>, b: &Pose<Body, Camera>) -> bool {
+    a.angle_to(b) < SAME_START && (a.translation - b.translation).norm() < SAME_START * a.translation.norm()
+}
+
+/// How far off a pose that features found may be, one sigma, metres and radians; `noise`: what their noise leaves open.
+fn first_off(readout_s: f64, distance_m: f64, noise: [f64; 2]) -> [f64; 2] {
+    let [shift, turn] = MotionEstimate::off_by_readout(readout_s, distance_m);
+    [FIRST_SHIFT * distance_m + shift + 2.0 * noise[0], FIRST_TURN + turn + 2.0 * noise[1]]
+}

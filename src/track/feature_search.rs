@@ -1,0 +1,199 @@
+//! Features of a frame, and which places of the reference pictures they are.
+//!
+//! The bank of reference features has two parts: each picture as it is, which cameras up to 60 degrees from its normal recognise, and as tilted
+//! cameras see it, out to 80 degrees. The first part is asked with the strongest features of a frame; where a body is not found by it, the frame is
+//! looked at closely, with more features and the whole bank.
+
+use image::GrayImage;
+use nalgebra::Vector2;
+
+use super::acquire::{SurfaceMatch, surface_matches};
+use super::reference::PreparedSurface;
+use super::unexplained::Unexplained;
+use crate::camera::CameraModel;
+use crate::features::{ExtractorOptions, Feature, FeatureExtractor, TiltedViews, Workers, append_tilted_features};
+use crate::matching::{Match, MatchBuffers, ReferenceFeature, ReferenceIndex};
+
+/// Lowe's ratio (2004, section 7.1): a match counts where its distance is less than this share of the second nearest's. He took 0.8; more
+/// are let through here, as acquisition bears a majority of wrong matches. Raised, more of them are wrong; lowered, dim stages keep too
+/// few.
+const RATIO: f32 = 0.85;
+/// Reference features of all surfaces together, and of one at least. Chosen, not tuned. Raised, matching costs more in proportion; lowered,
+/// fewer features of a stage that is seen in part or small are among them.
+const REFERENCE_FEATURES: usize = 4000;
+const LEAST_REFERENCE_FEATURES: usize = 700;
+/// The same of the tilted views, and of one view at least. Chosen, not tuned: a close look takes three times as long as one at the pictures as
+/// they are. Raised, it takes longer; lowered, steep views of a stage that is partly covered are not recognised.
+const TILTED_FEATURES: usize = 8000;
+const LEAST_TILTED_FEATURES: usize = 60;
+/// Artwork is looked at for features at no more than this many pixels across, or down where it is higher: no camera resolves more. Raised,
+/// features are spent on detail that no frame shows; lowered, close views find fewer.
+const LARGEST_REFERENCE_PX: u32 = 2000;
+/// The same for tilted views, which no frame shows as large. Raised, the start takes longer by the square.
+const LARGEST_TILTED_PX: u32 = 1300;
+/// Tilted views that are simulated. Descriptors bear a tilt of two from one view to another, and so do these among each other; the last reaches
+/// beyond 80 degrees (a tilt of 5.8). More of one tilt: longitudes in between are recognised better, and the start takes longer.
+const VIEWS: [TiltedViews; 3] =
+    [TiltedViews { tilt: 2.0, count: 5 }, TiltedViews { tilt: 3.4, count: 8 }, TiltedViews { tilt: 5.5, count: 11 }];
+/// Levels of a reference picture: a factor of 15 in scale (1.2 a level). Lowered, stages that are seen small are not recognised.
+const LEVELS: usize = 16;
+/// Strongest features of a frame that a quick look asks. Chosen, not tuned: a third of what a close look asks. Raised, every frame of a search takes
+/// longer; lowered, covered stages need the close look more often.
+const QUICK_FEATURES: usize = 600;
+
+/// How closely a frame is looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Look {
+    /// The strongest features, against the pictures as they are.
+    Quick,
+    /// All features, against the pictures as they are: for studies.
+    Frontal,
+    /// All features, against all views.
+    Close,
+}
+
+/// Finds features and matches them; keeps its buffers.
+#[derive(Debug, Default)]
+pub struct FeatureSearch {
+    /// Features wanted of a frame at most.
+    count: usize,
+    /// The pictures as they are.
+    frontal: ReferenceIndex,
+    /// These, and the tilted views.
+    all_views: ReferenceIndex,
+    extractor: FeatureExtractor,
+    features: Vec<Feature>,
+    matches: Vec<Match>,
+    buffers: MatchBuffers,
+    /// Whether the last look was at all views.
+    is_close: bool,
+}
+
+impl FeatureSearch {
+    /// Describes all surfaces, in the order of their numbers. `count`: features wanted of a frame at most.
+    pub fn new<'a>(surfaces: impl Iterator<Item = &'a PreparedSurface>, count: usize, workers: &Workers) -> Self {
+        let surfaces: Vec<&PreparedSurface> = surfaces.collect();
+        let mut search = Self { count, ..Self::default() };
+        for (number, surface) in surfaces.iter().enumerate() {
+            search.add_frontal(number as u32, surface, surfaces.len(), workers);
+        }
+        search.all_views = search.frontal.clone();
+        for (number, surface) in surfaces.iter().enumerate() {
+            search.add_tilted(number as u32, surface, surfaces.len(), workers);
+        }
+        search
+    }
+
+    fn add_frontal(&mut self, number: u32, surface: &PreparedSurface, surfaces: usize, workers: &Workers) {
+        let count = (REFERENCE_FEATURES / surfaces).max(LEAST_REFERENCE_FEATURES);
+        let (picture, scale) = octave_up_to(surface, LARGEST_REFERENCE_PX);
+        let options = ExtractorOptions { count, levels: LEVELS, area_power: 0.35, ..Default::default() };
+        self.extractor.extract(picture, None, &options, workers, &mut self.features);
+        self.frontal.add(number, &self.features, in_artwork(scale), scale);
+    }
+
+    fn add_tilted(&mut self, number: u32, surface: &PreparedSurface, surfaces: usize, workers: &Workers) {
+        let views: usize = VIEWS.iter().map(|v| v.count).sum();
+        let count = (TILTED_FEATURES / surfaces / views).max(LEAST_TILTED_FEATURES);
+        let (picture, scale) = octave_up_to(surface, LARGEST_TILTED_PX);
+        let options = ExtractorOptions { count, levels: LEVELS, area_power: 0.35, ..Default::default() };
+        self.features.clear();
+        for views in VIEWS {
+            append_tilted_features(picture, views, &options, &mut self.extractor, workers, &mut self.features);
+        }
+        self.all_views.add(number, &self.features, in_artwork(scale), scale);
+    }
+
+    /// Takes the features of a frame and their matches; where `mask` is 0, none is taken.
+    pub fn look(&mut self, image: &GrayImage, mask: Option<&GrayImage>, look: Look, workers: &Workers) {
+        let count = if look == Look::Quick { self.count.min(QUICK_FEATURES) } else { self.count };
+        let options = ExtractorOptions { count, ..Default::default() };
+        self.extractor.extract(image, mask, &options, workers, &mut self.features);
+        self.is_close = look == Look::Close;
+        let index = if self.is_close { &self.all_views } else { &self.frontal };
+        index.match_features(&self.features, RATIO, workers, &mut self.buffers, &mut self.matches);
+    }
+
+    /// The same where the frame that was looked at last is unexplained, against the pictures as they are.
+    pub fn look_beside(&mut self, image: &GrayImage, mask: Option<&GrayImage>, unexplained: &mut Unexplained, workers: &Workers) {
+        unexplained.extract(image, mask, self.count, &mut self.extractor, workers, &mut self.features);
+        self.is_close = false;
+        self.frontal.match_features(&self.features, RATIO, workers, &mut self.buffers, &mut self.matches);
+    }
+
+    /// Matches the features that were taken last with all views.
+    pub fn ask_all_views(&mut self, workers: &Workers) {
+        self.is_close = true;
+        self.all_views.match_features(&self.features, RATIO, workers, &mut self.buffers, &mut self.matches);
+    }
+
+    /// Those that the surfaces of a body take part in, best first.
+    pub fn of_body(&self, surfaces: std::ops::Range<u32>, camera: &CameraModel) -> Vec<SurfaceMatch> {
+        surface_matches(&self.matches, &self.features, self.reference(), surfaces, camera)
+    }
+
+    /// The last frame's features.
+    pub fn features(&self) -> &[Feature] {
+        &self.features
+    }
+
+    /// What they were matched with.
+    fn reference(&self) -> &[ReferenceFeature] {
+        if self.is_close { self.all_views.features() } else { self.frontal.features() }
+    }
+}
+
+/// The largest copy of a surface's picture that is no larger than this, and artwork pixels to one of its.
+fn octave_up_to(surface: &PreparedSurface, largest_px: u32) -> (&GrayImage, f64) {
+    let fits = |k: &usize| surface.octaves[*k].image.width().max(surface.octaves[*k].image.height()) <= largest_px;
+    let octave = (0..surface.octaves.len()).find(fits).unwrap_or(surface.octaves.len() - 1);
+    (&surface.octaves[octave].image, f64::from(1u32 << octave))
+}
+
+/// From pixels of such a copy to the artwork's.
+fn in_artwork(scale: f64) -> impl Fn(Vector2<f64>) -> Vector2<f64> {
+    let half = Vector2::new(0.5, 0.5);
+    move |p| (p + half) * scale - half
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::surface::SurfaceSpec;
+    use super::super::synthetic::{prepared, texture};
+    use super::*;
+    use crate::geometry::Pose;
+
+    /// The cloth as a camera far to its side sees it: every new column is the mean of a few.
+    fn squeezed(picture: &GrayImage, columns: u32) -> GrayImage {
+        GrayImage::from_fn(picture.width() / columns, picture.height(), |x, y| {
+            let sum: u32 = (0..columns).map(|k| u32::from(picture.get_pixel(columns * x + k, y)[0])).sum();
+            image::Luma([(sum / columns) as u8])
+        })
+    }
+
+    #[test]
+    fn a_steep_view_is_recognised_by_a_close_look() {
+        let artwork = texture(2400, 480, 5);
+        let body =
+            prepared(vec![SurfaceSpec::from_artwork("cloth".into(), artwork, [20.0, 4.0], Pose::identity()).expect("texture enough")]);
+        let workers = Workers::new(1);
+        let mut search = FeatureSearch::new(body.surfaces.iter(), 1500, &workers);
+        let picture = &body.surfaces[0].octaves[0].image;
+        let columns = 5;
+        let frame = squeezed(picture, columns);
+        let right = |search: &FeatureSearch| {
+            let is_right = |m: &&Match| {
+                let seen = search.features()[m.frame as usize].position;
+                let off =
+                    search.reference()[m.reference as usize].position - Vector2::new((seen.x + 0.5) * f64::from(columns) - 0.5, seen.y);
+                off.x.abs() < 4.0 * f64::from(columns) && off.y.abs() < 4.0
+            };
+            search.matches.iter().filter(is_right).count()
+        };
+        search.look(&frame, None, Look::Frontal, &workers);
+        let frontal = right(&search);
+        search.look(&frame, None, Look::Close, &workers);
+        let close = right(&search);
+        assert!(close >= 30 && close > 3 * frontal, "{close} with tilted views, {frontal} without, of {}", search.features().len());
+    }
+}
