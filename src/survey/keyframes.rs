@@ -15,8 +15,10 @@ const FIRST_SPACING: f64 = 0.03;
 const TURN_SHARE: f64 = 0.5;
 
 /// A frame that the survey rests on.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Keyframe {
+    /// Its number among all frames of the walk, from 1.
+    pub number: usize,
     /// The picture, with its stamp and its row in the clip.
     pub frame: Frame,
     /// Where the camera was and how it moved, as far as known.
@@ -49,11 +51,11 @@ pub struct Keyframes {
 }
 
 impl Keyframes {
-    /// Offers a frame in which the stage was found, with the camera's motion and how fast the picture moved, radians a second. `features` is asked for those of
+    /// Offers the frame of this number in which the stage was found, with the camera's motion and how fast the picture moved, radians a second. `features` is asked for those of
     /// a frame that is kept.
     pub fn offer(
         &mut self,
-        frame: &Frame,
+        (number, frame): (usize, &Frame),
         motion: Motion,
         speed: f64,
         distance_m: f64,
@@ -61,7 +63,7 @@ impl Keyframes {
     ) {
         let spacing = *self.spacing.get_or_insert(FIRST_SPACING);
         if self.best.as_ref().is_none_or(|(_, slowest)| speed < *slowest) {
-            self.best = Some((Keyframe { frame: frame.clone(), motion, features: Vec::new() }, speed));
+            self.best = Some((Keyframe { number, frame: frame.clone(), motion, features: Vec::new() }, speed));
         }
         let moved = self.last.map_or(f64::INFINITY, |last| {
             (last.translation - motion.pose.translation).norm() / distance_m + TURN_SHARE * last.rotation.angle_to(&motion.pose.rotation)

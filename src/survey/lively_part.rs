@@ -18,19 +18,28 @@ const SAME_S: f64 = 3e-4;
 /// A time is another one than was told from this many sigmas on. Raised, small slips stay; lowered, chance changes what was typed.
 const OTHER_SIGMAS: f64 = 3.0;
 
+/// A frame and its number among all frames of the walk, from 1.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NumberedFrame {
+    /// Its number.
+    pub number: usize,
+    /// The frame.
+    pub frame: Frame,
+}
+
 /// Collects the liveliest part of the clips.
 #[derive(Debug, Default)]
 pub struct LivelyPart {
-    run: Vec<Frame>,
+    run: Vec<NumberedFrame>,
     speed: f64,
-    kept: Option<(Vec<Frame>, f64)>,
+    kept: Option<(Vec<NumberedFrame>, f64)>,
 }
 
 impl LivelyPart {
-    /// Offers the next frame, with how fast the picture moved in it; `None` where the stage was not found, or a clip ends.
-    pub fn offer(&mut self, next: Option<(&Frame, f64)>) {
-        let Some((frame, speed)) = next else { return self.close() };
-        self.run.push(frame.clone());
+    /// Offers the next frame, with its number and how fast the picture moved in it; `None` where the stage was not found, or a clip ends.
+    pub fn offer(&mut self, next: Option<(usize, &Frame, f64)>) {
+        let Some((number, frame, speed)) = next else { return self.close() };
+        self.run.push(NumberedFrame { number, frame: frame.clone() });
         self.speed += speed;
         if self.run.len() == FRAMES {
             self.close();
@@ -46,7 +55,7 @@ impl LivelyPart {
     }
 
     /// Its frames, in order; none of a clip that is too short.
-    pub fn into_frames(mut self) -> Vec<Frame> {
+    pub fn into_frames(mut self) -> Vec<NumberedFrame> {
         self.close();
         self.kept.map_or_else(Vec::new, |(frames, _)| frames)
     }
@@ -95,21 +104,21 @@ mod tests {
     fn the_part_in_which_the_picture_moved_most_is_kept() {
         let mut part = LivelyPart::default();
         for frame in &frames(350) {
-            part.offer(Some((frame, if frame.sequence / 100 == 1 { 0.5 } else { 0.1 })));
+            part.offer(Some((frame.sequence as usize, frame, if frame.sequence / 100 == 1 { 0.5 } else { 0.1 })));
         }
         let kept = part.into_frames();
-        assert_eq!((kept.len(), kept[0].sequence), (FRAMES, 100));
+        assert_eq!((kept.len(), kept[0].number), (FRAMES, 100));
     }
 
     #[test]
     fn a_part_has_no_gaps_and_is_long_enough() {
         let mut part = LivelyPart::default();
         for frame in &frames(FEWEST as u64 - 1) {
-            part.offer(Some((frame, 9.0)));
+            part.offer(Some((frame.sequence as usize, frame, 9.0)));
         }
         part.offer(None);
         for frame in &frames(FEWEST as u64) {
-            part.offer(Some((frame, 0.1)));
+            part.offer(Some((frame.sequence as usize, frame, 0.1)));
         }
         assert_eq!(part.into_frames().len(), FEWEST);
         assert!(LivelyPart::default().into_frames().is_empty());

@@ -17,5 +17,6 @@ mod stage_model;
 #[cfg(test)]
 mod synthetic;
 mod tile_derivatives;
+pub mod walk;
 mod ways;
 pub mod weak_parts;

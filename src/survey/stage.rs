@@ -1,21 +1,20 @@
-//! The survey of a stage: keyframes from a walk, the joint adjustment, and what came of it.
+//! The survey of a stage: a walk, the joint adjustment, and what came of it.
 
 use nalgebra::DMatrix;
 use thiserror::Error;
 
 use super::adjustment::{Adjusted, Adjustment};
 use super::constraints::{Constraint, ConstraintCheck};
-use super::keyframes::{Keyframes, MatchedFeature};
-use super::lively_part::{LivelyPart, mended, shutter_of};
+use super::lively_part::{mended, shutter_of};
 use super::observers::Observers;
 use super::shutter::ShutterEstimate;
 use super::stage_model::{LENS_NUMBERS, Places, StageModel};
+use super::walk::Walk;
 use super::ways;
 use crate::camera::{CameraModel, IntrinsicsUncertainty, LensDoubt, Shutter};
-use crate::frame::{Frame, Timestamp};
+use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
-use crate::motion::Motion;
-use crate::track::{BodySpec, Matcher, SurfaceMatch, SurfaceSpec};
+use crate::track::{BodySpec, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
 /// Fewest keyframes that a survey is made from. Raised, short walks are refused; lowered, shapes rest on a few views.
@@ -25,8 +24,6 @@ const UNKNOWN_LENS: [f64; 6] = [0.05, 0.03, 0.3, 0.3, 0.01, 0.01];
 /// How often the shutter is asked for at most: the first time with a stage and a lens that a wrong shutter has bent. Raised, nothing is gained; lowered,
 /// that is believed.
 const SHUTTER_ROUNDS: usize = 2;
-/// A verified pose this long before tells of the motion, seconds.
-const LONGEST_GAP_S: f64 = 0.25;
 
 /// What to find.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -129,56 +126,20 @@ pub struct Survey {
     pub(super) covariance: DMatrix<f64>,
 }
 
-/// Surveys a stage from clips of walking around it. `progress` hears what is done; `goes_on` is asked many times a second, by several threads, and ends the
-/// work with false.
+/// Surveys a stage from a walk around it. `progress` hears what is done; `goes_on` is asked many times a second, by several threads, and ends the work with
+/// false.
 ///
 /// # Errors
 /// See [`SurveyError`].
-pub fn survey<C, F>(
-    clips: C,
+pub fn survey(
+    walk: Walk,
     setup: &TrackerSetup,
     options: SurveyOptions,
     mut progress: impl FnMut(SurveyStep),
     goes_on: &(dyn Fn() -> bool + Sync),
-) -> Result<Survey, SurveyError>
-where
-    C: IntoIterator<Item = F>,
-    F: IntoIterator<Item = Frame>,
-{
-    let TrackerSetup { camera, mut shutter, mask, stage, settings, clock, .. } = setup.clone();
-    let (mut keyframes, mut lively) = (Keyframes::default(), LivelyPart::default());
-    let (mut frames, mut found) = (0, 0);
-    for clip in clips {
-        let mut matcher = Matcher::new(camera, shutter, mask.clone(), &stage, &[], settings.clone(), clock);
-        let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
-        for frame in clip {
-            if !goes_on() {
-                return Err(SurveyError::Interrupted);
-            }
-            progress(SurveyStep::Frame);
-            frames += 1;
-            let verified = matcher.look(&frame).stage.verified.map(|verified| verified.pose);
-            // With a lens or a layout that is off nothing may pass verification, and yet the stage is there.
-            let Some(pose) = verified.or_else(|| Some(matcher.recognised_pose(&frame.image)?.0)) else {
-                lively.offer(None);
-                continue;
-            };
-            found += 1;
-            let since = before.replace((pose, frame.timestamp));
-            let motion = since
-                .map(|(then, stamp)| (then, frame.timestamp.seconds_since(stamp)))
-                .filter(|(_, dt_s)| *dt_s > 0.0 && *dt_s < LONGEST_GAP_S)
-                .map_or(Motion::still(pose), |(then, dt_s)| Motion::between(&then, &pose, dt_s));
-            let distance_m = stage.surfaces.iter().map(|s| (s.pose.translation - pose.translation).norm()).fold(f64::INFINITY, f64::min);
-            let speed = motion.velocity.norm() / distance_m + motion.turn_rate.norm();
-            if options.refines_lens {
-                lively.offer(Some((&frame, speed)));
-            }
-            keyframes.offer(&frame, motion, speed, distance_m, |frame| matched_features(&mut matcher, frame, &stage));
-        }
-        lively.offer(None);
-    }
-    let keyframes = keyframes.into_kept();
+) -> Result<Survey, SurveyError> {
+    let TrackerSetup { camera, mut shutter, mask, stage, .. } = setup.clone();
+    let Walk { keyframes, lively, frames, found } = walk;
     match (found, keyframes.len()) {
         (0, _) => return Err(SurveyError::NotFound { frames }),
         (_, n) if n < LEAST_KEYFRAMES => return Err(SurveyError::TooFewPlaces { found: n, least: LEAST_KEYFRAMES }),
@@ -193,7 +154,8 @@ where
         round += 1;
     };
     let mut adjusted = adjustment.run(model, &mut hear);
-    let (frames_of_shutter, mut shutter_found) = (lively.into_frames(), None);
+    let frames_of_shutter: Vec<Frame> = lively.into_iter().map(|numbered| numbered.frame).collect();
+    let mut shutter_found = None;
     for _ in 0..if options.refines_lens { SHUTTER_ROUNDS } else { 0 } {
         let Some(before) = &adjusted else { break };
         let stage = BodySpec { surfaces: before.model.surfaces.clone(), ..stage.clone() };
@@ -248,16 +210,6 @@ where
         places,
         covariance,
     })
-}
-
-fn matched_features(matcher: &mut Matcher, frame: &Frame, stage: &BodySpec) -> Vec<MatchedFeature> {
-    let feature = |m: &SurfaceMatch| MatchedFeature {
-        surface: m.surface as usize,
-        on_picture_m: stage.surfaces[m.surface as usize].to_metres(m.artwork).into(),
-        pixel: m.pixel,
-        sigma_px: m.scale,
-    };
-    matcher.recognised_pose(&frame.image).map_or_else(Vec::new, |(_, matches)| matches.iter().map(feature).collect())
 }
 
 /// 3 sigma of the lens that was found; none where it was kept.

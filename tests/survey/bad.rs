@@ -70,7 +70,7 @@ fn a_shape_of_another_picture_or_size_is_refused_with_the_mend(walk: &Walk) {
 }
 
 #[test]
-fn an_interrupted_survey_says_so_and_leaves_the_earlier_one_as_it_was() {
+fn an_interrupted_survey_says_so_leaves_the_earlier_one_as_it_was_and_goes_on_when_asked_again() {
     let walk = Walk::new();
     walk.run(&survey("walk", &[])).assert_success();
     let first = walk.files("surveyed");
@@ -89,10 +89,23 @@ fn an_interrupted_survey_says_so_and_leaves_the_earlier_one_as_it_was() {
     kill(Pid::from_raw(child.id() as i32), Signal::SIGINT).expect("it runs");
     let rest: Vec<String> = lines.collect();
     assert_eq!(child.wait().expect("it ends").code(), Some(1));
-    assert!(rest.iter().any(|line| line.contains("interrupted; nothing was written")), "{rest:?}");
+    assert!(rest.iter().any(|line| line.contains("interrupted; nothing was written") && line.contains("goes on from there")), "{rest:?}");
     assert!(!walk.path("out.json").exists());
     assert_eq!(walk.files("surveyed"), first);
-    walk.run(&survey("walk", &[])).assert_success();
+    let kept = std::fs::read(walk.path(".surveyed.walk")).expect("the walk is kept");
+    let words = "going on from there";
+    let again = walk.run(&survey("walk", &["--log", "info"]));
+    again.assert_success();
+    assert!(again.stderr.contains(words), "{}", again.stderr);
     assert_eq!(walk.files("surveyed"), first);
-    assert!(!walk.path(".surveyed.new").exists() && !walk.path(".surveyed.old").exists());
+    assert!([".surveyed.new", ".surveyed.old", ".surveyed.walk"].iter().all(|name| !walk.path(name).exists()));
+    // One that is damaged, or of other clips, is as none.
+    for (bytes, clip) in [(&kept[..kept.len() / 2], "walk"), (&kept[..], "other")] {
+        walk.save("other", frames());
+        std::fs::write(walk.path(".surveyed.walk"), bytes).expect("it can be written");
+        let anew = walk.run(&survey(clip, &["--log", "info"]));
+        anew.assert_success();
+        assert!(!anew.stderr.contains(words), "{}", anew.stderr);
+        assert_eq!(walk.files("surveyed"), first);
+    }
 }

@@ -4,6 +4,7 @@ mod folder;
 mod json;
 mod report;
 mod text;
+mod walk_file;
 
 use std::cell::Cell;
 use std::path::PathBuf;
@@ -23,9 +24,11 @@ use crate::config::Settings;
 use crate::frame::Frame;
 use crate::printable::printable_lines;
 use crate::survey::judgement::Verdict;
-use crate::survey::stage::{Survey, SurveyOptions, SurveyStep, survey};
+use crate::survey::stage::{Survey, SurveyError, SurveyOptions, SurveyStep, survey};
+use crate::survey::walk::Walk;
 use crate::tracker::TrackerSetup;
 use crate::utc;
+use walk_file::WalkFile;
 
 /// Measure the stage as it hangs and the lens as it is, from clips of walking around.
 #[derive(Debug, Args)]
@@ -81,7 +84,8 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     let calibrated = settings.lens.size(&settings.camera);
     let open =
         |clip: &PathBuf| open_clip(clip, ClipOptions { fps: arguments.fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
-    let mut sources = arguments.clips.iter().map(open).collect::<Result<Vec<_>, _>>()?;
+    let open_all = || arguments.clips.iter().map(open).collect::<Result<Vec<_>, _>>();
+    let sources = open_all()?;
     let size = sources[0].size();
     if let Some((clip, source)) = arguments.clips.iter().zip(&sources).find(|(_, source)| source.size() != size) {
         let (w, h) = source.size();
@@ -95,12 +99,26 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     let setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
     let total = sources.iter().map(|source| source.rows()).sum::<Option<u64>>();
     let options = SurveyOptions { refines_lens: arguments.lens == Lens::Refine, constraints: settings.measured.clone() };
-    let made = surveyed(
-        &mut sources,
-        &setup,
-        options,
-        Progress::with(total, ["{bar:32} {pos}/{len} frames {msg}", "{spinner} {pos} frames {msg}"]),
-    )?;
+    let file = WalkFile::new(&arguments.output, &arguments.clips, &setup, &format!("{:?} {:?}", arguments.lens, arguments.fps));
+    let work = Work {
+        setup: &setup,
+        frames_read: Cell::new(0),
+        progress: Progress::with(total, ["{bar:32} {pos}/{len} frames {msg}", "{spinner} {pos} frames {msg}"]),
+    };
+    let walk = match work.recalled(&file, sources) {
+        Ok(None) => work.taken_in(&file, open_all()?, options.refines_lens),
+        Ok(Some(walk)) => Ok(walk),
+        Err(e) => Err(e),
+    };
+    let made = walk.and_then(|walk| work.survey(walk, options));
+    work.progress.finish();
+    let made = made.map_err(|e| match e {
+        SurveyError::Interrupted if file.is_there() => {
+            Failure::Survey(format!("{e}. The clips are taken in: the same command goes on from there"))
+        }
+        e => Failure::Survey(e.to_string()),
+    })?;
+    file.remove();
     let judgement = made.judge();
     print(printable_lines(&text::text(&made, &judgement)).as_bytes())?;
     if let Some(file) = &arguments.json {
@@ -116,24 +134,50 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     folder::write(&arguments.output, &settings, &made)
 }
 
-fn surveyed(
-    sources: &mut [Box<dyn FrameSource>],
-    setup: &TrackerSetup,
-    options: SurveyOptions,
+/// A survey under way.
+struct Work<'a> {
+    setup: &'a TrackerSetup,
+    frames_read: Cell<u64>,
     progress: Progress,
-) -> Result<Survey, Failure> {
-    let frames_read = Cell::new(0);
-    let clips = sources.iter_mut().map(|source| frames(&mut **source));
-    let show = |step| match step {
-        SurveyStep::Frame => {
-            frames_read.set(frames_read.get() + 1);
-            progress.advance();
+}
+
+impl Work<'_> {
+    /// The walk that an interrupted run has left, with the pictures of its clips.
+    fn recalled(&self, file: &WalkFile, mut sources: Vec<Box<dyn FrameSource>>) -> Result<Option<Walk>, SurveyError> {
+        let Some(record) = file.read() else { return Ok(None) };
+        tracing::info!("the clips were taken in by a survey that was interrupted; going on from there");
+        let clips = sources.iter_mut().map(|source| frames(&mut **source));
+        Walk::recall(&record, clips, &self.setup.stage, |step| self.show(step), &goes_on)
+    }
+
+    /// The walk in the clips; it is kept, so that a survey that is interrupted from now on need not take it in again.
+    fn taken_in(&self, file: &WalkFile, mut sources: Vec<Box<dyn FrameSource>>, wants_lively: bool) -> Result<Walk, SurveyError> {
+        // One of another command, or one that does not fit its clips.
+        file.remove();
+        self.frames_read.set(0);
+        let clips = sources.iter_mut().map(|source| frames(&mut **source));
+        let walk = Walk::take_in(clips, self.setup, wants_lively, |step| self.show(step), &goes_on)?;
+        file.keep(walk.record());
+        Ok(walk)
+    }
+
+    fn survey(&self, walk: Walk, options: SurveyOptions) -> Result<Survey, SurveyError> {
+        survey(walk, self.setup, options, |step| self.show(step), &goes_on)
+    }
+
+    fn show(&self, step: SurveyStep) {
+        match step {
+            SurveyStep::Frame => {
+                self.frames_read.set(self.frames_read.get() + 1);
+                self.progress.advance();
+            }
+            SurveyStep::Round(round) => self.progress.at(self.frames_read.get(), format!("adjusting, round {}", round + 1)),
         }
-        SurveyStep::Round(round) => progress.at(frames_read.get(), format!("adjusting, round {}", round + 1)),
-    };
-    let made = survey(clips, setup, options, show, &|| !interrupt::is_interrupted());
-    progress.finish();
-    made.map_err(|e| Failure::Survey(e.to_string()))
+    }
+}
+
+fn goes_on() -> bool {
+    !interrupt::is_interrupted()
 }
 
 /// A clip's frames that can be read.

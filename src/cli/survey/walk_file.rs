@@ -1,0 +1,110 @@
+//! What was taken in from the clips, beside the folder until the survey is done: a survey that was interrupted goes on from there.
+//!
+//! The file belongs to one command: to its clips, its config and this version of the program. Where any of them is another one, or the file is damaged, it
+//! is as if there were none.
+
+use std::fs::{self, Metadata};
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::safe_file;
+use crate::survey::walk::WalkRecord;
+use crate::tracker::TrackerSetup;
+
+/// Largest file that is read: 120 keyframes of 2000 features have a tenth of it. Raised, a file that is no record takes memory; lowered, a record
+/// of a rich stage is not read.
+const MOST_BYTES: u64 = 128 << 20;
+
+/// Where the walk of a survey is kept, and what it belongs to.
+pub(super) struct WalkFile {
+    file: PathBuf,
+    of: String,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Contents {
+    /// What it belongs to, as [`fingerprint`] has it.
+    of: String,
+    walk: WalkRecord,
+}
+
+impl WalkFile {
+    /// Beside the folder of the survey that this command makes.
+    pub(super) fn new(folder: &Path, clips: &[PathBuf], setup: &TrackerSetup, options: &str) -> Self {
+        let name = folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        Self { file: folder.with_file_name(format!(".{name}.walk")), of: fingerprint(clips, setup, options) }
+    }
+
+    /// The walk that an interrupted run has left.
+    pub(super) fn read(&self) -> Option<WalkRecord> {
+        let bytes = safe_file::read(&self.file, MOST_BYTES).ok()?;
+        let contents: Contents = ciborium::from_reader(bytes.as_slice()).ok()?;
+        (contents.of == self.of).then_some(contents.walk)
+    }
+
+    /// Keeps a walk. Where that fails the survey goes on all the same: only an interruption would cost more.
+    pub(super) fn keep(&self, walk: WalkRecord) {
+        let mut bytes = Vec::new();
+        let written = ciborium::into_writer(&Contents { of: self.of.clone(), walk }, &mut bytes)
+            .map_err(std::io::Error::other)
+            .and_then(|()| safe_file::write_whole(&self.file, &bytes));
+        if let Err(e) = written {
+            tracing::warn!("{}: {e}; if the survey is interrupted, it will begin anew", self.file.display());
+        }
+    }
+
+    /// Whether there is one to go on from.
+    pub(super) fn is_there(&self) -> bool {
+        self.file.exists()
+    }
+
+    /// Removes it: the survey is done.
+    pub(super) fn remove(&self) {
+        // Where it cannot be removed it is of no harm: it is only believed by the same command.
+        let _ = fs::remove_file(&self.file);
+    }
+}
+
+/// What a walk depends on, as one number: the clips by name, length and time, the setup by all that it holds.
+fn fingerprint(clips: &[PathBuf], setup: &TrackerSetup, options: &str) -> String {
+    let mut hash = Sha256::new();
+    let TrackerSetup { camera, shutter, mask, stage, settings, .. } = setup;
+    let mut add = |text: String| hash.update(text + "\0");
+    add(format!("{} {options} {camera:?} {shutter:?} {settings:?}", env!("CARGO_PKG_VERSION")));
+    for clip in clips {
+        add(format!("{clip:?}"));
+        for (path, metadata) in entries(clip) {
+            let time = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+            add(format!("{path:?} {} {time:?}", metadata.len()));
+        }
+    }
+    for surface in &stage.surfaces {
+        add(format!(
+            "{} {:?} {:?} {:?} {:?} {:?}",
+            surface.name,
+            surface.size_m,
+            surface.pose,
+            surface.kind,
+            surface.shape,
+            surface.artwork.dimensions()
+        ));
+    }
+    for picture in stage.surfaces.iter().map(|surface| &surface.artwork).chain(mask) {
+        hash.update(picture.as_raw());
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The files of a clip: itself, or what its folders hold, in order.
+fn entries(clip: &Path) -> Vec<(PathBuf, Metadata)> {
+    let Ok(metadata) = fs::metadata(clip) else { return Vec::new() };
+    if !metadata.is_dir() {
+        return vec![(clip.to_owned(), metadata)];
+    }
+    let mut inside: Vec<PathBuf> = fs::read_dir(clip).into_iter().flatten().filter_map(|entry| Some(entry.ok()?.path())).collect();
+    inside.sort();
+    inside.iter().flat_map(|path| entries(path)).collect()
+}

@@ -1,0 +1,264 @@
+//! The walk that a survey rests on, as it is taken in from the clips before anything is adjusted: keyframes, and the part in which the picture moved most.
+//!
+//! Every frame of the clips is looked at here, which takes as long as all that follows. A [`WalkRecord`] has what came of it, without the pictures: with it
+//! an interrupted survey goes on from here, and gives what it would have given without the interruption, to the bit.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector2};
+use serde::{Deserialize, Serialize};
+
+use super::keyframes::{Keyframe, Keyframes, MatchedFeature};
+use super::lively_part::{LivelyPart, NumberedFrame};
+use super::stage::{SurveyError, SurveyStep};
+use crate::frame::{Frame, Timestamp};
+use crate::geometry::{Body, Camera, Pose};
+use crate::motion::Motion;
+use crate::track::{BodySpec, Matcher, SurfaceMatch};
+use crate::tracker::TrackerSetup;
+
+/// A verified pose this long before tells of the motion, seconds. Raised, motion is told by a pose from before a turn; lowered, slow cameras tell none.
+const LONGEST_GAP_S: f64 = 0.25;
+/// A recorded rotation is one when its quaternion's norm is this near to 1. Raised, a damaged record may pass; lowered, a sound one may not.
+const NORM_TOLERANCE: f64 = 1e-9;
+
+/// What clips of walking around a stage showed.
+#[derive(Debug, PartialEq)]
+pub struct Walk {
+    pub(super) keyframes: Vec<Keyframe>,
+    /// The liveliest part, in order; empty where the shutter is not asked for.
+    pub(super) lively: Vec<NumberedFrame>,
+    /// Frames looked at, and those in which the stage was found.
+    pub(super) frames: usize,
+    pub(super) found: usize,
+}
+
+/// A walk without its pictures. Numbers count the frames of all clips together, from 1.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WalkRecord {
+    frames: usize,
+    found: usize,
+    keyframes: Vec<KeyframeRecord>,
+    lively: Vec<usize>,
+}
+
+/// A keyframe without its picture. Units as in [`Motion`] and [`MatchedFeature`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct KeyframeRecord {
+    number: usize,
+    position_m: [f64; 3],
+    orientation_xyzw: [f64; 4],
+    velocity: [f64; 3],
+    turn_rate: [f64; 3],
+    /// Surface, metres on its picture, pixel, sigma in pixels.
+    features: Vec<(usize, [f64; 2], [f64; 2], f64)>,
+}
+
+impl Walk {
+    /// Takes in clips, the lively part only if asked. `progress` hears of each frame; `goes_on` ends the work with false.
+    ///
+    /// # Errors
+    /// [`SurveyError::Interrupted`].
+    pub fn take_in<C, F>(
+        clips: C,
+        setup: &TrackerSetup,
+        wants_lively: bool,
+        mut progress: impl FnMut(SurveyStep),
+        goes_on: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Self, SurveyError>
+    where
+        C: IntoIterator<Item = F>,
+        F: IntoIterator<Item = Frame>,
+    {
+        let TrackerSetup { camera, shutter, mask, stage, settings, clock, .. } = setup.clone();
+        let (mut keyframes, mut lively) = (Keyframes::default(), LivelyPart::default());
+        let (mut frames, mut found) = (0, 0);
+        for clip in clips {
+            let mut matcher = Matcher::new(camera, shutter, mask.clone(), &stage, &[], settings.clone(), clock);
+            let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
+            for frame in clip {
+                if !goes_on() {
+                    return Err(SurveyError::Interrupted);
+                }
+                progress(SurveyStep::Frame);
+                frames += 1;
+                let verified = matcher.look(&frame).stage.verified.map(|verified| verified.pose);
+                // With a lens or a layout that is off nothing may pass verification, and yet the stage is there.
+                let Some(pose) = verified.or_else(|| Some(matcher.recognised_pose(&frame.image)?.0)) else {
+                    lively.offer(None);
+                    continue;
+                };
+                found += 1;
+                let motion = motion_since(before.replace((pose, frame.timestamp)), pose, frame.timestamp);
+                let distance_m =
+                    stage.surfaces.iter().map(|s| (s.pose.translation - pose.translation).norm()).fold(f64::INFINITY, f64::min);
+                let speed = motion.velocity.norm() / distance_m + motion.turn_rate.norm();
+                if wants_lively {
+                    lively.offer(Some((frames, &frame, speed)));
+                }
+                keyframes.offer((frames, &frame), motion, speed, distance_m, |frame| matched_features(&mut matcher, frame, &stage));
+            }
+            lively.offer(None);
+        }
+        Ok(Self { keyframes: keyframes.into_kept(), lively: lively.into_frames(), frames, found })
+    }
+
+    /// The same without its pictures.
+    pub fn record(&self) -> WalkRecord {
+        let keyframes = self.keyframes.iter().map(KeyframeRecord::of).collect();
+        WalkRecord { frames: self.frames, found: self.found, keyframes, lively: self.lively.iter().map(|f| f.number).collect() }
+    }
+
+    /// A recorded walk with the pictures of its clips, which are read but not looked at. `None` where the clips have other frames, or no walk on this stage
+    /// has such a record.
+    ///
+    /// # Errors
+    /// [`SurveyError::Interrupted`].
+    pub fn recall<C, F>(
+        record: &WalkRecord,
+        clips: C,
+        stage: &BodySpec,
+        mut progress: impl FnMut(SurveyStep),
+        goes_on: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Option<Self>, SurveyError>
+    where
+        C: IntoIterator<Item = F>,
+        F: IntoIterator<Item = Frame>,
+    {
+        let (mut keyframes, mut lively) = (Vec::with_capacity(record.keyframes.len()), Vec::with_capacity(record.lively.len()));
+        let mut frames = 0;
+        for frame in clips.into_iter().flatten() {
+            if !goes_on() {
+                return Err(SurveyError::Interrupted);
+            }
+            progress(SurveyStep::Frame);
+            frames += 1;
+            if record.lively.get(lively.len()) == Some(&frames) {
+                lively.push(NumberedFrame { number: frames, frame: frame.clone() });
+            }
+            if let Some(next) = record.keyframes.get(keyframes.len()).filter(|next| next.number == frames) {
+                let Some(keyframe) = next.with_frame(frame, stage) else { return Ok(None) };
+                keyframes.push(keyframe);
+            }
+        }
+        let is_whole = frames == record.frames && keyframes.len() == record.keyframes.len() && lively.len() == record.lively.len();
+        Ok(is_whole.then_some(Self { keyframes, lively, frames, found: record.found }))
+    }
+}
+
+impl KeyframeRecord {
+    fn of(keyframe: &Keyframe) -> Self {
+        let Keyframe { number, motion, features, .. } = keyframe;
+        let feature = |f: &MatchedFeature| (f.surface, f.on_picture_m, f.pixel.into(), f.sigma_px);
+        Self {
+            number: *number,
+            position_m: motion.pose.translation.into(),
+            orientation_xyzw: motion.pose.rotation.coords.into(),
+            velocity: motion.velocity.into(),
+            turn_rate: motion.turn_rate.into(),
+            features: features.iter().map(feature).collect(),
+        }
+    }
+
+    fn with_frame(&self, frame: Frame, stage: &BodySpec) -> Option<Keyframe> {
+        let rotation = Quaternion::from_vector(self.orientation_xyzw.into());
+        let numbers = [&self.position_m, &self.velocity, &self.turn_rate];
+        let is_sound = (rotation.norm() - 1.0).abs() < NORM_TOLERANCE
+            && numbers.into_iter().flatten().all(|n| n.is_finite())
+            && self.features.iter().all(|(surface, ..)| *surface < stage.surfaces.len());
+        if !is_sound {
+            return None;
+        }
+        // Not normalised once more, which would change the last bit.
+        let pose = Pose::new(UnitQuaternion::new_unchecked(rotation), self.position_m.into());
+        let motion = Motion { velocity: self.velocity.into(), turn_rate: self.turn_rate.into(), ..Motion::still(pose) };
+        let feature = |(surface, on_picture_m, pixel, sigma_px): &(usize, [f64; 2], [f64; 2], f64)| MatchedFeature {
+            surface: *surface,
+            on_picture_m: *on_picture_m,
+            pixel: Vector2::from(*pixel),
+            sigma_px: *sigma_px,
+        };
+        Some(Keyframe { number: self.number, frame, motion, features: self.features.iter().map(feature).collect() })
+    }
+}
+
+/// Even motion since the last pose, or none where that is too long ago.
+fn motion_since(before: Option<(Pose<Body, Camera>, Timestamp)>, pose: Pose<Body, Camera>, stamp: Timestamp) -> Motion {
+    before
+        .map(|(then, at)| (then, stamp.seconds_since(at)))
+        .filter(|(_, dt_s)| *dt_s > 0.0 && *dt_s < LONGEST_GAP_S)
+        .map_or(Motion::still(pose), |(then, dt_s)| Motion::between(&then, &pose, dt_s))
+}
+
+fn matched_features(matcher: &mut Matcher, frame: &Frame, stage: &BodySpec) -> Vec<MatchedFeature> {
+    let feature = |m: &SurfaceMatch| MatchedFeature {
+        surface: m.surface as usize,
+        on_picture_m: stage.surfaces[m.surface as usize].to_metres(m.artwork).into(),
+        pixel: m.pixel,
+        sigma_px: m.scale,
+    };
+    matcher.recognised_pose(&frame.image).map_or_else(Vec::new, |(_, matches)| matches.iter().map(feature).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use image::GrayImage;
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::survey::synthetic;
+
+    const FRAMES: usize = 9;
+
+    fn clips() -> [Vec<Frame>; 2] {
+        let frame = |n: u64| Frame::new(GrayImage::from_pixel(4, 3, image::Luma([n as u8])), Timestamp::from_ns(n as i64 * 7), n);
+        [(0..5).map(frame).collect(), (0..4).map(frame).collect()]
+    }
+
+    /// Keyframes and a lively part from both clips.
+    fn walk() -> Walk {
+        let frames: Vec<Frame> = clips().into_iter().flatten().collect();
+        let keyframe = |number: usize| {
+            let x = number as f64 / 7.0;
+            let pose = Pose::new(UnitQuaternion::from_euler_angles(x, -0.3, 0.1 * x), Vector3::new(x, -2.0, 1.0 / 3.0));
+            let motion = Motion { velocity: Vector3::new(0.1, x, 0.3), turn_rate: Vector3::new(x, 0.2, 0.0), ..Motion::still(pose) };
+            let feature = MatchedFeature { surface: 0, on_picture_m: [x, 0.1], pixel: Vector2::new(1.0 / x, 2.0), sigma_px: 0.7 * x };
+            Keyframe { number, frame: frames[number - 1].clone(), motion, features: vec![feature; number] }
+        };
+        let lively = [6, 7].map(|number| NumberedFrame { number, frame: frames[number - 1].clone() }).to_vec();
+        Walk { keyframes: [1, 4, 6, 9].map(keyframe).to_vec(), lively, frames: FRAMES, found: 8 }
+    }
+
+    fn recalled(record: &WalkRecord, clips: &[Vec<Frame>]) -> Option<Walk> {
+        let stage = BodySpec::new("stage", synthetic::stage()[..1].to_vec());
+        Walk::recall(record, clips.iter().map(|clip| clip.iter().cloned()), &stage, |_| (), &|| true).expect("it goes on")
+    }
+
+    #[test]
+    fn a_recorded_walk_is_the_walk_to_the_bit() {
+        let found = recalled(&walk().record(), &clips()).expect("the clips are its own");
+        assert_eq!(found, walk());
+        for (a, b) in found.keyframes.iter().zip(&walk().keyframes) {
+            let bits = |k: &Keyframe| k.motion.pose.rotation.coords.map(f64::to_bits);
+            assert_eq!(bits(a), bits(b));
+        }
+    }
+
+    #[test]
+    fn a_record_of_other_clips_or_a_damaged_one_is_none() {
+        let record = walk().record();
+        let [first, second] = clips();
+        assert_eq!(recalled(&record, &[first.clone()]), None);
+        assert_eq!(recalled(&record, &[first.clone(), second.clone(), first.clone()]), None);
+        let damaged = |damage: fn(&mut WalkRecord)| {
+            let mut record = record.clone();
+            damage(&mut record);
+            recalled(&record, &clips())
+        };
+        assert_eq!(damaged(|r| r.keyframes[1].orientation_xyzw[3] *= 1.001), None);
+        assert_eq!(damaged(|r| r.keyframes[2].velocity[0] = f64::NAN), None);
+        assert_eq!(damaged(|r| r.keyframes[0].features[0].0 = 1), None);
+        assert_eq!(damaged(|r| r.lively.push(10)), None);
+        assert!(damaged(|_| ()).is_some());
+        let stage = BodySpec::new("stage", synthetic::stage()[..1].to_vec());
+        assert_eq!(Walk::recall(&record, [first], &stage, |_| (), &|| false), Err(SurveyError::Interrupted));
+    }
+}
