@@ -4,9 +4,10 @@
 //! into memory. So the kind of a file is looked at before a byte of it is read or written.
 
 use std::fs::{File, FileType, OpenOptions};
-use std::io::{self, Read};
+use std::io::{self, Read, Write as _};
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use nix::libc;
 use nix::unistd::{AccessFlags, access};
@@ -55,15 +56,33 @@ pub fn replace(path: &Path) -> io::Result<File> {
     looked_at(path, OpenOptions::new().write(true).create(true).truncate(true), refuse_others)
 }
 
+/// Files that were begun beside their places so far.
+static WRITTEN: AtomicU64 = AtomicU64::new(0);
+
 /// Writes a whole file, or none: beside its place, from where it is moved there. Who reads the old one goes on reading it; a full disk and a
 /// killed process leave it as it was.
 ///
 /// # Errors
 /// What the system says.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    write_beside(path, bytes, false)
+}
+
+/// The same, and waits until it is on the disk: a power cut leaves the old file or the new one.
+///
+/// # Errors
+/// What the system says.
+pub fn write_lasting(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    write_beside(path, bytes, true)
+}
+
+fn write_beside(path: &Path, bytes: &[u8], lasting: bool) -> io::Result<()> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let beside = path.with_file_name(format!(".{name}.{}", std::process::id()));
-    let written = std::fs::write(&beside, bytes).and_then(|()| std::fs::rename(&beside, path));
+    // Several threads may write one file at the same time: the last one counts, and none gets another's bytes.
+    let number = WRITTEN.fetch_add(1, Ordering::Relaxed);
+    let beside = path.with_file_name(format!(".{name}.{}.{number}", std::process::id()));
+    let write = |mut file: File| file.write_all(bytes).and_then(|()| if lasting { file.sync_all() } else { Ok(()) });
+    let written = File::create(&beside).and_then(write).and_then(|()| std::fs::rename(&beside, path));
     if written.is_err() {
         let _ = std::fs::remove_file(&beside);
     }

@@ -1,5 +1,4 @@
-//! The HTTP server beside a command: pose and state as the server gives them, and what `run` adds: health, metrics, and the call that saves
-//! the ring.
+//! The HTTP server beside a command: pose and state as the server gives them, and for `run` all that is asked of a daemon.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -33,11 +32,12 @@ impl Pages {
         // One clock for all pages: it is asked often enough to notice a suspend while nobody reads them.
         let clock = Arc::new(FrameClock::new(stamps));
         let events = run.map(|(supervisor, _)| supervisor.link.events.listen());
-        let routes = run.map_or_else(Vec::new, |(supervisor, _)| routes(supervisor, &clock));
+        let routes = run.map_or_else(Vec::new, |(supervisor, _)| web::routes(supervisor, &clock));
         let site = run.map_or_else(web::Site::default, |(supervisor, page_dir)| web::Site {
             state: Some(crate::daemon::state_folder()),
             page_dir: page_dir.map(Path::to_owned),
             about: Some(web::about(supervisor)),
+            statistics: supervisor.link.statistics.clone(),
         });
         let server = web::Server::start_site(http, routes, site).map_err(|e| Failure::Publishing(e.to_string()))?;
         if let Some(events) = events {
@@ -95,23 +95,4 @@ impl Pages {
         #[cfg(not(feature = "http"))]
         let _ = sample;
     }
-}
-
-#[cfg(feature = "http")]
-fn routes(supervisor: &Arc<Supervisor>, clock: &Arc<FrameClock>) -> Vec<web::Route> {
-    use crate::telemetry::{Page, health, metrics};
-    let reply = |page: Page| web::Reply::new(page.status, page.content_type, page.body.into_bytes());
-    let statistics = &supervisor.link.statistics;
-    let (for_health, for_metrics, save) = (statistics.clone(), statistics.clone(), supervisor.clone());
-    let (health_clock, metrics_clock) = (clock.clone(), clock.clone());
-    let mut routes = vec![
-        web::Route::get("/healthz", move || reply(health(&for_health, &health_clock))),
-        web::Route::get("/metrics", move || reply(metrics(&for_metrics, &metrics_clock))),
-        web::Route::post("/api/v1/ring/save", move || {
-            save.save_ring();
-            web::Reply::text(202, "the last seconds will be saved\n")
-        }),
-    ];
-    routes.extend(web::routes(supervisor));
-    routes
 }

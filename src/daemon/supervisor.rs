@@ -58,6 +58,7 @@ pub struct Supervisor {
     save: AtomicBool,
     reload: AtomicBool,
     mode: AtomicU8,
+    alone: Mutex<()>,
 }
 
 fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -77,12 +78,18 @@ impl Supervisor {
             save: AtomicBool::new(false),
             reload: AtomicBool::new(false),
             mode: AtomicU8::new(Mode::Track as u8),
+            alone: Mutex::default(),
         }
     }
 
     /// The config's file.
     pub fn file(&self) -> &Path {
         &self.file
+    }
+
+    /// Held by who looks at the config or what lies beside it and then changes it, one after the other.
+    pub fn alone(&self) -> MutexGuard<'_, ()> {
+        held(&self.alone)
     }
 
     /// The config that is used, where there is one.

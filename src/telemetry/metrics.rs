@@ -54,6 +54,7 @@ fn counters(text: &mut String, s: &Statistics) {
         ("stagepose_camera_reconnects_total", "How often the camera was opened again.", s.reconnects.get()),
         ("stagepose_panics_contained_total", "Panics that were contained.", s.contained_panics.get()),
         ("stagepose_frames_recorded_total", "Frames recorded.", s.recorded.get()),
+        ("stagepose_frames_viewed_total", "Frames copied for those who watch the page.", s.viewed.get()),
     ];
     counters.iter().for_each(|(name, help, value)| one(text, name, "counter", help, value));
 }

@@ -66,6 +66,8 @@ pub struct Statistics {
     pub contained_panics: Counter,
     /// Frames recorded.
     pub recorded: Counter,
+    /// Frames whose picture was copied for somebody who watches.
+    pub viewed: Counter,
     streaming: AtomicBool,
     silent: AtomicBool,
     recorder: AtomicU8,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
-use std::net::IpAddr;
+use std::net::{IpAddr, Ipv4Addr};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -12,12 +12,12 @@ use axum::body::Body;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{FromRequestParts, RawPathParams};
 use axum::http::{Method, Request as HttpRequest, Response};
-use axum::response::IntoResponse;
+use axum::response::IntoResponse as _;
 use axum::routing::any;
 use tokio::sync::{Semaphore, watch};
 use tokio::time::timeout;
 
-use super::assets::with_page;
+use super::assets;
 use super::call::Call;
 use super::content::{Transfers, Upload, pump};
 use super::events::{Events, tell};
@@ -26,9 +26,9 @@ use super::hub::Hub;
 use super::keys::Keys;
 use super::lifetime::{TAKES_WITHIN, close, ended};
 use super::places::Place;
-use super::replies::{reads, refused_content, response};
+use super::replies::{refused_content, response};
 use super::reply::Reply;
-use super::routes::{Handler, Route};
+use super::routes::{Aside, Handler, Route, listed};
 use super::view::show;
 
 /// A client has nothing to say on the WebSocket, so that its messages may be short, bytes. A round figure. Raised, a client may take more
@@ -37,6 +37,9 @@ const LONGEST_MESSAGE: usize = 4 * 1024;
 
 /// Requests that are worked on aside at a time. Chosen for the smallest machine: more of them take turns anyway. Raised, more memory at once.
 const AT_ONCE_ASIDE: usize = 3;
+
+/// Who has no connection is nobody who is known.
+const NOBODY: IpAddr = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
 
 /// What a request knows of its connection.
 #[derive(Debug, Clone)]
@@ -63,44 +66,58 @@ pub(super) struct Streams {
     pub stopped: watch::Receiver<bool>,
 }
 
-/// The page (from a folder, where one is named), /ws, /ws/events, /ws/view, /api/v1/pose, /api/v1/state and the given routes.
+impl Streams {
+    /// /ws, /ws/events, /ws/view, /api/v1/pose and /api/v1/state.
+    fn routes(self) -> Vec<Route> {
+        let Self { feed, hub, events, stopped } = self;
+        let (pose, state) = (feed.clone(), feed.clone());
+        let of_records = {
+            let (feed, stopped) = (feed.clone(), stopped.clone());
+            move |socket| stream(socket, feed.clone(), stopped.clone())
+        };
+        let of_frames = {
+            let stopped = stopped.clone();
+            move |socket| show(socket, hub.clone(), feed.clone(), stopped.clone())
+        };
+        let of_events = move |socket| tell(socket, events.clone(), stopped.clone());
+        vec![
+            Route::whole("/ws", move |request| web_socket(request, of_records.clone())),
+            Route::whole("/ws/events", move |request| web_socket(request, of_events.clone())),
+            Route::whole("/ws/view", move |request| web_socket(request, of_frames.clone())),
+            Route::get("/api/v1/pose", move || pose.pose()),
+            Route::get("/api/v1/state", move || state.state()),
+        ]
+    }
+}
+
+/// The streams, the given routes, a list of all of them, and the page: from a folder, where one is named.
 pub(super) fn router(streams: Streams, routes: Vec<Route>, keys: Arc<Keys>, page_dir: Option<PathBuf>) -> Router {
-    let Streams { feed, hub, events, stopped } = streams;
-    let (pose, state) = (feed.clone(), feed.clone());
-    let own = [Route::get("/api/v1/pose", move || pose.pose()), Route::get("/api/v1/state", move || state.state())];
-    let of_records = {
-        let (feed, stopped) = (feed.clone(), stopped.clone());
-        move |socket| stream(socket, feed.clone(), stopped.clone())
-    };
-    let of_frames = {
-        let (feed, hub, stopped) = (feed.clone(), hub.clone(), stopped.clone());
-        move |socket| show(socket, hub.clone(), feed.clone(), stopped.clone())
-    };
-    let of_events = move |socket| tell(socket, events.clone(), stopped.clone());
-    let mut router = Router::new()
-        .route("/ws", any(move |request| web_socket(request, of_records)))
-        .route("/ws/events", any(move |request| web_socket(request, of_events)))
-        .route("/ws/view", any(move |request| web_socket(request, of_frames)));
+    let of_page = if page_dir.is_some() { Vec::new() } else { assets::routes() };
     let mut by_path: BTreeMap<&'static str, Vec<Route>> = BTreeMap::new();
-    own.into_iter().chain(routes).for_each(|route| by_path.entry(route.path).or_default().push(route));
+    for route in listed([streams.routes(), routes, of_page].concat()) {
+        by_path.entry(route.path).or_default().push(route);
+    }
     let desk = Arc::new(Desk { keys, aside: Arc::new(Semaphore::new(AT_ONCE_ASIDE)) });
+    let mut router = Router::new();
     for (path, of_path) in by_path {
         let (of_path, desk): (Arc<[Route]>, _) = (of_path.into(), desk.clone());
         router = router.route(path, any(move |request| answer(request, of_path.clone(), desk.clone())));
     }
-    with_page(router, page_dir)
+    match page_dir {
+        None => router.fallback(|| async { assets::nothing_here() }),
+        Some(folder) => router.fallback(move |request: HttpRequest<Body>| assets::from_folder(request, folder.clone())),
+    }
 }
 
 async fn answer(request: HttpRequest<Body>, of_path: Arc<[Route]>, desk: Arc<Desk>) -> Result<Response<Body>, Infallible> {
     let method = if *request.method() == Method::HEAD { Method::GET } else { request.method().clone() };
     let Some(route) = of_path.iter().find(|route| route.method == method) else { return Ok(wrong_method(&of_path)) };
     let caller = request.extensions().get::<Caller>().cloned();
-    // Who has no connection is nobody who is known.
-    let peer = caller.as_ref().map_or(IpAddr::from([0, 0, 0, 0]), |caller| caller.peer);
+    let peer = caller.as_ref().map_or(NOBODY, |caller| caller.peer);
     if let Err(refused) = desk.keys.judge(route.access, &method, request.headers(), peer) {
         return Ok(response(refused));
     }
-    if let Handler::Quick(_) = &route.handler
+    if let Handler::Quick(_) | Handler::Whole(_) = &route.handler
         && let Some(refused) = refused_content(&request)
     {
         return Ok(refused);
@@ -112,10 +129,16 @@ async fn answer(request: HttpRequest<Body>, of_path: Arc<[Route]>, desk: Arc<Des
         let sentence = format!("this was asked for too often; ask again in {after} s\n");
         return Ok(response(Reply::text(429, sentence).with("retry-after", &after.to_string())));
     }
-    let Handler::Aside(handler) = &route.handler else {
-        let Handler::Quick(handler) = &route.handler else { unreachable!("a handler is one of two kinds") };
-        return Ok(response(handler()));
-    };
+    match &route.handler {
+        Handler::Quick(handler) => Ok(response(handler())),
+        Handler::Whole(handler) => Ok(handler(request).await),
+        Handler::Aside(handler) => Ok(answer_aside(request, handler.clone(), caller, &desk).await),
+    }
+}
+
+/// Answers on another thread, to which the request's content comes piece by piece.
+async fn answer_aside(request: HttpRequest<Body>, handler: Aside, caller: Option<Caller>, desk: &Desk) -> Response<Body> {
+    let peer = caller.as_ref().map_or(NOBODY, |caller| caller.peer);
     let transfers = caller.map(|caller| caller.transfers).unwrap_or_default();
     let _transfer = transfers.begin();
     let is_here = Keys::is_here(peer, request.headers());
@@ -126,7 +149,6 @@ async fn answer(request: HttpRequest<Body>, of_path: Arc<[Route]>, desk: Arc<Des
     let mut call = Call { fields, query, headers: parts.headers, content, is_here };
     // The semaphore is never closed.
     let permit = desk.aside.clone().acquire_owned().await;
-    let handler = handler.clone();
     let work = tokio::task::spawn_blocking(move || {
         let reply = handler(&mut call).unwrap_or_else(|refused| refused);
         drop(permit);
@@ -135,7 +157,7 @@ async fn answer(request: HttpRequest<Body>, of_path: Arc<[Route]>, desk: Arc<Des
     let (reply, ()) = tokio::join!(work, pump(body, to));
     // A handler that panics is a defect; the message is in the log.
     let reply = reply.unwrap_or_else(|_| Reply::text(500, "this failed inside the program; please report it with the log\n"));
-    Ok(with_download(reply, &transfers))
+    with_download(reply, &transfers)
 }
 
 fn with_download(mut reply: Reply, transfers: &Transfers) -> Response<Body> {
@@ -171,9 +193,6 @@ async fn web_socket<F>(request: HttpRequest<Body>, serve: impl FnOnce(WebSocket)
 where
     F: Future<Output = ()> + Send,
 {
-    if let Some(refused) = reads(&request) {
-        return refused;
-    }
     // The connection's place is kept for as long as the WebSocket lasts.
     let Some(place) = request.extensions().get::<Caller>().and_then(|caller| caller.place.clone()) else {
         return response(Reply::text(503, "too many clients are connected; close some and try again\n"));
@@ -184,7 +203,10 @@ where
             serve(socket).await;
             drop(place);
         }),
-        Err(rejection) => rejection.into_response(),
+        Err(rejection) => {
+            let sentence = "this path is a WebSocket; ask for it as one (RFC 6455: GET with Upgrade: websocket, version 13 and a key)\n";
+            response(Reply::text(rejection.into_response().status().as_u16(), sentence).with("upgrade", "websocket"))
+        }
     }
 }
 

@@ -8,16 +8,15 @@ use std::sync::LazyLock;
 
 use std::path::{Path, PathBuf};
 
-use axum::Router;
 use axum::body::Body;
 use axum::http::{HeaderValue, Request, Response, StatusCode, header};
-use axum::routing::any;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
 use super::call::is_name;
 use super::replies::{reads, response};
 use super::reply::Reply;
+use super::routes::Route;
 use crate::safe_file;
 
 /// A file of the page.
@@ -122,20 +121,13 @@ fn packed(bytes: &[u8]) -> Vec<u8> {
 /// Larger than any file of the page, bytes; a round figure.
 const LARGEST_FILE: u64 = 16 << 20;
 
-/// The router with the page's files: those of the program, or those of a folder as they are at each request, for who works on the page.
-pub(super) fn with_page(router: Router, folder: Option<PathBuf>) -> Router {
-    match folder {
-        None => with_embedded(router).fallback(|| async { nothing_here() }),
-        Some(folder) => router.fallback(move |request: Request<Body>| from_folder(request, folder.clone())),
-    }
-}
-
-fn nothing_here() -> Response<Body> {
+/// For a path that nothing is at.
+pub(super) fn nothing_here() -> Response<Body> {
     response(Reply::text(404, "there is nothing here; the page is at /\n"))
 }
 
-/// A file of the folder; reading it takes a moment of another thread.
-async fn from_folder(request: Request<Body>, folder: PathBuf) -> Response<Body> {
+/// A file of a folder as it is now, for who works on the page; reading it takes a moment of another thread.
+pub(super) async fn from_folder(request: Request<Body>, folder: PathBuf) -> Response<Body> {
     if let Some(refused) = reads(&request) {
         return refused;
     }
@@ -169,17 +161,16 @@ fn content_type(file: &Path) -> &'static str {
     }
 }
 
-fn with_embedded(router: Router) -> Router {
-    ASSETS.iter().enumerate().fold(router, |router, (k, asset)| {
+/// The files of the program.
+pub(super) fn routes() -> Vec<Route> {
+    let of = |(k, asset): (usize, &'static Asset)| {
         let tag = format!("\"{:016x}\"", hash(FNV_START, asset.bytes));
-        router.route(asset.path, any(move |request| async move { answer(&request, asset, k, &tag) }))
-    })
+        Route::whole(asset.path, move |request| std::future::ready(answer(&request, asset, k, &tag)))
+    };
+    ASSETS.iter().enumerate().map(of).collect()
 }
 
 fn answer(request: &Request<Body>, asset: &Asset, k: usize, tag: &str) -> Response<Body> {
-    if let Some(refused) = reads(request) {
-        return refused;
-    }
     let mut response = response(Reply::new(200, asset.content_type, Vec::new()));
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));

@@ -20,6 +20,7 @@ use super::priority::stand_back;
 use crate::capture::{ClipEntry, EntryContent, Received, with_huffman_tables};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::{PoseSample, State};
+use crate::telemetry::Statistics;
 
 /// Quality of JPEGs that are encoded here, 1 to 100. Chosen: no blocks are seen, at a third of the size of 95. Raised, larger messages.
 const QUALITY: u8 = 80;
@@ -47,8 +48,8 @@ enum Picture {
 pub(super) struct Hub {
     /// Viewers that could take a frame now.
     waiting: AtomicUsize,
-    /// Rows that were copied so far.
-    copied: AtomicU64,
+    /// Where the rows that were copied are counted.
+    statistics: Arc<Statistics>,
     /// Sessions so far: row numbers begin anew with each.
     epochs: AtomicU64,
     to_view: DropOldestSender<Taken>,
@@ -70,13 +71,13 @@ impl Hub {
     ///
     /// # Errors
     /// Where the system gives no thread.
-    pub fn start() -> std::io::Result<Arc<Self>> {
+    pub fn start(statistics: Arc<Statistics>) -> std::io::Result<Arc<Self>> {
         // One row waits, the newest.
         let (to_view, rows) = drop_oldest(1);
         let newest = Arc::new(watch::Sender::new(Bytes::new()));
         let to = newest.clone();
         std::thread::Builder::new().name("view".to_owned()).spawn(move || work(&rows, &to))?;
-        Ok(Arc::new(Self { waiting: 0.into(), copied: 0.into(), epochs: 0.into(), to_view, newest }))
+        Ok(Arc::new(Self { waiting: 0.into(), statistics, epochs: 0.into(), to_view, newest }))
     }
 
     /// What a new session's pose stage calls with every row; waits for nothing.
@@ -88,7 +89,7 @@ impl Hub {
             if hub.waiting.load(Ordering::Relaxed) > 0
                 && let Some(taken) = taken(epoch, row, sample, motion)
             {
-                hub.copied.fetch_add(1, Ordering::Relaxed);
+                hub.statistics.viewed.add(1);
                 hub.to_view.send(taken);
             }
         }
@@ -108,7 +109,7 @@ impl Hub {
     /// Rows that were copied so far.
     #[cfg(test)]
     pub fn copied(&self) -> u64 {
-        self.copied.load(Ordering::Relaxed)
+        self.statistics.viewed.get()
     }
 
     /// Viewers that could take a frame now.

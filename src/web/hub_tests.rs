@@ -74,7 +74,7 @@ fn a_raw_picture_is_encoded_and_rows_without_a_picture_are_passed_over() {
 
 #[test]
 fn nothing_is_copied_while_nobody_waits() {
-    let hub = Hub::start().unwrap();
+    let hub = Hub::start(Arc::default()).unwrap();
     let mut observer = hub.observer();
     let mut messages = hub.messages();
     (0..100).for_each(|k| observer(&row(k, None), &sample(k, State::Tracking)));
@@ -91,7 +91,7 @@ fn nothing_is_copied_while_nobody_waits() {
 
 #[test]
 fn each_session_has_its_own_number() {
-    let hub = Hub::start().unwrap();
+    let hub = Hub::start(Arc::default()).unwrap();
     let (mut first, mut second) = (hub.observer(), hub.observer());
     let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
     let _waiting = hub.wait();

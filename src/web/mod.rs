@@ -57,6 +57,4 @@ pub use keys::code_file;
 #[cfg(feature = "http")]
 pub use reply::Reply;
 #[cfg(feature = "http")]
-pub use routes::Route;
-#[cfg(feature = "http")]
 pub use server::{Server, Site};

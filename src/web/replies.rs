@@ -34,7 +34,10 @@ pub(super) fn response(reply: Reply) -> Response<Body> {
     for (name, value) in fixed {
         headers.insert(name, HeaderValue::from_static(value));
     }
-    headers.extend(reply.headers);
+    // In place of those, not beside them: a browser holds a page to both of two policies.
+    for (name, value) in reply.headers {
+        headers.insert(name, value);
+    }
     if is_refused {
         headers.insert(header::CONNECTION, HeaderValue::from_static("close"));
     }

@@ -1,10 +1,13 @@
 //! A route is a method and a path with a function that makes the reply. What changes something is answered a few times at once, then at a
-//! steady pace.
+//! steady pace. The router is built from one list of them, which `GET /api/v1/routes` tells: what holds for each can be tried on each.
 
+use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use axum::http::Method;
+use axum::body::Body;
+use axum::http::{Method, Request, Response};
+use serde_json::json;
 
 use super::call::Call;
 use super::reply::Reply;
@@ -12,13 +15,17 @@ use super::reply::Reply;
 /// A quick answer, which needs nothing of the request.
 type Quick = Arc<dyn Fn() -> Reply + Send + Sync>;
 /// An answer that may take its time: it may read, write and compute, and runs on a thread that stands back behind the tracker.
-type Aside = Arc<dyn Fn(&mut Call) -> Result<Reply, Reply> + Send + Sync>;
+pub(super) type Aside = Arc<dyn Fn(&mut Call) -> Result<Reply, Reply> + Send + Sync>;
+
+/// What has the whole request and makes the whole response: a WebSocket, or a file of the page.
+type Whole = Arc<dyn Fn(Request<Body>) -> Pin<Box<dyn Future<Output = Response<Body>> + Send>> + Send + Sync>;
 
 /// What answers a path.
 #[derive(Clone)]
 pub(super) enum Handler {
     Quick(Quick),
     Aside(Aside),
+    Whole(Whole),
 }
 
 /// Who may ask.
@@ -34,6 +41,19 @@ pub enum Access {
     Unlock,
     /// Pairing itself.
     Pair,
+}
+
+impl Access {
+    /// Its word in the list of routes.
+    fn word(self) -> &'static str {
+        match self {
+            Self::Anyone => "anyone",
+            Self::Paired => "paired",
+            Self::Change => "change",
+            Self::Unlock => "unlock",
+            Self::Pair => "pair",
+        }
+    }
 }
 
 /// A method and a path with what answers them.
@@ -71,10 +91,30 @@ impl Route {
         Self { method, path, access, pace: None, handler: Handler::Aside(Arc::new(handler)) }
     }
 
+    /// A route that changes nothing and has the whole request.
+    pub(super) fn whole<F>(path: &'static str, answer: impl Fn(Request<Body>) -> F + Send + Sync + 'static) -> Self
+    where
+        F: Future<Output = Response<Body>> + Send + 'static,
+    {
+        let handler = Handler::Whole(Arc::new(move |request| Box::pin(answer(request))));
+        Self { method: Method::GET, path, access: Access::Anyone, pace: None, handler }
+    }
+
     /// The same, but seldom: see [`post`](Self::post).
     pub(super) fn seldom(self) -> Self {
         Self { pace: Some(Arc::default()), ..self }
     }
+}
+
+/// These routes, with one more that lists them all.
+pub(super) fn listed(mut routes: Vec<Route>) -> Vec<Route> {
+    let path = "/api/v1/routes";
+    let entry = |method: &Method, path: &str, access: Access| json!({"method": method.as_str(), "path": path, "access": access.word()});
+    let mut list: Vec<_> = routes.iter().map(|route| entry(&route.method, route.path, route.access)).collect();
+    list.push(entry(&Method::GET, path, Access::Anyone));
+    let list = json!({"routes": list}).to_string();
+    routes.push(Route::get(path, move || Reply::json(200, list.clone())));
+    routes
 }
 
 /// Changes that may come at once: a button that is pressed again and again. Raised, a program may fill the disk faster at first.

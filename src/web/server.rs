@@ -45,6 +45,7 @@ use crate::config::HttpSettings;
 use crate::daemon::live::EventListener;
 use crate::publish::FrameClock;
 use crate::record::PoseSample;
+use crate::telemetry::Statistics;
 use crate::tracker::TrackerSetup;
 
 /// A request's head must come within this time, also where a connection waits for its next one. Chosen, not tuned. Raised, silent clients
@@ -102,6 +103,8 @@ pub struct Site {
     pub page_dir: Option<PathBuf>,
     /// What the caller says in /api/v1/session.
     pub about: Option<About>,
+    /// Where frames are counted that are copied for those who watch.
+    pub statistics: Arc<Statistics>,
 }
 
 /// The running server; dropped, it ends.
@@ -147,7 +150,7 @@ impl Server {
             tracing::info!("[http]: a browser on another machine that is to change something is paired by the code {}", keys.code());
         }
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
-        let hub = Hub::start().map_err(WebError::Start)?;
+        let hub = Hub::start(site.statistics).map_err(WebError::Start)?;
         let (events, scene) = (Arc::new(Events::new()), Arc::<Scene>::default());
         let (described, pictured) = (scene.clone(), scene.clone());
         routes.push(Route::get("/api/v1/scene", move || described.reply()));

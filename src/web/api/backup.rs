@@ -75,6 +75,7 @@ impl Drop for Aside {
 
 fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let packed = call.content(LARGEST_PACKED)?;
+    let _alone = supervisor.alone();
     let file = supervisor.file();
     let folder = file.parent().unwrap_or(Path::new("")).to_owned();
     // Where nobody sees it, and in the same file system as its place.

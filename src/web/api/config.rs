@@ -25,7 +25,12 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let (for_get, for_put) = (supervisor.clone(), supervisor.clone());
     vec![
         Route::aside(Method::GET, "/api/v1/config", Access::Paired, move |_| {
-            let bytes = safe_file::read(for_get.file(), LARGEST_CONFIG).map_err(|e| unreadable(for_get.file(), &e))?;
+            let read = safe_file::read(for_get.file(), LARGEST_CONFIG);
+            if read.as_ref().is_err_and(|e| e.kind() == io::ErrorKind::NotFound) {
+                let sentence = format!("{}: there is no config yet; put one here, with this ETag\n", for_get.file().display());
+                return Err(Reply::text(404, sentence).with("etag", &tag(b"")));
+            }
+            let bytes = read.map_err(|e| unreadable(for_get.file(), &e))?;
             let tag = tag(&bytes);
             Ok(Reply::new(200, "text/plain; charset=utf-8", bytes).with("etag", &tag))
         }),
@@ -34,6 +39,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             let wanted = call.header("if-match").ok_or_else(|| {
                 Reply::text(428, "say which config this one replaces: If-Match with the ETag of GET /api/v1/config, or * for any\n")
             })?;
+            let _alone = for_put.alone();
             // One that is not there yet has the tag of nothing.
             let before = match safe_file::read(for_put.file(), LARGEST_CONFIG) {
                 Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(unreadable(for_put.file(), &e)),
@@ -77,7 +83,7 @@ pub(super) fn tag(bytes: &[u8]) -> String {
 /// Writes a file whole and keeps what was there.
 fn replace(file: &Path, text: &str) -> io::Result<()> {
     keep_former(&[file.to_owned()])?;
-    safe_file::write_whole(file, text.as_bytes())
+    safe_file::write_lasting(file, text.as_bytes())
 }
 
 /// Copies of these files, those that are there, in a new folder of `former/` beside the first.

@@ -1,4 +1,4 @@
-//! `GET /api/v1/health`, `outputs`, `log`, `diagnostics`: each part of the daemon in one sentence, with the mend where something is wrong.
+//! `GET /api/v1/health`, `/healthz`, `/metrics`, `outputs`, `log`, `diagnostics`: each part of the daemon in one sentence, with the mend where something is wrong.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,7 +14,7 @@ use crate::printable::printable;
 use crate::protocols::{freed::FreedPacket, opentrackio, psn::PsnPacket};
 use crate::publish::{FrameClock, OutputStatistics, Stamps};
 use crate::record::State;
-use crate::telemetry::{CameraState, RecorderState, Statistics, log_tail, metrics};
+use crate::telemetry::{CameraState, Page, RecorderState, Statistics, health, log_tail, metrics};
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
@@ -57,6 +57,16 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             Ok(Reply::text(200, log_tail(lines as usize).concat()))
         }),
         Route::aside(Method::GET, "/api/v1/diagnostics", Access::Paired, move |_| Ok(Reply::text(200, diagnostics(&for_text)))),
+    ]
+}
+
+/// `/healthz` and `/metrics`, for service managers and Prometheus.
+pub(super) fn probes(statistics: &Arc<Statistics>, clock: &Arc<FrameClock>) -> [Route; 2] {
+    let (for_health, for_metrics) = ((statistics.clone(), clock.clone()), (statistics.clone(), clock.clone()));
+    let reply = |page: Page| Reply::new(page.status, page.content_type, page.body.into_bytes());
+    [
+        Route::get("/healthz", move || reply(health(&for_health.0, &for_health.1))),
+        Route::get("/metrics", move || reply(metrics(&for_metrics.0, &for_metrics.1))),
     ]
 }
 

@@ -19,11 +19,13 @@ use super::entrance::About;
 use super::reply::Reply;
 use super::routes::Route;
 use crate::daemon::Supervisor;
+use crate::publish::FrameClock;
 
-/// All of them.
-pub fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
+/// All of them; ages are as `clock` counts them.
+pub fn routes(supervisor: &Arc<Supervisor>, clock: &Arc<FrameClock>) -> Vec<Route> {
     let resources = [steering::routes, recordings::routes, config::routes, backup::routes, sets::routes, health::routes];
-    resources.into_iter().flat_map(|resource| resource(supervisor)).collect()
+    let probes = health::probes(&supervisor.link.statistics, clock);
+    resources.into_iter().flat_map(|resource| resource(supervisor)).chain(probes).collect()
 }
 
 /// What the daemon says of itself in /api/v1/session.
@@ -38,15 +40,20 @@ fn failed(what: &str, error: &std::io::Error) -> Reply {
 }
 
 #[cfg(test)]
+mod guarded_tests;
+#[cfg(test)]
+mod hostile_tests;
+
+#[cfg(test)]
 mod tests {
     use std::io::{Read, Write};
-    use std::net::{Ipv4Addr, TcpStream};
+    use std::net::{Ipv4Addr, SocketAddr, TcpStream};
     use std::path::Path;
 
     use super::*;
     use crate::config::{HttpSettings, Settings};
     use crate::daemon::live::LiveLink;
-    use crate::web::Server;
+    use crate::web::{Server, Site};
 
     /// A daemon's supervisor with a small good config in this folder.
     pub(super) fn supervised(folder: &Path) -> Arc<Supervisor> {
@@ -69,16 +76,53 @@ mod tests {
     pub(super) fn asked_with(routes: &[Route], method: &str, path: &str, headers: &str, content: &[u8]) -> (u16, Vec<u8>) {
         let settings = HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
         let server = Server::start(&settings, routes.to_vec()).unwrap();
-        let mut stream = TcpStream::connect(server.address()).unwrap();
-        let length = content.len();
-        let head = format!("{method} {path} HTTP/1.0\r\nHost: localhost\r\nContent-Length: {length}\r\n{headers}\r\n");
+        let answer = exchange(server.address(), method, path, &format!("Host: localhost\r\n{headers}"), content);
+        (answer.status, answer.content)
+    }
+
+    /// What came back; status 0 where nothing did.
+    #[derive(Debug)]
+    pub(super) struct Answer {
+        pub status: u16,
+        /// Status line and headers, in small letters.
+        pub head: String,
+        pub content: Vec<u8>,
+    }
+
+    impl Answer {
+        pub fn text(&self) -> String {
+            String::from_utf8_lossy(&self.content).into_owned()
+        }
+
+        /// All values of a header.
+        pub fn values(&self, name: &str) -> Vec<&str> {
+            let named = self.head.lines().filter_map(|line| line.split_once(": ")).filter(|(of, _)| *of == name);
+            named.map(|(_, value)| value).collect()
+        }
+    }
+
+    /// Asks a server that runs, with these headers.
+    pub(super) fn exchange(server: SocketAddr, method: &str, path: &str, headers: &str, content: &[u8]) -> Answer {
+        let mut stream = TcpStream::connect(server).unwrap();
+        let head = format!("{method} {path} HTTP/1.0\r\nContent-Length: {}\r\n{headers}\r\n", content.len());
         stream.write_all(head.as_bytes()).unwrap();
         // It may have heard enough before all is read.
         let _ = stream.write_all(content);
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);
         let at = answer.windows(4).position(|w| w == b"\r\n\r\n").unwrap_or(answer.len());
-        let status = String::from_utf8_lossy(&answer[..at]).split(' ').nth(1).and_then(|status| status.parse().ok()).unwrap_or(0);
-        (status, answer.split_off((at + 4).min(answer.len())))
+        let content = answer.split_off((at + 4).min(answer.len()));
+        let head = String::from_utf8_lossy(&answer).to_lowercase();
+        Answer { status: head.split(' ').nth(1).and_then(|status| status.parse().ok()).unwrap_or(0), head, content }
+    }
+
+    /// A server with all that a daemon answers.
+    pub(super) fn whole_server(supervisor: &Arc<Supervisor>, page_dir: Option<&Path>) -> Server {
+        let settings = HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
+        let clock = Arc::new(FrameClock::new(crate::publish::Stamps::Live));
+        // A test asks more often than people.
+        let routes = routes(supervisor, &clock).into_iter().map(|route| Route { pace: None, ..route }).collect();
+        let site = Site { about: Some(about(supervisor)), page_dir: page_dir.map(Path::to_owned), ..Site::default() };
+        Server::start_site(&settings, routes, site).unwrap()
     }
 }

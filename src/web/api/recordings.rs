@@ -243,4 +243,4 @@ fn add<W: Write + io::Seek>(
 
 #[cfg(test)]
 #[path = "recordings_tests.rs"]
-mod tests;
+pub(super) mod tests;

@@ -2,7 +2,7 @@ use super::*;
 use crate::web::api::tests::{asked, supervised};
 
 /// A recording of two rows, one with a JPEG and one grey, and a third without a picture.
-fn recording(folder: &Path) {
+pub(in crate::web::api) fn recording(folder: &Path) {
     let clip = folder.join("recordings/clip-1");
     std::fs::create_dir_all(clip.join("frames/0000")).unwrap();
     std::fs::write(clip.join("timestamps.csv"), "#timestamp [ns],filename\n10,0000/a.jpg\n2000000010,0000/b.pgm\n20,../../../stage.toml\n")

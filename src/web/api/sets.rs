@@ -26,6 +26,7 @@ const MOST_MODELS: usize = 64;
 const EMPTY: &str = r#"{"objects":[]}"#;
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
+    let for_put = supervisor.clone();
     let route = |method, path, access, answer: fn(&Path, &mut Call) -> Result<Reply, Reply>| {
         let supervisor = supervisor.clone();
         Route::aside(method, path, access, move |call| answer(&folder(&supervisor), call))
@@ -36,7 +37,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             let tag = tag(&text);
             Ok(Reply::new(200, "application/json", text).with("etag", &tag))
         }),
-        route(Method::PUT, "/api/v1/set", Access::Change, put_set),
+        Route::aside(Method::PUT, "/api/v1/set", Access::Change, move |call| put_set(&for_put, call)),
         route(Method::GET, "/api/v1/sets", Access::Anyone, |folder, _| {
             let models: Vec<Value> = models(folder).into_iter().map(|(name, bytes)| json!({"name": name, "bytes": bytes})).collect();
             Ok(Reply::json(200, json!({"sets": models}).to_string()))
@@ -70,19 +71,21 @@ fn read_set(folder: &Path) -> Result<Vec<u8>, Reply> {
     }
 }
 
-fn put_set(folder: &Path, call: &mut Call) -> Result<Reply, Reply> {
+fn put_set(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
+    let folder = &folder(supervisor);
     let bytes = call.content(LARGEST_SET)?;
     let set: Value = serde_json::from_slice(&bytes).map_err(|e| Reply::text(400, format!("a set is JSON: {e}\n")))?;
     if !set["objects"].is_array() {
         return Err(Reply::text(422, "a set is an object with the list \"objects\"\n"));
     }
+    let _alone = supervisor.alone();
     if let Some(wanted) = call.header("if-match")
         && wanted != "*"
         && wanted != tag(&read_set(folder)?)
     {
         return Err(Reply::text(412, "the set was changed meanwhile; load it again\n"));
     }
-    safe_file::write_whole(&folder.join("set.json"), &bytes).map_err(|e| failed("set.json cannot be written beside the config", &e))?;
+    safe_file::write_lasting(&folder.join("set.json"), &bytes).map_err(|e| failed("set.json cannot be written beside the config", &e))?;
     Ok(Reply::done().with("etag", &tag(&bytes)))
 }
 

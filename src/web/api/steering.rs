@@ -1,4 +1,4 @@
-//! `POST /api/v1/mode`, `recordings/start`, `stop`, `mark`: what the running daemon is asked to do.
+//! `POST /api/v1/mode`, `ring/save`, `recordings/start`, `stop`, `mark`: what the running daemon is asked to do.
 
 use std::sync::Arc;
 
@@ -32,6 +32,7 @@ struct Mark {
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let of = |supervisor: &Arc<Supervisor>| supervisor.clone();
     let (for_mode, for_start, for_stop, for_mark) = (of(supervisor), of(supervisor), of(supervisor), of(supervisor));
+    let for_ring = of(supervisor);
     let record = |supervisor: Arc<Supervisor>, path, wish, says: &'static str| {
         Route::aside(Method::POST, path, Access::Change, move |call| {
             call.nothing()?;
@@ -49,6 +50,10 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             let mode = mode.ok_or_else(|| Reply::text(422, "there is no such mode; give track or setup\n"))?;
             for_mode.set_mode(mode);
             Ok(Reply::text(202, format!("the camera goes to: {}\n", mode.word())))
+        }),
+        Route::post("/api/v1/ring/save", move || {
+            for_ring.save_ring();
+            Reply::text(202, "the last seconds will be saved\n")
         }),
         record(for_start, "/api/v1/recordings/start", RecordingWish::Start, "a recording begins\n").seldom(),
         record(for_stop, "/api/v1/recordings/stop", RecordingWish::Stop, "the recording ends\n"),

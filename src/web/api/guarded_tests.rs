@@ -1,0 +1,127 @@
+//! What is promised of every route, tried on each that the router has.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::tests::{Answer, exchange, supervised, whole_server};
+use crate::web::Server;
+
+/// Paths that may say by 503 that there is nothing yet.
+pub(super) const NOT_YET: [&str; 4] = ["/healthz", "/api/v1/pose", "/api/v1/scene", "/api/v1/surfaces/{number}/picture"];
+
+/// A route as the router lists it.
+#[derive(Debug, Clone)]
+pub(super) struct Listed {
+    pub method: String,
+    pub path: String,
+    pub access: String,
+}
+
+pub(super) fn listed(server: &Server) -> Vec<Listed> {
+    let answer = exchange(server.address(), "GET", "/api/v1/routes", "Host: localhost\r\n", b"");
+    let list: Value = serde_json::from_slice(&answer.content).unwrap();
+    let text = |entry: &Value, key: &str| entry[key].as_str().unwrap().to_owned();
+    let read = |entry: &Value| Listed { method: text(entry, "method"), path: text(entry, "path"), access: text(entry, "access") };
+    list["routes"].as_array().unwrap().iter().map(read).collect()
+}
+
+/// The path with something in the place of each field.
+pub(super) fn filled(path: &str) -> String {
+    [("{id}", "clip-1"), ("{row}", "0"), ("{name}", "door.glb"), ("{number}", "0")]
+        .iter()
+        .fold(path.to_owned(), |path, (field, value)| path.replace(field, value))
+}
+
+/// What no answer may be without, and what it has once.
+fn holds_the_browser(answer: &Answer, of: &str) {
+    let policies = answer.values("content-security-policy");
+    assert_eq!(policies.len(), 1, "{of}: {}", answer.head);
+    assert!(policies[0].starts_with("default-src 'none'") && policies[0].contains("frame-ancestors 'none'"), "{of}: {}", policies[0]);
+    assert_eq!(answer.values("x-content-type-options"), ["nosniff"], "{of}");
+    assert_eq!(answer.values("cross-origin-resource-policy"), ["same-origin"], "{of}");
+    assert_eq!(answer.values("cache-control").len(), 1, "{of}: {}", answer.head);
+    assert!(!answer.head.contains("access-control-allow"), "{of}: {}", answer.head);
+}
+
+/// The status of what is refused with a sentence.
+fn refused(server: &Server, method: &str, path: &str, headers: &str) -> u16 {
+    let answer = exchange(server.address(), method, path, headers, b"");
+    let of = format!("{method} {path} {headers:?}");
+    holds_the_browser(&answer, &of);
+    let says = answer.text();
+    assert!(says.ends_with('\n') && says.len() > 10 && answer.values("content-type") == ["text/plain; charset=utf-8"], "{of}: {says}");
+    answer.status
+}
+
+#[test]
+fn every_route_refuses_whom_it_must() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = whole_server(&supervised(folder.path()), None);
+    let routes = listed(&server);
+    assert!(routes.len() > 70 && routes.iter().any(|route| route.path == "/ws/view") && routes.iter().any(|route| route.path == "/"));
+    for Listed { method, path, access } in &routes {
+        let (filled, own) = (filled(path), "Host: localhost\r\n");
+        let status = |method: &str, headers: &str| refused(&server, method, &filled, headers);
+        assert_eq!(status(method, "Host: evil.example\r\n"), 421, "{method} {path}");
+        assert_eq!(status(method, &format!("{own}Origin: http://evil.example\r\nX-Stagepose: 1\r\n")), 403, "{method} {path}");
+        assert_eq!(status(method, &format!("{own}Sec-Fetch-Site: cross-site\r\nX-Stagepose: 1\r\n")), 403, "{method} {path}");
+        assert_eq!(status("PATCH", own), 405, "{method} {path}");
+        let elsewhere = format!("{own}X-Forwarded-For: 192.0.2.7\r\n");
+        match access.as_str() {
+            "paired" | "change" | "unlock" => assert_eq!(status(method, &elsewhere), 401, "{method} {path}"),
+            // Who only looks needs no key; who pairs has none yet, and this one gives no code.
+            "anyone" | "pair" => assert_ne!(exchange(server.address(), method, &filled, &elsewhere, b"").status, 401, "{method} {path}"),
+            other => panic!("{path}: there is no access {other}"),
+        }
+        if method == "GET" {
+            assert!(["anyone", "paired"].contains(&access.as_str()), "{path} changes something by GET");
+            let answer = exchange(server.address(), "GET", &filled, own, b"");
+            holds_the_browser(&answer, path);
+            assert!(answer.status < 500 || NOT_YET.contains(&path.as_str()), "{path}: {}", answer.text());
+        } else {
+            assert!(["change", "unlock", "pair"].contains(&access.as_str()), "{method} {path} is open to anyone");
+            assert_eq!(status(method, &format!("{own}Origin: http://localhost\r\n")), 403, "{method} {path}: a page says X-Stagepose");
+        }
+    }
+}
+
+#[test]
+fn under_the_lock_nothing_changes_but_the_lock() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = whole_server(&supervised(folder.path()), None);
+    let own = "Host: localhost\r\n";
+    assert_eq!(exchange(server.address(), "POST", "/api/v1/lock", own, b"").status, 204);
+    let changes: Vec<Listed> = listed(&server).into_iter().filter(|route| route.access == "change").collect();
+    assert!(changes.len() > 10, "{changes:?}");
+    for route in &changes {
+        assert_eq!(refused(&server, &route.method, &filled(&route.path), own), 423, "{route:?}");
+    }
+    assert_eq!(exchange(server.address(), "POST", "/api/v1/unlock", own, b"").status, 204);
+    assert_eq!(exchange(server.address(), "POST", "/api/v1/lock", own, b"").status, 204, "changes are taken again");
+}
+
+#[test]
+fn a_page_from_a_folder_is_held_as_the_program_s_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/web/page");
+    let server = whole_server(&supervised(folder.path()), Some(&page));
+    for path in ["/", "/app.js", "/style.css", "/none.js", "/../Cargo.toml"] {
+        holds_the_browser(&exchange(server.address(), "GET", path, "Host: localhost\r\n", b""), path);
+    }
+    let script = exchange(server.address(), "GET", "/app.js", "Host: localhost\r\n", b"");
+    assert!(script.status == 200 && script.values("content-security-policy")[0].contains("script-src 'self'"), "{}", script.head);
+}
+
+#[test]
+fn every_route_is_in_the_documents() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = whole_server(&supervised(folder.path()), None);
+    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/protocols.md")).unwrap();
+    let (_, text) = text.split_once("### WebSocket and HTTP").unwrap();
+    let words: Vec<&str> = text.split(|c: char| !c.is_ascii_alphanumeric()).collect();
+    for route in listed(&server).iter().filter(|route| route.path.starts_with("/api/") || route.path.starts_with("/ws")) {
+        let last = route.path.split('/').rfind(|part| !part.starts_with('{')).unwrap();
+        assert!(words.contains(&last), "docs/protocols.md does not name {} {}", route.method, route.path);
+    }
+}
