@@ -74,6 +74,7 @@ const ASSETS: &[Asset] = &[
     asset!(SCRIPT, "pages.js"),
     asset!(SCRIPT, "picture.js"),
     asset!(SCRIPT, "recordings.js"),
+    asset!(SCRIPT, "seen.js"),
     asset!(SCRIPT, "setpage.js"),
     asset!(SCRIPT, "stage.js"),
     asset!(SCRIPT, "strip.js"),

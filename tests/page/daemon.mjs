@@ -1,6 +1,9 @@
 // A true daemon that plays the fixture to and fro as its camera, with its page on a free port.
 import { spawn, spawnSync } from "node:child_process";
-import { copyFileSync, mkdirSync, readFileSync, readdirSync, rmSync, statSync, symlinkSync, writeFileSync } from "node:fs";
+import { createHash } from "node:crypto";
+import {
+  closeSync, copyFileSync, existsSync, linkSync, mkdirSync, openSync, readFileSync, readdirSync, renameSync, rmSync, symlinkSync, writeFileSync, writeSync,
+} from "node:fs";
 import { createServer } from "node:net";
 import { extname, join } from "node:path";
 import { after, before } from "node:test";
@@ -9,6 +12,8 @@ import { launch, out, program } from "./browser.mjs";
 const FIXTURE = new URL("../../fixtures/dolly/", import.meta.url).pathname;
 /** How often the fixture is played to and fro: 78 frames each, far longer than the tests take. */
 const TIMES = 300;
+/** The same for a clip of which little is seen: a minute and more. */
+const FEW_TIMES = 40;
 
 /** A browser and a daemon for the tests of a file, from before the first until after the last. @param {string} name of the folder
  * @param {(folder: string, browser: any) => Promise<any>} made what the daemon plays @param {string} [clip] @param {string[]} [more] arguments */
@@ -37,6 +42,26 @@ function freePort() {
   });
 }
 
+/** A round as `long.mjpeg`, so many times: a gigabyte, of which all folders share one. @param {string} folder @param {Buffer} round @param {number} times */
+function putLong(folder, round, times) {
+  const made = join(out, `long-${createHash("sha256").update(round).digest("hex").slice(0, 16)}-${times}.mjpeg`);
+  if (!existsSync(made)) {
+    const begun = `${made}.${process.pid}`;
+    const file = openSync(begun, "w");
+    for (let k = 0; k < times; k += 1) writeSync(file, round);
+    closeSync(file);
+    renameSync(begun, made);
+  }
+  rmSync(join(folder, "long.mjpeg"), { force: true });
+  linkSync(made, join(folder, "long.mjpeg"));
+}
+
+/** The fixture's pictures to and fro, as they are on its disk. */
+function toAndFro() {
+  const frames = readdirSync(join(FIXTURE, "frames")).sort().map((name) => readFileSync(join(FIXTURE, "frames", name)));
+  return Buffer.concat([...frames, ...frames.slice(1, -1).reverse()]);
+}
+
 /** The config and the clip, in `folder`; one that is there already is written anew. @param {string} folder */
 export async function prepare(folder) {
   mkdirSync(folder, { recursive: true });
@@ -46,10 +71,43 @@ export async function prepare(folder) {
   const port = await freePort();
   const config = readFileSync(join(FIXTURE, "stage.toml"), "utf8");
   writeFileSync(join(folder, "stage.toml"), `${config}\n[http]\nlisten = "127.0.0.1:${port}"\n`);
-  const frames = readdirSync(join(FIXTURE, "frames")).sort().map((name) => readFileSync(join(FIXTURE, "frames", name)));
-  const once = Buffer.concat([...frames, ...frames.slice(1, -1).reverse()]);
-  writeFileSync(join(folder, "long.mjpeg"), Buffer.concat(Array(TIMES).fill(once)));
+  putLong(folder, toAndFro(), TIMES);
   return { folder, address: `http://127.0.0.1:${port}/` };
+}
+
+/** The fixture to and fro with the left third of its pictures hidden by a mottled cloth. @param {string} folder
+ * @param {import("playwright-core").Browser} browser */
+export async function prepareCovered(folder, browser) {
+  const { address } = await prepare(folder);
+  const names = readdirSync(join(FIXTURE, "frames")).sort();
+  const page = await browser.newPage();
+  const covered = await page.evaluate(
+    (pictures) =>
+      Promise.all(
+        pictures.map(async (one) => {
+          const picture = await createImageBitmap(await (await fetch(`data:image/jpeg;base64,${one}`)).blob());
+          const canvas = new OffscreenCanvas(picture.width, picture.height);
+          const context = canvas.getContext("2d");
+          context.drawImage(picture, 0, 0);
+          const third = Math.round(picture.width / 3);
+          context.fillStyle = "#555";
+          context.fillRect(0, 0, third, picture.height);
+          for (let k = 0; k < 400; k += 1) {
+            context.fillStyle = `hsl(0 0% ${20 + ((k * 37) % 40)}%)`;
+            context.fillRect((k * 53) % (third - 12), (k * 97) % picture.height, 12, 9);
+          }
+          const bytes = new Uint8Array(await (await canvas.convertToBlob({ type: "image/jpeg", quality: 0.9 })).arrayBuffer());
+          let text = "";
+          for (let at = 0; at < bytes.length; at += 8192) text += String.fromCharCode(...bytes.subarray(at, at + 8192));
+          return btoa(text);
+        }),
+      ),
+    names.map((name) => readFileSync(join(FIXTURE, "frames", name)).toString("base64")),
+  );
+  await page.close();
+  const frames = covered.map((one) => Buffer.from(one, "base64"));
+  putLong(folder, Buffer.concat([...frames, ...frames.slice(1, -1).reverse()]), FEW_TIMES);
+  return { folder, address };
 }
 
 /** Frames to and fro, and those of the dark that follows: longer than a pose is predicted for. */
@@ -74,8 +132,7 @@ export async function prepareShow(folder, browser) {
     return [...new Uint8Array(await (await canvas.convertToBlob({ type: "image/jpeg" })).arrayBuffer())];
   });
   await page.close();
-  const lit = readFileSync(join(folder, "long.mjpeg")).subarray(0, statSync(join(folder, "long.mjpeg")).size / TIMES);
-  writeFileSync(join(folder, "long.mjpeg"), Buffer.concat(Array(ROUNDS).fill(Buffer.concat([lit, ...Array(DARK).fill(Buffer.from(dark))]))));
+  putLong(folder, Buffer.concat([toAndFro(), ...Array(DARK).fill(Buffer.from(dark))]), ROUNDS);
   return { folder, address, round: ROUND + DARK };
 }
 
@@ -130,11 +187,11 @@ export async function prepareClip(folder, clip) {
 }
 
 /** Squares of a picture's number, and pixels along one: large enough for a JPEG. */
-const BITS = 11;
+const BITS = 9;
 const SQUARE = 16;
-/** Numbered pictures: 50 s at the fixture's rate; and how often they are played. */
-const NUMBERED = 1500;
-const PLAYED = 10;
+/** Numbered pictures: five times to and fro, 13 s at the fixture's rate; and how often they are played. */
+const NUMBERED = 390;
+const PLAYED = 60;
 
 /** The fixture to and fro, each picture with its row's number as squares along its lower edge, the highest bit first; drawn by the browser.
  * After so many the numbers begin anew. @param {string} folder @param {import("playwright-core").Browser} browser */
@@ -149,7 +206,7 @@ export async function prepareNumbered(folder, browser) {
     globalThis.pictures = await Promise.all(pictures.map(async (one) => createImageBitmap(await (await fetch(`data:image/jpeg;base64,${one}`)).blob())));
   }, pictures);
   let table = "#timestamp [ns],filename\n";
-  const step = 100;
+  const step = 78;
   for (let from = 0; from < NUMBERED; from += step) {
     const made = await page.evaluate(
       async ([from, step, bits, square]) => {

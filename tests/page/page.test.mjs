@@ -6,7 +6,7 @@ import assert from "node:assert/strict";
 import { join } from "node:path";
 import { test } from "node:test";
 import { freeze, looksWell, out, pageOf, says, share as shareOf, until } from "./browser.mjs";
-import { played, start } from "./daemon.mjs";
+import { played, prepareCovered, start } from "./daemon.mjs";
 
 const on = played("run");
 
@@ -237,6 +237,50 @@ test("a daemon that stands still or dies is said to be silent, and the page goes
   const back = await span(() => {}, "Tracking");
   console.log(`no contact said after ${stood} ms (standing) and ${died} ms (killed), back after ${wentOn} ms and ${back} ms`);
   await close();
+});
+
+/** Of the tiles that can be told, how many show the artwork, in the left third and in the others. */
+const seenTiles = (page) =>
+  page.evaluate(async () => {
+    const { tiles, SEEN, UNKNOWN } = await import("/seen.js");
+    const found = tiles.value;
+    const part = (isOwn) => {
+      const own = [...(found?.tiles ?? [])].filter((tile, k) => tile !== UNKNOWN && isOwn((k % found.across) / found.across));
+      return { told: own.length, seen: own.filter((tile) => tile === SEEN).length };
+    };
+    return { left: part((x) => x < 0.3), right: part((x) => x >= 0.35) };
+  });
+
+test("what hides a part of the stage is said and marked, and nothing is said where nothing hides it", async () => {
+  const { page, complaints, close } = await opened();
+  const isKnown = ({ left, right }) => left.told + right.told > 30;
+  const { left, right } = await until(() => seenTiles(page), isKnown);
+  console.log(`artwork seen in ${left.seen + right.seen} of ${left.told + right.told} tiles`);
+  assert.ok(left.seen >= 0.9 * left.told && right.seen >= 0.9 * right.told, JSON.stringify({ left, right }));
+  await page.locator(".says", { hasText: "The camera's pose is measured in every frame." }).waitFor();
+  assert.doesNotMatch(await page.locator(".says").textContent(), /hidden/);
+  assert.deepEqual(complaints, []);
+  await close();
+  const place = await prepareCovered(join(out, "run-covered"), on.browser);
+  const daemon = start(place.folder);
+  try {
+    const covered = await pageOf(on.browser, place.address);
+    await covered.page.locator(".says", { hasText: "The left third is hidden." }).waitFor();
+    const found = await until(() => seenTiles(covered.page), isKnown);
+    assert.ok(found.left.told > 8 && found.left.seen <= 0.1 * found.left.told && found.right.seen >= 0.9 * found.right.told, JSON.stringify(found));
+    // Marked, where they are asked for.
+    await freeze(covered.page);
+    const marks = (colour) => covered.page.locator(".picture").screenshot().then((png) => share(png, colour));
+    const red = "r > 220 && g < 150 && b < 150";
+    assert.equal(await marks(red), 0);
+    await covered.page.getByRole("button", { name: "Seen parts" }).click();
+    const isThere = (count) => count > 0.001;
+    assert.ok(isThere(await until(() => marks(red), isThere)));
+    await covered.page.screenshot({ path: join(out, "live-covered.png") });
+    await covered.close();
+  } finally {
+    await daemon.end();
+  }
 });
 
 test("a newer daemon loads the page anew; what was typed is still there, then and after a restart", async () => {

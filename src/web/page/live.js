@@ -3,7 +3,7 @@ import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { contact, frozen, head, painters, rate, standing } from "./daemon.js";
 import { Happened, trouble } from "./events.js";
-import { drawAgain, drawFrame, drawOn, floored, outlined } from "./picture.js";
+import { drawAgain, drawFrame, drawOn, floored, hidden, outlined, parted } from "./picture.js";
 import { Stage } from "./stage.js";
 import { Strip } from "./strip.js";
 import { theme } from "./theme.js";
@@ -11,6 +11,8 @@ import { StateMark, amount, html } from "./ui.js";
 
 /** Milliseconds that a sentence stands at least while the state stays: reasons may change with every frame. */
 const STANDS = 1000;
+/** Milliseconds after which it is looked for what hides the stage: once the page stands. */
+const WAITS = 3000;
 
 /** @typedef {{state: string, sentence: string, mend: string | null}} Account what the state is, for a person */
 
@@ -38,7 +40,12 @@ function account() {
     return state === null ? { state: "searching", sentence: "No picture has come from the camera yet.", mend: MENDS.stale } : of(state);
   }
   const { says, mend, record } = head.value ?? {};
-  return record && says ? { state: record.state, sentence: `${says[0].toUpperCase()}${says.slice(1)}.`, mend: asked(mend) } : of(record?.state ?? "searching");
+  return record && says ? { state: record.state, sentence: `${says[0].toUpperCase()}${says.slice(1)}.`, mend: asked(mend) } : withHidden(of(record?.state ?? "searching"));
+}
+
+/** Tracking goes on where a part of the stage is hidden; which is worth to know. @param {Account} of */
+function withHidden({ state, sentence, mend }) {
+  return { state, sentence: state === "tracking" && hidden.value ? `${sentence} ${hidden.value}` : sentence, mend };
 }
 
 /** @param {string} state */
@@ -82,17 +89,27 @@ function Picture() {
     const sized = new ResizeObserver(drawAgain);
     sized.observe(/** @type {HTMLCanvasElement} */ (marks));
     painters.add(drawFrame);
+    let isGone = false;
+    let end = () => {};
+    // What can wait does not hold the first picture up.
+    const later = setTimeout(async () => {
+      const { watchSeen } = await import("./seen.js");
+      if (!isGone) end = watchSeen();
+    }, WAITS);
     return () => {
+      isGone = true;
+      clearTimeout(later);
+      end();
       painters.delete(drawFrame);
       sized.disconnect();
     };
   }, []);
   // Marks have the theme's colours; which are drawn is chosen.
-  useEffect(drawAgain, [theme.value, outlined.value, floored.value]);
+  useEffect(drawAgain, [theme.value, outlined.value, floored.value, parted.value]);
   const [width, height] = size.value.split("x").map(Number);
   return html`<figure class="picture" style=${{ aspectRatio: width / height, maxWidth: `calc((100vh - 9rem) * ${width / height})` }}>
     <canvas ref=${below} role="img" aria-label="What the camera sees" />
-    <canvas ref=${above} class="marks ${outlined.value || floored.value ? "" : "off"}" aria-hidden="true" />
+    <canvas ref=${above} class="marks ${outlined.value || floored.value || parted.value ? "" : "off"}" aria-hidden="true" />
     ${frozen.value ? html`<figcaption>Frozen. Space goes on.</figcaption>` : null}
   </figure>`;
 }

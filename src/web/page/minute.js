@@ -5,7 +5,7 @@ import { head } from "./daemon.js";
 /** Milliseconds that are remembered. */
 export const REMEMBERED = 60_000;
 
-/** @typedef {{at: number, state: string, rms: number | null, place: number[] | null}} Moment when a frame was shown (milliseconds of
+/** @typedef {{at: number, state: string, rms: number | null, place: number[] | null, objects: (number[] | null)[]}} Moment when a frame was shown (milliseconds of
  *   performance.now), and what its record says */
 
 /** The oldest first. The list is changed in place: drawing reads it, no view is made anew for it. */
@@ -21,9 +21,9 @@ effect(() => {
   // Another session may have another stage.
   if (said.epoch !== epoch) minute.length = 0;
   epoch = said.epoch;
-  const { state, rms_px, pose } = said.record;
+  const { state, rms_px, pose, objects } = said.record;
   const at = performance.now();
-  minute.push({ at, state, rms: rms_px, place: pose?.position_m ?? null });
+  minute.push({ at, state, rms: rms_px, place: pose?.position_m ?? null, objects: objects.map((object) => object.pose?.position_m ?? null) });
   while (minute[0].at < at - REMEMBERED) minute.shift();
   added.value = added.peek() + 1;
 });

@@ -7,6 +7,11 @@ import { pixel, place, within } from "./lens.js";
 
 /** Whether the outlines are drawn. */
 export const outlined = signal(true);
+/** Whether tiles are marked that show the artwork or hide it, and what is mostly hidden, as a sentence: by seen.js, which is loaded later. */
+export const parted = signal(false);
+export const hidden = signal("");
+/** What else is drawn on the live picture. @type {Set<(context: CanvasRenderingContext2D, width: number, colour: (name: string) => string) => void>} */
+export const extraMarks = new Set();
 /** Whether the floor is drawn. */
 export const floored = signal(false);
 
@@ -30,12 +35,21 @@ export function drawOn(picture, marks) {
 export function drawFrame(picture, said) {
   if (below === null || above === null) return;
   drawPicture(below, picture);
-  drawMarks(above, said);
+  drawAll(above, said);
 }
 
 /** Draws the marks of the shown frame anew, after its size or the colours changed. */
 export function drawAgain() {
-  if (head.value !== null && above !== null) drawMarks(above, head.value);
+  if (head.value !== null && above !== null) drawAll(above, head.value);
+}
+
+/** @param {HTMLCanvasElement} on @param {Head} said */
+function drawAll(on, said) {
+  drawMarks(on, said);
+  const context = on.getContext("2d");
+  if (context === null || !said.record.pose) return;
+  const style = getComputedStyle(on);
+  for (const draw of extraMarks) draw(context, on.width, (name) => style.getPropertyValue(`--${name}`).trim());
 }
 
 /** A picture on a canvas, which takes on its size. @param {HTMLCanvasElement} canvas @param {ImageBitmap} picture */

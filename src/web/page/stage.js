@@ -124,17 +124,19 @@ function drawDoubt(context, to, { pose, covariance }) {
   context.stroke(line);
 }
 
-/** Where the camera was in the last minute; interrupted where it was not known. @param {CanvasRenderingContext2D} context @param {Projection} to */
-function drawTrail(context, to) {
+/** Where the camera or an object was in the last minute; interrupted where it was not known. @param {CanvasRenderingContext2D} context
+ * @param {Projection} to @param {(moment: import("./minute.js").Moment) => number[] | null | undefined} of */
+function drawTrail(context, to, of) {
   const trail = new Path2D();
   let isOpen = true;
-  for (const { place } of minute) {
-    if (place !== null) {
+  for (const moment of minute) {
+    const place = of(moment);
+    if (place) {
       const [x, y] = to(place);
       if (isOpen) trail.moveTo(x, y);
       else trail.lineTo(x, y);
     }
-    isOpen = place === null;
+    isOpen = !place;
   }
   context.stroke(trail);
 }
@@ -170,7 +172,8 @@ function draw() {
     context.stroke(shape);
   }
   context.strokeStyle = colour("pale");
-  drawTrail(context, to);
+  drawTrail(context, to, ({ place }) => place);
+  scene.value.objects.forEach((/** @type {any} */ _, /** @type {number} */ k) => drawTrail(context, to, ({ objects }) => objects[k]));
   if (!pose) return;
   context.fillStyle = context.strokeStyle = colour("text");
   drawCamera(context, to, pose, room);
