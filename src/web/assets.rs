@@ -66,6 +66,7 @@ const ASSETS: &[Asset] = &[
     asset!(SCRIPT, "gl/set.js"),
     asset!(SCRIPT, "gl/surfaces.js"),
     asset!(SCRIPT, "health.js"),
+    asset!(SCRIPT, "keeping.js"),
     asset!(SCRIPT, "lens.js"),
     asset!(SCRIPT, "live.js"),
     asset!(SCRIPT, "minute.js"),

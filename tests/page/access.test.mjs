@@ -70,6 +70,13 @@ test("a browser on another machine looks on, and changes nothing until it is pai
   const { page, complaints, close } = await pageOf(on.browser, address, { view: "recordings", bypassCSP: true });
   await page.getByText("This browser is not paired: it can look, and change nothing.").waitFor();
   assert.equal(await page.getByRole("button", { name: "Record", exact: true }).isDisabled(), true);
+  // What only a paired browser gets asks for the code, too.
+  await page.goto(`${address}#health`);
+  await page.locator("pre.log", { hasText: "This browser is not paired" }).waitFor();
+  assert.equal(await page.locator(".pairing").count(), 0);
+  await page.getByRole("button", { name: "Download backup" }).click();
+  await page.getByRole("button", { name: "Not now" }).click();
+  await page.goto(`${address}#recordings`);
   await page.getByRole("button", { name: "Pair …" }).first().click();
   await page.getByLabel("Code").fill("0000 0000");
   await page.getByLabel("Name of this browser").fill("The test's tablet");

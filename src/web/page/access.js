@@ -47,8 +47,9 @@ export function watchAccess() {
   setInterval(look, LOOKS_EVERY);
   // At once when the daemon is there, or there again.
   effect(() => void (contact.value && look()));
-  whenRefused.add((status) => {
-    if (status === 401) isPairing.value = true;
+  whenRefused.add((status, isChange) => {
+    // What the page reads by itself opens no box.
+    if (status === 401 && isChange) isPairing.value = true;
     if (status === 401 || status === 423) look();
   });
 }
@@ -115,6 +116,12 @@ export function Barred() {
 /** A button that changes something. @param {{act: () => void, children: unknown, off?: boolean}} props */
 export function Change({ act, children, off = false }) {
   return html`<button type="button" disabled=${off || barred.value !== null} onClick=${act}>${children}</button>`;
+}
+
+/** A file of the daemon's, which only a paired browser gets. @param {{path: string, name?: string, children: unknown}} props */
+export function Download({ path, name, children }) {
+  if (session.value?.needs_pairing) return html`<button type="button" aria-label=${name} onClick=${() => (isPairing.value = true)}>${children}</button>`;
+  return html`<a class="button" href=${`./api/v1/${path}`} download aria-label=${name}>${children}</a>`;
 }
 
 /** What is typed in the box is kept while it is closed. */

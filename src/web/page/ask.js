@@ -12,7 +12,7 @@ export class Refused extends Error {
   }
 }
 
-/** Who wants to know of refusals for lack of a right: 401 and 423. @type {Set<(status: number) => void>} */
+/** Who wants to know of refusals, and whether it was a change that was refused. @type {Set<(status: number, isChange: boolean) => void>} */
 export const whenRefused = new Set();
 
 /** Words of the daemon as a sentence: they begin small, and end without a full stop. A name that comes first stays as it is. @param {string} words */
@@ -38,7 +38,7 @@ export async function ask(path, how = {}) {
     throw new Refused(0, "stagepose does not answer. See that it runs.");
   }
   if (answer.ok) return answer;
-  for (const told of whenRefused) told(answer.status);
+  for (const told of whenRefused) told(answer.status, how.method !== undefined);
   throw new Refused(answer.status, await refusal(answer));
 }
 

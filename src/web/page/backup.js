@@ -1,6 +1,6 @@
 // Backup and restore: what a restore would change is said before it is done.
 import { signal } from "./vendor/signals.js";
-import { Barred, Change } from "./access.js";
+import { Barred, Change, Download } from "./access.js";
 import { ask, post, reason, sentence } from "./ask.js";
 import { html } from "./ui.js";
 import { differing, entries, textOf } from "./zip.js";
@@ -70,7 +70,7 @@ export function Backup() {
     <p class="note">The config, all that it names, and the set, as one zip.</p>
     <${Barred} />
     <div class="row">
-      <a class="button" href=${"./api/v1/backup"} download>Download backup</a>
+      <${Download} path="backup">Download backup<//>
       <label class="button">Restore …<input type="file" accept=".zip,application/zip" onChange=${choose} /></label>
     </div>
     ${plan.value ? html`<${Planned} of=${plan.value} />` : null}

@@ -121,7 +121,7 @@ export function measure(record, motion, tiles) {
 /** Draws the shown frame anew, after something else changed. */
 export function again() {
   if (compositor === null) return;
-  compositor.set.setThings(set.value.things, models.value);
+  compositor.set.setThings(set.value.objects, models.value);
   compositor.draw(shown?.record, shown?.motion ?? null, { mode: mode.value, share: share.value, clean: clean.value });
 }
 

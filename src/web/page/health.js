@@ -1,6 +1,7 @@
 // The Health view: one card a part with a sentence and what to do, what the outputs send, the log, diagnostics and backup.
 import { effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
+import { session } from "./access.js";
 import { ask, read, reason, sentence } from "./ask.js";
 import { Backup } from "./backup.js";
 import { contact } from "./daemon.js";
@@ -43,6 +44,10 @@ async function look() {
 }
 
 async function readLog() {
+  if (session.peek()?.needs_pairing) {
+    log.value = "This browser is not paired: the log is for those that are.";
+    return;
+  }
   log.value = await ask(`log?lines=${LINES}`).then((answer) => answer.text(), reason);
 }
 

@@ -1,5 +1,6 @@
 // Models from files: glTF in one file (.glb). A file that names others is refused, for the page loads nothing from elsewhere.
 import { signal } from "./vendor/signals.js";
+import { ask, reason, send } from "./ask.js";
 import { Box3, Group, GLTFLoader, LoadingManager, TextureLoader, Vector3 } from "./vendor/three.js";
 
 /** Bytes of a file at most. */
@@ -8,11 +9,44 @@ const LARGEST = 64 * 1024 * 1024;
 /** Models by the name of their file, a metre high at most, standing on their origin, z up. */
 export const models = signal(/** @type {Map<string, import("./vendor/three.js").Object3D>} */ (new Map()));
 
-/** Reads a model; the promise fails with a sentence for people. @param {File} file */
+/** Letters of a model's name, as the daemon takes them. */
+const LONGEST_NAME = 64;
+
+/** What the daemon calls a model's file. @param {string} name */
+function keptName(name) {
+  return `${name.replace(/\.glb$/i, "").replace(/[^A-Za-z0-9_-]+/g, "-").slice(0, LONGEST_NAME) || "model"}.glb`;
+}
+
+/** Reads a model, and gives it to the daemon to keep; the promise fails with a sentence for people where it cannot be used. Returns the name that it is kept by,
+ * and why it is not kept. @param {File} file @returns {Promise<{name: string, unkept: string | null}>} */
 export async function load(file) {
   if (file.size > LARGEST) throw new Error(`${file.name} has ${Math.ceil(file.size / 1048576)} MB; at most 64 MB are taken. Make its pictures smaller.`);
-  const bytes = await file.arrayBuffer();
-  refuseOthers(file.name, bytes);
+  const name = keptName(file.name);
+  await take(file.name, name, await file.arrayBuffer());
+  const content = new Blob([file], { type: "model/gltf-binary" });
+  return { name, unkept: await send("PUT", `sets/${name}`, content).then(() => null, reason) };
+}
+
+/** Models that were asked for. @type {Set<string>} */
+const asked = new Set();
+
+/** Fetches models that the daemon keeps, each once. @param {string[]} names */
+export async function fetchModels(names) {
+  for (const name of names) {
+    if (asked.has(name) || models.value.has(name)) continue;
+    asked.add(name);
+    try {
+      await take(name, name, await (await ask(`sets/${name}`)).arrayBuffer());
+    } catch {
+      // Whoever chooses the thing is told that its file is not here; the next opening asks anew.
+      asked.delete(name);
+    }
+  }
+}
+
+/** @param {string} file as people call it @param {string} kept its name @param {ArrayBuffer} bytes */
+async function take(file, kept, bytes) {
+  refuseOthers(file, bytes);
   const loader = new GLTFLoader(new LoadingManager());
   // Pictures through an element: the policy lets nothing be fetched from memory.
   loader.register((/** @type {any} */ parser) => {
@@ -20,10 +54,9 @@ export async function load(file) {
     return { name: "pictures" };
   });
   const gltf = await loader.parseAsync(bytes, "").catch((/** @type {unknown} */ why) => {
-    throw new Error(`${file.name} cannot be read (${why instanceof Error ? why.message : why}). Export it as glTF binary (.glb) without compression.`);
+    throw new Error(`${file} cannot be read (${why instanceof Error ? why.message : why}). Export it as glTF binary (.glb) without compression.`);
   });
-  models.value = new Map([...models.value, [file.name, upright(gltf.scene)]]);
-  return file.name;
+  models.value = new Map([...models.value, [kept, upright(gltf.scene)]]);
 }
 
 /** @param {string} name @param {ArrayBuffer} bytes */

@@ -1,7 +1,7 @@
 // The Recordings view: what was recorded, its timeline, and playing it with what was found; beginning, ending and marking a recording.
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
-import { Barred, Change } from "./access.js";
+import { Barred, Change, Download } from "./access.js";
 import { post, read, reason } from "./ask.js";
 import { clip, close, fault, go, goToLoss, isLost, open, painters, playing, row, shown, speed, togglePlaying } from "./clip.js";
 import { contact } from "./daemon.js";
@@ -184,7 +184,7 @@ function Choice() {
           <button type="button" aria-pressed=${clip.value?.id === one.id ? "true" : "false"} onClick=${() => open(one.id)}>
             ${date.format(one.begun_unix_ms)}<br /><small>${clock(one.seconds)}, ${one.frames} rows${megabytes(one.bytes)}${one.open ? ", still going on" : ""}</small>
           </button>
-          <a class="button" href=${`./api/v1/recordings/${one.id}/download`} download aria-label=${`Download ${one.id}`}>Download</a>
+          <${Download} path=${`recordings/${one.id}/download`} name=${`Download ${one.id}`}>Download<//>
         </li>`,
       )}
     </ul>

@@ -6,6 +6,7 @@ import { MODES } from "./gl/compose.js";
 import { again, clean, composeOn, fault, floorHeight, learn, measured, mode, share } from "./composite.js";
 import { NumberField } from "./fields.js";
 import { ACTIONS, action, handlesOn } from "./gizmo.js";
+import { isTorn, keepMine, keepSet, saved, takeTheirs } from "./keeping.js";
 import { load, models } from "./models.js";
 import { add, alter, change, chosen, remove, set, undo } from "./things.js";
 import { amount, html } from "./ui.js";
@@ -31,6 +32,7 @@ function Picture() {
     const own = /** @type {HTMLCanvasElement} */ (/** @type {unknown} */ (canvas.current));
     const end = composeOn(own);
     const endHandles = handlesOn(own);
+    const endKeeping = keepSet();
     // The set, the way it is shown and the stage change the picture also between frames.
     const stop = effect(() => {
       void [set.value, models.value, mode.value, share.value, clean.value];
@@ -46,6 +48,7 @@ function Picture() {
       document.removeEventListener("fullscreenchange", left);
       stop();
       stopLearning();
+      endKeeping();
       endHandles();
       end();
     };
@@ -137,7 +140,7 @@ function Chosen({ thing }) {
       <button type="button" aria-pressed=${thing.shown ? "true" : "false"} onClick=${() => alter(id, { shown: !thing.shown })}>Shown</button>
       <button type="button" onClick=${() => remove(id)}>Remove</button>
     </div>
-    ${thing.kind === "model" && !models.value.has(thing.file ?? "") ? html`<p class="note">Its file ${thing.file} is not loaded: choose it anew above.</p>` : null}
+    ${thing.kind === "model" && !models.value.has(thing.file ?? "") ? html`<p class="note">Its file ${thing.file} is not here: choose it anew above.</p>` : null}
   </section>`;
 }
 
@@ -148,8 +151,9 @@ async function chosenFile({ target }) {
   if (!file) return;
   refused.value = null;
   try {
-    const name = await load(file);
-    if (!set.value.things.some((thing) => thing.file === name)) add("model", { file: name, name: name.replace(/\.glb$/i, "") });
+    const { name, unkept } = await load(file);
+    if (!set.value.objects.some((thing) => thing.file === name)) add("model", { file: name, name: name.replace(/\.glb$/i, "") });
+    if (unkept !== null) refused.value = `${file.name} is here, but stagepose does not keep it: ${unkept}`;
   } catch (why) {
     refused.value = why instanceof Error ? why.message : `${why}`;
   }
@@ -157,8 +161,8 @@ async function chosenFile({ target }) {
 }
 
 function Things() {
-  const { things } = set.value;
-  const thing = things.find(({ id }) => id === chosen.value);
+  const { objects } = set.value;
+  const thing = objects.find(({ id }) => id === chosen.value);
   return html`<section class="things" aria-labelledby="things">
     <h2 id="things">On the set</h2>
     <div class="row">
@@ -167,9 +171,9 @@ function Things() {
       <button type="button" onClick=${undo}>Undo</button>
     </div>
     ${refused.value ? html`<p class="refused" role="alert">${refused.value}</p>` : null}
-    ${things.length === 0 ? html`<p class="note">Nothing yet. Add a cone: it stands on the stage's origin.</p>` : null}
+    ${objects.length === 0 ? html`<p class="note">Nothing yet. Add a cone: it stands on the stage's origin.</p>` : null}
     <ul class="list">
-      ${things.map(
+      ${objects.map(
         ({ id, name }) => html`<li key=${id}>
           <button type="button" aria-pressed=${id === chosen.value ? "true" : "false"} onClick=${() => (chosen.value = id === chosen.value ? null : id)}>${name}</button>
         </li>`,
@@ -179,7 +183,14 @@ function Things() {
     <div class="fields">
       <${NumberField} label="Floor's height" unit="m" value=${floorHeight()} onValue=${(/** @type {number} */ floor_m) => change({ floor_m })} />
     </div>
-    <p class="note">The set is kept in this browser. Surfaces and the floor take its shadows; what stands behind a surface is hidden.</p>
+    <p class="note" role="status">${saved.value}</p>
+    ${isTorn.value
+      ? html`<div class="row">
+          <button type="button" onClick=${keepMine}>Keep mine</button>
+          <button type="button" onClick=${takeTheirs}>Take theirs</button>
+        </div>`
+      : null}
+    <p class="note">Surfaces and the floor take its shadows; what stands behind a surface is hidden.</p>
   </section>`;
 }
 

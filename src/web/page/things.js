@@ -1,11 +1,11 @@
-// What is on the set. It is kept in this browser with every change, so that nothing typed is lost.
+// What is on the set. It is kept in this browser with every change, so that nothing typed is lost, and by the daemon (keeping.js).
 import { effect, signal } from "./vendor/signals.js";
 
 /**
  * @typedef {"cone" | "cube" | "grid" | "model"} Kind
  * @typedef {{id: string, kind: Kind, name: string, on: string, position_m: number[], rotation_deg: number[], size_m: number[], colour: string,
  *   shown: boolean, file?: string}} Thing `on` is "floor" or a surface's number; place, turn (about z, then y, then x) and size are within that frame
- * @typedef {{things: Thing[], floor_m: number | null}} Kept `floor_m` is the floor's height, or null for the stage's lowest point
+ * @typedef {{objects: Thing[], floor_m: number | null}} Kept `floor_m` is the floor's height, or null for the stage's lowest point
  */
 
 const KEPT_AS = "stagepose.set";
@@ -25,11 +25,18 @@ function kept() {
   try {
     const text = localStorage.getItem(KEPT_AS);
     const found = text === null ? null : JSON.parse(text);
-    if (found !== null && Array.isArray(found.things) && found.things.every(isThing)) return { things: found.things, floor_m: found.floor_m ?? null };
+    const set = asSet(found);
+    if (set !== null) return set;
   } catch {
     // A browser that keeps nothing, or something else, begins with an empty set.
   }
-  return { things: [], floor_m: null };
+  return { objects: [], floor_m: null };
+}
+
+/** A set as this page knows sets; null where it is none. @param {any} found @returns {Kept | null} */
+export function asSet(found) {
+  if (!Array.isArray(found?.objects) || !found.objects.every(isThing)) return null;
+  return { objects: found.objects, floor_m: Number.isFinite(found.floor_m) ? found.floor_m : null };
 }
 
 /** @param {any} one */
@@ -60,6 +67,13 @@ export function change(by) {
   set.value = { ...set.value, ...by };
 }
 
+/** Takes over the set that the daemon has. @param {Kept} other */
+export function replace(other) {
+  former.length = 0;
+  set.value = other;
+  if (!other.objects.some(({ id }) => id === chosen.value)) chosen.value = null;
+}
+
 /** The set as it was before the last change. */
 export function undo() {
   const last = former.pop();
@@ -70,19 +84,19 @@ export function undo() {
 export function add(kind, with_ = {}) {
   const { name, size_m, colour } = FIRST[kind];
   const id = `${Date.now().toString(36)}${Math.floor(Math.random() * 1e9).toString(36)}`;
-  const count = set.value.things.filter((thing) => thing.kind === kind).length;
+  const count = set.value.objects.filter((thing) => thing.kind === kind).length;
   const thing = { id, kind, name: count === 0 ? name : `${name} ${count + 1}`, on: "floor", position_m: [0, 0, 0], rotation_deg: [0, 0, 0], size_m: [...size_m], colour, shown: true };
-  change({ things: [...set.value.things, { ...thing, ...with_ }] });
+  change({ objects: [...set.value.objects, { ...thing, ...with_ }] });
   chosen.value = id;
 }
 
 /** Changes a thing. @param {string} id @param {Partial<Thing>} by */
 export function alter(id, by) {
-  change({ things: set.value.things.map((thing) => (thing.id === id ? { ...thing, ...by } : thing)) });
+  change({ objects: set.value.objects.map((thing) => (thing.id === id ? { ...thing, ...by } : thing)) });
 }
 
 /** Takes a thing off the set. @param {string} id */
 export function remove(id) {
-  change({ things: set.value.things.filter((thing) => thing.id !== id) });
+  change({ objects: set.value.objects.filter((thing) => thing.id !== id) });
   if (chosen.value === id) chosen.value = null;
 }
