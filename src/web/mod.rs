@@ -55,6 +55,4 @@ pub use hosts::AllowedHosts;
 #[cfg(feature = "http")]
 pub use keys::code_file;
 #[cfg(feature = "http")]
-pub use reply::Reply;
-#[cfg(feature = "http")]
 pub use server::{Server, Site};

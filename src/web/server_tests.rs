@@ -5,7 +5,7 @@ use std::time::Instant;
 use super::*;
 use crate::frame::Timestamp;
 use crate::record::State;
-use crate::web::Reply;
+use crate::web::reply::Reply;
 
 fn server() -> Server {
     let settings = HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
