@@ -42,6 +42,15 @@ const LEAST_SHARE: f64 = 0.5;
 /// A motion while rows are read that leaves less than this share of what the focal length leaves explains the frame instead. 0.03 to 0.3 of a shaken
 /// camera, 0.95 to 1.1 of a zoom. Raised, a zoom passes for a motion; lowered, shaken cameras with a rolling shutter that nobody described are refused.
 const RIVAL_SHARE: f64 = 0.7;
+/// Sigmas beyond which a frame strays from what those before it said of the focal length: it may be a zoom, and goes into the covariance. Of still and moving cloth, people,
+/// haze and shaken cameras none was beyond 3.1; of real clips through lenses that nobody calibrated up to 6.4; of zooms on cloth and on a set of flats the second or third frame
+/// was. Raised, zooms of a stage that does not fit are given too surely; lowered, a draught makes poses less sure.
+const STRAYED_SIGMAS: f64 = 3.0;
+/// Sigmas beyond which it says so clearly. Raised, a zoom of a stage that does not fit is noticed later; lowered, a draught passes for one.
+const CHANGED_SIGMAS: f64 = 4.0;
+/// A frame that knows the focal length less well than this says nothing of whether it is the usual one again. Chosen: a few times what a stage that does not fit tells
+/// from the side. Raised, views from ahead bring poses back.
+const MOST_SIGMA: f64 = 0.01;
 /// Sigmas within which a focal length is the calibration's again. Raised, poses are withheld for longer.
 const RIGHT_SIGMAS: f64 = 3.0;
 
@@ -61,6 +70,29 @@ impl FocalClue {
     pub fn is_off(&self, doubt: f64) -> bool {
         let size = self.change.abs();
         size > LEAST_CHANGE && size > LEAST_SIGMAS * self.sigma && size > DOUBT_SIGMAS * doubt && self.share > LEAST_SHARE
+    }
+
+    /// By how much the logarithm of the focal length is another one than the frames before said, where it clearly is. They said `usual` and knew it by `usual_sigma`:
+    /// whatever else does not fit, cloth in folds or a lens that is a little off, speaks much the same in all of them.
+    pub fn strays(&self, usual: f64, usual_sigma: f64) -> Option<f64> {
+        let by = self.change - usual;
+        // Without any share a motion while the rows were read explains the frame as well.
+        let is_clear = by.abs() > LEAST_CHANGE && by.abs() > STRAYED_SIGMAS * self.sigma.hypot(usual_sigma) && self.share > 0.0;
+        is_clear.then_some(by)
+    }
+
+    /// Whether it strays as far as only a lens that was moved does. `doubt`: as for [`is_off`](Self::is_off). `is_rough`: whether frames contradicted the calibration
+    /// from the first.
+    pub fn has_changed(&self, usual: f64, usual_sigma: f64, doubt: f64, is_rough: bool) -> bool {
+        let least = if is_rough { LEAST_SIGMAS } else { CHANGED_SIGMAS };
+        let is_far = |by: f64| by.abs() > least * self.sigma.hypot(usual_sigma) && by.abs() > DOUBT_SIGMAS * doubt;
+        self.strays(usual, usual_sigma).is_some_and(is_far)
+    }
+
+    /// Whether the frame says what those before the lens was moved did.
+    pub fn is_usual(&self, usual: f64, usual_sigma: f64) -> bool {
+        let sigma = self.sigma.hypot(usual_sigma);
+        (self.change - usual).abs() < LEAST_CHANGE.max(RIGHT_SIGMAS * sigma) && sigma < MOST_SIGMA
     }
 
     /// Whether the frame is clearly taken with the calibrated focal length.

@@ -198,8 +198,12 @@ impl Matcher {
             body.model_fit(&verified.as_ref()?.pose, camera, &rows, is_moved)
         }));
         // All are seen through one lens: the body that tells most of it speaks.
-        let clues = self.fits.iter().flatten().filter_map(|fit| fit.focal.as_ref());
-        let clue = clues.min_by(|a, b| a.sigma.total_cmp(&b.sigma));
+        let clues = self.fits.iter().enumerate().filter_map(|(k, fit)| Some((k, fit.as_ref()?.focal.as_ref()?)));
+        let clue = clues.min_by(|a, b| a.1.sigma.total_cmp(&b.1.sigma));
+        let clue = clue.map(|(body, clue)| {
+            self.lens_watch.listen_to(body);
+            clue
+        });
         let doubt = camera.doubt().map_or(0.0, |doubt| doubt.uncertainty.focal_px[0] / (3.0 * camera.intrinsics().fx));
         let is_seen = self.fits.iter().any(Option::is_some);
         self.lens_watch.update(clue, is_seen, doubt)
@@ -230,7 +234,10 @@ impl Matcher {
             let by_lens = covariance_by_lens(&v.pose, &self.camera, observations).filter(|_| self.settings.adds_lens_doubt);
             let by_shape = covariance_by_shape(&v.pose, &self.camera, &tracked.body.surfaces, &tracked.anchors);
             let fit = self.fits[k];
-            v.by_model = [by_lens, by_shape, fit.and_then(|fit| fit.covariance)].into_iter().flatten().reduce(|sum, more| sum + more);
+            let by_focal = self.lens_watch.strayed().filter(|_| fit.is_some());
+            let by_focal = by_focal.and_then(|strayed| tracked.covariance_by_focal(&v.pose, strayed));
+            v.by_model =
+                [by_lens, by_shape, by_focal, fit.and_then(|fit| fit.covariance)].into_iter().flatten().reduce(|sum, more| sum + more);
             v.rms_px = fit.map_or(v.rms_px, |fit| fit.rms_px);
         }
         BodySighting { state, verified, reason }

@@ -21,6 +21,12 @@ const LEAST_TILES: f64 = 12.0;
 /// Solutions that find the weights, the first with all tiles. Chosen: the third hardly differs from the second. Raised, frames cost more;
 /// lowered to 1, outliers count.
 const ROUNDS: usize = 3;
+/// What is left must be so many times the noise, squared, to count as a misfit of the model. Chosen, not tuned. Raised, zooms of stages that hardly fit are
+/// missed; lowered, frames of stages that fit cost more.
+const LEAST_MISFIT: f64 = 3.0;
+/// Squared displacement of a tile, sigmas of noise, beyond which it counts no more. Raised, a single tile passes for a misfit; lowered, a small flat that was moved
+/// does not.
+const LARGEST: f64 = 400.0;
 /// Median of the length of a plane vector of unit normal noise: sqrt(2 ln 2).
 const MEDIAN_LENGTH: f64 = 1.177_410_022_515_474_6;
 /// Least scale of what is left, sigmas of noise: exact data have weights too. Lowered to 0, they have none.
@@ -78,6 +84,8 @@ pub struct TileResiduals {
     squares: Vec<f64>,
     normal: Matrix6<f64>,
     weight: f64,
+    /// The change of pose and focal length that explains the shifts best.
+    change: SVector<f64, 7>,
 }
 
 impl TileResiduals {
@@ -110,6 +118,7 @@ impl TileResiduals {
             self.weigh(&change)?;
             change = self.solved()?;
         }
+        self.change = change;
         Some(())
     }
 
@@ -128,6 +137,12 @@ impl TileResiduals {
         self.weight
     }
 
+    /// Whether clearly more than noise is left of the tiles' shifts, each counting up to [`LARGEST`].
+    pub fn is_misfit(&self) -> bool {
+        let left: f64 = self.tiles.iter().map(|t| t.squared_left(&self.change).min(LARGEST)).sum();
+        left > LEAST_MISFIT * 2.0 * self.tiles.len() as f64
+    }
+
     /// Root mean square of the shifts, each counting by its information; pixels.
     pub fn rms_px(&self) -> f64 {
         let squared: f64 = self.tiles.iter().map(TileResidual::squared).sum();
@@ -140,6 +155,12 @@ impl TileResiduals {
         let right: Vector6<f64> = self.tiles.iter().map(|t| t.by_pose.transpose() * (t.information * t.shift_px)).sum();
         let squared: f64 = self.tiles.iter().map(TileResidual::squared).sum();
         Some((squared - right.dot(&self.normal.cholesky()?.solve(&right))).max(0.0))
+    }
+
+    /// How far the pose goes astray with the logarithm of the focal length, [δt, δθ] of `T_camera_body`, camera axes.
+    pub fn pose_by_focal(&self) -> Option<Vector6<f64>> {
+        let right: Vector6<f64> = self.tiles.iter().map(|t| t.by_pose.transpose() * (t.information * t.by_focal)).sum();
+        Some(self.normal.cholesky()?.solve(&right))
     }
 
     /// The robust weights of what a change of pose and focal length leaves.
@@ -187,7 +208,7 @@ mod tests {
     use super::super::synthetic::{cloth, facing, lens, prepared, seen_anchors};
     use super::*;
     use crate::camera::Intrinsics;
-    use crate::geometry::resection::perturbed;
+    use crate::geometry::resection::{perturbed, resect};
 
     fn oblique() -> Pose<Camera, Body> {
         facing(0.1, -0.3, Vector3::new(0.4, 0.05, 5.0))
@@ -217,6 +238,22 @@ mod tests {
                 (seen(&pose, &|n| n * (1.0 + h * n.norm_squared())) - seen(&pose, &|n| n * (1.0 - h * n.norm_squared()))) / (2.0 * h);
             assert!((by_focal - tile.by_focal).norm() < 1e-3 && (by_radial - tile.by_radial).norm() < 1e-3);
         }
+    }
+
+    #[test]
+    fn another_focal_length_leads_the_pose_astray_as_told() {
+        let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(640, 480), oblique());
+        let i = *camera.intrinsics();
+        let by = 0.002_f64;
+        let zoomed = CameraModel::new(Intrinsics { fx: by.exp() * i.fx, fy: by.exp() * i.fy, ..i }).unwrap();
+        let anchors = seen_anchors(&body, &pose, &zoomed, 10, &mut |_, _| Vector2::zeros());
+        let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
+        let found = resect(&pose, &MovingCamera::still(&camera), &observations, 30).expect("a pose").pose;
+        let mut residuals = TileResiduals::default();
+        residuals.take(&found, &camera, &anchors).expect("tiles enough");
+        let told = perturbed(&found, &(residuals.pose_by_focal().expect("it is solved") * -by));
+        let off = |p: &Pose<Camera, Body>| (p.translation - pose.translation).norm();
+        assert!(off(&found) > 0.004 && off(&told) < 0.1 * off(&found), "{} {}", off(&found), off(&told));
     }
 
     #[test]

@@ -18,6 +18,7 @@ use super::track_state::TrackStateMachine;
 use super::verify::{Refusal, Verified, VerifyBuffers, View, judged_noise, verify};
 use crate::camera::{CameraModel, Normalized, Shutter};
 use crate::frame::{Frame, Timestamp};
+use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{MovingCamera, Observation, Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{MotionEstimate, ProcessNoise};
@@ -277,12 +278,18 @@ impl TrackedBody {
         let anchors = if found.is_empty() { anchors } else { found };
         residuals.take(&t_camera_body, camera, anchors)?;
         let covariance = covariance_by_model_error(&t_camera_body, f64::from(camera.width()), residuals, steps);
-        let asks_focal = asks_focal || is_suspect(residuals);
+        let asks_focal = asks_focal || residuals.is_misfit() || is_suspect(residuals);
         let rows = RowDisplacement::new(camera, rows, &t_camera_body);
         let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
         let fit = ModelFit { rms_px: residuals.rms_px(), covariance, focal };
         debug!(body = %body.name, rms_px = fit.rms_px, doubts = covariance.is_some(), focal = ?fit.focal, "model");
         Some(fit)
+    }
+
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, where one sigma of the logarithm of the focal length is this.
+    pub fn covariance_by_focal(&self, pose: &Pose<Body, Camera>, sigma: f64) -> Option<Matrix6<f64>> {
+        let step = self.residuals.pose_by_focal()? * sigma;
+        Some(covariance_of_inverse(&pose.inverse(), &(step * step.transpose())))
     }
 
     /// Puts starts to the test, and takes the first clear success, or the best of what passes.

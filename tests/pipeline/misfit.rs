@@ -3,7 +3,8 @@
 use nalgebra::Vector3;
 use stagepose::diagnostics::capture::VirtualCamera;
 use stagepose::{
-    CameraModel, CameraPath, ClipEntry, EntryContent, FrameSource, Intrinsics, PoseSample, Reason, Spline, State, VirtualStage,
+    CameraModel, CameraPath, ClipEntry, Draught, EntryContent, FrameSource, Intrinsics, PoseSample, Reason, Spline, State, VirtualStage,
+    Wave,
 };
 
 use super::scene::{FPS, backdrop, backdrop_art, body, camera, nees_per_freedom, quiet, rows, setup, surface, track, track_rows, truth_of};
@@ -74,4 +75,18 @@ fn a_zoom_is_withheld_until_the_lens_is_back() {
     let given = samples.iter().filter(|s| s.state == State::Tracking && !(15..18).contains(&s.sequence));
     let worst = given.map(|s| nees_per_freedom(&scene, s)).fold(0.0, f64::max);
     assert!(worst < 6.0, "{worst}");
+}
+
+#[test]
+fn a_zoom_is_withheld_where_cloth_hides_it() {
+    let mut scene = quiet(camera(640, 360), from_the_side(), backdrop());
+    let wave = |height_m, wave_vector, phase_rad| Wave { height_m, wave_vector, rate_hz: 0.0, phase_rad };
+    scene.draughts = vec![Draught { surface: 0, waves: vec![wave(0.009, [4.4, 0.4], 0.9), wave(0.009, [8.0, -0.8], 2.1)] }];
+    let samples = track_rows(setup(&scene), &zooming(&scene));
+    let states: Vec<State> = samples.iter().map(|s| s.state).collect();
+    println!("{states:?}");
+    // Frame 15 is 2 % off, frame 19 10 %.
+    assert!(states[2..15].iter().filter(|s| **s == State::Tracking).count() >= 11, "{states:?}");
+    assert!(states[20..36].iter().all(|s| *s == State::Lost), "{states:?}");
+    assert!(samples[20..36].iter().any(|s| s.reason == Some(Reason::LensMoved)));
 }

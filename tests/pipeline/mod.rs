@@ -1,6 +1,7 @@
 //! `Tracker` and `Daemon` on frames of the virtual stage, held to its exact truth.
 
 mod any_frame;
+mod bent;
 mod daemon;
 mod misfit;
 mod objects;
