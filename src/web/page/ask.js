@@ -18,7 +18,7 @@ export const whenRefused = new Set();
 /** Words of the daemon as a sentence: they begin small, and end without a full stop. A name that comes first stays as it is. @param {string} words */
 export function sentence(words) {
   const text = words.trim();
-  const begun = /^[a-z]+[ ,;:]/.test(text) ? `${text[0].toUpperCase()}${text.slice(1)}` : text;
+  const begun = /^[a-z]+([ ,;:]|$)/.test(text) ? `${text[0].toUpperCase()}${text.slice(1)}` : text;
   return text === "" || /[.!?…]$/.test(text) ? begun : `${begun}.`;
 }
 

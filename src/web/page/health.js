@@ -147,7 +147,7 @@ export function Health() {
     <section class="wide" aria-labelledby="outputs">
       <h2 id="outputs">Outputs</h2>
       ${outputs.value.length > 0
-        ? html`<ul class="cards">${outputs.value.map((output) => html`<${Sent} key=${output.name} ...${output} />`)}</ul>`
+        ? html`<ul class="cards outputs">${outputs.value.map((output) => html`<${Sent} key=${output.name} ...${output} />`)}</ul>`
         : html`<p>${parts.value === null ? "" : "The config has no [[output]]: poses go to this page alone."}</p>`}
     </section>
     <${Diagnostics} />

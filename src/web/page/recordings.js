@@ -2,7 +2,7 @@
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { Barred, Change, Download } from "./access.js";
-import { post, read, reason } from "./ask.js";
+import { post, read, reason, sentence } from "./ask.js";
 import { clip, close, fault, go, goToLoss, isLost, open, painters, playing, row, shown, speed, togglePlaying } from "./clip.js";
 import { contact } from "./daemon.js";
 import { draft } from "./drafts.js";
@@ -195,7 +195,7 @@ function Choice() {
 function Events() {
   const of = clip.value;
   if (of === null || of.events.length === 0) return null;
-  const words = (/** @type {import("./clip.js").Happening} */ { event, text, says }) => says ?? [event.replaceAll("_", " "), text].filter(Boolean).join(": ");
+  const words = (/** @type {import("./clip.js").Happening} */ { event, text, says }) => sentence(says ?? [event.replaceAll("_", " "), text].filter(Boolean).join(": "));
   return html`<section class="happened" aria-labelledby="inside">
     <h2 id="inside">What happened in it</h2>
     <ol>
