@@ -69,6 +69,8 @@ enum Command {
     Mount(mount::MountArguments),
     Devices(devices::DevicesArguments),
     Run(run::RunArguments),
+    #[cfg(feature = "http")]
+    Setup(run::SetupArguments),
     Record(record::RecordArguments),
     SendTest(send_test::SendTestArguments),
     Listen(listen::ListenArguments),
@@ -102,6 +104,8 @@ pub fn run(started: Instant) -> ExitCode {
         Command::Mount(arguments) => mount::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
+        #[cfg(feature = "http")]
+        Command::Setup(arguments) => run::setup(arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::SendTest(arguments) => send_test::run(&arguments),
         Command::Listen(arguments) => listen::run(&arguments),

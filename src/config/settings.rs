@@ -142,6 +142,12 @@ pub struct LogSettings {
     pub format: LogFormat,
 }
 
+impl Default for LogSettings {
+    fn default() -> Self {
+        Self { level: LevelFilter::WARN, format: LogFormat::Text }
+    }
+}
+
 /// The words for how grave a message must be to be written, in config and on the command line.
 pub const LOG_LEVELS: [(&str, LevelFilter); 6] = [
     ("off", LevelFilter::OFF),
@@ -423,7 +429,7 @@ fn http(origin: &Origin<'_>, typed: Option<&as_typed::Http>) -> Result<Option<Ht
 }
 
 fn log(origin: &Origin<'_>, typed: Option<&as_typed::Log>) -> Result<LogSettings, ConfigError> {
-    let default = LogSettings { level: LevelFilter::WARN, format: LogFormat::Text };
+    let default = LogSettings::default();
     let Some(typed) = typed else { return Ok(default) };
     let section = Section { origin, name: "[log]" };
     let formats = [("text", LogFormat::Text), ("json", LogFormat::Json)];

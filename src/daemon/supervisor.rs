@@ -51,6 +51,7 @@ pub struct Supervisor {
     pub link: LiveLink,
     file: PathBuf,
     settings: Mutex<Option<Arc<Settings>>>,
+    refusal: Mutex<Option<String>>,
     outputs: Mutex<Option<OutputsWatch>>,
     recording: Mutex<Option<RecordingWish>>,
     /// What is recorded now.
@@ -72,6 +73,7 @@ impl Supervisor {
             link,
             file: file.to_owned(),
             settings: Mutex::default(),
+            refusal: Mutex::default(),
             outputs: Mutex::default(),
             recording: Mutex::default(),
             clip: Mutex::default(),
@@ -97,9 +99,22 @@ impl Supervisor {
         held(&self.settings).clone()
     }
 
-    /// A session begins under this config.
-    pub fn use_settings(&self, settings: Settings) {
-        *held(&self.settings) = Some(Arc::new(settings));
+    /// A session begins under this config; none where there is no good one.
+    pub fn use_settings(&self, settings: Option<Settings>) {
+        if settings.is_some() {
+            *held(&self.refusal) = None;
+        }
+        *held(&self.settings) = settings.map(Arc::new);
+    }
+
+    /// Says why the config that is there cannot be run, though it can be read.
+    pub fn refuse(&self, reason: String) {
+        *held(&self.refusal) = Some(reason);
+    }
+
+    /// Why the config cannot be run.
+    pub fn refusal(&self) -> Option<String> {
+        held(&self.refusal).clone()
     }
 
     /// The session's outputs; none when it ends.

@@ -3,4 +3,6 @@
 mod faults;
 mod faulty;
 pub mod program;
+#[cfg(feature = "http")]
+mod setup;
 mod soak;

@@ -26,7 +26,7 @@ pub fn config(folder: &std::path::Path) -> std::path::PathBuf {
 }
 
 /// A long clip: the fixture's pictures again and again.
-fn long_clip(folder: &std::path::Path, times: usize) -> std::path::PathBuf {
+pub fn long_clip(folder: &std::path::Path, times: usize) -> std::path::PathBuf {
     let one: Vec<u8> = (0..40).chain((1..39).rev()).flat_map(|n| std::fs::read(format!("{FIXTURE}/frames/{n:06}.jpg")).unwrap()).collect();
     let clip = folder.join("long.mjpeg");
     std::fs::write(&clip, one.repeat(times)).unwrap();

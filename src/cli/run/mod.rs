@@ -1,34 +1,32 @@
 //! `run`: a camera in, its pose out, for a whole show.
 //!
 //! A session is a camera, a tracker and what listens to it, under one config. It ends on a signal, with a played clip,
-//! on a new config, or when a stage fails; the daemon then starts the next one.
+//! on a new config, or when a stage fails; the daemon then starts the next one (`show`). `setup` is the same for a stage that has no good
+//! config yet.
 
 mod camera;
 mod notify;
 mod service;
 mod session;
+#[cfg(feature = "http")]
+mod setup;
+mod show;
 
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::time::{Duration, Instant};
 
 use super::failure::Failure;
-use super::interrupt;
-use super::logging::{self, LogArguments};
+use super::logging::LogArguments;
 use super::output_file::OutputFile;
-use super::pages::Pages;
 use super::spared::Spared;
-use crate::config::{HttpSettings, Settings};
-use crate::contain;
-use crate::daemon::live::{Event, LiveLink};
+use crate::config::{ConfigError, HttpSettings, Settings};
 use crate::daemon::recorder;
-use crate::daemon::{Mode, Supervisor};
-use crate::publish::Stamps;
-use service::Service;
-use session::{End, Session, Sinks};
 
 #[cfg(feature = "live")]
 pub(super) use camera::opener;
+#[cfg(feature = "http")]
+pub(super) use setup::{SetupArguments, setup};
+pub(super) use show::live;
 
 /// Track with a camera until a signal ends it.
 #[derive(Debug, clap::Args)]
@@ -67,9 +65,20 @@ pub(super) struct LiveArguments {
     page_dir: Option<PathBuf>,
     #[command(flatten)]
     log: LogArguments,
+    /// Where the page is whatever the config says, for who sets a stage up: then the config may be bad, or not there yet
+    #[arg(skip)]
+    setup: Option<SocketAddr>,
 }
 
 impl LiveArguments {
+    /// The config as it is now.
+    fn load(&self) -> Result<Settings, ConfigError> {
+        let settings = Settings::load(&self.config)?;
+        let Some(listen) = self.setup else { return Ok(settings) };
+        let hosts = settings.http.as_ref().map(|http| http.hosts.clone()).unwrap_or_default();
+        Ok(Settings { http: Some(HttpSettings { listen, hosts }), ..settings })
+    }
+
     #[cfg(feature = "http")]
     fn page_dir(&self) -> Option<&Path> {
         self.page_dir.as_deref()
@@ -93,121 +102,6 @@ impl LiveArguments {
 
 pub(super) fn run(arguments: &RunArguments) -> Result<(), Failure> {
     live(&arguments.live, None)
-}
-
-/// A stage may fail this often within [`RESTART_SPAN`] before the daemon gives up. Chosen: a failure that comes back every few seconds is
-/// left to the supervisor. The number raised or the span shortened, a daemon that cannot work goes on restarting.
-const MOST_RESTARTS: usize = 5;
-const RESTART_SPAN: Duration = Duration::from_secs(60);
-
-/// How often it is looked whether a lent camera is back. Chosen: nobody notices it. Raised, tracking begins later.
-const LENT_LOOK: Duration = Duration::from_millis(50);
-
-/// Sessions one after another; `clip` is what `record` records to.
-pub(super) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(), Failure> {
-    let mut settings = Settings::load(&arguments.config)?;
-    logging::start(&arguments.log, settings.log);
-    settings.notes.iter().for_each(|note| tracing::info!("{note}"));
-    settings.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-    interrupt::watch();
-    interrupt::watch_service();
-    // What the threads contain shall be in the log, not between its lines.
-    contain::report_others(|panic| tracing::error!("a part of the program failed: {panic}"));
-    let link = LiveLink::default();
-    let (poses, events) = arguments.open_sinks(&settings, clip.as_deref())?;
-    let mut sinks = Sinks::begin(poses, events, &link, settings.log)?;
-    let mut service = Service::start(arguments.seconds);
-    let mut previous: Option<Settings> = None;
-    let mut failures: Vec<Instant> = Vec::new();
-    let mut clips = session::Clips::new(clip);
-    let supervisor = Arc::new(Supervisor::new(&arguments.config, link.clone()));
-    let mut server = Serving::default();
-    let outcome = loop {
-        let outcome = server.serve(&settings, &supervisor, arguments).and_then(|pages| {
-            supervisor.use_settings(settings.clone());
-            let session = Session { settings: &settings, arguments, link: &link, supervisor: &supervisor, pages };
-            session.run(&mut service, &mut sinks, &mut clips)
-        });
-        match outcome {
-            Ok(End::Stopped) => break Ok(()),
-            Ok(End::Lent) => {
-                if !lent(&mut service, &mut sinks, &supervisor) {
-                    break Ok(());
-                }
-            }
-            Ok(End::Reload(new)) => {
-                sinks.reopen();
-                previous = Some(std::mem::replace(&mut settings, *new));
-            }
-            Err(failure) => match previous.take() {
-                // A new config that cannot be run (its camera does not fit, its port is taken): back to the one that worked.
-                Some(old) if !matches!(failure, Failure::Tracking(_)) => {
-                    link.events.publish(Event::ConfigRefused { reason: failure.to_string() });
-                    settings = old;
-                }
-                _ if !matches!(failure, Failure::Tracking(_)) => break Err(failure),
-                _ => {
-                    link.statistics.contained_panics.add(1);
-                    failures.retain(|at| at.elapsed() < RESTART_SPAN);
-                    failures.push(Instant::now());
-                    if failures.len() > MOST_RESTARTS {
-                        break Err(failure);
-                    }
-                    tracing::error!("{failure}; starting again");
-                }
-            },
-        }
-    };
-    let reason = match &outcome {
-        Err(failure) => failure.to_string(),
-        Ok(()) if interrupt::is_interrupted() => "a signal asked for it".to_owned(),
-        Ok(()) if service.is_over() => "the time of --seconds is over".to_owned(),
-        Ok(()) => "the camera's pictures are at their end".to_owned(),
-    };
-    link.events.publish(Event::Ended { reason });
-    service.end();
-    let written = sinks.finish();
-    link.events.close();
-    let recorded = clips.cut_short().map_or(Ok(()), |reason| Err(Failure::Recording(reason)));
-    outcome.and(recorded).and(written)
-}
-
-/// The server, which outlives sessions; it begins anew only where the config has another one.
-#[derive(Default)]
-struct Serving {
-    pages: Option<(Option<HttpSettings>, Pages)>,
-}
-
-impl Serving {
-    /// The server of this config.
-    fn serve(&mut self, settings: &Settings, supervisor: &Arc<Supervisor>, arguments: &LiveArguments) -> Result<&Pages, Failure> {
-        if self.pages.as_ref().is_some_and(|(http, _)| *http != settings.http) {
-            self.pages = None;
-        }
-        let (_, pages) = match self.pages.take() {
-            Some(pages) => self.pages.insert(pages),
-            None => {
-                let run = Some((supervisor, arguments.page_dir()));
-                let pages = Pages::start(settings.http.as_ref(), &settings.safety, Stamps::Live, run)?;
-                self.pages.insert((settings.http.clone(), pages))
-            }
-        };
-        Ok(pages)
-    }
-}
-
-/// Waits until the tracker gets the camera back; false where the program is to end before.
-fn lent(service: &mut Service, sinks: &mut Sinks, supervisor: &Supervisor) -> bool {
-    while supervisor.mode() != Mode::Track {
-        service.alive();
-        service.tick(&supervisor.link);
-        sinks.write_events();
-        if service.is_over() {
-            return false;
-        }
-        std::thread::sleep(LENT_LOOK);
-    }
-    true
 }
 
 /// Why this build cannot open a camera.

@@ -230,7 +230,7 @@ impl Session<'_> {
             Some((w, h)) if settings.device == self.settings.device => settings.camera_for(w, h).map(|_| settings),
             _ => Ok(settings),
         };
-        match Settings::load(file).and_then(fits) {
+        match self.arguments.load().and_then(fits) {
             Ok(settings) => {
                 self.link.events.publish(Event::ConfigReloaded { file: file.display().to_string() });
                 Some(Box::new(settings))

@@ -9,15 +9,13 @@ use axum::http::Method;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
-use super::findings::{Finding, judged};
+use super::findings::{Finding, LARGEST_CONFIG, judged};
 use crate::daemon::Supervisor;
 use crate::safe_file;
 use crate::utc;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
-/// Longer than any config, bytes. A round figure, as for the file itself.
-const LARGEST_CONFIG: u64 = 4 << 20;
 /// Former configs that are kept at most; the oldest go. Chosen: an evening of changes. Raised, only room on the disk.
 const MOST_FORMER: usize = 100;
 

@@ -1,11 +1,17 @@
 //! What a config comes to, as a list that a page can show: what refuses it, else what is odd about it.
 
+use std::io::ErrorKind;
 use std::path::Path;
 
 use serde::Serialize;
 
 use crate::config::{ConfigError, LensSource, Settings};
+use crate::daemon::Supervisor;
 use crate::diagnose::{Finding as Diagnosed, Grade, of_corners, of_layout, of_lens, of_shutter};
+use crate::safe_file;
+
+/// Longer than any config, bytes. A round figure, as for the file itself.
+pub(super) const LARGEST_CONFIG: u64 = 4 << 20;
 
 /// One thing.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -40,6 +46,30 @@ fn refused(error: &ConfigError) -> Finding {
     };
     let (sentence, mend) = parts(&error.to_string());
     Finding { level: "error", key, line, sentence, mend }
+}
+
+/// What is wrong with the config where there is none to track with; nothing where there is one.
+pub(super) fn of_unusable(supervisor: &Supervisor) -> Vec<Finding> {
+    if supervisor.settings().is_some() {
+        return Vec::new();
+    }
+    let error = |text: &str| {
+        let (sentence, mend) = parts(text);
+        vec![Finding { level: "error", key: None, line: None, sentence, mend }]
+    };
+    let file = supervisor.file();
+    let read = safe_file::read(file, LARGEST_CONFIG).map(String::from_utf8);
+    match read {
+        Err(e) if e.kind() == ErrorKind::NotFound => error(&format!("{}: there is no config yet; put one", file.display())),
+        Err(e) => error(&format!("{}: the config cannot be read ({e}); let the daemon's user read it", file.display())),
+        Ok(Err(_)) => error(&format!("{}: the config is no text in UTF-8; put another one", file.display())),
+        Ok(Ok(text)) => match (judged(&text, file), supervisor.refusal()) {
+            ((None, findings), _) => findings,
+            ((Some(_), _), Some(refusal)) => error(&refusal),
+            // It was mended in its file, and nobody has said so.
+            ((Some(_), _), None) => error(&format!("{}: the config is good, and was not read again yet; put it again", file.display())),
+        },
+    }
 }
 
 fn odd(found: &Diagnosed) -> Finding {

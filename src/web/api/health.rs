@@ -9,6 +9,7 @@ use nix::sys::statvfs::statvfs;
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use super::findings::of_unusable;
 use crate::daemon::{Mode, Supervisor};
 use crate::printable::printable;
 use crate::protocols::{freed::FreedPacket, opentrackio, psn::PsnPacket};
@@ -72,7 +73,12 @@ pub(super) fn probes(statistics: &Arc<Statistics>, clock: &Arc<FrameClock>) -> [
 
 fn parts(supervisor: &Supervisor) -> Vec<Part> {
     let statistics = &supervisor.link.statistics;
-    let mut parts = vec![camera(statistics, supervisor.mode()), tracker(statistics)];
+    let of_config = of_unusable(supervisor).into_iter().map(|finding| {
+        let place = finding.line.map_or_else(String::new, |line| format!("line {line}: "));
+        part("config", "bad", format!("{place}{}", finding.sentence), finding.mend.as_deref())
+    });
+    let mut parts: Vec<Part> = of_config.collect();
+    parts.extend([camera(statistics, supervisor.mode()), tracker(statistics)]);
     parts.extend(supervisor.outputs().iter().map(of_output));
     parts.push(recorder(statistics));
     let folder = supervisor.settings().map(|settings| settings.recorder.folder.clone());

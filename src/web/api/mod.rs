@@ -31,7 +31,13 @@ pub fn routes(supervisor: &Arc<Supervisor>, clock: &Arc<FrameClock>) -> Vec<Rout
 /// What the daemon says of itself in /api/v1/session.
 pub fn about(supervisor: &Arc<Supervisor>) -> About {
     let supervisor = supervisor.clone();
-    Box::new(move || json!({"mode": supervisor.mode().word(), "config_file": supervisor.file()}))
+    Box::new(move || {
+        let findings = findings::of_unusable(&supervisor);
+        json!({
+            "mode": supervisor.mode().word(), "config_file": supervisor.file(),
+            "has_config": supervisor.settings().is_some(), "findings": findings,
+        })
+    })
 }
 
 /// Something that the system did not do.
@@ -63,7 +69,7 @@ mod tests {
         let text = "[camera]\nfov_deg = 60\n[[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [4.0, 3.0]\n[recorder]\nfolder = \"recordings\"\n";
         std::fs::write(&file, text).unwrap();
         let supervisor = Arc::new(Supervisor::new(&file, LiveLink::default()));
-        supervisor.use_settings(Settings::load(&file).unwrap());
+        supervisor.use_settings(Some(Settings::load(&file).unwrap()));
         supervisor
     }
 

@@ -48,6 +48,12 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             let wanted: Wanted = call.json(LARGEST)?;
             let mode = Mode::ALL.into_iter().find(|mode| mode.word() == wanted.mode);
             let mode = mode.ok_or_else(|| Reply::text(422, "there is no such mode; give track or setup\n"))?;
+            if mode == Mode::Track && for_mode.settings().is_none() {
+                return Err(Reply::text(
+                    409,
+                    "there is no good config to track with; put one first, GET /api/v1/session says what is wrong\n",
+                ));
+            }
             for_mode.set_mode(mode);
             Ok(Reply::text(202, format!("the camera goes to: {}\n", mode.word())))
         }),

@@ -1,0 +1,231 @@
+//! Sessions one after another, and what outlives them: the server, the files of records and events, the service manager's watch.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::LiveArguments;
+use super::service::Service;
+use super::session::{Clips, End, Session, Sinks};
+use crate::cli::failure::Failure;
+use crate::cli::interrupt;
+use crate::cli::logging;
+use crate::cli::pages::Pages;
+use crate::config::{HttpSettings, LogSettings, Settings};
+use crate::contain;
+use crate::daemon::live::{Event, LiveLink};
+use crate::daemon::{Mode, Supervisor};
+use crate::publish::{SafetySettings, Stamps};
+
+/// A stage may fail this often within [`RESTART_SPAN`] before the daemon gives up. Chosen: a failure that comes back every few seconds is
+/// left to the supervisor. The number raised or the span shortened, a daemon that cannot work goes on restarting.
+const MOST_RESTARTS: usize = 5;
+const RESTART_SPAN: Duration = Duration::from_secs(60);
+
+/// How often it is looked whether a lent camera is back, or a config has come. Chosen: nobody notices it. Raised, tracking begins later.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// What outlives sessions.
+struct Show<'a> {
+    arguments: &'a LiveArguments,
+    link: LiveLink,
+    supervisor: Arc<Supervisor>,
+    server: Serving,
+    service: Service,
+    sinks: Sinks,
+    clips: Clips,
+    /// The config before this one, which worked.
+    previous: Option<Settings>,
+    /// When stages failed.
+    failures: Vec<Instant>,
+}
+
+/// Runs until something ends it; `clip` is what `record` records to.
+pub(in crate::cli) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(), Failure> {
+    let loaded = arguments.load();
+    let settings = match (&loaded, arguments.setup) {
+        (Ok(settings), _) => Some(settings.clone()),
+        // It is what the page is opened for.
+        (Err(_), Some(_)) => None,
+        (Err(_), None) => return loaded.map(drop).map_err(Failure::from),
+    };
+    let log = settings.as_ref().map_or_else(LogSettings::default, |settings| settings.log);
+    logging::start(&arguments.log, log);
+    if let Some(settings) = &settings {
+        settings.notes.iter().for_each(|note| tracing::info!("{note}"));
+        settings.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
+    }
+    if let Err(error) = loaded {
+        tracing::warn!("there is no config to track with yet: {error}");
+    }
+    interrupt::watch();
+    interrupt::watch_service();
+    // What the threads contain shall be in the log, not between its lines.
+    contain::report_others(|panic| tracing::error!("a part of the program failed: {panic}"));
+    let link = LiveLink::default();
+    let (poses, events) = match &settings {
+        Some(settings) => arguments.open_sinks(settings, clip.as_deref())?,
+        None => (None, None),
+    };
+    let mut show = Show {
+        arguments,
+        supervisor: Arc::new(Supervisor::new(&arguments.config, link.clone())),
+        server: Serving::default(),
+        sinks: Sinks::begin(poses, events, &link, log)?,
+        service: Service::start(arguments.seconds),
+        clips: Clips::new(clip),
+        previous: None,
+        failures: Vec::new(),
+        link,
+    };
+    let outcome = show.sessions(settings);
+    show.end(outcome)
+}
+
+impl Show<'_> {
+    /// Sessions, each under the config that the one before ended for.
+    fn sessions(&mut self, first: Option<Settings>) -> Result<(), Failure> {
+        let mut next = first;
+        loop {
+            let settings = match next.take() {
+                Some(settings) => settings,
+                None => match self.await_config()? {
+                    Some(settings) => settings,
+                    None => return Ok(()),
+                },
+            };
+            next = match self.session(&settings) {
+                Ok(End::Stopped) => return Ok(()),
+                Ok(End::Lent) if self.lent() => Some(settings),
+                Ok(End::Lent) => return Ok(()),
+                Ok(End::Reload(new)) => {
+                    self.sinks.reopen();
+                    self.previous = Some(settings);
+                    Some(*new)
+                }
+                Err(failure) => self.after(failure, settings)?,
+            };
+        }
+    }
+
+    fn session(&mut self, settings: &Settings) -> Result<End, Failure> {
+        let pages = self.server.serve(settings.http.as_ref(), &settings.safety, &self.supervisor, self.arguments)?;
+        self.supervisor.use_settings(Some(settings.clone()));
+        let session = Session { settings, arguments: self.arguments, link: &self.link, supervisor: &self.supervisor, pages };
+        session.run(&mut self.service, &mut self.sinks, &mut self.clips)
+    }
+
+    /// What is tracked with after a failure under this config; none where another config is to be waited for.
+    fn after(&mut self, failure: Failure, settings: Settings) -> Result<Option<Settings>, Failure> {
+        if matches!(failure, Failure::Tracking(_)) {
+            self.previous = None;
+            self.link.statistics.contained_panics.add(1);
+            self.failures.retain(|at| at.elapsed() < RESTART_SPAN);
+            self.failures.push(Instant::now());
+            if self.failures.len() > MOST_RESTARTS {
+                return Err(failure);
+            }
+            tracing::error!("{failure}; starting again");
+            return Ok(Some(settings));
+        }
+        // A new config that cannot be run (its camera does not fit, its port is taken): back to the one that worked.
+        let previous = self.previous.take();
+        if previous.is_none() && self.arguments.setup.is_none() {
+            return Err(failure);
+        }
+        self.link.events.publish(Event::ConfigRefused { reason: failure.to_string() });
+        if previous.is_none() {
+            self.supervisor.refuse(failure.to_string());
+        }
+        Ok(previous)
+    }
+
+    /// The next config that can be used, while the page says what is wrong with the one that is there; none where the program is to end before.
+    fn await_config(&mut self) -> Result<Option<Settings>, Failure> {
+        let http = self.arguments.setup.map(|listen| HttpSettings { listen, ..HttpSettings::default() });
+        self.server.serve(http.as_ref(), &SafetySettings::default(), &self.supervisor, self.arguments)?;
+        self.supervisor.use_settings(None);
+        self.supervisor.set_mode(Mode::Setup);
+        while !self.wait() {
+            if !(interrupt::take_reload() | self.supervisor.take_reload()) {
+                continue;
+            }
+            match self.arguments.load() {
+                Ok(settings) => {
+                    self.link.events.publish(Event::ConfigReloaded { file: self.arguments.config.display().to_string() });
+                    self.supervisor.set_mode(Mode::Track);
+                    return Ok(Some(settings));
+                }
+                Err(error) => self.link.events.publish(Event::ConfigRefused { reason: error.to_string() }),
+            }
+        }
+        Ok(None)
+    }
+
+    /// Waits until the tracker gets the camera back; false where the program is to end before.
+    fn lent(&mut self) -> bool {
+        while self.supervisor.mode() != Mode::Track {
+            if self.wait() {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// A moment without a session; true where the program is to end.
+    fn wait(&mut self) -> bool {
+        self.service.alive();
+        self.service.tick(&self.link);
+        self.sinks.write_events();
+        if self.service.is_over() {
+            return true;
+        }
+        std::thread::sleep(LOOK_EVERY);
+        false
+    }
+
+    fn end(self, outcome: Result<(), Failure>) -> Result<(), Failure> {
+        let reason = match &outcome {
+            Err(failure) => failure.to_string(),
+            Ok(()) if interrupt::is_interrupted() => "a signal asked for it".to_owned(),
+            Ok(()) if self.service.is_over() => "the time of --seconds is over".to_owned(),
+            Ok(()) => "the camera's pictures are at their end".to_owned(),
+        };
+        self.link.events.publish(Event::Ended { reason });
+        self.service.end();
+        let written = self.sinks.finish();
+        self.link.events.close();
+        let recorded = self.clips.cut_short().map_or(Ok(()), |reason| Err(Failure::Recording(reason)));
+        outcome.and(recorded).and(written)
+    }
+}
+
+/// The server, which outlives sessions; it begins anew only where the config has another one.
+#[derive(Default)]
+struct Serving {
+    pages: Option<(Option<HttpSettings>, Pages)>,
+}
+
+impl Serving {
+    /// The server of this config.
+    fn serve(
+        &mut self,
+        http: Option<&HttpSettings>,
+        safety: &SafetySettings,
+        supervisor: &Arc<Supervisor>,
+        arguments: &LiveArguments,
+    ) -> Result<&Pages, Failure> {
+        if self.pages.as_ref().is_some_and(|(before, _)| before.as_ref() != http) {
+            self.pages = None;
+        }
+        let (_, pages) = match self.pages.take() {
+            Some(pages) => self.pages.insert(pages),
+            None => {
+                let run = Some((supervisor, arguments.page_dir()));
+                let pages = Pages::start(http, safety, Stamps::Live, run)?;
+                self.pages.insert((http.cloned(), pages))
+            }
+        };
+        Ok(pages)
+    }
+}
