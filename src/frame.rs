@@ -4,7 +4,7 @@ use std::fmt;
 use std::time::Duration;
 
 use image::GrayImage;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// One picture to be tracked.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +27,7 @@ impl Frame {
 
 /// An instant in whole nanoseconds on some clock: a camera's, a clip's, or one of the machine's. Only instants on one clock can be
 /// compared. A stamp comes from outside and may be any number, so all arithmetic saturates.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Timestamp(i64);
 

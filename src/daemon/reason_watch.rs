@@ -55,7 +55,7 @@ impl ReasonWatch {
         self.start_window(Some(now));
         let is_new = self.told != Told::Reason(most);
         self.told = Told::Reason(most);
-        is_new.then(|| Event::NotTracked { reason: most.word(), text: format!("{}: {}", most.says(), most.mend()) })
+        is_new.then(|| Event::NotTracked { reason: most.word().into(), text: format!("{}: {}", most.says(), most.mend()) })
     }
 
     fn start_window(&mut self, since: Option<Timestamp>) {

@@ -2,13 +2,13 @@
 //!
 //! Decided by frame stamps alone, never by a clock, so that a replay gives what the show gave.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Camera, Pose};
 
 /// What is known of a body in a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum State {

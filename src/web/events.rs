@@ -72,14 +72,20 @@ impl Events {
     }
 }
 
-fn line(event: &StampedEvent) -> Option<Utf8Bytes> {
-    let unix_ms = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
-    let (level, says) = event.event.says();
+/// How much an event matters, as a word, and what happened.
+pub(super) fn said(event: &Event) -> (&'static str, String) {
+    let (level, says) = event.says();
     let level = match level {
         tracing::Level::ERROR => "error",
         tracing::Level::WARN => "warn",
         _ => "info",
     };
+    (level, says)
+}
+
+fn line(event: &StampedEvent) -> Option<Utf8Bytes> {
+    let unix_ms = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
+    let (level, says) = said(&event.event);
     // Serialising fails only for non-string map keys, of which there are none.
     let line = serde_json::to_string(&Line { unix_ms, level, says, event }).ok()?;
     Some(printable(&line).into_owned().into())

@@ -179,7 +179,7 @@ impl Session<'_> {
             }
             service.tick(self.link);
             for PoseWithheld { output, body, reason } in outputs.withheld() {
-                self.link.events.publish(Event::PoseWithheld { output, body, reason: reason.words() });
+                self.link.events.publish(Event::PoseWithheld { output, body, reason: reason.words().into() });
             }
             sinks.write_events();
             self.take_up_recording(recorder);

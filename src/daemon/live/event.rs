@@ -1,9 +1,10 @@
 //! What happens to a live daemon beside its poses: one line each in events.jsonl and in the log.
 
+use std::borrow::Cow;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use crossbeam_channel::Receiver;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use tracing::Level;
 
 use crate::capture::timestamping::monotonic_now;
@@ -13,7 +14,7 @@ use crate::printable::printable;
 use crate::record::State;
 
 /// Something that happened.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
     /// The camera streams.
@@ -25,7 +26,7 @@ pub enum Event {
         /// Pixels.
         height: u32,
         /// V4L2's four letters.
-        format: &'static str,
+        format: Cow<'static, str>,
         /// Pictures a second.
         fps: f64,
         /// Its exposure in seconds, where it is locked and known; else null.
@@ -105,7 +106,7 @@ pub enum Event {
     /// The stage has not been tracked for a second, for this reason most of all; again where the reason changes.
     NotTracked {
         /// One word.
-        reason: &'static str,
+        reason: Cow<'static, str>,
         /// What is the matter, and what to do about it.
         text: String,
     },
@@ -121,7 +122,7 @@ pub enum Event {
         /// of this body,
         body: String,
         /// for this reason.
-        reason: &'static str,
+        reason: Cow<'static, str>,
     },
     /// The config was read again.
     ConfigReloaded {

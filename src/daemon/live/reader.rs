@@ -209,7 +209,16 @@ fn open(shared: &Shared) -> Result<(Box<dyn Camera>, CameraMode), String> {
     shared.link.pulse.set_rate(mode.fps);
     shared.link.statistics.camera_opened(&mode.name, again);
     let CameraMode { name, size: (width, height), layout, fps, exposure_s, controls, .. } = mode.clone();
-    shared.link.events.publish(Event::CameraOpened { name, width, height, format: layout.fourcc(), fps, exposure_s, controls, again });
+    shared.link.events.publish(Event::CameraOpened {
+        name,
+        width,
+        height,
+        format: layout.fourcc().into(),
+        fps,
+        exposure_s,
+        controls,
+        again,
+    });
     if let Some(reason) = contradiction(&shared.shutter, &before, &mode) {
         shared.link.events.publish(Event::ExposureDiffers { reason: format!("{}: {reason}", mode.name) });
     }

@@ -74,6 +74,7 @@ impl Drop for Aside {
 }
 
 fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
+    let only_tries = call.queried("try", 0, 0..=1)? == 1;
     let packed = call.content(LARGEST_PACKED)?;
     let _alone = supervisor.alone();
     let file = supervisor.file();
@@ -86,8 +87,10 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let text = safe_file::read(&aside.0.join(CONFIG), LARGEST_PACKED).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     let text = text.ok_or_else(|| Reply::text(422, "the zip has no stage.toml, so it is no backup; give one of GET /api/v1/backup\n"))?;
     let (settings, findings) = judged(&text, &aside.0.join(CONFIG));
-    if settings.is_none() {
-        return Ok(reply(422, &findings, false));
+    match settings {
+        None => return Ok(reply(422, &findings, false)),
+        Some(_) if only_tries => return Ok(reply(200, &findings, false)),
+        Some(_) => {}
     }
     let target = |name: &str| if name == CONFIG { file.to_owned() } else { folder.join(name) };
     let places: Vec<PathBuf> = std::iter::once(file.to_owned()).chain(names.iter().filter(|n| *n != CONFIG).map(|n| target(n))).collect();
@@ -162,6 +165,9 @@ mod tests {
         assert_eq!(status, 200);
         let to = supervised(other.path());
         std::fs::write(to.file(), "# it was another one\n").unwrap();
+        let (status, said) = asked(&routes(&to), "POST", "/api/v1/restore?try=1", &zip);
+        assert_eq!((status, to.take_reload()), (200, false), "{}", String::from_utf8_lossy(&said));
+        assert_eq!(std::fs::read_to_string(to.file()).unwrap(), "# it was another one\n", "it was only tried");
         let (status, said) = asked(&routes(&to), "POST", "/api/v1/restore", &zip);
         assert_eq!(status, 200, "{}", String::from_utf8_lossy(&said));
         assert!(to.take_reload());

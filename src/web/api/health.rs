@@ -80,7 +80,7 @@ fn parts(supervisor: &Supervisor) -> Vec<Part> {
     let mut parts: Vec<Part> = of_config.collect();
     parts.extend([camera(statistics, supervisor.mode()), tracker(statistics)]);
     parts.extend(supervisor.outputs().iter().map(of_output));
-    parts.push(recorder(statistics));
+    parts.push(recorder(statistics, supervisor));
     let folder = supervisor.settings().map(|settings| settings.recorder.folder.clone());
     parts.push(disk(folder.as_deref().unwrap_or(supervisor.file())));
     parts.push(clock(statistics));
@@ -140,9 +140,13 @@ fn of_output(output: &OutputStatistics) -> Part {
     }
 }
 
-fn recorder(statistics: &Statistics) -> Part {
+fn recorder(statistics: &Statistics, supervisor: &Supervisor) -> Part {
+    let ring_s = supervisor.settings().map_or(0.0, |settings| settings.recorder.ring_s);
     match statistics.recorder() {
         RecorderState::Off => part("recorder", "off", "nothing is recorded", None),
+        RecorderState::Recording if supervisor.recording().is_none() => {
+            part("recorder", "good", format!("the last {ring_s} s are kept; nothing else is recorded"), None)
+        }
         RecorderState::Recording => part("recorder", "good", format!("{} frames are recorded", statistics.recorded.get()), None),
         RecorderState::Stopped => part(
             "recorder",

@@ -7,7 +7,9 @@ use std::path::Path;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use crate::daemon::live::Event;
 use crate::safe_file;
+use crate::web::events::said;
 
 /// Events at most, the first ones: a list that a person reads. Raised, larger answers.
 const MOST_EVENTS: usize = 2000;
@@ -95,7 +97,7 @@ fn joined(columns: Vec<Column>) -> Vec<Column> {
     joined
 }
 
-/// The events as they stand in the file, each with the first row that is not before it.
+/// The events as they stand in the file, each with how much it matters, what it says, and the first row that is not before it.
 fn with_rows(events: &Path, stamps: &[i64]) -> Vec<Value> {
     let Ok(file) = safe_file::open(events) else { return Vec::new() };
     let lines = BufReader::new(file).lines().map_while(Result::ok);
@@ -103,6 +105,13 @@ fn with_rows(events: &Path, stamps: &[i64]) -> Vec<Value> {
     told.take(MOST_EVENTS)
         .map(|mut event| {
             let at = event["timestamp_ns"].as_i64().unwrap_or_default();
+            let (level, says) = match serde_json::from_value::<Event>(event.clone()) {
+                Ok(event) => said(&event),
+                // Of another version.
+                Err(_) => ("info", event["event"].as_str().unwrap_or("event").replace('_', " ")),
+            };
+            event["level"] = level.into();
+            event["says"] = says.into();
             event["row"] = stamps.partition_point(|stamp| *stamp < at).min(stamps.len().saturating_sub(1)).into();
             event
         })
@@ -124,7 +133,7 @@ mod tests {
         let text: String =
             (0..1001).map(|k| if k == 700 { line(k, "lost", "null") } else { line(k, "tracking", &format!("0.{k}1")) }).collect();
         std::fs::write(&poses, text).unwrap();
-        std::fs::write(&events, "{\"timestamp_ns\":70000,\"event\":\"marked\"}\nnonsense\n{\"timestamp_ns\":1000000}\n").unwrap();
+        std::fs::write(&events, "{\"timestamp_ns\":70000,\"event\":\"marked\",\"text\":\"cue 1\"}\nnonsense\n{\"timestamp_ns\":1000000,\"event\":\"no_such_event\"}\n").unwrap();
         for points in [1, 7, 100, 1000, 4000] {
             let told = timeline(&poses, &events, points).unwrap();
             let columns = told["columns"].as_array().unwrap();
@@ -137,6 +146,8 @@ mod tests {
             assert_eq!((&told["frames"], &told["last_ns"]), (&1001.into(), &100_000.into()));
             let rows: Vec<_> = told["events"].as_array().unwrap().iter().map(|e| e["row"].as_u64().unwrap()).collect();
             assert_eq!(rows, [700, 1000]);
+            let says: Vec<_> = told["events"].as_array().unwrap().iter().map(|e| (e["level"].as_str(), e["says"].as_str())).collect();
+            assert_eq!(says, [(Some("info"), Some("marked: cue 1")), (Some("info"), Some("no such event"))]);
         }
         std::fs::write(&poses, "").unwrap();
         assert_eq!(timeline(&poses, &folder.path().join("none"), 10).unwrap()["frames"], 0);
