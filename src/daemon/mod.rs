@@ -8,6 +8,7 @@ mod entries;
 pub mod live;
 mod reason_watch;
 pub mod recorder;
+pub mod report;
 mod stale;
 mod state_folder;
 mod supervisor;

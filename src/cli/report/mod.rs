@@ -1,28 +1,16 @@
-//! `report`: one file with all that is needed to find out what went wrong.
-//!
-//! Versions, the config with the calibrations that it names, what `check` thinks of it, what a running daemon says of itself, and of the
-//! newest recording and of the ring events, records and their counts. Each part is taken as far as it can be read: a report is
-//! made where something is wrong, so nothing that is missing or broken stops it. Pictures show people: they go in only on request.
+//! `report`: one file with all that is needed to find out what went wrong; `daemon::report` says what goes into it.
 
-mod bundle;
 mod daemon;
-mod machine;
-mod recordings;
 
-use std::io::{self, IsTerminal, Write};
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufWriter, ErrorKind, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use super::failure::Failure;
 use super::output_file::print;
-use crate::config::{FileKind, Settings, files_named_in};
+use crate::config::Settings;
+use crate::daemon::report::{Recording, Report, config_text, find};
 use crate::printable::printable_lines;
-use crate::safe_file;
-use crate::utc;
-use bundle::Bundle;
-use recordings::Recording;
-
-/// More than any config has, bytes: a round figure, so that a wrong file is refused instead of read into memory.
-const MOST_CONFIG_BYTES: u64 = 16 << 20;
 
 /// Put versions, config, events and the last recording into one file, to send to who can help.
 #[derive(Debug, clap::Args)]
@@ -55,43 +43,21 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 pub(super) fn run(arguments: &ReportArguments) -> Result<(), Failure> {
-    let config = safe_file::read(&arguments.config, MOST_CONFIG_BYTES).map_err(|e| {
+    let text = config_text(&arguments.config).map_err(|e| {
         Failure::Usage(format!("{}: cannot be read ({e}); give the config that the trouble was with", arguments.config.display()))
     })?;
     if let Some(clip) = arguments.clip.as_ref().filter(|clip| !clip.join("timestamps.csv").is_file()) {
         return Err(Failure::Usage(format!("--clip {}: is no recording, it has no timestamps.csv; give its folder", clip.display())));
     }
     let settings = Settings::load(&arguments.config);
-    let recordings = recordings::find(arguments, settings.as_ref().ok());
+    let folder = settings.as_ref().ok().map(|settings| settings.recorder.folder.as_path());
+    let recordings = find(arguments.clip.as_deref(), folder);
     let pictures = wants_pictures(arguments, &recordings)?;
-
-    let mut bundle = Bundle::create(&arguments.output)?;
-    bundle.add("about.txt", about())?;
-    #[cfg(feature = "live")]
-    bundle.add("devices.json", devices())?;
-    bundle.add("config/stage.toml", &config)?;
-    let verdict = match &settings {
-        Ok(settings) => settings.notes.iter().fold("good\n".to_owned(), |text, note| text + note + "\n"),
-        Err(problem) => format!("{problem}\n"),
-    };
-    bundle.add("config/verdict.txt", &verdict)?;
-    let named = files_named_in(&String::from_utf8_lossy(&config), &arguments.config);
-    for (number, (file, kind)) in named.iter().enumerate() {
-        let name = file.file_name().unwrap_or_default().to_string_lossy();
-        if pictures || *kind != FileKind::Picture {
-            bundle.add_file(&format!("config/{number}-{name}"), file)?;
-        }
-    }
-    if let Some(listen) = settings.as_ref().ok().and_then(|s| s.http.as_ref()).map(|http| http.listen) {
-        for (name, path) in [("daemon/state.json", "/api/v1/state"), ("daemon/health.txt", "/healthz"), ("daemon/metrics.txt", "/metrics")]
-        {
-            bundle.add(name, daemon::ask(listen, path))?;
-        }
-    }
-    for recording in &recordings {
-        recording.add(&mut bundle, pictures.then_some(arguments.seconds))?;
-    }
-    let contents = bundle.finish()?;
+    let file = Unfinished::create(&arguments.output)?;
+    let picture_seconds = pictures.then_some(arguments.seconds);
+    let said = said(settings.as_ref().ok());
+    let report = Report { config: &arguments.config, text, settings: &settings, said, recordings, picture_seconds };
+    let contents = file.write(&report)?;
     let mut text = format!("{}:\n", arguments.output.display());
     contents.iter().for_each(|line| text += &format!("  {line}\n"));
     if !pictures {
@@ -100,23 +66,46 @@ pub(super) fn run(arguments: &ReportArguments) -> Result<(), Failure> {
     print(printable_lines(&text).as_bytes())
 }
 
-/// Program, time and machine.
-fn about() -> String {
-    let features = [("live", cfg!(feature = "live")), ("http", cfg!(feature = "http"))];
-    let features: Vec<&str> = features.into_iter().filter_map(|(name, is_on)| is_on.then_some(name)).collect();
-    format!(
-        "stagepose {} ({})\nmade {}\n{}",
-        env!("CARGO_PKG_VERSION"),
-        if features.is_empty() { "no features".to_owned() } else { features.join(", ") },
-        utc::date_and_time(utc::now_s()),
-        machine::describe()
-    )
+/// What the daemon of this config says of itself.
+fn said(settings: Option<&Settings>) -> Vec<(&'static str, String)> {
+    let pages = [("daemon/state.json", "/api/v1/state"), ("daemon/health.txt", "/healthz"), ("daemon/metrics.txt", "/metrics")];
+    let http = settings.and_then(|settings| settings.http.as_ref());
+    http.into_iter().flat_map(|http| pages.map(|(name, path)| (name, daemon::ask(http.listen, path)))).collect()
 }
 
-#[cfg(feature = "live")]
-fn devices() -> String {
-    // Serialising to a string fails only for non-string map keys, of which there are none.
-    serde_json::to_string_pretty(&crate::capture::v4l2::devices()).expect("a listing has only string keys")
+/// The report's file. It is new: nothing that is there is ever written over, and half a report does not stay.
+struct Unfinished {
+    path: PathBuf,
+    file: File,
+    is_whole: bool,
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        if !self.is_whole {
+            // Where it cannot be removed there is nothing else to do about it.
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+}
+
+impl Unfinished {
+    /// Begins the file, which must not be there.
+    fn create(target: &Path) -> Result<Self, Failure> {
+        let file = OpenOptions::new().write(true).create_new(true).open(target).map_err(|e| match e.kind() {
+            ErrorKind::AlreadyExists => Failure::Usage(format!("--output {}: is there already; give a new file", target.display())),
+            _ => Failure::output(target)(e),
+        })?;
+        Ok(Self { path: target.to_owned(), file, is_whole: false })
+    }
+
+    /// Writes the report and gives the list of what is in it.
+    fn write(mut self, report: &Report<'_>) -> Result<Vec<String>, Failure> {
+        let written = report.write(BufWriter::new(&self.file)).and_then(|contents| self.file.sync_all().map(|()| contents));
+        let contents = written.map_err(Failure::output(&self.path))?;
+        self.is_whole = true;
+        Ok(contents)
+    }
 }
 
 /// What was said by an option, else by whoever sits at the terminal; nobody's silence is a yes.

@@ -1,14 +1,11 @@
 //! The recordings that a report takes from: the newest clip, and what the ring holds or held.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader};
+use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 
-use super::ReportArguments;
 use super::bundle::Bundle;
 use crate::capture::timestamps::read_timestamps;
-use crate::cli::failure::Failure;
-use crate::config::Settings;
 use crate::frame::Timestamp;
 use crate::safe_file;
 
@@ -16,17 +13,16 @@ use crate::safe_file;
 const TEXTS: [&str; 5] = ["clip.toml", "events.jsonl", "poses.jsonl", "timestamps.csv", "dropped.csv"];
 
 /// A clip on disk.
-pub(super) struct Recording {
+pub struct Recording {
     /// Its folder in the report.
     name: String,
     folder: PathBuf,
 }
 
 /// The clip that was named, else the newest in the recorder's folder; then the ring's parts.
-pub(super) fn find(arguments: &ReportArguments, settings: Option<&Settings>) -> Vec<Recording> {
-    let folder = settings.map(|s| s.recorder.folder.clone());
-    let newest = || folder.as_deref().and_then(|folder| clips(folder).pop());
-    let clip = arguments.clip.clone().or_else(newest).map(|folder| Recording { name: "recording".to_owned(), folder });
+pub fn find(named: Option<&Path>, folder: Option<&Path>) -> Vec<Recording> {
+    let newest = || folder.and_then(|folder| clips(folder).pop());
+    let clip = named.map(Path::to_owned).or_else(newest).map(|folder| Recording { name: "recording".to_owned(), folder });
     let rings = folder.iter().flat_map(|folder| {
         ["ring-before", "ring"].into_iter().flat_map(|ring| {
             let parts = clips(&folder.join(ring)).into_iter().enumerate();
@@ -51,7 +47,7 @@ fn clips(folder: &Path) -> Vec<PathBuf> {
 
 impl Recording {
     /// Puts texts, counts and, where they are wanted, the last seconds of pictures into the report.
-    pub fn add(&self, bundle: &mut Bundle, picture_seconds: Option<f64>) -> Result<(), Failure> {
+    pub(super) fn add<W: Write>(&self, bundle: &mut Bundle<W>, picture_seconds: Option<f64>) -> io::Result<()> {
         let Self { name, folder } = self;
         for text in TEXTS.iter().filter(|text| folder.join(text).exists()) {
             bundle.add_file(&format!("{name}/{text}"), &folder.join(text))?;

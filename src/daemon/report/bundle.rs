@@ -1,0 +1,70 @@
+//! The zip of a report, written from its first byte to its last: to a file, or to who downloads it.
+
+use std::io::{self, Read, Write};
+use std::path::Path;
+
+use zip::ZipWriter;
+use zip::result::ZipError;
+use zip::write::{SimpleFileOptions, StreamWriter};
+
+use crate::safe_file;
+
+/// Of one file at most this many bytes are taken: a report is to be sent by mail. The name of what is cut says so. Chosen, not tuned.
+/// Raised, reports of long recordings grow too large for mail.
+const MOST_BYTES: u64 = 32 << 20;
+
+/// A zip that is being written.
+pub(super) struct Bundle<W: Write> {
+    zip: ZipWriter<StreamWriter<W>>,
+    contents: Vec<String>,
+}
+
+impl<W: Write> Bundle<W> {
+    pub fn begin(to: W) -> Self {
+        Self { zip: ZipWriter::new_stream(to), contents: Vec::new() }
+    }
+
+    /// Adds bytes under a name.
+    pub fn add(&mut self, name: &str, content: impl AsRef<[u8]>) -> io::Result<()> {
+        let bytes = content.as_ref();
+        self.zip.start_file(name, SimpleFileOptions::default()).map_err(io_error)?;
+        self.zip.write_all(bytes)?;
+        self.contents.push(format!("{name} ({})", size(bytes.len() as u64)));
+        Ok(())
+    }
+
+    /// Adds a file; one that cannot be read leaves a sentence in its place.
+    pub fn add_file(&mut self, name: &str, file: &Path) -> io::Result<()> {
+        let read = || -> io::Result<Vec<u8>> {
+            let mut bytes = Vec::new();
+            safe_file::open(file)?.take(MOST_BYTES).read_to_end(&mut bytes)?;
+            Ok(bytes)
+        };
+        match read() {
+            Ok(bytes) if bytes.len() as u64 == MOST_BYTES => self.add(&format!("{name}.first-{}", size(MOST_BYTES)), &bytes),
+            Ok(bytes) => self.add(name, &bytes),
+            Err(e) => self.add(&format!("{name}.missing.txt"), format!("{}: cannot be read ({e})\n", file.display())),
+        }
+    }
+
+    /// Completes it and gives the list of what is in it.
+    pub fn finish(self) -> io::Result<Vec<String>> {
+        self.zip.finish().map_err(io_error)?.flush()?;
+        Ok(self.contents)
+    }
+}
+
+fn io_error(error: ZipError) -> io::Error {
+    match error {
+        ZipError::Io(e) => e,
+        other => io::Error::other(other),
+    }
+}
+
+fn size(bytes: u64) -> String {
+    match bytes {
+        0..10_000 => format!("{bytes} bytes"),
+        10_000..10_000_000 => format!("{} kB", bytes / 1000),
+        _ => format!("{} MB", bytes / 1_000_000),
+    }
+}
