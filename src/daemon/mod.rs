@@ -5,10 +5,12 @@
 //! that may fail.
 
 mod entries;
+mod jobs;
 pub mod live;
 mod reason_watch;
 pub mod recorder;
 pub mod report;
+mod retrack;
 mod stale;
 mod state_folder;
 mod supervisor;
@@ -16,6 +18,8 @@ mod thread_time;
 mod threads;
 
 pub use entries::track_entry;
+pub use jobs::Progress;
+pub use retrack::retrack;
 pub use state_folder::state_folder;
 pub use supervisor::{Mode, RecordingWish, Supervisor};
 pub use thread_time::thread_clock;

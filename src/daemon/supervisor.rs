@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use super::jobs::Jobs;
 use super::live::LiveLink;
 use crate::config::Settings;
 use crate::publish::OutputStatistics;
@@ -49,6 +50,8 @@ type OutputsWatch = Arc<dyn Fn() -> Vec<OutputStatistics> + Send + Sync>;
 pub struct Supervisor {
     /// Counts, events, the camera's pulse.
     pub link: LiveLink,
+    /// What takes its time.
+    pub jobs: Jobs,
     file: PathBuf,
     settings: Mutex<Option<Arc<Settings>>>,
     refusal: Mutex<Option<String>>,
@@ -71,6 +74,7 @@ impl Supervisor {
     pub fn new(file: &Path, link: LiveLink) -> Self {
         Self {
             link,
+            jobs: Jobs::default(),
             file: file.to_owned(),
             settings: Mutex::default(),
             refusal: Mutex::default(),

@@ -54,12 +54,14 @@ impl Events {
         let source = self.source.lock().unwrap_or_else(PoisonError::into_inner);
         // A dropped frame is counted; there may be thousands.
         let told = source.iter().flat_map(|source| source.try_iter()).filter(|e| !matches!(e.event, Event::FrameDropped { .. }));
-        for line in told.filter_map(|event| line(&event)) {
+        for (line, is_kept) in told.filter_map(|event| Some((line(&event)?, !event.event.is_progress()))) {
             let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
-            if recent.len() == REMEMBERED {
-                recent.pop_front();
+            if is_kept {
+                if recent.len() == REMEMBERED {
+                    recent.pop_front();
+                }
+                recent.push_back(line.clone());
             }
-            recent.push_back(line.clone());
             // Under the lock, so that who comes now hears of it once. Nobody may be there to hear it.
             let _ = self.lines.send(line);
         }

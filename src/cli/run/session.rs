@@ -283,7 +283,7 @@ impl Sinks {
     pub fn write_events(&mut self) {
         for event in self.happening.try_iter() {
             // A dropped frame is counted; a recording has a list of them.
-            if !matches!(event.event, Event::FrameDropped { .. }) {
+            if !event.event.is_progress() {
                 attempt(&mut self.events, "events", &mut self.failure, |events| events.write_all_and_flush(&event.to_json_line()));
             }
         }

@@ -7,6 +7,7 @@ use crossbeam_channel::Receiver;
 use serde::{Deserialize, Serialize};
 use tracing::Level;
 
+use super::job::{Job, JobState};
 use crate::capture::timestamping::monotonic_now;
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::frame::Timestamp;
@@ -124,6 +125,8 @@ pub enum Event {
         /// for this reason.
         reason: Cow<'static, str>,
     },
+    /// A job began, goes on, or is over.
+    Job(Job),
     /// The config was read again.
     ConfigReloaded {
         /// The file.
@@ -211,6 +214,11 @@ impl EventLog {
 }
 
 impl Event {
+    /// Whether it is one of many that say how far something is: lists of what happened leave it out.
+    pub fn is_progress(&self) -> bool {
+        matches!(self, Self::FrameDropped { .. } | Self::Job(Job { state: JobState::Running, .. }))
+    }
+
     /// What happened in one sentence without its full stop, and how much it matters.
     pub fn says(&self) -> (Level, String) {
         match self {
@@ -241,6 +249,11 @@ impl Event {
             Self::PoseWithheld { output, body, reason } => {
                 (Level::DEBUG, format!("output {output}: the pose of {body} is withheld, {reason}"))
             }
+            Self::Job(Job { job, kind, done, state: JobState::Running, .. }) => {
+                (Level::DEBUG, format!("job {job} ({kind}): {:.0} %", done * 100.0))
+            }
+            Self::Job(Job { job, kind, state: JobState::Done, text, .. }) => (Level::INFO, format!("job {job} ({kind}) is done: {text}")),
+            Self::Job(Job { job, kind, text, .. }) => (Level::WARN, format!("job {job} ({kind}) is not done: {text}")),
             Self::ConfigReloaded { file } => (Level::INFO, format!("{file} was read again")),
             Self::ConfigRefused { reason } => (Level::ERROR, format!("the old config stays: {reason}")),
             Self::Ended { reason } => (Level::INFO, format!("ended: {reason}")),
@@ -251,7 +264,7 @@ impl Event {
 /// Writes an event to the log.
 fn note(event: &Event) {
     // It comes with every frame that is late, and is seldom asked for.
-    if matches!(event, Event::FrameDropped { .. }) && !tracing::enabled!(Level::DEBUG) {
+    if event.is_progress() && !tracing::enabled!(Level::DEBUG) {
         return;
     }
     match event.says() {

@@ -8,6 +8,7 @@
 //! is ago, from which the pose stage makes stale messages.
 
 mod event;
+mod job;
 mod patience;
 mod pulse;
 mod reader;
@@ -15,6 +16,7 @@ mod shutter;
 mod source;
 
 pub use event::{Event, EventListener, EventLog, StampedEvent};
+pub use job::{Job, JobState};
 pub use patience::Patience;
 pub use pulse::Pulse;
 pub(super) use reader::dropped;

@@ -126,6 +126,9 @@ impl ClipFolder {
             self.dropped_begun = true;
             return disk.append(&self.folder.join("dropped.csv"), format!("{head}{timestamp}\n").as_bytes());
         }
+        if event.event.is_progress() {
+            return Ok(());
+        }
         disk.append(&self.folder.join("events.jsonl"), format!("{}\n", event.to_json_line()).as_bytes())
     }
 }

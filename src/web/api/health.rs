@@ -251,7 +251,7 @@ fn decoded(protocol: &str, packet: &[u8]) -> Value {
     }
 }
 
-fn diagnostics(supervisor: &Supervisor) -> String {
+pub(super) fn diagnostics(supervisor: &Supervisor) -> String {
     let mut text = format!("stagepose {}\nconfig {}\n\n", env!("CARGO_PKG_VERSION"), supervisor.file().display());
     for part in parts(supervisor) {
         let mend = part.mend.map_or_else(String::new, |mend| format!("; {mend}"));

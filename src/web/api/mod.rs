@@ -7,6 +7,7 @@ mod findings;
 mod gltf;
 mod health;
 mod recordings;
+mod retrack;
 mod sets;
 mod steering;
 mod timeline;
@@ -23,7 +24,7 @@ use crate::publish::FrameClock;
 
 /// All of them; ages are as `clock` counts them.
 pub fn routes(supervisor: &Arc<Supervisor>, clock: &Arc<FrameClock>) -> Vec<Route> {
-    let resources = [steering::routes, recordings::routes, config::routes, backup::routes, sets::routes, health::routes];
+    let resources = [steering::routes, recordings::routes, retrack::routes, config::routes, backup::routes, sets::routes, health::routes];
     let probes = health::probes(&supervisor.link.statistics, clock);
     resources.into_iter().flat_map(|resource| resource(supervisor)).chain(probes).collect()
 }

@@ -16,10 +16,11 @@ use super::failed;
 use super::timeline::timeline;
 use crate::capture::timestamps::{StampRow, read_timestamps};
 use crate::capture::with_huffman_tables;
+use crate::config::Settings;
 use crate::daemon::Supervisor;
+use crate::daemon::report::{Report, config_text, find};
 use crate::safe_file;
-use crate::web::call::Call;
-use crate::web::call::is_name;
+use crate::web::call::{Call, is_name};
 use crate::web::content::Download;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
@@ -29,9 +30,11 @@ const LARGEST_PICTURE: u64 = 64 << 20;
 /// Records in one answer at most: some 3 MB. Raised, an answer takes more memory.
 const MOST_RECORDS: u64 = 5000;
 /// Columns of a timeline at most: more than a screen has pixels. Raised, larger answers.
-const MOST_POINTS: u64 = 4000;
+pub(super) const MOST_POINTS: u64 = 4000;
 /// Downloads at a time, for all: each keeps the disk busy. Raised, the recorder has less of it.
 const MOST_DOWNLOADS: usize = 2;
+/// Seconds of pictures in a report at most, as the command has it. Raised, reports grow too large for mail.
+const MOST_PICTURE_SECONDS: u64 = 600;
 /// Folders within a recording's folder at most: frames/0000/picture. Deeper ones are not a recording's.
 const DEEPEST: usize = 4;
 
@@ -41,6 +44,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
         Route::aside(Method::GET, path, access, move |call| answer(&folder, call))
     };
     let downloads: Arc<AtomicUsize> = Arc::default();
+    let for_report = supervisor.clone();
     let folder = Folder(supervisor.clone());
     vec![
         read("/api/v1/recordings", Access::Anyone, Folder::list),
@@ -50,16 +54,19 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
         Route::aside(Method::GET, "/api/v1/recordings/{id}/download", Access::Paired, move |call| {
             download(&folder.clip(call)?, &downloads)
         }),
+        Route::aside(Method::GET, "/api/v1/recordings/{id}/report", Access::Paired, move |call| {
+            report(&for_report, &Folder(for_report.clone()).clip(call)?, call)
+        }),
     ]
 }
 
 /// The recorder's folder.
-struct Folder(Arc<Supervisor>);
+pub(super) struct Folder(pub(super) Arc<Supervisor>);
 
 /// A recording that is there.
-struct Clip {
-    id: String,
-    path: PathBuf,
+pub(super) struct Clip {
+    pub id: String,
+    pub path: PathBuf,
 }
 
 impl Folder {
@@ -70,7 +77,7 @@ impl Folder {
     }
 
     /// The recording that the path names.
-    fn clip(&self, call: &Call) -> Result<Clip, Reply> {
+    pub fn clip(&self, call: &Call) -> Result<Clip, Reply> {
         let id = call.name("id")?.to_owned();
         let path = self.path()?.join(&id);
         // A link would lead out of the folder.
@@ -207,6 +214,24 @@ fn download(clip: &Clip, running: &Arc<AtomicUsize>) -> Result<Reply, Reply> {
     let mut reply = Reply::new(200, "application/zip", Vec::new());
     reply.download = Some(download);
     Ok(reply.with("content-disposition", &format!("attachment; filename=\"{}.zip\"", clip.id)))
+}
+
+/// As `stagepose report` makes it, with pictures where they are asked for.
+fn report(supervisor: &Supervisor, clip: &Clip, call: &Call) -> Result<Reply, Reply> {
+    let seconds = call.queried("pictures", 0, 0..=MOST_PICTURE_SECONDS)?;
+    let (config, path) = (supervisor.file().to_owned(), clip.path.clone());
+    let text = config_text(&config).map_err(|e| failed("the config cannot be read", &e))?;
+    let said = vec![("daemon/diagnostics.txt", super::health::diagnostics(supervisor))];
+    let make = move |to: &mut dyn Write| {
+        let settings = Settings::load(&config);
+        let folder = settings.as_ref().ok().map(|settings| settings.recorder.folder.as_path());
+        let recordings = find(Some(&path), folder);
+        let picture_seconds = (seconds > 0).then_some(seconds as f64);
+        Report { config: &config, text, settings: &settings, said, recordings, picture_seconds }.write(to).map(drop)
+    };
+    let mut reply = Reply::new(200, "application/zip", Vec::new());
+    reply.download = Some(Download::start(make).map_err(|e| failed("the report cannot begin", &e))?);
+    Ok(reply.with("content-disposition", &format!("attachment; filename=\"report-{}.zip\"", clip.id)))
 }
 
 /// All plain files of a folder, as they are: pictures are packed already.

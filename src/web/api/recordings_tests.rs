@@ -64,3 +64,23 @@ fn a_download_is_a_zip_of_all_of_it() {
     zip.by_name("clip-1/frames/0000/b.pgm").unwrap().read_to_end(&mut picture).unwrap();
     assert_eq!(picture, b"P5\n2 2\n255\n\x01\x02\x03\x04");
 }
+
+#[test]
+fn a_report_has_texts_and_pictures_on_request_only() {
+    let folder = tempfile::tempdir().unwrap();
+    recording(folder.path());
+    let supervisor = supervised(folder.path());
+    let names = |query: &str| -> Vec<String> {
+        let (status, zipped) = asked(&routes(&supervisor), "GET", &format!("/api/v1/recordings/clip-1/report{query}"), b"");
+        assert_eq!(status, 200);
+        let zip = zip::ZipArchive::new(io::Cursor::new(zipped)).unwrap();
+        zip.file_names().map(str::to_owned).collect()
+    };
+    let without = names("");
+    for wanted in ["about.txt", "config/stage.toml", "config/verdict.txt", "daemon/diagnostics.txt", "recording/poses.jsonl"] {
+        assert!(without.iter().any(|name| name == wanted), "{wanted}: {without:?}");
+    }
+    assert!(!without.iter().any(|name| name.ends_with(".jpg") || name.ends_with(".png")), "{without:?}");
+    let with = names("?pictures=600");
+    assert!(with.iter().any(|name| name == "recording/frames/0000/b.pgm"), "{with:?}");
+}

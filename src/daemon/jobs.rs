@@ -1,0 +1,182 @@
+//! Work that takes its time and is asked for by people: one job at a time, with its progress, which may be cancelled.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::live::{Event, EventLog, Job, JobState};
+use crate::contain::contained;
+
+/// Jobs whose end is still told. Chosen: an evening's. Raised, only memory.
+const REMEMBERED: usize = 20;
+/// Progress is told this often at most. Chosen: a bar that moves. Raised, it jumps.
+const TOLD_EVERY: Duration = Duration::from_millis(500);
+
+/// All jobs of a daemon.
+#[derive(Debug, Default)]
+pub struct Jobs {
+    board: Arc<Mutex<Board>>,
+}
+
+#[derive(Debug, Default)]
+struct Board {
+    last: u64,
+    jobs: VecDeque<Job>,
+    cancelled: Arc<AtomicBool>,
+}
+
+impl Board {
+    fn job(&mut self, number: u64) -> Option<&mut Job> {
+        self.jobs.iter_mut().find(|job| job.job == number)
+    }
+}
+
+fn held(board: &Mutex<Board>) -> MutexGuard<'_, Board> {
+    board.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Through which a job tells how far it is.
+pub struct Progress {
+    job: u64,
+    board: Arc<Mutex<Board>>,
+    events: Arc<EventLog>,
+    cancelled: Arc<AtomicBool>,
+    told: Instant,
+}
+
+impl Progress {
+    /// So much is done, 0 to 1; false where the job was cancelled and is to end.
+    pub fn tell(&mut self, done: f64) -> bool {
+        if self.told.elapsed() >= TOLD_EVERY {
+            self.told = Instant::now();
+            let told = held(&self.board).job(self.job).map(|job| {
+                job.done = done;
+                job.clone()
+            });
+            told.into_iter().for_each(|job| self.events.publish(Event::Job(job)));
+        }
+        !self.cancelled.load(Ordering::Relaxed)
+    }
+
+    /// It is over.
+    fn end(&self, outcome: Result<String, String>) {
+        let told = held(&self.board).job(self.job).map(|job| {
+            (job.state, job.text) = match outcome {
+                Ok(text) => (JobState::Done, text),
+                Err(_) if self.cancelled.load(Ordering::Relaxed) => (JobState::Failed, "it was cancelled".to_owned()),
+                Err(reason) => (JobState::Failed, reason),
+            };
+            if job.state == JobState::Done {
+                job.done = 1.0;
+            }
+            job.clone()
+        });
+        told.into_iter().for_each(|job| self.events.publish(Event::Job(job)));
+    }
+}
+
+impl Jobs {
+    /// Starts one on a thread of its own and gives its number; `work` gives what came of it, or why it failed.
+    ///
+    /// # Errors
+    /// The job that is under way, which another one does not disturb; or, where the system gives no thread, one that failed.
+    pub fn start(
+        &self,
+        kind: &str,
+        text: String,
+        events: &Arc<EventLog>,
+        work: impl FnOnce(&mut Progress) -> Result<String, String> + Send + 'static,
+    ) -> Result<u64, Job> {
+        let mut progress = {
+            let mut board = held(&self.board);
+            if let Some(running) = board.jobs.iter().find(|job| job.state == JobState::Running) {
+                return Err(running.clone());
+            }
+            board.last += 1;
+            let number = board.last;
+            if board.jobs.len() == REMEMBERED {
+                board.jobs.pop_front();
+            }
+            board.jobs.push_back(Job { job: number, kind: kind.to_owned(), done: 0.0, state: JobState::Running, text });
+            board.cancelled = Arc::default();
+            let (cancelled, board) = (board.cancelled.clone(), self.board.clone());
+            Progress { job: number, board, events: events.clone(), cancelled, told: Instant::now() }
+        };
+        let number = progress.job;
+        let run = move || {
+            let outcome = contained(|| work(&mut progress));
+            progress.end(outcome.unwrap_or_else(|panic| Err(format!("it failed inside the program ({panic}); please report this"))));
+        };
+        match std::thread::Builder::new().name("job".to_owned()).spawn(run) {
+            Ok(_) => Ok(number),
+            Err(error) => {
+                let mut board = held(&self.board);
+                let failed = board.job(number).map(|job| {
+                    (job.state, job.text) = (JobState::Failed, format!("the system gives no thread ({error}); close other programs"));
+                    job.clone()
+                });
+                // It was put there above.
+                Err(failed.unwrap_or(Job { job: number, kind: kind.to_owned(), done: 0.0, state: JobState::Failed, text: String::new() }))
+            }
+        }
+    }
+
+    /// One of the last jobs.
+    pub fn job(&self, number: u64) -> Option<Job> {
+        held(&self.board).job(number).cloned()
+    }
+
+    /// Asks a job to end; false where it is not under way.
+    pub fn cancel(&self, number: u64) -> bool {
+        let mut board = held(&self.board);
+        let is_running = board.job(number).is_some_and(|job| job.state == JobState::Running);
+        if is_running {
+            board.cancelled.store(true, Ordering::Relaxed);
+        }
+        is_running
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ended(jobs: &Jobs, number: u64) -> Job {
+        loop {
+            match jobs.job(number).unwrap() {
+                Job { state: JobState::Running, .. } => std::thread::yield_now(),
+                job => return job,
+            }
+        }
+    }
+
+    #[test]
+    fn one_at_a_time_and_each_has_its_end() {
+        let (jobs, events) = (Jobs::default(), Arc::new(EventLog::default()));
+        let heard = events.listen();
+        let first = jobs.start("test", "a".to_owned(), &events, |progress| {
+            while progress.tell(0.5) {}
+            Err("it ended".to_owned())
+        });
+        assert_eq!(first, Ok(1));
+        let busy = jobs.start("test", "b".to_owned(), &events, |_| Ok(String::new())).unwrap_err();
+        assert_eq!((busy.job, busy.state), (1, JobState::Running));
+        assert!(jobs.cancel(1) && !jobs.cancel(2));
+        assert_eq!((ended(&jobs, 1).text.as_str(), jobs.cancel(1)), ("it was cancelled", false));
+        let good = jobs.start("test", "b".to_owned(), &events, |_| Ok("all of it".to_owned())).unwrap();
+        let Job { state, text, done, .. } = ended(&jobs, good);
+        assert_eq!((state, text.as_str(), done), (JobState::Done, "all of it", 1.0));
+        let bad = jobs.start("test", "c".to_owned(), &events, |_| panic!("no luck")).unwrap();
+        let Job { state, text, .. } = ended(&jobs, bad);
+        assert!(state == JobState::Failed && text.contains("no luck"), "{text}");
+        for _ in 0..REMEMBERED {
+            let number = jobs.start("test", String::new(), &events, |_| Ok(String::new())).unwrap();
+            ended(&jobs, number);
+        }
+        assert!(jobs.job(bad).is_none());
+        events.close();
+        let ends = heard.iter().filter(|e| matches!(&e.event, Event::Job(job) if job.state != JobState::Running)).count();
+        assert_eq!(ends, 3 + REMEMBERED);
+    }
+}

@@ -1,0 +1,239 @@
+//! A recording tracked again with another config, beside what was recorded: the records, and row by row how the two differ.
+//!
+//! In the recording's folder `retracked/` has `poses.jsonl` (contract C3), `differences.jsonl` (a line a row) and `compared.json`. It is
+//! replaced whole, and is the same to the byte each time, on any machine load.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::path::Path;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::{Progress, thread_clock, track_entry};
+use crate::capture::{ClipOptions, open_clip};
+use crate::config::Settings;
+use crate::safe_file;
+use crate::tracker::{Tracker, TrackerSetup};
+
+/// The folder within a recording's.
+const FOLDER: &str = "retracked";
+/// Larger than the file that a recording has of itself, bytes.
+const LARGEST_ABOUT: u64 = 1 << 20;
+
+/// What is compared of a record.
+#[derive(Debug, Deserialize)]
+struct Told {
+    state: String,
+    measured: Option<Placed>,
+    rms_px: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Placed {
+    position_m: [f64; 3],
+    orientation_xyzw: [f64; 4],
+}
+
+/// How a row's two records differ; what one of them has not is null.
+#[derive(Debug, Serialize)]
+struct Difference<'a> {
+    row: u64,
+    recorded: Option<&'a str>,
+    retracked: &'a str,
+    position_mm: Option<f64>,
+    angle_deg: Option<f64>,
+    rms_px: [Option<f64>; 2],
+}
+
+/// The differences so far.
+#[derive(Debug, Default)]
+struct Compared {
+    rows: u64,
+    same_record: u64,
+    same_state: u64,
+    states: [BTreeMap<String, u64>; 2],
+    rms_px: [Vec<f64>; 2],
+    position_mm: Vec<f64>,
+    angle_deg: Vec<f64>,
+}
+
+/// Tracks the recording in this folder with this config; gives a sentence of what came of it.
+///
+/// # Errors
+/// A sentence that says why not; what was there before stays then.
+pub fn retrack(clip: &Path, settings: &Settings, progress: &mut Progress) -> Result<String, String> {
+    let options = ClipOptions { calibrated: settings.lens.size(&settings.camera), ..ClipOptions::default() };
+    let mut source = open_clip(clip, options).map_err(|e| e.to_string())?;
+    let (width, height) = source.size();
+    let (setup, _) = settings.tracker_setup(width, height).map_err(|e| e.to_string())?;
+    let mut setup = TrackerSetup { clock: thread_clock(), ..setup };
+    // It has one thread, which stands back; the records do not depend on how many there are.
+    setup.settings.threads = 1;
+    if setup.shutter.exposure_s == 0.0 {
+        setup.shutter.exposure_s = locked_exposure_s(clip);
+    }
+    let mut tracker = Tracker::new(setup).map_err(|e| e.to_string())?.with_filter(settings.filter);
+    let part = Part::begin(clip).map_err(|e| unwritable(clip, &e))?;
+    let (mut poses, mut differences) = part.files().map_err(|e| unwritable(clip, &e))?;
+    let recorded = safe_file::open(&clip.join("poses.jsonl")).map_err(|e| format!("its poses.jsonl cannot be read ({e})"))?;
+    let mut recorded = BufReader::new(recorded).lines();
+    let (mut compared, rows) = (Compared::default(), source.rows());
+    while let Some(row) = source.next_entry() {
+        let line = track_entry(&mut tracker, &row).to_json_line();
+        let before = recorded.next().transpose().map_err(|e| format!("its poses.jsonl cannot be read ({e})"))?;
+        let difference = compared.add(before.as_deref(), &line);
+        writeln!(poses, "{line}").and_then(|()| writeln!(differences, "{difference}")).map_err(|e| unwritable(clip, &e))?;
+        let done = rows.filter(|rows| *rows > 0).map_or(0.0, |rows| (compared.rows as f64 / rows as f64).min(1.0));
+        if !progress.tell(done) {
+            return Err("it was cancelled".to_owned());
+        }
+    }
+    let says = compared.says();
+    let written = poses.flush().and_then(|()| differences.flush()).and_then(|()| part.finish(&compared.told()));
+    written.map_err(|e| unwritable(clip, &e)).map(|()| says)
+}
+
+fn unwritable(clip: &Path, error: &io::Error) -> String {
+    format!("{}: cannot be written ({error}); make room on the disk, or let the daemon write there", clip.join(FOLDER).display())
+}
+
+/// The exposure that the camera had locked while this was recorded, seconds; 0 where that is not known.
+fn locked_exposure_s(clip: &Path) -> f64 {
+    let text = safe_file::read(&clip.join("clip.toml"), LARGEST_ABOUT).ok().and_then(|bytes| String::from_utf8(bytes).ok());
+    let about: Option<toml::Table> = text.and_then(|text| text.parse().ok());
+    let exposure_s = about.as_ref().and_then(|about| about.get("camera")?.get("exposure_s")?.as_float());
+    exposure_s.filter(|exposure_s| (0.0..=1.0).contains(exposure_s)).unwrap_or(0.0)
+}
+
+/// The folder while it is not whole; it goes again unless it is finished.
+struct Part<'a> {
+    clip: &'a Path,
+}
+
+impl<'a> Part<'a> {
+    fn path(&self) -> std::path::PathBuf {
+        self.clip.join(format!(".{FOLDER}"))
+    }
+
+    fn begin(clip: &'a Path) -> io::Result<Self> {
+        let part = Self { clip };
+        let _ = std::fs::remove_dir_all(part.path());
+        std::fs::create_dir(part.path()).map(|()| part)
+    }
+
+    fn files(&self) -> io::Result<(BufWriter<File>, BufWriter<File>)> {
+        let file = |name: &str| File::create(self.path().join(name)).map(BufWriter::new);
+        Ok((file("poses.jsonl")?, file("differences.jsonl")?))
+    }
+
+    fn finish(self, compared: &Value) -> io::Result<()> {
+        std::fs::write(self.path().join("compared.json"), format!("{compared}\n"))?;
+        let whole = self.clip.join(FOLDER);
+        match std::fs::remove_dir_all(&whole) {
+            Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
+            _ => std::fs::rename(self.path(), whole),
+        }
+    }
+}
+
+impl Drop for Part<'_> {
+    fn drop(&mut self) {
+        // Nothing is there where it is whole by now.
+        let _ = std::fs::remove_dir_all(self.path());
+    }
+}
+
+impl Compared {
+    /// Takes a row's two records and gives the line that says how they differ.
+    fn add(&mut self, recorded: Option<&str>, retracked: &str) -> String {
+        let read = |line: &str| serde_json::from_str::<Told>(line).ok();
+        let told = [recorded.and_then(read), read(retracked)];
+        let [before, after] = &told;
+        let row = self.rows;
+        self.rows += 1;
+        self.same_record += u64::from(recorded == Some(retracked));
+        let state = |told: &Option<Told>| told.as_ref().map(|told| told.state.clone());
+        self.same_state += u64::from(state(before).is_some() && state(before) == state(after));
+        for (k, told) in told.iter().enumerate() {
+            let Some(told) = told else { continue };
+            *self.states[k].entry(told.state.clone()).or_default() += 1;
+            self.rms_px[k].extend(told.rms_px);
+        }
+        let placed = |told: &Option<Told>| told.as_ref().and_then(|told| told.measured.as_ref()).map(Placed::parts);
+        let moved = placed(before).zip(placed(after)).map(|((p, r), (q, s))| ((q - p).norm() * 1e3, r.angle_to(&s).to_degrees()));
+        self.position_mm.extend(moved.map(|(mm, _)| mm));
+        self.angle_deg.extend(moved.map(|(_, degrees)| degrees));
+        let difference = Difference {
+            row,
+            recorded: before.as_ref().map(|told| told.state.as_str()),
+            retracked: after.as_ref().map_or("", |told| told.state.as_str()),
+            position_mm: moved.map(|(mm, _)| mm),
+            angle_deg: moved.map(|(_, degrees)| degrees),
+            rms_px: [before, after].map(|told| told.as_ref().and_then(|told| told.rms_px)),
+        };
+        // Serialising to a string fails only for non-string map keys, of which there are none.
+        serde_json::to_string(&difference).expect("a difference has only string keys")
+    }
+
+    fn told(mut self) -> Value {
+        let [recorded_rms, retracked_rms] = self.rms_px.each_mut().map(|all| spread(all));
+        let [recorded, retracked] = self.states;
+        json!({
+            "rows": self.rows, "same_record": self.same_record, "same_state": self.same_state,
+            "states": {"recorded": recorded, "retracked": retracked},
+            "rms_px": {"recorded": recorded_rms, "retracked": retracked_rms},
+            "both_tracked": self.position_mm.len(), "position_mm": spread(&mut self.position_mm), "angle_deg": spread(&mut self.angle_deg),
+        })
+    }
+
+    fn says(&self) -> String {
+        let tracked = |k: usize| self.states[k].get("tracking").copied().unwrap_or(0);
+        format!("of {} rows {} were tracked and {} are now", self.rows, tracked(0), tracked(1))
+    }
+}
+
+impl Placed {
+    fn parts(&self) -> (Vector3<f64>, UnitQuaternion<f64>) {
+        let [x, y, z, w] = self.orientation_xyzw;
+        (self.position_m.into(), UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)))
+    }
+}
+
+/// Median, 95 % and largest; null where there are none.
+fn spread(values: &mut [f64]) -> Value {
+    values.sort_by(f64::total_cmp);
+    let Some(last) = values.len().checked_sub(1) else { return Value::Null };
+    let at = |share: f64| values[(share * last as f64).round() as usize];
+    json!({"median": at(0.5), "p95": at(0.95), "max": at(1.0)})
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_says_how_far_the_pose_went_and_what_became_of_its_state() {
+        let line = |state: &str, x: f64, rms: &str| {
+            format!(r#"{{"state":"{state}","measured":{{"position_m":[{x},0,0],"orientation_xyzw":[0,0,0,1]}},"rms_px":{rms}}}"#)
+        };
+        let lost = r#"{"state":"lost","measured":null,"rms_px":null}"#;
+        let mut compared = Compared::default();
+        let told: Value =
+            serde_json::from_str(&compared.add(Some(&line("tracking", 1.0, "0.5")), &line("tracking", 1.002, "0.25"))).unwrap();
+        assert!((told["position_mm"].as_f64().unwrap() - 2.0).abs() < 1e-9 && told["angle_deg"] == 0.0, "{told}");
+        assert_eq!(told["rms_px"], json!([0.5, 0.25]));
+        let told: Value = serde_json::from_str(&compared.add(Some(lost), &line("tracking", 1.0, "0.3"))).unwrap();
+        assert_eq!((&told["row"], &told["recorded"], &told["position_mm"]), (&1.into(), &"lost".into(), &Value::Null));
+        compared.add(Some(lost), lost);
+        // The recording ended before its records were all written.
+        compared.add(None, lost);
+        assert_eq!(compared.says(), "of 4 rows 1 were tracked and 2 are now");
+        let told = compared.told();
+        assert_eq!((&told["same_record"], &told["same_state"], &told["both_tracked"]), (&1.into(), &2.into(), &1.into()));
+        assert_eq!(told["states"]["retracked"], json!({"lost": 2, "tracking": 2}));
+        assert_eq!(told["rms_px"]["retracked"]["max"], 0.3);
+    }
+}

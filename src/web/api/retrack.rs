@@ -1,0 +1,147 @@
+//! `POST /api/v1/recordings/ID/retrack` and what comes of it below `retracked`; `GET`, `DELETE /api/v1/jobs/N`: recordings tracked with
+//! today's config.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use axum::http::Method;
+use serde_json::{Value, json};
+
+use super::failed;
+use super::recordings::{Folder, MOST_POINTS, lines};
+use super::timeline::timeline;
+use crate::daemon::{Supervisor, retrack};
+use crate::safe_file;
+use crate::web::call::Call;
+use crate::web::priority::stand_back;
+use crate::web::reply::Reply;
+use crate::web::routes::{Access, Route};
+
+/// Larger than what is told of a comparison, bytes.
+const LARGEST: u64 = 1 << 20;
+
+pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
+    let of = |supervisor: &Arc<Supervisor>| supervisor.clone();
+    let (for_start, for_job, for_cancel) = (of(supervisor), of(supervisor), of(supervisor));
+    let read = |path, answer: fn(&Path, &mut Call) -> Result<Reply, Reply>| {
+        let folder = Folder(supervisor.clone());
+        Route::aside(Method::GET, path, Access::Anyone, move |call| {
+            let clip = folder.clip(call)?.path;
+            if !clip.join("retracked/compared.json").is_file() {
+                return Err(Reply::text(404, "this recording was not tracked again yet; POST to its retrack\n"));
+            }
+            answer(&clip, call)
+        })
+    };
+    let none = || Reply::text(404, "there is no such job; only the last ones are remembered\n");
+    vec![
+        Route::aside(Method::POST, "/api/v1/recordings/{id}/retrack", Access::Change, move |call| {
+            call.nothing()?;
+            start(&for_start, call)
+        }),
+        read("/api/v1/recordings/{id}/retracked", told),
+        read("/api/v1/recordings/{id}/retracked/poses", |clip, call| lines(&clip.join("retracked/poses.jsonl"), call)),
+        read("/api/v1/recordings/{id}/retracked/differences", |clip, call| lines(&clip.join("retracked/differences.jsonl"), call)),
+        Route::aside(Method::GET, "/api/v1/jobs/{number}", Access::Anyone, move |call| {
+            let job = for_job.jobs.job(call.number("number")?).ok_or_else(none)?;
+            Ok(Reply::json(200, json!(job).to_string()))
+        }),
+        Route::aside(Method::DELETE, "/api/v1/jobs/{number}", Access::Change, move |call| {
+            call.nothing()?;
+            let number = call.number("number")?;
+            match for_cancel.jobs.cancel(number) {
+                true => Ok(Reply::text(202, "the job ends\n")),
+                false if for_cancel.jobs.job(number).is_some() => Err(Reply::text(409, "this job is over already\n")),
+                false => Err(none()),
+            }
+        }),
+    ]
+}
+
+fn start(supervisor: &Arc<Supervisor>, call: &Call) -> Result<Reply, Reply> {
+    let clip = Folder(supervisor.clone()).clip(call)?;
+    let settings = supervisor.settings().ok_or_else(|| Reply::text(409, "there is no good config to track with; put one first\n"))?;
+    if supervisor.recording().as_deref() == Some(clip.path.as_path()) {
+        return Err(Reply::text(409, "this is being recorded; end the recording first\n"));
+    }
+    let (path, id) = (clip.path, clip.id);
+    let work = move |progress: &mut _| {
+        stand_back();
+        retrack(&path, &settings, progress)
+    };
+    match supervisor.jobs.start("retrack", id, &supervisor.link.events, work) {
+        Ok(number) => Ok(Reply::json(202, json!({"job": number}).to_string())),
+        Err(job) => {
+            let sentence =
+                format!("job {} ({}) is under way; wait for it, or end it by DELETE /api/v1/jobs/{}\n", job.job, job.text, job.job);
+            Err(Reply::text(409, sentence))
+        }
+    }
+}
+
+/// The timeline of the new records, and how they compare with those that were recorded.
+fn told(clip: &Path, call: &mut Call) -> Result<Reply, Reply> {
+    let points = call.queried("points", 1000, 1..=MOST_POINTS)?;
+    let told = timeline(&clip.join("retracked/poses.jsonl"), &clip.join("events.jsonl"), points as usize);
+    let mut told = told.map_err(|e| failed("what was tracked again cannot be read", &e))?;
+    let compared = safe_file::read(&clip.join("retracked/compared.json"), LARGEST);
+    told["compared"] = compared.ok().and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok()).unwrap_or(Value::Null);
+    Ok(Reply::json(200, told.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::web::api::tests::{asked, supervised};
+
+    #[test]
+    fn what_was_recorded_is_tracked_again_beside_it_and_differs_nowhere_from_itself() {
+        let folder = tempfile::tempdir().unwrap();
+        let supervisor = supervised(folder.path());
+        let clip = folder.path().join("recordings/clip-1");
+        std::fs::create_dir_all(clip.join("frames")).unwrap();
+        let picture = image::GrayImage::from_fn(160, 120, |x, y| image::Luma([((x * 37 + y * 91) % 251) as u8]));
+        let mut stamps = "#timestamp [ns],filename\n".to_owned();
+        for k in 0..5 {
+            picture.save(clip.join(format!("frames/{k}.png"))).unwrap();
+            stamps += &format!("{},{k}.png\n", 33_000_000 * k);
+        }
+        std::fs::write(clip.join("timestamps.csv"), stamps).unwrap();
+        std::fs::write(clip.join("poses.jsonl"), "").unwrap();
+        let ask = |method: &str, path: &str| {
+            let (status, content) = asked(&routes(&supervisor), method, path, b"");
+            (status, String::from_utf8(content).unwrap())
+        };
+        let again = || {
+            assert_eq!(ask("GET", "/api/v1/jobs/77").0, 404);
+            let (status, said) = ask("POST", "/api/v1/recordings/clip-1/retrack");
+            assert_eq!(status, 202, "{said}");
+            let number = serde_json::from_str::<Value>(&said).unwrap()["job"].as_u64().unwrap();
+            loop {
+                let (_, said) = ask("GET", &format!("/api/v1/jobs/{number}"));
+                let job: Value = serde_json::from_str(&said).unwrap();
+                if job["state"] != "running" {
+                    assert_eq!((&job["state"], &job["kind"]), (&"done".into(), &"retrack".into()), "{job}");
+                    break;
+                }
+            }
+            std::fs::read(clip.join("retracked/poses.jsonl")).unwrap()
+        };
+        assert_eq!(ask("GET", "/api/v1/recordings/clip-1/retracked").0, 404);
+        let first = again();
+        assert_eq!(first.iter().filter(|byte| **byte == b'\n').count(), 5);
+        // What came of it takes the place of the recorded one: now both are the same.
+        std::fs::write(clip.join("poses.jsonl"), &first).unwrap();
+        assert_eq!(again(), first);
+        let (status, told) = ask("GET", "/api/v1/recordings/clip-1/retracked?points=10");
+        let told: Value = serde_json::from_str(&told).unwrap();
+        assert_eq!((status, &told["frames"], &told["compared"]["same_record"]), (200, &5.into(), &5.into()), "{told}");
+        assert_eq!(ask("GET", "/api/v1/recordings/clip-1/retracked/differences?from=4").1.lines().count(), 1);
+        assert_eq!(ask("DELETE", "/api/v1/jobs/1").0, 409);
+        assert!(!clip.join(".retracked").exists());
+        supervisor.set_recording(Some(clip.clone()));
+        assert_eq!(ask("POST", "/api/v1/recordings/clip-1/retrack").0, 409);
+        supervisor.use_settings(None);
+        assert_eq!(ask("POST", "/api/v1/recordings/clip-1/retrack").0, 409);
+    }
+}
