@@ -92,6 +92,27 @@ mod tests {
     use crate::publish::stepped::{START, SteppedClocks};
     use crate::record::{PoseSample, StageTimes};
 
+    /// The dashboard for Grafana asks for nothing that is not told, and leaves no counter out.
+    #[test]
+    fn the_dashboard_shows_each_metric_and_no_other() {
+        let text = include_str!("../../packaging/grafana.json");
+        let dashboard: serde_json::Value = serde_json::from_str(text).unwrap();
+        let clock = FrameClock::with(Arc::new(SteppedClocks::new()), Stamps::Live);
+        let page = metrics(&Statistics::default(), &clock);
+        let told: HashSet<&str> = page.body.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next()).collect();
+        let mut asked = HashSet::new();
+        let targets = dashboard["panels"].as_array().unwrap().iter().flat_map(|panel| panel["targets"].as_array().unwrap());
+        for target in targets {
+            let words = target["expr"].as_str().unwrap().split(|c: char| !c.is_ascii_alphanumeric() && c != '_');
+            for name in words.filter(|word| word.starts_with("stagepose_")) {
+                let family = ["_bucket", "_sum", "_count"].iter().find_map(|end| name.strip_suffix(end)).unwrap_or(name);
+                assert!(told.contains(family), "the dashboard asks for {name}, which /metrics does not have");
+                asked.insert(family);
+            }
+        }
+        assert_eq!(asked, told);
+    }
+
     #[test]
     fn every_line_is_of_the_text_format_and_every_name_has_its_type() {
         let statistics = Statistics::default();
