@@ -12,7 +12,7 @@ import { StateMark, amount, html } from "./ui.js";
 /** Milliseconds that a sentence stands at least while the state stays: reasons may change with every frame. */
 const STANDS = 1000;
 /** Milliseconds after which it is looked for what hides the stage: once the page stands. */
-const WAITS = 3000;
+const WAITS = 8000;
 
 /** @typedef {{state: string, sentence: string, mend: string | null}} Account what the state is, for a person */
 
