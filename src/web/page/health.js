@@ -142,7 +142,7 @@ export function Health() {
     <section class="wide" aria-labelledby="parts">
       <h2 id="parts">Parts</h2>
       ${isOld ? html`<p role="alert">stagepose does not answer. See that it runs.${parts.value ? " What is below is what it said last." : ""}</p>` : html`<p role="status">${fault.value}</p>`}
-      ${parts.value === null ? (isOld || fault.value ? null : html`<p>Asking.</p>`) : html`<ul class="cards">${parts.value.map((part) => html`<${Card} key=${part.part} ...${part} />`)}</ul>`}
+      ${parts.value === null ? (isOld || fault.value ? null : html`<p>Asking.</p>`) : html`<ul class="cards">${parts.value.map((part, k) => html`<${Card} key=${`${k} ${part.part}`} ...${part} />`)}</ul>`}
     </section>
     <section class="wide" aria-labelledby="outputs">
       <h2 id="outputs">Outputs</h2>
