@@ -192,6 +192,8 @@ const SQUARE = 16;
 /** Numbered pictures: five times to and fro, 13 s at the fixture's rate; and how often they are played. */
 const NUMBERED = 390;
 const PLAYED = 60;
+/** Numbered pictures a second: the fixture's. */
+const RATE = 30;
 
 /** The fixture to and fro, each picture with its row's number as squares along its lower edge, the highest bit first; drawn by the browser.
  * After so many the numbers begin anew. @param {string} folder @param {import("playwright-core").Browser} browser */
@@ -237,10 +239,10 @@ export async function prepareNumbered(folder, browser) {
   await page.close();
   for (let row = 0; row < PLAYED * NUMBERED; row += 1) {
     if (row >= NUMBERED) symlinkSync(numbered(row % NUMBERED), join(folder, "clip/frames", numbered(row)));
-    table += `${Math.round(row * (1e9 / 30))},${numbered(row)}\n`;
+    table += `${Math.round(row * (1e9 / RATE))},${numbered(row)}\n`;
   }
   writeFileSync(join(folder, "clip/timestamps.csv"), table);
-  return { folder, address, bits: BITS, square: SQUARE, numbers: NUMBERED };
+  return { folder, address, bits: BITS, square: SQUARE, numbers: NUMBERED, rate: RATE };
 }
 
 /** @param {number} row */
