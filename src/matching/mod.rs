@@ -66,6 +66,17 @@ impl ReferenceIndex {
         kernels::pack_into(self.descriptors.iter().copied(), &mut self.blocks);
     }
 
+    /// Takes in the features of another index whose surfaces are wanted, in their order, and forgets its own.
+    pub fn take_from(&mut self, other: &Self, is_wanted: impl Fn(u32) -> bool) {
+        self.features.clear();
+        self.descriptors.clear();
+        for (feature, descriptor) in other.features.iter().zip(&other.descriptors).filter(|(f, _)| is_wanted(f.surface)) {
+            self.features.push(*feature);
+            self.descriptors.push(*descriptor);
+        }
+        kernels::pack_into(self.descriptors.iter().copied(), &mut self.blocks);
+    }
+
     /// The features, in the order of their indices.
     pub fn features(&self) -> &[ReferenceFeature] {
         &self.features
@@ -195,6 +206,22 @@ mod tests {
         let frame = [reference[7], reference[8]];
         index.match_features(&frame, 0.8, &Workers::new(1), &mut MatchBuffers::default(), &mut matches);
         assert_eq!(matches.iter().map(|m| m.frame).collect::<Vec<_>>(), [1]);
+    }
+
+    #[test]
+    fn a_part_of_an_index_has_the_features_of_its_surfaces_alone() {
+        let (mut all, mut part) = (ReferenceIndex::default(), ReferenceIndex::default());
+        for surface in 0..3 {
+            all.add(surface, &features(60, u64::from(surface) + 10), |p| p, 1.0);
+        }
+        part.take_from(&all, |surface| surface == 1);
+        let frame = features(60, 11);
+        let mut matches = Vec::new();
+        part.match_features(&frame, 0.8, &Workers::new(1), &mut MatchBuffers::default(), &mut matches);
+        assert_eq!(matches.len(), 60);
+        assert!(matches.iter().all(|m| m.frame == m.reference && part.features()[m.reference as usize].surface == 1));
+        part.match_features(&features(60, 10), 0.8, &Workers::new(1), &mut MatchBuffers::default(), &mut matches);
+        assert!(matches.is_empty());
     }
 
     #[test]

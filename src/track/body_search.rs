@@ -35,9 +35,9 @@ const SAME_START: f64 = 0.005;
 /// A frame with fewer features in a quick look is not looked at closely: it is black or blank. Raised, dim stages are not looked for; lowered,
 /// black frames cost more.
 const LEAST_FEATURES: usize = 16;
-/// While the stage is known, the tilted views of a missing body are asked in every so many frames. Chosen, not tuned: four times a second at 30 frames.
-/// Raised, a prop that comes into view from its side is found later; lowered, a prop that is not there costs more.
-const VIEWS_EVERY: u32 = 8;
+/// Candidates that are put to the test in a frame whose stage is known, over all missing bodies: both planar poses of one. Raised, a frame takes longer, as much as
+/// one more followed body each; lowered, the wrong one of two planar poses may be the only one tried.
+const TRIED_BESIDE: usize = 2;
 
 /// A frame in which bodies are missing, and what is known of it.
 pub struct Scene<'a> {
@@ -80,8 +80,12 @@ pub struct BodySearch {
     unexplained: Unexplained,
     verify_buffers: VerifyBuffers,
     half: GrayImage,
-    /// Frames in a row in which the stage was known and another body was not.
-    incomplete: u32,
+    /// Which missing body is the first to be asked while the stage is known; each has its turn.
+    turn: usize,
+    /// Whether the stage is known and others are looked for beside it.
+    is_beside: bool,
+    /// Candidates that may still be put to the test in this frame.
+    tries: usize,
     spent: Spent,
 }
 
@@ -109,7 +113,9 @@ impl BodySearch {
             unexplained: Unexplained::default(),
             verify_buffers: VerifyBuffers::default(),
             half: GrayImage::default(),
-            incomplete: 0,
+            turn: 0,
+            is_beside: false,
+            tries: 0,
             spent: Spent::default(),
         }
     }
@@ -123,7 +129,6 @@ impl BodySearch {
     pub fn find_missing(&mut self, scene: &mut Scene) -> Spent {
         self.spent = Spent::default();
         if scene.is_complete() {
-            self.incomplete = 0;
             return self.spent;
         }
         scene.levels.half_into(&mut self.half);
@@ -138,7 +143,7 @@ impl BodySearch {
 
     /// Looks in the whole frame: quickly, and closely for the stage if it is not found so.
     fn find_anywhere(&mut self, scene: &mut Scene) {
-        self.incomplete = 0;
+        (self.is_beside, self.tries) = (false, usize::MAX);
         self.timed(|search| search.features.look(&scene.frame.image, search.mask.as_ref(), Look::Quick, &search.workers));
         self.find_each(scene, false);
         if scene.is_complete() {
@@ -156,31 +161,34 @@ impl BodySearch {
     }
 
     /// Looks only where the frame shows something else than the bodies that were found: once the stage's pose is known, the rest need not be looked
-    /// for in front of what is plainly it.
+    /// for in front of what is plainly it. Much that is unexplained is searched in turns, and little is tried in each frame, so that frames take about as
+    /// long whether a body is missing or not.
     fn find_beside_stage(&mut self, scene: &mut Scene) {
         self.timed(|search| {
             let known = scene.bodies.iter().zip(&*scene.verified).filter_map(|(b, v)| v.as_ref().map(|v| (&b.body, v.pose)));
             search.unexplained.look(known, scene.levels, scene.rays);
-            search.features.look_beside(&scene.frame.image, search.mask.as_ref(), &mut search.unexplained, &search.workers);
+            let missing = scene.bodies.iter().zip(&*scene.verified).filter(|(_, v)| v.is_none()).flat_map(|(b, _)| b.surfaces.clone());
+            search.features.look_beside(&scene.frame.image, search.mask.as_ref(), &mut search.unexplained, missing, &search.workers);
         });
-        let asks_views = self.incomplete.is_multiple_of(VIEWS_EVERY);
-        self.incomplete = self.incomplete.wrapping_add(1);
-        self.find_each(scene, !asks_views);
-        if asks_views && !scene.is_complete() {
-            self.timed(|search| search.features.ask_all_views(&search.workers));
-            self.find_each(scene, true);
-        }
+        (self.is_beside, self.tries) = (true, TRIED_BESIDE);
+        self.turn = self.turn.wrapping_add(1);
+        self.find_each(scene, true);
     }
 
     /// Looks for each missing body by the features that were taken. `asks_patches`: and by patches, where that fails. They are asked last: what a closer
     /// look finds may be aligned.
     fn find_each(&mut self, scene: &mut Scene, asks_patches: bool) {
-        for k in 0..scene.bodies.len() {
+        let bodies = scene.bodies.len();
+        // The stage is the first to be looked for; the objects take turns.
+        let turn = self.turn;
+        let order = std::iter::once(0).chain((1..bodies).map(move |k| 1 + (k + turn) % (bodies - 1)));
+        for k in order {
             if scene.verified[k].is_some() {
                 continue;
             }
             let start = self.clock.start();
-            let found = self.candidates(&mut scene.bodies[k]);
+            let mut found = self.candidates(&mut scene.bodies[k]);
+            found.truncate(TRIED.min(self.tries));
             self.spent.acquire_ms += start.elapsed_ms();
             let start = self.clock.start();
             scene.verified[k] = self.align_candidates(k, scene, &found);
@@ -219,10 +227,10 @@ impl BodySearch {
     }
 
     /// The first candidate that the picture bears out once it is aligned.
-    fn align_candidates(&self, k: usize, scene: &mut Scene, found: &[Candidate]) -> Option<Verified> {
+    fn align_candidates(&mut self, k: usize, scene: &mut Scene, found: &[Candidate]) -> Option<Verified> {
         let tracked = &mut scene.bodies[k];
         let _span = debug_span!("align found", body = %tracked.body.name).entered();
-        let hopeful = found.iter().take(TRIED).filter(|c| c.off.iter().all(|sigma| sigma.is_finite()));
+        let hopeful = found.iter().filter(|c| c.off.iter().all(|sigma| sigma.is_finite()));
         hopeful
             .filter_map(|candidate| {
                 let start = candidate.pose.inverse();
@@ -230,6 +238,7 @@ impl BodySearch {
                 if tracked.tried.iter().any(|tried| is_near(tried, &start)) {
                     return None;
                 }
+                self.tries = self.tries.saturating_sub(1);
                 tracked.tried.push(start);
                 let off = first_off(self.shutter.readout_s, tracked.aligner.distance_m(&start), candidate.off);
                 tracked.align_found(scene.frame, scene.levels, scene.rays, &start, off)
@@ -250,7 +259,13 @@ impl BodySearch {
             row_motion: RowMotion { shutter: self.shutter, before: tracked.before_at(frame.timestamp) },
             workers: &self.workers,
         };
-        let starts = found.iter().take(TRIED).map(|c| c.pose);
+        // One of them costs as much as two more followed bodies: beside the stage the likeliest is asked alone.
+        let asked = match (self.is_beside, tracked.track.is_continued()) {
+            (false, _) => found.len(),
+            (true, false) => 1,
+            (true, true) => 0,
+        };
+        let starts = found.iter().take(asked).map(|c| c.pose);
         let mut best = tracked.best_verified(starts, &view, &mut self.verify_buffers);
         if best.is_none() && tracked.track.is_continued() {
             // Too few features, as under blur or steep tilt: where the body should be by now is a start as good as any.

@@ -41,6 +41,14 @@ const LEVELS: usize = 16;
 /// longer; lowered, covered stages need the close look more often.
 const QUICK_FEATURES: usize = 600;
 
+/// Comparisons of a slice: features of the frame by those of the missing bodies' views. Chosen, not tuned: about a millisecond. Raised, frames in which a
+/// body is missing take longer; lowered, props are found less often.
+const SLICE_COMPARISONS: usize = 3_000_000;
+/// Features of a slice at least, however many bodies are missing, and at most. Chosen, not tuned: a prop that is found has a dozen matches among them. Raised,
+/// slices take longer; lowered, small and dim props are not found.
+const LEAST_SLICE_FEATURES: usize = 150;
+const MOST_SLICE_FEATURES: usize = 600;
+
 /// How closely a frame is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
@@ -65,8 +73,20 @@ pub struct FeatureSearch {
     features: Vec<Feature>,
     matches: Vec<Match>,
     buffers: MatchBuffers,
-    /// Whether the last look was at all views.
-    is_close: bool,
+    /// All views of the surfaces that are missing while others are followed, and the numbers of these surfaces.
+    missing_views: ReferenceIndex,
+    missing: Vec<u32>,
+    /// What the last look was compared with.
+    asked: Asked,
+}
+
+/// A part of the bank.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum Asked {
+    #[default]
+    Frontal,
+    AllViews,
+    MissingViews,
 }
 
 impl FeatureSearch {
@@ -109,22 +129,35 @@ impl FeatureSearch {
         let count = if look == Look::Quick { self.count.min(QUICK_FEATURES) } else { self.count };
         let options = ExtractorOptions { count, ..Default::default() };
         self.extractor.extract(image, mask, &options, workers, &mut self.features);
-        self.is_close = look == Look::Close;
-        let index = if self.is_close { &self.all_views } else { &self.frontal };
-        index.match_features(&self.features, RATIO, workers, &mut self.buffers, &mut self.matches);
+        self.compare(if look == Look::Close { Asked::AllViews } else { Asked::Frontal }, workers);
     }
 
-    /// The same where the frame that was looked at last is unexplained, against the pictures as they are.
-    pub fn look_beside(&mut self, image: &GrayImage, mask: Option<&GrayImage>, unexplained: &mut Unexplained, workers: &Workers) {
-        unexplained.extract(image, mask, self.count, &mut self.extractor, workers, &mut self.features);
-        self.is_close = false;
-        self.frontal.match_features(&self.features, RATIO, workers, &mut self.buffers, &mut self.matches);
+    /// The same where the frame that was looked at last is unexplained, with all views of the missing surfaces, in ascending order of their numbers. It takes
+    /// about the same in each frame.
+    pub fn look_beside(
+        &mut self,
+        image: &GrayImage,
+        mask: Option<&GrayImage>,
+        unexplained: &mut Unexplained,
+        missing: impl Iterator<Item = u32> + Clone,
+        workers: &Workers,
+    ) {
+        if !missing.clone().eq(self.missing.iter().copied()) {
+            self.missing.clear();
+            self.missing.extend(missing);
+            self.missing_views.take_from(&self.all_views, |surface| self.missing.binary_search(&surface).is_ok());
+        }
+        let entries = self.missing_views.features().len().max(1);
+        let count = (SLICE_COMPARISONS / entries).clamp(LEAST_SLICE_FEATURES, MOST_SLICE_FEATURES).min(self.count);
+        unexplained.extract(image, mask, count, &mut self.extractor, workers, &mut self.features);
+        self.compare(Asked::MissingViews, workers);
     }
 
-    /// Matches the features that were taken last with all views.
-    pub fn ask_all_views(&mut self, workers: &Workers) {
-        self.is_close = true;
-        self.all_views.match_features(&self.features, RATIO, workers, &mut self.buffers, &mut self.matches);
+    fn compare(&mut self, asked: Asked, workers: &Workers) {
+        self.asked = asked;
+        let Self { frontal, all_views, missing_views, features, buffers, matches, .. } = self;
+        let index = part(asked, frontal, all_views, missing_views);
+        index.match_features(features, RATIO, workers, buffers, matches);
     }
 
     /// Those that the surfaces of a body take part in, best first.
@@ -139,7 +172,20 @@ impl FeatureSearch {
 
     /// What they were matched with.
     fn reference(&self) -> &[ReferenceFeature] {
-        if self.is_close { self.all_views.features() } else { self.frontal.features() }
+        part(self.asked, &self.frontal, &self.all_views, &self.missing_views).features()
+    }
+}
+
+fn part<'a>(
+    asked: Asked,
+    frontal: &'a ReferenceIndex,
+    all_views: &'a ReferenceIndex,
+    missing_views: &'a ReferenceIndex,
+) -> &'a ReferenceIndex {
+    match asked {
+        Asked::Frontal => frontal,
+        Asked::AllViews => all_views,
+        Asked::MissingViews => missing_views,
     }
 }
 

@@ -8,7 +8,7 @@ use image::GrayImage;
 use tracing::debug_span;
 
 use super::acquire::{SurfaceMatch, SurfaceView};
-use super::align::{Alignment, CameraRays, FrameLevels, ShutterClue, UsedPixel};
+use super::align::{Alignment, CameraRays, FrameLevels, ShutterClue, UsedPixel, is_sharp};
 use super::body_search::{BodySearch, Scene};
 use super::frame_interval::FrameInterval;
 use super::lens_doubt::{covariance_by_lens, covariance_by_shape};
@@ -221,8 +221,10 @@ impl Matcher {
         if lens == LensState::Moved {
             return BodySighting { state: tracked.track.withhold(), verified: None, reason: tracked.reason.or(Some(Reason::LensMoved)) };
         }
-        // A frame that leaves no doubt confirms itself.
-        let conclusive = verified.is_some_and(|v| v.is_conclusive);
+        // A frame that leaves no doubt confirms itself, unless what of the model does not fit leaves some.
+        let misfit = self.fits[k].and_then(|fit| fit.covariance).unwrap_or_default();
+        let conclusive =
+            verified.is_some_and(|v| v.is_conclusive && is_sharp(&(v.covariance + misfit), tracked.aligner.distance_m(&v.pose)));
         let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
         let pose = verified.as_ref().map(|v| &v.pose);
         let coast_s = longest_coast_s(&self.settings, &self.interval);

@@ -6,7 +6,7 @@
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
 //! homography and essential matrix; `lens_doubt` tells what the doubt about lens and shapes leaves open; `tile_residuals` are the displacements that a solution leaves, `model_error` is what
 //! they say of the pose, `focal_clue` what they say of the focal length, and `lens_watch` withholds poses where the lens was moved; `reason` says why a frame has no pose, `failure` finds it, with
-//! `frame_look`; `unexplained` is what of a frame no followed body explains, where missing ones are looked for; `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
+//! `frame_look`; `unexplained` is what of a frame no followed body explains, where missing ones are looked for, in `search_windows`; `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
 //! body; `body_search` looks for those that are not followed; `matcher` runs them all on a frame.
 
 mod acquire;
@@ -28,6 +28,7 @@ mod rectangle;
 mod reference;
 mod registration;
 mod row_motion;
+mod search_windows;
 mod settings;
 mod shape;
 mod surface;

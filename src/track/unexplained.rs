@@ -12,6 +12,7 @@ use nalgebra::{Matrix3, Vector2};
 
 use super::align::{CameraRays, FrameLevels};
 use super::reference::{PreparedBody, PreparedSurface};
+use super::search_windows::{SearchWindows, Window};
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::geometry::{Body, Camera, Pose};
 
@@ -51,24 +52,32 @@ struct Region {
 }
 
 impl Region {
-    /// Copies its part of the frame, and of its mask what the frame's own mask leaves.
-    fn cut_out(&self, frame: &GrayImage, closed: Option<&GrayImage>, picture: &mut GrayImage, mask: &mut GrayImage) {
-        let ([x, y], (width, height)) = (self.origin.map(|v| v as usize), self.mask.dimensions());
-        let row_of = |image: &'_ GrayImage, v: usize| -> std::ops::Range<usize> {
-            let first = (y + v) * image.width() as usize + x;
+    fn size(&self) -> [u32; 2] {
+        [self.mask.width(), self.mask.height()]
+    }
+
+    /// Copies a window of the frame, and of its mask what the frame's own mask leaves.
+    fn cut_out(&self, window: &Window, frame: &GrayImage, closed: Option<&GrayImage>, picture: &mut GrayImage, mask: &mut GrayImage) {
+        let [width, height] = window.size;
+        let row_of = |image: &'_ GrayImage, [x, y]: [u32; 2], v: u32| -> std::ops::Range<usize> {
+            let first = (y + v) as usize * image.width() as usize + x as usize;
             first..first + width as usize
         };
+        let in_region = [0, 1].map(|k| window.origin[k] - self.origin[k]);
+        let copy = |from: &GrayImage, origin: [u32; 2], to: &mut Vec<u8>| {
+            to.clear();
+            (0..height).for_each(|v| to.extend_from_slice(&from.as_raw()[row_of(from, origin, v)]));
+        };
         let mut raw = std::mem::take(picture).into_raw();
-        raw.clear();
-        (0..height as usize).for_each(|v| raw.extend_from_slice(&frame.as_raw()[row_of(frame, v)]));
+        copy(frame, window.origin, &mut raw);
         // There is one byte for each pixel, here and below.
         *picture = GrayImage::from_raw(width, height, raw).unwrap_or_default();
         let mut raw = std::mem::take(mask).into_raw();
-        raw.clear();
-        raw.extend_from_slice(self.mask.as_raw());
+        copy(&self.mask, in_region, &mut raw);
         if let Some(closed) = closed {
             for (v, own) in raw.chunks_exact_mut(width.max(1) as usize).enumerate() {
-                own.iter_mut().zip(&closed.as_raw()[row_of(closed, v)]).for_each(|(open, seen)| *open &= seen);
+                let seen = &closed.as_raw()[row_of(closed, window.origin, v as u32)];
+                own.iter_mut().zip(seen).for_each(|(open, seen)| *open &= seen);
             }
         }
         *mask = GrayImage::from_raw(width, height, raw).unwrap_or_default();
@@ -90,7 +99,8 @@ pub struct Unexplained {
     stack: Vec<usize>,
     sizes: Vec<(usize, u32)>,
     regions: Vec<Region>,
-    /// The picture, the mask and the features of one region.
+    windows: SearchWindows,
+    /// The picture, the mask and the features of one window.
     picture: GrayImage,
     mask: GrayImage,
     features: Vec<Feature>,
@@ -155,7 +165,8 @@ impl Unexplained {
         self.collect_regions([rays.camera().width(), rays.camera().height()]);
     }
 
-    /// The features of the regions of the frame that was looked at last, at most about so many. `closed`: the frame's own mask.
+    /// The features of the regions of the frame that was looked at last, at most about so many; where there is much to search, of the parts whose turn it
+    /// is. `closed`: the frame's own mask.
     pub fn extract(
         &mut self,
         frame: &GrayImage,
@@ -166,18 +177,23 @@ impl Unexplained {
         features: &mut Vec<Feature>,
     ) {
         features.clear();
-        let Self { regions, picture, mask, features: own, .. } = self;
+        let Self { regions, windows, picture, mask, features: own, .. } = self;
+        let slice = windows.next_slice(regions.iter().map(|r| (r.origin, r.size())));
         // A small region gets more than its part: what is in it is seen small, and has the fewest corners.
-        let weight = |region: &Region| (region.cells as f64).sqrt();
-        let total: f64 = regions.iter().map(weight).sum();
-        for region in &*regions {
-            let count = (count as f64 * weight(region) / total).round() as usize;
-            region.cut_out(frame, closed, picture, mask);
+        let weight = |window: &Window| {
+            let region = &regions[window.region];
+            let whole: u64 = region.size().iter().map(|n| u64::from(*n)).product();
+            (region.cells as f64 * window.area() as f64 / whole as f64).sqrt()
+        };
+        let total: f64 = slice.iter().map(weight).sum();
+        for window in slice {
+            let count = (count as f64 * weight(window) / total).round() as usize;
+            regions[window.region].cut_out(window, frame, closed, picture, mask);
             extractor.extract(picture, Some(mask), &ExtractorOptions { count, ..Default::default() }, workers, own);
-            let origin = Vector2::from(region.origin.map(f64::from));
+            let origin = Vector2::from(window.origin.map(f64::from));
             features.extend(own.iter().map(|f| Feature { position: f.position + origin, ..*f }));
         }
-        tracing::debug!(regions = regions.len(), features = features.len(), "unexplained");
+        tracing::debug!(regions = regions.len(), windows = slice.len(), features = features.len(), "unexplained");
     }
 
     /// Draws a surface as the camera should see it; what is nearest wins. A bent one is taken for its plane: folds are small at this size.

@@ -106,12 +106,14 @@ fn a_region_keeps_the_frame_s_own_mask() {
     let region = regions(&frame).remove(0);
     let half_closed = GrayImage::from_fn(SIZE.0, SIZE.1, |x, _| Luma([if x < 345 { 0 } else { 255 }]));
     let (mut picture, mut mask) = (GrayImage::default(), GrayImage::default());
-    region.cut_out(&frame, Some(&half_closed), &mut picture, &mut mask);
-    assert_eq!(picture.dimensions(), mask.dimensions());
+    // Its inner part: a window need not be the whole.
+    let window = Window { region: 0, origin: region.origin.map(|v| v + 7), size: region.size().map(|n| n - 20) };
+    region.cut_out(&window, &frame, Some(&half_closed), &mut picture, &mut mask);
+    assert_eq!([picture.dimensions(), mask.dimensions()], [window.size.into(); 2]);
     for (x, y, pixel) in picture.enumerate_pixels() {
-        let [u, v] = [x + region.origin[0], y + region.origin[1]];
+        let [u, v] = [x + window.origin[0], y + window.origin[1]];
         assert_eq!(pixel, frame.get_pixel(u, v));
-        assert_eq!(mask.get_pixel(x, y)[0], if u < 345 { 0 } else { region.mask.get_pixel(x, y)[0] });
+        assert_eq!(mask.get_pixel(x, y)[0], if u < 345 { 0 } else { region.mask.get_pixel(x + 7, y + 7)[0] });
     }
 }
 

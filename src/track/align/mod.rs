@@ -64,7 +64,7 @@ use rays::RayTable;
 pub use shutter_clue::ShutterClue;
 pub use system::schur_complement::Clue;
 use texture::Texture;
-pub use verdict::Alignment;
+pub use verdict::{Alignment, is_sharp};
 
 use super::rectangle::Rectangle;
 use super::surface::SurfaceSpec;

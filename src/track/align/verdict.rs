@@ -45,13 +45,7 @@ impl Alignment {
     /// pose open. `distance_m`: to the nearest surface.
     pub fn is_borne_out(&self, distance_m: f64) -> bool {
         let is_clear = self.is_conclusive() || (self.agreeing >= SURE_TILES && self.share() >= SURE_SHARE);
-        is_clear && self.is_sharp(distance_m)
-    }
-
-    /// Whether the pose is known so well that this frame alone may give it, the motion during its readout included.
-    fn is_sharp(&self, distance_m: f64) -> bool {
-        let sigma = |first: usize| self.covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
-        sigma(0) < SHARP_SHIFT * distance_m && sigma(3) < SHARP_TURN
+        is_clear && is_sharp(&self.covariance, distance_m)
     }
 
     /// Whether the pose was found so far from where it was expected that earlier frames say nothing of it.
@@ -97,6 +91,13 @@ const SURE_SHARE: f64 = 0.15;
 /// (1 % and 0.3 degrees). Raised, first poses of a shaken camera may be wrong; lowered, they wait for a second frame.
 const SHARP_SHIFT: f64 = 0.0033;
 const SHARP_TURN: f64 = 0.00175;
+
+/// Whether a pose is known so well that one frame alone may give it. `covariance`: of shift and turn, with all that is left open; `distance_m`: to the nearest
+/// surface.
+pub fn is_sharp(covariance: &Matrix6<f64>, distance_m: f64) -> bool {
+    let sigma = |first: usize| covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
+    sigma(0) < SHARP_SHIFT * distance_m && sigma(3) < SHARP_TURN
+}
 
 /// See [`Alignment::squared_mahalanobis`].
 pub fn squared_mahalanobis(expected: &MotionEstimate, found: &Motion) -> f64 {
