@@ -1,5 +1,6 @@
 //! `Tracker` and `Daemon` on frames of the virtual stage, held to its exact truth.
 
+mod acquisition;
 mod any_frame;
 mod bent;
 mod daemon;

@@ -1,0 +1,80 @@
+//! How a stage is found from nothing: from the side, in one frame, and never where it is not.
+
+use image::{GrayImage, Luma, imageops};
+use nalgebra::{Point3, Vector3};
+use stagepose::diagnostics::simulate::{grey, paint};
+use stagepose::{CameraPath, PoseSample, State, VirtualStage};
+
+use super::scene::{aside, backdrop, body, camera, errors, past, quiet, surface, track};
+
+/// A camera that stands so many degrees beside the axis of what it looks at, and looks at a point of it.
+fn from_the_side(degrees: f64, distance_m: f64, target: [f64; 3]) -> CameraPath {
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    CameraPath::fixed(Point3::new(target[0] - distance_m * sin, -distance_m * cos, target[2] + 0.2), Point3::from(target))
+}
+
+/// Whatever is given is right, by the rule of a hundredth of the distance and 0.3 degrees; how many frames are given.
+fn given_right(scene: &VirtualStage, samples: &[PoseSample]) -> usize {
+    let given: Vec<_> = samples.iter().filter(|s| s.state == State::Tracking).collect();
+    for sample in &given {
+        let (share, degrees) = errors(scene, sample);
+        assert!(share < 0.01 && degrees < 0.3, "frame {}: {share:.4} of the distance, {degrees:.3} degrees", sample.sequence);
+    }
+    given.len()
+}
+
+#[test]
+fn a_frame_that_leaves_no_doubt_gives_its_pose_at_once() {
+    let scene = quiet(camera(640, 480), aside(), backdrop());
+    assert_eq!(given_right(&scene, &track(&scene, 1)), 1);
+}
+
+#[test]
+fn a_stage_is_found_from_far_to_its_side() {
+    for degrees in [60.0, 70.0, 75.0] {
+        let scene = quiet(camera(960, 720), from_the_side(degrees, 2.6, [0.0; 3]), backdrop());
+        assert_eq!(given_right(&scene, &track(&scene, 2)), 2, "{degrees} degrees");
+    }
+}
+
+/// A picture that repeats a motif over and over, seen whole and from so near that its border is never in the frame.
+fn assert_never_shifted(art: &GrayImage) {
+    let stage = || body(vec![surface("pattern", art, [4.0, 3.0], Vector3::zeros(), 0.0)]);
+    let whole = quiet(camera(640, 480), aside(), stage());
+    let near = quiet(camera(640, 480), from_the_side(12.0, 1.1, [0.4, 0.0, 0.2]), stage());
+    let passing = quiet(camera(640, 480), past(), stage());
+    for scene in [whole, near, passing] {
+        let given = given_right(&scene, &track(&scene, 4));
+        println!("{given} of 4 given");
+    }
+}
+
+#[test]
+fn a_chessboard_never_gives_a_shifted_pose() {
+    assert_never_shifted(&GrayImage::from_fn(1200, 900, |x, y| Luma([if (x / 75 + y / 75) % 2 == 0 { 30 } else { 225 }])));
+}
+
+#[test]
+fn tiles_never_give_a_shifted_pose() {
+    let tile = grey(&paint(150, 150, 5));
+    assert_never_shifted(&GrayImage::from_fn(1200, 900, |x, y| *tile.get_pixel(x % 150, y % 150)));
+}
+
+#[test]
+fn a_front_of_windows_never_gives_a_shifted_pose() {
+    let window = |x: u32, y: u32| match (x, y) {
+        (30..90, 30..120) if (x - 30) % 30 < 4 || (y - 30) % 45 < 4 => 60,
+        (30..90, 30..120) => 200,
+        (25..95, 120..128) => 225,
+        _ => 120,
+    };
+    assert_never_shifted(&GrayImage::from_fn(1200, 900, |x, y| Luma([window(x % 120, y % 150)])));
+}
+
+#[test]
+fn one_mark_among_tiles_gives_the_right_pose_or_none() {
+    let tile = grey(&paint(150, 150, 5));
+    let mut art = GrayImage::from_fn(1200, 900, |x, y| *tile.get_pixel(x % 150, y % 150));
+    imageops::replace(&mut art, &grey(&paint(140, 140, 9)), 330, 210);
+    assert_never_shifted(&art);
+}
