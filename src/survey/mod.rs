@@ -11,6 +11,7 @@ mod lively_part;
 mod normal_equations;
 mod observers;
 mod prior;
+pub mod progress;
 pub mod shutter;
 pub mod stage;
 mod stage_model;

@@ -1,12 +1,12 @@
 //! The survey of a stage: a walk, the joint adjustment, and what came of it.
 
 use nalgebra::DMatrix;
-use thiserror::Error;
 
 use super::adjustment::{Adjusted, Adjustment};
 use super::constraints::{Constraint, ConstraintCheck};
 use super::lively_part::{mended, shutter_of};
 use super::observers::Observers;
+use super::progress::{SurveyError, SurveyStep};
 use super::shutter::ShutterEstimate;
 use super::stage_model::{LENS_NUMBERS, Places, StageModel};
 use super::walk::Walk;
@@ -33,44 +33,6 @@ pub struct SurveyOptions {
     pub refines_lens: bool,
     /// What was measured on the stage.
     pub constraints: Vec<Constraint>,
-}
-
-/// What a survey does at the moment.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum SurveyStep {
-    /// Following the camera through a frame of a clip.
-    Frame,
-    /// A round of the adjustment.
-    Round(usize),
-}
-
-/// Why there is no survey.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[non_exhaustive]
-pub enum SurveyError {
-    /// No stage in any frame.
-    #[error("the stage is found in none of the {frames} frames; `stagepose check --clip` says why")]
-    NotFound {
-        /// Frames looked at.
-        frames: usize,
-    },
-    /// Too few places.
-    #[error(
-        "the camera came to {found} places only, at least {least} are needed; walk around the stage, a step to the side for each metre of distance"
-    )]
-    TooFewPlaces {
-        /// Places.
-        found: usize,
-        /// Needed.
-        least: usize,
-    },
-    /// The equations have no solution.
-    #[error("the walk does not determine the stage; film it from more sides")]
-    Undetermined,
-    /// The end was asked for.
-    #[error("interrupted; nothing was written")]
-    Interrupted,
 }
 
 /// How large a stage is.

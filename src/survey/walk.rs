@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::keyframes::{Keyframe, Keyframes, MatchedFeature};
 use super::lively_part::{LivelyPart, NumberedFrame};
-use super::stage::{SurveyError, SurveyStep};
+use super::progress::{SurveyError, SurveyStep};
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
@@ -246,7 +246,7 @@ mod tests {
     fn a_record_of_other_clips_or_a_damaged_one_is_none() {
         let record = walk().record();
         let [first, second] = clips();
-        assert_eq!(recalled(&record, &[first.clone()]), None);
+        assert_eq!(recalled(&record, std::slice::from_ref(&first)), None);
         assert_eq!(recalled(&record, &[first.clone(), second.clone(), first.clone()]), None);
         let damaged = |damage: fn(&mut WalkRecord)| {
             let mut record = record.clone();
