@@ -39,6 +39,14 @@ const BETTER: f64 = 0.01;
 const MUCH_BETTER: f64 = 0.2;
 /// While the smoothness is chosen, one tile of this many is held out.
 const HELD_OUT: u32 = 5;
+/// A step after which fewer than this share of the frames bear the model out went beyond where the equations hold. Raised, people in front end a survey's
+/// progress; lowered, a walk that tells little ends in a model that no frame knows.
+const LEAST_KEPT_SHARE: f64 = 0.5;
+/// Such a step is taken back and made shorter by this, and the next ones grow by its root until they are whole again. Nearer to 1, more rounds are lost; nearer
+/// to 0, good steps are.
+const SHORTER: f64 = 0.25;
+/// The shortest share of a step: three times shorter in a row. Lowered, rounds are lost where the frames are gone for another reason.
+const SHORTEST: f64 = SHORTER * SHORTER * SHORTER;
 /// Covariances are that much larger than those of independent tiles: neighbouring keyframes see the same tiles, and what is off in one is off in the next.
 /// (research/mapping.md, section 6.)
 const INFLATION: f64 = 1.5;
@@ -52,6 +60,18 @@ pub struct Adjustment<'a> {
     smoothness: Smoothness,
     /// What the frames showed with the stage as configured.
     at_start: ObservedFrames,
+    last: Option<LastStep>,
+}
+
+/// A step that was taken, and where from.
+struct LastStep {
+    model: StageModel,
+    motions: Vec<Motion>,
+    /// Frames that bore the model out.
+    frames: usize,
+    step: DVector<f64>,
+    /// How much of it was taken.
+    share: f64,
 }
 
 /// A model, what its frames showed, and the equations at the end.
@@ -85,7 +105,15 @@ pub struct Adjusted {
 impl<'a> Adjustment<'a> {
     /// Of keyframes by a lens whose numbers are known to `lens_sigmas`.
     pub fn new(observers: Observers<'a>, shutter: Shutter, lens_sigmas: [f64; LENS_NUMBERS], constraints: Vec<Constraint>) -> Self {
-        Self { observers, shutter, lens_sigmas, constraints, smoothness: Smoothness::even(0, FIRST_CURVATURE), at_start: Vec::new() }
+        Self {
+            observers,
+            shutter,
+            lens_sigmas,
+            constraints,
+            smoothness: Smoothness::even(0, FIRST_CURVATURE),
+            at_start: Vec::new(),
+            last: None,
+        }
     }
 
     fn rows(&self, model: &StageModel, frames: &[Option<ObservedFrame>]) -> Vec<FrameRows> {
@@ -103,7 +131,9 @@ impl<'a> Adjustment<'a> {
         self.at_start = self.observers.tiles(&start)?;
         let mut model = start;
         self.smoothness = Smoothness::even(model.surfaces.len(), FIRST_CURVATURE);
-        for round in 0..FEATURE_ROUNDS + ANCHOR_ROUNDS {
+        self.last = None;
+        let mut round = 0;
+        while round < FEATURE_ROUNDS + ANCHOR_ROUNDS {
             progress(round);
             let anchors_at = round.checked_sub(FEATURE_ROUNDS);
             let frames = match anchors_at {
@@ -111,13 +141,18 @@ impl<'a> Adjustment<'a> {
                 Some(n) => self.observers.anchors(&model, 2 * n < ANCHOR_ROUNDS)?,
             };
             let rows = self.rows(&model, &frames);
+            if let Some(nearer) = self.taken_back(rows.len()) {
+                model = nearer;
+                continue;
+            }
+            round += 1;
             let Some(scales) = robust_scales(&rows, model.surfaces.len()) else { continue };
             if anchors_at.is_some_and(|n| n > 0) {
                 self.choose_rough_smoothness(&model, &rows, &scales)?;
             }
             let step = self.step(&model, &rows, &scales)?;
             tracing::debug!(round, frames = rows.len(), ?scales, rms_px = rms_px(&frames), step_px = step_px(&rows, &step), "rough");
-            model = model.stepped(&step)?;
+            model = self.stepped(&model, step, rows.len())?;
         }
         self.settle(model, progress)
     }
@@ -125,6 +160,7 @@ impl<'a> Adjustment<'a> {
     /// Adjusts a model that was adjusted before, with another shutter. As [`run`](Self::run).
     pub fn run_with_shutter(&mut self, model: StageModel, shutter: Shutter, progress: impl FnMut(usize)) -> Option<Adjusted> {
         self.shutter = shutter;
+        self.last = None;
         self.observers.take_shutter(&model, shutter);
         self.settle(model, progress)
     }
@@ -135,6 +171,10 @@ impl<'a> Adjustment<'a> {
             progress(FEATURE_ROUNDS + ANCHOR_ROUNDS + round);
             let frames = self.observers.tiles(&model)?;
             let rows = self.rows(&model, &frames);
+            if let Some(nearer) = self.taken_back(rows.len()).filter(|_| round + 1 < MOST_ROUNDS) {
+                model = nearer;
+                continue;
+            }
             let scales = robust_scales(&rows, model.surfaces.len())?;
             if CHOOSING_ROUNDS.contains(&round) {
                 self.choose_smoothness(&model, &rows, &scales, round == CHOOSING_ROUNDS[0])?;
@@ -167,9 +207,34 @@ impl<'a> Adjustment<'a> {
                     has_settled,
                 });
             }
-            model = model.stepped(&step)?;
+            model = self.stepped(&model, step, rows.len())?;
         }
         None
+    }
+
+    /// A model after a step that `frames` frames ask for, or a part of it where the last steps were too long. `None` where that is no stage.
+    fn stepped(&mut self, model: &StageModel, step: DVector<f64>, frames: usize) -> Option<StageModel> {
+        let share = self.last.as_ref().map_or(1.0, |last| (last.share / SHORTER.sqrt()).min(1.0));
+        let next = if share < 1.0 { model.stepped(&(&step * share)) } else { model.stepped(&step) };
+        self.last = Some(LastStep { model: model.clone(), motions: self.observers.motions(), frames, step, share });
+        next
+    }
+
+    /// The model of before the last step after a shorter one, where too few frames bear the whole one out.
+    fn taken_back(&mut self, frames: usize) -> Option<StageModel> {
+        let last = self.last.as_mut()?;
+        if frames as f64 >= LEAST_KEPT_SHARE * last.frames as f64 {
+            return None;
+        }
+        self.observers.put_back(&last.motions);
+        if last.share <= SHORTEST {
+            // They are gone for another reason: on with the whole step.
+            (last.share, last.frames) = (1.0, 0);
+            return last.model.stepped(&last.step);
+        }
+        last.share *= SHORTER;
+        tracing::debug!(frames, before = last.frames, share = last.share, "the step was too long");
+        last.model.stepped(&(&last.step * last.share))
     }
 
     fn step(&self, model: &StageModel, rows: &[FrameRows], scales: &[f64]) -> Option<DVector<f64>> {

@@ -75,6 +75,18 @@ impl<'a> Observers<'a> {
         (self.goes_on)().then_some(frames)
     }
 
+    /// Where each keyframe is by now.
+    pub fn motions(&self) -> Vec<Motion> {
+        self.keyframes.iter().map(|keyframe| keyframe.motion).collect()
+    }
+
+    /// Puts the keyframes back to where they were.
+    pub fn put_back(&mut self, motions: &[Motion]) {
+        for (keyframe, motion) in self.keyframes.iter_mut().zip(motions) {
+            keyframe.motion = *motion;
+        }
+    }
+
     /// Whether to go on.
     pub fn go_on(&self) -> bool {
         (self.goes_on)()

@@ -1,7 +1,8 @@
 //! Two videos of a postcard that is moved before a camera: the corners are known to 0.3-0.5 pixels.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use nalgebra::Point2;
 
@@ -30,16 +31,20 @@ fn corner_error_px(record: &Record, reference: &Corners, wanted: &Corners) -> f6
     squares.sum::<Option<f64>>().map_or(f64::INFINITY, |sum| (sum / 4.0).sqrt())
 }
 
-/// `size_ratio` (height over width) was fitted to the corners of frame 0 and of one more frame.
+/// A config whose stage is the postcard as frame 0 shows it. `size_ratio` (height over width) was fitted to the corners of frame 0 and of one more frame.
+fn config(folder: &Path, video: &Path, reference: &Corners, size_ratio: f64) -> PathBuf {
+    let photo = folder.join("frame0.png");
+    extract_first_frame(video, &photo);
+    let corners_px = reference.map(|corner| [corner.x, corner.y]);
+    PhotographedStage { photo: &photo, corners_px, size_ratio, frame_size: (640, 480), more: "" }.write(folder)
+}
+
 fn assert_tracked(name: &str, video: &str, size_ratio: f64) {
     let Some(set) = data_set(name).filter(|_| has_ffmpeg()) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let photo = folder.path().join("frame0.png");
-    extract_first_frame(&set.join(video), &photo);
     let truth = annotated(&set.join("corners_edge.txt"));
     let reference = truth[&0];
-    let corners_px = reference.map(|corner| [corner.x, corner.y]);
-    let config = PhotographedStage { photo: &photo, corners_px, size_ratio, frame_size: (640, 480), more: "" }.write(folder.path());
+    let config = config(folder.path(), &set.join(video), &reference, size_ratio);
 
     let records = records(&replay(&set.join(video), &config, folder.path(), &[]));
     let errors_px: Vec<f64> = truth.iter().map(|(row, wanted)| corner_error_px(&records[*row], &reference, wanted)).collect();
@@ -58,4 +63,20 @@ fn postcard_161() {
 #[test]
 fn postcard_67() {
     assert_tracked("video-visp-postcard67", "postcard-67.mp4", 1.3185);
+}
+
+#[test]
+fn a_postcard_in_the_hand_does_not_tell_the_lens_and_the_survey_says_which_view_is_missing() {
+    let Some(set) = data_set("video-visp-postcard-161").filter(|_| has_ffmpeg()) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (video, surveyed) = (set.join("postcard-161.mp4"), folder.path().join("surveyed"));
+    let config = config(folder.path(), &video, &annotated(&set.join("corners_edge.txt"))[&0], 1.354);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_stagepose"));
+    command.arg("survey").arg(&video).args(["--lens", "refine"]).arg("--config").arg(&config).arg("--output").arg(&surveyed);
+    let done = command.output().unwrap();
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(1), "{said}");
+    // Whole steps lead to a lens with which no frame fits.
+    assert!(said.contains("do not use: the focal length is known to") && said.contains("film the stage aslant"), "{said}");
+    assert!(!surveyed.exists());
 }
