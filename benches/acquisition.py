@@ -48,7 +48,7 @@ def arguments():
     parser.add_argument("--binary", type=pathlib.Path, default=clips.PROJECT / "target/release/stagepose")
     parser.add_argument("--bench", type=pathlib.Path, default=clips.PROJECT.parent / "shared/bench", help="where render.py and the scenes are")
     parser.add_argument("--check", action="store_true", help="end with 1 when a bar is missed")
-    chosen = parser.parse_args()
+    chosen = parser.parse_intermixed_args()
     chosen.frames = None
     for needed in (chosen.bench, chosen.binary):
         if not needed.exists():
