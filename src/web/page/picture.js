@@ -2,6 +2,7 @@
 import { signal } from "./vendor/signals.js";
 import { head, scene } from "./daemon.js";
 import { pixel, place, within } from "./lens.js";
+import { emptied } from "./ui.js";
 
 /** @typedef {import("./daemon.js").Head} Head */
 
@@ -63,21 +64,13 @@ export function drawPicture(canvas, picture) {
 
 /** The marks of a frame on a canvas that lies on its picture. @param {HTMLCanvasElement} above @param {{record: any, size: [number, number]}} said */
 export function drawMarks(above, said) {
-  const context = above.getContext("2d");
-  if (!context) return;
-  const width = Math.round(above.clientWidth * devicePixelRatio);
-  const height = Math.round(above.clientHeight * devicePixelRatio);
-  if (above.width !== width || above.height !== height) {
-    above.width = width;
-    above.height = height;
-  }
-  context.clearRect(0, 0, width, height);
+  const drawn = emptied(above);
+  if (!drawn) return;
+  const { context, width, colour } = drawn;
   const { record, size } = said;
   const seen = record?.pose;
   if (!scene.value || !seen) return;
   const scale = width / size[0];
-  const style = getComputedStyle(above);
-  const colour = (/** @type {string} */ state) => style.getPropertyValue(`--${state}`).trim();
   const draw = (/** @type {any} */ surface, /** @type {any} */ pose, /** @type {string} */ state) => {
     const inStage = (/** @type {number[]} */ point) => (pose === null ? point : place(pose, point));
     const pixels = surface.outline_m.map((/** @type {number[]} */ point) => pixel(scene.value.camera, within(seen, inStage(point))));

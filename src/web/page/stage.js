@@ -6,7 +6,7 @@ import { direction, place } from "./lens.js";
 import { added, minute } from "./minute.js";
 import { FIRST, STEPS, axes, dot, ellipse, stepped } from "./orbit.js";
 import { theme } from "./theme.js";
-import { amount, html } from "./ui.js";
+import { amount, emptied, html } from "./ui.js";
 
 /** From where it is seen. */
 export const view = signal(FIRST);
@@ -143,21 +143,14 @@ function drawTrail(context, to, of) {
 
 /** Draws all of it as the shown frame has it. */
 function draw() {
-  const context = canvas?.getContext("2d");
-  if (!canvas || !context) return;
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((length) => Math.round(length * devicePixelRatio));
-  if (canvas.width !== width || canvas.height !== height) {
-    canvas.width = width;
-    canvas.height = height;
-  }
-  context.clearRect(0, 0, width, height);
+  const drawn = canvas && emptied(canvas);
+  if (!drawn) return;
+  const { context, width, height, colour } = drawn;
   const record = head.value?.record;
   if (!scene.value || !record || room === null) return;
   const { pose } = record;
   if (pose) room = around(room, pose.position_m);
   const to = projection(room, width, height);
-  const style = getComputedStyle(canvas);
-  const colour = (/** @type {string} */ name) => style.getPropertyValue(`--${name}`).trim();
   context.lineJoin = "round";
   context.lineWidth = devicePixelRatio;
   context.strokeStyle = colour("edge");

@@ -3,7 +3,7 @@ import { computed, effect } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { REMEMBERED, added, minute } from "./minute.js";
 import { theme } from "./theme.js";
-import { WORDS, amount, html } from "./ui.js";
+import { WORDS, amount, emptied, html } from "./ui.js";
 
 /** Pixels of the band of states; a state is told by the band's height too: the surer, the higher. */
 export const BAND = 14;
@@ -32,16 +32,9 @@ function worst() {
 
 /** @param {HTMLCanvasElement} canvas */
 function draw(canvas) {
-  const context = canvas.getContext("2d");
-  if (!context) return;
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((length) => Math.round(length * devicePixelRatio));
-  if (canvas.width !== width || canvas.height !== height) {
-    canvas.width = width;
-    canvas.height = height;
-  }
-  context.clearRect(0, 0, width, height);
-  const style = getComputedStyle(canvas);
-  const colour = (/** @type {string} */ name) => style.getPropertyValue(`--${name}`).trim();
+  const drawn = emptied(canvas);
+  if (!drawn) return;
+  const { context, width, height, colour } = drawn;
   const begun = performance.now() - REMEMBERED;
   const x = (/** @type {number} */ at) => ((at - begun) / REMEMBERED) * width;
   const band = BAND * devicePixelRatio;

@@ -4,7 +4,7 @@ import { useEffect, useRef } from "./vendor/hooks.js";
 import { clip, go, row, shown } from "./clip.js";
 import { BAND, HEIGHTS, LEAST_FULL } from "./strip.js";
 import { theme } from "./theme.js";
-import { WORDS, html } from "./ui.js";
+import { WORDS, emptied, html } from "./ui.js";
 
 /** The part of a recording that a page key moves by, and rows with Shift. */
 const PAGES = 20;
@@ -28,16 +28,9 @@ export function secondsOf({ first_ns, last_ns, frames }, number) {
 
 /** @param {HTMLCanvasElement} canvas @param {Clip} of @param {number} at a row */
 function draw(canvas, of, at) {
-  const context = canvas.getContext("2d");
-  if (!context) return;
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((length) => Math.round(length * devicePixelRatio));
-  if (canvas.width !== width || canvas.height !== height) {
-    canvas.width = width;
-    canvas.height = height;
-  }
-  context.clearRect(0, 0, width, height);
-  const style = getComputedStyle(canvas);
-  const colour = (/** @type {string} */ name) => style.getPropertyValue(`--${name}`).trim();
+  const drawn = emptied(canvas);
+  if (!drawn) return;
+  const { context, width, height, colour } = drawn;
   const x = (/** @type {number} */ number) => (number / of.frames) * width;
   const band = BAND * devicePixelRatio;
   // The worst last: a lost row is seen among hundreds that share a pixel.

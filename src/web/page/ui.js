@@ -37,3 +37,20 @@ export function StateMark({ state }) {
 export function amount(value, digits, unit) {
   return value === null || value === undefined ? "–" : `${value.toFixed(digits).replace("-", "\u2212")}\u00a0${unit}`;
 }
+
+/**
+ * A canvas as many pixels large as the screen gives it, empty, with the theme's colours by name; null where it cannot be drawn on.
+ * @param {HTMLCanvasElement} canvas
+ */
+export function emptied(canvas) {
+  const context = canvas.getContext("2d");
+  if (!context) return null;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((length) => Math.round(length * devicePixelRatio));
+  if (canvas.width !== width || canvas.height !== height) {
+    canvas.width = width;
+    canvas.height = height;
+  }
+  context.clearRect(0, 0, width, height);
+  const style = getComputedStyle(canvas);
+  return { context, width, height, colour: (/** @type {string} */ name) => style.getPropertyValue(`--${name}`).trim() };
+}
