@@ -308,7 +308,7 @@ const CLIP: [Mistake; 10] = [
         done: "the stage is covered",
         spoil: |s| {
             let other = grey(&paint(480, 360, 31));
-            s.frames(|_, f| GrayImage::from_fn(480, 360, |x, y| if x > 170 { *other.get_pixel(x, y) } else { *f.get_pixel(x, y) }));
+            s.frames(|_, f| GrayImage::from_fn(480, 360, |x, y| if x > 120 { *other.get_pixel(x, y) } else { *f.get_pixel(x, y) }));
         },
         code: 1,
         says: &["covered"],
