@@ -176,10 +176,7 @@ def main():
             late.append(f"{clip.folder.name}: the slowest frames take {rows[0]['ms p99'] / rows[0]['ms p50']:.1f} medians, at most {FLAT_FRAME_TIME:g} are wanted")
     for sentence in notes if chosen.misses else []:
         print(sentence, file=sys.stderr)
-    for sentence in faults + late:
-        print(f"missed: {sentence}", file=sys.stderr)
-    if (chosen.check and faults) or (chosen.check_times and late):
-        sys.exit(1)
+    clips.conclude(faults, late, chosen)
 
 
 if __name__ == "__main__":

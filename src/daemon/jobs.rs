@@ -10,7 +10,7 @@ use crate::contain::contained;
 
 /// Jobs whose end is still told. Chosen: an evening's. Raised, only memory.
 const REMEMBERED: usize = 20;
-/// Progress is told this often at most. Chosen: a bar that moves. Raised, it jumps.
+/// Shortest time between two messages of progress. Chosen: a progress bar looks smooth. Raised, the bar jumps.
 const TOLD_EVERY: Duration = Duration::from_millis(500);
 
 /// All jobs of a daemon.

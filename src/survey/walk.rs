@@ -15,7 +15,7 @@ use crate::motion::Motion;
 use crate::track::{BodySpec, Matcher, SurfaceMatch};
 use crate::tracker::TrackerSetup;
 
-/// A verified pose this long before tells of the motion, seconds. Raised, motion is told by a pose from before a turn; lowered, slow cameras tell none.
+/// Longest time between two poses that give a velocity, seconds. Raised, the velocity may span a turn; lowered, cameras with few frames a second give none.
 const LONGEST_GAP_S: f64 = 0.25;
 /// A recorded rotation is one when its quaternion's norm is this near to 1. Raised, a damaged record may pass; lowered, a sound one may not.
 const NORM_TOLERANCE: f64 = 1e-9;

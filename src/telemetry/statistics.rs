@@ -66,7 +66,7 @@ pub struct Statistics {
     pub contained_panics: Counter,
     /// Frames recorded.
     pub recorded: Counter,
-    /// Frames whose picture was copied for somebody who watches.
+    /// Frames whose picture was copied for a viewer.
     pub viewed: Counter,
     streaming: AtomicBool,
     silent: AtomicBool,

@@ -23,7 +23,7 @@ fn alone(art: &GrayImage) -> Rating {
     rate(&BodySpec::new("stage", vec![surface("art", art, [4.0, 3.0])]), &[], &camera()).remove(0)
 }
 
-/// The ratings of a painted stage and of these pictures as objects of so many metres.
+/// The ratings of a painted stage and of objects with these pictures; the sizes are in metres.
 fn beside(art: &[&GrayImage], side_m: f64) -> Vec<Rating> {
     let stage = BodySpec::new("stage", vec![surface("backdrop", &painted(1), [4.0, 3.0])]);
     let object = |(k, art): (usize, &&GrayImage)| BodySpec::new(format!("object {k}"), vec![surface("prop", art, [side_m; 2])]);
