@@ -175,6 +175,12 @@ impl Tracker {
         self.matcher.watch_pixels()
     }
 
+    /// The same for the frames that come while `wanted` is true; the others cost nothing.
+    #[cfg(feature = "daemon")]
+    pub(crate) fn watch_pixels_while(&mut self, wanted: std::sync::Arc<std::sync::atomic::AtomicBool>) -> Receiver<UsedPixels> {
+        self.matcher.watch_pixels_while(wanted)
+    }
+
     /// Tracks one frame.
     ///
     /// # Errors

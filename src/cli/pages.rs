@@ -9,7 +9,7 @@ use crate::config::HttpSettings;
 use crate::daemon::Supervisor;
 use crate::publish::{SafetySettings, Stamps};
 use crate::record::PoseSample;
-use crate::tracker::TrackerSetup;
+use crate::tracker::{Tracker, TrackerSetup};
 #[cfg(feature = "http")]
 use crate::{publish::FrameClock, web};
 
@@ -78,12 +78,16 @@ impl Pages {
         let _ = setup;
     }
 
-    /// What the session's pose stage calls with every row, for those who watch; none where there is no server.
-    pub fn observer(&self) -> Option<impl FnMut(&ClipEntry, &PoseSample) + Send + 'static> {
+    /// What the session's pose stage calls with every row, for those who watch; none where there is no server. The tracker shows the pixels
+    /// that its poses rest on while somebody asks for them.
+    pub fn observer(&self, tracker: &mut Tracker) -> Option<impl FnMut(&ClipEntry, &PoseSample) + Send + 'static> {
         #[cfg(feature = "http")]
-        return self.server.as_ref().map(web::Server::observer);
+        return self.server.as_ref().map(|server| server.observer(Some(tracker.watch_pixels_while(server.wants_pixels()))));
         #[cfg(not(feature = "http"))]
-        None::<fn(&ClipEntry, &PoseSample)>
+        {
+            let _ = tracker;
+            None::<fn(&ClipEntry, &PoseSample)>
+        }
     }
 
     /// Gives a sample, or a stale message, to the server's clients.

@@ -3,6 +3,9 @@
 //! A body that was aligned lately is followed: aligned from where it should be by now. The others are looked for. Its track state decides what the
 //! outcome means for each.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use crossbeam_channel::{Receiver, Sender};
 use image::GrayImage;
 use tracing::debug_span;
@@ -102,7 +105,14 @@ pub struct Matcher {
     lens_watch: LensWatch,
     camera_rays: CameraRays,
     levels: FrameLevels,
-    watcher: Option<Sender<UsedPixels>>,
+    watcher: Option<PixelWatch>,
+}
+
+/// Who is shown the pixels that poses rest on.
+struct PixelWatch {
+    to: Sender<UsedPixels>,
+    /// Whether they are wanted now; always where there is none.
+    wanted: Option<Arc<AtomicBool>>,
 }
 
 impl Matcher {
@@ -146,6 +156,7 @@ impl Matcher {
         if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
             return self.look_away(frame.sequence, frame.timestamp, Reason::Skipped);
         }
+        self.note_pixels();
         self.interval.update(frame.timestamp);
         for tracked in &mut self.bodies {
             (tracked.clue, tracked.refusal, tracked.reason) = (None, None, None);
@@ -261,17 +272,41 @@ impl Matcher {
 
     /// From now on the pixels that poses rest on are sent here, frame by frame, before the frame's sighting is given.
     pub fn watch_pixels(&mut self) -> Receiver<UsedPixels> {
-        let (sender, receiver) = crossbeam_channel::unbounded();
-        self.watcher = Some(sender);
-        self.bodies.iter_mut().for_each(|b| b.used = Some(Vec::new()));
+        self.watch(None)
+    }
+
+    /// The same for the frames that come while `wanted` is true; the others cost nothing.
+    pub fn watch_pixels_while(&mut self, wanted: Arc<AtomicBool>) -> Receiver<UsedPixels> {
+        self.watch(Some(wanted))
+    }
+
+    fn watch(&mut self, wanted: Option<Arc<AtomicBool>>) -> Receiver<UsedPixels> {
+        let (to, receiver) = crossbeam_channel::unbounded();
+        self.watcher = Some(PixelWatch { to, wanted });
         receiver
     }
 
+    /// Before a frame: its pixels are noted where somebody wants them.
+    fn note_pixels(&mut self) {
+        let Some(PixelWatch { wanted, .. }) = &self.watcher else { return };
+        let is_wanted = wanted.as_ref().is_none_or(|wanted| wanted.load(Ordering::Relaxed));
+        for body in &mut self.bodies {
+            match (&mut body.used, is_wanted) {
+                (None, true) => body.used = Some(Vec::new()),
+                (Some(_), false) => body.used = None,
+                _ => {}
+            }
+        }
+    }
+
     fn show_pixels(&mut self, sequence: u64) {
-        let Some(watcher) = &self.watcher else { return };
+        let Some(PixelWatch { to, .. }) = &self.watcher else { return };
+        if self.bodies.iter().all(|body| body.used.is_none()) {
+            return;
+        }
         let pixels = self.bodies.iter_mut().filter_map(|b| b.used.as_mut()).flat_map(|used| used.drain(..)).collect();
         // Nobody may be watching any more.
-        let _ = watcher.send(UsedPixels { sequence, pixels });
+        let _ = to.send(UsedPixels { sequence, pixels });
     }
 
     /// From now on the shutter is taken as given, and every frame is asked what it says of it.

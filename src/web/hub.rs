@@ -6,7 +6,7 @@
 //! A message is one piece of memory, whoever gets it: a viewer holds at most the one that is on its way to it.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 
 use axum::body::Bytes;
 use crossbeam_channel::Receiver;
@@ -21,9 +21,15 @@ use crate::capture::{ClipEntry, EntryContent, Received, with_huffman_tables};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::{PoseSample, State};
 use crate::telemetry::Statistics;
+use crate::track::{UsedPixel, UsedPixels};
 
 /// Quality of JPEGs that are encoded here, 1 to 100. Chosen: no blocks are seen, at a third of the size of 95. Raised, larger messages.
 const QUALITY: u8 = 80;
+/// Used pixels of a frame that are told at most: dots that show where the stage is seen. Raised, larger messages.
+const MOST_USED: usize = 600;
+/// Residuals beyond this many robust standard deviations count nothing, so that such pixels are not shown: where the alignment's own weight
+/// ends.
+const COUNTS_BELOW: f32 = 4.7;
 
 /// What is taken over of a row.
 #[derive(Debug)]
@@ -33,6 +39,7 @@ struct Taken {
     size: (u32, u32),
     sample: PoseSample,
     motion: Option<CameraMotion>,
+    used: Option<Vec<u16>>,
 }
 
 #[derive(Debug)]
@@ -52,8 +59,23 @@ pub(super) struct Hub {
     statistics: Arc<Statistics>,
     /// Sessions so far: row numbers begin anew with each.
     epochs: AtomicU64,
+    /// Viewers that ask for the pixels that poses rest on, and whether there are any, for the tracker.
+    asking: AtomicUsize,
+    wants_pixels: Arc<AtomicBool>,
     to_view: DropOldestSender<Taken>,
     newest: Arc<watch::Sender<Bytes>>,
+}
+
+/// A viewer that asks for pixels, until it is dropped.
+#[derive(Debug)]
+pub(super) struct Asking(Arc<Hub>);
+
+impl Drop for Asking {
+    fn drop(&mut self) {
+        if self.0.asking.fetch_sub(1, Ordering::Relaxed) == 1 {
+            self.0.wants_pixels.store(false, Ordering::Relaxed);
+        }
+    }
 }
 
 /// A viewer that waits for a frame, until it is dropped.
@@ -77,20 +99,41 @@ impl Hub {
         let newest = Arc::new(watch::Sender::new(Bytes::new()));
         let to = newest.clone();
         std::thread::Builder::new().name("view".to_owned()).spawn(move || work(&rows, &to))?;
-        Ok(Arc::new(Self { waiting: 0.into(), statistics, epochs: 0.into(), to_view, newest }))
+        Ok(Arc::new(Self {
+            waiting: 0.into(),
+            statistics,
+            epochs: 0.into(),
+            asking: 0.into(),
+            wants_pixels: Arc::default(),
+            to_view,
+            newest,
+        }))
     }
 
-    /// What a new session's pose stage calls with every row; waits for nothing.
-    pub fn observer(self: &Arc<Self>) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
+    /// True while a viewer asks for the pixels that poses rest on.
+    pub fn wants_pixels(&self) -> Arc<AtomicBool> {
+        self.wants_pixels.clone()
+    }
+
+    /// Says that a viewer asks for them.
+    pub fn ask_pixels(self: &Arc<Self>) -> Asking {
+        self.asking.fetch_add(1, Ordering::Relaxed);
+        self.wants_pixels.store(true, Ordering::Relaxed);
+        Asking(self.clone())
+    }
+
+    /// What a new session's pose stage calls with every row; waits for nothing. `pixels` come from its tracker while they are wanted.
+    pub fn observer(self: &Arc<Self>, pixels: Option<Receiver<UsedPixels>>) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
         let (hub, epoch) = (self.clone(), self.epochs.fetch_add(1, Ordering::Relaxed) + 1);
-        let mut follower = MotionFollower::default();
+        let (mut follower, mut pixels) = (MotionFollower::default(), PixelsByRow { pixels, next: None });
         move |row, sample| {
             let motion = follower.after(sample);
+            let used = pixels.of(row.sequence);
             if hub.waiting.load(Ordering::Relaxed) > 0
                 && let Some(taken) = taken(epoch, row, sample, motion)
             {
                 hub.statistics.viewed.add(1);
-                hub.to_view.send(taken);
+                hub.to_view.send(Taken { used: used.map(|used| thinned(&used.pixels)), ..taken });
             }
         }
     }
@@ -132,7 +175,39 @@ fn taken(epoch: u64, row: &ClipEntry, sample: &PoseSample, motion: Option<Camera
         Some(Received::Jpeg(bytes)) => Picture::Jpeg(bytes.clone()),
         _ => Picture::Grey(frame.image.clone()),
     };
-    Some(Taken { epoch, picture, size: frame.image.dimensions(), sample: sample.clone(), motion })
+    Some(Taken { epoch, picture, size: frame.image.dimensions(), sample: sample.clone(), motion, used: None })
+}
+
+/// The tracker's pixels, which come in the order of the rows, and before the row's sample. Not every row has some.
+struct PixelsByRow {
+    pixels: Option<Receiver<UsedPixels>>,
+    /// Those of a row that is still to come.
+    next: Option<UsedPixels>,
+}
+
+impl PixelsByRow {
+    fn of(&mut self, sequence: u64) -> Option<UsedPixels> {
+        let pixels = self.pixels.as_ref()?;
+        loop {
+            let used = self.next.take().or_else(|| pixels.try_recv().ok())?;
+            match used.sequence.cmp(&sequence) {
+                std::cmp::Ordering::Less => {}
+                std::cmp::Ordering::Equal => return Some(used),
+                std::cmp::Ordering::Greater => {
+                    self.next = Some(used);
+                    return None;
+                }
+            }
+        }
+    }
+}
+
+/// Some of the pixels that the poses rest on, evenly: columns and rows by turns, raw pixels of the frame.
+fn thinned(pixels: &[UsedPixel]) -> Vec<u16> {
+    let counted: Vec<&UsedPixel> = pixels.iter().filter(|pixel| pixel.takes_part && pixel.sigmas < COUNTS_BELOW).collect();
+    let step = counted.len().div_ceil(MOST_USED).max(1);
+    // A frame has fewer than 65536 columns and rows, or no JPEG would hold it.
+    counted.into_iter().step_by(step).flat_map(|pixel| pixel.centre_px.map(|px| px.round().max(0.0) as u16)).collect()
 }
 
 /// The thread's whole life.
@@ -156,6 +231,9 @@ struct Head<'a> {
     mend: Option<&'static str>,
     /// How the camera moved at the frame's stamp, in its own axes; null where that is not known.
     motion: Option<CameraMotion>,
+    /// Where the poses were seen, where a viewer asked for it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    used: Option<&'a [u16]>,
     record: &'a PoseSample,
 }
 
@@ -170,6 +248,7 @@ fn message(row: &Taken) -> Option<Bytes> {
         says: reason.map(|reason| reason.says()),
         mend: reason.map(|reason| reason.mend()),
         motion: row.motion,
+        used: row.used.as_deref(),
         record: sample,
     };
     // Serialising fails only for non-string map keys, of which there are none.

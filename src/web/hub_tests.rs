@@ -75,7 +75,7 @@ fn a_raw_picture_is_encoded_and_rows_without_a_picture_are_passed_over() {
 #[test]
 fn nothing_is_copied_while_nobody_waits() {
     let hub = Hub::start(Arc::default()).unwrap();
-    let mut observer = hub.observer();
+    let mut observer = hub.observer(None);
     let mut messages = hub.messages();
     (0..100).for_each(|k| observer(&row(k, None), &sample(k, State::Tracking)));
     assert_eq!(hub.copied(), 0);
@@ -92,7 +92,7 @@ fn nothing_is_copied_while_nobody_waits() {
 #[test]
 fn each_session_has_its_own_number() {
     let hub = Hub::start(Arc::default()).unwrap();
-    let (mut first, mut second) = (hub.observer(), hub.observer());
+    let (mut first, mut second) = (hub.observer(None), hub.observer(None));
     let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
     let _waiting = hub.wait();
     let mut messages = hub.messages();
@@ -102,4 +102,33 @@ fn each_session_has_its_own_number() {
         parts(&messages.borrow_and_update()).0["epoch"].as_u64()
     };
     assert_eq!((epoch(&mut first), epoch(&mut second)), (Some(1), Some(2)));
+}
+
+#[test]
+fn used_pixels_come_with_their_own_frame_while_somebody_asks() {
+    let hub = Hub::start(Arc::default()).unwrap();
+    let (tracker, pixels) = crossbeam_channel::unbounded();
+    let mut observer = hub.observer(Some(pixels));
+    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+    let mut messages = hub.messages();
+    let wants = hub.wants_pixels();
+    assert!(!wants.load(Ordering::Relaxed));
+    let asking = (hub.ask_pixels(), hub.ask_pixels());
+    drop(asking.0);
+    assert!(wants.load(Ordering::Relaxed), "one still asks");
+    let pixel = |k: usize| UsedPixel { centre_px: [k as f32 + 0.4, 7.0], sigmas: if k == 1 { 9.0 } else { 1.0 }, takes_part: k != 2 };
+    for sequence in 4..7 {
+        tracker.send(UsedPixels { sequence, pixels: (0..2000).map(pixel).collect() }).unwrap();
+    }
+    let _waiting = hub.wait();
+    observer(&row(5, None), &sample(5, State::Tracking));
+    runtime.block_on(messages.changed()).unwrap();
+    let used: Vec<u64> = parts(&messages.borrow_and_update()).0["used"].as_array().unwrap().iter().map(|v| v.as_u64().unwrap()).collect();
+    // Every fourth of the 1998 that count.
+    assert_eq!((used.len(), &used[..6]), (1000, &[0, 7, 6, 7, 10, 7][..]));
+    drop(asking.1);
+    assert!(!wants.load(Ordering::Relaxed));
+    observer(&row(8, None), &sample(8, State::Tracking));
+    runtime.block_on(messages.changed()).unwrap();
+    assert!(parts(&messages.borrow_and_update()).0["used"].is_null());
 }

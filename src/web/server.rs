@@ -6,12 +6,14 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::pin::pin;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
 use axum::http::{Method, Request as HttpRequest, Response};
+use crossbeam_channel::Receiver;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::{Service as _, service_fn};
@@ -46,6 +48,7 @@ use crate::daemon::live::EventListener;
 use crate::publish::FrameClock;
 use crate::record::PoseSample;
 use crate::telemetry::Statistics;
+use crate::track::UsedPixels;
 use crate::tracker::TrackerSetup;
 
 /// A request's head must come within this time, also where a connection waits for its next one. Chosen, not tuned. Raised, silent clients
@@ -204,8 +207,14 @@ impl Server {
 
     /// What a session's pose stage calls with every row and its sample, for those who watch; it waits for nothing, and copies nothing
     /// while nobody waits for a frame. Each call begins another session, whose rows are numbered anew.
-    pub fn observer(&self) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
-        self.hub.observer()
+    /// `pixels` are its tracker's, for the frames where [`wants_pixels`](Self::wants_pixels) is true.
+    pub fn observer(&self, pixels: Option<Receiver<UsedPixels>>) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
+        self.hub.observer(pixels)
+    }
+
+    /// True while somebody who watches asks for the pixels that poses rest on.
+    pub fn wants_pixels(&self) -> Arc<AtomicBool> {
+        self.hub.wants_pixels()
     }
 
     /// Ends the server and its connections.

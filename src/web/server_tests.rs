@@ -360,7 +360,7 @@ fn a_port_in_use_is_refused() {
 #[test]
 fn a_viewer_gets_the_frame_that_it_asks_for_and_nothing_is_copied_for_who_does_not_ask() {
     let server = server();
-    let mut observer = server.observer();
+    let mut observer = server.observer(None);
     let mut seen = |k| observer(&row(k, 1000), &sample(k));
     let mut viewer = viewer(&server);
     (0..50).for_each(&mut seen);
@@ -389,7 +389,7 @@ fn a_viewer_gets_the_frame_that_it_asks_for_and_nothing_is_copied_for_who_does_n
 #[test]
 fn of_eight_viewers_one_that_stalls_harms_no_other() {
     let server = server();
-    let mut observer = server.observer();
+    let mut observer = server.observer(None);
     let mut stalled = viewer(&server);
     let mut others: Vec<TcpStream> = (0..7).map(|_| viewer(&server)).collect();
     let mut k = 0;

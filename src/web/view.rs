@@ -1,6 +1,6 @@
 //! `/ws/view`: the picture with its record, to whoever asks for a frame.
 //!
-//! A client says `n` for each frame that it can take and gets the next one; so it never falls behind, however slow it is. Between frames it
+//! A client says `n` for each frame that it can take and gets the next one, or `u` and gets one with the pixels that its poses rest on; so it never falls behind, however slow it is. Between frames it
 //! hears a few times a second how things stand, so that silence means that the daemon is gone.
 
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 
 use super::assets;
 use super::feed::Feed;
-use super::hub::{Hub, Waiting};
+use super::hub::{Asking, Hub, Waiting};
 use super::lifetime::{TAKES_WITHIN, close, ended};
 
 /// Frames that a client may have asked for and not got. Two keep a picture on its way while one is drawn. Raised, a slow client sees older
@@ -28,6 +28,7 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
     let mut messages = hub.messages();
     let mut asked = 0;
     let mut waiting: Option<Waiting> = None;
+    let mut asking: Option<Asking> = None;
     let mut speaks_at = Instant::now();
     let version = assets::version();
     loop {
@@ -43,7 +44,12 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
                 Message::Binary(messages.borrow_and_update().clone())
             }
             said = socket.recv() => match said {
-                Some(Ok(Message::Text(text))) if text.as_str() == "n" => {
+                Some(Ok(Message::Text(text))) if matches!(text.as_str(), "n" | "u") => {
+                    match (text.as_str(), &asking) {
+                        ("u", None) => asking = Some(hub.ask_pixels()),
+                        ("n", Some(_)) => asking = None,
+                        _ => {}
+                    }
                     if asked == 0 {
                         // A frame from before is old: the next one is near.
                         messages.mark_unchanged();
@@ -54,7 +60,7 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
                 }
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
                 Some(Ok(Message::Text(_) | Message::Binary(_))) => {
-                    let reason = "say n for the next frame; nothing else is understood".into();
+                    let reason = "say n for the next frame, u for one with its used pixels; nothing else is understood".into();
                     let refusal = Message::Close(Some(CloseFrame { code: close_code::POLICY, reason }));
                     let _ = timeout(TAKES_WITHIN, socket.send(refusal)).await;
                     return;
@@ -71,6 +77,6 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
             _ => return,
         }
     }
-    drop(waiting);
+    drop((waiting, asking));
     close(socket).await;
 }

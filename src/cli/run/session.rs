@@ -97,13 +97,15 @@ impl Session<'_> {
         let stopper = source.stopper();
         let outputs = Outputs::start(self.settings, None, setup.camera, Stamps::Live, Some(mode.fps))?;
         pages.show_scene(&setup);
-        let mut daemon = Daemon::live(source, Tracker::new(setup)?.with_filter(self.settings.filter));
+        let mut tracker = Tracker::new(setup)?.with_filter(self.settings.filter);
+        let for_pages = pages.observer(&mut tracker);
+        let mut daemon = Daemon::live(source, tracker);
         let samples = daemon.subscribe();
         let recorder = clips.recorder(self, mode.clone(), exposure_s)?;
         if let Some(recorder) = &recorder {
             daemon.observe(recorder.observer());
         }
-        if let Some(observer) = pages.observer() {
+        if let Some(observer) = for_pages {
             daemon.observe(observer);
         }
         let running = match daemon.start() {
