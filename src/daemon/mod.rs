@@ -19,6 +19,8 @@ mod threads;
 
 pub use entries::track_entry;
 pub use jobs::Progress;
+#[cfg(test)]
+pub use retrack::nothing_compared;
 pub use retrack::retrack;
 pub use state_folder::state_folder;
 pub use supervisor::{Mode, RecordingWish, Supervisor};

@@ -210,6 +210,12 @@ fn spread(values: &mut [f64]) -> Value {
     json!({"median": at(0.5), "p95": at(0.95), "max": at(1.0)})
 }
 
+/// What is told of a comparison of nothing.
+#[cfg(test)]
+pub fn nothing_compared() -> Value {
+    Compared::default().told()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

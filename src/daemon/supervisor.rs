@@ -105,18 +105,20 @@ impl Supervisor {
 
     /// A session begins under this config; none where there is no good one.
     pub fn use_settings(&self, settings: Option<Settings>) {
-        if settings.is_some() {
-            *held(&self.refusal) = None;
-        }
         *held(&self.settings) = settings.map(Arc::new);
     }
 
-    /// Says why the config that is there cannot be run, though it can be read.
+    /// The config in the file was read, and is the one to be used.
+    pub fn accept(&self) {
+        *held(&self.refusal) = None;
+    }
+
+    /// Says why the config in the file is not used: it cannot be read, or cannot be run.
     pub fn refuse(&self, reason: String) {
         *held(&self.refusal) = Some(reason);
     }
 
-    /// Why the config cannot be run.
+    /// Why the config in the file is not used; none where it is.
     pub fn refusal(&self) -> Option<String> {
         held(&self.refusal).clone()
     }

@@ -4,18 +4,19 @@
 //! outcome means for each.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
-use crossbeam_channel::{Receiver, Sender};
+use crossbeam_channel::Receiver;
 use image::GrayImage;
 use tracing::debug_span;
 
 use super::acquire::{SurfaceMatch, SurfaceView};
-use super::align::{Alignment, CameraRays, FrameLevels, ShutterClue, UsedPixel, is_sharp};
+use super::align::{Alignment, CameraRays, FrameLevels, ShutterClue, is_sharp};
 use super::body_search::{BodySearch, Scene};
 use super::frame_interval::FrameInterval;
 use super::lens_doubt::{covariance_by_lens, covariance_by_shape};
 use super::lens_watch::{LensState, LensWatch};
+use super::pixel_watch::{PixelWatch, Used, UsedPixels};
 use super::reason::Reason;
 use super::row_motion::RowMotion;
 use super::settings::TrackerSettings;
@@ -78,15 +79,6 @@ impl Sighting {
     }
 }
 
-/// The pixels that the poses of a frame rest on.
-#[derive(Debug, Clone)]
-pub struct UsedPixels {
-    /// Row number of the frame.
-    pub sequence: u64,
-    /// Of all bodies that were aligned.
-    pub pixels: Vec<UsedPixel>,
-}
-
 /// Finds all bodies in every frame, from scratch.
 pub struct Matcher {
     camera: CameraModel,
@@ -106,13 +98,6 @@ pub struct Matcher {
     camera_rays: CameraRays,
     levels: FrameLevels,
     watcher: Option<PixelWatch>,
-}
-
-/// Who is shown the pixels that poses rest on.
-struct PixelWatch {
-    to: Sender<UsedPixels>,
-    /// Whether they are wanted now; always where there is none.
-    wanted: Option<Arc<AtomicBool>>,
 }
 
 impl Matcher {
@@ -281,32 +266,26 @@ impl Matcher {
     }
 
     fn watch(&mut self, wanted: Option<Arc<AtomicBool>>) -> Receiver<UsedPixels> {
-        let (to, receiver) = crossbeam_channel::unbounded();
-        self.watcher = Some(PixelWatch { to, wanted });
+        let (watch, receiver) = PixelWatch::new(wanted);
+        self.watcher = Some(watch);
         receiver
     }
 
     /// Before a frame: its pixels are noted where somebody wants them.
     fn note_pixels(&mut self) {
-        let Some(PixelWatch { wanted, .. }) = &self.watcher else { return };
-        let is_wanted = wanted.as_ref().is_none_or(|wanted| wanted.load(Ordering::Relaxed));
-        for body in &mut self.bodies {
-            match (&mut body.used, is_wanted) {
-                (None, true) => body.used = Some(Vec::new()),
-                (Some(_), false) => body.used = None,
-                _ => {}
-            }
+        let Some(watcher) = &self.watcher else { return };
+        let is_wanted = watcher.is_wanted();
+        for body in self.bodies.iter_mut().filter(|body| body.used.is_some() != is_wanted) {
+            body.used = is_wanted.then(Used::default);
         }
     }
 
     fn show_pixels(&mut self, sequence: u64) {
-        let Some(PixelWatch { to, .. }) = &self.watcher else { return };
-        if self.bodies.iter().all(|body| body.used.is_none()) {
-            return;
+        let Some(watcher) = &self.watcher else { return };
+        // All of them note, or none.
+        if self.bodies.iter().any(|body| body.used.is_some()) {
+            watcher.show(sequence, self.bodies.iter_mut().filter_map(|body| body.used.as_mut()));
         }
-        let pixels = self.bodies.iter_mut().filter_map(|b| b.used.as_mut()).flat_map(|used| used.drain(..)).collect();
-        // Nobody may be watching any more.
-        let _ = to.send(UsedPixels { sequence, pixels });
     }
 
     /// From now on the shutter is taken as given, and every frame is asked what it says of it.

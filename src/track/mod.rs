@@ -7,7 +7,7 @@
 //! homography and essential matrix; `lens_doubt` tells what the doubt about lens and shapes leaves open; `tile_residuals` are the displacements that a solution leaves, `model_error` is what
 //! they say of the pose, `focal_clue` what they say of the focal length, and `lens_watch` withholds poses where the lens was moved; `reason` says why a frame has no pose, `failure` finds it, with
 //! `frame_look`; `unexplained` is what of a frame no followed body explains, where missing ones are looked for, in `search_windows`; `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
-//! body; `body_search` looks for those that are not followed; `matcher` runs them all on a frame.
+//! body; `body_search` looks for those that are not followed; `pixel_watch` shows what a pose rests on to whoever asks; `matcher` runs them all on a frame.
 
 mod acquire;
 mod align;
@@ -22,6 +22,7 @@ mod lens_doubt;
 mod lens_watch;
 mod matcher;
 mod model_error;
+mod pixel_watch;
 mod planar_ambiguity;
 mod reason;
 mod rectangle;
@@ -47,9 +48,12 @@ pub use align::{AlignKernels, Alignment, Clue, UsedPixel};
 #[cfg(feature = "calibrate")]
 pub(crate) use frame_look::FrameLook;
 pub use lens_doubt::covariance_by_lens;
-pub use matcher::{BodySighting, Matcher, Sighting, UsedPixels};
+pub use matcher::{BodySighting, Matcher, Sighting};
+pub use pixel_watch::{Displaced, UsedPixels};
 pub use reason::Reason;
 pub use settings::TrackerSettings;
+#[cfg(test)]
+pub use shape::tests::folds;
 pub use shape::{BentShape, ShapePoint, ShapeWay, SurfaceShape};
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use tile_observer::{ObservedFrame, ObservedTile, TileObserver};

@@ -4,10 +4,11 @@ use nalgebra::{Matrix6, Matrix6x2};
 use tracing::debug;
 
 use super::acquire::Recognition;
-use super::align::{Aligner, Alignment, CameraRays, FrameLevels, Patch, ShutterClue, UsedPixel};
+use super::align::{Aligner, Alignment, CameraRays, FrameLevels, Patch, ShutterClue};
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
 use super::model_error::covariance_by_model_error;
+use super::pixel_watch::{Displaced, Used};
 use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
 use super::reason::Reason;
 use super::reference::PreparedBody;
@@ -66,7 +67,7 @@ pub struct TrackedBody {
     /// Why the last frame has no verified pose.
     pub reason: Option<Reason>,
     /// The pixels that the last pose rests on, where somebody watches them.
-    pub used: Option<Vec<UsedPixel>>,
+    pub used: Option<Used>,
     patches: Vec<Patch>,
     /// The motion at the last aligned frame, and its stamp.
     motion: Option<(MotionEstimate, Timestamp)>,
@@ -184,7 +185,7 @@ impl TrackedBody {
         let Some(refusal) = refusal else { return Some(verified) };
         debug!(?refusal, "aligned, and refused");
         (self.motion, self.clue) = (None, None);
-        self.used.iter_mut().for_each(Vec::clear);
+        self.used.iter_mut().for_each(Used::clear);
         self.refuse(refusal);
         None
     }
@@ -233,9 +234,13 @@ impl TrackedBody {
         }
         self.motion = Some((found.estimate, frame.timestamp));
         if let Some(used) = &mut self.used {
-            solution.used_pixels(used);
+            used.clear();
+            solution.used_pixels(&mut used.pixels);
         }
         solution.accept(&mut self.patches);
+        if let Some(used) = &mut self.used {
+            used.displaced.extend(self.patches.iter().map(|patch| Displaced { centre_px: patch.centre_px, shift_px: patch.shift_px }));
+        }
         Some(self.aligned(&found, camera_rays.camera()))
     }
 

@@ -5,7 +5,6 @@ use std::convert::Infallible;
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
 
 use axum::Router;
 use axum::body::Body;
@@ -123,11 +122,10 @@ async fn answer(request: HttpRequest<Body>, of_path: Arc<[Route]>, desk: Arc<Des
         return Ok(refused);
     }
     if let Some(pace) = &route.pace
-        && let Err(wait) = pace.take(Instant::now())
+        && (route.free_query.is_none() || route.free_query != request.uri().query())
+        && let Err(refused) = pace.allow()
     {
-        let after = wait.as_secs() + 1;
-        let sentence = format!("this was asked for too often; ask again in {after} s\n");
-        return Ok(response(Reply::text(429, sentence).with("retry-after", &after.to_string())));
+        return Ok(response(refused));
     }
     match &route.handler {
         Handler::Quick(handler) => Ok(response(handler())),

@@ -85,7 +85,7 @@ pub(super) fn said(event: &Event) -> (&'static str, String) {
     (level, says)
 }
 
-fn line(event: &StampedEvent) -> Option<Utf8Bytes> {
+pub(super) fn line(event: &StampedEvent) -> Option<Utf8Bytes> {
     let unix_ms = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
     let (level, says) = said(&event.event);
     // Serialising fails only for non-string map keys, of which there are none.

@@ -21,12 +21,14 @@ use crate::capture::{ClipEntry, EntryContent, Received, with_huffman_tables};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::{PoseSample, State};
 use crate::telemetry::Statistics;
-use crate::track::{UsedPixel, UsedPixels};
+use crate::track::{Displaced, UsedPixel, UsedPixels};
 
 /// Quality of JPEGs that are encoded here, 1 to 100. Chosen: no blocks are seen, at a third of the size of 95. Raised, larger messages.
 const QUALITY: u8 = 80;
 /// Used pixels of a frame that are told at most: dots that show where the stage is seen. Raised, larger messages.
 const MOST_USED: usize = 600;
+/// Displaced tiles of a frame that are told at most: arrows that do not lie on each other. Raised, larger messages.
+const MOST_DISPLACED: usize = 300;
 /// Residuals beyond this many robust standard deviations count nothing, so that such pixels are not shown: where the alignment's own weight
 /// ends.
 const COUNTS_BELOW: f32 = 4.7;
@@ -39,7 +41,16 @@ struct Taken {
     size: (u32, u32),
     sample: PoseSample,
     motion: Option<CameraMotion>,
-    used: Option<Vec<u16>>,
+    used: Option<Shown>,
+}
+
+/// What a frame's poses rest on, as it is told.
+#[derive(Debug, PartialEq)]
+struct Shown {
+    /// Columns and rows of pixels by turns.
+    pixels: Vec<u16>,
+    /// Column, row, and how far from there the picture lies along both, pixels, of tiles by turns.
+    displaced: Vec<f64>,
 }
 
 #[derive(Debug)]
@@ -62,7 +73,9 @@ pub(super) struct Hub {
     /// Viewers that ask for the pixels that poses rest on, and whether there are any, for the tracker.
     asking: AtomicUsize,
     wants_pixels: Arc<AtomicBool>,
+    /// The camera's own JPEGs are given on; what must be encoded first goes another way.
     to_view: DropOldestSender<Taken>,
+    to_encode: DropOldestSender<Taken>,
     newest: Arc<watch::Sender<Bytes>>,
 }
 
@@ -94,11 +107,11 @@ impl Hub {
     /// # Errors
     /// Where the system gives no thread.
     pub fn start(statistics: Arc<Statistics>) -> std::io::Result<Arc<Self>> {
-        // One row waits, the newest.
-        let (to_view, rows) = drop_oldest(1);
         let newest = Arc::new(watch::Sender::new(Bytes::new()));
-        let to = newest.clone();
-        std::thread::Builder::new().name("view".to_owned()).spawn(move || work(&rows, &to))?;
+        // To put a message together takes a tenth of a millisecond: a thread that stands back would wait for the tracker's next pause, and so would
+        // everybody who watches. Encoding takes long, and stands back.
+        let to_view = worker("view", newest.clone(), || {})?;
+        let to_encode = worker("encode", newest.clone(), stand_back)?;
         Ok(Arc::new(Self {
             waiting: 0.into(),
             statistics,
@@ -106,6 +119,7 @@ impl Hub {
             asking: 0.into(),
             wants_pixels: Arc::default(),
             to_view,
+            to_encode,
             newest,
         }))
     }
@@ -133,9 +147,18 @@ impl Hub {
                 && let Some(taken) = taken(epoch, row, sample, motion)
             {
                 hub.statistics.viewed.add(1);
-                hub.to_view.send(Taken { used: used.map(|used| thinned(&used.pixels)), ..taken });
+                hub.show(Taken { used: used.map(|used| shown(&used)), ..taken });
             }
         }
+    }
+
+    /// Gives a row to the thread that makes its message.
+    fn show(&self, taken: Taken) {
+        let to = match &taken.picture {
+            Picture::Jpeg(_) => &self.to_view,
+            Picture::Grey(_) => &self.to_encode,
+        };
+        to.send(taken);
     }
 
     /// Says that a viewer waits for a frame.
@@ -202,22 +225,35 @@ impl PixelsByRow {
     }
 }
 
-/// Some of the pixels that the poses rest on, evenly: columns and rows by turns, raw pixels of the frame.
-fn thinned(pixels: &[UsedPixel]) -> Vec<u16> {
-    let counted: Vec<&UsedPixel> = pixels.iter().filter(|pixel| pixel.takes_part && pixel.sigmas < COUNTS_BELOW).collect();
-    let step = counted.len().div_ceil(MOST_USED).max(1);
+/// Some of the pixels that the poses rest on, and of the tiles that lie elsewhere, evenly; raw pixels of the frame.
+fn shown(used: &UsedPixels) -> Shown {
+    let counted: Vec<&UsedPixel> = used.pixels.iter().filter(|pixel| pixel.takes_part && pixel.sigmas < COUNTS_BELOW).collect();
     // A frame has fewer than 65536 columns and rows, or no JPEG would hold it.
-    counted.into_iter().step_by(step).flat_map(|pixel| pixel.centre_px.map(|px| px.round().max(0.0) as u16)).collect()
+    let pixels = evenly(&counted, MOST_USED).flat_map(|pixel| pixel.centre_px.map(|px| px.round().max(0.0) as u16)).collect();
+    // Thousandths of a pixel: what noise leaves of a tile.
+    let told = |px: f64| (px * 1e3).round() / 1e3;
+    let arrow = |tile: &Displaced| [tile.centre_px.x, tile.centre_px.y, tile.shift_px.x, tile.shift_px.y].map(told);
+    Shown { pixels, displaced: evenly(&used.displaced, MOST_DISPLACED).flat_map(arrow).collect() }
 }
 
-/// The thread's whole life.
-fn work(rows: &Receiver<Taken>, to: &watch::Sender<Bytes>) {
-    stand_back();
-    for row in rows {
-        if let Some(message) = message(&row) {
-            to.send_replace(message);
+/// At most so many of them, evenly.
+fn evenly<T>(all: &[T], most: usize) -> impl Iterator<Item = &T> {
+    all.iter().step_by(all.len().div_ceil(most).max(1))
+}
+
+/// A thread that makes messages of rows, the newest only; it ends when the sender is dropped. `begin` is called on it first.
+fn worker(name: &str, to: Arc<watch::Sender<Bytes>>, begin: impl FnOnce() + Send + 'static) -> std::io::Result<DropOldestSender<Taken>> {
+    let (sender, rows) = drop_oldest(1);
+    let work = move || {
+        begin();
+        for row in rows {
+            if let Some(message) = message(&row) {
+                to.send_replace(message);
+            }
         }
-    }
+    };
+    std::thread::Builder::new().name(name.to_owned()).spawn(work)?;
+    Ok(sender)
 }
 
 /// What is said of a frame beside its picture.
@@ -234,6 +270,9 @@ struct Head<'a> {
     /// Where the poses were seen, where a viewer asked for it.
     #[serde(skip_serializing_if = "Option::is_none")]
     used: Option<&'a [u16]>,
+    /// How far the picture lies from the poses there, as above.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    displaced: Option<&'a [f64]>,
     record: &'a PoseSample,
 }
 
@@ -248,7 +287,8 @@ fn message(row: &Taken) -> Option<Bytes> {
         says: reason.map(|reason| reason.says()),
         mend: reason.map(|reason| reason.mend()),
         motion: row.motion,
-        used: row.used.as_deref(),
+        used: row.used.as_ref().map(|used| &*used.pixels),
+        displaced: row.used.as_ref().map(|used| &*used.displaced),
         record: sample,
     };
     // Serialising fails only for non-string map keys, of which there are none.
@@ -273,4 +313,4 @@ pub(super) fn grey_jpeg(picture: &[u8], width: u16, height: u16, mut behind: Vec
 
 #[cfg(test)]
 #[path = "hub_tests.rs"]
-mod tests;
+pub(super) mod tests;

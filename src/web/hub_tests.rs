@@ -1,4 +1,5 @@
 use image::Luma;
+use nalgebra::Vector2;
 
 use super::*;
 use crate::frame::{Frame, Timestamp};
@@ -21,6 +22,16 @@ fn parts(message: &[u8]) -> (serde_json::Value, &[u8]) {
     let (length, rest) = message.split_first_chunk().unwrap();
     let (head, jpeg) = rest.split_at(u32::from_le_bytes(*length) as usize);
     (serde_json::from_slice(head).unwrap(), jpeg)
+}
+
+/// Heads of messages with all that there is, and with nothing.
+pub(in crate::web) fn heads() -> Vec<serde_json::Value> {
+    let [tracked, mut lost] = crate::web::api::types_tests::samples();
+    lost.reason = Some(Reason::Covered);
+    let motion = CameraMotion { velocity: [0.5, 0.0, 0.25], turn_rate: [0.0, 2.0, 0.0] };
+    let used = Shown { pixels: vec![1, 2], displaced: vec![1.0, 2.0, 0.1, 0.2] };
+    let whole = Taken { used: Some(used), ..taken(1, &row(1, None), &tracked, Some(motion)).unwrap() };
+    [whole, taken(1, &row(2, None), &lost, None).unwrap()].iter().map(|row| parts(&message(row).unwrap()).0).collect()
 }
 
 #[test]
@@ -118,17 +129,23 @@ fn used_pixels_come_with_their_own_frame_while_somebody_asks() {
     assert!(wants.load(Ordering::Relaxed), "one still asks");
     let pixel = |k: usize| UsedPixel { centre_px: [k as f32 + 0.4, 7.0], sigmas: if k == 1 { 9.0 } else { 1.0 }, takes_part: k != 2 };
     for sequence in 4..7 {
-        tracker.send(UsedPixels { sequence, pixels: (0..2000).map(pixel).collect() }).unwrap();
+        let tile = |k: f64| Displaced { centre_px: Vector2::new(10.0 * k, 3.00049), shift_px: Vector2::new(-0.1234, 0.25) };
+        let displaced = (0..400).map(|k| tile(f64::from(k))).collect();
+        tracker.send(UsedPixels { sequence, pixels: (0..2000).map(pixel).collect(), displaced }).unwrap();
     }
     let _waiting = hub.wait();
     observer(&row(5, None), &sample(5, State::Tracking));
     runtime.block_on(messages.changed()).unwrap();
-    let used: Vec<u64> = parts(&messages.borrow_and_update()).0["used"].as_array().unwrap().iter().map(|v| v.as_u64().unwrap()).collect();
+    let head = parts(&messages.borrow_and_update()).0;
+    let numbers = |key: &str| -> Vec<f64> { head[key].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect() };
+    let (used, displaced) = (numbers("used"), numbers("displaced"));
     // Every fourth of the 1998 that count.
-    assert_eq!((used.len(), &used[..6]), (1000, &[0, 7, 6, 7, 10, 7][..]));
+    assert_eq!((used.len(), &used[..6]), (1000, &[0.0, 7.0, 6.0, 7.0, 10.0, 7.0][..]));
+    assert_eq!((displaced.len(), &displaced[..5]), (800, &[0.0, 3.0, -0.123, 0.25, 20.0][..]));
     drop(asking.1);
     assert!(!wants.load(Ordering::Relaxed));
     observer(&row(8, None), &sample(8, State::Tracking));
     runtime.block_on(messages.changed()).unwrap();
-    assert!(parts(&messages.borrow_and_update()).0["used"].is_null());
+    let head = parts(&messages.borrow_and_update()).0;
+    assert!(head["used"].is_null() && head["displaced"].is_null(), "{head}");
 }

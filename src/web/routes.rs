@@ -64,6 +64,8 @@ pub struct Route {
     pub(super) access: Access,
     /// How often it may be asked, where that is limited.
     pub(super) pace: Option<Arc<Pace>>,
+    /// A query with which it changes nothing and may be asked at any pace.
+    pub(super) free_query: Option<&'static str>,
     pub(super) handler: Handler,
 }
 
@@ -71,14 +73,14 @@ impl Route {
     /// A route that changes nothing, for one path, which begins with `/` and has no fields. It is called on the server's thread: it must be
     /// quick and wait for nothing.
     pub fn get(path: &'static str, handler: impl Fn() -> Reply + Send + Sync + 'static) -> Self {
-        Self { method: Method::GET, path, access: Access::Anyone, pace: None, handler: Handler::Quick(Arc::new(handler)) }
+        Self { method: Method::GET, path, access: Access::Anyone, pace: None, free_query: None, handler: Handler::Quick(Arc::new(handler)) }
     }
 
     /// A route that changes something; it is called a few times at once and then every few seconds at most. As [`get`](Self::get), it must be
     /// quick.
     pub fn post(path: &'static str, handler: impl Fn() -> Reply + Send + Sync + 'static) -> Self {
         let (pace, handler) = (Some(Arc::default()), Handler::Quick(Arc::new(handler)));
-        Self { method: Method::POST, path, access: Access::Change, pace, handler }
+        Self { method: Method::POST, path, access: Access::Change, pace, free_query: None, handler }
     }
 
     /// A route that may take its time, with fields such as `{id}` in its path.
@@ -88,7 +90,7 @@ impl Route {
         access: Access,
         handler: impl Fn(&mut Call) -> Result<Reply, Reply> + Send + Sync + 'static,
     ) -> Self {
-        Self { method, path, access, pace: None, handler: Handler::Aside(Arc::new(handler)) }
+        Self { method, path, access, pace: None, free_query: None, handler: Handler::Aside(Arc::new(handler)) }
     }
 
     /// A route that changes nothing and has the whole request.
@@ -97,12 +99,17 @@ impl Route {
         F: Future<Output = Response<Body>> + Send + 'static,
     {
         let handler = Handler::Whole(Arc::new(move |request| Box::pin(answer(request))));
-        Self { method: Method::GET, path, access: Access::Anyone, pace: None, handler }
+        Self { method: Method::GET, path, access: Access::Anyone, pace: None, free_query: None, handler }
     }
 
     /// The same, but seldom: see [`post`](Self::post).
     pub(super) fn seldom(self) -> Self {
         Self { pace: Some(Arc::default()), ..self }
+    }
+
+    /// The same, but where this is the query.
+    pub(super) fn seldom_unless(self, query: &'static str) -> Self {
+        Self { free_query: Some(query), ..self.seldom() }
     }
 }
 
@@ -131,6 +138,15 @@ pub(super) struct Pace {
 }
 
 impl Pace {
+    /// Counts a change, or refuses it.
+    pub fn allow(&self) -> Result<(), Reply> {
+        self.take(Instant::now()).map_err(|wait| {
+            let after = wait.as_secs() + 1;
+            let sentence = format!("this was asked for too often; ask again in {after} s\n");
+            Reply::text(429, sentence).with("retry-after", &after.to_string())
+        })
+    }
+
     /// Counts a change, or says after what time it may come.
     pub fn take(&self, now: Instant) -> Result<(), Duration> {
         let mut full_at = self.full_at.lock().unwrap_or_else(PoisonError::into_inner);

@@ -21,7 +21,10 @@ use super::lifetime::{TAKES_WITHIN, close, ended};
 const MOST_ASKED: u32 = 2;
 /// A client hears something at least this often. Chosen: a loss of contact can be said within a second, one message late included. Raised,
 /// it is said later; lowered, hidden pages cost more.
-const SPEAKS_EVERY: Duration = Duration::from_millis(300);
+const SPEAKS_EVERY: Duration = Duration::from_millis(250);
+/// Who has asked for nothing for so long is shown no used pixels until asking again. Chosen: longer than the slowest page draws. Raised, the tracker notes
+/// pixels for nobody.
+const LETS_GO_AFTER: Duration = Duration::from_secs(10);
 
 /// Serves one client until it goes.
 pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, mut stopped: watch::Receiver<bool>) {
@@ -29,7 +32,7 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
     let mut asked = 0;
     let mut waiting: Option<Waiting> = None;
     let mut asking: Option<Asking> = None;
-    let mut speaks_at = Instant::now();
+    let (mut speaks_at, mut asked_at) = (Instant::now(), Instant::now());
     let version = assets::version();
     loop {
         let message = tokio::select! {
@@ -56,6 +59,7 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
                         waiting = Some(hub.wait());
                     }
                     asked = (asked + 1).min(MOST_ASKED);
+                    asked_at = Instant::now();
                     continue;
                 }
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
@@ -68,6 +72,10 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
             },
             () = sleep_until(speaks_at) => {
+                // A page that is hidden or stands still shows no pixels.
+                if asked == 0 && asked_at.elapsed() > LETS_GO_AFTER {
+                    asking = None;
+                }
                 Message::Text(json!({"page": version, "state": feed.known()}).to_string().into())
             }
             () = ended(&mut stopped) => break,

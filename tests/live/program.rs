@@ -279,6 +279,15 @@ fn it_is_a_good_service() {
     std::fs::write(&config, "[camera]\nx = 1\n").unwrap();
     signal(&child, Signal::SIGHUP);
     wait_for(&mut log, "the old config stays");
+    if cfg!(feature = "http") {
+        let session = get(port, "/api/v1/session");
+        let said: serde_json::Value = serde_json::from_str(session.split_once("\r\n\r\n").unwrap().1).unwrap();
+        assert_eq!((&said["has_config"], &said["mode"]), (&true.into(), &"track".into()), "{said}");
+        let finding = &said["findings"][0];
+        assert_eq!((&finding["level"], &finding["line"]), (&"error".into(), &2.into()), "{said}");
+        assert!(finding["sentence"].as_str().unwrap().contains("stage.toml"), "{said}");
+        wait_for_frames(3);
+    }
     std::fs::write(&config, text).unwrap();
     // As a log rotation does.
     std::fs::rename(folder.path().join("events.jsonl"), folder.path().join("events.old")).unwrap();

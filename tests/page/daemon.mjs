@@ -157,6 +157,8 @@ export function start(folder, clip = "long.mjpeg", more = ["--log", "error"]) {
     stand: () => daemon.kill("SIGSTOP"),
     /** Goes on. */
     goOn: () => daemon.kill("SIGCONT"),
+    /** Reads its config anew. */
+    reload: () => daemon.kill("SIGHUP"),
     /** Ends without a word. */
     async end() {
       daemon.kill("SIGKILL");

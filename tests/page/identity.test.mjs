@@ -1,76 +1,115 @@
-// Whether the page shows the record of the very picture that it shows, and the newest there is however slow it is: each picture of the played clip carries its number
-// as a row of black and white squares, which the browser reads back from what it drew.
+// Whether the page shows the record of the very picture that it shows, and the newest there is however slow it is, for as long as it is open: each picture of the played
+// clip carries its number as a row of black and white squares, which the browser reads back from what it drew.
+//   PAGE_SOAK_S=3600 node --test --test-name-pattern="each shown picture" tests/page/identity.test.mjs    # for an hour
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
 import { test } from "node:test";
 import { pageOf } from "./browser.mjs";
 import { played, prepareNumbered } from "./daemon.mjs";
 
-/** Shown frames that are compared, and milliseconds after which those that were shown are enough, if they are some: a busy machine shows few. */
+/** Seconds that the page is watched, shown frames that are compared at least, and seconds after which fewer are enough: a busy machine shows few. */
+const SOAK_S = Number(process.env.PAGE_SOAK_S ?? 120);
 const COMPARED = 1000;
-const LONG_ENOUGH = 90_000;
+const LONG_ENOUGH_S = 180;
+/** Fewer frames than this say nothing. */
 const SOME = 20;
+/** Seconds in which the browser is slowed down, and how much; seconds between two looks at its memory; bytes that it may grow by. */
+const SLOW_S = 40;
+const THROTTLED = 6;
+const LOOKS_S = 20;
+const GROWS = 10e6;
 
-const on = played("run-numbered", prepareNumbered, "clip");
+const on = played("run-numbered", prepareNumbered, "clip", ["--log", "error", "--poses", "poses.jsonl"]);
 
-/** Reads the numbers of the next shown pictures beside those of their records, and when they were drawn.
- * @param {import("playwright-core").Page} page @param {number} count */
-function compared(page, count) {
+/** Nanoseconds to add to a stamp of the monotonic clock for milliseconds of this machine's calendar. */
+const clocks = () => Date.now() - Number(process.hrtime.bigint()) / 1e6;
+const quantile = (values, share) => [...values].sort((a, b) => a - b)[Math.floor(share * (values.length - 1))];
+
+/** From now on the page reads the number of each picture that it draws; `taken` gives those since the last time. */
+function watched(page) {
   return page.evaluate(
-    ([count, bits, square, longest, some]) =>
-      new Promise((done) => {
-        const [found, begun] = [[], performance.now()];
-        import("/daemon.js").then(({ painters }) => {
-          const canvas = document.querySelector(".picture canvas");
-          const context = canvas.getContext("2d");
-          const paint = (_, { record }) => {
-            const { data } = context.getImageData(0, canvas.height - square, bits * square, square);
-            let number = 0;
-            for (let bit = 0; bit < bits; bit += 1) {
-              const at = 4 * ((square / 2) * bits * square + bit * square + square / 2);
-              number = 2 * number + (data[at] > 127 ? 1 : 0);
-            }
-            found.push({ number, sequence: record.sequence, timestamp_ns: record.timestamp_ns, at: performance.timeOrigin + performance.now() });
-            if (found.length === count || (found.length >= some && performance.now() - begun > longest)) {
-              painters.delete(paint);
-              done(found);
-            }
-          };
-          painters.add(paint);
-        });
-      }),
-    [count, on.place.bits, on.place.square, LONG_ENOUGH, SOME],
+    async ([bits, square]) => {
+      const { painters } = await import("/daemon.js");
+      const canvas = document.querySelector(".picture canvas");
+      const context = canvas.getContext("2d");
+      globalThis.found = [];
+      painters.add((_, { record }) => {
+        const { data } = context.getImageData(0, canvas.height - square, bits * square, square);
+        let number = 0;
+        for (let bit = 0; bit < bits; bit += 1) {
+          const at = 4 * ((square / 2) * bits * square + bit * square + square / 2);
+          number = 2 * number + (data[at] > 127 ? 1 : 0);
+        }
+        globalThis.found.push({ number, sequence: record.sequence, timestamp_ns: record.timestamp_ns, at: performance.timeOrigin + performance.now() });
+      });
+    },
+    [on.place.bits, on.place.square],
   );
 }
+const taken = (page) => page.evaluate(() => globalThis.found.splice(0));
 
-test("each shown picture is that of its record, also where the browser is slow", { timeout: 600_000 }, async () => {
-  const { page, close } = await pageOf(on.browser, on.place.address);
+test("each shown picture is that of its record, also where the browser is slow, and a page that stays open does not grow", { timeout: 1000 * (SOAK_S + 480) }, async () => {
+  // Little is drawn around the picture: a browser without a graphics card shows more of them.
+  const { page, complaints, close } = await pageOf(on.browser, on.place.address, { viewport: { width: 480, height: 360 } });
   const client = await page.context().newCDPSession(page);
-  await client.send("Emulation.setCPUThrottlingRate", { rate: 6 });
-  const found = await compared(page, COMPARED);
+  await client.send("Performance.enable");
+  const heap = async () => {
+    await client.send("HeapProfiler.collectGarbage");
+    const { metrics } = await client.send("Performance.getMetrics");
+    return metrics.find(({ name }) => name === "JSHeapUsedSize").value;
+  };
+  const offset = clocks();
+  await watched(page);
+  await client.send("Emulation.setCPUThrottlingRate", { rate: THROTTLED });
+  const [begun, found, slow, heaps, memory] = [Date.now(), [], [], [], []];
+  const since = () => (Date.now() - begun) / 1000;
+  while (since() < SOAK_S || (found.length < COMPARED && since() < LONG_ENOUGH_S) || found.length < SOME) {
+    await new Promise((done) => setTimeout(done, 2000));
+    const now = await taken(page);
+    found.push(...now);
+    if (since() < SLOW_S) slow.push(...now);
+    else await client.send("Emulation.setCPUThrottlingRate", { rate: 1 });
+    // What it remembers of the last minute is there after a minute.
+    if (since() > 60 + LOOKS_S * heaps.length) {
+      heaps.push(await heap());
+      memory.push(on.daemon.memory());
+    }
+    assert.ok(since() < SOAK_S + 420, `only ${found.length} pictures were shown`);
+  }
   // A record's stamp tells the picture that it is of, whatever the daemon has passed over: they come at one rate.
   const [first] = found;
   const expected = ({ timestamp_ns }) => (first.number + Math.round(((timestamp_ns - first.timestamp_ns) * on.place.rate) / 1e9)) % on.place.numbers;
   assert.deepEqual(found.filter((one) => one.number !== expected(one)), []);
   assert.ok(new Set(found.map(({ number }) => number)).size > SOME / 2, "the pictures go on");
-  console.log(`${found.length} shown pictures, rows ${found[0].sequence} to ${found.at(-1).sequence}: each with its own record`);
+  // And the record is the one that the daemon wrote.
+  const written = new Map(readFileSync(join(on.place.folder, "poses.jsonl"), "utf8").split("\n").slice(0, -1).map((line) => JSON.parse(line)).map(({ sequence, timestamp_ns }) => [sequence, timestamp_ns]));
+  assert.deepEqual(found.filter(({ sequence, timestamp_ns }) => written.has(sequence) && written.get(sequence) !== timestamp_ns), []);
+  const ages = found.slice(slow.length).map(({ at, timestamp_ns }) => at - (timestamp_ns / 1e6 + offset));
+  console.log(`${found.length} shown pictures in ${since().toFixed(0)} s (${slow.length} of them with the processor slowed down ${THROTTLED} times), rows ${first.sequence} to ${found.at(-1).sequence}: each with its own record`);
+  console.log(`a picture's age when it is drawn, not slowed down: median ${quantile(ages, 0.5)?.toFixed(0)} ms, 90 % ${quantile(ages, 0.9)?.toFixed(0)} ms; a frame takes ${(1000 / on.place.rate).toFixed(0)} ms`);
+  const [heapGrown, memoryGrown] = [heaps.at(-1) - heaps[0], memory.at(-1) - memory[0]].map((bytes) => (bytes / 1e6).toFixed(2));
+  console.log(`after ${heaps.length} looks in ${since().toFixed(0)} s the page's heap has grown by ${heapGrown} MB of ${(heaps[0] / 1e6).toFixed(1)}, the daemon by ${memoryGrown} MB of ${(memory[0] / 1e6).toFixed(0)}`);
+  assert.ok(heaps.length > 1 && heaps.at(-1) - heaps[0] < GROWS, `${heaps}`);
+  assert.ok(memory.at(-1) - memory[0] < 16e6, `${memory}`);
+  assert.deepEqual(complaints, []);
   await close();
 });
 
 /** Milliseconds that a frame of the slow page takes, and frames that it draws. */
 const SLOW = 200;
-const DRAWN = 80;
+const DRAWN = 150;
 
 test("a page that draws five a second sees new pictures, not ever older ones, and the daemon keeps none for it", { timeout: 300_000 }, async () => {
-  const { page, close } = await pageOf(on.browser, on.place.address);
-  const before = on.daemon.memory();
+  const { page, close } = await pageOf(on.browser, on.place.address, { viewport: { width: 480, height: 360 } });
+  const [before, offset] = [on.daemon.memory(), clocks()];
   const found = await page.evaluate(
     ([slow, drawn, longest, some]) =>
       new Promise((done) => {
         const [found, start] = [[], performance.now()];
         import("/daemon.js").then(({ painters }) => {
           const paint = (_, { record }) => {
-            // Ages by two clocks: their difference is the same for all.
-            found.push({ sequence: record.sequence, at: performance.now(), age: performance.now() - record.timestamp_ns / 1e6 });
+            found.push({ sequence: record.sequence, at: performance.timeOrigin + performance.now(), timestamp_ns: record.timestamp_ns });
             const begun = performance.now();
             while (performance.now() - begun < slow);
             if (found.length === drawn || (found.length >= some && performance.now() - start > longest)) {
@@ -81,15 +120,14 @@ test("a page that draws five a second sees new pictures, not ever older ones, an
           painters.add(paint);
         });
       }),
-    [SLOW, DRAWN, LONG_ENOUGH, SOME],
+    [SLOW, DRAWN, 60_000, SOME],
   );
-  const median = (values) => values.toSorted((a, b) => a - b)[Math.floor(values.length / 2)];
   const quarter = Math.floor(found.length / 4);
-  const ages = found.map(({ age }) => age);
-  const grown = median(ages.slice(-quarter)) - median(ages.slice(0, quarter));
+  const ages = found.map(({ at, timestamp_ns }) => at - (timestamp_ns / 1e6 + offset));
+  const grown = quantile(ages.slice(-quarter), 0.5) - quantile(ages.slice(0, quarter), 0.5);
   const passed = found.at(-1).sequence - found[0].sequence;
   const [first, last] = [before, on.daemon.memory()].map((bytes) => (bytes / 1e6).toFixed(1));
-  console.log(`${found.length} pictures drawn while ${passed} came; the last are ${grown.toFixed(0)} ms older than the first; the daemon has ${first} MB, then ${last} MB`);
+  console.log(`${found.length} pictures drawn in ${((found.at(-1).at - found[0].at) / 1000).toFixed(0)} s while ${passed} came; age median ${quantile(ages, 0.5).toFixed(0)} ms, at most ${quantile(ages, 1).toFixed(0)} ms, the last are ${grown.toFixed(0)} ms older than the first; the daemon has ${first} MB, then ${last} MB`);
   // Most were passed over; had they been queued, the last would be older by nearly all the time that the others took.
   assert.ok(passed > 2 * found.length, `${passed}`);
   assert.ok(grown < (found.at(-1).at - found[0].at) / 4, `${grown}`);

@@ -3,6 +3,7 @@
 // PAGE_OUT has node_modules with what package.json names, and gets a screenshot of every theme and width. CHROMIUM names another browser.
 // PAGE_DIR=src/web/page takes the page's files from there instead of from the program, to try a change before it is built.
 import assert from "node:assert/strict";
+import { readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
 import { freeze, looksWell, out, pageOf, says, share as shareOf, until } from "./browser.mjs";
@@ -209,11 +210,11 @@ test("the keyboard alone is enough, and the theme is kept", async () => {
   await page.getByText("outlines on and off").waitFor();
   // Tab reaches every switch; what has the focus is seen.
   const reached = new Set();
-  for (let k = 0; k < 24; k += 1) {
+  for (let k = 0; k < 26; k += 1) {
     await page.keyboard.press("Tab");
     reached.add(await page.evaluate(() => document.activeElement?.textContent || document.activeElement?.getAttribute("value")));
   }
-  for (const name of ["Freeze", "Outlines", "Floor", "Keys", "Licences"]) assert.ok(reached.has(name), `${[...reached]}`);
+  for (const name of ["Freeze", "Outlines", "Floor", "Residuals", "Keys", "Licences"]) assert.ok(reached.has(name), `${[...reached]}`);
   await page.keyboard.press("n");
   assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "stage");
   await page.reload();
@@ -221,21 +222,48 @@ test("the keyboard alone is enough, and the theme is kept", async () => {
   await close();
 });
 
-test("a daemon that stands still or dies is said to be silent, and the page goes on by itself", async () => {
+test("a daemon that stands still or dies is said to be silent within a second, and the page goes on by itself", async () => {
   const { page, close } = await opened();
+  // The page itself notes when it says so, when it last heard something, and how late its own timers are: whoever looks from outside looks a few times a second.
+  const timers = await page.evaluate(async () => {
+    const [{ contact, heard, SILENT_AFTER, LOOKS_EVERY }, { effect }] = await Promise.all([import("/daemon.js"), import("/vendor/signals.js")]);
+    globalThis.lost = null;
+    let [ticked, late] = [performance.now(), 0];
+    setInterval(() => {
+      late = Math.max(late, performance.now() - ticked - LOOKS_EVERY);
+      ticked = performance.now();
+    }, LOOKS_EVERY);
+    effect(() => {
+      if (contact.value === false) globalThis.lost = { after: performance.now() - heard(), late, at: Date.now() };
+      else late = 0;
+    });
+    return SILENT_AFTER + LOOKS_EVERY;
+  });
+  // The daemon speaks four times a second, so that even the machine's own tardiness has room within the second.
+  assert.ok(timers <= 700, `${timers} ms`);
   const span = async (act, state) => {
     const begun = Date.now();
     await act();
     await says(page, state);
     return Date.now() - begun;
   };
-  const stood = await span(() => on.daemon.stand(), "No contact");
+  const lost = async (act) => {
+    const begun = Date.now();
+    await act();
+    await says(page, "No contact");
+    const { at, ...rest } = await page.evaluate(() => globalThis.lost);
+    return { ...rest, said: at - begun };
+  };
+  const stood = await lost(() => on.daemon.stand());
   await page.screenshot({ path: join(out, "live-no-contact.png") });
   const wentOn = await span(() => on.daemon.goOn(), "Tracking");
-  const died = await span(() => on.daemon.end(), "No contact");
+  // As late as the page's timers were, and no later.
+  assert.ok(stood.after <= timers + stood.late + 20, JSON.stringify(stood));
+  const died = await lost(() => on.daemon.end());
+  assert.match(await page.locator(".picture canvas").first().evaluate((canvas) => getComputedStyle(canvas).filter), /grayscale/);
   on.daemon = start(on.place.folder);
   const back = await span(() => {}, "Tracking");
-  console.log(`no contact said after ${stood} ms (standing) and ${died} ms (killed), back after ${wentOn} ms and ${back} ms`);
+  console.log(`no contact said after ${stood.said} ms (standing: ${stood.after.toFixed(0)} ms after the last word, timers ${stood.late.toFixed(0)} ms late) and ${died.said} ms (killed), back after ${wentOn} ms and ${back} ms`);
   await close();
 });
 
@@ -328,5 +356,92 @@ test("a page that nobody sees asks for nothing", async () => {
   await see(false);
   await until(async () => pictures, (count) => count > 5);
   assert.ok(pictures > 5);
+  await close();
+});
+
+test("used pixels and residuals are drawn to the scale that is said, and asked for only while they are shown", async () => {
+  const { page, complaints, close } = await opened();
+  const client = await page.context().newCDPSession(page);
+  await client.send("Network.enable");
+  const asked = [];
+  client.on("Network.webSocketFrameSent", ({ response }) => asked.push(response.payloadData));
+  await until(async () => asked.length, (count) => count > 5);
+  assert.deepEqual([...new Set(asked)], ["n"]);
+  assert.equal(await page.evaluate(async () => (await import("/daemon.js")).head.value.used), undefined);
+  await page.keyboard.press("o");
+  await page.keyboard.press("u");
+  const switched = page.getByRole("button", { name: "Residuals" });
+  assert.equal(await switched.getAttribute("aria-pressed"), "true");
+  const known = () => page.evaluate(async () => (await import("/daemon.js")).head.value?.displaced?.length ?? 0);
+  assert.ok((await until(known, (count) => count > 100)) > 100);
+  for (;;) {
+    await freeze(page);
+    if ((await known()) > 100) break;
+    await page.getByRole("button", { name: "Freeze", exact: true }).click();
+  }
+  // Dots lie on the pixels, arrows end where the scale puts them.
+  const found = await page.evaluate(async () => {
+    const [{ head }, { scale }] = await Promise.all([import("/daemon.js"), import("/used.js")]);
+    const { used, displaced, size, record } = head.value;
+    const marks = document.querySelector(".marks");
+    const { data } = marks.getContext("2d").getImageData(0, 0, marks.width, marks.height);
+    const lit = ([x, y]) => {
+      const at = [x, y].map((value) => Math.floor(((value + 0.5) * marks.width) / size[0]));
+      return at[0] < 0 || at[1] < 0 || at[0] >= marks.width || at[1] >= marks.height ? null : data[4 * (at[1] * marks.width + at[0]) + 3] > 0;
+    };
+    const dots = Array.from({ length: used.length / 2 }, (_, k) => lit(used.slice(2 * k, 2 * k + 2)));
+    const tiles = Array.from({ length: displaced.length / 4 }, (_, k) => displaced.slice(4 * k, 4 * k + 4));
+    const ends = tiles.map(([x, y, dx, dy]) => lit([x + scale.value * dx, y + scale.value * dy]));
+    const share = (all) => all.filter((one) => one === true).length / all.filter((one) => one !== null).length;
+    const inside = tiles.every(([x, y]) => x > -0.5 && y > -0.5 && x < size[0] && y < size[1]);
+    const lengths = tiles.map(([, , dx, dy]) => Math.hypot(dx, dy)).sort((a, b) => a - b);
+    const rms = Math.sqrt(lengths.reduce((sum, length) => sum + length * length, 0) / lengths.length);
+    const dark = data.filter((_, k) => k % 4 === 3).filter((alpha) => alpha === 0).length / (data.length / 4);
+    return { dots: share(dots), ends: share(ends), inside, median: lengths[Math.floor((lengths.length - 1) / 2)], rms, told: record.rms_px, scale: scale.value, dark, count: tiles.length };
+  });
+  console.log(`residuals of ${found.count} tiles: median ${found.median} px, rms ${found.rms.toFixed(3)} px (the record says ${found.told.toFixed(3)}), drawn ${found.scale} times as long`);
+  assert.ok(found.inside && found.dots > 0.99 && found.ends > 0.99, JSON.stringify(found));
+  assert.ok(found.dark > 0.3, "what is between them stays free");
+  await page.locator(".picture .scale", { hasText: `Arrows ${found.scale} × as long: half of ${found.count} tiles lie within ${found.median.toFixed(2)}` }).waitFor();
+  await page.screenshot({ path: join(out, "live-residuals.png") });
+  await page.keyboard.press("u");
+  const covered = () => page.evaluate(() => {
+    const marks = document.querySelector(".marks");
+    return getComputedStyle(marks).visibility === "visible" ? marks.getContext("2d").getImageData(0, 0, marks.width, marks.height).data.filter((alpha, k) => k % 4 === 3 && alpha > 0).length : 0;
+  });
+  assert.equal(await until(covered, (count) => count === 0), 0);
+  await page.getByRole("button", { name: "Freeze", exact: true }).click();
+  asked.length = 0;
+  await until(async () => asked.length, (count) => count > 3);
+  assert.deepEqual([...new Set(asked)], ["n"]);
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
+test("a config that is refused is named on every view by its line with the mend; the one before stays in force", async () => {
+  const { page, close } = await opened({ bypassCSP: true });
+  const file = join(on.place.folder, "stage.toml");
+  const good = readFileSync(file, "utf8");
+  const bad = `${good}\n[filter]\nresponse_z = 3\n`;
+  try {
+    writeFileSync(file, bad);
+    on.daemon.reload();
+    const fault = page.locator(".barred.config");
+    await fault.getByText(/The config in the file is not used; the one before stays in force\./).waitFor();
+    const said = await fault.textContent();
+    const line = 1 + bad.split("\n").indexOf("response_z = 3");
+    assert.match(said, new RegExp(`Line ${line}:.*stage\\.toml.*response_z`));
+    await says(page, "Tracking");
+    await page.locator(".happened li.error", { hasText: "The old config stays" }).first().waitFor();
+    assert.ok((await goesOn(page, await frame(page))) > 0);
+    await page.goto(`${on.place.address}#health`);
+    await fault.waitFor();
+    await page.locator(".card.warn", { hasText: "the config of before stays in force" }).waitFor();
+    await looksWell(on.browser, page, "config-refused");
+  } finally {
+    writeFileSync(file, good);
+    on.daemon.reload();
+  }
+  await page.locator(".barred.config").waitFor({ state: "detached" });
   await close();
 });

@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { looksWell, pageOf, until } from "./browser.mjs";
+import { PATIENCE, looksWell, pageOf, until } from "./browser.mjs";
 import { played, prepareShow } from "./daemon.mjs";
 
 const on = played("run-recordings", prepareShow);
@@ -167,6 +167,68 @@ test("a recording is downloaded as a zip with all of it", async () => {
   assert.match(download.suggestedFilename(), /^clip-.*\.zip$/);
   const bytes = readFileSync(await download.path());
   for (const name of ["timestamps.csv", "poses.jsonl", "events.jsonl", "clip.toml"]) assert.ok(bytes.includes(name), name);
+  await close();
+});
+
+test("a recording is tracked again with today's config and compared with what was recorded", async () => {
+  const { page, complaints, close } = await opened();
+  await choose(page);
+  const all = await records();
+  assert.equal(await page.locator(".timeline.today").count(), 0);
+  await button(page, "Track it again").focus();
+  await page.keyboard.press("Enter");
+  const table = page.locator(".retracking table");
+  // It stands back behind the tracker, and behind a browser without a graphics card.
+  await table.waitFor({ timeout: 4 * PATIENCE });
+  assert.equal(await page.locator(".retracking progress").count(), 0);
+  await page.locator(".timeline.today canvas").waitFor();
+  // The numbers are those of the records: recorded by the page's own look at them, today's from what the daemon wrote.
+  const { recordings } = await list();
+  const { id } = recordings.at(-1);
+  const text = await (await fetch(`${on.place.address}api/v1/recordings/${id}/retracked/poses?from=0&count=5000`)).text();
+  const today = text.trim().split("\n").map((line) => JSON.parse(line));
+  const tracked = (records) => `${records.filter(({ state }) => state === "tracking").length} of ${records.length}`;
+  const cells = await table.locator("tbody tr").first().locator("td").allTextContents();
+  assert.deepEqual(cells, [tracked(all), tracked(today)]);
+  // Each row has both records; by key the outlines are those of the one or of the other.
+  const k = all.findIndex(({ state }, row) => row > 5 && state === "tracking" && today[row].state === "tracking");
+  await page.evaluate(async (k) => (await import("/clip.js")).go(k), k);
+  const both = await until(() => shown(page), ({ today }) => today !== null);
+  assert.deepEqual([both.record.sequence, both.today.sequence, both.today.pose], [all[k].sequence, today[k].sequence, today[k].pose]);
+  const apart = 1000 * Math.hypot(...all[k].pose.position_m.map((value, axis) => value - today[k].pose.position_m[axis]));
+  await page.locator(".facts div", { hasText: `Apart${apart.toFixed(2)}` }).waitFor();
+  await page.keyboard.press("b");
+  assert.equal(await page.getByRole("radio", { name: "today" }).isChecked(), true);
+  await page.keyboard.press("b");
+  assert.equal(await page.getByRole("radio", { name: "recorded" }).isChecked(), true);
+  // The next row that differs, as the two say.
+  const differs = all.findIndex(({ state }, row) => row > k && state !== today[row].state);
+  await page.keyboard.press("d");
+  if (differs > 0) {
+    const at = await until(() => row(page), (now) => now !== k);
+    assert.ok(at > k && at <= differs, `${at} of ${differs}`);
+  }
+  // It is there when the recording is opened anew.
+  await page.reload();
+  await choose(page);
+  await table.waitFor();
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
+test("the report of a fault is downloaded with and without pictures", async () => {
+  const { page, close } = await opened();
+  await choose(page);
+  const bytes = [];
+  for (const name of ["Without pictures", /^With the last/]) {
+    const waited = page.waitForEvent("download");
+    await page.getByRole("link", { name }).click();
+    const download = await waited;
+    assert.match(download.suggestedFilename(), /^report-clip-.*\.zip$/);
+    bytes.push(readFileSync(await download.path()));
+  }
+  for (const name of ["about.txt", "config/stage.toml", "daemon/diagnostics.txt", "recording/poses.jsonl"]) assert.ok(bytes[0].includes(name), name);
+  assert.ok(!bytes[0].includes(".jpg") && bytes[1].includes("recording/frames/"), "pictures come where they are asked for");
   await close();
 });
 

@@ -234,10 +234,12 @@ impl Session<'_> {
         };
         match self.arguments.load().and_then(fits) {
             Ok(settings) => {
+                self.supervisor.accept();
                 self.link.events.publish(Event::ConfigReloaded { file: file.display().to_string() });
                 Some(Box::new(settings))
             }
             Err(error) => {
+                self.supervisor.refuse(error.to_string());
                 self.link.events.publish(Event::ConfigRefused { reason: error.to_string() });
                 None
             }

@@ -134,9 +134,7 @@ impl Show<'_> {
             return Err(failure);
         }
         self.link.events.publish(Event::ConfigRefused { reason: failure.to_string() });
-        if previous.is_none() {
-            self.supervisor.refuse(failure.to_string());
-        }
+        self.supervisor.refuse(failure.to_string());
         Ok(previous)
     }
 
@@ -152,6 +150,7 @@ impl Show<'_> {
             }
             match self.arguments.load() {
                 Ok(settings) => {
+                    self.supervisor.accept();
                     self.link.events.publish(Event::ConfigReloaded { file: self.arguments.config.display().to_string() });
                     self.supervisor.set_mode(Mode::Track);
                     return Ok(Some(settings));

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use axum::http::Method;
+use serde_json::json;
 use zip::write::SimpleFileOptions;
 use zip::{ZipArchive, ZipWriter};
 
@@ -33,7 +34,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let (for_backup, for_restore) = (supervisor.clone(), supervisor.clone());
     vec![
         Route::aside(Method::GET, "/api/v1/backup", Access::Paired, move |_| backup(&for_backup)),
-        Route::aside(Method::POST, "/api/v1/restore", Access::Change, move |call| restore(&for_restore, call)).seldom(),
+        Route::aside(Method::POST, "/api/v1/restore", Access::Change, move |call| restore(&for_restore, call)).seldom_unless("try=1"),
     ]
 }
 
@@ -87,12 +88,14 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let text = safe_file::read(&aside.0.join(CONFIG), LARGEST_PACKED).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     let text = text.ok_or_else(|| Reply::text(422, "the zip has no stage.toml, so it is no backup; give one of GET /api/v1/backup\n"))?;
     let (settings, findings) = judged(&text, &aside.0.join(CONFIG));
-    match settings {
-        None => return Ok(reply(422, &findings, false)),
-        Some(_) if only_tries => return Ok(reply(200, &findings, false)),
-        Some(_) => {}
+    if settings.is_none() {
+        return Ok(reply(422, &findings, false));
     }
     let target = |name: &str| if name == CONFIG { file.to_owned() } else { folder.join(name) };
+    if only_tries {
+        let (replaces, adds): (Vec<&String>, Vec<&String>) = names.iter().partition(|name| target(name).exists());
+        return Ok(Reply::json(200, json!({"findings": findings, "saved": false, "replaces": replaces, "adds": adds}).to_string()));
+    }
     let places: Vec<PathBuf> = std::iter::once(file.to_owned()).chain(names.iter().filter(|n| *n != CONFIG).map(|n| target(n))).collect();
     keep_former(&places).map_err(|e| unwritable(file, &e))?;
     std::fs::create_dir_all(folder.join("sets")).map_err(|e| unwritable(file, &e))?;
@@ -167,6 +170,9 @@ mod tests {
         std::fs::write(to.file(), "# it was another one\n").unwrap();
         let (status, said) = asked(&routes(&to), "POST", "/api/v1/restore?try=1", &zip);
         assert_eq!((status, to.take_reload()), (200, false), "{}", String::from_utf8_lossy(&said));
+        let told: serde_json::Value = serde_json::from_slice(&said).unwrap();
+        assert_eq!((&told["replaces"], &told["saved"]), (&json!(["stage.toml"]), &json!(false)), "{told}");
+        assert!(told["adds"].as_array().unwrap().contains(&json!("sets/door.glb")), "{told}");
         assert_eq!(std::fs::read_to_string(to.file()).unwrap(), "# it was another one\n", "it was only tried");
         let (status, said) = asked(&routes(&to), "POST", "/api/v1/restore", &zip);
         assert_eq!(status, 200, "{}", String::from_utf8_lossy(&said));

@@ -48,9 +48,9 @@ fn refused(error: &ConfigError) -> Finding {
     Finding { level: "error", key, line, sentence, mend }
 }
 
-/// What is wrong with the config where there is none to track with; nothing where there is one.
-pub(super) fn of_unusable(supervisor: &Supervisor) -> Vec<Finding> {
-    if supervisor.settings().is_some() {
+/// What is wrong with the config in the file, where there is none to track with or the one before stays in force; nothing where it is used.
+pub(super) fn of_refused(supervisor: &Supervisor) -> Vec<Finding> {
+    if supervisor.settings().is_some() && supervisor.refusal().is_none() {
         return Vec::new();
     }
     let error = |text: &str| {

@@ -9,7 +9,7 @@ use nix::sys::statvfs::statvfs;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::findings::of_unusable;
+use super::findings::of_refused;
 use crate::daemon::{Mode, Supervisor};
 use crate::printable::printable;
 use crate::protocols::{freed::FreedPacket, opentrackio, psn::PsnPacket};
@@ -73,9 +73,11 @@ pub(super) fn probes(statistics: &Arc<Statistics>, clock: &Arc<FrameClock>) -> [
 
 fn parts(supervisor: &Supervisor) -> Vec<Part> {
     let statistics = &supervisor.link.statistics;
-    let of_config = of_unusable(supervisor).into_iter().map(|finding| {
+    // Where there is a config in force, tracking goes on with it.
+    let (level, goes_on) = if supervisor.settings().is_some() { ("warn", "; the config of before stays in force") } else { ("bad", "") };
+    let of_config = of_refused(supervisor).into_iter().map(|finding| {
         let place = finding.line.map_or_else(String::new, |line| format!("line {line}: "));
-        part("config", "bad", format!("{place}{}", finding.sentence), finding.mend.as_deref())
+        part("config", level, format!("{place}{}{goes_on}", finding.sentence), finding.mend.as_deref())
     });
     let mut parts: Vec<Part> = of_config.collect();
     parts.extend([camera(statistics, supervisor.mode()), tracker(statistics)]);

@@ -40,7 +40,7 @@ const NAMES: [&str; 18] = [
     "root",
     "%25%32%65%25%32%65",
 ];
-const QUERIES: [&str; 12] = [
+const QUERIES: [&str; 14] = [
     "",
     "?points=0",
     "?points=-1",
@@ -53,6 +53,8 @@ const QUERIES: [&str; 12] = [
     "?pictures=601",
     "?points&from=&=&&&===",
     "?%00=%ff",
+    "?try=1",
+    "?try=2&try=1",
 ];
 const TYPES: [&str; 6] = ["application/json", "text/html", "multipart/form-data; boundary=x", "application/zip", "image/png", ";;=,"];
 /// What stands where a number, a text or a list is wanted, as JSON.

@@ -6,6 +6,7 @@ mod config;
 mod findings;
 mod gltf;
 mod health;
+mod line_index;
 mod recordings;
 mod retrack;
 mod sets;
@@ -16,6 +17,7 @@ use std::sync::Arc;
 
 use serde_json::json;
 
+use self::line_index::LineIndex;
 use super::entrance::About;
 use super::reply::Reply;
 use super::routes::Route;
@@ -24,16 +26,18 @@ use crate::publish::FrameClock;
 
 /// All of them; ages are as `clock` counts them.
 pub fn routes(supervisor: &Arc<Supervisor>, clock: &Arc<FrameClock>) -> Vec<Route> {
-    let resources = [steering::routes, recordings::routes, retrack::routes, config::routes, backup::routes, sets::routes, health::routes];
+    let resources = [steering::routes, config::routes, backup::routes, sets::routes, health::routes];
+    let lines: Arc<LineIndex> = Arc::default();
+    let of_recordings = [recordings::routes(supervisor, &lines), retrack::routes(supervisor, &lines)].concat();
     let probes = health::probes(&supervisor.link.statistics, clock);
-    resources.into_iter().flat_map(|resource| resource(supervisor)).chain(probes).collect()
+    resources.into_iter().flat_map(|resource| resource(supervisor)).chain(of_recordings).chain(probes).collect()
 }
 
 /// What the daemon says of itself in /api/v1/session.
 pub fn about(supervisor: &Arc<Supervisor>) -> About {
     let supervisor = supervisor.clone();
     Box::new(move || {
-        let findings = findings::of_unusable(&supervisor);
+        let findings = findings::of_refused(&supervisor);
         json!({
             "mode": supervisor.mode().word(), "config_file": supervisor.file(),
             "has_config": supervisor.settings().is_some(), "findings": findings,
@@ -50,6 +54,8 @@ fn failed(what: &str, error: &std::io::Error) -> Reply {
 mod guarded_tests;
 #[cfg(test)]
 mod hostile_tests;
+#[cfg(test)]
+pub(super) mod types_tests;
 
 #[cfg(test)]
 mod tests {

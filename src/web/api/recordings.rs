@@ -1,7 +1,7 @@
 //! `GET /api/v1/recordings` and what is below it: what was recorded, its states over time, its pictures and records, and all of it as a zip.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read, Write};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -13,8 +13,9 @@ use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
 use super::failed;
+use super::line_index::LineIndex;
 use super::timeline::timeline;
-use crate::capture::timestamps::{StampRow, read_timestamps};
+use crate::capture::timestamps::StampRow;
 use crate::capture::with_huffman_tables;
 use crate::config::Settings;
 use crate::daemon::Supervisor;
@@ -38,14 +39,14 @@ const MOST_PICTURE_SECONDS: u64 = 600;
 /// Folders within a recording's folder at most: frames/0000/picture. Deeper ones are not a recording's.
 const DEEPEST: usize = 4;
 
-pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
+pub(super) fn routes(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Vec<Route> {
     let read = |path, access, answer: fn(&Folder, &mut Call) -> Result<Reply, Reply>| {
-        let folder = Folder(supervisor.clone());
+        let folder = Folder::new(supervisor, lines);
         Route::aside(Method::GET, path, access, move |call| answer(&folder, call))
     };
     let downloads: Arc<AtomicUsize> = Arc::default();
     let for_report = supervisor.clone();
-    let folder = Folder(supervisor.clone());
+    let (folder, of_report) = (Folder::new(supervisor, lines), Folder::new(supervisor, lines));
     vec![
         read("/api/v1/recordings", Access::Anyone, Folder::list),
         read("/api/v1/recordings/{id}/timeline", Access::Anyone, Folder::timeline),
@@ -55,13 +56,16 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             download(&folder.clip(call)?, &downloads)
         }),
         Route::aside(Method::GET, "/api/v1/recordings/{id}/report", Access::Paired, move |call| {
-            report(&for_report, &Folder(for_report.clone()).clip(call)?, call)
+            report(&for_report, &of_report.clip(call)?, call)
         }),
     ]
 }
 
 /// The recorder's folder.
-pub(super) struct Folder(pub(super) Arc<Supervisor>);
+pub(super) struct Folder {
+    supervisor: Arc<Supervisor>,
+    lines: Arc<LineIndex>,
+}
 
 /// A recording that is there.
 pub(super) struct Clip {
@@ -70,9 +74,13 @@ pub(super) struct Clip {
 }
 
 impl Folder {
+    pub fn new(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Self {
+        Self { supervisor: supervisor.clone(), lines: lines.clone() }
+    }
+
     fn path(&self) -> Result<PathBuf, Reply> {
         let settings =
-            self.0.settings().ok_or_else(|| Reply::text(409, "there is no config yet, so there is no folder of recordings\n"))?;
+            self.supervisor.settings().ok_or_else(|| Reply::text(409, "there is no config yet, so there is no folder of recordings\n"))?;
         Ok(settings.recorder.folder.clone())
     }
 
@@ -90,13 +98,13 @@ impl Folder {
 
     fn list(&self, _: &mut Call) -> Result<Reply, Reply> {
         let folder = self.path()?;
-        let current = self.0.recording();
+        let current = self.supervisor.recording();
         let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten();
         let names = entries.filter_map(|entry| entry.file_name().into_string().ok()).filter(|name| is_name(name));
-        let mut clips: Vec<(i64, Value)> = names.filter_map(|name| summary(&folder, &name, current.as_deref())).collect();
+        let mut clips: Vec<(i64, Value)> = names.filter_map(|name| self.summary(&folder, &name, current.as_deref())).collect();
         clips.sort_by_key(|(begun, _)| std::cmp::Reverse(*begun));
         let clips: Vec<Value> = clips.into_iter().map(|(_, clip)| clip).collect();
-        let ring_s = self.0.settings().map_or(0.0, |settings| settings.recorder.ring_s);
+        let ring_s = self.supervisor.settings().map_or(0.0, |settings| settings.recorder.ring_s);
         let recording = current.as_deref().and_then(Path::file_name).map(|name| name.to_string_lossy());
         Ok(Reply::json(200, json!({"recordings": clips, "folder": folder, "ring_s": ring_s, "recording": recording}).to_string()))
     }
@@ -105,70 +113,60 @@ impl Folder {
         let clip = self.clip(call)?;
         let points = call.queried("points", 1000, 1..=MOST_POINTS)?;
         let told = timeline(&clip.path.join("poses.jsonl"), &clip.path.join("events.jsonl"), points as usize);
-        Ok(Reply::json(200, told.map_err(|e| failed("the recording cannot be read", &e))?.to_string()))
+        let mut told = told.map_err(|e| failed("the recording cannot be read", &e))?;
+        told["retracked"] = clip.path.join("retracked/compared.json").is_file().into();
+        Ok(Reply::json(200, told.to_string()))
     }
 
     fn frame(&self, call: &mut Call) -> Result<Reply, Reply> {
         let clip = self.clip(call)?;
         let number = call.number("row")?;
         let beyond = || Reply::text(404, "the recording has no such row; its timeline says how many there are\n");
-        let row = clip.rows()?.into_iter().nth(usize::try_from(number).unwrap_or(usize::MAX)).ok_or_else(beyond)?;
+        let row = self.lines.stamp(&clip.path.join("timestamps.csv"), number);
+        let row = row.map_err(|_| Reply::text(500, "the recording's timestamps.csv cannot be read\n"))?.ok_or_else(beyond)?;
         let inside = |name: &str| Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
         let picture = clip.path.join("frames").join(&row.file);
         if row.file.is_empty() || !inside(&row.file) {
             return Err(Reply::text(404, "this row has no picture\n"));
         }
         let bytes = safe_file::read(&picture, LARGEST_PICTURE).map_err(|e| failed("the picture cannot be read", &e))?;
-        let record = record(&clip.path.join("poses.jsonl"), number).unwrap_or_else(|| "null".to_owned());
+        let record = self.record(&clip.path.join("poses.jsonl"), number).unwrap_or_else(|| "null".to_owned());
         Ok(Reply::new(200, "image/jpeg", jpeg(bytes)?).with("x-stagepose-record", &escaped(&record)))
     }
 
     fn poses(&self, call: &mut Call) -> Result<Reply, Reply> {
         let clip = self.clip(call)?;
-        lines(&clip.path.join("poses.jsonl"), call)
+        self.records(&clip.path.join("poses.jsonl"), call)
     }
-}
 
-/// So many of a file's lines from there on, as JSON lines.
-pub(super) fn lines(file: &Path, call: &Call) -> Result<Reply, Reply> {
-    let (from, count) = (call.queried("from", 0, 0..=u64::from(u32::MAX))?, call.queried("count", 500, 1..=MOST_RECORDS)?);
-    let opened = safe_file::open(file).map_err(|e| failed("the records cannot be read", &e))?;
-    let mut text = Vec::new();
-    for line in BufReader::new(opened).split(b'\n').skip(from as usize).take(count as usize).map_while(Result::ok) {
-        text.extend_from_slice(&line);
-        text.push(b'\n');
+    /// So many of a file's lines from there on, as JSON lines.
+    pub fn records(&self, file: &Path, call: &Call) -> Result<Reply, Reply> {
+        let (from, count) = (call.queried("from", 0, 0..=u64::from(u32::MAX))?, call.queried("count", 500, 1..=MOST_RECORDS)?);
+        let text = self.lines.records(file, from, count).map_err(|e| failed("the records cannot be read", &e))?;
+        Ok(Reply::new(200, "application/x-ndjson", text))
     }
-    Ok(Reply::new(200, "application/x-ndjson", text))
-}
 
-impl Clip {
-    fn rows(&self) -> Result<Vec<StampRow>, Reply> {
-        let file = safe_file::open(&self.path.join("timestamps.csv")).map_err(|e| failed("the recording cannot be read", &e))?;
-        read_timestamps(file).map_err(|_| Reply::text(500, "the recording's timestamps.csv cannot be read\n"))
+    /// What the list says of a recording, with when it began, milliseconds since 1970.
+    fn summary(&self, folder: &Path, name: &str, current: Option<&Path>) -> Option<(i64, Value)> {
+        let path = folder.join(name);
+        let index = path.join("timestamps.csv");
+        if !path.symlink_metadata().ok()?.is_dir() {
+            return None;
+        }
+        let rows = self.lines.rows(&index).ok()?;
+        let stamp = |row: u64| self.lines.stamp(&index, row).ok().flatten().and_then(|row: StampRow| row.stamp.ok());
+        let seconds = stamp(0).zip(stamp(rows.saturating_sub(1))).map_or(0.0, |(first, last)| last.ms_since(first) / 1e3);
+        let ended = index.metadata().and_then(|about| about.modified()).ok()?.duration_since(UNIX_EPOCH).ok()?;
+        let begun = ended.saturating_sub(Duration::try_from_secs_f64(seconds).unwrap_or_default()).as_millis() as i64;
+        let is_open = current == Some(path.as_path());
+        Some((begun, json!({"id": name, "begun_unix_ms": begun, "seconds": seconds, "frames": rows, "open": is_open})))
     }
-}
 
-/// What the list says of a recording, with when it began, milliseconds since 1970.
-fn summary(folder: &Path, name: &str, current: Option<&Path>) -> Option<(i64, Value)> {
-    let path = folder.join(name);
-    let index = path.join("timestamps.csv");
-    if !path.symlink_metadata().ok()?.is_dir() {
-        return None;
+    /// The record of a row.
+    fn record(&self, poses: &Path, row: u64) -> Option<String> {
+        let line = String::from_utf8(self.lines.records(poses, row, 1).ok()?).ok()?;
+        serde_json::from_str::<Value>(&line).ok().map(|_| line.trim_end().to_owned())
     }
-    let rows = read_timestamps(safe_file::open(&index).ok()?).ok()?;
-    let mut stamps = rows.iter().filter_map(|row| row.stamp.as_ref().ok());
-    let seconds = stamps.next().zip(stamps.next_back()).map_or(0.0, |(first, last)| last.ms_since(*first) / 1e3);
-    let ended = index.metadata().and_then(|about| about.modified()).ok()?.duration_since(UNIX_EPOCH).ok()?;
-    let begun = ended.saturating_sub(Duration::try_from_secs_f64(seconds).unwrap_or_default()).as_millis() as i64;
-    let is_open = current == Some(path.as_path());
-    Some((begun, json!({"id": name, "begun_unix_ms": begun, "seconds": seconds, "frames": rows.len(), "open": is_open})))
-}
-
-/// The record of a row.
-fn record(poses: &Path, row: u64) -> Option<String> {
-    let lines = BufReader::new(safe_file::open(poses).ok()?).lines();
-    let line = lines.map_while(Result::ok).nth(usize::try_from(row).ok()?)?;
-    serde_json::from_str::<Value>(&line).ok().map(|_| line)
 }
 
 /// For a header: what is not plain ASCII by its bytes.

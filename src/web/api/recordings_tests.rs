@@ -20,7 +20,7 @@ fn a_recording_is_listed_and_its_rows_are_given() {
     let folder = tempfile::tempdir().unwrap();
     recording(folder.path());
     let supervisor = supervised(folder.path());
-    let get = |path: &str| asked(&routes(&supervisor), "GET", path, b"");
+    let get = |path: &str| asked(&routes(&supervisor, &Arc::default()), "GET", path, b"");
     let listed: Value = serde_json::from_slice(&get("/api/v1/recordings").1).unwrap();
     assert_eq!(listed["recordings"].as_array().unwrap().len(), 1);
     assert_eq!((&listed["recordings"][0]["id"], &listed["recordings"][0]["frames"]), (&"clip-1".into(), &3.into()));
@@ -36,7 +36,7 @@ fn nothing_outside_of_the_folder_is_given() {
     let folder = tempfile::tempdir().unwrap();
     recording(folder.path());
     let supervisor = supervised(folder.path());
-    let status = |path: &str| asked(&routes(&supervisor), "GET", path, b"").0;
+    let status = |path: &str| asked(&routes(&supervisor, &Arc::default()), "GET", path, b"").0;
     assert_eq!(status("/api/v1/recordings/clip-1/frame/2"), 404, "its name leads out");
     for id in ["root", "..", ".", "%2e%2e", "..%2f..", "clip-1%2f..", "a%00b", "%ff", "none"] {
         for below in ["timeline", "frame/0", "poses", "download"] {
@@ -55,7 +55,7 @@ fn a_download_is_a_zip_of_all_of_it() {
     let folder = tempfile::tempdir().unwrap();
     recording(folder.path());
     let supervisor = supervised(folder.path());
-    let (status, zipped) = asked(&routes(&supervisor), "GET", "/api/v1/recordings/clip-1/download", b"");
+    let (status, zipped) = asked(&routes(&supervisor, &Arc::default()), "GET", "/api/v1/recordings/clip-1/download", b"");
     assert_eq!(status, 200);
     let mut zip = zip::ZipArchive::new(io::Cursor::new(zipped)).unwrap();
     let names: Vec<String> = zip.file_names().map(str::to_owned).collect();
@@ -71,7 +71,8 @@ fn a_report_has_texts_and_pictures_on_request_only() {
     recording(folder.path());
     let supervisor = supervised(folder.path());
     let names = |query: &str| -> Vec<String> {
-        let (status, zipped) = asked(&routes(&supervisor), "GET", &format!("/api/v1/recordings/clip-1/report{query}"), b"");
+        let (status, zipped) =
+            asked(&routes(&supervisor, &Arc::default()), "GET", &format!("/api/v1/recordings/clip-1/report{query}"), b"");
         assert_eq!(status, 200);
         let zip = zip::ZipArchive::new(io::Cursor::new(zipped)).unwrap();
         zip.file_names().map(str::to_owned).collect()

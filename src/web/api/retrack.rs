@@ -8,7 +8,8 @@ use axum::http::Method;
 use serde_json::{Value, json};
 
 use super::failed;
-use super::recordings::{Folder, MOST_POINTS, lines};
+use super::line_index::LineIndex;
+use super::recordings::{Folder, MOST_POINTS};
 use super::timeline::timeline;
 use crate::daemon::{Supervisor, retrack};
 use crate::safe_file;
@@ -20,28 +21,31 @@ use crate::web::routes::{Access, Route};
 /// Larger than what is told of a comparison, bytes.
 const LARGEST: u64 = 1 << 20;
 
-pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
+pub(super) fn routes(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Vec<Route> {
     let of = |supervisor: &Arc<Supervisor>| supervisor.clone();
     let (for_start, for_job, for_cancel) = (of(supervisor), of(supervisor), of(supervisor));
-    let read = |path, answer: fn(&Path, &mut Call) -> Result<Reply, Reply>| {
-        let folder = Folder(supervisor.clone());
+    let to_start = Folder::new(supervisor, lines);
+    let read = |path, answer: fn(&Folder, &Path, &mut Call) -> Result<Reply, Reply>| {
+        let folder = Folder::new(supervisor, lines);
         Route::aside(Method::GET, path, Access::Anyone, move |call| {
             let clip = folder.clip(call)?.path;
             if !clip.join("retracked/compared.json").is_file() {
                 return Err(Reply::text(404, "this recording was not tracked again yet; POST to its retrack\n"));
             }
-            answer(&clip, call)
+            answer(&folder, &clip, call)
         })
     };
     let none = || Reply::text(404, "there is no such job; only the last ones are remembered\n");
     vec![
         Route::aside(Method::POST, "/api/v1/recordings/{id}/retrack", Access::Change, move |call| {
             call.nothing()?;
-            start(&for_start, call)
+            start(&for_start, &to_start, call)
         }),
         read("/api/v1/recordings/{id}/retracked", told),
-        read("/api/v1/recordings/{id}/retracked/poses", |clip, call| lines(&clip.join("retracked/poses.jsonl"), call)),
-        read("/api/v1/recordings/{id}/retracked/differences", |clip, call| lines(&clip.join("retracked/differences.jsonl"), call)),
+        read("/api/v1/recordings/{id}/retracked/poses", |folder, clip, call| folder.records(&clip.join("retracked/poses.jsonl"), call)),
+        read("/api/v1/recordings/{id}/retracked/differences", |folder, clip, call| {
+            folder.records(&clip.join("retracked/differences.jsonl"), call)
+        }),
         Route::aside(Method::GET, "/api/v1/jobs/{number}", Access::Anyone, move |call| {
             let job = for_job.jobs.job(call.number("number")?).ok_or_else(none)?;
             Ok(Reply::json(200, json!(job).to_string()))
@@ -58,8 +62,8 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     ]
 }
 
-fn start(supervisor: &Arc<Supervisor>, call: &Call) -> Result<Reply, Reply> {
-    let clip = Folder(supervisor.clone()).clip(call)?;
+fn start(supervisor: &Arc<Supervisor>, folder: &Folder, call: &Call) -> Result<Reply, Reply> {
+    let clip = folder.clip(call)?;
     let settings = supervisor.settings().ok_or_else(|| Reply::text(409, "there is no good config to track with; put one first\n"))?;
     if supervisor.recording().as_deref() == Some(clip.path.as_path()) {
         return Err(Reply::text(409, "this is being recorded; end the recording first\n"));
@@ -80,7 +84,7 @@ fn start(supervisor: &Arc<Supervisor>, call: &Call) -> Result<Reply, Reply> {
 }
 
 /// The timeline of the new records, and how they compare with those that were recorded.
-fn told(clip: &Path, call: &mut Call) -> Result<Reply, Reply> {
+fn told(_: &Folder, clip: &Path, call: &mut Call) -> Result<Reply, Reply> {
     let points = call.queried("points", 1000, 1..=MOST_POINTS)?;
     let told = timeline(&clip.join("retracked/poses.jsonl"), &clip.join("events.jsonl"), points as usize);
     let mut told = told.map_err(|e| failed("what was tracked again cannot be read", &e))?;
@@ -109,7 +113,7 @@ mod tests {
         std::fs::write(clip.join("timestamps.csv"), stamps).unwrap();
         std::fs::write(clip.join("poses.jsonl"), "").unwrap();
         let ask = |method: &str, path: &str| {
-            let (status, content) = asked(&routes(&supervisor), method, path, b"");
+            let (status, content) = asked(&routes(&supervisor, &Arc::default()), method, path, b"");
             (status, String::from_utf8(content).unwrap())
         };
         let again = || {

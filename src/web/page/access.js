@@ -1,7 +1,7 @@
 // Who may change something: the show lock, and the pairing of a browser on another machine.
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useRef, useState } from "./vendor/hooks.js";
-import { post, read, reason, whenRefused } from "./ask.js";
+import { post, read, reason, sentence, whenRefused } from "./ask.js";
 import { contact } from "./daemon.js";
 import { draft } from "./drafts.js";
 import { html } from "./ui.js";
@@ -13,7 +13,7 @@ const HELD_FOR = 1000;
 /** Letters of the name that a browser is listed by. */
 const LONGEST_NAME = 60;
 
-/** @typedef {{paired: boolean, needs_pairing: boolean, locked: boolean, mode: string, version: string, page: string}} Session */
+/** @typedef {import("./types.js").Session} Session */
 
 /** How this browser stands; null until that is known. */
 export const session = signal(/** @type {Session | null} */ (null));
@@ -122,6 +122,18 @@ export function Change({ act, children, off = false }) {
 export function Download({ path, name, children }) {
   if (session.value?.needs_pairing) return html`<button type="button" aria-label=${name} onClick=${() => (isPairing.value = true)}>${children}</button>`;
   return html`<a class="button" href=${`./api/v1/${path}`} download aria-label=${name}>${children}</a>`;
+}
+
+/** Says what is wrong with the config in the file, where it is not used. */
+export function ConfigFault() {
+  const findings = session.value?.findings ?? [];
+  if (findings.length === 0) return null;
+  return html`<section class="barred config" role="alert">
+    <p>
+      ${session.value?.has_config ? "The config in the file is not used; the one before stays in force." : "There is no config to track with."}
+      ${findings.map(({ line, sentence: words, mend }) => ` ${[line ? `Line ${line}: ${words}` : words, mend].filter(Boolean).map((part) => sentence(`${part}`)).join(" ")}`)}
+    </p>
+  </section>`;
 }
 
 /** What is typed in the box is kept while it is closed. */

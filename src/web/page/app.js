@@ -2,13 +2,13 @@
 import { render } from "./vendor/preact.js";
 // Signals take part in rendering as soon as they are loaded.
 import { effect, signal } from "./vendor/signals.js";
-import { Lock, Pairing, barred, watchAccess } from "./access.js";
+import { ConfigFault, Lock, Pairing, barred, watchAccess } from "./access.js";
 import { post, reason } from "./ask.js";
 import { frozen, listen, toggleFrozen } from "./daemon.js";
 import { listenToEvents } from "./events.js";
 import { Live, State } from "./live.js";
 import { PAGES, show, shown, viewKeys } from "./pages.js";
-import { floored, outlined, parted } from "./picture.js";
+import { floored, outlined, parted, rested } from "./picture.js";
 import { THEMES, theme, toggleStage } from "./theme.js";
 import { html } from "./ui.js";
 
@@ -43,6 +43,7 @@ const KEYS = [
   { key: "o", name: "o", does: "outlines on and off", act: () => (outlined.value = !outlined.value) },
   { key: "g", name: "g", does: "a metre grid on the floor on and off", act: () => (floored.value = !floored.value) },
   { key: "x", name: "x", does: "which parts of the artwork are seen", act: () => (parted.value = !parted.value) },
+  { key: "u", name: "u", does: "the pixels used, and how far they lie off", act: () => (rested.value = !rested.value) },
   { key: "r", name: "r", does: "mark this moment", act: mark },
   { key: "n", name: "n", does: "stage colours on and off", act: toggleStage },
   { key: "?", name: "?", does: "this list", act: () => (keysShown.value = !keysShown.value) },
@@ -66,7 +67,7 @@ function Bar() {
       <${Lock} />
       ${shown.value === "live" || shown.value === "set" ? html`<${Switch} on=${frozen.value} act=${toggleFrozen}>Freeze<//>` : null}
       ${shown.value === "live"
-        ? html`<${Switch} on=${outlined.value} act=${KEYS[1].act}>Outlines<//><${Switch} on=${floored.value} act=${KEYS[2].act}>Floor<//><${Switch} on=${parted.value} act=${KEYS[3].act}>Seen parts<//>`
+        ? html`<${Switch} on=${outlined.value} act=${KEYS[1].act}>Outlines<//><${Switch} on=${floored.value} act=${KEYS[2].act}>Floor<//><${Switch} on=${parted.value} act=${KEYS[3].act}>Seen parts<//><${Switch} on=${rested.value} act=${KEYS[4].act}>Residuals<//>`
         : null}
       <fieldset class="choice">
         <legend>Colours</legend>
@@ -83,7 +84,7 @@ function Bar() {
 
 function Foot() {
   return html`<footer>
-    <button type="button" aria-expanded=${keysShown.value ? "true" : "false"} onClick=${KEYS[6].act}>Keys</button>
+    <button type="button" aria-expanded=${keysShown.value ? "true" : "false"} onClick=${KEYS[7].act}>Keys</button>
     ${keysShown.value
       ? html`<ul class="keys">${[...viewKeys.value, ...KEYS].filter(({ name }) => name !== "").map(({ name, does }) => html`<li key=${name}><kbd>${name}</kbd> ${does}</li>`)}</ul>`
       : null}
@@ -98,7 +99,7 @@ function View() {
 }
 
 function Page() {
-  return html`<${Bar} /><${Pairing} /><${View} /><${Foot} />`;
+  return html`<${Bar} /><${ConfigFault} /><${Pairing} /><${View} /><${Foot} />`;
 }
 
 addEventListener("keydown", (event) => {

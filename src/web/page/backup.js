@@ -1,7 +1,7 @@
 // Backup and restore: what a restore would change is said before it is done.
 import { signal } from "./vendor/signals.js";
 import { Barred, Change, Download } from "./access.js";
-import { ask, post, reason, sentence } from "./ask.js";
+import { Refused, ask, post, reason, sentence } from "./ask.js";
 import { html } from "./ui.js";
 import { differing, entries, textOf } from "./zip.js";
 
@@ -10,7 +10,9 @@ const CONFIG = "stage.toml";
 /** Changed lines that are shown. */
 const SHOWN = 40;
 
-/** @typedef {{file: File, names: string[], goes: string[], comes: string[], isKnown: boolean}} Plan what a restore would do; `isKnown`: the config of now could be read */
+/** @typedef {import("./types.js").Finding} Finding
+ * @typedef {{file: File, replaces: string[], adds: string[], findings: Finding[], goes: string[], comes: string[], isKnown: boolean}} Plan what a restore would do;
+ *   `isKnown`: the config of now could be read */
 
 const plan = signal(/** @type {Plan | null} */ (null));
 const said = signal("");
@@ -26,10 +28,12 @@ async function choose(event) {
     const found = await entries(file);
     const config = found.find(({ name }) => name === CONFIG);
     if (config === undefined) throw new Error(`${file.name} has no ${CONFIG}, so it is no backup. Choose a backup of this page.`);
+    // The daemon tries it: what it would refuse is not offered.
+    const { replaces, adds, findings } = await (await post("restore?try=1", new Blob([file], { type: "application/zip" }))).json();
     const [now, then] = await Promise.all([ask("config").then((answer) => answer.text(), () => null), textOf(file, config)]);
-    plan.value = { file, names: found.map(({ name }) => name), ...differing(now ?? "", then), isKnown: now !== null };
+    plan.value = { file, replaces, adds, findings, ...differing(now ?? "", then), isKnown: now !== null };
   } catch (why) {
-    said.value = reason(why);
+    said.value = why instanceof Refused && why.status === 422 ? `${file.name} cannot be restored, and nothing was changed. ${reason(why)}` : reason(why);
   }
   input.value = "";
 }
@@ -47,15 +51,16 @@ async function restore({ file }) {
 
 /** What would be done, and whether it shall. @param {{of: Plan}} props */
 function Planned({ of }) {
-  const { file, names, goes, comes, isKnown } = of;
-  const others = names.filter((name) => name !== CONFIG);
+  const { file, replaces, adds, findings, goes, comes, isKnown } = of;
+  const others = replaces.filter((name) => name !== CONFIG);
   const lines = [...goes.map((line) => `− ${line}`), ...comes.map((line) => `+ ${line}`)];
   return html`<div class="planned">
     <p>
-      Restoring ${file.name} takes the place of the config${others.length > 0 ? ` and of ${others.join(", ")}` : ""}. The former ones are kept in “former” beside the config.
+      Restoring ${file.name} takes the place of the config${others.length > 0 ? ` and of ${others.join(", ")}` : ""}${adds.length > 0 ? `, and adds ${adds.join(", ")}` : ""}. The former ones are kept in “former” beside the config.
       ${!isKnown ? " The config of now cannot be read, so what changes in it is not known." : lines.length === 0 ? " The config stays as it is." : " In the config this changes:"}
     </p>
     ${isKnown && lines.length > 0 ? html`<pre tabindex="0">${lines.slice(0, SHOWN).join("\n")}${lines.length > SHOWN ? `\n… and ${lines.length - SHOWN} lines more` : ""}</pre>` : null}
+    ${findings.length > 0 ? html`<ul class="findings">${findings.map((one, k) => html`<li key=${k}>${[one.sentence, one.mend].filter(Boolean).map((words) => sentence(`${words}`)).join(" ")}</li>`)}</ul>` : null}
     <div class="row">
       <${Change} act=${() => restore(of)}>Restore<//>
       <button type="button" onClick=${() => (plan.value = null)}>Leave it as it is</button>

@@ -8,13 +8,20 @@ const COLUMNS = 4000;
 const STAMPS = 400;
 const LONGEST_GAP = 2000;
 
-/** @typedef {{row: number, rows: number, state: string, rms_px: number | null, states: Record<string, number>}} Column
- * @typedef {{row: number, timestamp_ns: number, event: string, text?: string, says?: string, level?: string}} Happening
- * @typedef {{id: string, frames: number, first_ns: number | null, last_ns: number | null, columns: Column[], events: Happening[]}} Clip
- * @typedef {{row: number, record: import("./daemon.js").PoseRecord | null, size: [number, number] | null}} Shown a row without a picture has no size */
+/** @typedef {import("./types.js").Column} Column
+ * @typedef {import("./types.js").Timeline} Timeline
+ * @typedef {Timeline["events"][number]} Happening
+ * @typedef {{id: string} & Timeline} Clip
+ * @typedef {import("./types.js").Retracked} Retracked
+ * @typedef {{row: number, record: import("./daemon.js").PoseRecord | null, today: import("./daemon.js").PoseRecord | null,
+ *   size: [number, number] | null}} Shown a row without a picture has no size; `today` is its record by today's config, where that was tried */
 
 /** The recording that is open. */
 export const clip = signal(/** @type {Clip | null} */ (null));
+/** What today's config makes of it; null where that was not tried. */
+export const retracked = signal(/** @type {Retracked | null} */ (null));
+/** Whose outlines are drawn. */
+export const whose = signal(/** @type {"recorded" | "today"} */ ("recorded"));
 /** The row that is wanted, and what is shown of it. */
 export const row = signal(0);
 export const shown = signal(/** @type {Shown | null} */ (null));
@@ -40,6 +47,8 @@ export async function open(id) {
   try {
     const found = await read(`recordings/${id}/timeline?points=${COLUMNS}`, own);
     clip.value = { id, ...found };
+    if (found.retracked) await learnRetracked();
+    if (own.aborted) return;
     if (found.frames > 0) go(0);
     else fault.value = "This recording has no frames.";
   } catch (why) {
@@ -47,12 +56,32 @@ export async function open(id) {
   }
 }
 
+/** Fetches what today's config makes of the open recording, and of the row that is shown. */
+export async function learnRetracked() {
+  if (clip.value === null) return;
+  const { signal: own } = open_;
+  const found = await read(`recordings/${clip.value.id}/retracked?points=${COLUMNS}`, own).catch(() => null);
+  if (own.aborted) return;
+  retracked.value = found;
+  const now = shown.value;
+  const today = now && (await recordToday(now.row, own));
+  if (now !== null && shown.value === now && !own.aborted) shown.value = { ...now, today };
+}
+
+/** A row's record by today's config. @param {number} number @param {AbortSignal} own */
+async function recordToday(number, own) {
+  if (clip.value === null || retracked.value === null) return null;
+  const path = `recordings/${clip.value.id}/retracked/poses?from=${number}&count=1`;
+  return ask(path, { signal: own }).then((answer) => answer.json(), () => null);
+}
+
 /** Closes it. */
 export function close() {
   open_.abort();
   open_ = new AbortController();
   stamps.clear();
-  clip.value = shown.value = null;
+  clip.value = shown.value = retracked.value = null;
+  whose.value = "recorded";
   row.value = 0;
   playing.value = false;
   fault.value = "";
@@ -88,14 +117,14 @@ async function fetchShown() {
 /** @param {string} id @param {number} number @param {AbortSignal} own @returns {Promise<{picture: ImageBitmap | null, said: Shown}>} */
 async function frame(id, number, own) {
   try {
-    const answer = await ask(`recordings/${id}/frame/${number}`, { signal: own });
+    const [answer, today] = await Promise.all([ask(`recordings/${id}/frame/${number}`, { signal: own }), recordToday(number, own)]);
     const record = JSON.parse(decodeURIComponent(answer.headers.get("X-Stagepose-Record") ?? "null"));
     const picture = await createImageBitmap(await answer.blob());
     fault.value = "";
-    return { picture, said: { row: number, record, size: [picture.width, picture.height] } };
+    return { picture, said: { row: number, record, today, size: [picture.width, picture.height] } };
   } catch (why) {
     if (!own.aborted) fault.value = why instanceof DOMException ? "This row's picture cannot be read." : reason(why);
-    return { picture: null, said: { row: number, record: null, size: null } };
+    return { picture: null, said: { row: number, record: null, today: null, size: null } };
   }
 }
 

@@ -2,8 +2,10 @@
 // so the page shows the newest however slow it is. Silence is said within a second.
 import { signal } from "./vendor/signals.js";
 
-/** Milliseconds: the daemon speaks each 300; who has said nothing for this long is gone. */
-const SILENT_AFTER = 750;
+/** Milliseconds: the daemon speaks each 250 at least; who has said nothing for this long is gone, and that is looked at so often: a loss is said within 650, and a
+ * machine so busy that it is late by 350 is none. */
+export const SILENT_AFTER = 600;
+export const LOOKS_EVERY = 50;
 /** Milliseconds from a lost connection, or one that does not come about, to the next try. */
 const TRY_AGAIN = 700;
 const GIVE_UP_AFTER = 2500;
@@ -12,27 +14,25 @@ const FRAME_SPEAKS = 1000;
 /** Shown frames that the rate is counted over. */
 const RATE_OVER = 30;
 
-/**
- * @typedef {{position_m: number[], orientation_xyzw: number[]}} Pose
- * @typedef {{sequence: number, timestamp_ns: number, state: string, pose: Pose | null, rms_px: number | null, inliers: number | null,
- *   covariance: number[] | null, objects: {name: string, state: string, pose: Pose | null}[]}} PoseRecord a record as docs/protocols.md has it
- * @typedef {{velocity: number[], turn_rate: number[]}} Motion m/s and rad/s in the camera's axes
- * @typedef {{epoch: number, size: [number, number], reason: string | null, says: string | null, mend: string | null, motion: Motion | null,
- *   record: PoseRecord}} Head what is said of a frame
- */
+/** @typedef {import("./types.js").Pose} Pose
+ * @typedef {import("./types.js").PoseRecord} PoseRecord
+ * @typedef {import("./types.js").Motion} Motion
+ * @typedef {import("./types.js").Head} Head */
 
 /** Whether the daemon speaks; null until that is known. */
 export const contact = signal(/** @type {boolean | null} */ (null));
 /** How things stand, as /api/v1/state has it, where no frames come. */
-export const standing = signal(/** @type {{state: string | null, age_s: number | null} | null} */ (null));
+export const standing = signal(/** @type {import("./types.js").Known | null} */ (null));
 /** What was said of the frame that is shown. */
 export const head = signal(/** @type {Head | null} */ (null));
 /** Frames shown a second; null with fewer than two. */
 export const rate = signal(/** @type {number | null} */ (null));
 /** Whether the picture stands still because the user wants it. */
 export const frozen = signal(false);
+/** Whether frames are asked for with the pixels that their poses rest on. */
+export const pixelsWanted = signal(false);
 /** Camera and surfaces of this session, as /api/v1/scene has them. */
-export const scene = signal(/** @type {any} */ (null));
+export const scene = signal(/** @type {import("./types.js").Scene | null} */ (null));
 
 /** Who draws a frame when the browser paints; the picture is gone afterwards. @type {Set<(picture: ImageBitmap, head: Head) => void>} */
 export const painters = new Set();
@@ -47,10 +47,13 @@ let page = null;
 /** @type {number[]} */
 let shownAt = [];
 
+/** When something was last heard, milliseconds of performance.now. */
+export const heard = () => heardAt;
+
 /** Begins. */
 export function listen() {
   connect();
-  setInterval(watch, 100);
+  setInterval(watch, LOOKS_EVERY);
   document.addEventListener("visibilitychange", ask);
 }
 
@@ -67,7 +70,7 @@ function connect() {
   opened.binaryType = "arraybuffer";
   opened.onopen = ask;
   opened.onmessage = ({ data }) => {
-    if (opened === socket) heard(data);
+    if (opened === socket) hear(data);
   };
   opened.onclose = () => {
     if (opened === socket) {
@@ -96,11 +99,11 @@ function watch() {
 function ask() {
   if (owesFrame || frozen.value || document.hidden || socket?.readyState !== WebSocket.OPEN) return;
   owesFrame = true;
-  socket.send("n");
+  socket.send(pixelsWanted.peek() ? "u" : "n");
 }
 
 /** @param {string | ArrayBuffer} data */
-function heard(data) {
+function hear(data) {
   heardAt = performance.now();
   contact.value = true;
   if (typeof data === "string") {

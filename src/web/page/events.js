@@ -8,10 +8,14 @@ const SHOWN = 40;
 /** Milliseconds from a lost connection to the next try. */
 const TRY_AGAIN = 1000;
 
-/** @typedef {{event: string, unix_ms: number, level: string, says: string}} Happening an event as docs/protocols.md has it */
+/** @typedef {import("./types.js").Happening} Happening
+ * @typedef {import("./types.js").Job} Job */
 
 /** The newest first. */
 export const happened = signal(/** @type {Happening[]} */ ([]));
+
+/** The last that was heard of a job: work that takes its time. */
+export const job = signal(/** @type {Job | null} */ (null));
 
 /** What is the matter with the camera; null while it is open. */
 export const trouble = computed(() => {
@@ -27,7 +31,11 @@ export function listenToEvents() {
   // Each connection begins with what is remembered.
   let isFirst = true;
   socket.onmessage = ({ data }) => {
-    happened.value = [JSON.parse(data), ...(isFirst ? [] : happened.value)].slice(0, SHOWN);
+    const said = JSON.parse(data);
+    if (said.event === "job") job.value = said;
+    // How far something is fills no list.
+    if (said.event === "job" && said.state === "running") return;
+    happened.value = [said, ...(isFirst ? [] : happened.value)].slice(0, SHOWN);
     isFirst = false;
   };
   socket.onclose = () => setTimeout(listenToEvents, TRY_AGAIN);

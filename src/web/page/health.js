@@ -20,9 +20,8 @@ const LEVELS = {
   off: { word: "Off", shape: "M2 7h12v2H2z" },
 };
 
-/** @typedef {{part: string, level: keyof typeof LEVELS, sentence: string, mend: string | null}} Part
- * @typedef {{name: string, protocol: string, sent: number, failed: number, withheld: number, dropped: number, latency_us: number | null, per_s: number | null,
- *   last: any, last_hex: string | null}} Output */
+/** @typedef {import("./types.js").Part} Part
+ * @typedef {import("./types.js").Output} Output */
 
 const parts = signal(/** @type {Part[] | null} */ (null));
 const outputs = signal(/** @type {Output[]} */ ([]));

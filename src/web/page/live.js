@@ -3,7 +3,7 @@ import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { contact, frozen, head, painters, rate, standing } from "./daemon.js";
 import { Happened, trouble } from "./events.js";
-import { drawAgain, drawFrame, drawOn, floored, hidden, outlined, parted } from "./picture.js";
+import { drawAgain, drawFrame, drawOn, floored, hidden, outlined, parted, rested, restsOn } from "./picture.js";
 import { Stage } from "./stage.js";
 import { Strip } from "./strip.js";
 import { theme } from "./theme.js";
@@ -80,6 +80,9 @@ export function State() {
 /** Width and height of the pictures; that of a wide picture before the first. */
 const size = computed(() => head.value?.size.join("x") ?? "16x9");
 
+/** What the residuals of the shown frame are drawn to; a frame without a pose has none. */
+const rests = computed(() => (head.value === null || head.value.record.pose ? restsOn.value : "Nothing is measured in this frame."));
+
 function Picture() {
   const below = useRef(null);
   const above = useRef(null);
@@ -104,12 +107,23 @@ function Picture() {
       sized.disconnect();
     };
   }, []);
+  useEffect(() => {
+    if (!rested.value) return;
+    let isGone = false;
+    let end = () => {};
+    import("./used.js").then(({ watchUsed }) => !isGone && (end = watchUsed()), () => (rested.value = false));
+    return () => {
+      isGone = true;
+      end();
+    };
+  }, [rested.value]);
   // Marks have the theme's colours; which are drawn is chosen.
   useEffect(drawAgain, [theme.value, outlined.value, floored.value, parted.value]);
   const [width, height] = size.value.split("x").map(Number);
   return html`<figure class="picture" style=${{ aspectRatio: width / height, maxWidth: `calc((100vh - 9rem) * ${width / height})` }}>
     <canvas ref=${below} role="img" aria-label="What the camera sees" />
-    <canvas ref=${above} class="marks ${outlined.value || floored.value || parted.value ? "" : "off"}" aria-hidden="true" />
+    <canvas ref=${above} class="marks ${outlined.value || floored.value || parted.value || rested.value ? "" : "off"}" aria-hidden="true" />
+    ${rested.value ? html`<p class="scale">${rests}</p>` : null}
     ${frozen.value ? html`<figcaption>Frozen. Space goes on.</figcaption>` : null}
   </figure>`;
 }

@@ -13,6 +13,9 @@ export const parted = signal(false);
 export const hidden = signal("");
 /** What else is drawn on the live picture. @type {Set<(context: CanvasRenderingContext2D, width: number, colour: (name: string) => string) => void>} */
 export const extraMarks = new Set();
+/** Whether it is drawn what the poses rest on: by used.js, which is loaded when it is first asked for; and what that is, in words. */
+export const rested = signal(false);
+export const restsOn = signal("");
 /** Whether the floor is drawn. */
 export const floored = signal(false);
 
@@ -62,39 +65,40 @@ export function drawPicture(canvas, picture) {
   canvas.getContext("2d", { alpha: false })?.drawImage(picture, 0, 0);
 }
 
-/** The marks of a frame on a canvas that lies on its picture. @param {HTMLCanvasElement} above @param {{record: any, size: [number, number]}} said */
+/** The marks of a frame on a canvas that lies on its picture. @param {HTMLCanvasElement} above @param {{record: import("./daemon.js").PoseRecord | null, size: number[]}} said */
 export function drawMarks(above, said) {
   const drawn = emptied(above);
   if (!drawn) return;
   const { context, width, colour } = drawn;
   const { record, size } = said;
   const seen = record?.pose;
-  if (!scene.value || !seen) return;
+  const known = scene.value;
+  if (!known || !record || !seen) return;
   const scale = width / size[0];
-  const draw = (/** @type {any} */ surface, /** @type {any} */ pose, /** @type {string} */ state) => {
+  const draw = (/** @type {import("./types.js").Surface} */ surface, /** @type {import("./types.js").Pose | null} */ pose, /** @type {string} */ state) => {
     const inStage = (/** @type {number[]} */ point) => (pose === null ? point : place(pose, point));
-    const pixels = surface.outline_m.map((/** @type {number[]} */ point) => pixel(scene.value.camera, within(seen, inStage(point))));
+    const pixels = surface.outline_m.map((point) => pixel(known.camera, within(seen, inStage(point))));
     stroke(context, pixels, scale, colour(state));
   };
-  if (floored.value) drawFloor(context, record.pose, scale, colour("accent"));
+  if (floored.value) drawFloor(context, known.camera, seen, scale, colour("accent"));
   if (!outlined.value) return;
-  for (const surface of scene.value.stage.surfaces) draw(surface, null, record.state);
-  scene.value.objects.forEach((/** @type {any} */ object, /** @type {number} */ k) => {
+  for (const surface of known.stage.surfaces) draw(surface, null, record.state);
+  known.objects.forEach((object, k) => {
     const { pose, state } = record.objects[k] ?? {};
     if (pose) for (const surface of object.surfaces) draw(surface, pose, state);
   });
 }
 
-/** Lines on the stage's floor, a metre apart, through the lens. @param {CanvasRenderingContext2D} context @param {any} pose
- * @param {number} scale @param {string} colour */
-function drawFloor(context, pose, scale, colour) {
-  const [x, y] = pose.position_m.map((/** @type {number} */ value) => Math.round(value));
+/** Lines on the stage's floor, a metre apart, through the lens. @param {CanvasRenderingContext2D} context @param {import("./types.js").Camera} camera
+ * @param {import("./types.js").Pose} pose @param {number} scale @param {string} colour */
+function drawFloor(context, camera, pose, scale, colour) {
+  const [x, y] = pose.position_m.map((value) => Math.round(value));
   const along = Array.from({ length: 1 + (2 * REACHES) / POINTS }, (_, k) => k * POINTS - REACHES);
   context.strokeStyle = colour;
   context.lineWidth = devicePixelRatio;
   for (let from = -REACHES; from <= REACHES; from += LINES) {
     for (const line of [along.map((to) => [x + from, y + to, 0]), along.map((to) => [x + to, y + from, 0])]) {
-      context.stroke(path(line.map((point) => pixel(scene.value.camera, within(pose, point))), scale));
+      context.stroke(path(line.map((point) => pixel(camera, within(pose, point))), scale));
     }
   }
 }

@@ -3,12 +3,13 @@ import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { Barred, Change, Download } from "./access.js";
 import { post, read, reason, sentence } from "./ask.js";
-import { clip, close, fault, go, goToLoss, isLost, open, painters, playing, row, shown, speed, togglePlaying } from "./clip.js";
+import { clip, close, fault, go, goToLoss, isLost, open, painters, playing, retracked, row, shown, speed, togglePlaying, whose } from "./clip.js";
 import { contact } from "./daemon.js";
 import { draft } from "./drafts.js";
 import { happened } from "./events.js";
 import { viewKeys } from "./pages.js";
 import { drawMarks, drawPicture, outlined } from "./picture.js";
+import { Retracking, Today, goToDifference, swap } from "./retracked.js";
 import { theme } from "./theme.js";
 import { Timeline, clock, secondsOf } from "./timeline.js";
 import { StateMark, amount, html } from "./ui.js";
@@ -19,10 +20,7 @@ const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4, 8];
 /** Letters of a mark, as the daemon takes them. */
 const LONGEST_MARK = 200;
 
-/** @typedef {{id: string, begun_unix_ms: number, seconds: number, frames: number, bytes?: number, open: boolean}} Recording
- * @typedef {{recordings: Recording[], folder: string, ring_s: number, recording: string | null}} List */
-
-const list = signal(/** @type {List | null} */ (null));
+const list = signal(/** @type {import("./types.js").RecordingList | null} */ (null));
 /** Why there is no list. */
 const listFault = signal("");
 /** What became of the last wish. */
@@ -69,7 +67,7 @@ function Picture() {
   const above = useRef(/** @type {HTMLCanvasElement | null} */ (null));
   const again = () => {
     const now = shown.peek();
-    if (above.current && now?.size) drawMarks(above.current, /** @type {any} */ (now));
+    if (above.current && now?.size) drawMarks(above.current, /** @type {any} */ (chosen(now)));
     else above.current?.getContext("2d")?.reset();
   };
   useEffect(() => {
@@ -77,7 +75,7 @@ function Picture() {
       if (!below.current || !above.current) return;
       if (picture !== null) drawPicture(below.current, picture);
       else below.current.getContext("2d", { alpha: false })?.reset();
-      if (picture !== null) drawMarks(above.current, of);
+      if (picture !== null) drawMarks(above.current, /** @type {any} */ (chosen(of)));
       else above.current.getContext("2d")?.reset();
     };
     const sized = new ResizeObserver(again);
@@ -88,13 +86,18 @@ function Picture() {
       sized.disconnect();
     };
   }, []);
-  useEffect(again, [theme.value, outlined.value]);
+  useEffect(again, [theme.value, outlined.value, whose.value, shown.value?.today]);
   const [width, height] = size.value.split("x").map(Number);
   return html`<figure class="picture" style=${{ aspectRatio: width / height, maxWidth: `calc((100vh - 22rem) * ${width / height})` }}>
     <canvas ref=${below} role="img" aria-label="The recorded picture" />
     <canvas ref=${above} class="marks ${outlined.value ? "" : "off"}" aria-hidden="true" />
     ${fault.value ? html`<figcaption role="status">${fault.value}</figcaption>` : null}
   </figure>`;
+}
+
+/** A row with the record whose outlines are drawn. @param {import("./clip.js").Shown} of */
+function chosen(of) {
+  return { ...of, record: whose.peek() === "today" ? of.today : of.record };
 }
 
 /** The last known size of the pictures. */
@@ -109,6 +112,13 @@ const time = computed(() => (clip.value === null ? "–" : `${clock(secondsOf(cl
 const place = computed(() => (clip.value === null ? "–" : `${row.value + 1} of ${clip.value.frames}`));
 const fits = computed(() => amount(shown.value?.record?.rms_px, 2, "px"));
 const state = computed(() => shown.value?.record?.state ?? null);
+const todayFits = computed(() => amount(shown.value?.today?.rms_px, 2, "px"));
+const todayState = computed(() => shown.value?.today?.state ?? null);
+/** How far apart the two place the camera. */
+const apart = computed(() => {
+  const [a, b] = [shown.value?.record?.pose, shown.value?.today?.pose];
+  return amount(a && b ? 1000 * Math.hypot(...a.position_m.map((value, axis) => value - b.position_m[axis])) : null, 2, "mm");
+});
 
 /** What there is to be said where no recording is open. */
 function nothing() {
@@ -124,6 +134,7 @@ function Player() {
   return html`<div class="player">
     <${Picture} />
     <${Timeline} of=${of} />
+    <${Today} />
     <div class="row">
       <button type="button" onClick=${() => goToLoss(-1)} disabled=${losses === 0}>Previous loss</button>
       <button type="button" onClick=${togglePlaying} aria-pressed=${playing.value ? "true" : "false"}>${playing.value ? "Stop" : "Play"}</button>
@@ -141,6 +152,11 @@ function Player() {
       <div><dt>Row</dt><dd>${place}</dd></div>
       <div><dt>State</dt><dd>${state.value === null ? "–" : html`<${StateMark} state=${state.value} />`}</dd></div>
       <div><dt>Fits to</dt><dd>${fits}</dd></div>
+      ${retracked.value === null
+        ? null
+        : html`<div><dt>State, today</dt><dd>${todayState.value === null ? "–" : html`<${StateMark} state=${todayState.value} />`}</dd></div>
+            <div><dt>Fits to, today</dt><dd>${todayFits}</dd></div>
+            <div><dt>Apart</dt><dd>${apart}</dd></div>`}
     </dl>
     <p class="note">${losses === 0 ? "The stage was never lost in it." : `The stage was lost ${losses === 1 ? "once" : `${losses} times`}.`} Outlines are those of today's stage and lens.</p>
   </div>`;
@@ -168,11 +184,6 @@ function Recorder() {
   </section>`;
 }
 
-/** @param {number | undefined} bytes */
-function megabytes(bytes) {
-  return bytes === undefined ? "" : `, ${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
-}
-
 function Choice() {
   const now = list.value;
   if (now === null || now.recordings.length === 0) return null;
@@ -182,12 +193,29 @@ function Choice() {
       ${now.recordings.map(
         (one) => html`<li key=${one.id}>
           <button type="button" aria-pressed=${clip.value?.id === one.id ? "true" : "false"} onClick=${() => open(one.id)}>
-            ${date.format(one.begun_unix_ms)}<br /><small>${clock(one.seconds)}, ${one.frames} rows${megabytes(one.bytes)}${one.open ? ", still going on" : ""}</small>
+            ${date.format(one.begun_unix_ms)}<br /><small>${clock(one.seconds)}, ${one.frames} rows${one.open ? ", still going on" : ""}</small>
           </button>
           <${Download} path=${`recordings/${one.id}/download`} name=${`Download ${one.id}`}>Download<//>
         </li>`,
       )}
     </ul>
+  </section>`;
+}
+
+/** Seconds of pictures in a report, as the command has it. */
+const PICTURES_S = 30;
+
+/** The open recording for whoever helps. */
+function Bundle() {
+  const of = clip.value;
+  if (of === null) return null;
+  return html`<section aria-labelledby="bundle">
+    <h2 id="bundle">Report of a fault</h2>
+    <p class="note">The recording's records and events, the config, diagnostics and the log as one zip, as “stagepose report” makes it. Pictures show whoever was on stage.</p>
+    <div class="row">
+      <${Download} path=${`recordings/${of.id}/report`}>Without pictures<//>
+      <${Download} path=${`recordings/${of.id}/report?pictures=${PICTURES_S}`}>With the last ${PICTURES_S} s of pictures<//>
+    </div>
   </section>`;
 }
 
@@ -213,6 +241,8 @@ const KEYS = [
   { key: "j", name: "j", does: "to the loss before", act: () => goToLoss(-1) },
   { key: "l", name: "l", does: "to the next loss", act: () => goToLoss(1) },
   { key: ",", name: ",", does: "one row back", act: () => go(row.value - 1) },
+  { key: "b", name: "b", does: "outlines of the recorded, and of today's config", act: swap },
+  { key: "d", name: "d", does: "to the next difference", act: goToDifference },
   { key: ".", name: ".", does: "one row on", act: () => go(row.value + 1) },
 ];
 
@@ -238,6 +268,8 @@ export function Recordings() {
     <div class="beside">
       <${Recorder} />
       <${Choice} />
+      <${Retracking} />
+      <${Bundle} />
       <${Events} />
     </div>
   </main>`;

@@ -141,7 +141,7 @@ function at({ width, height, grey }, u, v) {
 /** Looks at a picture. @param {ImageBitmap} picture @param {any} pose @returns {Tiles} */
 function look(picture, pose) {
   const columns = ACROSS * SIDE;
-  rays ??= raysOf(scene.value.camera);
+  rays ??= raysOf(of.camera);
   const rows = rays.length / 2 / columns;
   const camera = greyOf(picture, columns, rows);
   const { which, u, v } = lookUp(pose);

@@ -79,8 +79,8 @@ function drawFloor(context, to, { least, most }) {
 function surfaces(record) {
   /** @type {{points: number[][], state: string}[]} */
   const all = [];
-  for (const { outline_m } of scene.value.stage.surfaces) all.push({ points: outline_m, state: record.state });
-  scene.value.objects.forEach((/** @type {any} */ object, /** @type {number} */ k) => {
+  for (const { outline_m } of scene.value?.stage.surfaces ?? []) all.push({ points: outline_m, state: record.state });
+  scene.value?.objects.forEach((object, k) => {
     const { pose, state } = record.objects[k] ?? {};
     if (!pose) return;
     for (const { outline_m } of object.surfaces) all.push({ points: outline_m.map((/** @type {number[]} */ point) => place(pose, point)), state });

@@ -1,7 +1,7 @@
 // A recording over time: the state of each row as a band, how well its picture fits the pose as a line, events as marks, and where one is.
 import { computed, effect } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
-import { clip, go, row, shown } from "./clip.js";
+import { clip, go, retracked, row, shown } from "./clip.js";
 import { BAND, HEIGHTS, LEAST_FULL } from "./strip.js";
 import { theme } from "./theme.js";
 import { WORDS, emptied, html } from "./ui.js";
@@ -26,7 +26,12 @@ export function secondsOf({ first_ns, last_ns, frames }, number) {
   return first_ns === null || last_ns === null || frames < 2 ? 0 : ((last_ns - first_ns) * number) / (frames - 1) / 1e9;
 }
 
-/** @param {HTMLCanvasElement} canvas @param {Clip} of @param {number} at a row */
+/** The rms, pixels, that fills the height: the same for what was recorded and for what today's config makes of it, so that they compare. */
+const full = computed(() => [clip.value, retracked.value].reduce((most, of) => of?.columns.reduce((worst, { rms_px }) => Math.max(worst, rms_px ?? 0), most) ?? most, LEAST_FULL));
+
+/** @typedef {Pick<Clip, "frames" | "columns" | "events">} Drawn */
+
+/** @param {HTMLCanvasElement} canvas @param {Drawn} of @param {number} at a row */
 function draw(canvas, of, at) {
   const drawn = emptied(canvas);
   if (!drawn) return;
@@ -43,13 +48,12 @@ function draw(canvas, of, at) {
       context.fillRect(from, height - band * HEIGHTS[state], to - from, band * HEIGHTS[state]);
     }
   }
-  const full = Math.max(LEAST_FULL, ...of.columns.map(({ rms_px }) => rms_px ?? 0));
   const [top, room] = [2 * MARK * devicePixelRatio, height - band - 3 * MARK * devicePixelRatio];
   const fits = new Path2D();
   let isOpen = true;
   for (const { row: first, rows, rms_px } of of.columns) {
     if (rms_px !== null) {
-      const [along, y] = [x(first + rows / 2), top + room * (1 - rms_px / full)];
+      const [along, y] = [x(first + rows / 2), top + room * (1 - rms_px / full.value)];
       if (isOpen) fits.moveTo(along, y);
       else fits.lineTo(along, y);
     }
@@ -63,7 +67,7 @@ function draw(canvas, of, at) {
   context.fillRect(x(at + 0.5) - devicePixelRatio, 0, 2 * devicePixelRatio, height);
 }
 
-/** Events as triangles along the upper edge. @param {CanvasRenderingContext2D} context @param {Clip} of @param {(row: number) => number} x
+/** Events as triangles along the upper edge. @param {CanvasRenderingContext2D} context @param {Drawn} of @param {(row: number) => number} x
  * @param {string} colour */
 function drawMarks(context, of, x, colour) {
   const size = MARK * devicePixelRatio;
@@ -96,16 +100,23 @@ const word = computed(() => {
 });
 const told = computed(() => (clip.value === null ? "" : `${clock(secondsOf(clip.value, row.value))}, ${word.value}`));
 
-/** The timeline, as a slider over the rows. @param {{of: Clip}} props */
-export function Timeline({ of }) {
+/** What today's config makes of it, as the recording's own is drawn. */
+const today = computed(() => (retracked.value === null ? null : { ...retracked.value, events: [] }));
+
+/** The drawing of one of the two. @param {{isToday?: boolean}} props */
+export function Drawing({ isToday = false }) {
   const drawn = useRef(/** @type {HTMLCanvasElement | null} */ (null));
   useEffect(() => {
     const canvas = /** @type {HTMLCanvasElement} */ (drawn.current);
-    const again = () => clip.peek() !== null && draw(canvas, /** @type {Clip} */ (clip.peek()), row.peek());
+    const source = isToday ? today : clip;
+    const again = () => {
+      const of = source.peek();
+      if (of !== null) draw(canvas, of, row.peek());
+    };
     const sized = new ResizeObserver(again);
     sized.observe(canvas);
     const stop = effect(() => {
-      void [clip.value, row.value, theme.value];
+      void [source.value, full.value, row.value, theme.value];
       again();
     });
     return () => {
@@ -113,6 +124,11 @@ export function Timeline({ of }) {
       sized.disconnect();
     };
   }, []);
+  return html`<canvas ref=${drawn} aria-hidden="true" />`;
+}
+
+/** The timeline, as a slider over the rows. @param {{of: Clip}} props */
+export function Timeline({ of }) {
   const seek = (/** @type {PointerEvent} */ event) => {
     const { left, width } = /** @type {HTMLElement} */ (event.currentTarget).getBoundingClientRect();
     go(Math.floor(((event.clientX - left) / width) * of.frames));
@@ -133,6 +149,6 @@ export function Timeline({ of }) {
     }}
     onPointerMove=${(/** @type {PointerEvent} */ event) => (event.buttons & 1) !== 0 && seek(event)}
   >
-    <canvas ref=${drawn} aria-hidden="true" />
+    <${Drawing} />
   </div>`;
 }

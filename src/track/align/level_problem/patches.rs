@@ -26,6 +26,8 @@ pub struct Patch {
     pub surface: u32,
     /// Its middle on the surface, metres from the centre (x right, y up).
     pub on_surface_m: Vector2<f64>,
+    /// Its middle in the frame, where the pose puts it, pixels.
+    pub centre_px: Vector2<f64>,
     /// How far from where the pose puts it the frame shows it, pixels of the frame.
     pub shift_px: Vector2<f64>,
     /// Information of the shift, pixels^-2.
@@ -59,9 +61,12 @@ impl LevelSolution<'_> {
         for (r, shift) in problem.runs.iter().zip(shifts) {
             let Some((_, structure)) = patch_shift(&r.evidence) else { continue };
             let Some(on_surface_m) = problem.middle_on_surface(r, &spec.surfaces[r.run.surface as usize], motion) else { continue };
+            let [weight, u, v] = r.evidence.place;
             patches.push(Patch {
                 surface: r.run.surface,
                 on_surface_m,
+                // A pixel of the level covers so many of the frame's, whose centres are at whole numbers.
+                centre_px: Vector2::new(u, v) * (scale / weight) + Vector2::repeat(0.5 * (scale - 1.0)),
                 shift_px: *shift * scale,
                 information: structure / (scale * scale),
                 tile: r.run.tile,

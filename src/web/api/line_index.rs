@@ -1,0 +1,209 @@
+//! Where the lines of large files begin: a recording of an hour has a hundred thousand rows, and nobody shall wait until those before a row are
+//! read. A file is gone through once; while it grows, only what is new. What a recorder has not finished yet is read as it is.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use crate::capture::timestamps::{StampRow, TimestampsError, read_timestamps};
+use crate::safe_file;
+
+/// Of so many lines one is remembered. Chosen: 64 records are 0.1 MB, which are read at once. Raised, each row is read after more of those before it;
+/// lowered, an hour takes more memory than its 13 kB.
+const EACH: u64 = 64;
+/// Files that are remembered; a folder of a season's recordings has fewer. Raised, only memory.
+const MOST_FILES: usize = 1000;
+/// Bytes before the end of what was read that tell whether it is still the same file. Chosen: a record's last numbers. Raised, nothing is gained.
+const TAIL: usize = 64;
+
+/// What a line is in a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// Every line is one.
+    Records,
+    /// Those of a timestamps.csv that stand for rows: neither its first, nor empty ones, nor remarks.
+    Stamps,
+}
+
+impl Kind {
+    fn is_row(self, line: &[u8]) -> bool {
+        let text = line.trim_ascii();
+        self == Self::Records || !(text.starts_with(b"#") || text.iter().all(|byte| *byte == b',' || byte.is_ascii_whitespace()))
+    }
+}
+
+/// What is known of a file.
+#[derive(Debug, Default)]
+struct Known {
+    /// A timestamps.csv's first line.
+    header: Vec<u8>,
+    /// Bytes of whole lines so far, and how many of these are rows.
+    read: u64,
+    rows: u64,
+    /// Where each row that is remembered begins.
+    places: Vec<u64>,
+    /// What stands before `read`.
+    tail: Vec<u8>,
+}
+
+impl Known {
+    /// Whether it is still of this file.
+    fn is_of(&self, file: &mut File) -> io::Result<bool> {
+        if file.metadata()?.len() < self.read {
+            return Ok(false);
+        }
+        let mut tail = vec![0; self.tail.len()];
+        file.seek(SeekFrom::Start(self.read - self.tail.len() as u64))?;
+        file.read_exact(&mut tail)?;
+        Ok(tail == self.tail)
+    }
+
+    /// Takes in what has come.
+    fn follow(&mut self, file: &mut File, kind: Kind) -> io::Result<()> {
+        file.seek(SeekFrom::Start(self.read))?;
+        let (mut reader, mut line) = (BufReader::with_capacity(1 << 18, &*file), Vec::new());
+        loop {
+            line.clear();
+            let length = reader.read_until(b'\n', &mut line)? as u64;
+            if !line.ends_with(b"\n") {
+                return Ok(());
+            }
+            if kind == Kind::Stamps && self.header.trim_ascii().is_empty() {
+                self.header.clone_from(&line);
+            } else if kind.is_row(&line) {
+                if self.rows.is_multiple_of(EACH) {
+                    self.places.push(self.read);
+                }
+                self.rows += 1;
+            }
+            self.read += length;
+            self.tail.extend_from_slice(&line[line.len().saturating_sub(TAIL)..]);
+            self.tail.drain(..self.tail.len().saturating_sub(TAIL));
+        }
+    }
+
+    /// The last place before a row that is known, and how many rows are between.
+    fn before(&self, row: u64) -> (u64, u64) {
+        let k = (row / EACH).min((self.places.len() as u64).saturating_sub(1));
+        // Before the first row only a header may stand.
+        self.places.get(k as usize).map_or((self.read, row), |place| (*place, row - k * EACH))
+    }
+}
+
+/// All files that were asked for.
+#[derive(Debug, Default)]
+pub(super) struct LineIndex(Mutex<HashMap<PathBuf, Known>>);
+
+impl LineIndex {
+    /// So many lines of a file of records from there on, each with its end.
+    pub fn records(&self, file: &Path, from: u64, count: u64) -> io::Result<Vec<u8>> {
+        let mut text = Vec::new();
+        self.each(file, Kind::Records, from, count, |line| {
+            text.extend_from_slice(line);
+            if !line.ends_with(b"\n") {
+                text.push(b'\n');
+            }
+        })?;
+        Ok(text)
+    }
+
+    /// A row of a timestamps.csv; none where it has fewer.
+    pub fn stamp(&self, file: &Path, row: u64) -> Result<Option<StampRow>, TimestampsError> {
+        let mut text = Vec::new();
+        let header = self.each(file, Kind::Stamps, row, 1, |line| text.extend_from_slice(line)).map_err(TimestampsError::Read)?;
+        Ok(read_timestamps([header, text].concat().as_slice())?.pop())
+    }
+
+    /// How many rows a timestamps.csv has, those that are written whole.
+    pub fn rows(&self, file: &Path) -> io::Result<u64> {
+        self.each(file, Kind::Stamps, 0, 0, |_| {})?;
+        let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok(known.get(file).map_or(0, |known| known.rows))
+    }
+
+    /// Calls with so many rows from there on; gives the file's header.
+    fn each(&self, path: &Path, kind: Kind, from: u64, count: u64, mut take: impl FnMut(&[u8])) -> io::Result<Vec<u8>> {
+        let mut file = safe_file::open(path)?;
+        let ((place, mut between), header) = {
+            let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            if all.len() >= MOST_FILES && !all.contains_key(path) {
+                all.clear();
+            }
+            let known = all.entry(path.to_owned()).or_default();
+            if !known.is_of(&mut file)? {
+                *known = Known::default();
+            }
+            known.follow(&mut file, kind)?;
+            (known.before(from), known.header.clone())
+        };
+        if count == 0 {
+            return Ok(header);
+        }
+        file.seek(SeekFrom::Start(place))?;
+        let (mut reader, mut line, mut left) = (BufReader::new(file), Vec::new(), count);
+        while left > 0 {
+            line.clear();
+            if reader.read_until(b'\n', &mut line)? == 0 {
+                break;
+            }
+            match (kind.is_row(&line), between) {
+                (false, _) => {}
+                (true, 0) => {
+                    take(&line);
+                    left -= 1;
+                }
+                (true, _) => between -= 1,
+            }
+        }
+        Ok(header)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    #[test]
+    fn every_row_is_that_of_a_whole_reading_also_while_the_file_grows() {
+        let folder = tempfile::tempdir().unwrap();
+        let (csv, poses) = (folder.path().join("timestamps.csv"), folder.path().join("poses.jsonl"));
+        let index = LineIndex::default();
+        let mut text = "#timestamp [ns],filename\n".to_owned();
+        let mut records = String::new();
+        for from in [0, 1, 63, 64, 65, 200, 1000] {
+            for k in from..from + 90 {
+                text += &format!("{},{k}.jpg\r\n", 10 * k);
+                text += ["", "\n", "# a remark\n", " , \n"][k % 4];
+                records += &format!("{{\"sequence\":{k}}}\n{}", if k % 7 == 0 { "\n" } else { "" });
+            }
+            // Of the last lines a part is written.
+            std::fs::write(&csv, format!("{text}9")).unwrap();
+            std::fs::write(&poses, format!("{records}{{\"seq")).unwrap();
+            let whole = read_timestamps(std::fs::read(&csv).unwrap().as_slice()).unwrap();
+            assert_eq!(index.rows(&csv).unwrap(), whole.len() as u64 - 1);
+            for row in [0, 1, 62, 63, 64, 65, 88, 89, whole.len() / 2, whole.len() - 2, whole.len() - 1, whole.len(), 9999] {
+                assert_eq!(index.stamp(&csv, row as u64).unwrap().as_ref(), whole.get(row), "{row} of {}", whole.len());
+            }
+            let lines: Vec<&str> = records.lines().chain(["{\"seq"]).collect();
+            for (from, count) in [(0, 3), (60, 9), (64, 1), (lines.len() - 2, 5), (lines.len(), 2), (77_777, 1)] {
+                let wanted: String = lines.iter().skip(from).take(count).map(|line| format!("{line}\n")).collect();
+                assert_eq!(String::from_utf8(index.records(&poses, from as u64, count as u64).unwrap()).unwrap(), wanted, "{from}");
+            }
+        }
+        // Another file in its place, also a longer one.
+        for rows in [3, 4000] {
+            let text: String = (0..rows).map(|k| format!("{{\"other\":{k}}}\n")).collect();
+            std::fs::write(&poses, text).unwrap();
+            assert_eq!(index.records(&poses, rows - 1, 2).unwrap(), format!("{{\"other\":{}}}\n", rows - 1).as_bytes());
+        }
+        let mut file = std::fs::OpenOptions::new().append(true).open(&csv).unwrap();
+        file.write_all(b"99\n").unwrap();
+        assert!(matches!(index.stamp(&folder.path().join("none"), 0), Err(TimestampsError::Read(_))));
+        std::fs::write(&csv, "no header\n1,a.jpg\n").unwrap();
+        assert!(matches!(index.stamp(&csv, 0), Err(TimestampsError::Header(_))));
+    }
+}
