@@ -1,10 +1,10 @@
 #!/usr/bin/env node
 // Makes the pictures of the page for the documents: every view in every colours, docs/page-VIEW-COLOURS.jpg, each of at most 60 kB. They are to be looked at.
 //   STAGEPOSE=target/release/stagepose PAGE_OUT=target/page tests/page/pictures.mjs
-import { readFileSync, writeFileSync } from "node:fs";
+import { linkSync, readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { PATIENCE, THEMES, freeze, launch, out, pageOf, until } from "./browser.mjs";
-import { prepareShow, start } from "./daemon.mjs";
+import { prepare, prepareShow, start } from "./daemon.mjs";
 
 const docs = new URL("../../docs/", import.meta.url).pathname;
 /** Bytes of a picture at most: a document has a dozen. */
@@ -13,8 +13,10 @@ const MOST = 60_000;
 const [SIZE, SCALE] = [{ width: 1280, height: 800 }, 0.75];
 
 const browser = await launch();
+// One where nothing happens, and a show that goes dark again and again.
+const still = await prepare(join(out, "run-pictures-still"));
 const place = await prepareShow(join(out, "run-pictures"), browser);
-const daemon = start(place.folder, "long.mjpeg", []);
+const daemons = [still, place].map(({ folder }) => start(folder, "long.mjpeg", []));
 const wish = (path, content) => fetch(`${place.address}api/v1/${path}`, { method: "POST", ...(content ? { body: JSON.stringify(content) } : {}) });
 const list = async () => (await fetch(`${place.address}api/v1/recordings`)).json();
 
@@ -41,7 +43,12 @@ const VIEWS = {
     const again = page.getByRole("button", { name: "Track it again" });
     if ((await page.locator(".retracking table").count()) === 0) await again.click();
     await page.locator(".retracking table").waitFor({ timeout: 300_000 });
-    await page.evaluate(async () => (await import("/clip.js")).go(40));
+    // Where the stage has been tracked for a while.
+    await page.evaluate(async () => {
+      const { clip, go } = await import("/clip.js");
+      const { columns } = clip.value;
+      go(columns.findIndex((_, k) => k >= 30 && columns.slice(k - 30, k + 1).every(({ state }) => state === "tracking")));
+    });
     await page.waitForTimeout(1500);
   },
   async health(page) {
@@ -57,19 +64,32 @@ try {
   await wish("recordings/mark", { text: "cue 12" });
   await until(list, ({ recordings }) => recordings[0]?.frames > 2 * place.round);
   await wish("recordings/stop");
-  for (const [name, prepare] of Object.entries(VIEWS)) {
+  await until(list, ({ recording }) => recording === null);
+  // From now on nothing happens there either, or a picture says that the stage is lost.
+  await daemons.pop()?.end();
+  linkSync(join(still.folder, "long.mjpeg"), join(place.folder, "camera.mjpeg"));
+  daemons.push(start(place.folder, "camera.mjpeg", []));
+  for (const [name, prepared] of Object.entries(VIEWS)) {
     if (process.argv.length > 2 && !process.argv.includes(name)) continue;
-    const { page, close } = await pageOf(browser, place.address, { view: name, viewport: SIZE, deviceScaleFactor: SCALE, colorScheme: "dark", bypassCSP: true });
-    await prepare(page);
+    const { page, close } = await pageOf(browser, (name === "live" || name === "set" ? still : place).address, { view: name, viewport: SIZE, deviceScaleFactor: SCALE, colorScheme: "dark", bypassCSP: true });
+    // On a machine that is busy, a browser without a graphics card draws seldom.
+    page.setDefaultTimeout(5 * PATIENCE);
+    await prepared(page);
     // A browser without a graphics card paints no pictures beside those that come. What says so is not what the page looks like.
     if (await page.getByRole("button", { name: "Freeze", exact: true }).count()) {
       await freeze(page);
+      // A frame whose residuals are known.
+      while (name === "live" && !(await page.evaluate(async () => (await import("/daemon.js")).head.value?.displaced?.length))) {
+        await page.getByRole("button", { name: "Freeze", exact: true }).click();
+        await page.waitForTimeout(500);
+        await freeze(page);
+      }
       await page.addStyleTag({ content: ".picture figcaption { display: none; }" });
     }
     for (const theme of THEMES) {
       await page.getByLabel(theme, { exact: true }).check({ force: true });
-      await until(() => page.locator("header .state").textContent(), (state) => state.includes("Tracking"));
       await page.waitForTimeout(1000);
+      await until(() => page.locator("header .state").textContent(), (state) => state.includes("Tracking"));
       const file = join(docs, `page-${name}-${theme}.jpg`);
       let [quality, bytes] = [85, Buffer.alloc(0)];
       do bytes = await page.screenshot({ type: "jpeg", quality, timeout: 4 * PATIENCE });
@@ -81,5 +101,5 @@ try {
   }
 } finally {
   await browser.close();
-  await daemon.end();
+  for (const daemon of daemons) await daemon.end();
 }
