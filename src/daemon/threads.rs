@@ -8,14 +8,14 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use thiserror::Error;
 
 use super::entries::sight;
-use super::live::{LiveLink, LiveSource, dropped};
+use super::live::{Event, LiveLink, LiveSource, dropped};
 use super::reason_watch::ReasonWatch;
 use super::stale::StaleWatch;
 use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, EntryOrder, FrameSource};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::PoseSample;
-use crate::track::{Matcher, Sighting};
+use crate::track::{Matcher, ModelNews, Sighting};
 use crate::tracker::{PoseRecorder, Tracker};
 
 /// What happens when a stage is slower than the one before it.
@@ -277,6 +277,9 @@ fn publish(
             Ok(Seen { row, sighting, age_ms }) => {
                 let mut sample = poses.sample(&sighting, row.decode.as_secs_f64() * 1e3);
                 sample.times.age_ms = age_ms;
+                if let Some(news) = sighting.misfit {
+                    tell(news, watch.as_ref().map(StaleWatch::link));
+                }
                 if let Some(watch) = &mut watch {
                     watch.seen(&sample);
                     count(watch.link(), &row, &sample);
@@ -294,6 +297,15 @@ fn publish(
             }
             Err(RecvTimeoutError::Disconnected) => return,
         }
+    }
+}
+
+/// Says which part of the model differs: to whoever listens to a live camera's events, else to the log.
+fn tell(news: ModelNews, live: Option<&LiveLink>) {
+    let (part, text) = (news.part.word().to_owned(), news.text());
+    match live {
+        Some(live) => live.events.publish(Event::ModelDiffers { part, surface: news.surface, text }),
+        None => tracing::warn!("{text}"),
     }
 }
 

@@ -37,8 +37,8 @@ const SAME_RATIO: f64 = 0.06;
 const LARGEST_SHIFT: f64 = 0.1;
 const LARGEST_TURN_DEG: f64 = 12.0;
 
-/// What the views say; `views` are those of each frame.
-pub fn of_views(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<SurfaceView>], is_followed: bool) -> Vec<Finding> {
+/// What the views say; `views` are those of each frame. `is_explained`: aligned pixels, which tell more finely, have named what is a little off.
+pub fn of_views(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<SurfaceView>], is_followed: bool, is_explained: bool) -> Vec<Finding> {
     let count = |s: usize| views.iter().flatten().filter(|v| v.surface as usize == s).count();
     let Some(main) = (0..setup.stage.surfaces.len()).max_by_key(|s| (count(*s), usize::MAX - s)) else { return Vec::new() };
     let seen = views_of(setup, views, main);
@@ -48,7 +48,7 @@ pub fn of_views(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<SurfaceView
     let case = Case { setup, frames, main, spec: &setup.stage.surfaces[main], floor: seen.floor(), seen };
     let left = case.seen.left(AS_CONFIGURED);
     tracing::debug!(left, floor = case.floor, views = case.seen.views.len(), "lens and shape as configured");
-    if !case.fits(left) {
+    if !case.fits(left) && !is_explained {
         match case.misfit() {
             Some(finding) => return vec![finding],
             // Where it is followed, what no shape and no lens explains is the frames' own motion, not the config's fault.
@@ -56,7 +56,7 @@ pub fn of_views(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<SurfaceView
             None => {}
         }
     }
-    let mut findings = case.shape_as_seen(left);
+    let mut findings = if is_explained { Vec::new() } else { case.shape_as_seen(left) };
     let others = (0..setup.stage.surfaces.len()).filter(|s| *s != main);
     findings.extend(others.filter_map(|other| case.place_of(views, other)));
     if !is_followed && findings.is_empty() && case.is_on_its_side() {

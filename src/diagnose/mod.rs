@@ -88,7 +88,7 @@ impl Trial {
 
 /// What is wrong with a clip, by trying; `frames` are some of its frames, spread over it. `is_followed`: whether tracking went well
 /// as configured, by `travel`.
-pub fn of_clip(setup: &TrackerSetup, frames: &[Frame], is_followed: bool, travel: &Travel) -> Vec<Finding> {
+pub fn of_clip(setup: &TrackerSetup, frames: &[Frame], is_followed: bool, is_explained: bool, travel: &Travel) -> Vec<Finding> {
     let mut findings = picture::of_frames(frames, is_followed);
     let mut trial = Trial::of(setup);
     let views: Vec<Vec<SurfaceView>> = frames.iter().map(|f| trial.views(&f.image)).collect();
@@ -97,7 +97,7 @@ pub fn of_clip(setup: &TrackerSetup, frames: &[Frame], is_followed: bool, travel
         findings.extend(picture::of_pictures(setup, frames, seen));
     }
     if seen > 0 {
-        findings.extend(geometry::of_views(setup, frames, &views, is_followed));
+        findings.extend(geometry::of_views(setup, frames, &views, is_followed, is_explained));
         findings.extend(picture::never_recognised(setup, frames, &views, travel));
     }
     findings

@@ -25,6 +25,7 @@ fn sighting(sequence: u64, stage: State, object: State) -> Sighting {
         stage: body(stage),
         two_view: None,
         objects: vec![body(object)],
+        misfit: None,
         acquire_ms: 0.0,
         align_ms: 0.0,
     }

@@ -12,6 +12,7 @@ use super::acquire::{Candidate, SurfaceMatch, SurfaceView, candidates, surface_v
 use super::align::{CameraRays, FrameLevels};
 use super::feature_search::{FeatureSearch, Look};
 use super::frame_look::FrameLook;
+use super::misfit::ModelNews;
 use super::reason::Reason;
 use super::registration::SearchPicture;
 use super::row_motion::RowMotion;
@@ -280,6 +281,19 @@ impl BodySearch {
         });
         self.spent.align_ms += start.elapsed_ms() + self.workers.take_extra_ms();
         aligned.or(best)
+    }
+
+    /// Lets the frame of a followed body say what of its model it speaks against; see [`TrackedBody::study`]. And the workers' time, milliseconds.
+    pub fn study(&mut self, frame: &Frame, tracked: &mut TrackedBody, verified: &Verified) -> (Option<ModelNews>, f64) {
+        let view = View {
+            camera: &self.camera,
+            full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
+            half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
+            row_motion: RowMotion { shutter: self.shutter, before: tracked.before_at(frame.timestamp) },
+            workers: &self.workers,
+        };
+        let news = tracked.study(&verified.pose, &view, &mut self.verify_buffers);
+        (news, self.workers.take_extra_ms())
     }
 
     /// Says of every body without a verified pose why it has none.

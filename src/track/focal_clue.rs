@@ -158,7 +158,18 @@ impl RowDisplacement {
         Self { motion_information: still(), ..*self }
     }
 
-    fn delay_s(&self, t: &TileResidual) -> f64 {
+    /// Whether somebody said when the rows are exposed.
+    pub fn is_described(&self) -> bool {
+        self.is_described
+    }
+
+    /// Inverse covariance of the motion that displaces them, per second.
+    pub fn motion_information(&self) -> &Matrix6<f64> {
+        &self.motion_information
+    }
+
+    /// When a tile's row was exposed, seconds after the middle one.
+    pub fn delay_s(&self, t: &TileResidual) -> f64 {
         self.shutter.delay_s(t.place_px.y + 0.5, self.height)
     }
 }

@@ -16,6 +16,7 @@ use super::body_search::{BodySearch, Scene};
 use super::frame_interval::FrameInterval;
 use super::lens_doubt::{covariance_by_lens, covariance_by_shape};
 use super::lens_watch::{LensState, LensWatch};
+use super::misfit::{ModelNews, ModelReport};
 use super::pixel_watch::{PixelWatch, Used, UsedPixels};
 use super::reason::Reason;
 use super::row_motion::RowMotion;
@@ -57,6 +58,8 @@ pub struct Sighting {
     pub two_view: Option<TwoView>,
     /// The objects, in the order of the config.
     pub objects: Vec<BodySighting>,
+    /// A part of the stage's model that the frames speak against, told once each.
+    pub misfit: Option<ModelNews>,
     /// Compute on finding candidates, milliseconds over all workers.
     pub acquire_ms: f64,
     /// Compute on registration and verification, milliseconds over all workers.
@@ -75,7 +78,17 @@ impl Sighting {
         let mut bodies = states.into_iter().map(|state| BodySighting { state, verified: None, reason: Some(reason) });
         // There is always a stage.
         let stage = bodies.next().unwrap_or(BodySighting { state: State::Searching, verified: None, reason: Some(reason) });
-        Self { sequence, timestamp, is_timed, stage, two_view: None, objects: bodies.collect(), acquire_ms: 0.0, align_ms: 0.0 }
+        Self {
+            sequence,
+            timestamp,
+            is_timed,
+            stage,
+            two_view: None,
+            objects: bodies.collect(),
+            misfit: None,
+            acquire_ms: 0.0,
+            align_ms: 0.0,
+        }
     }
 }
 
@@ -162,7 +175,8 @@ impl Matcher {
         self.show_pixels(frame.sequence);
         let start = self.clock.start();
         let lens = self.watch_lens(frame.timestamp);
-        align_ms += start.elapsed_ms();
+        let (misfit, extra_ms) = self.study_stage(frame, lens).unwrap_or_default();
+        align_ms += start.elapsed_ms() + extra_ms;
         let stage = self.sighting_of(0, frame.timestamp, lens);
         let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp, lens)).collect();
         let start = self.clock.start();
@@ -179,6 +193,7 @@ impl Matcher {
             stage,
             two_view,
             objects,
+            misfit,
             acquire_ms: spent.acquire_ms,
             align_ms,
         }
@@ -203,6 +218,16 @@ impl Matcher {
         let doubt = camera.doubt().map_or(0.0, |doubt| doubt.uncertainty.focal_px[0] / (3.0 * camera.intrinsics().fx));
         let is_seen = self.fits.iter().any(Option::is_some);
         self.lens_watch.update(clue, is_seen, doubt)
+    }
+
+    /// Lets the frame say what of the stage's model it speaks against, if it is time for one; and the workers' time, milliseconds.
+    fn study_stage(&mut self, frame: &Frame, lens: LensState) -> Option<(Option<ModelNews>, f64)> {
+        let tracked = self.bodies.first_mut()?;
+        if !tracked.is_study_due(lens == LensState::Fits) {
+            return None;
+        }
+        let verified = self.verified.first()?.as_ref()?;
+        Some(self.search.study(frame, tracked, verified))
     }
 
     /// What the track state makes of the frame's pose of body `k`.
@@ -293,6 +318,16 @@ impl Matcher {
         self.shutter = shutter;
         self.search.set_shutter(shutter);
         self.bodies.iter_mut().for_each(|b| b.aligner.ask_shutter(shutter));
+    }
+
+    /// From now on every frame is asked which part of the stage's model it speaks against, for [`model_report`](Self::model_report).
+    pub fn study_model(&mut self) {
+        self.bodies.iter_mut().take(1).for_each(TrackedBody::study_model);
+    }
+
+    /// How well the stage's model fitted the frames.
+    pub fn model_report(&self) -> ModelReport {
+        self.bodies.first().map_or_else(ModelReport::default, |stage| stage.model_report(&self.camera))
     }
 
     /// What the last frame said of the shutter through the stage; `None` where it is not asked, or the stage was not aligned.

@@ -5,7 +5,7 @@
 //! to frame, pixel by pixel; `track_state` decides what a verified pose means in time;
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
 //! homography and essential matrix; `lens_doubt` tells what the doubt about lens and shapes leaves open; `tile_residuals` are the displacements that a solution leaves, `model_error` is what
-//! they say of the pose, `focal_clue` what they say of the focal length, and `lens_watch` withholds poses where the lens was moved; `reason` says why a frame has no pose, `failure` finds it, with
+//! they say of the pose, `model_study` finds which part of the model they speak against (its unknowns: `model_unknowns`; what it found: `misfit`), which `model_watch` says once, `focal_clue` what they say of the focal length, and `lens_watch` withholds poses where the lens was moved; `reason` says why a frame has no pose, `failure` finds it, with
 //! `frame_look`; `unexplained` is what of a frame no followed body explains, where missing ones are looked for, in `search_windows`; `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
 //! body; `body_search` looks for those that are not followed; `pixel_watch` shows what a pose rests on to whoever asks; `matcher` runs them all on a frame.
 
@@ -21,7 +21,11 @@ mod frame_look;
 mod lens_doubt;
 mod lens_watch;
 mod matcher;
+mod misfit;
 mod model_error;
+mod model_study;
+mod model_unknowns;
+mod model_watch;
 mod pixel_watch;
 mod planar_ambiguity;
 mod reason;
@@ -49,6 +53,7 @@ pub use align::{AlignKernels, Alignment, Clue, UsedPixel};
 pub(crate) use frame_look::FrameLook;
 pub use lens_doubt::covariance_by_lens;
 pub use matcher::{BodySighting, Matcher, Sighting};
+pub use misfit::{ModelNews, ModelReport, Part};
 pub use pixel_watch::{Displaced, UsedPixels};
 pub use reason::Reason;
 pub use settings::TrackerSettings;

@@ -67,7 +67,8 @@ pub struct SearchPicture<'a> {
 /// A patch to be searched for.
 #[derive(Debug, Clone, Copy)]
 pub struct Target {
-    surface: u32,
+    /// Index of the surface in its body.
+    pub surface: u32,
     octave: u32,
     artwork: Vector2<f64>,
     point: Point3<f64>,
@@ -88,9 +89,7 @@ pub fn visible_targets(
 ) {
     targets.clear();
     let t_body_camera = pose.inverse();
-    let mut starts = Vec::with_capacity(body.surfaces.len() + 1);
     for (index, surface) in body.surfaces.iter().enumerate() {
-        starts.push(targets.len());
         let Some(octave) = best_octave(surface, &t_body_camera, camera, picture.scale) else { continue };
         for anchor in &surface.octaves[octave].anchors {
             let Some(mut target) = project_anchor(surface, &t_body_camera, camera, anchor.position, picture) else { continue };
@@ -102,24 +101,24 @@ pub fn visible_targets(
             targets.push(target);
         }
     }
-    starts.push(targets.len());
-    thin(targets, &starts, count);
+    thin(targets, count);
 }
 
 /// Keeps the first anchors of every surface, in proportion to what each shows (they come best spread first).
-fn thin(targets: &mut Vec<Target>, starts: &[usize], count: usize) {
+fn thin(targets: &mut Vec<Target>, count: usize) {
     let all = targets.len();
     if all <= count {
         return;
     }
-    let keep: Vec<usize> = starts.windows(2).map(|w| ((w[1] - w[0]) * count).div_ceil(all)).collect();
-    let mut index = 0;
-    targets.retain(|t| {
-        let surface = t.surface as usize;
-        let rank = index - starts[surface];
-        index += 1;
-        rank < keep[surface]
-    });
+    let (mut from, mut kept) = (0, 0);
+    while let Some(first) = targets.get(from) {
+        let surface = first.surface;
+        let own = targets[from..].iter().take_while(|t| t.surface == surface).count();
+        let keep = (own * count).div_ceil(all);
+        targets.copy_within(from..from + keep, kept);
+        (from, kept) = (from + own, kept + keep);
+    }
+    targets.truncate(kept);
 }
 
 /// The octave one of whose pixels is nearest in size to a pixel of the searched picture, at the part of the surface seen best.

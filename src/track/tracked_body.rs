@@ -7,7 +7,9 @@ use super::acquire::Recognition;
 use super::align::{Aligner, Alignment, CameraRays, FrameLevels, Patch, ShutterClue};
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
+use super::misfit::{Misfit, ModelNews, ModelReport};
 use super::model_error::covariance_by_model_error;
+use super::model_watch::ModelWatch;
 use super::pixel_watch::{Displaced, Used};
 use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
 use super::reason::Reason;
@@ -16,7 +18,7 @@ use super::row_motion::RowMotion;
 use super::surface::BodySpec;
 use super::tile_residuals::TileResiduals;
 use super::track_state::TrackStateMachine;
-use super::verify::{Refusal, Verified, VerifyBuffers, View, judged_noise, verify};
+use super::verify::{Refusal, Verified, VerifyBuffers, View, judged_noise, search_silent, verify};
 use crate::camera::{CameraModel, Normalized, Shutter};
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::covariance::covariance_of_inverse;
@@ -83,6 +85,10 @@ pub struct TrackedBody {
     squares: Vec<f64>,
     residuals: TileResiduals,
     steps: Vec<Matrix6x2<f64>>,
+    model_watch: ModelWatch,
+    /// What is studied of a frame, and what it leaves.
+    studied: Vec<FittedAnchor>,
+    study_residuals: TileResiduals,
 }
 
 /// What the displacements that a pose leaves say of the model.
@@ -124,6 +130,9 @@ impl TrackedBody {
             squares: Vec::with_capacity(most),
             residuals: TileResiduals::default(),
             steps: Vec::with_capacity(most),
+            model_watch: ModelWatch::new(body.surfaces.len()),
+            studied: Vec::with_capacity(most),
+            study_residuals: TileResiduals::default(),
             body,
         }
     }
@@ -295,6 +304,52 @@ impl TrackedBody {
     pub fn covariance_by_focal(&self, pose: &Pose<Body, Camera>, sigma: f64) -> Option<Matrix6<f64>> {
         let step = self.residuals.pose_by_focal()? * sigma;
         Some(covariance_of_inverse(&pose.inverse(), &(step * step.transpose())))
+    }
+
+    /// Whether this frame is to be studied. `is_lens_right`: what a lens that was moved leaves is no part of the model.
+    pub fn is_study_due(&mut self, is_lens_right: bool) -> bool {
+        self.model_watch.is_due(is_lens_right)
+    }
+
+    /// Lets the frame of a verified pose say what of the model it speaks against, and tells a part that frames have spoken against for a while.
+    pub fn study(&mut self, pose: &Pose<Body, Camera>, view: &View, buffers: &mut VerifyBuffers) -> Option<ModelNews> {
+        let t_camera_body = pose.inverse();
+        let Self { anchors, found, body, studied, residuals, study_residuals, model_watch, steps, aligner, .. } = self;
+        let aligned = if found.is_empty() { anchors } else { found };
+        search_silent(body, &t_camera_body, view, aligned, buffers);
+        if model_watch.is_thorough() {
+            let doubt_m2 = covariance_by_model_error(&t_camera_body, f64::from(view.camera.width()), residuals, steps);
+            let doubt_m2 = doubt_m2.map_or(0.0, |covariance| covariance.fixed_view::<3, 3>(0, 0).trace());
+            model_watch.doubt(pose, doubt_m2, aligner.distance_m(pose));
+        }
+        if !model_watch.is_thorough() && buffers.searched.is_empty() && !residuals.is_misfit() {
+            return None;
+        }
+        let is_searched = |surface: u32| buffers.searched.iter().any(|a| a.surface == surface);
+        studied.clear();
+        studied.extend(aligned.iter().filter(|a| !is_searched(a.surface)));
+        studied.extend_from_slice(&buffers.searched);
+        study_residuals.take(&t_camera_body, view.camera, studied)?;
+        let rows = RowDisplacement::new(view.camera, &view.row_motion, &t_camera_body);
+        model_watch.take(study_residuals, &t_camera_body, body, studied, &rows);
+        let misfit = model_watch.news(body, view.camera)?;
+        Some(self.named(&misfit))
+    }
+
+    /// From now on every frame is asked what it says of the model, for [`ModelWatch::parts`] to tell in the end.
+    pub fn study_model(&mut self) {
+        self.model_watch = ModelWatch::thorough(self.body.surfaces.len());
+    }
+
+    /// How well the model fitted the frames since it was to be studied.
+    pub fn model_report(&self, camera: &CameraModel) -> ModelReport {
+        let parts = self.model_watch.parts(&self.body, camera);
+        ModelReport { parts: parts.iter().map(|m| self.named(m)).collect(), ..self.model_watch.report() }
+    }
+
+    fn named(&self, misfit: &Misfit) -> ModelNews {
+        let surface = misfit.part.surface().and_then(|k| self.body.surfaces.get(k));
+        ModelNews { part: misfit.part, surface: surface.map(|s| s.spec.name.clone()), cost_mm: misfit.cost_mm }
     }
 
     /// Puts starts to the test, and takes the first clear success, or the best of what passes.

@@ -132,6 +132,45 @@ pub struct VerifyBuffers {
     pub anchors: Vec<FittedAnchor>,
     /// All that were found then, wherever that was.
     pub found: Vec<FittedAnchor>,
+    /// Those that [`search_silent`] found.
+    pub searched: Vec<FittedAnchor>,
+    per_surface: Vec<[usize; 2]>,
+}
+
+/// A surface of which alignment shows less than this share of what it shows of all is silent: it is covered, or stands elsewhere. Chosen: a moved flat's tiles fit here
+/// and there by chance. Raised, surfaces with few details are searched in vain, in time; lowered, a flat that was moved by little is not searched for.
+const SILENT_SHARE: f64 = 0.6;
+/// Anchors in view that a surface must have to be missed. Chosen, not tuned. Raised, small flats are never searched for; lowered, specks are.
+const LEAST_MISSED: usize = 10;
+
+/// Searches for the anchors of surfaces that should be in view but of which alignment shows little, around where the pose puts them. `aligned`: what it shows. The anchors
+/// are in `buffers.searched` then.
+pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &View, aligned: &[FittedAnchor], buffers: &mut VerifyBuffers) {
+    let VerifyBuffers { targets, registered, searched, per_surface, .. } = buffers;
+    searched.clear();
+    if body.surfaces.len() < 2 {
+        return;
+    }
+    visible_targets(body, pose, view.camera, &view.full, FINE_ANCHORS, targets);
+    per_surface.clear();
+    per_surface.resize(body.surfaces.len(), [0, 0]);
+    targets.iter().for_each(|t| per_surface[t.surface as usize][0] += 1);
+    aligned.iter().for_each(|a| per_surface[a.surface as usize][1] += 1);
+    let usual = aligned.len() as f64 / targets.len().max(1) as f64;
+    let is_silent = |[wanted, shown]: [usize; 2]| wanted >= LEAST_MISSED && (shown as f64) < SILENT_SHARE * usual * wanted as f64;
+    targets.retain(|t| is_silent(per_surface[t.surface as usize]));
+    if targets.is_empty() {
+        return;
+    }
+    register(body, targets, &view.full, view.workers, registered);
+    let moving = MovingCamera { lens: view.camera, twist: view.row_motion.twist(pose) };
+    let shutter = view.row_motion.shutter;
+    searched.extend(registered.iter().flatten().filter_map(|r| {
+        let seen = r.observation?;
+        let observation = Observation { delay_s: shutter.delay_s(seen.pixel.y + 0.5, view.camera.height()), ..seen };
+        let corrected_px = rolling_shutter_corrected_px(pose, &moving, &observation);
+        Some(FittedAnchor { surface: r.surface, artwork: r.artwork, observation, corrected_px })
+    }));
 }
 
 /// Refines a candidate coarse to fine and judges it. `continued`: the pose continues a confirmed track.

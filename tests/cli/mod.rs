@@ -2,6 +2,7 @@
 
 mod bad_clip;
 mod bad_config;
+mod causes;
 mod files;
 mod good;
 mod mistakes;

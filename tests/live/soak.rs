@@ -5,7 +5,7 @@
 use std::sync::atomic::Ordering;
 
 use stagepose::diagnostics::live::LiveLink;
-use stagepose::{Daemon, State, Tracker};
+use stagepose::{Daemon, Reason, State, Tracker};
 
 use super::faulty::{Faulty, source, take, tracker_setup};
 
@@ -34,8 +34,9 @@ fn soak() {
         count.tracked.fetch_add(1, Ordering::Release);
     });
     let running = daemon.start().unwrap();
-    let (mut tracking, mut stale, mut wrong, mut early_mb) = (0_u64, 0_u64, Vec::new(), 0.0);
+    let (mut tracking, mut stale, mut lens_moved, mut wrong, mut early_mb) = (0_u64, 0_u64, 0_u64, Vec::new(), 0.0);
     for sample in samples {
+        lens_moved += u64::from(sample.reason == Some(Reason::LensMoved));
         match sample.state {
             State::Stale => stale += 1,
             State::Tracking => {
@@ -71,7 +72,11 @@ fn soak() {
     let (s, late_mb) = (&link.statistics, resident_mb());
     let mut faults: Vec<_> = faulty.faults.lock().unwrap().clone().into_iter().collect();
     faults.sort();
-    println!("soak: {frames} frames, {tracking} tracking, {stale} stale messages, {} wrong poses", wrong.len());
+    println!(
+        "soak: {frames} frames, {tracking} tracking, {stale} stale messages, {} wrong poses, {lens_moved} alarms of the lens",
+        wrong.len()
+    );
+    assert_eq!(lens_moved, 0, "nobody touched the lens");
     println!(
         "soak: {} reconnects, {} panics contained, {} undecodable, {} skipped",
         s.reconnects.get(),

@@ -2,12 +2,15 @@
 
 use nalgebra::Vector3;
 use stagepose::diagnostics::capture::VirtualCamera;
+use stagepose::diagnostics::track::Matcher;
 use stagepose::{
-    CameraModel, CameraPath, ClipEntry, Draught, EntryContent, FrameSource, Intrinsics, PoseSample, Reason, Spline, State, VirtualStage,
-    Wave,
+    CameraModel, CameraPath, ClipEntry, ComputeClock, Draught, EntryContent, FrameSource, Intrinsics, PoseSample, Reason, Spline, State,
+    VirtualStage, Wave,
 };
 
-use super::scene::{FPS, backdrop, backdrop_art, body, camera, nees_per_freedom, quiet, rows, setup, surface, track, track_rows, truth_of};
+use super::scene::{
+    FPS, backdrop, backdrop_art, body, camera, nees_per_freedom, other_art, quiet, rows, setup, surface, track, track_rows, truth_of,
+};
 
 /// A camera that goes past the backdrop, well to the side of it.
 fn from_the_side() -> CameraPath {
@@ -89,4 +92,53 @@ fn a_zoom_is_withheld_where_cloth_hides_it() {
     assert!(states[2..15].iter().filter(|s| **s == State::Tracking).count() >= 11, "{states:?}");
     assert!(states[20..36].iter().all(|s| *s == State::Lost), "{states:?}");
     assert!(samples[20..36].iter().any(|s| s.reason == Some(Reason::LensMoved)));
+}
+
+#[test]
+fn a_flat_that_was_moved_is_told_once_and_the_others_lead_on() {
+    let flats = |moved: Vector3<f64>| {
+        let tree = surface("tree.png", other_art(), [1.2, 0.9], Vector3::new(0.9, -0.7, -0.3) + moved, 0.3);
+        let house = surface(
+            "house.png",
+            &stagepose::diagnostics::simulate::grey(&stagepose::diagnostics::simulate::paint(400, 300, 21)),
+            [1.2, 0.9],
+            Vector3::new(-0.9, -0.9, -0.4),
+            -0.2,
+        );
+        body(vec![surface("backdrop.png", backdrop_art(), [4.0, 3.0], Vector3::zeros(), 0.0), tree, house])
+    };
+    let keys = [(-0.5, [-1.6, -3.6, 0.3]), (3.0, [0.2, -4.0, 0.1]), (8.0, [1.7, -3.5, 0.4])].map(|(t, p)| (t, Vector3::from(p)));
+    let path = CameraPath { position: Spline::new(&keys).unwrap(), target: Spline::fixed(Vector3::zeros()), roll_rad: 0.02, shake: None };
+    let scene = quiet(camera(480, 360), path, flats(Vector3::new(0.008, 0.0, 0.006)));
+    let told = flats(Vector3::zeros());
+    let mut matcher = Matcher::new(scene.camera, scene.shutter, None, &told, &[], Default::default(), ComputeClock::default());
+    let (mut news, mut followed, mut worst_m) = (Vec::new(), 0, 0.0_f64);
+    for entry in rows(&scene, 230) {
+        let EntryContent::Frame(frame) = &entry.content else { panic!("a virtual camera loses no frame") };
+        let sighting = matcher.look(frame);
+        news.extend(sighting.misfit);
+        if let Some(verified) = sighting.stage.verified {
+            followed += 1;
+            worst_m = worst_m.max((verified.pose.translation - scene.truth(frame.timestamp.seconds()).translation).norm());
+        }
+    }
+    println!("{followed} followed, {worst_m} m at worst, {news:?}");
+    let [one] = &news[..] else { panic!("{news:?}") };
+    let text = one.text();
+    assert!(
+        one.surface.as_deref() == Some("tree.png") && text.starts_with("tree.png stands elsewhere") && text.contains("stagepose survey"),
+        "{text}"
+    );
+    let mm = text.split(" mm from there").next().and_then(|t| t.split(' ').next_back()).and_then(|mm| mm.parse::<f64>().ok());
+    assert!(mm.is_some_and(|mm| (mm - 10.0).abs() < 2.0), "{text}");
+    assert!(followed >= 225 && worst_m < 0.02, "{followed} {worst_m}");
+}
+
+#[test]
+fn of_a_stage_as_told_nothing_is_told() {
+    let scene = quiet(camera(480, 360), from_the_side(), backdrop());
+    let mut matcher = Matcher::new(scene.camera, scene.shutter, None, &backdrop(), &[], Default::default(), ComputeClock::default());
+    let all = rows(&scene, 230);
+    let frames = all.iter().filter_map(|entry| if let EntryContent::Frame(frame) = &entry.content { Some(frame) } else { None });
+    assert!(frames.map(|frame| matcher.look(frame).misfit).all(|news| news.is_none()));
 }

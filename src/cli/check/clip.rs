@@ -11,7 +11,7 @@ use crate::daemon::track_entry;
 use crate::diagnose::{Finding, Grade, Travel, corners_begun_at_top_left, of_clip, of_shutter};
 use crate::frame::{Frame, Timestamp};
 use crate::record::State;
-use crate::track::Reason;
+use crate::track::{ModelNews, ModelReport, Part, Reason};
 use crate::tracker::{Tracker, TrackerSetup};
 
 /// Rows that are tracked at most: half a minute at 30 frames a second, chosen so that a check stays short. Raised, faults late in a long
@@ -41,6 +41,8 @@ pub(super) struct Examined {
     pub findings: Vec<Finding>,
     /// Share of the frames in which the stage is followed.
     pub followed: f64,
+    /// Whether what poses leave displaced is worth no word.
+    pub is_as_modelled: bool,
 }
 
 /// Frames at even intervals from a clip of unknown length: whenever there are too many, every other one is dropped.
@@ -76,6 +78,7 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
     let total = source.rows();
     let setup = tracker_setup(settings, (width, height), None)?;
     let mut tracker = Tracker::new(setup.clone())?;
+    tracker.matcher.study_model();
     let progress = Progress::start(Some(total.unwrap_or(MOST_ROWS).min(MOST_ROWS)));
     let (mut outcome, mut kept, mut travel) = (Outcome::default(), Kept::default(), Travel::default());
     let mut stamps = Vec::new();
@@ -98,8 +101,14 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
     }
     progress.finish();
     let share = outcome.followed() as f64 / outcome.frames.max(1) as f64;
-    let mut findings = of_clip(&setup, &kept.frames, share >= WELL_FOLLOWED, &travel);
-    let has_cause = findings.iter().any(|f| f.grade == Grade::Fault);
+    let model = tracker.matcher.model_report();
+    tracing::debug!(?model, share, "how the model fits");
+    let is_small = share >= FOLLOWED && !model.parts.is_empty() && model.parts.iter().all(|news| news.part.is_small());
+    let mut findings = of_clip(&setup, &kept.frames, share >= WELL_FOLLOWED, is_small, &travel);
+    let is_as_modelled = model.parts.is_empty() && model.doubt_share < LEAST_DOUBT;
+    findings.extend(of_model(&model, &findings));
+    // A lens or a layout that is named explains why no pose fits, too.
+    let has_cause = findings.iter().any(|f| f.grade == Grade::Fault || (is_small && f.grade == Grade::Doubt));
     findings.extend(of_reasons(&outcome, has_cause));
     findings.extend(setup.objects.iter().zip(&objects).filter_map(|(object, tracked)| of_object(&object.name, *tracked, outcome.tracked)));
     findings.extend(travel.findings(&settings.stage));
@@ -126,7 +135,40 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
         ),
         findings,
         followed: share,
+        is_as_modelled,
     })
+}
+
+/// How far poses may be off, one sigma and as a share of the camera's distance, for it to be told where no part of the model explains it: a pixel in what follows the camera at a focal
+/// length of 1000. Chosen: twice what a part must cost that has a name and a mend. Raised, what does not fit goes unsaid; lowered, stages that are good enough are to be surveyed.
+const LEAST_DOUBT: f64 = 0.001;
+/// Views that differ from which on it may be said that no part explains them; fewer show much the same, however many frames they have, and some of what one frame shows
+/// always fits no part. Chosen, not tuned. Raised, only long walks are judged.
+const LEAST_VIEWS: usize = 4;
+
+/// Which part of the stage or the lens is not as told, by what poses leave of the tiles' displacements; where something graver was found, that comes first.
+fn of_model(model: &ModelReport, findings: &[Finding]) -> Vec<Finding> {
+    if findings.iter().any(|f| matches!(f.grade, Grade::Fault | Grade::Doubt)) {
+        return Vec::new();
+    }
+    let ModelReport { parts, left_px, doubt_mm, doubt_share, views } = model;
+    if parts.is_empty() && *doubt_share >= LEAST_DOUBT {
+        let seen =
+            format!("the stage is seen {left_px:.2} px (rms) from where its poses have it, so that they may be {doubt_mm:.1} mm off");
+        let walk = "walk past it, to both sides and near and far, and check that clip, or survey the stage by it";
+        return vec![match *views >= LEAST_VIEWS {
+            true => Finding::warning(format!(
+                "{seen}, and no part that stays as it is explains that; cloth that moves would: keep draughts from it or weigh it down. If nothing moves: {walk}"
+            )),
+            false => Finding::note(format!("{seen}; the clip's views are too alike to tell why: {walk}")),
+        }];
+    }
+    let grade = |news: &ModelNews| match news.part {
+        // Cloth hangs in folds, and is tracked, less well than it could be.
+        Part::Shape { .. } => Finding::warning(news.text()),
+        _ => Finding::doubt(news.text()),
+    };
+    parts.iter().map(grade).collect()
 }
 
 /// The reasons of the frames that were not tracked. Where a fault was found that explains why no pose fits, that one has the mend.

@@ -60,7 +60,10 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
         is_followed = seen.followed >= clip::FOLLOWED;
         place = Some(format!("clip        {}\n            {}", seen.line, seen.counts));
         shutter_lines = match seen.followed >= clip::WELL_FOLLOWED {
-            true => shutter::lines(&settings, file, arguments.fps)?,
+            true if seen.is_as_modelled => shutter::lines(&settings, file, arguments.fps)?,
+            true => {
+                vec!["not estimated: the stage or the lens is not as told, which displaces rows as a shutter does; see above".to_owned()]
+            }
             false => vec!["not estimated: the stage is followed in too few of the clip's frames".to_owned()],
         };
     }

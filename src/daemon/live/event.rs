@@ -116,6 +116,15 @@ pub enum Event {
         /// Since the first frame, or since it was lost, milliseconds.
         after_ms: f64,
     },
+    /// A part of the stage or the lens is not as it was told or surveyed; told once each. Tracking goes on by what fits.
+    ModelDiffers {
+        /// `lens`, `shape`, `layout` or `ratio`.
+        part: String,
+        /// What its surface is called; null for the lens.
+        surface: Option<String>,
+        /// What is the matter, by how much, and what to do about it.
+        text: String,
+    },
     /// The safety limits began to hold a pose back.
     PoseWithheld {
         /// From this output,
@@ -245,6 +254,7 @@ impl Event {
             Self::Marked { text } => (Level::INFO, format!("marked: {text}")),
             Self::NotTracked { text, .. } => (Level::WARN, format!("not tracked: {text}")),
             Self::Tracked { after_ms } => (Level::INFO, format!("tracked after {after_ms:.0} ms")),
+            Self::ModelDiffers { text, .. } => (Level::WARN, text.clone()),
             // The output's own warning has said it, at most once a minute.
             Self::PoseWithheld { output, body, reason } => {
                 (Level::DEBUG, format!("output {output}: the pose of {body} is withheld, {reason}"))
