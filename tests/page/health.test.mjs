@@ -86,7 +86,7 @@ test("a backup is downloaded; what a restore would change is said before it is d
   const choose = (name, buffer) => page.locator("input[type=file]").setInputFiles({ name, mimeType: "application/zip", buffer });
   await choose("same.zip", readFileSync(path));
   // The daemon's own backups give what the config names a number.
-  await page.getByText(/Restoring same\.zip takes the place of the config and of .*backdrop\.png.* In the config this changes:/).waitFor();
+  await page.getByText(/Restoring same\.zip takes the place of the config, and adds .*backdrop\.png.* In the config this changes:/).waitFor();
   await page.locator(".planned pre", { hasText: '+ calibration = "0-camera.toml"' }).waitFor();
   await page.getByRole("button", { name: "Leave it as it is" }).click();
   // What is none is refused with a sentence.
