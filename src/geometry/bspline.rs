@@ -51,13 +51,13 @@ struct Basis {
 }
 
 impl Basis {
-    /// At `t`, 0 to 1, in an interval of this width.
-    fn at(t: f64, width: f64) -> Self {
+    /// At `t`, 0 to 1, in an interval, of which there are so many to the unit.
+    fn at(t: f64, per_unit: f64) -> Self {
         let s = 1.0 - t;
         let (t2, s2) = (t * t, s * s);
         Self {
             weights: [s2 * s / 6.0, (3.0 * t2 * t - 6.0 * t2 + 4.0) / 6.0, (3.0 * s2 * s - 6.0 * s2 + 4.0) / 6.0, t2 * t / 6.0],
-            slopes: [-0.5 * s2, 1.5 * t2 - 2.0 * t, 2.0 * s - 1.5 * s2, 0.5 * t2].map(|slope| slope / width),
+            slopes: [-0.5 * s2, 1.5 * t2 - 2.0 * t, 2.0 * s - 1.5 * s2, 0.5 * t2].map(|slope| slope * per_unit),
         }
     }
 }
@@ -125,14 +125,20 @@ impl<const N: usize> BicubicSpline<N> {
     pub fn support(&self, [x, y]: [f64; 2]) -> Support {
         let place = |v: f64, axis: usize| {
             let n = self.intervals[axis] as f64;
+            let per_unit = n / self.size[axis];
             // `clamp` keeps a coordinate that is no number; as an index it becomes 0.
-            let at = ((v / self.size[axis] + 0.5) * n).clamp(0.0, n);
-            let interval = (at.floor() as usize).min(self.intervals[axis] - 1);
-            (interval, Basis::at(at - interval as f64, self.size[axis] / n))
+            let at = (v * per_unit + 0.5 * n).clamp(0.0, n);
+            let interval = (at as usize).min(self.intervals[axis] - 1);
+            (interval, Basis::at(at - interval as f64, per_unit))
         };
         let ((column, across), (row, up)) = (place(x, 0), place(y, 1));
         let stride = self.intervals[0] + 3;
         Support { first: row * stride + column, stride, across, up }
+    }
+
+    /// The field at the point of a support, which must be of a spline of the same grid.
+    pub fn value(&self, support: &Support) -> SVector<f64, N> {
+        support.weights().map(|(k, weight)| self.coefficients[k] * weight).sum()
     }
 
     /// The field at a point.

@@ -18,7 +18,6 @@ use super::{AlignSurface, CameraRays, distance_m};
 use crate::camera::Shutter;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MotionEstimate;
-use crate::track::rectangle::Rectangle;
 use crate::track::reference::PreparedBody;
 use crate::track::surface::SurfaceSpec;
 
@@ -68,7 +67,7 @@ impl Aligner {
     /// Takes the surfaces' places and shapes anew; their pictures stay.
     pub fn take_places(&mut self, surfaces: &[SurfaceSpec]) {
         for (own, spec) in self.settings.surfaces.iter_mut().zip(surfaces) {
-            own.rectangle = Rectangle::of(spec);
+            own.take_place(spec);
         }
         self.buffers.has_kept = false;
     }

@@ -34,6 +34,7 @@ mod noise_sums;
 #[allow(clippy::needless_range_loop)]
 mod normal;
 mod pixels;
+mod plane_table;
 mod rays;
 mod rows;
 mod selection;
@@ -60,6 +61,7 @@ use frame_levels::LEVELS;
 pub use kernels::AlignKernels;
 pub use level_problem::patches::Patch;
 pub use level_problem::solution::UsedPixel;
+use plane_table::PlaneTable;
 use rays::RayTable;
 pub use shutter_clue::ShutterClue;
 pub use system::schur_complement::Clue;
@@ -76,12 +78,20 @@ use crate::geometry::{Body, Camera, Pose};
 pub struct AlignSurface {
     texture: Texture,
     rectangle: Rectangle,
+    /// Of a bent surface.
+    planes: Option<PlaneTable>,
 }
 
 impl AlignSurface {
     /// Prepares a surface.
     pub fn new(spec: &SurfaceSpec) -> Self {
-        Self { texture: Texture::new(&spec.artwork), rectangle: Rectangle::of(spec) }
+        Self { texture: Texture::new(&spec.artwork), rectangle: Rectangle::of(spec), planes: PlaneTable::of(&spec.shape, spec.size_m) }
+    }
+
+    /// Takes its place and shape anew.
+    fn take_place(&mut self, spec: &SurfaceSpec) {
+        self.planes = PlaneTable::of(&spec.shape, spec.size_m);
+        self.rectangle = Rectangle::of(spec);
     }
 }
 
