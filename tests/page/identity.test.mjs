@@ -92,7 +92,8 @@ test("each shown picture is that of its record, also where the browser is slow, 
   console.log(`after ${heaps.length} looks in ${since().toFixed(0)} s the page's heap has grown by ${heapGrown} MB of ${(heaps[0] / 1e6).toFixed(1)}, the daemon by ${memoryGrown} MB of ${(memory[0] / 1e6).toFixed(0)}`);
   assert.ok(heaps.length > 1 && heaps.at(-1) - heaps[0] < GROWS, `${heaps}`);
   assert.ok(memory.at(-1) - memory[0] < 16e6, `${memory}`);
-  assert.deepEqual(complaints, []);
+  // What the browser says of this test's own reading is none of the page's.
+  assert.deepEqual(complaints.filter((one) => !one.includes("getImageData")), []);
   await close();
 });
 
