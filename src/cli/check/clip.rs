@@ -105,7 +105,10 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
     tracing::debug!(?model, share, "how the model fits");
     let is_small = share >= FOLLOWED && !model.parts.is_empty() && model.parts.iter().all(|news| news.part.is_small());
     let mut findings = of_clip(&setup, &kept.frames, share >= WELL_FOLLOWED, is_small, &travel);
-    let is_as_modelled = model.parts.is_empty() && model.doubt_share < LEAST_DOUBT;
+    // A lens that was moved while rows are compared from frame to frame is no shutter either.
+    let moved = outcome.reasons().into_iter().filter(|(reason, _)| matches!(reason, Reason::LensMoved)).map(|(_, n)| n).sum::<u64>();
+    let is_moved = moved as f64 > NOTED * outcome.frames as f64;
+    let is_as_modelled = model.parts.is_empty() && model.doubt_share < LEAST_DOUBT && !is_moved;
     findings.extend(of_model(&model, &findings));
     // A lens or a layout that is named explains why no pose fits, too.
     let has_cause = findings.iter().any(|f| f.grade == Grade::Fault || (is_small && f.grade == Grade::Doubt));
