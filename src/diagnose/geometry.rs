@@ -36,6 +36,9 @@ const SAME_RATIO: f64 = 0.06;
 /// beyond the errors of a pose. Raised, misplaced surfaces pass; lowered, right ones are called misplaced.
 const LARGEST_SHIFT: f64 = 0.1;
 const LARGEST_TURN_DEG: f64 = 12.0;
+/// The frames agree about where it stands to this share of how far off that is. Raised, wrong matches pass for a surface that stands elsewhere; lowered, one that is
+/// seen small is not said to.
+const LARGEST_SCATTER: f64 = 0.3;
 
 /// What the views say; `views` are those of each frame. `is_explained`: aligned pixels, which tell more finely, have named what is a little off.
 pub fn of_views(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<SurfaceView>], is_followed: bool, is_explained: bool) -> Vec<Finding> {
@@ -82,6 +85,18 @@ fn views_of<'a>(setup: &TrackerSetup, views: &'a [Vec<SurfaceView>], surface: us
 struct Standing {
     pose: Pose<Body, SurfaceFrame>,
     distance: f64,
+}
+
+/// How far the frames disagree about where a surface stands, metres and degrees: the median over the frames, from the one that the others agree with most. 0 of
+/// one frame.
+fn scatter(seen: &[Standing]) -> [f64; 2] {
+    let shift = |a: &Standing, b: &Standing| (a.pose.translation - b.pose.translation).norm();
+    let turn_deg = |a: &Standing, b: &Standing| a.pose.angle_to(&b.pose).to_degrees();
+    let least = |off: &dyn Fn(&Standing, &Standing) -> f64| {
+        let from = |a: &Standing| median(&mut seen.iter().map(|b| off(a, b)).collect::<Vec<_>>()).unwrap_or(0.0);
+        seen.iter().map(from).fold(f64::INFINITY, f64::min)
+    };
+    [least(&shift), least(&turn_deg)]
 }
 
 /// The surface that is seen most, and how.
@@ -269,7 +284,11 @@ impl Case<'_> {
         let turn_deg = median(&|s| s.pose.angle_to(&spec.pose)).to_degrees();
         let distance = median(&|s| s.distance);
         tracing::debug!(surface = %spec.name, shift, turn_deg, distance, ?place, frames = seen.len(), "where it stands");
-        if shift <= LARGEST_SHIFT * distance && turn_deg <= LARGEST_TURN_DEG {
+        // Wrong matches, and poses of small surfaces that features tell badly, put it elsewhere in every frame.
+        let [scatter, scatter_deg] = scatter(&seen);
+        let is_shifted = shift > LARGEST_SHIFT * distance && scatter < LARGEST_SCATTER * shift;
+        let is_turned = turn_deg > LARGEST_TURN_DEG && scatter_deg < LARGEST_SCATTER * turn_deg;
+        if !(is_shifted || is_turned) {
             return None;
         }
         if turn_deg > 150.0 {
@@ -287,8 +306,7 @@ impl Case<'_> {
             Some(_) => " (position_m is in metres, these look like centimetres)",
             None => "",
         };
-        let turned =
-            if turn_deg > LARGEST_TURN_DEG { format!(", turned by {turn_deg:.0} degrees from its orientation") } else { String::new() };
+        let turned = if is_turned { format!(", turned by {turn_deg:.0} degrees from its orientation") } else { String::new() };
         Some(Finding::fault(format!(
             "{}: it is not seen where the config has it, at {}, but {shift:.1} m from there{turned}: write position_m = {}{unit}, and check its \
              orientation and size_m",
@@ -334,4 +352,31 @@ fn top_deg(views: &Views<'_>) -> f64 {
 fn ratio_words(seen: f64, found: &Found, configured: f64) -> String {
     let sigma = (3.0 * found.sigma * seen).max(0.002);
     format!("in the clip it is {seen:.3} +- {sigma:.3} times as high as wide, by size_m {configured:.3}")
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+
+    fn standing(x: f64, turn: f64) -> Standing {
+        Standing { pose: Pose::new(UnitQuaternion::from_euler_angles(0.0, turn, 0.0), Vector3::new(x, 0.0, 0.0)), distance: 3.0 }
+    }
+
+    #[test]
+    fn frames_that_agree_but_for_a_few_do_not_scatter() {
+        let seen: Vec<Standing> =
+            [(1.0, 0.3), (1.01, 0.31), (0.99, 0.3), (7.0, 2.0), (1.0, 0.29)].map(|(x, turn)| standing(x, turn)).into();
+        let [shift, turn_deg] = scatter(&seen);
+        assert!(shift < 0.02 && turn_deg < 1.2, "{shift} {turn_deg}");
+        assert_eq!(scatter(&seen[..1]), [0.0; 2]);
+    }
+
+    #[test]
+    fn wrong_matches_put_a_surface_elsewhere_in_every_frame() {
+        let seen: Vec<Standing> = [(1.0, 0.3), (-2.0, 1.0), (4.0, -1.3), (0.2, 2.2)].map(|(x, turn)| standing(x, turn)).into();
+        let [shift, turn_deg] = scatter(&seen);
+        assert!(shift > 0.7 && turn_deg > 35.0, "{shift} {turn_deg}");
+    }
 }
