@@ -12,8 +12,8 @@ use crate::camera::Shutter;
 use crate::motion::Motion;
 use crate::track::{ObservedFrame, ObservedTile};
 
-/// Rounds at most. Most surveys settle in five or six.
-const MOST_ROUNDS: usize = 16;
+/// Rounds at most. Most surveys settle in five or six, those of a rolling shutter that nobody told in twenty. Raised, only those that never settle take longer.
+const MOST_ROUNDS: usize = 24;
 /// Rounds with features, which lead to the basin of the alignment where a lens or a layout is far off.
 const FEATURE_ROUNDS: usize = 5;
 /// Rounds with anchors: the first half of them at half the frame's size.
@@ -47,6 +47,11 @@ const LEAST_KEPT_SHARE: f64 = 0.5;
 const SHORTER: f64 = 0.25;
 /// The shortest share of a step: three times shorter in a row. Lowered, rounds are lost where the frames are gone for another reason.
 const SHORTEST: f64 = SHORTER * SHORTER * SHORTER;
+/// How far the readout may be from what is told, one sigma, seconds, where it is found: that of a rolling shutter which nobody told. Raised, nothing changes in
+/// walks that tell it; lowered, slow sensors are taken for faster ones.
+const READOUT_SIGMA_S: f64 = 0.02;
+/// The same once the part of the walk in which the picture moved most has told it: it stays.
+const KNOWN_READOUT_SIGMA_S: f64 = 1e-6;
 /// Covariances are that much larger than those of independent tiles: neighbouring keyframes see the same tiles, and what is off in one is off in the next.
 /// (research/mapping.md, section 6.)
 const INFLATION: f64 = 1.5;
@@ -54,8 +59,8 @@ const INFLATION: f64 = 1.5;
 /// What a survey rests on.
 pub struct Adjustment<'a> {
     observers: Observers<'a>,
-    shutter: Shutter,
     lens_sigmas: [f64; LENS_NUMBERS],
+    readout_sigma_s: f64,
     constraints: Vec<Constraint>,
     smoothness: Smoothness,
     /// What the frames showed with the stage as configured.
@@ -104,11 +109,11 @@ pub struct Adjusted {
 
 impl<'a> Adjustment<'a> {
     /// Of keyframes by a lens whose numbers are known to `lens_sigmas`.
-    pub fn new(observers: Observers<'a>, shutter: Shutter, lens_sigmas: [f64; LENS_NUMBERS], constraints: Vec<Constraint>) -> Self {
+    pub fn new(observers: Observers<'a>, lens_sigmas: [f64; LENS_NUMBERS], constraints: Vec<Constraint>) -> Self {
         Self {
             observers,
-            shutter,
             lens_sigmas,
+            readout_sigma_s: READOUT_SIGMA_S,
             constraints,
             smoothness: Smoothness::even(0, FIRST_CURVATURE),
             at_start: Vec::new(),
@@ -120,7 +125,7 @@ impl<'a> Adjustment<'a> {
         let of_frame = |(k, frame): (usize, &Option<ObservedFrame>)| {
             let Some(frame) = frame else { return FrameRows::default() };
             let distance_m = distance_m(model, &frame.motion);
-            FrameRows::new(frame, model, &self.shutter, distance_m, |tile| is_held_out(k, tile))
+            FrameRows::new(frame, model, distance_m, |tile| is_held_out(k, tile))
         };
         frames.iter().enumerate().map(of_frame).filter(|rows| !rows.rows().is_empty()).collect()
     }
@@ -159,10 +164,10 @@ impl<'a> Adjustment<'a> {
 
     /// Adjusts a model that was adjusted before, with another shutter. As [`run`](Self::run).
     pub fn run_with_shutter(&mut self, model: StageModel, shutter: Shutter, progress: impl FnMut(usize)) -> Option<Adjusted> {
-        self.shutter = shutter;
+        self.readout_sigma_s = KNOWN_READOUT_SIGMA_S;
         self.last = None;
         self.observers.take_shutter(&model, shutter);
-        self.settle(model, progress)
+        self.settle(model.with_readout(shutter.readout_s), progress)
     }
 
     /// Aligns on grey values until the model comes to rest.
@@ -184,7 +189,7 @@ impl<'a> Adjustment<'a> {
             let step = factor.solve(&equations.right);
             let step_px = step_px(&rows, &step);
             let left_px = rms_px(&frames);
-            tracing::debug!(round, frames = rows.len(), ?scales, left_px, step_px, curvatures = ?self.smoothness.curvatures, is_stretched = self.smoothness.is_stretched, "fine");
+            tracing::debug!(round, frames = rows.len(), ?scales, left_px, step_px, readout_s = model.readout_s(), curvatures = ?self.smoothness.curvatures, is_stretched = self.smoothness.is_stretched, "fine");
             let is_last = round + 1 == MOST_ROUNDS;
             if step_px < SMALL_STEP_PX && round > CHOOSING_ROUNDS[1] || is_last {
                 let (has_settled, rms_px) = (!is_last, left_px);
@@ -250,7 +255,15 @@ impl<'a> Adjustment<'a> {
 
     /// Equations of tiles with the priors at a smoothness, symmetric.
     fn with_priors(&self, mut equations: NormalEquations, model: &StageModel, smoothness: &Smoothness) -> NormalEquations {
-        prior::add(model, smoothness, &self.lens_sigmas, &self.constraints, &mut equations.matrix, &mut equations.right);
+        prior::add(
+            model,
+            smoothness,
+            &self.lens_sigmas,
+            self.readout_sigma_s,
+            &self.constraints,
+            &mut equations.matrix,
+            &mut equations.right,
+        );
         equations.matrix.fill_upper_triangle_with_lower_triangle();
         equations
     }

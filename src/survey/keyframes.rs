@@ -5,6 +5,7 @@ use nalgebra::Vector2;
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
+use crate::track::KnownRates;
 
 /// Keyframes at most. Chosen: with 0.45 m between them, twice as many were no better (research/mapping.md). Raised, the time grows in proportion.
 const MOST_KEYFRAMES: usize = 120;
@@ -23,6 +24,8 @@ pub struct Keyframe {
     pub frame: Frame,
     /// Where the camera was and how it moved, as far as known.
     pub motion: Motion,
+    /// The motion's velocity and turn rate by the frames before and after it.
+    pub rates: Option<KnownRates>,
     /// Features that were matched in it: they lead to the basin of the alignment.
     pub features: Vec<MatchedFeature>,
 }
@@ -63,7 +66,7 @@ impl Keyframes {
     ) {
         let spacing = *self.spacing.get_or_insert(FIRST_SPACING);
         if self.best.as_ref().is_none_or(|(_, slowest)| speed < *slowest) {
-            self.best = Some((Keyframe { number, frame: frame.clone(), motion, features: Vec::new() }, speed));
+            self.best = Some((Keyframe { number, frame: frame.clone(), motion, rates: None, features: Vec::new() }, speed));
         }
         let moved = self.last.map_or(f64::INFINITY, |last| {
             (last.translation - motion.pose.translation).norm() / distance_m + TURN_SHARE * last.rotation.angle_to(&motion.pose.rotation)
@@ -83,8 +86,43 @@ impl Keyframes {
         }
     }
 
+    /// Takes how the camera moved in frame `number`, which the frames after it tell.
+    pub fn take_rates(&mut self, number: usize, rates: KnownRates) {
+        let best = self.best.as_mut().map(|(keyframe, _)| keyframe);
+        if let Some(keyframe) = best.into_iter().chain(self.kept.iter_mut().rev()).find(|keyframe| keyframe.number <= number)
+            && keyframe.number == number
+        {
+            keyframe.rates = Some(rates);
+        }
+    }
+
     /// All that were kept, in order.
     pub fn into_kept(self) -> Vec<Keyframe> {
         self.kept
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::GrayImage;
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    #[test]
+    fn the_frames_after_a_keyframe_say_how_it_moved() {
+        let frame = Frame { image: GrayImage::new(4, 3), timestamp: Default::default(), sequence: 0 };
+        let at = |x: f64| Motion::still(Pose::new(Default::default(), Vector3::new(x, 0.0, -3.0)));
+        let rates = |speed: f64| KnownRates { means: [Vector3::new(speed, 0.0, 0.0), Vector3::zeros()], sigmas: [0.01, 0.01] };
+        let mut keyframes = Keyframes::default();
+        for (number, x) in [(1, 0.0), (2, 1.0), (3, 1.0), (4, 2.0)] {
+            keyframes.offer((number, &frame), at(x), 0.1 * number as f64, 3.0, |_| Vec::new());
+            if number > 2 {
+                keyframes.take_rates(number - 2, rates(number as f64));
+            }
+        }
+        let kept: Vec<(usize, Option<f64>)> = keyframes.into_kept().iter().map(|k| (k.number, k.rates.map(|r| r.means[0].x))).collect();
+        // The third is the sharper one of the two since the second.
+        assert_eq!(kept, [(1, Some(3.0)), (2, Some(4.0)), (3, None)]);
     }
 }

@@ -4,6 +4,7 @@
 //! A survey takes an iterator of frames, wherever they come from, and reads them as often as it needs.
 
 mod adjustment;
+mod camera_rates;
 pub mod constraints;
 pub mod judgement;
 mod keyframes;

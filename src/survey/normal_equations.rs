@@ -8,10 +8,9 @@ use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2};
 
 use super::stage_model::StageModel;
 use super::tile_derivatives::{FRAME_UNKNOWNS, TileDerivatives};
-use crate::camera::Shutter;
 use crate::geometry::robust_kernel::tukey_weight;
 use crate::motion::{Motion, unseen};
-use crate::track::{ObservedFrame, ObservedTile};
+use crate::track::{KnownRates, ObservedFrame, ObservedTile};
 
 /// What no tile tells better, pixels, one sigma along each axis: what is left of the light, the print and the lens. (research: 0.015.) Raised, tiles
 /// with much detail count no more than others; lowered, they are believed too much.
@@ -39,8 +38,9 @@ pub struct TileRow {
 #[derive(Debug, Clone, Default)]
 pub struct FrameRows {
     rows: Vec<TileRow>,
-    /// Information of the frame's unknowns beside the tiles.
+    /// Information of the frame's unknowns beside the tiles, and what it says of them.
     prior: FrameMatrix,
+    prior_right: FrameVector,
 }
 
 /// The system of the model's numbers.
@@ -84,13 +84,7 @@ impl TileRow {
 
 impl FrameRows {
     /// Of what a frame showed. `holds_out`: tiles to judge by.
-    pub fn new(
-        frame: &ObservedFrame,
-        model: &StageModel,
-        shutter: &Shutter,
-        distance_m: f64,
-        holds_out: impl Fn(&ObservedTile) -> bool,
-    ) -> Self {
+    pub fn new(frame: &ObservedFrame, model: &StageModel, distance_m: f64, holds_out: impl Fn(&ObservedTile) -> bool) -> Self {
         let rows = frame.tiles.iter().filter_map(|tile| {
             let covariance = tile.information.try_inverse()? + Matrix2::identity() * FLOOR_PX.powi(2);
             Some(TileRow {
@@ -101,7 +95,9 @@ impl FrameRows {
                 is_held_out: holds_out(tile),
             })
         });
-        Self { rows: rows.collect(), prior: frame_prior(&frame.motion, shutter, distance_m) }
+        let prior = frame_prior(frame.rates, model.readout_s(), distance_m);
+        let prior_right = frame.rates.map_or(FrameVector::zeros(), |rates| prior * missing_rates(&frame.motion, &rates));
+        Self { rows: rows.collect(), prior, prior_right }
     }
 
     /// The tiles.
@@ -110,16 +106,28 @@ impl FrameRows {
     }
 }
 
-/// Rows that are exposed together say nothing of the camera's rates.
-fn frame_prior(_motion: &Motion, shutter: &Shutter, distance_m: f64) -> FrameMatrix {
-    let [velocity, turn_rate, ..] = unseen(distance_m);
-    let sigma = |k: usize| match (k, shutter.readout_s == 0.0) {
+/// Rows that are exposed together say nothing of the camera's rates; others less than the frames around.
+fn frame_prior(rates: Option<KnownRates>, readout_s: f64, distance_m: f64) -> FrameMatrix {
+    let [unseen_velocity, unseen_turn_rate, ..] = unseen(distance_m);
+    let [velocity, turn_rate] = rates.map_or([unseen_velocity, unseen_turn_rate], |rates| rates.sigmas);
+    let sigma = |k: usize| match (k, readout_s == 0.0) {
         (0..6, _) => POSE_SIGMA,
         (_, true) => 1e-6,
         (6..9, false) => velocity,
         (_, false) => turn_rate,
     };
     FrameMatrix::from_diagonal(&FrameVector::from_fn(|k, _| sigma(k).powi(-2)))
+}
+
+/// How far the rates of a motion are from what was known of them, as the frame's unknowns: a camera that goes to the right sees all go to the left.
+fn missing_rates(motion: &Motion, known: &KnownRates) -> FrameVector {
+    let velocity = motion.pose.rotation.inverse() * (motion.velocity - known.means[0]);
+    let turn_rate = motion.turn_rate - known.means[1];
+    FrameVector::from_fn(|k, _| match k {
+        0..6 => 0.0,
+        6..9 => velocity[k - 6],
+        _ => turn_rate[k - 9],
+    })
 }
 
 impl NormalEquations {
@@ -135,7 +143,7 @@ impl NormalEquations {
 
     fn add(&mut self, frame: &FrameRows, scales: &[f64], with_held_out: bool) -> Option<()> {
         let mut own = frame.prior;
-        let mut right = FrameVector::zeros();
+        let mut right = frame.prior_right;
         let mut coupling = DMatrix::zeros(self.right.len(), FRAME_UNKNOWNS);
         for row in frame.rows.iter().filter(|r| with_held_out || !r.is_held_out) {
             let scale = scales[row.surface];

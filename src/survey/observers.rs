@@ -54,7 +54,7 @@ impl<'a> Observers<'a> {
     /// Aligns all keyframes with a model; each remembers its motion. `None` where the work was ended meanwhile.
     pub fn tiles(&mut self, model: &StageModel) -> Option<ObservedFrames> {
         self.ask(model, |observer, keyframe| {
-            let observed = observer.observe(&keyframe.frame.image, &keyframe.motion)?;
+            let observed = observer.observe(&keyframe.frame.image, &keyframe.motion, keyframe.rates)?;
             keyframe.motion = observed.motion;
             Some(observed)
         })
@@ -102,6 +102,7 @@ impl<'a> Observers<'a> {
         let chunks = self.keyframes.par_chunks_mut(KEYFRAMES_AN_OBSERVER).zip(&mut self.observers);
         let of_chunk = |(keyframes, observer): (&mut [Keyframe], &mut TileObserver)| -> Option<ObservedFrames> {
             observer.take_model(&model.camera, &model.surfaces);
+            observer.take_readout(model.readout_s());
             keyframes.iter_mut().map(|keyframe| goes_on().then(|| of_frame(observer, keyframe))).collect()
         };
         Some(chunks.map(of_chunk).collect::<Option<Vec<_>>>()?.into_iter().flatten().collect())
@@ -140,5 +141,5 @@ fn observed_features(keyframe: &mut Keyframe, model: &StageModel) -> Option<Obse
         })
     };
     let tiles = keyframe.features.iter().zip(&observations).enumerate().filter_map(tile).collect();
-    Some(ObservedFrame { motion, tiles })
+    Some(ObservedFrame { motion, rates: None, tiles })
 }

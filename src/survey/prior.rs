@@ -55,6 +55,7 @@ pub fn add(
     model: &StageModel,
     smoothness: &Smoothness,
     lens_sigmas: &[f64; LENS_NUMBERS],
+    readout_sigma_s: f64,
     constraints: &[Constraint],
     matrix: &mut DMatrix<f64>,
     right: &mut DVector<f64>,
@@ -89,6 +90,9 @@ pub fn add(
         for row in constraint.rows(model) {
             system.add(&row.by_model, -row.left, constraint.sigma_m);
         }
+    }
+    if let Some(at) = places.readout {
+        system.add(&[(at, 1.0)], model.readout_change_s(), readout_sigma_s);
     }
     if let Some(at) = places.lens {
         for (k, change) in model.lens_change().into_iter().enumerate() {
@@ -198,8 +202,9 @@ mod tests {
     use nalgebra::{DMatrix, DVector};
 
     use super::*;
-    use crate::camera::{CameraModel, Intrinsics, Shutter};
+    use crate::camera::{CameraModel, Intrinsics};
     use crate::geometry::Pose;
+    use crate::motion::Motion;
     use crate::survey::constraints::{Measured, PicturePoint};
     use crate::survey::normal_equations::{FrameRows, NormalEquations};
     use crate::survey::synthetic::{LENS, camera_poses, observed, stage};
@@ -244,18 +249,32 @@ mod tests {
         noise_px: f64,
         rounds: usize,
     ) -> (StageModel, DMatrix<f64>) {
-        let (mut model, poses) = (start, camera_poses(24));
+        let motions: Vec<Motion> = camera_poses(24).into_iter().map(Motion::still).collect();
+        adjusted_by(&motions, 1e-6, start, truth, constraints, noise_px, rounds)
+    }
+
+    /// The same with cameras that may move, and a readout known to one sigma, seconds.
+    fn adjusted_by(
+        motions: &[Motion],
+        readout_sigma_s: f64,
+        start: StageModel,
+        truth: &StageModel,
+        constraints: &[Constraint],
+        noise_px: f64,
+        rounds: usize,
+    ) -> (StageModel, DMatrix<f64>) {
+        let mut model = start;
         let smoothness = Smoothness { is_stretched: true, ..Smoothness::even(2, 3.0) };
         let mut covariance = DMatrix::zeros(0, 0);
         for _ in 0..rounds {
             // Linearised at the true poses, which the equations leave free.
-            let frames = observed(truth, &model, &poses, noise_px, 7);
-            let rows: Vec<FrameRows> = frames.iter().map(|f| FrameRows::new(f, &model, &Shutter::default(), 3.0, |_| false)).collect();
+            let frames = observed(truth, &model, motions, noise_px, 7);
+            let rows: Vec<FrameRows> = frames.iter().map(|f| FrameRows::new(f, &model, 3.0, |_| false)).collect();
             let mut equations = NormalEquations::new(&rows, model.places().count, &[1e3; 2], true).unwrap();
             // The scale of Tukey's weights leaves all tiles in; undo what it did to the information.
             equations.matrix *= 1e6;
             equations.right *= 1e6;
-            add(&model, &smoothness, &SIGMAS, constraints, &mut equations.matrix, &mut equations.right);
+            add(&model, &smoothness, &SIGMAS, readout_sigma_s, constraints, &mut equations.matrix, &mut equations.right);
             equations.matrix.fill_upper_triangle_with_lower_triangle();
             let factor = equations.matrix.clone().cholesky().unwrap();
             model = model.stepped(&factor.solve(&equations.right)).unwrap();
@@ -283,6 +302,25 @@ mod tests {
         }
         println!("heights {worst}");
         assert!(worst < 2e-3, "{worst}");
+    }
+
+    #[test]
+    fn a_readout_that_nobody_told_is_found_with_the_lens_that_it_bends() {
+        let truth = truth().with_readout(0.018);
+        let moving = |(k, pose): (usize, Pose<_, _>)| {
+            let t = k as f64;
+            let velocity = Vector3::new((1.3 * t).sin(), (2.1 * t).cos(), (0.7 * t).sin()) * 0.4;
+            let turn_rate = Vector3::new((1.9 * t).cos(), (1.1 * t).sin(), (2.7 * t).sin()) * 0.2;
+            Motion { velocity, turn_rate, ..Motion::still(pose) }
+        };
+        let motions: Vec<Motion> = camera_poses(24).into_iter().enumerate().map(moving).collect();
+        let start = StageModel::new(lens(0.01), &stage(), true, false);
+        let (found, covariance) = adjusted_by(&motions, 0.02, start, &truth, &[], 0.002, 8);
+        let at = found.places().readout.unwrap();
+        let sigma_s = covariance[(at, at)].sqrt();
+        assert!((found.readout_s() - 0.018).abs() < 1e-4 && sigma_s < 1e-4, "{} {sigma_s}", found.readout_s());
+        let fx = [&found, &truth].map(|model| model.camera.intrinsics().fx);
+        assert!((fx[0] / fx[1] - 1.0).abs() < 1e-4, "{fx:?}");
     }
 
     #[test]

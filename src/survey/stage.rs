@@ -7,7 +7,7 @@ use super::constraints::{Constraint, ConstraintCheck};
 use super::lively_part::{mended, shutter_of};
 use super::observers::Observers;
 use super::progress::{SurveyError, SurveyStep};
-use super::shutter::ShutterEstimate;
+use super::shutter::{ShutterEstimate, ShutterTime};
 use super::stage_model::{LENS_NUMBERS, Places, StageModel};
 use super::walk::Walk;
 use super::ways;
@@ -21,9 +21,16 @@ use crate::tracker::TrackerSetup;
 const LEAST_KEYFRAMES: usize = 8;
 /// One sigma of a lens that nothing is known of: of the focal lengths (share), the centre (share of the width), k1, k2, p1, p2.
 const UNKNOWN_LENS: [f64; 6] = [0.05, 0.03, 0.3, 0.3, 0.01, 0.01];
-/// How often the shutter is asked for at most: the first time with a stage and a lens that a wrong shutter has bent. Raised, nothing is gained; lowered,
-/// that is believed.
-const SHUTTER_ROUNDS: usize = 2;
+/// Keyframes that know the readout no better than this, one sigma, seconds, do not tell it. Raised, a walk that hardly moved speaks for the lively part;
+/// lowered, that one, which takes the lens for granted, speaks for all.
+const VAGUE_READOUT_S: f64 = 1e-3;
+/// The stage is adjusted anew where the readout is another one than it was adjusted with by more than this, seconds: at a metre a second and 3 m a thirtieth of a
+/// pixel. Raised, the lens makes up for what is left; lowered, surveys take longer for nothing.
+const SAME_READOUT_S: f64 = 1e-4;
+
+/// How far the rates of a camera that sways are from those that its frames tell (`camera_rates`), as a share, and so a readout from what keyframes say. Raised, small
+/// slips of `readout_s` stay; lowered, a readout is believed to be known better than it is.
+const SWAY_SHARE: f64 = 0.05;
 
 /// What to find.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -107,9 +114,10 @@ pub fn survey(
         (_, n) if n < LEAST_KEYFRAMES => return Err(SurveyError::TooFewPlaces { found: n, least: LEAST_KEYFRAMES }),
         _ => {}
     }
-    let model = StageModel::new(camera, &stage.surfaces, options.refines_lens, !options.constraints.is_empty());
+    let model =
+        StageModel::new(camera, &stage.surfaces, options.refines_lens, !options.constraints.is_empty()).with_readout(shutter.readout_s);
     let observers = Observers::new(keyframes, &model, shutter, &stage, mask.as_ref(), goes_on);
-    let mut adjustment = Adjustment::new(observers, shutter, lens_sigmas(&camera), options.constraints);
+    let mut adjustment = Adjustment::new(observers, lens_sigmas(&camera), options.constraints);
     let mut round = 0;
     let mut hear = |_| {
         progress(SurveyStep::Round(round));
@@ -118,16 +126,17 @@ pub fn survey(
     let mut adjusted = adjustment.run(model, &mut hear);
     let frames_of_shutter: Vec<Frame> = lively.into_iter().map(|numbered| numbered.frame).collect();
     let mut shutter_found = None;
-    for _ in 0..if options.refines_lens { SHUTTER_ROUNDS } else { 0 } {
-        let Some(before) = &adjusted else { break };
+    if let Some(before) = adjusted.as_ref().filter(|_| options.refines_lens) {
         let stage = BodySpec { surfaces: before.model.surfaces.clone(), ..stage.clone() };
-        shutter_found = shutter_of(&frames_of_shutter, TrackerSetup { camera: before.model.camera, stage, ..setup.clone() }, goes_on);
-        let next = shutter_found.filter(|found| found.has_settled).map_or(shutter, |found| mended(shutter, &found));
-        if next == shutter {
-            break;
+        let lively = shutter_of(&frames_of_shutter, TrackerSetup { camera: before.model.camera, stage, ..setup.clone() }, goes_on);
+        let found = shutter_of_walk(before, lively.filter(|found| found.has_settled));
+        shutter = mended(shutter, &found);
+        shutter_found = Some(found);
+        let is_another =
+            shutter.exposure_s != setup.shutter.exposure_s || (shutter.readout_s - before.model.readout_s()).abs() > SAME_READOUT_S;
+        if is_another {
+            adjusted = adjustment.run_with_shutter(before.model.clone(), shutter, &mut hear);
         }
-        shutter = next;
-        adjusted = adjustment.run_with_shutter(before.model.clone(), shutter, &mut hear);
     }
     let Some(Adjusted {
         model,
@@ -144,6 +153,10 @@ pub fn survey(
     }) = adjusted
     else {
         return Err(if !goes_on() { SurveyError::Interrupted } else { SurveyError::Undetermined });
+    };
+    let covariance = match model.places().readout {
+        Some(at) if shutter.readout_s != setup.shutter.readout_s => with_sway(covariance, at, SWAY_SHARE * model.readout_s()),
+        _ => covariance,
     };
     let (keyframes, used) = (observed.len(), observed.iter().flatten().count());
     let cameras = observed.iter().flatten().map(|f| f.motion.pose).collect();
@@ -172,6 +185,30 @@ pub fn survey(
         places,
         covariance,
     })
+}
+
+/// What a walk says of the shutter: the readout by the keyframes, which are adjusted together with the lens that it bends, or, where these do not tell it, by the
+/// lively part, which tells the exposure.
+fn shutter_of_walk(adjusted: &Adjusted, lively: Option<ShutterEstimate>) -> ShutterEstimate {
+    let (frames, aligned) = (adjusted.frames.len(), adjusted.frames.iter().flatten().count());
+    let by_keyframes = adjusted.model.places().readout.and_then(|at| {
+        let (seconds, sigma_s) = (adjusted.model.readout_s(), adjusted.covariance[(at, at)].max(0.0).sqrt());
+        let sigma_s = (sigma_s < VAGUE_READOUT_S).then(|| sigma_s.hypot(SWAY_SHARE * seconds))?;
+        Some(ShutterTime { seconds, sigma_s, frames: aligned })
+    });
+    let nothing = ShutterEstimate { readout: None, exposure: None, frames, aligned, has_settled: true };
+    let lively = lively.unwrap_or(nothing);
+    ShutterEstimate { readout: by_keyframes.or(lively.readout), ..lively }
+}
+
+/// Adds to a covariance that unknown `at` is off by one more sigma, and with it all that it goes with.
+fn with_sway(covariance: DMatrix<f64>, at: usize, sigma: f64) -> DMatrix<f64> {
+    let variance = covariance[(at, at)];
+    if variance <= 0.0 {
+        return covariance;
+    }
+    let by_unknown = covariance.column(at) / variance;
+    &covariance + &by_unknown * by_unknown.transpose() * sigma.powi(2)
 }
 
 /// 3 sigma of the lens that was found; none where it was kept.

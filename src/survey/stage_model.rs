@@ -33,6 +33,7 @@ pub struct StageModel {
     pub surfaces: Vec<SurfaceSpec>,
     /// By how much the stage is larger than `size_m` says, as a share: every surface's stretch contains it.
     growth: f64,
+    readout_s: f64,
     /// Where everything began.
     start: Start,
     places: Places,
@@ -41,6 +42,7 @@ pub struct StageModel {
 #[derive(Debug, Clone)]
 struct Start {
     intrinsics: Intrinsics,
+    readout_s: f64,
     surfaces: Vec<SurfaceSpec>,
 }
 
@@ -55,6 +57,8 @@ pub struct Places {
     pub poses: Vec<Option<usize>>,
     /// Of the stage's size, where something was measured; see [`StageModel::growth`].
     pub size: Option<usize>,
+    /// Of the readout, where the lens is found.
+    pub readout: Option<usize>,
     /// Of the lens, the last of all.
     pub lens: Option<usize>,
     /// How many there are.
@@ -102,7 +106,24 @@ impl StageModel {
         };
         let surfaces: Vec<SurfaceSpec> = surfaces.iter().map(model).collect();
         let places = Places::of(&surfaces, refines_lens, has_measurements);
-        Self { camera, growth: 0.0, start: Start { intrinsics: *camera.intrinsics(), surfaces: surfaces.clone() }, surfaces, places }
+        let start = Start { intrinsics: *camera.intrinsics(), readout_s: 0.0, surfaces: surfaces.clone() };
+        Self { camera, growth: 0.0, readout_s: 0.0, start, surfaces, places }
+    }
+
+    /// The same, with rows that are read in this time, as far as known.
+    pub fn with_readout(mut self, readout_s: f64) -> Self {
+        (self.readout_s, self.start.readout_s) = (readout_s, readout_s);
+        self
+    }
+
+    /// From the first row to the last, seconds; below 0 where the rows are read from the bottom up.
+    pub fn readout_s(&self) -> f64 {
+        self.readout_s
+    }
+
+    /// How far that is from where it began.
+    pub fn readout_change_s(&self) -> f64 {
+        self.readout_s - self.start.readout_s
     }
 
     /// Where the unknown numbers are.
@@ -165,6 +186,7 @@ impl StageModel {
         let mut next = self.clone();
         let growth = self.places.size.map_or(0.0, |at| step[at]);
         next.growth += growth;
+        next.readout_s += self.places.readout.map_or(0.0, |at| step[at]);
         for (k, surface) in next.surfaces.iter_mut().enumerate() {
             let mut shape = bent(surface)?.clone();
             for (n, c) in shape.height.coefficients_mut().iter_mut().enumerate() {
@@ -199,7 +221,8 @@ fn lens_numbers(i: &Intrinsics) -> [f64; LENS_NUMBERS] {
 
 impl Places {
     fn of(surfaces: &[SurfaceSpec], refines_lens: bool, has_measurements: bool) -> Self {
-        let mut places = Self { heights: Vec::new(), stretches: Vec::new(), poses: Vec::new(), size: None, lens: None, count: 0 };
+        let mut places =
+            Self { heights: Vec::new(), stretches: Vec::new(), poses: Vec::new(), size: None, readout: None, lens: None, count: 0 };
         let mut take = |n: usize| {
             places.count += n;
             places.count - n
@@ -211,6 +234,7 @@ impl Places {
             places.poses.push((k > 0).then(|| take(6)));
         }
         places.size = has_measurements.then(|| take(1));
+        places.readout = refines_lens.then(|| take(1));
         places.lens = refines_lens.then(|| take(LENS_NUMBERS));
         places
     }

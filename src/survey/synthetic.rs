@@ -6,10 +6,10 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::stage_model::StageModel;
-use crate::camera::{Intrinsics, Normalized};
+use crate::camera::{Intrinsics, Normalized, Shutter};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
-use crate::track::{ObservedFrame, ObservedTile, ReferenceKind, SurfaceShape, SurfaceSpec};
+use crate::track::{KnownRates, ObservedFrame, ObservedTile, ReferenceKind, SurfaceShape, SurfaceSpec};
 
 pub const LENS: Intrinsics = Intrinsics {
     width: 1280,
@@ -53,25 +53,38 @@ pub fn camera_poses(n: usize) -> Vec<Pose<Body, Camera>> {
     (0..n).map(pose).collect()
 }
 
-/// The tiles that frames at these poses show of the true stage, each as its shift from where a model predicts it, with noise (one sigma, pixels).
-pub fn observed(truth: &StageModel, model: &StageModel, poses: &[Pose<Body, Camera>], noise_px: f64, seed: u64) -> Vec<ObservedFrame> {
+/// The tiles that frames with these motions show of the true stage, each as its shift from where a model predicts it, with noise (one sigma, pixels).
+pub fn observed(truth: &StageModel, model: &StageModel, motions: &[Motion], noise_px: f64, seed: u64) -> Vec<ObservedFrame> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut gauss = move || (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>();
-    let seen = |model: &StageModel, pose: &Pose<Body, Camera>, surface: usize, on_picture_m: [f64; 2]| {
+    // Where a model shows a place, and when its row is exposed.
+    let seen = |model: &StageModel, motion: &Motion, surface: usize, on_picture_m: [f64; 2]| {
         let spec = &model.surfaces[surface];
-        let c = pose.inverse().transform(&spec.pose.transform(&spec.shape.at(on_picture_m).place.into())).coords;
-        let pixel = model.camera.project(Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0;
-        let inside = c.z > 0.1 && (0.0..1280.0).contains(&pixel.x) && (0.0..720.0).contains(&pixel.y);
-        inside.then_some(pixel)
+        let place = spec.pose.transform(&spec.shape.at(on_picture_m).place.into());
+        let shutter = Shutter { readout_s: model.readout_s(), exposure_s: 0.0 };
+        let mut delay_s = 0.0;
+        for _ in 0..8 {
+            let c = motion.after(delay_s).pose.inverse().transform(&place).coords;
+            let pixel = model.camera.project(Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0;
+            let is_inside = c.z > 0.1 && (0.0..1280.0).contains(&pixel.x) && (0.0..720.0).contains(&pixel.y);
+            let later_s = is_inside.then(|| shutter.delay_s(pixel.y + 0.5, 720))?;
+            if later_s == delay_s {
+                return Some((pixel, delay_s));
+            }
+            delay_s = later_s;
+        }
+        let c = motion.after(delay_s).pose.inverse().transform(&place).coords;
+        Some((model.camera.project(Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0, delay_s))
     };
-    let mut frame = |pose: &Pose<Body, Camera>| {
+    let mut frame = |motion: &Motion| {
         let mut tiles = Vec::new();
         for (surface, spec) in model.surfaces.iter().enumerate() {
             for k in 0..80 {
                 let share = |n: i32, of: f64| (f64::from(n) + 0.5) / of - 0.5;
                 let on_picture_m =
                     [share(k % 10, 10.0) * spec.size_m[0] + 0.03 * gauss(), share(k / 10, 8.0) * spec.size_m[1] + 0.03 * gauss()];
-                let (Some(real), Some(expected)) = (seen(truth, pose, surface, on_picture_m), seen(model, pose, surface, on_picture_m))
+                let (Some((real, _)), Some((expected, delay_s))) =
+                    (seen(truth, motion, surface, on_picture_m), seen(model, motion, surface, on_picture_m))
                 else {
                     continue;
                 };
@@ -80,12 +93,13 @@ pub fn observed(truth: &StageModel, model: &StageModel, poses: &[Pose<Body, Came
                     on_picture_m,
                     shift_px: real - expected + Vector2::new(gauss(), gauss()) * noise_px,
                     information: Matrix2::identity() / noise_px.max(1e-3).powi(2),
-                    delay_s: 0.0,
+                    delay_s,
                     number: k as u32,
                 });
             }
         }
-        ObservedFrame { motion: Motion::still(*pose), tiles }
+        let rates = motion.is_moving().then(|| KnownRates { means: [motion.velocity, motion.turn_rate], sigmas: [0.01, 0.005] });
+        ObservedFrame { motion: *motion, rates, tiles }
     };
-    poses.iter().map(&mut frame).collect()
+    motions.iter().map(&mut frame).collect()
 }

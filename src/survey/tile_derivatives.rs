@@ -3,7 +3,7 @@
 use nalgebra::{SMatrix, Vector2};
 
 use super::stage_model::{LENS_COLUMNS, StageModel};
-use crate::camera::Normalized;
+use crate::camera::{Normalized, Shutter};
 use crate::geometry::skew;
 use crate::motion::Motion;
 use crate::track::ObservedTile;
@@ -23,7 +23,8 @@ pub struct TileDerivatives {
 impl TileDerivatives {
     /// Of a tile that a camera sees; `None` behind it.
     pub fn of(tile: &ObservedTile, motion: &Motion, model: &StageModel) -> Option<Self> {
-        let t_camera_body = motion.after(tile.delay_s).pose.inverse();
+        let then = motion.after(tile.delay_s);
+        let t_camera_body = then.pose.inverse();
         let point = model.point(tile.surface, tile.on_picture_m);
         let seen = t_camera_body.transform(&point.place.into()).coords;
         if seen.z < 1e-6 {
@@ -41,6 +42,13 @@ impl TileDerivatives {
 
         let by_body = by_point * t_camera_body.rotation_matrix();
         let mut by_model: Vec<(usize, Vector2<f64>)> = point.by_model.iter().map(|(k, d)| (*k, by_body * d)).collect();
+        if let Some(at) = model.places().readout {
+            // The later a row is read, the farther the camera has gone.
+            let height = model.camera.height();
+            let share = Shutter { readout_s: 1.0, exposure_s: 0.0 }.delay_s(model.camera.project(Normalized(n)).0.y + 0.5, height);
+            let passes = -(t_camera_body.rotation * then.velocity) - then.turn_rate.cross(&seen);
+            by_model.push((at, by_point * passes * share));
+        }
         if let Some(at) = model.places().lens {
             let lens = model.camera.intrinsics();
             let by_numbers = lens.by_numbers(n, lens.distort(n).0);
@@ -61,8 +69,12 @@ mod tests {
     fn seen(tile: &ObservedTile, motion: &Motion, model: &StageModel) -> Vector2<f64> {
         let surface = &model.surfaces[tile.surface];
         let in_body = surface.pose.transform(&surface.shape.at(tile.on_picture_m).place.into());
-        let c = motion.after(tile.delay_s).pose.inverse().transform(&in_body).coords;
-        model.camera.project(Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0
+        let at = |delay_s: f64| {
+            let c = motion.after(delay_s).pose.inverse().transform(&in_body).coords;
+            model.camera.project(Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0
+        };
+        let later = Shutter { readout_s: model.readout_change_s(), exposure_s: 0.0 };
+        at(tile.delay_s + later.delay_s(at(tile.delay_s).y + 0.5, model.camera.height()))
     }
 
     #[test]

@@ -6,13 +6,14 @@
 use nalgebra::{Quaternion, UnitQuaternion, Vector2};
 use serde::{Deserialize, Serialize};
 
+use super::camera_rates::RecentPoses;
 use super::keyframes::{Keyframe, Keyframes, MatchedFeature};
 use super::lively_part::{LivelyPart, NumberedFrame};
 use super::progress::{SurveyError, SurveyStep};
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
-use crate::track::{BodySpec, Matcher, SurfaceMatch};
+use crate::track::{BodySpec, KnownRates, Matcher, SurfaceMatch};
 use crate::tracker::TrackerSetup;
 
 /// Longest time between two poses that give a velocity, seconds. Raised, the velocity may span a turn; lowered, cameras with few frames a second give none.
@@ -48,6 +49,8 @@ struct KeyframeRecord {
     orientation_xyzw: [f64; 4],
     velocity: [f64; 3],
     turn_rate: [f64; 3],
+    /// Known velocity and turn rate, and one sigma of each.
+    rates: Option<[([f64; 3], f64); 2]>,
     /// Surface, metres on its picture, pixel, sigma in pixels.
     features: Vec<(usize, [f64; 2], [f64; 2], f64)>,
 }
@@ -74,6 +77,7 @@ impl Walk {
         for clip in clips {
             let mut matcher = Matcher::new(camera, shutter, mask.clone(), &stage, &[], settings.clone(), clock);
             let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
+            let mut recent = RecentPoses::default();
             for frame in clip {
                 if !goes_on() {
                     return Err(SurveyError::Interrupted);
@@ -87,9 +91,12 @@ impl Walk {
                     continue;
                 };
                 found += 1;
-                let motion = motion_since(before.replace((pose, frame.timestamp)), pose, frame.timestamp);
                 let distance_m =
                     stage.surfaces.iter().map(|s| (s.pose.translation - pose.translation).norm()).fold(f64::INFINITY, f64::min);
+                let motion = motion_since(before.replace((pose, frame.timestamp)), pose, frame.timestamp);
+                if let Some((number, rates)) = recent.add(frames, pose, frame.timestamp, distance_m) {
+                    keyframes.take_rates(number, rates);
+                }
                 let speed = motion.velocity.norm() / distance_m + motion.turn_rate.norm();
                 if wants_lively {
                     lively.offer(Some((frames, &frame, speed)));
@@ -146,7 +153,7 @@ impl Walk {
 
 impl KeyframeRecord {
     fn of(keyframe: &Keyframe) -> Self {
-        let Keyframe { number, motion, features, .. } = keyframe;
+        let Keyframe { number, motion, rates, features, .. } = keyframe;
         let feature = |f: &MatchedFeature| (f.surface, f.on_picture_m, f.pixel.into(), f.sigma_px);
         Self {
             number: *number,
@@ -154,6 +161,7 @@ impl KeyframeRecord {
             orientation_xyzw: motion.pose.rotation.coords.into(),
             velocity: motion.velocity.into(),
             turn_rate: motion.turn_rate.into(),
+            rates: rates.map(|known| [0, 1].map(|k| (known.means[k].into(), known.sigmas[k]))),
             features: features.iter().map(feature).collect(),
         }
     }
@@ -163,6 +171,7 @@ impl KeyframeRecord {
         let numbers = [&self.position_m, &self.velocity, &self.turn_rate];
         let is_sound = (rotation.norm() - 1.0).abs() < NORM_TOLERANCE
             && numbers.into_iter().flatten().all(|n| n.is_finite())
+            && self.rates.iter().flatten().all(|(mean, sigma)| mean.iter().all(|n| n.is_finite()) && sigma.is_finite() && *sigma > 0.0)
             && self.features.iter().all(|(surface, ..)| *surface < stage.surfaces.len());
         if !is_sound {
             return None;
@@ -176,7 +185,8 @@ impl KeyframeRecord {
             pixel: Vector2::from(*pixel),
             sigma_px: *sigma_px,
         };
-        Some(Keyframe { number: self.number, frame, motion, features: self.features.iter().map(feature).collect() })
+        let rates = self.rates.map(|known| KnownRates { means: known.map(|(mean, _)| mean.into()), sigmas: known.map(|(_, sigma)| sigma) });
+        Some(Keyframe { number: self.number, frame, motion, rates, features: self.features.iter().map(feature).collect() })
     }
 }
 
@@ -221,7 +231,8 @@ mod tests {
             let pose = Pose::new(UnitQuaternion::from_euler_angles(x, -0.3, 0.1 * x), Vector3::new(x, -2.0, 1.0 / 3.0));
             let motion = Motion { velocity: Vector3::new(0.1, x, 0.3), turn_rate: Vector3::new(x, 0.2, 0.0), ..Motion::still(pose) };
             let feature = MatchedFeature { surface: 0, on_picture_m: [x, 0.1], pixel: Vector2::new(1.0 / x, 2.0), sigma_px: 0.7 * x };
-            Keyframe { number, frame: frames[number - 1].clone(), motion, features: vec![feature; number] }
+            let rates = (number > 1).then(|| KnownRates { means: [motion.velocity, motion.turn_rate * x], sigmas: [0.1 * x, 0.3] });
+            Keyframe { number, frame: frames[number - 1].clone(), motion, rates, features: vec![feature; number] }
         };
         let lively = [6, 7].map(|number| NumberedFrame { number, frame: frames[number - 1].clone() }).to_vec();
         Walk { keyframes: [1, 4, 6, 9].map(keyframe).to_vec(), lively, frames: FRAMES, found: 8 }

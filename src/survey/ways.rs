@@ -36,12 +36,12 @@ pub fn with_ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &Norm
 fn ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &NormalEquations) -> Vec<DVector<f64>> {
     let frames = equations.frame_count();
     let step = frames.div_ceil(MOST_FRAMES).max(1);
-    let n = model.places().lens.unwrap_or(model.places().count);
+    let n = model.places().readout.unwrap_or(model.places().count);
     let mut by_model = DMatrix::zeros(6 * frames.div_ceil(step), n);
     for (row, k) in (0..frames).step_by(step).enumerate() {
         by_model.rows_mut(6 * row, 6).copy_from(&equations.pose_by_model(k).columns(0, n));
     }
-    // The lens's own uncertainty goes with the lens, in its calibration.
+    // The lens's own uncertainty goes with the lens, in its calibration, and the shutter's with the shutter.
     let spread = covariance.view((0, 0), (n, n)) * by_model.transpose();
     let eigen = (&by_model * &spread).symmetric_eigen();
     let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).filter(|k| eigen.eigenvalues[*k] > SMALLEST_WAY * SMALLEST_WAY).collect();

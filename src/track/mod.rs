@@ -61,6 +61,6 @@ pub use settings::TrackerSettings;
 pub use shape::tests::folds;
 pub use shape::{BentShape, ShapePoint, ShapeWay, SurfaceShape};
 pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
-pub use tile_observer::{ObservedFrame, ObservedTile, TileObserver};
+pub use tile_observer::{KnownRates, ObservedFrame, ObservedTile, TileObserver};
 pub use track_state::State;
 pub use verify::Verified;

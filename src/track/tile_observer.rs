@@ -4,7 +4,7 @@
 //! frame is aligned by itself, from the motion that it had before.
 
 use image::GrayImage;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Vector2, Vector3};
 
 use super::align::{Aligner, CameraRays, FrameLevels, Patch};
 use super::rectangle::Rectangle;
@@ -57,11 +57,22 @@ pub struct ObservedTile {
     pub number: u32,
 }
 
+/// How a camera moves, by the frames before and after one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KnownRates {
+    /// Velocity and turn rate, axes as in [`Motion`].
+    pub means: [Vector3<f64>; 2],
+    /// One sigma of each, along each axis.
+    pub sigmas: [f64; 2],
+}
+
 /// What a frame said.
 #[derive(Debug, Clone)]
 pub struct ObservedFrame {
     /// The camera's motion, by the model as it is.
     pub motion: Motion,
+    /// What was known of the motion's velocity and turn rate before.
+    pub rates: Option<KnownRates>,
     /// The tiles that fit.
     pub tiles: Vec<ObservedTile>,
 }
@@ -97,6 +108,11 @@ impl TileObserver {
         }
     }
 
+    /// From now on the rows are read in this time; the exposure stays as it is known.
+    pub fn take_readout(&mut self, readout_s: f64) {
+        self.aligner.take_readout(readout_s);
+    }
+
     /// Where a frame shows the anchors of each surface, searched for in the frame (`is_half`: at half its size, up to ten pixels from where the model has them) from a
     /// pose; and the pose that explains them best. For surfaces that stand elsewhere than the model has them, beyond the reach of the tiles.
     pub fn observe_anchors(&mut self, image: &GrayImage, start: &Pose<Body, Camera>, is_half: bool) -> Option<ObservedFrame> {
@@ -126,14 +142,25 @@ impl TileObserver {
                 number: number as u32,
             })
         };
-        Some(ObservedFrame { motion: Motion::still(pose.inverse()), tiles: seen.iter().enumerate().filter_map(tile).collect() })
+        Some(ObservedFrame {
+            motion: Motion::still(pose.inverse()),
+            rates: None,
+            tiles: seen.iter().enumerate().filter_map(tile).collect(),
+        })
     }
 
-    /// Where a frame shows the tiles, from the motion that it had before; `None` where the picture does not bear the model out.
-    pub fn observe(&mut self, image: &GrayImage, start: &Motion) -> Option<ObservedFrame> {
+    /// Where a frame shows the tiles, from the motion that it had before, whose velocity and turn rate may be known; `None` where the picture does not bear the model
+    /// out.
+    pub fn observe(&mut self, image: &GrayImage, start: &Motion, rates: Option<KnownRates>) -> Option<ObservedFrame> {
         let distance_m = self.aligner.distance_m(&start.pose);
         let unseen = MotionEstimate::unseen(start.pose, distance_m, START_SHIFT * distance_m, START_TURN);
-        let expected = MotionEstimate { motion: *start, ..unseen };
+        let mut expected = MotionEstimate { motion: *start, ..unseen };
+        if let Some(KnownRates { means: [velocity, turn_rate], sigmas }) = rates {
+            (expected.motion.velocity, expected.motion.turn_rate) = (velocity, turn_rate);
+            for axis in 6..12 {
+                expected.covariance[(axis, axis)] = sigmas[axis / 9].powi(2);
+            }
+        }
         self.levels.update(image);
         let solution = self.aligner.align(&mut self.levels, &self.rays, &expected, None)?;
         let found = solution.alignment;
@@ -149,6 +176,6 @@ impl TileObserver {
             delay_s: p.delay_s,
             number: p.tile,
         };
-        Some(ObservedFrame { motion: found.estimate.motion, tiles: self.patches.iter().map(tile).collect() })
+        Some(ObservedFrame { motion: found.estimate.motion, rates, tiles: self.patches.iter().map(tile).collect() })
     }
 }

@@ -77,6 +77,12 @@ impl Aligner {
         distance_m(&self.settings.surfaces, pose)
     }
 
+    /// From now on the rows are read in this time; the exposure stays as it is known.
+    pub fn take_readout(&mut self, readout_s: f64) {
+        self.buffers.has_kept &= self.slow.shutter.readout_s == readout_s;
+        self.slow.shutter.readout_s = readout_s;
+    }
+
     /// From now on every frame is asked what it says of the shutter, which is taken as given here.
     pub fn ask_shutter(&mut self, shutter: Shutter) {
         self.slow.fix_shutter(shutter);
