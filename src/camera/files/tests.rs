@@ -217,13 +217,14 @@ fn real_files_are_read() {
 
 prop_compose! {
     fn calibrations()(
-        width in 1u32..9000, height in 1u32..9000, f in 0.8..20.0f64, pixel in 0.5..2.0f64, c in prop::array::uniform2(0.0..1.0f64),
+        width in 1u32..9000, height in 1u32..9000, f in 1.2..10.0f64, pixel in 0.5..2.0f64, c in prop::array::uniform2(0.0..1.0f64),
         skew in -1.0..1.0f64, distortion in prop::array::uniform5(-0.01..0.01f64), rms_px in prop::option::of(0.0..9.0f64),
         images in prop::option::of(any::<u32>()), date in prop::option::of(".*"),
         sigma in prop::option::of(prop::array::uniform10(0.0..1e3f64)),
     ) -> Calibration {
         let (w, h) = (f64::from(width), f64::from(height));
-        let fx = f * w.max(h);
+        // Longer than the picture along both axes: within 60 degrees such distortions have an inverse, and wider they may be refused when they are read.
+        let fx = f * w.max(h) / pixel.min(1.0);
         let intrinsics = Intrinsics { width, height, fx, fy: pixel * fx, cx: c[0] * w, cy: c[1] * h, skew, distortion };
         let uncertainty = sigma.map(|s| IntrinsicsUncertainty {
             focal_px: [s[0], s[1]], centre_px: [s[2], s[3]], skew: s[4], distortion: [s[5], s[6], s[7], s[8], s[9]],

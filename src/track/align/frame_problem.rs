@@ -50,7 +50,7 @@ const FINE_STEP_PX: f64 = 0.045;
 /// that creep along outside of their basin are given; lowered, good ones that settle slowly are not.
 const LARGEST_LAST_STEP_PX: f64 = 0.15;
 /// A level's steps are no longer than this once it had its first rounds, pixels of the level, or the pose wanders about and is none: of 1936 alignments that
-/// succeeded none had a longer one there, of 475 that failed half. Raised, frames in which a start leads nowhere cost more; lowered, ones that settle slowly are
+/// succeeded two had a longer one there, of 475 that failed half. Raised, frames in which a start leads nowhere cost more; lowered, ones that settle slowly are
 /// given up.
 const LARGEST_SETTLED_STEP_PX: f64 = 1.0;
 /// The first rounds of a level. See above.
