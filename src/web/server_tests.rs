@@ -391,21 +391,33 @@ fn of_eight_viewers_one_that_stalls_harms_no_other() {
     let server = server();
     let mut observer = server.observer(None);
     let mut stalled = viewer(&server);
-    let mut others: Vec<TcpStream> = (0..7).map(|_| viewer(&server)).collect();
-    let mut k = 0;
+    let mut others: Vec<(TcpStream, Option<u64>)> = (0..7).map(|_| (viewer(&server), None)).collect();
+    // Frames go on: who asks a little late for one gets the next.
+    let (end, has_ended) = crossbeam_channel::bounded::<()>(0);
+    let camera = std::thread::spawn(move || {
+        for k in 0.. {
+            observer(&row(k, 500_000), &sample(k));
+            if has_ended.recv_timeout(Duration::from_millis(5)) == Err(crossbeam_channel::RecvTimeoutError::Disconnected) {
+                return;
+            }
+        }
+    });
+    let mut rounds = 0;
     // Until it is let go: by then the system's buffers are full, and a message has waited for its time.
     wait_until(|| {
         let _ = stalled.write_all(&NEXT);
-        others.iter_mut().for_each(|viewer| viewer.write_all(&NEXT).unwrap());
-        wait_until(|| server.hub.waiting() >= 7);
-        observer(&row(k, 500_000), &sample(k));
-        for viewer in &mut others {
-            assert_eq!(next_frame(viewer), (k, 500_000));
+        others.iter_mut().for_each(|(viewer, _)| viewer.write_all(&NEXT).unwrap());
+        for (viewer, last) in &mut others {
+            let (k, size) = next_frame(viewer);
+            assert!(size == 500_000 && last.is_none_or(|last| last < k), "{k} after {last:?}");
+            *last = Some(k);
         }
-        k += 1;
+        rounds += 1;
         server.hub.viewers() == 7
     });
-    assert!(k > 2, "{k}");
+    assert!(rounds > 2, "{rounds}");
+    drop(end);
+    camera.join().unwrap();
 }
 
 #[test]
