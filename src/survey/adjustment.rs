@@ -50,7 +50,10 @@ const SHORTEST: f64 = SHORTER * SHORTER * SHORTER;
 /// How far the readout may be from what is told, one sigma, seconds, where it is found: that of a rolling shutter which nobody told. Raised, nothing changes in
 /// walks that tell it; lowered, slow sensors are taken for faster ones.
 const READOUT_SIGMA_S: f64 = 0.02;
-/// The same once the part of the walk in which the picture moved most has told it: it stays.
+/// Fewest keyframes with known rates that the readout is found by; else it stays as told. Chosen, not tuned: three for each number of the lens. Raised, short walks do
+/// not tell it; lowered, one that tells little (a postcard in the hand, ten keyframes) finds -15 ms, and a lens to go with that.
+const LEAST_WITH_RATES: usize = 24;
+/// One sigma of the readout, seconds, once the part of the walk in which the picture moved most has told it: it stays.
 const KNOWN_READOUT_SIGMA_S: f64 = 1e-6;
 /// Covariances are that much larger than those of independent tiles: neighbouring keyframes see the same tiles, and what is off in one is off in the next.
 /// (research/mapping.md, section 6.)
@@ -101,6 +104,8 @@ pub struct Adjusted {
     pub covariance: DMatrix<f64>,
     /// The equations at the end.
     pub equations: NormalEquations,
+    /// Whether the readout was free to be another one than was told.
+    pub tells_readout: bool,
     /// Rounds that it took, and whether it came to rest.
     pub rounds: usize,
     /// See `rounds`.
@@ -110,10 +115,11 @@ pub struct Adjusted {
 impl<'a> Adjustment<'a> {
     /// Of keyframes by a lens whose numbers are known to `lens_sigmas`.
     pub fn new(observers: Observers<'a>, lens_sigmas: [f64; LENS_NUMBERS], constraints: Vec<Constraint>) -> Self {
+        let tells_readout = observers.with_rates() >= LEAST_WITH_RATES;
         Self {
             observers,
             lens_sigmas,
-            readout_sigma_s: READOUT_SIGMA_S,
+            readout_sigma_s: if tells_readout { READOUT_SIGMA_S } else { KNOWN_READOUT_SIGMA_S },
             constraints,
             smoothness: Smoothness::even(0, FIRST_CURVATURE),
             at_start: Vec::new(),
@@ -205,6 +211,7 @@ impl<'a> Adjustment<'a> {
                     scale: scales.iter().copied().fold(0.0, f64::max),
                     start_rms_px,
                     rms_px,
+                    tells_readout: self.readout_sigma_s > KNOWN_READOUT_SIGMA_S,
                     start_error_m,
                     covariance,
                     equations,

@@ -75,6 +75,11 @@ impl<'a> Observers<'a> {
         (self.goes_on)().then_some(frames)
     }
 
+    /// Keyframes whose velocity and turn rate the frames around tell.
+    pub fn with_rates(&self) -> usize {
+        self.keyframes.iter().filter(|keyframe| keyframe.rates.is_some()).count()
+    }
+
     /// Where each keyframe is by now.
     pub fn motions(&self) -> Vec<Motion> {
         self.keyframes.iter().map(|keyframe| keyframe.motion).collect()

@@ -150,6 +150,7 @@ pub fn survey(
         equations,
         rounds,
         has_settled,
+        ..
     }) = adjusted
     else {
         return Err(if !goes_on() { SurveyError::Interrupted } else { SurveyError::Undetermined });
@@ -191,7 +192,7 @@ pub fn survey(
 /// lively part, which tells the exposure.
 fn shutter_of_walk(adjusted: &Adjusted, lively: Option<ShutterEstimate>) -> ShutterEstimate {
     let (frames, aligned) = (adjusted.frames.len(), adjusted.frames.iter().flatten().count());
-    let by_keyframes = adjusted.model.places().readout.and_then(|at| {
+    let by_keyframes = adjusted.model.places().readout.filter(|_| adjusted.tells_readout).and_then(|at| {
         let (seconds, sigma_s) = (adjusted.model.readout_s(), adjusted.covariance[(at, at)].max(0.0).sqrt());
         let sigma_s = (sigma_s < VAGUE_READOUT_S).then(|| sigma_s.hypot(SWAY_SHARE * seconds))?;
         Some(ShutterTime { seconds, sigma_s, frames: aligned })
