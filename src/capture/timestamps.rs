@@ -39,7 +39,7 @@ pub fn read_timestamps(input: impl Read) -> Result<Vec<StampRow>, TimestampsErro
         if !header_seen {
             check_header(&first, &second)?;
             header_seen = true;
-        } else if !first.starts_with('#') && (!first.is_empty() || !second.is_empty()) {
+        } else if stands_for_a_row(first.as_bytes(), second.as_bytes()) {
             let stamp = first
                 .parse()
                 .map(Timestamp::from_ns)
@@ -48,6 +48,16 @@ pub fn read_timestamps(input: impl Read) -> Result<Vec<StampRow>, TimestampsErro
         }
     }
     if header_seen { Ok(rows) } else { Err(TimestampsError::Empty) }
+}
+
+/// Whether a line after the header stands for a row: neither a remark, nor empty.
+pub fn is_row(line: &[u8]) -> bool {
+    let mut fields = line.split(|byte| *byte == b',').map(<[u8]>::trim_ascii);
+    stands_for_a_row(fields.next().unwrap_or_default(), fields.next().unwrap_or_default())
+}
+
+fn stands_for_a_row(first: &[u8], second: &[u8]) -> bool {
+    !first.starts_with(b"#") && (!first.is_empty() || !second.is_empty())
 }
 
 fn check_header(first: &str, second: &str) -> Result<(), TimestampsError> {

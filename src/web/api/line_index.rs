@@ -7,7 +7,7 @@ use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use crate::capture::timestamps::{StampRow, TimestampsError, read_timestamps};
+use crate::capture::timestamps::{StampRow, TimestampsError, is_row, read_timestamps};
 use crate::safe_file;
 
 /// Of so many lines one is remembered. Chosen: 64 records are 0.1 MB, which are read at once. Raised, each row is read after more of those before it;
@@ -29,8 +29,7 @@ enum Kind {
 
 impl Kind {
     fn is_row(self, line: &[u8]) -> bool {
-        let text = line.trim_ascii();
-        self == Self::Records || !(text.starts_with(b"#") || text.iter().all(|byte| *byte == b',' || byte.is_ascii_whitespace()))
+        self == Self::Records || is_row(line)
     }
 }
 
@@ -177,7 +176,7 @@ mod tests {
         for from in [0, 1, 63, 64, 65, 200, 1000] {
             for k in from..from + 90 {
                 text += &format!("{},{k}.jpg\r\n", 10 * k);
-                text += ["", "\n", "# a remark\n", " , \n"][k % 4];
+                text += ["", "\n", "# a remark\n", " , \n", ",,neither\n"][k % 5];
                 records += &format!("{{\"sequence\":{k}}}\n{}", if k % 7 == 0 { "\n" } else { "" });
             }
             // Of the last lines a part is written.
