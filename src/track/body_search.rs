@@ -253,13 +253,8 @@ impl BodySearch {
         let frame = scene.frame;
         let start = self.clock.start();
         let _span = debug_span!("align", body = %tracked.body.name).entered();
-        let view = View {
-            camera: &self.camera,
-            full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
-            half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
-            row_motion: RowMotion { shutter: self.shutter, before: tracked.before_at(frame.timestamp) },
-            workers: &self.workers,
-        };
+        let mut buffers = std::mem::take(&mut self.verify_buffers);
+        let view = self.view(frame, tracked);
         // One of them costs as much as two more followed bodies: beside the stage the likeliest is asked alone.
         let asked = match (self.is_beside, tracked.track.is_continued()) {
             (false, _) => found.len(),
@@ -267,11 +262,11 @@ impl BodySearch {
             (true, true) => 0,
         };
         let starts = found.iter().take(asked).map(|c| c.pose);
-        let mut best = tracked.best_verified(starts, &view, &mut self.verify_buffers);
+        let mut best = tracked.best_verified(starts, &view, &mut buffers);
         if best.is_none() && tracked.track.is_continued() {
             // Too few features, as under blur or steep tilt: where the body should be by now is a start as good as any.
             let predicted = tracked.predicted(frame.timestamp);
-            best = tracked.best_verified(predicted.into_iter(), &view, &mut self.verify_buffers);
+            best = tracked.best_verified(predicted.into_iter(), &view, &mut buffers);
         }
         let aligned = best.and_then(|verified| {
             let distance = tracked.aligner.distance_m(&verified.pose);
@@ -279,20 +274,28 @@ impl BodySearch {
             let first = MotionEstimate::unseen(verified.pose, distance, shift, turn);
             tracked.align(frame, scene.levels, scene.rays, &first, None)
         });
+        self.verify_buffers = buffers;
         self.spent.align_ms += start.elapsed_ms() + self.workers.take_extra_ms();
         aligned.or(best)
     }
 
-    /// Lets the frame of a followed body say what of its model it speaks against; see [`TrackedBody::study`]. And the workers' time, milliseconds.
-    pub fn study(&mut self, frame: &Frame, tracked: &mut TrackedBody, verified: &Verified) -> (Option<ModelNews>, f64) {
-        let view = View {
+    /// A frame as verification of a body needs it.
+    fn view<'a>(&'a self, frame: &'a Frame, tracked: &TrackedBody) -> View<'a> {
+        View {
             camera: &self.camera,
             full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
             half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
             row_motion: RowMotion { shutter: self.shutter, before: tracked.before_at(frame.timestamp) },
             workers: &self.workers,
-        };
-        let news = tracked.study(&verified.pose, &view, &mut self.verify_buffers);
+        }
+    }
+
+    /// Lets the frame of a followed body say what of its model it speaks against; see [`TrackedBody::study`]. And the workers' time, milliseconds.
+    pub fn study(&mut self, frame: &Frame, tracked: &mut TrackedBody, verified: &Verified) -> (Option<ModelNews>, f64) {
+        let mut buffers = std::mem::take(&mut self.verify_buffers);
+        let view = self.view(frame, tracked);
+        let news = tracked.study(&verified.pose, &view, &mut buffers);
+        self.verify_buffers = buffers;
         (news, self.workers.take_extra_ms())
     }
 

@@ -49,6 +49,19 @@ pub const LEAST_COST: f64 = 0.0005;
 /// Points along each side at which a shape's heights are asked. Any dozen would do.
 const ASKED: u32 = 24;
 
+/// A frame as it is studied.
+#[derive(Clone, Copy)]
+pub struct StudiedFrame<'a> {
+    /// What the pose leaves of the anchors' displacements.
+    pub residuals: &'a TileResiduals,
+    /// `T_camera_body` that they are of.
+    pub pose: &'a Pose<Camera, Body>,
+    /// Where the frame shows the body.
+    pub anchors: &'a [FittedAnchor],
+    /// How a motion while rows are read displaces them.
+    pub rows: &'a RowDisplacement,
+}
+
 /// Sums up what frames show of one body.
 #[derive(Debug)]
 pub struct ModelStudy {
@@ -114,15 +127,9 @@ impl ModelStudy {
         }
     }
 
-    /// Takes a frame. `pose`: `T_camera_body` that the residuals are of.
-    pub fn add(
-        &mut self,
-        residuals: &TileResiduals,
-        pose: &Pose<Camera, Body>,
-        body: &PreparedBody,
-        anchors: &[FittedAnchor],
-        rows: &RowDisplacement,
-    ) {
+    /// Takes a frame.
+    pub fn add(&mut self, frame: &StudiedFrame, body: &PreparedBody) {
+        let StudiedFrame { residuals, pose, anchors, rows } = *frame;
         let scales: Vec<f64> = (0..body.surfaces.len()).map(|k| self.scale_of(k, residuals, anchors)).collect();
         let Self { unknowns, normal, right, shared, row, strayed, .. } = self;
         let mut own = SMatrix::<f64, NUISANCES, NUISANCES>::zeros();

@@ -53,7 +53,8 @@ fn walk(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel)
         let mut residuals = TileResiduals::default();
         residuals.take(&pose, &told_lens, &anchors).expect("tiles enough");
         let rows = RowMotion { shutter: Shutter::default(), before: Some((pose, 0.03, None)) };
-        study.add(&residuals, &pose, &told, &anchors, &RowDisplacement::new(&told_lens, &rows, &pose));
+        let rows = RowDisplacement::new(&told_lens, &rows, &pose);
+        study.add(&StudiedFrame { residuals: &residuals, pose: &pose, anchors: &anchors, rows: &rows }, &told);
     }
     (study.misfits(&told, &told_lens), 1e3 * (squared_m2 / 14.0_f64).sqrt())
 }

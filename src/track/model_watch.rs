@@ -6,13 +6,11 @@
 
 use nalgebra::Vector3;
 
-use super::fitted_anchor::FittedAnchor;
-use super::focal_clue::RowDisplacement;
 use super::misfit::{Misfit, ModelReport};
-use super::model_study::ModelStudy;
+use super::model_study::{ModelStudy, StudiedFrame};
 use super::model_unknowns::MOST_WAVES;
 use super::reference::PreparedBody;
-use super::tile_residuals::{LEAST_MISFIT, TileResiduals};
+use super::tile_residuals::LEAST_MISFIT;
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
 
@@ -57,13 +55,16 @@ pub struct ModelWatch {
 impl ModelWatch {
     /// Of a body with so many surfaces, beside tracking.
     pub fn new(surfaces: usize) -> Self {
-        let study = ModelStudy::new(surfaces, WAVES);
-        Self { study, is_thorough: false, passed: 0, studied: 0, doubts: Vec::new(), views: Vec::new(), found: None, told: Vec::new() }
+        Self::of(ModelStudy::new(surfaces, WAVES), false)
     }
 
     /// Of a body with so many surfaces, for what a whole clip says.
     pub fn thorough(surfaces: usize) -> Self {
-        Self { study: ModelStudy::new(surfaces, MOST_WAVES), is_thorough: true, ..Self::new(surfaces) }
+        Self::of(ModelStudy::new(surfaces, MOST_WAVES), true)
+    }
+
+    fn of(study: ModelStudy, is_thorough: bool) -> Self {
+        Self { study, is_thorough, passed: 0, studied: 0, doubts: Vec::new(), views: Vec::new(), found: None, told: Vec::new() }
     }
 
     /// Whether every frame is studied.
@@ -82,16 +83,9 @@ impl ModelWatch {
     }
 
     /// Takes a frame's residuals. Beside tracking those that are no more than noise are passed over.
-    pub fn take(
-        &mut self,
-        residuals: &TileResiduals,
-        pose: &Pose<Camera, Body>,
-        body: &PreparedBody,
-        anchors: &[FittedAnchor],
-        rows: &RowDisplacement,
-    ) {
-        if self.is_thorough || residuals.is_misfit() {
-            self.study.add(residuals, pose, body, anchors, rows);
+    pub fn take(&mut self, frame: &StudiedFrame, body: &PreparedBody) {
+        if self.is_thorough || frame.residuals.is_misfit() {
+            self.study.add(frame, body);
             self.studied += 1;
         }
     }

@@ -9,6 +9,7 @@ use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
 use super::misfit::{Misfit, ModelNews, ModelReport};
 use super::model_error::covariance_by_model_error;
+use super::model_study::StudiedFrame;
 use super::model_watch::ModelWatch;
 use super::pixel_watch::{Displaced, Used};
 use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
@@ -331,7 +332,7 @@ impl TrackedBody {
         studied.extend_from_slice(&buffers.searched);
         study_residuals.take(&t_camera_body, view.camera, studied)?;
         let rows = RowDisplacement::new(view.camera, &view.row_motion, &t_camera_body);
-        model_watch.take(study_residuals, &t_camera_body, body, studied, &rows);
+        model_watch.take(&StudiedFrame { residuals: study_residuals, pose: &t_camera_body, anchors: studied, rows: &rows }, body);
         let misfit = model_watch.news(body, view.camera)?;
         Some(self.named(&misfit))
     }
