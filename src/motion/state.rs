@@ -101,11 +101,6 @@ impl<To, From> Motion<To, From> {
         [self.pose.translation, self.velocity, self.acceleration * 0.5]
     }
 
-    /// Whether it has a velocity or turns.
-    pub fn is_moving(&self) -> bool {
-        self.velocity != Vector3::zeros() || self.turn_rate != Vector3::zeros()
-    }
-
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         let parts = [&self.velocity, &self.turn_rate, &self.acceleration, &self.turn_acceleration];

@@ -210,6 +210,8 @@ mod tests {
     use crate::survey::synthetic::{LENS, camera_poses, observed, stage};
     use crate::track::SurfaceSpec;
 
+    /// Noise of a tile, one sigma along each axis, pixels.
+    const NOISE_PX: f64 = 0.002;
     /// A lens of which nothing is known.
     const SIGMAS: [f64; LENS_NUMBERS] = [50.0, 50.0, 40.0, 40.0, 0.3, 0.3, 0.01, 0.01];
 
@@ -241,26 +243,19 @@ mod tests {
         flat.stepped(&step).unwrap()
     }
 
-    /// Gauss-Newton on tiles that are observed anew in every round; the model and its covariance.
-    fn adjusted(
-        start: StageModel,
-        truth: &StageModel,
-        constraints: &[Constraint],
-        noise_px: f64,
-        rounds: usize,
-    ) -> (StageModel, DMatrix<f64>) {
-        let motions: Vec<Motion> = camera_poses(24).into_iter().map(Motion::still).collect();
-        adjusted_by(&motions, 1e-6, start, truth, constraints, noise_px, rounds)
+    /// Cameras that stand still.
+    fn still() -> Vec<Motion> {
+        camera_poses(24).into_iter().map(Motion::still).collect()
     }
 
-    /// The same with cameras that may move, and a readout known to one sigma, seconds.
-    fn adjusted_by(
+    /// Gauss-Newton on tiles of cameras with these motions, observed anew in every round; the model and its covariance. `readout_sigma_s`: how well the start's
+    /// readout is known.
+    fn adjusted(
         motions: &[Motion],
-        readout_sigma_s: f64,
         start: StageModel,
+        readout_sigma_s: f64,
         truth: &StageModel,
         constraints: &[Constraint],
-        noise_px: f64,
         rounds: usize,
     ) -> (StageModel, DMatrix<f64>) {
         let mut model = start;
@@ -268,7 +263,7 @@ mod tests {
         let mut covariance = DMatrix::zeros(0, 0);
         for _ in 0..rounds {
             // Linearised at the true poses, which the equations leave free.
-            let frames = observed(truth, &model, motions, noise_px, 7);
+            let frames = observed(truth, &model, motions, NOISE_PX, 7);
             let rows: Vec<FrameRows> = frames.iter().map(|f| FrameRows::new(f, &model, 3.0, |_| false)).collect();
             let mut equations = NormalEquations::new(&rows, model.places().count, &[1e3; 2], true).unwrap();
             // The scale of Tukey's weights leaves all tiles in; undo what it did to the information.
@@ -287,7 +282,7 @@ mod tests {
     fn shape_layout_and_lens_are_found_from_exact_tiles() {
         let truth = truth();
         let start = StageModel::new(lens(0.01), &stage(), true, false);
-        let (found, covariance) = adjusted(start, &truth, &[], 0.002, 6);
+        let (found, covariance) = adjusted(&still(), start, 1e-6, &truth, &[], 6);
         let (lens, real) = (found.camera.intrinsics(), truth.camera.intrinsics());
         assert!((lens.fx / real.fx - 1.0).abs() < 1e-4 && (lens.cx - real.cx).abs() < 0.1, "{lens:?}");
         let at = found.places().lens.unwrap();
@@ -315,7 +310,7 @@ mod tests {
         };
         let motions: Vec<Motion> = camera_poses(24).into_iter().enumerate().map(moving).collect();
         let start = StageModel::new(lens(0.01), &stage(), true, false);
-        let (found, covariance) = adjusted_by(&motions, 0.02, start, &truth, &[], 0.002, 8);
+        let (found, covariance) = adjusted(&motions, start, 0.02, &truth, &[], 8);
         let at = found.places().readout.unwrap();
         let sigma_s = covariance[(at, at)].sqrt();
         assert!((found.readout_s() - 0.018).abs() < 1e-4 && sigma_s < 1e-4, "{} {sigma_s}", found.readout_s());
@@ -356,7 +351,7 @@ mod tests {
             measured: Measured::Distance { between, length_m: (to - from).norm() },
             sigma_m: 0.001,
         };
-        let (found, covariance) = adjusted(StageModel::new(lens(0.0), &typed, false, true), &truth, &[length], 0.002, 6);
+        let (found, covariance) = adjusted(&still(), StageModel::new(lens(0.0), &typed, false, true), 1e-6, &truth, &[length], 6);
         let size = found.places().size.unwrap();
         assert!((found.growth() - 0.02).abs() < 1e-5, "{}", found.growth());
         assert!(covariance[(size, size)].sqrt() < 1e-3);

@@ -98,7 +98,8 @@ pub fn observed(truth: &StageModel, model: &StageModel, motions: &[Motion], nois
                 });
             }
         }
-        let rates = motion.is_moving().then_some(KnownRates { means: [motion.velocity, motion.turn_rate], sigmas: [0.01, 0.005] });
+        let means = [motion.velocity, motion.turn_rate];
+        let rates = (means != [Vector3::zeros(); 2]).then_some(KnownRates { means, sigmas: [0.01, 0.005] });
         ObservedFrame { motion: *motion, rates, tiles }
     };
     motions.iter().map(&mut frame).collect()
