@@ -210,7 +210,7 @@ fn spread(values: &mut [f64]) -> Value {
     json!({"median": at(0.5), "p95": at(0.95), "max": at(1.0)})
 }
 
-/// What is told of a comparison of nothing.
+/// The result of a comparison that has no rows: its fields, without numbers.
 #[cfg(test)]
 pub fn nothing_compared() -> Value {
     Compared::default().told()

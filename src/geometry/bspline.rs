@@ -51,7 +51,7 @@ struct Basis {
 }
 
 impl Basis {
-    /// At `t`, 0 to 1, in an interval, of which there are so many to the unit.
+    /// Of a point at `t`, 0 to 1, within an interval. `per_unit`: intervals per unit of length.
     fn at(t: f64, per_unit: f64) -> Self {
         let s = 1.0 - t;
         let (t2, s2) = (t * t, s * s);

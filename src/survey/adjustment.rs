@@ -47,14 +47,14 @@ const LEAST_KEPT_SHARE: f64 = 0.5;
 const SHORTER: f64 = 0.25;
 /// The shortest share of a step: three times shorter in a row. Lowered, rounds are lost where the frames are gone for another reason.
 const SHORTEST: f64 = SHORTER * SHORTER * SHORTER;
-/// How far the readout may be from what is told, one sigma, seconds, where it is found: that of a rolling shutter which nobody told. Raised, nothing changes in
-/// walks that tell it; lowered, slow sensors are taken for faster ones.
+/// Standard deviation of the readout about the configured one where the walk is to find it, seconds: a sensor that reads slowly and is configured as one that reads
+/// all rows at once. Raised, nothing changes in walks that show it; lowered, slow sensors are taken for faster ones.
 const READOUT_SIGMA_S: f64 = 0.02;
+/// The same where the readout is to stay: where few keyframes move, and once it was found. Raised, it drifts with the lens; much lower, the equations lose digits.
+const KNOWN_READOUT_SIGMA_S: f64 = 1e-6;
 /// Fewest keyframes with known rates that the readout is found by; else it stays as told. Chosen, not tuned: three for each number of the lens. Raised, short walks do
 /// not tell it; lowered, one that tells little (a postcard in the hand, ten keyframes) finds -15 ms, and a lens to go with that.
 const LEAST_WITH_RATES: usize = 24;
-/// One sigma of the readout, seconds, once the part of the walk in which the picture moved most has told it: it stays.
-const KNOWN_READOUT_SIGMA_S: f64 = 1e-6;
 /// Covariances are that much larger than those of independent tiles: neighbouring keyframes see the same tiles, and what is off in one is off in the next.
 /// (research/mapping.md, section 6.)
 const INFLATION: f64 = 1.5;

@@ -27,7 +27,6 @@ const VAGUE_READOUT_S: f64 = 1e-3;
 /// The stage is adjusted anew where the readout is another one than it was adjusted with by more than this, seconds: at a metre a second and 3 m a thirtieth of a
 /// pixel. Raised, the lens makes up for what is left; lowered, surveys take longer for nothing.
 const SAME_READOUT_S: f64 = 1e-4;
-
 /// How far the rates of a camera that sways are from those that its frames tell (`camera_rates`), as a share, and so a readout from what keyframes say. Raised, small
 /// slips of `readout_s` stay; lowered, a readout is believed to be known better than it is.
 const SWAY_SHARE: f64 = 0.05;
