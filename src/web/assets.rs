@@ -3,17 +3,15 @@
 //! Nothing comes from elsewhere: the policy sent with each file allows scripts, styles and connections of this server alone, and no script or
 //! style within the HTML. They travel packed to whoever can unpack them. A browser asks each time whether its copy is still the newest, so that a page never mixes two versions.
 
-use std::io::Write as _;
 use std::sync::LazyLock;
 
 use std::path::{Path, PathBuf};
 
 use axum::body::Body;
 use axum::http::{HeaderValue, Request, Response, StatusCode, header};
-use flate2::Compression;
-use flate2::write::GzEncoder;
 
 use super::call::is_name;
+use super::packing::{packed, unpacks};
 use super::replies::{reads, response};
 use super::reply::Reply;
 use super::routes::Route;
@@ -115,13 +113,6 @@ pub(super) fn version() -> String {
 /// The files packed by gzip, in the order of [`ASSETS`]; made when the first of them is asked for, in some 20 ms.
 static PACKED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| ASSETS.iter().map(|asset| packed(asset.bytes)).collect());
 
-fn packed(bytes: &[u8]) -> Vec<u8> {
-    let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
-    // Writing to memory does not fail.
-    let whole = encoder.write_all(bytes).and_then(|()| encoder.finish());
-    whole.unwrap_or_default()
-}
-
 /// Larger than any file of the page, bytes; a round figure.
 const LARGEST_FILE: u64 = 16 << 20;
 
@@ -186,22 +177,12 @@ fn answer(request: &Request<Body>, asset: &Asset, k: usize, tag: &str) -> Respon
     if has_it(request, tag) {
         *response.status_mut() = StatusCode::NOT_MODIFIED;
     } else if unpacks(request) {
-        response.headers_mut().insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
+        headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
         *response.body_mut() = Body::from(PACKED[k].as_slice());
     } else {
         *response.body_mut() = Body::from(asset.bytes);
     }
     response
-}
-
-/// Whether the client says that it unpacks gzip (RFC 9110, 12.5.3).
-fn unpacks(request: &Request<Body>) -> bool {
-    let said = request.headers().get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
-    said.flat_map(|value| value.split(',')).any(|one| {
-        let (name, weight) = one.split_once(';').unwrap_or((one, "q=1"));
-        let is_refused = weight.trim().strip_prefix("q=").and_then(|weight| weight.parse::<f32>().ok()) == Some(0.0);
-        ["gzip", "x-gzip"].contains(&name.trim().to_ascii_lowercase().as_str()) && !is_refused
-    })
 }
 
 /// Whether the browser says that it has the file already (RFC 9110, 13.1.2).

@@ -83,14 +83,7 @@ fn a_tag_is_known_in_every_form() {
 }
 
 #[test]
-fn a_packed_file_is_sent_to_whoever_unpacks_it() {
-    let unpacks = |said: &str| unpacks(&Request::builder().header(header::ACCEPT_ENCODING, said).body(Body::empty()).unwrap());
-    for said in ["gzip", "br, GZIP", "deflate, gzip;q=0.5", "x-gzip"] {
-        assert!(unpacks(said), "{said}");
-    }
-    for said in ["", "br", "gzip;q=0", "gzip; q=0.0", "identity, *;q=0"] {
-        assert!(!unpacks(said), "{said}");
-    }
+fn a_packed_file_is_the_file() {
     for (asset, packed) in ASSETS.iter().zip(PACKED.iter()) {
         let mut whole = Vec::new();
         std::io::copy(&mut flate2::read::GzDecoder::new(packed.as_slice()), &mut whole).unwrap();

@@ -33,6 +33,8 @@ mod keys;
 #[cfg(feature = "http")]
 mod lifetime;
 #[cfg(feature = "http")]
+mod packing;
+#[cfg(feature = "http")]
 mod places;
 #[cfg(feature = "http")]
 mod priority;

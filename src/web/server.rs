@@ -37,6 +37,7 @@ use super::hosts::AllowedHosts;
 use super::hub::Hub;
 use super::keys::Keys;
 use super::lifetime::{TAKES_WITHIN, ended};
+use super::packing::unpacks;
 use super::places::{BriefOnes, Place, Places};
 use super::priority::stand_back;
 use super::replies::response;
@@ -156,7 +157,7 @@ impl Server {
         let hub = Hub::start(site.statistics).map_err(WebError::Start)?;
         let (events, scene) = (Arc::new(Events::new()), Arc::<Scene>::default());
         let (described, pictured) = (scene.clone(), scene.clone());
-        routes.push(Route::get("/api/v1/scene", move || described.reply()));
+        routes.push(Route::whole("/api/v1/scene", move |request| std::future::ready(response(described.reply(unpacks(&request))))));
         routes.push(Route::aside(Method::GET, "/api/v1/surfaces/{number}/picture", Access::Anyone, move |call| {
             Ok(pictured.picture(call.name("number")?))
         }));

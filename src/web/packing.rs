@@ -1,0 +1,42 @@
+//! Answers packed by gzip, for whoever says that it unpacks them.
+
+use std::io::Write as _;
+
+use axum::body::Body;
+use axum::http::{Request, header};
+use flate2::Compression;
+use flate2::write::GzEncoder;
+
+/// These bytes, packed.
+pub(super) fn packed(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
+    // Writing to memory does not fail.
+    let whole = encoder.write_all(bytes).and_then(|()| encoder.finish());
+    whole.unwrap_or_default()
+}
+
+/// Whether the client says that it unpacks gzip (RFC 9110, 12.5.3).
+pub(super) fn unpacks(request: &Request<Body>) -> bool {
+    let said = request.headers().get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+    said.flat_map(|value| value.split(',')).any(|one| {
+        let (name, weight) = one.split_once(';').unwrap_or((one, "q=1"));
+        let is_refused = weight.trim().strip_prefix("q=").and_then(|weight| weight.parse::<f32>().ok()) == Some(0.0);
+        ["gzip", "x-gzip"].contains(&name.trim().to_ascii_lowercase().as_str()) && !is_refused
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_client_says_in_every_form_whether_it_unpacks() {
+        let unpacks = |said: &str| unpacks(&Request::builder().header(header::ACCEPT_ENCODING, said).body(Body::empty()).unwrap());
+        for said in ["gzip", "br, GZIP", "deflate, gzip;q=0.5", "x-gzip"] {
+            assert!(unpacks(said), "{said}");
+        }
+        for said in ["", "br", "gzip;q=0", "gzip; q=0.0", "identity, *;q=0"] {
+            assert!(!unpacks(said), "{said}");
+        }
+    }
+}
