@@ -191,9 +191,11 @@ export async function prepareClip(folder, clip) {
 /** Squares of a picture's number, and pixels along one: large enough for a JPEG. */
 const BITS = 9;
 const SQUARE = 16;
-/** Numbered pictures: five times to and fro, 13 s at the fixture's rate; and how often they are played. */
+/** Seconds that the page is watched with numbered pictures. */
+export const SOAK_S = Number(process.env.PAGE_SOAK_S ?? 120);
+/** Numbered pictures: five times to and fro, 13 s at the fixture's rate; and how often they are played: far longer than they are watched. */
 const NUMBERED = 390;
-const PLAYED = 60;
+const PLAYED = Math.ceil((SOAK_S + 600) / 13);
 /** Numbered pictures a second: the fixture's. */
 const RATE = 30;
 
