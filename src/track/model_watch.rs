@@ -16,12 +16,15 @@ use crate::geometry::{Body, Camera, Pose};
 
 /// Of so many frames one is studied: those between show much the same. Chosen for time. Raised, a fault is told later; lowered, frames cost more.
 const EVERY_FRAMES: u32 = 8;
-/// Frames that are studied before a part is asked for, and the share that they then keep. Chosen: some three seconds at 30 frames a second. Raised, a
+/// Frames that are studied before a part is asked for, and the share that they then keep. Chosen: some two seconds at 30 frames a second. Raised, a
 /// fault is told later; lowered, by views that differ less.
-const ASKED_AFTER: u32 = 12;
+const ASKED_AFTER: u32 = 8;
 const KEPT: f64 = 0.6;
 /// A part is told where it was found so many times in a row. Chosen: what passes by is found once. Raised, a fault is told later.
-const TIMES: u32 = 2;
+const TIMES: u32 = 3;
+/// And at once where it explains this share of the squared displacements: what passes by is no rigid motion of a flat, nor a lens. Raised, a flat that was
+/// moved is told later; lowered, what only resembles the true part is told.
+const DECISIVE: f64 = 0.9;
 /// Half waves of the shapes that are tried while tracking. Chosen for time. Raised, finer folds are told from other parts.
 const WAVES: usize = 8;
 
@@ -111,7 +114,8 @@ impl ModelWatch {
         let key = misfit.as_ref().map(key);
         let times = self.found.filter(|(last, _)| Some(*last) == key).map_or(1, |(_, times)| times + 1);
         self.found = key.map(|key| (key, times));
-        if times < TIMES {
+        let is_decisive = misfit.as_ref().is_some_and(|misfit| misfit.share >= DECISIVE);
+        if times < TIMES && !is_decisive {
             return None;
         }
         self.told.extend(key);
