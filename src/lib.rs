@@ -138,7 +138,7 @@ pub use frame::{Frame, Timestamp};
 pub use geometry::{Body, Camera, Pose, ReferenceCamera, Stage, SurfaceFrame};
 pub use pose::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
 pub use record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-pub use track::{BodySpec, Reason, ReferenceKind, SurfaceError, SurfaceSpec, TrackerSettings};
+pub use track::{BodySpec, Reason, ReferenceKind, SurfaceError, SurfaceSpec, TrackerSettings, ViewStore};
 pub use tracker::{FrameError, SetupError, Tracker, TrackerSetup};
 
 #[cfg(feature = "calibration-files")]

@@ -1,5 +1,7 @@
 //! The tracker without threads: matcher and pose stage, one call a frame.
 
+use std::sync::Arc;
+
 use crossbeam_channel::Receiver;
 use image::GrayImage;
 use thiserror::Error;
@@ -9,7 +11,7 @@ use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-use crate::track::{BodySpec, Matcher, Sighting, SurfaceError, TrackerSettings, UsedPixels};
+use crate::track::{BodySpec, Matcher, Sighting, SurfaceError, TrackerSettings, UsedPixels, ViewStore};
 
 /// Everything a tracker is made from.
 #[derive(Debug, Clone)]
@@ -29,6 +31,8 @@ pub struct TrackerSetup {
     pub settings: TrackerSettings,
     /// What the times of a sample are measured with; the default stands still.
     pub clock: ComputeClock,
+    /// Where what is computed of the pictures at the start is kept for the next one; the default keeps nothing.
+    pub store: Option<Arc<dyn ViewStore>>,
 }
 
 /// Why no tracker can be made of a setup.
@@ -80,6 +84,7 @@ impl TrackerSetup {
             objects: Vec::new(),
             settings: TrackerSettings::default(),
             clock: ComputeClock::default(),
+            store: None,
         }
     }
 
@@ -153,14 +158,15 @@ pub(crate) struct PoseRecorder {
 }
 
 impl Tracker {
-    /// Prepares the reference pictures; takes a fraction of a second per surface.
+    /// Prepares the reference pictures; takes a fraction of a second per surface, less where the setup's store has seen it before.
     ///
     /// # Errors
     /// When parts of the setup do not fit together.
     pub fn new(setup: TrackerSetup) -> Result<Self, SetupError> {
         setup.checked()?;
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
-        let matcher = Matcher::new(setup.camera, setup.shutter, setup.mask, &setup.stage, &setup.objects, setup.settings, setup.clock);
+        let bodies: Vec<&BodySpec> = std::iter::once(&setup.stage).chain(&setup.objects).collect();
+        let matcher = Matcher::new(setup.camera, setup.shutter, setup.mask, &bodies, setup.settings, setup.clock, setup.store);
         Ok(Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names, clock: setup.clock }, last: None })
     }
 

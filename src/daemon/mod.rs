@@ -6,23 +6,25 @@
 
 mod entries;
 mod jobs;
+mod kept_views;
 pub mod live;
+mod own_folders;
 mod reason_watch;
 pub mod recorder;
 pub mod report;
 mod retrack;
 mod stale;
-mod state_folder;
 mod supervisor;
 mod thread_time;
 mod threads;
 
 pub use entries::track_entry;
 pub use jobs::Progress;
+pub use kept_views::kept_views;
+pub use own_folders::state_folder;
 #[cfg(test)]
 pub use retrack::nothing_compared;
 pub use retrack::retrack;
-pub use state_folder::state_folder;
 pub use supervisor::{Mode, RecordingWish, Supervisor};
 pub use thread_time::thread_clock;
 pub use threads::{Daemon, DaemonError, Delivery, RunningDaemon};

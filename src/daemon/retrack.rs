@@ -12,7 +12,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{Progress, thread_clock, track_entry};
+use super::{Progress, kept_views, thread_clock, track_entry};
 use crate::capture::{ClipOptions, open_clip};
 use crate::config::Settings;
 use crate::safe_file;
@@ -69,7 +69,7 @@ pub fn retrack(clip: &Path, settings: &Settings, progress: &mut Progress) -> Res
     let mut source = open_clip(clip, options).map_err(|e| e.to_string())?;
     let (width, height) = source.size();
     let (setup, _) = settings.tracker_setup(width, height).map_err(|e| e.to_string())?;
-    let mut setup = TrackerSetup { clock: thread_clock(), ..setup };
+    let mut setup = TrackerSetup { clock: thread_clock(), store: kept_views(), ..setup };
     // It has one thread, which stands back; the records do not depend on how many there are.
     setup.settings.threads = 1;
     if setup.shutter.exposure_s == 0.0 {

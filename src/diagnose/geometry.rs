@@ -326,7 +326,7 @@ impl Case<'_> {
         let Some((camera, size_m)) = self.seen.trial(shape) else { return String::new() };
         let mut stage = self.setup.stage.clone();
         stage.surfaces[self.main].size_m = size_m;
-        let (verified, asked) = Trial::new(camera, self.setup.mask.clone(), &stage, &self.setup.settings).verified(self.frames);
+        let (verified, asked) = Trial::new(camera, self.setup.mask.clone(), &stage, self.setup).verified(self.frames);
         format!(" (tried: a pose then fits in {verified} of {asked} frames)")
     }
 }

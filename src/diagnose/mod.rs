@@ -22,7 +22,7 @@ pub use plausible::{Travel, of_layout, of_lens, of_shutter};
 use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
-use crate::track::{BodySpec, Matcher, Reason, SurfaceView, TrackerSettings};
+use crate::track::{BodySpec, Matcher, Reason, SurfaceView};
 use crate::tracker::TrackerSetup;
 
 /// Matches of a view that count as seeing the surface at all; fewer may be chance. Chosen, not tuned. Raised, small and distant surfaces go
@@ -42,17 +42,16 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// Prepares the pictures of a stage for a camera.
-    pub fn new(camera: CameraModel, mask: Option<GrayImage>, stage: &BodySpec, settings: &TrackerSettings) -> Self {
-        Self {
-            matcher: Matcher::new(camera, Shutter::default(), mask, stage, &[], settings.clone(), ComputeClock::default()),
-            stamp: Timestamp::default(),
-        }
+    /// Prepares the pictures of a stage for a camera; the rest is as configured.
+    pub fn new(camera: CameraModel, mask: Option<GrayImage>, stage: &BodySpec, setup: &TrackerSetup) -> Self {
+        let (settings, store) = (setup.settings.clone(), setup.store.clone());
+        let matcher = Matcher::new(camera, Shutter::default(), mask, &[stage], settings, ComputeClock::default(), store);
+        Self { matcher, stamp: Timestamp::default() }
     }
 
     /// As configured.
     pub fn of(setup: &TrackerSetup) -> Self {
-        Self::new(setup.camera, setup.mask.clone(), &setup.stage, &setup.settings)
+        Self::new(setup.camera, setup.mask.clone(), &setup.stage, setup)
     }
 
     /// The surfaces that are recognised in a frame, before any lens or size is asked.

@@ -148,7 +148,7 @@ pub fn of_pictures(setup: &TrackerSetup, frames: &[Frame], seen: usize) -> Vec<F
         ))];
     }
     if setup.mask.is_some() {
-        let mut trial = Trial::new(setup.camera, None, &setup.stage, &setup.settings);
+        let mut trial = Trial::new(setup.camera, None, &setup.stage, setup);
         let unmasked = frames.iter().filter(|f| !trial.views(&f.image).is_empty()).count();
         if is_clear(unmasked) {
             return vec![Finding::fault(format!(

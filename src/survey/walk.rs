@@ -71,11 +71,11 @@ impl Walk {
         C: IntoIterator<Item = F>,
         F: IntoIterator<Item = Frame>,
     {
-        let TrackerSetup { camera, shutter, mask, stage, settings, clock, .. } = setup.clone();
+        let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup.clone();
         let (mut keyframes, mut lively) = (Keyframes::default(), LivelyPart::default());
         let (mut frames, mut found) = (0, 0);
         for clip in clips {
-            let mut matcher = Matcher::new(camera, shutter, mask.clone(), &stage, &[], settings.clone(), clock);
+            let mut matcher = Matcher::new(camera, shutter, mask.clone(), &[&stage], settings.clone(), clock, store.clone());
             let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
             let mut recent = RecentPoses::default();
             for frame in clip {

@@ -5,6 +5,8 @@
 //!
 //! Where nothing is known, the whole frame is searched: quickly, then closely. Once the stage's pose is known, only what that leaves unexplained is.
 
+use std::sync::Arc;
+
 use image::GrayImage;
 use tracing::{debug, debug_span};
 
@@ -20,6 +22,7 @@ use super::settings::TrackerSettings;
 use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody};
 use super::unexplained::Unexplained;
 use super::verify::{Verified, VerifyBuffers, View};
+use super::view_bank::ViewStore;
 use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::features::Workers;
@@ -91,7 +94,7 @@ pub struct BodySearch {
 }
 
 impl BodySearch {
-    /// Describes the pictures of all bodies.
+    /// Describes the pictures of all bodies, or takes what the store has of them.
     pub fn new(
         camera: CameraModel,
         shutter: Shutter,
@@ -99,9 +102,10 @@ impl BodySearch {
         bodies: &[TrackedBody],
         settings: &TrackerSettings,
         clock: ComputeClock,
+        store: Option<Arc<dyn ViewStore>>,
     ) -> Self {
         let workers = Workers::new(settings.threads).measured_with(clock);
-        let features = FeatureSearch::new(bodies.iter().flat_map(|b| &b.body.surfaces), settings.features, &workers);
+        let features = FeatureSearch::new(bodies.iter().flat_map(|b| &b.body.surfaces), settings.features, store, &workers);
         workers.take_extra_ms();
         Self {
             camera,

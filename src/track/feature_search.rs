@@ -1,42 +1,24 @@
 //! Features of a frame, and which places of the reference pictures they are.
 //!
-//! The bank of reference features has two parts: each picture as it is, which cameras up to 60 degrees from its normal recognise, and as tilted
-//! cameras see it, out to 80 degrees. The first part is asked with the strongest features of a frame; where a body is not found by it, the frame is
-//! looked at closely, with more features and the whole bank.
+//! Each picture's part of the [bank of views](super::view_bank) has features of the picture as it is, which are asked with the strongest features of a frame;
+//! where a body is not found by them, the frame is looked at closely, with more features and the whole bank.
+
+use std::sync::Arc;
 
 use image::GrayImage;
-use nalgebra::Vector2;
 
 use super::acquire::{SurfaceMatch, surface_matches};
 use super::reference::PreparedSurface;
 use super::unexplained::Unexplained;
+use super::view_bank::{BankBuilder, PictureCopy, ViewStore};
 use crate::camera::CameraModel;
-use crate::features::{ExtractorOptions, Feature, FeatureExtractor, TiltedViews, Workers, append_tilted_features};
+use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::matching::{Match, MatchBuffers, ReferenceFeature, ReferenceIndex};
 
 /// Lowe's ratio (2004, section 7.1): a match counts where its distance is less than this share of the second nearest's. He took 0.8; more
 /// are let through here, as acquisition bears a majority of wrong matches. Raised, more of them are wrong; lowered, dim stages keep too
 /// few.
 const RATIO: f32 = 0.85;
-/// Reference features of all surfaces together, and of one at least. Chosen, not tuned. Raised, matching costs more in proportion; lowered,
-/// fewer features of a stage that is seen in part or small are among them.
-const REFERENCE_FEATURES: usize = 4000;
-const LEAST_REFERENCE_FEATURES: usize = 700;
-/// The same of the tilted views, and of one view at least. Chosen, not tuned: a close look takes three times as long as one at the pictures as
-/// they are. Raised, it takes longer; lowered, steep views of a stage that is partly covered are not recognised.
-const TILTED_FEATURES: usize = 8000;
-const LEAST_TILTED_FEATURES: usize = 60;
-/// Artwork is looked at for features at no more than this many pixels across, or down where it is higher: no camera resolves more. Raised,
-/// features are spent on detail that no frame shows; lowered, close views find fewer.
-const LARGEST_REFERENCE_PX: u32 = 2000;
-/// The same for tilted views, which no frame shows as large. Raised, the start takes longer by the square.
-const LARGEST_TILTED_PX: u32 = 1300;
-/// Tilted views that are simulated. Descriptors bear a tilt of two from one view to another, and so do these among each other; the last reaches
-/// beyond 80 degrees (a tilt of 5.8). More of one tilt: longitudes in between are recognised better, and the start takes longer.
-const VIEWS: [TiltedViews; 3] =
-    [TiltedViews { tilt: 2.0, count: 5 }, TiltedViews { tilt: 3.4, count: 8 }, TiltedViews { tilt: 5.5, count: 11 }];
-/// Levels of a reference picture: a factor of 15 in scale (1.2 a level). Lowered, stages that are seen small are not recognised.
-const LEVELS: usize = 16;
 /// Strongest features of a frame that a quick look asks. Chosen, not tuned: a third of what a close look asks. Raised, every frame of a search takes
 /// longer; lowered, covered stages need the close look more often.
 const QUICK_FEATURES: usize = 600;
@@ -90,38 +72,27 @@ enum Asked {
 }
 
 impl FeatureSearch {
-    /// Describes all surfaces, in the order of their numbers. `count`: features wanted of a frame at most.
-    pub fn new<'a>(surfaces: impl Iterator<Item = &'a PreparedSurface>, count: usize, workers: &Workers) -> Self {
+    /// Describes all surfaces, in the order of their numbers, but for those that the store has. `count`: features wanted of a frame at most.
+    pub fn new<'a>(
+        surfaces: impl Iterator<Item = &'a PreparedSurface>,
+        count: usize,
+        store: Option<Arc<dyn ViewStore>>,
+        workers: &Workers,
+    ) -> Self {
         let surfaces: Vec<&PreparedSurface> = surfaces.collect();
+        let mut builder = BankBuilder::new(surfaces.len(), store, workers);
+        let banks: Vec<_> = surfaces.iter().map(|surface| builder.bank(surface)).collect();
         let mut search = Self { count, ..Self::default() };
-        for (number, surface) in surfaces.iter().enumerate() {
-            search.add_frontal(number as u32, surface, surfaces.len(), workers);
+        for (number, (surface, bank)) in surfaces.iter().zip(&banks).enumerate() {
+            let copy = PictureCopy::frontal(surface);
+            search.frontal.add(number as u32, &bank.frontal, copy.in_artwork(), copy.scale);
         }
         search.all_views = search.frontal.clone();
-        for (number, surface) in surfaces.iter().enumerate() {
-            search.add_tilted(number as u32, surface, surfaces.len(), workers);
+        for (number, (surface, bank)) in surfaces.iter().zip(&banks).enumerate() {
+            let copy = PictureCopy::tilted(surface);
+            search.all_views.add(number as u32, &bank.tilted, copy.in_artwork(), copy.scale);
         }
         search
-    }
-
-    fn add_frontal(&mut self, number: u32, surface: &PreparedSurface, surfaces: usize, workers: &Workers) {
-        let count = (REFERENCE_FEATURES / surfaces).max(LEAST_REFERENCE_FEATURES);
-        let (picture, scale) = octave_up_to(surface, LARGEST_REFERENCE_PX);
-        let options = ExtractorOptions { count, levels: LEVELS, area_power: 0.35, ..Default::default() };
-        self.extractor.extract(picture, None, &options, workers, &mut self.features);
-        self.frontal.add(number, &self.features, in_artwork(scale), scale);
-    }
-
-    fn add_tilted(&mut self, number: u32, surface: &PreparedSurface, surfaces: usize, workers: &Workers) {
-        let views: usize = VIEWS.iter().map(|v| v.count).sum();
-        let count = (TILTED_FEATURES / surfaces / views).max(LEAST_TILTED_FEATURES);
-        let (picture, scale) = octave_up_to(surface, LARGEST_TILTED_PX);
-        let options = ExtractorOptions { count, levels: LEVELS, area_power: 0.35, ..Default::default() };
-        self.features.clear();
-        for views in VIEWS {
-            append_tilted_features(picture, views, &options, &mut self.extractor, workers, &mut self.features);
-        }
-        self.all_views.add(number, &self.features, in_artwork(scale), scale);
     }
 
     /// Takes the features of a frame and their matches; where `mask` is 0, none is taken.
@@ -189,23 +160,12 @@ fn part<'a>(
     }
 }
 
-/// The largest copy of a surface's picture that is no larger than this, and artwork pixels to one of its.
-fn octave_up_to(surface: &PreparedSurface, largest_px: u32) -> (&GrayImage, f64) {
-    let fits = |k: &usize| surface.octaves[*k].image.width().max(surface.octaves[*k].image.height()) <= largest_px;
-    let octave = (0..surface.octaves.len()).find(fits).unwrap_or(surface.octaves.len() - 1);
-    (&surface.octaves[octave].image, f64::from(1u32 << octave))
-}
-
-/// From pixels of such a copy to the artwork's.
-fn in_artwork(scale: f64) -> impl Fn(Vector2<f64>) -> Vector2<f64> {
-    let half = Vector2::new(0.5, 0.5);
-    move |p| (p + half) * scale - half
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::surface::SurfaceSpec;
     use super::super::synthetic::{prepared, texture};
+    use nalgebra::Vector2;
+
     use super::*;
     use crate::geometry::Pose;
 
@@ -223,7 +183,7 @@ mod tests {
         let body =
             prepared(vec![SurfaceSpec::from_artwork("cloth".into(), artwork, [20.0, 4.0], Pose::identity()).expect("texture enough")]);
         let workers = Workers::new(1);
-        let mut search = FeatureSearch::new(body.surfaces.iter(), 1500, &workers);
+        let mut search = FeatureSearch::new(body.surfaces.iter(), 1500, None, &workers);
         let picture = &body.surfaces[0].octaves[0].image;
         let columns = 5;
         let frame = squeezed(picture, columns);

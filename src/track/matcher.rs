@@ -26,6 +26,7 @@ use super::track_state::State;
 use super::tracked_body::{ModelFit, TrackedBody};
 use super::two_view::{TwoView, TwoViewBuffers, two_view};
 use super::verify::Verified;
+use super::view_bank::ViewStore;
 use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
@@ -114,22 +115,22 @@ pub struct Matcher {
 }
 
 impl Matcher {
-    /// Prepares the reference pictures; takes a fraction of a second per surface.
+    /// Prepares the reference pictures of all bodies, the stage first; takes a fraction of a second per surface whose views the store does not have.
     pub fn new(
         camera: CameraModel,
         shutter: Shutter,
         mask: Option<GrayImage>,
-        stage: &BodySpec,
-        objects: &[BodySpec],
+        specs: &[&BodySpec],
         settings: TrackerSettings,
         clock: ComputeClock,
+        store: Option<Arc<dyn ViewStore>>,
     ) -> Self {
         let mut bodies: Vec<TrackedBody> = Vec::new();
-        for spec in std::iter::once(stage).chain(objects) {
+        for spec in specs {
             let first = bodies.last().map_or(0, |b| b.surfaces.end);
             bodies.push(TrackedBody::new(spec, first, shutter));
         }
-        let search = BodySearch::new(camera, shutter, mask.clone(), &bodies, &settings, clock);
+        let search = BodySearch::new(camera, shutter, mask.clone(), &bodies, &settings, clock, store);
         Self {
             camera_rays: CameraRays::new(camera, mask),
             levels: FrameLevels::default(),

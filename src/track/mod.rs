@@ -1,6 +1,6 @@
 //! Tracking: what bodies are made of, and how a frame becomes a verified pose of each of them.
 //!
-//! `surface`, `shape` and `reference` prepare the pictures; `feature_search` matches a frame's features with a bank of views; `acquire` proposes poses from them;
+//! `surface`, `shape` and `reference` prepare the pictures; `view_bank` describes them from all sides; `feature_search` matches a frame's features with that bank; `acquire` proposes poses from them;
 //! `registration` and `verify` refine a proposal against the picture and judge it; `align` follows a body from frame
 //! to frame, pixel by pixel; `track_state` decides what a verified pose means in time;
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
@@ -46,6 +46,7 @@ mod tracked_body;
 mod two_view;
 mod unexplained;
 mod verify;
+mod view_bank;
 
 pub use acquire::{SurfaceMatch, SurfaceView};
 pub use align::{AlignKernels, Alignment, Clue, UsedPixel};
@@ -64,3 +65,4 @@ pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use tile_observer::{KnownRates, ObservedFrame, ObservedTile, TileObserver};
 pub use track_state::State;
 pub use verify::Verified;
+pub use view_bank::ViewStore;

@@ -5,6 +5,7 @@ mod bad_config;
 mod causes;
 mod files;
 mod good;
+mod kept_views;
 mod mistakes;
 mod outputs;
 mod overlay;

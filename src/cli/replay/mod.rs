@@ -21,7 +21,7 @@ use super::outputs::Outputs;
 use super::spared::Spared;
 use crate::capture::{ClipEntry, ClipOptions, EntryContent, FrameSource, open_clip, open_clip_in_colour};
 use crate::config::Settings;
-use crate::daemon::{Daemon, Delivery, thread_clock};
+use crate::daemon::{Daemon, Delivery, kept_views, thread_clock};
 use crate::publish::{ClipStart, Stamps};
 use crate::record::PoseSample;
 use crate::tracker::{Tracker, TrackerSetup};
@@ -220,7 +220,7 @@ pub(in crate::cli) fn tracker_setup(
     if let Some(note) = note {
         tracing::warn!("{note}");
     }
-    let mut setup = TrackerSetup { clock: thread_clock(), ..setup };
+    let mut setup = TrackerSetup { clock: thread_clock(), store: kept_views(), ..setup };
     if let Some(threads) = threads {
         // At most 64, by the argument's range.
         setup.settings.threads = threads as usize;
