@@ -136,6 +136,7 @@ impl<'a> BankBuilder<'a> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct BankKey([u8; KEY_BYTES]);
 
+/// Bytes of a digest: SHA-256.
 const KEY_BYTES: usize = 32;
 /// How a bank's bytes begin.
 const MAGIC: &[u8; 8] = b"SPVIEWS\n";
