@@ -19,7 +19,7 @@ pub mod features {
 
 /// The matcher of a tracker, the hot loops of alignment, and the shapes of surfaces.
 pub mod track {
-    pub use crate::track::{AlignKernels, Alignment, BentShape, Matcher, SurfaceShape, UsedPixel, UsedPixels};
+    pub use crate::track::{AlignKernels, Alignment, BentShape, Matcher, ShapeWay, SurfaceShape, UsedPixel, UsedPixels};
 }
 
 /// The virtual stage: pictures on the cloth and paths through the hall.

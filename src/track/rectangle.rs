@@ -62,10 +62,21 @@ impl Rectangle {
 
     /// Where a camera sees the point (`x`, `y`), metres from the centre; `None` behind it, beyond the lens model, or where the surface is tilted
     /// further than `least_cosine`.
-    pub fn see(&self, t_body_camera: &Pose<Body, Camera>, camera: &CameraModel, [x, y]: [f64; 2], least_cosine: f64) -> Option<SeenPoint> {
+    pub fn see(&self, t_body_camera: &Pose<Body, Camera>, camera: &CameraModel, point: [f64; 2], least_cosine: f64) -> Option<SeenPoint> {
+        self.see_place(t_body_camera, camera, &self.shape.at(point), least_cosine)
+    }
+
+    /// The same of a point whose place is known.
+    pub fn see_place(
+        &self,
+        t_body_camera: &Pose<Body, Camera>,
+        camera: &CameraModel,
+        point: &ShapePoint,
+        least_cosine: f64,
+    ) -> Option<SeenPoint> {
         let r_camera_body = t_body_camera.rotation_matrix().transpose();
         let r = r_camera_body * self.rotation;
-        let ShapePoint { place, by_picture } = self.shape.at([x, y]);
+        let ShapePoint { place, by_picture } = point;
         let c = r * place + r_camera_body * (self.centre - t_body_camera.translation);
         let [by_x, by_y] = by_picture.map(|d| r * d);
         let normal = if self.shape.is_flat() { r.column(2).into_owned() } else { by_x.cross(&by_y).normalize() };

@@ -12,6 +12,7 @@ use super::AlignSurface;
 use super::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, load_at, store_at};
 use super::level_spec::LevelSpec;
 use super::pixels::Pixels;
+use super::sight::{Sight, SightPath};
 use super::texture::TILE_STEP;
 use super::touching_planes::MapLanes;
 use crate::motion::Motion;
@@ -75,10 +76,7 @@ impl Appearance {
 
 /// A surface as one frame sees it, in the numbers of the kernel.
 struct View {
-    /// Ray to surface axes, row by row, as polynomials in time: [entry][power].
-    rotation: [[f32; 3]; 9],
-    /// Camera centre in the surface's frame, metres.
-    centre: [[f32; 3]; 3],
+    path: SightPath,
     /// Surface axes to body axes.
     to_body: [f32; 9],
     texels_per_m: [f32; 2],
@@ -99,12 +97,8 @@ impl View {
     fn new(what: &Predicted) -> Self {
         let Predicted { surface, motion, spec, .. } = *what;
         let exposure_s = if spec.places > 1 { spec.shutter.exposure_s } else { 0.0 };
-        let Rectangle { rotation, centre, size_px: [w, h], .. } = &surface.rectangle;
-        let rt = rotation.transpose();
-        let turn = motion.rotation_polynomial().map(|r| rt * r);
-        let [p0, p1, p2] = motion.centre_polynomial();
-        let from = [rt * (p0 - centre), rt * p1, rt * p2];
-        let is_tilted = turn[0][(2, 2)].abs() < TILTED_COSINE;
+        let Rectangle { rotation, size_px: [w, h], .. } = &surface.rectangle;
+        let is_tilted = (rotation.transpose() * motion.pose.rotation_matrix())[(2, 2)].abs() < TILTED_COSINE;
         let texel_log2 = match (exposure_s > 0.0, is_tilted) {
             (true, _) => BLURRED_TEXEL_LOG2,
             (false, false) => TEXEL_LOG2,
@@ -112,8 +106,7 @@ impl View {
         };
         Self {
             side: if is_tilted { TILTED_SIDE.max(spec.side) } else { spec.side },
-            rotation: std::array::from_fn(|k| std::array::from_fn(|power| turn[power][(k / 3, k % 3)] as f32)),
-            centre: std::array::from_fn(|k| std::array::from_fn(|power| from[power][k] as f32)),
+            path: SightPath::new(&surface.rectangle, motion),
             to_body: std::array::from_fn(|k| rotation[(k / 3, k % 3)] as f32),
             texels_per_m: surface.rectangle.texels_per_m().map(|texels| texels as f32),
             middle_texel: [(0.5 * w - 0.5) as f32, (0.5 * h - 0.5) as f32],
@@ -155,53 +148,19 @@ struct Hit<L> {
     depth: L,
 }
 
+/// Of a flat surface; of a bent one in the frame of the planes that touch it.
 #[inline(always)]
-fn polynomial<L: Lanes>(c: &[f32; 3], t: L) -> L {
-    L::splat(c[2]).mul_add(t, L::splat(c[1])).mul_add(t, L::splat(c[0]))
-}
-
-/// The camera's centre in the surface's frame at time `t`.
-#[inline(always)]
-fn centre_at<L: Lanes>(view: &View, t: L) -> [L; 3] {
-    [polynomial(&view.centre[0], t), polynomial(&view.centre[1], t), polynomial(&view.centre[2], t)]
-}
-
-/// How a few pixels see the surface at a time: from where, and the rotation from their rays to its axes.
-#[derive(Clone, Copy)]
-struct Sight<L> {
-    centre: [L; 3],
-    rotation: [L; 9],
-}
-
-impl<L: Lanes> Sight<L> {
-    /// Of a flat surface; of a bent one in the frame of the planes that touch it.
-    #[inline(always)]
-    fn at(view: &View, t: L, map: Option<&MapLanes<L>>) -> Self {
-        let (centre, rotation) = (centre_at(view, t), rotation_at(view, t));
-        let Some(map) = map else { return Self { centre, rotation } };
-        let [a, b, c, d, e, f, g, h, i] = rotation;
-        let [[a, b, c], [d, e, f], [g, h, i]] = map.rows(&[[a, b, c], [d, e, f], [g, h, i]]);
-        Self { centre: map.point(centre), rotation: [a, b, c, d, e, f, g, h, i] }
+fn sight_at<L: Lanes>(view: &View, t: L, map: Option<&MapLanes<L>>) -> Sight<L> {
+    let sight = view.path.at(t);
+    match map {
+        Some(map) => map.sight(&sight),
+        None => sight,
     }
-}
-
-/// The rotation from rays to surface axes at time `t`.
-#[inline(always)]
-fn rotation_at<L: Lanes>(view: &View, t: L) -> [L; 9] {
-    let mut a = [t; 9];
-    for n in 0..9 {
-        a[n] = polynomial(&view.rotation[n], t);
-    }
-    a
 }
 
 #[inline(always)]
 fn hit<L: Lanes>(view: &View, sight: &Sight<L>, x: L, y: L) -> Hit<L> {
-    let Sight { centre, rotation: a } = sight;
-    let mut direction = [x; 3];
-    for r in 0..3 {
-        direction[r] = a[3 * r].mul_add(x, a[3 * r + 1].mul_add(y, a[3 * r + 2]));
-    }
+    let (centre, direction) = (&sight.centre, sight.direction(x, y));
     let inverse = L::splat(1.0).div(direction[2]);
     let depth = L::splat(0.0).sub(centre[2]).mul(inverse);
     let px = depth.mul_add(direction[0], centre[0]);
@@ -481,14 +440,14 @@ fn predict_pixels<L: Lanes, const IS_BENT: bool>(what: &Predicted, out: &mut App
     while k < range[1] {
         let (x, y, t) = (load_at::<L>(&pixels.x, k), load_at::<L>(&pixels.y, k), load_at::<L>(&pixels.delay_s, k));
         let map = if IS_BENT { Some(pixels.planes.load::<L>(k)) } else { None };
-        let sight = Sight::at(view, t, map.as_ref());
+        let sight = sight_at(view, t, map.as_ref());
         let middle = hit(view, &sight, x, y);
         let by_pixel = footprint(view, &sight.rotation, &middle, pixels, k);
         let level = level_for(surface, view, &by_pixel);
         let ahead = k + AHEAD * LANES;
         if ahead < range[1] {
             // The plane of the surface is near enough to fetch by.
-            let later = Sight::at(view, load_at::<L>(&pixels.delay_s, ahead), None);
+            let later = view.path.at(load_at::<L>(&pixels.delay_s, ahead));
             let later = hit(view, &later, load_at::<L>(&pixels.x, ahead), load_at::<L>(&pixels.y, ahead));
             prefetch(tiles, &level, later.texel, &by_pixel);
         }
@@ -497,8 +456,8 @@ fn predict_pixels<L: Lanes, const IS_BENT: bool>(what: &Predicted, out: &mut App
         } else {
             let half = L::splat(view.half_exposure_s);
             let (before, after) = (t.sub(half), t.add(half));
-            let first = hit(view, &Sight::at(view, before, map.as_ref()), x, y).texel;
-            let last = hit(view, &Sight::at(view, after, map.as_ref()), x, y).texel;
+            let first = hit(view, &sight_at(view, before, map.as_ref()), x, y).texel;
+            let last = hit(view, &sight_at(view, after, map.as_ref()), x, y).texel;
             blurred_samples(tiles, &level, &BlurPath::through(first, middle.texel, last), &by_pixel, spec.places)
         };
         store_at(&mut out.intensity, k, sampled.intensity);

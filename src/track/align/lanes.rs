@@ -59,6 +59,8 @@ pub trait Lanes: Copy {
     fn lookup_index(table: &[i32; LANES], index: Self::Index) -> Self::Index;
     /// `row * stride + column + base`.
     fn address(row: Self::Index, stride: Self::Index, column: Self::Index, base: Self::Index) -> Self::Index;
+    /// Each lane's row of a table, as columns: the first holds the first number of each. Rows beyond the last are the last one.
+    fn gather_rows(table: &[[f32; LANES]], row: Self::Index) -> [Self; LANES];
     /// The bytes at each address, behind it, and both [`TILE_COLUMNS`] further on: a texel and its neighbours right, below, and both.
     /// Addresses beyond the tiles are those of their first or last bytes.
     fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4];
@@ -147,6 +149,12 @@ impl Lanes for Plain {
     #[inline(always)]
     fn address(row: Self::Index, stride: Self::Index, column: Self::Index, base: Self::Index) -> Self::Index {
         std::array::from_fn(|k| row[k].wrapping_mul(stride[k]).wrapping_add(column[k]).wrapping_add(base[k]))
+    }
+    #[inline(always)]
+    fn gather_rows(table: &[[f32; LANES]], row: Self::Index) -> [Self; LANES] {
+        let last = table.len().saturating_sub(1);
+        let rows = row.map(|k| table.get(usize::try_from(k).unwrap_or(0).min(last)).copied().unwrap_or_default());
+        std::array::from_fn(|column| Self(rows.map(|row| row[column])))
     }
     #[inline(always)]
     fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4] {
@@ -293,6 +301,18 @@ mod avx2 {
             avx2! { _mm256_add_epi32(_mm256_add_epi32(_mm256_mullo_epi32(row, stride), column), base) }
         }
         #[inline(always)]
+        fn gather_rows(table: &[[f32; LANES]], row: Self::Index) -> [Self; LANES] {
+            let Some(last) = table.len().checked_sub(1) else { return [Self::splat(0.0); LANES] };
+            let mut indices = [0i32; LANES];
+            avx2! { _mm256_storeu_si256(indices.as_mut_ptr().cast(), _mm256_max_epi32(row, _mm256_setzero_si256())) }
+            let mut rows = [&table[0]; LANES];
+            for lane in 0..LANES {
+                rows[lane] = &table[(indices[lane] as usize).min(last)];
+            }
+            let ([a, b, c, d], [e, f, g, h]) = (four_columns(&rows, 0), four_columns(&rows, LANES / 2));
+            [a, b, c, d, e, f, g, h]
+        }
+        #[inline(always)]
         fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4] {
             if tiles.is_empty() {
                 return [Self::splat(0.0); 4];
@@ -340,6 +360,30 @@ mod avx2 {
                 }
             }
         }
+    }
+
+    /// Four columns of eight rows, from column `from`.
+    #[inline(always)]
+    fn four_columns(rows: &[&[f32; LANES]; LANES], from: usize) -> [Avx2; 4] {
+        // Rows 0 to 3 in the lower halves, 4 to 7 in the upper.
+        let (a, b, c, d) = (halves(rows, 0, from), halves(rows, 1, from), halves(rows, 2, from), halves(rows, 3, from));
+        avx2! {
+            let (ab, cd) = (_mm256_unpacklo_ps(a, b), _mm256_unpacklo_ps(c, d));
+            let (ab_high, cd_high) = (_mm256_unpackhi_ps(a, b), _mm256_unpackhi_ps(c, d));
+            [
+                Avx2(_mm256_shuffle_ps::<0x44>(ab, cd)),
+                Avx2(_mm256_shuffle_ps::<0xee>(ab, cd)),
+                Avx2(_mm256_shuffle_ps::<0x44>(ab_high, cd_high)),
+                Avx2(_mm256_shuffle_ps::<0xee>(ab_high, cd_high)),
+            ]
+        }
+    }
+
+    /// Four numbers of row `k` beside those of the fourth row after it.
+    #[inline(always)]
+    fn halves(rows: &[&[f32; LANES]; LANES], k: usize, from: usize) -> __m256 {
+        let (low, high) = (&rows[k][from..from + LANES / 2], &rows[k + LANES / 2][from..from + LANES / 2]);
+        avx2! { _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(_mm_loadu_ps(low.as_ptr())), _mm_loadu_ps(high.as_ptr())) }
     }
 }
 

@@ -34,11 +34,14 @@ mod noise_sums;
 #[allow(clippy::needless_range_loop)]
 mod normal;
 mod pixels;
+#[allow(clippy::needless_range_loop)]
 mod plane_table;
 mod rays;
 mod rows;
 mod selection;
 mod shutter_clue;
+#[allow(clippy::needless_range_loop)]
+mod sight;
 mod slow_estimates;
 #[allow(clippy::needless_range_loop)]
 mod system;
@@ -69,6 +72,7 @@ use texture::Texture;
 pub use verdict::{Alignment, is_sharp};
 
 use super::rectangle::Rectangle;
+use super::shape::ShapePoint;
 use super::surface::SurfaceSpec;
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
@@ -86,6 +90,11 @@ impl AlignSurface {
     /// Prepares a surface.
     pub fn new(spec: &SurfaceSpec) -> Self {
         Self { texture: Texture::new(&spec.artwork), rectangle: Rectangle::of(spec), planes: PlaneTable::of(&spec.shape, spec.size_m) }
+    }
+
+    /// Where a point of its picture is, up to micrometres.
+    fn at(&self, point: [f64; 2]) -> ShapePoint {
+        self.planes.as_ref().map_or_else(|| self.rectangle.shape.at(point), |table| table.at(point.into()))
     }
 
     /// Takes its place and shape anew.

@@ -193,8 +193,9 @@ fn texture_level(surface: &AlignSurface, motion: &Motion, spec: &LevelSpec) -> O
 /// Where a point of a surface is seen in the level, and from where, at the time of its row.
 fn see(surface: &AlignSurface, motion: &Motion, spec: &LevelSpec, point: [f64; 2]) -> Option<(SeenPoint, Vector3<f64>)> {
     let scale = spec.frame_px();
+    let place = surface.at(point);
     let from = |pose: &Pose<Body, Camera>| {
-        let seen = surface.rectangle.see(pose, &spec.rays.camera, point, LEAST_COSINE)?;
+        let seen = surface.rectangle.see_place(pose, &spec.rays.camera, &place, LEAST_COSINE)?;
         Some((seen.in_smaller(scale), pose.translation))
     };
     let at_rest = from(&motion.pose)?;
