@@ -490,7 +490,11 @@ fn by_pose<L: Lanes>(view: &View, a: &[L; 9], hit: &Hit<L>, ray: [L; 2], gradien
     let gy = gradient[1].mul(L::splat(-view.texels_per_m[1]));
     let gz = L::splat(0.0).sub(gx.mul_add(hit.slope[0], gy.mul(hit.slope[1])));
     let mut out = [gx; 6];
-    let [sx, sy, sz] = map.map_or([gx, gy, gz], |map| map.gradient([gx, gy, gz]));
+    // Not `map_or`: what its closure does would not be compiled for the wider registers of the function around it.
+    let [sx, sy, sz] = match map {
+        Some(map) => map.gradient([gx, gy, gz]),
+        None => [gx, gy, gz],
+    };
     for r in 0..3 {
         let m = [L::splat(view.to_body[3 * r]), L::splat(view.to_body[3 * r + 1]), L::splat(view.to_body[3 * r + 2])];
         out[r] = sx.mul_add(m[0], sy.mul_add(m[1], sz.mul(m[2])));
