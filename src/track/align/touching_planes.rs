@@ -295,9 +295,9 @@ mod tests {
             let met = plain_meet(&found, &from, &direction);
             let right = Vector2::from(shape.meet(&from, &direction).unwrap());
             assert!((met - right).norm() < 1e-5, "{k}: {met} {right}");
-            // The same look at the table, with twice as many digits: a micrometre.
+            // Touching where the ray meets the table's surface, with twice as many digits: what folds part within SAME_PLANE_M, seen aslant.
             let twin = plain_map(&table.at(met), met);
-            assert!((plain_meet(&twin, &from, &direction) - met).norm() < 3e-6, "{k}");
+            assert!((plain_meet(&twin, &from, &direction) - met).norm() < 6e-6, "{k}");
             assert!((found.0 - twin.0).norm() < 6e-3, "{k}: {found:?} {twin:?}");
         }
     }
