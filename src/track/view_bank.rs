@@ -5,11 +5,11 @@
 //! ([`ViewStore`]). A bank that was kept is the one that would be computed: its [`BankKey`] is a digest of all that it follows from, and whatever does not
 //! read as the bank of that key is computed anew.
 
+use std::hash::{DefaultHasher, Hasher};
 use std::sync::Arc;
 
 use image::GrayImage;
 use nalgebra::Vector2;
-use sha2::{Digest, Sha256};
 use tracing::debug;
 
 use super::reference::PreparedSurface;
@@ -39,7 +39,7 @@ const LEVELS: usize = 16;
 pub trait ViewStore: std::fmt::Debug + Send + Sync {
     /// The bytes kept under this name, where they are still there. What happened to them meanwhile is noticed.
     fn load(&self, name: &str) -> Option<Vec<u8>>;
-    /// Keeps bytes under a name, 64 digits of base 16. Where it cannot, the next start takes longer.
+    /// Keeps bytes under a name, 32 digits of base 16. Where it cannot, the next start takes longer.
     fn store(&self, name: &str, bytes: &[u8]);
 }
 
@@ -136,8 +136,8 @@ impl<'a> BankBuilder<'a> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct BankKey([u8; KEY_BYTES]);
 
-/// Bytes of a digest: SHA-256.
-const KEY_BYTES: usize = 32;
+/// Bytes of a digest.
+const KEY_BYTES: usize = 16;
 /// How a bank's bytes begin.
 const MAGIC: &[u8; 8] = b"SPVIEWS\n";
 /// Of the form of the bytes.
@@ -162,18 +162,11 @@ const SOURCES: [&str; 11] = [
 
 impl BankKey {
     fn of(artwork: &GrayImage, counts: [usize; 2]) -> Self {
-        let mut digest = Sha256::new();
-        let mut add = |part: &[u8]| {
-            digest.update((part.len() as u64).to_le_bytes());
-            digest.update(part);
-        };
-        add(env!("CARGO_PKG_VERSION").as_bytes());
-        SOURCES.iter().for_each(|source| add(source.as_bytes()));
-        counts.iter().for_each(|count| add(&(*count as u64).to_le_bytes()));
-        add(&artwork.width().to_le_bytes());
-        add(&artwork.height().to_le_bytes());
-        add(artwork.as_raw());
-        Self(digest.finalize().into())
+        let numbers: Vec<u8> = counts.iter().flat_map(|count| (*count as u64).to_le_bytes()).collect();
+        let [width, height] = [artwork.width(), artwork.height()].map(u32::to_le_bytes);
+        let version = env!("CARGO_PKG_VERSION").as_bytes();
+        let sources = SOURCES.iter().map(|source| source.as_bytes());
+        Self(digest(sources.chain([version, &numbers, &width, &height, artwork.as_raw()])))
     }
 
     fn name(&self) -> String {
@@ -192,19 +185,37 @@ impl ViewBank {
             bytes.extend_from_slice(&(list.len() as u32).to_le_bytes());
             list.iter().for_each(|feature| append_feature(feature, &mut bytes));
         }
-        let digest = Sha256::digest(&bytes);
+        let digest = digest([bytes.as_slice()]);
         bytes.extend_from_slice(&digest);
         bytes
     }
 
     /// The bank of this key; none where the bytes are not what [`to_bytes`](Self::to_bytes) gave. `size`: of the artwork.
     fn from_bytes(bytes: &[u8], key: &BankKey, size: (u32, u32)) -> Option<Self> {
-        let (content, digest) = bytes.split_last_chunk::<KEY_BYTES>()?;
-        let is_whole = Sha256::digest(content).as_slice() == digest;
+        let (content, own_digest) = bytes.split_last_chunk::<KEY_BYTES>()?;
+        let is_whole = digest([content]) == *own_digest;
         let mut rest = content.strip_prefix(MAGIC)?.strip_prefix(&VERSION.to_le_bytes())?.strip_prefix(&key.0)?;
         let bank = Self { frontal: take_features(&mut rest, size)?, tilted: take_features(&mut rest, size)? };
         (is_whole && rest.is_empty()).then_some(bank)
     }
+}
+
+/// A digest of parts and of their lengths: the standard library's hash (SipHash) from two beginnings. It tells what differs or was damaged by chance, not what was forged:
+/// whoever may write to the store may write to the program. Another version of the library may hash otherwise; then banks are computed anew.
+fn digest<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> [u8; KEY_BYTES] {
+    let mut halves = [DefaultHasher::new(), DefaultHasher::new()];
+    halves[1].write_u8(1);
+    for part in parts {
+        for half in &mut halves {
+            half.write_u64(part.len() as u64);
+            half.write(part);
+        }
+    }
+    let mut bytes = [0; KEY_BYTES];
+    let (first, second) = bytes.split_at_mut(8);
+    first.copy_from_slice(&halves[0].finish().to_le_bytes());
+    second.copy_from_slice(&halves[1].finish().to_le_bytes());
+    bytes
 }
 
 fn append_feature(feature: &Feature, bytes: &mut Vec<u8>) {
