@@ -1,5 +1,5 @@
-//! What a bent surface costs over a flat one: the same dolly past the same pictures, flat and hung in folds whose shape is told, in turn frame by
-//! frame, on one thread.
+//! What a bent surface costs over a flat one. The same dolly past the same pictures is tracked twice on one thread: flat, and hung in folds whose shape is
+//! known. The two take turns frame by frame, so that whatever else the machine does meets both.
 //!
 //! `cargo bench --bench bent`; `-- --check` ends with 1 where a bent frame costs more than 1.25 times a flat one.
 

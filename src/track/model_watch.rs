@@ -23,7 +23,7 @@ const KEPT: f64 = 0.6;
 /// A part is told where it was found so many times in a row. Chosen: what passes by is found once. Raised, a fault is told later.
 const TIMES: u32 = 3;
 /// And at once where it explains this share of the squared displacements: what passes by is no rigid motion of a flat, nor a lens. Raised, a flat that was
-/// moved is told later; lowered, what only resembles the true part is told.
+/// moved is told later; lowered, a part that only resembles the true one is told.
 const DECISIVE: f64 = 0.9;
 /// Half waves of the shapes that are tried while tracking. Chosen for time. Raised, finer folds are told from other parts.
 const WAVES: usize = 8;

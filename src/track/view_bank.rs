@@ -95,7 +95,7 @@ pub struct BankBuilder<'a> {
 }
 
 impl<'a> BankBuilder<'a> {
-    /// For so many pictures.
+    /// `pictures`: how many share the features that are wanted in all. Without a store every bank is computed.
     pub fn new(pictures: usize, store: Option<Arc<dyn ViewStore>>, workers: &'a Workers) -> Self {
         let views: usize = VIEWS.iter().map(|v| v.count).sum();
         let pictures = pictures.max(1);
@@ -145,7 +145,7 @@ const VERSION: u32 = 1;
 /// Bytes of a feature: place, scale, angle and descriptor.
 const FEATURE_BYTES: usize = 3 * 8 + 4 + 4 * 8;
 
-/// The source of all that makes a bank, this file's constants among it: no number that somebody has to raise when the algorithm changes.
+/// The source code of all that makes a bank, with the constants of this file. A changed algorithm changes the keys by itself; nobody has to raise a version.
 const SOURCES: [&str; 11] = [
     include_str!("view_bank.rs"),
     include_str!("reference.rs"),
