@@ -1,5 +1,5 @@
-// What the daemon sends: pictures with their records, and between them how things stand. A picture is asked for after the last one was drawn,
-// so the page shows the newest however slow it is. Silence is said within a second.
+// What the daemon sends: pictures with their records, and between them how things stand. A picture is asked for when the last one is decoded (where painting is slow,
+// when it is painted), and the browser paints the newest: the page shows that however slow it is. Silence is said within a second.
 import { signal } from "./vendor/signals.js";
 
 /** Milliseconds: the daemon speaks each 250 at least; who has said nothing for this long is gone, and that is looked at so often: a loss is said within 650, and a
@@ -11,6 +11,9 @@ const TRY_AGAIN = 700;
 const GIVE_UP_AFTER = 2500;
 /** Milliseconds that a shown frame says how things stand. */
 const FRAME_SPEAKS = 1000;
+/** Milliseconds of painting from which on the next picture is asked for after it: one that came meanwhile would be old by as much when it is shown. Raised, slow pages
+ * show older pictures; at 0, pages whose browser paints late do. */
+const LONG_PAINT = 25;
 /** Shown frames that the rate is counted over. */
 const RATE_OVER = 30;
 
@@ -41,6 +44,10 @@ let socket = null;
 let triedAt = 0;
 let heardAt = 0;
 let owesFrame = false;
+/** The newest decoded frame, until the browser paints. @type {{ picture: ImageBitmap, said: Head } | null} */
+let unpainted = null;
+/** Milliseconds that the last painting took. */
+let paintTook = 0;
 let epoch = 0;
 /** @type {string | null} */
 let page = null;
@@ -129,19 +136,34 @@ async function show(data) {
   const said = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
   const picture = await createImageBitmap(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" })).catch(() => null);
   if (said.epoch !== epoch) learnScene(said.epoch);
-  requestAnimationFrame((now) => {
-    owesFrame = false;
-    if (picture !== null && !frozen.value) {
-      for (const paint of painters) paint(picture, said);
-      head.value = said;
-      standing.value = null;
-      shownAt = [...shownAt.slice(1 - RATE_OVER), now];
-      const span = now - shownAt[0];
-      rate.value = span > 0 ? (1000 * (shownAt.length - 1)) / span : null;
-    }
-    picture?.close();
-    ask();
-  });
+  owesFrame = false;
+  if (picture !== null) {
+    // A browser that paints later than the next picture comes paints that one.
+    if (unpainted === null) requestAnimationFrame(paintNewest);
+    else unpainted.picture.close();
+    unpainted = { picture, said };
+  }
+  if (picture === null || paintTook < LONG_PAINT) ask();
+}
+
+/** Paints the frame that waits, now that the browser paints. @param {number} now */
+function paintNewest(now) {
+  if (unpainted === null) return;
+  const begun = performance.now();
+  const { picture, said } = unpainted;
+  unpainted = null;
+  // Who looks again sees a new one.
+  if (!frozen.value && !document.hidden) {
+    for (const paint of painters) paint(picture, said);
+    head.value = said;
+    standing.value = null;
+    shownAt = [...shownAt.slice(1 - RATE_OVER), now];
+    const span = now - shownAt[0];
+    rate.value = span > 0 ? (1000 * (shownAt.length - 1)) / span : null;
+  }
+  picture.close();
+  paintTook = performance.now() - begun;
+  ask();
 }
 
 /** @param {number} of the session's number */
