@@ -185,7 +185,7 @@ export async function prepareClip(folder, clip) {
     table += `${Number(stamp) + Math.floor(k / rows.length) * span},${name}\n`;
   }
   writeFileSync(join(folder, "clip/timestamps.csv"), table);
-  return { folder, address: `http://127.0.0.1:${port}/`, rows: rows.length };
+  return { folder, address: `http://127.0.0.1:${port}/` };
 }
 
 /** Squares of a picture's number, and pixels along one: large enough for a JPEG. */
