@@ -61,7 +61,8 @@ impl PsnEncoder {
     pub fn new(settings: &PsnSettings, names: &[Arc<str>], begun: Timestamp) -> Self {
         let names = names.iter().zip(settings.first_tracker..).map(|(name, id)| (id, cut(name).to_owned())).collect();
         let settings = PsnSettings { system: cut(&settings.system).to_owned(), ..settings.clone() };
-        Self { settings, names, begun, frame_id: 0, info_due: Timestamp::MIN }
+        // A decoder that is in use takes frame 0 for one without a number, and passes it over.
+        Self { settings, names, begun, frame_id: 1, info_due: Timestamp::MIN }
     }
 
     fn since_start_us(&self, at: Timestamp) -> u64 {

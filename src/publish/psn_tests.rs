@@ -17,7 +17,7 @@ fn encoder(names: &[&str]) -> PsnEncoder {
 fn the_golden_pose_is_not_turned_and_four_metres_in_front() {
     let sent = packets(&mut encoder(&["camera"]), &golden_report(State::Tracking));
     let PsnPacket::Data(header, trackers) = PsnPacket::decode(&sent[0]).unwrap() else { panic!("no data packet") };
-    assert_eq!((header.frame_id, header.packets, trackers.len(), trackers[0].id), (0, 1, 1, 7));
+    assert_eq!((header.frame_id, header.packets, trackers.len(), trackers[0].id), (1, 1, 1, 7));
     assert_eq!((trackers[0].position_m, trackers[0].validity), (Some([0.0, 0.0, -4.0]), Some(1.0)));
     assert!(trackers[0].orientation_rad.unwrap().iter().all(|v| v.abs() < 1e-7));
 }
@@ -40,7 +40,7 @@ fn many_bodies_are_split_over_packets_of_one_frame() {
     let mut ids = Vec::new();
     for packet in &sent {
         let PsnPacket::Data(header, trackers) = PsnPacket::decode(packet).unwrap() else { panic!("no data packet") };
-        assert_eq!((header.frame_id, header.packets), (0, 3));
+        assert_eq!((header.frame_id, header.packets), (1, 3));
         ids.extend(trackers.iter().map(|t| t.id));
     }
     assert_eq!(ids, (7..57).collect::<Vec<u16>>());
@@ -71,7 +71,7 @@ fn many_and_long_names_are_split_over_packets_of_one_frame() {
     for packet in &sent {
         assert!(packet.len() <= 1472, "{} bytes", packet.len());
         let PsnPacket::Info(header, system, names) = PsnPacket::decode(packet).unwrap() else { panic!("no info packet") };
-        assert_eq!((header.frame_id, usize::from(header.packets), system.len()), (0, sent.len(), 255));
+        assert_eq!((header.frame_id, usize::from(header.packets), system.len()), (1, sent.len(), 255));
         told.extend(names);
     }
     assert!(sent.len() > 1);
