@@ -16,7 +16,7 @@ use super::grey::{decode_oriented, orientation_words};
 use super::order::EntryOrder;
 use super::picture_stream::{PictureData, PictureStream};
 use super::{ClipEntry, EntryContent, FrameSource, Received, colour};
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 
 /// A clip as a source of rows.
 pub(super) struct Clip {
@@ -31,6 +31,8 @@ pub(super) struct Clip {
     turned: Option<String>,
     /// Whether rows carry what their pictures were before they became grey.
     keeps_colours: bool,
+    /// Rows before this time are not decoded.
+    earliest: Option<Timestamp>,
 }
 
 /// Pictures that are looked at to find the clip's size: a stray first one must not make all others strays. Chosen, not tuned. Raised, more
@@ -52,7 +54,7 @@ impl Clip {
         keeps_colours: bool,
     ) -> Result<Self, CaptureError> {
         let (rows, order) = (stream.pictures(), EntryOrder::default());
-        let mut clip = Self { rows, stream, ahead: VecDeque::new(), size: None, order, turned: None, keeps_colours };
+        let mut clip = Self { rows, stream, ahead: VecDeque::new(), size: None, order, turned: None, keeps_colours, earliest: None };
         let mut sizes: Vec<(u32, u32)> = Vec::new();
         let is_enough = |sizes: &[(u32, u32)], one: bool| {
             let bytes: u64 = sizes.iter().map(|(w, h)| u64::from(*w) * u64::from(*h)).sum();
@@ -105,6 +107,9 @@ impl Clip {
         };
         if let Err(reason) = self.order.follow(timestamp) {
             return Some(skipped(timestamp, reason));
+        }
+        if self.earliest.is_some_and(|earliest| timestamp < earliest) {
+            return Some(skipped(timestamp, "its picture was passed over: it was too late to be played".to_owned()));
         }
         let start = Instant::now();
         let (image, received) = match picture.data {
@@ -168,6 +173,10 @@ fn skip_other_sizes(content: &mut EntryContent, (width, height): (u32, u32)) {
 impl FrameSource for Clip {
     fn next_entry(&mut self) -> Option<ClipEntry> {
         self.ahead.pop_front().or_else(|| self.read_row())
+    }
+
+    fn pass_over_before(&mut self, earliest: Timestamp) {
+        self.earliest = Some(earliest);
     }
 
     fn size(&self) -> (u32, u32) {

@@ -110,6 +110,9 @@ pub trait FrameSource: Send {
     /// The next row, or `None` at the end.
     fn next_entry(&mut self) -> Option<ClipEntry>;
 
+    /// Says that rows before a time are too late to be of use: they may come as skipped ones, which costs less than decoding them.
+    fn pass_over_before(&mut self, _earliest: Timestamp) {}
+
     /// Width and height of the pictures, pixels.
     fn size(&self) -> (u32, u32);
 

@@ -1,6 +1,7 @@
 //! A clip that plays as if it were a camera: live rules, live pace, no hardware. For rehearsals and tests.
 //!
-//! Pictures come when they are due, whoever is late loses them, and the stamps are those of the clip moved to now.
+//! Pictures come when they are due, whoever is late loses them, and the stamps are those of the clip moved to now. Who asks late gets what is
+//! due now: a clip that lags would show the past as the present.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -48,7 +49,7 @@ impl PlayedClip {
             controls: Vec::new(),
             notes: Vec::new(),
         };
-        let playing = PlayingClip { pictures, mode, begun: None, ahead };
+        let playing = PlayingClip { pictures, mode, begun: None, ahead, counted: 0 };
         Ok(Self { clip: clip.to_owned(), unopened: Mutex::new(Some(playing)) })
     }
 }
@@ -92,6 +93,13 @@ enum Pictures {
 }
 
 impl Pictures {
+    /// Pictures before a time of the clip are not wanted any more. Those that are still encoded cost nothing.
+    fn pass_over_before(&mut self, earliest: Timestamp) {
+        if let Self::Rows(rows) = self {
+            rows.pass_over_before(earliest);
+        }
+    }
+
     fn size(&self) -> (u32, u32) {
         match self {
             Self::Jpegs { size, .. } => *size,
@@ -115,6 +123,10 @@ impl Pictures {
     }
 }
 
+/// Frames that wait for whoever asks late: as many as the buffers of a camera's driver. Raised, a stalled reader is given older pictures; at
+/// less than 1, one that is late by a moment loses some.
+const WAITING_FRAMES: f64 = 4.0;
+
 struct PlayingClip {
     pictures: Pictures,
     mode: CameraMode,
@@ -122,6 +134,8 @@ struct PlayingClip {
     begun: Option<(Timestamp, Timestamp)>,
     /// Pictures that were read before they were due, with their stamps in the clip.
     ahead: VecDeque<(Timestamp, Vec<u8>)>,
+    /// Pictures that were given or passed over.
+    counted: u32,
 }
 
 /// Pictures a second as the first two stamps tell, where the clip has stamps; the two wait in `ahead`.
@@ -134,29 +148,62 @@ fn stamped_rate(pictures: &mut Pictures, ahead: &mut VecDeque<(Timestamp, Vec<u8
     (0.001..=10.0).contains(&frame_s).then_some(1.0 / frame_s)
 }
 
+impl PlayingClip {
+    /// The next picture that is not too late, its stamp in the clip, and when it is due.
+    fn next_due(&mut self) -> Option<(Timestamp, Vec<u8>, Timestamp)> {
+        let waiting_ns = (WAITING_FRAMES * 1e9 / self.mode.fps) as i64;
+        loop {
+            let (stamp, bytes) = self.ahead.pop_front().or_else(|| self.pictures.next(self.mode.fps))?;
+            let now = monotonic_now();
+            let (begun, first) = *self.begun.get_or_insert((now, stamp));
+            let due = begun.after_ns(stamp.ns_since(first));
+            if now.ns_since(due) <= waiting_ns {
+                return Some((stamp, bytes, due));
+            }
+            self.counted = self.counted.wrapping_add(1);
+            self.pictures.pass_over_before(first.after_ns(now.ns_since(begun) - waiting_ns));
+        }
+    }
+}
+
 impl Camera for PlayingClip {
     fn mode(&self) -> &CameraMode {
         &self.mode
     }
 
     fn next_picture(&mut self, patience: Duration) -> Result<CapturedPicture, CameraFault> {
-        let (stamp, bytes) = self.ahead.pop_front().or_else(|| self.pictures.next(self.mode.fps)).ok_or(CameraFault::End)?;
-        let (begun, first) = *self.begun.get_or_insert((monotonic_now(), stamp));
-        let due = begun.after_ns(stamp.ns_since(first));
+        let (stamp, bytes, due) = self.next_due().ok_or(CameraFault::End)?;
         let left = due.duration_since(monotonic_now());
         std::thread::sleep(left.min(patience));
         if left > patience {
             self.ahead.push_front((stamp, bytes));
             return Err(CameraFault::Silent);
         }
-        let arrival = monotonic_now();
-        Ok(CapturedPicture { is_damaged: bytes.is_empty(), bytes, stamp: DriverStamp::MidExposure(due), arrival, device_sequence: None })
+        let (arrival, device_sequence) = (monotonic_now(), Some(self.counted));
+        self.counted = self.counted.wrapping_add(1);
+        Ok(CapturedPicture { is_damaged: bytes.is_empty(), bytes, stamp: DriverStamp::MidExposure(due), arrival, device_sequence })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn who_asks_late_gets_what_is_due_now() {
+        let folder = tempfile::tempdir().unwrap();
+        image::GrayImage::new(8, 6).save(folder.path().join("a.png")).unwrap();
+        let rows = (0..10_000_i64).map(|n| format!("{},a.png\n", n * 10_000_000));
+        std::fs::write(folder.path().join("timestamps.csv"), "#timestamp [ns],filename\n".to_owned() + &rows.collect::<String>()).unwrap();
+        let mut camera = PlayedClip::open(folder.path(), None).unwrap().open().unwrap();
+        let mut next =
+            || camera.next_picture(Duration::from_secs(10)).map(|picture| (picture.device_sequence, picture.stamp, picture.is_damaged));
+        let Ok((Some(0), DriverStamp::MidExposure(first), false)) = next() else { panic!("no first picture") };
+        std::thread::sleep(Duration::from_millis(500));
+        // Fifty are due, four wait; a busy machine may be later still.
+        let Ok((Some(number @ 46..), DriverStamp::MidExposure(later), false)) = next() else { panic!("not what is due") };
+        assert_eq!(later.ns_since(first), i64::from(number) * 10_000_000);
+    }
 
     #[test]
     fn a_clip_with_stamps_plays_at_its_own_rate() {
