@@ -58,16 +58,10 @@ impl FloatImage {
 
     /// The values along a straight line, bilinear, from `start` on by `step` (column and row, pixels).
     pub fn sample_line(&self, start: [f32; 2], step: [f32; 2], out: &mut [f32]) {
-        let at = |i: usize, k: usize| start[k] + i as f32 * step[k];
-        let last = out.len().saturating_sub(1);
-        // The ends of the line hold all that is between them.
-        let is_inside = [0, last].iter().all(|i| {
-            let inside = |k: usize, side: usize| at(*i, k) >= 0.0 && at(*i, k) < side as f32 - 1.01;
-            inside(0, self.width) && inside(1, self.height)
-        });
-        if is_inside {
-            sample_inside(self, start, step, out);
+        if self.width > 1 && self.height > 1 {
+            sample_wide(self, start, step, out);
         } else {
+            let at = |i: usize, k: usize| start[k] + i as f32 * step[k];
             out.iter_mut().enumerate().for_each(|(i, value)| *value = self.bilinear(at(i, 0), at(i, 1)));
         }
     }
@@ -116,25 +110,28 @@ impl FloatImage {
 }
 
 multiversion! {
-    /// As [`FloatImage::sample_line`], of a line that lies between pixels of the picture.
-    fn sample_inside(image: &FloatImage, start: [f32; 2], step: [f32; 2], out: &mut [f32]);
-    ["avx2"] => sample_inside_plain, else sample_inside_plain
+    /// As [`FloatImage::sample_line`], of a picture of two columns and rows at least.
+    fn sample_wide(image: &FloatImage, start: [f32; 2], step: [f32; 2], out: &mut [f32]);
+    ["avx2"] => sample_wide_plain, else sample_wide_plain
 }
 
 #[inline(always)]
-fn sample_inside_plain(image: &FloatImage, start: [f32; 2], step: [f32; 2], out: &mut [f32]) {
+fn sample_wide_plain(image: &FloatImage, start: [f32; 2], step: [f32; 2], out: &mut [f32]) {
     let width = image.width;
+    // Beyond the border the picture goes on with the border's values: those of the nearest place within.
+    let ends = [width, image.height].map(|side| side as f32 - 1.0);
+    let lasts = [width, image.height].map(|side| side as i32 - 2);
     for (k, out) in out.chunks_mut(BLOCK).enumerate() {
         // In three loops, of which only the middle one, which reads the pixels, goes one by one.
         let (mut places, mut shares, mut pixels) = ([0u32; BLOCK], [[0.0f32; BLOCK]; 2], [[0.0f32; BLOCK]; 4]);
         for i in 0..BLOCK {
             let along = (k * BLOCK + i) as f32;
             let (x, y) = (start[0] + along * step[0], start[1] + along * step[1]);
+            let (x, y) = (x.max(0.0).min(ends[0]), y.max(0.0).min(ends[1]));
             // Of what is not negative the whole part is the floor. Signed numbers convert in one instruction.
-            let (column, row) = (x as i32, y as i32);
+            let (column, row) = ((x as i32).min(lasts[0]), (y as i32).min(lasts[1]));
             (shares[0][i], shares[1][i]) = (x - column as f32, y - row as f32);
-            // What is behind the end of the line may be anywhere, and is not read.
-            places[i] = (row as u32).wrapping_mul(width as u32).wrapping_add(column as u32);
+            places[i] = row as u32 * width as u32 + column as u32;
         }
         for (i, place) in places.iter().enumerate().take(out.len()) {
             let Some(rows) = image.values.get(*place as usize..).and_then(|v| v.get(..width + 2)) else { continue };

@@ -42,9 +42,24 @@ multiversion! {
 fn score_row_blocked(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, scores: &mut [u8]) {
     let n = scores.len();
     if n < LANES {
-        score_row_plain(source, start, offsets, threshold, scores);
+        // A block that reads beyond the row's end, where the picture goes on that far.
+        let last = offsets.iter().copied().max().unwrap_or(0).max(0) as usize + start + LANES;
+        if last > source.len() {
+            score_row_plain(source, start, offsets, threshold, scores);
+            return;
+        }
+        let mut block = [0; LANES];
+        score_row_blocked_in(source, start, offsets, threshold, &mut block);
+        scores.copy_from_slice(&block[..n]);
         return;
     }
+    score_row_blocked_in(source, start, offsets, threshold, scores);
+}
+
+/// As [`score_row_blocked`], of a row of one block at least.
+#[inline(always)]
+fn score_row_blocked_in(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, scores: &mut [u8]) {
+    let n = scores.len();
     // The last block overlaps the one before it, so that no pixel is left over.
     for first in (0..n - LANES).step_by(LANES).chain([n - LANES]) {
         let at = start + first;

@@ -15,9 +15,9 @@ use nalgebra::{Matrix2, Vector2};
 
 use super::descriptors::Describer;
 use super::detectors::Detector;
-use super::float_image::FloatImage;
 use super::keypoint::{Descriptors, Features, Keypoint, PictureForms};
 use super::watch::Share;
+use crate::simd::multiversion;
 
 /// Which views are simulated, and what is kept of them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -140,7 +140,14 @@ impl SimulatedPicture {
         let middle = Vector2::new(f64::from(width - 1), f64::from(height - 1)) / 2.0;
         let origin = (size - Vector2::repeat(1.0)) / 2.0 - inverse * middle;
         let taps = Taps::of(view.tilt, width as usize);
-        let pixels = taps.compressed(&turned(picture.float(), &view, origin, (taps.length, height as usize), taps.margin));
+        let mut row = vec![0.0; taps.length];
+        let mut pixels = GrayImage::new(width, height);
+        for (y, compressed) in pixels.chunks_exact_mut(width as usize).enumerate() {
+            // Along a row of the picture once it is turned so that the direction to be compressed lies along the rows.
+            let start = origin + Vector2::new(-sin, cos) * y as f64 - Vector2::new(cos, sin) * taps.margin as f64;
+            picture.float().sample_line([start.x as f32, start.y as f32], [cos as f32, sin as f32], &mut row);
+            compress(&row, &taps, compressed);
+        }
         Some(Self { pixels, inverse, origin, size })
     }
 
@@ -174,17 +181,6 @@ impl SimulatedPicture {
     }
 }
 
-/// The picture turned so that the direction to be compressed lies along the rows, at full size: `margin` pixels before `origin` is the first.
-fn turned(picture: &FloatImage, view: &View, origin: Vector2<f64>, (width, height): (usize, usize), margin: usize) -> FloatImage {
-    let (sin, cos) = view.longitude.sin_cos();
-    let mut values = Vec::with_capacity(width * height);
-    for y in 0..height {
-        let start = origin + Vector2::new(-sin, cos) * y as f64 - Vector2::new(cos, sin) * margin as f64;
-        values.extend((0..width).map(|x| picture.bilinear((start.x + cos * x as f64) as f32, (start.y + sin * x as f64) as f32)));
-    }
-    FloatImage { width, height, values }
-}
-
 /// How a row is smoothed and compressed at once: the Gaussian is centred on each new pixel's exact place, so nothing is interpolated.
 struct Taps {
     /// Pixels of a row before the place of the first new pixel.
@@ -202,7 +198,8 @@ struct Taps {
 impl Taps {
     fn of(tilt: f64, width: usize) -> Self {
         let sigma = ANTI_ALIASING * (tilt * tilt - 1.0).sqrt();
-        let margin = (BLUR_REACH * sigma).ceil() as usize + 1;
+        // What goes beyond the reach adds next to nothing, but no pixel is left over when lanes are full.
+        let margin = ((BLUR_REACH * sigma).ceil() as usize + 1).next_multiple_of(LANES / 2);
         let count = 2 * margin;
         let (mut first, mut weights) = (Vec::with_capacity(width), Vec::with_capacity(width * count));
         for x in 0..width {
@@ -216,18 +213,27 @@ impl Taps {
         let length = first.last().map_or(0, |last| last + count);
         Self { margin, length, first, weights, count }
     }
+}
 
-    fn compressed(&self, turned: &FloatImage) -> GrayImage {
-        let mut pixels = Vec::with_capacity(self.first.len() * turned.height);
-        for y in 0..turned.height {
-            let row = turned.row(y);
-            for (first, weights) in self.first.iter().zip(self.weights.chunks_exact(self.count)) {
-                let value: f32 = row[*first..].iter().zip(weights).map(|(v, w)| v * w).sum();
-                pixels.push(value.round() as u8);
+multiversion! {
+    /// Smooths and compresses a row.
+    fn compress(row: &[f32], taps: &Taps, out: &mut [u8]); ["avx2"] => compress_plain, else compress_plain
+}
+
+/// Taps that are added side by side. Each lane has its own sum, so that wide registers and narrow ones come to the same.
+const LANES: usize = 8;
+
+#[inline(always)]
+fn compress_plain(row: &[f32], taps: &Taps, out: &mut [u8]) {
+    for ((out, first), weights) in out.iter_mut().zip(&taps.first).zip(taps.weights.chunks_exact(taps.count)) {
+        let mut sums = [0.0f32; LANES];
+        for (values, weights) in row[*first..][..taps.count].chunks_exact(LANES).zip(weights.chunks_exact(LANES)) {
+            for (sum, (value, weight)) in sums.iter_mut().zip(values.iter().zip(weights)) {
+                *sum += value * weight;
             }
         }
-        // As many pixels as its sides say.
-        GrayImage::from_raw(self.first.len() as u32, turned.height as u32, pixels).unwrap_or_default()
+        // Weights that add up to 1 keep what is between 0 and 255 there.
+        *out = (sums.iter().sum::<f32>() + 0.5) as u8;
     }
 }
 

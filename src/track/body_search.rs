@@ -99,13 +99,13 @@ impl BodySearch {
         camera: CameraModel,
         shutter: Shutter,
         mask: Option<GrayImage>,
-        bodies: &[TrackedBody],
+        bodies: &mut [TrackedBody],
         settings: &TrackerSettings,
         clock: ComputeClock,
         store: Option<Arc<dyn ViewStore>>,
     ) -> Self {
         let workers = Workers::new(settings.threads).measured_with(clock);
-        let features = FeatureSearch::new(bodies.iter().flat_map(|b| &b.body.surfaces), settings.features, store, &workers);
+        let features = FeatureSearch::new(bodies.iter_mut().flat_map(|b| &mut b.body.surfaces), settings.features, store, &workers);
         workers.take_extra_ms();
         Self {
             camera,

@@ -72,16 +72,19 @@ enum Asked {
 }
 
 impl FeatureSearch {
-    /// Describes all surfaces, in the order of their numbers, but for those that the store has. `count`: features wanted of a frame at most.
+    /// Describes all surfaces, in the order of their numbers, but for those that the store has, and gives them their anchors. `count`: features wanted of a frame at most.
     pub fn new<'a>(
-        surfaces: impl Iterator<Item = &'a PreparedSurface>,
+        surfaces: impl Iterator<Item = &'a mut PreparedSurface>,
         count: usize,
         store: Option<Arc<dyn ViewStore>>,
         workers: &Workers,
     ) -> Self {
-        let surfaces: Vec<&PreparedSurface> = surfaces.collect();
+        let mut surfaces: Vec<&mut PreparedSurface> = surfaces.collect();
         let mut builder = BankBuilder::new(surfaces.len(), store, workers);
-        let banks: Vec<_> = surfaces.iter().map(|surface| builder.bank(surface)).collect();
+        let mut banks: Vec<_> = surfaces.iter().map(|surface| builder.bank(surface)).collect();
+        for (surface, bank) in surfaces.iter_mut().zip(&mut banks) {
+            surface.take_anchors(std::mem::take(&mut bank.anchors));
+        }
         let mut search = Self { count, ..Self::default() };
         for (number, (surface, bank)) in surfaces.iter().zip(&banks).enumerate() {
             let copy = PictureCopy::frontal(surface);
@@ -180,10 +183,10 @@ mod tests {
     #[test]
     fn a_steep_view_is_recognised_by_a_close_look() {
         let artwork = texture(2400, 480, 5);
-        let body =
+        let mut body =
             prepared(vec![SurfaceSpec::from_artwork("cloth".into(), artwork, [20.0, 4.0], Pose::identity()).expect("texture enough")]);
         let workers = Workers::new(1);
-        let mut search = FeatureSearch::new(body.surfaces.iter(), 1500, None, &workers);
+        let mut search = FeatureSearch::new(body.surfaces.iter_mut(), 1500, None, &workers);
         let picture = &body.surfaces[0].octaves[0].image;
         let columns = 5;
         let frame = squeezed(picture, columns);

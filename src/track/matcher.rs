@@ -130,7 +130,7 @@ impl Matcher {
             let first = bodies.last().map_or(0, |b| b.surfaces.end);
             bodies.push(TrackedBody::new(spec, first, shutter));
         }
-        let search = BodySearch::new(camera, shutter, mask.clone(), &bodies, &settings, clock, store);
+        let search = BodySearch::new(camera, shutter, mask.clone(), &mut bodies, &settings, clock, store);
         Self {
             camera_rays: CameraRays::new(camera, mask),
             levels: FrameLevels::default(),

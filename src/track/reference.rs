@@ -22,7 +22,7 @@ pub struct Anchor {
 pub struct Octave {
     /// The picture averaged over 2^k x 2^k pixels.
     pub image: GrayImage,
-    /// Anchors whose detail is of this octave's size, strongest and best spread first.
+    /// Anchors whose detail is of this octave's size, strongest and best spread first; none before they are found, or taken from what was kept.
     pub anchors: Vec<Anchor>,
 }
 
@@ -48,13 +48,17 @@ pub struct PreparedBody {
 
 /// Anchors kept per octave: more than verification asks (`FINE_ANCHORS`), as a frame may show a part of the surface. Chosen, not tuned.
 /// Raised, the start takes longer; lowered, close views have few.
-const ANCHORS: usize = 500;
+pub const ANCHORS: usize = 500;
 /// Octaves end when a side falls below this many pixels: a patch with its border takes 15 of them. Raised, surfaces seen small have no
 /// octave of their size; lowered, nothing is gained.
 const LEAST_SIDE: u32 = 24;
+/// Octaves at most: pictures of a hundred thousand pixels have as many. Raised, nothing is gained.
+const MOST_OCTAVES: usize = 13;
+/// Pixels at an octave's border that have no anchors: a patch around one would lie half outside.
+pub const ANCHOR_BORDER: u32 = 5;
 
 impl PreparedBody {
-    /// Prepares every surface of a body.
+    /// Prepares every surface of a body, but for the anchors.
     pub fn new(spec: &BodySpec) -> Self {
         let surfaces = spec
             .surfaces
@@ -63,35 +67,64 @@ impl PreparedBody {
             .collect();
         Self { name: spec.name.clone(), surfaces }
     }
-}
 
-fn octaves(artwork: &GrayImage) -> Vec<Octave> {
-    let mut all: Vec<Octave> = Vec::new();
-    let mut image = artwork.clone();
-    loop {
-        let scale = f64::from(1u32 << all.len());
-        let anchors = anchors_of(&image, scale);
-        let next = halved(&image);
-        all.push(Octave { image, anchors });
-        if next.width() < LEAST_SIDE || next.height() < LEAST_SIDE || all.len() > 12 {
-            return all;
+    /// The same with the anchors of its pictures.
+    pub fn with_anchors(mut self) -> Self {
+        for surface in &mut self.surfaces {
+            surface.take_anchors(surface.find_anchors());
         }
-        image = next;
+        self
     }
 }
 
-fn anchors_of(image: &GrayImage, scale: f64) -> Vec<Anchor> {
+impl PreparedSurface {
+    /// The anchors of its picture, octave by octave.
+    pub fn find_anchors(&self) -> Vec<Vec<Anchor>> {
+        let mut buffers = CornerBuffers::default();
+        (0..).zip(&self.octaves).map(|(k, octave)| anchors_of(&octave.image, k, &mut buffers)).collect()
+    }
+
+    /// Has these from now on.
+    pub fn take_anchors(&mut self, anchors: Vec<Vec<Anchor>>) {
+        self.octaves.iter_mut().zip(anchors).for_each(|(octave, own)| octave.anchors = own);
+    }
+}
+
+fn octaves(artwork: &GrayImage) -> Vec<Octave> {
+    let images = std::iter::successors(Some(artwork.clone()), |image| Some(halved(image)));
+    images.take(octave_count(artwork.dimensions())).map(|image| Octave { image, anchors: Vec::new() }).collect()
+}
+
+/// Octaves of a picture of this size, one at least.
+pub fn octave_count((width, height): (u32, u32)) -> usize {
+    (1..MOST_OCTAVES).find(|k| width.min(height) >> k < LEAST_SIDE).unwrap_or(MOST_OCTAVES)
+}
+
+fn anchors_of(image: &GrayImage, octave: usize, buffers: &mut CornerBuffers) -> Vec<Anchor> {
     let options = CornerOptions {
         count: ANCHORS,
         threshold: 15,
         least_threshold: 5,
-        border: 5,
+        border: ANCHOR_BORDER,
         cell_px: (image.width().max(image.height()) / 16).max(8),
     };
     let mut corners = Vec::new();
-    detect_corners(image, &options, |_, _| true, &mut CornerBuffers::default(), &mut corners);
-    let place = |x: u32, y: u32| Vector2::new((f64::from(x) + 0.5) * scale - 0.5, (f64::from(y) + 0.5) * scale - 0.5);
-    corners.iter().map(|c| Anchor { position: place(c.x, c.y) }).collect()
+    detect_corners(image, &options, |_, _| true, buffers, &mut corners);
+    corners.iter().map(|c| Anchor::at([c.x, c.y], octave)).collect()
+}
+
+impl Anchor {
+    /// At a pixel of an octave.
+    pub fn at(pixel: [u32; 2], octave: usize) -> Self {
+        let scale = f64::from(1u32 << octave);
+        Self { position: Vector2::from(pixel.map(|v| (f64::from(v) + 0.5) * scale - 0.5)) }
+    }
+
+    /// Which pixel of that octave it is.
+    pub fn pixel(&self, octave: usize) -> [u32; 2] {
+        let scale = f64::from(1u32 << octave);
+        [self.position.x, self.position.y].map(|v| ((v + 0.5) / scale) as u32)
+    }
 }
 
 #[cfg(test)]
@@ -103,7 +136,9 @@ mod tests {
         let art = GrayImage::from_fn(401, 301, |x, y| image::Luma([if (x / 16 + y / 16) % 2 == 0 { 200 } else { 50 }]));
         let octaves = octaves(&art);
         assert_eq!(octaves[1].image.dimensions(), (200, 150));
-        assert!(octaves.len() >= 4);
+        assert_eq!(octaves.len(), octave_count(art.dimensions()));
+        assert!(octaves.len() >= 4 && octaves.last().is_some_and(|last| (LEAST_SIDE..2 * LEAST_SIDE).contains(&last.image.height())));
+        assert_eq!(Anchor::at([7, 9], 3).pixel(3), [7, 9]);
         // A checker's crossings are its anchors, on the octave where the detector sees them.
         let mean: u32 = octaves[1].image.iter().map(|v| u32::from(*v)).sum::<u32>() / 30_000;
         assert!((115..=135).contains(&mean));

@@ -51,7 +51,7 @@ pub fn cloth(seed: u32) -> SurfaceSpec {
 }
 
 pub fn prepared(surfaces: Vec<SurfaceSpec>) -> PreparedBody {
-    PreparedBody::new(&BodySpec::new("stage", surfaces))
+    PreparedBody::new(&BodySpec::new("stage", surfaces)).with_anchors()
 }
 
 /// `T_camera_body` of a camera that looks at the face of a [`cloth`], tilted by rotations about its x and y.

@@ -80,7 +80,7 @@ pub struct ObservedFrame {
 impl TileObserver {
     /// Prepares a body's pictures.
     pub fn new(camera: CameraModel, shutter: Shutter, mask: Option<GrayImage>, body: &BodySpec) -> Self {
-        let body = PreparedBody::new(body);
+        let body = PreparedBody::new(body).with_anchors();
         let aligner = Aligner::new(&body, shutter);
         Self {
             rays: CameraRays::new(camera, mask.clone()),

@@ -1,7 +1,7 @@
 //! The bank of views: each reference picture described once, at the start, as cameras see it from all sides.
 //!
 //! A picture's bank has two parts: the picture as it is, which cameras up to 60 degrees from its normal recognise, and as tilted cameras see it, out
-//! to 80 degrees. It follows from the picture alone, and takes half a second; so whoever builds a tracker may keep its bytes from one start to the next
+//! to 80 degrees; beside them are the places where it is registered. It follows from the picture alone, and takes half a second; so whoever builds a tracker may keep its bytes from one start to the next
 //! ([`ViewStore`]). A bank that was kept is the one that would be computed: its [`BankKey`] is a digest of all that it follows from, and whatever does not
 //! read as the bank of that key is computed anew.
 
@@ -12,7 +12,7 @@ use image::GrayImage;
 use nalgebra::Vector2;
 use tracing::debug;
 
-use super::reference::PreparedSurface;
+use super::reference::{ANCHOR_BORDER, ANCHORS, Anchor, PreparedSurface, octave_count};
 use crate::features::{Descriptor, ExtractorOptions, Feature, FeatureExtractor, TiltedViews, Workers, append_tilted_features};
 
 /// Reference features of all surfaces together, and of one at least. Chosen, not tuned. Raised, matching costs more in proportion; lowered,
@@ -50,6 +50,8 @@ pub struct ViewBank {
     pub frontal: Vec<Feature>,
     /// Of its tilted views.
     pub tilted: Vec<Feature>,
+    /// The anchors of each octave of the picture.
+    pub anchors: Vec<Vec<Anchor>>,
 }
 
 /// A copy of a surface's picture, halved as often as it takes to be no larger than some bound.
@@ -123,7 +125,7 @@ impl<'a> BankBuilder<'a> {
     fn described(&mut self, surface: &PreparedSurface) -> ViewBank {
         let Self { counts, workers, extractor, .. } = self;
         let [frontal, tilted] = counts.map(|count| ExtractorOptions { count, levels: LEVELS, area_power: 0.35, ..Default::default() });
-        let mut bank = ViewBank { frontal: Vec::new(), tilted: Vec::new() };
+        let mut bank = ViewBank { frontal: Vec::new(), tilted: Vec::new(), anchors: surface.find_anchors() };
         extractor.extract(PictureCopy::frontal(surface).image, None, &frontal, workers, &mut bank.frontal);
         for views in VIEWS {
             append_tilted_features(PictureCopy::tilted(surface).image, views, &tilted, extractor, workers, &mut bank.tilted);
@@ -141,9 +143,11 @@ const KEY_BYTES: usize = 16;
 /// How a bank's bytes begin.
 const MAGIC: &[u8; 8] = b"SPVIEWS\n";
 /// Of the form of the bytes.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Bytes of a feature: place, scale, angle and descriptor.
 const FEATURE_BYTES: usize = 3 * 8 + 4 + 4 * 8;
+/// Bytes of an anchor: column and row of its octave.
+const ANCHOR_BYTES: usize = 2 * 4;
 
 /// The source code of all that makes a bank, with the constants of this file. A changed algorithm changes the keys by itself; nobody has to raise a version.
 const SOURCES: [&str; 11] = [
@@ -175,7 +179,8 @@ impl BankKey {
 }
 
 impl ViewBank {
-    /// Magic, version, key, both lists of features (their number, then each), and the digest of all that; numbers little-endian.
+    /// Magic, version, key, both lists of features and those of each octave's anchors (their number, then each), and the digest of all that; numbers
+    /// little-endian.
     fn to_bytes(&self, key: &BankKey) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(128 + (self.frontal.len() + self.tilted.len()) * FEATURE_BYTES);
         bytes.extend_from_slice(MAGIC);
@@ -184,6 +189,11 @@ impl ViewBank {
         for list in [&self.frontal, &self.tilted] {
             bytes.extend_from_slice(&(list.len() as u32).to_le_bytes());
             list.iter().for_each(|feature| append_feature(feature, &mut bytes));
+        }
+        for (octave, anchors) in self.anchors.iter().enumerate() {
+            bytes.extend_from_slice(&(anchors.len() as u32).to_le_bytes());
+            let pixels = anchors.iter().flat_map(|anchor| anchor.pixel(octave));
+            pixels.for_each(|place| bytes.extend_from_slice(&place.to_le_bytes()));
         }
         let digest = digest([bytes.as_slice()]);
         bytes.extend_from_slice(&digest);
@@ -195,7 +205,9 @@ impl ViewBank {
         let (content, own_digest) = bytes.split_last_chunk::<KEY_BYTES>()?;
         let is_whole = digest([content]) == *own_digest;
         let mut rest = content.strip_prefix(MAGIC)?.strip_prefix(&VERSION.to_le_bytes())?.strip_prefix(&key.0)?;
-        let bank = Self { frontal: take_features(&mut rest, size)?, tilted: take_features(&mut rest, size)? };
+        let [frontal, tilted] = [take_features(&mut rest, size)?, take_features(&mut rest, size)?];
+        let anchors = (0..octave_count(size)).map(|octave| take_anchors(&mut rest, size, octave)).collect::<Option<_>>()?;
+        let bank = Self { frontal, tilted, anchors };
         (is_whole && rest.is_empty()).then_some(bank)
     }
 }
@@ -233,6 +245,24 @@ fn take_features(rest: &mut &[u8], size: (u32, u32)) -> Option<Vec<Feature>> {
     let (own, after) = after.split_at_checked(length)?;
     *rest = after;
     own.chunks_exact(FEATURE_BYTES).map(|bytes| feature(bytes, size)).collect()
+}
+
+/// Takes the anchors of an octave from the front; none where the octave of a picture of that size cannot have them.
+fn take_anchors(rest: &mut &[u8], (width, height): (u32, u32), octave: usize) -> Option<Vec<Anchor>> {
+    let (count, after) = rest.split_first_chunk::<4>()?;
+    let count = Some(u32::from_le_bytes(*count) as usize).filter(|count| *count <= ANCHORS)?;
+    let (own, after) = after.split_at_checked(count * ANCHOR_BYTES)?;
+    *rest = after;
+    let sides = [width >> octave, height >> octave];
+    let is_inside = |place: u32, side: u32| place >= ANCHOR_BORDER && place.saturating_add(ANCHOR_BORDER) < side;
+    own.as_chunks::<ANCHOR_BYTES>()
+        .0
+        .iter()
+        .map(|bytes| {
+            let [x, y] = [bytes.first_chunk()?, bytes.last_chunk()?].map(|place| u32::from_le_bytes(*place));
+            (is_inside(x, sides[0]) && is_inside(y, sides[1])).then(|| Anchor::at([x, y], octave))
+        })
+        .collect()
 }
 
 /// A feature; none that no picture of that size has.

@@ -53,6 +53,8 @@ fn a_kept_bank_is_the_computed_one_to_the_bit() {
     let (body, store) = (small_cloth(3), Arc::new(Memory::default()));
     let computed = bank(&body, 1, None);
     assert!(computed.frontal.len() > 100 && computed.tilted.len() > 100);
+    assert_eq!(computed.anchors.len(), body.surfaces[0].octaves.len());
+    assert!(computed.anchors[0].len() > 100 && !computed.anchors[1].is_empty());
     assert_eq!(bank(&body, 1, Some(&store)), computed);
     let cold = store.bytes();
     assert_eq!(bank(&body, 1, Some(&store)), computed);
@@ -99,7 +101,8 @@ fn few() -> ViewBank {
         angle: 0.3 * f32::from(k),
         descriptor: Descriptor([u64::from(k).wrapping_mul(0x9e37_79b9_7f4a_7c15); 4]),
     };
-    ViewBank { frontal: (0..7).map(feature).collect(), tilted: (4..11).map(feature).collect() }
+    let anchors = vec![(0..4).map(|k| Anchor::at([5 + 3 * k, 6 + k], 0)).collect()];
+    ViewBank { frontal: (0..7).map(feature).collect(), tilted: (4..11).map(feature).collect(), anchors }
 }
 
 const SIZE: (u32, u32) = (40, 30);
@@ -166,6 +169,12 @@ fn bytes_that_are_whole_are_taken_for_their_key_alone() {
     assert_eq!(ViewBank::from_bytes(&bytes, &KEY, SIZE), Some(few()));
     assert_eq!(ViewBank::from_bytes(&bytes, &BankKey([8; KEY_BYTES]), SIZE), None);
     assert_eq!(ViewBank::from_bytes(&bytes, &KEY, (20, 30)), None);
+    // An anchor at the rim, and one of more than there are.
+    let mut outside = few();
+    outside.anchors[0][0] = Anchor::at([4, 6], 0);
+    assert_eq!(ViewBank::from_bytes(&outside.to_bytes(&KEY), &KEY, SIZE), None);
+    outside.anchors[0] = vec![Anchor::at([7, 7], 0); ANCHORS + 1];
+    assert_eq!(ViewBank::from_bytes(&outside.to_bytes(&KEY), &KEY, SIZE), None);
     // A number of features that no memory holds is no reason to ask for it.
     let mut many = bytes;
     let count = MAGIC.len() + 4 + KEY_BYTES;

@@ -5,10 +5,14 @@ use std::f32::consts::PI;
 
 use image::GrayImage;
 
+use crate::simd::multiversion;
+
 /// Lobes of the kernel on each side, and the pixels that it weighs along a row. Three are the usual choice (Lanczos3). Raised, edges ring
 /// further, and the start takes longer.
 const LOBES: usize = 3;
 const TAPS: usize = 2 * LOBES;
+/// Old pixels whose new ones are made at once: what stays in the nearest cache.
+const BLOCK: usize = 64;
 
 /// Twice as wide and high. The new pixels of a pair lie a quarter of a pixel to either side of the old one.
 pub fn enlarged_twice(picture: &GrayImage) -> GrayImage {
@@ -20,28 +24,62 @@ pub fn enlarged_twice(picture: &GrayImage) -> GrayImage {
         w.reverse();
         w
     };
-    // A row with room for the taps at both ends.
-    let mut row = vec![0.0f32; w + 2 * LOBES];
-    let mut out = Vec::with_capacity(4 * w * h);
-    for v in 0..2 * h {
+    // A row with room for the taps at both ends, and for a block that begins at any of its pixels.
+    let mut row = vec![0.0f32; w + 2 * LOBES + BLOCK];
+    let mut out = vec![0; 4 * w * h];
+    for (v, out) in out.chunks_exact_mut(2 * w.max(1)).enumerate() {
         let (weights, first) = if v % 2 == 0 { (&earlier, v / 2) } else { (&later, v / 2 + 1) };
         let rows = std::array::from_fn::<_, TAPS, _>(|t| &raw[(first + t).saturating_sub(LOBES).min(h - 1) * w..][..w]);
-        for u in 0..w {
-            row[LOBES + u] = (0..TAPS).map(|t| weights[t] * f32::from(rows[t][u])).sum();
-        }
+        blend(rows, weights, &mut row[LOBES..LOBES + w]);
         let (left, right) = (row[LOBES], row[LOBES + w - 1]);
         row[..LOBES].fill(left);
-        row[LOBES + w..].fill(right);
-        for u in 0..w {
-            let intensity = |weights: &[f32; TAPS], first: usize| {
-                let sum: f32 = weights.iter().zip(&row[first..first + TAPS]).map(|(w, g)| w * g).sum();
-                (sum + 0.5).clamp(0.0, 255.0) as u8
-            };
-            out.extend([intensity(&earlier, u), intensity(&later, u + 1)]);
-        }
+        row[LOBES + w..][..LOBES].fill(right);
+        interleave(&row, &earlier, &later, out);
     }
     // As many greys as pixels: the fallback is never taken.
     GrayImage::from_raw(2 * w as u32, 2 * h as u32, out).unwrap_or_default()
+}
+
+multiversion! {
+    /// The weighted sum of rows.
+    fn blend(rows: [&[u8]; TAPS], weights: &[f32; TAPS], out: &mut [f32]); ["avx2"] => blend_plain, else blend_plain
+}
+
+#[inline(always)]
+fn blend_plain(rows: [&[u8]; TAPS], weights: &[f32; TAPS], out: &mut [f32]) {
+    out.fill(0.0);
+    for (row, weight) in rows.iter().zip(weights) {
+        out.iter_mut().zip(*row).for_each(|(sum, grey)| *sum += weight * f32::from(*grey));
+    }
+}
+
+multiversion! {
+    /// Two new pixels of each old one, from a row that is longer by [`LOBES`] pixels before it and a block more behind it.
+    fn interleave(row: &[f32], earlier: &[f32; TAPS], later: &[f32; TAPS], out: &mut [u8]);
+    ["avx2"] => interleave_plain, else interleave_plain
+}
+
+#[inline(always)]
+fn interleave_plain(row: &[f32], earlier: &[f32; TAPS], later: &[f32; TAPS], out: &mut [u8]) {
+    // Signed numbers convert in one instruction.
+    let grey = |sum: f32| (sum + 0.5).clamp(0.0, 255.0) as i32 as u8;
+    for (k, out) in out.chunks_mut(2 * BLOCK).enumerate() {
+        // What is computed beyond the row's end is not taken.
+        let Some(row) = row[k * BLOCK..].first_chunk::<{ BLOCK + TAPS }>() else { return };
+        let mut greys = [[0u8; BLOCK]; 2];
+        for u in 0..BLOCK {
+            let mut sums = [0.0f32; 2];
+            for t in 0..TAPS {
+                sums[0] += earlier[t] * row[u + t];
+                sums[1] += later[t] * row[u + t + 1];
+            }
+            (greys[0][u], greys[1][u]) = (grey(sums[0]), grey(sums[1]));
+        }
+        let [earlier, later] = &greys;
+        for ((pair, a), b) in out.as_chunks_mut::<2>().0.iter_mut().zip(earlier).zip(later) {
+            *pair = [*a, *b];
+        }
+    }
 }
 
 /// Weights of the pixels three before to two behind, for a place a quarter of a pixel before one; their sum is 1.

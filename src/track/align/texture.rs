@@ -9,6 +9,7 @@ use image::GrayImage;
 use super::enlarge::enlarged_twice;
 use super::lanes::{LANES, TILE_COLUMNS, TILE_ROWS, Tile};
 use crate::features::halved;
+use crate::simd::multiversion;
 
 /// Columns and rows from tile to tile: neighbours share one of each.
 pub const TILE_STEP: [usize; 2] = [TILE_COLUMNS - 1, TILE_ROWS - 1];
@@ -140,7 +141,12 @@ fn push_tiles(picture: &GrayImage, tiles: &mut Vec<Tile>) -> i32 {
             let (i, j) = (column * TILE_STEP[0], row * TILE_STEP[1]);
             let n = TILE_COLUMNS.min(w - i);
             for (k, texels) in tile.0.chunks_exact_mut(TILE_COLUMNS).enumerate().take(h - j) {
-                texels[..n].copy_from_slice(&raw[(j + k) * w + i..][..n]);
+                let source = &raw[(j + k) * w + i..][..n];
+                // A full row is copied as one register.
+                match source.first_chunk::<TILE_COLUMNS>() {
+                    Some(full) => texels.copy_from_slice(full),
+                    None => texels[..n].copy_from_slice(source),
+                }
             }
             tiles.push(tile);
         }
@@ -151,32 +157,118 @@ fn push_tiles(picture: &GrayImage, tiles: &mut Vec<Tile>) -> i32 {
 fn candidates(raw: &[u8], w: usize, h: usize) -> Candidates {
     let (columns, rows) = (w.div_ceil(BLOCK), h.div_ceil(BLOCK));
     let mut out = Candidates { columns, rows, starts: vec![0], offsets: Vec::new() };
-    let mut ranked: Vec<(f32, [u8; 2])> = Vec::new();
+    // A row of blocks, full even where the picture ends before.
+    let stride = columns * BLOCK;
+    let mut steepness = vec![0u32; stride * BLOCK];
+    let mut ranking = Ranking::new();
     for row in 0..rows {
-        for column in 0..columns {
-            ranked.clear();
-            for dy in 0..BLOCK {
-                for dx in 0..BLOCK {
-                    let (i, j) = (column * BLOCK + dx, row * BLOCK + dy);
-                    if i == 0 || j == 0 || i + 1 >= w || j + 1 >= h {
-                        continue;
-                    }
-                    let at = j * w + i;
-                    let gx = 0.5 * (f32::from(raw[at + 1]) - f32::from(raw[at - 1]));
-                    let gy = 0.5 * (f32::from(raw[at + w]) - f32::from(raw[at - w]));
-                    let squared = gx * gx + gy * gy;
-                    if squared >= LEAST_GRADIENT * LEAST_GRADIENT {
-                        ranked.push((squared, [dx as u8, dy as u8]));
-                    }
-                }
+        for (own, j) in steepness.chunks_exact_mut(stride).zip(row * BLOCK..) {
+            let line = |j: usize| &raw[j * w..][..w];
+            // The rim has no gradients.
+            if j == 0 || j + 1 >= h || w < 3 {
+                own.fill(0);
+            } else {
+                steepness_of([line(j - 1), line(j), line(j + 1)], &mut own[1..w - 1]);
             }
-            ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-            out.offsets.extend(ranked.iter().take(KEPT).map(|r| r.1));
+        }
+        for column in 0..columns {
+            let block = std::array::from_fn(|dy| &steepness[dy * stride + column * BLOCK..][..BLOCK]);
+            ranking.append_steepest(block, &mut out.offsets);
             out.starts.push(out.offsets.len() as u32);
         }
     }
     out
 }
+
+multiversion! {
+    /// Four times the squared gradients of the middle one of three rows, but for its ends.
+    fn steepness_of(rows: [&[u8]; 3], out: &mut [u32]); ["avx2"] => steepness_of_plain, else steepness_of_plain
+}
+
+#[inline(always)]
+fn steepness_of_plain([above, here, below]: [&[u8]; 3], out: &mut [u32]) {
+    let n = out.len();
+    let [left, right, above, below] = [&here[..n], &here[2..][..n], &above[1..][..n], &below[1..][..n]];
+    for (k, out) in out.iter_mut().enumerate() {
+        let x = i32::from(right[k]) - i32::from(left[k]);
+        let y = i32::from(below[k]) - i32::from(above[k]);
+        *out = (x * x + y * y) as u32;
+    }
+}
+
+/// Bits of a key that tell the texel.
+const TEXEL_BITS: u32 = 8;
+const TEXELS: usize = 1 << TEXEL_BITS;
+const _: () = assert!(BLOCK * BLOCK == TEXELS);
+
+/// Ranks the texels of a block; keeps its buffers.
+#[derive(Debug, Clone)]
+struct Ranking {
+    /// Four times the squared gradient, and what is larger for the texels that come first where that is equal.
+    keys: [u32; TEXELS],
+    sorted: [u32; TEXELS],
+    /// Where each heap begins among the sorted keys; where it ends, once all are there.
+    ends: [u32; HEAPS],
+}
+
+impl Ranking {
+    fn new() -> Self {
+        Self { keys: [0; TEXELS], sorted: [0; TEXELS], ends: [0; HEAPS] }
+    }
+
+    /// The texels that are steep enough, the steepest first: thrown into heaps of about the same steepness, of which only those that are kept are sorted.
+    fn append_steepest(&mut self, block: [&[u32]; BLOCK], offsets: &mut Vec<[u8; 2]>) {
+        // As the keys count it.
+        const LEAST: u32 = (4.0 * LEAST_GRADIENT * LEAST_GRADIENT) as u32;
+        let Self { keys, sorted, ends } = self;
+        let mut count = 0;
+        ends.fill(0);
+        for (dy, row) in block.into_iter().enumerate() {
+            for (dx, n) in row.iter().enumerate().take(BLOCK) {
+                // What is not steep is written over by the next one.
+                keys[count] = (n << TEXEL_BITS) | (TEXELS - 1 - (dx * BLOCK + dy)) as u32;
+                let is_steep = *n >= LEAST;
+                ends[heap(*n)] += u32::from(is_steep);
+                count += usize::from(is_steep);
+            }
+        }
+        let keys = &keys[..count];
+        let mut sum = 0;
+        for end in ends.iter_mut().rev() {
+            sum += std::mem::replace(end, sum);
+        }
+        for key in keys {
+            let place = &mut ends[heap(key >> TEXEL_BITS)];
+            sorted[*place as usize] = *key;
+            *place += 1;
+        }
+        let mut first = 0;
+        for end in ends.iter().rev().map(|end| *end as usize) {
+            if first >= KEPT {
+                break;
+            }
+            if end > first + 1 {
+                sorted[first..end].sort_unstable_by(|a, b| b.cmp(a));
+            }
+            first = end;
+        }
+        for key in &sorted[..count.min(KEPT)] {
+            let k = TEXELS - 1 - (*key as usize & (TEXELS - 1));
+            offsets.push([(k / BLOCK) as u8, (k % BLOCK) as u8]);
+        }
+    }
+}
+
+/// Sixteen heaps for each doubling of the steepness, the steepest last: most have a texel or two.
+fn heap(steepness: u32) -> usize {
+    (((steepness as f32).to_bits() >> HEAP_SHIFT) as usize).saturating_sub(HEAPS_BELOW)
+}
+
+/// Bits of a number that tell not its heap.
+const HEAP_SHIFT: u32 = 19;
+/// The heap of a steepness of 1, were it counted from 0; heaps for all that 8 bits can differ by, in two directions.
+const HEAPS_BELOW: usize = (1.0f32.to_bits() >> HEAP_SHIFT) as usize;
+const HEAPS: usize = ((2.0 * 255.0 * 255.0f32).to_bits() >> HEAP_SHIFT) as usize - HEAPS_BELOW + 1;
 
 #[cfg(test)]
 mod tests {
@@ -204,6 +296,33 @@ mod tests {
             let at = t.base[1] as usize + row * t.stride[1] as usize + in_row;
             let expected = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(a, b)| picture.get_pixel(i as u32 + a, j as u32 + b)[0]);
             assert_eq!([bytes[at], bytes[at + 1], bytes[at + TILE_COLUMNS], bytes[at + TILE_COLUMNS + 1]], expected, "{i} {j}");
+        }
+    }
+
+    #[test]
+    fn the_steepest_of_a_block_are_those_of_a_plain_sort() {
+        for seed in [3u32, 8, 21] {
+            // Small steps too, so that many are equally steep.
+            let grey = |x: u32, y: u32| (x.wrapping_mul(2_654_435_761) ^ y.wrapping_mul(40_503).wrapping_mul(seed) ^ (x * y)) >> 7;
+            let picture = GrayImage::from_fn(53, 41, |x, y| image::Luma([(grey(x, y) % (5 + 12 * seed)) as u8]));
+            let found = candidates(picture.as_raw(), 53, 41);
+            for (k, (column, row)) in (0..found.rows).flat_map(|row| (0..found.columns).map(move |column| (column, row))).enumerate() {
+                let mut expected = Vec::new();
+                for (dx, dy) in (0..BLOCK).flat_map(|dx| (0..BLOCK).map(move |dy| (dx, dy))) {
+                    let [x, y] = [column * BLOCK + dx, row * BLOCK + dy].map(|v| v as u32);
+                    if x == 0 || y == 0 || x + 1 >= 53 || y + 1 >= 41 {
+                        continue;
+                    }
+                    let at = |x: u32, y: u32| i32::from(picture.get_pixel(x, y)[0]);
+                    let squared = (at(x + 1, y) - at(x - 1, y)).pow(2) + (at(x, y + 1) - at(x, y - 1)).pow(2);
+                    if squared as f32 >= 4.0 * LEAST_GRADIENT.powi(2) {
+                        expected.push((squared, [dx as u8, dy as u8]));
+                    }
+                }
+                expected.sort_by_key(|(squared, offset)| (-squared, *offset));
+                let expected: Vec<[u8; 2]> = expected.iter().take(KEPT).map(|e| e.1).collect();
+                assert_eq!(found.of_block(column, row), expected, "block {k}");
+            }
         }
     }
 }
