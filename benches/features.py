@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -22,6 +23,16 @@ BARS = {"sift": 1.5, "live": 0.7}
 SIZE = (640, 480)
 # Times in a row that either does a picture in one round; the fastest counts. Raised, the bench takes longer; lowered, what else the machine does shows.
 TRIES = 6
+
+
+@dataclass
+class Timed:
+    """The fastest so far, milliseconds, and the keypoints: ours and OpenCV's."""
+
+    ms: float = float("inf")
+    count: int = 0
+    their_ms: float = float("inf")
+    their_count: int = 0
 
 
 def ours(program, name, picture, folder):
@@ -62,19 +73,20 @@ def main():
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "same").write_text("1 0 0 0 1 0 0 0 1")
-        for picture in pictures:
-            small = folder / "picture.png"
-            cv2.imwrite(str(small), cv2.resize(cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE), SIZE, interpolation=cv2.INTER_AREA))
-            for kind in BARS:
-                best = [float("inf")] * 2
-                for _ in range(arguments.rounds):
-                    ms, count = ours(arguments.program.resolve(), kind, small, folder)
-                    their_ms, their_count = theirs(kind, small, count)
-                    best = [min(best[0], ms), min(best[1], their_ms)]
-                ratio = best[0] / best[1]
-                worst[kind] = max(worst[kind], ratio)
-                words = f"{picture.parent.name}/{picture.name}"
-                print(f"{words:<32}{kind:<6}{count:>10}{best[0]:>8.1f}{their_count:>10}{best[1]:>8.1f}{ratio:>8.2f}", flush=True)
+        # Each round is of all pictures: what else the machine does for some seconds meets no picture in all its rounds.
+        timed = {(picture, kind): Timed() for picture in pictures for kind in BARS}
+        small = folder / "picture.png"
+        for _ in range(arguments.rounds):
+            for (picture, kind), times in timed.items():
+                cv2.imwrite(str(small), cv2.resize(cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE), SIZE, interpolation=cv2.INTER_AREA))
+                ms, times.count = ours(arguments.program.resolve(), kind, small, folder)
+                their_ms, times.their_count = theirs(kind, small, times.count)
+                times.ms, times.their_ms = min(times.ms, ms), min(times.their_ms, their_ms)
+    for (picture, kind), of in timed.items():
+        ratio = of.ms / of.their_ms
+        worst[kind] = max(worst[kind], ratio)
+        words = f"{picture.parent.name}/{picture.name}"
+        print(f"{words:<32}{kind:<6}{of.count:>10}{of.ms:>8.1f}{of.their_count:>10}{of.their_ms:>8.1f}{ratio:>8.2f}")
     over = [kind for kind, bar in BARS.items() if worst[kind] > bar]
     for kind, bar in BARS.items():
         print(f"{kind}: at worst {worst[kind]:.2f} (bar {bar})")
