@@ -1,9 +1,9 @@
 //! The bank of views: each reference picture described once, at the start, as cameras see it from all sides.
 //!
-//! A picture's bank has two parts: the picture as it is, which cameras up to 60 degrees from its normal recognise, and as tilted cameras see it, out
-//! to 80 degrees; beside them are the places where it is registered. It follows from the picture alone, and takes half a second; so whoever builds a tracker may keep its bytes from one start to the next
-//! ([`ViewStore`]). A bank that was kept is the one that would be computed: its [`BankKey`] is a digest of all that it follows from, and whatever does not
-//! read as the bank of that key is computed anew.
+//! A picture's bank has two parts: the picture as it is, which cameras up to 60 degrees from its normal recognise, and as tilted cameras see it,
+//! out to 80 degrees; beside them are its anchors, the places where it is registered. It follows from the picture alone, and takes half a second;
+//! so whoever builds a tracker may keep its bytes from one start to the next ([`ViewStore`]). A bank that was kept is the one that would be
+//! computed: its [`BankKey`] is a digest of all that it follows from, and whatever does not read as the bank of that key is computed anew.
 
 use std::hash::{DefaultHasher, Hasher};
 use std::sync::Arc;

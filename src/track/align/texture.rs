@@ -207,16 +207,17 @@ struct Ranking {
     /// Four times the squared gradient, and what is larger for the texels that come first where that is equal.
     keys: [u32; TEXELS],
     sorted: [u32; TEXELS],
-    /// Where each heap begins among the sorted keys; where it ends, once all are there.
-    ends: [u32; HEAPS],
+    /// Where each bucket begins among the sorted keys; where it ends, once all are there.
+    ends: [u32; BUCKETS],
 }
 
 impl Ranking {
     fn new() -> Self {
-        Self { keys: [0; TEXELS], sorted: [0; TEXELS], ends: [0; HEAPS] }
+        Self { keys: [0; TEXELS], sorted: [0; TEXELS], ends: [0; BUCKETS] }
     }
 
-    /// The texels that are steep enough, the steepest first: thrown into heaps of about the same steepness, of which only those that are kept are sorted.
+    /// The texels that are steep enough, the steepest first. They go into buckets of about the same steepness, and only those buckets are sorted
+    /// whose texels are kept.
     fn append_steepest(&mut self, block: [&[u32]; BLOCK], offsets: &mut Vec<[u8; 2]>) {
         // As the keys count it.
         const LEAST: u32 = (4.0 * LEAST_GRADIENT * LEAST_GRADIENT) as u32;
@@ -228,7 +229,7 @@ impl Ranking {
                 // What is not steep is written over by the next one.
                 keys[count] = (n << TEXEL_BITS) | (TEXELS - 1 - (dx * BLOCK + dy)) as u32;
                 let is_steep = *n >= LEAST;
-                ends[heap(*n)] += u32::from(is_steep);
+                ends[bucket(*n)] += u32::from(is_steep);
                 count += usize::from(is_steep);
             }
         }
@@ -238,7 +239,7 @@ impl Ranking {
             sum += std::mem::replace(end, sum);
         }
         for key in keys {
-            let place = &mut ends[heap(key >> TEXEL_BITS)];
+            let place = &mut ends[bucket(key >> TEXEL_BITS)];
             sorted[*place as usize] = *key;
             *place += 1;
         }
@@ -259,16 +260,16 @@ impl Ranking {
     }
 }
 
-/// Sixteen heaps for each doubling of the steepness, the steepest last: most have a texel or two.
-fn heap(steepness: u32) -> usize {
-    (((steepness as f32).to_bits() >> HEAP_SHIFT) as usize).saturating_sub(HEAPS_BELOW)
+/// The bucket of a steepness: sixteen for each doubling, the steepest last. Most have a texel or two.
+fn bucket(steepness: u32) -> usize {
+    (((steepness as f32).to_bits() >> BUCKET_SHIFT) as usize).saturating_sub(BUCKETS_BELOW)
 }
 
-/// Bits of a number that tell not its heap.
-const HEAP_SHIFT: u32 = 19;
-/// The heap of a steepness of 1, were it counted from 0; heaps for all that 8 bits can differ by, in two directions.
-const HEAPS_BELOW: usize = (1.0f32.to_bits() >> HEAP_SHIFT) as usize;
-const HEAPS: usize = ((2.0 * 255.0 * 255.0f32).to_bits() >> HEAP_SHIFT) as usize - HEAPS_BELOW + 1;
+/// Low bits of a float that do not tell its bucket.
+const BUCKET_SHIFT: u32 = 19;
+/// The bucket of a steepness of 1, were it counted from 0; buckets for all that 8 bits can differ by, in two directions.
+const BUCKETS_BELOW: usize = (1.0f32.to_bits() >> BUCKET_SHIFT) as usize;
+const BUCKETS: usize = ((2.0 * 255.0 * 255.0f32).to_bits() >> BUCKET_SHIFT) as usize - BUCKETS_BELOW + 1;
 
 #[cfg(test)]
 mod tests {
