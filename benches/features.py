@@ -75,12 +75,13 @@ def main():
         (folder / "same").write_text("1 0 0 0 1 0 0 0 1")
         # Each round is of all pictures: what else the machine does for some seconds meets no picture in all its rounds.
         timed = {(picture, kind): Timed() for picture in pictures for kind in BARS}
-        small = folder / "picture.png"
+        small = {picture: folder / f"{number}.png" for number, picture in enumerate(pictures)}
+        for picture, file in small.items():
+            cv2.imwrite(str(file), cv2.resize(cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE), SIZE, interpolation=cv2.INTER_AREA))
         for _ in range(arguments.rounds):
             for (picture, kind), times in timed.items():
-                cv2.imwrite(str(small), cv2.resize(cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE), SIZE, interpolation=cv2.INTER_AREA))
-                ms, times.count = ours(arguments.program.resolve(), kind, small, folder)
-                their_ms, times.their_count = theirs(kind, small, times.count)
+                ms, times.count = ours(arguments.program.resolve(), kind, small[picture], folder)
+                their_ms, times.their_count = theirs(kind, small[picture], times.count)
                 times.ms, times.their_ms = min(times.ms, ms), min(times.their_ms, their_ms)
     for (picture, kind), of in timed.items():
         ratio = of.ms / of.their_ms
