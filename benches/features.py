@@ -4,7 +4,8 @@
 
 Every picture is brought to 640 x 480. In each round `stagepose detectors` and OpenCV have the same picture, right after one another; the fastest of
 the rounds counts, for either. ORB gives as many features as the live detector. Without pictures: the first ones of ../shared's photographs.
-`--check` fails where SIFT takes over 1.5 times OpenCV's time, or the live corners over 0.7 times ORB's.
+`--check` fails where SIFT takes over 1.5 times OpenCV's time, or the live corners over 0.7 times ORB's. What is over its bar is measured
+again first, up to MORE_ROUNDS times: the fastest of all rounds comes down to what either takes undisturbed, and a slower program stays over it.
 """
 
 import argparse
@@ -23,6 +24,8 @@ BARS = {"sift": 1.5, "live": 0.7}
 SIZE = (640, 480)
 # Times in a row that either does a picture in one round; the fastest counts. Raised, the bench takes longer; lowered, what else the machine does shows.
 TRIES = 6
+# Further rounds for what is over its bar. A disturbance of a minute passes in so many; raised, a program that is too slow is only told later.
+MORE_ROUNDS = 12
 
 
 @dataclass
@@ -33,6 +36,10 @@ class Timed:
     count: int = 0
     their_ms: float = float("inf")
     their_count: int = 0
+
+    @property
+    def ratio(self):
+        return self.ms / self.their_ms
 
 
 def ours(program, name, picture, folder):
@@ -56,6 +63,13 @@ def theirs(name, picture, count):
     return 1e3 * fastest, len(found)
 
 
+def measure(program, name, picture, folder, times):
+    """One round of one picture: ours, then OpenCV's."""
+    ms, times.count = ours(program, name, picture, folder)
+    their_ms, times.their_count = theirs(name, picture, times.count)
+    times.ms, times.their_ms = min(times.ms, ms), min(times.their_ms, their_ms)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("program", type=Path)
@@ -67,6 +81,7 @@ def main():
     pictures = arguments.pictures or sorted(data.glob("homog-oxford-*/1.png"))
     if not pictures:
         sys.exit("NOT RUN: no pictures are given, and ../shared is not beside this folder")
+    program = arguments.program.resolve()
     cv2.setNumThreads(1)
     print(f"{'picture':<32}{'':<6}{'keypoints':>10}{'ms':>8}{'OpenCV':>10}{'ms':>8}{'ratio':>8}")
     worst = dict.fromkeys(BARS, 0.0)
@@ -80,14 +95,16 @@ def main():
             cv2.imwrite(str(file), cv2.resize(cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE), SIZE, interpolation=cv2.INTER_AREA))
         for _ in range(arguments.rounds):
             for (picture, kind), times in timed.items():
-                ms, times.count = ours(arguments.program.resolve(), kind, small[picture], folder)
-                their_ms, times.their_count = theirs(kind, small[picture], times.count)
-                times.ms, times.their_ms = min(times.ms, ms), min(times.their_ms, their_ms)
+                measure(program, kind, small[picture], folder, times)
+        for _ in range(MORE_ROUNDS if arguments.check else 0):
+            for (picture, kind), times in timed.items():
+                if times.ratio > BARS[kind]:
+                    print(f"{picture.parent.name} {kind}: {times.ratio:.2f}, measured again", file=sys.stderr)
+                    measure(program, kind, small[picture], folder, times)
     for (picture, kind), of in timed.items():
-        ratio = of.ms / of.their_ms
-        worst[kind] = max(worst[kind], ratio)
+        worst[kind] = max(worst[kind], of.ratio)
         words = f"{picture.parent.name}/{picture.name}"
-        print(f"{words:<32}{kind:<6}{of.count:>10}{of.ms:>8.1f}{of.their_count:>10}{of.their_ms:>8.1f}{ratio:>8.2f}")
+        print(f"{words:<32}{kind:<6}{of.count:>10}{of.ms:>8.1f}{of.their_count:>10}{of.their_ms:>8.1f}{of.ratio:>8.2f}")
     over = [kind for kind, bar in BARS.items() if worst[kind] > bar]
     for kind, bar in BARS.items():
         print(f"{kind}: at worst {worst[kind]:.2f} (bar {bar})")
