@@ -26,6 +26,11 @@ impl Workers {
         Self { pool, clock: ComputeClock::default(), extra_ns: AtomicU64::new(0) }
     }
 
+    /// One for each processor: for the start, when there are no frames yet. Frames take as many as they are allowed.
+    pub fn of_all_processors() -> Self {
+        Self::new(std::thread::available_parallelism().map_or(1, usize::from))
+    }
+
     /// Their work is measured with `clock`.
     pub fn measured_with(self, clock: ComputeClock) -> Self {
         Self { clock, ..self }

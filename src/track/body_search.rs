@@ -94,7 +94,7 @@ pub struct BodySearch {
 }
 
 impl BodySearch {
-    /// Describes the pictures of all bodies, or takes what the store has of them.
+    /// Describes the pictures of all bodies, or takes what the store has of them. `at_start`: who does that.
     pub fn new(
         camera: CameraModel,
         shutter: Shutter,
@@ -103,10 +103,10 @@ impl BodySearch {
         settings: &TrackerSettings,
         clock: ComputeClock,
         store: Option<Arc<dyn ViewStore>>,
+        at_start: &Workers,
     ) -> Self {
         let workers = Workers::new(settings.threads).measured_with(clock);
-        let features = FeatureSearch::new(bodies.iter_mut().flat_map(|b| &mut b.body.surfaces), settings.features, store, &workers);
-        workers.take_extra_ms();
+        let features = FeatureSearch::new(bodies.iter_mut().flat_map(|b| &mut b.body.surfaces), settings.features, store, at_start);
         Self {
             camera,
             shutter,

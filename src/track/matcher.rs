@@ -11,7 +11,7 @@ use image::GrayImage;
 use tracing::debug_span;
 
 use super::acquire::{SurfaceMatch, SurfaceView};
-use super::align::{Alignment, CameraRays, FrameLevels, ShutterClue, is_sharp};
+use super::align::{AlignSurface, Alignment, CameraRays, FrameLevels, ShutterClue, is_sharp};
 use super::body_search::{BodySearch, Scene};
 use super::frame_interval::FrameInterval;
 use super::lens_doubt::{covariance_by_lens, covariance_by_shape};
@@ -29,6 +29,7 @@ use super::verify::Verified;
 use super::view_bank::ViewStore;
 use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
+use crate::features::Workers;
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MotionEstimate;
@@ -125,12 +126,16 @@ impl Matcher {
         clock: ComputeClock,
         store: Option<Arc<dyn ViewStore>>,
     ) -> Self {
+        let at_start = Workers::of_all_processors();
+        let (surfaces, mut prepared): (Vec<_>, Vec<_>) = (specs.iter().flat_map(|spec| &spec.surfaces).collect(), Vec::new());
+        at_start.map_into(&surfaces, &mut prepared, |surface| AlignSurface::new(surface));
+        let mut prepared = prepared.into_iter();
         let mut bodies: Vec<TrackedBody> = Vec::new();
         for spec in specs {
             let first = bodies.last().map_or(0, |b| b.surfaces.end);
-            bodies.push(TrackedBody::new(spec, first, shutter));
+            bodies.push(TrackedBody::new(spec, prepared.by_ref().take(spec.surfaces.len()).collect(), first, shutter));
         }
-        let search = BodySearch::new(camera, shutter, mask.clone(), &mut bodies, &settings, clock, store);
+        let search = BodySearch::new(camera, shutter, mask.clone(), &mut bodies, &settings, clock, store, &at_start);
         Self {
             camera_rays: CameraRays::new(camera, mask),
             levels: FrameLevels::default(),

@@ -4,7 +4,7 @@ use nalgebra::{Matrix6, Matrix6x2};
 use tracing::debug;
 
 use super::acquire::Recognition;
-use super::align::{Aligner, Alignment, CameraRays, FrameLevels, Patch, ShutterClue};
+use super::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Patch, ShutterClue};
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
 use super::misfit::{Misfit, ModelNews, ModelReport};
@@ -104,10 +104,10 @@ pub struct ModelFit {
 }
 
 impl TrackedBody {
-    /// Prepares a body. `first`: the number of its first surface in the reference index.
-    pub fn new(spec: &BodySpec, first: u32, shutter: Shutter) -> Self {
+    /// Prepares a body. `surfaces`: its surfaces, ready for alignment; `first`: the number of its first surface in the reference index.
+    pub fn new(spec: &BodySpec, surfaces: Vec<AlignSurface>, first: u32, shutter: Shutter) -> Self {
         let body = PreparedBody::new(spec);
-        let aligner = Aligner::new(&body, shutter);
+        let aligner = Aligner::of_surfaces(surfaces, shutter);
         let most = aligner.most_patches();
         Self {
             surfaces: first..first + body.surfaces.len() as u32,

@@ -51,7 +51,11 @@ pub struct Solution<'a> {
 impl Aligner {
     /// Prepares a body's pictures.
     pub fn new(body: &PreparedBody, shutter: Shutter) -> Self {
-        let surfaces: Vec<AlignSurface> = body.surfaces.iter().map(|s| AlignSurface::new(&s.spec)).collect();
+        Self::of_surfaces(body.surfaces.iter().map(|s| AlignSurface::new(&s.spec)).collect(), shutter)
+    }
+
+    /// Of a body whose pictures are prepared.
+    pub fn of_surfaces(surfaces: Vec<AlignSurface>, shutter: Shutter) -> Self {
         Self {
             buffers: Buffers::with_room_for(&surfaces),
             settings: Settings { surfaces, asks_shutter: false },

@@ -1,5 +1,5 @@
 //! A picture at twice its size, by Lanczos' windowed sinc of three lobes: exactly two phases of six weights, mirror images of
-//! each other, one direction after the other.
+//! each other, one direction after the other. It is made row by row: whoever cuts it up need not hold all of it.
 
 use std::f32::consts::PI;
 
@@ -14,30 +14,40 @@ const TAPS: usize = 2 * LOBES;
 /// Old pixels whose new ones are made at once: what stays in the nearest cache.
 const BLOCK: usize = 64;
 
-/// Twice as wide and high. The new pixels of a pair lie a quarter of a pixel to either side of the old one.
-pub fn enlarged_twice(picture: &GrayImage) -> GrayImage {
-    let (w, h) = (picture.width() as usize, picture.height() as usize);
-    let raw = picture.as_raw();
-    let earlier = weights();
-    let later = {
-        let mut w = earlier;
-        w.reverse();
-        w
-    };
-    // A row with room for the taps at both ends, and for a block that begins at any of its pixels.
-    let mut row = vec![0.0f32; w + 2 * LOBES + BLOCK];
-    let mut out = vec![0; 4 * w * h];
-    for (v, out) in out.chunks_exact_mut(2 * w.max(1)).enumerate() {
-        let (weights, first) = if v % 2 == 0 { (&earlier, v / 2) } else { (&later, v / 2 + 1) };
-        let rows = std::array::from_fn::<_, TAPS, _>(|t| &raw[(first + t).saturating_sub(LOBES).min(h - 1) * w..][..w]);
-        blend(rows, weights, &mut row[LOBES..LOBES + w]);
-        let (left, right) = (row[LOBES], row[LOBES + w - 1]);
-        row[..LOBES].fill(left);
-        row[LOBES + w..][..LOBES].fill(right);
-        interleave(&row, &earlier, &later, out);
+/// A picture of at least one pixel, twice as wide and high. The new pixels of a pair lie a quarter of a pixel to either side of the old one.
+pub struct Enlarged<'a> {
+    picture: &'a GrayImage,
+    /// For the earlier of two new pixels, and for the later.
+    weights: [[f32; TAPS]; 2],
+    /// A blended row with room for the taps at both ends, and for a block that begins at any of its pixels.
+    blended: Vec<f32>,
+}
+
+impl<'a> Enlarged<'a> {
+    pub fn new(picture: &'a GrayImage) -> Self {
+        let earlier = weights();
+        let mut later = earlier;
+        later.reverse();
+        Self { picture, weights: [earlier, later], blended: vec![0.0; picture.width() as usize + 2 * LOBES + BLOCK] }
     }
-    // As many greys as pixels: the fallback is never taken.
-    GrayImage::from_raw(2 * w as u32, 2 * h as u32, out).unwrap_or_default()
+
+    /// Columns and rows.
+    pub fn size(&self) -> [usize; 2] {
+        [2 * self.picture.width() as usize, 2 * self.picture.height() as usize]
+    }
+
+    /// Writes its row `v`.
+    pub fn write_row(&mut self, v: usize, out: &mut [u8]) {
+        let Self { picture, weights, blended } = self;
+        let (w, h) = (picture.width() as usize, picture.height() as usize);
+        let first = v.div_ceil(2);
+        let rows = std::array::from_fn::<_, TAPS, _>(|t| &picture.as_raw()[(first + t).saturating_sub(LOBES).min(h - 1) * w..][..w]);
+        blend(rows, &weights[v % 2], &mut blended[LOBES..LOBES + w]);
+        let (left, right) = (blended[LOBES], blended[LOBES + w - 1]);
+        blended[..LOBES].fill(left);
+        blended[LOBES + w..][..LOBES].fill(right);
+        interleave(blended, &weights[0], &weights[1], out);
+    }
 }
 
 multiversion! {
@@ -61,8 +71,8 @@ multiversion! {
 
 #[inline(always)]
 fn interleave_plain(row: &[f32], earlier: &[f32; TAPS], later: &[f32; TAPS], out: &mut [u8]) {
-    // Signed numbers convert in one instruction.
-    let grey = |sum: f32| (sum + 0.5).clamp(0.0, 255.0) as i32 as u8;
+    // Behind 2^23 a float's last bits count by one: a conversion of eight at once, where `as` checks one after the other.
+    let grey = |sum: f32| ((sum + 0.5).clamp(0.0, 255.0).floor() + 8_388_608.0).to_bits() as u8;
     for (k, out) in out.chunks_mut(2 * BLOCK).enumerate() {
         // What is computed beyond the row's end is not taken.
         let Some(row) = row[k * BLOCK..].first_chunk::<{ BLOCK + TAPS }>() else { return };
@@ -98,6 +108,14 @@ mod tests {
     use image::imageops::{FilterType, resize};
 
     use super::*;
+
+    fn enlarged_twice(picture: &GrayImage) -> GrayImage {
+        let mut enlarged = Enlarged::new(picture);
+        let [width, height] = enlarged.size();
+        let mut out = vec![0; width * height];
+        out.chunks_exact_mut(width).enumerate().for_each(|(v, row)| enlarged.write_row(v, row));
+        GrayImage::from_raw(width as u32, height as u32, out).expect("as many greys as pixels")
+    }
 
     #[test]
     fn it_is_what_a_general_lanczos_resize_gives() {

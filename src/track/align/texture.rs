@@ -6,7 +6,7 @@
 
 use image::GrayImage;
 
-use super::enlarge::enlarged_twice;
+use super::enlarge::Enlarged;
 use super::lanes::{LANES, TILE_COLUMNS, TILE_ROWS, Tile};
 use crate::features::halved;
 use crate::simd::multiversion;
@@ -27,7 +27,7 @@ const LARGEST_ENLARGED: u32 = 6_000_000;
 const LEAST_GRADIENT: f32 = 1.5;
 /// The chain ends when a side falls below this, texels. Chosen, not tuned: less shows no detail to align by. Raised, pictures seen from
 /// afar are sampled too finely, and alias.
-const LEAST_SIDE: u32 = 8;
+const LEAST_SIDE: usize = 8;
 
 /// All levels of a picture.
 #[derive(Debug, Clone)]
@@ -88,18 +88,20 @@ impl Texture {
             levels: 0,
             candidates: Vec::new(),
         };
-        if picture.width() * picture.height() <= LARGEST_ENLARGED {
-            texture.push(&enlarged_twice(picture), 2.0);
+        let own = [picture.width() as usize, picture.height() as usize];
+        let is_enlarged = picture.width() * picture.height() <= LARGEST_ENLARGED;
+        let sizes = is_enlarged.then_some(own.map(|n| 2 * n)).into_iter().chain(halved_sizes(own)).take(LANES);
+        texture.tiles.reserve_exact(sizes.map(|size| tiles_of(size).iter().product::<usize>()).sum());
+        if is_enlarged {
+            let mut enlarged = Enlarged::new(picture);
+            // Pixels are never chosen by texels that the picture does not have.
+            texture.push(enlarged.size(), |j, row| enlarged.write_row(j, row), 2.0, Candidates::none());
         }
-        let mut level = picture.clone();
-        let mut scale = 1.0;
-        while texture.levels < LANES {
-            texture.push(&level, scale);
-            scale *= 0.5;
-            if level.width() / 2 < LEAST_SIDE || level.height() / 2 < LEAST_SIDE {
-                break;
-            }
-            level = halved(&level);
+        let halves = std::iter::successors(Some(picture.clone()), |level| Some(halved(level)));
+        let scales = std::iter::successors(Some(1.0), |scale| Some(0.5 * scale));
+        for (([w, h], level), scale) in halved_sizes(own).zip(halves).zip(scales).take(LANES - texture.levels) {
+            let raw = level.as_raw();
+            texture.push([w, h], |j, row| row.copy_from_slice(&raw[j * w..][..w]), scale, candidates(raw, w, h));
         }
         for l in texture.levels..LANES {
             texture.base[l] = texture.base[l - 1];
@@ -116,32 +118,49 @@ impl Texture {
         usize::from(self.scale[0] > 1.0)
     }
 
-    fn push(&mut self, level: &GrayImage, scale: f32) {
-        let (w, h) = (level.width() as usize, level.height() as usize);
+    fn push(&mut self, [w, h]: [usize; 2], write_row: impl FnMut(usize, &mut [u8]), scale: f32, candidates: Candidates) {
         let l = self.levels;
         self.base[l] = size_of_val(&self.tiles[..]) as i32;
-        self.stride[l] = push_tiles(level, &mut self.tiles);
+        self.stride[l] = push_tiles([w, h], write_row, &mut self.tiles);
         self.scale[l] = scale;
         (self.last_column[l], self.last_row[l]) = (w as f32 - 1.001, h as f32 - 1.001);
-        let raw = level.as_raw();
-        // Pixels are never chosen by texels that the picture does not have.
-        self.candidates.push(if scale > 1.0 { Candidates::none() } else { candidates(raw, w, h) });
+        self.candidates.push(candidates);
         self.levels += 1;
     }
 }
 
-/// Cuts a picture into tiles; the bytes per row of them, less those that the rows of a tile take.
-fn push_tiles(picture: &GrayImage, tiles: &mut Vec<Tile>) -> i32 {
-    let (w, h) = (picture.width() as usize, picture.height() as usize);
-    let raw = picture.as_raw();
-    let [across, down] = [(w - 1).div_ceil(TILE_STEP[0]), (h - 1).div_ceil(TILE_STEP[1])];
+/// Of a picture and its halved copies, down to the last that shows detail.
+fn halved_sizes(own: [usize; 2]) -> impl Iterator<Item = [usize; 2]> {
+    std::iter::successors(Some(own), |size| {
+        let half = size.map(|n| n / 2);
+        half.iter().all(|n| *n >= LEAST_SIDE).then_some(half)
+    })
+}
+
+/// Tiles across and down that a picture is cut into.
+fn tiles_of([w, h]: [usize; 2]) -> [usize; 2] {
+    [(w - 1).div_ceil(TILE_STEP[0]), (h - 1).div_ceil(TILE_STEP[1])]
+}
+
+/// Cuts a picture, which is written row by row, into tiles; the bytes per row of them, less those that the rows of a tile take.
+fn push_tiles([w, h]: [usize; 2], mut write_row: impl FnMut(usize, &mut [u8]), tiles: &mut Vec<Tile>) -> i32 {
+    let [across, down] = tiles_of([w, h]);
+    // The rows of a row of tiles.
+    let mut raw = vec![0; TILE_ROWS * w];
     for row in 0..down {
+        let j = row * TILE_STEP[1];
+        if row > 0 {
+            raw.copy_within(TILE_STEP[1] * w.., 0);
+        }
+        for (k, out) in raw.chunks_exact_mut(w).enumerate().take(h - j).skip(usize::from(row > 0)) {
+            write_row(j + k, out);
+        }
         for column in 0..across {
             let mut tile = Tile([0; TILE_COLUMNS * TILE_ROWS]);
-            let (i, j) = (column * TILE_STEP[0], row * TILE_STEP[1]);
+            let i = column * TILE_STEP[0];
             let n = TILE_COLUMNS.min(w - i);
             for (k, texels) in tile.0.chunks_exact_mut(TILE_COLUMNS).enumerate().take(h - j) {
-                let source = &raw[(j + k) * w + i..][..n];
+                let source = &raw[k * w + i..][..n];
                 // A full row is copied as one register.
                 match source.first_chunk::<TILE_COLUMNS>() {
                     Some(full) => texels.copy_from_slice(full),
