@@ -39,8 +39,9 @@ const SAME_START: f64 = 0.005;
 /// A frame with fewer features in a quick look is not looked at closely: it is black or blank. Raised, dim stages are not looked for; lowered,
 /// black frames cost more.
 const LEAST_FEATURES: usize = 16;
-/// Candidates that are put to the test in a frame whose stage is known, over all missing bodies: both planar poses of one. Raised, a frame takes longer, as much as
-/// one more followed body each; lowered, the wrong one of two planar poses may be the only one tried.
+/// Tests in a frame whose stage is known, over all missing bodies: bodies that were followed in vain, candidates that are aligned, poses that patches are asked
+/// about. Two are both planar poses of one body. Raised, a frame takes longer, as much as two more followed bodies each; lowered, the wrong one of two planar poses may be the
+/// only one tried.
 const TRIED_BESIDE: usize = 2;
 
 /// A frame in which bodies are missing, and what is known of it.
@@ -88,7 +89,7 @@ pub struct BodySearch {
     turn: usize,
     /// Whether the stage is known and others are looked for beside it.
     is_beside: bool,
-    /// Candidates that may still be put to the test in this frame.
+    /// Tests that may still be made in this frame.
     tries: usize,
     spent: Spent,
 }
@@ -175,7 +176,8 @@ impl BodySearch {
             let missing = scene.bodies.iter().zip(&*scene.verified).filter(|(_, v)| v.is_none()).flat_map(|(b, _)| b.surfaces.clone());
             search.features.look_beside(&scene.frame.image, search.mask.as_ref(), &mut search.unexplained, missing, &search.workers);
         });
-        (self.is_beside, self.tries) = (true, TRIED_BESIDE);
+        let in_vain = scene.bodies.iter().zip(&*scene.verified).filter(|(body, v)| v.is_none() && !body.tried.is_empty()).count();
+        (self.is_beside, self.tries) = (true, TRIED_BESIDE.saturating_sub(in_vain));
         self.turn = self.turn.wrapping_add(1);
         self.find_each(scene, true);
     }
@@ -198,7 +200,7 @@ impl BodySearch {
             let start = self.clock.start();
             scene.verified[k] = self.align_candidates(k, scene, &found);
             self.spent.align_ms += start.elapsed_ms();
-            if asks_patches && scene.verified[k].is_none() {
+            if asks_patches && self.tries > 0 && scene.verified[k].is_none() {
                 scene.verified[k] = self.find_by_patches(k, scene, &found);
             }
         }
@@ -272,13 +274,17 @@ impl BodySearch {
             let predicted = tracked.predicted(frame.timestamp);
             best = tracked.best_verified(predicted.into_iter(), &view, &mut buffers);
         }
-        let aligned = best.and_then(|verified| {
+        // Beside the stage there is no time to begin twice from one place.
+        let is_new = |verified: &Verified| !(self.is_beside && tracked.tried.iter().any(|tried| is_near(tried, &verified.pose)));
+        let aligned = best.filter(is_new).and_then(|verified| {
             let distance = tracked.aligner.distance_m(&verified.pose);
             let [shift, turn] = first_off(self.shutter.readout_s, distance, [0.0; 2]);
             let first = MotionEstimate::unseen(verified.pose, distance, shift, turn);
             tracked.align(frame, scene.levels, scene.rays, &first, None)
         });
         self.verify_buffers = buffers;
+        let has_asked = tracked.track.is_continued() || !found.is_empty();
+        self.tries = self.tries.saturating_sub(usize::from(has_asked));
         self.spent.align_ms += start.elapsed_ms() + self.workers.take_extra_ms();
         aligned.or(best)
     }

@@ -65,7 +65,7 @@ pub struct TrackedBody {
     pub seen: Recognition,
     /// Of the poses that the last frame's verification refused, the one that came furthest.
     pub refusal: Option<Refusal>,
-    /// Where features put it in this frame, and alignment began in vain or not.
+    /// Where alignment began in this frame, in vain or not: where the body should be, and where features put it.
     pub tried: Vec<Pose<Body, Camera>>,
     /// Why the last frame has no verified pose.
     pub reason: Option<Reason>,
@@ -151,6 +151,7 @@ impl TrackedBody {
             return None;
         }
         let expected = estimate.after(dt_s, self.aligner.distance_m(&estimate.motion.pose), &self.process_noise);
+        self.tried.push(expected.motion.pose);
         let verified = self.align(frame, levels, camera_rays, &expected, Some(dt_s))?;
         self.unaudited += 1;
         if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose.inverse(), camera_rays.camera()) {

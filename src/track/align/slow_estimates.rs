@@ -21,7 +21,7 @@ const START_ERROR_KEPT: f64 = 0.8;
 /// begin. Raised, they do so for more frames; lowered, a pose from features may lie outside of the first level's basin and is solved twice.
 const FIRST_START_ERROR_PX: f64 = 40.0;
 /// Accepted frames between trials of how the picture was enlarged, and before the first, so that light and noise are known. A trial costs
-/// about 4 ms in one frame of 32. Raised, a wrong way stays longer; lowered, frames cost more.
+/// about 1 ms in one frame of 32. Raised, a wrong way stays longer; lowered, frames cost more.
 pub(super) const TRIAL_FRAMES: u32 = 32;
 pub(super) const FIRST_TRIAL: u32 = 3;
 
