@@ -5,8 +5,6 @@
 //!
 //! Where nothing is known, the whole frame is searched: quickly, then closely. Once the stage's pose is known, only what that leaves unexplained is.
 
-use std::sync::Arc;
-
 use image::GrayImage;
 use tracing::{debug, debug_span};
 
@@ -22,7 +20,6 @@ use super::settings::TrackerSettings;
 use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody};
 use super::unexplained::Unexplained;
 use super::verify::{Verified, VerifyBuffers, View};
-use super::view_bank::ViewStore;
 use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::features::Workers;
@@ -95,19 +92,16 @@ pub struct BodySearch {
 }
 
 impl BodySearch {
-    /// Describes the pictures of all bodies, or takes what the store has of them. `at_start`: who does that.
+    /// With the features of all bodies' pictures.
     pub fn new(
         camera: CameraModel,
         shutter: Shutter,
         mask: Option<GrayImage>,
-        bodies: &mut [TrackedBody],
+        features: FeatureSearch,
         settings: &TrackerSettings,
         clock: ComputeClock,
-        store: Option<Arc<dyn ViewStore>>,
-        at_start: &Workers,
     ) -> Self {
         let workers = Workers::new(settings.threads).measured_with(clock);
-        let features = FeatureSearch::new(bodies.iter_mut().flat_map(|b| &mut b.body.surfaces), settings.features, store, at_start);
         Self {
             camera,
             shutter,
@@ -170,14 +164,22 @@ impl BodySearch {
     /// for in front of what is plainly it. Much that is unexplained is searched in turns, and little is tried in each frame, so that frames take about as
     /// long whether a body is missing or not.
     fn find_beside_stage(&mut self, scene: &mut Scene) {
+        let in_vain =
+            || scene.bodies.iter().zip(&*scene.verified).filter(|(body, v)| v.is_none() && !body.tried.is_empty()).map(|(body, _)| body);
+        (self.is_beside, self.tries) = (true, TRIED_BESIDE.saturating_sub(in_vain().count()));
+        if in_vain().any(|body| body.track.is_continued()) {
+            // A tracked body took this frame's time. It is likely to be where it was expected, behind something: patches tell.
+            self.find_by_prediction(scene);
+            return;
+        }
         self.timed(|search| {
             let known = scene.bodies.iter().zip(&*scene.verified).filter_map(|(b, v)| v.as_ref().map(|v| (&b.body, v.pose)));
             search.unexplained.look(known, scene.levels, scene.rays);
             let missing = scene.bodies.iter().zip(&*scene.verified).filter(|(_, v)| v.is_none()).flat_map(|(b, _)| b.surfaces.clone());
+            let lost = scene.bodies.iter().zip(&*scene.verified).filter(|(_, v)| v.is_none()).map(|(b, _)| b);
+            search.unexplained.take_missed(lost.filter_map(|b| b.missed_at(scene.frame.timestamp, &search.camera)));
             search.features.look_beside(&scene.frame.image, search.mask.as_ref(), &mut search.unexplained, missing, &search.workers);
         });
-        let in_vain = scene.bodies.iter().zip(&*scene.verified).filter(|(body, v)| v.is_none() && !body.tried.is_empty()).count();
-        (self.is_beside, self.tries) = (true, TRIED_BESIDE.saturating_sub(in_vain));
         self.turn = self.turn.wrapping_add(1);
         self.find_each(scene, true);
     }
@@ -209,7 +211,7 @@ impl BodySearch {
     /// Looks for the missing bodies where they should be by now.
     fn find_by_prediction(&mut self, scene: &mut Scene) {
         for k in 0..scene.bodies.len() {
-            if scene.verified[k].is_none() {
+            if scene.verified[k].is_none() && self.tries > 0 {
                 scene.verified[k] = self.find_by_patches(k, scene, &[]);
             }
         }

@@ -13,6 +13,7 @@ use tracing::debug_span;
 use super::acquire::{SurfaceMatch, SurfaceView};
 use super::align::{AlignSurface, Alignment, CameraRays, FrameLevels, ShutterClue, is_sharp};
 use super::body_search::{BodySearch, Scene};
+use super::feature_search::FeatureSearch;
 use super::frame_interval::FrameInterval;
 use super::lens_doubt::{covariance_by_lens, covariance_by_shape};
 use super::lens_watch::{LensState, LensWatch};
@@ -135,7 +136,8 @@ impl Matcher {
             let first = bodies.last().map_or(0, |b| b.surfaces.end);
             bodies.push(TrackedBody::new(spec, prepared.by_ref().take(spec.surfaces.len()).collect(), first, shutter));
         }
-        let search = BodySearch::new(camera, shutter, mask.clone(), &mut bodies, &settings, clock, store, &at_start);
+        let features = FeatureSearch::new(bodies.iter_mut().flat_map(|b| &mut b.body.surfaces), settings.features, store, &at_start);
+        let search = BodySearch::new(camera, shutter, mask.clone(), features, &settings, clock);
         Self {
             camera_rays: CameraRays::new(camera, mask),
             levels: FrameLevels::default(),

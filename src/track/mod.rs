@@ -12,6 +12,7 @@
 mod acquire;
 mod align;
 mod body_search;
+mod expected_view;
 mod failure;
 mod feature_search;
 mod fitted_anchor;
@@ -45,6 +46,7 @@ mod track_state;
 mod tracked_body;
 mod two_view;
 mod unexplained;
+mod unexplained_cells;
 mod verify;
 mod view_bank;
 

@@ -1,6 +1,6 @@
 //! What is known of one body: its pictures, its lock, its motion, and the last verified pose with the anchors that it rests on.
 
-use nalgebra::{Matrix6, Matrix6x2};
+use nalgebra::{Matrix6, Matrix6x2, Vector2, Vector3};
 use tracing::debug;
 
 use super::acquire::Recognition;
@@ -38,6 +38,9 @@ const LONGEST_FOLLOWED_GAP_S: f64 = 0.1;
 /// not tuned. Raised, alignment begins at coarser levels than it needs; lowered, such a pose pulls the aligned one.
 pub const FIRST_SHIFT: f64 = 0.003;
 pub const FIRST_TURN: f64 = 0.003;
+/// A body that was lost is looked for first of all where it was for so long, seconds. Chosen: what is covered for a moment or was found just now is still there. Raised, bodies that
+/// went away keep others waiting; lowered, one that was found in one frame may not be found in the next, which has to confirm it.
+const LONGEST_MISSED_S: f64 = 0.5;
 /// Share of fitting anchors beyond which no rival is asked. Chosen well above what a new pose needs (`LEAST_SHARE_NEW`). Raised, frames
 /// cost more; lowered, the first candidate may be taken for a better one.
 const CLEAR_SHARE: f64 = 0.6;
@@ -396,6 +399,20 @@ impl TrackedBody {
     pub fn predicted(&self, timestamp: Timestamp) -> Option<Pose<Camera, Body>> {
         let (before, dt_s, twist) = self.before_at(timestamp)?;
         Some(twist.map_or(before, |twist| perturbed(&before, &(twist.0 * dt_s))))
+    }
+
+    /// The pixel at which the body was when it was last seen, if that is not long ago; `None` where that is not known, or beyond the frame.
+    pub fn missed_at(&self, timestamp: Timestamp, camera: &CameraModel) -> Option<Vector2<f64>> {
+        let (pose, then, _) = self.before.as_ref()?;
+        if timestamp.seconds_since(*then) > LONGEST_MISSED_S {
+            return None;
+        }
+        let surfaces = &self.body.surfaces;
+        let centre = surfaces.iter().map(|s| s.rectangle.centre).sum::<Vector3<f64>>() / surfaces.len().max(1) as f64;
+        let seen = pose.transform(&centre.into());
+        let pixel = (seen.z > 0.0).then(|| camera.project(Normalized(seen.coords.xy() / seen.z)).0)?;
+        let size = [camera.width(), camera.height()];
+        (0..2).all(|k| (0.0..f64::from(size[k])).contains(&pixel[k])).then_some(pixel)
     }
 
     /// The last verified pose as seen from a stamp, if it is recent enough to tell of motion.

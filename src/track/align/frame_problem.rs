@@ -37,10 +37,10 @@ const SHARP_FRAME_PX: f64 = 1.0;
 /// point spread; lowered, the first takes up a change of focus more slowly.
 const PSF_VARIANCE_SIGMA: f64 = 0.5;
 const BLURRED_PSF_VARIANCE_SIGMA: f64 = 0.05;
-/// Linearisations at most: of a level above the finest, and of that. Most frames need one or two at the finest. Raised, frames that do not
-/// converge cost more; lowered, starts that are far off are given up.
+/// Linearisations at most: of a level above the finest, and of that. Of 1390 alignments that succeeded, nine clips long, all but four needed three at most at the
+/// finest, and one eight. Raised, frames that do not converge cost more; lowered, starts that are far off are given up.
 const COARSE_ROUNDS: usize = 8;
-const FINE_ROUNDS: usize = 16;
+const FINE_ROUNDS: usize = 10;
 /// A level above the finest is left, and the finest, when a step moved no tile by more, pixels of the level. With 0.015 at the finest,
 /// about as few frames are further off than six sigmas as with `MISSING_SHARE`. Raised, more of the last step is missing; lowered, frames
 /// cost more rounds.

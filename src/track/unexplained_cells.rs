@@ -1,0 +1,216 @@
+//! The squares of a frame that no followed body explains: which of them belong together, and how long each has waited to be searched.
+//!
+//! What has just appeared is searched first: nothing that is explained turns into something else but by a body that comes into view, or a person.
+//! After that, what has waited longest.
+
+use nalgebra::Vector2;
+
+use super::search_windows::Window;
+
+/// Side of a cell, pixels of the frame. Chosen, not tuned: a prop that features can find is 60
+/// pixels wide. Raised, small props are not told from what is beside them; lowered, a cell has too few pixels to be judged by.
+pub const SIDE_PX: u32 = 16;
+/// Fewest cells of a region that is searched: a quarter of a picture that is 64 pixels wide, which is the least that features find. Raised, props that come into view
+/// are found later; lowered, specks are searched.
+const LEAST_CELLS: usize = 6;
+/// Most regions that are searched in a frame, the largest ones. Chosen: sixteen props, and people. Raised, a frame that is strewn with specks costs more.
+const MOST_REGIONS: usize = 24;
+/// Pixels of the frame around a region that are looked at: as far as the description of a corner reaches two octaves up. Raised, searches cost more; lowered, corners near a
+/// region's border are found at full size alone.
+pub const MARGIN_PX: u32 = 64;
+
+/// A cell that has just become unexplained counts as one that has waited for so many frames: longer than it takes to search everything in turns. Raised, nothing changes; lowered, a
+/// body that comes into view waits until people beside it were searched.
+const NEW_WAIT: u8 = 12;
+/// A cell that is explained.
+const EXPLAINED: u8 = u8::MAX;
+/// A cell that is in no region yet.
+const UNNUMBERED: u32 = u32::MAX;
+
+/// The cells of a frame; keeps its buffers.
+#[derive(Debug, Default)]
+pub struct UnexplainedCells {
+    /// Cells across and down.
+    size: [usize; 2],
+    /// 0: explained. Else the region's number from 1, or [`UNNUMBERED`] on the way.
+    labels: Vec<u32>,
+    /// Looks since each was searched, or [`EXPLAINED`].
+    waits: Vec<u8>,
+    stack: Vec<usize>,
+    /// Cells and number of each region.
+    regions: Vec<(usize, u32)>,
+}
+
+impl UnexplainedCells {
+    /// Takes which cells a frame leaves unexplained, row by row.
+    pub fn renew(&mut self, size: [usize; 2], is_unexplained: impl Iterator<Item = bool>) {
+        self.size = size;
+        self.waits.resize(size[0] * size[1], EXPLAINED);
+        self.labels.clear();
+        for (wait, is_unexplained) in self.waits.iter_mut().zip(is_unexplained) {
+            self.labels.push(if is_unexplained { UNNUMBERED } else { 0 });
+            *wait = match (is_unexplained, *wait) {
+                (false, _) => EXPLAINED,
+                (true, EXPLAINED) => NEW_WAIT,
+                (true, wait) => wait.saturating_add(1).min(EXPLAINED - 1),
+            };
+        }
+    }
+
+    /// Numbers the regions: cells that share a side.
+    pub fn number_regions(&mut self) {
+        let [across, down] = self.size;
+        self.regions.clear();
+        for first in 0..self.labels.len() {
+            if self.labels[first] != UNNUMBERED {
+                continue;
+            }
+            let number = self.regions.len() as u32 + 1;
+            let mut size = 0;
+            self.labels[first] = number;
+            self.stack.push(first);
+            while let Some(cell) = self.stack.pop() {
+                size += 1;
+                let (column, row) = (cell % across, cell / across);
+                let beside = [
+                    (column > 0).then(|| cell - 1),
+                    (column + 1 < across).then_some(cell + 1),
+                    (row > 0).then(|| cell - across),
+                    (row + 1 < down).then_some(cell + across),
+                ];
+                for next in beside.into_iter().flatten() {
+                    if self.labels[next] == UNNUMBERED {
+                        self.labels[next] = number;
+                        self.stack.push(next);
+                    }
+                }
+            }
+            self.regions.push((size, number));
+        }
+        self.regions.retain(|(size, _)| *size >= LEAST_CELLS);
+        // The largest first; where two are equal, in reading order.
+        self.regions.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+        self.regions.truncate(MOST_REGIONS);
+    }
+
+    /// Cells and number of each region, the largest first.
+    pub fn regions(&self) -> &[(usize, u32)] {
+        &self.regions
+    }
+
+    /// First and last pixels of a region, the last one exclusive.
+    pub fn extent(&self, number: u32) -> [[u32; 2]; 2] {
+        let own = (0..self.labels.len()).filter(|cell| self.labels[*cell] == number).map(|cell| self.pixel(cell));
+        own.fold([[u32::MAX; 2], [0; 2]], |[low, high], at| {
+            [[0, 1].map(|k| low[k].min(at[k])), [0, 1].map(|k| high[k].max(at[k] + SIDE_PX))]
+        })
+    }
+
+    /// Whether a pixel of the frame lies in a region.
+    pub fn is_in(&self, [x, y]: [u32; 2], number: u32) -> bool {
+        let [column, row] = [x, y].map(|v| (v / SIDE_PX) as usize);
+        column < self.size[0] && self.labels.get(row * self.size[0] + column) == Some(&number)
+    }
+
+    /// First pixel of a cell.
+    fn pixel(&self, cell: usize) -> [u32; 2] {
+        [cell % self.size[0], cell / self.size[0]].map(|v| v as u32 * SIDE_PX)
+    }
+
+    /// The cells of a window's region that lie in it with their first pixel.
+    fn cells_of(&self, window: &Window) -> impl Iterator<Item = usize> + use<'_> {
+        let [columns, rows] = [0, 1].map(|k| {
+            let first = window.origin[k].div_ceil(SIDE_PX) as usize;
+            let end = (window.origin[k] + window.size[k]).div_ceil(SIDE_PX) as usize;
+            first.min(self.size[k])..end.min(self.size[k])
+        });
+        let number = self.regions.get(window.region).map_or(0, |region| region.1);
+        let across = self.size[0];
+        rows.flat_map(move |row| columns.clone().map(move |column| row * across + column)).filter(move |cell| self.labels[*cell] == number)
+    }
+
+    /// The part of a window that its cells lie in, with the margin, and how long they have waited in the mean; `None` where they are too few: what is small is whole in a
+    /// window beside it. `missed_at`: what lies around these pixels is as urgent as can be.
+    pub fn content(&self, window: &Window, missed_at: &[Vector2<f64>]) -> Option<(Window, f32)> {
+        let (mut low, mut high, mut cells, mut waited) = ([u32::MAX; 2], [0; 2], 0, 0.0);
+        for cell in self.cells_of(window) {
+            cells += 1;
+            waited += f32::from(self.waits[cell]);
+            let at = self.pixel(cell);
+            low = [0, 1].map(|k| low[k].min(at[k]));
+            high = [0, 1].map(|k| high[k].max(at[k] + SIDE_PX));
+        }
+        if cells < LEAST_CELLS {
+            return None;
+        }
+        let origin = [0, 1].map(|k| low[k].saturating_sub(MARGIN_PX).max(window.origin[k]));
+        let size = [0, 1].map(|k| (high[k] + MARGIN_PX).min(window.origin[k] + window.size[k]) - origin[k]);
+        // How far a pixel is inside, so that of two windows the one is taken that has it in its middle.
+        let depth = |pixel: &Vector2<f64>| {
+            let sides = [0, 1].map(|k| (pixel[k] - f64::from(origin[k])).min(f64::from(origin[k] + size[k]) - pixel[k]));
+            sides[0].min(sides[1])
+        };
+        let inside = missed_at.iter().map(depth).fold(0.0, f64::max);
+        let urgency = if inside > 0.0 { f32::from(EXPLAINED) + inside as f32 } else { waited / cells as f32 };
+        Some((Window { origin, size, ..*window }, urgency))
+    }
+
+    /// A window was searched.
+    pub fn note_searched(&mut self, window: &Window) {
+        let Self { waits, .. } = &mut *self;
+        let mut waits = std::mem::take(waits);
+        self.cells_of(window).for_each(|cell| waits[cell] = 0);
+        self.waits = waits;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: [usize; 2] = [80, 45];
+
+    /// Cells of a frame, unexplained in these rectangles of cells: first and last column and row, exclusive.
+    fn look(cells: &mut UnexplainedCells, open: &[[usize; 4]]) {
+        let is_open = |cell: usize| {
+            let (column, row) = (cell % SIZE[0], cell / SIZE[0]);
+            open.iter().any(|[left, top, right, bottom]| (*left..*right).contains(&column) && (*top..*bottom).contains(&row))
+        };
+        cells.renew(SIZE, (0..SIZE[0] * SIZE[1]).map(is_open));
+        cells.number_regions();
+    }
+
+    fn whole(region: usize) -> Window {
+        Window { region, origin: [0, 0], size: [1280, 720] }
+    }
+
+    #[test]
+    fn what_appears_is_urgent_and_what_was_searched_waits() {
+        let (person, prop) = ([30, 5, 45, 45], [5, 5, 9, 9]);
+        let mut cells = UnexplainedCells::default();
+        look(&mut cells, &[person]);
+        cells.note_searched(&whole(0));
+        look(&mut cells, &[person, prop]);
+        let urgency = |cells: &UnexplainedCells, region: usize| cells.content(&whole(region), &[]).expect("cells enough").1;
+        assert_eq!([urgency(&cells, 0), urgency(&cells, 1)], [1.0, f32::from(NEW_WAIT)]);
+        cells.note_searched(&whole(1));
+        for _ in 0..3 {
+            look(&mut cells, &[person, prop]);
+        }
+        assert_eq!([urgency(&cells, 0), urgency(&cells, 1)], [4.0, 3.0]);
+        // What was lost there comes before all else.
+        assert!(cells.content(&whole(1), &[Vector2::new(100.0, 100.0)]).expect("cells enough").1 > 200.0);
+    }
+
+    #[test]
+    fn a_window_is_as_large_as_what_it_holds() {
+        let mut cells = UnexplainedCells::default();
+        look(&mut cells, &[[30, 5, 34, 9]]);
+        let content = cells.content(&whole(0), &[]).expect("cells enough").0;
+        assert_eq!((content.origin, content.size), ([480 - MARGIN_PX, 80 - MARGIN_PX], [64 + 2 * MARGIN_PX; 2]));
+        assert!(cells.is_in([480, 80], 1) && !cells.is_in([479, 80], 1));
+        // Of a window that holds two cells nothing is searched.
+        let corner = Window { region: 0, origin: [528, 80], size: [200, 32] };
+        assert!(cells.content(&corner, &[]).is_none());
+    }
+}
