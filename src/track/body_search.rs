@@ -164,8 +164,9 @@ impl BodySearch {
     /// for in front of what is plainly it. Much that is unexplained is searched in turns, and little is tried in each frame, so that frames take about as
     /// long whether a body is missing or not.
     fn find_beside_stage(&mut self, scene: &mut Scene) {
-        let in_vain =
-            || scene.bodies.iter().zip(&*scene.verified).filter(|(body, v)| v.is_none() && !body.tried.is_empty()).map(|(body, _)| body);
+        let in_vain = || {
+            scene.bodies.iter().zip(&*scene.verified).filter(|(body, v)| v.is_none() && body.followed_from.is_some()).map(|(body, _)| body)
+        };
         (self.is_beside, self.tries) = (true, TRIED_BESIDE.saturating_sub(in_vain().count()));
         if in_vain().any(|body| body.track.is_continued()) {
             // A tracked body took this frame's time. It is likely to be where it was expected, behind something: patches tell.
@@ -277,7 +278,9 @@ impl BodySearch {
             best = tracked.best_verified(predicted.into_iter(), &view, &mut buffers);
         }
         // Beside the stage there is no time to begin twice from one place.
-        let is_new = |verified: &Verified| !(self.is_beside && tracked.tried.iter().any(|tried| is_near(tried, &verified.pose)));
+        let is_new = |verified: &Verified| {
+            !(self.is_beside && tracked.tried.iter().chain(&tracked.followed_from).any(|tried| is_near(tried, &verified.pose)))
+        };
         let aligned = best.filter(is_new).and_then(|verified| {
             let distance = tracked.aligner.distance_m(&verified.pose);
             let [shift, turn] = first_off(self.shutter.readout_s, distance, [0.0; 2]);

@@ -167,6 +167,7 @@ impl Matcher {
         for tracked in &mut self.bodies {
             (tracked.clue, tracked.refusal, tracked.reason) = (None, None, None);
             tracked.tried.clear();
+            tracked.followed_from = None;
             tracked.expect_next(self.interval.to_next_s());
         }
         let start = self.clock.start();

@@ -68,8 +68,10 @@ pub struct TrackedBody {
     pub seen: Recognition,
     /// Of the poses that the last frame's verification refused, the one that came furthest.
     pub refusal: Option<Refusal>,
-    /// Where alignment began in this frame, in vain or not: where the body should be, and where features put it.
+    /// Where features put it in this frame, and alignment began in vain or not.
     pub tried: Vec<Pose<Body, Camera>>,
+    /// Where it should be in this frame, if it was followed from there, in vain or not.
+    pub followed_from: Option<Pose<Body, Camera>>,
     /// Why the last frame has no verified pose.
     pub reason: Option<Reason>,
     /// The pixels that the last pose rests on, where somebody watches them.
@@ -122,6 +124,7 @@ impl TrackedBody {
             seen: Recognition::default(),
             refusal: None,
             tried: Vec::new(),
+            followed_from: None,
             reason: None,
             used: None,
             patches: Vec::with_capacity(most),
@@ -154,7 +157,7 @@ impl TrackedBody {
             return None;
         }
         let expected = estimate.after(dt_s, self.aligner.distance_m(&estimate.motion.pose), &self.process_noise);
-        self.tried.push(expected.motion.pose);
+        self.followed_from = Some(expected.motion.pose);
         let verified = self.align(frame, levels, camera_rays, &expected, Some(dt_s))?;
         self.unaudited += 1;
         if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose.inverse(), camera_rays.camera()) {

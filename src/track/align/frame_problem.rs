@@ -183,31 +183,56 @@ impl<'a> FrameProblem<'a> {
         problem.lay_out(spec, self.levels, motion, selector, light)
     }
 
-    /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels. Right after a body was found
-    /// its velocity is not known: that it should stand still is no expectation then, and laying out so many pixels takes several frames' time.
+    /// The frame may show what the last one did: then the prediction still holds, and it pays to ask more pixels.
     fn same_again(&mut self) -> Option<Corrected> {
         let motion = self.known.motion;
         let noise = self.slow.noise.of_still();
         let spec = LevelSpec { count: STILL_PIXELS, is_dense: true, noise, ..self.spec(FINEST, motion) };
         let is_kept = std::mem::take(&mut self.buffers.has_kept);
-        if self.buffers.fine.moved_since(&spec, motion) > KEPT_PX || !is_kept && level_for(self.uncertain_px()) == LEVELS - 1 {
+        if self.buffers.fine.moved_since(&spec, motion) > KEPT_PX {
             return None;
         }
         if is_kept {
             self.buffers.fine.renew(&spec, self.levels);
             // Not that of a frame whose pose was not accepted.
             self.buffers.fine.recall_light(&self.slow.light);
+        } else if !self.is_still_possible() {
+            return None;
         } else if self.lay_out(&spec, motion) {
             self.buffers.fine.predict(&spec, motion);
         } else {
             return None;
         }
         self.buffers.has_kept = true;
-        let (fine, _, light) = self.buffers.at_level(FINEST);
-        let solved = fine.solve(&spec, &self.known, light, false, 2)?;
-        let predicted_at = fine.predicted_at()?;
+        let solved = self.solve_kept(&spec)?;
+        let predicted_at = self.buffers.fine.predicted_at()?;
         self.last_step = predicted_at.pose_error_to(&solved.motion);
-        (fine.moved_px(&spec, motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
+        Some(solved)
+    }
+
+    /// The finest level's pixels solved for; `None` where they moved.
+    fn solve_kept(&mut self, spec: &LevelSpec) -> Option<Corrected> {
+        let motion = self.known.motion;
+        let (fine, _, light) = self.buffers.at_level(FINEST);
+        let solved = fine.solve(spec, &self.known, light, false, 2)?;
+        (fine.moved_px(spec, motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
+    }
+
+    /// Right after a body was found its velocity is not known: that it should stand still is no expectation then, but ignorance. The usual pixels are asked
+    /// first whether it does, as laying out all that are steep takes several frames' time.
+    fn is_still_possible(&mut self) -> bool {
+        if level_for(self.uncertain_px()) < LEVELS - 1 {
+            return true;
+        }
+        let motion = self.known.motion;
+        let spec = self.spec(FINEST, motion);
+        if !self.lay_out(&spec, motion) {
+            return false;
+        }
+        self.buffers.fine.predict(&spec, motion);
+        let is_still = self.solve_kept(&spec).is_some();
+        self.buffers.light.clone_from(&self.slow.light);
+        is_still
     }
 
     /// Aligns from the level whose basin holds the usual start error; where the result is not clearly right, from the one that holds all that
