@@ -22,6 +22,9 @@ pub struct Window {
     pub origin: [u32; 2],
     /// Columns and rows.
     pub size: [u32; 2],
+    /// First and last column and row, the last ones exclusive, of the part that lies nearer the middle of this window than of any other of its region. What
+    /// is small and stands there is whole in this window.
+    pub own: [[u32; 2]; 2],
 }
 
 impl Window {
@@ -39,7 +42,7 @@ pub struct SearchWindows {
 }
 
 impl SearchWindows {
-    /// The windows of this frame's turn; `regions`: first column and row, and size, of each. `content`: the part of a window that is worth a search, and how urgent it is.
+    /// The most urgent windows of a frame; `regions`: first column and row, and size, of each. `content`: the part of a window that is worth a search, and how urgent it is.
     pub fn next_slice(
         &mut self,
         regions: impl Iterator<Item = ([u32; 2], [u32; 2])>,
@@ -51,8 +54,14 @@ impl SearchWindows {
             let [across, down] = size.map(Pieces::of);
             for row in 0..down.count {
                 for column in 0..across.count {
-                    let origin = [origin[0] + across.start(column), origin[1] + down.start(row)];
-                    self.all.extend(content(&Window { region, origin, size: [across.length, down.length] }));
+                    let at = |places: [u32; 2]| [origin[0] + places[0], origin[1] + places[1]];
+                    let (own_columns, own_rows) = (across.own(column), down.own(row));
+                    self.all.extend(content(&Window {
+                        region,
+                        origin: at([across.start(column), down.start(row)]),
+                        size: [across.length, down.length],
+                        own: [at([own_columns[0], own_rows[0]]), at([own_columns[1], own_rows[1]])],
+                    }));
                 }
             }
         }
@@ -87,6 +96,12 @@ impl Pieces {
 
     fn start(&self, k: u32) -> u32 {
         if self.count == 1 { 0 } else { (self.whole - self.length) * k / (self.count - 1) }
+    }
+
+    /// First and last place, exclusive, of what lies nearer the middle of this piece than of its neighbours.
+    fn own(&self, k: u32) -> [u32; 2] {
+        let border = |k: u32| (self.start(k - 1) + self.start(k) + self.length) / 2;
+        [if k == 0 { 0 } else { border(k) }, if k + 1 == self.count { self.whole } else { border(k + 1) }]
     }
 }
 

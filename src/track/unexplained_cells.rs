@@ -7,8 +7,7 @@ use nalgebra::Vector2;
 
 use super::search_windows::Window;
 
-/// Side of a cell, pixels of the frame. Chosen, not tuned: a prop that features can find is 60
-/// pixels wide. Raised, small props are not told from what is beside them; lowered, a cell has too few pixels to be judged by.
+/// Side of a cell, pixels of the frame. Chosen, not tuned: a prop that features can find is 60 pixels wide. Raised, small props are not told from what is beside them; lowered, a cell has too few pixels to be judged by.
 pub const SIDE_PX: u32 = 16;
 /// Fewest cells of a region that is searched: a quarter of a picture that is 64 pixels wide, which is the least that features find. Raised, props that come into view
 /// are found later; lowered, specks are searched.
@@ -19,8 +18,8 @@ const MOST_REGIONS: usize = 24;
 /// region's border are found at full size alone.
 pub const MARGIN_PX: u32 = 64;
 
-/// A cell that has just become unexplained counts as one that has waited for so many frames: longer than it takes to search everything in turns. Raised, nothing changes; lowered, a
-/// body that comes into view waits until people beside it were searched.
+/// Looks that a cell has waited for when it becomes unexplained: more than it takes to search a whole frame. So what has just appeared comes first. Raised, nothing
+/// changes; lowered, a body that comes into view waits until the people beside it were searched.
 const NEW_WAIT: u8 = 12;
 /// A cell that is explained.
 const EXPLAINED: u8 = u8::MAX;
@@ -117,30 +116,29 @@ impl UnexplainedCells {
         [cell % self.size[0], cell / self.size[0]].map(|v| v as u32 * SIDE_PX)
     }
 
-    /// The cells of a window's region that lie in it with their first pixel.
-    fn cells_of(&self, window: &Window) -> impl Iterator<Item = usize> + use<'_> {
+    /// The cells of a window's region whose first pixels lie in a part of it: from, and to, exclusive.
+    fn cells_of(&self, window: &Window, [from, to]: [[u32; 2]; 2]) -> impl Iterator<Item = usize> + use<'_> {
         let [columns, rows] = [0, 1].map(|k| {
-            let first = window.origin[k].div_ceil(SIDE_PX) as usize;
-            let end = (window.origin[k] + window.size[k]).div_ceil(SIDE_PX) as usize;
-            first.min(self.size[k])..end.min(self.size[k])
+            let [first, end] = [from[k], to[k]].map(|v| (v.div_ceil(SIDE_PX) as usize).min(self.size[k]));
+            first..end
         });
         let number = self.regions.get(window.region).map_or(0, |region| region.1);
         let across = self.size[0];
         rows.flat_map(move |row| columns.clone().map(move |column| row * across + column)).filter(move |cell| self.labels[*cell] == number)
     }
 
-    /// The part of a window that its cells lie in, with the margin, and how long they have waited in the mean; `None` where they are too few: what is small is whole in a
-    /// window beside it. `missed_at`: what lies around these pixels is as urgent as can be.
-    pub fn content(&self, window: &Window, missed_at: &[Vector2<f64>]) -> Option<(Window, f32)> {
-        let (mut low, mut high, mut cells, mut waited) = ([u32::MAX; 2], [0; 2], 0, 0.0);
-        for cell in self.cells_of(window) {
+    /// The part of a window that its cells lie in, with the margin, and how long those have waited in the mean that no other window has nearer its middle; `None` where
+    /// there are none, or too few in all: what is small is whole in a window beside it. `last_seen`: a window around one of these pixels comes before all others.
+    pub fn content(&self, window: &Window, last_seen: &[Vector2<f64>]) -> Option<(Window, f32)> {
+        let (mut low, mut high, mut cells) = ([u32::MAX; 2], [0; 2], 0);
+        for cell in self.cells_of(window, [window.origin, [0, 1].map(|k| window.origin[k] + window.size[k])]) {
             cells += 1;
-            waited += f32::from(self.waits[cell]);
             let at = self.pixel(cell);
             low = [0, 1].map(|k| low[k].min(at[k]));
             high = [0, 1].map(|k| high[k].max(at[k] + SIDE_PX));
         }
-        if cells < LEAST_CELLS {
+        let (waited, own) = self.cells_of(window, window.own).fold((0.0, 0), |(sum, n), cell| (sum + f32::from(self.waits[cell]), n + 1));
+        if cells < LEAST_CELLS || own == 0 {
             return None;
         }
         let origin = [0, 1].map(|k| low[k].saturating_sub(MARGIN_PX).max(window.origin[k]));
@@ -150,22 +148,22 @@ impl UnexplainedCells {
             let sides = [0, 1].map(|k| (pixel[k] - f64::from(origin[k])).min(f64::from(origin[k] + size[k]) - pixel[k]));
             sides[0].min(sides[1])
         };
-        let inside = missed_at.iter().map(depth).fold(0.0, f64::max);
-        let urgency = if inside > 0.0 { f32::from(EXPLAINED) + inside as f32 } else { waited / cells as f32 };
+        let inside = last_seen.iter().map(depth).fold(0.0, f64::max);
+        let urgency = if inside > 0.0 { f32::from(EXPLAINED) + inside as f32 } else { waited / own as f32 };
         Some((Window { origin, size, ..*window }, urgency))
     }
 
-    /// A window was searched.
+    /// A window was searched: the cells that no other window has nearer its middle begin to wait anew.
     pub fn note_searched(&mut self, window: &Window) {
-        let Self { waits, .. } = &mut *self;
-        let mut waits = std::mem::take(waits);
-        self.cells_of(window).for_each(|cell| waits[cell] = 0);
+        let mut waits = std::mem::take(&mut self.waits);
+        self.cells_of(window, window.own).for_each(|cell| waits[cell] = 0);
         self.waits = waits;
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::search_windows::SearchWindows;
     use super::*;
 
     const SIZE: [usize; 2] = [80, 45];
@@ -181,7 +179,7 @@ mod tests {
     }
 
     fn whole(region: usize) -> Window {
-        Window { region, origin: [0, 0], size: [1280, 720] }
+        Window { region, origin: [0, 0], size: [1280, 720], own: [[0, 0], [1280, 720]] }
     }
 
     #[test]
@@ -202,6 +200,27 @@ mod tests {
         assert!(cells.content(&whole(1), &[Vector2::new(100.0, 100.0)]).expect("cells enough").1 > 200.0);
     }
 
+    /// Every square of half a window is whole in one that was searched.
+    #[test]
+    fn a_frame_that_nothing_explains_is_searched_in_turns_that_miss_nothing() {
+        let (mut cells, mut windows, mut seen) = (UnexplainedCells::default(), SearchWindows::default(), Vec::new());
+        for _ in 0..20 {
+            look(&mut cells, &[[0, 0, SIZE[0], SIZE[1]]]);
+            let slice = windows.next_slice([([0, 0], [1280, 720])].into_iter(), |window| cells.content(window, &[])).to_vec();
+            assert!(!slice.is_empty());
+            slice.iter().for_each(|window| cells.note_searched(window));
+            seen.extend(slice);
+        }
+        let side = 200;
+        for y in (0..=720 - side).step_by(20) {
+            for x in (0..=1280 - side).step_by(20) {
+                let holds =
+                    |w: &Window| [x, y].iter().enumerate().all(|(k, at)| w.origin[k] <= *at && at + side <= w.origin[k] + w.size[k]);
+                assert!(seen.iter().any(holds), "{x} {y}");
+            }
+        }
+    }
+
     #[test]
     fn a_window_is_as_large_as_what_it_holds() {
         let mut cells = UnexplainedCells::default();
@@ -210,7 +229,7 @@ mod tests {
         assert_eq!((content.origin, content.size), ([480 - MARGIN_PX, 80 - MARGIN_PX], [64 + 2 * MARGIN_PX; 2]));
         assert!(cells.is_in([480, 80], 1) && !cells.is_in([479, 80], 1));
         // Of a window that holds two cells nothing is searched.
-        let corner = Window { region: 0, origin: [528, 80], size: [200, 32] };
+        let corner = Window { region: 0, origin: [528, 80], size: [200, 32], own: [[528, 80], [728, 112]] };
         assert!(cells.content(&corner, &[]).is_none());
     }
 }

@@ -107,7 +107,8 @@ fn a_region_keeps_the_frame_s_own_mask() {
     let half_closed = GrayImage::from_fn(SIZE.0, SIZE.1, |x, _| Luma([if x < 345 { 0 } else { 255 }]));
     let (mut picture, mut mask) = (GrayImage::default(), GrayImage::default());
     // Its inner part: a window need not be the whole.
-    let window = Window { region: 0, origin: region.origin.map(|v| v + 7), size: region.size().map(|n| n - 20) };
+    let (origin, size) = (region.origin.map(|v| v + 7), region.size().map(|n| n - 20));
+    let window = Window { region: 0, origin, size, own: [origin, [0, 1].map(|k| origin[k] + size[k])] };
     region.cut_out(&window, &frame, Some(&half_closed), &mut picture, &mut mask);
     assert_eq!([picture.dimensions(), mask.dimensions()], [window.size.into(); 2]);
     for (x, y, pixel) in picture.enumerate_pixels() {
