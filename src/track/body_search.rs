@@ -59,6 +59,11 @@ impl Scene<'_> {
     fn is_complete(&self) -> bool {
         self.verified.iter().all(Option::is_some)
     }
+
+    /// The bodies that the frame was not found to show.
+    fn missing(&self) -> impl Iterator<Item = &TrackedBody> + Clone {
+        self.bodies.iter().zip(&*self.verified).filter(|(_, verified)| verified.is_none()).map(|(body, _)| body)
+    }
 }
 
 /// Compute that a search took, milliseconds over all workers.
@@ -161,14 +166,13 @@ impl BodySearch {
     }
 
     /// Looks only where the frame shows something else than the bodies that were found: once the stage's pose is known, the rest need not be looked
-    /// for in front of what is plainly it. Much that is unexplained is searched in turns, and little is tried in each frame, so that frames take about as
+    /// for in front of what is plainly it. Of much that is unexplained a part is searched, and little is tried in each frame, so that frames take about as
     /// long whether a body is missing or not.
     fn find_beside_stage(&mut self, scene: &mut Scene) {
-        let in_vain = || {
-            scene.bodies.iter().zip(&*scene.verified).filter(|(body, v)| v.is_none() && body.followed_from.is_some()).map(|(body, _)| body)
-        };
+        let in_vain = || scene.missing().filter(|body| body.followed_from.is_some());
         (self.is_beside, self.tries) = (true, TRIED_BESIDE.saturating_sub(in_vain().count()));
-        if in_vain().any(|body| body.track.is_continued()) {
+        let is_covered = in_vain().any(|body| body.track.is_continued());
+        if is_covered {
             // A tracked body took this frame's time. It is likely to be where it was expected, behind something: patches tell.
             self.find_by_prediction(scene);
             return;
@@ -176,9 +180,9 @@ impl BodySearch {
         self.timed(|search| {
             let known = scene.bodies.iter().zip(&*scene.verified).filter_map(|(b, v)| v.as_ref().map(|v| (&b.body, v.pose)));
             search.unexplained.look(known, scene.levels, scene.rays);
-            let missing = scene.bodies.iter().zip(&*scene.verified).filter(|(_, v)| v.is_none()).flat_map(|(b, _)| b.surfaces.clone());
-            let lost = scene.bodies.iter().zip(&*scene.verified).filter(|(_, v)| v.is_none()).map(|(b, _)| b);
-            search.unexplained.take_missed(lost.filter_map(|b| b.missed_at(scene.frame.timestamp, &search.camera)));
+            let last_seen = scene.missing().filter_map(|body| body.last_seen_at(scene.frame.timestamp, &search.camera));
+            search.unexplained.search_first(last_seen);
+            let missing = scene.missing().flat_map(|body| body.surfaces.clone());
             search.features.look_beside(&scene.frame.image, search.mask.as_ref(), &mut search.unexplained, missing, &search.workers);
         });
         self.turn = self.turn.wrapping_add(1);

@@ -7,6 +7,7 @@ use nalgebra::Matrix3;
 
 use super::align::CameraRays;
 use super::reference::PreparedSurface;
+use super::registration::bilinear;
 use crate::geometry::{Body, Camera, Pose};
 use crate::simd::multiversion;
 
@@ -74,15 +75,15 @@ impl ExpectedView {
         // The finer of the two that are nearest: a coarser one lacks the detail that the frame shows, and correlates by 0.9 where this one does by 0.98.
         let octave = (texels.floor().max(0.0) as usize).min(surface.octaves.len() - 1);
         let image = &surface.octaves[octave].image;
-        let picture = Texels { raw: image.as_raw(), size: [image.width() as usize, image.height() as usize] };
-        let texels_per_m = [0, 1].map(|k| picture.size[k] as f32 / rectangle.size_m[k] as f32);
+        let (raw, size) = (image.as_raw(), [image.width() as usize, image.height() as usize]);
+        let texels_per_m = [0, 1].map(|k| size[k] as f32 / rectangle.size_m[k] as f32);
         let plane = Plane {
             turn: std::array::from_fn(|k| turn[(k / 3, k % 3)]),
             from: from.into(),
             texels_per_m: [texels_per_m[0], -texels_per_m[1]],
-            centre: picture.size.map(|n| 0.5 * n as f32 - 0.5),
+            centre: size.map(|n| 0.5 * n as f32 - 0.5),
         };
-        let last = picture.size.map(|n| n as f32 - 0.5);
+        let last = size.map(|n| n as f32 - 0.5);
         for v in rows {
             let first = v * self.size[0] + columns.start;
             let pixels = first..first + columns.len();
@@ -93,7 +94,7 @@ impl ExpectedView {
                 // Not a number where the lens has no ray, negative behind the camera.
                 let is_in = |at: f32, last: f32| (-0.5..=last).contains(&at);
                 if *depth > 0.0 && depth < nearest && is_in(*x, last[0]) && is_in(*y, last[1]) {
-                    (*nearest, *grey, *owner) = (*depth, picture.at(*x, *y), self.drawn);
+                    (*nearest, *grey, *owner) = (*depth, bilinear(raw, size[0], size[1], *x, *y), self.drawn);
                 }
             }
         }
@@ -158,30 +159,6 @@ fn extent(
     };
     let both = [range(0), range(1)];
     both.iter().all(|r| !r.is_empty()).then_some(both)
-}
-
-/// A picture that is looked up by texels.
-struct Texels<'a> {
-    raw: &'a [u8],
-    size: [usize; 2],
-}
-
-impl Texels<'_> {
-    /// Grey at a place, straight lines between the texels.
-    fn at(&self, x: f32, y: f32) -> f32 {
-        let [width, height] = self.size;
-        let axis = |at: f32, n: usize| {
-            let at = at.clamp(0.0, (n - 1) as f32);
-            let first = (at as usize).min(n.saturating_sub(2));
-            (first, at - first as f32)
-        };
-        let ((i, a), (j, b)) = (axis(x, width), axis(y, height));
-        let row = |j: usize| {
-            let at = j * width + i;
-            f32::from(self.raw[at]) * (1.0 - a) + f32::from(self.raw[at + 1]) * a
-        };
-        row(j) * (1.0 - b) + row(j + 1) * b
-    }
 }
 
 #[cfg(test)]

@@ -183,7 +183,8 @@ struct Template {
     structure: Matrix2<f64>,
 }
 
-fn bilinear(image: &[u8], width: usize, height: usize, x: f32, y: f32) -> f32 {
+/// Grey of a picture at a place, straight lines between its pixels; beyond its border that of the border.
+pub fn bilinear(image: &[u8], width: usize, height: usize, x: f32, y: f32) -> f32 {
     let x = x.clamp(0.0, (width - 1) as f32 - 0.001);
     let y = y.clamp(0.0, (height - 1) as f32 - 0.001);
     let (i, j) = (x as usize, y as usize);

@@ -38,9 +38,9 @@ const LONGEST_FOLLOWED_GAP_S: f64 = 0.1;
 /// not tuned. Raised, alignment begins at coarser levels than it needs; lowered, such a pose pulls the aligned one.
 pub const FIRST_SHIFT: f64 = 0.003;
 pub const FIRST_TURN: f64 = 0.003;
-/// A body that was lost is looked for first of all where it was for so long, seconds. Chosen: what is covered for a moment or was found just now is still there. Raised, bodies that
-/// went away keep others waiting; lowered, one that was found in one frame may not be found in the next, which has to confirm it.
-const LONGEST_MISSED_S: f64 = 0.5;
+/// For so long after a body was last seen, seconds, that place is searched first. Chosen: what was covered for a moment, or found just now, is still there. Raised,
+/// bodies that went away keep others waiting; lowered, one that was found in one frame may not be found in the next, which has to confirm it.
+const LAST_SEEN_FOR_S: f64 = 0.5;
 /// Share of fitting anchors beyond which no rival is asked. Chosen well above what a new pose needs (`LEAST_SHARE_NEW`). Raised, frames
 /// cost more; lowered, the first candidate may be taken for a better one.
 const CLEAR_SHARE: f64 = 0.6;
@@ -404,10 +404,10 @@ impl TrackedBody {
         Some(twist.map_or(before, |twist| perturbed(&before, &(twist.0 * dt_s))))
     }
 
-    /// The pixel at which the body was when it was last seen, if that is not long ago; `None` where that is not known, or beyond the frame.
-    pub fn missed_at(&self, timestamp: Timestamp, camera: &CameraModel) -> Option<Vector2<f64>> {
+    /// The pixel of its centre when it was last seen, if that is not long ago; `None` if it lay beyond the frame.
+    pub fn last_seen_at(&self, timestamp: Timestamp, camera: &CameraModel) -> Option<Vector2<f64>> {
         let (pose, then, _) = self.before.as_ref()?;
-        if timestamp.seconds_since(*then) > LONGEST_MISSED_S {
+        if timestamp.seconds_since(*then) > LAST_SEEN_FOR_S {
             return None;
         }
         let surfaces = &self.body.surfaces;

@@ -87,8 +87,8 @@ pub struct Unexplained {
     cells: UnexplainedCells,
     regions: Vec<Region>,
     windows: SearchWindows,
-    /// See [`take_missed`](Self::take_missed).
-    missed_at: Vec<Vector2<f64>>,
+    /// See [`search_first`](Self::search_first).
+    last_seen: Vec<Vector2<f64>>,
     /// The picture, the mask and the features of one window.
     picture: GrayImage,
     mask: GrayImage,
@@ -171,14 +171,14 @@ impl Unexplained {
         self.collect_regions([rays.camera().width(), rays.camera().height()]);
     }
 
-    /// Takes the pixels at which bodies were that were lost lately: what is unexplained around them is searched first.
-    pub fn take_missed(&mut self, missed_at: impl Iterator<Item = Vector2<f64>>) {
-        self.missed_at.clear();
-        self.missed_at.extend(missed_at);
+    /// The next search begins around these pixels of the frame, where bodies were last seen.
+    pub fn search_first(&mut self, last_seen: impl Iterator<Item = Vector2<f64>>) {
+        self.last_seen.clear();
+        self.last_seen.extend(last_seen);
     }
 
-    /// The features of the regions of the frame that was looked at last, at most about so many; where there is much to search, of the parts whose turn it
-    /// is. `closed`: the frame's own mask.
+    /// The features of the regions of the frame that was looked at last, at most about so many; where there is much to search, of its most urgent
+    /// parts. `closed`: the frame's own mask.
     pub fn extract(
         &mut self,
         frame: &GrayImage,
@@ -189,8 +189,8 @@ impl Unexplained {
         features: &mut Vec<Feature>,
     ) {
         features.clear();
-        let Self { regions, windows, cells, missed_at, picture, mask, features: own, .. } = self;
-        let slice = windows.next_slice(regions.iter().map(|r| (r.origin, r.size())), |window| cells.content(window, missed_at));
+        let Self { regions, windows, cells, last_seen, picture, mask, features: own, .. } = self;
+        let slice = windows.next_slice(regions.iter().map(|r| (r.origin, r.size())), |window| cells.content(window, last_seen));
         slice.iter().for_each(|window| cells.note_searched(window));
         // A small region gets more than its part: what is in it is seen small, and has the fewest corners.
         let weight = |window: &Window| {
@@ -209,7 +209,7 @@ impl Unexplained {
         tracing::debug!(regions = regions.len(), ?slice, features = features.len(), "unexplained");
     }
 
-    /// Leaves in `labels` which cells are unexplained.
+    /// Finds the cells that are unexplained.
     fn compare(&mut self, sums: &[u16]) {
         let Self { expected, columns, moments, cells, .. } = self;
         let [width, height] = expected.size();

@@ -196,9 +196,7 @@ impl<'a> FrameProblem<'a> {
             self.buffers.fine.renew(&spec, self.levels);
             // Not that of a frame whose pose was not accepted.
             self.buffers.fine.recall_light(&self.slow.light);
-        } else if !self.is_still_possible() {
-            return None;
-        } else if self.lay_out(&spec, motion) {
+        } else if self.may_stand_still() && self.lay_out(&spec, motion) {
             self.buffers.fine.predict(&spec, motion);
         } else {
             return None;
@@ -218,9 +216,9 @@ impl<'a> FrameProblem<'a> {
         (fine.moved_px(spec, motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
     }
 
-    /// Right after a body was found its velocity is not known: that it should stand still is no expectation then, but ignorance. The usual pixels are asked
-    /// first whether it does, as laying out all that are steep takes several frames' time.
-    fn is_still_possible(&mut self) -> bool {
+    /// Right after a body was found its velocity is not known: that it should stand still is no expectation then, but ignorance. Laying out all steep
+    /// pixels takes several frames' time, so the usual ones say first whether it moved.
+    fn may_stand_still(&mut self) -> bool {
         if level_for(self.uncertain_px()) < LEVELS - 1 {
             return true;
         }
