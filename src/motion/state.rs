@@ -45,6 +45,22 @@ impl<To, From> Motion<To, From> {
         Self { velocity: way / dt_s, turn_rate: turn / dt_s, ..Self::still(*pose) }
     }
 
+    /// The same pose, moving the opposite way.
+    pub fn reversed(&self) -> Self {
+        Self { velocity: -self.velocity, turn_rate: -self.turn_rate, ..*self }
+    }
+
+    /// [v, ω]: velocity and turn rate.
+    pub fn twist(&self) -> Vector6<f64> {
+        let (v, w) = (self.velocity, self.turn_rate);
+        Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
+    }
+
+    /// The same with this velocity and turn rate.
+    pub fn with_twist(&self, twist: &Vector6<f64>) -> Self {
+        Self { velocity: twist.fixed_rows::<3>(0).into_owned(), turn_rate: twist.fixed_rows::<3>(3).into_owned(), ..*self }
+    }
+
     /// The state after an error is corrected.
     pub fn corrected(&self, error: &MotionError) -> Self {
         let part = |k: usize| Vector3::new(error[k], error[k + 1], error[k + 2]);

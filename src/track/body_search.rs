@@ -137,6 +137,10 @@ impl BodySearch {
             return self.spent;
         }
         scene.levels.half_into(&mut self.half);
+        if let [stage, objects @ ..] = &mut *scene.bodies {
+            let missing = objects.iter_mut().zip(&scene.verified[1..]).filter(|(_, verified)| verified.is_none());
+            missing.for_each(|(object, _)| object.aligner.take_camera(&stage.aligner));
+        }
         if scene.verified[0].is_some() {
             self.find_beside_stage(scene);
         } else {

@@ -79,6 +79,8 @@ pub struct TrackedBody {
     patches: Vec<Patch>,
     /// The motion at the last aligned frame, and its stamp.
     motion: Option<(MotionEstimate, Timestamp)>,
+    /// Whether the opposite velocity is as likely; see [`Alignment::has_opposite`].
+    has_opposite: bool,
     /// How jerky that is.
     process_noise: ProcessNoise,
     /// The last verified pose, its stamp, and the motion that led to it.
@@ -129,6 +131,7 @@ impl TrackedBody {
             used: None,
             patches: Vec::with_capacity(most),
             motion: None,
+            has_opposite: false,
             process_noise: ProcessNoise::default(),
             before: None,
             to_next_s: 0.0,
@@ -156,9 +159,16 @@ impl TrackedBody {
         if dt_s <= 0.0 || dt_s > LONGEST_FOLLOWED_GAP_S.max(self.to_next_s) {
             return None;
         }
-        let expected = estimate.after(dt_s, self.aligner.distance_m(&estimate.motion.pose), &self.process_noise);
+        let has_opposite = std::mem::take(&mut self.has_opposite);
+        let distance_m = self.aligner.distance_m(&estimate.motion.pose);
+        let expected = estimate.after(dt_s, distance_m, &self.process_noise);
         self.followed_from = Some(expected.motion.pose);
-        let verified = self.align(frame, levels, camera_rays, &expected, Some(dt_s))?;
+        let verified = self.align(frame, levels, camera_rays, &expected, Some(dt_s)).or_else(|| {
+            // Blur shows the way that it moved along, but not in which direction.
+            let opposite = MotionEstimate { motion: estimate.motion.reversed(), ..estimate };
+            let expected = opposite.after(dt_s, distance_m, &self.process_noise);
+            has_opposite.then(|| self.align(frame, levels, camera_rays, &expected, Some(dt_s)))?
+        })?;
         self.unaudited += 1;
         if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose.inverse(), camera_rays.camera()) {
             self.motion = None;
@@ -250,6 +260,7 @@ impl TrackedBody {
             self.process_noise.learn(expected.squared_innovations(&found.estimate.motion));
         }
         self.motion = Some((found.estimate, frame.timestamp));
+        self.has_opposite = found.has_opposite;
         if let Some(used) = &mut self.used {
             used.clear();
             solution.used_pixels(&mut used.pixels);

@@ -87,6 +87,11 @@ impl Aligner {
         self.slow.shutter.readout_s = readout_s;
     }
 
+    /// Takes what another body has learnt of the camera that both are seen by, where it knows that better.
+    pub fn take_camera(&mut self, other: &Self) {
+        self.slow.take_camera(&other.slow);
+    }
+
     /// From now on every frame is asked what it says of the shutter, which is taken as given here.
     pub fn ask_shutter(&mut self, shutter: Shutter) {
         self.slow.fix_shutter(shutter);
@@ -113,7 +118,9 @@ impl Aligner {
         if let Some(since_s) = jumped_since_s {
             frame.solve_with_jump(&found, since_s)?;
         }
+        let has_opposite = since_s.is_none() && !*asks_shutter && frame.solve_with_blur()?;
         let (mut alignment, exposure) = frame.verify()?;
+        alignment.has_opposite = has_opposite;
         frame.allow_for_jumps(&mut alignment, since_s, jumped_since_s.is_some());
         let shutter_clue = if *asks_shutter { frame.shutter_clue(exposure) } else { None };
         let lessons = frame.into_lessons();

@@ -17,6 +17,7 @@ use super::selection::Selector;
 use super::shutter_clue::ShutterClue;
 use super::slow_estimates::{Lessons, SlowEstimates};
 use super::system::schur_complement::{Clue, SchurComplement};
+use super::velocity_by_blur::{KnownBlur, VelocityByBlur, velocity_by_blur};
 use super::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
 use super::verdict::{Alignment, squared_mahalanobis};
 use super::{AlignSurface, CameraRays, distance_m};
@@ -87,9 +88,15 @@ const BETTER: f64 = 0.97;
 /// Pixels of a trial of either way. Both see the same noise: where the one leaves 3 % less, the difference of their mean squares scatters by 0.6 % over so
 /// many. Raised, the frame of a trial takes longer; lowered, the way changes by chance.
 const TRIAL_PIXELS: usize = 3000;
-/// Steps of a frame in which the velocity jumped, at most: what was found first may be pixels off. With 2, a start at 1 m/s was left a
+/// Pixels that are asked for their blur. Chosen: of a body that is just found, an alignment asks six times as many. Raised, the frame that finds it takes
+/// longer; lowered, the velocity is less sure.
+const BLUR_PIXELS: usize = 1500;
+/// Share of the tiles that take part in a pose whose blur is asked: a little more than the half that always does. Raised, strongly blurred bodies are not asked;
+/// lowered, wrong poses cost more.
+const HOPEFUL_SHARE: f64 = 0.55;
+/// Steps of a frame in which the velocity jumped, or is found by its blur, at most: what was found first may be pixels off. With 2, a start at 1 m/s was left a
 /// millimetre from where the picture shows it. Raised, only frames that do not come to rest cost more.
-const JUMP_ROUNDS: usize = 8;
+const SETTLING_STEPS: usize = 8;
 /// How likely a camera that left the line it went on was shaken rather than started or stopped, where rows tell the two apart. Chosen, not
 /// tuned. Raised, starts and stops are explained by jerk more often, whose expectation is the wider one.
 const JERK_LIKELIHOOD: f64 = 0.01;
@@ -239,7 +246,7 @@ impl<'a> FrameProblem<'a> {
         let far = level_for(self.uncertain_px()).max(FINEST + 1);
         let near = level_for(START_ERRORS * self.slow.start_error_px).min(far);
         let mut found = self.descend(near);
-        if near != far && !found.is_some_and(|f| self.is_close(&f)) {
+        if !found.is_some_and(|f| self.is_close(&f)) && self.begins_above(near, far) {
             found = self.descend(far);
         }
         let found = found?;
@@ -247,6 +254,15 @@ impl<'a> FrameProblem<'a> {
         let start_error_px = spec.moved_px(self.known.motion, &found.motion) * spec.frame_px();
         self.lessons.start = Some((start_error_px, self.buffers.fine.open_share()));
         self.try_enlargement(found)
+    }
+
+    /// Whether a level above `near`, up to `far`, has pixels enough: else from there it is the same way down. Asked where the finest level was left for good.
+    fn begins_above(&mut self, near: usize, far: usize) -> bool {
+        let motion = self.known.motion;
+        (near + 1..=far).any(|level| {
+            let spec = self.spec(level, motion);
+            self.lay_out(&spec, motion)
+        })
     }
 
     /// Whether a solution from nearby is clearly right.
@@ -380,13 +396,17 @@ impl<'a> FrameProblem<'a> {
         let with_jump = jumped(self.expected, since_s, &self.slow.shutter, distance_m(self.surfaces, &self.expected.motion.pose));
         let information = with_jump.covariance.cholesky()?.inverse();
         let known = Expected { information: &information, ..self.known };
+        self.settle(found.motion, &known)
+    }
+
+    /// Solves the finest level's pixels from a motion until a step is small.
+    fn settle(&mut self, mut motion: Motion, known: &Expected) -> Option<()> {
         self.buffers.has_kept = false;
-        let mut motion = found.motion;
-        for _ in 0..JUMP_ROUNDS {
+        for _ in 0..SETTLING_STEPS {
             let spec = self.spec(FINEST, &motion);
             let (fine, _, light) = self.buffers.at_level(FINEST);
             fine.predict(&spec, &motion);
-            let solved = fine.solve(&spec, &known, light, false, 2)?.motion;
+            let solved = fine.solve(&spec, known, light, false, 2)?.motion;
             let moved = fine.moved_px(&spec, &motion, &solved);
             self.last_step = motion.pose_error_to(&solved);
             motion = solved;
@@ -395,6 +415,45 @@ impl<'a> FrameProblem<'a> {
             }
         }
         Some(())
+    }
+
+    /// Solves the finest level once more with the velocity that its blur shows, of a body that was just found, if it shows one. Whether the opposite velocity is
+    /// as likely; `None` where there is no solution any more.
+    pub fn solve_with_blur(&mut self) -> Option<bool> {
+        // What stands still has none. Of a wrong pose the better half takes part, as ever, and its blur says nothing.
+        if self.buffers.has_kept || self.buffers.fine.open_share() < HOPEFUL_SHARE {
+            return Some(false);
+        }
+        let Some(by_blur) = self.velocity_by_blur() else { return Some(false) };
+        // The velocity that is expected, and the blur's, together.
+        let (mut expected, mut information) = (self.expected.motion, *self.known.information);
+        let mut of_velocity = information.fixed_view_mut::<6, 6>(6, 6);
+        let score = of_velocity.clone_owned() * expected.twist() + by_blur.score;
+        of_velocity += by_blur.information;
+        expected = expected.with_twist(&of_velocity.clone_owned().cholesky()?.solve(&score));
+        self.settle(by_blur.motion, &Expected { motion: &expected, information: &information, ..self.known })?;
+        Some(by_blur.has_opposite)
+    }
+
+    /// The velocity that the blur of the solved frame shows.
+    fn velocity_by_blur(&mut self) -> Option<VelocityByBlur> {
+        let found = self.buffers.fine.solution()?.found;
+        let spec = self.spec(FINEST, &found.motion);
+        let mut bands = RowBands::new(self.slow.shutter);
+        let estimate = self.buffers.fine.solution()?.conclude(&spec, &mut bands)?.estimate;
+        let distance_m = distance_m(self.surfaces, &found.motion.pose);
+        let spec = LevelSpec { count: BLUR_PIXELS, ..spec };
+        // The coarse levels are done with: their buffers are free.
+        let Buffers { coarse: aside, selector, light, .. } = &mut *self.buffers;
+        if !aside.lay_out(&spec, self.levels, &found.motion, selector, light) {
+            return None;
+        }
+        let known = KnownBlur {
+            exposure_sigma: self.slow.exposure_sigma(),
+            psf_variance: self.slow.psf_variance,
+            psf_variance_sigma: PSF_VARIANCE_SIGMA,
+        };
+        velocity_by_blur(aside, &spec, &estimate, distance_m, known)
     }
 
     /// Verifies the solution: how well its tiles agree, and what they leave open. With what the frame says of the exposure.
@@ -415,6 +474,7 @@ impl<'a> FrameProblem<'a> {
             tiles,
             agreeing,
             squared_mahalanobis: squared_mahalanobis(self.expected, &motion),
+            has_opposite: false,
         };
         let psf_variance = self.buffers.light.psf_variance();
         if blur_px < SHARP_FRAME_PX {

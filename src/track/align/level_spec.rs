@@ -80,11 +80,21 @@ impl<'a> LevelSpec<'a> {
             is_enlarged,
             gradient_gain: slow.gradient_gain.get() as f32,
         };
-        let half = 0.5 * slow.shutter.exposure_s;
-        spec.blur_px = spec.moved_px(&motion.after(-half), &motion.after(half));
-        let at_blur = PLACES.iter().find(|(longest_px, _)| spec.blur_px < *longest_px);
-        spec.places = at_blur.map_or(MOST_PLACES, |(_, places)| *places);
-        spec
+        spec.blur_px = spec.blur_of(motion);
+        spec.with_places()
+    }
+
+    /// With as many samples along the blur as its length asks for.
+    pub fn with_places(mut self) -> Self {
+        let at_blur = PLACES.iter().find(|(longest_px, _)| self.blur_px < *longest_px);
+        self.places = at_blur.map_or(MOST_PLACES, |(_, places)| *places);
+        self
+    }
+
+    /// Length of the blur of a motion, pixels of the level.
+    pub fn blur_of(&self, motion: &Motion) -> f64 {
+        let half = 0.5 * self.shutter.exposure_s;
+        self.moved_px(&motion.after(-half), &motion.after(half))
     }
 
     /// Pixels of the frame to a pixel of the level, along each axis.

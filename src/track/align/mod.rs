@@ -53,6 +53,7 @@ mod tile_grid;
 mod tile_products;
 #[allow(clippy::needless_range_loop)]
 mod touching_planes;
+mod velocity_by_blur;
 mod velocity_jump;
 mod verdict;
 

@@ -87,6 +87,11 @@ impl CameraNoise {
         Noise { model_px: self.variance.z.sqrt() as f32, ..self.at(self.level) }
     }
 
+    /// Pixels that it is learnt from, of those that are remembered.
+    pub fn told(&self) -> f64 {
+        self.sums.by_each_other[(0, 0)]
+    }
+
     /// Learns from a frame that was aligned.
     pub fn learn(&mut self, frame: &NoiseSums) {
         self.sums.by_each_other = self.sums.by_each_other * (1.0 - FADES) + frame.by_each_other;

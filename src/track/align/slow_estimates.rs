@@ -20,6 +20,8 @@ const START_ERROR_KEPT: f64 = 0.8;
 /// The decaying maximum of the start error at first, pixels of the frame: the basin of the coarsest level, from which the first frames so
 /// begin. Raised, they do so for more frames; lowered, a pose from features may lie outside of the first level's basin and is solved twice.
 const FIRST_START_ERROR_PX: f64 = 40.0;
+/// One sigma of an exposure that was told, as a share of it. Chosen: drivers tell it in steps. Raised, the speed of a body that was just found is less sure.
+const KNOWN_EXPOSURE_SIGMA: f64 = 0.03;
 /// Accepted frames between trials of how the picture was enlarged, and before the first, so that light and noise are known. A trial costs
 /// about 1 ms in one frame of 32. Raised, a wrong way stays longer; lowered, frames cost more.
 pub(super) const TRIAL_FRAMES: u32 = 32;
@@ -112,6 +114,24 @@ impl SlowEstimates {
     pub fn fix_shutter(&mut self, shutter: Shutter) {
         self.exposure = None;
         self.shutter = shutter;
+    }
+
+    /// One sigma of the exposure, as a share of it.
+    pub fn exposure_sigma(&self) -> f64 {
+        self.exposure.as_ref().map_or(KNOWN_EXPOSURE_SIGMA, UnknownExposure::sigma)
+    }
+
+    /// Takes what another body has learnt of the camera that both are seen by, where it knows that better: the exposure, and the noise.
+    pub fn take_camera(&mut self, other: &Self) {
+        if let (Some(own), Some(others)) = (&mut self.exposure, &other.exposure)
+            && own.sigma() > others.sigma()
+        {
+            own.clone_from(others);
+            self.shutter.exposure_s = other.shutter.exposure_s;
+        }
+        if self.noise.told() < other.noise.told() {
+            self.noise.clone_from(&other.noise);
+        }
     }
 
     /// Whether it is time to try how the pictures were enlarged.

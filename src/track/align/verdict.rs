@@ -27,6 +27,8 @@ pub struct Alignment {
     pub agreeing: usize,
     /// Squared Mahalanobis distance of the found pose from the expected one, by the covariance of what was expected; about 6 where that is right.
     pub squared_mahalanobis: f64,
+    /// Whether the opposite velocity explains the frame as well: of a body that was just found, by its blur.
+    pub has_opposite: bool,
 }
 
 impl Alignment {
@@ -139,6 +141,7 @@ mod tests {
             tiles: 100,
             agreeing,
             squared_mahalanobis: 6.0,
+            has_opposite: false,
         }
     }
 

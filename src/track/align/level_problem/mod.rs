@@ -5,6 +5,7 @@
 
 use nalgebra::Vector3;
 
+pub mod blur;
 pub mod patches;
 pub mod solution;
 
@@ -228,42 +229,49 @@ impl LevelProblem {
     ) -> Option<Corrected> {
         self.solved = None;
         let at = self.at?;
-        self.gate_tiles(&spec.noise);
-        self.residuals_all(&spec.noise);
-        let mut scale = self.scale();
-        for pass in 0..passes {
-            let stride = if pass + 1 < passes { self.rough_stride() } else { 1 };
-            let weighting = RobustWeighting { scale, is_first_pass: is_first && pass == 0, stride };
-            let prior = Prior {
-                information: expected.information,
-                error: at.error_to(expected.motion),
-                psf_variance: expected.psf_variance,
-                psf_variance_sigma: expected.psf_variance_sigma,
-            };
-            let Self { picture, runs, products, system, .. } = self;
-            let light = picture.pixels.light();
-            system.begin(light, &prior, spec.same_time());
-            let weight = scale.powi(-2) * stride as f64;
-            // A rough step, which only weights are taken from, needs no times of rows.
-            let is_rolling = spec.same_time().is_none() && pass + 1 == passes;
-            for r in runs.iter_mut().filter(|r| r.gate.is_open) {
-                let (time, step) = (picture.time(spec, &r.run), &r.step.columns);
-                let delay_s = is_rolling.then_some(time.delay_s as f32);
-                r.equations = tile_equations(&picture.view(r), delay_s, step, &weighting, products);
-                system.add(&r.equations, light.nodes_of(r.run.tile), &time, weight);
-            }
-            let step = system.solve()?;
-            for r in runs {
-                r.step = step.of_tile(light.nodes_of(r.run.tile), &picture.time(spec, &r.run));
-            }
-            scale = self.scale();
-        }
+        let prior = Prior {
+            information: expected.information,
+            error: at.error_to(expected.motion),
+            psf_variance: expected.psf_variance,
+            psf_variance_sigma: expected.psf_variance_sigma,
+        };
+        let scale = self.reweight(spec, &prior, spec.same_time(), is_first, passes)?;
         let step = self.system.step();
         self.picture.pixels.correct_light(step.gains(), step.psf_variance(), step.bias());
         light.take(self.picture.pixels.light());
         let motion = at.corrected(&step.motion());
         self.solved = motion.is_finite().then_some(Corrected { motion, scale });
         self.solved
+    }
+
+    /// Solves for the step from the linearisation, iteratively reweighted, and gives the robust standard deviation of the residuals that it leaves, in
+    /// sigmas. `same_time`: of all tiles, where it is the same.
+    fn reweight(&mut self, spec: &LevelSpec, prior: &Prior, same_time: Option<TileTime>, is_first: bool, passes: usize) -> Option<f64> {
+        self.gate_tiles(&spec.noise);
+        self.residuals_all(&spec.noise);
+        let mut scale = self.scale();
+        for pass in 0..passes {
+            let stride = if pass + 1 < passes { self.rough_stride() } else { 1 };
+            let weighting = RobustWeighting { scale, is_first_pass: is_first && pass == 0, stride };
+            let Self { picture, runs, products, system, .. } = self;
+            let light = picture.pixels.light();
+            system.begin(light, prior, same_time);
+            let weight = scale.powi(-2) * stride as f64;
+            // A rough step, which only weights are taken from, needs no times of rows.
+            let is_rolling = same_time.is_none() && pass + 1 == passes;
+            for r in runs.iter_mut().filter(|r| r.gate.is_open) {
+                let (time, step) = (same_time.unwrap_or_else(|| picture.time(spec, &r.run)), &r.step.columns);
+                let delay_s = is_rolling.then_some(time.delay_s as f32);
+                r.equations = tile_equations(&picture.view(r), delay_s, step, &weighting, products);
+                system.add(&r.equations, light.nodes_of(r.run.tile), &time, weight);
+            }
+            let step = system.solve()?;
+            for r in runs {
+                r.step = step.of_tile(light.nodes_of(r.run.tile), &same_time.unwrap_or_else(|| picture.time(spec, &r.run)));
+            }
+            scale = self.scale();
+        }
+        Some(scale)
     }
 
     /// Share of the runs that take part.

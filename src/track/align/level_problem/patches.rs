@@ -7,7 +7,7 @@ use super::super::columns::COLUMNS;
 use super::super::evidence::{RunEvidence, evidence};
 use super::super::normal::RobustWeighting;
 use super::solution::LevelSolution;
-use super::{LevelProblem, LevelSpec, RunAtWork};
+use super::{Corrected, LevelProblem, LevelSpec, RunAtWork};
 use crate::motion::Motion;
 
 /// Patches are sampled again, shifted, while their mean shift exceeds this, pixels of the level; and how often at most. Chosen: below it
@@ -42,7 +42,7 @@ impl LevelSolution<'_> {
     /// Adds the patches that fit, one a tile. Looking for them changes the pixels' rays, so that nothing can be asked of the solution after.
     /// `shifts`: a buffer.
     pub fn patches(self, spec: &LevelSpec, motion: &Motion, shifts: &mut Vec<Vector2<f64>>, patches: &mut Vec<Patch>) {
-        let problem = self.problem;
+        let Self { found: Corrected { scale: mut sigmas, .. }, problem } = self;
         shifts.clear();
         shifts.extend(problem.runs.iter().map(|r| patch_shift(&r.evidence).map_or(Vector2::zeros(), |(shift, _)| shift)));
         // One linear step is right for small shifts. Where the calibration or the survey is off, patches must be followed.
@@ -51,13 +51,15 @@ impl LevelSolution<'_> {
             if mean < SMALL_SHIFT_PX {
                 break;
             }
-            problem.sample_shifted(spec, motion, shifts);
+            sigmas = problem.sample_shifted(spec, motion, shifts);
             for (shift, r) in shifts.iter_mut().zip(&problem.runs) {
                 let more = patch_shift(&r.evidence).map_or(Vector2::zeros(), |(more, _)| more);
                 *shift += more * (1.0 / more.norm().max(1.0));
             }
         }
         let scale = spec.frame_px();
+        // Blur, compression and light that are not quite as predicted scatter the pixels of a patch as noise does.
+        let scatter = sigmas.max(1.0).powi(-2);
         for (r, shift) in problem.runs.iter().zip(shifts) {
             let Some((_, structure)) = patch_shift(&r.evidence) else { continue };
             let Some(on_surface_m) = problem.middle_on_surface(r, &spec.surfaces[r.run.surface as usize], motion) else { continue };
@@ -68,7 +70,7 @@ impl LevelSolution<'_> {
                 // A pixel of the level covers so many of the frame's, whose centres are at whole numbers.
                 centre_px: Vector2::new(u, v) * (scale / weight) + Vector2::repeat(0.5 * (scale - 1.0)),
                 shift_px: *shift * scale,
-                information: structure / (scale * scale),
+                information: structure * (scatter / (scale * scale)),
                 tile: r.run.tile,
                 delay_s: problem.picture.time(spec, &r.run).delay_s,
             });
@@ -77,8 +79,9 @@ impl LevelSolution<'_> {
 }
 
 impl LevelProblem {
-    /// Predicts every run as if the frame showed it shifted (pixels of the level), and looks at it again.
-    fn sample_shifted(&mut self, spec: &LevelSpec, motion: &Motion, shifts: &[Vector2<f64>]) {
+    /// Predicts every run as if the frame showed it shifted (pixels of the level), and looks at it again. Gives the robust standard deviation of the residuals,
+    /// in sigmas.
+    fn sample_shifted(&mut self, spec: &LevelSpec, motion: &Motion, shifts: &[Vector2<f64>]) -> f64 {
         self.at = None;
         let pixels = &mut self.picture.pixels;
         for (r, shift) in self.runs.iter().zip(shifts) {
@@ -91,10 +94,12 @@ impl LevelProblem {
         }
         self.predict_all(spec, motion);
         self.residuals_all(&spec.noise);
-        let weighting = RobustWeighting { scale: self.scale(), is_first_pass: false, stride: 1 };
+        let scale = self.scale();
+        let weighting = RobustWeighting { scale, is_first_pass: false, stride: 1 };
         for r in &mut self.runs {
             r.evidence = evidence(&self.picture.view(r), &[0.0; COLUMNS], &weighting);
         }
+        scale
     }
 
     /// Where the middle of a run's detail lies on its surface, metres from the centre.

@@ -1,0 +1,298 @@
+//! The velocity of a body that was just found, by its blur.
+//!
+//! One frame does not show how a body moves, unless its rows are read one after another. But it shows how it is smeared while the shutter is open: along
+//! which way, and how far, in each part of the picture; not in which direction. Without that a body that moves fits its blurred picture badly, is believed
+//! too late, and is looked for in the next frame where it no longer is. Where rows are read one after another they tell the direction, and
+//! the blur tells what they do not: whether a frontal plane is tilted, or comes nearer meanwhile.
+//!
+//! Blur has no slope where there is none: the first velocity is taken from the squared blur that is missing, which is linear in the second moments of the
+//! velocity; the others by steps from there.
+
+use nalgebra::{Matrix2, Matrix2x6, Matrix6, RowVector6, SMatrix, SVector, Vector2, Vector3, Vector6};
+
+use super::level_problem::LevelProblem;
+use super::level_problem::blur::{KnownVelocity, along_frame};
+use super::level_spec::LevelSpec;
+use crate::camera::Shutter;
+use crate::motion::{Motion, MotionEstimate};
+
+/// Steps at most. Of clips, four are enough. Raised, what does not come to rest costs more; lowered, long blur is not reached.
+const ROUNDS: usize = 5;
+/// A step that changes the blur by less is the last, and one that changes it by more at the end shows that there is none, pixels of the level.
+const SMALL_PX: f64 = 0.03;
+const LARGEST_LAST_PX: f64 = 0.3;
+/// A velocity is changed by so much to see what it does to the blur, and to the rows, pixels of the level. Raised, slopes are those of elsewhere; lowered,
+/// rounding passes for blur.
+const STEP_PX: f64 = 0.25;
+/// The blur that the first velocity is told by, pixels of the level. Chosen: as long as is usual. Raised, fine detail is gone where blur is short; lowered,
+/// long blur is found too short.
+const FIRST_BLUR_PX: f64 = 1.5;
+/// Sigmas that the squared blur must differ from none by. Raised, slow bodies are taken to stand still; lowered, noise passes for blur.
+const LEAST_SIGMAS: f64 = 5.0;
+/// And how many times what pictures are wider or narrower for other reasons (`BLUR_ERROR_PX2`). See above.
+const LEAST_BLUR_ERRORS: f64 = 1.5;
+/// Squared sigmas by which rows must prefer a direction to the opposite one. Raised, more frames wait for a second; lowered, a velocity is
+/// taken for its opposite.
+const SURE_DIRECTION: f64 = 20.0;
+
+/// Information of an image velocity before its blur is asked, of [`STEP_PX`]: next to none. Raised, slow bodies are taken to stand still.
+const UNKNOWN: f64 = 1e-4;
+/// One sigma of the variance of a blur beside what the motion makes, pixels² of the level: optics are softer towards the corners, and cameras sharpen and
+/// smooth by the content. Chosen from what blur was off by in single frames of d-handheld and d-webcam. Raised, blur tells less of slow motions; lowered, poses
+/// of sharpened pictures are believed too much.
+const BLUR_ERROR_PX2: f64 = 0.05;
+/// Patches of a frame whose blur is wider or narrower independently of the others: halves across, thirds down. Raised, blur is believed more.
+const BLUR_PATCHES: f64 = 6.0;
+
+/// Exposures that are known no better than to this share of themselves tell no velocity where rows are read one after another: rows were aligned with
+/// another blur than theirs. Raised, the first pose of all may be further off than is told; lowered, the first frames need a second one.
+const LARGEST_EXPOSURE_SIGMA: f64 = 0.3;
+
+/// A velocity by blur.
+pub struct VelocityByBlur {
+    /// The motion: where alignment had the body, as this velocity moves it.
+    pub motion: Motion,
+    /// What blur alone says of [v, ω]: information, and that times the velocity.
+    pub information: Matrix6<f64>,
+    /// See `information`.
+    pub score: Vector6<f64>,
+    /// Whether the opposite velocity is as likely.
+    pub has_opposite: bool,
+}
+
+/// What is known of the camera.
+#[derive(Clone, Copy)]
+pub struct KnownBlur {
+    /// One sigma of the exposure, as a share of it.
+    pub exposure_sigma: f64,
+    /// The point spread, and one sigma of it.
+    pub psf_variance: f64,
+    /// See `psf_variance`.
+    pub psf_variance_sigma: f64,
+}
+
+/// The velocity that the blur of laid out pixels shows, where alignment found the body. `None` where it shows none, or where rows are read one after another
+/// and do not tell in which direction.
+pub fn velocity_by_blur(
+    problem: &mut LevelProblem,
+    spec: &LevelSpec,
+    found: &MotionEstimate,
+    distance_m: f64,
+    known: KnownBlur,
+) -> Option<VelocityByBlur> {
+    let search = BlurSearch { spec, found, known, distance_m };
+    if spec.shutter.readout_s == 0.0 { search.image_velocity(problem) } else { search.velocity(problem) }
+}
+
+struct BlurSearch<'a, 'b> {
+    spec: &'a LevelSpec<'b>,
+    found: &'a MotionEstimate,
+    known: KnownBlur,
+    distance_m: f64,
+}
+
+/// Where the steps begin, and what they may change.
+struct BlurStart<'a, F> {
+    /// [v, ω] to begin with.
+    first: Vector6<f64>,
+    /// What else is known of it: mean and information.
+    known: Vector6<f64>,
+    information: Matrix6<f64>,
+    /// By how much each is changed to see what it does; 0: it stays.
+    steps: Vector6<f64>,
+    /// The motion with a velocity.
+    with_velocity: &'a F,
+}
+
+/// What blur says.
+struct BlurFit {
+    /// [v, ω] by all that is known.
+    velocity: Vector6<f64>,
+    /// By blur alone, and its information.
+    shown: Vector6<f64>,
+    information: Matrix6<f64>,
+}
+
+impl BlurSearch<'_, '_> {
+    /// Where all rows are exposed together: how fast the middle of the picture moves, and along which way. What else moves within the picture is not told well.
+    fn image_velocity(&self, problem: &mut LevelProblem) -> Option<VelocityByBlur> {
+        let (motion, distance_m) = (&self.found.motion, self.distance_m);
+        let known = motion.twist();
+        let turn = self.turn_step();
+        let steps = Vector6::new(0.0, 0.0, 0.0, turn, turn, 0.0);
+        let information = Matrix6::from_diagonal(&steps.map(|step| if step == 0.0 { 1.0 } else { UNKNOWN * turn.powi(-2) }));
+        let with_velocity = |velocity: &Vector6<f64>| motion.with_twist(velocity);
+        let first = known + self.first_velocity(problem)?;
+        let fit = self.fit(problem, &BlurStart { first, known, information, steps, with_velocity: &with_velocity })?;
+        // The middle of a picture moves as by a turn of the camera, or by its way over the distance.
+        let axes = motion.pose.rotation_matrix();
+        let (right, down) = (axes.column(0) / distance_m, axes.column(1) / distance_m);
+        let turn_by_velocity = Matrix2x6::from_rows(&[
+            RowVector6::new(-down.x, -down.y, -down.z, 1.0, 0.0, 0.0),
+            RowVector6::new(right.x, right.y, right.z, 0.0, 1.0, 0.0),
+        ]);
+        let by_turn = turn_by_velocity.transpose() * fit.information.fixed_view::<2, 2>(3, 3);
+        Some(VelocityByBlur {
+            motion: with_velocity(&fit.velocity),
+            information: by_turn * turn_by_velocity,
+            score: by_turn * fit.shown.fixed_rows::<2>(3),
+            has_opposite: true,
+        })
+    }
+
+    /// Where rows are read one after another they tell most of the velocity, and in which direction; blur tells the rest. Both together tell the exposure.
+    fn velocity(&self, problem: &mut LevelProblem) -> Option<VelocityByBlur> {
+        if self.known.exposure_sigma > LARGEST_EXPOSURE_SIGMA {
+            return None;
+        }
+        let found = self.found;
+        let known = found.motion.twist();
+        let information = found.covariance.fixed_view::<6, 6>(6, 6).into_owned().cholesky()?.inverse();
+        // Another velocity goes with another pose: rows have them from one displacement.
+        let pose_by_velocity = found.covariance.fixed_view::<6, 6>(0, 6) * information;
+        let with_velocity = |velocity: &Vector6<f64>| {
+            let pose = found.motion.with_pose_corrected(&(pose_by_velocity * (velocity - known)));
+            Motion { pose, ..found.motion }.with_twist(velocity)
+        };
+        let turn = self.turn_step();
+        let steps = Vector6::from_fn(|k, _| if k < 3 { turn * self.distance_m } else { turn });
+        let start = BlurStart { first: known, known, information, steps, with_velocity: &with_velocity };
+        let fit = self.fit(problem, &start)?;
+        let by_rows = |velocity: &Vector6<f64>| (velocity - known).dot(&(information * (velocity - known)));
+        let is_sure = by_rows(&-fit.velocity) - by_rows(&fit.velocity) > SURE_DIRECTION;
+        is_sure.then(|| VelocityByBlur {
+            motion: with_velocity(&fit.velocity),
+            information: fit.information,
+            score: fit.information * fit.shown,
+            has_opposite: false,
+        })
+    }
+
+    /// Steps to where blur and what else is known have the velocity; `None` where they come to no rest.
+    fn fit(&self, problem: &mut LevelProblem, start: &BlurStart<impl Fn(&Vector6<f64>) -> Motion>) -> Option<BlurFit> {
+        // Blur alone: next to nothing is known beside it.
+        let nothing = start.information * UNKNOWN;
+        // With the logarithm of the exposure, less that of the one that is known.
+        let (mut velocity, mut exposure) = (start.first, 0.0);
+        let mut fit = None;
+        for _ in 0..ROUNDS {
+            let motion = (start.with_velocity)(&velocity);
+            let shutter = Shutter { exposure_s: self.spec.shutter.exposure_s * f64::exp(exposure), ..*self.spec.shutter };
+            let spec = blurred(&LevelSpec { shutter: &shutter, ..*self.spec }, &motion);
+            let step = problem.velocity_step(&spec, &motion, &start.steps, &self.known_velocity(nothing))?;
+            let by_blur = positive(&(step.covariance.cholesky()?.inverse() - nothing));
+            let shown = velocity + step.step;
+            let [faster, longer] = self.fused(start, &velocity, exposure, &by_blur, &step.step)?;
+            let moved_px = blur_change_px(&spec, &motion, &(faster + longer));
+            tracing::trace!(blur_px = spec.blur_px, moved_px, exposure, velocity = ?velocity.as_slice(), "velocity by blur");
+            let blur_px = spec.blur_of(&motion);
+            let believed = by_blur * self.believed(&by_blur, &velocity, blur_px);
+            let information = self.without_exposure(&believed, &velocity);
+            let shown = shown + velocity * exposure;
+            let share = spec.blur_px / moved_px.max(spec.blur_px);
+            exposure += longer.dot(&velocity) / velocity.norm_squared().max(f64::MIN_POSITIVE) * share;
+            velocity += faster * share;
+            fit = Some(BlurFit { velocity, shown, information }).filter(|_| moved_px < LARGEST_LAST_PX);
+            if moved_px < SMALL_PX {
+                break;
+            }
+        }
+        fit.filter(|fit| fit.velocity.iter().all(|v| v.is_finite()))
+    }
+
+    /// The step that blur, what else is known of the velocity, and what is known of the exposure agree on: of the velocity; and of the exposure, as the velocity that
+    /// blurs as much. `step`: what blur alone asks for.
+    fn fused<F>(
+        &self,
+        start: &BlurStart<F>,
+        velocity: &Vector6<f64>,
+        exposure: f64,
+        by_blur: &Matrix6<f64>,
+        step: &Vector6<f64>,
+    ) -> Option<[Vector6<f64>; 2]> {
+        let exposure_information = self.known.exposure_sigma.powi(-2);
+        // Blur tells velocity times exposure.
+        let (along, score) = (by_blur * velocity, by_blur * step);
+        let mut normal = SMatrix::<f64, 7, 7>::zeros();
+        normal.fixed_view_mut::<6, 6>(0, 0).copy_from(&(start.information + by_blur));
+        normal.fixed_view_mut::<6, 1>(0, 6).copy_from(&along);
+        normal.fixed_view_mut::<1, 6>(6, 0).copy_from(&along.transpose());
+        normal[(6, 6)] = exposure_information + velocity.dot(&along);
+        let mut right = SVector::<f64, 7>::zeros();
+        right.fixed_rows_mut::<6>(0).copy_from(&(start.information * (start.known - velocity) + score));
+        right[6] = velocity.dot(&score) - exposure_information * exposure;
+        let change = normal.cholesky()?.solve(&right);
+        Some([change.fixed_rows::<6>(0).into_owned(), velocity * change[6]])
+    }
+
+    /// The share of its information that blur is believed: in each of a few patches of the frame it is wider or narrower than the motion makes it.
+    fn believed(&self, by_blur: &Matrix6<f64>, velocity: &Vector6<f64>, blur_px: f64) -> f64 {
+        // The variance of a blur grows with the square of the velocity.
+        let sigma = 0.5 * BLUR_ERROR_PX2 / (blur_px * blur_px / 12.0).max(f64::MIN_POSITIVE);
+        1.0 / (1.0 + velocity.dot(&(by_blur * velocity)) * sigma * sigma / BLUR_PATCHES)
+    }
+
+    /// What is left of the information of blur where the exposure is known to a share of itself: a longer one blurs as a faster motion does.
+    fn without_exposure(&self, by_blur: &Matrix6<f64>, velocity: &Vector6<f64>) -> Matrix6<f64> {
+        let (along, variance) = (by_blur * velocity, self.known.exposure_sigma.powi(2));
+        by_blur - along * along.transpose() * (variance / (1.0 + variance * velocity.dot(&along)))
+    }
+
+    /// A velocity to begin with, by the squared blur that is missing: one of two opposite ones.
+    fn first_velocity(&self, problem: &mut LevelProblem) -> Option<Vector6<f64>> {
+        let turn_rate = FIRST_BLUR_PX / (focal_px(self.spec) * self.spec.shutter.exposure_s);
+        let spec = LevelSpec { blur_px: FIRST_BLUR_PX, ..*self.spec }.with_places();
+        let known = self.known_velocity(Matrix6::identity());
+        let (squared, covariance) = problem.missing_blur(&spec, &self.found.motion, turn_rate, &known)?;
+        let eigen = Matrix2::new(squared.x, squared.z, squared.z, squared.y).symmetric_eigen();
+        let longest = eigen.eigenvalues.imax();
+        let (length, along): (f64, Vector2<f64>) = (eigen.eigenvalues[longest], eigen.eigenvectors.column(longest).into_owned());
+        let by = Vector3::new(along.x * along.x, along.y * along.y, 2.0 * along.x * along.y);
+        let sigma = by.dot(&(covariance * by)).max(0.0).sqrt();
+        tracing::trace!(blur_px = FIRST_BLUR_PX * length.max(0.0).sqrt(), sigmas = length / sigma, along = ?along.as_slice(), "missing blur");
+        let turn = along_frame(&along) * (turn_rate * length.max(0.0).sqrt());
+        // In units of the first blur's variance.
+        let systematic = LEAST_BLUR_ERRORS * BLUR_ERROR_PX2 / (FIRST_BLUR_PX * FIRST_BLUR_PX / 12.0);
+        let least = systematic.max(LEAST_SIGMAS * sigma);
+        (length > least).then(|| Vector6::new(0.0, 0.0, 0.0, turn.x, turn.y, turn.z))
+    }
+
+    /// What is known beside a velocity with this information.
+    fn known_velocity(&self, information: Matrix6<f64>) -> KnownVelocity {
+        let KnownBlur { psf_variance, psf_variance_sigma, .. } = self.known;
+        KnownVelocity { information, psf_variance, psf_variance_sigma }
+    }
+
+    /// A turn rate that moves the picture by [`STEP_PX`] during the exposure, or from the middle row to the last.
+    fn turn_step(&self) -> f64 {
+        let shutter = self.spec.shutter;
+        STEP_PX / (focal_px(self.spec) * shutter.exposure_s.max(0.5 * shutter.readout_s.abs()))
+    }
+}
+
+/// Focal length, pixels of the level.
+fn focal_px(spec: &LevelSpec) -> f64 {
+    spec.rays.camera.intrinsics().fx / spec.frame_px()
+}
+
+/// A level with samples along the blur of this motion, and some where there is none, so that blur can be held against none.
+fn blurred<'a>(spec: &LevelSpec<'a>, motion: &Motion) -> LevelSpec<'a> {
+    let blur_px = spec.blur_of(motion).max(FIRST_BLUR_PX);
+    LevelSpec { blur_px, ..*spec }.with_places()
+}
+
+/// By how much a change of velocity changes the blur at most, pixels of the level.
+fn blur_change_px(spec: &LevelSpec, motion: &Motion, step: &Vector6<f64>) -> f64 {
+    spec.blur_of(&Motion::still(motion.pose).with_twist(step))
+}
+
+/// The nearest matrix without a negative eigenvalue.
+fn positive(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+    let mut eigen = ((matrix + matrix.transpose()) * 0.5).symmetric_eigen();
+    eigen.eigenvalues.apply(|v| *v = v.max(0.0));
+    eigen.recompose()
+}
+
+#[cfg(test)]
+#[path = "velocity_by_blur_tests.rs"]
+mod tests;

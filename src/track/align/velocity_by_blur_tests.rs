@@ -1,0 +1,95 @@
+use image::GrayImage;
+use nalgebra::{Vector2, Vector3};
+
+use super::super::frame_levels::FrameLevels;
+use super::super::{Aligner, Alignment, CameraRays};
+use crate::camera::Shutter;
+use crate::motion::{Motion, MotionEstimate};
+use crate::track::synthetic::{cloth, facing, lens, prepared, view};
+
+const SIZE: [u32; 2] = [480, 360];
+const DISTANCE_M: f64 = 3.4;
+/// Instants that a row is seen at while the shutter is open.
+const INSTANTS: u32 = 8;
+const GLOBAL: Shutter = Shutter { readout_s: 0.0, exposure_s: 0.012 };
+const ROLLING: Shutter = Shutter { readout_s: 0.02, exposure_s: 0.012 };
+
+fn motion(velocity: [f64; 3], turn_rate: [f64; 3]) -> Motion {
+    let pose = facing(0.02, -0.03, Vector3::new(0.1, 0.05, DISTANCE_M)).inverse();
+    let axes = pose.rotation_matrix();
+    // Told in camera axes.
+    Motion { velocity: axes * Vector3::from(velocity), turn_rate: Vector3::from(turn_rate), ..Motion::still(pose) }
+}
+
+/// What a camera that moves sees of the cloth: each row is the mean of what it would see at instants of its own exposure.
+fn blurred(motion: &Motion, shutter: &Shutter) -> GrayImage {
+    let (lens, surface) = (lens(SIZE[0], SIZE[1]), cloth(1));
+    let reach_s = 0.5 * (shutter.readout_s + shutter.exposure_s);
+    let step_s = shutter.exposure_s / f64::from(INSTANTS);
+    let mut sums = vec![[0.0, 0.0]; (SIZE[0] * SIZE[1]) as usize];
+    let count = (2.0 * reach_s / step_s).round() as u32;
+    for k in 0..count {
+        let t = (f64::from(k) + 0.5) * step_s - reach_s;
+        let seen = view(&surface, &motion.after(t).pose.inverse(), &lens);
+        for (row, (sums, seen)) in sums.chunks_mut(SIZE[0] as usize).zip(seen.chunks(SIZE[0] as usize)).enumerate() {
+            if (t - shutter.delay_s(row as f64 + 0.5, SIZE[1])).abs() < 0.5 * shutter.exposure_s {
+                sums.iter_mut().zip(seen).for_each(|(sum, grey)| *sum = [sum[0] + f64::from(*grey), sum[1] + 1.0]);
+            }
+        }
+    }
+    GrayImage::from_raw(SIZE[0], SIZE[1], sums.iter().map(|[sum, n]| (sum / n).round() as u8).collect()).expect("one byte for each pixel")
+}
+
+/// Aligned where a body was found, its motion unseen. `exposure_s`: that the aligner is told.
+fn found(frame: &GrayImage, truth: &Motion, shutter: &Shutter, exposure_s: f64) -> Alignment {
+    let mut levels = FrameLevels::default();
+    levels.update(frame);
+    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { exposure_s, ..*shutter });
+    let expected = MotionEstimate::unseen(truth.pose, DISTANCE_M, 0.02, 0.006);
+    aligner.align(&mut levels, &CameraRays::new(lens(SIZE[0], SIZE[1]), None), &expected, None).expect("the picture agrees").alignment
+}
+
+/// How fast the middle of the picture moves, rad/s: across and down the frame.
+fn image_velocity(motion: &Motion) -> Vector2<f64> {
+    let v = motion.pose.rotation.inverse() * motion.velocity / DISTANCE_M;
+    Vector2::new(-motion.turn_rate.y - v.x, motion.turn_rate.x - v.y)
+}
+
+#[test]
+fn blur_tells_how_fast_a_picture_moves_and_along_which_way_but_not_in_which_direction() {
+    for (velocity, turn_rate) in [([3.2, 0.8, 0.0], [0.0; 3]), ([-1.2, 1.8, 0.3], [1.0, 0.4, 0.1])] {
+        let truth = motion(velocity, turn_rate);
+        let frame = blurred(&truth, &GLOBAL);
+        let seen = found(&frame, &truth, &GLOBAL, GLOBAL.exposure_s);
+        let [is, should] = [image_velocity(&seen.estimate.motion), image_velocity(&truth)];
+        let off = (is - should).norm().min((is + should).norm()) / should.norm();
+        println!("{is} {should}, off by {off:.3}");
+        assert!(seen.has_opposite && off < 0.2, "{is} {should}");
+        // Where the shutter is open for no time, there is none.
+        assert!(!found(&frame, &truth, &GLOBAL, 1e-6).has_opposite);
+    }
+}
+
+#[test]
+fn a_still_picture_shows_no_velocity() {
+    let truth = motion([0.0; 3], [0.0; 3]);
+    let seen = found(&blurred(&truth, &GLOBAL), &truth, &GLOBAL, GLOBAL.exposure_s);
+    assert!(!seen.has_opposite && image_velocity(&seen.estimate.motion).norm() < 1e-9);
+}
+
+#[test]
+fn rows_and_blur_together_tell_a_tilt_from_a_motion_ahead() {
+    for velocity in [[1.4, 0.0, 0.6], [0.9, 1.1, -0.6]] {
+        let truth = motion(velocity, [0.0; 3]);
+        let frame = blurred(&truth, &ROLLING);
+        let off = |seen: &Alignment| {
+            let moved = seen.pose.inverse().angle_to(&truth.pose.inverse());
+            let sigma = seen.covariance.fixed_view::<3, 3>(3, 3).trace().sqrt();
+            (moved, sigma, ((seen.estimate.motion.pose.rotation.inverse() * seen.estimate.motion.velocity).z - velocity[2]).abs())
+        };
+        let [(turned, sigma, ahead), (_, by_rows, _)] =
+            [ROLLING.exposure_s, 1e-6].map(|exposure_s| off(&found(&frame, &truth, &ROLLING, exposure_s)));
+        println!("{turned:.5} rad of {sigma:.5}, by rows alone {by_rows:.5}; ahead off by {ahead:.3} m/s");
+        assert!(sigma < 0.7 * by_rows && turned < 3.0 * sigma && ahead < 0.35, "{turned} {sigma} {by_rows} {ahead}");
+    }
+}
