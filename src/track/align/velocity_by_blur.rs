@@ -44,6 +44,9 @@ const BLUR_ERROR_PX2: f64 = 0.05;
 /// Patches of a frame whose blur is wider or narrower independently of the others: halves across, thirds down. Raised, blur is believed more.
 const BLUR_PATCHES: f64 = 6.0;
 
+/// Largest squared Mahalanobis distance of a velocity from what else is known of it, of six degrees of freedom. Chosen: five sigmas. Raised, pictures that are out of
+/// focus, or sharpened, pass for moving ones; lowered, what is thrown has no velocity.
+const LARGEST_SQUARED: f64 = 25.0;
 /// Exposures that are known no better than to this share of themselves tell no velocity where rows are read one after another: rows were aligned with
 /// another blur than theirs. Raised, the first pose of all may be further off than is told; lowered, the first frames need a second one.
 const LARGEST_EXPOSURE_SIGMA: f64 = 0.3;
@@ -197,7 +200,15 @@ impl BlurSearch<'_, '_> {
                 break;
             }
         }
-        fit.filter(|fit| fit.velocity.iter().all(|v| v.is_finite()))
+        fit.filter(|fit| self.is_usual(&fit.velocity))
+    }
+
+    /// Whether a velocity is one that a body may have, by what was expected and, where rows are read one after another, by these.
+    fn is_usual(&self, velocity: &Vector6<f64>) -> bool {
+        let off = velocity - self.found.motion.twist();
+        let covariance = self.found.covariance.fixed_view::<6, 6>(6, 6).into_owned();
+        // False of what is no number.
+        covariance.cholesky().is_some_and(|c| off.dot(&c.solve(&off)) < LARGEST_SQUARED)
     }
 
     /// The step that blur, what else is known of the velocity, and what is known of the exposure agree on: of the velocity; and of the exposure, as the velocity that
