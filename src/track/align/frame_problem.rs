@@ -20,7 +20,7 @@ use super::system::schur_complement::{Clue, SchurComplement};
 use super::velocity_by_blur::{KnownBlur, VelocityByBlur, velocity_by_blur};
 use super::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
 use super::verdict::{Alignment, squared_mahalanobis};
-use super::{AlignSurface, CameraRays, distance_m};
+use super::{AlignSurface, CameraRays, SHARP_FRAME_PX, distance_m};
 use crate::motion::{Continuation, Motion, MotionEstimate, MotionMatrix, UniformMotion};
 
 /// Pixels asked while nothing moves: their prediction is kept from frame to frame. More than the steep pixels of d-still (105,000); with
@@ -30,9 +30,6 @@ const STILL_PIXELS: usize = 130_000;
 /// the last step of a frame. Lowered, still cameras choose their pixels anew, which scatters (d-still: 0.0194 instead of 0.0176 mm);
 /// raised, slopes and squares are used where they hold less well.
 const KEPT_PX: f64 = 0.05;
-/// Frames with less motion blur than this, pixels of the frame, tell of the point spread and of the noise. Chosen, not tuned: such blur is
-/// no wider than a pixel. Raised, blur passes for point spread; lowered, a camera that always moves never teaches its noise.
-const SHARP_FRAME_PX: f64 = 1.0;
 /// One sigma about the slow estimate of the point spread's variance in such frames, and in others, where it must not pass for motion; in
 /// the kernel's unit. The first is 0.04 pixels²: sharp clips had -0.03 to -0.01 in a prototype. Raised, the second lets motion pass for
 /// point spread; lowered, the first takes up a change of focus more slowly.

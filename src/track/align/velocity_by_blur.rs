@@ -44,9 +44,9 @@ const BLUR_ERROR_PX2: f64 = 0.05;
 /// Patches of a frame whose blur is wider or narrower independently of the others: halves across, thirds down. Raised, blur is believed more.
 const BLUR_PATCHES: f64 = 6.0;
 
-/// Largest squared Mahalanobis distance of a velocity from what else is known of it, of six degrees of freedom. Chosen: five sigmas. Raised, pictures that are out of
+/// Largest squared Mahalanobis distance of a velocity from what else is known of it, of six degrees of freedom. Chosen: ten sigmas, as rows know it less well than they say. Raised, pictures that are out of
 /// focus, or sharpened, pass for moving ones; lowered, what is thrown has no velocity.
-const LARGEST_SQUARED: f64 = 25.0;
+const LARGEST_SQUARED: f64 = 100.0;
 /// Exposures that are known no better than to this share of themselves tell no velocity where rows are read one after another: rows were aligned with
 /// another blur than theirs. Raised, the first pose of all may be further off than is told; lowered, the first frames need a second one.
 const LARGEST_EXPOSURE_SIGMA: f64 = 0.3;

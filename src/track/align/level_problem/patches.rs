@@ -3,6 +3,7 @@
 use nalgebra::{Matrix2, Vector2, Vector3};
 
 use super::super::AlignSurface;
+use super::super::SHARP_FRAME_PX;
 use super::super::columns::COLUMNS;
 use super::super::evidence::{RunEvidence, evidence};
 use super::super::normal::RobustWeighting;
@@ -58,8 +59,9 @@ impl LevelSolution<'_> {
             }
         }
         let scale = spec.frame_px();
-        // Blur, compression and light that are not quite as predicted scatter the pixels of a patch as noise does.
-        let scatter = sigmas.max(1.0).powi(-2);
+        // Blur that is not quite as predicted scatters the pixels of a patch as noise does. What a sharp frame leaves is of the model.
+        let is_blurred = spec.blur_px * scale > SHARP_FRAME_PX;
+        let scatter = if is_blurred { sigmas.max(1.0).powi(-2) } else { 1.0 };
         for (r, shift) in problem.runs.iter().zip(shifts) {
             let Some((_, structure)) = patch_shift(&r.evidence) else { continue };
             let Some(on_surface_m) = problem.middle_on_surface(r, &spec.surfaces[r.run.surface as usize], motion) else { continue };
