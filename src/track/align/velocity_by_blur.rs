@@ -40,7 +40,7 @@ const UNKNOWN: f64 = 1e-4;
 /// One sigma of the variance of a blur beside what the motion makes, pixels² of the level: optics are softer towards the corners, and cameras sharpen and
 /// smooth by the content. Chosen from what blur was off by in single frames of d-handheld and d-webcam. Raised, blur tells less of slow motions; lowered, poses
 /// of sharpened pictures are believed too much.
-const BLUR_ERROR_PX2: f64 = 0.05;
+const BLUR_ERROR_PX2: f64 = 0.08;
 /// Patches of a frame whose blur is wider or narrower independently of the others: halves across, thirds down. Raised, blur is believed more.
 const BLUR_PATCHES: f64 = 6.0;
 
@@ -185,11 +185,10 @@ impl BlurSearch<'_, '_> {
             let step = problem.velocity_step(&spec, &motion, &start.steps, &self.known_velocity(nothing))?;
             let by_blur = positive(&(step.covariance.cholesky()?.inverse() - nothing));
             let shown = velocity + step.step;
-            let [faster, longer] = self.fused(start, &velocity, exposure, &by_blur, &step.step)?;
+            let believed = by_blur * self.believed(&by_blur, &velocity, spec.blur_of(&motion));
+            let [faster, longer] = self.fused(start, &velocity, exposure, &believed, &step.step)?;
             let moved_px = blur_change_px(&spec, &motion, &(faster + longer));
             tracing::trace!(blur_px = spec.blur_px, moved_px, exposure, velocity = ?velocity.as_slice(), "velocity by blur");
-            let blur_px = spec.blur_of(&motion);
-            let believed = by_blur * self.believed(&by_blur, &velocity, blur_px);
             let information = self.without_exposure(&believed, &velocity);
             let shown = shown + velocity * exposure;
             let share = spec.blur_px / moved_px.max(spec.blur_px);
