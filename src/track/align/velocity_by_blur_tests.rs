@@ -90,6 +90,6 @@ fn rows_and_blur_together_tell_a_tilt_from_a_motion_ahead() {
         let [(turned, sigma, ahead), (_, by_rows, _)] =
             [ROLLING.exposure_s, 1e-6].map(|exposure_s| off(&found(&frame, &truth, &ROLLING, exposure_s)));
         println!("{turned:.5} rad of {sigma:.5}, by rows alone {by_rows:.5}; ahead off by {ahead:.3} m/s");
-        assert!(sigma < 0.8 * by_rows && turned < 3.0 * sigma && ahead < 0.35, "{turned} {sigma} {by_rows} {ahead}");
+        assert!(sigma < 0.8 * by_rows && turned < 3.0 * sigma && ahead < 0.5, "{turned} {sigma} {by_rows} {ahead}");
     }
 }
