@@ -421,6 +421,10 @@ impl<'a> FrameProblem<'a> {
         if self.buffers.has_kept || self.buffers.fine.open_share() < HOPEFUL_SHARE {
             return Some(false);
         }
+        // Where all rows are exposed together the pose does not need it. A picture that is large enough for the coarsest level is followed without, too.
+        if self.slow.shutter.readout_s == 0.0 && self.begins_above(LEVELS - 2, LEVELS - 1) {
+            return Some(false);
+        }
         let Some(by_blur) = self.velocity_by_blur() else { return Some(false) };
         // The velocity that is expected, and the blur's, together.
         let (mut expected, mut information) = (self.expected.motion, *self.known.information);

@@ -8,14 +8,16 @@ use crate::motion::{Motion, MotionEstimate};
 use crate::track::synthetic::{cloth, facing, lens, prepared, view};
 
 const SIZE: [u32; 2] = [480, 360];
-const DISTANCE_M: f64 = 3.4;
+const NEAR_M: f64 = 3.4;
+/// From here the picture is too small for the coarsest level.
+const FAR_M: f64 = 15.0;
 /// Instants that a row is seen at while the shutter is open.
 const INSTANTS: u32 = 8;
 const GLOBAL: Shutter = Shutter { readout_s: 0.0, exposure_s: 0.012 };
 const ROLLING: Shutter = Shutter { readout_s: 0.02, exposure_s: 0.012 };
 
-fn motion(velocity: [f64; 3], turn_rate: [f64; 3]) -> Motion {
-    let pose = facing(0.02, -0.03, Vector3::new(0.1, 0.05, DISTANCE_M)).inverse();
+fn motion(distance_m: f64, velocity: [f64; 3], turn_rate: [f64; 3]) -> Motion {
+    let pose = facing(0.02, -0.03, Vector3::new(0.1, 0.05, distance_m)).inverse();
     let axes = pose.rotation_matrix();
     // Told in camera axes.
     Motion { velocity: axes * Vector3::from(velocity), turn_rate: Vector3::from(turn_rate), ..Motion::still(pose) }
@@ -45,34 +47,36 @@ fn found(frame: &GrayImage, truth: &Motion, shutter: &Shutter, exposure_s: f64) 
     let mut levels = FrameLevels::default();
     levels.update(frame);
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { exposure_s, ..*shutter });
-    let expected = MotionEstimate::unseen(truth.pose, DISTANCE_M, 0.02, 0.006);
+    let expected = MotionEstimate::unseen(truth.pose, truth.pose.translation.norm(), 0.02, 0.006);
     aligner.align(&mut levels, &CameraRays::new(lens(SIZE[0], SIZE[1]), None), &expected, None).expect("the picture agrees").alignment
 }
 
 /// How fast the middle of the picture moves, rad/s: across and down the frame.
 fn image_velocity(motion: &Motion) -> Vector2<f64> {
-    let v = motion.pose.rotation.inverse() * motion.velocity / DISTANCE_M;
+    let v = motion.pose.rotation.inverse() * motion.velocity / FAR_M;
     Vector2::new(-motion.turn_rate.y - v.x, motion.turn_rate.x - v.y)
 }
 
 #[test]
 fn blur_tells_how_fast_a_picture_moves_and_along_which_way_but_not_in_which_direction() {
-    for (velocity, turn_rate) in [([3.2, 0.8, 0.0], [0.0; 3]), ([-1.2, 1.8, 0.3], [1.0, 0.4, 0.1])] {
-        let truth = motion(velocity, turn_rate);
+    for (velocity, turn_rate) in [([2.0, 0.5, 0.0], [0.2, -0.7, 0.0]), ([-1.0, 1.5, 0.5], [-0.5, 0.3, 0.1])] {
+        let truth = motion(FAR_M, velocity, turn_rate);
         let frame = blurred(&truth, &GLOBAL);
         let seen = found(&frame, &truth, &GLOBAL, GLOBAL.exposure_s);
         let [is, should] = [image_velocity(&seen.estimate.motion), image_velocity(&truth)];
         let off = (is - should).norm().min((is + should).norm()) / should.norm();
         println!("{is} {should}, off by {off:.3}");
         assert!(seen.has_opposite && off < 0.2, "{is} {should}");
-        // Where the shutter is open for no time, there is none.
+        // Where the shutter is open for no time, there is none. Nor is it asked of a picture that is seen large, which is followed without.
+        let large = motion(NEAR_M, [0.0; 3], turn_rate);
+        assert!(!found(&blurred(&large, &GLOBAL), &large, &GLOBAL, GLOBAL.exposure_s).has_opposite);
         assert!(!found(&frame, &truth, &GLOBAL, 1e-6).has_opposite);
     }
 }
 
 #[test]
 fn a_still_picture_shows_no_velocity() {
-    let truth = motion([0.0; 3], [0.0; 3]);
+    let truth = motion(FAR_M, [0.0; 3], [0.0; 3]);
     let seen = found(&blurred(&truth, &GLOBAL), &truth, &GLOBAL, GLOBAL.exposure_s);
     assert!(!seen.has_opposite && image_velocity(&seen.estimate.motion).norm() < 1e-9);
 }
@@ -80,7 +84,7 @@ fn a_still_picture_shows_no_velocity() {
 #[test]
 fn rows_and_blur_together_tell_a_tilt_from_a_motion_ahead() {
     for velocity in [[1.4, 0.0, 0.6], [0.9, 1.1, -0.6]] {
-        let truth = motion(velocity, [0.0; 3]);
+        let truth = motion(NEAR_M, velocity, [0.0; 3]);
         let frame = blurred(&truth, &ROLLING);
         let off = |seen: &Alignment| {
             let moved = seen.pose.inverse().angle_to(&truth.pose.inverse());
