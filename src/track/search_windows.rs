@@ -9,8 +9,8 @@
 const SIDE_PX: u32 = 400;
 /// From one window to the next: half, see above. Raised, pictures between two windows are cut; lowered, there are more windows.
 const STEP_PX: u32 = SIDE_PX / 2;
-/// Pixels of a slice at most, if it has more than one window: features of as many are found in one and a half milliseconds. A whole window, and a small one beside it. Raised, frames in which a body is missing
-/// take longer; lowered, it takes more frames to look everywhere.
+/// Pixels of a slice at most, if it has more than one window: a whole window and a small one beside it, whose features take one and a half milliseconds. Raised,
+/// frames in which a body is missing take longer; lowered, it takes more frames to look everywhere.
 const SLICE_PX: u64 = 280_000;
 
 /// A part of a region.

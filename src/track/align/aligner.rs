@@ -118,9 +118,10 @@ impl Aligner {
         if let Some(since_s) = jumped_since_s {
             frame.solve_with_jump(&found, since_s)?;
         }
-        let has_opposite = since_s.is_none() && !*asks_shutter && frame.solve_with_blur()?;
+        if since_s.is_none() && !*asks_shutter {
+            frame.solve_with_blur()?;
+        }
         let (mut alignment, exposure) = frame.verify()?;
-        alignment.has_opposite = has_opposite;
         frame.allow_for_jumps(&mut alignment, since_s, jumped_since_s.is_some());
         let shutter_clue = if *asks_shutter { frame.shutter_clue(exposure) } else { None };
         let lessons = frame.into_lessons();

@@ -139,6 +139,8 @@ pub struct FrameProblem<'a> {
     bands: RowBands,
     /// The pose's part of the last step, from where the pictures of the tiles were predicted.
     last_step: Vector6<f64>,
+    /// See [`Alignment::has_opposite`].
+    has_opposite: bool,
     lessons: Lessons,
 }
 
@@ -164,7 +166,19 @@ impl<'a> FrameProblem<'a> {
         let (motion, psf_variance) = (&expected.motion, slow.psf_variance);
         let known = Expected { motion, information, psf_variance, psf_variance_sigma: PSF_VARIANCE_SIGMA };
         let (bands, lessons) = (RowBands::new(slow.shutter), Lessons::none(slow));
-        let mut frame = Self { surfaces, slow, buffers, levels, rays, expected, known, bands, last_step: Vector6::zeros(), lessons };
+        let mut frame = Self {
+            surfaces,
+            slow,
+            buffers,
+            levels,
+            rays,
+            expected,
+            known,
+            bands,
+            last_step: Vector6::zeros(),
+            has_opposite: false,
+            lessons,
+        };
         let spec = frame.spec(FINEST, motion);
         if spec.frame_px() * spec.blur_px > SHARP_FRAME_PX {
             frame.known.psf_variance_sigma = BLURRED_PSF_VARIANCE_SIGMA;
@@ -253,13 +267,16 @@ impl<'a> FrameProblem<'a> {
         self.try_enlargement(found)
     }
 
-    /// Whether a level above `near`, up to `far`, has pixels enough: else from there it is the same way down. Asked where the finest level was left for good.
+    /// Whether a level above `near`, up to `far`, has pixels enough: else the way down from there is the same.
     fn begins_above(&mut self, near: usize, far: usize) -> bool {
+        (near + 1..=far).any(|level| self.has_pixels(level))
+    }
+
+    /// Whether a level has pixels enough where the body is expected.
+    fn has_pixels(&mut self, level: usize) -> bool {
         let motion = self.known.motion;
-        (near + 1..=far).any(|level| {
-            let spec = self.spec(level, motion);
-            self.lay_out(&spec, motion)
-        })
+        let spec = self.spec(level, motion);
+        self.lay_out(&spec, motion)
     }
 
     /// Whether a solution from nearby is clearly right.
@@ -414,34 +431,33 @@ impl<'a> FrameProblem<'a> {
         Some(())
     }
 
-    /// Solves the finest level once more with the velocity that its blur shows, of a body that was just found, if it shows one. Whether the opposite velocity is
-    /// as likely; `None` where there is no solution any more.
-    pub fn solve_with_blur(&mut self) -> Option<bool> {
+    /// Solves the finest level once more with the velocity that its blur shows, of a body that was just found, if it shows one. `None` where there is no
+    /// solution any more.
+    pub fn solve_with_blur(&mut self) -> Option<()> {
         // What stands still has none. Of a wrong pose the better half takes part, as ever, and its blur says nothing.
         if self.buffers.has_kept || self.buffers.fine.open_share() < HOPEFUL_SHARE {
-            return Some(false);
+            return Some(());
         }
         // Where all rows are exposed together the pose does not need it. A picture that is large enough for the coarsest level is followed without, too.
-        if self.slow.shutter.readout_s == 0.0 && self.begins_above(LEVELS - 2, LEVELS - 1) {
-            return Some(false);
+        if self.slow.shutter.readout_s == 0.0 && self.has_pixels(LEVELS - 1) {
+            return Some(());
         }
-        let Some(by_blur) = self.velocity_by_blur() else { return Some(false) };
+        let Some(by_blur) = self.velocity_by_blur() else { return Some(()) };
         // The velocity that is expected, and the blur's, together.
         let (mut expected, mut information) = (self.expected.motion, *self.known.information);
         let mut of_velocity = information.fixed_view_mut::<6, 6>(6, 6);
         let score = of_velocity.clone_owned() * expected.twist() + by_blur.score;
         of_velocity += by_blur.information;
         expected = expected.with_twist(&of_velocity.clone_owned().cholesky()?.solve(&score));
-        self.settle(by_blur.motion, &Expected { motion: &expected, information: &information, ..self.known })?;
-        Some(by_blur.has_opposite)
+        self.has_opposite = by_blur.has_opposite;
+        self.settle(by_blur.motion, &Expected { motion: &expected, information: &information, ..self.known })
     }
 
     /// The velocity that the blur of the solved frame shows.
     fn velocity_by_blur(&mut self) -> Option<VelocityByBlur> {
         let found = self.buffers.fine.solution()?.found;
         let spec = self.spec(FINEST, &found.motion);
-        let mut bands = RowBands::new(self.slow.shutter);
-        let estimate = self.buffers.fine.solution()?.conclude(&spec, &mut bands)?.estimate;
+        let estimate = self.buffers.fine.solution()?.estimate();
         let distance_m = distance_m(self.surfaces, &found.motion.pose);
         let spec = LevelSpec { count: BLUR_PIXELS, ..spec };
         // The coarse levels are done with: their buffers are free.
@@ -475,7 +491,7 @@ impl<'a> FrameProblem<'a> {
             tiles,
             agreeing,
             squared_mahalanobis: squared_mahalanobis(self.expected, &motion),
-            has_opposite: false,
+            has_opposite: self.has_opposite,
         };
         let psf_variance = self.buffers.light.psf_variance();
         if blur_px < SHARP_FRAME_PX {

@@ -78,7 +78,7 @@ use super::surface::SurfaceSpec;
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
 
-/// Frames with less motion blur than this, pixels of the frame, tell of the point spread and of the noise. Chosen, not tuned: such blur is
+/// Frames with less motion blur than this, pixels of the frame, tell of the point spread, of the noise, and by what their patches leave of the model. Chosen, not tuned: such blur is
 /// no wider than a pixel. Raised, blur passes for point spread; lowered, a camera that always moves never teaches its noise.
 const SHARP_FRAME_PX: f64 = 1.0;
 

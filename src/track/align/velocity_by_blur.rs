@@ -24,18 +24,17 @@ const LARGEST_LAST_PX: f64 = 0.3;
 /// A velocity is changed by so much to see what it does to the blur, and to the rows, pixels of the level. Raised, slopes are those of elsewhere; lowered,
 /// rounding passes for blur.
 const STEP_PX: f64 = 0.25;
-/// The blur that the first velocity is told by, pixels of the level. Chosen: as long as is usual. Raised, fine detail is gone where blur is short; lowered,
+/// Length of the trial blur that the missing blur is measured with, pixels of the level. Chosen near the usual length, not tuned. Raised, fine detail is gone where blur is short; lowered,
 /// long blur is found too short.
 const FIRST_BLUR_PX: f64 = 1.5;
 /// Sigmas that the squared blur must differ from none by. Raised, slow bodies are taken to stand still; lowered, noise passes for blur.
 const LEAST_SIGMAS: f64 = 5.0;
-/// And how many times what pictures are wider or narrower for other reasons (`BLUR_ERROR_PX2`). See above.
+/// The variance of the missing blur must be at least this many times `BLUR_ERROR_PX2`. Raised and lowered as `LEAST_SIGMAS`.
 const LEAST_BLUR_ERRORS: f64 = 1.5;
 /// Squared sigmas by which rows must prefer a direction to the opposite one. Raised, more frames wait for a second; lowered, a velocity is
 /// taken for its opposite.
 const SURE_DIRECTION: f64 = 20.0;
-
-/// Information of an image velocity before its blur is asked, of [`STEP_PX`]: next to none. Raised, slow bodies are taken to stand still.
+/// Prior information of an image velocity, in units of [`STEP_PX`]: next to none. Raised, slow bodies are taken to stand still.
 const UNKNOWN: f64 = 1e-4;
 /// One sigma of the variance of a blur beside what the motion makes, pixels² of the level: optics are softer towards the corners, and cameras sharpen and
 /// smooth by the content. Chosen from what blur was off by in single frames of d-handheld and d-webcam. Raised, blur tells less of slow motions; lowered, poses
@@ -43,12 +42,11 @@ const UNKNOWN: f64 = 1e-4;
 const BLUR_ERROR_PX2: f64 = 0.08;
 /// Patches of a frame whose blur is wider or narrower independently of the others: halves across, thirds down. Raised, blur is believed more.
 const BLUR_PATCHES: f64 = 6.0;
-
-/// Largest squared Mahalanobis distance of a velocity from what else is known of it, of six degrees of freedom. Chosen: ten sigmas, as rows know it less well than they say. Raised, pictures that are out of
-/// focus, or sharpened, pass for moving ones; lowered, what is thrown has no velocity.
+/// Largest squared Mahalanobis distance, of six degrees of freedom, of a velocity from what rows and the unseen motion say of it. Chosen: ten sigmas, as rows know it
+/// less well than they say. Raised, pictures that are out of focus, or sharpened, pass for moving ones; lowered, what is thrown has no velocity.
 const LARGEST_SQUARED: f64 = 100.0;
-/// Exposures that are known no better than to this share of themselves tell no velocity where rows are read one after another: rows were aligned with
-/// another blur than theirs. Raised, the first pose of all may be further off than is told; lowered, the first frames need a second one.
+/// Largest relative sigma of the exposure with which blur is asked under a rolling shutter: beyond it, the rows were aligned with the wrong blur. Raised, the very first
+/// pose may be further off than its covariance says; lowered, the first frames wait for a second one.
 const LARGEST_EXPOSURE_SIGMA: f64 = 0.3;
 
 /// A velocity by blur.
@@ -184,13 +182,12 @@ impl BlurSearch<'_, '_> {
             let spec = blurred(&LevelSpec { shutter: &shutter, ..*self.spec }, &motion);
             let step = problem.velocity_step(&spec, &motion, &start.steps, &self.known_velocity(nothing))?;
             let by_blur = positive(&(step.covariance.cholesky()?.inverse() - nothing));
-            let shown = velocity + step.step;
             let believed = by_blur * self.believed(&by_blur, &velocity, spec.blur_of(&motion));
             let [faster, longer] = self.fused(start, &velocity, exposure, &believed, &step.step)?;
             let moved_px = blur_change_px(&spec, &motion, &(faster + longer));
             tracing::trace!(blur_px = spec.blur_px, moved_px, exposure, velocity = ?velocity.as_slice(), "velocity by blur");
             let information = self.without_exposure(&believed, &velocity);
-            let shown = shown + velocity * exposure;
+            let shown = velocity + step.step + velocity * exposure;
             let share = spec.blur_px / moved_px.max(spec.blur_px);
             exposure += longer.dot(&velocity) / velocity.norm_squared().max(f64::MIN_POSITIVE) * share;
             velocity += faster * share;

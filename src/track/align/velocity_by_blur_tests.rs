@@ -42,7 +42,7 @@ fn blurred(motion: &Motion, shutter: &Shutter) -> GrayImage {
     GrayImage::from_raw(SIZE[0], SIZE[1], sums.iter().map(|[sum, n]| (sum / n).round() as u8).collect()).expect("one byte for each pixel")
 }
 
-/// Aligned where a body was found, its motion unseen. `exposure_s`: that the aligner is told.
+/// Aligns a frame from the true pose, with nothing known of the motion. `exposure_s`: what the aligner takes for the exposure.
 fn found(frame: &GrayImage, truth: &Motion, shutter: &Shutter, exposure_s: f64) -> Alignment {
     let mut levels = FrameLevels::default();
     levels.update(frame);

@@ -11,13 +11,13 @@ use super::super::columns::POSE;
 use super::super::level_spec::LevelSpec;
 use super::super::system::{Prior, TileTime};
 use super::LevelProblem;
-use crate::geometry::resection::larger_covariance;
+use super::solution::VoteScatter;
 use crate::motion::{Motion, MotionError, MotionMatrix};
 
 /// Reweightings of a step. Chosen: as many as an alignment's.
 const PASSES: usize = 2;
-/// Information of what is not asked, and of the squared blur: there is some of everything, so that the system is regular. Of the squared blur: next to none
-/// beside that of a few pixels. Raised, blur is found too short.
+/// Prior information of the unknowns that are not asked, and of the squared blur. It keeps the system regular; of the squared blur it is less than a few pixels
+/// have. Raised, blur is found too short.
 const UNASKED: f64 = 1.0;
 const SQUARED_BLUR_INFORMATION: f64 = 1e-6;
 
@@ -101,7 +101,7 @@ impl LevelProblem {
         unused.iter_mut().for_each(|column| column.resize(intensity.len(), 0.0));
         let mut information = MotionMatrix::identity() * UNASKED;
         information.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * SQUARED_BLUR_INFORMATION));
-        let VelocityStep { step, covariance, .. } = self.blur_step(spec, columns, &information, known)?;
+        let VelocityStep { step, covariance } = self.blur_step(spec, columns, &information, known)?;
         Some((step.fixed_rows::<3>(0).into_owned(), covariance.fixed_view::<3, 3>(0, 0).into_owned()))
     }
 
@@ -127,16 +127,13 @@ impl LevelProblem {
         let step: Vector6<f64> = system.step().motion().fixed_rows::<6>(0).into_owned();
         let (covariance, votes) = system.covariance();
         let by_noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
-        let (mut scatter, mut n) = (Matrix6::zeros(), 0.0);
+        let mut scatter = VoteScatter::default();
         let weight = scale.powi(-2);
         for r in runs.iter().filter(|r| r.gate.is_open) {
             let nodes = picture.pixels.light().nodes_of(r.run.tile);
-            let vote = votes.of_tile(&r.equations.left_by(&r.step), nodes, &together, weight);
-            scatter += vote * vote.transpose();
-            n += 1.0;
+            scatter.add(&votes.of_tile(&r.equations.left_by(&r.step), nodes, &together, weight));
         }
-        let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
-        Some(VelocityStep { step, covariance: larger_covariance(&by_noise, &(scatter * factor))? })
+        Some(VelocityStep { step, covariance: scatter.or_noise(&by_noise)? })
     }
 }
 

@@ -1,6 +1,6 @@
 //! A level that was solved: what only a solution can be asked.
 
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector6};
 
 use super::super::evidence::evidence;
 use super::super::jump_instant::RowBands;
@@ -44,6 +44,28 @@ pub struct Conclusion {
     pub blur: [f64; 5],
 }
 
+/// How far the votes of single tiles scatter, which are not as independent as their pixels.
+#[derive(Debug, Default)]
+pub struct VoteScatter {
+    squares: Matrix6<f64>,
+    votes: f64,
+}
+
+impl VoteScatter {
+    /// Adds a tile's vote.
+    pub fn add(&mut self, vote: &Vector6<f64>) {
+        self.squares += vote * vote.transpose();
+        self.votes += 1.0;
+    }
+
+    /// Covariance of what was voted on: by noise, or by the scatter where that is larger. `None` where that by noise is singular.
+    pub fn or_noise(&self, by_noise: &Matrix6<f64>) -> Option<Matrix6<f64>> {
+        let n = self.votes;
+        let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
+        larger_covariance(by_noise, &(self.squares * factor))
+    }
+}
+
 /// A pixel that alignment asked, as the solution left it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct UsedPixel {
@@ -56,6 +78,12 @@ pub struct UsedPixel {
 }
 
 impl LevelSolution<'_> {
+    /// The motion, and what noise and expectation leave open of it.
+    pub fn estimate(&mut self) -> MotionEstimate {
+        let (covariance, _) = self.problem.system.covariance();
+        MotionEstimate { motion: self.found.motion, covariance }
+    }
+
     /// Concludes from all tiles; keeps each one's evidence with it, and fills `bands` with what the open ones say. `None` where the covariance is
     /// singular.
     pub fn conclude(&mut self, spec: &LevelSpec, bands: &mut RowBands) -> Option<Conclusion> {
@@ -64,17 +92,14 @@ impl LevelSolution<'_> {
         let weight = scale.powi(-2);
         let LevelProblem { picture, runs, system, .. } = &mut *self.problem;
         let (covariance, votes) = system.covariance();
-        let mut scatter = Matrix6::zeros();
-        let mut n = 0.0;
+        let mut scatter = VoteScatter::default();
         let (mut inliers, mut squared_px, mut tiles, mut agreeing, mut blur) = (0.0, 0.0, 0, 0, [0.0; 5]);
         for r in runs {
             if r.gate.is_open {
                 let nodes = picture.pixels.light().nodes_of(r.run.tile);
                 let (time, left) = (picture.time(spec, &r.run), r.equations.left_by(&r.step));
                 bands.add(&r.equations, &left, time.delay_s, weight);
-                let vote = votes.of_tile(&left, nodes, &time, weight);
-                scatter += vote * vote.transpose();
-                n += 1.0;
+                scatter.add(&votes.of_tile(&left, nodes, &time, weight));
             }
             r.evidence = evidence(&picture.view(r), &r.step.columns, &weighting);
             inliers += r.evidence.inliers;
@@ -84,10 +109,9 @@ impl LevelSolution<'_> {
             agreeing += usize::from(agrees == Some(true));
             blur.iter_mut().zip(r.evidence.blur).for_each(|(sum, value)| *sum += value);
         }
-        let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
         let by_noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
         let estimate = MotionEstimate { motion, covariance };
-        let covariance = larger_covariance(&by_noise, &(scatter * factor))?;
+        let covariance = scatter.or_noise(&by_noise)?;
         Some(Conclusion { estimate, covariance, inliers, squared_px, tiles, agreeing, blur })
     }
 
