@@ -5,6 +5,7 @@
 //! each beside a plain twin that the tests hold it to.
 
 mod choice;
+mod contrast;
 mod corners;
 mod descriptor;
 pub mod descriptors;
@@ -29,6 +30,7 @@ mod watch;
 mod workers;
 
 pub use choice::{DescriptorKind, DetectorKind, FeatureSettings, detect, extract, extract_watched};
+pub use contrast::ContrastStretch;
 pub use corners::{CornerBuffers, CornerOptions, detect_corners};
 pub use descriptor::{Descriptor, describe, orientation};
 pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};

@@ -70,7 +70,7 @@ impl Pyramid {
 }
 
 /// Gives a buffer another size, keeping its memory where it suffices.
-fn resize_buffer(image: &mut GrayImage, width: u32, height: u32) {
+pub(super) fn resize_buffer(image: &mut GrayImage, width: u32, height: u32) {
     if image.dimensions() != (width, height) {
         let mut raw = std::mem::take(image).into_raw();
         raw.resize(width as usize * height as usize, 0);
@@ -124,6 +124,12 @@ multiversion! {
 
 #[inline(always)]
 fn smooth_lanes(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>) {
+    smooth_with(from, to, row, |sum| ((sum + 128) >> 8) as u8);
+}
+
+/// The same, with what becomes of the filter's sums: 256 times a grey level.
+#[inline(always)]
+pub(super) fn smooth_with(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>, grey: impl Fn(u16) -> u8) {
     let (w, h) = (from.width() as usize, from.height() as usize);
     if w == 0 || h == 0 {
         return;
@@ -147,7 +153,7 @@ fn smooth_lanes(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>) {
         // At most 256 * 255 + 128: 16 bits hold it.
         let [a, b, c, d, e] = [0, 1, 2, 3, 4].map(|k| &row[k..k + w]);
         for (x, out) in out.iter_mut().enumerate() {
-            *out = ((a[x] + e[x] + 4 * (b[x] + d[x]) + 6 * c[x] + 128) >> 8) as u8;
+            *out = grey(a[x] + e[x] + 4 * (b[x] + d[x]) + 6 * c[x]);
         }
     }
 }

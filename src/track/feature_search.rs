@@ -12,7 +12,7 @@ use super::reference::PreparedSurface;
 use super::unexplained::Unexplained;
 use super::view_bank::{BankBuilder, PictureCopy, ViewStore};
 use crate::camera::CameraModel;
-use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
+use crate::features::{ContrastStretch, ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::matching::{Match, MatchBuffers, ReferenceFeature, ReferenceIndex};
 
 /// Lowe's ratio (2004, section 7.1): a match counts where its distance is less than this share of the second nearest's. He took 0.8; more
@@ -52,6 +52,7 @@ pub struct FeatureSearch {
     /// These, and the tilted views.
     all_views: ReferenceIndex,
     extractor: FeatureExtractor,
+    contrast: ContrastStretch,
     features: Vec<Feature>,
     matches: Vec<Match>,
     buffers: MatchBuffers,
@@ -102,6 +103,7 @@ impl FeatureSearch {
     pub fn look(&mut self, image: &GrayImage, mask: Option<&GrayImage>, look: Look, workers: &Workers) {
         let count = if look == Look::Quick { self.count.min(QUICK_FEATURES) } else { self.count };
         let options = ExtractorOptions { count, ..Default::default() };
+        let image = self.contrast.stretched(image).unwrap_or(image);
         self.extractor.extract(image, mask, &options, workers, &mut self.features);
         self.compare(if look == Look::Close { Asked::AllViews } else { Asked::Frontal }, workers);
     }
@@ -123,6 +125,7 @@ impl FeatureSearch {
         }
         let entries = self.missing_views.features().len().max(1);
         let count = (SLICE_COMPARISONS / entries).clamp(LEAST_SLICE_FEATURES, MOST_SLICE_FEATURES).min(self.count);
+        let image = self.contrast.stretched(image).unwrap_or(image);
         unexplained.extract(image, mask, count, &mut self.extractor, workers, &mut self.features);
         self.compare(Asked::MissingViews, workers);
     }
