@@ -213,9 +213,9 @@ impl Matcher {
         let (camera, shutter, is_moved) = (&self.camera, self.shutter, self.lens_watch.is_moved());
         self.fits.clear();
         let bodies = self.bodies.iter_mut().zip(&self.verified);
-        self.fits.extend(bodies.map(|(body, verified)| {
+        self.fits.extend(bodies.enumerate().map(|(k, (body, verified))| {
             let rows = RowMotion { shutter, before: body.before_at(timestamp) };
-            body.model_fit(&verified.as_ref()?.pose, camera, &rows, is_moved)
+            body.model_fit(&verified.as_ref()?.pose, camera, &rows, is_moved, k == 0)
         }));
         // All are seen through one lens: the body that tells most of it speaks.
         let clues = self.fits.iter().enumerate().filter_map(|(k, fit)| Some((k, fit.as_ref()?.focal.as_ref()?)));

@@ -7,6 +7,9 @@
 /// Side of a window, pixels. Chosen, not tuned: props that are larger have enough features in any part of them. Raised, a slice takes longer; lowered,
 /// pictures are cut more often.
 const SIDE_PX: u32 = 400;
+/// Pixels of a region that is one window, whatever its shape: of what is a little larger than a window each way. People beside the frame are narrow and as high as it.
+/// Raised, a slice takes longer; lowered, what is narrow is searched almost twice.
+const WHOLE_PX: u64 = ((SIDE_PX + STEP_PX / 2) * (SIDE_PX + STEP_PX / 2)) as u64;
 /// From one window to the next: half, see above. Raised, pictures between two windows are cut; lowered, there are more windows.
 const STEP_PX: u32 = SIDE_PX / 2;
 /// Pixels of a slice at most, if it has more than one window: a whole window and a small one beside it, whose features take one and a half milliseconds. Raised,
@@ -51,7 +54,8 @@ impl SearchWindows {
         self.all.clear();
         self.slice.clear();
         for (region, (origin, size)) in regions.enumerate() {
-            let [across, down] = size.map(Pieces::of);
+            let is_whole = size.iter().map(|n| u64::from(*n)).product::<u64>() <= WHOLE_PX;
+            let [across, down] = size.map(|length| if is_whole { Pieces::one(length) } else { Pieces::of(length) });
             for row in 0..down.count {
                 for column in 0..across.count {
                     let at = |places: [u32; 2]| [origin[0] + places[0], origin[1] + places[1]];
@@ -68,13 +72,13 @@ impl SearchWindows {
         // Where two are equal, the first one.
         let first = |w: &Window| (w.region, w.origin[1], w.origin[0]);
         self.all.sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then_with(|| first(&a.0).cmp(&first(&b.0))));
+        // What does not fit beside more urgent ones waits; smaller ones do not wait with it.
         let mut pixels = 0;
-        for (k, (window, _)) in self.all.iter().enumerate() {
-            pixels += window.area();
-            if k > 0 && pixels > SLICE_PX {
-                break;
+        for (window, _) in &self.all {
+            if self.slice.is_empty() || pixels + window.area() <= SLICE_PX {
+                pixels += window.area();
+                self.slice.push(*window);
             }
-            self.slice.push(*window);
         }
         &self.slice
     }
@@ -88,6 +92,10 @@ struct Pieces {
 }
 
 impl Pieces {
+    fn one(whole: u32) -> Self {
+        Self { count: 1, length: whole, whole }
+    }
+
     fn of(whole: u32) -> Self {
         // A little more than a window is not worth two.
         let count = if whole <= SIDE_PX + STEP_PX / 2 { 1 } else { (whole - SIDE_PX).div_ceil(STEP_PX) + 1 };
@@ -128,6 +136,21 @@ mod tests {
         let wide = [([0, 0], [1280, 720]), ([600, 300], [200, 200])];
         let slice = windows.next_slice(wide.into_iter(), |w| Some((*w, w.region as f32)));
         assert_eq!((slice[0].region, slice.len()), (1, 2));
+    }
+
+    #[test]
+    fn what_is_narrow_is_one_window() {
+        let strip = ([0, 0], [240, 720]);
+        let slice = SearchWindows::default().next_slice([strip].into_iter(), |w| Some((*w, 1.0))).to_vec();
+        assert_eq!(slice.iter().map(|w| (w.origin, w.size)).collect::<Vec<_>>(), [strip]);
+    }
+
+    #[test]
+    fn what_is_small_is_searched_beside_a_window_though_the_next_one_does_not_fit() {
+        let (person, prop) = (([200, 0], [400, 720]), ([800, 100], [200, 300]));
+        let urgency = |w: &Window| Some((*w, [5.0, 1.0][w.region]));
+        let slice = SearchWindows::default().next_slice([person, prop].into_iter(), urgency).to_vec();
+        assert_eq!(slice.iter().map(|w| w.region).collect::<Vec<_>>(), [0, 1]);
     }
 
     #[test]

@@ -133,6 +133,15 @@ impl TileResiduals {
         &self.normal
     }
 
+    /// The longer side of the rectangle that the tiles lie in, pixels.
+    pub fn extent_px(&self) -> f64 {
+        let places = self.tiles.iter().map(|tile| tile.place_px);
+        let (low, high) = places.fold((Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY)), |(low, high), place| {
+            (low.inf(&place), high.sup(&place))
+        });
+        (high - low).max()
+    }
+
     /// Sum of the tiles' robust weights.
     pub fn weight(&self) -> f64 {
         self.weight

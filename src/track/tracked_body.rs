@@ -304,18 +304,27 @@ impl TrackedBody {
     }
 
     /// What the anchors of a verified pose leave displaced; `None` where they are too few. `asks_focal`: asked for the focal length in any case.
-    pub fn model_fit(&mut self, pose: &Pose<Body, Camera>, camera: &CameraModel, rows: &RowMotion, asks_focal: bool) -> Option<ModelFit> {
+    /// `is_stage`: what is wrong with the lens spans the picture, and the stage tells it; what is wrong with an object is no larger than the object.
+    pub fn model_fit(
+        &mut self,
+        pose: &Pose<Body, Camera>,
+        camera: &CameraModel,
+        rows: &RowMotion,
+        asks_focal: bool,
+        is_stage: bool,
+    ) -> Option<ModelFit> {
         let t_camera_body = pose.inverse();
         let Self { residuals, anchors, found, body, steps, .. } = self;
         // Those that do not fit tell of a lens or a shape that is off, which is why they do not.
         let anchors = if found.is_empty() { anchors } else { found };
         residuals.take(&t_camera_body, camera, anchors)?;
-        let covariance = covariance_by_model_error(&t_camera_body, f64::from(camera.width()), residuals, steps);
+        let field_px = if is_stage { f64::from(camera.width()) } else { residuals.extent_px() };
+        let covariance = covariance_by_model_error(&t_camera_body, field_px, residuals, steps);
         let asks_focal = asks_focal || residuals.is_misfit() || is_suspect(residuals);
         let rows = RowDisplacement::new(camera, rows, &t_camera_body);
         let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
         let fit = ModelFit { rms_px: residuals.rms_px(), covariance, focal };
-        debug!(body = %body.name, rms_px = fit.rms_px, doubts = covariance.is_some(), focal = ?fit.focal, "model");
+        debug!(body = %body.name, rms_px = fit.rms_px, doubts = ?covariance.map(|c| (c.fixed_view::<3, 3>(0, 0).trace().sqrt(), c.fixed_view::<3, 3>(3, 3).trace().sqrt())), focal = ?fit.focal, "model");
         Some(fit)
     }
 
