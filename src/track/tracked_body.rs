@@ -249,7 +249,7 @@ impl TrackedBody {
             sigma_rad = found.covariance.fixed_view::<3, 3>(3, 3).trace().sqrt(),
             "aligned"
         );
-        if !found.is_credible(is_expected) && !found.is_borne_out(distance_m) {
+        if !found.may_be_given(since_s.is_some(), distance_m) {
             return None;
         }
         self.clue = solution.shutter_clue;

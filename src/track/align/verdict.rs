@@ -55,7 +55,16 @@ impl Alignment {
         self.squared_mahalanobis > LARGEST_SQUARED_MAHALANOBIS
     }
 
-    /// Whether the pose may be given: clearly right, or less clearly where it was expected.
+    /// Whether the pose may be given: it is credible, or bears itself out. What was followed and is found where nothing expected it must show itself as a whole: a
+    /// few tiles agree by chance where it goes behind something (a flag in quick motion, at 0.24 of its tiles, was half a degree off). Of what was found anew features
+    /// speak for the place as well. `is_followed`: whether it was looked for where it was expected.
+    pub fn may_be_given(&self, is_followed: bool, distance_m: f64) -> bool {
+        let is_expected = is_followed && !self.is_pushed();
+        let may_be_covered = is_expected || !is_followed || self.is_conclusive();
+        self.is_credible(is_expected) || (may_be_covered && self.is_borne_out(distance_m))
+    }
+
+    /// Whether the pose is clearly right, or less clearly where it was expected.
     pub fn is_credible(&self, is_expected: bool) -> bool {
         let continues = is_expected
             && self.share() >= CONTINUED_SHARE
@@ -175,6 +184,14 @@ mod tests {
         }
         // The same deviation in metres is sharp from far away.
         assert!(found(30, 0.01, 0.0003).is_borne_out(40.0) && !found(30, 0.01, 0.0003).is_borne_out(4.0));
+    }
+
+    #[test]
+    fn what_was_followed_to_where_nothing_expected_it_must_show_itself_as_a_whole() {
+        let covered = found(26, 0.001, 0.0003);
+        let pushed = |agreeing| Alignment { squared_mahalanobis: 140.0, ..found(agreeing, 0.001, 0.0003) };
+        assert!(covered.may_be_given(true, 4.0) && pushed(26).may_be_given(false, 4.0) && pushed(80).may_be_given(true, 4.0));
+        assert!(!pushed(26).may_be_given(true, 4.0));
     }
 
     /// What a tile of 55 pixels shows: detail of this standard deviation, in noise of two grey levels; or other detail of the same size.
