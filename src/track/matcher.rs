@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 
 use crossbeam_channel::Receiver;
 use image::GrayImage;
-use tracing::debug_span;
+use tracing::{debug, debug_span};
 
 use super::acquire::{SurfaceMatch, SurfaceView};
 use super::align::{AlignSurface, Alignment, CameraRays, FrameLevels, ShutterClue, is_sharp};
@@ -34,6 +34,11 @@ use crate::features::Workers;
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MotionEstimate;
+
+/// Largest standard deviation of an object's direction, radians (one degree), by what its tiles leave displaced. A false pose of a small picture has half its tiles, and
+/// their pixels tell it well; but they lie where no pose puts them: of 16 objects one was followed so for 28 frames, with 0.033 to 0.085. Of 2300 right poses of small,
+/// quick and blurred objects none had more than 0.008. Raised, such poses are given; lowered, blurred objects are given up.
+const LARGEST_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
 
 /// What a frame showed of one body.
 #[derive(Debug, Clone)]
@@ -183,7 +188,9 @@ impl Matcher {
         align_ms += spent.align_ms;
         self.show_pixels(frame.sequence);
         let start = self.clock.start();
-        let lens = self.watch_lens(frame.timestamp);
+        self.fit_models(frame.timestamp);
+        self.refuse_misfits();
+        let lens = self.watch_lens();
         let (misfit, extra_ms) = self.study_stage(frame, lens).unwrap_or_default();
         align_ms += start.elapsed_ms() + extra_ms;
         let stage = self.sighting_of(0, frame.timestamp, lens);
@@ -208,8 +215,8 @@ impl Matcher {
         }
     }
 
-    /// Asks every body that was found how well the model fits, and what of it a lens that was moved would explain.
-    fn watch_lens(&mut self, timestamp: Timestamp) -> LensState {
+    /// Asks every body that was found how well the model fits.
+    fn fit_models(&mut self, timestamp: Timestamp) {
         let (camera, shutter, is_moved) = (&self.camera, self.shutter, self.lens_watch.is_moved());
         self.fits.clear();
         let bodies = self.bodies.iter_mut().zip(&self.verified);
@@ -217,16 +224,36 @@ impl Matcher {
             let rows = RowMotion { shutter, before: body.before_at(timestamp) };
             body.model_fit(&verified.as_ref()?.pose, camera, &rows, is_moved, k == 0)
         }));
-        // All are seen through one lens: the body that tells most of it speaks.
+    }
+
+    /// What of the models' misfit a lens that was moved would explain.
+    fn watch_lens(&mut self) -> LensState {
+        // All are seen through one lens: the body that tells most of it speaks. An object that was just found may be none.
+        let bodies = &self.bodies;
+        let may_speak = |k: usize| k == 0 || bodies[k].track.is_continued();
         let clues = self.fits.iter().enumerate().filter_map(|(k, fit)| Some((k, fit.as_ref()?.focal.as_ref()?)));
+        let clues = clues.filter(|(k, _)| may_speak(*k));
         let clue = clues.min_by(|a, b| a.1.sigma.total_cmp(&b.1.sigma));
         let clue = clue.map(|(body, clue)| {
             self.lens_watch.listen_to(body);
             clue
         });
-        let doubt = camera.doubt().map_or(0.0, |doubt| doubt.uncertainty.focal_px[0] / (3.0 * camera.intrinsics().fx));
+        let focal_px = self.camera.intrinsics().fx;
+        let doubt = self.camera.doubt().map_or(0.0, |doubt| doubt.uncertainty.focal_px[0] / (3.0 * focal_px));
         let is_seen = self.fits.iter().any(Option::is_some);
         self.lens_watch.update(clue, is_seen, doubt)
+    }
+
+    /// Gives up the objects whose tiles lie so far from where any pose puts them that the pose is none.
+    fn refuse_misfits(&mut self) {
+        for k in 1..self.bodies.len() {
+            let turn = self.fits[k].and_then(|fit| fit.covariance).map_or(0.0, |c| c.fixed_view::<3, 3>(3, 3).trace().max(0.0).sqrt());
+            if turn > LARGEST_MISFIT_TURN {
+                debug!(body = %self.bodies[k].body.name, turn, "misfit");
+                (self.verified[k], self.fits[k]) = (None, None);
+                self.bodies[k].give_up(Reason::NoPoseFits);
+            }
+        }
     }
 
     /// Lets the frame say what of the stage's model it speaks against, if it is time for one; and the workers' time, milliseconds.

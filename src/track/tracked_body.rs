@@ -211,10 +211,21 @@ impl TrackedBody {
             if margin < LEAST_MARGIN { Some(Refusal::Ambiguous(margin)) } else { judged_noise(&verified.covariance, distance_m).err() };
         let Some(refusal) = refusal else { return Some(verified) };
         debug!(?refusal, "aligned, and refused");
-        (self.motion, self.clue) = (None, None);
-        self.used.iter_mut().for_each(Used::clear);
+        self.forget_alignment();
         self.refuse(refusal);
         None
+    }
+
+    /// Takes back what this frame's alignment said: it is not followed from there.
+    fn forget_alignment(&mut self) {
+        (self.motion, self.clue) = (None, None);
+        self.used.iter_mut().for_each(Used::clear);
+    }
+
+    /// Gives up the pose that this frame seemed to show, for this reason.
+    pub fn give_up(&mut self, reason: Reason) {
+        self.forget_alignment();
+        self.reason = Some(reason);
     }
 
     /// Keeps the refusal that came furthest.
