@@ -299,7 +299,8 @@ impl BodySearch {
         let has_asked = tracked.track.is_continued() || !found.is_empty();
         self.tries = self.tries.saturating_sub(usize::from(has_asked));
         self.spent.align_ms += start.elapsed_ms() + self.workers.take_extra_ms();
-        aligned.or(best)
+        // Patches of a picture that repeats itself fit a period aside as well.
+        aligned.or(best.filter(|_| !tracked.repeats()))
     }
 
     /// A frame as verification of a body needs it.

@@ -48,7 +48,7 @@ impl Reason {
             Some(Refusal::Contradicted(_)) | None => of_frame.unwrap_or(Self::NoPoseFits),
             Some(Refusal::Share(_) | Refusal::TooFew(_)) => of_frame.unwrap_or(Self::Covered),
             Some(Refusal::Clustered(_) | Refusal::Uncertain) => Self::Uncertain,
-            Some(Refusal::Ambiguous(_)) => Self::Ambiguous,
+            Some(Refusal::Ambiguous(_) | Refusal::Repeated) => Self::Ambiguous,
         }
     }
 }

@@ -202,7 +202,7 @@ mod tests {
     #[test]
     fn many_missing_surfaces_take_turns() {
         assert!((0..5).all(in_turn(5, 3)) && !in_turn(6, 0)(5));
-        for number in [6, 7, 10, 16, 33] {
+        for number in [6_usize, 7, 10, 16, 33] {
             // Each has its turn within two rounds from any slice on, and five at a time.
             let round = number.div_ceil(SURFACES_OF_SLICE);
             for slice in 0..40 {

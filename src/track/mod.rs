@@ -33,6 +33,7 @@ mod reason;
 mod rectangle;
 mod reference;
 mod registration;
+mod repetition;
 mod row_motion;
 mod search_windows;
 mod settings;

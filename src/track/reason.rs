@@ -86,7 +86,9 @@ impl Reason {
             Self::Covered => "the picture is recognised, but most of it is covered or looks different",
             Self::TooSmall => "the picture is recognised, but it is too small in the frame",
             Self::Uncertain => "the picture is recognised, but too little of it is seen to tell the pose",
-            Self::Ambiguous => "the picture is too far away or too flat to the lens to tell which way it is tilted",
+            Self::Ambiguous => {
+                "two poses explain the picture about as well: it is too far away or too flat to the lens to tell its tilt, or it repeats itself"
+            }
             Self::Jumped => "a pose is found, but far from where the camera was a frame before",
             Self::Unconfirmed => "a pose is found and waits for the next frame to confirm it",
             Self::TooDark => "the frame is too dark",
@@ -107,7 +109,7 @@ impl Reason {
             Self::Covered => "clear the view, or take a new photo of the stage as it looks now",
             Self::TooSmall => "go nearer, use a longer lens, or give a larger picture",
             Self::Uncertain => "let the camera see more of the stage, or go nearer",
-            Self::Ambiguous => "go nearer, or add a surface that stands at another angle",
+            Self::Ambiguous => "go nearer, add a surface that stands at another angle, or break a repetition with something of its own",
             Self::Jumped => "check the clip's stamps and its frame rate",
             Self::Unconfirmed => "nothing; where it stays so, frames come too rarely: at least two a second are needed",
             Self::TooDark => "give more light or a longer exposure",

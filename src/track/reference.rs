@@ -6,6 +6,7 @@ use image::GrayImage;
 use nalgebra::Vector2;
 
 use super::rectangle::Rectangle;
+use super::repetition::periods;
 use super::surface::{BodySpec, SurfaceSpec};
 use crate::features::halved;
 use crate::features::{CornerBuffers, CornerOptions, detect_corners};
@@ -35,6 +36,8 @@ pub struct PreparedSurface {
     pub rectangle: Rectangle,
     /// Octave k is 2^k times smaller.
     pub octaves: Vec<Octave>,
+    /// Shifts by which its picture repeats itself, artwork pixels; see [`periods`].
+    pub periods: Vec<Vector2<f64>>,
 }
 
 /// A body ready for tracking.
@@ -60,12 +63,11 @@ pub const ANCHOR_BORDER: u32 = 5;
 impl PreparedBody {
     /// Prepares every surface of a body, but for the anchors.
     pub fn new(spec: &BodySpec) -> Self {
-        let surfaces = spec
-            .surfaces
-            .iter()
-            .map(|s| PreparedSurface { spec: s.clone(), rectangle: Rectangle::of(s), octaves: octaves(&s.artwork) })
-            .collect();
-        Self { name: spec.name.clone(), surfaces }
+        let prepared = |s: &SurfaceSpec| {
+            let octaves = octaves(&s.artwork);
+            PreparedSurface { spec: s.clone(), rectangle: Rectangle::of(s), periods: periods(&octaves), octaves }
+        };
+        Self { name: spec.name.clone(), surfaces: spec.surfaces.iter().map(prepared).collect() }
     }
 
     /// The same with the anchors of its pictures.

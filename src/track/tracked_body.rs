@@ -48,6 +48,13 @@ const CLEAR_SHARE: f64 = 0.6;
 /// frames. Raised, a pose on the wrong branch stays longer; lowered, frames cost more.
 const AUDIT_FRAMES: u32 = 16;
 
+/// A followed pose further from its start than this share of the picture's period is compared with the poses a period aside. Chosen: alignment falls to either side from
+/// half a period. Raised, it may be a period off; lowered, frames of repetitive pictures cost more.
+const CLOSE_PERIODS: f64 = 0.25;
+/// A pose is refused where one a period aside is stronger by this factor, see [`Alignment::strength`]. Chosen: of windows with grain and of stripes with a picture amidst the right one is by 2.4,
+/// while one mark among 160 tiles makes next to no difference, and is left to the features that found it. Raised, poses pass that are a period off; lowered to 1, chance decides.
+const CLEARLY_STRONGER: f64 = 1.2;
+
 /// A body and what its frames said so far; keeps its buffers.
 pub struct TrackedBody {
     /// Its pictures.
@@ -85,6 +92,8 @@ pub struct TrackedBody {
     process_noise: ProcessNoise,
     /// The last verified pose, its stamp, and the motion that led to it.
     before: Option<(Pose<Camera, Body>, Timestamp, Option<Twist>)>,
+    /// What the last alignment came to.
+    last_aligned: Option<Alignment>,
     /// How long after a frame the next one comes, seconds.
     to_next_s: f64,
     /// Followed frames since the last audit.
@@ -134,6 +143,7 @@ impl TrackedBody {
             has_opposite: false,
             process_noise: ProcessNoise::default(),
             before: None,
+            last_aligned: None,
             to_next_s: 0.0,
             unaudited: 0,
             observations: Vec::with_capacity(most),
@@ -170,9 +180,12 @@ impl TrackedBody {
             has_opposite.then(|| self.align(frame, levels, camera_rays, &expected, Some(dt_s)))?
         })?;
         self.unaudited += 1;
-        if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose.inverse(), camera_rays.camera()) {
-            self.motion = None;
-            return None;
+        if self.unaudited >= AUDIT_FRAMES {
+            let is_right = self.is_audited(&verified.pose.inverse(), camera_rays.camera());
+            if !is_right || self.is_a_period_off(levels, camera_rays) {
+                self.motion = None;
+                return None;
+            }
         }
         Some(verified)
     }
@@ -280,7 +293,55 @@ impl TrackedBody {
         if let Some(used) = &mut self.used {
             used.displaced.extend(self.patches.iter().map(|patch| Displaced { centre_px: patch.centre_px, shift_px: patch.shift_px }));
         }
-        Some(self.aligned(&found, camera_rays.camera()))
+        let verified = self.aligned(&found, camera_rays.camera());
+        self.last_aligned = Some(found);
+        if self.may_be_a_period_off(expected, &found, since_s.is_some()) && self.is_a_period_off(levels, camera_rays) {
+            self.forget_alignment();
+            self.refuse(Refusal::Repeated);
+            return None;
+        }
+        Some(verified)
+    }
+
+    /// Whether the pose may be a period of the picture off: it was found anew, or its start was so far off, or may have been.
+    fn may_be_a_period_off(&self, expected: &MotionEstimate, found: &Alignment, is_followed: bool) -> bool {
+        let Some(period_m) = self.periods_m().map(|period| period.norm()).min_by(f64::total_cmp) else { return false };
+        let distance_m = self.aligner.distance_m(&found.pose);
+        let moved_m =
+            (found.pose.translation - expected.motion.pose.translation).norm() + distance_m * found.pose.angle_to(&expected.motion.pose);
+        let sigma = |first: usize| expected.covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
+        let open_m = sigma(0) + distance_m * sigma(3);
+        !is_followed || moved_m > CLOSE_PERIODS * period_m || 3.0 * open_m > 0.5 * period_m
+    }
+
+    /// Whether one of its pictures repeats itself.
+    pub fn repeats(&self) -> bool {
+        self.body.surfaces.iter().any(|surface| !surface.periods.is_empty())
+    }
+
+    /// The periods of the surface that most anchors lie on, in body axes, metres.
+    fn periods_m(&self) -> impl Iterator<Item = Vector3<f64>> {
+        let surface = &self.body.surfaces[most_frequent_surface(&self.anchors, self.body.surfaces.len()) as usize];
+        let (width, height) = surface.spec.artwork.dimensions();
+        let middle = Vector2::new(f64::from(width), f64::from(height)) * 0.5;
+        surface.periods.iter().map(move |period| surface.spec.body_point(middle + period) - surface.spec.body_point(middle))
+    }
+
+    /// Whether the frame is clearly better explained from a period aside of the last pose.
+    fn is_a_period_off(&mut self, levels: &mut FrameLevels, camera_rays: &CameraRays) -> bool {
+        let Some(found) = self.last_aligned else { return false };
+        let rivals: Vec<Vector3<f64>> = self.periods_m().flat_map(|period| [period, -period]).collect();
+        rivals.iter().any(|aside| {
+            let start = Pose::new(found.pose.rotation, found.pose.translation + aside);
+            let distance_m = self.aligner.distance_m(&start);
+            let unseen = MotionEstimate::unseen(start, distance_m, FIRST_SHIFT * distance_m, FIRST_TURN);
+            let expected = MotionEstimate { motion: unseen.motion.with_twist(&found.estimate.motion.twist()), ..unseen };
+            let Some(solution) = self.aligner.align(levels, camera_rays, &expected, None) else { return false };
+            let rival = solution.alignment;
+            let is_other = (rival.pose.translation - found.pose.translation).norm() > 0.5 * aside.norm();
+            debug!(body = %self.body.name, own = found.strength(), rival = rival.strength(), is_other, "a period aside");
+            is_other && rival.strength() > CLEARLY_STRONGER * found.strength()
+        })
     }
 
     /// An alignment in the terms of the record: pose, covariance, and correspondences.

@@ -90,6 +90,8 @@ pub enum Refusal {
     Uncertain,
     /// The tilted twin explains the picture nearly as well; the margin.
     Ambiguous(f64),
+    /// The picture repeats itself, and the pose a period aside explains it better.
+    Repeated,
 }
 
 impl Refusal {
@@ -101,7 +103,7 @@ impl Refusal {
             Self::Share(_) => 2,
             Self::Contradicted(_) => 3,
             Self::Uncertain => 4,
-            Self::Ambiguous(_) => 5,
+            Self::Ambiguous(_) | Self::Repeated => 5,
         }
     }
 }

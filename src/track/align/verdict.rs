@@ -37,6 +37,11 @@ impl Alignment {
         self.agreeing as f64 / self.tiles.max(1) as f64
     }
 
+    /// How well the picture bears the pose out, to compare poses by: the share of the tiles that agree, less where their residuals are larger than noise.
+    pub fn strength(&self) -> f64 {
+        self.share() / self.scale.max(1.0)
+    }
+
     /// Whether the picture alone leaves no doubt.
     pub fn is_conclusive(&self) -> bool {
         self.tiles >= CONCLUSIVE_TILES && self.share() >= CONCLUSIVE_SHARE
