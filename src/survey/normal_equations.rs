@@ -1,8 +1,11 @@
 //! The normal equations of a survey: all frames' tiles, with the frames' own unknowns eliminated (Schur complement).
 //!
 //! A tile ties its frame's motion to a few of the model's numbers. Motions of different frames have nothing to do with each other, so each
-//! frame's twelve are eliminated by themselves, and one dense system of the model's numbers is left. Source: Triggs et al., *Bundle
+//! frame's numbers are eliminated by themselves, and one dense system of the model's numbers is left. Source: Triggs et al., *Bundle
 //! Adjustment - A Modern Synthesis* (2000), section 6.1.
+//!
+//! A frame has as many unknowns here as its alignment leaves free: were its accelerations left out, each step would take for the lens or a fold what the
+//! next alignment takes for a bend of the camera's path, and the adjustment would creep.
 
 use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2};
 
@@ -41,6 +44,8 @@ pub struct FrameRows {
     /// Information of the frame's unknowns beside the tiles, and what it says of them.
     prior: FrameMatrix,
     prior_right: FrameVector,
+    /// Unknowns that the tiles may tell: the first six where all rows are exposed together.
+    told: usize,
 }
 
 /// The system of the model's numbers.
@@ -95,9 +100,10 @@ impl FrameRows {
                 is_held_out: holds_out(tile),
             })
         });
-        let prior = frame_prior(frame.rates, model.readout_s(), distance_m);
+        let prior = frame_prior(frame.rates, distance_m);
         let prior_right = frame.rates.map_or(FrameVector::zeros(), |rates| prior * missing_rates(&frame.motion, &rates));
-        Self { rows: rows.collect(), prior, prior_right }
+        let told = if model.readout_s() == 0.0 { 6 } else { FRAME_UNKNOWNS };
+        Self { rows: rows.collect(), prior, prior_right, told }
     }
 
     /// The tiles.
@@ -106,17 +112,12 @@ impl FrameRows {
     }
 }
 
-/// Rows that are exposed together say nothing of the camera's rates; others less than the frames around.
-fn frame_prior(rates: Option<KnownRates>, readout_s: f64, distance_m: f64) -> FrameMatrix {
-    let [unseen_velocity, unseen_turn_rate, ..] = unseen(distance_m);
-    let [velocity, turn_rate] = rates.map_or([unseen_velocity, unseen_turn_rate], |rates| rates.sigmas);
-    let sigma = |k: usize| match (k, readout_s == 0.0) {
-        (0..6, _) => POSE_SIGMA,
-        (_, true) => 1e-6,
-        (6..9, false) => velocity,
-        (_, false) => turn_rate,
-    };
-    FrameMatrix::from_diagonal(&FrameVector::from_fn(|k, _| sigma(k).powi(-2)))
+/// What is known of a frame's unknowns beside its tiles.
+fn frame_prior(rates: Option<KnownRates>, distance_m: f64) -> FrameMatrix {
+    let [velocity, turn_rate, acceleration, turn_acceleration] = unseen(distance_m);
+    let [velocity, turn_rate] = rates.map_or([velocity, turn_rate], |rates| rates.sigmas);
+    let sigmas = [POSE_SIGMA, POSE_SIGMA, velocity, turn_rate, acceleration, turn_acceleration];
+    FrameMatrix::from_diagonal(&FrameVector::from_fn(|k, _| sigmas[k / 3].powi(-2)))
 }
 
 /// How far the rates of a motion are from what was known of them, as the frame's unknowns: a camera that goes to the right sees all go to the left.
@@ -124,9 +125,9 @@ fn missing_rates(motion: &Motion, known: &KnownRates) -> FrameVector {
     let velocity = motion.pose.rotation.inverse() * (motion.velocity - known.means[0]);
     let turn_rate = motion.turn_rate - known.means[1];
     FrameVector::from_fn(|k, _| match k {
-        0..6 => 0.0,
         6..9 => velocity[k - 6],
-        _ => turn_rate[k - 9],
+        9..12 => turn_rate[k - 9],
+        _ => 0.0,
     })
 }
 
@@ -165,7 +166,8 @@ impl NormalEquations {
         let factor = own.cholesky()?;
         // Lower triangle of C F⁻¹ Cᵀ, as the product of C L⁻ᵀ with itself.
         let inverse_root = factor.l().try_inverse()?;
-        let root = &coupling * inverse_root.transpose();
+        let told = inverse_root.view((0, 0), (frame.told, frame.told));
+        let root = coupling.columns(0, frame.told) * told.transpose();
         self.matrix.gemm(-1.0, &root, &root.transpose(), 1.0);
         let inverse = factor.inverse();
         self.right.gemv(-1.0, &coupling, &DVector::from_column_slice((inverse * right).as_slice()), 1.0);
@@ -196,5 +198,45 @@ impl NormalEquations {
             }
         }
         costs
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraModel;
+    use crate::survey::synthetic::{LENS, camera_poses, observed, stage};
+
+    /// How far off motions are: m, rad, m/s, rad/s, m/s², rad/s². Little enough that tiles keep their weights.
+    const OFF: [f64; 6] = [1e-5, 1e-5, 5e-4, 2e-4, 0.02, 0.01];
+
+    /// How far tiles are shifted by nothing but the camera's motion, and how far the model's step that they ask for moves them, at most: pixels.
+    fn shift_and_step_px(readout_s: f64) -> [f64; 2] {
+        let model = StageModel::new(CameraModel::new(LENS).unwrap(), &stage(), true, false).with_readout(readout_s);
+        let motions: Vec<Motion> = camera_poses(12).into_iter().map(Motion::still).collect();
+        let mut frames = observed(&model, &model, &motions, 0.0, 1);
+        for (n, frame) in frames.iter_mut().enumerate() {
+            let off = FrameVector::from_fn(|k, _| OFF[k / 3] * (1.7 * (n * FRAME_UNKNOWNS + k) as f64).sin());
+            for tile in &mut frame.tiles {
+                tile.shift_px = TileDerivatives::of(tile, &frame.motion, &model).unwrap().by_frame * off;
+            }
+        }
+        let rows: Vec<FrameRows> = frames.iter().map(|frame| FrameRows::new(frame, &model, 3.0, |_| false)).collect();
+        let mut equations = NormalEquations::new(&rows, model.places().count, &[1.0; 2], true).unwrap();
+        for k in 0..model.places().count {
+            equations.matrix[(k, k)] += 1e-3;
+        }
+        equations.matrix.fill_upper_triangle_with_lower_triangle();
+        let step = equations.matrix.cholesky().unwrap().solve(&equations.right);
+        let largest = |squared: &dyn Fn(&TileRow) -> f64| rows.iter().flat_map(FrameRows::rows).map(squared).fold(0.0, f64::max).sqrt();
+        [largest(&|row| row.residual.norm_squared()), largest(&|row| row.moved_squared(&step))]
+    }
+
+    #[test]
+    fn what_a_frame_s_motion_explains_moves_no_model() {
+        for readout_s in [0.0, 0.018, -0.01] {
+            let [shift_px, step_px] = shift_and_step_px(readout_s);
+            assert!(shift_px > 0.005 && step_px < 0.02 * shift_px, "{readout_s}: {shift_px} {step_px}");
+        }
     }
 }

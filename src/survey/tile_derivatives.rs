@@ -8,8 +8,8 @@ use crate::geometry::skew;
 use crate::motion::Motion;
 use crate::track::ObservedTile;
 
-/// Unknowns of a frame: [δp, δθ] of the pose in camera axes and, where rows are exposed one after the other, their rates.
-pub const FRAME_UNKNOWNS: usize = 12;
+/// Unknowns of a frame: [δp, δθ] of the pose in camera axes and, where rows are exposed one after the other, their rates and accelerations.
+pub const FRAME_UNKNOWNS: usize = 18;
 
 /// A tile's derivatives, pixels.
 #[derive(Debug, Clone)]
@@ -18,6 +18,11 @@ pub struct TileDerivatives {
     pub by_frame: SMatrix<f64, 2, FRAME_UNKNOWNS>,
     /// By the model's: place in the vector of all, and derivative.
     pub by_model: Vec<(usize, Vector2<f64>)>,
+}
+
+/// How pose, rates and accelerations move a camera by some time.
+fn powers(delay_s: f64) -> [f64; FRAME_UNKNOWNS / 6] {
+    [1.0, delay_s, 0.5 * delay_s * delay_s]
 }
 
 impl TileDerivatives {
@@ -37,8 +42,9 @@ impl TileDerivatives {
         by_pose.fixed_columns_mut::<3>(0).copy_from(&by_point);
         by_pose.fixed_columns_mut::<3>(3).copy_from(&(-by_point * skew(&seen)));
         let mut by_frame = SMatrix::<f64, 2, FRAME_UNKNOWNS>::zeros();
-        by_frame.fixed_columns_mut::<6>(0).copy_from(&by_pose);
-        by_frame.fixed_columns_mut::<6>(6).copy_from(&(by_pose * tile.delay_s));
+        for (power, factor) in powers(tile.delay_s).into_iter().enumerate() {
+            by_frame.fixed_columns_mut::<6>(6 * power).copy_from(&(by_pose * factor));
+        }
 
         let by_body = by_point * t_camera_body.rotation_matrix();
         let mut by_model: Vec<(usize, Vector2<f64>)> = point.by_model.iter().map(|(k, d)| (*k, by_body * d)).collect();
@@ -106,7 +112,7 @@ mod tests {
             for k in 0..FRAME_UNKNOWNS {
                 // A left perturbation of T_camera_body, at the tile's own time.
                 let of = |sign: f64| {
-                    let size = sign * h * if k < 6 { 1.0 } else { tile.delay_s };
+                    let size = sign * h * powers(tile.delay_s)[k / 6];
                     let mut step = nalgebra::Vector6::zeros();
                     step[k % 6] = size;
                     let at = motion.after(tile.delay_s).pose.inverse();
