@@ -114,21 +114,18 @@ impl FrameRows {
 
 /// What is known of a frame's unknowns beside its tiles.
 fn frame_prior(rates: Option<KnownRates>, distance_m: f64) -> FrameMatrix {
-    let [velocity, turn_rate, acceleration, turn_acceleration] = unseen(distance_m);
-    let [velocity, turn_rate] = rates.map_or([velocity, turn_rate], |rates| rates.sigmas);
-    let sigmas = [POSE_SIGMA, POSE_SIGMA, velocity, turn_rate, acceleration, turn_acceleration];
-    FrameMatrix::from_diagonal(&FrameVector::from_fn(|k, _| sigmas[k / 3].powi(-2)))
+    let of_rates = rates.map_or_else(|| unseen(distance_m), |rates| rates.sigmas);
+    let sigma = |k: usize| if k < 6 { POSE_SIGMA } else { of_rates[k / 3 - 2] };
+    FrameMatrix::from_diagonal(&FrameVector::from_fn(|k, _| sigma(k).powi(-2)))
 }
 
 /// How far the rates of a motion are from what was known of them, as the frame's unknowns: a camera that goes to the right sees all go to the left.
 fn missing_rates(motion: &Motion, known: &KnownRates) -> FrameVector {
-    let velocity = motion.pose.rotation.inverse() * (motion.velocity - known.means[0]);
-    let turn_rate = motion.turn_rate - known.means[1];
-    FrameVector::from_fn(|k, _| match k {
-        6..9 => velocity[k - 6],
-        9..12 => turn_rate[k - 9],
-        _ => 0.0,
-    })
+    let to_camera = motion.pose.rotation.inverse();
+    let off = known.on(&motion.pose).error_to(motion);
+    let part = |first: usize| off.fixed_rows::<3>(first).into_owned();
+    let parts = [part(0), part(3), to_camera * part(6), part(9), to_camera * part(12), part(15)];
+    FrameVector::from_fn(|k, _| parts[k / 3][k % 3])
 }
 
 impl NormalEquations {

@@ -98,8 +98,8 @@ pub fn observed(truth: &StageModel, model: &StageModel, motions: &[Motion], nois
                 });
             }
         }
-        let means = [motion.velocity, motion.turn_rate];
-        let rates = (means != [Vector3::zeros(); 2]).then_some(KnownRates { means, sigmas: [0.01, 0.005] });
+        let means = [motion.velocity, motion.turn_rate, motion.acceleration, motion.turn_acceleration];
+        let rates = (means != [Vector3::zeros(); 4]).then_some(KnownRates { means, sigmas: [0.01, 0.005, 1.0, 0.3] });
         ObservedFrame { motion: *motion, rates, tiles }
     };
     motions.iter().map(&mut frame).collect()

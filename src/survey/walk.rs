@@ -49,8 +49,8 @@ struct KeyframeRecord {
     orientation_xyzw: [f64; 4],
     velocity: [f64; 3],
     turn_rate: [f64; 3],
-    /// Known velocity and turn rate, and one sigma of each.
-    rates: Option<[([f64; 3], f64); 2]>,
+    /// Known velocity, turn rate and their accelerations, and one sigma of each.
+    rates: Option<[([f64; 3], f64); 4]>,
     /// Surface, metres on its picture, pixel, sigma in pixels.
     features: Vec<(usize, [f64; 2], [f64; 2], f64)>,
 }
@@ -161,7 +161,7 @@ impl KeyframeRecord {
             orientation_xyzw: motion.pose.rotation.coords.into(),
             velocity: motion.velocity.into(),
             turn_rate: motion.turn_rate.into(),
-            rates: rates.map(|known| [0, 1].map(|k| (known.means[k].into(), known.sigmas[k]))),
+            rates: rates.map(|known| std::array::from_fn(|k| (known.means[k].into(), known.sigmas[k]))),
             features: features.iter().map(feature).collect(),
         }
     }
@@ -231,7 +231,8 @@ mod tests {
             let pose = Pose::new(UnitQuaternion::from_euler_angles(x, -0.3, 0.1 * x), Vector3::new(x, -2.0, 1.0 / 3.0));
             let motion = Motion { velocity: Vector3::new(0.1, x, 0.3), turn_rate: Vector3::new(x, 0.2, 0.0), ..Motion::still(pose) };
             let feature = MatchedFeature { surface: 0, on_picture_m: [x, 0.1], pixel: Vector2::new(1.0 / x, 2.0), sigma_px: 0.7 * x };
-            let rates = (number > 1).then(|| KnownRates { means: [motion.velocity, motion.turn_rate * x], sigmas: [0.1 * x, 0.3] });
+            let means = [motion.velocity, motion.turn_rate * x, motion.velocity / x, motion.turn_rate];
+            let rates = (number > 1).then_some(KnownRates { means, sigmas: [0.1 * x, 0.3, x, 0.7 * x] });
             Keyframe { number, frame: frames[number - 1].clone(), motion, rates, features: vec![feature; number] }
         };
         let lively = [6, 7].map(|number| NumberedFrame { number, frame: frames[number - 1].clone() }).to_vec();

@@ -60,10 +60,18 @@ pub struct ObservedTile {
 /// How a camera moves, by the frames before and after one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownRates {
-    /// Velocity and turn rate, axes as in [`Motion`].
-    pub means: [Vector3<f64>; 2],
+    /// Velocity, turn rate, acceleration and turn acceleration, axes as in [`Motion`].
+    pub means: [Vector3<f64>; 4],
     /// One sigma of each, along each axis.
-    pub sigmas: [f64; 2],
+    pub sigmas: [f64; 4],
+}
+
+impl KnownRates {
+    /// The motion at a pose that has them.
+    pub fn on(&self, pose: &Pose<Body, Camera>) -> Motion {
+        let [velocity, turn_rate, acceleration, turn_acceleration] = self.means;
+        Motion { pose: *pose, velocity, turn_rate, acceleration, turn_acceleration }
+    }
 }
 
 /// What a frame said.
@@ -71,7 +79,7 @@ pub struct KnownRates {
 pub struct ObservedFrame {
     /// The camera's motion, by the model as it is.
     pub motion: Motion,
-    /// What was known of the motion's velocity and turn rate before.
+    /// What was known of the motion's rates before.
     pub rates: Option<KnownRates>,
     /// The tiles that fit.
     pub tiles: Vec<ObservedTile>,
@@ -149,16 +157,16 @@ impl TileObserver {
         })
     }
 
-    /// Where a frame shows the tiles, from the motion that it had before, whose velocity and turn rate may be known; `None` where the picture does not bear the model
+    /// Where a frame shows the tiles, from the motion that it had before, whose rates may be known; `None` where the picture does not bear the model
     /// out.
     pub fn observe(&mut self, image: &GrayImage, start: &Motion, rates: Option<KnownRates>) -> Option<ObservedFrame> {
         let distance_m = self.aligner.distance_m(&start.pose);
         let unseen = MotionEstimate::unseen(start.pose, distance_m, START_SHIFT * distance_m, START_TURN);
         let mut expected = MotionEstimate { motion: *start, ..unseen };
-        if let Some(KnownRates { means: [velocity, turn_rate], sigmas }) = rates {
-            (expected.motion.velocity, expected.motion.turn_rate) = (velocity, turn_rate);
-            for axis in 6..12 {
-                expected.covariance[(axis, axis)] = sigmas[axis / 9].powi(2);
+        if let Some(rates) = rates {
+            expected.motion = rates.on(&start.pose);
+            for axis in 6..18 {
+                expected.covariance[(axis, axis)] = rates.sigmas[axis / 3 - 2].powi(2);
             }
         }
         self.levels.update(image);
