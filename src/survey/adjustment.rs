@@ -7,12 +7,12 @@ use super::constraints::{self, Constraint, ConstraintCheck};
 use super::normal_equations::{FrameRows, NormalEquations};
 use super::observers::{ObservedFrames, Observers};
 use super::prior::{self, Smoothness};
-use super::stage_model::{LENS_NUMBERS, StageModel};
+use super::stage_model::{LENS_NUMBERS, StageModel, distance_m};
 use crate::camera::Shutter;
 use crate::motion::Motion;
-use crate::track::{ObservedFrame, ObservedTile};
+use crate::track::{KnownRates, ObservedFrame, ObservedTile};
 
-/// Rounds at most. Most surveys settle in five or six, those of a rolling shutter that nobody told in twenty. Raised, only those that never settle take longer.
+/// Rounds at most. Most surveys settle in six to nine, those of a rolling shutter that nobody told do not before they are looked at again. Raised, only those that never settle take longer.
 const MOST_ROUNDS: usize = 24;
 /// Rounds with features, which lead to the basin of the alignment where a lens or a layout is far off.
 const FEATURE_ROUNDS: usize = 5;
@@ -135,7 +135,7 @@ impl<'a> Adjustment<'a> {
     fn rows(&self, model: &StageModel, frames: &[Option<ObservedFrame>]) -> Vec<FrameRows> {
         let of_frame = |(k, frame): (usize, &Option<ObservedFrame>)| {
             let Some(frame) = frame else { return FrameRows::default() };
-            let distance_m = distance_m(model, &frame.motion);
+            let distance_m = distance_m(&model.surfaces, &frame.motion.pose);
             FrameRows::new(frame, model, distance_m, |tile| is_held_out(k, tile))
         };
         frames.iter().enumerate().map(of_frame).filter(|rows| !rows.rows().is_empty()).collect()
@@ -179,6 +179,20 @@ impl<'a> Adjustment<'a> {
         self.last = None;
         self.observers.take_shutter(&model, shutter);
         self.settle(model.with_readout(shutter.readout_s), progress)
+    }
+
+    /// Adjusts a model that was adjusted before, once some keyframes' rates (by their number in the walk) are known better. `exposure_s`: as far as known.
+    pub fn run_with_rates(
+        &mut self,
+        model: StageModel,
+        rates: &[(usize, KnownRates)],
+        exposure_s: f64,
+        progress: impl FnMut(usize),
+    ) -> Option<Adjusted> {
+        self.last = None;
+        self.observers.take_rates(rates);
+        self.observers.take_shutter(&model, Shutter { readout_s: model.readout_s(), exposure_s });
+        self.settle(model, progress)
     }
 
     /// Aligns on grey values until the model comes to rest.
@@ -363,10 +377,6 @@ fn is_held_out(frame: usize, tile: &ObservedTile) -> bool {
         ^ (tile.number + 1).wrapping_mul(0x85eb_ca77)
         ^ (tile.surface as u32).wrapping_mul(0xc2b2_ae3d);
     (mixed ^ (mixed >> 15)).wrapping_mul(0x2c1b_3c6d) >> 8 & 0xffff < 0xffff / HELD_OUT
-}
-
-fn distance_m(model: &StageModel, motion: &Motion) -> f64 {
-    model.surfaces.iter().map(|s| (s.pose.translation - motion.pose.translation).norm()).fold(f64::INFINITY, f64::min)
 }
 
 /// Each surface's median residual over what it is for noise of one sigma in two dimensions: one that stands elsewhere than the model has it is judged by

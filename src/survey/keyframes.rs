@@ -113,7 +113,10 @@ mod tests {
     fn the_frames_after_a_keyframe_say_how_it_moved() {
         let frame = Frame { image: GrayImage::new(4, 3), timestamp: Default::default(), sequence: 0 };
         let at = |x: f64| Motion::still(Pose::new(Default::default(), Vector3::new(x, 0.0, -3.0)));
-        let rates = |speed: f64| KnownRates { means: [Vector3::new(speed, 0.0, 0.0), Vector3::zeros(), Vector3::zeros(), Vector3::zeros()], sigmas: [0.01; 4] };
+        let rates = |speed: f64| KnownRates {
+            means: [Vector3::new(speed, 0.0, 0.0), Vector3::zeros(), Vector3::zeros(), Vector3::zeros()],
+            sigmas: [0.01; 4],
+        };
         let mut keyframes = Keyframes::default();
         for (number, x) in [(1, 0.0), (2, 1.0), (3, 1.0), (4, 2.0)] {
             keyframes.offer((number, &frame), at(x), 0.1 * number as f64, 3.0, |_| Vec::new());

@@ -14,7 +14,7 @@ const FRAMES: usize = 100;
 const FEWEST: usize = 40;
 /// Times that differ by less are the same, seconds: in a slow walk's frame nothing moves by a tenth of a pixel in it. Raised, readouts of good sensors pass
 /// for none; lowered, a global shutter is called a rolling one for what the model leaves.
-const SAME_S: f64 = 3e-4;
+pub const SAME_S: f64 = 3e-4;
 /// A time is another one than was told from this many sigmas on. Raised, small slips stay; lowered, chance changes what was typed.
 const OTHER_SIGMAS: f64 = 3.0;
 
@@ -62,12 +62,12 @@ impl LivelyPart {
 }
 
 /// What frames say of the shutter, by a stage and a lens. `None` where there are too few, or the work was ended meanwhile.
-pub fn shutter_of(frames: &[Frame], setup: TrackerSetup, goes_on: &(dyn Fn() -> bool + Sync)) -> Option<ShutterEstimate> {
+pub fn shutter_of(frames: &[NumberedFrame], setup: TrackerSetup, goes_on: &(dyn Fn() -> bool + Sync)) -> Option<ShutterEstimate> {
     if frames.is_empty() {
         return None;
     }
     let tracker = Tracker::new(TrackerSetup { shutter: Shutter::default(), objects: Vec::new(), ..setup }).ok()?;
-    let open = || goes_on().then(|| frames.iter().take_while(|_| goes_on()).cloned()).ok_or(());
+    let open = || goes_on().then(|| frames.iter().take_while(|_| goes_on()).map(|numbered| numbered.frame.clone())).ok_or(());
     estimate_shutter(open, tracker).ok().filter(|_| goes_on())
 }
 

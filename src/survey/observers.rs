@@ -9,7 +9,7 @@ use super::stage_model::StageModel;
 use crate::camera::Shutter;
 use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian};
 use crate::motion::Motion;
-use crate::track::{BodySpec, ObservedFrame, ObservedTile, TileObserver};
+use crate::track::{BodySpec, KnownRates, ObservedFrame, ObservedTile, TileObserver};
 
 /// Fewest features of a frame that count: three times the four that a pose needs.
 const LEAST_FEATURES: usize = 12;
@@ -75,9 +75,17 @@ impl<'a> Observers<'a> {
         (self.goes_on)().then_some(frames)
     }
 
-    /// Keyframes whose velocity and turn rate the frames around tell.
+    /// Keyframes whose rates the frames around tell.
     pub fn with_rates(&self) -> usize {
         self.keyframes.iter().filter(|keyframe| keyframe.rates.is_some()).count()
+    }
+
+    /// Takes how the camera moved in frames of these numbers, where they are keyframes.
+    pub fn take_rates(&mut self, rates: &[(usize, KnownRates)]) {
+        for keyframe in &mut self.keyframes {
+            let own = rates.iter().find(|(number, _)| *number == keyframe.number);
+            keyframe.rates = own.map(|(_, rates)| *rates).or(keyframe.rates);
+        }
     }
 
     /// Where each keyframe is by now.

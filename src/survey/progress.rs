@@ -8,6 +8,8 @@ use thiserror::Error;
 pub enum SurveyStep {
     /// Following the camera through a frame of a clip.
     Frame,
+    /// Looking at a frame once more, by its number.
+    Again(usize),
     /// A round of the adjustment.
     Round(usize),
 }

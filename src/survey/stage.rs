@@ -3,8 +3,9 @@
 use nalgebra::DMatrix;
 
 use super::adjustment::{Adjusted, Adjustment};
+use super::camera_rates::rates_in;
 use super::constraints::{Constraint, ConstraintCheck};
-use super::lively_part::{mended, shutter_of};
+use super::lively_part::{SAME_S, mended, shutter_of};
 use super::observers::Observers;
 use super::progress::{SurveyError, SurveyStep};
 use super::shutter::{ShutterEstimate, ShutterTime};
@@ -29,7 +30,7 @@ const VAGUE_READOUT_S: f64 = 1e-3;
 const SAME_READOUT_S: f64 = 1e-4;
 /// How far the rates of a camera that sways are from those that its frames tell (`camera_rates`), as a share, and so a readout from what keyframes say. Raised, small
 /// slips of `readout_s` stay; lowered, a readout is believed to be known better than it is.
-const SWAY_SHARE: f64 = 0.05;
+const SWAY_SHARE: f64 = 0.02;
 
 /// What to find.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -94,18 +95,23 @@ pub struct Survey {
     pub(super) covariance: DMatrix<f64>,
 }
 
-/// Surveys a stage from a walk around it. `progress` hears what is done; `goes_on` is asked many times a second, by several threads, and ends the work with
-/// false.
+/// Surveys a stage from a walk around it. `again` opens the walk's clips once more; it is only asked where rows are found to be read one after the other. `progress`
+/// hears what is done; `goes_on` is asked many times a second, by several threads, and ends the work with false.
 ///
 /// # Errors
 /// See [`SurveyError`].
-pub fn survey(
+pub fn survey<C, F>(
     walk: Walk,
+    again: impl FnOnce() -> C,
     setup: &TrackerSetup,
     options: SurveyOptions,
     mut progress: impl FnMut(SurveyStep),
     goes_on: &(dyn Fn() -> bool + Sync),
-) -> Result<Survey, SurveyError> {
+) -> Result<Survey, SurveyError>
+where
+    C: IntoIterator<Item = F>,
+    F: IntoIterator<Item = Frame>,
+{
     let TrackerSetup { camera, mut shutter, mask, stage, .. } = setup.clone();
     let Walk { keyframes, lively, frames, found } = walk;
     match (found, keyframes.len()) {
@@ -118,23 +124,27 @@ pub fn survey(
     let observers = Observers::new(keyframes, &model, shutter, &stage, mask.as_ref(), goes_on);
     let mut adjustment = Adjustment::new(observers, lens_sigmas(&camera), options.constraints);
     let mut round = 0;
-    let mut hear = |_| {
-        progress(SurveyStep::Round(round));
-        round += 1;
+    let mut hear = |step| {
+        // The adjustment counts the rounds of each of its runs.
+        let is_round = matches!(step, SurveyStep::Round(_));
+        progress(if is_round { SurveyStep::Round(round) } else { step });
+        round += usize::from(is_round);
     };
-    let mut adjusted = adjustment.run(model, &mut hear);
-    let frames_of_shutter: Vec<Frame> = lively.into_iter().map(|numbered| numbered.frame).collect();
+    let mut adjusted = adjustment.run(model, |n| hear(SurveyStep::Round(n)));
+    if let Some(before) = adjusted.as_ref().filter(|before| options.refines_lens && rolls(before)) {
+        let rates = rates_in(again(), surveyed_setup(&before.model, setup), |n| hear(SurveyStep::Again(n)), goes_on);
+        adjusted = adjustment.run_with_rates(before.model.clone(), &rates, shutter.exposure_s, |n| hear(SurveyStep::Round(n)));
+    }
     let mut shutter_found = None;
     if let Some(before) = adjusted.as_ref().filter(|_| options.refines_lens) {
-        let stage = BodySpec { surfaces: before.model.surfaces.clone(), ..stage.clone() };
-        let lively = shutter_of(&frames_of_shutter, TrackerSetup { camera: before.model.camera, stage, ..setup.clone() }, goes_on);
+        let lively = shutter_of(&lively, surveyed_setup(&before.model, setup), goes_on);
         let found = shutter_of_walk(before, lively.filter(|found| found.has_settled));
         shutter = mended(shutter, &found);
         shutter_found = Some(found);
         let is_another =
             shutter.exposure_s != setup.shutter.exposure_s || (shutter.readout_s - before.model.readout_s()).abs() > SAME_READOUT_S;
         if is_another {
-            adjusted = adjustment.run_with_shutter(before.model.clone(), shutter, &mut hear);
+            adjusted = adjustment.run_with_shutter(before.model.clone(), shutter, |n| hear(SurveyStep::Round(n)));
         }
     }
     let Some(Adjusted {
@@ -185,6 +195,18 @@ pub fn survey(
         places,
         covariance,
     })
+}
+
+/// Whether the keyframes show rows that are read one after the other.
+fn rolls(adjusted: &Adjusted) -> bool {
+    adjusted.tells_readout && adjusted.model.readout_s().abs() > SAME_S
+}
+
+/// A tracker's setup with the stage, the lens and the readout of a model.
+fn surveyed_setup(model: &StageModel, setup: &TrackerSetup) -> TrackerSetup {
+    let stage = BodySpec { surfaces: model.surfaces.clone(), ..setup.stage.clone() };
+    let shutter = Shutter { readout_s: model.readout_s(), ..setup.shutter };
+    TrackerSetup { camera: model.camera, stage, shutter, ..setup.clone() }
 }
 
 /// What a walk says of the shutter: the readout by the keyframes, which are adjusted together with the lens that it bends, or, where these do not tell it, by the

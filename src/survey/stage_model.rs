@@ -9,7 +9,7 @@ use nalgebra::{DVector, UnitQuaternion, Vector1, Vector2, Vector3};
 
 use crate::camera::{CameraModel, Intrinsics};
 use crate::geometry::bspline::BicubicSpline;
-use crate::geometry::{Pose, skew};
+use crate::geometry::{Body, Camera, Pose, skew};
 use crate::track::{BentShape, SurfaceShape, SurfaceSpec};
 
 /// Numbers of a lens that are unknown: fx, fy, cx, cy, k1, k2, p1, p2. The skew stays, and so does k3, which no stage tells from k2.
@@ -72,6 +72,11 @@ pub struct ModelPoint {
     pub place: Vector3<f64>,
     /// Place of an unknown, and how the point moves with it.
     pub by_model: Vec<(usize, Vector3<f64>)>,
+}
+
+/// From a camera to the nearest surface's centre, metres.
+pub fn distance_m(surfaces: &[SurfaceSpec], pose: &Pose<Body, Camera>) -> f64 {
+    surfaces.iter().map(|s| (s.pose.translation - pose.translation).norm()).fold(f64::INFINITY, f64::min)
 }
 
 /// A surface's shape, which a survey always has.

@@ -10,6 +10,7 @@ use super::camera_rates::RecentPoses;
 use super::keyframes::{Keyframe, Keyframes, MatchedFeature};
 use super::lively_part::{LivelyPart, NumberedFrame};
 use super::progress::{SurveyError, SurveyStep};
+use super::stage_model::distance_m;
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
@@ -77,7 +78,7 @@ impl Walk {
         for clip in clips {
             let mut matcher = Matcher::new(camera, shutter, mask.clone(), &[&stage], settings.clone(), clock, store.clone());
             let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
-            let mut recent = RecentPoses::default();
+            let mut recent = RecentPoses::as_configured();
             for frame in clip {
                 if !goes_on() {
                     return Err(SurveyError::Interrupted);
@@ -91,8 +92,7 @@ impl Walk {
                     continue;
                 };
                 found += 1;
-                let distance_m =
-                    stage.surfaces.iter().map(|s| (s.pose.translation - pose.translation).norm()).fold(f64::INFINITY, f64::min);
+                let distance_m = distance_m(&stage.surfaces, &pose);
                 let motion = motion_since(before.replace((pose, frame.timestamp)), pose, frame.timestamp);
                 if let Some((number, rates)) = recent.add(frames, pose, frame.timestamp, distance_m) {
                     keyframes.take_rates(number, rates);

@@ -111,7 +111,8 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
         Ok(Some(walk)) => Ok(walk),
         Err(e) => Err(e),
     };
-    let made = walk.and_then(|walk| work.survey(walk, options));
+    // Clips that were read twice can be read once more; where they cannot, the survey goes on with what it has.
+    let made = walk.and_then(|walk| work.survey(walk, || open_all().unwrap_or_default(), options));
     work.progress.finish();
     let made = made.map_err(|e| match e {
         SurveyError::Interrupted if file.is_there() => {
@@ -144,26 +145,26 @@ struct Work<'a> {
 
 impl Work<'_> {
     /// The walk that an interrupted run has left, with the pictures of its clips.
-    fn recalled(&self, file: &WalkFile, mut sources: Vec<Box<dyn FrameSource>>) -> Result<Option<Walk>, SurveyError> {
+    fn recalled(&self, file: &WalkFile, sources: Vec<Box<dyn FrameSource>>) -> Result<Option<Walk>, SurveyError> {
         let Some(record) = file.read() else { return Ok(None) };
         tracing::info!("the clips were taken in by a survey that was interrupted; going on from there");
-        let clips = sources.iter_mut().map(|source| frames(&mut **source));
+        let clips = sources.into_iter().map(frames);
         Walk::recall(&record, clips, &self.setup.stage, |step| self.show(step), &goes_on)
     }
 
     /// The walk in the clips; it is kept, so that a survey that is interrupted from now on need not take it in again.
-    fn taken_in(&self, file: &WalkFile, mut sources: Vec<Box<dyn FrameSource>>, wants_lively: bool) -> Result<Walk, SurveyError> {
+    fn taken_in(&self, file: &WalkFile, sources: Vec<Box<dyn FrameSource>>, wants_lively: bool) -> Result<Walk, SurveyError> {
         // One of another command, or one that does not fit its clips.
         file.remove();
         self.frames_read.set(0);
-        let clips = sources.iter_mut().map(|source| frames(&mut **source));
+        let clips = sources.into_iter().map(frames);
         let walk = Walk::take_in(clips, self.setup, wants_lively, |step| self.show(step), &goes_on)?;
         file.keep(walk.record());
         Ok(walk)
     }
 
-    fn survey(&self, walk: Walk, options: SurveyOptions) -> Result<Survey, SurveyError> {
-        survey(walk, self.setup, options, |step| self.show(step), &goes_on)
+    fn survey(&self, walk: Walk, open: impl FnOnce() -> Vec<Box<dyn FrameSource>>, options: SurveyOptions) -> Result<Survey, SurveyError> {
+        survey(walk, || open().into_iter().map(frames), self.setup, options, |step| self.show(step), &goes_on)
     }
 
     fn show(&self, step: SurveyStep) {
@@ -172,6 +173,7 @@ impl Work<'_> {
                 self.frames_read.set(self.frames_read.get() + 1);
                 self.progress.advance();
             }
+            SurveyStep::Again(number) => self.progress.at(self.frames_read.get(), format!("looking again, frame {number}")),
             SurveyStep::Round(round) => self.progress.at(self.frames_read.get(), format!("adjusting, round {}", round + 1)),
         }
     }
@@ -182,8 +184,8 @@ fn goes_on() -> bool {
 }
 
 /// A clip's frames that can be read.
-fn frames(source: &mut dyn FrameSource) -> impl Iterator<Item = Frame> + '_ {
-    std::iter::from_fn(|| source.next_entry()).filter_map(|row| match row.content {
+fn frames(mut source: Box<dyn FrameSource>) -> impl Iterator<Item = Frame> {
+    std::iter::from_fn(move || source.next_entry()).filter_map(|row| match row.content {
         EntryContent::Frame(frame) => Some(frame),
         _ => None,
     })

@@ -68,12 +68,13 @@ impl Aligner {
         self.settings.surfaces.len() * MOST_TILES[0] * MOST_TILES[1]
     }
 
-    /// Takes the surfaces' places and shapes anew; their pictures stay.
+    /// Takes the surfaces' places and shapes anew; their pictures stay. What frames left of the former ones hardly counts as noise any more.
     pub fn take_places(&mut self, surfaces: &[SurfaceSpec]) {
         for (own, spec) in self.settings.surfaces.iter_mut().zip(surfaces) {
             own.take_place(spec);
         }
         self.buffers.has_kept = false;
+        self.slow.noise.doubt();
     }
 
     /// Distance to the nearest surface's centre, metres.

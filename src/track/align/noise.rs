@@ -29,6 +29,9 @@ const FADES: f64 = 0.005;
 /// Weight of the usual noise, pixels, so that what a frame cannot tell apart stays near it. Chosen: less than a tenth of what a single
 /// frame tells (`ROUGH_PIXELS` in `level_problem`). Raised, the noise is learnt later.
 const USUAL_PIXELS: f64 = 200.0;
+/// Of what is remembered this share stays where the frames are asked with another model. Raised, what a wrong lens or a fold left counts as noise for many rounds; with
+/// 0, the first frames of a round are judged by a usual camera.
+const KEPT_OF_OTHER_MODEL: f64 = 0.1;
 
 /// What the noise of a pixel is made of, at one level of the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -90,6 +93,12 @@ impl CameraNoise {
     /// Pixels that it is learnt from, of those that are remembered.
     pub fn told(&self) -> f64 {
         self.sums.by_each_other[(0, 0)]
+    }
+
+    /// What frames left so far, they left of another model.
+    pub fn doubt(&mut self) {
+        self.sums.by_each_other *= KEPT_OF_OTHER_MODEL;
+        self.sums.by_squared *= KEPT_OF_OTHER_MODEL;
     }
 
     /// Learns from a frame that was aligned.
