@@ -65,7 +65,12 @@ impl PreparedBody {
     pub fn new(spec: &BodySpec) -> Self {
         let prepared = |s: &SurfaceSpec| {
             let octaves = octaves(&s.artwork);
-            PreparedSurface { spec: s.clone(), rectangle: Rectangle::of(s), periods: periods(&octaves), octaves }
+            PreparedSurface {
+                spec: s.clone(),
+                rectangle: Rectangle::of(s),
+                periods: periods(octaves.iter().map(|octave| &octave.image)),
+                octaves,
+            }
         };
         Self { name: spec.name.clone(), surfaces: spec.surfaces.iter().map(prepared).collect() }
     }

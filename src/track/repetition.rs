@@ -7,8 +7,6 @@
 use image::GrayImage;
 use nalgebra::Vector2;
 
-use super::reference::Octave;
-
 /// Most pixels of the copy that is compared with itself. Chosen: pictures with up to 20 periods each way show them. Raised, the start takes longer, by the square; lowered, narrow
 /// stripes pass.
 const MOST_PIXELS: u32 = 12_000;
@@ -28,11 +26,12 @@ const INDEPENDENT: f64 = 0.17;
 /// Periods kept of a picture: one each way. Raised, a comparison takes longer.
 const MOST: usize = 2;
 
-/// The shortest independent shifts by which a picture is nearly the same, artwork pixels; none for most pictures. `octaves`: full size first.
-pub fn periods(octaves: &[Octave]) -> Vec<Vector2<f64>> {
-    let is_small = |octave: &Octave| octave.image.width() * octave.image.height() <= MOST_PIXELS;
-    let Some((k, octave)) = octaves.iter().enumerate().find(|(_, octave)| is_small(octave)) else { return Vec::new() };
-    let detail = Detail::of(&octave.image);
+/// The shortest independent shifts by which a picture is nearly the same, artwork pixels; none for most pictures. `octaves`: the picture, and copies of
+/// which each is half as large as the one before.
+pub fn periods<'a>(octaves: impl Iterator<Item = &'a GrayImage>) -> Vec<Vector2<f64>> {
+    let is_small = |image: &GrayImage| image.width() * image.height() <= MOST_PIXELS;
+    let Some((k, octave)) = octaves.enumerate().find(|(_, image)| is_small(image)) else { return Vec::new() };
+    let detail = Detail::of(octave);
     let mut found = detail.maxima();
     found.sort_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
     let mut kept: Vec<Vector2<f64>> = Vec::new();
@@ -171,8 +170,8 @@ mod tests {
     use super::*;
 
     fn periods_of(picture: GrayImage) -> Vec<Vector2<f64>> {
-        let octaves = std::iter::successors(Some(picture), |image| Some(crate::features::halved(image))).take(5);
-        periods(&octaves.map(|image| Octave { image, anchors: Vec::new() }).collect::<Vec<_>>())
+        let octaves: Vec<GrayImage> = std::iter::successors(Some(picture), |image| Some(crate::features::halved(image))).take(5).collect();
+        periods(octaves.iter())
     }
 
     #[test]
