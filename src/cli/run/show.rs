@@ -141,9 +141,10 @@ impl Show<'_> {
     /// The next config that can be used, while the page says what is wrong with the one that is there; none where the program is to end before.
     fn await_config(&mut self) -> Result<Option<Settings>, Failure> {
         let http = self.arguments.setup.map(|listen| HttpSettings { listen, ..HttpSettings::default() });
-        self.server.serve(http.as_ref(), &SafetySettings::default(), &self.supervisor, self.arguments)?;
+        // Before the page is there, so that it never says that a stage is tracked which nobody knows.
         self.supervisor.use_settings(None);
         self.supervisor.set_mode(Mode::Setup);
+        self.server.serve(http.as_ref(), &SafetySettings::default(), &self.supervisor, self.arguments)?;
         while !self.wait() {
             if !(interrupt::take_reload() | self.supervisor.take_reload()) {
                 continue;
