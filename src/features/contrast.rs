@@ -15,7 +15,8 @@ const ENOUGH: u8 = 64;
 /// A picture with less shows nothing: means of four pixels of a black frame, noise of 2 levels, lie within 5. Raised, dense haze is given up; lowered, black frames
 /// are searched for corners of noise.
 const LEAST: u8 = 8;
-/// One block of 2 x 2 pixels in so many, across and down, is asked. Chosen: 14,000 of a frame of 1280 x 720. Raised, it costs less and thin detail is passed over.
+/// Distance between the blocks of 2 x 2 pixels that are sampled, across and down, pixels. Chosen: 14,000 blocks of a frame of 1280 x 720. Raised, sampling costs less and
+/// misses thin detail.
 const STRIDE: usize = 8;
 
 /// Spreads the contrast of pictures; keeps its buffers.
@@ -106,16 +107,12 @@ mod tests {
         })
     }
 
-    /// Bits in which two descriptions differ.
-    fn distance(a: &Feature, b: &Feature) -> u32 {
-        a.descriptor.0.iter().zip(b.descriptor.0).map(|(a, b)| (a ^ b).count_ones()).sum()
-    }
-
     /// How many features of a picture lie where the clear one has features that look alike.
     fn recognised(clear: &[Feature], picture: &GrayImage) -> usize {
         let mut found = Vec::new();
         FeatureExtractor::default().extract(picture, None, &ExtractorOptions::default(), &Workers::new(1), &mut found);
-        let is_known = |f: &&Feature| clear.iter().any(|c| (c.position - f.position).norm() < 2.0 && distance(c, f) < 50);
+        let is_known =
+            |f: &&Feature| clear.iter().any(|c| (c.position - f.position).norm() < 2.0 && c.descriptor.distance(&f.descriptor) < 50);
         found.iter().filter(is_known).count()
     }
 

@@ -17,6 +17,13 @@ const DIRECTIONS: usize = 128;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Descriptor(pub [u64; 4]);
 
+impl Descriptor {
+    /// Hamming distance: in how many bits two descriptors differ.
+    pub fn distance(&self, other: &Self) -> u32 {
+        self.0.iter().zip(other.0).map(|(a, b)| (a ^ b).count_ones()).sum()
+    }
+}
+
 /// Pixels from one row of a copied patch to the next: one AVX2 register of bytes.
 const STRIDE: usize = 32;
 /// Side of a patch in pixels.
@@ -187,13 +194,12 @@ mod tests {
             super::super::pyramid::smooth_into(picture, &mut smooth, &mut Vec::new());
             describe(&smooth, 50, 50, orientation(picture, 50, 50))
         };
-        let distance = |a: Descriptor, b: Descriptor| a.0.iter().zip(b.0).map(|(a, b)| (a ^ b).count_ones()).sum::<u32>();
         let base = describe_turned(&picture(0.0));
-        assert!(distance(base, describe_turned(&picture(1.0))) < 40);
+        assert!(base.distance(&describe_turned(&picture(1.0))) < 40);
         let mut dim = picture(0.0);
         dim.iter_mut().for_each(|v| *v = (*v as f32 * 0.6 + 10.0) as u8);
-        assert!(distance(base, describe_turned(&dim)) < 20);
+        assert!(base.distance(&describe_turned(&dim)) < 20);
         let other = GrayImage::from_fn(101, 101, |x, y| image::Luma([((x * 7 + y * 13) % 251) as u8]));
-        assert!(distance(base, describe_turned(&other)) > 60);
+        assert!(base.distance(&describe_turned(&other)) > 60);
     }
 }

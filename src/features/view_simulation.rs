@@ -296,10 +296,7 @@ fn alike(descriptors: &Descriptors, a: usize, b: usize) -> bool {
             let [a, b] = [a, b].map(|k| &values[k * length..][..*length]);
             a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>() < SAME_VECTOR * SAME_VECTOR
         }
-        Descriptors::Bits(bits) => {
-            let differing: u32 = bits[a].0.iter().zip(bits[b].0).map(|(a, b)| (a ^ b).count_ones()).sum();
-            differing < SAME_BITS
-        }
+        Descriptors::Bits(bits) => bits[a].distance(&bits[b]) < SAME_BITS,
     }
 }
 

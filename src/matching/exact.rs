@@ -196,7 +196,7 @@ fn nearest_bits(queries: &[Descriptor], targets: &[Descriptor], places: Option<&
                 *bar = nearest.bar();
             }
         });
-        let distance = |k: usize| query.0.iter().zip(targets[k].0).map(|(a, b)| (a ^ b).count_ones()).sum::<u32>();
+        let distance = |k: usize| query.distance(&targets[k]);
         let (_, best) = nearest.best()?;
         let elsewhere = |k: &usize| !is_same(best, *k);
         let rival = if nearest.may_miss_rival() {
@@ -281,7 +281,7 @@ mod tests {
             (Descriptors::Vectors { length: n, values: p }, Descriptors::Vectors { values: q, .. }) => {
                 (0..*n).map(|k| (p[a * n + k] - q[b * n + k]).powi(2)).sum::<f32>().sqrt()
             }
-            (Descriptors::Bits(p), Descriptors::Bits(q)) => (0..4).map(|k| (p[a].0[k] ^ q[b].0[k]).count_ones()).sum::<u32>() as f32,
+            (Descriptors::Bits(p), Descriptors::Bits(q)) => p[a].distance(&q[b]) as f32,
             _ => f32::NAN,
         };
         let one = if matches!(first.descriptors, Descriptors::Bits(_)) { 1.0 } else { 0.0 };
