@@ -92,8 +92,6 @@ pub struct TrackedBody {
     process_noise: ProcessNoise,
     /// The last verified pose, its stamp, and the motion that led to it.
     before: Option<(Pose<Camera, Body>, Timestamp, Option<Twist>)>,
-    /// What the last alignment came to.
-    last_aligned: Option<Alignment>,
     /// How long after a frame the next one comes, seconds.
     to_next_s: f64,
     /// Followed frames since the last audit.
@@ -143,7 +141,6 @@ impl TrackedBody {
             has_opposite: false,
             process_noise: ProcessNoise::default(),
             before: None,
-            last_aligned: None,
             to_next_s: 0.0,
             unaudited: 0,
             observations: Vec::with_capacity(most),
@@ -180,12 +177,9 @@ impl TrackedBody {
             has_opposite.then(|| self.align(frame, levels, camera_rays, &expected, Some(dt_s)))?
         })?;
         self.unaudited += 1;
-        if self.unaudited >= AUDIT_FRAMES {
-            let is_right = self.is_audited(&verified.pose.inverse(), camera_rays.camera());
-            if !is_right || self.is_a_period_off(levels, camera_rays) {
-                self.motion = None;
-                return None;
-            }
+        if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose.inverse(), camera_rays.camera()) {
+            self.motion = None;
+            return None;
         }
         Some(verified)
     }
@@ -294,8 +288,7 @@ impl TrackedBody {
             used.displaced.extend(self.patches.iter().map(|patch| Displaced { centre_px: patch.centre_px, shift_px: patch.shift_px }));
         }
         let verified = self.aligned(&found, camera_rays.camera());
-        self.last_aligned = Some(found);
-        if self.may_be_a_period_off(expected, &found, since_s.is_some()) && self.is_a_period_off(levels, camera_rays) {
+        if self.may_be_a_period_off(expected, &found, since_s.is_some()) && self.is_a_period_off(&found, levels, camera_rays) {
             self.forget_alignment();
             self.refuse(Refusal::Repeated);
             return None;
@@ -303,7 +296,7 @@ impl TrackedBody {
         Some(verified)
     }
 
-    /// Whether the pose may be a period of the picture off: it was found anew, or its start was so far off, or may have been.
+    /// Whether the pose may be a period of the picture off: it was found anew, or its start was so far off, or may have been. And from time to time.
     fn may_be_a_period_off(&self, expected: &MotionEstimate, found: &Alignment, is_followed: bool) -> bool {
         let Some(period_m) = self.periods_m().map(|period| period.norm()).min_by(f64::total_cmp) else { return false };
         let distance_m = self.aligner.distance_m(&found.pose);
@@ -311,7 +304,8 @@ impl TrackedBody {
             (found.pose.translation - expected.motion.pose.translation).norm() + distance_m * found.pose.angle_to(&expected.motion.pose);
         let sigma = |first: usize| expected.covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
         let open_m = sigma(0) + distance_m * sigma(3);
-        !is_followed || moved_m > CLOSE_PERIODS * period_m || 3.0 * open_m > 0.5 * period_m
+        let is_due = self.unaudited + 1 >= AUDIT_FRAMES;
+        !is_followed || is_due || moved_m > CLOSE_PERIODS * period_m || 3.0 * open_m > 0.5 * period_m
     }
 
     /// Whether one of its pictures repeats itself.
@@ -327,9 +321,8 @@ impl TrackedBody {
         surface.periods.iter().map(move |period| surface.spec.body_point(middle + period) - surface.spec.body_point(middle))
     }
 
-    /// Whether the frame is clearly better explained from a period aside of the last pose.
-    fn is_a_period_off(&mut self, levels: &mut FrameLevels, camera_rays: &CameraRays) -> bool {
-        let Some(found) = self.last_aligned else { return false };
+    /// Whether the frame is clearly better explained from a period aside of the pose.
+    fn is_a_period_off(&mut self, found: &Alignment, levels: &mut FrameLevels, camera_rays: &CameraRays) -> bool {
         let rivals: Vec<Vector3<f64>> = self.periods_m().flat_map(|period| [period, -period]).collect();
         rivals.iter().any(|aside| {
             let start = Pose::new(found.pose.rotation, found.pose.translation + aside);
@@ -396,7 +389,7 @@ impl TrackedBody {
         let rows = RowDisplacement::new(camera, rows, &t_camera_body);
         let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
         let fit = ModelFit { rms_px: residuals.rms_px(), covariance, focal };
-        debug!(body = %body.name, rms_px = fit.rms_px, doubts = ?covariance.map(|c| (c.fixed_view::<3, 3>(0, 0).trace().sqrt(), c.fixed_view::<3, 3>(3, 3).trace().sqrt())), focal = ?fit.focal, "model");
+        debug!(body = %body.name, rms_px = fit.rms_px, doubts = covariance.is_some(), focal = ?fit.focal, "model");
         Some(fit)
     }
 
