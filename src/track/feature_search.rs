@@ -31,8 +31,8 @@ const SLICE_COMPARISONS: usize = 3_000_000;
 const LEAST_SLICE_FEATURES: usize = 150;
 const MOST_SLICE_FEATURES: usize = 600;
 
-/// Surfaces that a slice is compared with at most; where more are missing they take turns. Chosen: so many leave a slice some 300 features. Of sixteen objects that all were
-/// compared with every slice's 150 features, ten were not found within a second. Raised, many missing objects starve each other; lowered, each is looked for more rarely.
+/// Most missing surfaces that one slice is compared with; the others wait for their turn. Chosen: with five, a slice can afford some 300 features. When every slice was compared
+/// with all of sixteen objects, it could afford 150, and ten objects were not found within a second. Raised, slices have too few features; lowered, each surface waits longer.
 const SURFACES_OF_SLICE: usize = 5;
 
 /// How closely a frame is looked at.
@@ -162,7 +162,8 @@ impl FeatureSearch {
     }
 }
 
-/// Which of so many missing surfaces have their turn in a slice. The turn drifts from round to round, so that each meets every part of the frame.
+/// Tells which of `number` missing surfaces a slice is compared with. The first of them moves on by one more after each round, so that the same surfaces do not always meet the same
+/// part of the frame.
 fn in_turn(number: usize, slice: usize) -> impl Fn(usize) -> bool + Clone {
     let round = number.div_ceil(SURFACES_OF_SLICE).max(1);
     let first = (slice * SURFACES_OF_SLICE + slice / round) % number.max(1);

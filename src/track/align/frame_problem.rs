@@ -350,8 +350,8 @@ impl<'a> FrameProblem<'a> {
             if round >= SETTLING_ROUNDS && moved > longest_px {
                 return None;
             }
-            let is_elsewhere = solved.scale > HOPELESS_SCALE && problem.open_share() < HOPELESS_SHARE;
-            if is_finest && is_elsewhere && round + 1 >= HOPELESS_ROUNDS {
+            let may_be_hopeless = is_finest && round + 1 >= HOPELESS_ROUNDS && solved.scale > HOPELESS_SCALE;
+            if may_be_hopeless && problem.open_share() < HOPELESS_SHARE {
                 return None;
             }
         }
