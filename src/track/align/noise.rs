@@ -198,6 +198,29 @@ mod tests {
     }
 
     #[test]
+    fn what_a_wrong_model_left_is_soon_forgotten() {
+        let mut random = Pcg64Mcg::seed_from_u64(8);
+        let [wrong, right] = [[20.0, 0.3, 2e-3], [0.6, 0.01, 1e-4]].map(Vector3::from);
+        // How many times too large the variance still is after three rounds of a better model.
+        let mut too_large = |doubts: bool| {
+            let mut learnt = CameraNoise::usual(1);
+            for _ in 0..30 {
+                learnt.learn(&sums(&wrong, &learnt, &mut random));
+            }
+            for frame in 0..30 {
+                if doubts && frame % 10 == 0 {
+                    learnt.doubt();
+                }
+                learnt.learn(&sums(&right, &learnt, &mut random));
+            }
+            let regressors = Vector3::new(1.0, 100.0, 900.0);
+            learnt.variance.dot(&regressors) / right.dot(&regressors)
+        };
+        let ratios = [true, false].map(&mut too_large);
+        assert!(ratios[0] < 1.3 && ratios[1] > 2.0 * ratios[0], "{ratios:?}");
+    }
+
+    #[test]
     fn what_frames_cannot_tell_stays_usual() {
         let usual = CameraNoise::usual(1);
         let mut learnt = usual.clone();
