@@ -44,11 +44,25 @@ pub struct CornerBuffers {
     ranks: Ranks,
     /// Lowest thresholds that the last picture did without, and the next one leaves out at first. It changes the time, never the corners.
     spared: usize,
+    /// Contrast that the candidates were found with; `None` where a picture is so small that none were looked for.
+    found_with: Option<u8>,
 }
 
 /// Finds at most `options.count` corners, strongest first within an even spread; `mask` (if any) tells by level position
 /// whether a pixel may be used.
 pub fn detect_corners(
+    image: &GrayImage,
+    options: &CornerOptions,
+    mask: impl Fn(u32, u32) -> bool,
+    buffers: &mut CornerBuffers,
+    found: &mut Vec<Corner>,
+) {
+    buffers.found_with = None;
+    detect_more_corners(image, options, mask, buffers, found);
+}
+
+/// The same of the picture that these buffers were used for last, with another count: what was found of it is not found again.
+pub fn detect_more_corners(
     image: &GrayImage,
     options: &CornerOptions,
     mask: impl Fn(u32, u32) -> bool,
@@ -61,11 +75,12 @@ pub fn detect_corners(
     if w <= 2 * border || h <= 2 * border {
         return;
     }
-    let least = candidates_of(image, options, border, buffers);
+    let least = f32::from(candidates_of(image, options, border, buffers));
     let CornerBuffers { candidates, sorted, corners, ranks, .. } = buffers;
-    candidates.retain(|c| c.strength >= f32::from(least) && mask(c.x, c.y));
+    corners.clear();
+    corners.extend(candidates.iter().filter(|c| c.strength >= least && mask(c.x, c.y)));
     // FAST's score, which costs nothing more, chooses those that are worth an eigenvalue.
-    sort_by_score(candidates, sorted);
+    sort_by_score(corners, sorted);
     corners.clear();
     spread(sorted, ranks, (w, h), &CornerOptions { count: SHORTLIST * options.count, ..*options }, corners);
     rank(image, corners);
@@ -77,19 +92,24 @@ pub fn detect_corners(
 fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, buffers: &mut CornerBuffers) -> u8 {
     // High contrast first: a rich picture has enough of it, and corners of low contrast are noise.
     let thresholds = [options.threshold.saturating_mul(2), options.threshold, options.least_threshold];
-    let mut last = thresholds.len() - 1 - buffers.spared;
+    // The lowest contrast of the first few.
+    let lowest = |count: usize| thresholds[..count].iter().copied().min().unwrap_or(0);
+    let known = buffers.found_with.and_then(|found_with| (1..=thresholds.len()).rev().find(|count| lowest(*count) == found_with));
+    let mut tried = known.unwrap_or(thresholds.len() - buffers.spared);
     loop {
         // A corner's score is the largest threshold that it passes, so those of a low threshold hold those of the higher ones.
-        let tried = &thresholds[..=last];
-        find_peaks(image, tried.iter().copied().min().unwrap_or(0), border, buffers);
+        if buffers.found_with != Some(lowest(tried)) {
+            find_peaks(image, lowest(tried), border, buffers);
+            buffers.found_with = Some(lowest(tried));
+        }
         let count = |t: u8| buffers.candidates.iter().filter(|c| c.strength >= f32::from(t)).count();
-        let enough = tried.iter().position(|t| 2 * count(*t) >= 3 * options.count);
-        if enough.is_some() || last + 1 == thresholds.len() {
-            let stage = enough.unwrap_or(last);
+        let enough = thresholds[..tried].iter().position(|t| 2 * count(*t) >= 3 * options.count);
+        if enough.is_some() || tried == thresholds.len() {
+            let stage = enough.unwrap_or(tried - 1);
             buffers.spared = thresholds.len() - 1 - stage;
             return thresholds[stage];
         }
-        last = thresholds.len() - 1;
+        tried = thresholds.len();
     }
 }
 
@@ -293,6 +313,23 @@ mod tests {
         assert_eq!(found.len(), 30);
         let left = found.iter().filter(|c| c.x < 100).count();
         assert!((8..=22).contains(&left), "{left}");
+    }
+
+    /// Faint squares beside bright ones, so that more corners need a lower contrast.
+    #[test]
+    fn more_corners_of_a_picture_are_those_of_a_first_look() {
+        let picture = GrayImage::from_fn(200, 160, |x, y| {
+            let is_square = (x / 20 + y / 20) % 2 == 0 && x % 20 < 12 && y % 20 < 12;
+            image::Luma([if is_square { 40 + [9, 25, 70, 160][(x / 50) as usize] } else { 40 }])
+        });
+        for counts in [[10, 40], [40, 120], [120, 1000], [1000, 10]] {
+            let (mut kept, mut more, mut anew) = (CornerBuffers::default(), Vec::new(), Vec::new());
+            let [first, second] = counts.map(|count| CornerOptions { count, ..OPTIONS });
+            detect_corners(&picture, &first, |x, _| x > 30, &mut kept, &mut more);
+            detect_more_corners(&picture, &second, |x, _| x > 30, &mut kept, &mut more);
+            detect_corners(&picture, &second, |x, _| x > 30, &mut CornerBuffers::default(), &mut anew);
+            assert!(more == anew && !anew.is_empty(), "{counts:?}: {} and {}", more.len(), anew.len());
+        }
     }
 
     #[test]

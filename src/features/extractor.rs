@@ -3,7 +3,7 @@
 use image::GrayImage;
 use nalgebra::Vector2;
 
-use super::corners::{Corner, CornerBuffers, CornerOptions, detect_corners};
+use super::corners::{Corner, CornerBuffers, CornerOptions, detect_corners, detect_more_corners};
 use super::descriptor::{Descriptor, oriented_descriptor};
 use super::pattern::PATCH_RADIUS;
 use super::pyramid::{Level, Pyramid};
@@ -74,7 +74,24 @@ impl FeatureExtractor {
         workers: &Workers,
         features: &mut Vec<Feature>,
     ) {
-        let levels = self.pyramid.build(picture, options.factor, options.levels, 2 * BORDER + 8);
+        self.pyramid.build(picture, options.factor, options.levels, 2 * BORDER + 8);
+        self.describe_corners(mask, options, workers, features, false);
+    }
+
+    /// The same of the picture that was taken last, with another count: its levels and what was found on them are kept.
+    pub fn extract_more(&mut self, mask: Option<&GrayImage>, options: &ExtractorOptions, workers: &Workers, features: &mut Vec<Feature>) {
+        self.describe_corners(mask, options, workers, features, true);
+    }
+
+    fn describe_corners(
+        &mut self,
+        mask: Option<&GrayImage>,
+        options: &ExtractorOptions,
+        workers: &Workers,
+        features: &mut Vec<Feature>,
+        is_known: bool,
+    ) {
+        let levels = self.pyramid.levels();
         self.work.resize_with(levels.len(), LevelWork::default);
         let share = |level: &Level| (level.scale[0] * level.scale[1]).powf(options.area_power);
         let total: f64 = levels.iter().map(share).sum();
@@ -92,7 +109,12 @@ impl FeatureExtractor {
                 cell_px: 40,
             };
             let usable = |x: u32, y: u32| is_usable(mask, level, x, y);
-            detect_corners(&level.image, &corner_options, usable, &mut work.buffers, &mut work.corners);
+            let LevelWork { buffers, corners, .. } = work;
+            if is_known {
+                detect_more_corners(&level.image, &corner_options, usable, buffers, corners);
+            } else {
+                detect_corners(&level.image, &corner_options, usable, buffers, corners);
+            }
         });
         self.jobs.clear();
         for (k, work) in self.work.iter().enumerate() {
@@ -135,6 +157,20 @@ mod tests {
         FeatureExtractor::default().extract(&picture(), None, &options, &Workers::new(2), &mut two);
         assert!(one.len() > 200, "{}", one.len());
         assert_eq!(one, two);
+    }
+
+    #[test]
+    fn more_features_of_a_picture_are_those_of_a_first_look() {
+        let few = ExtractorOptions { count: 100, ..Default::default() };
+        let many = ExtractorOptions { count: 700, ..Default::default() };
+        let mut mask = GrayImage::from_pixel(320, 240, image::Luma([255]));
+        (0..60).for_each(|x| mask.put_pixel(x, 100, image::Luma([0])));
+        let (mut more, mut fresh, mut extractor) = (Vec::new(), Vec::new(), FeatureExtractor::default());
+        extractor.extract(&picture(), Some(&mask), &few, &Workers::new(1), &mut more);
+        extractor.extract_more(Some(&mask), &many, &Workers::new(1), &mut more);
+        FeatureExtractor::default().extract(&picture(), Some(&mask), &many, &Workers::new(1), &mut fresh);
+        assert!(more.len() > 300, "{}", more.len());
+        assert_eq!(more, fresh);
     }
 
     #[test]

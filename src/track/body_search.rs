@@ -164,7 +164,7 @@ impl BodySearch {
             // A frame as plain as that has no others.
             self.find_by_prediction(scene);
         } else {
-            self.timed(|search| search.features.look(&scene.frame.image, search.mask.as_ref(), Look::Close, &search.workers));
+            self.timed(|search| search.features.look_closer(search.mask.as_ref(), &search.workers));
             self.find_each(scene, true);
         }
     }
@@ -182,7 +182,8 @@ impl BodySearch {
             return;
         }
         self.timed(|search| {
-            let known = scene.bodies.iter().zip(&*scene.verified).filter_map(|(b, v)| v.as_ref().map(|v| (&b.body, v.pose)));
+            let known =
+                scene.bodies.iter().zip(&*scene.verified).filter_map(|(b, v)| v.as_ref().map(|v| (b.surfaces.start, &b.body, v.pose)));
             search.unexplained.look(known, scene.levels, scene.rays);
             let last_seen = scene.missing().filter_map(|body| body.last_seen_at(scene.frame.timestamp, &search.camera));
             search.unexplained.search_first(last_seen);

@@ -42,8 +42,6 @@ pub enum Look {
     Quick,
     /// All features, against the pictures as they are: for studies.
     Frontal,
-    /// All features, against all views.
-    Close,
 }
 
 /// Finds features and matches them; keeps its buffers.
@@ -111,7 +109,14 @@ impl FeatureSearch {
         let options = ExtractorOptions { count, ..Default::default() };
         let image = self.contrast.stretched(image).unwrap_or(image);
         self.extractor.extract(image, mask, &options, workers, &mut self.features);
-        self.compare(if look == Look::Close { Asked::AllViews } else { Asked::Frontal }, workers);
+        self.compare(Asked::Frontal, workers);
+    }
+
+    /// Looks more closely at the frame that was looked at last: takes all features, and compares them with all views.
+    pub fn look_closer(&mut self, mask: Option<&GrayImage>, workers: &Workers) {
+        let options = ExtractorOptions { count: self.count, ..Default::default() };
+        self.extractor.extract_more(mask, &options, workers, &mut self.features);
+        self.compare(Asked::AllViews, workers);
     }
 
     /// The same where the frame that was looked at last is unexplained, with all views of the missing surfaces, in ascending order of their numbers. It takes
@@ -134,6 +139,12 @@ impl FeatureSearch {
         }
         let entries = self.missing_views.features().len().max(1);
         let count = (SLICE_COMPARISONS / entries).clamp(LEAST_SLICE_FEATURES, MOST_SLICE_FEATURES).min(self.count);
+        if !unexplained.is_anything() {
+            self.features.clear();
+            self.matches.clear();
+            self.asked = Asked::MissingViews;
+            return;
+        }
         let image = self.contrast.stretched(image).unwrap_or(image);
         unexplained.extract(image, mask, count, &mut self.extractor, workers, &mut self.features);
         self.compare(Asked::MissingViews, workers);
@@ -234,7 +245,7 @@ mod tests {
         };
         search.look(&frame, None, Look::Frontal, &workers);
         let frontal = right(&search);
-        search.look(&frame, None, Look::Close, &workers);
+        search.look_closer(None, &workers);
         let close = right(&search);
         assert!(close >= 30 && close > 3 * frontal, "{close} with tilted views, {frontal} without, of {}", search.features().len());
     }
