@@ -6,6 +6,7 @@
 use nalgebra::Matrix3;
 
 use super::align::CameraRays;
+use super::averaged_picture::AveragedPicture;
 use super::reference::PreparedSurface;
 use super::registration::bilinear;
 use crate::geometry::{Body, Camera, Pose};
@@ -23,8 +24,10 @@ pub struct ExpectedView {
     grey: Vec<f32>,
     owners: Vec<u16>,
     drawn: u16,
-    /// For a row: depths and places on the picture.
-    row: [Vec<f32>; 3],
+    /// By the numbers of the surfaces.
+    averaged: Vec<AveragedPicture>,
+    /// For a row: depths, places on the picture, and its greys there.
+    row: [Vec<f32>; 4],
 }
 
 impl ExpectedView {
@@ -57,8 +60,9 @@ impl ExpectedView {
         &self.owners
     }
 
-    /// Draws a surface as the camera should see it; what is nearest wins. A bent one is taken for its plane: folds are small at this size.
-    pub fn draw(&mut self, surface: &PreparedSurface, t_body_camera: &Pose<Body, Camera>, rays: &CameraRays) {
+    /// Draws a surface as the camera should see it; what is nearest wins. A bent one is taken for its plane: folds are small at this size. `number`: which of all surfaces it is, the
+    /// same in every frame.
+    pub fn draw(&mut self, number: usize, surface: &PreparedSurface, t_body_camera: &Pose<Body, Camera>, rays: &CameraRays) {
         self.drawn += 1;
         let rectangle = &surface.rectangle;
         let to_surface = rectangle.rotation.transpose();
@@ -72,9 +76,10 @@ impl ExpectedView {
         let scale = f64::from(1u32 << self.level);
         let see = |place| rectangle.see(t_body_camera, rays.camera(), place, 0.0).map(|seen| seen.in_smaller(scale));
         let texels = rectangle.texels_log2(self.size.map(|n| n as f64), see).unwrap_or(0.0);
-        // The finer of the two that are nearest: a coarser one lacks the detail that the frame shows, and correlates by 0.9 where this one does by 0.98.
-        let octave = (texels.floor().max(0.0) as usize).min(surface.octaves.len() - 1);
-        let image = &surface.octaves[octave].image;
+        if self.averaged.len() <= number {
+            self.averaged.resize_with(number + 1, AveragedPicture::default);
+        }
+        let image = self.averaged[number].over(&surface.octaves, texels);
         let (raw, size) = (image.as_raw(), [image.width() as usize, image.height() as usize]);
         let texels_per_m = [0, 1].map(|k| size[k] as f32 / rectangle.size_m[k] as f32);
         let plane = Plane {
@@ -87,14 +92,15 @@ impl ExpectedView {
         for v in rows {
             let first = v * self.size[0] + columns.start;
             let pixels = first..first + columns.len();
-            let [depths, xs, ys] = self.row.each_mut().map(|values| &mut values[..columns.len()]);
+            let [depths, xs, ys, greys] = self.row.each_mut().map(|values| &mut values[..columns.len()]);
             see_row(&rays.table(self.level).rays[pixels.clone()], &plane, depths, xs, ys);
+            look_row(raw, size, xs, ys, greys);
             let out = self.depth[pixels.clone()].iter_mut().zip(&mut self.grey[pixels.clone()]).zip(&mut self.owners[pixels]);
-            for (((nearest, grey), owner), ((depth, x), y)) in out.zip(depths.iter().zip(&*xs).zip(&*ys)) {
+            for (((nearest, grey), owner), (((depth, x), y), seen)) in out.zip(depths.iter().zip(&*xs).zip(&*ys).zip(&*greys)) {
                 // Not a number where the lens has no ray, negative behind the camera.
                 let is_in = |at: f32, last: f32| (-0.5..=last).contains(&at);
                 if *depth > 0.0 && depth < nearest && is_in(*x, last[0]) && is_in(*y, last[1]) {
-                    (*nearest, *grey, *owner) = (*depth, bilinear(raw, size[0], size[1], *x, *y), self.drawn);
+                    (*nearest, *grey, *owner) = (*depth, *seen, self.drawn);
                 }
             }
         }
@@ -127,6 +133,18 @@ fn see_row_plain(rays: &[[f32; 2]], plane: &Plane, depths: &mut [f32], xs: &mut 
         *depth = -from[2] / along(2);
         *u = centre[0] + (from[0] + *depth * along(0)) * texels_per_m[0];
         *v = centre[1] + (from[1] + *depth * along(1)) * texels_per_m[1];
+    }
+}
+
+multiversion! {
+    /// The greys of a picture of this many columns and rows at these places.
+    fn look_row(picture: &[u8], size: [usize; 2], xs: &[f32], ys: &[f32], greys: &mut [f32]); ["avx2"] => look_row_plain, else look_row_plain
+}
+
+#[inline(always)]
+fn look_row_plain(picture: &[u8], size: [usize; 2], xs: &[f32], ys: &[f32], greys: &mut [f32]) {
+    for ((grey, x), y) in greys.iter_mut().zip(xs).zip(ys) {
+        *grey = bilinear(picture, size[0], size[1], *x, *y);
     }
 }
 
@@ -174,7 +192,7 @@ mod tests {
         let (rays, body) = (CameraRays::new(lens(size[0], size[1]), None), prepared(vec![cloth(1)]));
         let mut expected = ExpectedView::default();
         expected.clear(&rays, level);
-        expected.draw(&body.surfaces[0], &pose.inverse(), &rays);
+        expected.draw(0, &body.surfaces[0], &pose.inverse(), &rays);
         let seen = view(&cloth(1), &pose, &lens(size[0], size[1]));
         let mean = |u: u32, v: u32| (0..16).map(|k| f32::from(seen.get_pixel(4 * u + k % 4, 4 * v + k / 4)[0])).sum::<f32>() / 16.0;
         let (mut squared, mut count) = (0.0, 0.0);
@@ -196,7 +214,7 @@ mod tests {
         let behind = facing(0.2 + std::f64::consts::PI, -0.3, Vector3::new(0.1, 0.05, 3.4));
         let mut expected = ExpectedView::default();
         expected.clear(&rays, 2);
-        expected.draw(&body.surfaces[0], &behind.inverse(), &rays);
+        expected.draw(0, &body.surfaces[0], &behind.inverse(), &rays);
         assert!(expected.owners().iter().all(|owner| *owner == 0));
     }
 }

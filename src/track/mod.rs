@@ -6,11 +6,12 @@
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
 //! homography and essential matrix; `lens_doubt` tells what the doubt about lens and shapes leaves open; `tile_residuals` are the displacements that a solution leaves, `model_error` is what
 //! they say of the pose, `model_study` finds which part of the model they speak against (its unknowns: `model_unknowns`; what it found: `misfit`), which `model_watch` says once, `focal_clue` what they say of the focal length, and `lens_watch` withholds poses where the lens was moved; `reason` says why a frame has no pose, `failure` finds it, with
-//! `frame_look`; `unexplained` is what of a frame no followed body explains, where missing ones are looked for, in `search_windows`; `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
+//! `frame_look`; `unexplained` is what of a frame no followed body explains, where missing ones are looked for, in `search_windows` (`expected_view` draws what should be seen, from an `averaged_picture` of each surface); `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
 //! body; `body_search` looks for those that are not followed; `pixel_watch` shows what a pose rests on to whoever asks; `matcher` runs them all on a frame.
 
 mod acquire;
 mod align;
+mod averaged_picture;
 mod body_search;
 mod expected_view;
 mod failure;

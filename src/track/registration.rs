@@ -184,15 +184,16 @@ struct Template {
 }
 
 /// Grey of a picture at a place, straight lines between its pixels; beyond its border that of the border.
+#[inline(always)]
 pub fn bilinear(image: &[u8], width: usize, height: usize, x: f32, y: f32) -> f32 {
     let x = x.clamp(0.0, (width - 1) as f32 - 0.001);
     let y = y.clamp(0.0, (height - 1) as f32 - 0.001);
     let (i, j) = (x as usize, y as usize);
     let (a, b) = (x - i as f32, y - j as f32);
     let at = j * width + i;
-    let (top, bottom) = (&image[at..at + 2], &image[at + width..at + width + 2]);
-    let upper = f32::from(top[0]) * (1.0 - a) + f32::from(top[1]) * a;
-    let lower = f32::from(bottom[0]) * (1.0 - a) + f32::from(bottom[1]) * a;
+    let near = &image[at..at + width + 2];
+    let upper = f32::from(near[0]) * (1.0 - a) + f32::from(near[1]) * a;
+    let lower = f32::from(near[width]) * (1.0 - a) + f32::from(near[width + 1]) * a;
     upper * (1.0 - b) + lower * b
 }
 

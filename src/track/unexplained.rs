@@ -155,20 +155,25 @@ fn add_row_plain(seen: &[u16], expected: &[f32], owners: [&[u16]; 3], columns: &
 const GREY: f32 = 1.0 / (1u32 << (2 * LEVEL)) as f32;
 
 impl Unexplained {
-    /// Looks at a frame of which these bodies are known to be where their poses say.
+    /// Looks at a frame of which these bodies are known to be where their poses say; each with the number of its first surface among all.
     pub fn look<'a>(
         &mut self,
-        known: impl Iterator<Item = (&'a PreparedBody, Pose<Body, Camera>)>,
+        known: impl Iterator<Item = (u32, &'a PreparedBody, Pose<Body, Camera>)>,
         levels: &mut FrameLevels,
         rays: &CameraRays,
     ) {
         self.expected.clear(rays, LEVEL);
-        for (body, pose) in known {
-            body.surfaces.iter().for_each(|surface| self.expected.draw(surface, &pose, rays));
+        for (first, body, pose) in known {
+            (first as usize..).zip(&body.surfaces).for_each(|(number, surface)| self.expected.draw(number, surface, &pose, rays));
         }
         self.compare(levels.level(LEVEL).sums());
         self.cells.number_regions();
         self.collect_regions([rays.camera().width(), rays.camera().height()]);
+    }
+
+    /// Whether anything of the frame that was looked at last is unexplained.
+    pub fn is_anything(&self) -> bool {
+        !self.regions.is_empty()
     }
 
     /// The next search begins around these pixels of the frame, where bodies were last seen.
@@ -254,10 +259,14 @@ impl Unexplained {
             let mut raw = std::mem::take(&mut region.mask).into_raw();
             raw.clear();
             let [width, height] = [0, 1].map(|k| end[k] - origin[k]);
-            for y in origin[1]..end[1] {
-                for x in origin[0]..end[0] {
-                    raw.push(if cells.is_in([x, y], *number) { 255 } else { 0 });
-                }
+            let mut y = origin[1];
+            while y < end[1] {
+                // Rows of one line of cells are the same.
+                let next = end[1].min(y - y % SIDE_PX + SIDE_PX);
+                let first = raw.len();
+                cells.push_row([origin[0], end[0]], y, *number, &mut raw);
+                (y + 1..next).for_each(|_| raw.extend_from_within(first..first + width as usize));
+                y = next;
             }
             // There is one byte for each pixel.
             *region = Region { origin, mask: GrayImage::from_raw(width, height, raw).unwrap_or_default(), cells: *size };

@@ -105,8 +105,18 @@ impl UnexplainedCells {
         })
     }
 
+    /// Appends a row of pixels of the frame, from a column to another, exclusive: 255 where it lies in a region, 0 elsewhere.
+    pub fn push_row(&self, [from, to]: [u32; 2], y: u32, number: u32, row: &mut Vec<u8>) {
+        let mut x = from;
+        while x < to {
+            let next = to.min(x - x % SIDE_PX + SIDE_PX);
+            row.resize(row.len() + (next - x) as usize, if self.is_in([x, y], number) { 255 } else { 0 });
+            x = next;
+        }
+    }
+
     /// Whether a pixel of the frame lies in a region.
-    pub fn is_in(&self, [x, y]: [u32; 2], number: u32) -> bool {
+    fn is_in(&self, [x, y]: [u32; 2], number: u32) -> bool {
         let [column, row] = [x, y].map(|v| (v / SIDE_PX) as usize);
         column < self.size[0] && self.labels.get(row * self.size[0] + column) == Some(&number)
     }

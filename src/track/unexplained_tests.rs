@@ -16,7 +16,7 @@ fn regions(frame: &GrayImage) -> Vec<Region> {
     let (rays, body) = (CameraRays::new(lens(SIZE.0, SIZE.1), None), prepared(vec![cloth(1)]));
     let (mut levels, mut unexplained) = (FrameLevels::default(), Unexplained::default());
     levels.update(frame);
-    unexplained.look([(&body, truth().inverse())].into_iter(), &mut levels, &rays);
+    unexplained.look([(0, &body, truth().inverse())].into_iter(), &mut levels, &rays);
     unexplained.regions
 }
 
@@ -91,10 +91,10 @@ fn a_prop_that_is_followed_explains_itself_and_hides_what_is_behind_it() {
     let (stage, prop) = (prepared(vec![cloth(1)]), prepared(vec![prop]));
     let (mut levels, mut unexplained) = (FrameLevels::default(), Unexplained::default());
     levels.update(&frame);
-    unexplained.look([(&stage, truth().inverse())].into_iter(), &mut levels, &rays);
+    unexplained.look([(0, &stage, truth().inverse())].into_iter(), &mut levels, &rays);
     assert_eq!(unexplained.regions.len(), 1);
     for known in [[&stage, &prop], [&prop, &stage]] {
-        unexplained.look(known.into_iter().map(|body| (body, truth().inverse())), &mut levels, &rays);
+        unexplained.look((0..).zip(known).map(|(k, body)| (k, body, truth().inverse())), &mut levels, &rays);
         assert!(unexplained.regions.is_empty(), "{:?}", unexplained.regions.iter().map(|r| (r.origin, r.cells)).collect::<Vec<_>>());
     }
 }
@@ -126,7 +126,7 @@ fn the_features_of_a_prop_are_where_the_frame_has_them() {
     let (rays, body) = (CameraRays::new(lens(SIZE.0, SIZE.1), None), prepared(vec![cloth(1)]));
     let (mut levels, mut unexplained) = (FrameLevels::default(), Unexplained::default());
     levels.update(&frame);
-    unexplained.look([(&body, truth().inverse())].into_iter(), &mut levels, &rays);
+    unexplained.look([(0, &body, truth().inverse())].into_iter(), &mut levels, &rays);
     let (mut extractor, workers, mut alone, mut all) = (FeatureExtractor::default(), Workers::new(1), Vec::new(), Vec::new());
     unexplained.extract(&frame, None, 500, &mut extractor, &workers, &mut alone);
     extractor.extract(&frame, None, &ExtractorOptions { count: 500, ..Default::default() }, &workers, &mut all);
