@@ -8,6 +8,7 @@ use std::sync::atomic::AtomicBool;
 
 use crossbeam_channel::Receiver;
 use image::GrayImage;
+use nalgebra::Matrix6;
 use tracing::{debug, debug_span};
 
 use super::acquire::{SurfaceMatch, SurfaceView};
@@ -221,8 +222,12 @@ impl Matcher {
         self.fits.clear();
         let bodies = self.bodies.iter_mut().zip(&self.verified);
         self.fits.extend(bodies.enumerate().map(|(k, (body, verified))| {
+            let Some(verified) = verified else {
+                body.forget_model_error();
+                return None;
+            };
             let rows = RowMotion { shutter, before: body.before_at(timestamp) };
-            body.model_fit(&verified.as_ref()?.pose, camera, &rows, is_moved, k == 0)
+            body.model_fit(verified, camera, &rows, is_moved, k == 0)
         }));
     }
 
@@ -251,6 +256,7 @@ impl Matcher {
             if turn > LARGEST_MISFIT_TURN {
                 debug!(body = %self.bodies[k].body.name, turn, "misfit");
                 (self.verified[k], self.fits[k]) = (None, None);
+                self.bodies[k].forget_model_error();
                 self.bodies[k].give_up(Reason::NoPoseFits);
             }
         }
@@ -279,9 +285,8 @@ impl Matcher {
             return BodySighting { state: tracked.track.withhold(), verified: None, reason: tracked.reason.or(Some(Reason::LensMoved)) };
         }
         // A frame that leaves no doubt confirms itself, unless what of the model does not fit leaves some.
-        let misfit = self.fits[k].and_then(|fit| fit.covariance).unwrap_or_default();
-        let conclusive =
-            verified.is_some_and(|v| v.is_conclusive && is_sharp(&(v.covariance + misfit), tracked.aligner.distance_m(&v.pose)));
+        let is_known = |v: &Verified| is_sharp(&(v.covariance + tracked.model_error), tracked.aligner.distance_m(&v.pose));
+        let conclusive = verified.is_some_and(|v| v.is_conclusive && is_known(&v));
         let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
         let pose = verified.as_ref().map(|v| &v.pose);
         let coast_s = longest_coast_s(&self.settings, &self.interval);
@@ -295,8 +300,8 @@ impl Matcher {
             let fit = self.fits[k];
             let by_focal = self.lens_watch.strayed().filter(|_| fit.is_some());
             let by_focal = by_focal.and_then(|strayed| tracked.covariance_by_focal(&v.pose, strayed));
-            v.by_model =
-                [by_lens, by_shape, by_focal, fit.and_then(|fit| fit.covariance)].into_iter().flatten().reduce(|sum, more| sum + more);
+            let by_misfit = Some(tracked.model_error).filter(|covariance| *covariance != Matrix6::zeros());
+            v.by_model = [by_lens, by_shape, by_focal, by_misfit].into_iter().flatten().reduce(|sum, more| sum + more);
             v.rms_px = fit.map_or(v.rms_px, |fit| fit.rms_px);
         }
         BodySighting { state, verified, reason }

@@ -4,8 +4,11 @@
 //! error looks like another pose is gone into the pose, and nothing shows it; what does not is left in the tiles. So the error is taken for a
 //! smooth field of shifts over the picture (a Gaussian process of a fixed correlation length), as large as makes what is
 //! left in the tiles: what it does to the pose follows. Where no more than noise is left, it is none.
+//!
+//! That is the error of a pose that rests on its own frame alone. Where few tiles are seen, a pose rests on the frames before it instead, and has their error:
+//! [`blended`] says how much of each.
 
-use nalgebra::{Matrix2x6, Matrix6, Matrix6x2};
+use nalgebra::{Matrix2x6, Matrix6, Matrix6x2, Vector6};
 
 use super::tile_residuals::TileResiduals;
 use crate::geometry::covariance::covariance_of_inverse;
@@ -54,9 +57,49 @@ pub fn covariance_by_model_error(
     (left > 0.0 && covariance.iter().all(|v| v.is_finite())).then_some(covariance)
 }
 
+/// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what of the model does not fit, of a pose that rests on its frame and on those before.
+///
+/// In the directions in which the frame's share of what is known of the pose is g, its error is g times that of the frame alone and 1 - g times that of
+/// the frames before. What does not fit stays as it is from frame to frame, so that both add up as they are, not by their squares.
+///
+/// `noise`: covariance of the pose by noise, with what was expected of it, body axes. `of_frame`: covariance by the model's error of a pose from this frame alone
+/// ([`covariance_by_model_error`]). `before`: the same of the frames before it.
+pub fn blended(
+    pose: &Pose<Camera, Body>,
+    residuals: &TileResiduals,
+    noise: &Matrix6<f64>,
+    of_frame: &Matrix6<f64>,
+    before: &Matrix6<f64>,
+) -> Option<Matrix6<f64>> {
+    // The noise of the frame alone is one unit in each direction of these axes; turned so that nothing in them is correlated.
+    let root = residuals.normal().cholesky()?.l();
+    let mut turn = Matrix6::zeros();
+    turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose.rotation_matrix());
+    turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&pose.rotation_matrix());
+    let in_camera = |covariance: &Matrix6<f64>| turn * covariance * turn.transpose();
+    let axes = (root.transpose() * in_camera(noise) * root).symmetric_eigen();
+    let shares = axes.eigenvalues.map(|known| known.clamp(0.0, 1.0));
+    let to_axes = axes.eigenvectors.transpose() * root.transpose();
+    let from_axes = to_axes.try_inverse()?;
+    let scaled = |covariance: &Matrix6<f64>, by: &dyn Fn(f64) -> f64| {
+        let by = Matrix6::from_diagonal(&shares.map(by));
+        by * to_axes * in_camera(covariance) * to_axes.transpose() * by
+    };
+    let (own, others) = (scaled(of_frame, &|share| share), scaled(before, &|share| 1.0 - share));
+    let independent = own + others;
+    let sigma = |covariance: &Matrix6<f64>, k: usize| covariance[(k, k)].max(0.0).sqrt();
+    let grow = Vector6::from_fn(|k, _| {
+        let all = sigma(&independent, k);
+        if all > 0.0 { (sigma(&own, k) + sigma(&others, k)) / all } else { 1.0 }
+    });
+    let together = independent.component_mul(&(grow * grow.transpose()));
+    let covariance = covariance_of_inverse(pose, &(from_axes * together * from_axes.transpose()));
+    covariance.iter().all(|v| v.is_finite()).then_some(covariance)
+}
+
 #[cfg(test)]
 mod tests {
-    use nalgebra::{DMatrix, DVector, Vector2, Vector3, Vector6};
+    use nalgebra::{DMatrix, DVector, Vector2, Vector3};
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 

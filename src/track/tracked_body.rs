@@ -8,7 +8,7 @@ use super::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Pa
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
 use super::misfit::{Misfit, ModelNews, ModelReport};
-use super::model_error::covariance_by_model_error;
+use super::model_error::{blended, covariance_by_model_error};
 use super::model_study::StudiedFrame;
 use super::model_watch::ModelWatch;
 use super::pixel_watch::{Displaced, Used};
@@ -100,6 +100,8 @@ pub struct TrackedBody {
     squares: Vec<f64>,
     residuals: TileResiduals,
     steps: Vec<Matrix6x2<f64>>,
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit the model, of the last verified pose.
+    pub model_error: Matrix6<f64>,
     model_watch: ModelWatch,
     /// What is studied of a frame, and what it leaves.
     studied: Vec<FittedAnchor>,
@@ -111,7 +113,7 @@ pub struct TrackedBody {
 pub struct ModelFit {
     /// Root mean square of the displacements, pixels.
     pub rms_px: f64,
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit; `None` where all fits within the noise.
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit, as if the pose rested on this frame alone; `None` where all fits within the noise.
     pub covariance: Option<Matrix6<f64>>,
     /// What they say of the focal length; `None` where that explains nothing and was not asked for.
     pub focal: Option<FocalClue>,
@@ -147,6 +149,7 @@ impl TrackedBody {
             squares: Vec::with_capacity(most),
             residuals: TileResiduals::default(),
             steps: Vec::with_capacity(most),
+            model_error: Matrix6::zeros(),
             model_watch: ModelWatch::new(body.surfaces.len()),
             studied: Vec::with_capacity(most),
             study_residuals: TileResiduals::default(),
@@ -372,25 +375,32 @@ impl TrackedBody {
     /// `is_stage`: what is wrong with the lens spans the picture, and the stage tells it; what is wrong with an object is no larger than the object.
     pub fn model_fit(
         &mut self,
-        pose: &Pose<Body, Camera>,
+        verified: &Verified,
         camera: &CameraModel,
         rows: &RowMotion,
         asks_focal: bool,
         is_stage: bool,
     ) -> Option<ModelFit> {
-        let t_camera_body = pose.inverse();
-        let Self { residuals, anchors, found, body, steps, .. } = self;
+        let t_camera_body = verified.pose.inverse();
+        let Self { residuals, anchors, found, body, steps, model_error, .. } = self;
         // Those that do not fit tell of a lens or a shape that is off, which is why they do not.
         let anchors = if found.is_empty() { anchors } else { found };
         residuals.take(&t_camera_body, camera, anchors)?;
         let field_px = if is_stage { f64::from(camera.width()) } else { residuals.extent_px() };
         let covariance = covariance_by_model_error(&t_camera_body, field_px, residuals, steps);
+        let of_frame = covariance.unwrap_or_default();
+        *model_error = blended(&t_camera_body, residuals, &verified.covariance, &of_frame, model_error).unwrap_or(of_frame);
         let asks_focal = asks_focal || residuals.is_misfit() || is_suspect(residuals);
         let rows = RowDisplacement::new(camera, rows, &t_camera_body);
         let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
         let fit = ModelFit { rms_px: residuals.rms_px(), covariance, focal };
         debug!(body = %body.name, rms_px = fit.rms_px, doubts = covariance.is_some(), focal = ?fit.focal, "model");
         Some(fit)
+    }
+
+    /// The next verified pose rests on no frame before it.
+    pub fn forget_model_error(&mut self) {
+        self.model_error = Matrix6::zeros();
     }
 
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, where one sigma of the logarithm of the focal length is this.

@@ -63,6 +63,26 @@ fn a_bent_cloth_is_aligned_as_well_as_a_flat_one() {
     assert!(shifts_m[0] < 5e-4 && shifts_m[1] > 10.0 * shifts_m[0], "{shifts_m:?}");
 }
 
+/// Two thirds of the stage are behind something that has as much detail: what shows the stage is enough, and nothing else may pull.
+#[test]
+fn what_stands_before_most_of_the_stage_does_not_pull_the_pose() {
+    let (stage, other) = (view(&cloth(1), &truth(), &lens(480, 360)), view(&cloth(2), &truth(), &lens(480, 360)));
+    let start = perturbed(&truth(), &Vector6::new(0.01, -0.008, 0.015, 0.003, -0.0025, 0.0015));
+    // One half, and so much that the better half of the tiles would hold some of what covers the rest.
+    let shifts_m = [240, 165].map(|open_columns| {
+        let covered = GrayImage::from_fn(480, 360, |x, y| *if x < open_columns { &stage } else { &other }.get_pixel(x, y));
+        let mut frame = FrameLevels::default();
+        frame.update(&covered);
+        let found = aligned(&mut frame, &start).expect("the picture agrees in a third");
+        assert!(found.share() < 0.6, "{}", found.share());
+        let error = found.pose.inverse().translation - truth().translation;
+        let sigma = found.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
+        println!("{open_columns} columns: {:.5} m of {sigma:.5}, {} of {} tiles", error.norm(), found.agreeing, found.tiles);
+        error.norm()
+    });
+    assert!(shifts_m.iter().all(|shift| *shift < 2e-3), "{shifts_m:?}");
+}
+
 #[test]
 fn what_is_not_the_stage_is_not_credible() {
     for mut frame in [levels(2), {

@@ -51,7 +51,7 @@ impl Alignment {
     /// alone do not do: a picture that is seen small has minima beside the right one, where tiles agree a pixel off (one was 47 degrees away), and leaves the
     /// pose open. `distance_m`: to the nearest surface.
     pub fn is_borne_out(&self, distance_m: f64) -> bool {
-        let is_clear = self.is_conclusive() || (self.agreeing >= SURE_TILES && self.share() >= SURE_SHARE);
+        let is_clear = self.is_conclusive() || are_sure(self.agreeing, self.tiles);
         is_clear && is_sharp(&self.covariance, distance_m)
     }
 
@@ -116,6 +116,11 @@ const AGREEING_CORRELATION: f64 = 0.9;
 /// (1 % and 0.3 degrees). Raised, first poses of a shaken camera may be wrong; lowered, they wait for a second frame.
 const SHARP_SHIFT: f64 = 0.0033;
 const SHARP_TURN: f64 = 0.00175;
+
+/// Whether so many tiles agree, of so many, that what the others show does not matter.
+pub fn are_sure(agreeing: usize, tiles: usize) -> bool {
+    agreeing >= SURE_TILES && agreeing as f64 >= SURE_SHARE * tiles as f64
+}
 
 /// Whether a pose is known so well that one frame alone may give it. `covariance`: of shift and turn, with all that is left open; `distance_m`: to the nearest
 /// surface.

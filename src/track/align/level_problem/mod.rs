@@ -11,7 +11,7 @@ pub mod solution;
 
 use super::appearance::{Appearance, Predicted, predict};
 use super::evidence::RunEvidence;
-use super::frame_levels::FrameLevels;
+use super::frame_levels::{FINEST, FrameLevels};
 use super::gradient_gain::{ChangeSums, PredictedChange};
 use super::level_spec::{LevelSpec, moved};
 use super::light::{RememberedLight, TileLight};
@@ -23,17 +23,18 @@ use super::system::{Prior, System, TileTime};
 use super::tile_correlation::{TileCorrelation, median};
 use super::tile_equations::{TileEquations, TileStep};
 use super::tile_products::{ProductBuffer, tile_equations};
+use super::verdict::are_sure;
 use crate::motion::{Motion, MotionMatrix};
 use solution::LevelSolution;
 
 /// Fewest pixels that a level is solved with. Chosen, not tuned: three for each of a motion's 18 unknowns. Raised, pictures seen small are
 /// given up, or begun at finer levels; lowered, the expectation decides what is found.
 const LEAST_PIXELS: usize = 60;
-/// Runs that correlate less with their prediction show something else; the better half always takes part. The same limit as that of tiles
-/// that agree (`verdict`). Raised, tiles in haze or glare are left out; lowered, people in front of the stage pull the pose.
+/// Runs that correlate less with their prediction show something else; the better half takes part even so, unless others bear the pose out. The same limit as
+/// that of tiles that agree (`verdict`). Raised, tiles in haze or glare are left out; lowered, people in front of the stage pull the pose.
 const LEAST_CORRELATION: f32 = 0.9;
-/// Runs that correlate better tell of the bias in the first guess of the light. Chosen, not tuned: below `LEAST_CORRELATION`, as nothing
-/// correlates well from a start that is off. Raised, too few runs are left; lowered, runs of something else take part in the median.
+/// Runs that correlate better tell of the bias in the first guess of the light, and of what is covered. Chosen, not tuned: below `LEAST_CORRELATION`, as nothing
+/// correlates well from a start that is off, and as high as something else by chance. Raised, too few runs are left; lowered, runs of something else take part.
 const TELLING_CORRELATION: f32 = 0.8;
 /// Largest bias of that guess, grey levels: one sigma of the solution's (`BIAS_SIGMA` in `system`). Raised, a line through runs with little
 /// contrast can leave nearly no gain.
@@ -247,7 +248,9 @@ impl LevelProblem {
     /// Solves for the step from the linearisation, iteratively reweighted, and gives the robust standard deviation of the residuals that it leaves, in
     /// sigmas. `same_time`: of all tiles, where it is the same.
     fn reweight(&mut self, spec: &LevelSpec, prior: &Prior, same_time: Option<TileTime>, is_first: bool, passes: usize) -> Option<f64> {
-        self.gate_tiles(&spec.noise);
+        // From a start that is off, nothing correlates well yet.
+        let may_be_off = is_first || spec.level > FINEST;
+        self.gate_tiles(&spec.noise, may_be_off);
         self.residuals_all(&spec.noise);
         let mut scale = self.scale();
         for pass in 0..passes {
@@ -300,15 +303,18 @@ impl LevelProblem {
     }
 
     /// Gates the tiles: those that correlate too little with their prediction, whatever its gain and bias, show something else and are left out.
-    fn gate_tiles(&mut self, noise: &Noise) {
+    /// `may_be_off`: whether the pose may be so far off that those of the body do not correlate either.
+    fn gate_tiles(&mut self, noise: &Noise, may_be_off: bool) {
         let Picture { pixels, appearance, .. } = &self.picture;
         self.sorted.clear();
         for r in &mut self.runs {
             r.gate = TileCorrelation::new(&moments(pixels, &r.run, appearance), noise);
             self.sorted.push(r.gate.correlation);
         }
-        // The better half at least: from a start that is off, nothing correlates well yet.
+        let telling = self.sorted.iter().filter(|correlation| **correlation > TELLING_CORRELATION).count();
+        // The better half, unless those that tell bear the pose out by themselves: then more than half may be covered, and what covers it pulls the pose.
         let least = median(&mut self.sorted).map_or(LEAST_CORRELATION, |middle| LEAST_CORRELATION.min(middle as f32));
+        let least = if may_be_off || !are_sure(telling, self.runs.len()) { least } else { least.max(TELLING_CORRELATION) };
         for r in &mut self.runs {
             r.gate.is_open = r.gate.correlation >= least;
         }
@@ -316,7 +322,7 @@ impl LevelProblem {
 
     /// The light from the open runs: the median of their biases, then each tile's mean grey. Means do not mind a start that is off.
     pub fn guess_light(&mut self, spec: &LevelSpec, psf_variance: f64) {
-        self.gate_tiles(&spec.noise);
+        self.gate_tiles(&spec.noise, true);
         let Self { picture, runs, sorted, .. } = self;
         let open = || runs.iter().filter(|r| r.gate.is_open);
         sorted.clear();
