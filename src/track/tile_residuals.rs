@@ -72,6 +72,17 @@ impl TileResidual {
         left.dot(&(self.noise_information * left))
     }
 
+    /// What a change of the pose leaves of its shift, pixels.
+    pub fn left_by_pose(&self, change: &Vector6<f64>) -> Vector2<f64> {
+        self.shift_px - self.by_pose * change
+    }
+
+    /// Squared length of what a change of the pose leaves of its shift, in sigmas of noise and by weight.
+    pub fn squared_left_by_pose(&self, change: &Vector6<f64>) -> f64 {
+        let left = self.left_by_pose(change);
+        left.dot(&(self.information * left))
+    }
+
     /// Its shift's squared length, in sigmas of noise and by weight.
     pub fn squared(&self) -> f64 {
         self.shift_px.dot(&(self.information * self.shift_px))
@@ -165,11 +176,10 @@ impl TileResiduals {
         (2.0 * squared / information.max(f64::MIN_POSITIVE)).sqrt()
     }
 
-    /// Sum of the squared shifts that no change of the pose explains, in sigmas of noise.
-    pub fn left_by_poses(&self) -> Option<f64> {
+    /// The change of the pose alone that explains the shifts best.
+    pub fn pose_change(&self) -> Option<Vector6<f64>> {
         let right: Vector6<f64> = self.tiles.iter().map(|t| t.by_pose.transpose() * (t.information * t.shift_px)).sum();
-        let squared: f64 = self.tiles.iter().map(TileResidual::squared).sum();
-        Some((squared - right.dot(&self.normal.cholesky()?.solve(&right))).max(0.0))
+        Some(self.normal.cholesky()?.solve(&right))
     }
 
     /// How far the pose goes astray with the logarithm of the focal length, [δt, δθ] of `T_camera_body`, camera axes.

@@ -8,7 +8,7 @@ use super::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Pa
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
 use super::misfit::{Misfit, ModelNews, ModelReport};
-use super::model_error::{blended, covariance_by_model_error};
+use super::model_error::{ModelError, blended, model_error};
 use super::model_study::StudiedFrame;
 use super::model_watch::ModelWatch;
 use super::pixel_watch::{Displaced, Used};
@@ -115,6 +115,8 @@ pub struct ModelFit {
     pub rms_px: f64,
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit, as if the pose rested on this frame alone; `None` where all fits within the noise.
     pub covariance: Option<Matrix6<f64>>,
+    /// Variance of what each tile is off by itself, in variances of its noise; 1 at least.
+    pub noise: f64,
     /// What they say of the focal length; `None` where that explains nothing and was not asked for.
     pub focal: Option<FocalClue>,
 }
@@ -382,19 +384,20 @@ impl TrackedBody {
         is_stage: bool,
     ) -> Option<ModelFit> {
         let t_camera_body = verified.pose.inverse();
-        let Self { residuals, anchors, found, body, steps, model_error, .. } = self;
+        let Self { residuals, anchors, found, body, steps, model_error: own_error, .. } = self;
         // Those that do not fit tell of a lens or a shape that is off, which is why they do not.
         let anchors = if found.is_empty() { anchors } else { found };
         residuals.take(&t_camera_body, camera, anchors)?;
         let field_px = if is_stage { f64::from(camera.width()) } else { residuals.extent_px() };
-        let covariance = covariance_by_model_error(&t_camera_body, field_px, residuals, steps);
+        let error = model_error(&t_camera_body, field_px, residuals, steps);
+        let (covariance, noise) = (error.map(|e| e.covariance), error.map_or(1.0, |e| e.noise));
         let of_frame = covariance.unwrap_or_default();
-        *model_error = blended(&t_camera_body, residuals, &verified.covariance, &of_frame, model_error).unwrap_or(of_frame);
+        *own_error = blended(&t_camera_body, residuals, &verified.covariance, &of_frame, own_error).unwrap_or(of_frame);
         let asks_focal = asks_focal || residuals.is_misfit() || is_suspect(residuals);
         let rows = RowDisplacement::new(camera, rows, &t_camera_body);
         let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
-        let fit = ModelFit { rms_px: residuals.rms_px(), covariance, focal };
-        debug!(body = %body.name, rms_px = fit.rms_px, doubts = covariance.is_some(), focal = ?fit.focal, "model");
+        let fit = ModelFit { rms_px: residuals.rms_px(), covariance, noise, focal };
+        debug!(body = %body.name, rms_px = fit.rms_px, doubts = covariance.is_some(), noise, focal = ?fit.focal, "model");
         Some(fit)
     }
 
@@ -421,8 +424,8 @@ impl TrackedBody {
         let aligned = if found.is_empty() { anchors } else { found };
         search_silent(body, &t_camera_body, view, aligned, buffers);
         if model_watch.is_thorough() {
-            let doubt_m2 = covariance_by_model_error(&t_camera_body, f64::from(view.camera.width()), residuals, steps);
-            let doubt_m2 = doubt_m2.map_or(0.0, |covariance| covariance.fixed_view::<3, 3>(0, 0).trace());
+            let doubt_m2 = model_error(&t_camera_body, f64::from(view.camera.width()), residuals, steps);
+            let doubt_m2 = doubt_m2.map_or(0.0, |ModelError { covariance, .. }| covariance.fixed_view::<3, 3>(0, 0).trace());
             model_watch.doubt(pose, doubt_m2, aligner.distance_m(pose));
         }
         if !model_watch.is_thorough() && buffers.searched.is_empty() && !residuals.is_misfit() {
