@@ -69,7 +69,7 @@ fn readout(found: Option<ShutterTime>, configured_s: f64) -> String {
             .to_owned();
     };
     let ShutterTime { seconds, sigma_s, frames } = time;
-    let measured = format!("readout: {:.2} ms +- {:.2} (3 sigma of the scatter of {frames} frames)", seconds * 1e3, 3e3 * sigma_s);
+    let measured = format!("readout: {:.2} ms +- {:.2} (3 sigma, from {frames} frames)", seconds * 1e3, 3e3 * sigma_s);
     if seconds < -(3.0 * sigma_s).max(FASTEST_READOUT_S) {
         return format!("{measured}: rows are read from the bottom up; turn the camera's picture upright in its driver, not after");
     }

@@ -150,6 +150,9 @@ pub struct FrameProblem<'a> {
     lessons: Lessons,
 }
 
+/// Time over which a picture's speed is taken, seconds: as long as usual exposures. It hardly matters, as a motion is smooth.
+const SPEED_OVER_S: f64 = 0.005;
+
 /// Where a level's last linearisation led.
 struct Iterated {
     motion: Motion,
@@ -569,7 +572,8 @@ impl<'a> FrameProblem<'a> {
         let motion = self.buffers.fine.solution()?.found.motion;
         let spec = self.spec(FINEST, &motion);
         let Buffers { fine, readout_column, .. } = &mut *self.buffers;
-        Some(ShutterClue { readout: fine.solution()?.readout_clue(&spec, readout_column), exposure })
+        let speed_px_s = spec.moved_px(&motion, &motion.after(SPEED_OVER_S)) * spec.frame_px() / SPEED_OVER_S;
+        Some(ShutterClue { readout: fine.solution()?.readout_clue(&spec, readout_column), speed_px_s, exposure })
     }
 
     /// What the frame would teach.
