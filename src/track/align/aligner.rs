@@ -110,10 +110,12 @@ impl Aligner {
         since_s: Option<f64>,
     ) -> Option<Solution<'a>> {
         let Self { settings: Settings { surfaces, asks_shutter }, buffers, slow } = &mut *self;
+        let is_followed = since_s.is_some();
         // A velocity that may jump within the frame explains what a wrong readout leaves, and the shutter would be found there.
         let since_s = since_s.filter(|_| !*asks_shutter);
         let information = expected.covariance.cholesky()?.inverse();
         let mut frame = FrameProblem::new(surfaces, slow, buffers, levels, rays, expected, &information);
+        frame.follows(is_followed);
         let found = frame.solve()?;
         let jumped_since_s = since_s.filter(|_| frame.is_surprising(&found));
         if let Some(since_s) = jumped_since_s {

@@ -173,7 +173,7 @@ impl<'a> FrameProblem<'a> {
     ) -> Self {
         buffers.light.clone_from(&slow.light);
         let (motion, psf_variance) = (&expected.motion, slow.psf_variance);
-        let known = Expected { motion, information, psf_variance, psf_variance_sigma: PSF_VARIANCE_SIGMA };
+        let known = Expected { motion, information, psf_variance, psf_variance_sigma: PSF_VARIANCE_SIGMA, is_followed: false };
         let (bands, lessons) = (RowBands::new(slow.shutter), Lessons::none(slow));
         let mut frame = Self {
             surfaces,
@@ -193,6 +193,11 @@ impl<'a> FrameProblem<'a> {
             frame.known.psf_variance_sigma = BLURRED_PSF_VARIANCE_SIGMA;
         }
         frame
+    }
+
+    /// Of a body that was seen just now, or not.
+    pub fn follows(&mut self, is_followed: bool) {
+        self.known.is_followed = is_followed;
     }
 
     fn spec(&self, level: usize, motion: &Motion) -> LevelSpec<'a> {

@@ -122,6 +122,7 @@ impl LevelProblem {
             psf_variance_sigma: known.psf_variance_sigma,
         };
         let together = TileTime { delay_s: 0.0, mean_square_s2: 0.0 };
+        self.gate_tiles(&spec.noise, false);
         let scale = self.reweight(spec, &prior, Some(together), false, PASSES)?;
         let Self { picture, runs, system, .. } = self;
         let step: Vector6<f64> = system.step().motion().fixed_rows::<6>(0).into_owned();

@@ -48,6 +48,11 @@ const SCALE_SAMPLES: usize = 1500;
 const ROUGH_PIXELS: usize = 2500;
 const LARGEST_STRIDE: usize = 16;
 
+/// Runs that correlate less show something else: chance correlates by 0.5 in one run of twenty. Where half of those that do not tell do so, and enough others bear the pose out, the body is covered.
+/// Raised, a model that is a little off, which displaces runs, passes for covers, and the pose follows the runs that fit from frame to frame; lowered, people in front of the
+/// stage pull the pose.
+const COVERED_CORRELATION: f32 = 0.5;
+
 /// What is expected of the motion.
 #[derive(Clone, Copy)]
 pub struct Expected<'a> {
@@ -59,6 +64,9 @@ pub struct Expected<'a> {
     pub psf_variance: f64,
     /// See `psf_variance`.
     pub psf_variance_sigma: f64,
+    /// Whether the body was seen there just now: then what differs from it is in front of it. A body that was just found may be another, or of another size, and a part of it
+    /// that fits by chance must not be taken for what is seen of it.
+    pub is_followed: bool,
 }
 
 /// The pixels of a level with their prediction and their residuals.
@@ -236,6 +244,9 @@ impl LevelProblem {
             psf_variance: expected.psf_variance,
             psf_variance_sigma: expected.psf_variance_sigma,
         };
+        // From a start that is off, nothing correlates well yet: at the finest level it hardly is.
+        let may_be_covered = expected.is_followed && !is_first && spec.level == FINEST;
+        self.gate_tiles(&spec.noise, may_be_covered);
         let scale = self.reweight(spec, &prior, spec.same_time(), is_first, passes)?;
         let step = self.system.step();
         self.picture.pixels.correct_light(step.gains(), step.psf_variance(), step.bias());
@@ -245,12 +256,9 @@ impl LevelProblem {
         self.solved
     }
 
-    /// Solves for the step from the linearisation, iteratively reweighted, and gives the robust standard deviation of the residuals that it leaves, in
+    /// Solves for the step of the gated tiles from the linearisation, iteratively reweighted, and gives the robust standard deviation of the residuals that it leaves, in
     /// sigmas. `same_time`: of all tiles, where it is the same.
     fn reweight(&mut self, spec: &LevelSpec, prior: &Prior, same_time: Option<TileTime>, is_first: bool, passes: usize) -> Option<f64> {
-        // From a start that is off, nothing correlates well yet.
-        let may_be_off = is_first || spec.level > FINEST;
-        self.gate_tiles(&spec.noise, may_be_off);
         self.residuals_all(&spec.noise);
         let mut scale = self.scale();
         for pass in 0..passes {
@@ -303,18 +311,20 @@ impl LevelProblem {
     }
 
     /// Gates the tiles: those that correlate too little with their prediction, whatever its gain and bias, show something else and are left out.
-    /// `may_be_off`: whether the pose may be so far off that those of the body do not correlate either.
-    fn gate_tiles(&mut self, noise: &Noise, may_be_off: bool) {
+    /// `may_be_covered`: whether so few may show the body that the better half does not.
+    fn gate_tiles(&mut self, noise: &Noise, may_be_covered: bool) {
         let Picture { pixels, appearance, .. } = &self.picture;
         self.sorted.clear();
         for r in &mut self.runs {
             r.gate = TileCorrelation::new(&moments(pixels, &r.run, appearance), noise);
             self.sorted.push(r.gate.correlation);
         }
-        let telling = self.sorted.iter().filter(|correlation| **correlation > TELLING_CORRELATION).count();
-        // The better half, unless those that tell bear the pose out by themselves: then more than half may be covered, and what covers it pulls the pose.
+        let count = |is_it: &dyn Fn(f32) -> bool| self.sorted.iter().filter(|correlation| is_it(**correlation)).count();
+        let (telling, others) = (count(&|c| c > TELLING_CORRELATION), count(&|c| c < COVERED_CORRELATION));
+        let is_covered = may_be_covered && are_sure(telling, self.runs.len()) && 2 * others >= self.runs.len() - telling;
+        // The better half. But where more than that is covered, what covers it pulls the pose, and the tiles beside it that show some of both do.
         let least = median(&mut self.sorted).map_or(LEAST_CORRELATION, |middle| LEAST_CORRELATION.min(middle as f32));
-        let least = if may_be_off || !are_sure(telling, self.runs.len()) { least } else { least.max(TELLING_CORRELATION) };
+        let least = if is_covered { least.max(TELLING_CORRELATION) } else { least };
         for r in &mut self.runs {
             r.gate.is_open = r.gate.correlation >= least;
         }
@@ -322,7 +332,7 @@ impl LevelProblem {
 
     /// The light from the open runs: the median of their biases, then each tile's mean grey. Means do not mind a start that is off.
     pub fn guess_light(&mut self, spec: &LevelSpec, psf_variance: f64) {
-        self.gate_tiles(&spec.noise, true);
+        self.gate_tiles(&spec.noise, false);
         let Self { picture, runs, sorted, .. } = self;
         let open = || runs.iter().filter(|r| r.gate.is_open);
         sorted.clear();
