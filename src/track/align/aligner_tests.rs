@@ -75,7 +75,8 @@ fn what_stands_before_most_of_the_stage_does_not_pull_the_pose() {
         frame.update(&covered);
         let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 1e-6 });
         let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
-        let solution = aligner.align(&mut frame, &CameraRays::new(lens(480, 360), None), &expected, Some(1.0 / 30.0));
+        let rays = CameraRays::new(lens(480, 360), None);
+        let solution = aligner.align(&mut frame, &rays, &expected, Some(1.0 / 30.0));
         let found = solution.expect("the picture agrees in a third").alignment;
         assert!(found.share() < 0.6, "{}", found.share());
         let error = found.pose.inverse().translation - truth().translation;
