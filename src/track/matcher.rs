@@ -252,7 +252,7 @@ impl Matcher {
     /// Gives up the objects whose tiles lie so far from where any pose puts them that the pose is none.
     fn refuse_misfits(&mut self) {
         for k in 1..self.bodies.len() {
-            let turn = self.fits[k].and_then(|fit| fit.covariance).map_or(0.0, |c| c.fixed_view::<3, 3>(3, 3).trace().max(0.0).sqrt());
+            let turn = self.fits[k].and_then(|fit| fit.at_most).map_or(0.0, |c| c.fixed_view::<3, 3>(3, 3).trace().max(0.0).sqrt());
             if turn > LARGEST_MISFIT_TURN {
                 debug!(body = %self.bodies[k].body.name, turn, "misfit");
                 (self.verified[k], self.fits[k]) = (None, None);

@@ -35,6 +35,8 @@ const LEAST_PAIR: f64 = 0.05;
 pub struct ModelError {
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by a smooth field of shifts.
     pub covariance: Matrix6<f64>,
+    /// The same if all that is left were such a field.
+    pub at_most: Matrix6<f64>,
     /// Variance of what each tile is off by itself, in variances of its noise; 1 at least.
     pub noise: f64,
 }
@@ -95,7 +97,8 @@ pub fn model_error(
     let field = if determinant > 0.0 { of_both.clamp(0.0, of_field_alone.max(0.0)) } else { of_field_alone };
     let noise = ((squared - left * field) / freedom).max(1.0);
     let covariance = covariance_of_inverse(pose, &(of_pose * field));
-    (left > 0.0 && covariance.iter().all(|v| v.is_finite())).then_some(ModelError { covariance, noise })
+    let at_most = covariance_of_inverse(pose, &(of_pose * of_field_alone));
+    (left > 0.0 && covariance.iter().all(|v| v.is_finite())).then_some(ModelError { covariance, at_most, noise })
 }
 
 /// Sums over the tiles beside one, weighted by how near they are.
@@ -210,7 +213,7 @@ mod tests {
             residuals.take(&found.pose, &camera, &anchors).expect("tiles enough");
             let by_noise = covariance_of_inverse(&found.pose, &found.normal.try_inverse().expect("positive definite"));
             let error = model_error(&found.pose, f64::from(WIDTH), &residuals, &mut Vec::new());
-            let ModelError { covariance, noise } = error.unwrap_or(ModelError { covariance: Matrix6::zeros(), noise: 1.0 });
+            let (covariance, noise) = error.map_or((Matrix6::zeros(), 1.0), |e| (e.covariance, e.noise));
             let (truth, found) = (pose.inverse(), found.pose.inverse());
             let (moved, turned) = (truth.translation - found.translation, (truth.rotation * found.rotation.inverse()).scaled_axis());
             let e = Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z);

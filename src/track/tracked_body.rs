@@ -113,8 +113,9 @@ pub struct TrackedBody {
 pub struct ModelFit {
     /// Root mean square of the displacements, pixels.
     pub rms_px: f64,
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit, as if the pose rested on this frame alone; `None` where all fits within the noise.
-    pub covariance: Option<Matrix6<f64>>,
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, if all that does not fit were one smooth field, and the pose rested on this frame alone; `None` where all fits
+    /// within the noise.
+    pub at_most: Option<Matrix6<f64>>,
     /// Variance of what each tile is off by itself, in variances of its noise; 1 at least.
     pub noise: f64,
     /// What they say of the focal length; `None` where that explains nothing and was not asked for.
@@ -390,14 +391,15 @@ impl TrackedBody {
         residuals.take(&t_camera_body, camera, anchors)?;
         let field_px = if is_stage { f64::from(camera.width()) } else { residuals.extent_px() };
         let error = model_error(&t_camera_body, field_px, residuals, steps);
-        let (covariance, noise) = (error.map(|e| e.covariance), error.map_or(1.0, |e| e.noise));
-        let of_frame = covariance.unwrap_or_default();
+        // An object has too few tiles to tell the one from the other: all of it counts as a field.
+        let (of_frame, noise) =
+            error.map_or((Matrix6::zeros(), 1.0), |e| if is_stage { (e.covariance, e.noise) } else { (e.at_most, 1.0) });
         *own_error = blended(&t_camera_body, residuals, &verified.covariance, &of_frame, own_error).unwrap_or(of_frame);
         let asks_focal = asks_focal || residuals.is_misfit() || is_suspect(residuals);
         let rows = RowDisplacement::new(camera, rows, &t_camera_body);
         let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
-        let fit = ModelFit { rms_px: residuals.rms_px(), covariance, noise, focal };
-        debug!(body = %body.name, rms_px = fit.rms_px, doubts = covariance.is_some(), noise, focal = ?fit.focal, "model");
+        let fit = ModelFit { rms_px: residuals.rms_px(), at_most: error.map(|e| e.at_most), noise, focal };
+        debug!(body = %body.name, rms_px = fit.rms_px, doubts = error.is_some(), noise, focal = ?fit.focal, "model");
         Some(fit)
     }
 
