@@ -44,8 +44,15 @@ pub struct CornerBuffers {
     ranks: Ranks,
     /// Lowest thresholds that the last picture did without, and the next one leaves out at first. It changes the time, never the corners.
     spared: usize,
-    /// Contrast that the candidates were found with; `None` where a picture is so small that none were looked for.
+    /// Contrast that the candidates were found with; `None` where none were looked for yet.
     found_with: Option<u8>,
+}
+
+impl CornerBuffers {
+    /// What comes next is another picture.
+    pub(super) fn forget_picture(&mut self) {
+        self.found_with = None;
+    }
 }
 
 /// Finds at most `options.count` corners, strongest first within an even spread; `mask` (if any) tells by level position
@@ -57,12 +64,12 @@ pub fn detect_corners(
     buffers: &mut CornerBuffers,
     found: &mut Vec<Corner>,
 ) {
-    buffers.found_with = None;
+    buffers.forget_picture();
     detect_more_corners(image, options, mask, buffers, found);
 }
 
 /// The same of the picture that these buffers were used for last, with another count: what was found of it is not found again.
-pub fn detect_more_corners(
+pub(super) fn detect_more_corners(
     image: &GrayImage,
     options: &CornerOptions,
     mask: impl Fn(u32, u32) -> bool,
@@ -94,11 +101,10 @@ fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, buffer
     let thresholds = [options.threshold.saturating_mul(2), options.threshold, options.least_threshold];
     // The lowest contrast of the first few.
     let lowest = |count: usize| thresholds[..count].iter().copied().min().unwrap_or(0);
-    let known = buffers.found_with.and_then(|found_with| (1..=thresholds.len()).rev().find(|count| lowest(*count) == found_with));
-    let mut tried = known.unwrap_or(thresholds.len() - buffers.spared);
+    let mut tried = thresholds.len() - buffers.spared;
     loop {
         // A corner's score is the largest threshold that it passes, so those of a low threshold hold those of the higher ones.
-        if buffers.found_with != Some(lowest(tried)) {
+        if buffers.found_with.is_none_or(|found_with| found_with > lowest(tried)) {
             find_peaks(image, lowest(tried), border, buffers);
             buffers.found_with = Some(lowest(tried));
         }

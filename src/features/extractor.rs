@@ -3,7 +3,7 @@
 use image::GrayImage;
 use nalgebra::Vector2;
 
-use super::corners::{Corner, CornerBuffers, CornerOptions, detect_corners, detect_more_corners};
+use super::corners::{Corner, CornerBuffers, CornerOptions, detect_more_corners};
 use super::descriptor::{Descriptor, oriented_descriptor};
 use super::pattern::PATCH_RADIUS;
 use super::pyramid::{Level, Pyramid};
@@ -75,22 +75,12 @@ impl FeatureExtractor {
         features: &mut Vec<Feature>,
     ) {
         self.pyramid.build(picture, options.factor, options.levels, 2 * BORDER + 8);
-        self.describe_corners(mask, options, workers, features, false);
+        self.work.iter_mut().for_each(|work| work.buffers.forget_picture());
+        self.extract_more(mask, options, workers, features);
     }
 
     /// The same of the picture that was taken last, with another count: its levels and what was found on them are kept.
     pub fn extract_more(&mut self, mask: Option<&GrayImage>, options: &ExtractorOptions, workers: &Workers, features: &mut Vec<Feature>) {
-        self.describe_corners(mask, options, workers, features, true);
-    }
-
-    fn describe_corners(
-        &mut self,
-        mask: Option<&GrayImage>,
-        options: &ExtractorOptions,
-        workers: &Workers,
-        features: &mut Vec<Feature>,
-        is_known: bool,
-    ) {
         let levels = self.pyramid.levels();
         self.work.resize_with(levels.len(), LevelWork::default);
         let share = |level: &Level| (level.scale[0] * level.scale[1]).powf(options.area_power);
@@ -109,12 +99,7 @@ impl FeatureExtractor {
                 cell_px: 40,
             };
             let usable = |x: u32, y: u32| is_usable(mask, level, x, y);
-            let LevelWork { buffers, corners, .. } = work;
-            if is_known {
-                detect_more_corners(&level.image, &corner_options, usable, buffers, corners);
-            } else {
-                detect_corners(&level.image, &corner_options, usable, buffers, corners);
-            }
+            detect_more_corners(&level.image, &corner_options, usable, &mut work.buffers, &mut work.corners);
         });
         self.jobs.clear();
         for (k, work) in self.work.iter().enumerate() {

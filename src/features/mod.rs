@@ -36,6 +36,7 @@ pub use descriptor::{Descriptor, describe, orientation};
 pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
 pub use float_image::FloatImage;
 pub use keypoint::{Descriptors, Features, Keypoint, PictureForms};
+pub(crate) use pyramid::resize_buffer;
 pub use pyramid::{Pyramid, halved, smooth_into};
 pub use tilted_view::{TiltedViews, append_tilted_features};
 pub use view_simulation::ViewSimulation;

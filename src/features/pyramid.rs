@@ -70,7 +70,7 @@ impl Pyramid {
 }
 
 /// Gives a buffer another size, keeping its memory where it suffices.
-pub(super) fn resize_buffer(image: &mut GrayImage, width: u32, height: u32) {
+pub(crate) fn resize_buffer(image: &mut GrayImage, width: u32, height: u32) {
     if image.dimensions() != (width, height) {
         let mut raw = std::mem::take(image).into_raw();
         raw.resize(width as usize * height as usize, 0);

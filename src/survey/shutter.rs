@@ -46,7 +46,7 @@ const LEAST_FRAMES: usize = 12;
 const BLOCK: usize = 6;
 
 /// What the rows of a frame may be displaced by for other reasons than the readout, in all frames alike, pixels, one sigma: fog, gels, people, a lens that is a little
-/// off. Chosen: of clips with a global shutter the slow ones seemed to be read in 1.0, 1.3 and -2.6 ms, which was 0.1 to 0.15 pixels. Raised, slow clips tell
+/// off. Chosen: two slow clips with a global shutter seemed to be read in 1.0 and 1.3 ms, which was 0.10 and 0.08 pixels. Raised, slow clips tell
 /// nothing; lowered, a config gets a readout that the camera does not have.
 const MODEL_ERROR_PX: f64 = 0.05;
 

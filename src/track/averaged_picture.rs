@@ -1,12 +1,13 @@
 //! A picture averaged over what one pixel of a frame covers of it.
 //!
-//! Where texels are smaller than pixels, one look at a picture is not what a pixel shows: fine grain is averaged there, and aliased by a single look. So the picture is
-//! averaged beforehand over a square as wide as a pixel, and each pixel needs one look alone (Williams 1983, "Pyramidal parametrics", but with the octave below and
-//! the width as it is). It is made anew only when the size at which the surface is seen has changed.
+//! A pixel shows the mean of all texels that it covers. Where it covers several, one look at a single texel aliases fine grain. So the picture is averaged beforehand, over
+//! a square as wide as a pixel, and then one look a pixel is enough (Williams 1983, "Pyramidal parametrics"; here from the octave below, and for the width as it is). It is
+//! averaged anew only when the surface is seen larger or smaller.
 
 use image::GrayImage;
 
 use super::reference::Octave;
+use crate::features::resize_buffer;
 
 /// A copy is made anew once the texels along a pixel have changed by more than 2 to the power of this: 7 %. Chosen: with squares that are 7 % too wide, white noise still correlates by 0.93
 /// with what the frame shows, and cells are explained from 0.9 on. Raised, fine grain counts as unexplained; lowered, a camera that moves towards the stage costs more.
@@ -38,12 +39,11 @@ impl AveragedPicture {
     fn make(&mut self, from: &GrayImage, side: f32) {
         let (width, height) = (from.width() as usize, from.height() as usize);
         let raw = from.as_raw();
-        let mut out = std::mem::take(&mut self.image).into_raw();
-        out.resize(raw.len(), 0);
+        resize_buffer(&mut self.image, from.width(), from.height());
         let weights = weights(side);
         // Two columns more at each end, so that the square never leaves the row.
         self.row.resize(width + 4, 0.0);
-        for (y, out) in out.chunks_exact_mut(width).enumerate() {
+        for (y, out) in self.image.chunks_exact_mut(width).enumerate() {
             let line = |dy: isize| &raw[y.saturating_add_signed(dy).min(height - 1) * width..][..width];
             average_column(line, weights, &mut self.row[2..][..width]);
             let (first, last) = (self.row[2], self.row[width + 1]);
@@ -51,8 +51,6 @@ impl AveragedPicture {
             self.row[width + 2..].fill(last);
             average_row(&self.row, weights, out);
         }
-        // There is one byte for each texel.
-        self.image = GrayImage::from_raw(from.width(), from.height(), out).unwrap_or_default();
     }
 }
 

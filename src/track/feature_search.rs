@@ -139,13 +139,9 @@ impl FeatureSearch {
         }
         let entries = self.missing_views.features().len().max(1);
         let count = (SLICE_COMPARISONS / entries).clamp(LEAST_SLICE_FEATURES, MOST_SLICE_FEATURES).min(self.count);
-        if !unexplained.is_anything() {
-            self.features.clear();
-            self.matches.clear();
-            self.asked = Asked::MissingViews;
-            return;
-        }
-        let image = self.contrast.stretched(image).unwrap_or(image);
+        // Where all is explained there is nothing to spread the contrast of.
+        let stretched = if unexplained.is_anything() { self.contrast.stretched(image) } else { None };
+        let image = stretched.unwrap_or(image);
         unexplained.extract(image, mask, count, &mut self.extractor, workers, &mut self.features);
         self.compare(Asked::MissingViews, workers);
     }

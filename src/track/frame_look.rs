@@ -24,7 +24,7 @@ impl Default for FrameLook {
     }
 }
 
-/// Stride, across and down, pixels: 14,000 of a half-size frame of 640 x 360, in 0.05 ms. Raised, it costs less, and thin detail is passed over.
+/// Stride, across and down, pixels: 14,000 of a half-size frame of 640 x 360. Raised, a look costs less, and thin detail is passed over.
 const STRIDE: usize = 4;
 /// Distance of the wider step, pixels of the half-size frame: with it a slope gives 1/16 and a step 1/4 (`FrameLook::sharpness`), and with
 /// another `BLURRED` would be another. Raised, more blur is needed to be called so.

@@ -256,7 +256,6 @@ impl Matcher {
             if turn > LARGEST_MISFIT_TURN {
                 debug!(body = %self.bodies[k].body.name, turn, "misfit");
                 (self.verified[k], self.fits[k]) = (None, None);
-                self.bodies[k].forget_model_error();
                 self.bodies[k].give_up(Reason::NoPoseFits);
             }
         }
@@ -285,10 +284,7 @@ impl Matcher {
             return BodySighting { state: tracked.track.withhold(), verified: None, reason: tracked.reason.or(Some(Reason::LensMoved)) };
         }
         // A frame that leaves no doubt confirms itself, unless what of the model does not fit leaves some.
-        // By what of the model does not fit, and by noise beyond that of pixels.
-        let excess = self.fits[k].map_or(0.0, |fit| fit.noise - 1.0);
-        let by_misfit = |v: &Verified| tracked.model_error + v.covariance * excess;
-        let is_known = |v: &Verified| is_sharp(&(v.covariance + by_misfit(v)), tracked.aligner.distance_m(&v.pose));
+        let is_known = |v: &Verified| is_sharp(&(v.covariance + tracked.covariance_by_misfit(v)), tracked.aligner.distance_m(&v.pose));
         let conclusive = verified.is_some_and(|v| v.is_conclusive && is_known(&v));
         let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
         let pose = verified.as_ref().map(|v| &v.pose);
@@ -303,7 +299,7 @@ impl Matcher {
             let fit = self.fits[k];
             let by_focal = self.lens_watch.strayed().filter(|_| fit.is_some());
             let by_focal = by_focal.and_then(|strayed| tracked.covariance_by_focal(&v.pose, strayed));
-            let by_misfit = Some(tracked.model_error + v.covariance * excess).filter(|covariance| *covariance != Matrix6::zeros());
+            let by_misfit = Some(tracked.covariance_by_misfit(v)).filter(|covariance| *covariance != Matrix6::zeros());
             v.by_model = [by_lens, by_shape, by_focal, by_misfit].into_iter().flatten().reduce(|sum, more| sum + more);
             v.rms_px = fit.map_or(v.rms_px, |fit| fit.rms_px);
         }

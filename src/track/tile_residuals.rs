@@ -176,10 +176,9 @@ impl TileResiduals {
         (2.0 * squared / information.max(f64::MIN_POSITIVE)).sqrt()
     }
 
-    /// The change of the pose alone that explains the shifts best.
-    pub fn pose_change(&self) -> Option<Vector6<f64>> {
-        let right: Vector6<f64> = self.tiles.iter().map(|t| t.by_pose.transpose() * (t.information * t.shift_px)).sum();
-        Some(self.normal.cholesky()?.solve(&right))
+    /// Right side of the normal equations of the pose: [`normal`](Self::normal) times the change that explains the shifts best is this.
+    pub fn right_side(&self) -> Vector6<f64> {
+        self.tiles.iter().map(|t| t.by_pose.transpose() * (t.information * t.shift_px)).sum()
     }
 
     /// How far the pose goes astray with the logarithm of the focal length, [δt, δθ] of `T_camera_body`, camera axes.

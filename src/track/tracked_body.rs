@@ -101,7 +101,9 @@ pub struct TrackedBody {
     residuals: TileResiduals,
     steps: Vec<Matrix6x2<f64>>,
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit the model, of the last verified pose.
-    pub model_error: Matrix6<f64>,
+    model_error: Matrix6<f64>,
+    /// Variance of the noise beyond what pixels tell, in variances of that, in the frame that was asked for its model fit last.
+    excess_noise: f64,
     model_watch: ModelWatch,
     /// What is studied of a frame, and what it leaves.
     studied: Vec<FittedAnchor>,
@@ -116,8 +118,6 @@ pub struct ModelFit {
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, if all that does not fit were one smooth field, and the pose rested on this frame alone; `None` where all fits
     /// within the noise.
     pub at_most: Option<Matrix6<f64>>,
-    /// Variance of what each tile is off by itself, in variances of its noise; 1 at least.
-    pub noise: f64,
     /// What they say of the focal length; `None` where that explains nothing and was not asked for.
     pub focal: Option<FocalClue>,
 }
@@ -153,6 +153,7 @@ impl TrackedBody {
             residuals: TileResiduals::default(),
             steps: Vec::with_capacity(most),
             model_error: Matrix6::zeros(),
+            excess_noise: 0.0,
             model_watch: ModelWatch::new(body.surfaces.len()),
             studied: Vec::with_capacity(most),
             study_residuals: TileResiduals::default(),
@@ -238,6 +239,7 @@ impl TrackedBody {
     /// Gives up the pose that this frame seemed to show, for this reason.
     pub fn give_up(&mut self, reason: Reason) {
         self.forget_alignment();
+        self.forget_model_error();
         self.reason = Some(reason);
     }
 
@@ -385,7 +387,8 @@ impl TrackedBody {
         is_stage: bool,
     ) -> Option<ModelFit> {
         let t_camera_body = verified.pose.inverse();
-        let Self { residuals, anchors, found, body, steps, model_error: own_error, .. } = self;
+        let Self { residuals, anchors, found, body, steps, model_error: own_error, excess_noise, .. } = self;
+        *excess_noise = 0.0;
         // Those that do not fit tell of a lens or a shape that is off, which is why they do not.
         let anchors = if found.is_empty() { anchors } else { found };
         residuals.take(&t_camera_body, camera, anchors)?;
@@ -394,18 +397,25 @@ impl TrackedBody {
         // An object has too few tiles to tell the one from the other: all of it counts as a field.
         let (of_frame, noise) =
             error.map_or((Matrix6::zeros(), 1.0), |e| if is_stage { (e.covariance, e.noise) } else { (e.at_most, 1.0) });
+        *excess_noise = noise - 1.0;
         *own_error = blended(&t_camera_body, residuals, &verified.covariance, &of_frame, own_error).unwrap_or(of_frame);
         let asks_focal = asks_focal || residuals.is_misfit() || is_suspect(residuals);
         let rows = RowDisplacement::new(camera, rows, &t_camera_body);
         let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
-        let fit = ModelFit { rms_px: residuals.rms_px(), at_most: error.map(|e| e.at_most), noise, focal };
+        let fit = ModelFit { rms_px: residuals.rms_px(), at_most: error.map(|e| e.at_most), focal };
         debug!(body = %body.name, rms_px = fit.rms_px, doubts = error.is_some(), noise, focal = ?fit.focal, "model");
         Some(fit)
     }
 
     /// The next verified pose rests on no frame before it.
     pub fn forget_model_error(&mut self) {
-        self.model_error = Matrix6::zeros();
+        (self.model_error, self.excess_noise) = (Matrix6::zeros(), 0.0);
+    }
+
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, by what the model does not explain: its error, and noise beyond that of
+    /// pixels; zero where all fits.
+    pub fn covariance_by_misfit(&self, verified: &Verified) -> Matrix6<f64> {
+        self.model_error + verified.covariance * self.excess_noise
     }
 
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, where one sigma of the logarithm of the focal length is this.

@@ -104,6 +104,9 @@ const SETTLING_STEPS: usize = 8;
 /// tuned. Raised, starts and stops are explained by jerk more often, whose expectation is the wider one.
 const JERK_LIKELIHOOD: f64 = 0.01;
 
+/// Time over which a picture's speed is taken, seconds: as long as usual exposures. It hardly matters, as a motion is smooth.
+const SPEED_OVER_S: f64 = 0.005;
+
 /// Buffers of the hot path, kept from frame to frame.
 #[derive(Debug, Default)]
 pub struct Buffers {
@@ -149,9 +152,6 @@ pub struct FrameProblem<'a> {
     has_opposite: bool,
     lessons: Lessons,
 }
-
-/// Time over which a picture's speed is taken, seconds: as long as usual exposures. It hardly matters, as a motion is smooth.
-const SPEED_OVER_S: f64 = 0.005;
 
 /// Where a level's last linearisation led.
 struct Iterated {

@@ -117,7 +117,7 @@ const AGREEING_CORRELATION: f64 = 0.9;
 const SHARP_SHIFT: f64 = 0.0033;
 const SHARP_TURN: f64 = 0.00175;
 
-/// Whether so many tiles agree, of so many, that what the others show does not matter.
+/// Whether enough tiles agree, and a large enough share of all, for the others to be ignored.
 pub fn are_sure(agreeing: usize, tiles: usize) -> bool {
     agreeing >= SURE_TILES && agreeing as f64 >= SURE_SHARE * tiles as f64
 }
