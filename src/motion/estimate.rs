@@ -24,6 +24,19 @@ const STRETCH_TO_TILT: f64 = 1.5;
 const REMEMBERED_S: f64 = 0.05;
 const FADES_IN_S: f64 = 0.1;
 
+/// Least share of an expected variance that a frame must take away for its innovation to count. Chosen. Raised, bodies that show little teach nothing; lowered to 0, what
+/// is small by rounding, or by the picture's curvature, counts as a motion.
+const LEAST_GAIN: f64 = 0.2;
+
+/// How far a frame was from what was expected.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Innovation {
+    /// Its square, in variances of what chance does, a degree of freedom.
+    pub squared: f64,
+    /// Directions in which the frame told enough, 1 to 3.
+    pub freedom: usize,
+}
+
 /// A motion and how sure it is.
 #[derive(Debug, Clone, Copy)]
 pub struct MotionEstimate {
@@ -53,14 +66,22 @@ impl MotionEstimate {
         Self { motion: Motion::still(pose), covariance }
     }
 
-    /// Squared innovations of shift and turn, where a pose was found: in sigmas of what was expected, a degree of freedom. `None` where
-    /// the covariance is singular.
-    pub fn squared_innovations(&self, found: &Motion) -> [Option<f64>; 2] {
-        let error = self.motion.error_to(found);
+    /// Innovations of shift and turn, where the frame changed what was expected to `found`. `None` where the frame told next to nothing, or a covariance is singular.
+    ///
+    /// By a frame, an expectation of covariance P becomes an estimate of covariance C: by chance alone the change has the covariance P - C (Kalman 1960). Of a body that is seen well that is P; of
+    /// one that shows little of its tilt it is far less, and a change as small as that is no sign of a smooth motion.
+    pub fn innovations(&self, found: &Self) -> [Option<Innovation>; 2] {
+        let error = self.motion.error_to(&found.motion);
         [0, 3].map(|first| {
-            let part = error.fixed_rows::<3>(first).into_owned();
-            let covariance = self.covariance.fixed_view::<3, 3>(first, first).into_owned();
-            Some(part.dot(&covariance.cholesky()?.solve(&part)) / 3.0)
+            let block = |of: &MotionMatrix| of.fixed_view::<3, 3>(first, first).into_owned();
+            let root = block(&self.covariance).cholesky()?.l();
+            let whiten = root.try_inverse()?;
+            let change = whiten * error.fixed_rows::<3>(first);
+            let gain = Matrix3::identity() - whiten * block(&found.covariance) * whiten.transpose();
+            let axes = gain.symmetric_eigen();
+            let told = axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()).filter(|(gain, _)| **gain >= LEAST_GAIN);
+            let (sum, freedom) = told.fold((0.0, 0), |(sum, n), (gain, axis)| (sum + axis.dot(&change).powi(2) / gain, n + 1));
+            (freedom > 0).then(|| Innovation { squared: sum / f64::from(freedom), freedom: freedom as usize })
         })
     }
 

@@ -283,7 +283,7 @@ impl TrackedBody {
             self.process_noise = ProcessNoise::default();
         } else if self.clue.is_none() {
             // Where the shutter is in question, jerk must not explain what a wrong one does.
-            self.process_noise.learn(expected.squared_innovations(&found.estimate.motion));
+            self.process_noise.learn(expected.innovations(&found.estimate));
         }
         self.motion = Some((found.estimate, frame.timestamp));
         self.has_opposite = found.has_opposite;
