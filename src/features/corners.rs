@@ -155,15 +155,23 @@ fn find_peaks(image: &GrayImage, threshold: u8, border: u32, buffers: &mut Corne
 
 /// Appends the corners of a row whose first pixel has the column `first`.
 fn collect(peaks: &[u8], first: usize, y: usize, candidates: &mut Vec<Corner>) {
-    // Most places have none: eight are passed at once.
-    for (k, eight) in peaks.chunks(8).enumerate() {
-        if eight.iter().fold(0, |any, score| any | score) == 0 {
+    let mut corners_from = |from: usize, peaks: &[u8]| {
+        let corners = peaks.iter().enumerate().filter(|(_, score)| **score != 0);
+        candidates.extend(corners.map(|(i, score)| Corner { x: (first + from + i) as u32, y: y as u32, strength: f32::from(*score) }));
+    };
+    // Most places have none: 32 are passed at once, then eight.
+    let (blocks, rest) = peaks.as_chunks::<32>();
+    for (k, block) in blocks.iter().enumerate() {
+        let (words, _) = block.as_chunks::<8>();
+        let is_empty = |word: &[u8; 8]| u64::from_ne_bytes(*word) == 0;
+        if words.iter().fold(0, |any, word| any | u64::from_ne_bytes(*word)) == 0 {
             continue;
         }
-        for (i, score) in eight.iter().enumerate().filter(|(_, score)| **score != 0) {
-            candidates.push(Corner { x: (first + 8 * k + i) as u32, y: y as u32, strength: f32::from(*score) });
+        for (i, word) in words.iter().enumerate().filter(|(_, word)| !is_empty(word)) {
+            corners_from(32 * k + 8 * i, word);
         }
     }
+    corners_from(32 * blocks.len(), rest);
 }
 
 multiversion! {

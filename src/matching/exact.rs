@@ -5,7 +5,7 @@
 
 use rayon::prelude::*;
 
-use super::kernels;
+use super::kernels::{self, QUERIES};
 use super::rival::Nearest;
 use crate::features::{Descriptor, Descriptors, Features, Keypoint};
 use crate::simd::multiversion;
@@ -188,14 +188,7 @@ fn nearest_bits(queries: &[Descriptor], targets: &[Descriptor], places: Option<&
     let mut blocks = Vec::new();
     kernels::pack_into(targets.iter().copied(), &mut blocks);
     let is_same = |a: usize, b: usize| places.is_none_or(|places| same_place(&places[a], &places[b], SAME_PLACE));
-    let one = |query: &Descriptor| {
-        let mut nearest = Nearest::<u32>::default();
-        kernels::scan(query, &blocks, |k, distance, bar: &mut u32| {
-            if k < targets.len() {
-                nearest.offer(k, distance, is_same);
-                *bar = nearest.bar();
-            }
-        });
+    let found = |query: &Descriptor, nearest: Nearest<u32>| {
         let distance = |k: usize| query.distance(&targets[k]);
         let (_, best) = nearest.best()?;
         let elsewhere = |k: &usize| !is_same(best, *k);
@@ -209,7 +202,20 @@ fn nearest_bits(queries: &[Descriptor], targets: &[Descriptor], places: Option<&
         let ratio = rival.map_or(NO_RIVAL, |rival| (own + 1) as f32 / (rival + 1) as f32);
         Some(Found { index: best, distance: own as f32, ratio })
     };
-    queries.par_iter().map(one).collect()
+    let group = |queries: &[Descriptor; QUERIES]| {
+        let mut nearest = [Nearest::<u32>::default(); QUERIES];
+        kernels::scan(queries, &blocks, u32::MAX, |n, k, distance, bar: &mut u32| {
+            if k < targets.len() {
+                nearest[n].offer(k, distance, is_same);
+                *bar = nearest[n].bar();
+            }
+        });
+        std::array::from_fn::<_, QUERIES, _>(|n| found(&queries[n], nearest[n]))
+    };
+    let mut groups = Vec::new();
+    kernels::group_into(queries.iter().copied(), &mut groups);
+    let groups: Vec<_> = groups.par_iter().map(group).collect();
+    groups.into_iter().flatten().take(queries.len()).collect()
 }
 
 multiversion! {

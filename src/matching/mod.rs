@@ -12,6 +12,7 @@ use nalgebra::Vector2;
 
 use crate::features::{Descriptor, Feature, Workers};
 pub use exact::{ExactMatch, ExactOptions, match_exactly, match_watched};
+use kernels::QUERIES;
 use rival::Nearest;
 
 /// A described corner of a reference picture.
@@ -47,14 +48,22 @@ pub struct Match {
 /// Buffers of the matcher.
 #[derive(Debug, Clone, Default)]
 pub struct MatchBuffers {
-    nearest: Vec<Option<(u32, f32)>>,
-    back: Vec<u32>,
+    queries: Vec<[Descriptor; QUERIES]>,
+    nearest: Vec<[Nearest<u32>; QUERIES]>,
+    /// Those whose rival may have been missed, with their nearest entries.
+    missed: Vec<[(Descriptor, usize); QUERIES]>,
+    rivals: Vec<[u32; QUERIES]>,
+    asked_back: Vec<[Descriptor; QUERIES]>,
+    back: Vec<[u32; QUERIES]>,
     frame: Vec<kernels::Block>,
 }
 
 /// Hamming distances above this never match: chance pairs lie around 128 +- 8, so this is six sigma below. Raised, chance
 /// matches pass the ratio test more often; lowered, matches under blur and steep angles are lost.
 const LARGEST_DISTANCE: u32 = 80;
+/// Rivals at this distance and beyond count as one at this distance. No match would pass for another one: at [`LARGEST_DISTANCE`] its ratio is 0.85. Raised, more
+/// entries must be looked at one by one; lowered, weak matches pass the ratio test.
+const FARTHEST_RIVAL: u32 = 95;
 
 impl ReferenceIndex {
     /// Adds the features of a surface; `transform` maps a feature's position into artwork pixels.
@@ -89,32 +98,27 @@ impl ReferenceIndex {
         a.surface == b.surface && (a.position - b.position).norm_squared() < near * near
     }
 
-    /// The nearest entry and the ratio of its distance to that of the nearest elsewhere.
-    fn nearest(&self, descriptor: &Descriptor) -> Option<(u32, f32)> {
-        let mut nearest = Nearest::<u32>::default();
-        kernels::scan(descriptor, &self.blocks, |k, distance, bar: &mut u32| {
+    /// Each query's nearest entry and its rival, which may be missed.
+    fn nearest(&self, queries: &[Descriptor; QUERIES]) -> [Nearest<u32>; QUERIES] {
+        let mut nearest = [Nearest::default(); QUERIES];
+        kernels::scan(queries, &self.blocks, FARTHEST_RIVAL, |n, k, distance, bar: &mut u32| {
             if k < self.features.len() {
-                nearest.offer(k, distance, |a, b| self.same_place(a, b));
-                *bar = nearest.bar();
+                nearest[n].offer(k, distance, |a, b| self.same_place(a, b));
+                *bar = nearest[n].bar().min(*bar);
             }
         });
-        let best = nearest.best()?;
-        let rival = if nearest.may_miss_rival() { self.nearest_elsewhere(descriptor, best.1) } else { nearest.rival() };
-        // One is added to both, so that two exact copies are rivals (0 / 0).
-        let ratio = rival.map_or(0.5, |(rival, _)| (best.0 + 1) as f32 / (rival + 1) as f32);
-        (best.0 <= LARGEST_DISTANCE).then_some((best.1 as u32, ratio))
+        nearest
     }
 
-    /// Distance and index of the nearest entry that does not show the place of entry `best`.
-    fn nearest_elsewhere(&self, descriptor: &Descriptor, best: usize) -> Option<(u32, usize)> {
-        let mut second = (u32::MAX, usize::MAX);
-        kernels::scan(descriptor, &self.blocks, |k, distance, bar: &mut u32| {
-            if k < self.features.len() && distance < second.0 && !self.same_place(best, k) {
-                second = (distance, k);
-                *bar = distance;
+    /// The distance of each query's nearest entry that does not show the place of the entry that is given with it.
+    fn nearest_elsewhere(&self, asked: &[(Descriptor, usize); QUERIES]) -> [u32; QUERIES] {
+        let mut rivals = [FARTHEST_RIVAL; QUERIES];
+        kernels::scan(&asked.map(|(query, _)| query), &self.blocks, FARTHEST_RIVAL, |n, k, distance, bar: &mut u32| {
+            if k < self.features.len() && !self.same_place(asked[n].1, k) {
+                (rivals[n], *bar) = (distance, distance);
             }
         });
-        (second.1 != usize::MAX).then_some(second)
+        rivals
     }
 
     /// Matches frame features with the index: best ratio first (ties by frame index).
@@ -123,17 +127,27 @@ impl ReferenceIndex {
         if self.descriptors.is_empty() || frame.is_empty() {
             return;
         }
-        workers.map_into(frame, &mut buffers.nearest, |f| self.nearest(&f.descriptor));
-        for (k, nearest) in buffers.nearest.iter().enumerate() {
-            if let Some((reference, r)) = nearest.filter(|(_, r)| *r < ratio) {
-                matches.push(Match { frame: k as u32, reference, ratio: r });
+        let MatchBuffers { queries, nearest, missed, rivals, .. } = buffers;
+        kernels::group_into(frame.iter().map(|f| f.descriptor), queries);
+        workers.map_into(queries, nearest, |queries| self.nearest(queries));
+        let nearest = || nearest.iter().flatten().zip(frame).map(|(n, f)| (f, n.best().filter(|b| b.0 <= LARGEST_DISTANCE), n));
+        let is_missed = |n: &Nearest<u32>| n.may_miss_rival();
+        kernels::group_into(nearest().filter(|n| is_missed(n.2)).filter_map(|(f, best, _)| Some((f.descriptor, best?.1))), missed);
+        workers.map_into(missed, rivals, |asked| self.nearest_elsewhere(asked));
+        let mut rivals = rivals.iter().flatten();
+        for (k, (_, best, n)) in nearest().enumerate() {
+            let Some((distance, reference)) = best else { continue };
+            let rival = if is_missed(n) { rivals.next().copied() } else { None }.unwrap_or(n.bar().min(FARTHEST_RIVAL));
+            // One is added to both, so that two exact copies are rivals (0 / 0).
+            let own = (distance + 1) as f32 / (rival + 1) as f32;
+            if own < ratio {
+                matches.push(Match { frame: k as u32, reference: reference as u32, ratio: own });
             }
         }
         kernels::pack_into(frame.iter().map(|f| f.descriptor), &mut buffers.frame);
-        workers.map_into(matches, &mut buffers.back, |m| {
-            nearest_frame_feature(&self.descriptors[m.reference as usize], &buffers.frame, frame.len())
-        });
-        let mut back = buffers.back.iter();
+        kernels::group_into(matches.iter().map(|m| self.descriptors[m.reference as usize]), &mut buffers.asked_back);
+        workers.map_into(&buffers.asked_back, &mut buffers.back, |asked| nearest_frame_features(asked, &buffers.frame, frame.len()));
+        let mut back = buffers.back.iter().flatten();
         // Two frame features of the same place (neighbouring levels) may both claim a reference feature.
         matches.retain(|m| {
             back.next().is_some_and(|&b| {
@@ -146,11 +160,11 @@ impl ReferenceIndex {
     }
 }
 
-fn nearest_frame_feature(descriptor: &Descriptor, frame: &[kernels::Block], count: usize) -> u32 {
-    let mut best = 0;
-    kernels::scan(descriptor, frame, |k, distance, bar: &mut u32| {
+fn nearest_frame_features(asked: &[Descriptor; QUERIES], frame: &[kernels::Block], count: usize) -> [u32; QUERIES] {
+    let mut best = [0; QUERIES];
+    kernels::scan(asked, frame, u32::MAX, |n, k, distance, bar: &mut u32| {
         if k < count {
-            (best, *bar) = (k as u32, distance);
+            (best[n], *bar) = (k as u32, distance);
         }
     });
     best
@@ -244,8 +258,11 @@ mod tests {
             let distance = |k: usize| entries[k].descriptor.0.iter().map(|word| word.count_ones()).sum::<u32>();
             let best = (0..entries.len()).min_by_key(|k| distance(*k)).unwrap();
             let rival = (0..entries.len()).filter(|k| !index.same_place(best, *k)).map(distance).min();
-            let ratio = rival.map_or(0.5, |rival| (distance(best) + 1) as f32 / (rival + 1) as f32);
-            assert_eq!(index.nearest(&query), Some((best as u32, ratio)));
+            let ratio = (distance(best) + 1) as f32 / (rival.map_or(FARTHEST_RIVAL, |rival| rival.min(FARTHEST_RIVAL)) + 1) as f32;
+            let frame = [Feature { position: Vector2::zeros(), scale: 1.0, angle: 0.0, descriptor: query }];
+            let mut matches = Vec::new();
+            index.match_features(&frame, f32::INFINITY, &Workers::new(1), &mut MatchBuffers::default(), &mut matches);
+            assert_eq!(matches, [Match { frame: 0, reference: best as u32, ratio }]);
         }
     }
 
