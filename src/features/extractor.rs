@@ -31,6 +31,8 @@ pub struct ExtractorOptions {
     pub factor: f64,
     /// Levels at most.
     pub levels: usize,
+    /// Levels that are larger than this, pixels across, are left out: they have most of the pixels.
+    pub largest_px: u32,
     /// FAST contrast to begin with, grey levels.
     pub threshold: u8,
     /// Lowest FAST contrast, for dim pictures.
@@ -41,7 +43,7 @@ pub struct ExtractorOptions {
 
 impl Default for ExtractorOptions {
     fn default() -> Self {
-        Self { count: 1500, factor: 1.2, levels: 8, threshold: 20, least_threshold: 6, area_power: 0.5 }
+        Self { count: 1500, factor: 1.2, levels: 8, largest_px: u32::MAX, threshold: 20, least_threshold: 6, area_power: 0.5 }
     }
 }
 
@@ -74,22 +76,24 @@ impl FeatureExtractor {
         workers: &Workers,
         features: &mut Vec<Feature>,
     ) {
-        self.pyramid.build(picture, options.factor, options.levels, 2 * BORDER + 8);
+        self.pyramid.shrink(picture, options.factor, options.levels, 2 * BORDER + 8);
         self.work.iter_mut().for_each(|work| work.buffers.forget_picture());
         self.extract_more(mask, options, workers, features);
     }
 
-    /// The same of the picture that was taken last, with another count: its levels and what was found on them are kept.
+    /// The same of the picture that was taken last, with another count or of other levels: its levels and what was found on them are kept.
     pub fn extract_more(&mut self, mask: Option<&GrayImage>, options: &ExtractorOptions, workers: &Workers, features: &mut Vec<Feature>) {
-        let levels = self.pyramid.levels();
+        let is_wanted = |level: &Level| level.image.width().max(level.image.height()) <= options.largest_px;
+        let finest = self.pyramid.levels().iter().position(is_wanted).unwrap_or(self.pyramid.levels().len() - 1);
+        let levels = self.pyramid.smooth_from(finest);
         self.work.resize_with(levels.len(), LevelWork::default);
         let share = |level: &Level| (level.scale[0] * level.scale[1]).powf(options.area_power);
-        let total: f64 = levels.iter().map(share).sum();
-        for (index, (work, level)) in self.work.iter_mut().zip(levels).enumerate() {
+        let total: f64 = levels[finest..].iter().map(share).sum();
+        for (index, (work, level)) in self.work.iter_mut().zip(levels).enumerate().skip(finest) {
             work.index = index;
             work.quota = (options.count as f64 * share(level) / total).round() as usize;
         }
-        workers.for_each(&mut self.work, |work| {
+        workers.for_each(&mut self.work[finest..], |work| {
             let level = &levels[work.index];
             let corner_options = CornerOptions {
                 count: work.quota,
@@ -102,7 +106,7 @@ impl FeatureExtractor {
             detect_more_corners(&level.image, &corner_options, usable, &mut work.buffers, &mut work.corners);
         });
         self.jobs.clear();
-        for (k, work) in self.work.iter().enumerate() {
+        for (k, work) in self.work.iter().enumerate().skip(finest) {
             self.jobs.extend(work.corners.iter().map(|c| (k, *c)));
         }
         workers.map_into(&self.jobs, features, |(k, corner)| described(&levels[*k], corner));
@@ -146,12 +150,13 @@ mod tests {
 
     #[test]
     fn more_features_of_a_picture_are_those_of_a_first_look() {
-        let few = ExtractorOptions { count: 100, ..Default::default() };
+        let few = ExtractorOptions { count: 100, largest_px: 200, ..Default::default() };
         let many = ExtractorOptions { count: 700, ..Default::default() };
         let mut mask = GrayImage::from_pixel(320, 240, image::Luma([255]));
         (0..60).for_each(|x| mask.put_pixel(x, 100, image::Luma([0])));
         let (mut more, mut fresh, mut extractor) = (Vec::new(), Vec::new(), FeatureExtractor::default());
         extractor.extract(&picture(), Some(&mask), &few, &Workers::new(1), &mut more);
+        assert!(more.len() > 50 && more.iter().all(|f| f.scale >= 320.0 / 200.0), "{}", more.len());
         extractor.extract_more(Some(&mask), &many, &Workers::new(1), &mut more);
         FeatureExtractor::default().extract(&picture(), Some(&mask), &many, &Workers::new(1), &mut fresh);
         assert!(more.len() > 300, "{}", more.len());

@@ -16,6 +16,8 @@ pub struct Level {
     pub smooth: GrayImage,
     /// Level pixels per picture pixel, along x and y.
     pub scale: [f64; 2],
+    /// Whether `smooth` is this picture's.
+    is_smooth: bool,
 }
 
 impl Level {
@@ -41,6 +43,12 @@ impl Pyramid {
 
     /// Builds at most `count` levels, each `factor` (> 1) smaller than the one before, none with a side below `least` pixels.
     pub fn build(&mut self, picture: &GrayImage, factor: f64, count: usize, least: u32) -> &[Level] {
+        self.shrink(picture, factor, count, least);
+        self.smooth_from(0)
+    }
+
+    /// The same without the smoothed copies.
+    pub(super) fn shrink(&mut self, picture: &GrayImage, factor: f64, count: usize, least: u32) {
         let (w, h) = picture.dimensions();
         let mut made = 0;
         while made < count {
@@ -55,16 +63,24 @@ impl Pyramid {
             let (before, rest) = self.levels.split_at_mut(made);
             let level = &mut rest[0];
             resize_buffer(&mut level.image, size.0, size.1);
-            resize_buffer(&mut level.smooth, size.0, size.1);
             match before.last() {
                 None => level.image.copy_from_slice(picture),
                 Some(previous) => shrink(&previous.image, &mut level.image, &mut self.columns, &mut self.row),
             }
-            smooth_into(&level.image, &mut level.smooth, &mut self.row);
+            level.is_smooth = false;
             level.scale = [f64::from(size.0) / f64::from(w), f64::from(size.1) / f64::from(h)];
             made += 1;
         }
         self.levels.truncate(made);
+    }
+
+    /// Makes the smoothed copies of the levels from `finest` on that have none yet, and returns all levels.
+    pub(super) fn smooth_from(&mut self, finest: usize) -> &[Level] {
+        for level in self.levels.iter_mut().skip(finest).filter(|level| !level.is_smooth) {
+            resize_buffer(&mut level.smooth, level.image.width(), level.image.height());
+            smooth_into(&level.image, &mut level.smooth, &mut self.row);
+            level.is_smooth = true;
+        }
         &self.levels
     }
 }
