@@ -105,10 +105,10 @@ impl PoseStage {
     }
 }
 
-/// Largest standard deviation, over all axes, of an object's pose that is given: of the direction, radians (0.2 degrees), two thirds of what counts as wrong, and of
+/// Largest standard deviation, over all axes, of an object's pose that is given: of the direction, radians (0.15 degrees), half of what counts as wrong, and of
 /// the place as a share of its distance from the camera. What is no surer is no measurement. A small object that is nearly covered or blurred is followed with
-/// less, from frame to frame. Raised, such poses are given, and with 0.3 degrees one in four of them is wrong; lowered, small objects are given in fewer frames.
-const LARGEST_TURN: f64 = 0.2 * std::f64::consts::PI / 180.0;
+/// less, from frame to frame. Raised, such poses are given: of those told 0.15 to 0.2 degrees one in seven is wrong, of those up to 0.3 one in four; lowered, small objects are given in fewer frames.
+const LARGEST_TURN: f64 = 0.15 * std::f64::consts::PI / 180.0;
 const LARGEST_SHIFT: f64 = 0.01;
 
 /// An object is not tracking while the stage is not: its pose in the stage needs the camera's. Nor is it while noise leaves its pose open.

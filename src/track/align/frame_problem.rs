@@ -209,7 +209,9 @@ impl<'a> FrameProblem<'a> {
     }
 
     fn spec(&self, level: usize, motion: &Motion) -> LevelSpec<'a> {
-        LevelSpec::new(self.surfaces, self.slow, self.rays, self.lessons.is_enlarged, level, motion)
+        let spec = LevelSpec::new(self.surfaces, self.slow, self.rays, self.lessons.is_enlarged, level, motion);
+        // A start that features found may lead nowhere, and then as many pixels as these would be asked in vain, for as long as several frames take.
+        LevelSpec { fills_up: level == FINEST && self.known.is_followed, ..spec }
     }
 
     /// Finds the motion that the frame shows; `None` where too little of the body is in view or nothing converges.

@@ -43,6 +43,8 @@ pub struct LevelSpec<'a> {
     pub count: usize,
     /// Whether pixels are chosen densely, so that none that is steep is passed over.
     pub is_dense: bool,
+    /// Whether they are where fewer than half of those wanted are found otherwise: of a body that is seen small.
+    pub fills_up: bool,
     /// Length of the motion blur, pixels of the level.
     pub blur_px: f64,
     /// Places along the blur that are sampled; 1 for none, else odd.
@@ -74,6 +76,7 @@ impl<'a> LevelSpec<'a> {
             noise: slow.noise.at(level),
             count: (PIXELS[level] as f64 * wider) as usize,
             is_dense: false,
+            fills_up: false,
             blur_px: 0.0,
             places: 1,
             side: if level == FINEST { SIDE } else { COARSE_SIDE },

@@ -56,6 +56,14 @@ impl Selector {
 
     /// Chooses at most about `count` different pixels.
     pub fn choose(&mut self, spec: &LevelSpec, motion: &Motion) -> &[Chosen] {
+        self.choose_by(spec, motion);
+        if spec.fills_up && !spec.is_dense && self.chosen.len() < spec.count / 2 {
+            self.choose_by(&LevelSpec { is_dense: true, ..*spec }, motion);
+        }
+        &self.chosen
+    }
+
+    fn choose_by(&mut self, spec: &LevelSpec, motion: &Motion) {
         let Self { blocks, taken, chosen } = self;
         chosen.clear();
         blocks.clear();
@@ -63,7 +71,7 @@ impl Selector {
             list_blocks(spec, index, motion, blocks);
         }
         if blocks.is_empty() {
-            return chosen;
+            return;
         }
         let table = spec.rays.table(spec.level);
         taken.clone_from(&table.closed);
@@ -81,7 +89,6 @@ impl Selector {
             }
             share = missing / blocks.len() + 1;
         }
-        chosen
     }
 
     /// The last choice.
