@@ -7,8 +7,8 @@
 //! | asked | by | what is lost without |
 //! |---|---|---|
 //! | size | its shorter side in the frame | features and tiles have no room |
-//! | corners | features that no other place of the picture resembles | it is not found |
-//! | variety | the share of those among all its features | it is found one tile further, and refused |
+//! | corners | features that are recognised in a view from the side | it is not found |
+//! | variety | the share of features that are taken for others there | it is found one tile further, and refused |
 //! | detail | cells in which edges run both ways | it is lost behind a person, and its tilt is unsure |
 //! | sharpness | how far off the noise leaves its place in the frame | poses scatter |
 //! | other pictures | features that no other surface has | it is taken for another |
@@ -24,7 +24,7 @@ use image::{GrayImage, imageops};
 pub use strength_map::StrengthMap;
 
 use crate::camera::CameraModel;
-use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
+use crate::features::{ExtractorOptions, Feature, FeatureExtractor, TiltedViews, Workers, append_tilted_features};
 use crate::matching::{Match, MatchBuffers, ReferenceIndex};
 use crate::track::{BodySpec, SurfaceSpec};
 
@@ -39,11 +39,17 @@ const WEAK: f64 = 3.5;
 /// Features looked for in a picture. Chosen: a third of what a frame is asked for, so that comparing sixteen pictures takes a second. Raised, checks take longer;
 /// lowered, rich pictures look alike.
 const FEATURES: usize = 500;
-/// Share of its corners that resemble others of its own, of pictures rated 0 and 5. Tiles and chessboards have 0.93, whose other tenth lies at the border.
-/// Raised, patterns pass; lowered, pictures in one style are rated lower.
-const REPEATED: [f64; 2] = [0.9, 0.75];
-/// Fewest features of which the share that resemble each other says something. Chosen, not tuned. Raised, coarse patterns are called plain.
-const LEAST_FEATURES: usize = 30;
+/// Views that a picture is tried in: from 48 degrees, from the side and from above. Features bear that, as they bear a usual tilt, blur and change of size.
+const TRIED: TiltedViews = TiltedViews { tilt: 1.5, count: 2 };
+/// Lowe's ratio, as the tracker has it.
+const RATIO: f32 = 0.85;
+/// A match is right within so many pixels of the level that it was found on. Chosen: acquisition bears as much. Raised, neighbours in a fine pattern pass for right.
+const RIGHT_PX: f64 = 4.0;
+/// Fewest corners in a view, right or wrong, of which the share that is wrong says something. Chosen, not tuned. Raised, coarse patterns are called plain.
+const LEAST_MATCHES: f64 = 4.0;
+/// Share of its recognised corners that are taken for others of its own, of pictures rated 0 and 5. Of photographs and paintings 0.03 to 0.16, of boards before a wall 0.35; of windows, some
+/// of which are lit, 0.65, of tiles 0.9. Raised, patterns pass; lowered, pictures in one style are rated lower.
+const MISTAKEN: [f64; 2] = [0.65, 0.3];
 /// Longer side at which pictures are compared with each other, pixels. Chosen: as large as a prop is seen from near. Raised, fine detail that a retouched copy
 /// lacks counts as difference; lowered, few corners are left.
 const COMPARED_PX: f64 = 400.0;
@@ -55,9 +61,9 @@ const USUAL_DISTANCE: f32 = 35.0;
 /// Shorter side in the frame, pixels, of a picture rated 0 and 5: features need some 60, and from 240 on there are tiles enough to lose half of them. Raised, props
 /// are rated lower.
 const SIDE_PX: [f64; 2] = [40.0, 240.0];
-/// Distinct corners of a picture rated 0 and 5. Acquisition wants eight that agree, and half are hidden or missed in a usual view. Raised, plain pictures are
-/// rated lower.
-const CORNERS: [f64; 2] = [12.0, 160.0];
+/// Corners of a picture rated 0 and 5 that are recognised in a view. Acquisition wants eight that agree, and some are hidden; photographs and paintings have 100 to 260. Raised, plain
+/// pictures are rated lower.
+const CORNERS: [f64; 2] = [8.0, 140.0];
 /// Share of the cells with detail in both directions, of pictures rated 0 and 5. Alignment gives what half of the tiles bear out. Raised, pictures with
 /// plain parts are rated lower.
 const DETAILED: [f64; 2] = [0.02, 0.5];
@@ -92,9 +98,9 @@ pub struct Rating {
 pub enum Weakness {
     /// It is small in the frame: its shorter side, pixels.
     Small(u32),
-    /// It has few corners: how many.
+    /// Few of its corners are recognised from the side: how many.
     FewCorners(usize),
-    /// Its corners resemble each other: share of those that do.
+    /// Its corners resemble each other: share of those that are taken for others from the side.
     Repetitive(f64),
     /// Much of it is plain: share of its cells.
     Plain(f64),
@@ -125,7 +131,7 @@ impl fmt::Display for Weakness {
             Self::Small(px) => {
                 write!(f, "it is {px} pixels in the frame where the whole stage fills it: print it larger, or bring the camera nearer")
             }
-            Self::FewCorners(n) => write!(f, "it has {n} distinct corners: add detail"),
+            Self::FewCorners(n) => write!(f, "{n} of its corners are recognised from the side: add detail"),
             Self::Repetitive(share) => {
                 write!(f, "{:.0} % of its corners look like others of its own: break the pattern, each part should differ", 100.0 * share)
             }
@@ -146,6 +152,24 @@ struct Seen {
     features: Vec<Feature>,
     /// Those of the picture at a size at which pictures are compared, whatever size they are seen at.
     compared: Vec<Feature>,
+    recognised: Recognised,
+}
+
+/// What becomes of a picture's corners in a view from the side, the mean of several.
+#[derive(Debug, Clone, Copy)]
+struct Recognised {
+    /// How many are recognised.
+    right: f64,
+    /// How many are taken for others of the same picture.
+    wrong: f64,
+}
+
+impl Recognised {
+    /// Share of those that are taken for others, with one more of each kind, so that few say little; 0 where there are next to none.
+    fn share_wrong(&self) -> f64 {
+        let all = self.right + self.wrong;
+        if all < LEAST_MATCHES { 0.0 } else { (self.wrong + 1.0) / (all + 2.0) }
+    }
 }
 
 /// Rates every surface of the stage and the objects, in their order.
@@ -166,7 +190,8 @@ pub fn rate(stage: &BodySpec, objects: &[BodySpec], camera: &CameraModel) -> Vec
                 ExtractorOptions { count: FEATURES, least_threshold: LEAST_CONTRAST, levels: 16, area_power: 0.35, ..Default::default() };
             extractor.extract(&picture, None, &options, &workers, &mut features);
             extractor.extract(&same_size, None, &options, &workers, &mut compared);
-            Seen { body, names: [of.name.clone(), surface.name.clone()], picture, features, compared }
+            let recognised = recognised(&picture, &features, &options, &mut extractor, &workers);
+            Seen { body, names: [of.name.clone(), surface.name.clone()], picture, features, compared, recognised }
         })
         .collect();
     (0..all.len()).map(|k| rating(&all, k, &workers)).collect()
@@ -202,10 +227,32 @@ fn distinct(own: &[Feature], other: &[Feature], workers: &Workers) -> Vec<Match>
     matches
 }
 
+/// Looks at a picture from the side, as the tracker does, and compares that with its own corners.
+fn recognised(
+    picture: &GrayImage,
+    own: &[Feature],
+    options: &ExtractorOptions,
+    extractor: &mut FeatureExtractor,
+    workers: &Workers,
+) -> Recognised {
+    let mut seen = Vec::new();
+    append_tilted_features(picture, TRIED, options, extractor, workers, &mut seen);
+    let mut index = ReferenceIndex::default();
+    index.add(0, own, |p| p, 1.0);
+    let (mut buffers, mut matches) = (MatchBuffers::default(), Vec::new());
+    index.match_features(&seen, RATIO, workers, &mut buffers, &mut matches);
+    let is_right = |m: &&Match| {
+        let (seen, own) = (&seen[m.frame as usize], &own[m.reference as usize]);
+        (seen.position - own.position).norm() < RIGHT_PX * seen.scale.max(own.scale)
+    };
+    let right = matches.iter().filter(is_right).count();
+    let of_a_view = |n: usize| n as f64 / TRIED.count as f64;
+    Recognised { right: of_a_view(right), wrong: of_a_view(matches.len() - right) }
+}
+
 fn rating(all: &[Seen], own: usize, workers: &Workers) -> Rating {
-    let Seen { body, names, picture, features, .. } = &all[own];
+    let Seen { body, names, picture, features, recognised, .. } = &all[own];
     let distinct_features = distinct(features, &[], workers);
-    let corners = distinct_features.len();
     let alone = distinct(&all[own].compared, &[], workers).len();
     let share_with = |other: usize| 1.0 - distinct(&all[own].compared, &all[other].compared, workers).len() as f64 / alone as f64;
     let others = (0..all.len()).filter(|other| *other != own && alone > 0);
@@ -216,13 +263,12 @@ fn rating(all: &[Seen], own: usize, workers: &Workers) -> Rating {
 
     let side = picture.width().min(picture.height());
     let share_plain = 1.0 - map.share_detailed();
-    let repeated = 1.0 - corners as f64 / features.len().max(1) as f64;
+    let mistaken = recognised.share_wrong();
     let sigma_px = map.sigma_px();
-    let variety = if features.len() >= LEAST_FEATURES { by_difference(repeated, REPEATED) } else { f64::from(BEST) };
     let mut asked = vec![
         (by_ratio(f64::from(side), SIDE_PX), Weakness::Small(side)),
-        (variety, Weakness::Repetitive(repeated)),
-        (by_ratio(corners as f64, CORNERS), Weakness::FewCorners(corners)),
+        (by_difference(mistaken, MISTAKEN), Weakness::Repetitive(mistaken)),
+        (by_ratio(recognised.right, CORNERS), Weakness::FewCorners(recognised.right.round() as usize)),
         (by_ratio(1.0 - share_plain, DETAILED), Weakness::Plain(share_plain)),
         (by_ratio(sigma_px, SIGMA_PX), Weakness::Soft(sigma_px)),
     ];
