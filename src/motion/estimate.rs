@@ -6,7 +6,7 @@
 
 use nalgebra::Matrix3;
 
-use super::process_noise::ProcessNoise;
+use super::process_noise::{Innovation, ProcessNoise};
 use super::state::{Motion, MotionMatrix};
 use crate::geometry::{Body, Camera, Pose};
 
@@ -27,15 +27,6 @@ const FADES_IN_S: f64 = 0.1;
 /// Least share of an expected variance that a frame must take away for its innovation to count. Chosen. Raised, bodies that show little teach nothing; lowered to 0, what
 /// is small by rounding, or by the picture's curvature, counts as a motion.
 const LEAST_GAIN: f64 = 0.2;
-
-/// How far a frame was from what was expected.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Innovation {
-    /// Its square, in variances of what chance does, a degree of freedom.
-    pub squared: f64,
-    /// Directions in which the frame told enough, 1 to 3.
-    pub freedom: usize,
-}
 
 /// A motion and how sure it is.
 #[derive(Debug, Clone, Copy)]
@@ -79,8 +70,10 @@ impl MotionEstimate {
             let change = whiten * error.fixed_rows::<3>(first);
             let gain = Matrix3::identity() - whiten * block(&found.covariance) * whiten.transpose();
             let axes = gain.symmetric_eigen();
-            let told = axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()).filter(|(gain, _)| **gain >= LEAST_GAIN);
-            let (sum, freedom) = told.fold((0.0, 0), |(sum, n), (gain, axis)| (sum + axis.dot(&change).powi(2) / gain, n + 1));
+            let along = axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()).map(|(gain, axis)| (*gain, axis.dot(&change).powi(2)));
+            // What changed by more than was expected says something even where the frame is as unsure as that, as after a jump.
+            let told = along.filter(|(gain, squared)| *gain >= LEAST_GAIN || *squared > 1.0);
+            let (sum, freedom) = told.fold((0.0, 0), |(sum, n), (gain, squared)| (sum + squared / gain.max(LEAST_GAIN), n + 1));
             (freedom > 0).then(|| Innovation { squared: sum / f64::from(freedom), freedom: freedom as usize })
         })
     }

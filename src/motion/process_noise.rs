@@ -30,7 +30,14 @@ const LOGS: [f64; 2] = [-4.0, 3.0];
 /// take. Raised, the density is learnt later; lowered, it falls as all is within the wide first expectation.
 const UNTOLD_FRAMES: u32 = 3;
 
-use super::estimate::Innovation;
+/// How far a frame was from what was expected ([`innovations`](super::MotionEstimate::innovations)).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Innovation {
+    /// Its square, in variances of what chance does, a degree of freedom.
+    pub squared: f64,
+    /// Directions in which the frame told enough, 1 to 3.
+    pub freedom: usize,
+}
 
 /// White jerk as learnt so far, in shares of the usual.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,9 +73,7 @@ impl ProcessNoise {
         }
         for (innovation, density) in innovations.into_iter().zip([&mut self.shift, &mut self.turn]) {
             let Some(Innovation { squared, freedom }) = innovation else { continue };
-            // The fewer the squares, the more their logarithm scatters.
-            let share = SHARE * freedom as f64 / 3.0;
-            let change = share * (squared.max(f64::MIN_POSITIVE).ln() - MEAN_LOG[freedom - 1]).clamp(LOGS[0], LOGS[1]);
+            let change = SHARE * (squared.max(f64::MIN_POSITIVE).ln() - MEAN_LOG[freedom - 1]).clamp(LOGS[0], LOGS[1]);
             *density = (*density * change.exp()).clamp(LEAST, MOST);
         }
     }

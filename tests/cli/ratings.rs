@@ -46,6 +46,23 @@ fn two_objects_with_one_picture_are_refused() {
 }
 
 #[test]
+fn a_sign_with_one_picture_on_both_sides_is_refused() {
+    let scene = Scene::new();
+    write_other(&scene, "other.png");
+    with_objects(&scene, &[("sign", "other.png")]);
+    let back =
+        "[[object.surface]]\nimage = \"other.png\"\nsize_m = [1.2, 0.9]\nposition_m = [0, 0, -0.02]\norientation_xyzw = [0, 1, 0, 0]\n";
+    scene.write("stage.toml", &(std::fs::read_to_string(scene.path("stage.toml")).unwrap() + back));
+    let parts = ["all surfaces of sign show the picture of another one", "other.png", "give each its own"];
+    scene.run(&["check", "--config", "stage.toml"]).assert_refused(1, &parts);
+    // With another surface that tells its place it can be found.
+    image::imageops::flip_horizontal(&image::open(scene.path("other.png")).unwrap()).save(scene.path("edge.png")).unwrap();
+    let edge = "[[object.surface]]\nimage = \"edge.png\"\nsize_m = [1.2, 0.9]\nposition_m = [2, 0, 0]\norientation_xyzw = [0, 0, 0, 1]\n";
+    scene.write("stage.toml", &(std::fs::read_to_string(scene.path("stage.toml")).unwrap() + edge));
+    scene.run(&["check", "--config", "stage.toml"]).assert_success();
+}
+
+#[test]
 fn maps_are_written_over_nothing_that_is_read() {
     let scene = Scene::new();
     std::fs::rename(scene.path("art.png"), scene.path("rating-stage-1.png")).unwrap();

@@ -49,6 +49,7 @@ impl Ratings {
                     ))
                 }));
             }
+            findings.extend(alike(body));
             let best = body.iter().max_by_key(|rating| rating.stars).filter(|rating| rating.stars <= POOR);
             findings.extend(best.map(|rating| {
                 let why = rating.weaknesses.first().map_or_else(String::new, |weakness| format!(": {weakness}"));
@@ -73,6 +74,16 @@ impl Ratings {
         }
         lines
     }
+}
+
+/// A body all of whose surfaces show a picture of its own twice, as a sign with one on both sides: no feature tells which of them is seen.
+fn alike(body: &[Rating]) -> Option<Finding> {
+    let is_alike = |rating: &Rating| rating.weaknesses.iter().filter_map(|w| w.same_as()).any(|[other, _]| *other == rating.body);
+    let first = body.first().filter(|_| body.iter().all(is_alike))?;
+    Some(Finding::doubt(format!(
+        "all surfaces of {} show the picture of another one of them ({}): nothing tells which is seen, and it is not found; give each its own",
+        first.body, first.surface
+    )))
 }
 
 /// Writes `rating-BODY-N.png` for every surface, N from 1 in its body.
