@@ -70,10 +70,8 @@ impl MotionEstimate {
             let change = whiten * error.fixed_rows::<3>(first);
             let gain = Matrix3::identity() - whiten * block(&found.covariance) * whiten.transpose();
             let axes = gain.symmetric_eigen();
-            let along = axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()).map(|(gain, axis)| (*gain, axis.dot(&change).powi(2)));
-            // What changed by more than was expected says something even where the frame is as unsure as that, as after a jump.
-            let told = along.filter(|(gain, squared)| *gain >= LEAST_GAIN || *squared > 1.0);
-            let (sum, freedom) = told.fold((0.0, 0), |(sum, n), (gain, squared)| (sum + squared / gain.max(LEAST_GAIN), n + 1));
+            let told = axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()).filter(|(gain, _)| **gain >= LEAST_GAIN);
+            let (sum, freedom) = told.fold((0.0, 0), |(sum, n), (gain, axis)| (sum + axis.dot(&change).powi(2) / gain, n + 1));
             (freedom > 0).then(|| Innovation { squared: sum / f64::from(freedom), freedom: freedom as usize })
         })
     }

@@ -73,7 +73,9 @@ impl ProcessNoise {
         }
         for (innovation, density) in innovations.into_iter().zip([&mut self.shift, &mut self.turn]) {
             let Some(Innovation { squared, freedom }) = innovation else { continue };
-            let change = SHARE * (squared.max(f64::MIN_POSITIVE).ln() - MEAN_LOG[freedom - 1]).clamp(LOGS[0], LOGS[1]);
+            // The fewer the squares, the more their logarithm scatters.
+            let share = SHARE * freedom as f64 / 3.0;
+            let change = share * (squared.max(f64::MIN_POSITIVE).ln() - MEAN_LOG[freedom - 1]).clamp(LOGS[0], LOGS[1]);
             *density = (*density * change.exp()).clamp(LEAST, MOST);
         }
     }

@@ -63,7 +63,7 @@ const USUAL_DISTANCE: f32 = 35.0;
 const SIDE_PX: [f64; 2] = [40.0, 240.0];
 /// Corners of a picture rated 0 and 5 that are recognised in a view. Acquisition wants eight that agree, and some are hidden; photographs and paintings have 100 to 260. Raised, plain
 /// pictures are rated lower.
-const CORNERS: [f64; 2] = [6.0, 100.0];
+const CORNERS: [f64; 2] = [6.0, 140.0];
 /// Share of the cells with detail in both directions, of pictures rated 0 and 5. Alignment gives what half of the tiles bear out. Raised, pictures with
 /// plain parts are rated lower.
 const DETAILED: [f64; 2] = [0.02, 0.5];
