@@ -159,19 +159,12 @@ fn collect(peaks: &[u8], first: usize, y: usize, candidates: &mut Vec<Corner>) {
         let corners = peaks.iter().enumerate().filter(|(_, score)| **score != 0);
         candidates.extend(corners.map(|(i, score)| Corner { x: (first + from + i) as u32, y: y as u32, strength: f32::from(*score) }));
     };
-    // Most places have none: 32 are passed at once, then eight.
-    let (blocks, rest) = peaks.as_chunks::<32>();
-    for (k, block) in blocks.iter().enumerate() {
-        let (words, _) = block.as_chunks::<8>();
-        let is_empty = |word: &[u8; 8]| u64::from_ne_bytes(*word) == 0;
-        if words.iter().fold(0, |any, word| any | u64::from_ne_bytes(*word)) == 0 {
-            continue;
-        }
-        for (i, word) in words.iter().enumerate().filter(|(_, word)| !is_empty(word)) {
-            corners_from(32 * k + 8 * i, word);
-        }
+    // Most places have none: eight are passed at once, as one number.
+    let (words, rest) = peaks.as_chunks::<8>();
+    for (k, word) in words.iter().enumerate().filter(|(_, word)| u64::from_ne_bytes(**word) != 0) {
+        corners_from(8 * k, word);
     }
-    corners_from(32 * blocks.len(), rest);
+    corners_from(8 * words.len(), rest);
 }
 
 multiversion! {

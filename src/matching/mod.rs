@@ -130,14 +130,16 @@ impl ReferenceIndex {
         let MatchBuffers { queries, nearest, missed, rivals, .. } = buffers;
         kernels::group_into(frame.iter().map(|f| f.descriptor), queries);
         workers.map_into(queries, nearest, |queries| self.nearest(queries));
-        let nearest = || nearest.iter().flatten().zip(frame).map(|(n, f)| (f, n.best().filter(|b| b.0 <= LARGEST_DISTANCE), n));
-        let is_missed = |n: &Nearest<u32>| n.may_miss_rival();
-        kernels::group_into(nearest().filter(|n| is_missed(n.2)).filter_map(|(f, best, _)| Some((f.descriptor, best?.1))), missed);
+        // Number, nearest entry with its distance, and rival, of those that may match.
+        let near = || nearest.iter().flatten().take(frame.len()).enumerate().filter_map(|(k, n)| Some((k, n.best()?, n)));
+        let near = || near().filter(|(_, (distance, _), _)| *distance <= LARGEST_DISTANCE);
+        let asked_again = near().filter(|(.., n)| n.may_miss_rival()).map(|(k, (_, reference), _)| (frame[k].descriptor, reference));
+        kernels::group_into(asked_again, missed);
         workers.map_into(missed, rivals, |asked| self.nearest_elsewhere(asked));
         let mut rivals = rivals.iter().flatten();
-        for (k, (_, best, n)) in nearest().enumerate() {
-            let Some((distance, reference)) = best else { continue };
-            let rival = if is_missed(n) { rivals.next().copied() } else { None }.unwrap_or(n.bar().min(FARTHEST_RIVAL));
+        for (k, (distance, reference), n) in near() {
+            let found_again = if n.may_miss_rival() { rivals.next() } else { None };
+            let rival = found_again.copied().unwrap_or(n.bar().min(FARTHEST_RIVAL));
             // One is added to both, so that two exact copies are rivals (0 / 0).
             let own = (distance + 1) as f32 / (rival + 1) as f32;
             if own < ratio {

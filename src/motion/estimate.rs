@@ -72,7 +72,7 @@ impl MotionEstimate {
             let axes = gain.symmetric_eigen();
             let told = axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()).filter(|(gain, _)| **gain >= LEAST_GAIN);
             let (sum, freedom) = told.fold((0.0, 0), |(sum, n), (gain, axis)| (sum + axis.dot(&change).powi(2) / gain, n + 1));
-            (freedom > 0).then(|| Innovation { squared: sum / f64::from(freedom), freedom: freedom as usize })
+            (freedom > 0).then(|| Innovation { squared: sum / freedom as f64, freedom })
         })
     }
 

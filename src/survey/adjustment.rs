@@ -39,12 +39,12 @@ const CURVATURES: [f64; 8] = [0.0001, 0.003, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0];
 const NEAR: f64 = 1.5;
 /// A rougher shape is taken only where it explains the held-out tiles better by this share of their cost.
 const BETTER: f64 = 0.01;
-/// Of several surfaces, one is flat unless bending explains its held-out tiles better by this share of their cost. With 0.01 flats were bent by 0.1 mm, to which what is left of blur and borders
-/// comes, and stood 0.016 degrees off. Raised, cloth that hangs 0.1 mm off a plane counts as flat.
-const CLEARLY_BENT: f64 = 0.05;
 /// The same while anchors lead to the basin: only what is truly bent is bent there. With 0.01 d-relief's flats, bent once, were never found flat again, and stood
 /// 0.15 mm off instead of 0.017. Raised, folds that tiles cannot reach stay.
 const MUCH_BETTER: f64 = 0.2;
+/// Of several surfaces, one is flat unless bending explains its held-out tiles better by this share of their cost. With 0.01 flats were bent by 0.1 mm, to which what is left of blur and borders
+/// comes, and stood 0.016 degrees off. Raised, cloth that hangs 0.1 mm off a plane counts as flat.
+const CLEARLY_BENT: f64 = 0.05;
 /// While the smoothness is chosen, one tile of this many is held out.
 const HELD_OUT: u32 = 5;
 /// A step after which fewer than this share of the frames bear the model out went beyond where the equations hold. Raised, people in front end a survey's

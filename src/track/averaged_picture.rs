@@ -1,7 +1,7 @@
 //! A picture averaged over what one pixel of a frame covers of it.
 //!
-//! A pixel shows the mean of all texels that it covers. Where it covers several, one look at a single texel aliases fine grain. So the picture is averaged beforehand, over
-//! a square as wide as a pixel, and then one look a pixel is enough (Williams 1983, "Pyramidal parametrics"; here from the octave below, and for the width as it is). It is
+//! A pixel of the camera shows the mean of all texels that it covers. Where it covers several, sampling one of them aliases fine grain. So the picture is low-pass filtered first,
+//! over a square as wide as a pixel, and one sample a pixel is enough (Williams 1983, "Pyramidal parametrics"; here from the octave below, and for the width as it is). It is
 //! averaged anew only when the surface is seen larger or smaller.
 
 use image::GrayImage;

@@ -18,7 +18,7 @@ use crate::matching::{Match, MatchBuffers, ReferenceFeature, ReferenceIndex};
 /// Lowe's ratio (2004, section 7.1): a match counts where its distance is less than this share of the second nearest's. He took 0.8; more
 /// are let through here, as acquisition bears a majority of wrong matches. Raised, more of them are wrong; lowered, dim stages keep too
 /// few.
-const RATIO: f32 = 0.85;
+pub const LOWE_RATIO: f32 = 0.85;
 /// Strongest features of a frame that a quick look asks. Chosen, not tuned: a third of what a close look asks. Raised, every frame of a search takes
 /// longer; lowered, covered stages need the close look more often.
 const QUICK_FEATURES: usize = 600;
@@ -154,7 +154,7 @@ impl FeatureSearch {
         self.asked = asked;
         let Self { frontal, all_views, missing_views, features, buffers, matches, .. } = self;
         let index = part(asked, frontal, all_views, missing_views);
-        index.match_features(features, RATIO, workers, buffers, matches);
+        index.match_features(features, LOWE_RATIO, workers, buffers, matches);
     }
 
     /// Those that the surfaces of a body take part in, best first.

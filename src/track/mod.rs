@@ -54,6 +54,7 @@ mod view_bank;
 
 pub use acquire::{SurfaceMatch, SurfaceView};
 pub use align::{AlignKernels, Alignment, Clue, UsedPixel};
+pub(crate) use feature_search::LOWE_RATIO;
 #[cfg(feature = "calibrate")]
 pub(crate) use frame_look::FrameLook;
 pub use lens_doubt::covariance_by_lens;

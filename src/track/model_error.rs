@@ -276,7 +276,7 @@ mod tests {
     fn what_is_wrong_with_an_object_is_no_larger_than_the_object() {
         let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(WIDTH, 480), facing(0.1, -0.3, Vector3::new(0.4, 0.05, 30.0)));
         let mut random = Pcg64Mcg::seed_from_u64(4);
-        // Twice the noise that is told, in every tile by itself.
+        // Independent noise in every tile, of twice the standard deviation that is stated.
         let mut anchors = seen_anchors(&body, &pose, &camera, 9, |_, _| Vector2::from_fn(|_, _| 2.0 * NOISE_PX * normal(&mut random)));
         anchors.iter_mut().for_each(|a| a.observation.information /= NOISE_PX.powi(2));
         let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();

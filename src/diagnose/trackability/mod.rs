@@ -26,7 +26,7 @@ pub use strength_map::StrengthMap;
 use crate::camera::CameraModel;
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, TiltedViews, Workers, append_tilted_features};
 use crate::matching::{Match, MatchBuffers, ReferenceIndex};
-use crate::track::{BodySpec, SurfaceSpec};
+use crate::track::{BodySpec, LOWE_RATIO, SurfaceSpec};
 
 /// The best rating.
 pub const BEST: u8 = 5;
@@ -41,9 +41,8 @@ const WEAK: f64 = 3.5;
 const FEATURES: usize = 500;
 /// Views that a picture is tried in: from 48 degrees, from the side and from above. Features bear that, as they bear a usual tilt, blur and change of size.
 const TRIED: TiltedViews = TiltedViews { tilt: 1.5, count: 2 };
-/// Lowe's ratio, as the tracker has it.
-const RATIO: f32 = 0.85;
-/// A match is right within so many pixels of the level that it was found on. Chosen: acquisition bears as much. Raised, neighbours in a fine pattern pass for right.
+/// Largest distance between a corner and the one that it is matched with, for the match to be right: pixels of the pyramid level of the coarser of the two. Chosen: acquisition bears as much. Raised,
+/// neighbouring corners of a fine pattern count as right; lowered, right matches on coarse levels count as wrong.
 const RIGHT_PX: f64 = 4.0;
 /// Fewest corners in a view, right or wrong, of which the share that is wrong says something. Chosen, not tuned. Raised, coarse patterns are called plain.
 const LEAST_MATCHES: f64 = 4.0;
@@ -222,8 +221,12 @@ fn distinct(own: &[Feature], other: &[Feature], workers: &Workers) -> Vec<Match>
     index.add(0, own, |p| p, 1.0);
     index.add(1, other, |p| p, 1.0);
     // A feature finds itself, at no distance; its rival is the nearest elsewhere. One is added to both (see the index).
-    let (mut buffers, mut matches) = (MatchBuffers::default(), Vec::new());
-    index.match_features(own, 1.0 / (1.0 + USUAL_DISTANCE), workers, &mut buffers, &mut matches);
+    matched(own, &index, 1.0 / (1.0 + USUAL_DISTANCE), workers)
+}
+
+fn matched(seen: &[Feature], index: &ReferenceIndex, ratio: f32, workers: &Workers) -> Vec<Match> {
+    let mut matches = Vec::new();
+    index.match_features(seen, ratio, workers, &mut MatchBuffers::default(), &mut matches);
     matches
 }
 
@@ -239,8 +242,7 @@ fn recognised(
     append_tilted_features(picture, TRIED, options, extractor, workers, &mut seen);
     let mut index = ReferenceIndex::default();
     index.add(0, own, |p| p, 1.0);
-    let (mut buffers, mut matches) = (MatchBuffers::default(), Vec::new());
-    index.match_features(&seen, RATIO, workers, &mut buffers, &mut matches);
+    let matches = matched(&seen, &index, LOWE_RATIO, workers);
     let is_right = |m: &&Match| {
         let (seen, own) = (&seen[m.frame as usize], &own[m.reference as usize]);
         (seen.position - own.position).norm() < RIGHT_PX * seen.scale.max(own.scale)
