@@ -29,6 +29,8 @@ export const playing = signal(false);
 export const speed = signal(1);
 /** What is the matter with the recording, or with the shown row. */
 export const fault = signal("");
+/** That no loss was found where one was looked for; it stands until another row is wanted, whatever pictures come meanwhile. */
+export const noLoss = signal("");
 /** Who draws a row's picture; null where the row has none. @type {Set<(picture: ImageBitmap | null, shown: Shown) => void>} */
 export const painters = new Set();
 
@@ -84,12 +86,13 @@ export function close() {
   whose.value = "recorded";
   row.value = 0;
   playing.value = false;
-  fault.value = "";
+  fault.value = noLoss.value = "";
 }
 
 /** Goes to a row. @param {number} to */
 export function go(to) {
   if (clip.value === null || clip.value.frames === 0) return;
+  noLoss.value = "";
   row.value = Math.min(clip.value.frames - 1, Math.max(0, Math.round(to)));
   fetchShown();
 }
@@ -221,7 +224,7 @@ export async function goToLoss(way) {
   const { id, columns } = clip.value;
   const column = loss(columns, row.value, way);
   if (column === undefined) {
-    fault.value = way === 1 ? "There is no loss after this row." : "There is no loss before this row.";
+    noLoss.value = way === 1 ? "There is no loss after this row." : "There is no loss before this row.";
     return;
   }
   playing.value = false;

@@ -3,7 +3,7 @@ import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { Barred, Change, Download } from "./access.js";
 import { post, read, reason, sentence } from "./ask.js";
-import { clip, close, fault, go, goToLoss, isLost, open, painters, playing, retracked, row, shown, speed, togglePlaying, whose } from "./clip.js";
+import { clip, close, fault, go, goToLoss, isLost, noLoss, open, painters, playing, retracked, row, shown, speed, togglePlaying, whose } from "./clip.js";
 import { contact } from "./daemon.js";
 import { draft } from "./drafts.js";
 import { happened } from "./events.js";
@@ -91,7 +91,7 @@ function Picture() {
   return html`<figure class="picture" style=${{ aspectRatio: width / height, maxWidth: `calc((100vh - 22rem) * ${width / height})` }}>
     <canvas ref=${below} role="img" aria-label="The recorded picture" />
     <canvas ref=${above} class="marks ${outlined.value ? "" : "off"}" aria-hidden="true" />
-    ${fault.value ? html`<figcaption role="status">${fault.value}</figcaption>` : null}
+    ${fault.value || noLoss.value ? html`<figcaption role="status">${fault.value || noLoss.value}</figcaption>` : null}
   </figure>`;
 }
 
