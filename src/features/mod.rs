@@ -22,6 +22,7 @@ mod pyramid;
 pub mod repeatability;
 mod scale_space;
 mod second_moments;
+mod shrink;
 #[cfg(test)]
 mod test_pictures;
 mod tilted_view;

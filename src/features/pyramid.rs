@@ -5,6 +5,7 @@
 
 use image::GrayImage;
 
+use super::shrink::{ColumnTaps, shrink};
 use crate::simd::multiversion;
 
 /// One level: the picture at this size, and its smoothed copy that descriptors read.
@@ -18,6 +19,8 @@ pub struct Level {
     pub scale: [f64; 2],
     /// Whether `smooth` is this picture's.
     is_smooth: bool,
+    /// What its columns take of those of the level before.
+    columns: ColumnTaps,
 }
 
 impl Level {
@@ -32,7 +35,6 @@ impl Level {
 pub struct Pyramid {
     levels: Vec<Level>,
     row: Vec<u16>,
-    columns: ColumnTaps,
 }
 
 impl Pyramid {
@@ -65,7 +67,7 @@ impl Pyramid {
             resize_buffer(&mut level.image, size.0, size.1);
             match before.last() {
                 None => level.image.copy_from_slice(picture),
-                Some(previous) => shrink(&previous.image, &mut level.image, &mut self.columns, &mut self.row),
+                Some(previous) => shrink(&previous.image, &mut level.image, &mut level.columns),
             }
             level.is_smooth = false;
             level.scale = [f64::from(size.0) / f64::from(w), f64::from(size.1) / f64::from(h)];
@@ -93,132 +95,6 @@ pub(crate) fn resize_buffer(image: &mut GrayImage, width: u32, height: u32) {
         // The buffer was just made exactly this long.
         *image = GrayImage::from_raw(width, height, raw).unwrap_or_default();
     }
-}
-
-/// Columns of a smaller picture that are made side by side.
-const LANES: usize = 16;
-/// How much further than its neighbours the last of [`LANES`] columns may reach into the larger picture, at most: all that factors up to 1.25 need. Raised, more factors are
-/// fast, and each costs more.
-const MOST_SKIPS: usize = 4;
-
-/// What each column of a smaller picture takes of the larger one's columns.
-#[derive(Debug, Clone, Default)]
-struct ColumnTaps {
-    /// The left one of two neighbours, and what the right one counts, of 128.
-    taps: Vec<(u32, u16)>,
-    /// The same for columns side by side; none where there are fewer, or where they lie further apart.
-    blocks: Vec<TapBlock>,
-}
-
-/// Of [`LANES`] columns side by side.
-#[derive(Debug, Clone, Copy, Default)]
-struct TapBlock {
-    /// The first of these columns, and the left neighbour of its place.
-    first: usize,
-    from: usize,
-    /// How much further each has its left neighbour than if all places were one apart.
-    skips: [u16; LANES],
-    /// What the right neighbours count, of 128.
-    shares: [u16; LANES],
-}
-
-/// The left neighbour of place `k`, and what the right one counts, of 128; pixel areas are aligned.
-fn tap(k: usize, from: usize, to: usize) -> (u32, u16) {
-    let c = ((k as f64 + 0.5) * from as f64 / to as f64 - 0.5).clamp(0.0, (from - 1) as f64);
-    let i = (c as usize).min(from.saturating_sub(2));
-    (i as u32, ((c - i as f64) * 128.0).round() as u16)
-}
-
-impl ColumnTaps {
-    fn update(&mut self, from: usize, to: usize) {
-        let Self { taps, blocks } = self;
-        taps.clear();
-        taps.extend((0..to).map(|x| tap(x, from, to)));
-        blocks.clear();
-        if to < LANES {
-            return;
-        }
-        // The last block overlaps the one before it, so that no column is left over.
-        let of_block = |first: usize| {
-            let own = &taps[first..][..LANES];
-            let from = own[0].0 as usize;
-            let skips = std::array::from_fn(|k| (own[k].0 as usize).wrapping_sub(from + k) as u16);
-            TapBlock { first, from, skips, shares: std::array::from_fn(|k| own[k].1) }
-        };
-        blocks.extend((0..to - LANES).step_by(LANES).chain([to - LANES]).map(of_block));
-        if blocks.iter().any(|block| block.skips.iter().any(|skip| usize::from(*skip) > MOST_SKIPS)) {
-            blocks.clear();
-        }
-    }
-}
-
-multiversion! {
-    /// See [`shrink_lanes`].
-    fn shrink(from: &GrayImage, to: &mut GrayImage, columns: &mut ColumnTaps, blended: &mut Vec<u16>);
-    ["avx2"] => shrink_lanes, else shrink_lanes
-}
-
-/// Bilinear reduction by a factor between 1 and 2 (both axes), pixel areas aligned: rows are blended first, side by side, then
-/// columns are picked from the blended row.
-#[inline(always)]
-fn shrink_lanes(from: &GrayImage, to: &mut GrayImage, columns: &mut ColumnTaps, blended: &mut Vec<u16>) {
-    let (fw, fh) = (from.width() as usize, from.height() as usize);
-    let (tw, th) = (to.width() as usize, to.height() as usize);
-    columns.update(fw, tw);
-    blended.clear();
-    // As many more than the row as a block may read, so that right neighbours exist.
-    blended.resize(fw + LANES + MOST_SKIPS + 1, 0);
-    let source = from.as_raw();
-    for (y, row) in to.as_mut().chunks_exact_mut(tw).enumerate() {
-        let (j, b) = tap(y, fh, th);
-        let top = &source[j as usize * fw..][..fw];
-        let bottom = &source[(j as usize + usize::from(fh > 1)) * fw..][..fw];
-        for ((out, t), l) in blended.iter_mut().zip(top).zip(bottom) {
-            *out = u16::from(*t) * (128 - b) + u16::from(*l) * b;
-        }
-        blended[fw] = blended[fw - 1];
-        if columns.blocks.is_empty() {
-            pick_columns(blended, &columns.taps, row);
-        }
-        // A loop and no closure, which would not be compiled for the wide registers.
-        for block in &columns.blocks {
-            pick_block(blended, block, row);
-        }
-    }
-}
-
-/// Columns of a blended row, one by one.
-#[inline(always)]
-fn pick_columns(blended: &[u16], taps: &[(u32, u16)], row: &mut [u8]) {
-    for (out, &(i, a)) in row.iter_mut().zip(taps) {
-        *out = blend(blended[i as usize], blended[i as usize + 1], a);
-    }
-}
-
-/// Columns of a blended row side by side: whichever of the shifted copies of the row holds a column's neighbours.
-#[inline(always)]
-fn pick_block(blended: &[u16], block: &TapBlock, row: &mut [u8]) {
-    let near = &blended[block.from..][..LANES + MOST_SKIPS + 1];
-    let (mut left, mut right) = ([0_u16; LANES], [0_u16; LANES]);
-    for skip in 0..=MOST_SKIPS {
-        let [at, beside] = [skip, skip + 1].map(|k| &near[k..][..LANES]);
-        for k in 0..LANES {
-            // All bits where it is this copy, none elsewhere: a choice between values would become a branch.
-            let is_it = u16::from(block.skips[k] == skip as u16).wrapping_neg();
-            left[k] |= at[k] & is_it;
-            right[k] |= beside[k] & is_it;
-        }
-    }
-    for (k, out) in row[block.first..][..LANES].iter_mut().enumerate() {
-        *out = blend(left[k], right[k], block.shares[k]);
-    }
-}
-
-/// A grey level of two neighbours in a blended row, 128 times as high; `share`: what the right one counts, of 128.
-#[inline(always)]
-fn blend(left: u16, right: u16, share: u16) -> u8 {
-    let (left, right, share) = (u32::from(left), u32::from(right), u32::from(share));
-    ((left * (128 - share) + right * share + 8192) >> 14) as u8
 }
 
 multiversion! {
@@ -297,24 +173,6 @@ mod tests {
             let [u, v] = level.in_picture(f64::from(px), f64::from(py));
             let expected = 0.15 * u + 0.1 * v + 10.0;
             assert!((f64::from(level.image.get_pixel(px, py)[0]) - expected).abs() <= 3.0);
-        }
-    }
-
-    /// Widths around whole blocks, and factors on both sides of what blocks can do.
-    #[test]
-    fn columns_side_by_side_are_those_one_by_one() {
-        for from in [17_usize, 33, 64, 97, 128, 321, 1280] {
-            let blended: Vec<u16> = (0..from + LANES + MOST_SKIPS + 1).map(|k| (k * 7919 % 32641) as u16).collect();
-            for factor in [1.05, 1.1, 1.2, 1.6, 2.0] {
-                let to = (from as f64 / factor).round() as usize;
-                let mut columns = ColumnTaps::default();
-                columns.update(from, to);
-                assert_eq!(columns.blocks.is_empty(), to < LANES || factor > 1.3, "{from} {factor}");
-                let (mut one_by_one, mut side_by_side) = (vec![0; to], vec![0; to]);
-                pick_columns(&blended, &columns.taps, &mut one_by_one);
-                columns.blocks.iter().for_each(|block| pick_block(&blended, block, &mut side_by_side));
-                assert!(columns.blocks.is_empty() || one_by_one == side_by_side, "{from} {factor}");
-            }
         }
     }
 

@@ -67,8 +67,9 @@ async function alignments(page, count, along) {
     },
     [count, along, SLOWEST, FASTEST],
   );
-  const of = (key, which) => median(found.map((one) => one[which][key] ?? NaN));
-  return { median: of("median", "own"), most: of("most", "own"), tiles: of("tiles", "own"), late: of("median", "late") };
+  // Where no tile is found again, the set lies nowhere near.
+  const of = (key, which) => median(found.map((one) => one[which]?.[key] ?? Infinity));
+  return { median: of("median", "own"), most: of("most", "own"), tiles: median(found.map(({ own }) => own?.tiles ?? 0)), late: of("median", "late") };
 }
 
 const told = (name, { median, most, tiles, late }) => console.log(`${name}: median ${median.toFixed(3)} px, 90 % ${most.toFixed(3)} px, ${tiles} tiles; by the frame before ${late.toFixed(3)} px`);
