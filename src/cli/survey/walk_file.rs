@@ -14,7 +14,7 @@ use crate::safe_file;
 use crate::survey::walk::WalkRecord;
 use crate::tracker::TrackerSetup;
 
-/// Largest file that is read: 120 keyframes of 2000 features have a tenth of it. Raised, a file that is no record takes memory; lowered, a record
+/// Largest file that is read: 160 keyframes of 2000 features have a seventh of it. Raised, a file that is no record takes memory; lowered, a record
 /// of a rich stage is not read.
 const MOST_BYTES: u64 = 128 << 20;
 
