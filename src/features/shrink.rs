@@ -9,12 +9,9 @@ use crate::simd::multiversion;
 
 /// The weights of two neighbours add up to this. With more, a sum of two weighted pixels would not fit 16 bits.
 const WHOLE: u16 = 128;
-/// A sum of four weighted pixels is so many bits longer than a grey level, and half of that is added to round it.
+/// Weighted sums are 2^14 times a grey level, 128 along each axis. Half of that is added before they are divided, so that the level is rounded.
 const BITS: i32 = 14;
 const HALF: i32 = 1 << (BITS - 1);
-/// Columns of the smaller picture that are made side by side, in two halves that are picked from 16 columns of the larger one each.
-const LANES: usize = 16;
-const PICKED: usize = 16;
 
 /// What each column of a smaller picture takes of the larger one's columns.
 #[derive(Debug, Clone, Default)]
@@ -24,19 +21,8 @@ pub struct ColumnTaps {
     /// The left one of two neighbours, and the weight of the right one.
     taps: Vec<(u32, u16)>,
     /// The same for columns side by side; none where there are fewer, or where they lie further apart.
-    blocks: Vec<TapBlock>,
-}
-
-/// Of [`LANES`] columns side by side.
-#[derive(Debug, Clone, Copy, Default)]
-struct TapBlock {
-    /// The first of these columns.
-    first: usize,
-    /// The first of the larger picture's columns that each half picks from.
-    from: [usize; 2],
-    /// Where the neighbours of each column are from there, left and right in turns, and their weights.
-    places: [u8; 2 * LANES],
-    weights: [u8; 2 * LANES],
+    #[cfg(target_arch = "x86_64")]
+    blocks: Vec<avx2::TapBlock>,
 }
 
 /// The left neighbour of place `k`, and the weight of the right one; pixel areas are aligned.
@@ -54,43 +40,15 @@ impl ColumnTaps {
         self.widths = [from, to];
         self.taps.clear();
         self.taps.extend((0..to).map(|x| tap(x, from, to)));
-        self.blocks.clear();
-        if to < LANES || from < PICKED {
-            return;
-        }
-        // The last block overlaps the one before it, so that no column is left over.
-        for first in (0..to - LANES).step_by(LANES).chain([to - LANES]) {
-            let Some(block) = block_of(&self.taps, first, from) else {
-                self.blocks.clear();
-                return;
-            };
-            self.blocks.push(block);
-        }
+        #[cfg(target_arch = "x86_64")]
+        avx2::fill_blocks(&self.taps, from, &mut self.blocks);
     }
-}
-
-/// The block of these columns; `None` where they lie too far apart. `width`: of the larger picture.
-fn block_of(taps: &[(u32, u16)], first: usize, width: usize) -> Option<TapBlock> {
-    let mut block = TapBlock { first, ..TapBlock::default() };
-    for (half, own) in taps[first..][..LANES].chunks_exact(LANES / 2).enumerate() {
-        let from = (own[0].0 as usize).min(width - PICKED);
-        block.from[half] = from;
-        for (k, &(left, share)) in own.iter().enumerate() {
-            let (place, at) = (left as usize - from, LANES * half + 2 * k);
-            if place + 1 >= PICKED {
-                return None;
-            }
-            (block.places[at], block.places[at + 1]) = (place as u8, place as u8 + 1);
-            (block.weights[at], block.weights[at + 1]) = ((WHOLE - share) as u8, share as u8);
-        }
-    }
-    Some(block)
 }
 
 multiversion! {
     /// Fills a smaller picture, by a factor between 1 and 2 on both axes; pixel areas are aligned. `columns`: kept for pictures of the same widths.
     pub fn shrink(from: &GrayImage, to: &mut GrayImage, columns: &mut ColumnTaps);
-    ["avx2"] => shrink_avx2, else shrink_plain
+    ["avx2"] => avx2::shrink, else shrink_plain
 }
 
 /// The two rows of the larger picture that a row of the smaller one lies between, and the weight of the lower one.
@@ -124,53 +82,112 @@ fn shrink_row(top: &[u8], bottom: &[u8], share: u16, taps: &[(u32, u16)], out: &
     }
 }
 
-/// The same, [`LANES`] columns at a time: neighbours are picked by a shuffle of bytes, which compilers do not find.
+/// The same, sixteen columns at a time: neighbours are picked by a shuffle of bytes, which compilers do not find.
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-#[inline]
-fn shrink_avx2(from: &GrayImage, to: &mut GrayImage, columns: &mut ColumnTaps) {
+mod avx2 {
     use std::arch::x86_64::{
         __m128i, __m256i, _mm_loadu_si128, _mm_storeu_si128, _mm256_add_epi32, _mm256_castsi256_si128, _mm256_loadu_si256,
         _mm256_madd_epi16, _mm256_maddubs_epi16, _mm256_packs_epi32, _mm256_packus_epi16, _mm256_permute4x64_epi64, _mm256_set_m128i,
         _mm256_set1_epi8, _mm256_set1_epi32, _mm256_setzero_si256, _mm256_shuffle_epi8, _mm256_srai_epi32, _mm256_unpackhi_epi16,
         _mm256_unpacklo_epi16, _mm256_xor_si256,
     };
-    let (width, height) = (to.width() as usize, to.height() as usize);
-    columns.update(from.width() as usize, width);
-    // Grey levels less 128 have a sign, as the products ask; four weights add up to 128 times 128.
-    let sign = _mm256_set1_epi8(i8::MIN);
-    let offset = _mm256_set1_epi32(128 * (i32::from(WHOLE) * i32::from(WHOLE)) + HALF);
-    for (y, out) in to.as_mut().chunks_exact_mut(width.max(1)).enumerate() {
-        let (top, bottom, share) = rows(from, y, height);
-        if columns.blocks.is_empty() {
-            shrink_row(top, bottom, share, &columns.taps, out);
+
+    use image::GrayImage;
+
+    use super::{BITS, ColumnTaps, HALF, WHOLE, rows, shrink_row};
+
+    /// Columns of the smaller picture that are made side by side, in two halves that are picked from 16 columns of the larger one each.
+    const LANES: usize = 16;
+    const PICKED: usize = 16;
+
+    /// Of [`LANES`] columns side by side.
+    #[derive(Debug, Clone, Copy, Default)]
+    pub struct TapBlock {
+        /// The first of these columns.
+        first: usize,
+        /// The first of the larger picture's columns that each half picks from.
+        from: [usize; 2],
+        /// Where the neighbours of each column are from there, left and right in turns, and their weights.
+        places: [u8; 2 * LANES],
+        weights: [u8; 2 * LANES],
+    }
+
+    /// Makes the blocks of columns with these taps; none where they are too few, or too far apart. `width`: of the larger picture.
+    pub fn fill_blocks(taps: &[(u32, u16)], width: usize, blocks: &mut Vec<TapBlock>) {
+        blocks.clear();
+        if taps.len() < LANES || width < PICKED {
+            return;
         }
-        let by_row = _mm256_set1_epi32(i32::from(WHOLE - share) | i32::from(share) << 16);
-        // Nothing is handed to `map`, which would be compiled without these registers.
-        for block in &columns.blocks {
-            // SAFETY: both arrays have 32 bytes.
-            let places = unsafe { _mm256_loadu_si256(block.places.as_ptr().cast::<__m256i>()) };
-            // SAFETY: as above.
-            let weights = unsafe { _mm256_loadu_si256(block.weights.as_ptr().cast::<__m256i>()) };
-            let mut sums = [_mm256_setzero_si256(); 2];
-            for (sum, row) in sums.iter_mut().zip([top, bottom]) {
-                let (low, high) = (&row[block.from[0]..][..PICKED], &row[block.from[1]..][..PICKED]);
-                // SAFETY: the slice has the 16 bytes that are read.
-                let low = unsafe { _mm_loadu_si128(low.as_ptr().cast::<__m128i>()) };
-                // SAFETY: as above.
-                let high = unsafe { _mm_loadu_si128(high.as_ptr().cast::<__m128i>()) };
-                let grey = _mm256_xor_si256(_mm256_set_m128i(high, low), sign);
-                *sum = _mm256_maddubs_epi16(weights, _mm256_shuffle_epi8(grey, places));
+        let last = taps.len() - LANES;
+        // The last block overlaps the one before it, so that no column is left over.
+        for first in (0..last).step_by(LANES).chain([last]) {
+            let Some(block) = block_of(taps, first, width) else {
+                blocks.clear();
+                return;
+            };
+            blocks.push(block);
+        }
+    }
+
+    /// The block of these columns; `None` where they lie too far apart. `width`: of the larger picture.
+    fn block_of(taps: &[(u32, u16)], first: usize, width: usize) -> Option<TapBlock> {
+        let mut block = TapBlock { first, ..TapBlock::default() };
+        for (half, own) in taps[first..][..LANES].chunks_exact(LANES / 2).enumerate() {
+            let from = (own[0].0 as usize).min(width - PICKED);
+            block.from[half] = from;
+            for (k, &(left, share)) in own.iter().enumerate() {
+                let (place, at) = (left as usize - from, LANES * half + 2 * k);
+                if place + 1 >= PICKED {
+                    return None;
+                }
+                (block.places[at], block.places[at + 1]) = (place as u8, place as u8 + 1);
+                (block.weights[at], block.weights[at + 1]) = ((WHOLE - share) as u8, share as u8);
             }
-            let low = _mm256_madd_epi16(_mm256_unpacklo_epi16(sums[0], sums[1]), by_row);
-            let high = _mm256_madd_epi16(_mm256_unpackhi_epi16(sums[0], sums[1]), by_row);
-            let low = _mm256_srai_epi32::<BITS>(_mm256_add_epi32(low, offset));
-            let high = _mm256_srai_epi32::<BITS>(_mm256_add_epi32(high, offset));
-            let grey = _mm256_packs_epi32(low, high);
-            let grey = _mm256_permute4x64_epi64::<0b1000>(_mm256_packus_epi16(grey, grey));
-            let out = &mut out[block.first..][..LANES];
-            // SAFETY: the slice has the 16 bytes that are written.
-            unsafe { _mm_storeu_si128(out.as_mut_ptr().cast::<__m128i>(), _mm256_castsi256_si128(grey)) };
+        }
+        Some(block)
+    }
+
+    /// See [`super::shrink`].
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    pub fn shrink(from: &GrayImage, to: &mut GrayImage, columns: &mut ColumnTaps) {
+        let (width, height) = (to.width() as usize, to.height() as usize);
+        columns.update(from.width() as usize, width);
+        // Grey levels less 128 have a sign, as the products ask; four weights add up to 128 times 128.
+        let sign = _mm256_set1_epi8(i8::MIN);
+        let offset = _mm256_set1_epi32(128 * (i32::from(WHOLE) * i32::from(WHOLE)) + HALF);
+        for (y, out) in to.as_mut().chunks_exact_mut(width.max(1)).enumerate() {
+            let (top, bottom, share) = rows(from, y, height);
+            if columns.blocks.is_empty() {
+                shrink_row(top, bottom, share, &columns.taps, out);
+            }
+            let by_row = _mm256_set1_epi32(i32::from(WHOLE - share) | i32::from(share) << 16);
+            // Nothing is handed to `map`, which would be compiled without these registers.
+            for block in &columns.blocks {
+                // SAFETY: both arrays have 32 bytes.
+                let places = unsafe { _mm256_loadu_si256(block.places.as_ptr().cast::<__m256i>()) };
+                // SAFETY: as above.
+                let weights = unsafe { _mm256_loadu_si256(block.weights.as_ptr().cast::<__m256i>()) };
+                let mut sums = [_mm256_setzero_si256(); 2];
+                for (sum, row) in sums.iter_mut().zip([top, bottom]) {
+                    let (low, high) = (&row[block.from[0]..][..PICKED], &row[block.from[1]..][..PICKED]);
+                    // SAFETY: the slice has the 16 bytes that are read.
+                    let low = unsafe { _mm_loadu_si128(low.as_ptr().cast::<__m128i>()) };
+                    // SAFETY: as above.
+                    let high = unsafe { _mm_loadu_si128(high.as_ptr().cast::<__m128i>()) };
+                    let grey = _mm256_xor_si256(_mm256_set_m128i(high, low), sign);
+                    *sum = _mm256_maddubs_epi16(weights, _mm256_shuffle_epi8(grey, places));
+                }
+                let low = _mm256_madd_epi16(_mm256_unpacklo_epi16(sums[0], sums[1]), by_row);
+                let high = _mm256_madd_epi16(_mm256_unpackhi_epi16(sums[0], sums[1]), by_row);
+                let low = _mm256_srai_epi32::<BITS>(_mm256_add_epi32(low, offset));
+                let high = _mm256_srai_epi32::<BITS>(_mm256_add_epi32(high, offset));
+                let grey = _mm256_packs_epi32(low, high);
+                let grey = _mm256_permute4x64_epi64::<0b1000>(_mm256_packus_epi16(grey, grey));
+                let out = &mut out[block.first..][..LANES];
+                // SAFETY: the slice has the 16 bytes that are written.
+                unsafe { _mm_storeu_si128(out.as_mut_ptr().cast::<__m128i>(), _mm256_castsi256_si128(grey)) };
+            }
         }
     }
 }
@@ -205,6 +222,7 @@ mod tests {
         }
     }
 
+    #[cfg(target_arch = "x86_64")]
     #[test]
     fn whole_rows_of_usual_levels_are_made_side_by_side() {
         for factor in [1.1, 1.2, 1.5] {
