@@ -88,10 +88,11 @@ function Picture() {
   }, []);
   useEffect(again, [theme.value, outlined.value, whose.value, shown.value?.today]);
   const [width, height] = size.value.split("x").map(Number);
+  const caption = fault.value || noLoss.value;
   return html`<figure class="picture" style=${{ aspectRatio: width / height, maxWidth: `calc((100vh - 22rem) * ${width / height})` }}>
     <canvas ref=${below} role="img" aria-label="The recorded picture" />
     <canvas ref=${above} class="marks ${outlined.value ? "" : "off"}" aria-hidden="true" />
-    ${fault.value || noLoss.value ? html`<figcaption role="status">${fault.value || noLoss.value}</figcaption>` : null}
+    ${caption ? html`<figcaption role="status">${caption}</figcaption>` : null}
   </figure>`;
 }
 
