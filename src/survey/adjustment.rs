@@ -4,6 +4,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, UnitQuaternion, Vector3};
 
 use super::constraints::{self, Constraint, ConstraintCheck};
+use super::dense_system::Factor;
 use super::normal_equations::{FrameRows, NormalEquations};
 use super::observers::{ObservedFrames, Observers};
 use super::prior::{self, Smoothness};
@@ -214,11 +215,11 @@ impl<'a> Adjustment<'a> {
                 self.choose_smoothness(&model, &rows, &scales, round == CHOOSING_ROUNDS[0])?;
             }
             let equations = self.equations(&model, &rows, &scales)?;
-            let factor = equations.matrix.clone().cholesky()?;
+            let factor = Factor::of(&equations.matrix)?;
             let step = factor.solve(&equations.right);
             let step_px = step_px(&rows, &step);
             let left_px = rms_px(&frames);
-            tracing::debug!(round, frames = rows.len(), ?scales, left_px, step_px, readout_s = model.readout_s(), curvatures = ?self.smoothness.curvatures, is_stretched = self.smoothness.is_stretched, "fine");
+            tracing::debug!(round, frames = rows.len(), unknowns = step.len(), ?scales, left_px, step_px, readout_s = model.readout_s(), curvatures = ?self.smoothness.curvatures, is_stretched = self.smoothness.is_stretched, "fine");
             let is_at_rest = round > CHOOSING_ROUNDS[1] && is_rest(step_px, before_px);
             before_px = step_px;
             if is_at_rest || round + 1 == MOST_ROUNDS {
@@ -275,7 +276,7 @@ impl<'a> Adjustment<'a> {
 
     fn step(&self, model: &StageModel, rows: &[FrameRows], scales: &[f64]) -> Option<DVector<f64>> {
         let equations = self.equations(model, rows, scales)?;
-        Some(equations.matrix.clone().cholesky()?.solve(&equations.right))
+        Some(Factor::of(&equations.matrix)?.solve(&equations.right))
     }
 
     /// The equations of all tiles with their priors.
@@ -307,7 +308,7 @@ impl<'a> Adjustment<'a> {
         for curvature in CURVATURES.into_iter().filter(|curvature| *curvature >= FIRST_CURVATURE) {
             self.observers.go_on().then_some(())?;
             let equations = self.with_priors(data.clone(), model, &Smoothness::even(n, curvature));
-            let Some(factor) = equations.matrix.clone().cholesky() else { continue };
+            let Some(factor) = Factor::of(&equations.matrix) else { continue };
             let cost = equations.held_out_costs(rows, &factor.solve(&equations.right), scales).iter().sum::<f64>();
             tracing::debug!(curvature, cost, "rough smoothness");
             tried.push((cost, curvature));
@@ -331,7 +332,7 @@ impl<'a> Adjustment<'a> {
                 return None;
             }
             let equations = self.with_priors(data.clone(), model, smoothness);
-            let step = equations.matrix.clone().cholesky()?.solve(&equations.right);
+            let step = Factor::of(&equations.matrix)?.solve(&equations.right);
             Some(equations.held_out_costs(rows, &step, scales))
         };
         // Later on only what lies beside the last choice is tried.

@@ -6,6 +6,7 @@
 mod adjustment;
 mod camera_rates;
 pub mod constraints;
+mod dense_system;
 pub mod judgement;
 mod keyframes;
 mod lively_part;

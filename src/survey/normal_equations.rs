@@ -9,6 +9,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2};
 
+use super::dense_system::subtract_square;
 use super::stage_model::StageModel;
 use super::tile_derivatives::{FRAME_UNKNOWNS, TileDerivatives};
 use crate::geometry::robust_kernel::tukey_weight;
@@ -133,13 +134,20 @@ impl NormalEquations {
     pub fn new(frames: &[FrameRows], unknowns: usize, scales: &[f64], with_held_out: bool) -> Option<Self> {
         let mut out =
             Self { matrix: DMatrix::zeros(unknowns, unknowns), right: DVector::zeros(unknowns), frames: Vec::with_capacity(frames.len()) };
+        let mut roots = DMatrix::zeros(unknowns, frames.iter().map(|frame| frame.told).sum());
+        let mut first = 0;
         for frame in frames {
-            out.add(frame, scales, with_held_out)?;
+            let root = out.add(frame, scales, with_held_out)?;
+            roots.columns_mut(first, frame.told).copy_from(&root);
+            first += frame.told;
         }
+        // All frames' at once: a matrix as large as this is better passed through once than once a frame.
+        subtract_square(&mut out.matrix, &roots);
         Some(out)
     }
 
-    fn add(&mut self, frame: &FrameRows, scales: &[f64], with_held_out: bool) -> Option<()> {
+    /// Adds a frame's tiles. What the frame's elimination takes from the matrix is left to be done: the square of what is given back.
+    fn add(&mut self, frame: &FrameRows, scales: &[f64], with_held_out: bool) -> Option<DMatrix<f64>> {
         let mut own = frame.prior;
         let mut right = frame.prior_right;
         let mut coupling = DMatrix::zeros(self.right.len(), FRAME_UNKNOWNS);
@@ -165,11 +173,10 @@ impl NormalEquations {
         let inverse_root = factor.l().try_inverse()?;
         let told = inverse_root.view((0, 0), (frame.told, frame.told));
         let root = coupling.columns(0, frame.told) * told.transpose();
-        self.matrix.gemm(-1.0, &root, &root.transpose(), 1.0);
         let inverse = factor.inverse();
         self.right.gemv(-1.0, &coupling, &DVector::from_column_slice((inverse * right).as_slice()), 1.0);
         self.frames.push(EliminatedFrame { inverse, right, coupling });
-        Some(())
+        Some(root)
     }
 
     /// How frame `k`'s pose, [δp, δθ] in camera axes, goes with the model's numbers when it is solved anew.
