@@ -19,6 +19,12 @@ use crate::tracker::TrackerSetup;
 
 /// Longest time between two poses that give a velocity, seconds. Raised, the velocity may span a turn; lowered, cameras with few frames a second give none.
 const LONGEST_GAP_S: f64 = 0.25;
+/// Frames in a row that are tracked in vain before features alone say where the camera is: what is found in one may have to be confirmed by the next. Raised, stages that are
+/// not as configured take longer, 0.15 s for each such frame of fifteen surfaces; lowered to 1, a pose that waits for its confirmation never gets it.
+const TRACKED_IN_VAIN: u32 = 3;
+/// Frames from then on that are not tracked, one second at 30 a second. Raised, a stage that people hid is tracked again later; lowered, stages that are not as
+/// configured take longer.
+const UNTRACKED: u32 = 30;
 /// A recorded rotation is one when its quaternion's norm is this near to 1. Raised, a damaged record may pass; lowered, a sound one may not.
 const NORM_TOLERANCE: f64 = 1e-9;
 
@@ -76,7 +82,8 @@ impl Walk {
         let (mut keyframes, mut lively) = (Keyframes::default(), LivelyPart::default());
         let (mut frames, mut found) = (0, 0);
         for clip in clips {
-            let mut matcher = Matcher::new(camera, shutter, mask.clone(), &[&stage], settings.clone(), clock, store.clone());
+            let mut finder =
+                StageFinder::new(Matcher::new(camera, shutter, mask.clone(), &[&stage], settings.clone(), clock, store.clone()));
             let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
             let mut recent = RecentPoses::as_configured();
             for frame in clip {
@@ -85,9 +92,7 @@ impl Walk {
                 }
                 progress(SurveyStep::Frame);
                 frames += 1;
-                let verified = matcher.look(&frame).stage.verified.map(|verified| verified.pose);
-                // With a lens or a layout that is off nothing may pass verification, and yet the stage is there.
-                let Some(pose) = verified.or_else(|| Some(matcher.recognised_pose(&frame.image)?.0)) else {
+                let Some(pose) = finder.pose(&frame) else {
                     lively.offer(None);
                     continue;
                 };
@@ -101,7 +106,7 @@ impl Walk {
                 if wants_lively {
                     lively.offer(Some((frames, &frame, speed)));
                 }
-                keyframes.offer((frames, &frame), motion, speed, distance_m, |frame| matched_features(&mut matcher, frame, &stage));
+                keyframes.offer((frames, &frame), motion, speed, distance_m, |frame| finder.matched_features(frame, &stage));
             }
             lively.offer(None);
         }
@@ -190,22 +195,80 @@ impl KeyframeRecord {
     }
 }
 
+/// Finds the stage in the frames of a clip, also one that is not as configured.
+struct StageFinder {
+    matcher: Matcher,
+    pause: TrackingPause,
+}
+
+/// The frames that are not tracked, as those before were tracked in vain.
+#[derive(Debug, Default)]
+struct TrackingPause {
+    /// Frames in a row that were tracked in vain.
+    in_vain: u32,
+    /// Frames to go until the next one is tracked.
+    left: u32,
+}
+
+impl TrackingPause {
+    /// Whether the next frame is tracked.
+    fn is_over(&mut self) -> bool {
+        let is_over = self.left == 0;
+        self.left = self.left.saturating_sub(1);
+        is_over
+    }
+
+    /// Takes whether a frame was tracked, or in vain.
+    fn take(&mut self, is_tracked: bool) {
+        self.in_vain = if is_tracked { 0 } else { self.in_vain + 1 };
+        if self.in_vain == TRACKED_IN_VAIN {
+            *self = Self { in_vain: 0, left: UNTRACKED };
+        }
+    }
+}
+
+impl StageFinder {
+    fn new(matcher: Matcher) -> Self {
+        Self { matcher, pause: TrackingPause::default() }
+    }
+
+    /// Where a frame shows the stage.
+    fn pose(&mut self, frame: &Frame) -> Option<Pose<Body, Camera>> {
+        self.tracked(frame).or_else(|| {
+            // With a lens or a layout that is off nothing may pass verification, and yet the stage is there.
+            let quick = self.matcher.quickly_recognised_pose(&frame.image);
+            quick.or_else(|| Some(self.matcher.recognised_pose(&frame.image)?.0))
+        })
+    }
+
+    /// The same by tracking, where that is worth its time.
+    fn tracked(&mut self, frame: &Frame) -> Option<Pose<Body, Camera>> {
+        if !self.pause.is_over() {
+            return None;
+        }
+        let verified = self.matcher.look(frame).stage.verified;
+        self.pause.take(verified.is_some());
+        verified.map(|verified| verified.pose)
+    }
+
+    /// The features that a frame shows of a stage.
+    fn matched_features(&mut self, frame: &Frame, stage: &BodySpec) -> Vec<MatchedFeature> {
+        let feature = |m: &SurfaceMatch| MatchedFeature {
+            surface: m.surface as usize,
+            on_picture_m: stage.surfaces[m.surface as usize].to_metres(m.artwork).into(),
+            pixel: m.pixel,
+            sigma_px: m.scale,
+        };
+        self.matcher.recognised_pose(&frame.image).map_or_else(Vec::new, |(_, matches)| matches.iter().map(feature).collect())
+    }
+}
+
 /// Even motion since the last pose, or none where that is too long ago.
 fn motion_since(before: Option<(Pose<Body, Camera>, Timestamp)>, pose: Pose<Body, Camera>, stamp: Timestamp) -> Motion {
     before
         .map(|(then, at)| (then, stamp.seconds_since(at)))
         .filter(|(_, dt_s)| *dt_s > 0.0 && *dt_s < LONGEST_GAP_S)
         .map_or(Motion::still(pose), |(then, dt_s)| Motion::between(&then, &pose, dt_s))
-}
-
-fn matched_features(matcher: &mut Matcher, frame: &Frame, stage: &BodySpec) -> Vec<MatchedFeature> {
-    let feature = |m: &SurfaceMatch| MatchedFeature {
-        surface: m.surface as usize,
-        on_picture_m: stage.surfaces[m.surface as usize].to_metres(m.artwork).into(),
-        pixel: m.pixel,
-        sigma_px: m.scale,
-    };
-    matcher.recognised_pose(&frame.image).map_or_else(Vec::new, |(_, matches)| matches.iter().map(feature).collect())
 }
 
 #[cfg(test)]
@@ -242,6 +305,25 @@ mod tests {
     fn recalled(record: &WalkRecord, clips: &[Vec<Frame>]) -> Option<Walk> {
         let stage = BodySpec::new("stage", synthetic::stage()[..1].to_vec());
         Walk::recall(record, clips.iter().map(|clip| clip.iter().cloned()), &stage, |_| (), &|| true).expect("it goes on")
+    }
+
+    #[test]
+    fn what_is_tracked_in_vain_three_times_is_not_tracked_for_a_second() {
+        let tracked = |is_found: fn(usize) -> bool| {
+            let mut pause = TrackingPause::default();
+            let is_tracked = |frame: &usize| {
+                let is_over = pause.is_over();
+                if is_over {
+                    pause.take(is_found(*frame));
+                }
+                is_over
+            };
+            (0..70).filter(is_tracked).collect::<Vec<_>>()
+        };
+        assert_eq!(tracked(|_| false), [0, 1, 2, 33, 34, 35, 66, 67, 68]);
+        // Two frames in a row that are lost are no reason.
+        assert_eq!(tracked(|frame| frame % 3 == 0), (0..70).collect::<Vec<_>>());
+        assert_eq!(tracked(|frame| frame > 3), [0, 1, 2].into_iter().chain(33..70).collect::<Vec<_>>());
     }
 
     #[test]

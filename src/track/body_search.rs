@@ -337,18 +337,31 @@ impl BodySearch {
 
     /// A body's surfaces that are recognised in a picture, before any size is asked.
     pub fn recognise(&mut self, image: &GrayImage, tracked: &TrackedBody) -> Vec<SurfaceView> {
-        self.features.look(image, self.mask.as_ref(), Look::Frontal, &self.workers);
-        let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
+        let own = self.matches_in(image, Look::Frontal, tracked);
         self.views(&own, tracked)
     }
 
     /// Where features put a body in a picture, and the matches that speak for it.
     pub fn recognised_pose(&mut self, image: &GrayImage, tracked: &TrackedBody) -> Option<(Pose<Body, Camera>, Vec<SurfaceMatch>)> {
-        self.features.look(image, self.mask.as_ref(), Look::Frontal, &self.workers);
-        let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
-        let (found, _) = candidates(&tracked.body, &own, &self.camera, self.seed);
-        let pose = found.first()?.pose.inverse();
+        let own = self.matches_in(image, Look::Frontal, tracked);
+        let pose = self.likeliest_pose(&own, tracked)?;
         Some((pose, self.views(&own, tracked).into_iter().flat_map(|view| view.matches).collect()))
+    }
+
+    /// The same pose by the strongest features alone, in a fifth of the time; `None` also where a closer look would find one.
+    pub fn quickly_recognised_pose(&mut self, image: &GrayImage, tracked: &TrackedBody) -> Option<Pose<Body, Camera>> {
+        let own = self.matches_in(image, Look::Quick, tracked);
+        self.likeliest_pose(&own, tracked)
+    }
+
+    fn matches_in(&mut self, image: &GrayImage, look: Look, tracked: &TrackedBody) -> Vec<SurfaceMatch> {
+        self.features.look(image, self.mask.as_ref(), look, &self.workers);
+        self.features.of_body(tracked.surfaces.clone(), &self.camera)
+    }
+
+    fn likeliest_pose(&self, own: &[SurfaceMatch], tracked: &TrackedBody) -> Option<Pose<Body, Camera>> {
+        let (found, _) = candidates(&tracked.body, own, &self.camera, self.seed);
+        Some(found.first()?.pose.inverse())
     }
 
     fn views(&self, own: &[SurfaceMatch], tracked: &TrackedBody) -> Vec<SurfaceView> {

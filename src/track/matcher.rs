@@ -405,6 +405,14 @@ impl Matcher {
         self.search.recognised_pose(image, self.bodies.first()?)
     }
 
+    /// The same pose by the strongest features alone, in a fifth of the time; `None` also where [`recognised_pose`](Self::recognised_pose) would find one.
+    pub fn quickly_recognised_pose(&mut self, image: &GrayImage) -> Option<Pose<Body, Camera>> {
+        if image.dimensions() != (self.camera.width(), self.camera.height()) {
+            return None;
+        }
+        self.search.quickly_recognised_pose(image, self.bodies.first()?)
+    }
+
     /// Patches of one of the stage's surfaces that fitted the last verified pose.
     pub fn fitting_patches(&self, surface: usize) -> usize {
         self.bodies.first().map_or(0, |stage| stage.anchors.iter().filter(|a| a.surface as usize == surface).count())
