@@ -13,7 +13,6 @@ import argparse
 import json
 import os
 import pathlib
-import shutil
 import subprocess
 import sys
 
@@ -62,19 +61,12 @@ def rows_of(clip):
     return [line.split(",") for line in (clip.folder / "timestamps.csv").read_text().splitlines()[1:]]
 
 
-def put_together(folder, clip, shown):
-    """A clip of a scene's pictures: (stamp, file's name or None for black), in this order."""
-    shutil.rmtree(folder, ignore_errors=True)
-    (folder / "frames").mkdir(parents=True)
+def black_like(clip, file):
+    """A black picture of a clip's size, saved."""
     width, height = clip.size()
-    cv2.imwrite(str(folder / "frames/black.png"), np.full((height, width), 6, np.uint8))
-    lines = ["#timestamp [ns],filename"]
-    for stamp, name in shown:
-        file = folder / "frames" / (name or "black.png")
-        if not file.exists():
-            file.symlink_to((clip.folder / "frames" / name).resolve())
-        lines.append(f"{stamp},{file.name}")
-    (folder / "timestamps.csv").write_text("\n".join(lines) + "\n")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(file), np.full((height, width), 6, np.uint8))
+    return file
 
 
 def replay(chosen, folder, config):
@@ -97,7 +89,7 @@ def cold(clip, chosen):
 def decoys(clip, chosen):
     data = chosen.bench.parent / "data"
     folder = chosen.work / clip.name / "decoys"
-    put_together(folder, clip, [(int(stamp), name.strip()) for stamp, name in rows_of(clip)[::DECOY_EVERY]])
+    clips.put_together(folder, [(int(stamp), clip.folder / "frames" / name.strip()) for stamp, name in rows_of(clip)[::DECOY_EVERY]])
     given = {}
     for decoy in DECOYS:
         config = folder / "stage.toml"
@@ -115,6 +107,7 @@ def decoys(clip, chosen):
 
 def blackouts(clip, chosen):
     rows = rows_of(clip)
+    black = black_like(clip, chosen.work / clip.name / "black.png")
     step_ns = int(rows[1][0]) - int(rows[0][0])
     lit = max(2, len(rows) // (TIMES + 1))
     shown, first, stamp = [], [], 0
@@ -122,15 +115,15 @@ def blackouts(clip, chosen):
     for k, (source, name) in enumerate(rows[: lit * (TIMES + 1)]):
         if k and k % lit == 0:
             dark = round(BLACKOUT_S * 1e9 / step_ns)
-            shown += [(stamp + n * step_ns, None) for n in range(dark)]
+            shown += [(stamp + n * step_ns, black) for n in range(dark)]
             sources += [None] * dark
             stamp += dark * step_ns
             first.append(len(shown))
-        shown.append((stamp, name.strip()))
+        shown.append((stamp, clip.folder / "frames" / name.strip()))
         sources.append(int(source))
         stamp += step_ns
     folder = chosen.work / clip.name / "blackouts"
-    put_together(folder, clip, shown)
+    clips.put_together(folder, shown)
     records = replay(chosen, folder, clip.write_config(folder, clip))
     back = [records[k]["state"] == "tracking" for k in first]
     within_two = [any(r["state"] == "tracking" for r in records[k : k + 2]) for k in first]

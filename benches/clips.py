@@ -12,6 +12,7 @@ import concurrent.futures
 import json
 import os
 import pathlib
+import shutil
 import subprocess
 import sys
 
@@ -146,6 +147,19 @@ class Clip:
                     text += "orientation_xyzw = [0, 0, 0, 1]\n"
         (folder / "stage.toml").write_text(text)
         return folder / "stage.toml"
+
+
+def put_together(folder, shown):
+    """A clip of links to pictures, in this order: (stamp in nanoseconds, picture); one picture may be shown several times."""
+    shutil.rmtree(folder, ignore_errors=True)
+    (folder / "frames").mkdir(parents=True)
+    lines = ["#timestamp [ns],filename"]
+    for stamp, picture in shown:
+        link = folder / "frames" / picture.name
+        if not link.exists():
+            link.symlink_to(picture.resolve())
+        lines.append(f"{stamp},{link.name}")
+    (folder / "timestamps.csv").write_text("\n".join(lines) + "\n")
 
 
 def run(command):

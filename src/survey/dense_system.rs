@@ -8,7 +8,7 @@ use faer::linalg::solvers::{DenseSolveCore, Llt, Solve};
 use faer::{Accum, MatMut, MatRef, Par, Side};
 use nalgebra::{DMatrix, DVector};
 
-/// Takes `root` times its transpose from the lower triangle of a matrix.
+/// Subtracts the square of `root`, R Rᵀ, from the lower triangle of a matrix (a symmetric rank-k update).
 pub fn subtract_square(matrix: &mut DMatrix<f64>, root: &DMatrix<f64>) {
     let n = matrix.nrows();
     let root = MatRef::from_column_major_slice(root.as_slice(), n, root.ncols());
@@ -17,7 +17,7 @@ pub fn subtract_square(matrix: &mut DMatrix<f64>, root: &DMatrix<f64>) {
     triangular::matmul(lower, BlockStructure::TriangularLower, Accum::Add, root, whole, root.transpose(), whole, -1.0, Par::Seq);
 }
 
-/// The factor L of a symmetric positive definite matrix, L Lᵀ.
+/// The factor L of a symmetric positive definite matrix A = L Lᵀ.
 pub struct Factor(Llt<f64>);
 
 impl Factor {
@@ -27,7 +27,7 @@ impl Factor {
         view.llt(Side::Lower).ok().map(Self)
     }
 
-    /// What the matrix multiplied by gives `right`.
+    /// The solution x of A x = `right`.
     pub fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
         let solution = self.0.solve(MatRef::from_column_major_slice(right.as_slice(), right.len(), 1));
         DVector::from_fn(right.len(), |i, _| solution[(i, 0)])

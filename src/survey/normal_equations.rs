@@ -141,12 +141,12 @@ impl NormalEquations {
             roots.columns_mut(first, frame.told).copy_from(&root);
             first += frame.told;
         }
-        // All frames' at once: a matrix as large as this is better passed through once than once a frame.
+        // For all frames at once: one product passes through the matrix once.
         subtract_square(&mut out.matrix, &roots);
         Some(out)
     }
 
-    /// Adds a frame's tiles. What the frame's elimination takes from the matrix is left to be done: the square of what is given back.
+    /// Adds a frame's tiles and eliminates its unknowns. Gives the root R of what their elimination takes from the matrix, R Rᵀ, which is left to the caller.
     fn add(&mut self, frame: &FrameRows, scales: &[f64], with_held_out: bool) -> Option<DMatrix<f64>> {
         let mut own = frame.prior;
         let mut right = frame.prior_right;
@@ -169,7 +169,7 @@ impl NormalEquations {
             }
         }
         let factor = own.cholesky()?;
-        // Lower triangle of C F⁻¹ Cᵀ, as the product of C L⁻ᵀ with itself.
+        // C F⁻¹ Cᵀ is the square of C L⁻ᵀ.
         let inverse_root = factor.l().try_inverse()?;
         let told = inverse_root.view((0, 0), (frame.told, frame.told));
         let root = coupling.columns(0, frame.told) * told.transpose();

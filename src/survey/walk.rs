@@ -19,8 +19,8 @@ use crate::tracker::TrackerSetup;
 
 /// Longest time between two poses that give a velocity, seconds. Raised, the velocity may span a turn; lowered, cameras with few frames a second give none.
 const LONGEST_GAP_S: f64 = 0.25;
-/// Frames in a row that are tracked in vain before features alone say where the camera is: what is found in one may have to be confirmed by the next. Raised, stages that are
-/// not as configured take longer, 0.15 s for each such frame of fifteen surfaces; lowered to 1, a pose that waits for its confirmation never gets it.
+/// Frames in a row that are tracked in vain before features alone say where the camera is. More than one, as a new pose may have to be confirmed by the next frame. Raised, stages that are
+/// not as configured take longer, 0.15 s for each such frame of fifteen surfaces; lowered to 1, poses that need confirmation never get it.
 const TRACKED_IN_VAIN: u32 = 3;
 /// Frames from then on that are not tracked, one second at 30 a second. Raised, a stage that people hid is tracked again later; lowered, stages that are not as
 /// configured take longer.
@@ -195,13 +195,13 @@ impl KeyframeRecord {
     }
 }
 
-/// Finds the stage in the frames of a clip, also one that is not as configured.
+/// Finds the stage in the frames of a clip, even where lens or layout are not as configured.
 struct StageFinder {
     matcher: Matcher,
     pause: TrackingPause,
 }
 
-/// The frames that are not tracked, as those before were tracked in vain.
+/// Leaves frames untracked for a while after some that were tracked in vain.
 #[derive(Debug, Default)]
 struct TrackingPause {
     /// Frames in a row that were tracked in vain.
@@ -211,11 +211,11 @@ struct TrackingPause {
 }
 
 impl TrackingPause {
-    /// Whether the next frame is tracked.
-    fn is_over(&mut self) -> bool {
-        let is_over = self.left == 0;
+    /// Goes on to the next frame; whether that is tracked.
+    fn tracks_next(&mut self) -> bool {
+        let tracks = self.left == 0;
         self.left = self.left.saturating_sub(1);
-        is_over
+        tracks
     }
 
     /// Takes whether a frame was tracked, or in vain.
@@ -243,7 +243,7 @@ impl StageFinder {
 
     /// The same by tracking, where that is worth its time.
     fn tracked(&mut self, frame: &Frame) -> Option<Pose<Body, Camera>> {
-        if !self.pause.is_over() {
+        if !self.pause.tracks_next() {
             return None;
         }
         let verified = self.matcher.look(frame).stage.verified;
@@ -312,11 +312,11 @@ mod tests {
         let tracked = |is_found: fn(usize) -> bool| {
             let mut pause = TrackingPause::default();
             let is_tracked = |frame: &usize| {
-                let is_over = pause.is_over();
-                if is_over {
+                let tracks = pause.tracks_next();
+                if tracks {
                     pause.take(is_found(*frame));
                 }
-                is_over
+                tracks
             };
             (0..70).filter(is_tracked).collect::<Vec<_>>()
         };

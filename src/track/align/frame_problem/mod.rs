@@ -62,9 +62,9 @@ const SETTLING_ROUNDS: usize = 4;
 /// pictures of the tiles were predicted before the step. Raised, covariances are wider than errors; with 0, twice as many frames
 /// of a moving camera are further off than six sigmas.
 const MISSING_SHARE: f64 = 0.2;
-/// What no frame of a camera that moves tells of its image motion, one sigma, pixels of the frame: the pictures of the tiles share faults of interpolation, point
-/// spread and shutter, which more pixels do not average away. With 0, frames at a thousand starts and stops are up to 7.8 sigmas off (`tests/pipeline/stops.rs`), with it 6.0.
-/// Raised, covariances are wider than errors. A still camera is told without it: its poses were right to 0.0003 pixels, and NEES/6 of d-still 0.28 with it, 0.70 without.
+/// Least standard deviation of the image motion of a camera that moves, pixels of the frame: faults of interpolation, point spread and shutter are common to all tiles, so more
+/// pixels do not average them away. With 0, frames at a thousand starts and stops are up to 7.8 sigmas off (`tests/pipeline/stops.rs`), with 0.001 up to 6.0. Raised,
+/// covariances are wider than errors. A still camera's covariance goes without it: with it d-still's NEES/6 is 0.28, without it 0.70.
 const LEAST_ERROR_PX: f64 = 0.001;
 /// A level converges from this many of its pixels off: 2.5 to 5 in a prototype. Raised, starts are left to levels that are too fine for
 /// them, and solved twice or lost; lowered, a level more is solved than the start needs.
@@ -444,7 +444,7 @@ impl<'a> FrameProblem<'a> {
     pub fn verify(&mut self) -> Option<(Alignment, Option<Clue>)> {
         let Corrected { motion, scale } = self.buffers.fine.solution()?.found;
         let spec = self.spec(FINEST, &motion);
-        let floor = if self.buffers.has_kept { Matrix6::zeros() } else { self.floor(&motion) };
+        let floor = self.floor(&motion);
         let mut solution = self.buffers.fine.solution()?;
         let blur_px = spec.blur_px * spec.frame_px();
         let Conclusion { estimate, covariance, inliers, squared_px, tiles, agreeing, blur } = solution.conclude(&spec, &mut self.bands)?;
@@ -471,8 +471,11 @@ impl<'a> FrameProblem<'a> {
         Some((found, exposure))
     }
 
-    /// What no frame tells better, however many pixels it asks: covariance of [δp, δθ] of an image motion of [`LEAST_ERROR_PX`].
+    /// What no frame of a camera that moves tells better, however many pixels it asks: covariance of [δp, δθ] of an image motion of [`LEAST_ERROR_PX`].
     fn floor(&self, motion: &Motion) -> Matrix6<f64> {
+        if self.buffers.has_kept {
+            return Matrix6::zeros();
+        }
         let camera = &self.rays.camera;
         let (width, height) = (f64::from(camera.width()), f64::from(camera.height()));
         // Root mean square distance of a picture's pixels from its middle.
