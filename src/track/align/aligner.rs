@@ -144,11 +144,10 @@ impl Solution<'_> {
     pub fn accept(self, patches: &mut Vec<Patch>) {
         let Aligner { settings, buffers, slow } = self.aligner;
         slow.learn(&self.lessons, &buffers.light);
-        let motion = &self.alignment.estimate.motion;
-        let spec = LevelSpec::new(&settings.surfaces, slow, self.rays, slow.is_enlarged, FINEST, motion);
         patches.clear();
         if let Some(solution) = buffers.fine.solution() {
-            solution.patches(&spec, motion, &mut buffers.shifts, patches);
+            let spec = LevelSpec::new(&settings.surfaces, slow, self.rays, slow.is_enlarged, FINEST, &solution.found.motion);
+            solution.patches(&spec, &mut buffers.shifts, patches);
         }
     }
 }

@@ -121,6 +121,28 @@ fn patches_lie_where_the_pose_puts_them() {
     assert!(patches.iter().all(|p| p.on_surface_m.x.abs() < 2.0 && p.on_surface_m.y.abs() < 1.5));
 }
 
+/// After a jump within a frame, the motion that is given is that of its last rows: the patches of the others lie elsewhere.
+#[test]
+fn patches_are_those_of_the_motion_that_was_solved_for() {
+    // Told to hang in folds, which it does not: patches are followed.
+    let bent = SurfaceSpec { shape: folds(), ..cloth(1) };
+    let expected = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
+    let rays = CameraRays::new(lens(480, 360), None);
+    let [own, after_jump] = [Vector6::zeros(), Vector6::new(0.3, 0.0, 0.0, 0.0, 0.1, 0.0)].map(|jump| {
+        let mut aligner = Aligner::new(&prepared(vec![bent.clone()]), Shutter { readout_s: 0.02, exposure_s: 1e-6 });
+        let mut frame = levels(1);
+        let mut solution = aligner.align(&mut frame, &rays, &expected, None).expect("the picture agrees");
+        let motion = &mut solution.alignment.estimate.motion;
+        *motion = motion.with_twist(&(motion.twist() + jump));
+        let mut patches = Vec::new();
+        solution.accept(&mut patches);
+        patches
+    });
+    let mean = own.iter().map(|p| p.shift_px.norm()).sum::<f64>() / own.len() as f64;
+    assert!(own.len() > 40 && mean > 0.2, "{} of {mean} px", own.len());
+    assert_eq!(own, after_jump);
+}
+
 #[test]
 fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });

@@ -42,8 +42,10 @@ pub struct Patch {
 impl LevelSolution<'_> {
     /// Adds the patches that fit, one a tile. Looking for them changes the pixels' rays, so that nothing can be asked of the solution after.
     /// `shifts`: a buffer.
-    pub fn patches(self, spec: &LevelSpec, motion: &Motion, shifts: &mut Vec<Vector2<f64>>, patches: &mut Vec<Patch>) {
-        let Self { found: Corrected { scale: mut sigmas, .. }, problem } = self;
+    pub fn patches(self, spec: &LevelSpec, shifts: &mut Vec<Vector2<f64>>, patches: &mut Vec<Patch>) {
+        // Not the motion that is given: after a jump within the frame that is the one of its last rows.
+        let Self { found: Corrected { motion, scale: mut sigmas }, problem } = self;
+        let motion = &motion;
         shifts.clear();
         shifts.extend(problem.runs.iter().map(|r| patch_shift(&r.evidence).map_or(Vector2::zeros(), |(shift, _)| shift)));
         // One linear step is right for small shifts. Where the calibration or the survey is off, patches must be followed.
