@@ -8,8 +8,9 @@
 //! That is the error of a pose that rests on its own frame alone. Where few tiles are seen, a pose rests on the frames before it instead, and has their error:
 //! [`blended`] says how much of each.
 
-use nalgebra::{Matrix2, Matrix2x6, Matrix6, Matrix6x2, Vector2, Vector6};
+use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
 
+use super::smooth_field::SmoothField;
 use super::tile_residuals::{TileResidual, TileResiduals};
 use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::{Body, Camera, Pose};
@@ -17,9 +18,15 @@ use crate::geometry::{Body, Camera, Pose};
 /// Correlation length of the field of shifts, as a share of the width of what is off: of the picture, or of an object. A field as wide as the picture is the same
 /// nearly all over a small object, and the little that is left of it, as by blur, would pass for the rest of a shift that is many times as large.
 /// A shorter field shows itself more in what is left and less in the pose.
-/// Chosen for what hides best, not for any one cloth: of cloth in folds, of a draught and of a stretched print the squared errors were 5.2, 2.3 and 3.9
-/// of the covariance with 0.16, and 3.7, 1.7 and 1.5 with 0.31. Lowered, covariances miss what went into the pose; raised beyond 0.5, they hardly change.
-const CORRELATION_LENGTH: f64 = 0.3;
+/// Chosen for what hides best, not for any one clip: the squared errors of cloth in folds, a draught, a wrong lens and coloured light, in units of the covariance, are 2.2, 1.0, 2.4
+/// and 1.8 with 0.3, 2.2, 1.1, 1.2 and 1.6 with 0.4. Lowered, covariances miss what went into the pose; raised, noise adds more to them.
+const CORRELATION_LENGTH: f64 = 0.4;
+/// Largest variance of what each tile is off by itself that counts as noise, in variances of what pixels tell. Chosen: more than twice that of a webcam that sharpens (1.6). Raised, folds as
+/// narrow as tiles pass for noise; lowered, so does noise for a field, which adds ten times as much to the covariance.
+const LARGEST_NOISE: f64 = 4.0;
+/// What is left beyond that is a field of nobody knows what length: so many times the variance that one of [`CORRELATION_LENGTH`] has. Chosen: with 1, the squared errors above are
+/// 4.2, 2.1, 2.5 and 1.6 times the covariance. Raised, poses of stages that do not fit are withheld that could be given.
+const UNKNOWN_LENGTH: f64 = 2.0;
 /// Fewest numbers beyond the pose's six that the field's size may be found from. Chosen, not tuned. Raised, small stages claim to fit.
 const LEAST_FREEDOM: f64 = 12.0;
 
@@ -27,6 +34,10 @@ const LEAST_FREEDOM: f64 = 12.0;
 /// correlation length of the weights of pairs. Chosen: about the distance between neighbouring tiles, so that folds a tenth of the picture wide still count as a field.
 /// Raised, short folds pass for noise, and covariances miss what went into the pose; lowered, there are too few pairs.
 const PAIR_LENGTH: f64 = 0.08;
+/// Tiles nearer than this share of the width are no pair: they touch, and what compression, sharpening and light do to the one they do to the other. Chosen: the least
+/// distance of tiles that are beside each other. Raised, there are too few pairs; with 0, noise of webcams that sharpen passes for a field of 0.02 pixels, and
+/// its covariances are a tenth wider.
+const TOUCHING: f64 = 0.055;
 /// Pairs whose weight is below this are left out. Lowered, frames that do not fit cost more.
 const LEAST_PAIR: f64 = 0.05;
 
@@ -41,17 +52,12 @@ pub struct ModelError {
     pub noise: f64,
 }
 
-/// What the model's error does to a pose; `None` where it fits within the noise. `width_px`: of what may be off, in the frame; `steps`: a buffer.
+/// What the model's error does to a pose; `None` where it fits within the noise. `width_px`: of what may be off, in the frame; `field`: a buffer.
 ///
 /// What is left has two sources: a field of one size a², and noise of b times the variance that was expected, as webcams have that sharpen and smooth
 /// their pictures. The sum of the squares is what both leave; of products of neighbours a field leaves nearly as much, noise next to nothing. These are two linear
-/// equations for a² and b.
-pub fn model_error(
-    pose: &Pose<Camera, Body>,
-    width_px: f64,
-    residuals: &TileResiduals,
-    steps: &mut Vec<Matrix6x2<f64>>,
-) -> Option<ModelError> {
+/// equations for a² and b; but b has a bound. The noise is in the pose's covariance already, by the scatter of the tiles: the field alone is to be added.
+pub fn model_error(pose: &Pose<Camera, Body>, width_px: f64, residuals: &TileResiduals, field: &mut SmoothField) -> Option<ModelError> {
     let freedom = 2.0 * residuals.weight() - 6.0;
     let factor = residuals.normal().cholesky()?;
     let change = factor.solve(&residuals.right_side());
@@ -60,26 +66,22 @@ pub fn model_error(
         return None;
     }
     let normal_inverse = factor.inverse();
-    steps.clear();
-    // How the pose changes with each tile's shift.
-    steps.extend(residuals.tiles().iter().map(|t| factor.solve(&(t.by_pose.transpose() * t.information))));
+    field.work_out(residuals.tiles(), &factor, CORRELATION_LENGTH * width_px);
     let per_squared_length = |share: f64| -0.5 / (share * width_px).powi(2);
     let (per_field, per_pair) = (per_squared_length(CORRELATION_LENGTH), per_squared_length(PAIR_LENGTH));
-    let farthest = LEAST_PAIR.ln() / per_pair;
-    // Of a field of one pixel: what it does to the pose, and what it leaves of squares and of pairs. And what the noise leaves of pairs: the pose takes it from all.
-    let (mut of_pose, mut left) = (Matrix6::zeros(), 0.0);
+    let (nearest, farthest) = ((TOUCHING * width_px).powi(2), LEAST_PAIR.ln() / per_pair);
+    // What a field of one pixel leaves of squares and of pairs. And what the noise leaves of pairs: the pose takes it from all.
+    let mut left = 0.0;
     let (mut pairs, mut pairs_by_field, mut pairs_by_noise, mut both) = (0.0, 0.0, 0.0, Matrix6::zeros());
-    for (tile, step) in residuals.tiles().iter().zip(&*steps) {
-        let (mut together, mut beside) = (Matrix6x2::zeros(), Neighbours::default());
-        for (other, other_step) in residuals.tiles().iter().zip(&*steps) {
+    for (k, tile) in residuals.tiles().iter().enumerate() {
+        let mut beside = Neighbours::default();
+        for other in residuals.tiles() {
             let squared_length = (other.place_px - tile.place_px).norm_squared();
-            let alike = (squared_length * per_field).exp();
-            together += other_step * alike;
-            if squared_length < farthest && other.anchor != tile.anchor {
-                beside.add(other, (squared_length * per_pair).exp(), alike, &change);
+            if (nearest..farthest).contains(&squared_length) {
+                beside.add(other, (squared_length * per_pair).exp(), (squared_length * per_field).exp(), &change);
             }
         }
-        of_pose += together * step.transpose();
+        let together = field.pose_with_shift(k);
         // A tile's own square, less what the pose takes of it.
         let taken: Matrix2x6<f64> = tile.information * tile.by_pose;
         left += tile.information.trace() - (taken * together).trace();
@@ -89,15 +91,16 @@ pub fn model_error(
         pairs_by_field += (tile.information * beside.alike).trace() - 2.0 * (by_pose * together).trace();
         both += tile.by_pose.transpose() * by_pose;
     }
-    pairs_by_field += (both * of_pose).trace();
+    pairs_by_field += (both * field.of_pose()).trace();
     // squared = freedom b + left a², pairs = pairs_by_noise b + pairs_by_field a².
     let determinant = freedom * pairs_by_field - pairs_by_noise * left;
     let of_both = (freedom * pairs - pairs_by_noise * squared) / determinant;
     let of_field_alone = (squared - freedom) / left;
-    let field = if determinant > 0.0 { of_both.clamp(0.0, of_field_alone.max(0.0)) } else { of_field_alone };
-    let noise = ((squared - left * field) / freedom).max(1.0);
-    let covariance = covariance_of_inverse(pose, &(of_pose * field));
-    let at_most = covariance_of_inverse(pose, &(of_pose * of_field_alone));
+    let by_pairs = if determinant > 0.0 { of_both.clamp(0.0, of_field_alone.max(0.0)) } else { of_field_alone };
+    let variance = by_pairs.max(UNKNOWN_LENGTH * (squared - LARGEST_NOISE * freedom) / left);
+    let noise = ((squared - left * variance) / freedom).max(1.0);
+    let covariance = covariance_of_inverse(pose, &(field.of_pose() * variance));
+    let at_most = covariance_of_inverse(pose, &(field.of_pose() * of_field_alone));
     (left > 0.0 && covariance.iter().all(|v| v.is_finite())).then_some(ModelError { covariance, at_most, noise })
 }
 
@@ -216,7 +219,7 @@ mod tests {
             let mut residuals = TileResiduals::default();
             residuals.take(&found.pose, &camera, &anchors).expect("tiles enough");
             let by_noise = covariance_of_inverse(&found.pose, &found.normal.try_inverse().expect("positive definite"));
-            let error = model_error(&found.pose, f64::from(WIDTH), &residuals, &mut Vec::new());
+            let error = model_error(&found.pose, f64::from(WIDTH), &residuals, &mut SmoothField::default());
             let (covariance, noise) = error.map_or((Matrix6::zeros(), 1.0), |e| (e.covariance, e.noise));
             let (truth, found) = (pose.inverse(), found.pose.inverse());
             let (moved, turned) = (truth.translation - found.translation, (truth.rotation * found.rotation.inverse()).scaled_axis());
@@ -234,9 +237,9 @@ mod tests {
     fn a_smooth_error_of_the_model_is_in_the_covariance() {
         let wide = found(0.5, CORRELATION_LENGTH * f64::from(WIDTH), 1.0);
         assert!((0.5..2.5).contains(&wide.nees) && wide.off == RUNS, "{}, {} of {RUNS}", wide.nees, wide.off);
-        // Folds: shorter than what is assumed.
+        // Folds: shorter than what is assumed, so that they are told to do more than they do.
         let folds = found(0.5, 0.1 * f64::from(WIDTH), 1.0);
-        assert!((0.1..2.5).contains(&folds.nees) && folds.off == RUNS, "{}, {} of {RUNS}", folds.nees, folds.off);
+        assert!((0.05..2.5).contains(&folds.nees) && folds.off == RUNS, "{}, {} of {RUNS}", folds.nees, folds.off);
     }
 
     #[test]
@@ -248,9 +251,9 @@ mod tests {
     #[test]
     fn noise_that_is_larger_than_it_is_said_to_be_is_no_error_of_the_model() {
         let field = found(2.0 * NOISE_PX, CORRELATION_LENGTH * f64::from(WIDTH), 1.0);
-        let noise = found(0.0, 100.0, 2.0);
-        assert!((3.2..4.8).contains(&noise.noise) && (0.6..1.4).contains(&noise.nees), "{} {}", noise.noise, noise.nees);
-        assert!(field.noise < 2.0 && field.turn > 3.0 * noise.turn, "{}, {} and {}", field.noise, field.turn, noise.turn);
+        let noise = found(0.0, 100.0, 1.7);
+        assert!((2.3..3.5).contains(&noise.noise) && (0.6..1.4).contains(&noise.nees), "{} {}", noise.noise, noise.nees);
+        assert!(field.noise < 2.0 && field.turn > 2.0 * noise.turn, "{}, {} and {}", field.noise, field.turn, noise.turn);
     }
 
     #[test]
@@ -285,12 +288,12 @@ mod tests {
         residuals.take(&found.pose, &camera, &anchors).expect("tiles enough");
         assert!(residuals.extent_px() < 100.0, "{}", residuals.extent_px());
         let turn = |width_px: f64| {
-            let error = model_error(&found.pose, width_px, &residuals, &mut Vec::new()).expect("more than noise");
+            let error = model_error(&found.pose, width_px, &residuals, &mut SmoothField::default()).expect("more than noise");
             error.at_most.fixed_view::<3, 3>(3, 3).trace().sqrt()
         };
         let (of_object, of_picture) = (turn(residuals.extent_px()), turn(f64::from(WIDTH)));
         let by_noise = covariance_of_inverse(&found.pose, &found.normal.try_inverse().expect("positive definite"));
         let by_noise = by_noise.fixed_view::<3, 3>(3, 3).trace().sqrt();
-        assert!((1.0..10.0).contains(&(of_object / by_noise)) && of_picture > 3.0 * of_object, "{of_object} {of_picture} {by_noise}");
+        assert!((1.0..15.0).contains(&(of_object / by_noise)) && of_picture > 3.0 * of_object, "{of_object} {of_picture} {by_noise}");
     }
 }

@@ -1,6 +1,6 @@
 //! What is known of one body: its pictures, its lock, its motion, and the last verified pose with the anchors that it rests on.
 
-use nalgebra::{Matrix6, Matrix6x2, Vector2, Vector3};
+use nalgebra::{Matrix6, Vector2, Vector3};
 use tracing::debug;
 
 use super::acquire::Recognition;
@@ -16,6 +16,7 @@ use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surf
 use super::reason::Reason;
 use super::reference::PreparedBody;
 use super::row_motion::RowMotion;
+use super::smooth_field::SmoothField;
 use super::surface::BodySpec;
 use super::tile_residuals::TileResiduals;
 use super::track_state::TrackStateMachine;
@@ -54,6 +55,10 @@ const CLOSE_PERIODS: f64 = 0.25;
 /// A pose is refused where one a period aside is stronger by this factor, see [`Alignment::strength`]. Chosen: of windows with grain and of stripes with a picture amidst the right one is by 2.4,
 /// while one mark among 160 tiles makes next to no difference, and is left to the features that found it. Raised, poses pass that are a period off; lowered to 1, chance decides.
 const CLEARLY_STRONGER: f64 = 1.2;
+
+/// An object that shows more tiles than this tells an error of its model from noise, as the stage does. Chosen, not tuned: 74 numbers beyond the pose's six. Raised, objects
+/// have wider covariances than errors and are given a frame later; lowered, chance decides.
+const TELLING_TILES: f64 = 40.0;
 
 /// A body and what its frames said so far; keeps its buffers.
 pub struct TrackedBody {
@@ -99,11 +104,9 @@ pub struct TrackedBody {
     observations: Vec<Observation>,
     squares: Vec<f64>,
     residuals: TileResiduals,
-    steps: Vec<Matrix6x2<f64>>,
+    field: SmoothField,
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit the model, of the last verified pose.
     model_error: Matrix6<f64>,
-    /// Variance of the noise beyond what pixels tell, in variances of that, in the frame that was asked for its model fit last.
-    excess_noise: f64,
     model_watch: ModelWatch,
     /// What is studied of a frame, and what it leaves.
     studied: Vec<FittedAnchor>,
@@ -151,9 +154,8 @@ impl TrackedBody {
             observations: Vec::with_capacity(most),
             squares: Vec::with_capacity(most),
             residuals: TileResiduals::default(),
-            steps: Vec::with_capacity(most),
+            field: SmoothField::with_capacity(most),
             model_error: Matrix6::zeros(),
-            excess_noise: 0.0,
             model_watch: ModelWatch::new(body.surfaces.len()),
             studied: Vec::with_capacity(most),
             study_residuals: TileResiduals::default(),
@@ -387,17 +389,16 @@ impl TrackedBody {
         is_stage: bool,
     ) -> Option<ModelFit> {
         let t_camera_body = verified.pose.inverse();
-        let Self { residuals, anchors, found, body, steps, model_error: own_error, excess_noise, .. } = self;
-        *excess_noise = 0.0;
+        let Self { residuals, anchors, found, body, field, model_error: own_error, .. } = self;
         // Those that do not fit tell of a lens or a shape that is off, which is why they do not.
         let anchors = if found.is_empty() { anchors } else { found };
         residuals.take(&t_camera_body, camera, anchors)?;
         let field_px = if is_stage { f64::from(camera.width()) } else { residuals.extent_px() };
-        let error = model_error(&t_camera_body, field_px, residuals, steps);
-        // An object has too few tiles to tell the one from the other: all of it counts as a field.
-        let (of_frame, noise) =
-            error.map_or((Matrix6::zeros(), 1.0), |e| if is_stage { (e.covariance, e.noise) } else { (e.at_most, 1.0) });
-        *excess_noise = noise - 1.0;
+        let error = model_error(&t_camera_body, field_px, residuals, field);
+        // An object that shows few tiles cannot tell the one from the other: all of it counts as a field.
+        let tells = is_stage || residuals.weight() > TELLING_TILES;
+        let of_frame = error.map_or(Matrix6::zeros(), |e| if tells { e.covariance } else { e.at_most });
+        let noise = error.map_or(1.0, |e| e.noise);
         *own_error = blended(&t_camera_body, residuals, &verified.covariance, &of_frame, own_error).unwrap_or(of_frame);
         let asks_focal = asks_focal || residuals.is_misfit() || is_suspect(residuals);
         let rows = RowDisplacement::new(camera, rows, &t_camera_body);
@@ -409,13 +410,13 @@ impl TrackedBody {
 
     /// The next verified pose rests on no frame before it.
     pub fn forget_model_error(&mut self) {
-        (self.model_error, self.excess_noise) = (Matrix6::zeros(), 0.0);
+        self.model_error = Matrix6::zeros();
     }
 
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, by what the model does not explain: its error, and noise beyond that of
-    /// pixels; zero where all fits.
-    pub fn covariance_by_misfit(&self, verified: &Verified) -> Matrix6<f64> {
-        self.model_error + verified.covariance * self.excess_noise
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, by what the model does not explain; zero where all
+    /// fits.
+    pub fn covariance_by_misfit(&self) -> Matrix6<f64> {
+        self.model_error
     }
 
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, where one sigma of the logarithm of the focal length is this.
@@ -432,11 +433,11 @@ impl TrackedBody {
     /// Lets the frame of a verified pose say what of the model it speaks against, and tells a part that frames have spoken against for a while.
     pub fn study(&mut self, pose: &Pose<Body, Camera>, view: &View, buffers: &mut VerifyBuffers) -> Option<ModelNews> {
         let t_camera_body = pose.inverse();
-        let Self { anchors, found, body, studied, residuals, study_residuals, model_watch, steps, aligner, .. } = self;
+        let Self { anchors, found, body, studied, residuals, study_residuals, model_watch, field, aligner, .. } = self;
         let aligned = if found.is_empty() { anchors } else { found };
         search_silent(body, &t_camera_body, view, aligned, buffers);
         if model_watch.is_thorough() {
-            let doubt_m2 = model_error(&t_camera_body, f64::from(view.camera.width()), residuals, steps);
+            let doubt_m2 = model_error(&t_camera_body, f64::from(view.camera.width()), residuals, field);
             let doubt_m2 = doubt_m2.map_or(0.0, |ModelError { covariance, .. }| covariance.fixed_view::<3, 3>(0, 0).trace());
             model_watch.doubt(pose, doubt_m2, aligner.distance_m(pose));
         }
