@@ -41,15 +41,56 @@ const TOUCHING: f64 = 0.055;
 /// Pairs whose weight is below this are left out. Lowered, frames that do not fit cost more.
 const LEAST_PAIR: f64 = 0.05;
 
+/// Frames over which the size of the field is averaged, where neighbouring tiles tell it. What does not fit changes slowly, while one frame tells its square to a third of that of the noise, and
+/// what may not be below 0 is too large in the mean. Chosen: d-webcam's squared errors are 0.74 of the covariance with 1, 0.79 with 10, 0.83 with 20, d-gel's 1.8, 1.4 and 1.3. Raised, a small
+/// change of the stage is in the covariance later.
+const MEMORY_FRAMES: f64 = 20.0;
+
 /// What of the tiles' displacements neither the pose nor the noise explains.
 #[derive(Debug, Clone, Copy)]
 pub struct ModelError {
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by a smooth field of shifts.
-    pub covariance: Matrix6<f64>,
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by a smooth field of shifts, per squared pixel of the field.
+    by_field: Matrix6<f64>,
+    /// Variance of the field as neighbouring tiles tell it, pixels²; below 0 by chance.
+    by_pairs_px2: f64,
+    /// The least that it is, as what is left is too large for noise.
+    at_least_px2: f64,
     /// The same if all that is left were such a field.
-    pub at_most: Matrix6<f64>,
+    at_most_px2: f64,
     /// Variance of what each tile is off by itself, in variances of its noise; 1 at least.
     pub noise: f64,
+}
+
+impl ModelError {
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by a field of the size that this frame tells.
+    pub fn covariance(&self) -> Matrix6<f64> {
+        self.covariance_of(self.by_pairs_px2)
+    }
+
+    /// The same if all that is left were such a field.
+    pub fn at_most(&self) -> Matrix6<f64> {
+        self.by_field * self.at_most_px2
+    }
+
+    fn covariance_of(&self, by_pairs_px2: f64) -> Matrix6<f64> {
+        self.by_field * by_pairs_px2.max(self.at_least_px2).max(0.0)
+    }
+}
+
+/// The size of a body's field, as neighbouring tiles of its last frames tell it.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct FieldSize {
+    by_pairs_px2: f64,
+    frames: f64,
+}
+
+impl FieldSize {
+    /// Learns from a frame, and gives what the field does to its pose: covariance of [δp, δθ] of `T_body_camera`, body axes.
+    pub fn take(&mut self, error: &ModelError) -> Matrix6<f64> {
+        self.frames = (self.frames + 1.0).min(MEMORY_FRAMES);
+        self.by_pairs_px2 += (error.by_pairs_px2 - self.by_pairs_px2) / self.frames;
+        error.covariance_of(self.by_pairs_px2)
+    }
 }
 
 /// What the model's error does to a pose; `None` where it fits within the noise. `width_px`: of what may be off, in the frame; `field`: a buffer.
@@ -96,12 +137,14 @@ pub fn model_error(pose: &Pose<Camera, Body>, width_px: f64, residuals: &TileRes
     let determinant = freedom * pairs_by_field - pairs_by_noise * left;
     let of_both = (freedom * pairs - pairs_by_noise * squared) / determinant;
     let of_field_alone = (squared - freedom) / left;
-    let by_pairs = if determinant > 0.0 { of_both.clamp(0.0, of_field_alone.max(0.0)) } else { of_field_alone };
-    let variance = by_pairs.max(UNKNOWN_LENGTH * (squared - LARGEST_NOISE * freedom) / left);
-    let noise = ((squared - left * variance) / freedom).max(1.0);
-    let covariance = covariance_of_inverse(pose, &(field.of_pose() * variance));
-    let at_most = covariance_of_inverse(pose, &(field.of_pose() * of_field_alone));
-    (left > 0.0 && covariance.iter().all(|v| v.is_finite())).then_some(ModelError { covariance, at_most, noise })
+    // As far below 0 by chance as it may be above, or the mean of several frames would be too small.
+    let most = of_field_alone.max(0.0);
+    let by_pairs_px2 = if determinant > 0.0 { of_both.clamp(-most, most) } else { most };
+    let at_least_px2 = UNKNOWN_LENGTH * (squared - LARGEST_NOISE * freedom) / left;
+    let noise = ((squared - left * by_pairs_px2.max(at_least_px2).max(0.0)) / freedom).max(1.0);
+    let by_field = covariance_of_inverse(pose, field.of_pose());
+    let error = ModelError { by_field, by_pairs_px2, at_least_px2, at_most_px2: of_field_alone, noise };
+    (left > 0.0 && by_pairs_px2.is_finite() && error.covariance().iter().all(|v| v.is_finite())).then_some(error)
 }
 
 /// Sums over the tiles beside one, weighted by how near they are.
@@ -220,7 +263,7 @@ mod tests {
             residuals.take(&found.pose, &camera, &anchors).expect("tiles enough");
             let by_noise = covariance_of_inverse(&found.pose, &found.normal.try_inverse().expect("positive definite"));
             let error = model_error(&found.pose, f64::from(WIDTH), &residuals, &mut SmoothField::default());
-            let (covariance, noise) = error.map_or((Matrix6::zeros(), 1.0), |e| (e.covariance, e.noise));
+            let (covariance, noise) = error.map_or((Matrix6::zeros(), 1.0), |e| (e.covariance(), e.noise));
             let (truth, found) = (pose.inverse(), found.pose.inverse());
             let (moved, turned) = (truth.translation - found.translation, (truth.rotation * found.rotation.inverse()).scaled_axis());
             let e = Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z);
@@ -240,6 +283,27 @@ mod tests {
         // Folds: shorter than what is assumed, so that they are told to do more than they do.
         let folds = found(0.5, 0.1 * f64::from(WIDTH), 1.0);
         assert!((0.05..2.5).contains(&folds.nees) && folds.off == RUNS, "{}, {} of {RUNS}", folds.nees, folds.off);
+    }
+
+    #[test]
+    fn the_field_is_averaged_but_what_is_too_large_for_noise_counts_at_once() {
+        let of = |by_pairs_px2: f64, at_least_px2: f64| ModelError {
+            by_field: Matrix6::identity(),
+            by_pairs_px2,
+            at_least_px2,
+            at_most_px2: 9.0,
+            noise: 1.0,
+        };
+        let mut size = FieldSize::default();
+        let mut take = |by_pairs_px2, at_least_px2| size.take(&of(by_pairs_px2, at_least_px2))[(0, 0)];
+        assert_eq!(take(1.0, -1.0), 1.0);
+        // Chance takes from it as often as it adds, and below nothing there is none.
+        assert_eq!(take(-3.0, -1.0), 0.0);
+        assert!((take(5.0, -1.0) - 1.0).abs() < 1e-12);
+        assert_eq!(take(1.0, 4.0), 4.0);
+        // It follows what stays.
+        let last = (0..100).map(|_| take(2.0, -1.0)).last();
+        assert!(last.is_some_and(|last| (last - 2.0).abs() < 0.01), "{last:?}");
     }
 
     #[test]
@@ -289,7 +353,7 @@ mod tests {
         assert!(residuals.extent_px() < 100.0, "{}", residuals.extent_px());
         let turn = |width_px: f64| {
             let error = model_error(&found.pose, width_px, &residuals, &mut SmoothField::default()).expect("more than noise");
-            error.at_most.fixed_view::<3, 3>(3, 3).trace().sqrt()
+            error.at_most().fixed_view::<3, 3>(3, 3).trace().sqrt()
         };
         let (of_object, of_picture) = (turn(residuals.extent_px()), turn(f64::from(WIDTH)));
         let by_noise = covariance_of_inverse(&found.pose, &found.normal.try_inverse().expect("positive definite"));

@@ -8,7 +8,7 @@ use super::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Pa
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
 use super::misfit::{Misfit, ModelNews, ModelReport};
-use super::model_error::{ModelError, blended, model_error};
+use super::model_error::{FieldSize, blended, model_error};
 use super::model_study::StudiedFrame;
 use super::model_watch::ModelWatch;
 use super::pixel_watch::{Displaced, Used};
@@ -105,6 +105,7 @@ pub struct TrackedBody {
     squares: Vec<f64>,
     residuals: TileResiduals,
     field: SmoothField,
+    field_size: FieldSize,
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit the model, of the last verified pose.
     model_error: Matrix6<f64>,
     model_watch: ModelWatch,
@@ -155,6 +156,7 @@ impl TrackedBody {
             squares: Vec::with_capacity(most),
             residuals: TileResiduals::default(),
             field: SmoothField::with_capacity(most),
+            field_size: FieldSize::default(),
             model_error: Matrix6::zeros(),
             model_watch: ModelWatch::new(body.surfaces.len()),
             studied: Vec::with_capacity(most),
@@ -389,7 +391,7 @@ impl TrackedBody {
         is_stage: bool,
     ) -> Option<ModelFit> {
         let t_camera_body = verified.pose.inverse();
-        let Self { residuals, anchors, found, body, field, model_error: own_error, .. } = self;
+        let Self { residuals, anchors, found, body, field, field_size, model_error: own_error, .. } = self;
         // Those that do not fit tell of a lens or a shape that is off, which is why they do not.
         let anchors = if found.is_empty() { anchors } else { found };
         residuals.take(&t_camera_body, camera, anchors)?;
@@ -397,20 +399,20 @@ impl TrackedBody {
         let error = model_error(&t_camera_body, field_px, residuals, field);
         // An object that shows few tiles cannot tell the one from the other: all of it counts as a field.
         let tells = is_stage || residuals.weight() > TELLING_TILES;
-        let of_frame = error.map_or(Matrix6::zeros(), |e| if tells { e.covariance } else { e.at_most });
+        let of_frame = error.map_or(Matrix6::zeros(), |e| if tells { field_size.take(&e) } else { e.at_most() });
         let noise = error.map_or(1.0, |e| e.noise);
         *own_error = blended(&t_camera_body, residuals, &verified.covariance, &of_frame, own_error).unwrap_or(of_frame);
         let asks_focal = asks_focal || residuals.is_misfit() || is_suspect(residuals);
         let rows = RowDisplacement::new(camera, rows, &t_camera_body);
         let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
-        let fit = ModelFit { rms_px: residuals.rms_px(), at_most: error.map(|e| e.at_most), focal };
+        let fit = ModelFit { rms_px: residuals.rms_px(), at_most: error.map(|e| e.at_most()), focal };
         debug!(body = %body.name, rms_px = fit.rms_px, doubts = error.is_some(), noise, focal = ?fit.focal, "model");
         Some(fit)
     }
 
     /// The next verified pose rests on no frame before it.
     pub fn forget_model_error(&mut self) {
-        self.model_error = Matrix6::zeros();
+        (self.model_error, self.field_size) = (Matrix6::zeros(), FieldSize::default());
     }
 
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, by what the model does not explain; zero where all
@@ -438,7 +440,7 @@ impl TrackedBody {
         search_silent(body, &t_camera_body, view, aligned, buffers);
         if model_watch.is_thorough() {
             let doubt_m2 = model_error(&t_camera_body, f64::from(view.camera.width()), residuals, field);
-            let doubt_m2 = doubt_m2.map_or(0.0, |ModelError { covariance, .. }| covariance.fixed_view::<3, 3>(0, 0).trace());
+            let doubt_m2 = doubt_m2.map_or(0.0, |error| error.covariance().fixed_view::<3, 3>(0, 0).trace());
             model_watch.doubt(pose, doubt_m2, aligner.distance_m(pose));
         }
         if !model_watch.is_thorough() && buffers.searched.is_empty() && !residuals.is_misfit() {
