@@ -9,7 +9,7 @@
 //! moves along a short curve; under motion blur the samples are shared out along it.
 
 use super::AlignSurface;
-use super::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, load_at, store_at};
+use super::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, load_at, resize_with_room, store_at};
 use super::level_spec::LevelSpec;
 use super::pixels::Pixels;
 use super::sight::{Sight, SightPath};
@@ -69,7 +69,7 @@ impl Appearance {
     pub fn resize(&mut self, n: usize) {
         let by_pose = self.by_pose.iter_mut();
         for v in by_pose.chain([&mut self.intensity, &mut self.psf_variance, &mut self.sharper, &mut self.across, &mut self.down]) {
-            v.resize(n, 0.0);
+            resize_with_room(v, n, 0.0);
         }
     }
 }

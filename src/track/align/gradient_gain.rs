@@ -5,7 +5,7 @@
 //! regression whose regressor is noisy: Fuller 1987). What a step changed in the prediction, over what its slopes predicted, is
 //! the share of the slopes that is real; with it steps are as long as they should be, and one of them is often enough.
 
-use super::lanes::{LANES, Lanes, dispatch, load_at, store_at, total};
+use super::lanes::{LANES, Lanes, dispatch, load_at, resize_with_room, store_at, total};
 
 /// The share that slopes are begun with, and the least and most it may become. Learnt are 0.97 of the usual on d-handheld and 0.8 on the
 /// steepest views of d-steep; the bounds lie beyond, against frames that mislead. A share that is too large makes steps too short, too
@@ -76,8 +76,8 @@ pub struct PredictedChange {
 impl PredictedChange {
     /// Makes room for `n` pixels.
     pub fn resize(&mut self, n: usize) {
-        self.intensity.resize(n, 0.0);
-        self.change.resize(n, 0.0);
+        resize_with_room(&mut self.intensity, n, 0.0);
+        resize_with_room(&mut self.change, n, 0.0);
     }
 
     /// Predicts the pixels of a range. `by_pose`: their derivatives; `step`: the change of pose at their time.

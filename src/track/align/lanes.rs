@@ -169,6 +169,14 @@ impl Lanes for Plain {
     fn prefetch_quads(_: &[Tile], _: Self::Index) {}
 }
 
+/// Resizes a list of pixels. Grown, it has room for an eighth more: as tiles are filled up to whole lanes, each frame has a few more or less.
+pub fn resize_with_room<T: Copy>(list: &mut Vec<T>, n: usize, value: T) {
+    if n > list.capacity() {
+        list.reserve(n + n / 8 - list.len());
+    }
+    list.resize(n, value);
+}
+
 /// [`LANES`] values from the `k`th.
 #[inline(always)]
 pub fn load_at<L: Lanes>(values: &[f32], k: usize) -> L {

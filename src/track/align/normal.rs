@@ -3,7 +3,7 @@
 
 use super::appearance::Appearance;
 use super::columns::{BIAS, COLUMNS, GAINS, PSF_VARIANCE};
-use super::lanes::{LANES, Lanes, dispatch, load_at, store_at, total};
+use super::lanes::{LANES, Lanes, dispatch, load_at, resize_with_room, store_at, total};
 use super::light::TileLight;
 use super::noise::Noise;
 use super::pixels::{Pixels, Run};
@@ -40,7 +40,7 @@ impl Residuals {
     pub fn resize(&mut self, n: usize) {
         for list in [&mut self.intensity, &mut self.information] {
             list.clear();
-            list.resize(n, 0.0);
+            resize_with_room(list, n, 0.0);
         }
     }
 }

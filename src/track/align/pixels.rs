@@ -5,7 +5,7 @@
 //! without its four nodes of the light.
 
 use super::frame_levels::Level;
-use super::lanes::LANES;
+use super::lanes::{LANES, resize_with_room};
 use super::level_spec::LevelSpec;
 use super::light::{Light, RememberedLight, TileLight};
 use super::tile_grid::{Chosen, TileGrid};
@@ -93,9 +93,9 @@ impl Pixels {
         self.light.spread_over(grid, light);
         let n = self.order.len();
         for list in self.lists() {
-            list.resize(n, 0.0);
+            resize_with_room(list, n, 0.0);
         }
-        self.index.resize(n, 0);
+        resize_with_room(&mut self.index, n, 0);
         let [left, top] = grid.origin();
         // List by list, in the order of their places: short loops wait for many of a table's entries at a time.
         for (index, k) in self.index.iter_mut().zip(&self.order) {
@@ -208,7 +208,7 @@ impl Pixels {
                 self.groups.push((surface, group_start, end));
             }
         }
-        self.order.resize(end as usize, 0);
+        resize_with_room(&mut self.order, end as usize, 0);
         for (k, c) in chosen.iter().enumerate() {
             let next = &mut self.next[slot(c)];
             self.order[*next as usize] = k as u32;
