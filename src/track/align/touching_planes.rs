@@ -7,7 +7,7 @@
 //! All of it is done in `f32`: of places metres away it keeps half a micrometre, a thousandth of what a pixel covers, and the kernel takes the maps so.
 
 use super::AlignSurface;
-use super::lanes::{LANES, Lanes, dispatch, load_at, store_at, total};
+use super::lanes::{LANES, Lanes, dispatch, load_at, resize_with_room, store_at, total};
 use super::level_spec::LevelSpec;
 use super::plane_table::{PlaneTable, TablePoint};
 use super::sight::{Sight, SightPath};
@@ -53,7 +53,7 @@ impl TouchingPlanes {
     pub fn find(&mut self, pixels: &Rays, spec: &LevelSpec, motion: &Motion) {
         let is_bent = |surface: u32| !spec.surfaces[surface as usize].rectangle.shape.is_flat();
         let n = if pixels.groups.iter().any(|(surface, ..)| is_bent(*surface)) { pixels.x.len() } else { 0 };
-        self.maps.iter_mut().for_each(|numbers| numbers.resize(n, 0.0));
+        self.maps.iter_mut().for_each(|numbers| resize_with_room(numbers, n, 0.0));
         for &(surface, start, end) in pixels.groups {
             let AlignSurface { rectangle, planes: Some(table), .. } = &spec.surfaces[surface as usize] else { continue };
             let path = SightPath::new(rectangle, motion);

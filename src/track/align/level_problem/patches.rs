@@ -45,7 +45,6 @@ impl LevelSolution<'_> {
     pub fn patches(self, spec: &LevelSpec, shifts: &mut Vec<Vector2<f64>>, patches: &mut Vec<Patch>) {
         // Not the motion that is given: after a jump within the frame that is the one of its last rows.
         let Self { found: Corrected { motion, scale: mut sigmas }, problem } = self;
-        let motion = &motion;
         shifts.clear();
         shifts.extend(problem.runs.iter().map(|r| patch_shift(&r.evidence).map_or(Vector2::zeros(), |(shift, _)| shift)));
         // One linear step is right for small shifts. Where the calibration or the survey is off, patches must be followed.
@@ -54,7 +53,7 @@ impl LevelSolution<'_> {
             if mean < SMALL_SHIFT_PX {
                 break;
             }
-            sigmas = problem.sample_shifted(spec, motion, shifts);
+            sigmas = problem.sample_shifted(spec, &motion, shifts);
             for (shift, r) in shifts.iter_mut().zip(&problem.runs) {
                 let more = patch_shift(&r.evidence).map_or(Vector2::zeros(), |(more, _)| more);
                 *shift += more * (1.0 / more.norm().max(1.0));
@@ -66,7 +65,7 @@ impl LevelSolution<'_> {
         let scatter = if is_blurred { sigmas.max(1.0).powi(-2) } else { 1.0 };
         for (r, shift) in problem.runs.iter().zip(shifts) {
             let Some((_, structure)) = patch_shift(&r.evidence) else { continue };
-            let Some(on_surface_m) = problem.middle_on_surface(r, &spec.surfaces[r.run.surface as usize], motion) else { continue };
+            let Some(on_surface_m) = problem.middle_on_surface(r, &spec.surfaces[r.run.surface as usize], &motion) else { continue };
             let [weight, u, v] = r.evidence.place;
             patches.push(Patch {
                 surface: r.run.surface,
