@@ -38,7 +38,8 @@ use crate::motion::MotionEstimate;
 
 /// Largest standard deviation of an object's direction, radians (one degree), by what its tiles leave displaced. A false pose of a small picture has half its tiles, and
 /// their pixels tell it well; but they lie where no pose puts them: of 16 objects one was followed so for 28 frames, with 0.033 to 0.085. Of 2300 right poses of small,
-/// quick and blurred objects none had more than 0.008 (all with a correlation length of 0.3 of the object; 0.4 makes them a third larger). Raised, such poses are given; lowered, blurred objects are given up.
+/// quick and blurred objects none had more than 0.008 (with a correlation length of 0.3 of the
+/// object; with 0.4 they are somewhat larger, and were not counted again). Raised, such poses are given; lowered, blurred objects are given up.
 const LARGEST_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
 
 /// What a frame showed of one body.

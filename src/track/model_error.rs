@@ -22,9 +22,10 @@ use crate::geometry::{Body, Camera, Pose};
 /// and 1.8 with 0.3, 2.2, 1.1, 1.2 and 1.6 with 0.4. Lowered, covariances miss what went into the pose; raised, noise adds more to them.
 const CORRELATION_LENGTH: f64 = 0.4;
 /// Largest variance of what each tile is off by itself that counts as noise, in variances of what pixels tell. Chosen: more than twice that of a webcam that sharpens (1.6). Raised, folds as
-/// narrow as tiles pass for noise; lowered, so does noise for a field, which adds ten times as much to the covariance.
+/// narrow as tiles pass for noise; lowered, noise passes for a field: with 1, d-webcam's covariance is six times as large.
 const LARGEST_NOISE: f64 = 4.0;
-/// What is left beyond that is a field of nobody knows what length: so many times the variance that one of [`CORRELATION_LENGTH`] has. Chosen: with 1, the squared errors above are
+/// Factor on the variance of the field that explains what is left beyond [`LARGEST_NOISE`]. Neighbours do not bear that field out, so its correlation length is unknown, and it
+/// may reach further into the pose than one of [`CORRELATION_LENGTH`]. Chosen: with 1, the squared errors above are
 /// 4.2, 2.1, 2.5 and 1.6 times the covariance. Raised, poses of stages that do not fit are withheld that could be given.
 const UNKNOWN_LENGTH: f64 = 2.0;
 /// Fewest numbers beyond the pose's six that the field's size may be found from. Chosen, not tuned. Raised, small stages claim to fit.
@@ -41,8 +42,8 @@ const TOUCHING: f64 = 0.055;
 /// Pairs whose weight is below this are left out. Lowered, frames that do not fit cost more.
 const LEAST_PAIR: f64 = 0.05;
 
-/// Frames over which the size of the field is averaged, where neighbouring tiles tell it. What does not fit changes slowly, while one frame tells its square to a third of that of the noise, and
-/// what may not be below 0 is too large in the mean. Chosen: d-webcam's squared errors are 0.74 of the covariance with 1, 0.79 with 10, 0.83 with 20, d-gel's 1.8, 1.4 and 1.3. Raised, a small
+/// Frames over which the size of the field is averaged, where neighbouring tiles tell it. What does not fit changes slowly, while a single frame tells its variance poorly, and a variance
+/// that is held at 0 in each frame is too large in the mean. Chosen: d-webcam's squared errors are 0.74 of the covariance with 1, 0.79 with 10, 0.83 with 20, d-gel's 1.8, 1.4 and 1.3. Raised, a small
 /// change of the stage is in the covariance later.
 const MEMORY_FRAMES: f64 = 20.0;
 
@@ -280,7 +281,7 @@ mod tests {
     fn a_smooth_error_of_the_model_is_in_the_covariance() {
         let wide = found(0.5, CORRELATION_LENGTH * f64::from(WIDTH), 1.0);
         assert!((0.5..2.5).contains(&wide.nees) && wide.off == RUNS, "{}, {} of {RUNS}", wide.nees, wide.off);
-        // Folds: shorter than what is assumed, so that they are told to do more than they do.
+        // Folds are shorter than the field that is assumed: their covariance is wider than their error.
         let folds = found(0.5, 0.1 * f64::from(WIDTH), 1.0);
         assert!((0.05..2.5).contains(&folds.nees) && folds.off == RUNS, "{}, {} of {RUNS}", folds.nees, folds.off);
     }

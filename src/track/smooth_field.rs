@@ -1,8 +1,8 @@
 //! What a smooth field of shifts over the picture does to a pose.
 //!
 //! The field is a Gaussian process: the shifts of two tiles correlate by exp(-d² / 2 l²), with their distance d and the field's correlation length l. The pose
-//! is a weighted sum of the tiles' shifts, so that its covariance is a sum over all pairs of tiles. Nothing less will do: over a stage that is seen small the field is
-//! the same nearly everywhere, and what counts is by how little it is not.
+//! is a weighted sum of the tiles' shifts, so that its covariance is a sum over all pairs of tiles. Tiles cannot be merged into
+//! cells to save time: a stage that is seen small has nearly the same shift everywhere, and only the small differences between tiles show in the residuals.
 
 use nalgebra::{Cholesky, Const, Matrix6, Matrix6x2};
 
@@ -24,7 +24,7 @@ struct TileInField {
 }
 
 impl SmoothField {
-    /// With room for so many tiles.
+    /// Buffers that hold this many tiles without growing.
     pub fn with_capacity(tiles: usize) -> Self {
         Self { tiles: Vec::with_capacity(tiles), of_pose: Matrix6::zeros() }
     }

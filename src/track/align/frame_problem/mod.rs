@@ -51,8 +51,8 @@ const LARGEST_SETTLED_STEP_PX: f64 = 1.0;
 const WANDERING_STEP_PX: f64 = 0.3;
 const WANDERING_SCALE: f64 = 10.0;
 /// After `HOPELESS_ROUNDS` at the finest, residuals larger than `HOPELESS_SCALE`, sigmas of noise, where no more than `HOPELESS_SHARE` of the tiles take part (half
-/// always do, unless fewer fit well): the picture shows something else. Of 3091 alignments that led to a pose none had residuals above 2.9, of 175 that did not 43 had such. The level above
-/// cannot tell: of a followed stage that is covered by four fifths it leaves 11.5, and the finest 1.5. Raised, a start that leads nowhere costs as much as several followed frames;
+/// always do, unless fewer fit well): the picture shows something else. Of 3091 alignments that led to a pose none had residuals above 2.9, of 175 that did not 43 had more than 6. The level above
+/// the finest cannot tell: there, a followed stage with four fifths covered had 11.5, and at the finest 1.5. Raised, a start that leads nowhere costs as much as several followed frames;
 /// `HOPELESS_SCALE` lowered, bodies that are half covered are lost.
 const HOPELESS_ROUNDS: usize = 2;
 const HOPELESS_SCALE: f64 = 6.0;
@@ -64,8 +64,9 @@ const SETTLING_ROUNDS: usize = 4;
 /// of a moving camera are further off than six sigmas.
 const MISSING_SHARE: f64 = 0.2;
 /// Least standard deviation of the image motion of a camera that moves, pixels of the frame: faults of interpolation, point spread and shutter are common to all tiles, so more
-/// pixels do not average them away. With 0, two frames at a thousand starts and stops are beyond 6 sigmas, the farthest 7.8 (`tests/pipeline/stops.rs`), with this one, 7.0, with
-/// 0.001 one, 6.0; but d-dolly's NEES/6 was 0.38 with that, and is 0.42. Raised, covariances are wider than errors. A still camera's covariance goes without it: with it d-still's NEES/6 is 0.28, without it 0.70.
+/// pixels do not average them away. Chosen between two costs, with 0, 0.0005 and 0.001. The farthest frame at a thousand starts and stops (`tests/pipeline/stops.rs`) is 7.8,
+/// 7.0 and 6.0 sigmas off; d-dolly's NEES/6 is 0.44, 0.42 and 0.38. Raised, covariances are wider than errors. A still camera's covariance goes without it: with 0.001
+/// d-still's NEES/6 was 0.28, without it is 0.70.
 const LEAST_ERROR_PX: f64 = 0.0005;
 /// A level converges from this many of its pixels off: 2.5 to 5 in a prototype. Raised, starts are left to levels that are too fine for
 /// them, and solved twice or lost; lowered, a level more is solved than the start needs.
