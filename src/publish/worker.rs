@@ -238,14 +238,28 @@ impl Worker {
             age_ms: now.boot.ms_since(at).max(0.0),
             is_test: self.is_test,
         };
-        let (transport, counters) = (&mut self.transport, &self.counters);
-        self.encoder.encode(&report, &mut |packet| count(counters, packet, transport.send(packet)));
+        self.send(&report);
         self.memory.last_sent = Some(now.boot);
         if let Some(arrival) = arrival {
             let us = u64::try_from(arrival.arrived.elapsed().as_micros()).unwrap_or(u64::MAX);
             self.counters.latency_us.store(us, Ordering::Relaxed);
             self.counters.greatest_latency_us.fetch_max(us, Ordering::Relaxed);
         }
+    }
+
+    /// Sends a report's packets. Where the process was stopped between the look at the age and here, they would tell an old frame as good:
+    /// they are dropped, and the next round tells that it is stale.
+    fn send(&mut self, report: &Report) {
+        let is_told_stale = report.bodies.iter().all(|body| body.state == State::Stale);
+        let stale_at = self.memory.newest.after(self.stale_after);
+        let (transport, counters, clock) = (&mut self.transport, &self.counters, &self.clock);
+        self.encoder.encode(report, &mut |packet| {
+            if is_told_stale || clock.now().boot < stale_at {
+                count(counters, packet, transport.send(packet));
+            } else {
+                counters.dropped.fetch_add(1, Ordering::Relaxed);
+            }
+        });
     }
 
     /// Whether a report without any pose is to be sent now.
@@ -270,4 +284,93 @@ fn count(counters: &Counters, packet: &[u8], (taken, failed): (u64, u64)) {
 /// Time between frames at a rate.
 pub(super) fn frame_time(rate_hz: f64) -> Duration {
     Duration::from_nanos((1e9 / rate_hz) as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::UdpSocket;
+
+    use super::super::clocks::stepped::SteppedClocks;
+    use super::super::report::BodyChoice;
+    use super::super::settings::{OutputSettings, Protocol, SafetySettings};
+    use super::super::stamps::Stamps;
+    use super::super::transport::UdpSettings;
+    use super::super::{JsonSettings, Placement};
+    use super::*;
+    use crate::protocols::golden::golden_camera;
+    use crate::record::StageTimes;
+
+    /// Says the bodies' states; the process is stopped for some time while it does.
+    struct Stopped {
+        clocks: SteppedClocks,
+        stop_ms: i64,
+    }
+
+    impl Encoder for Stopped {
+        fn encode(&mut self, report: &Report, send: &mut dyn FnMut(&[u8])) {
+            self.clocks.advance_ms(std::mem::take(&mut self.stop_ms));
+            send(report.bodies[0].state.word().as_bytes());
+        }
+    }
+
+    /// What is said of a frame while whose packet is made the process is stopped for so long, and the packets that were dropped.
+    fn told(stop_ms: i64) -> (Vec<String>, u64) {
+        let ear = UdpSocket::bind("127.0.0.1:0").unwrap();
+        ear.set_nonblocking(true).unwrap();
+        let settings = OutputSettings {
+            name: "desk".to_owned(),
+            enabled: true,
+            protocol: Protocol::Json(JsonSettings::default()),
+            udp: UdpSettings { to: vec![ear.local_addr().unwrap()], ..UdpSettings::default() },
+            bodies: vec![BodyChoice::Camera],
+            rate: Rate::Every(1),
+            delay: Duration::ZERO,
+            on_loss: OnLoss::Flag,
+            placement: Placement::default(),
+            is_guarded: false,
+        };
+        let clocks = SteppedClocks::new();
+        let clock = Arc::new(FrameClock::with(Arc::new(clocks.clone()), Stamps::Live));
+        let counters = Arc::new(Counters::default());
+        let (events, _) = crossbeam_channel::unbounded();
+        let body = BodyChannel::new(("camera".into(), BodyChoice::Camera), None, SafetySettings::default(), &settings, events);
+        let mut worker = Worker {
+            inbox: crossbeam_channel::never(),
+            encoder: Box::new(Stopped { clocks, stop_ms }),
+            transport: Transport::open("desk", &settings.udp, None).unwrap(),
+            bodies: vec![body],
+            rate: settings.rate,
+            delay: settings.delay,
+            on_loss: settings.on_loss,
+            stale_after: Duration::from_millis(500),
+            is_test: false,
+            counters: counters.clone(),
+            memory: Memory::start(clock.now()),
+            clock: clock.clone(),
+        };
+        let sample = PoseSample {
+            sequence: 7,
+            timestamp: clock.now().monotonic,
+            state: State::Tracking,
+            pose: Some(golden_camera()),
+            measurement: None,
+            objects: Vec::new(),
+            reason: None,
+            times: StageTimes::default(),
+        };
+        let at = clock.taken(sample.timestamp, Duration::ZERO).unwrap();
+        let (rate_hz, interval) = (30.0, frame_time(30.0));
+        worker.take(Arc::new(Arrival { sample: Arc::new(sample), at, recorded: None, rate_hz, interval, arrived: Instant::now() }));
+        worker.round();
+        let mut buffer = [0; 64];
+        let heard = std::iter::from_fn(|| ear.recv(&mut buffer).ok().map(|n| String::from_utf8_lossy(&buffer[..n]).into_owned()));
+        (heard.collect(), counters.dropped.load(Ordering::Relaxed))
+    }
+
+    #[test]
+    fn a_stop_while_a_packet_is_made_does_not_send_it_as_good() {
+        assert_eq!(told(0), (vec!["tracking".to_owned()], 0));
+        assert_eq!(told(499), (vec!["tracking".to_owned()], 0));
+        assert_eq!(told(2_500), (vec!["stale".to_owned()], 1));
+    }
 }
