@@ -24,19 +24,27 @@ const STRIDE: usize = 8;
 pub struct ContrastStretch {
     picture: GrayImage,
     row: Vec<u16>,
+    is_stretched: bool,
 }
 
 impl ContrastStretch {
     /// The picture smoothed by the 5x5 binomial filter, its darkest hundredth black and its brightest white; `None` where it has contrast enough as it
     /// is, or none at all.
     pub fn stretched(&mut self, picture: &GrayImage) -> Option<&GrayImage> {
+        self.is_stretched = false;
         let [dark, bright] = range(picture)?;
         if !(LEAST..ENOUGH).contains(&(bright - dark)) {
             return None;
         }
         resize_buffer(&mut self.picture, picture.width(), picture.height());
         stretch(picture, &mut self.picture, &mut self.row, [dark, bright]);
-        Some(&self.picture)
+        self.is_stretched = true;
+        self.last()
+    }
+
+    /// What [`stretched`](Self::stretched) gave last.
+    pub fn last(&self) -> Option<&GrayImage> {
+        self.is_stretched.then_some(&self.picture)
     }
 }
 

@@ -78,14 +78,21 @@ impl FeatureExtractor {
     ) {
         self.pyramid.shrink(picture, options.factor, options.levels, 2 * BORDER + 8);
         self.work.iter_mut().for_each(|work| work.buffers.forget_picture());
-        self.extract_more(mask, options, workers, features);
+        self.extract_more(picture, mask, options, workers, features);
     }
 
     /// The same of the picture that was taken last, with another count or of other levels: its levels and what was found on them are kept.
-    pub fn extract_more(&mut self, mask: Option<&GrayImage>, options: &ExtractorOptions, workers: &Workers, features: &mut Vec<Feature>) {
+    pub fn extract_more(
+        &mut self,
+        picture: &GrayImage,
+        mask: Option<&GrayImage>,
+        options: &ExtractorOptions,
+        workers: &Workers,
+        features: &mut Vec<Feature>,
+    ) {
         let is_wanted = |level: &Level| level.image.width().max(level.image.height()) <= options.largest_px;
         let finest = self.pyramid.levels().iter().position(is_wanted).unwrap_or(self.pyramid.levels().len() - 1);
-        let levels = self.pyramid.smooth_from(finest);
+        let levels = self.pyramid.smooth_from(finest, picture);
         self.work.resize_with(levels.len(), LevelWork::default);
         let share = |level: &Level| (level.scale[0] * level.scale[1]).powf(options.area_power);
         let total: f64 = levels[finest..].iter().map(share).sum();
@@ -157,7 +164,7 @@ mod tests {
         let (mut more, mut fresh, mut extractor) = (Vec::new(), Vec::new(), FeatureExtractor::default());
         extractor.extract(&picture(), Some(&mask), &few, &Workers::new(1), &mut more);
         assert!(more.len() > 50 && more.iter().all(|f| f.scale >= 320.0 / 200.0), "{}", more.len());
-        extractor.extract_more(Some(&mask), &many, &Workers::new(1), &mut more);
+        extractor.extract_more(&picture(), Some(&mask), &many, &Workers::new(1), &mut more);
         FeatureExtractor::default().extract(&picture(), Some(&mask), &many, &Workers::new(1), &mut fresh);
         assert!(more.len() > 300, "{}", more.len());
         assert_eq!(more, fresh);

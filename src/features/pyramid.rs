@@ -17,6 +17,8 @@ pub struct Level {
     pub smooth: GrayImage,
     /// Level pixels per picture pixel, along x and y.
     pub scale: [f64; 2],
+    /// Whether `image` is this picture's: the largest level is copied only where it is asked for.
+    is_filled: bool,
     /// Whether `smooth` is this picture's.
     is_smooth: bool,
     /// What its columns take of those of the level before.
@@ -46,10 +48,10 @@ impl Pyramid {
     /// Builds at most `count` levels, each `factor` (> 1) smaller than the one before, none with a side below `least` pixels.
     pub fn build(&mut self, picture: &GrayImage, factor: f64, count: usize, least: u32) -> &[Level] {
         self.shrink(picture, factor, count, least);
-        self.smooth_from(0)
+        self.smooth_from(0, picture)
     }
 
-    /// The same without the smoothed copies.
+    /// The same without the smoothed copies, and without a copy of the picture itself.
     pub(super) fn shrink(&mut self, picture: &GrayImage, factor: f64, count: usize, least: u32) {
         let (w, h) = picture.dimensions();
         let mut made = 0;
@@ -65,20 +67,25 @@ impl Pyramid {
             let (before, rest) = self.levels.split_at_mut(made);
             let level = &mut rest[0];
             resize_buffer(&mut level.image, size.0, size.1);
-            match before.last() {
-                None => level.image.copy_from_slice(picture),
-                Some(previous) => shrink(&previous.image, &mut level.image, &mut level.columns),
+            match before {
+                [] => {}
+                [_] => shrink(picture, &mut level.image, &mut level.columns),
+                [.., previous] => shrink(&previous.image, &mut level.image, &mut level.columns),
             }
-            level.is_smooth = false;
+            (level.is_filled, level.is_smooth) = (made > 0, false);
             level.scale = [f64::from(size.0) / f64::from(w), f64::from(size.1) / f64::from(h)];
             made += 1;
         }
         self.levels.truncate(made);
     }
 
-    /// Makes the smoothed copies of the levels from `finest` on that have none yet, and returns all levels.
-    pub(super) fn smooth_from(&mut self, finest: usize) -> &[Level] {
+    /// Makes the smoothed copies of the levels from `finest` on that have none yet, and returns all levels. `picture`: the one that was shrunk.
+    pub(super) fn smooth_from(&mut self, finest: usize, picture: &GrayImage) -> &[Level] {
         for level in self.levels.iter_mut().skip(finest).filter(|level| !level.is_smooth) {
+            if !level.is_filled {
+                level.image.copy_from_slice(picture);
+                level.is_filled = true;
+            }
             resize_buffer(&mut level.smooth, level.image.width(), level.image.height());
             smooth_into(&level.image, &mut level.smooth, &mut self.row);
             level.is_smooth = true;

@@ -33,7 +33,7 @@ const TRIED: usize = 3;
 /// Starts that differ by less, radians and of the distance, are one. Raised, a start that would succeed is left out; lowered, alignment fails
 /// twice from the same place.
 const SAME_START: f64 = 0.005;
-/// A frame with fewer features in a quick look is not looked at closely: it is black or blank. Raised, dim stages are not looked for; lowered,
+/// A frame with fewer features at a glance is not looked at closely: it is black or blank. Raised, dim stages are not looked for; lowered,
 /// black frames cost more.
 const LEAST_FEATURES: usize = 16;
 /// Tests in a frame whose stage is known, over all missing bodies: bodies that were followed in vain, candidates that are aligned, poses that patches are asked
@@ -150,10 +150,19 @@ impl BodySearch {
         self.spent
     }
 
-    /// Looks in the whole frame: quickly, and closely for the stage if it is not found so.
+    /// Looks in the whole frame: at a glance, quickly where that is not enough, and closely for the stage if it is not found so.
     fn find_anywhere(&mut self, scene: &mut Scene) {
         (self.is_beside, self.tries) = (false, usize::MAX);
-        self.timed(|search| search.features.look(&scene.frame.image, search.mask.as_ref(), Look::Quick, &search.workers));
+        self.timed(|search| {
+            let Self { features, mask, workers, .. } = search;
+            let (image, mask) = (&scene.frame.image, mask.as_ref());
+            features.look(image, mask, Look::Glance, workers);
+            // A frame as plain as that has no others.
+            let is_plain = features.features().len() < LEAST_FEATURES;
+            if !is_plain && !scene.missing().all(|body| features.is_enough(body.surfaces.clone())) {
+                features.look_again(image, mask, Look::Quick, workers);
+            }
+        });
         self.find_each(scene, false);
         if scene.is_complete() {
             return;
@@ -161,10 +170,9 @@ impl BodySearch {
         if scene.verified[0].is_some() {
             self.find_beside_stage(scene);
         } else if self.features.features().len() < LEAST_FEATURES {
-            // A frame as plain as that has no others.
             self.find_by_prediction(scene);
         } else {
-            self.timed(|search| search.features.look_closer(search.mask.as_ref(), &search.workers));
+            self.timed(|search| search.features.look_closer(&scene.frame.image, search.mask.as_ref(), &search.workers));
             self.find_each(scene, true);
         }
     }

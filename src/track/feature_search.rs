@@ -19,6 +19,10 @@ use crate::matching::{Match, MatchBuffers, ReferenceFeature, ReferenceIndex};
 /// are let through here, as acquisition bears a majority of wrong matches. Raised, more of them are wrong; lowered, dim stages keep too
 /// few.
 pub const LOWE_RATIO: f32 = 0.85;
+/// Strongest features of a frame that a glance asks, half of what a quick look does; and the matches of a body that leave nothing to ask for: of 60, half may be wrong, and
+/// what is right still gives a start that alignment reaches from. Raised, most stages take a quick look as well; lowered, a start is further off.
+const GLANCE_FEATURES: usize = QUICK_FEATURES / 2;
+const ENOUGH_MATCHES: usize = 60;
 /// Strongest features of a frame that a quick look asks. Chosen, not tuned: a third of what a close look asks. Raised, every frame of a search takes
 /// longer; lowered, covered stages need the close look more often.
 const QUICK_FEATURES: usize = 600;
@@ -41,6 +45,8 @@ const SURFACES_OF_SLICE: usize = 5;
 /// How closely a frame is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
+    /// Half of what a quick look takes: enough for a stage that is seen well.
+    Glance,
     /// The strongest features, against the pictures as they are.
     Quick,
     /// All features, against the pictures as they are: for studies.
@@ -108,18 +114,21 @@ impl FeatureSearch {
 
     /// Takes the features of a frame and their matches; where `mask` is 0, none is taken.
     pub fn look(&mut self, image: &GrayImage, mask: Option<&GrayImage>, look: Look, workers: &Workers) {
-        let all = ExtractorOptions { count: self.count, ..Default::default() };
-        let quick = ExtractorOptions { count: self.count.min(QUICK_FEATURES), largest_px: QUICK_PX, ..all };
-        let options = if look == Look::Quick { quick } else { all };
+        let options = self.options(look);
         let image = self.contrast.stretched(image).unwrap_or(image);
         self.extractor.extract(image, mask, &options, workers, &mut self.features);
         self.compare(Asked::Frontal, workers);
     }
 
+    /// Looks once more, and with more features, at the frame that was looked at last.
+    pub fn look_again(&mut self, image: &GrayImage, mask: Option<&GrayImage>, look: Look, workers: &Workers) {
+        self.take_more(image, mask, &self.options(look), workers);
+        self.compare(Asked::Frontal, workers);
+    }
+
     /// Looks more closely at the frame that was looked at last: takes all features, and compares them with all views.
-    pub fn look_closer(&mut self, mask: Option<&GrayImage>, workers: &Workers) {
-        let options = ExtractorOptions { count: self.count, ..Default::default() };
-        self.extractor.extract_more(mask, &options, workers, &mut self.features);
+    pub fn look_closer(&mut self, image: &GrayImage, mask: Option<&GrayImage>, workers: &Workers) {
+        self.take_more(image, mask, &self.options(Look::Frontal), workers);
         self.compare(Asked::AllViews, workers);
     }
 
@@ -148,6 +157,28 @@ impl FeatureSearch {
         let image = stretched.unwrap_or(image);
         unexplained.extract(image, mask, count, &mut self.extractor, workers, &mut self.features);
         self.compare(Asked::MissingViews, workers);
+    }
+
+    fn options(&self, look: Look) -> ExtractorOptions {
+        let all = ExtractorOptions { count: self.count, ..Default::default() };
+        let strongest = |count: usize| ExtractorOptions { count: self.count.min(count), largest_px: QUICK_PX, ..all };
+        match look {
+            Look::Glance => strongest(GLANCE_FEATURES),
+            Look::Quick => strongest(QUICK_FEATURES),
+            Look::Frontal => all,
+        }
+    }
+
+    fn take_more(&mut self, image: &GrayImage, mask: Option<&GrayImage>, options: &ExtractorOptions, workers: &Workers) {
+        let image = self.contrast.last().unwrap_or(image);
+        self.extractor.extract_more(image, mask, options, workers, &mut self.features);
+    }
+
+    /// Whether the last look matched so much of a body with these surfaces that more features would tell nothing new.
+    pub fn is_enough(&self, surfaces: std::ops::Range<u32>) -> bool {
+        let reference = self.reference();
+        let own = self.matches.iter().filter(|m| surfaces.contains(&reference[m.reference as usize].surface));
+        own.count() >= ENOUGH_MATCHES
     }
 
     fn compare(&mut self, asked: Asked, workers: &Workers) {
@@ -225,6 +256,24 @@ mod tests {
     }
 
     #[test]
+    fn a_glance_is_enough_of_what_is_seen_well_and_more_is_what_a_quick_look_takes() {
+        let [shown, other] = [5, 6].map(|seed| texture(1200, 800, seed));
+        let mut body =
+            prepared(vec![SurfaceSpec::from_artwork("cloth".into(), shown, [3.0, 2.0], Pose::identity()).expect("texture enough")]);
+        let workers = Workers::new(1);
+        let mut search = FeatureSearch::new(body.surfaces.iter_mut(), 1500, None, &workers);
+        search.look(&body.surfaces[0].octaves[0].image, None, Look::Glance, &workers);
+        assert!(search.is_enough(0..1) && !search.is_enough(1..2));
+        assert!(search.features().len() <= GLANCE_FEATURES + 8, "{}", search.features().len());
+        search.look(&other, None, Look::Glance, &workers);
+        assert!(!search.is_enough(0..1), "{} matches", search.matches.len());
+        search.look_again(&other, None, Look::Quick, &workers);
+        let (features, matches) = (search.features().to_vec(), search.matches.clone());
+        search.look(&other, None, Look::Quick, &workers);
+        assert!(search.features() == features && search.matches == matches);
+    }
+
+    #[test]
     fn a_steep_view_is_recognised_by_a_close_look() {
         let artwork = texture(2400, 480, 5);
         let mut body =
@@ -245,7 +294,7 @@ mod tests {
         };
         search.look(&frame, None, Look::Frontal, &workers);
         let frontal = right(&search);
-        search.look_closer(None, &workers);
+        search.look_closer(&frame, None, &workers);
         let close = right(&search);
         assert!(close >= 30 && close > 3 * frontal, "{close} with tilted views, {frontal} without, of {}", search.features().len());
     }
