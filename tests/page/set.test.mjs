@@ -100,7 +100,8 @@ for (const [name, least, most] of [
       const aligned = await alignments(page, 12, null);
       told(name, aligned);
       assert.ok(aligned.median <= least && aligned.most <= most, JSON.stringify(aligned));
-      assert.ok(Number.isFinite(aligned.late) && aligned.late >= 5 * aligned.median, JSON.stringify(aligned));
+      // A camera that is shaken may be so far on that no tile is found by the frame before; which frames are painted is chance.
+      assert.ok(aligned.late >= 5 * aligned.median, JSON.stringify(aligned));
       await close();
     } finally {
       await daemon.end();
