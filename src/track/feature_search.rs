@@ -19,13 +19,15 @@ use crate::matching::{Match, MatchBuffers, ReferenceFeature, ReferenceIndex};
 /// are let through here, as acquisition bears a majority of wrong matches. Raised, more of them are wrong; lowered, dim stages keep too
 /// few.
 pub const LOWE_RATIO: f32 = 0.85;
-/// Strongest features of a frame that a glance asks, half of what a quick look does; and the matches of a body that leave nothing to ask for: of 60, half may be wrong, and
-/// what is right still gives a start that alignment reaches from. Raised, most stages take a quick look as well; lowered, a start is further off.
-const GLANCE_FEATURES: usize = QUICK_FEATURES / 2;
-const ENOUGH_MATCHES: usize = 60;
 /// Strongest features of a frame that a quick look asks. Chosen, not tuned: a third of what a close look asks. Raised, every frame of a search takes
 /// longer; lowered, covered stages need the close look more often.
 const QUICK_FEATURES: usize = 600;
+/// Strongest features of a frame that a glance asks. Chosen: half of a quick look's; of a stage that is seen well, 200 of them match. Raised, every frame of a search takes longer;
+/// lowered, more of them take a quick look as well.
+const GLANCE_FEATURES: usize = QUICK_FEATURES / 2;
+/// Matches of a body at a glance that are enough. Chosen, not tuned: half of them may be wrong, and alignment still reaches from the start that the others give. Raised, more frames
+/// take a quick look as well; lowered, starts are further off.
+const ENOUGH_MATCHES: usize = 60;
 /// Levels of a frame that a quick look leaves out are larger than this, pixels across. Chosen: at half its size in pixels a frame of 1280 shows a stage as well, in a third of the time. Raised, every
 /// frame of a search takes longer; lowered, stages that are seen small need the close look.
 const QUICK_PX: u32 = 800;
@@ -45,7 +47,7 @@ const SURFACES_OF_SLICE: usize = 5;
 /// How closely a frame is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
-    /// Half of what a quick look takes: enough for a stage that is seen well.
+    /// Half as many features as a quick look: enough for a stage that is seen well.
     Glance,
     /// The strongest features, against the pictures as they are.
     Quick,
