@@ -53,6 +53,8 @@ async function alignments(page, count, along) {
           if (last.some((one) => one?.state !== "tracking") || last.some((one, k) => k > 0 && !goesOn(last[k - 1], one))) return;
           const before = last[2];
           const [own, late] = [measure(record, motion), measure(before, motion)];
+          // A camera that is shaken may be so far on that no tile is found by the frame before, and which frames are painted is chance: such a one tells nothing of the others.
+          if (along === null && own.tiles > 0 && late.tiles === 0) return;
           measured.push({ sequence: record.sequence, own, late });
           if (measured.length === count) {
             painters.delete(paint);
@@ -100,8 +102,7 @@ for (const [name, least, most] of [
       const aligned = await alignments(page, 12, null);
       told(name, aligned);
       assert.ok(aligned.median <= least && aligned.most <= most, JSON.stringify(aligned));
-      // A camera that is shaken may be so far on that no tile is found by the frame before; which frames are painted is chance.
-      assert.ok(aligned.late >= 5 * aligned.median, JSON.stringify(aligned));
+      assert.ok(Number.isFinite(aligned.late) && aligned.late >= 5 * aligned.median, JSON.stringify(aligned));
       await close();
     } finally {
       await daemon.end();
