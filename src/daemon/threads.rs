@@ -130,12 +130,15 @@ impl Daemon {
         let Tracker { matcher, poses, .. } = tracker;
         let (to_matcher, rows) = row_channel(delivery);
         let (to_pose, sightings) = bounded(QUEUE);
-        let capture = Capture { source, to_matcher, stop: stop.clone(), dropped: dropped.clone(), live: live.clone() };
-        let (order, watch) = (live.as_ref().map(|_| EntryOrder::default()), live.map(|link| StaleWatch::new(link, stop.clone())));
+        let unseen = Unseen { count: dropped.clone(), live: live.clone() };
+        let capture = Capture { source, to_matcher, stop: stop.clone(), unseen: unseen.clone() };
+        let order = live.as_ref().map(|_| EntryOrder::default());
+        let end = (delivery == Delivery::DropOldest).then(|| End { stop: stop.clone(), unseen });
+        let watch = live.map(|link| StaleWatch::new(link, stop.clone()));
         // The last one first: a stage whose input never begins ends by itself, while a source that is being read may not.
         let stages: [(&'static str, Run); 3] = [
             ("pose", Box::new(move || publish(poses, &sightings, observers, subscribers, watch))),
-            ("matcher", Box::new(move || match_rows(matcher, order, &rows, &to_pose))),
+            ("matcher", Box::new(move || match_rows(matcher, order, end.as_ref(), &rows, &to_pose))),
             ("capture", Box::new(move || capture.run())),
         ];
         let mut running = RunningDaemon { stages: Vec::new(), stop, dropped };
@@ -157,7 +160,7 @@ impl Daemon {
 }
 
 impl RunningDaemon {
-    /// Asks the capture stage to end; the others end after what is under way.
+    /// Asks the capture stage to end; the others end after what is under way. With [`Delivery::DropOldest`] a frame that waits is not begun.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }
@@ -211,12 +214,37 @@ fn row_channel(delivery: Delivery) -> (RowSender, Receiver<ClipEntry>) {
     }
 }
 
+/// Counts the frames that nobody looks at.
+#[derive(Clone)]
+struct Unseen {
+    count: Arc<AtomicU64>,
+    live: Option<LiveLink>,
+}
+
+impl Unseen {
+    fn add(&self, row: &ClipEntry) {
+        self.count.fetch_add(1, Ordering::Relaxed);
+        self.live.iter().for_each(|live| dropped(live, row.timestamp));
+    }
+}
+
+/// How a live daemon ends: a frame that waits is dropped. On a slow machine a frame takes seconds, and whoever stopped it waits.
+struct End {
+    stop: Arc<AtomicBool>,
+    unseen: Unseen,
+}
+
+impl End {
+    fn has_come(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}
+
 struct Capture {
     source: Box<dyn FrameSource>,
     to_matcher: RowSender,
     stop: Arc<AtomicBool>,
-    dropped: Arc<AtomicU64>,
-    live: Option<LiveLink>,
+    unseen: Unseen,
 }
 
 impl Capture {
@@ -230,8 +258,7 @@ impl Capture {
                     }
                 }
                 RowSender::Latest(sender) => {
-                    let late = |row: ClipEntry| self.live.iter().for_each(|live| dropped(live, row.timestamp));
-                    self.dropped.fetch_add(sender.send_dropping(row, late) as u64, Ordering::Relaxed);
+                    sender.send_dropping(row, |late| self.unseen.add(&late));
                 }
             }
         }
@@ -245,9 +272,13 @@ struct Seen {
     age_ms: Option<f64>,
 }
 
-/// `order` numbers the rows of a camera as they are tracked, after some were dropped.
-fn match_rows(mut matcher: Matcher, mut order: Option<EntryOrder>, rows: &Receiver<ClipEntry>, to_pose: &Sender<Seen>) {
+/// `order` numbers the rows of a camera as they are tracked, after some were dropped. Without `end` every row is looked at.
+fn match_rows(mut matcher: Matcher, mut order: Option<EntryOrder>, end: Option<&End>, rows: &Receiver<ClipEntry>, to_pose: &Sender<Seen>) {
     for row in rows {
+        if let Some(end) = end.filter(|end| end.has_come()) {
+            end.unseen.add(&row);
+            continue;
+        }
         let age_ms = order.as_ref().map(|_| monotonic_now().ms_since(row.timestamp));
         let row = match &mut order {
             Some(order) => order.admit(row),
@@ -389,6 +420,21 @@ mod tests {
             assert!(error.to_string().contains("raise the limit of processes"), "{error}");
             assert_eq!(Arc::strong_count(&probe), 1, "the source is still read after {refused} threads");
             assert!(samples.iter().next().is_none());
+        }
+    }
+
+    #[test]
+    fn a_frame_that_waits_at_a_stop_is_dropped_and_counted_where_frames_may_be() {
+        for (stopped, may_drop, looked_at) in [(false, true, 3), (true, false, 3), (true, true, 0)] {
+            let (to_matcher, rows) = bounded(3);
+            let (to_pose, seen) = bounded(3);
+            let mut source = Endless(Arc::default());
+            (0..3).for_each(|_| to_matcher.send(source.next_entry().expect("it is endless")).expect("there is room"));
+            drop(to_matcher);
+            let unseen = Unseen { count: Arc::default(), live: None };
+            let end = may_drop.then(|| End { stop: Arc::new(stopped.into()), unseen: unseen.clone() });
+            match_rows(tracker().matcher, None, end.as_ref(), &rows, &to_pose);
+            assert_eq!((seen.len(), unseen.count.load(Ordering::Relaxed)), (looked_at, 3 - looked_at as u64));
         }
     }
 }

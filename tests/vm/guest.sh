@@ -84,4 +84,11 @@ config() { sed -i "s#^calibration.*#&\n$1#" stage.toml; }
 start() { "$STAGEPOSE" "$@" --config stage.toml --events events --poses poses --log info 2>>log & pid=$!; }
 
 # finish: ends it as a service manager does.
-finish() { kill -TERM $pid; wait $pid; echo "exit $?"; count log panicked; echo "panics $lines"; }
+finish() {
+    local begun=$SECONDS
+    kill -TERM $pid
+    wait $pid
+    echo "exit $? after $((SECONDS - begun)) s"
+    count log panicked
+    echo "panics $lines"
+}

@@ -16,9 +16,10 @@ exec 9</dev/video0 # a dead number that stays taken
 unplug
 until_line events '"event":"stale"'
 until_line events '"event":"camera_waiting"'
-plug stall=15
+# Long enough that a frame of it is tracked, at some seconds for each.
+plug stall=60
 until_line events '"event":"resumed"'
-more poses '"sequence"' 2
+more poses '"sequence"' 1
 
 until_line events 'gave no picture'
 until_line events '"again":true' 2 # it opens again, and gives nothing
