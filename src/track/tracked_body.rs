@@ -272,6 +272,7 @@ impl TrackedBody {
         debug!(
             share = found.share(),
             tiles = found.tiles,
+            borne_out = ?found.gradients.borne_out(),
             scale = found.scale,
             inliers = found.inliers,
             squared_mahalanobis = found.squared_mahalanobis,

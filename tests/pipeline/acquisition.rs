@@ -94,3 +94,38 @@ fn one_mark_among_tiles_gives_the_right_pose_or_none() {
     imageops::replace(&mut art, &grey(&paint(140, 140, 9)), 330, 210);
     assert_never_shifted(&art);
 }
+
+/// A curtain of upright stripes with grain, and a small picture on it.
+fn curtain() -> GrayImage {
+    let mut state = 7_u32;
+    let mut art = GrayImage::from_fn(1600, 1200, |x, _| {
+        // A linear congruential generator; the sum of four of its bytes is nearly normal.
+        let mut byte = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f64::from(state >> 24)
+        };
+        let grain = ((0..4).map(|_| byte()).sum::<f64>() - 510.0) / 30.0;
+        let stripe = if (x / 50) % 2 == 0 { 70.0 } else { 190.0 };
+        Luma([(stripe + grain) as u8])
+    });
+    imageops::replace(&mut art, &grey(&paint(170, 130, 9)), 715, 535);
+    art
+}
+
+#[test]
+fn a_pose_does_not_slide_along_the_stripes_of_a_curtain() {
+    // Up and down, twice a second: too quickly for what is expected of the next frame to be near.
+    let keys: Vec<(f64, f64)> = (-8..40).map(|k| f64::from(k) / 32.0).map(|t| (t, 0.22 * (4.0 * std::f64::consts::PI * t).sin())).collect();
+    let along = |x: f64, y: f64| Spline::new(&keys.iter().map(|(t, z)| (*t, Vector3::new(x, y, *z))).collect::<Vec<_>>()).unwrap();
+    let path = CameraPath { position: along(-0.1, -1.3), target: along(0.0, 0.0), roll_rad: 0.02, shake: None };
+    let stage = body(vec![surface("curtain", &curtain(), [4.0, 3.0], Vector3::zeros(), 0.0)]);
+    let mut scene = quiet(camera(640, 480), path, stage);
+    (scene.shutter.exposure_s, scene.samples) = (0.005, 8);
+    let samples = track(&scene, 30);
+    for sample in &samples {
+        println!("{} {:?} {:?}", sample.sequence, sample.state, sample.measurement.map(|_| errors(&scene, sample)));
+    }
+    let given = given_right(&scene, &samples);
+    println!("{given} of 30 given");
+    assert!(given >= 15, "{given}");
+}

@@ -2,6 +2,7 @@
 //! its own to what averaging gains.
 
 use image::GrayImage;
+use nalgebra::Vector2;
 
 use crate::simd::multiversion;
 
@@ -32,6 +33,14 @@ impl Level {
     /// The sums, row by row.
     pub fn sums(&self) -> &[u16] {
         &self.sums
+    }
+
+    /// The gradient at the pixel of this place in [`sums`](Self::sums), across and down, by central differences, in sums per pixel; `None` on the border.
+    pub fn gradient(&self, index: usize) -> Option<Vector2<f64>> {
+        let (u, v) = (index % self.width, index / self.width);
+        let is_inside = (1..self.width.saturating_sub(1)).contains(&u) && (1..self.height.saturating_sub(1)).contains(&v);
+        let sum = |index: usize| f64::from(self.sums[index]);
+        is_inside.then(|| Vector2::new(sum(index + 1) - sum(index - 1), sum(index + self.width) - sum(index - self.width)) * 0.5)
     }
 }
 
@@ -127,6 +136,21 @@ mod tests {
                     assert_eq!(u32::from(level.sums()[v as usize * level.width + u as usize]), sum);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn gradients_are_central_differences_and_end_at_the_border() {
+        let image = GrayImage::from_fn(20, 12, |x, y| image::Luma([(x * 4 + y * 6) as u8]));
+        let mut levels = FrameLevels::default();
+        levels.update(&image);
+        let level = levels.level(FINEST);
+        // A pixel of the level is two of the frame, and sums four.
+        for index in [11, 18, 31, 38] {
+            assert_eq!(level.gradient(index), Some(Vector2::new(32.0, 48.0)), "{index}");
+        }
+        for index in [0, 5, 9, 10, 19, 50, 55, 59, 60, 1000] {
+            assert_eq!(level.gradient(index), None, "{index}");
         }
     }
 

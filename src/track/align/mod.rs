@@ -9,6 +9,7 @@
 //! reweighted; the joint state follows the continuous-time rolling-shutter literature (Hedborg et al. 2012).
 
 mod aligner;
+mod aperture;
 // Index loops: what closures do would not be compiled for the wider registers of the function around them.
 #[allow(clippy::needless_range_loop)]
 mod appearance;

@@ -2,6 +2,7 @@
 
 use nalgebra::Matrix6;
 
+use super::aperture::GradientAgreement;
 use super::evidence::RunEvidence;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{Motion, MotionEstimate};
@@ -25,6 +26,8 @@ pub struct Alignment {
     pub tiles: usize,
     /// See `tiles`.
     pub agreeing: usize,
+    /// How the gradients that are seen go with those that are expected.
+    pub gradients: GradientAgreement,
     /// Squared Mahalanobis distance of the found pose from the expected one, by the covariance of what was expected; about 6 where that is right.
     pub squared_mahalanobis: f64,
     /// Whether the opposite velocity explains the frame as well: of a body that was just found, by its blur.
@@ -66,7 +69,8 @@ impl Alignment {
     pub fn may_be_given(&self, is_followed: bool, distance_m: f64) -> bool {
         let is_expected = is_followed && !self.is_pushed();
         let may_be_covered = is_expected || !is_followed || self.is_conclusive();
-        self.is_credible(is_expected) || (may_be_covered && self.is_borne_out(distance_m))
+        let is_credible = self.is_credible(is_expected) || (may_be_covered && self.is_borne_out(distance_m));
+        is_credible && !self.gradients.may_have_slid(self.share())
     }
 
     /// Whether the pose is clearly right, or less clearly where it was expected.
@@ -173,6 +177,7 @@ mod tests {
             rms_px: 0.05,
             tiles: 100,
             agreeing,
+            gradients: GradientAgreement::default(),
             squared_mahalanobis: 6.0,
             has_opposite: false,
         }

@@ -450,6 +450,7 @@ impl<'a> FrameProblem<'a> {
         let mut solution = self.buffers.fine.solution()?;
         let blur_px = spec.blur_px * spec.frame_px();
         let Conclusion { estimate, covariance, inliers, squared_px, tiles, agreeing, blur } = solution.conclude(&spec, &mut self.bands)?;
+        let gradients = solution.gradient_agreement(self.levels.level(FINEST));
         let found = Alignment {
             estimate,
             pose: motion.pose,
@@ -459,6 +460,7 @@ impl<'a> FrameProblem<'a> {
             rms_px: (squared_px / inliers.max(1.0)).sqrt() * spec.frame_px(),
             tiles,
             agreeing,
+            gradients,
             squared_mahalanobis: squared_mahalanobis(self.expected, &motion),
             has_opposite: self.has_opposite,
         };

@@ -2,7 +2,9 @@
 
 use nalgebra::{Matrix6, Vector6};
 
+use super::super::aperture::GradientAgreement;
 use super::super::evidence::evidence;
+use super::super::frame_levels::Level;
 use super::super::jump_instant::RowBands;
 use super::super::noise::NoiseSums;
 use super::super::normal::{RobustWeighting, squares_after};
@@ -130,6 +132,12 @@ impl LevelSolution<'_> {
             sums.add(&picture.view(r), &r.step.columns, &weighting);
         }
         sums
+    }
+
+    /// How the gradients go together at the chosen pixels; `level`: the frame's.
+    pub fn gradient_agreement(&self, level: &Level) -> GradientAgreement {
+        let picture = &self.problem.picture;
+        GradientAgreement::of(&picture.pixels, &picture.appearance, level)
     }
 
     /// The clue on the time in which the sensor's rows are read, seconds.
