@@ -131,9 +131,10 @@ impl Daemon {
         let (to_matcher, rows) = row_channel(delivery);
         let (to_pose, sightings) = bounded(QUEUE);
         let unseen = Unseen { count: dropped.clone(), live: live.clone() };
-        let capture = Capture { source, to_matcher, stop: stop.clone(), unseen: unseen.clone() };
+        let is_over = Arc::<AtomicBool>::default();
+        let capture = Capture { source, to_matcher, stop: stop.clone(), is_over: is_over.clone(), unseen: unseen.clone() };
         let order = live.as_ref().map(|_| EntryOrder::default());
-        let end = (delivery == Delivery::DropOldest).then(|| End { stop: stop.clone(), unseen });
+        let end = (delivery == Delivery::DropOldest).then(|| End { stop: stop.clone(), is_over, unseen });
         let watch = live.map(|link| StaleWatch::new(link, stop.clone()));
         // The last one first: a stage whose input never begins ends by itself, while a source that is being read may not.
         let stages: [(&'static str, Run); 3] = [
@@ -160,9 +161,11 @@ impl Daemon {
 }
 
 impl RunningDaemon {
-    /// Asks the capture stage to end; the others end after what is under way. With [`Delivery::DropOldest`] a frame that waits is not begun.
+    /// Asks the capture stage to end; the others end after what is under way. With [`Delivery::DropOldest`] a frame that waits is not begun,
+    /// but for the last one of a source that came to its end.
     pub fn stop(&self) {
-        self.stop.store(true, Ordering::Relaxed);
+        // Whoever sees it sees, too, that the source was over before.
+        self.stop.store(true, Ordering::Release);
     }
 
     /// A switch that does the same from elsewhere (a signal handler's thread).
@@ -228,15 +231,17 @@ impl Unseen {
     }
 }
 
-/// How a live daemon ends: a frame that waits is dropped. On a slow machine a frame takes seconds, and whoever stopped it waits.
+/// How a live daemon is stopped: a frame that waits is dropped. On a slow machine a frame takes seconds, and whoever stopped it waits.
 struct End {
     stop: Arc<AtomicBool>,
+    /// The source came to its end before: its last frame is looked at.
+    is_over: Arc<AtomicBool>,
     unseen: Unseen,
 }
 
 impl End {
     fn has_come(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
+        self.stop.load(Ordering::Acquire) && !self.is_over.load(Ordering::Relaxed)
     }
 }
 
@@ -244,13 +249,18 @@ struct Capture {
     source: Box<dyn FrameSource>,
     to_matcher: RowSender,
     stop: Arc<AtomicBool>,
+    /// See [`End`].
+    is_over: Arc<AtomicBool>,
     unseen: Unseen,
 }
 
 impl Capture {
     fn run(mut self) {
         while !self.stop.load(Ordering::Relaxed) {
-            let Some(row) = self.source.next_entry() else { return };
+            let Some(row) = self.source.next_entry() else {
+                self.is_over.store(!self.stop.load(Ordering::Relaxed), Ordering::Relaxed);
+                return;
+            };
             match &self.to_matcher {
                 RowSender::Blocking(sender) => {
                     if sender.send(row).is_err() {
@@ -425,14 +435,20 @@ mod tests {
 
     #[test]
     fn a_frame_that_waits_at_a_stop_is_dropped_and_counted_where_frames_may_be() {
-        for (stopped, may_drop, looked_at) in [(false, true, 3), (true, false, 3), (true, true, 0)] {
+        for (stopped, is_over, may_drop, looked_at) in
+            [(false, false, true, 3), (true, false, false, 3), (true, true, true, 3), (true, false, true, 0)]
+        {
             let (to_matcher, rows) = bounded(3);
             let (to_pose, seen) = bounded(3);
             let mut source = Endless(Arc::default());
             (0..3).for_each(|_| to_matcher.send(source.next_entry().expect("it is endless")).expect("there is room"));
             drop(to_matcher);
             let unseen = Unseen { count: Arc::default(), live: None };
-            let end = may_drop.then(|| End { stop: Arc::new(stopped.into()), unseen: unseen.clone() });
+            let end = may_drop.then(|| End {
+                stop: Arc::new(AtomicBool::new(stopped)),
+                is_over: Arc::new(AtomicBool::new(is_over)),
+                unseen: unseen.clone(),
+            });
             match_rows(tracker().matcher, None, end.as_ref(), &rows, &to_pose);
             assert_eq!((seen.len(), unseen.count.load(Ordering::Relaxed)), (looked_at, 3 - looked_at as u64));
         }

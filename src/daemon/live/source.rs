@@ -38,7 +38,7 @@ pub struct LiveStop(Arc<Shared>);
 impl LiveStop {
     /// The source ends at its next look.
     pub fn stop(&self) {
-        self.0.stop.store(true, Ordering::Relaxed);
+        self.0.stop.store(true, Ordering::Release);
     }
 }
 
