@@ -3,6 +3,7 @@
 //! Three rules decide what is a match: the nearest; Lowe's ratio (2004, section 7.1) of its distance to that of the nearest that lies elsewhere;
 //! and the mutual test, that the nearest of the other is this one again. The matches come best ratio first, which is the order that PROSAC wants.
 
+use nalgebra::{DMatrixView, DMatrixViewMut};
 use rayon::prelude::*;
 
 use super::kernels::{self, QUERIES};
@@ -106,12 +107,12 @@ fn compared(first: &Features, second: &Features, goes_on: &dyn Fn() -> bool) -> 
     }
 }
 
-/// Queries that are compared with one target after the other: as many as stay in the first cache with their target. Raised, they fall out of it.
-const TOGETHER: usize = 16;
 /// Queries that one thread takes at a time, whose nearest for each target are kept: some megabytes for the largest pictures. Raised, threads wait
 /// for each other at the end; lowered, more is kept.
-const A_TURN: usize = 16 * TOGETHER;
-/// Turns between two questions whether to go on, of all threads together: half a second for some ten thousand vectors of 128 on one thread. Raised, an
+const A_TURN: usize = 256;
+/// Targets that are multiplied with a turn's queries at once. Raised, the products, 256 kB, fall out of the second cache; lowered, the queries are read more often.
+const TARGETS: usize = 256;
+/// Turns between two questions whether to go on, of all threads together: a quarter of a second for some ten thousand vectors of 128 on one thread. Raised, an
 /// interrupt waits longer; lowered, threads wait for each other more often.
 const TURNS_BETWEEN: usize = 8;
 
@@ -120,30 +121,36 @@ type NearestQuery = (f32, u32);
 
 /// `None` where the work was ended.
 fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[Keypoint], goes_on: &dyn Fn() -> bool) -> Option<Compared> {
-    let square = |v: &[f32]| v.iter().map(|v| v * v).sum::<f32>();
-    let squares: Vec<f32> = targets.chunks_exact(length).map(square).collect();
+    let squares = squares_of(targets, length);
     let turn = |(turn, queries): (usize, &[f32])| {
+        let own = squares_of(queries, length);
         let mut back: Vec<NearestQuery> = vec![(f32::INFINITY, 0); squares.len()];
-        let mut forth = Vec::with_capacity(A_TURN);
-        for (block, queries) in queries.chunks(TOGETHER * length).enumerate() {
-            let at = turn * A_TURN + block * TOGETHER;
-            let own: Vec<f32> = queries.chunks_exact(length).map(square).collect();
-            let mut nearest = vec![Nearest::default(); own.len()];
-            let mut products = [0.0; TOGETHER];
-            for (k, target) in targets.chunks_exact(length).enumerate() {
-                dot_products(queries, target, &mut products);
-                for (query, (nearest, product)) in nearest.iter_mut().zip(&products).enumerate() {
-                    // Squared distances, each less the square that is the same for all that are compared.
-                    nearest.offer(k, squares[k] - 2.0 * product, |a, b| same_place(&places[a], &places[b], SAME_PLACE));
-                    let from_here = own[query] - 2.0 * product;
-                    if from_here < back[k].0 {
-                        back[k] = (from_here, (at + query) as u32);
+        let mut nearest = vec![Nearest::default(); own.len()];
+        let mut bars = vec![f32::INFINITY; own.len()];
+        // The product is fast where neither of its sides is to be transposed.
+        let rows = DMatrixView::from_slice(queries, length, own.len()).transpose();
+        let mut products = vec![0.0; own.len() * TARGETS.min(squares.len())];
+        for (block, targets) in targets.chunks(TARGETS * length).enumerate() {
+            let count = targets.len() / length;
+            let columns = DMatrixView::from_slice(targets, length, count);
+            DMatrixViewMut::from_slice(&mut products, own.len(), count).gemm(1.0, &rows, &columns, 0.0);
+            for (k, products) in (block * TARGETS..).zip(products.chunks_exact(own.len()).take(count)) {
+                // Squared distances, each less the square that is the same for all that are compared.
+                let (is_any_below, least) = scan(products, squares[k], &bars, &own);
+                if is_any_below {
+                    for ((nearest, bar), product) in nearest.iter_mut().zip(&mut bars).zip(products) {
+                        nearest.offer(k, squares[k] - 2.0 * product, |a, b| same_place(&places[a], &places[b], SAME_PLACE));
+                        *bar = nearest.bar();
                     }
                 }
+                if least < f32::INFINITY {
+                    let query = own.iter().zip(products).position(|(own, product)| own - 2.0 * product == least).unwrap_or(0);
+                    back[k] = (least, (turn * A_TURN + query) as u32);
+                }
             }
-            forth.extend(queries.chunks_exact(length).zip(nearest).map(|(query, nearest)| found(query, targets, places, nearest)));
         }
-        (forth, back)
+        let answers = queries.chunks_exact(length).zip(nearest);
+        (answers.map(|(query, nearest)| found(query, targets, places, nearest)).collect(), back)
     };
     let mut back = vec![(f32::INFINITY, 0); squares.len()];
     let mut forth = Vec::with_capacity(queries.len() / length);
@@ -160,6 +167,10 @@ fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[K
         }
     }
     Some(Compared { forth, back: back.into_iter().map(|(_, index)| index as usize).collect() })
+}
+
+fn squares_of(vectors: &[f32], length: usize) -> Vec<f32> {
+    vectors.chunks_exact(length).map(|vector| vector.iter().map(|v| v * v).sum()).collect()
 }
 
 /// The answer for one query, whose rival is looked up again where it may have been missed.
@@ -219,51 +230,27 @@ fn nearest_bits(queries: &[Descriptor], targets: &[Descriptor], places: Option<&
 }
 
 multiversion! {
-    /// Products of up to [`TOGETHER`] vectors, one after the other, with one.
-    fn dot_products(block: &[f32], target: &[f32], products: &mut [f32; TOGETHER]); ["avx2" "fma"] => dot_products_wide, else dot_products_plain
+    /// Of one target's products with many queries: whether any squared distance, less the query's own square, is below the query's bar; and the least of
+    /// them, less the target's `square`.
+    fn scan(products: &[f32], square: f32, bars: &[f32], own: &[f32]) -> (bool, f32); ["avx2"] => scan_wide, else scan_wide
 }
 
-/// Sums that are gathered side by side: the lanes of a register.
-const LANES: usize = 8;
+/// Numbers that are looked at side by side: the lanes of two registers.
+const LANES: usize = 16;
 
 #[inline(always)]
-fn dot_products_wide(block: &[f32], target: &[f32], products: &mut [f32; TOGETHER]) {
-    let length = target.len();
-    // Four at a time share what is read of the target.
-    for (products, four) in products.chunks_exact_mut(4).zip(block.chunks(4 * length)) {
-        if four.len() < 4 * length {
-            dot_products_one_by_one(four, target, products);
-            continue;
-        }
-        let whole = length - length % LANES;
-        let mut sums = [[0.0_f32; LANES]; 4];
-        for at in (0..whole).step_by(LANES) {
-            let t: &[f32; LANES] = target[at..].first_chunk().unwrap_or(&[0.0; LANES]);
-            for (query, sum) in sums.iter_mut().enumerate() {
-                let q: &[f32; LANES] = four[query * length + at..].first_chunk().unwrap_or(&[0.0; LANES]);
-                for lane in 0..LANES {
-                    sum[lane] = q[lane].mul_add(t[lane], sum[lane]);
-                }
-            }
-        }
-        for (query, (product, sum)) in products.iter_mut().zip(&sums).enumerate() {
-            let rest = &four[query * length + whole..(query + 1) * length];
-            *product = sum.iter().sum::<f32>() + rest.iter().zip(&target[whole..]).map(|(a, b)| a * b).sum::<f32>();
+fn scan_wide(products: &[f32], square: f32, bars: &[f32], own: &[f32]) -> (bool, f32) {
+    let mut below = [false; LANES];
+    let mut least = [f32::INFINITY; LANES];
+    for ((products, bars), own) in products.chunks(LANES).zip(bars.chunks(LANES)).zip(own.chunks(LANES)) {
+        for (((product, bar), own), (below, least)) in products.iter().zip(bars).zip(own).zip(below.iter_mut().zip(&mut least)) {
+            *below |= square - 2.0 * product < *bar;
+            let from_here = own - 2.0 * product;
+            // A product that is no number is not the least.
+            *least = if from_here < *least { from_here } else { *least };
         }
     }
-}
-
-#[inline(always)]
-fn dot_products_one_by_one(block: &[f32], target: &[f32], products: &mut [f32]) {
-    for (product, query) in products.iter_mut().zip(block.chunks_exact(target.len())) {
-        *product = query.iter().zip(target).map(|(a, b)| a * b).sum();
-    }
-}
-
-/// The plain twin of [`dot_products`].
-#[inline(always)]
-fn dot_products_plain(block: &[f32], target: &[f32], products: &mut [f32; TOGETHER]) {
-    dot_products_one_by_one(block, target, products);
+    (below.contains(&true), least.into_iter().fold(f32::INFINITY, f32::min))
 }
 
 #[cfg(test)]
@@ -335,6 +322,12 @@ mod tests {
         }
     }
 
+    /// More than a turn takes, and more than are multiplied at once.
+    #[test]
+    fn many_are_compared_as_few_are() {
+        same(&vectors(A_TURN + 37, 24, 1), &vectors(2 * TARGETS + 1, 24, 2));
+    }
+
     #[test]
     fn one_place_seen_twice_is_no_rival_and_two_places_that_look_alike_are_no_match() {
         let query = vectors(1, 32, 1);
@@ -359,20 +352,5 @@ mod tests {
             values.fill(f32::NAN);
         }
         assert_eq!(match_exactly(&holed, &holed, &ExactOptions::default()), Vec::new());
-    }
-
-    #[test]
-    fn wide_products_are_the_plain_ones() {
-        for length in [3, 8, 64, 129] {
-            let (Descriptors::Vectors { values: a, .. }, Descriptors::Vectors { values: b, .. }) =
-                (vectors(TOGETHER - 1, length, 1).descriptors, vectors(1, length, 2).descriptors)
-            else {
-                unreachable!("vectors")
-            };
-            let (mut wide, mut plain) = ([0.0; TOGETHER], [0.0; TOGETHER]);
-            dot_products(&a, &b, &mut wide);
-            dot_products_plain(&a, &b, &mut plain);
-            assert!(wide.iter().zip(plain).all(|(w, p)| (w - p).abs() < 1e-3 * length as f32));
-        }
     }
 }
