@@ -43,9 +43,9 @@ const TOUCHING: f64 = 0.055;
 const LEAST_PAIR: f64 = 0.05;
 
 /// Frames over which the size of the field is averaged, where neighbouring tiles tell it. What does not fit changes slowly, while a single frame tells its variance poorly, and a variance
-/// that is held at 0 in each frame is too large in the mean. Chosen: d-webcam's squared errors are 0.74 of the covariance with 1, 0.79 with 10, 0.83 with 20, d-gel's 1.8, 1.4 and 1.3. Raised, a small
-/// change of the stage is in the covariance later.
-const MEMORY_FRAMES: f64 = 20.0;
+/// that is never below 0 is too large in the mean. Chosen: d-webcam's squared errors are 0.74 of the covariance with 1, 0.84 with 20, 0.88 with 60, 0.89 with 200, d-gel's 1.8, 1.2 and 1.2
+/// with 1, 20 and 60. Raised, a small change of the stage is in the covariance later.
+const MEMORY_FRAMES: f64 = 60.0;
 
 /// What of the tiles' displacements neither the pose nor the noise explains.
 #[derive(Debug, Clone, Copy)]

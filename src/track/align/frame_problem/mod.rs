@@ -5,7 +5,7 @@
 
 mod still_camera;
 
-use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
+use nalgebra::{Vector2, Vector6};
 
 use super::exposure::{KnownPsfVariance, exposure_clue};
 use super::frame_levels::{FINEST, FrameLevels, LEVELS};
@@ -63,11 +63,6 @@ const SETTLING_ROUNDS: usize = 4;
 /// pictures of the tiles were predicted before the step. Raised, covariances are wider than errors; with 0, twice as many frames
 /// of a moving camera are further off than six sigmas.
 const MISSING_SHARE: f64 = 0.2;
-/// Least standard deviation of the image motion of a camera that moves, pixels of the frame: faults of interpolation, point spread and shutter are common to all tiles, so more
-/// pixels do not average them away. Chosen between two costs, with 0, 0.0005 and 0.001. The farthest frame at a thousand starts and stops (`tests/pipeline/stops.rs`) is 7.8,
-/// 7.0 and 6.0 sigmas off; d-dolly's NEES/6 is 0.44, 0.42 and 0.38. Raised, covariances are wider than errors. A still camera's covariance goes without it: with 0.001
-/// d-still's NEES/6 was 0.28, without it is 0.70.
-const LEAST_ERROR_PX: f64 = 0.0005;
 /// A level converges from this many of its pixels off: 2.5 to 5 in a prototype. Raised, starts are left to levels that are too fine for
 /// them, and solved twice or lost; lowered, a level more is solved than the start needs.
 const BASIN_PX: f64 = 2.5;
@@ -446,7 +441,6 @@ impl<'a> FrameProblem<'a> {
     pub fn verify(&mut self) -> Option<(Alignment, Option<Clue>)> {
         let Corrected { motion, scale } = self.buffers.fine.solution()?.found;
         let spec = self.spec(FINEST, &motion);
-        let floor = self.floor(&motion);
         let mut solution = self.buffers.fine.solution()?;
         let blur_px = spec.blur_px * spec.frame_px();
         let Conclusion { estimate, covariance, inliers, squared_px, tiles, agreeing, blur } = solution.conclude(&spec, &mut self.bands)?;
@@ -454,7 +448,7 @@ impl<'a> FrameProblem<'a> {
         let found = Alignment {
             estimate,
             pose: motion.pose,
-            covariance: covariance + self.last_step * self.last_step.transpose() * MISSING_SHARE.powi(2) + floor,
+            covariance: covariance + self.last_step * self.last_step.transpose() * MISSING_SHARE.powi(2),
             scale,
             inliers,
             rms_px: (squared_px / inliers.max(1.0)).sqrt() * spec.frame_px(),
@@ -473,22 +467,6 @@ impl<'a> FrameProblem<'a> {
         let exposure = exposure_clue(&blur, known, blur_px);
         self.lessons.exposure = exposure.map(|clue| (clue, blur_px));
         Some((found, exposure))
-    }
-
-    /// What no frame of a camera that moves tells better, however many pixels it asks: covariance of [δp, δθ] of an image motion of [`LEAST_ERROR_PX`].
-    fn floor(&self, motion: &Motion) -> Matrix6<f64> {
-        if self.buffers.has_kept {
-            return Matrix6::zeros();
-        }
-        let camera = &self.rays.camera;
-        let (width, height) = (f64::from(camera.width()), f64::from(camera.height()));
-        // Root mean square distance of a picture's pixels from its middle.
-        let radius_px = ((width.powi(2) + height.powi(2)) / 12.0).sqrt();
-        let [turn, roll] = [camera.intrinsics().fx, radius_px].map(|px| (LEAST_ERROR_PX / px).powi(2));
-        let nearer = motion.pose.rotation * Vector3::z() * distance_m(self.surfaces, &motion.pose);
-        let mut covariance = Matrix6::from_diagonal(&Vector6::new(0.0, 0.0, 0.0, turn, turn, roll));
-        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&(nearer * nearer.transpose() * roll));
-        covariance
     }
 
     /// Adds what the solution leaves open where the velocity may have jumped since the last frame, `since_s` ago, or within this one; corrects pose
