@@ -14,6 +14,7 @@ use super::smooth_field::SmoothField;
 use super::tile_residuals::{TileResidual, TileResiduals};
 use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::{Body, Camera, Pose};
+use crate::simd::multiversion;
 
 /// Correlation length of the field of shifts, as a share of the width of what is off: of the picture, or of an object. A field as wide as the picture is the same
 /// nearly all over a small object, and the little that is left of it, as by blur, would pass for the rest of a shift that is many times as large.
@@ -31,10 +32,10 @@ const UNKNOWN_LENGTH: f64 = 2.0;
 /// Fewest numbers beyond the pose's six that the field's size may be found from. Chosen, not tuned. Raised, small stages claim to fit.
 const LEAST_FREEDOM: f64 = 12.0;
 
-/// Tiles that lie nearer to each other than this share of the width tell a smooth field from shifts that each tile has for itself: the
-/// correlation length of the weights of pairs. Chosen: about the distance between neighbouring tiles, so that folds a tenth of the picture wide still count as a field.
-/// Raised, short folds pass for noise, and covariances miss what went into the pose; lowered, there are too few pairs.
-const PAIR_LENGTH: f64 = 0.08;
+/// How much nearer to each other tiles lie that tell a smooth field from shifts that each tile has for itself: the weight of a pair is what its shifts correlate by, to
+/// this power, so that the correlation length of the weights is 0.08 of the width. Chosen: about the distance between neighbouring tiles, so that folds a tenth of the
+/// picture wide still count as a field. Lowered, short folds pass for noise, and covariances miss what went into the pose; raised, there are too few pairs.
+const PAIR_POWER: i32 = 25;
 /// Tiles nearer than this share of the width are no pair: they touch, and what compression, sharpening and light do to the one they do to the other. Chosen: the least
 /// distance of tiles that are beside each other. Raised, there are too few pairs; with 0, noise of webcams that sharpen passes for a field of 0.02 pixels, and
 /// its covariances are a tenth wider.
@@ -109,31 +110,9 @@ pub fn model_error(pose: &Pose<Camera, Body>, width_px: f64, residuals: &TileRes
     }
     let normal_inverse = factor.inverse();
     field.work_out(residuals.tiles(), &factor, CORRELATION_LENGTH * width_px);
-    let per_squared_length = |share: f64| -0.5 / (share * width_px).powi(2);
-    let (per_field, per_pair) = (per_squared_length(CORRELATION_LENGTH), per_squared_length(PAIR_LENGTH));
-    let (nearest, farthest) = ((TOUCHING * width_px).powi(2), LEAST_PAIR.ln() / per_pair);
-    // What a field of one pixel leaves of squares and of pairs. And what the noise leaves of pairs: the pose takes it from all.
-    let mut left = 0.0;
-    let (mut pairs, mut pairs_by_field, mut pairs_by_noise, mut both) = (0.0, 0.0, 0.0, Matrix6::zeros());
-    for (k, tile) in residuals.tiles().iter().enumerate() {
-        let mut beside = Neighbours::default();
-        for other in residuals.tiles() {
-            let squared_length = (other.place_px - tile.place_px).norm_squared();
-            if (nearest..farthest).contains(&squared_length) {
-                beside.add(other, (squared_length * per_pair).exp(), (squared_length * per_field).exp(), &change);
-            }
-        }
-        let together = field.pose_with_shift(k);
-        // A tile's own square, less what the pose takes of it.
-        let taken: Matrix2x6<f64> = tile.information * tile.by_pose;
-        left += tile.information.trace() - (taken * together).trace();
-        let by_pose: Matrix2x6<f64> = tile.information * beside.by_pose;
-        pairs += tile.left_by_pose(&change).dot(&(tile.information * beside.shift));
-        pairs_by_noise -= (by_pose * normal_inverse * tile.by_pose.transpose()).trace();
-        pairs_by_field += (tile.information * beside.alike).trace() - 2.0 * (by_pose * together).trace();
-        both += tile.by_pose.transpose() * by_pose;
-    }
-    pairs_by_field += (both * field.of_pose()).trace();
+    let mut sums = PairSums::default();
+    sum_pairs(residuals.tiles(), field, &change, &normal_inverse, width_px, &mut sums);
+    let PairSums { left, pairs, pairs_by_field, pairs_by_noise } = sums;
     // squared = freedom b + left a², pairs = pairs_by_noise b + pairs_by_field a².
     let determinant = freedom * pairs_by_field - pairs_by_noise * left;
     let of_both = (freedom * pairs - pairs_by_noise * squared) / determinant;
@@ -146,6 +125,66 @@ pub fn model_error(pose: &Pose<Camera, Body>, width_px: f64, residuals: &TileRes
     let by_field = covariance_of_inverse(pose, field.of_pose());
     let error = ModelError { by_field, by_pairs_px2, at_least_px2, at_most_px2: of_field_alone, noise };
     (left > 0.0 && by_pairs_px2.is_finite() && error.covariance().iter().all(|v| v.is_finite())).then_some(error)
+}
+
+/// What is left of squares and of products of neighbours.
+#[derive(Debug, Default)]
+struct PairSums {
+    /// What a field of one pixel leaves of the squares.
+    left: f64,
+    /// What is left of the products of neighbours.
+    pairs: f64,
+    /// What a field of one pixel leaves of them.
+    pairs_by_field: f64,
+    /// What the noise leaves of them: the pose takes it from all.
+    pairs_by_noise: f64,
+}
+
+multiversion! {
+    /// Sums over all tiles and all pairs of neighbours. `change`: the pose's by what is left; `normal_inverse`: of the pose's equations; `width_px`: of what may be off.
+    fn sum_pairs(
+        tiles: &[TileResidual],
+        field: &SmoothField,
+        change: &Vector6<f64>,
+        normal_inverse: &Matrix6<f64>,
+        width_px: f64,
+        sums: &mut PairSums
+    ); ["avx2"] => sum_pairs_wide, else sum_pairs_wide
+}
+
+#[inline(always)]
+fn sum_pairs_wide(
+    tiles: &[TileResidual],
+    field: &SmoothField,
+    change: &Vector6<f64>,
+    normal_inverse: &Matrix6<f64>,
+    width_px: f64,
+    sums: &mut PairSums,
+) {
+    let per_squared_length = -0.5 / (CORRELATION_LENGTH * width_px).powi(2);
+    let farthest = LEAST_PAIR.ln() / (per_squared_length * f64::from(PAIR_POWER));
+    let beside_px2 = (TOUCHING * width_px).powi(2)..farthest;
+    let mut both = Matrix6::zeros();
+    for (k, tile) in tiles.iter().enumerate() {
+        let mut beside = Neighbours::default();
+        for other in tiles {
+            let squared_length = (other.place_px - tile.place_px).norm_squared();
+            if beside_px2.contains(&squared_length) {
+                let alike = (squared_length * per_squared_length).exp();
+                beside.add(other, alike.powi(PAIR_POWER), alike, change);
+            }
+        }
+        let together = field.pose_with_shift(k);
+        // A tile's own square, less what the pose takes of it.
+        let taken: Matrix2x6<f64> = tile.information * tile.by_pose;
+        sums.left += tile.information.trace() - (taken * together).trace();
+        let by_pose: Matrix2x6<f64> = tile.information * beside.by_pose;
+        sums.pairs += tile.left_by_pose(change).dot(&(tile.information * beside.shift));
+        sums.pairs_by_noise -= (by_pose * normal_inverse * tile.by_pose.transpose()).trace();
+        sums.pairs_by_field += (tile.information * beside.alike).trace() - 2.0 * (by_pose * together).trace();
+        both += tile.by_pose.transpose() * by_pose;
+    }
+    sums.pairs_by_field += (both * field.of_pose()).trace();
 }
 
 /// Sums over the tiles beside one, weighted by how near they are.
@@ -302,8 +341,8 @@ mod tests {
         assert_eq!(take(-3.0, -1.0), 0.0);
         assert!((take(5.0, -1.0) - 1.0).abs() < 1e-12);
         assert_eq!(take(1.0, 4.0), 4.0);
-        // It follows what stays.
-        let last = (0..100).map(|_| take(2.0, -1.0)).last();
+        // It follows what stays, within five times its memory.
+        let last = (0..5 * MEMORY_FRAMES as usize).map(|_| take(2.0, -1.0)).last();
         assert!(last.is_some_and(|last| (last - 2.0).abs() < 0.01), "{last:?}");
     }
 

@@ -7,6 +7,7 @@
 use nalgebra::{Cholesky, Const, Matrix6, Matrix6x2};
 
 use super::tile_residuals::TileResidual;
+use crate::simd::multiversion;
 
 /// The covariance that a field of one pixel, root mean square, gives a pose, and the pose's with the field; keeps its buffers.
 #[derive(Debug, Default)]
@@ -36,14 +37,9 @@ impl SmoothField {
         tiles.clear();
         for residual in residuals {
             let pose_by_shift = normal.solve(&(residual.by_pose.transpose() * residual.information));
-            // A tile with itself is as alike as can be; with each other one once, for both.
-            let mut pose_with_shift = pose_by_shift;
-            for (other, seen) in tiles.iter_mut().zip(residuals) {
-                let alike = ((seen.place_px - residual.place_px).norm_squared() * per_squared_length).exp();
-                pose_with_shift += other.pose_by_shift * alike;
-                other.pose_with_shift += pose_by_shift * alike;
-            }
-            tiles.push(TileInField { pose_by_shift, pose_with_shift });
+            let mut tile = TileInField { pose_by_shift, pose_with_shift: pose_by_shift };
+            add_pairs(&mut tile, residual, tiles, residuals, per_squared_length);
+            tiles.push(tile);
         }
         *of_pose = tiles.iter().map(|tile| tile.pose_with_shift * tile.pose_by_shift.transpose()).sum();
     }
@@ -56,6 +52,32 @@ impl SmoothField {
     /// Covariance of the pose with the field's shift at a tile, per squared pixel.
     pub fn pose_with_shift(&self, tile: usize) -> &Matrix6x2<f64> {
         &self.tiles[tile].pose_with_shift
+    }
+}
+
+multiversion! {
+    /// Adds what a tile's shift and those of the tiles before it have in common, to both. A tile with itself is as alike as can be.
+    fn add_pairs(
+        tile: &mut TileInField,
+        residual: &TileResidual,
+        before: &mut [TileInField],
+        residuals: &[TileResidual],
+        per_squared_length: f64
+    ); ["avx2"] => add_pairs_wide, else add_pairs_wide
+}
+
+#[inline(always)]
+fn add_pairs_wide(
+    tile: &mut TileInField,
+    residual: &TileResidual,
+    before: &mut [TileInField],
+    residuals: &[TileResidual],
+    per_squared_length: f64,
+) {
+    for (other, seen) in before.iter_mut().zip(residuals) {
+        let alike = ((seen.place_px - residual.place_px).norm_squared() * per_squared_length).exp();
+        tile.pose_with_shift += other.pose_by_shift * alike;
+        other.pose_with_shift += tile.pose_by_shift * alike;
     }
 }
 
