@@ -123,33 +123,22 @@ type NearestQuery = (f32, u32);
 fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[Keypoint], goes_on: &dyn Fn() -> bool) -> Option<Compared> {
     let squares = squares_of(targets, length);
     let turn = |(turn, queries): (usize, &[f32])| {
-        let own = squares_of(queries, length);
-        let mut back: Vec<NearestQuery> = vec![(f32::INFINITY, 0); squares.len()];
-        let mut nearest = vec![Nearest::default(); own.len()];
-        let mut bars = vec![f32::INFINITY; own.len()];
+        let mut asked = Queries::new(queries, length);
+        let count = asked.own.len();
+        let mut back: Vec<NearestQuery> = Vec::with_capacity(squares.len());
         // The product is fast where neither of its sides is to be transposed.
-        let rows = DMatrixView::from_slice(queries, length, own.len()).transpose();
-        let mut products = vec![0.0; own.len() * TARGETS.min(squares.len())];
-        for (block, targets) in targets.chunks(TARGETS * length).enumerate() {
-            let count = targets.len() / length;
-            let columns = DMatrixView::from_slice(targets, length, count);
-            DMatrixViewMut::from_slice(&mut products, own.len(), count).gemm(1.0, &rows, &columns, 0.0);
-            for (k, products) in (block * TARGETS..).zip(products.chunks_exact(own.len()).take(count)) {
-                // Squared distances, each less the square that is the same for all that are compared.
-                let (is_any_below, least) = scan(products, squares[k], &bars, &own);
-                if is_any_below {
-                    for ((nearest, bar), product) in nearest.iter_mut().zip(&mut bars).zip(products) {
-                        nearest.offer(k, squares[k] - 2.0 * product, |a, b| same_place(&places[a], &places[b], SAME_PLACE));
-                        *bar = nearest.bar();
-                    }
-                }
-                if least < f32::INFINITY {
-                    let query = own.iter().zip(products).position(|(own, product)| own - 2.0 * product == least).unwrap_or(0);
-                    back[k] = (least, (turn * A_TURN + query) as u32);
-                }
+        let rows = DMatrixView::from_slice(queries, length, count).transpose();
+        let mut products = vec![0.0; count * TARGETS.min(squares.len())];
+        for targets in targets.chunks(TARGETS * length) {
+            let columns = DMatrixView::from_slice(targets, length, targets.len() / length);
+            DMatrixViewMut::from_slice(&mut products, count, columns.ncols()).gemm(1.0, &rows, &columns, 0.0);
+            for products in products.chunks_exact(count).take(columns.ncols()) {
+                let k = back.len();
+                let (least, query) = asked.take(k, squares[k], products, places);
+                back.push((least, (turn * A_TURN + query) as u32));
             }
         }
-        let answers = queries.chunks_exact(length).zip(nearest);
+        let answers = queries.chunks_exact(length).zip(asked.nearest);
         (answers.map(|(query, nearest)| found(query, targets, places, nearest)).collect(), back)
     };
     let mut back = vec![(f32::INFINITY, 0); squares.len()];
@@ -171,6 +160,38 @@ fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[K
 
 fn squares_of(vectors: &[f32], length: usize) -> Vec<f32> {
     vectors.chunks_exact(length).map(|vector| vector.iter().map(|v| v * v).sum()).collect()
+}
+
+/// The queries of a turn, and what is known of them.
+struct Queries {
+    /// Their squares.
+    own: Vec<f32>,
+    nearest: Vec<Nearest<f32>>,
+    /// What each one's nearest takes: beside each other, as they are all asked for each target.
+    bars: Vec<f32>,
+}
+
+impl Queries {
+    fn new(queries: &[f32], length: usize) -> Self {
+        let own = squares_of(queries, length);
+        Self { nearest: vec![Nearest::default(); own.len()], bars: vec![f32::INFINITY; own.len()], own }
+    }
+
+    /// Takes target `k`, by its square and its products with all queries. The query that is nearest to it, with the distance's part that depends on the query:
+    /// the largest number where no product is a number.
+    fn take(&mut self, k: usize, square: f32, products: &[f32], places: &[Keypoint]) -> (f32, usize) {
+        let Self { own, nearest, bars } = self;
+        // Squared distances, each less the square that is the same for all that are compared.
+        let (is_any_below, least) = scan(products, square, bars, own);
+        if is_any_below {
+            for ((nearest, bar), product) in nearest.iter_mut().zip(bars).zip(products) {
+                nearest.offer(k, square - 2.0 * product, |a, b| same_place(&places[a], &places[b], SAME_PLACE));
+                *bar = nearest.bar();
+            }
+        }
+        let query = own.iter().zip(products).position(|(own, product)| own - 2.0 * product == least);
+        (least, query.unwrap_or(0))
+    }
 }
 
 /// The answer for one query, whose rival is looked up again where it may have been missed.
@@ -232,14 +253,14 @@ fn nearest_bits(queries: &[Descriptor], targets: &[Descriptor], places: Option<&
 multiversion! {
     /// Of one target's products with many queries: whether any squared distance, less the query's own square, is below the query's bar; and the least of
     /// them, less the target's `square`.
-    fn scan(products: &[f32], square: f32, bars: &[f32], own: &[f32]) -> (bool, f32); ["avx2"] => scan_wide, else scan_wide
+    fn scan(products: &[f32], square: f32, bars: &[f32], own: &[f32]) -> (bool, f32); ["avx2"] => scan_lanes, else scan_lanes
 }
 
 /// Numbers that are looked at side by side: the lanes of two registers.
 const LANES: usize = 16;
 
 #[inline(always)]
-fn scan_wide(products: &[f32], square: f32, bars: &[f32], own: &[f32]) -> (bool, f32) {
+fn scan_lanes(products: &[f32], square: f32, bars: &[f32], own: &[f32]) -> (bool, f32) {
     let mut below = [false; LANES];
     let mut least = [f32::INFINITY; LANES];
     for ((products, bars), own) in products.chunks(LANES).zip(bars.chunks(LANES)).zip(own.chunks(LANES)) {
@@ -325,7 +346,9 @@ mod tests {
     /// More than a turn takes, and more than are multiplied at once.
     #[test]
     fn many_are_compared_as_few_are() {
-        same(&vectors(A_TURN + 37, 24, 1), &vectors(2 * TARGETS + 1, 24, 2));
+        for length in [3, 8, 64, 129] {
+            same(&vectors(A_TURN + 37, length, 1), &vectors(2 * TARGETS + 1, length, 2));
+        }
     }
 
     #[test]
