@@ -110,8 +110,7 @@ pub fn model_error(pose: &Pose<Camera, Body>, width_px: f64, residuals: &TileRes
     }
     let normal_inverse = factor.inverse();
     field.work_out(residuals.tiles(), &factor, CORRELATION_LENGTH * width_px);
-    let mut sums = PairSums::default();
-    sum_pairs(residuals.tiles(), field, &change, &normal_inverse, width_px, &mut sums);
+    let sums = sum_pairs(residuals.tiles(), field, &change, &normal_inverse, width_px);
     let PairSums { left, pairs, pairs_by_field, pairs_by_noise } = sums;
     // squared = freedom b + left a², pairs = pairs_by_noise b + pairs_by_field a².
     let determinant = freedom * pairs_by_field - pairs_by_noise * left;
@@ -147,24 +146,22 @@ multiversion! {
         field: &SmoothField,
         change: &Vector6<f64>,
         normal_inverse: &Matrix6<f64>,
-        width_px: f64,
-        sums: &mut PairSums
-    ); ["avx2"] => sum_pairs_wide, else sum_pairs_wide
+        width_px: f64
+    ) -> PairSums; ["avx2"] => sum_pairs_plain, else sum_pairs_plain
 }
 
 #[inline(always)]
-fn sum_pairs_wide(
+fn sum_pairs_plain(
     tiles: &[TileResidual],
     field: &SmoothField,
     change: &Vector6<f64>,
     normal_inverse: &Matrix6<f64>,
     width_px: f64,
-    sums: &mut PairSums,
-) {
+) -> PairSums {
     let per_squared_length = -0.5 / (CORRELATION_LENGTH * width_px).powi(2);
     let farthest = LEAST_PAIR.ln() / (per_squared_length * f64::from(PAIR_POWER));
     let beside_px2 = (TOUCHING * width_px).powi(2)..farthest;
-    let mut both = Matrix6::zeros();
+    let (mut sums, mut both) = (PairSums::default(), Matrix6::zeros());
     for (k, tile) in tiles.iter().enumerate() {
         let mut beside = Neighbours::default();
         for other in tiles {
@@ -185,6 +182,7 @@ fn sum_pairs_wide(
         both += tile.by_pose.transpose() * by_pose;
     }
     sums.pairs_by_field += (both * field.of_pose()).trace();
+    sums
 }
 
 /// Sums over the tiles beside one, weighted by how near they are.

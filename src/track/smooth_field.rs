@@ -63,11 +63,11 @@ multiversion! {
         before: &mut [TileInField],
         residuals: &[TileResidual],
         per_squared_length: f64
-    ); ["avx2"] => add_pairs_wide, else add_pairs_wide
+    ); ["avx2"] => add_pairs_plain, else add_pairs_plain
 }
 
 #[inline(always)]
-fn add_pairs_wide(
+fn add_pairs_plain(
     tile: &mut TileInField,
     residual: &TileResidual,
     before: &mut [TileInField],
