@@ -4,7 +4,7 @@ import { readFileSync, writeFileSync } from "node:fs";
 import { networkInterfaces } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
-import { looksWell, pageOf, until } from "./browser.mjs";
+import { SIZES, looksWell, pageOf, until } from "./browser.mjs";
 import { code, played, prepareShow } from "./daemon.mjs";
 
 /** An address of this machine that is not loopback: who comes by it is a stranger. */
@@ -53,6 +53,34 @@ test("the show lock is put on by a press, keeps everything as it is, and is rele
   await page.keyboard.up("Space");
   assert.equal(await isLocked(), false);
   assert.deepEqual(complaints, []);
+  await close();
+});
+
+test("the lock stays where it is, whatever the state and whatever is refused", async () => {
+  const { page, close } = await opened();
+  await lock(page).click();
+  await lock(page).filter({ hasText: "Locked" }).waitFor();
+  for (const [width, height] of SIZES) {
+    await page.setViewportSize({ width, height });
+    const place = await lock(page).boundingBox();
+    await page.keyboard.press("r");
+    await page.locator("header .refused", { hasText: "The show lock is on" }).waitFor();
+    // Between two frames, so that no true state comes between.
+    const places = await page.evaluate(async () => {
+      const { WORDS } = await import("/ui.js");
+      const word = document.querySelector("header .state b");
+      const told = word.textContent;
+      const found = Object.entries(WORDS).map(([state, shown]) => {
+        word.textContent = shown;
+        const { x, y } = document.querySelector("button.lock").getBoundingClientRect();
+        return { state, x, y };
+      });
+      word.textContent = told;
+      return found;
+    });
+    assert.deepEqual(places, places.map(({ state }) => ({ state, x: place.x, y: place.y })), `at ${width}`);
+  }
+  await fetch(`${on.place.address}api/v1/unlock`, { method: "POST" });
   await close();
 });
 

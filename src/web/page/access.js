@@ -19,8 +19,8 @@ const LONGEST_NAME = 60;
 export const session = signal(/** @type {Session | null} */ (null));
 /** Whether the box for the code is open. */
 const isPairing = signal(false);
-/** What went wrong with the lock. */
-const refused = signal("");
+/** Why the lock was not turned, as a sentence. */
+export const unturned = signal("");
 
 /** Why nothing can be changed just now; null where it can. */
 export const barred = computed(() => {
@@ -56,11 +56,11 @@ export function watchAccess() {
 
 /** @param {"lock" | "unlock"} which */
 async function turn(which) {
-  refused.value = "";
+  unturned.value = "";
   try {
     await post(which);
   } catch (why) {
-    refused.value = reason(why);
+    unturned.value = reason(why);
   }
   await look();
 }
@@ -101,8 +101,7 @@ export function Lock() {
       onClick=${() => !locked && !began.current && turn("lock")}
     >
       ${locked ? (isHeld ? "Hold …" : "Locked") : "Lock"}
-    </button>
-    ${refused.value ? html`<span class="refused" role="alert">${refused.value}</span>` : null}`;
+    </button>`;
 }
 
 /** Says why the controls below do nothing, with the way out. */

@@ -2,7 +2,7 @@
 import { render } from "./vendor/preact.js";
 // Signals take part in rendering as soon as they are loaded.
 import { effect, signal } from "./vendor/signals.js";
-import { ConfigFault, Lock, Pairing, barred, watchAccess } from "./access.js";
+import { ConfigFault, Lock, Pairing, barred, unturned, watchAccess } from "./access.js";
 import { post, reason } from "./ask.js";
 import { frozen, listen, toggleFrozen } from "./daemon.js";
 import { listenToEvents } from "./events.js";
@@ -32,9 +32,11 @@ effect(() => {
 /** Why a mark made by key was not made, for as long as a sentence is read. */
 const unmarked = signal("");
 const READ_WITHIN = 8000;
+let untilRead = 0;
 async function mark() {
   unmarked.value = barred.value ?? (await post("recordings/mark", { text: "" }).then(() => "", reason));
-  setTimeout(() => (unmarked.value = ""), READ_WITHIN);
+  clearTimeout(untilRead);
+  untilRead = setTimeout(() => (unmarked.value = ""), READ_WITHIN);
 }
 
 /** What single keys do. */
@@ -62,7 +64,6 @@ function Bar() {
       ${PAGES.map(({ name, title }) => html`<a key=${name} href=${`#${name}`} aria-current=${shown.value === name ? "page" : null}>${title}</a>`)}
     </nav>
     <${State} />
-    ${unmarked.value ? html`<span class="refused" role="alert">${unmarked.value}</span>` : null}
     <div class="switches">
       <${Lock} />
       ${shown.value === "live" || shown.value === "set" ? html`<${Switch} on=${frozen.value} act=${toggleFrozen}>Freeze<//>` : null}
@@ -79,6 +80,7 @@ function Bar() {
         )}
       </fieldset>
     </div>
+    ${[unturned.value, unmarked.value].filter(Boolean).map((why) => html`<p key=${why} class="refused" role="alert">${why}</p>`)}
   </header>`;
 }
 
