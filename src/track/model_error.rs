@@ -95,12 +95,32 @@ impl FieldSize {
     }
 }
 
-/// What the model's error does to a pose; `None` where it fits within the noise. `width_px`: of what may be off, in the frame; `field`: a buffer.
+/// What the model's error of one body is worked out in; keeps its buffers.
+#[derive(Debug, Default)]
+pub struct ModelErrorBuffers {
+    field: SmoothField,
+    paired: Vec<PairedTile>,
+}
+
+impl ModelErrorBuffers {
+    /// Buffers that hold this many tiles without growing.
+    pub fn with_capacity(tiles: usize) -> Self {
+        Self { field: SmoothField::with_capacity(tiles), paired: Vec::with_capacity(tiles) }
+    }
+}
+
+/// What the model's error does to a pose; `None` where it fits within the noise. `width_px`: of what may be off, in the frame.
 ///
 /// What is left has two sources: a field of one size a², and noise of b times the variance that was expected, as webcams have that sharpen and smooth
 /// their pictures. The sum of the squares is what both leave; of products of neighbours a field leaves nearly as much, noise next to nothing. These are two linear
 /// equations for a² and b; but b has a bound. The noise is in the pose's covariance already, by the scatter of the tiles: the field alone is to be added.
-pub fn model_error(pose: &Pose<Camera, Body>, width_px: f64, residuals: &TileResiduals, field: &mut SmoothField) -> Option<ModelError> {
+pub fn model_error(
+    pose: &Pose<Camera, Body>,
+    width_px: f64,
+    residuals: &TileResiduals,
+    buffers: &mut ModelErrorBuffers,
+) -> Option<ModelError> {
+    let ModelErrorBuffers { field, paired } = buffers;
     let freedom = 2.0 * residuals.weight() - 6.0;
     let factor = residuals.normal().cholesky()?;
     let change = factor.solve(&residuals.right_side());
@@ -110,8 +130,10 @@ pub fn model_error(pose: &Pose<Camera, Body>, width_px: f64, residuals: &TileRes
     }
     let normal_inverse = factor.inverse();
     field.work_out(residuals.tiles(), &factor, CORRELATION_LENGTH * width_px);
-    let sums = sum_pairs(residuals.tiles(), field, &change, &normal_inverse, width_px);
-    let PairSums { left, pairs, pairs_by_field, pairs_by_noise } = sums;
+    paired.clear();
+    paired.extend(residuals.tiles().iter().map(|tile| PairedTile::alone(tile, &change)));
+    add_neighbours(paired, width_px);
+    let PairSums { left, pairs, pairs_by_field, pairs_by_noise } = sum_pairs(residuals.tiles(), paired, field, &change, &normal_inverse);
     // squared = freedom b + left a², pairs = pairs_by_noise b + pairs_by_field a².
     let determinant = freedom * pairs_by_field - pairs_by_noise * left;
     let of_both = (freedom * pairs - pairs_by_noise * squared) / determinant;
@@ -139,69 +161,91 @@ struct PairSums {
     pairs_by_noise: f64,
 }
 
-multiversion! {
-    /// Sums over all tiles and all pairs of neighbours. `change`: the pose's by what is left; `normal_inverse`: of the pose's equations; `width_px`: of what may be off.
-    fn sum_pairs(
-        tiles: &[TileResidual],
-        field: &SmoothField,
-        change: &Vector6<f64>,
-        normal_inverse: &Matrix6<f64>,
-        width_px: f64
-    ) -> PairSums; ["avx2"] => sum_pairs_plain, else sum_pairs_plain
-}
-
-#[inline(always)]
-fn sum_pairs_plain(
+/// Sums over all tiles and all pairs of neighbours. `change`: the pose's by what is left; `normal_inverse`: of the pose's equations.
+fn sum_pairs(
     tiles: &[TileResidual],
+    paired: &[PairedTile],
     field: &SmoothField,
     change: &Vector6<f64>,
     normal_inverse: &Matrix6<f64>,
-    width_px: f64,
 ) -> PairSums {
-    let per_squared_length = -0.5 / (CORRELATION_LENGTH * width_px).powi(2);
-    let farthest = LEAST_PAIR.ln() / (per_squared_length * f64::from(PAIR_POWER));
-    let beside_px2 = (TOUCHING * width_px).powi(2)..farthest;
     let (mut sums, mut both) = (PairSums::default(), Matrix6::zeros());
-    for (k, tile) in tiles.iter().enumerate() {
-        let mut beside = Neighbours::default();
-        for other in tiles {
-            let squared_length = (other.place_px - tile.place_px).norm_squared();
-            if beside_px2.contains(&squared_length) {
-                let alike = (squared_length * per_squared_length).exp();
-                beside.add(other, alike.powi(PAIR_POWER), alike, change);
-            }
-        }
+    for (k, (tile, PairedTile { own, beside, .. })) in tiles.iter().zip(paired).enumerate() {
         let together = field.pose_with_shift(k);
         // A tile's own square, less what the pose takes of it.
-        let taken: Matrix2x6<f64> = tile.information * tile.by_pose;
-        sums.left += tile.information.trace() - (taken * together).trace();
+        sums.left += own.information.trace() - (own.by_pose * together).trace();
         let by_pose: Matrix2x6<f64> = tile.information * beside.by_pose;
         sums.pairs += tile.left_by_pose(change).dot(&(tile.information * beside.shift));
         sums.pairs_by_noise -= (by_pose * normal_inverse * tile.by_pose.transpose()).trace();
-        sums.pairs_by_field += (tile.information * beside.alike).trace() - 2.0 * (by_pose * together).trace();
+        sums.pairs_by_field += (tile.information * beside.information).trace() - 2.0 * (by_pose * together).trace();
         both += tile.by_pose.transpose() * by_pose;
     }
     sums.pairs_by_field += (both * field.of_pose()).trace();
     sums
 }
 
-/// Sums over the tiles beside one, weighted by how near they are.
-#[derive(Default)]
-struct Neighbours {
+/// A tile, and the sums over those beside it, weighted by how near they are.
+#[derive(Debug)]
+struct PairedTile {
+    place_px: Vector2<f64>,
+    own: Weighted,
+    beside: Weighted,
+}
+
+/// What is summed of tiles.
+#[derive(Debug, Default)]
+struct Weighted {
     /// Information times what the pose leaves of the shift.
     shift: Vector2<f64>,
     /// Information times derivative by the pose.
     by_pose: Matrix2x6<f64>,
-    /// Information, weighted by how alike a field is there.
-    alike: Matrix2<f64>,
+    /// Information; in sums weighted by how alike a field is there, too.
+    information: Matrix2<f64>,
 }
 
-impl Neighbours {
-    fn add(&mut self, other: &TileResidual, weight: f64, alike: f64, change: &Vector6<f64>) {
-        let information = other.information * weight;
-        self.shift += information * other.left_by_pose(change);
-        self.by_pose += information * other.by_pose;
-        self.alike += information * alike;
+impl PairedTile {
+    /// A tile without neighbours, of which the pose takes `change`.
+    fn alone(tile: &TileResidual, change: &Vector6<f64>) -> Self {
+        let own = Weighted {
+            shift: tile.information * tile.left_by_pose(change),
+            by_pose: tile.information * tile.by_pose,
+            information: tile.information,
+        };
+        Self { place_px: tile.place_px, own, beside: Weighted::default() }
+    }
+}
+
+impl Weighted {
+    #[inline(always)]
+    fn add(&mut self, other: &Self, weight: f64, alike: f64) {
+        self.shift += other.shift * weight;
+        self.by_pose += other.by_pose * weight;
+        self.information += other.information * (weight * alike);
+    }
+}
+
+multiversion! {
+    /// Adds each of two tiles that are neighbours to the other's sums. `width_px`: of what may be off.
+    fn add_neighbours(paired: &mut [PairedTile], width_px: f64); ["avx2"] => add_neighbours_plain, else add_neighbours_plain
+}
+
+#[inline(always)]
+fn add_neighbours_plain(paired: &mut [PairedTile], width_px: f64) {
+    let per_squared_length = -0.5 / (CORRELATION_LENGTH * width_px).powi(2);
+    let farthest = LEAST_PAIR.ln() / (per_squared_length * f64::from(PAIR_POWER));
+    let beside_px2 = (TOUCHING * width_px).powi(2)..farthest;
+    for k in 1..paired.len() {
+        let (before, rest) = paired.split_at_mut(k);
+        let tile = &mut rest[0];
+        for other in before {
+            let squared_length = (other.place_px - tile.place_px).norm_squared();
+            if beside_px2.contains(&squared_length) {
+                let alike = (squared_length * per_squared_length).exp();
+                let weight = alike.powi(PAIR_POWER);
+                tile.beside.add(&other.own, weight, alike);
+                other.beside.add(&tile.own, weight, alike);
+            }
+        }
     }
 }
 
@@ -300,7 +344,7 @@ mod tests {
             let mut residuals = TileResiduals::default();
             residuals.take(&found.pose, &camera, &anchors).expect("tiles enough");
             let by_noise = covariance_of_inverse(&found.pose, &found.normal.try_inverse().expect("positive definite"));
-            let error = model_error(&found.pose, f64::from(WIDTH), &residuals, &mut SmoothField::default());
+            let error = model_error(&found.pose, f64::from(WIDTH), &residuals, &mut ModelErrorBuffers::default());
             let (covariance, noise) = error.map_or((Matrix6::zeros(), 1.0), |e| (e.covariance(), e.noise));
             let (truth, found) = (pose.inverse(), found.pose.inverse());
             let (moved, turned) = (truth.translation - found.translation, (truth.rotation * found.rotation.inverse()).scaled_axis());
@@ -390,7 +434,7 @@ mod tests {
         residuals.take(&found.pose, &camera, &anchors).expect("tiles enough");
         assert!(residuals.extent_px() < 100.0, "{}", residuals.extent_px());
         let turn = |width_px: f64| {
-            let error = model_error(&found.pose, width_px, &residuals, &mut SmoothField::default()).expect("more than noise");
+            let error = model_error(&found.pose, width_px, &residuals, &mut ModelErrorBuffers::default()).expect("more than noise");
             error.at_most().fixed_view::<3, 3>(3, 3).trace().sqrt()
         };
         let (of_object, of_picture) = (turn(residuals.extent_px()), turn(f64::from(WIDTH)));

@@ -3,45 +3,55 @@
 //! The field is a Gaussian process: the shifts of two tiles correlate by exp(-d² / 2 l²), with their distance d and the field's correlation length l. The pose
 //! is a weighted sum of the tiles' shifts, so that its covariance is a sum over all pairs of tiles. Tiles cannot be merged into
 //! cells to save time: a stage that is seen small has nearly the same shift everywhere, and only the small differences between tiles show in the residuals.
+//!
+//! But the correlation is a sum of products: exp(-d² / 2 l²) = exp(-x² / 2) exp(-y² / 2) exp(x·y), with the places x and y in units of l, and
+//! exp(x·y) is the sum of all x₁ⁱ x₂ʲ y₁ⁱ y₂ʲ / (i! j!). So each tile has some numbers, its features, whose products are the correlations (the fast Gauss
+//! transform: Greengard and Strain 1991), and sums over all pairs become sums over all tiles.
 
-use nalgebra::{Cholesky, Const, Matrix6, Matrix6x2};
+use nalgebra::{Cholesky, Const, Matrix6, Matrix6x2, Vector2};
 
 use super::tile_residuals::TileResidual;
 use crate::simd::multiversion;
 
+/// Largest error of a correlation by the powers that are left out. Chosen far below what a covariance needs: only differences of correlations show in the residuals. Lowered,
+/// frames cost more.
+const LARGEST_ERROR: f64 = 1e-10;
+/// Powers that are kept of the nearest tiles too: what is left of a field over a small stage is the fourth power of its size and less. Chosen, not tuned. Lowered, small
+/// stages seem to fit.
+const LEAST_ORDER: usize = 8;
+/// Most powers. Chosen: a picture twice as high as it is wide has 26. Raised, buffers grow.
+const MOST_ORDER: usize = 32;
+
 /// The covariance that a field of one pixel, root mean square, gives a pose, and the pose's with the field; keeps its buffers.
 #[derive(Debug, Default)]
 pub struct SmoothField {
-    tiles: Vec<TileInField>,
+    pose_with_shift: Vec<Matrix6x2<f64>>,
+    /// By feature: its sum over all tiles, each times how the pose changes with the tile's shift.
+    pose_by_feature: Vec<Matrix6x2<f64>>,
     of_pose: Matrix6<f64>,
-}
-
-#[derive(Debug)]
-struct TileInField {
-    /// How the pose changes with its shift, per pixel.
-    pose_by_shift: Matrix6x2<f64>,
-    /// Covariance of the pose with the field's shift here, per squared pixel.
-    pose_with_shift: Matrix6x2<f64>,
 }
 
 impl SmoothField {
     /// Buffers that hold this many tiles without growing.
     pub fn with_capacity(tiles: usize) -> Self {
-        Self { tiles: Vec::with_capacity(tiles), of_pose: Matrix6::zeros() }
+        let pose_by_feature = Vec::with_capacity(MOST_ORDER * (MOST_ORDER + 1) / 2);
+        Self { pose_with_shift: Vec::with_capacity(tiles), pose_by_feature, of_pose: Matrix6::zeros() }
     }
 
     /// Works it out for the tiles that a pose was solved from. `normal`: the pose's normal equations; `length_px`: the field's correlation length.
     pub fn work_out(&mut self, residuals: &[TileResidual], normal: &Cholesky<f64, Const<6>>, length_px: f64) {
-        let Self { tiles, of_pose } = self;
-        let per_squared_length = -0.5 / length_px.powi(2);
-        tiles.clear();
+        let Self { pose_with_shift, pose_by_feature, of_pose } = self;
+        let expansion = Expansion::of(residuals, length_px);
+        pose_by_feature.clear();
+        pose_by_feature.resize(expansion.order * (expansion.order + 1) / 2, Matrix6x2::zeros());
         for residual in residuals {
             let pose_by_shift = normal.solve(&(residual.by_pose.transpose() * residual.information));
-            let mut tile = TileInField { pose_by_shift, pose_with_shift: pose_by_shift };
-            add_pairs(&mut tile, residual, tiles, residuals, per_squared_length);
-            tiles.push(tile);
+            add_features(pose_by_feature, &pose_by_shift, &expansion.powers(&residual.place_px), expansion.order);
         }
-        *of_pose = tiles.iter().map(|tile| tile.pose_with_shift * tile.pose_by_shift.transpose()).sum();
+        pose_with_shift.clear();
+        let with_shift = |r: &TileResidual| sum_of_features(pose_by_feature, &expansion.powers(&r.place_px), expansion.order);
+        pose_with_shift.extend(residuals.iter().map(with_shift));
+        *of_pose = pose_by_feature.iter().map(|by_feature| by_feature * by_feature.transpose()).sum();
     }
 
     /// Covariance of the pose, [δt, δθ] of `T_camera_body`, camera axes, per squared pixel.
@@ -51,39 +61,101 @@ impl SmoothField {
 
     /// Covariance of the pose with the field's shift at a tile, per squared pixel.
     pub fn pose_with_shift(&self, tile: usize) -> &Matrix6x2<f64> {
-        &self.tiles[tile].pose_with_shift
+        &self.pose_with_shift[tile]
+    }
+}
+
+/// The features of tiles: products of powers of their coordinates.
+struct Expansion {
+    centre_px: Vector2<f64>,
+    length_px: f64,
+    /// Powers of a coordinate, from 0 on; both coordinates' together are below it, too.
+    order: usize,
+    /// The root of 1 / n, for each power n.
+    scales: [f64; MOST_ORDER],
+}
+
+impl Expansion {
+    /// For tiles at these places: the farther they are apart, the more powers it has.
+    fn of(residuals: &[TileResidual], length_px: f64) -> Self {
+        let places = || residuals.iter().map(|r| r.place_px);
+        let least = places().reduce(|a, b| a.inf(&b)).unwrap_or_default();
+        let most = places().reduce(|a, b| a.sup(&b)).unwrap_or_default();
+        let centre_px = 0.5 * (least + most);
+        let reach = places().map(|p| (p - centre_px).norm_squared()).fold(0.0, f64::max) / length_px.powi(2);
+        // What the power n adds to a correlation is no more than exp(-reach) reachⁿ / n!.
+        let (mut order, mut left_out) = (0, (-reach).exp());
+        while order < LEAST_ORDER || (left_out > LARGEST_ERROR && order < MOST_ORDER) {
+            order += 1;
+            left_out *= reach / order as f64;
+        }
+        Self { centre_px, length_px, order, scales: std::array::from_fn(|n| (1.0 / n as f64).sqrt()) }
+    }
+
+    /// exp(-x² / 2) xⁿ / sqrt(n!) of both coordinates of a place, in units of the correlation length.
+    fn powers(&self, place_px: &Vector2<f64>) -> [[f64; MOST_ORDER]; 2] {
+        let place = (place_px - self.centre_px) / self.length_px;
+        [place.x, place.y].map(|x| {
+            let mut powers = [0.0; MOST_ORDER];
+            powers[0] = (-0.5 * x * x).exp();
+            for n in 1..self.order {
+                powers[n] = powers[n - 1] * x * self.scales[n];
+            }
+            powers
+        })
     }
 }
 
 multiversion! {
-    /// Adds what a tile's shift and those of the tiles before it have in common, to both. A tile with itself is as alike as can be.
-    fn add_pairs(
-        tile: &mut TileInField,
-        residual: &TileResidual,
-        before: &mut [TileInField],
-        residuals: &[TileResidual],
-        per_squared_length: f64
-    ); ["avx2"] => add_pairs_plain, else add_pairs_plain
+    /// Adds one tile to the sums by feature.
+    fn add_features(
+        sums: &mut [Matrix6x2<f64>],
+        pose_by_shift: &Matrix6x2<f64>,
+        powers: &[[f64; MOST_ORDER]; 2],
+        order: usize
+    ); ["avx2"] => add_features_plain, else add_features_plain
 }
 
 #[inline(always)]
-fn add_pairs_plain(
-    tile: &mut TileInField,
-    residual: &TileResidual,
-    before: &mut [TileInField],
-    residuals: &[TileResidual],
-    per_squared_length: f64,
-) {
-    for (other, seen) in before.iter_mut().zip(residuals) {
-        let alike = ((seen.place_px - residual.place_px).norm_squared() * per_squared_length).exp();
-        tile.pose_with_shift += other.pose_by_shift * alike;
-        other.pose_with_shift += tile.pose_by_shift * alike;
+fn add_features_plain(sums: &mut [Matrix6x2<f64>], pose_by_shift: &Matrix6x2<f64>, [across, down]: &[[f64; MOST_ORDER]; 2], order: usize) {
+    let mut rest = sums;
+    for (n, x) in across[..order].iter().enumerate() {
+        let (of_power, others) = rest.split_at_mut(order - n);
+        let by_power = pose_by_shift * *x;
+        for (sum, y) in of_power.iter_mut().zip(down) {
+            *sum += by_power * *y;
+        }
+        rest = others;
     }
+}
+
+multiversion! {
+    /// The sum over all features of what belongs to each.
+    fn sum_of_features(
+        by_feature: &[Matrix6x2<f64>],
+        powers: &[[f64; MOST_ORDER]; 2],
+        order: usize
+    ) -> Matrix6x2<f64>; ["avx2"] => sum_of_features_plain, else sum_of_features_plain
+}
+
+#[inline(always)]
+fn sum_of_features_plain(by_feature: &[Matrix6x2<f64>], [across, down]: &[[f64; MOST_ORDER]; 2], order: usize) -> Matrix6x2<f64> {
+    let (mut sum, mut rest) = (Matrix6x2::zeros(), by_feature);
+    for (n, x) in across[..order].iter().enumerate() {
+        let (of_power, others) = rest.split_at(order - n);
+        let mut by_power = Matrix6x2::zeros();
+        for (of_one, y) in of_power.iter().zip(down) {
+            by_power += of_one * *y;
+        }
+        sum += by_power * *x;
+        rest = others;
+    }
+    sum
 }
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{DMatrix, Vector2, Vector3};
+    use nalgebra::{DMatrix, Vector3};
 
     use super::super::synthetic::{cloth, facing, lens, prepared, seen_anchors};
     use super::super::tile_residuals::TileResiduals;

@@ -8,7 +8,7 @@ use super::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Pa
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
 use super::misfit::{Misfit, ModelNews, ModelReport};
-use super::model_error::{FieldSize, blended, model_error};
+use super::model_error::{FieldSize, ModelErrorBuffers, blended, model_error};
 use super::model_study::StudiedFrame;
 use super::model_watch::ModelWatch;
 use super::pixel_watch::{Displaced, Used};
@@ -16,7 +16,6 @@ use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surf
 use super::reason::Reason;
 use super::reference::PreparedBody;
 use super::row_motion::RowMotion;
-use super::smooth_field::SmoothField;
 use super::surface::BodySpec;
 use super::tile_residuals::TileResiduals;
 use super::track_state::TrackStateMachine;
@@ -104,7 +103,7 @@ pub struct TrackedBody {
     observations: Vec<Observation>,
     squares: Vec<f64>,
     residuals: TileResiduals,
-    field: SmoothField,
+    error_buffers: ModelErrorBuffers,
     field_size: FieldSize,
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit the model, of the last verified pose.
     model_error: Matrix6<f64>,
@@ -155,7 +154,7 @@ impl TrackedBody {
             observations: Vec::with_capacity(most),
             squares: Vec::with_capacity(most),
             residuals: TileResiduals::default(),
-            field: SmoothField::with_capacity(most),
+            error_buffers: ModelErrorBuffers::with_capacity(most),
             field_size: FieldSize::default(),
             model_error: Matrix6::zeros(),
             model_watch: ModelWatch::new(body.surfaces.len()),
@@ -392,12 +391,12 @@ impl TrackedBody {
         is_stage: bool,
     ) -> Option<ModelFit> {
         let t_camera_body = verified.pose.inverse();
-        let Self { residuals, anchors, found, body, field, field_size, model_error: own_error, .. } = self;
+        let Self { residuals, anchors, found, body, error_buffers, field_size, model_error: own_error, .. } = self;
         // Those that do not fit tell of a lens or a shape that is off, which is why they do not.
         let anchors = if found.is_empty() { anchors } else { found };
         residuals.take(&t_camera_body, camera, anchors)?;
         let field_px = if is_stage { f64::from(camera.width()) } else { residuals.extent_px() };
-        let error = model_error(&t_camera_body, field_px, residuals, field);
+        let error = model_error(&t_camera_body, field_px, residuals, error_buffers);
         // An object that shows few tiles cannot tell the one from the other: all of it counts as a field.
         let tells = is_stage || residuals.weight() > TELLING_TILES;
         let of_frame = error.map_or(Matrix6::zeros(), |e| if tells { field_size.take(&e) } else { e.at_most() });
@@ -436,11 +435,11 @@ impl TrackedBody {
     /// Lets the frame of a verified pose say what of the model it speaks against, and tells a part that frames have spoken against for a while.
     pub fn study(&mut self, pose: &Pose<Body, Camera>, view: &View, buffers: &mut VerifyBuffers) -> Option<ModelNews> {
         let t_camera_body = pose.inverse();
-        let Self { anchors, found, body, studied, residuals, study_residuals, model_watch, field, aligner, .. } = self;
+        let Self { anchors, found, body, studied, residuals, study_residuals, model_watch, error_buffers, aligner, .. } = self;
         let aligned = if found.is_empty() { anchors } else { found };
         search_silent(body, &t_camera_body, view, aligned, buffers);
         if model_watch.is_thorough() {
-            let doubt_m2 = model_error(&t_camera_body, f64::from(view.camera.width()), residuals, field);
+            let doubt_m2 = model_error(&t_camera_body, f64::from(view.camera.width()), residuals, error_buffers);
             let doubt_m2 = doubt_m2.map_or(0.0, |error| error.covariance().fixed_view::<3, 3>(0, 0).trace());
             model_watch.doubt(pose, doubt_m2, aligner.distance_m(pose));
         }
