@@ -58,9 +58,10 @@ impl GradientAgreement {
     }
 
     fn add(&mut self, seen: Vector2<f64>, expected: Vector2<f64>) {
-        self.expected += expected * expected.transpose();
-        self.both += seen * expected.transpose();
-        self.seen += seen * seen.transpose();
+        let product = |a: Vector2<f64>, b: Vector2<f64>| Matrix2::new(a.x * b.x, a.x * b.y, a.y * b.x, a.y * b.y);
+        self.expected += product(expected, expected);
+        self.both += product(seen, expected);
+        self.seen += product(seen, seen);
         self.count += 1.0;
     }
 

@@ -36,9 +36,10 @@ impl Level {
     }
 
     /// The gradient at the pixel of this place in [`sums`](Self::sums), across and down, by central differences, in sums per pixel; `None` on the border.
+    #[inline]
     pub fn gradient(&self, index: usize) -> Option<Vector2<f64>> {
-        let (u, v) = (index % self.width, index / self.width);
-        let is_inside = (1..self.width.saturating_sub(1)).contains(&u) && (1..self.height.saturating_sub(1)).contains(&v);
+        let u = index % self.width;
+        let is_inside = u > 0 && u + 1 < self.width && index > self.width && index + self.width < self.sums.len();
         let sum = |index: usize| f64::from(self.sums[index]);
         is_inside.then(|| Vector2::new(sum(index + 1) - sum(index - 1), sum(index + self.width) - sum(index - self.width)) * 0.5)
     }
