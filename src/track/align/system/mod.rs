@@ -6,12 +6,14 @@
 
 use nalgebra::SVector;
 
+use self::banded_cholesky::{Band, back_substitute, factor};
 use super::columns::{BIAS, COLUMNS, GAINS, LIGHT, POSE, POSE_ENTRIES, PSF_VARIANCE, entry};
 use super::light::Light;
 use super::rows::RowSums;
 use super::tile_equations::{TileEquations, TileScore, TileStep};
 use crate::motion::{MotionError, MotionMatrix};
 
+mod banded_cholesky;
 pub mod schur_complement;
 
 /// Degrees of freedom of a motion: position and rotation, with velocity and acceleration.
@@ -162,9 +164,15 @@ impl System {
         (self.nodes, self.rows) = (columns * rows, rows);
         self.size = self.nodes + DENSE;
         let n = self.size;
-        for (list, length) in [(&mut self.matrix, n * n), (&mut self.right, n), (&mut self.solution, n), (&mut self.score, n)] {
+        // Of the matrix only what the factor reads: it is far larger than its band.
+        self.matrix.resize(n * n, 0.0);
+        for row in 0..n {
+            let first = self.band().first(row);
+            self.matrix[row * n + first..=row * n + row].fill(0.0);
+        }
+        for list in [&mut self.right, &mut self.solution, &mut self.score] {
             list.clear();
-            list.resize(length, 0.0);
+            list.resize(n, 0.0);
         }
         self.pose.by_pose = [[0.0; POSE_ENTRIES]; 6];
         self.pose.right = [[0.0; POSE]; POWERS];
@@ -296,37 +304,15 @@ impl System {
         }
     }
 
-    /// First column of the factor's row that may differ from zero.
-    fn first(&self, row: usize) -> usize {
-        if row < self.nodes { row.saturating_sub(self.rows + 1) } else { 0 }
+    fn band(&self) -> Band {
+        Band { size: self.size, nodes: self.nodes, rows: self.rows }
     }
 
     /// Factors the system in place (Cholesky) and solves it; `None` where it leaves a direction free.
     pub fn solve(&mut self) -> Option<Step<'_>> {
         self.place_pose_sums();
-        let n = self.size;
-        for i in 0..n {
-            let first_i = self.first(i);
-            for j in first_i..=i {
-                let first = first_i.max(self.first(j));
-                let (before, rest) = self.matrix.split_at_mut(i * n);
-                let row_i = &rest[first..j];
-                let sum: f64 = if i == j {
-                    row_i.iter().map(|v| v * v).sum()
-                } else {
-                    row_i.iter().zip(&before[j * n + first..j * n + j]).map(|(a, b)| a * b).sum()
-                };
-                if i == j {
-                    let pivot = rest[i] - sum;
-                    if !(pivot > 0.0 && pivot.is_finite()) {
-                        return None;
-                    }
-                    rest[i] = pivot.sqrt();
-                } else {
-                    rest[j] = (rest[j] - sum) / before[j * n + j];
-                }
-            }
-        }
+        let band = self.band();
+        factor(&mut self.matrix, &band)?;
         let mut x = std::mem::take(&mut self.solution);
         x.copy_from_slice(&self.right);
         self.back_substitute(&mut x);
@@ -341,20 +327,7 @@ impl System {
 
     /// Solves with the factor, in place.
     fn back_substitute(&self, x: &mut [f64]) {
-        let n = self.size;
-        for i in 0..n {
-            let first = self.first(i);
-            let sum: f64 = self.matrix[i * n + first..i * n + i].iter().zip(&x[first..i]).map(|(a, b)| a * b).sum();
-            x[i] = (x[i] - sum) / self.matrix[i * n + i];
-        }
-        for i in (0..n).rev() {
-            x[i] /= self.matrix[i * n + i];
-            let value = x[i];
-            let first = self.first(i);
-            for (x, l) in x[first..i].iter_mut().zip(&self.matrix[i * n + first..i * n + i]) {
-                *x -= l * value;
-            }
-        }
+        back_substitute(&self.matrix, &self.band(), x);
     }
 
     /// Covariance of the motion: the last block of the inverse, times nothing (weights were inverse variances); and the tiles' votes by it.

@@ -1,0 +1,134 @@
+//! Cholesky's factor of a matrix whose first rows are a band, and whose last rows are full.
+//!
+//! Products of rows are most of its work. They are summed in four sums beside each other, which wide registers hold: one sum alone waits for itself.
+
+use crate::simd::multiversion;
+
+/// Where the matrix differs from zero: nodes of the light have next to them only their neighbours, all else has everything.
+#[derive(Debug, Clone, Copy)]
+pub struct Band {
+    /// Rows of the whole matrix, which is stored row by row.
+    pub size: usize,
+    /// Nodes of the light, in front.
+    pub nodes: usize,
+    /// Nodes per column of their grid.
+    pub rows: usize,
+}
+
+impl Band {
+    /// First column of the factor's row that may differ from zero.
+    #[inline(always)]
+    pub fn first(&self, row: usize) -> usize {
+        if row < self.nodes { row.saturating_sub(self.rows + 1) } else { 0 }
+    }
+}
+
+multiversion! {
+    /// Factors a matrix in place (Cholesky), rows one after the other, lower triangle; `None` where it leaves a direction free.
+    pub fn factor(matrix: &mut [f64], band: &Band) -> Option<()>; ["avx2"] => factor_plain, else factor_plain
+}
+
+#[inline(always)]
+fn factor_plain(matrix: &mut [f64], band: &Band) -> Option<()> {
+    let n = band.size;
+    for i in 0..n {
+        let first_i = band.first(i);
+        let (before, rest) = matrix.split_at_mut(i * n);
+        for j in first_i..i {
+            let first = first_i.max(band.first(j));
+            let row_j = &before[j * n..=j * n + j];
+            rest[j] = (rest[j] - dot(&rest[first..j], &row_j[first..j])) / row_j[j];
+        }
+        let pivot = rest[i] - dot(&rest[first_i..i], &rest[first_i..i]);
+        if !(pivot > 0.0 && pivot.is_finite()) {
+            return None;
+        }
+        rest[i] = pivot.sqrt();
+    }
+    Some(())
+}
+
+multiversion! {
+    /// Solves with the factor, in place.
+    pub fn back_substitute(matrix: &[f64], band: &Band, x: &mut [f64]); ["avx2"] => back_substitute_plain, else back_substitute_plain
+}
+
+#[inline(always)]
+fn back_substitute_plain(matrix: &[f64], band: &Band, x: &mut [f64]) {
+    let n = band.size;
+    for i in 0..n {
+        let first = band.first(i);
+        x[i] = (x[i] - dot(&matrix[i * n + first..i * n + i], &x[first..i])) / matrix[i * n + i];
+    }
+    for i in (0..n).rev() {
+        x[i] /= matrix[i * n + i];
+        let value = x[i];
+        let first = band.first(i);
+        for (x, l) in x[first..i].iter_mut().zip(&matrix[i * n + first..i * n + i]) {
+            *x -= l * value;
+        }
+    }
+}
+
+/// In four sums beside each other, as wide registers hold them.
+#[inline(always)]
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (fours_a, fours_b) = (a.chunks_exact(4), b.chunks_exact(4));
+    let rest: f64 = fours_a.remainder().iter().zip(fours_b.remainder()).map(|(a, b)| a * b).sum();
+    let mut sums = [0.0; 4];
+    for (a, b) in fours_a.zip(fours_b) {
+        for k in 0..4 {
+            sums[k] += a[k] * b[k];
+        }
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{DMatrix, DVector};
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    /// A grid of nodes that have their neighbours next to them, with a full end, and what is not to be read filled with NaN.
+    fn system(columns: usize, rows: usize, full: usize) -> (Band, Vec<f64>, DMatrix<f64>, DVector<f64>) {
+        let band = Band { size: columns * rows + full, nodes: columns * rows, rows };
+        let mut random = Pcg64Mcg::seed_from_u64(5);
+        let mut whole = DMatrix::zeros(band.size, band.size);
+        for row in 0..band.size {
+            for column in band.first(row)..row {
+                whole[(row, column)] = random.random_range(-1.0..1.0);
+                whole[(column, row)] = whole[(row, column)];
+            }
+            whole[(row, row)] = 2.0 * band.size as f64;
+        }
+        let is_kept = |row: usize, column: usize| (band.first(row)..=row).contains(&column);
+        let stored = (0..band.size * band.size).map(|k| (k / band.size, k % band.size));
+        let stored = stored.map(|(row, column)| if is_kept(row, column) { whole[(row, column)] } else { f64::NAN }).collect();
+        let right = DVector::from_fn(band.size, |_, _| random.random_range(-1.0..1.0));
+        (band, stored, whole, right)
+    }
+
+    #[test]
+    fn it_solves_as_the_whole_matrix_does() {
+        for (columns, rows, full) in [(1, 1, 1), (3, 2, 3), (6, 5, 20), (9, 7, 22)] {
+            let (band, mut matrix, whole, right) = system(columns, rows, full);
+            factor(&mut matrix, &band).expect("positive definite");
+            let mut solved = right.as_slice().to_vec();
+            back_substitute(&matrix, &band, &mut solved);
+            let expected = whole.cholesky().expect("positive definite").solve(&right);
+            let off = (DVector::from_vec(solved) - &expected).norm();
+            assert!(off < 1e-12 * expected.norm(), "{columns} by {rows} and {full}: {off}");
+        }
+    }
+
+    #[test]
+    fn a_direction_that_is_left_free_has_no_factor() {
+        let (band, mut matrix, ..) = system(4, 3, 5);
+        let last = band.size * band.size - 1;
+        matrix[last] = -1.0;
+        assert_eq!(factor(&mut matrix, &band), None);
+    }
+}
