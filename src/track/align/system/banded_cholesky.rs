@@ -5,7 +5,7 @@
 use crate::simd::multiversion;
 
 /// Where the matrix differs from zero: nodes of the light have next to them only their neighbours, all else has everything.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct Band {
     /// Rows of the whole matrix, which is stored row by row.
     pub size: usize,

@@ -97,10 +97,7 @@ pub struct System {
     pose: PoseSums,
     /// The time of all tiles, where it is the same for all: then pose sums are kept for power 0 alone.
     same_time: Option<TileTime>,
-    nodes: usize,
-    /// Nodes per column of the light grid, for the band.
-    rows: usize,
-    size: usize,
+    band: Band,
     /// Lower triangle, row by row (a full square is kept).
     matrix: Vec<f64>,
     right: Vec<f64>,
@@ -161,13 +158,12 @@ impl System {
     pub fn begin(&mut self, light: &Light, prior: &Prior, same_time: Option<TileTime>) {
         self.same_time = same_time;
         let [columns, rows] = light.grid().nodes();
-        (self.nodes, self.rows) = (columns * rows, rows);
-        self.size = self.nodes + DENSE;
-        let n = self.size;
+        self.band = Band { size: columns * rows + DENSE, nodes: columns * rows, rows };
+        let n = self.band.size;
         // Of the matrix only what the factor reads: it is far larger than its band.
         self.matrix.resize(n * n, 0.0);
         for row in 0..n {
-            let first = self.band().first(row);
+            let first = self.band.first(row);
             self.matrix[row * n + first..=row * n + row].fill(0.0);
         }
         for list in [&mut self.right, &mut self.solution, &mut self.score] {
@@ -178,10 +174,10 @@ impl System {
         self.pose.right = [[0.0; POSE]; POWERS];
         for list in &mut self.pose.by_others {
             list.clear();
-            list.resize(POSE * (self.nodes + SHARED), 0.0);
+            list.resize(POSE * (self.band.nodes + SHARED), 0.0);
         }
         self.smooth(columns, light);
-        let (psf_variance, bias, motion) = (self.nodes, self.nodes + 1, self.nodes + SHARED);
+        let (psf_variance, bias, motion) = (self.band.nodes, self.band.nodes + 1, self.band.nodes + SHARED);
         self.matrix[psf_variance * n + psf_variance] = prior.psf_variance_sigma.powi(-2);
         self.right[psf_variance] = (prior.psf_variance - light.psf_variance()) * prior.psf_variance_sigma.powi(-2);
         self.matrix[bias * n + bias] = BIAS_SIGMA.powi(-2);
@@ -197,12 +193,12 @@ impl System {
 
     /// Neighbouring nodes have similar gains.
     fn smooth(&mut self, columns: usize, light: &Light) {
-        let n = self.size;
+        let n = self.band.size;
         let information = (ROUGHNESS * light.mean_gain().abs().max(0.02)).powi(-2);
         for c in 0..columns {
-            for r in 0..self.rows {
-                let a = c * self.rows + r;
-                let neighbours = [(c + 1 < columns).then_some(a + self.rows), (r + 1 < self.rows).then_some(a + 1)];
+            for r in 0..self.band.rows {
+                let a = c * self.band.rows + r;
+                let neighbours = [(c + 1 < columns).then_some(a + self.band.rows), (r + 1 < self.band.rows).then_some(a + 1)];
                 for b in neighbours.into_iter().flatten() {
                     let difference = light.gains()[b] - light.gains()[a];
                     self.matrix[a * n + a] += information;
@@ -220,11 +216,11 @@ impl System {
         let (factors, rates) = (time.factors(), time.rates());
         for c in 0..POSE {
             for p in 0..POWERS {
-                add(self.nodes + SHARED + POSE * p + c, factors[p] * score.columns[c] + rates[p] * score.timed[c]);
+                add(self.band.nodes + SHARED + POSE * p + c, factors[p] * score.columns[c] + rates[p] * score.timed[c]);
             }
         }
-        add(self.nodes, score.columns[PSF_VARIANCE]);
-        add(self.nodes + 1, score.columns[BIAS]);
+        add(self.band.nodes, score.columns[PSF_VARIANCE]);
+        add(self.band.nodes + 1, score.columns[BIAS]);
         for (node, value) in nodes.iter().zip(&score.columns[GAINS..]) {
             add(*node, *value);
         }
@@ -232,9 +228,9 @@ impl System {
 
     /// Adds a tile. `weight`: inverse of the residuals' variance beyond what their whitener says.
     pub fn add(&mut self, tile: &TileEquations, nodes: [usize; 4], time: &TileTime, weight: f64) {
-        let n = self.size;
+        let n = self.band.size;
         let TileEquations { sums, rows } = tile;
-        let others: [usize; LIGHT] = [self.nodes, self.nodes + 1, nodes[0], nodes[1], nodes[2], nodes[3]];
+        let others: [usize; LIGHT] = [self.band.nodes, self.band.nodes + 1, nodes[0], nodes[1], nodes[2], nodes[3]];
         for (i, row) in others.iter().enumerate() {
             self.right[*row] += weight * sums.product(POSE + i, COLUMNS);
             for (j, column) in others.iter().enumerate().filter(|(_, column)| *column <= row) {
@@ -283,7 +279,7 @@ impl System {
 
     /// Puts the pose sums in their places.
     fn place_pose_sums(&mut self) {
-        let (n, motion) = (self.size, self.nodes + SHARED);
+        let (n, motion) = (self.band.size, self.band.nodes + SHARED);
         // With one time for all, every power is that of the first, times its factor.
         let factors = self.same_time.map_or([1.0; POWERS], |t| t.factors());
         let kept = |a: usize| if self.same_time.is_some() { 0 } else { a };
@@ -304,30 +300,25 @@ impl System {
         }
     }
 
-    fn band(&self) -> Band {
-        Band { size: self.size, nodes: self.nodes, rows: self.rows }
-    }
-
     /// Factors the system in place (Cholesky) and solves it; `None` where it leaves a direction free.
     pub fn solve(&mut self) -> Option<Step<'_>> {
         self.place_pose_sums();
-        let band = self.band();
-        factor(&mut self.matrix, &band)?;
+        factor(&mut self.matrix, &self.band)?;
         let mut x = std::mem::take(&mut self.solution);
         x.copy_from_slice(&self.right);
         self.back_substitute(&mut x);
         self.solution = x;
-        Some(Step { all: &self.solution, nodes: self.nodes })
+        Some(Step { all: &self.solution, nodes: self.band.nodes })
     }
 
     /// The last solution.
     pub fn step(&self) -> Step<'_> {
-        Step { all: &self.solution, nodes: self.nodes }
+        Step { all: &self.solution, nodes: self.band.nodes }
     }
 
     /// Solves with the factor, in place.
     fn back_substitute(&self, x: &mut [f64]) {
-        back_substitute(&self.matrix, &self.band(), x);
+        back_substitute(&self.matrix, &self.band, x);
     }
 
     /// Covariance of the motion: the last block of the inverse, times nothing (weights were inverse variances); and the tiles' votes by it.
@@ -336,10 +327,10 @@ impl System {
         let mut column = std::mem::take(&mut self.score);
         for k in 0..MOTION {
             column.fill(0.0);
-            column[self.nodes + SHARED + k] = 1.0;
+            column[self.band.nodes + SHARED + k] = 1.0;
             self.back_substitute(&mut column);
             for i in 0..MOTION {
-                covariance[(i, k)] = column[self.nodes + SHARED + i];
+                covariance[(i, k)] = column[self.band.nodes + SHARED + i];
             }
             if let Some(kept) = self.pose_columns.get_mut(k) {
                 kept.clear();

@@ -43,7 +43,7 @@ impl SchurComplement {
     /// Starts the sums for a system that was solved.
     pub fn begin(&mut self, system: &System) {
         self.with_others.clear();
-        self.with_others.resize(system.size, 0.0);
+        self.with_others.resize(system.band.size, 0.0);
         (self.own, self.score) = (0.0, 0.0);
     }
 
