@@ -133,7 +133,7 @@ pub fn model_error(
     paired.clear();
     paired.extend(residuals.tiles().iter().map(|tile| PairedTile::alone(tile, &change)));
     add_neighbours(paired, width_px);
-    let PairSums { left, pairs, pairs_by_field, pairs_by_noise } = sum_pairs(residuals.tiles(), paired, field, &change, &normal_inverse);
+    let PairSums { left, pairs, pairs_by_field, pairs_by_noise } = sum_pairs(paired, field, &normal_inverse);
     // squared = freedom b + left a², pairs = pairs_by_noise b + pairs_by_field a².
     let determinant = freedom * pairs_by_field - pairs_by_noise * left;
     let of_both = (freedom * pairs - pairs_by_noise * squared) / determinant;
@@ -161,24 +161,17 @@ struct PairSums {
     pairs_by_noise: f64,
 }
 
-/// Sums over all tiles and all pairs of neighbours. `change`: the pose's by what is left; `normal_inverse`: of the pose's equations.
-fn sum_pairs(
-    tiles: &[TileResidual],
-    paired: &[PairedTile],
-    field: &SmoothField,
-    change: &Vector6<f64>,
-    normal_inverse: &Matrix6<f64>,
-) -> PairSums {
+/// Sums over all tiles and all pairs of neighbours. `normal_inverse`: of the pose's equations.
+fn sum_pairs(paired: &[PairedTile], field: &SmoothField, normal_inverse: &Matrix6<f64>) -> PairSums {
     let (mut sums, mut both) = (PairSums::default(), Matrix6::zeros());
-    for (k, (tile, PairedTile { own, beside, .. })) in tiles.iter().zip(paired).enumerate() {
+    for (k, PairedTile { own, beside, .. }) in paired.iter().enumerate() {
         let together = field.pose_with_shift(k);
         // A tile's own square, less what the pose takes of it.
         sums.left += own.information.trace() - (own.by_pose * together).trace();
-        let by_pose: Matrix2x6<f64> = tile.information * beside.by_pose;
-        sums.pairs += tile.left_by_pose(change).dot(&(tile.information * beside.shift));
-        sums.pairs_by_noise -= (by_pose * normal_inverse * tile.by_pose.transpose()).trace();
-        sums.pairs_by_field += (tile.information * beside.information).trace() - 2.0 * (by_pose * together).trace();
-        both += tile.by_pose.transpose() * by_pose;
+        sums.pairs += own.shift.dot(&beside.shift);
+        sums.pairs_by_noise -= (beside.by_pose * normal_inverse * own.by_pose.transpose()).trace();
+        sums.pairs_by_field += (own.information * (beside.information - beside.by_pose * together * 2.0)).trace();
+        both += own.by_pose.transpose() * beside.by_pose;
     }
     sums.pairs_by_field += (both * field.of_pose()).trace();
     sums
