@@ -3,19 +3,15 @@
 use nalgebra::{Matrix3, Matrix5, SVector, UnitQuaternion, Vector3};
 
 use super::distances::squared_sampson;
-use super::least_squares::{Damping, Options, Problem, minimise};
+use super::least_squares::{Damping, LEAST_GAIN_OF_PAIRS, Options, Problem, minimise};
 use super::pose::skew;
 use super::relative_pose::{RayPair, TwoViewMotion};
 use super::robust_kernel::{geman_mcclure_cost, geman_mcclure_weight};
 use super::sampson_refinement::{Relation, SampsonFit};
 
-/// A step that lowers the cost by less than this share of it is the last: a hundredth of a standard deviation of the motion, with 500 pairs. Raised, the motion is less than the
-/// pairs tell; lowered, frames cost more.
-const LEAST_GAIN: f64 = 1e-7;
-
 /// Refines a motion on Sampson distances of all pairs (5 degrees of freedom, Geman-McClure at `sigma`, normalised units).
 pub fn refine_motion(start: &TwoViewMotion, pairs: &[RayPair], sigma: f64, iterations: usize) -> TwoViewMotion {
-    let options = Options { iterations, damping: Damping { now: 1e-4, least: 1e-12, most: 1e6 }, least_gain: LEAST_GAIN };
+    let options = Options { iterations, damping: Damping { now: 1e-4, least: 1e-12, most: 1e6 }, least_gain: LEAST_GAIN_OF_PAIRS };
     minimise(&mut SampsonDistances { pairs, c2: (3.0 * sigma).powi(2) }, *start, &options).0
 }
 

@@ -3,13 +3,9 @@
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::homography::{Homography, PointPair};
-use super::least_squares::{Damping, Options, Problem, minimise};
+use super::least_squares::{Damping, LEAST_GAIN_OF_PAIRS, Options, Problem, minimise};
 use super::normalisation::normalising;
 use super::robust_kernel::{geman_mcclure_cost, geman_mcclure_weight};
-
-/// A step that lowers the cost by less than this share of it is the last. With N pairs the cost is some N variances of noise: what further steps gain is a hundredth of a
-/// standard deviation of H with 500. Raised, H is less than the pairs tell; lowered, frames cost more.
-const LEAST_GAIN: f64 = 1e-7;
 
 impl Homography {
     /// Gauss-Newton with Levenberg's damping on the robust transfer error in the second plane (8 parameters).
@@ -20,7 +16,7 @@ impl Homography {
         let (from_inv, to_inv) = (from.try_inverse()?, to.try_inverse()?);
         let start = to * self.0 * from_inv;
         let mut errors = TransferErrors { pairs, from, to, c2: (3.0 * sigma * to[(0, 0)]).powi(2) };
-        let options = Options { iterations, damping: Damping { now: 1e-6, least: 1e-12, most: 1e3 }, least_gain: LEAST_GAIN };
+        let options = Options { iterations, damping: Damping { now: 1e-6, least: 1e-12, most: 1e3 }, least_gain: LEAST_GAIN_OF_PAIRS };
         let (h, _) = minimise(&mut errors, start / start.norm(), &options);
         let h = to_inv * h * from;
         let front = pairs.iter().map(|p| (h * p.from.push(1.0)).z.signum()).sum::<f64>();
