@@ -80,7 +80,7 @@ function Bar() {
         )}
       </fieldset>
     </div>
-    ${[unturned.value, unmarked.value].filter(Boolean).map((why) => html`<p key=${why} class="refused" role="alert">${why}</p>`)}
+    ${[...new Set([unturned.value, unmarked.value])].filter(Boolean).map((why) => html`<p key=${why} class="refused" role="alert">${why}</p>`)}
   </header>`;
 }
 
