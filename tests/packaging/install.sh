@@ -19,7 +19,8 @@ trap leave EXIT
 for suite in "${suites[@]}"; do
     bare=$folder/$suite.tar
     if [ ! -e "$bare" ]; then
-        mmdebstrap --variant=minbase "$suite" "$bare.new.tar" >"$folder/$suite.log" 2>&1 ||
+        # Packages are fetched as root, not as _apt: that user cannot write to /dev/null on every machine.
+        mmdebstrap --variant=minbase --aptopt='APT::Sandbox::User "root"' "$suite" "$bare.new.tar" >"$folder/$suite.log" 2>&1 ||
             { tail -n 20 "$folder/$suite.log" >&2; echo "install.sh: no bare root of $suite can be made" >&2; exit 1; }
         mv "$bare.new.tar" "$bare"
     fi
