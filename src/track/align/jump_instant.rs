@@ -29,8 +29,6 @@ const SIZES: [f64; 2] = [1.0, 0.25];
 const LIKELIHOOD: f64 = 0.003;
 /// Expectations that are mixed at most: with jerk, and with the even motion before.
 pub const EXPECTATIONS: usize = 2;
-/// Jumps that are tried: every size at every instant.
-const JUMPS: usize = (WITHIN + BEFORE) * SIZES.len();
 /// Members of the mixture less likely than this, beside the likeliest, are left out. A round figure far below `LIKELIHOOD`. Raised, jumps
 /// that the covariance should allow for are dropped; lowered, frames cost more and nothing changes.
 const NEGLIGIBLE: f64 = 1e-6;
@@ -118,37 +116,35 @@ impl RowBands {
     /// singular.
     pub fn mixture(&self, expectations: [Option<Expectation>; EXPECTATIONS], dt_s: f64, distance_m: f64) -> Option<Mixture> {
         let is_alone = expectations.iter().flatten().count() < 2;
-        let part = |expected: Expectation| {
-            let without = self.without_jump(&expected, is_alone)?;
-            let jumps = self.jumps(&without, dt_s, distance_m);
-            Some(Part { without, jumps })
-        };
+        let part = |expected: Expectation| Some(self.with_jumps(&self.without_jump(&expected, is_alone)?, dt_s, distance_m));
         mix(&expectations.map(|expected| expected.and_then(part)))
     }
 
-    /// What the bands say of jumps at all instants, of all sizes.
-    fn jumps(&self, without: &WithoutJump, dt_s: f64, distance_m: f64) -> [Option<Tried>; JUMPS] {
+    /// The mixture over jumps at all instants, of all sizes, and none.
+    fn with_jumps(&self, without: &WithoutJump, dt_s: f64, distance_m: f64) -> Part {
+        let [speed, turn_rate, ..] = unseen(distance_m);
+        let usual = Vector6::new(speed, speed, speed, turn_rate, turn_rate, turn_rate);
+        let priors = SIZES.map(|size| usual.map(|sigma| (size * sigma).powi(-2)));
+        let mut members = Members::none_jumped();
+        for (instant_s, likelihood) in self.instants(dt_s) {
+            let solved = self.jump_sums(instant_s).beside(without);
+            let tried = priors.map(|prior| solved.tried(&prior, likelihood));
+            members.add(&tried, &solved.pose_by_jump(), || solved.motion_by_jump());
+        }
+        members.part(without)
+    }
+
+    /// The instants that are tried, seconds from the stamp, and how likely a jump of each size is there.
+    fn instants(&self, dt_s: f64) -> impl Iterator<Item = (f64, f64)> {
         let half_s = 0.5 * (self.shutter.readout_s.abs() + self.shutter.exposure_s);
         // From the last stamp on: what came later in that frame may not have shown in it.
         let gap_s = (dt_s - half_s).max(0.0);
         let whole_s = (2.0 * half_s + gap_s).max(f64::MIN_POSITIVE);
-        let [speed, turn_rate, ..] = unseen(distance_m);
-        let usual = Vector6::new(speed, speed, speed, turn_rate, turn_rate, turn_rate);
-        let mut tried = [None; JUMPS];
-        for (k, of_instant) in tried.chunks_exact_mut(SIZES.len()).enumerate() {
-            let (from_s, lasts_s, part, parts) =
-                if k < WITHIN { (-half_s, 2.0 * half_s, k, WITHIN) } else { (-half_s - gap_s, gap_s, k - WITHIN, BEFORE) };
-            if lasts_s <= 0.0 {
-                continue;
-            }
-            let instant_s = from_s + lasts_s * (part as f64 + 0.5) / parts as f64;
+        let spans = [(-half_s, 2.0 * half_s, WITHIN), (-half_s - gap_s, gap_s, BEFORE)];
+        spans.into_iter().filter(|(_, lasts_s, _)| *lasts_s > 0.0).flat_map(move |(from_s, lasts_s, parts)| {
             let likelihood = LIKELIHOOD * lasts_s / (whole_s * parts as f64 * SIZES.len() as f64);
-            let sums = self.jump_sums(instant_s);
-            for (slot, size) in of_instant.iter_mut().zip(SIZES) {
-                *slot = sums.tried(without, &usual.map(|sigma| (size * sigma).powi(-2)), likelihood);
-            }
-        }
-        tried
+            (0..parts).map(move |part| (from_s + lasts_s * (part as f64 + 0.5) / parts as f64, likelihood))
+        })
     }
 
     /// Middle of a band, seconds from the stamp.
@@ -269,13 +265,6 @@ struct WithoutJump {
     evidence: f64,
 }
 
-/// An expectation and the jumps from it.
-#[derive(Debug)]
-struct Part {
-    without: WithoutJump,
-    jumps: [Option<Tried>; JUMPS],
-}
-
 /// Normal equations of a jump at an instant, beside those of the motion.
 #[derive(Debug)]
 struct JumpSums {
@@ -285,7 +274,17 @@ struct JumpSums {
     score: Vector6<f64>,
 }
 
-/// A jump at an instant: how well it explains the frame, and what it comes to.
+/// Those equations where the motion is eliminated.
+#[derive(Debug)]
+struct WithoutMotion {
+    instant_s: f64,
+    /// What the motion changes by for a jump that the frame is held to.
+    by_motion: SMatrix<f64, 18, 6>,
+    information: Matrix6<f64>,
+    pull: Vector6<f64>,
+}
+
+/// A jump of a size at an instant: how well it explains the frame, and what it comes to.
 #[derive(Debug, Clone, Copy)]
 struct Tried {
     /// Logarithm of likelihood times evidence, against none.
@@ -294,43 +293,150 @@ struct Tried {
     is_seen: bool,
     jump: Vector6<f64>,
     covariance: Matrix6<f64>,
-    /// Of the pose at the stamp, and of the motion after the frame, by the jump.
-    pose_by_jump: Matrix6<f64>,
-    motion_by_jump: SMatrix<f64, 18, 6>,
 }
 
 impl JumpSums {
-    /// Solves for the jump, of which `prior` is the information. That the light is free as well is left out: gains and a bend of the path
-    /// hardly look alike.
-    fn tried(&self, without: &WithoutJump, prior: &Vector6<f64>, likelihood: f64) -> Option<Tried> {
+    /// Eliminates the motion. That the light is free as well is left out: gains and a bend of the path hardly look alike.
+    fn beside(&self, without: &WithoutJump) -> WithoutMotion {
         let by_motion = without.solved * self.shared;
-        let pull = self.score - self.shared.transpose() * without.correction;
-        let information = self.own + Matrix6::from_diagonal(prior) - self.shared.transpose() * by_motion;
-        let factor = information.cholesky()?;
-        let jump = factor.solve(&pull);
-        let log_determinant = 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum();
-        let gain = 0.5 * (pull.dot(&jump) - log_determinant + prior.map(f64::ln).sum());
-        let mut motion_by_jump = -by_motion;
-        let mut pose_by_jump: Matrix6<f64> = motion_by_jump.fixed_view::<6, 6>(0, 0).into_owned();
-        for k in 0..6 {
-            // At the stamp, only a jump before it has moved the camera.
-            pose_by_jump[(k, k)] += (-self.instant_s).max(0.0);
-            motion_by_jump[(k, k)] -= self.instant_s;
-            motion_by_jump[(k + 6, k)] += 1.0;
+        WithoutMotion {
+            instant_s: self.instant_s,
+            by_motion,
+            information: self.own - self.shared.tr_mul(&by_motion),
+            pull: self.score - self.shared.tr_mul(&without.correction),
         }
-        Some(Tried {
-            evidence: gain + likelihood.ln(),
-            is_seen: gain > 0.0,
-            jump,
-            covariance: factor.inverse(),
-            pose_by_jump,
-            motion_by_jump,
-        })
     }
 }
 
-/// One member of a mixture: what it makes of the pose at the stamp and of the motion after it, each with its covariance.
-struct Member {
+impl WithoutMotion {
+    /// Solves for the jump, of which `prior` is the information.
+    fn tried(&self, prior: &Vector6<f64>, likelihood: f64) -> Option<Tried> {
+        let factor = (self.information + Matrix6::from_diagonal(prior)).cholesky()?;
+        let jump = factor.solve(&self.pull);
+        let log_determinant = 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum();
+        let gain = 0.5 * (self.pull.dot(&jump) - log_determinant + prior.map(f64::ln).sum());
+        Some(Tried { evidence: gain + likelihood.ln(), is_seen: gain > 0.0, jump, covariance: factor.inverse() })
+    }
+
+    /// The pose at the stamp by the jump.
+    fn pose_by_jump(&self) -> Matrix6<f64> {
+        // At the stamp, only a jump before it has moved the camera.
+        Matrix6::from_diagonal_element((-self.instant_s).max(0.0)) - self.by_motion.fixed_rows::<6>(0)
+    }
+
+    /// The motion after the frame by the jump.
+    fn motion_by_jump(&self) -> SMatrix<f64, 18, 6> {
+        let mut motion_by_jump = -self.by_motion;
+        for k in 0..6 {
+            motion_by_jump[(k, k)] -= self.instant_s;
+            motion_by_jump[(k + 6, k)] += 1.0;
+        }
+        motion_by_jump
+    }
+}
+
+/// Weighted sums over the members of a mixture, about the motion that did not jump.
+#[derive(Debug)]
+struct Members {
+    /// Logarithm of the evidence that has weight 1: the largest so far, against none.
+    largest: f64,
+    weight: f64,
+    pose: Vector6<f64>,
+    pose_squares: Matrix6<f64>,
+    motion: MotionError,
+    motion_squares: MotionMatrix,
+}
+
+/// Moments of the jumps at an instant.
+struct Moments {
+    sum: Vector6<f64>,
+    squares: Matrix6<f64>,
+}
+
+impl Moments {
+    /// Of nothing.
+    fn zero() -> Self {
+        Self { sum: Vector6::zeros(), squares: Matrix6::zeros() }
+    }
+
+    fn add(&mut self, tried: &Tried, weight: f64) {
+        self.sum += tried.jump * weight;
+        self.squares += (tried.covariance + tried.jump * tried.jump.transpose()) * weight;
+    }
+}
+
+impl Members {
+    /// The motion that did not jump is the only one.
+    fn none_jumped() -> Self {
+        Self {
+            largest: (1.0 - LIKELIHOOD).ln(),
+            weight: 1.0,
+            pose: Vector6::zeros(),
+            pose_squares: Matrix6::zeros(),
+            motion: MotionError::zeros(),
+            motion_squares: MotionMatrix::zeros(),
+        }
+    }
+
+    /// Adds jumps at an instant, which differ in size: those more likely than [`NEGLIGIBLE`] beside the likeliest so far.
+    fn add(
+        &mut self,
+        tried: &[Option<Tried>; SIZES.len()],
+        pose_by_jump: &Matrix6<f64>,
+        motion_by_jump: impl FnOnce() -> SMatrix<f64, 18, 6>,
+    ) {
+        self.rescale(tried.iter().flatten().map(|t| t.evidence).fold(self.largest, f64::max));
+        let (mut all, mut seen) = (Moments::zero(), None);
+        for t in tried.iter().flatten() {
+            let weight = (t.evidence - self.largest).exp();
+            if weight <= NEGLIGIBLE {
+                continue;
+            }
+            self.weight += weight;
+            all.add(t, weight);
+            if t.is_seen {
+                seen.get_or_insert_with(Moments::zero).add(t, weight);
+            }
+        }
+        self.pose += pose_by_jump * all.sum;
+        self.pose_squares += pose_by_jump * all.squares * pose_by_jump.transpose();
+        if let Some(seen) = seen {
+            let motion_by_jump = motion_by_jump();
+            self.motion += motion_by_jump * seen.sum;
+            self.motion_squares += motion_by_jump * seen.squares * motion_by_jump.transpose();
+        }
+    }
+
+    /// Makes `largest` the evidence that has weight 1.
+    fn rescale(&mut self, largest: f64) {
+        if largest == self.largest {
+            return;
+        }
+        let factor = (self.largest - largest).exp();
+        self.largest = largest;
+        self.weight *= factor;
+        self.pose *= factor;
+        self.pose_squares *= factor;
+        self.motion *= factor;
+        self.motion_squares *= factor;
+    }
+
+    /// Mean and covariance of them all. The negligible ones are as the mean of the others.
+    fn part(&self, without: &WithoutJump) -> Part {
+        let (pose, motion) = (self.pose / self.weight, self.motion / self.weight);
+        Part {
+            evidence: without.evidence + self.largest + self.weight.ln(),
+            pose: without.correction.fixed_rows::<6>(0) + pose,
+            pose_covariance: self.pose_squares / self.weight - pose * pose.transpose(),
+            motion: without.correction + motion,
+            motion_covariance: without.covariance + self.motion_squares / self.weight - motion * motion.transpose(),
+        }
+    }
+}
+
+/// What one expectation makes of the pose at the stamp and of the motion after it, each with its covariance.
+#[derive(Debug)]
+struct Part {
     evidence: f64,
     pose: Vector6<f64>,
     pose_covariance: Matrix6<f64>,
@@ -338,61 +444,22 @@ struct Member {
     motion_covariance: MotionMatrix,
 }
 
-impl Part {
-    /// Logarithms of likelihood times evidence: without a jump, then of every jump.
-    fn evidences(&self) -> impl Iterator<Item = f64> {
-        let none = self.without.evidence + (1.0 - LIKELIHOOD).ln();
-        std::iter::once(none).chain(self.jumps.iter().flatten().map(|t| self.without.evidence + t.evidence))
-    }
-
-    /// All members more likely than [`NEGLIGIBLE`] beside the largest.
-    fn members(&self, largest: f64) -> impl Iterator<Item = Member> {
-        let WithoutJump { correction, covariance, .. } = &self.without;
-        let own: Vector6<f64> = correction.fixed_rows::<6>(0).into_owned();
-        let all = std::iter::once(None).chain(self.jumps.iter().map(Option::as_ref).filter(Option::is_some));
-        self.evidences().zip(all).filter(move |(evidence, _)| (evidence - largest).exp() > NEGLIGIBLE).map(move |(evidence, jump)| {
-            let mut member =
-                Member { evidence, pose: own, pose_covariance: Matrix6::zeros(), motion: *correction, motion_covariance: *covariance };
-            if let Some(t) = jump {
-                member.pose += t.pose_by_jump * t.jump;
-                member.pose_covariance = t.pose_by_jump * t.covariance * t.pose_by_jump.transpose();
-                if t.is_seen {
-                    member.motion += t.motion_by_jump * t.jump;
-                    member.motion_covariance += t.motion_by_jump * t.covariance * t.motion_by_jump.transpose();
-                }
-            }
-            member
-        })
-    }
-}
-
-/// Mean and covariance of the mixture of all expectations, with their jumps and without.
+/// Mean and covariance of the mixture of all expectations.
 fn mix(parts: &[Option<Part>; EXPECTATIONS]) -> Option<Mixture> {
-    let evidences = || parts.iter().flatten().flat_map(Part::evidences);
-    let largest = evidences().fold(f64::NEG_INFINITY, f64::max);
-    let total: f64 = evidences().map(|e| (e - largest).exp()).sum();
-    let (mut pose, mut pose_squares) = (Vector6::zeros(), Matrix6::zeros());
-    let (mut motion, mut motion_squares) = (MotionError::zeros(), MotionMatrix::zeros());
-    let mut weights = 0.0;
-    for member in parts.iter().flatten().flat_map(|part| part.members(largest)) {
-        let weight = (member.evidence - largest).exp() / total;
-        weights += weight;
-        pose += member.pose * weight;
-        pose_squares += (member.pose_covariance + member.pose * member.pose.transpose()) * weight;
-        motion += member.motion * weight;
-        motion_squares += (member.motion_covariance + member.motion * member.motion.transpose()) * weight;
+    let parts = || parts.iter().flatten();
+    let largest = parts().map(|part| part.evidence).fold(f64::NEG_INFINITY, f64::max);
+    let total: f64 = parts().map(|part| (part.evidence - largest).exp()).sum();
+    let weighted = || parts().map(|part| ((part.evidence - largest).exp() / total, part));
+    let pose: Vector6<f64> = weighted().map(|(weight, part)| part.pose * weight).sum();
+    let motion: MotionError = weighted().map(|(weight, part)| part.motion * weight).sum();
+    let (mut pose_covariance, mut motion_covariance) = (Matrix6::zeros(), MotionMatrix::zeros());
+    for (weight, part) in weighted() {
+        let (pose_off, motion_off) = (part.pose - pose, part.motion - motion);
+        pose_covariance += (part.pose_covariance + pose_off * pose_off.transpose()) * weight;
+        motion_covariance += (part.motion_covariance + motion_off * motion_off.transpose()) * weight;
     }
-    // The negligible ones are as the mean of the others.
-    let (pose, pose_squares, motion, motion_squares) = (pose / weights, pose_squares / weights, motion / weights, motion_squares / weights);
-    let mixture = Mixture {
-        pose,
-        pose_covariance: pose_squares - pose * pose.transpose(),
-        motion,
-        motion_covariance: motion_squares - motion * motion.transpose(),
-    };
-    let Mixture { motion, motion_covariance, pose_covariance, .. } = &mixture;
     let is_finite = motion.iter().chain(motion_covariance.iter()).chain(pose_covariance.iter()).all(|v| v.is_finite());
-    is_finite.then_some(mixture)
+    (is_finite && total > 0.0).then_some(Mixture { pose, pose_covariance, motion, motion_covariance })
 }
 
 #[cfg(test)]

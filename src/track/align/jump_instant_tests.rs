@@ -132,3 +132,96 @@ fn what_is_no_motion_is_no_panic() {
         assert!(bands(still, 0.0, 0.0).mixture(alone(known(), MotionError::zeros()), since_s, DISTANCE_M).is_some());
     }
 }
+
+/// The mixture member by member, each from the normal equations of motion and jump together.
+fn member_by_member(bands: &RowBands, expectations: [Option<Expectation>; EXPECTATIONS], dt_s: f64) -> Mixture {
+    type Both = SMatrix<f64, 24, 24>;
+    let [speed, turn_rate, ..] = unseen(DISTANCE_M);
+    // Logarithm of likelihood times evidence; pose and motion with their covariances.
+    let mut members = Vec::new();
+    for expected in expectations.iter().flatten() {
+        let without = bands.without_jump(expected, false).expect("regular");
+        let information = without.solved.try_inverse().expect("regular");
+        let pull = information * without.correction;
+        let pose: Vector6<f64> = without.correction.fixed_rows::<6>(0).into();
+        members.push((without.evidence + (1.0 - LIKELIHOOD).ln(), pose, Matrix6::zeros(), without.correction, without.solved));
+        for (instant_s, likelihood) in bands.instants(dt_s) {
+            let sums = bands.jump_sums(instant_s);
+            for size in SIZES {
+                let prior = Vector6::from_fn(|k, _| (size * if k < 3 { speed } else { turn_rate }).powi(-2));
+                let mut both = Both::zeros();
+                both.fixed_view_mut::<18, 18>(0, 0).copy_from(&information);
+                both.fixed_view_mut::<18, 6>(0, 18).copy_from(&sums.shared);
+                both.fixed_view_mut::<6, 18>(18, 0).copy_from(&sums.shared.transpose());
+                both.fixed_view_mut::<6, 6>(18, 18).copy_from(&(sums.own + Matrix6::from_diagonal(&prior)));
+                let covariance = both.try_inverse().expect("regular");
+                let right = SMatrix::<f64, 24, 1>::from_fn(|k, _| if k < 18 { pull[k] } else { sums.score[k - 18] });
+                let solved = covariance * right;
+                let spread: Matrix6<f64> = covariance.fixed_view::<6, 6>(18, 18).into();
+                let gain = 0.5 * (right.dot(&solved) - pull.dot(&without.correction))
+                    + 0.5 * (spread.determinant().ln() + prior.map(f64::ln).sum());
+                // What the jump has moved: the pose at the stamp, and position and velocity after the frame.
+                let mut moved = SMatrix::<f64, 18, 24>::identity();
+                for k in 0..6 {
+                    moved[(k, k + 18)] = -instant_s;
+                    moved[(k + 6, k + 18)] = 1.0;
+                }
+                let mut at_stamp = SMatrix::<f64, 6, 24>::identity();
+                for k in 0..6 {
+                    at_stamp[(k, k + 18)] = (-instant_s).max(0.0);
+                }
+                // Beyond what the pose is unsure by without a jump.
+                let pose_covariance = at_stamp * covariance * at_stamp.transpose() - without.solved.fixed_view::<6, 6>(0, 0);
+                let (motion, motion_covariance) = if gain > 0.0 {
+                    (moved * solved, moved * covariance * moved.transpose())
+                } else {
+                    (without.correction, without.solved)
+                };
+                members.push((without.evidence + gain + likelihood.ln(), at_stamp * solved, pose_covariance, motion, motion_covariance));
+            }
+        }
+    }
+    let largest = members.iter().map(|m| m.0).fold(f64::NEG_INFINITY, f64::max);
+    let total: f64 = members.iter().map(|m| (m.0 - largest).exp()).sum();
+    let weighted = || members.iter().map(|m| ((m.0 - largest).exp() / total, m));
+    let pose: Vector6<f64> = weighted().map(|(w, m)| m.1 * w).sum();
+    let motion: MotionError = weighted().map(|(w, m)| m.3 * w).sum();
+    Mixture {
+        pose,
+        pose_covariance: weighted().map(|(w, m)| (m.2 + (m.1 - pose) * (m.1 - pose).transpose()) * w).sum(),
+        motion,
+        motion_covariance: weighted().map(|(w, m)| (m.4 + (m.3 - motion) * (m.3 - motion).transpose()) * w).sum(),
+    }
+}
+
+#[test]
+fn it_is_the_mixture_of_its_members() {
+    let jerky = MotionMatrix::from_diagonal(&MotionError::from_fn(|k, _| f64::powi([1e-3, 0.1, 5.0][k / 6], -2)));
+    let error = MotionError::from_fn(|k, _| 1e-4 * f64::from(k as u8 % 5));
+    let expectation =
+        |(information, likelihood): (MotionMatrix, f64)| Some(Expectation { information, error, likelihood, covariance: None });
+    for expectations in [[(jerky, 0.01), (known(), 0.99)].map(expectation), [expectation((known(), 1.0)), None]] {
+        for (shutter, instant_s, speed) in
+            [(ROLLING, 0.0, 0.0), (ROLLING, 0.0, 0.05), (ROLLING, -0.004, 0.3), (ROLLING, 0.003, -0.2), (GLOBAL, -0.002, 0.4)]
+        {
+            let shown = bands(shutter, instant_s, speed);
+            let found = shown.mixture(expectations, FRAME_S, DISTANCE_M).expect("regular");
+            let truth = member_by_member(&shown, expectations, FRAME_S);
+            let sigma = truth.motion_covariance.diagonal().map(f64::sqrt);
+            // Members that are left out weigh NEGLIGIBLE each, and are some sigmas off.
+            let off = (found.motion - truth.motion).component_div(&sigma).amax();
+            assert!(off < 1e-3, "{shutter:?} {instant_s} {speed}: motion off by {off} sigmas");
+            let relative = |found: f64, truth: f64| ((found - truth) / truth).abs();
+            for k in 0..18 {
+                let off = relative(found.motion_covariance[(k, k)], truth.motion_covariance[(k, k)]);
+                assert!(off < 1e-3, "{shutter:?} {instant_s} {speed}: variance {k} of the motion off by {off}");
+            }
+            let pose_sigma = sigma.fixed_rows::<6>(0);
+            assert!((found.pose - truth.pose).component_div(&pose_sigma).amax() < 1e-3, "{} {}", found.pose, truth.pose);
+            for k in 0..6 {
+                let off = (found.pose_covariance[(k, k)] - truth.pose_covariance[(k, k)]).abs() / truth.motion_covariance[(k, k)];
+                assert!(off < 1e-3, "{shutter:?} {instant_s} {speed}: variance {k} of the pose off by {off}");
+            }
+        }
+    }
+}
