@@ -44,11 +44,13 @@ impl TileSums {
     }
 
     /// Sum of w a_i a_j; column [`COLUMNS`] is the residual.
+    #[inline(always)]
     pub fn product(&self, i: usize, j: usize) -> f64 {
         f64::from(self.sums[if i <= j { Self::entry(i, j) } else { Self::entry(j, i) }])
     }
 
     /// [`product`](Self::product) for the columns of the pose: the upper triangle, row by row.
+    #[inline(always)]
     pub fn of_pose(&self) -> [f64; POSE_ENTRIES] {
         let mut triangle = [0.0; POSE_ENTRIES];
         let (mut to, mut from) = (0, 0);

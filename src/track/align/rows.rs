@@ -39,16 +39,19 @@ impl RowSums {
     }
 
     /// Sum of w d a_i a_j for columns of the pose: the upper triangle, row by row.
+    #[inline(always)]
     pub fn by_time(&self) -> [f64; TRIANGLE] {
         std::array::from_fn(|k| f64::from(self.sums[k]))
     }
 
     /// Sum of w d² a_i a_j, likewise.
+    #[inline(always)]
     pub fn by_squared_time(&self) -> [f64; TRIANGLE] {
         std::array::from_fn(|k| f64::from(self.sums[TRIANGLE + k]))
     }
 
     /// Sum of w d a_i a_c: column `i` of the pose by any other column, see [`other`](Self::other).
+    #[inline(always)]
     pub fn by_other(&self, i: usize, c: usize) -> f64 {
         f64::from(self.sums[Self::other(i, c)])
     }

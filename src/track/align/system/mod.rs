@@ -12,6 +12,7 @@ use super::light::Light;
 use super::rows::RowSums;
 use super::tile_equations::{TileEquations, TileScore, TileStep};
 use crate::motion::{MotionError, MotionMatrix};
+use crate::simd::multiversion;
 
 mod banded_cholesky;
 pub mod schur_complement;
@@ -71,8 +72,8 @@ const POWERS: usize = 3;
 struct PoseSums {
     /// Pose by pose, for each pair of powers a >= b (a, b: 00, 10, 11, 20, 21, 22): upper triangles, row by row.
     by_pose: [[f64; POSE_ENTRIES]; 6],
-    /// Pose by all other unknowns, six to each, for each power.
-    by_others: [Vec<f64>; POWERS],
+    /// Pose by all other unknowns, for each power.
+    by_others: [Vec<[f64; POSE]>; POWERS],
     right: [[f64; POSE]; POWERS],
 }
 
@@ -87,8 +88,14 @@ fn pair(a: usize, b: usize) -> usize {
     a * (a + 1) / 2 + b
 }
 
-fn add_scaled(sums: &mut [f64], factor: f64, values: &[f64]) {
+#[inline(always)]
+fn add_scaled<const N: usize>(sums: &mut [f64; N], factor: f64, values: &[f64; N]) {
     sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += factor * value);
+}
+
+multiversion! {
+    /// [`System::add`], in wide registers where the processor has them.
+    fn add_tile(system: &mut System, tile: &TileEquations, nodes: [usize; 4], time: &TileTime, weight: f64); ["avx2"] => System::add_plain, else System::add_plain
 }
 
 /// The system and its factor; keeps its buffers.
@@ -174,7 +181,7 @@ impl System {
         self.pose.right = [[0.0; POSE]; POWERS];
         for list in &mut self.pose.by_others {
             list.clear();
-            list.resize(POSE * (self.band.nodes + SHARED), 0.0);
+            list.resize(self.band.nodes + SHARED, [0.0; POSE]);
         }
         self.smooth(columns, light);
         let (psf_variance, bias, motion) = (self.band.nodes, self.band.nodes + 1, self.band.nodes + SHARED);
@@ -228,6 +235,11 @@ impl System {
 
     /// Adds a tile. `weight`: inverse of the residuals' variance beyond what their whitener says.
     pub fn add(&mut self, tile: &TileEquations, nodes: [usize; 4], time: &TileTime, weight: f64) {
+        add_tile(self, tile, nodes, time, weight);
+    }
+
+    #[inline(always)]
+    fn add_plain(&mut self, tile: &TileEquations, nodes: [usize; 4], time: &TileTime, weight: f64) {
         let n = self.band.size;
         let TileEquations { sums, rows } = tile;
         let others: [usize; LIGHT] = [self.band.nodes, self.band.nodes + 1, nodes[0], nodes[1], nodes[2], nodes[3]];
@@ -249,7 +261,7 @@ impl System {
             }
             add_scaled(&mut self.pose.right[a], weight * factors[a], &right);
             for (other, column) in others.iter().zip(&columns) {
-                add_scaled(&mut self.pose.by_others[a][POSE * other..POSE * (other + 1)], weight * factors[a], column);
+                add_scaled(&mut self.pose.by_others[a][*other], weight * factors[a], column);
             }
         }
         if let Some(rows) = rows.as_ref().filter(|_| powers > 1) {
@@ -258,6 +270,7 @@ impl System {
     }
 
     /// Adds what the rows of a tile differ by from its middle. `others`: its unknowns beside the pose.
+    #[inline(always)]
     fn add_rows(&mut self, rows: &RowSums, others: [usize; LIGHT], time: &TileTime, weight: f64) {
         let (factors, rates) = (time.factors(), time.rates());
         let (by_time, by_squared_time) = (rows.by_time(), rows.by_squared_time());
@@ -272,7 +285,7 @@ impl System {
             }
             add_scaled(&mut self.pose.right[a], weight * rates[a], &right);
             for (other, column) in others.iter().zip(&columns) {
-                add_scaled(&mut self.pose.by_others[a][POSE * other..POSE * (other + 1)], weight * rates[a], column);
+                add_scaled(&mut self.pose.by_others[a][*other], weight * rates[a], column);
             }
         }
     }
@@ -287,7 +300,7 @@ impl System {
             for i in 0..POSE {
                 let row = motion + POSE * a + i;
                 self.right[row] += factors[a] * self.pose.right[kept(a)][i];
-                for (other, column) in self.pose.by_others[kept(a)].chunks_exact(POSE).enumerate() {
+                for (other, column) in self.pose.by_others[kept(a)].iter().enumerate() {
                     self.matrix[row * n + other] += factors[a] * column[i];
                 }
                 for b in 0..=a {
