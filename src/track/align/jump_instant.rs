@@ -129,7 +129,7 @@ impl RowBands {
         for (instant_s, likelihood) in self.instants(dt_s) {
             let solved = self.jump_sums(instant_s).beside(without);
             let tried = priors.map(|prior| solved.tried(&prior, likelihood));
-            members.add(&tried, &solved.pose_by_jump(), || solved.motion_by_jump());
+            members.add(&solved, &tried);
         }
         members.part(without)
     }
@@ -379,12 +379,7 @@ impl Members {
     }
 
     /// Adds jumps at an instant, which differ in size: those more likely than [`NEGLIGIBLE`] beside the likeliest so far.
-    fn add(
-        &mut self,
-        tried: &[Option<Tried>; SIZES.len()],
-        pose_by_jump: &Matrix6<f64>,
-        motion_by_jump: impl FnOnce() -> SMatrix<f64, 18, 6>,
-    ) {
+    fn add(&mut self, at: &WithoutMotion, tried: &[Option<Tried>; SIZES.len()]) {
         self.rescale(tried.iter().flatten().map(|t| t.evidence).fold(self.largest, f64::max));
         let (mut all, mut seen) = (Moments::zero(), None);
         for t in tried.iter().flatten() {
@@ -398,10 +393,11 @@ impl Members {
                 seen.get_or_insert_with(Moments::zero).add(t, weight);
             }
         }
+        let pose_by_jump = at.pose_by_jump();
         self.pose += pose_by_jump * all.sum;
         self.pose_squares += pose_by_jump * all.squares * pose_by_jump.transpose();
         if let Some(seen) = seen {
-            let motion_by_jump = motion_by_jump();
+            let motion_by_jump = at.motion_by_jump();
             self.motion += motion_by_jump * seen.sum;
             self.motion_squares += motion_by_jump * seen.squares * motion_by_jump.transpose();
         }
