@@ -75,20 +75,23 @@ impl Selector {
         }
         let table = spec.rays.table(spec.level);
         taken.clone_from(&table.closed);
-        let mut first = 0;
+        let (mut first, mut count) = (0, 0);
         let mut share = spec.count / blocks.len() + 1;
         // What blocks with little detail leave is taken up by the others.
         for _ in 0..3 {
+            // Room for all that the blocks may give.
+            chosen.resize(count + share * blocks.len(), Chosen::default());
             for block in &*blocks {
-                take(block, spec.surfaces, first..first + share, table, taken, chosen);
+                count += take(block, spec.surfaces, first..first + share, table, taken, &mut chosen[count..]);
             }
             first += share;
-            let missing = spec.count.saturating_sub(chosen.len());
+            let missing = spec.count.saturating_sub(count);
             if missing < spec.count / 8 {
                 break;
             }
             share = missing / blocks.len() + 1;
         }
+        chosen.truncate(count);
     }
 
     /// The last choice.
@@ -97,35 +100,37 @@ impl Selector {
     }
 }
 
+/// Chooses the free pixels at a range of a block's places, and says how many these are; `chosen` has room for all of the range.
+///
+/// Whether a pixel is free is as good as chance, and a processor that guesses it wrongly loses more than the rest takes. So nothing is branched upon: every pixel is
+/// written, and the next one takes the place of one that does not count.
 fn take(
     block: &VisibleBlock,
     surfaces: &[AlignSurface],
     range: std::ops::Range<usize>,
     table: &RayTable,
     taken: &mut [u64],
-    chosen: &mut Vec<Chosen>,
-) {
+    chosen: &mut [Chosen],
+) -> usize {
     let texture = &surfaces[block.surface as usize].texture;
     let offsets = texture.candidates[block.texture_level as usize].of_block(block.column as usize, block.row as usize);
     let (right, bottom) = (table.width as f32, table.height as f32);
+    let mut count = 0;
     for &[dx, dy] in &offsets[range.start.min(offsets.len())..range.end.min(offsets.len())] {
-        if dx < block.columns[0] || dx > block.columns[1] || dy < block.rows[0] || dy > block.rows[1] {
-            continue;
-        }
+        let is_clear = (dx >= block.columns[0]) & (dx <= block.columns[1]) & (dy >= block.rows[0]) & (dy <= block.rows[1]);
         let (fx, fy) = (f32::from(dx), f32::from(dy));
         let u = block.origin[0] + block.by_column[0] * fx + block.by_row[0] * fy + 0.5;
         let v = block.origin[1] + block.by_column[1] * fx + block.by_row[1] * fy + 0.5;
-        if !(u >= 0.0 && v >= 0.0 && u < right && v < bottom) {
-            continue;
-        }
-        let (u, v) = (u as usize, v as usize);
-        let index = v * table.width + u;
-        let (word, bit) = (&mut taken[index / 64], 1 << (index % 64));
-        if *word & bit == 0 {
-            *word |= bit;
-            chosen.push(Chosen { surface: block.surface as u16, place: [u as u16, v as u16] });
-        }
+        let is_seen = is_clear & (u >= 0.0) & (v >= 0.0) & (u < right) & (v < bottom);
+        let [u, v] = [u, v].map(|at| at as i32 as usize);
+        let index = if is_seen { v * table.width + u } else { 0 };
+        let (word, bit) = (&mut taken[index / 64], u64::from(is_seen) << (index % 64));
+        let is_free = *word & bit != bit;
+        *word |= bit;
+        chosen[count] = Chosen { surface: block.surface as u16, place: [u as u16, v as u16] };
+        count += usize::from(is_free);
     }
+    count
 }
 
 fn list_blocks(spec: &LevelSpec, index: usize, motion: &Motion, blocks: &mut Vec<VisibleBlock>) {
@@ -222,4 +227,71 @@ fn occluded(surfaces: &[AlignSurface], own: usize, camera: &Vector3<f64>, middle
     });
     let others = surfaces.iter().enumerate().filter(|(k, _)| *k != own);
     others.into_iter().any(|(_, other)| other.rectangle.hides_any(&corners, camera))
+}
+
+#[cfg(test)]
+mod tests {
+    use image::{GrayImage, Luma};
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::super::CameraRays;
+    use super::*;
+    use crate::track::synthetic::{cloth, lens};
+
+    /// What [`take`] does, said plainly.
+    fn take_plainly(block: &VisibleBlock, offsets: &[[u8; 2]], table: &RayTable, taken: &mut [u64], chosen: &mut Vec<Chosen>) {
+        for [dx, dy] in offsets.iter().copied() {
+            let [x, y] = [dx, dy].map(f32::from);
+            let [u, v] = [0, 1].map(|axis| block.origin[axis] + block.by_column[axis] * x + block.by_row[axis] * y + 0.5);
+            let is_clear = (block.columns[0]..=block.columns[1]).contains(&dx) && (block.rows[0]..=block.rows[1]).contains(&dy);
+            if !is_clear || !(0.0..table.width as f32).contains(&u) || !(0.0..table.height as f32).contains(&v) {
+                continue;
+            }
+            let index = v as usize * table.width + u as usize;
+            if taken[index / 64] & (1 << (index % 64)) == 0 {
+                taken[index / 64] |= 1 << (index % 64);
+                chosen.push(Chosen { surface: block.surface as u16, place: [u as u16, v as u16] });
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_give_what_is_free_inside_the_frame_and_clear_of_their_border() {
+        let mask = GrayImage::from_fn(640, 480, |x, y| Luma([if (x / 40 + y / 40) % 3 == 0 { 0 } else { 255 }]));
+        let rays = CameraRays::new(lens(640, 480), Some(mask));
+        let table = rays.table(1);
+        let surfaces = [AlignSurface::new(&cloth(1))];
+        let mut random = Pcg64Mcg::seed_from_u64(7);
+        let (mut taken, mut plainly_taken) = (table.closed.clone(), table.closed.clone());
+        let (mut chosen, mut plainly_chosen) = (Vec::new(), Vec::new());
+        for _ in 0..2000 {
+            let level = surfaces[0].texture.own_level();
+            let candidates = &surfaces[0].texture.candidates[level];
+            let mut within = |from: f32, to: f32| from + (to - from) * random.random::<f32>();
+            let block = VisibleBlock {
+                surface: 0,
+                texture_level: level as u32,
+                column: within(0.0, candidates.columns as f32) as u32,
+                row: within(0.0, candidates.rows as f32) as u32,
+                // Some lie outside, in part or wholly.
+                origin: [within(-30.0, 350.0), within(-30.0, 270.0)],
+                by_column: [within(-1.0, 1.0), within(-1.0, 1.0)],
+                by_row: [within(-1.0, 1.0), within(-1.0, 1.0)],
+                columns: [within(0.0, 8.0) as u8, within(8.0, 16.0) as u8],
+                rows: [0, 15],
+            };
+            let first = within(0.0, 30.0) as usize;
+            let range = first..first + 12;
+            let offsets = candidates.of_block(block.column as usize, block.row as usize);
+            let own = &offsets[range.start.min(offsets.len())..range.end.min(offsets.len())];
+            take_plainly(&block, own, table, &mut plainly_taken, &mut plainly_chosen);
+            let count = chosen.len();
+            chosen.resize(count + range.len(), Chosen::default());
+            let free = take(&block, &surfaces, range, table, &mut taken, &mut chosen[count..]);
+            chosen.truncate(count + free);
+        }
+        assert!(plainly_chosen.len() > 3000, "{}", plainly_chosen.len());
+        assert!(chosen == plainly_chosen && taken == plainly_taken);
+    }
 }

@@ -1,7 +1,7 @@
 //! The tiles that a level's pixels are grouped by, and the nodes of the light between them.
 
 /// A pixel that was chosen.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Chosen {
     /// Surface index in the body.
     pub surface: u16,
