@@ -294,7 +294,7 @@ impl CameraModel {
         converged.then_some(Normalized(n))
     }
 
-    /// Solves the radial part alone on the growing branch, by bisection guarded Newton; the tangential part is left to the caller.
+    /// Solves the radial part alone on the growing branch, by Newton's method between bounds; the tangential part is left to the caller.
     fn radial_start(&self, target: Vector2<f64>) -> Option<Vector2<f64>> {
         let [k1, k2, _, _, k3] = self.intrinsics.distortion;
         let wanted = target.norm();
@@ -305,6 +305,7 @@ impl CameraModel {
             return Some(target);
         }
         let grown = |r: f64| r * (1.0 + r * r * (k1 + r * r * (k2 + r * r * k3)));
+        let slope = |r: f64| 1.0 + r * r * (3.0 * k1 + r * r * (5.0 * k2 + r * r * 7.0 * k3));
         let (mut low, mut high) = (0.0, if self.valid_radius.is_finite() { self.valid_radius } else { 2.0 * wanted.max(1.0) });
         while self.valid_radius.is_infinite() && grown(high) < wanted {
             high *= 2.0;
@@ -316,18 +317,20 @@ impl CameraModel {
             // Tangential terms may still bring it inside; start at the rim and let Newton decide.
             return Some(target * (high / wanted));
         }
+        let mut radius = wanted.min(high);
         for _ in 0..60 {
-            let middle = 0.5 * (low + high);
-            if grown(middle) < wanted {
-                low = middle
-            } else {
-                high = middle
-            }
-            if high - low < 1e-6 * high {
+            let over = grown(radius) - wanted;
+            *(if over < 0.0 { &mut low } else { &mut high }) = radius;
+            let next = radius - over / slope(radius);
+            // Near the rim the slope vanishes, and a step leads anywhere: halving the bounds is sure.
+            let next = if (low..=high).contains(&next) { next } else { 0.5 * (low + high) };
+            let step = next - radius;
+            radius = next;
+            if step.abs() < 1e-6 * radius {
                 break;
             }
         }
-        Some(target * (0.5 * (low + high) / wanted))
+        Some(target * (radius / wanted))
     }
 
     /// The same camera at another picture size of the same aspect ratio (binned or scaled pictures).

@@ -125,6 +125,15 @@ proptest! {
     }
 
     #[test]
+    fn without_tangential_terms_newton_starts_at_the_ray(camera in cameras(), ray in rays()) {
+        let [k1, k2, _, _, k3] = camera.intrinsics().distortion;
+        let radial = webcam(0.0, [k1, k2, 0.0, 0.0, k3]);
+        let ray = ray.0 * (0.99 * radial.valid_radius() / ray.0.norm()).min(1.0);
+        let start = radial.radial_start(radial.intrinsics().distort(Normalized(ray).0).0);
+        prop_assert!(start.is_some_and(|start| (start - ray).norm() < 1e-4), "{ray:?} began at {start:?}");
+    }
+
+    #[test]
     fn every_pixel_with_a_ray_is_met_again(camera in cameras(), u in -100.0..1400.0, v in -100.0..820.0) {
         let pixel = Pixel(Vector2::new(u, v));
         if let Some(ray) = camera.unproject(pixel) {
