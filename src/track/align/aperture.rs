@@ -50,7 +50,7 @@ impl GradientAgreement {
     pub fn of(pixels: &Pixels, appearance: &Appearance, level: &Level) -> Self {
         let mut sums = Self::default();
         for k in (0..pixels.len()).step_by(STRIDE).filter(|k| pixels.counts[*k] > 0.0) {
-            if let Some(seen) = level.gradient(pixels.index[k] as usize) {
+            if let Some(seen) = level.gradient(pixels.place.each_ref().map(|place| place[k] as usize)) {
                 sums.add(seen, Vector2::new(appearance.across[k].into(), appearance.down[k].into()));
             }
         }

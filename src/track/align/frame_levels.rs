@@ -35,11 +35,11 @@ impl Level {
         &self.sums
     }
 
-    /// The gradient at the pixel of this place in [`sums`](Self::sums), across and down, by central differences, in sums per pixel; `None` on the border.
+    /// The gradient at the pixel in this column and row, across and down, by central differences, in sums per pixel; `None` on the border and beyond.
     #[inline]
-    pub fn gradient(&self, index: usize) -> Option<Vector2<f64>> {
-        let u = index % self.width;
-        let is_inside = u > 0 && u + 1 < self.width && index > self.width && index + self.width < self.sums.len();
+    pub fn gradient(&self, [u, v]: [usize; 2]) -> Option<Vector2<f64>> {
+        let is_inside = u > 0 && u + 1 < self.width && v > 0 && v + 1 < self.height;
+        let index = v * self.width + u;
         let sum = |index: usize| f64::from(self.sums[index]);
         is_inside.then(|| Vector2::new(sum(index + 1) - sum(index - 1), sum(index + self.width) - sum(index - self.width)) * 0.5)
     }
@@ -147,11 +147,11 @@ mod tests {
         levels.update(&image);
         let level = levels.level(FINEST);
         // A pixel of the level is two of the frame, and sums four.
-        for index in [11, 18, 31, 38] {
-            assert_eq!(level.gradient(index), Some(Vector2::new(32.0, 48.0)), "{index}");
+        for place in [[1, 1], [8, 1], [1, 3], [8, 4]] {
+            assert_eq!(level.gradient(place), Some(Vector2::new(32.0, 48.0)), "{place:?}");
         }
-        for index in [0, 5, 9, 10, 19, 50, 55, 59, 60, 1000] {
-            assert_eq!(level.gradient(index), None, "{index}");
+        for place in [[0, 0], [5, 0], [9, 0], [0, 1], [9, 1], [0, 5], [9, 5], [3, 6], [10, 2], [0, 100]] {
+            assert_eq!(level.gradient(place), None, "{place:?}");
         }
     }
 
