@@ -11,12 +11,16 @@ use super::reference::PreparedSurface;
 use crate::geometry::{Body, Camera, Pose};
 use crate::simd::multiversion;
 
+/// Every second row of the level is drawn. Chosen: half of the rows tell a prop from what is behind it as well as all do, for half of the cost. Raised, small props have too
+/// few pixels.
+pub const ROW_STEP: usize = 2;
+
 /// A picture of what should be seen; keeps its buffers.
 #[derive(Debug, Default)]
 pub struct ExpectedView {
     /// Level of the frame.
     level: usize,
-    /// Columns and rows.
+    /// Columns, and rows that are drawn: the first one and every [`ROW_STEP`]th after it.
     size: [usize; 2],
     /// Depth of what is nearest; infinite where no surface should be seen.
     depth: Vec<f32>,
@@ -34,8 +38,8 @@ impl ExpectedView {
     /// Nothing at all, at a level of the frame.
     pub fn clear(&mut self, rays: &CameraRays, level: usize) {
         let table = rays.table(level);
-        let pixels = table.width * table.height;
-        (self.level, self.size, self.drawn) = (level, [table.width, table.height], 0);
+        (self.level, self.size, self.drawn) = (level, [table.width, table.height.div_ceil(ROW_STEP)], 0);
+        let pixels = self.size[0] * self.size[1];
         self.depth.clear();
         self.depth.resize(pixels, f32::INFINITY);
         self.grey.clear();
@@ -46,7 +50,7 @@ impl ExpectedView {
         self.texels.make_room(table.width);
     }
 
-    /// Columns and rows.
+    /// Columns, and rows that are drawn.
     pub fn size(&self) -> [usize; 2] {
         self.size
     }
@@ -73,10 +77,12 @@ impl ExpectedView {
         if from.z <= 0.0 {
             return;
         }
-        let Some([columns, rows]) = extent(surface, t_body_camera, rays, self.level, self.size) else { return };
+        let table = rays.table(self.level);
+        let size = [table.width, table.height];
+        let Some([columns, rows]) = extent(surface, t_body_camera, rays, self.level, size) else { return };
         let scale = f64::from(1u32 << self.level);
         let see = |place| rectangle.see(t_body_camera, rays.camera(), place, 0.0).map(|seen| seen.in_smaller(scale));
-        let texels = rectangle.texels_log2(self.size.map(|n| n as f64), see).unwrap_or(0.0);
+        let texels = rectangle.texels_log2(size.map(|n| n as f64), see).unwrap_or(0.0);
         if self.averaged.len() <= number {
             self.averaged.resize_with(number + 1, AveragedPicture::default);
         }
@@ -90,11 +96,13 @@ impl ExpectedView {
             centre: size.map(|n| 0.5 * n as f32 - 0.5),
         };
         let last = size.map(|n| n as f32 - 0.5);
-        for v in rows {
-            let first = v * self.size[0] + columns.start;
-            let pixels = first..first + columns.len();
+        for row in rows.start.div_ceil(ROW_STEP)..rows.end.div_ceil(ROW_STEP) {
+            let [pixels, seen_along] = [row, row * ROW_STEP].map(|v| {
+                let first = v * table.width + columns.start;
+                first..first + columns.len()
+            });
             let [depths, xs, ys, greys] = self.row.each_mut().map(|values| &mut values[..columns.len()]);
-            see_row(&rays.table(self.level).rays[pixels.clone()], &plane, depths, xs, ys);
+            see_row(&table.rays[seen_along], &plane, depths, xs, ys);
             self.texels.look(raw, size, xs, ys, greys);
             let out = self.depth[pixels.clone()].iter_mut().zip(&mut self.grey[pixels.clone()]).zip(&mut self.owners[pixels]);
             for (((nearest, grey), owner), (((depth, x), y), seen)) in out.zip(depths.iter().zip(&*xs).zip(&*ys).zip(&*greys)) {
@@ -258,14 +266,14 @@ mod tests {
         let mean = |u: u32, v: u32| (0..16).map(|k| f32::from(seen.get_pixel(4 * u + k % 4, 4 * v + k / 4)[0])).sum::<f32>() / 16.0;
         let (mut squared, mut count) = (0.0, 0.0);
         for (k, owner) in expected.owners().iter().enumerate() {
-            let (u, v) = (k % expected.size()[0], k / expected.size()[0]);
+            let (u, v) = (k % expected.size()[0], k / expected.size()[0] * ROW_STEP);
             let is_inside = expected.owners().get(k + 1) == Some(&1) && k > 0 && expected.owners()[k - 1] == 1;
             if *owner == 1 && is_inside {
                 squared += (expected.grey()[k] - mean(u as u32, v as u32)).powi(2);
                 count += 1.0;
             }
         }
-        assert!(count > 5000.0 && (squared / count).sqrt() < 12.0, "{count} pixels, off by {}", (squared / count).sqrt());
+        assert!(count > 2500.0 && (squared / count).sqrt() < 12.0, "{count} pixels, off by {}", (squared / count).sqrt());
     }
 
     #[test]

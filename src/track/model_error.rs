@@ -393,7 +393,7 @@ mod tests {
         assert_eq!(take(1.0, 4.0), 4.0);
         // It follows what stays, within five times its memory.
         let last = (0..5 * MEMORY_FRAMES as usize).map(|_| take(2.0, -1.0)).last();
-        assert!(last.is_some_and(|last| (last - 2.0).abs() < 0.01), "{last:?}");
+        assert!(last.is_some_and(|last| (last - 2.0).abs() < 0.1), "{last:?}");
     }
 
     #[test]

@@ -5,13 +5,13 @@
 //! dozen fall on it: too few to find it by. Looked for in what is left unexplained alone, it has hundreds, its faint corners count as well, and a
 //! frame that is explained everywhere costs no search at all.
 //!
-//! The comparison is made at a quarter of the frame's size, in squares of [`CELL`] pixels, gain and bias free: light may change.
+//! The comparison is made at a quarter of the frame's size, in every second row, in squares of [`CELL`] pixels, gain and bias free: light may change.
 
 use image::GrayImage;
 use nalgebra::Vector2;
 
 use super::align::{CameraRays, FrameLevels};
-use super::expected_view::ExpectedView;
+use super::expected_view::{ExpectedView, ROW_STEP};
 use super::reference::PreparedBody;
 use super::search_windows::{SearchWindows, Window};
 use super::unexplained_cells::{MARGIN_PX, SIDE_PX, UnexplainedCells};
@@ -23,6 +23,8 @@ use crate::simd::multiversion;
 const LEVEL: usize = 2;
 /// Side of a cell, pixels of the level. Three by three cells are judged together.
 const CELL: usize = (SIDE_PX >> LEVEL) as usize;
+/// Rows of a cell that are compared.
+const CELL_ROWS: usize = CELL / ROW_STEP;
 /// A cell is explained where it correlates with its prediction by this. A followed stage has above 0.97 wherever it has detail, as the pose is known to a
 /// tenth of a pixel; something else by chance rarely more than 0.8. Raised, moving shadows and folds are searched as well, which costs time; lowered, a prop that looks like
 /// what is behind it is not.
@@ -32,7 +34,7 @@ const EXPLAINED_CORRELATION: f32 = 0.9;
 const LEAST_CONTRAST: f32 = 3.0;
 /// Fewest pixels of three by three cells by which these are judged: a quarter of them. Chosen, not tuned. Raised, what stands at the border of the stage is
 /// overlooked; lowered, a few pixels decide.
-const LEAST_JUDGED: f32 = (9 * CELL * CELL / 4) as f32;
+const LEAST_JUDGED: f32 = (9 * CELL * CELL_ROWS / 4) as f32;
 /// A part of the frame that no followed body explains.
 #[derive(Debug, Clone, Default)]
 struct Region {
@@ -218,17 +220,17 @@ impl Unexplained {
     fn compare(&mut self, sums: &[u16]) {
         let Self { expected, columns, moments, cells, .. } = self;
         let [width, height] = expected.size();
-        let [across, down] = [width / CELL, height / CELL];
+        let [across, down] = [width / CELL, height / CELL_ROWS];
         moments.clear();
         moments.resize(across * down, Moments::default());
         columns.iter_mut().for_each(|sums| sums.resize(width, 0.0));
         for (row, line_of_cells) in moments.chunks_exact_mut(across.max(1)).enumerate() {
             columns.iter_mut().for_each(|sums| sums.fill(0.0));
             // The rim of the level is left out: its pixels have no neighbours.
-            for v in (row * CELL).max(1)..((row + 1) * CELL).min(height - 1) {
+            for v in (row * CELL_ROWS).max(1)..((row + 1) * CELL_ROWS).min(height - 1) {
                 let line = |v: usize| v * width..(v + 1) * width;
                 let owners = [v - 1, v, v + 1].map(|v| &expected.owners()[line(v)]);
-                add_row(&sums[line(v)], &expected.grey()[line(v)], owners, columns);
+                add_row(&sums[line(v * ROW_STEP)], &expected.grey()[line(v)], owners, columns);
             }
             for (k, cell) in line_of_cells.iter_mut().enumerate() {
                 cell.0 = columns.each_ref().map(|sums| sums[k * CELL..][..CELL].iter().sum());
