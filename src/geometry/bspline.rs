@@ -136,11 +136,6 @@ impl<const N: usize> BicubicSpline<N> {
         Support { first: row * stride + column, stride, across, up }
     }
 
-    /// The field at the point of a support, which must be of a spline of the same grid.
-    pub fn value(&self, support: &Support) -> SVector<f64, N> {
-        support.weights().map(|(k, weight)| self.coefficients[k] * weight).sum()
-    }
-
     /// The field at a point.
     pub fn at(&self, point: [f64; 2]) -> SplineValue<N> {
         let Support { first, stride, across, up } = self.support(point);

@@ -1,6 +1,6 @@
 //! Refinement of a homography on the transfer error in the second plane: for maps whose first plane is known exactly, an artwork or a board.
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 use super::homography::{Homography, PointPair};
 use super::least_squares::{Damping, LEAST_GAIN_OF_PAIRS, Options, Problem, minimise};
@@ -34,15 +34,19 @@ struct TransferErrors<'a> {
     c2: f64,
 }
 
+/// A point as a matrix of [`normalising`] maps it, which scales and shifts.
+fn scaled(by: &Matrix3<f64>, point: &Vector2<f64>) -> Vector2<f64> {
+    Vector2::new(by[(0, 0)] * point.x + by[(0, 2)], by[(1, 1)] * point.y + by[(1, 2)])
+}
+
 impl Problem for TransferErrors<'_> {
     type State = Matrix3<f64>;
     type Normal = (SMatrix<f64, 9, 9>, SVector<f64, 9>);
 
     fn cost(&self, h: &Matrix3<f64>) -> f64 {
         let squared = |p: &PointPair| {
-            let v = h * (self.from * p.from.push(1.0));
-            let b = self.to * p.to.push(1.0);
-            (v.xy() / v.z - b.xy()).norm_squared()
+            let v = h * scaled(&self.from, &p.from).push(1.0);
+            (v.xy() / v.z - scaled(&self.to, &p.to)).norm_squared()
         };
         self.pairs.iter().map(|p| geman_mcclure_cost(squared(p), self.c2)).sum()
     }
@@ -52,14 +56,13 @@ impl Problem for TransferErrors<'_> {
         let [mut plain, mut across, mut down, mut both] = [Matrix3::zeros(); 4];
         let [mut by_first, mut by_second, mut by_third] = [Vector3::zeros(); 3];
         for p in self.pairs {
-            let a = self.from * p.from.push(1.0);
-            let b = self.to * p.to.push(1.0);
+            let a = scaled(&self.from, &p.from).push(1.0);
             let v = h * a;
             if v.z.abs() < 1e-9 {
                 continue;
             }
             let q = v.xy() / v.z;
-            let r = q - b.xy();
+            let r = q - scaled(&self.to, &p.to);
             let w = geman_mcclure_weight(r.norm_squared(), self.c2);
             let a = a / v.z;
             let outer = w * a * a.transpose();
@@ -98,8 +101,6 @@ impl Problem for TransferErrors<'_> {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector2;
-
     use super::*;
     use crate::geometry::test_planes::{corner_error, pairs, truth};
 

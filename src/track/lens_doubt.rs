@@ -6,80 +6,10 @@
 
 use nalgebra::{Matrix6, SMatrix, Vector2};
 
-use super::fitted_anchor::FittedAnchor;
-use super::reference::PreparedSurface;
-use super::shape::{ShapeWay, SurfaceShape};
 use crate::camera::{CameraModel, LENS_WAYS, Normalized};
-use crate::geometry::bspline::Support;
 use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{MovingCamera, Observation, residual_and_jacobian};
 use crate::geometry::{Body, Camera, Pose};
-
-/// Ways of a shape that are asked at a time.
-const SHAPE_WAYS: usize = 8;
-
-/// What a point depends on of the splines of a way.
-#[derive(Clone, Copy)]
-struct Supports {
-    grids: [[usize; 2]; 2],
-    height: Support,
-    stretch: Support,
-}
-
-impl Supports {
-    fn of(way: &ShapeWay, point: [f64; 2]) -> Self {
-        Self { grids: Self::grids_of(way), height: way.height.support(point), stretch: way.stretch.support(point) }
-    }
-
-    fn grids_of(way: &ShapeWay) -> [[usize; 2]; 2] {
-        [way.height.intervals(), way.stretch.intervals()]
-    }
-}
-
-/// Covariance of [δp, δθ] of `T_body_camera`, body axes, by how the surfaces' shapes and places may be off; none where they are not in doubt.
-pub fn covariance_by_shape(
-    t_body_camera: &Pose<Body, Camera>,
-    camera: &CameraModel,
-    surfaces: &[PreparedSurface],
-    anchors: &[FittedAnchor],
-) -> Option<Matrix6<f64>> {
-    let ways_of = |surface: u32| match &surfaces[surface as usize].spec.shape {
-        SurfaceShape::Bent(shape) => &shape.ways[..],
-        SurfaceShape::Flat => &[],
-    };
-    let most = (0..surfaces.len() as u32).map(|k| ways_of(k).len()).max().filter(|n| *n > 0)?;
-    let pose = t_body_camera.inverse();
-    let still = MovingCamera::still(camera);
-    let rotation = pose.rotation_matrix();
-    let mut covariance = Matrix6::zeros();
-    for first in (0..most).step_by(SHAPE_WAYS) {
-        let mut normal = Matrix6::zeros();
-        let mut right = SMatrix::<f64, 6, SHAPE_WAYS>::zeros();
-        for anchor in anchors {
-            let o = &anchor.observation;
-            let Some((_, j)) = residual_and_jacobian(&pose, &still, o) else { continue };
-            let weighted = j.transpose() * o.information;
-            normal += weighted * j;
-            let spec = &surfaces[anchor.surface as usize].spec;
-            let on_picture: [f64; 2] = spec.to_metres(anchor.artwork).into();
-            let to_camera = rotation * spec.pose.rotation_matrix();
-            let mut supports: Option<Supports> = None;
-            for (k, way) in ways_of(anchor.surface).iter().skip(first).take(SHAPE_WAYS).enumerate() {
-                // Mostly all ways of a surface have one grid, and a point depends on the same coefficients of each.
-                let found = supports.filter(|s| s.grids == Supports::grids_of(way)).unwrap_or_else(|| Supports::of(way, on_picture));
-                supports = Some(found);
-                let (height, stretch) = (way.height.value(&found.height), way.stretch.value(&found.stretch));
-                // A point that moves is seen where a camera that moved with it would see it: the first three columns.
-                let shift = j.fixed_columns::<3>(0) * (to_camera * nalgebra::Vector3::new(stretch.x, stretch.y, height.x));
-                let mut column = right.column_mut(k);
-                column += weighted * shift;
-            }
-        }
-        let by_way = normal.cholesky()?.solve(&right);
-        covariance += covariance_of_inverse(&pose, &(by_way * by_way.transpose()));
-    }
-    covariance.iter().all(|v| v.is_finite()).then_some(covariance)
-}
 
 /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by the lens alone; none where the lens is not in doubt.
 pub fn covariance_by_lens<'a>(

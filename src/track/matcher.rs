@@ -16,7 +16,7 @@ use super::align::{AlignSurface, Alignment, CameraRays, FrameLevels, ShutterClue
 use super::body_search::{BodySearch, Scene};
 use super::feature_search::FeatureSearch;
 use super::frame_interval::FrameInterval;
-use super::lens_doubt::{covariance_by_lens, covariance_by_shape};
+use super::lens_doubt::covariance_by_lens;
 use super::lens_watch::{LensState, LensWatch};
 use super::misfit::{ModelNews, ModelReport};
 use super::pixel_watch::{PixelWatch, Used, UsedPixels};
@@ -296,7 +296,7 @@ impl Matcher {
         if let Some(v) = &mut verified {
             let observations = tracked.anchors.iter().map(|anchor| &anchor.observation);
             let by_lens = covariance_by_lens(&v.pose, &self.camera, observations).filter(|_| self.settings.adds_lens_doubt);
-            let by_shape = covariance_by_shape(&v.pose, &self.camera, &tracked.body.surfaces, &tracked.anchors);
+            let by_shape = tracked.covariance_by_shape(&v.pose, &self.camera);
             let fit = self.fits[k];
             let by_focal = self.lens_watch.strayed().filter(|_| fit.is_some());
             let by_focal = by_focal.and_then(|strayed| tracked.covariance_by_focal(&v.pose, strayed));

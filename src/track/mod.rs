@@ -4,7 +4,7 @@
 //! `registration` and `verify` refine a proposal against the picture and judge it; `align` follows a body from frame
 //! to frame, pixel by pixel; `track_state` decides what a verified pose means in time;
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
-//! homography and essential matrix; `lens_doubt` tells what the doubt about lens and shapes leaves open; `tile_residuals` are the displacements that a solution leaves, `model_error` is what
+//! homography and essential matrix; `lens_doubt` and `shape_doubt` tell what the doubt about lens and shapes leaves open; `tile_residuals` are the displacements that a solution leaves, `model_error` is what
 //! they say of the pose by a `smooth_field` of shifts, `model_study` finds which part of the model they speak against (its unknowns: `model_unknowns`; what it found: `misfit`), which `model_watch` says once, `focal_clue` what they say of the focal length, and `lens_watch` withholds poses where the lens was moved; `reason` says why a frame has no pose, `failure` finds it, with
 //! `frame_look`; `unexplained` is what of a frame no followed body explains, where missing ones are looked for, in `search_windows` (`expected_view` draws what should be seen, from an `averaged_picture` of each surface); `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
 //! body; `body_search` looks for those that are not followed; `pixel_watch` shows what a pose rests on to whoever asks; `matcher` runs them all on a frame.
@@ -39,6 +39,7 @@ mod row_motion;
 mod search_windows;
 mod settings;
 mod shape;
+mod shape_doubt;
 mod smooth_field;
 mod surface;
 #[cfg(test)]

@@ -16,6 +16,7 @@ use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surf
 use super::reason::Reason;
 use super::reference::PreparedBody;
 use super::row_motion::RowMotion;
+use super::shape_doubt::ShapeDoubt;
 use super::surface::BodySpec;
 use super::tile_residuals::TileResiduals;
 use super::track_state::TrackStateMachine;
@@ -107,6 +108,7 @@ pub struct TrackedBody {
     field_size: FieldSize,
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit the model, of the last verified pose.
     model_error: Matrix6<f64>,
+    shape_doubt: ShapeDoubt,
     model_watch: ModelWatch,
     /// What is studied of a frame, and what it leaves.
     studied: Vec<FittedAnchor>,
@@ -157,6 +159,7 @@ impl TrackedBody {
             error_buffers: ModelErrorBuffers::with_capacity(most),
             field_size: FieldSize::default(),
             model_error: Matrix6::zeros(),
+            shape_doubt: ShapeDoubt::of(&body.surfaces),
             model_watch: ModelWatch::new(body.surfaces.len()),
             studied: Vec::with_capacity(most),
             study_residuals: TileResiduals::default(),
@@ -419,6 +422,11 @@ impl TrackedBody {
     /// fits.
     pub fn covariance_by_misfit(&self) -> Matrix6<f64> {
         self.model_error
+    }
+
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of a verified pose by how the surfaces' shapes and places may be off; none where they are not in doubt.
+    pub fn covariance_by_shape(&self, pose: &Pose<Body, Camera>, camera: &CameraModel) -> Option<Matrix6<f64>> {
+        self.shape_doubt.covariance(pose, camera, &self.body.surfaces, &self.anchors)
     }
 
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, where one sigma of the logarithm of the focal length is this.
