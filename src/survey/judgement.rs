@@ -89,7 +89,7 @@ impl Survey {
     /// One sigma of the height of surface `k` at a point of its picture, metres.
     pub fn height_sigma_m(&self, k: usize, point: [f64; 2]) -> f64 {
         let Some(shape) = bent(&self.surfaces[k]) else { return 0.0 };
-        let weights: Vec<(usize, f64)> = shape.height.support(point).weights().map(|(n, w)| (self.places.heights[k] + n, w)).collect();
+        let weights = shape.height.support(point).weights().map(|(n, w)| (self.places.heights[k] + n, w));
         let variance: f64 = weights.iter().flat_map(|(i, a)| weights.iter().map(move |(j, b)| a * b * self.covariance[(*i, *j)])).sum();
         variance.max(0.0).sqrt()
     }

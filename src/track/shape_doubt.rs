@@ -13,6 +13,7 @@ use crate::camera::CameraModel;
 use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{MovingCamera, residual_and_jacobian};
 use crate::geometry::{Body, Camera, Pose};
+use crate::simd::multiversion;
 
 /// Ways that are asked at a time: as many as a survey gives. Raised, surfaces of few ways cost more; lowered, the points are gone through more often.
 const WAYS: usize = 24;
@@ -35,14 +36,14 @@ struct WayTable {
     grid: ShapeWay,
     /// For each coefficient that of every way, 0 for those of other grids: height, and stretch along x and y.
     heights: Vec<[f64; WAYS]>,
-    stretches: Vec<[[f64; WAYS]; 2]>,
+    stretches: [Vec<[f64; WAYS]>; 2],
 }
 
 impl WayTable {
     fn new(first: usize, grid: &ShapeWay) -> Self {
-        let heights = vec![[0.0; WAYS]; grid.height.coefficients().len()];
-        let stretches = vec![[[0.0; WAYS]; 2]; grid.stretch.coefficients().len()];
-        Self { first, grid: grid.clone(), heights, stretches }
+        let rows = |coefficients: usize| vec![[0.0; WAYS]; coefficients];
+        let stretches = [0, 1].map(|_| rows(grid.stretch.coefficients().len()));
+        Self { first, grid: grid.clone(), heights: rows(grid.height.coefficients().len()), stretches }
     }
 
     fn is_for(&self, first: usize, way: &ShapeWay) -> bool {
@@ -52,25 +53,33 @@ impl WayTable {
 
     fn put(&mut self, column: usize, way: &ShapeWay) {
         self.heights.iter_mut().zip(way.height.coefficients()).for_each(|(row, c)| row[column] = c.x);
-        for (rows, c) in self.stretches.iter_mut().zip(way.stretch.coefficients()) {
-            (rows[0][column], rows[1][column]) = (c.x, c.y);
+        for (axis, rows) in self.stretches.iter_mut().enumerate() {
+            rows.iter_mut().zip(way.stretch.coefficients()).for_each(|(row, c)| row[column] = c[axis]);
         }
     }
 
     /// Adds how each way moves a point of the picture, along x, y and the normal.
     fn add_shifts(&self, point: [f64; 2], [x, y, z]: &mut [[f64; WAYS]; 3]) {
-        for (k, weight) in self.grid.height.support(point).weights() {
-            add_scaled(z, &self.heights[k], weight);
-        }
-        for (k, weight) in self.grid.stretch.support(point).weights() {
-            add_scaled(x, &self.stretches[k][0], weight);
-            add_scaled(y, &self.stretches[k][1], weight);
-        }
+        let [height, stretch] = [self.grid.height.support(point), self.grid.stretch.support(point)].map(|support| support.weights());
+        add_rows(&self.heights, &height, z);
+        add_rows(&self.stretches[0], &stretch, x);
+        add_rows(&self.stretches[1], &stretch, y);
     }
 }
 
-fn add_scaled(sums: &mut [f64; WAYS], row: &[f64; WAYS], weight: f64) {
-    sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += value * weight);
+multiversion! {
+    /// Adds rows, each times its weight.
+    fn add_rows(rows: &[[f64; WAYS]], weights: &[(usize, f64)], sums: &mut [f64; WAYS]); ["avx2"] => add_rows_plain, else add_rows_plain
+}
+
+#[inline(always)]
+fn add_rows_plain(rows: &[[f64; WAYS]], weights: &[(usize, f64)], sums: &mut [f64; WAYS]) {
+    // A copy stays in registers.
+    let mut own = *sums;
+    for (k, weight) in weights {
+        own.iter_mut().zip(&rows[*k]).for_each(|(sum, value)| *sum += value * weight);
+    }
+    *sums = own;
 }
 
 impl ShapeDoubt {
@@ -124,7 +133,7 @@ impl ShapeDoubt {
                 let by_shift: Matrix2x3<f64> = j.fixed_columns::<3>(0) * (rotation * spec.pose.rotation_matrix());
                 let by_shift = weighted * by_shift;
                 for (row, sums) in right.iter_mut().enumerate() {
-                    shifts.iter().enumerate().for_each(|(axis, shift)| add_scaled(sums, shift, by_shift[(row, axis)]));
+                    add_rows(&shifts, &[0, 1, 2].map(|axis| (axis, by_shift[(row, axis)])), sums);
                 }
             }
             let right = SMatrix::<f64, 6, WAYS>::from_fn(|row, way| right[row][way]);
