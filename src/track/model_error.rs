@@ -50,7 +50,7 @@ const MEMORY_FRAMES: f64 = 60.0;
 /// Standard errors of that mean that are taken from it: where all fits it is above 0 as often as below, and only what is above widens the covariance. Chosen: seven renderings of d-webcam,
 /// which fits, have 0.863 of the covariance with 0 and 0.878 with 1; d-gel, d-haze and d-actors, which do not quite, 1.46, 1.27 and 0.86 with 0, and 1.53, 1.34 and 0.91 with 1. Raised,
 /// small errors of the model are in no covariance.
-const CHANCE: f64 = 1.0;
+const STANDARD_ERRORS: f64 = 1.0;
 
 /// What of the tiles' displacements neither the pose nor the noise explains.
 #[derive(Debug, Clone, Copy)]
@@ -98,7 +98,7 @@ impl FieldSize {
         self.frames = (self.frames + 1.0).min(MEMORY_FRAMES);
         self.by_pairs_px2 += (error.by_pairs_px2 - self.by_pairs_px2) / self.frames;
         self.by_pairs_squared += (error.by_pairs_px2.powi(2) - self.by_pairs_squared) / self.frames;
-        error.covariance_of(self.by_pairs_px2 - CHANCE * self.standard_error())
+        error.covariance_of(self.by_pairs_px2 - STANDARD_ERRORS * self.standard_error())
     }
 
     /// Of the mean; 0 where a single frame does not tell it.
