@@ -305,7 +305,6 @@ impl CameraModel {
             return Some(target);
         }
         let grown = |r: f64| r * (1.0 + r * r * (k1 + r * r * (k2 + r * r * k3)));
-        let slope = |r: f64| 1.0 + r * r * (3.0 * k1 + r * r * (5.0 * k2 + r * r * 7.0 * k3));
         let (mut low, mut high) = (0.0, if self.valid_radius.is_finite() { self.valid_radius } else { 2.0 * wanted.max(1.0) });
         while self.valid_radius.is_infinite() && grown(high) < wanted {
             high *= 2.0;
@@ -320,8 +319,12 @@ impl CameraModel {
         let mut radius = wanted.min(high);
         for _ in 0..60 {
             let over = grown(radius) - wanted;
-            *(if over < 0.0 { &mut low } else { &mut high }) = radius;
-            let next = radius - over / slope(radius);
+            if over < 0.0 {
+                low = radius;
+            } else {
+                high = radius;
+            }
+            let next = radius - over / radial_slope(&self.intrinsics.distortion, radius * radius);
             // Near the rim the slope vanishes, and a step leads anywhere: halving the bounds is sure.
             let next = if (low..=high).contains(&next) { next } else { 0.5 * (low + high) };
             let step = next - radius;
@@ -360,11 +363,17 @@ impl CameraModel {
 /// the distortion folds; raised, its powers in the polynomial lose their meaning before anything is gained.
 const LARGEST_RADIUS: f64 = 1e6;
 
-/// The first radius at which d(r radial(r))/dr = 1 + 3 k1 r² + 5 k2 r⁴ + 7 k3 r⁶ is no longer positive.
+/// d(r radial(r))/dr = 1 + 3 k1 s + 5 k2 s² + 7 k3 s³, of the squared radius s.
+fn radial_slope([k1, k2, _, _, k3]: &[f64; 5], s: f64) -> f64 {
+    1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3))
+}
+
+/// The first radius at which [`radial_slope`] is no longer positive.
 ///
 /// Between the turning points of this cubic in r² it runs one way only, so a change of sign cannot hide.
-fn radial_limit([k1, k2, _, _, k3]: [f64; 5]) -> f64 {
-    let slope = |s: f64| 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3));
+fn radial_limit(distortion: [f64; 5]) -> f64 {
+    let [k1, k2, _, _, k3] = distortion;
+    let slope = |s: f64| radial_slope(&distortion, s);
     let mut low = 0.0;
     for high in turning_points(3.0 * k1, 10.0 * k2, 21.0 * k3).into_iter().chain([LARGEST_RADIUS * LARGEST_RADIUS]) {
         if !(high > low && high <= LARGEST_RADIUS * LARGEST_RADIUS) {

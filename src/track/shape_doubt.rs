@@ -166,7 +166,7 @@ mod tests {
         field
     }
 
-    /// A surface that may be off in so many ways, every seventh of which has other grids.
+    /// A cloth with this number of ways in which its shape may be off. Every seventh way has splines with fewer knots than the others.
     fn doubted(seed: u32, ways: usize) -> SurfaceSpec {
         let mut random = Pcg64Mcg::seed_from_u64(seed.into());
         let size_m = cloth(seed).size_m;
