@@ -62,6 +62,9 @@ pub struct Appearance {
     pub across: Vec<f32>,
     /// See `across`.
     pub down: Vec<f32>,
+    /// Derivative of grey by the camera's velocity and turn rate (axes as in `by_pose`, per metre and radian a second) about the instant of the pixel's row: what
+    /// motion blur alone tells. Filled by [`predict_by_velocity`] alone.
+    pub by_velocity: [Vec<f32>; 6],
 }
 
 impl Appearance {
@@ -71,6 +74,12 @@ impl Appearance {
         for v in by_pose.chain([&mut self.intensity, &mut self.psf_variance, &mut self.sharper, &mut self.across, &mut self.down]) {
             resize_with_room(v, n, 0.0);
         }
+    }
+
+    /// Makes room for the derivatives by the velocity of as many pixels as there is room for.
+    pub fn make_room_for_velocity(&mut self) {
+        let n = self.intensity.len();
+        self.by_velocity.iter_mut().for_each(|v| resize_with_room(v, n, 0.0));
     }
 }
 
@@ -137,6 +146,11 @@ pub struct Predicted<'a> {
 dispatch! {
     /// Predicts the pixels of one surface.
     predict, predict_lanes, (what: &Predicted, out: &mut Appearance)
+}
+
+dispatch! {
+    /// Predicts the pixels of one surface, and how they change with the velocity that blurs them; there must be room for that.
+    predict_by_velocity, predict_by_velocity_lanes, (what: &Predicted, out: &mut Appearance)
 }
 
 /// Where a ray meets the surface, and how that point moves with the ray.
@@ -261,6 +275,8 @@ struct Sampled<L> {
     /// By pixels of the level.
     across: L,
     down: L,
+    /// Means of these times the instant of their place, in halves of the exposure; where they are asked for.
+    by_instant: [L; 2],
 }
 
 /// `side` x `side` samples at a sharp pixel.
@@ -300,6 +316,7 @@ fn sharp_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2]
         sharper: zero,
         across: across.mul(slope),
         down: down.mul(slope),
+        by_instant: [zero; 2],
     }
 }
 
@@ -322,10 +339,10 @@ impl<L: Lanes> BlurPath<L> {
         }
     }
 
-    /// The n-th of several places, which are as far apart as gives them the variance of the whole way.
+    /// The n-th of several places.
     #[inline(always)]
     fn place(&self, n: usize, places: usize) -> [L; 2] {
-        let e = L::splat((2.0 * n as f32 + 1.0 - places as f32) / ((places * places - 1) as f32).sqrt());
+        let e = L::splat(instant(n, places));
         [
             self.bend[0].mul_add(e, self.slope[0]).mul_add(e, self.middle[0]),
             self.bend[1].mul_add(e, self.slope[1]).mul_add(e, self.middle[1]),
@@ -333,14 +350,27 @@ impl<L: Lanes> BlurPath<L> {
     }
 }
 
+/// The instant of the n-th of several places along a blur, in halves of the exposure from its middle. They are as far apart as gives them the variance of the whole
+/// way: a third.
+fn instant(n: usize, places: usize) -> f32 {
+    (2.0 * n as f32 + 1.0 - places as f32) / ((places * places - 1) as f32).sqrt()
+}
+
 /// Samples at `places` (odd, 3 at least) along the blur: nine or five at each where these are few, else three.
 #[inline(always)]
-fn blurred_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
+fn blurred_samples<L: Lanes, const BY_VELOCITY: bool>(
+    tiles: &[Tile],
+    level: &LevelLanes<L>,
+    way: &BlurPath<L>,
+    by_pixel: &[L; 4],
+    places: usize,
+) -> Sampled<L> {
     if places > FIVE_SAMPLES {
-        return diagonal_samples(tiles, level, way, by_pixel, places);
+        return diagonal_samples::<L, BY_VELOCITY>(tiles, level, way, by_pixel, places);
     }
     let zero = L::splat(0.0);
-    let (mut mean, mut unblurred) = (Sampled { intensity: zero, psf_variance: zero, sharper: zero, across: zero, down: zero }, zero);
+    let mut unblurred = zero;
+    let mut mean = Sampled { intensity: zero, psf_variance: zero, sharper: zero, across: zero, down: zero, by_instant: [zero; 2] };
     let share = L::splat(1.0 / places as f32);
     for n in 0..places {
         let at = way.place(n, places);
@@ -350,6 +380,10 @@ fn blurred_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPa
         mean.psf_variance = sampled.psf_variance.mul_add(share, mean.psf_variance);
         mean.across = sampled.across.mul_add(share, mean.across);
         mean.down = sampled.down.mul_add(share, mean.down);
+        if BY_VELOCITY {
+            let share = L::splat(instant(n, places) / places as f32);
+            mean.by_instant = [sampled.across.mul_add(share, mean.by_instant[0]), sampled.down.mul_add(share, mean.by_instant[1])];
+        }
         if 2 * n + 1 == places {
             unblurred = sampled.intensity;
         }
@@ -379,12 +413,19 @@ fn five_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, [u, v]: [L; 2],
         sharper: L::splat(0.0),
         across: along_falling.add(along_rising).mul(slope),
         down: along_falling.sub(along_rising).mul(slope),
+        by_instant: [L::splat(0.0); 2],
     }
 }
 
 /// Three samples at each of `places`, on alternating diagonals.
 #[inline(always)]
-fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
+fn diagonal_samples<L: Lanes, const BY_VELOCITY: bool>(
+    tiles: &[Tile],
+    level: &LevelLanes<L>,
+    way: &BlurPath<L>,
+    by_pixel: &[L; 4],
+    places: usize,
+) -> Sampled<L> {
     let step = L::splat(DIAGONAL_SAMPLE);
     let diagonals = [
         [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)],
@@ -393,6 +434,8 @@ fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurP
     let zero = L::splat(0.0);
     let (mut outer, mut middles, mut unblurred) = (zero, zero, zero);
     let mut differences = [zero; 2];
+    // Differences times their instants, and the squares of these, of each diagonal.
+    let (mut by_instant, mut squared_instants) = ([zero; 2], [0.0; 2]);
     for n in 0..places {
         let [u, v] = way.place(n, places);
         let [du, dv] = diagonals[n % 2];
@@ -401,6 +444,11 @@ fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurP
         middles = middles.add(centre);
         outer = outer.add(ahead.add(behind));
         differences[n % 2] = differences[n % 2].add(ahead.sub(behind));
+        if BY_VELOCITY {
+            let e = instant(n, places);
+            by_instant[n % 2] = ahead.sub(behind).mul_add(L::splat(e), by_instant[n % 2]);
+            squared_instants[n % 2] += e * e;
+        }
         if 2 * n + 1 == places {
             unblurred = centre;
         }
@@ -411,6 +459,9 @@ fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurP
     let [falling, rising] = [differences[0], differences[1]];
     let falling = falling.mul(L::splat(0.25 / (DIAGONAL_SAMPLE * places.div_ceil(2) as f32)));
     let rising = rising.mul(L::splat(0.25 / (DIAGONAL_SAMPLE * (places / 2) as f32)));
+    // Along either diagonal every other place is seen: the line through its differences gives the mean over all, as the instants' variance is a third.
+    let [falling_by_instant, rising_by_instant] =
+        std::array::from_fn(|d| by_instant[d].mul(L::splat(0.25 / (3.0 * DIAGONAL_SAMPLE * squared_instants[d].max(f32::MIN_POSITIVE)))));
     Sampled {
         intensity,
         psf_variance: intensity.sub(middles).mul(L::splat(1.5 * PSF_VARIANCE_UNIT / (DIAGONAL_SAMPLE * DIAGONAL_SAMPLE))),
@@ -418,21 +469,32 @@ fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurP
         sharper: unblurred.sub(middles),
         across: falling.add(rising),
         down: falling.sub(rising),
+        by_instant: [falling_by_instant.add(rising_by_instant), falling_by_instant.sub(rising_by_instant)],
     }
 }
 
 #[inline(always)]
 pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
+    predict_surface::<L, false>(what, out);
+}
+
+#[inline(always)]
+pub fn predict_by_velocity_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
+    predict_surface::<L, true>(what, out);
+}
+
+#[inline(always)]
+fn predict_surface<L: Lanes, const BY_VELOCITY: bool>(what: &Predicted, out: &mut Appearance) {
     // Compiled for each: a flat surface costs nothing of what a bent one does.
     if what.surface.rectangle.shape.is_flat() || what.pixels.planes.is_empty() {
-        predict_pixels::<L, false>(what, out);
+        predict_pixels::<L, false, BY_VELOCITY>(what, out);
     } else {
-        predict_pixels::<L, true>(what, out);
+        predict_pixels::<L, true, BY_VELOCITY>(what, out);
     }
 }
 
 #[inline(always)]
-fn predict_pixels<L: Lanes, const IS_BENT: bool>(what: &Predicted, out: &mut Appearance) {
+fn predict_pixels<L: Lanes, const IS_BENT: bool, const BY_VELOCITY: bool>(what: &Predicted, out: &mut Appearance) {
     let Predicted { surface, spec, pixels, range, .. } = *what;
     let view = &View::new(what);
     let tiles = &surface.texture.tiles[..];
@@ -458,7 +520,7 @@ fn predict_pixels<L: Lanes, const IS_BENT: bool>(what: &Predicted, out: &mut App
             let (before, after) = (t.sub(half), t.add(half));
             let first = hit(view, &sight_at(view, before, map.as_ref()), x, y).texel;
             let last = hit(view, &sight_at(view, after, map.as_ref()), x, y).texel;
-            blurred_samples(tiles, &level, &BlurPath::through(first, middle.texel, last), &by_pixel, spec.places)
+            blurred_samples::<L, BY_VELOCITY>(tiles, &level, &BlurPath::through(first, middle.texel, last), &by_pixel, spec.places)
         };
         store_at(&mut out.intensity, k, sampled.intensity);
         store_at(&mut out.psf_variance, k, sampled.psf_variance);
@@ -467,9 +529,18 @@ fn predict_pixels<L: Lanes, const IS_BENT: bool>(what: &Predicted, out: &mut App
         let (across, down) = (sampled.across.mul(gradient_gain), sampled.down.mul(gradient_gain));
         store_at(&mut out.across, k, across);
         store_at(&mut out.down, k, down);
-        let by_pose = by_pose(view, &sight.rotation, &middle, [x, y], by_texel(&by_pixel, across, down), map.as_ref());
+        let derivatives = by_pose(view, &sight.rotation, &middle, [x, y], by_texel(&by_pixel, across, down), map.as_ref());
         for n in 0..6 {
-            store_at(&mut out.by_pose[n], k, by_pose[n]);
+            store_at(&mut out.by_pose[n], k, derivatives[n]);
+        }
+        if BY_VELOCITY {
+            // A place is where the velocity has taken the camera from the instant of its row.
+            let gain = gradient_gain.mul(L::splat(view.half_exposure_s));
+            let [across, down] = sampled.by_instant.map(|slope| slope.mul(gain));
+            let by_velocity = by_pose(view, &sight.rotation, &middle, [x, y], by_texel(&by_pixel, across, down), map.as_ref());
+            for n in 0..6 {
+                store_at(&mut out.by_velocity[n], k, by_velocity[n]);
+            }
         }
         k += LANES;
     }

@@ -2,7 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::appearance::{Appearance, Predicted, predict, predict_lanes};
+use super::appearance::{Appearance, Predicted, predict, predict_by_velocity, predict_by_velocity_lanes, predict_lanes};
 use super::columns::{BIAS, COLUMNS, GAINS, POSE, PSF_VARIANCE, entry};
 use super::evidence::{RunEvidence, evidence, evidence_lanes};
 use super::frame_levels::FrameLevels;
@@ -128,6 +128,53 @@ fn velocity_acts_through_the_time_of_the_row() {
         let derivatives: Vec<f64> = at.by_pose[k].iter().zip(&scene.pixels.delay_s).map(|(v, t)| f64::from(v * t)).collect();
         let (slope, correlation) = line(&derivatives, &differences);
         assert!((slope - 1.0).abs() < SLOPE_ERROR && correlation > 0.99, "{k}: {slope} {correlation}");
+    }
+}
+
+/// The prediction with its derivatives by the velocity.
+fn appearance_by_velocity(scene: &Scene, places: usize, predict: impl Fn(&Predicted, &mut Appearance)) -> Appearance {
+    let mut out = Appearance::default();
+    out.resize(scene.pixels.len());
+    out.make_room_for_velocity();
+    predict(&predicted(scene, &scene.motion, &LevelSpec { places, ..scene.spec() }), &mut out);
+    out
+}
+
+#[test]
+fn derivatives_of_the_blur_by_the_velocity_agree_with_differences() {
+    for (mut scene, places) in scenes().into_iter().map(|scene| (scene, 5)).chain([3, 9, 15].map(|places| (scene(), places))) {
+        // Some pixels of blur. What moves so fast and turns as well is seen along a curve.
+        scene.slow.shutter.exposure_s = 0.04;
+        let at = appearance_by_velocity(&scene, places, predict_by_velocity);
+        let same = appearance(&scene, &scene.motion, places);
+        assert!(at.intensity == same.intensity && at.by_pose == same.by_pose);
+        for k in 0..6 {
+            let mut step = MotionError::zeros();
+            step[6 + k] = if k < 3 { 0.04 } else { 0.01 };
+            let plus = appearance(&scene, &scene.motion.corrected(&step), places);
+            let minus = appearance(&scene, &scene.motion.corrected(&-step), places);
+            // Later rows also see the picture elsewhere, which is no blur.
+            let by_row = at.by_pose[k].iter().zip(&scene.pixels.delay_s).map(|(v, t)| f64::from(v * t));
+            let differences = plus.intensity.iter().zip(&minus.intensity).map(|(p, m)| f64::from(p - m) / (2.0 * step[6 + k]));
+            let differences: Vec<f64> = differences.zip(by_row).map(|(all, by_row)| all - by_row).collect();
+            let derivatives: Vec<f64> = at.by_velocity[k].iter().map(|v| f64::from(*v)).collect();
+            let (slope, correlation) = line(&derivatives, &differences);
+            // Where a place is sampled along one diagonal alone, the other is guessed from its neighbours.
+            let (slope_error, least) = if places <= 5 { (SLOPE_ERROR, 0.99) } else { (1.5 * SLOPE_ERROR, 0.97) };
+            assert!((slope - 1.0).abs() < slope_error && correlation > least, "places {places}, {k}: {slope} {correlation}");
+        }
+    }
+}
+
+#[test]
+fn the_plain_twin_predicts_the_same_derivatives_by_the_velocity() {
+    for places in [1, 3, 9] {
+        let scene = scene();
+        let fast = appearance_by_velocity(&scene, places, predict_by_velocity);
+        let plain = appearance_by_velocity(&scene, places, predict_by_velocity_lanes::<Plain>);
+        let difference = fast.by_velocity[3].iter().zip(&plain.by_velocity[3]).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
+        let size = plain.by_velocity[3].iter().map(|v| f64::from(v.abs())).sum::<f64>();
+        assert!(difference <= 2e-3 * size && (size > 0.0) == (places > 1), "{places}: {difference} of {size}");
     }
 }
 

@@ -10,6 +10,7 @@
 
 use nalgebra::{Matrix2, Matrix2x6, Matrix6, RowVector6, SMatrix, SVector, Vector2, Vector3, Vector6};
 
+use super::columns::POSE;
 use super::level_problem::LevelProblem;
 use super::level_problem::blur::{KnownVelocity, along_frame};
 use super::level_spec::LevelSpec;
@@ -21,9 +22,6 @@ const ROUNDS: usize = 5;
 /// A step that changes the blur by less is the last, and one that changes it by more at the end shows that there is none, pixels of the level.
 const SMALL_PX: f64 = 0.03;
 const LARGEST_LAST_PX: f64 = 0.3;
-/// A velocity is changed by so much to see what it does to the blur, and to the rows, pixels of the level. Raised, slopes are those of elsewhere; lowered,
-/// rounding passes for blur.
-const STEP_PX: f64 = 0.25;
 /// Length of the trial blur that the missing blur is measured with, pixels of the level. Chosen near the usual length, not tuned. Raised, fine detail is gone where blur is short; lowered,
 /// long blur is found too short.
 const FIRST_BLUR_PX: f64 = 1.5;
@@ -34,8 +32,10 @@ const LEAST_BLUR_ERRORS: f64 = 1.5;
 /// Squared sigmas by which rows must prefer a direction to the opposite one. Raised, more frames wait for a second; lowered, a velocity is
 /// taken for its opposite.
 const SURE_DIRECTION: f64 = 20.0;
-/// Prior information of an image velocity, in units of [`STEP_PX`]: next to none. Raised, slow bodies are taken to stand still.
-const UNKNOWN: f64 = 1e-4;
+/// Prior information of the length of an image velocity's blur, per squared pixel of the level: next to none. Raised, slow bodies are taken to stand still.
+const UNKNOWN_BLUR: f64 = 1.6e-3;
+/// Share of what else is known that stands beside blur when that is asked alone, so that the system stays regular. Raised, blur says what was known anyway.
+const NEARLY_NOTHING: f64 = 1e-4;
 /// One sigma of the variance of a blur beside what the motion makes, pixels² of the level: optics are softer towards the corners, and cameras sharpen and
 /// smooth by the content. Chosen from what blur was off by in single frames of d-handheld and d-webcam. Raised, blur tells less of slow motions; lowered, poses
 /// of sharpened pictures are believed too much.
@@ -99,8 +99,8 @@ struct BlurStart<'a, F> {
     /// What else is known of it: mean and information.
     known: Vector6<f64>,
     information: Matrix6<f64>,
-    /// By how much each is changed to see what it does; 0: it stays.
-    steps: Vector6<f64>,
+    /// Which of it the blur is asked for; the others stay.
+    asked: [bool; POSE],
     /// The motion with a velocity.
     with_velocity: &'a F,
 }
@@ -119,12 +119,13 @@ impl BlurSearch<'_, '_> {
     fn image_velocity(&self, problem: &mut LevelProblem) -> Option<VelocityByBlur> {
         let (motion, distance_m) = (&self.found.motion, self.distance_m);
         let known = motion.twist();
-        let turn = self.turn_step();
-        let steps = Vector6::new(0.0, 0.0, 0.0, turn, turn, 0.0);
-        let information = Matrix6::from_diagonal(&steps.map(|step| if step == 0.0 { 1.0 } else { UNKNOWN * turn.powi(-2) }));
+        let asked = [false, false, false, true, true, false];
+        let px_per_turn_rate = focal_px(self.spec) * self.spec.shutter.exposure_s;
+        let of_asked = UNKNOWN_BLUR * px_per_turn_rate.powi(2);
+        let information = Matrix6::from_diagonal(&Vector6::from(asked.map(|is_asked| if is_asked { of_asked } else { 1.0 })));
         let with_velocity = |velocity: &Vector6<f64>| motion.with_twist(velocity);
         let first = known + self.first_velocity(problem)?;
-        let fit = self.fit(problem, &BlurStart { first, known, information, steps, with_velocity: &with_velocity })?;
+        let fit = self.fit(problem, &BlurStart { first, known, information, asked, with_velocity: &with_velocity })?;
         // The middle of a picture moves as by a turn of the camera, or by its way over the distance.
         let axes = motion.pose.rotation_matrix();
         let (right, down) = (axes.column(0) / distance_m, axes.column(1) / distance_m);
@@ -155,9 +156,7 @@ impl BlurSearch<'_, '_> {
             let pose = found.motion.with_pose_corrected(&(pose_by_velocity * (velocity - known)));
             Motion { pose, ..found.motion }.with_twist(velocity)
         };
-        let turn = self.turn_step();
-        let steps = Vector6::from_fn(|k, _| if k < 3 { turn * self.distance_m } else { turn });
-        let start = BlurStart { first: known, known, information, steps, with_velocity: &with_velocity };
+        let start = BlurStart { first: known, known, information, asked: [true; POSE], with_velocity: &with_velocity };
         let fit = self.fit(problem, &start)?;
         let by_rows = |velocity: &Vector6<f64>| (velocity - known).dot(&(information * (velocity - known)));
         let is_sure = by_rows(&-fit.velocity) - by_rows(&fit.velocity) > SURE_DIRECTION;
@@ -172,7 +171,7 @@ impl BlurSearch<'_, '_> {
     /// Steps to where blur and what else is known have the velocity; `None` where they come to no rest.
     fn fit(&self, problem: &mut LevelProblem, start: &BlurStart<impl Fn(&Vector6<f64>) -> Motion>) -> Option<BlurFit> {
         // Blur alone: next to nothing is known beside it.
-        let nothing = start.information * UNKNOWN;
+        let nothing = start.information * NEARLY_NOTHING;
         // With the logarithm of the exposure, less that of the one that is known.
         let (mut velocity, mut exposure) = (start.first, 0.0);
         let mut fit = None;
@@ -180,7 +179,7 @@ impl BlurSearch<'_, '_> {
             let motion = (start.with_velocity)(&velocity);
             let shutter = Shutter { exposure_s: self.spec.shutter.exposure_s * f64::exp(exposure), ..*self.spec.shutter };
             let spec = blurred(&LevelSpec { shutter: &shutter, ..*self.spec }, &motion);
-            let step = problem.velocity_step(&spec, &motion, &start.steps, &self.known_velocity(nothing))?;
+            let step = problem.velocity_step(&spec, &motion, &start.asked, &self.known_velocity(nothing))?;
             let by_blur = positive(&(step.covariance.cholesky()?.inverse() - nothing));
             let believed = by_blur * self.believed(&by_blur, &velocity, spec.blur_of(&motion));
             let [faster, longer] = self.fused(start, &velocity, exposure, &believed, &step.step)?;
@@ -268,12 +267,6 @@ impl BlurSearch<'_, '_> {
     fn known_velocity(&self, information: Matrix6<f64>) -> KnownVelocity {
         let KnownBlur { psf_variance, psf_variance_sigma, .. } = self.known;
         KnownVelocity { information, psf_variance, psf_variance_sigma }
-    }
-
-    /// A turn rate that moves the picture by [`STEP_PX`] during the exposure, or from the middle row to the last.
-    fn turn_step(&self) -> f64 {
-        let shutter = self.spec.shutter;
-        STEP_PX / (focal_px(self.spec) * shutter.exposure_s.max(0.5 * shutter.readout_s.abs()))
     }
 }
 

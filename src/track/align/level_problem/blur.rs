@@ -1,8 +1,8 @@
 //! What the blur of a level's pixels says of a velocity.
 //!
-//! A step of alignment takes its slopes from where the picture is; this takes them from how it is smeared. The pixels are predicted once more at each
-//! of a few velocities, and how that changes their grey stands where the columns of the pose stand in the step of an alignment, so that light and point
-//! spread are solved for beside it, and what stands in front weighs as little.
+//! A step of alignment takes its slopes from where the picture is; this takes them from how it is smeared. How the pixels' grey changes with the velocity stands
+//! where the columns of the pose stand in the step of an alignment, so that light and point spread are solved for beside it, and what stands in front
+//! weighs as little.
 
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3, Vector6};
 
@@ -40,39 +40,22 @@ pub struct VelocityStep {
 }
 
 impl LevelProblem {
-    /// A step towards the velocity that the pixels' blur shows, from that of `motion`. `steps`: by how much each of [v, ω] is changed to see what it
-    /// does to the blur; those with 0 are not asked, and stay. Nothing can be asked of the pixels' solution after.
+    /// A step towards the velocity that the pixels' blur shows, from that of `motion`. Those of [v, ω] that are not `asked` stay. Nothing can be asked of the pixels'
+    /// solution after.
     pub fn velocity_step(
         &mut self,
         spec: &LevelSpec,
         motion: &Motion,
-        steps: &Vector6<f64>,
+        asked: &[bool; POSE],
         known: &KnownVelocity,
     ) -> Option<VelocityStep> {
-        let mut columns: [Vec<f32>; POSE] = Default::default();
-        for (c, column) in columns.iter_mut().enumerate().filter(|(c, _)| steps[*c] != 0.0) {
-            let mut step = MotionError::zeros();
-            step[POSE + c] = steps[c];
-            self.predict(spec, &motion.corrected(&step));
-            column.clone_from(&self.picture.appearance.intensity);
-        }
-        self.predict(spec, motion);
-        let Appearance { intensity, by_pose, .. } = &self.picture.appearance;
-        let delay_s = &self.picture.pixels.delay_s;
-        for (c, column) in columns.iter_mut().enumerate() {
-            if steps[c] == 0.0 {
-                column.resize(intensity.len(), 0.0);
-                continue;
-            }
-            let per_step = (1.0 / steps[c]) as f32;
-            // Later rows also see the picture elsewhere. That is what alignment asks of them, and no blur.
-            for (k, value) in column.iter_mut().enumerate() {
-                *value = (*value - intensity[k]) * per_step - by_pose[c][k] * delay_s[k];
-            }
-        }
+        self.predict_by_velocity(spec, motion);
+        let Appearance { by_pose, by_velocity, .. } = &mut self.picture.appearance;
+        std::mem::swap(by_pose, by_velocity);
+        by_pose.iter_mut().zip(asked).filter(|(_, is_asked)| !**is_asked).for_each(|(column, _)| column.fill(0.0));
         let mut information = MotionMatrix::identity() * UNASKED;
         information.fixed_view_mut::<6, 6>(0, 0).copy_from(&known.information);
-        self.blur_step(spec, columns, &information, known)
+        self.blur_step(spec, &information, known)
     }
 
     /// The squared blur that is missing from a prediction without any: second moments of the turn rate across and down the frame, in units of `turn_rate`
@@ -101,19 +84,13 @@ impl LevelProblem {
         unused.iter_mut().for_each(|column| column.resize(intensity.len(), 0.0));
         let mut information = MotionMatrix::identity() * UNASKED;
         information.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * SQUARED_BLUR_INFORMATION));
-        let VelocityStep { step, covariance } = self.blur_step(spec, columns, &information, known)?;
+        self.picture.appearance.by_pose = columns;
+        let VelocityStep { step, covariance } = self.blur_step(spec, &information, known)?;
         Some((step.fixed_rows::<3>(0).into_owned(), covariance.fixed_view::<3, 3>(0, 0).into_owned()))
     }
 
-    /// A step with these columns in the place of the pose's.
-    fn blur_step(
-        &mut self,
-        spec: &LevelSpec,
-        columns: [Vec<f32>; POSE],
-        information: &MotionMatrix,
-        known: &KnownVelocity,
-    ) -> Option<VelocityStep> {
-        self.picture.appearance.by_pose = columns;
+    /// A step with what stands in the place of the pose's columns.
+    fn blur_step(&mut self, spec: &LevelSpec, information: &MotionMatrix, known: &KnownVelocity) -> Option<VelocityStep> {
         (self.at, self.solved) = (None, None);
         let prior = Prior {
             information,

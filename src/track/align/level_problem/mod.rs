@@ -9,7 +9,7 @@ pub mod blur;
 pub mod patches;
 pub mod solution;
 
-use super::appearance::{Appearance, Predicted, predict};
+use super::appearance::{Appearance, Predicted, predict, predict_by_velocity};
 use super::evidence::RunEvidence;
 use super::frame_levels::{FINEST, FrameLevels};
 use super::gradient_gain::{ChangeSums, PredictedChange};
@@ -181,11 +181,17 @@ impl LevelProblem {
 
     /// Predicts all pixels.
     pub fn predict(&mut self, spec: &LevelSpec, motion: &Motion) {
-        self.predict_all(spec, motion);
+        self.predict_each(spec, motion, predict);
         self.at = Some(*motion);
     }
 
-    fn predict_all(&mut self, spec: &LevelSpec, motion: &Motion) {
+    /// Predicts all pixels, and how they change with the velocity.
+    fn predict_by_velocity(&mut self, spec: &LevelSpec, motion: &Motion) {
+        self.picture.appearance.make_room_for_velocity();
+        self.predict_each(spec, motion, predict_by_velocity);
+    }
+
+    fn predict_each(&mut self, spec: &LevelSpec, motion: &Motion, predict: impl Fn(&Predicted, &mut Appearance)) {
         self.solved = None;
         let Picture { pixels, appearance, .. } = &mut self.picture;
         for &(surface, start, end) in &pixels.groups {

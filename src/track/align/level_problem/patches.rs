@@ -4,6 +4,7 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 
 use super::super::AlignSurface;
 use super::super::SHARP_FRAME_PX;
+use super::super::appearance::predict;
 use super::super::columns::COLUMNS;
 use super::super::evidence::{RunEvidence, evidence};
 use super::super::normal::RobustWeighting;
@@ -95,7 +96,7 @@ impl LevelProblem {
                 pixels.y[k] = y - pixels.y_across[k] * su - pixels.y_down[k] * sv;
             }
         }
-        self.predict_all(spec, motion);
+        self.predict_each(spec, motion, predict);
         self.residuals_all(&spec.noise);
         let scale = self.scale();
         let weighting = RobustWeighting { scale, is_first_pass: false, stride: 1 };
