@@ -121,8 +121,9 @@ impl Aligner {
         if let Some(since_s) = jumped_since_s {
             frame.solve_with_jump(&found, since_s)?;
         }
-        if since_s.is_none() && !*asks_shutter {
-            frame.solve_with_blur()?;
+        let is_by_blur = since_s.is_none() && !*asks_shutter && frame.solve_with_blur()?;
+        if !is_by_blur {
+            frame.settle_rest()?;
         }
         let (mut alignment, exposure) = frame.verify()?;
         frame.allow_for_jumps(&mut alignment, since_s, jumped_since_s.is_some());

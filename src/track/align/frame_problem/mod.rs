@@ -142,6 +142,8 @@ pub struct FrameProblem<'a> {
     bands: RowBands,
     /// The pose's part of the last step, from where the pictures of the tiles were predicted.
     last_step: Vector6<f64>,
+    /// By how much the finest level's last step moved a tile at most, pixels of the level.
+    last_moved_px: f64,
     /// See [`Alignment::has_opposite`].
     has_opposite: bool,
     lessons: Lessons,
@@ -179,6 +181,7 @@ impl<'a> FrameProblem<'a> {
             known,
             bands,
             last_step: Vector6::zeros(),
+            last_moved_px: 0.0,
             has_opposite: false,
             lessons,
         };
@@ -264,10 +267,20 @@ impl<'a> FrameProblem<'a> {
         None
     }
 
+    /// The finest level is left when a step moved no tile by more, pixels of the level. Where its blur is asked next, the pose settles after that.
+    fn fine_step_px(&self) -> f64 {
+        if self.may_ask_blur() { LARGEST_LAST_STEP_PX } else { FINE_STEP_PX }
+    }
+
+    /// Whether a frame of a body that was just found may be asked for the velocity that its blur shows: where rows are read one after another the pose goes with it.
+    fn may_ask_blur(&self) -> bool {
+        !self.known.is_followed && self.slow.shutter.readout_s != 0.0
+    }
+
     /// Predicts and solves a level's pixels until a step is small. The finest level's are selected anew where the pose moved much.
     fn iterate(&mut self, spec: &LevelSpec, start: Motion, is_first: bool) -> Option<Iterated> {
         let is_finest = spec.level == FINEST;
-        let (rounds, small_px) = if is_finest { (FINE_ROUNDS, FINE_STEP_PX) } else { (COARSE_ROUNDS, COARSE_STEP_PX) };
+        let (rounds, small_px) = if is_finest { (FINE_ROUNDS, self.fine_step_px()) } else { (COARSE_ROUNDS, COARSE_STEP_PX) };
         let (mut motion, mut chosen_at) = (start, start);
         let mut converged = None;
         // Whether these pixels were predicted before.
@@ -294,7 +307,7 @@ impl<'a> FrameProblem<'a> {
             let solved = problem.solve(spec, &self.known, light, is_first, if is_first { 3 } else { 2 })?;
             let moved = problem.moved_px(spec, &motion, &solved.motion);
             tracing::trace!(level = spec.level, moved, pixels = problem.pixels().len(), scale = solved.scale, open = problem.open_share());
-            self.last_step = motion.pose_error_to(&solved.motion);
+            (self.last_step, self.last_moved_px) = (motion.pose_error_to(&solved.motion), moved);
             motion = solved.motion;
             converged = Some(solved).filter(|_| moved < LARGEST_LAST_STEP_PX);
             if moved < small_px {
@@ -386,7 +399,7 @@ impl<'a> FrameProblem<'a> {
             fine.predict(&spec, &motion);
             let solved = fine.solve(&spec, known, light, false, 2)?.motion;
             let moved = fine.moved_px(&spec, &motion, &solved);
-            self.last_step = motion.pose_error_to(&solved);
+            (self.last_step, self.last_moved_px) = (motion.pose_error_to(&solved), moved);
             motion = solved;
             if moved < FINE_STEP_PX {
                 break;
@@ -395,18 +408,28 @@ impl<'a> FrameProblem<'a> {
         Some(())
     }
 
-    /// Solves the finest level once more with the velocity that its blur shows, of a body that was just found, if it shows one. `None` where there is no
+    /// Settles what [`Self::solve`] left unsettled for [`Self::solve_with_blur`], where that is not asked or shows no velocity. `None` where there is no solution any more.
+    pub fn settle_rest(&mut self) -> Option<()> {
+        if !self.may_ask_blur() || self.last_moved_px < FINE_STEP_PX {
+            return Some(());
+        }
+        let found = self.buffers.fine.solution()?.found.motion;
+        let known = self.known;
+        self.settle(found, &known)
+    }
+
+    /// Solves the finest level once more with the velocity that its blur shows, of a body that was just found; false if it shows none. `None` where there is no
     /// solution any more.
-    pub fn solve_with_blur(&mut self) -> Option<()> {
+    pub fn solve_with_blur(&mut self) -> Option<bool> {
         // What stands still has none. Of a wrong pose the better half takes part, as ever, and its blur says nothing.
         if self.buffers.has_kept || self.buffers.fine.open_share() < HOPEFUL_SHARE {
-            return Some(());
+            return Some(false);
         }
         // Where all rows are exposed together the pose does not need it. A picture that is large enough for the coarsest level is followed without, too.
         if self.slow.shutter.readout_s == 0.0 && self.has_pixels(LEVELS - 1) {
-            return Some(());
+            return Some(false);
         }
-        let Some(by_blur) = self.velocity_by_blur() else { return Some(()) };
+        let Some(by_blur) = self.velocity_by_blur() else { return Some(false) };
         // The velocity that is expected, and the blur's, together.
         let (mut expected, mut information) = (self.expected.motion, *self.known.information);
         let mut of_velocity = information.fixed_view_mut::<6, 6>(6, 6);
@@ -414,7 +437,8 @@ impl<'a> FrameProblem<'a> {
         of_velocity += by_blur.information;
         expected = expected.with_twist(&of_velocity.clone_owned().cholesky()?.solve(&score));
         self.has_opposite = by_blur.has_opposite;
-        self.settle(by_blur.motion, &Expected { motion: &expected, information: &information, ..self.known })
+        self.settle(by_blur.motion, &Expected { motion: &expected, information: &information, ..self.known })?;
+        Some(true)
     }
 
     /// The velocity that the blur of the solved frame shows.
