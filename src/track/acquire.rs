@@ -69,6 +69,11 @@ const FEATURE_NOISE_PX: f64 = 1.0;
 /// survived 160 wrong matches beside 80 right ones. Raised, wrong matches pull the pose; lowered, right ones of other surfaces are left
 /// out.
 const REFINED_WITHIN: [f64; 2] = [20.0, 8.0];
+/// The other planar pose is left out where the first one explains this many matches, and fewer than this share of them are within reach of the other. Few matches hardly tell the
+/// two apart before both are refined: with no least number, a small prop was found a frame later. `LEAST_EXPLAINED` raised, the right one of two may be left out; lowered, poses that the picture
+/// cannot show cost as much as the first.
+const TELLING_MATCHES: usize = 60;
+const LEAST_EXPLAINED: f64 = 0.5;
 /// A squared residual in sigmas counts as this at most: four sigmas, within which a match is an inlier. Raised, wrong matches decide
 /// between candidates.
 const LARGEST_SQUARED: f64 = 16.0;
@@ -114,11 +119,19 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
     for surface in 0..body.surfaces.len() as u32 {
         let Some(view) = surface_view(surface, matches, camera, seed) else { continue };
         agreeing.extend(view.matches.iter().map(|m| (observation(body, m), view.squared_error(m))));
+        // Matches that the poses of this surface explain, at most.
+        let mut explained = 0;
         for start in surface_poses(body, &view, camera, &mut seen) {
+            // Seen from nearby or far aside, a plane that is tilted the other way explains little.
+            let near = || within_reach(&start, &still, &observations, REFINED_WITHIN[1]).count() as f64;
+            if explained >= TELLING_MATCHES && near() < LEAST_EXPLAINED * explained as f64 {
+                continue;
+            }
             let Some(found_pose) = refined(&start, &still, &observations) else { continue };
             let pose = found_pose.pose;
             let inliers = within_reach(&pose, &still, &observations, LARGEST_SQUARED.sqrt()).count();
             poses.push(pose);
+            explained = explained.max(inliers);
             if inliers < LEAST_INLIERS {
                 continue;
             }
