@@ -172,9 +172,19 @@ impl BodySearch {
         } else if self.features.features().len() < LEAST_FEATURES {
             self.find_by_prediction(scene);
         } else {
-            self.timed(|search| search.features.look_closer(&scene.frame.image, search.mask.as_ref(), &search.workers));
-            self.find_each(scene, true);
+            self.find_closely(scene);
         }
+    }
+
+    /// Asks the views of all bodies from far aside, too: first with the features that a quick look took, which are enough for most of these views, then with all.
+    fn find_closely(&mut self, scene: &mut Scene) {
+        self.timed(|search| search.features.compare_with_all_views(&search.workers));
+        self.find_each(scene, false);
+        if scene.verified[0].is_some() {
+            return;
+        }
+        self.timed(|search| search.features.look_closer(&scene.frame.image, search.mask.as_ref(), &search.workers));
+        self.find_each(scene, true);
     }
 
     /// Looks only where the frame shows something else than the bodies that were found: once the stage's pose is known, the rest need not be looked

@@ -128,6 +128,11 @@ impl FeatureSearch {
         self.compare(Asked::Frontal, workers);
     }
 
+    /// Compares the features that were taken last with all views, which show the pictures tilted, too.
+    pub fn compare_with_all_views(&mut self, workers: &Workers) {
+        self.compare(Asked::AllViews, workers);
+    }
+
     /// Looks more closely at the frame that was looked at last: takes all features, and compares them with all views.
     pub fn look_closer(&mut self, image: &GrayImage, mask: Option<&GrayImage>, workers: &Workers) {
         self.take_more(image, mask, &self.options(Look::Frontal), workers);
