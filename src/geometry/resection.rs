@@ -3,7 +3,7 @@
 //! Levenberg-Marquardt on robustly weighted reprojection errors. Each correspondence brings its own
 //! information matrix, so that a point on an edge holds the pose only across that edge.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::ops::ControlFlow;
 
 use nalgebra::{Matrix2, Matrix6, Point3, SMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
@@ -93,6 +93,42 @@ pub struct Resection {
 /// Raised to what is measured, poses stop short; lowered, each takes iterations that change nothing.
 const SMALLEST_STEP: f64 = 1e-9;
 
+/// Squared Mahalanobis residuals of a pose; a buffer that may be kept.
+#[derive(Debug, Clone, Default)]
+pub struct SquaredResiduals {
+    /// Whose they are; `None` before the first.
+    pose: Option<Pose<Camera, Body>>,
+    /// Of each observation; `None` behind the camera.
+    each: Vec<Option<f64>>,
+    /// Those that are there, to find their median.
+    sorted: Vec<f64>,
+}
+
+impl SquaredResiduals {
+    /// With room for so many observations.
+    pub fn with_room_for(observations: usize) -> Self {
+        Self { pose: None, each: Vec::with_capacity(observations), sorted: Vec::with_capacity(observations) }
+    }
+
+    fn take<P: Projection>(&mut self, pose: &Pose<Camera, Body>, camera: &MovingCamera<P>, observations: &[Observation]) {
+        self.each.clear();
+        self.each.extend(observations.iter().map(|o| squared_residual(pose, camera, o)));
+        self.pose = Some(*pose);
+    }
+
+    /// Median of |r|, divided by what it is for two-dimensional Gaussian noise (sqrt(2 ln 2)); at least 1. `None` of fewer than four.
+    fn scale(&mut self) -> Option<f64> {
+        self.sorted.clear();
+        self.sorted.extend(self.each.iter().flatten());
+        if self.sorted.len() < 4 {
+            return None;
+        }
+        let middle = self.sorted.len() / 2;
+        let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f64::total_cmp);
+        Some((median.sqrt() / 1.177_410_022_515_474_6).max(1.0))
+    }
+}
+
 /// Squared Mahalanobis residual of one observation; `None` behind the camera.
 pub fn squared_residual<P: Projection>(pose: &Pose<Camera, Body>, camera: &MovingCamera<P>, o: &Observation) -> Option<f64> {
     let c = camera.twist.carried(pose.transform(&o.point).coords, o.delay_s);
@@ -141,7 +177,7 @@ pub fn resect<P: Projection>(
     observations: &[Observation],
     iterations: usize,
 ) -> Option<Resection> {
-    resect_within(start, camera, observations, iterations, &mut Vec::new())
+    resect_within(start, camera, observations, iterations, &mut SquaredResiduals::default())
 }
 
 /// [`resect`] with a buffer of the caller's.
@@ -150,13 +186,13 @@ pub fn resect_within<P: Projection>(
     camera: &MovingCamera<P>,
     observations: &[Observation],
     iterations: usize,
-    squares: &mut Vec<f64>,
+    squared: &mut SquaredResiduals,
 ) -> Option<Resection> {
     if observations.len() < 4 {
         return None;
     }
-    let scale = residual_scale(start, camera, observations, squares)?;
-    let mut errors = ReprojectionErrors { camera, observations, scale, squares, is_singular: Cell::new(false) };
+    let scale = residual_scale(start, camera, observations, squared)?;
+    let mut errors = ReprojectionErrors { camera, observations, scale, squared: RefCell::new(squared), is_singular: Cell::new(false) };
     let options = Options { iterations, damping: Damping { now: 1e-6, least: 1e-9, most: 1e4 }, least_gain: 1e-9 };
     let (pose, cost) = minimise(&mut errors, *start, &options);
     if errors.is_singular.get() {
@@ -172,7 +208,8 @@ struct ReprojectionErrors<'a, P: Projection> {
     camera: &'a MovingCamera<'a, P>,
     observations: &'a [Observation],
     scale: f64,
-    squares: &'a mut Vec<f64>,
+    /// Of the pose that the cost was asked of last: where it is taken, they are asked again.
+    squared: RefCell<&'a mut SquaredResiduals>,
     /// Set where the observations do not determine a pose.
     is_singular: Cell<bool>,
 }
@@ -182,7 +219,11 @@ impl<P: Projection> Problem for ReprojectionErrors<'_, P> {
     type Normal = (Matrix6<f64>, Vector6<f64>);
 
     fn cost(&self, pose: &Self::State) -> f64 {
-        self.observations.iter().map(|o| tukey_cost(squared_residual(pose, self.camera, o), self.scale)).sum()
+        let mut squared = self.squared.borrow_mut();
+        if squared.pose != Some(*pose) {
+            squared.take(pose, self.camera, self.observations);
+        }
+        squared.each.iter().map(|squared| tukey_cost(*squared, self.scale)).sum()
     }
 
     fn linearised(&self, pose: &Self::State) -> Self::Normal {
@@ -197,7 +238,8 @@ impl<P: Projection> Problem for ReprojectionErrors<'_, P> {
     }
 
     fn taken(&mut self, before: &Self::State, pose: &Self::State, _: f64) -> ControlFlow<f64, f64> {
-        let Some(scale) = residual_scale(pose, self.camera, self.observations, self.squares) else {
+        // Its cost was asked just now: the residuals are there.
+        let Some(scale) = self.squared.get_mut().scale() else {
             self.is_singular.set(true);
             return ControlFlow::Break(f64::INFINITY);
         };
@@ -213,22 +255,15 @@ impl<P: Projection> Problem for ReprojectionErrors<'_, P> {
     }
 }
 
-/// Median of |r|, divided by what it is for two-dimensional Gaussian noise (sqrt(2 ln 2)); at least 1. `None` of fewer than four
-/// observations; `squares`: a buffer.
+/// The scale of the residuals of a pose, sigmas: median of |r|, divided by what it is for two-dimensional Gaussian noise; at least 1. `None` of fewer than four observations.
 pub fn residual_scale<P: Projection>(
     pose: &Pose<Camera, Body>,
     camera: &MovingCamera<P>,
     observations: &[Observation],
-    squares: &mut Vec<f64>,
+    squared: &mut SquaredResiduals,
 ) -> Option<f64> {
-    squares.clear();
-    squares.extend(observations.iter().filter_map(|o| squared_residual(pose, camera, o)));
-    if squares.len() < 4 {
-        return None;
-    }
-    let middle = squares.len() / 2;
-    let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
-    Some((median.sqrt() / 1.177_410_022_515_474_6).max(1.0))
+    squared.take(pose, camera, observations);
+    squared.scale()
 }
 
 fn normal_equations<P: Projection>(

@@ -9,7 +9,7 @@ use nalgebra::UnitQuaternion;
 use super::fitted_anchor::FittedAnchor;
 use super::reference::PreparedBody;
 use crate::camera::CameraModel;
-use crate::geometry::resection::{MovingCamera, Observation, resect_within, residual_scale, squared_residual};
+use crate::geometry::resection::{MovingCamera, Observation, SquaredResiduals, resect_within, residual_scale, squared_residual};
 use crate::geometry::{Body, Camera, Pose, SurfaceFrame};
 
 /// By how much (chi-squared) the twin of a pose that is given must be worse: five sigmas. A followed pose is given up only where the twin
@@ -25,22 +25,22 @@ const LARGEST_SQUARED: f64 = 22.0;
 const ITERATIONS: usize = 15;
 
 /// How much worse (in robust chi-squared) the best pose near the tilted twin explains what was seen; infinite where there is none.
-/// `surface`: the one that is tilted; `squares`: a buffer.
+/// `surface`: the one that is tilted; `squared`: a buffer.
 pub fn ambiguity_margin(
     body: &PreparedBody,
     surface: u32,
     pose: &Pose<Camera, Body>,
     camera: &MovingCamera<CameraModel>,
     observations: &[Observation],
-    squares: &mut Vec<f64>,
+    squared: &mut SquaredResiduals,
 ) -> f64 {
     let twin = flipped(pose, body, surface);
-    let Some(other) = resect_within(&twin, camera, observations, ITERATIONS, squares) else { return f64::INFINITY };
+    let Some(other) = resect_within(&twin, camera, observations, ITERATIONS, squared) else { return f64::INFINITY };
     if other.pose.angle_to(pose) < SAME_TURN {
         // It fell back into the same minimum.
         return f64::INFINITY;
     }
-    let Some(scale) = residual_scale(pose, camera, observations, squares) else { return f64::INFINITY };
+    let Some(scale) = residual_scale(pose, camera, observations, squared) else { return f64::INFINITY };
     let cost = |pose: &Pose<Camera, Body>| -> f64 {
         let sigmas = |o: &Observation| squared_residual(pose, camera, o).unwrap_or(f64::INFINITY) / scale.powi(2);
         observations.iter().map(|o| sigmas(o).min(LARGEST_SQUARED)).sum()
@@ -103,9 +103,9 @@ mod tests {
                 continue;
             }
             found += 1;
-            let mut squares = Vec::new();
-            let right = ambiguity_margin(&body, 0, &truth, &still, &observations, &mut squares);
-            let other = ambiguity_margin(&body, 0, &wrong, &still, &observations, &mut squares);
+            let mut squared = SquaredResiduals::default();
+            let right = ambiguity_margin(&body, 0, &truth, &still, &observations, &mut squared);
+            let other = ambiguity_margin(&body, 0, &wrong, &still, &observations, &mut squared);
             println!("{distance} m: {:.1} degrees apart, margins {right:.1} and {other:.1}", wrong.angle_to(&truth).to_degrees());
             assert!(right > 0.0 && other < 0.0, "{distance} m: {right} {other}");
         }

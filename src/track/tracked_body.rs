@@ -24,7 +24,7 @@ use super::verify::{Refusal, Verified, VerifyBuffers, View, judged_noise, search
 use crate::camera::{CameraModel, Normalized, Shutter};
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::covariance::covariance_of_inverse;
-use crate::geometry::resection::{MovingCamera, Observation, Twist, perturbed};
+use crate::geometry::resection::{MovingCamera, Observation, SquaredResiduals, Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{MotionEstimate, ProcessNoise};
 
@@ -102,7 +102,7 @@ pub struct TrackedBody {
     /// Followed frames since the last audit.
     unaudited: u32,
     observations: Vec<Observation>,
-    squares: Vec<f64>,
+    squared: SquaredResiduals,
     residuals: TileResiduals,
     error_buffers: ModelErrorBuffers,
     field_size: FieldSize,
@@ -154,7 +154,7 @@ impl TrackedBody {
             to_next_s: 0.0,
             unaudited: 0,
             observations: Vec::with_capacity(most),
-            squares: Vec::with_capacity(most),
+            squared: SquaredResiduals::with_room_for(most),
             residuals: TileResiduals::default(),
             error_buffers: ModelErrorBuffers::with_capacity(most),
             field_size: FieldSize::default(),
@@ -208,7 +208,7 @@ impl TrackedBody {
         self.observations.clear();
         self.observations.extend(self.anchors.iter().map(|a| a.observation));
         let surface = most_frequent_surface(&self.anchors, self.body.surfaces.len());
-        let margin = ambiguity_margin(&self.body, surface, pose, &MovingCamera::still(camera), &self.observations, &mut self.squares);
+        let margin = ambiguity_margin(&self.body, surface, pose, &MovingCamera::still(camera), &self.observations, &mut self.squared);
         debug!(margin, "planar ambiguity");
         margin
     }

@@ -16,7 +16,8 @@ use crate::camera::CameraModel;
 use crate::features::Workers;
 use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{
-    MovingCamera, Observation, Resection, pose_by_twist, resect, rolling_shutter_corrected_px, sandwich_covariance, squared_residual,
+    MovingCamera, Observation, Resection, SquaredResiduals, pose_by_twist, resect, rolling_shutter_corrected_px, sandwich_covariance,
+    squared_residual,
 };
 use crate::geometry::robust_kernel::tukey_weight;
 use crate::geometry::{Body, Camera, Pose};
@@ -129,7 +130,7 @@ pub struct VerifyBuffers {
     targets: Vec<Target>,
     registered: Vec<Option<Registered>>,
     observations: Vec<Observation>,
-    squares: Vec<f64>,
+    squared: SquaredResiduals,
     /// The anchors that fit the last pose that passed.
     pub anchors: Vec<FittedAnchor>,
     /// All that were found then, wherever that was.
@@ -254,7 +255,7 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
     }
     let covariance = judged_covariance(body, fine, &moving, view, &buffers.observations)?;
     let surface = most_frequent_surface(anchors, body.surfaces.len());
-    let margin = ambiguity_margin(body, surface, &fine.pose, &moving, &buffers.observations, &mut buffers.squares);
+    let margin = ambiguity_margin(body, surface, &fine.pose, &moving, &buffers.observations, &mut buffers.squared);
     if margin < LEAST_MARGIN {
         return Err(Refusal::Ambiguous(margin));
     }
