@@ -113,7 +113,7 @@ mod tests {
             let scale = f64::from(octaves[0].image.width()) / f64::from(image.width());
             let pairs = (0..600).map(|k| [20.0 + 0.37 * f64::from(k), 30.0 + 0.211 * f64::from(k)]).map(|place| {
                 let [x, y] = place.map(|v| ((v + 0.5) / scale - 0.5) as f32);
-                let look = super::super::registration::bilinear(image.as_raw(), image.width() as usize, image.height() as usize, x, y);
+                let look = super::super::bilinear::bilinear(image, x, y);
                 (f64::from(look), plain_mean(&octaves[0].image, place, side))
             });
             let [n, a, b, aa, bb, ab] = pairs.fold([0.0; 6], |s, (a, b)| {

@@ -7,6 +7,7 @@ use nalgebra::Matrix3;
 
 use super::align::CameraRays;
 use super::averaged_picture::AveragedPicture;
+use super::bilinear::RowOfTexels;
 use super::reference::PreparedSurface;
 use crate::geometry::{Body, Camera, Pose};
 use crate::simd::multiversion;
@@ -145,76 +146,6 @@ fn see_row_plain(rays: &[[f32; 2]], plane: &Plane, depths: &mut [f32], xs: &mut 
     }
 }
 
-/// Places on a picture for a row of pixels, and the texels there; its buffers stay.
-#[derive(Debug, Default)]
-struct RowOfTexels {
-    /// The texel above and left of each place, counted row by row, and how far right of and below it that lies.
-    first: Vec<u32>,
-    right: Vec<f32>,
-    below: Vec<f32>,
-    /// Of each place the texels above left, above right, below left and below right, a byte each.
-    quads: Vec<u32>,
-}
-
-impl RowOfTexels {
-    /// Makes room for rows of at most this many pixels.
-    fn make_room(&mut self, pixels: usize) {
-        self.first.resize(pixels, 0);
-        self.right.resize(pixels, 0.0);
-        self.below.resize(pixels, 0.0);
-        self.quads.resize(pixels, 0);
-    }
-
-    /// The greys of a picture of this many columns and rows at these places: [`bilinear`](super::registration::bilinear) for a whole row. Texels alone are looked up one by one.
-    fn look(&mut self, picture: &[u8], size: [usize; 2], xs: &[f32], ys: &[f32], greys: &mut [f32]) {
-        let (pixels, width) = (xs.len(), size[0]);
-        let (first, quads) = (&mut self.first[..pixels], &mut self.quads[..pixels]);
-        let (right, below) = (&mut self.right[..pixels], &mut self.below[..pixels]);
-        find_texels(size, xs, ys, first, right, below);
-        for (quad, at) in quads.iter_mut().zip(&*first) {
-            let near = &picture[*at as usize..][..width + 2];
-            *quad = u32::from_le_bytes([near[0], near[1], near[width], near[width + 1]]);
-        }
-        blend_texels(quads, right, below, greys);
-    }
-}
-
-multiversion! {
-    /// See [`RowOfTexels`].
-    fn find_texels(size: [usize; 2], xs: &[f32], ys: &[f32], first: &mut [u32], right: &mut [f32], below: &mut [f32]);
-    ["avx2"] => find_texels_plain, else find_texels_plain
-}
-
-#[inline(always)]
-fn find_texels_plain(size: [usize; 2], xs: &[f32], ys: &[f32], first: &mut [u32], right: &mut [f32], below: &mut [f32]) {
-    // A little less than the last one, which has no neighbour.
-    let [last_x, last_y] = size.map(|n| (n - 1) as f32 - 0.001);
-    let [last_i, last_j] = size.map(|n| n as i32 - 2);
-    for ((((x, y), first), right), below) in xs.iter().zip(ys).zip(first).zip(right).zip(below) {
-        // What is no number is taken for 0.
-        let (x, y) = (x.max(0.0).min(last_x), y.max(0.0).min(last_y));
-        // Of pictures wider than 2^15 texels the fraction is rounded away.
-        let (i, j) = ((x as i32).min(last_i), (y as i32).min(last_j));
-        (*right, *below) = (x - i as f32, y - j as f32);
-        *first = (j * size[0] as i32 + i) as u32;
-    }
-}
-
-multiversion! {
-    /// See [`RowOfTexels`].
-    fn blend_texels(quads: &[u32], right: &[f32], below: &[f32], greys: &mut [f32]); ["avx2"] => blend_texels_plain, else blend_texels_plain
-}
-
-#[inline(always)]
-fn blend_texels_plain(quads: &[u32], right: &[f32], below: &[f32], greys: &mut [f32]) {
-    for (((quad, a), b), grey) in quads.iter().zip(right).zip(below).zip(greys) {
-        let texel = |byte: u32| ((quad >> (8 * byte)) & 255) as i32 as f32;
-        let upper = texel(0) * (1.0 - a) + texel(1) * a;
-        let lower = texel(2) * (1.0 - a) + texel(3) * a;
-        *grey = upper * (1.0 - b) + lower * b;
-    }
-}
-
 /// Columns and rows of the level that a surface may cover; all where a corner of it is behind the camera or beyond the lens.
 fn extent(
     surface: &PreparedSurface,
@@ -248,10 +179,8 @@ fn extent(
 
 #[cfg(test)]
 mod tests {
-    use image::GrayImage;
     use nalgebra::Vector3;
 
-    use super::super::registration::bilinear;
     use super::super::synthetic::{cloth, facing, lens, prepared, view};
     use super::*;
 
@@ -274,25 +203,6 @@ mod tests {
             }
         }
         assert!(count > 2500.0 && (squared / count).sqrt() < 12.0, "{count} pixels, off by {}", (squared / count).sqrt());
-    }
-
-    #[test]
-    fn a_row_of_texels_is_what_each_place_shows_by_itself() {
-        let picture = GrayImage::from_fn(53, 41, |x, y| image::Luma([(x * 37 + y * 91 + x * y) as u8]));
-        let places: Vec<[f32; 2]> =
-            (0..997).map(|k| [-3.0 + 0.0597 * k as f32, 46.0 - 0.0491 * k as f32]).chain([[f32::INFINITY, -1e30]]).collect();
-        let [xs, ys] = [0, 1].map(|axis| places.iter().map(|place| place[axis]).collect::<Vec<_>>());
-        let mut greys = vec![0.0; places.len()];
-        let mut row = RowOfTexels::default();
-        row.make_room(places.len());
-        row.look(picture.as_raw(), [53, 41], &xs[..20], &ys[..20], &mut greys[..20]);
-        row.look(picture.as_raw(), [53, 41], &xs, &ys, &mut greys);
-        for ([x, y], grey) in places.iter().zip(&greys) {
-            assert_eq!(*grey, bilinear(picture.as_raw(), 53, 41, *x, *y), "{x} {y}");
-        }
-        // Where the lens has no ray.
-        row.look(picture.as_raw(), [53, 41], &[f32::NAN], &[f32::NAN], &mut greys[..1]);
-        assert_eq!(greys[0], f32::from(picture.get_pixel(0, 0)[0]));
     }
 
     #[test]

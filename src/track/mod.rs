@@ -12,6 +12,7 @@
 mod acquire;
 mod align;
 mod averaged_picture;
+mod bilinear;
 mod body_search;
 mod expected_view;
 mod failure;

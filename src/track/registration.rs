@@ -8,12 +8,14 @@
 use image::GrayImage;
 use nalgebra::{Matrix2, Matrix4, Point3, Vector2, Vector3, Vector4};
 
+use super::bilinear::look_at;
 use super::rectangle::SeenPoint;
 use super::reference::{Octave, PreparedBody, PreparedSurface};
 use crate::camera::CameraModel;
 use crate::features::Workers;
 use crate::geometry::resection::Observation;
 use crate::geometry::{Body, Camera, Pose};
+use crate::simd::multiversion;
 
 /// Surfaces are not registered where they are seen flatter than this (cosine of the tilt: 88.9 degrees). Chosen, not tuned: beyond, artwork
 /// by pixels is nearly singular. Raised, starts at a steep view are refused.
@@ -25,6 +27,8 @@ const SIDE: usize = 2 * HALF as usize + 1;
 const AREA: usize = SIDE * SIDE;
 /// Side with one pixel more around, which gradients need.
 const WIDE: usize = SIDE + 2;
+/// Columns that are worked on together, two registers of eight: as many as a row has, drawn or searched, and a few beyond that count for nothing.
+const LANES: usize = 16;
 /// Least standard deviation of a drawn patch, grey levels, for it to be asked at all: a few times the noise. Chosen, not tuned. Raised,
 /// faint artwork has too few anchors; lowered, noise decides where plain patches fit.
 const LEAST_CONTRAST: f32 = 4.0;
@@ -175,26 +179,13 @@ pub fn register(
 
 /// The patch as drawn from the artwork, and what its linear fit needs.
 struct Template {
-    value: [f32; AREA],
-    gx: [f32; AREA],
-    gy: [f32; AREA],
+    /// Grey less its mean, row by row; 0 beyond the row, here and in the gradients.
+    value: [[f32; LANES]; SIDE],
+    gx: [[f32; LANES]; SIDE],
+    gy: [[f32; LANES]; SIDE],
     inverse: Matrix4<f64>,
     /// Information of the position per unit of grey variance, gain and bias removed.
     structure: Matrix2<f64>,
-}
-
-/// Grey of a picture at a place, straight lines between its pixels; beyond its border that of the border.
-#[inline(always)]
-pub fn bilinear(image: &[u8], width: usize, height: usize, x: f32, y: f32) -> f32 {
-    let x = x.clamp(0.0, (width - 1) as f32 - 0.001);
-    let y = y.clamp(0.0, (height - 1) as f32 - 0.001);
-    let (i, j) = (x as usize, y as usize);
-    let (a, b) = (x - i as f32, y - j as f32);
-    let at = j * width + i;
-    let near = &image[at..at + width + 2];
-    let upper = f32::from(near[0]) * (1.0 - a) + f32::from(near[1]) * a;
-    let lower = f32::from(near[width]) * (1.0 - a) + f32::from(near[width + 1]) * a;
-    upper * (1.0 - b) + lower * b
 }
 
 /// Draws the patch as the camera should see it: each pixel the mean of 2x2 looks at the octave whose pixels are half as wide.
@@ -212,41 +203,46 @@ fn draw(target: &Target, octaves: &[Octave], scale: f64) -> Option<[f32; WIDE * 
     if centre.x - rx < -0.5 || centre.y - ry < -0.5 || centre.x + rx > w as f64 - 0.5 || centre.y + ry > h as f64 - 0.5 {
         return None;
     }
-    let raw = image.as_raw();
-    let (cx, cy) = (centre.x as f32, centre.y as f32);
     let m = m.cast::<f32>();
+    let (cx, cy) = (centre.x as f32, centre.y as f32);
     let mut out = [0.0; WIDE * WIDE];
     for (v, row) in out.chunks_exact_mut(WIDE).enumerate() {
-        for (u, value) in row.iter_mut().enumerate() {
-            let (dx, dy) = (u as f32 - (HALF + 1) as f32, v as f32 - (HALF + 1) as f32);
-            let mut sum = 0.0;
-            for (ox, oy) in [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)] {
-                let (px, py) = (dx + ox, dy + oy);
-                sum += bilinear(raw, w, h, cx + m[(0, 0)] * px + m[(0, 1)] * py, cy + m[(1, 0)] * px + m[(1, 1)] * py);
+        // All first looks of the row, then all second ones.
+        let (mut xs, mut ys) = ([0.0; LOOKS.len() * WIDE], [0.0; LOOKS.len() * WIDE]);
+        for (look, [ox, oy]) in LOOKS.into_iter().enumerate() {
+            let py = v as f32 - (HALF + 1) as f32 + oy;
+            for u in 0..WIDE {
+                let px = u as f32 - (HALF + 1) as f32 + ox;
+                xs[look * WIDE + u] = cx + m[(0, 0)] * px + m[(0, 1)] * py;
+                ys[look * WIDE + u] = cy + m[(1, 0)] * px + m[(1, 1)] * py;
             }
-            *value = 0.25 * sum;
+        }
+        let seen = look_at(image.as_raw(), [w, h], &xs, &ys);
+        for (u, value) in row.iter_mut().enumerate() {
+            *value = 0.25 * (0..LOOKS.len()).map(|look| seen[look * WIDE + u]).sum::<f32>();
         }
     }
     Some(out)
 }
 
+/// Where a pixel is looked at, from its middle.
+const LOOKS: [[f32; 2]; 4] = [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]];
+
 fn template(wide: &[f32; WIDE * WIDE]) -> Option<Template> {
-    let mut t = Template { value: [0.0; AREA], gx: [0.0; AREA], gy: [0.0; AREA], inverse: Matrix4::zeros(), structure: Matrix2::zeros() };
-    for v in 0..SIDE {
-        for u in 0..SIDE {
-            let at = (v + 1) * WIDE + u + 1;
-            let k = v * SIDE + u;
-            t.value[k] = wide[at];
-            t.gx[k] = 0.5 * (wide[at + 1] - wide[at - 1]);
-            t.gy[k] = 0.5 * (wide[at + WIDE] - wide[at - WIDE]);
-        }
+    let none = [[0.0; LANES]; SIDE];
+    let mut t = Template { value: none, gx: none, gy: none, inverse: Matrix4::zeros(), structure: Matrix2::zeros() };
+    for (v, u) in (0..SIDE).flat_map(|v| (0..SIDE).map(move |u| (v, u))) {
+        let at = (v + 1) * WIDE + u + 1;
+        t.value[v][u] = wide[at];
+        t.gx[v][u] = 0.5 * (wide[at + 1] - wide[at - 1]);
+        t.gy[v][u] = 0.5 * (wide[at + WIDE] - wide[at - WIDE]);
     }
     // Around the mean, gain and bias decouple better.
-    let mean = t.value.iter().sum::<f32>() / AREA as f32;
-    t.value.iter_mut().for_each(|v| *v -= mean);
+    let mean = t.value.iter().flatten().sum::<f32>() / AREA as f32;
+    t.value.iter_mut().for_each(|row| row[..SIDE].iter_mut().for_each(|v| *v -= mean));
     let mut normal = [0.0f32; 10];
-    for k in 0..AREA {
-        let row = [t.value[k], t.gx[k], t.gy[k], 1.0];
+    for (v, u) in (0..SIDE).flat_map(|v| (0..SIDE).map(move |u| (v, u))) {
+        let row = [t.value[v][u], t.gx[v][u], t.gy[v][u], 1.0];
         let mut n = 0;
         for i in 0..4 {
             for j in i..4 {
@@ -265,6 +261,37 @@ fn template(wide: &[f32; WIDE * WIDE]) -> Option<Template> {
     Some(t)
 }
 
+multiversion! {
+    /// Sums over a patch of the frame, whose first pixel is the first of `frame`: of its grey, the square of that, and its products with the template and its gradients.
+    /// `weights`: of a pixel, its right neighbour, and those below.
+    fn template_products(t: &Template, frame: &[u8], width: usize, weights: &[f32; 4]) -> [f32; 5];
+    ["avx2"] => template_products_plain, else template_products_plain
+}
+
+#[inline(always)]
+fn template_products_plain(t: &Template, frame: &[u8], width: usize, weights: &[f32; 4]) -> [f32; 5] {
+    let [w00, w10, w01, w11] = *weights;
+    let mut sums = [[0.0f32; LANES]; 5];
+    for v in 0..SIDE {
+        // With zeros beyond the row and its right neighbour.
+        let [top, bottom] = [v, v + 1].map(|v| {
+            let mut padded = [0; LANES + 1];
+            padded[..=SIDE].copy_from_slice(&frame[v * width..][..=SIDE]);
+            padded
+        });
+        for u in 0..LANES {
+            let f = w00 * f32::from(top[u]) + w10 * f32::from(top[u + 1]) + w01 * f32::from(bottom[u]) + w11 * f32::from(bottom[u + 1]);
+            let f = if u < SIDE { f } else { 0.0 };
+            sums[0][u] += f;
+            sums[1][u] += f * f;
+            sums[2][u] += f * t.value[v][u];
+            sums[3][u] += f * t.gx[v][u];
+            sums[4][u] += f * t.gy[v][u];
+        }
+    }
+    sums.map(|lanes| lanes.iter().sum())
+}
+
 /// One linear step: [gain, gain ex, gain ey, bias] that best turns the template into the frame at (x, y), the correlation and the
 /// residual variance.
 fn fit(t: &Template, image: &GrayImage, x: f64, y: f64) -> (Vector4<f64>, f32, f32) {
@@ -273,21 +300,8 @@ fn fit(t: &Template, image: &GrayImage, x: f64, y: f64) -> (Vector4<f64>, f32, f
     let (i, j) = (x.floor() as i32 - HALF, y.floor() as i32 - HALF);
     let (a, b) = ((x - x.floor()) as f32, (y - y.floor()) as f32);
     let (i, j) = (i.clamp(0, w as i32 - SIDE as i32 - 1) as usize, j.clamp(0, h as i32 - SIDE as i32 - 1) as usize);
-    let (w00, w10, w01, w11) = ((1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b);
-    let (mut s, mut ss, mut st, mut sx, mut sy) = (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
-    for v in 0..SIDE {
-        let top: &[u8; SIDE + 1] = raw[(j + v) * w + i..][..SIDE + 1].try_into().unwrap_or(&[0; SIDE + 1]);
-        let bottom: &[u8; SIDE + 1] = raw[(j + v + 1) * w + i..][..SIDE + 1].try_into().unwrap_or(&[0; SIDE + 1]);
-        for u in 0..SIDE {
-            let f = w00 * f32::from(top[u]) + w10 * f32::from(top[u + 1]) + w01 * f32::from(bottom[u]) + w11 * f32::from(bottom[u + 1]);
-            let k = v * SIDE + u;
-            s += f;
-            ss += f * f;
-            st += f * t.value[k];
-            sx += f * t.gx[k];
-            sy += f * t.gy[k];
-        }
-    }
+    let weights = [(1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b];
+    let [s, ss, st, sx, sy] = template_products(t, &raw[j * w + i..], w, &weights);
     let right = Vector4::new(f64::from(st), f64::from(sx), f64::from(sy), f64::from(s));
     let solution = t.inverse * right;
     let n = AREA as f64;

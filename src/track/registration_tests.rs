@@ -1,5 +1,6 @@
 use nalgebra::Vector3;
 
+use super::super::bilinear::bilinear;
 use super::super::synthetic::{cloth, facing, lens, prepared, texture, view};
 use super::*;
 use crate::camera::CameraModel;
@@ -109,4 +110,54 @@ fn hidden_masked_and_turned_away_anchors_are_not_asked() {
     let turned = facing(0.0, std::f64::consts::PI, Vector3::new(0.0, 0.0, 4.2));
     visible_targets(&body, &turned, &camera, &SearchPicture { image: &image, scale: 1.0, mask: None }, 1000, &mut targets);
     assert!(targets.is_empty());
+}
+
+#[test]
+fn a_patch_is_drawn_as_it_is_looked_at_pixel_by_pixel() {
+    let (body, camera) = (prepared(vec![cloth(1)]), lens(480, 360));
+    let frame = view(&body.surfaces[0].spec, &truth(), &camera);
+    let picture = SearchPicture { image: &frame, scale: 1.0, mask: None };
+    let mut targets = Vec::new();
+    visible_targets(&body, &truth(), &camera, &picture, 20, &mut targets);
+    let octaves = &body.surfaces[0].octaves;
+    let mut drawn = targets.iter().filter_map(|target| Some((target, draw(target, octaves, 1.0)?))).peekable();
+    assert!(drawn.peek().is_some());
+    for (target, drawn) in drawn {
+        // The octave whose pixels are half as wide as a pixel of the patch.
+        let footprint = target.artwork_by_frame.determinant().abs().sqrt();
+        let octave = ((0.5 * footprint).log2().round().max(0.0) as usize).min(octaves.len() - 1);
+        let by_octave = 1.0 / f64::from(1u32 << octave);
+        for (k, value) in drawn.iter().enumerate() {
+            let middle = Vector2::new((k % WIDE) as f64, (k / WIDE) as f64) - Vector2::repeat(f64::from(HALF + 1));
+            let looks = LOOKS.map(|[x, y]| {
+                let artwork = target.artwork + target.artwork_by_frame * (middle + Vector2::new(f64::from(x), f64::from(y)));
+                let place = (artwork + Vector2::repeat(0.5)) * by_octave - Vector2::repeat(0.5);
+                bilinear(&octaves[octave].image, place.x as f32, place.y as f32)
+            });
+            let mean = looks.iter().sum::<f32>() / 4.0;
+            assert!((value - mean).abs() < 0.05, "{k}: {value} {mean}");
+        }
+    }
+}
+
+#[test]
+fn products_with_a_template_are_sums_over_its_pixels() {
+    let (drawn, frame) = (texture(WIDE as u32, WIDE as u32, 4), texture(40, 30, 5));
+    let wide: [f32; WIDE * WIDE] = std::array::from_fn(|k| f32::from(drawn.as_raw()[k]));
+    let t = template(&wide).expect("texture enough");
+    let (width, weights) = (frame.width() as usize, [0.3, 0.2, 0.35, 0.15]);
+    // In the middle, and in the last rows and columns.
+    for [i, j] in [[7, 5], [width - SIDE - 1, frame.height() as usize - SIDE - 1]] {
+        let found = template_products(&t, &frame.as_raw()[j * width + i..], width, &weights);
+        let mut sums = [0.0; 5];
+        for (v, u) in (0..SIDE).flat_map(|v| (0..SIDE).map(move |u| (v, u))) {
+            let at = |du: usize, dv: usize| f64::from(frame.get_pixel((i + u + du) as u32, (j + v + dv) as u32)[0]);
+            let f = weights.iter().zip([at(0, 0), at(1, 0), at(0, 1), at(1, 1)]).map(|(w, grey)| f64::from(*w) * grey).sum::<f64>();
+            let factors = [1.0, f, f64::from(t.value[v][u]), f64::from(t.gx[v][u]), f64::from(t.gy[v][u])];
+            sums.iter_mut().zip(factors).for_each(|(sum, factor)| *sum += f * factor);
+        }
+        for (found, sum) in found.iter().zip(sums) {
+            assert!((f64::from(*found) - sum).abs() < 1e-5 * sums[1], "{found} {sum}");
+        }
+    }
 }
