@@ -105,7 +105,7 @@ pub struct SquaredResiduals {
 }
 
 impl SquaredResiduals {
-    /// With room for so many observations.
+    /// Of no pose yet, with room for this many observations, so that none is allocated later.
     pub fn with_room_for(observations: usize) -> Self {
         Self { pose: None, each: Vec::with_capacity(observations), sorted: Vec::with_capacity(observations) }
     }

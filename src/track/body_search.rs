@@ -164,23 +164,30 @@ impl BodySearch {
             }
         });
         self.find_each(scene, false);
-        if scene.is_complete() {
+        if self.ends_with_stage(scene) {
             return;
         }
-        if scene.verified[0].is_some() {
-            self.find_beside_stage(scene);
-        } else if self.features.features().len() < LEAST_FEATURES {
+        if self.features.features().len() < LEAST_FEATURES {
             self.find_by_prediction(scene);
         } else {
             self.find_closely(scene);
         }
     }
 
+    /// Whether the stage was found, which ends the search of the whole frame: what else is missing is looked for beside it.
+    fn ends_with_stage(&mut self, scene: &mut Scene) -> bool {
+        let is_found = scene.verified[0].is_some();
+        if is_found && !scene.is_complete() {
+            self.find_beside_stage(scene);
+        }
+        is_found
+    }
+
     /// Asks the views of all bodies from far aside, too: first with the features that a quick look took, which are enough for most of these views, then with all.
     fn find_closely(&mut self, scene: &mut Scene) {
         self.timed(|search| search.features.compare_with_all_views(&search.workers));
         self.find_each(scene, false);
-        if scene.verified[0].is_some() {
+        if self.ends_with_stage(scene) {
             return;
         }
         self.timed(|search| search.features.look_closer(&scene.frame.image, search.mask.as_ref(), &search.workers));

@@ -76,7 +76,7 @@ impl Appearance {
         }
     }
 
-    /// Makes room for the derivatives by the velocity of as many pixels as there is room for.
+    /// Makes room for `by_velocity`, of as many pixels as the others.
     pub fn make_room_for_velocity(&mut self) {
         let n = self.intensity.len();
         self.by_velocity.iter_mut().for_each(|v| resize_with_room(v, n, 0.0));
@@ -275,7 +275,7 @@ struct Sampled<L> {
     /// By pixels of the level.
     across: L,
     down: L,
-    /// Means of these times the instant of their place, in halves of the exposure; where they are asked for.
+    /// Means of these times the instant of their place, in halves of the exposure. Where nobody asks for them, they are not computed: all this is compiled into its caller.
     by_instant: [L; 2],
 }
 
@@ -358,15 +358,9 @@ fn instant(n: usize, places: usize) -> f32 {
 
 /// Samples at `places` (odd, 3 at least) along the blur: nine or five at each where these are few, else three.
 #[inline(always)]
-fn blurred_samples<L: Lanes, const BY_VELOCITY: bool>(
-    tiles: &[Tile],
-    level: &LevelLanes<L>,
-    way: &BlurPath<L>,
-    by_pixel: &[L; 4],
-    places: usize,
-) -> Sampled<L> {
+fn blurred_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
     if places > FIVE_SAMPLES {
-        return diagonal_samples::<L, BY_VELOCITY>(tiles, level, way, by_pixel, places);
+        return diagonal_samples(tiles, level, way, by_pixel, places);
     }
     let zero = L::splat(0.0);
     let mut unblurred = zero;
@@ -380,10 +374,8 @@ fn blurred_samples<L: Lanes, const BY_VELOCITY: bool>(
         mean.psf_variance = sampled.psf_variance.mul_add(share, mean.psf_variance);
         mean.across = sampled.across.mul_add(share, mean.across);
         mean.down = sampled.down.mul_add(share, mean.down);
-        if BY_VELOCITY {
-            let share = L::splat(instant(n, places) / places as f32);
-            mean.by_instant = [sampled.across.mul_add(share, mean.by_instant[0]), sampled.down.mul_add(share, mean.by_instant[1])];
-        }
+        let timed = L::splat(instant(n, places) / places as f32);
+        mean.by_instant = [sampled.across.mul_add(timed, mean.by_instant[0]), sampled.down.mul_add(timed, mean.by_instant[1])];
         if 2 * n + 1 == places {
             unblurred = sampled.intensity;
         }
@@ -419,13 +411,7 @@ fn five_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, [u, v]: [L; 2],
 
 /// Three samples at each of `places`, on alternating diagonals.
 #[inline(always)]
-fn diagonal_samples<L: Lanes, const BY_VELOCITY: bool>(
-    tiles: &[Tile],
-    level: &LevelLanes<L>,
-    way: &BlurPath<L>,
-    by_pixel: &[L; 4],
-    places: usize,
-) -> Sampled<L> {
+fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
     let step = L::splat(DIAGONAL_SAMPLE);
     let diagonals = [
         [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)],
@@ -444,11 +430,9 @@ fn diagonal_samples<L: Lanes, const BY_VELOCITY: bool>(
         middles = middles.add(centre);
         outer = outer.add(ahead.add(behind));
         differences[n % 2] = differences[n % 2].add(ahead.sub(behind));
-        if BY_VELOCITY {
-            let e = instant(n, places);
-            by_instant[n % 2] = ahead.sub(behind).mul_add(L::splat(e), by_instant[n % 2]);
-            squared_instants[n % 2] += e * e;
-        }
+        let e = instant(n, places);
+        by_instant[n % 2] = ahead.sub(behind).mul_add(L::splat(e), by_instant[n % 2]);
+        squared_instants[n % 2] += e * e;
         if 2 * n + 1 == places {
             unblurred = centre;
         }
@@ -520,7 +504,7 @@ fn predict_pixels<L: Lanes, const IS_BENT: bool, const BY_VELOCITY: bool>(what: 
             let (before, after) = (t.sub(half), t.add(half));
             let first = hit(view, &sight_at(view, before, map.as_ref()), x, y).texel;
             let last = hit(view, &sight_at(view, after, map.as_ref()), x, y).texel;
-            blurred_samples::<L, BY_VELOCITY>(tiles, &level, &BlurPath::through(first, middle.texel, last), &by_pixel, spec.places)
+            blurred_samples(tiles, &level, &BlurPath::through(first, middle.texel, last), &by_pixel, spec.places)
         };
         store_at(&mut out.intensity, k, sampled.intensity);
         store_at(&mut out.psf_variance, k, sampled.psf_variance);
