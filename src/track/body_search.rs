@@ -200,9 +200,10 @@ impl BodySearch {
     fn find_beside_stage(&mut self, scene: &mut Scene) {
         let in_vain = || scene.missing().filter(|body| body.followed_from.is_some());
         (self.is_beside, self.tries) = (true, TRIED_BESIDE.saturating_sub(in_vain().count()));
-        let is_covered = in_vain().any(|body| body.track.is_continued());
+        let is_covered = in_vain().any(|body| body.track.is_continued() && body.has_motion());
         if is_covered {
-            // A tracked body took this frame's time. It is likely to be where it was expected, behind something: patches tell.
+            // A tracked body took this frame's time. It is likely to be where it was expected, behind something: patches tell. One that was found just now was expected where
+            // it stood, and may be elsewhere.
             self.find_by_prediction(scene);
             return;
         }
@@ -210,8 +211,8 @@ impl BodySearch {
             let known =
                 scene.bodies.iter().zip(&*scene.verified).filter_map(|(b, v)| v.as_ref().map(|v| (b.surfaces.start, &b.body, v.pose)));
             search.unexplained.look(known, scene.levels, scene.rays);
-            let last_seen = scene.missing().filter_map(|body| body.last_seen_at(scene.frame.timestamp, &search.camera));
-            search.unexplained.search_first(last_seen);
+            let places = scene.missing().filter_map(|body| body.expected_place(scene.frame.timestamp, &search.camera));
+            search.unexplained.search_first(places);
             let missing = scene.missing().flat_map(|body| body.surfaces.clone());
             search.features.look_beside(&scene.frame.image, search.mask.as_ref(), &mut search.unexplained, missing, &search.workers);
         });

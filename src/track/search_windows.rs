@@ -2,7 +2,8 @@
 //!
 //! What is unexplained is cut into windows that overlap by half: a picture that is no larger than half a window is whole in one of them. A window is
 //! as large as what it holds, and one that holds nothing is left out: people are tall and narrow, and stand in wide rectangles. Each frame takes
-//! the most urgent ones, as many as their pixels allow, and all where they are few. The choice depends on nothing but the frames that came before.
+//! a window where a body should be by now, if one was lost just now, and the most urgent others, as many as their pixels allow, and all where they are few. The choice depends on
+//! nothing but the frames that came before.
 
 /// Side of a window, pixels. Chosen, not tuned: props that are larger have enough features in any part of them. Raised, a slice takes longer; lowered,
 /// pictures are cut more often.
@@ -15,6 +16,16 @@ const STEP_PX: u32 = SIDE_PX / 2;
 /// Pixels of a slice at most, if it has more than one window: a whole window and a small one beside it, whose features take one and a half milliseconds. Raised,
 /// frames in which a body is missing take longer; lowered, it takes more frames to look everywhere.
 const SLICE_PX: u64 = 280_000;
+/// Longest side of a window where a body should be, pixels: beside it a whole window fits into the slice. Raised, one that is not where it should be is found late; lowered, one that goes on
+/// at another speed leaves its window.
+const EXPECTED_PX: u32 = 340;
+
+/// Least urgency of a window that joins one where a body should be, and takes features from it: looks that it waited, in the mean. Half of what is new counts as. Raised, a body that is not where it
+/// should be is found later; lowered, one that is covered in part has too few features.
+const JOINING_URGENCY: f32 = 6.0;
+
+/// A rectangle of a frame: first column and row, and the last ones, exclusive.
+pub type Extent = [[u32; 2]; 2];
 
 /// A part of a region.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,7 +38,7 @@ pub struct Window {
     pub size: [u32; 2],
     /// First and last column and row, the last ones exclusive, of the part that lies nearer the middle of this window than of any other of its region. What
     /// is small and stands there is whole in this window.
-    pub own: [[u32; 2]; 2],
+    pub own: Extent,
 }
 
 impl Window {
@@ -45,15 +56,35 @@ pub struct SearchWindows {
 }
 
 impl SearchWindows {
-    /// The most urgent windows of a frame; `regions`: first column and row, and size, of each. `content`: the part of a window that is worth a search, and how urgent it is.
-    pub fn next_slice(
+    /// Begins a slice with the most urgent window where a body should be. `regions`: of the frame; `places`: where bodies should be; `content`: the part of a window that is worth a search,
+    /// and how urgent it is.
+    pub fn begin_slice(
         &mut self,
-        regions: impl Iterator<Item = ([u32; 2], [u32; 2])>,
+        regions: impl Iterator<Item = Extent>,
+        places: impl Iterator<Item = Extent> + Clone,
         content: impl Fn(&Window) -> Option<(Window, f32)>,
     ) -> &[Window] {
         self.all.clear();
         self.slice.clear();
-        for (region, (origin, size)) in regions.enumerate() {
+        for (region, whole) in regions.enumerate() {
+            for place in places.clone() {
+                let [columns, rows] = [0, 1].map(|k| shortened([place[0][k], place[1][k]], [whole[0][k], whole[1][k]]));
+                let (Some(columns), Some(rows)) = (columns, rows) else { continue };
+                let origin = [columns[0], rows[0]];
+                let end = [columns[1], rows[1]];
+                self.all.extend(content(&Window { region, origin, size: [0, 1].map(|k| end[k] - origin[k]), own: [origin, end] }));
+            }
+        }
+        self.sort();
+        self.slice.extend(self.all.first().map(|(window, _)| *window));
+        &self.slice
+    }
+
+    /// Fills the slice with the most urgent windows of the regions, and gives all that are in it. See [`begin_slice`](Self::begin_slice).
+    pub fn fill_slice(&mut self, regions: impl Iterator<Item = Extent>, content: impl Fn(&Window) -> Option<(Window, f32)>) -> &[Window] {
+        self.all.clear();
+        for (region, [origin, end]) in regions.enumerate() {
+            let size = [0, 1].map(|k| end[k] - origin[k]);
             let is_whole = size.iter().map(|n| u64::from(*n)).product::<u64>() <= WHOLE_PX;
             let [across, down] = size.map(|length| if is_whole { Pieces::one(length) } else { Pieces::of(length) });
             for row in 0..down.count {
@@ -69,12 +100,11 @@ impl SearchWindows {
                 }
             }
         }
-        // Where two are equal, the first one.
-        let first = |w: &Window| (w.region, w.origin[1], w.origin[0]);
-        self.all.sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then_with(|| first(&a.0).cmp(&first(&b.0))));
+        self.sort();
         // What does not fit beside more urgent ones waits; smaller ones do not wait with it.
-        let mut pixels = 0;
-        for (window, _) in &self.all {
+        let mut pixels = self.slice.iter().map(Window::area).sum::<u64>();
+        let least_urgency = if self.slice.is_empty() { 0.0 } else { JOINING_URGENCY };
+        for (window, _) in self.all.iter().take_while(|(_, urgency)| *urgency >= least_urgency) {
             if self.slice.is_empty() || pixels + window.area() <= SLICE_PX {
                 pixels += window.area();
                 self.slice.push(*window);
@@ -82,6 +112,19 @@ impl SearchWindows {
         }
         &self.slice
     }
+
+    /// The most urgent windows come first; where two are equal, the one that comes first in the frame.
+    fn sort(&mut self) {
+        let first = |w: &Window| (w.region, w.origin[1], w.origin[0]);
+        self.all.sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then_with(|| first(&a.0).cmp(&first(&b.0))));
+    }
+}
+
+/// The part of a place along an axis that lies in a whole, and its middle where it is longer than [`EXPECTED_PX`]; `None` where it lies beside it.
+fn shortened([from, to]: [u32; 2], [first, end]: [u32; 2]) -> Option<[u32; 2]> {
+    let spare = to.saturating_sub(from).saturating_sub(EXPECTED_PX);
+    let [from, to] = [(from + spare / 2).max(first), (to - spare.div_ceil(2)).min(end)];
+    (from < to).then_some([from, to])
 }
 
 /// An axis of a region, cut into pieces of one length that overlap.
@@ -117,40 +160,42 @@ impl Pieces {
 mod tests {
     use super::*;
 
-    const PROPS: [([u32; 2], [u32; 2]); 3] = [([100, 100], [150, 200]), ([600, 300], [200, 200]), ([1000, 20], [120, 90])];
+    const PROPS: [Extent; 3] = [[[100, 100], [250, 300]], [[600, 300], [800, 500]], [[1000, 20], [1120, 110]]];
+    const FRAME: Extent = [[0, 0], [1280, 720]];
+
+    /// A slice where no body is expected anywhere.
+    fn slice(regions: &[Extent], content: impl Fn(&Window) -> Option<(Window, f32)>) -> Vec<Window> {
+        SearchWindows::default().fill_slice(regions.iter().copied(), content).to_vec()
+    }
+
+    fn extent(w: &Window) -> Extent {
+        [w.origin, [0, 1].map(|k| w.origin[k] + w.size[k])]
+    }
 
     #[test]
     fn a_few_props_are_all_searched_in_every_frame() {
-        let slice = SearchWindows::default().next_slice(PROPS.into_iter(), |w| Some((*w, 1.0))).to_vec();
-        let regions: Vec<usize> = slice.iter().map(|w| w.region).collect();
-        assert_eq!(regions, [0, 1, 2]);
-        assert!(slice.iter().all(|w| (w.origin, w.size) == PROPS[w.region]));
+        assert_eq!(slice(&PROPS, |w| Some((*w, 1.0))).iter().map(extent).collect::<Vec<_>>(), PROPS);
     }
 
     #[test]
     fn the_urgent_ones_are_the_first() {
         let urgent = |w: &Window| Some((*w, [1.0, 5.0, 3.0][w.region]));
-        let mut windows = SearchWindows::default();
-        let regions = windows.next_slice(PROPS.into_iter(), urgent).iter().map(|w| w.region).collect::<Vec<_>>();
-        assert_eq!(regions, [1, 2, 0]);
-        let wide = [([0, 0], [1280, 720]), ([600, 300], [200, 200])];
-        let slice = windows.next_slice(wide.into_iter(), |w| Some((*w, w.region as f32)));
+        assert_eq!(slice(&PROPS, urgent).iter().map(|w| w.region).collect::<Vec<_>>(), [1, 2, 0]);
+        let slice = slice(&[FRAME, PROPS[1]], |w| Some((*w, w.region as f32)));
         assert_eq!((slice[0].region, slice.len()), (1, 2));
     }
 
     #[test]
     fn what_is_narrow_is_one_window() {
-        let strip = ([0, 0], [240, 720]);
-        let slice = SearchWindows::default().next_slice([strip].into_iter(), |w| Some((*w, 1.0))).to_vec();
-        assert_eq!(slice.iter().map(|w| (w.origin, w.size)).collect::<Vec<_>>(), [strip]);
+        let strip = [[0, 0], [240, 720]];
+        assert_eq!(slice(&[strip], |w| Some((*w, 1.0))).iter().map(extent).collect::<Vec<_>>(), [strip]);
     }
 
     #[test]
     fn what_is_small_is_searched_beside_a_window_though_the_next_one_does_not_fit() {
-        let (person, prop) = (([200, 0], [400, 720]), ([800, 100], [200, 300]));
+        let (person, prop) = ([[200, 0], [600, 720]], [[800, 100], [1000, 400]]);
         let urgency = |w: &Window| Some((*w, [5.0, 1.0][w.region]));
-        let slice = SearchWindows::default().next_slice([person, prop].into_iter(), urgency).to_vec();
-        assert_eq!(slice.iter().map(|w| w.region).collect::<Vec<_>>(), [0, 1]);
+        assert_eq!(slice(&[person, prop], urgency).iter().map(|w| w.region).collect::<Vec<_>>(), [0, 1]);
     }
 
     #[test]
@@ -160,16 +205,34 @@ mod tests {
             let (first, end) = (window.origin[0].max(500), (window.origin[0] + window.size[0]).min(620));
             (first < end).then(|| (Window { origin: [first, window.origin[1]], size: [end - first, window.size[1]], ..*window }, 1.0))
         };
+        let found = slice(&[FRAME], person);
+        assert!(found.len() >= 3 && found.iter().all(|w| w.origin[0] >= 500 && w.origin[0] + w.size[0] <= 620), "{found:?}");
+        assert!(slice(&[], person).is_empty());
+    }
+
+    #[test]
+    fn where_a_body_should_be_is_searched_beside_the_most_urgent_window() {
         let mut windows = SearchWindows::default();
-        let slice = windows.next_slice([([0, 0], [1280, 720])].into_iter(), person).to_vec();
-        assert!(slice.len() >= 3 && slice.iter().all(|w| w.origin[0] >= 500 && w.origin[0] + w.size[0] <= 620), "{slice:?}");
-        assert!(windows.next_slice(std::iter::empty(), person).is_empty());
+        let urgency = |w: &Window| Some((*w, if w.origin[0] > 700 { 8.0 } else { 1.0 }));
+        let place = [[100, 90], [600, 190]];
+        // The middle of a long one, and of two the more urgent one.
+        let begun = windows.begin_slice([FRAME].into_iter(), [place, [[720, 0], [800, 80]]].into_iter(), urgency).to_vec();
+        assert_eq!(begun.iter().map(extent).collect::<Vec<_>>(), [[[720, 0], [800, 80]]]);
+        let begun = windows.begin_slice([FRAME].into_iter(), [place].into_iter(), urgency).to_vec();
+        assert_eq!(begun.iter().map(extent).collect::<Vec<_>>(), [[[180, 90], [520, 190]]]);
+        let all = windows.fill_slice([FRAME].into_iter(), urgency);
+        assert!(all.len() == 2 && all[0] == begun[0] && all[1].origin[0] > 700, "{all:?}");
+        // What was searched lately waits.
+        windows.begin_slice([FRAME].into_iter(), [place].into_iter(), urgency);
+        assert_eq!(windows.fill_slice([FRAME].into_iter(), |w| Some((*w, 2.0))), begun);
+        // Where all is explained nothing is searched.
+        assert!(windows.begin_slice(PROPS.into_iter(), [[[300, 0], [500, 90]]].into_iter(), urgency).is_empty());
     }
 
     #[test]
     fn the_windows_miss_nothing() {
         let mut windows = SearchWindows::default();
-        let slice = windows.next_slice([([0, 0], [1280, 720])].into_iter(), |w| Some((*w, 1.0))).to_vec();
+        let slice = windows.fill_slice([FRAME].into_iter(), |w| Some((*w, 1.0))).to_vec();
         assert!(slice.len() == 1 || slice.iter().map(Window::area).sum::<u64>() <= SLICE_PX);
         // Every square of half a window is whole in one.
         for y in (0..=720 - STEP_PX).step_by(20) {

@@ -16,10 +16,12 @@ use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surf
 use super::reason::Reason;
 use super::reference::PreparedBody;
 use super::row_motion::RowMotion;
+use super::search_windows::Extent;
 use super::shape_doubt::ShapeDoubt;
 use super::surface::BodySpec;
 use super::tile_residuals::TileResiduals;
 use super::track_state::TrackStateMachine;
+use super::unexplained_cells::MARGIN_PX;
 use super::verify::{Refusal, Verified, VerifyBuffers, View, judged_noise, search_silent, verify};
 use crate::camera::{CameraModel, Normalized, Shutter};
 use crate::frame::{Frame, Timestamp};
@@ -519,24 +521,40 @@ impl TrackedBody {
         self.before = Some((pose, timestamp, twist));
     }
 
+    /// Whether its motion is known: it was verified in two frames in a row before it was lost.
+    pub fn has_motion(&self) -> bool {
+        self.before.is_some_and(|(_, _, twist)| twist.is_some())
+    }
+
     /// Where the body should be at a stamp, carried on from the last verified poses.
     pub fn predicted(&self, timestamp: Timestamp) -> Option<Pose<Camera, Body>> {
         let (before, dt_s, twist) = self.before_at(timestamp)?;
         Some(twist.map_or(before, |twist| perturbed(&before, &(twist.0 * dt_s))))
     }
 
-    /// The pixel of its centre when it was last seen, if that is not long ago; `None` if it lay beyond the frame.
-    pub fn last_seen_at(&self, timestamp: Timestamp, camera: &CameraModel) -> Option<Vector2<f64>> {
-        let (pose, then, _) = self.before.as_ref()?;
-        if timestamp.seconds_since(*then) > LAST_SEEN_FOR_S {
+    /// The part of the frame that has it in it where it was last seen, if that is not long ago, and where it should be by now; `None` if that lies beyond the frame.
+    pub fn expected_place(&self, timestamp: Timestamp, camera: &CameraModel) -> Option<Extent> {
+        let (last, then, twist) = self.before?;
+        let dt_s = timestamp.seconds_since(then);
+        if dt_s > LAST_SEEN_FOR_S {
             return None;
         }
-        let surfaces = &self.body.surfaces;
-        let centre = surfaces.iter().map(|s| s.rectangle.centre).sum::<Vector3<f64>>() / surfaces.len().max(1) as f64;
-        let seen = pose.transform(&centre.into());
-        let pixel = (seen.z > 0.0).then(|| camera.project(Normalized(seen.coords.xy() / seen.z)).0)?;
+        let by_now = twist.map(|twist| perturbed(&last, &(twist.0 * dt_s)));
+        let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
+        for pose in std::iter::once(last).chain(by_now) {
+            for rectangle in self.body.surfaces.iter().map(|s| &s.rectangle) {
+                for (x, y) in [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)] {
+                    let corner = [x * rectangle.size_m[0], y * rectangle.size_m[1]];
+                    // From behind its face as well: a box has it on its other side.
+                    let Some(seen) = rectangle.see(&pose.inverse(), camera, corner, f64::NEG_INFINITY) else { continue };
+                    (low, high) = (low.inf(&seen.pixel), high.sup(&seen.pixel));
+                }
+            }
+        }
         let size = [camera.width(), camera.height()];
-        (0..2).all(|k| (0.0..f64::from(size[k])).contains(&pixel[k])).then_some(pixel)
+        let from = [0, 1].map(|k| (low[k] - f64::from(MARGIN_PX)).clamp(0.0, f64::from(size[k])) as u32);
+        let to = [0, 1].map(|k| (high[k] + f64::from(MARGIN_PX)).clamp(0.0, f64::from(size[k])) as u32);
+        (0..2).all(|k| from[k] < to[k]).then_some([from, to])
     }
 
     /// The last verified pose as seen from a stamp, if it is recent enough to tell of motion.

@@ -13,7 +13,7 @@ use nalgebra::Vector2;
 use super::align::{CameraRays, FrameLevels};
 use super::expected_view::{ExpectedView, ROW_STEP};
 use super::reference::PreparedBody;
-use super::search_windows::{SearchWindows, Window};
+use super::search_windows::{Extent, SearchWindows, Window};
 use super::unexplained_cells::{MARGIN_PX, SIDE_PX, UnexplainedCells};
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::geometry::{Body, Camera, Pose};
@@ -35,6 +35,9 @@ const LEAST_CONTRAST: f32 = 3.0;
 /// Fewest pixels of three by three cells by which these are judged: a quarter of them. Chosen, not tuned. Raised, what stands at the border of the stage is
 /// overlooked; lowered, a few pixels decide.
 const LEAST_JUDGED: f32 = (9 * CELL * CELL_ROWS / 4) as f32;
+/// Features of a window where a body should be, over those of another one that is as large. Chosen. Raised, what is new beside it is found later; lowered, what was covered for a moment is.
+const EXPECTED_SHARE: f64 = 2.0;
+
 /// A part of the frame that no followed body explains.
 #[derive(Debug, Clone, Default)]
 struct Region {
@@ -90,7 +93,7 @@ pub struct Unexplained {
     regions: Vec<Region>,
     windows: SearchWindows,
     /// See [`search_first`](Self::search_first).
-    last_seen: Vec<Vector2<f64>>,
+    expected_places: Vec<Extent>,
     /// The picture, the mask and the features of one window.
     picture: GrayImage,
     mask: GrayImage,
@@ -178,10 +181,10 @@ impl Unexplained {
         !self.regions.is_empty()
     }
 
-    /// The next search begins around these pixels of the frame, where bodies were last seen.
-    pub fn search_first(&mut self, last_seen: impl Iterator<Item = Vector2<f64>>) {
-        self.last_seen.clear();
-        self.last_seen.extend(last_seen);
+    /// The next search begins at one of these places, where bodies that were just lost should be by now.
+    pub fn search_first(&mut self, expected_places: impl Iterator<Item = Extent>) {
+        self.expected_places.clear();
+        self.expected_places.extend(expected_places);
     }
 
     /// The features of the regions of the frame that was looked at last, at most about so many; where there is much to search, of its most urgent
@@ -196,14 +199,20 @@ impl Unexplained {
         features: &mut Vec<Feature>,
     ) {
         features.clear();
-        let Self { regions, windows, cells, last_seen, picture, mask, features: own, .. } = self;
-        let slice = windows.next_slice(regions.iter().map(|r| (r.origin, r.size())), |window| cells.content(window, last_seen));
+        let Self { regions, windows, cells, expected_places, picture, mask, features: own, .. } = self;
+        let extents = || regions.iter().map(|r| [r.origin, [0, 1].map(|k| r.origin[k] + r.size()[k])]);
+        let expected = windows.begin_slice(extents(), expected_places.iter().copied(), |window| cells.content(window));
+        // What lies there is no more urgent than the rest of the frame.
+        expected.iter().for_each(|window| cells.note_searched(window));
+        let expected = expected.first().copied();
+        let slice = windows.fill_slice(extents(), |window| cells.content(window));
         slice.iter().for_each(|window| cells.note_searched(window));
         // A small region gets more than its part: what is in it is seen small, and has the fewest corners.
         let weight = |window: &Window| {
             let region = &regions[window.region];
             let whole: u64 = region.size().iter().map(|n| u64::from(*n)).product();
-            (region.cells as f64 * window.area() as f64 / whole as f64).sqrt()
+            let part = (region.cells as f64 * window.area() as f64 / whole as f64).sqrt();
+            if expected == Some(*window) { EXPECTED_SHARE * part } else { part }
         };
         let total: f64 = slice.iter().map(weight).sum();
         for window in slice {

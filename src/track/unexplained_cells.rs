@@ -3,9 +3,7 @@
 //! What has just appeared is searched first: nothing that is explained turns into something else but by a body that comes into view, or a person.
 //! After that, what has waited longest.
 
-use nalgebra::Vector2;
-
-use super::search_windows::Window;
+use super::search_windows::{Extent, Window};
 
 /// Side of a cell, pixels of the frame. Chosen, not tuned: a prop that features can find is 60 pixels wide. Raised, small props are not told from what is beside them; lowered, a cell has too few pixels to be judged by.
 pub const SIDE_PX: u32 = 16;
@@ -98,7 +96,7 @@ impl UnexplainedCells {
     }
 
     /// First and last pixels of a region, the last one exclusive.
-    pub fn extent(&self, number: u32) -> [[u32; 2]; 2] {
+    pub fn extent(&self, number: u32) -> Extent {
         let own = (0..self.labels.len()).filter(|cell| self.labels[*cell] == number).map(|cell| self.pixel(cell));
         own.fold([[u32::MAX; 2], [0; 2]], |[low, high], at| {
             [[0, 1].map(|k| low[k].min(at[k])), [0, 1].map(|k| high[k].max(at[k] + SIDE_PX))]
@@ -127,7 +125,7 @@ impl UnexplainedCells {
     }
 
     /// The cells of a window's region whose first pixels lie in a part of it: from, and to, exclusive.
-    fn cells_of(&self, window: &Window, [from, to]: [[u32; 2]; 2]) -> impl Iterator<Item = usize> + use<'_> {
+    fn cells_of(&self, window: &Window, [from, to]: Extent) -> impl Iterator<Item = usize> + use<'_> {
         let [columns, rows] = [0, 1].map(|k| {
             let [first, end] = [from[k], to[k]].map(|v| (v.div_ceil(SIDE_PX) as usize).min(self.size[k]));
             first..end
@@ -138,8 +136,8 @@ impl UnexplainedCells {
     }
 
     /// The part of a window that its cells lie in, with the margin, and how long those have waited in the mean that no other window has nearer its middle; `None` where
-    /// there are none, or too few in all: what is small is whole in a window beside it. `last_seen`: a window around one of these pixels comes before all others.
-    pub fn content(&self, window: &Window, last_seen: &[Vector2<f64>]) -> Option<(Window, f32)> {
+    /// there are none, or too few in all: what is small is whole in a window beside it.
+    pub fn content(&self, window: &Window) -> Option<(Window, f32)> {
         let (mut low, mut high, mut cells) = ([u32::MAX; 2], [0; 2], 0);
         for cell in self.cells_of(window, [window.origin, [0, 1].map(|k| window.origin[k] + window.size[k])]) {
             cells += 1;
@@ -153,14 +151,7 @@ impl UnexplainedCells {
         }
         let origin = [0, 1].map(|k| low[k].saturating_sub(MARGIN_PX).max(window.origin[k]));
         let size = [0, 1].map(|k| (high[k] + MARGIN_PX).min(window.origin[k] + window.size[k]) - origin[k]);
-        // How far a pixel is inside, so that of two windows the one is taken that has it in its middle.
-        let depth = |pixel: &Vector2<f64>| {
-            let sides = [0, 1].map(|k| (pixel[k] - f64::from(origin[k])).min(f64::from(origin[k] + size[k]) - pixel[k]));
-            sides[0].min(sides[1])
-        };
-        let inside = last_seen.iter().map(depth).fold(0.0, f64::max);
-        let urgency = if inside > 0.0 { f32::from(EXPLAINED) + inside as f32 } else { waited / own as f32 };
-        Some((Window { origin, size, ..*window }, urgency))
+        Some((Window { origin, size, ..*window }, waited / own as f32))
     }
 
     /// A window was searched: the cells that no other window has nearer its middle begin to wait anew.
@@ -199,15 +190,13 @@ mod tests {
         look(&mut cells, &[person]);
         cells.note_searched(&whole(0));
         look(&mut cells, &[person, prop]);
-        let urgency = |cells: &UnexplainedCells, region: usize| cells.content(&whole(region), &[]).expect("cells enough").1;
+        let urgency = |cells: &UnexplainedCells, region: usize| cells.content(&whole(region)).expect("cells enough").1;
         assert_eq!([urgency(&cells, 0), urgency(&cells, 1)], [1.0, f32::from(NEW_WAIT)]);
         cells.note_searched(&whole(1));
         for _ in 0..3 {
             look(&mut cells, &[person, prop]);
         }
         assert_eq!([urgency(&cells, 0), urgency(&cells, 1)], [4.0, 3.0]);
-        // What was lost there comes before all else.
-        assert!(cells.content(&whole(1), &[Vector2::new(100.0, 100.0)]).expect("cells enough").1 > 200.0);
     }
 
     /// Every square of half a window is whole in one that was searched.
@@ -216,7 +205,8 @@ mod tests {
         let (mut cells, mut windows, mut seen) = (UnexplainedCells::default(), SearchWindows::default(), Vec::new());
         for _ in 0..20 {
             look(&mut cells, &[[0, 0, SIZE[0], SIZE[1]]]);
-            let slice = windows.next_slice([([0, 0], [1280, 720])].into_iter(), |window| cells.content(window, &[])).to_vec();
+            windows.begin_slice(std::iter::empty(), std::iter::empty(), |_| None);
+            let slice = windows.fill_slice([[[0, 0], [1280, 720]]].into_iter(), |window| cells.content(window)).to_vec();
             assert!(!slice.is_empty());
             slice.iter().for_each(|window| cells.note_searched(window));
             seen.extend(slice);
@@ -235,11 +225,11 @@ mod tests {
     fn a_window_is_as_large_as_what_it_holds() {
         let mut cells = UnexplainedCells::default();
         look(&mut cells, &[[30, 5, 34, 9]]);
-        let content = cells.content(&whole(0), &[]).expect("cells enough").0;
+        let content = cells.content(&whole(0)).expect("cells enough").0;
         assert_eq!((content.origin, content.size), ([480 - MARGIN_PX, 80 - MARGIN_PX], [64 + 2 * MARGIN_PX; 2]));
         assert!(cells.is_in([480, 80], 1) && !cells.is_in([479, 80], 1));
         // Of a window that holds two cells nothing is searched.
         let corner = Window { region: 0, origin: [528, 80], size: [200, 32], own: [[528, 80], [728, 112]] };
-        assert!(cells.content(&corner, &[]).is_none());
+        assert!(cells.content(&corner).is_none());
     }
 }

@@ -3,7 +3,7 @@
 use image::{GrayImage, Luma, imageops};
 use nalgebra::{Point3, Vector3};
 use stagepose::diagnostics::simulate::{grey, paint};
-use stagepose::{CameraPath, PoseSample, Spline, State, VirtualStage};
+use stagepose::{BodySpec, CameraPath, MovingObject, ObjectPath, PoseSample, Spline, State, VirtualStage};
 
 use super::scene::{aside, backdrop, body, camera, errors, nees_per_freedom, past, quiet, surface, track};
 
@@ -51,6 +51,23 @@ fn a_stage_is_found_from_far_to_its_side() {
         let scene = quiet(camera(960, 720), from_the_side(degrees, 2.6, [0.0; 3]), backdrop());
         assert_eq!(given_right(&scene, &track(&scene, 2)), 2, "{degrees} degrees");
     }
+}
+
+#[test]
+fn an_object_is_found_in_the_frame_that_finds_the_stage_from_far_to_its_side() {
+    let mut scene = quiet(camera(960, 720), from_the_side(75.0, 2.6, [0.0; 3]), backdrop());
+    // Seen so small, it is found beside the stage alone.
+    let art = grey(&paint(320, 320, 77));
+    let body = BodySpec::new("prop", vec![surface("prop", &art, [0.3; 2], Vector3::zeros(), 0.0)]);
+    let place = Vector3::new(-0.5, -0.3, -0.2);
+    let position = Spline::straight(&[(0.0, place), (1.0, place)]).unwrap();
+    scene.objects.push(MovingObject { body, path: ObjectPath { position, turn_rad: -75_f64.to_radians(), turn_rate_rad_s: 0.0 } });
+    let samples = track(&scene, 1);
+    assert_eq!(given_right(&scene, &samples), 1);
+    let object = &samples[0].objects[0];
+    assert_eq!(object.state, State::Tracking);
+    let off = (object.pose.unwrap().translation - scene.object_truth(0, samples[0].timestamp.seconds()).unwrap().translation).norm();
+    assert!(off < 0.003, "{off} m");
 }
 
 /// A picture that repeats a motif over and over, seen whole and from so near that its border is never in the frame.
