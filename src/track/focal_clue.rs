@@ -48,6 +48,10 @@ const RIVAL_SHARE: f64 = 0.93;
 const STRAYED_SIGMAS: f64 = 3.0;
 /// Sigmas beyond which it says so clearly. Raised, a zoom of a stage that does not fit is noticed later; lowered, a draught passes for one.
 const CHANGED_SIGMAS: f64 = 4.0;
+/// A frame that knows the focal length less well than this does not say so: from nearly ahead a pattern of any other cause passes for a zoom of any size. A picture of red things under a blue
+/// gel, whose edges are then elsewhere than in its own grey, said -25 % with a sigma of 5 %, and soon after +175 % with one of 49 %. Raised, such light passes for a zoom; lowered, a zoom of a
+/// stage that does not fit is noticed from fewer views.
+const MOST_CHANGED_SIGMA: f64 = 0.02;
 /// A frame that knows the focal length less well than this says nothing of whether it is the usual one again. Chosen: a few times what a stage that does not fit tells
 /// from the side. Raised, views from ahead bring poses back.
 const MOST_SIGMA: f64 = 0.01;
@@ -85,7 +89,8 @@ impl FocalClue {
     /// from the first.
     pub fn has_changed(&self, usual: f64, usual_sigma: f64, doubt: f64, is_rough: bool) -> bool {
         let least = if is_rough { LEAST_SIGMAS } else { CHANGED_SIGMAS };
-        let is_far = |by: f64| by.abs() > least * self.sigma.hypot(usual_sigma) && by.abs() > DOUBT_SIGMAS * doubt;
+        let sigma = self.sigma.hypot(usual_sigma);
+        let is_far = |by: f64| sigma < MOST_CHANGED_SIGMA && by.abs() > least * sigma && by.abs() > DOUBT_SIGMAS * doubt;
         self.strays(usual, usual_sigma).is_some_and(is_far)
     }
 

@@ -229,6 +229,17 @@ mod tests {
     }
 
     #[test]
+    fn light_that_displaces_edges_is_no_zoom_where_the_view_hardly_tells() {
+        let mut watch = LensWatch::default();
+        // A print of red things on the way to a blue gel, from ever more nearly ahead.
+        let gel = [(-0.006, 0.005), (-0.0087, 0.0059), (-0.0128, 0.0082), (-0.0186, 0.0099), (-0.0394, 0.0119), (-0.0591, 0.0177)];
+        let blue = [(-0.13, 0.0266), (-0.192, 0.044), (-0.254, 0.0512), (-0.586, 0.171), (1.752, 0.491), (0.444, 0.16)];
+        let said = |watch: &mut LensWatch, (change, sigma)| watch.update(Some(&FocalClue { change, sigma, share: 0.09 }), true, 0.0);
+        assert!((0..20).all(|_| said(&mut watch, gel[0]) == LensState::Fits));
+        assert!(gel.into_iter().chain(blue).all(|clue| said(&mut watch, clue) == LensState::Fits));
+    }
+
+    #[test]
     fn what_a_draught_says_changes_too_slowly() {
         let mut watch = LensWatch::default();
         let draught = |k: u32| FocalClue { change: 0.03 * (0.15 * f64::from(k)).sin(), sigma: 0.01, share: 0.03 };
