@@ -125,7 +125,11 @@ impl Aligner {
         if !is_by_blur {
             frame.settle_rest()?;
         }
-        let (mut alignment, exposure) = frame.verify()?;
+        let (mut alignment, mut exposure) = frame.verify()?;
+        if !is_followed && !is_by_blur && alignment.may_be_pulled() {
+            frame.settle_by_what_fits()?;
+            (alignment, exposure) = frame.verify()?;
+        }
         frame.allow_for_jumps(&mut alignment, since_s, jumped_since_s.is_some());
         let shutter_clue = if *asks_shutter { frame.shutter_clue(exposure) } else { None };
         let lessons = frame.into_lessons();

@@ -50,6 +50,12 @@ impl Alignment {
         self.tiles >= CONCLUSIVE_TILES && self.share() >= CONCLUSIVE_SHARE
     }
 
+    /// Whether the tiles bear the pose out although more than half of them show something else: of those that took part, the better half, some do, and pull it. Carts that came into view
+    /// behind a person were off by three sigmas and more.
+    pub fn may_be_pulled(&self) -> bool {
+        2 * self.agreeing < self.tiles && are_sure(self.agreeing, self.tiles)
+    }
+
     /// Whether this frame alone may give the pose: so many tiles agree that what is in front of the others does not matter, and the pose is sharp. Tiles
     /// alone do not do: a picture that is seen small has minima beside the right one, where tiles agree a pixel off (one was 47 degrees away), and leaves the
     /// pose open. `distance_m`: to the nearest surface.

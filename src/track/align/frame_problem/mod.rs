@@ -418,6 +418,13 @@ impl<'a> FrameProblem<'a> {
         self.settle(found, &known)
     }
 
+    /// Settles once more where the picture bears out a body that was just found, but less than half of it: the better half of its tiles took part, and some of those show what covers it.
+    pub fn settle_by_what_fits(&mut self) -> Option<()> {
+        let found = self.buffers.fine.solution()?.found.motion;
+        let known = Expected { is_followed: true, ..self.known };
+        self.settle(found, &known)
+    }
+
     /// Solves the finest level once more with the velocity that its blur shows, of a body that was just found; false if it shows none. `None` where there is no
     /// solution any more.
     pub fn solve_with_blur(&mut self) -> Option<bool> {
@@ -463,6 +470,7 @@ impl<'a> FrameProblem<'a> {
 
     /// Verifies the solution: how well its tiles agree, and what they leave open. With what the frame says of the exposure.
     pub fn verify(&mut self) -> Option<(Alignment, Option<Clue>)> {
+        self.bands = RowBands::new(self.slow.shutter);
         let Corrected { motion, scale } = self.buffers.fine.solution()?.found;
         let spec = self.spec(FINEST, &motion);
         let mut solution = self.buffers.fine.solution()?;
