@@ -126,7 +126,7 @@ impl Aligner {
             frame.settle_rest()?;
         }
         let (mut alignment, mut exposure) = frame.verify()?;
-        if !is_followed && !is_by_blur && alignment.may_be_pulled() {
+        if !frame.is_by_what_fits() && !is_by_blur && alignment.may_be_pulled() {
             frame.settle_by_what_fits()?;
             (alignment, exposure) = frame.verify()?;
         }

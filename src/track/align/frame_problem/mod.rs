@@ -138,6 +138,8 @@ pub struct FrameProblem<'a> {
     rays: &'a CameraRays,
     expected: &'a MotionEstimate,
     known: Expected<'a>,
+    /// Whether the body was seen just now.
+    is_followed: bool,
     /// What the tiles say by the time of their rows.
     bands: RowBands,
     /// The pose's part of the last step, from where the pictures of the tiles were predicted.
@@ -169,7 +171,7 @@ impl<'a> FrameProblem<'a> {
     ) -> Self {
         buffers.light.clone_from(&slow.light);
         let (motion, psf_variance) = (&expected.motion, slow.psf_variance);
-        let known = Expected { motion, information, psf_variance, psf_variance_sigma: PSF_VARIANCE_SIGMA, is_followed: false };
+        let known = Expected { motion, information, psf_variance, psf_variance_sigma: PSF_VARIANCE_SIGMA, is_sure: false };
         let (bands, lessons) = (RowBands::new(slow.shutter), Lessons::none(slow));
         let mut frame = Self {
             surfaces,
@@ -179,6 +181,7 @@ impl<'a> FrameProblem<'a> {
             rays,
             expected,
             known,
+            is_followed: false,
             bands,
             last_step: Vector6::zeros(),
             last_moved_px: 0.0,
@@ -194,13 +197,13 @@ impl<'a> FrameProblem<'a> {
 
     /// Of a body that was seen just now, or not.
     pub fn follows(&mut self, is_followed: bool) {
-        self.known.is_followed = is_followed;
+        (self.is_followed, self.known.is_sure) = (is_followed, is_followed);
     }
 
     fn spec(&self, level: usize, motion: &Motion) -> LevelSpec<'a> {
         let spec = LevelSpec::new(self.surfaces, self.slow, self.rays, self.lessons.is_enlarged, level, motion);
         // A start that features found may lead nowhere, and then as many pixels as these would be asked in vain, for as long as several frames take.
-        LevelSpec { fills_up: level == FINEST && self.known.is_followed, ..spec }
+        LevelSpec { fills_up: level == FINEST && self.is_followed, ..spec }
     }
 
     /// Finds the motion that the frame shows; `None` where too little of the body is in view or nothing converges.
@@ -220,7 +223,13 @@ impl<'a> FrameProblem<'a> {
         let far = level_for(self.uncertain_px()).max(FINEST + 1);
         let near = level_for(START_ERRORS * self.slow.start_error_px).min(far);
         let mut found = self.descend(near);
-        if !found.is_some_and(|f| self.is_close(&f)) && self.begins_above(near, far) {
+        let mut is_close = found.is_some_and(|f| self.is_close(&f));
+        if found.is_some() && !is_close && !self.known.is_sure && self.buffers.fine.may_be_covered() {
+            found = self.settle_by_what_fits();
+            is_close = found.is_some_and(|f| f.scale < CLOSE_SCALE);
+        }
+        if !is_close && self.begins_above(near, far) {
+            self.known.is_sure = self.is_followed;
             found = self.descend(far);
         }
         let found = found?;
@@ -274,7 +283,7 @@ impl<'a> FrameProblem<'a> {
 
     /// Whether a frame of a body that was just found may be asked for the velocity that its blur shows: where rows are read one after another the pose goes with it.
     fn may_ask_blur(&self) -> bool {
-        !self.known.is_followed && self.slow.shutter.readout_s != 0.0
+        !self.is_followed && self.slow.shutter.readout_s != 0.0
     }
 
     /// Predicts and solves a level's pixels until a step is small. The finest level's are selected anew where the pose moved much.
@@ -418,11 +427,19 @@ impl<'a> FrameProblem<'a> {
         self.settle(found, &known)
     }
 
-    /// Settles once more where the picture bears out a body that was just found, but less than half of it: the better half of its tiles took part, and some of those show what covers it.
-    pub fn settle_by_what_fits(&mut self) -> Option<()> {
+    /// Settles once more where much of a body is seen that was just found, but less than half of it: so far the better half of its tiles took part, and some of those show what
+    /// covers it. `None` where it does not come to rest.
+    pub fn settle_by_what_fits(&mut self) -> Option<Corrected> {
         let found = self.buffers.fine.solution()?.found.motion;
-        let known = Expected { is_followed: true, ..self.known };
-        self.settle(found, &known)
+        self.known.is_sure = true;
+        let known = self.known;
+        self.settle(found, &known)?;
+        self.buffers.fine.solution().map(|solution| solution.found).filter(|_| self.last_moved_px < LARGEST_LAST_STEP_PX)
+    }
+
+    /// Whether what does not fit takes no part.
+    pub fn is_by_what_fits(&self) -> bool {
+        self.known.is_sure
     }
 
     /// Solves the finest level once more with the velocity that its blur shows, of a body that was just found; false if it shows none. `None` where there is no

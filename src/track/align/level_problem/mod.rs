@@ -64,9 +64,9 @@ pub struct Expected<'a> {
     pub psf_variance: f64,
     /// See `psf_variance`.
     pub psf_variance_sigma: f64,
-    /// Whether the body was seen there just now: then what differs from it is in front of it. A body that was just found may be another, or of another size, and a part of it
-    /// that fits by chance must not be taken for what is seen of it.
-    pub is_followed: bool,
+    /// Whether what differs from the body is in front of it: it was seen there just now, or much of it is seen where it was found. Else it may be another, or of another size, and a part
+    /// of it that fits by chance must not be taken for what is seen of it.
+    pub is_sure: bool,
 }
 
 /// The pixels of a level with their prediction and their residuals.
@@ -258,7 +258,7 @@ impl LevelProblem {
             psf_variance_sigma: expected.psf_variance_sigma,
         };
         // From a start that is off, nothing correlates well yet: at the finest level it hardly is.
-        let may_be_covered = expected.is_followed && !is_first && spec.level == FINEST;
+        let may_be_covered = expected.is_sure && !is_first && spec.level == FINEST;
         self.gate_tiles(&spec.noise, may_be_covered);
         let scale = self.reweight(spec, &prior, spec.same_time(), is_first, passes)?;
         let step = self.system.step();
@@ -296,6 +296,13 @@ impl LevelProblem {
             scale = self.scale();
         }
         Some(scale)
+    }
+
+    /// Whether the solution shows a body of which more than half may be covered.
+    pub fn may_be_covered(&mut self) -> bool {
+        self.sorted.clear();
+        self.sorted.extend(self.runs.iter().map(|r| r.gate.correlation));
+        is_covered(&self.sorted)
     }
 
     /// Share of the runs that take part.
