@@ -87,6 +87,11 @@ impl TrackStateMachine {
         self.state
     }
 
+    /// Whether a pose of the body was given in any frame.
+    pub fn was_given(&self) -> bool {
+        self.found_before
+    }
+
     /// Whether a pose in the next frame would continue a track.
     pub fn is_continued(&self) -> bool {
         matches!(self.state, State::Tracking | State::Coasting)

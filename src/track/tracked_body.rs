@@ -269,6 +269,9 @@ impl TrackedBody {
         since_s: Option<f64>,
     ) -> Option<Verified> {
         let distance_m = self.aligner.distance_m(&expected.motion.pose);
+        if self.track.was_given() {
+            self.aligner.trust();
+        }
         let mut solution = self.aligner.align(levels, camera_rays, expected, since_s)?;
         let found = solution.alignment;
         // Pushed far away, it is a new pose as much as one that was found anew.
@@ -381,7 +384,8 @@ impl TrackedBody {
             share: found.share(),
             inliers: found.inliers as usize,
             rms_px: found.rms_px,
-            is_conclusive: found.is_borne_out(self.aligner.distance_m(&found.pose)),
+            // Of a body that was never given, what does not fit takes no part only once it is followed.
+            is_conclusive: found.is_borne_out(self.aligner.distance_m(&found.pose)) && (self.track.was_given() || !found.may_be_pulled()),
         }
     }
 

@@ -35,6 +35,8 @@ struct Settings {
     surfaces: Vec<AlignSurface>,
     /// Whether every frame is asked what it says of the shutter.
     asks_shutter: bool,
+    /// See [`Aligner::trust`].
+    is_trusted: bool,
 }
 
 /// A frame that was aligned, and what may be asked of it until the next.
@@ -58,7 +60,7 @@ impl Aligner {
     pub fn of_surfaces(surfaces: Vec<AlignSurface>, shutter: Shutter) -> Self {
         Self {
             buffers: Buffers::with_room_for(&surfaces),
-            settings: Settings { surfaces, asks_shutter: false },
+            settings: Settings { surfaces, asks_shutter: false, is_trusted: false },
             slow: SlowEstimates::new(shutter),
         }
     }
@@ -88,6 +90,12 @@ impl Aligner {
         self.slow.shutter.readout_s = readout_s;
     }
 
+    /// Its pose was given: from now on what differs from it is in front of it, wherever it is found. Before, its picture or its size may be another than told, and a part of it that fits by
+    /// chance must not be taken for what is seen of it.
+    pub fn trust(&mut self) {
+        self.settings.is_trusted = true;
+    }
+
     /// Takes what another body has learnt of the camera that both are seen by, where it knows that better.
     pub fn take_camera(&mut self, other: &Self) {
         self.slow.take_camera(&other.slow);
@@ -109,13 +117,13 @@ impl Aligner {
         expected: &MotionEstimate,
         since_s: Option<f64>,
     ) -> Option<Solution<'a>> {
-        let Self { settings: Settings { surfaces, asks_shutter }, buffers, slow } = &mut *self;
+        let Self { settings: Settings { surfaces, asks_shutter, is_trusted }, buffers, slow } = &mut *self;
         let is_followed = since_s.is_some();
         // A velocity that may jump within the frame explains what a wrong readout leaves, and the shutter would be found there.
         let since_s = since_s.filter(|_| !*asks_shutter);
         let information = expected.covariance.cholesky()?.inverse();
         let mut frame = FrameProblem::new(surfaces, slow, buffers, levels, rays, expected, &information);
-        frame.follows(is_followed);
+        frame.follows(is_followed, *is_trusted);
         let found = frame.solve()?;
         let jumped_since_s = since_s.filter(|_| frame.is_surprising(&found));
         if let Some(since_s) = jumped_since_s {
@@ -126,7 +134,7 @@ impl Aligner {
             frame.settle_rest()?;
         }
         let (mut alignment, mut exposure) = frame.verify()?;
-        if !frame.is_by_what_fits() && !is_by_blur && alignment.may_be_pulled() {
+        if *is_trusted && !frame.is_by_what_fits() && !is_by_blur && alignment.may_be_pulled() {
             frame.settle_by_what_fits()?;
             (alignment, exposure) = frame.verify()?;
         }

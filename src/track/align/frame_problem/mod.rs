@@ -140,6 +140,8 @@ pub struct FrameProblem<'a> {
     known: Expected<'a>,
     /// Whether the body was seen just now.
     is_followed: bool,
+    /// Whether its pose was given before: what differs from it is in front of it, wherever it is found.
+    is_trusted: bool,
     /// What the tiles say by the time of their rows.
     bands: RowBands,
     /// The pose's part of the last step, from where the pictures of the tiles were predicted.
@@ -182,6 +184,7 @@ impl<'a> FrameProblem<'a> {
             expected,
             known,
             is_followed: false,
+            is_trusted: false,
             bands,
             last_step: Vector6::zeros(),
             last_moved_px: 0.0,
@@ -195,9 +198,9 @@ impl<'a> FrameProblem<'a> {
         frame
     }
 
-    /// Of a body that was seen just now, or not.
-    pub fn follows(&mut self, is_followed: bool) {
-        (self.is_followed, self.known.is_sure) = (is_followed, is_followed);
+    /// Of a body that was seen just now, or not, and whether it is trusted (see [`Aligner::trust`](super::aligner::Aligner::trust)).
+    pub fn follows(&mut self, is_followed: bool, is_trusted: bool) {
+        (self.is_followed, self.known.is_sure, self.is_trusted) = (is_followed, is_followed, is_trusted);
     }
 
     fn spec(&self, level: usize, motion: &Motion) -> LevelSpec<'a> {
@@ -224,7 +227,7 @@ impl<'a> FrameProblem<'a> {
         let near = level_for(START_ERRORS * self.slow.start_error_px).min(far);
         let mut found = self.descend(near);
         let mut is_close = found.is_some_and(|f| self.is_close(&f));
-        if found.is_some() && !is_close && !self.known.is_sure && self.buffers.fine.may_be_covered() {
+        if found.is_some() && !is_close && self.is_trusted && !self.known.is_sure && self.buffers.fine.may_be_covered() {
             found = self.settle_by_what_fits();
             is_close = found.is_some_and(|f| f.scale < CLOSE_SCALE);
         }
