@@ -20,8 +20,8 @@ const SLICE_PX: u64 = 280_000;
 /// at another speed leaves its window.
 const EXPECTED_PX: u32 = 340;
 
-/// Least urgency of a window that joins one where a body should be, and takes features from it: looks that it waited, in the mean. Half of what is new counts as. Raised, a body that is not where it
-/// should be is found later; lowered, one that is covered in part has too few features.
+/// Least urgency of a window that shares the slice with one where a body should be, and so takes features from it: the mean wait of its cells, in looks. Half the wait that new cells begin with
+/// (`NEW_WAIT` in `unexplained_cells`). Raised, a body that is not where it should be is found later; lowered, one that is covered in part has too few features.
 const JOINING_URGENCY: f32 = 6.0;
 
 /// A rectangle of a frame: first column and row, and the last ones, exclusive.
@@ -222,7 +222,7 @@ mod tests {
         assert_eq!(begun.iter().map(extent).collect::<Vec<_>>(), [[[180, 90], [520, 190]]]);
         let all = windows.fill_slice([FRAME].into_iter(), urgency);
         assert!(all.len() == 2 && all[0] == begun[0] && all[1].origin[0] > 700, "{all:?}");
-        // What was searched lately waits.
+        // A window that was searched two looks ago takes no features from it.
         windows.begin_slice([FRAME].into_iter(), [place].into_iter(), urgency);
         assert_eq!(windows.fill_slice([FRAME].into_iter(), |w| Some((*w, 2.0))), begun);
         // Where all is explained nothing is searched.
