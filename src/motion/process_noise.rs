@@ -65,6 +65,11 @@ impl ProcessNoise {
         self.turn * USUAL_TURN
     }
 
+    /// Whether it has seen too few frames to tell.
+    pub fn is_untold(&self) -> bool {
+        self.frames < UNTOLD_FRAMES
+    }
+
     /// Learns from the innovations of shift and turn ([`innovations`](super::MotionEstimate::innovations)).
     pub fn learn(&mut self, innovations: [Option<Innovation>; 2]) {
         self.frames = self.frames.saturating_add(1);

@@ -50,6 +50,12 @@ impl<To, From> Motion<To, From> {
         Self { velocity: -self.velocity, turn_rate: -self.turn_rate, ..*self }
     }
 
+    /// The same without acceleration.
+    pub fn even(&self) -> Self {
+        let zero = Vector3::zeros();
+        Self { acceleration: zero, turn_acceleration: zero, ..*self }
+    }
+
     /// [v, ω]: velocity and turn rate.
     pub fn twist(&self) -> Vector6<f64> {
         let (v, w) = (self.velocity, self.turn_rate);

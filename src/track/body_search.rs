@@ -17,7 +17,7 @@ use super::reason::Reason;
 use super::registration::SearchPicture;
 use super::row_motion::RowMotion;
 use super::settings::TrackerSettings;
-use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody};
+use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody, is_near};
 use super::unexplained::Unexplained;
 use super::verify::{Verified, VerifyBuffers, View};
 use crate::camera::{CameraModel, Shutter};
@@ -30,9 +30,6 @@ use crate::motion::MotionEstimate;
 /// Candidates of a body that are put to the test per frame, of four at most, best first. Two planar poses and one in reserve. Raised,
 /// frames without the stage cost more; lowered to 1, the wrong one of two planar poses may be the only one tried.
 const TRIED: usize = 3;
-/// Starts that differ by less, radians and of the distance, are one. Raised, a start that would succeed is left out; lowered, alignment fails
-/// twice from the same place.
-const SAME_START: f64 = 0.005;
 /// A frame with fewer features at a glance is not looked at closely: it is black or blank. Raised, dim stages are not looked for; lowered,
 /// black frames cost more.
 const LEAST_FEATURES: usize = 16;
@@ -393,11 +390,6 @@ impl BodySearch {
     fn views(&self, own: &[SurfaceMatch], tracked: &TrackedBody) -> Vec<SurfaceView> {
         (0..tracked.surfaces.len() as u32).filter_map(|k| surface_view(k, own, &self.camera, self.seed)).collect()
     }
-}
-
-/// Whether alignment from the one leads where it leads from the other: half a degree and as much of the distance is well within its basin.
-fn is_near(a: &Pose<Body, Camera>, b: &Pose<Body, Camera>) -> bool {
-    a.angle_to(b) < SAME_START && (a.translation - b.translation).norm() < SAME_START * a.translation.norm()
 }
 
 /// How far off a pose that features found may be, one sigma, metres and radians; `noise`: what their noise leaves open.

@@ -62,6 +62,9 @@ const CLEARLY_STRONGER: f64 = 1.2;
 /// have wider covariances than errors and are given a frame later; lowered, chance decides.
 const TELLING_TILES: f64 = 40.0;
 
+/// Starts that differ by less, radians and of the distance, are one. Raised, a start that would succeed is left out; lowered, alignment fails
+/// twice from the same place.
+const SAME_START: f64 = 0.005;
 /// A body and what its frames said so far; keeps its buffers.
 pub struct TrackedBody {
     /// Its pictures.
@@ -185,11 +188,15 @@ impl TrackedBody {
         let distance_m = self.aligner.distance_m(&estimate.motion.pose);
         let expected = estimate.after(dt_s, distance_m, &self.process_noise);
         self.followed_from = Some(expected.motion.pose);
+        // Blur shows the way that it moved along, but not in which direction. And where rows do not tell velocities, two or three frames hardly tell how these change.
+        let opposite = has_opposite.then(|| estimate.motion.reversed());
+        let even = (self.aligner.is_global() && self.process_noise.is_untold()).then(|| estimate.motion.even());
         let verified = self.align(frame, levels, camera_rays, &expected, Some(dt_s)).or_else(|| {
-            // Blur shows the way that it moved along, but not in which direction.
-            let opposite = MotionEstimate { motion: estimate.motion.reversed(), ..estimate };
-            let expected = opposite.after(dt_s, distance_m, &self.process_noise);
-            has_opposite.then(|| self.align(frame, levels, camera_rays, &expected, Some(dt_s)))?
+            opposite.into_iter().chain(even).find_map(|motion| {
+                let other = MotionEstimate { motion, ..estimate }.after(dt_s, distance_m, &self.process_noise);
+                let is_new = !is_near(&other.motion.pose, &expected.motion.pose);
+                is_new.then(|| self.align(frame, levels, camera_rays, &other, Some(dt_s)))?
+            })
         })?;
         self.unaudited += 1;
         if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose.inverse(), camera_rays.camera()) {
@@ -568,3 +575,12 @@ impl TrackedBody {
         (dt_s > 1e-4 && dt_s <= LONGEST_MOTION_GAP_S.max(self.to_next_s)).then_some((pose, dt_s, twist))
     }
 }
+
+/// Whether alignment from the one leads where it leads from the other: half a degree and as much of the distance is well within its basin.
+pub fn is_near(a: &Pose<Body, Camera>, b: &Pose<Body, Camera>) -> bool {
+    a.angle_to(b) < SAME_START && (a.translation - b.translation).norm() < SAME_START * a.translation.norm()
+}
+
+#[cfg(test)]
+#[path = "tracked_body_tests.rs"]
+mod tests;

@@ -84,6 +84,11 @@ impl Aligner {
         distance_m(&self.settings.surfaces, pose)
     }
 
+    /// Whether all rows are exposed together, so that a frame shows no velocity but by its blur.
+    pub fn is_global(&self) -> bool {
+        self.slow.shutter.readout_s == 0.0
+    }
+
     /// From now on the rows are read in this time; the exposure stays as it is known.
     pub fn take_readout(&mut self, readout_s: f64) {
         self.buffers.has_kept &= self.slow.shutter.readout_s == readout_s;

@@ -1,0 +1,36 @@
+use super::super::synthetic::{cloth, facing, lens, view};
+use super::*;
+use crate::motion::Motion;
+
+fn truth() -> Pose<Camera, Body> {
+    facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4))
+}
+
+/// A body that is where it was a frame ago, of which the frames before say that its velocity changes by that much. Whether it is found.
+fn is_followed(turn_acceleration: f64, is_told: bool) -> bool {
+    let surface = cloth(1);
+    let shutter = Shutter { readout_s: 0.0, exposure_s: 0.0 };
+    let mut body = TrackedBody::new(&BodySpec::new("prop", vec![surface.clone()]), vec![AlignSurface::new(&surface)], 0, shutter);
+    if is_told {
+        (0..4).for_each(|_| body.process_noise.learn([None, None]));
+    }
+    let camera = lens(480, 360);
+    let still = MotionEstimate::unseen(truth().inverse(), 3.4, 1e-3, 3e-4);
+    let motion = Motion { turn_acceleration: Vector3::new(0.0, turn_acceleration, 0.0), ..still.motion };
+    body.motion = Some((MotionEstimate { motion, ..still }, Timestamp::from_seconds(1.0)));
+    let frame = Frame::new(view(&surface, &truth(), &camera), Timestamp::from_seconds(1.0 + 1.0 / 30.0), 1);
+    let mut levels = FrameLevels::default();
+    levels.update(&frame.image);
+    let found = body.follow(&frame, &mut levels, &CameraRays::new(camera, None));
+    assert!(found.as_ref().is_none_or(|verified| verified.pose.inverse().angle_to(&truth()) < 1e-3));
+    found.is_some()
+}
+
+#[test]
+fn what_few_frames_make_of_an_acceleration_does_not_lose_a_body() {
+    assert!(is_followed(0.0, false) && is_followed(0.0, true));
+    // A ninth of a radian aside by the next frame, which is beyond what alignment reaches.
+    assert!(is_followed(200.0, false));
+    // Frames enough have seen how it moves: it is not looked for elsewhere.
+    assert!(!is_followed(200.0, true));
+}
