@@ -1,7 +1,7 @@
 //! From a picture to its features: pyramid, corners, orientation, description, in buffers that stay.
 
 use image::GrayImage;
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 
 use super::corners::{Corner, CornerBuffers, CornerOptions, detect_more_corners};
 use super::descriptor::{Descriptor, oriented_descriptor};
@@ -20,6 +20,14 @@ pub struct Feature {
     pub angle: f32,
     /// What surrounds it.
     pub descriptor: Descriptor,
+}
+
+impl Feature {
+    /// From the axes of its description, in pixels of the level it was found on, to the picture's.
+    pub fn shape(&self) -> Matrix2<f64> {
+        let (sin, cos) = f64::from(self.angle).sin_cos();
+        Matrix2::new(cos, -sin, sin, cos) * self.scale
+    }
 }
 
 /// How to look for features.

@@ -5,6 +5,7 @@
 //! simulated views of ASIFT (see [`ViewSimulation`](super::ViewSimulation)), made of the reference alone and ahead of time.
 
 use image::GrayImage;
+use nalgebra::Matrix2;
 
 use super::extractor::{BORDER, ExtractorOptions, Feature, FeatureExtractor};
 use super::keypoint::PictureForms;
@@ -20,23 +21,38 @@ pub struct TiltedViews {
     pub count: usize,
 }
 
-/// Appends the features of a picture in views of one tilt, in the picture's own pixels. `options` are those of each view. A feature's scale is along
-/// the compressed direction, its largest.
+impl TiltedViews {
+    /// From the shapes of a view's features to those of the picture, along the compressed direction as large: their scale is told along it.
+    pub fn shape_in_picture(&self, number: usize) -> Matrix2<f64> {
+        let (sin, cos) = self.longitude(number).sin_cos();
+        Matrix2::new(cos, -sin / self.tilt, sin, cos / self.tilt)
+    }
+
+    fn longitude(&self, number: usize) -> f64 {
+        std::f64::consts::PI * number as f64 / self.count as f64
+    }
+}
+
+/// Appends the features of a picture in views of one tilt, a list for each view, in the picture's own pixels. `options` are those of each view. A feature's
+/// scale is along the compressed direction, its largest; its angle is the view's.
 pub fn append_tilted_features(
     picture: &GrayImage,
     views: TiltedViews,
     options: &ExtractorOptions,
     extractor: &mut FeatureExtractor,
     workers: &Workers,
-    features: &mut Vec<Feature>,
+    features: &mut Vec<Vec<Feature>>,
 ) {
     let forms = PictureForms::new(picture);
     let mut of_view = Vec::new();
     for k in 0..views.count {
-        let longitude = std::f64::consts::PI * k as f64 / views.count as f64;
-        let Some(view) = SimulatedPicture::of(&forms, View { tilt: views.tilt, longitude }) else { continue };
+        let Some(view) = SimulatedPicture::of(&forms, View { tilt: views.tilt, longitude: views.longitude(k) }) else {
+            features.push(Vec::new());
+            continue;
+        };
         extractor.extract(&view.pixels, None, options, workers, &mut of_view);
         let in_picture = of_view.iter().filter(|f| view.holds_disc(f.position, f64::from(BORDER) * f.scale));
-        features.extend(in_picture.map(|f| Feature { position: view.place_in_picture(f.position), scale: f.scale * views.tilt, ..*f }));
+        features
+            .push(in_picture.map(|f| Feature { position: view.place_in_picture(f.position), scale: f.scale * views.tilt, ..*f }).collect());
     }
 }

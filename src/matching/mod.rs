@@ -8,7 +8,7 @@ mod exact;
 mod kernels;
 mod rival;
 
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 
 use crate::features::{Descriptor, Feature, Workers};
 pub use exact::{ExactMatch, ExactOptions, match_exactly, match_watched};
@@ -24,6 +24,8 @@ pub struct ReferenceFeature {
     pub position: Vector2<f64>,
     /// Artwork pixels per pixel of the level it was found on.
     pub scale: f64,
+    /// From the axes of its description, in pixels of that level, to the artwork's.
+    pub shape: Matrix2<f64>,
 }
 
 /// All reference features, with their descriptors side by side.
@@ -68,9 +70,24 @@ const FARTHEST_RIVAL: u32 = 95;
 impl ReferenceIndex {
     /// Adds the features of a surface; `transform` maps a feature's position into artwork pixels.
     pub fn add(&mut self, surface: u32, features: &[Feature], transform: impl Fn(Vector2<f64>) -> Vector2<f64>, artwork_scale: f64) {
-        for f in features {
-            self.features.push(ReferenceFeature { surface, position: transform(f.position), scale: f.scale * artwork_scale });
-            self.descriptors.push(f.descriptor);
+        self.add_views(surface, std::iter::once((features, Matrix2::identity() * artwork_scale)), transform);
+    }
+
+    /// The same of several views of a surface, each with the map from its shapes to the artwork's. Along the direction that a view compresses that is as large as the artwork, and smaller along the
+    /// other ([`TiltedViews::shape_in_picture`](crate::features::TiltedViews::shape_in_picture)).
+    pub fn add_views<'a>(
+        &mut self,
+        surface: u32,
+        views: impl Iterator<Item = (&'a [Feature], Matrix2<f64>)>,
+        transform: impl Fn(Vector2<f64>) -> Vector2<f64>,
+    ) {
+        for (features, shape) in views {
+            let scale = shape.column(0).norm();
+            for f in features {
+                let position = transform(f.position);
+                self.features.push(ReferenceFeature { surface, position, scale: f.scale * scale, shape: shape * f.shape() });
+                self.descriptors.push(f.descriptor);
+            }
         }
         kernels::pack_into(self.descriptors.iter().copied(), &mut self.blocks);
     }

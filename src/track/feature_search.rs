@@ -10,7 +10,7 @@ use image::GrayImage;
 use super::acquire::{SurfaceMatch, surface_matches};
 use super::reference::PreparedSurface;
 use super::unexplained::Unexplained;
-use super::view_bank::{BankBuilder, PictureCopy, ViewStore};
+use super::view_bank::{BankBuilder, PictureCopy, ViewStore, view_shapes};
 use crate::camera::CameraModel;
 use crate::features::{ContrastStretch, ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::matching::{Match, MatchBuffers, ReferenceFeature, ReferenceIndex};
@@ -109,7 +109,8 @@ impl FeatureSearch {
         search.all_views = search.frontal.clone();
         for (number, (surface, bank)) in surfaces.iter().zip(&banks).enumerate() {
             let copy = PictureCopy::tilted(surface);
-            search.all_views.add(number as u32, &bank.tilted, copy.in_artwork(), copy.scale);
+            let views = bank.tilted.iter().zip(view_shapes()).map(|(features, shape)| (features.as_slice(), shape * copy.scale));
+            search.all_views.add_views(number as u32, views, copy.in_artwork());
         }
         search
     }
@@ -236,7 +237,7 @@ fn part<'a>(
 mod tests {
     use super::super::surface::SurfaceSpec;
     use super::super::synthetic::{prepared, texture};
-    use nalgebra::Vector2;
+    use nalgebra::{Matrix2, Vector2};
 
     use super::*;
     use crate::geometry::Pose;
@@ -290,19 +291,26 @@ mod tests {
         let picture = &body.surfaces[0].octaves[0].image;
         let columns = 5;
         let frame = squeezed(picture, columns);
-        let right = |search: &FeatureSearch| {
-            let is_right = |m: &&Match| {
-                let seen = search.features()[m.frame as usize].position;
-                let off =
-                    search.reference()[m.reference as usize].position - Vector2::new((seen.x + 0.5) * f64::from(columns) - 0.5, seen.y);
-                off.x.abs() < 4.0 * f64::from(columns) && off.y.abs() < 4.0
-            };
-            search.matches.iter().filter(is_right).count()
+        let is_right = |search: &FeatureSearch, m: &Match| {
+            let seen = search.features()[m.frame as usize].position;
+            let off = search.reference()[m.reference as usize].position - Vector2::new((seen.x + 0.5) * f64::from(columns) - 0.5, seen.y);
+            off.x.abs() < 4.0 * f64::from(columns) && off.y.abs() < 4.0
         };
+        let right = |search: &FeatureSearch| search.matches.iter().filter(|m| is_right(search, m)).count();
         search.look(&frame, None, Look::Frontal, &workers);
         let frontal = right(&search);
         search.look_closer(&frame, None, &workers);
         let close = right(&search);
         assert!(close >= 30 && close > 3 * frontal, "{close} with tilted views, {frontal} without, of {}", search.features().len());
+        // Each match by itself tells how the picture is squeezed: by five along its rows, and not across.
+        let squeeze = Matrix2::new(1.0 / f64::from(columns), 0.0, 0.0, 1.0);
+        let mut off: Vec<f64> = (search.matches.iter().filter(|m| is_right(&search, m)))
+            .map(|m| {
+                let shape = search.reference()[m.reference as usize].shape;
+                (search.features()[m.frame as usize].shape() * shape.try_inverse().expect("regular") - squeeze).norm()
+            })
+            .collect();
+        off.sort_by(f64::total_cmp);
+        assert!(off[off.len() / 2] < 0.2, "{off:?}");
     }
 }

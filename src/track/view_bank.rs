@@ -9,7 +9,7 @@ use std::hash::{DefaultHasher, Hasher};
 use std::sync::Arc;
 
 use image::GrayImage;
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 use tracing::debug;
 
 use super::reference::{ANCHOR_BORDER, ANCHORS, Anchor, PreparedSurface, octave_count};
@@ -32,6 +32,11 @@ const LARGEST_TILTED_PX: u32 = 1300;
 /// beyond 80 degrees (a tilt of 5.8). More of one tilt: longitudes in between are recognised better, and the start takes longer.
 const VIEWS: [TiltedViews; 3] =
     [TiltedViews { tilt: 2.0, count: 5 }, TiltedViews { tilt: 3.4, count: 8 }, TiltedViews { tilt: 5.5, count: 11 }];
+/// From the shapes of each tilted view to the picture's, in the order of the views.
+pub fn view_shapes() -> impl Iterator<Item = Matrix2<f64>> {
+    VIEWS.into_iter().flat_map(|views| (0..views.count).map(move |number| views.shape_in_picture(number)))
+}
+
 /// Levels of a reference picture: a factor of 15 in scale (1.2 a level). Lowered, stages that are seen small are not recognised.
 const LEVELS: usize = 16;
 
@@ -48,8 +53,8 @@ pub trait ViewStore: std::fmt::Debug + Send + Sync {
 pub struct ViewBank {
     /// Of the picture as it is.
     pub frontal: Vec<Feature>,
-    /// Of its tilted views.
-    pub tilted: Vec<Feature>,
+    /// Of its tilted views, a list for each.
+    pub tilted: Vec<Vec<Feature>>,
     /// The anchors of each octave of the picture.
     pub anchors: Vec<Vec<Anchor>>,
 }
@@ -143,7 +148,7 @@ const KEY_BYTES: usize = 16;
 /// How a bank's bytes begin.
 const MAGIC: &[u8; 8] = b"SPVIEWS\n";
 /// Of the form of the bytes.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// Bytes of a feature: place, scale, angle and descriptor.
 const FEATURE_BYTES: usize = 3 * 8 + 4 + 4 * 8;
 /// Bytes of an anchor: column and row of its octave.
@@ -186,7 +191,7 @@ impl ViewBank {
         bytes.extend_from_slice(MAGIC);
         bytes.extend_from_slice(&VERSION.to_le_bytes());
         bytes.extend_from_slice(&key.0);
-        for list in [&self.frontal, &self.tilted] {
+        for list in std::iter::once(&self.frontal).chain(&self.tilted) {
             bytes.extend_from_slice(&(list.len() as u32).to_le_bytes());
             list.iter().for_each(|feature| append_feature(feature, &mut bytes));
         }
@@ -205,7 +210,8 @@ impl ViewBank {
         let (content, own_digest) = bytes.split_last_chunk::<KEY_BYTES>()?;
         let is_whole = digest([content]) == *own_digest;
         let mut rest = content.strip_prefix(MAGIC)?.strip_prefix(&VERSION.to_le_bytes())?.strip_prefix(&key.0)?;
-        let [frontal, tilted] = [take_features(&mut rest, size)?, take_features(&mut rest, size)?];
+        let frontal = take_features(&mut rest, size)?;
+        let tilted = view_shapes().map(|_| take_features(&mut rest, size)).collect::<Option<_>>()?;
         let anchors = (0..octave_count(size)).map(|octave| take_anchors(&mut rest, size, octave)).collect::<Option<_>>()?;
         let bank = Self { frontal, tilted, anchors };
         (is_whole && rest.is_empty()).then_some(bank)

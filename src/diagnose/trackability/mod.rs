@@ -240,6 +240,7 @@ fn recognised(
 ) -> Recognised {
     let mut seen = Vec::new();
     append_tilted_features(picture, TRIED, options, extractor, workers, &mut seen);
+    let seen = seen.concat();
     let mut index = ReferenceIndex::default();
     index.add(0, own, |p| p, 1.0);
     let matches = matched(&seen, &index, LOWE_RATIO, workers);
