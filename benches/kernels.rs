@@ -7,7 +7,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use image::GrayImage;
-use nalgebra::{Matrix2, Point3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix2, Point3, Rotation2, UnitQuaternion, Vector2, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use stagepose::diagnostics::capture::VirtualCamera;
@@ -15,7 +15,7 @@ use stagepose::diagnostics::features::{
     CornerBuffers, CornerOptions, ExtractorOptions, FeatureExtractor, MatchBuffers, Pyramid, ReferenceIndex, Workers, describe,
     detect_corners, orientation, smooth_into,
 };
-use stagepose::diagnostics::geometry::{MovingCamera, Observation, essential_candidates, resect};
+use stagepose::diagnostics::geometry::{LocalAffinity, MovingCamera, Observation, essential_candidates, resect, robust_affine};
 use stagepose::diagnostics::simulate::{grey, paint};
 use stagepose::diagnostics::track::AlignKernels;
 use stagepose::two_views::geometry::{
@@ -171,6 +171,21 @@ fn two_views(c: &mut Criterion) {
     c.bench_function("robust essential, 200 pairs, half wrong", |b| b.iter(|| robust_essential(black_box(&rays), [FOCAL; 2], &options)));
 }
 
+/// Six right matches of a small picture among sixty wrong ones.
+fn affinities(c: &mut Criterion) {
+    let mut random = Pcg64Mcg::seed_from_u64(5);
+    let map = Matrix2::new(0.4, -0.2, 0.1, 0.3);
+    let mut point = |side: f64| Vector2::new(random.random_range(0.0..side), random.random_range(0.0..side));
+    let matches: Vec<LocalAffinity> = (0..66)
+        .map(|k| {
+            let (from, anywhere, turn) = (point(400.0), point(300.0), point(6.0).x);
+            let (to, turn) = if k % 11 == 0 { (map * from, 0.0) } else { (anywhere, turn) };
+            LocalAffinity { pair: PointPair { from, to }, derivative: Rotation2::new(turn) * map, noise: 1.0 }
+        })
+        .collect();
+    c.bench_function("affine map of 6 matches among 60 wrong ones", |b| b.iter(|| robust_affine(black_box(&matches), 5)));
+}
+
 fn resection(c: &mut Criterion) {
     let camera = CameraModel::pinhole(1280, 720, 1100.0, 1100.0, 639.5, 359.5).expect("a camera");
     let mut random = Pcg64Mcg::seed_from_u64(3);
@@ -214,5 +229,5 @@ fn alignment(c: &mut Criterion) {
     c.bench_function("noise of all tiles", |b| b.iter(|| kernels.noise_sums()));
 }
 
-criterion_group!(kernels, alignment, corners, pyramid, description, hamming, homography, essential, two_views, resection);
+criterion_group!(kernels, alignment, corners, pyramid, description, hamming, homography, essential, two_views, affinities, resection);
 criterion_main!(kernels);

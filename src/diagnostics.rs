@@ -5,6 +5,7 @@ pub mod geometry {
     pub use crate::geometry::FilmingCamera;
     pub use crate::geometry::bspline::BicubicSpline;
     pub use crate::geometry::essential::essential_candidates;
+    pub use crate::geometry::local_affinities::{LocalAffinity, robust_affine};
     pub use crate::geometry::resection::{MovingCamera, Observation, resect};
 }
 

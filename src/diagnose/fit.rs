@@ -220,7 +220,7 @@ mod tests {
                 let c = pose.transform(&metres.push(0.0).into());
                 let noise = Vector2::new(random.random_range(-0.8..0.8), random.random_range(-0.8..0.8));
                 let pixel = lens(FOCAL_PX).project(Normalized(c.coords.xy() / c.z)).0 + noise;
-                SurfaceMatch { surface: 0, artwork, pixel, undistorted: pixel, scale: 1.0 }
+                SurfaceMatch { surface: 0, artwork, pixel, undistorted: pixel, scale: 1.0, derivative: Matrix2::identity() }
             };
             let matches: Vec<SurfaceMatch> = (0..60).map(&mut seen).collect();
             let pairs: Vec<PointPair> = matches.iter().map(|m| PointPair { from: m.artwork, to: m.undistorted }).collect();

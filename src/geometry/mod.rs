@@ -24,6 +24,7 @@ pub mod gold_standard;
 pub mod homography;
 pub mod homography_decomposition;
 pub mod least_squares;
+pub mod local_affinities;
 pub mod model_choice;
 pub mod motion_refinement;
 pub mod noise;

@@ -11,6 +11,7 @@ use super::reference::PreparedBody;
 use crate::camera::{CameraModel, Pixel};
 use crate::features::Feature;
 use crate::geometry::covariance::covariance_of_inverse;
+use crate::geometry::local_affinities::{LocalAffinity, robust_affine};
 use crate::geometry::planar_pose::planar_poses;
 use crate::geometry::ransac::Order;
 use crate::geometry::resection::{MovingCamera, Observation, Resection, resect, squared_residual};
@@ -32,6 +33,8 @@ pub struct SurfaceMatch {
     pub undistorted: Vector2<f64>,
     /// Frame pixels per pixel of the level it was found on.
     pub scale: f64,
+    /// How the surface is seen there: derivative of the frame's pixels by the artwork's.
+    pub derivative: Matrix2<f64>,
 }
 
 /// A pose that the matches speak for.
@@ -62,6 +65,15 @@ pub struct Recognition {
 /// Fewest inliers of a homography that is worth a look: twice the four that define it. Chance agrees on as many now and then, and
 /// verification refuses it. Raised, small or dim pictures are not found; lowered, frames without the stage cost more.
 const LEAST_INLIERS: usize = 8;
+/// Fewest places that agree on an affine map that is worth a look: two more than define one. Raised, weak pictures are not found; lowered, frames without them cost more.
+const LEAST_AFFINE_INLIERS: usize = 5;
+/// Matches that speak for a pose without doubt: then affine maps are not asked. Chosen, not tuned. Raised, bodies that are seen well cost more; lowered, a homography through wrong matches is the
+/// only one tried.
+const FEW_INLIERS: usize = 20;
+/// Candidates at most: both planar poses of a homography, and of an affine map. Raised, wrong ones cost more.
+const MOST_CANDIDATES: usize = 4;
+/// Where the affine map of a surface is looked at to tell its planar poses, pixels of a match's level from it. The map is the same everywhere; as near as this, a plane has no perspective.
+const AFFINE_REACH_PX: f64 = 10.0;
 /// Noise of a feature's position, pixels of the level it was found on, one sigma. A round figure. Raised, wrong matches come within reach
 /// of a pose; lowered, right ones of a start that is a little off do not.
 const FEATURE_NOISE_PX: f64 = 1.0;
@@ -103,6 +115,7 @@ pub fn surface_matches(
             pixel: f.position,
             undistorted: camera.undistorted_pixel(normalized),
             scale: f.scale,
+            derivative: f.shape() * r.shape.try_inverse()?,
         })
     };
     matches.iter().filter_map(of_body).collect()
@@ -127,24 +140,53 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
             if explained >= TELLING_MATCHES && near() < LEAST_EXPLAINED * explained as f64 {
                 continue;
             }
-            let Some(found_pose) = refined(&start, &still, &observations) else { continue };
-            let pose = found_pose.pose;
-            let inliers = within_reach(&pose, &still, &observations, LARGEST_SQUARED.sqrt()).count();
-            poses.push(pose);
-            explained = explained.max(inliers);
-            if inliers < LEAST_INLIERS {
-                continue;
-            }
-            let candidate = Candidate { pose, inliers, cost: truncated_cost(&pose, &still, &observations), off: off(&found_pose) };
-            if !found.iter().any(|c| nearly_same(&c.pose, &candidate.pose)) {
-                found.push(candidate);
+            let Some(candidate) = refined_candidate(&start, &still, &observations) else { continue };
+            poses.push(candidate.pose);
+            explained = explained.max(candidate.inliers);
+            if candidate.inliers >= LEAST_INLIERS {
+                add_new(&mut found, candidate);
             }
         }
     }
-    found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    found.truncate(4);
+    keep_best(&mut found);
     seen.misfit = misfit(&poses, &still, &agreeing);
     (found, seen)
+}
+
+/// Adds the poses that a handful of matches speak for, where those that were found have little support: of small, blurred and weak pictures no four right matches may be among the samples of a
+/// homography, but each match by itself tells how its surface is seen.
+pub fn add_candidates_of_few(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, found: &mut Vec<Candidate>) {
+    if found.iter().any(|candidate| candidate.inliers >= FEW_INLIERS) {
+        return;
+    }
+    let observations: Vec<Observation> = matches.iter().map(|m| observation(body, m)).collect();
+    let still = MovingCamera::still(camera);
+    for surface in 0..body.surfaces.len() as u32 {
+        let starts = affine_poses(body, surface, matches, camera);
+        let refined = starts.iter().filter_map(|start| refined_candidate(start, &still, &observations));
+        refined.filter(|candidate| candidate.inliers >= LEAST_AFFINE_INLIERS).for_each(|candidate| add_new(found, candidate));
+    }
+    keep_best(found);
+}
+
+/// Those with the least cost, best first.
+fn keep_best(found: &mut Vec<Candidate>) {
+    found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    found.truncate(MOST_CANDIDATES);
+}
+
+/// Adds a candidate that is not there yet.
+fn add_new(found: &mut Vec<Candidate>, candidate: Candidate) {
+    if !found.iter().any(|c| nearly_same(&c.pose, &candidate.pose)) {
+        found.push(candidate);
+    }
+}
+
+/// The start refined, and what speaks for it.
+fn refined_candidate(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> Option<Candidate> {
+    let found = refined(start, camera, observations)?;
+    let inliers = within_reach(&found.pose, camera, observations, LARGEST_SQUARED.sqrt()).count();
+    Some(Candidate { pose: found.pose, inliers, cost: truncated_cost(&found.pose, camera, observations), off: off(&found) })
 }
 
 /// The start refined over the matches near it. Most matches may be wrong, and resection bears only a minority of them.
@@ -245,6 +287,31 @@ fn surface_poses(body: &PreparedBody, view: &SurfaceView, camera: &CameraModel, 
         .collect();
     let Some(homography) = Homography::from_pairs(&metric, None) else { return Vec::new() };
     planar_poses(&homography, &metric).into_iter().map(|p| p * spec.pose.inverse()).collect()
+}
+
+/// Both planar poses of the affine map that a few matches of a surface agree with.
+fn affine_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], camera: &CameraModel) -> Vec<Pose<Camera, Body>> {
+    let spec = &body.surfaces[surface as usize].spec;
+    let own: Vec<&SurfaceMatch> = matches.iter().filter(|m| m.surface == surface).collect();
+    let affinity = |m: &&SurfaceMatch| LocalAffinity {
+        pair: PointPair { from: m.artwork, to: m.undistorted },
+        derivative: m.derivative,
+        noise: FEATURE_NOISE_PX * m.scale,
+    };
+    let affinities: Vec<LocalAffinity> = own.iter().map(affinity).collect();
+    let Some((map, agreeing)) = robust_affine(&affinities, LEAST_AFFINE_INLIERS) else { return Vec::new() };
+    let steps = [Vector2::x(), -Vector2::x(), Vector2::y(), -Vector2::y()];
+    let around = |m: &SurfaceMatch| {
+        let back = m.derivative.try_inverse().unwrap_or_default() * (AFFINE_REACH_PX * m.scale);
+        steps.map(|step| m.artwork + back * step)
+    };
+    let metric = |artwork: Vector2<f64>| {
+        let seen = map.map(artwork)?;
+        Some(PointPair { from: spec.to_metres(artwork), to: camera.from_undistorted_pixel(seen).0 })
+    };
+    let pairs: Vec<PointPair> = agreeing.iter().flat_map(|&k| around(own[k])).filter_map(metric).collect();
+    let Some(homography) = Homography::from_pairs(&pairs, None) else { return Vec::new() };
+    planar_poses(&homography, &pairs).into_iter().map(|p| p * spec.pose.inverse()).collect()
 }
 
 /// Root of the area that a picture of a size takes of the frame.

@@ -1,4 +1,4 @@
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Rotation2, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -11,19 +11,44 @@ fn truth() -> Pose<Camera, Body> {
 
 /// `right` matches with a noise of half a pixel and `wrong` ones anywhere, mixed; at least half of the first are right.
 fn matches(body: &PreparedBody, camera: &CameraModel, right: usize, wrong: usize) -> Vec<SurfaceMatch> {
-    let mut random = Pcg64Mcg::seed_from_u64(4);
+    matches_of(body, camera, &truth(), right, wrong, 4)
+}
+
+/// Derivative of the frame's pixels by the artwork's.
+fn derivative(body: &PreparedBody, camera: &CameraModel, pose: &Pose<Camera, Body>, surface: u32, artwork: Vector2<f64>) -> Matrix2<f64> {
+    let seen = |artwork: Vector2<f64>| {
+        let c = pose.transform(&body.surfaces[surface as usize].spec.body_point(artwork));
+        camera.project(crate::camera::Normalized(c.coords.xy() / c.z)).0
+    };
+    Matrix2::from_columns(&[Vector2::x(), Vector2::y()].map(|step| seen(artwork + step) - seen(artwork)))
+}
+
+fn matches_of(
+    body: &PreparedBody,
+    camera: &CameraModel,
+    pose: &Pose<Camera, Body>,
+    right: usize,
+    wrong: usize,
+    seed: u64,
+) -> Vec<SurfaceMatch> {
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut all = Vec::new();
     while all.len() < right + wrong {
         let surface = random.random_range(0..body.surfaces.len()) as u32;
         let artwork = Vector2::new(random.random_range(0.0..640.0), random.random_range(0.0..480.0));
-        let c = truth().transform(&body.surfaces[surface as usize].spec.body_point(artwork));
+        let c = pose.transform(&body.surfaces[surface as usize].spec.body_point(artwork));
         let seen = camera.project(crate::camera::Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0;
         let anywhere = Vector2::new(random.random_range(0.0..640.0), random.random_range(0.0..480.0));
         let noise = Vector2::new(random.random_range(-0.8..0.8), random.random_range(-0.8..0.8));
         let is_wrong = random.random_range(0..right + wrong) < wrong;
         let pixel = if is_wrong { anywhere } else { seen + noise };
         let Some(ray) = camera.unproject(Pixel(pixel)) else { continue };
-        all.push(SurfaceMatch { surface, artwork, pixel, undistorted: camera.undistorted_pixel(ray), scale: 1.0 });
+        // Directions are known to some degrees and sizes to a tenth; of wrong matches they are anything.
+        let (turn, growth) = if is_wrong { (3.1, 2.0) } else { (0.15, 1.1) };
+        let turn = Rotation2::new(random.random_range(-turn..turn));
+        let growth = f64::powf(growth, random.random_range(-1.0..1.0));
+        let derivative = turn * derivative(body, camera, pose, surface, artwork) * growth;
+        all.push(SurfaceMatch { surface, artwork, pixel, undistorted: camera.undistorted_pixel(ray), scale: 1.0, derivative });
     }
     all
 }
@@ -65,14 +90,62 @@ fn too_few_or_only_wrong_matches_give_nothing() {
     assert!(by_chance.iter().all(|c| c.inliers < 20), "{by_chance:?}");
 }
 
+/// Of eight right ones among sixty no sample of four is likely to be right.
+#[test]
+fn a_handful_of_right_matches_among_many_wrong_ones_puts_a_body_where_it_is() {
+    let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
+    // Some 200 pixels wide.
+    let pose = facing(0.3, -0.5, Vector3::new(0.1, 0.05, 12.0));
+    let mut by_homography = 0;
+    for seed in 0..10 {
+        let [right, wrong] = [(8, 0), (0, 52)].map(|(right, wrong)| matches_of(&body, &camera, &pose, right, wrong, seed));
+        let few: Vec<SurfaceMatch> = wrong.chunks(6).zip(&right).flat_map(|(wrong, right)| [wrong, &[*right]].concat()).collect();
+        let is_right = |candidates: &[Candidate]| {
+            let is_near =
+                |c: &Candidate| (c.pose.translation - pose.translation).norm() < 1.0 && c.pose.angle_to(&pose).to_degrees() < 12.0;
+            candidates.iter().any(is_near)
+        };
+        let (mut found, _) = candidates(&body, &few, &camera, 1);
+        by_homography += usize::from(is_right(&found));
+        add_candidates_of_few(&body, &few, &camera, &mut found);
+        assert!(is_right(&found) && found.len() <= MOST_CANDIDATES, "{seed}: {found:?}");
+        assert!(found.windows(2).all(|w| w[0].cost <= w[1].cost));
+    }
+    assert!(by_homography < 8, "{by_homography}");
+}
+
+#[test]
+fn a_body_that_many_matches_speak_for_gets_no_candidates_of_few() {
+    let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
+    let many = matches(&body, &camera, 80, 40);
+    let (mut found, _) = candidates(&body, &many, &camera, 1);
+    let before = found.clone();
+    add_candidates_of_few(&body, &many, &camera, &mut found);
+    assert_eq!(found, before);
+}
+
+#[test]
+fn wrong_matches_alone_hardly_ever_make_candidates() {
+    let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
+    let made = |seed| {
+        let mut found = Vec::new();
+        add_candidates_of_few(&body, &matches_of(&body, &camera, &truth(), 0, 60, seed), &camera, &mut found);
+        !found.is_empty()
+    };
+    assert_eq!((0..40).filter(|seed| made(*seed)).count(), 0);
+}
+
 #[test]
 fn matches_go_to_the_body_that_owns_their_surface() {
     let camera = lens(640, 480);
     let descriptor = crate::features::Descriptor([0; 4]);
     let feature = |x: f64| Feature { position: Vector2::new(x, 100.0), scale: 1.2, angle: 0.0, descriptor };
-    let reference = |surface: u32| ReferenceFeature { surface, position: Vector2::new(5.0, 6.0), scale: 2.0 };
+    let shape = Matrix2::new(0.0, -2.0, 2.0, 0.0);
+    let reference = |surface: u32| ReferenceFeature { surface, position: Vector2::new(5.0, 6.0), scale: 2.0, shape };
     let (features, references) = ([feature(50.0), feature(60.0), feature(70.0)], [reference(0), reference(2), reference(3)]);
     let all: Vec<Match> = (0..3).map(|k| Match { frame: k, reference: k, ratio: 0.5 }).collect();
     let own = surface_matches(&all, &features, &references, 2..4, &camera);
     assert_eq!(own.iter().map(|m| (m.surface, m.pixel.x, m.scale)).collect::<Vec<_>>(), [(0, 60.0, 1.2), (1, 70.0, 1.2)]);
+    // The reference's corner points along y, and the frame's along x: what is right in the one is up in the other, and smaller.
+    assert!((own[0].derivative - Matrix2::new(0.0, 0.6, -0.6, 0.0)).norm() < 1e-9, "{}", own[0].derivative);
 }

@@ -8,7 +8,7 @@
 use image::GrayImage;
 use tracing::{debug, debug_span};
 
-use super::acquire::{Candidate, SurfaceMatch, SurfaceView, candidates, surface_view};
+use super::acquire::{Candidate, SurfaceMatch, SurfaceView, add_candidates_of_few, candidates, surface_view};
 use super::align::{CameraRays, FrameLevels};
 use super::feature_search::{FeatureSearch, Look};
 use super::frame_look::FrameLook;
@@ -217,26 +217,37 @@ impl BodySearch {
         self.find_each(scene, true);
     }
 
-    /// Looks for each missing body by the features that were taken. `asks_patches`: and by patches, where that fails. They are asked last: what a closer
-    /// look finds may be aligned.
-    fn find_each(&mut self, scene: &mut Scene, asks_patches: bool) {
+    /// Looks for each missing body by the features that were taken. `is_last`: no closer look follows, which may find what can be aligned, so a handful of matches is
+    /// asked as well, and patches where that fails.
+    fn find_each(&mut self, scene: &mut Scene, is_last: bool) {
         let bodies = scene.bodies.len();
-        // The stage is the first to be looked for; the objects take turns.
+        self.find_all_of(std::iter::once(0), scene, is_last);
         let turn = self.turn;
-        let order = std::iter::once(0).chain((1..bodies).map(move |k| 1 + (k + turn) % (bodies - 1)));
-        for k in order {
-            if scene.verified[k].is_some() {
-                continue;
-            }
-            let start = self.clock.start();
-            let mut found = self.candidates(&mut scene.bodies[k]);
-            found.truncate(TRIED.min(self.tries));
-            self.spent.acquire_ms += start.elapsed_ms();
-            let start = self.clock.start();
-            scene.verified[k] = self.align_candidates(k, scene, &found);
-            self.spent.align_ms += start.elapsed_ms();
-            if asks_patches && self.tries > 0 && scene.verified[k].is_none() {
-                scene.verified[k] = self.find_by_patches(k, scene, &found);
+        self.find_all_of((1..bodies).map(move |k| 1 + (k + turn) % (bodies - 1)), scene, is_last);
+    }
+
+    /// The same of some bodies. Those that most matches speak for are tried first, of equal ones the first in this order, but those that were tried in vain in the last frame come after all others:
+    /// another picture like theirs takes no time from these. Patches are asked once all candidates were aligned.
+    fn find_all_of(&mut self, order: impl Iterator<Item = usize>, scene: &mut Scene, is_last: bool) {
+        let start = self.clock.start();
+        let missing = order.filter(|&k| scene.verified[k].is_none());
+        let mut found: Vec<(usize, Vec<Candidate>)> = missing.map(|k| (k, self.candidates(&mut scene.bodies[k], is_last))).collect();
+        found.sort_by_key(|(k, candidates)| {
+            let support = candidates.iter().map(|candidate| candidate.inliers).max();
+            (scene.bodies[*k].is_in_vain, std::cmp::Reverse(support))
+        });
+        self.spent.acquire_ms += start.elapsed_ms();
+        let start = self.clock.start();
+        for (k, candidates) in &mut found {
+            candidates.truncate(TRIED.min(self.tries));
+            scene.verified[*k] = candidates.iter().find_map(|candidate| self.align_candidate(*k, scene, candidate));
+            // One whose turn did not come was not tried.
+            scene.bodies[*k].is_in_vain = !candidates.is_empty() && scene.verified[*k].is_none();
+        }
+        self.spent.align_ms += start.elapsed_ms();
+        for (k, candidates) in &found {
+            if is_last && self.tries > 0 && scene.verified[*k].is_none() {
+                scene.verified[*k] = self.find_by_patches(*k, scene, candidates);
             }
         }
     }
@@ -259,33 +270,32 @@ impl BodySearch {
     }
 
     /// Where the frame's matches put a body.
-    fn candidates(&self, tracked: &mut TrackedBody) -> Vec<Candidate> {
+    fn candidates(&self, tracked: &mut TrackedBody, is_last: bool) -> Vec<Candidate> {
         let _span = debug_span!("acquire", body = %tracked.body.name).entered();
         let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
-        let (found, seen) = candidates(&tracked.body, &own, &self.camera, self.seed);
+        let (mut found, seen) = candidates(&tracked.body, &own, &self.camera, self.seed);
+        if is_last {
+            add_candidates_of_few(&tracked.body, &own, &self.camera, &mut found);
+        }
         tracked.seen = seen;
         debug!(matches = own.len(), candidates = found.len(), inliers = found.first().map_or(0, |c| c.inliers));
         found
     }
 
-    /// The first candidate that the picture bears out once it is aligned.
-    fn align_candidates(&mut self, k: usize, scene: &mut Scene, found: &[Candidate]) -> Option<Verified> {
+    /// A candidate, if the picture bears it out once it is aligned.
+    fn align_candidate(&mut self, k: usize, scene: &mut Scene, candidate: &Candidate) -> Option<Verified> {
         let tracked = &mut scene.bodies[k];
         let _span = debug_span!("align found", body = %tracked.body.name).entered();
-        let hopeful = found.iter().filter(|c| c.off.iter().all(|sigma| sigma.is_finite()));
-        hopeful
-            .filter_map(|candidate| {
-                let start = candidate.pose.inverse();
-                // A closer look finds what the quick one tried in vain.
-                if tracked.tried.iter().any(|tried| is_near(tried, &start)) {
-                    return None;
-                }
-                self.tries = self.tries.saturating_sub(1);
-                tracked.tried.push(start);
-                let off = first_off(self.shutter.readout_s, tracked.aligner.distance_m(&start), candidate.off);
-                tracked.align_found(scene.frame, scene.levels, scene.rays, &start, off)
-            })
-            .next()
+        let start = candidate.pose.inverse();
+        // A closer look finds what the quick one tried in vain.
+        let is_new = !tracked.tried.iter().any(|tried| is_near(tried, &start));
+        if !is_new || !candidate.off.iter().all(|sigma| sigma.is_finite()) {
+            return None;
+        }
+        self.tries = self.tries.saturating_sub(1);
+        tracked.tried.push(start);
+        let off = first_off(self.shutter.readout_s, tracked.aligner.distance_m(&start), candidate.off);
+        tracked.align_found(scene.frame, scene.levels, scene.rays, &start, off)
     }
 
     /// The best pose that patches verify around the candidates, aligned where that succeeds.

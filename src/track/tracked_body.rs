@@ -87,6 +87,8 @@ pub struct TrackedBody {
     pub refusal: Option<Refusal>,
     /// Where features put it in this frame, and alignment began in vain or not.
     pub tried: Vec<Pose<Body, Camera>>,
+    /// Whether alignment began where features put it, in the last frame that looked for it, and failed.
+    pub is_in_vain: bool,
     /// Where it should be in this frame, if it was followed from there, in vain or not.
     pub followed_from: Option<Pose<Body, Camera>>,
     /// Why the last frame has no verified pose.
@@ -148,6 +150,7 @@ impl TrackedBody {
             seen: Recognition::default(),
             refusal: None,
             tried: Vec::new(),
+            is_in_vain: false,
             followed_from: None,
             reason: None,
             used: None,

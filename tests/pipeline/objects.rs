@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use stagepose::diagnostics::simulate::paint;
 use stagepose::{BodySpec, MovingObject, Normalized, ObjectPath, PoseSample, Spline, State, VirtualStage};
 
-use super::scene::{FPS, aside, backdrop, camera, quiet, surface, track};
+use super::scene::{FPS, aside, backdrop, camera, quiet, rows, setup, surface, track, track_rows};
 
 fn with_prop() -> VirtualStage {
     let mut scene = quiet(camera(640, 480), aside(), backdrop());
@@ -159,6 +159,20 @@ fn an_object_that_leaves_comes_back() {
     let back = whole.windows(2).find(|w| w[1] > w[0] + 1).map(|w| w[1]).expect("it is away for some frames");
     assert!((back + 2..40).all(|frame| frames.contains(&frame)), "whole again in {back}: {frames:?}");
     assert!(samples.iter().filter(|s| (14..18).contains(&s.sequence)).all(|s| s.objects[0].state != State::Tracking));
+}
+
+/// A picture that stands there as another one is configured, but in another shape, is recognised in every frame and never fits.
+#[test]
+fn an_object_that_is_tried_in_vain_takes_no_time_from_another() {
+    let mut scene = quiet(camera(960, 720), aside(), backdrop());
+    scene.objects.push(prop("poster", 52, 1.1, along(&[(0.0, [-0.7, -0.5, 0.0]), (1.0, [-0.7, -0.5, 0.0])], 0.1, 0.0)));
+    scene.objects.push(prop("prop", 53, 0.4, along(&[(0.0, [0.7, -0.6, 0.1]), (1.0, [0.9, -0.6, 0.1])], 0.2, 0.0)));
+    let mut known = setup(&scene);
+    known.objects[0].surfaces[0].size_m[1] *= 0.6;
+    let samples = track_rows(known, &rows(&scene, 6));
+    assert!(samples.iter().all(|sample| sample.objects[0].state != State::Tracking));
+    let frames = assert_right(&scene, &samples, 1);
+    assert!((2..6).all(|frame| frames.contains(&frame)), "{frames:?}");
 }
 
 #[test]

@@ -1,0 +1,249 @@
+//! The affine map of a plane that a few matches among many wrong ones agree with.
+//!
+//! A described corner has a place, a size and a direction, so that one match tells by itself how the plane around it is seen: each is a whole hypothesis,
+//! where the samples of a homography take four (Philbin, Chum, Isard, Sivic and Zisserman, "Object retrieval with large vocabularies and fast spatial
+//! matching", CVPR 2007, section 5). Of five right ones among fifty, no sample of four is likely to be right; every one of the five is.
+//! The map is affine: for planes that are small before their distance, whose perspective a handful of matches does not show.
+
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2};
+
+use super::homography::{Homography, PointPair};
+
+/// A match that tells how the plane around it is seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LocalAffinity {
+    /// The places that were matched.
+    pub pair: PointPair,
+    /// Derivative of the second plane by the first there.
+    pub derivative: Matrix2<f64>,
+    /// Noise of the place in the second plane, one sigma, its units.
+    pub noise: f64,
+}
+
+/// Matches that are tried, best first. Raised, the search takes longer by the square; lowered, right matches of weak pictures are not among them.
+const TRIED: usize = 100;
+/// How near the others must be to where a match by itself puts them: this share of their distance from it, for corners' directions are known to some ten degrees and their sizes to a tenth, and
+/// this many sigmas. Raised, wrong ones agree by chance; lowered, right ones do not.
+const NEAR_SHARE: f64 = 0.3;
+const NEAR_SIGMAS: f64 = 4.0;
+/// Matches that agree see the plane turned alike, radians, and by this factor as large. Raised, wrong ones agree by chance; lowered, right ones of tilted planes do not.
+const LARGEST_TURN: f64 = 0.6;
+const LARGEST_GROWTH: f64 = 2.0;
+/// Noise of a derivative, over itself, one sigma. It decides only where the places leave a direction open, as those along a line do.
+const DERIVATIVE_NOISE: f64 = 0.3;
+/// After the first fit matches agree that are this share of their distance from the middle off, and some sigmas: less in each round, so that wrong matches that agreed by chance leave before they
+/// pull the map. The last rounds are those of sigmas alone. Fewer rounds: wrong ones pull.
+const SHARES: [f64; 5] = [0.15, 0.07, 0.0, 0.0, 0.0];
+/// Single matches whose maps are fitted, those that most others agree with. Raised, the search takes longer; lowered, one whose direction is badly known may be the only one.
+const FITTED: usize = 6;
+
+/// The map, as a homography without perspective, and the indices of the matches that agree with it, ascending, at most one a place; `None` where fewer than `least` do. Matches come best first.
+pub fn robust_affine(matches: &[LocalAffinity], least: usize) -> Option<(Homography, Vec<usize>)> {
+    let matches = &matches[..matches.len().min(TRIED)];
+    let mut first: Vec<Vec<usize>> = matches.iter().filter_map(|m| agreeing_with_one(matches, m)).filter(|a| a.len() >= least).collect();
+    first.sort_by_key(|agreeing| std::cmp::Reverse(agreeing.len()));
+    first.dedup();
+    let settled = first.into_iter().take(FITTED).filter_map(|agreeing| settled(matches, agreeing, least));
+    // Of equal ones the first.
+    settled.reduce(|best, next| if next.1.len() > best.1.len() { next } else { best })
+}
+
+/// Fits what agrees and looks for what agrees with that, by turns.
+fn settled(matches: &[LocalAffinity], mut agreeing: Vec<usize>, least: usize) -> Option<(Homography, Vec<usize>)> {
+    let mut map = fitted(matches, &agreeing)?;
+    for share in SHARES {
+        agreeing = agreeing_with_map(matches, &map, share, middle(matches, &agreeing));
+        if agreeing.len() < least.max(1) {
+            return None;
+        }
+        map = fitted(matches, &agreeing)?;
+    }
+    map.keeps_orientation().then_some((map, agreeing))
+}
+
+/// Mean place on the first plane.
+fn middle(matches: &[LocalAffinity], agreeing: &[usize]) -> Vector2<f64> {
+    agreeing.iter().map(|&k| matches[k].pair.from).sum::<Vector2<f64>>() / agreeing.len().max(1) as f64
+}
+
+/// The matches that agree with what one of them says of the plane, it among them; `None` where it says nothing.
+fn agreeing_with_one(matches: &[LocalAffinity], one: &LocalAffinity) -> Option<Vec<usize>> {
+    let inverse = one.derivative.try_inverse().filter(|_| one.derivative.determinant() > 0.0)?;
+    let agrees = |m: &LocalAffinity| {
+        let reach = one.derivative * (m.pair.from - one.pair.from);
+        let off = m.pair.to - one.pair.to - reach;
+        off.norm() < NEAR_SHARE * reach.norm() + NEAR_SIGMAS * m.noise.max(one.noise) && is_alike(&(m.derivative * inverse))
+    };
+    Some(distinct(matches, (0..matches.len()).filter(|&k| agrees(&matches[k]))))
+}
+
+/// Whether a map from one derivative to another is little more than the identity.
+fn is_alike(between: &Matrix2<f64>) -> bool {
+    let turn = (between.m21 - between.m12).atan2(between.m11 + between.m22);
+    let growth = between.determinant();
+    turn.abs() < LARGEST_TURN && growth > LARGEST_GROWTH.powi(-2) && growth < LARGEST_GROWTH.powi(2)
+}
+
+/// The matches that are where a map puts them, but for some sigmas and a share of their distance from the middle, and see the plane as it does.
+fn agreeing_with_map(matches: &[LocalAffinity], map: &Homography, share: f64, middle: Vector2<f64>) -> Vec<usize> {
+    let linear: Matrix2<f64> = map.0.fixed_view::<2, 2>(0, 0).into();
+    let Some(inverse) = linear.try_inverse() else { return Vec::new() };
+    let agrees = |m: &LocalAffinity| {
+        let near = NEAR_SIGMAS * m.noise + share * (linear * (m.pair.from - middle)).norm();
+        map.squared_error(&m.pair) < near * near && is_alike(&(m.derivative * inverse))
+    };
+    distinct(matches, (0..matches.len()).filter(|&k| agrees(&matches[k])))
+}
+
+/// Of several at one place, on either plane, the first.
+fn distinct(matches: &[LocalAffinity], indices: impl Iterator<Item = usize>) -> Vec<usize> {
+    let mut kept: Vec<usize> = Vec::new();
+    for k in indices {
+        let own = &matches[k];
+        let is_same = |other: &LocalAffinity| {
+            let near = 2.0 * own.noise.max(other.noise);
+            (own.pair.to - other.pair.to).norm() < near || (own.derivative * (own.pair.from - other.pair.from)).norm() < near
+        };
+        if !kept.iter().any(|&other| is_same(&matches[other])) {
+            kept.push(k);
+        }
+    }
+    kept
+}
+
+/// Least squares over places and derivatives.
+fn fitted(matches: &[LocalAffinity], agreeing: &[usize]) -> Option<Homography> {
+    let middle = middle(matches, agreeing);
+    let (mut normal, mut right) = (Matrix3::zeros(), Matrix2x3::zeros());
+    for m in agreeing.iter().map(|&k| &matches[k]) {
+        let row = (m.pair.from - middle).push(1.0);
+        let weight = m.noise.powi(-2);
+        normal += row * row.transpose() * weight;
+        right += m.pair.to * row.transpose() * weight;
+        // The noise of a derivative is in proportion to how large the plane is seen; its square is the area.
+        let weight = (DERIVATIVE_NOISE.powi(2) * m.derivative.determinant().abs()).recip();
+        for (k, column) in m.derivative.column_iter().enumerate() {
+            normal[(k, k)] += weight;
+            right.fixed_view_mut::<2, 1>(0, k).axpy(weight, &column, 1.0);
+        }
+    }
+    let solved = right * normal.try_inverse()?;
+    let linear = solved.fixed_view::<2, 2>(0, 0);
+    let offset = solved.column(2) - linear * middle;
+    let map = Matrix3::new(linear[(0, 0)], linear[(0, 1)], offset.x, linear[(1, 0)], linear[(1, 1)], offset.y, 0.0, 0.0, 1.0);
+    map.iter().all(|v| v.is_finite()).then_some(Homography(map))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Rotation2;
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    const TRUTH: Matrix2<f64> = Matrix2::new(0.4, -0.2, 0.1, 0.3);
+    const OFFSET: Vector2<f64> = Vector2::new(100.0, 80.0);
+
+    struct Scatter(Pcg64Mcg);
+
+    impl Scatter {
+        fn new(seed: u64) -> Self {
+            Self(Pcg64Mcg::seed_from_u64(seed))
+        }
+
+        fn point(&mut self, side: f64) -> Vector2<f64> {
+            Vector2::new(self.0.random_range(0.0..=side), self.0.random_range(0.0..=side))
+        }
+
+        /// A right match, whose place is off by up to `noise` and whose derivative by up to `turn` and `growth`.
+        fn right(&mut self, noise: f64, turn: f64, growth: f64) -> LocalAffinity {
+            let from = self.point(400.0);
+            self.right_at(from, noise, turn, growth)
+        }
+
+        fn right_at(&mut self, from: Vector2<f64>, noise: f64, turn: f64, growth: f64) -> LocalAffinity {
+            let shift = self.point(2.0 * noise) - Vector2::repeat(noise);
+            let turned = Rotation2::new(turn * self.0.random_range(-1.0..1.0)) * TRUTH * growth.powf(self.0.random_range(-1.0..1.0));
+            LocalAffinity { pair: PointPair { from, to: TRUTH * from + OFFSET + shift }, derivative: turned, noise: 1.0 }
+        }
+
+        fn wrong(&mut self) -> LocalAffinity {
+            LocalAffinity { pair: PointPair { from: self.point(400.0), to: self.point(300.0) }, ..self.right(0.0, 3.1, 2.0) }
+        }
+    }
+
+    fn off(map: &Homography) -> f64 {
+        (map.0.fixed_view::<2, 2>(0, 0) - TRUTH).norm()
+    }
+
+    #[test]
+    fn exact_matches_give_the_exact_map() {
+        let mut scatter = Scatter::new(1);
+        let matches: Vec<_> = (0..12).map(|_| scatter.right(1e-9, 1e-9, 1.0 + 1e-9)).collect();
+        let (map, agreeing) = robust_affine(&matches, 5).expect("a map");
+        assert!(off(&map) < 1e-7 && (map.0.fixed_view::<2, 1>(0, 2) - OFFSET).norm() < 1e-5, "{}", map.0);
+        assert!(agreeing.len() >= 10, "{agreeing:?}");
+    }
+
+    #[test]
+    fn six_right_matches_are_found_among_sixty_wrong_ones() {
+        for seed in 0..30 {
+            let mut scatter = Scatter::new(seed);
+            let spots = [(20.0, 30.0), (350.0, 60.0), (200.0, 210.0), (60.0, 370.0), (330.0, 340.0), (190.0, 40.0)];
+            let mut matches: Vec<_> = (0..60).map(|_| scatter.wrong()).collect();
+            for (k, (x, y)) in spots.into_iter().enumerate() {
+                let right = scatter.right_at(Vector2::new(x, y), 0.8, 0.15, 1.1);
+                matches.insert(9 * k, right);
+            }
+            let (map, agreeing) = robust_affine(&matches, 5).expect("a map");
+            let right = agreeing.iter().filter(|k| *k % 9 == 0 && **k <= 45).count();
+            assert!(right >= 5 && right + 1 >= agreeing.len(), "{seed}: {agreeing:?}");
+            assert!(off(&map) < 0.02, "{seed}: {}", map.0);
+        }
+    }
+
+    #[test]
+    fn wrong_matches_agree_on_nothing() {
+        for seed in 0..200 {
+            let mut scatter = Scatter::new(seed);
+            let matches: Vec<_> = (0..60).map(|_| scatter.wrong()).collect();
+            assert_eq!(robust_affine(&matches, 5), None, "{seed}");
+        }
+    }
+
+    #[test]
+    fn several_matches_of_one_place_count_once() {
+        let mut scatter = Scatter::new(2);
+        let one_place: Vec<_> = (0..9).map(|_| scatter.right_at(Vector2::new(120.0, 90.0), 0.5, 0.1, 1.1)).collect();
+        assert_eq!(robust_affine(&one_place, 2), None);
+        let other = scatter.right_at(Vector2::new(300.0, 200.0), 0.5, 0.1, 1.1);
+        let (_, agreeing) = robust_affine(&[one_place, vec![other]].concat(), 2).expect("two places");
+        assert_eq!(agreeing.len(), 2, "{agreeing:?}");
+    }
+
+    #[test]
+    fn what_places_along_a_line_leave_open_the_derivatives_tell() {
+        let mut scatter = Scatter::new(3);
+        let matches: Vec<_> = (0..8).map(|k| scatter.right_at(Vector2::new(50.0 * f64::from(k), 100.0), 0.5, 0.1, 1.05)).collect();
+        let (map, agreeing) = robust_affine(&matches, 5).expect("a map");
+        assert!(off(&map) < 0.06 && agreeing.len() == 8, "{} {agreeing:?}", map.0);
+    }
+
+    #[test]
+    fn mirror_images_and_what_is_no_number_give_nothing() {
+        let mut scatter = Scatter::new(4);
+        let mirror = Matrix2::new(1.0, 0.0, 0.0, -1.0);
+        let mut matches: Vec<_> = (0..9).map(|_| scatter.right(0.2, 0.05, 1.05)).collect();
+        for m in &mut matches {
+            (m.pair.to, m.derivative) = (mirror * m.pair.to, mirror * m.derivative);
+        }
+        assert_eq!(robust_affine(&matches, 5), None);
+        let mut matches: Vec<_> = (0..9).map(|_| scatter.right(0.2, 0.05, 1.05)).collect();
+        matches.iter_mut().for_each(|m| m.pair.to.x = f64::NAN);
+        assert_eq!(robust_affine(&matches, 5), None);
+        matches.iter_mut().for_each(|m| m.derivative = Matrix2::zeros());
+        assert_eq!(robust_affine(&matches, 5), None);
+        assert_eq!(robust_affine(&[], 0), None);
+    }
+}
