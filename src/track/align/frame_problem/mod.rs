@@ -330,8 +330,12 @@ impl<'a> FrameProblem<'a> {
             (self.last_step, self.last_moved_px) = (motion.pose_error_to(&solved.motion), moved);
             motion = solved.motion;
             converged = Some(solved).filter(|_| moved < LARGEST_LAST_STEP_PX);
-            // What does not fit need not come to rest: tiles enter and leave it by turns.
-            let is_poor = is_finest && !self.is_followed && round >= SETTLING_ROUNDS && solved.scale > CLOSE_SCALE;
+            // Where little more than the half fits that always takes part, and not well, it need not come to rest: tiles enter and leave by turns.
+            let is_poor = is_finest
+                && !self.is_followed
+                && round >= SETTLING_ROUNDS
+                && solved.scale > CLOSE_SCALE
+                && problem.open_share() < HOPELESS_SHARE;
             if moved < if is_poor { LARGEST_LAST_STEP_PX } else { small_px } {
                 break;
             }
