@@ -31,8 +31,8 @@ const LARGEST_TURN: f64 = 0.6;
 const LARGEST_GROWTH: f64 = 2.0;
 /// Noise of a derivative, over itself, one sigma. It decides only where the places leave a direction open, as those along a line do.
 const DERIVATIVE_NOISE: f64 = 0.3;
-/// After the first fit matches agree that are this share of their distance from the middle off, and some sigmas: less in each round, so that wrong matches that agreed by chance leave before they
-/// pull the map. The last rounds are those of sigmas alone. Fewer rounds: wrong ones pull.
+/// After the first fit a match agrees that is off by no more than some sigmas and this share of its distance from the middle. The share falls from round to round, so that wrong matches that agreed by
+/// chance leave before they pull the map. In the last rounds it is 0. Fewer rounds: wrong ones pull.
 const SHARES: [f64; 5] = [0.15, 0.07, 0.0, 0.0, 0.0];
 /// Single matches whose maps are fitted, those that most others agree with. Raised, the search takes longer; lowered, one whose direction is badly known may be the only one.
 const FITTED: usize = 6;

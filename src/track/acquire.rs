@@ -153,8 +153,8 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
     (found, seen)
 }
 
-/// Adds the poses that a handful of matches speak for, where those that were found have little support: of small, blurred and weak pictures no four right matches may be among the samples of a
-/// homography, but each match by itself tells how its surface is seen.
+/// Adds the poses that a handful of matches speak for, where those that were found have little support. Of small, blurred and weak pictures so few matches are right that no sample of four is; but each
+/// match by itself tells how its surface is seen.
 pub fn add_candidates_of_few(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, found: &mut Vec<Candidate>) {
     if found.iter().any(|candidate| candidate.inliers >= FEW_INLIERS) {
         return;

@@ -65,6 +65,7 @@ const TELLING_TILES: f64 = 40.0;
 /// Starts that differ by less, radians and of the distance, are one. Raised, a start that would succeed is left out; lowered, alignment fails
 /// twice from the same place.
 const SAME_START: f64 = 0.005;
+
 /// A body and what its frames said so far; keeps its buffers.
 pub struct TrackedBody {
     /// Its pictures.

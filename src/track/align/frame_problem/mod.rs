@@ -468,7 +468,7 @@ impl<'a> FrameProblem<'a> {
         if self.buffers.has_kept || (self.buffers.fine.open_share() < HOPEFUL_SHARE && !is_blurred) {
             return Some(false);
         }
-        // Where all rows are exposed together the pose does not need it. A picture that is large enough for the coarsest level is followed without, too, if only it is given.
+        // Where all rows are exposed together the pose does not need it. A picture that is large enough for the coarsest level is followed without, too, unless it does not fit.
         if is_global && !is_blurred && self.has_pixels(LEVELS - 1) {
             return Some(false);
         }
