@@ -274,7 +274,8 @@ impl BodySearch {
         let _span = debug_span!("acquire", body = %tracked.body.name).entered();
         let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
         let (mut found, seen) = candidates(&tracked.body, &own, &self.camera, self.seed);
-        if is_last {
+        // Of a picture that repeats itself a handful of wrong matches agree with each other.
+        if is_last && !tracked.repeats() {
             add_candidates_of_few(&tracked.body, &own, &self.camera, &mut found);
         }
         tracked.seen = seen;
