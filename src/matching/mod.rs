@@ -74,7 +74,7 @@ impl ReferenceIndex {
     }
 
     /// The same of several views of a surface, each with the map from its shapes to the artwork's. Along the direction that a view compresses that is as large as the artwork, and smaller along the
-    /// other ([`TiltedViews::shape_in_picture`](crate::features::TiltedViews::shape_in_picture)).
+    /// other (`TiltedViews::shape_in_picture`).
     pub fn add_views<'a>(
         &mut self,
         surface: u32,
