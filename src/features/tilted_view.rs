@@ -22,7 +22,8 @@ pub struct TiltedViews {
 }
 
 impl TiltedViews {
-    /// From the shapes of a view's features to those of the picture, along the compressed direction as large: their scale is told along it.
+    /// Maps the shape of a view's feature (scale and angle, see [`Feature::shape`]) to its shape in the picture. Its scale is measured along the compressed direction, so along that its size stays; along
+    /// the other it shrinks by the tilt.
     pub fn shape_in_picture(&self, number: usize) -> Matrix2<f64> {
         let (sin, cos) = self.longitude(number).sin_cos();
         Matrix2::new(cos, -sin / self.tilt, sin, cos / self.tilt)

@@ -221,6 +221,7 @@ impl BodySearch {
     /// asked as well, and patches where that fails.
     fn find_each(&mut self, scene: &mut Scene, is_last: bool) {
         let bodies = scene.bodies.len();
+        // The stage is the first to be looked for; the objects take turns.
         self.find_all_of(std::iter::once(0), scene, is_last);
         let turn = self.turn;
         self.find_all_of((1..bodies).map(move |k| 1 + (k + turn) % (bodies - 1)), scene, is_last);
@@ -283,7 +284,7 @@ impl BodySearch {
         found
     }
 
-    /// A candidate, if the picture bears it out once it is aligned.
+    /// Aligns a candidate; `None` where the picture does not agree with the result, or alignment began there before.
     fn align_candidate(&mut self, k: usize, scene: &mut Scene, candidate: &Candidate) -> Option<Verified> {
         let tracked = &mut scene.bodies[k];
         let _span = debug_span!("align found", body = %tracked.body.name).entered();
