@@ -14,6 +14,11 @@ impl Shutter {
     /// ones are mostly milliseconds. Raised, such a slip of a thousand passes.
     pub const LONGEST_S: f64 = 1.0;
 
+    /// Whether all rows are exposed together, or no readout is known.
+    pub(crate) fn is_global(&self) -> bool {
+        self.readout_s == 0.0
+    }
+
     /// The name and the value of a time that no shutter has.
     pub fn impossible_time(&self) -> Option<(&'static str, f64)> {
         if !(self.exposure_s.is_finite() && self.exposure_s >= 0.0) {

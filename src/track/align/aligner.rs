@@ -86,7 +86,7 @@ impl Aligner {
 
     /// Whether all rows are exposed together, so that a frame shows no velocity but by its blur.
     pub fn is_global(&self) -> bool {
-        self.slow.shutter.readout_s == 0.0
+        self.slow.shutter.is_global()
     }
 
     /// From now on the rows are read in this time; the exposure stays as it is known.

@@ -112,7 +112,7 @@ impl<'a> LevelSpec<'a> {
 
     /// The time of every tile, where all rows are exposed together.
     pub fn same_time(&self) -> Option<TileTime> {
-        (self.shutter.readout_s == 0.0).then(|| TileTime { delay_s: 0.0, mean_square_s2: self.shutter.exposure_s.powi(2) / 12.0 })
+        self.shutter.is_global().then(|| TileTime { delay_s: 0.0, mean_square_s2: self.shutter.exposure_s.powi(2) / 12.0 })
     }
 
     /// How far the picture moves between two motions, in the middle and towards the corners of the frame: the most, in pixels of the

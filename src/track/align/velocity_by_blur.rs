@@ -82,7 +82,7 @@ pub fn velocity_by_blur(
     known: KnownBlur,
 ) -> Option<VelocityByBlur> {
     let search = BlurSearch { spec, found, known, distance_m };
-    if spec.shutter.readout_s == 0.0 { search.image_velocity(problem) } else { search.velocity(problem) }
+    if spec.shutter.is_global() { search.image_velocity(problem) } else { search.velocity(problem) }
 }
 
 struct BlurSearch<'a, 'b> {

@@ -294,7 +294,7 @@ impl<'a> FrameProblem<'a> {
 
     /// Whether a frame of a body that was just found may be asked for the velocity that its blur shows: where rows are read one after another the pose goes with it.
     fn may_ask_blur(&self) -> bool {
-        !self.is_followed && self.slow.shutter.readout_s != 0.0
+        !self.is_followed && !self.slow.shutter.is_global()
     }
 
     /// Predicts and solves a level's pixels until a step is small. The finest level's are selected anew where the pose moved much.
@@ -463,7 +463,7 @@ impl<'a> FrameProblem<'a> {
     /// solution any more.
     pub fn solve_with_blur(&mut self) -> Option<bool> {
         // What stands still has none. Of a wrong pose the better half takes part, as ever, and its blur says nothing.
-        let is_global = self.slow.shutter.readout_s == 0.0;
+        let is_global = self.slow.shutter.is_global();
         let is_blurred = is_global && self.is_clearly_blurred()?;
         if self.buffers.has_kept || (self.buffers.fine.open_share() < HOPEFUL_SHARE && !is_blurred) {
             return Some(false);
@@ -565,7 +565,7 @@ impl<'a> FrameProblem<'a> {
             // Solved with a wider expectation, the motion is less sure than with this one.
             covariance: (!has_jumped).then_some(estimate.covariance),
         };
-        let on_line = led.filter(|led| led.has_left && shutter.readout_s != 0.0).and_then(|Continuation { expected, .. }| {
+        let on_line = led.filter(|led| led.has_left && !shutter.is_global()).and_then(|Continuation { expected, .. }| {
             Some(Expectation {
                 information: expected.covariance.cholesky()?.inverse(),
                 error: estimate.motion.error_to(&expected.motion),
