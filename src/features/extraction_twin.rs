@@ -3,6 +3,7 @@
 use image::{GrayImage, Luma};
 use nalgebra::Vector2;
 
+use super::corners::Polarity;
 use super::descriptor::Descriptor;
 use super::extractor::{ExtractorOptions, Feature, FeatureExtractor};
 use super::kernels::CIRCLE;
@@ -139,6 +140,14 @@ fn described(smooth: &GrayImage, x: u32, y: u32) -> (f32, Descriptor) {
     (angle, Descriptor(bits))
 }
 
+/// By the middle's score alone: nine in a row that are brighter by more than nothing.
+fn polarity(image: &GrayImage, x: u32, y: u32) -> Polarity {
+    let around = CIRCLE.map(|(dx, dy)| grey(image, i64::from(x) + dx as i64, i64::from(y) + dy as i64));
+    let middle = grey(image, i64::from(x), i64::from(y));
+    let is_dark = (0..16).any(|start| (0..9).all(|k| around[(start + k) % 16] > middle));
+    if is_dark { Polarity::Dark } else { Polarity::Bright }
+}
+
 /// The features, and the thresholds that levels used.
 fn extracted(picture: &GrayImage, mask: Option<&GrayImage>, options: &ExtractorOptions) -> (Vec<Feature>, [bool; 3]) {
     let (w, h) = picture.dimensions();
@@ -166,7 +175,7 @@ fn extracted(picture: &GrayImage, mask: Option<&GrayImage>, options: &ExtractorO
         let smooth = smoothed(image);
         features.extend(found.iter().map(|&(x, y, _)| {
             let (angle, descriptor) = described(&smooth, x, y);
-            Feature { position: place(x, y), scale: 1.0 / scale[0], angle, descriptor }
+            Feature { position: place(x, y), scale: 1.0 / scale[0], angle, polarity: polarity(image, x, y), descriptor }
         }));
     }
     (features, stages)

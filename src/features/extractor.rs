@@ -3,7 +3,7 @@
 use image::GrayImage;
 use nalgebra::{Matrix2, Vector2};
 
-use super::corners::{Corner, CornerBuffers, CornerOptions, detect_more_corners};
+use super::corners::{Corner, CornerBuffers, CornerOptions, Polarity, detect_more_corners, polarity};
 use super::descriptor::{Descriptor, oriented_descriptor};
 use super::pattern::PATCH_RADIUS;
 use super::pyramid::{Level, Pyramid};
@@ -18,6 +18,8 @@ pub struct Feature {
     pub scale: f64,
     /// Direction of the intensity centroid, radians, y down.
     pub angle: f32,
+    /// Whether it is dark or bright.
+    pub polarity: Polarity,
     /// What surrounds it.
     pub descriptor: Descriptor,
 }
@@ -139,7 +141,13 @@ fn is_usable(mask: Option<&GrayImage>, level: &Level, x: u32, y: u32) -> bool {
 fn described(level: &Level, corner: &Corner) -> Feature {
     let (angle, descriptor) = oriented_descriptor(&level.smooth, corner.x, corner.y);
     let [x, y] = level.in_picture(f64::from(corner.x), f64::from(corner.y));
-    Feature { position: Vector2::new(x, y), scale: 1.0 / level.scale[0], angle, descriptor }
+    Feature {
+        position: Vector2::new(x, y),
+        scale: 1.0 / level.scale[0],
+        angle,
+        polarity: polarity(&level.image, corner.x, corner.y),
+        descriptor,
+    }
 }
 
 #[cfg(test)]

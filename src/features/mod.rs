@@ -32,7 +32,7 @@ mod workers;
 
 pub use choice::{DescriptorKind, DetectorKind, FeatureSettings, detect, extract, extract_watched};
 pub use contrast::ContrastStretch;
-pub use corners::{CornerBuffers, CornerOptions, detect_corners};
+pub use corners::{CornerBuffers, CornerOptions, Polarity, detect_corners};
 pub use descriptor::{Descriptor, describe, orientation};
 pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
 pub use float_image::FloatImage;

@@ -138,10 +138,10 @@ fn wrong_matches_alone_hardly_ever_make_candidates() {
 #[test]
 fn matches_go_to_the_body_that_owns_their_surface() {
     let camera = lens(640, 480);
-    let descriptor = crate::features::Descriptor([0; 4]);
-    let feature = |x: f64| Feature { position: Vector2::new(x, 100.0), scale: 1.2, angle: 0.0, descriptor };
+    let (descriptor, polarity) = (crate::features::Descriptor([0; 4]), crate::features::Polarity::Dark);
+    let feature = |x: f64| Feature { position: Vector2::new(x, 100.0), scale: 1.2, angle: 0.0, polarity, descriptor };
     let shape = Matrix2::new(0.0, -2.0, 2.0, 0.0);
-    let reference = |surface: u32| ReferenceFeature { surface, position: Vector2::new(5.0, 6.0), scale: 2.0, shape };
+    let reference = |surface: u32| ReferenceFeature { surface, position: Vector2::new(5.0, 6.0), scale: 2.0, shape, polarity };
     let (features, references) = ([feature(50.0), feature(60.0), feature(70.0)], [reference(0), reference(2), reference(3)]);
     let all: Vec<Match> = (0..3).map(|k| Match { frame: k, reference: k, ratio: 0.5 }).collect();
     let own = surface_matches(&all, &features, &references, 2..4, &camera);

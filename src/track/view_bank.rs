@@ -13,7 +13,7 @@ use nalgebra::{Matrix2, Vector2};
 use tracing::debug;
 
 use super::reference::{ANCHOR_BORDER, ANCHORS, Anchor, PreparedSurface, octave_count};
-use crate::features::{Descriptor, ExtractorOptions, Feature, FeatureExtractor, TiltedViews, Workers, append_tilted_features};
+use crate::features::{Descriptor, ExtractorOptions, Feature, FeatureExtractor, Polarity, TiltedViews, Workers, append_tilted_features};
 
 /// Reference features of all surfaces together, and of one at least. Chosen, not tuned. Raised, matching costs more in proportion; lowered,
 /// fewer features of a stage that is seen in part or small are among them.
@@ -148,9 +148,9 @@ const KEY_BYTES: usize = 16;
 /// How a bank's bytes begin.
 const MAGIC: &[u8; 8] = b"SPVIEWS\n";
 /// Of the form of the bytes.
-const VERSION: u32 = 3;
-/// Bytes of a feature: place, scale, angle and descriptor.
-const FEATURE_BYTES: usize = 3 * 8 + 4 + 4 * 8;
+const VERSION: u32 = 4;
+/// Bytes of a feature: place, scale, angle, descriptor and polarity (0 dark, 1 bright).
+const FEATURE_BYTES: usize = 3 * 8 + 4 + 4 * 8 + 1;
 /// Bytes of an anchor: column and row of its octave.
 const ANCHOR_BYTES: usize = 2 * 4;
 
@@ -242,6 +242,7 @@ fn append_feature(feature: &Feature, bytes: &mut Vec<u8>) {
     }
     bytes.extend_from_slice(&feature.angle.to_le_bytes());
     feature.descriptor.0.iter().for_each(|word| bytes.extend_from_slice(&word.to_le_bytes()));
+    bytes.push(u8::from(feature.polarity == Polarity::Bright));
 }
 
 /// Takes a list of features from the front.
@@ -280,7 +281,12 @@ fn feature(bytes: &[u8], (width, height): (u32, u32)) -> Option<Feature> {
     let is_inside = (0.0..f64::from(width)).contains(&x) && (0.0..f64::from(height)).contains(&y);
     let is_sized = scale > 0.0 && scale <= f64::from(width.max(height)) && angle.is_finite();
     let descriptor = Descriptor([word(0)?, word(1)?, word(2)?, word(3)?]);
-    (is_inside && is_sized).then_some(Feature { position: Vector2::new(x, y), scale, angle, descriptor })
+    let polarity = match bytes.get(60)? {
+        0 => Polarity::Dark,
+        1 => Polarity::Bright,
+        _ => return None,
+    };
+    (is_inside && is_sized).then_some(Feature { position: Vector2::new(x, y), scale, angle, polarity, descriptor })
 }
 
 #[cfg(test)]

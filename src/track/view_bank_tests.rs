@@ -99,6 +99,7 @@ fn few() -> ViewBank {
         position: Vector2::new(3.25 * f64::from(k), 2.5 * f64::from(k)),
         scale: 1.2_f64.powi(i32::from(k)),
         angle: 0.3 * f32::from(k),
+        polarity: Polarity::ALL[usize::from(k % 2)],
         descriptor: Descriptor([u64::from(k).wrapping_mul(0x9e37_79b9_7f4a_7c15); 4]),
     };
     let anchors = vec![(0..4).map(|k| Anchor::at([5 + 3 * k, 6 + k], 0)).collect()];
