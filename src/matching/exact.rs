@@ -7,6 +7,7 @@ use nalgebra::{DMatrixView, DMatrixViewMut};
 use rayon::prelude::*;
 
 use super::kernels::{self, QUERIES};
+use super::neighbours::Neighbours;
 use super::rival::Nearest;
 use crate::features::{Descriptor, Descriptors, Features, Keypoint};
 use crate::simd::multiversion;
@@ -166,7 +167,7 @@ fn squares_of(vectors: &[f32], length: usize) -> Vec<f32> {
 struct Queries {
     /// Their squares.
     own: Vec<f32>,
-    nearest: Vec<Nearest<f32>>,
+    nearest: Vec<Nearest>,
     /// What each one's nearest takes: beside each other, as they are all asked for each target.
     bars: Vec<f32>,
 }
@@ -195,7 +196,7 @@ impl Queries {
 }
 
 /// The answer for one query, whose rival is looked up again where it may have been missed.
-fn found(query: &[f32], targets: &[f32], places: &[Keypoint], nearest: Nearest<f32>) -> Option<Found> {
+fn found(query: &[f32], targets: &[f32], places: &[Keypoint], nearest: Nearest) -> Option<Found> {
     let length = query.len();
     // Differences are squared here, which rounds less than the products of large vectors do.
     let distance = |k: usize| query.iter().zip(&targets[k * length..]).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt();
@@ -220,29 +221,20 @@ fn nearest_bits(queries: &[Descriptor], targets: &[Descriptor], places: Option<&
     let mut blocks = Vec::new();
     kernels::pack_into(targets.iter().copied(), &mut blocks);
     let is_same = |a: usize, b: usize| places.is_none_or(|places| same_place(&places[a], &places[b], SAME_PLACE));
-    let found = |query: &Descriptor, nearest: Nearest<u32>| {
-        let distance = |k: usize| query.distance(&targets[k]);
-        let (_, best) = nearest.best()?;
-        let elsewhere = |k: &usize| !is_same(best, *k);
-        let rival = if nearest.may_miss_rival() {
-            (0..targets.len()).filter(elsewhere).map(distance).min()
-        } else {
-            nearest.rival().map(|(_, k)| distance(k))
-        };
-        let own = distance(best);
+    let found = |neighbours: &Neighbours, n: usize| {
+        let (own, best) = neighbours.nearest(n)?;
+        let mut rival = None;
+        neighbours.visit_nearer(n, u32::MAX, |k, distance| {
+            rival = if is_same(best, k) { rival } else { Some(distance) };
+            rival.unwrap_or(u32::MAX)
+        });
         // One is added to both, so that two exact copies are rivals (0 / 0).
         let ratio = rival.map_or(NO_RIVAL, |rival| (own + 1) as f32 / (rival + 1) as f32);
         Some(Found { index: best, distance: own as f32, ratio })
     };
     let group = |queries: &[Descriptor; QUERIES]| {
-        let mut nearest = [Nearest::<u32>::default(); QUERIES];
-        kernels::scan(queries, &blocks, u32::MAX, |n, k, distance, bar: &mut u32| {
-            if k < targets.len() {
-                nearest[n].offer(k, distance, is_same);
-                *bar = nearest[n].bar();
-            }
-        });
-        std::array::from_fn::<_, QUERIES, _>(|n| found(&queries[n], nearest[n]))
+        let neighbours = Neighbours::of(queries, &blocks, targets.len());
+        std::array::from_fn::<_, QUERIES, _>(|n| found(&neighbours, n))
     };
     let mut groups = Vec::new();
     kernels::group_into(queries.iter().copied(), &mut groups);

@@ -1,5 +1,5 @@
-//! Hamming distances of binary descriptors, eight at a time from each of four: a plain function, and the same function compiled
-//! for wider registers where the processor has them (asked at run time).
+//! Hamming distances of binary descriptors, eight at a time: plain functions, and the same functions compiled for wider registers where the
+//! processor has them (asked at run time).
 
 use crate::features::Descriptor;
 use crate::simd::multiversion;
@@ -11,16 +11,16 @@ pub const LANES: usize = 8;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Block(pub [[u64; LANES]; 4]);
 
-/// Packs descriptors into blocks; the last one is filled up with zeros.
+/// Packs descriptors into blocks; the last one is filled up with copies of the last descriptor, which are no nearer to anything than that.
 pub fn pack_into(all: impl Iterator<Item = Descriptor>, blocks: &mut Vec<Block>) {
     blocks.clear();
     for (k, d) in all.enumerate() {
         if k % LANES == 0 {
-            blocks.push(Block([[0; LANES]; 4]));
+            blocks.push(Block(d.0.map(|word| [word; LANES])));
         }
         if let Some(block) = blocks.last_mut() {
             for (words, word) in block.0.iter_mut().zip(d.0) {
-                words[k % LANES] = word;
+                words[k % LANES..].fill(word);
             }
         }
     }
@@ -43,46 +43,45 @@ pub fn group_into<T: Copy + Default>(all: impl Iterator<Item = T>, groups: &mut 
 /// Chosen: their words fill half of AVX-512's registers. Raised, they no longer fit.
 pub const QUERIES: usize = 4;
 
+/// Pieces of the packed descriptors at most. Raised, less is looked at twice, and more is remembered of each query.
+pub const PIECES: usize = 256;
+/// Blocks of a piece at least. Chosen: finding the least of a piece's distances in a register then takes a tenth of computing them. Raised, more is looked at twice.
+const LEAST_PIECE_BLOCKS: usize = 8;
+
+/// Blocks of a piece, of so many.
+pub fn piece_blocks(blocks: usize) -> usize {
+    blocks.div_ceil(PIECES).max(LEAST_PIECE_BLOCKS)
+}
+
+/// For each query, the least distance to each piece.
+pub type LeastDistances = [[u16; PIECES]; QUERIES];
+
 multiversion! {
-    /// Calls `visit(query, index, distance, bar)` for every packed descriptor that is nearer to a query than its bar, in order; `visit` may lower the bar, which is
-    /// `from` at the start. Indices beyond the packed ones may be visited: they are filling.
-    pub fn scan(queries: &[Descriptor; QUERIES], all: &[Block], from: u32, visit: impl FnMut(usize, usize, u32, &mut u32));
-    ["avx512f" "avx512vpopcntdq"] => scan_avx512, else scan_avx2
+    /// The least distances to each piece of so many blocks.
+    pub fn least_distances(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut LeastDistances);
+    ["avx512f" "avx512vpopcntdq"] => least_distances_avx512, else least_distances_avx2
 }
 
 multiversion! {
-    fn scan_avx2(queries: &[Descriptor; QUERIES], all: &[Block], from: u32, visit: impl FnMut(usize, usize, u32, &mut u32));
-    ["avx2" "popcnt"] => scan_plain, else scan_plain
+    fn least_distances_avx2(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut LeastDistances);
+    ["avx2" "popcnt"] => least_distances_plain, else least_distances_plain
 }
 
-/// The plain twin of [`scan`].
+/// The plain twin of [`least_distances`].
 #[inline(always)]
-fn scan_plain(queries: &[Descriptor; QUERIES], all: &[Block], from: u32, mut visit: impl FnMut(usize, usize, u32, &mut u32)) {
-    let mut bars = [u64::from(from); QUERIES];
-    for (k, block) in all.iter().enumerate() {
-        // Negative, and so with the sign's bit, where a distance is below its bar.
-        let mut beyond = [0u64; LANES];
-        for (query, bar) in queries.iter().zip(&bars) {
-            for (beyond, distance) in beyond.iter_mut().zip(distances(query, block)) {
-                *beyond |= distance.wrapping_sub(*bar);
-            }
-        }
-        if beyond.iter().fold(0, |all, lane| all | lane) >> 63 == 0 {
-            continue;
-        }
-        // Few blocks come here.
-        for (n, (query, bar)) in queries.iter().zip(&mut bars).enumerate() {
-            let distances = distances(query, block);
-            if distances.iter().fold(u64::MAX, |nearest, d| nearest.min(*d)) >= *bar {
-                continue;
-            }
-            let mut nearest = *bar as u32;
-            for (lane, &distance) in distances.iter().enumerate() {
-                if (distance as u32) < nearest {
-                    visit(n, k * LANES + lane, distance as u32, &mut nearest);
+fn least_distances_plain(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut LeastDistances) {
+    for (k, piece) in all.chunks(piece_blocks).enumerate() {
+        let mut lanes = [[u64::MAX; LANES]; QUERIES];
+        for block in piece {
+            for (lanes, query) in lanes.iter_mut().zip(queries) {
+                for (lane, distance) in lanes.iter_mut().zip(distances(query, block)) {
+                    *lane = distance.min(*lane);
                 }
             }
-            *bar = u64::from(nearest);
+        }
+        for (least, lanes) in least.iter_mut().zip(lanes) {
+            // At most 256.
+            least[k] = lanes.iter().fold(u64::MAX, |least, lane| least.min(*lane)) as u16;
         }
     }
 }
@@ -91,10 +90,10 @@ fn scan_plain(queries: &[Descriptor; QUERIES], all: &[Block], from: u32, mut vis
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512vpopcntdq")]
 #[inline]
-fn scan_avx512(queries: &[Descriptor; QUERIES], all: &[Block], from: u32, mut visit: impl FnMut(usize, usize, u32, &mut u32)) {
+fn least_distances_avx512(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut LeastDistances) {
     use std::arch::x86_64::{
-        __m512i, _mm512_add_epi64, _mm512_cmplt_epu64_mask, _mm512_loadu_si512, _mm512_popcnt_epi64, _mm512_set1_epi64,
-        _mm512_setzero_si512, _mm512_storeu_si512, _mm512_xor_si512,
+        __m512i, _mm512_add_epi64, _mm512_loadu_si512, _mm512_min_epu64, _mm512_popcnt_epi64, _mm512_reduce_min_epu64, _mm512_set1_epi64,
+        _mm512_setzero_si512, _mm512_xor_si512,
     };
     let mut words = [[_mm512_setzero_si512(); 4]; QUERIES];
     for (words, query) in words.iter_mut().zip(queries) {
@@ -102,39 +101,50 @@ fn scan_avx512(queries: &[Descriptor; QUERIES], all: &[Block], from: u32, mut vi
             *word = _mm512_set1_epi64(q as i64);
         }
     }
-    let mut bars = [_mm512_set1_epi64(i64::from(from)); QUERIES];
-    let mut bar_of = [from; QUERIES];
-    for (k, block) in all.iter().enumerate() {
-        let mut of_block = [_mm512_setzero_si512(); 4];
-        for (of_block, words) in of_block.iter_mut().zip(&block.0) {
-            // SAFETY: a row of the block is 64 bytes.
-            *of_block = unsafe { _mm512_loadu_si512(words.as_ptr().cast::<__m512i>()) };
+    for (k, piece) in all.chunks(piece_blocks).enumerate() {
+        let mut lanes = [_mm512_set1_epi64(-1); QUERIES];
+        for block in piece {
+            let mut of_block = [_mm512_setzero_si512(); 4];
+            for (of_block, words) in of_block.iter_mut().zip(&block.0) {
+                // SAFETY: a row of the block is 64 bytes.
+                *of_block = unsafe { _mm512_loadu_si512(words.as_ptr().cast::<__m512i>()) };
+            }
+            for n in 0..QUERIES {
+                let [a, b, c, d] = [0, 1, 2, 3].map(|w| _mm512_popcnt_epi64(_mm512_xor_si512(of_block[w], words[n][w])));
+                let distances = _mm512_add_epi64(_mm512_add_epi64(a, b), _mm512_add_epi64(c, d));
+                lanes[n] = _mm512_min_epu64(lanes[n], distances);
+            }
         }
-        let mut distances = [_mm512_setzero_si512(); QUERIES];
-        let mut nearer = [0; QUERIES];
         for n in 0..QUERIES {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|w| _mm512_popcnt_epi64(_mm512_xor_si512(of_block[w], words[n][w])));
-            distances[n] = _mm512_add_epi64(_mm512_add_epi64(a, b), _mm512_add_epi64(c, d));
-            nearer[n] = _mm512_cmplt_epu64_mask(distances[n], bars[n]);
+            // At most 256.
+            least[n][k] = _mm512_reduce_min_epu64(lanes[n]) as u16;
         }
-        if nearer == [0; QUERIES] {
+    }
+}
+
+multiversion! {
+    /// Calls `visit(index, distance)` for every packed descriptor that is nearer to a query than `bar`, in order; the bar is from then on what this returns.
+    pub fn visit_nearer(query: &Descriptor, all: &[Block], bar: u32, visit: impl FnMut(usize, u32) -> u32);
+    ["avx512f" "avx512vl" "avx512vpopcntdq"] => visit_nearer_plain, else visit_nearer_avx2
+}
+
+multiversion! {
+    fn visit_nearer_avx2(query: &Descriptor, all: &[Block], bar: u32, visit: impl FnMut(usize, u32) -> u32);
+    ["avx2" "popcnt"] => visit_nearer_plain, else visit_nearer_plain
+}
+
+/// The plain twin of [`visit_nearer`].
+#[inline(always)]
+fn visit_nearer_plain(query: &Descriptor, all: &[Block], mut bar: u32, mut visit: impl FnMut(usize, u32) -> u32) {
+    for (k, block) in all.iter().enumerate() {
+        let distances = distances(query, block);
+        if distances.iter().fold(u64::MAX, |least, d| least.min(*d)) >= u64::from(bar) {
             continue;
         }
-        for n in 0..QUERIES {
-            if nearer[n] == 0 {
-                continue;
+        for (lane, &distance) in distances.iter().enumerate() {
+            if (distance as u32) < bar {
+                bar = visit(k * LANES + lane, distance as u32);
             }
-            let mut lanes = [0u64; LANES];
-            // SAFETY: as many bytes are written as the array has.
-            unsafe { _mm512_storeu_si512(lanes.as_mut_ptr().cast::<__m512i>(), distances[n]) };
-            while nearer[n] != 0 {
-                let lane = nearer[n].trailing_zeros() as usize;
-                nearer[n] &= nearer[n] - 1;
-                if (lanes[lane] as u32) < bar_of[n] {
-                    visit(n, k * LANES + lane, lanes[lane] as u32, &mut bar_of[n]);
-                }
-            }
-            bars[n] = _mm512_set1_epi64(i64::from(bar_of[n]));
         }
     }
 }
@@ -156,43 +166,62 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Bits in which two descriptors differ.
-    fn hamming(a: &Descriptor, b: &Descriptor) -> u32 {
-        (a.0[0] ^ b.0[0]).count_ones() + (a.0[1] ^ b.0[1]).count_ones() + (a.0[2] ^ b.0[2]).count_ones() + (a.0[3] ^ b.0[3]).count_ones()
+    fn packed(descriptors: &[Descriptor]) -> Vec<Block> {
+        let mut all = Vec::new();
+        pack_into(descriptors.iter().copied(), &mut all);
+        all
     }
 
     proptest! {
         #[test]
-        fn wide_scan_equals_plain(
+        fn the_least_distances_are_those_of_the_plain_twin(
             queries in any::<[[u64; 4]; QUERIES]>(),
-            all in proptest::collection::vec(any::<[u64; 4]>(), 0..50),
-            from in 90..257u32,
+            all in proptest::collection::vec(any::<[u64; 4]>(), 1..90),
+            piece_blocks in 1usize..5,
         ) {
-            let queries = queries.map(Descriptor);
-            let descriptors: Vec<Descriptor> = all.into_iter().map(Descriptor).collect();
-            let mut all = Vec::new();
-            pack_into(descriptors.iter().copied(), &mut all);
-            let run = |wide: bool| {
-                let mut seen = Vec::new();
-                let visit = |n: usize, k: usize, d: u32, bar: &mut u32| { seen.push((n, k, d)); *bar = (*bar).min(d + 10); };
-                if wide { scan(&queries, &all, from, visit) } else { scan_plain(&queries, &all, from, visit) }
-                seen
-            };
-            prop_assert_eq!(run(true), run(false));
-            let mut all_seen = vec![u32::MAX; QUERIES * all.len() * LANES];
-            scan(&queries, &all, from, |n, k, d, _| all_seen[n * all.len() * LANES + k] = d);
+            let (queries, descriptors) = (queries.map(Descriptor), all.into_iter().map(Descriptor).collect::<Vec<_>>());
+            let all = packed(&descriptors);
+            let (mut wide, mut plain) = ([[0; PIECES]; QUERIES], [[0; PIECES]; QUERIES]);
+            least_distances(&queries, &all, piece_blocks, &mut wide);
+            least_distances_plain(&queries, &all, piece_blocks, &mut plain);
+            prop_assert!(wide == plain);
             for (n, query) in queries.iter().enumerate() {
-                for (k, d) in descriptors.iter().enumerate() {
-                    let distance = hamming(query, d);
-                    prop_assert_eq!(all_seen[n * all.len() * LANES + k], if distance < from { distance } else { u32::MAX });
+                for (k, piece) in descriptors.chunks(piece_blocks * LANES).enumerate() {
+                    prop_assert_eq!(piece.iter().map(|d| query.distance(d)).min(), Some(u32::from(wide[n][k])));
                 }
             }
+        }
+
+        #[test]
+        fn all_that_are_nearer_are_visited(
+            query in any::<[u64; 4]>(),
+            all in proptest::collection::vec(any::<[u64; 4]>(), 0..50),
+            bar in 90..257u32,
+            lowers in any::<bool>(),
+        ) {
+            let (query, descriptors) = (Descriptor(query), all.into_iter().map(Descriptor).collect::<Vec<_>>());
+            let all = packed(&descriptors);
+            let mut seen = Vec::new();
+            visit_nearer(&query, &all, bar, |k, d| {
+                seen.push((k, d));
+                if lowers { d } else { bar }
+            });
+            seen.retain(|(k, _)| *k < descriptors.len());
+            let (mut expected, mut below) = (Vec::new(), bar);
+            for (k, distance) in descriptors.iter().map(|d| query.distance(d)).enumerate().filter(|(_, d)| *d < bar) {
+                if distance < below {
+                    expected.push((k, distance));
+                    below = if lowers { distance } else { bar };
+                }
+            }
+            prop_assert_eq!(seen, expected);
         }
     }
 
     #[test]
-    fn distance_counts_bits() {
-        assert_eq!(hamming(&Descriptor([0; 4]), &Descriptor([u64::MAX; 4])), 256);
-        assert_eq!(hamming(&Descriptor([5, 0, 0, 0]), &Descriptor([0, 0, 0, 1])), 3);
+    fn pieces_are_few() {
+        for blocks in [0_usize, 1, 8, 9, 2048, 2049, 100_000] {
+            assert!(blocks.div_ceil(piece_blocks(blocks)) <= PIECES, "{blocks}");
+        }
     }
 }

@@ -6,6 +6,7 @@
 
 mod exact;
 mod kernels;
+mod neighbours;
 mod rival;
 
 use nalgebra::{Matrix2, Vector2};
@@ -13,7 +14,7 @@ use nalgebra::{Matrix2, Vector2};
 use crate::features::{Descriptor, Feature, Polarity, Workers};
 pub use exact::{ExactMatch, ExactOptions, match_exactly, match_watched};
 use kernels::QUERIES;
-use rival::Nearest;
+use neighbours::Neighbours;
 
 /// A described corner of a reference picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,10 +64,7 @@ pub struct Match {
 #[derive(Debug, Clone, Default)]
 pub struct MatchBuffers {
     queries: Vec<[Descriptor; QUERIES]>,
-    nearest: Vec<[Nearest<u32>; QUERIES]>,
-    /// Those whose rival may have been missed, with their nearest entries.
-    missed: Vec<[(Descriptor, usize); QUERIES]>,
-    rivals: Vec<[u32; QUERIES]>,
+    found: Vec<[Option<NearestEntry>; QUERIES]>,
     asked_back: Vec<[Descriptor; QUERIES]>,
     back: Vec<[usize; QUERIES]>,
     /// The frame's features of one polarity: their numbers, and their descriptors side by side.
@@ -80,6 +78,15 @@ const LARGEST_DISTANCE: u32 = 80;
 /// Rivals at this distance and beyond count as one at this distance. No match would pass for another one: at [`LARGEST_DISTANCE`] its ratio is 0.85. Raised, more
 /// entries must be looked at one by one; lowered, weak matches pass the ratio test.
 const FARTHEST_RIVAL: u32 = 95;
+
+/// An entry that passed the ratio test.
+#[derive(Debug, Clone, Copy)]
+struct NearestEntry {
+    /// Its number in the index.
+    entry: usize,
+    /// See [`Match::ratio`].
+    ratio: f32,
+}
 
 impl ReferenceIndex {
     /// Adds the features of a surface; `transform` maps a feature's position into artwork pixels.
@@ -143,27 +150,32 @@ impl ReferenceIndex {
         a.surface == b.surface && (a.position - b.position).norm_squared() < near * near
     }
 
-    /// Each query's nearest entry of a half and its rival, which may be missed.
-    fn nearest(&self, half: &Half, queries: &[Descriptor; QUERIES]) -> [Nearest<u32>; QUERIES] {
-        let mut nearest = [Nearest::default(); QUERIES];
-        kernels::scan(queries, &half.blocks, FARTHEST_RIVAL, |n, k, distance, bar: &mut u32| {
-            if let Some(&entry) = half.entries.get(k) {
-                nearest[n].offer(entry, distance, |a, b| self.same_place(a, b));
-                *bar = nearest[n].bar().min(*bar);
+    /// Each query's nearest entry of a half, where it passes the ratio test.
+    fn nearest(&self, half: &Half, queries: &[Descriptor; QUERIES], ratio: f32) -> [Option<NearestEntry>; QUERIES] {
+        let neighbours = Neighbours::of(queries, &half.blocks, half.entries.len());
+        std::array::from_fn(|n| {
+            let (distance, nearest) = neighbours.nearest(n).filter(|(distance, _)| *distance <= LARGEST_DISTANCE)?;
+            // One is added to both, so that two exact copies are rivals (0 / 0).
+            let ratio_to = |rival: u32| (distance + 1) as f32 / (rival + 1) as f32;
+            let is_elsewhere = |k: usize| !self.same_place(half.entries[nearest], half.entries[k]);
+            // Most fail by the first rival that is near enough.
+            let near_enough = (distance..=FARTHEST_RIVAL).take_while(|rival| ratio_to(*rival) >= ratio).count() as u32;
+            let mut passes = true;
+            neighbours.visit_nearer(n, distance + near_enough, |k, _| {
+                passes &= !is_elsewhere(k);
+                if passes { distance + near_enough } else { 0 }
+            });
+            let mut rival = FARTHEST_RIVAL;
+            if passes {
+                neighbours.visit_nearer(n, FARTHEST_RIVAL, |k, distance| {
+                    rival = if is_elsewhere(k) { distance } else { rival };
+                    rival
+                });
             }
-        });
-        nearest
-    }
-
-    /// The distance of each query's nearest entry of a half that does not show the place of the entry that is given with it.
-    fn nearest_elsewhere(&self, half: &Half, asked: &[(Descriptor, usize); QUERIES]) -> [u32; QUERIES] {
-        let mut rivals = [FARTHEST_RIVAL; QUERIES];
-        kernels::scan(&asked.map(|(query, _)| query), &half.blocks, FARTHEST_RIVAL, |n, k, distance, bar: &mut u32| {
-            if half.entries.get(k).is_some_and(|&entry| !self.same_place(asked[n].1, entry)) {
-                (rivals[n], *bar) = (distance, distance);
-            }
-        });
-        rivals
+            // The farthest rival may be too near, too.
+            let own = NearestEntry { entry: half.entries[nearest], ratio: ratio_to(rival) };
+            (passes && own.ratio < ratio).then_some(own)
+        })
     }
 
     /// Matches frame features with the index: best ratio first (ties by frame index).
@@ -190,24 +202,11 @@ impl ReferenceIndex {
         matches: &mut Vec<Match>,
     ) {
         let first = matches.len();
-        let MatchBuffers { queries, nearest, missed, rivals, numbers, .. } = buffers;
+        let MatchBuffers { queries, found, numbers, .. } = buffers;
         kernels::group_into(numbers.iter().map(|k| frame[*k].descriptor), queries);
-        workers.map_into(queries, nearest, |queries| self.nearest(half, queries));
-        // Number, nearest entry with its distance, and rival, of those that may match.
-        let near = || numbers.iter().zip(nearest.iter().flatten()).filter_map(|(k, n)| Some((*k, n.best()?, n)));
-        let near = || near().filter(|(_, (distance, _), _)| *distance <= LARGEST_DISTANCE);
-        let asked_again = near().filter(|(.., n)| n.may_miss_rival()).map(|(k, (_, reference), _)| (frame[k].descriptor, reference));
-        kernels::group_into(asked_again, missed);
-        workers.map_into(missed, rivals, |asked| self.nearest_elsewhere(half, asked));
-        let mut rivals = rivals.iter().flatten();
-        for (k, (distance, reference), n) in near() {
-            let found_again = if n.may_miss_rival() { rivals.next() } else { None };
-            let rival = found_again.copied().unwrap_or(n.bar().min(FARTHEST_RIVAL));
-            // One is added to both, so that two exact copies are rivals (0 / 0).
-            let own = (distance + 1) as f32 / (rival + 1) as f32;
-            if own < ratio {
-                matches.push(Match { frame: k as u32, reference: reference as u32, ratio: own });
-            }
+        workers.map_into(queries, found, |queries| self.nearest(half, queries, ratio));
+        for (k, found) in numbers.iter().zip(found.iter().flatten()) {
+            matches.extend(found.map(|f| Match { frame: *k as u32, reference: f.entry as u32, ratio: f.ratio }));
         }
         self.keep_mutual(first, frame, workers, buffers, matches);
     }
@@ -240,13 +239,9 @@ impl ReferenceIndex {
 
 /// The numbers of the features that are nearest to what is asked; `numbers`: of those that are packed.
 fn nearest_frame_features(asked: &[Descriptor; QUERIES], packed: &[kernels::Block], numbers: &[usize]) -> [usize; QUERIES] {
-    let mut best = [0; QUERIES];
-    kernels::scan(asked, packed, u32::MAX, |n, k, distance, bar: &mut u32| {
-        if let Some(&number) = numbers.get(k) {
-            (best[n], *bar) = (number, distance);
-        }
-    });
-    best
+    let neighbours = Neighbours::of(asked, packed, numbers.len());
+    // There is one at least.
+    std::array::from_fn(|n| neighbours.nearest(n).map_or(0, |(_, k)| numbers[k]))
 }
 
 #[cfg(test)]

@@ -3,50 +3,34 @@
 //! Candidates come one after the other. Those beside the best are no rivals, and the best changes on the way; where a rival may have been
 //! forgotten with that, it says so, and whoever asks looks through all again.
 
-/// The nearest so far. `D` is a distance whose largest value is no distance.
+/// The nearest so far; an infinite distance is none.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Nearest<D> {
-    best: (D, usize),
-    second: (D, usize),
+pub(super) struct Nearest {
+    best: (f32, usize),
+    second: (f32, usize),
     /// Whether candidates were left out because they lie beside the best one.
     has_left_out: bool,
     may_miss_rival: bool,
 }
 
-/// A distance with a largest value.
-pub(super) trait Distance: Copy + PartialOrd {
-    /// No distance is larger.
-    const LARGEST: Self;
-}
-
-impl Distance for u32 {
-    // No number is larger.
-    const LARGEST: Self = u32::MAX;
-}
-
-impl Distance for f32 {
-    // No number is larger.
-    const LARGEST: Self = f32::INFINITY;
-}
-
-impl<D: Distance> Default for Nearest<D> {
+impl Default for Nearest {
     fn default() -> Self {
-        let none = (D::LARGEST, usize::MAX);
+        let none = (f32::INFINITY, usize::MAX);
         Self { best: none, second: none, has_left_out: false, may_miss_rival: false }
     }
 }
 
-impl<D: Distance> Nearest<D> {
+impl Nearest {
     /// Takes a candidate; `same_place` says of two whether they show the same place.
     #[inline]
-    pub fn offer(&mut self, k: usize, distance: D, same_place: impl Fn(usize, usize) -> bool) {
+    pub fn offer(&mut self, k: usize, distance: f32, same_place: impl Fn(usize, usize) -> bool) {
         // Most candidates are further away than both.
         // A distance that is no number is not nearer.
         let is_nearer = distance < self.second.0;
         if !is_nearer && self.second.1 != usize::MAX {
             return;
         }
-        let none = (D::LARGEST, usize::MAX);
+        let none = (f32::INFINITY, usize::MAX);
         if distance < self.best.0 {
             if self.best.1 == usize::MAX || !same_place(self.best.1, k) {
                 // The old best is nearer than all that was left out beside it.
@@ -70,17 +54,17 @@ impl<D: Distance> Nearest<D> {
     }
 
     /// Candidates that are not below this change nothing.
-    pub fn bar(&self) -> D {
+    pub fn bar(&self) -> f32 {
         self.second.0
     }
 
     /// Distance and index of the nearest.
-    pub fn best(&self) -> Option<(D, usize)> {
+    pub fn best(&self) -> Option<(f32, usize)> {
         (self.best.1 != usize::MAX).then_some(self.best)
     }
 
     /// Distance and index of the nearest elsewhere, unless it [may be another](Self::may_miss_rival).
-    pub fn rival(&self) -> Option<(D, usize)> {
+    pub fn rival(&self) -> Option<(f32, usize)> {
         (self.second.1 != usize::MAX).then_some(self.second)
     }
 

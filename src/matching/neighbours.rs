@@ -1,0 +1,87 @@
+//! Neighbours among binary descriptors, found without looking at most of them one by one.
+//!
+//! The distances of four queries to all are computed in registers, and of each piece of a few dozen descriptors only the least is kept. Then every question is asked of
+//! the few pieces that can answer it. Most frame features match nothing, and find that out by the first rival.
+
+use super::kernels::{self, Block, LANES, LeastDistances, PIECES, QUERIES};
+use crate::features::Descriptor;
+
+/// The neighbours of some queries among packed descriptors.
+pub(super) struct Neighbours<'a> {
+    queries: &'a [Descriptor; QUERIES],
+    blocks: &'a [Block],
+    /// Of the packed descriptors.
+    count: usize,
+    piece_blocks: usize,
+    least: LeastDistances,
+}
+
+impl<'a> Neighbours<'a> {
+    /// `count`: of the packed descriptors.
+    pub fn of(queries: &'a [Descriptor; QUERIES], blocks: &'a [Block], count: usize) -> Self {
+        let (piece_blocks, mut least) = (kernels::piece_blocks(blocks.len()), [[u16::MAX; PIECES]; QUERIES]);
+        kernels::least_distances(queries, blocks, piece_blocks, &mut least);
+        Self { queries, blocks, count, piece_blocks, least }
+    }
+
+    /// Distance and index of the one that is nearest to a query, of equal ones the first; none of none.
+    pub fn nearest(&self, query: usize) -> Option<(u32, usize)> {
+        let distance = u32::from(*self.least[query].iter().min()?);
+        let mut nearest = None;
+        self.visit_nearer(query, distance + 1, |k, distance| {
+            nearest = Some((distance, k));
+            0
+        });
+        nearest
+    }
+
+    /// Calls `visit(index, distance)` for every one that is nearer to a query than `bar`, in order; the bar is from then on what this returns.
+    pub fn visit_nearer(&self, query: usize, mut bar: u32, mut visit: impl FnMut(usize, u32) -> u32) {
+        for (piece, (blocks, least)) in self.blocks.chunks(self.piece_blocks).zip(&self.least[query]).enumerate() {
+            if u32::from(*least) < bar {
+                let (first, own_bar) = (piece * self.piece_blocks * LANES, bar);
+                kernels::visit_nearer(&self.queries[query], blocks, own_bar, |k, distance| {
+                    // The last block is filled up.
+                    if first + k < self.count {
+                        bar = visit(first + k, distance);
+                    }
+                    bar
+                });
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    #[test]
+    fn neighbours_are_those_of_all_distances() {
+        let mut random = Pcg64Mcg::seed_from_u64(3);
+        for count in [1, 7, 8, 9, 63, 64, 65, 300, 2300] {
+            // Few bits differ, so that many distances are equal.
+            let mut near = || Descriptor(std::array::from_fn(|_| random.random::<u64>() & random.random::<u64>() & random.random::<u64>()));
+            let all: Vec<Descriptor> = (0..count).map(|_| near()).collect();
+            let queries: [Descriptor; QUERIES] = std::array::from_fn(|_| near());
+            let mut blocks = Vec::new();
+            kernels::pack_into(all.iter().copied(), &mut blocks);
+            let neighbours = Neighbours::of(&queries, &blocks, count);
+            for (n, query) in queries.iter().enumerate() {
+                let distance = |k: usize| query.distance(&all[k]);
+                let nearest = (0..count).min_by_key(|k| distance(*k)).map(|k| (distance(k), k));
+                assert_eq!(neighbours.nearest(n), nearest, "of {count}");
+                let mut seen = Vec::new();
+                neighbours.visit_nearer(n, 60, |k, distance| {
+                    seen.push((k, distance));
+                    60
+                });
+                assert_eq!(seen, (0..count).map(|k| (k, distance(k))).filter(|(_, d)| *d < 60).collect::<Vec<_>>(), "of {count}");
+            }
+        }
+        assert_eq!(Neighbours::of(&Default::default(), &[], 0).nearest(0), None);
+    }
+}
