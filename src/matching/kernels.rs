@@ -53,23 +53,42 @@ pub fn piece_blocks(blocks: usize) -> usize {
     blocks.div_ceil(PIECES).max(LEAST_PIECE_BLOCKS)
 }
 
-/// For each query, the least distance to each piece.
-pub type LeastDistances = [[u16; PIECES]; QUERIES];
+/// The least distances of a query.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LeastDistances {
+    /// Of all, and the first piece that has it; none yet where it is larger than 256.
+    pub nearest: (u16, usize),
+    /// To each piece.
+    pub to_piece: [u16; PIECES],
+}
+
+impl LeastDistances {
+    /// To nothing.
+    pub const NONE: Self = Self { nearest: (u16::MAX, 0), to_piece: [u16::MAX; PIECES] };
+
+    #[inline(always)]
+    fn note(&mut self, piece: usize, distance: u16) {
+        self.to_piece[piece] = distance;
+        if distance < self.nearest.0 {
+            self.nearest = (distance, piece);
+        }
+    }
+}
 
 multiversion! {
-    /// The least distances to each piece of so many blocks.
-    pub fn least_distances(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut LeastDistances);
+    /// Notes the least distances to each piece of so many blocks.
+    pub fn least_distances(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut [LeastDistances; QUERIES]);
     ["avx512f" "avx512vpopcntdq"] => least_distances_avx512, else least_distances_avx2
 }
 
 multiversion! {
-    fn least_distances_avx2(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut LeastDistances);
+    fn least_distances_avx2(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut [LeastDistances; QUERIES]);
     ["avx2" "popcnt"] => least_distances_plain, else least_distances_plain
 }
 
 /// The plain twin of [`least_distances`].
 #[inline(always)]
-fn least_distances_plain(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut LeastDistances) {
+fn least_distances_plain(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut [LeastDistances; QUERIES]) {
     for (k, piece) in all.chunks(piece_blocks).enumerate() {
         let mut lanes = [[u64::MAX; LANES]; QUERIES];
         for block in piece {
@@ -81,7 +100,7 @@ fn least_distances_plain(queries: &[Descriptor; QUERIES], all: &[Block], piece_b
         }
         for (least, lanes) in least.iter_mut().zip(lanes) {
             // At most 256.
-            least[k] = lanes.iter().fold(u64::MAX, |least, lane| least.min(*lane)) as u16;
+            least.note(k, lanes.iter().fold(u64::MAX, |least, lane| least.min(*lane)) as u16);
         }
     }
 }
@@ -90,7 +109,7 @@ fn least_distances_plain(queries: &[Descriptor; QUERIES], all: &[Block], piece_b
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512vpopcntdq")]
 #[inline]
-fn least_distances_avx512(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut LeastDistances) {
+fn least_distances_avx512(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut [LeastDistances; QUERIES]) {
     use std::arch::x86_64::{
         __m512i, _mm512_add_epi64, _mm512_loadu_si512, _mm512_min_epu64, _mm512_popcnt_epi64, _mm512_reduce_min_epu64, _mm512_set1_epi64,
         _mm512_setzero_si512, _mm512_xor_si512,
@@ -117,7 +136,7 @@ fn least_distances_avx512(queries: &[Descriptor; QUERIES], all: &[Block], piece_
         }
         for n in 0..QUERIES {
             // At most 256.
-            least[n][k] = _mm512_reduce_min_epu64(lanes[n]) as u16;
+            least[n].note(k, _mm512_reduce_min_epu64(lanes[n]) as u16);
         }
     }
 }
@@ -125,7 +144,7 @@ fn least_distances_avx512(queries: &[Descriptor; QUERIES], all: &[Block], piece_
 multiversion! {
     /// Calls `visit(index, distance)` for every packed descriptor that is nearer to a query than `bar`, in order; the bar is from then on what this returns.
     pub fn visit_nearer(query: &Descriptor, all: &[Block], bar: u32, visit: impl FnMut(usize, u32) -> u32);
-    ["avx512f" "avx512vl" "avx512vpopcntdq"] => visit_nearer_plain, else visit_nearer_avx2
+    ["avx512f" "avx512vpopcntdq"] => visit_nearer_avx512, else visit_nearer_avx2
 }
 
 multiversion! {
@@ -144,6 +163,40 @@ fn visit_nearer_plain(query: &Descriptor, all: &[Block], mut bar: u32, mut visit
         for (lane, &distance) in distances.iter().enumerate() {
             if (distance as u32) < bar {
                 bar = visit(k * LANES + lane, distance as u32);
+            }
+        }
+    }
+}
+
+/// The same, told register by register: compilers do not see that a comparison tells which lanes are nearer.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512vpopcntdq")]
+#[inline]
+fn visit_nearer_avx512(query: &Descriptor, all: &[Block], mut bar: u32, mut visit: impl FnMut(usize, u32) -> u32) {
+    use std::arch::x86_64::{
+        __m512i, _mm512_add_epi64, _mm512_cmplt_epu64_mask, _mm512_loadu_si512, _mm512_popcnt_epi64, _mm512_set1_epi64,
+        _mm512_setzero_si512, _mm512_storeu_si512, _mm512_xor_si512,
+    };
+    let words = query.0.map(|word| _mm512_set1_epi64(word as i64));
+    for (k, block) in all.iter().enumerate() {
+        let mut distances = _mm512_setzero_si512();
+        for (words, of_block) in words.iter().zip(&block.0) {
+            // SAFETY: a row of the block is 64 bytes.
+            let of_block = unsafe { _mm512_loadu_si512(of_block.as_ptr().cast::<__m512i>()) };
+            distances = _mm512_add_epi64(distances, _mm512_popcnt_epi64(_mm512_xor_si512(of_block, *words)));
+        }
+        let mut nearer = _mm512_cmplt_epu64_mask(distances, _mm512_set1_epi64(i64::from(bar)));
+        if nearer == 0 {
+            continue;
+        }
+        let mut lanes = [0u64; LANES];
+        // SAFETY: as many bytes are written as the array has.
+        unsafe { _mm512_storeu_si512(lanes.as_mut_ptr().cast::<__m512i>(), distances) };
+        while nearer != 0 {
+            let lane = nearer.trailing_zeros() as usize;
+            nearer &= nearer - 1;
+            if (lanes[lane] as u32) < bar {
+                bar = visit(k * LANES + lane, lanes[lane] as u32);
             }
         }
     }
@@ -181,14 +234,17 @@ mod tests {
         ) {
             let (queries, descriptors) = (queries.map(Descriptor), all.into_iter().map(Descriptor).collect::<Vec<_>>());
             let all = packed(&descriptors);
-            let (mut wide, mut plain) = ([[0; PIECES]; QUERIES], [[0; PIECES]; QUERIES]);
+            let (mut wide, mut plain) = ([LeastDistances::NONE; QUERIES], [LeastDistances::NONE; QUERIES]);
             least_distances(&queries, &all, piece_blocks, &mut wide);
             least_distances_plain(&queries, &all, piece_blocks, &mut plain);
             prop_assert!(wide == plain);
             for (n, query) in queries.iter().enumerate() {
                 for (k, piece) in descriptors.chunks(piece_blocks * LANES).enumerate() {
-                    prop_assert_eq!(piece.iter().map(|d| query.distance(d)).min(), Some(u32::from(wide[n][k])));
+                    prop_assert_eq!(piece.iter().map(|d| query.distance(d)).min(), Some(u32::from(wide[n].to_piece[k])));
                 }
+                let (least, piece) = wide[n].nearest;
+                prop_assert_eq!(Some(piece), wide[n].to_piece.iter().position(|distance| *distance == least));
+                prop_assert_eq!(Some(&least), wide[n].to_piece.iter().min());
             }
         }
 

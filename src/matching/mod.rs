@@ -45,8 +45,33 @@ pub struct ReferenceIndex {
 struct Half {
     /// Their numbers in the index.
     entries: Vec<usize>,
+    /// Where they are, close together in memory: rivals are looked at here and there.
+    places: Vec<Place>,
     /// Their descriptors side by side.
     blocks: Vec<kernels::Block>,
+}
+
+/// Where an entry is.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    /// Artwork pixels.
+    position: [f32; 2],
+    /// Artwork pixels per pixel of the level it was found on.
+    scale: f32,
+    surface: u32,
+}
+
+impl Place {
+    fn of(feature: &ReferenceFeature) -> Self {
+        Self { position: [feature.position.x as f32, feature.position.y as f32], scale: feature.scale as f32, surface: feature.surface }
+    }
+
+    /// Whether another entry shows the same, so that the one is no rival of the other.
+    fn is_same(&self, other: &Self) -> bool {
+        let near = 6.0 * self.scale.max(other.scale);
+        let [x, y] = [self.position[0] - other.position[0], self.position[1] - other.position[1]];
+        self.surface == other.surface && x * x + y * y < near * near
+    }
 }
 
 /// A pair that passed the ratio and the mutual test.
@@ -134,6 +159,8 @@ impl ReferenceIndex {
         for (half, polarity) in self.halves.iter_mut().zip(Polarity::ALL) {
             half.entries.clear();
             half.entries.extend((0..self.features.len()).filter(|k| self.features[*k].polarity == polarity));
+            half.places.clear();
+            half.places.extend(half.entries.iter().map(|k| Place::of(&self.features[*k])));
             kernels::pack_into(half.entries.iter().map(|k| self.descriptors[*k]), &mut half.blocks);
         }
     }
@@ -143,21 +170,14 @@ impl ReferenceIndex {
         &self.features
     }
 
-    /// Whether two entries show the same place, so that the one is no rival of the other.
-    fn same_place(&self, a: usize, b: usize) -> bool {
-        let (a, b) = (&self.features[a], &self.features[b]);
-        let near = 6.0 * a.scale.max(b.scale);
-        a.surface == b.surface && (a.position - b.position).norm_squared() < near * near
-    }
-
     /// Each query's nearest entry of a half, where it passes the ratio test.
-    fn nearest(&self, half: &Half, queries: &[Descriptor; QUERIES], ratio: f32) -> [Option<NearestEntry>; QUERIES] {
+    fn nearest(half: &Half, queries: &[Descriptor; QUERIES], ratio: f32) -> [Option<NearestEntry>; QUERIES] {
         let neighbours = Neighbours::of(queries, &half.blocks, half.entries.len());
         std::array::from_fn(|n| {
             let (distance, nearest) = neighbours.nearest(n).filter(|(distance, _)| *distance <= LARGEST_DISTANCE)?;
             // One is added to both, so that two exact copies are rivals (0 / 0).
             let ratio_to = |rival: u32| (distance + 1) as f32 / (rival + 1) as f32;
-            let is_elsewhere = |k: usize| !self.same_place(half.entries[nearest], half.entries[k]);
+            let is_elsewhere = |k: usize| !half.places[nearest].is_same(&half.places[k]);
             // Most fail by the first rival that is near enough.
             let near_enough = (distance..=FARTHEST_RIVAL).take_while(|rival| ratio_to(*rival) >= ratio).count() as u32;
             let mut passes = true;
@@ -204,7 +224,7 @@ impl ReferenceIndex {
         let first = matches.len();
         let MatchBuffers { queries, found, numbers, .. } = buffers;
         kernels::group_into(numbers.iter().map(|k| frame[*k].descriptor), queries);
-        workers.map_into(queries, found, |queries| self.nearest(half, queries, ratio));
+        workers.map_into(queries, found, |queries| Self::nearest(half, queries, ratio));
         for (k, found) in numbers.iter().zip(found.iter().flatten()) {
             matches.extend(found.map(|f| Match { frame: *k as u32, reference: f.entry as u32, ratio: f.ratio }));
         }
@@ -332,7 +352,10 @@ mod tests {
             index.add(0, &entries, |p| p, 1.0);
             let distance = |k: usize| entries[k].descriptor.0.iter().map(|word| word.count_ones()).sum::<u32>();
             let best = (0..entries.len()).min_by_key(|k| distance(*k)).unwrap();
-            let rival = (0..entries.len()).filter(|k| !index.same_place(best, *k)).map(distance).min();
+            let rival = (0..entries.len())
+                .filter(|k| !Place::of(&index.features[best]).is_same(&Place::of(&index.features[*k])))
+                .map(distance)
+                .min();
             let ratio = (distance(best) + 1) as f32 / (rival.map_or(FARTHEST_RIVAL, |rival| rival.min(FARTHEST_RIVAL)) + 1) as f32;
             let frame = [Feature { position: Vector2::zeros(), scale: 1.0, angle: 0.0, polarity, descriptor: query }];
             let mut matches = Vec::new();

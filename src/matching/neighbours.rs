@@ -3,7 +3,7 @@
 //! The distances of four queries to all are computed in registers, and of each piece of a few dozen descriptors only the least is kept. Then every question is asked of
 //! the few pieces that can answer it. Most frame features match nothing, and find that out by the first rival.
 
-use super::kernels::{self, Block, LANES, LeastDistances, PIECES, QUERIES};
+use super::kernels::{self, Block, LANES, LeastDistances, QUERIES};
 use crate::features::Descriptor;
 
 /// The neighbours of some queries among packed descriptors.
@@ -13,22 +13,22 @@ pub(super) struct Neighbours<'a> {
     /// Of the packed descriptors.
     count: usize,
     piece_blocks: usize,
-    least: LeastDistances,
+    least: [LeastDistances; QUERIES],
 }
 
 impl<'a> Neighbours<'a> {
     /// `count`: of the packed descriptors.
     pub fn of(queries: &'a [Descriptor; QUERIES], blocks: &'a [Block], count: usize) -> Self {
-        let (piece_blocks, mut least) = (kernels::piece_blocks(blocks.len()), [[u16::MAX; PIECES]; QUERIES]);
+        let (piece_blocks, mut least) = (kernels::piece_blocks(blocks.len()), [LeastDistances::NONE; QUERIES]);
         kernels::least_distances(queries, blocks, piece_blocks, &mut least);
         Self { queries, blocks, count, piece_blocks, least }
     }
 
     /// Distance and index of the one that is nearest to a query, of equal ones the first; none of none.
     pub fn nearest(&self, query: usize) -> Option<(u32, usize)> {
-        let distance = u32::from(*self.least[query].iter().min()?);
+        let (distance, piece) = self.least[query].nearest;
         let mut nearest = None;
-        self.visit_nearer(query, distance + 1, |k, distance| {
+        self.visit_piece(query, piece, u32::from(distance) + 1, |k, distance| {
             nearest = Some((distance, k));
             0
         });
@@ -37,18 +37,26 @@ impl<'a> Neighbours<'a> {
 
     /// Calls `visit(index, distance)` for every one that is nearer to a query than `bar`, in order; the bar is from then on what this returns.
     pub fn visit_nearer(&self, query: usize, mut bar: u32, mut visit: impl FnMut(usize, u32) -> u32) {
-        for (piece, (blocks, least)) in self.blocks.chunks(self.piece_blocks).zip(&self.least[query]).enumerate() {
+        let pieces = self.blocks.len().div_ceil(self.piece_blocks);
+        for (piece, least) in self.least[query].to_piece[..pieces].iter().enumerate() {
             if u32::from(*least) < bar {
-                let (first, own_bar) = (piece * self.piece_blocks * LANES, bar);
-                kernels::visit_nearer(&self.queries[query], blocks, own_bar, |k, distance| {
-                    // The last block is filled up.
-                    if first + k < self.count {
-                        bar = visit(first + k, distance);
-                    }
-                    bar
-                });
+                bar = self.visit_piece(query, piece, bar, &mut visit);
             }
         }
+    }
+
+    /// The same of a piece; the last bar.
+    fn visit_piece(&self, query: usize, piece: usize, mut bar: u32, mut visit: impl FnMut(usize, u32) -> u32) -> u32 {
+        let blocks = self.blocks.chunks(self.piece_blocks).nth(piece).unwrap_or_default();
+        let (first, first_bar) = (piece * self.piece_blocks * LANES, bar);
+        kernels::visit_nearer(&self.queries[query], blocks, first_bar, |k, distance| {
+            // The last block is filled up.
+            if first + k < self.count {
+                bar = visit(first + k, distance);
+            }
+            bar
+        });
+        bar
     }
 }
 
