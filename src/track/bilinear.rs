@@ -45,8 +45,10 @@ pub fn look_at<const N: usize>(picture: &[u8], size: [usize; 2], xs: &[f32; N], 
 /// The texels, one place after another.
 fn look_up(picture: &[u8], width: usize, first: &[u32], quads: &mut [u32]) {
     for (quad, at) in quads.iter_mut().zip(first) {
-        let near = &picture[*at as usize..][..width + 2];
-        *quad = u32::from_le_bytes([near[0], near[1], near[width], near[width + 1]]);
+        let near = &picture[*at as usize..];
+        // There are two in either row: the last column has no place right of it.
+        let (above, below) = (&near[..2], &near[width..][..2]);
+        *quad = u32::from_le_bytes([above[0], above[1], below[0], below[1]]);
     }
 }
 

@@ -105,14 +105,8 @@ impl ExpectedView {
             let [depths, xs, ys, greys] = self.row.each_mut().map(|values| &mut values[..columns.len()]);
             see_row(&table.rays[seen_along], &plane, depths, xs, ys);
             self.texels.look(raw, size, xs, ys, greys);
-            let out = self.depth[pixels.clone()].iter_mut().zip(&mut self.grey[pixels.clone()]).zip(&mut self.owners[pixels]);
-            for (((nearest, grey), owner), (((depth, x), y), seen)) in out.zip(depths.iter().zip(&*xs).zip(&*ys).zip(&*greys)) {
-                // Not a number where the lens has no ray, negative behind the camera.
-                let is_in = |at: f32, last: f32| (-0.5..=last).contains(&at);
-                if *depth > 0.0 && depth < nearest && is_in(*x, last[0]) && is_in(*y, last[1]) {
-                    (*nearest, *grey, *owner) = (*depth, *seen, self.drawn);
-                }
-            }
+            let seen = Seen { depths, xs, ys, greys, last, owner: self.drawn };
+            keep_nearest(&seen, &mut self.depth[pixels.clone()], &mut self.grey[pixels.clone()], &mut self.owners[pixels]);
         }
     }
 }
@@ -143,6 +137,40 @@ fn see_row_plain(rays: &[[f32; 2]], plane: &Plane, depths: &mut [f32], xs: &mut 
         *depth = -from[2] / along(2);
         *u = centre[0] + (from[0] + *depth * along(0)) * texels_per_m[0];
         *v = centre[1] + (from[1] + *depth * along(1)) * texels_per_m[1];
+    }
+}
+
+/// What a row of pixels may show of a surface.
+struct Seen<'a> {
+    depths: &'a [f32],
+    /// Places on its picture.
+    xs: &'a [f32],
+    ys: &'a [f32],
+    greys: &'a [f32],
+    /// The last place of its picture across and down.
+    last: [f32; 2],
+    owner: u16,
+}
+
+multiversion! {
+    /// Takes over what is nearer than what was drawn before.
+    fn keep_nearest(seen: &Seen, depths: &mut [f32], greys: &mut [f32], owners: &mut [u16]); ["avx2"] => keep_nearest_plain, else keep_nearest_plain
+}
+
+#[inline(always)]
+fn keep_nearest_plain(seen: &Seen, depths: &mut [f32], greys: &mut [f32], owners: &mut [u16]) {
+    let n = depths.len();
+    let Seen { owner, last: [last_x, last_y], .. } = *seen;
+    let (depth, x, y, grey) = (&seen.depths[..n], &seen.xs[..n], &seen.ys[..n], &seen.greys[..n]);
+    let (greys, owners) = (&mut greys[..n], &mut owners[..n]);
+    for k in 0..n {
+        // Not a number where the lens has no ray, negative behind the camera.
+        let is_in = (x[k] >= -0.5) & (x[k] <= last_x) & (y[k] >= -0.5) & (y[k] <= last_y);
+        let is_nearer = is_in & (depth[k] > 0.0) & (depth[k] < depths[k]);
+        // All are written, so that the compiler does many at once.
+        greys[k] = if is_nearer { grey[k] } else { greys[k] };
+        owners[k] = if is_nearer { owner } else { owners[k] };
+        depths[k] = if is_nearer { depth[k] } else { depths[k] };
     }
 }
 
