@@ -35,7 +35,7 @@ fn corners(c: &mut Criterion) {
     let (mut buffers, mut found) = (CornerBuffers::default(), Vec::new());
     c.bench_function("segment test and corners 1280x720", |b| {
         b.iter(|| {
-            detect_corners(black_box(&picture), &options, |_, _| true, &mut buffers, &mut found);
+            detect_corners(black_box(&picture), &options, &mut buffers, &mut found);
             found.len()
         })
     });

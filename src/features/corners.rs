@@ -1,9 +1,12 @@
 //! Corners of one pyramid level: FAST-9 (Rosten & Drummond) finds them, the smaller eigenvalue of the
 //! structure tensor (Shi & Tomasi) ranks them, and a grid spreads them over the picture.
 
+use std::ops::Range;
+
 use image::GrayImage;
 
 use super::kernels::{CIRCLE, CIRCLE_RADIUS, peak_row, score_row};
+use super::open_pixels::LevelMask;
 use crate::simd::multiversion;
 
 /// A corner on a pyramid level.
@@ -59,8 +62,9 @@ pub struct CornerOptions {
 /// Buffers of the detector.
 #[derive(Debug, Clone, Default)]
 pub struct CornerBuffers {
-    /// Rows of scores, a pixel longer than what is searched at either end.
-    scores: [Vec<u8>; 3],
+    rows: [ScoreRow; 3],
+    /// The runs of columns to search in the next row.
+    runs: Vec<Range<usize>>,
     peaks: Vec<u8>,
     candidates: Vec<Corner>,
     sorted: Vec<Corner>,
@@ -72,6 +76,15 @@ pub struct CornerBuffers {
     found_with: Option<u8>,
 }
 
+/// The scores of a row of pixels.
+#[derive(Debug, Clone, Default)]
+struct ScoreRow {
+    /// A pixel longer than what is searched at either end; 0 beside the runs.
+    scores: Vec<u8>,
+    /// Which of its columns were searched, those of the picture.
+    runs: Vec<Range<usize>>,
+}
+
 impl CornerBuffers {
     /// What comes next is another picture.
     pub(super) fn forget_picture(&mut self) {
@@ -79,24 +92,17 @@ impl CornerBuffers {
     }
 }
 
-/// Finds at most `options.count` corners, strongest first within an even spread; `mask` (if any) tells by level position
-/// whether a pixel may be used.
-pub fn detect_corners(
-    image: &GrayImage,
-    options: &CornerOptions,
-    mask: impl Fn(u32, u32) -> bool,
-    buffers: &mut CornerBuffers,
-    found: &mut Vec<Corner>,
-) {
+/// Finds at most `options.count` corners, strongest first within an even spread.
+pub fn detect_corners(image: &GrayImage, options: &CornerOptions, buffers: &mut CornerBuffers, found: &mut Vec<Corner>) {
     buffers.forget_picture();
-    detect_more_corners(image, options, mask, buffers, found);
+    detect_more_corners(image, options, None, buffers, found);
 }
 
-/// The same of the picture that these buffers were used for last, with another count: what was found of it is not found again.
+/// The same where a mask is open, of the picture that these buffers were used for last, with another count: what was found of it, and with the same mask, is not found again.
 pub(super) fn detect_more_corners(
     image: &GrayImage,
     options: &CornerOptions,
-    mask: impl Fn(u32, u32) -> bool,
+    mask: Option<&LevelMask>,
     buffers: &mut CornerBuffers,
     found: &mut Vec<Corner>,
 ) {
@@ -106,10 +112,10 @@ pub(super) fn detect_more_corners(
     if w <= 2 * border || h <= 2 * border {
         return;
     }
-    let least = f32::from(candidates_of(image, options, border, buffers));
+    let least = f32::from(candidates_of(image, options, border, mask, buffers));
     let CornerBuffers { candidates, sorted, corners, ranks, .. } = buffers;
     corners.clear();
-    corners.extend(candidates.iter().filter(|c| c.strength >= least && mask(c.x, c.y)));
+    corners.extend(candidates.iter().filter(|c| c.strength >= least));
     // FAST's score, which costs nothing more, chooses those that are worth an eigenvalue.
     sort_by_score(corners, sorted);
     corners.clear();
@@ -120,7 +126,7 @@ pub(super) fn detect_more_corners(
 }
 
 /// Leaves in `buffers.candidates` the corners of the highest threshold that gives enough of them, which it returns, and maybe weaker ones.
-fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, buffers: &mut CornerBuffers) -> u8 {
+fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, mask: Option<&LevelMask>, buffers: &mut CornerBuffers) -> u8 {
     // High contrast first: a rich picture has enough of it, and corners of low contrast are noise.
     let thresholds = [options.threshold.saturating_mul(2), options.threshold, options.least_threshold];
     // The lowest contrast of the first few.
@@ -129,7 +135,7 @@ fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, buffer
     loop {
         // A corner's score is the largest threshold that it passes, so those of a low threshold hold those of the higher ones.
         if buffers.found_with.is_none_or(|found_with| found_with > lowest(tried)) {
-            find_peaks(image, lowest(tried), border, buffers);
+            find_peaks(image, lowest(tried), border, mask, buffers);
             buffers.found_with = Some(lowest(tried));
         }
         let count = |t: u8| buffers.candidates.iter().filter(|c| c.strength >= f32::from(t)).count();
@@ -146,42 +152,63 @@ fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, buffer
 /// Corners ranked by eigenvalue for each one wanted. Raised, more eigenvalues are computed; at 1 FAST's score alone would choose.
 const SHORTLIST: usize = 3;
 
-/// Leaves in `buffers.candidates` the FAST-9 corners that are the largest of their 3x3 neighbourhood, in reading order.
-fn find_peaks(image: &GrayImage, threshold: u8, border: u32, buffers: &mut CornerBuffers) {
+/// Leaves in `buffers.candidates` the FAST-9 corners that are the largest of their 3x3 neighbourhood and that a mask leaves, in reading order.
+fn find_peaks(image: &GrayImage, threshold: u8, border: u32, mask: Option<&LevelMask>, buffers: &mut CornerBuffers) {
     let (w, h) = (image.width() as usize, image.height() as usize);
     let source = image.as_raw();
     let b = border as usize;
-    let CornerBuffers { scores, peaks, candidates, .. } = buffers;
-    for row in scores.iter_mut() {
-        row.clear();
-        row.resize(w - 2 * b + 2, 0);
+    let columns = b..w - b;
+    let CornerBuffers { rows, runs, peaks, candidates, .. } = buffers;
+    for row in rows.iter_mut() {
+        row.scores.clear();
+        row.scores.resize(columns.len() + 2, 0);
+        row.runs.clear();
     }
-    peaks.resize(w - 2 * b, 0);
+    peaks.resize(columns.len(), 0);
     candidates.clear();
     let offsets = CIRCLE.map(|(dx, dy)| dy * w as isize + dx);
-    let [above, here, below] = scores;
+    runs.clear();
+    runs.extend(mask.is_none().then(|| columns.clone()));
+    let mut tile_rows = 0..0;
+    let [above, here, below] = rows;
     // Scores of three rows roll on; row y is complete when row y + 1 was scored.
     for y in b..=h - b {
-        let inner = &mut below[1..w - 2 * b + 1];
+        below.scores.fill(0);
+        below.runs.clear();
         if y < h - b {
-            score_row(source, y * w + b, &offsets, threshold, inner);
-        } else {
-            inner.fill(0);
+            if let Some(mask) = mask {
+                let own = mask.tile_rows(y);
+                if own != tile_rows {
+                    mask.open_runs(own.clone(), columns.clone(), runs);
+                    tile_rows = own;
+                }
+            }
+            for run in &*runs {
+                score_row(source, y * w + run.start, &offsets, threshold, &mut below.scores[run.start - b + 1..][..run.len()]);
+            }
+            below.runs.extend_from_slice(runs);
         }
-        if y > b {
-            peak_row([above, here, below], peaks);
-            collect(peaks, b, y - 1, candidates);
+        for run in &here.runs {
+            let peaks = &mut peaks[..run.len()];
+            let around = run.start - b..run.end - b + 2;
+            peak_row([&above.scores[around.clone()], &here.scores[around.clone()], &below.scores[around]], peaks);
+            collect(peaks, run.start, y - 1, mask, candidates);
         }
         std::mem::swap(above, here);
         std::mem::swap(here, below);
     }
 }
 
-/// Appends the corners of a row whose first pixel has the column `first`.
-fn collect(peaks: &[u8], first: usize, y: usize, candidates: &mut Vec<Corner>) {
+/// Appends the corners of a row that a mask leaves; the row's first pixel has the column `first`.
+fn collect(peaks: &[u8], first: usize, y: usize, mask: Option<&LevelMask>, candidates: &mut Vec<Corner>) {
+    let y = y as u32;
     let mut corners_from = |from: usize, peaks: &[u8]| {
-        let corners = peaks.iter().enumerate().filter(|(_, score)| **score != 0);
-        candidates.extend(corners.map(|(i, score)| Corner { x: (first + from + i) as u32, y: y as u32, strength: f32::from(*score) }));
+        for (i, score) in peaks.iter().enumerate().filter(|(_, score)| **score != 0) {
+            let x = (first + from + i) as u32;
+            if mask.is_none_or(|mask| mask.is_open(x, y)) {
+                candidates.push(Corner { x, y, strength: f32::from(*score) });
+            }
+        }
     };
     // Most places have none: eight are passed at once, as one number.
     let (words, rest) = peaks.as_chunks::<8>();
@@ -316,7 +343,7 @@ mod tests {
     #[test]
     fn corners_of_squares_are_found_near_them() {
         let mut found = Vec::new();
-        detect_corners(&squares(), &OPTIONS, |_, _| true, &mut CornerBuffers::default(), &mut found);
+        detect_corners(&squares(), &OPTIONS, &mut CornerBuffers::default(), &mut found);
         for (x, y) in [(40, 40), (51, 40), (40, 51), (51, 51)] {
             assert!(found.iter().any(|c| c.x.abs_diff(x) <= 2 && c.y.abs_diff(y) <= 2), "no corner at {x},{y}");
         }
@@ -326,13 +353,7 @@ mod tests {
     fn a_flat_picture_has_none_and_tiny_ones_do_not_panic() {
         let mut found = Vec::new();
         for (w, h) in [(1, 1), (5, 5), (16, 16), (17, 17), (64, 64)] {
-            detect_corners(
-                &GrayImage::from_pixel(w, h, image::Luma([90])),
-                &OPTIONS,
-                |_, _| true,
-                &mut CornerBuffers::default(),
-                &mut found,
-            );
+            detect_corners(&GrayImage::from_pixel(w, h, image::Luma([90])), &OPTIONS, &mut CornerBuffers::default(), &mut found);
             assert!(found.is_empty());
         }
     }
@@ -340,7 +361,7 @@ mod tests {
     #[test]
     fn a_limit_spreads_over_the_picture() {
         let mut found = Vec::new();
-        detect_corners(&squares(), &CornerOptions { count: 30, ..OPTIONS }, |_, _| true, &mut CornerBuffers::default(), &mut found);
+        detect_corners(&squares(), &CornerOptions { count: 30, ..OPTIONS }, &mut CornerBuffers::default(), &mut found);
         assert_eq!(found.len(), 30);
         let left = found.iter().filter(|c| c.x < 100).count();
         assert!((8..=22).contains(&left), "{left}");
@@ -356,9 +377,9 @@ mod tests {
         for counts in [[10, 40], [40, 120], [120, 1000], [1000, 10]] {
             let (mut kept, mut more, mut anew) = (CornerBuffers::default(), Vec::new(), Vec::new());
             let [first, second] = counts.map(|count| CornerOptions { count, ..OPTIONS });
-            detect_corners(&picture, &first, |x, _| x > 30, &mut kept, &mut more);
-            detect_more_corners(&picture, &second, |x, _| x > 30, &mut kept, &mut more);
-            detect_corners(&picture, &second, |x, _| x > 30, &mut CornerBuffers::default(), &mut anew);
+            detect_corners(&picture, &first, &mut kept, &mut more);
+            detect_more_corners(&picture, &second, None, &mut kept, &mut more);
+            detect_corners(&picture, &second, &mut CornerBuffers::default(), &mut anew);
             assert!(more == anew && !anew.is_empty(), "{counts:?}: {} and {}", more.len(), anew.len());
         }
     }
@@ -369,15 +390,8 @@ mod tests {
         let mut dark = bright.clone();
         image::imageops::invert(&mut dark);
         for (picture, expected) in [(bright, Polarity::Bright), (dark, Polarity::Dark)] {
-            detect_corners(&picture, &OPTIONS, |_, _| true, &mut CornerBuffers::default(), &mut found);
+            detect_corners(&picture, &OPTIONS, &mut CornerBuffers::default(), &mut found);
             assert!(found.len() > 50 && found.iter().all(|c| polarity(&picture, c.x, c.y) == expected));
         }
-    }
-
-    #[test]
-    fn a_mask_keeps_corners_out() {
-        let mut found = Vec::new();
-        detect_corners(&squares(), &OPTIONS, |x, _| x < 100, &mut CornerBuffers::default(), &mut found);
-        assert!(!found.is_empty() && found.iter().all(|c| c.x < 100));
     }
 }

@@ -108,11 +108,11 @@ fn corners(image: &GrayImage, mask: &dyn Fn(u32, u32) -> bool, count: usize, opt
     for (k, threshold) in [2 * options.threshold, options.threshold, options.least_threshold].into_iter().enumerate() {
         stage = k;
         candidates = peaks(image, threshold);
+        candidates.retain(|c| mask(c.0, c.1));
         if 2 * candidates.len() >= 3 * count {
             break;
         }
     }
-    candidates.retain(|c| mask(c.0, c.1));
     let mut short = spread(candidates, w, 3 * count);
     short.iter_mut().for_each(|c| c.2 = eigenvalue(image, c.0, c.1));
     (spread(short, w, count), stage)

@@ -5,6 +5,7 @@ use nalgebra::{Matrix2, Vector2};
 
 use super::corners::{Corner, CornerBuffers, CornerOptions, Polarity, detect_more_corners, polarity};
 use super::descriptor::{Descriptor, oriented_descriptor};
+use super::open_pixels::{LevelMask, OpenTiles};
 use super::pattern::PATCH_RADIUS;
 use super::pyramid::{Level, Pyramid};
 use super::workers::Workers;
@@ -72,6 +73,7 @@ struct LevelWork {
 #[derive(Debug, Default)]
 pub struct FeatureExtractor {
     pyramid: Pyramid,
+    tiles: OpenTiles,
     work: Vec<LevelWork>,
     jobs: Vec<(usize, Corner)>,
 }
@@ -88,10 +90,11 @@ impl FeatureExtractor {
     ) {
         self.pyramid.shrink(picture, options.factor, options.levels, 2 * BORDER + 8);
         self.work.iter_mut().for_each(|work| work.buffers.forget_picture());
+        mask.into_iter().for_each(|mask| self.tiles.update(mask));
         self.extract_more(picture, mask, options, workers, features);
     }
 
-    /// The same of the picture that was taken last, with another count or of other levels: its levels and what was found on them are kept.
+    /// The same of the picture and the mask that were taken last, with another count or of other levels: its levels and what was found on them are kept.
     pub fn extract_more(
         &mut self,
         picture: &GrayImage,
@@ -110,6 +113,7 @@ impl FeatureExtractor {
             work.index = index;
             work.quota = (options.count as f64 * share(level) / total).round() as usize;
         }
+        let tiles = &self.tiles;
         workers.for_each(&mut self.work[finest..], |work| {
             let level = &levels[work.index];
             let corner_options = CornerOptions {
@@ -119,8 +123,8 @@ impl FeatureExtractor {
                 border: BORDER,
                 cell_px: 40,
             };
-            let usable = |x: u32, y: u32| is_usable(mask, level, x, y);
-            detect_more_corners(&level.image, &corner_options, usable, &mut work.buffers, &mut work.corners);
+            let mask = mask.map(|mask| LevelMask { mask, tiles, level });
+            detect_more_corners(&level.image, &corner_options, mask.as_ref(), &mut work.buffers, &mut work.corners);
         });
         self.jobs.clear();
         for (k, work) in self.work.iter().enumerate().skip(finest) {
@@ -128,14 +132,6 @@ impl FeatureExtractor {
         }
         workers.map_into(&self.jobs, features, |(k, corner)| described(&levels[*k], corner));
     }
-}
-
-fn is_usable(mask: Option<&GrayImage>, level: &Level, x: u32, y: u32) -> bool {
-    mask.is_none_or(|mask| {
-        let [u, v] = level.in_picture(f64::from(x), f64::from(y));
-        let pixel = mask.get_pixel_checked(u.round().max(0.0) as u32, v.round().max(0.0) as u32);
-        pixel.is_some_and(|p| p[0] > 0)
-    })
 }
 
 fn described(level: &Level, corner: &Corner) -> Feature {

@@ -136,7 +136,37 @@ multiversion! {
     /// Keeps in `peaks` the scores of `rows[1]` that are the largest of their 3x3 neighbourhood, and 0 elsewhere; among equals the first in
     /// reading order wins. The rows are longer than `peaks` by one pixel at either end.
     pub fn peak_row(rows: [&[u8]; 3], peaks: &mut [u8]);
-    ["avx2"] => peak_row_plain, else peak_row_plain
+    ["avx2"] => peak_row_blocked, else peak_row_blocked
+}
+
+/// Blocks of [`LANES`] pixels in registers, of which most have no score and are passed; rows shorter than one pixel by pixel.
+#[inline(always)]
+fn peak_row_blocked(rows: [&[u8]; 3], peaks: &mut [u8]) {
+    let n = peaks.len();
+    if n < LANES {
+        return peak_row_plain(rows, peaks);
+    }
+    // The last block overlaps the one before it, so that no pixel is left over.
+    for first in (0..n - LANES).step_by(LANES).chain([n - LANES]) {
+        let lanes = |row: &[u8], at: usize| -> Lanes {
+            // The slice is exactly this long.
+            row[first + at..][..LANES].try_into().unwrap_or([0; LANES])
+        };
+        let score = lanes(rows[1], 1);
+        let mut block = [0; LANES];
+        if score.iter().fold(0, |any, s| any | s) != 0 {
+            let [above, here, below] = rows;
+            let (above_left, above_here, above_right) = (lanes(above, 0), lanes(above, 1), lanes(above, 2));
+            let (left, right) = (lanes(here, 0), lanes(here, 2));
+            let (below_left, below_here, below_right) = (lanes(below, 0), lanes(below, 1), lanes(below, 2));
+            for x in 0..LANES {
+                let before = above_left[x].max(above_here[x]).max(above_right[x]).max(left[x]);
+                let after = right[x].max(below_left[x]).max(below_here[x]).max(below_right[x]);
+                block[x] = if score[x] > before && score[x] >= after { score[x] } else { 0 };
+            }
+        }
+        peaks[first..first + LANES].copy_from_slice(&block);
+    }
 }
 
 /// The plain twin of [`peak_row`].

@@ -17,6 +17,7 @@ mod float_image;
 mod integral_image;
 mod kernels;
 mod keypoint;
+mod open_pixels;
 mod pattern;
 mod pyramid;
 pub mod repeatability;

@@ -116,7 +116,7 @@ fn anchors_of(image: &GrayImage, octave: usize, buffers: &mut CornerBuffers) -> 
         cell_px: (image.width().max(image.height()) / 16).max(8),
     };
     let mut corners = Vec::new();
-    detect_corners(image, &options, |_, _| true, buffers, &mut corners);
+    detect_corners(image, &options, buffers, &mut corners);
     corners.iter().map(|c| Anchor::at([c.x, c.y], octave)).collect()
 }
 

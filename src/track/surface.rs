@@ -263,7 +263,7 @@ fn corners_to_find(picture: &GrayImage) -> usize {
     let mut found = 0;
     let mut octave = picture.clone();
     while octave.width() >= LEAST_SIDE_PX / 2 && octave.height() >= LEAST_SIDE_PX / 2 {
-        detect_corners(&octave, &options, |_, _| true, &mut CornerBuffers::default(), &mut corners);
+        detect_corners(&octave, &options, &mut CornerBuffers::default(), &mut corners);
         found += corners.iter().filter(|c| c.strength >= LEAST_STRENGTH).count();
         octave = crate::features::halved(&octave);
     }

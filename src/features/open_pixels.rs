@@ -1,0 +1,140 @@
+//! Where a picture may have corners: its mask, as the levels of its pyramid see it.
+//!
+//! A level asks of each row which columns may be open, and looks for corners in these alone. So that the answer costs nothing, the mask is cut into
+//! tiles once, and a row's answer is that of the tiles it lies in, a little more than what is open; then each corner is asked by itself.
+
+use std::ops::Range;
+
+use image::GrayImage;
+
+use super::pyramid::Level;
+
+/// Side of a tile, pixels. Chosen: about a vector register of pixels on the levels that take the most time. Raised, more of what is closed is searched; lowered, rows are searched in
+/// more and shorter pieces.
+const TILE: usize = 16;
+/// Columns between two open parts of a row that are searched along with these, level pixels: as many as are tested side by side.
+const BRIDGED: usize = 32;
+
+/// The mask of a picture in tiles; keeps its buffer.
+#[derive(Debug, Clone, Default)]
+pub struct OpenTiles {
+    across: usize,
+    down: usize,
+    /// Whether any pixel of a tile is open, in reading order.
+    is_open: Vec<bool>,
+}
+
+impl OpenTiles {
+    /// Those of a mask, which is open where it is not 0.
+    pub fn update(&mut self, mask: &GrayImage) {
+        let width = mask.width().max(1) as usize;
+        (self.across, self.down) = (width.div_ceil(TILE), (mask.height() as usize).div_ceil(TILE));
+        self.is_open.clear();
+        self.is_open.resize(self.across * self.down, false);
+        for (line, tiles) in mask.as_raw().chunks_exact(width).enumerate().map(|(y, line)| (line, y / TILE * self.across)) {
+            let (whole, rest) = line.as_chunks::<TILE>();
+            let tiles = &mut self.is_open[tiles..][..self.across];
+            for (tile, pixels) in tiles.iter_mut().zip(whole) {
+                *tile |= u128::from_ne_bytes(*pixels) != 0;
+            }
+            if let Some(last) = tiles.last_mut() {
+                *last |= rest.iter().any(|v| *v != 0);
+            }
+        }
+    }
+}
+
+/// The mask of a picture as a level sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct LevelMask<'a> {
+    /// Of the whole picture.
+    pub mask: &'a GrayImage,
+    /// The mask's.
+    pub tiles: &'a OpenTiles,
+    /// The level.
+    pub level: &'a Level,
+}
+
+impl LevelMask<'_> {
+    /// Whether a pixel of the level is open.
+    pub fn is_open(&self, x: u32, y: u32) -> bool {
+        // The pixel of the picture that the middle lies in.
+        let [across, down] = self.level.scale;
+        let pixel = self.mask.get_pixel_checked(((f64::from(x) + 0.5) / across) as u32, ((f64::from(y) + 0.5) / down) as u32);
+        pixel.is_some_and(|p| p[0] > 0)
+    }
+
+    /// Which rows of tiles the pixels of a row of the level and of its neighbours above and below lie in.
+    pub fn tile_rows(&self, y: usize) -> Range<usize> {
+        let row = |y: f64| ((y + 0.5) / self.level.scale[1]) as usize / TILE;
+        row(y as f64 - 1.0)..(row(y as f64 + 1.0) + 1).min(self.tiles.down)
+    }
+
+    /// Fills `runs` with the columns of the level that lie in open tiles of some rows, and their neighbours, from left to right.
+    pub fn open_runs(&self, tile_rows: Range<usize>, columns: Range<usize>, runs: &mut Vec<Range<usize>>) {
+        runs.clear();
+        let OpenTiles { across, is_open, .. } = self.tiles;
+        for tile in (0..*across).filter(|tile| tile_rows.clone().any(|row| is_open[row * across + tile])) {
+            // A pixel of the picture is that of a level's pixel within half a pixel of its place; one more for its neighbours, and one for rounding.
+            let place = |u: usize| u as f64 * self.level.scale[0] - 0.5;
+            let first = ((place(TILE * tile) - 2.0).max(0.0) as usize).max(columns.start);
+            let end = ((place(TILE * (tile + 1)) + 3.0) as usize).min(columns.end);
+            match runs.last_mut() {
+                Some(run) if first <= run.end + BRIDGED => run.end = end.max(run.end),
+                _ if first < end => runs.push(first..end),
+                _ => {}
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::Luma;
+    use proptest::prelude::*;
+
+    use super::super::pyramid::Pyramid;
+    use super::*;
+
+    proptest! {
+        /// Every open pixel lies within a run of its row and of the rows above and below, and so do its neighbours.
+        #[test]
+        fn runs_hold_all_that_is_open(size in (33u32..150, 33u32..90), open in proptest::collection::vec((0u32..150, 0u32..90), 0..6), factor in 1.05..1.9f64) {
+            let mut mask = GrayImage::new(size.0, size.1);
+            open.iter().for_each(|(x, y)| mask.put_pixel(x % size.0, y % size.1, Luma([255])));
+            let mut tiles = OpenTiles::default();
+            tiles.update(&mask);
+            let (mut pyramid, mut runs) = (Pyramid::default(), Vec::new());
+            for level in pyramid.build(&mask, factor, 4, 12) {
+                let (w, h) = (level.image.width() as usize, level.image.height() as usize);
+                let seen = LevelMask { mask: &mask, tiles: &tiles, level };
+                for y in 0..h {
+                    seen.open_runs(seen.tile_rows(y), 0..w, &mut runs);
+                    prop_assert!(runs.iter().all(|run| run.start < run.end && run.end <= w));
+                    prop_assert!(runs.windows(2).all(|two| two[0].end < two[1].start));
+                    let is_in = |x: usize| runs.iter().any(|run| run.contains(&x));
+                    for v in y.saturating_sub(1)..(y + 2).min(h) {
+                        for x in (0..w).filter(|x| seen.is_open(*x as u32, v as u32)) {
+                            prop_assert!((x.saturating_sub(1)..(x + 2).min(w)).all(is_in), "{x}, {y} of {w} x {h}: {runs:?}");
+                        }
+                    }
+                }
+                let is_closed = open.is_empty();
+                prop_assert!(!is_closed || runs.is_empty());
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_closed_is_left_out() {
+        let mask = GrayImage::from_fn(320, 64, |x, y| Luma([u8::from((100..120).contains(&x) && y > 40)]));
+        let (mut tiles, mut runs, mut pyramid) = (OpenTiles::default(), Vec::new(), Pyramid::default());
+        tiles.update(&mask);
+        let level = &pyramid.build(&mask, 1.2, 1, 12)[0];
+        let seen = LevelMask { mask: &mask, tiles: &tiles, level };
+        seen.open_runs(seen.tile_rows(50), 0..320, &mut runs);
+        assert_eq!((runs.len(), &runs[0]), (1, &(93..130)));
+        seen.open_runs(seen.tile_rows(20), 0..320, &mut runs);
+        assert!(runs.is_empty());
+    }
+}
