@@ -241,7 +241,7 @@ impl BodySearch {
         let start = self.clock.start();
         for (k, candidates) in &mut found {
             candidates.truncate(TRIED.min(self.tries));
-            scene.verified[*k] = candidates.iter().find_map(|candidate| self.align_candidate(*k, scene, candidate));
+            scene.verified[*k] = self.align_best(*k, scene, candidates);
             // One whose turn did not come was not tried.
             scene.bodies[*k].is_in_vain = !candidates.is_empty() && scene.verified[*k].is_none();
         }
@@ -282,6 +282,19 @@ impl BodySearch {
         tracked.seen = seen;
         debug!(matches = own.len(), candidates = found.len(), inliers = found.first().map_or(0, |c| c.inliers));
         found
+    }
+
+    /// The first of a body's candidates that the picture agrees with once it is aligned.
+    fn align_best(&mut self, k: usize, scene: &mut Scene, candidates: &[Candidate]) -> Option<Verified> {
+        scene.bodies[k].is_seen_in_part = false;
+        for candidate in candidates {
+            let verified = self.align_candidate(k, scene, candidate);
+            // Where it is seen in part it would not be tilted the other way.
+            if verified.is_some() || scene.bodies[k].is_seen_in_part {
+                return verified;
+            }
+        }
+        None
     }
 
     /// Aligns a candidate; `None` where the picture does not agree with the result, or alignment began there before.

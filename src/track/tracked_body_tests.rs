@@ -34,3 +34,26 @@ fn what_few_frames_make_of_an_acceleration_does_not_lose_a_body() {
     // Frames enough have seen how it moves: it is not looked for elsewhere.
     assert!(!is_followed(200.0, true));
 }
+
+/// Looks for a cloth from its true pose, after some of it was covered from the right on with another picture. Whether it is given, and whether it is seen in part.
+fn is_found(covered_share: f64) -> [bool; 2] {
+    let surface = cloth(1);
+    let shutter = Shutter { readout_s: 0.0, exposure_s: 0.0 };
+    let mut body = TrackedBody::new(&BodySpec::new("prop", vec![surface.clone()]), vec![AlignSurface::new(&surface)], 0, shutter);
+    let camera = lens(160, 120);
+    let [mut picture, cover] = [1, 9].map(|seed| view(&cloth(seed), &truth(), &camera));
+    let first_covered = (160.0 * (1.0 - covered_share)) as u32;
+    picture.enumerate_pixels_mut().filter(|(x, ..)| *x >= first_covered).for_each(|(x, y, pixel)| *pixel = *cover.get_pixel(x, y));
+    let frame = Frame::new(picture, Timestamp::from_seconds(1.0), 1);
+    let mut levels = FrameLevels::default();
+    levels.update(&frame.image);
+    let found = body.align_found(&frame, &mut levels, &CameraRays::new(camera, None), &truth().inverse(), [0.01, 0.003]);
+    [found.is_some(), body.is_seen_in_part]
+}
+
+#[test]
+fn what_fits_and_is_covered_is_told_from_what_does_not_fit() {
+    assert_eq!(is_found(0.0), [true, false]);
+    assert_eq!(is_found(0.7), [false, true]);
+    assert_eq!(is_found(1.0), [false, false]);
+}
