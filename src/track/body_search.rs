@@ -286,15 +286,22 @@ impl BodySearch {
 
     /// The first of a body's candidates that the picture agrees with once it is aligned.
     fn align_best(&mut self, k: usize, scene: &mut Scene, candidates: &[Candidate]) -> Option<Verified> {
+        // Beside the stage, one that was tried in vain in the last frame is aligned from nearby in this: each candidate has its turn to begin further off, too, which takes more than half of the time.
+        let is_retried = self.is_beside && scene.bodies[k].is_in_vain;
+        let turn = self.turn;
+        let has_turn = |number: usize| turn.is_multiple_of(2) && number % TRIED_BESIDE == turn / 2 % TRIED_BESIDE;
         scene.bodies[k].is_seen_in_part = false;
-        for candidate in candidates {
-            let verified = self.align_candidate(k, scene, candidate);
+        let mut verified = None;
+        for (number, candidate) in candidates.iter().enumerate() {
+            scene.bodies[k].aligner.begin_nearby(is_retried && !has_turn(number));
+            verified = self.align_candidate(k, scene, candidate);
             // Where it is seen in part it would not be tilted the other way.
             if verified.is_some() || scene.bodies[k].is_seen_in_part {
-                return verified;
+                break;
             }
         }
-        None
+        scene.bodies[k].aligner.begin_nearby(false);
+        verified
     }
 
     /// Aligns a candidate; `None` where the picture does not agree with the result, or alignment began there before.

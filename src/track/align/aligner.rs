@@ -37,6 +37,8 @@ struct Settings {
     asks_shutter: bool,
     /// See [`Aligner::trust`].
     is_trusted: bool,
+    /// See [`Aligner::begin_nearby`].
+    begins_nearby: bool,
 }
 
 /// A frame that was aligned, and what may be asked of it until the next.
@@ -60,7 +62,7 @@ impl Aligner {
     pub fn of_surfaces(surfaces: Vec<AlignSurface>, shutter: Shutter) -> Self {
         Self {
             buffers: Buffers::with_room_for(&surfaces),
-            settings: Settings { surfaces, asks_shutter: false, is_trusted: false },
+            settings: Settings { surfaces, asks_shutter: false, is_trusted: false, begins_nearby: false },
             slow: SlowEstimates::new(shutter),
         }
     }
@@ -101,6 +103,11 @@ impl Aligner {
         self.settings.is_trusted = true;
     }
 
+    /// From now on alignment begins at the level that holds the usual start error alone, or also, where that does not fit, at the one that holds all that is uncertain.
+    pub fn begin_nearby(&mut self, is_alone: bool) {
+        self.settings.begins_nearby = is_alone;
+    }
+
     /// Takes what another body has learnt of the camera that both are seen by, where it knows that better.
     pub fn take_camera(&mut self, other: &Self) {
         self.slow.take_camera(&other.slow);
@@ -122,13 +129,14 @@ impl Aligner {
         expected: &MotionEstimate,
         since_s: Option<f64>,
     ) -> Option<Solution<'a>> {
-        let Self { settings: Settings { surfaces, asks_shutter, is_trusted }, buffers, slow } = &mut *self;
+        let Self { settings: Settings { surfaces, asks_shutter, is_trusted, begins_nearby }, buffers, slow } = &mut *self;
         let is_followed = since_s.is_some();
         // A velocity that may jump within the frame explains what a wrong readout leaves, and the shutter would be found there.
         let since_s = since_s.filter(|_| !*asks_shutter);
         let information = expected.covariance.cholesky()?.inverse();
         let mut frame = FrameProblem::new(surfaces, slow, buffers, levels, rays, expected, &information);
         frame.follows(is_followed, *is_trusted);
+        frame.begins_nearby = *begins_nearby;
         let found = frame.solve()?;
         let jumped_since_s = since_s.filter(|_| frame.is_surprising(&found));
         if let Some(since_s) = jumped_since_s {

@@ -274,3 +274,22 @@ fn a_trial_that_changes_nothing_leaves_the_solution() {
     };
     assert_eq!(found(0), found(TRIAL_FRAMES));
 }
+
+#[test]
+fn a_start_far_off_is_not_reached_from_nearby_alone() {
+    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
+    let (mut frame, rays) = (levels(1), CameraRays::new(lens(480, 360), None));
+    // Starts have been off by a fifth of a pixel so far.
+    for k in 0..20 {
+        let start = perturbed(&truth(), &(Vector6::x() * if k % 2 == 0 { 0.0015 } else { -0.0015 }));
+        accepted(&mut aligner, &mut frame, &rays, &MotionEstimate::unseen(start.inverse(), 3.4, 0.002, 0.0006));
+    }
+    // By twenty pixels.
+    let start = perturbed(&truth(), &(Vector6::x() * 0.14));
+    let mut is_found = |is_alone: bool| {
+        aligner.begin_nearby(is_alone);
+        let found = aligner.align(&mut frame, &rays, &MotionEstimate::unseen(start.inverse(), 3.4, 0.1, 0.03), None);
+        found.is_some_and(|solution| solution.alignment.pose.inverse().angle_to(&truth()) < 1e-3 && solution.alignment.is_credible(false))
+    };
+    assert!(is_found(false) && !is_found(true) && is_found(false));
+}

@@ -145,6 +145,8 @@ pub struct FrameProblem<'a> {
     is_followed: bool,
     /// Whether its pose was given before: what differs from it is in front of it, wherever it is found.
     is_trusted: bool,
+    /// See [`Aligner::begin_nearby`](super::aligner::Aligner::begin_nearby).
+    pub begins_nearby: bool,
     /// What the tiles say by the time of their rows.
     bands: RowBands,
     /// The pose's part of the last step, from where the pictures of the tiles were predicted.
@@ -190,6 +192,7 @@ impl<'a> FrameProblem<'a> {
             known,
             is_followed: false,
             is_trusted: false,
+            begins_nearby: false,
             bands,
             last_step: Vector6::zeros(),
             last_moved_px: 0.0,
@@ -237,7 +240,7 @@ impl<'a> FrameProblem<'a> {
             found = self.settle_by_what_fits();
             is_close = found.is_some_and(|f| f.scale < CLOSE_SCALE);
         }
-        if !is_close && self.begins_above(near, far) {
+        if !is_close && !self.begins_nearby && self.begins_above(near, far) {
             self.known.is_sure = self.is_followed;
             found = self.descend(far);
         }
