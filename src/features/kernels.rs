@@ -160,13 +160,19 @@ fn peak_row_blocked(rows: [&[u8]; 3], peaks: &mut [u8]) {
             let (left, right) = (lanes(here, 0), lanes(here, 2));
             let (below_left, below_here, below_right) = (lanes(below, 0), lanes(below, 1), lanes(below, 2));
             for x in 0..LANES {
-                let before = above_left[x].max(above_here[x]).max(above_right[x]).max(left[x]);
-                let after = right[x].max(below_left[x]).max(below_here[x]).max(below_right[x]);
-                block[x] = if score[x] > before && score[x] >= after { score[x] } else { 0 };
+                let before = [above_left[x], above_here[x], above_right[x], left[x]];
+                block[x] = peak(score[x], before, [right[x], below_left[x], below_here[x], below_right[x]]);
             }
         }
         peaks[first..first + LANES].copy_from_slice(&block);
     }
+}
+
+/// A score if it is the largest among its neighbours, else 0; `before` and `after` in reading order.
+#[inline(always)]
+fn peak(score: u8, before: [u8; 4], after: [u8; 4]) -> u8 {
+    let largest = |[a, b, c, d]: [u8; 4]| a.max(b).max(c).max(d);
+    if score > largest(before) && score >= largest(after) { score } else { 0 }
 }
 
 /// The plain twin of [`peak_row`].
@@ -174,11 +180,8 @@ fn peak_row_blocked(rows: [&[u8]; 3], peaks: &mut [u8]) {
 fn peak_row_plain(rows: [&[u8]; 3], peaks: &mut [u8]) {
     let n = peaks.len();
     let [above, here, below] = rows.map(|row| [&row[..n], &row[1..n + 1], &row[2..n + 2]]);
-    for (x, peak) in peaks.iter_mut().enumerate() {
-        let score = here[1][x];
-        let before = above[0][x].max(above[1][x]).max(above[2][x]).max(here[0][x]);
-        let after = here[2][x].max(below[0][x]).max(below[1][x]).max(below[2][x]);
-        *peak = if score > before && score >= after { score } else { 0 };
+    for (x, out) in peaks.iter_mut().enumerate() {
+        *out = peak(here[1][x], [above[0][x], above[1][x], above[2][x], here[0][x]], [here[2][x], below[0][x], below[1][x], below[2][x]]);
     }
 }
 
