@@ -1,0 +1,78 @@
+//! Bodies that were just found: the velocity that their blur shows.
+//!
+//! One frame does not show how a body moves, but how it is smeared. Not every body is asked; where the blur shows a velocity, the finest level is solved once more with it.
+
+use super::super::distance_m;
+use super::super::frame_levels::{FINEST, LEVELS};
+use super::super::level_problem::Expected;
+use super::super::level_spec::LevelSpec;
+use super::super::velocity_by_blur::{KnownBlur, VelocityByBlur, velocity_by_blur};
+use super::{Buffers, CLOSE_SCALE, FrameProblem, PSF_VARIANCE_SIGMA};
+
+/// Pixels that are asked for their blur. Chosen: of a body that is just found, an alignment asks six times as many. Raised, the frame that finds it takes
+/// longer; lowered, the velocity is less sure.
+const BLUR_PIXELS: usize = 1500;
+/// Residuals of a body that is blurred, over those of the level above, at least: there the blur is half as long. Of a flag that moved by 7 pixels while the shutter was open they were 1.85 times as
+/// large, of wrong poses 0.9 to 1.3 times. Raised, blurred bodies are refused where they are found; lowered, wrong poses cost more.
+const BLURRED: f64 = 1.5;
+/// Share of the tiles that take part in a pose whose blur is asked: a little more than the half that always does. Raised, strongly blurred bodies are not asked;
+/// lowered, wrong poses cost more.
+const HOPEFUL_SHARE: f64 = 0.55;
+
+impl FrameProblem<'_> {
+    /// Whether a frame of a body that was just found may be asked for the velocity that its blur shows: where rows are read one after another the pose goes with it.
+    pub(super) fn may_ask_blur(&self) -> bool {
+        !self.is_followed && !self.slow.shutter.is_global()
+    }
+
+    /// Solves the finest level once more with the velocity that its blur shows, of a body that was just found; false if it shows none. `None` where there is no
+    /// solution any more.
+    pub fn solve_with_blur(&mut self) -> Option<bool> {
+        // What stands still has none. Of a wrong pose the better half takes part, as ever, and its blur says nothing.
+        let is_global = self.slow.shutter.is_global();
+        let is_blurred = is_global && self.is_clearly_blurred()?;
+        if self.buffers.has_kept || (self.buffers.fine.open_share() < HOPEFUL_SHARE && !is_blurred) {
+            return Some(false);
+        }
+        // Where all rows are exposed together the pose does not need it. A picture that is large enough for the coarsest level is followed without, too, unless it does not fit.
+        if is_global && !is_blurred && self.has_pixels(LEVELS - 1) {
+            return Some(false);
+        }
+        let Some(by_blur) = self.velocity_by_blur() else { return Some(false) };
+        // The velocity that is expected, and the blur's, together.
+        let (mut expected, mut information) = (self.expected.motion, *self.known.information);
+        let mut of_velocity = information.fixed_view_mut::<6, 6>(6, 6);
+        let score = of_velocity.clone_owned() * expected.twist() + by_blur.score;
+        of_velocity += by_blur.information;
+        expected = expected.with_twist(&of_velocity.clone_owned().cholesky()?.solve(&score));
+        self.has_opposite = by_blur.has_opposite;
+        self.settle(by_blur.motion, &Expected { motion: &expected, information: &information, ..self.known })?;
+        Some(true)
+    }
+
+    /// Whether a body whose pose was given before does not fit because it is blurred.
+    fn is_clearly_blurred(&mut self) -> Option<bool> {
+        let scale = self.buffers.fine.solution()?.found.scale;
+        Some(self.is_trusted && scale > CLOSE_SCALE.max(BLURRED * self.scale_above))
+    }
+
+    /// The velocity that the blur of the solved frame shows.
+    fn velocity_by_blur(&mut self) -> Option<VelocityByBlur> {
+        let found = self.buffers.fine.solution()?.found;
+        let spec = self.spec(FINEST, &found.motion);
+        let estimate = self.buffers.fine.solution()?.estimate();
+        let distance_m = distance_m(self.surfaces, &found.motion.pose);
+        let spec = LevelSpec { count: BLUR_PIXELS, ..spec };
+        // The coarse levels are done with: their buffers are free.
+        let Buffers { coarse: aside, selector, light, .. } = &mut *self.buffers;
+        if !aside.lay_out(&spec, self.levels, &found.motion, selector, light) {
+            return None;
+        }
+        let known = KnownBlur {
+            exposure_sigma: self.slow.exposure_sigma(),
+            psf_variance: self.slow.psf_variance,
+            psf_variance_sigma: PSF_VARIANCE_SIGMA,
+        };
+        velocity_by_blur(aside, &spec, &estimate, distance_m, known)
+    }
+}
