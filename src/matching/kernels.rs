@@ -48,7 +48,7 @@ pub const PIECES: usize = 256;
 /// Blocks of a piece at least. Chosen: finding the least of a piece's distances in a register then takes a tenth of computing them. Raised, more is looked at twice.
 const LEAST_PIECE_BLOCKS: usize = 8;
 
-/// Blocks of a piece, of so many.
+/// How many blocks make a piece, where there are `blocks` in all.
 pub fn piece_blocks(blocks: usize) -> usize {
     blocks.div_ceil(PIECES).max(LEAST_PIECE_BLOCKS)
 }
@@ -76,7 +76,7 @@ impl LeastDistances {
 }
 
 multiversion! {
-    /// Notes the least distances to each piece of so many blocks.
+    /// Notes for each query the least distance to each piece; `piece_blocks` blocks make a piece, the last one may be shorter.
     pub fn least_distances(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut [LeastDistances; QUERIES]);
     ["avx512f" "avx512vpopcntdq"] => least_distances_avx512, else least_distances_avx2
 }
@@ -257,12 +257,16 @@ mod tests {
         ) {
             let (query, descriptors) = (Descriptor(query), all.into_iter().map(Descriptor).collect::<Vec<_>>());
             let all = packed(&descriptors);
-            let mut seen = Vec::new();
-            visit_nearer(&query, &all, bar, |k, d| {
-                seen.push((k, d));
-                if lowers { d } else { bar }
-            });
-            seen.retain(|(k, _)| *k < descriptors.len());
+            let run = |is_wide: bool| {
+                let mut seen = Vec::new();
+                let visit = |k: usize, d: u32| {
+                    seen.push((k, d));
+                    if lowers { d } else { bar }
+                };
+                if is_wide { visit_nearer(&query, &all, bar, visit) } else { visit_nearer_plain(&query, &all, bar, visit) }
+                seen.retain(|(k, _)| *k < descriptors.len());
+                seen
+            };
             let (mut expected, mut below) = (Vec::new(), bar);
             for (k, distance) in descriptors.iter().map(|d| query.distance(d)).enumerate().filter(|(_, d)| *d < bar) {
                 if distance < below {
@@ -270,8 +274,15 @@ mod tests {
                     below = if lowers { distance } else { bar };
                 }
             }
-            prop_assert_eq!(seen, expected);
+            prop_assert_eq!(run(true), expected.clone());
+            prop_assert_eq!(run(false), expected);
         }
+    }
+
+    #[test]
+    fn distance_counts_bits() {
+        assert_eq!(Descriptor([0; 4]).distance(&Descriptor([u64::MAX; 4])), 256);
+        assert_eq!(Descriptor([5, 0, 0, 0]).distance(&Descriptor([0, 0, 0, 1])), 3);
     }
 
     #[test]
