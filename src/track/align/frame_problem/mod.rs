@@ -4,6 +4,7 @@
 //! solved for in turn, from the coarsest that the start's error asks for down to the finest. Nothing that is learnt slowly changes here.
 
 mod blurred_body;
+mod descent;
 mod still_camera;
 
 use nalgebra::{Vector2, Vector6};
@@ -69,9 +70,6 @@ const BASIN_PX: f64 = 2.5;
 /// The finest level's pixels are chosen with the pose known to this, pixels of the level: seen from a pose that is off they lie beside
 /// their edges, all on one side, where every error of the point spread pulls the same way. Lowered, they are chosen anew more often.
 const CHOSEN_PX: f64 = 0.25;
-/// Search radius = `START_ERRORS` x the decaying maximum of the start error, px. Raised, levels are solved that the start does not need; lowered,
-/// more frames are solved twice.
-const START_ERRORS: f64 = 2.0;
 /// A body is looked for from further off where its residuals are larger than this, sigmas, or the share of its tiles that take part is less
 /// than `CLOSE_SHARE` of the last frame's. With residuals as large, its velocity may also have jumped. Chosen, not tuned. `CLOSE_SCALE`
 /// lowered or `CLOSE_SHARE` raised, more frames are solved twice; the other way, minima nearby are taken for the pose.
@@ -218,67 +216,6 @@ impl<'a> FrameProblem<'a> {
     fn lay_out(&mut self, spec: &LevelSpec, motion: &Motion) -> bool {
         let (problem, selector, light) = self.buffers.at_level(spec.level);
         problem.lay_out(spec, self.levels, motion, selector, light)
-    }
-
-    /// Aligns from the level whose basin holds the usual start error; where the result is not clearly right, from the one that holds all that
-    /// is uncertain.
-    fn coarse_to_fine(&mut self) -> Option<Corrected> {
-        let far = level_for(self.uncertain_px()).max(FINEST + 1);
-        let near = level_for(START_ERRORS * self.slow.start_error_px).min(far);
-        let mut found = self.descend(near);
-        let mut is_close = found.is_some_and(|f| self.is_close(&f));
-        if found.is_some() && !is_close && self.is_trusted && !self.known.is_sure && self.buffers.fine.may_be_covered() {
-            found = self.settle_by_what_fits();
-            is_close = found.is_some_and(|f| f.scale < CLOSE_SCALE);
-        }
-        if !is_close && !self.begins_nearby && self.begins_above(near, far) {
-            self.known.is_sure = self.is_followed;
-            found = self.descend(far);
-        }
-        let found = found?;
-        let spec = self.spec(FINEST, &found.motion);
-        let start_error_px = spec.moved_px(self.known.motion, &found.motion) * spec.frame_px();
-        self.lessons.start = Some((start_error_px, self.buffers.fine.open_share()));
-        self.try_enlargement(found)
-    }
-
-    /// Whether a level above `near`, up to `far`, has pixels enough: else the way down from there is the same.
-    fn begins_above(&mut self, near: usize, far: usize) -> bool {
-        (near + 1..=far).any(|level| self.has_pixels(level))
-    }
-
-    /// Whether a level has pixels enough where the body is expected.
-    fn has_pixels(&mut self, level: usize) -> bool {
-        let motion = self.known.motion;
-        let spec = self.spec(level, motion);
-        self.lay_out(&spec, motion)
-    }
-
-    /// Whether a solution from nearby is clearly right.
-    fn is_close(&self, found: &Corrected) -> bool {
-        found.scale < CLOSE_SCALE && self.buffers.fine.open_share() > CLOSE_SHARE * self.slow.open_share
-    }
-
-    /// From a level down to the finest.
-    fn descend(&mut self, from: usize) -> Option<Corrected> {
-        self.buffers.has_kept = false;
-        self.scale_above = f64::INFINITY;
-        self.buffers.light.clone_from(&self.slow.light);
-        let mut motion = *self.known.motion;
-        let mut is_first = true;
-        for level in (FINEST..=from).rev() {
-            let spec = self.spec(level, &motion);
-            if !self.lay_out(&spec, &motion) {
-                continue;
-            }
-            let found = self.iterate(&spec, motion, is_first)?;
-            if level == FINEST {
-                return found.converged;
-            }
-            self.scale_above = found.converged.map_or(f64::INFINITY, |corrected| corrected.scale);
-            (motion, is_first) = (found.motion, false);
-        }
-        None
     }
 
     /// The finest level is left when a step moved no tile by more, pixels of the level. Where its blur is asked next, the pose settles after that.
