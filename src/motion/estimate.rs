@@ -14,7 +14,7 @@ use crate::geometry::{Body, Camera, Pose};
 /// camera does as much; less would pass for knowledge of what a single frame with a rolling shutter leaves open. Raised, first poses of
 /// such cameras are less sure.
 const UNSEEN: [f64; 4] = [0.8, 1.0, 10.0, 30.0];
-const UNSEEN_DISTANCE_M: f64 = 4.0;
+pub(super) const UNSEEN_DISTANCE_M: f64 = 4.0;
 /// Tilt that a stretched picture is taken for, by the angle of the stretch over the frame. Assumed, somewhat above 1. Raised, a pose that
 /// features found binds alignment less; lowered, it pulls it where the camera moves.
 const STRETCH_TO_TILT: f64 = 1.5;

@@ -7,6 +7,7 @@
 mod estimate;
 mod history;
 mod line;
+mod object_motion;
 mod process_noise;
 mod reach;
 mod recent;

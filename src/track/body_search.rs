@@ -53,6 +53,12 @@ pub struct Scene<'a> {
 }
 
 impl Scene<'_> {
+    /// How the camera moves in the stage, for an object that is looked for beside it.
+    fn camera_motion(&self, body: usize) -> Option<MotionEstimate> {
+        let is_known = body > 0 && self.verified[0].is_some();
+        self.bodies[0].motion_at(self.frame.timestamp).filter(|_| is_known).copied()
+    }
+
     fn is_complete(&self) -> bool {
         self.verified.iter().all(Option::is_some)
     }
@@ -306,6 +312,7 @@ impl BodySearch {
 
     /// Aligns a candidate; `None` where the picture does not agree with the result, or alignment began there before.
     fn align_candidate(&mut self, k: usize, scene: &mut Scene, candidate: &Candidate) -> Option<Verified> {
+        let camera = scene.camera_motion(k);
         let tracked = &mut scene.bodies[k];
         let _span = debug_span!("align found", body = %tracked.body.name).entered();
         let start = candidate.pose.inverse();
@@ -317,11 +324,13 @@ impl BodySearch {
         self.tries = self.tries.saturating_sub(1);
         tracked.tried.push(start);
         let off = first_off(self.shutter.readout_s, tracked.aligner.distance_m(&start), candidate.off);
-        tracked.align_found(scene.frame, scene.levels, scene.rays, &start, off)
+        let expected = tracked.unseen(start, off, camera.as_ref());
+        tracked.align_found(scene.frame, scene.levels, scene.rays, &expected)
     }
 
     /// The best pose that patches verify around the candidates, aligned where that succeeds.
     fn find_by_patches(&mut self, k: usize, scene: &mut Scene, found: &[Candidate]) -> Option<Verified> {
+        let camera = scene.camera_motion(k);
         let tracked = &mut scene.bodies[k];
         let frame = scene.frame;
         let start = self.clock.start();
@@ -347,8 +356,7 @@ impl BodySearch {
         };
         let aligned = best.filter(is_new).and_then(|verified| {
             let distance = tracked.aligner.distance_m(&verified.pose);
-            let [shift, turn] = first_off(self.shutter.readout_s, distance, [0.0; 2]);
-            let first = MotionEstimate::unseen(verified.pose, distance, shift, turn);
+            let first = tracked.unseen(verified.pose, first_off(self.shutter.readout_s, distance, [0.0; 2]), camera.as_ref());
             tracked.align(frame, scene.levels, scene.rays, &first, None)
         });
         self.verify_buffers = buffers;

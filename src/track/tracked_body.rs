@@ -216,6 +216,20 @@ impl TrackedBody {
         Some(verified)
     }
 
+    /// Its motion in the frame, if it was aligned there.
+    pub fn motion_at(&self, timestamp: Timestamp) -> Option<&MotionEstimate> {
+        self.motion.as_ref().filter(|(_, then)| *then == timestamp).map(|(motion, _)| motion)
+    }
+
+    /// The pose of a body that was just found, known to so much (one sigma, metres and radians). `camera`: the camera's motion in the stage, where the body is an object and that is known.
+    pub fn unseen(&self, pose: Pose<Body, Camera>, off: [f64; 2], camera: Option<&MotionEstimate>) -> MotionEstimate {
+        let distance_m = self.aligner.distance_m(&pose);
+        match camera {
+            Some(camera) => MotionEstimate::unseen_object(pose, distance_m, off, camera),
+            None => MotionEstimate::unseen(pose, distance_m, off[0], off[1]),
+        }
+    }
+
     /// Whether what the frame shows is not clearly better explained by the surface tilted the other way.
     fn is_audited(&mut self, pose: &Pose<Camera, Body>, camera: &CameraModel) -> bool {
         self.unaudited = 0;
@@ -239,11 +253,9 @@ impl TrackedBody {
         frame: &Frame,
         levels: &mut FrameLevels,
         camera_rays: &CameraRays,
-        start: &Pose<Body, Camera>,
-        [shift_m, turn_rad]: [f64; 2],
+        expected: &MotionEstimate,
     ) -> Option<Verified> {
-        let expected = MotionEstimate::unseen(*start, self.aligner.distance_m(start), shift_m, turn_rad);
-        let verified = self.align(frame, levels, camera_rays, &expected, None)?;
+        let verified = self.align(frame, levels, camera_rays, expected, None)?;
         let margin = self.twin_margin(&verified.pose.inverse(), camera_rays.camera());
         let distance_m = self.aligner.distance_m(&verified.pose);
         let refusal =

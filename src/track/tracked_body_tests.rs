@@ -47,7 +47,8 @@ fn is_found(covered_share: f64) -> [bool; 2] {
     let frame = Frame::new(picture, Timestamp::from_seconds(1.0), 1);
     let mut levels = FrameLevels::default();
     levels.update(&frame.image);
-    let found = body.align_found(&frame, &mut levels, &CameraRays::new(camera, None), &truth().inverse(), [0.01, 0.003]);
+    let expected = body.unseen(truth().inverse(), [0.01, 0.003], None);
+    let found = body.align_found(&frame, &mut levels, &CameraRays::new(camera, None), &expected);
     [found.is_some(), body.is_seen_in_part]
 }
 

@@ -76,6 +76,8 @@ pub use verdict::{Alignment, is_sharp};
 use super::rectangle::Rectangle;
 use super::shape::ShapePoint;
 use super::surface::SurfaceSpec;
+use nalgebra::Vector3;
+
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
 
@@ -108,6 +110,12 @@ impl AlignSurface {
         self.planes = PlaneTable::of(&spec.shape, spec.size_m);
         self.rectangle = Rectangle::of(spec);
     }
+}
+
+/// Where a camera sees the centre of the nearest surface, camera axes, metres.
+fn nearest_centre(surfaces: &[AlignSurface], pose: &Pose<Body, Camera>) -> Vector3<f64> {
+    let from_camera = surfaces.iter().map(|s| s.rectangle.centre - pose.translation);
+    pose.rotation.inverse() * from_camera.min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())).unwrap_or_default()
 }
 
 /// Distance of a camera from the nearest surface's centre, metres.

@@ -8,13 +8,14 @@
 //! Blur has no slope where there is none: the first velocity is taken from the squared blur that is missing, which is linear in the second moments of the
 //! velocity; the others by steps from there.
 
-use nalgebra::{Matrix2, Matrix2x6, Matrix6, RowVector6, SMatrix, SVector, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix6, SMatrix, SVector, Vector2, Vector3, Vector6};
 
 use super::columns::POSE;
 use super::level_problem::LevelProblem;
 use super::level_problem::blur::{KnownVelocity, along_frame};
 use super::level_spec::LevelSpec;
 use crate::camera::Shutter;
+use crate::geometry::skew;
 use crate::motion::{Motion, MotionEstimate};
 
 /// Steps at most. Of clips, four are enough. Raised, what does not come to rest costs more; lowered, long blur is not reached.
@@ -48,6 +49,9 @@ const LARGEST_SQUARED: f64 = 100.0;
 /// Largest relative sigma of the exposure with which blur is asked under a rolling shutter: beyond it, the rows were aligned with the wrong blur. Raised, the very first
 /// pose may be further off than its covariance says; lowered, the first frames wait for a second one.
 const LARGEST_EXPOSURE_SIGMA: f64 = 0.3;
+/// Depth of a point over its distance, at least, where its way through the picture is computed: 78 degrees aside. Chosen beyond what lenses show. Lowered, the middle of a stage that
+/// begins behind the camera moves without bounds.
+const LEAST_DEPTH: f64 = 0.2;
 
 /// A velocity by blur.
 pub struct VelocityByBlur {
@@ -72,16 +76,16 @@ pub struct KnownBlur {
     pub psf_variance_sigma: f64,
 }
 
-/// The velocity that the blur of laid out pixels shows, where alignment found the body. `None` where it shows none, or where rows are read one after another
+/// The velocity that the blur of laid out pixels shows, where alignment found the body. `middle`: of its nearest surface, camera axes, metres. `None` where it shows none, or where rows are read one after another
 /// and do not tell in which direction.
 pub fn velocity_by_blur(
     problem: &mut LevelProblem,
     spec: &LevelSpec,
     found: &MotionEstimate,
-    distance_m: f64,
+    middle: Vector3<f64>,
     known: KnownBlur,
 ) -> Option<VelocityByBlur> {
-    let search = BlurSearch { spec, found, known, distance_m };
+    let search = BlurSearch { spec, found, known, middle };
     if spec.shutter.is_global() { search.image_velocity(problem) } else { search.velocity(problem) }
 }
 
@@ -89,7 +93,7 @@ struct BlurSearch<'a, 'b> {
     spec: &'a LevelSpec<'b>,
     found: &'a MotionEstimate,
     known: KnownBlur,
-    distance_m: f64,
+    middle: Vector3<f64>,
 }
 
 /// Where the steps begin, and what they may change.
@@ -117,27 +121,21 @@ struct BlurFit {
 impl BlurSearch<'_, '_> {
     /// Where all rows are exposed together: how fast the middle of the picture moves, and along which way. What else moves within the picture is not told well.
     fn image_velocity(&self, problem: &mut LevelProblem) -> Option<VelocityByBlur> {
-        let (motion, distance_m) = (&self.found.motion, self.distance_m);
+        let motion = &self.found.motion;
         let known = motion.twist();
         let asked = [false, false, false, true, true, false];
         let px_per_turn_rate = focal_px(self.spec) * self.spec.shutter.exposure_s;
         let of_asked = UNKNOWN_BLUR * px_per_turn_rate.powi(2);
         let information = Matrix6::from_diagonal(&Vector6::from(asked.map(|is_asked| if is_asked { of_asked } else { 1.0 })));
         let with_velocity = |velocity: &Vector6<f64>| motion.with_twist(velocity);
-        let first = known + self.first_velocity(problem)?;
+        let turn_by_velocity = turn_by_velocity(&motion.pose.rotation_matrix(), &self.middle)?;
+        let first = known + self.first_change(problem, &(turn_by_velocity * known))?;
         let fit = self.fit(problem, &BlurStart { first, known, information, asked, with_velocity: &with_velocity })?;
-        // The middle of a picture moves as by a turn of the camera, or by its way over the distance.
-        let axes = motion.pose.rotation_matrix();
-        let (right, down) = (axes.column(0) / distance_m, axes.column(1) / distance_m);
-        let turn_by_velocity = Matrix2x6::from_rows(&[
-            RowVector6::new(-down.x, -down.y, -down.z, 1.0, 0.0, 0.0),
-            RowVector6::new(right.x, right.y, right.z, 0.0, 1.0, 0.0),
-        ]);
         let by_turn = turn_by_velocity.transpose() * fit.information.fixed_view::<2, 2>(3, 3);
         Some(VelocityByBlur {
             motion: with_velocity(&fit.velocity),
             information: by_turn * turn_by_velocity,
-            score: by_turn * fit.shown.fixed_rows::<2>(3),
+            score: by_turn * (turn_by_velocity * fit.shown),
             has_opposite: true,
         })
     }
@@ -244,23 +242,35 @@ impl BlurSearch<'_, '_> {
         by_blur - along * along.transpose() * (variance / (1.0 + variance * velocity.dot(&along)))
     }
 
-    /// A velocity to begin with, by the squared blur that is missing: one of two opposite ones.
-    fn first_velocity(&self, problem: &mut LevelProblem) -> Option<Vector6<f64>> {
+    /// What to add to the velocity that is known, by the squared blur that is missing: it leads to one of two opposite velocities. `known_turn`: the turn rates across and down that move the middle
+    /// of the picture as the known velocity does.
+    fn first_change(&self, problem: &mut LevelProblem, known_turn: &Vector2<f64>) -> Option<Vector6<f64>> {
         let turn_rate = FIRST_BLUR_PX / (focal_px(self.spec) * self.spec.shutter.exposure_s);
         let spec = LevelSpec { blur_px: FIRST_BLUR_PX, ..*self.spec }.with_places();
         let known = self.known_velocity(Matrix6::identity());
         let (squared, covariance) = problem.missing_blur(&spec, &self.found.motion, turn_rate, &known)?;
-        let eigen = Matrix2::new(squared.x, squared.z, squared.z, squared.y).symmetric_eigen();
-        let longest = eigen.eigenvalues.imax();
-        let (length, along): (f64, Vector2<f64>) = (eigen.eigenvalues[longest], eigen.eigenvectors.column(longest).into_owned());
-        let by = Vector3::new(along.x * along.x, along.y * along.y, 2.0 * along.x * along.y);
-        let sigma = by.dot(&(covariance * by)).max(0.0).sqrt();
-        tracing::trace!(blur_px = FIRST_BLUR_PX * length.max(0.0).sqrt(), sigmas = length / sigma, along = ?along.as_slice(), "missing blur");
-        let turn = along_frame(&along) * (turn_rate * length.max(0.0).sqrt());
+        let missing = Matrix2::new(squared.x, squared.z, squared.z, squared.y);
         // In units of the first blur's variance.
         let systematic = LEAST_BLUR_ERRORS * BLUR_ERROR_PX2 / (FIRST_BLUR_PX * FIRST_BLUR_PX / 12.0);
-        let least = systematic.max(LEAST_SIGMAS * sigma);
-        (length > least).then(|| Vector6::new(0.0, 0.0, 0.0, turn.x, turn.y, turn.z))
+        // Whether squared blur along its longest axis is beyond doubt.
+        let telling = |moments: &Matrix2<f64>| {
+            let (length, along) = longest_axis(moments);
+            let by = Vector3::new(along.x * along.x, along.y * along.y, 2.0 * along.x * along.y);
+            let sigma = by.dot(&(covariance * by)).max(0.0).sqrt();
+            tracing::trace!(blur_px = FIRST_BLUR_PX * length.max(0.0).sqrt(), sigmas = length / sigma, along = ?along.as_slice(), "missing blur");
+            length > systematic.max(LEAST_SIGMAS * sigma)
+        };
+        // The known velocity blurs the prediction already: second moments of all of the blur are its own and what is missing. A body that moves along with the camera has less.
+        let known_way = Vector2::new(-known_turn.y, known_turn.x) / turn_rate;
+        let may_be_shorter = known_way.norm_squared() > systematic;
+        if !(telling(&missing) || may_be_shorter && telling(&-missing)) {
+            return None;
+        }
+        let (squared_way, along) = longest_axis(&(missing + known_way * known_way.transpose()));
+        let way = along * squared_way.max(0.0).sqrt();
+        let nearer = if way.dot(&known_way) < 0.0 { -way } else { way };
+        let turn = along_frame(&(nearer - known_way)) * turn_rate;
+        Some(Vector6::new(0.0, 0.0, 0.0, turn.x, turn.y, turn.z))
     }
 
     /// What is known beside a velocity with this information.
@@ -268,6 +278,25 @@ impl BlurSearch<'_, '_> {
         let KnownBlur { psf_variance, psf_variance_sigma, .. } = self.known;
         KnownVelocity { information, psf_variance, psf_variance_sigma }
     }
+}
+
+/// The largest eigenvalue and its eigenvector.
+fn longest_axis(moments: &Matrix2<f64>) -> (f64, Vector2<f64>) {
+    let eigen = moments.symmetric_eigen();
+    let longest = eigen.eigenvalues.imax();
+    (eigen.eigenvalues[longest], eigen.eigenvectors.column(longest).into_owned())
+}
+
+/// The turn rates across and down the frame that move a point as a velocity [v, ω] does, which is a way of the camera as well as a turn. `rotation`: from camera to body axes; `point`: in
+/// camera axes, metres. A point far aside is taken for one before the camera.
+fn turn_by_velocity(rotation: &Matrix3<f64>, point: &Vector3<f64>) -> Option<Matrix2x6<f64>> {
+    let distance_m = point.norm();
+    let point = if point.z > LEAST_DEPTH * distance_m { *point } else { Vector3::z() * distance_m };
+    let in_frame = Matrix2x3::new(1.0, 0.0, -point.x / point.z, 0.0, 1.0, -point.y / point.z) / point.z;
+    let mut by_velocity = Matrix2x6::zeros();
+    by_velocity.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-in_frame * rotation.transpose()));
+    by_velocity.fixed_view_mut::<2, 3>(0, 3).copy_from(&(in_frame * skew(&point)));
+    Some(by_velocity.fixed_view::<2, 2>(0, 3).into_owned().try_inverse()? * by_velocity)
 }
 
 /// Focal length, pixels of the level.

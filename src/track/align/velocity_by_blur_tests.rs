@@ -1,10 +1,11 @@
 use image::GrayImage;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Vector2, Vector3, Vector6};
 
 use super::super::frame_levels::FrameLevels;
 use super::super::{Aligner, Alignment, CameraRays};
+use super::turn_by_velocity;
 use crate::camera::Shutter;
-use crate::motion::{Motion, MotionEstimate};
+use crate::motion::{Motion, MotionEstimate, MotionMatrix};
 use crate::track::synthetic::{cloth, facing, lens, prepared, view};
 
 const SIZE: [u32; 2] = [480, 360];
@@ -44,11 +45,15 @@ fn blurred(motion: &Motion, shutter: &Shutter) -> GrayImage {
 
 /// Aligns a frame from the true pose, with nothing known of the motion. `exposure_s`: what the aligner takes for the exposure.
 fn found(frame: &GrayImage, truth: &Motion, shutter: &Shutter, exposure_s: f64) -> Alignment {
+    let expected = MotionEstimate::unseen(truth.pose, truth.pose.translation.norm(), 0.02, 0.006);
+    found_from(frame, &expected, shutter, exposure_s)
+}
+
+fn found_from(frame: &GrayImage, expected: &MotionEstimate, shutter: &Shutter, exposure_s: f64) -> Alignment {
     let mut levels = FrameLevels::default();
     levels.update(frame);
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { exposure_s, ..*shutter });
-    let expected = MotionEstimate::unseen(truth.pose, truth.pose.translation.norm(), 0.02, 0.006);
-    aligner.align(&mut levels, &CameraRays::new(lens(SIZE[0], SIZE[1]), None), &expected, None).expect("the picture agrees").alignment
+    aligner.align(&mut levels, &CameraRays::new(lens(SIZE[0], SIZE[1]), None), expected, None).expect("the picture agrees").alignment
 }
 
 /// How fast the middle of the picture moves, rad/s: across and down the frame.
@@ -72,6 +77,50 @@ fn blur_tells_how_fast_a_picture_moves_and_along_which_way_but_not_in_which_dire
         assert!(!found(&blurred(&large, &GLOBAL), &large, &GLOBAL, GLOBAL.exposure_s).has_opposite);
         assert!(!found(&frame, &truth, &GLOBAL, 1e-6).has_opposite);
     }
+}
+
+/// A camera that turns sees an object that is carried: its blur is of both, shorter than that of the camera alone or longer.
+#[test]
+fn a_known_motion_of_the_camera_is_a_part_of_the_blur() {
+    for (velocity, turn_rate) in [([6.0, 0.5, 0.0], [0.2, -0.7, 0.0]), ([-6.0, 1.5, 0.0], [0.1, -0.4, 0.1])] {
+        let truth = motion(FAR_M, velocity, turn_rate);
+        // Told in the axes of a stage that lies as the cloth does.
+        let camera = MotionEstimate {
+            motion: Motion { turn_rate: truth.turn_rate, ..Motion::still(truth.pose) },
+            covariance: MotionMatrix::identity() * 1e-6,
+        };
+        let expected = MotionEstimate::unseen_object(truth.pose, FAR_M, [0.02, 0.006], &camera);
+        let seen = found_from(&blurred(&truth, &GLOBAL), &expected, &GLOBAL, GLOBAL.exposure_s).estimate.motion;
+        let [is, should] = [image_velocity(&seen), image_velocity(&truth)];
+        let off = (is - should).norm().min((is + should).norm()) / should.norm();
+        println!("{is} {should}, off by {off:.3}; turns {}", seen.turn_rate);
+        assert!(off < 0.2, "{is} {should}");
+    }
+}
+
+#[test]
+fn a_turn_and_a_velocity_that_move_a_point_alike_are_one() {
+    let pose = motion(NEAR_M, [0.0; 3], [0.0; 3]).pose;
+    for point in [Vector3::new(0.1, -0.2, 3.0), Vector3::new(-1.8, 0.4, 2.5)] {
+        let turns = turn_by_velocity(&pose.rotation_matrix(), &point).expect("before the camera");
+        let in_frame = |motion: &Motion, dt_s: f64| {
+            let seen = motion.after(dt_s).pose.inverse().transform(&motion.pose.transform(&point.into()));
+            Vector2::new(seen.x / seen.z, seen.y / seen.z)
+        };
+        let twist = Vector6::new(0.5, -0.3, 0.7, 0.2, -0.4, 0.3);
+        let turn = turns * twist;
+        let speed = |twist: &Vector6<f64>| {
+            let moving = Motion::still(pose).with_twist(twist);
+            (in_frame(&moving, 1e-5) - in_frame(&moving, -1e-5)) / 2e-5
+        };
+        let [by_both, by_turn] = [twist, Vector6::new(0.0, 0.0, 0.0, turn.x, turn.y, 0.0)].map(|twist| speed(&twist));
+        assert!((by_both - by_turn).norm() < 1e-6, "{by_both} {by_turn}");
+    }
+    // Far aside it is taken for one straight ahead.
+    assert_eq!(
+        turn_by_velocity(&pose.rotation_matrix(), &Vector3::new(2.0, 0.0, -1.0)),
+        turn_by_velocity(&pose.rotation_matrix(), &(Vector3::z() * 5f64.sqrt()))
+    );
 }
 
 #[test]

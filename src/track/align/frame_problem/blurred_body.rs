@@ -2,10 +2,10 @@
 //!
 //! One frame does not show how a body moves, but how it is smeared. Not every body is asked; where the blur shows a velocity, the finest level is solved once more with it.
 
-use super::super::distance_m;
 use super::super::frame_levels::{FINEST, LEVELS};
 use super::super::level_problem::Expected;
 use super::super::level_spec::LevelSpec;
+use super::super::nearest_centre;
 use super::super::velocity_by_blur::{KnownBlur, VelocityByBlur, velocity_by_blur};
 use super::{Buffers, CLOSE_SCALE, FrameProblem, PSF_VARIANCE_SIGMA};
 
@@ -61,7 +61,7 @@ impl FrameProblem<'_> {
         let found = self.buffers.fine.solution()?.found;
         let spec = self.spec(FINEST, &found.motion);
         let estimate = self.buffers.fine.solution()?.estimate();
-        let distance_m = distance_m(self.surfaces, &found.motion.pose);
+        let middle = nearest_centre(self.surfaces, &found.motion.pose);
         let spec = LevelSpec { count: BLUR_PIXELS, ..spec };
         // The coarse levels are done with: their buffers are free.
         let Buffers { coarse: aside, selector, light, .. } = &mut *self.buffers;
@@ -73,6 +73,6 @@ impl FrameProblem<'_> {
             psf_variance: self.slow.psf_variance,
             psf_variance_sigma: PSF_VARIANCE_SIGMA,
         };
-        velocity_by_blur(aside, &spec, &estimate, distance_m, known)
+        velocity_by_blur(aside, &spec, &estimate, middle, known)
     }
 }
