@@ -39,7 +39,7 @@ impl FrameProblem<'_> {
             found = self.settle_by_what_fits();
             is_close = found.is_some_and(|f| f.scale < CLOSE_SCALE);
         }
-        if !is_close && !self.begins_nearby && self.begins_above(near, far) {
+        if !is_close && !self.begins_nearby && !self.wanders && self.begins_above(near, far) {
             found = self.descend_from_far(far, found, coarsest);
         }
         let found = found?;
