@@ -222,9 +222,11 @@ impl TrackedBody {
     }
 
     /// The pose of a body that was just found, known to so much (one sigma, metres and radians). `camera`: the camera's motion in the stage, where the body is an object and that is known.
+    ///
+    /// Where rows are read one after another it is not asked: rows tell the way through the picture, and objects that may come nearer at any speed would leave every tilt open, which looks the same.
     pub fn unseen(&self, pose: Pose<Body, Camera>, off: [f64; 2], camera: Option<&MotionEstimate>) -> MotionEstimate {
         let distance_m = self.aligner.distance_m(&pose);
-        match camera {
+        match camera.filter(|_| self.aligner.is_global()) {
             Some(camera) => MotionEstimate::unseen_object(pose, distance_m, off, camera),
             None => MotionEstimate::unseen(pose, distance_m, off[0], off[1]),
         }
