@@ -10,10 +10,9 @@ use super::estimate::{MotionEstimate, UNSEEN_DISTANCE_M};
 use super::state::Motion;
 use crate::geometry::{Body, Camera, Pose, skew};
 
-/// What may be expected of an object's own motion in the stage, one sigma: m/s at `UNSEEN_DISTANCE_M`, rad/s, m/s² there, rad/s². The speed
-/// moves it through the picture as a camera does that turns by 1 rad/s: somebody runs with it. With half of that, the blur of a flag that
-/// is carried at 2.7 m/s was believed by a fifth too little, and the second frame lost it. Raised, little changes; lowered, what moves
-/// quickly is expected where it no longer is.
+/// One sigma of an object's own motion in the stage before it was seen to move: speed in m/s at `UNSEEN_DISTANCE_M`, turn rate in rad/s, and
+/// the accelerations of both in m/s² there and rad/s². Chosen: at this speed an object crosses the picture as fast as if the camera turned by
+/// 1 rad/s. Raised, first poses are less sure; lowered, quick objects are lost in the second frame.
 const OWN: [f64; 4] = [4.0, 1.0, 10.0, 30.0];
 
 impl MotionEstimate {

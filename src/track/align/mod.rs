@@ -112,15 +112,20 @@ impl AlignSurface {
     }
 }
 
+/// From a camera to the centre of the nearest surface, body axes, metres.
+fn way_to_nearest(surfaces: &[AlignSurface], pose: &Pose<Body, Camera>) -> Option<Vector3<f64>> {
+    let ways = surfaces.iter().map(|s| s.rectangle.centre - pose.translation);
+    ways.min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()))
+}
+
 /// Where a camera sees the centre of the nearest surface, camera axes, metres.
 fn nearest_centre(surfaces: &[AlignSurface], pose: &Pose<Body, Camera>) -> Vector3<f64> {
-    let from_camera = surfaces.iter().map(|s| s.rectangle.centre - pose.translation);
-    pose.rotation.inverse() * from_camera.min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())).unwrap_or_default()
+    pose.rotation.inverse() * way_to_nearest(surfaces, pose).unwrap_or_default()
 }
 
 /// Distance of a camera from the nearest surface's centre, metres.
 fn distance_m(surfaces: &[AlignSurface], pose: &Pose<Body, Camera>) -> f64 {
-    surfaces.iter().map(|s| (s.rectangle.centre - pose.translation).norm()).fold(f64::INFINITY, f64::min).max(1e-3)
+    way_to_nearest(surfaces, pose).map_or(f64::INFINITY, |way| way.norm()).max(1e-3)
 }
 
 /// The camera's part of alignment, shared by all bodies.

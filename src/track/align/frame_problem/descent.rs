@@ -5,7 +5,7 @@
 
 use super::super::frame_levels::FINEST;
 use super::super::level_problem::Corrected;
-use super::{Buffers, CLOSE_SCALE, CLOSE_SHARE, FrameProblem, level_for};
+use super::{CLOSE_SCALE, CLOSE_SHARE, FrameProblem, level_for};
 use crate::motion::Motion;
 
 /// Search radius = `START_ERRORS` x the decaying maximum of the start error, px. Raised, levels are solved that the start does not need; lowered,
@@ -66,25 +66,23 @@ impl FrameProblem<'_> {
         found.scale < CLOSE_SCALE && self.buffers.fine.open_share() > CLOSE_SHARE * self.slow.open_share
     }
 
-    /// From the level that holds all that is uncertain down to the finest, or to where it meets the way down from nearby, which then is as good as it was. `nearby` and `met`: what that way
-    /// found in the end, and its coarsest level.
+    /// Descends from the level that holds all that is uncertain. Where this descent meets the one from nearby, that one's solution stands. `nearby` and `met`: what that one found in the end,
+    /// and its coarsest level with the motion found there.
     fn descend_from_far(&mut self, far: usize, nearby: Option<Corrected>, met: Option<(usize, Motion)>) -> Option<Corrected> {
         let Self { last_step, last_moved_px, scale_above, .. } = *self;
         let is_sure = std::mem::replace(&mut self.known.is_sure, self.is_followed);
-        let Buffers { light, trial_light, .. } = &mut *self.buffers;
-        trial_light.clone_from(light);
+        self.buffers.trial_light.clone_from(&self.buffers.light);
         let Descent { found, has_met, .. } = self.descend(far, met);
         if !has_met {
             return found;
         }
         // The coarse levels left the finest as it was.
         (self.last_step, self.last_moved_px, self.scale_above, self.known.is_sure) = (last_step, last_moved_px, scale_above, is_sure);
-        let Buffers { light, trial_light, .. } = &mut *self.buffers;
-        light.clone_from(trial_light);
+        self.buffers.light.clone_from(&self.buffers.trial_light);
         nearby
     }
 
-    /// From a level down to the finest, or to where it meets another way, of which a level and the motion found there are told.
+    /// Solves each level in turn, from a coarse one down to the finest. `other`: a level that another descent solved, and the motion that it found there; where this one comes to the same motion, it stops.
     fn descend(&mut self, from: usize, other: Option<(usize, Motion)>) -> Descent {
         self.buffers.has_kept = false;
         self.scale_above = f64::INFINITY;
@@ -123,6 +121,7 @@ mod tests {
     use super::super::super::frame_levels::FrameLevels;
     use super::super::super::slow_estimates::SlowEstimates;
     use super::super::super::{AlignSurface, CameraRays};
+    use super::super::Buffers;
     use super::*;
     use crate::camera::Shutter;
     use crate::geometry::resection::perturbed;

@@ -1,5 +1,7 @@
 //! What is known of one body: its pictures, its lock, its motion, and the last verified pose with the anchors that it rests on.
 
+mod expected;
+
 use nalgebra::{Matrix6, Vector2, Vector3};
 use tracing::debug;
 
@@ -16,24 +18,18 @@ use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surf
 use super::reason::Reason;
 use super::reference::PreparedBody;
 use super::row_motion::RowMotion;
-use super::search_windows::Extent;
 use super::shape_doubt::ShapeDoubt;
 use super::surface::BodySpec;
 use super::tile_residuals::TileResiduals;
 use super::track_state::TrackStateMachine;
-use super::unexplained_cells::MARGIN_PX;
 use super::verify::{Refusal, Verified, VerifyBuffers, View, judged_noise, search_silent, verify};
 use crate::camera::{CameraModel, Normalized, Shutter};
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::covariance::covariance_of_inverse;
-use crate::geometry::resection::{MovingCamera, Observation, SquaredResiduals, Twist, perturbed};
+use crate::geometry::resection::{MovingCamera, Observation, SquaredResiduals, Twist};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{MotionEstimate, ProcessNoise};
 
-/// Verified poses further apart tell nothing of the motion within a frame, seconds; those of two frames in a row do, however slow the
-/// camera. Chosen: two frames at 30 a second. Raised, a motion that has changed is taken for this frame's; lowered, a dropped frame leaves
-/// it unknown.
-const LONGEST_MOTION_GAP_S: f64 = 0.07;
 /// An aligned body is followed over gaps up to this, seconds, and always to the next frame. Chosen: three frames at 30 a second. Raised,
 /// alignment begins from starts beyond its basin, in vain; lowered, a dropped frame costs a search by features.
 const LONGEST_FOLLOWED_GAP_S: f64 = 0.1;
@@ -41,9 +37,6 @@ const LONGEST_FOLLOWED_GAP_S: f64 = 0.1;
 /// not tuned. Raised, alignment begins at coarser levels than it needs; lowered, such a pose pulls the aligned one.
 pub const FIRST_SHIFT: f64 = 0.003;
 pub const FIRST_TURN: f64 = 0.003;
-/// For so long after a body was last seen, seconds, that place is searched first. Chosen: what was covered for a moment, or found just now, is still there. Raised,
-/// bodies that went away keep others waiting; lowered, one that was found in one frame may not be found in the next, which has to confirm it.
-const LAST_SEEN_FOR_S: f64 = 0.5;
 /// Residuals of an alignment that fits, sigmas: those of noise are 1. Chosen, not tuned: of bodies that were seen in part they were 0.9 to 1.2, of those tilted the wrong way 1.9 to 6. Raised, the right
 /// one of two planar poses may not be tried; lowered, the wrong one costs several followed bodies.
 const FITTING_SCALE: f64 = 1.5;
@@ -216,22 +209,6 @@ impl TrackedBody {
         Some(verified)
     }
 
-    /// Its motion in the frame, if it was aligned there.
-    pub fn motion_at(&self, timestamp: Timestamp) -> Option<&MotionEstimate> {
-        self.motion.as_ref().filter(|(_, then)| *then == timestamp).map(|(motion, _)| motion)
-    }
-
-    /// The pose of a body that was just found, known to so much (one sigma, metres and radians). `camera`: the camera's motion in the stage, where the body is an object and that is known.
-    ///
-    /// Where rows are read one after another it is not asked: rows tell the way through the picture, and objects that may come nearer at any speed would leave every tilt open, which looks the same.
-    pub fn unseen(&self, pose: Pose<Body, Camera>, off: [f64; 2], camera: Option<&MotionEstimate>) -> MotionEstimate {
-        let distance_m = self.aligner.distance_m(&pose);
-        match camera.filter(|_| self.aligner.is_global()) {
-            Some(camera) => MotionEstimate::unseen_object(pose, distance_m, off, camera),
-            None => MotionEstimate::unseen(pose, distance_m, off[0], off[1]),
-        }
-    }
-
     /// Whether what the frame shows is not clearly better explained by the surface tilted the other way.
     fn is_audited(&mut self, pose: &Pose<Camera, Body>, camera: &CameraModel) -> bool {
         self.unaudited = 0;
@@ -380,7 +357,7 @@ impl TrackedBody {
         rivals.iter().any(|aside| {
             let start = Pose::new(found.pose.rotation, found.pose.translation + aside);
             let distance_m = self.aligner.distance_m(&start);
-            let unseen = MotionEstimate::unseen(start, distance_m, FIRST_SHIFT * distance_m, FIRST_TURN);
+            let unseen = self.unseen(start, [FIRST_SHIFT * distance_m, FIRST_TURN], None);
             let expected = MotionEstimate { motion: unseen.motion.with_twist(&found.estimate.motion.twist()), ..unseen };
             let Some(solution) = self.aligner.align(levels, camera_rays, &expected, None) else { return false };
             let rival = solution.alignment;
@@ -549,56 +526,6 @@ impl TrackedBody {
             }
         }
         best
-    }
-
-    /// Remembers a verified pose for the motion of the next frame.
-    pub fn remember(&mut self, timestamp: Timestamp, t_body_camera: &Pose<Body, Camera>) {
-        let pose = t_body_camera.inverse();
-        let twist = self.before_at(timestamp).map(|(before, dt_s, _)| Twist::between(&before, &pose, dt_s));
-        self.before = Some((pose, timestamp, twist));
-    }
-
-    /// Whether its motion is known: it was verified in two frames in a row before it was lost.
-    pub fn has_motion(&self) -> bool {
-        self.before.is_some_and(|(_, _, twist)| twist.is_some())
-    }
-
-    /// Where the body should be at a stamp, carried on from the last verified poses.
-    pub fn predicted(&self, timestamp: Timestamp) -> Option<Pose<Camera, Body>> {
-        let (before, dt_s, twist) = self.before_at(timestamp)?;
-        Some(twist.map_or(before, |twist| perturbed(&before, &(twist.0 * dt_s))))
-    }
-
-    /// The part of the frame that has it in it where it was last seen, if that is not long ago, and where it should be by now; `None` if that lies beyond the frame.
-    pub fn expected_place(&self, timestamp: Timestamp, camera: &CameraModel) -> Option<Extent> {
-        let (last, then, twist) = self.before?;
-        let dt_s = timestamp.seconds_since(then);
-        if dt_s > LAST_SEEN_FOR_S {
-            return None;
-        }
-        let by_now = twist.map(|twist| perturbed(&last, &(twist.0 * dt_s)));
-        let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
-        for pose in std::iter::once(last).chain(by_now) {
-            for rectangle in self.body.surfaces.iter().map(|s| &s.rectangle) {
-                for (x, y) in [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)] {
-                    let corner = [x * rectangle.size_m[0], y * rectangle.size_m[1]];
-                    // From behind its face as well: a box has it on its other side.
-                    let Some(seen) = rectangle.see(&pose.inverse(), camera, corner, f64::NEG_INFINITY) else { continue };
-                    (low, high) = (low.inf(&seen.pixel), high.sup(&seen.pixel));
-                }
-            }
-        }
-        let size = [camera.width(), camera.height()];
-        let from = [0, 1].map(|k| (low[k] - f64::from(MARGIN_PX)).clamp(0.0, f64::from(size[k])) as u32);
-        let to = [0, 1].map(|k| (high[k] + f64::from(MARGIN_PX)).clamp(0.0, f64::from(size[k])) as u32);
-        (0..2).all(|k| from[k] < to[k]).then_some([from, to])
-    }
-
-    /// The last verified pose as seen from a stamp, if it is recent enough to tell of motion.
-    pub fn before_at(&self, timestamp: Timestamp) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
-        let (pose, then, twist) = self.before?;
-        let dt_s = timestamp.seconds_since(then);
-        (dt_s > 1e-4 && dt_s <= LONGEST_MOTION_GAP_S.max(self.to_next_s)).then_some((pose, dt_s, twist))
     }
 }
 
