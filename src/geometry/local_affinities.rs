@@ -26,6 +26,9 @@ const TRIED: usize = 100;
 /// this many sigmas. Raised, wrong ones agree by chance; lowered, right ones do not.
 const NEAR_SHARE: f64 = 0.3;
 const NEAR_SIGMAS: f64 = 4.0;
+/// How near the shifts of two matches must be: this share of the distance between them, as the plane may be turned and seen larger than expected. Raised, wrong ones agree by chance; lowered, right ones of a plane that has
+/// turned do not.
+const SHIFT_SHARE: f64 = 0.06;
 /// Matches that agree see the plane turned alike, radians, and by this factor as large. Raised, wrong ones agree by chance; lowered, right ones of tilted planes do not.
 const LARGEST_TURN: f64 = 0.6;
 const LARGEST_GROWTH: f64 = 2.0;
@@ -46,6 +49,28 @@ pub fn robust_affine(matches: &[LocalAffinity], least: usize) -> Option<(Homogra
     let settled = first.into_iter().take(FITTED).filter_map(|agreeing| settled(matches, agreeing, least));
     // Of equal ones the first.
     settled.reduce(|best, next| if next.1.len() > best.1.len() { next } else { best })
+}
+
+/// How far the matches are off where they were expected: a mean over those that agree, and the indices of these, ascending, at most one a place; `None` where fewer than `least` do. `pair.from`: where
+/// each was expected, `derivative`: of where it is by that. `furthest`: matches further off take no part.
+///
+/// Where the plane is known but for its place, a few matches tell it: by chance hardly any is nearby and turned alike, and no two of these are off by the same.
+pub fn robust_shift(matches: &[LocalAffinity], furthest: f64, least: usize) -> Option<(Vector2<f64>, Vec<usize>)> {
+    let shift = |m: &LocalAffinity| m.pair.to - m.pair.from;
+    let near: Vec<usize> =
+        (0..matches.len()).filter(|&k| shift(&matches[k]).norm() < furthest && is_alike(&matches[k].derivative)).collect();
+    let agreeing_with = |one: &LocalAffinity| {
+        let agrees = |m: &LocalAffinity| {
+            let apart = SHIFT_SHARE * (m.pair.from - one.pair.from).norm() + NEAR_SIGMAS * m.noise.max(one.noise);
+            (shift(m) - shift(one)).norm() < apart
+        };
+        distinct(matches, near.iter().copied().filter(|&k| agrees(&matches[k])))
+    };
+    // Of equal ones the first.
+    let agreeing =
+        near.iter().map(|&k| agreeing_with(&matches[k])).reduce(|best, next| if next.len() > best.len() { next } else { best })?;
+    let mean = agreeing.iter().map(|&k| shift(&matches[k])).sum::<Vector2<f64>>() / agreeing.len() as f64;
+    (agreeing.len() >= least).then_some((mean, agreeing))
 }
 
 /// Fits what agrees and looks for what agrees with that, by turns.
@@ -245,5 +270,27 @@ mod tests {
         matches.iter_mut().for_each(|m| m.derivative = Matrix2::zeros());
         assert_eq!(robust_affine(&matches, 5), None);
         assert_eq!(robust_affine(&[], 0), None);
+    }
+
+    #[test]
+    fn the_shift_that_most_agree_with_is_found_among_wrong_ones() {
+        for seed in 0..20 {
+            let mut scatter = Scatter::new(seed);
+            let shift = Vector2::new(25.0, -12.0);
+            let mut off = |shift: Vector2<f64>, turn: f64| {
+                let from = scatter.point(400.0);
+                LocalAffinity { pair: PointPair { from, to: from + shift }, derivative: Rotation2::new(turn).into(), noise: 1.0 }
+            };
+            // Four are right; some are off by as much but turned, and the others anywhere.
+            let mut matches: Vec<LocalAffinity> = (0..4).map(|k| off(shift + Vector2::new(f64::from(k), 0.0), 0.2)).collect();
+            matches.extend((0..6).map(|_| off(shift, 1.5)));
+            matches.extend((0..30).map(|k| off(Rotation2::new(2.4 * f64::from(k)) * Vector2::new(20.0 + 12.0 * f64::from(k), 0.0), 0.1)));
+            let (found, agreeing) = robust_shift(&matches, 50.0, 3).expect("a shift");
+            assert!(agreeing[..4] == [0, 1, 2, 3] && agreeing.len() <= 5, "{seed}: {agreeing:?}");
+            assert!((found - shift).norm() < 5.0, "{seed}: {found}");
+            assert_eq!(robust_shift(&matches, 10.0, 3), None);
+            assert_eq!(robust_shift(&matches, 50.0, 8), None);
+        }
+        assert_eq!(robust_shift(&[], 50.0, 0), None);
     }
 }

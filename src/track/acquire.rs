@@ -69,14 +69,14 @@ const LEAST_INLIERS: usize = 8;
 const LEAST_AFFINE_INLIERS: usize = 5;
 /// Matches that speak for a pose without doubt: then affine maps are not asked. Chosen, not tuned. Raised, bodies that are seen well cost more; lowered, a homography through wrong matches is the
 /// only one tried.
-const FEW_INLIERS: usize = 20;
+pub const FEW_INLIERS: usize = 20;
 /// Candidates at most: both planar poses of a homography, and of an affine map. Raised, wrong ones cost more.
 const MOST_CANDIDATES: usize = 4;
 /// Where the affine map of a surface is looked at to tell its planar poses, pixels of a match's level from it. The map is the same everywhere; as near as this, a plane has no perspective.
 const AFFINE_REACH_PX: f64 = 10.0;
 /// Noise of a feature's position, pixels of the level it was found on, one sigma. A round figure. Raised, wrong matches come within reach
 /// of a pose; lowered, right ones of a start that is a little off do not.
-const FEATURE_NOISE_PX: f64 = 1.0;
+pub const FEATURE_NOISE_PX: f64 = 1.0;
 /// How near a match must be to enter the refinement of a pose, sigmas: first by the start, then by the refined pose. Without, no candidate
 /// survived 160 wrong matches beside 80 right ones. Raised, wrong matches pull the pose; lowered, right ones of other surfaces are left
 /// out.
@@ -228,7 +228,8 @@ fn truncated_cost(pose: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>,
     observations.iter().map(|o| squared(o).min(LARGEST_SQUARED)).sum()
 }
 
-fn nearly_same(a: &Pose<Camera, Body>, b: &Pose<Camera, Body>) -> bool {
+/// Whether one of two candidates is enough: they are within a hundredth of the distance and half a degree.
+pub fn nearly_same(a: &Pose<Camera, Body>, b: &Pose<Camera, Body>) -> bool {
     a.angle_to(b) < 0.01 && (a.translation - b.translation).norm() < 0.01 * a.translation.norm()
 }
 

@@ -8,8 +8,9 @@
 use image::GrayImage;
 use tracing::{debug, debug_span};
 
-use super::acquire::{Candidate, SurfaceMatch, SurfaceView, add_candidates_of_few, candidates, surface_view};
+use super::acquire::{Candidate, FEW_INLIERS, SurfaceMatch, SurfaceView, add_candidates_of_few, candidates, nearly_same, surface_view};
 use super::align::{CameraRays, FrameLevels};
+use super::expected_candidate::expected_candidate;
 use super::feature_search::{FeatureSearch, Look};
 use super::frame_look::FrameLook;
 use super::misfit::ModelNews;
@@ -23,7 +24,7 @@ use super::verify::{Verified, VerifyBuffers, View};
 use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::features::Workers;
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MotionEstimate;
 
@@ -238,7 +239,8 @@ impl BodySearch {
     fn find_all_of(&mut self, order: impl Iterator<Item = usize>, scene: &mut Scene, is_last: bool) {
         let start = self.clock.start();
         let missing = order.filter(|&k| scene.verified[k].is_none());
-        let mut found: Vec<(usize, Vec<Candidate>)> = missing.map(|k| (k, self.candidates(&mut scene.bodies[k], is_last))).collect();
+        let mut found: Vec<(usize, Vec<Candidate>)> =
+            missing.map(|k| (k, self.candidates(&mut scene.bodies[k], scene.frame.timestamp, is_last))).collect();
         found.sort_by_key(|(k, candidates)| {
             let support = candidates.iter().map(|candidate| candidate.inliers).max();
             (scene.bodies[*k].is_in_vain, std::cmp::Reverse(support))
@@ -277,13 +279,17 @@ impl BodySearch {
     }
 
     /// Where the frame's matches put a body.
-    fn candidates(&self, tracked: &mut TrackedBody, is_last: bool) -> Vec<Candidate> {
+    fn candidates(&self, tracked: &mut TrackedBody, timestamp: Timestamp, is_last: bool) -> Vec<Candidate> {
         let _span = debug_span!("acquire", body = %tracked.body.name).entered();
         let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
         let (mut found, seen) = candidates(&tracked.body, &own, &self.camera, self.seed);
         // Of a picture that repeats itself a handful of wrong matches agree with each other.
         if is_last && !tracked.repeats() {
             add_candidates_of_few(&tracked.body, &own, &self.camera, &mut found);
+            if found.iter().all(|candidate| candidate.inliers < FEW_INLIERS) {
+                let expected = expected_candidate(&tracked.body, &own, &self.camera, tracked.expected_poses(timestamp));
+                expected.into_iter().for_each(|candidate| put_first(&mut found, candidate));
+            }
         }
         tracked.seen = seen;
         debug!(matches = own.len(), candidates = found.len(), inliers = found.first().map_or(0, |c| c.inliers));
@@ -430,6 +436,12 @@ impl BodySearch {
     fn views(&self, own: &[SurfaceMatch], tracked: &TrackedBody) -> Vec<SurfaceView> {
         (0..tracked.surfaces.len() as u32).filter_map(|k| surface_view(k, own, &self.camera, self.seed)).collect()
     }
+}
+
+/// Puts a candidate first, in place of those that are nearly the same.
+fn put_first(found: &mut Vec<Candidate>, candidate: Candidate) {
+    found.retain(|other| !nearly_same(&other.pose, &candidate.pose));
+    found.insert(0, candidate);
 }
 
 /// How far off a pose that features found may be, one sigma, metres and radians; `noise`: what their noise leaves open.

@@ -55,16 +55,19 @@ impl TrackedBody {
         Some(twist.map_or(before, |twist| perturbed(&before, &(twist.0 * dt_s))))
     }
 
+    /// Where it was last seen, if that is not long ago, and where it should be by now.
+    pub fn expected_poses(&self, timestamp: Timestamp) -> impl Iterator<Item = Pose<Camera, Body>> {
+        let recent = self.before.map(|(last, then, twist)| (last, timestamp.seconds_since(then), twist));
+        recent.filter(|(_, dt_s, _)| *dt_s <= LAST_SEEN_FOR_S).into_iter().flat_map(|(last, dt_s, twist)| {
+            let by_now = twist.map(|twist| perturbed(&last, &(twist.0 * dt_s)));
+            std::iter::once(last).chain(by_now)
+        })
+    }
+
     /// The part of the frame that has it in it where it was last seen, if that is not long ago, and where it should be by now; `None` if that lies beyond the frame.
     pub fn expected_place(&self, timestamp: Timestamp, camera: &CameraModel) -> Option<Extent> {
-        let (last, then, twist) = self.before?;
-        let dt_s = timestamp.seconds_since(then);
-        if dt_s > LAST_SEEN_FOR_S {
-            return None;
-        }
-        let by_now = twist.map(|twist| perturbed(&last, &(twist.0 * dt_s)));
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
-        for pose in std::iter::once(last).chain(by_now) {
+        for pose in self.expected_poses(timestamp) {
             for rectangle in self.body.surfaces.iter().map(|s| &s.rectangle) {
                 for (x, y) in [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)] {
                     let corner = [x * rectangle.size_m[0], y * rectangle.size_m[1]];
