@@ -150,6 +150,8 @@ impl Aligner {
         if *is_trusted && !frame.is_by_what_fits() && !is_by_blur && alignment.may_be_pulled() {
             frame.settle_by_what_fits()?;
             (alignment, exposure) = frame.verify()?;
+        } else if !is_by_blur && frame.settle_uncovered()? {
+            (alignment, exposure) = frame.verify()?;
         }
         frame.allow_for_jumps(&mut alignment, since_s, jumped_since_s.is_some());
         let shutter_clue = if *asks_shutter { frame.shutter_clue(exposure) } else { None };

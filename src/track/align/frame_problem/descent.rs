@@ -121,7 +121,7 @@ mod tests {
     use super::super::super::frame_levels::FrameLevels;
     use super::super::super::slow_estimates::SlowEstimates;
     use super::super::super::{AlignSurface, CameraRays};
-    use super::super::Buffers;
+    use super::super::{Buffers, FINE_STEP_PX, LARGEST_LAST_STEP_PX};
     use super::*;
     use crate::camera::Shutter;
     use crate::geometry::resection::perturbed;
@@ -173,5 +173,20 @@ mod tests {
             let found = problem.descend_from_far(FINEST + 3, nearby.found, nearby.coarsest).expect("reached");
             assert!(found.scale < CLOSE_SCALE && nearby.found.is_none_or(|found| found.scale > CLOSE_SCALE), "{}", found.scale);
         });
+    }
+
+    #[test]
+    fn a_covered_body_is_left_unsettled_until_it_is_known_what_fits() {
+        for open_columns in [160, 180, 200] {
+            with_problem(open_columns, 0.01, |problem| {
+                problem.follows(false, true);
+                let found = problem.coarse_to_fine().expect("the picture agrees in a third");
+                let left_px = problem.last_moved_px;
+                assert!(found.scale < CLOSE_SCALE && (FINE_STEP_PX..LARGEST_LAST_STEP_PX).contains(&left_px), "{left_px} px");
+                assert_eq!(problem.settle_uncovered(), Some(true));
+                assert!(problem.last_moved_px < FINE_STEP_PX, "{} px", problem.last_moved_px);
+                assert_eq!(problem.settle_uncovered(), Some(false));
+            });
+        }
     }
 }

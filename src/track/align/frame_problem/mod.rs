@@ -266,7 +266,10 @@ impl<'a> FrameProblem<'a> {
                 && round >= SETTLING_ROUNDS
                 && solved.scale > CLOSE_SCALE
                 && problem.open_share() < HOPELESS_SHARE;
-            if moved < if is_poor { LARGEST_LAST_STEP_PX } else { small_px } {
+            // A body that is covered settles once it is known what fits.
+            let is_covered =
+                is_finest && self.is_trusted && !self.is_followed && solved.scale < CLOSE_SCALE && problem.open_share() < HOPELESS_SHARE;
+            if moved < if is_poor || is_covered { LARGEST_LAST_STEP_PX } else { small_px } {
                 break;
             }
             let longest_px = if is_poor || solved.scale > WANDERING_SCALE { WANDERING_STEP_PX } else { LARGEST_SETTLED_STEP_PX };
@@ -383,6 +386,17 @@ impl<'a> FrameProblem<'a> {
         let known = self.known;
         self.settle(found, &known)?;
         self.buffers.fine.solution().map(|solution| solution.found).filter(|_| self.last_moved_px < LARGEST_LAST_STEP_PX)
+    }
+
+    /// Settles what [`Self::solve`] left unsettled of a body that seemed to be covered and is not; whether there was anything. `None` where there is no solution any more.
+    pub fn settle_uncovered(&mut self) -> Option<bool> {
+        let is_unsettled = self.is_trusted && !self.is_followed && !self.may_ask_blur() && self.last_moved_px >= FINE_STEP_PX;
+        if is_unsettled {
+            let found = self.buffers.fine.solution()?.found.motion;
+            let known = self.known;
+            self.settle(found, &known)?;
+        }
+        Some(is_unsettled)
     }
 
     /// Whether what does not fit takes no part.
