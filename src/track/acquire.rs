@@ -11,7 +11,7 @@ use super::reference::PreparedBody;
 use crate::camera::{CameraModel, Pixel};
 use crate::features::Feature;
 use crate::geometry::covariance::covariance_of_inverse;
-use crate::geometry::local_affinities::{LocalAffinity, robust_affine};
+use crate::geometry::local_affinities::{LocalAffinity, most_agreeing, robust_affine};
 use crate::geometry::planar_pose::planar_poses;
 use crate::geometry::ransac::Order;
 use crate::geometry::resection::{MovingCamera, Observation, Resection, resect, squared_residual};
@@ -290,16 +290,25 @@ fn surface_poses(body: &PreparedBody, view: &SurfaceView, camera: &CameraModel, 
     planar_poses(&homography, &metric).into_iter().map(|p| p * spec.pose.inverse()).collect()
 }
 
-/// Both planar poses of the affine map that a few matches of a surface agree with.
-fn affine_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], camera: &CameraModel) -> Vec<Pose<Camera, Body>> {
-    let spec = &body.surfaces[surface as usize].spec;
-    let own: Vec<&SurfaceMatch> = matches.iter().filter(|m| m.surface == surface).collect();
-    let affinity = |m: &&SurfaceMatch| LocalAffinity {
+/// How the matches of a surface say by themselves that it is seen, and these matches.
+fn affinities(surface: u32, matches: &[SurfaceMatch]) -> (Vec<&SurfaceMatch>, Vec<LocalAffinity>) {
+    let affinity = |m: &SurfaceMatch| LocalAffinity {
         pair: PointPair { from: m.artwork, to: m.undistorted },
         derivative: m.derivative,
         noise: FEATURE_NOISE_PX * m.scale,
     };
-    let affinities: Vec<LocalAffinity> = own.iter().map(affinity).collect();
+    matches.iter().filter(|m| m.surface == surface).map(|m| (m, affinity(m))).unzip()
+}
+
+/// Whether matches enough agree on how a surface of the body is seen for a pose to be worth a search: of small bodies, whose perspective does not show.
+pub fn may_be_seen(body: &PreparedBody, matches: &[SurfaceMatch]) -> bool {
+    (0..body.surfaces.len() as u32).any(|surface| most_agreeing(&affinities(surface, matches).1) >= LEAST_AFFINE_INLIERS)
+}
+
+/// Both planar poses of the affine map that a few matches of a surface agree with.
+fn affine_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], camera: &CameraModel) -> Vec<Pose<Camera, Body>> {
+    let spec = &body.surfaces[surface as usize].spec;
+    let (own, affinities) = affinities(surface, matches);
     let Some((map, agreeing)) = robust_affine(&affinities, LEAST_AFFINE_INLIERS) else { return Vec::new() };
     let steps = [Vector2::x(), -Vector2::x(), Vector2::y(), -Vector2::y()];
     let around = |m: &SurfaceMatch| {

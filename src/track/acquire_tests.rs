@@ -136,6 +136,18 @@ fn wrong_matches_alone_hardly_ever_make_candidates() {
 }
 
 #[test]
+fn a_body_may_be_seen_where_a_handful_of_matches_agrees() {
+    let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
+    let pose = facing(0.3, -0.5, Vector3::new(0.1, 0.05, 12.0));
+    let seen = |right: usize, wrong: usize| {
+        (0..40).filter(|&seed| may_be_seen(&body, &matches_of(&body, &camera, &pose, right, wrong, seed))).count()
+    };
+    assert!(seen(10, 30) >= 38, "{}", seen(10, 30));
+    assert!(seen(0, 60) <= 4, "{}", seen(0, 60));
+    assert_eq!(seen(0, 0), 0);
+}
+
+#[test]
 fn matches_go_to_the_body_that_owns_their_surface() {
     let camera = lens(640, 480);
     let (descriptor, polarity) = (crate::features::Descriptor([0; 4]), crate::features::Polarity::Dark);

@@ -8,9 +8,11 @@
 use image::GrayImage;
 use tracing::{debug, debug_span};
 
-use super::acquire::{Candidate, FEW_INLIERS, SurfaceMatch, SurfaceView, add_candidates_of_few, candidates, nearly_same, surface_view};
+use super::acquire::{
+    Candidate, FEW_INLIERS, Recognition, SurfaceMatch, SurfaceView, add_candidates_of_few, candidates, may_be_seen, surface_view,
+};
 use super::align::{CameraRays, FrameLevels};
-use super::expected_candidate::expected_candidate;
+use super::expected_candidate::{expected_candidate, put_first};
 use super::feature_search::{FeatureSearch, Look};
 use super::frame_look::FrameLook;
 use super::misfit::ModelNews;
@@ -282,10 +284,15 @@ impl BodySearch {
     fn candidates(&self, tracked: &mut TrackedBody, timestamp: Timestamp, is_last: bool) -> Vec<Candidate> {
         let _span = debug_span!("acquire", body = %tracked.body.name).entered();
         let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
-        let (mut found, seen) = candidates(&tracked.body, &own, &self.camera, self.seed);
+        // Beside the stage most bodies are looked for in vain, and seen small: where no handful of matches agrees, no sample of four needs to be drawn.
+        let may_be_seen = !self.is_beside || may_be_seen(&tracked.body, &own);
+        let (mut found, seen) =
+            if may_be_seen { candidates(&tracked.body, &own, &self.camera, self.seed) } else { (Vec::new(), Recognition::default()) };
         // Of a picture that repeats itself a handful of wrong matches agree with each other.
         if is_last && !tracked.repeats() {
-            add_candidates_of_few(&tracked.body, &own, &self.camera, &mut found);
+            if may_be_seen {
+                add_candidates_of_few(&tracked.body, &own, &self.camera, &mut found);
+            }
             if found.iter().all(|candidate| candidate.inliers < FEW_INLIERS) {
                 let expected = expected_candidate(&tracked.body, &own, &self.camera, tracked.expected_poses(timestamp));
                 expected.into_iter().for_each(|candidate| put_first(&mut found, candidate));
@@ -436,12 +443,6 @@ impl BodySearch {
     fn views(&self, own: &[SurfaceMatch], tracked: &TrackedBody) -> Vec<SurfaceView> {
         (0..tracked.surfaces.len() as u32).filter_map(|k| surface_view(k, own, &self.camera, self.seed)).collect()
     }
-}
-
-/// Puts a candidate first, in place of those that are nearly the same.
-fn put_first(found: &mut Vec<Candidate>, candidate: Candidate) {
-    found.retain(|other| !nearly_same(&other.pose, &candidate.pose));
-    found.insert(0, candidate);
 }
 
 /// How far off a pose that features found may be, one sigma, metres and radians; `noise`: what their noise leaves open.

@@ -5,7 +5,7 @@
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-use super::acquire::{Candidate, FEATURE_NOISE_PX, SurfaceMatch};
+use super::acquire::{Candidate, FEATURE_NOISE_PX, SurfaceMatch, nearly_same};
 use super::reference::PreparedBody;
 use super::tracked_body::{FIRST_SHIFT, FIRST_TURN};
 use crate::camera::{CameraModel, Normalized};
@@ -64,6 +64,12 @@ fn relative_to_expected(
     let by_artwork = Matrix2::from_columns(&[seen(m.artwork + Vector2::x())?.1 - from, seen(m.artwork + Vector2::y())?.1 - from]);
     let pair = PointPair { from, to: m.undistorted };
     Some((depth, LocalAffinity { pair, derivative: m.derivative * by_artwork.try_inverse()?, noise: FEATURE_NOISE_PX * m.scale }))
+}
+
+/// Puts a candidate first, in place of those that are nearly the same.
+pub fn put_first(found: &mut Vec<Candidate>, candidate: Candidate) {
+    found.retain(|other| !nearly_same(&other.pose, &candidate.pose));
+    found.insert(0, candidate);
 }
 
 #[cfg(test)]
