@@ -12,7 +12,7 @@ use super::acquire::{
     Candidate, FEW_INLIERS, Recognition, SurfaceMatch, SurfaceView, add_candidates_of_few, candidates, may_be_seen, surface_view,
 };
 use super::align::{CameraRays, FrameLevels};
-use super::expected_candidate::{expected_candidate, put_first};
+use super::expected_candidate::{expected_candidate, prefer_expected_tilt, put_first};
 use super::feature_search::{FeatureSearch, Look};
 use super::frame_look::FrameLook;
 use super::misfit::ModelNews;
@@ -297,6 +297,9 @@ impl BodySearch {
                 let expected = expected_candidate(&tracked.body, &own, &self.camera, tracked.expected_poses(timestamp));
                 expected.into_iter().for_each(|candidate| put_first(&mut found, candidate));
             }
+        }
+        if let Some(expected) = tracked.expected_poses(timestamp).last() {
+            prefer_expected_tilt(&mut found, &expected);
         }
         tracked.seen = seen;
         debug!(matches = own.len(), candidates = found.len(), inliers = found.first().map_or(0, |c| c.inliers));

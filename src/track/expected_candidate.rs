@@ -66,6 +66,16 @@ fn relative_to_expected(
     Some((depth, LocalAffinity { pair, derivative: m.derivative * by_artwork.try_inverse()?, noise: FEATURE_NOISE_PX * m.scale }))
 }
 
+/// Of two planar poses of the same matches, puts the one first that is turned more like the body was a moment ago.
+pub fn prefer_expected_tilt(found: &mut [Candidate], expected: &Pose<Camera, Body>) {
+    if let [first, second, ..] = found {
+        let are_twins = 2 * first.inliers.min(second.inliers) > first.inliers.max(second.inliers);
+        if are_twins && second.pose.angle_to(expected) < first.pose.angle_to(expected) {
+            std::mem::swap(first, second);
+        }
+    }
+}
+
 /// Puts a candidate first, in place of those that are nearly the same.
 pub fn put_first(found: &mut Vec<Candidate>, candidate: Candidate) {
     found.retain(|other| !nearly_same(&other.pose, &candidate.pose));
@@ -166,5 +176,23 @@ mod tests {
         // It should be behind the camera by now.
         let behind = Pose::new(truth().rotation, -truth().translation);
         assert!((0..20).all(|seed| !found(10, behind, seed)));
+    }
+
+    #[test]
+    fn of_two_planar_poses_the_one_that_is_turned_as_before_comes_first() {
+        let candidate = |turn: f64, inliers: usize| Candidate { pose: off_by(0.0, turn), inliers, cost: 1.0, off: [0.01; 2] };
+        let order = |mut found: Vec<Candidate>, turn: f64| {
+            prefer_expected_tilt(&mut found, &off_by(0.05, turn));
+            found.iter().map(|c| c.inliers).collect::<Vec<_>>()
+        };
+        let twins = || vec![candidate(-0.4, 20), candidate(0.4, 19), candidate(0.0, 18)];
+        assert_eq!(order(twins(), 0.3), [19, 20, 18]);
+        assert_eq!(order(twins(), -0.3), [20, 19, 18]);
+        // One that few matches speak for is no twin.
+        assert_eq!(order(vec![candidate(-0.4, 20), candidate(0.4, 9)], 0.3), [20, 9]);
+        assert_eq!(order(vec![candidate(-0.4, 20)], 0.3), [20]);
+        let mut found = twins();
+        put_first(&mut found, candidate(0.401, 5));
+        assert_eq!(found.iter().map(|c| c.inliers).collect::<Vec<_>>(), [5, 20, 18]);
     }
 }
