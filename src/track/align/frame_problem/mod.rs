@@ -61,6 +61,9 @@ const HOPELESS_SCALE: f64 = 6.0;
 const HOPELESS_SHARE: f64 = 0.6;
 /// The first rounds of a level. See above.
 const SETTLING_ROUNDS: usize = 4;
+/// Rounds of a pose like those of `WANDERING_STEP_PX` at the finest level, at most: of 108 alignments of objects that succeeded, seven clips long, three took more, of bodies that were less than half in view,
+/// and one of these as long as seven followed bodies. Raised, frames of covered bodies cost more; lowered, these are found later.
+const POOR_ROUNDS: usize = 6;
 /// The part of a frame's last step that may still be missing from its pose, one sigma: steps are too short where slopes are too steep, and the
 /// pictures of the tiles were predicted before the step. Raised, covariances are wider than errors; with 0, twice as many frames
 /// of a moving camera are further off than six sigmas.
@@ -273,7 +276,7 @@ impl<'a> FrameProblem<'a> {
                 break;
             }
             let longest_px = if is_poor || solved.scale > WANDERING_SCALE { WANDERING_STEP_PX } else { LARGEST_SETTLED_STEP_PX };
-            if round >= SETTLING_ROUNDS && moved > longest_px {
+            if round >= SETTLING_ROUNDS && moved > longest_px || is_poor && round + 1 >= POOR_ROUNDS {
                 self.wanders = is_poor;
                 return None;
             }
