@@ -58,3 +58,51 @@ fn what_fits_and_is_covered_is_told_from_what_does_not_fit() {
     assert_eq!(is_found(0.7), [false, true]);
     assert_eq!(is_found(1.0), [false, false]);
 }
+
+/// A still prop, seen small by a camera whose rows are read out over so long, in the frame that finds it; and that frame, levels and rays.
+fn with_small_prop(
+    readout_s: f64,
+    is_continued: bool,
+    ask: impl FnOnce(&mut TrackedBody, Option<Verified>, &Frame, &mut FrameLevels, &CameraRays),
+) {
+    let surface = cloth(1);
+    let shutter = Shutter { readout_s, exposure_s: 0.0 };
+    let mut body = TrackedBody::new(&BodySpec::new("prop", vec![surface.clone()]), vec![AlignSurface::new(&surface)], 0, shutter);
+    let rays = CameraRays::new(lens(160, 120), None);
+    if is_continued {
+        (0..2).for_each(|k| {
+            body.track.update(Timestamp::from_seconds(0.9 + 0.03 * f64::from(k)), Some(&truth().inverse()), 0.2, 2);
+        });
+    }
+    let frame = Frame::new(view(&surface, &truth(), rays.camera()), Timestamp::from_seconds(1.0), 1);
+    let mut levels = FrameLevels::default();
+    levels.update(&frame.image);
+    let off = MotionEstimate::off_by_readout(readout_s, 3.4);
+    let expected = body.unseen(truth().inverse(), [0.01 + off[0], 0.003 + off[1]], None);
+    let found = body.align_found(&frame, &mut levels, &rays, &expected);
+    ask(&mut body, found, &frame, &mut levels, &rays);
+}
+
+#[test]
+fn what_one_frame_leaves_open_is_followed_until_the_next_one_tells() {
+    with_small_prop(0.06, false, |body, found, frame, levels, rays| {
+        assert!(found.is_none() && body.refusal == Some(Refusal::Uncertain), "{:?}", body.refusal);
+        let open = body.motion_at(frame.timestamp).expect("followed from there").covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
+        let next = Frame::new(frame.image.clone(), Timestamp::from_seconds(1.0 + 1.0 / 30.0), 2);
+        let verified = body.follow(&next, levels, rays).expect("two frames tell the motion");
+        let sigma = verified.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
+        let error = (verified.pose.translation - truth().inverse().translation).norm();
+        assert!(sigma < 0.2 * open && error < 3.0 * sigma, "{error} of {sigma} m, before {open}");
+    });
+}
+
+#[test]
+fn under_a_rolling_shutter_only_a_sharp_pose_resumes_a_track_by_itself() {
+    let is_given = |readout_s: f64, is_continued: bool| {
+        let mut is_given = false;
+        with_small_prop(readout_s, is_continued, |_, found, _, _, _| is_given = found.is_some());
+        is_given
+    };
+    assert_eq!([is_given(0.0, true), is_given(0.002, true), is_given(0.02, true)], [true, true, false]);
+    assert!(is_given(0.02, false));
+}
