@@ -13,9 +13,9 @@ const SIDE_PX: u32 = 400;
 const WHOLE_PX: u64 = ((SIDE_PX + STEP_PX / 2) * (SIDE_PX + STEP_PX / 2)) as u64;
 /// From one window to the next: half, see above. Raised, pictures between two windows are cut; lowered, there are more windows.
 const STEP_PX: u32 = SIDE_PX / 2;
-/// Pixels of a slice at most, if it has more than one window: a whole window and a small one beside it, whose features take 1.2 to 1.5 milliseconds. Raised,
+/// Pixels of a slice at most, if it has more than one window: a whole window and a small one beside it, whose features take 1.2 to 1.6 milliseconds. Raised,
 /// frames in which a body is missing take longer; lowered, it takes more frames to look everywhere.
-const SLICE_PX: u64 = 250_000;
+const SLICE_PX: u64 = 280_000;
 /// Longest side of a window where a body should be, pixels: beside it a whole window fits into the slice. Raised, one that is not where it should be is found late; lowered, one that goes on
 /// at another speed leaves its window.
 const EXPECTED_PX: u32 = 340;
