@@ -30,7 +30,8 @@ impl FrameProblem<'_> {
     pub fn solve_with_blur(&mut self) -> Option<bool> {
         // What stands still has none. Of a wrong pose the better half takes part, as ever, and its blur says nothing.
         let is_global = self.slow.shutter.is_global();
-        let is_blurred = is_global && self.is_clearly_blurred()?;
+        let scale = self.buffers.fine.solution()?.found.scale;
+        let is_blurred = self.is_clearly_blurred(scale);
         if self.buffers.has_kept || (self.buffers.fine.open_share() < HOPEFUL_SHARE && !is_blurred) {
             return Some(false);
         }
@@ -50,10 +51,10 @@ impl FrameProblem<'_> {
         Some(true)
     }
 
-    /// Whether a body whose pose was given before does not fit because it is blurred.
-    fn is_clearly_blurred(&mut self) -> Option<bool> {
-        let scale = self.buffers.fine.solution()?.found.scale;
-        Some(self.is_trusted && scale > CLOSE_SCALE.max(BLURRED * self.scale_above))
+    /// Whether a body whose pose was given before, and was just found, leaves such residuals at the finest level because it is blurred. Where rows are read one after another, they tell its velocity.
+    pub(super) fn is_clearly_blurred(&self, scale: f64) -> bool {
+        let may_be = self.is_trusted && !self.is_followed && self.slow.shutter.is_global();
+        may_be && scale > CLOSE_SCALE.max(BLURRED * self.scale_above)
     }
 
     /// The velocity that the blur of the solved frame shows.

@@ -259,20 +259,19 @@ impl<'a> FrameProblem<'a> {
             }
             let solved = problem.solve(spec, &self.known, light, is_first, if is_first { 3 } else { 2 })?;
             let moved = problem.moved_px(spec, &motion, &solved.motion);
-            tracing::trace!(level = spec.level, moved, pixels = problem.pixels().len(), scale = solved.scale, open = problem.open_share());
+            let open_share = problem.open_share();
+            tracing::trace!(level = spec.level, moved, pixels = problem.pixels().len(), scale = solved.scale, open_share);
             (self.last_step, self.last_moved_px) = (motion.pose_error_to(&solved.motion), moved);
             motion = solved.motion;
             converged = Some(solved).filter(|_| moved < LARGEST_LAST_STEP_PX);
+            let is_half_open = is_finest && open_share < HOPELESS_SHARE;
             // Where little more than the half fits that always takes part, and not well, it need not come to rest: tiles enter and leave by turns.
-            let is_poor = is_finest
-                && !self.is_followed
-                && round >= SETTLING_ROUNDS
-                && solved.scale > CLOSE_SCALE
-                && problem.open_share() < HOPELESS_SHARE;
-            // A body that is covered settles once it is known what fits.
-            let is_covered =
-                is_finest && self.is_trusted && !self.is_followed && solved.scale < CLOSE_SCALE && problem.open_share() < HOPELESS_SHARE;
-            if moved < if is_poor || is_covered { LARGEST_LAST_STEP_PX } else { small_px } {
+            let is_poor = is_half_open && !self.is_followed && round >= SETTLING_ROUNDS && solved.scale > CLOSE_SCALE;
+            // A body that is covered settles once it is known what fits, and one that is blurred fits once its velocity is known.
+            let is_covered = is_half_open && !self.is_followed && self.is_trusted && solved.scale < CLOSE_SCALE;
+            let is_hopeless = is_half_open && round + 1 >= HOPELESS_ROUNDS && solved.scale > HOPELESS_SCALE;
+            let is_blurred = is_hopeless && self.is_clearly_blurred(solved.scale);
+            if moved < if is_poor || is_covered || is_blurred { LARGEST_LAST_STEP_PX } else { small_px } {
                 break;
             }
             let longest_px = if is_poor || solved.scale > WANDERING_SCALE { WANDERING_STEP_PX } else { LARGEST_SETTLED_STEP_PX };
@@ -280,8 +279,7 @@ impl<'a> FrameProblem<'a> {
                 self.wanders = is_poor;
                 return None;
             }
-            let may_be_hopeless = is_finest && round + 1 >= HOPELESS_ROUNDS && solved.scale > HOPELESS_SCALE;
-            if may_be_hopeless && problem.open_share() < HOPELESS_SHARE {
+            if is_hopeless && !is_blurred {
                 return None;
             }
         }
