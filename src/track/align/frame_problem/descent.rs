@@ -5,7 +5,7 @@
 
 use super::super::frame_levels::FINEST;
 use super::super::level_problem::Corrected;
-use super::{CLOSE_SCALE, CLOSE_SHARE, FrameProblem, level_for};
+use super::{CLOSE_SCALE, CLOSE_SHARE, FrameProblem, HOPELESS_SCALE, level_for};
 use crate::motion::Motion;
 
 /// Search radius = `START_ERRORS` x the decaying maximum of the start error, px. Raised, levels are solved that the start does not need; lowered,
@@ -35,7 +35,9 @@ impl FrameProblem<'_> {
         let near = level_for(START_ERRORS * self.slow.start_error_px).min(far);
         let Descent { mut found, coarsest, .. } = self.descend(near, None);
         let mut is_close = found.is_some_and(|f| self.is_close(&f));
-        if found.is_some() && !is_close && self.is_trusted && !self.known.is_sure && self.buffers.fine.may_be_covered() {
+        // What is left beyond `HOPELESS_SCALE` is blurred.
+        let may_fit = !is_close && found.is_some_and(|f| f.scale < HOPELESS_SCALE);
+        if may_fit && self.is_trusted && !self.known.is_sure && self.buffers.fine.may_be_covered() {
             found = self.settle_by_what_fits();
             is_close = found.is_some_and(|f| f.scale < CLOSE_SCALE);
         }

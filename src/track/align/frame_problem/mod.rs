@@ -270,7 +270,7 @@ impl<'a> FrameProblem<'a> {
             // A body that is covered settles once it is known what fits, and one that is blurred fits once its velocity is known.
             let is_covered = is_half_open && !self.is_followed && self.is_trusted && solved.scale < CLOSE_SCALE;
             let is_hopeless = is_half_open && round + 1 >= HOPELESS_ROUNDS && solved.scale > HOPELESS_SCALE;
-            let is_blurred = is_hopeless && self.is_clearly_blurred(solved.scale);
+            let is_blurred = is_hopeless && solved.scale < WANDERING_SCALE && self.is_clearly_blurred(solved.scale);
             if moved < if is_poor || is_covered || is_blurred { LARGEST_LAST_STEP_PX } else { small_px } {
                 break;
             }
