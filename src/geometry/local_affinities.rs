@@ -51,8 +51,7 @@ pub fn robust_affine(matches: &[LocalAffinity], least: usize) -> Option<(Homogra
     settled.reduce(|best, next| if next.1.len() > best.1.len() { next } else { best })
 }
 
-/// The most matches, at most one a place, that agree with what one of them says of the plane. It takes a seventh of the time of a search for a homography, and where so few agree
-/// that there is none, that one would be in vain.
+/// The most matches, at most one a place, that agree with what one of them says of the plane. It takes a seventh of the time of a search for a homography, which is in vain where few agree.
 pub fn most_agreeing(matches: &[LocalAffinity]) -> usize {
     let matches = &matches[..matches.len().min(TRIED)];
     matches.iter().filter_map(|m| agreeing_with_one(matches, m)).map(|agreeing| agreeing.len()).max().unwrap_or(0)

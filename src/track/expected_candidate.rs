@@ -30,6 +30,7 @@ pub fn expected_candidate(
     shifted.reduce(|best, next| if next.inliers > best.inliers { next } else { best })
 }
 
+/// One expected pose, moved aside; `None` where too few matches agree on how far.
 fn shifted(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, expected: &Pose<Camera, Body>) -> Option<Candidate> {
     let (depths, affinities): (Vec<f64>, Vec<LocalAffinity>) =
         matches.iter().filter_map(|m| relative_to_expected(body, m, camera, expected)).unzip();
@@ -48,7 +49,7 @@ fn shifted(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, 
     })
 }
 
-/// How deep the expected pose puts a match, and where and how that is seen from where it was expected; `None` behind the camera, or from behind.
+/// How deep the expected pose puts a match, and where and how the surface is seen there, from where and how it was expected; `None` behind the camera.
 fn relative_to_expected(
     body: &PreparedBody,
     m: &SurfaceMatch,

@@ -54,15 +54,16 @@ const WANDERING_STEP_PX: f64 = 0.3;
 const WANDERING_SCALE: f64 = 10.0;
 /// After `HOPELESS_ROUNDS` at the finest, residuals larger than `HOPELESS_SCALE`, sigmas of noise, where no more than `HOPELESS_SHARE` of the tiles take part (half
 /// always do, unless fewer fit well): the picture shows something else. Of 3091 alignments that led to a pose none had residuals above 2.9, of 175 that did not 43 had more than 6. The level above
-/// the finest cannot tell: there, a followed stage with four fifths covered had 11.5, and at the finest 1.5. Raised, a start that leads nowhere costs as much as several followed frames;
+/// the finest cannot tell: there, a followed stage with four fifths covered had 11.5, and at the finest 1.5. A body that was given before may be blurred instead, which leaves 6 to 9: it is asked for that
+/// first. Raised, a start that leads nowhere costs as much as several followed frames;
 /// `HOPELESS_SCALE` lowered, bodies that are half covered are lost.
 const HOPELESS_ROUNDS: usize = 2;
 const HOPELESS_SCALE: f64 = 6.0;
 const HOPELESS_SHARE: f64 = 0.6;
 /// The first rounds of a level. See above.
 const SETTLING_ROUNDS: usize = 4;
-/// Rounds of a pose like those of `WANDERING_STEP_PX` at the finest level, at most: of 108 alignments of objects that succeeded, seven clips long, three took more, of bodies that were less than half in view,
-/// and one of these as long as seven followed bodies. Raised, frames of covered bodies cost more; lowered, these are found later.
+/// Rounds at the finest level, at most, of a body that was just found, of which little more than the half fits that always takes part, and not well: of 108 alignments of objects that succeeded, seven clips long, three
+/// took more, all of bodies that were less than half in view, and one of them as long as seven followed bodies. Raised, frames of covered bodies cost more; lowered, these are found later.
 const POOR_ROUNDS: usize = 6;
 /// The part of a frame's last step that may still be missing from its pose, one sigma: steps are too short where slopes are too steep, and the
 /// pictures of the tiles were predicted before the step. Raised, covariances are wider than errors; with 0, twice as many frames
