@@ -53,8 +53,7 @@ impl FrameProblem<'_> {
 
     /// Whether a body whose pose was given before, and was just found, leaves such residuals at the finest level because it is blurred. Where rows are read one after another, they tell its velocity.
     pub(super) fn is_clearly_blurred(&self, scale: f64) -> bool {
-        let may_be = self.is_trusted && !self.is_followed && self.slow.shutter.is_global();
-        may_be && scale > CLOSE_SCALE.max(BLURRED * self.scale_above)
+        self.is_found_again() && self.slow.shutter.is_global() && scale > CLOSE_SCALE.max(BLURRED * self.scale_above)
     }
 
     /// The velocity that the blur of the solved frame shows.

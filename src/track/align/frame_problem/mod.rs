@@ -215,6 +215,11 @@ impl<'a> FrameProblem<'a> {
         LevelSpec { fills_up: level == FINEST && self.is_followed, ..spec }
     }
 
+    /// Whether the body was given before, and was not seen just now.
+    fn is_found_again(&self) -> bool {
+        self.is_trusted && !self.is_followed
+    }
+
     /// Finds the motion that the frame shows; `None` where too little of the body is in view or nothing converges.
     pub fn solve(&mut self) -> Option<Corrected> {
         self.same_again().or_else(|| self.coarse_to_fine())
@@ -269,7 +274,7 @@ impl<'a> FrameProblem<'a> {
             // Where little more than the half fits that always takes part, and not well, it need not come to rest: tiles enter and leave by turns.
             let is_poor = is_half_open && !self.is_followed && round >= SETTLING_ROUNDS && solved.scale > CLOSE_SCALE;
             // A body that is covered settles once it is known what fits, and one that is blurred fits once its velocity is known.
-            let is_covered = is_half_open && !self.is_followed && self.is_trusted && solved.scale < CLOSE_SCALE;
+            let is_covered = is_half_open && self.is_found_again() && solved.scale < CLOSE_SCALE;
             let is_hopeless = is_half_open && round + 1 >= HOPELESS_ROUNDS && solved.scale > HOPELESS_SCALE;
             let is_blurred = is_hopeless && solved.scale < WANDERING_SCALE && self.is_clearly_blurred(solved.scale);
             if moved < if is_poor || is_covered || is_blurred { LARGEST_LAST_STEP_PX } else { small_px } {
@@ -375,6 +380,11 @@ impl<'a> FrameProblem<'a> {
         if !self.may_ask_blur() || self.last_moved_px < FINE_STEP_PX {
             return Some(());
         }
+        self.settle_found()
+    }
+
+    /// Settles the solution with what is known.
+    fn settle_found(&mut self) -> Option<()> {
         let found = self.buffers.fine.solution()?.found.motion;
         let known = self.known;
         self.settle(found, &known)
@@ -383,20 +393,16 @@ impl<'a> FrameProblem<'a> {
     /// Settles once more where much of a body is seen that was just found, but less than half of it: so far the better half of its tiles took part, and some of those show what
     /// covers it. `None` where it does not come to rest.
     pub fn settle_by_what_fits(&mut self) -> Option<Corrected> {
-        let found = self.buffers.fine.solution()?.found.motion;
         self.known.is_sure = true;
-        let known = self.known;
-        self.settle(found, &known)?;
+        self.settle_found()?;
         self.buffers.fine.solution().map(|solution| solution.found).filter(|_| self.last_moved_px < LARGEST_LAST_STEP_PX)
     }
 
     /// Settles what [`Self::solve`] left unsettled of a body that seemed to be covered and is not; whether there was anything. `None` where there is no solution any more.
     pub fn settle_uncovered(&mut self) -> Option<bool> {
-        let is_unsettled = self.is_trusted && !self.is_followed && !self.may_ask_blur() && self.last_moved_px >= FINE_STEP_PX;
+        let is_unsettled = self.is_found_again() && !self.may_ask_blur() && self.last_moved_px >= FINE_STEP_PX;
         if is_unsettled {
-            let found = self.buffers.fine.solution()?.found.motion;
-            let known = self.known;
-            self.settle(found, &known)?;
+            self.settle_found()?;
         }
         Some(is_unsettled)
     }
