@@ -2,7 +2,7 @@ use nalgebra::{Rotation2, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use super::super::synthetic::{cloth, facing, lens, prepared};
+use super::super::synthetic::{cloth, facing, lens, prepared, seen};
 use super::*;
 
 fn truth() -> Pose<Camera, Body> {
@@ -12,15 +12,6 @@ fn truth() -> Pose<Camera, Body> {
 /// `right` matches with a noise of half a pixel and `wrong` ones anywhere, mixed; at least half of the first are right.
 fn matches(body: &PreparedBody, camera: &CameraModel, right: usize, wrong: usize) -> Vec<SurfaceMatch> {
     matches_of(body, camera, &truth(), right, wrong, 4)
-}
-
-/// Derivative of the frame's pixels by the artwork's.
-fn derivative(body: &PreparedBody, camera: &CameraModel, pose: &Pose<Camera, Body>, surface: u32, artwork: Vector2<f64>) -> Matrix2<f64> {
-    let seen = |artwork: Vector2<f64>| {
-        let c = pose.transform(&body.surfaces[surface as usize].spec.body_point(artwork));
-        camera.project(crate::camera::Normalized(c.coords.xy() / c.z)).0
-    };
-    Matrix2::from_columns(&[Vector2::x(), Vector2::y()].map(|step| seen(artwork + step) - seen(artwork)))
 }
 
 fn matches_of(
@@ -36,18 +27,17 @@ fn matches_of(
     while all.len() < right + wrong {
         let surface = random.random_range(0..body.surfaces.len()) as u32;
         let artwork = Vector2::new(random.random_range(0.0..640.0), random.random_range(0.0..480.0));
-        let c = pose.transform(&body.surfaces[surface as usize].spec.body_point(artwork));
-        let seen = camera.project(crate::camera::Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0;
+        let (pixel, derivative) = seen(camera, pose, &body.surfaces[surface as usize].spec, artwork);
         let anywhere = Vector2::new(random.random_range(0.0..640.0), random.random_range(0.0..480.0));
         let noise = Vector2::new(random.random_range(-0.8..0.8), random.random_range(-0.8..0.8));
         let is_wrong = random.random_range(0..right + wrong) < wrong;
-        let pixel = if is_wrong { anywhere } else { seen + noise };
+        let pixel = if is_wrong { anywhere } else { pixel + noise };
         let Some(ray) = camera.unproject(Pixel(pixel)) else { continue };
         // Directions are known to some degrees and sizes to a tenth; of wrong matches they are anything.
         let (turn, growth) = if is_wrong { (3.1, 2.0) } else { (0.15, 1.1) };
         let turn = Rotation2::new(random.random_range(-turn..turn));
         let growth = f64::powf(growth, random.random_range(-1.0..1.0));
-        let derivative = turn * derivative(body, camera, pose, surface, artwork) * growth;
+        let derivative = turn * derivative * growth;
         all.push(SurfaceMatch { surface, artwork, pixel, undistorted: camera.undistorted_pixel(ray), scale: 1.0, derivative });
     }
     all

@@ -89,22 +89,12 @@ mod tests {
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 
-    use super::super::synthetic::{cloth, facing, lens, prepared};
+    use super::super::synthetic::{cloth, facing, lens, prepared, seen};
     use super::*;
     use crate::camera::Pixel;
 
     fn truth() -> Pose<Camera, Body> {
         facing(0.3, -0.2, Vector3::new(0.1, 0.05, 6.0))
-    }
-
-    /// Where the artwork is seen, and the derivative by it.
-    fn seen(body: &PreparedBody, camera: &CameraModel, artwork: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
-        let at = |artwork: Vector2<f64>| {
-            let point = truth().transform(&body.surfaces[0].spec.body_point(artwork));
-            camera.project(Normalized(point.coords.xy() / point.z)).0
-        };
-        let columns = [Vector2::x(), Vector2::y()].map(|step| at(artwork + step) - at(artwork));
-        (at(artwork), Matrix2::from_columns(&columns))
     }
 
     /// Matches in a strip at the left of the cloth, which is seen no further, and wrong ones anywhere.
@@ -113,7 +103,7 @@ mod tests {
         let mut anywhere = |width: f64| Vector2::new(random.random_range(0.0..width), random.random_range(0.0..480.0));
         let mut matched = |k: usize| {
             let artwork = anywhere(if k < right { 60.0 } else { 640.0 });
-            let (pixel, derivative) = seen(body, camera, artwork);
+            let (pixel, derivative) = seen(camera, &truth(), &body.surfaces[0].spec, artwork);
             let (pixel, turn) = if k < right { (pixel, 0.1) } else { (anywhere(640.0), anywhere(6.0).x) };
             let undistorted = camera.undistorted_pixel(camera.unproject(Pixel(pixel)).expect("in the frame"));
             let derivative = nalgebra::Rotation2::new(turn) * derivative;
@@ -137,11 +127,8 @@ mod tests {
             let expected = off_by(0.03, 0.02);
             let found = expected_candidate(&body, &matches, &camera, std::iter::once(expected)).expect("a candidate");
             assert!(found.inliers >= 3 && found.inliers <= 5, "{seed}: {} places", found.inliers);
-            let point = body.surfaces[0].spec.body_point(Vector2::new(30.0, 240.0));
-            let [right, was, is] = [truth(), expected, found.pose].map(|pose| {
-                let point = pose.transform(&point);
-                camera.project(Normalized(point.coords.xy() / point.z)).0
-            });
+            let spec = &body.surfaces[0].spec;
+            let [right, was, is] = [truth(), expected, found.pose].map(|pose| seen(&camera, &pose, spec, Vector2::new(30.0, 240.0)).0);
             assert!(
                 (was - right).norm() > 10.0 && (is - right).norm() < 4.0,
                 "{seed}: {} to {} px",

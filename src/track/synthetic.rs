@@ -54,6 +54,15 @@ pub fn prepared(surfaces: Vec<SurfaceSpec>) -> PreparedBody {
     PreparedBody::new(&BodySpec::new("stage", surfaces)).with_anchors()
 }
 
+/// Where a camera sees a place of a surface's artwork, and the derivative by it, pixels.
+pub fn seen(camera: &CameraModel, pose: &Pose<Camera, Body>, spec: &SurfaceSpec, artwork: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
+    let at = |artwork: Vector2<f64>| {
+        let point = pose.transform(&spec.body_point(artwork));
+        camera.project(Normalized(point.coords.xy() / point.z)).0
+    };
+    (at(artwork), Matrix2::from_columns(&[Vector2::x(), Vector2::y()].map(|step| at(artwork + step) - at(artwork))))
+}
+
 /// `T_camera_body` of a camera that looks at the face of a [`cloth`], tilted by rotations about its x and y.
 pub fn facing(tilt_x: f64, tilt_y: f64, shift: Vector3<f64>) -> Pose<Camera, Body> {
     let turn_over = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
