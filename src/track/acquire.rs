@@ -11,7 +11,7 @@ use super::reference::PreparedBody;
 use crate::camera::{CameraModel, Pixel};
 use crate::features::Feature;
 use crate::geometry::covariance::covariance_of_inverse;
-use crate::geometry::local_affinities::{LocalAffinity, most_agreeing, robust_affine};
+use crate::geometry::local_affinities::{LocalAffinity, agree, robust_affine};
 use crate::geometry::planar_pose::planar_poses;
 use crate::geometry::ransac::Order;
 use crate::geometry::resection::{MovingCamera, Observation, Resection, resect, squared_residual};
@@ -302,7 +302,7 @@ fn affinities(surface: u32, matches: &[SurfaceMatch]) -> (Vec<&SurfaceMatch>, Ve
 
 /// Whether matches enough agree on how a surface of the body is seen for a pose to be worth a search: of small bodies, whose perspective does not show.
 pub fn may_be_seen(body: &PreparedBody, matches: &[SurfaceMatch]) -> bool {
-    (0..body.surfaces.len() as u32).any(|surface| most_agreeing(&affinities(surface, matches).1) >= LEAST_AFFINE_INLIERS)
+    (0..body.surfaces.len() as u32).any(|surface| agree(&affinities(surface, matches).1, LEAST_AFFINE_INLIERS))
 }
 
 /// Both planar poses of the affine map that a few matches of a surface agree with.
