@@ -5,7 +5,7 @@
 
 use super::super::frame_levels::FINEST;
 use super::super::level_problem::Corrected;
-use super::{CLOSE_SCALE, CLOSE_SHARE, FrameProblem, HOPELESS_SCALE, level_for};
+use super::{CLOSE_SCALE, CLOSE_SHARE, FrameProblem, HOPELESS_SCALE, LevelFit, level_for};
 use crate::motion::Motion;
 
 /// Search radius = `START_ERRORS` x the decaying maximum of the start error, px. Raised, levels are solved that the start does not need; lowered,
@@ -71,7 +71,7 @@ impl FrameProblem<'_> {
     /// Descends from the level that holds all that is uncertain. Where this descent meets the one from nearby, that one's solution stands. `nearby` and `met`: what that one found in the end,
     /// and its coarsest level with the motion found there.
     fn descend_from_far(&mut self, far: usize, nearby: Option<Corrected>, met: Option<(usize, Motion)>) -> Option<Corrected> {
-        let Self { last_step, last_moved_px, scale_above, .. } = *self;
+        let Self { last_step, last_moved_px, above, .. } = *self;
         let is_sure = std::mem::replace(&mut self.known.is_sure, self.is_followed);
         self.buffers.trial_light.clone_from(&self.buffers.light);
         let Descent { found, has_met, .. } = self.descend(far, met);
@@ -79,7 +79,7 @@ impl FrameProblem<'_> {
             return found;
         }
         // The coarse levels left the finest as it was.
-        (self.last_step, self.last_moved_px, self.scale_above, self.known.is_sure) = (last_step, last_moved_px, scale_above, is_sure);
+        (self.last_step, self.last_moved_px, self.above, self.known.is_sure) = (last_step, last_moved_px, above, is_sure);
         self.buffers.light.clone_from(&self.buffers.trial_light);
         nearby
     }
@@ -87,7 +87,7 @@ impl FrameProblem<'_> {
     /// Solves each level in turn, from a coarse one down to the finest. `other`: a level that another descent solved, and the motion that it found there; where this one comes to the same motion, it stops.
     fn descend(&mut self, from: usize, other: Option<(usize, Motion)>) -> Descent {
         self.buffers.has_kept = false;
-        self.scale_above = f64::INFINITY;
+        self.above = LevelFit::NONE;
         self.buffers.light.clone_from(&self.slow.light);
         let mut motion = *self.known.motion;
         let mut descent = Descent::default();
@@ -102,7 +102,8 @@ impl FrameProblem<'_> {
                 descent.found = solved.converged;
                 break;
             }
-            self.scale_above = solved.converged.map_or(f64::INFINITY, |corrected| corrected.scale);
+            let fit = |corrected: Corrected| LevelFit { scale: corrected.scale, open_share: self.buffers.coarse.open_share() };
+            self.above = solved.converged.map_or(LevelFit::NONE, fit);
             (motion, is_first) = (solved.motion, false);
             descent.coarsest.get_or_insert((level, motion));
             let meets = |(at, met): (usize, Motion)| at == level && self.buffers.coarse.moved_px(&spec, &met, &motion) < MEETING_PX;

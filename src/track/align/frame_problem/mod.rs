@@ -147,13 +147,26 @@ pub struct FrameProblem<'a> {
     last_step: Vector6<f64>,
     /// By how much the finest level's last step moved a tile at most, pixels of the level.
     last_moved_px: f64,
-    /// Residuals of the level above the finest, sigmas; infinite where it was not solved.
-    scale_above: f64,
+    /// The fit of the level above the finest; none where it was not solved.
+    above: LevelFit,
     /// Whether the finest level's pose wandered about where little of the body fits: no way from further up finds it there.
     wanders: bool,
     /// See [`Alignment::has_opposite`].
     has_opposite: bool,
     lessons: Lessons,
+}
+
+/// How well a level fits.
+#[derive(Clone, Copy)]
+struct LevelFit {
+    /// Residuals, sigmas of noise.
+    scale: f64,
+    /// Share of the tiles that take part.
+    open_share: f64,
+}
+
+impl LevelFit {
+    const NONE: Self = Self { scale: f64::INFINITY, open_share: 0.0 };
 }
 
 /// Where a level's last linearisation led.
@@ -192,7 +205,7 @@ impl<'a> FrameProblem<'a> {
             bands,
             last_step: Vector6::zeros(),
             last_moved_px: 0.0,
-            scale_above: f64::INFINITY,
+            above: LevelFit::NONE,
             wanders: false,
             has_opposite: false,
             lessons,
