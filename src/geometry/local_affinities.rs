@@ -43,7 +43,13 @@ const FITTED: usize = 6;
 /// The map, as a homography without perspective, and the indices of the matches that agree with it, ascending, at most one a place; `None` where fewer than `least` do. Matches come best first.
 pub fn robust_affine(matches: &[LocalAffinity], least: usize) -> Option<(Homography, Vec<usize>)> {
     let matches = &matches[..matches.len().min(TRIED)];
-    let mut first: Vec<Vec<usize>> = matches.iter().filter_map(|m| agreeing_with_one(matches, m)).filter(|a| a.len() >= least).collect();
+    let mut first: Vec<Vec<usize>> = matches
+        .iter()
+        .filter_map(|m| agreeing_with_one(matches, m))
+        .filter(|a| a.len() >= least)
+        .map(|a| distinct(matches, a.into_iter()))
+        .filter(|a| a.len() >= least)
+        .collect();
     first.sort_by_key(|agreeing| std::cmp::Reverse(agreeing.len()));
     first.dedup();
     let settled = first.into_iter().take(FITTED).filter_map(|agreeing| settled(matches, agreeing, least));
@@ -51,11 +57,22 @@ pub fn robust_affine(matches: &[LocalAffinity], least: usize) -> Option<(Homogra
     settled.reduce(|best, next| if next.1.len() > best.1.len() { next } else { best })
 }
 
-/// Whether as many matches, at most one a place, agree with what one of them says of the plane. It takes a seventh of the time of a search for a homography where few agree, so that that is in vain,
-/// and next to none where many do. Matches come best first.
-pub fn agree(matches: &[LocalAffinity], least: usize) -> bool {
+/// The indices of the matches that agree with what one of them says of the plane, ascending: of the first one that more than half of all agree with, else of the one that most do. At most one
+/// match a place counts, but all are given; `None` where fewer than `least` agree. It takes a fifth of the time of a search for a homography. Matches come best first.
+pub fn most_agreeing(matches: &[LocalAffinity], least: usize) -> Option<Vec<usize>> {
     let matches = &matches[..matches.len().min(TRIED)];
-    matches.iter().filter_map(|m| agreeing_with_one(matches, m)).any(|agreeing| agreeing.len() >= least)
+    let (mut best, mut most) = (None, least.max(1) - 1);
+    for agreeing in matches.iter().filter_map(|m| agreeing_with_one(matches, m)) {
+        // Places are told from each other only where there are matches enough.
+        let places = if agreeing.len() > most { distinct(matches, agreeing.iter().copied()).len() } else { 0 };
+        if places > most {
+            (best, most) = (Some(agreeing), places);
+        }
+        if 2 * most > matches.len() {
+            break;
+        }
+    }
+    best
 }
 
 /// How far the matches are off where they were expected: a mean over those that agree, and the indices of these, ascending, at most one a place; `None` where fewer than `least` do. `pair.from`: where
@@ -98,7 +115,7 @@ fn middle(matches: &[LocalAffinity], agreeing: &[usize]) -> Vector2<f64> {
     agreeing.iter().map(|&k| matches[k].pair.from).sum::<Vector2<f64>>() / agreeing.len().max(1) as f64
 }
 
-/// The matches that agree with what one of them says of the plane, it among them; `None` where it says nothing.
+/// The matches that agree with what one of them says of the plane, it and others at its place among them; `None` where it says nothing.
 fn agreeing_with_one(matches: &[LocalAffinity], one: &LocalAffinity) -> Option<Vec<usize>> {
     let inverse = one.derivative.try_inverse().filter(|_| one.derivative.determinant() > 0.0)?;
     let agrees = |m: &LocalAffinity| {
@@ -106,7 +123,7 @@ fn agreeing_with_one(matches: &[LocalAffinity], one: &LocalAffinity) -> Option<V
         let off = m.pair.to - one.pair.to - reach;
         off.norm() < NEAR_SHARE * reach.norm() + NEAR_SIGMAS * m.noise.max(one.noise) && is_alike(&(m.derivative * inverse))
     };
-    Some(distinct(matches, (0..matches.len()).filter(|&k| agrees(&matches[k]))))
+    Some((0..matches.len()).filter(|&k| agrees(&matches[k])).collect())
 }
 
 /// Whether a map from one derivative to another is little more than the identity.
@@ -285,12 +302,13 @@ mod tests {
         for seed in 0..20 {
             let mut scatter = Scatter::new(seed);
             let mut matches: Vec<LocalAffinity> = (0..60).map(|_| scatter.wrong()).collect();
-            assert!(agree(&matches, 1) && !agree(&matches, 5), "{seed}");
+            assert!(most_agreeing(&matches, 1).is_some() && most_agreeing(&matches, 5).is_none(), "{seed}");
             matches.extend((0..8).map(|_| scatter.right(0.5, 0.1, 1.1)));
             // A few wrong ones agree with these by chance.
-            assert!(agree(&matches, 5) && !agree(&matches, 13), "{seed}");
+            let found = most_agreeing(&matches, 5).expect("eight are right");
+            assert!(found.len() <= 12 && found.iter().filter(|k| **k >= 60).count() >= 5, "{seed}: {found:?}");
         }
-        assert!(!agree(&[], 1));
+        assert_eq!(most_agreeing(&[], 0), None);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use super::reference::PreparedBody;
 use crate::camera::{CameraModel, Pixel};
 use crate::features::Feature;
 use crate::geometry::covariance::covariance_of_inverse;
-use crate::geometry::local_affinities::{LocalAffinity, agree, robust_affine};
+use crate::geometry::local_affinities::{LocalAffinity, most_agreeing, robust_affine};
 use crate::geometry::planar_pose::planar_poses;
 use crate::geometry::ransac::Order;
 use crate::geometry::resection::{MovingCamera, Observation, Resection, resect, squared_residual};
@@ -81,6 +81,9 @@ pub const FEATURE_NOISE_PX: f64 = 1.0;
 /// survived 160 wrong matches beside 80 right ones. Raised, wrong matches pull the pose; lowered, right ones of other surfaces are left
 /// out.
 const REFINED_WITHIN: [f64; 2] = [20.0, 8.0];
+/// Steps of either refinement at most: after five the best candidate is less than a hundredth of its noise off where it would come to rest, though another one may still creep; alignment goes on
+/// from there. Raised, candidates cost more: with 15 up to a quarter more.
+const REFINING_STEPS: usize = 5;
 /// The other planar pose is left out where the first one explains this many matches, and fewer than this share of them are within reach of the other. Few matches hardly tell the
 /// two apart before both are refined: with no least number, a small prop was found a frame later. `LEAST_EXPLAINED` raised, the right one of two may be left out; lowered, poses that the picture
 /// cannot show cost as much as the first.
@@ -121,8 +124,14 @@ pub fn surface_matches(
     matches.iter().filter_map(of_body).collect()
 }
 
-/// Candidate poses of a body, best first, at most four; and what was recognised of it.
-pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> (Vec<Candidate>, Recognition) {
+/// Candidate poses of a body, best first, at most four; and what was recognised of it. `sampled`: those of the matches that homographies are sought among.
+pub fn candidates(
+    body: &PreparedBody,
+    matches: &[SurfaceMatch],
+    sampled: &[SurfaceMatch],
+    camera: &CameraModel,
+    seed: u64,
+) -> (Vec<Candidate>, Recognition) {
     let mut seen = Recognition::default();
     let observations: Vec<Observation> = matches.iter().map(|m| observation(body, m)).collect();
     let still = MovingCamera::still(camera);
@@ -130,7 +139,7 @@ pub fn candidates(body: &PreparedBody, matches: &[SurfaceMatch], camera: &Camera
     let mut agreeing: Vec<(Observation, f64)> = Vec::new();
     let mut poses: Vec<Pose<Camera, Body>> = Vec::new();
     for surface in 0..body.surfaces.len() as u32 {
-        let Some(view) = surface_view(surface, matches, camera, seed) else { continue };
+        let Some(view) = surface_view(surface, sampled, camera, seed) else { continue };
         agreeing.extend(view.matches.iter().map(|m| (observation(body, m), view.squared_error(m))));
         // Matches that the poses of this surface explain, at most.
         let mut explained = 0;
@@ -195,8 +204,8 @@ fn refined(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, obser
         within_reach(pose, camera, observations, sigmas).copied().collect()
     };
     let [rough, fine] = REFINED_WITHIN;
-    let pose = resect(start, camera, &near(start, rough), 15)?.pose;
-    resect(&pose, camera, &near(&pose, fine), 15)
+    let pose = resect(start, camera, &near(start, rough), REFINING_STEPS)?.pose;
+    resect(&pose, camera, &near(&pose, fine), REFINING_STEPS)
 }
 
 /// See [`Candidate::off`]; infinite where the matches leave a direction free.
@@ -300,9 +309,14 @@ fn affinities(surface: u32, matches: &[SurfaceMatch]) -> (Vec<&SurfaceMatch>, Ve
     matches.iter().filter(|m| m.surface == surface).map(|m| (m, affinity(m))).unzip()
 }
 
-/// Whether matches enough agree on how a surface of the body is seen for a pose to be worth a search: of small bodies, whose perspective does not show.
-pub fn may_be_seen(body: &PreparedBody, matches: &[SurfaceMatch]) -> bool {
-    (0..body.surfaces.len() as u32).any(|surface| agree(&affinities(surface, matches).1, LEAST_AFFINE_INLIERS))
+/// Of each surface of a body the matches that agree on how it is seen, where these are enough for a pose to be worth a search: of bodies that are small before their distance, whose perspective does
+/// not show.
+pub fn agreeing_matches(body: &PreparedBody, matches: &[SurfaceMatch]) -> Vec<SurfaceMatch> {
+    let of_surface = |surface: u32| {
+        let (own, affinities) = affinities(surface, matches);
+        most_agreeing(&affinities, LEAST_AFFINE_INLIERS).unwrap_or_default().into_iter().map(move |k| *own[k])
+    };
+    (0..body.surfaces.len() as u32).flat_map(of_surface).collect()
 }
 
 /// Both planar poses of the affine map that a few matches of a surface agree with.

@@ -43,9 +43,14 @@ fn matches_of(
     all
 }
 
+/// Homographies are sought among all matches.
+fn candidates_of(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel) -> (Vec<Candidate>, Recognition) {
+    candidates(body, matches, matches, camera, 1)
+}
+
 fn assert_found(body: &PreparedBody, right: usize, wrong: usize) {
     let camera = lens(640, 480);
-    let (found, seen) = candidates(body, &matches(body, &camera, right, wrong), &camera, 1);
+    let (found, seen) = candidates_of(body, &matches(body, &camera, right, wrong), &camera);
     let best = found.first().expect("a candidate");
     let (shift, turn) = ((best.pose.translation - truth().translation).norm(), best.pose.angle_to(&truth()).to_degrees());
     println!("{right} right, {wrong} wrong: {shift:.4} m, {turn:.3} degrees, {} inliers", best.inliers);
@@ -73,10 +78,10 @@ fn surfaces_of_a_body_speak_for_one_pose() {
 #[test]
 fn too_few_or_only_wrong_matches_give_nothing() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
-    assert!(candidates(&body, &[], &camera, 1).0.is_empty());
-    assert!(candidates(&body, &matches(&body, &camera, 7, 0), &camera, 1).0.is_empty());
+    assert!(candidates_of(&body, &[], &camera).0.is_empty());
+    assert!(candidates_of(&body, &matches(&body, &camera, 7, 0), &camera).0.is_empty());
     // Chance alone must not look like a stage: what it yields, if anything, has hardly more than the least support.
-    let (by_chance, _) = candidates(&body, &matches(&body, &camera, 0, 200), &camera, 1);
+    let (by_chance, _) = candidates_of(&body, &matches(&body, &camera, 0, 200), &camera);
     assert!(by_chance.iter().all(|c| c.inliers < 20), "{by_chance:?}");
 }
 
@@ -95,7 +100,7 @@ fn a_handful_of_right_matches_among_many_wrong_ones_puts_a_body_where_it_is() {
                 |c: &Candidate| (c.pose.translation - pose.translation).norm() < 1.0 && c.pose.angle_to(&pose).to_degrees() < 12.0;
             candidates.iter().any(is_near)
         };
-        let (mut found, _) = candidates(&body, &few, &camera, 1);
+        let (mut found, _) = candidates_of(&body, &few, &camera);
         by_homography += usize::from(is_right(&found));
         add_candidates_of_few(&body, &few, &camera, &mut found);
         assert!(is_right(&found) && found.len() <= MOST_CANDIDATES, "{seed}: {found:?}");
@@ -108,7 +113,7 @@ fn a_handful_of_right_matches_among_many_wrong_ones_puts_a_body_where_it_is() {
 fn a_body_that_many_matches_speak_for_gets_no_candidates_of_few() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
     let many = matches(&body, &camera, 80, 40);
-    let (mut found, _) = candidates(&body, &many, &camera, 1);
+    let (mut found, _) = candidates_of(&body, &many, &camera);
     let before = found.clone();
     add_candidates_of_few(&body, &many, &camera, &mut found);
     assert_eq!(found, before);
@@ -130,7 +135,7 @@ fn a_body_may_be_seen_where_a_handful_of_matches_agrees() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
     let pose = facing(0.3, -0.5, Vector3::new(0.1, 0.05, 12.0));
     let seen = |right: usize, wrong: usize| {
-        (0..40).filter(|&seed| may_be_seen(&body, &matches_of(&body, &camera, &pose, right, wrong, seed))).count()
+        (0..40).filter(|&seed| !agreeing_matches(&body, &matches_of(&body, &camera, &pose, right, wrong, seed)).is_empty()).count()
     };
     assert!(seen(10, 30) >= 38, "{}", seen(10, 30));
     assert!(seen(0, 60) <= 4, "{}", seen(0, 60));
@@ -150,4 +155,22 @@ fn matches_go_to_the_body_that_owns_their_surface() {
     assert_eq!(own.iter().map(|m| (m.surface, m.pixel.x, m.scale)).collect::<Vec<_>>(), [(0, 60.0, 1.2), (1, 70.0, 1.2)]);
     // The reference's corner points along y, and the frame's along x: what is right in the one is up in the other, and smaller.
     assert!((own[0].derivative - Matrix2::new(0.0, 0.6, -0.6, 0.0)).norm() < 1e-9, "{}", own[0].derivative);
+}
+
+#[test]
+fn five_refining_steps_bring_the_best_candidate_to_rest() {
+    let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
+    let still = MovingCamera::still(&camera);
+    let pose = facing(0.2, -0.3, Vector3::new(0.4, 0.2, 9.0));
+    for seed in 0..20 {
+        let matches = matches_of(&body, &camera, &pose, 14, 40, seed);
+        let (mut found, _) = candidates_of(&body, &matches, &camera);
+        add_candidates_of_few(&body, &matches, &camera, &mut found);
+        let best = found.first().expect("a candidate");
+        let observations: Vec<Observation> = matches.iter().map(|m| observation(&body, m)).collect();
+        let near: Vec<Observation> = within_reach(&best.pose, &still, &observations, REFINED_WITHIN[1]).copied().collect();
+        let rest = resect(&best.pose, &still, &near, 100).expect("enough matches").pose;
+        let shift = (rest.translation - best.pose.translation).norm();
+        assert!(shift < 0.01 * best.off[0] && rest.angle_to(&best.pose) < 0.01 * best.off[1], "{seed}: {shift} of {:?}", best.off);
+    }
 }

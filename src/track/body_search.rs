@@ -9,7 +9,7 @@ use image::GrayImage;
 use tracing::{debug, debug_span};
 
 use super::acquire::{
-    Candidate, FEW_INLIERS, Recognition, SurfaceMatch, SurfaceView, add_candidates_of_few, candidates, may_be_seen, surface_view,
+    Candidate, FEW_INLIERS, SurfaceMatch, SurfaceView, add_candidates_of_few, agreeing_matches, candidates, surface_view,
 };
 use super::align::{CameraRays, FrameLevels};
 use super::expected_candidate::{expected_candidate, prefer_expected_tilt, put_first};
@@ -284,13 +284,13 @@ impl BodySearch {
     fn candidates(&self, tracked: &mut TrackedBody, timestamp: Timestamp, is_last: bool) -> Vec<Candidate> {
         let _span = debug_span!("acquire", body = %tracked.body.name).entered();
         let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
-        // Beside the stage most bodies are looked for in vain, and seen small: where no handful of matches agrees, no sample of four needs to be drawn.
-        let may_be_seen = !self.is_beside || may_be_seen(&tracked.body, &own);
-        let (mut found, seen) =
-            if may_be_seen { candidates(&tracked.body, &own, &self.camera, self.seed) } else { (Vec::new(), Recognition::default()) };
+        // Beside the stage most bodies are looked for in vain, and seen small: samples of four are drawn from the matches that agree, and none where no handful does.
+        let agreeing = self.is_beside.then(|| agreeing_matches(&tracked.body, &own));
+        let sampled = agreeing.as_ref().unwrap_or(&own);
+        let (mut found, seen) = candidates(&tracked.body, &own, sampled, &self.camera, self.seed);
         // Of a picture that repeats itself a handful of wrong matches agree with each other.
         if is_last && !tracked.repeats() {
-            if may_be_seen {
+            if !sampled.is_empty() {
                 add_candidates_of_few(&tracked.body, &own, &self.camera, &mut found);
             }
             if found.iter().all(|candidate| candidate.inliers < FEW_INLIERS) {
@@ -439,7 +439,7 @@ impl BodySearch {
     }
 
     fn likeliest_pose(&self, own: &[SurfaceMatch], tracked: &TrackedBody) -> Option<Pose<Body, Camera>> {
-        let (found, _) = candidates(&tracked.body, own, &self.camera, self.seed);
+        let (found, _) = candidates(&tracked.body, own, own, &self.camera, self.seed);
         Some(found.first()?.pose.inverse())
     }
 
