@@ -15,9 +15,9 @@ const ENOUGH: u8 = 64;
 /// A picture with less shows nothing: means of four pixels of a black frame, noise of 2 levels, lie within 5. Raised, dense haze is given up; lowered, black frames
 /// are searched for corners of noise.
 const LEAST: u8 = 8;
-/// Distance between the blocks of 2 x 2 pixels that are sampled, across and down, pixels. Chosen: 14,000 blocks of a frame of 1280 x 720. Raised, sampling costs less and
+/// Distance between the blocks of 2 x 2 pixels that are sampled, across and down, pixels. Chosen: 3,600 blocks of a frame of 1280 x 720, of which 36 are a hundredth. Raised, sampling costs less and
 /// misses thin detail.
-const STRIDE: usize = 8;
+const STRIDE: usize = 16;
 
 /// Spreads the contrast of pictures; keeps its buffers.
 #[derive(Debug, Clone, Default)]
@@ -52,11 +52,15 @@ impl ContrastStretch {
 fn range(picture: &GrayImage) -> Option<[u8; 2]> {
     let width = picture.width() as usize;
     let mut levels = [0_u32; 256];
-    for rows in picture.as_raw().chunks_exact(2 * width.max(1)).step_by(STRIDE / 2) {
+    // In the middle of each square of the stride, so that neither border counts for more.
+    const MIDDLE: usize = STRIDE / 2;
+    for rows in picture.as_raw().chunks_exact(2 * width.max(1)).skip(MIDDLE / 2).step_by(STRIDE / 2) {
         let (top, bottom) = rows.split_at(width);
-        for (t, b) in top.chunks_exact(2).zip(bottom.chunks_exact(2)).step_by(STRIDE / 2) {
-            let sum = u16::from(t[0]) + u16::from(t[1]) + u16::from(b[0]) + u16::from(b[1]);
-            levels[usize::from(sum / 4)] += 1;
+        for (t, b) in top.chunks(STRIDE).zip(bottom.chunks(STRIDE)) {
+            if let (Some([t, t_right]), Some([b, b_right])) = (t.get(MIDDLE..MIDDLE + 2), b.get(MIDDLE..MIDDLE + 2)) {
+                let sum = u16::from(*t) + u16::from(*t_right) + u16::from(*b) + u16::from(*b_right);
+                levels[usize::from(sum / 4)] += 1;
+            }
         }
     }
     let hundredth = levels.iter().sum::<u32>() / 100;

@@ -202,20 +202,24 @@ fn find_peaks(image: &GrayImage, threshold: u8, border: u32, mask: Option<&Level
 /// Appends the corners of a row that a mask leaves; the row's first pixel has the column `first`.
 fn collect(peaks: &[u8], first: usize, y: usize, mask: Option<&LevelMask>, candidates: &mut Vec<Corner>) {
     let y = y as u32;
-    let mut corners_from = |from: usize, peaks: &[u8]| {
-        for (i, score) in peaks.iter().enumerate().filter(|(_, score)| **score != 0) {
-            let x = (first + from + i) as u32;
-            if mask.is_none_or(|mask| mask.is_open(x, y)) {
-                candidates.push(Corner { x, y, strength: f32::from(*score) });
-            }
+    let open = mask.map(|mask| mask.open_row(y));
+    let mut add = |at: usize, score: u8| {
+        let x = (first + at) as u32;
+        if open.as_ref().is_none_or(|open| open.is_open(x)) {
+            candidates.push(Corner { x, y, strength: f32::from(score) });
         }
     };
-    // Most places have none: eight are passed at once, as one number.
+    // Most places have none: eight are passed at once, as one number, whose lowest byte is the first place.
     let (words, rest) = peaks.as_chunks::<8>();
-    for (k, word) in words.iter().enumerate().filter(|(_, word)| u64::from_ne_bytes(**word) != 0) {
-        corners_from(8 * k, word);
+    for (k, scores) in words.iter().enumerate() {
+        let mut word = u64::from_le_bytes(*scores);
+        while word != 0 {
+            let i = word.trailing_zeros() as usize / 8;
+            add(8 * k + i, scores[i]);
+            word &= !(0xff << (8 * i));
+        }
     }
-    corners_from(8 * words.len(), rest);
+    rest.iter().enumerate().filter(|(_, score)| **score != 0).for_each(|(i, score)| add(8 * words.len() + i, *score));
 }
 
 multiversion! {

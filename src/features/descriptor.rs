@@ -24,6 +24,8 @@ impl Descriptor {
     }
 }
 
+/// Pairs of the turned pattern in a line of a cache, 64 bytes. With more, lines are left out; with fewer, they are asked for twice.
+const PAIRS_OF_LINE: usize = 16;
 /// Pixels from one row of a copied patch to the next: one AVX2 register of bytes.
 const STRIDE: usize = 32;
 /// Side of a patch in pixels.
@@ -75,6 +77,8 @@ impl Patch {
     fn describe(&self, angle: f32) -> Descriptor {
         let direction = (angle / std::f32::consts::TAU * DIRECTIONS as f32).round() as i32;
         let pattern = &turned()[direction.rem_euclid(DIRECTIONS as i32) as usize];
+        // The table is larger than the nearest cache: all of its lines are asked for at once, rather than one after another.
+        std::hint::black_box(pattern.iter().step_by(PAIRS_OF_LINE).fold(0, |all, [a, _]| all | a));
         let pixels = self.0.as_flattened();
         // Indices are below the length anyway: this lets the compiler see it.
         let at = |index: u16| pixels[index as usize % (STRIDE * STRIDE)];

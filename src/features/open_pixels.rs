@@ -55,13 +55,31 @@ pub struct LevelMask<'a> {
     pub level: &'a Level,
 }
 
+/// Of a row of a level, the row of the mask that its middle lies in.
+pub struct OpenRow<'a> {
+    mask: &'a LevelMask<'a>,
+    pixels: &'a [u8],
+}
+
+impl OpenRow<'_> {
+    /// Whether a pixel of the row is open.
+    pub fn is_open(&self, x: u32) -> bool {
+        self.pixels.get(self.mask.place(x, self.mask.level.scale[0])).is_some_and(|pixel| *pixel > 0)
+    }
+}
+
 impl LevelMask<'_> {
-    /// Whether a pixel of the level is open.
-    pub fn is_open(&self, x: u32, y: u32) -> bool {
-        // The pixel of the picture that the middle lies in.
-        let [across, down] = self.level.scale;
-        let pixel = self.mask.get_pixel_checked(((f64::from(x) + 0.5) / across) as u32, ((f64::from(y) + 0.5) / down) as u32);
-        pixel.is_some_and(|p| p[0] > 0)
+    /// Which pixels of a row of the level are open.
+    pub fn open_row(&self, y: u32) -> OpenRow<'_> {
+        let width = self.mask.width() as usize;
+        let first = self.place(y, self.level.scale[1]).saturating_mul(width);
+        let pixels = self.mask.as_raw().get(first..first.saturating_add(width)).unwrap_or_default();
+        OpenRow { mask: self, pixels }
+    }
+
+    /// The pixel of the picture that the middle of a level's pixel lies in.
+    fn place(&self, at: u32, scale: f64) -> usize {
+        ((f64::from(at) + 0.5) / scale) as usize
     }
 
     /// Which rows of tiles the pixels of a row of the level and of its neighbours above and below lie in.
@@ -74,11 +92,20 @@ impl LevelMask<'_> {
     pub fn open_runs(&self, tile_rows: Range<usize>, columns: Range<usize>, runs: &mut Vec<Range<usize>>) {
         runs.clear();
         let OpenTiles { across, is_open, .. } = self.tiles;
-        for tile in (0..*across).filter(|tile| tile_rows.clone().any(|row| is_open[row * across + tile])) {
-            // A pixel of the picture is that of a level's pixel within half a pixel of its place; one more for its neighbours, and one for rounding.
-            let place = |u: usize| u as f64 * self.level.scale[0] - 0.5;
-            let first = ((place(TILE * tile) - 2.0).max(0.0) as usize).max(columns.start);
-            let end = ((place(TILE * (tile + 1)) + 3.0) as usize).min(columns.end);
+        let is_open = |tile: usize| tile < *across && tile_rows.clone().any(|row| is_open[row * across + tile]);
+        // A pixel of the picture is that of a level's pixel within half a pixel of its place; one more for its neighbours, and one for rounding.
+        let place = |tile: usize| (TILE * tile) as f64 * self.level.scale[0] - 0.5;
+        let mut tile = 0;
+        while tile < *across {
+            if !is_open(tile) {
+                tile += 1;
+                continue;
+            }
+            let first = ((place(tile) - 2.0).max(0.0) as usize).max(columns.start);
+            while is_open(tile) {
+                tile += 1;
+            }
+            let end = ((place(tile) + 3.0) as usize).min(columns.end);
             match runs.last_mut() {
                 Some(run) if first <= run.end + BRIDGED => run.end = end.max(run.end),
                 _ if first < end => runs.push(first..end),
@@ -114,7 +141,8 @@ mod tests {
                     prop_assert!(runs.windows(2).all(|two| two[0].end < two[1].start));
                     let is_in = |x: usize| runs.iter().any(|run| run.contains(&x));
                     for v in y.saturating_sub(1)..(y + 2).min(h) {
-                        for x in (0..w).filter(|x| seen.is_open(*x as u32, v as u32)) {
+                        let open = seen.open_row(v as u32);
+                        for x in (0..w).filter(|x| open.is_open(*x as u32)) {
                             prop_assert!((x.saturating_sub(1)..(x + 2).min(w)).all(is_in), "{x}, {y} of {w} x {h}: {runs:?}");
                         }
                     }

@@ -67,10 +67,18 @@ fn find_texels_plain(size: [usize; 2], xs: &[f32], ys: &[f32], first: &mut [u32]
         // What is no number is taken for 0.
         let (x, y) = (x.max(0.0).min(last_x), y.max(0.0).min(last_y));
         // Of pictures wider than 2^15 texels the fraction is rounded away.
-        let (i, j) = ((x as i32).min(last_i), (y as i32).min(last_j));
+        let (i, j) = (whole_part(x).min(last_i), whole_part(y).min(last_j));
         (*right, *below) = (x - i as f32, y - j as f32);
         *first = (j * size[0] as i32 + i) as u32;
     }
+}
+
+/// The whole part of a number from 0 to 2^23, which a cast gives as well: but that asks of one number after another whether it is one.
+#[inline(always)]
+fn whole_part(v: f32) -> i32 {
+    // From here on, numbers are a whole one apart.
+    const WHOLE: f32 = (1u32 << 23) as f32;
+    (v.trunc() + WHOLE).to_bits().wrapping_sub(WHOLE.to_bits()) as i32
 }
 
 multiversion! {
@@ -107,6 +115,12 @@ mod tests {
     use image::GrayImage;
 
     use super::*;
+
+    #[test]
+    fn the_whole_part_is_what_a_cast_gives() {
+        let some = (0..200_000).map(|k| k as f32 * 0.013).chain([0.0, 0.999_999_94, 1.0, 32_767.998, 8_388_607.0]);
+        some.for_each(|v| assert_eq!(whole_part(v), v as i32, "{v}"));
+    }
 
     #[test]
     fn a_row_of_texels_is_what_each_place_shows_by_itself() {

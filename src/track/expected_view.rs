@@ -43,7 +43,7 @@ impl ExpectedView {
         let pixels = self.size[0] * self.size[1];
         self.depth.clear();
         self.depth.resize(pixels, f32::INFINITY);
-        self.grey.clear();
+        // Grey means nothing where no surface is.
         self.grey.resize(pixels, 0.0);
         self.owners.clear();
         self.owners.resize(pixels, 0);
@@ -56,7 +56,7 @@ impl ExpectedView {
         self.size
     }
 
-    /// What should be seen, pixel by pixel; 0 where no surface is.
+    /// What should be seen, pixel by pixel; anything where no surface is.
     pub fn grey(&self) -> &[f32] {
         &self.grey
     }

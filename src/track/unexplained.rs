@@ -89,6 +89,10 @@ pub struct Unexplained {
     /// For a row of cells, sums over its rows of pixels; as [`Moments`] has them.
     columns: [Vec<f32>; MOMENTS],
     moments: Vec<Moments>,
+    /// Sums over three rows of cells.
+    triples: Vec<Moments>,
+    /// Whether each cell is unexplained.
+    open: Vec<bool>,
     cells: UnexplainedCells,
     regions: Vec<Region>,
     windows: SearchWindows,
@@ -227,7 +231,7 @@ impl Unexplained {
 
     /// Finds the cells that are unexplained.
     fn compare(&mut self, sums: &[u16]) {
-        let Self { expected, columns, moments, cells, .. } = self;
+        let Self { expected, columns, moments, triples, open, cells, .. } = self;
         let [width, height] = expected.size();
         let [across, down] = [width / CELL, height / CELL_ROWS];
         moments.clear();
@@ -245,18 +249,22 @@ impl Unexplained {
                 cell.0 = columns.each_ref().map(|sums| sums[k * CELL..][..CELL].iter().sum());
             }
         }
-        let moments = &*moments;
-        let is_unexplained = (0..across * down).map(|cell| {
-            let (column, row) = (cell % across, cell / across);
-            let mut window = Moments::default();
-            for v in row.saturating_sub(1)..(row + 2).min(down) {
-                for u in column.saturating_sub(1)..(column + 2).min(across) {
-                    window.add(&moments[v * across + u]);
-                }
+        open.clear();
+        for row in 0..down {
+            // Sums over three rows, then over three columns of these.
+            let (first, last) = (row.saturating_sub(1), (row + 1).min(down - 1));
+            triples.clear();
+            triples.extend_from_slice(&moments[first * across..][..across]);
+            for beside in first + 1..=last {
+                triples.iter_mut().zip(&moments[beside * across..]).for_each(|(sum, more)| sum.add(more));
             }
-            window.is_unexplained()
-        });
-        cells.renew([across, down], is_unexplained);
+            open.extend((0..across).map(|column| {
+                let mut window = Moments::default();
+                triples[column.saturating_sub(1)..(column + 2).min(across)].iter().for_each(|sums| window.add(sums));
+                window.is_unexplained()
+            }));
+        }
+        cells.renew([across, down], open.iter().copied());
     }
 
     /// Cuts the regions out, each with a margin.
