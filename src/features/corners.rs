@@ -6,7 +6,7 @@ use std::ops::Range;
 use image::GrayImage;
 
 use super::kernels::{CIRCLE, CIRCLE_RADIUS, peak_row, score_row};
-use super::open_pixels::LevelMask;
+use super::open_pixels::{LevelMask, OpenRow};
 use crate::simd::multiversion;
 
 /// A corner on a pyramid level.
@@ -65,6 +65,8 @@ pub struct CornerBuffers {
     rows: [ScoreRow; 3],
     /// The runs of columns to search in the next row.
     runs: Vec<Range<usize>>,
+    /// See [`LevelMask::find_columns`].
+    mask_columns: Vec<u32>,
     peaks: Vec<u8>,
     candidates: Vec<Corner>,
     sorted: Vec<Corner>,
@@ -158,7 +160,7 @@ fn find_peaks(image: &GrayImage, threshold: u8, border: u32, mask: Option<&Level
     let source = image.as_raw();
     let b = border as usize;
     let columns = b..w - b;
-    let CornerBuffers { rows, runs, peaks, candidates, .. } = buffers;
+    let CornerBuffers { rows, runs, mask_columns, peaks, candidates, .. } = buffers;
     for row in rows.iter_mut() {
         row.scores.clear();
         row.scores.resize(columns.len() + 2, 0);
@@ -169,6 +171,9 @@ fn find_peaks(image: &GrayImage, threshold: u8, border: u32, mask: Option<&Level
     let offsets = CIRCLE.map(|(dx, dy)| dy * w as isize + dx);
     runs.clear();
     runs.extend(mask.is_none().then(|| columns.clone()));
+    if let Some(mask) = mask {
+        mask.find_columns(mask_columns);
+    }
     let mut tile_rows = 0..0;
     let [above, here, below] = rows;
     // Scores of three rows roll on; row y is complete when row y + 1 was scored.
@@ -188,11 +193,12 @@ fn find_peaks(image: &GrayImage, threshold: u8, border: u32, mask: Option<&Level
             }
             below.runs.extend_from_slice(runs);
         }
+        let open = mask.map(|mask| mask.open_row(y as u32 - 1, mask_columns));
         for run in &here.runs {
             let peaks = &mut peaks[..run.len()];
             let around = run.start - b..run.end - b + 2;
             peak_row([&above.scores[around.clone()], &here.scores[around.clone()], &below.scores[around]], peaks);
-            collect(peaks, run.start, y - 1, mask, candidates);
+            collect(peaks, run.start, y - 1, open.as_ref(), candidates);
         }
         std::mem::swap(above, here);
         std::mem::swap(here, below);
@@ -200,13 +206,11 @@ fn find_peaks(image: &GrayImage, threshold: u8, border: u32, mask: Option<&Level
 }
 
 /// Appends the corners of a row that a mask leaves; the row's first pixel has the column `first`.
-fn collect(peaks: &[u8], first: usize, y: usize, mask: Option<&LevelMask>, candidates: &mut Vec<Corner>) {
-    let y = y as u32;
-    let open = mask.map(|mask| mask.open_row(y));
+fn collect(peaks: &[u8], first: usize, y: usize, open: Option<&OpenRow>, candidates: &mut Vec<Corner>) {
     let mut add = |at: usize, score: u8| {
-        let x = (first + at) as u32;
-        if open.as_ref().is_none_or(|open| open.is_open(x)) {
-            candidates.push(Corner { x, y, strength: f32::from(score) });
+        let x = first + at;
+        if open.is_none_or(|open| open.is_open(x)) {
+            candidates.push(Corner { x: x as u32, y: y as u32, strength: f32::from(score) });
         }
     };
     // Most places have none: eight are passed at once, as one number, whose lowest byte is the first place.

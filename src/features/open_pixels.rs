@@ -55,31 +55,38 @@ pub struct LevelMask<'a> {
     pub level: &'a Level,
 }
 
+/// The column or row of the picture that the middle of a level's lies in.
+fn place(at: u32, scale: f64) -> u32 {
+    ((f64::from(at) + 0.5) / scale) as u32
+}
+
 /// Of a row of a level, the row of the mask that its middle lies in.
 pub struct OpenRow<'a> {
-    mask: &'a LevelMask<'a>,
     pixels: &'a [u8],
+    columns: &'a [u32],
 }
 
 impl OpenRow<'_> {
     /// Whether a pixel of the row is open.
-    pub fn is_open(&self, x: u32) -> bool {
-        self.pixels.get(self.mask.place(x, self.mask.level.scale[0])).is_some_and(|pixel| *pixel > 0)
+    pub fn is_open(&self, x: usize) -> bool {
+        let column = self.columns.get(x).copied().unwrap_or(u32::MAX);
+        self.pixels.get(column as usize).is_some_and(|pixel| *pixel > 0)
     }
 }
 
 impl LevelMask<'_> {
-    /// Which pixels of a row of the level are open.
-    pub fn open_row(&self, y: u32) -> OpenRow<'_> {
-        let width = self.mask.width() as usize;
-        let first = self.place(y, self.level.scale[1]).saturating_mul(width);
-        let pixels = self.mask.as_raw().get(first..first.saturating_add(width)).unwrap_or_default();
-        OpenRow { mask: self, pixels }
+    /// Fills `columns` with the column of the mask that the middle of each column of the level lies in.
+    pub fn find_columns(&self, columns: &mut Vec<u32>) {
+        columns.clear();
+        columns.extend((0..self.level.image.width()).map(|x| place(x, self.level.scale[0])));
     }
 
-    /// The pixel of the picture that the middle of a level's pixel lies in.
-    fn place(&self, at: u32, scale: f64) -> usize {
-        ((f64::from(at) + 0.5) / scale) as usize
+    /// Which pixels of a row of the level are open. `columns`: see [`find_columns`](Self::find_columns).
+    pub fn open_row<'a>(&'a self, y: u32, columns: &'a [u32]) -> OpenRow<'a> {
+        let width = self.mask.width() as usize;
+        let first = (place(y, self.level.scale[1]) as usize).saturating_mul(width);
+        let pixels = self.mask.as_raw().get(first..first.saturating_add(width)).unwrap_or_default();
+        OpenRow { pixels, columns }
     }
 
     /// Which rows of tiles the pixels of a row of the level and of its neighbours above and below lie in.
@@ -131,18 +138,19 @@ mod tests {
             open.iter().for_each(|(x, y)| mask.put_pixel(x % size.0, y % size.1, Luma([255])));
             let mut tiles = OpenTiles::default();
             tiles.update(&mask);
-            let (mut pyramid, mut runs) = (Pyramid::default(), Vec::new());
+            let (mut pyramid, mut runs, mut columns) = (Pyramid::default(), Vec::new(), Vec::new());
             for level in pyramid.build(&mask, factor, 4, 12) {
                 let (w, h) = (level.image.width() as usize, level.image.height() as usize);
                 let seen = LevelMask { mask: &mask, tiles: &tiles, level };
+                seen.find_columns(&mut columns);
                 for y in 0..h {
                     seen.open_runs(seen.tile_rows(y), 0..w, &mut runs);
                     prop_assert!(runs.iter().all(|run| run.start < run.end && run.end <= w));
                     prop_assert!(runs.windows(2).all(|two| two[0].end < two[1].start));
                     let is_in = |x: usize| runs.iter().any(|run| run.contains(&x));
                     for v in y.saturating_sub(1)..(y + 2).min(h) {
-                        let open = seen.open_row(v as u32);
-                        for x in (0..w).filter(|x| open.is_open(*x as u32)) {
+                        let open = seen.open_row(v as u32, &columns);
+                        for x in (0..w).filter(|x| open.is_open(*x)) {
                             prop_assert!((x.saturating_sub(1)..(x + 2).min(w)).all(is_in), "{x}, {y} of {w} x {h}: {runs:?}");
                         }
                     }
