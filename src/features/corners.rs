@@ -2,6 +2,8 @@
 //! structure tensor (Shi & Tomasi) ranks them, and a grid spreads them over the picture.
 
 use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use image::GrayImage;
 
@@ -73,7 +75,7 @@ pub struct CornerBuffers {
     corners: Vec<Corner>,
     ranks: Ranks,
     /// Lowest thresholds that the last picture did without, and the next one leaves out at first. It changes the time, never the corners.
-    spared: usize,
+    spared: Arc<AtomicUsize>,
     /// Contrast that the candidates were found with; `None` where none were looked for yet.
     found_with: Option<u8>,
 }
@@ -88,6 +90,11 @@ struct ScoreRow {
 }
 
 impl CornerBuffers {
+    /// Buffers of pictures that are alike, as the levels of one: each begins with what was learnt from the last one.
+    pub(super) fn alike(other: &Self) -> Self {
+        Self { spared: Arc::clone(&other.spared), ..Self::default() }
+    }
+
     /// What comes next is another picture.
     pub(super) fn forget_picture(&mut self) {
         self.found_with = None;
@@ -133,7 +140,7 @@ fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, mask: 
     let thresholds = [options.threshold.saturating_mul(2), options.threshold, options.least_threshold];
     // The lowest contrast of the first few.
     let lowest = |count: usize| thresholds[..count].iter().copied().min().unwrap_or(0);
-    let mut tried = thresholds.len() - buffers.spared;
+    let mut tried = thresholds.len() - buffers.spared.load(Ordering::Relaxed);
     loop {
         // A corner's score is the largest threshold that it passes, so those of a low threshold hold those of the higher ones.
         if buffers.found_with.is_none_or(|found_with| found_with > lowest(tried)) {
@@ -144,12 +151,17 @@ fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, mask: 
         let enough = thresholds[..tried].iter().position(|t| 2 * count(*t) >= 3 * options.count);
         if enough.is_some() || tried == thresholds.len() {
             let stage = enough.unwrap_or(tried - 1);
-            buffers.spared = thresholds.len() - 1 - stage;
+            buffers.spared.store(thresholds.len() - 1 - stage, Ordering::Relaxed);
             return thresholds[stage];
         }
-        tried = thresholds.len();
+        // The next contrast has several times as many.
+        tried = if NEARLY_ENOUGH * 2 * count(lowest(tried)) >= 3 * options.count { tried + 1 } else { thresholds.len() };
     }
 }
+
+/// With as many times as many corners there would be enough, so that the next lower contrast is likely to have them; else the lowest is tried. Raised, more pictures are searched a third time; lowered,
+/// the lowest contrast gives far more corners than are wanted.
+const NEARLY_ENOUGH: usize = 4;
 
 /// Corners ranked by eigenvalue for each one wanted. Raised, more eigenvalues are computed; at 1 FAST's score alone would choose.
 const SHORTLIST: usize = 3;

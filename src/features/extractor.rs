@@ -74,7 +74,10 @@ struct LevelWork {
 pub struct FeatureExtractor {
     pyramid: Pyramid,
     tiles: OpenTiles,
+    /// The coarsest level first: it costs least, and tells the others which contrast gives corners enough.
     work: Vec<LevelWork>,
+    /// What the levels' buffers have in common.
+    alike: CornerBuffers,
     jobs: Vec<(usize, Corner)>,
 }
 
@@ -106,15 +109,18 @@ impl FeatureExtractor {
         let is_wanted = |level: &Level| level.image.width().max(level.image.height()) <= options.largest_px;
         let finest = self.pyramid.levels().iter().position(is_wanted).unwrap_or(self.pyramid.levels().len() - 1);
         let levels = self.pyramid.smooth_from(finest, picture);
-        self.work.resize_with(levels.len(), LevelWork::default);
+        let alike = &self.alike;
+        self.work.resize_with(levels.len(), || LevelWork { buffers: CornerBuffers::alike(alike), ..Default::default() });
         let share = |level: &Level| (level.scale[0] * level.scale[1]).powf(options.area_power);
-        let total: f64 = levels[finest..].iter().map(share).sum();
-        for (index, (work, level)) in self.work.iter_mut().zip(levels).enumerate().skip(finest) {
+        let wanted = || levels.iter().enumerate().skip(finest);
+        let total: f64 = wanted().map(|(_, level)| share(level)).sum();
+        let work = &mut self.work[..levels.len() - finest];
+        for (work, (index, level)) in work.iter_mut().zip(wanted().rev()) {
             work.index = index;
             work.quota = (options.count as f64 * share(level) / total).round() as usize;
         }
         let tiles = &self.tiles;
-        workers.for_each(&mut self.work[finest..], |work| {
+        workers.for_each(work, |work| {
             let level = &levels[work.index];
             let corner_options = CornerOptions {
                 count: work.quota,
@@ -127,8 +133,8 @@ impl FeatureExtractor {
             detect_more_corners(&level.image, &corner_options, mask.as_ref(), &mut work.buffers, &mut work.corners);
         });
         self.jobs.clear();
-        for (k, work) in self.work.iter().enumerate().skip(finest) {
-            self.jobs.extend(work.corners.iter().map(|c| (k, *c)));
+        for work in work.iter().rev() {
+            self.jobs.extend(work.corners.iter().map(|c| (work.index, *c)));
         }
         workers.map_into(&self.jobs, features, |(k, corner)| described(&levels[*k], corner));
     }
