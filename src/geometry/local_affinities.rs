@@ -120,8 +120,12 @@ fn agreeing_with_one(matches: &[LocalAffinity], one: &LocalAffinity) -> Option<V
     let inverse = one.derivative.try_inverse().filter(|_| one.derivative.determinant() > 0.0)?;
     let agrees = |m: &LocalAffinity| {
         let reach = one.derivative * (m.pair.from - one.pair.from);
-        let off = m.pair.to - one.pair.to - reach;
-        off.norm() < NEAR_SHARE * reach.norm() + NEAR_SIGMAS * m.noise.max(one.noise) && is_alike(&(m.derivative * inverse))
+        let (off, reach) = ((m.pair.to - one.pair.to - reach).norm_squared(), reach.norm_squared());
+        let noise = NEAR_SIGMAS * m.noise.max(one.noise);
+        // The square of a sum is twice the sum of the squares at most: nearly all fail by that, without a root.
+        off < 2.0 * (NEAR_SHARE * NEAR_SHARE * reach + noise * noise)
+            && off < (NEAR_SHARE * reach.sqrt() + noise).powi(2)
+            && is_alike(&(m.derivative * inverse))
     };
     Some((0..matches.len()).filter(|&k| agrees(&matches[k])).collect())
 }
