@@ -166,6 +166,7 @@ struct LevelFit {
 }
 
 impl LevelFit {
+    /// Of a level that was not solved.
     const NONE: Self = Self { scale: f64::INFINITY, open_share: 0.0 };
 }
 
