@@ -6,9 +6,10 @@ use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 use super::fitted_anchor::FittedAnchor;
 use super::reference::PreparedBody;
 use super::surface::{BodySpec, SurfaceSpec};
-use crate::camera::{CameraModel, Intrinsics, Normalized, Pixel};
+use crate::camera::{CameraModel, Intrinsics, Normalized, Pixel, Shutter};
 use crate::geometry::resection::Observation;
 use crate::geometry::{Body, Camera, Pose};
+use crate::motion::Motion;
 
 /// Smooth random texture: noise on lattices of three pitches, so that there is detail of every size.
 pub fn texture(width: u32, height: u32, seed: u32) -> GrayImage {
@@ -52,6 +53,28 @@ pub fn cloth(seed: u32) -> SurfaceSpec {
 
 pub fn prepared(surfaces: Vec<SurfaceSpec>) -> PreparedBody {
     PreparedBody::new(&BodySpec::new("stage", surfaces)).with_anchors()
+}
+
+/// Instants that a row is seen at while the shutter is open.
+const INSTANTS: u32 = 8;
+
+/// What a camera that moves sees of a surface: each row is the mean of what it would see at instants of its own exposure.
+pub fn moving_view(surface: &SurfaceSpec, motion: &Motion, shutter: &Shutter, lens: &CameraModel) -> GrayImage {
+    let (width, height) = (lens.width(), lens.height());
+    let reach_s = 0.5 * (shutter.readout_s + shutter.exposure_s);
+    let step_s = shutter.exposure_s / f64::from(INSTANTS);
+    let mut sums = vec![[0.0, 0.0]; (width * height) as usize];
+    let count = (2.0 * reach_s / step_s).round() as u32;
+    for k in 0..count {
+        let t = (f64::from(k) + 0.5) * step_s - reach_s;
+        let seen = view(surface, &motion.after(t).pose.inverse(), lens);
+        for (row, (sums, seen)) in sums.chunks_mut(width as usize).zip(seen.chunks(width as usize)).enumerate() {
+            if (t - shutter.delay_s(row as f64 + 0.5, height)).abs() < 0.5 * shutter.exposure_s {
+                sums.iter_mut().zip(seen).for_each(|(sum, grey)| *sum = [sum[0] + f64::from(*grey), sum[1] + 1.0]);
+            }
+        }
+    }
+    GrayImage::from_raw(width, height, sums.iter().map(|[sum, n]| (sum / n).round() as u8).collect()).expect("one byte for each pixel")
 }
 
 /// Where a camera sees a place of a surface's artwork, and the derivative by it, pixels.

@@ -25,6 +25,8 @@ const SIDE: usize = 5;
 /// more.
 const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
 const MOST_PLACES: usize = 15;
+/// Blur with as many places or fewer is no hindrance to a level above the finest. Raised, such a level does not come to rest under longer blur; lowered, it costs more without need.
+const SHORT_BLUR_PLACES: usize = 3;
 
 /// What a level works for.
 #[derive(Clone, Copy)]
@@ -92,6 +94,12 @@ impl<'a> LevelSpec<'a> {
         let at_blur = PLACES.iter().find(|(longest_px, _)| self.blur_px < *longest_px);
         self.places = at_blur.map_or(MOST_PLACES, |(_, places)| *places);
         self
+    }
+
+    /// With as many samples as the blur of a motion asks for, where that is long, and never with fewer.
+    pub fn blurred_by(&self, motion: &Motion) -> Self {
+        let blurred = Self { blur_px: self.blur_of(motion), ..*self }.with_places();
+        if blurred.places > self.places.max(SHORT_BLUR_PLACES) { blurred } else { *self }
     }
 
     /// Length of the blur of a motion, pixels of the level.

@@ -6,14 +6,12 @@ use super::super::{Aligner, Alignment, CameraRays};
 use super::turn_by_velocity;
 use crate::camera::Shutter;
 use crate::motion::{Motion, MotionEstimate, MotionMatrix};
-use crate::track::synthetic::{cloth, facing, lens, prepared, view};
+use crate::track::synthetic::{cloth, facing, lens, moving_view, prepared};
 
 const SIZE: [u32; 2] = [480, 360];
 const NEAR_M: f64 = 3.4;
 /// From here the picture is too small for the coarsest level.
 const FAR_M: f64 = 15.0;
-/// Instants that a row is seen at while the shutter is open.
-const INSTANTS: u32 = 8;
 const GLOBAL: Shutter = Shutter { readout_s: 0.0, exposure_s: 0.012 };
 const ROLLING: Shutter = Shutter { readout_s: 0.02, exposure_s: 0.012 };
 
@@ -24,23 +22,8 @@ fn motion(distance_m: f64, velocity: [f64; 3], turn_rate: [f64; 3]) -> Motion {
     Motion { velocity: axes * Vector3::from(velocity), turn_rate: Vector3::from(turn_rate), ..Motion::still(pose) }
 }
 
-/// What a camera that moves sees of the cloth: each row is the mean of what it would see at instants of its own exposure.
 fn blurred(motion: &Motion, shutter: &Shutter) -> GrayImage {
-    let (lens, surface) = (lens(SIZE[0], SIZE[1]), cloth(1));
-    let reach_s = 0.5 * (shutter.readout_s + shutter.exposure_s);
-    let step_s = shutter.exposure_s / f64::from(INSTANTS);
-    let mut sums = vec![[0.0, 0.0]; (SIZE[0] * SIZE[1]) as usize];
-    let count = (2.0 * reach_s / step_s).round() as u32;
-    for k in 0..count {
-        let t = (f64::from(k) + 0.5) * step_s - reach_s;
-        let seen = view(&surface, &motion.after(t).pose.inverse(), &lens);
-        for (row, (sums, seen)) in sums.chunks_mut(SIZE[0] as usize).zip(seen.chunks(SIZE[0] as usize)).enumerate() {
-            if (t - shutter.delay_s(row as f64 + 0.5, SIZE[1])).abs() < 0.5 * shutter.exposure_s {
-                sums.iter_mut().zip(seen).for_each(|(sum, grey)| *sum = [sum[0] + f64::from(*grey), sum[1] + 1.0]);
-            }
-        }
-    }
-    GrayImage::from_raw(SIZE[0], SIZE[1], sums.iter().map(|[sum, n]| (sum / n).round() as u8).collect()).expect("one byte for each pixel")
+    moving_view(&cloth(1), motion, shutter, &lens(SIZE[0], SIZE[1]))
 }
 
 /// Aligns a frame from the true pose, with nothing known of the motion. `exposure_s`: what the aligner takes for the exposure.

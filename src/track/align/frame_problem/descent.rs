@@ -128,8 +128,8 @@ mod tests {
     use super::*;
     use crate::camera::Shutter;
     use crate::geometry::resection::perturbed;
-    use crate::motion::MotionEstimate;
-    use crate::track::synthetic::{cloth, facing, lens, view};
+    use crate::motion::{Motion, MotionEstimate};
+    use crate::track::synthetic::{cloth, facing, lens, moving_view, view};
 
     /// The cloth where the columns are open and another one beside, from a start that is so far off, metres to the side.
     fn with_problem(open_columns: u32, off_m: f64, ask: impl FnOnce(&mut FrameProblem)) {
@@ -176,6 +176,24 @@ mod tests {
             let found = problem.descend_from_far(FINEST + 3, nearby.found, nearby.coarsest).expect("reached");
             assert!(found.scale < CLOSE_SCALE && nearby.found.is_none_or(|found| found.scale > CLOSE_SCALE), "{}", found.scale);
         });
+    }
+
+    #[test]
+    fn rows_tell_the_blur_of_a_body_that_was_just_found_before_the_finest_level() {
+        let shutter = Shutter { readout_s: 0.02, exposure_s: 0.012 };
+        let still = Motion::still(facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4)).inverse());
+        // Twelve pixels of the frame.
+        let truth = Motion { turn_rate: Vector3::new(0.3, 2.0, 0.0), ..still };
+        let (mut levels, rays, surfaces) = (FrameLevels::default(), CameraRays::new(lens(480, 360), None), [AlignSurface::new(&cloth(1))]);
+        levels.update(&moving_view(&cloth(1), &truth, &shutter, &lens(480, 360)));
+        let (slow, mut buffers) = (SlowEstimates::new(shutter), Buffers::with_room_for(&surfaces));
+        let expected = MotionEstimate::unseen(truth.pose, 3.4, 0.1, 0.03);
+        let information = expected.covariance.cholesky().expect("positive").inverse();
+        let mut problem = FrameProblem::new(&surfaces, &slow, &mut buffers, &mut levels, &rays, &expected, &information);
+        problem.follows(false, true);
+        let found = problem.descend(FINEST + 1, None).found.expect("the picture agrees");
+        let LevelFit { scale, open_share } = problem.above;
+        assert!(scale < CLOSE_SCALE && open_share > 0.9 && found.scale < CLOSE_SCALE, "{scale} {open_share} {}", found.scale);
     }
 
     #[test]

@@ -60,7 +60,7 @@ const WANDERING_SCALE: f64 = 10.0;
 const HOPELESS_ROUNDS: usize = 2;
 const HOPELESS_SCALE: f64 = 6.0;
 const HOPELESS_SHARE: f64 = 0.6;
-/// The first rounds of a level. See above.
+/// The first rounds of a level, counted anew where its blur turns out to be longer. See above.
 const SETTLING_ROUNDS: usize = 4;
 /// Rounds at the finest level, at most, of a body that was just found, of which little more than the half fits that always takes part, and not well: of 108 alignments of objects that succeeded, seven clips long, three
 /// took more, all of bodies that were less than half in view, and one of them as long as seven followed bodies. Raised, frames of covered bodies cost more; lowered, these are found later.
@@ -259,8 +259,16 @@ impl<'a> FrameProblem<'a> {
         // Whether these pixels were predicted before.
         let mut is_same = false;
         let mut changes = ChangeSums::default();
+        let (mut blurred, mut settles_from) = (*spec, SETTLING_ROUNDS);
         for round in 0..rounds {
             let is_first = is_first && round == 0;
+            // Rows tell how a body moves that was just found; until then its prediction has no blur.
+            if !is_finest && self.may_ask_blur() {
+                let longer = blurred.blurred_by(&motion);
+                settles_from = if longer.places > blurred.places { round + SETTLING_ROUNDS } else { settles_from };
+                blurred = longer;
+            }
+            let spec = &blurred;
             if is_finest && self.buffers.fine.moved_px(spec, &chosen_at, &motion) > CHOSEN_PX {
                 (chosen_at, is_same) = (motion, false);
                 if !self.lay_out(spec, &motion) {
@@ -295,7 +303,7 @@ impl<'a> FrameProblem<'a> {
                 break;
             }
             let longest_px = if is_poor || solved.scale > WANDERING_SCALE { WANDERING_STEP_PX } else { LARGEST_SETTLED_STEP_PX };
-            if round >= SETTLING_ROUNDS && moved > longest_px || is_poor && round + 1 >= POOR_ROUNDS {
+            if round >= settles_from && moved > longest_px || is_poor && round + 1 >= POOR_ROUNDS {
                 self.wanders = is_poor;
                 return None;
             }
