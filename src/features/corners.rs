@@ -90,7 +90,7 @@ struct ScoreRow {
 }
 
 impl CornerBuffers {
-    /// Buffers of pictures that are alike, as the levels of one: each begins with what was learnt from the last one.
+    /// Buffers for pictures that need about the same contrast, as the levels of one do: each search begins with the contrast that the last one of any of them ended with.
     pub(super) fn alike(other: &Self) -> Self {
         Self { spared: Arc::clone(&other.spared), ..Self::default() }
     }
@@ -148,20 +148,20 @@ fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, mask: 
             buffers.found_with = Some(lowest(tried));
         }
         let count = |t: u8| buffers.candidates.iter().filter(|c| c.strength >= f32::from(t)).count();
-        let enough = thresholds[..tried].iter().position(|t| 2 * count(*t) >= 3 * options.count);
+        let is_enough = |corners: usize| 2 * corners >= 3 * options.count;
+        let enough = thresholds[..tried].iter().position(|t| is_enough(count(*t)));
         if enough.is_some() || tried == thresholds.len() {
             let stage = enough.unwrap_or(tried - 1);
             buffers.spared.store(thresholds.len() - 1 - stage, Ordering::Relaxed);
             return thresholds[stage];
         }
-        // The next contrast has several times as many.
-        tried = if NEARLY_ENOUGH * 2 * count(lowest(tried)) >= 3 * options.count { tried + 1 } else { thresholds.len() };
+        tried = if is_enough(LOWER_CONTRAST_GAIN * count(lowest(tried))) { tried + 1 } else { thresholds.len() };
     }
 }
 
-/// With as many times as many corners there would be enough, so that the next lower contrast is likely to have them; else the lowest is tried. Raised, more pictures are searched a third time; lowered,
-/// the lowest contrast gives far more corners than are wanted.
-const NEARLY_ENOUGH: usize = 4;
+/// How many times as many corners the next lower contrast is expected to have. Where that is not enough, the lowest one is tried at once. Raised, more pictures are searched a third time; lowered, the
+/// lowest contrast is tried where it gives far more corners than are wanted.
+const LOWER_CONTRAST_GAIN: usize = 4;
 
 /// Corners ranked by eigenvalue for each one wanted. Raised, more eigenvalues are computed; at 1 FAST's score alone would choose.
 const SHORTLIST: usize = 3;

@@ -76,7 +76,7 @@ pub struct FeatureExtractor {
     tiles: OpenTiles,
     /// The coarsest level first: it costs least, and tells the others which contrast gives corners enough.
     work: Vec<LevelWork>,
-    /// What the levels' buffers have in common.
+    /// Shares what it learns with the buffers of all levels; no level is searched with it.
     alike: CornerBuffers,
     jobs: Vec<(usize, Corner)>,
 }

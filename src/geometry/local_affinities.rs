@@ -46,6 +46,7 @@ pub fn robust_affine(matches: &[LocalAffinity], least: usize) -> Option<(Homogra
     let mut first: Vec<Vec<usize>> = matches
         .iter()
         .filter_map(|m| agreeing_with_one(matches, m))
+        // Distinct places are never more than the matches.
         .filter(|a| a.len() >= least)
         .map(|a| distinct(matches, a.into_iter()))
         .filter(|a| a.len() >= least)
@@ -61,9 +62,9 @@ pub fn robust_affine(matches: &[LocalAffinity], least: usize) -> Option<(Homogra
 /// match a place counts, but all are given; `None` where fewer than `least` agree. It takes a fifth of the time of a search for a homography. Matches come best first.
 pub fn most_agreeing(matches: &[LocalAffinity], least: usize) -> Option<Vec<usize>> {
     let matches = &matches[..matches.len().min(TRIED)];
-    let (mut best, mut most) = (None, least.max(1) - 1);
+    let (mut best, mut most) = (None, least.saturating_sub(1));
     for agreeing in matches.iter().filter_map(|m| agreeing_with_one(matches, m)) {
-        // Places are told from each other only where there are matches enough.
+        // Distinct places are never more than the matches, so most hypotheses need no count of them.
         let places = if agreeing.len() > most { distinct(matches, agreeing.iter().copied()).len() } else { 0 };
         if places > most {
             (best, most) = (Some(agreeing), places);
