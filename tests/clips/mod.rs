@@ -5,3 +5,4 @@ mod kiosk;
 mod postcard;
 mod replayed;
 pub mod shared;
+mod teabox;
