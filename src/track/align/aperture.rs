@@ -3,12 +3,16 @@
 //! Nearly all tiles of a pose that slid agree: across the stripes all is right, and along them there is next to nothing to see. What there is -
 //! grain, a small picture amidst - disagrees, and is outvoted. So directions are asked one by one: of a right pose the gradients of what is seen
 //! are those of what is expected in each direction; of one that slid they have nothing to do with each other along the stripes.
+//!
+//! Nor do they where somebody stands before a part of the picture. But then the tiles that agree bear out each direction by themselves, which those of a pose that slid do not.
+
+use std::ops::Range;
 
 use nalgebra::{Matrix2, SymmetricEigen, Vector2};
 
 use super::appearance::Appearance;
 use super::frame_levels::Level;
-use super::pixels::Pixels;
+use super::pixels::{Pixels, Run};
 
 /// Where this share of the tiles agrees, what stands in front of the others does not hide all that tells of one direction. Chosen: poses that slid have above 0.59. Raised,
 /// poses slide along stripes behind people; lowered, what is in front may by chance look like the opposite of what it hides.
@@ -26,6 +30,15 @@ const STRIDE: usize = 3;
 /// How the gradients that are seen go with those that are expected.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct GradientAgreement {
+    /// Wherever the picture is expected.
+    everywhere: GradientSums,
+    /// In the tiles that agree.
+    where_agreeing: GradientSums,
+}
+
+/// Products of the gradients that are seen and expected, summed over pixels.
+#[derive(Debug, Clone, Copy, Default)]
+struct GradientSums {
     /// Sum of the outer products of what is expected with itself.
     expected: Matrix2<f64>,
     /// Sum of the outer products of what is seen with what is expected.
@@ -46,15 +59,47 @@ pub struct BorneOut {
 }
 
 impl GradientAgreement {
-    /// Of a solved level's pixels.
-    pub fn of(pixels: &Pixels, appearance: &Appearance, level: &Level) -> Self {
+    /// Takes the pixels of a run of a solved level; `agrees`: whether its tile does.
+    pub fn add(&mut self, run: &Run, agrees: bool, pixels: &Pixels, appearance: &Appearance, level: &Level) {
+        let sums = GradientSums::of(run.start as usize..run.end as usize, pixels, appearance, level);
+        self.everywhere.join(&sums);
+        if agrees {
+            self.where_agreeing.join(&sums);
+        }
+    }
+
+    /// How well the directions are borne out, the worst and the best. `None` where a direction expects nothing at all.
+    pub fn borne_out(&self) -> Option<[BorneOut; 2]> {
+        self.everywhere.borne_out()
+    }
+
+    /// Whether a pose may have slid along stripes, of whose tiles this share agrees.
+    pub fn may_have_slid(&self, share: f64) -> bool {
+        let is_refuted = |[worst, best]: [BorneOut; 2]| worst.share + SURE_SIGMAS * worst.sigma < LEAST_BORNE_OUT * best.share;
+        let is_borne_out = |[worst, best]: [BorneOut; 2]| worst.share - SURE_SIGMAS * worst.sigma > LEAST_BORNE_OUT * best.share;
+        let may_have_slid = share > LEAST_SHARE && self.everywhere.borne_out().is_some_and(is_refuted);
+        may_have_slid && !self.where_agreeing.borne_out().is_some_and(is_borne_out)
+    }
+}
+
+impl GradientSums {
+    /// Of every third of these pixels of a solved level.
+    fn of(range: Range<usize>, pixels: &Pixels, appearance: &Appearance, level: &Level) -> Self {
         let mut sums = Self::default();
-        for k in (0..pixels.len()).step_by(STRIDE).filter(|k| pixels.counts[*k] > 0.0) {
+        let first = range.start.next_multiple_of(STRIDE);
+        for k in (first..range.end).step_by(STRIDE).filter(|k| pixels.counts[*k] > 0.0) {
             if let Some(seen) = level.gradient(pixels.place.each_ref().map(|place| place[k] as usize)) {
                 sums.add(seen, Vector2::new(appearance.across[k].into(), appearance.down[k].into()));
             }
         }
         sums
+    }
+
+    fn join(&mut self, other: &Self) {
+        self.expected += other.expected;
+        self.both += other.both;
+        self.seen += other.seen;
+        self.count += other.count;
     }
 
     fn add(&mut self, seen: Vector2<f64>, expected: Vector2<f64>) {
@@ -67,7 +112,7 @@ impl GradientAgreement {
 
     /// How well the directions are borne out, the worst and the best: the eigenvalues of the products of seen and expected, measured by what is expected. `None` where a
     /// direction expects nothing at all.
-    pub fn borne_out(&self) -> Option<[BorneOut; 2]> {
+    fn borne_out(&self) -> Option<[BorneOut; 2]> {
         let root = self.expected.cholesky()?.l();
         let both = 0.5 * (self.both + self.both.transpose());
         let whitened = root.solve_lower_triangular(&root.solve_lower_triangular(&both)?.transpose())?;
@@ -81,12 +126,6 @@ impl GradientAgreement {
         let worst = eigenvalues.imin();
         Some([of(worst)?, of(1 - worst)?])
     }
-
-    /// Whether a pose may have slid along stripes, of whose tiles this share agrees.
-    pub fn may_have_slid(&self, share: f64) -> bool {
-        let is_refuted = |[worst, best]: [BorneOut; 2]| worst.share + SURE_SIGMAS * worst.sigma < LEAST_BORNE_OUT * best.share;
-        share > LEAST_SHARE && self.borne_out().is_some_and(is_refuted)
-    }
 }
 
 #[cfg(test)]
@@ -96,13 +135,18 @@ mod tests {
 
     use super::*;
 
+    /// Of a picture all of whose tiles agree.
+    fn agreeing(sums: GradientSums) -> GradientAgreement {
+        GradientAgreement { everywhere: sums, where_agreeing: sums }
+    }
+
     /// Stripes with grain, in any direction: gradients that are expected, and those that are seen with noise; of a pose that slid the grain is another.
-    fn striped(degrees: f64, grain: f64, has_slid: bool) -> GradientAgreement {
+    fn striped(degrees: f64, grain: f64, has_slid: bool) -> GradientSums {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         let mut draw = |size: f64| size * (random.random::<f64>() - 0.5);
         let (sin, cos) = degrees.to_radians().sin_cos();
         let turned = |across: f64, along: f64| Vector2::new(cos * across - sin * along, sin * across + cos * along);
-        let mut sums = GradientAgreement::default();
+        let mut sums = GradientSums::default();
         for _ in 0..3000 {
             let (across, along) = (draw(50.0), draw(grain));
             let other = if has_slid { draw(grain) } else { along };
@@ -115,8 +159,8 @@ mod tests {
     #[test]
     fn a_pose_that_slid_along_stripes_is_told_by_their_grain() {
         for degrees in [0.0, 30.0, 77.0, 135.0] {
-            assert!(striped(degrees, 3.0, true).may_have_slid(0.9), "{degrees}");
-            assert!(!striped(degrees, 3.0, false).may_have_slid(1.0), "{degrees}");
+            assert!(agreeing(striped(degrees, 3.0, true)).may_have_slid(0.9), "{degrees}");
+            assert!(!agreeing(striped(degrees, 3.0, false)).may_have_slid(1.0), "{degrees}");
         }
     }
 
@@ -133,10 +177,27 @@ mod tests {
         // What is covered is borne out in no direction; here it has more of the one than of the other.
         let mut sums = striped(30.0, 30.0, false);
         sums.expected += striped(60.0, 30.0, true).expected;
-        assert!(!sums.may_have_slid(0.5));
+        assert!(!agreeing(sums).may_have_slid(0.5));
         for grain in [0.0, 1e-9, 0.01] {
-            assert!(!striped(30.0, grain, true).may_have_slid(1.0), "nothing is to be seen along them");
+            assert!(!agreeing(striped(30.0, grain, true)).may_have_slid(1.0), "nothing is to be seen along them");
         }
         assert!(!GradientAgreement::default().may_have_slid(1.0));
+    }
+    #[test]
+    fn what_stands_before_a_part_of_the_picture_does_not_refute_what_agrees_beside_it() {
+        let agree = striped(30.0, 30.0, false);
+        // Its own stripes lie across what is expected behind it.
+        let mut everywhere = agree;
+        let covered = striped(120.0, 3.0, false);
+        everywhere.expected += striped(30.0, 3.0, false).expected;
+        everywhere.both -= covered.both;
+        everywhere.seen += covered.seen;
+        everywhere.count += covered.count;
+        assert!(agreeing(everywhere).may_have_slid(0.5));
+        assert!(!GradientAgreement { everywhere, where_agreeing: agree }.may_have_slid(0.5));
+        // Stripes that slid agree but across themselves, and plain ones do not tell.
+        for grain in [3.0, 0.01] {
+            assert!(GradientAgreement { everywhere, where_agreeing: striped(30.0, grain, true) }.may_have_slid(0.5), "{grain}");
+        }
     }
 }

@@ -134,10 +134,14 @@ impl LevelSolution<'_> {
         sums
     }
 
-    /// How the gradients go together at the chosen pixels; `level`: the frame's.
+    /// How the gradients go together at the chosen pixels, once it is [concluded](Self::conclude) which tiles agree; `level`: the frame's.
     pub fn gradient_agreement(&self, level: &Level) -> GradientAgreement {
-        let picture = &self.problem.picture;
-        GradientAgreement::of(&picture.pixels, &picture.appearance, level)
+        let LevelProblem { picture, runs, .. } = &*self.problem;
+        let mut gradients = GradientAgreement::default();
+        for r in runs {
+            gradients.add(&r.run, agreement(&r.evidence) == Some(true), &picture.pixels, &picture.appearance, level);
+        }
+        gradients
     }
 
     /// The clue on the time in which the sensor's rows are read, seconds.
