@@ -249,14 +249,17 @@ impl Matcher {
         self.lens_watch.update(clue, is_seen, doubt)
     }
 
-    /// Gives up the objects whose tiles lie so far from where any pose puts them that the pose is none.
+    /// Refuses the objects whose tiles lie so far from where any pose puts them that the pose is none. In what was just found, blur displaces tiles as well, as long as the motion is not known: it
+    /// is followed for a frame, which tells the motion.
     fn refuse_misfits(&mut self) {
         for k in 1..self.bodies.len() {
             let turn = self.fits[k].and_then(|fit| fit.at_most).map_or(0.0, |c| c.fixed_view::<3, 3>(3, 3).trace().max(0.0).sqrt());
             if turn > LARGEST_MISFIT_TURN {
                 debug!(body = %self.bodies[k].body.name, turn, "misfit");
                 (self.verified[k], self.fits[k]) = (None, None);
-                self.bodies[k].give_up(Reason::NoPoseFits);
+                let was_followed = self.bodies[k].followed_from.is_some();
+                let refuse = if was_followed { TrackedBody::give_up } else { TrackedBody::leave_open };
+                refuse(&mut self.bodies[k], Reason::NoPoseFits);
             }
         }
     }

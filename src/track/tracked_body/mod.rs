@@ -262,7 +262,14 @@ impl TrackedBody {
 
     /// Gives up the pose that this frame seemed to show, for this reason.
     pub fn give_up(&mut self, reason: Reason) {
-        self.forget_alignment();
+        self.motion = None;
+        self.leave_open(reason);
+    }
+
+    /// Does not give the pose that this frame seems to show, for this reason, but follows it: the next frame tells more.
+    pub fn leave_open(&mut self, reason: Reason) {
+        self.clue = None;
+        self.used.iter_mut().for_each(Used::clear);
         self.forget_model_error();
         self.reason = Some(reason);
     }
