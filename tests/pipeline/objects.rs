@@ -136,6 +136,34 @@ fn a_box_is_one_object_whichever_side_is_seen() {
     assert!((3..30).all(|frame| frames.contains(&frame)), "{frames:?}");
 }
 
+/// Whether the frame shows the whole of an object with a side of 0.7 m.
+fn is_whole(scene: &VirtualStage, sample: &PoseSample) -> bool {
+    let at_s = sample.timestamp.seconds();
+    let (object, seen_from) = (scene.object_truth(0, at_s).unwrap(), scene.truth(at_s).inverse());
+    [[-0.35, -0.35], [0.35, -0.35], [-0.35, 0.35], [0.35, 0.35]].iter().all(|[x, z]| {
+        let place = seen_from.transform(&object.transform(&nalgebra::Point3::new(*x, 0.0, *z)));
+        let ray = Normalized(nalgebra::Vector2::new(place.x / place.z, place.y / place.z));
+        let pixel = scene.camera.project(ray).0;
+        place.z > 0.0 && (0.0..639.0).contains(&pixel.x) && (0.0..479.0).contains(&pixel.y)
+    })
+}
+
+/// Nothing was seen of it before, and it is smeared by several pixels: its blur tells how fast it is, or the next frame does.
+#[test]
+fn an_object_that_comes_in_quickly_is_given_as_soon_as_it_is_whole() {
+    for (seed, exposure_s) in [(31, 0.004), (32, 0.005), (33, 0.006), (34, 0.007)] {
+        let mut scene = quiet(camera(640, 480), aside(), backdrop());
+        let keys = [(0.0, [-3.6, -0.8, 0.0]), (0.1, [-3.6, -0.8, 0.0]), (1.2, [0.4, -0.8, 0.1])];
+        scene.objects.push(prop("cart", seed, 0.7, along(&keys, 0.1, 0.3)));
+        (scene.shutter.exposure_s, scene.samples) = (exposure_s, 8);
+        let samples = track(&scene, 30);
+        let frames = assert_right(&scene, &samples, 0);
+        let first = samples.iter().find(|sample| is_whole(&scene, sample)).expect("it comes in").sequence;
+        println!("whole from frame {first} on, given in {frames:?}");
+        assert!((first + 1..30).all(|frame| frames.contains(&frame)), "whole from frame {first} on: {frames:?}");
+    }
+}
+
 #[test]
 fn an_object_that_leaves_comes_back() {
     let mut scene = quiet(camera(640, 480), aside(), backdrop());
@@ -145,17 +173,7 @@ fn an_object_that_leaves_comes_back() {
     scene.objects.push(prop("cart", 31, 0.7, along(&keys, 0.1, 0.0)));
     let samples = track(&scene, 40);
     let frames = assert_right(&scene, &samples, 0);
-    let is_whole = |sample: &&PoseSample| {
-        let at_s = sample.timestamp.seconds();
-        let (object, seen_from) = (scene.object_truth(0, at_s).unwrap(), scene.truth(at_s).inverse());
-        [[-0.35, -0.35], [0.35, -0.35], [-0.35, 0.35], [0.35, 0.35]].iter().all(|[x, z]| {
-            let place = seen_from.transform(&object.transform(&nalgebra::Point3::new(*x, 0.0, *z)));
-            let ray = Normalized(nalgebra::Vector2::new(place.x / place.z, place.y / place.z));
-            let pixel = scene.camera.project(ray).0;
-            place.z > 0.0 && (0.0..639.0).contains(&pixel.x) && (0.0..479.0).contains(&pixel.y)
-        })
-    };
-    let whole: Vec<u64> = samples.iter().filter(is_whole).map(|s| s.sequence).collect();
+    let whole: Vec<u64> = samples.iter().filter(|sample| is_whole(&scene, sample)).map(|s| s.sequence).collect();
     let back = whole.windows(2).find(|w| w[1] > w[0] + 1).map(|w| w[1]).expect("it is away for some frames");
     assert!((back + 2..40).all(|frame| frames.contains(&frame)), "whole again in {back}: {frames:?}");
     assert!(samples.iter().filter(|s| (14..18).contains(&s.sequence)).all(|s| s.objects[0].state != State::Tracking));

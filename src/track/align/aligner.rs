@@ -142,7 +142,8 @@ impl Aligner {
         if let Some(since_s) = jumped_since_s {
             frame.solve_with_jump(&found, since_s)?;
         }
-        let is_by_blur = since_s.is_none() && !*asks_shutter && frame.solve_with_blur()?;
+        let may_ask_blur = since_s.is_none() && !*asks_shutter;
+        let is_by_blur = may_ask_blur && frame.solve_with_blur()?;
         if !is_by_blur {
             frame.settle_rest()?;
         }
@@ -151,6 +152,9 @@ impl Aligner {
             frame.settle_by_what_fits()?;
             (alignment, exposure) = frame.verify()?;
         } else if !is_by_blur && frame.settle_uncovered()? {
+            (alignment, exposure) = frame.verify()?;
+        }
+        if may_ask_blur && !is_by_blur && alignment.is_covered_in_part() && frame.solve_covered_with_blur(alignment.scale)? {
             (alignment, exposure) = frame.verify()?;
         }
         frame.allow_for_jumps(&mut alignment, since_s, jumped_since_s.is_some());

@@ -311,7 +311,7 @@ impl TrackedBody {
             sigma_rad = found.covariance.fixed_view::<3, 3>(3, 3).trace().sqrt(),
             "aligned"
         );
-        if !found.may_be_given(since_s.is_some(), distance_m) {
+        if !found.may_be_given(since_s.is_some(), self.track.was_given(), distance_m) {
             self.is_seen_in_part = found.scale < FITTING_SCALE;
             return None;
         }
