@@ -4,7 +4,8 @@
 //! grain, a small picture amidst - disagrees, and is outvoted. So directions are asked one by one: of a right pose the gradients of what is seen
 //! are those of what is expected in each direction; of one that slid they have nothing to do with each other along the stripes.
 //!
-//! Nor do they where somebody stands before a part of the picture. But then the tiles that agree bear out each direction by themselves, which those of a pose that slid do not.
+//! Where somebody stands before a part of the picture they have nothing to do with each other either. But there the tiles that agree bear out each direction by themselves; those of a pose that slid do
+//! not.
 
 use std::ops::Range;
 
@@ -61,7 +62,7 @@ pub struct BorneOut {
 impl GradientAgreement {
     /// Takes the pixels of a run of a solved level; `agrees`: whether its tile does.
     pub fn add(&mut self, run: &Run, agrees: bool, pixels: &Pixels, appearance: &Appearance, level: &Level) {
-        let sums = GradientSums::of(run.start as usize..run.end as usize, pixels, appearance, level);
+        let sums = GradientSums::of(run.range(), pixels, appearance, level);
         self.everywhere.join(&sums);
         if agrees {
             self.where_agreeing.join(&sums);
@@ -77,8 +78,8 @@ impl GradientAgreement {
     pub fn may_have_slid(&self, share: f64) -> bool {
         let is_refuted = |[worst, best]: [BorneOut; 2]| worst.share + SURE_SIGMAS * worst.sigma < LEAST_BORNE_OUT * best.share;
         let is_borne_out = |[worst, best]: [BorneOut; 2]| worst.share - SURE_SIGMAS * worst.sigma > LEAST_BORNE_OUT * best.share;
-        let may_have_slid = share > LEAST_SHARE && self.everywhere.borne_out().is_some_and(is_refuted);
-        may_have_slid && !self.where_agreeing.borne_out().is_some_and(is_borne_out)
+        let is_in_doubt = share > LEAST_SHARE && self.everywhere.borne_out().is_some_and(is_refuted);
+        is_in_doubt && !self.where_agreeing.borne_out().is_some_and(is_borne_out)
     }
 }
 
@@ -183,6 +184,7 @@ mod tests {
         }
         assert!(!GradientAgreement::default().may_have_slid(1.0));
     }
+
     #[test]
     fn what_stands_before_a_part_of_the_picture_does_not_refute_what_agrees_beside_it() {
         let agree = striped(30.0, 30.0, false);
