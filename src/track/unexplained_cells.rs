@@ -16,9 +16,10 @@ const MOST_REGIONS: usize = 24;
 /// region's border are found at full size alone.
 pub const MARGIN_PX: u32 = 64;
 
-/// Looks that a cell has waited for when it becomes unexplained: more than it takes to search a whole frame. So what has just appeared comes first. Raised, nothing
-/// changes; lowered, a body that comes into view waits until the people beside it were searched.
-const NEW_WAIT: u8 = 12;
+/// Looks that a cell has waited for when it becomes unexplained: about as many as it takes to search the people of a stage, so that what has just appeared comes before them. What comes out from behind
+/// somebody has not appeared by that, as its cells were unexplained before. Raised, it waits as long as that person walks on: with 12, of eleven clips flags were given in 56 to 98 % of the frames instead of 79
+/// to 98. Lowered, a body that comes into view waits until the people beside it were searched: with 4, a flag was given in 91 instead of 93 %.
+const NEW_WAIT: u8 = 6;
 /// A cell that is explained.
 const EXPLAINED: u8 = u8::MAX;
 /// A cell that is in no region yet.
