@@ -249,8 +249,8 @@ impl Matcher {
         self.lens_watch.update(clue, is_seen, doubt)
     }
 
-    /// Refuses the objects whose tiles lie so far from where any pose puts them that the pose is none. In what was just found, blur displaces tiles as well, as long as the motion is not known: it
-    /// is followed for a frame, which tells the motion.
+    /// Refuses the objects whose tiles lie so far from where any pose puts them that the pose is none. But blur displaces tiles as well while the motion is unknown, so an object that was just
+    /// found is followed for one more frame, which shows its motion.
     fn refuse_misfits(&mut self) {
         for k in 1..self.bodies.len() {
             let turn = self.fits[k].and_then(|fit| fit.at_most).map_or(0.0, |c| c.fixed_view::<3, 3>(3, 3).trace().max(0.0).sqrt());

@@ -16,9 +16,9 @@ const MOST_REGIONS: usize = 24;
 /// region's border are found at full size alone.
 pub const MARGIN_PX: u32 = 64;
 
-/// Looks that a cell has waited for when it becomes unexplained: about as many as it takes to search the people of a stage, so that what has just appeared comes before them. What comes out from behind
-/// somebody has not appeared by that, as its cells were unexplained before. Raised, it waits as long as that person walks on: with 12, of eleven clips flags were given in 56 to 98 % of the frames instead of 79
-/// to 98. Lowered, a body that comes into view waits until the people beside it were searched: with 4, a flag was given in 91 instead of 93 %.
+/// Wait that a cell begins with when it becomes unexplained, looks: about as many as it takes to search the people of a stage, so that a body that comes into view is searched before they are. A body
+/// that comes out from behind a person gets no such start, because its cells were unexplained all along. Raised, that body waits for as long as the person walks on: of eleven clips, flags were given in 79
+/// to 98 % of the frames, and in 56 to 98 with 12. Lowered, what comes into view waits until the people were searched: with 4, one flag was given in 91 instead of 93 %.
 const NEW_WAIT: u8 = 6;
 /// A cell that is explained.
 const EXPLAINED: u8 = u8::MAX;

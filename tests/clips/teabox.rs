@@ -1,4 +1,4 @@
-//! A box of tea on a board that is turned by hand, filmed by two cameras: a stage of 250 by 90 pixels, which features alone are too few to place.
+//! A box of tea on a board that is turned by hand, filmed by two cameras: a stage of 250 by 90 pixels.
 //!
 //! No truth comes with the clips. The corners below were read off the frames, where the sides of the box's upper face meet, good to a pixel. The picture of one camera must serve
 //! the other as well: another place, another light.
@@ -14,6 +14,7 @@ use super::shared::{PhotographedStage, data_set, extract_first_frame, has_ffmpeg
 const SIZE_RATIO: f64 = 0.412;
 /// Corners read to a pixel, a lid that is not quite flat, and lenses that nobody calibrated: 0.9 to 1.8 pixels, and 2.7 and 3.4 where the box has half left the picture.
 const LARGEST_ERROR_PX: f64 = 5.0;
+/// Of the frames of a clip.
 const LEAST_SHARE_GIVEN: f64 = 0.9;
 const FRAMES: usize = 121;
 

@@ -89,23 +89,30 @@ fn what_stands_before_most_of_the_stage_does_not_pull_the_pose() {
     assert!(shifts_m.iter().all(|shift| *shift < 2e-3), "{shifts_m:?}");
 }
 
+/// A surface, where columns are open, as a camera sees it that moves aside by so many pixels while the shutter is open; another cloth stands before the other columns. At more instants than `moving_view`
+/// has, which lie a pixel apart under the longest blur.
+fn smeared(surface: &SurfaceSpec, truth: &Pose<Camera, Body>, blur_px: f64, open_columns: u32) -> FrameLevels {
+    let way_m = blur_px * 3.4 / 480.0;
+    let along = |k: i32| perturbed(truth, &Vector6::new(way_m * (f64::from(k) / 20.0 - 0.475), 0.0, 0.0, 0.0, 0.0, 0.0));
+    let views: Vec<GrayImage> = (0..20).map(|k| view(surface, &along(k), &lens(480, 360))).collect();
+    let mean = |x: u32, y: u32| views.iter().map(|v| f64::from(v.get_pixel(x, y)[0])).sum::<f64>() / 20.0;
+    let other = view(&cloth(2), truth, &lens(480, 360));
+    let seen = |x, y| if x < open_columns { image::Luma([mean(x, y).round() as u8]) } else { *other.get_pixel(x, y) };
+    let mut levels = FrameLevels::default();
+    levels.update(&GrayImage::from_fn(480, 360, seen));
+    levels
+}
+
 /// A body that is large in the frame is asked for its blur where it does not fit: one of fine detail, which a blur of 9 pixels takes away, whole and covered by a third; and one of 12 pixels, with which more
 /// than half of its tiles do not fit at all. Whether it was given before makes no difference.
 #[test]
 fn a_body_is_found_though_it_is_blurred() {
     let stage = SurfaceSpec::from_artwork("fine".into(), texture(1440, 1080, 1), [4.0, 3.0], Pose::identity()).expect("texture enough");
-    let other = view(&cloth(2), &truth(), &lens(480, 360));
     let start = perturbed(&truth(), &Vector6::new(0.01, -0.008, 0.015, 0.003, -0.0025, 0.0015));
     let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
     let rays = CameraRays::new(lens(480, 360), None);
     for (blur_px, open_columns) in [(9.0, 480), (9.0, 320), (12.0, 480)] {
-        let way_m = blur_px * 3.4 / 480.0;
-        let along = |k: i32| perturbed(&truth(), &Vector6::new(way_m * (f64::from(k) / 20.0 - 0.475), 0.0, 0.0, 0.0, 0.0, 0.0));
-        let views: Vec<GrayImage> = (0..20).map(|k| view(&stage, &along(k), &lens(480, 360))).collect();
-        let mean = |x: u32, y: u32| views.iter().map(|v| f64::from(v.get_pixel(x, y)[0])).sum::<f64>() / 20.0;
-        let seen = |x, y| if x < open_columns { image::Luma([mean(x, y).round() as u8]) } else { *other.get_pixel(x, y) };
-        let mut frame = FrameLevels::default();
-        frame.update(&GrayImage::from_fn(480, 360, seen));
+        let mut frame = smeared(&stage, &truth(), blur_px, open_columns);
         for was_given in [false, true] {
             let mut aligner = Aligner::new(&prepared(vec![stage.clone()]), Shutter { readout_s: 0.0, exposure_s: 0.006 });
             if was_given {
@@ -126,23 +133,15 @@ fn a_body_is_found_though_it_is_blurred() {
 fn what_is_seen_of_a_covered_body_is_asked_for_its_blur() {
     let truth = facing(0.03, -0.05, Vector3::new(0.1, 0.05, 3.4));
     let small = SurfaceSpec::from_artwork("small".into(), texture(600, 450, 1), [1.3, 1.0], Pose::identity()).expect("texture enough");
-    let other = view(&cloth(2), &truth, &lens(480, 360));
     let start = perturbed(&truth, &Vector6::new(0.004, -0.003, 0.006, 0.001, -0.001, 0.0005));
     let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
     let rays = CameraRays::new(lens(480, 360), None);
-    let way_m = 3.0 * 3.4 / 480.0;
-    let along = |k: i32| perturbed(&truth, &Vector6::new(way_m * (f64::from(k) / 20.0 - 0.475), 0.0, 0.0, 0.0, 0.0, 0.0));
-    let views: Vec<GrayImage> = (0..20).map(|k| view(&small, &along(k), &lens(480, 360))).collect();
-    let mean = |x: u32, y: u32| views.iter().map(|v| f64::from(v.get_pixel(x, y)[0])).sum::<f64>() / 20.0;
     for open_columns in [241, 244, 247] {
-        let seen = |x, y| if x < open_columns { image::Luma([mean(x, y).round() as u8]) } else { *other.get_pixel(x, y) };
-        let mut frame = FrameLevels::default();
-        frame.update(&GrayImage::from_fn(480, 360, seen));
+        let mut frame = smeared(&small, &truth, 3.0, open_columns);
         let mut aligner = Aligner::new(&prepared(vec![small.clone()]), Shutter { readout_s: 0.0, exposure_s: 0.006 });
         aligner.trust();
         let found = aligner.align(&mut frame, &rays, &expected, None).expect("the picture agrees").alignment;
-        let off_m = (found.pose.inverse().translation - truth.translation).norm();
-        println!("{open_columns} columns: scale {:.2}, {} of {} tiles, {off_m:.6} m", found.scale, found.agreeing, found.tiles);
+        println!("{open_columns} columns: scale {:.2}, {} of {} tiles", found.scale, found.agreeing, found.tiles);
         assert!(2 * found.agreeing < found.tiles && found.has_opposite && found.scale < 1.2, "{open_columns} columns: {}", found.scale);
     }
 }

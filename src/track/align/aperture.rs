@@ -4,8 +4,8 @@
 //! grain, a small picture amidst - disagrees, and is outvoted. So directions are asked one by one: of a right pose the gradients of what is seen
 //! are those of what is expected in each direction; of one that slid they have nothing to do with each other along the stripes.
 //!
-//! Where somebody stands before a part of the picture they have nothing to do with each other either. But there the tiles that agree bear out each direction by themselves; those of a pose that slid do
-//! not.
+//! Somebody in front of a part of the picture has the same effect: there, what is seen has nothing to do with what is expected. So a pose is not refused where the tiles that agree support each
+//! direction on their own. Those of a pose that slid do not.
 
 use std::ops::Range;
 

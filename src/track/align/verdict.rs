@@ -81,7 +81,7 @@ impl Alignment {
         is_credible && !self.gradients.may_have_slid(self.share())
     }
 
-    /// Whether so many tiles agree, of a picture that is known, that something covers the others.
+    /// Whether enough tiles agree to take the others for covered: less than half of them, but at least `PART_SHARE`.
     pub fn is_covered_in_part(&self) -> bool {
         self.share() >= PART_SHARE && self.may_be_pulled()
     }
@@ -104,9 +104,10 @@ const LEAST_TILES: usize = 8;
 /// `CONTINUED_SHARE` below 0.1 would let wrong poses pass.
 const NEW_SHARE: f64 = 0.5;
 const CONTINUED_SHARE: f64 = 0.12;
-/// Least share of a body that was given before and is found where something covers the rest, and how well that must fit, sigmas. Chosen: flags that came out from behind somebody fitted to 1.1 in 0.44 to
-/// 0.5 of their tiles; of one at 0.39 the tiles at the rim of what covers it pulled the pose by 0.38 degrees, three of its sigmas; a wrong pose had 0.3. Raised, such bodies are found later; lowered, their poses are pulled.
+/// Least share of agreeing tiles with which a body that was given before is found again while something covers the rest of it. Chosen: flags that came out from behind a person had 0.44 to 0.5. One at 0.39
+/// was 0.38 degrees off, three sigmas, probably pulled by tiles at the outline of the person; a wrong pose had 0.3. Raised, such bodies are found later; lowered, their poses are pulled.
 const PART_SHARE: f64 = 0.4;
+/// Largest residuals of such a pose, sigmas. Chosen: those flags left 1.1 once their blur was known. Raised, something else that fits in part may pass; lowered, blurred bodies are found later.
 const FITTING_PART_SCALE: f64 = 1.5;
 /// Largest squared Mahalanobis distance of a pose that is where it was expected: ten sigmas, as jerk is not white. Chosen, not tuned.
 /// Raised, a jump into a wrong minimum passes for motion; lowered, starts and stops must prove themselves like new poses.

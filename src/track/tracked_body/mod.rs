@@ -256,7 +256,13 @@ impl TrackedBody {
 
     /// Takes back what this frame's alignment said: it is not followed from there.
     fn forget_alignment(&mut self) {
-        (self.motion, self.clue) = (None, None);
+        self.motion = None;
+        self.forget_findings();
+    }
+
+    /// Takes back what this frame's alignment says of the shutter, and which pixels its pose rests on.
+    fn forget_findings(&mut self) {
+        self.clue = None;
         self.used.iter_mut().for_each(Used::clear);
     }
 
@@ -266,10 +272,9 @@ impl TrackedBody {
         self.leave_open(reason);
     }
 
-    /// Does not give the pose that this frame seems to show, for this reason, but follows it: the next frame tells more.
+    /// Withholds the pose that this frame seems to show, for this reason, but keeps its motion, from which the next frame is aligned.
     pub fn leave_open(&mut self, reason: Reason) {
-        self.clue = None;
-        self.used.iter_mut().for_each(Used::clear);
+        self.forget_findings();
         self.forget_model_error();
         self.reason = Some(reason);
     }

@@ -18,14 +18,14 @@ const BLURRED: f64 = 1.5;
 /// Share of the tiles that take part at the level above, from which on residuals that are about as large as there, or larger, are blur: what is blurred in one tile is blurred in all, and more so at the
 /// finest level. Of 90 alignments of objects the share was 0.69 to 0.96 where a blurred body was found and 0.5 to 0.65 where something else was, or much was covered. Raised and lowered as `BLURRED`.
 const FITS_ABOVE: f64 = 0.67;
-/// How large they are at least, over those there: a flag whose rim was covered left 3.03 and 3.07 sigmas, and 1.3 once its blur was known. Raised and lowered as `BLURRED`.
+/// Such residuals, over those of the level above, at least. Chosen: a flag whose rim was covered left 3.03 and 3.07 sigmas, and 1.7 once its blur was known. Raised and lowered as `BLURRED`.
 const BLURRED_WHERE_IT_FITS: f64 = 0.75;
 /// Share of the tiles that take part in a pose whose blur is asked: a little more than the half that always does. Raised, strongly blurred bodies are not asked;
 /// lowered, wrong poses cost more.
 const HOPEFUL_SHARE: f64 = 0.55;
 
-/// Residuals of what fits of a covered body, sigmas, from which on its blur is asked: without blur they are 0.9 to 1.2. Raised, quick bodies are found later where they come out from behind something;
-/// lowered, those that stand still cost more.
+/// Residuals of the tiles that fit of a covered body, sigmas, from which on its blur is asked. Without blur they are 0.9 to 1.2. Raised, quick bodies are found later where they come out from behind
+/// something; lowered, bodies that stand still cost more.
 const COVERED_BLUR_SCALE: f64 = 1.4;
 
 impl FrameProblem<'_> {
