@@ -32,7 +32,7 @@ const ROOM: f64 = 3.0;
 /// Inliers are within 95 % of the noise that the pairs show, and those within `options.threshold` are inliers in any case.
 pub fn homography_of_unknown_noise(pairs: &[PointPair], most_noise: f64, options: &RobustOptions) -> Option<RobustModel<Homography>> {
     let RobustOptions { threshold, max_samples, confidence, order, seed, .. } = *options;
-    if !robust::is_sound(options) || !(most_noise.is_finite() && most_noise > 0.0) {
+    if !(robust::is_sound(options) && most_noise.is_finite() && most_noise > 0.0) {
         return None;
     }
     let indices = robust::usable(pairs);
