@@ -14,4 +14,4 @@ pub use doubt::{IntrinsicsUncertainty, LENS_WAYS, LensDoubt};
 pub use files::{Calibration, CalibrationFileError, CalibrationForm, CalibrationProblem, parse_calibration};
 pub use guess::LensGuess;
 pub use model::{CameraError, CameraModel, Intrinsics, Normalized, Pixel};
-pub use shutter::Shutter;
+pub use shutter::{KnownShutter, Shutter};

@@ -115,6 +115,7 @@ fn test_sample(sequence: u64, seconds: f64, objects: &[String]) -> PoseSample {
         measurement: None,
         objects: objects.iter().enumerate().map(object).collect(),
         reason: None,
+        learnt: Default::default(),
         times: StageTimes::default(),
     }
 }

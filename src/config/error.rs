@@ -221,6 +221,9 @@ pub enum Problem {
         /// The camera's height in pixels.
         camera_height: u32,
     },
+    /// A shutter that exposes all rows together, and reads them one after the other.
+    #[error("a global shutter exposes all rows together, but `readout_s` is {0}; remove one of the two")]
+    GlobalShutterReads(f64),
     /// A mask that leaves nothing to look at.
     #[error("the mask {} is black everywhere, so that nothing could be tracked; leave white what is to be seen", .0.display())]
     MaskBlack(PathBuf),

@@ -61,7 +61,7 @@ fn message(folder: &tempfile::TempDir, text: &str) -> String {
 fn defaults_are_those_of_the_documentation() {
     let folder = folder();
     let settings = load(&folder, GOOD).unwrap();
-    assert_eq!((settings.shutter.exposure_s, settings.shutter.readout_s), (0.0, 0.0));
+    assert_eq!((settings.shutter.exposure_s, settings.shutter.readout_s), (None, None));
     assert_eq!(settings.tracker, crate::track::TrackerSettings::default());
     assert_eq!(settings.device, DeviceSettings::default());
     assert_eq!(settings.log, LogSettings { level: LevelFilter::WARN, format: LogFormat::Text });
@@ -86,7 +86,7 @@ fn every_key_reaches_the_settings() {
         [tracker]\nthreads = 2\nfeatures = 800\ncoast_s = 0\nconfirm_frames = 3\nseed = 9\n\
         [recorder]\nfolder = \"takes\"\ncontinuous = true\nring_s = 20\n[log]\nlevel = \"debug\"\nformat = \"json\"\n";
     let s = load(&folder, text).unwrap();
-    assert_eq!((s.shutter.exposure_s, s.shutter.readout_s), (0.01, 0.02));
+    assert_eq!((s.shutter.exposure_s, s.shutter.readout_s), (Some(0.01), Some(0.02)));
     assert_eq!(s.mask_for(320, 240).unwrap().dimensions(), (320, 240));
     assert_eq!(
         (s.device.width, s.device.height, s.device.fps, s.device.format),

@@ -7,6 +7,7 @@
 mod entries;
 mod jobs;
 mod kept_views;
+mod learnt_state;
 pub mod live;
 mod own_folders;
 mod reason_watch;
@@ -21,6 +22,7 @@ mod threads;
 pub use entries::track_entry;
 pub use jobs::Progress;
 pub use kept_views::kept_views;
+pub use learnt_state::{LearntFile, learnt_of_clip};
 pub use own_folders::state_folder;
 #[cfg(test)]
 pub use retrack::nothing_compared;

@@ -15,7 +15,7 @@ use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, EntryOrder, FrameSource};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::PoseSample;
-use crate::track::{Matcher, ModelNews, Sighting};
+use crate::track::{Matcher, ModelNews, ReadoutNews, Sighting};
 use crate::tracker::{PoseRecorder, Tracker};
 
 /// What happens when a stage is slower than the one before it.
@@ -321,6 +321,9 @@ fn publish(
                 if let Some(news) = sighting.misfit {
                     tell(news, watch.as_ref().map(StaleWatch::link));
                 }
+                if let Some(news) = sighting.readout_news {
+                    tell_readout(&news, watch.as_ref().map(StaleWatch::link));
+                }
                 if let Some(watch) = &mut watch {
                     watch.seen(&sample);
                     count(watch.link(), &row, &sample);
@@ -347,6 +350,16 @@ fn tell(news: ModelNews, live: Option<&LiveLink>) {
     match live {
         Some(live) => live.events.publish(Event::ModelDiffers { part, surface: news.surface, text }),
         None => tracing::warn!("{text}"),
+    }
+}
+
+/// Says that the readout is known, or that frames contradict it: to whoever listens to a live camera's events, else to the log.
+fn tell_readout(news: &ReadoutNews, live: Option<&LiveLink>) {
+    match (live, news.is_warning()) {
+        (Some(live), true) => live.events.publish(Event::ShutterDiffers { text: news.text() }),
+        (Some(live), false) => live.events.publish(Event::ShutterLearnt { text: news.text() }),
+        (None, true) => tracing::warn!("{}", news.text()),
+        (None, false) => tracing::info!("{}", news.text()),
     }
 }
 

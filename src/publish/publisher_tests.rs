@@ -113,6 +113,7 @@ fn sample(k: u64, state: State, x: f64) -> PoseSample {
         measurement: None,
         objects: vec![ObjectSample { name: "cart".to_owned(), state, pose: is_known.then_some(cart), covariance: None }],
         reason: None,
+        learnt: Default::default(),
         times: StageTimes::default(),
     }
 }

@@ -85,6 +85,7 @@ pub struct Spent {
 pub struct BodySearch {
     camera: CameraModel,
     shutter: Shutter,
+    readout_sigma_s: f64,
     mask: Option<GrayImage>,
     seed: u64,
     clock: ComputeClock,
@@ -116,6 +117,7 @@ impl BodySearch {
         Self {
             camera,
             shutter,
+            readout_sigma_s: 0.0,
             mask,
             seed: settings.seed,
             clock,
@@ -131,9 +133,14 @@ impl BodySearch {
         }
     }
 
-    /// From now on the shutter is this one.
-    pub fn set_shutter(&mut self, shutter: Shutter) {
-        self.shutter = shutter;
+    /// How long the rows of a frame may take, as far as that is known, seconds.
+    fn longest_readout_s(&self) -> f64 {
+        self.shutter.readout_s.abs().max(self.readout_sigma_s)
+    }
+
+    /// From now on the shutter is this one, its readout known to one sigma, seconds.
+    pub fn set_shutter(&mut self, shutter: Shutter, readout_sigma_s: f64) {
+        (self.shutter, self.readout_sigma_s) = (shutter, readout_sigma_s);
     }
 
     /// Looks for the bodies of a frame that are missing, says of each that stays so why, and what it took.
@@ -339,7 +346,7 @@ impl BodySearch {
         }
         self.tries = self.tries.saturating_sub(1);
         tracked.tried.push(start);
-        let off = first_off(self.shutter.readout_s, tracked.aligner.distance_m(&start), candidate.off);
+        let off = first_off(self.longest_readout_s(), tracked.aligner.distance_m(&start), candidate.off);
         let expected = tracked.unseen(start, off, camera.as_ref());
         tracked.align_found(scene.frame, scene.levels, scene.rays, &expected)
     }
@@ -372,7 +379,7 @@ impl BodySearch {
         };
         let aligned = best.filter(is_new).and_then(|verified| {
             let distance = tracked.aligner.distance_m(&verified.pose);
-            let first = tracked.unseen(verified.pose, first_off(self.shutter.readout_s, distance, [0.0; 2]), camera.as_ref());
+            let first = tracked.unseen(verified.pose, first_off(self.longest_readout_s(), distance, [0.0; 2]), camera.as_ref());
             tracked.align(frame, scene.levels, scene.rays, &first, None)
         });
         self.verify_buffers = buffers;
@@ -389,7 +396,11 @@ impl BodySearch {
             camera: &self.camera,
             full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
             half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
-            row_motion: RowMotion { shutter: self.shutter, before: tracked.before_at(frame.timestamp) },
+            row_motion: RowMotion {
+                shutter: self.shutter,
+                readout_sigma_s: self.readout_sigma_s,
+                before: tracked.before_at(frame.timestamp),
+            },
             workers: &self.workers,
         }
     }

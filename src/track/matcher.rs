@@ -16,6 +16,8 @@ use super::align::{AlignSurface, Alignment, CameraRays, FrameLevels, ShutterClue
 use super::body_search::{BodySearch, Scene};
 use super::feature_search::FeatureSearch;
 use super::frame_interval::FrameInterval;
+use super::learnt_camera::{LearntCamera, LearntTime};
+use super::learnt_readout::{Known, LearntReadout, ReadoutNews};
 use super::lens_doubt::covariance_by_lens;
 use super::lens_watch::{LensState, LensWatch};
 use super::misfit::{ModelNews, ModelReport};
@@ -29,7 +31,7 @@ use super::tracked_body::{ModelFit, TrackedBody};
 use super::two_view::{TwoView, TwoViewBuffers, two_view};
 use super::verify::Verified;
 use super::view_bank::ViewStore;
-use crate::camera::{CameraModel, Shutter};
+use crate::camera::{CameraModel, KnownShutter, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::features::Workers;
 use crate::frame::{Frame, Timestamp};
@@ -69,6 +71,10 @@ pub struct Sighting {
     pub objects: Vec<BodySighting>,
     /// A part of the stage's model that the frames speak against, told once each.
     pub misfit: Option<ModelNews>,
+    /// What there is to say of the readout, once each.
+    pub readout_news: Option<ReadoutNews>,
+    /// What was known of the camera before this frame, by its pictures.
+    pub learnt: LearntCamera,
     /// Compute on finding candidates, milliseconds over all workers.
     pub acquire_ms: f64,
     /// Compute on registration and verification, milliseconds over all workers.
@@ -95,6 +101,8 @@ impl Sighting {
             two_view: None,
             objects: bodies.collect(),
             misfit: None,
+            readout_news: None,
+            learnt: LearntCamera::default(),
             acquire_ms: 0.0,
             align_ms: 0.0,
         }
@@ -107,6 +115,9 @@ pub struct Matcher {
     settings: TrackerSettings,
     clock: ComputeClock,
     shutter: Shutter,
+    readout: LearntReadout,
+    /// Whether the shutter is taken as given, and only asked.
+    is_shutter_given: bool,
     interval: FrameInterval,
     /// The stage first, then the objects.
     bodies: Vec<TrackedBody>,
@@ -126,13 +137,14 @@ impl Matcher {
     /// Prepares the reference pictures of all bodies, the stage first; takes a fraction of a second per surface whose views the store does not have.
     pub fn new(
         camera: CameraModel,
-        shutter: Shutter,
+        shutter: KnownShutter,
         mask: Option<GrayImage>,
         specs: &[&BodySpec],
         settings: TrackerSettings,
         clock: ComputeClock,
         store: Option<Arc<dyn ViewStore>>,
     ) -> Self {
+        let (readout, shutter) = (LearntReadout::new(shutter.readout_s, None), shutter.or_zero());
         let at_start = Workers::of_all_processors();
         let (surfaces, mut prepared): (Vec<_>, Vec<_>) = (specs.iter().flat_map(|spec| &spec.surfaces).collect(), Vec::new());
         at_start.map_into(&surfaces, &mut prepared, |surface| AlignSurface::new(surface));
@@ -143,7 +155,8 @@ impl Matcher {
             bodies.push(TrackedBody::new(spec, prepared.by_ref().take(spec.surfaces.len()).collect(), first, shutter));
         }
         let features = FeatureSearch::new(bodies.iter_mut().flat_map(|b| &mut b.body.surfaces), settings.features, store, &at_start);
-        let search = BodySearch::new(camera, shutter, mask.clone(), features, &settings, clock);
+        let mut search = BodySearch::new(camera, shutter, mask.clone(), features, &settings, clock);
+        search.set_shutter(shutter, readout.used().sigma_s);
         Self {
             camera_rays: CameraRays::new(camera, mask),
             levels: FrameLevels::default(),
@@ -152,6 +165,8 @@ impl Matcher {
             settings,
             clock,
             shutter,
+            readout,
+            is_shutter_given: false,
             interval: FrameInterval::default(),
             bodies,
             search,
@@ -170,7 +185,10 @@ impl Matcher {
         }
         self.note_pixels();
         self.interval.update(frame.timestamp);
+        let learnt = self.learnt();
+        let doubt = (!self.is_shutter_given).then(|| self.readout.next_doubt());
         for tracked in &mut self.bodies {
+            tracked.expect_readout(doubt);
             (tracked.clue, tracked.refusal, tracked.reason) = (None, None, None);
             tracked.tried.clear();
             tracked.followed_from = None;
@@ -197,6 +215,7 @@ impl Matcher {
         let stage = self.sighting_of(0, frame.timestamp, lens);
         let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp, lens)).collect();
         let start = self.clock.start();
+        self.learn_readout();
         let two_view = stage.verified.as_ref().map(|v| {
             let _span = debug_span!("two_view").entered();
             let TrackedBody { body, anchors, .. } = &self.bodies[0];
@@ -211,14 +230,61 @@ impl Matcher {
             two_view,
             objects,
             misfit,
+            readout_news: self.readout.news(),
+            learnt,
             acquire_ms: spent.acquire_ms,
             align_ms,
         }
     }
 
+    /// Begins with what an earlier session learnt of the camera. What is configured stays.
+    pub fn begin_with(&mut self, learnt: &LearntCamera) {
+        self.readout = self.readout.begun_with(learnt.readout.map(|LearntTime { seconds, sigma_s }| Known { readout_s: seconds, sigma_s }));
+        let used = self.readout.used();
+        self.shutter.readout_s = used.readout_s;
+        self.search.set_shutter(self.shutter, used.sigma_s);
+        for body in &mut self.bodies {
+            body.take_readout(used.readout_s, 0.0);
+            learnt.exposure.iter().for_each(|exposure| body.aligner.take_learnt_exposure(exposure.seconds, exposure.sigma_s));
+        }
+    }
+
+    /// What is known of the camera by its pictures; nothing of what is configured.
+    pub fn learnt(&self) -> LearntCamera {
+        let readout = self.readout.learnt().map(|Known { readout_s, sigma_s }| LearntTime { seconds: readout_s, sigma_s });
+        let exposure = self.bodies.first().and_then(|stage| stage.aligner.learnt_exposure());
+        LearntCamera { readout, exposure: exposure.map(|(seconds, sigma_s)| LearntTime { seconds, sigma_s }) }
+    }
+
+    /// Learns from what the frame says of the readout: through the stage, or through an object where the stage is not seen.
+    fn learn_readout(&mut self) {
+        let given = self.bodies.iter().zip(&self.verified).filter(|(_, verified)| verified.is_some()).map(|(body, _)| body);
+        // A configured readout is not blamed for what of the model does not fit anyway.
+        let is_configured = self.readout.used().sigma_s == 0.0;
+        let clues = given.filter(|body| !is_configured || body.covariance_by_misfit() == Matrix6::zeros()).filter_map(|body| body.clue);
+        let Some(clue) = clues.filter(|clue| clue.is_followed).next().filter(|_| !self.is_shutter_given) else { return };
+        let was_s = self.shutter.readout_s;
+        self.readout.hear(&clue, self.interval.to_next_s());
+        let used = self.readout.used();
+        if used.readout_s != was_s {
+            self.shutter.readout_s = used.readout_s;
+            self.bodies.iter_mut().for_each(|body| body.take_readout(used.readout_s, used.readout_s - was_s));
+        }
+        self.search.set_shutter(self.shutter, used.sigma_s);
+        debug!(
+            readout_s = used.readout_s,
+            sigma_s = used.sigma_s,
+            clue = clue.readout.clue.score / clue.readout.clue.information,
+            shown = clue.readout.shown,
+            speed = clue.speed_px_s,
+            "readout"
+        );
+    }
+
     /// Asks every body that was found how well the model fits.
     fn fit_models(&mut self, timestamp: Timestamp) {
         let (camera, shutter, is_moved) = (&self.camera, self.shutter, self.lens_watch.is_moved());
+        let readout_sigma_s = self.readout.used().sigma_s;
         self.fits.clear();
         let bodies = self.bodies.iter_mut().zip(&self.verified);
         self.fits.extend(bodies.enumerate().map(|(k, (body, verified))| {
@@ -226,7 +292,7 @@ impl Matcher {
                 body.forget_model_error();
                 return None;
             };
-            let rows = RowMotion { shutter, before: body.before_at(timestamp) };
+            let rows = RowMotion { shutter, readout_sigma_s, before: body.before_at(timestamp) };
             body.model_fit(verified, camera, &rows, is_moved, k == 0)
         }));
     }
@@ -237,7 +303,8 @@ impl Matcher {
         let bodies = &self.bodies;
         let may_speak = |k: usize| k == 0 || bodies[k].track.is_continued();
         let clues = self.fits.iter().enumerate().filter_map(|(k, fit)| Some((k, fit.as_ref()?.focal.as_ref()?)));
-        let clues = clues.filter(|(k, _)| may_speak(*k));
+        // What displaces rows as a lens would may be the shutter.
+        let clues = clues.filter(|(k, _)| may_speak(*k) && !bodies[*k].is_readout_in_doubt());
         let clue = clues.min_by(|a, b| a.1.sigma.total_cmp(&b.1.sigma));
         let clue = clue.map(|(body, clue)| {
             self.lens_watch.listen_to(body);
@@ -245,7 +312,7 @@ impl Matcher {
         });
         let focal_px = self.camera.intrinsics().fx;
         let doubt = self.camera.doubt().map_or(0.0, |doubt| doubt.uncertainty.focal_px[0] / (3.0 * focal_px));
-        let is_seen = self.fits.iter().any(Option::is_some);
+        let is_seen = self.fits.iter().zip(bodies).any(|(fit, body)| fit.is_some() && !body.is_readout_in_doubt());
         self.lens_watch.update(clue, is_seen, doubt)
     }
 
@@ -267,7 +334,7 @@ impl Matcher {
     /// Lets the frame say what of the stage's model it speaks against, if it is time for one; and the workers' time, milliseconds.
     fn study_stage(&mut self, frame: &Frame, lens: LensState) -> Option<(Option<ModelNews>, f64)> {
         let tracked = self.bodies.first_mut()?;
-        if !tracked.is_study_due(lens == LensState::Fits) {
+        if !tracked.is_study_due(lens == LensState::Fits && !tracked.is_readout_in_doubt()) {
             return None;
         }
         let verified = self.verified.first()?.as_ref()?;
@@ -303,7 +370,8 @@ impl Matcher {
             let by_focal = self.lens_watch.strayed().filter(|_| fit.is_some());
             let by_focal = by_focal.and_then(|strayed| tracked.covariance_by_focal(&v.pose, strayed));
             let by_misfit = Some(tracked.covariance_by_misfit()).filter(|covariance| *covariance != Matrix6::zeros());
-            v.by_model = [by_lens, by_shape, by_focal, by_misfit].into_iter().flatten().reduce(|sum, more| sum + more);
+            let by_readout = tracked.covariance_by_readout(&v.pose, self.readout.used().sigma_s);
+            v.by_model = [by_lens, by_shape, by_focal, by_misfit, by_readout].into_iter().flatten().reduce(|sum, more| sum + more);
             v.rms_px = fit.map_or(v.rms_px, |fit| fit.rms_px);
         }
         BodySighting { state, verified, reason }
@@ -313,14 +381,16 @@ impl Matcher {
     pub fn look_away(&mut self, sequence: u64, timestamp: Timestamp, reason: Reason) -> Sighting {
         self.interval.update(timestamp);
         let (coast_s, confirm) = (longest_coast_s(&self.settings, &self.interval), self.settings.confirm_frames);
+        let learnt = self.learnt();
         let states = self.bodies.iter_mut().map(|b| b.track.update(timestamp, None, coast_s, confirm));
-        Sighting::without_picture(sequence, timestamp, true, reason, states)
+        Sighting { learnt, ..Sighting::without_picture(sequence, timestamp, true, reason, states) }
     }
 
     /// A row that tells nothing of its time (a stamp out of order): nothing changes.
     pub fn look_past(&self, sequence: u64, timestamp: Timestamp) -> Sighting {
         let idle = |b: &TrackedBody| if b.track.state() == State::Searching { State::Searching } else { State::Lost };
-        Sighting::without_picture(sequence, timestamp, false, Reason::Skipped, self.bodies.iter().map(idle))
+        let sighting = Sighting::without_picture(sequence, timestamp, false, Reason::Skipped, self.bodies.iter().map(idle));
+        Sighting { learnt: self.learnt(), ..sighting }
     }
 
     /// From now on the pixels that poses rest on are sent here, frame by frame, before the frame's sighting is given.
@@ -358,8 +428,8 @@ impl Matcher {
 
     /// From now on the shutter is taken as given, and every frame is asked what it says of it.
     pub fn ask_shutter(&mut self, shutter: Shutter) {
-        self.shutter = shutter;
-        self.search.set_shutter(shutter);
+        (self.shutter, self.is_shutter_given) = (shutter, true);
+        self.search.set_shutter(shutter, 0.0);
         self.bodies.iter_mut().for_each(|b| b.aligner.ask_shutter(shutter));
     }
 

@@ -116,8 +116,8 @@ fn a_setup_that_does_not_fit_is_an_error() {
     };
     let small_mask = tracker(mask(100, 80)).err();
     assert_eq!(small_mask, Some(SetupError::MaskSize { size: (100, 80), wanted: (480, 360) }));
-    assert_eq!(refused(|s| s.shutter.exposure_s = -0.1), "exposure_s is -0.1 s; give a number of 0 or more");
-    assert_eq!(refused(|s| s.shutter.readout_s = f64::NAN), "readout_s is NaN s; give a number");
+    assert_eq!(refused(|s| s.shutter.exposure_s = Some(-0.1)), "exposure_s is -0.1 s; give a number of 0 or more");
+    assert_eq!(refused(|s| s.shutter.readout_s = Some(f64::NAN)), "readout_s is NaN s; give a number");
     assert_eq!(
         refused(|s| s.stage.surfaces.clear()),
         format!("the body `{}` has no surface; give it one, or leave it out", scene.stage.name)

@@ -11,7 +11,7 @@ use crate::daemon::track_entry;
 use crate::diagnose::{Finding, Grade, Travel, corners_begun_at_top_left, of_clip, of_shutter};
 use crate::frame::{Frame, Timestamp};
 use crate::record::State;
-use crate::track::{ModelNews, ModelReport, Part, Reason};
+use crate::track::{LearntCamera, ModelNews, ModelReport, Part, Reason};
 use crate::tracker::{Tracker, TrackerSetup};
 
 /// Rows that are tracked at most: half a minute at 30 frames a second, chosen so that a check stays short. Raised, faults late in a long
@@ -72,11 +72,11 @@ impl Kept {
 }
 
 /// Tracks a clip and finds out why what is not followed is not.
-pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Result<Examined, Failure> {
+pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>, learnt: LearntCamera) -> Result<Examined, Failure> {
     let mut source = open_clip(clip, ClipOptions { fps, calibrated: settings.lens.size(&settings.camera), ..ClipOptions::default() })?;
     let (width, height) = source.size();
     let total = source.rows();
-    let setup = tracker_setup(settings, (width, height), None)?;
+    let setup = TrackerSetup { learnt, ..tracker_setup(settings, (width, height), None)? };
     let mut tracker = Tracker::new(setup.clone())?;
     tracker.matcher.study_model();
     let progress = Progress::start(Some(total.unwrap_or(MOST_ROWS).min(MOST_ROWS)));
@@ -118,7 +118,7 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
     findings.extend(of_roll(&travel, &setup));
     if let Some(frame_s) = frame_interval_s(&stamps) {
         findings.extend(settings.safety.note_on_rate(1.0 / frame_s).map(Finding::warning));
-        findings.extend(of_shutter(&settings.shutter, frame_s));
+        findings.extend(of_shutter(&settings.shutter.or_zero(), frame_s));
     }
     findings.extend(of_rate(clip, fps));
     findings.extend(source.notes().iter().map(Finding::note));

@@ -7,6 +7,7 @@ use image::GrayImage;
 
 use super::angles::surface_angles;
 use super::failure::Failure;
+use super::learnt::LearntArguments;
 use super::logging::{self, LogArguments};
 use super::output_file::print;
 use crate::camera::{CameraModel, Normalized, Pixel};
@@ -41,6 +42,8 @@ pub(super) struct CheckArguments {
     #[arg(long, value_name = "DIR")]
     ratings: Option<PathBuf>,
     #[command(flatten)]
+    learnt: LearntArguments,
+    #[command(flatten)]
     log: LogArguments,
 }
 
@@ -52,7 +55,7 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     let mut findings = of_config(&settings);
     let (mut place, mut shutter_lines, mut is_followed) = (None, Vec::new(), true);
     if let Some(file) = &arguments.clip {
-        let seen = clip::examine(&settings, file, arguments.fps)?;
+        let seen = clip::examine(&settings, file, arguments.fps, arguments.learnt.of(file)?.0)?;
         let (scaled, note) = settings.camera_for(seen.size.0, seen.size.1)?;
         camera = scaled;
         findings.extend(seen.findings);
@@ -146,7 +149,7 @@ fn of_config(settings: &Settings) -> Vec<Finding> {
         )));
     }
     if let Some(fps) = settings.device.fps {
-        findings.extend(diagnose::of_shutter(&settings.shutter, 1.0 / fps));
+        findings.extend(diagnose::of_shutter(&settings.shutter.or_zero(), 1.0 / fps));
     }
     findings
 }
@@ -251,10 +254,12 @@ fn field_of_view(camera: &CameraModel) -> String {
 }
 
 fn shutter(settings: &Settings) -> String {
-    let in_ms = |s: f64, unknown: &str| if s == 0.0 { unknown.to_owned() } else { format!("{:.1} ms", s * 1e3) };
-    let (exposure, readout) =
-        (in_ms(settings.shutter.exposure_s, "unknown"), in_ms(settings.shutter.readout_s, "global shutter or unknown"));
-    format!("exposure {exposure}, readout {readout}")
+    let in_ms = |s: Option<f64>| s.map_or("unknown, learnt while the camera moves".to_owned(), |s| format!("{:.1} ms", s * 1e3));
+    let readout = match settings.shutter.readout_s {
+        Some(0.0) => "global shutter".to_owned(),
+        readout_s => format!("readout {}", in_ms(readout_s)),
+    };
+    format!("exposure {}, {readout}", in_ms(settings.shutter.exposure_s))
 }
 
 /// The lines of a body; `number` is that of its first surface among all, and becomes that of the next body's.

@@ -53,8 +53,8 @@ fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<String> {
     if !estimate.has_settled && [estimate.readout, estimate.exposure].iter().flatten().any(is_known) {
         lines.push("the estimate did not settle: take the times below for a hint".to_owned());
     }
-    lines.push(readout(estimate.readout, settings.shutter.readout_s));
-    lines.push(exposure(estimate.exposure, settings.shutter.exposure_s));
+    lines.push(readout(estimate.readout, settings.shutter.or_zero().readout_s));
+    lines.push(exposure(estimate.exposure, settings.shutter.or_zero().exposure_s));
     lines
 }
 

@@ -34,6 +34,7 @@ fn tracked(frame: &Frame, pose: Pose<Stage, Camera>) -> PoseSample {
         measurement: Some(measurement),
         objects: vec![],
         reason: None,
+        learnt: Default::default(),
         times: StageTimes::default(),
     }
 }

@@ -15,6 +15,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError};
 
 use super::failure::Failure;
 use super::interrupt;
+use super::learnt::LearntArguments;
 use super::logging::{self, LogArguments};
 use super::output_file::STDOUT;
 use super::outputs::Outputs;
@@ -68,6 +69,8 @@ pub(super) struct ReplayArguments {
     #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
     #[command(flatten)]
+    learnt: LearntArguments,
+    #[command(flatten)]
     log: LogArguments,
 }
 
@@ -108,7 +111,8 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
         opened => opened?,
     };
     source.notes().iter().for_each(|note| tracing::warn!("{note}"));
-    let setup = tracker_setup(&settings, source.size(), arguments.threads)?;
+    let (learnt, learnt_from) = arguments.learnt.of(&arguments.clip)?;
+    let setup = TrackerSetup { learnt, ..tracker_setup(&settings, source.size(), arguments.threads)? };
     let begun = ClipStart::default();
     let stamps = || Stamps::Recorded(begun.clone());
     // All are opened before the first is emptied: a wrong name costs nothing that was there.
@@ -125,7 +129,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
 
     // What is sent is sent at the pace at which it was recorded.
     let source: Box<dyn FrameSource> = if arguments.realtime || arguments.outputs { Box::new(Paced::new(source, begun)) } else { source };
-    let mut tally = Tally::new(started);
+    let mut tally = Tally::new(started, settings.shutter, learnt_from);
     let mut tracker = Tracker::new(setup)?.with_filter(settings.filter);
     let overlays = overlay.map(|(dir, setup)| Overlays::create(dir, setup, tracker.watch_pixels())).transpose()?;
     let mut writing = Writing { records: &mut records, tally: &mut tally, outputs: outputs.as_ref() };

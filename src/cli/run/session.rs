@@ -22,11 +22,12 @@ use crate::cli::replay::tracker_setup;
 use crate::config::{LogFormat, LogSettings, RecorderSettings, Settings};
 use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, exposure_of};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
-use crate::daemon::{Daemon, Mode, RecordingWish, RunningDaemon, Supervisor};
+use crate::daemon::{Daemon, LearntFile, Mode, RecordingWish, RunningDaemon, Supervisor};
 use crate::frame::Timestamp;
 use crate::publish::{PoseWithheld, Stamps};
 use crate::record::{PoseSample, State};
 use crate::telemetry::RecorderState;
+use crate::track::LearntCamera;
 use crate::tracker::Tracker;
 
 /// Between two stale messages while a camera is waited for: ten a second. Chosen: soon enough for a client that has just come. Raised,
@@ -82,18 +83,21 @@ impl Session<'_> {
         let pages = self.pages;
         pages.use_limits(&self.settings.safety);
         let opener = camera::camera(self.settings, self.arguments.play.as_deref())?;
-        let mut source = LiveSource::start(opener, self.settings.shutter, Patience::default(), self.link.clone());
+        let mut source = LiveSource::start(opener, self.settings.shutter.or_zero(), Patience::default(), self.link.clone());
         let mode = match self.wait(&mut source, pages, service, sinks) {
             Ok(mode) => mode,
             Err(end) => return Ok(end),
         };
         let mut setup = tracker_setup(self.settings, mode.size, self.arguments.threads)?;
         // What the camera has locked is known to stamps and tracker alike, and to the recording's config.
-        let exposure_s = exposure_of(&self.settings.shutter, &mode);
-        setup.shutter.exposure_s = exposure_s;
+        let exposure_s = exposure_of(&self.settings.shutter.or_zero(), &mode);
+        setup.shutter.exposure_s = Some(exposure_s).filter(|s| *s > 0.0);
         if self.settings.device.fps.is_none() {
             self.settings.safety.note_on_rate(mode.fps).into_iter().for_each(|note| tracing::warn!("{note}"));
         }
+        let learnt_file = LearntFile::of(&mode);
+        setup.learnt = learnt_file.load();
+        sinks.learnt = setup.learnt;
         let stopper = source.stopper();
         let outputs = Outputs::start(self.settings, None, setup.camera, Stamps::Live, Some(mode.fps))?;
         pages.show_scene(&setup);
@@ -138,6 +142,7 @@ impl Session<'_> {
         // What is under way comes to its end, and out.
         samples.iter().for_each(|sample| tell(&sample, pages, &outputs, sinks));
         outputs.close();
+        learnt_file.store(&sinks.learnt);
         let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
         if let Some(recorder) = recorder {
             clips.ended(recorder.finish());
@@ -255,6 +260,8 @@ pub(super) struct Sinks {
     /// Why the first of them was given up.
     failure: Option<Failure>,
     outcome: Outcome,
+    /// What was learnt of the camera by now.
+    pub learnt: LearntCamera,
     /// Whether stderr is a log that programs read.
     logs_json: bool,
 }
@@ -270,6 +277,7 @@ impl Sinks {
             happening: link.events.listen(),
             failure: None,
             outcome: Outcome::default(),
+            learnt: LearntCamera::default(),
             logs_json: log.format == LogFormat::Json,
         })
     }
@@ -280,6 +288,7 @@ impl Sinks {
             return;
         }
         self.outcome.add(sample);
+        self.learnt = sample.learnt;
         attempt(&mut self.poses, "records", &mut self.failure, |poses| poses.write(sample));
     }
 

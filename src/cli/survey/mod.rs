@@ -14,6 +14,7 @@ use clap::{Args, ValueEnum};
 use super::calibrate::write_whole;
 use super::failure::Failure;
 use super::interrupt;
+use super::learnt::LearntArguments;
 use super::logging::{self, LogArguments};
 use super::output_file::print;
 use super::replay::progress::Progress;
@@ -59,6 +60,8 @@ pub(super) struct SurveyArguments {
     #[arg(long, value_name = "N", value_parser = super::replay::frames_per_second)]
     fps: Option<f64>,
     #[command(flatten)]
+    learnt: LearntArguments,
+    #[command(flatten)]
     log: LogArguments,
 }
 
@@ -97,7 +100,9 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
             size.1
         )));
     }
-    let setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
+    let mut setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
+    let (learnt, _) = arguments.learnt.of(&arguments.clips[0])?;
+    setup.shutter.readout_s = setup.shutter.readout_s.or(learnt.readout.map(|readout| readout.seconds));
     let total = sources.iter().map(|source| source.rows()).sum::<Option<u64>>();
     let options = SurveyOptions { refines_lens: arguments.lens == Lens::Refine, constraints: settings.measured.clone() };
     let file = WalkFile::new(&arguments.output, &arguments.clips, &setup, &format!("{:?} {:?}", arguments.lens, arguments.fps));

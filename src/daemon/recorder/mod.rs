@@ -27,6 +27,7 @@ use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, Received};
 use crate::record::PoseSample;
 use crate::telemetry::RecorderState;
+use crate::track::LearntCamera;
 use clip_folder::{ClipFolder, Picture, Recorded};
 use ring::Ring;
 
@@ -150,7 +151,7 @@ impl Recorder {
 
 fn begin_clip(folder: &Path, about: &AboutClip, disk: &mut dyn Disk) -> std::io::Result<ClipFolder> {
     let clip = ClipFolder::create(folder, disk)?;
-    about.write(folder, disk)?;
+    about.write(folder, &LearntCamera::default(), disk)?;
     Ok(clip)
 }
 
@@ -162,7 +163,7 @@ fn recorded(row: &ClipEntry, sample: &PoseSample) -> Recorded {
         (_, EntryContent::Frame(frame)) => Picture::Grey(frame.image.clone()),
         (_, EntryContent::Undecodable(_) | EntryContent::Skipped(_)) => Picture::Nothing,
     };
-    Recorded { timestamp: row.timestamp, picture, line: sample.to_json_line() }
+    Recorded { timestamp: row.timestamp, picture, line: sample.to_json_line(), learnt: sample.learnt }
 }
 
 /// The recorder's thread.
@@ -216,7 +217,10 @@ impl Work {
 
     fn row(&mut self, row: &Recorded) {
         self.queue.bytes.fetch_sub(row.bytes(), Ordering::Relaxed);
-        let to_clip = self.clip.as_mut().map_or(Ok(()), |clip| clip.push(row, &mut *self.disk));
+        // What was known before the first row is known once that comes.
+        let is_first = self.clip.as_ref().filter(|clip| clip.rows() == 0 && !row.learnt.is_empty()).map(|clip| clip.folder.clone());
+        let begun = is_first.map_or(Ok(()), |folder| self.plan.about.write_about(&folder, &row.learnt, &mut *self.disk));
+        let to_clip = begun.and(self.clip.as_mut().map_or(Ok(()), |clip| clip.push(row, &mut *self.disk)));
         let to_ring = self.ring.as_mut().map_or(Ok(()), |ring| ring.push(row, &mut *self.disk));
         match to_clip.and(to_ring) {
             Ok(()) if self.clip.is_some() || self.ring.is_some() => self.link.statistics.recorded.add(1),
@@ -286,8 +290,8 @@ impl Work {
             return;
         }
         let clip = new_clip_name(folder);
-        let saved = ring.save(&clip, &mut *self.disk).and_then(|first| {
-            self.plan.about.write(&clip, &mut *self.disk)?;
+        let saved = ring.save(&clip, &mut *self.disk).and_then(|(first, learnt)| {
+            self.plan.about.write(&clip, &learnt, &mut *self.disk)?;
             let mut saved = ClipFolder::of(&clip);
             let since = self.recent.iter().rev().filter(|e| e.timestamp >= first);
             since.into_iter().try_for_each(|event| saved.event(event, &mut *self.disk))

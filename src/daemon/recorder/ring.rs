@@ -9,10 +9,12 @@ use std::path::{Path, PathBuf};
 use super::clip_folder::{ClipFolder, INDEX_HEAD, Recorded};
 use super::disk::Disk;
 use crate::frame::Timestamp;
+use crate::track::LearntCamera;
 
 struct Segment {
     clip: ClipFolder,
     first: Timestamp,
+    learnt: LearntCamera,
 }
 
 /// A ring of short clips.
@@ -46,7 +48,7 @@ impl Ring {
         if self.segments.back().is_none_or(|s| age(s) >= self.length_ns / SEGMENTS) {
             let clip = ClipFolder::create(&self.folder.join(format!("{:08}", self.made)), disk)?;
             self.made += 1;
-            self.segments.push_back(Segment { clip, first: row.timestamp });
+            self.segments.push_back(Segment { clip, first: row.timestamp, learnt: row.learnt });
         }
         // The oldest may go when those behind it reach back far enough.
         while self.segments.get(1).is_some_and(|second| age(second) >= self.length_ns) {
@@ -63,10 +65,10 @@ impl Ring {
         self.segments.is_empty()
     }
 
-    /// Moves what is there into a clip of its own and begins anew; gives the first row's stamp.
-    pub fn save(&mut self, clip: &Path, disk: &mut dyn Disk) -> io::Result<Timestamp> {
+    /// Moves what is there into a clip of its own and begins anew; gives the first row's stamp, and what was known of the camera before it.
+    pub fn save(&mut self, clip: &Path, disk: &mut dyn Disk) -> io::Result<(Timestamp, LearntCamera)> {
         disk.make_folder(&clip.join("frames"))?;
-        let first = self.segments.front().map(|s| s.first).unwrap_or_default();
+        let first = self.segments.front().map(|s| (s.first, s.learnt)).unwrap_or_default();
         let (mut index, mut poses) = (INDEX_HEAD.to_vec(), Vec::new());
         for segment in std::mem::take(&mut self.segments) {
             let from = &segment.clip.folder;

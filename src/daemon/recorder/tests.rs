@@ -201,3 +201,28 @@ fn a_saved_ring_has_the_config_that_ran_whatever_became_of_the_file() {
     assert_eq!((is.camera, is.shutter.exposure_s), (was.camera, 0.0083));
     assert_eq!(is.stage.surfaces[0].artwork, was.stage.surfaces[0].artwork);
 }
+
+#[test]
+fn a_recording_says_what_was_known_of_the_camera_before_its_first_row() {
+    let folder = tempfile::tempdir().unwrap();
+    let clip = folder.path().join("take");
+    let link = LiveLink::default();
+    let plan = RecorderPlan { clip: Some(clip.clone()), ring: Some((folder.path().to_owned(), 2.0)), about: about() };
+    let recorder = Recorder::start(plan, &link, Box::<RealDisk>::default()).unwrap();
+    let events = link.events.listen();
+    let mut observe = recorder.observer();
+    for n in 0..100 {
+        let (row, mut sample) = row(n);
+        sample.learnt.readout = Some(crate::track::LearntTime { seconds: 1e-3 * (1.0 + n as f64), sigma_s: 1e-4 });
+        observe(&row, &sample);
+    }
+    recorder.saver()();
+    let saved = events.iter().find_map(|e| if let Event::RingSaved { clip } = e.event { Some(clip) } else { None }).unwrap();
+    drop(observe);
+    recorder.finish();
+    let known = |clip: &Path| crate::daemon::learnt_of_clip(clip).unwrap().readout.unwrap().seconds;
+    assert_eq!(known(&clip), 1e-3);
+    let first = stamps_of(Path::new(&saved))[0] / 100_000_000;
+    assert!(first > 50, "{first}");
+    assert_eq!(known(Path::new(&saved)), 1e-3 * (1.0 + first as f64));
+}

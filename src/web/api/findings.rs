@@ -94,7 +94,7 @@ pub(super) fn judged(text: &str, file: &Path) -> (Option<Settings>, Vec<Finding>
         found.extend(of_corners(body, matches!(settings.lens, LensSource::Guess(..))));
     }
     if let Some(fps) = settings.device.fps {
-        found.extend(of_shutter(&settings.shutter, 1.0 / fps));
+        found.extend(of_shutter(&settings.shutter.or_zero(), 1.0 / fps));
     }
     found.extend(settings.notes.iter().map(Diagnosed::note));
     found.sort_by_key(|finding| finding.grade);
