@@ -8,8 +8,12 @@ mod model;
 mod pixel_doubt;
 pub mod plausible;
 mod shutter;
+#[cfg(any(feature = "calibration-files", feature = "capture"))]
+pub(crate) mod utf16;
 
 pub use doubt::{IntrinsicsUncertainty, LENS_WAYS, LensDoubt};
+#[cfg(feature = "daemon")]
+pub(crate) use files::slips;
 #[cfg(feature = "calibration-files")]
 pub use files::{Calibration, CalibrationFileError, CalibrationForm, CalibrationProblem, parse_calibration};
 pub use guess::LensGuess;

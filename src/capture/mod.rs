@@ -12,6 +12,7 @@ mod colour;
 mod error;
 mod ffmpeg;
 mod folder;
+pub(crate) mod foreign;
 mod grey;
 mod jpeg_markers;
 mod luma;
@@ -21,8 +22,11 @@ mod order;
 mod picture_stream;
 mod played;
 mod rate;
+mod remarks;
+mod stamp_unit;
 pub mod timestamping;
 pub(crate) mod timestamps;
+mod transparency;
 mod video;
 mod waiting;
 mod writer;
@@ -38,7 +42,9 @@ use std::time::Duration;
 pub use avi::AviReader;
 pub use error::CaptureError;
 pub use folder::PICTURE_EXTENSIONS;
-pub use grey::{DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_oriented, orientation_words, picture_size, with_huffman_tables};
+pub use grey::{
+    DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_on_white, decode_oriented, orientation_words, picture_size, with_huffman_tables,
+};
 pub use luma::decode_picture;
 pub use mjpeg::MjpegReader;
 pub use open::{ClipOptions, open_clip, open_clip_in_colour};
@@ -118,6 +124,12 @@ pub trait FrameSource: Send {
 
     /// How many rows there will be, where that is known.
     fn rows(&self) -> Option<u64>;
+
+    /// Why the stamps cannot be what they are read as, in a sentence that is one of the notes, too: nothing that depends on times is to be
+    /// believed then.
+    fn doubt_of_stamps(&self) -> Option<String> {
+        None
+    }
 
     /// What is to be said of the pictures seen so far, a sentence each.
     fn notes(&self) -> Vec<String> {

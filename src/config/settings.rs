@@ -210,6 +210,7 @@ impl Settings {
         let (device, safety) = (device(&section, camera)?, safety(&origin, typed.safety.as_ref())?);
         notes.extend(device.fps.and_then(|fps| safety.note_on_rate(fps)));
         refuse_overwriting(&typed, &origin, &files)?;
+        notes.append(&mut origin.remarks.borrow_mut());
         Ok(Self {
             file: file.to_owned(),
             measured: measured(&origin, typed.survey.as_ref(), &stage)?,

@@ -136,7 +136,10 @@ fn wrong_keys_get_their_place_and_the_nearest_name() {
             "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, survey, mount, tracker, recorder, filter, safety, output, http, log",
         ),
         (format!("{GOOD}[recorder]\nring = 1"), "stage.toml: unknown key `ring` in [recorder], line 7; did you mean `ring_s`?"),
-        (GOOD.replace("\"camera.toml\"", "\"camera.toml"), "stage.toml: line 2 is not TOML: invalid basic string, expected `\"`"),
+        (
+            GOOD.replace("\"camera.toml\"", "\"camera.toml"),
+            "stage.toml: line 2 is not TOML: invalid basic string, expected `\"`; the quote is not closed; write: calibration = \"camera.toml\"",
+        ),
         (
             GOOD.replace("\"camera.toml\"", "7"),
             "stage.toml: `calibration` in [camera], line 2: invalid type: integer `7`, expected a string",
@@ -152,6 +155,24 @@ fn wrong_keys_get_their_place_and_the_nearest_name() {
     ];
     for (text, wanted) in cases {
         assert_eq!(message(&folder, &text), wanted, "{text}");
+    }
+}
+
+#[test]
+fn slips_of_the_keyboard_are_answered_by_what_to_type() {
+    let folder = folder();
+    for (text, line, wanted) in [
+        (GOOD.replace("[[stage.surface]]", "[stage.surface]"), "`surface` in [stage], line 3", "write [[stage.surface]]"),
+        (format!("{GOOD}[output]\nprotocol = \"freed\""), "`output` in the config, line 6", "write [[output]]"),
+        (format!("{GOOD}[object]\nname = \"a\""), "`object` in the config, line 6", "write [[object]]"),
+        (GOOD.replace("[camera]", "[[camera]]"), "`camera` in the config, line 1", "write [camera]"),
+        (GOOD.replace("[4, 3]", "[0,4, 0,22]"), "line 5: invalid length 4", "write: [0.4, 0.22]"),
+        (camera_plus("exposure_s = 0,02"), "line 3 is not TOML", "write: exposure_s = 0.02"),
+        (GOOD.replace("\"camera.toml\"", "“camera.toml”"), "line 2 is not TOML", "write: calibration = \"camera.toml\""),
+        (GOOD.replace("\"camera.toml\"", "\"C:\\Users\\a.toml\""), "line 2 is not TOML", "write: calibration = \"C:/Users/a.toml\""),
+    ] {
+        let said = message(&folder, &text);
+        assert!(said.contains(line) && said.contains(wanted), "{text}: {said}");
     }
 }
 

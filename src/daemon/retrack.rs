@@ -67,6 +67,7 @@ struct Compared {
 pub fn retrack(clip: &Path, settings: &Settings, progress: &mut Progress) -> Result<String, String> {
     let options = ClipOptions { calibrated: settings.lens.size(&settings.camera), ..ClipOptions::default() };
     let mut source = open_clip(clip, options).map_err(|e| e.to_string())?;
+    source.notes().iter().for_each(|note| tracing::warn!("{}: {note}", clip.display()));
     let (width, height) = source.size();
     let (setup, _) = settings.tracker_setup(width, height).map_err(|e| e.to_string())?;
     let mut setup = TrackerSetup { clock: thread_clock(), store: kept_views(), ..setup };

@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use thiserror::Error;
 
-use super::entries::sight;
+use super::entries::{sample, sight};
 use super::live::{Event, LiveLink, LiveSource, dropped};
 use super::reason_watch::ReasonWatch;
 use super::stale::StaleWatch;
@@ -316,7 +316,7 @@ fn publish(
         };
         match next {
             Ok(Seen { row, sighting, age_ms }) => {
-                let mut sample = poses.sample(&sighting, row.decode.as_secs_f64() * 1e3);
+                let mut sample = sample(&mut poses, &sighting, &row);
                 sample.times.age_ms = age_ms;
                 if let Some(news) = sighting.misfit {
                     tell(news, watch.as_ref().map(StaleWatch::link));

@@ -14,6 +14,7 @@ use tracing::{debug, debug_span};
 use super::acquire::{SurfaceMatch, SurfaceView};
 use super::align::{AlignSurface, Alignment, CameraRays, FrameLevels, ShutterClue, is_sharp};
 use super::body_search::{BodySearch, Scene};
+use super::clock_steps::ClockSteps;
 use super::feature_search::FeatureSearch;
 use super::frame_interval::FrameInterval;
 use super::learnt_camera::{LearntCamera, LearntTime};
@@ -128,6 +129,7 @@ pub struct Matcher {
     /// How well the model fits what was shown.
     fits: Vec<Option<ModelFit>>,
     lens_watch: LensWatch,
+    clock_steps: ClockSteps,
     camera_rays: CameraRays,
     levels: FrameLevels,
     watcher: Option<PixelWatch>,
@@ -174,7 +176,13 @@ impl Matcher {
             verified: Vec::new(),
             fits: Vec::new(),
             lens_watch: LensWatch::default(),
+            clock_steps: ClockSteps::default(),
         }
+    }
+
+    /// A row's stamp in the matcher's own time, in which rows are to be looked at where the clock may be set back.
+    pub fn own_time(&mut self, stamp: Timestamp) -> Timestamp {
+        self.clock_steps.own(stamp)
     }
 
     /// Looks for every body in a frame. A frame of another size than the camera's shows nothing.

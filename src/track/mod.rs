@@ -15,6 +15,7 @@ mod align;
 mod averaged_picture;
 mod bilinear;
 mod body_search;
+mod clock_steps;
 mod expected_candidate;
 mod expected_view;
 mod failure;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::capture::{ClipOptions, EntryContent, open_clip};
 use crate::cli::failure::Failure;
-use crate::cli::outcome::Outcome;
+use crate::cli::outcome::{ONE_FRAME, Outcome};
 use crate::cli::replay::{progress::Progress, tracker_setup};
 use crate::config::Settings;
 use crate::daemon::track_entry;
@@ -112,16 +112,21 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>, learnt
     findings.extend(of_model(&model, &findings));
     // A lens or a layout that is named explains why no pose fits, too.
     let has_cause = findings.iter().any(|f| f.grade == Grade::Fault || (is_small && f.grade == Grade::Doubt));
-    findings.extend(of_reasons(&outcome, has_cause));
+    match outcome.awaits_a_second_frame() {
+        true => findings.push(Finding::warning(ONE_FRAME)),
+        false => findings.extend(of_reasons(&outcome, has_cause)),
+    }
     findings.extend(setup.objects.iter().zip(&objects).filter_map(|(object, tracked)| of_object(&object.name, *tracked, outcome.tracked)));
     findings.extend(travel.findings(&settings.stage));
     findings.extend(of_roll(&travel, &setup));
-    if let Some(frame_s) = frame_interval_s(&stamps) {
+    let doubt_of_stamps = source.doubt_of_stamps();
+    if let Some(frame_s) = frame_interval_s(&stamps).filter(|_| doubt_of_stamps.is_none()) {
         findings.extend(settings.safety.note_on_rate(1.0 / frame_s).map(Finding::warning));
         findings.extend(of_shutter(&settings.shutter.or_zero(), frame_s));
     }
     findings.extend(of_rate(clip, fps));
-    findings.extend(source.notes().iter().map(Finding::note));
+    findings.extend(source.notes().iter().filter(|note| Some(*note) != doubt_of_stamps.as_ref()).map(Finding::note));
+    findings.extend(doubt_of_stamps.map(Finding::fault));
     let rows = match total {
         Some(rows) if rows > outcome.frames => format!("the first {} of {rows} frames", outcome.frames),
         _ => format!("{} frames", outcome.frames),

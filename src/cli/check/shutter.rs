@@ -27,7 +27,11 @@ pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Resul
     let progress = Progress::start(None);
     let calibrated = settings.lens.size(&settings.camera);
     let open = || open_clip(clip, ClipOptions { fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
-    let setup = tracker_setup(settings, open()?.size(), None)?;
+    let source = open()?;
+    if source.doubt_of_stamps().is_some() {
+        return Ok(vec!["not estimated: the clip's stamps are not to be believed; see above".to_owned()]);
+    }
+    let setup = tracker_setup(settings, source.size(), None)?;
     let tracker = Tracker::new(TrackerSetup { shutter: Default::default(), objects: Vec::new(), ..setup })?;
     let estimate = estimate_shutter(|| open().map(|source| frames(source, progress.clone())), tracker);
     progress.finish();

@@ -90,6 +90,9 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
         |clip: &PathBuf| open_clip(clip, ClipOptions { fps: arguments.fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
     let open_all = || arguments.clips.iter().map(open).collect::<Result<Vec<_>, _>>();
     let sources = open_all()?;
+    for (clip, source) in arguments.clips.iter().zip(&sources) {
+        source.notes().iter().for_each(|note| tracing::warn!("{}: {note}", clip.display()));
+    }
     let size = sources[0].size();
     if let Some((clip, source)) = arguments.clips.iter().zip(&sources).find(|(_, source)| source.size() != size) {
         let (w, h) = source.size();
