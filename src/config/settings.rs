@@ -10,7 +10,7 @@ use toml::Spanned;
 use tracing::level_filters::LevelFilter;
 
 use super::as_typed;
-use super::bodies::BodyReader;
+use super::bodies::{BodyReader, refuse_many};
 use super::filter::filter;
 use super::http::{HostName, HttpSettings};
 use super::lens::{self, LensSource, lens};
@@ -181,6 +181,7 @@ impl Settings {
     pub fn from_text(text: &str, file: &Path) -> Result<Self, ConfigError> {
         let typed = as_typed::Config::parse(text, file)?;
         let origin = Origin::new(file, text);
+        refuse_many(&origin, &typed)?;
         let (mut notes, mut warnings) = (Vec::new(), Vec::new());
         let section = Section { origin: &origin, name: "[camera]" };
         let (lens, model) = lens(&section, typed.camera.as_ref())?;

@@ -428,3 +428,22 @@ proptest! {
         let _ = Settings::from_text(&text, Path::new("no-such-folder/stage.toml")).map_err(|e| e.to_string());
     }
 }
+
+#[test]
+fn as_many_surfaces_as_a_set_has_are_read_and_too_many_are_refused_before_a_picture_is() {
+    let folder = tempfile::tempdir().unwrap();
+    fill(folder.path());
+    let config = |stage: usize, object: usize, image: &str| {
+        let surface = |of: &str| format!("[[{of}.surface]]\nimage = \"{image}\"\nsize_m = [4, 3]\n");
+        let object = if object == 0 { String::new() } else { format!("[[object]]\nname = \"a\"\n{}", surface("object").repeat(object)) };
+        let text = format!("[camera]\ncalibration = \"camera.toml\"\n{}{object}", surface("stage").repeat(stage));
+        Settings::from_text(&text, &folder.path().join("stage.toml"))
+    };
+    assert_eq!(config(6, 2, "art.png").unwrap().stage.surfaces.len(), 6);
+    let said = config(70, 30, "none.png").unwrap_err().to_string();
+    assert!(said.contains("none.png") && !said.contains("surfaces cannot"), "100 are not too many: {said}");
+    for (stage, object, line) in [(300, 0, 303), (60, 60, 305)] {
+        let said = config(stage, object, "none.png").unwrap_err().to_string();
+        assert!(said.contains(&format!("line {line}: {} surfaces cannot be used; give at most 100", stage + object)), "{said}");
+    }
+}

@@ -5,6 +5,7 @@
 //! that may fail.
 
 mod entries;
+mod free_memory;
 mod jobs;
 mod kept_views;
 mod learnt_state;
@@ -20,6 +21,7 @@ mod thread_time;
 mod threads;
 
 pub use entries::track_entry;
+pub use free_memory::give_back;
 pub use jobs::Progress;
 pub use kept_views::kept_views;
 pub use learnt_state::{LearntFile, learnt_of_clip};

@@ -9,7 +9,7 @@ use super::osc::OscSettings;
 use super::placement::Placement;
 use super::psn::PsnSettings;
 use super::report::BodyChoice;
-use super::transport::UdpSettings;
+use super::transport::{StreamSettings, UdpSettings};
 
 /// One `[[output]]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,6 +34,16 @@ pub struct OutputSettings {
     pub placement: Placement,
     /// Whether `[safety]` holds for it.
     pub is_guarded: bool,
+}
+
+impl OutputSettings {
+    /// Where its lines go besides UDP.
+    pub(crate) fn stream(&self) -> Option<&StreamSettings> {
+        match &self.protocol {
+            Protocol::Json(json) => Some(&json.stream),
+            _ => None,
+        }
+    }
 }
 
 /// What an output speaks.

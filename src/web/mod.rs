@@ -16,6 +16,8 @@ mod call;
 #[cfg(feature = "http")]
 mod camera_motion;
 #[cfg(feature = "http")]
+mod connection;
+#[cfg(feature = "http")]
 mod content;
 #[cfg(feature = "http")]
 mod entrance;
@@ -30,6 +32,8 @@ mod hosts;
 mod hub;
 #[cfg(feature = "http")]
 mod keys;
+#[cfg(feature = "http")]
+mod lanes;
 #[cfg(feature = "http")]
 mod lifetime;
 #[cfg(feature = "http")]

@@ -10,6 +10,7 @@ use super::failure::Failure;
 use super::learnt::LearntArguments;
 use super::logging::{self, LogArguments};
 use super::output_file::print;
+use super::spared::Spared;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::config::{LensSource, Settings};
 use crate::diagnose::{self, Finding, Grade};
@@ -51,6 +52,10 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     let settings = Settings::load(&arguments.config)?;
     logging::start(&arguments.log, settings.log);
     settings.rehearse_outputs()?;
+    if let Some(folder) = &arguments.ratings {
+        let spared = arguments.clip.iter().fold(Spared::default(), |spared, clip| spared.with_clip(clip));
+        spared.refuse_within_clip("--ratings", folder)?;
+    }
     let mut camera = settings.camera;
     let mut findings = of_config(&settings);
     let (mut place, mut shutter_lines, mut is_followed) = (None, Vec::new(), true);

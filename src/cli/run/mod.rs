@@ -73,10 +73,18 @@ pub(super) struct LiveArguments {
 impl LiveArguments {
     /// The config as it is now.
     fn load(&self) -> Result<Settings, ConfigError> {
-        let settings = Settings::load(&self.config)?;
-        let Some(listen) = self.setup else { return Ok(settings) };
-        let hosts = settings.http.as_ref().map(|http| http.hosts.clone()).unwrap_or_default();
-        Ok(Settings { http: Some(HttpSettings { listen, hosts }), ..settings })
+        self.loader()()
+    }
+
+    /// What reads the config, on any thread.
+    fn loader(&self) -> impl Fn() -> Result<Settings, ConfigError> + Send + 'static {
+        let (config, setup) = (self.config.clone(), self.setup);
+        move || {
+            let settings = Settings::load(&config)?;
+            let Some(listen) = setup else { return Ok(settings) };
+            let hosts = settings.http.as_ref().map(|http| http.hosts.clone()).unwrap_or_default();
+            Ok(Settings { http: Some(HttpSettings { listen, hosts }), ..settings })
+        }
     }
 
     #[cfg(feature = "http")]

@@ -1,8 +1,10 @@
 //! One session: a camera, a tracker and what listens, under one config.
 
+use std::cell::RefCell;
 use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
@@ -19,7 +21,7 @@ use crate::cli::outputs::Outputs;
 use crate::cli::pages::Pages;
 use crate::cli::replay::records::{Output, Records};
 use crate::cli::replay::tracker_setup;
-use crate::config::{LogFormat, LogSettings, RecorderSettings, Settings};
+use crate::config::{ConfigError, LogFormat, LogSettings, RecorderSettings, Settings};
 use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, exposure_of};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
 use crate::daemon::{Daemon, LearntFile, Mode, RecordingWish, RunningDaemon, Supervisor};
@@ -52,15 +54,25 @@ pub(super) struct Session<'a> {
     pub settings: &'a Settings,
     pub arguments: &'a LiveArguments,
     pub link: &'a LiveLink,
-    pub supervisor: &'a Supervisor,
+    pub supervisor: &'a Arc<Supervisor>,
     pub pages: &'a Pages,
+    /// A new config that is being read and tried.
+    pub reading: RefCell<Option<JoinHandle<Result<Settings, ConfigError>>>>,
+}
+
+impl Drop for Session<'_> {
+    fn drop(&mut self) {
+        if self.reading.get_mut().is_some() {
+            // The next session reads it.
+            self.supervisor.reload();
+        }
+    }
 }
 
 /// What a running session is followed by.
 struct Listening<'a> {
     samples: &'a Receiver<PoseSample>,
     running: &'a RunningDaemon,
-    size: (u32, u32),
     /// Saves the ring.
     saver: Option<&'a dyn Fn()>,
     recorder: Option<&'a Recorder>,
@@ -126,15 +138,16 @@ impl Session<'_> {
         let listening = Listening {
             samples: &samples,
             running: &running,
-            size: mode.size,
             saver: saver.as_ref().map(|s| s as &dyn Fn()),
             recorder: recorder.as_ref(),
             pages,
             outputs: &outputs,
         };
         self.supervisor.watch_outputs(Some(Arc::new(outputs.watch())));
+        self.supervisor.set_picture_size(Some(mode.size));
         let end = self.follow(&listening, service, sinks);
         self.supervisor.watch_outputs(None);
+        self.supervisor.set_picture_size(None);
         self.supervisor.set_recording(None);
         drop(saver);
         stopper.stop();
@@ -164,7 +177,7 @@ impl Session<'_> {
             }
             service.tick(self.link);
             sinks.write_events();
-            reload = self.reload(None);
+            reload = self.reload();
             service.is_over() || reload.is_some() || self.supervisor.mode() != Mode::Track
         });
         let ended = || if self.supervisor.mode() == Mode::Track { End::Stopped } else { End::Lent };
@@ -172,7 +185,7 @@ impl Session<'_> {
     }
 
     fn follow(&self, listening: &Listening<'_>, service: &mut Service, sinks: &mut Sinks) -> End {
-        let Listening { samples, running, size, saver, recorder, pages, outputs } = *listening;
+        let Listening { samples, running, saver, recorder, pages, outputs } = *listening;
         service.tracking_begins();
         loop {
             match samples.recv_timeout(Duration::from_millis(50)) {
@@ -196,7 +209,7 @@ impl Session<'_> {
                     None => tracing::warn!("there is no ring to save; set ring_s in [recorder]"),
                 }
             }
-            if let Some(new) = self.reload(Some(size)) {
+            if let Some(new) = self.reload() {
                 service.reloading();
                 return End::Reload(new);
             }
@@ -226,29 +239,40 @@ impl Session<'_> {
         }
     }
 
-    /// The new config, where SIGHUP asked for it and it is good.
-    fn reload(&self, size: Option<(u32, u32)>) -> Option<Box<Settings>> {
-        if !(interrupt::take_reload() | self.supervisor.take_reload()) {
-            return None;
+    /// The new config, where SIGHUP or the page asked for it and it can be run. It is read and tried on a thread of its own, while tracking
+    /// goes on.
+    fn reload(&self) -> Option<Box<Settings>> {
+        let mut reading = self.reading.borrow_mut();
+        if reading.is_none() && (interrupt::take_reload() | self.supervisor.take_reload()) {
+            let (load, supervisor) = (self.arguments.loader(), self.supervisor.clone());
+            let read = move || load().and_then(|settings| supervisor.rehearse(&settings).map(|()| settings));
+            match std::thread::Builder::new().name("config".to_owned()).spawn(read) {
+                Ok(thread) => *reading = Some(thread),
+                Err(error) => self.refuse(format!("the system gives no thread ({error}); close other programs")),
+            }
         }
-        let file = &self.settings.file;
-        let fits = |settings: Settings| match size {
-            // Where the camera stays what it is, the calibration must fit it.
-            Some((w, h)) if settings.device == self.settings.device => settings.camera_for(w, h).map(|_| settings),
-            _ => Ok(settings),
-        };
-        match self.arguments.load().and_then(fits) {
-            Ok(settings) => {
+        let read = reading.take_if(|thread| thread.is_finished())?.join();
+        match read {
+            Ok(Ok(settings)) => {
                 self.supervisor.accept();
-                self.link.events.publish(Event::ConfigReloaded { file: file.display().to_string() });
+                self.link.events.publish(Event::ConfigReloaded { file: self.settings.file.display().to_string() });
                 Some(Box::new(settings))
             }
-            Err(error) => {
-                self.supervisor.refuse(error.to_string());
-                self.link.events.publish(Event::ConfigRefused { reason: error.to_string() });
+            Ok(Err(error)) => {
+                self.refuse(error.to_string());
+                None
+            }
+            Err(_) => {
+                self.refuse("reading it failed inside the program; please report it with the config".to_owned());
                 None
             }
         }
+    }
+
+    /// A new config is not used; the one of before stays in force.
+    fn refuse(&self, reason: String) {
+        self.supervisor.refuse(reason.clone());
+        self.link.events.publish(Event::ConfigRefused { reason });
     }
 }
 

@@ -1,5 +1,6 @@
 //! Sessions one after another, and what outlives them: the server, the files of records and events, the service manager's watch.
 
+use std::cell::RefCell;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -14,7 +15,7 @@ use crate::cli::pages::Pages;
 use crate::config::{HttpSettings, LogSettings, Settings};
 use crate::contain;
 use crate::daemon::live::{Event, LiveLink};
-use crate::daemon::{Mode, Supervisor};
+use crate::daemon::{Mode, Supervisor, give_back};
 use crate::publish::{SafetySettings, Stamps};
 
 /// A stage may fail this often within [`RESTART_SPAN`] before the daemon gives up. Chosen: a failure that comes back every few seconds is
@@ -94,7 +95,9 @@ impl Show<'_> {
                     None => return Ok(()),
                 },
             };
-            next = match self.session(&settings) {
+            let ended = self.session(&settings);
+            give_back();
+            next = match ended {
                 Ok(End::Stopped) => return Ok(()),
                 Ok(End::Lent) if self.lent() => Some(settings),
                 Ok(End::Lent) => return Ok(()),
@@ -111,7 +114,8 @@ impl Show<'_> {
     fn session(&mut self, settings: &Settings) -> Result<End, Failure> {
         let pages = self.server.serve(settings.http.as_ref(), &settings.safety, &self.supervisor, self.arguments)?;
         self.supervisor.use_settings(Some(settings.clone()));
-        let session = Session { settings, arguments: self.arguments, link: &self.link, supervisor: &self.supervisor, pages };
+        let (supervisor, reading) = (&self.supervisor, RefCell::default());
+        let session = Session { settings, arguments: self.arguments, link: &self.link, supervisor, pages, reading };
         session.run(&mut self.service, &mut self.sinks, &mut self.clips)
     }
 
@@ -223,6 +227,7 @@ impl Serving {
             None => {
                 let run = Some((supervisor, arguments.page_dir()));
                 let pages = Pages::start(http, safety, Stamps::Live, run)?;
+                supervisor.set_page(http.map(|http| http.listen));
                 self.pages.insert((http.cloned(), pages))
             }
         };

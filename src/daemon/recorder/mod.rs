@@ -150,9 +150,11 @@ impl Recorder {
 }
 
 fn begin_clip(folder: &Path, about: &AboutClip, disk: &mut dyn Disk) -> std::io::Result<ClipFolder> {
-    let clip = ClipFolder::create(folder, disk)?;
-    about.write(folder, &LearntCamera::default(), disk)?;
-    Ok(clip)
+    let begun = ClipFolder::create(folder, disk).and_then(|clip| about.write(folder, &LearntCamera::default(), disk).map(|()| clip));
+    if begun.is_err() {
+        disk.let_go(folder);
+    }
+    begun
 }
 
 /// What is kept of a row.
@@ -208,7 +210,6 @@ impl Work {
         }
         events.try_iter().for_each(|event| self.event(event));
         self.finish_clip();
-        self.disk.sync();
         if self.link.statistics.recorder() == RecorderState::Recording {
             self.link.statistics.set_recorder(RecorderState::Off);
         }
@@ -257,7 +258,6 @@ impl Work {
 
     fn end(&mut self) {
         self.finish_clip();
-        self.clip = None;
         let is_wanted = self.ring.is_some();
         self.queue.wanted.store(is_wanted, Ordering::Relaxed);
         if !is_wanted {
@@ -265,18 +265,31 @@ impl Work {
         }
     }
 
-    /// Writes a recording's last line: who reads it later knows that nothing is missing.
+    /// Writes a recording's last line, so that a later reader knows that nothing is missing, and closes its files.
     fn finish_clip(&mut self) {
         let Some(clip) = &self.clip else { return };
         let event = Event::RecorderFinished { clip: clip.folder.display().to_string(), frames: clip.rows() };
         self.link.events.publish(event.clone());
         self.event(StampedEvent { timestamp: monotonic_now(), event });
+        if let Some(clip) = self.clip.take() {
+            self.close(&clip.folder);
+        }
+    }
+
+    /// Brings a finished clip's files to the medium and closes them.
+    fn close(&mut self, clip: &Path) {
+        self.disk.sync();
+        self.disk.let_go(clip);
     }
 
     /// Gives up; what is written stays a good clip.
     fn stop(&mut self, reason: &str) {
-        if self.clip.take().is_none() & self.ring.take().is_none() {
+        let (clip, ring) = (self.clip.take(), self.ring.take());
+        if clip.is_none() && ring.is_none() {
             return;
+        }
+        for folder in clip.into_iter().map(|clip| clip.folder).chain(ring.map(Ring::into_folder)) {
+            self.close(&folder);
         }
         self.stopped = Some(reason.to_owned());
         self.link.statistics.set_recorder(RecorderState::Stopped);
@@ -296,6 +309,7 @@ impl Work {
             let since = self.recent.iter().rev().filter(|e| e.timestamp >= first);
             since.into_iter().try_for_each(|event| saved.event(event, &mut *self.disk))
         });
+        self.close(&clip);
         match saved {
             Ok(()) => self.link.events.publish(Event::RingSaved { clip: clip.display().to_string() }),
             Err(e) => self.stop(&format!("the ring cannot be saved: {e}; make room on the disk")),

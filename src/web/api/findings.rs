@@ -81,6 +81,17 @@ fn odd(found: &Diagnosed) -> Finding {
     Finding { level, key: None, line: None, sentence, mend }
 }
 
+/// As [`judged`], and whether this machine gives all that the config asks of it, as `run` finds it when it takes the config over.
+pub(super) fn judged_to_run(text: &str, file: &Path, supervisor: &Supervisor) -> (Option<Settings>, Vec<Finding>) {
+    match judged(text, file) {
+        (Some(settings), findings) => match supervisor.rehearse(&settings) {
+            Ok(()) => (Some(settings), findings),
+            Err(error) => (None, vec![refused(&error)]),
+        },
+        none => none,
+    }
+}
+
 /// Reads a config's text as if it stood in `file`: the settings, where it can be used, and what is to be said of it.
 pub(super) fn judged(text: &str, file: &Path) -> (Option<Settings>, Vec<Finding>) {
     let settings = match Settings::from_text(text, file) {

@@ -48,7 +48,8 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     vec![
         Route::aside(Method::GET, "/api/v1/health", Access::Anyone, move |_| {
             Ok(Reply::json(200, printable(&json!({"parts": parts(&for_health)}).to_string()).into_owned()))
-        }),
+        })
+        .probe(),
         Route::aside(Method::GET, "/api/v1/outputs", Access::Anyone, move |_| {
             let outputs: Vec<Value> = rates.of(for_outputs.outputs(), Instant::now()).iter().map(output).collect();
             Ok(Reply::json(200, json!({"outputs": outputs}).to_string()))

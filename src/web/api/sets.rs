@@ -12,7 +12,8 @@ use super::failed;
 use super::gltf;
 use crate::daemon::Supervisor;
 use crate::safe_file;
-use crate::web::call::{Call, not_arrived, too_large};
+use crate::web::call::Call;
+use crate::web::content::{not_arrived, too_large};
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
@@ -37,19 +38,19 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             let tag = tag(&text);
             Ok(Reply::new(200, "application/json", text).with("etag", &tag))
         }),
-        Route::aside(Method::PUT, "/api/v1/set", Access::Change, move |call| put_set(&for_put, call)),
+        Route::aside(Method::PUT, "/api/v1/set", Access::Change, move |call| put_set(&for_put, call)).takes(LARGEST_SET),
         route(Method::GET, "/api/v1/sets", Access::Anyone, |folder, _| {
             let models: Vec<Value> = models(folder).into_iter().map(|(name, bytes)| json!({"name": name, "bytes": bytes})).collect();
             Ok(Reply::json(200, json!({"sets": models}).to_string()))
         }),
         route(Method::GET, "/api/v1/sets/{name}", Access::Anyone, |folder, call| {
-            let file = model(folder, call)?;
-            let bytes = safe_file::read(&file, LARGEST_MODEL).map_err(|_| none())?;
+            model(folder, call)?;
+            let name = Path::new("sets").join(call.name("name")?);
+            let bytes = safe_file::read_below(folder, &name, LARGEST_MODEL).map_err(|_| none())?;
             Ok(Reply::new(200, "model/gltf-binary", bytes))
         }),
-        route(Method::PUT, "/api/v1/sets/{name}", Access::Change, put_model),
+        route(Method::PUT, "/api/v1/sets/{name}", Access::Change, put_model).takes_a_file(),
         route(Method::DELETE, "/api/v1/sets/{name}", Access::Change, |folder, call| {
-            call.nothing()?;
             std::fs::remove_file(model(folder, call)?).map_err(|_| none()).map(|()| Reply::done())
         }),
     ]
@@ -65,7 +66,7 @@ fn folder(supervisor: &Supervisor) -> PathBuf {
 }
 
 fn read_set(folder: &Path) -> Result<Vec<u8>, Reply> {
-    match safe_file::read(&folder.join("set.json"), LARGEST_SET) {
+    match safe_file::read_below(folder, Path::new("set.json"), LARGEST_SET) {
         Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(EMPTY.into()),
         read => read.map_err(|e| failed("set.json cannot be read", &e)),
     }
@@ -85,6 +86,7 @@ fn put_set(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     {
         return Err(Reply::text(412, "the set was changed meanwhile; load it again\n"));
     }
+    call.still_may()?;
     safe_file::write_lasting(&folder.join("set.json"), &bytes).map_err(|e| failed("set.json cannot be written beside the config", &e))?;
     Ok(Reply::done().with("etag", &tag(&bytes)))
 }
@@ -140,6 +142,7 @@ fn put_model(folder: &Path, call: &mut Call) -> Result<Reply, Reply> {
     }
     beside.file.sync_all().map_err(unwritten)?;
     gltf::judge(&beside.path).map_err(|reason| Reply::text(422, format!("{reason}\n")))?;
+    call.still_may()?;
     std::fs::rename(&beside.path, &target).map_err(unwritten)?;
     Ok(Reply::done())
 }
