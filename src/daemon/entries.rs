@@ -14,6 +14,8 @@ pub fn track_entry(tracker: &mut Tracker, row: &ClipEntry) -> PoseSample {
 /// What the matcher makes of a row.
 pub(super) fn sight(matcher: &mut Matcher, row: &ClipEntry) -> Sighting {
     match &row.content {
+        // Of the same picture nothing new can be measured.
+        EntryContent::Frame(_) if row.repeats && matcher.has_given() => matcher.look_away(row.sequence, row.timestamp, Reason::Repeated),
         EntryContent::Frame(frame) => matcher.look(frame),
         EntryContent::Undecodable(_) => matcher.look_away(row.sequence, row.timestamp, Reason::Undecodable),
         EntryContent::Skipped(_) => matcher.look_past(row.sequence, row.timestamp),

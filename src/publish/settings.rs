@@ -139,6 +139,12 @@ pub enum OnLoss {
     Flag,
 }
 
+/// Fastest that a pose may lead an output unless the config says otherwise, m/s and degrees per second: no stage camera is as fast, nor a thrown prop. Raised, a pose that jumps to a copy of
+/// the picture moves the scenery sooner; lowered, whip pans are withheld.
+pub const FASTEST_M_S: f64 = 20.0;
+/// See [`FASTEST_M_S`].
+pub const FASTEST_DEG_S: f64 = 1000.0;
+
 /// Limits that keep machinery from being moved by a bad pose; each output keeps them by itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SafetySettings {
@@ -180,7 +186,13 @@ impl SafetySettings {
 
 impl Default for SafetySettings {
     fn default() -> Self {
-        Self { max_speed_m_s: None, max_turn_rad_s: None, permitted_box_m: None, blend: None, stale_after: Duration::from_millis(500) }
+        Self {
+            max_speed_m_s: Some(FASTEST_M_S),
+            max_turn_rad_s: Some(FASTEST_DEG_S.to_radians()),
+            permitted_box_m: None,
+            blend: None,
+            stale_after: Duration::from_millis(500),
+        }
     }
 }
 

@@ -58,7 +58,7 @@ fn row(sequence: u64) -> (ClipEntry, PoseSample) {
     };
     let mut sample = PoseSample::stale(sequence, timestamp, 0.0);
     sample.state = crate::record::State::Searching;
-    (ClipEntry { sequence, timestamp, content, decode: Duration::ZERO, received: Some(Received::Raw) }, sample)
+    (ClipEntry { sequence, timestamp, content, decode: Duration::ZERO, repeats: false, received: Some(Received::Raw) }, sample)
 }
 
 /// Records rows and ends, or leaves the recorder as a killed process would.
