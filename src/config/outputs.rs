@@ -239,7 +239,7 @@ fn placement(section: &Section<'_>, output: &as_typed::Output, protocol: &Protoc
 
 /// `[safety]`
 pub(super) fn safety(origin: &Origin<'_>, typed: Option<&as_typed::Safety>) -> Result<SafetySettings, ConfigError> {
-    let default = SafetySettings::default();
+    let default = SafetySettings::usual();
     let Some(typed) = typed else { return Ok(default) };
     let section = Section { origin, name: "[safety]" };
     let limit = |key: &'static str, typed: &Option<Spanned<Number>>, most: f64, wanted: &'static str| {

@@ -28,7 +28,7 @@ fn with_blend() -> SafetySettings {
 
 #[test]
 fn without_limits_every_finite_pose_passes_as_it_is() {
-    let mut limiter = Limiter::new(SafetySettings { max_speed_m_s: None, max_turn_rad_s: None, ..SafetySettings::default() });
+    let mut limiter = Limiter::new(SafetySettings::default());
     for (k, x) in [0.0, 50.0, -1e6].into_iter().enumerate() {
         assert_eq!(limiter.judge(Timestamp::from_ns(k as i64), &at(x, x)), Verdict::Pass(at(x, x)));
     }
@@ -53,13 +53,13 @@ fn the_box_and_the_speeds_withhold() {
 fn by_default_a_whip_pan_passes_and_a_jump_to_a_copy_does_not() {
     // 690 degrees and 12 m a second, as fast as two frames may confirm each other; a spun prop and a camera at 240 frames a second with 5 mm of noise.
     for (dt_ns, way, turn) in [(FRAME_NS, 12.0 / 30.0, 12.0 / 30.0), (16_666_667, 0.0, 0.28), (4_166_667, 0.005, 0.0)] {
-        let mut limiter = Limiter::new(SafetySettings::default());
+        let mut limiter = Limiter::new(SafetySettings::usual());
         for k in 0..20 {
             let to = at(way * k as f64, turn * k as f64);
             assert_eq!(limiter.judge(Timestamp::from_ns(k * dt_ns), &to), Verdict::Pass(to));
         }
     }
-    let mut limiter = Limiter::new(SafetySettings::default());
+    let mut limiter = Limiter::new(SafetySettings::usual());
     limiter.judge(frame(0), &at(0.0, 0.0));
     assert_eq!(limiter.judge(frame(1), &at(6.5, 0.0)), Verdict::Withhold(Withheld::TooFast));
     assert_eq!(limiter.judge(frame(2), &at(0.0, 1.5)), Verdict::Withhold(Withheld::TurnsTooFast));

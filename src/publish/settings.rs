@@ -170,6 +170,11 @@ pub struct BlendRates {
 }
 
 impl SafetySettings {
+    /// What holds unless the config says otherwise: limits that no stage camera breaks. The [`Default`] has none.
+    pub fn usual() -> Self {
+        Self { max_speed_m_s: Some(FASTEST_M_S), max_turn_rad_s: Some(FASTEST_DEG_S.to_radians()), ..Self::default() }
+    }
+
     /// What is to be said where frames come so rarely that each is stale before the next one is there.
     pub fn note_on_rate(&self, frames_per_s: f64) -> Option<String> {
         let (stale_s, interval_s) = (self.stale_after.as_secs_f64(), 1.0 / frames_per_s);
@@ -186,13 +191,7 @@ impl SafetySettings {
 
 impl Default for SafetySettings {
     fn default() -> Self {
-        Self {
-            max_speed_m_s: Some(FASTEST_M_S),
-            max_turn_rad_s: Some(FASTEST_DEG_S.to_radians()),
-            permitted_box_m: None,
-            blend: None,
-            stale_after: Duration::from_millis(500),
-        }
+        Self { max_speed_m_s: None, max_turn_rad_s: None, permitted_box_m: None, blend: None, stale_after: Duration::from_millis(500) }
     }
 }
 

@@ -299,7 +299,7 @@ mod tests {
         seen.extend((0..60).map(|k| (k % 7 != 3).then_some(4.0)));
         let states = sure(30.0, seen.clone().into_iter().chain([Some(0.1); 3]));
         assert_eq!((given(&states[10..70]), given(&states[70..])), (0, 3));
-        assert!(states[10].1 && states[69].1);
+        assert!(states[10].1 && states[68].1);
         // A cut is believed in the end.
         let states = sure(30.0, [Some(0.0); 10].into_iter().chain([Some(4.0); 120]));
         assert_eq!(states.iter().skip(10).position(|(state, _)| *state == State::Tracking), Some(90));
