@@ -66,7 +66,8 @@ pub struct ClipEntry {
     pub content: EntryContent,
     /// Time spent on turning its bytes into grey levels; reading and waiting excluded, zero for raw pictures.
     pub decode: Duration,
-    /// Whether its picture is that of the row before, byte for byte, though pictures of this source differ: none was taken in between.
+    /// Whether its picture is that of the row before, byte for byte, though pictures of this source
+    /// differ: none was taken in between.
     pub repeats: bool,
     /// What the row's picture was before it became grey: of a camera for the recorder, of a clip only where its colours were asked for.
     pub received: Option<Received>,

@@ -1,7 +1,10 @@
-//! Whether a picture is the one before once more: a capture card that has no new one, or a driver that hands out a buffer twice.
+//! Whether a picture is the one before once more: a capture card that has no new one, or a driver
+//! that hands out a buffer twice.
 //!
-//! Two pictures of a camera differ by their noise at least, however still it stands. Where the first pictures of a source are all the same, it is a still picture or a drawing, and nothing
-//! is said to repeat until one differs. Video that is coded from picture to picture repeats them where nothing moves, so its pictures are never asked.
+//! Two pictures of a camera differ by their noise at least, however still it stands. Where the
+//! first pictures of a source are all the same, it is a still picture or a drawing, and nothing is
+//! said to repeat until one differs. Video that is coded from picture to picture repeats them where
+//! nothing moves, so its pictures are never asked.
 
 /// Compares each picture with the last one, byte for byte.
 #[derive(Debug, Default)]
@@ -11,7 +14,8 @@ pub(crate) struct Repeats {
 }
 
 impl Repeats {
-    /// Takes the next picture, as it came from the file or the driver; whether it is the last one once more.
+    /// Takes the next picture, as it came from the file or the driver; whether it is the last one
+    /// once more.
     pub fn is_repeat(&mut self, bytes: Vec<u8>) -> bool {
         let is_same = self.last == bytes;
         self.has_changed |= !is_same && !self.last.is_empty();

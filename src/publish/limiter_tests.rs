@@ -51,7 +51,8 @@ fn the_box_and_the_speeds_withhold() {
 
 #[test]
 fn by_default_a_whip_pan_passes_and_a_jump_to_a_copy_does_not() {
-    // 690 degrees and 12 m a second, as fast as two frames may confirm each other; a spun prop and a camera at 240 frames a second with 5 mm of noise.
+    // 690 degrees and 12 m a second, as fast as two frames may confirm each other; a spun prop and
+    // a camera at 240 frames a second with 5 mm of noise.
     for (dt_ns, way, turn) in [(FRAME_NS, 12.0 / 30.0, 12.0 / 30.0), (16_666_667, 0.0, 0.28), (4_166_667, 0.005, 0.0)] {
         let mut limiter = Limiter::new(SafetySettings::usual());
         for k in 0..20 {

@@ -139,7 +139,8 @@ pub enum OnLoss {
     Flag,
 }
 
-/// Fastest that a pose may lead an output unless the config says otherwise, m/s and degrees per second: no stage camera is as fast, nor a thrown prop. Raised, a pose that jumps to a copy of
+/// Fastest that a pose may lead an output unless the config says otherwise, m/s and degrees per
+/// second: no stage camera is as fast, nor a thrown prop. Raised, a pose that jumps to a copy of
 /// the picture moves the scenery sooner; lowered, whip pans are withheld.
 pub const FASTEST_M_S: f64 = 20.0;
 /// See [`FASTEST_M_S`].
@@ -170,7 +171,8 @@ pub struct BlendRates {
 }
 
 impl SafetySettings {
-    /// What holds unless the config says otherwise: limits that no stage camera breaks. The [`Default`] has none.
+    /// What holds unless the config says otherwise: limits that no stage camera breaks. The
+    /// [`Default`] has none.
     pub fn usual() -> Self {
         Self { max_speed_m_s: Some(FASTEST_M_S), max_turn_rad_s: Some(FASTEST_DEG_S.to_radians()), ..Self::default() }
     }

@@ -41,7 +41,8 @@ const LEAST_FEATURES: usize = 16;
 /// only one tried.
 const TRIED_BESIDE: usize = 2;
 
-/// Candidates of a second copy of a body that are put to the test: both planar poses. Raised, frames that find a body take longer; lowered to 1, the wrong one may be the only one tried.
+/// Candidates of a second copy of a body that are put to the test: both planar poses. Raised,
+/// frames that find a body take longer; lowered to 1, the wrong one may be the only one tried.
 const TRIED_COPIES: usize = 2;
 
 /// A frame in which bodies are missing, and what is known of it.
@@ -411,7 +412,8 @@ impl BodySearch {
         (news, self.workers.take_extra_ms())
     }
 
-    /// Another pose of a body that was found in this frame, which patches verify where the frame shows something else: there is a copy of its picture. It may be seen smaller, and nothing of
+    /// Another pose of a body that was found in this frame, which patches verify where the frame
+    /// shows something else: there is a copy of its picture. It may be seen smaller, and nothing of
     /// the first need be hidden.
     pub fn find_copy(&mut self, k: usize, scene: &mut Scene) -> Option<Verified> {
         let first = scene.verified[k]?;

@@ -41,8 +41,9 @@ use crate::geometry::{Body, Camera, Pose};
 /// object; with 0.4 they are somewhat larger, and were not counted again). Raised, such poses are given; lowered, blurred objects are given up.
 const LARGEST_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
 
-/// So long after a second copy of the stage's picture was seen it may still be there, seconds. Chosen: a dozen frames in which it may be overlooked. Raised, the stage is given later once
-/// the copy is gone; lowered, a copy that is hard to see is forgotten.
+/// So long after a second copy of the stage's picture was seen it may still be there, seconds.
+/// Chosen: a dozen frames in which it may be overlooked. Raised, the stage is given later once the
+/// copy is gone; lowered, a copy that is hard to see is forgotten.
 const COPY_REMEMBERED_S: f64 = 0.5;
 
 /// What a frame showed of one body.
@@ -225,8 +226,9 @@ impl Matcher {
         }
     }
 
-    /// Asks, where the stage was found and does not go on with a track, whether the frame shows another copy of its picture. Where one of the two is where the stage can be by now, that is the
-    /// stage; else nothing is given as long as both are seen.
+    /// Asks, where the stage was found and does not go on with a track, whether the frame shows
+    /// another copy of its picture. Where one of the two is where the stage can be by now, that is
+    /// the stage; else nothing is given as long as both are seen.
     fn ask_for_copies(&mut self, frame: &Frame, spent: Spent) -> Spent {
         let Self { levels, bodies, verified, search, .. } = self;
         let Some(first) = verified[0] else { return spent };

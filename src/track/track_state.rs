@@ -46,7 +46,8 @@ impl State {
 pub enum Doubt {
     /// It is the first of its kind.
     First,
-    /// It is far from the one before, or from where the body can have come since its last pose was given.
+    /// It is far from the one before, or from where the body can have come since its last pose was
+    /// given.
     Disagrees,
 }
 
@@ -56,7 +57,8 @@ struct Pending {
     pose: Pose<Body, Camera>,
     timestamp: Timestamp,
     agreeing: u32,
-    /// When the first of these poses came, if the body cannot have come there since its last given pose.
+    /// When the first of these poses came, if the body cannot have come there since its last given
+    /// pose.
     jumped: Option<Timestamp>,
 }
 
@@ -82,10 +84,11 @@ const SLACK_TURN: f64 = 0.02;
 /// Frames further apart than this do not confirm each other, seconds. Chosen, not tuned: within more, the camera could be anywhere. Raised,
 /// two wrong poses have longer to agree; lowered, cameras of 2 frames a second are never tracked.
 const LONGEST_GAP_S: f64 = 0.5;
-/// Fastest motion since the last given pose, m/s, where that is more than `FASTEST_SHIFT_PER_S`: a thrown prop. Raised, nearer copies pass for a motion.
+/// Fastest motion since the last given pose, m/s, where that is more than `FASTEST_SHIFT_PER_S`: a
+/// thrown prop. Raised, nearer copies pass for a motion.
 const FASTEST_M_PER_S: f64 = 10.0;
-/// Poses must agree for so long, seconds, where the body cannot have come there: a cut, or a wrong pose before. Raised, a cut costs more; lowered, a pan to a
-/// copy is believed sooner.
+/// Poses must agree for so long, seconds, where the body cannot have come there: a cut, or a wrong
+/// pose before. Raised, a cut costs more; lowered, a pan to a copy is believed sooner.
 const JUMP_CONFIRMED_S: f64 = 3.0;
 
 impl TrackStateMachine {
@@ -109,7 +112,8 @@ impl TrackStateMachine {
         self.doubt
     }
 
-    /// Whether the body can have come to a pose since its last given one; true where none was given.
+    /// Whether the body can have come to a pose since its last given one; true where none was
+    /// given.
     pub fn may_have_come(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> bool {
         self.last_given.is_none_or(|last| is_reachable(&last.pose, pose, timestamp.seconds_since(last.timestamp)))
     }
@@ -126,7 +130,8 @@ impl TrackStateMachine {
         self.state
     }
 
-    /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings; a frame that leaves no doubt needs one to confirm it.
+    /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings; a
+    /// frame that leaves no doubt needs one to confirm it.
     pub fn update(&mut self, timestamp: Timestamp, verified: Option<&Pose<Body, Camera>>, coast_s: f64, confirm_frames: u32) -> State {
         let continued = self.is_continued();
         self.doubt = None;
@@ -159,7 +164,8 @@ impl TrackStateMachine {
         };
         if verified.is_none() {
             let is_stale = |p: &Pending| timestamp.seconds_since(p.timestamp) > LONGEST_GAP_S;
-            // A single verified frame must be followed by another at once; a track may skip frames while it coasts, and so may what jumped.
+            // A single verified frame must be followed by another at once; a track may skip frames
+            // while it coasts, and so may what jumped.
             self.pending = self.pending.filter(|p| !is_stale(p) && (self.is_continued() || p.jumped.is_some()));
         }
         self.state
@@ -168,7 +174,8 @@ impl TrackStateMachine {
     /// A verified pose beside those that wait.
     fn taken_up(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> Pending {
         let fresh = |jumped| Pending { pose: *pose, timestamp, agreeing: 1, jumped };
-        // While coasting, one frame that agrees with the last given one is enough, whatever was seen meanwhile.
+        // While coasting, one frame that agrees with the last given one is enough, whatever was
+        // seen meanwhile.
         let given = self.last_given.filter(|_| self.is_continued());
         match [self.pending, given].into_iter().flatten().find(|before| agree(before, pose, timestamp)) {
             // The way from a copy of the picture to itself is no way from the last given pose.
@@ -191,11 +198,13 @@ fn agree(pending: &Pending, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> 
     shift < (SLACK_SHIFT + FASTEST_SHIFT_PER_S * dt) * distance && turn < SLACK_TURN + FASTEST_TURN_PER_S * dt
 }
 
-/// Whether a body can have moved from one pose to another within some seconds, as nothing on a stage moves faster. Turns do not count: a copy lies elsewhere, and what only turns is the same
+/// Whether a body can have moved from one pose to another within some seconds, as nothing on a
+/// stage moves faster. Turns do not count: a copy lies elsewhere, and what only turns is the same
 /// picture, tilted.
 fn is_reachable(from: &Pose<Body, Camera>, to: &Pose<Body, Camera>, dt_s: f64) -> bool {
     let (distance, dt_s) = (nearest_m(from, to), dt_s.max(0.0));
-    // A camera that turns on the spot stays where it is in the body, and a prop that does stays where it is before the camera.
+    // A camera that turns on the spot stays where it is in the body, and a prop that does stays
+    // where it is before the camera.
     let of_camera = (to.translation - from.translation).norm();
     let of_body = (to.inverse().translation - from.inverse().translation).norm();
     let reach = SLACK_SHIFT * distance + (FASTEST_SHIFT_PER_S * distance).max(FASTEST_M_PER_S) * dt_s;

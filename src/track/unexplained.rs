@@ -185,7 +185,8 @@ impl Unexplained {
         !self.regions.is_empty()
     }
 
-    /// Where the frame that was looked at last is unexplained, 255, elsewhere 0; of the frame's size. `closed`: the frame's own mask.
+    /// Where the frame that was looked at last is unexplained, 255, elsewhere 0; of the frame's
+    /// size. `closed`: the frame's own mask.
     pub fn mask(&mut self, [width, height]: [u32; 2], closed: Option<&GrayImage>) -> &GrayImage {
         let mut raw = std::mem::take(&mut self.mask).into_raw();
         raw.clear();

@@ -1,4 +1,5 @@
-//! Second copies of the stage's picture: prints beside it, smaller ones, and the frames, wings and masks that look like some and are none.
+//! Second copies of the stage's picture: prints beside it, smaller ones, and the frames, wings and
+//! masks that look like some and are none.
 
 use nalgebra::{Point3, Vector3};
 use stagepose::{CameraPath, PoseSample, Reason, Shake, Spline, State, SurfaceSpec, VirtualStage};

@@ -13,7 +13,8 @@ fn photographer() -> CameraModel {
     CameraModel::new(Intrinsics { width, height, fx: 850.0, fy: 853.0, cx: 470.0, cy: 366.0, skew: 0.001, distortion }).unwrap()
 }
 
-/// A still of the clip may serve as the photograph: nothing between them differs, not even the noise.
+/// A still of the clip may serve as the photograph: nothing between them differs, not even the
+/// noise.
 #[test]
 fn a_clip_that_begins_with_the_very_photograph_is_given_in_that_frame() {
     for path in [CameraPath::fixed(Point3::new(0.7, -3.6, -0.2), Point3::new(0.05, 0.0, 0.02)), past()] {

@@ -80,7 +80,8 @@ fn undecodable_and_skipped_rows_make_a_line_and_disturb_nothing() {
     }
 }
 
-/// A capture card that has no new picture gives the last one again, byte for byte, with a new stamp.
+/// A capture card that has no new picture gives the last one again, byte for byte, with a new
+/// stamp.
 #[test]
 fn a_picture_that_comes_again_is_no_measurement() {
     let scene = small();

@@ -23,7 +23,8 @@ const TIMES_SHOWN: u64 = 4;
 /// The interval at which stills are shown to the tracker, nanoseconds: a webcam's at 30 frames a second. They stand still, so it decides
 /// little.
 const PACE_NS: i64 = 33_333_333;
-/// Time from one still to the next, nanoseconds: the rig was carried meanwhile, and what is found elsewhere is no jump.
+/// Time from one still to the next, nanoseconds: the rig was carried meanwhile, and what is found
+/// elsewhere is no jump.
 const CARRIED_NS: i64 = 10_000_000_000;
 
 /// What a clip tells.

@@ -95,7 +95,8 @@ impl LiveSource {
         let repeats = match &received {
             // A buffer may have other stale bytes behind the same picture.
             Received::Jpeg(jpeg) => self.repeats.is_repeat(jpeg.to_vec()),
-            // Grey pictures may be those of a played clip, whose video repeats them where nothing moves.
+            // Grey pictures may be those of a played clip, whose video repeats them where nothing
+            // moves.
             Received::Raw if mode.layout != PixelLayout::Grey => self.repeats.is_repeat(picture.bytes),
             _ => false,
         };

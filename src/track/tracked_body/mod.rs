@@ -58,10 +58,12 @@ const CLEARLY_STRONGER: f64 = 1.2;
 /// have wider covariances than errors and are given a frame later; lowered, chance decides.
 const TELLING_TILES: f64 = 40.0;
 
-/// A copy lies this far from where the pose puts the body, share of the frame's width. Chosen: three times what folds and lenses that are known roughly displace. Raised, a copy in front of
+/// A copy lies this far from where the pose puts the body, share of the frame's width. Chosen:
+/// three times what folds and lenses that are known roughly displace. Raised, a copy in front of
 /// the picture is believed; lowered, a picture that hangs in deep folds is refused.
 const COPY_AWAY: f64 = 0.005;
-/// Anchors of a surface by which the pose explains it. Raised, copies beside a small or covered picture pass; lowered, chance decides.
+/// Anchors of a surface by which the pose explains it. Raised, copies beside a small or covered
+/// picture pass; lowered, chance decides.
 const LEAST_OF_SURFACE: usize = 8;
 
 /// Starts that differ by less, radians and of the distance, are one. Raised, a start that would succeed is left out; lowered, alignment fails
@@ -526,8 +528,9 @@ impl TrackedBody {
         ModelNews { part: misfit.part, surface: surface.map(|s| s.spec.name.clone()), cost_mm: misfit.cost_mm }
     }
 
-    /// Whether anchors that were found in a frame are a second copy of what a pose explains elsewhere: they lie on a surface of which the last verified pose shows enough, and far from where it
-    /// puts them. A flat that was moved alone is no copy, nor are folds.
+    /// Whether anchors that were found in a frame are a second copy of what a pose explains
+    /// elsewhere: they lie on a surface of which the last verified pose shows enough, and far from
+    /// where it puts them. A flat that was moved alone is no copy, nor are folds.
     pub fn is_elsewhere(&self, pose: &Pose<Body, Camera>, copy: &[FittedAnchor], camera: &CameraModel) -> bool {
         let surface = most_frequent_surface(copy, self.body.surfaces.len());
         let t_camera_body = pose.inverse();
