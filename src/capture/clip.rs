@@ -15,6 +15,7 @@ use super::error::CaptureError;
 use super::grey::{decode_oriented, orientation_words};
 use super::order::EntryOrder;
 use super::picture_stream::{PictureData, PictureStream};
+use super::repeats::Repeats;
 use super::{ClipEntry, EntryContent, FrameSource, Received, colour};
 use crate::frame::{Frame, Timestamp};
 
@@ -35,6 +36,8 @@ pub(super) struct Clip {
     keeps_colours: bool,
     /// Rows before this time are not decoded.
     earliest: Option<Timestamp>,
+    /// Compares encoded pictures; raw ones may come from video that repeats them.
+    repeats: Repeats,
 }
 
 /// Pictures that are looked at to find the clip's size: a stray first one must not make all others strays. Chosen, not tuned. Raised, more
@@ -66,6 +69,7 @@ impl Clip {
             is_turned: false,
             keeps_colours,
             earliest: None,
+            repeats: Repeats::default(),
         };
         clip.notes.extend(clip.stream.doubt_of_stamps());
         let mut sizes: Vec<(u32, u32)> = Vec::new();
@@ -114,6 +118,7 @@ impl Clip {
             timestamp,
             content: EntryContent::Skipped(reason),
             decode: Duration::ZERO,
+            repeats: false,
             received: None,
         };
         let timestamp = match picture.stamp {
@@ -128,8 +133,10 @@ impl Clip {
             return Some(skipped(timestamp, "its picture was passed over: it was too late to be played".to_owned()));
         }
         let start = Instant::now();
+        let mut repeats = false;
         let (image, received) = match picture.data {
             PictureData::Encoded(bytes) => {
+                repeats = self.repeats.is_repeat(bytes.clone());
                 let decoded = decode_oriented(&bytes).map_err(|e| e.to_string()).map(|(image, orientation)| {
                     self.note_turned(orientation, sequence);
                     image
@@ -148,7 +155,7 @@ impl Clip {
         if let Some(size) = self.size {
             skip_other_sizes(&mut content, size);
         }
-        Some(ClipEntry { sequence, timestamp, content, decode, received })
+        Some(ClipEntry { sequence, timestamp, content, decode, repeats, received })
     }
 
     /// Keeps a sentence about the clip for those who opened it; what comes later is logged.

@@ -24,6 +24,7 @@ mod played;
 mod rate;
 mod remarks;
 mod stamp_unit;
+pub(crate) mod repeats;
 pub mod timestamping;
 pub(crate) mod timestamps;
 mod transparency;
@@ -71,6 +72,9 @@ pub struct ClipEntry {
     pub content: EntryContent,
     /// Time spent on turning its bytes into grey levels; reading and waiting excluded, zero for raw pictures.
     pub decode: Duration,
+    /// Whether its picture is that of the row before, byte for byte, though pictures of this source
+    /// differ: none was taken in between.
+    pub repeats: bool,
     /// What the row's picture was before it became grey: of a camera for the recorder, of a clip only where its colours were asked for.
     pub received: Option<Received>,
 }
@@ -78,7 +82,7 @@ pub struct ClipEntry {
 impl ClipEntry {
     /// An entry that took no time to decode, and of which nothing but its content is known.
     pub fn new(sequence: u64, timestamp: Timestamp, content: EntryContent) -> Self {
-        Self { sequence, timestamp, content, decode: Duration::ZERO, received: None }
+        Self { sequence, timestamp, content, decode: Duration::ZERO, repeats: false, received: None }
     }
 }
 

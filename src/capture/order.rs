@@ -106,6 +106,7 @@ mod tests {
             timestamp: Timestamp::from_ns(ns),
             content: EntryContent::Undecodable("dark".into()),
             decode: Duration::ZERO,
+            repeats: false,
             received: None,
         };
         let mut order = EntryOrder::default();

@@ -33,7 +33,7 @@ fn defaults_are_those_of_the_documentation() {
     assert_eq!((freed.on_loss, freed.rate, freed.udp.ttl), (OnLoss::Stop, Rate::Every(1), 1));
     assert_eq!(freed.bodies, [BodyChoice::Camera]);
     assert_eq!(osc.bodies, [BodyChoice::Camera, BodyChoice::Object(0)]);
-    assert_eq!((settings.safety, settings.http), (SafetySettings::default(), None));
+    assert_eq!((settings.safety, settings.http), (SafetySettings::usual(), None));
     assert_eq!(load("[http]\n").unwrap().http, Some(crate::config::HttpSettings::default()));
     assert_eq!(load("[http]\nenabled = false").unwrap().http, None);
 }

@@ -15,10 +15,15 @@ pub fn track_entry(tracker: &mut Tracker, row: &ClipEntry) -> PoseSample {
 /// What the matcher makes of a row, in its own time.
 pub(super) fn sight(matcher: &mut Matcher, row: &ClipEntry) -> Sighting {
     match &row.content {
-        EntryContent::Frame(frame) => match matcher.own_time(row.timestamp) {
-            own if own == frame.timestamp => matcher.look(frame),
-            own => matcher.look(&Frame { timestamp: own, ..frame.clone() }),
-        },
+        EntryContent::Frame(frame) => {
+            let own = matcher.own_time(row.timestamp);
+            match own == frame.timestamp {
+                // Of the same picture nothing new can be measured.
+                _ if row.repeats && matcher.has_given() => matcher.look_away(row.sequence, own, Reason::Repeated),
+                true => matcher.look(frame),
+                false => matcher.look(&Frame { timestamp: own, ..frame.clone() }),
+            }
+        }
         EntryContent::Undecodable(_) => {
             let own = matcher.own_time(row.timestamp);
             matcher.look_away(row.sequence, own, Reason::Undecodable)

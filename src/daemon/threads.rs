@@ -15,7 +15,7 @@ use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, EntryOrder, FrameSource};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::PoseSample;
-use crate::track::{Matcher, ModelNews, ReadoutNews, Sighting};
+use crate::track::{Matcher, ModelNews, ReadoutNews, Reason, Sighting};
 use crate::tracker::{PoseRecorder, Tracker};
 
 /// What happens when a stage is slower than the one before it.
@@ -365,6 +365,7 @@ fn tell_readout(news: &ReadoutNews, live: Option<&LiveLink>) {
 
 fn count(live: &LiveLink, row: &ClipEntry, sample: &PoseSample) {
     match row.content {
+        EntryContent::Frame(_) if sample.reason == Some(Reason::Repeated) => live.statistics.undecodable.add(1),
         EntryContent::Frame(_) => {}
         EntryContent::Undecodable(_) => live.statistics.undecodable.add(1),
         EntryContent::Skipped(_) => live.statistics.skipped.add(1),

@@ -13,7 +13,7 @@ use tracing::{debug, debug_span};
 
 use super::acquire::{SurfaceMatch, SurfaceView};
 use super::align::{AlignSurface, Alignment, CameraRays, FrameLevels, ShutterClue, is_sharp};
-use super::body_search::{BodySearch, Scene};
+use super::body_search::{BodySearch, Scene, Spent};
 use super::clock_steps::ClockSteps;
 use super::feature_search::FeatureSearch;
 use super::frame_interval::FrameInterval;
@@ -43,6 +43,11 @@ use crate::geometry::{Body, Camera, Pose};
 /// quick and blurred objects none had more than 0.008 (with a correlation length of 0.3 of the
 /// object; with 0.4 they are somewhat larger, and were not counted again). Raised, such poses are given; lowered, blurred objects are given up.
 const LARGEST_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
+
+/// So long after a second copy of the stage's picture was seen it may still be there, seconds.
+/// Chosen: a dozen frames in which it may be overlooked. Raised, the stage is given later once the
+/// copy is gone; lowered, a copy that is hard to see is forgotten.
+const COPY_REMEMBERED_S: f64 = 0.5;
 
 /// What a frame showed of one body.
 #[derive(Debug, Clone)]
@@ -133,6 +138,8 @@ pub struct Matcher {
     camera_rays: CameraRays,
     levels: FrameLevels,
     watcher: Option<PixelWatch>,
+    /// See [`has_given`](Self::has_given).
+    has_given: bool,
 }
 
 impl Matcher {
@@ -163,6 +170,7 @@ impl Matcher {
             camera_rays: CameraRays::new(camera, mask),
             levels: FrameLevels::default(),
             watcher: None,
+            has_given: false,
             camera,
             settings,
             clock,
@@ -212,6 +220,7 @@ impl Matcher {
         let mut align_ms = start.elapsed_ms();
         let Self { levels, bodies, verified, .. } = self;
         let spent = self.search.find_missing(&mut Scene { frame, levels, rays: &self.camera_rays, bodies, verified });
+        let spent = self.ask_for_copies(frame, spent);
         align_ms += spent.align_ms;
         self.show_pixels(frame.sequence);
         let start = self.clock.start();
@@ -222,6 +231,7 @@ impl Matcher {
         align_ms += start.elapsed_ms() + extra_ms;
         let stage = self.sighting_of(0, frame.timestamp, lens);
         let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp, lens)).collect();
+        self.has_given = stage.state == State::Tracking;
         let start = self.clock.start();
         self.learn_readout();
         let two_view = stage.verified.as_ref().map(|v| {
@@ -287,6 +297,37 @@ impl Matcher {
             speed = clue.speed_px_s,
             "readout"
         );
+    }
+
+    /// Asks, where the stage was found and does not go on with a track, whether the frame shows
+    /// another copy of its picture. Where one of the two is where the stage can be by now, that is
+    /// the stage; else nothing is given as long as both are seen.
+    fn ask_for_copies(&mut self, frame: &Frame, spent: Spent) -> Spent {
+        let Self { levels, bodies, verified, search, .. } = self;
+        let Some(first) = verified[0] else { return spent };
+        if bodies[0].track.continues_at(&first.pose, frame.timestamp) {
+            return spent;
+        }
+        let mut scene = Scene { frame, levels, rays: &self.camera_rays, bodies, verified };
+        let copy = search.find_copy(0, &mut scene);
+        let may_have_come = |pose| scene.bodies[0].track.may_have_come(pose, frame.timestamp);
+        let come = [Some(&first), copy.as_ref()].map(|found| found.is_some_and(|found| may_have_come(&found.pose)));
+        match copy {
+            Some(copy) if come == [false, true] => {
+                search.align_copy(0, &mut scene, &copy);
+                // What was found instead of it is not the stage.
+                scene.bodies[0].reason = scene.verified[0].is_none().then_some(Reason::Jumped);
+            }
+            Some(_) if come == [true, true] => scene.bodies[0].two_seen = Some(frame.timestamp),
+            _ => {}
+        }
+        let stage = &mut self.bodies[0];
+        let is_open = |then: Timestamp| frame.timestamp.seconds_since(then) <= COPY_REMEMBERED_S;
+        if come[0] && stage.two_seen.is_some_and(is_open) {
+            self.verified[0] = None;
+            stage.leave_open(Reason::Ambiguous);
+        }
+        self.search.spent()
     }
 
     /// Asks every body that was found how well the model fits.
@@ -383,6 +424,11 @@ impl Matcher {
             v.rms_px = fit.map_or(v.rms_px, |fit| fit.rms_px);
         }
         BodySighting { state, verified, reason }
+    }
+
+    /// Whether the picture that was looked at last gave the stage's pose.
+    pub fn has_given(&self) -> bool {
+        self.has_given
     }
 
     /// Time went on, but there was no picture, for this reason.

@@ -25,6 +25,7 @@ use crate::config::Settings;
 use crate::daemon::{Daemon, Delivery, kept_views, thread_clock};
 use crate::publish::{ClipStart, Stamps};
 use crate::record::PoseSample;
+use crate::track::Reason;
 use crate::tracker::{Tracker, TrackerSetup};
 use overlays::Overlays;
 use paced::Paced;
@@ -268,7 +269,7 @@ const WARNED_IN_FULL: u64 = 5;
 impl RowTally {
     /// Counts a row and draws its frame, until that fails.
     fn take(&mut self, row: &ClipEntry, sample: &PoseSample) {
-        self.count(row);
+        self.count(row, sample);
         if let (Some(overlays), EntryContent::Frame(frame), None) = (&mut self.overlays, &row.content, &self.overlay_failure) {
             self.overlay_failure = overlays.write(frame, row.received.as_ref(), sample).err();
         }
@@ -279,8 +280,13 @@ impl RowTally {
         self.overlay_failure = self.overlay_failure.take().or(finished.err());
     }
 
-    fn count(&mut self, row: &ClipEntry) {
+    fn count(&mut self, row: &ClipEntry, sample: &PoseSample) {
+        let repeated = "it is the one before, to the last byte".to_owned();
         let (reason, what) = match &row.content {
+            EntryContent::Frame(_) if sample.reason == Some(Reason::Repeated) => {
+                self.undecodable += 1;
+                (&repeated, "has no picture of its own")
+            }
             EntryContent::Frame(_) => {
                 self.readable += 1;
                 return;

@@ -62,6 +62,13 @@ const TELLING_TILES: f64 = 40.0;
 /// Where the readout's sigma displaces the rows of a frame by more, pixels, what of the model does not fit may be the shutter. Raised, lenses are blamed for it; lowered,
 /// a zoom is noticed later by a moving camera whose shutter is not known.
 const DOUBTED_PX: f64 = 0.1;
+/// A copy lies this far from where the pose puts the body, share of the frame's width. Chosen:
+/// three times what folds and lenses that are known roughly displace. Raised, a copy in front of
+/// the picture is believed; lowered, a picture that hangs in deep folds is refused.
+const COPY_AWAY: f64 = 0.005;
+/// Anchors of a surface by which the pose explains it. Raised, copies beside a small or covered
+/// picture pass; lowered, chance decides.
+const LEAST_OF_SURFACE: usize = 8;
 
 /// Starts that differ by less, radians and of the distance, are one. Raised, a start that would succeed is left out; lowered, alignment fails
 /// twice from the same place.
@@ -97,6 +104,8 @@ pub struct TrackedBody {
     pub followed_from: Option<Pose<Body, Camera>>,
     /// Why the last frame has no verified pose.
     pub reason: Option<Reason>,
+    /// When two copies of its picture were seen and nothing told which of them is the body.
+    pub two_seen: Option<Timestamp>,
     /// The pixels that the last pose rests on, where somebody watches them.
     pub used: Option<Used>,
     patches: Vec<Patch>,
@@ -164,6 +173,7 @@ impl TrackedBody {
             is_seen_in_part: false,
             followed_from: None,
             reason: None,
+            two_seen: None,
             used: None,
             patches: Vec::with_capacity(most),
             motion: None,
@@ -573,6 +583,24 @@ impl TrackedBody {
     fn named(&self, misfit: &Misfit) -> ModelNews {
         let surface = misfit.part.surface().and_then(|k| self.body.surfaces.get(k));
         ModelNews { part: misfit.part, surface: surface.map(|s| s.spec.name.clone()), cost_mm: misfit.cost_mm }
+    }
+
+    /// Whether anchors that were found in a frame are a second copy of what a pose explains
+    /// elsewhere: they lie on a surface of which the last verified pose shows enough, and far from
+    /// where it puts them. A flat that was moved alone is no copy, nor are folds.
+    pub fn is_elsewhere(&self, pose: &Pose<Body, Camera>, copy: &[FittedAnchor], camera: &CameraModel) -> bool {
+        let surface = most_frequent_surface(copy, self.body.surfaces.len());
+        let t_camera_body = pose.inverse();
+        let limit_px = COPY_AWAY * f64::from(camera.width());
+        let is_away = |anchor: &&FittedAnchor| {
+            let seen = t_camera_body.transform(&anchor.observation.point);
+            let is_far = || (camera.project(Normalized(seen.coords.xy() / seen.z)).0 - anchor.observation.pixel).norm() > limit_px;
+            seen.z <= 0.0 || is_far()
+        };
+        let on_surface = |anchors: &[FittedAnchor]| anchors.iter().filter(|a| a.surface == surface).count();
+        let away = copy.iter().filter(is_away).count();
+        debug!(body = %self.body.name, away, of = copy.len(), own = on_surface(&self.anchors), "is elsewhere");
+        on_surface(&self.anchors) >= LEAST_OF_SURFACE && 4 * away > 3 * copy.len()
     }
 
     /// Puts starts to the test, and takes the first clear success, or the best of what passes.
