@@ -135,26 +135,23 @@ impl TrackStateMachine {
     pub fn update(&mut self, timestamp: Timestamp, verified: Option<&Pose<Body, Camera>>, coast_s: f64, confirm_frames: u32) -> State {
         let continued = self.is_continued();
         self.doubt = None;
-        match verified {
-            Some(pose) => {
-                let pending = self.taken_up(pose, timestamp);
-                let disagrees = pending.agreeing == 1
-                    && self.pending.as_ref().is_some_and(|before| timestamp.seconds_since(before.timestamp) <= LONGEST_GAP_S);
-                self.pending = Some(pending);
-                let is_confirmed = match pending.jumped {
-                    None => pending.agreeing >= confirm_frames,
-                    Some(since) => timestamp.seconds_since(since) >= JUMP_CONFIRMED_S,
-                };
-                if is_confirmed {
-                    self.found_before = true;
-                    self.last_given = Some(Pending { jumped: None, ..pending });
-                    self.pending = self.last_given;
-                    self.state = State::Tracking;
-                    return self.state;
-                }
-                self.doubt = Some(if disagrees || pending.jumped.is_some() { Doubt::Disagrees } else { Doubt::First });
+        if let Some(pose) = verified {
+            let pending = self.taken_up(pose, timestamp);
+            let disagrees = pending.agreeing == 1
+                && self.pending.as_ref().is_some_and(|before| timestamp.seconds_since(before.timestamp) <= LONGEST_GAP_S);
+            self.pending = Some(pending);
+            let is_confirmed = match pending.jumped {
+                None => pending.agreeing >= confirm_frames,
+                Some(since) => timestamp.seconds_since(since) >= JUMP_CONFIRMED_S,
+            };
+            if is_confirmed {
+                self.found_before = true;
+                self.last_given = Some(Pending { jumped: None, ..pending });
+                self.pending = self.last_given;
+                self.state = State::Tracking;
+                return self.state;
             }
-            None => {}
+            self.doubt = Some(if disagrees || pending.jumped.is_some() { Doubt::Disagrees } else { Doubt::First });
         }
         let may_coast = continued && self.last_given.is_some_and(|last| timestamp.seconds_since(last.timestamp) <= coast_s);
         self.state = match (may_coast, self.found_before) {
