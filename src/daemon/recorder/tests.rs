@@ -198,7 +198,7 @@ fn a_saved_ring_has_the_config_that_ran_whatever_became_of_the_file() {
     drop(observe);
     recorder.finish();
     let is = crate::config::Settings::load(&Path::new(&saved).join("config/stage.toml")).unwrap();
-    assert_eq!((is.camera, is.shutter.exposure_s), (was.camera, 0.0083));
+    assert_eq!((is.camera, is.shutter.exposure_s), (was.camera, Some(0.0083)));
     assert_eq!(is.stage.surfaces[0].artwork, was.stage.surfaces[0].artwork);
 }
 
