@@ -272,7 +272,9 @@ impl LearntReadout {
             self.told.clear();
             return;
         }
-        let is_none = readout_s.abs() < FASTEST_READOUT_S.max(3.0 * sigma_s);
+        // Once it is used, a frame that makes it less sure again does not take it back.
+        let unsure_s = if self.used.readout_s == 0.0 { 3.0 * sigma_s } else { 0.0 };
+        let is_none = readout_s.abs() < FASTEST_READOUT_S.max(unsure_s);
         let goal_s = if is_none { 0.0 } else { readout_s };
         let step_s = goal_s - self.used.readout_s;
         if step_s.abs() > SHARE_OF_SIGMA * sigma_s {
