@@ -22,11 +22,13 @@ const MOST_FRAMES: usize = 240;
 /// Share of a step of the readout that its linearisation may be wrong by, one sigma. Raised, the readout is known later; lowered, first answers pass for sure ones.
 const CURVATURE: f64 = 0.25;
 /// Frames in which less of a change shows tell nothing. Raised, cameras that are shaken evenly tell less; lowered, one frame's noise passes for a large change.
-const LEAST_SHOWN: f64 = 0.1;
-/// Largest change from one frame to the next, seconds. Raised, single frames may lead astray; lowered, the readout is found later.
-const LARGEST_STEP_S: f64 = 0.005;
+const LEAST_SHOWN: f64 = 0.3;
 /// The readout that is used follows what is found beyond this share of its sigma. Raised, it lags; lowered, poses are corrected in every frame.
 const SHARE_OF_SIGMA: f64 = 0.2;
+/// Share of a change that is still in the motion a frame later: it was learnt with the former readout. Raised, poses are less sure for longer after a change.
+const SETTLING: f64 = 0.7;
+/// Less counts as none, seconds.
+const LEAST_SETTLING_S: f64 = 1e-5;
 /// Below this a readout counts as none, seconds: no sensor reads its rows faster. Raised, fast rolling shutters pass for global ones.
 const FASTEST_READOUT_S: f64 = 5e-4;
 /// A readout is known once one sigma is below this share of it, or below so many seconds. Raised, it is announced before it is sure.
@@ -148,6 +150,8 @@ pub struct LearntReadout {
     said: Vec<Said>,
     buffers: AgreementBuffers,
     used: Known,
+    /// What of the last changes is still in the motion, seconds.
+    settling_s: f64,
     frames: u32,
     news: Option<ReadoutNews>,
     has_told_news: bool,
@@ -164,6 +168,7 @@ impl LearntReadout {
             said: Vec::with_capacity(MOST_FRAMES),
             buffers: AgreementBuffers::with_capacity(MOST_FRAMES),
             used: before,
+            settling_s: 0.0,
             frames: 0,
             news: None,
             has_told_news: before.is_sure() && configured_s.is_none(),
@@ -185,13 +190,19 @@ impl LearntReadout {
         self.used
     }
 
+    /// One sigma of what the readout leaves open of poses, seconds: with what the last changes left in the motion.
+    pub fn sigma_s(&self) -> f64 {
+        self.used.sigma_s.hypot(self.settling_s)
+    }
+
     /// Of the frame that comes now.
     pub fn next_doubt(&mut self) -> ReadoutDoubt {
         self.frames = self.frames.wrapping_add(1);
+        self.settling_s = if self.settling_s > LEAST_SETTLING_S { SETTLING * self.settling_s } else { 0.0 };
         let is_suspected = self.told.len() >= LEAST_FRAMES && self.contradicts_roughly();
         let is_check_due =
             self.configured_s.is_some() && (self.frames.is_multiple_of(CHECKED_FRAMES) || is_suspected) && !self.has_told_news;
-        ReadoutDoubt { sigma_s: self.used.sigma_s, is_check_due }
+        ReadoutDoubt { sigma_s: self.sigma_s(), is_check_due }
     }
 
     /// What there is to say, once.
@@ -261,13 +272,17 @@ impl LearntReadout {
             self.told.clear();
             return;
         }
-        let is_none = readout_s.abs() < FASTEST_READOUT_S.max(3.0 * sigma_s);
+        // Once it is used, a frame that makes it less sure again does not take it back.
+        let unsure_s = if self.used.readout_s == 0.0 { 3.0 * sigma_s } else { 0.0 };
+        let is_none = readout_s.abs() < FASTEST_READOUT_S.max(unsure_s);
         let goal_s = if is_none { 0.0 } else { readout_s };
         let step_s = goal_s - self.used.readout_s;
         if step_s.abs() > SHARE_OF_SIGMA * sigma_s {
-            self.used.readout_s += step_s.clamp(-LARGEST_STEP_S, LARGEST_STEP_S);
+            // At once: rows that are taken to be read in a part of their time show a velocity that is as many times too large.
+            self.used.readout_s = goal_s;
+            self.settling_s += step_s.abs();
         }
-        // What is still missing of the way is not known.
+        // What is found and not used yet is not known.
         self.used.sigma_s = sigma_s.hypot(readout_s - self.used.readout_s);
         if self.used.is_sure() && !self.has_told_news {
             self.has_told_news = true;

@@ -419,7 +419,7 @@ impl Matcher {
             let by_focal = self.lens_watch.strayed().filter(|_| fit.is_some());
             let by_focal = by_focal.and_then(|strayed| tracked.covariance_by_focal(&v.pose, strayed));
             let by_misfit = Some(tracked.covariance_by_misfit()).filter(|covariance| *covariance != Matrix6::zeros());
-            let by_readout = tracked.covariance_by_readout(&v.pose, self.readout.used().sigma_s);
+            let by_readout = tracked.covariance_by_readout(&v.pose, self.readout.sigma_s());
             v.by_model = [by_lens, by_shape, by_focal, by_misfit, by_readout].into_iter().flatten().reduce(|sum, more| sum + more);
             v.rms_px = fit.map_or(v.rms_px, |fit| fit.rms_px);
         }
