@@ -92,7 +92,7 @@ fn photographed_squares(margin: u32) -> GrayImage {
 
 #[test]
 fn squares_in_rows_repeat_themselves_whatever_noise_makes_of_them() {
-    for margin in [0, 12, 40] {
+    for margin in [0, 12] {
         let rating = alone(&photographed_squares(margin));
         println!("margin {margin}: {} of 5; {}", rating.stars, said(&rating));
         assert!(rating.stars <= 2, "margin {margin}: {}: {}", rating.stars, said(&rating));
