@@ -19,7 +19,7 @@ pub(super) struct Outcome {
 /// read.
 const TOLD: usize = 2;
 /// What is said of a clip of one picture.
-pub(super) const ONE_FRAME: &str =
+const ONE_FRAME: &str =
     "One picture does not settle a pose, for every pose is held against that of another frame: give two pictures or more, or a clip";
 /// A reason with a smaller share of the frames is not worth a sentence of its own where another has more. Chosen: that of `check`'s notes.
 /// Raised, rarer reasons are only counted.

@@ -177,6 +177,11 @@ impl Settings {
         Self::from_text(&read_text(file)?, file)
     }
 
+    /// As [`load`](Self::load), of a text that is kept in another file than the one that it belongs to.
+    pub fn load_as(text: &Path, file: &Path) -> Result<Self, ConfigError> {
+        Self::from_text(&read_text(text)?, file)
+    }
+
     /// As [`load`](Self::load), with the text at hand; `file` is its name, to which relative paths belong.
     pub fn from_text(text: &str, file: &Path) -> Result<Self, ConfigError> {
         let typed = as_typed::Config::parse(text, file)?;

@@ -10,6 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::jobs::Jobs;
 use super::live::LiveLink;
+use super::own_folders::Keeping;
 use crate::config::{ConfigError, Settings};
 use crate::publish::OutputStatistics;
 
@@ -54,6 +55,7 @@ pub struct Supervisor {
     /// What takes its time.
     pub jobs: Jobs,
     file: PathBuf,
+    keeping: Keeping,
     settings: Mutex<Option<Arc<Settings>>>,
     refusal: Mutex<Option<String>>,
     outputs: Mutex<Option<OutputsWatch>>,
@@ -81,6 +83,7 @@ impl Supervisor {
             link,
             jobs: Jobs::default(),
             file: file.to_owned(),
+            keeping: Keeping::of(file),
             settings: Mutex::default(),
             refusal: Mutex::default(),
             outputs: Mutex::default(),
@@ -98,6 +101,11 @@ impl Supervisor {
     /// The config's file.
     pub fn file(&self) -> &Path {
         &self.file
+    }
+
+    /// Where the config and the set are changed.
+    pub fn keeping(&self) -> &Keeping {
+        &self.keeping
     }
 
     /// Held by who looks at the config or what lies beside it and then changes it, one after the other.

@@ -72,6 +72,7 @@ pub use matcher::{BodySighting, Matcher, Sighting};
 pub use misfit::{ModelNews, ModelReport, Part};
 pub use pixel_watch::{Displaced, UsedPixels};
 pub use reason::Reason;
+pub use repetition::periods;
 pub use settings::TrackerSettings;
 #[cfg(test)]
 pub use shape::tests::folds;

@@ -57,7 +57,7 @@ mod view;
 
 #[cfg(feature = "http")]
 pub use api::{about, routes};
-pub use hosts::AllowedHosts;
+pub use hosts::{AllowedHosts, page_address};
 #[cfg(feature = "http")]
 pub use keys::code_file;
 #[cfg(feature = "http")]

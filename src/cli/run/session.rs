@@ -24,7 +24,7 @@ use crate::cli::replay::tracker_setup;
 use crate::config::{ConfigError, LogFormat, LogSettings, RecorderSettings, Settings};
 use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, exposure_of};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
-use crate::daemon::{Daemon, LearntFile, Mode, RecordingWish, RunningDaemon, Supervisor};
+use crate::daemon::{Daemon, LearntFile, Mode, RecordingWish, RunningDaemon, Supervisor, unwritten};
 use crate::frame::Timestamp;
 use crate::publish::{PoseWithheld, Stamps};
 use crate::record::{PoseSample, State};
@@ -411,7 +411,8 @@ impl Clips {
             (Err(e), Some(clip)) => Err(Failure::output(&clip)(e)),
             (Err(e), None) => {
                 session.link.statistics.set_recorder(RecorderState::Stopped);
-                session.link.events.publish(Event::RecorderStopped { reason: e.to_string() });
+                session.supervisor.set_recording(None);
+                session.link.events.publish(Event::RecorderStopped { reason: unwritten(&e) });
                 Ok(None)
             }
         }

@@ -80,7 +80,7 @@ enum Lens {
 /// Bad usage, a config or a clip that cannot be read, a walk that determines no stage, the verdict "do not use", an output that cannot be written.
 pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     let settings = Settings::load(&arguments.config)?;
-    logging::start(&arguments.log, settings.log);
+    logging::start_for_trials(&arguments.log, settings.log);
     let mut spared = arguments.clips.iter().fold(Spared::default(), |spared, clip| spared.with_clip(clip));
     spared.claim_whole_files(&[("--json", &arguments.json), ("--report", &arguments.report)])?;
     folder::refuse_unusable(&arguments.output)?;

@@ -23,6 +23,7 @@ pub use clip_folder::{new_clip_name, parts, taken_by_earlier};
 pub use disk::{Disk, RealDisk};
 
 use super::live::{Event, LiveLink, StampedEvent};
+use super::unwritten;
 use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, Received};
 use crate::record::PoseSample;
@@ -149,6 +150,18 @@ impl Recorder {
     }
 }
 
+/// Whether recordings below this folder may be written, as far as the system says before any is.
+///
+/// # Errors
+/// What the system says of the folder, or of the nearest one above it that is there.
+pub fn may_record(folder: &Path) -> std::io::Result<()> {
+    let mut file = folder.join("recording");
+    while let Some(above) = file.parent().filter(|above| !above.as_os_str().is_empty() && above.symlink_metadata().is_err()) {
+        file = above.to_owned();
+    }
+    crate::safe_file::may_write(&file)
+}
+
 fn begin_clip(folder: &Path, about: &AboutClip, disk: &mut dyn Disk) -> std::io::Result<ClipFolder> {
     let begun = ClipFolder::create(folder, disk).and_then(|clip| about.write(folder, &LearntCamera::default(), disk).map(|()| clip));
     if begun.is_err() {
@@ -226,7 +239,7 @@ impl Work {
         match to_clip.and(to_ring) {
             Ok(()) if self.clip.is_some() || self.ring.is_some() => self.link.statistics.recorded.add(1),
             Ok(()) => {}
-            Err(e) => self.stop(&format!("{e}; make room on the disk, then start again or send SIGHUP")),
+            Err(e) => self.stop(&format!("{}, then start again or send SIGHUP", unwritten(&e))),
         }
     }
 
@@ -234,7 +247,7 @@ impl Work {
         if let Some(clip) = &mut self.clip
             && let Err(e) = clip.event(&event, &mut *self.disk)
         {
-            self.stop(&format!("{e}; make room on the disk, then start again or send SIGHUP"));
+            self.stop(&format!("{}, then start again or send SIGHUP", unwritten(&e)));
         }
         if self.ring.is_some() {
             self.recent.truncate(RECENT_EVENTS);
@@ -252,7 +265,10 @@ impl Work {
                 self.link.statistics.set_recorder(RecorderState::Recording);
                 self.link.events.publish(Event::RecorderStarted { clip: folder.display().to_string() });
             }
-            Err(e) => self.link.events.publish(Event::RecorderStopped { reason: format!("{e}; make room on the disk, then start again") }),
+            Err(e) => {
+                self.link.statistics.set_recorder(RecorderState::Stopped);
+                self.link.events.publish(Event::RecorderStopped { reason: format!("{}, then start again", unwritten(&e)) });
+            }
         }
     }
 
@@ -312,7 +328,7 @@ impl Work {
         self.close(&clip);
         match saved {
             Ok(()) => self.link.events.publish(Event::RingSaved { clip: clip.display().to_string() }),
-            Err(e) => self.stop(&format!("the ring cannot be saved: {e}; make room on the disk")),
+            Err(e) => self.stop(&format!("the ring cannot be saved: {}", unwritten(&e))),
         }
     }
 }

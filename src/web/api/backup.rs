@@ -45,7 +45,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
 fn backup(supervisor: &Supervisor) -> Result<Reply, Reply> {
     let settings = supervisor.settings().ok_or_else(|| Reply::text(409, "there is no config yet to keep\n"))?;
     let files = settings.source.copy(None).map_err(|e| failed("the config cannot be copied", &e))?;
-    let folder = supervisor.file().parent().unwrap_or(Path::new("")).to_owned();
+    let folder = supervisor.keeping().folder();
     let make = move |to: &mut dyn Write| {
         let mut zip = ZipWriter::new_stream(to);
         let options = SimpleFileOptions::default();

@@ -28,7 +28,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let (for_get, for_put) = (supervisor.clone(), supervisor.clone());
     vec![
         Route::aside(Method::GET, "/api/v1/config", Access::Paired, move |_| {
-            let read = safe_file::read(for_get.file(), LARGEST_CONFIG);
+            let read = safe_file::read(&for_get.keeping().current(), LARGEST_CONFIG);
             if read.as_ref().is_err_and(|e| e.kind() == io::ErrorKind::NotFound) {
                 let sentence = format!("{}: there is no config yet; put one here, with this ETag\n", for_get.file().display());
                 return Err(Reply::text(404, sentence).with("etag", &tag(b"")));
@@ -44,7 +44,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             })?;
             let _alone = for_put.alone();
             // One that is not there yet has the tag of nothing.
-            let before = match safe_file::read(for_put.file(), LARGEST_CONFIG) {
+            let before = match safe_file::read(&for_put.keeping().current(), LARGEST_CONFIG) {
                 Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(unreadable(for_put.file(), &e)),
                 read => read.unwrap_or_default(),
             };
@@ -56,7 +56,8 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
                 return Ok(reply(422, &findings, false));
             }
             call.still_may()?;
-            replace(for_put.file(), &text).map_err(|e| unwritable(for_put.file(), &e))?;
+            let changed = for_put.keeping().changed();
+            replace(&changed, &text).map_err(|e| unwritable(&changed, &e))?;
             for_put.reload();
             Ok(reply(200, &findings, true).with("etag", &tag(text.as_bytes())))
         })
@@ -88,6 +89,7 @@ pub(super) fn tag(bytes: &[u8]) -> String {
 
 /// Writes a file whole and keeps what was there.
 fn replace(file: &Path, text: &str) -> io::Result<()> {
+    std::fs::create_dir_all(file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")))?;
     keep_former(&[file.to_owned()])?;
     safe_file::write_lasting(file, text.as_bytes())
 }

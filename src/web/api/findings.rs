@@ -58,7 +58,7 @@ pub(super) fn of_refused(supervisor: &Supervisor) -> Vec<Finding> {
         vec![Finding { level: "error", key: None, line: None, sentence, mend }]
     };
     let file = supervisor.file();
-    let read = safe_file::read(file, LARGEST_CONFIG).map(String::from_utf8);
+    let read = safe_file::read(&supervisor.keeping().current(), LARGEST_CONFIG).map(String::from_utf8);
     match read {
         Err(e) if e.kind() == ErrorKind::NotFound => error(&format!("{}: there is no config yet; put one", file.display())),
         Err(e) => error(&format!("{}: the config cannot be read ({e}); let the daemon's user read it", file.display())),

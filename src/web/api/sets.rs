@@ -60,9 +60,9 @@ fn none() -> Reply {
     Reply::text(404, "there is no such model; GET /api/v1/sets lists them\n")
 }
 
-/// Where the set and its models are.
+/// Where the set and its models are: beside the config, or where the daemon may write.
 fn folder(supervisor: &Supervisor) -> PathBuf {
-    supervisor.file().parent().unwrap_or(Path::new("")).to_owned()
+    supervisor.keeping().folder()
 }
 
 fn read_set(folder: &Path) -> Result<Vec<u8>, Reply> {
@@ -86,8 +86,10 @@ fn put_set(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     {
         return Err(Reply::text(412, "the set was changed meanwhile; load it again\n"));
     }
+    let unwritten = |e: io::Error| failed(&format!("{}: set.json cannot be written", folder.display()), &e);
     call.still_may()?;
-    safe_file::write_lasting(&folder.join("set.json"), &bytes).map_err(|e| failed("set.json cannot be written beside the config", &e))?;
+    std::fs::create_dir_all(folder).map_err(unwritten)?;
+    safe_file::write_lasting(&folder.join("set.json"), &bytes).map_err(unwritten)?;
     Ok(Reply::done().with("etag", &tag(&bytes)))
 }
 
@@ -123,7 +125,7 @@ fn put_model(folder: &Path, call: &mut Call) -> Result<Reply, Reply> {
     if !target.exists() && models(folder).len() >= MOST_MODELS {
         return Err(Reply::text(409, format!("there are {MOST_MODELS} models already; delete one\n")));
     }
-    let unwritten = |e: io::Error| failed("the model cannot be written beside the config", &e);
+    let unwritten = |e: io::Error| failed(&format!("{}: the model cannot be written", target.display()), &e);
     std::fs::create_dir_all(folder.join("sets")).map_err(unwritten)?;
     // To the disk as it comes; it gets its name when it is known to be good.
     let mut beside = tempfile(&target).map_err(unwritten)?;

@@ -7,7 +7,8 @@ use axum::http::Method;
 use serde::Deserialize;
 
 use crate::daemon::live::Event;
-use crate::daemon::{Mode, RecordingWish, Supervisor};
+use crate::daemon::recorder::may_record;
+use crate::daemon::{Mode, RecordingWish, Supervisor, unwritten};
 use crate::printable::printable;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
@@ -46,6 +47,12 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
         Route::aside(Method::POST, path, Access::Change, move |_| {
             if supervisor.settings().is_none() || supervisor.mode() != Mode::Track {
                 return Err(Reply::text(409, "nothing is tracked, so nothing can be recorded; begin to track first\n"));
+            }
+            if let (RecordingWish::Start, Some(settings)) = (wish, supervisor.settings()) {
+                // Said to whoever asks, not a moment later to whoever listens.
+                let folder = &settings.recorder.folder;
+                may_record(folder)
+                    .map_err(|e| Reply::text(409, format!("recordings cannot go to {}: {}\n", folder.display(), unwritten(&e))))?;
             }
             supervisor.record(wish);
             Ok(Reply::text(202, says))
