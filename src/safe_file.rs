@@ -61,9 +61,16 @@ pub fn open_below(folder: &Path, name: &Path) -> io::Result<File> {
             OFlag::O_PATH | OFlag::O_DIRECTORY
         } else {
             // Looked at before: opening some devices does something.
-            let kind = fstatat(&at, part, AtFlags::AT_SYMLINK_NOFOLLOW).map_err(linked)?.st_mode & SFlag::S_IFMT.bits();
-            if kind != SFlag::S_IFREG.bits() {
-                return Err(io::Error::other("it is a link, a folder or a device, not a plain file"));
+            let mode = fstatat(&at, part, AtFlags::AT_SYMLINK_NOFOLLOW).map_err(linked)?.st_mode;
+            let kind = match SFlag::from_bits_truncate(mode & SFlag::S_IFMT.bits()) {
+                SFlag::S_IFREG => None,
+                SFlag::S_IFLNK => Some("a link, which is not followed here"),
+                SFlag::S_IFDIR => Some("a folder"),
+                SFlag::S_IFIFO => Some("a named pipe"),
+                _ => Some("a device or a socket"),
+            };
+            if let Some(kind) = kind {
+                return Err(io::Error::other(format!("it is {kind}, not a plain file")));
             }
             OFlag::O_RDONLY | OFlag::O_NONBLOCK | OFlag::O_NOCTTY
         };

@@ -19,6 +19,8 @@ pub enum Target {
 const SIDE_PX: u32 = 1024;
 /// Spots that make a grid. Raised, small boards go unnamed; lowered, lamps and buttons are taken for boards.
 const LEAST_CIRCLES: usize = 12;
+/// How far a spot of a row may lie from the place opposite to its neighbour, share of their distance. Raised, dots at random pass for grids.
+const ROW_SLACK: f64 = 0.2;
 /// Markers that make a board: few things look like one. Raised, boards of which little is seen go unnamed.
 const LEAST_MARKERS: usize = 4;
 /// Pixels of a spot from which on its outline can be told. Raised, far boards go unnamed; lowered, specks are asked.
@@ -49,16 +51,25 @@ impl Target {
         if markers >= LEAST_MARKERS {
             return Some(Self::Markers);
         }
-        let mut round: Vec<usize> = spots.iter().filter(|s| s.is_round() && s.light < 0.02).map(|s| s.area).collect();
-        round.sort_unstable();
-        let usual = *round.get(round.len() / 2)?;
-        let alike = round.iter().filter(|area| **area < 3 * usual && usual < 3 * **area).count();
-        (alike >= LEAST_CIRCLES).then_some(Self::Circles)
+        let mut round: Vec<&Spot> = spots.iter().filter(|s| s.is_round() && s.light < 0.02).collect();
+        round.sort_unstable_by_key(|s| s.area);
+        let usual = round.get(round.len() / 2)?.area;
+        let alike: Vec<Vector2<f64>> = round.iter().filter(|s| s.area < 3 * usual && usual < 3 * s.area).map(|s| s.middle).collect();
+        let in_rows = alike.iter().filter(|middle| is_in_a_row(middle, &alike)).count();
+        (alike.len() >= LEAST_CIRCLES && 2 * in_rows >= alike.len()).then_some(Self::Circles)
     }
+}
+
+/// Whether a spot lies halfway between its nearest neighbour and another spot, as spots of a grid do.
+fn is_in_a_row(middle: &Vector2<f64>, spots: &[Vector2<f64>]) -> bool {
+    let offsets = || spots.iter().map(|other| other - middle).filter(|offset| *offset != Vector2::zeros());
+    let Some(nearest) = offsets().min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())) else { return false };
+    offsets().any(|offset| (offset + nearest).norm() < ROW_SLACK * nearest.norm())
 }
 
 /// A dark spot with what it encloses.
 struct Spot {
+    middle: Vector2<f64>,
     area: usize,
     /// Area over that of a circle or a square of the same spread: 1 for an ellipse, 0.955 for a parallelogram, less for what has arms.
     filled: f64,
@@ -162,7 +173,8 @@ fn spot(region: &[usize], (width, height): (usize, usize)) -> Option<Spot> {
     let inverse = spread.try_inverse()?;
     let reach = inside.iter().map(|p| (p - middle).dot(&(inverse * (p - middle)))).fold(0.0, f64::max).sqrt();
     let filled = area / (4.0 * std::f64::consts::PI * spread.determinant().sqrt());
-    Some(Spot { area: inside.len(), filled, reach, light: 1.0 - region.len() as f64 / area })
+    let corner = Vector2::new(left as f64 - 1.0, top as f64 - 1.0);
+    Some(Spot { middle: middle + corner, area: inside.len(), filled, reach, light: 1.0 - region.len() as f64 / area })
 }
 
 #[cfg(test)]
@@ -208,6 +220,9 @@ mod tests {
         assert_eq!(Target::seen_in(&seen(|u, v| is_on_board(u, v) && (u as u32 + v as u32).is_multiple_of(2))), None, "a chessboard");
         assert_eq!(Target::seen_in(&seen(|u, v| is_on_board(u, v) && u.fract() < 0.7 && v.fract() < 0.7)), None, "tiles");
         assert_eq!(Target::seen_in(&seen(|_, _| false)), None, "a wall");
+        let scattered: Vec<(f64, f64)> = (0..60).map(|k| (f64::from(k * 37 % 101) / 10.1, f64::from(k * 53 % 97) / 13.9)).collect();
+        let is_dot = |u: f64, v: f64| scattered.iter().any(|(x, y)| (u - x).hypot(v - y) < 0.2);
+        assert_eq!(Target::seen_in(&seen(is_dot)), None, "dots at random");
         for size in [(1, 1), (3, 2), (1, 400)] {
             assert_eq!(Target::seen_in(&GrayImage::new(size.0, size.1)), None);
         }

@@ -17,6 +17,7 @@ use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
+use super::bt601::{grey_of, luma_8};
 use super::jpeg_markers::{JpegWalk, Walked, standard_huffman_tables};
 use super::{foreign, transparency};
 use crate::contain::contained;
@@ -233,36 +234,6 @@ fn png_is_whole(bytes: &[u8]) -> bool {
         }
     }
     false
-}
-
-/// Grey levels of a decoded picture (BT.601, 8 bits).
-pub(super) fn grey_of(picture: DynamicImage) -> GrayImage {
-    let (width, height) = (picture.width(), picture.height());
-    let grey: Vec<u8> = match &picture {
-        DynamicImage::ImageLuma8(p) => p.as_raw().clone(),
-        DynamicImage::ImageLumaA8(p) => p.pixels().map(|p| p.0[0]).collect(),
-        DynamicImage::ImageRgb8(p) => p.pixels().map(|p| luma_8(p.0)).collect(),
-        DynamicImage::ImageRgba8(p) => p.pixels().map(|p| luma_8([p.0[0], p.0[1], p.0[2]])).collect(),
-        DynamicImage::ImageLuma16(p) => p.pixels().map(|p| eight_bits(p.0[0])).collect(),
-        DynamicImage::ImageLumaA16(p) => p.pixels().map(|p| eight_bits(p.0[0])).collect(),
-        other => other.to_rgb16().pixels().map(|p| luma_16(p.0)).collect(),
-    };
-    // The buffer holds one level a pixel by construction; a blank picture would only hide a fault of that.
-    GrayImage::from_raw(width, height, grey).unwrap_or_default()
-}
-
-/// BT.601 luma of 8-bit RGB, rounded.
-pub(super) fn luma_8([r, g, b]: [u8; 3]) -> u8 {
-    ((299 * u32::from(r) + 587 * u32::from(g) + 114 * u32::from(b) + 500) / 1000) as u8
-}
-
-/// BT.601 luma of 16-bit RGB in 8 bits, rounded once.
-pub(super) fn luma_16([r, g, b]: [u16; 3]) -> u8 {
-    ((299 * u64::from(r) + 587 * u64::from(g) + 114 * u64::from(b) + 128_500) / 257_000) as u8
-}
-
-pub(super) fn eight_bits(level: u16) -> u8 {
-    ((u32::from(level) + 128) / 257) as u8
 }
 
 #[cfg(test)]

@@ -7,8 +7,9 @@ use std::sync::Arc;
 
 use image::GrayImage;
 
+use super::bt601::luma_8;
 use super::camera::{CapturedPicture, PixelLayout};
-use super::grey::{decode_grey, luma_8};
+use super::grey::decode_grey;
 use super::jpeg_markers::{JpegWalk, Walked};
 use super::{EntryContent, Received};
 use crate::frame::{Frame, Timestamp};

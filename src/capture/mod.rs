@@ -5,6 +5,7 @@
 //! The readers of single formats are public for those who have bytes instead of files.
 
 mod avi;
+mod bt601;
 pub mod camera;
 pub mod choice;
 mod clip;

@@ -2,7 +2,7 @@
 
 use image::{DynamicImage, GrayImage, Rgba};
 
-use super::grey::grey_of;
+use super::bt601::grey_of;
 
 /// The grey levels of a picture on white, and the share of it that is transparent: 0 where it is opaque throughout.
 pub(super) fn on_white(picture: DynamicImage) -> (GrayImage, f64) {

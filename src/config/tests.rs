@@ -58,6 +58,17 @@ fn message(folder: &tempfile::TempDir, text: &str) -> String {
 }
 
 #[test]
+fn a_global_shutter_is_known_to_be_one() {
+    let folder = folder();
+    let with = |lines: &str| load(&folder, &GOOD.replacen("[camera]\n", &format!("[camera]\n{lines}\n"), 1));
+    assert_eq!(with("shutter = \"global\"").unwrap().shutter.readout_s, Some(0.0));
+    assert_eq!(with("shutter = \"rolling\"").unwrap().shutter.readout_s, None);
+    assert_eq!(with("readout_s = 0.0").unwrap().shutter.readout_s, None);
+    assert!(with("shutter = \"global\"\nreadout_s = 0.01").unwrap_err().to_string().contains("remove one of the two"));
+    assert!(with("shutter = \"shut\"").is_err());
+}
+
+#[test]
 fn defaults_are_those_of_the_documentation() {
     let folder = folder();
     let settings = load(&folder, GOOD).unwrap();

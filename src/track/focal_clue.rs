@@ -60,6 +60,10 @@ const MOST_SIGMA: f64 = 0.01;
 /// Sigmas within which a focal length is the calibration's again. Raised, poses are withheld for longer.
 const RIGHT_SIGMAS: f64 = 3.0;
 
+/// Largest change that one linear step can report, logarithm: about 30 %. A larger one is another fault, such as corners that are a pixel off, seen nearly from
+/// ahead; it widens the covariance and accuses no lens. Raised, wrong corners pass for a zoom; lowered, large zooms are not withheld.
+const MAX_CHANGE: f64 = 0.26;
+
 /// What a frame says of the focal length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FocalClue {
@@ -74,6 +78,15 @@ pub struct FocalClue {
 impl FocalClue {
     /// Whether another focal length explains the frame clearly better. `doubt`: one sigma of the logarithm of the calibrated one.
     pub fn is_off(&self, doubt: f64) -> bool {
+        self.change.abs() < MAX_CHANGE && self.explains(doubt)
+    }
+
+    /// The logarithm of the focal length that may be off where the frame asks for more than a linear step can report.
+    pub fn beyond_a_step(&self, doubt: f64) -> Option<f64> {
+        (self.change.abs() >= MAX_CHANGE && self.explains(doubt)).then_some(MAX_CHANGE)
+    }
+
+    fn explains(&self, doubt: f64) -> bool {
         let size = self.change.abs();
         size > LEAST_CHANGE && size > LEAST_SIGMAS * self.sigma && size > DOUBT_SIGMAS * doubt && self.share > LEAST_SHARE
     }
@@ -92,7 +105,8 @@ impl FocalClue {
     pub fn has_changed(&self, usual: f64, usual_sigma: f64, doubt: f64, is_rough: bool) -> bool {
         let least = if is_rough { LEAST_SIGMAS } else { CHANGED_SIGMAS };
         let sigma = self.sigma.hypot(usual_sigma);
-        let is_far = |by: f64| sigma < MOST_CHANGED_SIGMA && by.abs() > least * sigma && by.abs() > DOUBT_SIGMAS * doubt;
+        let is_far =
+            |by: f64| sigma < MOST_CHANGED_SIGMA && by.abs() < MAX_CHANGE && by.abs() > least * sigma && by.abs() > DOUBT_SIGMAS * doubt;
         self.strays(usual, usual_sigma).is_some_and(is_far)
     }
 
@@ -393,6 +407,18 @@ mod tests {
                 assert!((clue.change - f64::ln(by)).abs() < 0.15 * f64::abs(by - 1.0) + 4.0 * clue.sigma, "{by}: {clue:?}");
             }
         }
+    }
+
+    #[test]
+    fn what_no_linear_step_can_report_accuses_no_lens() {
+        // +507 %, -100 % and -73 % were reported of a calibrated lens, for a corner of a photograph that was a pixel off.
+        for change in [1.8, -7.0, -1.3, 0.3] {
+            let clue = FocalClue { change, sigma: 0.001, share: 0.9 };
+            assert!(!clue.is_off(0.0) && !clue.has_changed(0.0, 0.001, 0.0, false), "{change}");
+            assert_eq!(clue.beyond_a_step(0.0), Some(MAX_CHANGE), "{change}");
+        }
+        let zoom = FocalClue { change: 0.15, sigma: 0.005, share: 0.9 };
+        assert!(zoom.is_off(0.0) && zoom.beyond_a_step(0.0).is_none());
     }
 
     #[test]

@@ -85,6 +85,7 @@ pub struct Known {
 }
 
 impl Known {
+    /// Before the first frame of an unknown camera.
     const NOTHING: Self = Self { readout_s: 0.0, sigma_s: UNKNOWN_SIGMA_S };
 
     /// Whether it is known well enough to rely on.
@@ -284,7 +285,7 @@ impl LearntReadout {
         }
         // What is found and not used yet is not known.
         self.used.sigma_s = sigma_s.hypot(readout_s - self.used.readout_s);
-        if self.used.is_sure() && !self.has_told_news {
+        if self.used.is_sure() && !self.has_told_news && self.told.len() >= 2 * LEAST_FRAMES {
             self.has_told_news = true;
             self.news = Some(ReadoutNews::Learnt(self.used));
         }
@@ -359,7 +360,8 @@ mod tests {
         assert_eq!(learnt.used(), Known::NOTHING);
         shaken(&mut learnt, 0.02, 4);
         let Known { readout_s, sigma_s } = learnt.used();
-        assert!((readout_s - 0.02).abs() < 2.0 * sigma_s && sigma_s > 1.5e-3, "{readout_s} +- {sigma_s}");
+        assert!((readout_s - 0.02).abs() < 2.0 * sigma_s && sigma_s > 5e-4, "{readout_s} +- {sigma_s}");
+        assert_eq!(learnt.news(), None, "nine frames do not settle it");
     }
 
     #[test]

@@ -124,7 +124,7 @@ impl LensWatch {
             return self.state(false);
         };
         let usual = self.habit.usual();
-        self.strayed = usual.and_then(|(usual, sigma)| clue.strays(usual, sigma));
+        self.strayed = usual.and_then(|(usual, sigma)| clue.strays(usual, sigma)).or(clue.beyond_a_step(doubt));
         self.is_rough |= self.habit.is_rough();
         let is_rough = self.is_rough;
         let has_changed = usual.is_some_and(|(usual, sigma)| clue.has_changed(usual, sigma, doubt, is_rough));

@@ -35,6 +35,7 @@ pub(super) enum Lane {
 }
 
 impl Lane {
+    /// All of them.
     const ALL: [Self; 4] = [Self::Probe, Self::Change, Self::Look, Self::File];
 
     /// Requests at a time, and how many of these one peer may have. Chosen for the smallest machine: more take turns anyway. Raised, more

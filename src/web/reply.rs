@@ -2,7 +2,7 @@
 
 use axum::http::{HeaderName, HeaderValue};
 
-use super::content::Download;
+use super::download::Download;
 
 /// Status, type and content.
 #[derive(Debug)]

@@ -29,7 +29,7 @@ use tokio_io_timeout::TimeoutStream;
 
 use super::answers::{Caller, Streams, router};
 use super::connection::Connection;
-use super::content::Transfers;
+use super::download::Transfers;
 use super::entrance::{self, About};
 use super::events::Events;
 use super::feed::Feed;

@@ -10,7 +10,7 @@ const FRAMES: usize = 32;
 const FPS: f64 = 12.0;
 const SIZE_PX: (u32, u32) = (480, 360);
 const LENS: &str = "width = 480\nheight = 360\nfx = 432.0\nfy = 432.0\ncx = 241.0\ncy = 178.0\nskew = 0.0\ndistortion = [-0.11, 0.06, 0.0006, -0.0004, 0.0]\n";
-const CONFIG: &str = "[camera]\ncalibration = \"camera.toml\"\n\
+const CONFIG: &str = "[camera]\ncalibration = \"camera.toml\"\nshutter = \"global\"\n\
     [[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [4.0, 3.0]\n\
     [[stage.surface]]\nimage = \"tree.png\"\nsize_m = [1.2, 1.7]\nposition_m = [0.95, -0.8, -0.4]\n\
     [[stage.surface]]\nimage = \"house.png\"\nsize_m = [1.3, 1.3]\nposition_m = [-1.0, -0.5, -0.5]\n";

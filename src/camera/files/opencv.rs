@@ -5,7 +5,7 @@
 
 use super::foreign::{names_brown, refuse_other_lenses, refuse_other_programs};
 use super::problem::{CalibrationProblem, Fault, missing};
-use super::yaml::{self, Content, Node};
+use super::yaml::{self, Content, Node, whole};
 use super::{Calibration, CalibrationForm, model, window};
 use crate::camera::Intrinsics;
 
@@ -154,12 +154,4 @@ fn exactly<const N: usize>(key: &str, node: &Node, numbers: Vec<f64>, expected: 
         let problem = CalibrationProblem::WrongLength { key: key.to_owned(), found: v.len(), expected };
         Fault { line: Some(node.line), problem }
     })
-}
-
-pub(super) fn whole(key: &str, node: &Node, number: f64) -> Result<u32, Fault> {
-    if number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number) {
-        return Ok(number as u32);
-    }
-    let problem = CalibrationProblem::OutOfRange { key: key.to_owned(), value: number, expected: "a whole number of pixels" };
-    Err(Fault { line: Some(node.line), problem })
 }

@@ -3,9 +3,8 @@
 //! By the message's definition `width`, `height` and K are those of the full sensor, and the window lies on it. Some drivers write the
 //! window's own size with the K of the full sensor; P, which is of the window, or the middle of the picture tells which K it is.
 
-use super::opencv::whole;
 use super::problem::{CalibrationProblem, Fault};
-use super::yaml::Node;
+use super::yaml::{Node, whole};
 use crate::camera::Intrinsics;
 
 /// How much nearer to the middle of the window, as a share of it, one centre must lie than the other to be taken for the lens's. Raised,

@@ -143,3 +143,15 @@ impl Node {
         }
     }
 }
+
+/// A node's number where it counts pixels.
+///
+/// # Errors
+/// Where it is no whole number.
+pub(super) fn whole(key: &str, node: &Node, number: f64) -> Result<u32, Fault> {
+    if number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number) {
+        return Ok(number as u32);
+    }
+    let problem = CalibrationProblem::OutOfRange { key: key.to_owned(), value: number, expected: "a whole number of pixels" };
+    Err(Fault { line: Some(node.line), problem })
+}

@@ -2,7 +2,7 @@
 
 use image::GrayImage;
 
-use super::super::grey::{eight_bits, luma_8, luma_16};
+use super::super::bt601::{eight_bits, luma_8, luma_16};
 use super::log::Announced;
 
 /// What ffmpeg makes of the pictures.

@@ -82,8 +82,10 @@ fn of_pass(pass: &Pass, settings: &Settings) -> Vec<Finding> {
     findings.extend(of_model(model, &findings));
     // A lens or a layout that is named explains why no pose fits, too.
     let has_cause = findings.iter().any(|f| f.grade == Grade::Fault || (is_small && f.grade == Grade::Doubt));
+    // The lens is accused last.
+    let has_doubt = findings.iter().any(|f| matches!(f.grade, Grade::Fault | Grade::Doubt));
     if !outcome.awaits_a_second_frame() {
-        findings.extend(of_reasons(outcome, has_cause, setup));
+        findings.extend(of_reasons(outcome, [has_cause, has_doubt], setup));
     }
     // Where something graver was found, that is why.
     if outcome.tracked == 0 && outcome.frames > 0 && !findings.iter().any(|f| matches!(f.grade, Grade::Fault | Grade::Doubt)) {
@@ -133,7 +135,7 @@ fn of_model(model: &ModelReport, findings: &[Finding]) -> Vec<Finding> {
 }
 
 /// The reasons of the frames that were not tracked. Where a fault was found that explains why no pose fits, that one has the mend.
-fn of_reasons(outcome: &Outcome, has_cause: bool, setup: &TrackerSetup) -> Vec<Finding> {
+fn of_reasons(outcome: &Outcome, [has_cause, has_doubt]: [bool; 2], setup: &TrackerSetup) -> Vec<Finding> {
     let frames = outcome.frames;
     let share = |n: u64| n as f64 / frames.max(1) as f64;
     let told = outcome.reasons().into_iter().filter(|(reason, n)| match reason {
@@ -143,8 +145,11 @@ fn of_reasons(outcome: &Outcome, has_cause: bool, setup: &TrackerSetup) -> Vec<F
     });
     told.map(|(reason, n)| {
         let says = format!("in {n} of {frames} frames {}", reason.says());
-        let is_explained = has_cause
-            && matches!(reason, Reason::NoPoseFits | Reason::Covered | Reason::NotRecognised | Reason::Uncertain | Reason::LensMoved);
+        let is_explained = match reason {
+            Reason::NoPoseFits | Reason::Covered | Reason::NotRecognised | Reason::Uncertain => has_cause,
+            Reason::LensMoved => has_doubt,
+            _ => false,
+        };
         let says = if is_explained { says } else { format!("{says}: {}", mend(reason, setup)) };
         match share(n) {
             _ if is_explained => Finding::note(says),

@@ -18,7 +18,7 @@ use super::sets::{LARGEST_MODEL, is_model, models};
 use crate::daemon::Supervisor;
 use crate::safe_file;
 use crate::web::call::{Call, is_name};
-use crate::web::content::Download;
+use crate::web::download::Download;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 

@@ -22,7 +22,7 @@ use crate::daemon::Supervisor;
 use crate::daemon::report::{Report, config_text, find};
 use crate::safe_file;
 use crate::web::call::{Call, is_name};
-use crate::web::content::Download;
+use crate::web::download::Download;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 

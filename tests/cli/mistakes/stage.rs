@@ -16,12 +16,11 @@ const FOCAL_PX: f64 = 432.0;
 const DISTORTION: [f64; 5] = [-0.11, 0.06, 0.0006, -0.0004, 0.0];
 
 /// The config that is right.
-pub const CONFIG: &str = "[camera]\ncalibration = \"camera.toml\"\n\
+pub const CONFIG: &str = "[camera]\ncalibration = \"camera.toml\"\nshutter = \"global\"\n\
     [[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [4.0, 3.0]\n\
     [[stage.surface]]\nimage = \"flat.png\"\nsize_m = [1.1, 1.7]\nposition_m = [0.95, -0.8, -0.65]\n";
 /// The same without the flat, from frame 0 as a photograph; CORNERS stands for the four corners.
-pub const PHOTO: &str =
-    "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nphoto = \"photo.png\"\ncorners_px = CORNERS\nsize_m = [4.0, 3.0]\n";
+pub const PHOTO: &str = "[camera]\ncalibration = \"camera.toml\"\nshutter = \"global\"\n[[stage.surface]]\nphoto = \"photo.png\"\ncorners_px = CORNERS\nsize_m = [4.0, 3.0]\n";
 
 /// Rendered once for all tests.
 struct Pictures {
