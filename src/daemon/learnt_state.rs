@@ -92,9 +92,7 @@ mod tests {
     }
 
     fn learnt() -> LearntCamera {
-        let mut learnt = LearntCamera::default();
-        learnt.readout = Some(LearntTime { seconds: 0.02, sigma_s: 1e-4 });
-        learnt
+        LearntCamera { readout: Some(LearntTime { seconds: 0.02, sigma_s: 1e-4 }), ..LearntCamera::default() }
     }
 
     #[test]
