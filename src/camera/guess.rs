@@ -58,7 +58,11 @@ impl LensGuess {
         let [k1, k2, p1, p2] = DISTORTION.map(|sigma| 3.0 * sigma);
         let distortion = [k1, k2, p1, p2, 0.0];
         let uncertainty = IntrinsicsUncertainty { focal_px: [off; 2], centre_px: [centre; 2], skew: 0.0, distortion };
-        Ok(CameraModel::pinhole(width, height, focal, focal, cx, cy)?.with_doubt(Some(LensDoubt { uncertainty, has_square_pixels: true })))
+        Ok(CameraModel::pinhole(width, height, focal, focal, cx, cy)?.with_doubt(Some(LensDoubt {
+            uncertainty,
+            has_square_pixels: true,
+            is_assumed: false,
+        })))
     }
 }
 

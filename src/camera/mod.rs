@@ -9,7 +9,7 @@ mod pixel_doubt;
 pub mod plausible;
 mod shutter;
 
-pub use doubt::{IntrinsicsUncertainty, LENS_WAYS, LensDoubt};
+pub use doubt::{FOCAL_WAY, IntrinsicsUncertainty, LENS_WAYS, LensDoubt};
 #[cfg(feature = "calibration-files")]
 pub use files::{Calibration, CalibrationFileError, CalibrationForm, CalibrationProblem, parse_calibration};
 pub use guess::LensGuess;

@@ -8,7 +8,7 @@ use super::model::{CameraModel, Normalized};
 impl CameraModel {
     /// How a pixel moves by one sigma of each way in which the lens may be off, a column each; none where the lens is not in doubt.
     pub fn pixel_doubt(&self, normalized: Normalized) -> Option<SMatrix<f64, 2, LENS_WAYS>> {
-        let LensDoubt { uncertainty: u, has_square_pixels } = self.doubt()?;
+        let LensDoubt { uncertainty: u, has_square_pixels, .. } = self.doubt()?;
         let (i, n) = (self.intrinsics(), normalized.0);
         let [k1, k2, p1, p2, k3] = u.distortion;
         let three_sigma = [u.focal_px[0], u.focal_px[1], u.centre_px[0], u.centre_px[1], u.skew, k1, k2, p1, p2, k3];
@@ -49,7 +49,8 @@ mod tests {
             skew: 0.003,
             distortion: [0.03, 0.06, 0.003, 0.006, 0.09],
         };
-        let camera = CameraModel::new(i).unwrap().with_doubt(Some(LensDoubt { uncertainty: u, has_square_pixels: false }));
+        let camera =
+            CameraModel::new(i).unwrap().with_doubt(Some(LensDoubt { uncertainty: u, has_square_pixels: false, is_assumed: false }));
         let n = Normalized(Vector2::new(0.31, -0.22));
         let columns = camera.pixel_doubt(n).unwrap();
         let at = camera.project(n).0;

@@ -17,13 +17,18 @@ use super::{ConfigError, Problem, stage_origin};
 use crate::camera::{CameraModel, Pixel, plausible};
 use crate::capture::orientation_words;
 use crate::geometry::{Body, Pose, SurfaceFrame};
-use crate::track::{BodySpec, SurfaceError, SurfaceShape, SurfaceSpec};
+use crate::track::{BodySpec, SurfaceDoubt, SurfaceError, SurfaceShape, SurfaceSpec};
 
 /// The stage's name among the bodies, which no object may have.
 const STAGE: &str = "stage";
 /// Sides of a surface, metres: from a stamp to a stadium. What is beyond is a slip of the unit or of the point. Wider, such slips pass;
 /// `check` doubts narrower ones.
 const SURFACE_SIDE_M: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
+
+/// One sigma of the place of a surface beside the first one, where nothing is configured: metres along each axis and degrees about each, by a tape and by eye. Raised, poses by several surfaces are
+/// less sure; lowered, they are too sure of careless layouts.
+const PLACE_SIGMA_M: f64 = 0.005;
+const PLACE_SIGMA_DEG: f64 = 0.3;
 
 /// Reads surfaces for one config: what they share, and the notes that they leave.
 pub(super) struct BodyReader<'a> {
@@ -83,7 +88,7 @@ impl BodyReader<'_> {
 
     /// All surfaces of a body. A plain one among others is left out: it keeps its place in the list, and is never looked for.
     fn surfaces(&mut self, typed: &[Spanned<as_typed::Surface>], name: &'static str) -> Result<Vec<SurfaceSpec>, ConfigError> {
-        let read = typed.iter().map(|surface| self.surface(surface, name)).collect::<Result<Vec<_>, _>>()?;
+        let read = typed.iter().enumerate().map(|(k, surface)| self.surface(surface, name, k == 0)).collect::<Result<Vec<_>, _>>()?;
         let has_texture = read.iter().any(|surface| surface.refusal.is_none());
         let mut surfaces = Vec::with_capacity(read.len());
         for SurfaceRead { spec, refusal } in read {
@@ -103,7 +108,8 @@ impl BodyReader<'_> {
         Ok(surfaces)
     }
 
-    fn surface(&mut self, typed: &Spanned<as_typed::Surface>, name: &'static str) -> Result<SurfaceRead, ConfigError> {
+    /// `is_first`: its place is the body's frame.
+    fn surface(&mut self, typed: &Spanned<as_typed::Surface>, name: &'static str, is_first: bool) -> Result<SurfaceRead, ConfigError> {
         let section = Section { origin: self.origin, name };
         let here = || self.origin.section_at(name, &typed.span());
         let surface = typed.get_ref();
@@ -123,14 +129,16 @@ impl BodyReader<'_> {
         let rotation = Turned::Surface.typed(&section, surface.orientation_xyzw.as_ref(), surface.rotation_deg.as_ref())?;
         let pose = Pose::new(rotation, section.position("position_m", surface.position_m.as_ref())?);
         let placed = Placed { size_m, size_span: typed_size.span(), pose };
-        match (&surface.image, &surface.photo) {
+        let mut read = match (&surface.image, &surface.photo) {
             (Some(image), None) => self.artwork(&section, surface, image, &placed),
             (None, Some(photo)) => self.photograph(&section, surface, photo, &placed, here()),
             (Some(_), Some(photo)) => {
                 Err(section.conflict("photo", photo, "a surface has either `image` or `photo`, this one has both; remove one"))
             }
             (None, None) => Err(self.origin.missing(here(), "image", "image = \"artwork.png\", or photo = \"photo.jpg\" with corners_px")),
-        }
+        }?;
+        read.spec.doubt = doubt(&section, surface, read.spec.doubt, is_first)?;
+        Ok(read)
     }
 
     fn artwork(
@@ -146,6 +154,9 @@ impl BodyReader<'_> {
         if let Some(calibration) = &typed.photo_calibration {
             let problem = "it belongs to `photo`, but this surface has an `image`; remove it";
             return Err(section.conflict("photo_calibration", calibration, problem));
+        }
+        if let Some(sigma) = &typed.corner_sigma_px {
+            return Err(section.conflict("corner_sigma_px", sigma, "it belongs to `photo`, but this surface has an `image`; remove it"));
         }
         let (picture, orientation) = section.picture("image", image)?;
         let picture = self.upright(image.get_ref(), picture, orientation);
@@ -279,6 +290,36 @@ struct Placed {
 /// How a surface hangs: flat, where nothing is said.
 fn shape(section: &Section<'_>, typed: &as_typed::Surface, spec: &SurfaceSpec) -> Result<SurfaceShape, ConfigError> {
     typed.shape.as_ref().map_or(Ok(SurfaceShape::Flat), |file| section.shape("shape", file, spec))
+}
+
+/// How far a surface may be from where it is configured. What a survey wrote says that in its shape file.
+fn doubt(section: &Section<'_>, typed: &as_typed::Surface, of_picture: SurfaceDoubt, is_first: bool) -> Result<SurfaceDoubt, ConfigError> {
+    let is_known = is_first || typed.shape.is_some();
+    let [usual_m, usual_deg] = if is_known { [0.0; 2] } else { [PLACE_SIGMA_M, PLACE_SIGMA_DEG] };
+    let mut doubt = of_picture;
+    doubt.corner_px = section.number(
+        "corner_sigma_px",
+        typed.corner_sigma_px.as_ref(),
+        doubt.corner_px,
+        |v| (0.0..=100.0).contains(&v),
+        "pixels from 0 to 100",
+    )?;
+    doubt.position_m = section.number(
+        "position_sigma_m",
+        typed.position_sigma_m.as_ref(),
+        usual_m,
+        |v| (0.0..=10.0).contains(&v),
+        "metres from 0 to 10",
+    )?;
+    let degrees = section.number(
+        "rotation_sigma_deg",
+        typed.rotation_sigma_deg.as_ref(),
+        usual_deg,
+        |v| (0.0..=45.0).contains(&v),
+        "degrees from 0 to 45",
+    )?;
+    doubt.rotation_rad = degrees.to_radians();
+    Ok(doubt)
 }
 
 fn file_name(name: &str) -> String {

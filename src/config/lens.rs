@@ -69,7 +69,7 @@ pub(super) fn found(section: &Section<'_>, camera: &as_typed::Camera) -> Result<
         return Err(section.refuse(key, &span, problem));
     }
     let read = section.calibration("calibration", calibration)?;
-    let model = read.model.with_doubt(LensDoubt::of_calibration(read.uncertainty));
+    let model = read.model.with_doubt(LensDoubt::of_file(read.model.intrinsics().fx, read.uncertainty));
     Ok(Some((LensSource::Calibration(section.origin.beside(calibration.get_ref())), model)))
 }
 

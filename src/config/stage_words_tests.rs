@@ -62,7 +62,11 @@ fn a_lens_may_be_guessed_and_says_how_far_it_may_be_off() {
 #[test]
 fn the_uncertainty_of_a_calibration_is_kept() {
     let folder = folder();
-    assert_eq!(load(&folder, GOOD).unwrap().camera.doubt(), None);
+    // What says nothing of it is believed to 0.3 %.
+    let assumed = load(&folder, GOOD).unwrap().camera;
+    let doubt = assumed.doubt().unwrap();
+    assert!(doubt.is_assumed && (doubt.uncertainty.focal_px[0] / assumed.intrinsics().fx - 0.009).abs() < 1e-12);
+    assert_eq!(doubt.uncertainty.centre_px, [0.0; 2]);
     let uncertainty = "[uncertainty]\nfx = 3.0\nfy = 3.0\ncx = 6.0\ncy = 6.0\n";
     std::fs::write(folder.path().join("camera.toml"), format!("{CAMERA}{uncertainty}")).unwrap();
     let settings = load(&folder, GOOD).unwrap();

@@ -48,7 +48,7 @@ impl ObservationModel<'_> {
     /// What the doubt about the lens adds to the covariance of a pose; nothing where there is none.
     pub fn doubt(&self, pose: &Pose<Stage, Camera>) -> Matrix6<f64> {
         let seen: Pose<Camera, Body> = pose.inverse().renamed();
-        let by_lens = covariance_by_lens(&pose.renamed(), self.camera, self.observations(&seen).iter());
+        let by_lens = covariance_by_lens(&pose.renamed(), self.camera, 1.0, self.observations(&seen).iter());
         by_lens.unwrap_or_else(Matrix6::zeros)
     }
 

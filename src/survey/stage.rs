@@ -172,7 +172,7 @@ where
     let cameras = observed.iter().flatten().map(|f| f.motion.pose).collect();
     let places = model.places().clone();
     let size = places.size.map(|at| SizeFound { growth: model.growth(), sigma: covariance[(at, at)].max(0.0).sqrt() });
-    let camera = model.camera.with_doubt(lens_doubt(&places, &covariance).or(camera.doubt()));
+    let camera = model.camera.with_doubt(lens_doubt(&places, &covariance).or(camera.doubt().filter(|doubt| !doubt.is_assumed)));
     let surfaces = ways::with_ways(&model, &covariance, &equations);
     Ok(Survey {
         camera,

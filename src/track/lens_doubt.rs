@@ -6,15 +6,16 @@
 
 use nalgebra::{Matrix6, SMatrix, Vector2};
 
-use crate::camera::{CameraModel, LENS_WAYS, Normalized};
+use crate::camera::{CameraModel, FOCAL_WAY, LENS_WAYS, Normalized};
 use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{MovingCamera, Observation, residual_and_jacobian};
 use crate::geometry::{Body, Camera, Pose};
 
-/// Covariance of [δp, δθ] of `T_body_camera`, body axes, by the lens alone; none where the lens is not in doubt.
+/// Covariance of [δp, δθ] of `T_body_camera`, body axes, by the lens alone; none where the lens is not in doubt. `focal_scale`: how much of the doubt about the focal length is left.
 pub fn covariance_by_lens<'a>(
     t_body_camera: &Pose<Body, Camera>,
     camera: &CameraModel,
+    focal_scale: f64,
     observations: impl Iterator<Item = &'a Observation>,
 ) -> Option<Matrix6<f64>> {
     camera.doubt()?;
@@ -30,7 +31,8 @@ pub fn covariance_by_lens<'a>(
         normal += weighted * j;
         right += weighted * shifts;
     }
-    let by_way = normal.cholesky()?.solve(&right);
+    let mut by_way = normal.cholesky()?.solve(&right);
+    by_way.column_mut(FOCAL_WAY).scale_mut(focal_scale);
     let covariance = covariance_of_inverse(&pose, &(by_way * by_way.transpose()));
     covariance.iter().all(|v| v.is_finite()).then_some(covariance)
 }
@@ -62,7 +64,7 @@ mod tests {
         let turn = nalgebra::UnitQuaternion::from_euler_angles(0.1, -0.25, 0.05);
         let pose = Pose::new(turn, Vector3::new(0.2, -0.1, 4.0));
         let observations = seen_by(&told, &pose);
-        let covariance = covariance_by_lens(&pose.inverse(), &told, observations.iter()).unwrap();
+        let covariance = covariance_by_lens(&pose.inverse(), &told, 1.0, observations.iter()).unwrap();
         // Scale is what a wrong focal length takes: 3 % of 4 m.
         assert!((0.09..=0.2).contains(&covariance[(2, 2)].sqrt()), "{}", covariance[(2, 2)].sqrt());
         let u = told.doubt().unwrap().uncertainty;
@@ -97,6 +99,6 @@ mod tests {
     fn a_lens_beyond_doubt_adds_nothing() {
         let camera = CameraModel::pinhole(1280, 720, 1000.0, 1000.0, 639.5, 359.5).unwrap();
         let pose = Pose::new(nalgebra::UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 4.0));
-        assert_eq!(covariance_by_lens(&pose.inverse(), &camera, seen_by(&camera, &pose).iter()), None);
+        assert_eq!(covariance_by_lens(&pose.inverse(), &camera, 1.0, seen_by(&camera, &pose).iter()), None);
     }
 }

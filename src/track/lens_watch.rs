@@ -3,67 +3,17 @@
 //! One such frame is not given; from the second one on nothing is, until frames say that the focal length is the calibration's again. Views that
 //! tell nothing of it (a flat stage straight from ahead) change nothing: what was withheld stays so.
 //!
-//! Where the stage does not fit (cloth in folds), its own pattern hides much of a zoom, and no frame by itself says so clearly. But the pattern stays much the
-//! same from frame to frame, and a zoom does not: what frames usually say of the focal length is remembered, and a frame that says
-//! clearly something else counts as well. One that strays less far is given, and how far it strays is in its covariance. A lens that nobody calibrated
-//! says something else in each view, and contradicts its calibration from the first: then it must be clearer still.
+//! A change that is likely and not yet clear is in the covariance ([`LensClue::doubt`]).
 
 use tracing::{info, warn};
 
-use super::focal_clue::FocalClue;
+use super::focal_clue::LensClue;
 
 /// Frames in a row that say so, before the lens counts as moved. Chosen: one may be a torn frame. Raised, a zoom is named later; the frames
 /// until then are withheld all the same.
 const FRAMES_TO_MOVE: u32 = 2;
 /// Frames in a row that show the calibrated focal length, before the lens counts as back. Raised, poses are given later.
 const FRAMES_TO_RETURN: u32 = 3;
-
-/// What frames usually say is forgotten to this share with each frame: half of it after ten. Raised, a path around folds passes for a zoom; lowered, a slow zoom
-/// passes for a habit.
-const REMEMBERED: f64 = 0.93;
-/// A frame that strays counts so much for the habit. Raised, a slow zoom passes for a habit; lowered, a path around a stage that does not fit passes for a zoom for longer.
-const STRAYED_WEIGHT: f64 = 0.1;
-/// What frames usually say contradicts the calibration beyond so many sigmas of one of them. 3.1 at most of cloth in folds and draughts, 10 to 40 of lenses that were guessed or are
-/// off. Raised, a guessed lens passes for a moved one; lowered, a zoom before cloth is noticed later.
-const ROUGH_SIGMAS: f64 = 5.0;
-/// Frames before there is a habit. Chosen. Raised, a zoom soon after the start is noticed later; lowered, a single frame makes one.
-const LEAST_FRAMES: u32 = 5;
-/// How well a frame that leaves nothing but noise knows that the focal length is the calibration's, one sigma of the logarithm: from ahead it does not. Chosen.
-/// Raised, the first frames of a misfit weigh more; lowered, a stage that fitted must stay so.
-const FITTING_SIGMA: f64 = 0.01;
-/// And no frame better than this, so that none outweighs all others.
-const LEAST_SIGMA: f64 = 1e-4;
-
-/// What frames usually say of the logarithm of the focal length over the calibration's.
-#[derive(Debug, Default, Clone, Copy)]
-struct Habit {
-    weights: f64,
-    sum: f64,
-    /// How many frames these are, forgotten likewise.
-    count: f64,
-    frames: u32,
-}
-
-impl Habit {
-    /// `share`: how much it counts.
-    fn add(&mut self, change: f64, sigma: f64, share: f64) {
-        let weight = share * sigma.max(LEAST_SIGMA).powi(-2);
-        self.weights = REMEMBERED * self.weights + weight;
-        self.sum = REMEMBERED * self.sum + weight * change;
-        self.count = REMEMBERED * self.count + share;
-        self.frames += 1;
-    }
-
-    /// Whether it contradicts the calibration.
-    fn is_rough(&self) -> bool {
-        self.usual().is_some_and(|(usual, sigma)| usual.abs() > ROUGH_SIGMAS * sigma * self.count.sqrt())
-    }
-
-    /// The value and one sigma of it, once there are frames enough.
-    fn usual(&self) -> Option<(f64, f64)> {
-        (self.frames >= LEAST_FRAMES).then(|| (self.sum / self.weights, self.weights.powf(-0.5)))
-    }
-}
 
 /// What a frame's pose may be taken for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,73 +32,46 @@ pub struct LensWatch {
     is_moved: bool,
     /// Frames in a row that contradict the state.
     against: u32,
-    habit: Habit,
-    /// Which body it is of.
-    speaker: usize,
-    /// Whether the lens counts as moved by what frames usually said, not by the calibration.
-    is_by_habit: bool,
-    /// Whether what frames usually say contradicted the calibration at any time.
-    is_rough: bool,
-    /// By how much the last frame strays from what frames usually say.
-    strayed: Option<f64>,
+    /// Whether nothing is logged: it is a trial.
+    is_quiet: bool,
 }
 
 impl LensWatch {
-    /// Whether poses are withheld.
-    pub fn is_moved(&self) -> bool {
-        self.is_moved
-    }
-
-    /// By how much the logarithm of the focal length in the last frame is another one than frames usually say, where it clearly is.
-    pub fn strayed(&self) -> Option<f64> {
-        self.strayed
-    }
-
-    /// The next clue is this body's: what others usually say is no habit of its own.
-    pub fn listen_to(&mut self, body: usize) {
-        if body != self.speaker && !self.is_moved {
-            (self.habit, self.speaker, self.is_rough) = (Habit::default(), body, false);
-        }
+    /// `is_quiet`: it logs nothing.
+    pub fn new(is_quiet: bool) -> Self {
+        Self { is_quiet, ..Self::default() }
     }
 
     /// Takes a frame's clue, if it has one. `is_seen`: whether there was anything to ask; `doubt`: one sigma of the logarithm of the calibrated focal
     /// length.
-    pub fn update(&mut self, clue: Option<&FocalClue>, is_seen: bool, doubt: f64) -> LensState {
-        self.strayed = None;
+    pub fn update(&mut self, clue: Option<&LensClue>, is_seen: bool, doubt: f64) -> LensState {
         let Some(clue) = clue else {
             // Asked, and nothing speaks against the lens: not a frame in a row.
             if is_seen {
                 self.against = 0;
-                self.habit.add(0.0, FITTING_SIGMA, 1.0);
             }
             return self.state(false);
         };
-        let usual = self.habit.usual();
-        self.strayed = usual.and_then(|(usual, sigma)| clue.strays(usual, sigma));
-        self.is_rough |= self.habit.is_rough();
-        let is_rough = self.is_rough;
-        let has_changed = usual.is_some_and(|(usual, sigma)| clue.has_changed(usual, sigma, doubt, is_rough));
-        let is_usual = self.is_by_habit && usual.is_some_and(|(usual, sigma)| clue.is_usual(usual, sigma));
-        let is_against = if self.is_moved { clue.is_right(doubt) || is_usual } else { clue.is_off(doubt) || has_changed };
-        // While the lens counts as moved the habit stays as it was before.
-        if !self.is_moved && !is_against {
-            self.habit.add(clue.change, clue.sigma, if self.strayed.is_some() { STRAYED_WEIGHT } else { 1.0 });
-        }
+        let off = clue.off(doubt);
+        let is_against = if self.is_moved { clue.changed.is_right(doubt) } else { off.is_some() };
         self.against = if is_against { self.against + 1 } else { 0 };
         let needed = if self.is_moved { FRAMES_TO_RETURN } else { FRAMES_TO_MOVE };
         if self.against >= needed {
             (self.is_moved, self.against) = (!self.is_moved, 0);
-            self.is_by_habit = self.is_moved && has_changed && !clue.is_off(doubt);
-            let percent = 100.0 * (clue.change.exp() - 1.0);
-            if self.is_moved {
-                warn!(
-                    "the focal length that fits the frames is {percent:+.1} % off the calibration's: poses are withheld; set the lens back, or calibrate it as it is"
-                );
-            } else {
-                info!("the focal length is the calibration's again: poses are given");
-            }
+            self.tell(off.unwrap_or_default());
         }
         self.state(is_against)
+    }
+
+    fn tell(&self, change: f64) {
+        match (self.is_quiet, self.is_moved) {
+            (true, _) => {}
+            (false, true) => warn!(
+                "the focal length that fits the frames is {:+.1} % off the calibration's: poses are withheld; set the lens back, or calibrate it as it is",
+                100.0 * (change.exp() - 1.0)
+            ),
+            (false, false) => info!("the focal length is the calibration's again: poses are given"),
+        }
     }
 
     fn state(&self, is_against: bool) -> LensState {
@@ -162,10 +85,12 @@ impl LensWatch {
 
 #[cfg(test)]
 mod tests {
+    use super::super::focal_clue::FocalClue;
     use super::*;
 
-    fn clue(change: f64) -> FocalClue {
-        FocalClue { change, sigma: 0.0005, share: 0.9 }
+    fn clue(change: f64) -> LensClue {
+        let said = FocalClue { change, sigma: 0.0005 };
+        LensClue { whole: FocalClue { change: 0.0, sigma: 0.1 }, changed: said, usual: 0.0 }
     }
 
     #[test]
@@ -181,69 +106,10 @@ mod tests {
         use LensState::{Fits, Moved};
         let mut watch = LensWatch::default();
         assert_eq!([0.02, 0.03].map(|change| watch.update(Some(&clue(change)), true, 0.0))[1], Moved);
-        let weak = FocalClue { change: 0.0, sigma: 0.01, share: 0.0 };
+        let weak = LensClue { changed: FocalClue { change: 0.0, sigma: 0.01 }, ..clue(0.0) };
         assert!((0..50).all(|_| watch.update(Some(&weak), true, 0.0) == Moved && watch.update(None, false, 0.0) == Moved));
         let said = [0.001, 0.03, 0.001, 0.001, 0.001].map(|change| watch.update(Some(&clue(change)), true, 0.0));
         assert_eq!(said, [Moved, Moved, Moved, Moved, Fits]);
-    }
-
-    /// What cloth in folds says of the focal length, by a little more or less from frame to frame.
-    fn folds(k: u32) -> FocalClue {
-        FocalClue { change: 0.012 + 0.001 * f64::from(k % 3), sigma: 0.0035, share: 0.01 }
-    }
-
-    #[test]
-    fn a_zoom_shows_itself_through_folds() {
-        use LensState::{Fits, Moved, Suspect};
-        let mut watch = LensWatch::default();
-        assert!((0..40).all(|k| watch.update(Some(&folds(k)), true, 0.0) == Fits));
-        let zoomed = |k: u32, by: f64| FocalClue { change: folds(k).change + by, share: 0.1, ..folds(k) };
-        let said = [0.005, 0.02, 0.025, 0.03].map(|by| watch.update(Some(&zoomed(0, by)), true, 0.0));
-        assert_eq!(said, [Fits, Suspect, Moved, Moved]);
-        // From ahead nothing is told; from the side the folds say what they did before.
-        let ahead = FocalClue { change: 0.01, sigma: 0.08, share: 0.01 };
-        assert!((0..20).all(|_| watch.update(Some(&ahead), true, 0.0) == Moved));
-        assert_eq!([0, 1, 2].map(|k| watch.update(Some(&folds(k)), true, 0.0)), [Moved, Moved, Fits]);
-    }
-
-    #[test]
-    fn what_strays_less_far_is_given_and_doubted() {
-        let strays = |of: FocalClue| FocalClue { change: of.change + 0.013, share: 0.1, ..of };
-        let mut watch = LensWatch::default();
-        assert!((0..40).all(|k| watch.update(Some(&folds(k)), true, 0.0) == LensState::Fits && watch.strayed().is_none()));
-        assert_eq!(watch.update(Some(&strays(folds(1))), true, 0.0), LensState::Fits);
-        assert!(watch.strayed().is_some_and(|by| (0.01..0.015).contains(&by)), "{:?}", watch.strayed());
-        assert_eq!(watch.update(Some(&folds(1)), true, 0.0), LensState::Fits);
-        assert!(watch.strayed().is_none());
-    }
-
-    #[test]
-    fn a_lens_that_was_wrong_from_the_first_is_not_called_moved_in_another_view() {
-        let guessed = |k: u32| FocalClue { change: 0.03 + 0.001 * f64::from(k % 3), sigma: 0.003, share: 0.2 };
-        let mut watch = LensWatch::default();
-        assert!((0..20).all(|k| watch.update(Some(&guessed(k)), true, 0.0) == LensState::Fits));
-        let elsewhere = FocalClue { change: 0.055, sigma: 0.004, share: 0.4 };
-        assert!((0..9).all(|_| watch.update(Some(&elsewhere), true, 0.0) == LensState::Fits));
-        let zoomed = FocalClue { change: 0.1, sigma: 0.005, share: 0.4 };
-        assert_eq!([0, 1].map(|_| watch.update(Some(&zoomed), true, 0.0)), [LensState::Suspect, LensState::Moved]);
-    }
-
-    #[test]
-    fn light_that_displaces_edges_is_no_zoom_where_the_view_hardly_tells() {
-        let mut watch = LensWatch::default();
-        // A print of red things on the way to a blue gel, from ever more nearly ahead.
-        let gel = [(-0.006, 0.005), (-0.0087, 0.0059), (-0.0128, 0.0082), (-0.0186, 0.0099), (-0.0394, 0.0119), (-0.0591, 0.0177)];
-        let blue = [(-0.13, 0.0266), (-0.192, 0.044), (-0.254, 0.0512), (-0.586, 0.171), (1.752, 0.491), (0.444, 0.16)];
-        let said = |watch: &mut LensWatch, (change, sigma)| watch.update(Some(&FocalClue { change, sigma, share: 0.09 }), true, 0.0);
-        assert!((0..20).all(|_| said(&mut watch, gel[0]) == LensState::Fits));
-        assert!(gel.into_iter().chain(blue).all(|clue| said(&mut watch, clue) == LensState::Fits));
-    }
-
-    #[test]
-    fn what_a_draught_says_changes_too_slowly() {
-        let mut watch = LensWatch::default();
-        let draught = |k: u32| FocalClue { change: 0.03 * (0.15 * f64::from(k)).sin(), sigma: 0.01, share: 0.03 };
-        assert!((0..200).all(|k| watch.update(Some(&draught(k)), true, 0.0) == LensState::Fits));
     }
 
     #[test]

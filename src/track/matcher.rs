@@ -15,6 +15,7 @@ use super::acquire::{SurfaceMatch, SurfaceView};
 use super::align::{AlignSurface, Alignment, CameraRays, FrameLevels, ShutterClue, is_sharp};
 use super::body_search::{BodySearch, Scene};
 use super::feature_search::FeatureSearch;
+use super::focal_doubt::FocalDoubt;
 use super::frame_interval::FrameInterval;
 use super::lens_doubt::covariance_by_lens;
 use super::lens_watch::{LensState, LensWatch};
@@ -40,6 +41,10 @@ use crate::geometry::{Body, Camera, Pose};
 /// quick and blurred objects none had more than 0.008 (with a correlation length of 0.3 of the
 /// object; with 0.4 they are somewhat larger, and were not counted again). Raised, such poses are given; lowered, blurred objects are given up.
 const LARGEST_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
+
+/// A frame in which another focal length is likely counts so much for what frames usually say. Raised, a slow zoom passes for the stage; lowered, a path around a stage that does not fit passes
+/// for a zoom for longer.
+const DOUBTED_SHARE: f64 = 0.1;
 
 /// What a frame showed of one body.
 #[derive(Debug, Clone)]
@@ -117,6 +122,8 @@ pub struct Matcher {
     /// How well the model fits what was shown.
     fits: Vec<Option<ModelFit>>,
     lens_watch: LensWatch,
+    /// How far the focal length may be off in the last frame.
+    focal: FocalDoubt,
     camera_rays: CameraRays,
     levels: FrameLevels,
     watcher: Option<PixelWatch>,
@@ -149,7 +156,6 @@ impl Matcher {
             levels: FrameLevels::default(),
             watcher: None,
             camera,
-            settings,
             clock,
             shutter,
             interval: FrameInterval::default(),
@@ -158,7 +164,9 @@ impl Matcher {
             two_view_buffers: TwoViewBuffers::default(),
             verified: Vec::new(),
             fits: Vec::new(),
-            lens_watch: LensWatch::default(),
+            lens_watch: LensWatch::new(settings.is_trial),
+            focal: FocalDoubt::default(),
+            settings,
         }
     }
 
@@ -218,7 +226,7 @@ impl Matcher {
 
     /// Asks every body that was found how well the model fits.
     fn fit_models(&mut self, timestamp: Timestamp) {
-        let (camera, shutter, is_moved) = (&self.camera, self.shutter, self.lens_watch.is_moved());
+        let (camera, shutter) = (&self.camera, self.shutter);
         self.fits.clear();
         let bodies = self.bodies.iter_mut().zip(&self.verified);
         self.fits.extend(bodies.enumerate().map(|(k, (body, verified))| {
@@ -227,7 +235,7 @@ impl Matcher {
                 return None;
             };
             let rows = RowMotion { shutter, before: body.before_at(timestamp) };
-            body.model_fit(verified, camera, &rows, is_moved, k == 0)
+            body.model_fit(verified, camera, &rows, k == 0)
         }));
     }
 
@@ -236,17 +244,26 @@ impl Matcher {
         // All are seen through one lens: the body that tells most of it speaks. An object that was just found may be none.
         let bodies = &self.bodies;
         let may_speak = |k: usize| k == 0 || bodies[k].track.is_continued();
-        let clues = self.fits.iter().enumerate().filter_map(|(k, fit)| Some((k, fit.as_ref()?.focal.as_ref()?)));
-        let clues = clues.filter(|(k, _)| may_speak(*k));
-        let clue = clues.min_by(|a, b| a.1.sigma.total_cmp(&b.1.sigma));
-        let clue = clue.map(|(body, clue)| {
-            self.lens_watch.listen_to(body);
-            clue
-        });
-        let focal_px = self.camera.intrinsics().fx;
-        let doubt = self.camera.doubt().map_or(0.0, |doubt| doubt.uncertainty.focal_px[0] / (3.0 * focal_px));
+        let clues = self.fits.iter().enumerate().filter(|(k, _)| may_speak(*k)).filter_map(|(_, fit)| fit.as_ref()?.focal);
+        let clue = clues.min_by(|a, b| a.changed.sigma.total_cmp(&b.changed.sigma));
+        let calibrated = self.calibrated_sigma();
         let is_seen = self.fits.iter().any(Option::is_some);
-        self.lens_watch.update(clue, is_seen, doubt)
+        let lens = self.lens_watch.update(clue.as_ref(), is_seen, calibrated);
+        let step = self.fits.first().and_then(|fit| fit.as_ref()?.step);
+        self.focal.update(clue.as_ref(), step);
+        // What a lens that was moved says is no habit of the stage.
+        let share = if self.focal.is_doubted() { DOUBTED_SHARE } else { 1.0 };
+        if lens == LensState::Fits {
+            let asked = self.bodies.iter_mut().zip(&self.fits).filter(|(_, fit)| fit.is_some());
+            asked.for_each(|(body, _)| body.remember_focal(share));
+        }
+        lens
+    }
+
+    /// One sigma of the logarithm of the focal length, by its calibration.
+    fn calibrated_sigma(&self) -> f64 {
+        let focal_px = self.camera.intrinsics().fx;
+        self.camera.doubt().map_or(0.0, |doubt| doubt.uncertainty.focal_px[0] / (3.0 * focal_px))
     }
 
     /// Refuses the objects whose tiles lie so far from where any pose puts them that the pose is none. But blur displaces tiles as well while the motion is unknown, so an object that was just
@@ -276,6 +293,7 @@ impl Matcher {
 
     /// What the track state makes of the frame's pose of body `k`.
     fn sighting_of(&mut self, k: usize, timestamp: Timestamp, lens: LensState) -> BodySighting {
+        let calibrated = self.calibrated_sigma();
         let (tracked, mut verified) = (&mut self.bodies[k], self.verified[k]);
         if let Some(v) = &verified {
             tracked.remember(timestamp, &v.pose);
@@ -297,13 +315,17 @@ impl Matcher {
         let mut verified = verified.filter(|_| state == State::Tracking);
         if let Some(v) = &mut verified {
             let observations = tracked.anchors.iter().map(|anchor| &anchor.observation);
-            let by_lens = covariance_by_lens(&v.pose, &self.camera, observations).filter(|_| self.settings.adds_lens_doubt);
+            // Where nothing is asked of the focal length, its doubt is the calibration's.
+            let adds = self.settings.adds_lens_doubt;
+            let asked = self.fits[k].as_ref().and_then(|_| self.focal.sigma(calibrated, adds));
+            let focal_scale = if asked.is_some() { 0.0 } else { 1.0 };
+            let by_lens = covariance_by_lens(&v.pose, &self.camera, focal_scale, observations).filter(|_| adds);
             let by_shape = tracked.covariance_by_shape(&v.pose, &self.camera);
             let fit = self.fits[k];
-            let by_focal = self.lens_watch.strayed().filter(|_| fit.is_some());
-            let by_focal = by_focal.and_then(|strayed| tracked.covariance_by_focal(&v.pose, strayed));
+            let by_surfaces = tracked.covariance_by_surfaces(&v.pose, &self.camera);
+            let by_focal = asked.and_then(|sigma| tracked.covariance_by_focal(&v.pose, sigma));
             let by_misfit = Some(tracked.covariance_by_misfit()).filter(|covariance| *covariance != Matrix6::zeros());
-            v.by_model = [by_lens, by_shape, by_focal, by_misfit].into_iter().flatten().reduce(|sum, more| sum + more);
+            v.by_model = [by_lens, by_shape, by_surfaces, by_focal, by_misfit].into_iter().flatten().reduce(|sum, more| sum + more);
             v.rms_px = fit.map_or(v.rms_px, |fit| fit.rms_px);
         }
         BodySighting { state, verified, reason }

@@ -77,7 +77,7 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>) -> Res
     let (width, height) = source.size();
     let total = source.rows();
     let setup = tracker_setup(settings, (width, height), None)?;
-    let mut tracker = Tracker::new(setup.clone())?;
+    let mut tracker = Tracker::new(setup.clone().as_trial())?;
     tracker.matcher.study_model();
     let progress = Progress::start(Some(total.unwrap_or(MOST_ROWS).min(MOST_ROWS)));
     let (mut outcome, mut kept, mut travel) = (Outcome::default(), Kept::default(), Travel::default());

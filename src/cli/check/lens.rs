@@ -19,7 +19,7 @@ pub(super) fn source(lens: &LensSource) -> String {
 
 /// What is uncertain about it, and what that does at a distance.
 pub(super) fn doubt(lens: &LensSource, camera: &CameraModel) -> Vec<String> {
-    let Some(doubt) = camera.doubt() else { return Vec::new() };
+    let Some(doubt) = camera.doubt().filter(|doubt| !doubt.is_assumed) else { return Vec::new() };
     let (i, u) = (camera.intrinsics(), doubt.uncertainty);
     let share = (u.focal_px[0] / i.fx).max(u.focal_px[1] / i.fy) / 3.0;
     let (across, down) = (u.centre_px[0] / 3.0, u.centre_px[1] / 3.0);

@@ -28,7 +28,7 @@ pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Resul
     let calibrated = settings.lens.size(&settings.camera);
     let open = || open_clip(clip, ClipOptions { fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
     let setup = tracker_setup(settings, open()?.size(), None)?;
-    let tracker = Tracker::new(TrackerSetup { shutter: Default::default(), objects: Vec::new(), ..setup })?;
+    let tracker = Tracker::new(TrackerSetup { shutter: Default::default(), objects: Vec::new(), ..setup }.as_trial())?;
     let estimate = estimate_shutter(|| open().map(|source| frames(source, progress.clone())), tracker);
     progress.finish();
     let estimate = estimate?;

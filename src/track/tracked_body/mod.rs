@@ -8,7 +8,9 @@ use tracing::debug;
 use super::acquire::Recognition;
 use super::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Patch, ShutterClue, is_sharp};
 use super::fitted_anchor::FittedAnchor;
-use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
+use super::focal_clue::{LensClue, RowDisplacement};
+use super::focal_memory::FocalMemory;
+use super::focal_step::Jump;
 use super::misfit::{Misfit, ModelNews, ModelReport};
 use super::model_error::{FieldSize, ModelErrorBuffers, blended, model_error};
 use super::model_study::StudiedFrame;
@@ -20,6 +22,7 @@ use super::reference::PreparedBody;
 use super::row_motion::RowMotion;
 use super::shape_doubt::ShapeDoubt;
 use super::surface::BodySpec;
+use super::surface_doubt::covariance_by_surfaces;
 use super::tile_residuals::TileResiduals;
 use super::track_state::TrackStateMachine;
 use super::verify::{Refusal, Verified, VerifyBuffers, View, judged_noise, search_silent, verify};
@@ -115,6 +118,8 @@ pub struct TrackedBody {
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit the model, of the last verified pose.
     model_error: Matrix6<f64>,
     shape_doubt: ShapeDoubt,
+    focal_memory: FocalMemory,
+    jump: Jump,
     model_watch: ModelWatch,
     /// What is studied of a frame, and what it leaves.
     studied: Vec<FittedAnchor>,
@@ -129,8 +134,10 @@ pub struct ModelFit {
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, if all that does not fit were one smooth field, and the pose rested on this frame alone; `None` where all fits
     /// within the noise.
     pub at_most: Option<Matrix6<f64>>,
-    /// What they say of the focal length; `None` where that explains nothing and was not asked for.
-    pub focal: Option<FocalClue>,
+    /// What they say of the focal length; `None` where that is nothing.
+    pub focal: Option<LensClue>,
+    /// The step of the logarithm of the focal length that would explain how the pose jumped; `None` where it did not, or where a step explains nothing.
+    pub step: Option<f64>,
 }
 
 impl TrackedBody {
@@ -168,6 +175,8 @@ impl TrackedBody {
             field_size: FieldSize::default(),
             model_error: Matrix6::zeros(),
             shape_doubt: ShapeDoubt::of(&body.surfaces),
+            focal_memory: FocalMemory::new(&body),
+            jump: Jump::default(),
             model_watch: ModelWatch::new(body.surfaces.len()),
             studied: Vec::with_capacity(most),
             study_residuals: TileResiduals::default(),
@@ -419,16 +428,9 @@ impl TrackedBody {
         }
     }
 
-    /// What the anchors of a verified pose leave displaced; `None` where they are too few. `asks_focal`: asked for the focal length in any case.
+    /// What the anchors of a verified pose leave displaced; `None` where they are too few.
     /// `is_stage`: what is wrong with the lens spans the picture, and the stage tells it; what is wrong with an object is no larger than the object.
-    pub fn model_fit(
-        &mut self,
-        verified: &Verified,
-        camera: &CameraModel,
-        rows: &RowMotion,
-        asks_focal: bool,
-        is_stage: bool,
-    ) -> Option<ModelFit> {
+    pub fn model_fit(&mut self, verified: &Verified, camera: &CameraModel, rows: &RowMotion, is_stage: bool) -> Option<ModelFit> {
         let t_camera_body = verified.pose.inverse();
         let Self { residuals, anchors, found, body, error_buffers, field_size, model_error: own_error, .. } = self;
         // Those that do not fit tell of a lens or a shape that is off, which is why they do not.
@@ -441,12 +443,17 @@ impl TrackedBody {
         let of_frame = error.map_or(Matrix6::zeros(), |e| if tells { field_size.take(&e) } else { e.at_most() });
         let noise = error.map_or(1.0, |e| e.noise);
         *own_error = blended(&t_camera_body, residuals, &verified.covariance, &of_frame, own_error).unwrap_or(of_frame);
-        let asks_focal = asks_focal || residuals.is_misfit() || is_suspect(residuals);
+        let step = self.jump.step(&t_camera_body, rows, residuals);
         let rows = RowDisplacement::new(camera, rows, &t_camera_body);
-        let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
-        let fit = ModelFit { rms_px: residuals.rms_px(), at_most: error.map(|e| e.at_most()), focal };
+        let focal = self.focal_memory.ask(&StudiedFrame { residuals, pose: &t_camera_body, anchors, rows: &rows }, body, camera);
+        let fit = ModelFit { rms_px: residuals.rms_px(), at_most: error.map(|e| e.at_most()), focal, step };
         debug!(body = %body.name, rms_px = fit.rms_px, doubts = error.is_some(), noise, focal = ?fit.focal, "model");
         Some(fit)
+    }
+
+    /// Remembers what the frame that was asked for its model fit last says of the focal length; `share`: how much it counts.
+    pub fn remember_focal(&mut self, share: f64) {
+        self.focal_memory.remember(share);
     }
 
     /// The next verified pose rests on no frame before it.
@@ -463,6 +470,11 @@ impl TrackedBody {
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of a verified pose by how the surfaces' shapes and places may be off; none where they are not in doubt.
     pub fn covariance_by_shape(&self, pose: &Pose<Body, Camera>, camera: &CameraModel) -> Option<Matrix6<f64>> {
         self.shape_doubt.covariance(pose, camera, &self.body.surfaces, &self.anchors)
+    }
+
+    /// The same by how far their corners and places may be off as configured.
+    pub fn covariance_by_surfaces(&self, pose: &Pose<Body, Camera>, camera: &CameraModel) -> Option<Matrix6<f64>> {
+        covariance_by_surfaces(pose, camera, &self.body.surfaces, &self.anchors)
     }
 
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, where one sigma of the logarithm of the focal length is this.
