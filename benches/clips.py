@@ -133,7 +133,9 @@ class Clip:
         camera = json.loads((self.folder / "camera.json").read_text())
         camera["distortion"] = camera.pop("dist")
         (folder / "camera.toml").write_text("".join(f"{key} = {value}\n" for key, value in camera.items()))
-        text = f'[camera]\ncalibration = "camera.toml"\nreadout_s = {float(self.scene.get("readout_s", 0.0))}\n'
+        readout_s = float(self.scene.get("readout_s", 0.0))
+        shutter = f"readout_s = {readout_s}" if readout_s else 'shutter = "global"'
+        text = f'[camera]\ncalibration = "camera.toml"\n{shutter}\n'
         for body in dict.fromkeys(surface["body"] for surface in stage.surfaces()):
             section = "stage" if body == "stage" else "object"
             text += "" if body == "stage" else f'\n[[object]]\nname = "{body}"\n'

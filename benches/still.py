@@ -85,7 +85,7 @@ def main():
     (out / "camera.json").write_text(json.dumps(numbers | {"dist": distortion.tolist()}))
     (out / "reference.json").write_text(json.dumps({"image": "reference.png", "size_m": chosen.size}))
     (out / "camera.toml").write_text("".join(f"{k} = {v}\n" for k, v in (numbers | {"distortion": distortion.tolist()}).items()))
-    (out / "stage.toml").write_text(f'[camera]\ncalibration = "camera.toml"\n[[stage.surface]]\nimage = "reference.png"\nsize_m = {chosen.size}\n')
+    (out / "stage.toml").write_text(f'[camera]\ncalibration = "camera.toml"\nshutter = "global"\n[[stage.surface]]\nimage = "reference.png"\nsize_m = {chosen.size}\n')
     print(f"{len(pictures)} pictures; the surface: {chosen.size} m, {100 * share:.0f} % of it in the picture")
     poses, lk = out / "poses.jsonl", out / "opencv-lk.txt"
     subprocess.run([chosen.binary, "replay", out, "--config", out / "stage.toml", "--poses", poses], check=True, stdout=subprocess.DEVNULL)

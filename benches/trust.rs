@@ -67,8 +67,15 @@ fn main() {
         let frame = Frame::new(Renderer::new(scene).render(0.0, 0), Default::default(), 0);
         let other_stage = BodySpec::new("stage", vec![surface(seed + 1000, stage.surfaces[0].size_m)]);
         for (is_shown, stage) in [(true, &stage), (false, &other_stage)] {
-            let mut matcher =
-                Matcher::new(camera, Default::default(), None, &[stage], TrackerSettings::default(), ComputeClock::default(), None);
+            let mut matcher = Matcher::new(
+                camera,
+                stagepose::Shutter::default().into(),
+                None,
+                &[stage],
+                TrackerSettings::default(),
+                ComputeClock::default(),
+                None,
+            );
             for (start, off) in FAR.iter().flat_map(|off| (0..STARTS).map(move |_| *off)).map(|off| (moved(&truth, off, &mut random), off))
             {
                 let found = matcher.try_start(&frame, &start.inverse(), off * truth.translation.norm(), off);

@@ -34,7 +34,9 @@ pub mod simulate {
 pub mod capture {
     pub use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
     pub use crate::capture::timestamping::{DriverStamp, mid_exposure, monotonic_now};
-    pub use crate::capture::{AviReader, MjpegReader, VirtualCamera, Y4mReader, decode_oriented, picture_size, read_timestamps};
+    pub use crate::capture::{
+        AviReader, MjpegReader, VirtualCamera, Y4mReader, decode_on_white, decode_oriented, picture_size, read_timestamps,
+    };
 }
 
 /// Boards: painted, found and calibrated with.

@@ -132,13 +132,17 @@ pub mod two_views;
 #[cfg(test)]
 extern crate self as stagepose;
 
-pub use camera::{CameraError, CameraModel, Intrinsics, IntrinsicsUncertainty, LensDoubt, LensGuess, Normalized, Pixel, Shutter};
+pub use camera::{
+    CameraError, CameraModel, Intrinsics, IntrinsicsUncertainty, KnownShutter, LensDoubt, LensGuess, Normalized, Pixel, Shutter,
+};
 pub use compute_clock::ComputeClock;
 pub use frame::{Frame, Timestamp};
 pub use geometry::{Body, Camera, Pose, ReferenceCamera, Stage, SurfaceFrame};
 pub use pose::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
 pub use record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-pub use track::{BodySpec, Reason, ReferenceKind, SurfaceError, SurfaceSpec, TrackerSettings, ViewStore};
+pub use track::{
+    BodySpec, LearntCamera, LearntError, LearntTime, Reason, ReferenceKind, SurfaceError, SurfaceSpec, TrackerSettings, ViewStore,
+};
 pub use tracker::{FrameError, SetupError, Tracker, TrackerSetup};
 
 #[cfg(feature = "calibration-files")]

@@ -6,8 +6,8 @@ use serde::ser::{SerializeMap, SerializeSeq, SerializeStruct, Serializer};
 
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Camera, Pose, Stage};
-use crate::track::Reason;
 pub use crate::track::State;
+use crate::track::{LearntCamera, Reason};
 
 /// Which two-view model explains the frame's correspondences better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -106,6 +106,8 @@ pub struct PoseSample {
     pub objects: Vec<ObjectSample>,
     /// Why the camera is not tracked in this frame; not written. `None` while it is, and in a stale message.
     pub reason: Option<Reason>,
+    /// What was known of the camera before this frame, by its pictures; not written.
+    pub learnt: LearntCamera,
     /// Compute times; not written.
     pub times: StageTimes,
 }
@@ -190,7 +192,17 @@ impl PoseSample {
     /// A sample without a pose.
     pub fn new(sequence: u64, timestamp: Timestamp, state: State) -> Self {
         let times = StageTimes::default();
-        Self { sequence, timestamp, state, pose: None, measurement: None, objects: Vec::new(), reason: None, times }
+        Self {
+            sequence,
+            timestamp,
+            state,
+            pose: None,
+            measurement: None,
+            objects: Vec::new(),
+            reason: None,
+            learnt: Default::default(),
+            times,
+        }
     }
 
     /// The message that the camera has given no picture for `age_ms` since its last one, which had this number and stamp.

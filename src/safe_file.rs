@@ -5,11 +5,15 @@
 
 use std::fs::{File, FileType, OpenOptions};
 use std::io::{self, Read, Write as _};
+use std::os::fd::OwnedFd;
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use nix::errno::Errno;
+use nix::fcntl::{AtFlags, OFlag, openat};
 use nix::libc;
+use nix::sys::stat::{Mode, SFlag, fstatat};
 use nix::unistd::{AccessFlags, access};
 
 /// Opens a plain file for reading; never waits.
@@ -36,7 +40,50 @@ fn looked_at(path: &Path, options: &mut OpenOptions, refuse: impl Fn(FileType) -
 /// # Errors
 /// As [`open`], or that the file is larger.
 pub fn read(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
-    let file = open(path)?;
+    whole(open(path)?, most_bytes)
+}
+
+/// As [`open`], for a name below a folder: no link below the folder is followed, so nothing outside of it is opened.
+///
+/// # Errors
+/// As [`open`], or that the name is or leads through a link, or leads out of the folder.
+pub fn open_below(folder: &Path, name: &Path) -> io::Result<File> {
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let mut at: OwnedFd = OpenOptions::new().read(true).custom_flags(libc::O_PATH | libc::O_DIRECTORY).open(folder)?.into();
+    let mut parts = name.components().peekable();
+    let linked = |e: Errno| match e {
+        Errno::ELOOP => io::Error::other("it is a link, which is not followed here"),
+        _ => e.into(),
+    };
+    while let Some(part) = parts.next() {
+        let Component::Normal(part) = part else { return Err(io::Error::other("it leads out of its folder")) };
+        let flags = if parts.peek().is_some() {
+            OFlag::O_PATH | OFlag::O_DIRECTORY
+        } else {
+            // Looked at before: opening some devices does something.
+            let kind = fstatat(&at, part, AtFlags::AT_SYMLINK_NOFOLLOW).map_err(linked)?.st_mode & SFlag::S_IFMT.bits();
+            if kind != SFlag::S_IFREG.bits() {
+                return Err(io::Error::other("it is a link, a folder or a device, not a plain file"));
+            }
+            OFlag::O_RDONLY | OFlag::O_NONBLOCK | OFlag::O_NOCTTY
+        };
+        at = openat(&at, part, flags | OFlag::O_NOFOLLOW | OFlag::O_CLOEXEC, Mode::empty()).map_err(linked)?;
+    }
+    let file = File::from(at);
+    refuse_others(file.metadata()?.file_type())?;
+    Ok(file)
+}
+
+/// As [`read`], for a name below a folder; see [`open_below`].
+///
+/// # Errors
+/// As [`open_below`], or that the file is larger.
+pub fn read_below(folder: &Path, name: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
+    whole(open_below(folder, name)?, most_bytes)
+}
+
+/// All of a file of at most `most_bytes`.
+fn whole(file: File, most_bytes: u64) -> io::Result<Vec<u8>> {
     let too_large = || io::Error::other(format!("it has more than {} MB", most_bytes >> 20));
     let length = file.metadata()?.len();
     if length > most_bytes {
@@ -174,6 +221,27 @@ mod tests {
             let message = format!("it is {kind}, not a plain file");
             assert_eq!((read(path, 100).unwrap_err().to_string(), replace(path).unwrap_err().to_string()), (message.clone(), message));
         }
+    }
+
+    #[test]
+    fn below_a_folder_no_link_is_followed_and_all_else_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::create_dir_all(at("clip/frames/0000")).unwrap();
+        std::fs::write(at("secret"), "secret").unwrap();
+        for name in ["a", "frames/0000/b.jpg"] {
+            std::fs::write(at("clip").join(name), name).unwrap();
+            assert_eq!(read_below(&at("clip"), Path::new(name), 100).unwrap(), name.as_bytes());
+        }
+        std::os::unix::fs::symlink(at("secret"), at("clip/link")).unwrap();
+        std::os::unix::fs::symlink(folder.path(), at("clip/out")).unwrap();
+        std::os::unix::fs::symlink("a", at("clip/inner")).unwrap();
+        for name in ["link", "out/secret", "inner", "../secret", "frames", "none", "/etc/passwd", ""] {
+            assert!(read_below(&at("clip"), Path::new(name), 100).is_err(), "{name}");
+        }
+        // The folder itself may be reached by a link: whoever runs the program chose it.
+        std::os::unix::fs::symlink(at("clip"), at("recordings")).unwrap();
+        assert_eq!(read_below(&at("recordings"), Path::new("a"), 100).unwrap(), b"a");
     }
 
     #[test]

@@ -6,12 +6,12 @@ use crossbeam_channel::Receiver;
 use image::GrayImage;
 use thiserror::Error;
 
-use crate::camera::{CameraModel, Shutter};
+use crate::camera::{CameraModel, KnownShutter};
 use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-use crate::track::{BodySpec, Matcher, Sighting, SurfaceError, TrackerSettings, UsedPixels, ViewStore};
+use crate::track::{BodySpec, LearntCamera, Matcher, Sighting, SurfaceError, TrackerSettings, UsedPixels, ViewStore};
 
 /// Everything a tracker is made from.
 #[derive(Debug, Clone)]
@@ -19,8 +19,8 @@ use crate::track::{BodySpec, Matcher, Sighting, SurfaceError, TrackerSettings, U
 pub struct TrackerSetup {
     /// The camera, at the size of the frames to come.
     pub camera: CameraModel,
-    /// Its shutter.
-    pub shutter: Shutter,
+    /// What is known of its shutter; the rest is learnt.
+    pub shutter: KnownShutter,
     /// Pixels to leave out (0); the frames' size.
     pub mask: Option<GrayImage>,
     /// The stage.
@@ -31,6 +31,8 @@ pub struct TrackerSetup {
     pub settings: TrackerSettings,
     /// What the times of a sample are measured with; the default stands still.
     pub clock: ComputeClock,
+    /// What an earlier session learnt of this camera in this mode; the default knows nothing.
+    pub learnt: LearntCamera,
     /// Where what is computed of the pictures at the start is kept for the next one; the default keeps nothing.
     pub store: Option<Arc<dyn ViewStore>>,
 }
@@ -78,12 +80,13 @@ impl TrackerSetup {
     pub fn new(camera: CameraModel, stage: BodySpec) -> Self {
         Self {
             camera,
-            shutter: Shutter::default(),
+            shutter: KnownShutter::default(),
             mask: None,
             stage,
             objects: Vec::new(),
             settings: TrackerSettings::default(),
             clock: ComputeClock::default(),
+            learnt: LearntCamera::default(),
             store: None,
         }
     }
@@ -99,7 +102,7 @@ impl TrackerSetup {
         if let Some(size) = self.mask.as_ref().map(GrayImage::dimensions).filter(|size| *size != wanted) {
             return Err(SetupError::MaskSize { size, wanted });
         }
-        if let Some((name, seconds)) = self.shutter.impossible_time() {
+        if let Some((name, seconds)) = self.shutter.or_zero().impossible_time() {
             return Err(SetupError::Shutter { name, seconds });
         }
         for body in std::iter::once(&self.stage).chain(&self.objects) {
@@ -172,7 +175,8 @@ impl Tracker {
         setup.checked()?;
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
         let bodies: Vec<&BodySpec> = std::iter::once(&setup.stage).chain(&setup.objects).collect();
-        let matcher = Matcher::new(setup.camera, setup.shutter, setup.mask, &bodies, setup.settings, setup.clock, setup.store);
+        let mut matcher = Matcher::new(setup.camera, setup.shutter, setup.mask, &bodies, setup.settings, setup.clock, setup.store);
+        matcher.begin_with(&setup.learnt);
         Ok(Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names, clock: setup.clock }, last: None })
     }
 
@@ -180,6 +184,11 @@ impl Tracker {
     pub fn with_filter(mut self, filter: FilterSettings) -> Self {
         self.poses.stage = PoseStage::with_filter(filter);
         self
+    }
+
+    /// What is known of the camera by its pictures, now.
+    pub fn learnt(&self) -> LearntCamera {
+        self.matcher.learnt()
     }
 
     /// The pixels that poses rest on, frame by frame from now on; each frame's are there before its sample.
@@ -228,6 +237,7 @@ impl PoseRecorder {
             measurement,
             objects,
             reason: sighting.stage.reason.filter(|_| camera.state != State::Tracking),
+            learnt: sighting.learnt,
             times: StageTimes { decode_ms, acquire_ms: sighting.acquire_ms, align_ms: sighting.align_ms, pose_ms, age_ms: None },
         }
     }

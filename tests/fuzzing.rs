@@ -4,6 +4,9 @@
 //! counting allocator judges memory; a part of them goes through the program itself, whose exit code and words are judged.
 //! `STAGEPOSE_FUZZ_INPUTS` says how many inputs each parser gets (2,000 without it; `.ci/fuzz` gives 20,000), and
 //! `STAGEPOSE_FUZZ_SEED` which ones. What fails is kept below target/fuzz.
+//!
+//! A new parser gets a good file in `fuzzing/seeds.rs`, and a test of one line in `fuzzing/parsers.rs`; where it has no function of its
+//! own that tests can call, a line in `fuzzing/program.rs` with the command that reads the file.
 
 #[path = "fuzzing/memory.rs"]
 mod memory;

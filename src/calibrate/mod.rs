@@ -10,6 +10,7 @@ pub mod finder;
 pub mod guide;
 pub mod judge;
 pub mod origin;
+pub mod other_target;
 pub mod pick;
 pub mod picture;
 mod recompute;

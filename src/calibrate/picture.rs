@@ -7,6 +7,7 @@ use image::GrayImage;
 use super::board::Board;
 use super::finder::{FoundBoard, NoBoard, find_board};
 use super::origin::Origin;
+use super::other_target::Target;
 use super::recompute::BoardPatch;
 
 /// What one picture gave before anything was estimated.
@@ -20,6 +21,8 @@ pub struct Inspected {
     pub board: Result<FoundBoard, String>,
     /// Inner corners of what was seen instead, where that is another board, and whether more of it may lie outside the picture.
     pub other_size: Option<((u32, u32), bool)>,
+    /// What was seen instead, where that is a target of another kind.
+    pub other_target: Option<Target>,
     pub(crate) patch: Option<BoardPatch>,
     /// A small copy for the report.
     pub thumbnail: Option<GrayImage>,
@@ -39,17 +42,20 @@ pub fn inspect(file: PathBuf, picture: &GrayImage, board: &Board) -> Inspected {
         Err(NoBoard::OtherSize { columns, rows, cut, .. }) => Some(((*columns, *rows), *cut)),
         _ => None,
     };
+    let other_target = if found.is_err() { Target::seen_in(picture) } else { None };
     let patch = found.as_ref().ok().map(|found| BoardPatch::cut(picture, found));
     let scale = (f64::from(THUMBNAIL_PX) / f64::from(size.0.max(size.1))).min(1.0);
     let side = |s: u32| ((f64::from(s) * scale).round() as u32).max(1);
     let thumbnail = Some(image::imageops::thumbnail(picture, side(size.0), side(size.1)));
-    Inspected { file, size: Some(size), board: found.map_err(|e| e.to_string()), other_size, patch, thumbnail, origin: Origin::default() }
+    let board = found.map_err(|e| e.to_string());
+    Inspected { file, size: Some(size), board, other_size, other_target, patch, thumbnail, origin: Origin::default() }
 }
 
 impl Inspected {
     /// A picture that cannot be read, and why.
     pub fn unreadable(file: PathBuf, reason: String) -> Self {
-        Self { file, size: None, board: Err(reason), other_size: None, patch: None, thumbnail: None, origin: Origin::default() }
+        let (board, origin) = (Err(reason), Origin::default());
+        Self { file, size: None, board, other_size: None, other_target: None, patch: None, thumbnail: None, origin }
     }
 
     /// With what the picture's file says of the camera.

@@ -103,6 +103,52 @@ fn front_on_views_are_not_to_be_used() {
     assert!(made.judgement.next_picture.contains("side"), "{}", made.judgement.next_picture);
 }
 
+/// Views of a board close to a very wide lens; `bent` says how far from the middle a ray appears, pixels, by its angle from the axis.
+fn seen_wide(board: &Board, bent: impl Fn(f64) -> f64) -> Vec<Inspected> {
+    let view = |k: usize| {
+        let azimuth = 2.4 * k as f64;
+        let tilt = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * (0.2 + 0.03 * (k % 8) as f64);
+        let turn = UnitQuaternion::from_scaled_axis(tilt);
+        let aside = Vector3::new(0.10 * ((k % 3) as f64 - 1.0), 0.06 * ((k / 3 % 3) as f64 - 1.0), 0.13 + 0.02 * (k % 4) as f64);
+        let middle = board.corner(board.corner_count() - 1).push(0.0) * 0.5;
+        let corner = |index: usize| {
+            let at = turn * (board.corner(index).push(0.0) - middle) + aside;
+            let (across, noise) = (at.xy().norm(), 0.05 * (1.7 * index as f64 + 0.9 * k as f64).sin());
+            let away = at.xy() * (bent(across.atan2(at.z)) / across.max(1e-9));
+            Some(away + Vector2::new(319.5 + noise, 199.5 - noise)).filter(|p| (0.0..639.0).contains(&p.x) && (0.0..399.0).contains(&p.y))
+        };
+        let corners = (0..board.corner_count()).map(corner).collect();
+        let light = Vec::new();
+        let found = FoundBoard { corners, blur_px: 0.7, contrast: 140.0, light, margin: 1.0, dark_origin: true, square_px: 30.0 };
+        Inspected {
+            size: Some((640, 400)),
+            board: Ok(found),
+            ..Inspected::unreadable(PathBuf::from(format!("view{k}.png")), String::new())
+        }
+    };
+    (0..16).map(view).collect()
+}
+
+#[test]
+fn a_fisheye_is_named_and_not_to_be_used() {
+    let board = Board::new(9, 6, 0.024).unwrap();
+    let with_k3 = || {
+        let mut options = CalibrationOptions::default();
+        options.solve.free.free[9] = true;
+        options
+    };
+    for options in [CalibrationOptions::default(), with_k3()] {
+        let made = calibrate(&seen_wide(&board, |angle| 152.0 * angle), &board, &options).unwrap();
+        assert_eq!(made.judgement.verdict, Verdict::DoNotUse);
+        assert!(made.judgement.sentence().contains("this is a fisheye or a very wide lens"), "{}", made.judgement.sentence());
+        assert!(made.judgement.next_picture.contains("do not help"), "{}", made.judgement.next_picture);
+        // As wide, but such as the model bends.
+        let straight = |angle: f64| 200.0 * angle.tan() * (1.0 - 0.02 * angle.tan().powi(2));
+        let made = calibrate(&seen_wide(&board, straight), &board, &options).unwrap();
+        assert!(!made.judgement.reasons().join(";").contains("fisheye"), "{:?}", made.judgement.reasons());
+    }
+}
+
 #[test]
 fn pictures_of_two_sizes_are_refused_by_name() {
     let (camera, board) = (camera(), Board::new(9, 6, 0.024).unwrap());

@@ -9,6 +9,29 @@ pub struct Shutter {
     pub readout_s: f64,
 }
 
+/// What is known of a camera's shutter beforehand. What is `None` is learnt from the frames, while the camera moves.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct KnownShutter {
+    /// How long each row is exposed, seconds, above 0.
+    pub exposure_s: Option<f64>,
+    /// From the first row to the last, seconds. `Some(0.0)`: a global shutter, all rows are exposed together.
+    pub readout_s: Option<f64>,
+}
+
+impl KnownShutter {
+    /// The times, with 0 for what is not known.
+    pub fn or_zero(&self) -> Shutter {
+        Shutter { exposure_s: self.exposure_s.unwrap_or(0.0), readout_s: self.readout_s.unwrap_or(0.0) }
+    }
+}
+
+impl From<Shutter> for KnownShutter {
+    /// Of a shutter whose readout is known, 0 included. An exposure of 0 is none that a camera has: it is unknown.
+    fn from(shutter: Shutter) -> Self {
+        Self { exposure_s: Some(shutter.exposure_s).filter(|s| *s != 0.0), readout_s: Some(shutter.readout_s) }
+    }
+}
+
 impl Shutter {
     /// Longest times that a config may give, seconds. Cameras of 1 frame a second have them; longer
     /// ones are mostly milliseconds. Raised, such a slip of a thousand passes.
@@ -37,6 +60,14 @@ impl Shutter {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_global_shutter_is_known_and_an_unknown_one_is_not() {
+        let global = KnownShutter::from(Shutter::default());
+        assert_eq!((global.readout_s, global.exposure_s), (Some(0.0), None));
+        assert_ne!(global, KnownShutter::default());
+        assert_eq!(global.or_zero(), KnownShutter::default().or_zero());
+    }
 
     #[test]
     fn the_middle_row_has_no_delay_and_the_first_is_half_a_readout_early() {

@@ -15,6 +15,7 @@ use super::error::CaptureError;
 use super::grey::{decode_oriented, orientation_words};
 use super::order::EntryOrder;
 use super::picture_stream::{PictureData, PictureStream};
+use super::repeats::Repeats;
 use super::{ClipEntry, EntryContent, FrameSource, Received, colour};
 use crate::frame::{Frame, Timestamp};
 
@@ -27,12 +28,16 @@ pub(super) struct Clip {
     /// Width and height of the clip's pictures, once that is decided.
     size: Option<(u32, u32)>,
     order: EntryOrder,
-    /// Set by the first picture that its file says to show turned.
-    turned: Option<String>,
+    /// What is to be said of the clip, a sentence each.
+    notes: Vec<String>,
+    /// Whether a picture was seen that its file says to show turned.
+    is_turned: bool,
     /// Whether rows carry what their pictures were before they became grey.
     keeps_colours: bool,
     /// Rows before this time are not decoded.
     earliest: Option<Timestamp>,
+    /// Compares encoded pictures; raw ones may come from video that repeats them.
+    repeats: Repeats,
 }
 
 /// Pictures that are looked at to find the clip's size: a stray first one must not make all others strays. Chosen, not tuned. Raised, more
@@ -54,7 +59,19 @@ impl Clip {
         keeps_colours: bool,
     ) -> Result<Self, CaptureError> {
         let (rows, order) = (stream.pictures(), EntryOrder::default());
-        let mut clip = Self { rows, stream, ahead: VecDeque::new(), size: None, order, turned: None, keeps_colours, earliest: None };
+        let mut clip = Self {
+            rows,
+            stream,
+            ahead: VecDeque::new(),
+            size: None,
+            order,
+            notes: Vec::new(),
+            is_turned: false,
+            keeps_colours,
+            earliest: None,
+            repeats: Repeats::default(),
+        };
+        clip.notes.extend(clip.stream.doubt_of_stamps());
         let mut sizes: Vec<(u32, u32)> = Vec::new();
         let is_enough = |sizes: &[(u32, u32)], one: bool| {
             let bytes: u64 = sizes.iter().map(|(w, h)| u64::from(*w) * u64::from(*h)).sum();
@@ -92,28 +109,34 @@ impl Clip {
     }
 
     fn read_row(&mut self) -> Option<ClipEntry> {
-        let picture = self.stream.next_picture()?;
+        let picture = self.stream.next_picture();
+        self.stream.take_notes().into_iter().for_each(|note| self.note(note));
+        let picture = picture?;
         let sequence = self.order.number();
         let skipped = |timestamp, reason| ClipEntry {
             sequence,
             timestamp,
             content: EntryContent::Skipped(reason),
             decode: Duration::ZERO,
+            repeats: false,
             received: None,
         };
         let timestamp = match picture.stamp {
             Err(reason) => return Some(skipped(self.order.last_stamp().unwrap_or_default(), reason)),
             Ok(stamp) => stamp,
         };
-        if let Err(reason) = self.order.follow(timestamp) {
-            return Some(skipped(timestamp, reason));
+        match self.order.follow(timestamp, &self.stream.stamps_ahead()) {
+            Err(reason) => return Some(skipped(timestamp, reason)),
+            Ok(word) => word.into_iter().for_each(|word| self.note(format!("row {sequence}: {word}"))),
         }
         if self.earliest.is_some_and(|earliest| timestamp < earliest) {
             return Some(skipped(timestamp, "its picture was passed over: it was too late to be played".to_owned()));
         }
         let start = Instant::now();
+        let mut repeats = false;
         let (image, received) = match picture.data {
             PictureData::Encoded(bytes) => {
+                repeats = self.repeats.is_repeat(bytes.clone());
                 let decoded = decode_oriented(&bytes).map_err(|e| e.to_string()).map(|(image, orientation)| {
                     self.note_turned(orientation, sequence);
                     image
@@ -132,20 +155,24 @@ impl Clip {
         if let Some(size) = self.size {
             skip_other_sizes(&mut content, size);
         }
-        Some(ClipEntry { sequence, timestamp, content, decode, received })
+        Some(ClipEntry { sequence, timestamp, content, decode, repeats, received })
     }
 
-    fn note_turned(&mut self, orientation: Orientation, sequence: u64) {
-        let Some(words) = orientation_words(orientation).filter(|_| self.turned.is_none()) else { return };
-        let note = format!(
-            "row {sequence}: the file says to show its picture {words} (EXIF); clips are tracked as the pixels lie in the file, which is how \
-             the camera is calibrated"
-        );
-        // Rows of the opening have their note read there.
+    /// Keeps a sentence about the clip for those who opened it; what comes later is logged.
+    fn note(&mut self, note: String) {
         if self.size.is_some() {
             tracing::warn!("{note}");
         }
-        self.turned = Some(note);
+        self.notes.push(note);
+    }
+
+    fn note_turned(&mut self, orientation: Orientation, sequence: u64) {
+        let Some(words) = orientation_words(orientation).filter(|_| !self.is_turned) else { return };
+        self.is_turned = true;
+        self.note(format!(
+            "row {sequence}: the file says to show its picture {words} (EXIF); clips are tracked as the pixels lie in the file, which is how \
+             the camera is calibrated"
+        ));
     }
 }
 
@@ -187,7 +214,11 @@ impl FrameSource for Clip {
         self.rows
     }
 
+    fn doubt_of_stamps(&self) -> Option<String> {
+        self.stream.doubt_of_stamps()
+    }
+
     fn notes(&self) -> Vec<String> {
-        self.turned.iter().cloned().collect()
+        self.notes.clone()
     }
 }

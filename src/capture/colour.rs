@@ -120,6 +120,10 @@ impl PictureStream for Coloured {
     fn failure(&mut self) -> Option<CaptureError> {
         self.grey.failure()
     }
+
+    fn take_notes(&mut self) -> Vec<String> {
+        self.grey.take_notes()
+    }
 }
 
 #[cfg(test)]

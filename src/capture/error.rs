@@ -29,6 +29,14 @@ pub enum CaptureError {
         /// The clip.
         path: PathBuf,
     },
+    /// A folder without pictures that are read, but with others.
+    #[error("the clip {} has no JPEG, PNG or PGM pictures, but {found}", path.display())]
+    OtherPictures {
+        /// The folder.
+        path: PathBuf,
+        /// How many of which form, with the mend.
+        found: String,
+    },
     /// The clip has rows, but none of them is a picture.
     #[error("no frame of the clip {} is readable ({rows} rows; the first: {reason}); check that its pictures are whole", path.display())]
     NoFrameReadable {
@@ -89,6 +97,14 @@ pub enum CaptureError {
         /// The file.
         path: PathBuf,
         /// ffmpeg's last words.
+        reason: String,
+    },
+    /// The file ends before what its pictures are found by.
+    #[error("the recording {} was cut off, and there is no picture in it that can be read (ffmpeg: {reason}); take another recording, and stop the next one before its program or camera is switched off", path.display())]
+    CutOff {
+        /// The file.
+        path: PathBuf,
+        /// What ffmpeg says.
         reason: String,
     },
     /// A clip could not be written.

@@ -3,10 +3,15 @@
 use std::path::{Component, Path, PathBuf};
 
 use super::error::CaptureError;
+use super::foreign;
 use super::grey::LARGEST_PICTURE_FILE;
+use super::order::AHEAD;
 use super::picture_stream::{Picture, PictureData, PictureStream};
 use super::rate::FrameRate;
 use super::timestamps::{StampRow, TimestampsError, read_timestamps, shortened};
+use super::{remarks, stamp_unit};
+use crate::camera::utf16;
+use crate::frame::Timestamp;
 use crate::safe_file;
 
 /// Names of a stamp file: ours and EuRoC's.
@@ -20,12 +25,12 @@ pub const PICTURE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "
 /// of it.
 const LARGEST_STAMP_FILE: u64 = 256 << 20;
 
-/// Opens a folder as a clip; `rate` is for pictures without stamps.
-pub(super) fn open(folder: &Path, rate: FrameRate) -> Result<Box<dyn PictureStream>, CaptureError> {
+/// Opens a folder as a clip; a rate is for pictures without stamps, the second where none is given.
+pub(super) fn open(folder: &Path, given: Option<FrameRate>, default: FrameRate) -> Result<Box<dyn PictureStream>, CaptureError> {
     for name in STAMP_FILES {
         let csv = folder.join(name);
         match safe_file::read(&csv, LARGEST_STAMP_FILE) {
-            Ok(bytes) => return stamped(folder, &csv, &bytes),
+            Ok(bytes) => return stamped(folder, &csv, &utf16::as_utf8(&bytes)),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => {}
             Err(e) => return Err(CaptureError::reading(&csv, e)),
         }
@@ -41,14 +46,17 @@ pub(super) fn open(folder: &Path, rate: FrameRate) -> Result<Box<dyn PictureStre
         );
     }
     if files.is_empty() {
-        return Err(CaptureError::Empty { path: folder.to_owned() });
+        let path = folder.to_owned();
+        let found = foreign::in_folder(folder).or_else(|| foreign::in_folder(&folder.join("frames")));
+        return Err(found.map_or(CaptureError::Empty { path: path.clone() }, |found| CaptureError::OtherPictures { path, found }));
     }
-    Ok(Box::new(NamedPictures { files: files.into_iter(), rate, next: 0 }))
+    let note = (given.is_none() && files.len() > 1).then(|| remarks::rate_made_up(&default.to_string()));
+    Ok(Box::new(NamedPictures { files: files.into_iter(), rate: given.unwrap_or(default), next: 0, note }))
 }
 
 /// A single picture as a clip of one frame.
 pub(super) fn single(file: &Path, rate: FrameRate) -> Box<dyn PictureStream> {
-    Box::new(NamedPictures { files: vec![file.to_owned()].into_iter(), rate, next: 0 })
+    Box::new(NamedPictures { files: vec![file.to_owned()].into_iter(), rate, next: 0, note: None })
 }
 
 fn stamped(folder: &Path, csv: &Path, bytes: &[u8]) -> Result<Box<dyn PictureStream>, CaptureError> {
@@ -61,7 +69,9 @@ fn stamped(folder: &Path, csv: &Path, bytes: &[u8]) -> Result<Box<dyn PictureStr
     if let Some(row) = rows.iter().find(|row| leads_outside(&row.file)) {
         return Err(CaptureError::OutsideClip { path: csv.to_owned(), line: line_with(bytes, &row.file), name: shortened(&row.file) });
     }
-    Ok(Box::new(StampedPictures { folder: folder.to_owned(), rows: rows.into_iter() }))
+    let stamps: Vec<Timestamp> = rows.iter().filter_map(|row| row.stamp.clone().ok()).collect();
+    let doubt = stamp_unit::doubt(&stamps).map(|words| format!("{}: {words}", csv.display()));
+    Ok(Box::new(StampedPictures { folder: folder.to_owned(), rows: rows.into_iter(), doubt }))
 }
 
 /// The first line, from 1, that has a text: the reader of rows passes blank lines over and does not count them.
@@ -102,6 +112,7 @@ fn counted_otherwise(files: &[PathBuf]) -> Option<(String, String)> {
 struct StampedPictures {
     folder: PathBuf,
     rows: std::vec::IntoIter<StampRow>,
+    doubt: Option<String>,
 }
 
 impl PictureStream for StampedPictures {
@@ -115,6 +126,14 @@ impl PictureStream for StampedPictures {
         Some(Picture { stamp, data: read(path) })
     }
 
+    fn stamps_ahead(&self) -> Vec<Timestamp> {
+        self.rows.as_slice().iter().filter_map(|row| row.stamp.as_ref().ok().copied()).take(AHEAD).collect()
+    }
+
+    fn doubt_of_stamps(&self) -> Option<String> {
+        self.doubt.clone()
+    }
+
     fn pictures(&self) -> Option<u64> {
         Some(self.rows.len() as u64)
     }
@@ -125,6 +144,7 @@ struct NamedPictures {
     files: std::vec::IntoIter<PathBuf>,
     rate: FrameRate,
     next: u64,
+    note: Option<String>,
 }
 
 impl PictureStream for NamedPictures {
@@ -133,6 +153,10 @@ impl PictureStream for NamedPictures {
         let stamp = Ok(self.rate.stamp(self.next));
         self.next += 1;
         Some(Picture { stamp, data: read(&path) })
+    }
+
+    fn take_notes(&mut self) -> Vec<String> {
+        self.note.take().into_iter().collect()
     }
 
     fn pictures(&self) -> Option<u64> {

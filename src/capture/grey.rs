@@ -18,6 +18,7 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::jpeg_markers::{JpegWalk, Walked, standard_huffman_tables};
+use super::{foreign, transparency};
 use crate::contain::contained;
 
 /// Why bytes are no picture.
@@ -30,6 +31,14 @@ pub enum DecodeError {
     /// Not one of the forms.
     #[error("the picture is not JPEG, PNG or PGM")]
     UnknownForm,
+    /// A form of other programs and cameras.
+    #[error("the picture is not JPEG, PNG or PGM but {form}; {mend}")]
+    Foreign {
+        /// Its name.
+        form: &'static str,
+        /// How to convert it.
+        mend: &'static str,
+    },
     /// The bytes end before the picture does.
     #[error("the picture is cut off")]
     CutOff,
@@ -76,13 +85,32 @@ pub fn decode_grey(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
 /// # Errors
 /// As [`decode_grey`].
 pub fn decode_oriented(bytes: &[u8]) -> Result<(GrayImage, Orientation), DecodeError> {
+    decoded(bytes, grey_of)
+}
+
+/// As [`decode_oriented`], with what is transparent put on white paper, and the share of the picture that is: so printers and viewers show
+/// artwork.
+///
+/// # Errors
+/// As [`decode_grey`].
+pub fn decode_on_white(bytes: &[u8]) -> Result<(GrayImage, Orientation, f64), DecodeError> {
+    let mut unseen = 0.0;
+    let (picture, orientation) = decoded(bytes, |picture| {
+        let (grey, share) = transparency::on_white(picture);
+        unseen = share;
+        grey
+    })?;
+    Ok((picture, orientation, unseen))
+}
+
+fn decoded(bytes: &[u8], grey: impl FnOnce(DynamicImage) -> GrayImage) -> Result<(GrayImage, Orientation), DecodeError> {
     if bytes.is_empty() {
         return Err(DecodeError::Empty);
     }
     // The decoders are other people's code and fed with whatever a cable delivers: a panic in there is a damaged picture.
     let decoded = contained(|| match bytes {
         [0xFF, 0xD8, ..] => decode_jpeg(bytes),
-        _ => decode_other(bytes),
+        _ => decode_other(bytes, grey),
     });
     decoded.unwrap_or_else(|_| Err(DecodeError::damaged("the decoder gave up")))
 }
@@ -171,13 +199,12 @@ fn decode_sound_jpeg(bytes: &[u8], luma_from: ColorSpace) -> Result<(GrayImage, 
     image.map(|image| (image, orientation)).ok_or_else(|| DecodeError::damaged("its size is not what it says"))
 }
 
-fn decode_other(bytes: &[u8]) -> Result<(GrayImage, Orientation), DecodeError> {
-    let format = image::guess_format(bytes).map_err(|_| DecodeError::UnknownForm)?;
-    match format {
-        ImageFormat::Png if !png_is_whole(bytes) => return Err(DecodeError::CutOff),
-        ImageFormat::Png | ImageFormat::Pnm => {}
-        _ => return Err(DecodeError::UnknownForm),
-    }
+fn decode_other(bytes: &[u8], grey: impl FnOnce(DynamicImage) -> GrayImage) -> Result<(GrayImage, Orientation), DecodeError> {
+    let format = match image::guess_format(bytes) {
+        Ok(ImageFormat::Png) if !png_is_whole(bytes) => return Err(DecodeError::CutOff),
+        Ok(format @ (ImageFormat::Png | ImageFormat::Pnm)) => format,
+        _ => return Err(foreign::form_of(bytes).map_or(DecodeError::UnknownForm, |(form, mend)| DecodeError::Foreign { form, mend })),
+    };
     let mut decoder = ImageReader::with_format(Cursor::new(bytes), format).into_decoder().map_err(not_decoded)?;
     let (width, height) = decoder.dimensions();
     check_size(width, height)?;
@@ -186,7 +213,7 @@ fn decode_other(bytes: &[u8]) -> Result<(GrayImage, Orientation), DecodeError> {
     if decoded.width() == 0 || decoded.height() == 0 {
         return Err(DecodeError::Empty);
     }
-    Ok((grey_of(decoded), orientation))
+    Ok((grey(decoded), orientation))
 }
 
 fn not_decoded(error: image::ImageError) -> DecodeError {
@@ -209,7 +236,7 @@ fn png_is_whole(bytes: &[u8]) -> bool {
 }
 
 /// Grey levels of a decoded picture (BT.601, 8 bits).
-fn grey_of(picture: DynamicImage) -> GrayImage {
+pub(super) fn grey_of(picture: DynamicImage) -> GrayImage {
     let (width, height) = (picture.width(), picture.height());
     let grey: Vec<u8> = match &picture {
         DynamicImage::ImageLuma8(p) => p.as_raw().clone(),
@@ -230,11 +257,11 @@ pub(super) fn luma_8([r, g, b]: [u8; 3]) -> u8 {
 }
 
 /// BT.601 luma of 16-bit RGB in 8 bits, rounded once.
-fn luma_16([r, g, b]: [u16; 3]) -> u8 {
+pub(super) fn luma_16([r, g, b]: [u16; 3]) -> u8 {
     ((299 * u64::from(r) + 587 * u64::from(g) + 114 * u64::from(b) + 128_500) / 257_000) as u8
 }
 
-fn eight_bits(level: u16) -> u8 {
+pub(super) fn eight_bits(level: u16) -> u8 {
     ((u32::from(level) + 128) / 257) as u8
 }
 

@@ -12,6 +12,7 @@ mod colour;
 mod error;
 mod ffmpeg;
 mod folder;
+pub(crate) mod foreign;
 mod grey;
 mod jpeg_markers;
 mod luma;
@@ -21,8 +22,12 @@ mod order;
 mod picture_stream;
 mod played;
 mod rate;
+mod remarks;
+pub(crate) mod repeats;
+mod stamp_unit;
 pub mod timestamping;
 pub(crate) mod timestamps;
+mod transparency;
 mod video;
 mod waiting;
 mod writer;
@@ -38,7 +43,9 @@ use std::time::Duration;
 pub use avi::AviReader;
 pub use error::CaptureError;
 pub use folder::PICTURE_EXTENSIONS;
-pub use grey::{DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_oriented, orientation_words, picture_size, with_huffman_tables};
+pub use grey::{
+    DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_on_white, decode_oriented, orientation_words, picture_size, with_huffman_tables,
+};
 pub use luma::decode_picture;
 pub use mjpeg::MjpegReader;
 pub use open::{ClipOptions, open_clip, open_clip_in_colour};
@@ -65,6 +72,9 @@ pub struct ClipEntry {
     pub content: EntryContent,
     /// Time spent on turning its bytes into grey levels; reading and waiting excluded, zero for raw pictures.
     pub decode: Duration,
+    /// Whether its picture is that of the row before, byte for byte, though pictures of this source
+    /// differ: none was taken in between.
+    pub repeats: bool,
     /// What the row's picture was before it became grey: of a camera for the recorder, of a clip only where its colours were asked for.
     pub received: Option<Received>,
 }
@@ -72,7 +82,7 @@ pub struct ClipEntry {
 impl ClipEntry {
     /// An entry that took no time to decode, and of which nothing but its content is known.
     pub fn new(sequence: u64, timestamp: Timestamp, content: EntryContent) -> Self {
-        Self { sequence, timestamp, content, decode: Duration::ZERO, received: None }
+        Self { sequence, timestamp, content, decode: Duration::ZERO, repeats: false, received: None }
     }
 }
 
@@ -118,6 +128,12 @@ pub trait FrameSource: Send {
 
     /// How many rows there will be, where that is known.
     fn rows(&self) -> Option<u64>;
+
+    /// Why the stamps cannot be what they are read as, in a sentence that is one of the notes, too: nothing that depends on times is to be
+    /// believed then.
+    fn doubt_of_stamps(&self) -> Option<String> {
+        None
+    }
 
     /// What is to be said of the pictures seen so far, a sentence each.
     fn notes(&self) -> Vec<String> {

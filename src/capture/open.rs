@@ -11,13 +11,14 @@ use super::clip::Clip;
 use super::colour::Coloured;
 use super::error::CaptureError;
 use super::ffmpeg::Ffmpeg;
-use super::folder;
 use super::mjpeg::MjpegReader;
 use super::picture_stream::PictureStream;
 use super::rate::FrameRate;
+use super::remarks;
 use super::video::Paced;
 use super::waiting::Waiting;
 use super::y4m::Y4mReader;
+use super::{folder, foreign};
 use crate::safe_file;
 
 /// What may be said about a clip.
@@ -71,7 +72,7 @@ fn open(path: &Path, options: ClipOptions, colours: bool) -> Result<Box<dyn Fram
     } else {
         let kind = std::fs::metadata(path).map_err(unreadable)?.file_type();
         if kind.is_dir() {
-            folder::open(path, given.unwrap_or(default))?
+            folder::open(path, given, default)?
         } else if kind.is_fifo() {
             // Nothing can be put back into a pipe, so only y4m, which needs no look ahead, can come from one.
             y4m(BufReader::new(Waiting::named_pipe(path, is_stopped).map_err(unreadable)?), path, given, (None, colours))?
@@ -86,7 +87,7 @@ fn open_file(path: &Path, given: Option<FrameRate>, default: FrameRate, colours:
     let unreadable = |e| CaptureError::reading(path, e);
     let mut file = safe_file::open(path).map_err(unreadable)?;
     let mut start = Vec::new();
-    (&mut file).take(12).read_to_end(&mut start).map_err(unreadable)?;
+    (&mut file).take(64).read_to_end(&mut start).map_err(unreadable)?;
     if start.is_empty() {
         return Err(CaptureError::Empty { path: path.to_owned() });
     }
@@ -97,12 +98,20 @@ fn open_file(path: &Path, given: Option<FrameRate>, default: FrameRate, colours:
     match (start.as_slice(), extension.as_str()) {
         ([b'Y', b'U', b'V', b'4', b'M', ..], _) | (_, "y4m") => y4m(input, path, given, (Some(bytes), colours)),
         ([b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', ..], _) => avi(input, path, given, colours),
-        ([0xFF, 0xD8, 0xFF, ..], _) | (_, "mjpeg" | "mjpg") => {
-            Ok(Box::new(Paced::new(MjpegReader::new(input), given.unwrap_or(default), None)))
+        // The second: parts of a web camera's stream, each with a header of its own, as a browser or curl saves them.
+        ([0xFF, 0xD8, 0xFF, ..], _) | ([b'-', b'-', ..], _) | (_, "mjpeg" | "mjpg") => {
+            let note = given.is_none().then(|| remarks::rate_made_up(&DEFAULT_FPS.to_string()));
+            Ok(Box::new(Paced::new(MjpegReader::new(input), given.unwrap_or(default), None).with_note(note)))
         }
         // PNG, and what PGM and its kin begin with.
         ([0x89, b'P', b'N', b'G', ..] | [b'P', b'1'..=b'6', b' ' | b'\n' | b'\r' | b'\t' | b'#', ..], _) => {
             Ok(folder::single(path, given.unwrap_or(default)))
+        }
+        _ if foreign::still_of_a_phone(&start).is_some() => {
+            // ffmpeg would take it for a video that was cut off.
+            let (form, mend) = foreign::still_of_a_phone(&start).unwrap_or_default();
+            let reason = format!("it is no video but a picture in {form}; {mend}");
+            Err(CaptureError::Stream { path: path.to_owned(), reason })
         }
         _ => ffmpeg(path, given, colours),
     }
@@ -125,7 +134,8 @@ fn y4m<R: std::io::BufRead + Send + 'static>(
     if colours {
         reader.keep_chroma();
     }
-    Ok(Box::new(Paced::new(reader, rate, total)))
+    let note = reader.pixel_shape().map(remarks::pixel_shape);
+    Ok(Box::new(Paced::new(reader, rate, total).with_note(note)))
 }
 
 fn avi(input: BufReader<File>, path: &Path, given: Option<FrameRate>, colours: bool) -> Result<Box<dyn PictureStream>, CaptureError> {
@@ -142,3 +152,7 @@ fn avi(input: BufReader<File>, path: &Path, given: Option<FrameRate>, colours: b
 #[cfg(test)]
 #[path = "open_tests.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "ffmpeg_tests.rs"]
+mod ffmpeg_tests;

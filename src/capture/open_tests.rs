@@ -179,6 +179,25 @@ fn a_folder_of_pictures_is_read_in_the_order_of_names() {
 }
 
 #[test]
+fn pictures_that_come_twice_are_marked_in_single_pictures_and_not_in_video() {
+    let folder = TempDir::new().unwrap();
+    fs::create_dir(folder.path().join("frames")).unwrap();
+    let mut index = "#timestamp [ns],filename\n".to_owned();
+    for (n, level) in [1, 2, 2, 2, 3].into_iter().enumerate() {
+        picture(level).save(folder.path().join(format!("frames/{n}.png"))).unwrap();
+        index += &format!("{},{n}.png\n", n * 40_000_000);
+    }
+    fs::write(folder.path().join("timestamps.csv"), index).unwrap();
+    let marked = |rows: &[ClipEntry]| rows.iter().map(|row| row.repeats).collect::<Vec<_>>();
+    assert_eq!(marked(&rows(&folder, None)), [false, false, true, true, false]);
+    let path = folder.path().join("clip.y4m");
+    let mut bytes = b"YUV4MPEG2 W32 H24 F25:1 Ip C420jpeg\n".to_vec();
+    [1, 2, 2].into_iter().for_each(|n| bytes.extend([&b"FRAME\n"[..], picture(n).as_raw(), &[128; 384]].concat()));
+    fs::write(&path, &bytes).unwrap();
+    assert_eq!(marked(&rows(&path, None)), [false; 3]);
+}
+
+#[test]
 fn y4m_is_read_at_its_own_rate_or_the_given_one() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("clip.y4m");

@@ -1,6 +1,8 @@
 //! The order of rows: every row gets the next number, and a stamp that does not follow the last one is refused.
 //!
-//! Clips and the live pipeline share this rule, so that a recording replays as it was tracked.
+//! A single stamp that is wrong costs its own row. A clock that is set back and goes on from there begins anew, instead of costing all
+//! rows behind. Clips and the live pipeline share this rule, so that a recording replays as it was tracked; clips know some of the stamps
+//! ahead, so that they lose no rows where a clock steps back.
 
 use super::{ClipEntry, EntryContent};
 use crate::frame::Timestamp;
@@ -10,7 +12,16 @@ use crate::frame::Timestamp;
 pub struct EntryOrder {
     next_sequence: u64,
     last_stamp: Option<Timestamp>,
+    /// How many rows were refused one after the other, each later than the one before, and the last of them.
+    refused: Option<(usize, Timestamp)>,
 }
+
+/// Rows that are looked at ahead, and that must go on from a clock that was set back before it is believed. Raised, more rows of a camera
+/// are lost where its clock steps; lowered, rows that came in the wrong order pass for a clock that was set back.
+pub(super) const AHEAD: usize = 8;
+/// A clock that steps back by less, seconds, costs no more rows than that has frames. Raised, small steps cost rows; lowered, rows that
+/// came in the wrong order pass for a clock that was set back.
+const LEAST_STEP_S: f64 = 1.0;
 
 impl EntryOrder {
     /// The number of the next row.
@@ -29,30 +40,57 @@ impl EntryOrder {
         self.last_stamp
     }
 
-    /// Takes note of a row's stamp.
+    /// Takes note of a row's stamp; `ahead` are those of the next rows, as far as they are known. Gives a word where the clock begins anew.
     ///
     /// # Errors
-    /// The reason as a sentence, where it does not follow the last one.
-    pub fn follow(&mut self, stamp: Timestamp) -> Result<(), String> {
-        if let Some(last) = self.last_stamp
-            && stamp <= last
-        {
+    /// The reason as a sentence, where it does not follow the last one, or the rows behind do not follow it.
+    pub fn follow(&mut self, stamp: Timestamp, ahead: &[Timestamp]) -> Result<Option<String>, String> {
+        let (last, ahead) = (self.last_stamp, &ahead[..ahead.len().min(AHEAD)]);
+        if last.is_none_or(|last| stamp > last) {
+            if is_stray(stamp, last, ahead) {
+                return Err(format!("the time stamp {stamp} is later than those of the rows behind it"));
+            }
+            (self.last_stamp, self.refused) = (Some(stamp), None);
+            return Ok(None);
+        }
+        let last = last.unwrap_or(stamp);
+        let before = self.refused.filter(|(_, refused)| stamp > *refused).map_or(0, |(count, _)| count);
+        self.refused = Some((before + 1, stamp));
+        let goes_on = ahead.iter().scan(stamp, |at, next| (*next > *at && *next <= last).then(|| *at = *next)).count();
+        let is_believed = if ahead.is_empty() { before >= AHEAD } else { ahead.len() > 2 && goes_on == ahead.len() };
+        if !is_believed || last.seconds_since(stamp) < LEAST_STEP_S {
             return Err(format!("the time stamp {stamp} does not follow {last}"));
         }
-        self.last_stamp = Some(stamp);
-        Ok(())
+        (self.last_stamp, self.refused) = (Some(stamp), None);
+        Ok(Some(format!("the clock steps back from {last} to {stamp}; tracking begins anew there")))
     }
 
     /// A live row as a replay of the same rows would give it.
     pub fn admit(&mut self, mut row: ClipEntry) -> ClipEntry {
         row.sequence = self.number();
-        match (self.follow(row.timestamp), &mut row.content) {
+        match (self.follow(row.timestamp, &[]), &mut row.content) {
             (Err(reason), content) => *content = EntryContent::Skipped(reason),
-            (Ok(()), EntryContent::Frame(frame)) => frame.sequence = row.sequence,
-            (Ok(()), _) => {}
+            (Ok(word), EntryContent::Frame(frame)) => {
+                word.iter().for_each(|word| tracing::warn!("row {}: {word}", row.sequence));
+                frame.sequence = row.sequence;
+            }
+            (Ok(_), _) => {}
         }
         row
     }
+}
+
+/// Whether a stamp lies so far ahead that taking its row would cost more of the rows behind than it is worth.
+fn is_stray(stamp: Timestamp, last: Option<Timestamp>, ahead: &[Timestamp]) -> bool {
+    let mut at = last;
+    let mut lost = 0;
+    for next in ahead.iter().filter(|next| **next <= stamp) {
+        if at.is_none_or(|at| *next > at) {
+            (at, lost) = (Some(*next), lost + 1);
+        }
+    }
+    let is_far = || last.is_some_and(|last| stamp.seconds_since(last) >= LEAST_STEP_S) && ahead.iter().all(|next| *next <= stamp);
+    lost >= 2 || (lost == 1 && is_far())
 }
 
 #[cfg(test)]
@@ -68,6 +106,7 @@ mod tests {
             timestamp: Timestamp::from_ns(ns),
             content: EntryContent::Undecodable("dark".into()),
             decode: Duration::ZERO,
+            repeats: false,
             received: None,
         };
         let mut order = EntryOrder::default();
@@ -75,5 +114,44 @@ mod tests {
         assert_eq!(rows.iter().map(|r| r.sequence).collect::<Vec<_>>(), [0, 1, 2, 3]);
         let skipped: Vec<bool> = rows.iter().map(|r| matches!(r.content, EntryContent::Skipped(_))).collect();
         assert_eq!(skipped, [false, true, true, false]);
+    }
+
+    /// The stamps that follow, with foresight (as clips have it) or without (as cameras).
+    fn kept(stamps: &[i64], sees_ahead: bool) -> Vec<i64> {
+        let all: Vec<Timestamp> = stamps.iter().map(|t| Timestamp::from_ns(t * 33_333_333)).collect();
+        let mut order = EntryOrder::default();
+        let follows = |n: &usize| order.follow(all[*n], if sees_ahead { &all[n + 1..] } else { &[] }).is_ok();
+        (0..all.len()).filter(follows).map(|n| stamps[n]).collect()
+    }
+
+    #[test]
+    fn one_bad_stamp_costs_one_row() {
+        let far = 1_000_000;
+        assert_eq!(kept(&[0, 1, 2, far, 3, 4, 5, 6], true), [0, 1, 2, 3, 4, 5, 6]);
+        assert_eq!(kept(&[far, 1, 2, 3, 4, 5, 6], true), [1, 2, 3, 4, 5, 6], "the first");
+        assert_eq!(kept(&[0, 1, 2, 3, 4, far, 5], true), [0, 1, 2, 3, 4, 5], "the last but one");
+        assert_eq!(kept(&[0, 1, far, far + 1, 2, 3, 4], true), [0, 1, 2, 3, 4], "two");
+        for sees_ahead in [true, false] {
+            assert_eq!(kept(&[100, 101, 0, 102, 103], sees_ahead), [100, 101, 102, 103]);
+            assert_eq!(kept(&[0, 1, 2, far, far + 1, far + 2], sees_ahead), [0, 1, 2, far, far + 1, far + 2], "a pause is none");
+        }
+    }
+
+    #[test]
+    fn rows_in_the_wrong_order_are_skipped_as_before() {
+        for sees_ahead in [true, false] {
+            assert_eq!(kept(&[0, 2, 1, 3, 3, 4], sees_ahead), [0, 2, 3, 4]);
+            assert_eq!(kept(&[0, 1, 2, 4, 5, 3, 6], sees_ahead), [0, 1, 2, 4, 5, 6]);
+            let block: Vec<i64> = (0..5).chain(10..30).chain(5..10).chain(30..35).collect();
+            assert_eq!(kept(&block, sees_ahead).len(), block.len() - 5);
+        }
+    }
+
+    #[test]
+    fn a_clock_that_is_set_back_begins_anew() {
+        let stepped: Vec<i64> = (100_000..100_050).chain(100..150).collect();
+        assert_eq!(kept(&stepped, true), stepped);
+        let kept = kept(&stepped, false);
+        assert_eq!((kept.len(), kept.last()), (stepped.len() - AHEAD, Some(&149)), "a camera loses a few rows");
     }
 }

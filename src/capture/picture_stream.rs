@@ -40,6 +40,21 @@ pub(super) trait PictureStream: Send {
         false
     }
 
+    /// What is to be said of the file since the last call, a sentence each.
+    fn take_notes(&mut self) -> Vec<String> {
+        Vec::new()
+    }
+
+    /// The stamps of the next pictures, as far as they are known; those that cannot be read are left out.
+    fn stamps_ahead(&self) -> Vec<Timestamp> {
+        Vec::new()
+    }
+
+    /// Why the stamps cannot be what they are read as.
+    fn doubt_of_stamps(&self) -> Option<String> {
+        None
+    }
+
     /// Why the stream ended before its first picture, where that is a failure of its own.
     fn failure(&mut self) -> Option<CaptureError> {
         None

@@ -20,6 +20,7 @@ pub struct PlayedClip {
     clip: PathBuf,
     /// Taken by the first opening: a clip is played once.
     unopened: Mutex<Option<PlayingClip>>,
+    notes: Vec<String>,
 }
 
 impl PlayedClip {
@@ -29,6 +30,7 @@ impl PlayedClip {
     /// As [`open_clip`].
     pub fn open(clip: &Path, fps: Option<f64>) -> Result<Self, CaptureError> {
         let first = open_clip(clip, ClipOptions { fps, ..ClipOptions::default() })?;
+        let notes = first.notes();
         let mut pictures = match clip.extension().and_then(|e| e.to_str()) {
             Some("mjpeg" | "mjpg") => {
                 let file = crate::safe_file::open(clip).map_err(|e| CaptureError::reading(clip, e))?;
@@ -50,7 +52,12 @@ impl PlayedClip {
             notes: Vec::new(),
         };
         let playing = PlayingClip { pictures, mode, begun: None, ahead, counted: 0 };
-        Ok(Self { clip: clip.to_owned(), unopened: Mutex::new(Some(playing)) })
+        Ok(Self { clip: clip.to_owned(), unopened: Mutex::new(Some(playing)), notes })
+    }
+
+    /// What is to be said of the clip, a sentence each.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
     }
 }
 

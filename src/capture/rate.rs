@@ -28,6 +28,12 @@ impl FrameRate {
     }
 }
 
+impl std::fmt::Display for FrameRate {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", self.frames / self.seconds)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

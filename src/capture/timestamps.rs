@@ -40,14 +40,16 @@ pub fn read_timestamps(input: impl Read) -> Result<Vec<StampRow>, TimestampsErro
             check_header(&first, &second)?;
             header_seen = true;
         } else if stands_for_a_row(first.as_bytes(), second.as_bytes()) {
-            let stamp = first
-                .parse()
-                .map(Timestamp::from_ns)
-                .map_err(|_| format!("\"{}\" is no time stamp in whole nanoseconds", shortened(&first)));
+            let stamp = first.parse().map(Timestamp::from_ns).map_err(|_| unreadable(&first));
             rows.push(StampRow { stamp, file: second });
         }
     }
     if header_seen { Ok(rows) } else { Err(TimestampsError::Empty) }
+}
+
+fn unreadable(text: &str) -> String {
+    let hint = if text.parse::<f64>().is_ok() { "; are they seconds? multiply them by 1000000000 and leave out the fraction" } else { "" };
+    format!("\"{}\" is no time stamp in whole nanoseconds{hint}", shortened(text))
 }
 
 /// Whether a line after the header stands for a row: neither a remark, nor empty.

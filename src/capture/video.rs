@@ -14,12 +14,19 @@ pub(super) struct Paced<R> {
     rate: FrameRate,
     total: Option<u64>,
     next: u64,
+    notes: Vec<String>,
 }
 
 impl<R> Paced<R> {
     /// `total` is how many pictures there are in all, where that is known.
     pub fn new(reader: R, rate: FrameRate, total: Option<u64>) -> Self {
-        Self { reader, rate, total, next: 0 }
+        Self { reader, rate, total, next: 0, notes: Vec::new() }
+    }
+
+    /// With something to be said of the clip.
+    pub fn with_note(mut self, note: Option<String>) -> Self {
+        self.notes.extend(note);
+        self
     }
 }
 
@@ -43,6 +50,10 @@ impl<R: VideoReader> PictureStream for Paced<R> {
 
     fn is_of_one_size(&self) -> bool {
         self.reader.is_of_one_size()
+    }
+
+    fn take_notes(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notes)
     }
 
     fn pictures(&self) -> Option<u64> {

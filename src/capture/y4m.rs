@@ -16,6 +16,7 @@ pub struct Y4mReader<R> {
     width: u32,
     height: u32,
     rate: Option<FrameRate>,
+    pixel_shape: Option<(u32, u32)>,
     chroma: Chroma,
     chroma_bytes: u64,
     header_bytes: u64,
@@ -42,6 +43,7 @@ impl<R: BufRead> Y4mReader<R> {
             return Err("this is no y4m stream: it does not begin with YUV4MPEG2; make the clip again".to_owned());
         }
         let (mut width, mut height, mut rate, mut chroma, mut full_range) = (None, None, None, "420", false);
+        let mut pixel_shape = None;
         for word in words.filter(|w| !w.is_empty()) {
             let (tag, value) = word.split_at(word.chars().next().map_or(0, char::len_utf8));
             match tag {
@@ -49,6 +51,7 @@ impl<R: BufRead> Y4mReader<R> {
                 "H" => height = side(value),
                 "F" => rate = FrameRate::from_ratio(value),
                 "C" => chroma = value,
+                "A" => pixel_shape = value.split_once(':').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?))),
                 "X" if value == "COLORRANGE=FULL" => full_range = true,
                 "I" if !matches!(value, "p" | "?" | "") => {
                     return Err(format!("the y4m stream is interlaced (I{value}); deinterlace the clip"));
@@ -62,7 +65,13 @@ impl<R: BufRead> Y4mReader<R> {
         check_size(width, height).map_err(|e| e.to_string())?;
         let (chroma, planes) = chroma_form(chroma, full_range)?;
         let chroma_bytes = planes * chroma.plane_bytes((width, height));
-        Ok(Self { input, width, height, rate, chroma, chroma_bytes, header_bytes, frames_read: 0, ended: false, kept: None })
+        let pixel_shape = pixel_shape.filter(|(w, h): &(u32, u32)| *w > 0 && *h > 0 && w != h);
+        Ok(Self { input, width, height, rate, pixel_shape, chroma, chroma_bytes, header_bytes, frames_read: 0, ended: false, kept: None })
+    }
+
+    /// Width and height of a pixel as a ratio, where the header says that they differ.
+    pub(super) fn pixel_shape(&self) -> Option<(u32, u32)> {
+        self.pixel_shape
     }
 
     /// The frame rate of the header, where it has one.

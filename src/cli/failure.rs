@@ -6,7 +6,6 @@ use std::process::ExitCode;
 
 use thiserror::Error;
 
-use super::demo::DemoError;
 use crate::capture::CaptureError;
 use crate::config::ConfigError;
 use crate::publish::PublishError;
@@ -74,8 +73,8 @@ pub enum Failure {
     #[error("the recording ended early: {0}")]
     Recording(String),
     /// The demo ended early.
-    #[error(transparent)]
-    Demo(#[from] DemoError),
+    #[error("{0}")]
+    Demo(String),
     /// The pictures make no calibration, or none that should be used.
     #[error("{0}")]
     Calibration(String),
@@ -119,7 +118,7 @@ impl Failure {
     /// True where the reader of our output left, which is their right.
     pub fn is_closed_pipe(&self) -> bool {
         match self {
-            Self::Output { source, .. } | Self::Demo(DemoError::Print(source)) => source.kind() == io::ErrorKind::BrokenPipe,
+            Self::Output { source, .. } => source.kind() == io::ErrorKind::BrokenPipe,
             _ => false,
         }
     }

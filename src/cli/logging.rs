@@ -31,11 +31,24 @@ fn levels() -> impl TypedValueParser<Value = LevelFilter> {
 
 /// Starts logging; a second call changes nothing.
 pub(super) fn start(arguments: &LogArguments, settings: LogSettings) {
+    start_as(arguments, settings, false);
+}
+
+/// The same for a command that tracks only to find something out: what a tracker would say to an operator is part of its report, or
+/// was tried and is not so. With `--log` it is heard all the same.
+pub(super) fn start_for_trials(arguments: &LogArguments, settings: LogSettings) {
+    start_as(arguments, settings, arguments.log.is_none());
+}
+
+fn start_as(arguments: &LogArguments, settings: LogSettings, trackers_are_quiet: bool) {
     let level = arguments.log.unwrap_or(settings.level);
     // systemd says so where stderr goes to its journal, which has its own clock and reads "<4>" as a priority.
     let to_journal = std::env::var_os("JOURNAL_STREAM").is_some() && !io::stderr().is_terminal();
-    let lines = Lines { with_priority: to_journal && settings.format == LogFormat::Text };
-    let builder = tracing_subscriber::fmt().with_max_level(level).with_writer(lines).with_span_events(FmtSpan::CLOSE);
+    let lines = Lines { with_priority: to_journal && settings.format == LogFormat::Text, trackers_are_quiet };
+    // Which part of the program speaks matters to those who look into it.
+    let with_target = level >= LevelFilter::DEBUG || settings.format == LogFormat::Json;
+    let builder =
+        tracing_subscriber::fmt().with_max_level(level).with_writer(lines).with_span_events(FmtSpan::CLOSE).with_target(with_target);
     // It fails only where a subscriber is there already, which then does the work.
     let _ = match settings.format {
         LogFormat::Text if to_journal => builder.with_ansi(false).without_time().try_init(),
@@ -52,17 +65,23 @@ pub(super) fn beside(bar: &ProgressBar) {
 /// Makes a writer for each message.
 struct Lines {
     with_priority: bool,
+    /// Whether what the tracker says goes nowhere.
+    trackers_are_quiet: bool,
 }
+
+/// The module whose messages are those of a tracker.
+const TRACKER: &str = "stagepose::track";
 
 impl<'a> MakeWriter<'a> for Lines {
     type Writer = BesideBar;
 
     fn make_writer(&'a self) -> BesideBar {
-        BesideBar { priority: "" }
+        BesideBar { priority: "", goes_nowhere: false }
     }
 
     fn make_writer_for(&'a self, meta: &Metadata<'_>) -> BesideBar {
-        BesideBar { priority: if self.with_priority { priority(*meta.level()) } else { "" } }
+        let goes_nowhere = self.trackers_are_quiet && meta.target().starts_with(TRACKER);
+        BesideBar { priority: if self.with_priority { priority(*meta.level()) } else { "" }, goes_nowhere }
     }
 }
 
@@ -78,10 +97,14 @@ fn priority(level: Level) -> &'static str {
 
 struct BesideBar {
     priority: &'static str,
+    goes_nowhere: bool,
 }
 
 impl io::Write for BesideBar {
     fn write(&mut self, text: &[u8]) -> io::Result<usize> {
+        if self.goes_nowhere {
+            return Ok(text.len());
+        }
         // A message comes in one piece, with one line end of its own. What else would move a terminal, or begin a line that
         // nobody logged, came with a name from outside. Escaped as JSON escapes it, a line of JSON stays one.
         let whole = String::from_utf8_lossy(text);

@@ -14,6 +14,7 @@ mod detectors;
 mod devices;
 mod failure;
 mod interrupt;
+mod learnt;
 mod listen;
 mod logging;
 mod man;

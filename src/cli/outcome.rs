@@ -18,6 +18,9 @@ pub(super) struct Outcome {
 /// Most frequent reasons that have a sentence each; the others are only counted. Chosen, not tuned. Raised, the end of a run is longer to
 /// read.
 const TOLD: usize = 2;
+/// What is said of a clip of one picture.
+const ONE_FRAME: &str =
+    "One picture does not settle a pose, for every pose is held against that of another frame: give two pictures or more, or a clip";
 /// A reason with a smaller share of the frames is not worth a sentence of its own where another has more. Chosen: that of `check`'s notes.
 /// Raised, rarer reasons are only counted.
 const LEAST_SHARE: f64 = 0.02;
@@ -68,11 +71,19 @@ impl Outcome {
         ByWord(self.reasons().into_iter().map(|(reason, n)| (reason.word(), n)).collect())
     }
 
+    /// Whether all that there is is one frame, with a pose that another one would have to confirm.
+    pub fn awaits_a_second_frame(&self) -> bool {
+        self.frames == 1 && self.count(Reason::Unconfirmed) == 1
+    }
+
     /// One sentence on what was tracked and one on why the rest was not.
     pub fn sentences(&self) -> String {
         let Self { frames, tracked, .. } = *self;
         if frames == 0 {
             return "No frame came.".to_owned();
+        }
+        if self.awaits_a_second_frame() {
+            return format!("The picture is recognised in {frames} of {frames} frames. {ONE_FRAME}.");
         }
         let recognised = self.recognised();
         let mut text = match (tracked, recognised) {
@@ -113,6 +124,14 @@ mod tests {
             outcome.frames += n;
         }
         outcome
+    }
+
+    #[test]
+    fn one_picture_is_not_told_to_wait_for_another() {
+        let said = outcome(0, &[(Reason::Unconfirmed, 1)]).sentences();
+        assert!(said.contains("One picture does not settle a pose") && !said.contains("too rarely"), "{said}");
+        assert!(!outcome(0, &[(Reason::NotRecognised, 1)]).sentences().contains("One picture"));
+        assert!(!outcome(0, &[(Reason::Unconfirmed, 2)]).sentences().contains("One picture"));
     }
 
     #[test]

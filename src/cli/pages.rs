@@ -1,5 +1,6 @@
 //! The HTTP server beside a command: pose and state as the server gives them, and for `run` all that is asked of a daemon.
 
+use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -45,6 +46,28 @@ impl Pages {
         }
         server.judge_ages(clock.clone(), safety.stale_after);
         Ok(Self { server: Some(server), clock: Some(clock) })
+    }
+
+    /// Starts a server on loopback, at a free port, that gives every pose as it comes, whatever its stamp; it keeps nothing.
+    #[cfg(feature = "http")]
+    pub fn start_on_loopback() -> Result<Self, Failure> {
+        let http = HttpSettings { listen: (std::net::Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
+        let server = web::Server::start(&http, Vec::new()).map_err(|e| Failure::Publishing(e.to_string()))?;
+        Ok(Self { server: Some(server), clock: None })
+    }
+
+    /// Starts nothing: this build has no HTTP server.
+    #[cfg(not(feature = "http"))]
+    pub fn start_on_loopback() -> Result<Self, Failure> {
+        Ok(Self {})
+    }
+
+    /// Where the server listens; none where there is no server.
+    pub fn listens(&self) -> Option<SocketAddr> {
+        #[cfg(feature = "http")]
+        return self.server.as_ref().map(web::Server::address);
+        #[cfg(not(feature = "http"))]
+        None
     }
 
     /// A session begins whose limit of age may be another.

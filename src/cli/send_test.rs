@@ -52,8 +52,9 @@ pub(super) fn rate(text: &str) -> Result<f64, String> {
 
 pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
     let settings = Settings::load_outputs(&arguments.config)?;
-    if settings.http.is_none() && !settings.outputs.iter().any(|output| output.enabled) {
-        return Err(Failure::Usage(format!("{}: there is no [[output]] section to send to; add one", arguments.config.display())));
+    let names: Vec<&str> = settings.outputs.iter().filter(|o| o.enabled).map(|o| o.name.as_str()).collect();
+    if names.is_empty() {
+        return Err(Failure::Usage(nowhere_to_send(&arguments.config, settings.outputs.len())));
     }
     logging::start(&arguments.log, settings.log);
     interrupt::watch();
@@ -71,7 +72,6 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
         let line = format!("{} is not there yet: the lens that is sent is made up", file.display());
         writeln!(io::stderr(), "{}", printable(&line)).map_err(Failure::output(Path::new("stderr")))?;
     }
-    let names: Vec<&str> = settings.outputs.iter().filter(|o| o.enabled).map(|o| o.name.as_str()).collect();
     writeln!(io::stderr(), "sending a test pose to {}; Ctrl-C ends it", names.join(", ")).map_err(Failure::output(Path::new("stderr")))?;
     let begun = Instant::now();
     let mut sequence = 0_u64;
@@ -86,6 +86,15 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
     }
     outputs.close();
     Ok(())
+}
+
+/// Why there is nothing to do.
+fn nowhere_to_send(config: &Path, switched_off: usize) -> String {
+    let file = config.display();
+    match switched_off {
+        0 => format!("{file}: there is no [[output]] section to send to; add one"),
+        n => format!("{file}: all of the {n} [[output]] sections are switched off; write enabled = true in the one to send to"),
+    }
 }
 
 /// A common webcam, where the config names no calibration.
@@ -115,6 +124,7 @@ fn test_sample(sequence: u64, seconds: f64, objects: &[String]) -> PoseSample {
         measurement: None,
         objects: objects.iter().enumerate().map(object).collect(),
         reason: None,
+        learnt: Default::default(),
         times: StageTimes::default(),
     }
 }

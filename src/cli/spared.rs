@@ -146,6 +146,26 @@ impl Spared {
         Ok(())
     }
 
+    /// Refuses a folder that is one of these clips, or lies within a clip: whoever reads the clip later would read what is written there.
+    ///
+    /// # Errors
+    /// [`Failure::Usage`].
+    pub fn refuse_within_clip(&self, flag: &str, folder: &Path) -> Result<(), Failure> {
+        let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
+        let there = absolute.ancestors().find_map(|part| part.canonicalize().ok()).unwrap_or_default();
+        let is_clip = |part: &Path| self.clips.iter().any(|clip| clip.canonicalize().is_ok_and(|clip| clip == part));
+        // A recording's pictures are at most two folders below its index.
+        let recording = there.ancestors().take(3).find(|part| part.join("timestamps.csv").is_file());
+        match there.ancestors().find(|part| is_clip(part)).or(recording) {
+            Some(clip) => Err(Failure::Usage(format!(
+                "{flag} {}: it is within the clip {}, to which nothing is added; give another folder",
+                folder.display(),
+                clip.display()
+            ))),
+            None => Ok(()),
+        }
+    }
+
     fn claim_file(&mut self, flag: &str, file: &Path, about: &Metadata, was_there: bool) -> Result<(), Failure> {
         // A device takes what is written and keeps nothing that could be lost: /dev/null may stand for two outputs.
         if about.file_type().is_char_device() {

@@ -53,8 +53,10 @@ pub struct Camera {
     pub focal_35mm_mm: Option<Spanned<Number>>,
     /// Exposure, seconds; 0 = unknown.
     pub exposure_s: Option<Spanned<Number>>,
-    /// First row to last, seconds; 0 = global or unknown.
+    /// First row to last, seconds; 0 = unknown.
     pub readout_s: Option<Spanned<Number>>,
+    /// `global` or `rolling`.
+    pub shutter: Option<Spanned<String>>,
     /// Picture that is black where the camera's picture is to be ignored.
     pub mask: Option<Spanned<String>>,
     /// Device path or name.

@@ -88,7 +88,9 @@ pub enum Problem {
     #[error("{0}")]
     Type(String),
     /// A text with characters that do not stand for themselves; escaped here.
-    #[error("\"{0}\" has control or invisible characters; write it without them")]
+    #[error(
+        "\"{0}\" has control or invisible characters; write it without them (in quotes a backslash begins one: a path may have / on every system)"
+    )]
     Characters(String),
     /// Outside of what can be used.
     #[error("{value} cannot be used; give {wanted}")]
@@ -111,6 +113,12 @@ pub enum Problem {
     /// A quaternion whose length is not 1.
     #[error("the length of the quaternion is {0:.4}, not 1; give x, y, z, w of a unit quaternion")]
     Quaternion(f64),
+    /// A section of which there may be several, in single brackets.
+    #[error("there may be several of these sections, so they stand in double brackets; write {0}")]
+    SingleBrackets(&'static str),
+    /// A section of which there is one, in double brackets.
+    #[error("there is only one of this section, so it stands in single brackets; write {0}")]
+    DoubleBrackets(&'static str),
     /// Two keys that exclude or demand one another.
     #[error("{0}")]
     Combination(&'static str),
@@ -221,6 +229,9 @@ pub enum Problem {
         /// The camera's height in pixels.
         camera_height: u32,
     },
+    /// A shutter that exposes all rows together, and reads them one after the other.
+    #[error("a global shutter exposes all rows together, but `readout_s` is {0}; remove one of the two")]
+    GlobalShutterReads(f64),
     /// A mask that leaves nothing to look at.
     #[error("the mask {} is black everywhere, so that nothing could be tracked; leave white what is to be seen", .0.display())]
     MaskBlack(PathBuf),

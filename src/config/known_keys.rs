@@ -8,7 +8,7 @@ use serde::forward_to_deserialize_any;
 use toml::de::{DeTable, DeValue};
 
 use super::as_typed;
-use super::origin::{Origin, one_line};
+use super::origin::Origin;
 use super::{ConfigError, Problem};
 
 /// A section's keys, as its typed form has them.
@@ -69,12 +69,22 @@ pub(super) fn refuse_first(
 fn refusal(path: &[&str], key: &str, span: &Range<usize>, value: &DeValue<'_>, origin: &Origin<'_>) -> Option<ConfigError> {
     let (name, known) = section(path)?;
     if known.contains(&key) {
-        return None;
+        return wrong_brackets(path, key, value).map(|problem| origin.value(name, key, span, problem));
     }
     let (file, line) = (origin.file.to_owned(), origin.line(span));
     let is_section = path.is_empty() && !is_plain(value);
     let what = if is_section { format!("section [{key}]") } else { format!("key `{key}` in {name}") };
     Some(ConfigError::Unknown { file, line, what, mend: suggestion(key, name, known) })
+}
+
+/// A section that may stand several times in single brackets, or one that stands once in double ones.
+fn wrong_brackets(path: &[&str], key: &str, value: &DeValue<'_>) -> Option<Problem> {
+    let name = section(&[path, &[key]].concat())?.0;
+    match (name.starts_with("[["), value) {
+        (true, DeValue::Table(_)) => Some(Problem::SingleBrackets(name)),
+        (false, DeValue::Array(items)) if items.iter().any(|item| item.get_ref().is_table()) => Some(Problem::DoubleBrackets(name)),
+        _ => None,
+    }
 }
 
 /// True for anything but a table or an array of tables.
@@ -125,7 +135,7 @@ pub(super) fn place_type_error(root: &DeTable<'_>, origin: &Origin<'_>, error: &
         }
     });
     match deepest {
-        Some((_, section, key)) => origin.value(&section, &key, &span, Problem::Type(one_line(error.message()))),
+        Some((_, section, key)) => origin.value(&section, &key, &span, Problem::Type(origin.type_words(error))),
         None => origin.syntax(error),
     }
 }

@@ -26,6 +26,7 @@ mod rehearsal;
 mod rotation;
 mod settings;
 pub mod shape_file;
+mod shutter;
 mod source;
 mod stage_origin;
 #[cfg(test)]

@@ -1,21 +1,25 @@
 //! Where a value stands: turns byte spans of the config's text into lines, and lines into messages.
 
+use std::cell::RefCell;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use super::source::FilesRead;
 use super::{ConfigError, Problem};
+use crate::camera::slips;
 
 /// A config's file name and text, and what was read of the files that it names.
 pub(super) struct Origin<'a> {
     pub file: &'a Path,
     text: &'a str,
     pub files: FilesRead,
+    /// What is to be said of the files that were read, a sentence each.
+    pub remarks: RefCell<Vec<String>>,
 }
 
 impl<'a> Origin<'a> {
     pub fn new(file: &'a Path, text: &'a str) -> Self {
-        Self { file, text, files: FilesRead::default() }
+        Self { file, text, files: FilesRead::default(), remarks: RefCell::default() }
     }
 
     /// The 1-based line of a byte span's start.
@@ -30,8 +34,18 @@ impl<'a> Origin<'a> {
     }
 
     pub fn syntax(&self, error: &toml::de::Error) -> ConfigError {
-        let line = self.line(&error.span().unwrap_or(0..0));
-        ConfigError::Syntax { file: self.file.to_owned(), line, reason: one_line(error.message()) }
+        let span = error.span().unwrap_or(0..0);
+        let words = one_line(error.message());
+        let reason = slips::what_to_type(self.text, span.start).map_or(words.clone(), |hint| format!("{words}; {hint}"));
+        ConfigError::Syntax { file: self.file.to_owned(), line: self.line(&span), reason }
+    }
+
+    /// A type error's words, and what to type.
+    pub fn type_words(&self, error: &toml::de::Error) -> String {
+        let words = one_line(error.message());
+        let wanted = words.rsplit_once("expected an array of ").and_then(|(_, rest)| rest.split(' ').next()?.parse().ok());
+        let hint = wanted.zip(error.span()).and_then(|(wanted, span)| slips::points_for_commas(self.text, span, wanted));
+        hint.map_or(words.clone(), |hint| format!("{words}; {hint}"))
     }
 
     pub fn value(&self, section: &str, key: &str, span: &Range<usize>, problem: Problem) -> ConfigError {

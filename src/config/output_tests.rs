@@ -33,7 +33,7 @@ fn defaults_are_those_of_the_documentation() {
     assert_eq!((freed.on_loss, freed.rate, freed.udp.ttl), (OnLoss::Stop, Rate::Every(1), 1));
     assert_eq!(freed.bodies, [BodyChoice::Camera]);
     assert_eq!(osc.bodies, [BodyChoice::Camera, BodyChoice::Object(0)]);
-    assert_eq!((settings.safety, settings.http), (SafetySettings::default(), None));
+    assert_eq!((settings.safety, settings.http), (SafetySettings::usual(), None));
     assert_eq!(load("[http]\n").unwrap().http, Some(crate::config::HttpSettings::default()));
     assert_eq!(load("[http]\nenabled = false").unwrap().http, None);
 }
@@ -237,6 +237,26 @@ fn what_the_machine_does_not_give_is_told_with_its_line() {
     std::fs::create_dir(folder.path().join("logs")).unwrap();
     assert_eq!(rehearse(into_nothing), Ok(()));
     assert!(!folder.path().join("logs/sent.jsonl").exists(), "a rehearsal makes no file");
+    // Two that write to one file, by whatever name; devices and standard output may be shared.
+    let line = |file: &str| format!("[[output]]\nkind = \"json\"\nfile = \"{file}\"\n");
+    std::os::unix::fs::symlink("logs", folder.path().join("other")).unwrap();
+    for (one, two) in [("a.jsonl", "./a.jsonl"), ("logs/a", "other/a")] {
+        let said = rehearse(&format!("{}{}", line(one), line(two))).unwrap_err();
+        assert!(said.contains("`file` in [[output]], line 11: ") && said.contains("the output json-6 writes to it too"), "{said}");
+        assert_eq!(rehearse(&format!("{}{}enabled = false\n", line(one), line(two))), Ok(()));
+    }
+    for (one, two) in [("a.jsonl", "b.jsonl"), ("/dev/null", "/dev/null"), ("-", "-")] {
+        assert_eq!(rehearse(&format!("{}{}", line(one), line(two))), Ok(()), "{one} {two}");
+    }
+    // What the config that runs holds is free for the next one; what others hold is not.
+    let listens = format!("[[output]]\nkind = \"json\"\ntcp_listen = \"{at}\"");
+    let file = folder.path().join("stage.toml");
+    std::fs::write(&file, format!("{stage}{listens}")).unwrap();
+    let running = Settings::load(&file).unwrap();
+    assert_eq!(running.rehearse_outputs_beside(&running.listens().collect::<Vec<_>>()).map_err(|e| e.to_string()), Ok(()));
+    std::fs::write(&file, stage).unwrap();
+    let silent = Settings::load(&file).unwrap();
+    assert!(running.rehearse_outputs_beside(&silent.listens().collect::<Vec<_>>()).is_err());
     // A port to send to may be anybody's.
     let receiver = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     assert_eq!(rehearse(&format!("[[output]]\nkind = \"freed\"\nto = [\"{receiver}\"]")), Ok(()));

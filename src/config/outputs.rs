@@ -239,7 +239,7 @@ fn placement(section: &Section<'_>, output: &as_typed::Output, protocol: &Protoc
 
 /// `[safety]`
 pub(super) fn safety(origin: &Origin<'_>, typed: Option<&as_typed::Safety>) -> Result<SafetySettings, ConfigError> {
-    let default = SafetySettings::default();
+    let default = SafetySettings::usual();
     let Some(typed) = typed else { return Ok(default) };
     let section = Section { origin, name: "[safety]" };
     let limit = |key: &'static str, typed: &Option<Spanned<Number>>, most: f64, wanted: &'static str| {
@@ -261,8 +261,8 @@ pub(super) fn safety(origin: &Origin<'_>, typed: Option<&as_typed::Safety>) -> R
     let stale =
         section.number("stale_after_s", typed.stale_after_s.as_ref(), 0.5, |v| (0.02..=60.0).contains(&v), "seconds from 0.02 to 60")?;
     Ok(SafetySettings {
-        max_speed_m_s: limit("max_speed_m_s", &typed.max_speed_m_s, 100.0, speed)?,
-        max_turn_rad_s: limit("max_turn_deg_s", &typed.max_turn_deg_s, 10_000.0, turn)?.map(f64::to_radians),
+        max_speed_m_s: limit("max_speed_m_s", &typed.max_speed_m_s, 100.0, speed)?.or(default.max_speed_m_s),
+        max_turn_rad_s: limit("max_turn_deg_s", &typed.max_turn_deg_s, 10_000.0, turn)?.map(f64::to_radians).or(default.max_turn_rad_s),
         permitted_box_m: permitted_box(&section, typed)?,
         blend,
         stale_after: Duration::from_secs_f64(stale),

@@ -1,7 +1,10 @@
 //! What `check` tries of a config's outputs: whether they get their ports and folders on this machine, and whether a receiver can tell them apart.
 
+use std::ffi::OsString;
 use std::net::{SocketAddr, TcpListener};
 use std::ops::Range;
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
 
 use toml::Spanned;
 
@@ -17,16 +20,26 @@ impl Settings {
     /// # Errors
     /// The first one that this machine does not give, or that stands in the way of another, with its place in the config.
     pub fn rehearse_outputs(&self) -> Result<(), ConfigError> {
+        self.rehearse_outputs_beside(&[])
+    }
+
+    /// As [`rehearse_outputs`](Self::rehearse_outputs), beside what this process listens on: that will be free for it.
+    ///
+    /// # Errors
+    /// As [`rehearse_outputs`](Self::rehearse_outputs).
+    pub(crate) fn rehearse_outputs_beside(&self, held: &[SocketAddr]) -> Result<(), ConfigError> {
+        let is_held = |address: SocketAddr| held.iter().any(|other| collide(*other, address));
         let text = &self.source.text;
         let (typed, origin) = (Config::parse(text, &self.file)?, Origin::new(&self.file, text));
         self.names_differ(&typed, &origin)?;
         self.ports_differ(&typed, &origin)?;
-        if let Err((index, reason)) = Publisher::rehearse(&self.outputs) {
+        self.files_differ(&typed, &origin)?;
+        if let Err((index, reason)) = Publisher::rehearse(&self.outputs, &is_held) {
             let output = typed.output.get(index).map(|o| (o.get_ref(), o.span()));
             let (key, span) = output.map_or(("to", 0..0), |(o, span)| place_of(&reason, o, span));
             return Err(origin.value(OUTPUT, key, &span, Problem::Transport(reason)));
         }
-        let Some(http) = &self.http else { return Ok(()) };
+        let Some(http) = self.http.as_ref().filter(|http| !is_held(http.listen)) else { return Ok(()) };
         let reason = match TcpListener::bind(http.listen) {
             Ok(_) => return Ok(()),
             Err(error) => error.to_string(),
@@ -48,6 +61,28 @@ impl Settings {
         }
     }
 
+    /// Where it listens.
+    pub(crate) fn listens(&self) -> impl Iterator<Item = SocketAddr> + '_ {
+        let of_outputs = self.outputs.iter().filter(|output| output.enabled).filter_map(|output| output.stream()?.tcp_listen);
+        of_outputs.chain(self.http.as_ref().map(|http| http.listen))
+    }
+
+    /// Two that write to one file, by whatever name: each would write into the other's lines.
+    fn files_differ(&self, typed: &Config, origin: &Origin<'_>) -> Result<(), ConfigError> {
+        let mut taken: Vec<(FilePlace, &str)> = Vec::new();
+        for (output, typed) in self.outputs.iter().zip(&typed.output).filter(|(output, _)| output.enabled) {
+            let Some(file) = output.stream().and_then(|stream| stream.file.as_ref()) else { continue };
+            let Some(place) = FilePlace::of(file) else { continue };
+            if let Some((_, other)) = taken.iter().find(|(other, _)| *other == place) {
+                let span = typed.get_ref().file.as_ref().map_or(typed.span(), Spanned::span);
+                let reason = format!("the output {other} writes to it too");
+                return Err(origin.value(OUTPUT, "file", &span, Problem::OutputFile { file: file.clone(), reason }));
+            }
+            taken.push((place, &output.name));
+        }
+        Ok(())
+    }
+
     /// Two that listen on one port of this machine: each would find it free while it is tried alone.
     fn ports_differ(&self, typed: &Config, origin: &Origin<'_>) -> Result<(), ConfigError> {
         let mut taken: Vec<(SocketAddr, String)> = Vec::new();
@@ -64,6 +99,25 @@ impl Settings {
             taken.push((address, who));
         }
         Ok(())
+    }
+}
+
+/// A file as the system knows it: its device and number, or, where it is not there yet, those of its folder and its name.
+#[derive(Debug, PartialEq)]
+struct FilePlace(u64, u64, Option<OsString>);
+
+impl FilePlace {
+    /// None for what several outputs may share: standard output, and devices, which keep nothing.
+    fn of(file: &Path) -> Option<Self> {
+        if file == Path::new("-") {
+            return None;
+        }
+        if let Ok(about) = std::fs::metadata(file) {
+            return about.is_file().then(|| Self(about.dev(), about.ino(), None));
+        }
+        let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let about = std::fs::metadata(folder).ok()?;
+        Some(Self(about.dev(), about.ino(), file.file_name().map(ToOwned::to_owned)))
     }
 }
 

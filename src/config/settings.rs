@@ -10,7 +10,7 @@ use toml::Spanned;
 use tracing::level_filters::LevelFilter;
 
 use super::as_typed;
-use super::bodies::BodyReader;
+use super::bodies::{BodyReader, refuse_many};
 use super::filter::filter;
 use super::http::{HostName, HttpSettings};
 use super::lens::{self, LensSource, lens};
@@ -20,10 +20,11 @@ use super::named_files::named_files;
 use super::origin::Origin;
 use super::outputs::{OUTPUT, OutputReader, safety};
 use super::protocols::address;
+use super::shutter::shutter;
 use super::source::{ConfigSource, read_text};
 use super::values::Section;
 use super::{ConfigError, Problem};
-use crate::camera::{CameraModel, Shutter};
+use crate::camera::{CameraModel, KnownShutter};
 use crate::capture::camera::PixelLayout;
 use crate::geometry::{Body, Pose, SurfaceFrame};
 use crate::pose::FilterSettings;
@@ -46,8 +47,8 @@ pub struct Settings {
     pub(crate) lens: LensSource,
     /// The camera at the calibration's own picture size (a guess: at any); [`camera_for`](Self::camera_for) fits it to a clip.
     pub camera: CameraModel,
-    /// Its shutter.
-    pub shutter: Shutter,
+    /// What is known of its shutter.
+    pub shutter: KnownShutter,
     /// Black where the camera's picture is to be ignored; of the calibration's aspect ratio.
     pub mask: Option<GrayImage>,
     /// How to open the camera, for the commands that do.
@@ -176,10 +177,16 @@ impl Settings {
         Self::from_text(&read_text(file)?, file)
     }
 
+    /// As [`load`](Self::load), of a text that is kept in another file than the one that it belongs to.
+    pub fn load_as(text: &Path, file: &Path) -> Result<Self, ConfigError> {
+        Self::from_text(&read_text(text)?, file)
+    }
+
     /// As [`load`](Self::load), with the text at hand; `file` is its name, to which relative paths belong.
     pub fn from_text(text: &str, file: &Path) -> Result<Self, ConfigError> {
         let typed = as_typed::Config::parse(text, file)?;
         let origin = Origin::new(file, text);
+        refuse_many(&origin, &typed)?;
         let (mut notes, mut warnings) = (Vec::new(), Vec::new());
         let section = Section { origin: &origin, name: "[camera]" };
         let (lens, model) = lens(&section, typed.camera.as_ref())?;
@@ -187,10 +194,7 @@ impl Settings {
         let camera = typed.camera.as_ref().map_or(&none, Spanned::get_ref);
         let calibration_line = camera.calibration.as_ref().map(Spanned::span).or(typed.camera.as_ref().map(Spanned::span));
         let calibration_line = calibration_line.map_or(1, |span| origin.line(&span));
-        let seconds = "seconds from 0 (unknown) to 1; 15 milliseconds are 0.015";
-        let within = |v: f64| (0.0..=Shutter::LONGEST_S).contains(&v);
-        let exposure_s = section.number("exposure_s", camera.exposure_s.as_ref(), 0.0, within, seconds)?;
-        let readout_s = section.number("readout_s", camera.readout_s.as_ref(), 0.0, within, seconds)?;
+        let shutter = shutter(&section, camera)?;
         let mask = camera.mask.as_ref().map(|m| mask(&section, m, lens.size(&model).map(|_| &model))).transpose()?;
         let mut bodies = BodyReader {
             origin: &origin,
@@ -212,6 +216,7 @@ impl Settings {
         let (device, safety) = (device(&section, camera)?, safety(&origin, typed.safety.as_ref())?);
         notes.extend(device.fps.and_then(|fps| safety.note_on_rate(fps)));
         refuse_overwriting(&typed, &origin, &files)?;
+        notes.append(&mut origin.remarks.borrow_mut());
         Ok(Self {
             file: file.to_owned(),
             measured: measured(&origin, typed.survey.as_ref(), &stage)?,
@@ -219,7 +224,7 @@ impl Settings {
             lens,
             calibration_line,
             camera: model,
-            shutter: Shutter { exposure_s, readout_s },
+            shutter,
             mask,
             device,
             stage,

@@ -3,6 +3,7 @@
 //! A session may outlive what it was started from: the config is edited, a picture painted anew, a calibration replaced,
 //! long before the next SIGHUP. What is saved of the session must be what it ran with, so nothing is read twice.
 
+use std::borrow::Cow;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::io;
@@ -10,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::ConfigError;
-use crate::camera::{Calibration, CalibrationFileError, parse_calibration};
+use crate::camera::{Calibration, CalibrationFileError, parse_calibration, utf16};
 use crate::safe_file;
 
 /// A config's text, and what it names, as they were when it was read.
@@ -29,6 +30,10 @@ const LARGEST_CONFIG_BYTES: u64 = 4 << 20;
 pub(super) fn read_text(file: &Path) -> Result<String, ConfigError> {
     let unreadable = |e: std::io::Error| ConfigError::Unreadable { file: file.to_owned(), reason: e.to_string() };
     let bytes = safe_file::read(file, LARGEST_CONFIG_BYTES).map_err(unreadable)?;
+    if matches!(utf16::as_utf8(&bytes), Cow::Owned(_)) {
+        let reason = "the file is UTF-16; save it as UTF-8".to_owned();
+        return Err(ConfigError::Syntax { file: file.to_owned(), line: 1, reason });
+    }
     String::from_utf8(bytes).map_err(|e| {
         let line = 1 + e.as_bytes()[..e.utf8_error().valid_up_to()].iter().filter(|b| **b == b'\n').count();
         ConfigError::Syntax { file: file.to_owned(), line, reason: "a character is not UTF-8; save the file as UTF-8".to_owned() }

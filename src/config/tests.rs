@@ -61,7 +61,7 @@ fn message(folder: &tempfile::TempDir, text: &str) -> String {
 fn defaults_are_those_of_the_documentation() {
     let folder = folder();
     let settings = load(&folder, GOOD).unwrap();
-    assert_eq!((settings.shutter.exposure_s, settings.shutter.readout_s), (0.0, 0.0));
+    assert_eq!((settings.shutter.exposure_s, settings.shutter.readout_s), (None, None));
     assert_eq!(settings.tracker, crate::track::TrackerSettings::default());
     assert_eq!(settings.device, DeviceSettings::default());
     assert_eq!(settings.log, LogSettings { level: LevelFilter::WARN, format: LogFormat::Text });
@@ -86,7 +86,7 @@ fn every_key_reaches_the_settings() {
         [tracker]\nthreads = 2\nfeatures = 800\ncoast_s = 0\nconfirm_frames = 3\nseed = 9\n\
         [recorder]\nfolder = \"takes\"\ncontinuous = true\nring_s = 20\n[log]\nlevel = \"debug\"\nformat = \"json\"\n";
     let s = load(&folder, text).unwrap();
-    assert_eq!((s.shutter.exposure_s, s.shutter.readout_s), (0.01, 0.02));
+    assert_eq!((s.shutter.exposure_s, s.shutter.readout_s), (Some(0.01), Some(0.02)));
     assert_eq!(s.mask_for(320, 240).unwrap().dimensions(), (320, 240));
     assert_eq!(
         (s.device.width, s.device.height, s.device.fps, s.device.format),
@@ -136,7 +136,10 @@ fn wrong_keys_get_their_place_and_the_nearest_name() {
             "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, survey, mount, tracker, recorder, filter, safety, output, http, log",
         ),
         (format!("{GOOD}[recorder]\nring = 1"), "stage.toml: unknown key `ring` in [recorder], line 7; did you mean `ring_s`?"),
-        (GOOD.replace("\"camera.toml\"", "\"camera.toml"), "stage.toml: line 2 is not TOML: invalid basic string, expected `\"`"),
+        (
+            GOOD.replace("\"camera.toml\"", "\"camera.toml"),
+            "stage.toml: line 2 is not TOML: invalid basic string, expected `\"`; the quote is not closed; write: calibration = \"camera.toml\"",
+        ),
         (
             GOOD.replace("\"camera.toml\"", "7"),
             "stage.toml: `calibration` in [camera], line 2: invalid type: integer `7`, expected a string",
@@ -152,6 +155,24 @@ fn wrong_keys_get_their_place_and_the_nearest_name() {
     ];
     for (text, wanted) in cases {
         assert_eq!(message(&folder, &text), wanted, "{text}");
+    }
+}
+
+#[test]
+fn slips_of_the_keyboard_are_answered_by_what_to_type() {
+    let folder = folder();
+    for (text, line, wanted) in [
+        (GOOD.replace("[[stage.surface]]", "[stage.surface]"), "`surface` in [stage], line 3", "write [[stage.surface]]"),
+        (format!("{GOOD}[output]\nprotocol = \"freed\""), "`output` in the config, line 6", "write [[output]]"),
+        (format!("{GOOD}[object]\nname = \"a\""), "`object` in the config, line 6", "write [[object]]"),
+        (GOOD.replace("[camera]", "[[camera]]"), "`camera` in the config, line 1", "write [camera]"),
+        (GOOD.replace("[4, 3]", "[0,4, 0,22]"), "line 5: invalid length 4", "write: [0.4, 0.22]"),
+        (camera_plus("exposure_s = 0,02"), "line 3 is not TOML", "write: exposure_s = 0.02"),
+        (GOOD.replace("\"camera.toml\"", "“camera.toml”"), "line 2 is not TOML", "write: calibration = \"camera.toml\""),
+        (GOOD.replace("\"camera.toml\"", "\"C:\\Users\\a.toml\""), "line 2 is not TOML", "write: calibration = \"C:/Users/a.toml\""),
+    ] {
+        let said = message(&folder, &text);
+        assert!(said.contains(line) && said.contains(wanted), "{text}: {said}");
     }
 }
 
@@ -427,5 +448,24 @@ fn how_well_surfaces_are_known_is_read_and_has_defaults() {
         let refusal = message(&folder, &format!("{GOOD}{line}\n"));
         let key = line.split(' ').next().unwrap();
         assert!(refusal.contains(key) && refusal.contains("line 6") && refusal.contains(wanted), "{refusal}");
+    }
+}
+
+#[test]
+fn as_many_surfaces_as_a_set_has_are_read_and_too_many_are_refused_before_a_picture_is() {
+    let folder = tempfile::tempdir().unwrap();
+    fill(folder.path());
+    let config = |stage: usize, object: usize, image: &str| {
+        let surface = |of: &str| format!("[[{of}.surface]]\nimage = \"{image}\"\nsize_m = [4, 3]\n");
+        let object = if object == 0 { String::new() } else { format!("[[object]]\nname = \"a\"\n{}", surface("object").repeat(object)) };
+        let text = format!("[camera]\ncalibration = \"camera.toml\"\n{}{object}", surface("stage").repeat(stage));
+        Settings::from_text(&text, &folder.path().join("stage.toml"))
+    };
+    assert_eq!(config(6, 2, "art.png").unwrap().stage.surfaces.len(), 6);
+    let said = config(70, 30, "none.png").unwrap_err().to_string();
+    assert!(said.contains("none.png") && !said.contains("surfaces cannot"), "100 are not too many: {said}");
+    for (stage, object, line) in [(300, 0, 303), (60, 60, 305)] {
+        let said = config(stage, object, "none.png").unwrap_err().to_string();
+        assert!(said.contains(&format!("line {line}: {} surfaces cannot be used; give at most 100", stage + object)), "{said}");
     }
 }

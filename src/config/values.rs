@@ -12,7 +12,7 @@ use super::source::calibration_bytes;
 use super::typed_values::{Count, Exactly, Number};
 use super::{ConfigError, Problem, shape_file};
 use crate::camera::{Calibration, parse_calibration};
-use crate::capture::{LARGEST_PICTURE_FILE, decode_oriented, orientation_words};
+use crate::capture::{LARGEST_PICTURE_FILE, decode_on_white, orientation_words};
 use crate::safe_file;
 use crate::track::{SurfaceShape, SurfaceSpec};
 
@@ -125,7 +125,24 @@ impl Section<'_> {
         let refuse = |problem| self.refuse(key, &typed.span(), problem);
         let bytes = self.origin.files.get(&file, |file| safe_file::read(file, LARGEST_PICTURE_FILE));
         let bytes = bytes.map_err(|e| refuse(Problem::PictureFile { file: file.clone(), reason: e.to_string() }))?;
-        decode_oriented(&bytes).map_err(|reason| refuse(Problem::PictureContent { file, reason }))
+        let (picture, orientation, unseen) = decode_on_white(&bytes).map_err(|reason| refuse(Problem::PictureContent { file, reason }))?;
+        if unseen > 0.0 {
+            let note = format!(
+                "{:.1} % of it is transparent, which is taken as white paper; where it is printed on another colour, put it on that colour first",
+                100.0 * unseen
+            );
+            self.remark(typed.get_ref(), &note);
+        }
+        Ok((picture, orientation))
+    }
+
+    /// Keeps a sentence about a file that the config names, once.
+    fn remark(&self, name: &str, sentence: &str) {
+        let remark = format!("{name}: {sentence}");
+        let mut remarks = self.origin.remarks.borrow_mut();
+        if !remarks.contains(&remark) {
+            remarks.push(remark);
+        }
     }
 
     /// A picture whose raw pixels mean something: one that is to be shown turned is refused, for whoever measured in it saw
@@ -157,7 +174,9 @@ impl Section<'_> {
         let file = self.origin.beside(typed.get_ref());
         let bytes = self.origin.files.get(&file, calibration_bytes);
         let calibration = bytes.and_then(|bytes| parse_calibration(&bytes, &file));
-        calibration.map_err(|e| self.refuse(key, &typed.span(), Problem::Calibration(Box::new(e))))
+        let calibration = calibration.map_err(|e| self.refuse(key, &typed.span(), Problem::Calibration(Box::new(e))))?;
+        calibration.notes.iter().for_each(|note| self.remark(typed.get_ref(), note));
+        Ok(calibration)
     }
 }
 

@@ -1,21 +1,39 @@
 //! What becomes of a row of a clip: every row has its sample, whatever it holds.
 
 use crate::capture::{ClipEntry, EntryContent};
+use crate::frame::Frame;
 use crate::record::PoseSample;
 use crate::track::{Matcher, Reason, Sighting};
-use crate::tracker::Tracker;
+use crate::tracker::{PoseRecorder, Tracker};
 
 /// Tracks a row in the calling thread.
 pub fn track_entry(tracker: &mut Tracker, row: &ClipEntry) -> PoseSample {
     let sighting = sight(&mut tracker.matcher, row);
-    tracker.poses.sample(&sighting, row.decode.as_secs_f64() * 1e3)
+    sample(&mut tracker.poses, &sighting, row)
 }
 
-/// What the matcher makes of a row.
+/// What the matcher makes of a row, in its own time.
 pub(super) fn sight(matcher: &mut Matcher, row: &ClipEntry) -> Sighting {
     match &row.content {
-        EntryContent::Frame(frame) => matcher.look(frame),
-        EntryContent::Undecodable(_) => matcher.look_away(row.sequence, row.timestamp, Reason::Undecodable),
+        EntryContent::Frame(frame) => {
+            let own = matcher.own_time(row.timestamp);
+            match own == frame.timestamp {
+                // Of the same picture nothing new can be measured.
+                _ if row.repeats && matcher.has_given() => matcher.look_away(row.sequence, own, Reason::Repeated),
+                true => matcher.look(frame),
+                false => matcher.look(&Frame { timestamp: own, ..frame.clone() }),
+            }
+        }
+        EntryContent::Undecodable(_) => {
+            let own = matcher.own_time(row.timestamp);
+            matcher.look_away(row.sequence, own, Reason::Undecodable)
+        }
         EntryContent::Skipped(_) => matcher.look_past(row.sequence, row.timestamp),
     }
+}
+
+/// The sample of a row's sighting, with the row's stamp.
+pub(super) fn sample(poses: &mut PoseRecorder, sighting: &Sighting, row: &ClipEntry) -> PoseSample {
+    let sample = poses.sample(sighting, row.decode.as_secs_f64() * 1e3);
+    PoseSample { timestamp: row.timestamp, ..sample }
 }

@@ -5,8 +5,10 @@
 //! that may fail.
 
 mod entries;
+mod free_memory;
 mod jobs;
 mod kept_views;
+mod learnt_state;
 pub mod live;
 mod own_folders;
 mod reason_watch;
@@ -17,14 +19,18 @@ mod stale;
 mod supervisor;
 mod thread_time;
 mod threads;
+mod unwritten;
 
 pub use entries::track_entry;
+pub use free_memory::give_back;
 pub use jobs::Progress;
 pub use kept_views::kept_views;
-pub use own_folders::state_folder;
+pub use learnt_state::{LearntFile, learnt_of_clip};
+pub use own_folders::{Keeping, state_folder};
 #[cfg(test)]
 pub use retrack::nothing_compared;
 pub use retrack::retrack;
 pub use supervisor::{Mode, RecordingWish, Supervisor};
 pub use thread_time::thread_clock;
 pub use threads::{Daemon, DaemonError, Delivery, RunningDaemon};
+pub use unwritten::unwritten;

@@ -1,6 +1,8 @@
 //! Folders of the program's own, beside its config: the service's, else the user's.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use crate::safe_file;
 
 /// Where it keeps what it learns: systemd's `StateDirectory=`, else `stagepose` below the user's state folder (XDG), else the folder that the program
 /// runs in.
@@ -19,4 +21,84 @@ fn own_folder(of_service: &str, of_user: &str, in_home: &str) -> Option<PathBuf>
     // A service may have several, with colons between them.
     let of_service = of(of_service).and_then(|folders| std::env::split_paths(&folders).next());
     of_service.or_else(|| Some(of(of_user).or_else(|| Some(of("HOME")?.join(in_home)))?.join("stagepose")))
+}
+
+/// Where a daemon keeps what is changed while it runs: its config, the set, recordings. Beside the config, or, where it may not write
+/// there (a service whose config is root's), in a folder of its own.
+#[derive(Debug, Clone)]
+pub struct Keeping {
+    config: PathBuf,
+    /// The folder of its own, where it may not write beside the config.
+    own: Option<PathBuf>,
+}
+
+impl Keeping {
+    /// What holds for this config now.
+    pub fn of(config: &Path) -> Self {
+        // Of a file that is not there yet, its folder is asked.
+        let may_write = safe_file::may_write(&config.with_file_name(".stagepose-may-write")).is_ok();
+        Self::choose(config, may_write, &state_folder())
+    }
+
+    fn choose(config: &Path, may_write: bool, state: &Path) -> Self {
+        // Two configs that a user may not write must not share a set.
+        let name = || format!("of{}", whole(config).to_string_lossy().replace('/', "-"));
+        Self { config: config.to_owned(), own: (!may_write).then(|| state.join(name())) }
+    }
+
+    /// Where the set and recordings go.
+    pub fn folder(&self) -> PathBuf {
+        self.own.clone().unwrap_or_else(|| self.config.parent().unwrap_or(Path::new("")).to_owned())
+    }
+
+    /// True where that is not beside the config.
+    pub fn is_elsewhere(&self) -> bool {
+        self.own.is_some()
+    }
+
+    /// Where a changed config is written. Its relative paths are those of the config that was given.
+    pub fn changed(&self) -> PathBuf {
+        self.folder().join(self.config.file_name().unwrap_or_default())
+    }
+
+    /// The file that has the config's text: the one that was given, or a change of it that is not older.
+    pub fn current(&self) -> PathBuf {
+        let at = |file: &Path| std::fs::metadata(file).and_then(|about| about.modified()).ok();
+        let changed = self.changed();
+        let is_newer = self.own.is_some() && at(&changed).is_some_and(|then| at(&self.config).is_none_or(|given| given <= then));
+        if is_newer { changed } else { self.config.clone() }
+    }
+}
+
+/// The path from the root on, of the folder at least.
+fn whole(file: &Path) -> PathBuf {
+    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::{Duration, SystemTime};
+
+    use super::*;
+
+    #[test]
+    fn what_may_not_be_written_beside_the_config_is_kept_in_a_folder_of_its_own() {
+        let [etc, state] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+        let config = etc.path().join("stage.toml");
+        std::fs::write(&config, "# given").unwrap();
+        let beside = Keeping::choose(&config, true, state.path());
+        assert_eq!((beside.folder(), beside.changed(), beside.current()), (etc.path().to_owned(), config.clone(), config.clone()));
+        let own = Keeping::choose(&config, false, state.path());
+        assert!(own.is_elsewhere() && own.folder().starts_with(state.path()), "{own:?}");
+        assert_ne!(own.folder(), Keeping::choose(&state.path().join("stage.toml"), false, state.path()).folder());
+        assert_eq!(own.current(), config, "nothing was changed yet");
+        std::fs::create_dir_all(own.folder()).unwrap();
+        std::fs::write(own.changed(), "# changed").unwrap();
+        assert_eq!(own.current(), own.changed());
+        // Whoever may write the config has the last word.
+        let later = SystemTime::now() + Duration::from_secs(5);
+        std::fs::File::options().write(true).open(&config).unwrap().set_modified(later).unwrap();
+        assert_eq!(own.current(), config);
+    }
 }

@@ -72,7 +72,7 @@ mod tests {
     fn sample(k: i64, state: State, reason: Option<Reason>) -> PoseSample {
         let (sequence, timestamp) = (k as u64, Timestamp::from_ns(k * 100_000_000));
         let (pose, measurement, objects, times) = (None, None, Vec::new(), StageTimes::default());
-        PoseSample { sequence, timestamp, state, pose, measurement, objects, reason, times }
+        PoseSample { sequence, timestamp, state, pose, measurement, objects, reason, learnt: Default::default(), times }
     }
 
     /// Ten frames a second; the events by the frame that completes them.

@@ -12,7 +12,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{Progress, kept_views, thread_clock, track_entry};
+use super::{Progress, kept_views, learnt_of_clip, thread_clock, track_entry};
 use crate::capture::{ClipOptions, open_clip};
 use crate::config::Settings;
 use crate::safe_file;
@@ -67,14 +67,14 @@ struct Compared {
 pub fn retrack(clip: &Path, settings: &Settings, progress: &mut Progress) -> Result<String, String> {
     let options = ClipOptions { calibrated: settings.lens.size(&settings.camera), ..ClipOptions::default() };
     let mut source = open_clip(clip, options).map_err(|e| e.to_string())?;
+    source.notes().iter().for_each(|note| tracing::warn!("{}: {note}", clip.display()));
     let (width, height) = source.size();
     let (setup, _) = settings.tracker_setup(width, height).map_err(|e| e.to_string())?;
     let mut setup = TrackerSetup { clock: thread_clock(), store: kept_views(), ..setup };
     // It has one thread, which stands back; the records do not depend on how many there are.
     setup.settings.threads = 1;
-    if setup.shutter.exposure_s == 0.0 {
-        setup.shutter.exposure_s = locked_exposure_s(clip);
-    }
+    setup.learnt = learnt_of_clip(clip).unwrap_or_default();
+    setup.shutter.exposure_s = setup.shutter.exposure_s.or_else(|| locked_exposure_s(clip));
     let mut tracker = Tracker::new(setup).map_err(|e| e.to_string())?.with_filter(settings.filter);
     let part = Part::begin(clip).map_err(|e| unwritable(clip, &e))?;
     let (mut poses, mut differences) = part.files().map_err(|e| unwritable(clip, &e))?;
@@ -100,12 +100,12 @@ fn unwritable(clip: &Path, error: &io::Error) -> String {
     format!("{}: cannot be written ({error}); make room on the disk, or let the daemon write there", clip.join(FOLDER).display())
 }
 
-/// The exposure that the camera had locked while this was recorded, seconds; 0 where that is not known.
-fn locked_exposure_s(clip: &Path) -> f64 {
+/// The exposure that the camera had locked while this was recorded, seconds.
+fn locked_exposure_s(clip: &Path) -> Option<f64> {
     let text = safe_file::read(&clip.join("clip.toml"), LARGEST_ABOUT).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     let about: Option<toml::Table> = text.and_then(|text| text.parse().ok());
     let exposure_s = about.as_ref().and_then(|about| about.get("camera")?.get("exposure_s")?.as_float());
-    exposure_s.filter(|exposure_s| (0.0..=1.0).contains(exposure_s)).unwrap_or(0.0)
+    exposure_s.filter(|exposure_s| *exposure_s > 0.0 && *exposure_s <= 1.0)
 }
 
 /// The folder while it is not whole; it goes again unless it is finished.

@@ -3,13 +3,15 @@
 //! A session (a camera, a tracker and what listens, under one config) comes and goes; the HTTP server stays. It asks here for what it wants
 //! (another config, a recording, the ring saved), and the session's loop takes the wishes up. Nobody waits for anybody.
 
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::jobs::Jobs;
 use super::live::LiveLink;
-use crate::config::Settings;
+use super::own_folders::Keeping;
+use crate::config::{ConfigError, Settings};
 use crate::publish::OutputStatistics;
 
 /// Who has the camera.
@@ -53,10 +55,15 @@ pub struct Supervisor {
     /// What takes its time.
     pub jobs: Jobs,
     file: PathBuf,
+    keeping: Keeping,
     settings: Mutex<Option<Arc<Settings>>>,
     refusal: Mutex<Option<String>>,
     outputs: Mutex<Option<OutputsWatch>>,
     recording: Mutex<Option<RecordingWish>>,
+    /// Where the page is.
+    page: Mutex<Option<SocketAddr>>,
+    /// Size of the camera's pictures, while it is open.
+    picture_size: Mutex<Option<(u32, u32)>>,
     /// What is recorded now.
     clip: Mutex<Option<PathBuf>>,
     save: AtomicBool,
@@ -76,10 +83,13 @@ impl Supervisor {
             link,
             jobs: Jobs::default(),
             file: file.to_owned(),
+            keeping: Keeping::of(file),
             settings: Mutex::default(),
             refusal: Mutex::default(),
             outputs: Mutex::default(),
             recording: Mutex::default(),
+            page: Mutex::default(),
+            picture_size: Mutex::default(),
             clip: Mutex::default(),
             save: AtomicBool::new(false),
             reload: AtomicBool::new(false),
@@ -91,6 +101,11 @@ impl Supervisor {
     /// The config's file.
     pub fn file(&self) -> &Path {
         &self.file
+    }
+
+    /// Where the config and the set are changed.
+    pub fn keeping(&self) -> &Keeping {
+        &self.keeping
     }
 
     /// Held by who looks at the config or what lies beside it and then changes it, one after the other.
@@ -121,6 +136,33 @@ impl Supervisor {
     /// Why the config in the file is not used; none where it is.
     pub fn refusal(&self) -> Option<String> {
         held(&self.refusal).clone()
+    }
+
+    /// Where the page is; none where there is none.
+    pub fn set_page(&self, address: Option<SocketAddr>) {
+        *held(&self.page) = address;
+    }
+
+    /// The size of the camera's pictures; none when it is closed.
+    pub fn set_picture_size(&self, size: Option<(u32, u32)>) {
+        *held(&self.picture_size) = size;
+    }
+
+    /// Whether a config can be run on this machine in place of the one that is used now: what that one holds is free for it.
+    ///
+    /// # Errors
+    /// The first thing that this machine does not give, or that does not fit the camera, with its place in the config.
+    pub fn rehearse(&self, new: &Settings) -> Result<(), ConfigError> {
+        let now = self.settings();
+        let page = *held(&self.page);
+        let listens: Vec<SocketAddr> = now.iter().flat_map(|now| now.listens()).chain(page).collect();
+        new.rehearse_outputs_beside(&listens)?;
+        let size = *held(&self.picture_size);
+        match (size, now) {
+            // Where the camera stays what it is, the calibration must fit it.
+            (Some((width, height)), Some(now)) if now.device == new.device => new.camera_for(width, height).map(drop),
+            _ => Ok(()),
+        }
     }
 
     /// The session's outputs; none when it ends.

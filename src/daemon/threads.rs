@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use thiserror::Error;
 
-use super::entries::sight;
+use super::entries::{sample, sight};
 use super::live::{Event, LiveLink, LiveSource, dropped};
 use super::reason_watch::ReasonWatch;
 use super::stale::StaleWatch;
@@ -15,7 +15,7 @@ use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, EntryOrder, FrameSource};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::PoseSample;
-use crate::track::{Matcher, ModelNews, Sighting};
+use crate::track::{Matcher, ModelNews, ReadoutNews, Reason, Sighting};
 use crate::tracker::{PoseRecorder, Tracker};
 
 /// What happens when a stage is slower than the one before it.
@@ -316,10 +316,13 @@ fn publish(
         };
         match next {
             Ok(Seen { row, sighting, age_ms }) => {
-                let mut sample = poses.sample(&sighting, row.decode.as_secs_f64() * 1e3);
+                let mut sample = sample(&mut poses, &sighting, &row);
                 sample.times.age_ms = age_ms;
                 if let Some(news) = sighting.misfit {
                     tell(news, watch.as_ref().map(StaleWatch::link));
+                }
+                if let Some(news) = sighting.readout_news {
+                    tell_readout(&news, watch.as_ref().map(StaleWatch::link));
                 }
                 if let Some(watch) = &mut watch {
                     watch.seen(&sample);
@@ -350,8 +353,19 @@ fn tell(news: ModelNews, live: Option<&LiveLink>) {
     }
 }
 
+/// Says that the readout is known, or that frames contradict it: to whoever listens to a live camera's events, else to the log.
+fn tell_readout(news: &ReadoutNews, live: Option<&LiveLink>) {
+    match (live, news.is_warning()) {
+        (Some(live), true) => live.events.publish(Event::ShutterDiffers { text: news.text() }),
+        (Some(live), false) => live.events.publish(Event::ShutterLearnt { text: news.text() }),
+        (None, true) => tracing::warn!("{}", news.text()),
+        (None, false) => tracing::info!("{}", news.text()),
+    }
+}
+
 fn count(live: &LiveLink, row: &ClipEntry, sample: &PoseSample) {
     match row.content {
+        EntryContent::Frame(_) if sample.reason == Some(Reason::Repeated) => live.statistics.undecodable.add(1),
         EntryContent::Frame(_) => {}
         EntryContent::Undecodable(_) => live.statistics.undecodable.add(1),
         EntryContent::Skipped(_) => live.statistics.skipped.add(1),

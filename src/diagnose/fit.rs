@@ -20,10 +20,12 @@ pub struct Shape {
     pub focal: f64,
     /// Height over width, over the config's.
     pub ratio: f64,
+    /// Width over height of a pixel, over the config's: other than 1 where a clip was stretched.
+    pub pixel: f64,
 }
 
 /// The config's own shape and lens.
-pub const AS_CONFIGURED: Shape = Shape { focal: 1.0, ratio: 1.0 };
+pub const AS_CONFIGURED: Shape = Shape { focal: 1.0, ratio: 1.0, pixel: 1.0 };
 
 /// A shape that was found.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,7 +55,7 @@ pub struct Views<'a> {
 const NOISE_PX: f64 = 1.0;
 /// Squares are cut at this many sigmas squared, so that a wrong match counts no more than one at four sigmas. Raised, wrong matches decide
 /// more; lowered, a wrong shape looks less wrong.
-const CUT: f64 = 16.0;
+pub(super) const CUT: f64 = 16.0;
 /// Matches of a view that are asked at most. Chosen for time: each trial solves a pose for each view. Raised, factors are known a little
 /// better, and a check takes longer.
 const ASKED: usize = 60;
@@ -61,6 +63,8 @@ const ASKED: usize = 60;
 /// raised, swapped sides of longer surfaces are found, for their ratio is off by its square; fewer steps may miss the best factor.
 const LARGEST_FACTOR: f64 = 2.6;
 const TRIALS: i32 = 8;
+/// Turns in which two factors are sought one after the other. Raised, a check takes longer, and long valleys are followed to their end.
+const MOST_TURNS: usize = 4;
 
 impl Views<'_> {
     /// Mean cut square of what a free homography leaves of the matches: no lens and no shape leaves less.
@@ -93,7 +97,7 @@ impl Views<'_> {
     /// The config's lens and size, changed by a shape; the width stays.
     pub fn trial(&self, shape: Shape) -> Option<(CameraModel, [f64; 2])> {
         let i = *self.camera.intrinsics();
-        let camera = CameraModel::new(Intrinsics { fx: i.fx * shape.focal, fy: i.fy * shape.focal, ..i }).ok()?;
+        let camera = CameraModel::new(Intrinsics { fx: i.fx * shape.focal, fy: i.fy * shape.focal * shape.pixel, ..i }).ok()?;
         Some((camera, [self.size_m[0], self.size_m[1] * shape.ratio]))
     }
 
@@ -134,13 +138,26 @@ impl Views<'_> {
 
     /// The focal length that fits best with its best ratio.
     pub fn free_both(&self) -> Found {
-        let mut best = self.free_ratio();
-        for _ in 0..3 {
-            let ratio = best.shape.ratio;
-            let focal = self.along(|focal| Shape { focal, ratio }).shape.focal;
-            let next = self.along(|ratio| Shape { focal, ratio });
+        let shape = |focal, ratio| Shape { focal, ratio, ..AS_CONFIGURED };
+        self.by_turns(self.free_ratio(), |found| found.shape.ratio, shape)
+    }
+
+    /// The pixel's shape that fits best with its best focal length.
+    pub fn free_pixel(&self) -> Found {
+        let alone = self.along(|pixel| Shape { pixel, ..AS_CONFIGURED });
+        self.by_turns(alone, |found| found.shape.pixel, |focal, pixel| Shape { focal, pixel, ..AS_CONFIGURED })
+    }
+
+    /// From the best of one factor: the focal length with that, then the factor with that, until nothing more is gained.
+    fn by_turns(&self, mut best: Found, factor: impl Fn(&Found) -> f64, shape: impl Fn(f64, f64) -> Shape) -> Found {
+        for _ in 0..MOST_TURNS {
+            let other = factor(&best);
+            let focal = self.along(|focal| shape(focal, other)).shape.focal;
+            let next = self.along(|other| shape(focal, other));
             let gained = best.left - next.left;
-            best = next;
+            if next.left < best.left {
+                best = next;
+            }
             if gained < 0.01 {
                 break;
             }
@@ -256,6 +273,24 @@ mod tests {
         let both = told(&seen, 1.5 * FOCAL_PX, [4.0, 2.0]);
         let found = both.free_both();
         assert!(found.left < both.floor() + 0.1 && (found.shape.ratio - 1.5).abs() < 0.06, "{found:?}");
+    }
+
+    #[test]
+    fn pixels_that_are_not_square_are_no_other_shape() {
+        let mut seen = views(4);
+        // 640 x 480 pixels, stretched to 853 x 480.
+        for view in &mut seen {
+            view.matches.iter_mut().for_each(|m| m.pixel.x = (m.pixel.x + 0.5) * 4.0 / 3.0 - 0.5);
+            view.matches.iter_mut().for_each(|m| m.undistorted = m.pixel);
+            let pairs: Vec<PointPair> = view.matches.iter().map(|m| PointPair { from: m.artwork, to: m.undistorted }).collect();
+            view.homography = Homography::from_pairs(&pairs, None).unwrap();
+        }
+        let focal = FOCAL_PX * 4.0 / 3.0;
+        let camera = CameraModel::pinhole(853, 480, focal, focal, 426.0, 239.5).unwrap();
+        let stretched = Views { camera, size_m: SIZE_M, artwork_px: [800.0, 600.0], views: seen.iter().collect() };
+        let found = stretched.free_pixel();
+        assert!((found.shape.pixel - 0.75).abs() < 0.02 && (found.shape.focal - 1.0).abs() < 0.05, "{found:?}");
+        assert!(found.left < stretched.floor() + 0.1 && stretched.free_ratio().left > found.left + 0.1, "{:?}", stretched.free_ratio());
     }
 
     #[test]

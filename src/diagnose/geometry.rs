@@ -2,11 +2,11 @@
 
 use nalgebra::Vector2;
 
-use super::Trial;
 use super::corners::{begun_at, corners_of, top_left};
 use super::finding::{Finding, known_to, list, written};
-use super::fit::{AS_CONFIGURED, Found, Shape, Views};
-use crate::camera::{CameraModel, Intrinsics};
+use super::fit::{AS_CONFIGURED, CUT, Found, Shape, Views};
+use super::{Shown, Trial};
+use crate::camera::{CameraModel, Intrinsics, LensGuess};
 use crate::frame::Frame;
 use crate::geometry::robust_kernel::median;
 use crate::geometry::{Body, Pose, SurfaceFrame};
@@ -29,6 +29,12 @@ const LEAST_GAIN: f64 = 0.06;
 /// Of the logarithm of a factor: beyond it no fold of a cloth and no calibration in use is meant, and the finding is a doubt instead of a
 /// warning. Chosen, not tuned. Raised, more are warnings.
 const LARGE_FACTOR: f64 = 0.08;
+/// Of two explanations the one that leaves less by this much is the better one, squared sigmas a match. Raised, more are called alike.
+const CLEARLY: f64 = 0.02;
+/// Share of what the best factor explains, from which a swap of width and height is the cause. Lowered, other mistakes pass for a swap.
+const SWAPPED: f64 = 0.8;
+/// Of the logarithm: pixels that are less far from square are a lens' own. Raised, clips that are stretched by little pass.
+const LEAST_STRETCH: f64 = 0.03;
 /// Two ratios are the same within this, of the logarithm: it tells a swap of width and height from a coincidence. Chosen, not tuned.
 /// Raised, more ratios are called a swap, and fewer nearly square surfaces can be.
 const SAME_RATIO: f64 = 0.06;
@@ -40,15 +46,16 @@ const LARGEST_TURN_DEG: f64 = 12.0;
 /// seen small is not said to.
 const LARGEST_SCATTER: f64 = 0.3;
 
-/// What the views say; `views` are those of each frame. `is_explained`: aligned pixels, which tell more finely, have named what is a little off.
-pub fn of_views(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<SurfaceView>], is_followed: bool, is_explained: bool) -> Vec<Finding> {
+/// What the views say; `views` are those of each frame.
+pub fn of_views(shown: &Shown<'_>, views: &[Vec<SurfaceView>]) -> Vec<Finding> {
+    let Shown { setup, frames, is_followed, is_explained, guess, .. } = *shown;
     let count = |s: usize| views.iter().flatten().filter(|v| v.surface as usize == s).count();
     let Some(main) = (0..setup.stage.surfaces.len()).max_by_key(|s| (count(*s), usize::MAX - s)) else { return Vec::new() };
     let seen = views_of(setup, views, main);
     if seen.views.is_empty() {
         return Vec::new();
     }
-    let case = Case { setup, frames, main, spec: &setup.stage.surfaces[main], floor: seen.floor(), seen };
+    let case = Case { setup, frames, main, spec: &setup.stage.surfaces[main], floor: seen.floor(), seen, guess };
     let left = case.seen.left(AS_CONFIGURED);
     tracing::debug!(left, floor = case.floor, views = case.seen.views.len(), "lens and shape as configured");
     if !case.fits(left) && !is_explained {
@@ -107,6 +114,7 @@ struct Case<'a> {
     spec: &'a SurfaceSpec,
     floor: f64,
     seen: Views<'a>,
+    guess: Option<LensGuess>,
 }
 
 impl Case<'_> {
@@ -120,23 +128,29 @@ impl Case<'_> {
         let name = &self.spec.name;
         let ratio = self.seen.free_ratio();
         let focal = self.seen.free_focal();
-        tracing::debug!(?ratio, ?focal, floor = self.floor, "lens and shape, each free");
-        let is_swap = (ratio.shape.ratio / (w / h).powi(2)).ln().abs() < SAME_RATIO && (w / h).ln().abs() > SAME_RATIO;
-        if self.fits(ratio.left) && is_swap {
-            return Some(self.swapped(ratio.shape));
+        let pixel = self.seen.free_pixel();
+        tracing::debug!(?ratio, ?focal, ?pixel, floor = self.floor, "lens, shape and pixels, each free");
+        if let Some(swap) = self.swap([ratio.left, focal.left, pixel.left].into_iter().fold(CUT, f64::min)) {
+            return Some(self.swapped(swap));
         }
-        if self.fits(ratio.left) && ratio.left <= focal.left + 0.02 {
+        let is_stretched = self.fits(pixel.left) && pixel.shape.pixel.ln().abs() > LEAST_STRETCH;
+        let is_pixel = is_stretched && pixel.left < ratio.left.min(focal.left) - CLEARLY;
+        if self.fits(ratio.left) && ratio.left <= focal.left + CLEARLY && !is_pixel {
             let known = |side: f64| known_to(side, side * ratio.sigma);
             let size = list(&[w, known(h * ratio.shape.ratio)]);
             let tried = self.tried(ratio.shape);
             let told = ratio_words(h / w * ratio.shape.ratio, &ratio, h / w);
+            let or_stretched = if is_stretched { format!("; where size_m is right, {}", self.pixel_words(&pixel)) } else { String::new() };
             return Some(Finding::fault(format!(
-                "{name}: {told}, so that no pose fits: measure it again, and write size_m = {size} if its width is right, {} if its height is{tried}",
+                "{name}: {told}, so that no pose fits: measure it again, and write size_m = {size} if its width is right, {} if its height is{tried}{or_stretched}",
                 list(&[known(w / ratio.shape.ratio), h])
             )));
         }
-        if self.fits(focal.left) {
+        if self.fits(focal.left) && !is_pixel {
             return Some(Finding::fault(self.focal_words(&focal, "so that no pose fits")));
+        }
+        if is_stretched {
+            return Some(Finding::fault(format!("{}{}", self.pixel_words(&pixel), self.tried(pixel.shape))));
         }
         if let Some(finding) = self.other_distortion() {
             return Some(finding);
@@ -146,7 +160,7 @@ impl Case<'_> {
         if self.fits(both.left) {
             let tried = self.tried(both.shape);
             return Some(Finding::fault(format!(
-                "{name}: neither size_m nor the calibration fit what is seen; a size_m of {} with a focal length of {} pixels (the calibration \
+                "{name}: neither size_m nor the lens fit what is seen; a size_m of {} with a focal length of {} pixels (the config's \
                  has {}) would: check both, size_m first, and calibrate this camera at this picture size{tried}",
                 list(&[w, h * both.shape.ratio]),
                 written(self.setup.camera.intrinsics().fx * both.shape.focal),
@@ -154,6 +168,32 @@ impl Case<'_> {
             )));
         }
         None
+    }
+
+    /// Width and height swapped, where that explains nearly all that any one factor does (`least` is left by the best). What else is a
+    /// little off, such as a corner that was read off roughly, need not be right for that.
+    fn swap(&self, least: f64) -> Option<Shape> {
+        let [w, h] = self.spec.size_m;
+        let swap = Shape { ratio: (w / h).powi(2), ..AS_CONFIGURED };
+        let (left, left_swapped) = (self.seen.left(AS_CONFIGURED), self.seen.left(swap));
+        tracing::debug!(left, left_swapped, least, "with width and height swapped");
+        let explains = left - left_swapped > SWAPPED * (left - least.min(left_swapped));
+        ((w / h).ln().abs() > SAME_RATIO && explains && left - left_swapped > CLEARLY).then_some(swap)
+    }
+
+    /// Pixels that are not square, and what to do about them.
+    fn pixel_words(&self, found: &Found) -> String {
+        let i = self.setup.camera.intrinsics();
+        let pixel = found.shape.pixel * i.fy / i.fx;
+        let even = |side: f64| 2 * (0.5 * side).round() as u32;
+        let [width, height] = [f64::from(i.width), f64::from(i.height)];
+        let [width, height] = if pixel < 1.0 { [width * pixel, height] } else { [width, height / pixel] };
+        format!(
+            "the clip's pixels are not square: it fits where they are {pixel:.3} times as wide as high, as of a picture that was stretched; \
+             switch that off in the camera or the recording program, or undo it: ffmpeg -i CLIP -vf scale={}:{},setsar=1 out.mp4",
+            even(width),
+            even(height)
+        )
     }
 
     /// Nothing explains how it is seen.
@@ -201,14 +241,34 @@ impl Case<'_> {
         let i = self.setup.camera.intrinsics();
         let focal_px = i.fx * found.shape.focal;
         let fov = 2.0 * (0.5 * f64::from(i.width) / focal_px).atan().to_degrees();
+        let spread = (3.0 * found.sigma * focal_px).max(0.01 * focal_px);
+        let (whose, mend) = match self.guess {
+            None => (
+                "the calibration is not this camera's, or not of this picture size or zoom: it has".to_owned(),
+                format!(
+                    "calibrate this camera as it is used, or write fx = {} and fy = {} for a first try",
+                    written(focal_px),
+                    written(i.fy * found.shape.focal)
+                ),
+            ),
+            Some(guess) => {
+                let (key, typed, better) = match guess {
+                    LensGuess::FieldOfView(degrees) => ("fov_deg", degrees, fov),
+                    LensGuess::FilmFocalLength(mm) => ("focal_35mm_mm", mm, mm * found.shape.focal),
+                };
+                // No digit that is not known.
+                let better = written(known_to(better, better * found.sigma.max(0.003)));
+                (
+                    format!("{key} = {} is not this camera's, or not of this zoom: it makes", written(typed)),
+                    format!("write {key} = {better} for a first try, and calibrate this camera as it is used"),
+                )
+            }
+        };
         format!(
-            "the calibration is not this camera's, or not of this picture size or zoom: it has a focal length of {} pixels, the clip speaks for \
-             {} +- {} ({fov:.0} degrees across), {consequence}: calibrate this camera as it is used, or write fx = {} and fy = {} for a first try{}",
+            "{whose} a focal length of {} pixels, the clip speaks for {} +- {} ({fov:.0} degrees across), {consequence}: {mend}{}",
             written(i.fx),
             written(focal_px),
-            written((3.0 * found.sigma * focal_px).max(0.01 * focal_px)),
-            written(focal_px),
-            written(i.fy * found.shape.focal),
+            written(spread),
             self.tried(found.shape)
         )
     }

@@ -16,10 +16,10 @@ pub mod trackability;
 use image::GrayImage;
 
 pub use corners::{corners_begun_at_top_left, of_corners};
-pub use finding::{Finding, Grade};
+pub use finding::{Finding, Grade, known_to, written};
 pub use plausible::{Travel, of_layout, of_lens, of_shutter};
 
-use crate::camera::{CameraModel, Shutter};
+use crate::camera::{CameraModel, LensGuess, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
 use crate::track::{BodySpec, Matcher, Reason, SurfaceView};
@@ -45,7 +45,7 @@ impl Trial {
     /// Prepares the pictures of a stage for a camera; the rest is as configured.
     pub fn new(camera: CameraModel, mask: Option<GrayImage>, stage: &BodySpec, setup: &TrackerSetup) -> Self {
         let (settings, store) = (setup.clone().as_trial().settings, setup.store.clone());
-        let matcher = Matcher::new(camera, Shutter::default(), mask, &[stage], settings, ComputeClock::default(), store);
+        let matcher = Matcher::new(camera, Shutter::default().into(), mask, &[stage], settings, ComputeClock::default(), store);
         Self { matcher, stamp: Timestamp::default() }
     }
 
@@ -85,9 +85,25 @@ impl Trial {
     }
 }
 
-/// What is wrong with a clip, by trying; `frames` are some of its frames, spread over it. `is_followed`: whether tracking went well
-/// as configured, by `travel`.
-pub fn of_clip(setup: &TrackerSetup, frames: &[Frame], is_followed: bool, is_explained: bool, travel: &Travel) -> Vec<Finding> {
+/// Frames of a clip, and what tracking as configured made of it.
+pub struct Shown<'a> {
+    /// What it was tracked with.
+    pub setup: &'a TrackerSetup,
+    /// Some of its frames, spread over it.
+    pub frames: &'a [Frame],
+    /// Whether tracking went well.
+    pub is_followed: bool,
+    /// Whether aligned pixels, which tell more finely than features, have named what is a little off.
+    pub is_explained: bool,
+    /// The camera's way, by the poses.
+    pub travel: &'a Travel,
+    /// How the lens is configured, where it is a guess.
+    pub guess: Option<LensGuess>,
+}
+
+/// What is wrong with a clip, by trying.
+pub fn of_clip(shown: &Shown<'_>) -> Vec<Finding> {
+    let Shown { setup, frames, is_followed, travel, .. } = *shown;
     let mut findings = picture::of_frames(frames, is_followed);
     let mut trial = Trial::of(setup);
     let views: Vec<Vec<SurfaceView>> = frames.iter().map(|f| trial.views(&f.image)).collect();
@@ -96,7 +112,7 @@ pub fn of_clip(setup: &TrackerSetup, frames: &[Frame], is_followed: bool, is_exp
         findings.extend(picture::of_pictures(setup, frames, seen));
     }
     if seen > 0 {
-        findings.extend(geometry::of_views(setup, frames, &views, is_followed, is_explained));
+        findings.extend(geometry::of_views(shown, &views));
         findings.extend(picture::never_recognised(setup, frames, &views, travel));
     }
     findings

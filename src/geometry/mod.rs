@@ -25,6 +25,8 @@ pub mod homography;
 pub mod homography_decomposition;
 pub mod least_squares;
 pub mod local_affinities;
+pub mod marginal_homography;
+mod marginal_noise;
 pub mod model_choice;
 pub mod motion_refinement;
 pub mod noise;

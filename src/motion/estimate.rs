@@ -7,7 +7,7 @@
 use nalgebra::Matrix3;
 
 use super::process_noise::{Innovation, ProcessNoise};
-use super::state::{Motion, MotionMatrix};
+use super::state::{Motion, MotionError, MotionMatrix};
 use crate::geometry::{Body, Camera, Pose};
 
 /// What may be expected of a motion not seen yet, one sigma: m/s at `UNSEEN_DISTANCE_M`, rad/s, m/s² there, rad/s². A hand that shakes a
@@ -76,9 +76,13 @@ impl MotionEstimate {
         })
     }
 
-    /// What is expected `dt_s` later, at a distance from the stage.
-    pub fn after(&self, dt_s: f64, distance_m: f64, process_noise: &ProcessNoise) -> Self {
-        let motion = self.motion.after(dt_s);
+    /// What an error of the motion becomes `dt_s` later.
+    pub fn error_after(&self, error: &MotionError, dt_s: f64) -> MotionError {
+        self.step_to(&self.motion.after(dt_s), dt_s) * error
+    }
+
+    /// How an error of this motion is carried to where it leads within `dt_s`.
+    fn step_to(&self, motion: &Motion, dt_s: f64) -> MotionMatrix {
         // The rotation error is told in the camera's axes, which turned meanwhile.
         let turned = (motion.pose.rotation.inverse() * self.motion.pose.rotation).to_rotation_matrix().into_inner();
         let mut step = MotionMatrix::identity();
@@ -88,6 +92,13 @@ impl MotionEstimate {
             step.fixed_view_mut::<3, 3>(row, column).copy_from(&(i * factor));
         }
         step.fixed_view_mut::<3, 3>(3, 3).copy_from(&turned);
+        step
+    }
+
+    /// What is expected `dt_s` later, at a distance from the stage.
+    pub fn after(&self, dt_s: f64, distance_m: f64, process_noise: &ProcessNoise) -> Self {
+        let motion = self.motion.after(dt_s);
+        let step = self.step_to(&motion, dt_s);
         let mut covariance = step * self.covariance * step.transpose();
         add_jerk(&mut covariance, 0, process_noise.of_shift(distance_m), dt_s);
         add_jerk(&mut covariance, 3, process_noise.of_turn(), dt_s);
@@ -131,7 +142,6 @@ fn add_jerk(covariance: &mut MotionMatrix, first: usize, q: f64, dt: f64) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::state::MotionError;
     use super::super::state::tests::moving;
     use super::*;
 

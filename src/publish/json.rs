@@ -75,7 +75,17 @@ impl JsonEncoder {
         let pose = own.filter(|_| self.placement.is_identity()).map_or_else(placed, |sample| sample.pose);
         let measurement = own.and_then(|sample| sample.measurement).and_then(|m| self.placed(m));
         let (state, times) = (camera.state, StageTimes::default());
-        let record = PoseSample { sequence, timestamp, state, pose, measurement, objects: Vec::new(), reason: None, times };
+        let record = PoseSample {
+            sequence,
+            timestamp,
+            state,
+            pose,
+            measurement,
+            objects: Vec::new(),
+            reason: None,
+            learnt: Default::default(),
+            times,
+        };
         // Its last field is the list of objects, which is empty.
         let text = record.to_json_line();
         text.strip_suffix("[]}").map_or(text.clone(), str::to_owned)

@@ -38,6 +38,7 @@ fn sample() -> PoseSample {
         measurement: Some(measurement),
         objects: vec![cart("cart", 9.0), cart("lamp", 3.0)],
         reason: None,
+        learnt: Default::default(),
         times: StageTimes { decode_ms: 1.5, ..StageTimes::default() },
     }
 }

@@ -1,5 +1,6 @@
 //! All outputs together: a sample goes in once and is handed to every output's thread without waiting.
 
+use std::net::SocketAddr;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -22,7 +23,7 @@ use super::psn::PsnEncoder;
 use super::report::BodyChoice;
 use super::settings::{OutputSettings, Protocol, SafetySettings};
 use super::stamps::{Pace, Stamps};
-use super::transport::{StreamSettings, Transport, TransportError};
+use super::transport::{Transport, TransportError};
 use super::worker::{Arrival, Counters, Memory, USUAL_RATE_HZ, Worker, frame_time};
 use crate::camera::CameraModel;
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
@@ -151,10 +152,10 @@ impl Publisher {
         Ok(Self { outputs, frame_rate: context.frame_rate, clock, order, events })
     }
 
-    /// Opens every enabled output and closes it again: whether the addresses, ports and files can be used. Gives the number of the
-    /// output that cannot, with the reason.
-    pub fn rehearse(outputs: &[OutputSettings]) -> Result<(), (usize, TransportError)> {
-        let rehearse = |output: &OutputSettings| Transport::rehearse(&output.name, &output.udp, stream_of(&output.protocol));
+    /// Opens every enabled output and closes it again: whether the addresses, ports and files can be used. Addresses that `is_held` names are
+    /// held by this process and will be free. Gives the number of the output that cannot be opened, with the reason.
+    pub fn rehearse(outputs: &[OutputSettings], is_held: &dyn Fn(SocketAddr) -> bool) -> Result<(), (usize, TransportError)> {
+        let rehearse = |output: &OutputSettings| Transport::rehearse(&output.name, &output.udp, output.stream(), is_held);
         let mut enabled = outputs.iter().enumerate().filter(|(_, o)| o.enabled);
         enabled.try_for_each(|(index, output)| rehearse(output).map_err(|e| (index, e)))
     }
@@ -228,7 +229,7 @@ impl RunningOutput {
         events: &Sender<PoseWithheld>,
     ) -> Result<Self, PublishError> {
         let (name, protocol) = (settings.name.clone(), settings.protocol.word());
-        let transport = Transport::open(&name, &settings.udp, stream_of(&settings.protocol))
+        let transport = Transport::open(&name, &settings.udp, settings.stream())
             .map_err(|source| PublishError::Open { output: name.clone(), source })?;
         let (queue, inbox) = drop_oldest(QUEUE);
         let counters = Arc::new(Counters::default());
@@ -269,13 +270,6 @@ fn statistics_of(name: String, protocol: &'static str, counters: &Counters) -> O
         latency_us: read(&counters.latency_us),
         greatest_latency_us: read(&counters.greatest_latency_us),
         last_packet: counters.last_packet.lock().unwrap_or_else(PoisonError::into_inner).clone(),
-    }
-}
-
-fn stream_of(protocol: &Protocol) -> Option<&StreamSettings> {
-    match protocol {
-        Protocol::Json(json) => Some(&json.stream),
-        _ => None,
     }
 }
 

@@ -16,6 +16,7 @@ use crate::geometry::Pose;
 use crate::protocols::freed::FreedPacket;
 use crate::protocols::golden::golden_camera;
 use crate::protocols::opentrackio::{Encoding, decode};
+use crate::publish::transport::StreamSettings;
 use crate::record::{ObjectSample, StageTimes, State};
 
 const FRAME_NS: i64 = 33_333_333;
@@ -113,6 +114,7 @@ fn sample(k: u64, state: State, x: f64) -> PoseSample {
         measurement: None,
         objects: vec![ObjectSample { name: "cart".to_owned(), state, pose: is_known.then_some(cart), covariance: None }],
         reason: None,
+        learnt: Default::default(),
         times: StageTimes::default(),
     }
 }
@@ -504,7 +506,7 @@ fn an_output_that_cannot_be_opened_is_named() {
         [output(json(), &ear), OutputSettings { name: "second".to_owned(), ..output(Protocol::Json(JsonSettings { stream }), &ear) }];
     let refusal = Publisher::start(&outputs, &context(patient())).err().unwrap().to_string();
     assert!(refusal.starts_with("output second: cannot wait for clients on 127.0.0.1:"), "{refusal}");
-    assert_eq!(Publisher::rehearse(&outputs).err().unwrap().0, 1);
+    assert_eq!(Publisher::rehearse(&outputs, &|_| false).err().unwrap().0, 1);
 }
 
 #[path = "publisher_mount_tests.rs"]

@@ -9,7 +9,7 @@ use super::osc::OscSettings;
 use super::placement::Placement;
 use super::psn::PsnSettings;
 use super::report::BodyChoice;
-use super::transport::UdpSettings;
+use super::transport::{StreamSettings, UdpSettings};
 
 /// One `[[output]]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,6 +34,16 @@ pub struct OutputSettings {
     pub placement: Placement,
     /// Whether `[safety]` holds for it.
     pub is_guarded: bool,
+}
+
+impl OutputSettings {
+    /// Where its lines go besides UDP.
+    pub(crate) fn stream(&self) -> Option<&StreamSettings> {
+        match &self.protocol {
+            Protocol::Json(json) => Some(&json.stream),
+            _ => None,
+        }
+    }
 }
 
 /// What an output speaks.
@@ -139,6 +149,13 @@ pub enum OnLoss {
     Flag,
 }
 
+/// Fastest that a pose may lead an output unless the config says otherwise, m/s and degrees per
+/// second: no stage camera is as fast, nor a thrown prop. Raised, a pose that jumps to a copy of
+/// the picture moves the scenery sooner; lowered, whip pans are withheld.
+pub const FASTEST_M_S: f64 = 20.0;
+/// See [`FASTEST_M_S`].
+pub const FASTEST_DEG_S: f64 = 1000.0;
+
 /// Limits that keep machinery from being moved by a bad pose; each output keeps them by itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SafetySettings {
@@ -164,6 +181,12 @@ pub struct BlendRates {
 }
 
 impl SafetySettings {
+    /// What holds unless the config says otherwise: limits that no stage camera breaks. The
+    /// [`Default`] has none.
+    pub fn usual() -> Self {
+        Self { max_speed_m_s: Some(FASTEST_M_S), max_turn_rad_s: Some(FASTEST_DEG_S.to_radians()), ..Self::default() }
+    }
+
     /// What is to be said where frames come so rarely that each is stale before the next one is there.
     pub fn note_on_rate(&self, frames_per_s: f64) -> Option<String> {
         let (stale_s, interval_s) = (self.stale_after.as_secs_f64(), 1.0 / frames_per_s);

@@ -82,9 +82,15 @@ impl Transport {
         })
     }
 
-    /// Whether [`open`](Self::open) would succeed now; no file is made or emptied for it.
-    pub fn rehearse(name: &str, udp: &UdpSettings, stream: Option<&StreamSettings>) -> Result<(), TransportError> {
-        let without_file = stream.map(|stream| StreamSettings { file: None, ..stream.clone() });
+    /// Whether [`open`](Self::open) would succeed once the addresses are free that `is_held` names; no file is made or emptied for it.
+    pub fn rehearse(
+        name: &str,
+        udp: &UdpSettings,
+        stream: Option<&StreamSettings>,
+        is_held: &dyn Fn(SocketAddr) -> bool,
+    ) -> Result<(), TransportError> {
+        let free = |stream: &StreamSettings| stream.tcp_listen.filter(|address| !is_held(*address));
+        let without_file = stream.map(|stream| StreamSettings { file: None, tcp_listen: free(stream) });
         Self::open(name, udp, without_file.as_ref())?;
         let file = stream.and_then(|stream| stream.file.as_deref()).filter(|file| *file != Path::new("-"));
         file.map_or(Ok(()), |file| {

@@ -356,6 +356,7 @@ mod tests {
             measurement: None,
             objects: Vec::new(),
             reason: None,
+            learnt: Default::default(),
             times: StageTimes::default(),
         };
         let at = clock.taken(sample.timestamp, Duration::ZERO).unwrap();

@@ -152,7 +152,7 @@ impl From<&VirtualStage> for TrackerSetup {
     /// What is true of a virtual stage; scenery stays untold.
     fn from(scene: &VirtualStage) -> Self {
         Self {
-            shutter: scene.shutter,
+            shutter: scene.shutter.into(),
             objects: scene.objects.iter().map(|object| object.body.clone()).collect(),
             ..Self::new(scene.camera, scene.stage.clone())
         }

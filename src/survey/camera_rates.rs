@@ -129,7 +129,7 @@ where
     let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup.as_trial();
     let (mut rates, mut number) = (Vec::new(), 0);
     for clip in clips {
-        let mut matcher = Matcher::new(camera, shutter, mask.clone(), &[&stage], settings.clone(), clock, store.clone());
+        let mut matcher = Matcher::new(camera, shutter.or_zero().into(), mask.clone(), &[&stage], settings.clone(), clock, store.clone());
         let mut recent = RecentPoses::as_surveyed();
         for frame in clip.into_iter().take_while(|_| goes_on()) {
             number += 1;

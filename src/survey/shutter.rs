@@ -5,11 +5,10 @@
 //! to fit better. The frames' answers are averaged robustly, the shutter is changed, until nothing moves. What frames
 //! of a clip disagree about says how sure the result is.
 
-use nalgebra::Vector2;
-
 use crate::camera::Shutter;
 use crate::frame::{Frame, Timestamp};
-use crate::track::{Clue, Matcher};
+use crate::track::agreement::{Agreement, Said, agreement, weighted_median};
+use crate::track::{Clue, MODEL_ERROR_PX, Matcher, VAGUE_READOUT_S};
 use crate::tracker::Tracker;
 
 /// Frames looked at, from the clip's first: eight seconds at 30 a second. Raised,
@@ -35,21 +34,9 @@ const SMALL_EXPOSURE_STEP: f64 = 0.01;
 /// A velocity learnt from frames that were read otherwise hides a part of what is missing: of a change by one second, at least this share
 /// shows. Lowered, one noisy pass may ask for a huge step; raised, each pass makes up for less of what is hidden.
 const LEAST_SLOPE: f64 = 0.25;
-/// Frames whose own answer is no better than this tell nothing, one sigma: seconds of readout, about that of a usual sensor; share of the
-/// exposure. Raised, still frames count, which only tell of the model's errors; lowered, slow clips give no answer.
-const VAGUE_READOUT_S: f64 = 0.01;
+/// Frames whose own answer is no better than this, one sigma, tell nothing of the exposure; share of it. Raised, still frames count, which only tell of the model's
+/// errors; lowered, slow clips give no answer.
 const VAGUE_EXPOSURE: f64 = 1.0;
-/// Fewest frames that tell of something: two blocks. Raised, clips with a short shake give no answer; lowered, sigma is a guess.
-const LEAST_FRAMES: usize = 12;
-/// Neighbouring frames share their errors: they are counted in blocks of this many, a fifth of a second at
-/// 30 a second. Raised, sigma itself scatters; lowered, sigma comes out too small.
-const BLOCK: usize = 6;
-
-/// What the rows of a frame may be displaced by for other reasons than the readout, in all frames alike, pixels, one sigma: fog, gels, people, a lens that is a little
-/// off. Chosen: two slow clips with a global shutter seemed to be read in 1.0 and 1.3 ms, which was 0.10 and 0.08 pixels. Raised, slow clips tell
-/// nothing; lowered, a config gets a readout that the camera does not have.
-const MODEL_ERROR_PX: f64 = 0.05;
-
 /// A time and how sure it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
@@ -103,7 +90,7 @@ impl Pass {
             matcher.look(&frame);
             let Some(clue) = matcher.shutter_clue() else { continue };
             pass.aligned += 1;
-            pass.readout.push(clue.readout);
+            pass.readout.push(clue.readout.clue);
             pass.speeds.push(clue.speed_px_s);
             pass.exposure.extend(clue.exposure);
         }
@@ -140,16 +127,16 @@ where
     for pass in 0..MOST_PASSES {
         let found = Pass::over(open()?, &mut matcher, shutter);
         let interval_s = found.interval_s();
-        let readout = agreement(&found.readout, VAGUE_READOUT_S);
-        let exposure = agreement(&found.exposure, VAGUE_EXPOSURE);
+        let readout = agreed(&found.readout, VAGUE_READOUT_S);
+        let exposure = agreed(&found.exposure, VAGUE_EXPOSURE);
         // How much of a change shows: from the answers at two shutters.
         if let (Some(r), Some((then_s, asked))) = (readout, before.filter(|(then_s, _)| (shutter.readout_s - then_s).abs() > 2e-4)) {
-            slope = ((asked - r.change) / (shutter.readout_s - then_s)).clamp(LEAST_SLOPE, 1.5);
+            slope = ((asked - r.value) / (shutter.readout_s - then_s)).clamp(LEAST_SLOPE, 1.5);
         }
-        before = readout.map(|r| (shutter.readout_s, r.change));
+        before = readout.map(|r| (shutter.readout_s, r.value));
         let most = LARGEST_READOUT_STEP * interval_s;
-        let step_s = readout.map_or(0.0, |r| (r.change / slope).clamp(-most, most));
-        let step = exposure.map_or(0.0, |e| e.change.clamp(-LARGEST_EXPOSURE_STEP, LARGEST_EXPOSURE_STEP));
+        let step_s = readout.map_or(0.0, |r| (r.value / slope).clamp(-most, most));
+        let step = exposure.map_or(0.0, |e| e.value.clamp(-LARGEST_EXPOSURE_STEP, LARGEST_EXPOSURE_STEP));
         tracing::debug!(pass, shutter.readout_s, shutter.exposure_s, ?readout, ?exposure, slope, aligned = found.aligned);
         shutter.readout_s = (shutter.readout_s + step_s).clamp(-interval_s, interval_s);
         shutter.exposure_s = (shutter.exposure_s * (1.0 + step)).clamp(SHORTEST_EXPOSURE_S, interval_s.max(SHORTEST_EXPOSURE_S));
@@ -179,55 +166,11 @@ where
     Ok(estimate)
 }
 
-/// What many frames agree on.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Agreement {
-    change: f64,
-    /// One standard deviation, from the frames' disagreement.
-    sigma: f64,
-    frames: usize,
-}
-
-/// The robust mean of the changes that frames ask for; `None` where fewer than [`LEAST_FRAMES`] know it to `vague` (one sigma).
-fn agreement(clues: &[Clue], vague: f64) -> Option<Agreement> {
-    let telling: Vec<Vector2<f64>> = clues
-        .iter()
-        .filter(|c| c.information > vague.powi(-2) && c.score.is_finite())
-        .map(|c| Vector2::new(c.score / c.information, 1.0 / c.information))
-        .collect();
-    if telling.len() < LEAST_FRAMES {
-        return None;
-    }
-    let mut change = weighted_median(telling.iter().map(|t| (t.x, t.y.recip().sqrt())));
-    let mut weights = vec![0.0; telling.len()];
-    for _ in 0..6 {
-        // Beyond the noise of its pixels, each frame errs by what its motion differs from the model.
-        let common = (1.4826 * weighted_median(telling.iter().map(|t| ((t.x - change).abs(), t.y.recip().sqrt())))).powi(2);
-        for (w, t) in weights.iter_mut().zip(&telling) {
-            let variance = t.y + common.max(1e-18);
-            let huber = (1.5 * variance.sqrt() / (t.x - change).abs().max(1e-18)).min(1.0);
-            *w = huber / variance;
-        }
-        change = telling.iter().zip(&weights).map(|(t, w)| t.x * w).sum::<f64>() / weights.iter().sum::<f64>();
-    }
-    let errors: Vec<f64> = telling.iter().zip(&weights).map(|(t, w)| w * (t.x - change)).collect();
-    let squares: f64 = errors.chunks(BLOCK).map(|block| block.iter().sum::<f64>().powi(2)).sum();
-    Some(Agreement { change, sigma: squares.sqrt() / weights.iter().sum::<f64>(), frames: telling.len() })
-}
-
-/// The value below which half of the weight lies; 0 of nothing.
-fn weighted_median(values: impl Iterator<Item = (f64, f64)>) -> f64 {
-    let mut sorted: Vec<(f64, f64)> = values.collect();
-    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * sorted.iter().map(|(_, w)| w).sum::<f64>();
-    let mut sum = 0.0;
-    sorted
-        .iter()
-        .find(|(_, w)| {
-            sum += w;
-            sum >= half
-        })
-        .map_or(0.0, |(value, _)| *value)
+/// What the changes that frames ask for agree on; `None` where too few know it to `vague` (one sigma).
+fn agreed(clues: &[Clue], vague: f64) -> Option<Agreement> {
+    let tells = |c: &&Clue| c.information > vague.powi(-2) && c.score.is_finite();
+    let said: Vec<Said> = clues.iter().filter(tells).map(|c| Said::new(c.score / c.information, 1.0 / c.information)).collect();
+    agreement(&said)
 }
 
 #[cfg(all(test, feature = "simulate"))]
@@ -286,17 +229,17 @@ mod tests {
         let mut clues: Vec<Clue> = (0..40).map(|k| clue(0.003 + 1e-4 * f64::from(k % 5 - 2), 2e-4)).collect();
         clues.extend((0..10).map(|_| clue(0.03, 2e-4)));
         clues.extend((0..100).map(|_| clue(-0.2, 0.05)));
-        let found = agreement(&clues, VAGUE_READOUT_S).unwrap();
-        assert!((found.change - 0.003).abs() < 2e-4, "{found:?}");
+        let found = agreed(&clues, VAGUE_READOUT_S).unwrap();
+        assert!((found.value - 0.003).abs() < 2e-4, "{found:?}");
         assert!(found.sigma < 3e-4, "{found:?}");
         assert_eq!(found.frames, 50);
     }
 
     #[test]
     fn few_frames_that_know_are_not_enough() {
-        let mut clues = vec![clue(0.003, 1e-4); LEAST_FRAMES - 1];
+        let mut clues = vec![clue(0.003, 1e-4); crate::track::agreement::LEAST_FRAMES - 1];
         clues.extend(vec![clue(0.003, 0.1); 100]);
-        assert_eq!(agreement(&clues, VAGUE_READOUT_S), None);
+        assert_eq!(agreed(&clues, VAGUE_READOUT_S), None);
     }
 
     #[test]

@@ -112,7 +112,9 @@ where
     C: IntoIterator<Item = F>,
     F: IntoIterator<Item = Frame>,
 {
-    let TrackerSetup { camera, mut shutter, mask, stage, .. } = setup.clone();
+    let TrackerSetup { camera, mask, stage, .. } = setup.clone();
+    let configured = setup.shutter.or_zero();
+    let mut shutter = configured;
     let Walk { keyframes, lively, frames, found } = walk;
     match (found, keyframes.len()) {
         (0, _) => return Err(SurveyError::NotFound { frames }),
@@ -142,7 +144,7 @@ where
         shutter = mended(shutter, &found);
         shutter_found = Some(found);
         let is_another =
-            shutter.exposure_s != setup.shutter.exposure_s || (shutter.readout_s - before.model.readout_s()).abs() > SAME_READOUT_S;
+            shutter.exposure_s != configured.exposure_s || (shutter.readout_s - before.model.readout_s()).abs() > SAME_READOUT_S;
         if is_another {
             adjusted = adjustment.run_with_shutter(before.model.clone(), shutter, |n| hear(SurveyStep::Round(n)));
         }
@@ -165,7 +167,7 @@ where
         return Err(if !goes_on() { SurveyError::Interrupted } else { SurveyError::Undetermined });
     };
     let covariance = match model.places().readout {
-        Some(at) if shutter.readout_s != setup.shutter.readout_s => with_sway(covariance, at, SWAY_SHARE * model.readout_s()),
+        Some(at) if shutter.readout_s != configured.readout_s => with_sway(covariance, at, SWAY_SHARE * model.readout_s()),
         _ => covariance,
     };
     let (keyframes, used) = (observed.len(), observed.iter().flatten().count());
@@ -205,7 +207,7 @@ fn rolls(adjusted: &Adjusted) -> bool {
 /// A tracker's setup with the stage, the lens and the readout of a model.
 fn surveyed_setup(model: &StageModel, setup: &TrackerSetup) -> TrackerSetup {
     let stage = BodySpec { surfaces: model.surfaces.clone(), ..setup.stage.clone() };
-    let shutter = Shutter { readout_s: model.readout_s(), ..setup.shutter };
+    let shutter = Shutter { readout_s: model.readout_s(), ..setup.shutter.or_zero() }.into();
     TrackerSetup { camera: model.camera, stage, shutter, ..setup.clone() }
 }
 

@@ -82,8 +82,15 @@ impl Walk {
         let (mut keyframes, mut lively) = (Keyframes::default(), LivelyPart::default());
         let (mut frames, mut found) = (0, 0);
         for clip in clips {
-            let mut finder =
-                StageFinder::new(Matcher::new(camera, shutter, mask.clone(), &[&stage], settings.clone(), clock, store.clone()));
+            let mut finder = StageFinder::new(Matcher::new(
+                camera,
+                shutter.or_zero().into(),
+                mask.clone(),
+                &[&stage],
+                settings.clone(),
+                clock,
+                store.clone(),
+            ));
             let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
             let mut recent = RecentPoses::as_configured();
             for frame in clip {

@@ -22,7 +22,7 @@ use super::row_motion::RowMotion;
 use super::settings::TrackerSettings;
 use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody, is_near};
 use super::unexplained::Unexplained;
-use super::verify::{Verified, VerifyBuffers, View};
+use super::verify::{Verified, VerifyBuffers, View, verify};
 use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::features::Workers;
@@ -40,6 +40,10 @@ const LEAST_FEATURES: usize = 16;
 /// about. Two are both planar poses of one body. Raised, a frame takes longer, as much as two more followed bodies each; lowered, the wrong one of two planar poses may be the
 /// only one tried.
 const TRIED_BESIDE: usize = 2;
+
+/// Candidates of a second copy of a body that are put to the test: both planar poses. Raised,
+/// frames that find a body take longer; lowered to 1, the wrong one may be the only one tried.
+const TRIED_COPIES: usize = 2;
 
 /// A frame in which bodies are missing, and what is known of it.
 pub struct Scene<'a> {
@@ -85,6 +89,7 @@ pub struct Spent {
 pub struct BodySearch {
     camera: CameraModel,
     shutter: Shutter,
+    readout_sigma_s: f64,
     mask: Option<GrayImage>,
     seed: u64,
     clock: ComputeClock,
@@ -116,6 +121,7 @@ impl BodySearch {
         Self {
             camera,
             shutter,
+            readout_sigma_s: 0.0,
             mask,
             seed: settings.seed,
             clock,
@@ -131,9 +137,14 @@ impl BodySearch {
         }
     }
 
-    /// From now on the shutter is this one.
-    pub fn set_shutter(&mut self, shutter: Shutter) {
-        self.shutter = shutter;
+    /// How long the rows of a frame may take, as far as that is known, seconds.
+    fn longest_readout_s(&self) -> f64 {
+        self.shutter.readout_s.abs().max(self.readout_sigma_s)
+    }
+
+    /// From now on the shutter is this one, its readout known to one sigma, seconds.
+    pub fn set_shutter(&mut self, shutter: Shutter, readout_sigma_s: f64) {
+        (self.shutter, self.readout_sigma_s) = (shutter, readout_sigma_s);
     }
 
     /// Looks for the bodies of a frame that are missing, says of each that stays so why, and what it took.
@@ -153,6 +164,11 @@ impl BodySearch {
             self.find_anywhere(scene);
         }
         self.give_reasons(scene);
+        self.spent
+    }
+
+    /// What was spent on the frame so far.
+    pub fn spent(&self) -> Spent {
         self.spent
     }
 
@@ -339,7 +355,7 @@ impl BodySearch {
         }
         self.tries = self.tries.saturating_sub(1);
         tracked.tried.push(start);
-        let off = first_off(self.shutter.readout_s, tracked.aligner.distance_m(&start), candidate.off);
+        let off = first_off(self.longest_readout_s(), tracked.aligner.distance_m(&start), candidate.off);
         let expected = tracked.unseen(start, off, camera.as_ref());
         tracked.align_found(scene.frame, scene.levels, scene.rays, &expected)
     }
@@ -372,7 +388,7 @@ impl BodySearch {
         };
         let aligned = best.filter(is_new).and_then(|verified| {
             let distance = tracked.aligner.distance_m(&verified.pose);
-            let first = tracked.unseen(verified.pose, first_off(self.shutter.readout_s, distance, [0.0; 2]), camera.as_ref());
+            let first = tracked.unseen(verified.pose, first_off(self.longest_readout_s(), distance, [0.0; 2]), camera.as_ref());
             tracked.align(frame, scene.levels, scene.rays, &first, None)
         });
         self.verify_buffers = buffers;
@@ -389,7 +405,11 @@ impl BodySearch {
             camera: &self.camera,
             full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
             half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
-            row_motion: RowMotion { shutter: self.shutter, before: tracked.before_at(frame.timestamp) },
+            row_motion: RowMotion {
+                shutter: self.shutter,
+                readout_sigma_s: self.readout_sigma_s,
+                before: tracked.before_at(frame.timestamp),
+            },
             workers: &self.workers,
         }
     }
@@ -401,6 +421,57 @@ impl BodySearch {
         let news = tracked.study(&verified.pose, &view, &mut buffers);
         self.verify_buffers = buffers;
         (news, self.workers.take_extra_ms())
+    }
+
+    /// Another pose of a body that was found in this frame, which patches verify where the frame
+    /// shows something else: there is a copy of its picture. It may be seen smaller, and nothing of
+    /// the first need be hidden.
+    pub fn find_copy(&mut self, k: usize, scene: &mut Scene) -> Option<Verified> {
+        let first = scene.verified[k]?;
+        // Of a picture that repeats itself a part is like another.
+        if scene.bodies[k].repeats() {
+            return None;
+        }
+        let start = self.clock.start();
+        let known = scene.bodies.iter().zip(&*scene.verified).filter_map(|(b, v)| v.as_ref().map(|v| (b.surfaces.start, &b.body, v.pose)));
+        self.unexplained.look(known, scene.levels, scene.rays);
+        if !self.unexplained.is_anything() {
+            self.spent.acquire_ms += start.elapsed_ms();
+            return None;
+        }
+        let image = &scene.frame.image;
+        let open = self.unexplained.mask([image.width(), image.height()], self.mask.as_ref()).clone();
+        self.features.look_for_copies(image, &open, &self.workers);
+        let tracked = &scene.bodies[k];
+        let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
+        let (found, _) = candidates(&tracked.body, &own, &own, &self.camera, self.seed);
+        self.spent.acquire_ms += start.elapsed_ms() + self.workers.take_extra_ms();
+        let start = self.clock.start();
+        scene.levels.half_into(&mut self.half);
+        let mut buffers = std::mem::take(&mut self.verify_buffers);
+        let view = self.view(scene.frame, tracked);
+        let view = View {
+            full: SearchPicture { mask: Some(&open), ..view.full },
+            half: SearchPicture { mask: Some(&open), ..view.half },
+            row_motion: RowMotion { before: None, ..view.row_motion },
+            ..view
+        };
+        let copy = found.iter().take(TRIED_COPIES).find_map(|candidate| {
+            let verified = verify(&tracked.body, &candidate.pose, &view, false, &mut buffers);
+            debug!(body = %tracked.body.name, inliers = candidate.inliers, ?verified, "copy");
+            verified.ok().filter(|_| tracked.is_elsewhere(&first.pose, &buffers.anchors, &self.camera))
+        });
+        self.verify_buffers = buffers;
+        self.spent.align_ms += start.elapsed_ms() + self.workers.take_extra_ms();
+        copy
+    }
+
+    /// Aligns a body at a pose that patches verified, instead of the one that was found.
+    pub fn align_copy(&mut self, k: usize, scene: &mut Scene, copy: &Verified) {
+        let tracked = &mut scene.bodies[k];
+        let distance_m = tracked.aligner.distance_m(&copy.pose);
+        let expected = tracked.unseen(copy.pose, first_off(self.shutter.readout_s, distance_m, [0.0; 2]), None);
+        scene.verified[k] = tracked.align_found(scene.frame, scene.levels, scene.rays, &expected);
     }
 
     /// Says of every body without a verified pose why it has none.

@@ -140,6 +140,14 @@ impl FeatureSearch {
         self.compare(Asked::AllViews, workers);
     }
 
+    /// Takes the features of a part of a frame, where `mask` is not 0, and compares them with all
+    /// views: for a second copy of what was found.
+    pub fn look_for_copies(&mut self, image: &GrayImage, mask: &GrayImage, workers: &Workers) {
+        let options = ExtractorOptions { count: self.count.min(QUICK_FEATURES), ..Default::default() };
+        self.extractor.extract(image, Some(mask), &options, workers, &mut self.features);
+        self.compare(Asked::AllViews, workers);
+    }
+
     /// The same where the frame that was looked at last is unexplained, with all views of the missing surfaces, in ascending order of their numbers. It takes
     /// about the same in each frame, as many missing surfaces take turns.
     pub fn look_beside(

@@ -14,6 +14,8 @@ use crate::geometry::{Body, Camera, Pose};
 const MOTION_SIGMA: [f64; 2] = [1.0, 1.0];
 /// How long a frame is read where nothing is configured, seconds: the usual webcam's. Raised, fast pans pass for less of a zoom.
 const USUAL_READOUT_S: f64 = 0.02;
+/// A readout that is known to this share of itself, one sigma, is described. Raised, rows that a readout displaces pass for a lens; lowered, a learnt one is of less use.
+const SURE_SHARE: f64 = 0.1;
 /// Least sigma of that motion, m/s and rad/s: keeps the equations regular where nothing moves. Raised, see [`MOTION_SIGMA`].
 const LEAST_MOTION: f64 = 1e-4;
 /// A focal length counts as another one beyond this share of itself: it puts a camera 4 m away 2 cm off. Raised, such errors are given;
@@ -98,7 +100,7 @@ impl RowDisplacement {
     /// A shutter that was described leaves what its motion was estimated wrong by. One that was not may read the rows one after the other all the same:
     /// then any share of the body's motion to `pose` (`T_camera_body`) may be in the rows, and of each component what it changed by.
     pub fn new(camera: &CameraModel, rows: &RowMotion, pose: &Pose<Camera, Body>) -> Self {
-        let is_described = rows.shutter.readout_s != 0.0;
+        let is_described = rows.shutter.readout_s != 0.0 && rows.readout_sigma_s <= SURE_SHARE * rows.shutter.readout_s.abs();
         let [moving, turning] = MOTION_SIGMA.map(|sigma| sigma.powi(2));
         let usual = Matrix6::from_diagonal(&Vector6::new(moving, moving, moving, turning, turning, turning));
         let moved = rows.twist_and_change(pose).filter(|_| !is_described);

@@ -64,7 +64,7 @@ impl Show {
             a.observation.point = spec.body_point(a.artwork);
             a.observation.information /= NOISE_PX.powi(2);
         }
-        let rows = RowMotion { shutter: Shutter::default(), before: None };
+        let rows = RowMotion { shutter: Shutter::default(), readout_sigma_s: 0.02, before: None };
         self.asked(&anchors, start, &rows)
     }
 
@@ -143,7 +143,7 @@ fn a_pan_under_a_rolling_shutter_that_is_not_configured_is_no_zoom() {
             a.observation.information /= NOISE_PX.powi(2);
         }
         let before = perturbed(&oblique(), &(Vector6::from(motion) * -0.03));
-        let rows = RowMotion { shutter: Shutter::default(), before: Some((before, 0.03, None)) };
+        let rows = RowMotion { shutter: Shutter::default(), readout_sigma_s: 0.02, before: Some((before, 0.03, None)) };
         let clue = Show::as_configured(vec![cloth(1)]).asked(&anchors, &oblique(), &rows);
         assert_eq!(clue.off(0.0), None, "{motion:?}: {clue:?}");
     }

@@ -13,10 +13,13 @@ use tracing::{debug, debug_span};
 
 use super::acquire::{SurfaceMatch, SurfaceView};
 use super::align::{AlignSurface, Alignment, CameraRays, FrameLevels, ShutterClue, is_sharp};
-use super::body_search::{BodySearch, Scene};
+use super::body_search::{BodySearch, Scene, Spent};
+use super::clock_steps::ClockSteps;
 use super::feature_search::FeatureSearch;
 use super::focal_doubt::FocalDoubt;
 use super::frame_interval::FrameInterval;
+use super::learnt_camera::{LearntCamera, LearntTime};
+use super::learnt_readout::{Known, LearntReadout, ReadoutNews};
 use super::lens_doubt::covariance_by_lens;
 use super::lens_watch::{LensState, LensWatch};
 use super::misfit::{ModelNews, ModelReport};
@@ -30,7 +33,7 @@ use super::tracked_body::{ModelFit, TrackedBody};
 use super::two_view::{TwoView, TwoViewBuffers, two_view};
 use super::verify::Verified;
 use super::view_bank::ViewStore;
-use crate::camera::{CameraModel, Shutter};
+use crate::camera::{CameraModel, KnownShutter, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::features::Workers;
 use crate::frame::{Frame, Timestamp};
@@ -45,6 +48,10 @@ const LARGEST_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
 /// A frame in which another focal length is likely counts so much for what frames usually say. Raised, a slow zoom passes for the stage; lowered, a path around a stage that does not fit passes
 /// for a zoom for longer.
 const DOUBTED_SHARE: f64 = 0.1;
+/// So long after a second copy of the stage's picture was seen it may still be there, seconds.
+/// Chosen: a dozen frames in which it may be overlooked. Raised, the stage is given later once the
+/// copy is gone; lowered, a copy that is hard to see is forgotten.
+const COPY_REMEMBERED_S: f64 = 0.5;
 
 /// What a frame showed of one body.
 #[derive(Debug, Clone)]
@@ -74,6 +81,10 @@ pub struct Sighting {
     pub objects: Vec<BodySighting>,
     /// A part of the stage's model that the frames speak against, told once each.
     pub misfit: Option<ModelNews>,
+    /// What there is to say of the readout, once each.
+    pub readout_news: Option<ReadoutNews>,
+    /// What was known of the camera before this frame, by its pictures.
+    pub learnt: LearntCamera,
     /// Compute on finding candidates, milliseconds over all workers.
     pub acquire_ms: f64,
     /// Compute on registration and verification, milliseconds over all workers.
@@ -100,6 +111,8 @@ impl Sighting {
             two_view: None,
             objects: bodies.collect(),
             misfit: None,
+            readout_news: None,
+            learnt: LearntCamera::default(),
             acquire_ms: 0.0,
             align_ms: 0.0,
         }
@@ -112,6 +125,9 @@ pub struct Matcher {
     settings: TrackerSettings,
     clock: ComputeClock,
     shutter: Shutter,
+    readout: LearntReadout,
+    /// Whether the shutter is taken as given, and only asked.
+    is_shutter_given: bool,
     interval: FrameInterval,
     /// The stage first, then the objects.
     bodies: Vec<TrackedBody>,
@@ -124,22 +140,26 @@ pub struct Matcher {
     lens_watch: LensWatch,
     /// How far the focal length may be off in the last frame.
     focal: FocalDoubt,
+    clock_steps: ClockSteps,
     camera_rays: CameraRays,
     levels: FrameLevels,
     watcher: Option<PixelWatch>,
+    /// See [`has_given`](Self::has_given).
+    has_given: bool,
 }
 
 impl Matcher {
     /// Prepares the reference pictures of all bodies, the stage first; takes a fraction of a second per surface whose views the store does not have.
     pub fn new(
         camera: CameraModel,
-        shutter: Shutter,
+        shutter: KnownShutter,
         mask: Option<GrayImage>,
         specs: &[&BodySpec],
         settings: TrackerSettings,
         clock: ComputeClock,
         store: Option<Arc<dyn ViewStore>>,
     ) -> Self {
+        let (readout, shutter) = (LearntReadout::new(shutter.readout_s, None), shutter.or_zero());
         let at_start = Workers::of_all_processors();
         let (surfaces, mut prepared): (Vec<_>, Vec<_>) = (specs.iter().flat_map(|spec| &spec.surfaces).collect(), Vec::new());
         at_start.map_into(&surfaces, &mut prepared, |surface| AlignSurface::new(surface));
@@ -150,14 +170,18 @@ impl Matcher {
             bodies.push(TrackedBody::new(spec, prepared.by_ref().take(spec.surfaces.len()).collect(), first, shutter));
         }
         let features = FeatureSearch::new(bodies.iter_mut().flat_map(|b| &mut b.body.surfaces), settings.features, store, &at_start);
-        let search = BodySearch::new(camera, shutter, mask.clone(), features, &settings, clock);
+        let mut search = BodySearch::new(camera, shutter, mask.clone(), features, &settings, clock);
+        search.set_shutter(shutter, readout.used().sigma_s);
         Self {
             camera_rays: CameraRays::new(camera, mask),
             levels: FrameLevels::default(),
             watcher: None,
+            has_given: false,
             camera,
             clock,
             shutter,
+            readout,
+            is_shutter_given: false,
             interval: FrameInterval::default(),
             bodies,
             search,
@@ -166,8 +190,14 @@ impl Matcher {
             fits: Vec::new(),
             lens_watch: LensWatch::new(settings.is_trial),
             focal: FocalDoubt::default(),
+            clock_steps: ClockSteps::default(),
             settings,
         }
+    }
+
+    /// A row's stamp in the matcher's own time, in which rows are to be looked at where the clock may be set back.
+    pub fn own_time(&mut self, stamp: Timestamp) -> Timestamp {
+        self.clock_steps.own(stamp)
     }
 
     /// Looks for every body in a frame. A frame of another size than the camera's shows nothing.
@@ -178,7 +208,10 @@ impl Matcher {
         }
         self.note_pixels();
         self.interval.update(frame.timestamp);
+        let learnt = self.learnt();
+        let doubt = (!self.is_shutter_given).then(|| self.readout.next_doubt());
         for tracked in &mut self.bodies {
+            tracked.expect_readout(doubt);
             (tracked.clue, tracked.refusal, tracked.reason) = (None, None, None);
             tracked.tried.clear();
             tracked.followed_from = None;
@@ -194,6 +227,7 @@ impl Matcher {
         let mut align_ms = start.elapsed_ms();
         let Self { levels, bodies, verified, .. } = self;
         let spent = self.search.find_missing(&mut Scene { frame, levels, rays: &self.camera_rays, bodies, verified });
+        let spent = self.ask_for_copies(frame, spent);
         align_ms += spent.align_ms;
         self.show_pixels(frame.sequence);
         let start = self.clock.start();
@@ -204,7 +238,9 @@ impl Matcher {
         align_ms += start.elapsed_ms() + extra_ms;
         let stage = self.sighting_of(0, frame.timestamp, lens);
         let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp, lens)).collect();
+        self.has_given = stage.state == State::Tracking;
         let start = self.clock.start();
+        self.learn_readout();
         let two_view = stage.verified.as_ref().map(|v| {
             let _span = debug_span!("two_view").entered();
             let TrackedBody { body, anchors, .. } = &self.bodies[0];
@@ -219,14 +255,92 @@ impl Matcher {
             two_view,
             objects,
             misfit,
+            readout_news: self.readout.news(),
+            learnt,
             acquire_ms: spent.acquire_ms,
             align_ms,
         }
     }
 
+    /// Begins with what an earlier session learnt of the camera. What is configured stays.
+    pub fn begin_with(&mut self, learnt: &LearntCamera) {
+        self.readout = self.readout.begun_with(learnt.readout.map(|LearntTime { seconds, sigma_s }| Known { readout_s: seconds, sigma_s }));
+        let used = self.readout.used();
+        self.shutter.readout_s = used.readout_s;
+        self.search.set_shutter(self.shutter, used.sigma_s);
+        for body in &mut self.bodies {
+            body.take_readout(used.readout_s, 0.0);
+            learnt.exposure.iter().for_each(|exposure| body.aligner.take_learnt_exposure(exposure.seconds, exposure.sigma_s));
+        }
+    }
+
+    /// What is known of the camera by its pictures; nothing of what is configured.
+    pub fn learnt(&self) -> LearntCamera {
+        let readout = self.readout.learnt().map(|Known { readout_s, sigma_s }| LearntTime { seconds: readout_s, sigma_s });
+        let exposure = self.bodies.first().and_then(|stage| stage.aligner.learnt_exposure());
+        LearntCamera { readout, exposure: exposure.map(|(seconds, sigma_s)| LearntTime { seconds, sigma_s }) }
+    }
+
+    /// Learns from what the frame says of the readout: through the stage, or through an object where the stage is not seen.
+    fn learn_readout(&mut self) {
+        let given = self.bodies.iter().zip(&self.verified).filter(|(_, verified)| verified.is_some()).map(|(body, _)| body);
+        // A configured readout is not blamed for what of the model does not fit anyway.
+        let is_configured = self.readout.used().sigma_s == 0.0;
+        let clues = given.filter(|body| !is_configured || body.covariance_by_misfit() == Matrix6::zeros()).filter_map(|body| body.clue);
+        let Some(clue) = clues.filter(|clue| clue.is_followed).next().filter(|_| !self.is_shutter_given) else { return };
+        let was_s = self.shutter.readout_s;
+        self.readout.hear(&clue, self.interval.to_next_s());
+        let used = self.readout.used();
+        if used.readout_s != was_s {
+            self.shutter.readout_s = used.readout_s;
+            self.bodies.iter_mut().for_each(|body| body.take_readout(used.readout_s, used.readout_s - was_s));
+        }
+        self.search.set_shutter(self.shutter, used.sigma_s);
+        debug!(
+            readout_s = used.readout_s,
+            sigma_s = used.sigma_s,
+            clue = clue.readout.clue.score / clue.readout.clue.information,
+            shown = clue.readout.shown,
+            speed = clue.speed_px_s,
+            "readout"
+        );
+    }
+
+    /// Asks, where the stage was found and does not go on with a track, whether the frame shows
+    /// another copy of its picture. Where one of the two is where the stage can be by now, that is
+    /// the stage; else nothing is given as long as both are seen.
+    fn ask_for_copies(&mut self, frame: &Frame, spent: Spent) -> Spent {
+        let Self { levels, bodies, verified, search, .. } = self;
+        let Some(first) = verified[0] else { return spent };
+        if bodies[0].track.continues_at(&first.pose, frame.timestamp) {
+            return spent;
+        }
+        let mut scene = Scene { frame, levels, rays: &self.camera_rays, bodies, verified };
+        let copy = search.find_copy(0, &mut scene);
+        let may_have_come = |pose| scene.bodies[0].track.may_have_come(pose, frame.timestamp);
+        let come = [Some(&first), copy.as_ref()].map(|found| found.is_some_and(|found| may_have_come(&found.pose)));
+        match copy {
+            Some(copy) if come == [false, true] => {
+                search.align_copy(0, &mut scene, &copy);
+                // What was found instead of it is not the stage.
+                scene.bodies[0].reason = scene.verified[0].is_none().then_some(Reason::Jumped);
+            }
+            Some(_) if come == [true, true] => scene.bodies[0].two_seen = Some(frame.timestamp),
+            _ => {}
+        }
+        let stage = &mut self.bodies[0];
+        let is_open = |then: Timestamp| frame.timestamp.seconds_since(then) <= COPY_REMEMBERED_S;
+        if come[0] && stage.two_seen.is_some_and(is_open) {
+            self.verified[0] = None;
+            stage.leave_open(Reason::Ambiguous);
+        }
+        self.search.spent()
+    }
+
     /// Asks every body that was found how well the model fits.
     fn fit_models(&mut self, timestamp: Timestamp) {
         let (camera, shutter) = (&self.camera, self.shutter);
+        let readout_sigma_s = self.readout.used().sigma_s;
         self.fits.clear();
         let bodies = self.bodies.iter_mut().zip(&self.verified);
         self.fits.extend(bodies.enumerate().map(|(k, (body, verified))| {
@@ -234,7 +348,7 @@ impl Matcher {
                 body.forget_model_error();
                 return None;
             };
-            let rows = RowMotion { shutter, before: body.before_at(timestamp) };
+            let rows = RowMotion { shutter, readout_sigma_s, before: body.before_at(timestamp) };
             body.model_fit(verified, camera, &rows, k == 0)
         }));
     }
@@ -244,18 +358,21 @@ impl Matcher {
         // All are seen through one lens: the body that tells most of it speaks. An object that was just found may be none.
         let bodies = &self.bodies;
         let may_speak = |k: usize| k == 0 || bodies[k].track.is_continued();
-        let clues = self.fits.iter().enumerate().filter(|(k, _)| may_speak(*k)).filter_map(|(_, fit)| fit.as_ref()?.focal);
-        let clue = clues.min_by(|a, b| a.changed.sigma.total_cmp(&b.changed.sigma));
+        let clues = self.fits.iter().enumerate().filter_map(|(k, fit)| Some((k, fit.as_ref()?.focal?)));
+        // What displaces rows as a lens would may be the shutter.
+        let clues = clues.filter(|(k, _)| may_speak(*k) && !bodies[*k].is_readout_in_doubt());
+        let clue = clues.map(|(_, clue)| clue).min_by(|a, b| a.changed.sigma.total_cmp(&b.changed.sigma));
         let calibrated = self.calibrated_sigma();
-        let is_seen = self.fits.iter().any(Option::is_some);
+        let is_seen = self.fits.iter().zip(bodies).any(|(fit, body)| fit.is_some() && !body.is_readout_in_doubt());
         let lens = self.lens_watch.update(clue.as_ref(), is_seen, calibrated);
         let step = self.fits.first().and_then(|fit| fit.as_ref()?.step);
         self.focal.update(clue.as_ref(), step);
-        // What a lens that was moved says is no habit of the stage.
+        // What a lens that was moved says is no habit of the stage, nor is what a shutter displaces.
         let share = if self.focal.is_doubted() { DOUBTED_SHARE } else { 1.0 };
         if lens == LensState::Fits {
             let asked = self.bodies.iter_mut().zip(&self.fits).filter(|(_, fit)| fit.is_some());
-            asked.for_each(|(body, _)| body.remember_focal(share));
+            let asked = asked.map(|(body, _)| body).filter(|body| !body.is_readout_in_doubt());
+            asked.for_each(|body| body.remember_focal(share));
         }
         lens
     }
@@ -284,7 +401,7 @@ impl Matcher {
     /// Lets the frame say what of the stage's model it speaks against, if it is time for one; and the workers' time, milliseconds.
     fn study_stage(&mut self, frame: &Frame, lens: LensState) -> Option<(Option<ModelNews>, f64)> {
         let tracked = self.bodies.first_mut()?;
-        if !tracked.is_study_due(lens == LensState::Fits) {
+        if !tracked.is_study_due(lens == LensState::Fits && !tracked.is_readout_in_doubt()) {
             return None;
         }
         let verified = self.verified.first()?.as_ref()?;
@@ -325,24 +442,33 @@ impl Matcher {
             let by_surfaces = tracked.covariance_by_surfaces(&v.pose, &self.camera);
             let by_focal = asked.and_then(|sigma| tracked.covariance_by_focal(&v.pose, sigma));
             let by_misfit = Some(tracked.covariance_by_misfit()).filter(|covariance| *covariance != Matrix6::zeros());
-            v.by_model = [by_lens, by_shape, by_surfaces, by_focal, by_misfit].into_iter().flatten().reduce(|sum, more| sum + more);
+            let by_readout = tracked.covariance_by_readout(&v.pose, self.readout.sigma_s());
+            v.by_model =
+                [by_lens, by_shape, by_surfaces, by_focal, by_misfit, by_readout].into_iter().flatten().reduce(|sum, more| sum + more);
             v.rms_px = fit.map_or(v.rms_px, |fit| fit.rms_px);
         }
         BodySighting { state, verified, reason }
+    }
+
+    /// Whether the picture that was looked at last gave the stage's pose.
+    pub fn has_given(&self) -> bool {
+        self.has_given
     }
 
     /// Time went on, but there was no picture, for this reason.
     pub fn look_away(&mut self, sequence: u64, timestamp: Timestamp, reason: Reason) -> Sighting {
         self.interval.update(timestamp);
         let (coast_s, confirm) = (longest_coast_s(&self.settings, &self.interval), self.settings.confirm_frames);
+        let learnt = self.learnt();
         let states = self.bodies.iter_mut().map(|b| b.track.update(timestamp, None, coast_s, confirm));
-        Sighting::without_picture(sequence, timestamp, true, reason, states)
+        Sighting { learnt, ..Sighting::without_picture(sequence, timestamp, true, reason, states) }
     }
 
     /// A row that tells nothing of its time (a stamp out of order): nothing changes.
     pub fn look_past(&self, sequence: u64, timestamp: Timestamp) -> Sighting {
         let idle = |b: &TrackedBody| if b.track.state() == State::Searching { State::Searching } else { State::Lost };
-        Sighting::without_picture(sequence, timestamp, false, Reason::Skipped, self.bodies.iter().map(idle))
+        let sighting = Sighting::without_picture(sequence, timestamp, false, Reason::Skipped, self.bodies.iter().map(idle));
+        Sighting { learnt: self.learnt(), ..sighting }
     }
 
     /// From now on the pixels that poses rest on are sent here, frame by frame, before the frame's sighting is given.
@@ -380,8 +506,8 @@ impl Matcher {
 
     /// From now on the shutter is taken as given, and every frame is asked what it says of it.
     pub fn ask_shutter(&mut self, shutter: Shutter) {
-        self.shutter = shutter;
-        self.search.set_shutter(shutter);
+        (self.shutter, self.is_shutter_given) = (shutter, true);
+        self.search.set_shutter(shutter, 0.0);
         self.bodies.iter_mut().for_each(|b| b.aligner.ask_shutter(shutter));
     }
 

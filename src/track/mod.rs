@@ -10,10 +10,12 @@
 //! body; `body_search` looks for those that are not followed; `pixel_watch` shows what a pose rests on to whoever asks; `matcher` runs them all on a frame.
 
 mod acquire;
+pub(crate) mod agreement;
 mod align;
 mod averaged_picture;
 mod bilinear;
 mod body_search;
+mod clock_steps;
 mod expected_candidate;
 mod expected_view;
 mod failure;
@@ -25,6 +27,8 @@ mod focal_memory;
 mod focal_step;
 mod frame_interval;
 mod frame_look;
+mod learnt_camera;
+mod learnt_readout;
 mod lens_doubt;
 mod lens_watch;
 mod matcher;
@@ -65,11 +69,14 @@ pub use align::{AlignKernels, Alignment, Clue, UsedPixel};
 pub(crate) use feature_search::LOWE_RATIO;
 #[cfg(feature = "calibrate")]
 pub(crate) use frame_look::FrameLook;
+pub use learnt_camera::{LARGEST_LEARNT_BYTES, LearntCamera, LearntError, LearntTime};
+pub use learnt_readout::{MODEL_ERROR_PX, ReadoutNews, VAGUE_READOUT_S};
 pub use lens_doubt::covariance_by_lens;
 pub use matcher::{BodySighting, Matcher, Sighting};
 pub use misfit::{ModelNews, ModelReport, Part};
 pub use pixel_watch::{Displaced, UsedPixels};
 pub use reason::Reason;
+pub use repetition::periods;
 pub use settings::TrackerSettings;
 #[cfg(test)]
 pub use shape::tests::folds;

@@ -56,7 +56,7 @@ fn walk(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel,
         squared_m2 += (pose.inverse().translation - start.inverse().translation).norm_squared();
         let mut residuals = TileResiduals::default();
         residuals.take(&pose, &told_lens, &anchors).expect("tiles enough");
-        let rows = RowMotion { shutter: Shutter::default(), before: Some((pose, 0.03, None)) };
+        let rows = RowMotion { shutter: Shutter::default(), readout_sigma_s: 0.02, before: Some((pose, 0.03, None)) };
         let rows = RowDisplacement::new(&told_lens, &rows, &pose);
         study.add(&StudiedFrame { residuals: &residuals, pose: &pose, anchors: &anchors, rows: &rows }, &told);
     }

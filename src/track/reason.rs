@@ -36,11 +36,13 @@ pub enum Reason {
     Skipped,
     /// Another focal length than the calibration's explains the frame clearly better.
     LensMoved,
+    /// The picture is that of the frame before, byte for byte, and gave its pose there.
+    Repeated,
 }
 
 impl Reason {
     /// All reasons, in the order of their numbers.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::NoPoseFits,
         Self::Covered,
         Self::TooSmall,
@@ -56,6 +58,7 @@ impl Reason {
         Self::Undecodable,
         Self::Skipped,
         Self::LensMoved,
+        Self::Repeated,
     ];
 
     /// The word for it in the summary and in events.
@@ -76,6 +79,7 @@ impl Reason {
             Self::Undecodable => "undecodable",
             Self::Skipped => "skipped",
             Self::LensMoved => "lens_moved",
+            Self::Repeated => "repeated",
         }
     }
 
@@ -87,9 +91,12 @@ impl Reason {
             Self::TooSmall => "the picture is recognised, but it is too small in the frame",
             Self::Uncertain => "the picture is recognised, but too little of it is seen to tell the pose",
             Self::Ambiguous => {
-                "two poses explain the picture about as well: it is too far away or too flat to the lens to tell its tilt, or it repeats itself"
+                "two poses explain the picture about as well: it is too far away or too flat to the lens to tell its tilt, it repeats itself, \
+                 or a second copy of it is in view"
             }
-            Self::Jumped => "a pose is found, but far from where the camera was a frame before",
+            Self::Jumped => {
+                "a pose is found where the camera cannot have come to since the last one: another copy of the picture may be in view"
+            }
             Self::Unconfirmed => "a pose is found and waits for the next frame to confirm it",
             Self::TooDark => "the frame is too dark",
             Self::TooBright => "the frame is overexposed",
@@ -99,6 +106,7 @@ impl Reason {
             Self::Undecodable => "the frame cannot be decoded",
             Self::Skipped => "the row is skipped: its stamp or its size does not fit the clip",
             Self::LensMoved => "the picture is recognised, but through a lens of another focal length than the calibration's",
+            Self::Repeated => "the picture is the one before, to the last byte: the camera or what captures it stands still",
         }
     }
 
@@ -109,8 +117,10 @@ impl Reason {
             Self::Covered => "clear the view, or take a new photo of the stage as it looks now",
             Self::TooSmall => "go nearer, use a longer lens, or give a larger picture",
             Self::Uncertain => "let the camera see more of the stage, or go nearer",
-            Self::Ambiguous => "go nearer, add a surface that stands at another angle, or break a repetition with something of its own",
-            Self::Jumped => "check the clip's stamps and its frame rate",
+            Self::Ambiguous => {
+                "go nearer, add a surface that stands at another angle, break a repetition with something of its own, or cover the copy"
+            }
+            Self::Jumped => "cover other copies of the picture (prints, screens); else check the clip's stamps and its frame rate",
             Self::Unconfirmed => "nothing; where it stays so, frames come too rarely: at least two a second are needed",
             Self::TooDark => "give more light or a longer exposure",
             Self::TooBright => "expose less, or turn the lamp out of the picture",
@@ -122,6 +132,7 @@ impl Reason {
             Self::Undecodable => "record the clip again, or repair it",
             Self::Skipped => "record with stamps that rise and frames of one size",
             Self::LensMoved => "set zoom and focus back, or calibrate the lens as it is now (`stagepose survey --lens refine` on a walk)",
+            Self::Repeated => "check the cable, the capture card and the USB port; set the card to the camera's own frame rate",
         }
     }
 

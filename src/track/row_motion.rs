@@ -14,6 +14,8 @@ use crate::geometry::{Body, Camera, Pose};
 pub struct RowMotion {
     /// When the rows are exposed.
     pub shutter: Shutter,
+    /// One sigma of its readout, seconds; 0 where it is configured.
+    pub readout_sigma_s: f64,
     /// The last verified pose, how long ago it was in seconds, and the motion then.
     pub before: Option<(Pose<Camera, Body>, f64, Option<Twist>)>,
 }
@@ -68,14 +70,20 @@ mod tests {
         let step = Vector6::new(0.03, 0.0, -0.02, 0.01, 0.0, 0.02);
         let now = facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4));
         let before = perturbed(&now, &-step);
-        let still = RowMotion { shutter: Shutter { exposure_s: 0.0, readout_s: 0.0 }, before: Some((before, 0.05, None)) };
+        let still =
+            RowMotion { shutter: Shutter { exposure_s: 0.0, readout_s: 0.0 }, readout_sigma_s: 0.0, before: Some((before, 0.05, None)) };
         assert_eq!(still.twist(&now), Twist::still());
         assert!(still.twist_deviation(&now).is_none());
-        let rolling = RowMotion { shutter: Shutter { exposure_s: 0.0, readout_s: 0.02 }, before: Some((before, 0.05, None)) };
+        let rolling =
+            RowMotion { shutter: Shutter { exposure_s: 0.0, readout_s: 0.02 }, readout_sigma_s: 0.0, before: Some((before, 0.05, None)) };
         assert!((rolling.twist(&now).0 - step / 0.05).norm() < 0.02);
         // Speeding up: half of the change leads from between the frames to now.
         let then = Twist(step / 0.1);
-        let faster = RowMotion { shutter: Shutter { exposure_s: 0.0, readout_s: 0.02 }, before: Some((before, 0.05, Some(then))) };
+        let faster = RowMotion {
+            shutter: Shutter { exposure_s: 0.0, readout_s: 0.02 },
+            readout_sigma_s: 0.0,
+            before: Some((before, 0.05, Some(then))),
+        };
         assert!((faster.twist(&now).0 - step * 25.0).norm() < 0.03);
         let (twist, change) = still.twist_and_change(&now).expect("a pose before");
         assert!((twist - step * 20.0).norm() < 0.02 && (change - twist * 0.5).norm() < 1e-9);

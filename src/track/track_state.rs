@@ -46,7 +46,8 @@ impl State {
 pub enum Doubt {
     /// It is the first of its kind.
     First,
-    /// It is far from the one before.
+    /// It is far from the one before, or from where the body can have come since its last pose was
+    /// given.
     Disagrees,
 }
 
@@ -56,6 +57,9 @@ struct Pending {
     pose: Pose<Body, Camera>,
     timestamp: Timestamp,
     agreeing: u32,
+    /// When the first of these poses came, if the body cannot have come there since its last given
+    /// pose.
+    jumped: Option<Timestamp>,
 }
 
 /// The state machine of one body.
@@ -63,7 +67,7 @@ struct Pending {
 pub struct TrackStateMachine {
     state: State,
     found_before: bool,
-    last_tracked: Timestamp,
+    last_given: Option<Pending>,
     pending: Option<Pending>,
     doubt: Option<Doubt>,
 }
@@ -80,6 +84,12 @@ const SLACK_TURN: f64 = 0.02;
 /// Frames further apart than this do not confirm each other, seconds. Chosen, not tuned: within more, the camera could be anywhere. Raised,
 /// two wrong poses have longer to agree; lowered, cameras of 2 frames a second are never tracked.
 const LONGEST_GAP_S: f64 = 0.5;
+/// Fastest motion since the last given pose, m/s, where that is more than `FASTEST_SHIFT_PER_S`: a
+/// thrown prop. Raised, nearer copies pass for a motion.
+const FASTEST_M_PER_S: f64 = 10.0;
+/// Poses must agree for so long, seconds, where the body cannot have come there: a cut, or a wrong
+/// pose before. Raised, a cut costs more; lowered, a pan to a copy is believed sooner.
+const JUMP_CONFIRMED_S: f64 = 3.0;
 
 impl TrackStateMachine {
     /// The state after the last frame.
@@ -102,6 +112,17 @@ impl TrackStateMachine {
         self.doubt
     }
 
+    /// Whether the body can have come to a pose since its last given one; true where none was
+    /// given.
+    pub fn may_have_come(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> bool {
+        self.last_given.is_none_or(|last| is_reachable(&last.pose, pose, timestamp.seconds_since(last.timestamp)))
+    }
+
+    /// Whether a pose in this frame needs nothing but to be seen: it goes on with a track.
+    pub fn continues_at(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> bool {
+        self.is_continued() && self.may_have_come(pose, timestamp)
+    }
+
     /// Gives the body up at once: its poses are withheld, and none may be predicted from them.
     pub fn withhold(&mut self) -> State {
         let found_before = self.found_before;
@@ -109,46 +130,55 @@ impl TrackStateMachine {
         self.state
     }
 
-    /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings.
+    /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings; a
+    /// frame that leaves no doubt needs one to confirm it.
     pub fn update(&mut self, timestamp: Timestamp, verified: Option<&Pose<Body, Camera>>, coast_s: f64, confirm_frames: u32) -> State {
         let continued = self.is_continued();
         self.doubt = None;
-        match verified {
-            Some(pose) => {
-                let is_near = |p: &Pending| timestamp.seconds_since(p.timestamp) <= LONGEST_GAP_S;
-                let disagrees = self.pending.as_ref().is_some_and(|p| is_near(p) && !agree(p, pose, timestamp));
-                let agreeing = match &self.pending {
-                    Some(p) if agree(p, pose, timestamp) => p.agreeing + 1,
-                    _ => 1,
-                };
-                self.pending = Some(Pending { pose: *pose, timestamp, agreeing });
-                // While coasting, the last tracked pose is the pending one, so one agreeing frame is enough.
-                if agreeing >= confirm_frames {
-                    self.found_before = true;
-                    self.last_tracked = timestamp;
-                    self.state = State::Tracking;
-                    return self.state;
-                }
-                self.doubt = Some(if disagrees { Doubt::Disagrees } else { Doubt::First });
+        if let Some(pose) = verified {
+            let pending = self.taken_up(pose, timestamp);
+            let disagrees = pending.agreeing == 1
+                && self.pending.as_ref().is_some_and(|before| timestamp.seconds_since(before.timestamp) <= LONGEST_GAP_S);
+            self.pending = Some(pending);
+            let is_confirmed = match pending.jumped {
+                None => pending.agreeing >= confirm_frames,
+                Some(since) => timestamp.seconds_since(since) >= JUMP_CONFIRMED_S,
+            };
+            if is_confirmed {
+                self.found_before = true;
+                self.last_given = Some(Pending { jumped: None, ..pending });
+                self.pending = self.last_given;
+                self.state = State::Tracking;
+                return self.state;
             }
-            None => {
-                let stale = |p: &Pending| timestamp.seconds_since(p.timestamp) > LONGEST_GAP_S;
-                // A single verified frame must be followed by another at once; a track may skip frames while it coasts.
-                if self.pending.as_ref().is_some_and(|p| stale(p) || (!continued && p.agreeing < confirm_frames)) {
-                    self.pending = None;
-                }
-            }
+            self.doubt = Some(if disagrees || pending.jumped.is_some() { Doubt::Disagrees } else { Doubt::First });
         }
-        let may_coast = continued && timestamp.seconds_since(self.last_tracked) <= coast_s;
+        let may_coast = continued && self.last_given.is_some_and(|last| timestamp.seconds_since(last.timestamp) <= coast_s);
         self.state = match (may_coast, self.found_before) {
             (true, _) => State::Coasting,
             (false, true) => State::Lost,
             (false, false) => State::Searching,
         };
-        if self.state == State::Lost && verified.is_none() {
-            self.pending = None;
+        if verified.is_none() {
+            let is_stale = |p: &Pending| timestamp.seconds_since(p.timestamp) > LONGEST_GAP_S;
+            // A single verified frame must be followed by another at once; a track may skip frames
+            // while it coasts, and so may what jumped.
+            self.pending = self.pending.filter(|p| !is_stale(p) && (self.is_continued() || p.jumped.is_some()));
         }
         self.state
+    }
+
+    /// A verified pose beside those that wait.
+    fn taken_up(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> Pending {
+        let fresh = |jumped| Pending { pose: *pose, timestamp, agreeing: 1, jumped };
+        // While coasting, one frame that agrees with the last given one is enough, whatever was
+        // seen meanwhile.
+        let given = self.last_given.filter(|_| self.is_continued());
+        match [self.pending, given].into_iter().flatten().find(|before| agree(before, pose, timestamp)) {
+            // The way from a copy of the picture to itself is no way from the last given pose.
+            Some(before) => Pending { agreeing: before.agreeing.saturating_add(1), ..fresh(before.jumped) },
+            None => fresh((!self.may_have_come(pose, timestamp)).then_some(timestamp)),
+        }
     }
 }
 
@@ -158,11 +188,28 @@ fn agree(pending: &Pending, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> 
     if !(0.0..=LONGEST_GAP_S).contains(&dt) {
         return false;
     }
-    let distance = pose.translation.norm().min(pending.pose.translation.norm());
+    let distance = nearest_m(&pending.pose, pose);
     // Of the camera's centre: turning it on the spot is no shift.
     let shift = (pose.translation - pending.pose.translation).norm();
     let turn = pose.angle_to(&pending.pose);
     shift < (SLACK_SHIFT + FASTEST_SHIFT_PER_S * dt) * distance && turn < SLACK_TURN + FASTEST_TURN_PER_S * dt
+}
+
+/// Whether a body can have moved from one pose to another within some seconds, as nothing on a
+/// stage moves faster. Turns do not count: a copy lies elsewhere, and what only turns is the same
+/// picture, tilted.
+fn is_reachable(from: &Pose<Body, Camera>, to: &Pose<Body, Camera>, dt_s: f64) -> bool {
+    let (distance, dt_s) = (nearest_m(from, to), dt_s.max(0.0));
+    // A camera that turns on the spot stays where it is in the body, and a prop that does stays
+    // where it is before the camera.
+    let of_camera = (to.translation - from.translation).norm();
+    let of_body = (to.inverse().translation - from.inverse().translation).norm();
+    let reach = SLACK_SHIFT * distance + (FASTEST_SHIFT_PER_S * distance).max(FASTEST_M_PER_S) * dt_s;
+    of_camera.min(of_body) < reach
+}
+
+fn nearest_m(a: &Pose<Body, Camera>, b: &Pose<Body, Camera>) -> f64 {
+    a.translation.norm().min(b.translation.norm())
 }
 
 #[cfg(test)]
@@ -237,6 +284,53 @@ mod tests {
     #[test]
     fn a_jump_while_tracking_is_not_given() {
         use State::{Coasting, Searching, Tracking};
-        assert_eq!(run(&[Some(0.0), Some(0.0), Some(3.0), Some(0.0)])[..3], [Searching, Tracking, Coasting]);
+        assert_eq!(run(&[Some(0.0), Some(0.0), Some(3.0), Some(0.0)]), [Searching, Tracking, Coasting, Tracking]);
+    }
+
+    /// Frames that leave no doubt, at a rate; the states, and whether each was doubted as a jump.
+    fn sure(per_s: f64, seen: impl IntoIterator<Item = Option<f64>>) -> Vec<(State, bool)> {
+        let mut lock = TrackStateMachine::default();
+        let states = seen.into_iter().enumerate().map(|(k, x)| {
+            let state = lock.update(Timestamp::from_ns((k as f64 * 1e9 / per_s) as i64), x.map(at).as_ref(), 0.2, 1);
+            (state, lock.doubt() == Some(Doubt::Disagrees))
+        });
+        states.collect()
+    }
+
+    #[test]
+    fn a_copy_is_not_the_body_however_long_it_is_seen_without_the_body() {
+        let given = |states: &[(State, bool)]| states.iter().filter(|(state, _)| *state == State::Tracking).count();
+        // A pan to a copy 4 m aside, for two seconds, with gaps, and back.
+        let mut seen = vec![Some(0.0); 10];
+        seen.extend((0..60).map(|k| (k % 7 != 3).then_some(4.0)));
+        let states = sure(30.0, seen.clone().into_iter().chain([Some(0.1); 3]));
+        assert_eq!((given(&states[10..70]), given(&states[70..])), (0, 3));
+        assert!(states[10].1 && states[68].1);
+        // A cut is believed in the end.
+        let states = sure(30.0, [Some(0.0); 10].into_iter().chain([Some(4.0); 120]));
+        assert_eq!(states.iter().skip(10).position(|(state, _)| *state == State::Tracking), Some(90));
+        assert!(states[100..].iter().all(|(state, _)| *state == State::Tracking));
+    }
+
+    #[test]
+    fn quick_motion_is_no_jump_at_any_rate() {
+        for per_s in [5.0, 30.0, 240.0] {
+            // 8 m/s at 4 m.
+            let states = sure(per_s, (0..20).map(|k| Some(8.0 / per_s * f64::from(k))));
+            assert!(states.iter().all(|(state, _)| *state == State::Tracking), "{per_s}: {states:?}");
+        }
+        // Hidden for a second, and carried 3 m meanwhile.
+        let hidden = [Some(0.0); 5].into_iter().chain([None; 30]).chain([Some(3.0); 2]);
+        assert_eq!(sure(30.0, hidden)[35..], [(State::Tracking, false); 2]);
+    }
+
+    /// A prop that spins on the spot: the camera flies about it, and it stays where it is.
+    #[test]
+    fn a_spun_prop_is_no_jump() {
+        let mut lock = TrackStateMachine::default();
+        for k in 0..30 {
+            let camera_body = Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.6 * k as f64, 0.0), Vector3::new(0.0, 0.0, 2.0));
+            assert_eq!(lock.update(stamp(k), Some(&camera_body.inverse()), 0.2, 1), State::Tracking, "{k}");
+        }
     }
 }

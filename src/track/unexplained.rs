@@ -185,6 +185,27 @@ impl Unexplained {
         !self.regions.is_empty()
     }
 
+    /// Where the frame that was looked at last is unexplained, 255, elsewhere 0; of the frame's
+    /// size. `closed`: the frame's own mask.
+    pub fn mask(&mut self, [width, height]: [u32; 2], closed: Option<&GrayImage>) -> &GrayImage {
+        let mut raw = std::mem::take(&mut self.mask).into_raw();
+        raw.clear();
+        raw.resize(width as usize * height as usize, 0);
+        for Region { origin, mask, .. } in &self.regions {
+            let columns = origin[0] as usize..(origin[0] + mask.width()) as usize;
+            for (open, y) in mask.as_raw().chunks_exact(mask.width().max(1) as usize).zip(origin[1] as usize..) {
+                let row = &mut raw[y * width as usize..][columns.clone()];
+                row.iter_mut().zip(open).for_each(|(own, open)| *own |= open);
+            }
+        }
+        if let Some(closed) = closed {
+            raw.iter_mut().zip(closed.as_raw()).for_each(|(own, seen)| *own &= seen);
+        }
+        // There is one byte for each pixel.
+        self.mask = GrayImage::from_raw(width, height, raw).unwrap_or_default();
+        &self.mask
+    }
+
     /// The next search begins at one of these places, where bodies that were just lost should be by now.
     pub fn search_first(&mut self, expected_places: impl Iterator<Item = Extent>) {
         self.expected_places.clear();

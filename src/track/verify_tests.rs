@@ -18,7 +18,7 @@ fn verified(frame: &GrayImage, start: &Pose<Camera, Body>) -> Result<(Verified, 
         camera: &camera,
         full: SearchPicture { image: frame, scale: 1.0, mask: None },
         half: SearchPicture { image: &half, scale: 2.0, mask: None },
-        row_motion: RowMotion { shutter: Default::default(), before: None },
+        row_motion: RowMotion { shutter: Default::default(), readout_sigma_s: 0.0, before: None },
         workers: &workers,
     };
     let mut buffers = VerifyBuffers::default();

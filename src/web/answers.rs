@@ -13,29 +13,28 @@ use axum::extract::{FromRequestParts, RawPathParams};
 use axum::http::{Method, Request as HttpRequest, Response};
 use axum::response::IntoResponse as _;
 use axum::routing::any;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::watch;
 use tokio::time::timeout;
 
 use super::assets;
 use super::call::Call;
-use super::content::{Transfers, Upload, pump};
+use super::connection::Connection;
+use super::content::{Transfers, Upload, gathered, pump};
 use super::events::{Events, tell};
 use super::feed::Feed;
 use super::hub::Hub;
-use super::keys::Keys;
+use super::keys::{Keys, Permission};
+use super::lanes::Lanes;
 use super::lifetime::{TAKES_WITHIN, close, ended};
 use super::places::Place;
 use super::replies::{refused_content, response};
 use super::reply::Reply;
-use super::routes::{Aside, Handler, Route, listed};
+use super::routes::{Handler, Route, listed};
 use super::view::show;
 
 /// A client has nothing to say on the WebSocket, so that its messages may be short, bytes. A round figure. Raised, a client may take more
 /// memory.
 const LONGEST_MESSAGE: usize = 4 * 1024;
-
-/// Requests that are worked on aside at a time. Chosen for the smallest machine: more of them take turns anyway. Raised, more memory at once.
-const AT_ONCE_ASIDE: usize = 3;
 
 /// Who has no connection is nobody who is known.
 const NOBODY: IpAddr = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
@@ -47,6 +46,8 @@ pub(super) struct Caller {
     pub place: Option<Arc<Place>>,
     /// Who asks.
     pub peer: IpAddr,
+    /// Its connection; none in a test.
+    pub connection: Option<Connection>,
     /// What it carries that may last.
     pub transfers: Transfers,
 }
@@ -54,7 +55,7 @@ pub(super) struct Caller {
 /// What all routes are answered with.
 struct Desk {
     keys: Arc<Keys>,
-    aside: Arc<Semaphore>,
+    lanes: Lanes,
 }
 
 /// What the streams are of.
@@ -96,7 +97,7 @@ pub(super) fn router(streams: Streams, routes: Vec<Route>, keys: Arc<Keys>, page
     for route in listed([streams.routes(), routes, of_page].concat()) {
         by_path.entry(route.path).or_default().push(route);
     }
-    let desk = Arc::new(Desk { keys, aside: Arc::new(Semaphore::new(AT_ONCE_ASIDE)) });
+    let desk = Arc::new(Desk { keys, lanes: Lanes::new() });
     let mut router = Router::new();
     for (path, of_path) in by_path {
         let (of_path, desk): (Arc<[Route]>, _) = (of_path.into(), desk.clone());
@@ -130,32 +131,47 @@ async fn answer(request: HttpRequest<Body>, of_path: Arc<[Route]>, desk: Arc<Des
     match &route.handler {
         Handler::Quick(handler) => Ok(response(handler())),
         Handler::Whole(handler) => Ok(handler(request).await),
-        Handler::Aside(handler) => Ok(answer_aside(request, handler.clone(), caller, &desk).await),
+        Handler::Aside(_) => Ok(answer_aside(request, route, caller, &desk).await.unwrap_or_else(response)),
     }
 }
 
-/// Answers on another thread, to which the request's content comes piece by piece.
-async fn answer_aside(request: HttpRequest<Body>, handler: Aside, caller: Option<Caller>, desk: &Desk) -> Response<Body> {
+/// Answers on another thread, when the request has its turn. Its content is here by then, but for a large file, which comes piece by piece.
+async fn answer_aside(request: HttpRequest<Body>, route: &Route, caller: Option<Caller>, desk: &Desk) -> Result<Response<Body>, Reply> {
     let peer = caller.as_ref().map_or(NOBODY, |caller| caller.peer);
+    let connection = caller.as_ref().and_then(|caller| caller.connection.clone());
     let transfers = caller.map(|caller| caller.transfers).unwrap_or_default();
     let _transfer = transfers.begin();
-    let is_here = Keys::is_here(peer, request.headers());
+    let Handler::Aside(handler) = route.handler.clone() else { return Err(Reply::text(500, "this path has no handler\n")) };
     let (mut parts, body) = request.into_parts();
     let fields = fields(&mut parts).await;
-    let (to, content) = Upload::channel();
+    let (content, to_come) = match route.content {
+        Some(most_bytes) => (Upload::whole(gathered(body, most_bytes).await?), None),
+        None => {
+            let (to, content) = Upload::channel();
+            (content, Some((body, to)))
+        }
+    };
+    let turn = desk.lanes.turn(route.lane, peer, connection.as_ref()).await?;
     let query = parts.uri.query().unwrap_or_default().to_owned();
-    let mut call = Call { fields, query, headers: parts.headers, content, is_here };
-    // The semaphore is never closed.
-    let permit = desk.aside.clone().acquire_owned().await;
+    let (access, headers) = (route.access, parts.headers.clone());
+    let permission = Permission { keys: desk.keys.clone(), access, method: parts.method, headers, peer };
+    // The lock may have come, and a browser gone, while it waited.
+    permission.judge()?;
+    let mut call = Call { fields, query, headers: parts.headers, content, permission };
     let work = tokio::task::spawn_blocking(move || {
         let reply = handler(&mut call).unwrap_or_else(|refused| refused);
-        drop(permit);
+        drop(turn);
         reply
     });
-    let (reply, ()) = tokio::join!(work, pump(body, to));
+    let arrives = async {
+        if let Some((body, to)) = to_come {
+            pump(body, to).await;
+        }
+    };
+    let (reply, ()) = tokio::join!(work, arrives);
     // A handler that panics is a defect; the message is in the log.
     let reply = reply.unwrap_or_else(|_| Reply::text(500, "this failed inside the program; please report it with the log\n"));
-    with_download(reply, &transfers)
+    Ok(with_download(reply, &transfers))
 }
 
 fn with_download(mut reply: Reply, transfers: &Transfers) -> Response<Body> {

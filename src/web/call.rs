@@ -1,12 +1,13 @@
 //! A request as the function behind a route sees it: fields of the path, the query, headers, the content. What is asked for wrongly
 //! becomes a reply that says how it is asked.
 
-use std::io::{ErrorKind, Read};
+use std::io::Read;
 
 use axum::http::HeaderMap;
 use serde::de::DeserializeOwned;
 
-use super::content::Upload;
+use super::content::{Upload, not_arrived, too_large};
+use super::keys::Permission;
 use super::reply::Reply;
 
 /// Longest name of a recording, a file or a client, bytes: as file systems have it, less what is put behind it.
@@ -19,8 +20,8 @@ pub struct Call {
     pub(super) query: String,
     pub(super) headers: HeaderMap,
     pub(super) content: Upload,
-    /// Whether this machine itself asks.
-    pub(super) is_here: bool,
+    /// Who asks, and what for.
+    pub(super) permission: Permission,
 }
 
 impl Call {
@@ -68,9 +69,15 @@ impl Call {
         serde_json::from_slice(&bytes).map_err(|e| Reply::text(400, format!("the request is not the JSON that is wanted here: {e}\n")))
     }
 
-    /// Refuses content where there should be none.
-    pub(super) fn nothing(&mut self) -> Result<(), Reply> {
-        self.content(0).map(drop).map_err(|_| Reply::text(413, "this request has no content\n"))
+    /// Whether this machine itself asks.
+    pub(super) fn is_here(&self) -> bool {
+        self.permission.is_here()
+    }
+
+    /// Whether the request may still change something: the show lock may have come, or the browser may have been revoked, since it was
+    /// asked. To be called just before the change.
+    pub(super) fn still_may(&self) -> Result<(), Reply> {
+        self.permission.judge()
     }
 }
 
@@ -78,18 +85,4 @@ impl Call {
 pub(super) fn is_name(name: &str) -> bool {
     let is_plain = |b: u8| b.is_ascii_alphanumeric() || b"._-".contains(&b);
     !name.is_empty() && name.len() <= LONGEST_NAME && !name.starts_with('.') && name.bytes().all(is_plain)
-}
-
-/// Content beyond its limit.
-pub(super) fn too_large(most_bytes: u64) -> Reply {
-    let limit = if most_bytes >= 1 << 20 { format!("{} MB", most_bytes >> 20) } else { format!("{most_bytes} bytes") };
-    Reply::text(413, format!("the content is larger than {limit}, which is the most that is taken here\n"))
-}
-
-/// Content that did not come.
-pub(super) fn not_arrived(error: &std::io::Error) -> Reply {
-    match error.kind() {
-        ErrorKind::TimedOut => Reply::text(408, "the content did not come in time; send it again\n"),
-        _ => Reply::text(400, "the content broke off; send it again\n"),
-    }
 }

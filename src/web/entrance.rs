@@ -35,28 +35,23 @@ pub(super) fn routes(keys: &Arc<Keys>, about: Option<About>) -> Vec<Route> {
             let mut told = about.as_ref().map_or_else(|| json!({}), |about| about());
             let is_paired = session.is_paired(&call.headers);
             told["paired"] = is_paired.into();
-            told["needs_pairing"] = (!call.is_here && !is_paired).into();
+            told["needs_pairing"] = (!call.is_here() && !is_paired).into();
             told["locked"] = session.is_locked().into();
             told["version"] = env!("CARGO_PKG_VERSION").into();
             told["page"] = assets::version().into();
             Ok(Reply::json(200, told.to_string()))
-        }),
+        })
+        .probe(),
         Route::aside(Method::POST, "/api/v1/pair", Access::Pair, move |call| {
             let asked: Pairing = call.json(LARGEST)?;
-            Ok(Reply::done().with("set-cookie", &pair.pair(&asked.code, &asked.name, Instant::now())?))
-        }),
+            Ok(Reply::done().with("set-cookie", &pair.pair(&asked.code, &asked.name, call.permission.peer, Instant::now())?))
+        })
+        .takes(LARGEST),
         Route::aside(Method::GET, "/api/v1/clients", Access::Paired, move |_| Ok(Reply::json(200, json!(clients.clients()).to_string()))),
         Route::aside(Method::DELETE, "/api/v1/clients/{id}", Access::Change, move |call| {
-            call.nothing()?;
             revoke.revoke(call.name("id")?).map(|()| Reply::done())
         }),
-        Route::aside(Method::POST, "/api/v1/lock", Access::Change, move |call| {
-            call.nothing()?;
-            lock.lock(true).map(|()| Reply::done())
-        }),
-        Route::aside(Method::POST, "/api/v1/unlock", Access::Unlock, move |call| {
-            call.nothing()?;
-            unlock.lock(false).map(|()| Reply::done())
-        }),
+        Route::aside(Method::POST, "/api/v1/lock", Access::Change, move |_| lock.lock(true).map(|()| Reply::done())),
+        Route::aside(Method::POST, "/api/v1/unlock", Access::Unlock, move |_| unlock.lock(false).map(|()| Reply::done())),
     ]
 }

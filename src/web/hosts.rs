@@ -4,7 +4,7 @@
 //! if it were theirs. Their requests still carry that name as `Host`. So only names are answered that belong here: loopback's, the
 //! machine's own addresses and host name, and what the config adds.
 
-use std::net::IpAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -100,6 +100,22 @@ impl AllowedHosts {
     }
 }
 
+/// What to type into a browser to see the page of a server that listens at this address. A server that listens at all addresses
+/// is named as this machine reaches it, and as the others do.
+pub fn page_address(listen: SocketAddr) -> String {
+    page_address_among(listen, &addresses_of_this_machine())
+}
+
+fn page_address_among(listen: SocketAddr, own: &[IpAddr]) -> String {
+    let at = |address: IpAddr| format!("http://{}/", SocketAddr::new(address, listen.port()));
+    if !listen.ip().is_unspecified() {
+        return at(listen.ip());
+    }
+    let here = at(Ipv4Addr::LOCALHOST.into());
+    let is_reached = |address: &&IpAddr| address.is_ipv4() && !address.is_loopback();
+    own.iter().find(is_reached).map_or(here.clone(), |address| format!("{here}, from other machines {}", at(*address)))
+}
+
 /// What the system says; nothing where it does not answer.
 fn addresses_of_this_machine() -> Vec<IpAddr> {
     let Ok(interfaces) = nix::ifaddrs::getifaddrs() else { return Vec::new() };
@@ -152,6 +168,16 @@ mod tests {
         for text in odd.into_iter().chain([long.as_str()]) {
             assert_eq!(read(text), None, "{text}");
         }
+    }
+
+    #[test]
+    fn a_page_is_named_as_a_browser_reaches_it() {
+        let own = ["127.0.0.1", "fe80::1", "192.0.2.7"].map(|address| address.parse().unwrap());
+        let named = |listen: &str| page_address_among(listen.parse().unwrap(), &own);
+        assert_eq!(named("127.0.0.1:8090"), "http://127.0.0.1:8090/");
+        assert_eq!(named("[::1]:80"), "http://[::1]:80/");
+        assert_eq!(named("0.0.0.0:8090"), "http://127.0.0.1:8090/, from other machines http://192.0.2.7:8090/");
+        assert_eq!(page_address_among("0.0.0.0:1".parse().unwrap(), &own[..2]), "http://127.0.0.1:1/");
     }
 
     #[test]

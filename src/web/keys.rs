@@ -8,24 +8,26 @@ use std::io::{self, Read, Write};
 use std::net::IpAddr;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use axum::http::{HeaderMap, Method, header};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use super::places::network_of;
 use super::reply::Reply;
-use super::routes::Access;
 use crate::safe_file;
 
-/// The cookie's name.
+/// The cookie's name, with the daemon's port behind it: to a browser the daemons of one machine are one site. Cookies of the bare name are of former versions.
 const COOKIE: &str = "stagepose";
 /// How long a browser keeps it, seconds: a year. Raised, a tablet that was given away stays paired for longer.
 const COOKIE_LASTS_S: u64 = 365 * 24 * 3600;
-/// Codes that may be tried within [`TRIES_WITHIN`], by everybody together: eight digits then last a century of guessing. Raised, they last
-/// less.
+/// Codes that one peer may try within [`TRIES_WITHIN`]. Raised, the code is guessed sooner; lowered, who mistypes waits.
 const MOST_TRIES: usize = 5;
+/// The same, by everybody together: eight digits then last a year of guessing by any number of peers. Raised, they last less; lowered, fewer
+/// peers that guess keep an honest one out.
+const MOST_TRIES_OF_ALL: usize = 100;
 const TRIES_WITHIN: Duration = Duration::from_secs(60);
 /// Browsers that are paired at most; the oldest goes. Chosen: more than a theatre has. Raised, forgotten ones stay for longer.
 const MOST_CLIENTS: usize = 64;
@@ -33,6 +35,34 @@ const MOST_CLIENTS: usize = 64;
 const LONGEST_LABEL: usize = 60;
 /// Larger than the file of clients can be, bytes.
 const LARGEST_FILE: u64 = 1 << 20;
+
+/// Who may ask.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Access {
+    /// Whoever passes the guard; it changes nothing.
+    Anyone,
+    /// It changes nothing, but tells more than the page shows: off loopback for paired browsers only.
+    Paired,
+    /// It changes something: off loopback for paired browsers only, and for nobody while the show lock is on.
+    Change,
+    /// It changes something, also under the lock: what releases it.
+    Unlock,
+    /// Pairing itself.
+    Pair,
+}
+
+impl Access {
+    /// Its word in the list of routes.
+    pub(super) fn word(self) -> &'static str {
+        match self {
+            Self::Anyone => "anyone",
+            Self::Paired => "paired",
+            Self::Change => "change",
+            Self::Unlock => "unlock",
+            Self::Pair => "pair",
+        }
+    }
+}
 
 /// A paired browser.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -54,7 +84,8 @@ struct Kept {
 struct Known {
     kept: Kept,
     code: String,
-    tries: Vec<Instant>,
+    /// Codes that were tried: when, and by whom.
+    tries: Vec<(Instant, IpAddr)>,
 }
 
 /// Codes, clients and the lock.
@@ -153,11 +184,18 @@ impl Keys {
     /// Whether the request comes with a cookie that was given here.
     pub(super) fn is_paired(&self, headers: &HeaderMap) -> bool {
         let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(';'));
+        let own = self.cookie();
+        let is_named = |name: &str| name == own || name == COOKIE;
         let mut tokens =
-            cookies.filter_map(|cookie| cookie.trim().split_once('=')).filter(|(name, _)| *name == COOKIE).map(|(_, token)| hash(token));
+            cookies.filter_map(|cookie| cookie.trim().split_once('=')).filter(|(name, _)| is_named(name)).map(|(_, token)| hash(token));
         let known = self.known();
         // Of the hashes, so that the time which this takes tells nothing of the tokens.
         tokens.any(|hash| known.kept.clients.iter().any(|client| client.hash == hash))
+    }
+
+    /// The name of this daemon's cookie.
+    fn cookie(&self) -> String {
+        format!("{COOKIE}-{}", self.port)
     }
 
     /// Whether the show lock is on.
@@ -186,13 +224,14 @@ impl Keys {
     }
 
     /// Pairs a browser that knows the code: the cookie to set.
-    pub(super) fn pair(&self, code: &str, name: &str, now: Instant) -> Result<String, Reply> {
-        let mut known = self.known();
-        known.tries.retain(|tried| now.duration_since(*tried) < TRIES_WITHIN);
-        if known.tries.len() >= MOST_TRIES {
+    pub(super) fn pair(&self, code: &str, name: &str, peer: IpAddr, now: Instant) -> Result<String, Reply> {
+        let (mut known, peer) = (self.known(), network_of(peer));
+        known.tries.retain(|(tried, _)| now.duration_since(*tried) < TRIES_WITHIN);
+        let of_peer = known.tries.iter().filter(|(_, by)| *by == peer).count();
+        if of_peer >= MOST_TRIES || known.tries.len() >= MOST_TRIES_OF_ALL {
             return Err(Reply::text(429, "too many codes were tried; wait a minute\n").with("retry-after", "60"));
         }
-        known.tries.push(now);
+        known.tries.push((now, peer));
         let digits: String = code.chars().filter(|c| !c.is_whitespace()).collect();
         if hash(&digits) != hash(&known.code) {
             return Err(Reply::text(401, "this is not the code; `stagepose pair` on the daemon's machine prints it\n"));
@@ -207,7 +246,7 @@ impl Keys {
         known.kept.clients.push(Client { id, name, since_unix_ms, hash: hash(&token) });
         self.keep(&known)?;
         self.renew(&mut known).map_err(failed)?;
-        Ok(format!("{COOKIE}={token}; Path=/; Max-Age={COOKIE_LASTS_S}; HttpOnly; SameSite=Strict"))
+        Ok(format!("{}={token}; Path=/; Max-Age={COOKIE_LASTS_S}; HttpOnly; SameSite=Strict", self.cookie()))
     }
 
     /// The paired browsers, without what proves them.
@@ -232,6 +271,28 @@ impl Keys {
         let mut known = self.known();
         known.kept.locked = on;
         self.keep(&known)
+    }
+}
+
+/// Who asks for what; it can be judged again while the request is worked on.
+#[derive(Debug, Clone)]
+pub(super) struct Permission {
+    pub keys: Arc<Keys>,
+    pub access: Access,
+    pub method: Method,
+    pub headers: HeaderMap,
+    pub peer: IpAddr,
+}
+
+impl Permission {
+    /// Judges it as things are now.
+    pub fn judge(&self) -> Result<(), Reply> {
+        self.keys.judge(self.access, &self.method, &self.headers, self.peer)
+    }
+
+    /// Whether this machine itself asks.
+    pub fn is_here(&self) -> bool {
+        Keys::is_here(self.peer, &self.headers)
     }
 }
 

@@ -20,14 +20,14 @@ fn a_code_pairs_once_and_the_token_itself_is_nowhere_kept() {
     assert_eq!((code.len(), code.as_str()), (8, keys.code().as_str()));
     assert_eq!(file.metadata().unwrap().permissions().mode() & 0o777, 0o600);
     let now = Instant::now();
-    let cookie = keys.pair(&format!("{} {}", &code[..4], &code[4..]), "Anna's\u{1b} tablet", now).unwrap();
+    let cookie = keys.pair(&format!("{} {}", &code[..4], &code[4..]), "Anna's\u{1b} tablet", elsewhere(), now).unwrap();
     assert!(cookie.ends_with("; HttpOnly; SameSite=Strict"), "{cookie}");
     let token = cookie.split(';').next().unwrap();
     let given = headers(&[("cookie", &format!("other=1; {token}"))]);
     let change =
         |keys: &Keys, headers: &HeaderMap| keys.judge(Access::Change, &Method::POST, headers, elsewhere()).err().map_or(0, |r| r.status);
     assert_eq!((change(&keys, &given), change(&keys, &HeaderMap::new())), (0, 401));
-    assert_eq!(keys.pair(&code, "again", now).unwrap_err().status, 401, "each code is used once");
+    assert_eq!(keys.pair(&code, "again", elsewhere(), now).unwrap_err().status, 401, "each code is used once");
     let kept = std::fs::read_to_string(folder.path().join("clients-1.json")).unwrap();
     assert!(!kept.contains(token.split_once('=').unwrap().1), "{kept}");
     drop(keys);
@@ -42,13 +42,39 @@ fn a_code_pairs_once_and_the_token_itself_is_nowhere_kept() {
 }
 
 #[test]
-fn guesses_are_few() {
+fn guesses_are_few_and_one_peer_s_guesses_do_not_keep_another_out() {
     let keys = Keys::open(None, 1).unwrap();
-    let begun = Instant::now();
-    let tried: Vec<u16> = (0..8).map(|k| keys.pair("x", "", begun + Duration::from_secs(k)).unwrap_err().status).collect();
+    let (begun, honest) = (Instant::now(), "192.0.2.8".parse().unwrap());
+    let guess = |peer: &str, s: u64| keys.pair("x", "", peer.parse().unwrap(), begun + Duration::from_secs(s)).unwrap_err().status;
+    let tried: Vec<u16> = (0..8).map(|s| guess("192.0.2.7", s)).collect();
     assert_eq!(tried, [401, 401, 401, 401, 401, 429, 429, 429]);
-    assert_eq!(keys.pair(&keys.code(), "", begun + Duration::from_secs(8)).unwrap_err().status, 429, "also for who knows it");
-    assert!(keys.pair(&keys.code(), "", begun + Duration::from_secs(70)).is_ok());
+    // An IPv6 host has any address of its network.
+    let tried: Vec<u16> = (0..7).map(|k| guess(&format!("2001:db8::{k}"), 8)).collect();
+    assert_eq!(tried, [401, 401, 401, 401, 401, 429, 429]);
+    assert_eq!(keys.pair(&keys.code(), "", elsewhere(), begun + Duration::from_secs(8)).unwrap_err().status, 429, "also for who knows it");
+    assert!(keys.pair(&keys.code(), "", honest, begun + Duration::from_secs(8)).is_ok());
+    assert!(keys.pair(&keys.code(), "", elsewhere(), begun + Duration::from_secs(70)).is_ok());
+    // Any number of peers together have few.
+    let let_in = (0..200).filter(|k| guess(&format!("198.51.100.{k}"), 140) == 401).count();
+    assert_eq!(let_in, MOST_TRIES_OF_ALL);
+}
+
+#[test]
+fn each_daemon_of_a_machine_has_its_own_cookie() {
+    let pair = |port| {
+        let keys = Keys::open(None, port).unwrap();
+        let cookie = keys.pair(&keys.code(), "", elsewhere(), Instant::now()).unwrap();
+        (keys, cookie.split(';').next().unwrap().to_owned())
+    };
+    let ((one, cookie), (other, another)) = (pair(8090), pair(8091));
+    assert!(cookie.starts_with("stagepose-8090=") && another.starts_with("stagepose-8091="), "{cookie} {another}");
+    // A browser that is paired with both sends both.
+    let both = headers(&[("cookie", &format!("{cookie}; {another}"))]);
+    assert!(one.is_paired(&both) && other.is_paired(&both));
+    let of_one = headers(&[("cookie", &cookie)]);
+    assert!(one.is_paired(&of_one) && !other.is_paired(&of_one));
+    // Browsers that a former version has paired stay so.
+    assert!(one.is_paired(&headers(&[("cookie", &cookie.replace("stagepose-8090", "stagepose"))])));
 }
 
 #[test]

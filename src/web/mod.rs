@@ -16,6 +16,8 @@ mod call;
 #[cfg(feature = "http")]
 mod camera_motion;
 #[cfg(feature = "http")]
+mod connection;
+#[cfg(feature = "http")]
 mod content;
 #[cfg(feature = "http")]
 mod entrance;
@@ -30,6 +32,8 @@ mod hosts;
 mod hub;
 #[cfg(feature = "http")]
 mod keys;
+#[cfg(feature = "http")]
+mod lanes;
 #[cfg(feature = "http")]
 mod lifetime;
 #[cfg(feature = "http")]
@@ -53,7 +57,7 @@ mod view;
 
 #[cfg(feature = "http")]
 pub use api::{about, routes};
-pub use hosts::AllowedHosts;
+pub use hosts::{AllowedHosts, page_address};
 #[cfg(feature = "http")]
 pub use keys::code_file;
 #[cfg(feature = "http")]

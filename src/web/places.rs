@@ -72,7 +72,7 @@ impl Drop for Place {
 }
 
 /// What counts as one peer: an IPv4 address, or the 64 bits of an IPv6 network, of which a host may have any address.
-fn network_of(address: IpAddr) -> IpAddr {
+pub(super) fn network_of(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(v6) => IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() >> 64 << 64)),
         v4 => v4,

@@ -10,6 +10,8 @@ use axum::http::{Method, Request, Response};
 use serde_json::json;
 
 use super::call::Call;
+pub use super::keys::Access;
+use super::lanes::Lane;
 use super::reply::Reply;
 
 /// A quick answer, which needs nothing of the request.
@@ -28,40 +30,16 @@ pub(super) enum Handler {
     Whole(Whole),
 }
 
-/// Who may ask.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Access {
-    /// Whoever passes the guard; it changes nothing.
-    Anyone,
-    /// It changes nothing, but tells more than the page shows: off loopback for paired browsers only.
-    Paired,
-    /// It changes something: off loopback for paired browsers only, and for nobody while the show lock is on.
-    Change,
-    /// It changes something, also under the lock: what releases it.
-    Unlock,
-    /// Pairing itself.
-    Pair,
-}
-
-impl Access {
-    /// Its word in the list of routes.
-    fn word(self) -> &'static str {
-        match self {
-            Self::Anyone => "anyone",
-            Self::Paired => "paired",
-            Self::Change => "change",
-            Self::Unlock => "unlock",
-            Self::Pair => "pair",
-        }
-    }
-}
-
 /// A method and a path with what answers them.
 #[derive(Clone)]
 pub struct Route {
     pub(super) method: Method,
     pub(super) path: &'static str,
     pub(super) access: Access,
+    /// Whom its requests wait for.
+    pub(super) lane: Lane,
+    /// Bytes of content at most, which are here before the handler begins; none where it reads them as they come.
+    pub(super) content: Option<u64>,
     /// How often it may be asked, where that is limited.
     pub(super) pace: Option<Arc<Pace>>,
     /// A query with which it changes nothing and may be asked at any pace.
@@ -73,14 +51,13 @@ impl Route {
     /// A route that changes nothing, for one path, which begins with `/` and has no fields. It is called on the server's thread: it must be
     /// quick and wait for nothing.
     pub fn get(path: &'static str, handler: impl Fn() -> Reply + Send + Sync + 'static) -> Self {
-        Self { method: Method::GET, path, access: Access::Anyone, pace: None, free_query: None, handler: Handler::Quick(Arc::new(handler)) }
+        Self::new(Method::GET, path, Access::Anyone, Handler::Quick(Arc::new(handler)))
     }
 
     /// A route that changes something; it is called a few times at once and then every few seconds at most. As [`get`](Self::get), it must be
     /// quick.
     pub fn post(path: &'static str, handler: impl Fn() -> Reply + Send + Sync + 'static) -> Self {
-        let (pace, handler) = (Some(Arc::default()), Handler::Quick(Arc::new(handler)));
-        Self { method: Method::POST, path, access: Access::Change, pace, free_query: None, handler }
+        Self::new(Method::POST, path, Access::Change, Handler::Quick(Arc::new(handler))).seldom()
     }
 
     /// A route that may take its time, with fields such as `{id}` in its path.
@@ -90,7 +67,7 @@ impl Route {
         access: Access,
         handler: impl Fn(&mut Call) -> Result<Reply, Reply> + Send + Sync + 'static,
     ) -> Self {
-        Self { method, path, access, pace: None, free_query: None, handler: Handler::Aside(Arc::new(handler)) }
+        Self::new(method, path, access, Handler::Aside(Arc::new(handler)))
     }
 
     /// A route that changes nothing and has the whole request.
@@ -98,13 +75,38 @@ impl Route {
     where
         F: Future<Output = Response<Body>> + Send + 'static,
     {
-        let handler = Handler::Whole(Arc::new(move |request| Box::pin(answer(request))));
-        Self { method: Method::GET, path, access: Access::Anyone, pace: None, free_query: None, handler }
+        Self::new(Method::GET, path, Access::Anyone, Handler::Whole(Arc::new(move |request| Box::pin(answer(request)))))
+    }
+
+    /// A route without content and at any pace.
+    fn new(method: Method, path: &'static str, access: Access, handler: Handler) -> Self {
+        let lane = if method == Method::GET { Lane::Look } else { Lane::Change };
+        Self { method, path, access, lane, content: Some(0), pace: None, free_query: None, handler }
+    }
+
+    /// The same, which says in a moment how the daemon is, and waits for no other request.
+    pub(super) fn probe(self) -> Self {
+        Self { lane: Lane::Probe, ..self }
+    }
+
+    /// The same, with content of at most so many bytes. They are kept in memory until the handler has its turn.
+    pub(super) fn takes(self, most_bytes: u64) -> Self {
+        Self { content: Some(most_bytes), ..self }
+    }
+
+    /// The same, with a large file as its content, which the handler reads as it comes.
+    pub(super) fn takes_a_file(self) -> Self {
+        Self { lane: Lane::File, content: None, ..self }
     }
 
     /// The same, but seldom: see [`post`](Self::post).
     pub(super) fn seldom(self) -> Self {
-        Self { pace: Some(Arc::default()), ..self }
+        self.paced(AT_ONCE, ONE_EACH)
+    }
+
+    /// The same, so often at once and then once each time this has passed.
+    pub(super) fn paced(self, at_once: u32, one_each: Duration) -> Self {
+        Self { pace: Some(Arc::new(Pace::new(at_once, one_each))), ..self }
     }
 
     /// The same, but where this is the query.
@@ -131,13 +133,19 @@ const AT_ONCE: u32 = 4;
 const ONE_EACH: Duration = Duration::from_secs(5);
 
 /// The pace of one kind of change, whoever asks for it.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Pace {
+    at_once: u32,
+    one_each: Duration,
     /// When all changes are allowed for again.
     full_at: Mutex<Option<Instant>>,
 }
 
 impl Pace {
+    fn new(at_once: u32, one_each: Duration) -> Self {
+        Self { at_once, one_each, full_at: Mutex::default() }
+    }
+
     /// Counts a change, or refuses it.
     pub fn allow(&self) -> Result<(), Reply> {
         self.take(Instant::now()).map_err(|wait| {
@@ -150,8 +158,8 @@ impl Pace {
     /// Counts a change, or says after what time it may come.
     pub fn take(&self, now: Instant) -> Result<(), Duration> {
         let mut full_at = self.full_at.lock().unwrap_or_else(PoisonError::into_inner);
-        let next = full_at.unwrap_or(now).max(now) + ONE_EACH;
-        let too_early = (next - now).saturating_sub(ONE_EACH * AT_ONCE);
+        let next = full_at.unwrap_or(now).max(now) + self.one_each;
+        let too_early = (next - now).saturating_sub(self.one_each * self.at_once);
         if too_early > Duration::ZERO {
             return Err(too_early);
         }
@@ -166,7 +174,7 @@ mod tests {
 
     #[test]
     fn a_few_at_once_then_one_at_a_time() {
-        let (pace, begun) = (Pace::default(), Instant::now());
+        let (pace, begun) = (Pace::new(AT_ONCE, ONE_EACH), Instant::now());
         let at = |s: f64| pace.take(begun + Duration::from_secs_f64(s));
         assert_eq!((0..10).filter(|_| at(0.0).is_ok()).count(), 4);
         assert_eq!(at(0.0), Err(Duration::from_secs(5)));

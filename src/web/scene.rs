@@ -129,7 +129,7 @@ fn described(setup: &TrackerSetup) -> Value {
     let objects: Vec<Value> = setup.objects.iter().map(body).collect();
     let model = &setup.camera;
     json!({
-        "camera": camera(model), "readout_s": setup.shutter.readout_s, "overscan": overscan(model),
+        "camera": camera(model), "readout_s": setup.shutter.or_zero().readout_s, "overscan": overscan(model),
         "stage": body(&setup.stage), "objects": objects,
     })
 }

@@ -28,6 +28,7 @@ use tokio::time::{sleep, timeout};
 use tokio_io_timeout::TimeoutStream;
 
 use super::answers::{Caller, Streams, router};
+use super::connection::Connection;
 use super::content::Transfers;
 use super::entrance::{self, About};
 use super::events::Events;
@@ -36,6 +37,7 @@ use super::guard::judge;
 use super::hosts::AllowedHosts;
 use super::hub::Hub;
 use super::keys::Keys;
+use super::lanes::most_threads;
 use super::lifetime::{TAKES_WITHIN, ended};
 use super::packing::unpacks;
 use super::places::{BriefOnes, Place, Places};
@@ -72,8 +74,8 @@ const BRIEFLY: Duration = Duration::from_secs(2);
 /// What a connection may take to end in form. Chosen, not tuned. Raised, the daemon's end waits longer for clients that do not listen.
 const ENDS_WITHIN: Duration = Duration::from_millis(250);
 
-/// Threads for what takes time. More than are worked on at once, for the page's folder. Raised, more memory.
-const MOST_ASIDE: usize = 8;
+/// Threads for what takes time beside those of the lanes: for the page's folder. Raised, more memory.
+const MOST_ASIDE: usize = 2;
 
 /// How often the newest frame's age and the events are looked at; clients hear when a frame has become too old. Chosen: below what a person notices. Raised,
 /// they hear later.
@@ -143,7 +145,12 @@ impl Server {
         let address = listener.local_addr().map_err(listen)?;
         // Its thread answers; what takes time is done on others, which stand back.
         let mut runtime = tokio::runtime::Builder::new_current_thread();
-        let runtime = runtime.enable_all().max_blocking_threads(MOST_ASIDE).on_thread_start(stand_back).build().map_err(WebError::Start)?;
+        let runtime = runtime
+            .enable_all()
+            .max_blocking_threads(most_threads() + MOST_ASIDE)
+            .on_thread_start(stand_back)
+            .build()
+            .map_err(WebError::Start)?;
         let keys = Keys::open(site.state.as_deref(), address.port()).or_else(|e| {
             // Whoever has no folder for them still tracks, and this machine's own page needs none.
             tracing::warn!("[http]: pairings end with the program, for they cannot be kept ({e}); let the state folder be written");
@@ -298,10 +305,11 @@ async fn converse(
     mut stopped: watch::Receiver<bool>,
 ) {
     let reached = stream.local_addr().map_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED), |address| address.ip());
-    let mut stream = TimeoutStream::new(stream);
+    let connection = Connection::new(stream);
+    let mut stream = TimeoutStream::new(connection.clone());
     stream.set_write_timeout(Some(TAKES_WITHIN));
     let is_brief = place.is_none();
-    let caller = Caller { place, peer, transfers: Transfers::default() };
+    let caller = Caller { place, peer, connection: Some(connection), transfers: Transfers::default() };
     let routes = TowerToHyperService::new(site.router.clone());
     let service = service_fn(|mut request: HttpRequest<Incoming>| {
         let judged = judge(&site.hosts, &request, reached).map(|()| {

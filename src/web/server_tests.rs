@@ -22,6 +22,7 @@ fn sample(sequence: u64) -> PoseSample {
         measurement: None,
         objects: Vec::new(),
         reason: None,
+        learnt: Default::default(),
         times: Default::default(),
     }
 }

@@ -75,3 +75,22 @@ fn maps_are_written_over_nothing_that_is_read() {
     scene.write("taken", "");
     scene.run(&["check", "--config", "stage.toml", "--ratings", "taken"]).assert_refused(1, &["taken"]);
 }
+
+#[test]
+fn maps_are_never_written_into_a_clip() {
+    let scene = Scene::new();
+    std::fs::create_dir_all(scene.path("pictures/more")).unwrap();
+    std::fs::copy(scene.path("art.png"), scene.path("pictures/0.png")).unwrap();
+    let check = |folder: &str, more: &[&str]| scene.run(&[&["check", "--config", "stage.toml", "--ratings", folder][..], more].concat());
+    for folder in ["clip", "clip/frames", "./clip/maps", "clip/frames/0000"] {
+        check(folder, &[]).assert_refused(2, &["--ratings", folder, "within the clip", "give another folder"]);
+    }
+    // A folder of pictures is a clip where it is called one.
+    for folder in ["pictures", "pictures/more", "pictures/maps"] {
+        check(folder, &["--clip", "pictures", "--fps", "30"]).assert_refused(2, &["within the clip", "give another folder"]);
+    }
+    assert!(!scene.path("clip/maps").exists() && !scene.path("pictures/maps").exists());
+    // Beside a clip is not within it.
+    check(".", &[]).assert_success();
+    assert!(scene.path("rating-stage-1.png").exists());
+}

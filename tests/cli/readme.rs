@@ -61,8 +61,7 @@ fn take_pictures(folder: &Path) {
 
 /// Runs a block by a shell in the folder; gives what it printed.
 fn shell(folder: &Path, block: &str) -> String {
-    let path = format!("{}:{}", folder.join("bin").display(), std::env::var("PATH").unwrap());
-    let output = Command::new("bash").args(["-euc", block]).current_dir(folder).env("PATH", path).output().unwrap();
+    let output = Command::new("bash").args(["-euc", block]).current_dir(folder).output().unwrap();
     let (out, said) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(output.status.success(), "{block}\n{out}\n{said}");
     format!("{out}{said}")
@@ -77,7 +76,6 @@ fn clone_of_a_new_user() -> tempfile::TempDir {
         std::os::unix::fs::symlink(from, to).unwrap();
     };
     link(env!("CARGO_BIN_EXE_stagepose"), "target/release/stagepose");
-    link(env!("CARGO_BIN_EXE_stagepose"), "bin/stagepose");
     link(&format!("{ROOT}/fixtures"), "fixtures");
     link(&format!("{ROOT}/fixtures/dolly/backdrop.png"), "backdrop.png");
     // A folder is a clip whatever it is called.
@@ -131,7 +129,7 @@ fn the_steps_run_as_they_are_written() {
     // The outputs that "Feed the scenery" adds to the config.
     let outputs = configs.iter().find(|block| block.contains("[[output]]")).expect("the README shows an output");
     std::fs::write(folder.join("stage.toml"), format!("{config}\n{outputs}")).unwrap();
-    let said = shell(folder, "stagepose check --config stage.toml --no-device");
+    let said = shell(folder, "target/release/stagepose check --config stage.toml --no-device");
     assert!(said.contains("192.168.1.20:40000"), "{said}");
 }
 

@@ -48,6 +48,23 @@ fn planes_seen_twice_are_homographies_as_exact_as_a_peers() {
     }
 }
 
+/// Pairs whose scenes are not quite flat, or whose matches scatter, and the largest corner error: 1.2 times OpenCV's with the same matches
+/// (`findHomography` with `USAC_MAGSAC`). A threshold of 1.2 pixels had 1.6 to 1.9 times that.
+const NOT_QUITE_FLAT: [(&str, u32, f64); 3] =
+    [("homog-oxford-leuven", 4, 0.45), ("homog-oxford-leuven", 5, 0.78), ("homog-oxford-leuven", 6, 1.0)];
+
+#[test]
+fn pairs_that_are_not_quite_flat_are_as_exact_as_a_peers() {
+    for (set, k, most) in NOT_QUITE_FLAT {
+        let Some(folder) = data_set(set) else { return };
+        let out = tempfile::tempdir().expect("a folder");
+        let first = folder.join("1.png");
+        let found = compare(out.path(), &first.to_string_lossy(), &folder.join(format!("{k}.png")).to_string_lossy(), &[]);
+        let error = corner_error_px(&found, &homography(&folder.join(format!("H_1_{k}"))), &first);
+        assert!(error <= most, "{set} 1-{k}: {error}");
+    }
+}
+
 #[test]
 fn steep_views_are_related_by_simulated_ones() {
     let Some(folder) = data_set("homog-oxford-graf") else { return };

@@ -7,6 +7,9 @@ use std::time::Duration;
 
 use stagepose::diagnostics::calibrate::Board;
 use stagepose::diagnostics::capture::{AviReader, MjpegReader, Y4mReader, decode_oriented, picture_size, read_timestamps};
+use stagepose::protocols::freed::FreedPacket;
+use stagepose::protocols::opentrackio::{self, Encoding};
+use stagepose::protocols::psn::{PsnHeader, PsnPacket, PsnTracker};
 use stagepose::{Settings, parse_calibration};
 
 use super::memory::taken_by;
@@ -82,17 +85,59 @@ fn configs() {
 }
 
 #[test]
+fn shapes() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = seeds::picture(120, 90);
+    picture.save(folder.path().join("art.png")).unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (shape, file, good) = (at("shape.toml"), at("stage.toml"), seeds::shape(&picture));
+    std::fs::write(at("camera.toml"), seeds::CAMERA).unwrap();
+    let config =
+        "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4.0, 3.0]\nshape = \"shape.toml\"\n";
+    std::fs::write(&shape, &good).unwrap();
+    Settings::from_text(config, &file).expect("the seed is good");
+    fuzz("shape", text(&[&good]), MOST_OF_TEXT, move |bytes| {
+        let _kept = &folder;
+        std::fs::write(&shape, bytes).unwrap();
+        let _ = Settings::from_text(config, &file).map_err(|e| assert!(e.to_string().contains("shape.toml"), "{e}"));
+    });
+}
+
+#[test]
+fn packets() {
+    let binary = |seed_bytes: Vec<u8>| Mutator::new(seed(), Form::Binary, vec![seed_bytes]);
+    fuzz("freed", binary(FreedPacket::default().encode().0.to_vec()), MOST_OF_TEXT, |bytes| {
+        let _ = FreedPacket::decode(bytes);
+    });
+    let tracker =
+        PsnTracker { id: 1, position_m: Some([1.0, 2.0, 3.0]), validity: Some(1.0), timestamp_us: Some(9), ..PsnTracker::default() };
+    let psn = PsnPacket::Data(PsnHeader::default(), vec![tracker]).encode().expect("short enough");
+    fuzz("psn", binary(psn), MOST_OF_TEXT, |bytes| drop(PsnPacket::decode(bytes)));
+    // Behind a wrong checksum nothing is read: the payload is changed, not the datagram.
+    let json = br#"{"protocol":{"name":"OpenTrackIO","version":[1,0,1]},"transforms":[{"translation":{"x":1.5,"y":0,"z":2}}]}"#;
+    let mut cbor = Vec::new();
+    ciborium::into_writer(&serde_json::from_slice::<serde_json::Value>(json).expect("JSON"), &mut cbor).expect("CBOR");
+    for (name, encoding, payload) in [("opentrackio-json", Encoding::Json, json.to_vec()), ("opentrackio-cbor", Encoding::Cbor, cbor)] {
+        let decode = move |bytes: &[u8]| opentrackio::datagram(encoding, 7, bytes).map(|datagram| opentrackio::decode(&datagram));
+        decode(&payload).expect("short enough").expect("the seed is good");
+        fuzz(name, binary(payload), MOST_OF_TEXT, move |bytes| drop(decode(bytes)));
+    }
+}
+
+#[test]
 fn calibrations() {
-    let forms = [
-        ("c.toml", seeds::CAMERA),
-        ("c.yml", seeds::OPENCV),
-        ("c.yaml", seeds::ROS),
-        ("kalibr.yaml", seeds::KALIBR),
-        ("c.m", seeds::BOUGUET),
+    let forms: [(_, &[&str]); 5] = [
+        ("c.toml", &[seeds::CAMERA]),
+        ("c.yml", &[seeds::OPENCV]),
+        ("c.yaml", &[seeds::ROS, seeds::ROS_ROI, seeds::ROS_WHOLE]),
+        ("kalibr.yaml", &[seeds::KALIBR]),
+        ("c.m", &[seeds::BOUGUET]),
     ];
-    for (name, seed) in forms {
-        parse_calibration(seed.as_bytes(), Path::new(name)).expect("the seed is good");
-        fuzz(name, text(&[seed]), MOST_OF_TEXT, move |bytes| {
+    for (name, good) in forms {
+        for seed in good {
+            parse_calibration(seed.as_bytes(), Path::new(name)).expect("the seed is good");
+        }
+        fuzz(name, text(good), MOST_OF_TEXT, move |bytes| {
             match parse_calibration(bytes, Path::new(name)) {
                 Ok(read) => assert!(read.model.intrinsics().fx.is_finite()),
                 Err(e) => assert!(e.to_string().starts_with(name) && !e.to_string().contains('\n'), "{e}"),

@@ -85,6 +85,7 @@ fn scene(folder: &Path) {
     std::fs::write(at("camera.toml"), seeds::CAMERA).unwrap();
     std::fs::write(at("stage.toml"), STAGE).unwrap();
     std::fs::write(at("clip/timestamps.csv"), seeds::STAMPS).unwrap();
+    std::fs::write(at("clip/clip.toml"), seeds::ABOUT).unwrap();
     seeds::picture(120, 90).save(at("art.png")).unwrap();
     for n in 0..4 {
         image::imageops::resize(&seeds::picture(120, 90), 120, 90, image::imageops::FilterType::Triangle)
@@ -106,6 +107,7 @@ const REPLAY: [&str; 6] = ["replay", "clip", "--config", "stage.toml", "--poses"
 #[test]
 fn replay_of_damaged_clips() {
     fuzz("replay-csv", text(seeds::STAMPS), &To::File("clip/timestamps.csv"), &REPLAY);
+    fuzz("replay-about", text(seeds::ABOUT), &To::File("clip/clip.toml"), &REPLAY);
     let png = seeds::encoded(&seeds::picture(120, 90).into(), image::ImageFormat::Png);
     fuzz("replay-png", Mutator::new(seed(), Form::Png, vec![png]), &To::File("clip/frames/000001.png"), &REPLAY);
     let stdin = ["replay", "-", "--config", "stage.toml"];

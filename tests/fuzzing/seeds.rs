@@ -21,12 +21,35 @@ pub const OPENCV: &str = "%YAML:1.0\n---\ncalibration_time: \"Mon 1 Jan 2024\"\n
     avg_reprojection_error: 3.9e-01\n";
 pub const ROS: &str = "image_width: 752\nimage_height: 480\ncamera_name: cam\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [435.2, 0, 367.4, 0, 435.3, 252.2, 0, 0, 1]\n\
     distortion_model: plumb_bob\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [-0.36, 0.15, 0.001, 0.002, 0]\n";
+/// The same with a window of the sensor, and with one that is the whole of it.
+pub const ROS_ROI: &str = "image_width: 1504\nimage_height: 960\ncamera_matrix:\n  data: [870.4, 0, 734.8, 0, 870.6, 504.4, 0, 0, 1]\n\
+    distortion_model: plumb_bob\ndistortion_coefficients:\n  data: [-0.36, 0.15, 0.001, 0.002, 0]\nbinning_x: 2\nbinning_y: 2\n\
+    roi:\n  x_offset: 160\n  y_offset: 90\n  height: 360\n  width: 640\n  do_rectify: false\n";
+pub const ROS_WHOLE: &str = "image_width: 752\nimage_height: 480\ncamera_matrix:\n  data: [435.2, 0, 367.4, 0, 435.3, 252.2, 0, 0, 1]\n\
+    distortion_model: plumb_bob\ndistortion_coefficients:\n  data: [-0.36, 0.15, 0.001, 0.002, 0]\nbinning_x: 0\nbinning_y: 1\n\
+    roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}\n";
 pub const KALIBR: &str = "cam0:\n  camera_model: pinhole\n  distortion_coeffs: [-0.28, 0.07, 0.0002, 0.00002]\n  distortion_model: radtan\n  \
     intrinsics: [458.654, 457.296, 367.215, 248.375]\n  resolution: [752, 480]\n  rostopic: /cam0/image_raw\n";
 pub const BOUGUET: &str = "% Focal length:\nfc = [ 657.462 ; 657.945 ];\ncc = [ 303.137 ; 242.569 ];\nalpha_c = 0.0004;\n\
     kc = [ -0.2553 ; 0.1275 ; -0.0002 ; 0.00003 ; 0.000 ]; % distortion\nfc_error = [ 0.317 ; 0.340 ];\ncc_error = [ 0.645 ; 0.591 ];\n\
     alpha_c_error = 0.0001;\nkc_error = [ 0.0027 ; 0.0107 ; 0.0001 ; 0.0001 ; 0.0 ];\nnx = 640;\nny = 480;\nn_ima = 20;\nomc_1 = [ 1.654 ; NaN ; -0.669 ];\n";
+/// What a recording says of itself.
+pub const ABOUT: &str = "program = \"stagepose 0.1.0\"\nbegun_utc = \"2026-01-02T10:00:00Z\"\nconfig = \"config/stage.toml\"\n[clock]\nmonotonic_ns = 33333333\n\
+    utc_ns = 1767225600000000000\n[camera]\nname = \"cam\"\nwidth = 120\nheight = 90\nformat = \"MJPG\"\nfps = 30.0\nexposure_s = 0.01\n[camera.controls]\n\
+    gain = 3\n";
 pub const STAMPS: &str = "#timestamp [ns],filename\n0,000000.png\n33333333,000001.png\n66666666,000002.png\n99999999,000003.png\n";
+
+/// How a surface of 4 x 3 m with this picture hangs: one interval each way, and one way to be off.
+pub fn shape(picture: &GrayImage) -> String {
+    let size = [picture.width(), picture.height()].map(u32::to_le_bytes).concat();
+    let mark =
+        size.iter().chain(picture.as_raw()).fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3));
+    let (heights, stretches) = ([0.001; 16], [[0.0, 0.0001]; 16]);
+    format!(
+        "picture = \"{mark:016x}\"\nsize_m = [4.0, 3.0]\n[height]\nintervals = [1, 1]\nmetres = {heights:?}\n[stretch]\nintervals = [1, 1]\n\
+         metres = {stretches:?}\n[[way]]\nheight_m = {heights:?}\nstretch_m = {stretches:?}\n"
+    )
+}
 
 /// A picture with corners enough to be tracked.
 pub fn picture(width: u32, height: u32) -> GrayImage {

@@ -2,6 +2,8 @@
 
 mod faults;
 mod faulty;
+#[cfg(feature = "http")]
+mod first_words;
 pub mod program;
 #[cfg(feature = "http")]
 mod setup;

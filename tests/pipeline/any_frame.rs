@@ -57,8 +57,8 @@ fn track_scene(seed: u64) -> [u64; 2] {
     let mut setup = TrackerSetup::from(&scene);
     if random.random_bool(0.4) {
         // Told wrong, or not told.
-        setup.shutter.readout_s = if random.random_bool(0.5) { 0.0 } else { random.random_range(0.0..0.05) };
-        setup.shutter.exposure_s = if random.random_bool(0.5) { 0.0 } else { random.random_range(0.0..0.05) };
+        setup.shutter.readout_s = random.random_bool(0.5).then(|| random.random_range(0.0..0.05));
+        setup.shutter.exposure_s = random.random_bool(0.5).then(|| random.random_range(1e-6..0.05));
     }
     setup.settings.features = random.random_range(50..600);
     if random.random_bool(0.1) {

@@ -111,7 +111,7 @@ fn a_flat_that_was_moved_is_told_once_and_the_others_lead_on() {
     let path = CameraPath { position: Spline::new(&keys).unwrap(), target: Spline::fixed(Vector3::zeros()), roll_rad: 0.02, shake: None };
     let scene = quiet(camera(480, 360), path, flats(Vector3::new(0.008, 0.0, 0.006)));
     let told = flats(Vector3::zeros());
-    let mut matcher = Matcher::new(scene.camera, scene.shutter, None, &[&told], Default::default(), ComputeClock::default(), None);
+    let mut matcher = Matcher::new(scene.camera, scene.shutter.into(), None, &[&told], Default::default(), ComputeClock::default(), None);
     let (mut news, mut followed, mut worst_m) = (Vec::new(), 0, 0.0_f64);
     for entry in rows(&scene, 230) {
         let EntryContent::Frame(frame) = &entry.content else { panic!("a virtual camera loses no frame") };
@@ -137,7 +137,8 @@ fn a_flat_that_was_moved_is_told_once_and_the_others_lead_on() {
 #[test]
 fn of_a_stage_as_told_nothing_is_told() {
     let scene = quiet(camera(480, 360), from_the_side(), backdrop());
-    let mut matcher = Matcher::new(scene.camera, scene.shutter, None, &[&backdrop()], Default::default(), ComputeClock::default(), None);
+    let mut matcher =
+        Matcher::new(scene.camera, scene.shutter.into(), None, &[&backdrop()], Default::default(), ComputeClock::default(), None);
     let all = rows(&scene, 230);
     let frames = all.iter().filter_map(|entry| if let EntryContent::Frame(frame) = &entry.content { Some(frame) } else { None });
     assert!(frames.map(|frame| matcher.look(frame).misfit).all(|news| news.is_none()));

@@ -3,6 +3,7 @@
 mod acquisition;
 mod any_frame;
 mod bent;
+mod copies;
 mod daemon;
 mod misfit;
 mod objects;

@@ -2,7 +2,9 @@
 
 use nalgebra::{Point3, Vector2, Vector3};
 use stagepose::two_views::geometry::Homography;
-use stagepose::{CameraModel, CameraPath, Intrinsics, Normalized, Pixel, ReferenceKind, Renderer, Spline, State, SurfaceSpec};
+use stagepose::{
+    CameraModel, CameraPath, EntryContent, Intrinsics, Normalized, Pixel, ReferenceKind, Renderer, Spline, State, SurfaceSpec,
+};
 
 use super::scene::{assert_tracks_within, backdrop, body, camera, nees_per_freedom, past, quiet, rows, setup, track_rows};
 use super::two_view::{motion_errors, worst_transfer};
@@ -11,6 +13,29 @@ fn photographer() -> CameraModel {
     let distortion = [-0.2, 0.08, 0.001, -0.0005, 0.0];
     let (width, height) = (960, 720);
     CameraModel::new(Intrinsics { width, height, fx: 850.0, fy: 853.0, cx: 470.0, cy: 366.0, skew: 0.001, distortion }).unwrap()
+}
+
+/// A still of the clip may serve as the photograph: nothing between them differs, not even the
+/// noise.
+#[test]
+fn a_clip_that_begins_with_the_very_photograph_is_given_in_that_frame() {
+    for path in [CameraPath::fixed(Point3::new(0.7, -3.6, -0.2), Point3::new(0.05, 0.0, 0.02)), past()] {
+        let scene = quiet(photographer(), path, backdrop());
+        let rows = rows(&scene, 3);
+        let EntryContent::Frame(first) = &rows[0].content else { panic!("rendered rows are frames") };
+        let spec = &scene.stage.surfaces[0];
+        let (stand, (w, h)) = (scene.truth(0.0).inverse(), spec.artwork.dimensions());
+        let corners = [(0, 0), (w, 0), (w, h), (0, h)].map(|(u, v)| {
+            let seen = stand.transform(&spec.body_point(Vector2::new(f64::from(u) - 0.5, f64::from(v) - 0.5)));
+            photographer().project(Normalized(seen.coords.xy() / seen.z))
+        });
+        let mut told = setup(&scene);
+        let photo = SurfaceSpec::from_photograph("photo".into(), &first.image, corners, photographer(), spec.size_m, spec.pose).unwrap();
+        told.stage = body(vec![photo]);
+        let samples = track_rows(told, &rows);
+        assert!(samples.iter().all(|s| s.state == State::Tracking), "{:?}", samples.iter().map(|s| s.reason).collect::<Vec<_>>());
+        assert_tracks_within(&scene, &samples, 0.0015, 0.06);
+    }
 }
 
 #[test]

@@ -13,7 +13,7 @@ fn knowing_the_readout_is_worth_much() {
     let rows = rows(&scene, 14);
     let scatter = |readout_s: f64| {
         let mut told = setup(&scene);
-        told.shutter.readout_s = readout_s;
+        told.shutter.readout_s = Some(readout_s);
         let samples = track_rows(told, &rows);
         // The first motion is known from the second frame on, its change from the third.
         let squares: Vec<f64> =
@@ -35,12 +35,37 @@ fn a_shaken_camera_whose_shutter_nobody_described_is_followed() {
         scene.shutter.readout_s = 0.015;
         let rows = rows(&scene, 30);
         let mut told = setup(&scene);
-        told.shutter.readout_s = 0.0;
+        told.shutter.readout_s = None;
         let samples = track_rows(told, &rows);
         let given = samples.iter().filter(|s| s.state == State::Tracking).count();
         let reasons: Vec<_> = samples.iter().filter_map(|s| s.reason).collect();
         println!("shake {seed}: {given} of 30 given, {reasons:?}");
         // Its rows are displaced as by a lens that was moved, now and then.
         assert!(given >= 27, "shake {seed}: {given} of 30 given, {reasons:?}");
+    }
+}
+
+#[test]
+fn a_readout_that_is_not_configured_is_learnt() {
+    for (readout_s, seed) in [(0.02, 3), (0.0, 5)] {
+        let mut path = past();
+        path.shake = Some(Shake::new(0.015, 0.02, 5.0, seed));
+        let mut scene = quiet(camera(640, 360), path, backdrop());
+        scene.shutter.readout_s = readout_s;
+        let rows = rows(&scene, 60);
+        let mut told = setup(&scene);
+        told.shutter.readout_s = None;
+        let samples = track_rows(told, &rows);
+        let learnt = samples[59].learnt.readout.expect("a readout that was learnt");
+        assert!((learnt.seconds - readout_s).abs() < (3.0 * learnt.sigma_s).min(1e-3), "{readout_s}: {learnt:?}");
+        assert!(samples[0].learnt.readout.is_none());
+        // Until it is known the covariance has it: no frame is off by more than it says.
+        let wrong = samples.iter().filter(|s| {
+            s.measurement.as_ref().is_some_and(|m| {
+                let sigma_m = m.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
+                errors(&scene, s).0 * m.pose.translation.norm() > 4.0 * sigma_m
+            })
+        });
+        assert!(wrong.count() <= 2, "{readout_s}");
     }
 }

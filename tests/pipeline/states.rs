@@ -1,7 +1,7 @@
 //! What the record says while the stage cannot be seen.
 
 use stagepose::State::{Coasting, Lost, Searching, Tracking};
-use stagepose::{ClipEntry, EntryContent, Frame, FrameError, SetupError, Timestamp, Tracker, TrackerSetup, VirtualStage};
+use stagepose::{ClipEntry, EntryContent, Frame, FrameError, Reason, SetupError, Timestamp, Tracker, TrackerSetup, VirtualStage};
 
 use super::scene::{FPS, aside, backdrop, camera, errors, past, quiet, rows, setup, states, track, track_rows, truth_of};
 
@@ -80,6 +80,27 @@ fn undecodable_and_skipped_rows_make_a_line_and_disturb_nothing() {
     }
 }
 
+/// A capture card that has no new picture gives the last one again, byte for byte, with a new
+/// stamp.
+#[test]
+fn a_picture_that_comes_again_is_no_measurement() {
+    let scene = small();
+    let mut rows = rows(&scene, 14);
+    let EntryContent::Frame(frozen) = rows[3].content.clone() else { panic!("rendered rows are frames") };
+    for row in &mut rows[4..12] {
+        row.content = EntryContent::Frame(Frame::new(frozen.image.clone(), row.timestamp, row.sequence));
+        row.repeats = true;
+    }
+    let samples = track_rows(setup(&scene), &rows);
+    assert_eq!(states(&samples), [vec![Tracking; 4], vec![Coasting; 6], vec![Lost; 2], vec![Tracking; 2]].concat());
+    assert!(samples[4..12].iter().all(|s| s.reason == Some(Reason::Repeated)));
+    // Where the picture gave no pose the first time, the second look may.
+    let mut found_late = vec![undecodable(&rows[3]), rows[4].clone()];
+    found_late.push(rows[5].clone());
+    let states = states(&track_rows(setup(&scene), &found_late));
+    assert_eq!(states, [Searching, Tracking, Coasting]);
+}
+
 #[test]
 fn a_frame_that_does_not_fit_is_an_error_and_counts_as_never_seen() {
     let scene = small();
@@ -116,8 +137,8 @@ fn a_setup_that_does_not_fit_is_an_error() {
     };
     let small_mask = tracker(mask(100, 80)).err();
     assert_eq!(small_mask, Some(SetupError::MaskSize { size: (100, 80), wanted: (480, 360) }));
-    assert_eq!(refused(|s| s.shutter.exposure_s = -0.1), "exposure_s is -0.1 s; give a number of 0 or more");
-    assert_eq!(refused(|s| s.shutter.readout_s = f64::NAN), "readout_s is NaN s; give a number");
+    assert_eq!(refused(|s| s.shutter.exposure_s = Some(-0.1)), "exposure_s is -0.1 s; give a number of 0 or more");
+    assert_eq!(refused(|s| s.shutter.readout_s = Some(f64::NAN)), "readout_s is NaN s; give a number");
     assert_eq!(
         refused(|s| s.stage.surfaces.clear()),
         format!("the body `{}` has no surface; give it one, or leave it out", scene.stage.name)

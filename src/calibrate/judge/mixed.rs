@@ -60,7 +60,16 @@ mod tests {
             square_px: 30.0,
         };
         let origin = Origin { camera: camera.map(str::to_owned), focal_mm };
-        Inspected { file: file.into(), size: Some((640, 480)), board: Ok(board), other_size: None, patch: None, thumbnail: None, origin }
+        Inspected {
+            file: file.into(),
+            size: Some((640, 480)),
+            board: Ok(board),
+            other_size: None,
+            other_target: None,
+            patch: None,
+            thumbnail: None,
+            origin,
+        }
     }
 
     #[test]

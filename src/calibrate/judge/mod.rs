@@ -7,6 +7,7 @@
 pub mod halves;
 pub mod map;
 mod mixed;
+mod wide;
 mod words;
 
 use super::board::{Board, Symmetry};
@@ -14,6 +15,7 @@ use super::guide::{PART_COLUMNS, PART_ROWS, TILTED_DEG, ViewSet, ViewShape};
 use super::solve::adjust::Observation;
 use super::solve::lens::{LENS_NAMES, LENS_NUMBERS};
 use super::solve::{Estimate, SolveOptions};
+use crate::camera::plausible;
 use halves::Halves;
 use map::PixelMap;
 pub(crate) use mixed::mixed;
@@ -148,8 +150,12 @@ pub(crate) fn judge(
     judgement.weigh_geometry(estimate, &set);
     judgement.weigh_errors(estimate, pixel);
     judgement.weigh_lens(estimate, size, options);
+    let is_too_wide = judgement.weigh_model(observations, estimate, size);
     judgement.weigh_views(repeated, board);
     judgement.conclude(&set);
+    if is_too_wide {
+        judgement.next_picture = "none: more pictures do not help with this lens".to_owned();
+    }
     judgement
 }
 
@@ -231,6 +237,29 @@ impl Judgement {
             let names = self.insignificant.join(", ");
             self.find(Verdict::Good, format!("{names} cannot be told from 0 (3 sigma >= value); --fix may hold them there"));
         }
+    }
+
+    /// Whether the model can be that of this lens; what a file's reader refuses is not to be used. True where the lens is too wide for it.
+    fn weigh_model(&mut self, observations: &[Vec<Observation>], estimate: &Estimate, (width, height): (u32, u32)) -> bool {
+        let refusal = estimate.bundle.lens.model(width, height).and_then(|model| plausible::judge(&model).map(|_| ())).err();
+        if let Some(reason) = &refusal {
+            self.find(Verdict::DoNotUse, format!("no command would read it: {reason}"));
+        }
+        let Some(reach) = wide::reach(observations, estimate) else { return false };
+        let is_too_wide = reach.angle_deg > wide::WIDE_DEG && (refusal.is_some() || reach.ringed > wide::RINGED);
+        if is_too_wide {
+            self.find(
+                Verdict::DoNotUse,
+                format!(
+                    "this is a fisheye or a very wide lens, which is not supported: boards reach {:.0} degrees from its axis, where the model does not \
+                     bend as the lens does ({:.0} % of the squared residuals lie in rings); use another lens, or only the middle of the picture (cut \
+                     pictures and clips alike)",
+                    reach.angle_deg,
+                    100.0 * reach.ringed
+                ),
+            );
+        }
+        is_too_wide
     }
 
     /// What the errors come to.

@@ -2,6 +2,7 @@
 
 use super::super::board::Board;
 use super::super::finder::FoundBoard;
+use super::super::other_target::Target;
 use super::super::picture::Inspected;
 use super::super::solve::{Estimate, LEAST_VIEWS};
 use crate::geometry::robust_kernel::median;
@@ -17,20 +18,36 @@ fn usual_other_size(pictures: &[Inspected]) -> Option<((u32, u32), usize)> {
 /// Where more pictures show another board than the one that was asked for, which will be something in the background.
 pub(crate) fn another_board(pictures: &[Inspected], board: &Board) -> Option<String> {
     let found = pictures.iter().filter(|p| p.board.is_ok()).count();
-    let ((columns, rows), count) = usual_other_size(pictures).filter(|(_, count)| *count > found)?;
     let all = pictures.len();
+    let ((columns, rows), count) = usual_other_size(pictures).filter(|(_, count)| *count > found && 2 * count >= all)?;
     Some(format!(
         "{found} of {all} pictures show a board of {board} inner corners, but {count} one of {columns}x{rows}; give --board {columns}x{rows}, or \
          leave out the pictures of the other board"
     ))
 }
 
+/// What most pictures show in place of a chessboard.
+fn other_target(pictures: &[Inspected]) -> Option<String> {
+    let count = |target: Target| pictures.iter().filter(|p| p.other_target == Some(target)).count();
+    let (target, count) = Target::ALL.into_iter().map(|target| (target, count(target))).max_by_key(|(_, count)| *count)?;
+    (2 * count > pictures.len())
+        .then(|| format!("{count} show {}; print a plain chessboard (`stagepose board`) and take the pictures of that", target.words()))
+}
+
 /// No picture shows the board.
 pub(crate) fn nothing_found(pictures: &[Inspected], board: &Board) -> String {
     let head = format!("none of the {} pictures shows the whole board of {board} inner corners", pictures.len());
     let unreadable = pictures.iter().filter(|p| p.size.is_none()).count();
+    if let Some(target) = other_target(pictures) {
+        return format!("{head}: {target}");
+    }
     if let Some(((columns, rows), count)) = usual_other_size(pictures) {
-        return format!("{head}: {count} show one of {columns}x{rows} inner corners; give --board {columns}x{rows}");
+        let says = format!("{head}: {count} show one of {columns}x{rows} inner corners");
+        // What a few show may be anything: part of the board, a window, tiles.
+        return match 2 * count >= pictures.len() {
+            true => format!("{says}; give --board {columns}x{rows}"),
+            false => format!("{says}, the others none; count the board's INNER corners, and let all of it be in every picture"),
+        };
     }
     let first = pictures.iter().find_map(|p| Some((p, p.board.as_ref().err()?)));
     let seen = first.map_or(String::new(), |(p, why)| format!(" (the first, {}: {why})", p.file.display()));
@@ -44,7 +61,7 @@ pub(crate) fn nothing_found(pictures: &[Inspected], board: &Board) -> String {
 /// What to do where too few pictures can be used.
 pub(crate) fn mend_for_few(pictures: &[Inspected], board: &Board) -> String {
     let same = "take at least 10, with the board tilted to every side and in every part of the picture";
-    if let Some(((columns, rows), count)) = usual_other_size(pictures) {
+    if let Some(((columns, rows), count)) = usual_other_size(pictures).filter(|(_, count)| 2 * count >= pictures.len()) {
         return format!("{count} show a board of {columns}x{rows} inner corners instead of {board}: check --board, or {same}");
     }
     let first = pictures.iter().find_map(|p| Some((p, p.board.as_ref().err()?)));
@@ -143,6 +160,7 @@ mod tests {
             size: Some((640, 480)),
             board,
             other_size,
+            other_target: None,
             patch: None,
             thumbnail: None,
             origin: Origin::default(),
@@ -167,6 +185,24 @@ mod tests {
         // As many of each may be two boards, and boards at the rim alone tell no size.
         assert_eq!(another_board(&[found(), another((9, 6), false)], &board), None);
         assert_eq!(another_board(&[found(), another((9, 6), true), another((9, 6), true)], &board), None);
+    }
+
+    #[test]
+    fn a_size_of_board_is_advised_where_most_pictures_show_it() {
+        let board = Board::new(9, 6, 0.025).unwrap();
+        let none = || picture(Err("no board".to_owned()), None);
+        let said = nothing_found(&[another((8, 5), false), another((8, 5), false), none()], &board);
+        assert!(said.ends_with("2 show one of 8x5 inner corners; give --board 8x5"), "{said}");
+        let said = nothing_found(&[another((3, 3), false), none(), none()], &board);
+        assert!(said.contains("1 show one of 3x3 inner corners, the others none") && !said.contains("--board 3x3"), "{said}");
+    }
+
+    #[test]
+    fn boards_of_other_kinds_are_named() {
+        let board = Board::new(9, 6, 0.025).unwrap();
+        let of = |target| Inspected { other_target: Some(target), ..picture(Err("no board".to_owned()), None) };
+        let said = nothing_found(&[of(Target::Circles), of(Target::Circles), of(Target::Markers)], &board);
+        assert!(said.contains("2 show a grid of circles") && said.contains("stagepose board"), "{said}");
     }
 
     #[test]

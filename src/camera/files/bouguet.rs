@@ -62,6 +62,7 @@ pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
         images: whole(&assigned, "n_ima")?,
         date: None,
         form: CalibrationForm::Bouguet,
+        notes: Vec::new(),
     })
 }
 

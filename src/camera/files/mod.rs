@@ -4,9 +4,12 @@
 //! in and puts the path and the line number in front of whatever is wrong with it.
 
 mod bouguet;
+mod foreign;
 mod opencv;
 mod problem;
+pub(crate) mod slips;
 mod stagepose;
+mod window;
 mod write_yaml;
 mod yaml;
 
@@ -14,7 +17,7 @@ use std::path::Path;
 
 use super::doubt::IntrinsicsUncertainty;
 use super::model::{CameraModel, Intrinsics};
-use super::plausible;
+use super::{plausible, utf16};
 pub use problem::{CalibrationFileError, CalibrationProblem};
 use problem::{Fault, fault};
 
@@ -34,6 +37,8 @@ pub struct Calibration {
     pub date: Option<String>,
     /// The form it was read from.
     pub form: CalibrationForm,
+    /// What is to be said of how the file was read, a sentence each.
+    pub notes: Vec<String>,
 }
 
 /// The forms that are read.
@@ -55,7 +60,7 @@ pub enum CalibrationForm {
 impl Calibration {
     /// A calibration of which nothing but the camera is known.
     pub fn new(model: CameraModel) -> Self {
-        Self { model, uncertainty: None, rms_px: None, images: None, date: None, form: CalibrationForm::Stagepose }
+        Self { model, uncertainty: None, rms_px: None, images: None, date: None, form: CalibrationForm::Stagepose, notes: Vec::new() }
     }
 
     /// The file's text in stagepose's own form; reading it again gives the same numbers to the last bit.
@@ -83,6 +88,7 @@ const POSSIBLE_ERRORS: std::ops::RangeInclusive<f64> = 0.0..=1e5;
 /// # Errors
 /// When the bytes are no calibration; the message names the file, the line and the key.
 pub fn parse_calibration(bytes: &[u8], path: &Path) -> Result<Calibration, CalibrationFileError> {
+    let bytes = &*utf16::as_utf8(bytes);
     // Comments in other encodings are common in files of other programs; ours are UTF-8.
     let is_ours = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
     if let Err(e) = std::str::from_utf8(bytes).map_err(|e| e.valid_up_to()) {

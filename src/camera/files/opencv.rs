@@ -3,17 +3,16 @@
 //! They differ in names only, so one reader knows all spellings. A matrix K holds the skew as
 //! K\[0\]\[1\] = fx alpha_c. More than five coefficients are accepted while the rest is zero.
 
+use super::foreign::{names_brown, refuse_other_lenses, refuse_other_programs};
 use super::problem::{CalibrationProblem, Fault, missing};
 use super::yaml::{self, Content, Node};
-use super::{Calibration, CalibrationForm, model};
+use super::{Calibration, CalibrationForm, model, window};
 use crate::camera::Intrinsics;
 
-/// The names that programs give to the 3 x 3 matrix, to the coefficients, and to
-/// Brown's model; of several in one file the first found counts.
+/// The names that programs give to the 3 x 3 matrix and to the coefficients; of several in one file the first found counts.
 const MATRIX: [&str; 4] = ["camera_matrix", "K", "intrinsic_matrix", "M"];
 const DISTORTION: [&str; 5] = ["distortion_coefficients", "dist_coeffs", "distortion_coeffs", "dist_coeff", "D"];
 const DISTORTION_HINT: &str = "4 or 5 numbers k1, k2, p1, p2, k3";
-const LENS_MODELS: [&str; 5] = ["plumb_bob", "rational_polynomial", "radial-tangential", "radtan", "brown"];
 
 /// Reads a YAML calibration.
 pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
@@ -21,9 +20,12 @@ pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
     // Kalibr writes one map a camera.
     let root = document.find(&["cam0"]).map_or(&document, |(_, camera)| camera);
     refuse_other_lenses(root)?;
+    refuse_other_programs(root)?;
     let (width, height) = size(root)?;
     let pinhole = if root.find(&MATRIX).is_some() { from_matrix(root)? } else { from_list(root)? };
-    let intrinsics = Intrinsics { width, height, distortion: distortion(root)?, ..pinhole };
+    let (distortion, four) = distortion(root)?;
+    let (intrinsics, window) = window::applied(root, Intrinsics { width, height, distortion, ..pinhole })?;
+    let notes = other_cameras(&document).into_iter().chain(window).chain(four).collect();
     let line_of = |key: &str| {
         let names: &[&str] = match key {
             "width" => &["image_width"],
@@ -40,6 +42,19 @@ pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
         images: root.find(&["nframes", "nr_of_frames"]).and_then(|(_, n)| n.text()?.parse().ok()),
         date: root.find(&["calibration_time"]).and_then(|(_, n)| n.text().map(str::to_owned)),
         form: form(root),
+        notes,
+    })
+}
+
+/// A word on cameras of the same file that are not read.
+fn other_cameras(document: &Node) -> Option<String> {
+    let names: Vec<String> = (0..).map(|n| format!("cam{n}")).take_while(|name| document.find(&[name]).is_some()).collect();
+    (names.len() > 1).then(|| {
+        format!(
+            "it has {} cameras ({}), of which cam0 is read; put another one into a file of its own to use that",
+            names.len(),
+            names.join(", ")
+        )
     })
 }
 
@@ -50,28 +65,6 @@ fn form(root: &Node) -> CalibrationForm {
         CalibrationForm::Ros
     } else {
         CalibrationForm::OpenCv
-    }
-}
-
-fn refuse_other_lenses(root: &Node) -> Result<(), Fault> {
-    let unsupported = |node: &Node, model: &str| {
-        let problem = CalibrationProblem::UnsupportedModel { model: model.to_owned() };
-        Err(Fault { line: Some(node.line), problem })
-    };
-    if let Some((_, node)) = root.find(&["fisheye_model"])
-        && node.number() != Some(0.0)
-    {
-        return unsupported(node, "fisheye");
-    }
-    if let Some((_, node)) = root.find(&["distortion_model"]) {
-        let name = node.text().unwrap_or("no word");
-        if !name.is_empty() && !LENS_MODELS.contains(&name.to_ascii_lowercase().as_str()) {
-            return unsupported(node, name);
-        }
-    }
-    match root.find(&["camera_model"]) {
-        Some((_, node)) if node.text() != Some("pinhole") => unsupported(node, node.text().unwrap_or("no word")),
-        _ => Ok(()),
     }
 }
 
@@ -95,6 +88,9 @@ fn from_matrix(root: &Node) -> Result<Intrinsics, Fault> {
     const HINT: &str = "9 numbers fx, fx*skew, cx, 0, fy, cy, 0, 0, 1";
     let (key, node) = root.find(&MATRIX).ok_or_else(|| missing(MATRIX[0], HINT))?;
     let k: [f64; 9] = exactly(key, node, numbers(key, node, HINT)?, HINT)?;
+    if k == [0.0; 9] {
+        return Err(Fault { line: Some(node.line), problem: CalibrationProblem::NotCalibrated { key: key.to_owned() } });
+    }
     for (found, wanted) in [(k[3], 0.0), (k[6], 0.0), (k[7], 0.0), (k[8], 1.0)] {
         if found != wanted {
             let problem = CalibrationProblem::OutOfRange { key: key.to_owned(), value: found, expected: HINT };
@@ -113,10 +109,11 @@ fn from_list(root: &Node) -> Result<Intrinsics, Fault> {
     Ok(Intrinsics { width: 0, height: 0, fx, fy, cx, cy, skew: 0.0, distortion: [0.0; 5] })
 }
 
-fn distortion(root: &Node) -> Result<[f64; 5], Fault> {
+/// The coefficients, and a word where it is not sure whose they are.
+fn distortion(root: &Node) -> Result<([f64; 5], Option<String>), Fault> {
     let (key, node) = root.find(&DISTORTION).ok_or_else(|| missing(DISTORTION[0], DISTORTION_HINT))?;
     let all = match &node.content {
-        Content::List(items) if items.is_empty() => return Ok([0.0; 5]), // ROS: an empty list is no distortion
+        Content::List(items) if items.is_empty() => return Ok(([0.0; 5], None)), // ROS: an empty list is no distortion
         _ => numbers(key, node, DISTORTION_HINT)?,
     };
     if all.len() < 4 {
@@ -127,9 +124,16 @@ fn distortion(root: &Node) -> Result<[f64; 5], Fault> {
         let model = format!("one of {} coefficients (rational, thin prism or fisheye)", all.len());
         return Err(Fault { line: Some(node.line), problem: CalibrationProblem::UnsupportedModel { model } });
     }
+    let is_unsure = all.len() == 4 && all.iter().any(|v| *v != 0.0) && !names_brown(root);
+    let word = is_unsure.then(|| {
+        format!(
+            "`{key}` has four numbers, which are read as k1, k2, p1, p2 of Brown's model; a fisheye calibration has four too (k1 to k4): such a \
+             lens is not supported"
+        )
+    });
     let mut five = [0.0; 5];
     five.iter_mut().zip(all).for_each(|(to, from)| *to = from);
-    Ok(five)
+    Ok((five, word))
 }
 
 fn wrong_type(key: &str, node: &Node, expected: &'static str) -> Fault {
@@ -152,7 +156,7 @@ fn exactly<const N: usize>(key: &str, node: &Node, numbers: Vec<f64>, expected: 
     })
 }
 
-fn whole(key: &str, node: &Node, number: f64) -> Result<u32, Fault> {
+pub(super) fn whole(key: &str, node: &Node, number: f64) -> Result<u32, Fault> {
     if number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number) {
         return Ok(number as u32);
     }

@@ -103,6 +103,25 @@ pub enum CalibrationProblem {
         /// The model.
         model: String,
     },
+    /// A window of the sensor of which the numbers cannot be told.
+    #[error("{0}; write the numbers of the pictures as they come: width, height and a matrix of the window, and a `roi` of zeros")]
+    Window(String),
+    /// A form of another program that is not read.
+    #[error("this is a file of {program}, whose form is not read; {mend}")]
+    OtherProgram {
+        /// The program.
+        program: &'static str,
+        /// What to do.
+        mend: &'static str,
+    },
+    /// ROS's way to say that nobody has calibrated the camera.
+    #[error(
+        "`{key}` is all zeros, which is how ROS says that this camera has not been calibrated; calibrate it (`stagepose calibrate`, or ROS's camera_calibration) and give that file"
+    )]
+    NotCalibrated {
+        /// The key.
+        key: String,
+    },
     /// The numbers are no camera.
     #[error("{0}; correct it or calibrate again")]
     Camera(CameraError),

@@ -7,7 +7,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::problem::{CalibrationProblem, Fault, missing};
-use super::{Calibration, CalibrationForm, IntrinsicsUncertainty, POSSIBLE_ERRORS, model};
+use super::{Calibration, CalibrationForm, IntrinsicsUncertainty, POSSIBLE_ERRORS, model, slips};
 use crate::camera::Intrinsics;
 
 /// The keys of the file and of its `[uncertainty]`, all that there are, and what the coefficients must be, for messages.
@@ -19,7 +19,7 @@ const DISTORTION: &str = "5 numbers [k1, k2, p1, p2, k3]";
 pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
     let root = DeTable::parse(text).map_err(|e| Fault {
         line: e.span().map(|s| line_at(text, s)),
-        problem: CalibrationProblem::Syntax { reason: e.message().trim().replace('\n', ", ") },
+        problem: CalibrationProblem::Syntax { reason: reason(text, &e) },
     })?;
     let table = Section { text, name: "", table: root.get_ref() };
     table.refuse_unknown(&KEYS)?;
@@ -40,7 +40,15 @@ pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
         images: table.get("images").map(|v| table.count("images", v)).transpose()?,
         date: table.date()?,
         form: CalibrationForm::Stagepose,
+        notes: Vec::new(),
     })
+}
+
+/// The parser's words, and what to type.
+fn reason(text: &str, error: &toml::de::Error) -> String {
+    let words = error.message().trim().replace('\n', ", ");
+    let hint = error.span().and_then(|span| slips::what_to_type(text, span.start));
+    hint.map_or(words.clone(), |hint| format!("{words}: {hint}"))
 }
 
 fn uncertainty(root: &Section) -> Result<Option<IntrinsicsUncertainty>, Fault> {
@@ -136,6 +144,9 @@ impl<'a> Section<'a> {
         let numbers = array.iter().map(|v| as_number(v.get_ref()).ok_or_else(|| self.wrong_type("distortion", v, DISTORTION)));
         let numbers = numbers.collect::<Result<Vec<_>, _>>()?;
         let wrong_length = |v: Vec<f64>| {
+            if let Some(hint) = slips::points_for_commas(self.text, value.span(), 5) {
+                return Fault { line: self.line("distortion"), problem: CalibrationProblem::Syntax { reason: hint } };
+            }
             let problem = CalibrationProblem::WrongLength { key: self.full("distortion"), found: v.len(), expected: DISTORTION };
             Fault { line: self.line("distortion"), problem }
         };

@@ -102,6 +102,120 @@ fn ros_camera_info_is_read_and_other_lenses_refused() {
     assert!(read("cam.yml", &format!("{OPENCV}fisheye_model: 0\n")).is_ok());
 }
 
+/// A camera_info of a sensor of 960 x 540.
+const SENSOR: &str = "image_width: 960\nimage_height: 540\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [576, 0, 481.92, 0, 580, 267.84, 0, 0, 1]\n\
+    distortion_model: plumb_bob\nD: [-0.11, 0.06, 0.0006, -0.0004, 0]\n";
+
+#[test]
+fn a_window_of_the_sensor_and_binning_are_applied_in_both_conventions() {
+    let plain = intrinsics("c.yaml", SENSOR);
+    let roi =
+        |[x, y, w, h]: [u32; 4]| format!("roi:\n  x_offset: {x}\n  y_offset: {y}\n  height: {h}\n  width: {w}\n  do_rectify: false\n");
+    for same in [roi([0; 4]), roi([0, 0, 960, 540]), "binning_x: 0\nbinning_y: 0\n".to_owned(), "binning_x: 1\nbinning_y: 1\n".to_owned()] {
+        let c = read("c.yaml", &format!("{SENSOR}{same}")).unwrap();
+        assert_eq!((*c.model.intrinsics(), c.notes.len()), (plain, 0), "{same}");
+    }
+    let window = format!("{SENSOR}{}", roi([160, 90, 640, 360]));
+    let c = read("c.yaml", &window).unwrap();
+    let i = c.model.intrinsics();
+    assert_eq!((i.width, i.height, i.fx, i.fy), (640, 360, 576.0, 580.0));
+    assert!((i.cx - 321.92).abs() < 1e-9 && (i.cy - 177.84).abs() < 1e-9);
+    assert!(c.notes[0].contains("a window of the sensor (roi: 640 x 360 pixels at 160, 90)"), "{:?}", c.notes);
+    // The window's size with the sensor's matrix: told by P, or by the middle of the picture.
+    let baxter = window.replace("image_width: 960", "image_width: 640").replace("image_height: 540", "image_height: 360");
+    for text in [baxter.clone(), format!("{baxter}P: [576, 0, 321.92, 0, 0, 580, 177.84, 0, 0, 0, 1, 0]\n")] {
+        assert_eq!(intrinsics("c.yaml", &text), *i, "{text}");
+    }
+    // The window's size with the window's matrix.
+    let own = baxter.replace("481.92", "321.92").replace("267.84", "177.84");
+    for text in [own.clone(), format!("{own}P: [576, 0, 321.92, 0, 0, 580, 177.84, 0, 0, 0, 1, 0]\n")] {
+        let same = intrinsics("c.yaml", &text);
+        assert_eq!((same.width, same.cx, same.cy), (640, 321.92, 177.84), "{text}");
+    }
+    // A window a few pixels off with nothing that tells whose the matrix is.
+    let unsure = own.replace("x_offset: 160", "x_offset: 8").replace("y_offset: 90", "y_offset: 8");
+    let message = refusal("c.yaml", &unsure);
+    assert!(message.contains("line 9: `roi` begins at 8, 8, and it cannot be told") && message.contains("a `roi` of zeros"), "{message}");
+    let outside = refusal("c.yaml", &format!("{SENSOR}{}", roi([800, 90, 640, 360])));
+    assert!(outside.contains("does not lie within the picture of 960 x 540"), "{outside}");
+    assert!(refusal("c.yaml", &format!("{SENSOR}binning_x: -2\n")).contains("`binning_x` is -2; write a whole number"));
+}
+
+#[test]
+fn binned_pixels_are_the_mean_of_the_sensors() {
+    let c = read("c.yaml", &format!("{SENSOR}binning_x: 2\nbinning_y: 2\n")).unwrap();
+    let i = c.model.intrinsics();
+    assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy), (480, 270, 288.0, 290.0, 240.71, 133.67));
+    assert!(c.notes[0].contains("2 x 2 pixels of the sensor make one"), "{:?}", c.notes);
+    let both = format!("{SENSOR}binning_x: 2\nbinning_y: 1\nroi: {{x_offset: 160, y_offset: 90, height: 360, width: 640}}\n");
+    let i = intrinsics("c.yaml", &both);
+    assert_eq!((i.width, i.height, i.fx, i.fy), (320, 360, 288.0, 580.0));
+    assert!((i.cx - (321.92 + 0.5) / 2.0 + 0.5).abs() < 1e-9 && (i.cy - 177.84).abs() < 1e-9);
+}
+
+#[test]
+fn other_lenses_are_refused_by_whatever_word_says_so() {
+    for (word, model) in [
+        ("fisheye: 1", "fisheye"),
+        ("fisheye: true", "fisheye"),
+        ("xi: 0.8", "omnidirectional"),
+        ("camera_type: fisheye", "fisheye"),
+        ("model: kannala_brandt", "kannala_brandt"),
+        ("model_type: MEI", "MEI"),
+        ("lens_model: OPENCV_FISHEYE", "OPENCV_FISHEYE"),
+        ("projection_type: equidistant", "equidistant"),
+        ("camera_model: ds", "ds"),
+        ("distortion_model: fov", "fov"),
+        ("model: eucm", "eucm"),
+    ] {
+        let message = refusal("c.yml", &format!("{OPENCV}{word}\n"));
+        assert!(message.contains("line 20") && message.contains(model) && message.contains("not supported"), "{word}: {message}");
+    }
+    for word in [
+        "fisheye: 0",
+        "fisheye: false",
+        "xi: 0",
+        "model: Logitech C920",
+        "type: usb",
+        "camera_type: pinhole",
+        "model: opencv",
+        "camera_model: pinhole",
+    ] {
+        assert!(read("c.yml", &format!("{OPENCV}{word}\n")).is_ok(), "{word}");
+    }
+}
+
+#[test]
+fn what_is_not_sure_or_not_read_has_a_word() {
+    let four = "image_width: 64\nimage_height: 48\nK: [50, 0, 32, 0, 51, 24, 0, 0, 1]\nD: [0.01, 0.02, 0.003, 0.004]\n";
+    assert!(read("c.yml", four).unwrap().notes[0].contains("`D` has four numbers"));
+    assert_eq!(read("c.yml", &format!("{four}distortion_model: plumb_bob\n")).unwrap().notes, [""; 0]);
+    assert_eq!(read("c.yml", &four.replace("0.01, 0.02, 0.003, 0.004", "0, 0, 0, 0")).unwrap().notes, [""; 0]);
+    let camera = "  camera_model: pinhole\n  intrinsics: [50, 51, 32, 24]\n  distortion_model: radtan\n  distortion_coeffs: [0.01, 0.02, 0, 0]\n  resolution: [64, 48]\n";
+    let one = read("c.yaml", &format!("cam0:\n{camera}")).unwrap();
+    let two = read("c.yaml", &format!("cam0:\n{camera}cam1:\n{camera}")).unwrap();
+    assert_eq!((one.notes.len(), two.notes.len()), (0, 1));
+    assert!(two.notes[0].contains("2 cameras (cam0, cam1), of which cam0 is read"), "{:?}", two.notes);
+    let boof = "pinhole:\n  fx: 500\n  fy: 500\n  cx: 320\n  cy: 240\n  width: 640\n  height: 480\n  skew: 0\nradial_tangential:\n  radial: [0.1, 0.2]\n  t1: 0\n  t2: 0\nmodel: pinhole_radial_tangential\n";
+    let message = refusal("c.yaml", boof);
+    assert!(message.contains("this is a file of BoofCV") && message.contains("distortion = [radial 1"), "{message}");
+    let uncalibrated = "image_width: 640\nimage_height: 360\nD: []\nK: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n";
+    assert!(
+        refusal("c.yaml", uncalibrated)
+            .contains("line 4: `K` is all zeros, which is how ROS says that this camera has not been calibrated")
+    );
+}
+
+#[test]
+fn utf_16_is_read_in_every_form() {
+    for (name, text) in [("c.toml", STAGEPOSE), ("c.yml", OPENCV), ("c.yaml", ROS), ("c.m", BOUGUET)] {
+        let units = |of: fn(u16) -> [u8; 2]| text.encode_utf16().flat_map(of).collect::<Vec<u8>>();
+        for bytes in [[&b"\xFF\xFE"[..], &units(u16::to_le_bytes)].concat(), units(u16::to_le_bytes), units(u16::to_be_bytes)] {
+            assert_eq!(parse_calibration(&bytes, Path::new(name)).unwrap(), read(name, text).unwrap(), "{name}");
+        }
+    }
+}
+
 #[test]
 fn bouguet_is_read_with_its_errors_and_without_its_boards() {
     for name in ["Calib_Results.m", "noextension"] {

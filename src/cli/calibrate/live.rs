@@ -92,7 +92,13 @@ fn make_folder(folder: &Path) -> Result<(), Failure> {
 /// What opens the camera. A device is opened once to see that it can be.
 fn opener(arguments: &CalibrateArguments) -> Result<Arc<dyn CameraOpener>, Failure> {
     match (&arguments.play, &arguments.device) {
-        (Some(clip), _) => Ok(Arc::new(PlayedClip::open(clip, None)?)),
+        (Some(clip), _) => {
+            let played = PlayedClip::open(clip, None)?;
+            for line in played.notes() {
+                let _ = writeln!(std::io::stderr(), "stagepose: note: {}", printable(line)); // a terminal that is gone is no reason to stop
+            }
+            Ok(Arc::new(played))
+        }
         (None, name) => {
             let opener = device(name.as_deref().unwrap_or("first"), size_of(arguments)?)?;
             let camera = opener.open().map_err(|fault| Failure::Device(fault.0))?;

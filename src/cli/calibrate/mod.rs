@@ -19,7 +19,7 @@ use crate::calibrate::board::Board;
 use crate::calibrate::judge::Verdict;
 use crate::calibrate::report::{self, Comparison};
 use crate::calibrate::session::{CameraCalibration, calibrate};
-use crate::camera::{Calibration, CalibrationForm, IntrinsicsUncertainty};
+use crate::camera::{Calibration, CalibrationForm, IntrinsicsUncertainty, plausible};
 use crate::printable::printable_lines;
 use crate::utc;
 pub(super) use output::write as write_whole;
@@ -133,7 +133,8 @@ pub(super) fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
         return Err(Failure::Calibration("the pictures give no possible camera; take sharper ones with more tilt".to_owned()));
     };
     let comparison = other.map(|other| compare::between(&calibration.model, &other)).transpose()?;
-    let accepted = made.judgement.verdict != Verdict::DoNotUse || arguments.write_anyway;
+    let is_readable = plausible::judge(&calibration.model).is_ok();
+    let accepted = made.judgement.verdict != Verdict::DoNotUse || (arguments.write_anyway && is_readable);
     let mut text = table::table(&made);
     if let Some(comparison) = &comparison {
         text += &compare::table(comparison);
@@ -143,8 +144,8 @@ pub(super) fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     if accepted {
         return Ok(());
     }
-    let kept =
-        arguments.output.as_ref().map_or(String::new(), |file| format!("; {} is not written (--write-anyway writes it)", file.display()));
+    let way = if is_readable { " (--write-anyway writes it)" } else { ", for no command would read it" };
+    let kept = arguments.output.as_ref().map_or(String::new(), |file| format!("; {} is not written{way}", file.display()));
     let next = &made.judgement.next_picture;
     Err(Failure::Calibration(format!("{}{kept}; take next: {next}", made.judgement.sentence())))
 }
@@ -214,5 +215,6 @@ fn calibration_of(made: &CameraCalibration) -> Option<Calibration> {
         images: Some(made.views.iter().filter(|v| v.used).count() as u32),
         date: Some(utc::date(utc::now_s())),
         form: CalibrationForm::Stagepose,
+        notes: Vec::new(),
     })
 }

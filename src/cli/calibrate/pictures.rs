@@ -13,8 +13,8 @@ use crate::calibrate::origin::Origin;
 use crate::calibrate::pick::ViewPicker;
 use crate::calibrate::picture::{Inspected, inspect};
 use crate::capture::{
-    CaptureError, ClipOptions, EntryContent, LARGEST_PICTURE_FILE, PICTURE_EXTENSIONS, decode_oriented, open_clip, orientation_words,
-    picture_size,
+    CaptureError, ClipOptions, EntryContent, LARGEST_PICTURE_FILE, PICTURE_EXTENSIONS, decode_oriented, foreign, open_clip,
+    orientation_words, picture_size,
 };
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
@@ -121,7 +121,11 @@ fn files_of(images: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
             }
         }
         if inside.is_empty() {
-            return Err(Failure::Usage(format!("{}: the folder has no pictures; give one with PNG, JPEG or PGM files", path.display())));
+            let found = foreign::in_folder(path).map_or_else(String::new, |found| format!(" (it has {found})"));
+            return Err(Failure::Usage(format!(
+                "{}: the folder has no pictures; give one with PNG, JPEG or PGM files{found}",
+                path.display()
+            )));
         }
         alphanumeric_sort::sort_path_slice(&mut inside);
         files.append(&mut inside);

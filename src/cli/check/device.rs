@@ -21,7 +21,7 @@ const FIRST: Duration = Duration::from_secs(5);
 /// What the camera is and does, or what to do about it. A camera that blocks does not block the check.
 pub(super) fn try_camera(settings: &Settings) -> Result<String, String> {
     let opener = crate::cli::run::opener(settings);
-    let (shutter, size, safety) = (settings.shutter, settings.lens.size(&settings.camera), settings.safety);
+    let (shutter, size, safety) = (settings.shutter.or_zero(), settings.lens.size(&settings.camera), settings.safety);
     let (done, result) = crossbeam_channel::bounded(1);
     let tried = std::thread::Builder::new().name("camera".to_owned()).spawn(move || done.send(look(&opener, &shutter, size, &safety)));
     tried.map_err(|e| format!("cannot start a thread: {e}"))?;

@@ -7,22 +7,24 @@ use image::GrayImage;
 
 use super::angles::surface_angles;
 use super::failure::Failure;
+use super::learnt::LearntArguments;
 use super::logging::{self, LogArguments};
 use super::output_file::print;
+use super::spared::Spared;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::config::{LensSource, Settings};
 use crate::diagnose::{self, Finding, Grade};
 use crate::printable::printable_lines;
 use crate::publish::{OnLoss, OutputSettings, Protocol, Rate};
 use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
-use crate::web::AllowedHosts;
+use crate::web::{AllowedHosts, page_address};
 
 use ratings::Ratings;
 
 /// Check a config and everything that it names.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Example:\n  stagepose check --config stage.toml --clip clip\n\nThe camera is tried where the config names one with `device` and --clip is absent."
+    after_help = "Example:\n  stagepose check --config stage.toml --clip clip\n\nWithout --clip the camera is tried that `run` would take: the one that the config names with `device`, else the first."
 )]
 pub(super) struct CheckArguments {
     /// The config of the camera and the stage
@@ -41,38 +43,51 @@ pub(super) struct CheckArguments {
     #[arg(long, value_name = "DIR")]
     ratings: Option<PathBuf>,
     #[command(flatten)]
+    learnt: LearntArguments,
+    #[command(flatten)]
     log: LogArguments,
 }
 
 pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     let settings = Settings::load(&arguments.config)?;
-    logging::start(&arguments.log, settings.log);
+    logging::start_for_trials(&arguments.log, settings.log);
     settings.rehearse_outputs()?;
+    if let Some(folder) = &arguments.ratings {
+        let spared = arguments.clip.iter().fold(Spared::default(), |spared, clip| spared.with_clip(clip));
+        spared.refuse_within_clip("--ratings", folder)?;
+    }
     let mut camera = settings.camera;
     let mut findings = of_config(&settings);
     let (mut place, mut shutter_lines, mut is_followed) = (None, Vec::new(), true);
     if let Some(file) = &arguments.clip {
-        let seen = clip::examine(&settings, file, arguments.fps)?;
+        let seen = clip::examine(&settings, file, arguments.fps, arguments.learnt.of(file)?.0)?;
         let (scaled, note) = settings.camera_for(seen.size.0, seen.size.1)?;
         camera = scaled;
-        findings.extend(seen.findings);
+        // Of the same grade, what the clip shows comes first: it was seen, and the config only looks odd.
+        findings.splice(0..0, seen.findings);
         findings.extend(note.map(Finding::note));
-        is_followed = seen.followed >= clip::FOLLOWED;
+        is_followed = seen.followed >= pass::FOLLOWED;
         place = Some(format!("clip        {}\n            {}", seen.line, seen.counts));
-        shutter_lines = match seen.followed >= clip::WELL_FOLLOWED {
-            true if seen.is_as_modelled => shutter::lines(&settings, file, arguments.fps)?,
-            true => {
-                vec!["not estimated: the stage or the lens is not as told, which displaces rows as a shutter does; see above".to_owned()]
+        shutter_lines = match seen.shutter {
+            Some(lines) => lines,
+            None if seen.followed < pass::WELL_FOLLOWED => {
+                vec!["not estimated: the stage is followed in too few of the clip's frames".to_owned()]
             }
-            false => vec!["not estimated: the stage is followed in too few of the clip's frames".to_owned()],
+            None if seen.is_as_modelled => shutter::lines(&settings, file, arguments.fps)?,
+            None => {
+                vec![
+                    "not estimated: the stage or the lens is not as configured, which displaces rows as a shutter does; see above"
+                        .to_owned(),
+                ]
+            }
         };
     }
     let ratings = Ratings::of(&settings, &camera, arguments.ratings.as_deref())?;
     findings.extend(ratings.findings());
-    let tries = settings.device.device.is_some() && arguments.clip.is_none() && !arguments.no_device;
-    let device = tries.then(|| device::try_camera(&settings));
-    if let Some(found) = &device {
-        place = Some(format!("device      {}", found.as_ref().unwrap_or_else(|problem| problem)));
+    if arguments.clip.is_none() && !arguments.no_device {
+        let (line, finding) = of_camera(&settings.device.device, device::try_camera(&settings));
+        place = Some(format!("device      {line}"));
+        findings.extend(finding);
     }
     findings.sort_by_key(|f| f.grade);
     let verdict = Verdict::of(&findings, is_followed, arguments.clip.is_some());
@@ -81,7 +96,6 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
         let _ = write!(report, "\n{:<11} {line}", if k == 0 { "shutter" } else { "" });
     }
     print(printable_lines(&(report + "\n")).as_bytes())?;
-    device.transpose().map_err(Failure::Device)?;
     let file = match verdict {
         Verdict::Good | Verdict::Warned(_) => return Ok(()),
         Verdict::Doubtful(_) => arguments.config.clone(),
@@ -89,6 +103,19 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     };
     let reason = findings.first().map_or_else(|| "the stage is not followed".to_owned(), |f| f.says.clone());
     Err(Failure::Check { file, reason })
+}
+
+/// What trying the camera that `run` would open came to: a line, and what is to be said of it. A camera that the config names must be
+/// there; where it names none, `run` takes the first one and waits for it, and a machine that only replays clips needs none.
+fn of_camera(named: &Option<String>, tried: Result<String, String>) -> (String, Option<Finding>) {
+    match (named, tried) {
+        (Some(_), Ok(seen)) => (seen, None),
+        (Some(_), Err(problem)) => (problem.clone(), Some(Finding::fault(format!("the camera: {problem}")))),
+        (None, Ok(seen)) => {
+            (format!("{seen}\n            the config names no camera with `device`: `run` takes the first one, which is this"), None)
+        }
+        (None, Err(problem)) => (format!("the config names no camera with `device`: `run` waits for the first one ({problem})"), None),
+    }
 }
 
 /// What a check comes to.
@@ -146,7 +173,7 @@ fn of_config(settings: &Settings) -> Vec<Finding> {
         )));
     }
     if let Some(fps) = settings.device.fps {
-        findings.extend(diagnose::of_shutter(&settings.shutter, 1.0 / fps));
+        findings.extend(diagnose::of_shutter(&settings.shutter.or_zero(), 1.0 / fps));
     }
     findings
 }
@@ -198,6 +225,7 @@ fn report(
         let _ = writeln!(text, "output      {}", output_line(output, settings));
     }
     if let Some(http) = &settings.http {
+        let _ = writeln!(text, "page        {}", page_address(http.listen));
         let _ = writeln!(text, "http        http://{0}/api/v1/pose, http://{0}/api/v1/state, ws://{0}/ws", http.listen);
         let _ = writeln!(text, "            answers for the hosts {}", AllowedHosts::new(&http.hosts).listing());
     }
@@ -251,10 +279,12 @@ fn field_of_view(camera: &CameraModel) -> String {
 }
 
 fn shutter(settings: &Settings) -> String {
-    let in_ms = |s: f64, unknown: &str| if s == 0.0 { unknown.to_owned() } else { format!("{:.1} ms", s * 1e3) };
-    let (exposure, readout) =
-        (in_ms(settings.shutter.exposure_s, "unknown"), in_ms(settings.shutter.readout_s, "global shutter or unknown"));
-    format!("exposure {exposure}, readout {readout}")
+    let in_ms = |s: Option<f64>| s.map_or("unknown, learnt while the camera moves".to_owned(), |s| format!("{:.1} ms", s * 1e3));
+    let readout = match settings.shutter.readout_s {
+        Some(0.0) => "global shutter".to_owned(),
+        readout_s => format!("readout {}", in_ms(readout_s)),
+    };
+    format!("exposure {}, {readout}", in_ms(settings.shutter.exposure_s))
 }
 
 /// The lines of a body; `number` is that of its first surface among all, and becomes that of the next body's.
@@ -313,7 +343,9 @@ fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
 mod clip;
 mod lens;
 mod mount;
+mod pass;
 mod ratings;
+mod readout;
 mod shutter;
 
 #[cfg(feature = "live")]
@@ -341,6 +373,21 @@ mod tests {
         assert_eq!(Verdict::of(&[Finding::warning("d"), note], true, true), Verdict::Warned(1));
         let others = [Verdict::NotFollowed, Verdict::Doubtful(2), Verdict::Warned(1)];
         assert!(others.iter().all(|verdict| !verdict.words().contains("good")));
+    }
+
+    #[test]
+    fn a_camera_that_is_named_must_be_there_and_any_other_is_waited_for() {
+        let named = Some("front".to_owned());
+        let says = |named: &Option<String>, tried: Result<&str, &str>| {
+            let (line, finding) = of_camera(named, tried.map(str::to_owned).map_err(str::to_owned));
+            (line, finding.map(|finding| finding.grade))
+        };
+        assert_eq!(says(&named, Ok("Cam")), ("Cam".to_owned(), None));
+        assert_eq!(says(&named, Err("gone")), ("gone".to_owned(), Some(Grade::Fault)));
+        let (line, grade) = says(&None, Ok("Cam"));
+        assert!(line.starts_with("Cam\n") && line.contains("`run` takes the first one, which is this") && grade.is_none(), "{line}");
+        let (line, grade) = says(&None, Err("gone"));
+        assert!(line.contains("`run` waits for the first one (gone)") && grade.is_none(), "{line}");
     }
 
     #[test]

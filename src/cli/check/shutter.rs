@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::camera::Shutter;
 use crate::capture::{ClipOptions, EntryContent, FrameSource, open_clip};
 use crate::cli::failure::Failure;
 use crate::cli::replay::progress::Progress;
@@ -19,20 +20,38 @@ const LARGEST_SHARE: f64 = 0.15;
 /// little. Raised, fast rolling shutters are taken for global ones; lowered, global ones for rolling.
 const FASTEST_READOUT_S: f64 = 5e-4;
 
-/// The lines of the report, the first with its label.
-pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Result<Vec<String>, Failure> {
+/// What the clip tells, or why it cannot be asked.
+pub(super) fn estimate(settings: &Settings, clip: &Path, fps: Option<f64>) -> Result<Result<ShutterEstimate, &'static str>, Failure> {
     if clip == Path::new("-") {
-        return Ok(vec!["not estimated: a clip from standard input cannot be read twice; save it to a file".to_owned()]);
+        return Ok(Err("not estimated: a clip from standard input cannot be read twice; save it to a file"));
     }
     let progress = Progress::start(None);
     let calibrated = settings.lens.size(&settings.camera);
     let open = || open_clip(clip, ClipOptions { fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
-    let setup = tracker_setup(settings, open()?.size(), None)?;
+    let source = open()?;
+    if source.doubt_of_stamps().is_some() {
+        return Ok(Err("not estimated: the clip's stamps are not to be believed; see above"));
+    }
+    let setup = tracker_setup(settings, source.size(), None)?;
     let tracker = Tracker::new(TrackerSetup { shutter: Default::default(), objects: Vec::new(), ..setup }.as_trial())?;
     let estimate = estimate_shutter(|| open().map(|source| frames(source, progress.clone())), tracker);
     progress.finish();
-    let estimate = estimate?;
-    Ok(told(&estimate, settings))
+    estimate.map(Ok)
+}
+
+/// The lines of the report, the first with its label.
+pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Result<Vec<String>, Failure> {
+    Ok(estimate(settings, clip, fps)?.map_or_else(|why| vec![why.to_owned()], |estimate| told(&estimate, settings)))
+}
+
+/// The shutter by an estimate of a rolling one, read from the top down, other than the configured one: something to try. How well its readout is known
+/// matters where it is written down, not here.
+pub(super) fn other_than(configured: &Shutter, estimate: &ShutterEstimate) -> Option<Shutter> {
+    let ShutterTime { seconds, .. } = estimate.readout.filter(|time| time.seconds > FASTEST_READOUT_S)?;
+    let exposure = estimate.exposure.filter(is_known).filter(|time| !is_same(configured.exposure_s, time.seconds, time.sigma_s));
+    let exposure_s = exposure.map_or(configured.exposure_s, |time| time.seconds);
+    let is_other = (configured.readout_s - seconds).abs() > 0.05 * seconds;
+    is_other.then_some(Shutter { readout_s: seconds, exposure_s })
 }
 
 /// A clip's frames, counted on the terminal as they are read, pass after pass.
@@ -47,14 +66,15 @@ fn frames(mut source: Box<dyn FrameSource>, progress: Progress) -> impl Iterator
     })
 }
 
-fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<String> {
+/// The estimate in words.
+pub(super) fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<String> {
     let ShutterEstimate { frames, aligned, .. } = estimate;
     let mut lines = vec![format!("from the clip's first {frames} frames (of {MOST_FRAMES} at most), the stage was followed in {aligned}")];
     if !estimate.has_settled && [estimate.readout, estimate.exposure].iter().flatten().any(is_known) {
         lines.push("the estimate did not settle: take the times below for a hint".to_owned());
     }
-    lines.push(readout(estimate.readout, settings.shutter.readout_s));
-    lines.push(exposure(estimate.exposure, settings.shutter.exposure_s));
+    lines.push(readout(estimate.readout, settings.shutter.or_zero().readout_s));
+    lines.push(exposure(estimate.exposure, settings.shutter.or_zero().exposure_s));
     lines
 }
 
@@ -88,13 +108,14 @@ fn exposure(found: Option<ShutterTime>, configured_s: f64) -> String {
     format!("{measured}: exposure_s = {seconds:.5}{}", kept(configured_s, seconds, sigma_s))
 }
 
+/// Whether the config has what was found.
+fn is_same(configured_s: f64, found_s: f64, sigma_s: f64) -> bool {
+    (configured_s - found_s).abs() <= (3.0 * sigma_s).max(0.05 * found_s)
+}
+
 /// How that compares with the config.
 fn kept(configured_s: f64, found_s: f64, sigma_s: f64) -> &'static str {
-    if (configured_s - found_s).abs() <= (3.0 * sigma_s).max(0.05 * found_s) {
-        ", as the config has it"
-    } else {
-        " belongs below [camera] in the config"
-    }
+    if is_same(configured_s, found_s, sigma_s) { ", as the config has it" } else { " belongs below [camera] in the config" }
 }
 
 #[cfg(test)]
@@ -110,6 +131,20 @@ mod tests {
         let line = readout(time(0.01523, 1e-4), 0.0);
         assert!(line.contains("15.23 ms +- 0.30") && line.contains("readout_s = 0.01523 belongs"), "{line}");
         assert!(readout(time(0.01523, 1e-4), 0.0152).ends_with("as the config has it"));
+    }
+
+    #[test]
+    fn only_a_rolling_shutter_that_the_config_does_not_have_is_another() {
+        let found = |readout, exposure| ShutterEstimate { readout, exposure, frames: 50, aligned: 50, has_settled: true };
+        let unset = Shutter::default();
+        let both = found(time(0.012, 1e-4), time(0.008, 1e-4));
+        assert_eq!(other_than(&unset, &both), Some(Shutter { readout_s: 0.012, exposure_s: 0.008 }));
+        assert_eq!(other_than(&unset, &found(time(0.012, 1e-4), None)), Some(Shutter { readout_s: 0.012, exposure_s: 0.0 }));
+        assert_eq!(other_than(&Shutter { readout_s: 0.0121, exposure_s: 0.0 }, &both), None);
+        assert!(other_than(&unset, &found(time(0.012, 0.01), None)).is_some(), "it is only tried");
+        for global in [None, time(1e-4, 1e-5), time(-0.012, 1e-4)] {
+            assert_eq!(other_than(&unset, &found(global, None)), None, "{global:?}");
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use image::GrayImage;
 
 use super::CompareArguments;
 use crate::camera::CameraModel;
-use crate::capture::{CaptureError, LARGEST_PICTURE_FILE, decode_oriented, orientation_words};
+use crate::capture::{CaptureError, LARGEST_PICTURE_FILE, decode_on_white, orientation_words};
 use crate::cli::failure::Failure;
 use crate::compare::View;
 use crate::config::read_calibration;
@@ -59,8 +59,13 @@ fn with_camera(file: &Path, calibration: Option<&Path>) -> Result<NamedPicture, 
 pub(in crate::cli) fn read_picture(file: &Path) -> Result<NamedPicture, Failure> {
     let bytes =
         safe_file::read(file, LARGEST_PICTURE_FILE).map_err(|source| CaptureError::NotReadable { path: file.to_owned(), source })?;
-    let (picture, orientation) = decode_oriented(&bytes).map_err(|e| Failure::Picture { file: file.to_owned(), reason: e.to_string() })?;
-    let note = orientation_words(orientation)
+    let (picture, orientation, unseen) =
+        decode_on_white(&bytes).map_err(|e| Failure::Picture { file: file.to_owned(), reason: e.to_string() })?;
+    let turned = orientation_words(orientation)
         .map(|turned| format!("{} is to be shown {turned} (EXIF); it is compared as its pixels lie in the file", file.display()));
+    let see_through =
+        (unseen > 0.0).then(|| format!("{:.1} % of {} is transparent, which is taken as white paper", 100.0 * unseen, file.display()));
+    let notes: Vec<String> = turned.into_iter().chain(see_through).collect();
+    let note = (!notes.is_empty()).then(|| notes.join("; "));
     Ok(NamedPicture { picture, camera: None, note })
 }

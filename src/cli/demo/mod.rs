@@ -1,37 +1,48 @@
 //! `stagepose demo`: tracks a virtual stage and says how far off the poses were.
 //!
-//! No camera, no files, no network: the stage is painted and rendered in the process, so the true pose of every
-//! frame is known. `--save` also writes the frames with everything that `stagepose replay` needs.
+//! No camera, no files: the stage is painted and rendered in the process, so the true pose of every frame is known. The page
+//! shows it to this machine's browsers, and nothing leaves the machine. `--save` also writes the frames with everything that
+//! `stagepose replay` needs.
 
 mod errors;
 mod live;
+mod page;
 mod saved_clip;
 
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
 
 use clap::Args;
 use thiserror::Error;
 
+use super::failure::Failure;
+use super::interrupt;
 use crate::capture::{CaptureError, EntryContent, FrameSource, VirtualCamera};
 use crate::daemon::thread_clock;
-use crate::frame::Frame;
+use crate::frame::{Frame, Timestamp};
 use crate::record::PoseSample;
 use crate::simulate::{Dolly, DollyError, VirtualStage, dolly};
 use crate::tracker::{FrameError, SetupError, Tracker, TrackerSetup};
 use errors::PoseErrors;
 use live::LivePrint;
+use page::Page;
 use saved_clip::SavedClip;
+
+/// Frames without `--frames`: five seconds. Raised, scripts wait longer for the table of errors.
+const FRAMES: u64 = 150;
+/// Seconds without `--frames` at a terminal with the page, unless Ctrl-C ends it before. Raised, a demo that nobody ends runs longer.
+const SHOWN_S: f64 = 600.0;
 
 /// Track a virtual stage and print the error against the truth; needs no camera.
 #[derive(Debug, Clone, PartialEq, Args)]
 #[command(
-    after_help = "Example:\n  stagepose demo\n  stagepose demo --frames 60 --save clip && stagepose replay clip --config clip/stage.toml --poses poses.jsonl"
+    after_help = "Example:\n  stagepose demo\n  stagepose demo --frames 60 --save clip && stagepose replay clip --config clip/stage.toml --poses poses.jsonl\n\n\
+        The first line is the address of the page, which only this machine sees. At a terminal it runs for ten minutes or until Ctrl-C."
 )]
 pub struct DemoArguments {
-    /// How many frames to render and track
-    #[arg(long, value_name = "N", default_value_t = 150, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
-    pub frames: u64,
+    /// How many frames to render and track [default: 150; at a terminal with the page, ten minutes]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    pub frames: Option<u64>,
     /// Write the clip to this folder: frames, stamps, config, calibration, artwork, true poses
     #[arg(long, value_name = "CLIP")]
     pub save: Option<PathBuf>,
@@ -50,6 +61,17 @@ pub struct DemoArguments {
     /// Save the frames as JPEG of this quality, 1 to 100, instead of PNG
     #[arg(long, value_name = "QUALITY", requires = "save", value_parser = clap::value_parser!(u8).range(1..=100))]
     pub jpeg: Option<u8>,
+    /// Serve no page, and track as fast as it goes
+    #[arg(long)]
+    pub no_page: bool,
+}
+
+impl DemoArguments {
+    /// How many frames are rendered.
+    fn frame_count(&self, is_terminal: bool) -> u64 {
+        let is_watched = is_terminal && !self.no_page && self.save.is_none() && cfg!(feature = "http");
+        self.frames.unwrap_or(if is_watched { (SHOWN_S * self.fps).ceil() as u64 } else { FRAMES })
+    }
 }
 
 /// Why a demo ended early.
@@ -83,20 +105,37 @@ pub enum DemoError {
     Print(#[from] io::Error),
 }
 
+impl From<DemoError> for Failure {
+    fn from(error: DemoError) -> Self {
+        match error {
+            DemoError::Print(source) => Self::Output { file: "standard output".into(), source },
+            other => Self::Demo(other.to_string()),
+        }
+    }
+}
+
 /// Renders, tracks, and prints the errors.
 ///
 /// # Errors
 /// When the saved clip or standard output cannot be written; a stage that is not found is no error.
 pub fn run(arguments: &DemoArguments) -> Result<(), DemoError> {
-    let stage = scene(arguments)?;
+    interrupt::watch();
+    // Painting and preparing takes a moment: the address comes before that.
+    let mut page = if arguments.no_page { None } else { served()? };
+    let frames = arguments.frame_count(io::stdout().is_terminal());
+    let stage = scene(arguments, frames)?;
     let mut saved = match &arguments.save {
         Some(folder) => Some(SavedClip::create(folder, &stage, arguments.jpeg)?),
         None => None,
     };
-    let mut tracker = Tracker::new(TrackerSetup { clock: thread_clock(), ..TrackerSetup::from(&stage) })?;
-    let mut camera = VirtualCamera::new(stage, arguments.fps, arguments.frames);
+    let setup = TrackerSetup { clock: thread_clock(), ..TrackerSetup::from(&stage) };
+    let mut tracker = Tracker::new(setup.clone())?;
+    if let Some(page) = &mut page {
+        page.watch(&setup, &mut tracker);
+    }
+    let mut camera = VirtualCamera::new(stage, arguments.fps, frames);
     let mut live = LivePrint::stdout();
-    let errors = session(&mut camera, |frame| tracker.track(frame), saved.as_mut(), &mut live)?;
+    let errors = session(&mut camera, |frame| tracker.track(frame), saved.as_mut(), page.as_mut(), &mut live)?;
     if let Some(saved) = saved {
         saved.finish()?;
     }
@@ -109,31 +148,56 @@ pub fn run(arguments: &DemoArguments) -> Result<(), DemoError> {
     Ok(out.flush()?)
 }
 
+/// The page, with its address printed; none where no port can be had, which is said and ends nothing.
+fn served() -> io::Result<Option<Page>> {
+    match Page::start() {
+        Ok(page) => {
+            if let Some(address) = page.address() {
+                let mut out = io::stdout().lock();
+                writeln!(out, "page: {address} (only this machine sees it; Ctrl-C ends the demo)")?;
+                out.flush()?;
+            }
+            Ok(Some(page))
+        }
+        Err(failure) => {
+            let _ = writeln!(io::stderr(), "stagepose: there is no page: {failure}");
+            Ok(None)
+        }
+    }
+}
+
 /// The dolly scene that the arguments ask for; its artwork has about two texels a pixel.
-fn scene(arguments: &DemoArguments) -> Result<VirtualStage, DemoError> {
+fn scene(arguments: &DemoArguments, frames: u64) -> Result<VirtualStage, DemoError> {
     let (width, height, seed) = (arguments.width, arguments.height, arguments.seed);
-    let duration_s = arguments.frames as f64 / arguments.fps;
+    let duration_s = frames as f64 / arguments.fps;
     Ok(dolly(Dolly { width, height, seed, duration_s, artwork_width: (2 * width).clamp(400, 2400) })?)
 }
 
-/// Tracks every frame, saves it where wanted, prints it, and compares it with the truth.
+/// Tracks every frame until a signal comes: saves it where wanted, prints it, shows it, and compares it with the truth. With a
+/// page, and where nothing is saved, frames come at their own pace.
 fn session<W: Write>(
     camera: &mut VirtualCamera,
     mut track: impl FnMut(&Frame) -> Result<PoseSample, FrameError>,
     mut saved: Option<&mut SavedClip>,
+    mut page: Option<&mut Page>,
     live: &mut LivePrint<W>,
 ) -> Result<PoseErrors, DemoError> {
     let mut errors = PoseErrors::default();
-    while let Some(row) = camera.next_entry() {
+    while let Some(row) = camera.next_entry().filter(|_| !interrupt::is_interrupted()) {
         // The virtual camera has a picture for every row.
-        let EntryContent::Frame(frame) = row.content else { continue };
+        let EntryContent::Frame(frame) = &row.content else { continue };
         let truth = camera.truth(frame.sequence);
-        if let Some(saved) = saved.as_deref_mut() {
-            saved.add(&frame, &truth)?;
+        match (saved.as_deref_mut(), page.as_deref()) {
+            (Some(saved), _) => saved.add(frame, &truth)?,
+            (None, Some(page)) => page.wait_until(frame.timestamp.duration_since(Timestamp::default())),
+            (None, None) => {}
         }
-        let sample = track(&frame)?;
+        let sample = track(frame)?;
         errors.add(&sample, &truth);
         live.show(&sample, &truth)?;
+        if let Some(page) = page.as_deref_mut() {
+            page.show(&row, &sample);
+        }
     }
     live.end()?;
     Ok(errors)

@@ -100,8 +100,12 @@ fn save_picture(file: &Path, picture: &GrayImage) -> Result<(), DemoError> {
 /// The config (contract C5).
 fn stage_toml(stage: &VirtualStage) -> String {
     let mut text = format!(
-        "# A virtual stage, written by `stagepose demo --save`; groundtruth.txt has the true poses.\n[camera]\ncalibration = \"{CAMERA}\"\nexposure_s = {:?}\nreadout_s = {:?}\n",
-        stage.shutter.exposure_s, stage.shutter.readout_s
+        "# A virtual stage, written by `stagepose demo --save`; groundtruth.txt has the true poses.\n[camera]\ncalibration = \"{CAMERA}\"\nexposure_s = {:?}\n{}\n",
+        stage.shutter.exposure_s,
+        match stage.shutter.readout_s {
+            0.0 => "shutter = \"global\"".to_owned(),
+            readout_s => format!("readout_s = {readout_s:?}"),
+        }
     );
     for surface in &stage.stage.surfaces {
         let position: [f64; 3] = surface.pose.translation.into();

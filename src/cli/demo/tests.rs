@@ -34,6 +34,7 @@ fn tracked(frame: &Frame, pose: Pose<Stage, Camera>) -> PoseSample {
         measurement: Some(measurement),
         objects: vec![],
         reason: None,
+        learnt: Default::default(),
         times: StageTimes::default(),
     }
 }
@@ -41,14 +42,14 @@ fn tracked(frame: &Frame, pose: Pose<Stage, Camera>) -> PoseSample {
 #[test]
 fn arguments_have_defaults() {
     let demo = parse("").unwrap();
-    assert_eq!((demo.frames, demo.width, demo.height, demo.fps, demo.seed), (150, 640, 480, 30.0, 1));
+    assert_eq!((demo.frame_count(false), demo.width, demo.height, demo.fps, demo.seed), (150, 640, 480, 30.0, 1));
     assert_eq!((demo.save, demo.jpeg), (None, None));
 }
 
 #[test]
 fn arguments_are_read() {
     let demo = parse("--frames 50 --save clip --width 320 --height 180 --seed 7 --fps 25 --jpeg 85").unwrap();
-    assert_eq!((demo.frames, demo.width, demo.height, demo.fps, demo.seed), (50, 320, 180, 25.0, 7));
+    assert_eq!((demo.frame_count(true), demo.width, demo.height, demo.fps, demo.seed), (50, 320, 180, 25.0, 7));
     assert_eq!((demo.save, demo.jpeg), (Some(PathBuf::from("clip")), Some(85)));
 }
 
@@ -63,7 +64,7 @@ fn bad_arguments_are_refused() {
 #[test]
 fn a_session_scores_what_the_tracker_says_against_the_truth() {
     let arguments = parse("--frames 31 --width 80 --height 64 --fps 20").unwrap();
-    let mut camera = VirtualCamera::new(scene(&arguments).unwrap(), 20.0, 31);
+    let mut camera = VirtualCamera::new(scene(&arguments, arguments.frame_count(false)).unwrap(), 20.0, 31);
     let truth: Vec<_> = (0..31).map(|k| camera.truth(k)).collect();
     let mut printed = Vec::new();
     let mut live = LivePrint::to(&mut printed, false);
@@ -73,7 +74,7 @@ fn a_session_scores_what_the_tracker_says_against_the_truth() {
         let truth = truth[frame.sequence as usize];
         Ok(tracked(frame, Pose::new(truth.rotation, truth.translation + Vector3::x() * off_m(frame.sequence))))
     };
-    let errors = session(&mut camera, track, None, &mut live).unwrap();
+    let errors = session(&mut camera, track, None, None, &mut live).unwrap();
     let table = errors.to_string();
     for wanted in ["tracking              31   100.0 %", "position [mm]     3.0000    3.0000  500.0000", "wrong poses            1"] {
         assert!(table.contains(wanted), "{wanted:?} is not in\n{table}");
@@ -87,10 +88,10 @@ fn a_session_scores_what_the_tracker_says_against_the_truth() {
 #[test]
 fn a_terminal_sees_one_line_rewritten() {
     let arguments = parse("--frames 2 --width 64 --height 64").unwrap();
-    let mut camera = VirtualCamera::new(scene(&arguments).unwrap(), 30.0, 2);
+    let mut camera = VirtualCamera::new(scene(&arguments, arguments.frame_count(false)).unwrap(), 30.0, 2);
     let mut printed = Vec::new();
     let truth = camera.truth(0);
-    session(&mut camera, |frame| Ok(tracked(frame, truth)), None, &mut LivePrint::to(&mut printed, true)).unwrap();
+    session(&mut camera, |frame| Ok(tracked(frame, truth)), None, None, &mut LivePrint::to(&mut printed, true)).unwrap();
     let text = String::from_utf8(printed).unwrap();
     assert_eq!((text.matches('\r').count(), text.matches('\n').count()), (2, 1), "{text:?}");
 }
@@ -100,7 +101,7 @@ fn a_saved_clip_holds_what_was_rendered() {
     let folder = tempfile::tempdir().unwrap();
     let clip = folder.path().join("clip");
     let arguments = parse("--frames 3 --width 80 --height 64").unwrap();
-    let stage = scene(&arguments).unwrap();
+    let stage = scene(&arguments, arguments.frame_count(false)).unwrap();
     let mut saved = SavedClip::create(&clip, &stage, None).unwrap();
     let mut camera = VirtualCamera::new(stage.clone(), 30.0, 3);
     let mut frames = Vec::new();
@@ -109,7 +110,7 @@ fn a_saved_clip_holds_what_was_rendered() {
         frames.push(frame.clone());
         Ok(tracked(frame, truth))
     };
-    session(&mut camera, keep, Some(&mut saved), &mut LivePrint::to(io::sink(), false)).unwrap();
+    session(&mut camera, keep, Some(&mut saved), None, &mut LivePrint::to(io::sink(), false)).unwrap();
     saved.finish().unwrap();
 
     let text = |name: &str| std::fs::read_to_string(clip.join(name)).unwrap();
@@ -132,7 +133,7 @@ fn a_saved_clip_holds_what_was_rendered() {
 
 #[test]
 fn nothing_that_is_in_the_folder_is_written_over() {
-    let stage = scene(&parse("--width 80 --height 64").unwrap()).unwrap();
+    let stage = scene(&parse("--width 80 --height 64").unwrap(), FRAMES).unwrap();
     for name in ["stage.toml", "camera.toml", "flat.png", "timestamps.csv", "groundtruth.txt", "frames"] {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join(name);
@@ -147,7 +148,7 @@ fn nothing_that_is_in_the_folder_is_written_over() {
 #[test]
 fn jpeg_frames_are_named_so_and_stay_close() {
     let folder = tempfile::tempdir().unwrap();
-    let stage = scene(&parse("--width 80 --height 64").unwrap()).unwrap();
+    let stage = scene(&parse("--width 80 --height 64").unwrap(), FRAMES).unwrap();
     let mut saved = SavedClip::create(folder.path(), &stage, Some(95)).unwrap();
     let mut camera = VirtualCamera::new(stage, 30.0, 1);
     let truth = camera.truth(0);
@@ -156,7 +157,7 @@ fn jpeg_frames_are_named_so_and_stay_close() {
         rendered = Some(frame.image.clone());
         Ok(tracked(frame, truth))
     };
-    session(&mut camera, keep, Some(&mut saved), &mut LivePrint::to(io::sink(), false)).unwrap();
+    session(&mut camera, keep, Some(&mut saved), None, &mut LivePrint::to(io::sink(), false)).unwrap();
     let (a, b) = (image::open(folder.path().join("frames/000000.jpg")).unwrap().to_luma8(), rendered.unwrap());
     let off: f64 = a.as_raw().iter().zip(b.as_raw()).map(|(x, y)| f64::from(x.abs_diff(*y))).sum::<f64>() / a.as_raw().len() as f64;
     assert!(off < 5.0, "{off} levels off on average");
@@ -167,7 +168,16 @@ fn a_folder_that_cannot_be_made_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("taken");
     std::fs::write(&file, "").unwrap();
-    let stage = scene(&parse("--width 64 --height 64").unwrap()).unwrap();
+    let stage = scene(&parse("--width 64 --height 64").unwrap(), FRAMES).unwrap();
     let error = SavedClip::create(&file.join("clip"), &stage, None).unwrap_err();
     assert!(error.to_string().contains("taken"), "{error}");
+}
+
+#[test]
+fn a_terminal_with_the_page_has_time_to_look() {
+    let frames = |line: &str, is_terminal| parse(line).unwrap().frame_count(is_terminal);
+    assert_eq!(frames("--no-page", true), FRAMES);
+    assert_eq!(frames("--save clip", true), FRAMES);
+    assert_eq!(frames("", false), FRAMES);
+    assert_eq!(frames("--fps 25", true), if cfg!(feature = "http") { 15_000 } else { FRAMES });
 }

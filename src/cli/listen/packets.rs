@@ -1,6 +1,6 @@
 //! One packet of each protocol as a line of text.
 
-use rosc::{OscPacket, OscTime, OscType, decoder};
+use rosc::{OscMessage, OscPacket, OscTime, OscType, decoder};
 
 use super::Spoken;
 use crate::protocols::freed::FreedPacket;
@@ -25,9 +25,7 @@ pub(super) fn line(protocol: Spoken, bytes: &[u8]) -> String {
         }
         Spoken::Osc if nests_too_deep(bytes) => Err(format!("its bundles or arrays nest more than {MOST_LEVELS} deep; check the sender")),
         Spoken::Json => json(bytes),
-        Spoken::Osc => {
-            decoder::decode_udp(bytes).map(|(_, p)| osc(&p)).map_err(|_| "it is no OSC packet; check the sender's port".to_owned())
-        }
+        Spoken::Osc => osc_packet(bytes).ok_or_else(|| "it is no OSC packet; check the sender's port".to_owned()),
     };
     decoded.unwrap_or_else(|reason| format!("{} bytes: {reason}", bytes.len()))
 }
@@ -71,11 +69,77 @@ fn psn_tracker(tracker: &PsnTracker) -> String {
     text + &tracker.validity.map_or(String::new(), |v| format!(" validity {v}"))
 }
 
-fn osc(packet: &OscPacket) -> String {
-    match packet {
-        OscPacket::Message(message) => format!("{} {}", message.addr, osc_arguments(&message.args)),
-        OscPacket::Bundle(bundle) => bundle.content.iter().map(osc).collect::<Vec<_>>().join(" | "),
+/// A message or a bundle; `None` where there is neither an address nor a bundle's mark. Nesting has been counted before.
+fn osc_packet(bytes: &[u8]) -> Option<String> {
+    if !bytes.starts_with(b"#bundle\0") {
+        return osc_message(bytes);
     }
+    let mut elements = Vec::new();
+    let mut rest = bytes.get(16..).unwrap_or_default();
+    while let Some((length, behind)) = rest.split_first_chunk::<4>() {
+        let length = u32::from_be_bytes(*length) as usize;
+        let element = &behind[..length.min(behind.len())];
+        let is_whole = element.len() == length;
+        // A bundle that is cut off is not looked into: its levels have not been counted.
+        let line = if is_whole { osc_packet(element) } else { osc_message(element) };
+        let cut = if is_whole { String::new() } else { format!(" (cut off, {} of {length} bytes)", element.len()) };
+        elements.push(line.unwrap_or_else(|| format!("({} bytes that are no message)", element.len())) + &cut);
+        rest = &behind[element.len()..];
+    }
+    Some(if elements.is_empty() { "#bundle (empty)".to_owned() } else { elements.join(" | ") })
+}
+
+/// A message as the decoder reads it, or what can be said of it without: senders leave out type tags, or use types and letters that it
+/// does not know.
+fn osc_message(bytes: &[u8]) -> Option<String> {
+    if let Ok((_, OscPacket::Message(message))) = decoder::decode_udp(bytes) {
+        return Some(format!("{} {}", message.addr, osc_arguments(&message.args)));
+    }
+    let (address, at) = osc_string(bytes, 0).filter(|(address, _)| address.starts_with(b"/"))?;
+    let address = text_of(address);
+    match osc_string(bytes, at).filter(|(types, _)| types.starts_with(b",")) {
+        Some((types, at)) => Some(address + &loose_arguments(&types[1..], bytes.get(at..).unwrap_or_default())),
+        None => Some(format!("{address} (no type tags, {} bytes)", bytes.len().saturating_sub(at))),
+    }
+}
+
+/// Arguments one by one, up to the first that cannot be passed over.
+fn loose_arguments(types: &[u8], mut data: &[u8]) -> String {
+    let mut line = String::new();
+    for tag in types {
+        let length = match tag {
+            b'i' | b'f' | b'c' | b'r' | b'm' => 4,
+            b'h' | b't' | b'd' => 8,
+            b's' | b'S' => osc_string(data, 0).map_or(usize::MAX, |(_, end)| end.min(data.len())),
+            b'b' => data.first_chunk::<4>().map_or(usize::MAX, |n| (u32::from_be_bytes(*n) as usize).saturating_add(4).next_multiple_of(4)),
+            b'T' | b'F' | b'N' | b'I' | b'[' | b']' => 0,
+            _ => usize::MAX,
+        };
+        let Some((own, rest)) = data.split_at_checked(length) else {
+            return line + &format!(" ({}) and {} bytes that cannot be read", char::from(*tag).escape_default(), data.len());
+        };
+        line += &match tag {
+            b'S' => format!(" (S) {}", own_text(own)),
+            b's' => format!(" {}", own_text(own)),
+            b'[' | b']' => char::from(*tag).to_string(),
+            _ => match decoder::decode_udp(&[b"/\0\0\0,".as_slice(), &[*tag], b"\0\0", own].concat()) {
+                Ok((_, OscPacket::Message(OscMessage { args, .. }))) => format!(" {}", osc_arguments(&args)),
+                _ => format!(" ({})", char::from(*tag)),
+            },
+        };
+        data = rest;
+    }
+    line
+}
+
+/// The text of a string with its filling.
+fn own_text(bytes: &[u8]) -> String {
+    text_of(osc_string(bytes, 0).map_or(bytes, |(text, _)| text))
+}
+
+/// A text as it came, or with escapes where it is not UTF-8.
+fn text_of(bytes: &[u8]) -> String {
+    std::str::from_utf8(bytes).map_or_else(|_| bytes.escape_ascii().to_string(), str::to_owned)
 }
 
 fn osc_arguments(arguments: &[OscType]) -> String {

@@ -56,6 +56,49 @@ fn a_long_blob_is_counted_not_shown() {
     assert!(long.len() < 120 && long.ends_with("… of 60000 bytes"), "{long}");
 }
 
+/// A string with its filling.
+fn filled(text: &[u8]) -> Vec<u8> {
+    let mut bytes = [text, b"\0"].concat();
+    bytes.resize(bytes.len().next_multiple_of(4), 0);
+    bytes
+}
+
+fn bundle(messages: &[Vec<u8>]) -> Vec<u8> {
+    let elements = messages.iter().flat_map(|m| [&u32::try_from(m.len()).unwrap().to_be_bytes(), m.as_slice()].concat());
+    b"#bundle\0\0\0\0\0\0\0\0\x01".iter().copied().chain(elements).collect()
+}
+
+#[test]
+fn what_the_decoder_does_not_know_is_shown_all_the_same() {
+    let of = |parts: &[&[u8]]| parts.concat();
+    let symbol = of(&[&filled(b"/b"), &filled(b",S"), &filled(b"symbol")]);
+    let untagged = filled(b"/info");
+    for (packet, wanted) in [
+        (untagged.clone(), "/info (no type tags, 0 bytes)"),
+        (of(&[&filled(b"/go"), &1.5_f32.to_be_bytes()]), "/go (no type tags, 4 bytes)"),
+        (symbol.clone(), "/b (S) symbol"),
+        (of(&[&filled(b"/cue"), &filled(b",s"), &filled(b"B\xFChne")]), "/cue B\\xfchne"),
+        (of(&[&filled(b"/c\xFC"), &filled(b",i"), &[0, 0, 0, 9]]), "/c\\xfc 9"),
+        (
+            of(&[&filled(b"/m"), &filled(b",iSfT[i]"), &[0, 0, 0, 9], &filled(b"x"), &2.5_f32.to_be_bytes(), &[0, 0, 0, 1]]),
+            "/m 9 (S) x 2.5000 (T)[ 1]",
+        ),
+        (of(&[&filled(b"/u"), &filled(b",iQ"), &[0, 0, 0, 9, 1, 2, 3, 4]]), "/u 9 (Q) and 4 bytes that cannot be read"),
+        (of(&[&filled(b"/cut"), &filled(b",h"), &[0, 0, 0, 9]]), "/cut (h) and 4 bytes that cannot be read"),
+        (bundle(&[message(vec![OscType::Int(4)]), symbol]), "/a 4 | /b (S) symbol"),
+        (
+            bundle(&[message(vec![OscType::Int(4)]), untagged, b"junk".to_vec()]),
+            "/a 4 | /info (no type tags, 0 bytes) | (4 bytes that are no message)",
+        ),
+        (bundle(&[]), "#bundle (empty)"),
+    ] {
+        assert_eq!(line(Spoken::Osc, &packet), wanted);
+    }
+    let mut cut = bundle(&[message(vec![OscType::Int(4)])]);
+    cut.truncate(cut.len() - 4);
+    assert_eq!(line(Spoken::Osc, &cut), "/a (i) and 0 bytes that cannot be read (cut off, 8 of 12 bytes)");
+}
+
 /// A bundle in a bundle, and so on.
 fn nested_bundles(levels: usize) -> Vec<u8> {
     let mut packet = message(vec![OscType::Int(5)]);

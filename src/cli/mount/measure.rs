@@ -23,6 +23,9 @@ const TIMES_SHOWN: u64 = 4;
 /// The interval at which stills are shown to the tracker, nanoseconds: a webcam's at 30 frames a second. They stand still, so it decides
 /// little.
 const PACE_NS: i64 = 33_333_333;
+/// Time from one still to the next, nanoseconds: the rig was carried meanwhile, and what is found
+/// elsewhere is no jump.
+const CARRIED_NS: i64 = 10_000_000_000;
 
 /// What a clip tells.
 pub(super) struct Measured {
@@ -90,7 +93,8 @@ fn still(tracker: &mut Tracker, row: &ClipEntry, index: usize) -> Option<View> {
     let mut last = None;
     for k in 0..TIMES_SHOWN {
         let sequence = index as u64 * TIMES_SHOWN + k;
-        let shown = Frame { image: frame.image.clone(), sequence, timestamp: Timestamp::from_ns(sequence as i64 * PACE_NS) };
+        let timestamp = Timestamp::from_ns(index as i64 * CARRIED_NS + k as i64 * PACE_NS);
+        let shown = Frame { image: frame.image.clone(), sequence, timestamp };
         // A picture of another size shows nothing.
         last = tracker.track(&shown).ok().and_then(|sample| sample.measurement.filter(|_| sample.state == State::Tracking));
     }

@@ -57,7 +57,7 @@ pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
         return Err(Failure::Usage(format!("--clip is there {} times; {mend}", arguments.clip.len())));
     };
     let (settings, other) = (Settings::load(&arguments.config)?, Settings::load(&arguments.with)?);
-    logging::start(&arguments.log, settings.log);
+    logging::start_for_trials(&arguments.log, settings.log);
     interrupt::watch();
     let read = settings.files.iter().chain(&other.files).cloned().collect::<Vec<_>>();
     let mut spared = Spared::default().with_files(&read, "a file of the configs").with_clip(clip).with_clip(other_clip);

@@ -230,7 +230,17 @@ mod tests {
         let rotation = UnitQuaternion::from_quaternion(Quaternion::new(1.0, -1.0, 0.0, 0.0));
         let pose = matches!(state, State::Tracking | State::Coasting).then(|| Pose::new(rotation, Vector3::new(0.0, y, 0.0)));
         let times = StageTimes::default();
-        PoseSample { sequence: 7, timestamp: Default::default(), state, pose, measurement: None, objects: Vec::new(), reason: None, times }
+        PoseSample {
+            sequence: 7,
+            timestamp: Default::default(),
+            state,
+            pose,
+            measurement: None,
+            objects: Vec::new(),
+            reason: None,
+            learnt: Default::default(),
+            times,
+        }
     }
 
     fn drawn(sample: &PoseSample, k1: f64, objects: &[BodySpec]) -> RgbImage {

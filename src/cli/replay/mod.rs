@@ -15,6 +15,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError};
 
 use super::failure::Failure;
 use super::interrupt;
+use super::learnt::LearntArguments;
 use super::logging::{self, LogArguments};
 use super::output_file::STDOUT;
 use super::outputs::Outputs;
@@ -24,6 +25,7 @@ use crate::config::Settings;
 use crate::daemon::{Daemon, Delivery, kept_views, thread_clock};
 use crate::publish::{ClipStart, Stamps};
 use crate::record::PoseSample;
+use crate::track::Reason;
 use crate::tracker::{Tracker, TrackerSetup};
 use overlays::Overlays;
 use paced::Paced;
@@ -68,6 +70,8 @@ pub(super) struct ReplayArguments {
     #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
     #[command(flatten)]
+    learnt: LearntArguments,
+    #[command(flatten)]
     log: LogArguments,
 }
 
@@ -108,7 +112,8 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
         opened => opened?,
     };
     source.notes().iter().for_each(|note| tracing::warn!("{note}"));
-    let setup = tracker_setup(&settings, source.size(), arguments.threads)?;
+    let (learnt, learnt_from) = arguments.learnt.of(&arguments.clip)?;
+    let setup = TrackerSetup { learnt, ..tracker_setup(&settings, source.size(), arguments.threads)? };
     let begun = ClipStart::default();
     let stamps = || Stamps::Recorded(begun.clone());
     // All are opened before the first is emptied: a wrong name costs nothing that was there.
@@ -125,7 +130,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
 
     // What is sent is sent at the pace at which it was recorded.
     let source: Box<dyn FrameSource> = if arguments.realtime || arguments.outputs { Box::new(Paced::new(source, begun)) } else { source };
-    let mut tally = Tally::new(started);
+    let mut tally = Tally::new(started, settings.shutter, learnt_from);
     let mut tracker = Tracker::new(setup)?.with_filter(settings.filter);
     let overlays = overlay.map(|(dir, setup)| Overlays::create(dir, setup, tracker.watch_pixels())).transpose()?;
     let mut writing = Writing { records: &mut records, tally: &mut tally, outputs: outputs.as_ref() };
@@ -264,7 +269,7 @@ const WARNED_IN_FULL: u64 = 5;
 impl RowTally {
     /// Counts a row and draws its frame, until that fails.
     fn take(&mut self, row: &ClipEntry, sample: &PoseSample) {
-        self.count(row);
+        self.count(row, sample);
         if let (Some(overlays), EntryContent::Frame(frame), None) = (&mut self.overlays, &row.content, &self.overlay_failure) {
             self.overlay_failure = overlays.write(frame, row.received.as_ref(), sample).err();
         }
@@ -275,8 +280,13 @@ impl RowTally {
         self.overlay_failure = self.overlay_failure.take().or(finished.err());
     }
 
-    fn count(&mut self, row: &ClipEntry) {
+    fn count(&mut self, row: &ClipEntry, sample: &PoseSample) {
+        let repeated = "it is the one before, to the last byte".to_owned();
         let (reason, what) = match &row.content {
+            EntryContent::Frame(_) if sample.reason == Some(Reason::Repeated) => {
+                self.undecodable += 1;
+                (&repeated, "has no picture of its own")
+            }
             EntryContent::Frame(_) => {
                 self.readable += 1;
                 return;

@@ -9,12 +9,14 @@ use nix::sys::resource::{UsageWho, getrusage};
 use nix::sys::time::TimeValLike;
 use serde::Serialize;
 
+use crate::camera::KnownShutter;
 use crate::cli::angles::camera_words;
 use crate::cli::failure::Failure;
 use crate::cli::outcome::{ByWord, Outcome};
 use crate::geometry::{Camera, Pose, Stage};
 use crate::record::{PoseSample, StageTimes, State};
 use crate::telemetry::STAGES;
+use crate::track::{LearntCamera, LearntTime};
 
 /// What a replay came to, sample by sample.
 pub(super) struct Tally {
@@ -24,6 +26,10 @@ pub(super) struct Tally {
     undecodable: u64,
     skipped: u64,
     first_pose_ms: Option<f64>,
+    shutter: KnownShutter,
+    learnt_from: &'static str,
+    /// What is known of the camera by now.
+    learnt: LearntCamera,
     /// The last measured pose and its row.
     last: Option<(u64, Pose<Stage, Camera>)>,
     /// Decode, acquire, align, pose, total of every row, milliseconds.
@@ -42,9 +48,22 @@ struct Summary {
     /// How many frames were not tracked for which reason.
     reasons: ByWord<u64>,
     stage_ms: ByWord<Percentiles>,
+    /// What the poses were given with in the end.
+    learnt: Learnt,
     cpu_s: f64,
     first_pose_ms: Option<f64>,
     peak_rss_mb: f64,
+}
+
+/// The shutter as configured (sigma 0) or learnt; none of what is not known.
+#[derive(Serialize)]
+struct Learnt {
+    readout_s: Option<f64>,
+    readout_sigma_s: Option<f64>,
+    exposure_s: Option<f64>,
+    exposure_sigma_s: Option<f64>,
+    /// What was known before the first row: `nothing`, or from the `clip` or a `file`.
+    from: &'static str,
 }
 
 /// Nearest-rank percentiles in milliseconds; none of no values.
@@ -67,9 +86,12 @@ impl Percentiles {
 
 impl Tally {
     /// `started` is when the process began.
-    pub fn new(started: Instant) -> Self {
+    pub fn new(started: Instant, shutter: KnownShutter, learnt_from: &'static str) -> Self {
         Self {
             started,
+            shutter,
+            learnt_from,
+            learnt: LearntCamera::default(),
             states: [0; 5],
             outcome: Outcome::default(),
             undecodable: 0,
@@ -84,6 +106,7 @@ impl Tally {
     pub fn add(&mut self, sample: &PoseSample) {
         self.states[sample.state as usize] += 1;
         self.outcome.add(sample);
+        self.learnt = sample.learnt;
         if sample.state == State::Tracking && self.first_pose_ms.is_none() {
             self.first_pose_ms = Some(self.started.elapsed().as_secs_f64() * 1e3);
         }
@@ -121,10 +144,21 @@ impl Tally {
             skipped: self.skipped,
             reasons: self.outcome.counts(),
             stage_ms: ByWord(STAGES.into_iter().zip(self.times.iter().map(|times| Percentiles::of(times))).collect()),
+            learnt: self.learnt(),
             cpu_s,
             first_pose_ms: self.first_pose_ms,
             peak_rss_mb,
         }
+    }
+
+    fn learnt(&self) -> Learnt {
+        let known = |configured_s: Option<f64>, learnt: Option<LearntTime>| {
+            let configured = configured_s.map(|seconds| LearntTime { seconds, sigma_s: 0.0 });
+            configured.or(learnt).map_or((None, None), |time| (Some(time.seconds), Some(time.sigma_s)))
+        };
+        let (readout_s, readout_sigma_s) = known(self.shutter.readout_s, self.learnt.readout);
+        let (exposure_s, exposure_sigma_s) = known(self.shutter.exposure_s, self.learnt.exposure);
+        Learnt { readout_s, readout_sigma_s, exposure_s, exposure_sigma_s, from: self.learnt_from }
     }
 
     /// Contract C4.
@@ -196,6 +230,7 @@ mod tests {
             measurement: None,
             objects: Vec::new(),
             reason: None,
+            learnt: Default::default(),
             times,
         }
     }
@@ -211,7 +246,7 @@ mod tests {
 
     #[test]
     fn the_summary_has_every_field_of_the_contract() {
-        let mut tally = Tally::new(Instant::now());
+        let mut tally = Tally::new(Instant::now(), KnownShutter::default(), "nothing");
         [State::Searching, State::Searching, State::Tracking, State::Coasting, State::Lost]
             .iter()
             .for_each(|s| tally.add(&sample(*s, 10.0)));
@@ -231,8 +266,22 @@ mod tests {
     }
 
     #[test]
+    fn the_summary_says_what_shutter_poses_were_given_with() {
+        let configured = KnownShutter { readout_s: Some(0.01), exposure_s: None };
+        let mut tally = Tally::new(Instant::now(), configured, "clip");
+        let mut learnt = sample(State::Tracking, 1.0);
+        learnt.learnt.exposure = Some(LearntTime { seconds: 0.012, sigma_s: 0.001 });
+        tally.add(&learnt);
+        let json: serde_json::Value = serde_json::from_str(&tally.summary_json()).unwrap();
+        let wanted = serde_json::json!({
+            "readout_s": 0.01, "readout_sigma_s": 0.0, "exposure_s": 0.012, "exposure_sigma_s": 0.001, "from": "clip"
+        });
+        assert_eq!(json["learnt"], wanted);
+    }
+
+    #[test]
     fn every_frame_that_is_not_tracked_counts_under_its_reason() {
-        let mut tally = Tally::new(Instant::now());
+        let mut tally = Tally::new(Instant::now(), KnownShutter::default(), "nothing");
         tally.add(&sample(State::Tracking, 1.0));
         for reason in [Reason::TooDark, Reason::Covered, Reason::TooDark] {
             tally.add(&PoseSample { reason: Some(reason), ..sample(State::Lost, 1.0) });
@@ -244,7 +293,7 @@ mod tests {
 
     #[test]
     fn without_a_pose_the_first_one_is_null() {
-        let tally = Tally::new(Instant::now());
+        let tally = Tally::new(Instant::now(), KnownShutter::default(), "nothing");
         let json: serde_json::Value = serde_json::from_str(&tally.summary_json()).unwrap();
         assert!(json["first_pose_ms"].is_null());
         assert!(tally.table().contains("first pose never") && !tally.table().contains("last pose"));
@@ -252,7 +301,7 @@ mod tests {
 
     #[test]
     fn the_last_pose_is_told_in_degrees_beside_the_quaternion() {
-        let mut tally = Tally::new(Instant::now());
+        let mut tally = Tally::new(Instant::now(), KnownShutter::default(), "nothing");
         let mut tracked = sample(State::Tracking, 1.0);
         let turn = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
         tracked.pose = Some(Pose::new(turn, nalgebra::Vector3::new(0.5, -4.0, 1.6)));

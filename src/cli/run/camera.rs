@@ -11,7 +11,11 @@ use crate::config::Settings;
 /// What opens the camera: a clip that plays, or the config's device.
 pub(super) fn camera(settings: &Settings, play: Option<&Path>) -> Result<Arc<dyn CameraOpener>, Failure> {
     match play {
-        Some(clip) => Ok(Arc::new(PlayedClip::open(clip, settings.device.fps)?)),
+        Some(clip) => {
+            let played = PlayedClip::open(clip, settings.device.fps)?;
+            played.notes().iter().for_each(|note| tracing::warn!("{note}"));
+            Ok(Arc::new(played))
+        }
         #[cfg(feature = "live")]
         None => Ok(Arc::new(opener(settings))),
         #[cfg(not(feature = "live"))]

@@ -17,10 +17,10 @@ use std::path::{Path, PathBuf};
 
 use super::failure::Failure;
 use super::logging::LogArguments;
-use super::output_file::OutputFile;
+use super::output_file::{OutputFile, STDOUT};
 use super::spared::Spared;
 use crate::config::{ConfigError, HttpSettings, Settings};
-use crate::daemon::recorder;
+use crate::daemon::{Keeping, recorder};
 
 #[cfg(feature = "live")]
 pub(super) use camera::opener;
@@ -56,6 +56,9 @@ pub(super) struct LiveArguments {
     /// Play a clip as if it were the camera: its pace, late frames dropped
     #[arg(long, value_name = "CLIP")]
     play: Option<PathBuf>,
+    /// Play the clip again and again: each time tracking begins anew, rows are numbered from 0, and stamps go on rising
+    #[arg(long = "loop", requires = "play")]
+    plays_again: bool,
     /// End after tracking for this many seconds, or when the camera does not come in this time
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
@@ -73,10 +76,37 @@ pub(super) struct LiveArguments {
 impl LiveArguments {
     /// The config as it is now.
     fn load(&self) -> Result<Settings, ConfigError> {
-        let settings = Settings::load(&self.config)?;
-        let Some(listen) = self.setup else { return Ok(settings) };
-        let hosts = settings.http.as_ref().map(|http| http.hosts.clone()).unwrap_or_default();
-        Ok(Settings { http: Some(HttpSettings { listen, hosts }), ..settings })
+        self.loader()()
+    }
+
+    /// What reads the config, on any thread.
+    fn loader(&self) -> impl Fn() -> Result<Settings, ConfigError> + Send + 'static {
+        let (config, setup) = (self.config.clone(), self.setup);
+        move || {
+            let keeping = Keeping::of(&config);
+            let mut settings = Settings::load_as(&keeping.current(), &config)?;
+            if keeping.is_elsewhere() {
+                keep_elsewhere(&mut settings, &keeping);
+            }
+            let Some(listen) = setup else { return Ok(settings) };
+            let hosts = settings.http.as_ref().map(|http| http.hosts.clone()).unwrap_or_default();
+            Ok(Settings { http: Some(HttpSettings { listen, hosts }), ..settings })
+        }
+    }
+
+    /// Whether records or events go to standard output, so that no words may.
+    fn uses_stdout(&self) -> bool {
+        [&self.poses, &self.events].into_iter().flatten().any(|file| file.as_path() == Path::new(STDOUT))
+    }
+
+    /// What the arguments ask for that cannot be.
+    fn refuse_impossible(&self) -> Result<(), Failure> {
+        match self.play.as_deref() {
+            Some(clip) if self.plays_again && clip == Path::new(STDOUT) => {
+                Err(Failure::Usage("--loop: a clip from standard input cannot be played twice; save it to a file".to_owned()))
+            }
+            _ => Ok(()),
+        }
     }
 
     #[cfg(feature = "http")]
@@ -97,6 +127,20 @@ impl LiveArguments {
         let (poses, events) = (spared.open("--poses", self.poses.as_deref())?, spared.open("--events", self.events.as_deref())?);
         spared.claim_outputs(&settings.outputs)?;
         Ok((poses, events))
+    }
+}
+
+/// What goes beside the config goes where it may, and that is said.
+fn keep_elsewhere(settings: &mut Settings, keeping: &Keeping) {
+    let (file, folder) = (settings.file.display().to_string(), keeping.folder());
+    settings
+        .notes
+        .push(format!("{file}: its folder may not be written, so that the set and changes of the config are kept in {}", folder.display()));
+    if keeping.current() != settings.file {
+        settings.notes.push(format!("{file}: the config that is used is {}, which was changed later", keeping.current().display()));
+    }
+    if settings.recorder.folder == settings.file.with_file_name("recordings") {
+        settings.recorder.folder = folder.join("recordings");
     }
 }
 

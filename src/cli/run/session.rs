@@ -1,8 +1,10 @@
 //! One session: a camera, a tracker and what listens, under one config.
 
+use std::cell::RefCell;
 use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
@@ -19,14 +21,15 @@ use crate::cli::outputs::Outputs;
 use crate::cli::pages::Pages;
 use crate::cli::replay::records::{Output, Records};
 use crate::cli::replay::tracker_setup;
-use crate::config::{LogFormat, LogSettings, RecorderSettings, Settings};
+use crate::config::{ConfigError, LogFormat, LogSettings, RecorderSettings, Settings};
 use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, exposure_of};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
-use crate::daemon::{Daemon, Mode, RecordingWish, RunningDaemon, Supervisor};
+use crate::daemon::{Daemon, LearntFile, Mode, RecordingWish, RunningDaemon, Supervisor, unwritten};
 use crate::frame::Timestamp;
 use crate::publish::{PoseWithheld, Stamps};
 use crate::record::{PoseSample, State};
 use crate::telemetry::RecorderState;
+use crate::track::LearntCamera;
 use crate::tracker::Tracker;
 
 /// Between two stale messages while a camera is waited for: ten a second. Chosen: soon enough for a client that has just come. Raised,
@@ -51,15 +54,25 @@ pub(super) struct Session<'a> {
     pub settings: &'a Settings,
     pub arguments: &'a LiveArguments,
     pub link: &'a LiveLink,
-    pub supervisor: &'a Supervisor,
+    pub supervisor: &'a Arc<Supervisor>,
     pub pages: &'a Pages,
+    /// A new config that is being read and tried.
+    pub reading: RefCell<Option<JoinHandle<Result<Settings, ConfigError>>>>,
+}
+
+impl Drop for Session<'_> {
+    fn drop(&mut self) {
+        if self.reading.get_mut().is_some() {
+            // The next session reads it.
+            self.supervisor.reload();
+        }
+    }
 }
 
 /// What a running session is followed by.
 struct Listening<'a> {
     samples: &'a Receiver<PoseSample>,
     running: &'a RunningDaemon,
-    size: (u32, u32),
     /// Saves the ring.
     saver: Option<&'a dyn Fn()>,
     recorder: Option<&'a Recorder>,
@@ -82,18 +95,21 @@ impl Session<'_> {
         let pages = self.pages;
         pages.use_limits(&self.settings.safety);
         let opener = camera::camera(self.settings, self.arguments.play.as_deref())?;
-        let mut source = LiveSource::start(opener, self.settings.shutter, Patience::default(), self.link.clone());
+        let mut source = LiveSource::start(opener, self.settings.shutter.or_zero(), Patience::default(), self.link.clone());
         let mode = match self.wait(&mut source, pages, service, sinks) {
             Ok(mode) => mode,
             Err(end) => return Ok(end),
         };
         let mut setup = tracker_setup(self.settings, mode.size, self.arguments.threads)?;
         // What the camera has locked is known to stamps and tracker alike, and to the recording's config.
-        let exposure_s = exposure_of(&self.settings.shutter, &mode);
-        setup.shutter.exposure_s = exposure_s;
+        let exposure_s = exposure_of(&self.settings.shutter.or_zero(), &mode);
+        setup.shutter.exposure_s = Some(exposure_s).filter(|s| *s > 0.0);
         if self.settings.device.fps.is_none() {
             self.settings.safety.note_on_rate(mode.fps).into_iter().for_each(|note| tracing::warn!("{note}"));
         }
+        let learnt_file = LearntFile::of(&mode);
+        setup.learnt = learnt_file.load();
+        sinks.learnt = setup.learnt;
         let stopper = source.stopper();
         let outputs = Outputs::start(self.settings, None, setup.camera, Stamps::Live, Some(mode.fps))?;
         pages.show_scene(&setup);
@@ -122,15 +138,16 @@ impl Session<'_> {
         let listening = Listening {
             samples: &samples,
             running: &running,
-            size: mode.size,
             saver: saver.as_ref().map(|s| s as &dyn Fn()),
             recorder: recorder.as_ref(),
             pages,
             outputs: &outputs,
         };
         self.supervisor.watch_outputs(Some(Arc::new(outputs.watch())));
+        self.supervisor.set_picture_size(Some(mode.size));
         let end = self.follow(&listening, service, sinks);
         self.supervisor.watch_outputs(None);
+        self.supervisor.set_picture_size(None);
         self.supervisor.set_recording(None);
         drop(saver);
         stopper.stop();
@@ -138,6 +155,7 @@ impl Session<'_> {
         // What is under way comes to its end, and out.
         samples.iter().for_each(|sample| tell(&sample, pages, &outputs, sinks));
         outputs.close();
+        learnt_file.store(&sinks.learnt);
         let joined = running.join().map_err(|e| Failure::Tracking(e.to_string()));
         if let Some(recorder) = recorder {
             clips.ended(recorder.finish());
@@ -159,7 +177,7 @@ impl Session<'_> {
             }
             service.tick(self.link);
             sinks.write_events();
-            reload = self.reload(None);
+            reload = self.reload();
             service.is_over() || reload.is_some() || self.supervisor.mode() != Mode::Track
         });
         let ended = || if self.supervisor.mode() == Mode::Track { End::Stopped } else { End::Lent };
@@ -167,7 +185,7 @@ impl Session<'_> {
     }
 
     fn follow(&self, listening: &Listening<'_>, service: &mut Service, sinks: &mut Sinks) -> End {
-        let Listening { samples, running, size, saver, recorder, pages, outputs } = *listening;
+        let Listening { samples, running, saver, recorder, pages, outputs } = *listening;
         service.tracking_begins();
         loop {
             match samples.recv_timeout(Duration::from_millis(50)) {
@@ -191,7 +209,7 @@ impl Session<'_> {
                     None => tracing::warn!("there is no ring to save; set ring_s in [recorder]"),
                 }
             }
-            if let Some(new) = self.reload(Some(size)) {
+            if let Some(new) = self.reload() {
                 service.reloading();
                 return End::Reload(new);
             }
@@ -221,29 +239,40 @@ impl Session<'_> {
         }
     }
 
-    /// The new config, where SIGHUP asked for it and it is good.
-    fn reload(&self, size: Option<(u32, u32)>) -> Option<Box<Settings>> {
-        if !(interrupt::take_reload() | self.supervisor.take_reload()) {
-            return None;
+    /// The new config, where SIGHUP or the page asked for it and it can be run. It is read and tried on a thread of its own, while tracking
+    /// goes on.
+    fn reload(&self) -> Option<Box<Settings>> {
+        let mut reading = self.reading.borrow_mut();
+        if reading.is_none() && (interrupt::take_reload() | self.supervisor.take_reload()) {
+            let (load, supervisor) = (self.arguments.loader(), self.supervisor.clone());
+            let read = move || load().and_then(|settings| supervisor.rehearse(&settings).map(|()| settings));
+            match std::thread::Builder::new().name("config".to_owned()).spawn(read) {
+                Ok(thread) => *reading = Some(thread),
+                Err(error) => self.refuse(format!("the system gives no thread ({error}); close other programs")),
+            }
         }
-        let file = &self.settings.file;
-        let fits = |settings: Settings| match size {
-            // Where the camera stays what it is, the calibration must fit it.
-            Some((w, h)) if settings.device == self.settings.device => settings.camera_for(w, h).map(|_| settings),
-            _ => Ok(settings),
-        };
-        match self.arguments.load().and_then(fits) {
-            Ok(settings) => {
+        let read = reading.take_if(|thread| thread.is_finished())?.join();
+        match read {
+            Ok(Ok(settings)) => {
                 self.supervisor.accept();
-                self.link.events.publish(Event::ConfigReloaded { file: file.display().to_string() });
+                self.link.events.publish(Event::ConfigReloaded { file: self.settings.file.display().to_string() });
                 Some(Box::new(settings))
             }
-            Err(error) => {
-                self.supervisor.refuse(error.to_string());
-                self.link.events.publish(Event::ConfigRefused { reason: error.to_string() });
+            Ok(Err(error)) => {
+                self.refuse(error.to_string());
+                None
+            }
+            Err(_) => {
+                self.refuse("reading it failed inside the program; please report it with the config".to_owned());
                 None
             }
         }
+    }
+
+    /// A new config is not used; the one of before stays in force.
+    fn refuse(&self, reason: String) {
+        self.supervisor.refuse(reason.clone());
+        self.link.events.publish(Event::ConfigRefused { reason });
     }
 }
 
@@ -255,6 +284,8 @@ pub(super) struct Sinks {
     /// Why the first of them was given up.
     failure: Option<Failure>,
     outcome: Outcome,
+    /// What was learnt of the camera by now.
+    pub learnt: LearntCamera,
     /// Whether stderr is a log that programs read.
     logs_json: bool,
 }
@@ -270,6 +301,7 @@ impl Sinks {
             happening: link.events.listen(),
             failure: None,
             outcome: Outcome::default(),
+            learnt: LearntCamera::default(),
             logs_json: log.format == LogFormat::Json,
         })
     }
@@ -280,6 +312,7 @@ impl Sinks {
             return;
         }
         self.outcome.add(sample);
+        self.learnt = sample.learnt;
         attempt(&mut self.poses, "records", &mut self.failure, |poses| poses.write(sample));
     }
 
@@ -378,7 +411,8 @@ impl Clips {
             (Err(e), Some(clip)) => Err(Failure::output(&clip)(e)),
             (Err(e), None) => {
                 session.link.statistics.set_recorder(RecorderState::Stopped);
-                session.link.events.publish(Event::RecorderStopped { reason: e.to_string() });
+                session.supervisor.set_recording(None);
+                session.link.events.publish(Event::RecorderStopped { reason: unwritten(&e) });
                 Ok(None)
             }
         }

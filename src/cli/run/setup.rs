@@ -11,7 +11,7 @@ use crate::config::Settings;
 /// Open the page without a config, or with a bad one; what is put there is tracked with.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  stagepose setup --config stage.toml\n\n\
-    Then open http://127.0.0.1:8090/. The page says what is wrong with the config, with file, key and line; once it has a good one, tracking\n\
+    It prints the page's address. The page says what is wrong with the config, with file, key and line; once it has a good one, tracking\n\
     begins. For the show: stagepose run --config stage.toml, which refuses a bad config.")]
 pub(in crate::cli) struct SetupArguments {
     /// The config that is there, or will be; its folder must be there
@@ -23,6 +23,9 @@ pub(in crate::cli) struct SetupArguments {
     /// Play a clip as if it were the camera
     #[arg(long, value_name = "CLIP")]
     play: Option<PathBuf>,
+    /// Play the clip again and again; each time tracking begins anew
+    #[arg(long = "loop", requires = "play")]
+    plays_again: bool,
     /// Serve the page from this folder instead of the program, for who works on it
     #[arg(long, value_name = "FOLDER")]
     page_dir: Option<PathBuf>,
@@ -31,7 +34,7 @@ pub(in crate::cli) struct SetupArguments {
 }
 
 pub(in crate::cli) fn setup(arguments: SetupArguments) -> Result<(), Failure> {
-    let SetupArguments { config, listen, play, page_dir, log } = arguments;
+    let SetupArguments { config, listen, play, plays_again, page_dir, log } = arguments;
     let folder = config.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if !folder.is_dir() {
         return Err(Failure::Usage(format!("--config {}: its folder is not there; make it first", config.display())));
@@ -40,5 +43,5 @@ pub(in crate::cli) fn setup(arguments: SetupArguments) -> Result<(), Failure> {
     let of_config = || Settings::load(&config).ok().and_then(|settings| settings.http);
     let listen = listen.unwrap_or_else(|| of_config().unwrap_or_default().listen);
     let setup = Some(listen);
-    live(&LiveArguments { config, poses: None, events: None, threads: None, play, seconds: None, page_dir, log, setup }, None)
+    live(&LiveArguments { config, poses: None, events: None, threads: None, play, plays_again, seconds: None, page_dir, log, setup }, None)
 }

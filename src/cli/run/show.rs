@@ -1,5 +1,7 @@
 //! Sessions one after another, and what outlives them: the server, the files of records and events, the service manager's watch.
 
+use std::cell::RefCell;
+use std::io::{self, Write as _};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -14,8 +16,10 @@ use crate::cli::pages::Pages;
 use crate::config::{HttpSettings, LogSettings, Settings};
 use crate::contain;
 use crate::daemon::live::{Event, LiveLink};
-use crate::daemon::{Mode, Supervisor};
+use crate::daemon::{Mode, Supervisor, give_back};
+use crate::printable::printable;
 use crate::publish::{SafetySettings, Stamps};
+use crate::web::page_address;
 
 /// A stage may fail this often within [`RESTART_SPAN`] before the daemon gives up. Chosen: a failure that comes back every few seconds is
 /// left to the supervisor. The number raised or the span shortened, a daemon that cannot work goes on restarting.
@@ -42,6 +46,7 @@ struct Show<'a> {
 
 /// Runs until something ends it; `clip` is what `record` records to.
 pub(in crate::cli) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(), Failure> {
+    arguments.refuse_impossible()?;
     let loaded = arguments.load();
     let settings = match (&loaded, arguments.setup) {
         (Ok(settings), _) => Some(settings.clone()),
@@ -55,8 +60,12 @@ pub(in crate::cli) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> 
         settings.notes.iter().for_each(|note| tracing::info!("{note}"));
         settings.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     }
-    if let Err(error) = loaded {
-        tracing::warn!("there is no config to track with yet: {error}");
+    match loaded {
+        Err(_) if !arguments.config.exists() => {
+            say(arguments, &format!("{}: there is no config yet; make it, or put one there on the page", arguments.config.display()));
+        }
+        Err(error) => tracing::warn!("there is no config to track with yet: {error}"),
+        Ok(_) => {}
     }
     interrupt::watch();
     interrupt::watch_service();
@@ -94,7 +103,10 @@ impl Show<'_> {
                     None => return Ok(()),
                 },
             };
-            next = match self.session(&settings) {
+            let ended = self.session(&settings);
+            give_back();
+            next = match ended {
+                Ok(End::Stopped) if self.plays_again() => Some(settings),
                 Ok(End::Stopped) => return Ok(()),
                 Ok(End::Lent) if self.lent() => Some(settings),
                 Ok(End::Lent) => return Ok(()),
@@ -108,10 +120,16 @@ impl Show<'_> {
         }
     }
 
+    /// Whether the clip that came to its end is played once more.
+    fn plays_again(&self) -> bool {
+        self.arguments.plays_again && !self.service.is_over()
+    }
+
     fn session(&mut self, settings: &Settings) -> Result<End, Failure> {
         let pages = self.server.serve(settings.http.as_ref(), &settings.safety, &self.supervisor, self.arguments)?;
         self.supervisor.use_settings(Some(settings.clone()));
-        let session = Session { settings, arguments: self.arguments, link: &self.link, supervisor: &self.supervisor, pages };
+        let (supervisor, reading) = (&self.supervisor, RefCell::default());
+        let session = Session { settings, arguments: self.arguments, link: &self.link, supervisor, pages, reading };
         session.run(&mut self.service, &mut self.sinks, &mut self.clips)
     }
 
@@ -200,6 +218,15 @@ impl Show<'_> {
     }
 }
 
+/// Tells the user something: on standard output, or on stderr where records or events go there. Nobody need listen.
+fn say(arguments: &LiveArguments, line: &str) {
+    let line = format!("{}\n", printable(line));
+    let _ = match arguments.uses_stdout() {
+        true => io::stderr().write_all(line.as_bytes()),
+        false => io::stdout().write_all(line.as_bytes()).and_then(|()| io::stdout().flush()),
+    };
+}
+
 /// The server, which outlives sessions; it begins anew only where the config has another one.
 #[derive(Default)]
 struct Serving {
@@ -223,6 +250,10 @@ impl Serving {
             None => {
                 let run = Some((supervisor, arguments.page_dir()));
                 let pages = Pages::start(http, safety, Stamps::Live, run)?;
+                supervisor.set_page(http.map(|http| http.listen));
+                if let Some(listens) = pages.listens() {
+                    say(arguments, &format!("page: {}", page_address(listens)));
+                }
                 self.pages.insert((http.cloned(), pages))
             }
         };

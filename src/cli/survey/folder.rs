@@ -91,9 +91,10 @@ fn files(settings: &Settings, made: &Survey) -> std::io::Result<Vec<(String, Vec
         images: None,
         date: Some(utc::date(utc::now_s())),
         form: CalibrationForm::Stagepose,
+        notes: Vec::new(),
     };
     debug_assert_eq!(CALIBRATION, "camera.toml");
-    let shutter = (made.shutter != settings.shutter).then_some(made.shutter);
+    let shutter = (made.shutter != settings.shutter.or_zero()).then_some(made.shutter);
     settings.source.surveyed(&settings.first_as_typed, &surfaces, calibration.to_toml(), shutter)
 }
 

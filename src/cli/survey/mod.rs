@@ -14,6 +14,7 @@ use clap::{Args, ValueEnum};
 use super::calibrate::write_whole;
 use super::failure::Failure;
 use super::interrupt;
+use super::learnt::LearntArguments;
 use super::logging::{self, LogArguments};
 use super::output_file::print;
 use super::replay::progress::Progress;
@@ -59,6 +60,8 @@ pub(super) struct SurveyArguments {
     #[arg(long, value_name = "N", value_parser = super::replay::frames_per_second)]
     fps: Option<f64>,
     #[command(flatten)]
+    learnt: LearntArguments,
+    #[command(flatten)]
     log: LogArguments,
 }
 
@@ -77,7 +80,7 @@ enum Lens {
 /// Bad usage, a config or a clip that cannot be read, a walk that determines no stage, the verdict "do not use", an output that cannot be written.
 pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     let settings = Settings::load(&arguments.config)?;
-    logging::start(&arguments.log, settings.log);
+    logging::start_for_trials(&arguments.log, settings.log);
     let mut spared = arguments.clips.iter().fold(Spared::default(), |spared, clip| spared.with_clip(clip));
     spared.claim_whole_files(&[("--json", &arguments.json), ("--report", &arguments.report)])?;
     folder::refuse_unusable(&arguments.output)?;
@@ -87,6 +90,9 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
         |clip: &PathBuf| open_clip(clip, ClipOptions { fps: arguments.fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
     let open_all = || arguments.clips.iter().map(open).collect::<Result<Vec<_>, _>>();
     let sources = open_all()?;
+    for (clip, source) in arguments.clips.iter().zip(&sources) {
+        source.notes().iter().for_each(|note| tracing::warn!("{}: {note}", clip.display()));
+    }
     let size = sources[0].size();
     if let Some((clip, source)) = arguments.clips.iter().zip(&sources).find(|(_, source)| source.size() != size) {
         let (w, h) = source.size();
@@ -97,7 +103,9 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
             size.1
         )));
     }
-    let setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
+    let mut setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
+    let (learnt, _) = arguments.learnt.of(&arguments.clips[0])?;
+    setup.shutter.readout_s = setup.shutter.readout_s.or(learnt.readout.map(|readout| readout.seconds));
     let total = sources.iter().map(|source| source.rows()).sum::<Option<u64>>();
     let options = SurveyOptions { refines_lens: arguments.lens == Lens::Refine, constraints: settings.measured.clone() };
     let file = WalkFile::new(&arguments.output, &arguments.clips, &setup, &format!("{:?} {:?}", arguments.lens, arguments.fps));

@@ -125,6 +125,16 @@ pub enum Event {
         /// What is the matter, by how much, and what to do about it.
         text: String,
     },
+    /// The shutter is known now, by the frames; told once.
+    ShutterLearnt {
+        /// What it is.
+        text: String,
+    },
+    /// The frames contradict the configured readout; told once.
+    ShutterDiffers {
+        /// What they say, and what to do about it.
+        text: String,
+    },
     /// The safety limits began to hold a pose back.
     PoseWithheld {
         /// From this output,
@@ -254,6 +264,8 @@ impl Event {
             Self::Marked { text } => (Level::INFO, format!("marked: {text}")),
             Self::NotTracked { text, .. } => (Level::WARN, format!("not tracked: {text}")),
             Self::Tracked { after_ms } => (Level::INFO, format!("tracked after {after_ms:.0} ms")),
+            Self::ShutterLearnt { text } => (Level::INFO, text.clone()),
+            Self::ShutterDiffers { text } => (Level::WARN, text.clone()),
             Self::ModelDiffers { text, .. } => (Level::WARN, text.clone()),
             // The output's own warning has said it, at most once a minute.
             Self::PoseWithheld { output, body, reason } => {

@@ -10,8 +10,9 @@ use super::patience::Patience;
 use super::reader::{Arrived, Shared, Ticket, read};
 use super::{Event, LiveLink};
 use crate::camera::Shutter;
-use crate::capture::camera::{CameraMode, CameraOpener};
-use crate::capture::{ClipEntry, FrameSource, decode_picture};
+use crate::capture::camera::{CameraMode, CameraOpener, PixelLayout};
+use crate::capture::repeats::Repeats;
+use crate::capture::{ClipEntry, FrameSource, Received, decode_picture};
 use crate::drop_oldest::drop_oldest;
 
 /// Readers that may be left behind before the daemon only waits for one of them. Chosen, not tuned. Raised, a driver that hangs for good
@@ -29,6 +30,7 @@ pub struct LiveSource {
     left_behind: Vec<Arc<Ticket>>,
     nudged: bool,
     next_sequence: u64,
+    repeats: Repeats,
 }
 
 /// Stops a [`LiveSource`] from elsewhere.
@@ -49,7 +51,7 @@ impl LiveSource {
         let shared = Shared { opener, shutter, patience, link, stop, first_mode: Mutex::new(None), is_read, unstamped_said };
         let shared = Arc::new(shared);
         let (pictures, reader) = spawn(&shared);
-        Self { shared, pictures, reader, left_behind: Vec::new(), nudged: false, next_sequence: 0 }
+        Self { shared, pictures, reader, left_behind: Vec::new(), nudged: false, next_sequence: 0, repeats: Repeats::default() }
     }
 
     /// What the camera delivers, once it has been opened for the first time; looks after the reader meanwhile.
@@ -90,7 +92,15 @@ impl LiveSource {
         let sequence = self.next_sequence;
         self.next_sequence += 1;
         let (content, received) = decoded.content(mode.size, timestamp, sequence);
-        ClipEntry { sequence, timestamp, content, decode, received: Some(received) }
+        let repeats = match &received {
+            // A buffer may have other stale bytes behind the same picture.
+            Received::Jpeg(jpeg) => self.repeats.is_repeat(jpeg.to_vec()),
+            // Grey pictures may be those of a played clip, whose video repeats them where nothing
+            // moves.
+            Received::Raw if mode.layout != PixelLayout::Grey => self.repeats.is_repeat(picture.bytes),
+            _ => false,
+        };
+        ClipEntry { sequence, timestamp, content, decode, repeats, received: Some(received) }
     }
 
     /// Puts another reader in the place of one that is gone or stays blocked; interrupts one that is blocked before that.

@@ -11,6 +11,7 @@ use crate::capture::camera::CameraMode;
 use crate::capture::timestamping::monotonic_now;
 use crate::config::ConfigSource;
 use crate::frame::Timestamp;
+use crate::track::LearntCamera;
 use crate::utc;
 
 /// What a clip says of itself.
@@ -30,6 +31,9 @@ struct ClipToml<'a> {
     begun_utc: String,
     /// Replay with this config.
     config: &'a str,
+    /// What was known of the camera before the first row.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    learnt: Option<String>,
     clock: Clock,
     camera: Camera<'a>,
 }
@@ -54,8 +58,17 @@ struct Camera<'a> {
 }
 
 impl AboutClip {
-    /// Writes clip.toml and config/ into a clip.
-    pub fn write(&self, clip: &Path, disk: &mut dyn Disk) -> io::Result<()> {
+    /// Writes clip.toml and config/ into a clip. `learnt`: what was known of the camera before its first row.
+    pub fn write(&self, clip: &Path, learnt: &LearntCamera, disk: &mut dyn Disk) -> io::Result<()> {
+        self.write_about(clip, learnt, disk)?;
+        let config = clip.join("config");
+        disk.make_folder(&config)?;
+        let files = self.config.copy((self.exposure_s > 0.0).then_some(self.exposure_s))?;
+        files.iter().try_for_each(|(name, bytes)| disk.write_file(&config.join(name), bytes))
+    }
+
+    /// Writes clip.toml alone.
+    pub fn write_about(&self, clip: &Path, learnt: &LearntCamera, disk: &mut dyn Disk) -> io::Result<()> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let clock = Clock { monotonic_ns: monotonic_now(), utc_ns: i64::try_from(now.as_nanos()).unwrap_or(i64::MAX) };
         let CameraMode { name, size: (width, height), layout, fps, exposure_s, controls, notes: _ } = &self.camera;
@@ -65,14 +78,11 @@ impl AboutClip {
             program: format!("stagepose {}", env!("CARGO_PKG_VERSION")),
             begun_utc: utc::date_and_time(now.as_secs()),
             config: "config/stage.toml",
+            learnt: (!learnt.is_empty()).then(|| String::from_utf8_lossy(&learnt.to_bytes()).into_owned()),
             clock,
             camera,
         };
         let text = toml::to_string(&about).map_err(io::Error::other)?;
-        disk.write_file(&clip.join("clip.toml"), text.as_bytes())?;
-        let config = clip.join("config");
-        disk.make_folder(&config)?;
-        let files = self.config.copy((self.exposure_s > 0.0).then_some(self.exposure_s))?;
-        files.iter().try_for_each(|(name, bytes)| disk.write_file(&config.join(name), bytes))
+        disk.write_file(&clip.join("clip.toml"), text.as_bytes())
     }
 }

@@ -11,6 +11,7 @@ use super::disk::Disk;
 use crate::daemon::live::{Event, StampedEvent};
 use crate::frame::Timestamp;
 use crate::safe_file::first_taken;
+use crate::track::LearntCamera;
 use crate::utc;
 
 /// A row as it is kept.
@@ -20,6 +21,8 @@ pub(super) struct Recorded {
     pub picture: Picture,
     /// The C3 record, without the line end.
     pub line: String,
+    /// What was known of the camera before this row.
+    pub learnt: LearntCamera,
 }
 
 /// What is kept of a picture.

@@ -15,17 +15,26 @@ pub trait Disk: Send {
     fn write_file(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()>;
     /// Appends to a file, whole or not at all.
     fn append(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()>;
-    /// Brings appended lines to the medium.
+    /// Brings lines that were appended since the last call to the medium.
     fn sync(&mut self);
-    /// Forgets files below a folder that is about to be moved or removed.
+    /// Closes the files below a folder that is finished, or about to be moved or removed.
     fn let_go(&mut self, folder: &Path);
 }
 
 /// The machine's disk.
 #[derive(Debug, Default)]
 pub struct RealDisk {
-    /// Files that are appended to, with their length.
-    open: HashMap<PathBuf, (File, u64)>,
+    /// Files that are appended to.
+    open: HashMap<PathBuf, Appended>,
+}
+
+/// A file that is appended to.
+#[derive(Debug)]
+struct Appended {
+    file: File,
+    length: u64,
+    /// Whether lines were appended since the last sync.
+    is_dirty: bool,
 }
 
 /// An error with the file that it is about.
@@ -46,22 +55,25 @@ impl Disk for RealDisk {
         if !self.open.contains_key(file) {
             let opened = OpenOptions::new().create(true).append(true).open(file).map_err(at(file))?;
             let length = opened.metadata().map_err(at(file))?.len();
-            self.open.insert(file.to_owned(), (opened, length));
+            self.open.insert(file.to_owned(), Appended { file: opened, length, is_dirty: false });
         }
-        let Some((opened, length)) = self.open.get_mut(file) else { return Ok(()) };
-        if let Err(e) = opened.write_all(bytes) {
-            let _ = opened.set_len(*length);
+        let Some(open) = self.open.get_mut(file) else { return Ok(()) };
+        open.is_dirty = true;
+        if let Err(e) = open.file.write_all(bytes) {
+            let _ = open.file.set_len(open.length);
             return Err(at(file)(e));
         }
-        *length += bytes.len() as u64;
+        open.length += bytes.len() as u64;
         Ok(())
     }
 
     fn sync(&mut self) {
-        self.open.values().for_each(|(file, _)| {
-            // What cannot be synced will fail to be written next.
-            let _ = file.sync_data();
-        });
+        for open in self.open.values_mut() {
+            if std::mem::take(&mut open.is_dirty) {
+                // What cannot be synced will fail to be written next.
+                let _ = open.file.sync_data();
+            }
+        }
     }
 
     fn let_go(&mut self, folder: &Path) {

@@ -23,10 +23,12 @@ pub use clip_folder::{new_clip_name, parts, taken_by_earlier};
 pub use disk::{Disk, RealDisk};
 
 use super::live::{Event, LiveLink, StampedEvent};
+use super::unwritten;
 use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, Received};
 use crate::record::PoseSample;
 use crate::telemetry::RecorderState;
+use crate::track::LearntCamera;
 use clip_folder::{ClipFolder, Picture, Recorded};
 use ring::Ring;
 
@@ -148,10 +150,24 @@ impl Recorder {
     }
 }
 
+/// Whether recordings below this folder may be written, as far as the system says before any is.
+///
+/// # Errors
+/// What the system says of the folder, or of the nearest one above it that is there.
+pub fn may_record(folder: &Path) -> std::io::Result<()> {
+    let mut file = folder.join("recording");
+    while let Some(above) = file.parent().filter(|above| !above.as_os_str().is_empty() && above.symlink_metadata().is_err()) {
+        file = above.to_owned();
+    }
+    crate::safe_file::may_write(&file)
+}
+
 fn begin_clip(folder: &Path, about: &AboutClip, disk: &mut dyn Disk) -> std::io::Result<ClipFolder> {
-    let clip = ClipFolder::create(folder, disk)?;
-    about.write(folder, disk)?;
-    Ok(clip)
+    let begun = ClipFolder::create(folder, disk).and_then(|clip| about.write(folder, &LearntCamera::default(), disk).map(|()| clip));
+    if begun.is_err() {
+        disk.let_go(folder);
+    }
+    begun
 }
 
 /// What is kept of a row.
@@ -162,7 +178,7 @@ fn recorded(row: &ClipEntry, sample: &PoseSample) -> Recorded {
         (_, EntryContent::Frame(frame)) => Picture::Grey(frame.image.clone()),
         (_, EntryContent::Undecodable(_) | EntryContent::Skipped(_)) => Picture::Nothing,
     };
-    Recorded { timestamp: row.timestamp, picture, line: sample.to_json_line() }
+    Recorded { timestamp: row.timestamp, picture, line: sample.to_json_line(), learnt: sample.learnt }
 }
 
 /// The recorder's thread.
@@ -207,7 +223,6 @@ impl Work {
         }
         events.try_iter().for_each(|event| self.event(event));
         self.finish_clip();
-        self.disk.sync();
         if self.link.statistics.recorder() == RecorderState::Recording {
             self.link.statistics.set_recorder(RecorderState::Off);
         }
@@ -216,12 +231,15 @@ impl Work {
 
     fn row(&mut self, row: &Recorded) {
         self.queue.bytes.fetch_sub(row.bytes(), Ordering::Relaxed);
-        let to_clip = self.clip.as_mut().map_or(Ok(()), |clip| clip.push(row, &mut *self.disk));
+        // What was known before the first row is known once that comes.
+        let is_first = self.clip.as_ref().filter(|clip| clip.rows() == 0 && !row.learnt.is_empty()).map(|clip| clip.folder.clone());
+        let begun = is_first.map_or(Ok(()), |folder| self.plan.about.write_about(&folder, &row.learnt, &mut *self.disk));
+        let to_clip = begun.and(self.clip.as_mut().map_or(Ok(()), |clip| clip.push(row, &mut *self.disk)));
         let to_ring = self.ring.as_mut().map_or(Ok(()), |ring| ring.push(row, &mut *self.disk));
         match to_clip.and(to_ring) {
             Ok(()) if self.clip.is_some() || self.ring.is_some() => self.link.statistics.recorded.add(1),
             Ok(()) => {}
-            Err(e) => self.stop(&format!("{e}; make room on the disk, then start again or send SIGHUP")),
+            Err(e) => self.stop(&format!("{}, then start again or send SIGHUP", unwritten(&e))),
         }
     }
 
@@ -229,7 +247,7 @@ impl Work {
         if let Some(clip) = &mut self.clip
             && let Err(e) = clip.event(&event, &mut *self.disk)
         {
-            self.stop(&format!("{e}; make room on the disk, then start again or send SIGHUP"));
+            self.stop(&format!("{}, then start again or send SIGHUP", unwritten(&e)));
         }
         if self.ring.is_some() {
             self.recent.truncate(RECENT_EVENTS);
@@ -247,13 +265,15 @@ impl Work {
                 self.link.statistics.set_recorder(RecorderState::Recording);
                 self.link.events.publish(Event::RecorderStarted { clip: folder.display().to_string() });
             }
-            Err(e) => self.link.events.publish(Event::RecorderStopped { reason: format!("{e}; make room on the disk, then start again") }),
+            Err(e) => {
+                self.link.statistics.set_recorder(RecorderState::Stopped);
+                self.link.events.publish(Event::RecorderStopped { reason: format!("{}, then start again", unwritten(&e)) });
+            }
         }
     }
 
     fn end(&mut self) {
         self.finish_clip();
-        self.clip = None;
         let is_wanted = self.ring.is_some();
         self.queue.wanted.store(is_wanted, Ordering::Relaxed);
         if !is_wanted {
@@ -261,18 +281,31 @@ impl Work {
         }
     }
 
-    /// Writes a recording's last line: who reads it later knows that nothing is missing.
+    /// Writes a recording's last line, so that a later reader knows that nothing is missing, and closes its files.
     fn finish_clip(&mut self) {
         let Some(clip) = &self.clip else { return };
         let event = Event::RecorderFinished { clip: clip.folder.display().to_string(), frames: clip.rows() };
         self.link.events.publish(event.clone());
         self.event(StampedEvent { timestamp: monotonic_now(), event });
+        if let Some(clip) = self.clip.take() {
+            self.close(&clip.folder);
+        }
+    }
+
+    /// Brings a finished clip's files to the medium and closes them.
+    fn close(&mut self, clip: &Path) {
+        self.disk.sync();
+        self.disk.let_go(clip);
     }
 
     /// Gives up; what is written stays a good clip.
     fn stop(&mut self, reason: &str) {
-        if self.clip.take().is_none() & self.ring.take().is_none() {
+        let (clip, ring) = (self.clip.take(), self.ring.take());
+        if clip.is_none() && ring.is_none() {
             return;
+        }
+        for folder in clip.into_iter().map(|clip| clip.folder).chain(ring.map(Ring::into_folder)) {
+            self.close(&folder);
         }
         self.stopped = Some(reason.to_owned());
         self.link.statistics.set_recorder(RecorderState::Stopped);
@@ -286,15 +319,16 @@ impl Work {
             return;
         }
         let clip = new_clip_name(folder);
-        let saved = ring.save(&clip, &mut *self.disk).and_then(|first| {
-            self.plan.about.write(&clip, &mut *self.disk)?;
+        let saved = ring.save(&clip, &mut *self.disk).and_then(|(first, learnt)| {
+            self.plan.about.write(&clip, &learnt, &mut *self.disk)?;
             let mut saved = ClipFolder::of(&clip);
             let since = self.recent.iter().rev().filter(|e| e.timestamp >= first);
             since.into_iter().try_for_each(|event| saved.event(event, &mut *self.disk))
         });
+        self.close(&clip);
         match saved {
             Ok(()) => self.link.events.publish(Event::RingSaved { clip: clip.display().to_string() }),
-            Err(e) => self.stop(&format!("the ring cannot be saved: {e}; make room on the disk")),
+            Err(e) => self.stop(&format!("the ring cannot be saved: {}", unwritten(&e))),
         }
     }
 }

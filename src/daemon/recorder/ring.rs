@@ -9,10 +9,12 @@ use std::path::{Path, PathBuf};
 use super::clip_folder::{ClipFolder, INDEX_HEAD, Recorded};
 use super::disk::Disk;
 use crate::frame::Timestamp;
+use crate::track::LearntCamera;
 
 struct Segment {
     clip: ClipFolder,
     first: Timestamp,
+    learnt: LearntCamera,
 }
 
 /// A ring of short clips.
@@ -26,17 +28,41 @@ pub(super) struct Ring {
 /// Segments that make up the wanted time. The ring is longer by up to one of them. Raised, it is cut more closely and more folders are made
 /// and removed.
 const SEGMENTS: i64 = 8;
+/// The file that marks a folder as a ring of this program: only such a folder is moved or removed.
+const MARK: &str = ".stagepose-ring";
+
+/// Whether a folder may be moved and removed: it has the mark, or nothing is in it. A link is no folder.
+fn is_own(folder: &Path) -> io::Result<bool> {
+    if !folder.symlink_metadata()?.is_dir() {
+        return Ok(false);
+    }
+    Ok(folder.join(MARK).symlink_metadata().is_ok() || std::fs::read_dir(folder)?.next().is_none())
+}
+
+/// Refuses a path that is there and is no ring of this program.
+fn refuse_foreign(folder: &Path) -> io::Result<()> {
+    match is_own(folder) {
+        Ok(true) => Ok(()),
+        Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(()),
+        Err(e) => Err(e),
+        Ok(false) => Err(io::Error::other(format!(
+            "{} is there and is no ring of stagepose, so it is left alone; move it away, or give another folder in [recorder]",
+            folder.display()
+        ))),
+    }
+}
 
 impl Ring {
     /// Begins in `folder`/ring; what a killed daemon left there is kept as `folder`/ring-before, once.
     pub fn create(folder: &Path, seconds: f64, disk: &mut dyn Disk) -> io::Result<Self> {
-        let ring = folder.join("ring");
+        let (ring, before) = (folder.join("ring"), folder.join("ring-before"));
+        [&ring, &before].into_iter().try_for_each(|folder| refuse_foreign(folder))?;
         if ring.exists() {
-            let before = folder.join("ring-before");
             let _ = std::fs::remove_dir_all(&before);
             std::fs::rename(&ring, &before)?;
         }
         disk.make_folder(&ring)?;
+        disk.write_file(&ring.join(MARK), b"")?;
         Ok(Self { folder: ring, length_ns: (seconds * 1e9) as i64, segments: VecDeque::new(), made: 0 })
     }
 
@@ -46,7 +72,7 @@ impl Ring {
         if self.segments.back().is_none_or(|s| age(s) >= self.length_ns / SEGMENTS) {
             let clip = ClipFolder::create(&self.folder.join(format!("{:08}", self.made)), disk)?;
             self.made += 1;
-            self.segments.push_back(Segment { clip, first: row.timestamp });
+            self.segments.push_back(Segment { clip, first: row.timestamp, learnt: row.learnt });
         }
         // The oldest may go when those behind it reach back far enough.
         while self.segments.get(1).is_some_and(|second| age(second) >= self.length_ns) {
@@ -58,15 +84,20 @@ impl Ring {
         self.segments.back_mut().map_or(Ok(()), |newest| newest.clip.push(row, disk))
     }
 
+    /// Ends it; gives its folder.
+    pub fn into_folder(self) -> PathBuf {
+        self.folder
+    }
+
     /// Whether there is nothing to save.
     pub fn is_empty(&self) -> bool {
         self.segments.is_empty()
     }
 
-    /// Moves what is there into a clip of its own and begins anew; gives the first row's stamp.
-    pub fn save(&mut self, clip: &Path, disk: &mut dyn Disk) -> io::Result<Timestamp> {
+    /// Moves what is there into a clip of its own and begins anew; gives the first row's stamp, and what was known of the camera before it.
+    pub fn save(&mut self, clip: &Path, disk: &mut dyn Disk) -> io::Result<(Timestamp, LearntCamera)> {
         disk.make_folder(&clip.join("frames"))?;
-        let first = self.segments.front().map(|s| s.first).unwrap_or_default();
+        let first = self.segments.front().map(|s| (s.first, s.learnt)).unwrap_or_default();
         let (mut index, mut poses) = (INDEX_HEAD.to_vec(), Vec::new());
         for segment in std::mem::take(&mut self.segments) {
             let from = &segment.clip.folder;

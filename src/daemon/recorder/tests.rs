@@ -58,7 +58,7 @@ fn row(sequence: u64) -> (ClipEntry, PoseSample) {
     };
     let mut sample = PoseSample::stale(sequence, timestamp, 0.0);
     sample.state = crate::record::State::Searching;
-    (ClipEntry { sequence, timestamp, content, decode: Duration::ZERO, received: Some(Received::Raw) }, sample)
+    (ClipEntry { sequence, timestamp, content, decode: Duration::ZERO, repeats: false, received: Some(Received::Raw) }, sample)
 }
 
 /// Records rows and ends, or leaves the recorder as a killed process would.
@@ -198,6 +198,123 @@ fn a_saved_ring_has_the_config_that_ran_whatever_became_of_the_file() {
     drop(observe);
     recorder.finish();
     let is = crate::config::Settings::load(&Path::new(&saved).join("config/stage.toml")).unwrap();
-    assert_eq!((is.camera, is.shutter.exposure_s), (was.camera, 0.0083));
+    assert_eq!((is.camera, is.shutter.exposure_s), (was.camera, Some(0.0083)));
     assert_eq!(is.stage.surfaces[0].artwork, was.stage.surfaces[0].artwork);
+}
+
+#[test]
+fn a_recording_says_what_was_known_of_the_camera_before_its_first_row() {
+    let folder = tempfile::tempdir().unwrap();
+    let clip = folder.path().join("take");
+    let link = LiveLink::default();
+    let plan = RecorderPlan { clip: Some(clip.clone()), ring: Some((folder.path().to_owned(), 2.0)), about: about() };
+    let recorder = Recorder::start(plan, &link, Box::<RealDisk>::default()).unwrap();
+    let events = link.events.listen();
+    let mut observe = recorder.observer();
+    for n in 0..100 {
+        let (row, mut sample) = row(n);
+        sample.learnt.readout = Some(crate::track::LearntTime { seconds: 1e-3 * (1.0 + n as f64), sigma_s: 1e-4 });
+        observe(&row, &sample);
+    }
+    recorder.saver()();
+    let saved = events.iter().find_map(|e| if let Event::RingSaved { clip } = e.event { Some(clip) } else { None }).unwrap();
+    drop(observe);
+    recorder.finish();
+    let known = |clip: &Path| crate::daemon::learnt_of_clip(clip).unwrap().readout.unwrap().seconds;
+    assert_eq!(known(&clip), 1e-3);
+    let first = stamps_of(Path::new(&saved))[0] / 100_000_000;
+    assert!(first > 50, "{first}");
+    assert_eq!(known(Path::new(&saved)), 1e-3 * (1.0 + first as f64));
+}
+
+/// Descriptors of this process that are open below a folder.
+fn open_below(folder: &Path) -> usize {
+    let links = std::fs::read_dir("/proc/self/fd").unwrap().flatten().filter_map(|fd| std::fs::read_link(fd.path()).ok());
+    links.filter(|to| to.starts_with(folder)).count()
+}
+
+#[test]
+fn saved_rings_and_ended_recordings_leave_no_file_open() {
+    // Far above the files that a process may have open on small systems, where two stay open each time.
+    const TIMES: u64 = 200;
+    let folder = tempfile::tempdir().unwrap();
+    let link = LiveLink::default();
+    let plan = RecorderPlan { clip: None, ring: Some((folder.path().to_owned(), 2.0)), about: about() };
+    let recorder = Recorder::start(plan, &link, Box::<RealDisk>::default()).unwrap();
+    let events = link.events.listen();
+    let mut observe = recorder.observer();
+    let mut rows = 0..;
+    let mut some_rows = || {
+        for n in rows.by_ref().take(3) {
+            let (row, sample) = row(n);
+            observe(&row, &sample);
+        }
+    };
+    let wait_for = |is_it: fn(&Event) -> bool| assert!(events.iter().any(|e| is_it(&e.event)), "the recorder ended");
+    let mut open = Vec::new();
+    for k in 0..TIMES {
+        some_rows();
+        recorder.saver()();
+        wait_for(|e| matches!(e, Event::RingSaved { .. }));
+        recorder.begin(folder.path().join(format!("take-{k}")));
+        some_rows();
+        recorder.end();
+        wait_for(|e| matches!(e, Event::RecorderFinished { .. }));
+        // The next job begins when this one's files are closed.
+        recorder.begin(folder.path().join("take-0"));
+        wait_for(|e| matches!(e, Event::RecorderStopped { .. }));
+        open.push(open_below(folder.path()));
+    }
+    drop(observe);
+    recorder.finish();
+    assert!(open.iter().all(|n| *n <= 2), "files of one ring segment at most: {open:?}");
+    assert_eq!(open_below(folder.path()), 0);
+}
+
+#[test]
+fn a_recording_that_is_given_up_leaves_no_file_open() {
+    let folder = tempfile::tempdir().unwrap();
+    let config: usize = about().config.copy(None).unwrap().iter().map(|(_, bytes)| bytes.len()).sum();
+    let plan = RecorderPlan { clip: Some(folder.path().join("take")), ring: Some((folder.path().to_owned(), 2.0)), about: about() };
+    let link = LiveLink::default();
+    let disk = SmallDisk { disk: RealDisk::default(), left: config + 2000 };
+    let recorder = Recorder::start(plan, &link, Box::new(disk)).unwrap();
+    let (events, mut observe) = (link.events.listen(), recorder.observer());
+    for n in 0..100 {
+        let (row, sample) = row(n);
+        observe(&row, &sample);
+    }
+    assert!(events.iter().any(|e| matches!(e.event, Event::RecorderStopped { .. })));
+    assert_eq!(open_below(folder.path()), 0);
+    drop(observe);
+    recorder.finish();
+}
+
+#[test]
+fn only_a_ring_of_its_own_is_moved_and_removed() {
+    let create = |folder: &Path| ring::Ring::create(folder, 2.0, &mut RealDisk::default()).map(drop);
+    for name in ["ring", "ring-before"] {
+        let folder = tempfile::tempdir().unwrap();
+        let foreign = folder.path().join(name);
+        std::fs::create_dir(&foreign).unwrap();
+        std::fs::write(foreign.join("wedding.jpg"), "kept").unwrap();
+        for _ in 0..3 {
+            let said = create(folder.path()).unwrap_err().to_string();
+            assert!(said.contains(name) && said.contains("no ring of stagepose") && said.contains("[recorder]"), "{said}");
+        }
+        assert_eq!(std::fs::read_to_string(foreign.join("wedding.jpg")).unwrap(), "kept");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+    // A link to somebody's folder, and a file, are left alone too.
+    let folder = tempfile::tempdir().unwrap();
+    std::os::unix::fs::symlink("/tmp", folder.path().join("ring")).unwrap();
+    assert!(create(folder.path()).is_err());
+    // An empty folder, and what a killed daemon left, are taken over each time.
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("ring")).unwrap();
+    for round in 0..3 {
+        create(folder.path()).unwrap();
+        std::fs::write(folder.path().join("ring/left"), round.to_string()).unwrap();
+    }
+    assert_eq!(std::fs::read_to_string(folder.path().join("ring-before/left")).unwrap(), "1");
 }

@@ -1,5 +1,6 @@
 //! The zip of a report, written from its first byte to its last: to a file, or to who downloads it.
 
+use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::Path;
 
@@ -35,9 +36,18 @@ impl<W: Write> Bundle<W> {
 
     /// Adds a file; one that cannot be read leaves a sentence in its place.
     pub fn add_file(&mut self, name: &str, file: &Path) -> io::Result<()> {
+        self.add_opened(name, file, || safe_file::open(file))
+    }
+
+    /// As [`add_file`](Self::add_file), for a file below a folder; no link below the folder is followed.
+    pub fn add_below(&mut self, name: &str, folder: &Path, file: &Path) -> io::Result<()> {
+        self.add_opened(name, &folder.join(file), || safe_file::open_below(folder, file))
+    }
+
+    fn add_opened(&mut self, name: &str, file: &Path, open: impl FnOnce() -> io::Result<File>) -> io::Result<()> {
         let read = || -> io::Result<Vec<u8>> {
             let mut bytes = Vec::new();
-            safe_file::open(file)?.take(MOST_BYTES).read_to_end(&mut bytes)?;
+            open()?.take(MOST_BYTES).read_to_end(&mut bytes)?;
             Ok(bytes)
         };
         match read() {

@@ -50,18 +50,18 @@ impl Recording {
     pub(super) fn add<W: Write>(&self, bundle: &mut Bundle<W>, picture_seconds: Option<f64>) -> io::Result<()> {
         let Self { name, folder } = self;
         for text in TEXTS.iter().filter(|text| folder.join(text).exists()) {
-            bundle.add_file(&format!("{name}/{text}"), &folder.join(text))?;
+            bundle.add_below(&format!("{name}/{text}"), folder, Path::new(text))?;
         }
         bundle.add(&format!("{name}/summary.json"), self.summary())?;
         for picture in picture_seconds.map(|seconds| self.last_pictures(seconds)).unwrap_or_default() {
-            bundle.add_file(&format!("{name}/frames/{picture}"), &folder.join("frames").join(&picture))?;
+            bundle.add_below(&format!("{name}/frames/{picture}"), folder, &Path::new("frames").join(&picture))?;
         }
         Ok(())
     }
 
     /// Names of the pictures within so long before the clip's end.
     pub fn last_pictures(&self, seconds: f64) -> Vec<String> {
-        let Ok(file) = safe_file::open(&self.folder.join("timestamps.csv")) else { return Vec::new() };
+        let Ok(file) = safe_file::open_below(&self.folder, Path::new("timestamps.csv")) else { return Vec::new() };
         let rows = read_timestamps(file).unwrap_or_default();
         let stamped: Vec<(Timestamp, String)> = rows.into_iter().filter_map(|row| Some((row.stamp.ok()?, row.file))).collect();
         let Some(end) = stamped.iter().map(|(stamp, _)| *stamp).max() else { return Vec::new() };
@@ -74,7 +74,7 @@ impl Recording {
     /// How often each state was said.
     fn summary(&self) -> String {
         let mut states: BTreeMap<String, u64> = BTreeMap::new();
-        let records = safe_file::open(&self.folder.join("poses.jsonl")).map(BufReader::new);
+        let records = safe_file::open_below(&self.folder, Path::new("poses.jsonl")).map(BufReader::new);
         // An hour's records do not fit into memory, and what follows after a line that cannot be read is not known.
         for line in records.into_iter().flat_map(BufRead::lines).map_while(Result::ok) {
             let record: Option<serde_json::Value> = serde_json::from_str(&line).ok();

@@ -9,18 +9,21 @@
 //! | size | its shorter side in the frame | features and tiles have no room |
 //! | corners | features that are recognised in a view from the side | it is not found |
 //! | variety | the share of features that are taken for others there | it is found one tile further, and refused |
+//! | one of its kind | features that differ from what is a period aside, where it repeats itself | nothing tells which of its copies is seen |
 //! | detail | cells in which edges run both ways | it is lost behind a person, and its tilt is unsure |
 //! | sharpness | how far off the noise leaves its place in the frame | poses scatter |
 //! | other pictures | features that no other surface has | it is taken for another |
 //!
 //! The steps were set by what the tracker does with graded pictures on the virtual stage (`ratings_order_pictures_by_what_the_tracker_does_with_them`).
 
+mod repeated;
 mod strength_map;
 
 use std::fmt;
 
 use image::{GrayImage, imageops};
 
+use repeated::Copies;
 pub use strength_map::StrengthMap;
 
 use crate::camera::CameraModel;
@@ -101,6 +104,8 @@ pub enum Weakness {
     FewCorners(usize),
     /// Its corners resemble each other: share of those that are taken for others from the side.
     Repetitive(f64),
+    /// It repeats itself: how far from each other its copies are, metres.
+    Repeats(f64),
     /// Much of it is plain: share of its cells.
     Plain(f64),
     /// Its edges are soft or faint: one sigma of its place in the frame, pixels.
@@ -134,6 +139,13 @@ impl fmt::Display for Weakness {
             Self::Repetitive(share) => {
                 write!(f, "{:.0} % of its corners look like others of its own: break the pattern, each part should differ", 100.0 * share)
             }
+            Self::Repeats(apart_m) => {
+                let apart = if *apart_m < 1.0 { format!("{:.0} cm", 100.0 * apart_m) } else { format!("{apart_m:.1} m") };
+                write!(
+                    f,
+                    "it repeats itself every {apart}, so that nothing tells which of its copies is seen: give it parts that are there once"
+                )
+            }
             Self::Plain(share) => write!(f, "{:.0} % of it is plain: spread the detail", 100.0 * share),
             Self::Soft(px) => write!(f, "its edges are soft or faint (its place is known to {px:.3} pixels): give it more contrast"),
             Self::Like { other: [body, surface], share } => {
@@ -152,6 +164,8 @@ struct Seen {
     /// Those of the picture at a size at which pictures are compared, whatever size they are seen at.
     compared: Vec<Feature>,
     recognised: Recognised,
+    /// How far from each other its copies are, metres, where it repeats itself.
+    apart_m: Option<f64>,
 }
 
 /// What becomes of a picture's corners in a view from the side, the mean of several.
@@ -161,6 +175,8 @@ struct Recognised {
     right: f64,
     /// How many are taken for others of the same picture.
     wrong: f64,
+    /// Of those that are recognised, how many the picture has once: all of them where it does not repeat itself.
+    once: f64,
 }
 
 impl Recognised {
@@ -189,8 +205,10 @@ pub fn rate(stage: &BodySpec, objects: &[BodySpec], camera: &CameraModel) -> Vec
                 ExtractorOptions { count: FEATURES, least_threshold: LEAST_CONTRAST, levels: 16, area_power: 0.35, ..Default::default() };
             extractor.extract(&picture, None, &options, &workers, &mut features);
             extractor.extract(&same_size, None, &options, &workers, &mut compared);
-            let recognised = recognised(&picture, &features, &options, &mut extractor, &workers);
-            Seen { body, names: [of.name.clone(), surface.name.clone()], picture, features, compared, recognised }
+            let copies = Copies::of(&picture);
+            let recognised = recognised(&picture, &features, &copies, &options, &mut extractor, &workers);
+            let apart_m = copies.apart_px().map(|px| px * surface.size_m[0] / f64::from(picture.width()));
+            Seen { body, names: [of.name.clone(), surface.name.clone()], picture, features, compared, recognised, apart_m }
         })
         .collect();
     (0..all.len()).map(|k| rating(&all, k, &workers)).collect()
@@ -234,6 +252,7 @@ fn matched(seen: &[Feature], index: &ReferenceIndex, ratio: f32, workers: &Worke
 fn recognised(
     picture: &GrayImage,
     own: &[Feature],
+    copies: &Copies,
     options: &ExtractorOptions,
     extractor: &mut FeatureExtractor,
     workers: &Workers,
@@ -249,12 +268,14 @@ fn recognised(
         (seen.position - own.position).norm() < RIGHT_PX * seen.scale.max(own.scale)
     };
     let right = matches.iter().filter(is_right).count();
+    let is_there_once: Vec<bool> = own.iter().map(|feature| !copies.has(picture, feature)).collect();
+    let once = matches.iter().filter(is_right).filter(|m| is_there_once[m.reference as usize]).count();
     let of_a_view = |n: usize| n as f64 / TRIED.count as f64;
-    Recognised { right: of_a_view(right), wrong: of_a_view(matches.len() - right) }
+    Recognised { right: of_a_view(right), wrong: of_a_view(matches.len() - right), once: of_a_view(once) }
 }
 
 fn rating(all: &[Seen], own: usize, workers: &Workers) -> Rating {
-    let Seen { body, names, picture, features, recognised, .. } = &all[own];
+    let Seen { body, names, picture, features, recognised, apart_m, .. } = &all[own];
     let distinct_features = distinct(features, &[], workers);
     let alone = distinct(&all[own].compared, &[], workers).len();
     let share_with = |other: usize| 1.0 - distinct(&all[own].compared, &all[other].compared, workers).len() as f64 / alone as f64;
@@ -275,6 +296,7 @@ fn rating(all: &[Seen], own: usize, workers: &Workers) -> Rating {
         (by_ratio(1.0 - share_plain, DETAILED), Weakness::Plain(share_plain)),
         (by_ratio(sigma_px, SIGMA_PX), Weakness::Soft(sigma_px)),
     ];
+    asked.extend(apart_m.map(|apart_m| (by_ratio(recognised.once, CORNERS), Weakness::Repeats(apart_m))));
     if let Some((other, share)) = like {
         // On one body the other features still tell: it costs at most half.
         let least = if all[other].body == *body { 0.5 * f64::from(BEST) } else { 0.0 };

@@ -68,8 +68,48 @@ fn a_pattern_that_repeats_is_named() {
     for art in [chessboard(50), chessboard(25), tiles] {
         let rating = alone(&art);
         assert!(rating.stars <= POOR, "{}: {}", rating.stars, said(&rating));
-        assert!(matches!(rating.weaknesses.first(), Some(Weakness::Repetitive(share)) if *share > 0.5), "{}", said(&rating));
+        assert!(rating.weaknesses.iter().any(|w| matches!(w, Weakness::Repetitive(share) if *share > 0.5)), "{}", said(&rating));
+        assert!(rating.weaknesses.iter().any(|w| matches!(w, Weakness::Repeats(_))), "{}", said(&rating));
     }
+}
+
+/// Equal squares in rows, as a photograph has them: uneven light, a little soft, with noise, and a margin of something else around them.
+fn photographed_squares(margin: u32) -> GrayImage {
+    let (mut art, mut state) = (painted_once().clone(), 5_u32);
+    let squares =
+        imageops::blur(&GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| Luma([if x % 80 < 40 && y % 80 < 40 { 30 } else { 220 }])), 1.5);
+    for (x, y, pixel) in art.enumerate_pixels_mut() {
+        let is_inside = (margin..SIZE.0 - margin).contains(&x) && (margin..SIZE.1 - margin).contains(&y);
+        if is_inside {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let light = 0.6 + 0.4 * f64::from(x) / f64::from(SIZE.0);
+            let noise = f64::from(state >> 24) / 32.0 - 4.0;
+            *pixel = Luma([(f64::from(squares.get_pixel(x, y)[0]) * light + noise).clamp(0.0, 255.0) as u8]);
+        }
+    }
+    art
+}
+
+#[test]
+fn squares_in_rows_repeat_themselves_whatever_noise_makes_of_them() {
+    for margin in [0, 12] {
+        let rating = alone(&photographed_squares(margin));
+        println!("margin {margin}: {} of 5; {}", rating.stars, said(&rating));
+        assert!(rating.stars <= 2, "margin {margin}: {}: {}", rating.stars, said(&rating));
+        let apart = rating.weaknesses.iter().find_map(|w| if let Weakness::Repeats(m) = w { Some(*m) } else { None });
+        assert!(apart.is_some_and(|m| (m - 0.4).abs() < 0.03), "margin {margin}: {}", said(&rating));
+    }
+}
+
+#[test]
+fn a_picture_amidst_stripes_is_there_once() {
+    let stripes = GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| match (150..650).contains(&x) && (100..500).contains(&y) {
+        true => *painted_once().get_pixel(x, y),
+        false => Luma([if x % 50 < 25 { 210 } else { 50 }]),
+    });
+    let rating = alone(&stripes);
+    assert!(rating.stars >= 3, "{}: {}", rating.stars, said(&rating));
+    assert!(!alone(painted_once()).weaknesses.iter().any(|w| matches!(w, Weakness::Repeats(_))));
 }
 
 #[test]

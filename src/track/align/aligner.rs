@@ -10,14 +10,14 @@ use super::frame_problem::{Buffers, FrameProblem};
 use super::level_problem::patches::Patch;
 use super::level_problem::solution::UsedPixel;
 use super::level_spec::LevelSpec;
-use super::shutter_clue::ShutterClue;
+use super::shutter_clue::{ReadoutQuestion, ShutterClue};
 use super::slow_estimates::{Lessons, SlowEstimates};
 use super::tile_grid::MOST_TILES;
 use super::verdict::Alignment;
 use super::{AlignSurface, CameraRays, distance_m};
 use crate::camera::Shutter;
 use crate::geometry::{Body, Camera, Pose};
-use crate::motion::MotionEstimate;
+use crate::motion::{Motion, MotionError, MotionEstimate};
 use crate::track::reference::PreparedBody;
 use crate::track::surface::SurfaceSpec;
 
@@ -35,6 +35,8 @@ struct Settings {
     surfaces: Vec<AlignSurface>,
     /// Whether every frame is asked what it says of the shutter.
     asks_shutter: bool,
+    /// Whether the next frame is asked for its readout, and how.
+    question: Option<ReadoutQuestion>,
     /// See [`Aligner::trust`].
     is_trusted: bool,
     /// See [`Aligner::begin_nearby`].
@@ -62,7 +64,7 @@ impl Aligner {
     pub fn of_surfaces(surfaces: Vec<AlignSurface>, shutter: Shutter) -> Self {
         Self {
             buffers: Buffers::with_room_for(&surfaces),
-            settings: Settings { surfaces, asks_shutter: false, is_trusted: false, begins_nearby: false },
+            settings: Settings { surfaces, asks_shutter: false, question: None, is_trusted: false, begins_nearby: false },
             slow: SlowEstimates::new(shutter),
         }
     }
@@ -108,6 +110,16 @@ impl Aligner {
         self.settings.begins_nearby = is_alone;
     }
 
+    /// Begins with an exposure that an earlier session learnt, known to one sigma, seconds; a configured one stays.
+    pub fn take_learnt_exposure(&mut self, exposure_s: f64, sigma_s: f64) {
+        self.slow.take_learnt_exposure(exposure_s, sigma_s);
+    }
+
+    /// The exposure and one sigma, seconds, where it is learnt and frames told of it.
+    pub fn learnt_exposure(&self) -> Option<(f64, f64)> {
+        self.slow.learnt_exposure()
+    }
+
     /// Takes what another body has learnt of the camera that both are seen by, where it knows that better.
     pub fn take_camera(&mut self, other: &Self) {
         self.slow.take_camera(&other.slow);
@@ -117,6 +129,16 @@ impl Aligner {
     pub fn ask_shutter(&mut self, shutter: Shutter) {
         self.slow.fix_shutter(shutter);
         self.settings.asks_shutter = true;
+    }
+
+    /// The next frame is asked for its readout; the exposure goes on being learnt.
+    pub fn ask_readout(&mut self, question: Option<ReadoutQuestion>) {
+        self.settings.question = question;
+    }
+
+    /// How fast the picture moves through the frame, pixels per second.
+    pub fn speed_px_s(&self, motion: &Motion, rays: &CameraRays) -> f64 {
+        LevelSpec::new(&self.settings.surfaces, &self.slow, rays, self.slow.is_enlarged, FINEST, motion).speed_px_s(motion)
     }
 
     /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges.
@@ -129,10 +151,13 @@ impl Aligner {
         expected: &MotionEstimate,
         since_s: Option<f64>,
     ) -> Option<Solution<'a>> {
-        let Self { settings: Settings { surfaces, asks_shutter, is_trusted, begins_nearby }, buffers, slow } = &mut *self;
+        let Self { settings: Settings { surfaces, asks_shutter, question, is_trusted, begins_nearby }, buffers, slow } = &mut *self;
+        let always = ReadoutQuestion { expected_by_readout: MotionError::zeros(), is_open: true };
+        let question = question.take().or(asks_shutter.then_some(always));
+        let is_open = question.is_some_and(|question| question.is_open);
         let is_followed = since_s.is_some();
         // A velocity that may jump within the frame explains what a wrong readout leaves, and the shutter would be found there.
-        let since_s = since_s.filter(|_| !*asks_shutter);
+        let since_s = since_s.filter(|_| !is_open);
         let information = expected.covariance.cholesky()?.inverse();
         let mut frame = FrameProblem::new(surfaces, slow, buffers, levels, rays, expected, &information);
         frame.follows(is_followed, *is_trusted);
@@ -142,7 +167,7 @@ impl Aligner {
         if let Some(since_s) = jumped_since_s {
             frame.solve_with_jump(&found, since_s)?;
         }
-        let may_ask_blur = since_s.is_none() && !*asks_shutter;
+        let may_ask_blur = since_s.is_none() && !is_open;
         let is_by_blur = may_ask_blur && frame.solve_with_blur()?;
         if !is_by_blur {
             frame.settle_rest()?;
@@ -158,7 +183,7 @@ impl Aligner {
             (alignment, exposure) = frame.verify()?;
         }
         frame.allow_for_jumps(&mut alignment, since_s, jumped_since_s.is_some());
-        let shutter_clue = if *asks_shutter { frame.shutter_clue(exposure) } else { None };
+        let shutter_clue = question.filter(|_| jumped_since_s.is_none()).and_then(|question| frame.shutter_clue(&question, exposure));
         let lessons = frame.into_lessons();
         Some(Solution { aligner: self, rays, alignment, lessons, shutter_clue })
     }

@@ -47,6 +47,17 @@ pub struct UnknownExposure {
 }
 
 impl UnknownExposure {
+    /// One that earlier frames told, to this share of it, one sigma.
+    pub fn known_to(sigma: f64) -> Self {
+        let of_frames = (sigma.powi(2) - LEARNT_SIGMA.powi(2)).max(0.0).sqrt().max(LEARNT_SIGMA);
+        Self { told: (FIRST_SIGMA / of_frames - 1.0).max(0.0) }
+    }
+
+    /// Whether frames told of it.
+    pub fn is_told(&self) -> bool {
+        self.told >= 1.0
+    }
+
     /// One sigma of the exposure, as a share of it.
     pub fn sigma(&self) -> f64 {
         LEARNT_SIGMA.hypot(FIRST_SIGMA / (1.0 + self.told))

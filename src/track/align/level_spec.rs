@@ -28,6 +28,9 @@ const MOST_PLACES: usize = 15;
 /// Blur with as many places or fewer is no hindrance to a level above the finest. Raised, such a level does not come to rest under longer blur; lowered, it costs more without need.
 const SHORT_BLUR_PLACES: usize = 3;
 
+/// Time over which a picture's speed is taken, seconds: as long as usual exposures. It hardly matters, as a motion is smooth.
+const SPEED_OVER_S: f64 = 0.005;
+
 /// What a level works for.
 #[derive(Clone, Copy)]
 pub struct LevelSpec<'a> {
@@ -106,6 +109,11 @@ impl<'a> LevelSpec<'a> {
     pub fn blur_of(&self, motion: &Motion) -> f64 {
         let half = 0.5 * self.shutter.exposure_s;
         self.moved_px(&motion.after(-half), &motion.after(half))
+    }
+
+    /// How fast the picture moves through the frame, pixels of the frame per second.
+    pub fn speed_px_s(&self, motion: &Motion) -> f64 {
+        self.moved_px(motion, &motion.after(SPEED_OVER_S)) * self.frame_px() / SPEED_OVER_S
     }
 
     /// Pixels of the frame to a pixel of the level, along each axis.

@@ -68,7 +68,9 @@ pub use level_problem::patches::Patch;
 pub use level_problem::solution::UsedPixel;
 use plane_table::PlaneTable;
 use rays::RayTable;
-pub use shutter_clue::ShutterClue;
+#[cfg(test)]
+pub use shutter_clue::ReadoutClue;
+pub use shutter_clue::{ReadoutQuestion, ShutterClue};
 pub use system::schur_complement::Clue;
 use texture::Texture;
 pub use verdict::{Alignment, is_sharp};

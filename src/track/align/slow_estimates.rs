@@ -121,6 +121,20 @@ impl SlowEstimates {
         self.exposure.as_ref().map_or(KNOWN_EXPOSURE_SIGMA, UnknownExposure::sigma)
     }
 
+    /// Begins with an exposure that an earlier session learnt, known to one sigma, seconds; a configured one stays.
+    pub fn take_learnt_exposure(&mut self, exposure_s: f64, sigma_s: f64) {
+        if let Some(unknown) = &mut self.exposure {
+            *unknown = UnknownExposure::known_to(sigma_s / exposure_s);
+            self.shutter.exposure_s = exposure_s;
+        }
+    }
+
+    /// The exposure and one sigma, seconds, where it is learnt and frames told of it.
+    pub fn learnt_exposure(&self) -> Option<(f64, f64)> {
+        let unknown = self.exposure.as_ref().filter(|unknown| unknown.is_told())?;
+        Some((self.shutter.exposure_s, unknown.sigma() * self.shutter.exposure_s))
+    }
+
     /// Takes what another body has learnt of the camera that both are seen by, where it knows that better: the exposure, and the noise.
     pub fn take_camera(&mut self, other: &Self) {
         if let (Some(own), Some(others)) = (&mut self.exposure, &other.exposure)

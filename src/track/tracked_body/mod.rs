@@ -2,15 +2,16 @@
 
 mod expected;
 
-use nalgebra::{Matrix6, Vector2, Vector3};
+use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
 use tracing::debug;
 
 use super::acquire::Recognition;
-use super::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Patch, ShutterClue, is_sharp};
+use super::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Patch, ReadoutQuestion, ShutterClue, is_sharp};
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{LensClue, RowDisplacement};
 use super::focal_memory::FocalMemory;
 use super::focal_step::Jump;
+use super::learnt_readout::ReadoutDoubt;
 use super::misfit::{Misfit, ModelNews, ModelReport};
 use super::model_error::{FieldSize, ModelErrorBuffers, blended, model_error};
 use super::model_study::StudiedFrame;
@@ -31,7 +32,7 @@ use crate::frame::{Frame, Timestamp};
 use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{MovingCamera, Observation, SquaredResiduals, Twist};
 use crate::geometry::{Body, Camera, Pose};
-use crate::motion::{MotionEstimate, ProcessNoise};
+use crate::motion::{MotionError, MotionEstimate, ProcessNoise};
 
 /// An aligned body is followed over gaps up to this, seconds, and always to the next frame. Chosen: three frames at 30 a second. Raised,
 /// alignment begins from starts beyond its basin, in vain; lowered, a dropped frame costs a search by features.
@@ -60,6 +61,17 @@ const CLEARLY_STRONGER: f64 = 1.2;
 /// An object that shows more tiles than this tells an error of its model from noise, as the stage does. Chosen, not tuned: 74 numbers beyond the pose's six. Raised, objects
 /// have wider covariances than errors and are given a frame later; lowered, chance decides.
 const TELLING_TILES: f64 = 40.0;
+
+/// Where the readout's sigma displaces the rows of a frame by more, pixels, what of the model does not fit may be the shutter. Raised, lenses are blamed for it; lowered,
+/// a zoom is noticed later by a moving camera whose shutter is not known.
+const DOUBTED_PX: f64 = 0.1;
+/// A copy lies this far from where the pose puts the body, share of the frame's width. Chosen:
+/// three times what folds and lenses that are known roughly displace. Raised, a copy in front of
+/// the picture is believed; lowered, a picture that hangs in deep folds is refused.
+const COPY_AWAY: f64 = 0.005;
+/// Anchors of a surface by which the pose explains it. Raised, copies beside a small or covered
+/// picture pass; lowered, chance decides.
+const LEAST_OF_SURFACE: usize = 8;
 
 /// Starts that differ by less, radians and of the distance, are one. Raised, a start that would succeed is left out; lowered, alignment fails
 /// twice from the same place.
@@ -95,13 +107,21 @@ pub struct TrackedBody {
     pub followed_from: Option<Pose<Body, Camera>>,
     /// Why the last frame has no verified pose.
     pub reason: Option<Reason>,
+    /// When two copies of its picture were seen and nothing told which of them is the body.
+    pub two_seen: Option<Timestamp>,
     /// The pixels that the last pose rests on, where somebody watches them.
     pub used: Option<Used>,
     patches: Vec<Patch>,
     /// The motion at the last aligned frame, and its stamp.
     motion: Option<(MotionEstimate, Timestamp)>,
+    /// Derivative of that motion by the readout, per second.
+    by_readout: MotionError,
+    /// How well the readout is known; `None` where it is not asked.
+    readout_doubt: Option<ReadoutDoubt>,
     /// Whether the opposite velocity is as likely; see [`Alignment::has_opposite`].
     has_opposite: bool,
+    /// The motion that the last frame was followed from.
+    followed: Option<(MotionEstimate, Timestamp)>,
     /// How jerky that is.
     process_noise: ProcessNoise,
     /// The last verified pose, its stamp, and the motion that led to it.
@@ -160,10 +180,14 @@ impl TrackedBody {
             is_seen_in_part: false,
             followed_from: None,
             reason: None,
+            two_seen: None,
             used: None,
             patches: Vec::with_capacity(most),
             motion: None,
+            by_readout: MotionError::zeros(),
+            readout_doubt: None,
             has_opposite: false,
+            followed: None,
             process_noise: ProcessNoise::default(),
             before: None,
             to_next_s: 0.0,
@@ -189,9 +213,51 @@ impl TrackedBody {
         self.to_next_s = to_next_s;
     }
 
+    /// Takes how well the readout is known in the frame that comes.
+    pub fn expect_readout(&mut self, doubt: Option<ReadoutDoubt>) {
+        self.readout_doubt = doubt;
+    }
+
+    /// From now on the rows are read in this time, and the motion is what it would be, had they always been.
+    pub fn take_readout(&mut self, readout_s: f64, change_s: f64) {
+        self.aligner.take_readout(readout_s);
+        if let Some((estimate, _)) = &mut self.motion {
+            estimate.motion = estimate.motion.corrected(&(self.by_readout * change_s));
+        }
+    }
+
+    /// Whether this frame moves so that what is not known of the readout displaces its rows.
+    pub fn is_readout_in_doubt(&self) -> bool {
+        self.clue.is_some_and(|clue| self.readout_doubt.is_some_and(|doubt| doubt.sigma_s * clue.speed_px_s > DOUBTED_PX))
+    }
+
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the last verified pose by a readout that is known to this, one sigma, seconds.
+    pub fn covariance_by_readout(&self, pose: &Pose<Body, Camera>, sigma_s: f64) -> Option<Matrix6<f64>> {
+        if sigma_s == 0.0 || self.by_readout == MotionError::zeros() {
+            return None;
+        }
+        let shift = self.by_readout.fixed_rows::<3>(0) * sigma_s;
+        let turn = pose.rotation * (self.by_readout.fixed_rows::<3>(3) * sigma_s);
+        let step = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+        Some(step * step.transpose())
+    }
+
+    /// How the frame is to be asked for its readout, if it is; `since_s` as for [`align`](Self::align).
+    fn readout_question(&self, expected: &MotionEstimate, camera_rays: &CameraRays, since_s: Option<f64>) -> Option<ReadoutQuestion> {
+        let doubt = self.readout_doubt?;
+        let Some(dt_s) = since_s else {
+            // Its motion is found by the frame alone.
+            return (doubt.sigma_s > 0.0).then_some(ReadoutQuestion { expected_by_readout: MotionError::zeros(), is_open: false });
+        };
+        let speed_px_s = doubt.asks(|| self.aligner.speed_px_s(&expected.motion, camera_rays))?;
+        let (before, _) = self.followed?;
+        Some(ReadoutQuestion { expected_by_readout: before.error_after(&self.by_readout, dt_s), is_open: doubt.is_open(speed_px_s) })
+    }
+
     /// Aligns the body from where it should be; `None` where it was not aligned lately, or the picture does not bear it out.
     pub fn follow(&mut self, frame: &Frame, levels: &mut FrameLevels, camera_rays: &CameraRays) -> Option<Verified> {
         let (estimate, then) = self.motion.take()?;
+        self.followed = Some((estimate, then));
         let dt_s = frame.timestamp.seconds_since(then);
         if dt_s <= 0.0 || dt_s > LONGEST_FOLLOWED_GAP_S.max(self.to_next_s) {
             return None;
@@ -310,6 +376,7 @@ impl TrackedBody {
         if self.track.was_given() {
             self.aligner.trust();
         }
+        self.aligner.ask_readout(self.readout_question(expected, camera_rays, since_s));
         let mut solution = self.aligner.align(levels, camera_rays, expected, since_s)?;
         let found = solution.alignment;
         // Pushed far away, it is a new pose as much as one that was found anew.
@@ -332,11 +399,12 @@ impl TrackedBody {
         self.clue = solution.shutter_clue;
         if !is_expected {
             self.process_noise = ProcessNoise::default();
-        } else if self.clue.is_none() {
+        } else if self.clue.is_none_or(|clue| !clue.is_open) {
             // Where the shutter is in question, jerk must not explain what a wrong one does.
             self.process_noise.learn(expected.innovations(&found.estimate));
         }
         self.motion = Some((found.estimate, frame.timestamp));
+        self.by_readout = self.clue.map_or(MotionError::zeros(), |clue| clue.readout.motion_by_readout);
         self.has_opposite = found.has_opposite;
         if let Some(used) = &mut self.used {
             used.clear();
@@ -527,6 +595,24 @@ impl TrackedBody {
     fn named(&self, misfit: &Misfit) -> ModelNews {
         let surface = misfit.part.surface().and_then(|k| self.body.surfaces.get(k));
         ModelNews { part: misfit.part, surface: surface.map(|s| s.spec.name.clone()), cost_mm: misfit.cost_mm }
+    }
+
+    /// Whether anchors that were found in a frame are a second copy of what a pose explains
+    /// elsewhere: they lie on a surface of which the last verified pose shows enough, and far from
+    /// where it puts them. A flat that was moved alone is no copy, nor are folds.
+    pub fn is_elsewhere(&self, pose: &Pose<Body, Camera>, copy: &[FittedAnchor], camera: &CameraModel) -> bool {
+        let surface = most_frequent_surface(copy, self.body.surfaces.len());
+        let t_camera_body = pose.inverse();
+        let limit_px = COPY_AWAY * f64::from(camera.width());
+        let is_away = |anchor: &&FittedAnchor| {
+            let seen = t_camera_body.transform(&anchor.observation.point);
+            let is_far = || (camera.project(Normalized(seen.coords.xy() / seen.z)).0 - anchor.observation.pixel).norm() > limit_px;
+            seen.z <= 0.0 || is_far()
+        };
+        let on_surface = |anchors: &[FittedAnchor]| anchors.iter().filter(|a| a.surface == surface).count();
+        let away = copy.iter().filter(is_away).count();
+        debug!(body = %self.body.name, away, of = copy.len(), own = on_surface(&self.anchors), "is elsewhere");
+        on_surface(&self.anchors) >= LEAST_OF_SURFACE && 4 * away > 3 * copy.len()
     }
 
     /// Puts starts to the test, and takes the first clear success, or the best of what passes.

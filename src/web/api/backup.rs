@@ -12,7 +12,7 @@ use zip::{ZipArchive, ZipWriter};
 
 use super::config::{keep_former, reply, unwritable};
 use super::failed;
-use super::findings::judged;
+use super::findings::judged_to_run;
 use super::gltf;
 use super::sets::{LARGEST_MODEL, is_model, models};
 use crate::daemon::Supervisor;
@@ -29,19 +29,23 @@ const LARGEST_UNPACKED: u64 = 256 << 20;
 const MOST_FILES: usize = 500;
 /// The config's name in a backup.
 const CONFIG: &str = "stage.toml";
+/// The virtual set's.
+const SET: &str = "set.json";
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let (for_backup, for_restore) = (supervisor.clone(), supervisor.clone());
     vec![
         Route::aside(Method::GET, "/api/v1/backup", Access::Paired, move |_| backup(&for_backup)),
-        Route::aside(Method::POST, "/api/v1/restore", Access::Change, move |call| restore(&for_restore, call)).seldom_unless("try=1"),
+        Route::aside(Method::POST, "/api/v1/restore", Access::Change, move |call| restore(&for_restore, call))
+            .takes_a_file()
+            .seldom_unless("try=1"),
     ]
 }
 
 fn backup(supervisor: &Supervisor) -> Result<Reply, Reply> {
     let settings = supervisor.settings().ok_or_else(|| Reply::text(409, "there is no config yet to keep\n"))?;
     let files = settings.source.copy(None).map_err(|e| failed("the config cannot be copied", &e))?;
-    let folder = supervisor.file().parent().unwrap_or(Path::new("")).to_owned();
+    let folder = supervisor.keeping().folder();
     let make = move |to: &mut dyn Write| {
         let mut zip = ZipWriter::new_stream(to);
         let options = SimpleFileOptions::default();
@@ -49,9 +53,9 @@ fn backup(supervisor: &Supervisor) -> Result<Reply, Reply> {
             zip.start_file(name, options).map_err(io::Error::other)?;
             zip.write_all(bytes)?;
         }
-        let set = safe_file::read(&folder.join("set.json"), LARGEST_MODEL).ok().map(|bytes| ("set.json".to_owned(), bytes));
+        let set = safe_file::read_below(&folder, Path::new(SET), LARGEST_MODEL).ok().map(|bytes| (SET.to_owned(), bytes));
         let of_sets = models(&folder).into_iter().filter_map(|(name, _)| {
-            let bytes = safe_file::read(&folder.join("sets").join(&name), LARGEST_MODEL).ok()?;
+            let bytes = safe_file::read_below(&folder, &Path::new("sets").join(&name), LARGEST_MODEL).ok()?;
             Some((format!("sets/{name}"), bytes))
         });
         for (name, bytes) in set.into_iter().chain(of_sets) {
@@ -87,9 +91,12 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let names = unpack(&packed, &aside.0)?;
     let text = safe_file::read(&aside.0.join(CONFIG), LARGEST_PACKED).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     let text = text.ok_or_else(|| Reply::text(422, "the zip has no stage.toml, so it is no backup; give one of GET /api/v1/backup\n"))?;
-    let (settings, findings) = judged(&text, &aside.0.join(CONFIG));
-    if settings.is_none() {
-        return Ok(reply(422, &findings, false));
+    let (settings, findings) = judged_to_run(&text, &aside.0.join(CONFIG), supervisor);
+    let Some(settings) = settings else { return Ok(reply(422, &findings, false)) };
+    let is_named = |name: &str| name == CONFIG || name == SET || name.starts_with("sets/") || settings.files.contains(&aside.0.join(name));
+    if let Some(name) = names.iter().find(|name| !is_named(name)) {
+        let sentence = format!("{name}: the config in the zip does not name this file; give a zip of GET /api/v1/backup\n");
+        return Err(Reply::text(422, sentence));
     }
     let target = |name: &str| if name == CONFIG { file.to_owned() } else { folder.join(name) };
     if only_tries {
@@ -99,12 +106,47 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let places: Vec<PathBuf> = std::iter::once(file.to_owned()).chain(names.iter().filter(|n| *n != CONFIG).map(|n| target(n))).collect();
     keep_former(&places).map_err(|e| unwritable(file, &e))?;
     std::fs::create_dir_all(folder.join("sets")).map_err(|e| unwritable(file, &e))?;
+    call.still_may()?;
     // The config last: it names the others.
-    for name in names.iter().filter(|name| *name != CONFIG).chain([&CONFIG.to_owned()]) {
-        std::fs::rename(aside.0.join(name), target(name)).map_err(|e| unwritable(&target(name), &e))?;
-    }
+    let in_order = names.iter().map(String::as_str).filter(|name| *name != CONFIG).chain([CONFIG]);
+    let moves: Vec<(PathBuf, PathBuf)> = in_order.map(|name| (aside.0.join(name), target(name))).collect();
+    move_all(&moves, &aside.0.join("before")).map_err(|(to, e)| unwritable(&to, &e))?;
     supervisor.reload();
     Ok(reply(200, &findings, true))
+}
+
+/// Moves files to their places: all of them, or none. What was in a place is kept in `before` until all are there.
+fn move_all(moves: &[(PathBuf, PathBuf)], before: &Path) -> Result<(), (PathBuf, io::Error)> {
+    std::fs::create_dir(before).map_err(|e| (before.to_owned(), e))?;
+    let mut done: Vec<(&Path, Option<PathBuf>)> = Vec::new();
+    for (k, (from, to)) in moves.iter().enumerate() {
+        let kept = before.join(k.to_string());
+        // A second name of the file: its place is never empty.
+        let is_kept = match std::fs::hard_link(to, &kept) {
+            Ok(()) => Ok(Some(kept)),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
+            // A file system without second names.
+            Err(_) => std::fs::copy(to, &kept).map(|_| Some(kept)),
+        };
+        match is_kept.and_then(|kept| std::fs::rename(from, to).map(|()| kept)) {
+            Ok(kept) => done.push((to, kept)),
+            Err(error) => {
+                undo(done);
+                return Err((to.clone(), error));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Puts back what was in these places.
+fn undo(done: Vec<(&Path, Option<PathBuf>)>) {
+    for (to, kept) in done.into_iter().rev() {
+        let undone = kept.map_or_else(|| std::fs::remove_file(to), |kept| std::fs::rename(kept, to));
+        if let Err(error) = undone {
+            tracing::error!("{}: what was there before a restore cannot be put back ({error}); it is in the folder former", to.display());
+        }
+    }
 }
 
 /// Puts a zip's files into a folder; nothing outside of it, and nothing endless.
@@ -190,6 +232,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let supervisor = supervised(folder.path());
         let before = std::fs::read(supervisor.file()).unwrap();
+        let picture = std::fs::read(folder.path().join("backdrop.png")).unwrap();
+        std::fs::write(folder.path().join("show.toml"), "kept").unwrap();
         let bombs = vec![0; 1 << 20];
         let many: Vec<(String, &[u8])> = (0..MOST_FILES + 1).map(|k| (format!("a{k}"), &b""[..])).collect();
         let many: Vec<(&str, &[u8])> = many.iter().map(|(name, bytes)| (name.as_str(), *bytes)).collect();
@@ -202,6 +246,8 @@ mod tests {
             ("hidden", zipped(&[(".bashrc", b"x")])),
             ("no config", zipped(&[("a.png", &bombs)])),
             ("bad config", zipped(&[("stage.toml", b"[camera")])),
+            ("not named", zipped(&[("backdrop.png", &picture), ("notes.txt", b"x"), ("stage.toml", &before)])),
+            ("another's", zipped(&[("backdrop.png", &picture), ("show.toml", b"x"), ("stage.toml", &before)])),
             ("bad model", zipped(&[("sets/a.glb", b"x")])),
             ("many", zipped(&many)),
         ] {
@@ -210,5 +256,38 @@ mod tests {
         }
         assert_eq!((std::fs::read(supervisor.file()).unwrap(), supervisor.take_reload()), (before, false));
         assert!(!folder.path().join("../evil").exists());
+        assert_eq!(std::fs::read_to_string(folder.path().join("show.toml")).unwrap(), "kept");
+    }
+
+    #[test]
+    fn a_restore_that_fails_half_way_leaves_everything_as_it_was() {
+        let folder = tempfile::tempdir().unwrap();
+        let supervisor = supervised(folder.path());
+        let (at, model) = (|name: &str| folder.path().join(name), glb(r#"{"asset":{"version":"2.0"}}"#));
+        let (config, picture) = (std::fs::read(supervisor.file()).unwrap(), std::fs::read(at("backdrop.png")).unwrap());
+        let other = image::GrayImage::from_fn(160, 120, |x, y| image::Luma([((x * 91 + y * 37) % 251) as u8]));
+        other.save(at("other.png")).unwrap();
+        let other = std::fs::read(at("other.png")).unwrap();
+        std::fs::remove_file(at("other.png")).unwrap();
+        // The last but one cannot be replaced: a folder is there.
+        std::fs::create_dir_all(at("sets/door.glb")).unwrap();
+        let new = [&config[..], b"# new\n"].concat();
+        let zip = zipped(&[
+            ("backdrop.png", &other),
+            ("set.json", b"{}"),
+            ("sets/a.glb", &model),
+            ("sets/door.glb", &model),
+            ("stage.toml", &new),
+        ]);
+        let (status, said) = asked(&routes(&supervisor), "POST", "/api/v1/restore", &zip);
+        let said = String::from_utf8_lossy(&said).into_owned();
+        assert!(status == 500 && said.contains("door.glb"), "{status}: {said}");
+        assert_eq!((std::fs::read(supervisor.file()).unwrap(), std::fs::read(at("backdrop.png")).unwrap()), (config, picture));
+        assert!(!at("set.json").exists() && !at("sets/a.glb").exists() && !supervisor.take_reload());
+        // Where nothing stands in the way, all of it is there.
+        std::fs::remove_dir(at("sets/door.glb")).unwrap();
+        assert_eq!(asked(&routes(&supervisor), "POST", "/api/v1/restore", &zip).0, 200);
+        assert_eq!((std::fs::read(supervisor.file()).unwrap(), std::fs::read(at("backdrop.png")).unwrap()), (new, other));
+        assert!(at("set.json").exists() && at("sets/a.glb").exists() && supervisor.take_reload());
     }
 }

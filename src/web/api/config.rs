@@ -4,12 +4,13 @@
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::http::Method;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
-use super::findings::{Finding, LARGEST_CONFIG, judged};
+use super::findings::{Finding, LARGEST_CONFIG, judged_to_run};
 use crate::daemon::Supervisor;
 use crate::safe_file;
 use crate::utc;
@@ -18,12 +19,16 @@ use crate::web::routes::{Access, Route};
 
 /// Former configs that are kept at most; the oldest go. Chosen: an evening of changes. Raised, only room on the disk.
 const MOST_FORMER: usize = 100;
+/// Configs that may be put at once, and the time after which each further one may: each begins tracking anew. Chosen: faster than people
+/// edit. Raised, a program that puts on and on keeps the stage from being tracked.
+const AT_ONCE: u32 = 20;
+const ONE_EACH: Duration = Duration::from_secs(3);
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let (for_get, for_put) = (supervisor.clone(), supervisor.clone());
     vec![
         Route::aside(Method::GET, "/api/v1/config", Access::Paired, move |_| {
-            let read = safe_file::read(for_get.file(), LARGEST_CONFIG);
+            let read = safe_file::read(&for_get.keeping().current(), LARGEST_CONFIG);
             if read.as_ref().is_err_and(|e| e.kind() == io::ErrorKind::NotFound) {
                 let sentence = format!("{}: there is no config yet; put one here, with this ETag\n", for_get.file().display());
                 return Err(Reply::text(404, sentence).with("etag", &tag(b"")));
@@ -39,21 +44,25 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             })?;
             let _alone = for_put.alone();
             // One that is not there yet has the tag of nothing.
-            let before = match safe_file::read(for_put.file(), LARGEST_CONFIG) {
+            let before = match safe_file::read(&for_put.keeping().current(), LARGEST_CONFIG) {
                 Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(unreadable(for_put.file(), &e)),
                 read => read.unwrap_or_default(),
             };
             if wanted != "*" && wanted != tag(&before) {
                 return Err(Reply::text(412, "the config was changed meanwhile; read it again, and put the change into that one\n"));
             }
-            let (settings, findings) = judged(&text, for_put.file());
+            let (settings, findings) = judged_to_run(&text, for_put.file(), &for_put);
             if settings.is_none() {
                 return Ok(reply(422, &findings, false));
             }
-            replace(for_put.file(), &text).map_err(|e| unwritable(for_put.file(), &e))?;
+            call.still_may()?;
+            let changed = for_put.keeping().changed();
+            replace(&changed, &text).map_err(|e| unwritable(&changed, &e))?;
             for_put.reload();
             Ok(reply(200, &findings, true).with("etag", &tag(text.as_bytes())))
-        }),
+        })
+        .takes(LARGEST_CONFIG)
+        .paced(AT_ONCE, ONE_EACH),
     ]
 }
 
@@ -80,6 +89,7 @@ pub(super) fn tag(bytes: &[u8]) -> String {
 
 /// Writes a file whole and keeps what was there.
 fn replace(file: &Path, text: &str) -> io::Result<()> {
+    std::fs::create_dir_all(file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")))?;
     keep_former(&[file.to_owned()])?;
     safe_file::write_lasting(file, text.as_bytes())
 }
@@ -153,5 +163,49 @@ mod tests {
         }
         assert_eq!(asked_with(&routes(&supervisor), "PUT", "/api/v1/config", "If-Match: *\r\n", b"\xff").0, 400);
         assert_eq!((std::fs::read(supervisor.file()).unwrap(), supervisor.take_reload()), (before, false));
+    }
+
+    #[test]
+    fn a_config_that_cannot_be_run_here_is_refused_and_the_running_one_s_own_ports_are_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let supervisor = supervised(folder.path());
+        let routes = routes(&supervisor);
+        let plain = std::fs::read_to_string(supervisor.file()).unwrap();
+        let put = |more: &str| {
+            let text = format!("{plain}{more}");
+            let (status, said) = asked_with(&routes, "PUT", "/api/v1/config", "If-Match: *\r\n", text.as_bytes());
+            (status, String::from_utf8(said).unwrap())
+        };
+        let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let at = taken.local_addr().unwrap();
+        let lines = |key: &str, value: &str| format!("[[output]]\nkind = \"json\"\n{key} = \"{value}\"\n");
+        let multicast = "[[output]]\nkind = \"freed\"\nto = \"239.1.2.3:4000\"\ninterface = \"no-such-network\"\n";
+        for (what, more, word) in [
+            ("a taken port", lines("tcp_listen", &at.to_string()), "tcp_listen"),
+            ("a foreign address", lines("tcp_listen", "203.0.113.7:4000"), "tcp_listen"),
+            ("a taken port of the page", format!("[http]\nlisten = \"{at}\"\n"), "listen"),
+            ("a missing network", multicast.to_owned(), "interface"),
+            ("a file in no folder", lines("file", "none/a.jsonl"), "file"),
+            ("two in one file", lines("file", "a.jsonl") + &lines("file", "./a.jsonl"), "file"),
+        ] {
+            let (status, said) = put(&more);
+            let answer: serde_json::Value = serde_json::from_str(&said).unwrap();
+            let finding = &answer["findings"][0];
+            assert_eq!((status, &answer["saved"], &finding["level"]), (422, &false.into(), &"error".into()), "{what}: {said}");
+            assert!(finding["key"].as_str().unwrap().contains(word) && finding["line"].as_u64() > Some(7), "{what}: {said}");
+            assert!(finding["mend"].is_string(), "{what}: {said}");
+            assert_eq!((std::fs::read_to_string(supervisor.file()).unwrap(), supervisor.take_reload()), (plain.clone(), false), "{what}");
+        }
+        // What the running session listens on will be free.
+        let listens = lines("tcp_listen", &at.to_string());
+        std::fs::write(supervisor.file(), format!("{plain}{listens}")).unwrap();
+        supervisor.use_settings(Some(crate::config::Settings::load(supervisor.file()).unwrap()));
+        let (status, said) = put(&format!("{listens}[log]\nlevel = \"info\"\n"));
+        assert!(status == 200 && supervisor.take_reload(), "{said}");
+        // So will the page's own port, also where no config runs yet.
+        supervisor.use_settings(None);
+        supervisor.set_page(Some(at));
+        let (status, said) = put(&format!("[http]\nlisten = \"{at}\"\n"));
+        assert!(status == 200 && supervisor.take_reload(), "{said}");
     }
 }

@@ -58,7 +58,7 @@ pub(super) fn of_refused(supervisor: &Supervisor) -> Vec<Finding> {
         vec![Finding { level: "error", key: None, line: None, sentence, mend }]
     };
     let file = supervisor.file();
-    let read = safe_file::read(file, LARGEST_CONFIG).map(String::from_utf8);
+    let read = safe_file::read(&supervisor.keeping().current(), LARGEST_CONFIG).map(String::from_utf8);
     match read {
         Err(e) if e.kind() == ErrorKind::NotFound => error(&format!("{}: there is no config yet; put one", file.display())),
         Err(e) => error(&format!("{}: the config cannot be read ({e}); let the daemon's user read it", file.display())),
@@ -81,6 +81,17 @@ fn odd(found: &Diagnosed) -> Finding {
     Finding { level, key: None, line: None, sentence, mend }
 }
 
+/// As [`judged`], and whether this machine gives all that the config asks of it, as `run` finds it when it takes the config over.
+pub(super) fn judged_to_run(text: &str, file: &Path, supervisor: &Supervisor) -> (Option<Settings>, Vec<Finding>) {
+    match judged(text, file) {
+        (Some(settings), findings) => match supervisor.rehearse(&settings) {
+            Ok(()) => (Some(settings), findings),
+            Err(error) => (None, vec![refused(&error)]),
+        },
+        none => none,
+    }
+}
+
 /// Reads a config's text as if it stood in `file`: the settings, where it can be used, and what is to be said of it.
 pub(super) fn judged(text: &str, file: &Path) -> (Option<Settings>, Vec<Finding>) {
     let settings = match Settings::from_text(text, file) {
@@ -94,7 +105,7 @@ pub(super) fn judged(text: &str, file: &Path) -> (Option<Settings>, Vec<Finding>
         found.extend(of_corners(body, matches!(settings.lens, LensSource::Guess(..))));
     }
     if let Some(fps) = settings.device.fps {
-        found.extend(of_shutter(&settings.shutter, 1.0 / fps));
+        found.extend(of_shutter(&settings.shutter.or_zero(), 1.0 / fps));
     }
     found.extend(settings.notes.iter().map(Diagnosed::note));
     found.sort_by_key(|finding| finding.grade);

@@ -1,17 +1,20 @@
 //! Whether a binary glTF file may be given to the page: whole, with nothing from elsewhere, and nothing that needs a decoder which the page
 //! has not. What its meshes look like is the page's to see.
 
-use std::io::Read;
+use std::fmt::Formatter;
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
-use serde_json::Value;
+use serde::de::{SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer};
 
 use crate::safe_file;
 
 /// `glTF` as the file begins (glTF 2.0, 4.4.2), and the kind of the first chunk, `JSON`.
 const MAGIC: u32 = 0x4654_6C67;
 const JSON: u32 = 0x4E4F_534A;
-/// Larger than the description in a model, bytes; meshes and pictures are behind it. Raised, judging one takes more memory.
+/// Larger than the description in a model, bytes; meshes and pictures are behind it. Raised, judging one takes longer.
 const LARGEST_DESCRIPTION: u32 = 16 << 20;
 /// Extensions that need a decoder in WebAssembly, which the page's policy does not let in.
 const NEED_A_DECODER: [&str; 4] =
@@ -37,27 +40,142 @@ pub(super) fn judge(file: &Path) -> Result<(), String> {
     if word(12) > LARGEST_DESCRIPTION {
         return Err("the model's description is larger than 16 MB; export it with fewer parts".to_owned());
     }
-    let mut text = vec![0; word(12) as usize];
-    opened.read_exact(&mut text).map_err(|_| not_whole())?;
-    let model: Value = serde_json::from_slice(&text).map_err(|e| format!("the model's description is no JSON ({e}); export it anew"))?;
-    if !model["asset"]["version"].as_str().is_some_and(|version| version.starts_with("2.")) {
+    let _alone = JUDGING.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut text = BufReader::new(opened.take(u64::from(word(12))));
+    let begins = text.fill_buf().map_err(|_| not_whole())?.trim_ascii_start().first().copied();
+    if begins != Some(b'{') {
+        return Err("the model's description is no JSON object; export it as glTF 2.0, with its version in \"asset\"".to_owned());
+    }
+    let read: Result<Description, serde_json::Error> = serde_json::from_reader(text);
+    let model = read.map_err(|e| format!("the model's description is no JSON of glTF ({e}); export it anew"))?;
+    if !model.asset.version.is_some_and(|version| version.starts_with("2.")) {
         return Err("the model's description has no version 2 in \"asset\"; export it as glTF 2.0".to_owned());
     }
-    for kind in ["buffers", "images"] {
-        let parts = model[kind].as_array().into_iter().flatten();
-        if parts.filter_map(|part| part.get("uri")).any(|uri| !uri.as_str().is_some_and(|uri| uri.starts_with("data:"))) {
+    for (kind, parts) in [("buffers", model.buffers), ("images", model.images)] {
+        if parts.has_foreign {
             return Err(format!(
                 "its {kind} are in other files, which the page does not load; export the model with everything in one .glb"
             ));
         }
     }
-    for list in ["extensionsUsed", "extensionsRequired"] {
-        let named = model[list].as_array().into_iter().flatten().filter_map(Value::as_str);
-        if let Some(extension) = named.into_iter().find(|name| NEED_A_DECODER.contains(name)) {
-            return Err(format!("it is packed with {extension}, which the page cannot unpack; export it without compression"));
-        }
+    if let Some(extension) = model.used.packed_with.or(model.required.packed_with) {
+        return Err(format!("it is packed with {extension}, which the page cannot unpack; export it without compression"));
     }
     Ok(())
+}
+
+/// Held while a model is judged: one at a time.
+static JUDGING: Mutex<()> = Mutex::new(());
+
+/// What is looked at of a description. It is read as a stream: everything else is passed over, and no list is kept.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Description {
+    asset: Asset,
+    buffers: Parts,
+    images: Parts,
+    #[serde(rename = "extensionsUsed")]
+    used: Extensions,
+    #[serde(rename = "extensionsRequired")]
+    required: Extensions,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Asset {
+    version: Option<String>,
+}
+
+/// A list of buffers or images.
+#[derive(Default)]
+struct Parts {
+    /// Whether one of them is in another file.
+    has_foreign: bool,
+}
+
+/// A buffer or an image.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Part {
+    uri: Place,
+}
+
+/// Where a part is.
+#[derive(Default, PartialEq)]
+enum Place {
+    #[default]
+    Inside,
+    Elsewhere,
+}
+
+/// A list of extensions.
+#[derive(Default)]
+struct Extensions {
+    /// The first that needs a decoder.
+    packed_with: Option<&'static str>,
+}
+
+impl<'de> Deserialize<'de> for Parts {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct List;
+        impl<'de> Visitor<'de> for List {
+            type Value = Parts;
+
+            fn expecting(&self, to: &mut Formatter<'_>) -> std::fmt::Result {
+                to.write_str("a list of buffers or images")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Parts, A::Error> {
+                let mut parts = Parts::default();
+                while let Some(part) = list.next_element::<Part>()? {
+                    parts.has_foreign |= part.uri == Place::Elsewhere;
+                }
+                Ok(parts)
+            }
+        }
+        deserializer.deserialize_seq(List)
+    }
+}
+
+impl<'de> Deserialize<'de> for Place {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Uri;
+        impl Visitor<'_> for Uri {
+            type Value = Place;
+
+            fn expecting(&self, to: &mut Formatter<'_>) -> std::fmt::Result {
+                to.write_str("the URI of a buffer or an image")
+            }
+
+            fn visit_str<E: serde::de::Error>(self, uri: &str) -> Result<Place, E> {
+                Ok(if uri.starts_with("data:") { Place::Inside } else { Place::Elsewhere })
+            }
+        }
+        deserializer.deserialize_str(Uri)
+    }
+}
+
+impl<'de> Deserialize<'de> for Extensions {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct List;
+        impl<'de> Visitor<'de> for List {
+            type Value = Extensions;
+
+            fn expecting(&self, to: &mut Formatter<'_>) -> std::fmt::Result {
+                to.write_str("a list of extensions' names")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Extensions, A::Error> {
+                let mut extensions = Extensions::default();
+                while let Some(name) = list.next_element::<String>()? {
+                    let packed_with = NEED_A_DECODER.into_iter().find(|known| *known == name);
+                    extensions.packed_with = extensions.packed_with.or(packed_with);
+                }
+                Ok(extensions)
+            }
+        }
+        deserializer.deserialize_seq(List)
+    }
 }
 
 #[cfg(test)]
@@ -86,7 +204,8 @@ pub(super) mod tests {
         for (text, word) in [
             (r#"{"asset":{"version":"2.0"},"buffers":[{"uri":"a.bin"}]}"#, "buffers"),
             (r#"{"asset":{"version":"2.0"},"images":[{"uri":"//evil.example/a.png"}]}"#, "images"),
-            (r#"{"asset":{"version":"2.0"},"images":[{"uri":7}]}"#, "images"),
+            (r#"{"asset":{"version":"2.0"},"images":[{"uri":7}]}"#, "image"),
+            (r#"{"asset":{"version":"2.0"},"images":[{"uri":"data:,"}],"images":[]}"#, "images"),
             (r#"{"asset":{"version":"2.0"},"extensionsUsed":["KHR_draco_mesh_compression"]}"#, "draco"),
             (r#"{"asset":{"version":"2.0"},"extensionsRequired":["EXT_meshopt_compression"]}"#, "meshopt"),
             (r#"{"asset":{"version":"1.0"}}"#, "version"),
@@ -96,6 +215,16 @@ pub(super) mod tests {
             let reason = judged(&glb(text)).unwrap_err();
             assert!(reason.contains(word), "{text}: {reason}");
         }
+    }
+
+    #[test]
+    fn what_is_not_looked_at_may_be_there_in_any_amount() {
+        let many = vec![r#"{"name":"a part","mesh":0,"children":[1,2],"extras":{"deep":[[[[]]]]}}"#; 10_000].join(",");
+        let nodes = format!(r#"{{"asset":{{"version":"2.0","generator":"any"}},"nodes":[{many}],"images":[{{"bufferView":0}}]}}"#);
+        assert_eq!(judged(&glb(&nodes)), Ok(()));
+        let deep = format!(r#"{{"asset":{{"version":"2.0"}},"extras":{}{}}}"#, "[".repeat(100_000), "]".repeat(100_000));
+        assert_eq!(judged(&glb(&deep)), Ok(()));
+        assert!(judged(&glb(&deep.replace("]}", "}"))).is_err());
     }
 
     #[test]

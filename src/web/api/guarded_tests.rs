@@ -1,10 +1,14 @@
 //! What is promised of every route, tried on each that the router has.
 
+use std::net::Ipv4Addr;
 use std::path::Path;
+use std::sync::Arc;
 
 use serde_json::Value;
 
 use super::tests::{Answer, exchange, supervised, whole_server};
+use crate::config::HttpSettings;
+use crate::publish::FrameClock;
 use crate::web::Server;
 
 /// Paths that may say by 503 that there is nothing yet.
@@ -123,5 +127,29 @@ fn every_route_is_in_the_documents() {
     for route in listed(&server).iter().filter(|route| route.path.starts_with("/api/") || route.path.starts_with("/ws")) {
         let last = route.path.split('/').rfind(|part| !part.starts_with('{')).unwrap();
         assert!(words.contains(&last), "docs/protocols.md does not name {} {}", route.method, route.path);
+    }
+}
+
+#[test]
+fn marks_modes_and_configs_have_a_pace_that_no_hand_reaches() {
+    let folder = tempfile::tempdir().unwrap();
+    let supervisor = supervised(folder.path());
+    let clock = Arc::new(FrameClock::new(crate::publish::Stamps::Live));
+    let settings = HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
+    let server = Server::start(&settings, super::routes(&supervisor, &clock)).unwrap();
+    let own = "Host: localhost\r\nIf-Match: *\r\n";
+    let config = std::fs::read(supervisor.file()).unwrap();
+    let kinds: [(&str, &str, &[u8], usize); 3] = [
+        ("POST", "/api/v1/recordings/mark", b"{}", 20),
+        ("POST", "/api/v1/mode", br#"{"mode":"setup"}"#, 6),
+        ("PUT", "/api/v1/config", &config, 10),
+    ];
+    for (method, path, content, by_hand) in kinds {
+        let answers: Vec<Answer> =
+            (0..200).map(|_| exchange(server.address(), method, path, own, content)).take_while(|answer| answer.status != 429).collect();
+        assert!((by_hand..200).contains(&answers.len()), "{path}: {} at once", answers.len());
+        assert!(answers.iter().all(|answer| (200..300).contains(&answer.status)), "{path}: {:?}", answers.last());
+        let refused = exchange(server.address(), method, path, own, content);
+        assert!(refused.status == 429 && !refused.values("retry-after").is_empty(), "{path}: {}", refused.head);
     }
 }

@@ -48,7 +48,8 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     vec![
         Route::aside(Method::GET, "/api/v1/health", Access::Anyone, move |_| {
             Ok(Reply::json(200, printable(&json!({"parts": parts(&for_health)}).to_string()).into_owned()))
-        }),
+        })
+        .probe(),
         Route::aside(Method::GET, "/api/v1/outputs", Access::Anyone, move |_| {
             let outputs: Vec<Value> = rates.of(for_outputs.outputs(), Instant::now()).iter().map(output).collect();
             Ok(Reply::json(200, json!({"outputs": outputs}).to_string()))
@@ -84,7 +85,7 @@ fn parts(supervisor: &Supervisor) -> Vec<Part> {
     parts.extend(supervisor.outputs().iter().map(of_output));
     parts.push(recorder(statistics, supervisor));
     let folder = supervisor.settings().map(|settings| settings.recorder.folder.clone());
-    parts.push(disk(folder.as_deref().unwrap_or(supervisor.file())));
+    parts.push(disk(folder.as_deref().unwrap_or(&supervisor.keeping().folder())));
     parts.push(clock(statistics));
     parts
 }
@@ -154,7 +155,7 @@ fn recorder(statistics: &Statistics, supervisor: &Supervisor) -> Part {
             "recorder",
             "bad",
             "recording stopped, tracking goes on",
-            Some("make room on the disk or use a faster one, then begin a recording anew"),
+            Some("the last event of the recorder says why; see to that, then begin a recording anew"),
         ),
     }
 }

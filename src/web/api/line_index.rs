@@ -17,6 +17,8 @@ const EACH: u64 = 64;
 const MOST_FILES: usize = 1000;
 /// Bytes before the end of what was read that tell whether it is still the same file. Chosen: a record's last numbers. Raised, nothing is gained.
 const TAIL: usize = 64;
+/// The index of a clip.
+const STAMPS: &str = "timestamps.csv";
 
 /// What a line is in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -96,10 +98,10 @@ impl Known {
 pub(super) struct LineIndex(Mutex<HashMap<PathBuf, Known>>);
 
 impl LineIndex {
-    /// So many lines of a file of records from there on, each with its end.
-    pub fn records(&self, file: &Path, from: u64, count: u64) -> io::Result<Vec<u8>> {
+    /// So many lines of a clip's file of records from there on, each with its end.
+    pub fn records(&self, clip: &Path, name: &str, from: u64, count: u64) -> io::Result<Vec<u8>> {
         let mut text = Vec::new();
-        self.each(file, Kind::Records, from, count, |line| {
+        self.each((clip, name), Kind::Records, from, count, |line| {
             text.extend_from_slice(line);
             if !line.ends_with(b"\n") {
                 text.push(b'\n');
@@ -108,29 +110,30 @@ impl LineIndex {
         Ok(text)
     }
 
-    /// A row of a timestamps.csv; none where it has fewer.
-    pub fn stamp(&self, file: &Path, row: u64) -> Result<Option<StampRow>, TimestampsError> {
+    /// A row of a clip's timestamps.csv; none where it has fewer.
+    pub fn stamp(&self, clip: &Path, row: u64) -> Result<Option<StampRow>, TimestampsError> {
         let mut text = Vec::new();
-        let header = self.each(file, Kind::Stamps, row, 1, |line| text.extend_from_slice(line)).map_err(TimestampsError::Read)?;
+        let header = self.each((clip, STAMPS), Kind::Stamps, row, 1, |line| text.extend_from_slice(line)).map_err(TimestampsError::Read)?;
         Ok(read_timestamps([header, text].concat().as_slice())?.pop())
     }
 
-    /// How many rows a timestamps.csv has, those that are written whole.
-    pub fn rows(&self, file: &Path) -> io::Result<u64> {
-        self.each(file, Kind::Stamps, 0, 0, |_| {})?;
+    /// How many rows a clip's timestamps.csv has, those that are written whole.
+    pub fn rows(&self, clip: &Path) -> io::Result<u64> {
+        self.each((clip, STAMPS), Kind::Stamps, 0, 0, |_| {})?;
         let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        Ok(known.get(file).map_or(0, |known| known.rows))
+        Ok(known.get(&clip.join(STAMPS)).map_or(0, |known| known.rows))
     }
 
-    /// Calls with so many rows from there on; gives the file's header.
-    fn each(&self, path: &Path, kind: Kind, from: u64, count: u64, mut take: impl FnMut(&[u8])) -> io::Result<Vec<u8>> {
-        let mut file = safe_file::open(path)?;
+    /// Calls with so many rows of a clip's file from there on; gives the file's header.
+    fn each(&self, (clip, name): (&Path, &str), kind: Kind, from: u64, count: u64, mut take: impl FnMut(&[u8])) -> io::Result<Vec<u8>> {
+        let mut file = safe_file::open_below(clip, Path::new(name))?;
+        let path = clip.join(name);
         let ((place, mut between), header) = {
             let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            if all.len() >= MOST_FILES && !all.contains_key(path) {
+            if all.len() >= MOST_FILES && !all.contains_key(&path) {
                 all.clear();
             }
-            let known = all.entry(path.to_owned()).or_default();
+            let known = all.entry(path).or_default();
             if !known.is_of(&mut file)? {
                 *known = Known::default();
             }
@@ -169,7 +172,8 @@ mod tests {
     #[test]
     fn every_row_is_that_of_a_whole_reading_also_while_the_file_grows() {
         let folder = tempfile::tempdir().unwrap();
-        let (csv, poses) = (folder.path().join("timestamps.csv"), folder.path().join("poses.jsonl"));
+        let clip = folder.path();
+        let (csv, poses) = (clip.join("timestamps.csv"), clip.join("poses.jsonl"));
         let index = LineIndex::default();
         let mut text = "#timestamp [ns],filename\n".to_owned();
         let mut records = String::new();
@@ -183,26 +187,30 @@ mod tests {
             std::fs::write(&csv, format!("{text}9")).unwrap();
             std::fs::write(&poses, format!("{records}{{\"seq")).unwrap();
             let whole = read_timestamps(std::fs::read(&csv).unwrap().as_slice()).unwrap();
-            assert_eq!(index.rows(&csv).unwrap(), whole.len() as u64 - 1);
+            assert_eq!(index.rows(clip).unwrap(), whole.len() as u64 - 1);
             for row in [0, 1, 62, 63, 64, 65, 88, 89, whole.len() / 2, whole.len() - 2, whole.len() - 1, whole.len(), 9999] {
-                assert_eq!(index.stamp(&csv, row as u64).unwrap().as_ref(), whole.get(row), "{row} of {}", whole.len());
+                assert_eq!(index.stamp(clip, row as u64).unwrap().as_ref(), whole.get(row), "{row} of {}", whole.len());
             }
             let lines: Vec<&str> = records.lines().chain(["{\"seq"]).collect();
             for (from, count) in [(0, 3), (60, 9), (64, 1), (lines.len() - 2, 5), (lines.len(), 2), (77_777, 1)] {
                 let wanted: String = lines.iter().skip(from).take(count).map(|line| format!("{line}\n")).collect();
-                assert_eq!(String::from_utf8(index.records(&poses, from as u64, count as u64).unwrap()).unwrap(), wanted, "{from}");
+                assert_eq!(
+                    String::from_utf8(index.records(clip, "poses.jsonl", from as u64, count as u64).unwrap()).unwrap(),
+                    wanted,
+                    "{from}"
+                );
             }
         }
         // Another file in its place, also a longer one.
         for rows in [3, 4000] {
             let text: String = (0..rows).map(|k| format!("{{\"other\":{k}}}\n")).collect();
             std::fs::write(&poses, text).unwrap();
-            assert_eq!(index.records(&poses, rows - 1, 2).unwrap(), format!("{{\"other\":{}}}\n", rows - 1).as_bytes());
+            assert_eq!(index.records(clip, "poses.jsonl", rows - 1, 2).unwrap(), format!("{{\"other\":{}}}\n", rows - 1).as_bytes());
         }
         let mut file = std::fs::OpenOptions::new().append(true).open(&csv).unwrap();
         file.write_all(b"99\n").unwrap();
-        assert!(matches!(index.stamp(&folder.path().join("none"), 0), Err(TimestampsError::Read(_))));
+        assert!(matches!(index.stamp(&clip.join("none"), 0), Err(TimestampsError::Read(_))));
         std::fs::write(&csv, "no header\n1,a.jpg\n").unwrap();
-        assert!(matches!(index.stamp(&csv, 0), Err(TimestampsError::Header(_))));
+        assert!(matches!(index.stamp(clip, 0), Err(TimestampsError::Header(_))));
     }
 }

@@ -55,6 +55,8 @@ mod guarded_tests;
 #[cfg(test)]
 mod hostile_tests;
 #[cfg(test)]
+mod late_tests;
+#[cfg(test)]
 pub(super) mod types_tests;
 
 #[cfg(test)]
@@ -131,11 +133,16 @@ mod tests {
 
     /// A server with all that a daemon answers.
     pub(super) fn whole_server(supervisor: &Arc<Supervisor>, page_dir: Option<&Path>) -> Server {
+        whole_site(supervisor, Site { page_dir: page_dir.map(Path::to_owned), ..Site::default() })
+    }
+
+    /// The same, with more of a site.
+    pub(super) fn whole_site(supervisor: &Arc<Supervisor>, site: Site) -> Server {
         let settings = HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
         let clock = Arc::new(FrameClock::new(crate::publish::Stamps::Live));
         // A test asks more often than people.
         let routes = routes(supervisor, &clock).into_iter().map(|route| Route { pace: None, ..route }).collect();
-        let site = Site { about: Some(about(supervisor)), page_dir: page_dir.map(Path::to_owned), ..Site::default() };
+        let site = Site { about: Some(about(supervisor)), ..site };
         Server::start_site(&settings, routes, site).unwrap()
     }
 }

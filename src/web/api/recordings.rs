@@ -2,9 +2,9 @@
 
 use std::fs::File;
 use std::io::{self, Read, Write};
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::{Component, Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, UNIX_EPOCH};
 
 use axum::http::Method;
@@ -16,7 +16,7 @@ use super::failed;
 use super::line_index::LineIndex;
 use super::timeline::timeline;
 use crate::capture::timestamps::StampRow;
-use crate::capture::with_huffman_tables;
+use crate::capture::{DecodeError, decode_grey, with_huffman_tables};
 use crate::config::Settings;
 use crate::daemon::Supervisor;
 use crate::daemon::report::{Report, config_text, find};
@@ -112,7 +112,7 @@ impl Folder {
     fn timeline(&self, call: &mut Call) -> Result<Reply, Reply> {
         let clip = self.clip(call)?;
         let points = call.queried("points", 1000, 1..=MOST_POINTS)?;
-        let told = timeline(&clip.path.join("poses.jsonl"), &clip.path.join("events.jsonl"), points as usize);
+        let told = timeline(&clip.path, "poses.jsonl", points as usize);
         let mut told = told.map_err(|e| failed("the recording cannot be read", &e))?;
         told["retracked"] = clip.path.join("retracked/compared.json").is_file().into();
         Ok(Reply::json(200, told.to_string()))
@@ -122,27 +122,27 @@ impl Folder {
         let clip = self.clip(call)?;
         let number = call.number("row")?;
         let beyond = || Reply::text(404, "the recording has no such row; its timeline says how many there are\n");
-        let row = self.lines.stamp(&clip.path.join("timestamps.csv"), number);
+        let row = self.lines.stamp(&clip.path, number);
         let row = row.map_err(|_| Reply::text(500, "the recording's timestamps.csv cannot be read\n"))?.ok_or_else(beyond)?;
-        let inside = |name: &str| Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
-        let picture = clip.path.join("frames").join(&row.file);
-        if row.file.is_empty() || !inside(&row.file) {
+        let picture = Path::new("frames").join(&row.file);
+        if row.file.is_empty() || !picture.components().all(|c| matches!(c, Component::Normal(_))) {
             return Err(Reply::text(404, "this row has no picture\n"));
         }
-        let bytes = safe_file::read(&picture, LARGEST_PICTURE).map_err(|e| failed("the picture cannot be read", &e))?;
-        let record = self.record(&clip.path.join("poses.jsonl"), number).unwrap_or_else(|| "null".to_owned());
+        let bytes = safe_file::read_below(&clip.path, &picture, LARGEST_PICTURE);
+        let bytes = bytes.map_err(|e| failed("the picture cannot be read", &e))?;
+        let record = self.record(&clip.path, number).unwrap_or_else(|| "null".to_owned());
         Ok(Reply::new(200, "image/jpeg", jpeg(bytes)?).with("x-stagepose-record", &escaped(&record)))
     }
 
     fn poses(&self, call: &mut Call) -> Result<Reply, Reply> {
         let clip = self.clip(call)?;
-        self.records(&clip.path.join("poses.jsonl"), call)
+        self.records(&clip.path, "poses.jsonl", call)
     }
 
-    /// So many of a file's lines from there on, as JSON lines.
-    pub fn records(&self, file: &Path, call: &Call) -> Result<Reply, Reply> {
+    /// So many lines of a clip's file from there on, as JSON lines.
+    pub fn records(&self, clip: &Path, name: &str, call: &Call) -> Result<Reply, Reply> {
         let (from, count) = (call.queried("from", 0, 0..=u64::from(u32::MAX))?, call.queried("count", 500, 1..=MOST_RECORDS)?);
-        let text = self.lines.records(file, from, count).map_err(|e| failed("the records cannot be read", &e))?;
+        let text = self.lines.records(clip, name, from, count).map_err(|e| failed("the records cannot be read", &e))?;
         Ok(Reply::new(200, "application/x-ndjson", text))
     }
 
@@ -153,8 +153,8 @@ impl Folder {
         if !path.symlink_metadata().ok()?.is_dir() {
             return None;
         }
-        let rows = self.lines.rows(&index).ok()?;
-        let stamp = |row: u64| self.lines.stamp(&index, row).ok().flatten().and_then(|row: StampRow| row.stamp.ok());
+        let rows = self.lines.rows(&path).ok()?;
+        let stamp = |row: u64| self.lines.stamp(&path, row).ok().flatten().and_then(|row: StampRow| row.stamp.ok());
         let seconds = stamp(0).zip(stamp(rows.saturating_sub(1))).map_or(0.0, |(first, last)| last.ms_since(first) / 1e3);
         let ended = index.metadata().and_then(|about| about.modified()).ok()?.duration_since(UNIX_EPOCH).ok()?;
         let begun = ended.saturating_sub(Duration::try_from_secs_f64(seconds).unwrap_or_default()).as_millis() as i64;
@@ -163,8 +163,8 @@ impl Folder {
     }
 
     /// The record of a row.
-    fn record(&self, poses: &Path, row: u64) -> Option<String> {
-        let line = String::from_utf8(self.lines.records(poses, row, 1).ok()?).ok()?;
+    fn record(&self, clip: &Path, row: u64) -> Option<String> {
+        let line = String::from_utf8(self.lines.records(clip, "poses.jsonl", row, 1).ok()?).ok()?;
         serde_json::from_str::<Value>(&line).ok().map(|_| line.trim_end().to_owned())
     }
 }
@@ -178,13 +178,20 @@ fn escaped(text: &str) -> String {
     text.bytes().map(escape).collect()
 }
 
+/// Held while a picture is decoded: one at a time, because each may take a gigabyte.
+static DECODING: Mutex<()> = Mutex::new(());
+
 /// A picture as a JPEG that browsers show.
 fn jpeg(bytes: Vec<u8>) -> Result<Vec<u8>, Reply> {
     if bytes.starts_with(&[0xFF, 0xD8]) {
         return Ok(with_huffman_tables(&bytes).into_owned());
     }
     let none = || Reply::text(404, "this row has no picture that can be read\n");
-    let grey = image::load_from_memory(&bytes).map_err(|_| none())?.into_luma8();
+    let _alone = DECODING.lock().unwrap_or_else(PoisonError::into_inner);
+    let grey = decode_grey(&bytes).map_err(|e| match e {
+        DecodeError::TooLarge { .. } => Reply::text(413, format!("this row's picture is not shown: {e}\n")),
+        _ => none(),
+    })?;
     let (width, height) = (u16::try_from(grey.width()).map_err(|_| none())?, u16::try_from(grey.height()).map_err(|_| none())?);
     crate::web::hub::grey_jpeg(&grey, width, height, Vec::new()).ok_or_else(none)
 }
@@ -236,7 +243,7 @@ fn report(supervisor: &Supervisor, clip: &Clip, call: &Call) -> Result<Reply, Re
 fn zip_folder(folder: &Path, name: &str, to: &mut dyn Write) -> io::Result<()> {
     let mut zip = ZipWriter::new_stream(to);
     let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored).large_file(true);
-    add(&mut zip, options, folder, name, DEEPEST)?;
+    add(&mut zip, options, folder, Path::new(""), name, DEEPEST)?;
     zip.finish().map_err(io::Error::other)?.flush()
 }
 
@@ -244,18 +251,19 @@ fn add<W: Write + io::Seek>(
     zip: &mut ZipWriter<W>,
     options: SimpleFileOptions,
     folder: &Path,
+    within: &Path,
     name: &str,
     deeper: usize,
 ) -> io::Result<()> {
-    let mut entries: Vec<_> = std::fs::read_dir(folder)?.collect::<Result<_, _>>()?;
+    let mut entries: Vec<_> = std::fs::read_dir(folder.join(within))?.collect::<Result<_, _>>()?;
     entries.sort_by_key(std::fs::DirEntry::file_name);
     for entry in entries {
         let (kind, below) = (entry.file_type()?, format!("{name}/{}", entry.file_name().to_string_lossy()));
         if kind.is_dir() && deeper > 0 {
-            add(zip, options, &entry.path(), &below, deeper - 1)?;
+            add(zip, options, folder, &within.join(entry.file_name()), &below, deeper - 1)?;
         } else if kind.is_file() {
             zip.start_file(&below, options).map_err(io::Error::other)?;
-            let file: File = safe_file::open(&entry.path())?;
+            let file: File = safe_file::open_below(folder, &within.join(entry.file_name()))?;
             // A recording that goes on grows: as long as it is now.
             let length = file.metadata()?.len();
             io::copy(&mut file.take(length), zip)?;

@@ -85,3 +85,58 @@ fn a_report_has_texts_and_pictures_on_request_only() {
     let with = names("?pictures=600");
     assert!(with.iter().any(|name| name == "recording/frames/0000/b.pgm"), "{with:?}");
 }
+
+#[test]
+fn no_link_below_a_recording_is_followed() {
+    let folder = tempfile::tempdir().unwrap();
+    recording(folder.path());
+    let supervisor = supervised(folder.path());
+    let (clip, secret) = (folder.path().join("recordings/clip-1"), folder.path().join("secret"));
+    std::fs::write(&secret, "secret\n").unwrap();
+    let grey = folder.path().join("outside");
+    std::fs::create_dir(&grey).unwrap();
+    std::fs::write(grey.join("b.pgm"), b"P5\n1 1\n255\nS").unwrap();
+    let get = |path: &str| asked(&routes(&supervisor, &Arc::default()), "GET", &format!("/api/v1/recordings/clip-1/{path}"), b"");
+    let link = |to: &Path, name: &str| {
+        let at = clip.join(name);
+        let _ = std::fs::remove_file(&at).or_else(|_| std::fs::remove_dir_all(&at));
+        std::os::unix::fs::symlink(to, at).unwrap();
+    };
+    link(&secret, "poses.jsonl");
+    link(&secret, "events.jsonl");
+    link(&grey, "frames/0000");
+    for path in ["poses", "timeline", "frame/0", "frame/1"] {
+        let (status, said) = get(path);
+        assert_eq!(status, 500, "{path}: {}", String::from_utf8_lossy(&said));
+    }
+    let (status, zipped) = get("download");
+    let zip = zip::ZipArchive::new(io::Cursor::new(zipped)).unwrap();
+    assert_eq!((status, zip.file_names().collect::<Vec<_>>()), (200, vec!["clip-1/timestamps.csv"]));
+    let (status, zipped) = get("report?pictures=600");
+    assert_eq!(status, 200);
+    let mut zip = zip::ZipArchive::new(io::Cursor::new(zipped)).unwrap();
+    for k in 0..zip.len() {
+        let mut text = Vec::new();
+        zip.by_index(k).unwrap().read_to_end(&mut text).unwrap();
+        assert!(!text.windows(6).any(|part| part == b"secret" || part.ends_with(b"255\nS")), "file {k} of the report");
+    }
+    link(&secret, "timestamps.csv");
+    assert_eq!(get("frame/0").0, 500);
+}
+
+#[test]
+fn a_picture_beyond_the_limit_is_not_decoded_and_one_within_is() {
+    let folder = tempfile::tempdir().unwrap();
+    recording(folder.path());
+    let supervisor = supervised(folder.path());
+    let picture = folder.path().join("recordings/clip-1/frames/0000/b.pgm");
+    let get = || asked(&routes(&supervisor, &Arc::default()), "GET", "/api/v1/recordings/clip-1/frame/1", b"");
+    let pgm = |width: usize, height: usize| [format!("P5\n{width} {height}\n255\n").into_bytes(), vec![7; width * height]].concat();
+    std::fs::write(&picture, pgm(4000, 3000)).unwrap();
+    let (status, shown) = get();
+    assert!(status == 200 && shown.starts_with(&[0xFF, 0xD8]), "{status}");
+    image::GrayImage::new(9000, 9000).save_with_format(&picture, image::ImageFormat::Png).unwrap();
+    let (status, said) = get();
+    let said = String::from_utf8_lossy(&said).into_owned();
+    assert!(status == 413 && said.contains("67 million"), "{status}: {said}");
+}

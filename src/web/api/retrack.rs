@@ -37,21 +37,17 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Ve
     };
     let none = || Reply::text(404, "there is no such job; only the last ones are remembered\n");
     vec![
-        Route::aside(Method::POST, "/api/v1/recordings/{id}/retrack", Access::Change, move |call| {
-            call.nothing()?;
-            start(&for_start, &to_start, call)
-        }),
+        Route::aside(Method::POST, "/api/v1/recordings/{id}/retrack", Access::Change, move |call| start(&for_start, &to_start, call)),
         read("/api/v1/recordings/{id}/retracked", told),
-        read("/api/v1/recordings/{id}/retracked/poses", |folder, clip, call| folder.records(&clip.join("retracked/poses.jsonl"), call)),
+        read("/api/v1/recordings/{id}/retracked/poses", |folder, clip, call| folder.records(clip, "retracked/poses.jsonl", call)),
         read("/api/v1/recordings/{id}/retracked/differences", |folder, clip, call| {
-            folder.records(&clip.join("retracked/differences.jsonl"), call)
+            folder.records(clip, "retracked/differences.jsonl", call)
         }),
         Route::aside(Method::GET, "/api/v1/jobs/{number}", Access::Anyone, move |call| {
             let job = for_job.jobs.job(call.number("number")?).ok_or_else(none)?;
             Ok(Reply::json(200, json!(job).to_string()))
         }),
         Route::aside(Method::DELETE, "/api/v1/jobs/{number}", Access::Change, move |call| {
-            call.nothing()?;
             let number = call.number("number")?;
             match for_cancel.jobs.cancel(number) {
                 true => Ok(Reply::text(202, "the job ends\n")),
@@ -86,9 +82,9 @@ fn start(supervisor: &Arc<Supervisor>, folder: &Folder, call: &Call) -> Result<R
 /// The timeline of the new records, and how they compare with those that were recorded.
 fn told(_: &Folder, clip: &Path, call: &mut Call) -> Result<Reply, Reply> {
     let points = call.queried("points", 1000, 1..=MOST_POINTS)?;
-    let told = timeline(&clip.join("retracked/poses.jsonl"), &clip.join("events.jsonl"), points as usize);
+    let told = timeline(clip, "retracked/poses.jsonl", points as usize);
     let mut told = told.map_err(|e| failed("what was tracked again cannot be read", &e))?;
-    let compared = safe_file::read(&clip.join("retracked/compared.json"), LARGEST);
+    let compared = safe_file::read_below(clip, Path::new("retracked/compared.json"), LARGEST);
     told["compared"] = compared.ok().and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok()).unwrap_or(Value::Null);
     Ok(Reply::json(200, told.to_string()))
 }

@@ -12,7 +12,8 @@ use super::failed;
 use super::gltf;
 use crate::daemon::Supervisor;
 use crate::safe_file;
-use crate::web::call::{Call, not_arrived, too_large};
+use crate::web::call::Call;
+use crate::web::content::{not_arrived, too_large};
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
@@ -37,19 +38,19 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             let tag = tag(&text);
             Ok(Reply::new(200, "application/json", text).with("etag", &tag))
         }),
-        Route::aside(Method::PUT, "/api/v1/set", Access::Change, move |call| put_set(&for_put, call)),
+        Route::aside(Method::PUT, "/api/v1/set", Access::Change, move |call| put_set(&for_put, call)).takes(LARGEST_SET),
         route(Method::GET, "/api/v1/sets", Access::Anyone, |folder, _| {
             let models: Vec<Value> = models(folder).into_iter().map(|(name, bytes)| json!({"name": name, "bytes": bytes})).collect();
             Ok(Reply::json(200, json!({"sets": models}).to_string()))
         }),
         route(Method::GET, "/api/v1/sets/{name}", Access::Anyone, |folder, call| {
-            let file = model(folder, call)?;
-            let bytes = safe_file::read(&file, LARGEST_MODEL).map_err(|_| none())?;
+            model(folder, call)?;
+            let name = Path::new("sets").join(call.name("name")?);
+            let bytes = safe_file::read_below(folder, &name, LARGEST_MODEL).map_err(|_| none())?;
             Ok(Reply::new(200, "model/gltf-binary", bytes))
         }),
-        route(Method::PUT, "/api/v1/sets/{name}", Access::Change, put_model),
+        route(Method::PUT, "/api/v1/sets/{name}", Access::Change, put_model).takes_a_file(),
         route(Method::DELETE, "/api/v1/sets/{name}", Access::Change, |folder, call| {
-            call.nothing()?;
             std::fs::remove_file(model(folder, call)?).map_err(|_| none()).map(|()| Reply::done())
         }),
     ]
@@ -59,13 +60,13 @@ fn none() -> Reply {
     Reply::text(404, "there is no such model; GET /api/v1/sets lists them\n")
 }
 
-/// Where the set and its models are.
+/// Where the set and its models are: beside the config, or where the daemon may write.
 fn folder(supervisor: &Supervisor) -> PathBuf {
-    supervisor.file().parent().unwrap_or(Path::new("")).to_owned()
+    supervisor.keeping().folder()
 }
 
 fn read_set(folder: &Path) -> Result<Vec<u8>, Reply> {
-    match safe_file::read(&folder.join("set.json"), LARGEST_SET) {
+    match safe_file::read_below(folder, Path::new("set.json"), LARGEST_SET) {
         Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(EMPTY.into()),
         read => read.map_err(|e| failed("set.json cannot be read", &e)),
     }
@@ -85,7 +86,10 @@ fn put_set(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     {
         return Err(Reply::text(412, "the set was changed meanwhile; load it again\n"));
     }
-    safe_file::write_lasting(&folder.join("set.json"), &bytes).map_err(|e| failed("set.json cannot be written beside the config", &e))?;
+    let unwritten = |e: io::Error| failed(&format!("{}: set.json cannot be written", folder.display()), &e);
+    call.still_may()?;
+    std::fs::create_dir_all(folder).map_err(unwritten)?;
+    safe_file::write_lasting(&folder.join("set.json"), &bytes).map_err(unwritten)?;
     Ok(Reply::done().with("etag", &tag(&bytes)))
 }
 
@@ -121,7 +125,7 @@ fn put_model(folder: &Path, call: &mut Call) -> Result<Reply, Reply> {
     if !target.exists() && models(folder).len() >= MOST_MODELS {
         return Err(Reply::text(409, format!("there are {MOST_MODELS} models already; delete one\n")));
     }
-    let unwritten = |e: io::Error| failed("the model cannot be written beside the config", &e);
+    let unwritten = |e: io::Error| failed(&format!("{}: the model cannot be written", target.display()), &e);
     std::fs::create_dir_all(folder.join("sets")).map_err(unwritten)?;
     // To the disk as it comes; it gets its name when it is known to be good.
     let mut beside = tempfile(&target).map_err(unwritten)?;
@@ -140,6 +144,7 @@ fn put_model(folder: &Path, call: &mut Call) -> Result<Reply, Reply> {
     }
     beside.file.sync_all().map_err(unwritten)?;
     gltf::judge(&beside.path).map_err(|reason| Reply::text(422, format!("{reason}\n")))?;
+    call.still_may()?;
     std::fs::rename(&beside.path, &target).map_err(unwritten)?;
     Ok(Reply::done())
 }

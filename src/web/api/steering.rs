@@ -1,12 +1,14 @@
 //! `POST /api/v1/mode`, `ring/save`, `recordings/start`, `stop`, `mark`: what the running daemon is asked to do.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::http::Method;
 use serde::Deserialize;
 
 use crate::daemon::live::Event;
-use crate::daemon::{Mode, RecordingWish, Supervisor};
+use crate::daemon::recorder::may_record;
+use crate::daemon::{Mode, RecordingWish, Supervisor, unwritten};
 use crate::printable::printable;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
@@ -15,6 +17,14 @@ use crate::web::routes::{Access, Route};
 const LARGEST: u64 = 4096;
 /// Longest text of a mark, characters: a line in a list. Raised, lists grow wide.
 const LONGEST_MARK: usize = 200;
+
+/// Marks that may come at once, and the time after which each further one may: faster than any hand. Raised, a program that marks on and on
+/// fills the list and the disk sooner.
+const MARKS_AT_ONCE: u32 = 30;
+const ONE_MARK_EACH: Duration = Duration::from_millis(500);
+/// The same of changes of the mode, each of which opens or closes the camera.
+const MODES_AT_ONCE: u32 = 10;
+const ONE_MODE_EACH: Duration = Duration::from_secs(2);
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -34,10 +44,15 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let (for_mode, for_start, for_stop, for_mark) = (of(supervisor), of(supervisor), of(supervisor), of(supervisor));
     let for_ring = of(supervisor);
     let record = |supervisor: Arc<Supervisor>, path, wish, says: &'static str| {
-        Route::aside(Method::POST, path, Access::Change, move |call| {
-            call.nothing()?;
+        Route::aside(Method::POST, path, Access::Change, move |_| {
             if supervisor.settings().is_none() || supervisor.mode() != Mode::Track {
                 return Err(Reply::text(409, "nothing is tracked, so nothing can be recorded; begin to track first\n"));
+            }
+            if let (RecordingWish::Start, Some(settings)) = (wish, supervisor.settings()) {
+                // Said to whoever asks, not a moment later to whoever listens.
+                let folder = &settings.recorder.folder;
+                may_record(folder)
+                    .map_err(|e| Reply::text(409, format!("recordings cannot go to {}: {}\n", folder.display(), unwritten(&e))))?;
             }
             supervisor.record(wish);
             Ok(Reply::text(202, says))
@@ -56,7 +71,9 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             }
             for_mode.set_mode(mode);
             Ok(Reply::text(202, format!("the camera goes to: {}\n", mode.word())))
-        }),
+        })
+        .takes(LARGEST)
+        .paced(MODES_AT_ONCE, ONE_MODE_EACH),
         Route::post("/api/v1/ring/save", move || {
             for_ring.save_ring();
             Reply::text(202, "the last seconds will be saved\n")
@@ -70,6 +87,8 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             }
             for_mark.link.events.publish(Event::Marked { text: printable(&mark.text).into_owned() });
             Ok(Reply::text(202, "marked\n"))
-        }),
+        })
+        .takes(LARGEST)
+        .paced(MARKS_AT_ONCE, ONE_MARK_EACH),
     ]
 }

@@ -70,11 +70,11 @@ impl Column {
     }
 }
 
-/// The timeline of a file of records, with the events of another; what cannot be read ends it.
-pub(super) fn timeline(poses: &Path, events: &Path, points: usize) -> io::Result<Value> {
+/// The timeline of a clip's file of records, with its events; what cannot be read ends it.
+pub(super) fn timeline(clip: &Path, poses: &str, points: usize) -> io::Result<Value> {
     let (mut columns, mut of_each): (Vec<Column>, u64) = (Vec::new(), 1);
     let (mut stamps, mut rows): (Vec<i64>, u64) = (Vec::new(), 0);
-    let (mut reader, mut line) = (BufReader::with_capacity(1 << 18, safe_file::open(poses)?), String::new());
+    let (mut reader, mut line) = (BufReader::with_capacity(1 << 18, safe_file::open_below(clip, Path::new(poses))?), String::new());
     loop {
         line.clear();
         if reader.read_line(&mut line).is_ok_and(|length| length == 0) {
@@ -111,7 +111,7 @@ pub(super) fn timeline(poses: &Path, events: &Path, points: usize) -> io::Result
         })
         .collect();
     let ends = (stamps.first().copied(), stamps.last().copied());
-    Ok(json!({"frames": rows, "first_ns": ends.0, "last_ns": ends.1, "columns": told, "events": with_rows(events, &stamps)}))
+    Ok(json!({"frames": rows, "first_ns": ends.0, "last_ns": ends.1, "columns": told, "events": with_rows(clip, &stamps)}))
 }
 
 fn joined(columns: Vec<Column>) -> Vec<Column> {
@@ -126,8 +126,8 @@ fn joined(columns: Vec<Column>) -> Vec<Column> {
 }
 
 /// The events as they stand in the file, each with how much it matters, what it says, and the first row that is not before it.
-fn with_rows(events: &Path, stamps: &[i64]) -> Vec<Value> {
-    let Ok(file) = safe_file::open(events) else { return Vec::new() };
+fn with_rows(clip: &Path, stamps: &[i64]) -> Vec<Value> {
+    let Ok(file) = safe_file::open_below(clip, Path::new("events.jsonl")) else { return Vec::new() };
     let lines = BufReader::new(file).lines().map_while(Result::ok);
     let told = lines.filter_map(|line| serde_json::from_str::<Value>(&line).ok()).filter(Value::is_object);
     told.take(MOST_EVENTS)
@@ -175,7 +175,7 @@ mod tests {
         std::fs::write(&poses, text).unwrap();
         std::fs::write(&events, "{\"timestamp_ns\":70000,\"event\":\"marked\",\"text\":\"cue 1\"}\nnonsense\n{\"timestamp_ns\":1000000,\"event\":\"no_such_event\"}\n").unwrap();
         for points in [1, 7, 100, 1000, 4000] {
-            let told = timeline(&poses, &events, points).unwrap();
+            let told = timeline(folder.path(), "poses.jsonl", points).unwrap();
             let columns = told["columns"].as_array().unwrap();
             assert!(columns.len() <= points && columns.len() * 2 + 2 > points.min(1001), "{} of {points}", columns.len());
             assert_eq!(columns.iter().map(|c| c["rows"].as_u64().unwrap()).sum::<u64>(), 1001);
@@ -190,6 +190,7 @@ mod tests {
             assert_eq!(says, [(Some("info"), Some("marked: cue 1")), (Some("info"), Some("no such event"))]);
         }
         std::fs::write(&poses, "").unwrap();
-        assert_eq!(timeline(&poses, &folder.path().join("none"), 10).unwrap()["frames"], 0);
+        std::fs::remove_file(&events).unwrap();
+        assert_eq!(timeline(folder.path(), "poses.jsonl", 10).unwrap()["frames"], 0);
     }
 }

@@ -409,6 +409,80 @@ fn the_clip() {
     assert_named(&CLIP);
 }
 
+/// The first line that says what to mend.
+fn first(said: &stage::Said) -> &str {
+    said.text.lines().find_map(|line| line.strip_prefix("mend ")).unwrap_or_default().trim()
+}
+
+/// Mistakes with a photograph whose corners were read by eye: the cause comes first, though no corner is exact.
+#[test]
+fn of_a_photograph_the_cause_comes_first() {
+    let by_eye = |order: [usize; 4], from: &str, to: &str| {
+        let stage = Stage::new();
+        stage.photo_by_eye(order, from, to);
+        stage.check()
+    };
+    let swapped = by_eye(IN_ORDER, "[4.0, 3.0]", "[3.0, 4.0]");
+    assert!(swapped.code == 1 && first(&swapped).contains("width and height are swapped: write size_m = [4.0, 3.0]"), "{}", swapped.text);
+    for order in [[1, 2, 3, 0], [3, 0, 1, 2]] {
+        let begun = by_eye(order, "", "");
+        assert!(begun.code == 1 && first(&begun).contains("the corners do not start at the top left"), "{order:?} {}", begun.text);
+    }
+    let opposite = by_eye([2, 3, 0, 1], "", "");
+    assert!(opposite.code == 1 && first(&opposite).contains("upside down"), "{}", opposite.text);
+}
+
+#[test]
+fn a_guessed_lens_is_mended_by_the_key_that_guessed_it() {
+    for (line, wanted) in [("fov_deg = 85", "write fov_deg = 5"), ("focal_35mm_mm = 20", "write focal_35mm_mm = 3")] {
+        let stage = Stage::new();
+        stage.config("calibration = \"camera.toml\"", line);
+        let said = stage.check();
+        assert!(said.code == 1 && first(&said).contains(wanted), "{line}\n{}", said.text);
+        assert!(!said.text.contains("fx ="), "{line}\n{}", said.text);
+    }
+}
+
+/// 480 x 360 pixels stretched to 640 x 360, as a camera or a recording program does with 4:3 in 16:9; and to 480 x 480.
+#[test]
+fn a_stretched_clip_is_called_so() {
+    for ((width, height), undone) in [((640, 360), "scale=480:360"), ((480, 480), "scale=480:360")] {
+        let stage = Stage::new();
+        stage.frames(|_, f| imageops::resize(&f, width, height, imageops::FilterType::CatmullRom));
+        // What is known of the camera is its angle across, whatever became of its pictures.
+        stage.config("calibration = \"camera.toml\"", "fov_deg = 58.1");
+        let said = stage.check();
+        assert!(said.code == 1 && first(&said).contains("pixels are not square"), "{width} x {height}\n{}", said.text);
+        let [across, down] = [undone, "setsar=1"];
+        assert!(said.text.contains(across) && said.text.contains(down), "{}", said.text);
+    }
+}
+
+/// A clip that is shaken by hand before a camera that reads its rows one after another, which the config does not say.
+#[test]
+fn a_readout_is_tried_before_the_lens_is_blamed() {
+    let folder = tempfile::tempdir().unwrap();
+    let fixture = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly");
+    let config = format!(
+        "[camera]\ncalibration = \"{fixture}/camera.toml\"\n[[stage.surface]]\nimage = \"{fixture}/backdrop.png\"\nsize_m = [4.0, 3.0]\n"
+    );
+    std::fs::write(folder.path().join("stage.toml"), config).unwrap();
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_stagepose"));
+    let output = command.args(["check", "--config", "stage.toml", "--clip", fixture]).current_dir(folder.path()).output().unwrap();
+    let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+    let said = stage::Said { code: output.status.code().unwrap(), text };
+    assert!(first(&said).contains("reads its rows one after another") && first(&said).contains("write readout_s = 0.0"), "{}", said.text);
+    assert!(!said.text.contains("set zoom and focus back") && !said.text.contains("poses are withheld"), "{}", said.text);
+}
+
+#[test]
+fn a_clip_of_one_picture_is_not_good() {
+    let stage = Stage::new();
+    std::fs::write(stage.path("clip/timestamps.csv"), "#timestamp [ns],filename\n0,000000.pgm\n").unwrap();
+    let said = stage.check();
+    assert!(!said.text.lines().next().unwrap().contains("good") && said.text.contains("the clip is one picture"), "{}", said.text);
+}
+
 #[test]
 fn what_is_right_is_called_good() {
     let said = Stage::new().check();

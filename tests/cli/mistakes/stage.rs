@@ -113,6 +113,13 @@ impl Stage {
         self.write("stage.toml", &PHOTO.replace("CORNERS", &format!("{corners:?}")).replace(from, to));
     }
 
+    /// The same with corners as a person reads them off a viewer: each a pixel or so off.
+    pub fn photo_by_eye(&self, order: [usize; 4], from: &str, to: &str) {
+        let off = [[1.2, -0.9], [-1.1, -1.3], [0.8, 1.4], [-1.5, 0.7]];
+        let corners = order.map(|k| [0, 1].map(|axis| ((pictures().corners[k][axis] + off[k][axis]) * 10.0).round() / 10.0));
+        self.write("stage.toml", &PHOTO.replace("CORNERS", &format!("{corners:?}")).replace(from, to));
+    }
+
     /// `corners_px` as the messages write them, begun at one of the true corners.
     pub fn corner(&self, first: usize) -> String {
         let corner = pictures().corners[first];

@@ -18,7 +18,7 @@ use super::level_problem::{Corrected, Expected, LevelProblem};
 use super::level_spec::LevelSpec;
 use super::light::RememberedLight;
 use super::selection::Selector;
-use super::shutter_clue::ShutterClue;
+use super::shutter_clue::{ReadoutQuestion, ShutterClue};
 use super::slow_estimates::{Lessons, SlowEstimates};
 use super::system::schur_complement::{Clue, SchurComplement};
 use super::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
@@ -92,9 +92,6 @@ const SETTLING_STEPS: usize = 8;
 /// How likely a camera that left the line it went on was shaken rather than started or stopped, where rows tell the two apart. Chosen, not
 /// tuned. Raised, starts and stops are explained by jerk more often, whose expectation is the wider one.
 const JERK_LIKELIHOOD: f64 = 0.01;
-
-/// Time over which a picture's speed is taken, seconds: as long as usual exposures. It hardly matters, as a motion is smooth.
-const SPEED_OVER_S: f64 = 0.005;
 
 /// Buffers of the hot path, kept from frame to frame.
 #[derive(Debug, Default)]
@@ -505,12 +502,14 @@ impl<'a> FrameProblem<'a> {
     }
 
     /// What the frame says of the shutter, beside what it says of the exposure.
-    pub fn shutter_clue(&mut self, exposure: Option<Clue>) -> Option<ShutterClue> {
+    pub fn shutter_clue(&mut self, question: &ReadoutQuestion, exposure: Option<Clue>) -> Option<ShutterClue> {
         let motion = self.buffers.fine.solution()?.found.motion;
         let spec = self.spec(FINEST, &motion);
         let Buffers { fine, readout_column, .. } = &mut *self.buffers;
-        let speed_px_s = spec.moved_px(&motion, &motion.after(SPEED_OVER_S)) * spec.frame_px() / SPEED_OVER_S;
-        Some(ShutterClue { readout: fine.solution()?.readout_clue(&spec, readout_column), speed_px_s, exposure })
+        let speed_px_s = spec.speed_px_s(&motion);
+        let pull = self.known.information * question.expected_by_readout;
+        let readout = fine.solution()?.readout_clue(&spec, &pull, readout_column);
+        Some(ShutterClue { readout, speed_px_s, exposure, is_open: question.is_open, is_followed: self.is_followed })
     }
 
     /// What the frame would teach.

@@ -8,13 +8,14 @@ use super::super::frame_levels::Level;
 use super::super::jump_instant::RowBands;
 use super::super::noise::NoiseSums;
 use super::super::normal::{RobustWeighting, squares_after};
-use super::super::system::schur_complement::{Clue, SchurComplement, SolvedTile};
+use super::super::shutter_clue::ReadoutClue;
+use super::super::system::schur_complement::{SchurComplement, SolvedTile};
 use super::super::tile_equations::TileStep;
 use super::super::verdict::agreement;
 use super::{Corrected, LevelProblem, LevelSpec};
 use crate::camera::Shutter;
 use crate::geometry::resection::larger_covariance;
-use crate::motion::MotionEstimate;
+use crate::motion::{MotionError, MotionEstimate};
 
 /// Largest squared residual that counts, sigmas²: beyond three sigmas a pixel shows something else, and its size says nothing of the fit.
 /// Raised, what stands in front of the stage has a say in how pictures were enlarged.
@@ -144,8 +145,12 @@ impl LevelSolution<'_> {
         gradients
     }
 
-    /// The clue on the time in which the sensor's rows are read, seconds.
-    pub fn readout_clue(&self, spec: &LevelSpec, column: &mut SchurComplement) -> Clue {
+    /// What the frame says of the time in which the sensor's rows are read. `pull`: the information of the expected motion, times the derivative of that motion by the
+    /// readout.
+    ///
+    /// The expectation comes from frames that were solved with the same readout: with another one they would have led elsewhere. So a change of the readout moves the
+    /// rows and the expectation at once (Friedland 1969, "Treatment of bias in recursive filtering"), and only a part of it shows.
+    pub fn readout_clue(&self, spec: &LevelSpec, pull: &MotionError, column: &mut SchurComplement) -> ReadoutClue {
         let Corrected { motion, scale } = self.found;
         let LevelProblem { picture, runs, system, .. } = &*self.problem;
         // A second more of readout delays a row by as much as a sensor of one second's readout does.
@@ -168,7 +173,9 @@ impl LevelSolution<'_> {
             let tile = SolvedTile { equations: &r.equations, step: &r.step, nodes, time, weight: scale.powi(-2) };
             column.add(system, &tile, &by_readout);
         }
-        column.finish(system)
+        let clue = column.finish(system);
+        let (hidden, motion_by_readout) = column.with_pull(system, pull);
+        ReadoutClue { clue, shown: (1.0 + hidden / clue.information).max(0.0), motion_by_readout }
     }
 
     /// Adds the pixels of the level that tell something, for pictures that show what the tracker saw.

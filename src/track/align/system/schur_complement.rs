@@ -5,7 +5,8 @@
 //! time in which a sensor is read, are learnt from these over many frames.
 
 use super::super::tile_equations::{TileEquations, TileStep};
-use super::{System, TileTime};
+use super::{SHARED, System, TileTime};
+use crate::motion::MotionError;
 
 /// What one frame says of an unknown that it did not solve for.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,5 +67,16 @@ impl SchurComplement {
         system.back_substitute(&mut self.solved);
         let shared: f64 = self.with_others.iter().zip(&self.solved).map(|(a, b)| a * b).sum();
         Clue { score: self.score, information: (self.own - shared).max(0.0) }
+    }
+
+    /// After [`finish`](Self::finish), of an unknown on which the expected motion depends as well. `pull`: the information of that motion times its derivative by the
+    /// unknown. Gives what that adds to the change of the score with the unknown (mostly, it takes from it), and the derivative of the solved motion by the unknown.
+    pub fn with_pull(&mut self, system: &System, pull: &MotionError) -> (f64, MotionError) {
+        let first = system.band.nodes + SHARED;
+        let hidden = pull.iter().zip(&self.solved[first..]).map(|(a, b)| a * b).sum();
+        self.with_others.fill(0.0);
+        self.with_others[first..].copy_from_slice(pull.as_slice());
+        system.back_substitute(&mut self.with_others);
+        (hidden, MotionError::from_fn(|k, _| self.with_others[first + k] - self.solved[first + k]))
     }
 }

@@ -1,0 +1,200 @@
+#!/usr/bin/env python3
+"""What strangers can do to a daemon that tracks: slow ones of each kind, and how long health and session take meanwhile.
+
+    python3 benches/siege.py target/release/stagepose [--strangers 64] [--seconds 20] [--check]
+
+A played clip is tracked. By turns nobody and the strangers of one kind are there; each turn says the median, the 99th percentile and the longest
+time of `/healthz`, `/api/v1/health` and `/api/v1/session`, and how many frames a second were tracked. The strangers come from eight addresses of
+this machine (127.0.0.2 to 127.0.0.9) as through a proxy, so that none of them is paired; nothing leaves the machine. `--check` fails where a
+99th percentile is above 100 ms (health) or 300 ms (session).
+"""
+
+import argparse
+import asyncio
+import json
+import pathlib
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+FIXTURE = ROOT / "fixtures/dolly"
+PROBES = {"/healthz": 100, "/api/v1/health": 100, "/api/v1/session": 300}
+HEAD = "Host: localhost\r\nX-Forwarded-For: 192.0.2.7\r\n"
+# Seconds after which an answer counts as none.
+WAITS = 20
+UPGRADE = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+
+
+def free_port():
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+def prepare(folder, port):
+    """The fixture's stage, a long clip of its frames, and a recording of two hours for timelines."""
+    for name in ["backdrop.png", "flat.png", "camera.toml"]:
+        shutil.copy(FIXTURE / name, folder / name)
+    text = (FIXTURE / "stage.toml").read_text()
+    text += f'\n[http]\nlisten = "127.0.0.1:{port}"\n[recorder]\nfolder = "recordings"\n'
+    (folder / "stage.toml").write_text(text)
+    frames = sorted((FIXTURE / "frames").iterdir())
+    there_and_back = frames + frames[-2:0:-1]
+    (folder / "long.mjpeg").write_bytes(b"".join(f.read_bytes() for f in there_and_back) * 400)
+    clip = folder / "recordings/clip-1"
+    (clip / "frames").mkdir(parents=True)
+    covariance = ",".join(["1.234567890123e-7"] * 36)
+    line = '{"sequence":%d,"timestamp_ns":%d,"state":"tracking","pose":null,"covariance":[' + covariance + '],"rms_px":0.5,"objects":[]}\n'
+    with open(clip / "poses.jsonl", "w") as poses, open(clip / "timestamps.csv", "w") as stamps:
+        stamps.write("#timestamp [ns],filename\n")
+        for k in range(200_000):
+            poses.write(line % (k, k * 33_333_333))
+            stamps.write(f"{k * 33_333_333},{k}.jpg\n")
+
+
+async def drip(peer, port, head, byte, pause):
+    """Sends a head, then a byte now and then; let go, it comes again."""
+    while True:
+        try:
+            reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(peer, 0))
+            writer.write(head.encode())
+            while not reader.at_eof():
+                await asyncio.sleep(pause)
+                writer.write(byte)
+                await writer.drain()
+            writer.close()
+        except OSError:
+            await asyncio.sleep(0.2)
+
+
+async def ask(peer, port, head, reads):
+    """Asks on and on; one that does not read keeps its answer waiting."""
+    while True:
+        try:
+            reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(peer, 0))
+            writer.write(head.encode())
+            if reads:
+                await reader.read(-1)
+            else:
+                await asyncio.sleep(10)
+            writer.close()
+        except OSError:
+            await asyncio.sleep(0.2)
+
+
+def stranger(kind, peer, port):
+    content = HEAD + "Content-Length: 4000\r\nX-Stagepose: 1\r\n\r\n"
+    kinds = {
+        "pairing, a byte each 3 s": lambda: drip(peer, port, "POST /api/v1/pair HTTP/1.1\r\n" + content, b" ", 3),
+        "head, a byte a second": lambda: drip(peer, port, "GET /api/v1/session HTTP/1.1\r\nHost: local", b"h", 1),
+        "timelines": lambda: ask(peer, port, "GET /api/v1/recordings/clip-1/timeline HTTP/1.0\r\n" + HEAD + "\r\n", True),
+        "records that nobody reads": lambda: ask(peer, port, f"GET /api/v1/recordings/clip-1/poses?count=5000 HTTP/1.1\r\n{HEAD}\r\n", False),
+        "WebSockets that nobody reads": lambda: ask(peer, port, f"GET /ws HTTP/1.1\r\n{HEAD}{UPGRADE}\r\n", False),
+        "sessions, on and on": lambda: ask(peer, port, "GET /api/v1/session HTTP/1.0\r\n" + HEAD + "\r\n", True),
+    }
+    return kinds if kind is None else kinds[kind]()
+
+
+class Siege:
+    """Strangers of one kind on a thread of their own."""
+
+    def __init__(self, kind, count, port):
+        self.loop = asyncio.new_event_loop()
+        self.thread = threading.Thread(target=self.loop.run_forever, daemon=True)
+        self.thread.start()
+        start = lambda k: asyncio.run_coroutine_threadsafe(stranger(kind, f"127.0.0.{2 + k % 8}", port), self.loop)
+        self.running = [start(k) for k in range(count)]
+
+    def end(self):
+        for one in self.running:
+            one.cancel()
+        time.sleep(0.5)
+        self.loop.call_soon_threadsafe(self.loop.stop)
+        self.thread.join()
+
+
+def frames(port):
+    text = urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=30).read().decode()
+    return float(re.search(r"^stagepose_frames_total (\S+)$", text, re.M).group(1))
+
+
+def measure(port, seconds):
+    """Times of each probe in ms, and frames a second."""
+    times = {path: [] for path in PROBES}
+    begun, before = time.monotonic(), frames(port)
+    while time.monotonic() - begun < seconds:
+        for path, of_path in times.items():
+            asked, answer = time.monotonic(), b""
+            try:
+                with socket.create_connection(("127.0.0.1", port), timeout=WAITS) as s:
+                    s.sendall(f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode())
+                    while piece := s.recv(65536):
+                        answer += piece
+            except OSError:
+                answer = b""
+            # 503 is what the health says of a clip that is over.
+            is_answered = answer.startswith((b"HTTP/1.1 200", b"HTTP/1.1 503"))
+            of_path.append((time.monotonic() - asked) * 1e3 if is_answered else WAITS * 1e3)
+        time.sleep(0.02)
+    return times, (frames(port) - before) / (time.monotonic() - begun)
+
+
+def percentile(values, share):
+    return sorted(values)[min(len(values) - 1, int(share * len(values)))]
+
+
+def main():
+    arguments = argparse.ArgumentParser()
+    arguments.add_argument("program")
+    arguments.add_argument("--strangers", type=int, default=64)
+    arguments.add_argument("--seconds", type=float, default=20)
+    arguments.add_argument("--check", action="store_true")
+    arguments = arguments.parse_args()
+    bad = []
+    with tempfile.TemporaryDirectory() as name:
+        folder, port = pathlib.Path(name), free_port()
+        prepare(folder, port)
+        command = [pathlib.Path(arguments.program).resolve(), "run", "--config", "stage.toml", "--play", "long.mjpeg"]
+        environment = {"STATE_DIRECTORY": name, "CACHE_DIRECTORY": "/dev/null", "PATH": "/usr/bin:/bin"}
+        daemon = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            begun = time.monotonic()
+            while time.monotonic() - begun < 60:
+                try:
+                    if frames(port) > 30:
+                        break
+                except OSError:
+                    pass
+                time.sleep(0.2)
+            for kind in stranger(None, "", 0):
+                for siege in [None, kind]:
+                    strangers = Siege(siege, arguments.strangers, port) if siege else None
+                    time.sleep(1)
+                    times, rate = measure(port, arguments.seconds)
+                    if strangers:
+                        strangers.end()
+                    print(f"{siege or 'nobody':<30} {rate:5.1f} frames/s", end="")
+                    for path, values in times.items():
+                        p99 = percentile(values, 0.99)
+                        print(f"   {path} {percentile(values, 0.5):.1f} / {p99:.1f} / {max(values):.0f} ms", end="")
+                        if siege and p99 > PROBES[path]:
+                            bad.append(f"{kind}: {path} {p99:.0f} ms")
+                    print(flush=True)
+            status = pathlib.Path(f"/proc/{daemon.pid}/status").read_text()
+            print(re.search(r"VmHWM:.*", status).group())
+        finally:
+            daemon.terminate()
+            daemon.wait(30)
+    if arguments.check and bad:
+        sys.exit("too slow: " + "; ".join(bad))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,53 @@
+//! Lenses that are too wide for Brown's model: fisheyes.
+//!
+//! Brown's polynomial in the tangent of the angle from the axis runs away where that tangent does. Fitted to a fisheye it leaves rings of
+//! residuals that point outwards and inwards in turn, or folds over in the corners.
+
+use super::super::solve::Estimate;
+use super::super::solve::adjust::Observation;
+
+/// How far the boards reach, and how much of the residuals is a pattern of rings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Reach {
+    /// The angle from the axis that one corner in fifty exceeds, degrees.
+    pub angle_deg: f64,
+    /// Share of the squared residuals that their mean in each ring explains, 0 to 1.
+    pub ringed: f64,
+}
+
+/// Rings of equal numbers of corners. Raised, noise explains more; lowered, a pattern of several turns averages out.
+const RINGS: usize = 10;
+/// Corners a ring, from which on its mean says something. Raised, small sets are not asked.
+const LEAST_A_RING: usize = 12;
+/// From this angle from the axis on, degrees, a lens is very wide: 90 degrees across. Raised, fisheyes go unnamed of which only the middle
+/// shows the board; lowered, ordinary wide lenses are suspected.
+pub(super) const WIDE_DEG: f64 = 45.0;
+/// Share of the squared residuals in rings from which on the model does not fit. Noise of as many corners explains a hundredth. Raised,
+/// fisheyes pass; lowered, bent boards are taken for them.
+pub(super) const RINGED: f64 = 0.1;
+
+/// Asks the residuals of all corners; `None` with too few of them.
+pub(super) fn reach(observations: &[Vec<Observation>], estimate: &Estimate) -> Option<Reach> {
+    let bundle = &estimate.bundle;
+    let centre = bundle.lens.0.fixed_rows::<2>(2).into_owned();
+    let mut corners: Vec<(f64, f64, f64)> = Vec::new();
+    for (view, seen) in observations.iter().enumerate() {
+        let pose = bundle.poses.get(view)?;
+        for o in seen {
+            let at = pose.rotation * nalgebra::Vector3::new(o.board_m.x, o.board_m.y, 0.0) + pose.translation;
+            let (Some(residual), outwards) = (bundle.residual(view, o), o.pixel - centre) else { continue };
+            let radial = outwards.try_normalize(1e-6).map_or(0.0, |unit| residual.dot(&unit));
+            corners.push((at.xy().norm().atan2(at.z).to_degrees(), radial, residual.norm_squared()));
+        }
+    }
+    if corners.len() < RINGS * LEAST_A_RING {
+        return None;
+    }
+    corners.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let all: f64 = corners.iter().map(|(.., squared)| squared).sum();
+    let in_rings = corners.chunks(corners.len().div_ceil(RINGS)).map(|ring| {
+        let sum: f64 = ring.iter().map(|(_, radial, _)| radial).sum();
+        sum * sum / ring.len() as f64
+    });
+    Some(Reach { angle_deg: corners[corners.len() * 49 / 50].0, ringed: in_rings.sum::<f64>() / all.max(1e-12) })
+}

@@ -1,0 +1,135 @@
+//! Words by which files of other programs say that their lens is not Brown's, or that they are of a form that is not read.
+
+use super::problem::{CalibrationProblem, Fault};
+use super::yaml::{Content, Node};
+
+/// Keys that name the model of a lens in files of OpenCV, ROS, Kalibr, Camodocal, ORB-SLAM and their kin.
+const MODEL_KEYS: [&str; 14] = [
+    "distortion_model",
+    "camera_model",
+    "distortion_type",
+    "camera_type",
+    "lens_type",
+    "lens_model",
+    "model",
+    "model_type",
+    "model_name",
+    "projection_model",
+    "projection_type",
+    "projection",
+    "Camera.type",
+    "type",
+];
+/// Of these, what is not known is refused too: nothing but a model stands there.
+const STRICT_KEYS: [&str; 2] = ["distortion_model", "camera_model"];
+/// Brown's model, and the pinhole that it bends, as programs call them.
+const BROWN: [&str; 14] = [
+    "plumbbob",
+    "rationalpolynomial",
+    "radialtangential",
+    "radtan",
+    "brown",
+    "brownconrady",
+    "pinhole",
+    "perspective",
+    "pinholeradtan",
+    "pinholeradialtangential",
+    "opencv",
+    "standard",
+    "none",
+    "",
+];
+/// Parts of the names of other models.
+const OTHERS: [&str; 17] = [
+    "fisheye",
+    "equidist",
+    "equisolid",
+    "stereographic",
+    "orthographic",
+    "kannala",
+    "kb4",
+    "kb8",
+    "mei",
+    "omni",
+    "eucm",
+    "ucm",
+    "doublesphere",
+    "scaramuzza",
+    "ocam",
+    "divis",
+    "fov",
+];
+/// Short names of other models, which are parts of too many words.
+const OTHER_WORDS: [&str; 4] = ["ds", "equi", "atan", "unified"];
+/// Keys that say yes or no.
+const FLAGS: [&str; 3] = ["fisheye_model", "fisheye", "is_fisheye"];
+/// Numbers that only other models have.
+const NUMBERS: [(&str, &str); 3] =
+    [("xi", "omnidirectional (xi)"), ("mirror_parameters", "omnidirectional (mirror_parameters)"), ("mu", "Kannala's (mu, mv)")];
+
+/// Refuses a file whose lens is of another kind, at the line that says so.
+pub(super) fn refuse_other_lenses(root: &Node) -> Result<(), Fault> {
+    let unsupported = |node: &Node, model: &str| {
+        let problem = CalibrationProblem::UnsupportedModel { model: model.to_owned() };
+        Err(Fault { line: Some(node.line), problem })
+    };
+    for (_, node) in FLAGS.iter().filter_map(|key| root.find(&[key])) {
+        let is_off = node.number() == Some(0.0) || node.text().is_some_and(|t| matches!(plain(t).as_str(), "false" | "no" | "off"));
+        if !is_off {
+            return unsupported(node, "fisheye");
+        }
+    }
+    for key in MODEL_KEYS {
+        let Some((_, node)) = root.find(&[key]) else { continue };
+        let name = node.text().unwrap_or("no word");
+        let is_other = OTHERS.iter().any(|part| plain(name).contains(part)) || OTHER_WORDS.contains(&plain(name).as_str());
+        let is_known = BROWN.contains(&plain(name).as_str());
+        // A `type` or `model` may be that of the camera's maker.
+        if is_other || (STRICT_KEYS.contains(&key) && !is_known) {
+            return unsupported(node, name);
+        }
+    }
+    for (key, model) in NUMBERS {
+        let Some((_, node)) = root.find(&[key]) else { continue };
+        if node.number() != Some(0.0) {
+            return unsupported(node, model);
+        }
+    }
+    Ok(())
+}
+
+/// Refuses files of programs whose form is not read, with what to do.
+pub(super) fn refuse_other_programs(root: &Node) -> Result<(), Fault> {
+    let refused = |line: usize, program: &'static str, mend: &'static str| {
+        Err(Fault { line: Some(line), problem: CalibrationProblem::OtherProgram { program, mend } })
+    };
+    if let Some((_, node)) = root.find(&["pinhole"])
+        && matches!(node.content, Content::Map(_))
+    {
+        let mend = "write its numbers to a .toml file: width, height, fx, fy, cx, cy, skew = skew / fx, distortion = [radial 1, radial 2, t1, t2, 0]";
+        return refused(node.line, "BoofCV", mend);
+    }
+    if let Some((_, node)) = root.find(&["Camera.fx", "Camera1.fx"]) {
+        let mend = "write its numbers to a .toml file: width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3]";
+        return refused(node.line, "ORB-SLAM", mend);
+    }
+    if let Some((_, node)) = root.find(&["projection_parameters"]) {
+        let mend = "write its numbers to a .toml file: width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, 0]";
+        return refused(node.line, "Camodocal (VINS)", mend);
+    }
+    Ok(())
+}
+
+/// Whether the file names Brown's model, so that four coefficients can be no others.
+pub(super) fn names_brown(root: &Node) -> bool {
+    let says = |key: &str| root.find(&[key]).and_then(|(_, node)| node.text().map(plain));
+    ["distortion_model", "distortion_type", "model_type"]
+        .into_iter()
+        .filter_map(says)
+        .any(|name| !name.is_empty() && name != "none" && name != "pinhole" && BROWN.contains(&name.as_str()))
+}
+
+/// A word without what programs write in different ways.
+fn plain(word: &str) -> String {
+    word.trim().to_ascii_lowercase().replace(['_', '-', ' '], "")
+}

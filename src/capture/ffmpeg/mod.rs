@@ -1,0 +1,321 @@
+//! Every other container, through an installed ffmpeg as a child process.
+//!
+//! ffmpeg decodes and writes the pixels as they lie in the file to a pipe: the luma plane of video as it is, red, green and blue where
+//! there is none ([`form`]). Its `showinfo` filter tells the exact stamp, size and depth of each frame on stderr ([`log`]), where a thread
+//! picks them up; so frames of uneven rate keep their times, and a picture that changes its size stays in step with its bytes. What the
+//! file says of itself is asked first ([`probe`]).
+
+mod form;
+mod log;
+mod probe;
+
+use std::ffi::OsStr;
+use std::io::{BufRead, BufReader, Read};
+use std::os::fd::AsFd;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use image::{GrayImage, RgbImage};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+
+use self::form::Form;
+use self::log::{Announced, Log};
+use self::probe::Probe;
+use super::error::CaptureError;
+use super::grey::check_size;
+use super::picture_stream::{Picture, PictureData, PictureStream};
+use super::rate::FrameRate;
+use super::remarks;
+
+/// Frames from a running ffmpeg.
+pub(super) struct Ffmpeg {
+    path: PathBuf,
+    child: Child,
+    frames: ChildStdout,
+    announced: Receiver<Announced>,
+    /// Reads stderr to its end.
+    listener: Option<JoinHandle<Log>>,
+    /// Stands in place of the container's stamps.
+    rate: Option<FrameRate>,
+    next: u64,
+    form: Form,
+    /// The size to which an old ffmpeg scales all pictures, known from the first one.
+    scaled_to: Scaling,
+    remarks: Remarks,
+    /// Set where pictures and lines do not belong together any more.
+    is_out_of_step: bool,
+}
+
+/// Whether ffmpeg scales pictures of another size.
+#[derive(Debug, Clone, Copy)]
+enum Scaling {
+    Off,
+    /// To the size of the first one.
+    ToFirst(Option<(u32, u32)>),
+}
+
+/// What is to be said of the file, a sentence each.
+#[derive(Default)]
+struct Remarks {
+    sentences: Vec<String>,
+    has_shape: bool,
+    has_fields: bool,
+}
+
+/// `-autoscale` came with this version; before it, pictures of another size are scaled to that of the first one.
+const HAS_AUTOSCALE: (u32, u32) = (4, 4);
+/// `-fps_mode` came with this version, where `-vsync` began to go.
+const HAS_FPS_MODE: (u32, u32) = (5, 1);
+/// How long bytes may wait in the pipe without the line that announces them, in units of [`LISTENING`]. The line is written first, so this
+/// is far too long for a busy machine. Raised, a stream out of step is noticed later.
+const MOST_SILENT: u32 = 20;
+/// How often the pipe is looked at while no line comes. Raised, a stream out of step is noticed later; lowered, waiting takes more time.
+const LISTENING: Duration = Duration::from_millis(500);
+
+impl Ffmpeg {
+    /// Starts ffmpeg on a file.
+    pub fn open(path: &Path, rate: Option<FrameRate>) -> Result<Self, CaptureError> {
+        Self::of_program(OsStr::new("ffmpeg"), path, rate)
+    }
+
+    /// Starts ffmpeg on a file for its colours, to be read by [`next_colours`](Self::next_colours).
+    pub fn open_colours(path: &Path) -> Result<Self, CaptureError> {
+        let program = OsStr::new("ffmpeg");
+        let probe = probed(program, path, true)?;
+        Self::start(program, path, None, (Form::Rgb, probe))
+    }
+
+    fn of_program(program: &OsStr, path: &Path, rate: Option<FrameRate>) -> Result<Self, CaptureError> {
+        let probe = probed(program, path, rate.is_some())?;
+        let form = probe.pixels.as_deref().map_or(Form::Luma, Form::of);
+        Self::start(program, path, rate, (form, probe))
+    }
+
+    fn start(program: &OsStr, path: &Path, rate: Option<FrameRate>, (form, probe): (Form, Probe)) -> Result<Self, CaptureError> {
+        let failed = |e| not_run(path, e);
+        let knows = |since| probe.version.is_none_or(|version| version >= since);
+        let mut command = probe::command(program, path);
+        let scaled_to = if knows(HAS_AUTOSCALE) { Scaling::Off } else { Scaling::ToFirst(None) };
+        if matches!(scaled_to, Scaling::Off) {
+            command.args(["-autoscale", "0"]);
+        }
+        let mut child = command
+            .args(["-vf", form.filter(), if knows(HAS_FPS_MODE) { "-fps_mode" } else { "-vsync" }])
+            .args(["passthrough", "-f", "rawvideo", "pipe:1"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(failed)?;
+        let (Some(frames), Some(errors)) = (child.stdout.take(), child.stderr.take()) else {
+            return Err(failed(std::io::Error::other("its pipes are gone")));
+        };
+        let (sender, announced) = channel();
+        let remarks = Remarks { sentences: probe.notes, ..Remarks::default() };
+        // From here on a failure ends the program that was started.
+        let mut stream = Self {
+            path: path.to_owned(),
+            child,
+            frames,
+            announced,
+            listener: None,
+            rate,
+            next: 0,
+            form,
+            scaled_to,
+            remarks,
+            is_out_of_step: false,
+        };
+        let listen = move || {
+            let mut log = Log::default();
+            // Read on after the receiver is gone, or ffmpeg would block on a full pipe.
+            for line in BufReader::new(errors).split(b'\n').map_while(Result::ok) {
+                if let Some(frame) = log.note(&String::from_utf8_lossy(&line)) {
+                    let _ = sender.send(frame);
+                }
+            }
+            log
+        };
+        stream.listener = Some(std::thread::Builder::new().name("ffmpeg".to_owned()).spawn(listen).map_err(failed)?);
+        Ok(stream)
+    }
+
+    /// The next picture's colours; `None` at the end, and where there are none for the picture.
+    pub fn next_colours(&mut self) -> Option<RgbImage> {
+        let announced = self.next_announced()?.ok()?;
+        RgbImage::from_raw(announced.width, announced.height, self.read_bytes(&announced).ok()?)
+    }
+
+    /// The line of the next picture; `None` at the end. Never waits while ffmpeg itself waits for somebody to read.
+    fn next_announced(&mut self) -> Option<Result<Announced, String>> {
+        let mut silent = 0;
+        while !self.is_out_of_step {
+            match self.announced.recv_timeout(LISTENING) {
+                Ok(announced) => return Some(Ok(announced)),
+                Err(RecvTimeoutError::Disconnected) => return None,
+                Err(RecvTimeoutError::Timeout) => silent = if self.has_bytes() { silent + 1 } else { 0 },
+            }
+            if silent >= MOST_SILENT {
+                let _ = self.child.kill(); // or it has ended by itself
+                self.is_out_of_step = true;
+                return Some(Err("ffmpeg's pictures and what it says of them do not belong together any more".to_owned()));
+            }
+        }
+        None
+    }
+
+    fn has_bytes(&self) -> bool {
+        poll(&mut [PollFd::new(self.frames.as_fd(), PollFlags::POLLIN)], PollTimeout::ZERO).is_ok_and(|ready| ready > 0)
+    }
+
+    /// The bytes of one picture, or why there are none.
+    fn read_bytes(&mut self, announced: &Announced) -> Result<Vec<u8>, String> {
+        let size = (announced.width, announced.height);
+        let written = match &mut self.scaled_to {
+            Scaling::Off => size,
+            Scaling::ToFirst(first) => *first.get_or_insert(size),
+        };
+        let wanted = u64::from(written.0) * u64::from(written.1) * self.form.bytes_a_pixel(announced);
+        let mut picture = (&mut self.frames).take(wanted);
+        let unreadable = |e| format!("ffmpeg cannot be read: {e}");
+        let is_allowed = check_size(written.0, written.1).map_err(|e| e.to_string());
+        let is_own = if written == size { Ok(()) } else { Err(format!("the picture is {} x {} pixels, others are not", size.0, size.1)) };
+        if let Err(reason) = is_allowed.and(is_own) {
+            std::io::copy(&mut picture, &mut std::io::sink()).map_err(unreadable)?;
+            return Err(reason);
+        }
+        let mut bytes = Vec::with_capacity(wanted.min(1 << 26) as usize);
+        picture.read_to_end(&mut bytes).map_err(unreadable)?;
+        if (bytes.len() as u64) < wanted { Err("ffmpeg ended in the middle of this frame".to_owned()) } else { Ok(bytes) }
+    }
+
+    fn read_frame(&mut self, announced: &Announced) -> Result<GrayImage, String> {
+        let bytes = self.read_bytes(announced)?;
+        self.form.grey(bytes, announced).ok_or_else(|| "ffmpeg gave too few bytes for this frame".to_owned())
+    }
+
+    /// Why ffmpeg ended, where it did not come to the end of a whole file.
+    fn early_end(&mut self) -> Option<String> {
+        let log = self.listener.take()?.join().unwrap_or_default();
+        let is_clean = self.child.wait().is_ok_and(|status| status.success());
+        let (rows, said) = (self.next, log.complaint().unwrap_or("it ended without a word"));
+        if log.is_cut_off() {
+            return Some(format!("the recording is cut off: it ends in the middle, after {rows} frames (ffmpeg: {said})"));
+        }
+        if !is_clean {
+            return Some(format!("ffmpeg ended after {rows} frames: {said}; what comes behind is missing"));
+        }
+        log.complaint().map(|said| format!("ffmpeg complains of the clip, some pictures may be damaged: {said}"))
+    }
+}
+
+impl PictureStream for Ffmpeg {
+    fn next_picture(&mut self) -> Option<Picture> {
+        let Some(announced) = self.next_announced() else {
+            if self.next > 0 && !self.is_out_of_step {
+                let ended = self.early_end();
+                self.remarks.sentences.extend(ended);
+            }
+            return None;
+        };
+        let data = announced.clone().and_then(|a| self.read_frame(&a)).map_or_else(PictureData::Missing, PictureData::Grey);
+        if let Ok(announced) = &announced {
+            self.remarks.note(announced, self.next);
+        }
+        let stamp = match (self.rate, announced.ok().and_then(|a| a.stamp)) {
+            (Some(rate), _) => Ok(rate.stamp(self.next)),
+            (None, Some(stamp)) => Ok(stamp),
+            (None, None) => Err("the container has no time stamp for this frame; give --fps".to_owned()),
+        };
+        self.next += 1;
+        Some(Picture { stamp, data })
+    }
+
+    fn failure(&mut self) -> Option<CaptureError> {
+        let log = self.listener.take()?.join().unwrap_or_default();
+        let clean = self.child.wait().is_ok_and(|status| status.success());
+        (!clean).then(|| refusal(&self.path, &log))
+    }
+
+    fn take_notes(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.remarks.sentences)
+    }
+}
+
+impl Remarks {
+    fn note(&mut self, announced: &Announced, row: u64) {
+        if let Some(shape) = announced.pixel_shape.filter(|_| !self.has_shape) {
+            self.has_shape = true;
+            self.sentences.push(remarks::pixel_shape(shape));
+        }
+        if announced.is_interlaced && !self.has_fields {
+            self.has_fields = true;
+            self.sentences.push(remarks::interlaced(row));
+        }
+    }
+}
+
+impl Drop for Ffmpeg {
+    fn drop(&mut self) {
+        // It may have ended by itself; then there is nothing to kill and nothing lost.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn probed(program: &OsStr, path: &Path, has_own_rate: bool) -> Result<Probe, CaptureError> {
+    let probe = Probe::of(program, path, has_own_rate).map_err(|e| not_run(path, e))?;
+    if probe.pixels.is_none() && probe.log.complaint().is_some() { Err(refusal(path, &probe.log)) } else { Ok(probe) }
+}
+
+fn not_run(path: &Path, e: std::io::Error) -> CaptureError {
+    match e.kind() {
+        std::io::ErrorKind::NotFound => CaptureError::FfmpegMissing { path: path.to_owned() },
+        _ => CaptureError::FfmpegFailed { path: path.to_owned(), reason: e.to_string() },
+    }
+}
+
+/// Why there is no picture at all.
+fn refusal(path: &Path, log: &Log) -> CaptureError {
+    let (path, reason) = (path.to_owned(), log.complaint().unwrap_or("it ended without a word").to_owned());
+    // Whatever has a film's name and is none has no index either.
+    let is_begun = !reason.contains("moov") || begins_as_film(&path);
+    if log.is_cut_off() && is_begun { CaptureError::CutOff { path, reason } } else { CaptureError::FfmpegFailed { path, reason } }
+}
+
+/// Whether a file begins with a box of QuickTime's and MP4's form.
+fn begins_as_film(path: &Path) -> bool {
+    let mut start = [0; 8];
+    let is_read = crate::safe_file::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok();
+    is_read && [b"ftyp", b"mdat", b"moov", b"wide", b"free", b"skip"].iter().any(|kind| start[4..] == **kind)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_program_is_named_with_the_mend() {
+        let gone = Ffmpeg::of_program(OsStr::new("no-such-program-as-this"), Path::new("a.mp4"), None).err().map(|e| e.to_string());
+        assert!(gone.is_some_and(|e| e.contains("a.mp4") && e.contains("install it")));
+    }
+
+    /// A program that writes a picture more than it announces, and then waits for somebody to read it.
+    #[test]
+    fn a_stream_out_of_step_ends_and_does_not_hang() {
+        let folder = tempfile::tempdir().unwrap();
+        let program = folder.path().join("ffmpeg");
+        let script = "#!/bin/sh\necho 'ffmpeg version 5.1.9'\necho '[Parsed_showinfo_0 @ 0x5] [info] n: 0 pts: 0 fmt:gray s:8x2 i:P' >&2\n\
+            exec head -c 1000000 /dev/zero\n";
+        std::fs::write(&program, script).unwrap();
+        std::fs::set_permissions(&program, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
+        let mut stream = Ffmpeg::start(program.as_os_str(), Path::new("a.mp4"), None, (Form::Luma, Probe::default())).unwrap();
+        assert!(matches!(stream.next_picture().unwrap().data, PictureData::Grey(_)));
+        let PictureData::Missing(reason) = stream.next_picture().unwrap().data else { panic!("there is no such picture") };
+        assert!(reason.contains("do not belong together"), "{reason}");
+        assert!(stream.next_picture().is_none());
+    }
+}

@@ -1,0 +1,84 @@
+//! Whether a clip's stamps can be nanoseconds: files with milliseconds or microseconds under that header are common.
+
+use crate::frame::Timestamp;
+
+/// Stamps nearer to each other, nanoseconds, are named: 2000 pictures a second. Raised, high-speed cameras are; lowered, slow clips stamped
+/// in microseconds are not.
+const SHORTEST_NS: i64 = 500_000;
+/// Stamps farther apart, nanoseconds, are named where they would be a camera's in a thousandth of it. Raised, slow clips stamped in
+/// picoseconds are not; lowered, pictures taken every few seconds are.
+const LONGEST_NS: i64 = 5_000_000_000;
+/// Frames of cameras lie between these apart, nanoseconds. Wider, a unit is named that cannot be.
+const CAMERA_NS: std::ops::RangeInclusive<i64> = 900_000..=2_000_000_000;
+/// Frames of videos lie between these apart, nanoseconds: 10 to 200 a second. Wider, pictures taken every few minutes are doubted.
+const VIDEO_NS: std::ops::RangeInclusive<i64> = 5_000_000..=100_000_000;
+/// Units by which stamps are mistaken, and nanoseconds in one of theirs.
+const UNITS: [(&str, i64); 3] = [("milliseconds", 1_000_000), ("microseconds", 1000), ("whole seconds", 1_000_000_000)];
+
+/// What to say of stamps that cannot be nanoseconds.
+pub(super) fn doubt(stamps: &[Timestamp]) -> Option<String> {
+    let steps = stamps.windows(2).map(|pair| pair[1].ns_since(pair[0]));
+    let (mut steps, others): (Vec<i64>, Vec<i64>) = steps.partition(|step| *step > 0);
+    let repeated = others.iter().filter(|step| **step == 0).count();
+    let read = "they are read as nanoseconds, so times, speeds and the shutter come out wrong";
+    steps.sort_unstable();
+    let step = *steps.get(steps.len() / 2)?;
+    if repeated > steps.len() && step <= SHORTEST_NS {
+        let unit = if step == 1 { "whole seconds" } else { "a unit that is too coarse" };
+        return Some(format!("most stamps are those of the row before; are they {unit}? {read}: write nanoseconds"));
+    }
+    if stamps.len() < 3 {
+        return None;
+    }
+    if step < SHORTEST_NS {
+        let fps = 1e9 / step as f64;
+        let unit = UNITS.iter().find(|(_, ns)| CAMERA_NS.contains(&step.saturating_mul(*ns)));
+        let (guess, mend) = match unit {
+            Some((unit, ns)) => (format!("are they {unit}? "), format!("multiply them by {ns}")),
+            None => (String::new(), "write nanoseconds".to_owned()),
+        };
+        return Some(format!("stamps lie {step} ns apart, {fps:.0} frames a second; {guess}{read}: {mend}"));
+    }
+    let is_too_fine = step > LONGEST_NS && VIDEO_NS.contains(&(step / 1000));
+    is_too_fine.then(|| {
+        format!(
+            "stamps lie {:.1} s apart; are they a thousandth of nanoseconds? {read}: divide them by 1000, or ignore this",
+            step as f64 / 1e9
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(stamps: impl Iterator<Item = i64>) -> Option<String> {
+        doubt(&stamps.map(Timestamp::from_ns).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn other_units_are_named_and_nanoseconds_are_not() {
+        let clip = || (0..40).map(|n| 1_403_636_579_763_555_584 + n * 33_333_333);
+        assert_eq!(of(clip()), None);
+        let said = of(clip().map(|t| t / 1_000_000)).unwrap();
+        assert!(said.contains("are they milliseconds?") && said.ends_with("multiply them by 1000000"), "{said}");
+        let said = of(clip().map(|t| t / 1000)).unwrap();
+        assert!(said.contains("are they microseconds?") && said.ends_with("multiply them by 1000"), "{said}");
+        assert!(of(clip().map(|t| t / 1_000_000_000)).unwrap().contains("are they whole seconds?"));
+        assert!(of((0..9).map(|n| n * 33_333_333_000)).unwrap().contains("divide them by 1000"));
+        // A second apart, in seconds; and with a few rows that are bad.
+        assert!(of(0..9).unwrap().contains("are they"));
+        assert!(of([0, 33, 66, 5, 100, i64::MAX, 133, 166].into_iter()).unwrap().contains("are they milliseconds?"));
+    }
+
+    #[test]
+    fn slow_and_fast_cameras_pass() {
+        for step in [1_000_000, 2_000_000, 33_333_333, 1_000_000_000, 4_000_000_000, 600_000_000_000, 86_400_000_000_000] {
+            assert_eq!(of((0..20).map(|n| n * step)), None, "{step}");
+        }
+        // Pauses, repeats and rows out of order.
+        assert_eq!(of([0, 33_333_333, 33_333_333, 66_666_666, 3_600_000_000_000, 50_000_000, 3_600_033_333_333].into_iter()), None);
+        assert_eq!((of([5].into_iter()), of([].into_iter()), of([0, 10].into_iter())), (None, None, None));
+        assert_eq!(of([10, 10, 10].into_iter()), None, "a clip of one instant has no unit");
+    }
+}

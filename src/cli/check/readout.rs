@@ -1,0 +1,67 @@
+//! A readout that explains a clip: tried before a lens, a shape or a layout is blamed.
+
+use std::path::Path;
+
+use super::pass::{Pass, TOLD};
+use super::shutter;
+use crate::camera::{KnownShutter, Shutter};
+use crate::cli::failure::Failure;
+use crate::config::Settings;
+use crate::diagnose::{Finding, known_to, written};
+use crate::track::LearntCamera;
+
+/// A shutter with which the clip is tracked better than as configured.
+pub(super) struct Readout {
+    /// The clip tracked with it.
+    pub pass: Pass,
+    /// What the clip tells of the shutter, in words.
+    pub lines: Vec<String>,
+    /// One sigma of the readout, seconds.
+    sigma_s: f64,
+    shutter: Shutter,
+    configured: KnownShutter,
+}
+
+impl Readout {
+    /// Estimates the shutter where something does not fit, and tracks the clip with it; none where that is no better.
+    pub(super) fn that_helps(settings: &Settings, before: &Pass, clip: &Path, fps: Option<f64>) -> Result<Option<Self>, Failure> {
+        // A shutter that is configured as global is taken at its word.
+        if settings.shutter.readout_s == Some(0.0) || !before.may_lack_readout() {
+            return Ok(None);
+        }
+        let Ok(estimate) = shutter::estimate(settings, clip, fps)? else { return Ok(None) };
+        let Some(found) = shutter::other_than(&settings.shutter.or_zero(), &estimate) else { return Ok(None) };
+        let pass = Pass::over(settings, found.into(), clip, fps, LearntCamera::default())?;
+        let lines = shutter::told(&estimate, settings);
+        let sigma_s = estimate.readout.map_or(0.0, |readout| readout.sigma_s);
+        Ok(is_better(before, &pass).then_some(Self { pass, lines, sigma_s, shutter: found, configured: settings.shutter }))
+    }
+
+    /// The line to write, and what it is good for.
+    pub(super) fn finding(&self, before: &Pass) -> Finding {
+        let Self { pass, shutter, configured, sigma_s, .. } = self;
+        // One digit more than is known.
+        let mut lines = vec![format!("readout_s = {}", written(known_to(shutter.readout_s, 0.1 * sigma_s)))];
+        if shutter.exposure_s != configured.or_zero().exposure_s {
+            lines.push(format!("exposure_s = {}", written(shutter.exposure_s)));
+        }
+        let why = match configured.or_zero().readout_s {
+            0.0 => "the camera reads its rows one after another, which the config does not tell".to_owned(),
+            had_s => format!("the camera reads its rows in another time than readout_s = {}", written(had_s)),
+        };
+        let says = format!(
+            "{why}: write {} below [camera] (tried: a pose is then given in {} of {} frames, without it in {})",
+            lines.join(" and "),
+            pass.outcome.tracked,
+            pass.outcome.frames,
+            before.outcome.tracked
+        );
+        if pass.given() > before.given() + TOLD { Finding::fault(says) } else { Finding::doubt(says) }
+    }
+}
+
+/// Whether more poses are given, or as many and nothing is left to be explained.
+fn is_better(before: &Pass, after: &Pass) -> bool {
+    let explains = after.is_as_modelled() && !before.is_as_modelled();
+    after.given() > before.given() + TOLD || (explains && after.given() >= before.given())
+}

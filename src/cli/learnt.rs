@@ -1,0 +1,32 @@
+//! What is known of the camera of a clip before its first row: from the clip, or from a file.
+
+use std::path::{Path, PathBuf};
+
+use super::failure::Failure;
+use crate::daemon::learnt_of_clip;
+use crate::safe_file;
+use crate::track::{LARGEST_LEARNT_BYTES, LearntCamera};
+
+/// `--learnt FILE`
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(super) struct LearntArguments {
+    /// Begin with what this file says was learnt of the camera [default: what the clip says, else nothing]
+    #[arg(long = "learnt", value_name = "FILE")]
+    file: Option<PathBuf>,
+}
+
+impl LearntArguments {
+    /// What is known before the clip's first row, and a word for where that is from.
+    pub fn of(&self, clip: &Path) -> Result<(LearntCamera, &'static str), Failure> {
+        if let Some(file) = &self.file {
+            let unusable = |reason: String| Failure::Usage(format!("{}: {reason}", file.display()));
+            let bytes = safe_file::read(file, LARGEST_LEARNT_BYTES).map_err(|e| unusable(format!("{e}; name a readable file")))?;
+            return LearntCamera::from_bytes(&bytes).map(|learnt| (learnt, "file")).map_err(|e| unusable(e.to_string()));
+        }
+        let learnt = learnt_of_clip(clip).unwrap_or_else(|reason| {
+            tracing::warn!("{reason}");
+            LearntCamera::default()
+        });
+        Ok((learnt, if learnt.is_empty() { "nothing" } else { "clip" }))
+    }
+}

@@ -1,0 +1,30 @@
+//! What could not be written, in words: the system's own, and what to do about that cause.
+
+use std::io::{self, ErrorKind};
+
+/// The error with its mend, for a recording.
+pub fn unwritten(error: &io::Error) -> String {
+    let mend = match error.kind() {
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => {
+            "let this program's user write there, or set `folder` in [recorder] to a folder that it may write"
+        }
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge | ErrorKind::WriteZero => "make room on the disk",
+        _ => "look at that folder and its disk",
+    };
+    format!("{error}; {mend}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mend_is_that_of_the_cause() {
+        let says = |kind: ErrorKind| unwritten(&io::Error::new(kind, "/etc/stagepose/recordings: it failed"));
+        assert!(says(ErrorKind::StorageFull).ends_with("it failed; make room on the disk"));
+        for kind in [ErrorKind::PermissionDenied, ErrorKind::ReadOnlyFilesystem] {
+            assert!(says(kind).contains("user write there") && !says(kind).contains("make room"), "{}", says(kind));
+        }
+        assert!(!says(ErrorKind::NotFound).contains("make room"));
+    }
+}
