@@ -25,10 +25,6 @@ const STAGE: &str = "stage";
 /// `check` doubts narrower ones.
 const SURFACE_SIDE_M: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 
-/// One sigma of the place of a surface beside the first one, where nothing is configured: metres along each axis and degrees about each, by a tape and by eye. Raised, poses by several surfaces are
-/// less sure; lowered, they are too sure of careless layouts.
-const PLACE_SIGMA_M: f64 = 0.005;
-const PLACE_SIGMA_DEG: f64 = 0.3;
 /// Surfaces of the stage and all objects together, at most. Each takes a tenth of a second and some 5 MB before the first frame, more with a
 /// large picture. Raised, a config may take minutes and gigabytes; lowered, large sets do not fit.
 pub(super) const MOST_SURFACES: usize = 100;
@@ -102,7 +98,7 @@ impl BodyReader<'_> {
 
     /// All surfaces of a body. A plain one among others is left out: it keeps its place in the list, and is never looked for.
     fn surfaces(&mut self, typed: &[Spanned<as_typed::Surface>], name: &'static str) -> Result<Vec<SurfaceSpec>, ConfigError> {
-        let read = typed.iter().enumerate().map(|(k, surface)| self.surface(surface, name, k == 0)).collect::<Result<Vec<_>, _>>()?;
+        let read = typed.iter().map(|surface| self.surface(surface, name)).collect::<Result<Vec<_>, _>>()?;
         let has_texture = read.iter().any(|surface| surface.refusal.is_none());
         let mut surfaces = Vec::with_capacity(read.len());
         for SurfaceRead { spec, refusal } in read {
@@ -122,8 +118,7 @@ impl BodyReader<'_> {
         Ok(surfaces)
     }
 
-    /// `is_first`: its place is the body's frame.
-    fn surface(&mut self, typed: &Spanned<as_typed::Surface>, name: &'static str, is_first: bool) -> Result<SurfaceRead, ConfigError> {
+    fn surface(&mut self, typed: &Spanned<as_typed::Surface>, name: &'static str) -> Result<SurfaceRead, ConfigError> {
         let section = Section { origin: self.origin, name };
         let here = || self.origin.section_at(name, &typed.span());
         let surface = typed.get_ref();
@@ -151,7 +146,7 @@ impl BodyReader<'_> {
             }
             (None, None) => Err(self.origin.missing(here(), "image", "image = \"artwork.png\", or photo = \"photo.jpg\" with corners_px")),
         }?;
-        read.spec.doubt = doubt(&section, surface, read.spec.doubt, is_first)?;
+        read.spec.doubt = doubt(&section, surface, read.spec.doubt)?;
         Ok(read)
     }
 
@@ -306,10 +301,8 @@ fn shape(section: &Section<'_>, typed: &as_typed::Surface, spec: &SurfaceSpec) -
     typed.shape.as_ref().map_or(Ok(SurfaceShape::Flat), |file| section.shape("shape", file, spec))
 }
 
-/// How far a surface may be from where it is configured. What a survey wrote says that in its shape file.
-fn doubt(section: &Section<'_>, typed: &as_typed::Surface, of_picture: SurfaceDoubt, is_first: bool) -> Result<SurfaceDoubt, ConfigError> {
-    let is_known = is_first || typed.shape.is_some();
-    let [usual_m, usual_deg] = if is_known { [0.0; 2] } else { [PLACE_SIGMA_M, PLACE_SIGMA_DEG] };
+/// How far a surface may be from where it is configured; nothing of its place is in doubt where nothing says so.
+fn doubt(section: &Section<'_>, typed: &as_typed::Surface, of_picture: SurfaceDoubt) -> Result<SurfaceDoubt, ConfigError> {
     let mut doubt = of_picture;
     doubt.corner_px = section.number(
         "corner_sigma_px",
@@ -318,17 +311,12 @@ fn doubt(section: &Section<'_>, typed: &as_typed::Surface, of_picture: SurfaceDo
         |v| (0.0..=100.0).contains(&v),
         "pixels from 0 to 100",
     )?;
-    doubt.position_m = section.number(
-        "position_sigma_m",
-        typed.position_sigma_m.as_ref(),
-        usual_m,
-        |v| (0.0..=10.0).contains(&v),
-        "metres from 0 to 10",
-    )?;
+    doubt.position_m =
+        section.number("position_sigma_m", typed.position_sigma_m.as_ref(), 0.0, |v| (0.0..=10.0).contains(&v), "metres from 0 to 10")?;
     let degrees = section.number(
         "rotation_sigma_deg",
         typed.rotation_sigma_deg.as_ref(),
-        usual_deg,
+        0.0,
         |v| (0.0..=45.0).contains(&v),
         "degrees from 0 to 45",
     )?;
