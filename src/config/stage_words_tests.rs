@@ -62,7 +62,7 @@ fn a_lens_may_be_guessed_and_says_how_far_it_may_be_off() {
 #[test]
 fn the_uncertainty_of_a_calibration_is_kept() {
     let folder = folder();
-    // What says nothing of it is believed to 0.3 %.
+    // What says nothing of it is accused of no less than 0.3 % explains.
     let assumed = load(&folder, GOOD).unwrap().camera;
     let doubt = assumed.doubt().unwrap();
     assert!(doubt.is_assumed && (doubt.uncertainty.focal_px[0] / assumed.intrinsics().fx - 0.009).abs() < 1e-12);

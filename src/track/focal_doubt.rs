@@ -20,6 +20,11 @@ impl FocalDoubt {
         }
     }
 
+    /// Whether a pose jumped as a step of the focal length would make it, and no frame contradicted that.
+    pub fn has_step(&self) -> bool {
+        self.step > 0.0
+    }
+
     /// Whether another focal length is likely.
     pub fn is_doubted(&self) -> bool {
         self.step > 0.0 || self.likely() > 0.0

@@ -368,7 +368,11 @@ impl Matcher {
         let step = self.fits.first().and_then(|fit| fit.as_ref()?.step);
         self.focal.update(clue.as_ref(), step);
         // What a lens that was moved says is no habit of the stage, nor is what a shutter displaces.
-        let share = if self.focal.is_doubted() { DOUBTED_SHARE } else { 1.0 };
+        let share = match (self.focal.has_step(), self.focal.is_doubted()) {
+            (true, _) => 0.0,
+            (false, true) => DOUBTED_SHARE,
+            (false, false) => 1.0,
+        };
         if lens == LensState::Fits {
             let asked = self.bodies.iter_mut().zip(&self.fits).filter(|(_, fit)| fit.is_some());
             let asked = asked.map(|(body, _)| body).filter(|body| !body.is_readout_in_doubt());
@@ -433,7 +437,8 @@ impl Matcher {
         if let Some(v) = &mut verified {
             let observations = tracked.anchors.iter().map(|anchor| &anchor.observation);
             // Where nothing is asked of the focal length, its doubt is the calibration's.
-            let adds = self.settings.adds_lens_doubt;
+            // What nothing says of the calibration keeps it from being accused, and is no sigma.
+            let adds = self.settings.adds_lens_doubt && !self.camera.doubt().is_some_and(|doubt| doubt.is_assumed);
             let asked = self.fits[k].as_ref().and_then(|_| self.focal.sigma(calibrated, adds));
             let focal_scale = if asked.is_some() { 0.0 } else { 1.0 };
             let by_lens = covariance_by_lens(&v.pose, &self.camera, focal_scale, observations).filter(|_| adds);
