@@ -19,6 +19,7 @@ mod camera_motion;
 mod connection;
 #[cfg(feature = "http")]
 mod content;
+#[cfg(feature = "http")]
 mod download;
 #[cfg(feature = "http")]
 mod entrance;
