@@ -91,6 +91,12 @@ impl TrackerSetup {
         }
     }
 
+    /// The same for frames that are only tried: what they say of the lens is not logged.
+    pub fn as_trial(mut self) -> Self {
+        self.settings.is_trial = true;
+        self
+    }
+
     fn checked(&self) -> Result<(), SetupError> {
         let wanted = (self.camera.width(), self.camera.height());
         if let Some(size) = self.mask.as_ref().map(GrayImage::dimensions).filter(|size| *size != wanted) {

@@ -102,6 +102,8 @@ pub struct Surface {
     pub photo: Option<Spanned<String>>,
     /// with the raw pixels of its corners, clockwise from the top left,
     pub corners_px: Option<Spanned<Exactly<Exactly<Number, 2>, 4>>>,
+    /// how far each may be off, one sigma, pixels,
+    pub corner_sigma_px: Option<Spanned<Number>>,
     /// and the calibration of the camera that took it.
     pub photo_calibration: Option<Spanned<String>>,
     /// How it hangs: a file of `stagepose survey`.
@@ -114,6 +116,10 @@ pub struct Surface {
     pub orientation_xyzw: Option<Spanned<Exactly<Number, 4>>>,
     /// or turn, tilt and roll, degrees.
     pub rotation_deg: Option<Spanned<Exactly<Number, 3>>>,
+    /// One sigma of its position along each axis, metres,
+    pub position_sigma_m: Option<Spanned<Number>>,
+    /// and of its direction about each axis, degrees.
+    pub rotation_sigma_deg: Option<Spanned<Number>>,
 }
 
 /// What was measured on the stage.

@@ -17,7 +17,7 @@ use super::{ConfigError, Problem, stage_origin};
 use crate::camera::{CameraModel, Pixel, plausible};
 use crate::capture::orientation_words;
 use crate::geometry::{Body, Pose, SurfaceFrame};
-use crate::track::{BodySpec, SurfaceError, SurfaceShape, SurfaceSpec};
+use crate::track::{BodySpec, SurfaceDoubt, SurfaceError, SurfaceShape, SurfaceSpec};
 
 /// The stage's name among the bodies, which no object may have.
 const STAGE: &str = "stage";
@@ -138,14 +138,16 @@ impl BodyReader<'_> {
         let rotation = Turned::Surface.typed(&section, surface.orientation_xyzw.as_ref(), surface.rotation_deg.as_ref())?;
         let pose = Pose::new(rotation, section.position("position_m", surface.position_m.as_ref())?);
         let placed = Placed { size_m, size_span: typed_size.span(), pose };
-        match (&surface.image, &surface.photo) {
+        let mut read = match (&surface.image, &surface.photo) {
             (Some(image), None) => self.artwork(&section, surface, image, &placed),
             (None, Some(photo)) => self.photograph(&section, surface, photo, &placed, here()),
             (Some(_), Some(photo)) => {
                 Err(section.conflict("photo", photo, "a surface has either `image` or `photo`, this one has both; remove one"))
             }
             (None, None) => Err(self.origin.missing(here(), "image", "image = \"artwork.png\", or photo = \"photo.jpg\" with corners_px")),
-        }
+        }?;
+        read.spec.doubt = doubt(&section, surface, read.spec.doubt)?;
+        Ok(read)
     }
 
     fn artwork(
@@ -161,6 +163,9 @@ impl BodyReader<'_> {
         if let Some(calibration) = &typed.photo_calibration {
             let problem = "it belongs to `photo`, but this surface has an `image`; remove it";
             return Err(section.conflict("photo_calibration", calibration, problem));
+        }
+        if let Some(sigma) = &typed.corner_sigma_px {
+            return Err(section.conflict("corner_sigma_px", sigma, "it belongs to `photo`, but this surface has an `image`; remove it"));
         }
         let (picture, orientation) = section.picture("image", image)?;
         let picture = self.upright(image.get_ref(), picture, orientation);
@@ -294,6 +299,29 @@ struct Placed {
 /// How a surface hangs: flat, where nothing is said.
 fn shape(section: &Section<'_>, typed: &as_typed::Surface, spec: &SurfaceSpec) -> Result<SurfaceShape, ConfigError> {
     typed.shape.as_ref().map_or(Ok(SurfaceShape::Flat), |file| section.shape("shape", file, spec))
+}
+
+/// How far a surface may be from where it is configured; nothing of its place is in doubt where nothing says so.
+fn doubt(section: &Section<'_>, typed: &as_typed::Surface, of_picture: SurfaceDoubt) -> Result<SurfaceDoubt, ConfigError> {
+    let mut doubt = of_picture;
+    doubt.corner_px = section.number(
+        "corner_sigma_px",
+        typed.corner_sigma_px.as_ref(),
+        doubt.corner_px,
+        |v| (0.0..=100.0).contains(&v),
+        "pixels from 0 to 100",
+    )?;
+    doubt.position_m =
+        section.number("position_sigma_m", typed.position_sigma_m.as_ref(), 0.0, |v| (0.0..=10.0).contains(&v), "metres from 0 to 10")?;
+    let degrees = section.number(
+        "rotation_sigma_deg",
+        typed.rotation_sigma_deg.as_ref(),
+        0.0,
+        |v| (0.0..=45.0).contains(&v),
+        "degrees from 0 to 45",
+    )?;
+    doubt.rotation_rad = degrees.to_radians();
+    Ok(doubt)
 }
 
 fn file_name(name: &str) -> String {

@@ -410,6 +410,7 @@ fn tracker(origin: &Origin<'_>, typed: Option<&as_typed::Tracker>) -> Result<Tra
         confirm_frames: confirm as u32,
         seed: section.count("seed", typed.seed.as_ref(), default.seed, 0..=u64::MAX, "a whole number of 0 or more")?,
         adds_lens_doubt: default.adds_lens_doubt,
+        is_trial: default.is_trial,
     })
 }
 

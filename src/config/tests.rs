@@ -441,6 +441,28 @@ proptest! {
 }
 
 #[test]
+fn how_well_surfaces_are_known_is_read_and_has_defaults() {
+    let folder = folder();
+    let second = "[[stage.surface]]\nimage = \"art.png\"\nsize_m = [1, 1]\nposition_m = [0, 0, 2]\n";
+    let doubts = |text: &str| load(&folder, text).unwrap().stage.surfaces.iter().map(|s| s.doubt).collect::<Vec<_>>();
+    let usual = doubts(&format!("{GOOD}{second}"));
+    assert_eq!((usual[0].position_m, usual[0].rotation_rad, usual[0].corner_px), (0.0, 0.0, 0.0));
+    assert_eq!((usual[1].position_m, usual[1].rotation_rad), (0.0, 0.0));
+    let typed = doubts(&format!("{GOOD}{second}position_sigma_m = 0.02\nrotation_sigma_deg = 0.3\n"));
+    assert_eq!((typed[1].position_m, typed[1].rotation_rad), (0.02, 0.3_f64.to_radians()));
+    let cases = [
+        ("corner_sigma_px = 1", "it belongs to `photo`, but this surface has an `image`; remove it"),
+        ("position_sigma_m = -0.1", "metres from 0 to 10"),
+        ("rotation_sigma_deg = 90", "degrees from 0 to 45"),
+    ];
+    for (line, wanted) in cases {
+        let refusal = message(&folder, &format!("{GOOD}{line}\n"));
+        let key = line.split(' ').next().unwrap();
+        assert!(refusal.contains(key) && refusal.contains("line 6") && refusal.contains(wanted), "{refusal}");
+    }
+}
+
+#[test]
 fn as_many_surfaces_as_a_set_has_are_read_and_too_many_are_refused_before_a_picture_is() {
     let folder = tempfile::tempdir().unwrap();
     fill(folder.path());

@@ -44,7 +44,7 @@ pub struct Trial {
 impl Trial {
     /// Prepares the pictures of a stage for a camera; the rest is as configured.
     pub fn new(camera: CameraModel, mask: Option<GrayImage>, stage: &BodySpec, setup: &TrackerSetup) -> Self {
-        let (settings, store) = (setup.settings.clone(), setup.store.clone());
+        let (settings, store) = (setup.clone().as_trial().settings, setup.store.clone());
         let matcher = Matcher::new(camera, Shutter::default().into(), mask, &[stage], settings, ComputeClock::default(), store);
         Self { matcher, stamp: Timestamp::default() }
     }

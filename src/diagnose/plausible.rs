@@ -221,6 +221,7 @@ mod tests {
             pose,
             kind: ReferenceKind::Artwork,
             shape: SurfaceShape::Flat,
+            doubt: crate::track::SurfaceDoubt::default(),
         }
     }
 

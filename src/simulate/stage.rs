@@ -9,7 +9,7 @@ use super::path::{CameraPath, ObjectPath};
 use super::sensor::SensorNoise;
 use crate::camera::{CameraModel, Shutter};
 use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
-use crate::track::{BodySpec, ReferenceKind, SurfaceShape, SurfaceSpec};
+use crate::track::{BodySpec, ReferenceKind, SurfaceDoubt, SurfaceShape, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
 /// A stage, its camera, and everything that decides what the camera sees.
@@ -177,7 +177,15 @@ pub fn upright(position: Vector3<f64>, turn_rad: f64) -> Pose<Body, SurfaceFrame
 
 /// A surface of flat artwork; the virtual stage asks nothing of the picture.
 pub fn artwork_surface(name: &str, artwork: GrayImage, size_m: [f64; 2], pose: Pose<Body, SurfaceFrame>) -> SurfaceSpec {
-    SurfaceSpec { name: name.to_owned(), artwork, size_m, pose, kind: ReferenceKind::Artwork, shape: SurfaceShape::Flat }
+    SurfaceSpec {
+        name: name.to_owned(),
+        artwork,
+        size_m,
+        pose,
+        kind: ReferenceKind::Artwork,
+        shape: SurfaceShape::Flat,
+        doubt: SurfaceDoubt::default(),
+    }
 }
 
 #[cfg(test)]

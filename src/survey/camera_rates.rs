@@ -126,7 +126,7 @@ where
     C: IntoIterator<Item = F>,
     F: IntoIterator<Item = Frame>,
 {
-    let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup;
+    let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup.as_trial();
     let (mut rates, mut number) = (Vec::new(), 0);
     for clip in clips {
         let mut matcher = Matcher::new(camera, shutter.or_zero().into(), mask.clone(), &[&stage], settings.clone(), clock, store.clone());

@@ -66,7 +66,7 @@ pub fn shutter_of(frames: &[NumberedFrame], setup: TrackerSetup, goes_on: &(dyn 
     if frames.is_empty() {
         return None;
     }
-    let tracker = Tracker::new(TrackerSetup { shutter: Default::default(), objects: Vec::new(), ..setup }).ok()?;
+    let tracker = Tracker::new(TrackerSetup { shutter: Default::default(), objects: Vec::new(), ..setup }.as_trial()).ok()?;
     let open = || goes_on().then(|| frames.iter().take_while(|_| goes_on()).map(|numbered| numbered.frame.clone())).ok_or(());
     estimate_shutter(open, tracker).ok().filter(|_| goes_on())
 }

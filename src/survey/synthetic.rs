@@ -31,6 +31,7 @@ pub fn stage() -> Vec<SurfaceSpec> {
         pose,
         kind: ReferenceKind::Artwork,
         shape: SurfaceShape::Flat,
+        doubt: crate::track::SurfaceDoubt::default(),
     };
     let aside = Pose::new(UnitQuaternion::from_euler_angles(0.1, -0.3, 0.02), Vector3::new(0.9, -0.4, 0.7));
     vec![surface("backdrop", [4.0, 3.0], Pose::identity()), surface("flat", [1.0, 1.2], aside)]

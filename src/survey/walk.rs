@@ -78,7 +78,7 @@ impl Walk {
         C: IntoIterator<Item = F>,
         F: IntoIterator<Item = Frame>,
     {
-        let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup.clone();
+        let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup.clone().as_trial();
         let (mut keyframes, mut lively) = (Keyframes::default(), LivelyPart::default());
         let (mut frames, mut found) = (0, 0);
         for clip in clips {

@@ -6,9 +6,10 @@
 //! only what then is explained by the focal length alone counts. That costs some time, and is asked where the focal length explains much
 //! by itself.
 
-use nalgebra::{DMatrix, DVector, Dyn, Matrix2xX, Matrix6, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Dyn, Matrix2xX, Matrix6, Vector6};
 
 use super::fitted_anchor::FittedAnchor;
+use super::model_unknowns::{CORNERS, moved_by_corners};
 use super::reference::PreparedBody;
 use super::row_motion::RowMotion;
 use super::tile_residuals::{TileResidual, TileResiduals};
@@ -21,6 +22,9 @@ use crate::geometry::{Body, Camera, Pose, skew};
 /// moved.
 const RADIAL_SIGMA: f64 = 0.05;
 const RATIO_SIGMA: f64 = 0.01;
+/// Shear and keystone that a picture may have although its corners are not in doubt: a crop that is no rectangle, cloth that hangs askew by 0.2 degrees. Raised, a
+/// small zoom before a flat stage is in the covariance and not withheld; lowered, such pictures convict a right lens.
+const ASKEW_SIGMA: f64 = 0.003;
 const PLACE_SIGMA_M: f64 = 0.01;
 const DIRECTION_SIGMA: f64 = 0.01;
 const MOTION_SIGMA: [f64; 2] = [1.0, 1.0];
@@ -58,11 +62,16 @@ const MOST_CHANGED_SIGMA: f64 = 0.02;
 /// from the side. Raised, views from ahead bring poses back.
 const MOST_SIGMA: f64 = 0.01;
 /// Sigmas within which a focal length is the calibration's again. Raised, poses are withheld for longer.
-const RIGHT_SIGMAS: f64 = 3.0;
+pub const RIGHT_SIGMAS: f64 = 3.0;
 
+/// By how much better than a picture that is askew the focal length must explain a frame to be accused, squared sigmas: three sigmas. Raised, small zooms before a flat stage are in
+/// the covariance and not withheld; lowered, pictures that are askew convict a right lens.
+const CONVICTING_GAIN: f64 = 9.0;
 /// Largest change that one linear step can report, logarithm: about 30 %. A larger one is another fault, such as corners that are a pixel off, seen nearly from
 /// ahead; it widens the covariance and accuses no lens. Raised, wrong corners pass for a zoom; lowered, large zooms are not withheld.
 const MAX_CHANGE: f64 = 0.26;
+/// Sigma of what is held fixed: keeps the equations regular.
+const FIXED_SIGMA: f64 = 1e-6;
 
 /// What a frame says of the focal length.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -73,17 +82,20 @@ pub struct FocalClue {
     pub sigma: f64,
     /// Share of the squared displacements that it explains, of what all else leaves.
     pub share: f64,
+    /// Whether a picture that is a little askew explains the frame as well.
+    pub is_contested: bool,
 }
 
 impl FocalClue {
     /// Whether another focal length explains the frame clearly better. `doubt`: one sigma of the logarithm of the calibrated one.
     pub fn is_off(&self, doubt: f64) -> bool {
-        self.change.abs() < MAX_CHANGE && self.explains(doubt)
+        self.change.abs() < MAX_CHANGE && !self.is_contested && self.explains(doubt)
     }
 
-    /// The logarithm of the focal length that may be off where the frame asks for more than a linear step can report.
-    pub fn beyond_a_step(&self, doubt: f64) -> Option<f64> {
-        (self.change.abs() >= MAX_CHANGE && self.explains(doubt)).then_some(MAX_CHANGE)
+    /// By how much the logarithm of the focal length may be off where that explains the frame, and is no evidence: a picture that is askew explains it as well, or it
+    /// is more than a linear step can report.
+    pub fn possible_change(&self, doubt: f64) -> Option<f64> {
+        (!self.is_off(doubt) && self.explains(doubt)).then_some(self.change.abs().min(MAX_CHANGE))
     }
 
     fn explains(&self, doubt: f64) -> bool {
@@ -144,8 +156,8 @@ pub fn is_suspect(residuals: &TileResiduals) -> bool {
     }
     let explained = score.powi(2) / information;
     let sigma = ((left - explained).max(0.0) / freedom / information).sqrt();
-    let clue = FocalClue { change: score / information, sigma, share: explained / left.max(f64::MIN_POSITIVE) };
-    clue.is_off(0.0)
+    let clue = FocalClue { change: score / information, sigma, share: explained / left.max(f64::MIN_POSITIVE), is_contested: false };
+    clue.explains(0.0)
 }
 
 /// How the rows of a frame may be displaced by a motion that its pose does not account for.
@@ -211,15 +223,26 @@ pub fn focal_clue(
     anchors: &[FittedAnchor],
     rows: &RowDisplacement,
 ) -> Option<FocalClue> {
-    if rows.is_described {
-        return Fit::new(residuals, pose, body, anchors, rows)?.clue();
-    }
-    let still = Fit::new(residuals, pose, body, anchors, &rows.without_motion())?;
-    let moving = Fit::new(residuals, pose, body, anchors, rows)?;
-    let clue = still.clue()?;
-    let by_focal = still.left - still.explained();
-    let is_rivalled = moving.left < RIVAL_SHARE * by_focal;
-    Some(FocalClue { share: if is_rivalled { 0.0 } else { clue.share }, ..clue })
+    let frame = Asked { residuals, pose, body, anchors };
+    let known = if rows.is_described { *rows } else { rows.without_motion() };
+    let fit = Fit::new(&frame, &known, 0.0)?;
+    let clue = fit.clue()?;
+    let by_focal = fit.left - fit.explained();
+    let moving = if rows.is_described { f64::INFINITY } else { Fit::new(&frame, rows, 0.0)?.left };
+    let askew = Fit::new(&frame, &known, ASKEW_SIGMA)?.left;
+    Some(FocalClue {
+        share: if moving < RIVAL_SHARE * by_focal { 0.0 } else { clue.share },
+        is_contested: askew < by_focal + CONVICTING_GAIN,
+        ..clue
+    })
+}
+
+/// A frame that is asked for the focal length.
+struct Asked<'a> {
+    residuals: &'a TileResiduals,
+    pose: &'a Pose<Camera, Body>,
+    body: &'a PreparedBody,
+    anchors: &'a [FittedAnchor],
 }
 
 /// What all else leaves of the displacements, and what the focal length makes of that.
@@ -235,16 +258,11 @@ struct Fit {
 }
 
 impl Fit {
-    fn new(
-        residuals: &TileResiduals,
-        pose: &Pose<Camera, Body>,
-        body: &PreparedBody,
-        anchors: &[FittedAnchor],
-        rows: &RowDisplacement,
-    ) -> Option<Self> {
+    /// `askew`: shear and keystone that pictures may have whose corners are not in doubt, one sigma.
+    fn new(&Asked { residuals, pose, body, anchors }: &Asked<'_>, rows: &RowDisplacement, askew: f64) -> Option<Self> {
         let unknowns = Unknowns::new(body, anchors, *rows);
         let n = unknowns.count();
-        let mut normal = unknowns.prior();
+        let mut normal = unknowns.prior(body, askew);
         let (mut right, mut shared) = (DVector::zeros(n), DVector::zeros(n));
         let (mut own, mut score, mut squared) = (0.0, 0.0, 0.0);
         let mut row = Matrix2xX::zeros(n);
@@ -280,12 +298,12 @@ impl Fit {
         }
         let explained = self.explained();
         let sigma = ((left - explained).max(0.0) / freedom / information).sqrt();
-        Some(FocalClue { change: score / information, sigma, share: explained / left })
+        Some(FocalClue { change: score / information, sigma, share: explained / left, is_contested: false })
     }
 }
 
 /// What may explain displacements beside the focal length, in the order of its columns: the pose, the radial coefficient, the motion while rows are read,
-/// the ratios of the surfaces' sides, and where the surfaces are beside the first one.
+/// the surfaces' corners (ratio, shear and keystones), and where the surfaces are beside the first one.
 struct Unknowns {
     rows: RowDisplacement,
     /// Surfaces with tiles.
@@ -298,11 +316,11 @@ impl Unknowns {
         Self { rows, surfaces: (0..body.surfaces.len() as u32).filter(has_tiles).collect() }
     }
 
-    /// First columns of the motion, the ratios and the places.
+    /// First columns of the motion, the corners and the places.
     fn begins(&self) -> [usize; 3] {
         let motion = 7;
-        let ratios = motion + 6;
-        [motion, ratios, ratios + self.surfaces.len()]
+        let corners = motion + 6;
+        [motion, corners, corners + CORNERS * self.surfaces.len()]
     }
 
     fn count(&self) -> usize {
@@ -310,13 +328,15 @@ impl Unknowns {
     }
 
     /// Information of each by how far it may be off.
-    fn prior(&self) -> DMatrix<f64> {
-        let [motion, ratios, places] = self.begins();
+    fn prior(&self, body: &PreparedBody, askew: f64) -> DMatrix<f64> {
+        let [motion, corners, places] = self.begins();
+        let in_doubt = |k: usize| body.surfaces[self.surfaces[(k - corners) / CORNERS] as usize].spec.doubt.corners_share();
         let sigmas = DVector::from_fn(self.count(), |k, _| match k {
             0..6 => f64::INFINITY,
             6 => RADIAL_SIGMA,
-            k if k < ratios => 1.0,
-            k if k < places => RATIO_SIGMA,
+            k if k < corners => 1.0,
+            k if k < places && (k - corners) % CORNERS == 0 => RATIO_SIGMA.max(in_doubt(k)),
+            k if k < places => askew.max(in_doubt(k)).max(FIXED_SIGMA),
             k if (k - places) % 6 < 3 => PLACE_SIGMA_M,
             _ => DIRECTION_SIGMA,
         });
@@ -330,14 +350,16 @@ impl Unknowns {
         row.fill(0.0);
         row.columns_mut(0, 6).copy_from(&t.by_pose);
         row.set_column(6, &t.by_radial);
-        let [motion, ratios, places] = self.begins();
+        let [motion, corners, places] = self.begins();
         row.columns_mut(motion, 6).copy_from(&(t.by_pose * self.rows.delay_s(t)));
         let Some(k) = self.surfaces.iter().position(|s| *s == anchor.surface) else { return };
         let spec = &body.surfaces[anchor.surface as usize].spec;
         let to_camera = pose.rotation_matrix();
         let by_point = t.by_pose.fixed_columns::<3>(0);
-        let along = Vector3::new(spec.to_metres(anchor.artwork).x, 0.0, 0.0);
-        row.set_column(ratios + k, &(by_point * (to_camera * (spec.pose.rotation_matrix() * along))));
+        let by_picture = by_point * (to_camera * spec.pose.rotation_matrix());
+        for (j, moved) in moved_by_corners(spec.size_m, spec.to_metres(anchor.artwork)).into_iter().enumerate() {
+            row.set_column(corners + CORNERS * k + j, &(by_picture * moved.push(0.0)));
+        }
         if k > 0 {
             let from_centre = to_camera * (anchor.observation.point.coords - spec.pose.translation);
             row.columns_mut(places + 6 * (k - 1), 3).copy_from(&by_point);
@@ -348,7 +370,7 @@ impl Unknowns {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{UnitQuaternion, Vector2};
+    use nalgebra::{UnitQuaternion, Vector2, Vector3};
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 
@@ -413,12 +435,50 @@ mod tests {
     fn what_no_linear_step_can_report_accuses_no_lens() {
         // +507 %, -100 % and -73 % were reported of a calibrated lens, for a corner of a photograph that was a pixel off.
         for change in [1.8, -7.0, -1.3, 0.3] {
-            let clue = FocalClue { change, sigma: 0.001, share: 0.9 };
+            let clue = FocalClue { change, sigma: 0.001, share: 0.9, is_contested: false };
             assert!(!clue.is_off(0.0) && !clue.has_changed(0.0, 0.001, 0.0, false), "{change}");
-            assert_eq!(clue.beyond_a_step(0.0), Some(MAX_CHANGE), "{change}");
+            assert_eq!(clue.possible_change(0.0), Some(MAX_CHANGE), "{change}");
         }
-        let zoom = FocalClue { change: 0.15, sigma: 0.005, share: 0.9 };
-        assert!(zoom.is_off(0.0) && zoom.beyond_a_step(0.0).is_none());
+        let zoom = FocalClue { change: 0.15, sigma: 0.005, share: 0.9, is_contested: false };
+        assert!(zoom.is_off(0.0) && zoom.possible_change(0.0).is_none());
+        let contested = FocalClue { is_contested: true, ..zoom };
+        assert!(!contested.is_off(0.0) && contested.possible_change(0.0) == Some(0.15));
+    }
+
+    /// What a frame says of a picture whose shear and keystones are these, seen by the configured lens.
+    fn askew(by: [f64; CORNERS], start: &Pose<Camera, Body>) -> FocalClue {
+        let (configured, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
+        let mut anchors = seen_anchors(&configured, start, &camera, 10, &mut |_, _| Vector2::zeros());
+        for a in &mut anchors {
+            let spec = &configured.surfaces[0].spec;
+            let at = spec.to_metres(a.artwork);
+            let moved: Vector2<f64> = moved_by_corners(spec.size_m, at).iter().zip(by).map(|(way, number)| way * number).sum();
+            // The configured picture has this detail elsewhere.
+            a.artwork = spec.to_artwork(at - moved);
+            a.observation.point = spec.body_point(a.artwork);
+            a.observation.information /= NOISE_PX.powi(2);
+        }
+        let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
+        let pose = resect(start, &MovingCamera::still(&camera), &observations, 30).expect("a pose").pose;
+        let mut residuals = TileResiduals::default();
+        residuals.take(&pose, &camera, &anchors).expect("tiles enough");
+        let rows = RowMotion { shutter: Shutter::default(), readout_sigma_s: 0.02, before: Some((pose, 0.03, None)) };
+        let rows = RowDisplacement::new(&camera, &rows, &pose);
+        focal_clue(&residuals, &pose, &configured, &anchors, &rows).expect("a clue")
+    }
+
+    #[test]
+    fn pictures_that_are_sheared_or_cropped_askew_convict_no_lens() {
+        let mut doubted = 0;
+        for by in [[0.0, 0.003, 0.0, 0.0], [0.0, 0.0, 0.002, 0.0], [0.0, 0.0, 0.0, -0.002], [0.002, -0.002, 0.0015, 0.002]] {
+            for k in 0..30 {
+                let pose = facing(0.12 - 0.01 * f64::from(k), 0.4 - 0.03 * f64::from(k), Vector3::new(0.2, 0.05, 5.0));
+                let clue = askew(by, &pose);
+                assert!(!clue.is_off(0.0), "{by:?}, frame {k}: {clue:?}");
+                doubted += usize::from(clue.possible_change(0.0).is_some());
+            }
+        }
+        assert!(doubted > 20, "{doubted} of 120 frames are in doubt");
     }
 
     #[test]

@@ -10,7 +10,7 @@
 
 use tracing::{info, warn};
 
-use super::focal_clue::FocalClue;
+use super::focal_clue::{FocalClue, RIGHT_SIGMAS};
 
 /// Frames in a row that say so, before the lens counts as moved. Chosen: one may be a torn frame. Raised, a zoom is named later; the frames
 /// until then are withheld all the same.
@@ -89,14 +89,23 @@ pub struct LensWatch {
     is_by_habit: bool,
     /// Whether what frames usually say contradicted the calibration at any time.
     is_rough: bool,
-    /// By how much the last frame strays from what frames usually say.
+    /// By how much the last frame strays from what frames usually say, or may be off where the frame is no evidence.
     strayed: Option<f64>,
+    /// Size of a step of it that would explain how a pose jumped, until a frame says that there was none.
+    step: f64,
+    /// Whether frames are only tried: nothing is logged.
+    is_trial: bool,
 }
 
 impl LensWatch {
-    /// Whether poses are withheld.
-    pub fn is_moved(&self) -> bool {
-        self.is_moved
+    /// Before any frame. `is_trial`: nothing is logged.
+    pub fn new(is_trial: bool) -> Self {
+        Self { is_trial, ..Self::default() }
+    }
+
+    /// Whether every frame is to be asked for the focal length.
+    pub fn asks(&self) -> bool {
+        self.is_moved || self.step > 0.0
     }
 
     /// By how much the logarithm of the focal length in the last frame is another one than frames usually say, where it clearly is.
@@ -111,10 +120,11 @@ impl LensWatch {
         }
     }
 
-    /// Takes a frame's clue, if it has one. `is_seen`: whether there was anything to ask; `doubt`: one sigma of the logarithm of the calibrated focal
-    /// length.
-    pub fn update(&mut self, clue: Option<&FocalClue>, is_seen: bool, doubt: f64) -> LensState {
-        self.strayed = None;
+    /// Takes a frame's clue, if it has one. `step`: that would explain how its pose jumped; `is_seen`: whether there was anything to ask; `doubt`: one sigma of the logarithm of
+    /// the calibrated focal length.
+    pub fn update(&mut self, clue: Option<&FocalClue>, step: Option<f64>, is_seen: bool, doubt: f64) -> LensState {
+        self.take_step(clue, step);
+        self.strayed = Some(self.step).filter(|size| *size > 0.0);
         let Some(clue) = clue else {
             // Asked, and nothing speaks against the lens: not a frame in a row.
             if is_seen {
@@ -124,15 +134,17 @@ impl LensWatch {
             return self.state(false);
         };
         let usual = self.habit.usual();
-        self.strayed = usual.and_then(|(usual, sigma)| clue.strays(usual, sigma)).or(clue.beyond_a_step(doubt));
+        let strayed = usual.and_then(|(usual, sigma)| clue.strays(usual, sigma));
+        let likely = strayed.map(f64::abs).or(clue.possible_change(doubt)).unwrap_or(0.0);
+        self.strayed = Some(likely.max(self.step)).filter(|size| *size > 0.0);
         self.is_rough |= self.habit.is_rough();
         let is_rough = self.is_rough;
         let has_changed = usual.is_some_and(|(usual, sigma)| clue.has_changed(usual, sigma, doubt, is_rough));
         let is_usual = self.is_by_habit && usual.is_some_and(|(usual, sigma)| clue.is_usual(usual, sigma));
         let is_against = if self.is_moved { clue.is_right(doubt) || is_usual } else { clue.is_off(doubt) || has_changed };
         // While the lens counts as moved the habit stays as it was before.
-        if !self.is_moved && !is_against {
-            self.habit.add(clue.change, clue.sigma, if self.strayed.is_some() { STRAYED_WEIGHT } else { 1.0 });
+        if !self.is_moved && !is_against && self.step == 0.0 {
+            self.habit.add(clue.change, clue.sigma, if strayed.is_some() { STRAYED_WEIGHT } else { 1.0 });
         }
         self.against = if is_against { self.against + 1 } else { 0 };
         let needed = if self.is_moved { FRAMES_TO_RETURN } else { FRAMES_TO_MOVE };
@@ -140,7 +152,9 @@ impl LensWatch {
             (self.is_moved, self.against) = (!self.is_moved, 0);
             self.is_by_habit = self.is_moved && has_changed && !clue.is_off(doubt);
             let percent = 100.0 * (clue.change.exp() - 1.0);
-            if self.is_moved {
+            if self.is_trial {
+                return self.state(is_against);
+            } else if self.is_moved {
                 warn!(
                     "the focal length that fits the frames is {percent:+.1} % off the calibration's: poses are withheld; set the lens back, or calibrate it as it is"
                 );
@@ -149,6 +163,16 @@ impl LensWatch {
             }
         }
         self.state(is_against)
+    }
+
+    /// A step stays in doubt until a frame says of the focal length that it is what it was.
+    fn take_step(&mut self, clue: Option<&FocalClue>, step: Option<f64>) {
+        self.step = self.step.max(step.map_or(0.0, f64::abs));
+        let usual = self.habit.usual().map_or(0.0, |(usual, _)| usual);
+        // What is nearer to no step than to this one.
+        if clue.is_some_and(|clue| (clue.change - usual).abs() + RIGHT_SIGMAS * clue.sigma < 0.5 * self.step) {
+            self.step = 0.0;
+        }
     }
 
     fn state(&self, is_against: bool) -> LensState {
@@ -165,14 +189,14 @@ mod tests {
     use super::*;
 
     fn clue(change: f64) -> FocalClue {
-        FocalClue { change, sigma: 0.0005, share: 0.9 }
+        FocalClue { change, sigma: 0.0005, share: 0.9, is_contested: false }
     }
 
     #[test]
     fn one_frame_is_held_back_and_two_withhold_all() {
         use LensState::{Fits, Moved, Suspect};
         let mut watch = LensWatch::default();
-        let said = [0.0, 0.02, 0.001, 0.02, 0.04, 0.002].map(|change| watch.update(Some(&clue(change)), true, 0.0));
+        let said = [0.0, 0.02, 0.001, 0.02, 0.04, 0.002].map(|change| watch.update(Some(&clue(change)), None, true, 0.0));
         assert_eq!(said, [Fits, Suspect, Fits, Suspect, Moved, Moved]);
     }
 
@@ -180,52 +204,52 @@ mod tests {
     fn only_frames_that_tell_bring_the_lens_back() {
         use LensState::{Fits, Moved};
         let mut watch = LensWatch::default();
-        assert_eq!([0.02, 0.03].map(|change| watch.update(Some(&clue(change)), true, 0.0))[1], Moved);
-        let weak = FocalClue { change: 0.0, sigma: 0.01, share: 0.0 };
-        assert!((0..50).all(|_| watch.update(Some(&weak), true, 0.0) == Moved && watch.update(None, false, 0.0) == Moved));
-        let said = [0.001, 0.03, 0.001, 0.001, 0.001].map(|change| watch.update(Some(&clue(change)), true, 0.0));
+        assert_eq!([0.02, 0.03].map(|change| watch.update(Some(&clue(change)), None, true, 0.0))[1], Moved);
+        let weak = FocalClue { change: 0.0, sigma: 0.01, share: 0.0, is_contested: false };
+        assert!((0..50).all(|_| watch.update(Some(&weak), None, true, 0.0) == Moved && watch.update(None, None, false, 0.0) == Moved));
+        let said = [0.001, 0.03, 0.001, 0.001, 0.001].map(|change| watch.update(Some(&clue(change)), None, true, 0.0));
         assert_eq!(said, [Moved, Moved, Moved, Moved, Fits]);
     }
 
     /// What cloth in folds says of the focal length, by a little more or less from frame to frame.
     fn folds(k: u32) -> FocalClue {
-        FocalClue { change: 0.012 + 0.001 * f64::from(k % 3), sigma: 0.0035, share: 0.01 }
+        FocalClue { change: 0.012 + 0.001 * f64::from(k % 3), sigma: 0.0035, share: 0.01, is_contested: false }
     }
 
     #[test]
     fn a_zoom_shows_itself_through_folds() {
         use LensState::{Fits, Moved, Suspect};
         let mut watch = LensWatch::default();
-        assert!((0..40).all(|k| watch.update(Some(&folds(k)), true, 0.0) == Fits));
+        assert!((0..40).all(|k| watch.update(Some(&folds(k)), None, true, 0.0) == Fits));
         let zoomed = |k: u32, by: f64| FocalClue { change: folds(k).change + by, share: 0.1, ..folds(k) };
-        let said = [0.005, 0.02, 0.025, 0.03].map(|by| watch.update(Some(&zoomed(0, by)), true, 0.0));
+        let said = [0.005, 0.02, 0.025, 0.03].map(|by| watch.update(Some(&zoomed(0, by)), None, true, 0.0));
         assert_eq!(said, [Fits, Suspect, Moved, Moved]);
         // From ahead nothing is told; from the side the folds say what they did before.
-        let ahead = FocalClue { change: 0.01, sigma: 0.08, share: 0.01 };
-        assert!((0..20).all(|_| watch.update(Some(&ahead), true, 0.0) == Moved));
-        assert_eq!([0, 1, 2].map(|k| watch.update(Some(&folds(k)), true, 0.0)), [Moved, Moved, Fits]);
+        let ahead = FocalClue { change: 0.01, sigma: 0.08, share: 0.01, is_contested: false };
+        assert!((0..20).all(|_| watch.update(Some(&ahead), None, true, 0.0) == Moved));
+        assert_eq!([0, 1, 2].map(|k| watch.update(Some(&folds(k)), None, true, 0.0)), [Moved, Moved, Fits]);
     }
 
     #[test]
     fn what_strays_less_far_is_given_and_doubted() {
         let strays = |of: FocalClue| FocalClue { change: of.change + 0.013, share: 0.1, ..of };
         let mut watch = LensWatch::default();
-        assert!((0..40).all(|k| watch.update(Some(&folds(k)), true, 0.0) == LensState::Fits && watch.strayed().is_none()));
-        assert_eq!(watch.update(Some(&strays(folds(1))), true, 0.0), LensState::Fits);
+        assert!((0..40).all(|k| watch.update(Some(&folds(k)), None, true, 0.0) == LensState::Fits && watch.strayed().is_none()));
+        assert_eq!(watch.update(Some(&strays(folds(1))), None, true, 0.0), LensState::Fits);
         assert!(watch.strayed().is_some_and(|by| (0.01..0.015).contains(&by)), "{:?}", watch.strayed());
-        assert_eq!(watch.update(Some(&folds(1)), true, 0.0), LensState::Fits);
+        assert_eq!(watch.update(Some(&folds(1)), None, true, 0.0), LensState::Fits);
         assert!(watch.strayed().is_none());
     }
 
     #[test]
     fn a_lens_that_was_wrong_from_the_first_is_not_called_moved_in_another_view() {
-        let guessed = |k: u32| FocalClue { change: 0.03 + 0.001 * f64::from(k % 3), sigma: 0.003, share: 0.2 };
+        let guessed = |k: u32| FocalClue { change: 0.03 + 0.001 * f64::from(k % 3), sigma: 0.003, share: 0.2, is_contested: false };
         let mut watch = LensWatch::default();
-        assert!((0..20).all(|k| watch.update(Some(&guessed(k)), true, 0.0) == LensState::Fits));
-        let elsewhere = FocalClue { change: 0.055, sigma: 0.004, share: 0.4 };
-        assert!((0..9).all(|_| watch.update(Some(&elsewhere), true, 0.0) == LensState::Fits));
-        let zoomed = FocalClue { change: 0.1, sigma: 0.005, share: 0.4 };
-        assert_eq!([0, 1].map(|_| watch.update(Some(&zoomed), true, 0.0)), [LensState::Suspect, LensState::Moved]);
+        assert!((0..20).all(|k| watch.update(Some(&guessed(k)), None, true, 0.0) == LensState::Fits));
+        let elsewhere = FocalClue { change: 0.055, sigma: 0.004, share: 0.4, is_contested: false };
+        assert!((0..9).all(|_| watch.update(Some(&elsewhere), None, true, 0.0) == LensState::Fits));
+        let zoomed = FocalClue { change: 0.1, sigma: 0.005, share: 0.4, is_contested: false };
+        assert_eq!([0, 1].map(|_| watch.update(Some(&zoomed), None, true, 0.0)), [LensState::Suspect, LensState::Moved]);
     }
 
     #[test]
@@ -234,21 +258,36 @@ mod tests {
         // A print of red things on the way to a blue gel, from ever more nearly ahead.
         let gel = [(-0.006, 0.005), (-0.0087, 0.0059), (-0.0128, 0.0082), (-0.0186, 0.0099), (-0.0394, 0.0119), (-0.0591, 0.0177)];
         let blue = [(-0.13, 0.0266), (-0.192, 0.044), (-0.254, 0.0512), (-0.586, 0.171), (1.752, 0.491), (0.444, 0.16)];
-        let said = |watch: &mut LensWatch, (change, sigma)| watch.update(Some(&FocalClue { change, sigma, share: 0.09 }), true, 0.0);
+        let said = |watch: &mut LensWatch, (change, sigma)| {
+            watch.update(Some(&FocalClue { change, sigma, share: 0.09, is_contested: false }), None, true, 0.0)
+        };
         assert!((0..20).all(|_| said(&mut watch, gel[0]) == LensState::Fits));
         assert!(gel.into_iter().chain(blue).all(|clue| said(&mut watch, clue) == LensState::Fits));
     }
 
     #[test]
+    fn a_step_stays_in_doubt_until_a_frame_contradicts_it() {
+        let mut watch = LensWatch::default();
+        let ahead = FocalClue { sigma: 0.02, ..clue(0.01) };
+        assert_eq!(watch.update(Some(&ahead), Some(-0.03), true, 0.0), LensState::Fits);
+        // Frames that say nothing of it leave it open.
+        assert!((0..9).all(|_| watch.update(None, None, false, 0.0) == LensState::Fits && watch.strayed() == Some(0.03)));
+        watch.update(Some(&ahead), None, true, 0.0);
+        assert!(watch.asks() && watch.strayed() == Some(0.03));
+        watch.update(Some(&clue(0.001)), None, true, 0.0);
+        assert!(!watch.asks() && watch.strayed().is_none());
+    }
+
+    #[test]
     fn what_a_draught_says_changes_too_slowly() {
         let mut watch = LensWatch::default();
-        let draught = |k: u32| FocalClue { change: 0.03 * (0.15 * f64::from(k)).sin(), sigma: 0.01, share: 0.03 };
-        assert!((0..200).all(|k| watch.update(Some(&draught(k)), true, 0.0) == LensState::Fits));
+        let draught = |k: u32| FocalClue { change: 0.03 * (0.15 * f64::from(k)).sin(), sigma: 0.01, share: 0.03, is_contested: false };
+        assert!((0..200).all(|k| watch.update(Some(&draught(k)), None, true, 0.0) == LensState::Fits));
     }
 
     #[test]
     fn a_lens_that_is_known_roughly_is_not_called_moved() {
         let mut watch = LensWatch::default();
-        assert!((0..10).all(|_| watch.update(Some(&clue(0.05)), true, 0.02) == LensState::Fits));
+        assert!((0..10).all(|_| watch.update(Some(&clue(0.05)), None, true, 0.02) == LensState::Fits));
     }
 }

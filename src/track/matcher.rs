@@ -172,7 +172,6 @@ impl Matcher {
             watcher: None,
             has_given: false,
             camera,
-            settings,
             clock,
             shutter,
             readout,
@@ -183,8 +182,9 @@ impl Matcher {
             two_view_buffers: TwoViewBuffers::default(),
             verified: Vec::new(),
             fits: Vec::new(),
-            lens_watch: LensWatch::default(),
+            lens_watch: LensWatch::new(settings.is_trial),
             clock_steps: ClockSteps::default(),
+            settings,
         }
     }
 
@@ -332,7 +332,7 @@ impl Matcher {
 
     /// Asks every body that was found how well the model fits.
     fn fit_models(&mut self, timestamp: Timestamp) {
-        let (camera, shutter, is_moved) = (&self.camera, self.shutter, self.lens_watch.is_moved());
+        let (camera, shutter, asks_focal) = (&self.camera, self.shutter, self.lens_watch.asks());
         let readout_sigma_s = self.readout.used().sigma_s;
         self.fits.clear();
         let bodies = self.bodies.iter_mut().zip(&self.verified);
@@ -342,7 +342,7 @@ impl Matcher {
                 return None;
             };
             let rows = RowMotion { shutter, readout_sigma_s, before: body.before_at(timestamp) };
-            body.model_fit(verified, camera, &rows, is_moved, k == 0)
+            body.model_fit(verified, camera, &rows, asks_focal, k == 0)
         }));
     }
 
@@ -362,7 +362,8 @@ impl Matcher {
         let focal_px = self.camera.intrinsics().fx;
         let doubt = self.camera.doubt().map_or(0.0, |doubt| doubt.uncertainty.focal_px[0] / (3.0 * focal_px));
         let is_seen = self.fits.iter().zip(bodies).any(|(fit, body)| fit.is_some() && !body.is_readout_in_doubt());
-        self.lens_watch.update(clue, is_seen, doubt)
+        let step = self.fits.first().and_then(|fit| fit.as_ref()?.step);
+        self.lens_watch.update(clue, step, is_seen, doubt)
     }
 
     /// Refuses the objects whose tiles lie so far from where any pose puts them that the pose is none. But blur displaces tiles as well while the motion is unknown, so an object that was just
@@ -420,7 +421,9 @@ impl Matcher {
             let by_focal = by_focal.and_then(|strayed| tracked.covariance_by_focal(&v.pose, strayed));
             let by_misfit = Some(tracked.covariance_by_misfit()).filter(|covariance| *covariance != Matrix6::zeros());
             let by_readout = tracked.covariance_by_readout(&v.pose, self.readout.sigma_s());
-            v.by_model = [by_lens, by_shape, by_focal, by_misfit, by_readout].into_iter().flatten().reduce(|sum, more| sum + more);
+            let by_surfaces = tracked.covariance_by_surfaces(&v.pose, &self.camera);
+            v.by_model =
+                [by_lens, by_shape, by_surfaces, by_focal, by_misfit, by_readout].into_iter().flatten().reduce(|sum, more| sum + more);
             v.rms_px = fit.map_or(v.rms_px, |fit| fit.rms_px);
         }
         BodySighting { state, verified, reason }

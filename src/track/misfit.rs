@@ -35,6 +35,15 @@ pub enum Part {
         /// By how much it is turned, degrees.
         turned_deg: f64,
     },
+    /// The corners of a surface's picture: it is cropped or photographed askew, or hangs sheared.
+    Corners {
+        /// Its index in the stage.
+        surface: usize,
+        /// How far the corner that is off most is off: pixels of the picture's file.
+        most_px: f64,
+        /// The same on the surface, mm.
+        most_mm: f64,
+    },
     /// The ratio of a surface's sides.
     Ratio {
         /// Its index in the stage.
@@ -113,6 +122,7 @@ impl Part {
             Self::Lens { .. } => "lens",
             Self::Shape { .. } => "shape",
             Self::Place { .. } => "layout",
+            Self::Corners { .. } => "corners",
             Self::Ratio { .. } => "ratio",
         }
     }
@@ -129,7 +139,7 @@ impl Part {
         match self {
             Self::Lens { focal_percent, .. } => focal_percent.abs() < SMALL_FOCAL_PERCENT,
             Self::Ratio { wider_percent, .. } => wider_percent.abs() < SMALL_RATIO_PERCENT,
-            Self::Place { .. } | Self::Shape { .. } => true,
+            Self::Place { .. } | Self::Shape { .. } | Self::Corners { .. } => true,
         }
     }
 
@@ -137,7 +147,9 @@ impl Part {
     pub fn surface(&self) -> Option<usize> {
         match self {
             Self::Lens { .. } => None,
-            Self::Shape { surface, .. } | Self::Place { surface, .. } | Self::Ratio { surface, .. } => Some(*surface),
+            Self::Shape { surface, .. } | Self::Place { surface, .. } | Self::Corners { surface, .. } | Self::Ratio { surface, .. } => {
+                Some(*surface)
+            }
         }
     }
 
@@ -163,6 +175,11 @@ impl Part {
                     figures(far)
                 )
             }
+            Self::Corners { most_px, most_mm, .. } => format!(
+                "{name}: its corners are not those of the surface as it hangs: {} px off in the picture, {} mm on the surface",
+                figures(most_px),
+                figures(most_mm)
+            ),
             Self::Ratio { wider_percent, .. } => {
                 let (by, is) = (figures(wider_percent.abs()), if wider_percent > 0.0 { "wider" } else { "narrower" });
                 format!("{name} is {by} % {is} for its height than size_m says")
@@ -178,6 +195,9 @@ impl Part {
             }
             Self::Shape { .. } => "survey it as it hangs: `stagepose survey WALK --config FILE --output DIR`",
             Self::Place { .. } => "put it back, or survey the stage as it stands: `stagepose survey WALK --config FILE --output DIR`",
+            Self::Corners { .. } => {
+                "check corners_px, or how the picture was cropped and hung, or let `stagepose survey WALK --config FILE --output DIR` find out"
+            }
             Self::Ratio { .. } => {
                 "measure both its sides and write size_m, or let `stagepose survey WALK --config FILE --output DIR` find out"
             }
@@ -197,6 +217,12 @@ mod tests {
         assert!(place.says("tree.png").starts_with("tree.png stands elsewhere") && place.says("tree.png").contains("5.00 mm"));
         let ratio = Part::Ratio { surface: 0, wider_percent: -0.5 };
         assert_eq!(ratio.says("cloth.png"), "cloth.png is 0.500 % narrower for its height than size_m says");
+        let corners = Part::Corners { surface: 0, most_px: 1.42, most_mm: 1.57 };
+        assert_eq!(
+            corners.says("a.jpg"),
+            "a.jpg: its corners are not those of the surface as it hangs: 1.42 px off in the picture, 1.57 mm on the surface"
+        );
+        assert!(corners.mend().contains("corners_px") && corners.surface() == Some(0) && corners.word() == "corners");
         assert_eq!(figures(0.0), "0");
     }
 }

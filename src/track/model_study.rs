@@ -13,8 +13,9 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix2xX, OMatrix, SMatrix, SVe
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::RowDisplacement;
 use super::misfit::{Misfit, Part};
-use super::model_unknowns::ModelUnknowns;
+use super::model_unknowns::{ModelUnknowns, moved_by_corners};
 use super::reference::PreparedBody;
+use super::surface::SurfaceSpec;
 use super::tile_residuals::{LEAST_MISFIT, TileResidual, TileResiduals};
 use crate::camera::CameraModel;
 use crate::geometry::robust_kernel::tukey_weight;
@@ -132,8 +133,7 @@ impl ModelStudy {
         let StudiedFrame { residuals, pose, anchors, rows } = *frame;
         let scales: Vec<f64> = (0..body.surfaces.len()).map(|k| self.scale_of(k, residuals, anchors)).collect();
         let Self { unknowns, normal, right, shared, row, strayed, .. } = self;
-        let mut own = SMatrix::<f64, NUISANCES, NUISANCES>::zeros();
-        own.fixed_view_mut::<6, 6>(6, 6).copy_from(rows.motion_information());
+        let mut own = nuisance_normal(rows);
         let mut own_right = SVector::<f64, NUISANCES>::zeros();
         let (mut squared, mut weights, mut all_information, mut depths_m) = (0.0, 0.0, 0.0, 0.0);
         shared.fill(0.0);
@@ -273,6 +273,7 @@ impl ModelStudy {
         let mut all = vec![Candidate { kind: Kind::Lens, columns: self.unknowns.lens() }];
         for k in 0..surfaces {
             all.push(Candidate { kind: Kind::Ratio(k), columns: self.unknowns.ratio(k) });
+            all.push(Candidate { kind: Kind::Corners(k), columns: self.unknowns.corners(k) });
             if surfaces > 1 {
                 all.push(Candidate { kind: Kind::Place(k), columns: self.unknowns.place(k) });
             }
@@ -316,8 +317,15 @@ impl ModelStudy {
     }
 }
 
+/// Normal matrix of a frame's own nuisances before any tile.
+pub fn nuisance_normal(rows: &RowDisplacement) -> SMatrix<f64, NUISANCES, NUISANCES> {
+    let mut own = SMatrix::<f64, NUISANCES, NUISANCES>::zeros();
+    own.fixed_view_mut::<6, 6>(6, 6).copy_from(rows.motion_information());
+    own
+}
+
 /// Derivatives of a tile's shift by the frame's own nuisances.
-fn nuisances(t: &TileResidual, rows: &RowDisplacement) -> SMatrix<f64, 2, NUISANCES> {
+pub fn nuisances(t: &TileResidual, rows: &RowDisplacement) -> SMatrix<f64, 2, NUISANCES> {
     let mut by = SMatrix::<f64, 2, NUISANCES>::zeros();
     by.fixed_columns_mut::<6>(0).copy_from(&t.by_pose);
     if !rows.is_described() {
@@ -331,6 +339,7 @@ fn nuisances(t: &TileResidual, rows: &RowDisplacement) -> SMatrix<f64, 2, NUISAN
 enum Kind {
     Lens,
     Ratio(usize),
+    Corners(usize),
     Place(usize),
     Shape(usize),
 }
@@ -343,9 +352,13 @@ struct Candidate {
 }
 
 impl Candidate {
-    /// Whether both have numbers of the same kind.
+    /// Whether both have numbers of the same kind. The ratio of a surface's sides is one of the numbers of its corners.
     fn is_alike(&self, other: &Self) -> bool {
-        self.kind == other.kind
+        let kind = |candidate: &Self| match candidate.kind {
+            Kind::Ratio(k) => Kind::Corners(k),
+            kind => kind,
+        };
+        kind(self) == kind(other)
     }
 
     fn part(&self, numbers: &[f64], unknowns: &ModelUnknowns, body: &PreparedBody, camera: &CameraModel) -> Part {
@@ -357,6 +370,10 @@ impl Candidate {
                 farthest_px: farthest_px(numbers, camera),
             },
             Kind::Ratio(surface) => Part::Ratio { surface, wider_percent: 100.0 * (numbers[0].exp() - 1.0) },
+            Kind::Corners(surface) => {
+                let off = corners_off(&body.surfaces[surface].spec, numbers);
+                Part::Corners { surface, most_px: off[0], most_mm: 1e3 * off[1] }
+            }
             Kind::Place(surface) => {
                 let turn = SVector::<f64, 3>::new(numbers[3], numbers[4], numbers[5]);
                 Part::Place { surface, moved_mm: [0, 1, 2].map(|k| 1e3 * numbers[k]), turned_deg: turn.norm().to_degrees() }
@@ -372,6 +389,18 @@ impl Candidate {
             }
         }
     }
+}
+
+/// How far the corner that is off most is off by the numbers of a surface's corners: pixels of its picture, as its file has it, and metres.
+fn corners_off(spec: &SurfaceSpec, numbers: &[f64]) -> [f64; 2] {
+    let corners = [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]];
+    let off = corners.map(|[x, y]| {
+        let at = Vector2::new(x * spec.size_m[0], y * spec.size_m[1]);
+        let moved: Vector2<f64> = moved_by_corners(spec.size_m, at).iter().zip(numbers).map(|(by, number)| by * *number).sum();
+        let pixel = |at: Vector2<f64>| spec.raw_pixel(spec.to_artwork(at)).unwrap_or_default();
+        [(pixel(at + moved) - pixel(at)).norm(), moved.norm()]
+    });
+    [0, 1].map(|k| off.iter().fold(0.0_f64, |most, off| most.max(off[k])))
 }
 
 /// How far the lens' numbers displace the corner of the picture where they do most.

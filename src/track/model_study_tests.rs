@@ -29,11 +29,11 @@ fn set() -> Vec<SurfaceSpec> {
 
 /// What a walk past the `real` stage with the `real_lens` says of the `told` one.
 fn misfits(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel) -> Vec<Misfit> {
-    walk(told, real, real_lens).0
+    walk(told, real, real_lens, [0.0; 4]).0
 }
 
 /// The same, and how far the poses are off, root mean square, mm.
-fn walk(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel) -> (Vec<Misfit>, f64) {
+fn walk(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel, askew: [f64; 4]) -> (Vec<Misfit>, f64) {
     let mut random = Pcg64Mcg::seed_from_u64(5);
     let (told, real, told_lens) = (prepared(told), prepared(real), lens(640, 480));
     let mut study = ModelStudy::new(told.surfaces.len(), 14);
@@ -44,7 +44,11 @@ fn walk(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel)
         let noise = |_, _| Vector2::from_fn(|_, _| (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>() * NOISE_PX);
         let mut anchors = seen_anchors(&real, &start, real_lens, 8, noise);
         for a in &mut anchors {
-            a.observation.point = told.surfaces[a.surface as usize].spec.body_point(a.artwork);
+            let spec = &told.surfaces[a.surface as usize].spec;
+            let at = spec.to_metres(a.artwork);
+            let moved: Vector2<f64> = moved_by_corners(spec.size_m, at).iter().zip(askew).map(|(by, number)| by * number).sum();
+            a.artwork = spec.to_artwork(at - moved);
+            a.observation.point = spec.body_point(a.artwork);
             a.observation.information /= NOISE_PX.powi(2);
         }
         let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
@@ -87,7 +91,7 @@ fn what_a_part_costs_is_how_far_poses_are_off() {
     let mut stretched = vec![cloth(1)];
     stretched[0].size_m[0] *= 1.006;
     for (real, lens) in [(vec![cloth(1)], &zoomed), (stretched, &lens(640, 480))] {
-        let (found, off_mm) = walk(vec![cloth(1)], real, lens);
+        let (found, off_mm) = walk(vec![cloth(1)], real, lens, [0.0; 4]);
         let [Misfit { cost_mm, .. }] = found[..] else { panic!("{found:?}") };
         assert!((cost_mm / off_mm - 1.0).abs() < 0.2, "{found:?}: {off_mm}");
     }
@@ -131,6 +135,14 @@ fn a_stretched_print_is_told_by_its_ratio() {
         let [Misfit { part: Part::Ratio { surface, wider_percent }, .. }] = found[..] else { panic!("{found:?}") };
         assert!(surface == k && (wider_percent - 0.6).abs() < 0.05, "{found:?}");
     }
+}
+
+#[test]
+fn a_picture_that_is_askew_is_told_by_its_corners() {
+    // Sheared by 0.3 %, with keystones of 0.2 %: the corner that is off most is off by 4.5 + 7 mm across, and 3 + 3 mm up.
+    let (found, _) = walk(vec![cloth(1)], vec![cloth(1)], &lens(640, 480), [0.0, 0.003, 0.002, 0.002]);
+    let [Misfit { part: Part::Corners { surface: 0, most_px, most_mm }, .. }] = found[..] else { panic!("{found:?}") };
+    assert!((9.0..18.0).contains(&most_mm) && (most_px / most_mm - 0.16).abs() < 0.01, "{found:?}");
 }
 
 #[test]

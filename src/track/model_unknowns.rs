@@ -6,7 +6,7 @@
 use std::f64::consts::PI;
 use std::ops::Range;
 
-use nalgebra::{Matrix2xX, Vector2, Vector3};
+use nalgebra::{Matrix2xX, Vector2};
 
 use super::fitted_anchor::FittedAnchor;
 use super::reference::PreparedBody;
@@ -16,8 +16,11 @@ use crate::geometry::{Body, Camera, Pose, skew};
 
 /// Numbers of the lens: logarithm of the focal length, centre in pixels, first radial coefficient.
 pub const LENS: usize = 4;
-/// Numbers of a surface before its heights: the logarithm of its ratio, and its place and direction.
+/// Numbers of a surface before its heights: the logarithm of its ratio, its shear and two keystones, and its place and direction.
 const RATIO: usize = 1;
+const ASKEW: usize = 3;
+/// Numbers of a surface's corners.
+pub const CORNERS: usize = RATIO + ASKEW;
 const PLACE: usize = 6;
 /// Half waves of the heights together, across and up, at most and at least, and numbers that all surfaces' heights have together. Raised, finer folds are
 /// told from other causes, in more time.
@@ -26,17 +29,18 @@ const LEAST_WAVES: usize = 3;
 const MOST_HEIGHTS: usize = 240;
 /// Half waves of the shapes that are tried, coarse to fine: a few numbers, where they do, are the likelier cause. Chosen, not tuned.
 const COARSE_TO_FINE: [usize; 3] = [4, 8, MOST_WAVES];
-/// How far each may be off, one sigma: logarithm of the focal length, centre (px), radial coefficient, logarithm of the ratio, place (m), direction (rad), and
+/// How far each may be off, one sigma: logarithm of the focal length, centre (px), radial coefficient, logarithm of the ratio, shear and keystones, place (m), direction (rad), and
 /// heights (m) of the slowest wave, finer ones in proportion less. Chosen wide: they only keep the equations regular. Lowered, large faults are passed over.
 const FOCAL_SIGMA: f64 = 0.2;
 const CENTRE_SIGMA_PX: f64 = 60.0;
 const RADIAL_SIGMA: f64 = 0.5;
 const RATIO_SIGMA: f64 = 0.1;
+const ASKEW_SIGMA: f64 = 0.05;
 const PLACE_SIGMA_M: f64 = 0.3;
 const DIRECTION_SIGMA: f64 = 0.2;
 const HEIGHT_SIGMA_M: f64 = 0.1;
 
-/// The unknowns of a body, in the order of their columns: the lens, then surface by surface ratio, place and heights.
+/// The unknowns of a body, in the order of their columns: the lens, then surface by surface ratio, shear, keystones, place and heights.
 #[derive(Debug)]
 pub struct ModelUnknowns {
     surfaces: usize,
@@ -55,7 +59,7 @@ impl ModelUnknowns {
 
     /// Numbers of one surface.
     fn of_surface(&self) -> usize {
-        RATIO + PLACE + self.waves.len()
+        CORNERS + PLACE + self.waves.len()
     }
 
     /// All numbers.
@@ -80,9 +84,15 @@ impl ModelUnknowns {
         first..first + RATIO
     }
 
+    /// Columns of a surface's corners: ratio, shear, and keystone along each side.
+    pub fn corners(&self, k: usize) -> Range<usize> {
+        let first = self.surface(k).start;
+        first..first + CORNERS
+    }
+
     /// Columns of a surface's place.
     pub fn place(&self, k: usize) -> Range<usize> {
-        let first = self.ratio(k).end;
+        let first = self.corners(k).end;
         first..first + PLACE
     }
 
@@ -98,10 +108,11 @@ impl ModelUnknowns {
         let Some(k) = column.checked_sub(LENS) else { return [FOCAL_SIGMA, CENTRE_SIGMA_PX, CENTRE_SIGMA_PX, RADIAL_SIGMA][column] };
         match k % self.of_surface() {
             0 => RATIO_SIGMA,
-            k if k < RATIO + 3 => PLACE_SIGMA_M,
-            k if k < RATIO + PLACE => DIRECTION_SIGMA,
+            k if k < CORNERS => ASKEW_SIGMA,
+            k if k < CORNERS + 3 => PLACE_SIGMA_M,
+            k if k < CORNERS + PLACE => DIRECTION_SIGMA,
             k => {
-                let [across, up] = self.waves[k - RATIO - PLACE];
+                let [across, up] = self.waves[k - CORNERS - PLACE];
                 HEIGHT_SIGMA_M / (across + up) as f64
             }
         }
@@ -128,14 +139,16 @@ impl ModelUnknowns {
         row.set_column(1, &Vector2::x());
         row.set_column(2, &Vector2::y());
         row.set_column(3, &t.by_radial);
-        row.set_column(LENS, &(by_surface * Vector3::new(at.x, 0.0, 0.0)));
+        for (k, moved) in moved_by_corners(spec.size_m, at).into_iter().enumerate() {
+            row.set_column(LENS + k, &(by_surface * moved.push(0.0)));
+        }
         let from_centre = anchor.observation.point.coords - spec.pose.translation;
         let by_place = by_point * to_camera;
-        row.columns_mut(LENS + RATIO, 3).copy_from(&by_place);
-        row.columns_mut(LENS + RATIO + 3, 3).copy_from(&(-by_place * skew(&from_centre)));
+        row.columns_mut(LENS + CORNERS, 3).copy_from(&by_place);
+        row.columns_mut(LENS + CORNERS + 3, 3).copy_from(&(-by_place * skew(&from_centre)));
         let by_height = by_surface.column(2).into_owned();
         for (k, wave) in self.heights_at(spec, at).enumerate() {
-            row.set_column(LENS + RATIO + PLACE + k, &(by_height * wave));
+            row.set_column(LENS + CORNERS + PLACE + k, &(by_height * wave));
         }
     }
 
@@ -148,4 +161,10 @@ impl ModelUnknowns {
     pub fn columns_of(&self, surface: usize) -> impl Iterator<Item = usize> + Clone + use<> {
         self.lens().chain(self.surface(surface))
     }
+}
+
+/// How the numbers of a surface's corners move a point of its picture, metres: ratio and shear in proportion, a keystone by its square. A keystone of 1 makes the one half of the
+/// picture larger, and the other smaller, in proportion to the distance from the middle in half sides.
+pub fn moved_by_corners([width, height]: [f64; 2], at: Vector2<f64>) -> [Vector2<f64>; CORNERS] {
+    [Vector2::new(at.x, 0.0), Vector2::new(at.y, 0.0), at * (2.0 * at.x / width), at * (2.0 * at.y / height)]
 }

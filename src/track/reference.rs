@@ -8,6 +8,7 @@ use nalgebra::Vector2;
 use super::rectangle::Rectangle;
 use super::repetition::periods;
 use super::surface::{BodySpec, SurfaceSpec};
+use super::surface_doubt::CornerWays;
 use crate::features::halved;
 use crate::features::{CornerBuffers, CornerOptions, detect_corners};
 
@@ -38,6 +39,8 @@ pub struct PreparedSurface {
     pub octaves: Vec<Octave>,
     /// Shifts by which its picture repeats itself, artwork pixels; see [`periods`].
     pub periods: Vec<Vector2<f64>>,
+    /// How its picture moves where its corners are off, if they are in doubt.
+    pub corner_ways: Option<CornerWays>,
 }
 
 /// A body ready for tracking.
@@ -70,6 +73,7 @@ impl PreparedBody {
                 rectangle: Rectangle::of(s),
                 periods: periods(octaves.iter().map(|octave| &octave.image)),
                 octaves,
+                corner_ways: CornerWays::of(s),
             }
         };
         Self { name: spec.name.clone(), surfaces: spec.surfaces.iter().map(prepared).collect() }

@@ -17,10 +17,12 @@ pub struct TrackerSettings {
     /// Whether covariances contain what the calibration's doubt leaves open. Without, they are what many frames average away; whether the lens was
     /// moved is judged by the doubt in any case. Default true; no cost.
     pub adds_lens_doubt: bool,
+    /// Whether frames are only tried: what they say of the lens is not logged. Default false.
+    pub is_trial: bool,
 }
 
 impl Default for TrackerSettings {
     fn default() -> Self {
-        Self { threads: 1, features: 1500, coast_s: 0.2, confirm_frames: 2, seed: 1, adds_lens_doubt: true }
+        Self { threads: 1, features: 1500, coast_s: 0.2, confirm_frames: 2, seed: 1, adds_lens_doubt: true, is_trial: false }
     }
 }

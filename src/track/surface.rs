@@ -10,6 +10,7 @@ use nalgebra::{Matrix3, Point3, Vector2};
 use thiserror::Error;
 
 use super::shape::SurfaceShape;
+use super::surface_doubt::SurfaceDoubt;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::features::{CornerBuffers, CornerOptions, detect_corners};
 use crate::geometry::planar_pose::planar_poses;
@@ -31,6 +32,8 @@ pub struct SurfaceSpec {
     pub kind: ReferenceKind,
     /// How it hangs: where the points of its picture are.
     pub shape: SurfaceShape,
+    /// How far it may be from where all this puts it.
+    pub doubt: SurfaceDoubt,
 }
 
 /// Whether a surface was given as flat artwork or as a photograph.
@@ -126,6 +129,8 @@ const LEAST_STRENGTH: f32 = 12.0;
 /// Longest side that a photograph is laid flat to, pixels: as long as a 4K camera's frame. Raised, large photographs take more memory and a
 /// longer start; lowered, they lose detail.
 const LONGEST_FLAT_SIDE_PX: f64 = 4096.0;
+/// How far a corner that was read off a photograph is off along each axis, one sigma, pixels. Raised, poses by photographs are less sure; lowered, corners as people read them pass for another lens.
+const CORNER_SIGMA_PX: f64 = 1.0;
 
 impl SurfaceSpec {
     /// A surface from its flat artwork.
@@ -143,7 +148,15 @@ impl SurfaceSpec {
     ) -> Result<Self, SurfaceError> {
         check_size(size_m)?;
         check_sides(&picture)?;
-        Ok(Self { name, artwork: picture, size_m, pose, kind: ReferenceKind::Artwork, shape: SurfaceShape::Flat })
+        Ok(Self {
+            name,
+            artwork: picture,
+            size_m,
+            pose,
+            kind: ReferenceKind::Artwork,
+            shape: SurfaceShape::Flat,
+            doubt: SurfaceDoubt::default(),
+        })
     }
 
     /// A surface from a photograph of it: `corners` are the raw pixels of its four corners, clockwise from the top left, which
@@ -191,7 +204,9 @@ impl SurfaceSpec {
         let artwork = rectified(photo, &h_photo_artwork, &camera, w, h);
         check_sides(&artwork)?;
         let kind = ReferenceKind::Photograph { h_photo_artwork: h_photo_artwork.0, camera: Box::new(camera), pose: seen_from.renamed() };
-        Ok(Self { name, artwork, size_m, pose, kind, shape: SurfaceShape::Flat })
+        let shorter_px = length(0, 1).min(length(1, 2)).min(length(2, 3)).min(length(3, 0));
+        let doubt = SurfaceDoubt::of_corners(CORNER_SIGMA_PX, shorter_px);
+        Ok(Self { name, artwork, size_m, pose, kind, shape: SurfaceShape::Flat, doubt })
     }
 
     /// Refuses a picture that no camera could find again.
@@ -229,6 +244,12 @@ impl SurfaceSpec {
         let seen = camera.undistorted_pixel(camera.unproject(raw)?);
         let flat = h_photo_artwork.try_inverse()? * seen.push(1.0);
         (flat.z.abs() > f64::EPSILON).then(|| flat.xy() / flat.z)
+    }
+
+    /// The other way round: an artwork pixel as a raw pixel of the file.
+    pub fn raw_pixel(&self, p: Vector2<f64>) -> Option<Vector2<f64>> {
+        let ReferenceKind::Photograph { h_photo_artwork, camera, .. } = &self.kind else { return Some(p) };
+        Some(camera.project(camera.from_undistorted_pixel(Homography(*h_photo_artwork).map(p)?)).0)
     }
 
     /// Metres on the surface to artwork pixels.

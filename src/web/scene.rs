@@ -225,6 +225,7 @@ mod tests {
             pose: Pose::new(upright, Vector3::new(0.0, 0.0, 1.5)),
             kind: ReferenceKind::Artwork,
             shape: SurfaceShape::Flat,
+            doubt: crate::track::SurfaceDoubt::default(),
         };
         let camera = CameraModel::pinhole(64, 48, 60.0, 61.0, 31.5, 23.5).unwrap();
         TrackerSetup::new(camera, BodySpec::new("stage", vec![surface]))

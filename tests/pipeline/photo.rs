@@ -1,10 +1,12 @@
 //! A surface that is known from a photograph of it, taken by another camera.
 
-use nalgebra::{Point3, Vector2};
+use nalgebra::{Point3, Vector2, Vector3};
 use stagepose::two_views::geometry::Homography;
-use stagepose::{CameraModel, CameraPath, EntryContent, Intrinsics, Normalized, Pixel, ReferenceKind, Renderer, State, SurfaceSpec};
+use stagepose::{
+    CameraModel, CameraPath, EntryContent, Intrinsics, Normalized, Pixel, ReferenceKind, Renderer, Spline, State, SurfaceSpec,
+};
 
-use super::scene::{assert_tracks_within, backdrop, body, camera, past, quiet, rows, setup, track_rows};
+use super::scene::{assert_tracks_within, backdrop, body, camera, nees_per_freedom, past, quiet, rows, setup, track_rows};
 use super::two_view::{motion_errors, worst_transfer};
 
 fn photographer() -> CameraModel {
@@ -75,4 +77,44 @@ fn a_photograph_serves_as_the_stage() {
     }
     println!("worst: homography {:.3} px, essential {:.3} and {:.3} degrees", worst.0, worst.1, worst.2);
     assert!(worst.0 < 0.5 && worst.1 < 0.5 && worst.2 < 0.5, "{worst:?}");
+}
+
+/// A print that is 350 pixels wide in its photograph, whose corners are typed as people read them, and a camera that moves before it.
+#[test]
+fn corners_that_are_typed_a_pixel_off_accuse_no_lens_and_are_in_the_covariance() {
+    let (stage, lens) = (backdrop(), camera(640, 480));
+    let spec = &stage.surfaces[0];
+    let photo_path = CameraPath::fixed(Point3::new(0.2, -7.2, -0.1), Point3::new(0.0, 0.0, 0.0));
+    let photo_scene = quiet(lens, photo_path, stage.clone());
+    let stand = photo_scene.truth(0.0).inverse();
+    let (w, h) = (f64::from(spec.artwork.width()), f64::from(spec.artwork.height()));
+    let outer = [(-0.5, -0.5), (w - 0.5, -0.5), (w - 0.5, h - 0.5), (-0.5, h - 0.5)];
+    let corners = outer.map(|(u, v)| {
+        let c = stand.transform(&spec.body_point(Vector2::new(u, v)));
+        lens.project(Normalized(Vector2::new(c.x / c.z, c.y / c.z))).0
+    });
+    let photo = Renderer::new(photo_scene).render(0.0, 0);
+    let keys = [(0.0, Vector3::new(-0.8, -6.4, 0.3)), (1.0, Vector3::new(0.9, -6.8, -0.2))];
+    let target = Spline::fixed(Vector3::zeros());
+    let path = CameraPath { position: Spline::new(&keys).unwrap(), target, roll_rad: 0.02, shake: None };
+    let scene = quiet(lens, path, stage.clone());
+    let rows = rows(&scene, 24);
+    // One corner a pixel off, each up to a pixel, each a pixel, and up to two.
+    let typed = [
+        [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 0.0]],
+        [[0.0, 0.9], [-0.7, -0.1], [-0.7, -0.2], [0.7, -0.2]],
+        [[-1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]],
+        [[2.0, 0.0], [0.0, 2.0], [-2.0, 0.0], [0.0, 2.0]],
+    ];
+    for off in typed {
+        let typed: [Pixel; 4] = std::array::from_fn(|k| Pixel(corners[k] + Vector2::from(off[k])));
+        let surface = SurfaceSpec::from_photograph("photo".into(), &photo, typed, lens, spec.size_m, spec.pose).unwrap();
+        let mut configured = setup(&scene);
+        configured.stage = body(vec![surface]);
+        let samples = track_rows(configured, &rows);
+        let tracked: Vec<_> = samples.iter().filter(|s| s.state == State::Tracking).collect();
+        let nees = tracked.iter().map(|s| nees_per_freedom(&scene, s)).sum::<f64>() / tracked.len().max(1) as f64;
+        println!("{off:?}: {} of 24, NEES / 6 {nees:.2}", tracked.len());
+        assert!(tracked.len() >= 23 && nees < 3.0, "{off:?}: {} of 24, NEES / 6 {nees:.2}", tracked.len());
+    }
 }

@@ -400,6 +400,7 @@ mod tests {
             pose: Pose::identity(),
             kind: ReferenceKind::Artwork,
             shape: crate::track::SurfaceShape::Flat,
+            doubt: crate::track::SurfaceDoubt::default(),
         };
         // A texel covers two pixels at 0.5 m; a tenth of the surface, 0.4 m, fills the picture at 0.4 m.
         assert_eq!(distances(&surface, &camera), (0.5, 40.0));

@@ -72,7 +72,7 @@ impl Pass {
         let calibrated = settings.lens.size(&settings.camera);
         let mut source = open_clip(clip, ClipOptions { fps, calibrated, ..ClipOptions::default() })?;
         let setup = TrackerSetup { shutter, learnt, ..tracker_setup(settings, source.size(), None)? };
-        let mut tracker = Tracker::new(setup.clone())?;
+        let mut tracker = Tracker::new(setup.clone().as_trial())?;
         tracker.matcher.study_model();
         let rows = source.rows();
         let progress = Progress::start(Some(rows.unwrap_or(MOST_ROWS).min(MOST_ROWS)));

@@ -33,7 +33,7 @@ pub(super) fn estimate(settings: &Settings, clip: &Path, fps: Option<f64>) -> Re
         return Ok(Err("not estimated: the clip's stamps are not to be believed; see above"));
     }
     let setup = tracker_setup(settings, source.size(), None)?;
-    let tracker = Tracker::new(TrackerSetup { shutter: Default::default(), objects: Vec::new(), ..setup })?;
+    let tracker = Tracker::new(TrackerSetup { shutter: Default::default(), objects: Vec::new(), ..setup }.as_trial())?;
     let estimate = estimate_shutter(|| open().map(|source| frames(source, progress.clone())), tracker);
     progress.finish();
     estimate.map(Ok)

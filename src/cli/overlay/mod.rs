@@ -215,6 +215,7 @@ mod tests {
             pose,
             kind: ReferenceKind::Artwork,
             shape: SurfaceShape::Flat,
+            doubt: crate::track::SurfaceDoubt::default(),
         };
         BodySpec { name: name.to_owned(), surfaces: vec![surface] }
     }

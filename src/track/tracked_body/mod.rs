@@ -9,6 +9,7 @@ use super::acquire::Recognition;
 use super::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Patch, ReadoutQuestion, ShutterClue, is_sharp};
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
+use super::focal_step::Jump;
 use super::learnt_readout::ReadoutDoubt;
 use super::misfit::{Misfit, ModelNews, ModelReport};
 use super::model_error::{FieldSize, ModelErrorBuffers, blended, model_error};
@@ -21,6 +22,7 @@ use super::reference::PreparedBody;
 use super::row_motion::RowMotion;
 use super::shape_doubt::ShapeDoubt;
 use super::surface::BodySpec;
+use super::surface_doubt::covariance_by_surfaces;
 use super::tile_residuals::TileResiduals;
 use super::track_state::TrackStateMachine;
 use super::verify::{Refusal, Verified, VerifyBuffers, View, judged_noise, search_silent, verify};
@@ -135,6 +137,7 @@ pub struct TrackedBody {
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit the model, of the last verified pose.
     model_error: Matrix6<f64>,
     shape_doubt: ShapeDoubt,
+    jump: Jump,
     model_watch: ModelWatch,
     /// What is studied of a frame, and what it leaves.
     studied: Vec<FittedAnchor>,
@@ -151,6 +154,8 @@ pub struct ModelFit {
     pub at_most: Option<Matrix6<f64>>,
     /// What they say of the focal length; `None` where that explains nothing and was not asked for.
     pub focal: Option<FocalClue>,
+    /// The step of the logarithm of the focal length that would explain how the pose jumped; `None` where it did not.
+    pub step: Option<f64>,
 }
 
 impl TrackedBody {
@@ -192,6 +197,7 @@ impl TrackedBody {
             field_size: FieldSize::default(),
             model_error: Matrix6::zeros(),
             shape_doubt: ShapeDoubt::of(&body.surfaces),
+            jump: Jump::default(),
             model_watch: ModelWatch::new(body.surfaces.len()),
             studied: Vec::with_capacity(most),
             study_residuals: TileResiduals::default(),
@@ -510,10 +516,11 @@ impl TrackedBody {
         let noise = error.map_or(1.0, |e| e.noise);
         *own_error = blended(&t_camera_body, residuals, &verified.covariance, &of_frame, own_error).unwrap_or(of_frame);
         let asks_focal = asks_focal || residuals.is_misfit() || is_suspect(residuals);
+        let step = self.jump.step(&t_camera_body, rows, residuals);
         let rows = RowDisplacement::new(camera, rows, &t_camera_body);
-        let focal = if asks_focal { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
-        let fit = ModelFit { rms_px: residuals.rms_px(), at_most: error.map(|e| e.at_most()), focal };
-        debug!(body = %body.name, rms_px = fit.rms_px, doubts = error.is_some(), noise, focal = ?fit.focal, "model");
+        let focal = if asks_focal || step.is_some() { focal_clue(residuals, &t_camera_body, body, anchors, &rows) } else { None };
+        let fit = ModelFit { rms_px: residuals.rms_px(), at_most: error.map(|e| e.at_most()), focal, step };
+        debug!(body = %body.name, rms_px = fit.rms_px, doubts = error.is_some(), noise, focal = ?fit.focal, step, "model");
         Some(fit)
     }
 
@@ -533,10 +540,18 @@ impl TrackedBody {
         self.shape_doubt.covariance(pose, camera, &self.body.surfaces, &self.anchors)
     }
 
+    /// The same by how far their corners and places may be off as configured.
+    pub fn covariance_by_surfaces(&self, pose: &Pose<Body, Camera>, camera: &CameraModel) -> Option<Matrix6<f64>> {
+        covariance_by_surfaces(pose, camera, &self.body.surfaces, &self.anchors)
+    }
+
     /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, where one sigma of the logarithm of the focal length is this.
     pub fn covariance_by_focal(&self, pose: &Pose<Body, Camera>, sigma: f64) -> Option<Matrix6<f64>> {
         let step = self.residuals.pose_by_focal()? * sigma;
-        Some(covariance_of_inverse(&pose.inverse(), &(step * step.transpose())))
+        let linear = covariance_of_inverse(&pose.inverse(), &(step * step.transpose()));
+        // What is linear in the step is wrong by its square, in every direction.
+        let (turn, shift) = (sigma.powi(2), sigma.powi(2) * self.aligner.distance_m(pose));
+        Some(linear + Matrix6::from_diagonal(&Vector6::new(shift, shift, shift, turn, turn, turn).map(|off| off.powi(2))))
     }
 
     /// Whether this frame is to be studied. `is_lens_right`: what a lens that was moved leaves is no part of the model.
