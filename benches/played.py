@@ -2,6 +2,7 @@
 
 import contextlib
 import pathlib
+import re
 import shutil
 import socket
 import subprocess
@@ -10,7 +11,7 @@ import tempfile
 import time
 
 FIXTURE = pathlib.Path(__file__).resolve().parent.parent / "fixtures/dolly"
-START_S = 60  # a daemon that tracks nothing within this does not start
+START_S = 60  # a daemon that tracks nothing for so long does not track
 
 
 class Daemon:
@@ -35,12 +36,23 @@ class Daemon:
             self.process = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=log)
 
     def wait_until_it_tracks(self):
-        begun = time.monotonic()
-        while self.status("/healthz") != 200:
+        """Until a second's frames have been tracked since."""
+        begun, first = time.monotonic(), None
+        while True:
             self.need_alive()
+            with contextlib.suppress(OSError):
+                now = self.frames()
+                first = now if first is None else first
+                if now >= first + 30:
+                    return
             if time.monotonic() - begun > START_S:
                 sys.exit(f"nothing is tracked within {START_S} s:\n{self.last_words()}")
             time.sleep(0.2)
+
+    def frames(self):
+        """Frames that it has tracked."""
+        text = self.answer("GET", "/metrics").decode()
+        return float(re.search(r"^stagepose_frames_total (\S+)$", text, re.M).group(1))
 
     def need_alive(self):
         if self.process.poll() is not None:
@@ -58,12 +70,6 @@ class Daemon:
             while piece := s.recv(65536):
                 pieces.append(piece)
         return b"".join(pieces)
-
-    def status(self, path):
-        """The status of an answer; 0 where none came."""
-        with contextlib.suppress(OSError, ValueError, IndexError):
-            return int(self.answer("GET", path).split(b" ", 2)[1])
-        return 0
 
     def memory_mb(self, which):
         """VmRSS: memory that it has now; VmHWM: the most that it had."""

@@ -6,12 +6,12 @@
 A played clip is tracked. By turns nobody and the strangers of one kind are there; each turn says the median, the 99th percentile and the longest
 time of `/healthz`, `/api/v1/health` and `/api/v1/session`, and how many frames a second were tracked. The strangers come from eight addresses of
 this machine (127.0.0.2 to 127.0.0.9) as through a proxy, so that none of them is paired; nothing leaves the machine. `--check` fails where a
-99th percentile is above 100 ms (health) or 300 ms (session).
+99th percentile is above 100 ms (health) or 300 ms (session) in three turns one after the other, and not with nobody there as well.
 """
 
 import argparse
 import asyncio
-import re
+import math
 import sys
 import threading
 import time
@@ -22,6 +22,8 @@ PROBES = {"/healthz": 100, "/api/v1/health": 100, "/api/v1/session": 300}
 HEAD = "Host: localhost\r\nX-Forwarded-For: 192.0.2.7\r\n"
 # Seconds after which an answer counts as none.
 WAITS = 20
+# A kind that is too slow is tried again: what else the machine does scatters single turns.
+TRIES = 3
 UPGRADE = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
 
 
@@ -99,15 +101,10 @@ class Siege:
         self.thread.join()
 
 
-def frames(daemon):
-    text = daemon.answer("GET", "/metrics", wait_s=30).decode()
-    return float(re.search(r"^stagepose_frames_total (\S+)$", text, re.M).group(1))
-
-
 def measure(daemon, seconds):
     """Times of each probe in ms, and frames a second."""
     times = {path: [] for path in PROBES}
-    begun, before = time.monotonic(), frames(daemon)
+    begun, before = time.monotonic(), daemon.frames()
     while time.monotonic() - begun < seconds:
         for path, of_path in times.items():
             asked, answer = time.monotonic(), b""
@@ -119,11 +116,29 @@ def measure(daemon, seconds):
             is_answered = answer.startswith((b"HTTP/1.0 200", b"HTTP/1.0 503"))
             of_path.append((time.monotonic() - asked) * 1e3 if is_answered else WAITS * 1e3)
         time.sleep(0.02)
-    return times, (frames(daemon) - before) / (time.monotonic() - begun)
+    return times, (daemon.frames() - before) / (time.monotonic() - begun)
 
 
 def percentile(values, share):
-    return sorted(values)[min(len(values) - 1, int(share * len(values)))]
+    return sorted(values)[max(0, math.ceil(share * len(values)) - 1)]
+
+
+def turn(daemon, kind, arguments):
+    """One turn with strangers of a kind, or with nobody: prints what came of it, and says what is too slow."""
+    strangers = Siege(kind, arguments.strangers, daemon.port) if kind else None
+    time.sleep(1)
+    times, rate = measure(daemon, arguments.seconds)
+    if strangers:
+        strangers.end()
+    print(f"{kind or 'nobody':<30} {rate:5.1f} frames/s", end="")
+    slow = []
+    for path, values in times.items():
+        p99 = percentile(values, 0.99)
+        print(f"   {path} {percentile(values, 0.5):.1f} / {p99:.1f} / {max(values):.0f} ms", end="")
+        if p99 > PROBES[path]:
+            slow.append(f"{path} {p99:.0f} ms")
+    print(flush=True)
+    return ", ".join(slow)
 
 
 def main():
@@ -136,19 +151,14 @@ def main():
     bad = []
     with played.daemon(arguments.program, prepare=long_recording) as daemon:
         for kind in stranger(None, "", 0):
-            for siege in [None, kind]:
-                strangers = Siege(siege, arguments.strangers, daemon.port) if siege else None
-                time.sleep(1)
-                times, rate = measure(daemon, arguments.seconds)
-                if strangers:
-                    strangers.end()
-                print(f"{siege or 'nobody':<30} {rate:5.1f} frames/s", end="")
-                for path, values in times.items():
-                    p99 = percentile(values, 0.99)
-                    print(f"   {path} {percentile(values, 0.5):.1f} / {p99:.1f} / {max(values):.0f} ms", end="")
-                    if siege and p99 > PROBES[path]:
-                        bad.append(f"{kind}: {path} {p99:.0f} ms")
-                print(flush=True)
+            for _ in range(TRIES):
+                alone, besieged = turn(daemon, None, arguments), turn(daemon, kind, arguments)
+                if not besieged:
+                    break
+            if besieged and not alone:
+                bad.append(f"{kind}: {besieged}")
+            elif besieged:
+                print(f"NOT JUDGED: {kind}; this machine is too busy with nobody there", flush=True)
         print(f"most memory: {daemon.memory_mb('VmHWM')} MB")
     if arguments.check and bad:
         sys.exit("too slow: " + "; ".join(bad))
