@@ -7,7 +7,8 @@ A played clip is tracked. In each round the ring is saved, a recording begins an
 deleted, and strangers break off in every way; in each tenth a good config is put, SIGHUP reads it again, and the camera is lent and comes back.
 The counts are taken after half of the rounds and after the last one: the first configs that are read again leave the heap in pieces, which
 later ones use (67 MB at the start, 95 to 120 from the twentieth SIGHUP to the sixtieth). `--check` fails where descriptors or threads grew by
-more than 2, or memory by more than a tenth and 16 MB. Nothing leaves the machine.
+more than 2, or memory by more than a quarter and 16 MB: what the allocator keeps of each session scatters by a quarter. Nothing leaves the
+machine.
 """
 
 import argparse
@@ -40,10 +41,10 @@ def counts(daemon):
 
 
 def settled(daemon, rounds):
-    """The counts once nothing is under way: it tracks, the ring is full, and who broke off is forgotten."""
+    """The counts once nothing is under way: it tracks, the ring is full, and threads that wait for work (10 s) have ended."""
     daemon.wait_until_it_tracks()
-    time.sleep(6)
-    least = min(counts(daemon) for _ in range(10) if not time.sleep(0.3))
+    time.sleep(12)
+    least = [min(of_one) for of_one in zip(*(counts(daemon) for _ in range(10) if not time.sleep(0.2)))]
     print(f"after {rounds} rounds: {least[0]} descriptors, {least[1]} threads, {least[2]} MB", flush=True)
     return least
 
@@ -96,7 +97,7 @@ def main():
             for clip in sorted((daemon.folder / "recordings").glob("clip-*"))[:-2]:
                 shutil.rmtree(clip, ignore_errors=True)
         end = settled(daemon, arguments.rounds)
-    grown = end[0] > start[0] + 2 or end[1] > start[1] + 2 or end[2] > start[2] * 1.1 + 16
+    grown = end[0] > start[0] + 2 or end[1] > start[1] + 2 or end[2] > start[2] * 1.25 + 16
     if arguments.check and grown:
         sys.exit("something stays")
 
