@@ -4,6 +4,7 @@
     cargo build --release
     python3 benches/cases.py                # all; needs ffmpeg
     python3 benches/cases.py 01 14 --show   # some, with what they print
+    python3 benches/cases.py --except 07    # all but those that are known to be missed
 
 Every folder there has a run.sh, which prints what the program makes of an input that people met, and an expected.txt, which says
 what is right. Here the right value is asserted. Ends with 1 where one is missed, and where a folder has no assertion yet.
@@ -231,6 +232,7 @@ def judged(folder, chosen):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("numbers", nargs="*", metavar="NN", help="[default: all]")
+    parser.add_argument("--except", nargs="+", default=[], metavar="NN", dest="left_out", help="these are not run")
     parser.add_argument("--binary", type=pathlib.Path, default=PROJECT / "target/release/stagepose")
     parser.add_argument("--cases", type=pathlib.Path, default=PROJECT.parent / "shared/cases")
     parser.add_argument("--show", action="store_true", help="print what each prints")
@@ -240,7 +242,10 @@ def main():
         return 0
     folders = [f for f in sorted(chosen.cases.iterdir()) if (f / "run.sh").is_file()]
     folders = [f for f in folders if not chosen.numbers or f.name[:2] in chosen.numbers]
-    return 0 if all([judged(folder, chosen) for folder in folders]) else 1
+    left_out = [f for f in folders if f.name[:2] in chosen.left_out]
+    for folder in left_out:
+        print(f"{folder.name:34}  NOT RUN: known to be missed", flush=True)
+    return 0 if all([judged(folder, chosen) for folder in folders if folder not in left_out]) else 1
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ pub mod capture {
     pub use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
     pub use crate::capture::timestamping::{DriverStamp, mid_exposure, monotonic_now};
     pub use crate::capture::{
-        AviReader, MjpegReader, VirtualCamera, Y4mReader, decode_on_white, decode_oriented, picture_size, read_timestamps,
+        AviReader, MjpegReader, VirtualCamera, Y4mReader, decode_on_white, decode_oriented, ffmpeg_account, picture_size, read_timestamps,
     };
 }
 
@@ -74,7 +74,7 @@ pub mod live {
 #[cfg(feature = "http")]
 pub mod web {
     pub use crate::config::HttpSettings;
-    pub use crate::web::Server;
+    pub use crate::web::{Server, judge_model};
 }
 
 /// Text from outside, as a terminal may show it.

@@ -103,13 +103,15 @@ fn front_on_views_are_not_to_be_used() {
     assert!(made.judgement.next_picture.contains("side"), "{}", made.judgement.next_picture);
 }
 
-/// Views of a board close to a very wide lens; `bent` says how far from the middle a ray appears, pixels, by its angle from the axis.
-fn seen_wide(board: &Board, bent: impl Fn(f64) -> f64) -> Vec<Inspected> {
+/// Views of a board close to a very wide lens, `nearer` of them closer than the others; `bent` says how far from the middle a ray appears,
+/// pixels, by its angle from the axis.
+fn seen_wide(board: &Board, nearer: usize, bent: impl Fn(f64) -> f64) -> Vec<Inspected> {
     let view = |k: usize| {
         let azimuth = 2.4 * k as f64;
         let tilt = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * (0.2 + 0.03 * (k % 8) as f64);
         let turn = UnitQuaternion::from_scaled_axis(tilt);
-        let aside = Vector3::new(0.10 * ((k % 3) as f64 - 1.0), 0.06 * ((k / 3 % 3) as f64 - 1.0), 0.13 + 0.02 * (k % 4) as f64);
+        let away = if k < nearer { 0.07 } else { 0.13 } + 0.02 * (k % 4) as f64;
+        let aside = Vector3::new(0.10 * ((k % 3) as f64 - 1.0), 0.06 * ((k / 3 % 3) as f64 - 1.0), away);
         let middle = board.corner(board.corner_count() - 1).push(0.0) * 0.5;
         let corner = |index: usize| {
             let at = turn * (board.corner(index).push(0.0) - middle) + aside;
@@ -138,13 +140,16 @@ fn a_fisheye_is_named_and_not_to_be_used() {
         options
     };
     for options in [CalibrationOptions::default(), with_k3()] {
-        let made = calibrate(&seen_wide(&board, |angle| 152.0 * angle), &board, &options).unwrap();
-        assert_eq!(made.judgement.verdict, Verdict::DoNotUse);
-        assert!(made.judgement.sentence().contains("this is a fisheye or a very wide lens"), "{}", made.judgement.sentence());
-        assert!(made.judgement.next_picture.contains("do not help"), "{}", made.judgement.next_picture);
+        for nearer in [0, 4, 6] {
+            let made = calibrate(&seen_wide(&board, nearer, |angle| 152.0 * angle), &board, &options).unwrap();
+            assert_eq!(made.judgement.verdict, Verdict::DoNotUse);
+            let sentence = made.judgement.sentence();
+            assert!(sentence.contains("this is a fisheye or a very wide lens"), "{nearer}: {sentence}");
+            assert!(made.judgement.next_picture.contains("do not help"), "{}", made.judgement.next_picture);
+        }
         // As wide, but such as the model bends.
         let straight = |angle: f64| 200.0 * angle.tan() * (1.0 - 0.02 * angle.tan().powi(2));
-        let made = calibrate(&seen_wide(&board, straight), &board, &options).unwrap();
+        let made = calibrate(&seen_wide(&board, 0, straight), &board, &options).unwrap();
         assert!(!made.judgement.reasons().join(";").contains("fisheye"), "{:?}", made.judgement.reasons());
     }
 }

@@ -43,6 +43,7 @@ use std::time::Duration;
 
 pub use avi::AviReader;
 pub use error::CaptureError;
+pub use ffmpeg::ffmpeg_account;
 pub use folder::PICTURE_EXTENSIONS;
 pub use grey::{
     DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_on_white, decode_oriented, orientation_words, picture_size, with_huffman_tables,

@@ -15,11 +15,13 @@ pub(super) struct Origin<'a> {
     pub files: FilesRead,
     /// What is to be said of the files that were read, a sentence each.
     pub remarks: RefCell<Vec<String>>,
+    /// What every command warns of, a sentence each.
+    pub warnings: RefCell<Vec<String>>,
 }
 
 impl<'a> Origin<'a> {
     pub fn new(file: &'a Path, text: &'a str) -> Self {
-        Self { file, text, files: FilesRead::default(), remarks: RefCell::default() }
+        Self { file, text, files: FilesRead::default(), remarks: RefCell::default(), warnings: RefCell::default() }
     }
 
     /// The 1-based line of a byte span's start.

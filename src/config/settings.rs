@@ -217,6 +217,7 @@ impl Settings {
         notes.extend(device.fps.and_then(|fps| safety.note_on_rate(fps)));
         refuse_overwriting(&typed, &origin, &files)?;
         notes.append(&mut origin.remarks.borrow_mut());
+        warnings.append(&mut origin.warnings.borrow_mut());
         Ok(Self {
             file: file.to_owned(),
             measured: measured(&origin, typed.survey.as_ref(), &stage)?,

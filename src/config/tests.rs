@@ -373,6 +373,21 @@ fn a_photograph_of_another_camera_is_said() {
 }
 
 #[test]
+fn what_is_transparent_is_a_warning_of_every_command_and_an_opaque_alpha_is_none() {
+    let folder = folder();
+    let art = image::open(folder.path().join("art.png")).unwrap().to_rgba8();
+    art.save(folder.path().join("art.png")).unwrap();
+    assert_eq!(load(&folder, GOOD).unwrap().warnings, Vec::<String>::new());
+    let mut half_unseen = art;
+    half_unseen.pixels_mut().step_by(2).for_each(|pixel| pixel.0[3] = 0);
+    half_unseen.save(folder.path().join("art.png")).unwrap();
+    let settings = load(&folder, GOOD).unwrap();
+    assert_eq!(settings.warnings.len(), 1, "{:?}", settings.warnings);
+    assert!(settings.warnings[0].starts_with("art.png: 50.0 % of it is transparent, which is taken as white paper"));
+    assert!(!settings.notes.join(";").contains("transparent"), "{:?}", settings.notes);
+}
+
+#[test]
 fn pixels_that_are_not_square_are_noted() {
     let note = &load(&folder(), &GOOD.replace("[4, 3]", "[4, 2]")).unwrap().notes[0];
     assert_eq!(note, "art.png: at this size_m its pixels are 1.500 times as wide as high; check size_m");

@@ -1,5 +1,6 @@
 //! Single values: is the number in its range, is the word one of the known ones, can the picture be read?
 
+use std::cell::RefCell;
 use std::ops::Range;
 
 use image::GrayImage;
@@ -131,18 +132,9 @@ impl Section<'_> {
                 "{:.1} % of it is transparent, which is taken as white paper; where it is printed on another colour, put it on that colour first",
                 100.0 * unseen
             );
-            self.remark(typed.get_ref(), &note);
+            remark(&self.origin.warnings, typed.get_ref(), &note);
         }
         Ok((picture, orientation))
-    }
-
-    /// Keeps a sentence about a file that the config names, once.
-    fn remark(&self, name: &str, sentence: &str) {
-        let remark = format!("{name}: {sentence}");
-        let mut remarks = self.origin.remarks.borrow_mut();
-        if !remarks.contains(&remark) {
-            remarks.push(remark);
-        }
     }
 
     /// A picture whose raw pixels mean something: one that is to be shown turned is refused, for whoever measured in it saw
@@ -175,8 +167,17 @@ impl Section<'_> {
         let bytes = self.origin.files.get(&file, calibration_bytes);
         let calibration = bytes.and_then(|bytes| parse_calibration(&bytes, &file));
         let calibration = calibration.map_err(|e| self.refuse(key, &typed.span(), Problem::Calibration(Box::new(e))))?;
-        calibration.notes.iter().for_each(|note| self.remark(typed.get_ref(), note));
+        calibration.notes.iter().for_each(|note| remark(&self.origin.remarks, typed.get_ref(), note));
         Ok(calibration)
+    }
+}
+
+/// Keeps a sentence about a file that the config names, once.
+fn remark(kept: &RefCell<Vec<String>>, name: &str, sentence: &str) {
+    let remark = format!("{name}: {sentence}");
+    let mut kept = kept.borrow_mut();
+    if !kept.contains(&remark) {
+        kept.push(remark);
     }
 }
 

@@ -8,6 +8,7 @@ use super::dense_system::Factor;
 use super::normal_equations::{FrameRows, NormalEquations};
 use super::observers::{ObservedFrames, Observers};
 use super::prior::{self, Smoothness};
+use super::scales::{Support, robust_scales, supports};
 use super::stage_model::{LENS_NUMBERS, StageModel, distance_m};
 use crate::camera::Shutter;
 use crate::motion::Motion;
@@ -19,10 +20,6 @@ const MOST_ROUNDS: usize = 24;
 const FEATURE_ROUNDS: usize = 5;
 /// Rounds with anchors: the first half of them at half the frame's size.
 const ANCHOR_ROUNDS: usize = 4;
-/// The robust scale of the residuals is taken as this at least: smaller ones are those of tiles that see the same noise.
-const LEAST_SCALE: f64 = 0.4;
-/// Fewest tiles that a scale is taken from. Raised, small surfaces are judged by the scale of the others; lowered, by chance.
-const LEAST_ROWS: usize = 20;
 /// A model is at rest only where its step changes the tiles' places by less, pixels (root mean square): what is left of keyframes that come and go.
 const SMALL_STEP_PX: f64 = 0.01;
 /// Steps below this are rest whatever they do, pixels. All keyframes have what they leave in common, so no number of them averages it out. Raised to `SMALL_STEP_PX`, a
@@ -98,8 +95,10 @@ pub struct Adjusted {
     pub model: StageModel,
     /// What each keyframe showed with it; `None` where it does not bear the model out.
     pub frames: Vec<Option<ObservedFrame>>,
-    /// Robust scale of the residuals, in sigmas: the largest of all surfaces'.
+    /// Robust scale of the residuals, in sigmas: the largest of the surfaces whose tiles say it.
     pub scale: f64,
+    /// What each surface's place rests on.
+    pub supports: Vec<Support>,
     /// Root mean square of what the tiles left of the start, pixels; `None` where no frame bore it out.
     pub start_rms_px: Option<f64>,
     /// The same now.
@@ -229,11 +228,14 @@ impl<'a> Adjustment<'a> {
                 let covariance = factor.inverse();
                 let checks = constraints::check(&self.constraints, &model, &covariance);
                 let covariance = covariance * INFLATION;
+                let supports = supports(&rows, &scales);
+                let said = scales.iter().zip(&supports).filter(|(_, support)| !support.is_little());
                 return Some(Adjusted {
                     checks,
                     model,
                     frames,
-                    scale: scales.iter().copied().fold(0.0, f64::max),
+                    scale: said.map(|(scale, _)| *scale).fold(0.0, f64::max),
+                    supports,
                     start_rms_px,
                     rms_px,
                     tells_readout: self.readout_sigma_s > KNOWN_READOUT_SIGMA_S,
@@ -381,19 +383,6 @@ fn is_held_out(frame: usize, tile: &ObservedTile) -> bool {
         ^ (tile.number + 1).wrapping_mul(0x85eb_ca77)
         ^ (tile.surface as u32).wrapping_mul(0xc2b2_ae3d);
     (mixed ^ (mixed >> 15)).wrapping_mul(0x2c1b_3c6d) >> 8 & 0xffff < 0xffff / HELD_OUT
-}
-
-/// Each surface's median residual over what it is for noise of one sigma in two dimensions: one that stands elsewhere than the model has it is judged by
-/// itself, or its tiles would count as something else. Of surfaces with few tiles that of all.
-fn robust_scales(rows: &[FrameRows], surfaces: usize) -> Option<Vec<f64>> {
-    let scale = |of: &dyn Fn(usize) -> bool| {
-        let mut squares: Vec<f64> = rows.iter().flat_map(FrameRows::rows).filter(|r| of(r.surface)).map(|r| r.squared_now()).collect();
-        squares.sort_by(f64::total_cmp);
-        let median = squares.get(squares.len() / 2).filter(|_| squares.len() >= LEAST_ROWS);
-        median.map(|median| (median / (2.0 * 2.0_f64.ln())).sqrt().max(LEAST_SCALE))
-    };
-    let all = scale(&|_| true)?;
-    Some((0..surfaces).map(|k| scale(&|surface| surface == k).unwrap_or(all)).collect())
 }
 
 /// Root mean square of what the tiles leave, pixels; the farthest twentieth is something else.

@@ -1,5 +1,6 @@
 //! How far to trust a survey, and what to film again.
 
+use super::scales::Support;
 use super::stage::Survey;
 use super::stage_model::bent;
 
@@ -42,6 +43,17 @@ impl Verdict {
             Self::DoNotUse => "do not use",
         }
     }
+}
+
+/// What to say of a surface whose place too little speaks for.
+fn little(name: &str, support: Support, sigma_mm: f64) -> String {
+    let (tiles, keyframes) = (support.tiles, support.keyframes);
+    let mend = "film it from nearer and from two sides, or measure where it stands";
+    if keyframes == 0 {
+        return format!("no keyframe shows {name} well enough to say where it stands ({sigma_mm:.0} mm, one sigma): {mend}");
+    }
+    let within = if keyframes == 1 { "1 keyframe" } else { &format!("{keyframes} keyframes") };
+    format!("only {tiles} tiles in {within} show {name}, so that nothing would contradict a wrong place: {mend}")
 }
 
 /// A finding by how large something is: up to the first limit good, up to the second usable.
@@ -161,13 +173,14 @@ impl Survey {
             let parts = self.parts(k);
             let (place_mm, worst_mm) = (description.sigma_mm, 1e3 * parts.worst_m());
             (places_mm, shapes_mm) = (places_mm.max(place_mm), shapes_mm.max(worst_mm));
-            findings.push(graded(place_mm / side_mm, LARGEST_PLACE_SIGMA, String::new(), &|| {
-                format!(
-                    "where {} stands is known to {place_mm:.0} mm only: too few keyframes show it as its picture has it; film it from nearer and from two sides, \
-                     and measure its place better",
-                    surface.name
-                )
-            }));
+            let support = self.supports[k];
+            if self.places.poses[k].is_some() && support.is_little() {
+                findings.push((Verdict::Usable, little(&surface.name, support, place_mm)));
+            } else {
+                findings.push(graded(place_mm / side_mm, LARGEST_PLACE_SIGMA, String::new(), &|| {
+                    format!("where {} stands is known to {place_mm:.0} mm only: film it from nearer and from two sides", surface.name)
+                }));
+            }
             let [good, usable] = LARGEST_HEIGHT_SIGMA.map(|share| share * side_mm);
             // One part that nobody filmed leaves the others of use; half of them does not.
             let unknown_mm = if description.height_sigma_mm > usable { f64::INFINITY } else { worst_mm.min(usable) };

@@ -14,6 +14,7 @@ mod normal_equations;
 mod observers;
 mod prior;
 pub mod progress;
+mod scales;
 pub mod shutter;
 pub mod stage;
 mod stage_model;

@@ -86,6 +86,11 @@ impl TileRow {
     pub fn squared_now(&self) -> f64 {
         self.residual.dot(&(self.information * self.residual))
     }
+
+    /// Tukey's weight at a robust scale, over the scale squared.
+    pub fn weight(&self, scale: f64) -> f64 {
+        tukey_weight(self.squared_now(), scale) / (scale * scale)
+    }
 }
 
 impl FrameRows {
@@ -152,8 +157,7 @@ impl NormalEquations {
         let mut right = frame.prior_right;
         let mut coupling = DMatrix::zeros(self.right.len(), FRAME_UNKNOWNS);
         for row in frame.rows.iter().filter(|r| with_held_out || !r.is_held_out) {
-            let scale = scales[row.surface];
-            let information = row.information * (tukey_weight(row.squared_now(), scale) / (scale * scale));
+            let information = row.information * row.weight(scales[row.surface]);
             let TileDerivatives { by_frame, by_model } = &row.derivatives;
             let weighted = by_frame.transpose() * information;
             own += weighted * by_frame;

@@ -8,6 +8,7 @@ use super::constraints::{Constraint, ConstraintCheck};
 use super::lively_part::{SAME_S, mended, shutter_of};
 use super::observers::Observers;
 use super::progress::{SurveyError, SurveyStep};
+use super::scales::Support;
 use super::shutter::{ShutterEstimate, ShutterTime};
 use super::stage_model::{LENS_NUMBERS, Places, StageModel};
 use super::walk::Walk;
@@ -86,6 +87,8 @@ pub struct Survey {
     pub checks: Vec<ConstraintCheck>,
     /// Robust scale of the residuals, in sigmas.
     pub scale: f64,
+    /// What each surface's place rests on.
+    pub(super) supports: Vec<Support>,
     /// Whether the adjustment came to rest.
     pub has_settled: bool,
     /// Rounds of the adjustment.
@@ -153,6 +156,7 @@ where
         model,
         frames: observed,
         scale,
+        supports,
         start_rms_px,
         rms_px,
         start_error_m,
@@ -192,6 +196,7 @@ where
         cameras,
         rms_px,
         scale,
+        supports,
         has_settled,
         rounds,
         places,

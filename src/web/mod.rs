@@ -58,7 +58,7 @@ mod server;
 mod view;
 
 #[cfg(feature = "http")]
-pub use api::{about, routes};
+pub use api::{about, judge_model, routes};
 pub use hosts::{AllowedHosts, page_address};
 #[cfg(feature = "http")]
 pub use keys::code_file;

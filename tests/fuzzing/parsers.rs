@@ -6,11 +6,12 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use stagepose::diagnostics::calibrate::Board;
-use stagepose::diagnostics::capture::{AviReader, MjpegReader, Y4mReader, decode_oriented, picture_size, read_timestamps};
+use stagepose::diagnostics::capture::{AviReader, MjpegReader, Y4mReader, decode_oriented, ffmpeg_account, picture_size, read_timestamps};
+use stagepose::diagnostics::web::judge_model;
 use stagepose::protocols::freed::FreedPacket;
 use stagepose::protocols::opentrackio::{self, Encoding};
 use stagepose::protocols::psn::{PsnHeader, PsnPacket, PsnTracker};
-use stagepose::{Settings, parse_calibration};
+use stagepose::{LearntCamera, Settings, parse_calibration};
 
 use super::memory::taken_by;
 use super::mutator::{Form, Mutator};
@@ -148,8 +149,52 @@ fn calibrations() {
 }
 
 #[test]
+fn calibrations_in_utf_16() {
+    for (name, good) in [("u.toml", seeds::CAMERA), ("u.yaml", seeds::ROS_ROI), ("u.m", seeds::BOUGUET)] {
+        let seeds = seeds::utf16s(good);
+        for seed in &seeds {
+            parse_calibration(seed, Path::new(name)).expect("the seed is good");
+        }
+        fuzz(name, Mutator::new(seed(), Form::Binary, seeds), MOST_OF_TEXT, move |bytes| {
+            let _ = parse_calibration(bytes, Path::new(name)).map_err(|e| assert!(e.to_string().starts_with(name), "{e}"));
+        });
+    }
+}
+
+#[test]
 fn timestamps() {
-    fuzz("timestamps.csv", text(&[seeds::STAMPS]), MOST_OF_TEXT, |bytes| drop(read_timestamps(bytes)));
+    fuzz("timestamps.csv", text(&[seeds::STAMPS, seeds::STAMPS_MS]), MOST_OF_TEXT, |bytes| drop(read_timestamps(bytes)));
+}
+
+#[test]
+fn learnt_cameras() {
+    LearntCamera::from_bytes(seeds::LEARNT.as_bytes()).expect("the seed is good");
+    fuzz("learnt", text(&[seeds::LEARNT]), MOST_OF_TEXT, |bytes| match LearntCamera::from_bytes(bytes) {
+        // What is taken is kept as it is.
+        Ok(learnt) => assert_eq!(LearntCamera::from_bytes(&learnt.to_bytes()), Ok(learnt)),
+        Err(e) => assert!(e.to_string().contains("learnt anew"), "{e}"),
+    });
+}
+
+#[test]
+fn models() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a.glb");
+    for good in seeds::glbs() {
+        std::fs::write(&file, good).unwrap();
+        judge_model(&file).expect("the seed is good");
+    }
+    fuzz("glb", Mutator::new(seed(), Form::Binary, seeds::glbs()), MOST_OF_TEXT, move |bytes| {
+        let _kept = &folder;
+        std::fs::write(&file, bytes).unwrap();
+        let _ = judge_model(&file).map_err(|reason| assert!(!reason.is_empty()));
+    });
+}
+
+#[test]
+fn words_of_ffmpeg() {
+    assert_eq!(ffmpeg_account(seeds::FFMPEG_LOG), (Some("yuv420p".to_owned()), Some(-90.0)));
+    fuzz("ffmpeg", text(&[seeds::FFMPEG_LOG]), MOST_OF_TEXT, |bytes| drop(ffmpeg_account(&String::from_utf8_lossy(bytes))));
 }
 
 #[test]

@@ -107,7 +107,9 @@ const REPLAY: [&str; 6] = ["replay", "clip", "--config", "stage.toml", "--poses"
 #[test]
 fn replay_of_damaged_clips() {
     fuzz("replay-csv", text(seeds::STAMPS), &To::File("clip/timestamps.csv"), &REPLAY);
+    fuzz("replay-csv-ms", text(seeds::STAMPS_MS), &To::File("clip/timestamps.csv"), &REPLAY);
     fuzz("replay-about", text(seeds::ABOUT), &To::File("clip/clip.toml"), &REPLAY);
+    fuzz("replay-learnt", text(seeds::LEARNT), &To::File("camera.learnt"), &[&REPLAY[..], &["--learnt", "camera.learnt"]].concat());
     let png = seeds::encoded(&seeds::picture(120, 90).into(), image::ImageFormat::Png);
     fuzz("replay-png", Mutator::new(seed(), Form::Png, vec![png]), &To::File("clip/frames/000001.png"), &REPLAY);
     let stdin = ["replay", "-", "--config", "stage.toml"];
@@ -123,6 +125,31 @@ fn replay_of_damaged_clips() {
         &To::File("clip.avi"),
         &["replay", "clip.avi", "--config", "stage.toml"],
     );
+}
+
+#[test]
+fn replay_of_damaged_videos_that_are_to_be_shown_turned() {
+    let Some(mp4) = turned_mp4() else {
+        eprintln!("skipped: ffmpeg cannot make a video here");
+        return;
+    };
+    let video = Mutator::new(seed(), Form::Binary, vec![mp4]);
+    fuzz("replay-mp4", video, &To::File("clip.mp4"), &["replay", "clip.mp4", "--config", "stage.toml"]);
+}
+
+/// Four pictures in an MP4 whose display matrix turns them; `None` where ffmpeg is not installed.
+fn turned_mp4() -> Option<Vec<u8>> {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let mut command = Command::new("ffmpeg");
+    command.current_dir(folder.path()).args(["-loglevel", "error", "-i", "clip/frames/%06d.png", "-c:v", "mpeg4", "clip.mp4"]);
+    command.status().ok().filter(std::process::ExitStatus::success)?;
+    let mut mp4 = std::fs::read(folder.path().join("clip.mp4")).unwrap();
+    // The track header: its kind, version and flags, 36 bytes, and the matrix (ISO/IEC 14496-12, 8.3.2).
+    let matrix = mp4.windows(4).position(|kind| kind == b"tkhd")? + 4 + 4 + 36;
+    let turned = [0, 0x1_0000, 0, -0x1_0000, 0, 0, 0, 0, 0x4000_0000_i32];
+    mp4[matrix..matrix + 36].copy_from_slice(&turned.map(i32::to_be_bytes).concat());
+    Some(mp4)
 }
 
 #[test]

@@ -34,10 +34,44 @@ pub const BOUGUET: &str = "% Focal length:\nfc = [ 657.462 ; 657.945 ];\ncc = [ 
     kc = [ -0.2553 ; 0.1275 ; -0.0002 ; 0.00003 ; 0.000 ]; % distortion\nfc_error = [ 0.317 ; 0.340 ];\ncc_error = [ 0.645 ; 0.591 ];\n\
     alpha_c_error = 0.0001;\nkc_error = [ 0.0027 ; 0.0107 ; 0.0001 ; 0.0001 ; 0.0 ];\nnx = 640;\nny = 480;\nn_ima = 20;\nomc_1 = [ 1.654 ; NaN ; -0.669 ];\n";
 /// What a recording says of itself.
-pub const ABOUT: &str = "program = \"stagepose 0.1.0\"\nbegun_utc = \"2026-01-02T10:00:00Z\"\nconfig = \"config/stage.toml\"\n[clock]\nmonotonic_ns = 33333333\n\
+pub const ABOUT: &str = "program = \"stagepose 0.1.0\"\nbegun_utc = \"2026-01-02T10:00:00Z\"\nconfig = \"config/stage.toml\"\n\
+    learnt = \"stagepose learnt camera 1\\nreadout_s 0.0201 0.0002\\nexposure_s 0.012 0.001\\n\"\n[clock]\nmonotonic_ns = 33333333\n\
     utc_ns = 1767225600000000000\n[camera]\nname = \"cam\"\nwidth = 120\nheight = 90\nformat = \"MJPG\"\nfps = 30.0\nexposure_s = 0.01\n[camera.controls]\n\
     gain = 3\n";
 pub const STAMPS: &str = "#timestamp [ns],filename\n0,000000.png\n33333333,000001.png\n66666666,000002.png\n99999999,000003.png\n";
+
+/// The same in milliseconds, for which the unit is doubted.
+pub const STAMPS_MS: &str = "#timestamp [ns],filename\n0,000000.png\n33,000001.png\n66,000002.png\n100,000003.png\n";
+/// What a camera taught.
+pub const LEARNT: &str = "stagepose learnt camera 1\nreadout_s 0.0201 0.0002\nexposure_s 0.012 0.001\n";
+/// What ffmpeg says of a video that is to be shown turned, and of its first picture.
+pub const FFMPEG_LOG: &str = "[info] ffmpeg version 5.1.9-0+deb12u1 Copyright (c) 2000-2026 the FFmpeg developers\n\
+    [info] Input #0, mov,mp4,m4a,3gp,3g2,mj2, from 'file:a.mp4':\n\
+    [info]   Stream #0:0[0x1](und): Video: h264 (High) (avc1 / 0x31637661), yuv420p(tv, progressive), 640x360, 29.97 fps, 30 tbr\n\
+    [info]     Side data:\n[info]       displaymatrix: rotation of 90.00 degrees\n\
+    [Parsed_showinfo_0 @ 0x5] [info] config in time_base: 1/15360, frame_rate: 30/1\n\
+    [Parsed_showinfo_0 @ 0x5] [info] n:   0 pts:    512 pts_time:0.033 fmt:yuv420p sar:1/1 s:640x360 i:P iskey:1\n\
+    [info] Output #0, null, to 'pipe:':\n[info]       displaymatrix: rotation of -90.00 degrees\n\
+    [mov,mp4 @ 0x6] [error] stream 0, offset 0x30: partial file\n";
+
+/// Texts as other programs write them: UTF-16 of both orders, with a mark and without.
+pub fn utf16s(text: &str) -> Vec<Vec<u8>> {
+    let (little, big) = (u16::to_le_bytes as fn(u16) -> [u8; 2], u16::to_be_bytes as fn(u16) -> [u8; 2]);
+    let body = |bytes: fn(u16) -> [u8; 2]| text.encode_utf16().flat_map(bytes).collect::<Vec<u8>>();
+    vec![[&[0xFF, 0xFE], &body(little)[..]].concat(), [&[0xFE, 0xFF], &body(big)[..]].concat(), body(little), body(big)]
+}
+
+/// Binary glTF: one of everything that is looked at, and one with a piece of binary behind its description.
+pub fn glbs() -> Vec<Vec<u8>> {
+    let glb = |text: &str, behind: &[u8]| {
+        let text = format!("{text:<width$}", width = text.len().next_multiple_of(4));
+        let words = [0x4654_6C67, 2, (20 + text.len() + behind.len()) as u32, text.len() as u32, 0x4E4F_534A];
+        [&words.map(u32::to_le_bytes).concat(), text.as_bytes(), behind].concat()
+    };
+    let whole = r#"{"asset":{"version":"2.0"},"buffers":[{"byteLength":4},{"uri":"data:,AAAA"}],"images":[{"bufferView":0}],
+        "extensionsUsed":["KHR_materials_unlit"],"extensionsRequired":[],"nodes":[{"mesh":0,"extras":{"deep":[[[1]]]}}]}"#;
+    vec![glb(whole, b""), glb(r#"{"asset":{"version":"2.0"},"buffers":[{"byteLength":4}]}"#, b"\x04\0\0\0BIN\0abcd")]
+}
 
 /// How a surface of 4 x 3 m with this picture hangs: one interval each way, and one way to be off.
 pub fn shape(picture: &GrayImage) -> String {

@@ -6,7 +6,7 @@ use stagepose::diagnostics::simulate::{grey, paint};
 use stagepose::{BodySpec, CameraPath, Intrinsics, Spline};
 
 use super::rendered::errors;
-use super::{LENS, Walk, calibration, filmed, frames, stage};
+use super::{LENS, Walk, calibration, filmed, frames, path, stage};
 
 /// Two people of some width who walk through a picture.
 fn with_people(frame: &GrayImage, at: usize) -> GrayImage {
@@ -37,6 +37,31 @@ fn people_in_front_for_half_of_the_walk_are_left_out() {
     let (mm, degrees) = errors(&json, 1);
     println!("{mm:.3} mm, {degrees:.4} degrees; {}", run.stdout);
     assert!(mm < 0.7 && degrees < 0.07, "{mm} {degrees}");
+}
+
+#[test]
+fn a_flat_that_few_frames_show_is_where_its_sigma_says_or_that_is_said() {
+    let walk = Walk::new();
+    let wall = BodySpec::new("stage", stage().surfaces.into_iter().take(1).collect());
+    let without = filmed(path(), wall);
+    for shown in [&[20][..], &[9, 26], &[4, 14, 24, 32]] {
+        let frame = |k: usize| if shown.contains(&k) { &frames()[k] } else { &without[k] };
+        walk.save("few", &(0..without.len()).map(|k| frame(k).clone()).collect::<Vec<_>>());
+        let run = walk.run(&["survey", "few", "--config", "stage.toml", "--output", "surveyed", "--json", "out.json"]);
+        run.assert_success();
+        let json = walk.json("out.json");
+        let ((mm, degrees), sigma) = (errors(&json, 1), |key: &str| json["surfaces"][1][key].as_f64().expect("a number"));
+        let is_said = json["reasons"].to_string().contains("nothing would contradict a wrong place");
+        println!(
+            "{shown:?}: {mm:.2} mm, {degrees:.3} degrees, sigma {:.2} {:.3}; {}",
+            sigma("sigma_mm"),
+            sigma("sigma_deg"),
+            json["reasons"]
+        );
+        let is_contained = mm < 4.0 * sigma("sigma_mm") && degrees < 4.0 * sigma("sigma_deg");
+        assert!(is_contained, "{shown:?}: {mm} mm, {degrees} degrees; {json}");
+        assert_eq!(is_said, shown.len() < 3, "{}", json["reasons"]);
+    }
 }
 
 #[test]

@@ -26,16 +26,24 @@ pub(super) const WIDE_DEG: f64 = 45.0;
 /// fisheyes pass; lowered, bent boards are taken for them.
 pub(super) const RINGED: f64 = 0.1;
 
-/// Asks the residuals of all corners; `None` with too few of them.
+/// Asks the residuals of all corners; `None` with too few of them. One that was left out counts as far off as the farthest that is
+/// used: beyond a fold of the polynomial residuals are as large as the picture and lie anyhow, and would drown the pattern.
 pub(super) fn reach(observations: &[Vec<Observation>], estimate: &Estimate) -> Option<Reach> {
     let bundle = &estimate.bundle;
     let centre = bundle.lens.0.fixed_rows::<2>(2).into_owned();
+    let residual = |view: usize, o: &Observation| bundle.residual(view, o);
+    let used = observations.iter().enumerate().flat_map(|(view, seen)| {
+        let of_view = seen.iter().zip(&estimate.used[view]).filter(|(_, used)| **used);
+        of_view.filter_map(move |(o, _)| residual(view, o))
+    });
+    let farthest = used.map(|r| r.norm()).fold(0.0, f64::max);
     let mut corners: Vec<(f64, f64, f64)> = Vec::new();
     for (view, seen) in observations.iter().enumerate() {
         let pose = bundle.poses.get(view)?;
         for o in seen {
             let at = pose.rotation * nalgebra::Vector3::new(o.board_m.x, o.board_m.y, 0.0) + pose.translation;
-            let (Some(residual), outwards) = (bundle.residual(view, o), o.pixel - centre) else { continue };
+            let (Some(residual), outwards) = (residual(view, o), o.pixel - centre) else { continue };
+            let residual = residual.cap_magnitude(farthest);
             let radial = outwards.try_normalize(1e-6).map_or(0.0, |unit| residual.dot(&unit));
             corners.push((at.xy().norm().atan2(at.z).to_degrees(), radial, residual.norm_squared()));
         }

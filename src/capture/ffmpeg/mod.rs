@@ -24,6 +24,7 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use self::form::Form;
 use self::log::{Announced, Log};
 use self::probe::Probe;
+pub use self::probe::ffmpeg_account;
 use super::error::CaptureError;
 use super::grey::check_size;
 use super::picture_stream::{Picture, PictureData, PictureStream};

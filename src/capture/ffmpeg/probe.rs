@@ -104,6 +104,13 @@ impl Said {
     }
 }
 
+/// What is understood of ffmpeg's account of a file: the format of its pixels, and by how many degrees it is to be shown turned.
+pub fn ffmpeg_account(text: &str) -> (Option<String>, Option<f64>) {
+    let mut probe = Probe::default();
+    let turned = probe.read(text).turned;
+    (probe.pixels, turned)
+}
+
 /// The first two rows and columns of the display matrix, for which ffmpeg itself has no words. Without ffprobe it is not known.
 fn display_matrix(program: &OsStr, path: &Path) -> Option<[f64; 4]> {
     let mut probe = program.to_owned().into_string().ok()?;

@@ -227,7 +227,7 @@ impl Session<'_> {
         let (Some(wish), Some(recorder)) = (self.supervisor.take_recording(), recorder) else { return };
         match wish {
             RecordingWish::Start if self.supervisor.recording().is_none() => {
-                let clip = recorder::new_clip_name(&self.settings.recorder.folder);
+                let clip = recorder::new_clip_folder(&self.settings.recorder.folder);
                 self.supervisor.set_recording(Some(clip.clone()));
                 recorder.begin(clip);
             }
@@ -389,7 +389,7 @@ impl Clips {
                 name.push(format!("-{n}"));
                 Some(PathBuf::from(name))
             }
-            (None, _) => settings.continuous.then(|| recorder::new_clip_name(&settings.folder)),
+            (None, _) => settings.continuous.then(|| recorder::new_clip_folder(&settings.folder)),
         }
     }
 

@@ -66,12 +66,17 @@ pub fn taken_by_earlier(folder: &Path) -> Option<PathBuf> {
     first_taken(folder, PARTS)
 }
 
-/// A name below `folder` that is not taken: clip-20261121T074500Z, with a number behind it where need be.
-pub fn new_clip_name(folder: &Path) -> PathBuf {
+/// A new folder below `folder`: clip-20261121T074500Z, with a number behind it where need be. It is made at once, so that a recording and a
+/// ring that is saved in the same second do not take one name; where it cannot be made, it is the name alone, and whoever records says why.
+pub fn new_clip_folder(folder: &Path) -> PathBuf {
     let plain: String = utc::date_and_time(utc::now_s()).chars().filter(|c| *c != '-' && *c != ':').collect();
     let first = folder.join(format!("clip-{plain}"));
-    let mut others = (2..).map(|n: u32| folder.join(format!("clip-{plain}-{n}")));
-    if first.exists() { others.find(|p| !p.exists()).unwrap_or(first) } else { first }
+    let others = (2..).map(|n: u32| folder.join(format!("clip-{plain}-{n}")));
+    if std::fs::create_dir_all(folder).is_err() {
+        return first;
+    }
+    let is_taken = |clip: &PathBuf| std::fs::create_dir(clip).is_err_and(|e| e.kind() == io::ErrorKind::AlreadyExists);
+    std::iter::once(first.clone()).chain(others).find(|clip| !is_taken(clip)).unwrap_or(first)
 }
 
 /// A clip's folder.

@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded, select};
 
 pub use about::AboutClip;
-pub use clip_folder::{new_clip_name, parts, taken_by_earlier};
+pub use clip_folder::{new_clip_folder, parts, taken_by_earlier};
 pub use disk::{Disk, RealDisk};
 
 use super::live::{Event, LiveLink, StampedEvent};
@@ -318,7 +318,7 @@ impl Work {
             tracing::warn!("the ring has nothing to save yet");
             return;
         }
-        let clip = new_clip_name(folder);
+        let clip = new_clip_folder(folder);
         let saved = ring.save(&clip, &mut *self.disk).and_then(|(first, learnt)| {
             self.plan.about.write(&clip, &learnt, &mut *self.disk)?;
             let mut saved = ClipFolder::of(&clip);

@@ -272,6 +272,41 @@ fn saved_rings_and_ended_recordings_leave_no_file_open() {
 }
 
 #[test]
+fn a_ring_that_is_saved_as_a_recording_begins_takes_another_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = RecorderPlan { clip: None, ring: Some((folder.path().to_owned(), 2.0)), about: about() };
+    let link = LiveLink::default();
+    let events = link.events.listen();
+    let recorder = Recorder::start(plan, &link, Box::new(RealDisk::default())).unwrap();
+    let mut observe = recorder.observer();
+    for n in 0..5 {
+        let (row, sample) = row(n);
+        observe(&row, &sample);
+        // Named before the ring is saved, begun behind it.
+        let clip = super::new_clip_folder(folder.path());
+        recorder.saver()();
+        recorder.begin(clip.clone());
+        recorder.end();
+        let ended = events.iter().find(|e| matches!(e.event, Event::RecorderFinished { .. } | Event::RecorderStopped { .. })).unwrap();
+        assert_eq!(ended.event, Event::RecorderFinished { clip: clip.display().to_string(), frames: 0 });
+    }
+    drop(observe);
+    recorder.finish();
+}
+
+#[test]
+fn where_no_folder_can_be_made_a_recording_has_a_name_and_says_why_it_does_not_begin() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("recordings");
+    std::fs::write(&file, "no folder").unwrap();
+    let clip = super::new_clip_folder(&file);
+    assert!(clip.starts_with(&file) && clip != file);
+    let link = LiveLink::default();
+    let plan = RecorderPlan { clip: Some(clip), ring: None, about: about() };
+    assert!(Recorder::start(plan, &link, Box::new(RealDisk::default())).is_err());
+}
+
+#[test]
 fn a_recording_that_is_given_up_leaves_no_file_open() {
     let folder = tempfile::tempdir().unwrap();
     let config: usize = about().config.copy(None).unwrap().iter().map(|(_, bytes)| bytes.len()).sum();

@@ -24,7 +24,7 @@ const NEED_A_DECODER: [&str; 4] =
 ///
 /// # Errors
 /// Why it is not taken, with the mend.
-pub(super) fn judge(file: &Path) -> Result<(), String> {
+pub fn judge(file: &Path) -> Result<(), String> {
     let mut opened = safe_file::open(file).map_err(|e| format!("the model cannot be read ({e})"))?;
     let length = opened.metadata().map_or(0, |about| about.len());
     let not_whole = || "this is no whole binary glTF file; export the model as .glb (glTF 2.0) and send all of it".to_owned();

@@ -17,6 +17,7 @@ use std::sync::Arc;
 
 use serde_json::json;
 
+pub use self::gltf::judge as judge_model;
 use self::line_index::LineIndex;
 use super::entrance::About;
 use super::reply::Reply;

@@ -1,0 +1,147 @@
+//! How far tiles may lie from the model before they count as something else, and what each surface's place rests on.
+
+use super::normal_equations::{FrameRows, TileRow};
+
+/// The robust scale of the residuals is taken as this at least: smaller ones are those of tiles that see the same noise.
+const LEAST_SCALE: f64 = 0.4;
+/// Fewest tiles by which a surface alone says how large its noise is; with fewer, it is at least that of all surfaces. Raised, a good surface
+/// counts for less beside a bad one; lowered, a few tiles that agree by chance count for too much.
+const LEAST_ROWS: usize = 20;
+/// Numbers of a surface's place that its own tiles determine: three of where it stands and three of how it is turned.
+const OF_A_PLACE: usize = 6;
+
+/// Each surface's robust scale of its residuals, in sigmas; infinite where its tiles say nothing beyond its place. `None` where all surfaces
+/// together have too few tiles.
+///
+/// It is the median residual over that of noise of one sigma in two dimensions. Each surface is judged by itself: one that stands elsewhere
+/// than the model has it would have all its tiles taken for something else by the scale of the others. `n` tiles are `2 n` numbers, of which
+/// the surface's place takes up six: what remains is smaller by that share, and nothing remains of three tiles.
+pub(super) fn robust_scales(frames: &[FrameRows], surfaces: usize) -> Option<Vec<f64>> {
+    let mut squares = vec![Vec::new(); surfaces];
+    tiles(frames).for_each(|(_, row)| squares[row.surface].push(row.squared_now()));
+    let all = Some(squares.concat()).filter(|all| all.len() >= LEAST_ROWS).and_then(scale)?;
+    let own = squares.into_iter().enumerate().map(|(k, squares)| {
+        let numbers = 2 * squares.len();
+        // The first surface's place is the stage's own.
+        let remaining = numbers.saturating_sub(if k == 0 { 0 } else { OF_A_PLACE });
+        if remaining == 0 {
+            return f64::INFINITY;
+        }
+        let is_few = squares.len() < LEAST_ROWS;
+        let own = scale(squares).unwrap_or(all) * (numbers as f64 / remaining as f64).sqrt();
+        if is_few { own.max(all) } else { own }
+    });
+    Some(own.collect())
+}
+
+fn scale(mut squares: Vec<f64>) -> Option<f64> {
+    squares.sort_by(f64::total_cmp);
+    let median = squares.get(squares.len() / 2)?;
+    Some((median / (2.0 * 2.0_f64.ln())).sqrt().max(LEAST_SCALE))
+}
+
+/// All tiles with the number of their frame.
+fn tiles(frames: &[FrameRows]) -> impl Iterator<Item = (usize, &TileRow)> {
+    frames.iter().enumerate().flat_map(|(k, frame)| frame.rows().iter().map(move |row| (k, row)))
+}
+
+/// What the place of a surface rests on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Support {
+    /// Tiles that agree with it.
+    pub tiles: usize,
+    /// Keyframes that have some of them.
+    pub keyframes: usize,
+}
+
+/// Fewest keyframes of which one that is wrong is outvoted. Raised, surfaces that few views show well are doubted.
+const LEAST_KEYFRAMES: usize = 3;
+
+impl Support {
+    /// Whether a few tiles of something else could have put the surface elsewhere unnoticed.
+    pub fn is_little(&self) -> bool {
+        self.tiles < LEAST_ROWS || self.keyframes < LEAST_KEYFRAMES
+    }
+}
+
+/// What each surface's place rests on.
+pub(super) fn supports(frames: &[FrameRows], scales: &[f64]) -> Vec<Support> {
+    let mut supports = vec![(Support::default(), None); scales.len()];
+    for (frame, row) in tiles(frames).filter(|(_, row)| row.weight(scales[row.surface]) > 0.0) {
+        let (support, last) = &mut supports[row.surface];
+        support.tiles += 1;
+        support.keyframes += usize::from(last.replace(frame) != Some(frame));
+    }
+    supports.into_iter().map(|(support, _)| support).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector2;
+
+    use super::*;
+    use crate::camera::CameraModel;
+    use crate::motion::Motion;
+    use crate::survey::stage_model::StageModel;
+    use crate::survey::synthetic::{LENS, camera_poses, observed, stage};
+
+    /// Rows of a walk that shows `count` tiles of the flat, at most `most` in a frame, each shifted by `shift_px` of its number.
+    fn rows([count, most]: [usize; 2], shift_px: impl Fn(usize) -> f64) -> Vec<FrameRows> {
+        let model = StageModel::new(CameraModel::new(LENS).unwrap(), &stage(), false, false);
+        let motions: Vec<Motion> = camera_poses(12).into_iter().map(Motion::still).collect();
+        let mut shown = 0;
+        let mut frames = observed(&model, &model, &motions, 0.01, 1);
+        for frame in &mut frames {
+            let mut in_frame = 0;
+            frame.tiles.retain(|tile| {
+                let is_shown = tile.surface == 0 || shown < count && in_frame < most;
+                let of_flat = usize::from(is_shown && tile.surface == 1);
+                (shown, in_frame) = (shown + of_flat, in_frame + of_flat);
+                is_shown
+            });
+        }
+        let flat = frames.iter_mut().flat_map(|frame| &mut frame.tiles).filter(|tile| tile.surface == 1);
+        flat.enumerate().for_each(|(n, tile)| tile.shift_px += Vector2::new(shift_px(n), 0.0));
+        assert_eq!(shown, count, "the walk shows no more");
+        frames.iter().map(|frame| FrameRows::new(frame, &model, 3.0, |_| false)).collect()
+    }
+
+    #[test]
+    fn a_surface_of_few_tiles_is_judged_by_its_own_residuals() {
+        let all = robust_scales(&rows([10, 2], |_| 0.0), 2).unwrap();
+        // As good as the others, each with its own tiles' chance.
+        assert!(all[1] >= all[0] && all[1] < 4.0 * all[0], "{all:?}");
+        // Ten tiles of a flat that stands elsewhere, and ten of which each says something else: none is cut off.
+        for shift_px in [|_| 8.0, |n: usize| 8.0 * (1.7 * n as f64).sin()] {
+            let rows = rows([10, 2], shift_px);
+            let scales = robust_scales(&rows, 2).unwrap();
+            assert!(scales[1] > 20.0 * all[0], "{scales:?}");
+            assert_eq!(supports(&rows, &scales)[1].tiles, 10, "{scales:?}");
+        }
+    }
+
+    #[test]
+    fn tiles_that_a_place_alone_explains_say_nothing_of_it() {
+        for few in 0..=3 {
+            let rows = rows([few, 2], |_| 0.0);
+            let scales = robust_scales(&rows, 2).unwrap();
+            assert!(scales[0].is_finite() && scales[1].is_infinite(), "{few}: {scales:?}");
+            assert!(supports(&rows, &scales)[1].is_little());
+        }
+        let four = robust_scales(&rows([4, 2], |_| 0.0), 2).unwrap();
+        assert!(four[1].is_finite() && four[1] > four[0], "{four:?}");
+    }
+
+    #[test]
+    fn few_keyframes_are_little_support_and_many_are_not() {
+        let supports_of = |shown| {
+            let rows = rows(shown, |_| 0.0);
+            supports(&rows, &robust_scales(&rows, 2).unwrap())
+        };
+        let [few_tiles, few_keyframes, many] = [[12, 3], [40, 20], [48, 4]].map(supports_of);
+        assert!(few_tiles[1].is_little() && few_tiles[1] == Support { tiles: 12, keyframes: 4 }, "{few_tiles:?}");
+        assert!(few_keyframes[1].is_little() && few_keyframes[1].keyframes == 2, "{few_keyframes:?}");
+        assert!(!many[1].is_little() && many[1].keyframes == 12, "{many:?}");
+        assert!(!few_tiles[0].is_little() && few_tiles[0].keyframes == 12, "{few_tiles:?}");
+    }
+}
