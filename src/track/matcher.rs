@@ -301,8 +301,12 @@ impl Matcher {
 
     /// Asks, where the stage was found and does not go on with a track, whether the frame shows
     /// another copy of its picture. Where one of the two is where the stage can be by now, that is
-    /// the stage; else nothing is given as long as both are seen.
+    /// the stage; else nothing is given as long as both are seen. While the lens counts as moved
+    /// nothing is given anyway, and what its pose does not explain is the stage itself.
     fn ask_for_copies(&mut self, frame: &Frame, spent: Spent) -> Spent {
+        if self.lens_watch.is_moved() {
+            return spent;
+        }
         let Self { levels, bodies, verified, search, .. } = self;
         let Some(first) = verified[0] else { return spent };
         if bodies[0].track.continues_at(&first.pose, frame.timestamp) {
