@@ -27,7 +27,7 @@ use super::reason::Reason;
 use super::row_motion::RowMotion;
 use super::settings::TrackerSettings;
 use super::surface::BodySpec;
-use super::track_state::State;
+use super::track_state::{State, TrackStateMachine};
 use super::tracked_body::{ModelFit, TrackedBody};
 use super::two_view::{TwoView, TwoViewBuffers, two_view};
 use super::verify::Verified;
@@ -163,6 +163,7 @@ impl Matcher {
             let first = bodies.last().map_or(0, |b| b.surfaces.end);
             bodies.push(TrackedBody::new(spec, prepared.by_ref().take(spec.surfaces.len()).collect(), first, shutter));
         }
+        bodies.iter_mut().take(1).for_each(|stage| stage.track = TrackStateMachine::of_camera());
         let features = FeatureSearch::new(bodies.iter_mut().flat_map(|b| &mut b.body.surfaces), settings.features, store, &at_start);
         let mut search = BodySearch::new(camera, shutter, mask.clone(), features, &settings, clock);
         search.set_shutter(shutter, readout.used().sigma_s);
