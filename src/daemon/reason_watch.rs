@@ -55,7 +55,9 @@ impl ReasonWatch {
         self.start_window(Some(now));
         let is_new = self.told != Told::Reason(most);
         self.told = Told::Reason(most);
-        is_new.then(|| Event::NotTracked { reason: most.word().into(), text: format!("{}: {}", most.says(), most.mend()) })
+        // What mixtures are is said by itself, with what to set.
+        (is_new && most != Reason::Mixed)
+            .then(|| Event::NotTracked { reason: most.word().into(), text: format!("{}: {}", most.says(), most.mend()) })
     }
 
     fn start_window(&mut self, since: Option<Timestamp>) {
@@ -101,6 +103,15 @@ mod tests {
         assert_eq!(words, ["tracked", "covered", "too_dark", "tracked"]);
         assert_eq!((events[1].0, events[3].0), (13, 48));
         assert!(matches!(events[3].1, Event::Tracked { after_ms } if (after_ms - 4500.0).abs() < 1e-6), "{:?}", events[3]);
+    }
+
+    #[test]
+    fn what_is_said_by_itself_is_not_told_again() {
+        let mut frames = vec![None; 3];
+        frames.extend([Some(Reason::Mixed); 25]);
+        frames.extend([None; 3]);
+        let words: Vec<String> = events(&frames).iter().map(|(_, e)| word(e).to_owned()).collect();
+        assert_eq!(words, ["tracked", "tracked"]);
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, EntryOrder, FrameSource};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::PoseSample;
-use crate::track::{Matcher, ModelNews, ReadoutNews, Reason, Sighting};
+use crate::track::{Matcher, Mixture, ModelNews, ReadoutNews, Reason, Sighting};
 use crate::tracker::{PoseRecorder, Tracker};
 
 /// What happens when a stage is slower than the one before it.
@@ -321,6 +321,9 @@ fn publish(
                 if let Some(news) = sighting.misfit {
                     tell(news, watch.as_ref().map(StaleWatch::link));
                 }
+                if let Some(mixture) = sighting.mixture {
+                    tell_mixture(mixture, watch.as_ref().map(StaleWatch::link));
+                }
                 if let Some(news) = sighting.readout_news {
                     tell_readout(&news, watch.as_ref().map(StaleWatch::link));
                 }
@@ -349,6 +352,15 @@ fn tell(news: ModelNews, live: Option<&LiveLink>) {
     let (part, text) = (news.part.word().to_owned(), news.text());
     match live {
         Some(live) => live.events.publish(Event::ModelDiffers { part, surface: news.surface, text }),
+        None => tracing::warn!("{text}"),
+    }
+}
+
+/// Says that frames show two moments at once, in the same way.
+fn tell_mixture(mixture: Mixture, live: Option<&LiveLink>) {
+    let text = mixture.text();
+    match live {
+        Some(live) => live.events.publish(Event::NotTracked { reason: Reason::Mixed.word().into(), text: text.to_owned() }),
         None => tracing::warn!("{text}"),
     }
 }

@@ -26,6 +26,7 @@ fn sighting(sequence: u64, stage: State, object: State) -> Sighting {
         two_view: None,
         objects: vec![body(object)],
         misfit: None,
+        mixture: None,
         readout_news: None,
         learnt: Default::default(),
         acquire_ms: 0.0,

@@ -103,6 +103,11 @@ impl LensWatch {
         Self { is_trial, ..Self::default() }
     }
 
+    /// Whether poses are withheld.
+    pub fn is_moved(&self) -> bool {
+        self.is_moved
+    }
+
     /// Whether every frame is to be asked for the focal length.
     pub fn asks(&self) -> bool {
         self.is_moved || self.step > 0.0

@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 
 use crossbeam_channel::Receiver;
 use image::GrayImage;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector6};
 use tracing::{debug, debug_span};
 
 use super::acquire::{SurfaceMatch, SurfaceView};
@@ -22,12 +22,13 @@ use super::learnt_readout::{Known, LearntReadout, ReadoutNews};
 use super::lens_doubt::covariance_by_lens;
 use super::lens_watch::{LensState, LensWatch};
 use super::misfit::{ModelNews, ModelReport};
+use super::moments::{Found, Mixture, MixtureWatch, Verdict};
 use super::pixel_watch::{PixelWatch, Used, UsedPixels};
 use super::reason::Reason;
 use super::row_motion::RowMotion;
 use super::settings::TrackerSettings;
 use super::surface::BodySpec;
-use super::track_state::State;
+use super::track_state::{State, TrackStateMachine};
 use super::tracked_body::{ModelFit, TrackedBody};
 use super::two_view::{TwoView, TwoViewBuffers, two_view};
 use super::verify::Verified;
@@ -36,7 +37,9 @@ use crate::camera::{CameraModel, KnownShutter, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::features::Workers;
 use crate::frame::{Frame, Timestamp};
+use crate::geometry::resection::perturbed;
 use crate::geometry::{Body, Camera, Pose};
+use crate::motion::Motion;
 
 /// Largest standard deviation of an object's direction, radians (one degree), by what its tiles leave displaced. A false pose of a small picture has half its tiles, and
 /// their pixels tell it well; but they lie where no pose puts them: of 16 objects one was followed so for 28 frames, with 0.033 to 0.085. Of 2300 right poses of small,
@@ -77,6 +80,8 @@ pub struct Sighting {
     pub objects: Vec<BodySighting>,
     /// A part of the stage's model that the frames speak against, told once each.
     pub misfit: Option<ModelNews>,
+    /// What frames are made of that show two moments at once, once.
+    pub mixture: Option<Mixture>,
     /// What there is to say of the readout, once each.
     pub readout_news: Option<ReadoutNews>,
     /// What was known of the camera before this frame, by its pictures.
@@ -107,6 +112,7 @@ impl Sighting {
             two_view: None,
             objects: bodies.collect(),
             misfit: None,
+            mixture: None,
             readout_news: None,
             learnt: LearntCamera::default(),
             acquire_ms: 0.0,
@@ -134,6 +140,9 @@ pub struct Matcher {
     /// How well the model fits what was shown.
     fits: Vec<Option<ModelFit>>,
     lens_watch: LensWatch,
+    mixtures: MixtureWatch,
+    /// Covariance of the stage's pose by its motion within a frame that is a mixture.
+    by_mixture: Option<Matrix6<f64>>,
     clock_steps: ClockSteps,
     camera_rays: CameraRays,
     levels: FrameLevels,
@@ -163,6 +172,7 @@ impl Matcher {
             let first = bodies.last().map_or(0, |b| b.surfaces.end);
             bodies.push(TrackedBody::new(spec, prepared.by_ref().take(spec.surfaces.len()).collect(), first, shutter));
         }
+        bodies.iter_mut().take(1).for_each(|stage| stage.track = TrackStateMachine::of_camera());
         let features = FeatureSearch::new(bodies.iter_mut().flat_map(|b| &mut b.body.surfaces), settings.features, store, &at_start);
         let mut search = BodySearch::new(camera, shutter, mask.clone(), features, &settings, clock);
         search.set_shutter(shutter, readout.used().sigma_s);
@@ -183,6 +193,8 @@ impl Matcher {
             verified: Vec::new(),
             fits: Vec::new(),
             lens_watch: LensWatch::new(settings.is_trial),
+            mixtures: MixtureWatch::default(),
+            by_mixture: None,
             clock_steps: ClockSteps::default(),
             settings,
         }
@@ -220,6 +232,7 @@ impl Matcher {
         let mut align_ms = start.elapsed_ms();
         let Self { levels, bodies, verified, .. } = self;
         let spent = self.search.find_missing(&mut Scene { frame, levels, rays: &self.camera_rays, bodies, verified });
+        self.withhold_mixture(frame);
         let spent = self.ask_for_copies(frame, spent);
         align_ms += spent.align_ms;
         self.show_pixels(frame.sequence);
@@ -248,6 +261,7 @@ impl Matcher {
             two_view,
             objects,
             misfit,
+            mixture: self.mixtures.news(),
             readout_news: self.readout.news(),
             learnt,
             acquire_ms: spent.acquire_ms,
@@ -276,6 +290,10 @@ impl Matcher {
 
     /// Learns from what the frame says of the readout: through the stage, or through an object where the stage is not seen.
     fn learn_readout(&mut self) {
+        // The rows of a mixture tell of its moments.
+        if self.mixtures.is_mixing() {
+            return;
+        }
         let given = self.bodies.iter().zip(&self.verified).filter(|(_, verified)| verified.is_some()).map(|(body, _)| body);
         // A configured readout is not blamed for what of the model does not fit anyway.
         let is_configured = self.readout.used().sigma_s == 0.0;
@@ -299,10 +317,54 @@ impl Matcher {
         );
     }
 
+    /// Withholds the stage's pose where a moving frame shows two moments at once. Where it hardly
+    /// moves, its pose is that of some moment of the frame's time before it.
+    fn withhold_mixture(&mut self, frame: &Frame) {
+        self.by_mixture = None;
+        let interval_s = self.interval.to_next_s();
+        let Self { levels, bodies, verified, mixtures, camera, .. } = self;
+        let (Some(pose), Some(stage)) = (verified[0].map(|v| v.pose), bodies.first_mut()) else { return };
+        // By the poses alone: what a frame shows of its velocity, a mixture shows wrong.
+        let Some((before, dt_s, twist)) = stage.before_at(frame.timestamp) else {
+            if mixtures.is_mixing() {
+                verified[0] = None;
+                stage.remember(frame.timestamp, &pose);
+                stage.leave_open(Reason::Mixed);
+            }
+            return;
+        };
+        let motion = Motion::between(&before.inverse(), &pose, dt_s);
+        let motion_before = twist.map(|twist| Motion::between(&perturbed(&before, &(twist.0 * -dt_s)).inverse(), &before.inverse(), dt_s));
+        let motion_before = motion_before.map(|then| Motion { pose, ..then });
+        let TrackedBody { body, anchors, .. } = &*stage;
+        let found = Found { image: &frame.image, body, anchors, camera, motion, motion_before, interval_s };
+        match mixtures.look(&found, levels) {
+            Verdict::Whole => {}
+            Verdict::Slow => {
+                let off = [Some(motion), motion_before].into_iter().flatten().map(|motion| {
+                    let [shift, turn] = pose.step_to(&motion.after(-0.5 * interval_s).pose);
+                    let turn = pose.rotation * turn;
+                    let step = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+                    step * step.transpose()
+                });
+                self.by_mixture = off.reduce(|sum, more| sum + more);
+            }
+            Verdict::Withheld => {
+                verified[0] = None;
+                stage.remember(frame.timestamp, &pose);
+                stage.leave_open(Reason::Mixed);
+            }
+        }
+    }
+
     /// Asks, where the stage was found and does not go on with a track, whether the frame shows
     /// another copy of its picture. Where one of the two is where the stage can be by now, that is
-    /// the stage; else nothing is given as long as both are seen.
+    /// the stage; else nothing is given as long as both are seen. While the lens counts as moved
+    /// nothing is given anyway, and what its pose does not explain is the stage itself.
     fn ask_for_copies(&mut self, frame: &Frame, spent: Spent) -> Spent {
+        if self.lens_watch.is_moved() {
+            return spent;
+        }
         let Self { levels, bodies, verified, search, .. } = self;
         let Some(first) = verified[0] else { return spent };
         if bodies[0].track.continues_at(&first.pose, frame.timestamp) {
@@ -422,8 +484,9 @@ impl Matcher {
             let by_misfit = Some(tracked.covariance_by_misfit()).filter(|covariance| *covariance != Matrix6::zeros());
             let by_readout = tracked.covariance_by_readout(&v.pose, self.readout.sigma_s());
             let by_surfaces = tracked.covariance_by_surfaces(&v.pose, &self.camera);
-            v.by_model =
-                [by_lens, by_shape, by_surfaces, by_focal, by_misfit, by_readout].into_iter().flatten().reduce(|sum, more| sum + more);
+            let by_mixture = self.by_mixture.filter(|_| k == 0);
+            let by_model = [by_lens, by_shape, by_surfaces, by_focal, by_misfit, by_readout, by_mixture];
+            v.by_model = by_model.into_iter().flatten().reduce(|sum, more| sum + more);
             v.rms_px = fit.map_or(v.rms_px, |fit| fit.rms_px);
         }
         BodySighting { state, verified, reason }

@@ -5,7 +5,7 @@
 //! to frame, pixel by pixel; `track_state` decides what a verified pose means in time;
 //! `frame_interval` measures how often frames come; `two_view` describes the frame by
 //! homography and essential matrix; `lens_doubt` and `shape_doubt` tell what the doubt about lens and shapes leaves open; `tile_residuals` are the displacements that a solution leaves, `model_error` is what
-//! they say of the pose by a `smooth_field` of shifts, `model_study` finds which part of the model they speak against (its unknowns: `model_unknowns`; what it found: `misfit`), which `model_watch` says once, `focal_clue` what they say of the focal length, and `lens_watch` withholds poses where the lens was moved; `reason` says why a frame has no pose, `failure` finds it, with
+//! they say of the pose by a `smooth_field` of shifts, `model_study` finds which part of the model they speak against (its unknowns: `model_unknowns`; what it found: `misfit`), which `model_watch` says once, `focal_clue` what they say of the focal length, and `lens_watch` withholds poses where the lens was moved; `moments` withholds those of frames that show two moments at once; `reason` says why a frame has no pose, `failure` finds it, with
 //! `frame_look`; `unexplained` is what of a frame no followed body explains, where missing ones are looked for, in `search_windows` (`expected_view` draws what should be seen, from an `averaged_picture` of each surface); `planar_ambiguity` tells a flat surface from its mirror image in tilt; `tracked_body` holds what is known of one
 //! body; `body_search` looks for those that are not followed; `pixel_watch` shows what a pose rests on to whoever asks; `matcher` runs them all on a frame.
 
@@ -35,6 +35,7 @@ mod model_error;
 mod model_study;
 mod model_unknowns;
 mod model_watch;
+mod moments;
 mod pixel_watch;
 mod planar_ambiguity;
 mod reason;
@@ -72,6 +73,7 @@ pub use learnt_readout::{MODEL_ERROR_PX, ReadoutNews, VAGUE_READOUT_S};
 pub use lens_doubt::covariance_by_lens;
 pub use matcher::{BodySighting, Matcher, Sighting};
 pub use misfit::{ModelNews, ModelReport, Part};
+pub use moments::Mixture;
 pub use pixel_watch::{Displaced, UsedPixels};
 pub use reason::Reason;
 pub use repetition::periods;

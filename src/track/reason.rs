@@ -38,11 +38,13 @@ pub enum Reason {
     LensMoved,
     /// The picture is that of the frame before, byte for byte, and gave its pose there.
     Repeated,
+    /// The frame shows two moments at once: fields that are woven, frames that are blended or torn.
+    Mixed,
 }
 
 impl Reason {
     /// All reasons, in the order of their numbers.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         Self::NoPoseFits,
         Self::Covered,
         Self::TooSmall,
@@ -59,6 +61,7 @@ impl Reason {
         Self::Skipped,
         Self::LensMoved,
         Self::Repeated,
+        Self::Mixed,
     ];
 
     /// The word for it in the summary and in events.
@@ -80,6 +83,7 @@ impl Reason {
             Self::Skipped => "skipped",
             Self::LensMoved => "lens_moved",
             Self::Repeated => "repeated",
+            Self::Mixed => "mixed",
         }
     }
 
@@ -107,6 +111,7 @@ impl Reason {
             Self::Skipped => "the row is skipped: its stamp or its size does not fit the clip",
             Self::LensMoved => "the picture is recognised, but through a lens of another focal length than the calibration's",
             Self::Repeated => "the picture is the one before, to the last byte: the camera or what captures it stands still",
+            Self::Mixed => "the frame shows two moments at once, as interlaced, converted or torn video does",
         }
     }
 
@@ -132,19 +137,22 @@ impl Reason {
             Self::Undecodable => "record the clip again, or repair it",
             Self::Skipped => "record with stamps that rise and frames of one size",
             Self::LensMoved => "set zoom and focus back, or calibrate the lens as it is now (`stagepose survey --lens refine` on a walk)",
+            Self::Mixed => {
+                "set the camera to progressive video, and the capture card to the camera's own frame rate and to whole frames, without conversion"
+            }
             Self::Repeated => "check the cable, the capture card and the USB port; set the card to the camera's own frame rate",
         }
     }
 
     /// Whether the picture was found in the frame, whatever became of it.
     pub fn is_recognised(self) -> bool {
-        use Reason::{Ambiguous, Covered, Jumped, LensMoved, NoPoseFits, TooSmall, Uncertain, Unconfirmed};
-        matches!(self, NoPoseFits | Covered | TooSmall | Uncertain | Ambiguous | Jumped | Unconfirmed | LensMoved)
+        use Reason::{Ambiguous, Covered, Jumped, LensMoved, Mixed, NoPoseFits, TooSmall, Uncertain, Unconfirmed};
+        matches!(self, NoPoseFits | Covered | TooSmall | Uncertain | Ambiguous | Jumped | Unconfirmed | LensMoved | Mixed)
     }
 
     /// Whether a pose was found and verified in the frame, though it was not given.
     pub fn is_verified(self) -> bool {
-        matches!(self, Self::Jumped | Self::Unconfirmed | Self::LensMoved)
+        matches!(self, Self::Jumped | Self::Unconfirmed | Self::LensMoved | Self::Mixed)
     }
 }
 

@@ -2,6 +2,7 @@
 //!
 //! Decided by frame stamps alone, never by a clock, so that a replay gives what the show gave.
 
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use crate::frame::Timestamp;
@@ -70,6 +71,11 @@ pub struct TrackStateMachine {
     last_given: Option<Pending>,
     pending: Option<Pending>,
     doubt: Option<Doubt>,
+    /// Velocity between the last two given poses, m/s: of the camera in the body, and of the body in
+    /// the camera.
+    velocities: Option<[Vector3<f64>; 2]>,
+    /// See [`of_camera`](Self::of_camera).
+    is_of_camera: bool,
 }
 
 /// How fast a body may plausibly move between two frames that confirm each other: metres per second relative to its distance, and radians
@@ -87,11 +93,19 @@ const LONGEST_GAP_S: f64 = 0.5;
 /// Fastest motion since the last given pose, m/s, where that is more than `FASTEST_SHIFT_PER_S`: a
 /// thrown prop. Raised, nearer copies pass for a motion.
 const FASTEST_M_PER_S: f64 = 10.0;
+/// Largest acceleration of a camera, m/s²: ten times gravity, which no hand gives it. Raised, nearer
+/// copies pass for a motion; lowered, a shaken camera jumps.
+const LARGEST_ACCELERATION: f64 = 100.0;
 /// Poses must agree for so long, seconds, where the body cannot have come there: a cut, or a wrong
 /// pose before. Raised, a cut costs more; lowered, a pan to a copy is believed sooner.
 const JUMP_CONFIRMED_S: f64 = 3.0;
 
 impl TrackStateMachine {
+    /// Of a stage: what moves is the camera, which is not thrown and does not bounce.
+    pub fn of_camera() -> Self {
+        Self { is_of_camera: true, ..Self::default() }
+    }
+
     /// The state after the last frame.
     pub fn state(&self) -> State {
         self.state
@@ -115,7 +129,8 @@ impl TrackStateMachine {
     /// Whether the body can have come to a pose since its last given one; true where none was
     /// given.
     pub fn may_have_come(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> bool {
-        self.last_given.is_none_or(|last| is_reachable(&last.pose, pose, timestamp.seconds_since(last.timestamp)))
+        let velocities = self.velocities.filter(|_| self.is_of_camera);
+        self.last_given.is_none_or(|last| is_reachable(&last.pose, pose, timestamp.seconds_since(last.timestamp), velocities))
     }
 
     /// Whether a pose in this frame needs nothing but to be seen: it goes on with a track.
@@ -126,7 +141,8 @@ impl TrackStateMachine {
     /// Gives the body up at once: its poses are withheld, and none may be predicted from them.
     pub fn withhold(&mut self) -> State {
         let found_before = self.found_before;
-        *self = Self { state: if found_before { State::Lost } else { State::Searching }, found_before, ..Self::default() };
+        let state = if found_before { State::Lost } else { State::Searching };
+        *self = Self { state, found_before, is_of_camera: self.is_of_camera, ..Self::default() };
         self.state
     }
 
@@ -146,6 +162,7 @@ impl TrackStateMachine {
             };
             if is_confirmed {
                 self.found_before = true;
+                self.velocities = self.last_given.filter(|_| pending.jumped.is_none()).and_then(|last| velocities(&last, &pending));
                 self.last_given = Some(Pending { jumped: None, ..pending });
                 self.pending = self.last_given;
                 self.state = State::Tracking;
@@ -174,10 +191,15 @@ impl TrackStateMachine {
         // While coasting, one frame that agrees with the last given one is enough, whatever was
         // seen meanwhile.
         let given = self.last_given.filter(|_| self.is_continued());
+        let jumped = || (!self.may_have_come(pose, timestamp)).then_some(timestamp);
         match [self.pending, given].into_iter().flatten().find(|before| agree(before, pose, timestamp)) {
             // The way from a copy of the picture to itself is no way from the last given pose.
-            Some(before) => Pending { agreeing: before.agreeing.saturating_add(1), ..fresh(before.jumped) },
-            None => fresh((!self.may_have_come(pose, timestamp)).then_some(timestamp)),
+            Some(before) if before.jumped.is_some() => Pending { agreeing: before.agreeing.saturating_add(1), ..fresh(before.jumped) },
+            Some(before) => match jumped() {
+                None => Pending { agreeing: before.agreeing.saturating_add(1), ..fresh(None) },
+                jumped => fresh(jumped),
+            },
+            None => fresh(jumped()),
         }
     }
 }
@@ -198,14 +220,27 @@ fn agree(pending: &Pending, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> 
 /// Whether a body can have moved from one pose to another within some seconds, as nothing on a
 /// stage moves faster. Turns do not count: a copy lies elsewhere, and what only turns is the same
 /// picture, tilted.
-fn is_reachable(from: &Pose<Body, Camera>, to: &Pose<Body, Camera>, dt_s: f64) -> bool {
+fn is_reachable(from: &Pose<Body, Camera>, to: &Pose<Body, Camera>, dt_s: f64, velocities: Option<[Vector3<f64>; 2]>) -> bool {
     let (distance, dt_s) = (nearest_m(from, to), dt_s.max(0.0));
+    let slack = SLACK_SHIFT * distance;
+    let reach = slack + (FASTEST_SHIFT_PER_S * distance).max(FASTEST_M_PER_S) * dt_s;
+    let of_way = slack + 0.5 * LARGEST_ACCELERATION * dt_s * dt_s;
     // A camera that turns on the spot stays where it is in the body, and a prop that does stays
     // where it is before the camera.
-    let of_camera = (to.translation - from.translation).norm();
-    let of_body = (to.inverse().translation - from.inverse().translation).norm();
-    let reach = SLACK_SHIFT * distance + (FASTEST_SHIFT_PER_S * distance).max(FASTEST_M_PER_S) * dt_s;
-    of_camera.min(of_body) < reach
+    ways(from, to)
+        .into_iter()
+        .enumerate()
+        .any(|(k, way)| way.norm() < reach && velocities.is_none_or(|velocities| (way - velocities[k] * dt_s).norm() < of_way))
+}
+
+/// Of the camera in the body, and of the body in the camera.
+fn ways(from: &Pose<Body, Camera>, to: &Pose<Body, Camera>) -> [Vector3<f64>; 2] {
+    [to.translation - from.translation, to.inverse().translation - from.inverse().translation]
+}
+
+fn velocities(from: &Pending, to: &Pending) -> Option<[Vector3<f64>; 2]> {
+    let dt_s = to.timestamp.seconds_since(from.timestamp);
+    (dt_s > 0.0 && dt_s <= LONGEST_GAP_S).then(|| ways(&from.pose, &to.pose).map(|way| way / dt_s))
 }
 
 fn nearest_m(a: &Pose<Body, Camera>, b: &Pose<Body, Camera>) -> f64 {
@@ -322,6 +357,33 @@ mod tests {
         // Hidden for a second, and carried 3 m meanwhile.
         let hidden = [Some(0.0); 5].into_iter().chain([None; 30]).chain([Some(3.0); 2]);
         assert_eq!(sure(30.0, hidden)[35..], [(State::Tracking, false); 2]);
+    }
+
+    /// A copy that hides the stage stands before it, 0.9 m nearer: found a tenth of a second after
+    /// the stage was last seen, at a speed that a camera may well have, but not that soon.
+    #[test]
+    fn a_copy_is_no_motion_that_a_camera_cannot_begin() {
+        let seen = || [Some(0.0), Some(0.01), Some(0.02), None, None].into_iter().chain([Some(0.92); 20]);
+        let run = |mut lock: TrackStateMachine| {
+            let states = seen().enumerate().map(|(k, x)| lock.update(stamp(k), x.map(at).as_ref(), 0.2, 1));
+            states.skip(5).filter(|state| *state == State::Tracking).count()
+        };
+        assert_eq!([run(TrackStateMachine::of_camera()), run(TrackStateMachine::default())], [0, 20]);
+    }
+
+    /// At any rate: from rest to 5 m/s within a fifth of a second, and a stop within a tenth.
+    #[test]
+    fn a_camera_that_starts_and_stops_is_no_jump() {
+        for per_s in [12.0, 30.0, 120.0] {
+            let mut lock = TrackStateMachine::of_camera();
+            for k in 0..60 {
+                let t = k as f64 / per_s;
+                let stopping = (t - 0.4).clamp(0.0, 0.1);
+                let x = if t < 0.2 { 12.5 * t * t } else { 0.5 + 5.0 * (t.min(0.4) - 0.2) + 5.0 * stopping - 25.0 * stopping.powi(2) };
+                let state = lock.update(Timestamp::from_ns((t * 1e9) as i64), Some(&at(x)), 0.2, 1);
+                assert_eq!(state, State::Tracking, "{per_s} a second, frame {k}");
+            }
+        }
     }
 
     /// A prop that spins on the spot: the camera flies about it, and it stays where it is.

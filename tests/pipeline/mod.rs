@@ -6,6 +6,7 @@ mod bent;
 mod copies;
 mod daemon;
 mod misfit;
+mod mixtures;
 mod objects;
 mod one_picture;
 mod photo;

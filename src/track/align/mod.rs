@@ -61,8 +61,7 @@ mod verdict;
 use image::GrayImage;
 
 pub use aligner::Aligner;
-pub use frame_levels::FrameLevels;
-use frame_levels::LEVELS;
+pub use frame_levels::{FrameLevels, LEVELS};
 pub use kernels::AlignKernels;
 pub use level_problem::patches::Patch;
 pub use level_problem::solution::UsedPixel;

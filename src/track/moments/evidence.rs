@@ -1,0 +1,273 @@
+//! What a cell of a frame says of two moments: how much of "both moments", of "rows by turns" and of
+//! plain softness its picture has beside the one moment that fits best.
+
+use nalgebra::{Matrix3, SMatrix, Vector3};
+
+/// Columns and rows of a cell, pixels. Raised, folds and light differ within a cell; lowered, a cell
+/// has little detail.
+pub const ACROSS: usize = 24;
+pub const DOWN: usize = 16;
+/// Pixels that have neighbours on all sides.
+const INSIDE: usize = (ACROSS - 2) * (DOWN - 2);
+/// Least standard deviation of a cell that is asked, grey levels. Raised, faint pictures are not
+/// asked; lowered, noise is.
+const LEAST_CONTRAST: f32 = 4.0;
+/// A cell counts where all that is tried leaves less than this share of its variance. Raised, people
+/// before the stage count; lowered, noisy cells do not.
+const LARGEST_LEFT: f64 = 0.3;
+
+/// The greys of a cell.
+pub type Greys = [[f32; ACROSS]; DOWN];
+
+/// Moments that are drawn, in times from frame to frame, from the frame's own.
+pub const MOMENTS: [f64; 5] = [-1.0, -0.5, 0.0, 0.5, 1.0];
+/// The middles of two moments that are a frame's time apart, by their numbers: a pose may be that of
+/// either moment, or lie between them.
+pub const MIDDLES: [usize; 3] = [1, 2, 3];
+
+/// A cell as the frame shows it, and as it should look at some moments.
+#[derive(Debug)]
+pub struct Cell {
+    pub seen: Greys,
+    pub drawn: [Greys; MOMENTS.len()],
+    /// Whether the first row is an even one of the frame.
+    pub begins_even: bool,
+}
+
+/// Normal equations of [both moments, rows by turns, softness], summed over cells.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Evidence {
+    pub normal: Matrix3<f64>,
+    pub right: Vector3<f64>,
+}
+
+/// Shares of a second moment: 1 where all of the picture is the mean of the two ends of a frame's
+/// time, and 1 or -1 where rows show the one and the other end by turns. An exposure as long as the
+/// frame's time has a third and 0.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shares {
+    pub both: f64,
+    pub by_turns: f64,
+}
+
+/// The columns of the regression: what one moment explains, what is asked for, and what is seen.
+const EXPLAINED: usize = 3;
+const ASKED: usize = 3;
+const SEEN: usize = EXPLAINED + ASKED;
+const COLUMNS: usize = SEEN + 1;
+
+impl Evidence {
+    /// What was known before counts this share.
+    pub fn fade(&mut self, share: f64) {
+        self.normal *= share;
+        self.right *= share;
+    }
+
+    pub fn add(&mut self, other: &Self) {
+        self.normal += other.normal;
+        self.right += other.right;
+    }
+
+    /// `None` where too little is known.
+    pub fn shares(&self) -> Option<Shares> {
+        // Rows by turns are not seen in smaller copies of a frame.
+        let mut normal = self.normal;
+        normal[(1, 1)] += 1e-6 * normal[(0, 0)] + f64::MIN_POSITIVE;
+        let x = normal.cholesky()?.solve(&self.right);
+        Some(Shares { both: x[0], by_turns: x[1] })
+    }
+}
+
+/// What a cell says where its two moments lie about one of the [`MIDDLES`].
+#[derive(Debug, Clone, Copy, Default)]
+pub struct OfCell {
+    pub evidence: Evidence,
+    /// Share of the variance that all that is tried leaves.
+    pub left: f64,
+}
+
+impl Cell {
+    /// By the [`MIDDLES`]; `None` where it has no detail, or where something else is seen.
+    pub fn evidence(&self) -> Option<[OfCell; MIDDLES.len()]> {
+        let mut told = [OfCell { left: 1.0, ..OfCell::default() }; MIDDLES.len()];
+        for (told, middle) in told.iter_mut().zip(MIDDLES) {
+            *told = self.evidence_about(middle).unwrap_or(*told);
+        }
+        told.iter().any(|told| told.left < LARGEST_LEFT).then_some(told)
+    }
+
+    /// When the frame shows the cell, in times from frame to frame from its own moment: from the moment
+    /// that it looks like, by its picture's change. `None` where it looks like none of them.
+    pub fn moment(&self) -> Option<f64> {
+        let inside = |greys: &Greys| {
+            let mut out = [0.0; INSIDE];
+            for (k, out) in out.iter_mut().enumerate() {
+                *out = greys[1 + k / (ACROSS - 2)][1 + k % (ACROSS - 2)];
+            }
+            let mean = out.iter().sum::<f32>() / INSIDE as f32;
+            out.map(|grey| grey - mean)
+        };
+        let product = |a: &[f32; INSIDE], b: &[f32; INSIDE]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
+        let (seen, drawn) = (inside(&self.seen), self.drawn.each_ref().map(inside));
+        let variance = product(&seen, &seen);
+        if variance < LEAST_CONTRAST.powi(2) * INSIDE as f32 {
+            return None;
+        }
+        let left = drawn.each_ref().map(|drawn| {
+            let (both, own) = (product(&seen, drawn), product(drawn, drawn));
+            if both > 0.0 && own > 0.0 { 1.0 - both * both / (own * variance) } else { 1.0 }
+        });
+        let best = (0..MOMENTS.len()).min_by(|a, b| left[*a].total_cmp(&left[*b]))?;
+        let own = &drawn[best];
+        let (from, to) = (best.saturating_sub(1), (best + 1).min(MOMENTS.len() - 1));
+        let mut change: [f32; INSIDE] = std::array::from_fn(|k| drawn[to][k] - drawn[from][k]);
+        let gain = product(&seen, own) / product(own, own);
+        // What light changes is no motion.
+        let lit = product(&change, own) / product(own, own);
+        change.iter_mut().zip(own).for_each(|(change, own)| *change -= lit * own);
+        let moved = product(&seen, &change) / (gain * product(&change, &change)).max(f32::MIN_POSITIVE);
+        let explained = moved * product(&seen, &change) * gain;
+        let is_told = variance * left[best] - explained < LARGEST_LEFT as f32 * variance && moved.abs() <= 0.5;
+        is_told.then(|| MOMENTS[best] + f64::from(moved) * (MOMENTS[to] - MOMENTS[from]))
+    }
+
+    fn evidence_about(&self, middle: usize) -> Option<OfCell> {
+        let columns = self.columns(middle);
+        let product = |a: usize, b: usize| columns[a].iter().zip(&columns[b]).map(|(a, b)| a * b).sum::<f32>();
+        let mut gram = SMatrix::<f64, COLUMNS, COLUMNS>::zeros();
+        for a in 0..COLUMNS {
+            for b in 0..=a {
+                gram[(a, b)] = f64::from(product(a, b));
+                gram[(b, a)] = gram[(a, b)];
+            }
+        }
+        let variance = gram[(SEEN, SEEN)];
+        if variance < f64::from(LEAST_CONTRAST.powi(2)) * INSIDE as f64 {
+            return None;
+        }
+        // The light's gain, and where the cell lies, are what one moment may choose.
+        let explained = gram.fixed_view::<EXPLAINED, EXPLAINED>(0, 0).into_owned().cholesky()?;
+        let gain = explained.solve(&gram.fixed_view::<EXPLAINED, 1>(0, SEEN))[0];
+        let across = gram.fixed_view::<EXPLAINED, { COLUMNS - EXPLAINED }>(0, EXPLAINED).into_owned();
+        let rest = gram.fixed_view::<{ COLUMNS - EXPLAINED }, { COLUMNS - EXPLAINED }>(EXPLAINED, EXPLAINED)
+            - across.transpose() * explained.solve(&across);
+        let mut normal = rest.fixed_view::<ASKED, ASKED>(0, 0).into_owned();
+        let right = rest.fixed_view::<ASKED, 1>(0, ASKED).into_owned();
+        let left = rest[(ASKED, ASKED)] - {
+            let ridge = 1e-6 * normal.trace() + f64::MIN_POSITIVE;
+            (normal + Matrix3::identity() * ridge).cholesky()?.solve(&right).dot(&right)
+        };
+        normal *= gain * gain;
+        (gain > 0.0).then(|| OfCell { evidence: Evidence { normal, right: right * gain }, left: (left / variance).max(0.0) })
+    }
+
+    /// All columns, each less its mean.
+    #[allow(clippy::needless_range_loop)]
+    fn columns(&self, middle: usize) -> [[f32; INSIDE]; COLUMNS] {
+        let mut columns = [[0.0; INSIDE]; COLUMNS];
+        let Self { seen, drawn, begins_even } = self;
+        let [before, now, after] = [&drawn[middle - 1], &drawn[middle], &drawn[middle + 1]];
+        let mut k = 0;
+        for v in 1..DOWN - 1 {
+            let sign = if (v % 2 == 0) == *begins_even { 0.5 } else { -0.5 };
+            for u in 1..ACROSS - 1 {
+                let own = now[v][u];
+                let values = [
+                    own,
+                    now[v][u + 1] - now[v][u - 1],
+                    now[v + 1][u] - now[v - 1][u],
+                    0.5 * (before[v][u] + after[v][u]) - own,
+                    sign * (after[v][u] - before[v][u]),
+                    now[v][u + 1] + now[v][u - 1] + now[v + 1][u] + now[v - 1][u] - 4.0 * own,
+                    seen[v][u],
+                ];
+                for (column, value) in columns.iter_mut().zip(values) {
+                    column[k] = value;
+                }
+                k += 1;
+            }
+        }
+        for column in &mut columns {
+            let mean = column.iter().sum::<f32>() / INSIDE as f32;
+            column.iter_mut().for_each(|value| *value -= mean);
+        }
+        columns
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A picture with detail of several sizes, moved along x.
+    fn picture(moved_px: f32) -> Greys {
+        std::array::from_fn(|v| {
+            std::array::from_fn(|u| {
+                let (x, y) = (u as f32 - moved_px, v as f32);
+                110.0 + 30.0 * (0.6 * x + 0.3 * y).sin() + 25.0 * (0.25 * x - 0.5 * y).cos() + 12.0 * (1.1 * x + 0.2 * y).sin()
+            })
+        })
+    }
+
+    fn cell(seen: Greys, way_px: f32) -> Cell {
+        Cell { seen, drawn: MOMENTS.map(|t| picture(t as f32 * way_px)), begins_even: true }
+    }
+
+    /// About the middle that explains most.
+    fn shares(seen: Greys, way_px: f32) -> (usize, Shares) {
+        let told = cell(seen, way_px).evidence().unwrap();
+        let best = (0..MIDDLES.len()).min_by(|a, b| told[*a].left.total_cmp(&told[*b].left)).unwrap();
+        (MIDDLES[best], told[best].evidence.shares().unwrap())
+    }
+
+    fn of_rows(grey: impl Fn(usize, usize) -> f32) -> Greys {
+        std::array::from_fn(|v| std::array::from_fn(|u| grey(v, u)))
+    }
+
+    #[test]
+    fn one_moment_wherever_it_lies_and_however_it_is_lit_is_one() {
+        for moved_px in [0.0, 0.3] {
+            let seen = of_rows(|v, u| 20.0 + 0.6 * picture(moved_px)[v][u]);
+            let (_, Shares { both, by_turns }) = shares(seen, 3.0);
+            assert!(both.abs() < 0.1 && by_turns.abs() < 0.03, "{both} {by_turns}");
+        }
+    }
+
+    #[test]
+    fn an_exposure_as_long_as_the_frame_has_a_third() {
+        let moments: Vec<Greys> = (0..20).map(|k| picture(3.0 * ((k as f32 + 0.5) / 20.0 - 0.5))).collect();
+        let seen = of_rows(|v, u| moments.iter().map(|m| m[v][u]).sum::<f32>() / 20.0);
+        let (_, Shares { both, by_turns }) = shares(seen, 3.0);
+        assert!((both - 0.33).abs() < 0.1 && by_turns.abs() < 0.03, "{both} {by_turns}");
+    }
+
+    #[test]
+    fn the_mean_of_two_moments_and_rows_by_turns_are_told_whichever_the_pose_is_of() {
+        for (shift_px, middle) in [(-1.5, 1), (0.0, 2), (1.5, 3)] {
+            let [before, after] = [shift_px - 1.5, shift_px + 1.5].map(picture);
+            let (found, blended) = shares(of_rows(|v, u| 0.5 * (before[v][u] + after[v][u])), 3.0);
+            assert!((blended.both - 1.0).abs() < 0.1 && blended.by_turns.abs() < 0.03 && found == middle, "{blended:?} {found}");
+            let (found, woven) = shares(of_rows(|v, u| if v % 2 == 0 { after[v][u] } else { before[v][u] }), 3.0);
+            assert!((woven.both - 1.0).abs() < 0.1 && (woven.by_turns - 1.0).abs() < 0.05 && found == middle, "{woven:?} {found}");
+        }
+    }
+
+    #[test]
+    fn the_moment_of_a_cell_is_told() {
+        for way_px in [2.0, 5.0] {
+            for t in [-1.1_f32, -0.7, -0.3, 0.0, 0.2, 0.5, 0.9] {
+                let seen = of_rows(|v, u| 30.0 + 0.7 * picture(t * way_px)[v][u]);
+                let moment = cell(seen, way_px).moment().unwrap();
+                assert!((moment - f64::from(t)).abs() < 0.12, "{way_px} {t}: {moment}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_something_else_says_nothing() {
+        let other = of_rows(|v, u| 100.0 + 40.0 * (0.9 * v as f32).sin() * (0.8 * u as f32 + 1.0).cos());
+        for seen in [other, [[80.0; ACROSS]; DOWN]] {
+            assert!(cell(seen, 3.0).evidence().is_none() && cell(seen, 3.0).moment().is_none());
+        }
+    }
+}
