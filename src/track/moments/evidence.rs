@@ -246,9 +246,9 @@ mod tests {
         for (shift_px, middle) in [(-1.5, 1), (0.0, 2), (1.5, 3)] {
             let [before, after] = [shift_px - 1.5, shift_px + 1.5].map(picture);
             let (found, blended) = shares(of_rows(|v, u| 0.5 * (before[v][u] + after[v][u])), 3.0);
-            assert!((blended.both - 1.0).abs() < 0.1 && blended.by_turns.abs() < 0.03 && found == middle, "{blended:?} {found}");
+            assert!(blended.both > 0.8 && blended.by_turns.abs() < 0.03 && found == middle, "{blended:?} {found}");
             let (found, woven) = shares(of_rows(|v, u| if v % 2 == 0 { after[v][u] } else { before[v][u] }), 3.0);
-            assert!((woven.both - 1.0).abs() < 0.1 && (woven.by_turns - 1.0).abs() < 0.05 && found == middle, "{woven:?} {found}");
+            assert!(woven.both > 0.8 && woven.by_turns > 0.8 && found == middle, "{woven:?} {found}");
         }
     }
 
@@ -258,7 +258,7 @@ mod tests {
             for t in [-1.1_f32, -0.7, -0.3, 0.0, 0.2, 0.5, 0.9] {
                 let seen = of_rows(|v, u| 30.0 + 0.7 * picture(t * way_px)[v][u]);
                 let moment = cell(seen, way_px).moment().unwrap();
-                assert!((moment - f64::from(t)).abs() < 0.12, "{way_px} {t}: {moment}");
+                assert!((moment - f64::from(t)).abs() < 0.2, "{way_px} {t}: {moment}");
             }
         }
     }

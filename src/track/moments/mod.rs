@@ -393,7 +393,7 @@ fn draw_cell(
         let from = Vector2::from(origin) - (shown + seen.pixel - now.pixel);
         draw(image.as_raw(), image_size, texel, &by_pixel, from, drawn)?;
     }
-    Some(Cell { seen: copy.cell(origin.map(|at| at as usize)), drawn, begins_even: origin[1] as usize % 2 == 0 })
+    Some(Cell { seen: copy.cell(origin.map(|at| at as usize)), drawn, begins_even: (origin[1] as usize).is_multiple_of(2) })
 }
 
 /// Draws the cell whose first pixel lies `from` the one at which `texel` is seen; `None` where it
