@@ -32,6 +32,8 @@ class Daemon:
         (folder / "long.mjpeg").write_bytes(b"".join(f.read_bytes() for f in there_and_back) * 400)
         command = [pathlib.Path(program).resolve(), "run", "--config", "stage.toml", "--play", "long.mjpeg"]
         environment = {"STATE_DIRECTORY": str(folder), "CACHE_DIRECTORY": "/dev/null", "PATH": "/usr/bin:/bin"}
+        # As in packaging/stagepose.service.
+        environment["MALLOC_ARENA_MAX"] = "2"
         with open(folder / "log", "wb") as log:
             self.process = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=log)
 
