@@ -64,9 +64,9 @@ const MOST_SIGMA: f64 = 0.01;
 /// Sigmas within which a focal length is the calibration's again. Raised, poses are withheld for longer.
 pub const RIGHT_SIGMAS: f64 = 3.0;
 
-/// By how much better than a picture that is askew the focal length must explain a frame to be accused, squared sigmas: three sigmas. Raised, small zooms before a flat stage are in
+/// By how much better than a picture that is askew the focal length must explain a frame to be accused, squared sigmas: two sigmas. Raised, small zooms before a flat stage are in
 /// the covariance and not withheld; lowered, pictures that are askew convict a right lens.
-const CONVICTING_GAIN: f64 = 9.0;
+const CONVICTING_GAIN: f64 = 4.0;
 /// Largest change that one linear step can report, logarithm: about 30 %. A larger one is another fault, such as corners that are a pixel off, seen nearly from
 /// ahead; it widens the covariance and accuses no lens. Raised, wrong corners pass for a zoom; lowered, large zooms are not withheld.
 const MAX_CHANGE: f64 = 0.26;
@@ -423,7 +423,8 @@ mod tests {
     fn a_zoom_is_seen_from_the_side_and_in_depth() {
         let ahead = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
         for (surfaces, pose) in [(vec![cloth(1)], oblique()), (with_flat(), ahead)] {
-            for by in [1.2, 0.85] {
+            // From 20 degrees aside, 0.85 is what a print shows that is 1.8 % too wide: that accuses no lens.
+            for by in [1.2, 0.82] {
                 let (is_suspect, clue) = clue(surfaces.clone(), surfaces.clone(), &zoomed(by), &pose);
                 assert!(is_suspect && clue.is_off(0.0) && !clue.is_right(0.0), "{by}: {clue:?}");
                 assert!((clue.change - f64::ln(by)).abs() < 0.15 * f64::abs(by - 1.0) + 4.0 * clue.sigma, "{by}: {clue:?}");

@@ -5,6 +5,7 @@
 
 use super::row_motion::RowMotion;
 use super::tile_residuals::TileResiduals;
+use super::track_state::LARGEST_ACCELERATION;
 use crate::geometry::resection::{Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
 
@@ -24,7 +25,7 @@ pub struct Jump {
 }
 
 impl Jump {
-    /// The step of the logarithm of the focal length that would explain how `pose` jumped.
+    /// The step of the logarithm of the focal length that would explain how `pose` jumped, if no camera moves so.
     pub fn step(&mut self, pose: &Pose<Camera, Body>, rows: &RowMotion, residuals: &TileResiduals) -> Option<f64> {
         let (before, dt_s, twist) = rows.before?;
         let predicted = perturbed(&before, &(twist?.0 * dt_s));
@@ -37,7 +38,9 @@ impl Jump {
         let (usual, size) = (self.usual, off.norm());
         let step = off.dot(&by_focal) / by_focal.norm_squared();
         let share = (step * by_focal.norm() / size.max(f64::MIN_POSITIVE)).abs();
-        let is_step = step.abs() > LEAST_STEP && size > USUAL_TIMES * usual && share > LEAST_SHARE;
+        // A camera that starts or stops moves off its prediction by no more than this.
+        let reach_m = 0.5 * LARGEST_ACCELERATION * dt_s * dt_s;
+        let is_step = step.abs() > LEAST_STEP && step.abs() * distance_m > reach_m && size > USUAL_TIMES * usual && share > LEAST_SHARE;
         self.usual = REMEMBERED * usual + (1.0 - REMEMBERED) * if is_step { usual } else { size };
         is_step.then_some(step)
     }
@@ -53,7 +56,7 @@ mod tests {
     use crate::geometry::resection::{MovingCamera, Observation, resect};
 
     /// The step of a frame that `camera` took from `stand`, where the frame before stood at `before` and nothing moved.
-    fn step(camera: &CameraModel, stand: &Pose<Camera, Body>, before: &Pose<Camera, Body>) -> Option<f64> {
+    fn step(camera: &CameraModel, stand: &Pose<Camera, Body>, before: &Pose<Camera, Body>, dt_s: f64) -> Option<f64> {
         let (body, configured) = (prepared(vec![cloth(1)]), lens(640, 480));
         let mut anchors = seen_anchors(&body, stand, camera, 10, &mut |_, _| Vector2::zeros());
         anchors.iter_mut().for_each(|a| a.observation.information /= 0.01_f64.powi(2));
@@ -62,7 +65,7 @@ mod tests {
         let mut residuals = TileResiduals::default();
         residuals.take(&pose, &configured, &anchors).expect("tiles enough");
         let rows =
-            RowMotion { shutter: Shutter::default(), readout_sigma_s: 0.0, before: Some((*before, 0.03, Some(Twist(Vector6::zeros())))) };
+            RowMotion { shutter: Shutter::default(), readout_sigma_s: 0.0, before: Some((*before, dt_s, Some(Twist(Vector6::zeros())))) };
         Jump::default().step(&pose, &rows, &residuals)
     }
 
@@ -72,7 +75,7 @@ mod tests {
         let i = *lens(640, 480).intrinsics();
         for by in [1.15, 1.03, 0.9] {
             let zoomed = CameraModel::new(Intrinsics { fx: by * i.fx, fy: by * i.fy, ..i }).unwrap();
-            let found = step(&zoomed, &stand, &stand).expect("a step").abs();
+            let found = step(&zoomed, &stand, &stand, 0.03).expect("a step").abs();
             assert!((found - f64::ln(by).abs()).abs() < 0.2 * f64::ln(by).abs(), "{by}: {found}");
         }
     }
@@ -82,7 +85,16 @@ mod tests {
         let stand = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
         for (turn, shift) in [([0.03, 0.0], 0.0), ([0.0, -0.05], 0.1), ([0.01, 0.03], -0.2)] {
             let jolted = facing(0.02 + turn[0], 0.03 + turn[1], Vector3::new(0.2 + shift, 0.05, 5.0));
-            assert_eq!(step(&lens(640, 480), &jolted, &stand), None, "{turn:?}, {shift} m");
+            assert_eq!(step(&lens(640, 480), &jolted, &stand, 0.03), None, "{turn:?}, {shift} m");
         }
+    }
+
+    #[test]
+    fn a_dolly_that_starts_between_two_slow_frames_is_none() {
+        let stand = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
+        let nearer = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 4.8));
+        // 1 m/s at 5 frames a second; within a thirtieth of a second no camera gets there.
+        assert_eq!(step(&lens(640, 480), &nearer, &stand, 0.2), None);
+        assert!(step(&lens(640, 480), &nearer, &stand, 1.0 / 30.0).is_some());
     }
 }

@@ -16,6 +16,7 @@ mod averaged_picture;
 mod bilinear;
 mod body_search;
 mod clock_steps;
+mod corner_ways;
 mod expected_candidate;
 mod expected_view;
 mod failure;
@@ -81,8 +82,7 @@ pub use settings::TrackerSettings;
 #[cfg(test)]
 pub use shape::tests::folds;
 pub use shape::{BentShape, ShapePoint, ShapeWay, SurfaceShape};
-pub use surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
-pub use surface_doubt::SurfaceDoubt;
+pub use surface::{BodySpec, ReferenceKind, SurfaceDoubt, SurfaceError, SurfaceSpec};
 pub use tile_observer::{KnownRates, ObservedFrame, ObservedTile, TileObserver};
 pub use track_state::State;
 pub use verify::Verified;

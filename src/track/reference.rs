@@ -5,10 +5,10 @@
 use image::GrayImage;
 use nalgebra::Vector2;
 
+use super::corner_ways::CornerWays;
 use super::rectangle::Rectangle;
 use super::repetition::periods;
 use super::surface::{BodySpec, SurfaceSpec};
-use super::surface_doubt::CornerWays;
 use crate::features::halved;
 use crate::features::{CornerBuffers, CornerOptions, detect_corners};
 

@@ -10,7 +10,6 @@ use nalgebra::{Matrix3, Point3, Vector2};
 use thiserror::Error;
 
 use super::shape::SurfaceShape;
-use super::surface_doubt::SurfaceDoubt;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::features::{CornerBuffers, CornerOptions, detect_corners};
 use crate::geometry::planar_pose::planar_poses;
@@ -34,6 +33,37 @@ pub struct SurfaceSpec {
     pub shape: SurfaceShape,
     /// How far it may be from where all this puts it.
     pub doubt: SurfaceDoubt,
+}
+
+/// How far a surface may be from where the config has it, one sigma of each number.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
+pub struct SurfaceDoubt {
+    /// Of each corner of its photograph along each axis, pixels of the photograph.
+    pub corner_px: f64,
+    /// Of its position along each axis, metres.
+    pub position_m: f64,
+    /// Of its direction about each axis, radians.
+    pub rotation_rad: f64,
+    /// The shorter side of the photographed surface, pixels of the photograph.
+    shorter_px: f64,
+}
+
+impl SurfaceDoubt {
+    /// Of a photographed surface whose shorter side is so long in the photograph.
+    fn of_corners(corner_px: f64, shorter_px: f64) -> Self {
+        Self { corner_px, shorter_px, ..Self::default() }
+    }
+
+    /// How far a corner may be off, as a share of half the shorter side; 0 of flat artwork.
+    pub fn corners_share(&self) -> f64 {
+        if self.shorter_px > 0.0 { 2.0 * self.corner_px / self.shorter_px } else { 0.0 }
+    }
+
+    /// Whether nothing of it is in doubt.
+    pub(super) fn is_none(&self) -> bool {
+        self.corners_share() == 0.0 && self.position_m == 0.0 && self.rotation_rad == 0.0
+    }
 }
 
 /// Whether a surface was given as flat artwork or as a photograph.

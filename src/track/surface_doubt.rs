@@ -1,79 +1,19 @@
-//! How far a surface may be from where the config has it, and what that leaves open of a pose.
+//! What it leaves open of a pose how far the surfaces may be from where the config has them.
 //!
 //! Corners are read off a photograph, and places of surfaces are measured: each number may be off by its sigma. To first order the pose then shifts as the least-squares answer to the
 //! pixels' shifts, as for a lens that is off ([`lens_doubt`](super::lens_doubt)).
 
-use nalgebra::{Matrix6, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix6, SMatrix, SVector, Vector3};
 
 use super::fitted_anchor::FittedAnchor;
 use super::reference::PreparedSurface;
-use super::surface::SurfaceSpec;
 use crate::camera::CameraModel;
 use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{MovingCamera, residual_and_jacobian};
-use crate::geometry::{Body, Camera, Homography, PointPair, Pose, skew};
+use crate::geometry::{Body, Camera, Pose, skew};
 
 /// Ways in which a surface may be off: two numbers of each corner, its position, and its direction.
 const WAYS: usize = 8 + 3 + 3;
-
-/// How far a surface may be from where the config has it, one sigma of each number.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[non_exhaustive]
-pub struct SurfaceDoubt {
-    /// Of each corner of its photograph along each axis, pixels of the photograph.
-    pub corner_px: f64,
-    /// Of its position along each axis, metres.
-    pub position_m: f64,
-    /// Of its direction about each axis, radians.
-    pub rotation_rad: f64,
-    /// The shorter side of the photographed surface, pixels of the photograph.
-    shorter_px: f64,
-}
-
-impl SurfaceDoubt {
-    /// Of a photographed surface whose shorter side is so long in the photograph.
-    pub(super) fn of_corners(corner_px: f64, shorter_px: f64) -> Self {
-        Self { corner_px, shorter_px, ..Self::default() }
-    }
-
-    /// How far a corner may be off, as a share of half the shorter side; 0 of flat artwork.
-    pub fn corners_share(&self) -> f64 {
-        if self.shorter_px > 0.0 { 2.0 * self.corner_px / self.shorter_px } else { 0.0 }
-    }
-
-    fn is_none(&self) -> bool {
-        self.corners_share() == 0.0 && self.position_m == 0.0 && self.rotation_rad == 0.0
-    }
-}
-
-/// How one sigma of each corner moves the points of a surface's picture.
-#[derive(Debug, Clone)]
-pub struct CornerWays([Homography; 8]);
-
-impl CornerWays {
-    /// Of a surface whose corners are in doubt: the picture is mapped by four corners, one number of which is off.
-    pub fn of(spec: &SurfaceSpec) -> Option<Self> {
-        let outer = [(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)].map(|(x, y)| Vector2::new(x * spec.size_m[0], y * spec.size_m[1]));
-        let sigma_px = spec.doubt.corner_px;
-        if spec.doubt.corners_share() == 0.0 {
-            return None;
-        }
-        let mut ways = [Homography(nalgebra::Matrix3::identity()); 8];
-        for (k, way) in ways.iter_mut().enumerate() {
-            let mut pairs = outer.map(|corner| PointPair { from: corner, to: corner });
-            let mut off = spec.raw_pixel(spec.to_artwork(outer[k / 2]))?;
-            off[k % 2] += sigma_px;
-            pairs[k / 2].from = spec.to_metres(spec.artwork_pixel(crate::camera::Pixel(off))?);
-            *way = Homography::from_four(&pairs)?;
-        }
-        Some(Self(ways))
-    }
-
-    /// How each moves a point of the picture, metres.
-    fn shifts(&self, at: Vector2<f64>) -> [Vector2<f64>; 8] {
-        std::array::from_fn(|k| self.0[k].map(at).map_or(Vector2::zeros(), |moved| moved - at))
-    }
-}
 
 /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by how far the surfaces' corners and places may be off; none where they are not in doubt.
 pub fn covariance_by_surfaces(
@@ -128,8 +68,9 @@ pub fn covariance_by_surfaces(
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector6;
+    use nalgebra::{Vector2, Vector6};
 
+    use super::super::surface::SurfaceSpec;
     use super::super::synthetic::{cloth, facing, lens, prepared, seen_anchors};
     use super::*;
     use crate::camera::Pixel;

@@ -95,7 +95,7 @@ const LONGEST_GAP_S: f64 = 0.5;
 const FASTEST_M_PER_S: f64 = 10.0;
 /// Largest acceleration of a camera, m/s²: ten times gravity, which no hand gives it. Raised, nearer
 /// copies pass for a motion; lowered, a shaken camera jumps.
-const LARGEST_ACCELERATION: f64 = 100.0;
+pub const LARGEST_ACCELERATION: f64 = 100.0;
 /// Poses must agree for so long, seconds, where the body cannot have come there: a cut, or a wrong
 /// pose before. Raised, a cut costs more; lowered, a pan to a copy is believed sooner.
 const JUMP_CONFIRMED_S: f64 = 3.0;
