@@ -23,7 +23,7 @@ fn pipe(scene: &Scene, name: &str) {
 fn ends(mut command: Command, signal: Option<Signal>) -> Run {
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     if let Some(signal) = signal {
-        std::thread::sleep(Duration::from_secs(2));
+        std::thread::sleep(Duration::from_secs(5));
         assert!(child.try_wait().unwrap().is_none(), "it ended before the signal");
         kill(Pid::from_raw(child.id() as i32), signal).unwrap();
     }
