@@ -229,12 +229,10 @@ pub fn focal_clue(
     let clue = fit.clue()?;
     let by_focal = fit.left - fit.explained();
     let moving = if rows.is_described { f64::INFINITY } else { Fit::new(&frame, rows, 0.0)?.left };
-    let askew = Fit::new(&frame, &known, ASKEW_SIGMA)?.left;
-    Some(FocalClue {
-        share: if moving < RIVAL_SHARE * by_focal { 0.0 } else { clue.share },
-        is_contested: askew < by_focal + CONVICTING_GAIN,
-        ..clue
-    })
+    let clue = FocalClue { share: if moving < RIVAL_SHARE * by_focal { 0.0 } else { clue.share }, ..clue };
+    // A focal length that explains nothing has no rival.
+    let is_contested = clue.explains(0.0) && Fit::new(&frame, &known, ASKEW_SIGMA)?.left < by_focal + CONVICTING_GAIN;
+    Some(FocalClue { is_contested, ..clue })
 }
 
 /// A frame that is asked for the focal length.
@@ -405,14 +403,19 @@ mod tests {
             a.observation.point = configured.surfaces[a.surface as usize].spec.body_point(a.artwork);
             a.observation.information /= NOISE_PX.powi(2);
         }
+        asked(&configured, &anchors, start)
+    }
+
+    /// What the configured body and the usual lens make of what was seen, from a start near its pose.
+    fn asked(configured: &PreparedBody, anchors: &[FittedAnchor], start: &Pose<Camera, Body>) -> (bool, FocalClue) {
         let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
         let told = lens(640, 480);
         let pose = resect(start, &MovingCamera::still(&told), &observations, 30).expect("a pose").pose;
         let mut residuals = TileResiduals::default();
-        residuals.take(&pose, &told, &anchors).expect("tiles enough");
+        residuals.take(&pose, &told, anchors).expect("tiles enough");
         let rows = RowMotion { shutter: Shutter::default(), readout_sigma_s: 0.02, before: Some((pose, 0.03, None)) };
         let rows = RowDisplacement::new(&told, &rows, &pose);
-        (is_suspect(&residuals), focal_clue(&residuals, &pose, &configured, &anchors, &rows).expect("a clue"))
+        (is_suspect(&residuals), focal_clue(&residuals, &pose, configured, anchors, &rows).expect("a clue"))
     }
 
     fn oblique() -> Pose<Camera, Body> {
@@ -448,8 +451,8 @@ mod tests {
 
     /// What a frame says of a picture whose shear and keystones are these, seen by the configured lens.
     fn askew(by: [f64; CORNERS], start: &Pose<Camera, Body>) -> FocalClue {
-        let (configured, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
-        let mut anchors = seen_anchors(&configured, start, &camera, 10, &mut |_, _| Vector2::zeros());
+        let configured = prepared(vec![cloth(1)]);
+        let mut anchors = seen_anchors(&configured, start, &lens(640, 480), 10, &mut |_, _| Vector2::zeros());
         for a in &mut anchors {
             let spec = &configured.surfaces[0].spec;
             let at = spec.to_metres(a.artwork);
@@ -459,13 +462,7 @@ mod tests {
             a.observation.point = spec.body_point(a.artwork);
             a.observation.information /= NOISE_PX.powi(2);
         }
-        let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
-        let pose = resect(start, &MovingCamera::still(&camera), &observations, 30).expect("a pose").pose;
-        let mut residuals = TileResiduals::default();
-        residuals.take(&pose, &camera, &anchors).expect("tiles enough");
-        let rows = RowMotion { shutter: Shutter::default(), readout_sigma_s: 0.02, before: Some((pose, 0.03, None)) };
-        let rows = RowDisplacement::new(&camera, &rows, &pose);
-        focal_clue(&residuals, &pose, &configured, &anchors, &rows).expect("a clue")
+        asked(&configured, &anchors, start).1
     }
 
     #[test]

@@ -156,18 +156,23 @@ impl LensWatch {
         if self.against >= needed {
             (self.is_moved, self.against) = (!self.is_moved, 0);
             self.is_by_habit = self.is_moved && has_changed && !clue.is_off(doubt);
-            let percent = 100.0 * (clue.change.exp() - 1.0);
-            if self.is_trial {
-                return self.state(is_against);
-            } else if self.is_moved {
-                warn!(
-                    "the focal length that fits the frames is {percent:+.1} % off the calibration's: poses are withheld; set the lens back, or calibrate it as it is"
-                );
-            } else {
-                info!("the focal length is the calibration's again: poses are given");
+            if !self.is_trial {
+                self.say(clue.change);
             }
         }
         self.state(is_against)
+    }
+
+    /// Logs whether poses are withheld from now on; `change`: the logarithm of the focal length that fits over the calibration's.
+    fn say(&self, change: f64) {
+        let percent = 100.0 * (change.exp() - 1.0);
+        if self.is_moved {
+            warn!(
+                "the focal length that fits the frames is {percent:+.1} % off the calibration's: poses are withheld; set the lens back, or calibrate it as it is"
+            );
+        } else {
+            info!("the focal length is the calibration's again: poses are given");
+        }
     }
 
     /// A step stays in doubt until a frame says of the focal length that it is what it was.
