@@ -35,6 +35,9 @@ const CLEARLY: f64 = 0.02;
 const SWAPPED: f64 = 0.8;
 /// Of the logarithm: pixels that are less far from square are a lens' own. Raised, clips that are stretched by little pass.
 const LEAST_STRETCH: f64 = 0.03;
+/// Of the logarithm: 2.2 times. Anamorphic lenses squeeze by 2, programs by 1.33. Raised, a size that is
+/// wrong passes for a stretched clip.
+const MAX_STRETCH: f64 = 0.79;
 /// Two ratios are the same within this, of the logarithm: it tells a swap of width and height from a coincidence. Chosen, not tuned.
 /// Raised, more ratios are called a swap, and fewer nearly square surfaces can be.
 const SAME_RATIO: f64 = 0.06;
@@ -133,7 +136,7 @@ impl Case<'_> {
         if let Some(swap) = self.swap([ratio.left, focal.left, pixel.left].into_iter().fold(CUT, f64::min)) {
             return Some(self.swapped(swap));
         }
-        let is_stretched = self.fits(pixel.left) && pixel.shape.pixel.ln().abs() > LEAST_STRETCH;
+        let is_stretched = self.fits(pixel.left) && (LEAST_STRETCH..MAX_STRETCH).contains(&pixel.shape.pixel.ln().abs());
         let is_pixel = is_stretched && pixel.left < ratio.left.min(focal.left) - CLEARLY;
         if self.fits(ratio.left) && ratio.left <= focal.left + CLEARLY && !is_pixel {
             let known = |side: f64| known_to(side, side * ratio.sigma);
