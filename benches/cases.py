@@ -4,7 +4,7 @@
     cargo build --release
     python3 benches/cases.py                # all; needs ffmpeg
     python3 benches/cases.py 01 14 --show   # some, with what they print
-    python3 benches/cases.py --except 07    # all but those that are known to be missed
+    python3 benches/cases.py --except 07    # all but this one
 
 Every folder there has a run.sh, which prints what the program makes of an input that people met, and an expected.txt, which says
 what is right. Here the right value is asserted. Ends with 1 where one is missed, and where a folder has no assertion yet.

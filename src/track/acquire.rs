@@ -51,7 +51,7 @@ pub struct Candidate {
 }
 
 /// What the matches of a frame say of a body before any lens or size is asked.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Recognition {
     /// Matches that agree on one homography of a surface: the most over the surfaces.
     pub agreeing: usize,
@@ -60,6 +60,21 @@ pub struct Recognition {
     pub misfit: Option<f64>,
     /// Root of the area that the surface with the most matches takes of the frame, pixels; `None` beyond its horizon.
     pub outline_px: Option<f64>,
+    /// The matches that agree on the homography of their surface.
+    pub matches: Vec<AgreeingMatch>,
+}
+
+/// A match that agrees on the homography of its surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AgreeingMatch {
+    /// Surface index in its body.
+    pub surface: u32,
+    /// On the surface's picture, metres from its centre.
+    pub on_picture_m: Vector2<f64>,
+    /// What the configured body makes of it.
+    pub observation: Observation,
+    /// Cut square that the homography leaves, in sigmas.
+    pub floor: f64,
 }
 
 /// Fewest inliers of a homography that is worth a look: twice the four that define it. Chance agrees on as many now and then, and
@@ -136,11 +151,10 @@ pub fn candidates(
     let observations: Vec<Observation> = matches.iter().map(|m| observation(body, m)).collect();
     let still = MovingCamera::still(camera);
     let mut found: Vec<Candidate> = Vec::new();
-    let mut agreeing: Vec<(Observation, f64)> = Vec::new();
     let mut poses: Vec<Pose<Camera, Body>> = Vec::new();
     for surface in 0..body.surfaces.len() as u32 {
         let Some(view) = surface_view(surface, sampled, camera, seed) else { continue };
-        agreeing.extend(view.matches.iter().map(|m| (observation(body, m), view.squared_error(m))));
+        seen.matches.extend(view.observed(body));
         // Matches that the poses of this surface explain, at most.
         let mut explained = 0;
         for start in surface_poses(body, &view, camera, &mut seen) {
@@ -158,7 +172,7 @@ pub fn candidates(
         }
     }
     keep_best(&mut found);
-    seen.misfit = misfit(&poses, &still, &agreeing);
+    seen.misfit = misfit(&poses, &still, &seen.matches);
     (found, seen)
 }
 
@@ -254,6 +268,17 @@ pub struct SurfaceView {
 }
 
 impl SurfaceView {
+    /// The matches as observations of the body.
+    pub fn observed(&self, body: &PreparedBody) -> impl Iterator<Item = AgreeingMatch> {
+        let spec = &body.surfaces[self.surface as usize].spec;
+        self.matches.iter().map(move |m| AgreeingMatch {
+            surface: self.surface,
+            on_picture_m: spec.to_metres(m.artwork),
+            observation: observation(body, m),
+            floor: self.squared_error(m),
+        })
+    }
+
     /// What the homography leaves of a match, in sigmas, squared and cut.
     fn squared_error(&self, m: &SurfaceMatch) -> f64 {
         let pair = PointPair { from: m.artwork, to: m.undistorted };
@@ -261,11 +286,12 @@ impl SurfaceView {
     }
 }
 
-/// See [`Recognition::misfit`]; each observation comes with what its homography leaves.
-fn misfit(poses: &[Pose<Camera, Body>], camera: &MovingCamera<CameraModel>, agreeing: &[(Observation, f64)]) -> Option<f64> {
+/// See [`Recognition::misfit`].
+fn misfit(poses: &[Pose<Camera, Body>], camera: &MovingCamera<CameraModel>, agreeing: &[AgreeingMatch]) -> Option<f64> {
     let squared =
         |pose: &Pose<Camera, Body>, o: &Observation| squared_residual(pose, camera, o).map_or(LARGEST_SQUARED, |s| s.min(LARGEST_SQUARED));
-    let over = |pose: &Pose<Camera, Body>| agreeing.iter().map(|(o, floor)| squared(pose, o) - floor).sum::<f64>() / agreeing.len() as f64;
+    let over =
+        |pose: &Pose<Camera, Body>| agreeing.iter().map(|m| squared(pose, &m.observation) - m.floor).sum::<f64>() / agreeing.len() as f64;
     poses.iter().map(over).min_by(f64::total_cmp).filter(|m| m.is_finite())
 }
 

@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     fn seen(agreeing: usize, misfit: f64, outline_px: f64) -> Recognition {
-        Recognition { agreeing, misfit: Some(misfit), outline_px: Some(outline_px) }
+        Recognition { agreeing, misfit: Some(misfit), outline_px: Some(outline_px), matches: Vec::new() }
     }
 
     fn reason(seen: &Recognition, refusal: Option<Refusal>) -> Reason {

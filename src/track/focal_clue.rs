@@ -69,7 +69,7 @@ pub const RIGHT_SIGMAS: f64 = 3.0;
 const CONVICTING_GAIN: f64 = 4.0;
 /// Largest change that one linear step can report, logarithm: about 30 %. A larger one is another fault, such as corners that are a pixel off, seen nearly from
 /// ahead; it widens the covariance and accuses no lens. Raised, wrong corners pass for a zoom; lowered, large zooms are not withheld.
-const MAX_CHANGE: f64 = 0.26;
+pub const MAX_CHANGE: f64 = 0.26;
 /// Sigma of what is held fixed: keeps the equations regular.
 const FIXED_SIGMA: f64 = 1e-6;
 

@@ -10,7 +10,8 @@
 
 use tracing::{info, warn};
 
-use super::focal_clue::{FocalClue, RIGHT_SIGMAS};
+use super::focal_clue::{FocalClue, MAX_CHANGE, RIGHT_SIGMAS};
+use super::matched_focal::MatchedFocal;
 
 /// Frames in a row that say so, before the lens counts as moved. Chosen: one may be a torn frame. Raised, a zoom is named later; the frames
 /// until then are withheld all the same.
@@ -93,6 +94,11 @@ pub struct LensWatch {
     strayed: Option<f64>,
     /// Size of a step of it that would explain how a pose jumped, until a frame says that there was none.
     step: f64,
+    /// Logarithm of the focal length that matches fit over the calibration's, until matches say
+    /// otherwise.
+    by_matches: Option<f64>,
+    /// Whether that was logged in this session.
+    has_warned: bool,
     /// Whether frames are only tried: nothing is logged.
     is_trial: bool,
 }
@@ -110,7 +116,37 @@ impl LensWatch {
 
     /// Whether every frame is to be asked for the focal length.
     pub fn asks(&self) -> bool {
-        self.is_moved || self.step > 0.0
+        self.is_moved || self.step > 0.0 || self.by_matches.is_some()
+    }
+
+    /// What matches said of the focal length: its logarithm over the calibration's.
+    pub fn by_matches(&self) -> Option<f64> {
+        self.by_matches
+    }
+
+    /// Whether a frame's tiles contradict what matches said: then matches are worth a look. Tiles
+    /// alone do not decide, for through a wrong lens few of them are aligned.
+    pub fn is_disputed(&self, clue: &FocalClue) -> bool {
+        self.by_matches.is_some_and(|change| self.contradicts(clue, change.abs()))
+    }
+
+    /// Takes what matches say of the focal length.
+    pub fn hear_matches(&mut self, said: MatchedFocal) {
+        match said {
+            MatchedFocal::Changed(change) => {
+                if !self.is_trial && !std::mem::replace(&mut self.has_warned, true) {
+                    let percent = 100.0 * (change.exp() - 1.0);
+                    warn!(
+                        "the matches do not fit the calibrated lens; a focal length {percent:+.0} % off fits them better: \
+                         poses are reported with that uncertainty until frames decide; `stagepose check` tells more"
+                    );
+                }
+                self.by_matches = Some(change);
+            }
+            MatchedFocal::Contested(change) => self.by_matches = Some(change),
+            MatchedFocal::Calibrated => self.by_matches = None,
+            MatchedFocal::Unclear => {}
+        }
     }
 
     /// By how much the logarithm of the focal length in the last frame is another one than frames usually say, where it clearly is.
@@ -129,7 +165,8 @@ impl LensWatch {
     /// the calibrated focal length.
     pub fn update(&mut self, clue: Option<&FocalClue>, step: Option<f64>, is_seen: bool, doubt: f64) -> LensState {
         self.take_step(clue, step);
-        self.strayed = Some(self.step).filter(|size| *size > 0.0);
+        let doubted = self.by_matches.map_or(0.0, f64::abs).max(self.step);
+        self.strayed = Some(doubted).filter(|size| *size > 0.0);
         let Some(clue) = clue else {
             // Asked, and nothing speaks against the lens: not a frame in a row.
             if is_seen {
@@ -141,14 +178,14 @@ impl LensWatch {
         let usual = self.habit.usual();
         let strayed = usual.and_then(|(usual, sigma)| clue.strays(usual, sigma));
         let likely = strayed.map(f64::abs).or(clue.possible_change(doubt)).unwrap_or(0.0);
-        self.strayed = Some(likely.max(self.step)).filter(|size| *size > 0.0);
+        self.strayed = Some(likely.min(MAX_CHANGE).max(doubted)).filter(|size| *size > 0.0);
         self.is_rough |= self.habit.is_rough();
         let is_rough = self.is_rough;
         let has_changed = usual.is_some_and(|(usual, sigma)| clue.has_changed(usual, sigma, doubt, is_rough));
         let is_usual = self.is_by_habit && usual.is_some_and(|(usual, sigma)| clue.is_usual(usual, sigma));
         let is_against = if self.is_moved { clue.is_right(doubt) || is_usual } else { clue.is_off(doubt) || has_changed };
         // While the lens counts as moved the habit stays as it was before.
-        if !self.is_moved && !is_against && self.step == 0.0 {
+        if !self.is_moved && !is_against && doubted == 0.0 {
             self.habit.add(clue.change, clue.sigma, if strayed.is_some() { STRAYED_WEIGHT } else { 1.0 });
         }
         self.against = if is_against { self.against + 1 } else { 0 };
@@ -178,11 +215,15 @@ impl LensWatch {
     /// A step stays in doubt until a frame says of the focal length that it is what it was.
     fn take_step(&mut self, clue: Option<&FocalClue>, step: Option<f64>) {
         self.step = self.step.max(step.map_or(0.0, f64::abs));
-        let usual = self.habit.usual().map_or(0.0, |(usual, _)| usual);
-        // What is nearer to no step than to this one.
-        if clue.is_some_and(|clue| (clue.change - usual).abs() + RIGHT_SIGMAS * clue.sigma < 0.5 * self.step) {
+        if clue.is_some_and(|clue| self.contradicts(clue, self.step)) {
             self.step = 0.0;
         }
+    }
+
+    /// Whether what a frame says is nearer to no step than to one of this size.
+    fn contradicts(&self, clue: &FocalClue, size: f64) -> bool {
+        let usual = self.habit.usual().map_or(0.0, |(usual, _)| usual);
+        (clue.change - usual).abs() + RIGHT_SIGMAS * clue.sigma < 0.5 * size
     }
 
     fn state(&self, is_against: bool) -> LensState {
@@ -285,6 +326,22 @@ mod tests {
         watch.update(Some(&ahead), None, true, 0.0);
         assert!(watch.asks() && watch.strayed() == Some(0.03));
         watch.update(Some(&clue(0.001)), None, true, 0.0);
+        assert!(!watch.asks() && watch.strayed().is_none());
+    }
+
+    #[test]
+    fn what_matches_said_stays_in_doubt_until_matches_take_it_back() {
+        let mut watch = LensWatch::new(true);
+        watch.hear_matches(MatchedFocal::Changed(0.4));
+        // Few tiles are aligned through such a lens, and these may say that it fits.
+        let fits = clue(0.001);
+        assert_eq!(watch.update(Some(&fits), None, true, 0.0), LensState::Fits);
+        assert!(watch.asks() && watch.is_disputed(&fits) && watch.strayed() == Some(0.4));
+        watch.hear_matches(MatchedFocal::Unclear);
+        watch.update(None, None, false, 0.0);
+        assert_eq!(watch.strayed(), Some(0.4));
+        watch.hear_matches(MatchedFocal::Calibrated);
+        watch.update(Some(&fits), None, true, 0.0);
         assert!(!watch.asks() && watch.strayed().is_none());
     }
 

@@ -16,11 +16,13 @@ use super::align::{AlignSurface, Alignment, CameraRays, FrameLevels, ShutterClue
 use super::body_search::{BodySearch, Scene, Spent};
 use super::clock_steps::ClockSteps;
 use super::feature_search::FeatureSearch;
+use super::focal_clue::FocalClue;
 use super::frame_interval::FrameInterval;
 use super::learnt_camera::{LearntCamera, LearntTime};
 use super::learnt_readout::{Known, LearntReadout, ReadoutNews};
 use super::lens_doubt::covariance_by_lens;
 use super::lens_watch::{LensState, LensWatch};
+use super::matched_focal::matched_focal;
 use super::misfit::{ModelNews, ModelReport};
 use super::moments::{Found, Mixture, MixtureWatch, Verdict};
 use super::pixel_watch::{PixelWatch, Used, UsedPixels};
@@ -53,6 +55,10 @@ const LARGEST_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
 const COPY_REMEMBERED_S: f64 = 0.5;
 
 /// What a frame showed of one body.
+/// A followed stage is recognised no more often than this for what matches say of the focal length,
+/// seconds. Raised, a doubt stays longer; lowered, more frames take a search's time.
+const MATCHES_PACE_S: f64 = 1.0;
+
 #[derive(Debug, Clone)]
 pub struct BodySighting {
     /// The track state's verdict.
@@ -143,6 +149,8 @@ pub struct Matcher {
     mixtures: MixtureWatch,
     /// Covariance of the stage's pose by its motion within a frame that is a mixture.
     by_mixture: Option<Matrix6<f64>>,
+    /// When a followed stage was last recognised for what its matches say of the focal length.
+    matches_asked: Option<Timestamp>,
     clock_steps: ClockSteps,
     camera_rays: CameraRays,
     levels: FrameLevels,
@@ -197,6 +205,7 @@ impl Matcher {
             by_mixture: None,
             clock_steps: ClockSteps::default(),
             settings,
+            matches_asked: None,
         }
     }
 
@@ -239,7 +248,7 @@ impl Matcher {
         let start = self.clock.start();
         self.fit_models(frame.timestamp);
         self.refuse_misfits();
-        let lens = self.watch_lens();
+        let lens = self.watch_lens(frame);
         let (misfit, extra_ms) = self.study_stage(frame, lens).unwrap_or_default();
         align_ms += start.elapsed_ms() + extra_ms;
         let stage = self.sighting_of(0, frame.timestamp, lens);
@@ -409,7 +418,7 @@ impl Matcher {
     }
 
     /// What of the models' misfit a lens that was moved would explain.
-    fn watch_lens(&mut self) -> LensState {
+    fn watch_lens(&mut self, frame: &Frame) -> LensState {
         // All are seen through one lens: the body that tells most of it speaks. An object that was just found may be none.
         let bodies = &self.bodies;
         let may_speak = |k: usize| k == 0 || bodies[k].track.is_continued();
@@ -419,13 +428,32 @@ impl Matcher {
         let clue = clues.min_by(|a, b| a.1.sigma.total_cmp(&b.1.sigma));
         let clue = clue.map(|(body, clue)| {
             self.lens_watch.listen_to(body);
-            clue
+            *clue
         });
         let focal_px = self.camera.intrinsics().fx;
         let doubt = self.camera.doubt().map_or(0.0, |doubt| doubt.uncertainty.focal_px[0] / (3.0 * focal_px));
-        let is_seen = self.fits.iter().zip(bodies).any(|(fit, body)| fit.is_some() && !body.is_readout_in_doubt());
+        let is_seen = self.fits.iter().zip(&self.bodies).any(|(fit, body)| fit.is_some() && !body.is_readout_in_doubt());
         let step = self.fits.first().and_then(|fit| fit.as_ref()?.step);
-        self.lens_watch.update(clue, step, is_seen, doubt)
+        self.lens_watch.update(clue.as_ref(), step, is_seen, doubt)
+    }
+
+    /// Asks matches for the focal length: those that found the stage, and now and then those of a
+    /// frame whose tiles contradict them.
+    fn ask_matches(&mut self, frame: &Frame, clue: Option<&FocalClue>) {
+        let Some(found) = self.verified[0] else { return };
+        let stage = &mut self.bodies[0];
+        let mut matches = std::mem::take(&mut stage.seen.matches);
+        let is_due = self.matches_asked.is_none_or(|then| frame.timestamp.seconds_since(then) >= MATCHES_PACE_S);
+        if matches.is_empty() && is_due && clue.is_some_and(|clue| self.lens_watch.is_disputed(clue)) {
+            self.matches_asked = Some(frame.timestamp);
+            let views = self.search.recognise(&frame.image, stage);
+            matches.extend(views.iter().flat_map(|view| view.observed(&stage.body)));
+        }
+        if !matches.is_empty() {
+            let suspected = self.lens_watch.by_matches();
+            let said = matched_focal(&found.pose.inverse(), &self.camera, &stage.body, &matches, suspected);
+            self.lens_watch.hear_matches(said);
+        }
     }
 
     /// Refuses the objects whose tiles lie so far from where any pose puts them that the pose is none. But blur displaces tiles as well while the motion is unknown, so an object that was just
@@ -435,6 +463,7 @@ impl Matcher {
             let turn = self.fits[k].and_then(|fit| fit.at_most).map_or(0.0, |c| c.fixed_view::<3, 3>(3, 3).trace().max(0.0).sqrt());
             if turn > LARGEST_MISFIT_TURN {
                 debug!(body = %self.bodies[k].body.name, turn, "misfit");
+        self.ask_matches(frame, clue.as_ref());
                 (self.verified[k], self.fits[k]) = (None, None);
                 let was_followed = self.bodies[k].followed_from.is_some();
                 let refuse = if was_followed { TrackedBody::give_up } else { TrackedBody::leave_open };

@@ -30,6 +30,7 @@ mod learnt_camera;
 mod learnt_readout;
 mod lens_doubt;
 mod lens_watch;
+mod matched_focal;
 mod matcher;
 mod misfit;
 mod model_error;
