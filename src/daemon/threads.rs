@@ -15,7 +15,7 @@ use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, EntryOrder, FrameSource};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::PoseSample;
-use crate::track::{Matcher, Mixture, ModelNews, ReadoutNews, Reason, Sighting};
+use crate::track::{Matcher, Mixture, ModelNews, Reason, ShutterNews, Sighting};
 use crate::tracker::{PoseRecorder, Tracker};
 
 /// What happens when a stage is slower than the one before it.
@@ -324,8 +324,8 @@ fn publish(
                 if let Some(mixture) = sighting.mixture {
                     tell_mixture(mixture, watch.as_ref().map(StaleWatch::link));
                 }
-                if let Some(news) = sighting.readout_news {
-                    tell_readout(&news, watch.as_ref().map(StaleWatch::link));
+                if let Some(news) = sighting.shutter_news {
+                    tell_shutter(&news, watch.as_ref().map(StaleWatch::link));
                 }
                 if let Some(watch) = &mut watch {
                     watch.seen(&sample);
@@ -365,8 +365,8 @@ fn tell_mixture(mixture: Mixture, live: Option<&LiveLink>) {
     }
 }
 
-/// Says that the readout is known, or that frames contradict it: to whoever listens to a live camera's events, else to the log.
-fn tell_readout(news: &ReadoutNews, live: Option<&LiveLink>) {
+/// Says that the shutter is known, or that frames contradict it: to whoever listens to a live camera's events, else to the log.
+fn tell_shutter(news: &ShutterNews, live: Option<&LiveLink>) {
     match (live, news.is_warning()) {
         (Some(live), true) => live.events.publish(Event::ShutterDiffers { text: news.text() }),
         (Some(live), false) => live.events.publish(Event::ShutterLearnt { text: news.text() }),

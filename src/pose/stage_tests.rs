@@ -27,7 +27,7 @@ fn sighting(sequence: u64, stage: State, object: State) -> Sighting {
         objects: vec![body(object)],
         misfit: None,
         mixture: None,
-        readout_news: None,
+        shutter_news: None,
         learnt: Default::default(),
         acquire_ms: 0.0,
         align_ms: 0.0,

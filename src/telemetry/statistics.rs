@@ -8,6 +8,7 @@ use super::histogram::Histogram;
 use crate::frame::Timestamp;
 use crate::publish::FrameClock;
 use crate::record::{PoseSample, State};
+use crate::track::LearntCamera;
 
 /// What is known of the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -80,6 +81,8 @@ pub struct Statistics {
     age: Histogram,
     /// The camera's name; written at an opening, read for a page.
     camera: Mutex<String>,
+    /// What the pictures taught of the camera, as of the last sample.
+    learnt: Mutex<LearntCamera>,
 }
 
 /// The stages of the latency histograms, in the order in which they are kept.
@@ -103,6 +106,12 @@ impl Statistics {
         let (inliers, rms_px) = sample.measurement.as_ref().map_or((0, 0.0), |m| (m.inliers, m.rms_px));
         self.inliers.store(inliers as u64, Ordering::Relaxed);
         self.rms_bits.store(rms_px.to_bits(), Ordering::Relaxed);
+        *self.learnt.lock().unwrap_or_else(PoisonError::into_inner) = sample.learnt;
+    }
+
+    /// What the pictures taught of the camera, as of the last sample.
+    pub fn learnt(&self) -> LearntCamera {
+        *self.learnt.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Notes that the camera streams; `again` where it was open before.

@@ -7,6 +7,7 @@ use std::collections::VecDeque;
 
 use super::agreement::{Agreement, AgreementBuffers, BLOCK, LEAST_FRAMES, Said};
 use super::align::ShutterClue;
+use super::shutter_news::ShutterNews;
 
 /// Frames whose own answer is no better than this, one sigma in seconds, tell nothing: about the readout of a usual sensor. Raised, still frames count, which only
 /// tell of the model's errors; lowered, slow clips give no answer.
@@ -94,44 +95,6 @@ impl Known {
     }
 }
 
-/// What there is to say of the readout, once each.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum ReadoutNews {
-    /// It was not configured, and is known now.
-    Learnt(Known),
-    /// Frames contradict the configured one: what they say instead.
-    Contradicts {
-        /// As configured, seconds.
-        configured_s: f64,
-        /// What the frames say.
-        found: Known,
-    },
-}
-
-impl ReadoutNews {
-    /// A sentence.
-    pub fn text(&self) -> String {
-        match self {
-            Self::Learnt(Known { readout_s: 0.0, .. }) => {
-                "the shutter is known now: all rows are exposed together (shutter = \"global\")".to_owned()
-            }
-            Self::Learnt(Known { readout_s, sigma_s }) => {
-                let [readout_ms, sigma_ms] = [readout_s, sigma_s].map(|s| 1e3 * s);
-                format!("the shutter is known now: rows are read in {readout_ms:.2} ms +- {sigma_ms:.2} (readout_s = {readout_s:.5})")
-            }
-            Self::Contradicts { configured_s, found: Known { readout_s, sigma_s } } => format!(
-                "readout_s is configured as {configured_s}, but the rows of the frames fit {readout_s:.5} +- {sigma_s:.5}: poses of a moving camera are \
-                 less sure; correct readout_s, or remove it, and it is learnt"
-            ),
-        }
-    }
-
-    /// Whether something is to be done about it.
-    pub fn is_warning(&self) -> bool {
-        matches!(self, Self::Contradicts { .. })
-    }
-}
-
 /// What one frame said.
 #[derive(Debug, Clone, Copy)]
 struct Told {
@@ -154,7 +117,7 @@ pub struct LearntReadout {
     /// What of the last changes is still in the motion, seconds.
     settling_s: f64,
     frames: u32,
-    news: Option<ReadoutNews>,
+    news: Option<ShutterNews>,
     has_told_news: bool,
 }
 
@@ -207,7 +170,7 @@ impl LearntReadout {
     }
 
     /// What there is to say, once.
-    pub fn news(&mut self) -> Option<ReadoutNews> {
+    pub fn news(&mut self) -> Option<ShutterNews> {
         self.news.take()
     }
 
@@ -287,7 +250,7 @@ impl LearntReadout {
         self.used.sigma_s = sigma_s.hypot(readout_s - self.used.readout_s);
         if self.used.is_sure() && !self.has_told_news && self.told.len() >= 2 * LEAST_FRAMES {
             self.has_told_news = true;
-            self.news = Some(ReadoutNews::Learnt(self.used));
+            self.news = Some(ShutterNews::ReadoutLearnt(self.used));
         }
     }
 
@@ -300,7 +263,7 @@ impl LearntReadout {
     fn compare(&mut self, configured_s: f64, found: Known) {
         if !self.has_told_news && self.told.len() >= 2 * LEAST_FRAMES && contradict(self.before, found) {
             self.has_told_news = true;
-            self.news = Some(ReadoutNews::Contradicts { configured_s, found });
+            self.news = Some(ShutterNews::ReadoutContradicted { configured_s, found });
             // It is used all the same, but no longer believed.
             self.used.sigma_s = (found.readout_s - configured_s).abs();
         }
@@ -349,7 +312,7 @@ mod tests {
             let Known { readout_s, sigma_s } = learnt.used();
             assert!(learnt.used().is_sure() && (readout_s - true_s).abs() < 3.0 * sigma_s, "{true_s}: {readout_s} +- {sigma_s}");
             assert!((readout_s - true_s).abs() < 5e-4, "{true_s}: {readout_s}");
-            assert!(matches!(learnt.news(), Some(ReadoutNews::Learnt(_))) && learnt.news().is_none(), "it is said once");
+            assert!(matches!(learnt.news(), Some(ShutterNews::ReadoutLearnt(_))) && learnt.news().is_none(), "it is said once");
         }
     }
 
@@ -376,7 +339,7 @@ mod tests {
         let mut wrong = LearntReadout::new(Some(0.01), None);
         shaken(&mut wrong, 0.02, 60);
         let news = wrong.news();
-        assert!(matches!(news, Some(ReadoutNews::Contradicts { found, .. }) if (found.readout_s - 0.02).abs() < 1e-3), "{news:?}");
+        assert!(matches!(news, Some(ShutterNews::ReadoutContradicted { found, .. }) if (found.readout_s - 0.02).abs() < 1e-3), "{news:?}");
         assert_eq!((wrong.used().readout_s, wrong.news(), wrong.learnt()), (0.01, None, None));
         assert!((wrong.used().sigma_s - 0.01).abs() < 1e-3);
         let mut right = LearntReadout::new(Some(0.02), None);

@@ -19,7 +19,7 @@ use super::feature_search::FeatureSearch;
 use super::focal_clue::FocalClue;
 use super::frame_interval::FrameInterval;
 use super::learnt_camera::{LearntCamera, LearntTime};
-use super::learnt_readout::{Known, LearntReadout, ReadoutNews};
+use super::learnt_readout::{Known, LearntReadout};
 use super::lens_doubt::covariance_by_lens;
 use super::lens_watch::{LensState, LensWatch};
 use super::matched_focal::matched_focal;
@@ -29,6 +29,7 @@ use super::pixel_watch::{PixelWatch, Used, UsedPixels};
 use super::reason::Reason;
 use super::row_motion::RowMotion;
 use super::settings::TrackerSettings;
+use super::shutter_news::ShutterNews;
 use super::surface::BodySpec;
 use super::track_state::{State, TrackStateMachine};
 use super::tracked_body::{ModelFit, TrackedBody};
@@ -54,11 +55,11 @@ const LARGEST_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
 /// copy is gone; lowered, a copy that is hard to see is forgotten.
 const COPY_REMEMBERED_S: f64 = 0.5;
 
-/// What a frame showed of one body.
 /// A followed stage is recognised no more often than this for what matches say of the focal length,
 /// seconds. Raised, a doubt stays longer; lowered, more frames take a search's time.
 const MATCHES_PACE_S: f64 = 1.0;
 
+/// What a frame showed of one body.
 #[derive(Debug, Clone)]
 pub struct BodySighting {
     /// The track state's verdict.
@@ -88,8 +89,8 @@ pub struct Sighting {
     pub misfit: Option<ModelNews>,
     /// What frames are made of that show two moments at once, once.
     pub mixture: Option<Mixture>,
-    /// What there is to say of the readout, once each.
-    pub readout_news: Option<ReadoutNews>,
+    /// What there is to say of the shutter, once each.
+    pub shutter_news: Option<ShutterNews>,
     /// What was known of the camera before this frame, by its pictures.
     pub learnt: LearntCamera,
     /// Compute on finding candidates, milliseconds over all workers.
@@ -119,7 +120,7 @@ impl Sighting {
             objects: bodies.collect(),
             misfit: None,
             mixture: None,
-            readout_news: None,
+            shutter_news: None,
             learnt: LearntCamera::default(),
             acquire_ms: 0.0,
             align_ms: 0.0,
@@ -136,6 +137,8 @@ pub struct Matcher {
     readout: LearntReadout,
     /// Whether the shutter is taken as given, and only asked.
     is_shutter_given: bool,
+    /// Whether it was said that frames contradict the configured exposure.
+    is_exposure_contradicted: bool,
     interval: FrameInterval,
     /// The stage first, then the objects.
     bodies: Vec<TrackedBody>,
@@ -146,11 +149,11 @@ pub struct Matcher {
     /// How well the model fits what was shown.
     fits: Vec<Option<ModelFit>>,
     lens_watch: LensWatch,
+    /// When a followed stage was last recognised for what its matches say of the focal length.
+    matches_asked: Option<Timestamp>,
     mixtures: MixtureWatch,
     /// Covariance of the stage's pose by its motion within a frame that is a mixture.
     by_mixture: Option<Matrix6<f64>>,
-    /// When a followed stage was last recognised for what its matches say of the focal length.
-    matches_asked: Option<Timestamp>,
     clock_steps: ClockSteps,
     camera_rays: CameraRays,
     levels: FrameLevels,
@@ -194,6 +197,7 @@ impl Matcher {
             shutter,
             readout,
             is_shutter_given: false,
+            is_exposure_contradicted: false,
             interval: FrameInterval::default(),
             bodies,
             search,
@@ -201,11 +205,11 @@ impl Matcher {
             verified: Vec::new(),
             fits: Vec::new(),
             lens_watch: LensWatch::new(settings.is_trial),
+            matches_asked: None,
             mixtures: MixtureWatch::default(),
             by_mixture: None,
             clock_steps: ClockSteps::default(),
             settings,
-            matches_asked: None,
         }
     }
 
@@ -271,7 +275,7 @@ impl Matcher {
             objects,
             misfit,
             mixture: self.mixtures.news(),
-            readout_news: self.readout.news(),
+            shutter_news: self.shutter_news(),
             learnt,
             acquire_ms: spent.acquire_ms,
             align_ms,
@@ -324,6 +328,16 @@ impl Matcher {
             speed = clue.speed_px_s,
             "readout"
         );
+    }
+
+    /// What there is to say of the shutter after this frame.
+    fn shutter_news(&mut self) -> Option<ShutterNews> {
+        if let Some(news) = self.readout.news() {
+            return Some(news);
+        }
+        let [configured_s, found_s] = self.bodies[0].aligner.contradicted_exposure().filter(|_| !self.is_exposure_contradicted)?;
+        self.is_exposure_contradicted = true;
+        Some(ShutterNews::ExposureContradicted { configured_s, found_s })
     }
 
     /// Withholds the stage's pose where a moving frame shows two moments at once. Where it hardly
@@ -430,6 +444,7 @@ impl Matcher {
             self.lens_watch.listen_to(body);
             *clue
         });
+        self.ask_matches(frame, clue.as_ref());
         let focal_px = self.camera.intrinsics().fx;
         let doubt = self.camera.doubt().map_or(0.0, |doubt| doubt.uncertainty.focal_px[0] / (3.0 * focal_px));
         let is_seen = self.fits.iter().zip(&self.bodies).any(|(fit, body)| fit.is_some() && !body.is_readout_in_doubt());
@@ -463,7 +478,6 @@ impl Matcher {
             let turn = self.fits[k].and_then(|fit| fit.at_most).map_or(0.0, |c| c.fixed_view::<3, 3>(3, 3).trace().max(0.0).sqrt());
             if turn > LARGEST_MISFIT_TURN {
                 debug!(body = %self.bodies[k].body.name, turn, "misfit");
-        self.ask_matches(frame, clue.as_ref());
                 (self.verified[k], self.fits[k]) = (None, None);
                 let was_followed = self.bodies[k].followed_from.is_some();
                 let refuse = if was_followed { TrackedBody::give_up } else { TrackedBody::leave_open };

@@ -50,6 +50,7 @@ mod search_windows;
 mod settings;
 mod shape;
 mod shape_doubt;
+mod shutter_news;
 mod smooth_field;
 mod surface;
 mod surface_doubt;
@@ -71,7 +72,7 @@ pub(crate) use feature_search::LOWE_RATIO;
 #[cfg(feature = "calibrate")]
 pub(crate) use frame_look::FrameLook;
 pub use learnt_camera::{LARGEST_LEARNT_BYTES, LearntCamera, LearntError, LearntTime};
-pub use learnt_readout::{MODEL_ERROR_PX, ReadoutNews, VAGUE_READOUT_S};
+pub use learnt_readout::{MODEL_ERROR_PX, VAGUE_READOUT_S};
 pub use lens_doubt::covariance_by_lens;
 pub use matcher::{BodySighting, Matcher, Sighting};
 pub use misfit::{ModelNews, ModelReport, Part};
@@ -83,6 +84,7 @@ pub use settings::TrackerSettings;
 #[cfg(test)]
 pub use shape::tests::folds;
 pub use shape::{BentShape, ShapePoint, ShapeWay, SurfaceShape};
+pub use shutter_news::ShutterNews;
 pub use surface::{BodySpec, ReferenceKind, SurfaceDoubt, SurfaceError, SurfaceSpec};
 pub use tile_observer::{KnownRates, ObservedFrame, ObservedTile, TileObserver};
 pub use track_state::State;

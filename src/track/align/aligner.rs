@@ -120,6 +120,11 @@ impl Aligner {
         self.slow.learnt_exposure()
     }
 
+    /// The configured exposure and the one that fits, seconds, where frames contradict it.
+    pub fn contradicted_exposure(&self) -> Option<[f64; 2]> {
+        self.slow.contradicted_exposure()
+    }
+
     /// Takes what another body has learnt of the camera that both are seen by, where it knows that better.
     pub fn take_camera(&mut self, other: &Self) {
         self.slow.take_camera(&other.slow);

@@ -16,7 +16,7 @@ const LONGEST_EXPOSURE_S: f64 = 0.04;
 /// fourth power of it, as their information falls. With 1.5 for both, d-handheld was 0.106 mm off instead of 0.095. `LEAST_BLUR_PX`
 /// lowered, the point spread passes for motion; `TELLING_BLUR_PX` raised, a slow camera learns its exposure later.
 const LEAST_BLUR_PX: f64 = 0.8;
-const TELLING_BLUR_PX: f64 = 1.5;
+pub const TELLING_BLUR_PX: f64 = 1.5;
 /// Share of what a frame says that is taken over: a memory of some ten frames, once the first ones, which count more, are in. Raised, the
 /// exposure follows the noise of single frames.
 const LEARNT_SHARE: f64 = 0.2;

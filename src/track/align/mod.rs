@@ -19,6 +19,7 @@ mod enlarge;
 #[allow(clippy::needless_range_loop)]
 mod evidence;
 mod exposure;
+mod exposure_watch;
 mod frame_levels;
 mod frame_problem;
 #[allow(clippy::needless_range_loop)]

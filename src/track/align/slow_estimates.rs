@@ -4,6 +4,7 @@
 //! pose is accepted: a frame that shows something else says nothing of the camera or the light.
 
 use super::exposure::{USUAL_EXPOSURE_S, UnknownExposure};
+use super::exposure_watch::ExposureWatch;
 use super::frame_levels::FINEST;
 use super::gradient_gain::{ChangeSums, GradientGain};
 use super::light::RememberedLight;
@@ -34,6 +35,8 @@ pub struct SlowEstimates {
     pub shutter: Shutter,
     /// Follows an unknown exposure; `None` where it is known.
     exposure: Option<UnknownExposure>,
+    /// What frames say of a configured exposure.
+    exposure_watch: ExposureWatch,
     /// The camera's noise.
     pub noise: CameraNoise,
     /// How much of the slopes over samples is real.
@@ -98,6 +101,7 @@ impl SlowEstimates {
         Self {
             shutter: Shutter { exposure_s: if is_known { shutter.exposure_s } else { USUAL_EXPOSURE_S }, ..shutter },
             exposure: (!is_known).then(UnknownExposure::default),
+            exposure_watch: ExposureWatch::default(),
             noise: CameraNoise::usual(FINEST),
             gradient_gain: GradientGain::default(),
             psf_variance: 0.0,
@@ -135,6 +139,13 @@ impl SlowEstimates {
         Some((self.shutter.exposure_s, unknown.sigma() * self.shutter.exposure_s))
     }
 
+    /// The configured exposure and the one that fits, seconds, where frames contradict it.
+    pub fn contradicted_exposure(&self) -> Option<[f64; 2]> {
+        let configured_s = self.shutter.exposure_s;
+        let ratio = self.exposure_watch.contradiction().filter(|_| self.exposure.is_none())?;
+        Some([configured_s, ratio * configured_s])
+    }
+
     /// Takes what another body has learnt of the camera that both are seen by, where it knows that better: the exposure, and the noise.
     pub fn take_camera(&mut self, other: &Self) {
         if let (Some(own), Some(others)) = (&mut self.exposure, &other.exposure)
@@ -162,8 +173,11 @@ impl SlowEstimates {
         if let Some(shown) = lessons.psf_variance {
             self.psf_variance += PSF_VARIANCE_SHARE * (shown - self.psf_variance);
         }
-        if let (Some(unknown), Some((clue, blur_px))) = (&mut self.exposure, lessons.exposure) {
-            unknown.learn(&mut self.shutter, clue, blur_px);
+        if let Some((clue, blur_px)) = lessons.exposure {
+            match &mut self.exposure {
+                Some(unknown) => unknown.learn(&mut self.shutter, clue, blur_px),
+                None => self.exposure_watch.take(clue, blur_px),
+            }
         }
         if let Some(sums) = &lessons.noise {
             self.noise.learn(sums);

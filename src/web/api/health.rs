@@ -10,12 +10,14 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::findings::of_refused;
+use crate::camera::KnownShutter;
 use crate::daemon::{Mode, Supervisor};
 use crate::printable::printable;
 use crate::protocols::{freed::FreedPacket, opentrackio, psn::PsnPacket};
 use crate::publish::{FrameClock, OutputStatistics, Stamps};
 use crate::record::State;
 use crate::telemetry::{CameraState, Page, RecorderState, Statistics, health, log_tail, metrics};
+use crate::track::{LearntCamera, LearntTime};
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
@@ -82,6 +84,7 @@ fn parts(supervisor: &Supervisor) -> Vec<Part> {
     });
     let mut parts: Vec<Part> = of_config.collect();
     parts.extend([camera(statistics, supervisor.mode()), tracker(statistics)]);
+    parts.extend(supervisor.settings().map(|settings| shutter(&settings.shutter, &statistics.learnt())));
     parts.extend(supervisor.outputs().iter().map(of_output));
     parts.push(recorder(statistics, supervisor));
     let folder = supervisor.settings().map(|settings| settings.recorder.folder.clone());
@@ -129,6 +132,28 @@ fn tracker(statistics: &Statistics) -> Part {
             part("tracker", "bad", sentence, Some("the events say why; `stagepose check --clip` tries what would help"))
         }
     }
+}
+
+/// How the rows are read and for how long they are exposed, and who says so.
+fn shutter(configured: &KnownShutter, learnt: &LearntCamera) -> Part {
+    let time = |time: &LearntTime| format!("{:.1} ms (+- {:.1})", 1e3 * time.seconds, 1e3 * time.sigma_s);
+    let exposure = match (configured.exposure_s, &learnt.exposure) {
+        (Some(exposure_s), _) => format!("; exposed for {:.1} ms, as configured", 1e3 * exposure_s),
+        (None, Some(exposure)) => format!("; exposed for {}, learnt from blur", time(exposure)),
+        (None, None) => String::new(),
+    };
+    let (level, rows, mend) = match (configured.readout_s, &learnt.readout) {
+        (Some(0.0), _) => ("good", "all rows are read at once, as configured".to_owned(), None),
+        (Some(readout_s), _) => ("good", format!("rows are read in {:.1} ms, as configured", 1e3 * readout_s), None),
+        (None, Some(readout)) if readout.seconds == 0.0 => ("good", "all rows are read at once, learnt from motion".to_owned(), None),
+        (None, Some(readout)) => ("good", format!("rows are read in {}, learnt from motion", time(readout)), None),
+        (None, None) => (
+            "off",
+            "how fast rows are read is not known yet; poses are less sure while the camera moves".to_owned(),
+            Some("move the camera quickly for three seconds with the stage in view; it is learnt and kept"),
+        ),
+    };
+    part("shutter", level, rows + &exposure, mend)
 }
 
 fn of_output(output: &OutputStatistics) -> Part {
@@ -279,19 +304,41 @@ mod tests {
         let levels = |supervisor: &Supervisor| -> Vec<(String, &'static str)> {
             parts(supervisor).into_iter().filter(|part| part.part != "disk").map(|part| (part.part, part.level)).collect()
         };
-        let told = |all: [(&str, &'static str); 4]| all.map(|(part, level)| (part.to_owned(), level)).to_vec();
-        assert_eq!(levels(&supervisor), told([("camera", "bad"), ("tracker", "off"), ("recorder", "off"), ("clock", "off")]));
+        let told = |all: [(&str, &'static str); 5]| all.map(|(part, level)| (part.to_owned(), level)).to_vec();
+        let off = ["tracker", "shutter", "recorder", "clock"].map(|part| (part, "off"));
+        assert_eq!(levels(&supervisor), told([("camera", "bad"), off[0], off[1], off[2], off[3]]));
         let statistics = &supervisor.link.statistics;
         statistics.camera_opened("Cam", false);
         statistics.set_recorder(RecorderState::Stopped);
         assert_eq!(levels(&supervisor)[0].1, "good");
-        assert_eq!(levels(&supervisor)[2].1, "bad");
+        assert_eq!(levels(&supervisor)[3].1, "bad");
         assert!(parts(&supervisor).iter().all(|part| part.level != "bad" || part.mend.is_some()));
         supervisor.set_mode(Mode::Setup);
         assert_eq!(levels(&supervisor)[0].1, "off");
         let (status, text) = asked(&routes(&supervisor), "GET", "/api/v1/diagnostics", b"");
         assert!(status == 200 && String::from_utf8(text).unwrap().contains("recorder: recording stopped"));
         assert_eq!(asked(&routes(&supervisor), "GET", "/api/v1/log?lines=0", b"").0, 400);
+    }
+
+    #[test]
+    fn the_shutter_says_whether_it_is_configured_or_learnt_or_unknown() {
+        let time = |seconds| LearntTime { seconds, sigma_s: 2e-4 };
+        let learnt = LearntCamera { readout: Some(time(0.0201)), exposure: Some(time(0.008)) };
+        let said = |configured: KnownShutter, learnt: LearntCamera| {
+            let part = shutter(&configured, &learnt);
+            (part.level, part.sentence)
+        };
+        let unknown = shutter(&KnownShutter::default(), &LearntCamera::default());
+        assert!(unknown.level == "off" && unknown.mend.is_some_and(|mend| mend.contains("move the camera")));
+        let (level, sentence) = said(KnownShutter::default(), learnt);
+        assert_eq!(
+            (level, sentence.as_str()),
+            ("good", "rows are read in 20.1 ms (+- 0.2), learnt from motion; exposed for 8.0 ms (+- 0.2), learnt from blur")
+        );
+        let configured = KnownShutter { readout_s: Some(0.016), exposure_s: Some(0.004) };
+        assert_eq!(said(configured, learnt).1, "rows are read in 16.0 ms, as configured; exposed for 4.0 ms, as configured");
+        let global = KnownShutter { readout_s: Some(0.0), exposure_s: None };
+        assert_eq!(said(global, LearntCamera::default()).1, "all rows are read at once, as configured");
     }
 
     #[test]

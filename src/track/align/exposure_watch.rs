@@ -1,0 +1,104 @@
+//! Whether the blur of moving frames contradicts a configured exposure.
+//!
+//! Each blurred frame says by which share the exposure should change. One frame may be wrong by
+//! half, since blur by focus and blur by motion look alike along one direction. Many frames that
+//! agree are not. Nothing is changed by it: what is configured is used, and contradicted in words.
+
+use super::exposure::TELLING_BLUR_PX;
+use super::system::schur_complement::Clue;
+
+/// Frames that must have shown blur, by how much they show. Raised, a wrong exposure is named
+/// later; lowered, a few unusual frames contradict a right one.
+const MIN_FRAMES: f64 = 30.0;
+/// Least share of the exposure by which it is off, up or down by as much. Raised, smaller errors
+/// pass; lowered, rounding by drivers and strong sharpening contradict right exposures.
+const MIN_CHANGE: f64 = 1.5;
+/// Shortest exposure over the configured one that is named: below it nearly no blur is left, which a
+/// camera that sharpens shows as well. Raised, exposures that are configured too long pass; lowered,
+/// sharpening contradicts right ones.
+const MIN_RATIO: f64 = 0.3;
+/// The mean must be so many of its standard errors from zero, frames in a row counted as one in
+/// five, since they err alike. Raised, wrong exposures are named later.
+const MIN_SIGMAS: f64 = 5.0;
+const ALIKE_FRAMES: f64 = 5.0;
+/// What a single frame may say at most, share of the exposure either way: twice as long.
+const MAX_SAID: f64 = 1.5;
+
+/// Mean and scatter of what frames say of a configured exposure.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ExposureWatch {
+    frames: f64,
+    sum: f64,
+    squares: f64,
+}
+
+impl ExposureWatch {
+    /// Takes what a frame says whose blur is so long.
+    pub fn take(&mut self, clue: Clue, blur_px: f64) {
+        let weight = (blur_px / TELLING_BLUR_PX).min(1.0).powi(4);
+        let said = (clue.score / clue.information).clamp(-MAX_SAID, MAX_SAID);
+        if said.is_finite() {
+            self.frames += weight;
+            self.sum += weight * said;
+            self.squares += weight * said * said;
+        }
+    }
+
+    /// The exposure that fits over the configured one, where frames clearly contradict that.
+    pub fn contradiction(&self) -> Option<f64> {
+        if self.frames < MIN_FRAMES {
+            return None;
+        }
+        let mean = self.sum / self.frames;
+        let scatter = (self.squares / self.frames - mean * mean).max(0.0).sqrt();
+        let sigma = scatter / (self.frames / ALIKE_FRAMES).sqrt();
+        // Blur is linear in the square of the exposure.
+        let ratio = (1.0 + 2.0 * mean).max(0.01).sqrt();
+        let is_far = !(1.0 / MIN_CHANGE..MIN_CHANGE).contains(&ratio) && ratio > MIN_RATIO;
+        (is_far && mean.abs() > MIN_SIGMAS * sigma).then_some(ratio)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    /// What frames say where the real exposure is so many times the configured one.
+    fn after(frames: u32, ratio: f64, blur_px: f64, noise: f64) -> Option<f64> {
+        let mut random = Pcg64Mcg::seed_from_u64(5);
+        let mut watch = ExposureWatch::default();
+        for _ in 0..frames {
+            let said = 0.5 * (ratio * ratio - 1.0) + noise * random.random_range(-1.0..1.0);
+            watch.take(Clue { score: 10.0 * said, information: 10.0 }, blur_px);
+        }
+        watch.contradiction()
+    }
+
+    #[test]
+    fn an_exposure_that_is_half_or_twice_the_configured_one_is_named() {
+        for ratio in [0.4, 0.5, 1.8] {
+            let found = after(60, ratio, 3.0, 0.2).expect("a contradiction");
+            assert!((found / ratio - 1.0).abs() < 0.15, "{ratio}: {found}");
+        }
+    }
+
+    #[test]
+    fn a_right_one_is_not_and_neither_is_one_that_is_rounded() {
+        for ratio in [0.8, 1.0, 1.3] {
+            assert_eq!(after(2000, ratio, 3.0, 0.4), None, "{ratio}");
+        }
+        // A camera that sharpens shows no blur at all.
+        assert_eq!(after(2000, 0.1, 3.0, 0.2), None);
+    }
+
+    #[test]
+    fn few_frames_and_sharp_frames_say_nothing() {
+        assert_eq!(after(20, 0.5, 3.0, 0.1), None);
+        assert_eq!(after(200, 0.5, 0.5, 0.1), None);
+        // Frames that disagree among themselves do not, either.
+        assert_eq!(after(60, 0.6, 3.0, 3.0), None);
+    }
+}
