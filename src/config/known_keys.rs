@@ -42,7 +42,7 @@ pub(super) fn known_keys() -> impl Iterator<Item = (&'static str, &'static [&'st
 }
 
 /// The name and the keys of the section at a path, or `None` where any key goes (driver controls).
-fn section(path: &[&str]) -> Option<(&'static str, &'static [&'static str])> {
+pub(super) fn section(path: &[&str]) -> Option<(&'static str, &'static [&'static str])> {
     SECTIONS.into_iter().find(|(known, ..)| *known == path).map(|(_, name, keys)| (name, keys()))
 }
 
