@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use super::source::FilesRead;
-use super::{ConfigError, Problem, known_keys};
+use super::{ConfigError, Problem};
 use crate::camera::slips;
 
 /// A config's file name and text, and what was read of the files that it names.
@@ -36,25 +36,27 @@ impl<'a> Origin<'a> {
     }
 
     pub fn syntax(&self, error: &toml::de::Error) -> ConfigError {
+        self.syntax_with(error, None)
+    }
+
+    /// The same with words on what to do, where they are known.
+    pub fn syntax_with(&self, error: &toml::de::Error, hint: Option<String>) -> ConfigError {
         let span = error.span().unwrap_or(0..0);
         let words = one_line(error.message());
-        let hint = self.section_again(span.start).or_else(|| slips::what_to_type(self.text, span.start));
+        let hint = hint.or_else(|| slips::what_to_type(self.text, span.start));
         let reason = hint.map_or(words.clone(), |hint| format!("{words}; {hint}"));
         ConfigError::Syntax { file: self.file.to_owned(), line: self.line(&span), reason }
     }
 
-    /// What to do about a section in single brackets that stands there for the second time.
-    fn section_again(&self, at: usize) -> Option<String> {
+    /// The section in single brackets that begins there for the second time, and the line of the
+    /// first.
+    pub fn section_again(&self, at: usize) -> Option<(&str, usize)> {
         let name = slips::single_section(self.text, at)?;
         let start = self.text.get(..at)?.rfind('\n').map_or(0, |newline| newline + 1);
-        let mut earlier = self.text[..start].split_inclusive('\n').scan(0, |at, line| Some(std::mem::replace(at, *at + line.len())));
+        let lines = self.text[..start].split_inclusive('\n');
+        let mut earlier = lines.scan(0, |at, line| Some(std::mem::replace(at, *at + line.len())));
         let first = earlier.find(|at| slips::single_section(self.text, *at) == Some(name))?;
-        let path: Vec<&str> = name.split('.').map(str::trim).collect();
-        let known = known_keys::section(&path).map(|(name, _)| name).filter(|name| name.starts_with("[["));
-        Some(match known {
-            Some(double) => format!("there may be several of these sections, so they stand in double brackets; write {double} each time"),
-            None => format!("[{name}] stands at line {} already; write its keys there", self.line(&(first..first))),
-        })
+        Some((name, self.line(&(first..first))))
     }
 
     /// A type error's words, and what to type.
