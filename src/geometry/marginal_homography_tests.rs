@@ -103,7 +103,8 @@ fn seen_unevenly(noise: f64, relief: Relief, seed: u64) -> Vec<PointPair> {
 fn scenes_that_are_not_quite_flat_are_found_as_a_whole() {
     let scenes = [Relief::Roll(4.0), Relief::Roll(6.0), Relief::Roll(9.0), Relief::Hinge(6.0), Relief::Hinge(10.0)];
     let seen_evenly = |noise, relief, seed| seen(300, 100, noise, relief, seed);
-    let kinds: [fn(f64, Relief, u64) -> Vec<PointPair>; 2] = [seen_evenly, seen_unevenly];
+    type Seen = fn(f64, Relief, u64) -> Vec<PointPair>;
+    let kinds: [Seen; 2] = [seen_evenly, seen_unevenly];
     for (relief, of) in scenes.into_iter().flat_map(|relief| kinds.map(|of| (relief, of))) {
         let found = rms(|seed| {
             let found = homography_of_unknown_noise(&of(0.4, relief, seed), MOST_NOISE, &options(seed)).expect("a plane");

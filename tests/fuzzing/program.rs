@@ -66,6 +66,7 @@ fn ended(child: &Child) -> Option<(ExitStatus, u64)> {
 }
 
 /// The exit code and the peak of resident memory in bytes, or what is wrong with the run.
+#[allow(clippy::zombie_processes)] // `ended` waits for it, by wait4
 fn run(command: &mut Command, stdin: Option<&Vec<u8>>) -> Result<(i32, u64), String> {
     // SAFETY: setrlimit is async-signal-safe, and nothing is allocated on the way to it.
     unsafe { command.pre_exec(|| setrlimit(Resource::RLIMIT_AS, MOST_MEMORY, MOST_MEMORY).map_err(std::io::Error::from)) };
