@@ -22,6 +22,7 @@ pub mod geometry {
     pub use crate::geometry::fundamental_refinement::refine_fundamental;
     pub use crate::geometry::gold_standard::{GoldStandard, gold_standard};
     pub use crate::geometry::homography_decomposition::{PlanarMotion, decompose_homography};
+    pub use crate::geometry::marginal_homography::homography_of_unknown_noise;
     pub use crate::geometry::model_choice::{EpipolarKind, ModelChoice, TwoViewModel, choose_model};
     pub use crate::geometry::motion_refinement::refine_motion_in_pixels;
     pub use crate::geometry::ransac::Order;

@@ -37,9 +37,11 @@ pub struct CompareOptions {
     pub features: FeatureSettings,
     /// What is a match.
     pub matching: ExactOptions,
-    /// Largest Sampson distance to F or E of a match that agrees, pixels; to H 1.25 times as much. Raised, wrong matches agree; lowered, right ones that
-    /// were found less exactly do not. The default is 2.4 sigmas of SIFT's keypoints where they are worst: in pairs of photographs of planes they err by 0.2
-    /// to 0.5 pixels.
+    /// Largest Sampson distance to F or E of a match that agrees, pixels. Raised, wrong matches
+    /// agree; lowered, right ones that were found less exactly do not. The default is 2.4 sigmas of
+    /// SIFT's keypoints where they are worst: in pairs of photographs of planes they err by 0.2 to
+    /// 0.5 pixels. The homography's noise is estimated, up to 2.5 times this; matches within 1.25
+    /// times this agree with it in any case.
     pub threshold_px: f64,
     /// How far the camera moved, metres, if that is known.
     pub baseline_m: Option<f64>,

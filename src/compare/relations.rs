@@ -9,6 +9,7 @@ use crate::geometry::essential_decomposition::JudgedMotion;
 use crate::geometry::false_alarms::{chance_at_a_line, chance_at_a_point, ln_false_alarms};
 use crate::geometry::homography::Homography;
 use crate::geometry::homography_decomposition::{PlanarMotion, decompose_homography};
+use crate::geometry::marginal_homography::homography_of_unknown_noise;
 use crate::geometry::model_choice::{EpipolarKind, TwoViewModel, choose_model};
 use crate::geometry::ransac::Order;
 use crate::geometry::relative_pose::{RayPair, TwoViewMotion};
@@ -35,8 +36,9 @@ const MOST_LN_FALSE_ALARMS: f64 = -7.0;
 /// Matches closer together than this in both pictures are one when chance is weighed, in thresholds: a blob with two directions says nothing twice.
 /// Raised, dense matches count less.
 const SAME_PLACE: f64 = 2.0;
-/// Largest distance of a match from its place by the homography, thresholds: two coordinates err where a distance from a line has one (the roots of chi
-/// square's 95 % points, 2.45 and 1.96).
+/// Distance of a match from its place by the homography at which it agrees in any case, thresholds:
+/// two coordinates err where a distance from a line has one (the roots of chi square's 95 % points,
+/// 2.45 and 1.96).
 const HOMOGRAPHY_THRESHOLD: f64 = 1.25;
 /// Samples until all matches are drawn from evenly. Raised, the search stays longer with the best ones, which in scenes with many alike places are on
 /// one thing; lowered, models that few matches agree with are met later.
@@ -47,9 +49,10 @@ const RELIEF: f64 = 3.0;
 /// The move by the essential matrix is taken before a nearly flat scene too where this many times as many matches agree with it as with the plane's move.
 /// Raised, shallow relief is not used; lowered to 1, chance decides on a plane, where the essential matrix has a second solution.
 const CLEARLY_MORE: f64 = 1.05;
-/// Searches for the homography, of which the best counts. Real planes are a little bent, and so have several fits that are nearly as good; one search
-/// ends at the first. Raised, the best of them is missed less often.
-const SEARCHES: u64 = 20;
+/// Largest noise of a match that the homography is searched for with, thresholds: 3 pixels by
+/// default. Raised, what is bent is fitted as a whole and wrong matches nearby count; lowered, the
+/// part of a bent surface is fitted that is the flattest.
+const MOST_NOISE: f64 = 2.5;
 /// Of two moves before a plane, the matches that agree with one alone decide where they are this far from even: McNemar's statistic, chi square's
 /// 99.9 % point with one degree of freedom. Raised, little relief is not used; lowered, mismatches decide.
 const NOT_EVEN: f64 = 10.83;
@@ -69,17 +72,11 @@ pub(super) fn find(
     let search = RobustOptions { threshold: options.threshold_px, order, seed: options.seed, ..RobustOptions::default() };
     let wide = RobustOptions { threshold: HOMOGRAPHY_THRESHOLD * options.threshold_px, ..search };
     let chance = Chance { pairs, sizes, same_place_px: SAME_PLACE * options.threshold_px };
-    let mut planes = Vec::new();
-    for k in 0..SEARCHES {
-        if !goes_on() {
-            return None;
-        }
-        planes.extend(robust_homography(pairs, &RobustOptions { seed: options.seed.wrapping_add(k), ..wide }));
+    if !goes_on() {
+        return None;
     }
-    let plane = planes
-        .into_iter()
-        .max_by(|a, b| a.score.total_cmp(&b.score))
-        .filter(|h| chance.is_excluded(&h.inliers, Sample::Homography(wide.threshold)));
+    let plane =
+        homography_of_unknown_noise(pairs, MOST_NOISE * options.threshold_px, &wide).filter(|h| chance.excludes_plane(h, wide.threshold));
     if !goes_on() {
         return None;
     }
@@ -253,6 +250,16 @@ impl Chance<'_> {
             Sample::Essential(t) => ln_false_alarms(n, k, 5, 10, chance_at_a_line(size, t)),
         };
         ln_false_alarms <= MOST_LN_FALSE_ALARMS
+    }
+
+    /// Whether chance does not explain a homography, by the matches that it maps to within their
+    /// distances, `least_px` at the least: chance is of places in the second picture.
+    fn excludes_plane(&self, plane: &RobustModel<Homography>, least_px: f64) -> bool {
+        let distance = |k: &usize| squared_sampson_of_homography(&plane.model, &self.pairs[*k]).sqrt();
+        let reach = plane.inliers.iter().map(distance).fold(least_px, f64::max);
+        let is_near = |k: &usize| plane.model.squared_error(&self.pairs[*k]) < reach * reach;
+        let mapped: Vec<usize> = plane.inliers.iter().copied().filter(is_near).collect();
+        self.is_excluded(&mapped, Sample::Homography(reach))
     }
 
     /// How many of these matches are at places of their own.

@@ -77,6 +77,21 @@ fn refusal(path: &[&str], key: &str, span: &Range<usize>, value: &DeValue<'_>, o
     Some(ConfigError::Unknown { file, line, what, mend: suggestion(key, name, known) })
 }
 
+/// A config that is not TOML, with what to do about a section that stands twice.
+pub(super) fn not_toml(error: &toml::de::Error, origin: &Origin<'_>) -> ConfigError {
+    let again = error.span().and_then(|span| origin.section_again(span.start));
+    let hint = again.map(|(name, line)| {
+        let path: Vec<&str> = name.split('.').map(str::trim).collect();
+        match section(&path).filter(|(name, _)| name.starts_with("[[")) {
+            Some((double, _)) => {
+                format!("there may be several of these sections, so they stand in double brackets; write {double} each time")
+            }
+            None => format!("[{name}] stands at line {line} already; write its keys there"),
+        }
+    });
+    origin.syntax_with(error, hint)
+}
+
 /// A section that may stand several times in single brackets, or one that stands once in double ones.
 fn wrong_brackets(path: &[&str], key: &str, value: &DeValue<'_>) -> Option<Problem> {
     let name = section(&[path, &[key]].concat())?.0;

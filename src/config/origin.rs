@@ -36,10 +36,27 @@ impl<'a> Origin<'a> {
     }
 
     pub fn syntax(&self, error: &toml::de::Error) -> ConfigError {
+        self.syntax_with(error, None)
+    }
+
+    /// The same with words on what to do, where they are known.
+    pub fn syntax_with(&self, error: &toml::de::Error, hint: Option<String>) -> ConfigError {
         let span = error.span().unwrap_or(0..0);
         let words = one_line(error.message());
-        let reason = slips::what_to_type(self.text, span.start).map_or(words.clone(), |hint| format!("{words}; {hint}"));
+        let hint = hint.or_else(|| slips::what_to_type(self.text, span.start));
+        let reason = hint.map_or(words.clone(), |hint| format!("{words}; {hint}"));
         ConfigError::Syntax { file: self.file.to_owned(), line: self.line(&span), reason }
+    }
+
+    /// The section in single brackets that begins there for the second time, and the line of the
+    /// first.
+    pub fn section_again(&self, at: usize) -> Option<(&str, usize)> {
+        let name = slips::single_section(self.text, at)?;
+        let start = self.text.get(..at)?.rfind('\n').map_or(0, |newline| newline + 1);
+        let lines = self.text[..start].split_inclusive('\n');
+        let mut earlier = lines.scan(0, |at, line| Some(std::mem::replace(at, *at + line.len())));
+        let first = earlier.find(|at| slips::single_section(self.text, *at) == Some(name))?;
+        Some((name, self.line(&(first..first))))
     }
 
     /// A type error's words, and what to type.

@@ -6,7 +6,7 @@ use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
 use super::as_typed::Config;
-use super::known_keys::{place_type_error, refuse_first, refuse_unknown, section_name};
+use super::known_keys::{not_toml, place_type_error, refuse_first, refuse_unknown, section_name};
 use super::origin::Origin;
 use super::{ConfigError, Problem};
 use crate::printable::{printable, stands_for_itself};
@@ -19,7 +19,7 @@ impl Config {
     /// [`Problem::Type`](super::Problem::Type).
     pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
         let origin = Origin::new(file, text);
-        let table = DeTable::parse(text).map_err(|e| origin.syntax(&e))?;
+        let table = DeTable::parse(text).map_err(|e| not_toml(&e, &origin))?;
         refuse_control_characters(table.get_ref(), &origin)?;
         refuse_unknown(table.get_ref(), &origin)?;
         toml::from_str(text).map_err(|e| place_type_error(table.get_ref(), &origin, &e))

@@ -174,6 +174,12 @@ fn slips_of_the_keyboard_are_answered_by_what_to_type() {
     let folder = folder();
     for (text, line, wanted) in [
         (GOOD.replace("[[stage.surface]]", "[stage.surface]"), "`surface` in [stage], line 3", "write [[stage.surface]]"),
+        (
+            format!("{}[stage.surface] # a flat\nimage = \"a.png\"\n", GOOD.replace("[[stage.surface]]", "[stage.surface]")),
+            "line 6 is not TOML: duplicate key",
+            "write [[stage.surface]] each time",
+        ),
+        (format!("{GOOD}[camera]\nfov_deg = 50.0\n"), "line 6 is not TOML: duplicate key", "[camera] stands at line 1 already"),
         (format!("{GOOD}[output]\nprotocol = \"freed\""), "`output` in the config, line 6", "write [[output]]"),
         (format!("{GOOD}[object]\nname = \"a\""), "`object` in the config, line 6", "write [[object]]"),
         (GOOD.replace("[camera]", "[[camera]]"), "`camera` in the config, line 1", "write [camera]"),

@@ -25,6 +25,8 @@ pub mod homography;
 pub mod homography_decomposition;
 pub mod least_squares;
 pub mod local_affinities;
+pub mod marginal_homography;
+mod marginal_noise;
 pub mod model_choice;
 pub mod motion_refinement;
 pub mod noise;
@@ -42,6 +44,7 @@ pub mod robust_kernel;
 mod sampson_refinement;
 mod scoring;
 pub mod seven_point;
+mod shared_errors;
 #[cfg(test)]
 mod test_planes;
 #[cfg(test)]

@@ -44,7 +44,7 @@ impl Dimensions {
 }
 
 /// The error function for x >= 0, to 1.5e-7 (Abramowitz and Stegun, 7.1.26).
-fn error_function(x: f64) -> f64 {
+pub(super) fn error_function(x: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.327_591_1 * x);
     let series = t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
     1.0 - series * (-x * x).exp()

@@ -229,6 +229,7 @@ impl<'a> Adjustment<'a> {
                 let checks = constraints::check(&self.constraints, &model, &covariance);
                 let covariance = covariance * INFLATION;
                 let supports = supports(&rows, &scales);
+                tracing::debug!(?scales, ?supports, "at rest");
                 let said = scales.iter().zip(&supports).filter(|(_, support)| !support.is_little());
                 return Some(Adjusted {
                     checks,

@@ -53,6 +53,12 @@ fn little(name: &str, support: Support, sigma_mm: f64) -> String {
         return format!("no keyframe shows {name} well enough to say where it stands ({sigma_mm:.0} mm, one sigma): {mend}");
     }
     let within = if keyframes == 1 { "1 keyframe" } else { &format!("{keyframes} keyframes") };
+    if !support.is_little() {
+        let scatter = support.scatter;
+        return format!(
+            "what {tiles} tiles of {name} show scatters {scatter:.1} times as far as the others: it may stand elsewhere; {mend}"
+        );
+    }
     format!("only {tiles} tiles in {within} show {name}, so that nothing would contradict a wrong place: {mend}")
 }
 
@@ -174,7 +180,7 @@ impl Survey {
             let (place_mm, worst_mm) = (description.sigma_mm, 1e3 * parts.worst_m());
             (places_mm, shapes_mm) = (places_mm.max(place_mm), shapes_mm.max(worst_mm));
             let support = self.supports[k];
-            if self.places.poses[k].is_some() && support.is_little() {
+            if self.places.poses[k].is_some() && (support.is_little() || support.is_stray()) {
                 findings.push((Verdict::Usable, little(&surface.name, support, place_mm)));
             } else {
                 findings.push(graded(place_mm / side_mm, LARGEST_PLACE_SIGMA, String::new(), &|| {

@@ -9,7 +9,8 @@ use crate::clips::shared::data_set;
 
 fn homography(file: &Path) -> Matrix3<f64> {
     let text = std::fs::read_to_string(file).expect("the homography is there");
-    let numbers: Vec<f64> = text.split_whitespace().map(|v| v.parse().expect("a number")).collect();
+    let rows = text.lines().filter(|line| !line.starts_with('#'));
+    let numbers: Vec<f64> = rows.flat_map(str::split_whitespace).map(|v| v.parse().expect("a number")).collect();
     Matrix3::from_row_slice(&numbers)
 }
 
@@ -45,6 +46,28 @@ fn planes_seen_twice_are_homographies_as_exact_as_a_peers() {
             assert!(error <= *most, "{set} 1-{k}: {error}");
             assert_eq!(found.json["model"], "homography", "{set} 1-{k}");
         }
+    }
+}
+
+/// Pairs whose scenes are not quite flat: set, pictures, truth, and the largest corner error, 1.2
+/// times that of OpenCV's MAGSAC, leuven's 6 a pixel. A threshold of 1.2 pixels had 0.58, 1.33,
+/// 1.22 and 5.75.
+const NOT_QUITE_FLAT: [(&str, [&str; 3], f64); 4] = [
+    ("homog-oxford-leuven", ["1.png", "4.png", "H_1_4"], 0.41),
+    ("homog-oxford-leuven", ["1.png", "5.png", "H_1_5"], 0.72),
+    ("homog-oxford-leuven", ["1.png", "6.png", "H_1_6"], 1.0),
+    ("homog-homogr", ["adamA.png", "adamB.png", "adam_H_A_to_B.txt"], 2.64),
+];
+
+#[test]
+fn pairs_that_are_not_quite_flat_are_as_exact_as_a_peers() {
+    for (set, [first, second, truth], most) in NOT_QUITE_FLAT {
+        let Some(folder) = data_set(set) else { return };
+        let out = tempfile::tempdir().expect("a folder");
+        let [first, second] = [first, second].map(|name| folder.join(name));
+        let found = compare(out.path(), &first.to_string_lossy(), &second.to_string_lossy(), &[]);
+        let error = corner_error_px(&found, &homography(&folder.join(truth)), &first);
+        assert!(error <= most, "{}: {error}", second.display());
     }
 }
 

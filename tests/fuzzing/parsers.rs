@@ -34,11 +34,13 @@ fn fuzz(name: &'static str, mutator: Mutator, most: usize, parse: impl Fn(&[u8])
     let (outcome, ended) = std::sync::mpsc::channel();
     let mut mutator = mutator;
     let worker = std::thread::Builder::new().name(format!("fuzz {name}")).spawn(move || {
+        let mut peak = 0;
         for number in 0..count {
             let input = mutator.next_input();
             begun.send(input.clone()).expect("the judge waits");
             let mut panicked = false;
             let taken = taken_by(|| panicked = catch_unwind(AssertUnwindSafe(|| parse(&input))).is_err());
+            peak = peak.max(taken);
             if panicked || taken > most {
                 let fault = if panicked { "panics".to_owned() } else { format!("takes {} MB", taken >> 20) };
                 let kept = keep(name, number, &input);
@@ -46,7 +48,7 @@ fn fuzz(name: &'static str, mutator: Mutator, most: usize, parse: impl Fn(&[u8])
                 return;
             }
         }
-        outcome.send(Ok(())).expect("the judge waits");
+        outcome.send(Ok(peak)).expect("the judge waits");
     });
     worker.expect("a thread");
     let mut last = Vec::new();
@@ -61,10 +63,10 @@ fn fuzz(name: &'static str, mutator: Mutator, most: usize, parse: impl Fn(&[u8])
             Err(_) => panic!("{name} hangs on input {number}; see {}", keep(name, number, &last)),
         }
     }
-    let verdict: Result<(), String> = ended.recv().expect("the worker tells");
-    assert_eq!(verdict, Ok(()));
+    let verdict: Result<usize, String> = ended.recv().expect("the worker tells");
+    let peak = verdict.unwrap_or_else(|fault| panic!("{fault}"));
     assert_eq!(number, count);
-    println!("{name}: {count} inputs, no fault");
+    println!("{name}: {count} inputs, no fault; largest peak {} kB", peak >> 10);
 }
 
 fn text(seeds: &[&str]) -> Mutator {

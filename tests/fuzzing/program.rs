@@ -1,11 +1,13 @@
-//! The program itself on a part of the inputs: its exit code is 0, 1 or 2, it ends, and no panic is printed.
+//! The program itself on a part of the inputs: its exit code is 0, 1 or 2, it ends, no panic is printed, and its memory
+//! has a bound.
 
 use std::io::Write;
-use std::os::unix::process::CommandExt;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
+use nix::libc;
 use nix::sys::resource::{Resource, setrlimit};
 
 use super::mutator::{Form, Mutator};
@@ -17,6 +19,8 @@ const SHARE: u64 = 40;
 const HANG: Duration = Duration::from_secs(60);
 /// Address space of a run, bytes.
 const MOST_MEMORY: u64 = 2 << 30;
+/// Resident memory of a run, or of a child of its own, bytes.
+const MOST_RESIDENT: u64 = 1 << 30;
 
 /// Where a changed file goes.
 enum To {
@@ -28,7 +32,7 @@ enum To {
 fn fuzz(name: &str, mut mutator: Mutator, to: &To, arguments: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path());
-    let mut codes = [0_u64; 3];
+    let (mut codes, mut peak) = ([0_u64; 3], 0);
     for number in 0..inputs().div_ceil(SHARE) {
         let input = mutator.next_input();
         let mut command = Command::new(env!("CARGO_BIN_EXE_stagepose"));
@@ -38,17 +42,32 @@ fn fuzz(name: &str, mut mutator: Mutator, to: &To, arguments: &[&str]) {
             To::File(file) => std::fs::write(folder.path().join(file), &input).unwrap(),
             To::Stdin => drop(command.stdin(Stdio::piped())),
         }
-        let fault = run(&mut command, matches!(to, To::Stdin).then_some(&input))
-            .and_then(|code| codes.get_mut(code as usize).map(|count| *count += 1).ok_or_else(|| format!("ends with {code}")));
+        let fault = run(&mut command, matches!(to, To::Stdin).then_some(&input)).and_then(|(code, resident)| {
+            peak = peak.max(resident);
+            codes.get_mut(code as usize).map(|count| *count += 1).ok_or_else(|| format!("ends with {code}"))
+        });
         if let Err(fault) = fault {
             panic!("{name} {fault} on input {number}; see {}", keep(name, number, &input));
         }
     }
-    println!("{name}: exit codes 0, 1, 2 came {codes:?} times");
+    println!("{name}: exit codes 0, 1, 2 came {codes:?} times; largest peak {} MB resident", peak >> 20);
 }
 
-/// The exit code, or what is wrong with the run.
-fn run(command: &mut Command, stdin: Option<&Vec<u8>>) -> Result<i32, String> {
+/// How a child ended and its peak of resident memory, bytes; `None` while it runs. The kernel counts the child's own
+/// children too, and what this process held when it forked.
+fn ended(child: &Child) -> Option<(ExitStatus, u64)> {
+    let (pid, mut status) = (child.id() as libc::pid_t, 0);
+    // SAFETY: all zeros is a value of this plain struct.
+    let mut usage: libc::rusage = unsafe { std::mem::zeroed() };
+    // SAFETY: both pointers are to variables that outlive the call; nobody else waits for the child.
+    let reaped = unsafe { libc::wait4(pid, &raw mut status, libc::WNOHANG, &raw mut usage) };
+    assert!(reaped >= 0, "the child can be waited for");
+    (reaped == pid).then(|| (ExitStatus::from_raw(status), usage.ru_maxrss as u64 * 1024))
+}
+
+/// The exit code and the peak of resident memory in bytes, or what is wrong with the run.
+#[allow(clippy::zombie_processes)] // `ended` waits for it, by wait4
+fn run(command: &mut Command, stdin: Option<&Vec<u8>>) -> Result<(i32, u64), String> {
     // SAFETY: setrlimit is async-signal-safe, and nothing is allocated on the way to it.
     unsafe { command.pre_exec(|| setrlimit(Resource::RLIMIT_AS, MOST_MEMORY, MOST_MEMORY).map_err(std::io::Error::from)) };
     let mut child = command.spawn().expect("the program starts");
@@ -59,9 +78,9 @@ fn run(command: &mut Command, stdin: Option<&Vec<u8>>) -> Result<i32, String> {
         std::io::Read::read_to_end(&mut stderr, &mut text).map(|_| String::from_utf8_lossy(&text).into_owned())
     });
     let begun = Instant::now();
-    let status = loop {
-        if let Some(status) = child.try_wait().expect("it can be waited for") {
-            break status;
+    let (status, resident) = loop {
+        if let Some(end) = ended(&child) {
+            break end;
         }
         if begun.elapsed() > HANG {
             child.kill().expect("it can be ended");
@@ -75,7 +94,10 @@ fn run(command: &mut Command, stdin: Option<&Vec<u8>>) -> Result<i32, String> {
     if told.contains("panicked") {
         return Err(format!("prints a panic ({})", told.lines().next().unwrap_or_default()));
     }
-    status.code().ok_or_else(|| format!("is killed ({status}; {told})"))
+    if resident > MOST_RESIDENT {
+        return Err(format!("holds {} MB", resident >> 20));
+    }
+    status.code().map(|code| (code, resident)).ok_or_else(|| format!("is killed ({status}; {told})"))
 }
 
 /// A stage with a small clip.

@@ -10,6 +10,14 @@ pub(crate) fn what_to_type(text: &str, at: usize) -> Option<String> {
     corrected(line).map(|(why, line)| format!("{why}; write: {line}"))
 }
 
+/// The section that the line begins, by its name in single brackets; `None` where it begins none.
+pub(crate) fn single_section(text: &str, at: usize) -> Option<&str> {
+    let start = text.get(..at)?.rfind('\n').map_or(0, |newline| newline + 1);
+    let line = without_remark(text.get(start..)?.lines().next()?).trim();
+    let name = line.strip_prefix('[')?.strip_suffix(']')?.trim();
+    name.split('.').all(|part| is_key(part.trim())).then_some(name)
+}
+
 /// What an array of so many numbers was meant to be: 4 for two numbers with decimal commas.
 pub(crate) fn points_for_commas(text: &str, span: std::ops::Range<usize>, wanted: usize) -> Option<String> {
     let array = text.get(span)?.trim().strip_prefix('[')?.strip_suffix(']')?;
@@ -30,7 +38,9 @@ fn corrected(line: &str) -> Option<(&'static str, String)> {
         let (open, name) = header.strip_prefix('[').map_or(("[", header), |name| ("[[", name));
         let name = name.split(['#', ']']).next()?.trim();
         let close = if open == "[" { "]" } else { "]]" };
-        return Some(("a section's name stands in brackets", format!("{open}{name}{close}")));
+        let header = format!("{open}{name}{close}");
+        let is_right = without_remark(line).trim() == header;
+        return (!is_right).then_some(("a section's name stands in brackets", header));
     }
     let Some((key, value)) = line.split_once('=') else {
         let (key, value) = line.split_once(':').filter(|(key, _)| is_key(key.trim()))?;
@@ -130,7 +140,19 @@ mod tests {
             let said = what_to_type(&format!("# a\n  {line}\nnext = 1\n"), 5).unwrap();
             assert!(said.ends_with(&format!("; write: {wanted}")), "{line}: {said}");
         }
-        for line in ["nonsense", "a = \"b\" \"c\"", "a = }", "= 3", "", "a = 3", "a = 2.5", "a = true", "a = [1, 2]"] {
+        for line in [
+            "[camera]",
+            "[camera] # again",
+            "nonsense",
+            "a = \"b\" \"c\"",
+            "a = }",
+            "= 3",
+            "",
+            "a = 3",
+            "a = 2.5",
+            "a = true",
+            "a = [1, 2]",
+        ] {
             assert_eq!(what_to_type(line, 0), None, "{line}");
         }
         assert_eq!((what_to_type("a", 9), what_to_type("ä = 1", 1)), (None, None));

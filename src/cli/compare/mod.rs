@@ -43,7 +43,8 @@ pub(super) struct CompareArguments {
     camera_b: Option<PathBuf>,
     #[command(flatten)]
     features: FeatureArguments,
-    /// Largest distance of a match from its epipolar line, pixels, at which it agrees; from its place by the homography 1.25 times as much
+    /// Largest distance of a match from its epipolar line, pixels, at which it agrees; the
+    /// homography's noise is estimated, up to 2.5 times this
     #[arg(long, value_name = "PX", default_value_t = CompareOptions::default().threshold_px)]
     threshold_px: f64,
     /// How far the camera moved, metres: gives the move its length

@@ -1,0 +1,253 @@
+//! Robust homography of pairs whose noise is not known and whose scene is not quite flat.
+//!
+//! Samples are drawn in the order of match quality, scored and refined by the likelihood that is
+//! marginalised over the noise ([`super::marginal_noise`]), so that no threshold says which pairs
+//! are right: with a fixed one the best plane is the one that most pairs lie nearest to, a part of
+//! a scene that is not quite flat. The last fits weight each pair by how much its neighbours say
+//! the same ([`super::shared_errors`]), so that a part of the scene counts by its size and not by
+//! how many pairs it has. The generator is seeded, so the same matches give the same answer.
+
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2};
+
+use super::distances::squared_sampson_of_homography;
+use super::homography::{Homography, PointPair};
+use super::least_squares::{Damping, LEAST_GAIN_OF_PAIRS, Options, Problem, minimise};
+use super::marginal_noise::{MarginalNoise, QUANTILE};
+use super::noise::Dimensions;
+use super::normalisation::normalising;
+use super::ransac::{self, Estimator};
+use super::robust::{self, RobustModel, RobustOptions};
+use super::shared_errors::Patches;
+
+/// A homography that little more than its own sample agrees with is none.
+const LEAST_SCORE: f64 = 3.5;
+/// Steps of a refinement in the search, and of the last one. Raised, the search takes longer; the
+/// last one has converged by then.
+const STEPS_IN_SEARCH: usize = 4;
+const LAST_STEPS: usize = 30;
+/// Distance that 95 % of noise in two coordinates is within, standard deviations. Raised, wrong
+/// pairs agree; lowered, right ones do not.
+const INLIER_SIGMAS: f64 = 2.45;
+/// Largest deviation over the one that shows, at the least, in the last step: so near to the
+/// largest, true pairs would lose weight by being as far as they are. Raised, noise of that size
+/// is borne better and pairs of another plane pull more.
+const ROOM: f64 = 3.0;
+/// Fits by what neighbours share, at most, and the change of their correlation that ends them.
+const ROUNDS: usize = 6;
+const LEAST_CHANGE: f64 = 0.01;
+
+/// Finds the homography that the pairs speak for most, or `None` when fewer than four ever agree.
+/// `most_noise` is the largest standard deviation that the noise of a coordinate may have, pixels;
+/// distances are Sampson's in both pictures, those beyond three of it count nothing.
+///
+/// Inliers are within 95 % of the noise that the pairs show, and those within `options.threshold`
+/// are inliers in any case.
+pub fn homography_of_unknown_noise(pairs: &[PointPair], most_noise: f64, options: &RobustOptions) -> Option<RobustModel<Homography>> {
+    let RobustOptions { threshold, max_samples, confidence, order, seed, .. } = *options;
+    if !(robust::is_sound(options) && most_noise.is_finite() && most_noise > 0.0) {
+        return None;
+    }
+    let indices = robust::usable(pairs);
+    let pairs: Vec<PointPair> = indices.iter().map(|&k| pairs[k]).collect();
+    let search = ransac::Options { samples: max_samples, confidence: Some(confidence), order, least_score: LEAST_SCORE, keep: 1, seed };
+    let widest = QUANTILE * most_noise;
+    let plane = Plane { pairs: &pairs, noise: MarginalNoise::up_to(widest) };
+    let (score, homography) = ransac::search(&plane, &search).pop()?;
+    let (homography, score) = plane.refined(homography, score, LAST_STEPS);
+    let judged = |homography: &Homography, threshold| {
+        let squared = pairs.iter().map(|p| squared_sampson_of_homography(homography, p));
+        RobustModel { score, ..RobustModel::judged(*homography, squared, threshold, Dimensions::Two) }
+    };
+    let widest = widest.max(QUANTILE * ROOM * judged(&homography, widest).sigma);
+    let plane = Plane { pairs: &pairs, noise: MarginalNoise::up_to(widest) };
+    let homography = plane.fitted_by_patches(homography, 2.0 * threshold);
+    let found = judged(&homography, (INLIER_SIGMAS * judged(&homography, widest).sigma).max(threshold));
+    (found.inliers.len() >= 4).then(|| found.among(&indices))
+}
+
+/// Pairs of points on two planes, of which four make a homography.
+struct Plane<'a> {
+    pairs: &'a [PointPair],
+    noise: MarginalNoise,
+}
+
+impl Estimator<4> for Plane<'_> {
+    type Model = Homography;
+
+    fn count(&self) -> usize {
+        self.pairs.len()
+    }
+
+    fn models(&self, sample: [usize; 4]) -> impl Iterator<Item = Homography> {
+        Homography::from_four(&sample.map(|k| self.pairs[k])).into_iter()
+    }
+
+    fn score(&self, h: &Homography, bar: f64) -> Option<f64> {
+        let (mut score, mut left) = (0.0, self.pairs.len() as f64);
+        for pair in self.pairs {
+            left -= 1.0;
+            score += self.noise.agreement(squared_sampson_of_homography(h, pair));
+            if score + left < bar {
+                return None;
+            }
+        }
+        Some(score).filter(|score| *score > bar)
+    }
+
+    fn improved(&self, h: Homography, score: f64) -> (Homography, f64) {
+        let near = self.near(&h);
+        let linear = Homography::from_pairs(&near, None).and_then(|h| Some((h, self.score(&h, score)?)));
+        let (h, score) = linear.unwrap_or((h, score));
+        self.refined(h, score, STEPS_IN_SEARCH)
+    }
+
+    fn agrees(&self, h: &Homography, datum: usize) -> bool {
+        squared_sampson_of_homography(h, &self.pairs[datum]) < self.noise.t2()
+    }
+}
+
+impl Plane<'_> {
+    fn near(&self, h: &Homography) -> Vec<PointPair> {
+        self.pairs.iter().filter(|p| squared_sampson_of_homography(h, *p) < self.noise.t2()).copied().collect()
+    }
+
+    /// Refined on all that counts, unless that makes it worse.
+    fn refined(&self, h: Homography, score: f64, steps: usize) -> (Homography, f64) {
+        let near = self.near(&h);
+        let next = SampsonErrors::new(&near, vec![1.0; near.len()], &self.noise).and_then(|mut errors| errors.refined(&h, steps));
+        next.and_then(|next| Some((next, self.score(&next, score)?))).unwrap_or((h, score))
+    }
+
+    /// Fitted to all that counts, each pair by its share of what its neighbours say. `same`: pixels
+    /// between two places that are one.
+    fn fitted_by_patches(&self, mut h: Homography, same: f64) -> Homography {
+        let near = self.near(&h);
+        let patches = Patches::new(near.iter().map(|p| p.from).collect(), same);
+        let Some(mut errors) = SampsonErrors::new(&near, vec![1.0; near.len()], &self.noise) else { return h };
+        let mut correlation = 0.0;
+        for round in 0..ROUNDS {
+            let Some(next) = errors.refined(&h, LAST_STEPS) else { break };
+            h = next;
+            let before = std::mem::replace(&mut correlation, patches.correlation(&errors.whitened(&h)));
+            if round > 0 && (correlation - before).abs() < LEAST_CHANGE {
+                break;
+            }
+            errors.shares = patches.shares(correlation);
+        }
+        h
+    }
+}
+
+/// Sampson distances, pixels, of pairs that are normalised.
+struct SampsonErrors<'a> {
+    pairs: Vec<PointPair>,
+    /// What each pair counts.
+    shares: Vec<f64>,
+    /// What normalises the places of the first and of the second picture.
+    scales: [Matrix3<f64>; 2],
+    noise: &'a MarginalNoise,
+}
+
+/// One pair's transfer error, its derivative by the entries of H (row by row), and the inverse of
+/// its covariance for noise of a pixel.
+struct Row {
+    error: Vector2<f64>,
+    by_h: SMatrix<f64, 2, 9>,
+    information: Matrix2<f64>,
+}
+
+impl<'a> SampsonErrors<'a> {
+    /// `None` where the places are one.
+    fn new(pairs: &[PointPair], shares: Vec<f64>, noise: &'a MarginalNoise) -> Option<Self> {
+        let scales = [normalising(pairs.iter().map(|p| p.from))?, normalising(pairs.iter().map(|p| p.to))?];
+        let scaled = |by: &Matrix3<f64>, p: Vector2<f64>| (by * p.push(1.0)).xy();
+        let of = |p: &PointPair| PointPair { from: scaled(&scales[0], p.from), to: scaled(&scales[1], p.to) };
+        Some(Self { pairs: pairs.iter().map(of).collect(), shares, scales, noise })
+    }
+
+    /// Levenberg's and Marquardt's method, by the weights of the marginal likelihood.
+    fn refined(&mut self, start: &Homography, iterations: usize) -> Option<Homography> {
+        let [from, to] = self.scales;
+        let (from_inverse, to_inverse) = (from.try_inverse()?, to.try_inverse()?);
+        let damping = Damping { now: 1e-6, least: 1e-12, most: 1e3 };
+        let options = Options { iterations, damping, least_gain: LEAST_GAIN_OF_PAIRS };
+        let start = to * start.0 * from_inverse;
+        let (scaled, _) = minimise(self, start / start.norm(), &options);
+        let front = self.pairs.iter().map(|p| (scaled * p.from.push(1.0)).z.signum()).sum::<f64>();
+        let h = to_inverse * scaled * from;
+        let h = h * (front.signum() / h.norm());
+        h.iter().all(|v| v.is_finite()).then_some(Homography(h))
+    }
+
+    /// Each pair's error, of unit covariance for noise of a pixel, and its weight by its distance.
+    fn whitened(&self, h: &Homography) -> Vec<(Vector2<f64>, f64)> {
+        let [from, to] = self.scales;
+        let nothing = (Vector2::zeros(), 0.0);
+        let Some(from_inverse) = from.try_inverse() else { return vec![nothing; self.pairs.len()] };
+        let scaled = to * h.0 * from_inverse;
+        let of = |row: Row| {
+            let root = row.information.cholesky()?.l().transpose();
+            Some((root * row.error, self.noise.weight(Self::squared(&row))))
+        };
+        self.pairs.iter().map(|p| self.row(&scaled, p).and_then(of).unwrap_or(nothing)).collect()
+    }
+
+    fn row(&self, h: &Matrix3<f64>, pair: &PointPair) -> Option<Row> {
+        let a = pair.from.push(1.0);
+        let v = h * a;
+        if v.z.abs() < 1e-9 {
+            return None;
+        }
+        let q = v.xy() / v.z;
+        let mut by_h = SMatrix::<f64, 2, 9>::zeros();
+        for k in 0..2 {
+            by_h.fixed_view_mut::<1, 3>(k, 3 * k).copy_from(&(a / v.z).transpose());
+            by_h.fixed_view_mut::<1, 3>(k, 6).copy_from(&(a * (-q[k] / v.z)).transpose());
+        }
+        let by_point = (h.fixed_view::<2, 2>(0, 0) - q * h.fixed_view::<1, 2>(2, 0)) / v.z;
+        let [first, second] = self.scales.map(|scale| scale[(0, 0)] * scale[(0, 0)]);
+        let covariance = by_point * by_point.transpose() * first + Matrix2::identity() * second;
+        Some(Row { error: q - pair.to, by_h, information: covariance.try_inverse()? })
+    }
+
+    fn squared(row: &Row) -> f64 {
+        row.error.dot(&(row.information * row.error))
+    }
+}
+
+impl Problem for SampsonErrors<'_> {
+    type State = Matrix3<f64>;
+    type Normal = (SMatrix<f64, 9, 9>, SVector<f64, 9>);
+
+    fn cost(&self, h: &Matrix3<f64>) -> f64 {
+        let loss = |p: &PointPair| self.row(h, p).map_or(1.0, |row| 1.0 - self.noise.agreement(Self::squared(&row)));
+        self.pairs.iter().zip(&self.shares).map(|(p, share)| share * loss(p)).sum()
+    }
+
+    fn linearised(&self, h: &Matrix3<f64>) -> Self::Normal {
+        let (mut normal, mut gradient) = (SMatrix::<f64, 9, 9>::zeros(), SVector::<f64, 9>::zeros());
+        for (pair, share) in self.pairs.iter().zip(&self.shares) {
+            let Some(row) = self.row(h, pair) else { continue };
+            let weighted = row.information * (share * self.noise.weight(Self::squared(&row)));
+            let transposed = row.by_h.transpose() * weighted;
+            normal += transposed * row.by_h;
+            gradient += transposed * row.error;
+        }
+        // The scale of H is free: pin it by a unit constraint along h itself.
+        let along = SVector::<f64, 9>::from_iterator(h.transpose().iter().copied());
+        let trace = normal.trace();
+        (normal + along * along.transpose() * trace, gradient)
+    }
+
+    fn stepped(&self, h: &Matrix3<f64>, (normal, gradient): &Self::Normal, damping: f64) -> Option<Matrix3<f64>> {
+        // The constraint adds the trace once: half of it is the data's.
+        let share = damping * 0.5 * normal.trace() / 9.0;
+        let damped = normal + SMatrix::<f64, 9, 9>::identity() * share;
+        let next = h - Matrix3::from_row_slice(damped.cholesky()?.solve(gradient).as_slice());
+        Some(next / next.norm())
+    }
+}
+
+#[cfg(test)]
+#[path = "marginal_homography_tests.rs"]
+mod tests;
