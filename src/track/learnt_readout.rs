@@ -7,6 +7,7 @@ use std::collections::VecDeque;
 
 use super::agreement::{Agreement, AgreementBuffers, BLOCK, LEAST_FRAMES, Said};
 use super::align::ShutterClue;
+use super::learnt_camera::LearntTime;
 use super::shutter_news::ShutterNews;
 
 /// Frames whose own answer is no better than this, one sigma in seconds, tell nothing: about the readout of a usual sensor. Raised, still frames count, which only
@@ -86,6 +87,11 @@ pub struct Known {
 }
 
 impl Known {
+    /// The same as a time that was learnt.
+    pub fn as_time(&self) -> LearntTime {
+        LearntTime { seconds: self.readout_s, sigma_s: self.sigma_s }
+    }
+
     /// Before the first frame of an unknown camera.
     const NOTHING: Self = Self { readout_s: 0.0, sigma_s: UNKNOWN_SIGMA_S };
 
@@ -250,7 +256,7 @@ impl LearntReadout {
         self.used.sigma_s = sigma_s.hypot(readout_s - self.used.readout_s);
         if self.used.is_sure() && !self.has_told_news && self.told.len() >= 2 * LEAST_FRAMES {
             self.has_told_news = true;
-            self.news = Some(ShutterNews::ReadoutLearnt(self.used));
+            self.news = Some(ShutterNews::ReadoutLearnt(self.used.as_time()));
         }
     }
 
@@ -263,7 +269,7 @@ impl LearntReadout {
     fn compare(&mut self, configured_s: f64, found: Known) {
         if !self.has_told_news && self.told.len() >= 2 * LEAST_FRAMES && contradict(self.before, found) {
             self.has_told_news = true;
-            self.news = Some(ShutterNews::ReadoutContradicted { configured_s, found });
+            self.news = Some(ShutterNews::ReadoutContradicted { configured_s, found: found.as_time() });
             // It is used all the same, but no longer believed.
             self.used.sigma_s = (found.readout_s - configured_s).abs();
         }
@@ -339,7 +345,7 @@ mod tests {
         let mut wrong = LearntReadout::new(Some(0.01), None);
         shaken(&mut wrong, 0.02, 60);
         let news = wrong.news();
-        assert!(matches!(news, Some(ShutterNews::ReadoutContradicted { found, .. }) if (found.readout_s - 0.02).abs() < 1e-3), "{news:?}");
+        assert!(matches!(news, Some(ShutterNews::ReadoutContradicted { found, .. }) if (found.seconds - 0.02).abs() < 1e-3), "{news:?}");
         assert_eq!((wrong.used().readout_s, wrong.news(), wrong.learnt()), (0.01, None, None));
         assert!((wrong.used().sigma_s - 0.01).abs() < 1e-3);
         let mut right = LearntReadout::new(Some(0.02), None);

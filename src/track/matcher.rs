@@ -296,7 +296,7 @@ impl Matcher {
 
     /// What is known of the camera by its pictures; nothing of what is configured.
     pub fn learnt(&self) -> LearntCamera {
-        let readout = self.readout.learnt().map(|Known { readout_s, sigma_s }| LearntTime { seconds: readout_s, sigma_s });
+        let readout = self.readout.learnt().map(|known| known.as_time());
         let exposure = self.bodies.first().and_then(|stage| stage.aligner.learnt_exposure());
         LearntCamera { readout, exposure: exposure.map(|(seconds, sigma_s)| LearntTime { seconds, sigma_s }) }
     }

@@ -1,19 +1,19 @@
 //! What there is to say of the shutter: each item once in a session.
 
-use super::learnt_readout::Known;
+use super::learnt_camera::LearntTime;
 
 /// What frames showed of the shutter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum ShutterNews {
     /// The readout was not configured, and is known now.
-    ReadoutLearnt(Known),
+    ReadoutLearnt(LearntTime),
     /// Frames contradict the configured readout.
     ReadoutContradicted {
         /// As configured, seconds.
         configured_s: f64,
         /// What the frames fit.
-        found: Known,
+        found: LearntTime,
     },
     /// The blur of moving frames contradicts the configured exposure.
     ExposureContradicted {
@@ -28,14 +28,14 @@ impl ShutterNews {
     /// A sentence, with the fix.
     pub fn text(&self) -> String {
         match self {
-            Self::ReadoutLearnt(Known { readout_s: 0.0, .. }) => {
+            Self::ReadoutLearnt(LearntTime { seconds: 0.0, .. }) => {
                 "the shutter is known now: all rows are exposed together (shutter = \"global\")".to_owned()
             }
-            Self::ReadoutLearnt(Known { readout_s, sigma_s }) => {
+            Self::ReadoutLearnt(LearntTime { seconds: readout_s, sigma_s }) => {
                 let [readout_ms, sigma_ms] = [readout_s, sigma_s].map(|s| 1e3 * s);
                 format!("the shutter is known now: rows are read in {readout_ms:.2} ms +- {sigma_ms:.2} (readout_s = {readout_s:.5})")
             }
-            Self::ReadoutContradicted { configured_s, found: Known { readout_s, sigma_s } } => format!(
+            Self::ReadoutContradicted { configured_s, found: LearntTime { seconds: readout_s, sigma_s } } => format!(
                 "readout_s is configured as {configured_s}, but the rows of the frames fit {readout_s:.5} +- {sigma_s:.5}: poses of a \
                  moving camera are less sure; correct readout_s, or remove it, and it is learnt"
             ),
