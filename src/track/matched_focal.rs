@@ -46,6 +46,11 @@ const RESECTION_STEPS: usize = 10;
 const ASKEW_SIGMA: f64 = 0.005;
 const PLACE_SIGMA_M: f64 = 0.01;
 const DIRECTION_SIGMA: f64 = 0.01;
+/// How far the camera may move while the rows are read, one sigma: metres and radians. A webcam that
+/// is carried at 1 m/s and turned at 1 rad/s. Raised, wrong lenses of moving cameras are found later.
+const MOVED_SIGMA: [f64; 2] = [0.02, 0.02];
+/// Sigma of what is held fixed: keeps the equations regular.
+const FIXED_SIGMA: f64 = 1e-6;
 
 /// What matches say of the focal length.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,13 +68,15 @@ pub enum MatchedFocal {
 
 /// Asks matches for the focal length.
 ///
-/// `pose`: `T_camera_body` by the calibrated one. `suspected`: logarithm of the focal length that
+/// `pose`: `T_camera_body` by the calibrated one. `is_global`: all rows are known to be exposed
+/// together; else the camera may have moved while they were read. `suspected`: logarithm of the focal length that
 /// earlier matches fit over the calibrated one.
 pub fn matched_focal(
     pose: &Pose<Camera, Body>,
     camera: &CameraModel,
     body: &PreparedBody,
     matches: &[AgreeingMatch],
+    is_global: bool,
     suspected: Option<f64>,
 ) -> MatchedFocal {
     if matches.len() < MIN_MATCHES {
@@ -77,7 +84,7 @@ pub fn matched_focal(
     }
     let asked: Vec<AgreeingMatch> = matches.iter().step_by(matches.len().div_ceil(MAX_MATCHES)).copied().collect();
     let observations: Vec<Observation> = asked.iter().map(|m| m.observation).collect();
-    let trial = Trial { camera, body, matches: &asked, observations: &observations };
+    let trial = Trial { camera, body, matches: &asked, observations: &observations, is_global };
     trial.ask(pose, suspected).unwrap_or(MatchedFocal::Unclear)
 }
 
@@ -96,6 +103,7 @@ struct Trial<'a> {
     body: &'a PreparedBody,
     matches: &'a [AgreeingMatch],
     observations: &'a [Observation],
+    is_global: bool,
 }
 
 impl Trial<'_> {
@@ -105,11 +113,14 @@ impl Trial<'_> {
         let excess = calibrated.cost - self.matches.iter().map(|m| m.floor).sum::<f64>();
         if excess > MIN_MISFIT * self.observations.len() as f64 {
             let best = self.best(calibrated);
-            let askew = self.askew_cost(&calibrated).unwrap_or(calibrated.cost).min(calibrated.cost);
-            debug!(change = best.change, calibrated = calibrated.cost, excess, askew, left = best.cost, "focal length by matches");
+            let rival = |moved, askew| self.rival_cost(&calibrated, moved, askew).unwrap_or(calibrated.cost).min(calibrated.cost);
+            let moved = if self.is_global { calibrated.cost } else { rival(true, false) };
+            let askew = rival(!self.is_global, true);
+            debug!(change = best.change, calibrated = calibrated.cost, excess, moved, askew, left = best.cost, "focal length by matches");
             let is_inside = best.change.abs() < (f64::from(STEPS) - 0.5) * STEP;
             let gain = calibrated.cost - best.cost;
-            if is_inside && gain > self.min_gain(&best) && gain > MIN_SHARE * excess {
+            let is_moved = moved - best.cost < self.min_gain(&best);
+            if is_inside && !is_moved && gain > self.min_gain(&best) && gain > MIN_SHARE * excess {
                 if askew - best.cost > self.min_gain(&best) {
                     return Some(MatchedFocal::Changed(best.change));
                 }
@@ -172,19 +183,31 @@ impl Trial<'_> {
         last
     }
 
-    /// The cost where the calibrated lens is right, and pictures are askew and surfaces off their
-    /// places: the linear step from a fit, with what it takes of their sigmas.
-    fn askew_cost(&self, fit: &Fit) -> Option<f64> {
+    /// The cost where the calibrated lens is right, and the camera moved while the rows were read, or
+    /// pictures are askew and surfaces off their places: the linear step from a fit, with what it
+    /// takes of their sigmas.
+    fn rival_cost(&self, fit: &Fit, is_moved: bool, is_askew: bool) -> Option<f64> {
         let count = self.body.surfaces.len();
-        let (corners, places) = (6, 6 + CORNERS * count);
+        let (motion, corners) = (6, 12);
+        let places = corners + CORNERS * count;
         let n = places + 6 * (count - 1);
         let doubt = |k: usize| &self.body.surfaces[k].spec.doubt;
-        let prior = DVector::from_fn(n, |k, _| match k {
-            0..6 => 0.0,
-            k if k < places => ASKEW_SIGMA.max(doubt((k - corners) / CORNERS).corners_share()).powi(-2),
-            k if (k - places) % 6 < 3 => PLACE_SIGMA_M.max(doubt(1 + (k - places) / 6).position_m).powi(-2),
-            k => DIRECTION_SIGMA.max(doubt(1 + (k - places) / 6).rotation_rad).powi(-2),
-        });
+        let sigma = |k: usize| match k {
+            0..6 => f64::INFINITY,
+            k if k < corners => {
+                if is_moved {
+                    MOVED_SIGMA[(k - motion) / 3]
+                } else {
+                    FIXED_SIGMA
+                }
+            }
+            _ if !is_askew => FIXED_SIGMA,
+            k if k < places => ASKEW_SIGMA.max(doubt((k - corners) / CORNERS).corners_share()),
+            k if (k - places) % 6 < 3 => PLACE_SIGMA_M.max(doubt(1 + (k - places) / 6).position_m),
+            k => DIRECTION_SIGMA.max(doubt(1 + (k - places) / 6).rotation_rad),
+        };
+        let prior = DVector::from_fn(n, |k, _| sigma(k).powi(-2));
+        let row_share = |y: f64| (y + 0.5) / f64::from(self.camera.height()) - 0.5;
         let still = MovingCamera::still(self.camera);
         let to_camera = fit.pose.rotation_matrix();
         let mut normal = DMatrix::from_diagonal(&prior);
@@ -195,6 +218,7 @@ impl Trial<'_> {
             let (k, mut row) = (m.surface as usize, Matrix2xX::zeros(n));
             let spec = &self.body.surfaces[k].spec;
             row.columns_mut(0, 6).copy_from(&by_pose);
+            row.columns_mut(motion, 6).copy_from(&(by_pose * row_share(m.observation.pixel.y)));
             let by_point = by_pose.fixed_columns::<3>(0) * to_camera;
             let by_picture = by_point * spec.pose.rotation_matrix();
             for (j, moved) in moved_by_corners(spec.size_m, m.on_picture_m).into_iter().enumerate() {
@@ -282,7 +306,7 @@ mod tests {
         let found = matches(&configured, &real, camera, pose);
         let observations: Vec<Observation> = found.iter().map(|m| m.observation).collect();
         let start = resect(pose, &MovingCamera::still(calibrated), &observations, 30).expect("a pose").pose;
-        matched_focal(&start, calibrated, &configured, &found, None)
+        matched_focal(&start, calibrated, &configured, &found, true, None)
     }
 
     #[test]
@@ -334,18 +358,39 @@ mod tests {
     }
 
     #[test]
+    fn rows_that_a_motion_displaces_accuse_no_lens() {
+        let (body, calibrated) = (prepared(with_flat()), lens(640, 480));
+        let aside = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
+        for twist in [[0.02, 0.0, 0.0, 0.0, 0.02, 0.0], [0.0, 0.01, 0.02, 0.02, 0.0, 0.0], [-0.01, 0.0, -0.02, -0.01, 0.015, 0.01]] {
+            let mut found = matches(&body, &body, &calibrated, &aside);
+            for m in &mut found {
+                let share = (m.observation.pixel.y + 0.5) / 480.0 - 0.5;
+                let (_, by_pose) = residual_and_jacobian(&aside, &MovingCamera::still(&calibrated), &m.observation).expect("it is seen");
+                m.observation.pixel += by_pose * nalgebra::Vector6::from(twist) * share;
+            }
+            assert_eq!(matched_focal(&aside, &calibrated, &body, &found, false, None), MatchedFocal::Unclear, "{twist:?}");
+        }
+        // Another mode is found all the same.
+        let found = matches(&body, &body, &zoomed(0.8), &aside);
+        let observations: Vec<Observation> = found.iter().map(|m| m.observation).collect();
+        let start = resect(&aside, &MovingCamera::still(&calibrated), &observations, 30).expect("a pose").pose;
+        let said = matched_focal(&start, &calibrated, &body, &found, false, None);
+        assert!(matches!(said, MatchedFocal::Changed(change) if (change - 0.8_f64.ln()).abs() < 0.03), "{said:?}");
+    }
+
+    #[test]
     fn a_doubt_is_taken_back_where_the_calibrated_lens_fits_better() {
         let body = prepared(with_flat());
         let calibrated = lens(640, 480);
         let aside = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
         let found = matches(&body, &body, &calibrated, &aside);
         for suspected in [-0.4, -0.1, 0.08, 0.3] {
-            assert_eq!(matched_focal(&aside, &calibrated, &body, &found, Some(suspected)), MatchedFocal::Calibrated, "{suspected}");
+            assert_eq!(matched_focal(&aside, &calibrated, &body, &found, true, Some(suspected)), MatchedFocal::Calibrated, "{suspected}");
         }
         // From ahead nothing is taken back.
         let (flat, ahead) = (prepared(vec![cloth(1)]), facing(0.0, 0.0, Vector3::new(0.0, 0.0, 5.0)));
         let found = matches(&flat, &flat, &calibrated, &ahead);
-        assert_eq!(matched_focal(&ahead, &calibrated, &flat, &found, Some(0.1)), MatchedFocal::Unclear);
-        assert_eq!(matched_focal(&ahead, &calibrated, &flat, &found[..20], Some(0.1)), MatchedFocal::Unclear);
+        assert_eq!(matched_focal(&ahead, &calibrated, &flat, &found, true, Some(0.1)), MatchedFocal::Unclear);
+        assert_eq!(matched_focal(&ahead, &calibrated, &flat, &found[..20], true, Some(0.1)), MatchedFocal::Unclear);
     }
 }

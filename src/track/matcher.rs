@@ -466,7 +466,8 @@ impl Matcher {
         }
         if !matches.is_empty() {
             let suspected = self.lens_watch.by_matches();
-            let said = matched_focal(&found.pose.inverse(), &self.camera, &stage.body, &matches, suspected);
+            let is_global = self.shutter.readout_s == 0.0 && self.readout.used().sigma_s == 0.0;
+            let said = matched_focal(&found.pose.inverse(), &self.camera, &stage.body, &matches, is_global, suspected);
             self.lens_watch.hear_matches(said);
         }
     }
