@@ -35,8 +35,8 @@ const CLEARLY: f64 = 0.02;
 const SWAPPED: f64 = 0.8;
 /// Of the logarithm: pixels that are less far from square are a lens' own. Raised, clips that are stretched by little pass.
 const LEAST_STRETCH: f64 = 0.03;
-/// Of the logarithm: 2.2 times. Anamorphic lenses squeeze by 2, programs by 1.33. Raised, a size that is
-/// wrong passes for a stretched clip.
+/// Of the logarithm: 2.2 times. Anamorphic lenses squeeze by 2, programs by 1.33. Raised, a wrong
+/// size passes for a stretched clip.
 const MAX_STRETCH: f64 = 0.79;
 /// Two ratios are the same within this, of the logarithm: it tells a swap of width and height from a coincidence. Chosen, not tuned.
 /// Raised, more ratios are called a swap, and fewer nearly square surfaces can be.

@@ -18,6 +18,7 @@ use super::normalisation::normalising;
 use super::ransac::{self, Estimator};
 use super::robust::{self, RobustModel, RobustOptions};
 use super::shared_errors::Patches;
+use super::transfer_refinement::{damped_step, with_pinned_scale};
 
 /// A homography that little more than its own sample agrees with is none.
 const LEAST_SCORE: f64 = 3.5;
@@ -233,18 +234,11 @@ impl Problem for SampsonErrors<'_> {
             normal += transposed * row.by_h;
             gradient += transposed * row.error;
         }
-        // The scale of H is free: pin it by a unit constraint along h itself.
-        let along = SVector::<f64, 9>::from_iterator(h.transpose().iter().copied());
-        let trace = normal.trace();
-        (normal + along * along.transpose() * trace, gradient)
+        (with_pinned_scale(&normal, h), gradient)
     }
 
     fn stepped(&self, h: &Matrix3<f64>, (normal, gradient): &Self::Normal, damping: f64) -> Option<Matrix3<f64>> {
-        // The constraint adds the trace once: half of it is the data's.
-        let share = damping * 0.5 * normal.trace() / 9.0;
-        let damped = normal + SMatrix::<f64, 9, 9>::identity() * share;
-        let next = h - Matrix3::from_row_slice(damped.cholesky()?.solve(gradient).as_slice());
-        Some(next / next.norm())
+        damped_step(h, normal, gradient, damping)
     }
 }
 

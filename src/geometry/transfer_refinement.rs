@@ -84,19 +84,29 @@ impl Problem for TransferErrors<'_> {
         for (row, part) in [(0, by_first), (3, by_second), (6, by_third)] {
             jtr.fixed_rows_mut::<3>(row).copy_from(&part);
         }
-        // The scale of H is free: pin it by a unit constraint along h itself.
-        let along = SVector::<f64, 9>::from_iterator(h.transpose().iter().copied());
-        let trace = jtj.trace();
-        (jtj + along * along.transpose() * trace, jtr)
+        (with_pinned_scale(&jtj, h), jtr)
     }
 
     fn stepped(&self, h: &Matrix3<f64>, (normal, gradient): &Self::Normal, damping: f64) -> Option<Matrix3<f64>> {
-        // The constraint adds the trace once: half of it is the data's.
-        let share = damping * 0.5 * normal.trace() / 9.0;
-        let damped = normal + SMatrix::<f64, 9, 9>::identity() * share;
-        let next = h - Matrix3::from_row_slice(damped.cholesky()?.solve(gradient).as_slice());
-        Some(next / next.norm())
+        damped_step(h, normal, gradient, damping)
     }
+}
+
+/// The normal equations of a homography, row by row, with its scale, which is free, pinned by a unit
+/// constraint along `h` itself.
+pub(super) fn with_pinned_scale(normal: &SMatrix<f64, 9, 9>, h: &Matrix3<f64>) -> SMatrix<f64, 9, 9> {
+    let along = SVector::<f64, 9>::from_iterator(h.transpose().iter().copied());
+    normal + along * along.transpose() * normal.trace()
+}
+
+/// The homography of norm 1 after a damped step of equations with a pinned scale; `None` where they
+/// are singular.
+pub(super) fn damped_step(h: &Matrix3<f64>, normal: &SMatrix<f64, 9, 9>, gradient: &SVector<f64, 9>, damping: f64) -> Option<Matrix3<f64>> {
+    // The constraint adds the trace once: half of it is the data's.
+    let share = damping * 0.5 * normal.trace() / 9.0;
+    let damped = normal + SMatrix::<f64, 9, 9>::identity() * share;
+    let next = h - Matrix3::from_row_slice(damped.cholesky()?.solve(gradient).as_slice());
+    Some(next / next.norm())
 }
 
 #[cfg(test)]

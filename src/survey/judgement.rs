@@ -56,7 +56,7 @@ fn little(name: &str, support: Support, sigma_mm: f64) -> String {
     if !support.is_little() {
         let scatter = support.scatter;
         return format!(
-            "what {tiles} tiles of {name} show scatters {scatter:.1} times as far as the others: it may stand elsewhere; {mend}"
+            "the residuals of {tiles} tiles of {name} scatter {scatter:.1} times as far as the others': it may stand elsewhere; {mend}"
         );
     }
     format!("only {tiles} tiles in {within} show {name}, so that nothing would contradict a wrong place: {mend}")

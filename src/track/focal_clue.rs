@@ -9,12 +9,12 @@
 use nalgebra::{DMatrix, DVector, Dyn, Matrix2xX, Matrix6, Vector6};
 
 use super::fitted_anchor::FittedAnchor;
-use super::model_unknowns::{CORNERS, moved_by_corners};
+use super::model_unknowns::{CORNERS, fill_corners, fill_place};
 use super::reference::PreparedBody;
 use super::row_motion::RowMotion;
 use super::tile_residuals::{TileResidual, TileResiduals};
 use crate::camera::{CameraModel, Shutter};
-use crate::geometry::{Body, Camera, Pose, skew};
+use crate::geometry::{Body, Camera, Pose};
 
 /// How far other parts of the model may be off, one sigma: the first radial coefficient, the ratio of a surface's sides, its place (metres) and
 /// direction (radians) beside the others, and the body's motion while the rows are read (m/s and rad/s). Chosen wide: a print of 4 m that is 4 cm too
@@ -25,8 +25,8 @@ const RATIO_SIGMA: f64 = 0.01;
 /// Shear and keystone that a picture may have although its corners are not in doubt: a crop that is no rectangle, cloth that hangs askew by 0.2 degrees. Raised, a
 /// small zoom before a flat stage is in the covariance and not withheld; lowered, such pictures convict a right lens.
 const ASKEW_SIGMA: f64 = 0.003;
-const PLACE_SIGMA_M: f64 = 0.01;
-const DIRECTION_SIGMA: f64 = 0.01;
+pub const PLACE_SIGMA_M: f64 = 0.01;
+pub const DIRECTION_SIGMA: f64 = 0.01;
 const MOTION_SIGMA: [f64; 2] = [1.0, 1.0];
 /// How long a frame is read where nobody said so, seconds: the usual webcam's. Raised, fast pans pass for less of a zoom.
 const USUAL_READOUT_S: f64 = 0.02;
@@ -71,7 +71,7 @@ const CONVICTING_GAIN: f64 = 4.0;
 /// ahead; it widens the covariance and accuses no lens. Raised, wrong corners pass for a zoom; lowered, large zooms are not withheld.
 pub const MAX_CHANGE: f64 = 0.26;
 /// Sigma of what is held fixed: keeps the equations regular.
-const FIXED_SIGMA: f64 = 1e-6;
+pub const FIXED_SIGMA: f64 = 1e-6;
 
 /// What a frame says of the focal length.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -353,45 +353,30 @@ impl Unknowns {
         let Some(k) = self.surfaces.iter().position(|s| *s == anchor.surface) else { return };
         let spec = &body.surfaces[anchor.surface as usize].spec;
         let to_camera = pose.rotation_matrix();
-        let by_point = t.by_pose.fixed_columns::<3>(0);
-        let by_picture = by_point * (to_camera * spec.pose.rotation_matrix());
-        for (j, moved) in moved_by_corners(spec.size_m, spec.to_metres(anchor.artwork)).into_iter().enumerate() {
-            row.set_column(corners + CORNERS * k + j, &(by_picture * moved.push(0.0)));
-        }
+        let by_point = t.by_pose.fixed_columns::<3>(0).into_owned();
+        let by_surface = by_point * (to_camera * spec.pose.rotation_matrix());
+        fill_corners(row, corners + CORNERS * k, &by_surface, spec.size_m, spec.to_metres(anchor.artwork));
         if k > 0 {
             let from_centre = to_camera * (anchor.observation.point.coords - spec.pose.translation);
-            row.columns_mut(places + 6 * (k - 1), 3).copy_from(&by_point);
-            row.columns_mut(places + 6 * (k - 1) + 3, 3).copy_from(&(-by_point * skew(&from_centre)));
+            fill_place(row, places + 6 * (k - 1), &by_point, &from_centre);
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{UnitQuaternion, Vector2, Vector3};
+    use nalgebra::{Vector2, Vector3};
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 
+    use super::super::model_unknowns::moved_by_corners;
     use super::super::surface::SurfaceSpec;
-    use super::super::synthetic::{cloth, facing, lens, prepared, seen_anchors};
+    use super::super::synthetic::{cloth, facing, lens, prepared, seen_anchors, with_flat, zoomed};
     use super::*;
     use crate::camera::{Intrinsics, Normalized};
     use crate::geometry::resection::{MovingCamera, Observation, perturbed, resect};
 
     const NOISE_PX: f64 = 0.005;
-
-    /// A cloth and a flat before it, at an angle.
-    fn with_flat() -> Vec<SurfaceSpec> {
-        let mut flat = cloth(2);
-        flat.pose = Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.4, 0.0), Vector3::new(0.7, 0.1, 0.9));
-        flat.size_m = [1.2, 0.9];
-        vec![cloth(1), flat]
-    }
-
-    fn zoomed(by: f64) -> CameraModel {
-        let i = *lens(640, 480).intrinsics();
-        CameraModel::new(Intrinsics { fx: by * i.fx, fy: by * i.fy, ..i }).unwrap()
-    }
 
     /// What the configured body and the usual lens make of pictures that `camera` took of the `real` body.
     fn clue(configured: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, camera: &CameraModel, start: &Pose<Camera, Body>) -> (bool, FocalClue) {

@@ -11,12 +11,12 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix2, Matrix2xX, Vector2};
 use tracing::debug;
 
 use super::acquire::AgreeingMatch;
-use super::focal_clue::MAX_CHANGE;
-use super::model_unknowns::{CORNERS, moved_by_corners};
+use super::focal_clue::{DIRECTION_SIGMA, FIXED_SIGMA, MAX_CHANGE, PLACE_SIGMA_M};
+use super::model_unknowns::{CORNERS, fill_corners, fill_place};
 use super::reference::PreparedBody;
 use crate::camera::{CameraModel, Intrinsics};
 use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian, squared_residual};
-use crate::geometry::{Body, Camera, Pose, skew};
+use crate::geometry::{Body, Camera, Pose};
 
 /// Fewest matches that are asked. Raised, wrong lenses pass where a stage has little detail.
 const MIN_MATCHES: usize = 24;
@@ -26,31 +26,26 @@ const MAX_MATCHES: usize = 120;
 /// Excess of the mean cut square over that of free homographies, below which nothing is asked.
 /// Raised, small errors of the focal length pass; lowered, frames that fit are asked as well.
 const MIN_MISFIT: f64 = 0.1;
-/// Logarithm of the focal lengths that are tried: in steps of this, so many of them up and down.
-/// The best at either end is none. Raised, modes that crop more are found, in more time.
+/// Step between the focal lengths that are tried (logarithm), and number of steps each way. A best
+/// fit at either end is rejected. Raised, modes that crop more are found, in more time.
 const STEP: f64 = 0.09;
 const STEPS: i32 = 8;
-/// A focal length must lower the cost by so many times the mean square that it leaves: five
-/// sigmas. Raised, wrong lenses pass; lowered, noise widens the covariance.
+/// Least drop of the cost, in mean squared residuals of the better fit: five sigmas. Raised, wrong
+/// lenses pass; lowered, noise widens the covariance.
 const MIN_GAIN: f64 = 25.0;
-/// It must explain this share of what the calibrated one leaves over free homographies. Raised,
-/// wrong lenses pass where other parts do not fit either; lowered, other faults pass for it.
+/// Least drop of the cost as a share of its excess over that of free homographies. Raised, wrong
+/// lenses pass where other parts do not fit either; lowered, other faults pass for a wrong lens.
 const MIN_SHARE: f64 = 0.5;
 /// A squared residual counts as this at most, sigmas: see `acquire`.
 const MAX_SQUARED: f64 = 16.0;
 /// Steps of a resection at most. Raised, focal lengths far off are judged better, in more time.
 const RESECTION_STEPS: usize = 10;
-/// How far pictures may be askew or stretched, and surfaces off their places (metres, radians), one
-/// sigma, where no more is configured. Raised, wrong lenses pass; lowered, careless measures are
-/// taken for a wrong lens.
+/// How far pictures may be askew or stretched, one sigma, where no more is configured. Raised, wrong
+/// lenses pass; lowered, careless measures are taken for a wrong lens.
 const ASKEW_SIGMA: f64 = 0.005;
-const PLACE_SIGMA_M: f64 = 0.01;
-const DIRECTION_SIGMA: f64 = 0.01;
 /// How far the camera may move while the rows are read, one sigma: metres and radians. A webcam that
 /// is carried at 1 m/s and turned at 1 rad/s. Raised, wrong lenses of moving cameras are found later.
 const MOVED_SIGMA: [f64; 2] = [0.02, 0.02];
-/// Sigma of what is held fixed: keeps the equations regular.
-const FIXED_SIGMA: f64 = 1e-6;
 
 /// What matches say of the focal length.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,8 +64,8 @@ pub enum MatchedFocal {
 /// Asks matches for the focal length.
 ///
 /// `pose`: `T_camera_body` by the calibrated one. `is_global`: all rows are known to be exposed
-/// together; else the camera may have moved while they were read. `suspected`: logarithm of the focal length that
-/// earlier matches fit over the calibrated one.
+/// together; else the camera may have moved while they were read. `suspected`: logarithm of the
+/// focal length that earlier matches fit over the calibrated one.
 pub fn matched_focal(
     pose: &Pose<Camera, Body>,
     camera: &CameraModel,
@@ -220,14 +215,11 @@ impl Trial<'_> {
             row.columns_mut(0, 6).copy_from(&by_pose);
             row.columns_mut(motion, 6).copy_from(&(by_pose * row_share(m.observation.pixel.y)));
             let by_point = by_pose.fixed_columns::<3>(0) * to_camera;
-            let by_picture = by_point * spec.pose.rotation_matrix();
-            for (j, moved) in moved_by_corners(spec.size_m, m.on_picture_m).into_iter().enumerate() {
-                row.set_column(corners + CORNERS * k + j, &(by_picture * moved.push(0.0)));
-            }
+            let by_surface = by_point * spec.pose.rotation_matrix();
+            fill_corners(&mut row, corners + CORNERS * k, &by_surface, spec.size_m, m.on_picture_m);
             if k > 0 {
                 let from_centre = m.observation.point.coords - spec.pose.translation;
-                row.columns_mut(places + 6 * (k - 1), 3).copy_from(&by_point);
-                row.columns_mut(places + 6 * (k - 1) + 3, 3).copy_from(&(-by_point * skew(&from_centre)));
+                fill_place(&mut row, places + 6 * (k - 1), &by_point, &from_centre);
             }
             let weighted = m.observation.information * &row;
             normal.gemm_tr(1.0, &row, &weighted, 1.0);
@@ -246,29 +238,16 @@ impl Trial<'_> {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{UnitQuaternion, Vector3};
+    use nalgebra::Vector3;
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
     use crate::track::fitted_anchor::FittedAnchor;
     use crate::track::surface::SurfaceSpec;
-    use crate::track::synthetic::{cloth, facing, lens, prepared, seen_anchors};
+    use crate::track::synthetic::{cloth, facing, lens, prepared, seen_anchors, with_flat, zoomed};
 
     const NOISE_PX: f64 = 0.5;
-
-    /// A cloth, and a flat before it that stands at an angle.
-    fn with_flat() -> Vec<SurfaceSpec> {
-        let mut flat = cloth(2);
-        flat.pose = Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.4, 0.0), Vector3::new(0.7, 0.1, 0.9));
-        flat.size_m = [1.2, 0.9];
-        vec![cloth(1), flat]
-    }
-
-    fn zoomed(by: f64) -> CameraModel {
-        let i = *lens(640, 480).intrinsics();
-        CameraModel::new(Intrinsics { fx: by * i.fx, fy: by * i.fy, ..i }).expect("a camera")
-    }
 
     /// Matches of a frame that `camera` took of `real`, as observations of `configured`; a free
     /// homography leaves their noise.

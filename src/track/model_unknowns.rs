@@ -6,7 +6,7 @@
 use std::f64::consts::PI;
 use std::ops::Range;
 
-use nalgebra::{Matrix2xX, Vector2};
+use nalgebra::{Matrix2x3, Matrix2xX, Vector2, Vector3};
 
 use super::fitted_anchor::FittedAnchor;
 use super::reference::PreparedBody;
@@ -139,13 +139,10 @@ impl ModelUnknowns {
         row.set_column(1, &Vector2::x());
         row.set_column(2, &Vector2::y());
         row.set_column(3, &t.by_radial);
-        for (k, moved) in moved_by_corners(spec.size_m, at).into_iter().enumerate() {
-            row.set_column(LENS + k, &(by_surface * moved.push(0.0)));
-        }
+        fill_corners(row, LENS, &by_surface, spec.size_m, at);
         let from_centre = anchor.observation.point.coords - spec.pose.translation;
         let by_place = by_point * to_camera;
-        row.columns_mut(LENS + CORNERS, 3).copy_from(&by_place);
-        row.columns_mut(LENS + CORNERS + 3, 3).copy_from(&(-by_place * skew(&from_centre)));
+        fill_place(row, LENS + CORNERS, &by_place, &from_centre);
         let by_height = by_surface.column(2).into_owned();
         for (k, wave) in self.heights_at(spec, at).enumerate() {
             row.set_column(LENS + CORNERS + PLACE + k, &(by_height * wave));
@@ -161,6 +158,21 @@ impl ModelUnknowns {
     pub fn columns_of(&self, surface: usize) -> impl Iterator<Item = usize> + Clone + use<> {
         self.lens().chain(self.surface(surface))
     }
+}
+
+/// Writes the columns of a surface's corners from `first` on. `by_surface`: derivative of the pixel
+/// by the point in the surface's axes; `at`: the point, metres from the picture's centre.
+pub fn fill_corners(row: &mut Matrix2xX<f64>, first: usize, by_surface: &Matrix2x3<f64>, size_m: [f64; 2], at: Vector2<f64>) {
+    for (k, moved) in moved_by_corners(size_m, at).into_iter().enumerate() {
+        row.set_column(first + k, &(by_surface * moved.push(0.0)));
+    }
+}
+
+/// Writes the columns of a surface's place and direction from `first` on, in any axes. `by_point`:
+/// derivative of the pixel by the point; `from_centre`: the point from the surface's centre, metres.
+pub fn fill_place(row: &mut Matrix2xX<f64>, first: usize, by_point: &Matrix2x3<f64>, from_centre: &Vector3<f64>) {
+    row.columns_mut(first, 3).copy_from(by_point);
+    row.columns_mut(first + 3, 3).copy_from(&(-by_point * skew(from_centre)));
 }
 
 /// How the numbers of a surface's corners move a point of its picture, metres: ratio and shear in proportion, a keystone by its square. A keystone of 1 makes the one half of the

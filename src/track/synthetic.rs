@@ -51,6 +51,20 @@ pub fn cloth(seed: u32) -> SurfaceSpec {
     SurfaceSpec::from_artwork("cloth".into(), texture(640, 480, seed), [4.0, 3.0], Pose::identity()).expect("texture enough")
 }
 
+/// A [`cloth`], and a flat in front of it that stands at an angle.
+pub fn with_flat() -> Vec<SurfaceSpec> {
+    let mut flat = cloth(2);
+    flat.pose = Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.4, 0.0), Vector3::new(0.7, 0.1, 0.9));
+    flat.size_m = [1.2, 0.9];
+    vec![cloth(1), flat]
+}
+
+/// The [`lens`] of 640 x 480 pixels with so many times its focal length.
+pub fn zoomed(by: f64) -> CameraModel {
+    let i = *lens(640, 480).intrinsics();
+    CameraModel::new(Intrinsics { fx: by * i.fx, fy: by * i.fy, ..i }).expect("a camera")
+}
+
 pub fn prepared(surfaces: Vec<SurfaceSpec>) -> PreparedBody {
     PreparedBody::new(&BodySpec::new("stage", surfaces)).with_anchors()
 }

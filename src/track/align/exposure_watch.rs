@@ -17,8 +17,8 @@ const MIN_CHANGE: f64 = 1.5;
 /// camera that sharpens shows as well. Raised, exposures that are configured too long pass; lowered,
 /// sharpening contradicts right ones.
 const MIN_RATIO: f64 = 0.3;
-/// The mean must be so many of its standard errors from zero, frames in a row counted as one in
-/// five, since they err alike. Raised, wrong exposures are named later.
+/// Least distance of the mean from zero, standard errors. Five frames in a row count as one, since
+/// their errors are alike. Raised, wrong exposures are named later.
 const MIN_SIGMAS: f64 = 5.0;
 const ALIKE_FRAMES: f64 = 5.0;
 /// What a single frame may say at most, share of the exposure either way: twice as long.
@@ -66,7 +66,7 @@ mod tests {
 
     use super::*;
 
-    /// What frames say where the real exposure is so many times the configured one.
+    /// The contradiction after frames whose real exposure is `ratio` times the configured one.
     fn after(frames: u32, ratio: f64, blur_px: f64, noise: f64) -> Option<f64> {
         let mut random = Pcg64Mcg::seed_from_u64(5);
         let mut watch = ExposureWatch::default();
